@@ -223,9 +223,8 @@ def boots_as_text(n: int) -> bytes:
         lines += baro_lines(12, from_us=5_000_000)
         for k in range(3):
             week_ms = 1000 * (60 * boot + k)
-            lines.append(
-                f"GPS, {6_000_000 + 200_000 * k}, 0, 3, {week_ms % 604_800_000}, {2200}, 47.0, 8.0, 500.0"
-            )
+            time_us = 6_000_000 + 200_000 * k
+            lines.append(f"GPS, {time_us}, 0, 3, {week_ms % 604_800_000}, 2200, 47.0, 8.0, 500.0")
     return text_log(lines)
 
 

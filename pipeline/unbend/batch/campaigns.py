@@ -256,8 +256,8 @@ def write_page(campaign: Campaign, rows: Sequence[Row], digest: str) -> None:
         draft.write_text(campaign_page(campaign.name, rows, digest), encoding="utf-8")
 
 
-def page_row(chosen: Selection, ref: MissionRef, end: MissionEnd | None, page: Path) -> Row:
-    """What a campaign's page shows of a mission. ``page`` is the folder of the page.
+def page_row(chosen: Selection, ref: MissionRef, end: MissionEnd | None, page_folder: Path) -> Row:
+    """What a campaign's page shows of a mission, with a link to its results if these have a place.
 
     ``end`` is how the mission ended; None for a mission that this command did not run.
     """
@@ -268,8 +268,10 @@ def page_row(chosen: Selection, ref: MissionRef, end: MissionEnd | None, page: P
         output = chosen.named[ref].output
     if isinstance(end, Outcome):
         output = end.output
-    link = {} if output is None else {"results": link_to(output, page)}
-    return {**row_of_end(chosen, ref, end, name, output), **link}
+    row = row_of_end(chosen, ref, end, name, output)
+    if output is None:
+        return row
+    return {**row, "results": link_to(output, page_folder)}
 
 
 def row_of_end(
@@ -312,7 +314,7 @@ def row_of_manifest(name: str, manifest: Manifest | None) -> Row:
         return row_without(name, None, error.code, error.what)
 
 
-def link_to(output: Path | Place, page: Path) -> str:
+def link_to(output: Path | Place, page_folder: Path) -> str:
     """Where the report of a mission lies, as seen from the folder of a page."""
     if isinstance(output, Place):
         published = read_manifest(output, damaged=True)
@@ -320,7 +322,7 @@ def link_to(output: Path | Place, page: Path) -> str:
         return f"{output}/attempts/{attempt}"
     target = os.path.realpath(output)
     with suppress(ValueError):  # on another drive
-        target = os.path.relpath(target, os.path.realpath(page))
+        target = os.path.relpath(target, os.path.realpath(page_folder))
     return Path(target).as_posix()
 
 

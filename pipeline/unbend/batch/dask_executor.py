@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 _CONNECT_S = 10.0
 """How long a scheduler may take to answer, and to have its first worker."""
 
+_LISTEN_PAUSE_S = 0.2
+"""Between two tries to reach a scheduler that does not listen yet."""
+
 _STOP_S = 4.0
 """How long an interrupted command waits until its missions are stopped."""
 
@@ -156,20 +159,22 @@ def scheduler_address(scheduler: str) -> str:
 def refuse_missing(scheduler: str) -> None:
     """Refuse (SCHEDULER-NONE) an address where no scheduler begins to listen within 10 s.
 
-    Only tcp and tls are tried.
+    Addresses other than tcp and tls are not tried, and not refused here.
     """
     address = scheduler_address(scheduler)
     limit = time.monotonic() + _CONNECT_S
     with connection_errors(address):
         url = urlsplit(address)
-        while url.scheme in ("tcp", "tls"):
+        if url.scheme not in ("tcp", "tls"):
+            return
+        while True:
             try:
                 socket.create_connection((url.hostname, url.port), _CONNECT_S).close()
-                break
-            except ConnectionRefusedError:
+                return
+            except ConnectionRefusedError:  # nothing listens yet
                 if time.monotonic() > limit:
                     raise
-            time.sleep(0.2)
+            time.sleep(_LISTEN_PAUSE_S)
 
 
 @contextmanager

@@ -35,7 +35,8 @@ class NamedInput(NamedTuple):
     role : what it is to the mission: log, observations, events, ...
     key : the key of the mission file that names it.
     name : its path or URL in the mission file.
-    program : that of a block, or `GDAL` of a raster: such an input may have several files.
+    program : that of a block, or `GDAL` of a raster: such an input may have several files. None
+        for any other file, and for a folder of images.
     may_be_folder : whether a folder is allowed in the place of a file.
     """
 
@@ -207,9 +208,9 @@ States = tuple[FileState | None, ...]
 def record_of(named: NamedInput, files: tuple[Path, ...], states: States) -> InputRecord:
     """The record of an input by the states of its files, without a hash of its content.
 
-    The record has a time only where the same time will prove that the input is unchanged: where
-    all its files are there, and none was changed so lately that the next change may not show.
-    Its version tells which files an input has that may have several; it is empty for others.
+    mtime_ns : the latest time of the files; None unless all files are there and settled, because
+        only then an equal time proves later that the input is unchanged.
+    version : a hash of names, sizes and times of the files; "" for an input that is one file.
     """
     there = [state for state in states if state is not None]
     are_all_there = bool(there) and len(there) == len(states)
@@ -229,7 +230,7 @@ def _hash_of_listing(files: tuple[Path, ...], states: States) -> str:
     """SHA-256 of the names, sizes and times of files; it stands for the version of them all."""
     digest = hashlib.sha256()
     for file, state in zip(files, states, strict=True):
-        size = state and state.size_bytes
+        size = state and state.size_bytes  # None for a file that is not there
         mtime = state and state.mtime_ns
         digest.update(f"{file.name}\0{size}\0{mtime}\0".encode())
     return digest.hexdigest()
@@ -259,13 +260,14 @@ def hash_input(
     """SHA-256 of an input: of one file, or of the names and hashes of several.
 
     ``files`` of a block or a raster are read whole; of the images of a folder (no ``program``) only
-    EXIF is. With the ``states`` of the files, one that was hashed in that state is not read again.
+    EXIF is. ``states`` are those of the files: a file that was hashed in its state before is not
+    read again. Without ``states`` all files are read.
     """
-    states = states or (None,) * len(files)
+    state_of_file = states or (None,) * len(files)
     if files == (path,):  # the input is one file
-        return hash_once(path, states[0])
+        return hash_once(path, state_of_file[0])
     digest = hashlib.sha256()
-    for file, state in zip(files, states, strict=True):
+    for file, state in zip(files, state_of_file, strict=True):
         if program is not None:
             digest.update(f"{file.name}\0{hash_once(file, state)}\0".encode())
         else:

@@ -33,7 +33,7 @@ def parse_manifest(content: bytes, where: str, *, of_attempt: bool = False) -> M
     if not isinstance(values, dict) or "outputs" not in values:
         raise manifest_not_ours(path=where)
     manifest = Manifest(values, where)
-    run = manifest.run  # its record is made here: it refuses a manifest without the common values
+    run = manifest.run  # refuses a manifest without the values that all runs have
     if of_attempt and not _ATTEMPT.fullmatch(run.attempt):
         raise manifest_not_ours(path=where)
     return manifest

@@ -135,6 +135,7 @@ def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[s
 
 
 def _trajectory(mission: Mission, paths: Paths) -> ChannelReader | None:
+    """The reader of the trajectory, by its format, with the path of the file of its accuracy."""
     section = mission.stations.trajectory
     if section is None:
         return None
@@ -165,6 +166,7 @@ def _events(mission: Mission, paths: Paths, ledger: Ledger) -> EventTable | None
 
 
 def _image_times(mission: Mission, paths: Paths, ledger: Ledger) -> ImageTimes | None:
+    """The times in the images' EXIF, unless a table gives the events."""
     section = mission.events
     if section is None or section.images is None or section.csv is not None:
         return None
@@ -172,9 +174,10 @@ def _image_times(mission: Mission, paths: Paths, ledger: Ledger) -> ImageTimes |
 
 
 def _orientation(mission: Mission, paths: Paths, ledger: Ledger) -> OrientationTable | None:
+    """The table of orientations, or those of a block; None if it is given in memory, too."""
     section = mission.stations.orientation
     if section is None or "orientation" not in paths:
-        return None  # or a table in memory
+        return None
     path = paths["orientation"]
     if section.of_block:
         return blocks.read_block_images(path, section.format)
@@ -207,7 +210,7 @@ def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
     section = mission.stations.orientation
     if section is None:
         return ()
-    programs = {}
+    programs = {}  # by path, so that a block with both is read once
     if section.of_block and "orientation" in paths:
         programs[paths["orientation"]] = section.format
     observations_format = block_program(mission.observations.format)
@@ -220,6 +223,7 @@ def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
 
 
 def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints | None:
+    """The object points of the block with the orientations, if the ground heights are theirs."""
     section = mission.stations.orientation
     if mission.ground.height != "block" or section is None:
         return None

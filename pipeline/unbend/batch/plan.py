@@ -118,31 +118,31 @@ def make_plan(
 ) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from ``folder``, the mission file's.
 
-    An input whose size and time are those that the manifest of an earlier run states keeps the hash
-    in that manifest, unless ``verify`` is set. Refuses inputs that are missing or cannot be read,
-    and results that would replace an input.
+    An input that has the size and the time of its record in the manifest of an earlier run is not
+    read, and keeps the hash of that record; with ``verify`` each input is read. Refuses inputs that
+    are missing or cannot be read, and results that would replace an input.
     """
     output = output_of(mission, folder)
     refuse_among_results("mission", folder, output)
     earlier = read_manifest(output, damaged=True)
-    records: dict[str, InputRecord] = {}  # of the earlier run, by role; none to verify
+    records: dict[str, InputRecord] = {}  # of the earlier run, by role; with ``verify`` none
     if earlier is not None and not verify:
         records = {record.role: record for record in earlier.run.inputs}
     inputs = []
     remotes = {}
     for named in named_inputs(mission):
         place = located(named.name, folder)
+        known = records.get(named.role)
         with readable(named, place):
             if isinstance(place, Place):
                 in_storage = look_up(named, place)
                 remotes[named.role] = in_storage
                 refuse_among_results(named.role, place, output)
-                known = records.get(named.role)
                 inputs.append(remote_input(named, in_storage, known, verify=verify))
             else:
                 refuse_missing(named, place)
                 refuse_among_results(named.role, place, output)
-                inputs.append(local_input(named, place, records.get(named.role), verify=verify))
+                inputs.append(local_input(named, place, known, verify=verify))
     return Plan(
         mission=with_camera_files(mission, {item.role: item.path for item in inputs}),
         inputs=tuple(inputs),
@@ -180,10 +180,11 @@ def local_input(named: NamedInput, path: Path, known: InputRecord | None, *, ver
     files = files_of(path, named.program)
     states = tuple(state_of(file) for file in files)
     record = record_of(named, files, states)
-    if record.is_like(known) and known is not None:
+    if known is not None and record.is_like(known):
         record = known
     else:
-        sha256 = hash_input(path, named.program, files, () if verify else states)
+        trusted_states = () if verify else states
+        sha256 = hash_input(path, named.program, files, trusted_states)
         record = record.with_hash(sha256)
     return Input(record, path, states, named.program)
 
@@ -203,8 +204,9 @@ def remote_input(
 ) -> Input:
     """An input in object storage, hashed; ``known`` is its record in an earlier run, if any.
 
-    An input of the version in that record is not copied here and read. The file of a camera always
-    is, because the mission is not understood without it. ``verify`` copies an input anew.
+    An input of the version in that record keeps the hash of the record. Any other input is copied
+    here and read; so is the file of a camera in any case, because the mission is not understood
+    without the file. ``verify`` makes a new copy even if there is one.
     """
     record = InputRecord(
         role=named.role,
@@ -215,7 +217,7 @@ def remote_input(
         version=in_storage.version,
     )
     is_of_camera = named.role.startswith("camera ")
-    if record.is_like(known) and known is not None and not is_of_camera:
+    if known is not None and record.is_like(known) and not is_of_camera:
         record = known
     else:
         copy = remote.fetch(in_storage, anew=verify)

@@ -200,9 +200,10 @@ class Processes:
 
         def begin_next(process: MissionProcess) -> None:
             """Let a free process begin the next mission that waits, if one does."""
-            mission, task = next(waiting, (None, None))
-            if mission is None or task is None:
+            following = next(waiting, None)
+            if following is None:
                 return
+            mission, task = following
             future = process.submit(task)
             future.add_done_callback(lambda ended: done.put((process, mission, ended)))
 

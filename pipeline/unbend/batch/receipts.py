@@ -1,7 +1,8 @@
 """Receipts of finished parts as bytes: plain classes of the package, arrays and numbers.
 
-Read back only if whole, and nothing in it is run: classes that hold values are all that is looked
-up. A folder of results may come from somebody else.
+A folder of results may come from somebody else. Therefore a receipt is read back only if it is
+whole, and nothing in it is run: only classes that hold values, and functions that make arrays, are
+looked up.
 """
 
 import hashlib

@@ -95,21 +95,24 @@ def datum_text(corrected: CorrectedMission) -> str:
     """What heights count from, and the undulation that relates them."""
     facts = corrected.facts
     heights = corrected.prepared.flight.heights
-    height_role = corrected.prepared.flight.roles.get("height")
-    source = "no channel"
-    if height_role is not None:
-        source = height_role.name
+    height_channel = corrected.prepared.flight.roles.get("height")
+    height_source = "no channel"
+    if height_channel is not None:
+        height_source = height_channel.name
     elif facts.mission.stations.orientation is not None:
-        source = "orientation"
+        height_source = "orientation"
     undulation = (facts.stations.h_ellipsoid_m - facts.stations.h_msl_m)[facts.stations.ok]
     known = undulation[np.isfinite(undulation)]
+    undulation_source = heights.source
     stated = heights.undulation_m
-    of_undulation = heights.source
-    if stated is not None and known.size and abs(np.median(known) - stated) > _SAME_UNDULATION_M:
-        of_undulation = f"the log's own, not the {stated:g} m of {heights.source}"
+    if stated is not None and known.size:
+        is_stated = abs(np.median(known) - stated) <= _SAME_UNDULATION_M
+        if not is_stated:
+            undulation_source = f"the log's own, not the {stated:g} m of {heights.source}"
+    reference = facts.mission.ground.reference
     return (
-        f"cameras by {source}, ground {facts.mission.ground.reference}, all above mean sea level; "
-        f"undulation {_span(undulation, 4)} m ({of_undulation})"
+        f"cameras by {height_source}, ground {reference}, all above mean sea level; "
+        f"undulation {_span(undulation, 4)} m ({undulation_source})"
     )
 
 
@@ -117,10 +120,10 @@ def heights_text(facts: Facts) -> str:
     """Heights of ground, take-off and cameras."""
     take_off = "unknown" if facts.takeoff is None else f"{facts.takeoff.h_msl_m:.0f} m"
     above = facts.camera_height_m - facts.rows.h_g_m
-    cameras = facts.stations.h_msl_m[facts.stations.ok]
+    camera_heights = facts.stations.h_msl_m[facts.stations.ok]
     return (
         f"ground {_span(facts.rows.h_g_m, 4)} m, take-off {take_off}, cameras "
-        f"{_span(cameras, 5)} m; above ground {_span(above, 4)} m"
+        f"{_span(camera_heights, 5)} m; above ground {_span(above, 4)} m"
     )
 
 
@@ -171,17 +174,21 @@ def _by_camera(texts: Mapping[str, str]) -> str:
 
 
 def camera_text(facts: Facts, name: str) -> str:
-    """Field of view, ground sampling distance and footprint at the median height, straight down."""
+    """Field of view of a camera, ground sampling distance, and footprint across its axis.
+
+    The latter two are those at the distance to the ground along the axis, from the median height.
+    """
     camera = facts.cameras[name]
     above = facts.of_camera(name, facts.camera_height_m - facts.rows.h_g_m)
     height = float(np.median(above)) if above.size else math.nan
-    distance = height / max(math.cos(math.radians(facts.axis_deg(name))), _SMALLEST_COSINE)
+    cosine = math.cos(math.radians(facts.axis_deg(name)))  # of the axis from straight down
+    distance = height / max(cosine, _SMALLEST_COSINE)
     angles = []
     sizes = []
-    for view in field_of_view(camera):
-        half = min(view / 2.0, math.radians(_WIDEST_DEG))
-        angles.append(f"{math.degrees(view):.0f}")
-        sizes.append(f"{distance * 2.0 * math.tan(half):.0f}")
+    for view_rad in field_of_view(camera):
+        half_rad = min(view_rad / 2.0, math.radians(_WIDEST_DEG))
+        angles.append(f"{math.degrees(view_rad):.0f}")
+        sizes.append(f"{distance * 2.0 * math.tan(half_rad):.0f}")
     return (
         f"{name} {' x '.join(angles)} deg, {distance / camera.fx_px:.2g} m a pixel, "
         f"{' x '.join(sizes)} m across the axis"
@@ -199,12 +206,13 @@ def times_text(corrected: CorrectedMission) -> str:
     from_boot = bool(corrected.stations.from_boot.any())
     for label, values in times.items():
         if values.size and from_boot:
-            seconds = values.min() / 1e9, values.max() / 1e9
-            parts.append(f"{label} {seconds[0]:.0f} to {seconds[1]:.0f} s after boot")
+            first_s = values.min() / 1e9
+            last_s = values.max() / 1e9
+            parts.append(f"{label} {first_s:.0f} to {last_s:.0f} s after boot")
         elif values.size:
             first = utc_second(int(values.min())).removesuffix("Z").replace("T", " ")
-            _, last = utc_second(int(values.max())).removesuffix("Z").split("T")
-            parts.append(f"{label} {first} to {last} UTC")
+            _, last_clock = utc_second(int(values.max())).removesuffix("Z").split("T")
+            parts.append(f"{label} {first} to {last_clock} UTC")
     return "; ".join(parts) or "unknown"
 
 
@@ -228,10 +236,11 @@ def deflection_text(facts: Facts) -> str:
 def changes_text(corrected: CorrectedMission) -> str:
     """How much corrections change with ground, height, tilt and air: median of each camera [px]."""
     facts = corrected.facts
-    rows = np.flatnonzero(np.isfinite(facts.rows.shift_px))
-    rows = rows[evenly_spaced(rows.size, _ROWS)]
+    corrected_rows = np.flatnonzero(np.isfinite(facts.rows.shift_px))
+    rows = corrected_rows[evenly_spaced(corrected_rows.size, _ROWS)]
     if not rows.size:
         return "unknown: no row is corrected"
+    # Corrections alone, without their standard deviations.
     setup = replace(corrected.setup, uncertainties=(None,) * len(corrected.setup.rays))
     h_g = facts.rows.h_g_m[rows]
     before = corrections_of(facts, rows, h_g, setup)
@@ -257,8 +266,8 @@ def changed_setups(
     """The setup with higher cameras, with tilted cameras, and with warmer air, by a label."""
     exposures = setup.exposures
     higher = replace(exposures, height_m=exposures.height_m + _MORE_HEIGHT_M)
-    turn = Rotation.from_rotvec([math.radians(_MORE_TILT_DEG), 0.0, 0.0]).as_matrix()
-    tilted = replace(exposures, rotation=turn @ exposures.rotation)
+    about_x = Rotation.from_rotvec([math.radians(_MORE_TILT_DEG), 0.0, 0.0]).as_matrix()
+    tilted = replace(exposures, rotation=about_x @ exposures.rotation)  # about each camera's x
     method = corrected.facts.mission.refraction.method
     warm_rays = []
     for profile in corrected.air.series.profiles:
@@ -293,6 +302,7 @@ def corrections_of(facts: Facts, rows: Integers, h_g: Array, setup: CorrectionSe
 def warmer(profile: Profile, by_k: float) -> Profile:
     """The air ``by_k`` warmer at every height, with the same pressure at the bottom."""
     layers = profile.layers
+    # `layers` has the vapour at the lower edges; here it is needed at the top of the last one, too.
     top_vapour = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])
     warmed = stack_layers(
         layers.edge,

@@ -64,8 +64,8 @@ class RemoteInput:
 def objects_of(place: Place) -> dict[str, dict[str, Any]]:
     """What storage says of the objects of an input, by their names below the place.
 
-    One object has the name ""; of a folder they are all objects below. Raises FileNotFoundError
-    without any.
+    An input that is one object has that object under the name "". A folder has all objects below
+    it. Raises FileNotFoundError without any.
     """
     if not place.is_folder:
         return {"": place.head()}
@@ -216,7 +216,7 @@ def rehearse(place: Place, *, writes: bool = False) -> None:
             raise messages.writes_unconditional(url=str(place))
     except UnbendError:
         with suppress(UnbendError):
-            place.remove([name])
+            place.remove([name])  # also a probe that the store should not have written
         raise
 
 
@@ -245,15 +245,18 @@ class Publication:
         attempt = uuid.uuid4().hex
         of_attempt = manifest.with_values({"attempt": attempt})
         content = manifest_text(of_attempt).encode()
+        by_another: Manifest | None = None
         try:
             self._upload(folder, of_attempt, advance)
             is_first = self._run.put(content, self._run_version)
-            published = None if is_first else self._published_by_another_writer()
+            if not is_first:
+                by_another = self._published_by_another_writer()
         except BaseException:
             with suppress(UnbendError):
                 self._remove(attempt)
             raise
-        if published is None:
+        published = by_another
+        if by_another is None:
             # This writer is the first, or the first one did not publish in time.
             published = self._replace_manifest(of_attempt, content)
         if published is None or published.run.attempt != attempt:
@@ -267,8 +270,9 @@ class Publication:
         return published
 
     def _replace_manifest(self, manifest: Manifest, content: bytes) -> Manifest | None:
-        """Publish a manifest, if the one of before is still there; returns the one there then.
+        """Publish a manifest, if the one from before this run is still at the place.
 
+        Returns the manifest that is at the place then, its own or another; None without any.
         ``content`` is the manifest as it is written.
         """
         if not (self._place / MANIFEST).put(content, self._version):

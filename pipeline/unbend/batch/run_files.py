@@ -71,7 +71,7 @@ def correct_into(
             missing.append(number)
         else:
             finished[number] = statistics
-    made = correct_parts(
+    made = correct_parts(  # yields the counts of the missing parts, in their order
         observations,
         setup,
         parts.write,
@@ -82,7 +82,7 @@ def correct_into(
     total = Statistics.of(setup.cameras)
     with closing(made):
         for number in range(count):
-            statistics = finished.pop(number) if number in finished else next(made)
+            statistics = finished[number] if number in finished else next(made)
             total.merge(statistics)
             progress(statistics.rows)
     return total

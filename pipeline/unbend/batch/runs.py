@@ -42,10 +42,10 @@ def run_mission(
     verify_inputs: bool = False,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Run one mission, unless the results that are there are those that it would give.
+    """Run one mission, unless an earlier run has made the results that it would make.
 
-    ``force`` runs it in any case. ``verify_inputs`` reads also inputs that are unchanged by size
-    and time.
+    ``force`` runs the mission in any case. With ``verify_inputs`` an input is read and hashed even
+    if its size and time are those that it had in the earlier run.
     """
     progress = progress or Progress()
     progress.start("hashing the inputs")
@@ -67,8 +67,12 @@ def plan_of(mission: MissionRef | Path | str, *, verify: bool = False) -> Plan:
 def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress) -> Outcome:
     """Run a mission in the user's cache, then publish its results at a place.
 
-    Results that an earlier command made there and could not publish are published without a run.
+    * If the results of this plan are published already, nothing is done (``repeated``).
+    * If an earlier command made them in the cache but could not publish them, they are published
+      without a run.
     """
+    # Made first, because a publication notes what is published now: if another run is published
+    # from here on, this one is refused.
     publication = remote.Publication(place, plan.fingerprint)
     earlier = finished_before(plan, force=force)
     if earlier is not None:
@@ -76,26 +80,29 @@ def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress
     remote.rehearse(place, writes=True)
     with storage_errors(plan.folder):
         plan.folder.mkdir(parents=True, exist_ok=True)
+    # `run_plan` locks the folder for the run alone; this lock lasts until the upload has ended.
     lock = store.lock_folder(plan.folder.parent)
     try:
-        here = replace(plan, output=plan.folder)
-        is_repeated, made = run_plan(here, force=force, progress=progress)
-        if is_repeated and store.find_damage(plan.folder, made):
-            # What is uploaded has to be whole, by the content of each file.
-            _, made = run_plan(here, force=True, progress=progress)
-        size = sum(output.bytes for output in made.run.outputs)
+        plan_in_cache = replace(plan, output=plan.folder)
+        was_in_cache, manifest = run_plan(plan_in_cache, force=force, progress=progress)
+        if was_in_cache and store.find_damage(plan.folder, manifest):
+            # `run_plan` trusts files by their times. An upload has to be whole by its content.
+            _, manifest = run_plan(plan_in_cache, force=True, progress=progress)
+        size = sum(output.bytes for output in manifest.run.outputs)
         progress.start("uploading", size)
-        manifest = publication.publish(plan.folder, made, progress.advance)
+        published = publication.publish(plan.folder, manifest, progress.advance)
         shutil.rmtree(plan.folder, ignore_errors=True)
     finally:
         lock.release()
-    return outcome_of(plan, manifest, repeated=False)
+    # Not repeated, even if an earlier command made the results: this one published them.
+    return outcome_of(plan, published, repeated=False)
 
 
 def run_plan(plan: Plan, *, force: bool, progress: Progress) -> tuple[bool, Manifest]:
     """Run a mission with its inputs hashed, whose results go to a folder.
 
-    Returns whether an earlier run had made these results, so that nothing ran, and their manifest.
+    Returns whether an earlier run had made these results, so that nothing ran now; and the manifest
+    of the results.
     """
     with store.open_folder(plan.folder) as folder:
         earlier = finished_before(plan, force=force)
@@ -107,6 +114,7 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress) -> tuple[bool, Mani
         progress.start("correcting", observations.rows)
 
         def correct_all(setup: CorrectionSetup) -> Statistics:
+            """Correct all observations into the folder; keep parts of an interrupted equal run."""
             plan.check_unchanged()
             folder.resume(f"{plan.fingerprint} {batch_rows}", anew=force)
             return correct_into(
@@ -128,7 +136,7 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress) -> tuple[bool, Mani
 def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> PreparedMission:
     """Open the inputs of a mission, build its stations and estimate its air.
 
-    ``most_rows`` of the observations are drawn, to stand for all.
+    Only ``most_rows`` of the observations are drawn, to stand for all; None takes all.
     """
     ledger = Ledger()
     mission = plan.mission
@@ -177,10 +185,10 @@ def outcome_of(plan: Plan, manifest: Manifest, *, repeated: bool) -> Outcome:
 
 
 def finished_before(plan: Plan, *, force: bool = False) -> Manifest | None:
-    """The manifest of an earlier run that made what this plan would make; None where it must run.
+    """The manifest of an earlier run that made what the plan would make; None if the plan must run.
 
-    With ``force`` it must run in any case, and a damaged manifest is not refused. The manifest of
-    another mission is always refused.
+    A damaged manifest is refused. With ``force`` it is not, and the plan must run in any case. The
+    manifest of another mission is always refused.
     """
     manifest = read_manifest(plan.output, damaged=force)
     refuse_other_mission(plan, manifest)
@@ -199,12 +207,14 @@ def renewed(plan: Plan, folder: store.RunFolder, manifest: Manifest) -> Manifest
     before = manifest.run
     if before.inputs == now.inputs and before.mission_file_sha256 == now.mission_file_sha256:
         return manifest
-    inputs = [asdict(record) for record in now.inputs]
-    seen = {"inputs": inputs, "mission_file_sha256": now.mission_file_sha256}
-    as_now = manifest.with_values(seen)
+    values_now = {
+        "inputs": [asdict(record) for record in now.inputs],
+        "mission_file_sha256": now.mission_file_sha256,
+    }
+    manifest_now = manifest.with_values(values_now)
     with suppress(StorageError):
-        folder.rewrite_manifest(as_now)
-    return as_now
+        folder.rewrite_manifest(manifest_now)
+    return manifest_now
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +234,7 @@ def check_mission(
     plan = plan_of(mission)
     if isinstance(plan.output, Path):
         store.rehearse_folder(plan.output)
-    finished_before(plan)
+    finished_before(plan)  # for its refusals: a rehearsal does not depend on earlier results
     if isinstance(plan.output, Place):
         remote.rehearse(plan.output)
     prepared = prepare(plan, progress, SAMPLED_ROWS)
@@ -273,9 +283,9 @@ def finish_run(plan: Plan, folder: store.RunFolder, manifest: Manifest, flown: F
     folder.seal("report.html")
     plan.check_unchanged()
     outputs = [asdict(output) for output in folder.outputs()]
-    manifest = manifest.with_values({"outputs": outputs})
-    folder.commit(manifest)
-    return manifest
+    manifest_with_outputs = manifest.with_values({"outputs": outputs})
+    folder.commit(manifest_with_outputs)
+    return manifest_with_outputs
 
 
 def read_mission(mission: MissionRef | Path) -> PreparedMission:
@@ -286,11 +296,15 @@ def read_mission(mission: MissionRef | Path) -> PreparedMission:
 def air_of_mission_or_standard(
     config: Path | None, atmosphere: str | None
 ) -> tuple[FlightAir, AirSamples, Ledger]:
-    """The air of a mission with its samples and notes, or a standard atmosphere by its name."""
+    """The air of the mission of ``config`` with its samples and notes.
+
+    Without ``config`` it is the standard atmosphere of that name, which has neither.
+    """
     if config is not None:
         prepared = read_mission(config)
         return prepared.air, prepared.samples, prepared.ledger
     standard = standard_atmosphere(atmosphere or "")
     adjustment = unadjusted(standard, f"the standard atmosphere {standard.name}")
-    air = FlightAir(adjustment, constant_series(TimedProfile(None, standard), 0))
+    timeless = TimedProfile(time_ns=None, profile=standard)
+    air = FlightAir(adjustment, constant_series(timeless, exposures=0))
     return air, AirSamples(), Ledger()

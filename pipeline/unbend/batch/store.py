@@ -63,6 +63,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
                     sync_file(file)
             replace_file(draft, path)
     finally:
+        # A draft that was not renamed is a folder or a file.
         shutil.rmtree(draft, ignore_errors=True)
         with suppress(OSError):
             draft.unlink(missing_ok=True)
@@ -259,7 +260,7 @@ def rehearse_folder(path: Path) -> None:
     # The folder itself, or the one in which it would be made.
     nearest = next(folder for folder in (path, *path.parents) if os.path.lexists(folder))
     with storage_errors(path):
-        os.stat(os.path.join(nearest, "."))  # NotADirectoryError where it is a file
+        os.stat(os.path.join(nearest, "."))  # raises NotADirectoryError if `nearest` is a file
         if not os.access(nearest, os.W_OK | os.X_OK):
             raise PermissionError(EACCES, os.strerror(EACCES), str(nearest))
     _refuse_links(path)
@@ -345,14 +346,15 @@ def _clear_interrupted(path: Path, *, resumable: bool) -> None:
     receipts: set[str] = set()  # named as their parts
     if resumable:
         receipts = {file.name for file in (staging / _RECEIPTS).glob("part-*")}
-    kept: set[str] = set()
+    kept: set[str] = set()  # names in the staging folder that stay, beside parts with receipts
     if receipts:
         kept = {_RECEIPTS, _KEY, _PARTS}
     if not (path / MANIFEST).exists():
         # Visible results are then those of a commit that began and did not end: others are refused.
         _undo_commit(path, receipts)
         if os.path.lexists(path / _PARTS):
-            # The staged manifest stays until a commit ends: it shows that the folder is unbend's.
+            # Files of the user are among the parts, so that their folder could not be removed. The
+            # staged manifest stays until a commit ends: it shows that the folder is unbend's.
             kept.add(MANIFEST)
     if not kept:
         _remove(staging)
@@ -400,10 +402,11 @@ def read_manifest(path: Path, *, damaged: bool = False) -> Manifest | None:
 
 
 def find_damage(path: Path, manifest: Manifest, *, read: bool = True) -> list[str]:
-    """What is missing or changed in a run's folder, one line each; empty when nothing is.
+    """What is missing, changed or too much in a run's folder, one line each; empty when nothing is.
 
-    Without ``read`` only those files are read that changed after the manifest was written: a run
-    writes its manifest last.
+    Too much are parts of the observations that the manifest does not name; other files in the
+    folder do not count. Without ``read`` only those results are read that changed after the
+    manifest was written: a run writes its manifest last.
     """
     names = [item.name for item in manifest.run.outputs]
     names += [f"{_PARTS}/{part.name}" for part in (path / _PARTS).glob("part-*.parquet")]
@@ -412,14 +415,13 @@ def find_damage(path: Path, manifest: Manifest, *, read: bool = True) -> list[st
         with suppress(OSError):
             stats[name] = (path / name).stat()
     sizes = {name: stat.st_size for name, stat in stats.items()}
-    finished_ns = 0
-    if not read:
-        with suppress(OSError):
-            finished_ns = (path / MANIFEST).stat().st_mtime_ns
+    finished_ns = 0  # if the manifest cannot be looked at, all results count as changed after it
+    with suppress(OSError):
+        finished_ns = (path / MANIFEST).stat().st_mtime_ns
 
     def hash_of(name: str) -> str | None:
         if read or stats[name].st_mtime_ns >= finished_ns:
             return hash_file(path / name)
-        return None
+        return None  # trusted without reading
 
     return damage_of(manifest, sizes, hash_of)

@@ -83,13 +83,13 @@ def find_unchanged(ref: MissionRef) -> Unchanged | None:
     """The mission, if it is unchanged; None if it is not, or if only a full comparison can tell."""
     try:
         text = text_of(ref)
-        name, path = name_and_output(ref, text)
-    # What a text raises that is no mission file; it is refused when the mission is read.
+        name, output_path = name_and_output(ref, text)
+    # The errors of a text that is no mission file. Reading the mission will refuse that file.
     except (OSError, AttributeError, KeyError, TypeError, ValueError, yaml.YAMLError):
         return None
-    if is_url(path):
+    if is_url(output_path):
         return None
-    output = Path(os.path.normpath(ref.folder / path))
+    output = Path(os.path.normpath(ref.folder / output_path))
     # A run that is under way, or was interrupted, has a staging folder.
     if os.path.lexists(output / STAGING):
         return None
@@ -134,7 +134,7 @@ def is_as_recorded(record: InputRecord, folder: Path) -> bool:
     comparison: only the readers of their formats know which files count.
     """
     raster = is_raster(record.role)
-    has_several_files = bool(record.version)
+    has_several_files = bool(record.version)  # an input of one file has no version
     if is_url(record.name) or (has_several_files and not raster):
         return False
     named = NamedInput(record.role, key="", name=record.name, program=GDAL if raster else None)

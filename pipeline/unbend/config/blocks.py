@@ -45,10 +45,12 @@ def with_block(values: dict[str, Any]) -> dict[str, Any]:
 def _with_orientation(
     stations: dict[str, Any], block: dict[str, Any], *, alone: bool
 ) -> dict[str, Any]:
-    """The section of stations, whose orientation is the block's unless it has a path of its own.
+    """The section of stations, with the orientation of the block where the block gives it.
 
-    A section without the key ``orientation`` gets that of the block only where nothing else gives
-    stations: neither log nor events (``alone``), nor a trajectory.
+    * An ``orientation`` without a path of its own gets path and format of the block.
+    * A missing ``orientation`` is that of the block if nothing else gives stations: neither log nor
+      events (``alone``), nor a trajectory.
+    * Any other section stays as it is.
     """
     if "orientation" in stations:
         orientation = stations["orientation"]
@@ -59,17 +61,17 @@ def _with_orientation(
     if not isinstance(orientation, dict) or "path" in orientation:
         return stations
     of_block = {"path": block["file"], "format": block["format"]}
-    return stations | {"orientation": of_block | orientation}
+    return stations | {"orientation": of_block | orientation}  # a format of its own stays
 
 
 def _with_cameras(cameras: dict[str, Any], block: dict[str, Any]) -> dict[str, Any]:
-    """The sections of the cameras; those without an orientation of their own have the block's."""
+    """The sections of the cameras; one without a key of `INTERIOR_ORIENTATION` gets the block's."""
     filled = {}
     for name, section in cameras.items():
         if not isinstance(section, dict) or section.keys() & INTERIOR_ORIENTATION:
             filled[name] = section
             continue
-        of_block = dict(block)
+        of_block = dict(block)  # its file and format
         if len(cameras) > 1:  # which of the block's cameras it is; a single one needs no name
             of_block["camera"] = name
         filled[name] = of_block | section

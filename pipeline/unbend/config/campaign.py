@@ -114,12 +114,15 @@ def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign
 def _campaign_at(path: Path) -> Campaign | None:
     """The campaign of a file; None for a file that holds something else, or cannot be read."""
     try:
+        # Most files are those of missions: this search spares reading their YAML twice.
         if not _IS_CAMPAIGN.search(path.read_text(encoding="utf-8")):
             return None
         values, node = read_yaml(path)
     except (OSError, UnicodeDecodeError, ConfigError):
         return None
-    if "mission" in values or not values.keys() & {"campaign", "missions"}:
+    is_mission = "mission" in values
+    has_key_of_campaign = not values.keys().isdisjoint({"campaign", "missions"})
+    if is_mission or not has_key_of_campaign:
         return None
     return campaign_of(path, values, node)
 
@@ -130,13 +133,13 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     The defaults and the missions that stand in the file are checked too. Mission files are not
     opened; a pattern that matches none is refused.
     """
-    complete = _with_defaults(values)
+    values_with_defaults = _with_defaults(values)
     # What the models refuse of the campaign's sections, of its defaults and of its missions.
     items = _refused(CampaignFile, values)
     items += _refused_defaults(values)
-    items += _refused_missions(complete)
+    items += _refused_missions(values_with_defaults)
     if items or open_questions(values):
-        raise refusal_of(items, complete, node, str(path))
+        raise refusal_of(items, values_with_defaults, node, str(path))
     section = values["campaign"]
     output = section["output"]
     if _URL.match(output):
@@ -186,15 +189,18 @@ def _refused(model: type[BaseModel], values: object, *, at: Place = ()) -> list[
 def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
     """What is wrong with the defaults of a campaign, whatever a mission adds to them.
 
-    A missing key is no mistake here, as a mission may state it; nor are keys of a section that do
-    not go together, as a mission may replace one of them. A mistake of one key is one, though the
-    validator of its section reports it.
+    Passed over is what a mission may still set right:
+
+    * a missing key, which the mission may state;
+    * keys of a section that do not go together, of which the mission may replace one. The validator
+      of a section reports them; a mistake of one key, which it may report too, it names.
     """
     for item in _refused(Mission, values.get("defaults", {}), at=("defaults",)):
         error = item.get("ctx", {}).get("error")
-        of_one_key = isinstance(error, SectionError) and error.key
-        of_section = item["type"] == "value_error" and isinstance(item["input"], dict)
-        if item["type"] == "missing" or (of_section and not of_one_key):
+        names_one_key = isinstance(error, SectionError) and bool(error.key)
+        is_of_section = item["type"] == "value_error" and isinstance(item["input"], dict)
+        is_of_several_keys = is_of_section and not names_one_key
+        if item["type"] == "missing" or is_of_several_keys:
             continue
         yield item
 
@@ -207,14 +213,14 @@ def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
     missions = values.get("missions", [])
     if not isinstance(missions, list) or not isinstance(values.get("defaults", {}), dict):
         return  # the model of the campaign itself reports that
-    # A mission without an output gets one below the campaign's: here any path will do. Without a
-    # campaign section it stays without, and its key output.path is reported as missing.
+    # A mission without output.path gets a folder below that of the campaign; for the check any path
+    # will do. Without a campaign section there is no such folder: output.path is then missing.
     has_campaign = isinstance(values.get("campaign"), dict)
-    output = {"path": "-"} if has_campaign else {}
+    default_output = {"path": "-"} if has_campaign else {}
     for number, mission in enumerate(missions):
         if isinstance(mission, dict):
-            complete = merged({"output": output}, mission)
-            yield from _refused(Mission, complete, at=("missions", number))
+            mission_with_output = merged({"output": default_output}, mission)
+            yield from _refused(Mission, mission_with_output, at=("missions", number))
 
 
 class ListedMission(NamedTuple):
@@ -225,15 +231,17 @@ class ListedMission(NamedTuple):
 
 
 def missions_listed(path: Path, stated: Sequence[Any]) -> Iterator[ListedMission]:
-    """The missions of a campaign; ``stated`` are the entries under ``missions``.
+    """The missions of a campaign; ``stated`` are the entries under ``missions``, in their order.
 
-    An entry is a path, a pattern of paths, or sections. A file that matches a pattern comes once,
-    and not at all by the pattern if an entry names it.
+    * Sections are a mission that stands in the campaign file itself.
+    * A path is a mission file. So is a text with ``[`` or ``*`` if a file has exactly this name.
+    * Another pattern gives the files that match it, but for those that an entry names, or that an
+      earlier pattern gave.
     """
-    listed: set[str] = set()  # files that an entry names, then those of patterns too
+    taken: set[str] = set()  # files that no pattern gives any more
     for entry in stated:
         if isinstance(entry, str):
-            listed.add(os.path.realpath(path.parent / entry))
+            taken.add(os.path.realpath(path.parent / entry))
     for entry in stated:
         if not isinstance(entry, str):
             yield ListedMission(path, own=json.dumps(entry))
@@ -244,8 +252,8 @@ def missions_listed(path: Path, stated: Sequence[Any]) -> Iterator[ListedMission
             continue
         for matching in _matching_files(path, entry):
             real = os.path.realpath(matching)
-            if real not in listed:
-                listed.add(real)
+            if real not in taken:
+                taken.add(real)
                 yield ListedMission(matching)
 
 
@@ -261,24 +269,30 @@ def _matching_files(path: Path, pattern: str) -> list[Path]:
     return files
 
 
-def _seen_from(values: object, campaign: Path, mission: Path, place: Place = ()) -> object:
-    """Values of a campaign with relative paths in them as seen from the folder of a mission."""
+def _seen_from(
+    values: object, campaign_folder: Path, mission_folder: Path, place: Place = ()
+) -> object:
+    """Values of a campaign with relative paths in them as seen from the folder of a mission.
+
+    ``place`` : where in the mission file the values stand, which shows which texts are paths.
+    """
     if isinstance(values, dict):
         items: dict[str, object] = {}
         for key, value in values.items():
-            items[key] = _seen_from(value, campaign, mission, (*place, key))
+            items[key] = _seen_from(value, campaign_folder, mission_folder, (*place, key))
         return items
     if isinstance(values, list):
         entries: list[object] = []
         for number, value in enumerate(values):
-            entries.append(_seen_from(value, campaign, mission, (*place, number)))
+            entries.append(_seen_from(value, campaign_folder, mission_folder, (*place, number)))
         return entries
-    if isinstance(values, str) and campaign != mission and _is_path_at(place, values):
-        return _path_seen_from(values, campaign, mission)
+    is_elsewhere = campaign_folder != mission_folder
+    if isinstance(values, str) and is_elsewhere and _is_path_at(place, values):
+        return _path_seen_from(values, campaign_folder, mission_folder)
     return values
 
 
-def _path_seen_from(path: str, campaign: Path, mission: Path) -> str:
+def _path_seen_from(path: str, campaign_folder: Path, mission_folder: Path) -> str:
     """A path that counts from the folder of a campaign, as counted from that of a mission.
 
     URLs and absolute paths stay. The path becomes absolute where a relative one leads astray: to
@@ -286,8 +300,8 @@ def _path_seen_from(path: str, campaign: Path, mission: Path) -> str:
     """
     if _URL.match(path) or os.path.isabs(path):
         return path
-    target = os.path.abspath(campaign / path)
-    start = os.path.abspath(mission)
+    target = os.path.abspath(campaign_folder / path)
+    start = os.path.abspath(mission_folder)
     drive_of_target, _ = os.path.splitdrive(target)
     drive_of_start, _ = os.path.splitdrive(start)
     is_linked = start != os.path.realpath(start)

@@ -21,8 +21,7 @@ def checked_date(value: str) -> str:
         raise mistake from None
     if day < EARLIEST_DATE:
         raise mistake
-    time_ns = nanoseconds_of_date(value)
-    if time_ns is not None and time_ns > latest_ns():
+    if _nanoseconds_of_text(value) > latest_ns():
         raise SectionError("is in the future")
     return value
 
@@ -37,8 +36,11 @@ def nanoseconds_of_date(value: str | None) -> int | None:
     >>> nanoseconds_of_date("2026-05-14") == nanoseconds_of_date("2026-05-14T12:00")
     True
     """
-    if value is None:
-        return None
+    return None if value is None else _nanoseconds_of_text(value)
+
+
+def _nanoseconds_of_text(value: str) -> int:
+    """A date, as `nanoseconds_of_date` takes it [Unix ns]."""
     time = datetime.fromisoformat(value)
     if len(value) == len("2026-05-14"):
         time = time.replace(hour=12)

@@ -51,16 +51,23 @@ def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 def _merged_sections(
     defaults: dict[str, Any], own: dict[str, Any], above: str = ""
 ) -> dict[str, Any]:
-    """The values of two mappings, section by section; ``above`` are the keys that lead to them."""
+    """The values of two mappings, section by section; ``above`` are the keys that lead to them.
+
+    For a key of both mappings:
+
+    * null in ``own`` takes the key away;
+    * two sections are merged, but for those of `WHOLE`, and those in which ``own`` has a key of
+      `LEADING`;
+    * everything else is as in ``own``.
+    """
     values = defaults | own
     for key in defaults.keys() & own.keys():
         place = f"{above}.{key}".removeprefix(".")
         if own[key] is None:
             del values[key]
             continue
-        # A mission's own value replaces the default, but a section is merged with the default one.
         if not isinstance(defaults[key], dict) or not isinstance(own[key], dict):
-            continue
+            continue  # with the mission's own value
         has_leading = any(_is_one_of(LEADING, f"{place}.{inner}") for inner in own[key])
         if not has_leading and not _is_one_of(WHOLE, place):
             values[key] = _merged_sections(defaults[key], own[key], place)

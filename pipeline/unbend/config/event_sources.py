@@ -15,23 +15,27 @@ _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
 
 def image_pattern(value: str) -> str:
-    """Check a pattern of the names of images, and return it as it is."""
+    """Check a pattern of the names of images, and return it as it is.
+
+    It must have a field {index} or {n}, with or without a format of whole numbers, or a ``*``;
+    other fields are refused.
+    """
     try:
         pieces = list(string.Formatter().parse(value))
     except ValueError as error:
         raise SectionError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
-    names = []
+    fields = []
     for piece in pieces:  # a text, then name, format and conversion of the field that follows it
-        name = piece[1]
+        field = piece[1]
         number_format = piece[2]
         conversion = piece[3]
-        if name is None:  # no field follows the text
+        if field is None:  # no field follows the text
             continue
-        is_number = _NUMBER_FORMAT.match(number_format or "")
-        if name not in ("index", "n") or conversion or not is_number:
+        has_number_format = _NUMBER_FORMAT.match(number_format or "")
+        if field not in ("index", "n") or conversion or not has_number_format:
             raise SectionError("is not a pattern with {index} or {n}, as in IMG_{index:05d}.tif")
-        names.append(name)
-    if not names and "*" not in value:
+        fields.append(field)
+    if not fields and "*" not in value:
         raise SectionError("gives every exposure the same name; put {index}, {n} or * into it")
     return value
 
@@ -258,8 +262,9 @@ class EventsSection(Section):
         given = [key for key in ("log", "csv", "positions") if getattr(self, key) is not None]
         if len(given) != 1:
             raise SectionError("give either log, csv or positions")
-        if not getattr(self, given[0]):
-            raise SectionError(f"{given[0]} needs at least one camera")
+        source = given[0]
+        if not getattr(self, source):  # a mapping without cameras
+            raise SectionError(f"{source} needs at least one camera")
         if self.csv is not None and (self.images or self.first_image):
             raise SectionError(
                 "images and first_image say which pulse an image belongs to; a csv gives each "
@@ -269,10 +274,14 @@ class EventsSection(Section):
 
     @model_validator(mode="after")
     def _check_patterns(self) -> Self:
-        for camera in sorted(self.first_image.keys() - self.patterns.keys()):
-            raise SectionError(f"first_image names camera {camera!r}, which has no pulses")
+        without_pulses = sorted(self.first_image.keys() - self.patterns.keys())
+        if without_pulses:
+            raise SectionError(
+                f"first_image names camera {without_pulses[0]!r}, which has no pulses"
+            )
         for camera, pattern in self.patterns.items():
-            if camera in self.first_image and re.search("{index|{name", pattern):
+            is_by_event = re.search("{index|{name", pattern)
+            if camera in self.first_image and is_by_event:
                 raise SectionError(
                     f"the image {pattern} of {camera} has the number or name of its event: leave "
                     "first_image out, or count the images by {n} or name them by *"

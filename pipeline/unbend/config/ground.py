@@ -273,9 +273,9 @@ class GroundSection(Section):
 
     @model_validator(mode="after")
     def _check_combinations(self) -> Self:
-        states_home = self.home_h_msl_m is not None
         if self.sigma_m is not None and self.sigma_column is not None:
             raise SectionError("give either sigma_m or sigma_column")
+        states_home = self.home_h_msl_m is not None
         follows_from_cameras = isinstance(self.height, str)  # a word of `_ABOVE_THE_SEA`
         if follows_from_cameras and (self.reference != "msl" or states_home):
             raise SectionError(

@@ -13,8 +13,8 @@ def image_frame_of(
 ) -> ImageFrame | None:
     """The frame of the coordinates of all cameras; None where the table has pixels.
 
-    Refuses (SectionError) cameras without a metric report, and such of different frames: the table
-    does not say which camera a row is of.
+    Refuses (SectionError) cameras without a metric report, and cameras of different frames: the
+    table does not say which camera a row is of.
     """
     unit_mm = observations.unit_mm
     if unit_mm is None:
@@ -34,4 +34,5 @@ def image_frame_of(
             "size, pixel_um, origin and axes under metric); give the observations of the others "
             "in pixels, or in a mission of their own"
         )
-    return frames.pop()
+    (frame_of_all,) = frames
+    return frame_of_all

@@ -80,7 +80,7 @@ def as_written(value: object) -> str:
         case dict():
             items = ", ".join(f"{key}: {as_written(item)}" for key, item in value.items())
             return f"{{{items}}}"
-    return str(value) or '""'
+    return str(value) or '""'  # an empty text
 
 
 def mission_keys(node: Node | None = None, above: str = "") -> Iterator[MissionKey]:

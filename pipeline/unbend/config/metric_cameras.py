@@ -133,9 +133,10 @@ class MetricTable(Section):
     @field_validator("rows")
     @classmethod
     def _check_order(cls, rows: list[list[float]], info: ValidationInfo) -> list[list[float]]:
-        first = [row[0] for row in rows]
-        last = LARGEST_FIELD_ANGLE_DEG if info.data.get("by") == "field_angle_deg" else np.inf
-        if first[0] < 0.0 or np.any(np.diff(first) <= 0.0) or first[-1] > last:
+        radii = [row[0] for row in rows]  # or field angles
+        largest = LARGEST_FIELD_ANGLE_DEG if info.data.get("by") == "field_angle_deg" else np.inf
+        does_grow = np.all(np.diff(radii) > 0.0)
+        if radii[0] < 0.0 or not does_grow or radii[-1] > largest:
             raise SectionError("radii, or angles of up to 80 degrees, grow from row to row")
         return rows
 
@@ -233,7 +234,7 @@ class MetricSection(Section):
     def build(self, size_px: tuple[int, int], pixels: PixelSystem) -> Camera:
         """The camera; refuses as `camera_of_report`."""
         coefficients: dict[str, float] = {}
-        sense: Sense = "distortion"
+        sense: Sense = "distortion"  # of coefficients, if there are none
         if self.distortion is not None:
             coefficients = self.distortion.model_dump(exclude={"sense"})
             sense = self.distortion.sense

@@ -200,7 +200,13 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_sources_of_stations(self) -> Self:
-        """Some key gives the position and the attitude of each image."""
+        """Some key gives the position and the attitude of each image.
+
+        * Without a log: an orientation, a trajectory, or exposures with their positions. Such a
+          trajectory gives all that these exposures do not; ``replaces`` may not leave that out.
+        * Without an orientation: events have the times, and a mount turns the attitude of the
+          aircraft into that of the camera.
+        """
         orientation = self.stations.orientation
         trajectory = self.stations.trajectory
         if self.log is None and not (orientation or trajectory or self.position_events):
@@ -211,7 +217,7 @@ class Mission(Section):
         if self.log is None and trajectory is not None and trajectory.replaces is not None:
             needed = {"position", "height", "attitude"}
             if self._has_placed_events:
-                needed = {"attitude"}
+                needed = {"attitude"}  # the exposures have position and height
             if not needed <= set(trajectory.replaces):
                 raise SectionError(
                     "there is no log, so the trajectory gives all that it has: remove the key "
@@ -326,7 +332,10 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_window_directions(self) -> Self:
-        """A camera looks out of its window: the normal of the window points forward."""
+        """A camera looks out of its window: the normal of the window points forward.
+
+        Checked are cameras that are fixed in the aircraft, with a window in the aircraft's frame.
+        """
         if self.log is not None and self.log.channels.aircraft_attitude is not None:
             return self  # a stabilised camera turns behind the window: only the log knows how
         for name, window in self.windows.items():
@@ -399,8 +408,8 @@ class Mission(Section):
     def _check_positions_once(self) -> Self:
         """Positions come from one source, and it is known where the cameras are from there."""
         trajectory = self.stations.trajectory
-        events = self.position_events
-        if self.stations.orientation is not None and (trajectory is not None or events):
+        position_events = self.position_events
+        if self.stations.orientation is not None and (trajectory is not None or position_events):
             raise SectionError(
                 "stations.orientation has position and attitude of every image: leave "
                 "stations.trajectory and events.positions out"
@@ -417,7 +426,7 @@ class Mission(Section):
                 "stations.trajectory and events.positions both give positions; "
                 "events.positions.<camera>.times_only: true leaves them to the trajectory"
             )
-        if trajectory.lever_arm_m == "from_events" and not events:
+        if trajectory.lever_arm_m == "from_events" and not position_events:
             raise SectionError(
                 "stations.trajectory.lever_arm_m: from_events needs events.positions"
             )
@@ -426,21 +435,27 @@ class Mission(Section):
     @model_validator(mode="after")
     def _check_camera_names(self) -> Self:
         """All sections name the same cameras, of one frame where observations are in mm."""
-        image_frame_of(self.observations, self.cameras)
+        image_frame_of(self.observations, self.cameras)  # refuses cameras of several frames
         named = self._cameras_by_section()
         for section, names in named.items():
-            for name in sorted(names - self.cameras.keys()):
+            unknown = sorted(names - self.cameras.keys())
+            if unknown:
+                name = unknown[0]
                 nearest = difflib.get_close_matches(name, self.cameras, n=1, cutoff=0.0)[0]
                 raise SectionError(f"{section} names camera {name!r}; perhaps {nearest!r}?")
         for section, names in named.items():
             if section == "events.csv.camera":  # other cameras may have no exposures
                 continue
-            for name in sorted(self.cameras.keys() - names):
-                raise SectionError(f"camera {name!r} has no entry under {section}")
+            without_entry = sorted(self.cameras.keys() - names)
+            if without_entry:
+                raise SectionError(f"camera {without_entry[0]!r} has no entry under {section}")
         return self
 
     def _cameras_by_section(self) -> dict[str, set[str]]:
-        """The names of cameras under each section that has such names, by the section's key."""
+        """The names of cameras under each section that has such names, by the section's key.
+
+        Refuses (SectionError) a table of exposures that does not say which of several cameras.
+        """
         named = {"mount": set(self.mount)}
         events = self.events
         if events is None:

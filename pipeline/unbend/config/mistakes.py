@@ -15,6 +15,8 @@ from unbend.config.yaml_text import Place, has_place, line_of, open_questions
 LEAST_SIMILARITY = 0.5  # of the similarity of difflib: a letter wrong, or a word of several
 LONGEST_ALLOWED = 150  # characters of what a key takes, beside its text
 LONGEST_VALUE = 40  # characters of a value that is shown whole
+_SHOWN_OF_BEGIN = 20  # characters of a longer value
+_SHOWN_OF_END = 16  # the same of its end
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def sentences_of(
     sentences: set[tuple[int, str]] = set()
     for mistake in mistakes_of(items, values):
         line = 0 if node is None else line_of(node, mistake.place)
-        origin = f"line {line}" if line else ""
+        origin = "" if node is None else f"line {line}"
         if own is not None and not has_place(own, _nearest_place(values, mistake.place)):
             origin = "defaults of the campaign"
         key = _written(mistake.place)
@@ -99,11 +101,12 @@ def _overlap(place: Place, other: Place) -> bool:
 
 
 def _is_arm(refused: Refused, others: Iterable[Refused]) -> bool:
-    """Whether a section is refused as a whole, and something inside it is refused as well.
+    """Whether a section is refused as a whole only because of a mistake inside it.
 
-    pydantic refuses it for each kind of value (arm of a union) that it could be. The mistakes
-    inside say more.
+    pydantic refuses such a section once for each kind of value (arm of a union) that it could be,
+    and the key inside it. The mistake of the key says more.
     """
+    # These kinds are mistakes of their own, whatever is refused inside.
     if refused.kind in ("value_error", "extra_forbidden", "missing"):
         return False
     if not isinstance(refused.value, dict | list):
@@ -131,7 +134,9 @@ def _what(refused: Refused, values: dict[str, Any]) -> str:
 def _unknown_key(place: Place, *, is_campaign: bool) -> str:
     """What to write instead of a key that there is not."""
     section = place[:-1]
-    nodes = [campaign_schema()] if is_campaign and not section else nodes_at(section)
+    nodes = nodes_at(section)
+    if is_campaign and not section:  # the file itself, which `nodes_at` takes for a mission's
+        nodes = [campaign_schema()]
     known: set[str] = set()
     for node in nodes:
         for arm in alternatives(node):
@@ -143,7 +148,7 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
 
 
 def _missing_key(place: Place) -> str:
-    """What a key that is missing means, and what it takes, if that is short."""
+    """What a key that is missing means; and what it takes, if that is short or all there is."""
     texts = [node["description"] for node in nodes_at(place) if "description" in node][:1]
     allowed = allowed_at(place)
     if not texts or len(allowed) < LONGEST_ALLOWED:
@@ -194,7 +199,7 @@ def _shown(value: object) -> str:
         case list():
             return f"a list of {len(value)}"
         case str() if len(value) > LONGEST_VALUE:
-            return repr(f"{value[:20]}...{value[-16:]}")
+            return repr(f"{value[:_SHOWN_OF_BEGIN]}...{value[-_SHOWN_OF_END:]}")
         case str():
             return repr(value)
     return as_written(value)
@@ -205,6 +210,6 @@ def allowed_at(place: Place) -> str:
     nodes: list[Node] = nodes_at(place)
     words = " or ".join(dict.fromkeys(in_words(node) for node in nodes))
     examples = [as_written(node["examples"][0]) for node in nodes if "examples" in node]
-    if examples and " | " not in words:
+    if examples and " | " not in words:  # listed words need no example
         return f"{words}, as {examples[0]}"
     return words or "something else"

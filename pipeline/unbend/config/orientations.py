@@ -270,8 +270,7 @@ class OrientationSection(Section):
     @property
     def is_geodetic(self) -> bool:
         """Whether the positions are latitude, longitude and height, or become them by the crs."""
-        level = self.frame in ("geographic", "projected")
-        return level or self.columns.latitude is not None
+        return self.is_level or self.columns.latitude is not None
 
     def in_system_of(self, crs: str | None, kind: str | None) -> Self:
         """The section with the coordinate system that a block names, where no frame is stated."""
@@ -287,13 +286,14 @@ class OrientationSection(Section):
     @property
     def column_names(self) -> dict[str, str]:
         """Quantity -> name of its column, for all that are to be read."""
-        on_ellipsoid = self.is_geodetic and self.frame != "projected"
-        position = _GEODETIC if on_ellipsoid else _CARTESIAN
+        has_latitudes = self.is_geodetic and self.frame != "projected"
+        position = _GEODETIC if has_latitudes else _CARTESIAN
         named = self.columns.named
         columns = {}
         for quantity in ("image", "camera", *_CLOCK, *_SIGMAS):
             if quantity in named:
                 columns[quantity] = named[quantity]
+        # Every table has these, by default under the name of the quantity.
         for quantity in (*position, *self.angle_names):
             columns[quantity] = named.get(quantity, quantity)
         return columns
@@ -369,9 +369,11 @@ class OrientationSection(Section):
 
     @model_validator(mode="after")
     def _check_heights(self) -> Self:
+        """``heights`` is stated exactly where the file, or that of known positions, has heights."""
         is_fitted = self.frame == "unknown" and isinstance(self.known_positions, KnownPositions)
         has_heights = self.is_geodetic or self.frame is None or is_fitted
-        if has_heights == (self.heights is not None):
+        states_heights = self.heights is not None
+        if has_heights == states_heights:
             return self
         mistake = (
             "give heights, msl or ellipsoid, where there is a column of heights, and only there"

@@ -26,10 +26,11 @@ SHOWN_LAST = ("description", "unit", "examples", "patternErrorMessage")
 def all_sections(annotation: object = Mission | CampaignFile) -> dict[str, type[BaseModel]]:
     """The sections in the type of a key, and all within these, by the names of their classes."""
     sections: dict[str, type[BaseModel]] = {}
-    inner = list(typing.get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         sections[annotation.__name__] = annotation
-        inner = [field.annotation for field in annotation.model_fields.values()]
+        inner: list[Any] = [field.annotation for field in annotation.model_fields.values()]
+    else:
+        inner = list(typing.get_args(annotation))  # of a union, a list or a mapping
     for part in inner:
         sections |= all_sections(part)
     return sections
@@ -52,15 +53,17 @@ def campaign_schema() -> Node:
     leaves out, and the missions what the defaults leave out.
     """
     schema = _in_order(CampaignFile.model_json_schema(), CampaignFile)
-    mission = json.loads(json.dumps(mission_schema()))
-    definitions = mission.pop("$defs") | {"Mission": mission}
+    mission = json.loads(json.dumps(mission_schema()))  # a copy: the cached one stays as it is
+    draft = mission.pop("$schema")
+    definitions = mission.pop("$defs")
+    definitions["Mission"] = mission
     for node in definitions.values():
         node.pop("required", None)
     schema["$defs"] |= definitions
     schema["properties"]["defaults"]["$ref"] = "#/$defs/Mission"
     mission_kinds = schema["properties"]["missions"]["items"]["anyOf"]  # a path, or sections
     mission_kinds[1] = {"$ref": "#/$defs/Mission"}
-    return {"$schema": mission.pop("$schema")} | schema
+    return {"$schema": draft} | schema
 
 
 def _in_order(schema: Node, root: type[BaseModel]) -> Node:

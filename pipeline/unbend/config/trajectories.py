@@ -72,14 +72,14 @@ class TrajectoryColumns(PoseColumns):
         cartesian = self._has_all("x", "y", "z")
         angles = self._has_all("roll", "pitch", "yaw")
         quaternion = self._has_all("q_w", "q_x", "q_y", "q_z")
-        if geodetic == cartesian:
+        if geodetic == cartesian:  # both, or neither
             raise SectionError("give either latitude, longitude, height or x, y, z")
         if angles and quaternion:
             raise SectionError("give either roll, pitch, yaw or q_w, q_x, q_y, q_z")
         return self
 
     def _has_all(self, *names: str) -> bool:
-        """Whether the columns of a group are named; refuses some of them."""
+        """Whether all columns of a group are named; refuses a group of which only some are."""
         given = [name for name in names if name in self.named]
         if given and len(given) < len(names):
             raise SectionError(f"{given[0]} needs {', '.join(names)}")
@@ -171,7 +171,7 @@ class TrajectorySection(Section):
 
     @property
     def moves_stations(self) -> bool:
-        """Whether positions come from it, and with them the point that they are of."""
+        """Whether positions come from the trajectory, and with them the point that they are of."""
         return self.replaces is None or "position" in self.replaces
 
     @property
@@ -182,17 +182,18 @@ class TrajectorySection(Section):
 
     @model_validator(mode="after")
     def _check_point(self) -> Self:
-        moves_camera = self.lever_arm_m != NO_LEVER_ARM
         if self.crs is not None and not self._is_csv:
             raise SectionError("crs is that of a CSV; the positions of other formats are WGS 84")
         if self.lever_arm_m == "from_events" and self.point != "antenna":
             raise SectionError("lever_arm_m: from_events leads from the antenna: point: antenna")
-        if self.point == "camera" and moves_camera:
+        has_lever_arm = self.lever_arm_m != NO_LEVER_ARM
+        if self.point == "camera" and has_lever_arm:
             raise SectionError("point: camera has no lever arm")
-        replaces_one = self.replaces is not None and (
-            ("position" in self.replaces) != ("height" in self.replaces)
-        )
-        if replaces_one and (self.point == "camera" or moves_camera):
+        # A lever arm moves position and height together; so does a change of the point.
+        replaces_one = False
+        if self.replaces is not None:
+            replaces_one = ("position" in self.replaces) != ("height" in self.replaces)
+        if replaces_one and (self.point == "camera" or has_lever_arm):
             raise SectionError(
                 "a lever arm or point: camera needs both position and height replaced"
             )

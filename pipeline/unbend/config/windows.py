@@ -98,7 +98,11 @@ class CabinSection(Section):
         return value
 
     def build(self) -> Cabin:
-        """The air in the compartment, in SI units."""
+        """The air in the compartment, in SI units.
+
+        A quantity is `UNKNOWN` where it is logged, or is left to its default; the pressure also
+        where it is ambient.
+        """
         pressure = self.pressure if self.pressure_hpa is None else self.pressure_hpa
         source: Literal["log", "ambient", "constant"] = "constant"
         if isinstance(pressure, str):
@@ -211,10 +215,12 @@ class WindowSection(Section):
         if window.shape == "plane":
             return self
         # Defaults are allowed though they are stated: the mission in a manifest states them all.
-        if window.frame != "camera" and window.normal[2] != 1.0:
+        states_frame = window.frame != "camera"
+        states_normal = window.normal[2] != 1.0
+        if states_frame and states_normal:
             raise SectionError("a spherical window has no frame and no normal")
-        if window.frame != "camera":
+        if states_frame:
             raise SectionError("a spherical window has no frame")
-        if window.normal[2] != 1.0:
+        if states_normal:
             raise SectionError("a spherical window has no normal")
         return self

@@ -119,7 +119,9 @@ def open_questions(values: object) -> list[Place]:
         place, value = left.pop()
         if value == TODO:
             questions.append(place)
-        if not isinstance(value, dict | list) or id(value) in walked:  # by an alias
+        if not isinstance(value, dict | list):
+            continue
+        if id(value) in walked:  # an alias repeats this section or list
             continue
         walked.add(id(value))
         items = value.items() if isinstance(value, dict) else enumerate(value)
@@ -129,7 +131,10 @@ def open_questions(values: object) -> list[Place]:
 
 
 def line_of(node: yaml.Node, place: Place) -> int:
-    """The line of the last key of a place; of the last one that is there, if others are missing."""
+    """The line of the last key of a place; of the last one that is there, if others are missing.
+
+    An item of a list has no key: its line is that of the list's key.
+    """
     line = int(node.start_mark.line) + 1
     for key in place:
         if isinstance(node, yaml.SequenceNode) and isinstance(key, int):

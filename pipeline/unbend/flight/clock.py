@@ -57,11 +57,12 @@ def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
     >>> utc_of_gps(1928, 432017.0)  # 2016-12-23 00:00:00 UTC: 17 leap seconds, not 18
     array(1482451200000000000)
     """
-    whole_weeks = np.asarray(week, np.int64) * (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
-    of_week = np.asarray(seconds, np.float64)
-    whole = np.floor(of_week)
-    nanoseconds = np.rint((of_week - whole) * 1e9).astype(np.int64)
-    gps_ns = whole_weeks + whole.astype(np.int64) * NANOSECONDS_PER_SECOND + nanoseconds
+    weeks_ns = np.asarray(week, np.int64) * (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
+    seconds_of_week = np.asarray(seconds, np.float64)
+    # Whole seconds and the rest apart: float64 does not hold many weeks in nanoseconds exactly.
+    whole_seconds = np.floor(seconds_of_week)
+    fraction_ns = np.rint((seconds_of_week - whole_seconds) * 1e9).astype(np.int64)
+    gps_ns = weeks_ns + whole_seconds.astype(np.int64) * NANOSECONDS_PER_SECOND + fraction_ns
     row = np.maximum(np.searchsorted(_LEAP_GPS_NS, gps_ns, side="right") - 1, 0)
     utc: TimeArray = gps_ns + UNIX_NS_OF_GPS_EPOCH - _LEAP_SECONDS[row] * NANOSECONDS_PER_SECOND
     return np.asarray(utc, np.int64)
@@ -95,9 +96,12 @@ def _leap_seconds_at(utc_ns: TimeArray) -> Integers:
 def stray_times(time_ns: TimeArray) -> Mask:
     """Mark time stamps more than a second from those on both sides, which agree with each other.
 
-    ``time_ns``: (n,) [ns] in the order of the file. Returns (n,) True where a stamp is stray, up to
-    `STRAY_ROWS` in a row. Gaps and new boots are not: there both sides disagree. At the ends of the
-    file so few rows are stray where time steps back.
+    ``time_ns``: (n,) [ns] in the order of the file. Returns (n,) True where a stamp is stray:
+
+    * within the file up to `STRAY_ROWS` stamps in a row, if the stamp after them is again within a
+      second of the one before them. After a gap or a new boot it is not.
+    * at the begin or the end of the file up to `STRAY_ROWS` stamps, if time steps back between them
+      and a longer stretch.
 
     >>> stray_times(np.array([0.0, 0.1, 70.0, 0.3, 0.4]) * 1e9)
     array([False, False,  True, False, False])
@@ -131,15 +135,17 @@ def stray_stretches(begin: TimeArray, end: TimeArray, length: Integers) -> Mask:
     stray = np.zeros(begin.shape, np.bool_)
     if begin.shape[0] < 2:
         return stray
+    # The first and the last stretch have one neighbour only: time steps back between the two.
     stray[0] = short[0] and not short[1] and begin[1] < end[0]
     stray[-1] = short[-1] and not short[-2] and begin[-1] < end[-2]
-    last_good = begin[1] if stray[0] else end[0]
+    # The others are compared with the stamp before them that is not stray.
+    last_kept_ns = begin[1] if stray[0] else end[0]
     for k in range(1, begin.shape[0] - 1):
-        leaves = abs(begin[k] - last_good) > BOOT_STEP_NS
-        next_returns = abs(begin[k + 1] - last_good) <= BOOT_STEP_NS
+        leaves = abs(begin[k] - last_kept_ns) > BOOT_STEP_NS
+        next_returns = abs(begin[k + 1] - last_kept_ns) <= BOOT_STEP_NS
         stray[k] = short[k] and leaves and next_returns
         if not stray[k]:
-            last_good = end[k]
+            last_kept_ns = end[k]
     return stray
 
 
@@ -157,23 +163,24 @@ def longest_increasing(time_ns: TimeArray) -> Mask:
     no_row = -1
     ends: list[int] = []  # the smallest time that ends an increasing run of each length
     row_of_end: list[int] = []
-    row_before = [no_row] * time_ns.shape[0]
+    row_before = [no_row] * time_ns.shape[0]  # in the longest run that ends with each row
     for row, time in enumerate(time_ns.tolist()):
-        length = len(ends)
+        length = len(ends)  # of the longest run that the row can follow
         if ends and time <= ends[-1]:
             length = bisect_left(ends, time)
             if ends[length] == time:
                 continue
         if length:
             row_before[row] = row_of_end[length - 1]
+        # Replaces a later end of a run that is one row longer; appends where there is no such run.
         ends[length : length + 1] = [time]
         row_of_end[length : length + 1] = [row]
     # Back from the end of the longest run.
     keep = np.zeros(time_ns.shape, np.bool_)
-    row = row_of_end[-1]
-    while row != no_row:
-        keep[row] = True
-        row = row_before[row]
+    kept_row = row_of_end[-1]
+    while kept_row != no_row:
+        keep[kept_row] = True
+        kept_row = row_before[kept_row]
     return keep
 
 
@@ -192,7 +199,7 @@ def rows_in_time_order(time_ns: TimeArray) -> tuple[Rows, NDArray[np.int16]]:
     rows = np.flatnonzero(is_increasing | _in_long_runs(~is_increasing))
     is_set_back = np.diff(time_ns[rows]) <= 0
     settings = int(np.count_nonzero(is_set_back))
-    if settings == 0 or settings > SET_BACKS:
+    if settings == 0 or settings > SET_BACKS:  # so many are noise, and the clock was not set
         rows = np.flatnonzero(is_increasing)
         return rows, np.zeros(rows.shape, np.int16)
     stretch = np.append(0, np.cumsum(is_set_back)).astype(np.int16)
@@ -201,7 +208,8 @@ def rows_in_time_order(time_ns: TimeArray) -> tuple[Rows, NDArray[np.int16]]:
     for number in range(1, settings + 1):
         after_setting = time[stretch == number]
         passed_again = (time >= after_setting[0]) & (time <= after_setting[-1])
-        is_kept &= (stretch >= number) | ~passed_again
+        is_earlier = stretch < number
+        is_kept &= ~(is_earlier & passed_again)
     order = np.argsort(time[is_kept], kind="stable")
     return rows[is_kept][order], stretch[is_kept][order]
 
@@ -232,7 +240,8 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
 
     ``utc_ns``: (n,) [ns] as a receiver or the vehicle reports it, ``boot_ns``: (n,) [ns] of the
     same rows. The median, or None without rows: in real logs rows scatter by 20-39 ms (p5-p95), the
-    first one errs by up to 17 ms, and slopes over less than ten minutes are noise.
+    first one errs by up to 17 ms, and slopes over less than ten minutes are noise. Rows farther
+    than `LARGEST_SPREAD_NS` from the median are counted; a clock stepped if they last (`_lasts`).
 
     >>> fit_offset(np.array([1_000, 2_000, 99_000]), np.array([0, 1_000, 2_000])).offset_ns
     1000
@@ -266,8 +275,9 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
 def _lasts(is_far: Mask, boot_ns: TimeArray) -> bool:
     """Whether an offset differs for so long that a clock stepped; some late rows are no step.
 
-    ``is_far``: (n,) which rows are far from the median; ``boot_ns``: (n,) their time since boot. A
-    change that is there when the log ends may have lasted.
+    ``is_far``: (n,) which rows are far from the median; ``boot_ns``: (n,) the time since boot of
+    the rows. True if more than `STRAY_ROWS` far rows in a row last for 10 s (for a quarter of a log
+    of less than 40 s), or are the last ones of the log, after which they may have gone on.
     """
     span_ns = float(boot_ns.max() - boot_ns.min())
     lasting_ns = min(LASTING_NS, LASTING_SHARE * span_ns)
@@ -309,7 +319,7 @@ def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], Tim
     second_clock -= base_to
     elapsed: Array = first_clock.astype(np.float64)
     ahead: Array = second_clock.astype(np.float64)
-    ahead -= elapsed
+    ahead -= elapsed  # how much more has elapsed on the second clock
     del first_clock, second_clock
 
     def mapped(time_ns: TimeArray) -> TimeArray:
@@ -321,10 +331,13 @@ def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], Tim
 
 
 def clock_fit_note(source: str, fit: ClockOffset, where: str) -> Message:
-    """Report how well the rows of a source agree on UTC.
+    """Report how well the rows of a source agree on UTC, by the first of these cases.
 
-    A loss where one of the clocks stepped: the offset differs for a while. Single rows that came
-    late, or with a wrong week, are counted; the median does not follow them.
+    * One of the clocks stepped, as the offset differs for a while: a loss.
+    * Most rows scatter, so that UTC is less certain: a warning.
+    * Single rows came late, or with a wrong week, and the median does not follow them: a note that
+      counts them.
+    * All rows agree: a note.
     """
     spread_ms = fit.spread_ns / 1e6
     largest_ms = fit.largest_ns / 1e6

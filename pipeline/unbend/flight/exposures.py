@@ -141,7 +141,8 @@ class _SkippedNumbers:
             last = _number_as_logged(end)
             listed.append(f"{first}" if begin == end else f"{first} to {last}")
         where = channel.name
-        if channel.boot[-1] > 0:
+        has_several_boots = channel.boot[-1] > 0
+        if has_several_boots:
             where = f"{channel.name}, boot {self.boot}"
         return messages.numbers_without_event(
             where=where,
@@ -215,11 +216,9 @@ class _Span:
 def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
     """Events beyond the time of the flight: a warning, with a shift that would help.
 
-    Tried are leap seconds, time zones, a day and a week: the first of these that brings all events
-    into the span of ``position`` is named. If none does, the shift is tried that lets events and
-    flight begin together; that shift is named if it brings more events into the flight. ``key``
-    says where the times are stated. Refuses (MissionError EVENTS-SPAN) events more than half of
-    which lie beyond the flight.
+    ``position`` has the time of the flight, ``key`` says where those of the events are stated. The
+    shift of `_fitting_shift` is named if it brings more events into the flight. Refuses
+    (MissionError EVENTS-SPAN) events more than half of which lie beyond the flight.
     """
     times = [exposed.time_ns for exposed in events]
     time_ns = np.sort(np.concatenate([np.empty(0, np.int64), *times]))
@@ -232,13 +231,14 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
         return ()
     shift_ns = _fitting_shift(span_of_events, span_of_flight)
     still_beyond = span_of_flight.count_outside(time_ns + shift_ns)
-    fitting = (
-        "neither leap seconds, a time zone, a day nor a week would bring all of them into it, and "
-        "a common begin brings no more of them"
-    )
     if still_beyond < beyond:
         brought = f"{time_ns.size - still_beyond}" if still_beyond else "all"
         fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them into it"
+    else:
+        fitting = (
+            "neither leap seconds, a time zone, a day nor a week would bring all of them into it, "
+            "and a common begin brings no more of them"
+        )
     events_beyond = messages.BeyondFlight(
         key=key,
         beyond=beyond,
@@ -275,8 +275,9 @@ def ground_shot_notes(
 ) -> Notes:
     """Report exposures made while the aircraft stood on the ground, by name: test shots.
 
-    A note; a warning where some of them are images of the observations; a loss where more than
-    half of all exposures are such: then the events are of another time.
+    * A loss where more than half of all exposures are such: the events are of another time.
+    * Else a warning where some of them are images of the observations.
+    * Else a note.
     """
     height = roles.get("height")
     if height is None or len(stations) == 0:
@@ -306,11 +307,10 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
     candidates = event_channels
     if name:
         candidates = [channel for channel in event_channels if channel.name == name]
-    if candidates:
-        best_rank = min(channel.rank for channel in candidates)
-        best = [channel for channel in candidates if channel.rank == best_rank]
-        if len(best) == 1:
-            return best[0]
+    best_rank = min((channel.rank for channel in candidates), default=None)
+    best = [channel for channel in candidates if channel.rank == best_rank]
+    if len(best) == 1:
+        return best[0]
     listed = [f"{channel.name} ({len(channel)})" for channel in event_channels]
     raise messages.event_channel_unknown(name=name, channels=listed)
 
@@ -320,7 +320,7 @@ def refuse_repeated_images(events: list[Events]) -> None:
     if not events:
         return
     names = np.concatenate([exposed.image for exposed in events])
-    names = names[names != ""]
+    names = names[names != ""]  # where the images themselves give the names later
     unique, count = np.unique(names.astype(str), return_counts=True)
     repeated = unique[count > 1]
     if repeated.size:

@@ -26,6 +26,7 @@ HOME_NOT_SET_M = 0.01  # where a height above home is that above the sea, home i
 AT_SEA_LEVEL_M = 20.0  # a log that comes so near to sea level may have taken off there [m]
 _HOME_GAP_S = 5.0  # between heights above home
 _MAV_LANDED_STATE_ON_GROUND = 1.0
+_LANDED_BY_EVENT = {"EV LAND_COMPLETE": 1.0, "EV NOT_LANDED": 0.0}  # of ArduPilot's texts
 
 _TAKEOFF_NS = 10 * NANOSECONDS_PER_SECOND  # from the begin of a log, in which it stands or moves
 _TAKEOFF_MOVE_M = 20.0  # by which receivers wander meanwhile
@@ -46,7 +47,10 @@ class GroundEvidence:
 
     @classmethod
     def of(cls, channels: Iterable[Channel]) -> GroundEvidence:
-        """The evidence among the channels of a log."""
+        """The evidence among the channels of a log.
+
+        ``above_home`` is the best position whose heights above the take-off are known.
+        """
         filled = [channel for channel in channels if len(channel)]
         landed = [channel for channel in filled if _landed_of(channel) is not None]
         homes = [channel for channel in filled if "home_h_msl_m" in channel.columns]
@@ -71,13 +75,16 @@ class GroundEvidence:
             if values is None:
                 continue
             landed_by_channel = _last_said(channel, values, time_ns)
-            is_contradicted |= np.abs(landed_by_channel - landed) > 0.0
+            is_contradicted |= np.abs(landed_by_channel - landed) > 0.0  # False where one is NaN
             is_unsaid = np.isnan(landed)
             landed = np.where(is_unsaid, landed_by_channel, landed)
         return np.where(is_contradicted, np.nan, landed)
 
     def flies(self, time_ns: TimeArray) -> Mask:
-        """(n,) where the log says that the aircraft is in the air."""
+        """(n,) where the log says that the aircraft is in the air.
+
+        By the autopilot; where that says nothing, by the height above the take-off.
+        """
         landed = self.landed_at(time_ns)
         is_high = np.zeros(time_ns.shape, np.bool_)
         if self.above_home is not None:
@@ -103,9 +110,10 @@ def home_is_set(h_msl_m: Array, above_home_m: Array) -> Mask:
     is_set = np.isfinite(above_home_m) & ~are_equal
     if is_set.any() or not are_equal.any():
         return is_set
-    lowest_m = np.min(np.abs(h_msl_m[are_equal]))
-    is_at_sea_level = lowest_m < AT_SEA_LEVEL_M
-    return are_equal if is_at_sea_level else is_set
+    nearest_to_sea_m = np.min(np.abs(h_msl_m[are_equal]))
+    if nearest_to_sea_m < AT_SEA_LEVEL_M:
+        return are_equal
+    return is_set  # nowhere
 
 
 def _above_home(position: Channel, home: Channel | None) -> Array:
@@ -134,16 +142,23 @@ def _landed_of(channel: Channel) -> Array | None:
         return np.where(np.isfinite(state), landed, np.nan)
     if "flying" in columns:
         return 1.0 - columns["flying"]
+    return _landed_by_texts(channel)
+
+
+def _landed_by_texts(channel: Channel) -> Array | None:
+    """(n,) what the last event of an autopilot's texts says: 1 landed, 0 not; NaN before the first.
+
+    None if there is no such event.
+    """
     texts = channel.labels.get("text", ())
-    by_text = {"EV LAND_COMPLETE": 1.0, "EV NOT_LANDED": 0.0}
-    if not any(line in by_text for text in texts for line in text.splitlines()):
+    if not any(line in _LANDED_BY_EVENT for text in texts for line in text.splitlines()):
         return None
     landed = np.full(len(channel), np.nan)
-    last = np.nan
+    last_said = np.nan
     for row, text in enumerate(texts):
         for line in text.splitlines():
-            last = by_text.get(line, last)
-        landed[row] = last
+            last_said = _LANDED_BY_EVENT.get(line, last_said)
+        landed[row] = last_said
     return landed
 
 
@@ -153,10 +168,12 @@ NOTHING_SAID = GroundEvidence()
 def times_on_the_ground(height: Channel, evidence: GroundEvidence = NOTHING_SAID) -> Integers:
     """Times [Unix ns] at which the aircraft stood on the ground, increasing.
 
-    It stands where it moves neither along nor up over ten seconds, near the lowest height of the
-    log, so each landing and take-off of a log with several flights is seen; or where the autopilot
-    says that it stands. What the log says of flying overrules the motion: a hover is no ground. A
-    log that never rises shows no ground by its motion: it may be one of a hover.
+    Those are the times at which all of this holds:
+
+    * The aircraft moves neither along nor up over ten seconds.
+    * It is near the lowest height of the log, or the autopilot says that it has landed. In a log
+      that never rises, which may be one of a hover, only the autopilot counts.
+    * Nothing in the log says that it flies.
     """
     column = height.height_column
     if column is None:
@@ -169,7 +186,7 @@ def times_on_the_ground(height: Channel, evidence: GroundEvidence = NOTHING_SAID
     still = _stands_still(time_ns, height_m, height["lat_rad"][known], height["lon_rad"][known])
     lowest, highest = np.percentile(height_m, EXTREME_PERCENTILES).tolist()
     is_low = height_m < lowest + GROUND_RISE_M
-    if highest < lowest + GROUND_RISE_M:
+    if highest < lowest + GROUND_RISE_M:  # the log never rises
         is_low[:] = False
     says_landed = evidence.landed_at(time_ns) == 1.0
     is_on_ground = still & (is_low | says_landed) & ~evidence.flies(time_ns)
@@ -182,7 +199,7 @@ def _stands_still(time_ns: Integers, height_m: Array, lat_rad: Array, lon_rad: A
     north_m = lat_rad * _EARTH_M
     east_m = np.unwrap(lon_rad) * np.cos(lat_rad[0]) * _EARTH_M
     track = [north_m, east_m, height_m]
-    # Until it takes off it stood still before, and from the landing on it stands still afterwards.
+    # An aircraft that takes off stood still before; one that has landed stands still afterwards.
     stood_still = _moves_little(track, seconds, -WINDOW_S)
     will_stand_still = _moves_little(track, seconds, WINDOW_S)
     return stood_still | will_stand_still
@@ -193,7 +210,7 @@ def _moves_little(track: list[Array], seconds: Array, window_s: float) -> Mask:
     other = np.clip(seconds + window_s, seconds[0], seconds[-1])
     moved = [np.interp(other, seconds, values) - values for values in track]
     distance = np.sqrt(np.sum(np.square(moved), axis=0))
-    lasted = np.abs(other - seconds)  # of a log that began in the air there is no half of it
+    lasted = np.abs(other - seconds)  # less than the window near the begin or the end of the log
     return np.asarray((lasted >= SHORTEST_WINDOW_S) & (distance < STILL_M_S * lasted))
 
 
@@ -219,10 +236,11 @@ class LoggedPath(NamedTuple):
 def takeoff_of(
     path: LoggedPath, home_m: float | None, evidence: GroundEvidence = NOTHING_SAID
 ) -> Takeoff | None:
-    """Where a log begins; None if the aircraft moves there and no take-off height is known.
+    """Where a log begins; ``home_m`` is the height of the take-off [m], if known.
 
-    ``home_m`` is the take-off height [m], if known. A hover, by the ``evidence`` of the log, is no
-    take-off.
+    The height is ``home_m``, else the one at which the log begins. None if no place is known; also
+    if ``home_m`` is unknown and the aircraft moves when the log begins, or flies (as in a hover) by
+    the ``evidence`` of the log.
     """
     known = np.isfinite(path.latitude_rad + path.longitude_rad + path.h_msl_m)
     if not known.any():
@@ -241,6 +259,6 @@ def takeoff_of(
     if home_m is None and not stands:
         return None
     logged_m = float(np.median(height_m))
-    home_m = logged_m if home_m is None else home_m
-    is_at_home = abs(logged_m - home_m) <= _TAKEOFF_MOVE_M
-    return Takeoff(float(lat_rad[0]), float(lon_rad[0]), home_m, stands=stands and is_at_home)
+    takeoff_m = logged_m if home_m is None else home_m
+    stands_at_takeoff = stands and abs(logged_m - takeoff_m) <= _TAKEOFF_MOVE_M
+    return Takeoff(float(lat_rad[0]), float(lon_rad[0]), takeoff_m, stands=stands_at_takeoff)

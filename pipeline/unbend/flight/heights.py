@@ -68,6 +68,9 @@ def height_system(
 ) -> tuple[HeightSystem, Notes]:
     """Undulation and take-off height, from the mission file, the log itself or a geoid.
 
+    The undulation that counts is that of the mission file, else that of the log, else that of the
+    geoid; the take-off height that counts is that of the mission file, else that of the log.
+
     A log gives the take-off height if the heights of its position above sea level and above home
     differ by a constant. Rows with equal heights do not count: there the home is not set yet.
     """
@@ -105,8 +108,14 @@ def _with_two_heights(
 ) -> tuple[HeightSystem, Notes]:
     """The height system of a channel with both heights.
 
-    ``logged_undulation`` : the known differences of its heights. Where the mission file states the
-    undulation, the system stays and a large difference from the logged one is reported.
+    ``logged_undulation`` : the known differences of these heights. ``system`` is that of the
+    mission file, or of a geoid.
+
+    * All differences are 0: one height is a copy of the other. The system stays, without the
+      channel's height above the ellipsoid; a warning.
+    * The mission file states no undulation: that of the log. With a geoid its undulations, moved by
+      their median difference from those of the log.
+    * The mission file states one: the system stays; a large difference from the log is reported.
     """
     logged_m = float(np.median(logged_undulation))
     rows = logged_undulation.size
@@ -121,11 +130,11 @@ def _with_two_heights(
         return replace(system, one_height=True), (warning,)
     if stated_m is None:
         apart = height["h_ellipsoid_m"] - height["h_msl_m"]
-        from_grid = _median(apart - _undulation_of_grid(system.geoid, height))
+        off_grid_m = _median(apart - _undulation_of_grid(system.geoid, height))
         by_log = replace(
             system,
             undulation_m=logged_m if system.geoid is None else None,
-            offset_m=from_grid or 0.0,
+            offset_m=off_grid_m or 0.0,  # unknown without a geoid, and outside it
             source=f"the two heights of {height.name}",
             by_log=True,
         )
@@ -180,50 +189,64 @@ def _is_grave(off_m: float) -> bool:
 def undulation_notes(
     heights: HeightSystem, stations: Stations, egm96: GeoidGrid
 ) -> Iterator[Message]:
-    """Report which undulation is used at the stations, and if it differs much from EGM96."""
+    """Report which undulation is used at the stations, and if it differs much from EGM96.
+
+    Stations outside the geoid, where the undulation is unknown, are reported too.
+    """
     has_place = np.isfinite(stations.lat_rad + stations.lon_rad)
-    lat_rad = stations.lat_rad[has_place]
-    lon_rad = stations.lon_rad[has_place]
-    where = "mission.geoid"
-    if heights.undulation_m is not None:
-        where = "mission.undulation_m"
-    used_m = heights.undulation(lat_rad, lon_rad)
-    known = np.isfinite(used_m)
+    undulation_m = heights.undulation(stations.lat_rad[has_place], stations.lon_rad[has_place])
+    known = np.isfinite(undulation_m)
     unknown = int(np.count_nonzero(~known))
     if unknown:
         yield messages.stations_outside_geoid(
-            where=where,
+            where="mission.geoid",  # the undulation of mission.undulation_m is known everywhere
             count=unknown,
             total=known.size,
             grid=heights.source if heights.geoid is None else heights.geoid.name,
         )
     if not bool(known.any()):
         return
-    used_m = used_m[known]
-    shown_m = used_m
-    if heights.by_log:
-        where = "log.channels.height"
-        logged_m = (stations.h_ellipsoid_m - stations.h_msl_m)[has_place][known]
-        shown_m = np.where(np.isfinite(logged_m), logged_m, used_m)
-    ends = dict.fromkeys([f"{shown_m.min():.2f}", f"{shown_m.max():.2f}"])
-    used = f"undulation of {' to '.join(ends)} m, by {heights.source}"
+    places = stations.rows(np.flatnonzero(has_place)[known])
+    used_m = undulation_m[known]
+    where = _origin_of_undulation(heights)
+    used = _used_undulation(heights, places, used_m)
     yield messages.undulation_used(where=where, stations=used_m.size, used=used)
 
-    egm96_m = egm96.undulation(lat_rad[known], lon_rad[known])
+    egm96_m = egm96.undulation(places.lat_rad, places.lon_rad)
     off_m = float(np.median(used_m - egm96_m))
-    other_sign_off_m = float(np.median(-used_m - egm96_m))
     if abs(off_m) <= USUAL_GEOID_M:
         return
-    other_is_nearer = abs(other_sign_off_m) < min(USUAL_GEOID_M, abs(off_m))
+    other_sign_off_m = float(np.median(-used_m - egm96_m))
+    other_sign_fits = abs(other_sign_off_m) < USUAL_GEOID_M
     yield messages.undulation_off(
         where=where,
         stations=used_m.size,
         used=used,
         off_m=off_m,
         egm96_m=float(np.median(egm96_m)),
-        other_sign_off_m=other_sign_off_m if other_is_nearer else None,
+        other_sign_off_m=other_sign_off_m if other_sign_fits else None,
         grave=_is_grave(off_m),
     )
+
+
+def _origin_of_undulation(heights: HeightSystem) -> str:
+    """The key of the mission file that the undulation follows from."""
+    if heights.by_log:
+        return "log.channels.height"
+    return "mission.geoid" if heights.undulation_m is None else "mission.undulation_m"
+
+
+def _used_undulation(heights: HeightSystem, places: Stations, used_m: Array) -> str:
+    """The undulations at (s,) stations in words, from the smallest to the largest.
+
+    Those are ``used_m``, but where the two heights of the log give that of the station itself.
+    """
+    shown_m = used_m
+    if heights.by_log:
+        logged_m = places.h_ellipsoid_m - places.h_msl_m
+        shown_m = np.where(np.isfinite(logged_m), logged_m, used_m)
+    ends = dict.fromkeys([f"{shown_m.min():.2f}", f"{shown_m.max():.2f}"])
+    return f"undulation of {' to '.join(ends)} m, by {heights.source}"
 
 
 def _difference(channel: Channel, first: str, second: str) -> Array:
@@ -237,10 +260,13 @@ def _difference(channel: Channel, first: str, second: str) -> Array:
 def heights_at(
     height: Channel, time_ns: Integers, heights: HeightSystem, max_gap_s: float
 ) -> tuple[Array, Array]:
-    """(n,) heights [m] above sea level and above the ellipsoid at instants [Unix ns]."""
+    """(n,) heights [m] above sea level and above the ellipsoid at instants [Unix ns].
+
+    A height that is not logged follows from the other one by the undulation.
+    """
     h_msl = interpolate(height, "h_msl_m", time_ns, max_gap_s)
     h_ellipsoid = interpolate(height, "h_ellipsoid_m", time_ns, max_gap_s)
-    if heights.one_height:
+    if heights.one_height:  # it is a copy of that above sea level
         h_ellipsoid = np.full(h_msl.shape, np.nan)
     if np.isnan(h_msl).any() or np.isnan(h_ellipsoid).any():
         undulation = _undulation_near(height, time_ns, heights)
@@ -257,6 +283,7 @@ def _undulation_near(height: Channel, time_ns: Integers, heights: HeightSystem) 
     placed = np.flatnonzero(np.isfinite(height["lat_rad"]) & np.isfinite(height["lon_rad"]))
     if placed.size == 0:
         return np.full(time_ns.shape, np.nan)
+    # Without the last stamp the search ends at the last sample also for instants after it.
     row = placed[np.searchsorted(height.time_ns[placed[:-1]], time_ns)]
     return heights.undulation(height["lat_rad"][row], height["lon_rad"][row])
 
@@ -297,7 +324,8 @@ class GeodeticOrigin:
 def to_geodetic(channel: Channel, origin: GeodeticOrigin) -> Channel:
     """The channel with its local positions as latitude, longitude and ellipsoidal height.
 
-    A channel without ``east_m``, ``north_m``, ``up_m`` is returned as it is.
+    A channel without ``east_m``, ``north_m``, ``up_m``, or with latitudes of its own, is returned
+    as it is.
     """
     if "east_m" not in channel.columns or "lat_rad" in channel.columns:
         return channel
@@ -326,7 +354,7 @@ def logged_terrain(channels: Iterable[Channel], time_ns: Integers) -> Array:
 
     For checks, never as truth: ArduPilot's grid is SRTM at 100 m, some 10 m (90 %) in open country.
     Rows count where the autopilot had its grid: TERR of status 2, TERRAIN_REPORT with a spacing and
-    place.
+    place. Of several channels the first that has a height at an instant counts.
     """
     terrain_m = np.full(time_ns.size, np.nan)
     for channel in channels:

@@ -91,9 +91,13 @@ def renamed(
     matches = other_names(images, given, differences)
     if not matches:
         return names, ()
-    name, image = next(iter(matches.items()))
+    example, its_image = next(iter(matches.items()))
     message = messages.images_renamed(
-        where=where, count=len(matches), differences=list(differences), name=name, image=image
+        where=where,
+        count=len(matches),
+        differences=list(differences),
+        name=example,
+        image=its_image,
     )
     new_names = [matches.get(name, name) for name in names.tolist()]
     return np.array(new_names, dtype=object), (message,)
@@ -123,9 +127,11 @@ def proposal(images: Collection[str], known: Collection[str]) -> str:
 def refuse_other_names(exposures: Mapping[str, Collection[str]], images: Iterable[str]) -> None:
     """Refuse (MissionError IMAGES-OTHER) a camera of whose exposures none is an observed image.
 
-    ``exposures`` : their names, by camera. Not refused is a camera with more than twice as many
-    exposures as there are observed images without an exposure: it may be that nothing was measured
-    in its images.
+    ``exposures`` : the names of exposures, by camera. Passed over are
+
+    * all cameras, if each observed image has an exposure;
+    * a camera with more than twice as many exposures as there are observed images without one:
+      perhaps nothing was measured in the images of this camera.
     """
     observed = set(images)
     unknown = sorted(observed.difference(*exposures.values()))
@@ -252,21 +258,22 @@ def name_series(names: Iterable[str]) -> list[NameSeries]:
 def _series(texts: tuple[str, ...], rows: list[list[str]]) -> list[NameSeries]:
     """The series of names that have the same texts between their groups of digits.
 
-    ``rows``: the groups of digits of each name.
+    ``rows``: the groups of digits of each name. One group counts the images; the others that differ
+    part the names into series if these are few and have two names or more in the mean.
     """
     if not rows[0]:
         return [_name_without_number(texts[0])]
-    columns = list(zip(*rows, strict=True))
-    varieties = [len(set(column)) for column in columns]
+    varieties = [len(set(digits)) for digits in zip(*rows, strict=True)]
+    columns = range(len(varieties))
     # The digits that differ most count the images; of several such groups the last.
-    count_column = max(range(len(columns)), key=lambda column: (varieties[column], column))
+    count_column = max(columns, key=lambda column: (varieties[column], column))
     other_columns = [
-        column for column, variety in enumerate(varieties) if column != count_column and variety > 1
+        column for column in columns if column != count_column and varieties[column] > 1
     ]
     groups: defaultdict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for row in rows:
         groups[tuple(row[column] for column in other_columns)].append(row)
-    groups_have_several = 2 * len(groups) <= len(rows) + 1
+    groups_have_several = 2 * len(groups) <= len(rows) + 1  # an odd name may be alone
     if other_columns and len(groups) <= _MOST_SERIES and groups_have_several:
         parted: list[NameSeries] = []
         for group in groups.values():
@@ -294,10 +301,10 @@ def _one_series(
     after = "".join(_alternating(texts[count_column + 1 :], written[count_column + 1 :]))
     digits = [row[count_column] for row in rows]
     widths = {len(number) for number in digits}
-    width = widths.pop() if len(widths) == 1 else 0
+    is_padded = len(widths) == 1 and widths != {1}
     return NameSeries(
         before=before,
-        width=width if width > 1 else 0,
+        width=max(widths) if is_padded else 0,
         after=after,
         numbers=tuple(sorted(int(number) for number in digits)),
     )

@@ -28,6 +28,8 @@ _LARGEST_AXIS_ANGLE_DEG = 45.0
 # Angles that counter a motion have a slope of -1 over it, others of 0: half-way between.
 _COUNTERED = -0.5
 
+_LEAST_VARIATION_RAD2 = 1e-9  # of a motion: what is divided by is never 0
+
 _LARGEST_ANGLE_RAD = 2.0 * np.pi  # more is no angle: old autopilots send a position instead
 
 
@@ -65,24 +67,26 @@ def payload_attitude(
 ) -> tuple[Channel, Notes]:
     """A gimbal's channel with the attitude of its payload, also where its yaw counts from the nose.
 
-    In such rows the attitude ``q_*`` is unknown so far. Roll and pitch of gimbals count from the
-    horizon, so only the yaw of the aircraft is added:
-    v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload (common.xml of MAVLink:
-    GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and MOUNT_ORIENTATION). Angles of servos, which a
-    MOUNT_STATUS may hold, count from the aircraft altogether:
-    v_ned = R(aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload. The mount (boresight) of the camera on
-    the payload is applied later. The channel stays as it is if no row is such, or if no attitude of
-    the aircraft is known.
+    In rows whose yaw counts from the nose the attitude ``q_*`` is unknown so far. It is
+
+    * v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload, as roll and pitch of
+      gimbals count from the horizon (common.xml of MAVLink:
+      GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and MOUNT_ORIENTATION);
+    * v_ned = R(aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload for angles of servos, which a
+      MOUNT_STATUS may hold: all three count from the aircraft.
+
+    The mount (boresight) of the camera on the payload is applied later. The channel stays as it is
+    if it has no such rows, or if no channel has the attitude of the aircraft.
     """
-    to_nose = _rotations_to_nose(gimbal)
-    if to_nose is None or aircraft is None:
+    rotations = _rotations_to_nose(gimbal)
+    if rotations is None or aircraft is None:
         return gimbal, ()
     quaternion = np.stack([gimbal.get(name) for name in _QUATERNION], axis=1)
     is_unknown = np.isnan(quaternion).any(axis=1)
-    only_to_nose = is_unknown & np.isfinite(to_nose).all(axis=(1, 2))
+    only_to_nose = is_unknown & np.isfinite(rotations).all(axis=(1, 2))
     if not bool(only_to_nose.any()):
         return gimbal, ()
-    to_nose = to_nose[only_to_nose]
+    to_nose = rotations[only_to_nose]
     attitude = attitude_at(aircraft, gimbal.time_ns[only_to_nose], max_gap_s).quaternion
     ned_from_aircraft = matrices_of(attitude)
     if _are_angles_of_servos(gimbal, to_nose, ned_from_aircraft):
@@ -220,7 +224,7 @@ def roll_and_pitch(ned_from_body: Array) -> Array:
 def slope_of(angles: Array, motion: Array) -> float:
     """The slope of (k, n) angles over a (k, n) motion, about the medians of both.
 
-    It is -1 where the angles counter the motion, and 0 without motion.
+    It is -1 where the angles counter the motion, and 0 without motion; to three digits.
 
     >>> slope_of(np.array([[0.1, 0.0, -0.1]]), np.array([[-0.1, 0.0, 0.1]]))
     -1.0
@@ -230,7 +234,7 @@ def slope_of(angles: Array, motion: Array) -> float:
         return 0.0
     turned = _about_median(angles[:, known])
     moved = _about_median(motion[:, known])
-    variation = max(np.sum(moved**2), 1e-9)
+    variation = max(np.sum(moved**2), _LEAST_VARIATION_RAD2)
     return round(float(np.sum(turned * moved) / variation), 3)
 
 

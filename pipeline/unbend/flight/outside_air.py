@@ -39,11 +39,15 @@ def outside_air_samples(
 ) -> tuple[AirSamples, Notes]:
     """The readings of the outside sensors at their heights above sea level.
 
-    Temperature and humidity on the ground and in the first two minutes after take-off are shown
-    but not accepted: they are the runway's. Nor are readings where the height is ``suspect`` and
-    no other source replaces it, nor pressures but the lowest where no receiver gives the height: a
-    height fused with the barometer says nothing on the air between two pressures. ``evidence`` says
-    where the aircraft stands on the ground.
+    These readings are rejected: they are shown with the reason, and not used. Of several reasons
+    the first counts.
+
+    * NO_HEIGHT: all readings where the height is unknown.
+    * SUSPECT_HEIGHT: all where the height is ``suspect`` and no other source replaces it.
+    * FUSED_HEIGHT: pressures more than `LEVEL_M` above the lowest one, if no receiver gives the
+      height. A height fused with the barometer says nothing on the air between two pressures.
+    * GROUND_SOAK: temperature and humidity on the ground and in the first two minutes after
+      take-off, which are the runway's. ``evidence`` says where the aircraft stands on the ground.
     """
     height = roles.get("height")
     if height is None:

@@ -56,6 +56,7 @@ def assign_roles(
         notes += _fill(filled, role, all_channels, stated)
     if "height" not in {*filled, *empty} and "position" in filled:
         filled["height"] = filled["position"]
+    # After the height, by which a barometer outside is told from one in the cabin.
     notes += _fill_barometers(filled, free, stated, needs_cabin=needs_cabin)
     for role in ("temperature", "humidity"):
         notes += _fill_outside_and_cabin(
@@ -172,7 +173,8 @@ def _fill_outside_and_cabin(
 ) -> Iterator[Message]:
     """Fill the role of a sensor outside, and of that in the cabin where it is needed.
 
-    Where both are needed and neither is given, a sensor that may be either gets neither role.
+    Where the cabin is needed and neither role is given, a sensor that may play either leaves both
+    roles empty, and is reported.
     """
     cabin_role = f"cabin_{role}"
     given = {*filled, *stated}
@@ -199,7 +201,8 @@ def _fill_barometers(
 ) -> Iterator[Message]:
     """Fill the roles of the barometers outside and in the cabin, by how they follow the height.
 
-    ``free``: the channels that are not named for a role.
+    A barometer that does not follow it is in the cabin; one that does, or of which that cannot be
+    decided, counts as outside. ``free``: the channels that are not named for a role.
     """
     height = filled.get("height")
     if height is None:
@@ -265,9 +268,9 @@ def _fill_cabin_pressure(filled: dict[str, Channel], indoors: list[Channel]) -> 
 def follows_height(barometer: Channel, height: Channel) -> bool | None:
     """Whether a barometer's pressure falls with GNSS height as free air does.
 
-    The mean temperature that the fall of ln p implies must be one of air, and a parabola leave
-    less than 1 % of pressure unexplained. None where the flight spans under 300 m of height, too
-    little to decide.
+    That is so if the mean temperature that the fall of ln p implies is one of air, and a parabola
+    leaves less than 1 % of the variation of pressure unexplained. None where that cannot be
+    decided: fewer than ten pressures have a height, or these span under 300 m.
     """
     column = height.height_column
     if column is None:

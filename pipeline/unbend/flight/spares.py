@@ -25,10 +25,10 @@ def with_spares(
     channels: Iterable[Channel],
     named: Collection[str],
 ) -> tuple[dict[str, Channel], Notes]:
-    """The roles, in which spares go on where the channel of a role has ended or not yet begun.
+    """The roles, in which spares go on where the channel of a role is silent (`_rows_of_spare`).
 
-    A receiver is a spare of a receiver, a filter of a filter. The samples of a spare keep what it
-    reports of its own accuracy. Roles that the mission file ``named`` a channel for stay.
+    Several spares may play one after the other, the best rank first. The samples of a spare keep
+    what it reports of its own accuracy. Roles that the mission file ``named`` a channel for stay.
     """
     by_rank = sorted(channels, key=lambda channel: (channel.rank, channel.name))
     result = dict(roles)
@@ -36,17 +36,11 @@ def with_spares(
     for role in _ROLES:
         if role not in roles or role in named or len(roles[role]) == 0:
             continue
+        original = roles[role]
         for spare in by_rank:
-            if _is_spare(
-                spare,
-                roles[role],
-                role,
-            ):
-                result[role], spare_notes = _with_spare(
-                    result[role],
-                    spare,
-                    role,
-                )
+            if _is_spare(spare, original, role):
+                # Continued is what earlier spares have continued already.
+                result[role], spare_notes = _with_spare(result[role], spare, role)
                 notes += spare_notes
     return result, tuple(notes)
 
@@ -58,7 +52,7 @@ def _with_spare(
 ) -> tuple[Channel, Notes]:
     """The channel of a role, continued by the samples of a spare where it is silent."""
     if not _rows_of_spare(spare, channel, role).any():
-        return channel, ()
+        return channel, ()  # a spare that does not play is not checked, and has no notes
     plausible, notes = plausible_samples(spare, role)
     beyond = _rows_of_spare(plausible, channel, role)
     if not beyond.any():
@@ -78,7 +72,12 @@ def _is_spare(
     channel: Channel,
     role: str,
 ) -> bool:
-    """Whether a channel is of the kind of another one that plays a role."""
+    """Whether a channel is of the kind of another one that plays a role.
+
+    * An attitude: that of the vehicle is a spare of the vehicle's, unless it is a coarse one.
+    * A position or height: a receiver is a spare of a receiver, a filter of a filter; with heights
+      above the same surface.
+    """
     if spare.name == channel.name or role not in spare.roles or not spare.fits_role(role):
         return False
     if role == "attitude":
@@ -95,8 +94,8 @@ def _rows_of_spare(
 ) -> Mask:
     """(n,) which samples of a spare play a role that a channel has.
 
-    Where a receiver or a filter of positions is silent between two samples, `evidence` finds
-    another source; where an attitude is, the spare plays.
+    Those before its first and after its last sample; of an attitude also those in its silences. In
+    silences of a position or height `contradictions.examine` finds another source.
     """
     rows = _rows_beyond(spare, channel)
     if role == "attitude":
@@ -132,7 +131,7 @@ def _rows_beyond(spare: Channel, channel: Channel) -> Mask:
 
 
 def _continued(channel: Channel, spare: Channel) -> Channel:
-    """A channel and the samples of a spare beyond it, in the order of time."""
+    """A channel together with samples of a spare, in the order of time."""
     time_ns = np.concatenate([channel.time_ns, spare.time_ns])
     order = np.argsort(time_ns, kind="stable")
     columns = {}

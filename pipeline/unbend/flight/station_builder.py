@@ -69,29 +69,31 @@ def build_stations(
     """Position, attitude and air at each exposure of one camera, with their sigmas.
 
     The values of an exposure outside the log, in a gap, or without position, attitude or height
-    above sea level are NaN, and its status gives the reason. ``accuracy`` is that of the log's
-    samples; ``clocks`` how well the clocks of exposures and channels agree.
+    above sea level are NaN, and its status gives the first reason found here. ``accuracy`` is that
+    of the log's samples; ``clocks`` how well the clocks of exposures and channels agree.
     """
     time_ns = events.time_ns
-    every = np.ones(time_ns.size, np.bool_)
+    all_exposures = np.ones(time_ns.size, np.bool_)
     camera = np.full(time_ns.size, events.camera, dtype=object)
     stations = replace(empty_stations(events.image, camera, STATION_OK), time_ns=time_ns)
     if "position" not in roles:
-        return stations.with_status(every, NO_POSITION)
+        return stations.with_status(all_exposures, NO_POSITION)
     track = track_at(roles["position"], time_ns, max_gap_s)
+    # A station that has a status keeps it.
     stations = _with_coverage(stations, track.coverage)
     stations = stations.with_status(np.isnan(track.lat_rad), NO_POSITION)
     if "attitude" not in roles:
-        return stations.with_status(every, NO_ATTITUDE)
+        return stations.with_status(all_exposures, NO_ATTITUDE)
     attitudes = attitude_at(roles["attitude"], time_ns, max_gap_s)
     stations = _with_coverage(stations, attitudes.coverage)
     stations = stations.with_status(_unknown_rows(attitudes.quaternion), NO_ATTITUDE)
     if "height" not in roles:
-        return stations.with_status(every, HEIGHT_REFERENCE_UNKNOWN)
+        return stations.with_status(all_exposures, HEIGHT_REFERENCE_UNKNOWN)
     height = roles["height"]
     h_msl_m, h_ellipsoid_m = heights_at(height, time_ns, heights, max_gap_s)
     no_msl = np.isnan(h_msl_m)
     stations = stations.with_status(no_msl & np.isnan(h_ellipsoid_m), IN_GAP)
+    # What is left has a height above the ellipsoid, but no undulation.
     stations = stations.with_status(no_msl, HEIGHT_REFERENCE_UNKNOWN)
     if height.height_column is None:
         bend = no_bend(time_ns.size)
@@ -260,7 +262,7 @@ def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
     body_from_ned = attitude[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0]  # x, y, z, w; inverse
     frame_from_enu = body_from_ned @ matrix
     canonical = np.where(frame_from_enu[:, 3:] < 0.0, -frame_from_enu, frame_from_enu)
-    return canonical[:, [3, 0, 1, 2]]
+    return canonical[:, [3, 0, 1, 2]]  # w, x, y, z
 
 
 def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float) -> Stations:

@@ -131,30 +131,34 @@ class Stations:
         return replace(self, status=np.where(changed, status, self.status), accepted=accepted)
 
     def as_suspect(self, where: Mask, reason: str, off_m: float | Array, *, use: bool) -> Stations:
-        """The stations marked as suspect where a mask is True and they were ok or suspect.
+        """The stations marked as suspect where a mask is True and they were usable or suspect.
 
-        A reason is added to those that a station has; ``off_m`` is how far off they may be [m], NaN
-        where unknown; ``use`` leaves them usable (`ok`).
+        ``off_m`` is how far off they may be [m], NaN where unknown. A reason is added to those that
+        a station has. ``use`` leaves the marked stations usable (`ok`); a station that was suspect
+        and not usable is then not marked, and stays so.
         """
-        can_be_suspect = self.ok if use else self.ok | (self.status == SUSPECT)
-        where = where & can_be_suspect
+        can_be_marked = self.ok
+        if not use:
+            can_be_marked = self.ok | (self.status == SUSPECT)
+        marked = where & can_be_marked
         reasons = self.suspect_reason.copy()
-        for row in np.flatnonzero(where):
+        for row in np.flatnonzero(marked):
             reasons[row] = f"{reasons[row]}; {reason}" if reasons[row] else reason
         return replace(
             self,
             suspect_reason=reasons,
-            suspect_m=np.where(where, np.fmax(self.suspect_m, off_m), self.suspect_m),
-            accepted=np.where(where, use, self.accepted),
-            status=np.where(where, SUSPECT, self.status),
+            suspect_m=np.where(marked, np.fmax(self.suspect_m, off_m), self.suspect_m),
+            accepted=np.where(marked, use, self.accepted),
+            status=np.where(marked, SUSPECT, self.status),
         )
 
     def moved(self, enu_m: NDArray[np.float64]) -> Stations:
         """The stations moved by (s, 3) metres east, north and up, where these are known."""
         rows = np.flatnonzero(np.isfinite(enu_m).all(axis=1) & np.isfinite(self.lat_rad))
         # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
-        start_m = self.h_ellipsoid_m[rows]
-        start_m = np.where(np.isfinite(start_m), start_m, np.nan_to_num(self.h_msl_m[rows]))
+        ellipsoidal_m = self.h_ellipsoid_m[rows]
+        any_height_m = np.nan_to_num(self.h_msl_m[rows])
+        start_m = np.where(np.isfinite(ellipsoidal_m), ellipsoidal_m, any_height_m)
         lat_rad = self.lat_rad.copy()
         lon_rad = self.lon_rad.copy()
         h_msl_m = self.h_msl_m.copy()
@@ -237,7 +241,8 @@ def _utc(time_ns: Integers) -> NDArray[np.datetime64]:
 def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tuple[Stations, Notes]:
     """The stations, with a further row for each observed image that has no exposure.
 
-    ``images``: the observed ones. Reported are these, and exposures without an observed image.
+    ``images``: the observed ones. Reported are images without an exposure, and exposures without an
+    observed image.
     """
     observed = np.array(images, dtype=str)
     is_unused = ~np.isin(stations.image.astype(str), observed)
@@ -274,7 +279,7 @@ def _neighbour_by_name(stations: Stations, image: str) -> str | None:
 # Barometer against profile at one exposure: 8 hPa are some 80 m of height.
 LARGEST_PRESSURE_MISFIT_PA = 800.0
 
-_SCALE_M_PER_K = 29.27  # the gas constant of dry air over gravity: scale height of 1 K
+_SCALE_M_PER_K = 29.27  # the gas constant of dry air over gravity: scale height for each kelvin
 
 
 def flag_height_misfits(
@@ -295,8 +300,8 @@ def flag_height_misfits(
         worst_hpa=float(np.nanmax(misfit_pa[wrong])) / HECTOPASCAL,
         first=stations.image[np.argmax(wrong)],
     )
-    scale_height_m = misfit_pa * _SCALE_M_PER_K * profile.temperature(stations.h_msl_m)
-    off_m = scale_height_m / stations.pressure_pa
+    temperature_k = profile.temperature(stations.h_msl_m)
+    off_m = misfit_pa * _SCALE_M_PER_K * temperature_k / stations.pressure_pa
     reason = "barometer and GNSS height contradict each other"
     return stations.as_suspect(wrong, reason, off_m, use=use_suspect), (message,)
 
@@ -372,7 +377,7 @@ class _StationSigma:
         """The loss of stations whose sigma exceeds the limit or is unknown, if there is a limit."""
         if self.limit is None:
             return
-        count = int(np.count_nonzero(~(self.values <= self.limit)))
+        count = int(np.count_nonzero(~(self.values <= self.limit)))  # NaN too
         if count == 0:
             return
         worst = int(np.argmax(np.nan_to_num(self.values, nan=np.inf)))

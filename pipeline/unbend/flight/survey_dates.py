@@ -27,8 +27,8 @@ def latest_ns() -> int:
 def can_be_flown(time_ns: TimeArray) -> Mask:
     """(n,) at which times [Unix ns] a survey can have been flown.
 
-    Films of any age are measured today, so that only the future, and the first day of a clock that
-    was never set (1970-01-01, 1980-01-06), are none.
+    Films of any age are measured today. Impossible are only times before 1900, the future, and the
+    first day of a clock that was never set (1970-01-01, 1980-01-06).
 
     >>> in_1956, of_unset_clock = -433_000_000 * 10**9, 3_600 * 10**9
     >>> can_be_flown(np.array([in_1956, of_unset_clock, 2_300_000_000 * 10**9])).tolist()

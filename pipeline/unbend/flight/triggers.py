@@ -39,15 +39,16 @@ def lag_from_feedback(
         raise messages.too_few_feedback_pairs(
             camera=camera, channel=trigger.name, pairs=lags.size, needed=FEWEST_PAIRS
         )
-    low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
+    low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])  # -1, 0 and +1 sigma
+    sigma_s = float(high - low) / 2.0
     message = messages.shutter_lag(
         camera=camera,
         channel=trigger.name,
         pairs=lags.size,
         lag_ms=middle * 1e3,
-        scatter_ms=(high - low) * 5e2,
+        scatter_ms=sigma_s * 1e3,
     )
-    return ExposureDelay(float(middle), sigma_s=float(high - low) / 2.0), (message,)
+    return ExposureDelay(float(middle), sigma_s=sigma_s), (message,)
 
 
 def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
@@ -91,7 +92,7 @@ def trigger_notes(
     ]
     if kind == "CAMERACAPTURE":
         yield from _capture_notes(chosen, triggers, parameters)
-    elif is_trigger(chosen) or (kind == "CAM" and not triggers):
+    elif is_trigger(chosen) or (kind == "CAM" and not triggers):  # CAM without a feedback pin
         yield messages.trigger_times(channel=chosen.name, events=len(chosen))
     yield from _lost_pulses(channels, chosen, triggers)
 
@@ -117,7 +118,11 @@ def _lost_pulses(
 def _capture_notes(
     captures: Channel, triggers: list[Channel], parameters: Mapping[str, float]
 ) -> Iterator[Message]:
-    """Report captures of PX4 that have the times of the triggers, or may have them."""
+    """Report captures of PX4 that have the times of the triggers, or may have them.
+
+    They have them by the parameter, or if most have the time of a command. They may have them if
+    neither the parameter nor commands are logged.
+    """
     feedback = parameters.get(FEEDBACK_PARAMETER)
     commands = [trigger for trigger in triggers if "feedback" in trigger.columns]
     are_commands = any(_has_times_of(captures, trigger) for trigger in commands)
@@ -151,10 +156,12 @@ def _shutters_of(trigger: Channel, channels: tuple[Channel, ...]) -> list[Channe
 
 
 def _are_of_one_system(trigger: Channel, shots: Channel) -> bool:
-    """Whether a trigger may be that of some events.
+    """Whether a trigger may be that of some events: both are of ArduPilot, or neither is.
 
-    It has their kind of log and their instance, or none, and then may be of any camera.
+    A trigger without instance may be of any camera, else it is that of its own instance.
     """
-    if (trigger.source.kind == "TRIG") != (shots.source.kind in ("CAM", "TRIG")):
+    is_of_ardupilot = trigger.source.kind == "TRIG"
+    shots_are_of_ardupilot = shots.source.kind in ("CAM", "TRIG")
+    if is_of_ardupilot != shots_are_of_ardupilot:
         return False
     return trigger.source.instance in (None, shots.source.instance)

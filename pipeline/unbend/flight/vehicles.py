@@ -47,7 +47,7 @@ class Vehicles:
             for channel in filled
             if channel.source.system is not None and {POSITION, ATTITUDE} & set(channel.roles)
         }
-        if len(systems) > 1:
+        if len(systems) > 1:  # whatever is between their positions
             return cls(tuple(sorted(systems)), depth)
         if len(tracks) > 1 and _are_apart(list(tracks.values())):
             return cls(tuple(sorted(tracks)), depth)
@@ -102,20 +102,20 @@ def _are_apart(tracks: Sequence[Channel]) -> bool:
 
 def median_distance_m(track: Channel, other: Channel) -> float:
     """How far apart two tracks are in the median [m], at the times of the other; NaN if never."""
-    sampled = np.zeros(len(other), np.bool_)
-    sampled[:: max(len(other) // _MOST_SAMPLES, 1)] = True
-    other = other.rows(sampled)
+    is_compared = np.zeros(len(other), np.bool_)
+    is_compared[:: max(len(other) // _MOST_SAMPLES, 1)] = True
+    compared = other.rows(is_compared)
     gap_s = track.gap_limit_s(_GAP_S)
     columns = [
         interpolate(
             track,
             name,
-            other.time_ns,
+            compared.time_ns,
             gap_s,
         )
         for name in ("lat_rad", "lon_rad")
     ]
-    change = np.stack(columns, axis=1) - places_of(other, POSITION)
-    distance_m = np.linalg.norm(metres(change, other["lat_rad"]), axis=1)
+    change = np.stack(columns, axis=1) - places_of(compared, POSITION)
+    distance_m = np.linalg.norm(metres(change, compared["lat_rad"]), axis=1)
     known = np.isfinite(distance_m)
     return float(np.median(distance_m[known])) if known.any() else float("nan")

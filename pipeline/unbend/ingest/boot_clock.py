@@ -36,7 +36,7 @@ class BootClock:
     assessments: tuple[ClockAssessment, ...] = ()
 
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
-        """UTC [ns] of times since boot at places of the log; the times where UTC is unknown."""
+        """UTC [ns] of times since boot at places of the log; of a boot without UTC, these times."""
         offsets_ns = np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
         utc_ns = offsets_ns[self.line.boot_of(places)]
         utc_ns += boot_ns  # memory has its peak here
@@ -56,11 +56,16 @@ def fit_clock(
 ) -> BootClock:
     """Fit the offset of UTC from the time since boot, for each boot, and report how well it fits.
 
-    In each boot the one of the ``sources`` with the most rows is used, by the median of its rows;
-    each other source that differs by more than 1 s is a loss. ``cameras`` are used if no source has
-    UTC, and ``recorder`` in boots without either; a boot without any counts from 1970. ``where`` is
-    the vehicle and ``utc_of`` what gives UTC in this format, in words for the reports. Dates that
-    no log can have are repaired or not used; ``witnesses`` are further clocks that tell the date.
+    What gives UTC in a boot:
+
+    - The one of the ``sources`` with the most rows, by the median of its rows. Each other source
+      that differs by more than 1 s is a loss.
+    - ``cameras``, if no source has UTC in any boot.
+    - ``recorder``, in a boot without any of these.
+    - Else nothing: the times of the boot count from 1970.
+
+    Dates that no log can have are repaired or not used; ``witnesses`` are further clocks that tell
+    the date. In the reports ``where`` is the vehicle, and ``utc_of`` what gives UTC in this format.
 
     A boot is also split where nothing was recorded for more than 1 s and the offset differs by more
     than 1 s from then on. Where the offset steps without such a silence, a clock was set.
@@ -68,27 +73,26 @@ def fit_clock(
     if recorder is not None:
         recorder = possible_recorder(recorder.usable_rows(line), line, where, ledger)
     dates = DateCheck(line, recorder, tuple(witnesses), where)
-    sources = [dates.acceptable(source.usable_rows(line), ledger) for source in sources]
-    if not any(source.places.size for source in sources):
-        sources = [dates.acceptable(camera.usable_rows(line), ledger) for camera in cameras]
+    accepted = [dates.acceptable(source.usable_rows(line), ledger) for source in sources]
+    if not any(source.places.size for source in accepted):
+        accepted = [dates.acceptable(camera.usable_rows(line), ledger) for camera in cameras]
     # The best source decides first about silences; `_utc_of_boots` chooses anew in each boot.
-    sources = sorted(sources, key=lambda source: -source.places.size)
-    boots_by_steps = line.boots
-    with_recorder = sources if recorder is None else [*sources, recorder]
-    line = _split_at_silences(line, with_recorder)
-    if line.boots > boots_by_steps:
-        ledger.add(messages.restarted(where=where, count=line.boots - boots_by_steps))
-    chosen = _utc_of_boots(line, sources, recorder, where, ledger)
+    accepted.sort(key=lambda source: -source.places.size)
+    with_recorder = accepted if recorder is None else [*accepted, recorder]
+    split_line = _split_at_silences(line, with_recorder)
+    if split_line.boots > line.boots:
+        ledger.add(messages.restarted(where=where, count=split_line.boots - line.boots))
+    chosen = _utc_of_boots(split_line, accepted, recorder, where, ledger)
     for number, utc in enumerate(chosen):
         if utc.fit is None:
             place = place_of_boot(where, number)
             ledger.add(messages.no_utc(where=place, utc_of=utc_of))
-    return _clock_of(line, chosen)
+    return _clock_of(split_line, chosen)
 
 
 def _clock_of(line: Timeline, chosen: "Sequence[BootUtc]") -> BootClock:
     """The clock of a log from the UTC of each of its boots."""
-    sigma_s = float("nan")
+    sigma_s = float("nan")  # until a boot has UTC: fmax takes the other of two values
     assessments: list[ClockAssessment] = []
     for utc in chosen:
         assessments += utc.assessments
@@ -106,35 +110,41 @@ def _clock_of(line: Timeline, chosen: "Sequence[BootUtc]") -> BootClock:
 def _split_at_silences(line: Timeline, sources: Sequence[UtcReadings]) -> Timeline:
     """Split boots at silences where the offset of a source steps; the best sources come first.
 
-    A source with rows on both sides of a silence, in one boot, decides about it.
+    The first source with rows on both sides of a silence, in one boot, decides about the silence.
     """
-    unsplit_line = line
     silence_places = line.first[line.silences().after]
     is_decided = np.zeros(silence_places.shape, np.bool_)
+    split_line = line
     for source in sources:
-        line = _split_boots(line, source, is_decided)
-        is_decided |= _has_both_sides(source, unsplit_line, silence_places)
-    return line
+        split_line = _split_boots(split_line, source, is_decided)
+        # by the boots before any split: after one, both sides are of different boots
+        is_decided |= _has_both_sides(source, line, silence_places)
+    return split_line
 
 
 def _has_both_sides(source: UtcReadings, line: Timeline, silence_places: Integers) -> Mask:
     """Whether a source has rows of the same boot before and behind each silence."""
     boots = line.boot_of(source.places)
-    # -1 stands for no row before a silence, -2 for none behind it
+    # -1 stands for no row before a silence, -2 for none behind it: the two are never equal
     padded_boots = np.concatenate([[-1], boots, [-2]]).astype(np.int64)
-    rows_before = np.searchsorted(source.places, silence_places)
-    return np.asarray(padded_boots[rows_before] == padded_boots[rows_before + 1])
+    rows_behind = np.searchsorted(source.places, silence_places)
+    boots_before = padded_boots[rows_behind]  # the padding has moved all rows by one
+    boots_behind = padded_boots[rows_behind + 1]
+    return np.asarray(boots_before == boots_behind)
 
 
 def _split_boots(line: Timeline, source: UtcReadings, is_decided: Mask) -> Timeline:
-    """Split boots where the offset of a source steps at a silence that is not decided yet."""
+    """Split boots where the offset of a source steps at a silence that is not decided yet.
+
+    ``is_decided``: of each of the silences of the line.
+    """
     silences = line.silences()
     is_within_boot = line.boot[silences.after] == line.boot[silences.after - 1]
     may_split = ~is_decided & is_within_boot
-    silences = Silences(silences.after[may_split], silences.length_ns[may_split])
-    if not silences.after.size or not source.places.shape[0]:
+    undecided = Silences(silences.after[may_split], silences.length_ns[may_split])
+    if not undecided.after.size or not source.places.shape[0]:
         return line
-    silence_places = line.first[silences.after]
+    silence_places = line.first[undecided.after]
     boot = line.boot.copy()
     steps = _offset_steps(line, source)
     check_boots(line.boots + len(steps))
@@ -142,8 +152,8 @@ def _split_boots(line: Timeline, source: UtcReadings, is_decided: Mask) -> Timel
         # the longest silence between the two rows is where the vehicle was restarted
         begin, end = np.searchsorted(silence_places, [before, after], side="right")
         if begin < end:
-            longest = begin + np.argmax(silences.length_ns[begin:end])
-            boot[silences.after[longest] :] += 1
+            longest = begin + np.argmax(undecided.length_ns[begin:end])
+            boot[undecided.after[longest] :] += 1  # all later boots count one on
     return replace(line, boot=boot)
 
 
@@ -161,7 +171,10 @@ def _offset_steps(line: Timeline, source: UtcReadings) -> list[tuple[int, int]]:
 
 
 def without_glitches(offset_ns: TimeArray) -> TimeArray:
-    """The running median of offsets: steps remain, glitches of up to `STRAY_ROWS` rows do not."""
+    """The running median of offsets: steps remain, glitches of up to `STRAY_ROWS` rows do not.
+
+    A single offset, or none, is returned as it is.
+    """
     half = min(clock.STRAY_ROWS, offset_ns.shape[0] - 1)
     if half < 1:
         return offset_ns
@@ -265,14 +278,16 @@ class _BootSources:
         )
 
     def _sigma_s(self, used: _FittedSource) -> float:
-        """The sigma of a source; neither it nor the recorder may be set by a receiver.
+        """The sigma of the UTC of the ``used`` source [s].
 
-        Then they are as good as they agree.
+        A source that no receiver sets, beside a recorder, is no better than the two agree.
         """
         sigma_s = used.sigma_s
+        is_set_by_receiver = used.readings.sigma_s == 0.0
+        if is_set_by_receiver:
+            return sigma_s
         for recorder in self.recorded:
-            if used.readings.sigma_s:
-                sigma_s = max(sigma_s, abs(recorder.seconds_from(used)))
+            sigma_s = max(sigma_s, abs(recorder.seconds_from(used)))
         return sigma_s
 
     def _report_contradictions(self, used: _FittedSource, ledger: Ledger) -> None:

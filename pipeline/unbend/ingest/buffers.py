@@ -52,7 +52,8 @@ class FileView:
     def array(self, begin: int, end: int) -> Bytes:
         """The bytes from ``begin`` to ``end`` or the end of the file; not to be written to."""
         end = min(end, self.size)
-        if begin < self._begin or end > self._begin + self._bytes.shape[0]:
+        kept_end = self._begin + self._bytes.shape[0]
+        if begin < self._begin or end > kept_end:
             span_begin = max(begin - BEHIND, 0)
             self._bytes = self._read(span_begin, end)
             self._begin = span_begin
@@ -63,7 +64,8 @@ class FileView:
 
         Raises LogError if the file has become shorter.
         """
-        length = min(max(end - begin, SPAN + 2 * BEHIND), self.size - begin)
+        usual_length = SPAN + 2 * BEHIND  # some bytes before the place asked for, and behind
+        length = min(max(end - begin, usual_length), self.size - begin)
         span = np.empty(length, np.uint8)
         self._stream.seek(begin)
         count = 0
@@ -131,7 +133,7 @@ class Runs:
     def __init__(self, at: Integers, end: Integers) -> None:
         self.at = at
         self.end = end
-        next_at = np.append(at[1:], -1)
+        next_at = np.append(at[1:], -1)  # no place: the last message of all ends a run
         self._breaks = np.flatnonzero(next_at != end)  # the last of each run
 
     def starting_at(self, place: int) -> slice:
@@ -201,7 +203,8 @@ class _Arena:
         except OSError as error:
             raise MemoryError(f"no memory for {size} bytes: {error.strerror}") from error
         self.private += size
-        weakref.finalize(memory, self._free, size, self.generation).atexit = False
+        finalizer = weakref.finalize(memory, self._free, size, self.generation)
+        finalizer.atexit = False  # what is left then, the end of the process frees
         return memory
 
     def _free(self, size: int, generation: int) -> None:
@@ -265,7 +268,8 @@ def copy_rows(column: NDArray[Any], rows: Rows | None = None) -> NDArray[Any]:
     [7, 5]
     """
     count = column.shape[0] if rows is None else rows.shape[0]
-    copy = allocate(count, (column.dtype, column.shape[1:]))
+    type_of_row = (column.dtype, column.shape[1:])  # a row may be an array itself
+    copy = allocate(count, type_of_row)
     for begin in range(0, count, _COPIED_ROWS):
         block = slice(begin, begin + _COPIED_ROWS)
         copy[block] = column[block] if rows is None else column[rows[block]]
@@ -296,8 +300,9 @@ class ColumnStore:
             if not self._room:
                 self._add_block()
             count = min(self._room, rows.shape[0] - done)
-            first = self._blocks[-1].shape[0] - self._room
-            self._blocks[-1][first : first + count] = rows[done : done + count]
+            block = self._blocks[-1]
+            first_free = block.shape[0] - self._room
+            block[first_free : first_free + count] = rows[done : done + count]
             self._room -= count
             done += count
             self._length += count
@@ -311,19 +316,21 @@ class ColumnStore:
     def blocks(self) -> Iterator[NDArray[Any]]:
         """The rows, block by block, without free ones; they may be written to."""
         yield from self._blocks[:-1]
-        for block in self._blocks[-1:]:
-            yield block[: block.shape[0] - self._room]
+        if self._blocks:
+            last = self._blocks[-1]
+            yield last[: last.shape[0] - self._room]
 
     def drained(self) -> Iterator[NDArray[Any]]:
         """The rows, block by block; empties the store, so that each block is freed after use."""
-        blocks = self._blocks[::-1]
+        blocks = self._blocks[::-1]  # taken from the end, so that the list does not hold them
         free_rows = self._room
         self._blocks = []
         self._room = 0
         self._length = 0
         while blocks:
             block = blocks.pop()
-            if not blocks:
+            is_last = not blocks
+            if is_last:
                 block = block[: block.shape[0] - free_rows]
             yield block
 

@@ -40,7 +40,8 @@ class DecodedRows:
 
     def take(self, rows: Mask | Rows) -> "DecodedRows":
         """The rows of a mask or an index."""
-        kept = np.asarray(np.flatnonzero(rows) if rows.dtype == np.bool_ else rows, np.intp)
+        index = np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
+        kept = np.asarray(index, np.intp)
         labels = {}
         for name, texts in self.labels.items():
             labels[name] = tuple(np.asarray(texts, object)[kept].tolist())
@@ -59,15 +60,19 @@ class ColumnStores:
 
     def __init__(self, spec: MessageMap) -> None:
         self.stores: dict[str, ColumnStore] = {}
-        self._keeps_empty = spec.position or spec.attitude  # columns without any value
+        # Of these a column without any value is kept too: else it would be reported as absent.
+        self._keeps_empty = spec.position or spec.attitude
         self._length = 0
 
     def add(self, values: Mapping[str, Array], count: int) -> None:
         """Add the next ``count`` rows to each column; NaN to columns that ``values`` lacks."""
         for name, column in values.items():
-            if name not in self.stores and (self._keeps_empty or bool(np.isfinite(column).any())):
+            if name in self.stores:
+                continue
+            if self._keeps_empty or bool(np.isfinite(column).any()):
                 self.stores[name] = ColumnStore("f8")
-                self.stores[name].add(np.broadcast_to(np.nan, self._length))
+                rows_before = np.broadcast_to(np.nan, self._length)
+                self.stores[name].add(rows_before)
         for name, store in self.stores.items():
             store.add(values.get(name, np.broadcast_to(np.nan, count)))
         self._length += count
@@ -94,16 +99,16 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
     if spec.position:
         rows = _with_fix(rows, ledger)
     rows = _without_repeats(rows, ledger, event=spec.event)
-    if spec.event:
+    if spec.event:  # a repeat has no number, but a row out of the order of time keeps its own
         rows = _numbered_exposures(rows)
     rows = _in_rising_time(rows, ledger)
     columns = dict(rows.columns)
     if spec.attitude:
         _make_unit_quaternions(columns)
-    columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
-    if len(rows) == 0 or not columns:
+    with_values = {name: values for name, values in columns.items() if np.isfinite(values).any()}
+    if len(rows) == 0 or not with_values:
         return None
-    return _channel(rows, columns, spec)
+    return _channel(rows, with_values, spec)
 
 
 def _channel(rows: DecodedRows, columns: Mapping[str, Array], spec: MessageMap) -> Channel:
@@ -126,15 +131,18 @@ def _needed_columns(rows: DecodedRows, spec: MessageMap) -> set[str]:
     needed = set()
     if spec.position:
         needed |= {"lat_rad", "lon_rad"}
-    if spec.attitude and "roll_rad" in rows.columns:
-        needed |= {"pitch_rad", "yaw_rad"}
-    elif spec.attitude:
-        needed |= set(_QUATERNION)
+    if spec.attitude:
+        has_angles = "roll_rad" in rows.columns
+        needed |= set(_EULER) if has_angles else set(_QUATERNION)
     return needed
 
 
 def _rank(rows: DecodedRows, spec: MessageMap) -> int:
-    """The rank of a channel among candidates for a role; spare instances have one of their own."""
+    """The rank of a channel among candidates for a role.
+
+    The commands of a trigger rank behind the pulses of the shutter. Instances but the first have
+    the spare rank of the message, if it has one.
+    """
     if rows.name.endswith(SENT):
         return spec.rank + _BEHIND_PULSES
     is_first = rows.source.instance in (None, "0")
@@ -159,10 +167,12 @@ def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
 
 
 def _numbered_exposures(rows: DecodedRows) -> DecodedRows:
-    """Exposures, numbered by their row where the log does not number them, with 0, 0 as no place.
+    """Exposures with a number, and with NaN where their place or attitude is unknown.
 
-    A latitude beyond a pole is none either: in MAVLink the largest integer means unknown. Their
-    attitudes get the columns of attitudes. To be called before rows are dropped.
+    - Where the log does not number them, the number of an exposure is that of its row.
+    - The place 0, 0 is unknown, and so is a latitude beyond a pole: in MAVLink the largest integer
+      means unknown.
+    - A logged attitude becomes the columns of an attitude.
     """
     columns = dict(rows.columns)
     if "event_index" not in columns:
@@ -200,7 +210,9 @@ def feedback_apart(rows: DecodedRows, ledger: Ledger) -> list[DecodedRows]:
 
     The pulses keep the name, the commands are named ``.sent``.
     """
-    feedback = rows.columns.get("feedback", np.empty(0))
+    feedback = rows.columns.get("feedback")
+    if feedback is None:
+        return [rows]
     is_pulse = feedback > 0.0
     if is_pulse.all() or not is_pulse.any():
         return [rows]
@@ -218,12 +230,16 @@ def feedback_apart(rows: DecodedRows, ledger: Ledger) -> list[DecodedRows]:
 
 def _make_unit_quaternions(columns: dict[str, Array]) -> None:
     """Replace Euler angles or quaternions by unit quaternions, in the memory of what was logged."""
-    if "roll_rad" in columns:
-        parts = [columns.pop(name) for name in _EULER]
-        parts.append(allocate(parts[0].shape[0], np.float64))
+    has_angles = "roll_rad" in columns
+    logged = _EULER if has_angles else _QUATERNION
+    parts = [columns[name] for name in logged]
+    for name in logged:
+        del columns[name]
+    if has_angles:
+        fourth_part = allocate(parts[0].shape[0], np.float64)
+        parts.append(fourth_part)
         replace_in_blocks(_quaternion_of_angles, parts)
     else:
-        parts = [columns.pop(name) for name in _QUATERNION]
         replace_in_blocks(unit_quaternions, parts)
     columns.update(zip(_QUATERNION, parts, strict=True))
 
@@ -239,18 +255,18 @@ def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
     Texts of the same time are lines of one row.
     """
     order = np.argsort(rows.time_ns, kind="stable")
-    time_ns, first = np.unique(rows.time_ns[order], return_index=True)
+    time_ns, first_lines = np.unique(rows.time_ns[order], return_index=True)
     if not time_ns.size:
         return None
     lines = [rows.labels["text"][row].strip() for row in order.tolist()]
-    bounds = [*first.tolist(), len(lines)]
+    bounds = [*first_lines.tolist(), len(lines)]
     texts = tuple("\n".join(lines[begin:end]) for begin, end in pairwise(bounds))
     return Channel(
         name=rows.name,
         time_ns=time_ns,
         columns={},
         source=rows.source,
-        boot=rows.boot[order][first],
+        boot=rows.boot[order][first_lines],
         rank=spec.rank,
         labels={"text": texts},
     )
@@ -276,33 +292,37 @@ _FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (
 
 
 def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
-    """The rows of a camera without those that report that it took no image.
+    """The rows of a camera without those that report that the camera took no image.
 
-    An index that is 0 in all of several rows is dropped: mavros never fills it in.
+    Columns that are dropped: the ``result`` of the exposures, and an index that is 0 in all of
+    several rows, because mavros never fills it in.
     """
     columns: dict[str, Array] = dict(rows.columns)
-    index = columns.get("event_index", np.empty(0))
-    if index.shape[0] > 1 and not index.any():
+    index = columns.get("event_index")
+    if index is not None and index.shape[0] > 1 and not index.any():
         del columns["event_index"]
         ledger.add(messages.exposures_without_index(channel=rows.name, count=len(rows)))
-    result = columns.pop("result", np.ones(len(rows)))
-    rows = replace(rows, columns=columns)
+    result = columns.pop("result", None)
+    captures = replace(rows, columns=columns)
+    if result is None:
+        return captures
     failed = result == _FAILED
     if not failed.any():
-        return rows
+        return captures
     count = int(np.count_nonzero(failed))
     ledger.add(messages.failed_exposures(channel=rows.name, count=count, total=len(rows)))
-    return rows.take(~failed)
+    return captures.take(~failed)
 
 
 def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> DecodedRows:
-    """The rows without repeats: those with the time of the row before, or equal to an earlier row.
+    """The rows without repeats, which are reported; of events they are a loss.
 
-    Repeats are reported; of events they are a loss.
+    A repeat has the time of the row directly before it, or the time and all values of the first row
+    with its time.
     """
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
-        return rows
-    repeats = _equal_to_earlier(rows) | ~new_readings(rows.time_ns)
+        return rows  # no two rows have the same time
+    repeats = _equal_to_first_of_time(rows) | ~new_readings(rows.time_ns)
     count = int(np.count_nonzero(repeats))
     if not count:
         return rows
@@ -318,8 +338,8 @@ def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> Decod
     return rows.take(~repeats)
 
 
-def _equal_to_earlier(rows: DecodedRows) -> Mask:
-    """Which rows have the time and all values of an earlier row."""
+def _equal_to_first_of_time(rows: DecodedRows) -> Mask:
+    """Which rows have all values of the first row with their time, and are not that row."""
     if not rows.columns:
         return np.zeros(len(rows), np.bool_)
     _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
@@ -338,6 +358,7 @@ def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     """
     if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
         return rows
+    # of each row that is kept: how often the clock was set back before it
     kept, stretch = rows_in_time_order(rows.time_ns)
     lost = np.setdiff1d(np.arange(len(rows)), kept)
     if lost.size:
@@ -373,8 +394,8 @@ def with_both_heights(
     """The channels with heights above sea level and above the ellipsoid, where both are known.
 
     A receiver that gives one height and the undulation gives both. A setting among the
-    ``parameters`` says that heights logged as above sea level are above the ellipsoid. ``where``
-    the settings are, for the report of that.
+    ``parameters`` may say that heights logged as above sea level are above the ellipsoid; in the
+    report of that, ``where`` names the message with the settings.
     """
     option = parameters.get(HEIGHT_OPTION, 0.0)
     is_ellipsoidal = 0.0 <= option < _MAX_OPTION and bool(int(option) & _HEIGHT_ELLIPSOID)
@@ -388,7 +409,7 @@ def with_both_heights(
 
 
 def _with_both_heights(columns: Mapping[str, Array], *, is_ellipsoidal: bool) -> dict[str, Array]:
-    """The columns of a channel with both heights, as far as they are known.
+    """The columns of a channel with both heights, as far as they are known, without undulation.
 
     ``is_ellipsoidal``: the height logged as above sea level is above the ellipsoid.
     """
@@ -397,14 +418,12 @@ def _with_both_heights(columns: Mapping[str, Array], *, is_ellipsoidal: bool) ->
     logged_m = result.get("h_msl_m")
     if logged_m is None:
         return result
-    if undulation_m is None:
-        if is_ellipsoidal:
-            del result["h_msl_m"]
-            result.setdefault("h_ellipsoid_m", logged_m)
-        return result
-    if is_ellipsoidal:
+    if undulation_m is not None and is_ellipsoidal:
         result["h_ellipsoid_m"] = logged_m
         result["h_msl_m"] = logged_m - undulation_m
-    else:
+    elif undulation_m is not None:
         result.setdefault("h_ellipsoid_m", logged_m + undulation_m)
+    elif is_ellipsoidal:
+        del result["h_msl_m"]
+        result.setdefault("h_ellipsoid_m", logged_m)
     return result

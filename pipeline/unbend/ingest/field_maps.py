@@ -115,9 +115,11 @@ def message_maps(section: str) -> dict[str, MessageMap]:
     maps: dict[str, MessageMap] = {}
     for name, stated in MAPS[section].items():
         options = dict(stated)
-        # A message that is like an earlier one takes over all but its rank.
-        template = maps.get(options.pop("like", ""), MessageMap(()))
-        template = replace(template, rank=MessageMap.rank, spare_rank=None)
+        template = MessageMap(())
+        if "like" in options:  # a message like an earlier one takes over all but its ranks
+            earlier_name = options.pop("like")
+            template = maps[earlier_name]
+            template = replace(template, rank=MessageMap.rank, spare_rank=None)
         if "columns" in options:
             options["columns"] = tuple(parse_columns(options["columns"], MAPS["groups"]))
         if "roles" in options:
@@ -167,23 +169,26 @@ def _translated_flags(bits: NDArray[np.int64], pairs: list[tuple[int, int]]) -> 
 def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
     """The channel with the column of a role in SI, where the mission file states the true unit.
 
-    ``unit``: of `STATED_UNITS`. A bare ``value`` becomes the column. Numbers that were converted
-    from the unit of the log are converted back first: a driver that sends kPa in SCALED_PRESSURE,
-    which is in hPa, writes 81.25 for 81,250 Pa; that was read as 8125 Pa, and with "kPa" stated
-    becomes 81,250 Pa. Raises MissionError (CHANNEL-UNIT) for a unit of another quantity.
+    ``unit``: of `STATED_UNITS`. The numbers that get this unit are those of a bare ``value``; else
+    those of the column, converted back to the unit of the log: a driver that sends kPa in
+    SCALED_PRESSURE, which is in hPa, writes 81.25 for 81,250 Pa; that was read as 8125 Pa, and with
+    "kPa" stated becomes 81,250 Pa. A channel with neither is returned as it is. Raises MissionError
+    (CHANNEL-UNIT) for a unit of another quantity.
     """
     column, factor, offset = STATED_UNITS[unit]
     if column not in ROLE_COLUMNS[role]:
         raise messages.not_a_unit_of_role(role=role, unit=unit, columns=ROLE_COLUMNS[role])
-    raw = channel.columns.get("value")
-    if raw is None and column in channel.columns:
-        logged = channel.logged_units.get(column, "")
-        logged = _NUMBERS_OF.get(logged, logged)
-        _, logged_factor, logged_offset = STATED_UNITS.get(logged, (column, 1.0, 0.0))
-        raw = (channel[column] - logged_offset) / logged_factor
-    if raw is None:
+    numbers = channel.columns.get("value")
+    if numbers is None and column in channel.columns:
+        unit_of_log = channel.logged_units.get(column, "")
+        unit_of_numbers = _NUMBERS_OF.get(unit_of_log, unit_of_log)
+        as_in_si = (column, 1.0, 0.0)
+        _, log_factor, log_offset = STATED_UNITS.get(unit_of_numbers, as_in_si)
+        numbers = (channel[column] - log_offset) / log_factor
+    if numbers is None:
         return channel
-    return replace(channel, columns=dict(channel.columns) | {column: raw * factor + offset})
+    in_si = numbers * factor + offset
+    return replace(channel, columns=dict(channel.columns) | {column: in_si})
 
 
 def is_number(column: NDArray[Any]) -> bool:
@@ -205,6 +210,7 @@ def extract(
     from ``used_up`` once no further column is made of them, because memory has its peak here.
     """
     result: dict[str, Array] = {}
+    # the last column that each field may become: later columns replace earlier ones here
     last_use = {field: spec.name for spec in columns for field in spec.fields}
     for spec in columns:
         field = _field_of(spec, table)

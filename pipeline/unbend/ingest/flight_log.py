@@ -106,8 +106,9 @@ class Log(Contents):
         """All messages of one type as columns of one length, with the log's names and units.
 
         ``name``: a type or topic of `message_types`, or a channel, upper or lower case.
-        ``instance``: only those, where the type has instances. In the order of the file, damaged
-        rows included. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
+        ``instance``: of which only the messages are wanted; None for that of the channel, or for
+        all. The rows are in the order of the file, damaged ones included. Raises LogError
+        (LOG-NO-TYPE, LOG-NO-TABLE).
         """
         kind, instance_of_channel = self._type_of(name)
         if instance is None:
@@ -121,7 +122,11 @@ class Log(Contents):
         return columns
 
     def _type_of(self, name: str) -> tuple[str, str | None]:
-        """The message type, and the instance where ``name`` is that of a channel."""
+        """The message type that a name means, and the instance where it is that of a channel.
+
+        Tried in this order: a type as written, a type in upper or lower case, a channel. A name
+        that is none of these is returned as it is.
+        """
         if name in self.messages:
             return name, None
         for kind in self.messages:
@@ -148,7 +153,7 @@ class Log(Contents):
 
         vehicles = vehicles_of(self.channels)
         flight, roles = roles_of(self.channels)
-        if vehicles:  # a mission has one of them
+        if vehicles:  # several: what is said of the log is that of the first
             flight = vehicles[0]["flight"]
             roles = vehicles[0]["roles"]
         return {
@@ -203,9 +208,11 @@ def utc_or_none(time_ns: int) -> str | None:
 def describe(channel: Channel) -> dict[str, Any]:
     """A summary of a channel for ``unbend inspect --json``."""
     steps = np.diff(channel.time_ns) / 1e9
-    gaps = np.flatnonzero(steps > channel.gap_limit_s()).tolist()
-    if "events" in channel.roles or not channel.columns or len(channel) < 3:
-        gaps = []  # events and texts come when they come
+    # events and texts come when they come, and fewer than three samples have no rate
+    has_rate = "events" not in channel.roles and bool(channel.columns) and len(channel) >= 3
+    gaps = []
+    if has_rate:
+        gaps = np.flatnonzero(steps > channel.gap_limit_s()).tolist()
     listed_gaps = []
     for row in gaps:
         start = utc_or_none(int(channel.time_ns[row]))

@@ -26,8 +26,12 @@ _WORD = 1 << 64  # the first integer that needs more than 64 bits
 def column_of(values: list[Any]) -> NDArray[Any]:
     """The values of a field in (n,) messages, None where one lacks it, as one column.
 
-    The type is bool, int64, uint64 or float64 if that alters no number, with NaN for missing ones;
-    str if all are texts, with "" for missing ones; else object.
+    The type is the first of these that alters no value:
+
+    - str, if all values are texts, with "" for missing ones.
+    - bool, int64 or uint64, if all are such and none is missing.
+    - float64, if all are numbers, with NaN for missing ones. So is a column without any value.
+    - object.
 
     >>> column_of([2**60 + 1, -5]).tolist(), column_of([1, None]), column_of([1, "n/a"])
     ([1152921504606846977, -5], array([ 1., nan]), array([1, 'n/a'], dtype=object))
@@ -85,7 +89,8 @@ def _is_exact_as_float(value: Any) -> bool:
     """
     if not isinstance(value, int) or abs(value) <= EXACT:
         return True
-    return abs(value) < _WORD and int(float(value)) == value
+    is_convertible = abs(value) < _WORD  # far larger ones make float() fail
+    return is_convertible and int(float(value)) == value
 
 
 def _objects(values: list[Any]) -> NDArray[Any]:
@@ -133,7 +138,10 @@ def _joined(tables: Sequence[Table]) -> Table:
     check_cells(len(names), sum(counts), filled)
     whole: Table = {}
     for name in names:
-        pieces = [table.pop(name, count) for table, count in zip(tables, counts, strict=True)]
+        pieces: list[NDArray[Any] | int] = []
+        for table, count in zip(tables, counts, strict=True):
+            piece = table.pop(name, None)
+            pieces.append(count if piece is None else piece)
         whole[name] = join_pieces(pieces)
     return whole
 
@@ -161,13 +169,15 @@ def _joined_without_loss(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any] |
     arrays = [piece for piece in pieces if isinstance(piece, np.ndarray)]
     kinds = {array.dtype.kind for array in arrays}
     shapes = {array.shape[1:] for array in arrays}
-    if len(shapes) != 1 or not (kinds == {"U"} or kinds <= set("biuf")):
+    are_texts = kinds == {"U"}
+    are_numbers = kinds <= set("biuf")
+    if len(shapes) != 1 or not (are_texts or are_numbers):
         return None
     if kinds == {"U"} and _width(pieces, arrays) > MAX_TEXTS:
         return None
     joined = np.concatenate(_filled(pieces, arrays))
     if joined.dtype.kind != "f":
-        return joined
+        return joined  # only floats alter values: large integers that become such
     if _has_floats(pieces, arrays) and all(_fits_float(array) for array in arrays):
         return joined
     return None
@@ -190,25 +200,31 @@ def _has_floats(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[A
 def _filled(
     pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]
 ) -> list[NDArray[Any]]:
-    """The pieces, with NaN or empty texts in the shape of the others for missing rows."""
-    kind = np.dtype(np.float64)
+    """The pieces, with NaN or empty texts in the shape of the others for missing rows.
+
+    Missing rows have the type of the first array of floats or texts, float64 among integers.
+    """
+    type_of_missing = np.dtype(np.float64)
     for array in arrays:
         if array.dtype.kind in "fU":
-            kind = array.dtype
+            type_of_missing = array.dtype
             break
-    missing = "" if kind.kind == "U" else np.nan
+    missing = "" if type_of_missing.kind == "U" else np.nan
     row_shape = arrays[0].shape[1:]
     filled = []
     for piece in pieces:
         if isinstance(piece, int):
-            filled.append(np.full((piece, *row_shape), missing, kind))
+            filled.append(np.full((piece, *row_shape), missing, type_of_missing))
         else:
             filled.append(piece)
     return filled
 
 
 def _fits_float(array: NDArray[Any]) -> bool:
-    """Whether a float64 holds all values of an array unchanged: those of 64 bits by their range."""
+    """Whether a float64 holds all values of an array unchanged.
+
+    Only integers of 64 bits may be too large for that; those are judged by their range.
+    """
     if array.dtype.kind not in "iu" or array.dtype.itemsize < 8 or not array.size:
         return True
     return bool(array.min() >= -EXACT and array.max() <= EXACT)

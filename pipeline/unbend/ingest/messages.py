@@ -516,7 +516,10 @@ TIME_REPEAT = Code(
 
 
 def repeated_rows(*, kind: Kind, channel: str, count: int, total: int) -> Message:
-    """Rows have the time of the row before, or equal an earlier row; a loss of exposures."""
+    """Rows have the time of the row before, or equal the first row with their time.
+
+    ``kind``: a loss where the rows are exposures, else a note.
+    """
     return message(
         kind,
         TIME_REPEAT,
@@ -632,7 +635,7 @@ def sources_disagree(*, where: str, rows: int, source: str, apart_s: float, used
 
 
 def recorder_disagrees(*, where: str, recorder: str, apart_s: float, used: str) -> Message:
-    """The clock of the ground station or the recorder is minutes or more from UTC."""
+    """The clock of the ground station or the recorder is more than a minute from UTC."""
     return warning(
         TIME_SOURCES,
         "by the {recorder} it would be {apart_s:+.0f} s from the UTC of {used}, which are used",

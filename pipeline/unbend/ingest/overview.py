@@ -33,12 +33,13 @@ def flight_of(
 
     Latitude and longitude where the log begins, to 0.001 degrees (100 m). Heights [m] above
     ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where the log begins standing
-    still, and not in a hover by the ``evidence`` of the log.
+    still, and not in a hover by the ``evidence`` of the log. What is unknown is None; without any
+    position the result is empty.
     """
     lat_rad = position["lat_rad"]
     lon_rad = position["lon_rad"]
-    known = np.isfinite(lat_rad + lon_rad)
-    if not bool(known.any()):
+    has_place = np.isfinite(lat_rad + lon_rad)
+    if not bool(has_place.any()):
         return {}
     column = height.height_column
     heights_m = np.full(len(position), np.nan)
@@ -57,7 +58,7 @@ def flight_of(
         h_msl_m=heights_m,
     )
     take_off = takeoff_of(path, None, evidence)
-    first = int(np.argmax(known))
+    first = int(np.argmax(has_place))
     start_ns = int(position.time_ns[first])
     duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9
     return {
@@ -73,9 +74,10 @@ def flight_of(
 
 
 def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The flight (`flight_of`), and for each role its channel as of a mission file that names none.
+    """The flight (`flight_of`), and for each role the channel that is chosen automatically.
 
-    ``rate_hz``, ``samples``, a ``remark`` (true samples, or what lacks), ``others`` to be named.
+    With each role: ``rate_hz`` and ``samples`` of its channel, a ``remark`` (how good the samples
+    are, or why no channel is chosen), and ``others`` that a mission file may name instead.
     """
     chosen, notes = assign_roles(channels, {}, needs_cabin=False)
     position = chosen.get("position")
@@ -108,10 +110,11 @@ def receivers_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
     """Each receiver of a log: its vehicle, what it is good for, and why."""
     vehicles = Vehicles.of(channels)
     rows = []
-    for name in vehicles.names or ("",):
+    for name in vehicles.names or ("",):  # "": a log of one vehicle does not name it
         of_vehicle = vehicles.channels_of(name, channels)
         chosen, _ = assign_roles(of_vehicle, {}, needs_cabin=False)
         for channel in of_vehicle:
+            # a channel of no vehicle is among the channels of each
             if is_receiver(channel) and vehicles.of_channel(channel) == name:
                 rows.append(
                     {
@@ -190,10 +193,14 @@ def _why_none(role: str, able: Sequence[str], notes: Notes) -> str:
 
 
 def remark_on(channel: Channel, role: str, height: Channel | None) -> str:
-    """Whether the samples of a channel can be what its role asks for, in a few words."""
+    """How good the samples of a channel are for a role, in a few words.
+
+    Said is the first that holds: the unit is of another quantity; samples are not used, and why;
+    the pressure follows the height or not; else the samples are plausible.
+    """
     try:
         kept, _ = plausible_samples(channel, role)
-    except MissionError as error:  # another unit
+    except MissionError as error:  # a unit of another quantity
         return error.what
     rejected = count_by_reason([kept.removed.reason])
     if rejected:

@@ -32,10 +32,11 @@ TableReader = Callable[[str, str | None], Table]
 def with_possible_dates(
     contents: Contents, witnesses: Sequence[Witness], ledger: Ledger
 ) -> Contents:
-    """The contents, of which channels with an impossible date are moved to a possible one.
+    """The contents, with channels of an impossible date moved to a possible date.
 
-    The other clocks of the log decide: the recorder's, what the mission file and the name of the
-    file state. Where no date can be accepted, the times count from the first of them.
+    The other clocks of the log decide by how much: the recorder's, and the ``witnesses``, which are
+    what the mission file and the name of the file state. Where no date can be accepted, the times
+    of these channels count from the first of them, and UTC is unknown.
     """
     impossible = [channel for channel in contents.channels if _is_impossible(channel)]
     if not impossible:
@@ -44,16 +45,21 @@ def with_possible_dates(
     if contents.recorded_ns is not None:
         clocks.insert(0, Witness("log_time", contents.recorded_ns))
     rollovers = _reported_rollovers(impossible, clocks, ledger)
-    shift_ns = rollovers * ROLLOVER_NS
-    if not rollovers:
+    if rollovers:
+        shift_ns = rollovers * ROLLOVER_NS
+        sigma_s = contents.utc_sigma_s
+    else:
         shift_ns = -min(int(channel.time_ns[0]) for channel in impossible)
-    moved = []
+        sigma_s = float("nan")
+    channels = []
     for channel in contents.channels:
         is_moved = any(channel is other for other in impossible)
-        moved.append(_later(channel, shift_ns) if is_moved else channel)
-    sigma_s = contents.utc_sigma_s if rollovers else float("nan")
+        channels.append(_later(channel, shift_ns) if is_moved else channel)
     return replace(
-        contents, channels=tuple(moved), table=_later_table(contents, shift_ns), utc_sigma_s=sigma_s
+        contents,
+        channels=tuple(channels),
+        table=_later_table(contents, shift_ns),
+        utc_sigma_s=sigma_s,
     )
 
 
@@ -65,7 +71,7 @@ def _reported_rollovers(
     stated = date_text(stated_ns)
     names = ", ".join(channel.name for channel in impossible)
     rollovers = missed_rollovers(stated_ns, clocks, of_receiver=False)
-    if rollovers:
+    if rollovers:  # never 0 of an impossible date; None where no clock confirms one
         ledger.add(
             messages.week_rollover(
                 where=names,

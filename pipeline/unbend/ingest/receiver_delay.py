@@ -38,6 +38,7 @@ UNKNOWN_SIGMA_S = 0.15  # without a setting and an estimate nothing is applied; 
 # A filter that allows for a wrong delay leads or lags by the difference, which the estimate takes
 # up: 11 and 21 ms on the logs of ArduPilot's simulator.
 _FILTER_SIGMA_S = 0.015
+_LARGEST_MEDIAN_SIGMA_S = 0.015  # rows of one delay agree better than that
 _LARGEST_DELAY_S = 0.5
 _LEAST_DELAY_S = 0.005  # receivers need more; positions that are closer are stamped at their epoch
 _LEAST_ROWS = 100  # of a fast flight; the median of fewer is not sure enough
@@ -65,9 +66,13 @@ class ReceiverDelay:
 def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
     """The contents with the delay of the receiver taken out of all times.
 
-    UTC from late stamps is too early by the delay: all times of the vehicle become later by that.
-    The times of fixes become earlier by the delay of their own receiver, and so those of their
-    epochs. Logs without a receiver of an autopilot, or stamped in UTC, are returned as they are.
+    The UTC of a fix is paired with its late stamp, so that every time of the vehicle is too early
+    by the delay of the receiver that sets UTC. Therefore:
+
+    - All channels of its vehicle become later by that delay.
+    - The fixes of each receiver become earlier by the receiver's own delay: their epochs.
+
+    Contents without fixes by one of `_RECEIVERS` are returned as they are.
     """
     receivers = [
         channel
@@ -77,14 +82,14 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
     if not receivers:
         return contents
     delays = {channel.name: _delay_of(channel, contents) for channel in receivers}
-    main = max(receivers, key=len)  # UTC is from the receiver with the most rows
-    delay = delays[main.name]
-    ledger.add(_accuracy_note(main, delay, contents.utc_sigma_s))
+    utc_receiver = max(receivers, key=len)  # UTC is from the receiver with the most rows
+    delay = delays[utc_receiver.name]
+    ledger.add(_accuracy_note(utc_receiver, delay, contents.utc_sigma_s))
     later_ns = round(delay.delay_s * 1e9)
     channels = []
     for channel in contents.channels:
         shift_ns = 0
-        if channel.source.system == main.source.system:
+        if channel.source.system == utc_receiver.source.system:
             shift_ns += later_ns
         if channel.name in delays:
             shift_ns -= round(delays[channel.name].delay_s * 1e9)
@@ -99,7 +104,10 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
 
 
 def _accuracy_note(receiver: Channel, delay: ReceiverDelay, clock_sigma_s: float) -> Message:
-    """How accurate UTC is: by the delay of the receiver, or by the clock that gives UTC."""
+    """How accurate UTC is: by the delay of the receiver, or by the clock that gives UTC.
+
+    ``clock_sigma_s``: 0 where a receiver gives UTC, NaN where UTC is unknown.
+    """
     if clock_sigma_s == 0.0:
         return messages.utc_accuracy(
             receiver=receiver.name,
@@ -120,7 +128,7 @@ def _accuracy_note(receiver: Channel, delay: ReceiverDelay, clock_sigma_s: float
 def _with_delay(assessment: ClockAssessment, delay: ReceiverDelay) -> ClockAssessment:
     """What a clock is good for, with the uncertainty of the delay where a receiver sets it."""
     if assessment.sigma_s is None or assessment.sigma_s >= UNCHECKED_SIGMA_S:
-        return assessment
+        return assessment  # of unknown accuracy, or of a clock that no receiver sets
     sigma_s = float(np.hypot(assessment.sigma_s, delay.sigma_s))
     return replace(
         assessment, sigma_s=sigma_s, why=f"{assessment.why}; fixes are late, {delay.origin}"
@@ -165,9 +173,14 @@ def _delay_of(receiver: Channel, contents: Contents) -> ReceiverDelay:
 def stated_delay(
     receiver: Channel, parameters: Mapping[str, float], texts: Iterable[str]
 ) -> ReceiverDelay:
-    """The delay by the autopilot's setting; 0 stands for what the driver of the receiver takes."""
+    """The delay of a receiver by the first setting of the autopilot that states one.
+
+    - A setting above 0: that delay. One that no receiver has is passed over.
+    - A setting of 0: the delay that the driver assumes for the kind of receiver in ``texts``.
+    - No setting: 0 s, with `UNKNOWN_SIGMA_S`.
+    """
     for name in _settings_of(receiver):
-        value_ms = parameters.get(name, float("nan"))
+        value_ms = parameters.get(name, float("nan"))  # NaN: the log has no such setting
         if 0.0 < value_ms < _LARGEST_DELAY_S * 1e3:
             return ReceiverDelay(value_ms / 1e3, STATED_SIGMA_S, f"by {name}")
         if value_ms == 0.0:
@@ -210,25 +223,30 @@ class _Motion:
         apart_m = wrapped(self.fixes_rad - self.places_rad(epoch_ns)) * self.m_per_rad
         after = self.places_rad(epoch_ns + _HALF_BASE_NS)
         before = self.places_rad(epoch_ns - _HALF_BASE_NS)
-        speed_m_s = wrapped(after - before) * self.m_per_rad / (2e-9 * _HALF_BASE_NS)
+        base_s = 2e-9 * _HALF_BASE_NS
+        speed_m_s = wrapped(after - before) * self.m_per_rad / base_s
         speed_squared = (speed_m_s**2).sum(axis=0)
-        used = np.isfinite(speed_squared) & np.isfinite(apart_m).all(axis=0)
-        if np.count_nonzero(used) < _LEAST_ROWS:
+        is_known = np.isfinite(speed_squared) & np.isfinite(apart_m).all(axis=0)
+        if np.count_nonzero(is_known) < _LEAST_ROWS:
             return np.empty(0)
-        high_speed_m_s = float(np.sqrt(np.percentile(speed_squared[used], 90.0)))
+        high_speed_m_s = float(np.sqrt(np.percentile(speed_squared[is_known], 90.0)))
         least_m_s = max(_LEAST_SPEED_M_S, _FAST_SHARE * high_speed_m_s)
-        used &= speed_squared > least_m_s**2
-        if np.count_nonzero(used) < _LEAST_ROWS:
+        is_fast = is_known & (speed_squared > least_m_s**2)
+        if np.count_nonzero(is_fast) < _LEAST_ROWS:
             return np.empty(0)
-        return np.asarray(-(apart_m * speed_m_s).sum(axis=0)[used] / speed_squared[used])
+        # How far a fix lies behind, along the flight, over the speed: both times the speed.
+        behind = -(apart_m * speed_m_s).sum(axis=0)
+        return np.asarray(behind[is_fast] / speed_squared[is_fast])
 
 
 def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
     """The delay of fixes behind the positions of the filter that follows them, both as stamped.
 
     Fixes lie behind by the speed times the delay; the median of all rows in fast flight counts.
-    None where these rows are few or do not agree. Accuracy against the truth of two simulator
-    flights: 1 ms for the positions of the filter, which themselves lead by 11 and 21 ms.
+    A delay of less than `_LEAST_DELAY_S` is returned as 0: the fixes are stamped at their epochs.
+    None where the rows in fast flight are few or do not agree, and where their delay is one that no
+    receiver has. Accuracy against the truth of two simulator flights: 1 ms for the positions of the
+    filter, which themselves lead by 11 and 21 ms.
     """
     step = max(len(receiver) // MOST_ROWS, 1)  # memory has its peak here
     fixes_rad = np.stack([receiver["lat_rad"][::step], receiver["lon_rad"][::step]])
@@ -248,20 +266,22 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
         if not behind_s.size:
             return None
         delay_s += float(np.median(behind_s))
-    sigma_s = _sigma_of_median(behind_s, receiver.rate_hz / step)
-    if sigma_s > _FILTER_SIGMA_S or not -_LEAST_DELAY_S < delay_s < _LARGEST_DELAY_S:
+    median_sigma_s = _sigma_of_median(behind_s, receiver.rate_hz / step)
+    if median_sigma_s > _LARGEST_MEDIAN_SIGMA_S:
         return None
-    applied_s = delay_s if delay_s > _LEAST_DELAY_S else 0.0
+    if not -_LEAST_DELAY_S < delay_s < _LARGEST_DELAY_S:
+        return None
+    is_stamped_at_epoch = delay_s <= _LEAST_DELAY_S
     return ReceiverDelay(
-        delay_s=applied_s,
-        sigma_s=float(np.hypot(sigma_s, _FILTER_SIGMA_S)),
+        delay_s=0.0 if is_stamped_at_epoch else delay_s,
+        sigma_s=float(np.hypot(median_sigma_s, _FILTER_SIGMA_S)),
         origin=f"estimated from {behind_s.size} of them against {fused.name}",
     )
 
 
 def _sigma_of_median(behind_s: Array, rate_hz: float) -> float:
-    """The sigma of the median delay [s] of rows whose errors last some seconds."""
+    """The sigma of the median delay [s] of rows whose errors last `_CORRELATION_S`."""
     scatter_s = _SIGMA_OF_MAD * float(np.median(np.abs(behind_s - np.median(behind_s))))
     rows_of_one_error = max(_CORRELATION_S * rate_hz, 1.0)
-    independent = behind_s.size * min(1.0, 1.0 / rows_of_one_error)
-    return float(_SIGMA_OF_MEDIAN * scatter_s / np.sqrt(independent))
+    independent_rows = behind_s.size * (1.0 / rows_of_one_error)
+    return float(_SIGMA_OF_MEDIAN * scatter_s / np.sqrt(independent_rows))

@@ -74,8 +74,8 @@ def open_log(
         with path.open("rb") as stream:
             head = stream.read(HEAD_BYTES)
         form = _format_of(path, head)
-        # before the work, so that a change meanwhile shows; where the head is of no format, only
-        # reading shows whether it is a log at all
+        # The hash is taken before the file is read, so that a later change of the file shows. A
+        # file with another head, which may be no log at all, is hashed only if it could be read.
         if form.matches(head) and not sha256:
             sha256 = hash_file(path)
         clocks = _witnesses(path, date_ns)
@@ -116,7 +116,11 @@ def _check_file(path: Path) -> None:
 
 
 def _format_of(path: Path, head: bytes) -> LogFormat:
-    """The format of a file by its first bytes, where these show none by its extension."""
+    """The format of a file by its first bytes; by its extension where these are of no format.
+
+    Raises LogError where the first bytes are of another format than the extension, where they are
+    of a related format that is not read, and where neither is known.
+    """
     extension = path.suffix.lower()
     by_extension = next((form for form in FORMATS if extension in form.extensions), None)
     by_content = next((form for form in FORMATS if form.matches(head)), None)
@@ -158,7 +162,8 @@ def _read(
     needs_channels: bool,
 ) -> Contents:
     """The contents of a log with its channels checked and sorted; LogError if nothing is usable."""
-    contents = with_possible_dates(form.read(path, ledger, clocks), clocks, ledger)
+    decoded = form.read(path, ledger, clocks)
+    contents = with_possible_dates(decoded, clocks, ledger)
     channels = []
     for channel in contents.channels:
         checked = ledger.take(mask_impossible_values(channel))
@@ -174,7 +179,8 @@ def _read(
             damage=list(ledger)[:LISTED_DAMAGE],
             known=KNOWN,
         )
-    if needs_channels and all(channel.is_evidence for channel in channels):
+    has_measurements = any(not channel.is_evidence for channel in channels)
+    if needs_channels and not has_measurements:
         raise messages.no_wanted_messages(
             path=str(path),
             total=sum(contents.messages.values()),
@@ -182,5 +188,5 @@ def _read(
             unread=contents.unread_encodings,
         )
     counts = dict(sorted(contents.messages.items()))
-    contents = replace(contents, messages=counts, channels=tuple(channels))
-    return with_receiver_delay(contents, ledger)
+    checked_contents = replace(contents, messages=counts, channels=tuple(channels))
+    return with_receiver_delay(checked_contents, ledger)

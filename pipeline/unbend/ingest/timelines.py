@@ -88,7 +88,9 @@ class Timeline:
 
 
 def microseconds(raw: NDArray[Any]) -> TimeArray:
-    """Time fields of any type as a new int64 array [us]; what no log can last is cut at `LAST_US`.
+    """Time fields of any type as a new int64 array [us], cut at `LAST_US`, which no log lasts.
+
+    NaN becomes `LAST_US` too; what is below 0 becomes 0 among floats, and `LAST_US` else.
 
     >>> microseconds(np.array([7, 2**64 - 1], np.uint64)).tolist() == [7, 2**52]
     True
@@ -96,8 +98,7 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
     if raw.dtype.kind == "f":
         known = np.nan_to_num(raw, nan=clock.LAST_US)
         return np.asarray(known.clip(0, clock.LAST_US), np.int64)
-    # what is below 0 becomes huge
-    unsigned = raw.astype(np.uint64, copy=False)
+    unsigned = raw.astype(np.uint64, copy=False)  # what is below 0 becomes huge
     last_us = np.uint64(clock.LAST_US)
     cut_us = np.minimum(unsigned, last_us)
     return np.asarray(cut_us.view(np.int64), np.int64)
@@ -120,7 +121,7 @@ class _Stretch(NamedTuple):
 
 
 def _stretches_of(places: Integers, time_ns: TimeArray) -> list[_Stretch]:
-    """The stretches of some records, at least one, that follow each other in a log."""
+    """The stretches of records, of which there is at least one, in the order of the log."""
     cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > clock.BOOT_STEP_NS) + 1
     starts = np.append(0, cuts)
     stops = np.append(cuts, time_ns.shape[0])
@@ -157,14 +158,13 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
             continue
         new_stretches = _stretches_of(places, time_ns)
         if stretches and _goes_on(stretches[-1], new_stretches[0]):
-            continuation = new_stretches.pop(0)
-            last = stretches.pop()
-            records = last.length + continuation.length
-            whole = last._replace(
+            last = stretches[-1]
+            continuation = new_stretches[0]
+            stretches[-1] = last._replace(
                 end=continuation.end,
-                length=records,
+                length=last.length + continuation.length,
             )
-            stretches.append(whole)
+            new_stretches = new_stretches[1:]
         stretches += new_stretches
     begin = np.array([stretch.begin for stretch in stretches], np.int64)
     end = np.array([stretch.end for stretch in stretches], np.int64)
@@ -194,7 +194,7 @@ def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> Integers:
     steps_ns = begin[steady][1:] - end[steady][:-1]
     steps_back = steps_ns < -clock.BOOT_STEP_NS
     boot_of_steady = np.append(0, np.cumsum(steps_back))
-    last_steady = np.maximum(np.cumsum(steady) - 1, 0)
+    last_steady = np.maximum(np.cumsum(steady) - 1, 0)  # of stray ones before all: the first
     return np.asarray(boot_of_steady[last_steady], np.int64)
 
 

@@ -65,9 +65,14 @@ def missed_rollovers(
 ) -> int | None:
     """How many rollovers of the GPS week a date lacks; None where no date can be accepted.
 
-    ``witnesses``: the strongest first; those whose own date is impossible do not count. Where the
-    clock is not ``of_receiver``, an early date may as well be that with which it began: it is moved
-    only if a witness confirms that.
+    ``witnesses``: other clocks, the strongest first; those whose own date is impossible do not
+    count. The first of these rules that applies decides:
+
+    - A witness confirms the date, or the date after some rollovers: these, 0 if it stands.
+    - The date is possible: 0.
+    - There is a witness, and none confirms a date: None.
+    - The clock is not ``of_receiver``: None, as the date may be the one with which it began.
+    - One number of rollovers alone makes the date possible: that number. Else None.
 
     >>> june_2010 = 1_276_000_000 * 10**9
     >>> missed_rollovers(june_2010, []), missed_rollovers(june_2010 - ROLLOVER_NS, [])
@@ -104,11 +109,11 @@ def date_in_name(name: str) -> Witness | None:
     """
     for year, month, day in _DATE_IN_NAME.findall(name):
         try:
-            noon = date(int(year), int(month), int(day))
+            stated = date(int(year), int(month), int(day))
         except ValueError:
             continue
-        time_ns = (noon - date(1970, 1, 1)).days * DAY_NS + DAY_NS // 2
-        return Witness("the file's name", time_ns, is_weak=True)
+        noon_ns = (stated - date(1970, 1, 1)).days * DAY_NS + DAY_NS // 2
+        return Witness("the file's name", noon_ns, is_weak=True)
     return None
 
 

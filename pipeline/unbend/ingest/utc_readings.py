@@ -45,7 +45,7 @@ class UtcReadings:
         if self.fix.size:
             good &= self.fix >= LOWEST_FIX
         good_utc_ns = self.utc_ns if bool(good.all()) else self.utc_ns[good]
-        good[good] = clock.new_readings(good_utc_ns)
+        good[good] = clock.new_readings(good_utc_ns)  # of the good rows only the new ones stay good
         if bool(good.all()):
             return self
         return self.rows(good)
@@ -102,8 +102,8 @@ class DateCheck:
     def acceptable(self, source: UtcReadings, ledger: Ledger) -> UtcReadings:
         """The rows of a source in the boots whose date can be accepted, repaired where it can be.
 
-        A clock that nothing has set (``sigma_s`` above 0) is not accepted against a recorder that
-        is more than a day away.
+        The date of each boot is either not accepted, which drops its rows, or moved by the
+        rollovers that it lacks, or stands. Only what stands is not reported.
         """
         boots = self.line.boot_of(source.places)
         utc_ns = source.utc_ns
@@ -112,7 +112,7 @@ class DateCheck:
             rows = boots == number
             stated_ns = source.day_in(rows)
             clocks = self._clocks_of(number)
-            rollovers = missed_rollovers(stated_ns, clocks, of_receiver=not source.sigma_s)
+            rollovers = missed_rollovers(stated_ns, clocks, of_receiver=source.sigma_s == 0.0)
             place = place_of_boot(self.where, number)
             words = source.counted(int(np.count_nonzero(rows)))
             if rollovers is None or self._is_unset(source, stated_ns, clocks):
@@ -123,7 +123,8 @@ class DateCheck:
                     )
                 )
             elif rollovers:
-                utc_ns = utc_ns.copy() if utc_ns is source.utc_ns else utc_ns
+                if utc_ns is source.utc_ns:  # the rows of the source itself stay as they are
+                    utc_ns = utc_ns.copy()
                 utc_ns[rows] = clock.later_by_rollovers(
                     utc_ns[rows], rollovers, from_gps_week=source.from_gps_week
                 )
@@ -154,8 +155,12 @@ class DateCheck:
 
     @staticmethod
     def _is_unset(source: UtcReadings, stated_ns: int, clocks: Sequence[Witness]) -> bool:
-        """Whether a clock that no receiver has set contradicts the strongest other clock."""
-        if not source.sigma_s or not clocks or clocks[0].is_weak:
+        """Whether a clock that no receiver has set is more than a day off the strongest other one.
+
+        A weak other clock does not count.
+        """
+        is_set_by_receiver = source.sigma_s == 0.0
+        if is_set_by_receiver or not clocks or clocks[0].is_weak:
             return False
         return abs(stated_ns - clocks[0].time_ns) > DAY_NS
 

@@ -74,10 +74,16 @@ def cabin_from_log(
 ) -> tuple[Stations, Notes]:
     """The stations with the logged air in the cabin of a camera, and notes on what the log lacks.
 
-    If the pressure is to come from the log, exposures without it become suspect (CABIN-MISSING); if
-    it is to be that of the air outside, a barometer that reads much more is reported. A temperature
-    that neither mission file nor schedule states comes from the log: exposures without it are
-    counted here and get one in `air_in`; that of a circuit board is made that of the air.
+    Pressure, by the source that the mission file states:
+
+    * log: exposures without a pressure become suspect (CABIN-MISSING);
+    * ambient, the air outside: a barometer of the log that reads much more is reported;
+    * constant or standard_schedule: the log is not asked.
+
+    Temperature, unless mission file or schedule states it:
+
+    * a note counts the exposures without a logged temperature; `air_in` gives them the usual one;
+    * the temperature of a circuit board is made that of the air.
     """
     roles = roles or {}
     channels = tuple(channels)
@@ -86,20 +92,20 @@ def cabin_from_log(
         candidates = candidates_for_cabin("pressure", channels, roles)
         stations, losses = suspect_without_pressure(stations, camera, candidates)
         notes += losses
-    of_camera = (stations.camera == camera) & stations.ok
+    of_camera = (stations.camera == camera) & stations.ok  # without those that are suspect now
     if cabin.source == "ambient":
         notes += barometer_in_cabin(stations, of_camera, camera, channels, roles)
 
     is_temperature_stated = cabin.source == "standard_schedule" or np.isfinite(cabin.temperature_k)
     if is_temperature_stated:
         return stations, tuple(notes)
-    count = int((of_camera & np.isnan(stations.cabin_temperature_k)).sum())
-    if count:
+    without_temperature = int((of_camera & np.isnan(stations.cabin_temperature_k)).sum())
+    if without_temperature:
         notes.append(
             messages.cabin_temperature_assumed(
                 kind=Kind.LOSS if cabin.temperature_logged else Kind.FALLBACK,
                 where=f"camera {camera}",
-                count=count,
+                count=without_temperature,
                 able=candidates_for_cabin("temperature", channels, roles),
             )
         )
@@ -136,9 +142,9 @@ def with_air_of_board(
 def suspect_without_pressure(
     stations: Stations, camera: str, candidates: str
 ) -> tuple[Stations, list[Message]]:
-    """The stations, in which those of a camera are suspect if the pressure in its cabin is unknown.
+    """The stations, those of a camera as suspect at which the pressure in its cabin is unknown.
 
-    Also the loss that counts these suspect stations, if there are any. ``candidates`` says in words
+    Returned with them is the loss that counts these, if there are any. ``candidates`` says in words
     which channels of the log could have the pressure.
     """
     missing = np.isnan(stations.cabin_pressure_pa) & (stations.camera == camera) & stations.ok
@@ -178,9 +184,9 @@ def barometer_in_cabin(
     channels: Iterable[Channel],
     roles: Mapping[str, Channel],
 ) -> list[Message]:
-    """A finding if a barometer of the log reads far more than the pressure of the air outside.
+    """A finding of the first barometer of the log that reads far more than the air outside has.
 
-    The first such barometer is reported. None is where the log gives no pressure outside.
+    The list is empty without such a barometer, or if the log gives no pressure of the air outside.
     """
     outside = roles.get("pressure")
     if outside is None:
@@ -317,17 +323,20 @@ def first_known(*values: ArrayLike) -> Array:
 def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
     """The air in a cabin: its pressure by the source that is stated, the rest by what is known.
 
-    The temperature is the stated one, else the schedule's or the logged one, else 21 degC. The
-    humidity is the stated one, else the logged one, else that of the air outside if the cabin has
-    that air, else none. Stated sigmas come first; a stated temperature has no other.
+    * Temperature: the stated one; else with a schedule that of the schedule, otherwise the logged
+      one; else 21 degC.
+    * Humidity: the stated one; else with a schedule none, otherwise the logged one; else that of
+      the air outside if the cabin has that air; else none.
+    * Sigmas: the stated ones; else those of the sensors, or of the usual temperature. A temperature
+      that is stated without a sigma has none (NaN).
     """
     blank = np.full(logged.pressure_pa.shape, np.nan)  # makes a column of a number in first_known
-    temperature_logged = logged.temperature_k
-    vapour_logged = logged.vapour_pressure_pa
-    scheduled = cabin.source == "standard_schedule"
-    if scheduled:  # what is logged may be of another cabin
-        temperature_logged = np.full(blank.shape, SCHEDULE_TEMPERATURE_K)
-        vapour_logged = np.zeros(blank.shape)
+    is_scheduled = cabin.source == "standard_schedule"
+    temperature_if_unstated = logged.temperature_k
+    vapour_if_unstated = logged.vapour_pressure_pa
+    if is_scheduled:  # what is logged may be of another cabin
+        temperature_if_unstated = np.full(blank.shape, SCHEDULE_TEMPERATURE_K)
+        vapour_if_unstated = np.zeros(blank.shape)
 
     pressure = {
         "log": logged.pressure_pa,
@@ -337,21 +346,23 @@ def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
     }[cabin.source]
     sigma_p = SIGMA_BAROMETER_PA if cabin.source in ("log", "ambient") else np.nan
 
-    temperature = first_known(blank, cabin.temperature_k, temperature_logged, USUAL_TEMPERATURE_K)
+    temperature = first_known(
+        blank, cabin.temperature_k, temperature_if_unstated, USUAL_TEMPERATURE_K
+    )
     if np.isfinite(cabin.temperature_k):
         sigma_t = blank
     else:
-        measured = np.isfinite(temperature_logged) & (not scheduled)
+        is_measured = np.isfinite(temperature_if_unstated) & (not is_scheduled)
         of_thermometer = first_known(logged.sigma_temperature_k, SIGMA_THERMOMETER_K)
         assumed = usual_sigma(pressure, outside.pressure_pa)
-        sigma_t = np.where(measured, of_thermometer, assumed)
+        sigma_t = np.where(is_measured, of_thermometer, assumed)
 
-    vapour_outside = outside.vapour_pressure_pa if cabin.source == "ambient" else 0.0
-    stated = vapour_pressure(cabin.relative_humidity, temperature, pressure)
+    vapour_stated = vapour_pressure(cabin.relative_humidity, temperature, pressure)
+    vapour_if_unknown = outside.vapour_pressure_pa if cabin.source == "ambient" else 0.0
     return CabinAir(
         pressure_pa=pressure,
         temperature_k=temperature,
-        vapour_pressure_pa=first_known(stated, vapour_logged, vapour_outside),
+        vapour_pressure_pa=first_known(vapour_stated, vapour_if_unstated, vapour_if_unknown),
         sigma_pressure_pa=first_known(blank, cabin.sigma_pressure_pa, sigma_p),
         sigma_temperature_k=first_known(blank, cabin.sigma_temperature_k, sigma_t),
     )
@@ -376,6 +387,7 @@ def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: In
     slopes[:, 1] = by_temperature / (2.0 * _STEP_K)
     for name, lens in lenses.items():
         slopes[stations.camera == name, 2:] = lens.px_per_pa, lens.px_per_k
+    # Both sigmas side by side twice: for the refractivity, and for the principal distance.
     changes = slopes * np.tile(np.nan_to_num(sigmas), 2)
     changes[np.isnan(sigmas).all(axis=1)] = np.nan
     return np.asarray(changes)

@@ -73,8 +73,8 @@ def correct_parts(
     schema = schema_of(columns, metadata, observations.user_fields)
 
     def correct_part(number: int, batch: Batch) -> Done:
-        sampled = math.ceil(SAMPLED_ROWS * len(batch) / observations.rows)
-        corrections, h_g, statistics = correct_counted(batch, setup, sampled)
+        share_of_sample = math.ceil(SAMPLED_ROWS * len(batch) / observations.rows)
+        corrections, h_g, statistics = correct_counted(batch, setup, share_of_sample)
         table = table_of_observations(batch, corrections, h_g, observations.pixels, schema)
         return finish(CorrectedPart(number, table, statistics))
 
@@ -183,7 +183,7 @@ def correct_batch(
     parts: list[tuple[Integers, Corrections]] = []
     for rows, camera, profile in setup.groups(station):
         correct = partial(correct_rows, batch, camera=camera, profile=profile)
-        if rows.size == len(batch):  # a slice spares the copies
+        if rows.size == len(batch):  # the only group: a slice of all rows spares the copies
             return correct(slice(None), station, ground, setup)
         corrections = correct(rows, station, ground, setup)
         parts.append((rows, corrections))

@@ -53,11 +53,11 @@ class Distribution:
         """
         if self.total == 0:
             return None
-        number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
-        if number == 0:
+        bin_number = int(np.searchsorted(np.cumsum(self.counts), share * self.total))
+        if bin_number == 0:
             return 0.0
-        middle = float(middle_of_bins(np.array(number)))
-        return min(middle, self.maximum)
+        middle = float(middle_of_bins(np.array(bin_number)))
+        return min(middle, self.maximum)  # the middle of the last bin may lie beyond
 
     def __add__(self, other: Distribution) -> Distribution:
         return Distribution(
@@ -83,8 +83,8 @@ class Distribution:
         # A maximum that is a multiple of the step belongs to the last bin, not to one behind it.
         below_maximum = self.maximum * (1.0 - 1e-12)
         values = np.minimum(middle_of_bins(filled), below_maximum)
-        number = (values / step).astype(np.int64)
-        counts = np.bincount(number, self.counts[filled]).astype(np.int64)
+        step_number = (values / step).astype(np.int64)
+        counts = np.bincount(step_number, self.counts[filled]).astype(np.int64)
         return HistogramRecord(step, counts.tolist())
 
     def summary(self) -> DistributionRecord:

@@ -56,7 +56,8 @@ def read_positions(
         if gives_attitude:
             channel = with_aircraft_attitude(mission, camera, channel)
             replaced += ("attitude",)
-        elif mission.log is None and "attitude" not in flight.roles:  # those of a trajectory
+        elif mission.log is None and "attitude" not in flight.roles:
+            # Without a log the roles are those of a trajectory, if there is one.
             raise messages.stations_without_attitude(where=where)
         places = "" if source.times_only else f", and where the {source.reference_point} was then"
         ledger.add(
@@ -71,6 +72,7 @@ def read_positions(
 
 def with_aircraft_attitude(mission: Mission, camera: str, channel: Channel) -> Channel:
     """A channel of a camera's attitudes with those of the aircraft, by the mount."""
+    # The channel has the attitudes of a body in which the camera would be at rest.
     at_rest = np.stack([channel[f"q_{axis}"] for axis in "wxyz"], axis=1)
     mount = mission.mounts[camera]
     of_body = in_turned_frame(at_rest, CAMERA_AT_REST.T @ mount.camera_from_body)
@@ -121,7 +123,10 @@ def events_of_cameras(
     *,
     ledger: Ledger,
 ) -> list[Events]:
-    """When each camera was exposed: one `Events` for each camera that a source names."""
+    """When each camera was exposed: one `Events` for each camera that the source names.
+
+    The source is the log, or files with positions, or the table of events.
+    """
     if section.log is not None:
         return events_of_log(section, flight, ledger)
     if section.positions is not None:
@@ -170,10 +175,11 @@ def events_of_table(mission: Mission, section: EventsSection, table: EventTable)
 def camera_of_rows(
     mission: Mission, given: Names | None, only: str | None, count: int, *, where: str
 ) -> Names:
-    """(n,) the camera of each row of a table.
+    """(n,) the camera of each of ``count`` rows of a table.
 
-    That is the camera which the table gives, or else the stated one (``only``), or else the only
-    camera of the mission. Refuses (EVENTS-CAMERA) rows of a camera that is unknown or not defined.
+    It is that of the column of cameras (``given``), if the table has one; else the camera that the
+    mission file states for all rows (``only``); else the mission's only camera. Refuses
+    (EVENTS-CAMERA) rows of a camera that is unknown or not defined.
     """
     cameras = list(mission.cameras)
     named = given
@@ -191,19 +197,31 @@ def camera_of_rows(
 def events_of_file(
     channel: Channel, camera: str, image: str, delay_s: float, ledger: Ledger
 ) -> Events:
-    """Exposures of a file with positions, named by it or by a pattern."""
+    """Exposures of a file with positions, whose names are in the file or follow a pattern.
+
+    With a pattern the field `Events.counts` says whether the numbers of the file only count its
+    rows, so that a lost event would shift them:
+
+    * "always" for RTKLIB, whose files have no numbers of their own;
+    * "maybe" if the numbers are 1, 2, 3 ... without a gap, as a program that renumbers writes them;
+    * "no" for other numbers.
+
+    Refuses a pattern with ``{index}`` if the numbers fall from one event to the next.
+    """
     if image == "{name}":
         return events_by_names(channel, camera, delay_s, ledger)
-    index = channel["event_index"].astype(np.int64)
-    falling = int(np.count_nonzero(np.diff(exposures.unwrapped_numbers(index)) < 0))
+    numbers = channel["event_index"].astype(np.int64)
+    falling = int(np.count_nonzero(np.diff(exposures.unwrapped_numbers(numbers)) < 0))
     events = ledger.take(events_of_channel(channel, camera, image, ExposureDelay(delay_s)))
     if falling and "{index" in image:
         raise messages.numbers_fall(where=channel.name, count=falling)
     warn_of_order(falling, channel, ledger)
     if channel.source.message == "RTKLIB":
         return replace(events, counts="always")
-    whole = np.array_equal(index, np.arange(1, index.size + 1))
-    return replace(events, counts="maybe" if whole else "no")
+    count_from_one = np.arange(1, numbers.size + 1)
+    if np.array_equal(numbers, count_from_one):
+        return replace(events, counts="maybe")
+    return replace(events, counts="no")
 
 
 def events_by_names(channel: Channel, camera: str, delay_s: float, ledger: Ledger) -> Events:

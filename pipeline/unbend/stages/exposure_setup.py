@@ -84,7 +84,7 @@ def exposures_of(
     n_outside = profile.refractivity(h)
     n_in_cabin = n_outside.copy()
     normal = np.tile(OPTICAL_AXIS, (len(stations), 1))  # where no window bends, of no effect
-    change = np.zeros(len(stations))  # of the principal distance [px]
+    principal_change_px = np.zeros(len(stations))
     for name in dict.fromkeys((*windows, *lenses)):
         rows = stations.camera == name
         if not bool(rows.any()):
@@ -99,11 +99,11 @@ def exposures_of(
             aircraft = stations.aircraft_quaternion[rows]
             normal[rows] = window_normals(window, rotation[rows], aircraft)
         if lens is not None:
-            change[rows] = principal_change(lens, air.pressure_pa, air.temperature_k)
+            principal_change_px[rows] = principal_change(lens, air.pressure_pa, air.temperature_k)
             report_change(
                 name,
                 lens,
-                change_px=change[rows],
+                change_px=principal_change_px[rows],
                 pressure_pa=air.pressure_pa,
                 ok=stations.ok[rows],
                 ledger=ledger,
@@ -112,7 +112,7 @@ def exposures_of(
     # An exposure above the top of the profile has no air outside (NaN). It stays usable here and
     # gets the status outside_profile later.
     is_below_top = np.isfinite(n_outside)
-    air_unknown = is_below_top & (np.isnan(n_in_cabin) | np.isnan(change))
+    air_unknown = is_below_top & (np.isnan(n_in_cabin) | np.isnan(principal_change_px))
     attitude_known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(normal).all(axis=1)
     return Exposures(
         usable=stations.ok & attitude_known & ~air_unknown,
@@ -122,7 +122,7 @@ def exposures_of(
         refractivity_outside=n_outside,
         refractivity_cabin=n_in_cabin,
         window_normal=normal,
-        principal_change_px=np.nan_to_num(change),
+        principal_change_px=np.nan_to_num(principal_change_px),
         radius_m=radius_m,
     )
 

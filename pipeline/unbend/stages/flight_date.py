@@ -13,7 +13,7 @@ from unbend.stages import messages
 from unbend.units import NANOSECONDS_PER_SECOND
 
 FARTHEST_FROM_DATE_NS = 36 * 3600 * NANOSECONDS_PER_SECOND
-"""Of the exposures from a stated date: its noon, and the day line."""
+"""How far exposures may be from noon of the stated date: also in a place across the date line."""
 
 
 def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int | None:

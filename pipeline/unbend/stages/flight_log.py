@@ -66,18 +66,22 @@ class FlightLog:
     heads: Mapping[str, Channel] = field(default_factory=dict)
 
     def roles_of(self, camera: str) -> Roles:
-        """The roles for one camera.
+        """The channel of each role for one camera.
 
-        The attitude of a camera with a gimbal is that of the gimbal; the attitude in ``roles`` is
-        then that of the aircraft.
+        For a camera without a gimbal of its own they are ``self.roles``. With one (``heads``):
+
+        * "attitude" is the channel of that gimbal;
+        * "aircraft_attitude" is that of ``self.roles``, if it has one; else the attitude of
+          ``self.roles``, unless this is a gimbal's, too;
+        * all other roles are those of ``self.roles``.
         """
         if camera not in self.heads:
             return self.roles
-        roles = self.roles | {"attitude": self.heads[camera]}
-        aircraft = self.roles.get("attitude")
-        if aircraft is not None and not is_of_gimbal(aircraft.source.message):
-            roles.setdefault("aircraft_attitude", aircraft)
-        return roles
+        camera_roles = self.roles | {"attitude": self.heads[camera]}
+        common_attitude = self.roles.get("attitude")
+        if common_attitude is not None and not is_of_gimbal(common_attitude.source.message):
+            camera_roles.setdefault("aircraft_attitude", common_attitude)
+        return camera_roles
 
     def counts_from_boot(self, time_ns: Integers) -> Mask:
         """(n,) which times count from a boot, because the log has no UTC then."""
@@ -112,7 +116,8 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
     """
     log = inputs.log if mission.log is not None else None
     if log is None and inputs.trajectory is None:
-        return FlightLog(None, (), {}, {}, heights_of_roles(mission, inputs, {}, Ledger()))
+        heights = heights_of_roles(mission, inputs, {}, ledger)
+        return FlightLog(log=None, channels=(), roles={}, own={}, heights=heights)
 
     channels = channels_of_log(mission, log, ledger)
     trajectory = read_trajectory(mission, inputs, channels, ledger)
@@ -120,22 +125,31 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
     if log is None and "attitude" not in replaced:
         raise messages.stations_without_attitude(where="stations.trajectory")
 
-    roles = roles_of_channels(mission, channels, replaced, has_log=log is not None, ledger=ledger)
+    logged_roles = roles_of_channels(
+        mission, channels, replaced, has_log=log is not None, ledger=ledger
+    )
     heads = heads_of_cameras(mission, channels, ledger)
     if log is not None:
-        report_gimbals(mission, log, roles, heads, ledger)
-    heights = heights_of_roles(mission, inputs, roles, ledger)
-    own, own_suspect, notes = examine(channels, roles)
+        report_gimbals(mission, log, logged_roles, heads, ledger)
+    heights = heights_of_roles(mission, inputs, logged_roles, ledger)
+    # `own` are the logged roles, in which better sources of the log replace suspect samples.
+    own, own_suspect, notes = examine(channels, logged_roles)
     ledger.extend(notes)
 
+    # What the stations are built from: the log, or the trajectory where it replaces the log.
     roles = dict(own)
     suspect = own_suspect
     if trajectory is not None:
         suspect = tuple(stretch for stretch in own_suspect if stretch.quantity not in replaced)
         suspect += contradictions_of_import(trajectory, replaced, own, own_suspect)
-        section = mission.stations.trajectory
-        order = "ZYX" if section is None else section.angle_order
-        compare_with_log(trajectory, own, heights, ledger, replaces=replaced, angle_order=order)
+        compare_with_log(
+            trajectory,
+            own,
+            heights,
+            ledger,
+            replaces=replaced,
+            angle_order=angle_order_of_trajectory(mission),
+        )
         roles = with_trajectory(own, trajectory, replaced, ledger)
     roles, accuracy = with_accuracy(roles, channels)
     return FlightLog(
@@ -156,6 +170,7 @@ def report_gimbals(
 ) -> None:
     """Notes on the cameras without a gimbal of their own: whether one of the log turns them."""
     mounts = {camera: mount for camera, mount in mission.mounts.items() if camera not in heads}
+    # By the counts of messages a log is reported whose gimbals are not used; ``heads`` use them.
     message_counts = {} if heads else log.messages
     ledger.extend(gimbal_notes(message_counts, roles, mounts))
 
@@ -172,7 +187,7 @@ def channels_of_log(mission: Mission, log: Log | None, ledger: Ledger) -> tuple[
     names = names_of_roles(mission)
     channels = stated_channels(mission, log.channels)
     channels = channels_of_one_vehicle(mission, channels, names, ledger)
-    attitudes = [names.get("attitude", "")]
+    attitudes = [names.get("attitude", "")]  # "" if none is named
     for mount in mission.mount.values():
         if mount.attitude is not None:
             attitudes.append(mount.attitude)
@@ -259,6 +274,12 @@ def read_trajectory(
     return inputs.trajectory(stated, ledger)
 
 
+def angle_order_of_trajectory(mission: Mission) -> str:
+    """The order in which the angles of the trajectory turn; ZYX, the usual one, without any."""
+    section = mission.stations.trajectory
+    return "ZYX" if section is None else section.angle_order
+
+
 def replaced_roles(mission: Mission, trajectory: Channel) -> tuple[str, ...]:
     """The roles that a trajectory plays in place of the log: those stated, or all that it can.
 
@@ -292,17 +313,18 @@ def roles_of_channels(
     ``replaced`` are roles that a trajectory plays: the log need not fill them. Without a log no
     role is missed.
     """
-    roles = ledger.take(
+    played_elsewhere = replaced if has_log else ("position", "attitude")
+    assigned = ledger.take(
         assign_roles(
             channels,
             names_of_roles(mission),
             needs_cabin=any(camera.needs_cabin_from_log for camera in mission.cameras.values()),
-            elsewhere=replaced if has_log else ("position", "attitude"),
+            elsewhere=played_elsewhere,
             empty=() if mission.log is None else mission.log.channels.empty,
         )
     )
     plausible = {}
-    for role, channel in roles.items():
+    for role, channel in assigned.items():
         plausible[role] = ledger.take(plausible_samples(channel, role))
     return ledger.take(with_spares(plausible, channels, names_of_roles(mission)))
 
@@ -324,9 +346,10 @@ def heads_of_cameras(
             raise messages.attitude_channel_missing(
                 where=f"mount.{camera}.attitude", name=name, there=", ".join(attitudes) or "none"
             )
-        heads[camera] = ledger.take(plausible_samples(attitudes[name], "attitude"))
+        head = ledger.take(plausible_samples(attitudes[name], "attitude"))
         mount: Mount = mission.mounts[camera]
-        ledger.extend(gimbal_notes({}, {"attitude": heads[camera]}, {camera: mount}))
+        ledger.extend(gimbal_notes({}, {"attitude": head}, {camera: mount}))
+        heads[camera] = head
     return heads
 
 

@@ -59,7 +59,7 @@ class GivenGround:
             return LOWEST_GROUND_M, HIGHEST_GROUND_M
         offset = self.offset_m[np.isfinite(self.offset_m)]
         if offset.size == 0:
-            offset = np.zeros(1)
+            offset = np.zeros(1)  # no station has one
         return self.constant_m + float(offset.min()), self.constant_m + float(offset.max())
 
 
@@ -121,7 +121,7 @@ def plausible_heights(height_m: Array) -> Array:
     return np.where(plausible, height_m, np.nan)
 
 
-LARGEST_SLOPE_FACTOR = 20.0  # an error of the model counts so often where a ray grazes a slope
+LARGEST_SLOPE_FACTOR = 20.0  # of `Landings.error_factor`, where a ray grazes a slope
 
 
 class Landings(NamedTuple):
@@ -168,7 +168,7 @@ class TerrainGround:
         self, x_px: Array, y_px: Array, station: Integers, setup: CorrectionSetup
     ) -> Landings:
         """Where the rays of pixels meet the model."""
-        columns = np.full((len(Landings._fields), station.size), np.nan)
+        columns = np.full((len(Landings._fields), station.size), np.nan)  # a row for each field
         columns[Landings._fields.index("status")] = OK
         for rows, camera, profile in setup.groups(station):
             columns[:, rows] = terrain_heights(

@@ -10,17 +10,19 @@ from unbend.units import Array
 LOOKED_AT = 20_000  # rows of the table
 FEWEST_ROWS = 10  # fewer may all be blunders
 NEGATIVE_SHARE = 0.25  # of x and of y, which pixels from the upper left corner never are
-SMALL_PART = 0.25  # of the image: so little of it all coordinates in millimetres would fill
-OUTSIDE_SHARE = 0.5  # of the observations outside the image, by a unit that is not theirs
-FORMAT_PART = 0.6  # of the format: coordinates from its centre reach half of it
+SMALL_PART = 0.25  # of the image's pixels: numbers of millimetres reach no farther than this
+OUTSIDE_SHARE = 0.5  # of the observations: more are outside the image only in a wrong unit
+FORMAT_PART = 0.6  # of the format [mm]: coordinates from its centre reach 0.5 of it
 MICROMETRES_PER_MM = 1e3
 
 
 def refuse_other_unit(mission: Mission, observations: Observations) -> None:
-    """Refuse (OBS-UNIT) coordinates that are no pixels, or none in the unit that is stated.
+    """Refuse (OBS-UNIT) coordinates that cannot be in the unit that the mission file states.
 
-    Pixels count from a corner of the image. Coordinates that are negative as often as not, and
-    fill a small part of the image, or far more than it, count from its middle in another unit.
+    * Another unit than pixels: refused if, converted to pixels, more than half are outside the
+      image.
+    * Pixels, which count from a corner of the image: refused if x and y are both negative in a
+      quarter of the rows or more, and reach as far as another unit would (`likely_unit`).
     """
     batch = next(observations.batches(LOOKED_AT))
     known = np.isfinite(batch.x_px) & np.isfinite(batch.y_px)
@@ -56,14 +58,18 @@ def refuse_other_unit(mission: Mission, observations: Observations) -> None:
 
 
 def likely_unit(mission: Mission, xy: Array, size_px: float) -> str:
-    """The unit of coordinates (2, n) that count from the middle of the image; empty if pixels."""
+    """The unit of coordinates (2, n) that count from the middle of the image; empty if pixels.
+
+    By how far they reach: "mm" within the format of the image; "um" beyond its ``size_px``, but
+    within its format. If no format is known, "mm" within a quarter of ``size_px``.
+    """
     largest = float(np.percentile(np.abs(xy), 99.0))
     formats_mm = [
         max(camera.metric.format_mm) for camera in mission.cameras.values() if camera.metric
     ]
-    if formats_mm:
-        half_mm = FORMAT_PART * max(formats_mm)
-        if largest < half_mm:
-            return "mm"
-        return "um" if size_px < largest < MICROMETRES_PER_MM * half_mm else ""
-    return "mm" if largest < SMALL_PART * size_px else ""
+    if not formats_mm:
+        return "mm" if largest < SMALL_PART * size_px else ""
+    reach_mm = FORMAT_PART * max(formats_mm)
+    if largest < reach_mm:
+        return "mm"
+    return "um" if size_px < largest < MICROMETRES_PER_MM * reach_mm else ""

@@ -134,6 +134,7 @@ def record_of_flight(
     ok = stations.ok
     time_ns = stations.utc_ns[ok & (stations.utc_ns != NO_TIME)]
     rows = statistics.sampled_rows()
+    # The last height is for rows without a station, whose station is -1.
     station_height_m = np.append(np.where(ok, stations.h_msl_m, np.nan), np.nan)
     above_m = station_height_m[rows.station] - rows.h_g_m
     camera_of_row = setup.camera_number[rows.station]
@@ -165,7 +166,9 @@ def record_of_camera(name: str, camera: Camera, stations: Stations, above_m: Arr
     down = -matrices_of(stations.quaternion)[:, :, 2]
     axis = down[stations.ok & of_camera]
     axis = axis[np.isfinite(axis).all(axis=1)]
-    x, y, z = np.median(axis, axis=0) if len(axis) else np.zeros(3)
+    x, y, z = np.zeros(3)  # no direction: neither an angle nor a nadir in view
+    if len(axis):
+        x, y, z = np.median(axis, axis=0)
     angle_deg = None
     norm = math.hypot(x, y, z)
     if norm > 0.0:
@@ -181,12 +184,18 @@ def record_of_camera(name: str, camera: Camera, stations: Stations, above_m: Arr
 
 
 def nadir_pixel(camera: Camera, x: float, y: float, z: float) -> list[float] | None:
-    """The pixel of the nadir, which is at (x, y, z) in a camera; None where it is not in view."""
+    """The pixel of the nadir, which is in the direction (x, y, z) of a camera.
+
+    None if the nadir is not before the camera. Beyond the largest radius of the camera's distortion
+    the pixel is that without distortion.
+    """
     if z <= IN_VIEW:
         return None
-    inside = np.hypot(x, y) < camera.largest_radius * z
-    flat = camera if inside else replace(camera, distortion=NO_DISTORTION)
-    pixel_x, pixel_y = flat.project(np.array([x / z]), np.array([y / z]))[:2]
+    model = camera
+    is_distortion_known = np.hypot(x, y) < camera.largest_radius * z
+    if not is_distortion_known:
+        model = replace(camera, distortion=NO_DISTORTION)
+    pixel_x, pixel_y = model.project(np.array([x / z]), np.array([y / z]))[:2]
     return [round(float(pixel_x[0]), 1), round(float(pixel_y[0]), 1)]
 
 
@@ -251,32 +260,36 @@ def air_parameter(setup: CorrectionSetup, statistics: Statistics) -> AirParamete
     if not modes:
         return None
     mode = modes[0]  # all have one sigma, see `with_common_scale`
-    share = mode.variance_share  # that of the rays it was found by, where no row has a sigma
     if statistics.air_variance > 0.0:
-        share = mode.sigma**2 * statistics.by_mode / statistics.air_variance
+        variance_share = mode.sigma**2 * statistics.by_mode / statistics.air_variance
+    else:  # no row has a sigma: the share in the rays that the mode was found from
+        variance_share = mode.variance_share
     return AirParameter(
         scale_sigma=mode.sigma,
-        variance_share=float(f"{share:.4g}"),
+        variance_share=float(f"{variance_share:.4g}"),
         profiles=len(modes),
         meaning=AIR_PARAMETER,
     )
 
 
 def cabin_parameters(setup: CorrectionSetup) -> dict[str, CabinParameter]:
-    """Of each camera behind a plane window the refractivity there, and its standard deviation."""
+    """The refractivity in the cabin of each camera behind a plane window, and its sigma.
+
+    Both are means over the camera's exposures in the first profile that has standard deviations.
+    """
     uncertainty = next(filter(None, setup.uncertainties), None)
     if uncertainty is None:
         return {}
     cameras = {}
     table = uncertainty.stations
-    behind = table[:, WINDOW_KIND] >= 0.0
+    behind_window = table[:, WINDOW_KIND] >= 0.0  # -1 without a plane window, or in other profiles
     for name in setup.cameras:
-        rows = (setup.camera_names == name) & setup.exposures.usable & behind
+        rows = (setup.camera_names == name) & setup.exposures.usable & behind_window
         if not bool(rows.any()):
             continue
         inside = setup.exposures.refractivity_cabin[rows]
-        squares = np.sum(table[rows, CABIN_SIGMAS : CABIN_SIGMAS + 2] ** 2, axis=1)
-        sigma = np.sqrt(np.mean(squares))
+        sigmas = table[rows, CABIN_SIGMAS : CABIN_SIGMAS + 2]  # by pressure and by temperature
+        sigma = np.sqrt(np.mean(np.sum(sigmas**2, axis=1)))
         cameras[name] = CabinParameter(
             n_cc=float(f"{inside.mean():.6g}"),
             sigma_n_cc=float(f"{sigma:.4g}") if np.isfinite(sigma) else None,

@@ -84,7 +84,12 @@ class StationBuilder:
     def of(
         cls, mission: Mission, flight: FlightLog, camera: str, positions: Channel | None
     ) -> "StationBuilder":
-        """The builder for a camera; a file of ``positions`` at its exposures replaces channels."""
+        """The builder for a camera.
+
+        A file of ``positions`` at the exposures, unless only its times are used, replaces the
+        channels of position and height, and that of the attitude if it has attitudes. Stretches
+        that contradict a replaced channel do not count; those that contradict the file do.
+        """
         roles = flight.roles_of(camera)
         suspect = flight.suspect
         if positions is not None and not mission.position_events[camera].times_only:
@@ -96,8 +101,8 @@ class StationBuilder:
             suspect += contradictions_of_import(
                 positions, ("position", "height"), flight.own, flight.own_suspect
             )
-        mount, from_events = mount_of_camera(mission, camera)
-        if from_events and (positions is None or "offset_down_m" not in positions.columns):
+        mount, needs_offsets = mount_of_camera(mission, camera)
+        if needs_offsets and (positions is None or "offset_down_m" not in positions.columns):
             name = "" if positions is None else positions.name
             raise messages.events_without_offsets(where=name)
         return cls(
@@ -105,7 +110,7 @@ class StationBuilder:
             roles=roles,
             mount=mount,
             suspect=suspect,
-            offsets=positions if from_events else None,
+            offsets=positions if needs_offsets else None,
             heights=flight.heights,
             accuracy=flight.accuracy,
             max_gap_s=mission.max_gap_s,
@@ -143,8 +148,9 @@ class StationBuilder:
 def clock_sigmas(mission: Mission, flight: FlightLog, roles: Mapping[str, Channel]) -> ClockSigmas:
     """How well the clock of a camera's exposures agrees with those of the channels in ``roles``.
 
-    The log's own exposures are on the clock of its channels. Tables and files give UTC, as do
-    trajectories: between these and the log lies what the UTC of the log is good for.
+    There are two clocks: that of the log, for its exposures and channels, and UTC, for exposures of
+    tables and files and for channels of trajectories. Between the two lies the sigma of the log's
+    UTC; on one clock the sigma is 0.
     """
     if flight.log is None or mission.events is None:
         return ONE_CLOCK
@@ -155,33 +161,34 @@ def clock_sigmas(mission: Mission, flight: FlightLog, roles: Mapping[str, Channe
     def sigma_s(role: str) -> float:
         channel = roles.get(role)
         if channel is None or (channel.name in logged) == events_in_log:
-            return 0.0
+            return 0.0  # on one clock
         return utc_sigma_s
 
     return ClockSigmas(sigma_s("position"), sigma_s("height"), sigma_s("attitude"))
 
 
 def mount_of_camera(mission: Mission, camera: str) -> tuple[Mount, bool]:
-    """The mount of a camera, its lever arm from the point whose positions are used.
+    """The mount of a camera, with the lever arm from the point whose positions are used.
 
-    True, and no lever arm, where a file of events has the way from the antenna to the camera.
+    Also whether the stations need the way from the antenna to the camera that a file of events has
+    at each exposure; the mount then has no lever arm.
     """
     mount = mission.mounts[camera]
-    at_camera = replace(mount, lever_arm_m=(0.0, 0.0, 0.0))
+    without_arm = replace(mount, lever_arm_m=(0.0, 0.0, 0.0))
     events = mission.position_events.get(camera)
     if events is not None and not events.times_only:
         if events.reference_point == "camera":
-            return at_camera, False
+            return without_arm, False
         if events.format_name == "mrk":
-            return at_camera, True
+            return without_arm, True
         return mount, False
     trajectory = mission.stations.trajectory
     if trajectory is None or not trajectory.moves_stations:
         return mount, False
     if trajectory.point == "camera":
-        return at_camera, False
-    if isinstance(trajectory.lever_arm_m, str):
-        return at_camera, True
+        return without_arm, False
+    if isinstance(trajectory.lever_arm_m, str):  # "from_events"
+        return without_arm, True
     forward, right, down = np.add(mount.lever_arm_m, trajectory.lever_arm_m).tolist()
     return replace(mount, lever_arm_m=(forward, right, down)), False
 
@@ -200,26 +207,27 @@ def stations_of_mission(
     # Stations at the exposures of each camera.
     positions = read_positions(mission, inputs, flight, ledger)
     events = exposure_events(mission, inputs, flight, positions, ledger)
-    use_suspect = mission.stations.use_suspect
     builders = []
-    exposed = []
+    at_events = []
     for camera_events in events:
         camera = camera_events.camera
         builder = StationBuilder.of(mission, flight, camera, positions.get(camera))
         stations = builder.stations(camera_events)
         ledger.extend(findings_of_exposures(mission, flight, builder, camera_events))
-        stations = ledger.take(flag_suspect(stations, builder.suspect, use_suspect=use_suspect))
+        flagged = flag_suspect(stations, builder.suspect, use_suspect=mission.stations.use_suspect)
         builders.append(builder)
-        exposed.append(stations)
+        at_events.append(ledger.take(flagged))
 
+    # Of these the ones that have an image, camera by camera.
     ties = draw_tie_points(observations, MOST_TIE_POINTS)
     report_repeated_points(observations, ties, ledger)
+    exposed = at_events
     if mission.events is not None:
         exposed = assigned_stations(
             mission,
             mission.events,
             events,
-            exposed,
+            at_events,
             files=inputs.image_times,
             observations=observations,
             ties=ties,
@@ -237,6 +245,7 @@ def stations_of_mission(
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
 
     def later(seconds: float) -> Stations:
+        """The stations as if all exposures had been some seconds later."""
         moved = []
         for builder, camera_stations in zip(builders, exposed, strict=True):
             moved.append(builder.later(camera_stations, seconds))
@@ -260,7 +269,7 @@ def stations_of_mission(
 def findings_of_exposures(
     mission: Mission, flight: FlightLog, builder: StationBuilder, events: Events
 ) -> Iterator[Message]:
-    """Findings where a log's own places of the exposures of a camera are not the stations'."""
+    """Findings where the places that a log itself states of its exposures are not the stations'."""
     if mission.events is None or mission.events.log is None:
         return
     source = mission.events.log[builder.camera]
@@ -288,7 +297,7 @@ def refuse_other_readings_of_imports(
     stations: Stations,
     ties: TiePoints,
 ) -> None:
-    """Refuse (ORIENTATION-READING) imported angles by which tie points meet far worse than else.
+    """Refuse (ORIENTATION-READING) imported angles if tie points meet far better by other readings.
 
     ``exposed`` are the stations camera by camera, ``stations`` all of them.
     """
@@ -300,6 +309,7 @@ def refuse_other_readings_of_imports(
         return
 
     def read_anew(road: AngleRoad, reading: AngleReading) -> Stations:
+        """The same stations by a file whose angles are read in another way."""
         changed = road.inputs_as(reading.change)
         changed_flight = flight_log(mission, changed, Ledger())
         changed_positions = read_positions(mission, changed, changed_flight, Ledger())
@@ -311,7 +321,7 @@ def refuse_other_readings_of_imports(
             builder = StationBuilder.of(
                 mission, changed_flight, camera, changed_positions.get(camera)
             )
-            parts.append(builder.later(of_camera, 0.0))
+            parts.append(builder.later(of_camera, seconds=0.0))
         return join_stations(parts)
 
     for road in roads:

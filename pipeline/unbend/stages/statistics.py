@@ -60,6 +60,9 @@ _COLUMNS = 14
 _ROWS = 10
 """Cells of the mean shift over an image."""
 
+_GROUND_BINS = 24  # of the histogram of ground heights, about as many
+_FINEST_GROUND_BIN_M = 0.1
+
 
 @dataclass
 class ShiftStatistics:
@@ -315,7 +318,8 @@ class Statistics:
             metres_per_px = rows.shift_ground_m / rows.shift_px
         together = np.sqrt(np.nansum(rows.sigma_px**2, axis=1))
         together[np.isnan(rows.sigma_px).all(axis=1)] = np.nan
-        parts = dict(zip((*SIGMA_PARTS, "all"), (*rows.sigma_px.T, together), strict=True))
+        parts = dict(zip(SIGMA_PARTS, rows.sigma_px.T, strict=True))
+        parts["all"] = together
         budget = {}
         for number, name in enumerate(self.shifts):
             of_camera = camera[rows.station] == number
@@ -339,16 +343,16 @@ class Statistics:
         None if no row was corrected.
         """
         low, high = self.ground_m
-        if not low <= high:
+        if not low <= high:  # infinite, the other way round, before any row
             return None
         rows = self.sampled_rows()
         used = np.isfinite(rows.shift_px) & np.isfinite(rows.h_g_m)
         h_g_m = rows.h_g_m[used]
         weight = rows.weight[used]
-        step = round_step(max((high - low) / 24, 0.1))
+        step = round_step(max((high - low) / _GROUND_BINS, _FINEST_GROUND_BIN_M))
         first = math.floor(low / step)
-        number = np.floor(h_g_m / step).astype(np.int64) - first
-        counts = np.round(np.bincount(number, weight)).astype(np.int64)
+        bin_number = np.floor(h_g_m / step).astype(np.int64) - first
+        counts = np.round(np.bincount(bin_number, weight)).astype(np.int64)
         return GroundHeightsRecord(
             median_m=weighted_quantile(h_g_m, weight, 0.5),
             lowest_m=round(low, 2),

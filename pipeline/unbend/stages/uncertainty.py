@@ -105,20 +105,23 @@ def with_common_scale(
 
 
 def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -> Integers:
-    """(s,) the kind of window of each exposure: `OPEN`, `SEALED` or `SCHEDULED`.
+    """(s,) the kind of window of each exposure, by the pressure behind it.
 
-    `SCHEDULED` are windows behind which the pressure is that of the air outside: all of an unsealed
-    cabin, and those below the height at which the schedule begins to hold its pressure.
+    * `OPEN`: no plane window before a cabin.
+    * `SCHEDULED`: the pressure is that of the air outside. So it is in an unsealed cabin, and with
+      a schedule below the height at which the schedule begins to hold its pressure.
+    * `SEALED`: any other plane window.
     """
     kinds = np.full(len(stations), OPEN, np.int64)
     pressure = air.pressure(stations.h_msl_m)
     for name, window in mission.windows.items():
         if window.shape == "plane" and window.cabin is not None:
             rows = stations.camera == name
-            scheduled = window.cabin.source == "standard_schedule"
-            kinds[rows] = window_kind_of(pressure[rows], scheduled=scheduled)
             if window.cabin.source == "ambient":
                 kinds[rows] = SCHEDULED
+            else:
+                scheduled = window.cabin.source == "standard_schedule"
+                kinds[rows] = window_kind_of(pressure[rows], scheduled=scheduled)
     return kinds
 
 

@@ -18,12 +18,15 @@ def channels_of_one_vehicle(
     named: Mapping[str, str],
     ledger: Ledger,
 ) -> tuple[Channel, ...]:
-    """The channels that may play roles: those of the vehicle that flew the mission.
+    """The channels that may play roles: all of a log with one vehicle; of a log with several
 
-    That is the vehicle whose events are used; without events of a log that of the channels which
-    the mission file names (``named``, by role). Channels of no vehicle stay, and those that are
-    named: the ledger has a finding for each of another vehicle. Refuses (LOG-VEHICLES) a log of
-    several vehicles, none of which or several of which are named.
+    * those of the vehicle that flew the mission: the one whose events are used, or without events
+      of the log the one whose channels the mission file names (``named``, by role);
+    * those of no vehicle;
+    * those that are used or named, with a finding for each named one of another vehicle.
+
+    Refuses (LOG-VEHICLES) a log of several vehicles if events and names point to none of these, or
+    to several.
     """
     vehicles = Vehicles.of(channels)
     if not vehicles.names:
@@ -31,22 +34,14 @@ def channels_of_one_vehicle(
     events = event_channels(mission, channels)
     by_name = {channel.name: channel for channel in channels}
     of_roles = {role: by_name[name] for role, name in named.items() if name in by_name}
-    vehicle, reason = _vehicle_of(
-        vehicles,
-        events,
-        of_roles,
-    )
+    vehicle, deciding_channels = _vehicle_of(vehicles, events, of_roles)
     if not vehicle:
         raise messages.vehicles_ambiguous(
             vehicles=[f"{name} ({_listed(vehicles, name, channels)})" for name in vehicles.names],
-            reason=reason,
+            reason=deciding_channels,
         )
     ledger.add(
-        messages.vehicle_chosen(
-            vehicle=vehicle,
-            vehicles=vehicles.names,
-            channel=reason,
-        )
+        messages.vehicle_chosen(vehicle=vehicle, vehicles=vehicles.names, channel=deciding_channels)
     )
     for role, channel in of_roles.items():
         other = vehicles.of_channel(channel)
@@ -61,11 +56,7 @@ def channels_of_one_vehicle(
             )
     kept = {channel.name for channel in (*events, *of_roles.values())}
     kept |= {mount.attitude for mount in mission.mount.values() if mount.attitude is not None}
-    return vehicles.channels_of(
-        vehicle,
-        channels,
-        kept,
-    )
+    return vehicles.channels_of(vehicle, channels, kept)
 
 
 def event_channels(mission: Mission, channels: tuple[Channel, ...]) -> list[Channel]:
@@ -81,14 +72,14 @@ def _vehicle_of(
     events: Sequence[Channel],
     of_roles: Mapping[str, Channel],
 ) -> tuple[str, str]:
-    """The vehicle of the events, else of the roles of the flight, and the channel that says so.
+    """The vehicle of the events, else of the roles of the flight, and the name of its channel.
 
-    "" and the channels of several vehicles where that is not one.
+    If these are of several vehicles, "" and the names of a channel of each; if of none, twice "".
     """
     flight = [of_roles[role] for role in _FLIGHT_ROLES if role in of_roles]
     for candidates in (events, flight):
         senders = {vehicles.of_channel(channel): channel.name for channel in candidates}
-        senders.pop("", None)
+        senders.pop("", None)  # channels of no vehicle say nothing
         if len(senders) == 1:
             ((vehicle, channel),) = senders.items()
             return vehicle, channel

@@ -167,15 +167,17 @@ def test_two_gimbals_in_one_topic_of_px4_are_two_channels(tmp_path: Path) -> Non
     writer.subscribe("gimbal_device_attitude_status")
     for k in range(20):
         at_us = 60_000_000 + 200_000 * k
-        for gimbal_id, q in ((1, forward), (2, down)):
+        for gimbal_id, q in ((0, forward), (1, down)):
             row = (yaw_in_earth_frame, *q, gimbal_id)
             writer.row("gimbal_device_attitude_status", "H4fB", at_us, *row)
     log = opened(tmp_path, writer.data)
+    of_0 = log.channel("gimbal_device_attitude_status[0]")
     of_1 = log.channel("gimbal_device_attitude_status[1]")
-    of_2 = log.channel("gimbal_device_attitude_status[2]")
-    assert of_1["gimbal_q_y"].tolist() == [-0.5] * 20
-    assert of_2["gimbal_q_y"].tolist() == [0.0] * 20
-    assert len(log.message("gimbal_device_attitude_status[2]")["time_ns"]) == 20
+    assert of_0["gimbal_q_y"].tolist() == [-0.5] * 20
+    assert of_1["gimbal_q_y"].tolist() == [0.0] * 20
+    for number in (0, 1):
+        table = log.message(f"gimbal_device_attitude_status[{number}]")
+        assert table["gimbal_device_id"].tolist() == [number] * 20
 
 
 def test_tables_are_those_of_pyulog(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def export_run(
     out.
     """
     form = find_format(name, out)
-    is_folder = not form.ending
+    is_folder = not form.ending  # a format with an ending is one file
     values = form.values(options)
     folder = copy_of_run(path) if isinstance(path, Place) else path
     refuse_output(folder, out, force=force and not is_folder)
@@ -102,6 +102,7 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
     """
     if is_url(str(out)):
         raise url_for_export(url=str(out))
+    # A link may lie outside and lead among the results, or the other way round.
     for resolve in (os.path.abspath, os.path.realpath):
         target = Path(resolve(out))
         if target.is_relative_to(resolve(run)):
@@ -200,13 +201,14 @@ def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Arr
     """
     if constant_m is not None:
         return np.full(len(run.stations), constant_m)
-    rows = []
+    stations = []
     heights = []
     for station, table in run.observations(["h_g_m"]):
-        rows.append(station)
+        stations.append(station)
         heights.append(table["h_g_m"].to_numpy())
-    known = pd.Series(np.concatenate(heights)).dropna()
-    by_station = known.groupby(np.concatenate(rows)[known.index]).median()
+    known_heights = pd.Series(np.concatenate(heights)).dropna()
+    station_of_known = np.concatenate(stations)[known_heights.index]
+    by_station = known_heights.groupby(station_of_known).median()
     ground = np.array(by_station.reindex(range(len(run.stations))), dtype=np.float64)
     has_ground = np.isfinite(ground)
     lacks_ground = ~has_ground & run.stations.ok
@@ -230,8 +232,8 @@ def database_of(mission: Mission, manifest: Manifest, path: Path) -> Path | None
     file = path / stated
     if file.suffix.lower() != ".db" or not file.is_file():
         return None
-    read = {item.sha256 for item in manifest.run.inputs if item.role == "observations"}
-    return file if hash_file(file) in read else None
+    hashes_read = {item.sha256 for item in manifest.run.inputs if item.role == "observations"}
+    return file if hash_file(file) in hashes_read else None
 
 
 def check_reproduced(run: FinishedRun, path: Path) -> None:
@@ -250,16 +252,16 @@ def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) 
     ok, are not compared.
     """
     columns = {}
-    for name in _CHECKED_NUMBERS:
-        values = table[name].to_numpy()
-        columns[name] = np.asarray(values, dtype=np.float64)
-    for name in ("x_px", "y_px", "x_corrected_px", "y_corrected_px"):
-        columns[name] = run.pixels.to_colmap(columns[name])
-    ok = np.asarray(pc.equal(table["status"], "ok").to_numpy())
-    ok &= columns["zeta_c_rad"] < _LARGEST_CHECKED_RAD
+    for column in _CHECKED_NUMBERS:
+        values = table[column].to_numpy()
+        columns[column] = np.asarray(values, dtype=np.float64)
+    for column in ("x_px", "y_px", "x_corrected_px", "y_corrected_px"):
+        columns[column] = run.pixels.to_colmap(columns[column])
+    is_compared = np.asarray(pc.equal(table["status"], "ok").to_numpy())
+    is_compared &= columns["zeta_c_rad"] < _LARGEST_CHECKED_RAD
     largest = 0.0
     for name, camera in run.cameras.items():
-        of_camera = ok & (run.stations.camera[station] == name)
+        of_camera = is_compared & (run.stations.camera[station] == name)
         for profile in np.unique(run.air.profile_number[station[of_camera]]):
             rows = np.flatnonzero(of_camera & (run.air.profile_number[station] == profile))
             now = correct_observations(

@@ -68,13 +68,14 @@ def stations_of(table: pa.Table) -> Stations:
     time_utc = table["time_utc"].cast(pa.int64())
     time = pc.fill_null(time_utc, int(NO_TIME)).to_numpy()
     status = columns.text("status")
+    has_profile = table["profile_id"].is_valid().to_numpy()  # of suspect ones only those accepted
     derived: dict[str, Any] = {
         "time_ns": time.astype(np.int64),
         "quaternion": columns.quaternion("q"),
         "aircraft_quaternion": columns.quaternion("aircraft_q"),
         "status": status,
-        "from_boot": np.zeros(0, np.bool_),
-        "accepted": (status == SUSPECT) & table["profile_id"].is_valid().to_numpy(),
+        "from_boot": np.zeros(0, np.bool_),  # not in the table: `Stations` makes it False for all
+        "accepted": (status == SUSPECT) & has_profile,
     }
     for name in ("lat", "lon", "sigma_tilt", "sigma_yaw"):
         derived[f"{name}_rad"] = columns.angle(name)
@@ -109,18 +110,18 @@ def profile_of(table: pa.Table) -> Profile:
     def column(name: str) -> Array:
         return np.asarray(table[name].to_numpy(), dtype=np.float64)
 
-    all_layers = slice(None, -1)
+    lower_edges = slice(None, -1)  # without the last row, the top
     top_m = column("geopotential_m")[-1]
-    edge_m = np.append(column("geopotential_base_m")[all_layers], top_m)
+    edge_m = np.append(column("geopotential_base_m")[lower_edges], top_m)
     vapour_at_edge = column("vapour_pressure_pa") / column("pressure_pa")
     layers = Layers(
         edge=edge_m,
-        temperature=column("t_base_k")[all_layers],
-        lapse=column("lapse_k_per_m")[all_layers],
-        pressure=column("p_base_pa")[all_layers],
-        vapour=vapour_at_edge[all_layers],
+        temperature=column("t_base_k")[lower_edges],
+        lapse=column("lapse_k_per_m")[lower_edges],
+        pressure=column("p_base_pa")[lower_edges],
+        vapour=vapour_at_edge[lower_edges],
         vapour_slope=np.diff(vapour_at_edge) / np.diff(edge_m),
-        source=tuple(table["source"].to_pylist()[all_layers]),
+        source=tuple(table["source"].to_pylist()[lower_edges]),
     )
     latitude = None
     if metadata["latitude"]:

@@ -57,7 +57,7 @@ def facts_of_log(path: Path) -> LogFacts:
     roles, notes = assign_roles(log.channels, {}, needs_cabin=False)
     plausible, questions = plausible_roles(roles)
     indoors = []
-    open_roles: dict[str, None] = {}
+    open_roles: dict[str, None] = {}  # each once, in their order
     for note in notes:
         if note.code == "BARO-NOT-OUTSIDE":
             indoors.append(note.where)
@@ -165,7 +165,7 @@ def gimbal_channels(log: Log) -> list[str]:
 
 def late_events(log: Log, events: tuple[Channel, ...]) -> list[str]:
     """Names of channels of events that have the times of the triggers, each once."""
-    late: dict[str, None] = {}
+    late: dict[str, None] = {}  # the names in their order
     for channel in events:
         for note in trigger_notes(log.channels, channel, log.parameters):
             if note.code == LATE_TRIGGER:
@@ -202,11 +202,14 @@ def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str
 
 
 def range_text(channel: Channel, role: str) -> str:
-    """The range of a sensor's finite readings, in brackets; empty for other channels."""
+    """The range of a sensor's finite readings in a usual unit, in brackets.
+
+    Empty for a channel without finite readings, or whose column has no usual unit.
+    """
     column = ROLE_COLUMNS[role][0]
     unit, factor, zero = words_of_proposals()["units"].get(column, ("", 1.0, 0.0))
-    values = channel[column]
-    values = values[np.isfinite(values)] / factor - zero
-    if not unit or not values.size:
+    readings = channel[column]
+    in_unit = readings[np.isfinite(readings)] / factor - zero
+    if not unit or not in_unit.size:
         return ""
-    return f" ({values.min():.0f} to {values.max():.0f} {unit})"
+    return f" ({in_unit.min():.0f} to {in_unit.max():.0f} {unit})"

@@ -27,9 +27,9 @@ LONGEST_NAME = 100  # characters of a mission's name
 def propose_mission(log: Path, observations: Path | None, images: Path | None, out: Path) -> str:
     """The text of a mission file, to be written to ``out``, from whose folder paths count.
 
-    ``log`` may be a block with orientations: without ``observations`` it is these too, and no log
-    is read. ``images`` is a folder of images, or exiftool's table of them. Refuses (IMAGES-OTHER)
-    images of which none is in the observations.
+    ``log`` may be a block with orientations: without ``observations`` the block has these, too, and
+    no log is read. ``images`` is a folder of images, or exiftool's table of them. Refuses
+    (IMAGES-OTHER) images of which none is in the observations.
     """
     log = folder_of_project(log)
     observations = None if observations is None else folder_of_project(observations)
@@ -40,12 +40,13 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
         log_facts = facts_of_log(log)
     table = TableFacts() if observations is None else facts_of_observations(observations)
 
-    times = None
     names = table.images
+    zone = ""
     if images is not None:
         times = read_image_times(images, "", Ledger())
         refuse_other_images(images, times, table.images)
         names = table.images or tuple(Path(str(file)).name for file in times.file)
+        zone = "" if times.is_utc else TODO
     channels = () if log_facts is None else log_facts.events
     has_reference = False
     if observations is not None:
@@ -58,7 +59,7 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
         observations=path_text(observations, out),
         table=table,
         images=None if images is None else path_text(images, out),
-        zone="" if times is None or times.is_utc else TODO,
+        zone=zone,
         cameras=proposed_cameras(channels, names, table.cameras),
         has_reference=has_reference,
     )

@@ -50,9 +50,9 @@ def proposed_cameras(
 ) -> list[ProposedCamera]:
     """The cameras of a mission, each with the channel whose events are numbered as its images.
 
-    There is one for each series of image names; without series one for each camera of the block,
-    else for each channel, else one.
-    ``channels`` are those of exposures in the log, ``block_cameras`` the cameras of a block.
+    There is one camera for each series of image names; without series one for each of
+    ``block_cameras``, the cameras of a block; without these one for each of ``channels``, those of
+    exposures in the log; else one.
     """
     all_series = series_of_cameras(images, block_cameras, len(channels))
     count = len(all_series) or len(block_cameras) or len(channels) or 1
@@ -143,7 +143,8 @@ def channel_of_series(
 ) -> Proposed:
     """The channel that fires the camera of a series of names; left open where several may.
 
-    A channel is certain if it alone fits the series, and the names of no other camera fit it.
+    A channel is certain if it alone fits the series, and the names of no other camera fit it. The
+    only channel of a log with the only series is certain even if it does not fit.
     """
     channels = list(event_numbers)
     numbering = numbering_of(all_series[number], event_numbers)

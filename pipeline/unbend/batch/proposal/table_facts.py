@@ -111,15 +111,16 @@ def facts_of_table(path: Path) -> TableFacts:
         return TableFacts(remark=remark, columns=keys)
     columns: dict[str, str | None] = {}
     for quantity, name in guessed.items():
-        columns[quantity] = name or quantity  # not guessed if the columns are not listed
+        # No name is guessed if the columns cannot be listed; `open_observations` says why.
+        columns[quantity] = name or quantity
     candidates = height_candidates(names, columns)
     height = candidates[0] if len(candidates) == 1 else None
     observations = open_observations(path, columns, height, Ledger())
     extent = extent_of(observations)
     reference = TODO if height is None else guessed_reference(height)
-    remark = extent.heights
+    heights = extent.heights
     if reference != TODO:
-        remark = f"guessed by the name of the column; {extent.heights}"
+        heights = f"guessed by the name of the column; {extent.heights}"
     return TableFacts(
         images=observations.images,
         remark=f"{observations.rows} rows of {len(observations.images)} images",
@@ -127,7 +128,7 @@ def facts_of_table(path: Path) -> TableFacts:
         size=extent.pixels,
         height=proposed_height(candidates),
         reference=reference,
-        heights=remark,
+        heights=heights,
     )
 
 

@@ -82,7 +82,8 @@ def text_evidence(channels: Sequence[Channel]) -> list[Stretch]:
     """The stretches that an autopilot's texts make suspect.
 
     A trouble lasts from the line that begins it to the next line that ends this trouble, in
-    whichever channel that stands; an event makes 5 s suspect. A text comes half a second late.
+    whichever channel that stands. An event, and a trouble that a check before take-off reports,
+    make 5 s suspect. A text comes half a second late.
     """
     lines = _lines_of(channels)
     suspect: list[Stretch] = []
@@ -90,6 +91,7 @@ def text_evidence(channels: Sequence[Channel]) -> list[Stretch]:
         if _EVENTS.search(line.text):
             suspect += _stretches(line, line.time_ns)
         for trouble in _TROUBLES:
+            # "GPS glitch cleared" names the trouble that it ends.
             if not trouble.begins.search(line.text) or _ends(line, trouble):
                 continue
             end_ns = line.time_ns
@@ -114,7 +116,11 @@ def _lines_of(channels: Sequence[Channel]) -> list[_Line]:
 def _ends(line: _Line, trouble: _Trouble) -> bool:
     """Whether a line says that a trouble is over, and not that this is waited for."""
     end = trouble.ends.search(line.text)
-    return end is not None and not _AWAITED.search(line.text[: end.end()].replace("no longer", ""))
+    if end is None:
+        return False
+    up_to_end = line.text[: end.end()]
+    is_awaited = _AWAITED.search(up_to_end.replace("no longer", ""))  # "no longer" says it is over
+    return not is_awaited
 
 
 def _end_of(trouble: _Trouble, boot: int, lines: Sequence[_Line]) -> int:
@@ -132,9 +138,9 @@ def _end_of(trouble: _Trouble, boot: int, lines: Sequence[_Line]) -> int:
 def _stretches(line: _Line, end_ns: int) -> list[Stretch]:
     """What a line makes suspect, up to ``end_ns`` [ns], and for 5 s at least."""
     begin_ns = line.time_ns - _TEXT_DELAY_NS
-    end_ns = max(end_ns, begin_ns + _MOMENT_NS)
+    last_ns = max(end_ns, begin_ns + _MOMENT_NS)
     reason = f'the autopilot says "{line.text}"'
-    suspect = [Stretch(begin_ns, end_ns, POSITION, reason)]
+    suspect = [Stretch(begin_ns, last_ns, POSITION, reason)]
     if _OF_ATTITUDE.search(line.text):
-        suspect.append(Stretch(begin_ns, end_ns, ATTITUDE, reason))
+        suspect.append(Stretch(begin_ns, last_ns, ATTITUDE, reason))
     return suspect

@@ -58,6 +58,7 @@ FEWEST_SAMPLES = 10  # of which a channel must have more to be compared
 _BETTER_AFTER = 0.5  # of the accuracy before a step: what is so much better was wrong before
 _PRESENT = 0.8  # of the usual samples of a channel that goes on
 _SILENT_INTERVALS = 5.0  # usual ones of a receiver, after which it has no fix
+_SLOWEST_HZ = 1e-3  # of a receiver, also of one with a single fix: what is divided by is never 0
 _BESIDE_NS = int(BESIDE_S * SECOND)
 _LARGE_PART = 0.5  # of the greatest difference, by which a receiver would contradict itself
 
@@ -73,6 +74,7 @@ def examine(
     examination = _Examination(channels, roles, dict(roles))
     if any(is_receiver(channel) for channel in channels):
         examination.reported = filter_evidence(channels) + text_evidence(channels)
+    # First the attitude: a suspect position prolongs its suspect stretches.
     examination.examine_attitude()
     for quantity in (POSITION, HEIGHT):
         channel = roles.get(quantity)
@@ -121,7 +123,7 @@ class _Examination:
         """
         sources = sources_of(quantity, channel, self.channels, self.roles)
         contradictions = contradictions_of(sources, self._goes_on_beside(channel))
-        suspect = contradictions.suspect
+        suspect = list(contradictions.suspect)
         if quantity == POSITION and not is_receiver(channel):
             # What the autopilot reports is of its filter, and says nothing against a receiver.
             suspect += [s for s in self.reported if s.quantity == POSITION]
@@ -237,8 +239,8 @@ def sources_of(
             steady_until_ns=steady_until_ns,
         )
         differences.append(difference)
-    names = tuple(barometer.name for barometer in barometers)
-    return Sources(quantity, path_of_role, tuple(differences), names)
+    barometer_names = tuple(barometer.name for barometer in barometers)
+    return Sources(quantity, path_of_role, tuple(differences), barometer_names)
 
 
 def _other_sources(quantity: str, channel: Channel, channels: Sequence[Channel]) -> list[Channel]:
@@ -266,9 +268,9 @@ def _barometers_outside(
 
 
 def _steady_until(channel: Channel, path: SourcePath, quantity: str) -> int | None:
-    """When a source first stepped and did not return [ns]; None where it is better since.
+    """When a source first stepped and did not return [ns]; None if it never did.
 
-    What is better after a step than before it was wrong before.
+    None also if it is better after the step: what is better then was wrong before.
     """
     if path.lasting_ns.size == 0:
         return None
@@ -328,10 +330,14 @@ def _stretch_apart(sources: Sources, difference: Difference, run: Run) -> Stretc
 
 
 def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> list[Stretch]:
-    """The stretches in which the source of the role steps or is silent; of a filter, its receivers.
+    """The stretches in which the source of the role contradicts itself, by the kind of source.
 
-    A filter's own steps are no sign of its faults if it has a receiver: one that was led away
-    leaves the receiver's path less its steps, and one that steps back was wrong before the step.
+    * A receiver: where it steps, reports a poor accuracy or is silent.
+    * A filter without receivers: where it steps or reports a poor accuracy.
+    * A filter with one receiver: where that steps and does not return, reports a poor accuracy or
+      is silent. The filter's own steps are no sign of its faults: a filter that was led away leaves
+      the path of the receiver without a step, and one that steps back was wrong before.
+    * A filter with several receivers: where all of these are silent.
     """
     path = sources.of_role
     quantity = sources.quantity
@@ -347,6 +353,7 @@ def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> lis
     suspect: list[Stretch] = []
     if len(receivers) == 1:
         of_receiver = own_contradictions(receivers[0], quantity)
+        # ``off_m`` is known of steps that return: the difference from the filter shows them.
         suspect = [stretch for stretch in of_receiver if not np.isfinite(stretch.off_m)]
     return suspect + _common_silences(receivers, path.channel, quantity)
 
@@ -373,15 +380,7 @@ def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
     for run in runs(time_ns, is_away, is_away):
         off_m = float(away_m[run.rows].max())
         reason = f"{name} steps by {off_m:.0f} m at {path.fastest_m_s:.0f} m/s"
-        suspect.append(
-            stretch_of_run(
-                time_ns,
-                run,
-                quantity,
-                reason,
-                off_m,
-            )
-        )
+        suspect.append(stretch_of_run(time_ns, run, quantity, reason, off_m))
     around_ns = LONGEST_REPLACED_S // 2 * SECOND
     for step_ns in path.lasting_ns.tolist():
         reason = f"{name} steps at {path.fastest_m_s:.0f} m/s and does not return"
@@ -398,8 +397,8 @@ def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretc
 
     ``while_on`` : that channel. Where it has a gap too, the log has one.
     """
-    usual_s = _SILENT_INTERVALS / max(receiver.rate_hz, 1e-3)
-    limit_ns = max(LONGEST_COAST_S, usual_s) * SECOND
+    several_intervals_s = _SILENT_INTERVALS / max(receiver.rate_hz, _SLOWEST_HZ)
+    limit_ns = max(LONGEST_COAST_S, several_intervals_s) * SECOND
     edges_ns = np.concatenate([while_on.time_ns[:1], receiver.time_ns, while_on.time_ns[-1:]])
     suspect: list[Stretch] = []
     for row in np.flatnonzero(np.diff(edges_ns) > limit_ns):
@@ -410,15 +409,20 @@ def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretc
         goes_on = last - first > _PRESENT * while_on.rate_hz * (end_ns - begin_ns) / SECOND
         if goes_on:
             reason = f"{receiver.name} has no fix for {lasts_s:.0f} s"
-            suspect.append(Stretch(begin_ns + SECOND // 2, end_ns, quantity, reason))
+            after_fix_ns = begin_ns + SECOND // 2  # the fix before the silence is not suspect
+            suspect.append(Stretch(after_fix_ns, end_ns, quantity, reason))
     return suspect
 
 
 def receiver_is_right(sources: Sources, difference: Difference, run: Run) -> bool:
     """Whether a receiver gives the height, and is confirmed where another source departs from it.
 
-    The other source is a barometer, or a filter that follows one. The receiver is confirmed by its
-    own vertical velocity; without that by a source that does not depend on the barometer.
+    The other source is a barometer, or a filter that follows one. What confirms the receiver is
+
+    * its own vertical velocity, if what that leaves unexplained of the height `_changes_little`;
+    * without a velocity another source, which does not depend on the barometer.
+
+    A receiver that has stepped, or has fewer than two fixes about the run, is not confirmed.
     """
     receiver = sources.of_role
     is_height_of_receiver = (
@@ -441,11 +445,25 @@ def receiver_is_right(sources: Sources, difference: Difference, run: Run) -> boo
         return _another_source_agrees(sources, difference, begin_ns, end_ns)
     height_m = places_of(receiver.channel, HEIGHT)[around, 0]
     unexplained_m = _climbed(around_ns, climb_m_s) - height_m
+    return _changes_little(unexplained_m, around_ns, difference, run)
+
+
+def _changes_little(
+    unexplained_m: Array, time_ns: TimeArray, difference: Difference, run: Run
+) -> bool:
+    """Whether (n,) heights change by less than half of the greatest difference in a run.
+
+    Both from 10 s before the run until that difference is reached, and from 10 s before the end of
+    the run to 10 s after it.
+    """
+    other_ns = difference.other.channel.time_ns
+    begin_ns = int(other_ns[run.first])
+    end_ns = int(other_ns[run.last])
     worst = run.first + int(np.nanargmax(difference.off_m[run.rows]))
-    worst_ns = int(time_ns[worst])
+    worst_ns = int(other_ns[worst])
     allowed_m = _LARGE_PART * float(difference.off_m[worst])
-    until_worst_m = _change(unexplained_m, around_ns, begin_ns - _BESIDE_NS, worst_ns)
-    about_end_m = _change(unexplained_m, around_ns, end_ns - _BESIDE_NS, end_ns + _BESIDE_NS)
+    until_worst_m = _change(unexplained_m, time_ns, begin_ns - _BESIDE_NS, worst_ns)
+    about_end_m = _change(unexplained_m, time_ns, end_ns - _BESIDE_NS, end_ns + _BESIDE_NS)
     return until_worst_m < allowed_m and about_end_m < allowed_m
 
 

@@ -64,7 +64,7 @@ class ExposureEvidence:
 
     @property
     def instants(self) -> Integers:
-        """(k, n) instants from the earliest to the latest of which the logged places may be."""
+        """(k, n) instants at which (n,) logged places may have been taken, earliest first."""
         sigma_s = np.nan_to_num(self.channel.get("sigma_time_s"))
         allowed_ns = np.round((LATENCY_S + 3.0 * sigma_s) * NANOSECONDS_PER_SECOND).astype(np.int64)
         earliest = np.minimum(self.channel.time_ns, self.time_ns) - allowed_ns
@@ -85,7 +85,8 @@ class ExposureEvidence:
 def exposure_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     """Findings where the log's own places, heights or attitudes of exposures contradict stations.
 
-    Zeros are unknown, and heights may count from another surface than their name says.
+    Zeros are unknown, and heights may count from another surface than their name says. There are no
+    findings where the events of the channel are not, one by one, those of ``time_ns``.
     """
     if len(evidence.channel) == 0 or len(evidence.channel) != evidence.time_ns.size:
         return
@@ -108,7 +109,7 @@ def _place_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     )
     limit_m = NOISE_M + SIGMAS * sigma_m
     limit_m += evidence.lever_arm_m
-    limit_m += nearest.between_m / 2.0
+    limit_m += nearest.between_m / 2.0  # the nearest place may be half-way between two instants
     is_known = np.isfinite(nearest.distance_m) & evidence.counts(POSITION)
     is_off = is_known & (np.nan_to_num(nearest.distance_m) > limit_m)
     if is_off.any():
@@ -222,7 +223,11 @@ def _shift_of_time(
 def _height_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     """A finding where exposures have heights of their own that no height of the flight is near.
 
-    A height of a filter is compared with the filter's; one of the receiver with the receiver's.
+    * ``h_msl_m`` is taken as the filter's. It is compared with the filter's height, which it may
+      differ from by `HEIGHT_NOISE_M`; without a filter in the log with the height that there is, by
+      `OTHER_SOURCE_M`.
+    * ``h_gnss_m`` is the receiver's: compared with the receiver, by `HEIGHT_NOISE_M`.
+    * ``h_ellipsoid_m`` may be of either: compared with the receiver, by `OTHER_SOURCE_M`.
     """
     position = evidence.own.get(POSITION)
     height = evidence.own.get(HEIGHT)
@@ -233,7 +238,7 @@ def _height_findings(evidence: ExposureEvidence) -> Iterator[Message]:
             position,
             HEIGHT_NOISE_M,
         )
-    elif height is not None:
+    elif height is not None:  # no filter gives the position
         yield from _heights_beside(
             evidence,
             "h_msl_m",
@@ -263,7 +268,8 @@ def _heights_beside(
 ) -> Iterator[Message]:
     """A finding where the heights of exposures in a column are none of another channel's.
 
-    Of the other channel the heights above the sea, the ellipsoid and the take-off count.
+    Of the other channel the heights above the sea, the ellipsoid and the take-off count; beyond
+    their sigmas heights may be ``noise_m`` apart.
     """
     shots = evidence.channel
     if column not in shots.columns:
@@ -300,8 +306,11 @@ def _nearest_height(
 ) -> Array:
     """(n,) metres from heights of exposures to the nearest height of another channel, any surface.
 
-    NaN where either is unknown: a logged height of 0 is none, and one that the log names as well as
-    that above a take-off counts only if the other channel has heights above it.
+    NaN where the other channel has none, and where that of the exposure is unknown:
+
+    * it is 0;
+    * it is the same as the height above home, because home is not set. This counts as unknown only
+      if the other channel has no heights above home, with which it could be compared.
     """
     shots = evidence.channel
     is_logged = shots[column] != 0.0
@@ -312,13 +321,13 @@ def _nearest_height(
         shots[column],
         np.nan,
     )
-    other = _above_its_begin(other)
-    gap_s = other.gap_limit_s(evidence.max_gap_s)
+    compared = _above_its_begin(other)
+    gap_s = compared.gap_limit_s(evidence.max_gap_s)
     apart_m = np.full(len(shots), np.nan)
     for time_ns in evidence.instants:
         for surface in HEIGHTS_OF_FLIGHT:
             of_flight_m = interpolate(
-                other,
+                compared,
                 surface,
                 time_ns,
                 gap_s,
@@ -345,7 +354,8 @@ def _above_its_begin(other: Channel) -> Channel:
 def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     """A finding where the vertical of exposures departs from that of the flight.
 
-    Only events with the attitude of the aircraft are compared, and only with its attitude.
+    Compared are only events with the attitude of the aircraft, and only with a channel of the
+    aircraft's attitude that is not the events' own.
     """
     shots = evidence.channel
     attitude = evidence.own.get(ATTITUDE)

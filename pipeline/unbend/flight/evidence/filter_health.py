@@ -74,7 +74,9 @@ def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:
 def _rejected_measurements(column: str, lanes: list[Channel]) -> list[Stretch]:
     """The stretches in which all lanes of a filter reject a measurement.
 
-    A rejected velocity makes the position suspect, too.
+    A stretch lasts until the ratio has settled. It is passed over if the ratio stays below 2 and it
+    lasts for less than 0.5 s (5 s of the compass). A rejected velocity makes the position suspect,
+    too.
     """
     quantity, reason = _INNOVATIONS[column]
     shortest_s = _SHORT_COMPASS_S if column == "innovation_compass" else _SHORT_S
@@ -130,7 +132,8 @@ def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[St
     """The stretches in which the vertical of an attitude departs from that of another attitude.
 
     The angle between the two counts beyond what the aircraft turns in 0.2 s (times of telemetry are
-    no better), and beyond what is usual.
+    no better), and beyond what is usual. A stretch reaches as far as half of that limit is
+    exceeded; a single sample beyond the limit is none.
     """
     suspect: list[Stretch] = []
     vertical = _vertical(attitude)

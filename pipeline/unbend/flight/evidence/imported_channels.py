@@ -106,7 +106,8 @@ def _departures_from_log(
     """Stretches in which an imported path departs from the log by more than an autopilot's error.
 
     The steps of the imported path are left in, so that they count as departures. In the stretches
-    ``suspect_in_log`` the log is no evidence.
+    ``suspect_in_log`` the log is no evidence. A stretch reaches as far as half of the limit is
+    exceeded.
     """
     channel = imported.channel
     with_steps = replace(

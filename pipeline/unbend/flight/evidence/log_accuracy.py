@@ -84,10 +84,10 @@ class LogAccuracy:
         They are those that the channel itself reports. A filter that reports none has those of its
         receiver together with its own innovations.
         """
-        if not any(name in channel.columns for name in _REPORTS):
-            variances = self._filter_variances(time_ns)
-        else:
+        if any(name in channel.columns for name in _REPORTS):
             variances = self._channel_variances(channel, time_ns)
+        else:
+            variances = self._filter_variances(time_ns)
         return PositionSigmas(np.sqrt(variances.horizontal_m2), np.sqrt(variances.height_m2))
 
     def _channel_variances(self, channel: Channel, time_ns: TimeArray) -> _PositionVariances:
@@ -140,10 +140,11 @@ class LogAccuracy:
     def attitude(self, channel: Channel, time_ns: TimeArray, lat_rad: Array) -> AttitudeSigmas:
         """(m,) sigmas of the attitudes of a channel at instants and latitudes.
 
-        They are those that the channel itself reports. Else the tilt of a filter grows with its
-        innovations of velocity, as the sigma of unit weight does, and a compass adds to the yaw the
-        tilt times the tangent of the field's dip (that of a dipole along the earth's axis,
-        2 tan(latitude)).
+        They are those that the channel itself reports; else those of a filter:
+
+        * The tilt grows with the innovations of velocity, as the sigma of unit weight does.
+        * The yaw has in addition, from the compass, the tilt times the tangent of the field's dip:
+          2 tan(latitude), that of a dipole along the earth's axis.
         """
         if "sigma_tilt_rad" in channel.columns and "sigma_yaw_rad" in channel.columns:
             gap_s = channel.gap_limit_s()
@@ -218,6 +219,7 @@ def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Arr
 def _nearest_row(channel: Channel, time_ns: TimeArray) -> Rows:
     """(m,) rows of the samples nearest to instants; of equally near ones the later."""
     after = np.clip(np.searchsorted(channel.time_ns, time_ns), 1, max(len(channel) - 1, 1))
+    # The remainder is for a channel of one sample, which has no row ``after`` to be asked.
     to_before = time_ns - channel.time_ns[after - 1]
     to_after = channel.time_ns[after % len(channel)] - time_ns
     return np.asarray(np.where(to_before < to_after, after - 1, after))
@@ -233,22 +235,22 @@ class _Scatter(NamedTuple):
 def _scatter_about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> _Scatter:
     """Mean and standard deviation of the finite values within `WINDOW_NS` of each instant.
 
-    ``stamps`` are the times of the values. Both are 0 where there is no value.
+    ``stamps`` are the times of the values. Mean and deviation are 0 where there is no value.
     """
     known = np.isfinite(values)
-    stamps = stamps[known]
-    values = values[known]
-    middle = float(np.median(values)) if values.size else 0.0
-    departures = values - middle  # so that squares do not cancel
-    first = np.searchsorted(stamps, time_ns - WINDOW_NS)
-    end = np.searchsorted(stamps, time_ns + WINDOW_NS, side="right")
+    known_ns = stamps[known]
+    known_values = values[known]
+    middle = float(np.median(known_values)) if known_values.size else 0.0
+    departures = known_values - middle  # so that squares do not cancel
+    first = np.searchsorted(known_ns, time_ns - WINDOW_NS)
+    end = np.searchsorted(known_ns, time_ns + WINDOW_NS, side="right")
     count = np.maximum(end - first, 1)
     sums = np.append(0.0, np.cumsum(departures))
     square_sums = np.append(0.0, np.cumsum(departures**2))
-    mean = (sums[end] - sums[first]) / count
+    mean_departure = (sums[end] - sums[first]) / count
     mean_square = (square_sums[end] - square_sums[first]) / count
-    deviation = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
-    return _Scatter(np.where(end > first, middle + mean, 0.0), deviation)
+    deviation = np.sqrt(np.maximum(mean_square - mean_departure**2, 0.0))
+    return _Scatter(np.where(end > first, middle + mean_departure, 0.0), deviation)
 
 
 def with_accuracy(
@@ -257,8 +259,8 @@ def with_accuracy(
     """The roles with velocities and body rates in their channels, and how accurate the log is.
 
     The accuracy is what channels of the position's sender tell. A channel without velocities or
-    rates gets those of another channel of the same sender (MAVLink's system). A gimbal's does not:
-    the body rates of the sender are the aircraft's.
+    rates gets those of another channel of the same sender (MAVLink's system). The attitude of a
+    gimbal gets none: the body rates of its sender are the aircraft's.
     """
     by_rank = sorted(channels, key=lambda channel: (channel.rank, channel.name))
     result = dict(roles)
@@ -278,7 +280,7 @@ def _accuracy_of_sender(channels: list[Channel]) -> LogAccuracy:
     def first(fits: Callable[[Channel], bool]) -> Channel | None:
         return next((channel for channel in channels if fits(channel)), None)
 
-    def is_receiver(channel: Channel) -> bool:
+    def is_receiver_with_accuracy(channel: Channel) -> bool:
         columns = channel.columns
         return "height" in channel.roles and ("sigma_h_m" in columns or "hdop" in columns)
 
@@ -290,7 +292,7 @@ def _accuracy_of_sender(channels: list[Channel]) -> LogAccuracy:
     def is_fused(channel: Channel) -> bool:
         return "position" in channel.roles and "height" not in channel.roles
 
-    receivers = [channel for channel in channels if is_receiver(channel)]
+    receivers = [channel for channel in channels if is_receiver_with_accuracy(channel)]
     return LogAccuracy(
         receiver=receivers[0] if receivers else None,
         health=first(has_innovations),

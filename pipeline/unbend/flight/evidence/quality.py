@@ -159,6 +159,7 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
     with a warning, and not searched for jumps: it has another unit, or is not of air. Of events
     only heights and ranges are checked.
     """
+    # Ranges before jumps: a value out of range would be a jump as well.
     channel, height_notes = _mask_heights(channel)
     channel, odd_columns, range_notes = _mask_ranges(channel)
     notes = [*height_notes, *range_notes]
@@ -191,7 +192,7 @@ def _reasons_of_useless_rows(channel: Channel, roles: list[str]) -> Reasons:
 def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
     """The channel with values out of range unknown, and the columns whose median is out of range.
 
-    These columns are left as they are; heights are left to `_mask_heights`.
+    The values of these columns stay, with a warning; heights are left to `_mask_heights`.
     """
     odd_columns: set[str] = set()
     notes: list[Message] = []
@@ -205,17 +206,17 @@ def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
         if RANGES[column].has(median):
             notes.append(_out_of_range(channel, column, outside))
             channel = channel.with_impossible(column, outside, Reason.OUT_OF_RANGE)
-            continue
-        odd_columns.add(column)
-        notes.append(
-            messages.median_is_odd(
-                channel=channel.name,
-                column=column,
-                samples=len(channel),
-                median=median,
-                limits=f"outside {RANGES[column]}",
+        else:
+            odd_columns.add(column)
+            notes.append(
+                messages.median_is_odd(
+                    channel=channel.name,
+                    column=column,
+                    samples=len(channel),
+                    median=median,
+                    limits=f"outside {RANGES[column]}",
+                )
             )
-        )
     return channel, odd_columns, tuple(notes)
 
 
@@ -426,17 +427,18 @@ def _stray_rows(channel: Channel, known: Mask, step: _Step, where: str) -> tuple
     is_short = length <= STRAY_ROWS
     is_stray = np.zeros(first.shape, np.bool_)
     longest = int(np.argmax(length))
-    kept = longest
+    kept = longest  # the last one on the way to the end
     for stretch in range(longest + 1, first.size):
         is_stray[stretch] = is_short[stretch] and is_out_of_reach(kept, stretch)
         if not is_stray[stretch]:
             kept = stretch
-    kept = longest
+    kept = longest  # the same on the way to the begin
     for stretch in range(longest - 1, -1, -1):
         is_stray[stretch] = is_short[stretch] and is_out_of_reach(stretch, kept)
         if not is_stray[stretch]:
             kept = stretch
-    return np.asarray(rows[np.repeat(is_stray, length)], np.intp), ()
+    stray_rows = rows[np.repeat(is_stray, length)]
+    return np.asarray(stray_rows, np.intp), ()
 
 
 def _begins_of_stretches(channel: Channel, rows: Rows, step: _Step) -> Integers:

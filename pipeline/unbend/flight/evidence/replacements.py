@@ -141,8 +141,9 @@ def attitude_drifts(
     """The stretch as one of a suspect attitude, if the filter drifted; else nothing.
 
     A filter that goes away from its replacement without a step has a wrong vertical: with a quarter
-    of a degree of tilt, a filter without a receiver is 0.02 m/s² t² away after the time t. It is a
-    drift if the sample that is farthest off is at least as far away, and by more than noise.
+    of a degree of tilt, a filter without a receiver is 0.02 m/s² t² away after the time t. The
+    filter drifted if it is at least as far away at the sample that is farthest off, and farther
+    than noise. Samples at which the filter has stepped away do not count.
     """
     difference = replacement.difference
     time_ns = replacement.channel.time_ns
@@ -209,7 +210,8 @@ def moved(channel: Channel, rows: Mask, by_m: Array, into_column: str | None) ->
     A height is read from the channel's own height column and returned as ``into_column``, the
     height column of the channel that it replaces; the other kinds of height become NaN.
     """
-    if by_m.size == 1:
+    is_height = by_m.size == 1
+    if is_height:
         height = channel[channel.height_column or "h_msl_m"][rows] + by_m[0]
         unknown = np.full(height.shape, np.nan)
         columns = dict.fromkeys(("h_msl_m", "h_ellipsoid_m", "h_home_m", "h_gnss_m"), unknown)

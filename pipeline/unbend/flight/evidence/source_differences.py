@@ -82,18 +82,20 @@ def source_difference(
     """How far a source is from another source, beyond the usual offset of the two.
 
     ``velocity`` (n, k) [m/s] at the times of the other source. The usual offset is the median, or
-    that of a tenth of the flight or more in which the two agree. Positions, and heights of two
-    receivers, agree where they differ by less than noise. Other heights may have any offset:
-    they agree before ``steady_until_ns``, when ``source`` first stepped and did not return.
+    that of a tenth of the flight or more in which the two agree:
+
+    * Positions, and heights of two receivers, agree where they differ by less than noise.
+    * Other heights may have any offset. They agree before ``steady_until_ns``, when ``source``
+      first stepped and did not return; nowhere if it never did.
     """
     noise_m = NOISE_MISFIT_M[quantity]
     are_receivers = is_receiver(source) and is_receiver(other.channel)
     agree_near_zero = quantity == POSITION or are_receivers
-    velocity = np.nan_to_num(velocity)
+    known_velocity = np.nan_to_num(velocity)  # where it is unknown, no lag is seen or taken out
     apart_m = _apart_with_lag(source, other, quantity)
     known = np.isfinite(apart_m).all(axis=1) & other.good
-    lag = _constant_lag(apart_m, velocity, known, noise_m, may_part=agree_near_zero)
-    apart_m -= lag.seconds * velocity
+    lag = _constant_lag(apart_m, known_velocity, known, noise_m, may_part=agree_near_zero)
+    apart_m -= lag.seconds * known_velocity
     # A sample that is not good has either stepped away, and its step is taken out, or its accuracy
     # is poor.
     is_accurate = other.good | other.stepped_m.any(axis=1)
@@ -145,10 +147,12 @@ class _Lag(NamedTuple):
 def _constant_lag(
     apart_m: Array, velocity: Array, known: Mask, noise_m: float, *, may_part: bool
 ) -> _Lag:
-    """The lag that differences along the track show: the median, or 0 if too few samples are fast.
+    """The lag that differences along the track show, and the samples that show it.
 
-    With ``may_part`` two sources may agree in a part of the flight only; the lag is that of such a
-    part if the lags of all samples scatter by more than noise.
+    * Too few samples are fast: 0; all known samples count as showing that.
+    * The lags of the fast samples scatter by more than noise, and the two sources may agree in a
+      part of the flight only (``may_part``): the lag of such a part.
+    * Else the median lag of the fast samples.
     """
     square_speed = np.sum(velocity**2, axis=1)
     usual_square = float(np.percentile(square_speed, 95.0))
@@ -165,10 +169,10 @@ def _constant_lag(
 
 
 def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
-    """The lag [s] that makes the smallest tenth of (f, k) differences smallest.
+    """The lag [s] for which the 10th percentile of (f, k) differences is smallest.
 
-    The median of all (f,) lags is tried, and that of each twentieth of the flight, because two
-    sources may agree in a part of it only.
+    Two sources may agree in a part of the flight only: tried are the median of all (f,) lags, and
+    that of each twentieth of the flight unless it is longer than receivers have.
     """
 
     def distance_of_nearest(lag_s: float) -> float:
@@ -193,8 +197,9 @@ class _Misfit(NamedTuple):
 def _misfit(apart_m: Array, part: Rows, known: Mask, agree: Mask, noise_m: float) -> _Misfit:
     """How far two sources are apart beyond their usual offset, which each part has for itself.
 
-    The parts of the other source have their own, because heights above home have a new home after
-    a restart. The offset of a part rests on its ``known`` samples (n,), or on any if none is known.
+    Each part of the other source has an offset of its own, because heights above home have a new
+    home after a restart. The offset of a part rests on its ``known`` samples (n,); if there are
+    none, on all whose difference is known.
     """
     off_m = np.full(part.size, np.nan)
     settled = np.zeros(part.size, np.bool_)

@@ -114,7 +114,8 @@ def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) ->
     than 3 m (5 m in height), by more than several times the usual amount, and by more than a
     vehicle may accelerate in the interval. Velocity is that of the first of ``channels`` that has
     any. From a step that leaves to the step that returns the source is away; a step without return
-    divides the source into two parts.
+    divides the source into two parts. A source with more than 1000 such moves is noise, and has no
+    steps.
     """
     channel = with_places(channel, quantity)
     time_ns = channel.time_ns
@@ -163,7 +164,7 @@ def _unexplained_moves(channel: Channel, quantity: str, channels: Iterable[Chann
     padding = ((_NEIGHBOURS, _NEIGHBOURS), (0, 0))
     padded_speed = np.pad(speed, padding, mode="edge")
     windows = sliding_window_view(padded_speed, 2 * _NEIGHBOURS + 1, axis=0)
-    median_speed = np.partition(windows, _NEIGHBOURS, axis=-1)[..., _NEIGHBOURS]
+    median_speed = np.partition(windows, _NEIGHBOURS, axis=-1)[..., _NEIGHBOURS]  # the middle one
     beyond_neighbours = speed - median_speed
     velocity = velocity_at(channels, quantity, channel.time_ns)
     beyond_velocity = speed - 0.5 * (velocity[1:] + velocity[:-1])
@@ -202,12 +203,12 @@ def _paired_steps(
     level = 1
     while level < len(levels):
         step_m = float(np.linalg.norm(levels[level] - base_m))
-        if step_m <= noise_m:
+        if step_m <= noise_m:  # still at the base
             level += 1
             continue
         begin = edges[level]
         return_level = _return_to(base_m, levels, level, noise_m + _RETURNS_WITHIN * step_m)
-        if return_level is None:
+        if return_level is None:  # it has left the base for good
             base_m = levels[level]
             lasting_rows.append(begin)
             part[begin:] += int(part.max()) + 1  # numbers that no part has yet

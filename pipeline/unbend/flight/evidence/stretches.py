@@ -136,7 +136,7 @@ def flag_suspect(
     are. A station in several stretches counts in each of them.
     """
     notes: list[Message] = []
-    usable = stations.ok
+    usable = stations.ok  # before any stretch has made one suspect
     for stretch in stretches:
         rows = stretch.covers(stations.time_ns) & usable
         count = int(np.count_nonzero(rows))

@@ -23,13 +23,13 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
     wanted = wanted_fields()
     with open_view(path) as data:
         walker = RecordWalker(data, wanted)
-        line = timeline(stamps(data, walker))
+        line = timeline(stamps(data, walker))  # walks through the file: then all records are known
         tables = decode(walker, wanted)
     walker.report_bytes(ledger, path.name, "record")
     for definition in walker.refused:
-        if walker.bad_bytes:
+        if walker.bad_bytes:  # maybe of records of this definition
             ledger.add(messages.bad_definition(file=path.name, definition=definition))
-        else:  # all bytes are of records that are defined
+        else:
             ledger.add(messages.unused_bad_definition(file=path.name, definition=definition))
     return contents_of(
         walker,

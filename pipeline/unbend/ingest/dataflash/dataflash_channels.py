@@ -44,7 +44,10 @@ ACCURACY_FIELDS = [field for column in _ACCURACY_MAP.columns for field in column
 
 
 def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
-    """The words of the autopilot in each row of MSG, EV or ERR; None where they are not defined.
+    """The words of the autopilot in each row of MSG, EV or ERR.
+
+    MSG has texts; EV and ERR have numbers, whose names `MAPS` knows. None where the field is absent
+    or of another kind.
 
     >>> texts_of("ERR", "Subsys", {"Subsys": np.array([16], "u1"), "ECode": np.array([2], "u1")})
     ('ERR EKFCHECK 2',)
@@ -107,7 +110,7 @@ def _times_of_block(
     raw = data.array(block.base, block.end())
     time_us = microseconds(gather(raw, offsets + HEADER, 8).view("<u8"))
     is_definition_in_ms = np.array([field == "TimeMS" for field in time_fields])
-    if is_definition_in_ms.any():
+    if is_definition_in_ms.any():  # of these, more than the time was read: they are read again
         in_ms = is_definition_in_ms[block.numbers[has_time]]
         time_ms = gather(raw, offsets[in_ms] + HEADER, 4).view("<u4")
         time_us[in_ms] = time_ms * np.int64(1000)
@@ -163,8 +166,8 @@ def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadin
     instance = instance_of(table)
     for number in np.unique(instance[has_utc]):
         rows = has_utc & (instance == number)
-        receiver = table
-        if not bool(rows.all()):  # a long log is not copied
+        receiver = table  # not copied if all rows are of it: a log may be long
+        if not bool(rows.all()):
             needed_fields = (PLACE, "TimeUS", *_UTC_FIELDS)
             receiver = {field: table[field][rows] for field in needed_fields}
         label = name
@@ -264,16 +267,16 @@ def _rows_of_message(
     del table[PLACE]
     values = extract(table, spec.columns, copy_rows, used_up=table)  # fields are freed one by one
     del table  # with the fields that no column is made of
-    instances = np.unique(instance)
-    if not is_named and not spec.event:
-        instances = _without_stray_instances(message, instance, ledger)
+    distinct_instances = np.unique(instance)
+    if not is_named and not spec.event:  # a name or an exposure may rightly come once
+        distinct_instances = _without_stray_instances(message, instance, ledger)
     rows_of = dict(rows_by_value(instance))
-    for value in instances.tolist():
-        chosen_rows = rows_of[value]
+    for number in distinct_instances.tolist():
+        chosen_rows = rows_of[number]
         if not limit.admits(chosen_rows.size):
             continue
-        has_label = is_named or value >= 0  # -1 is of messages without instances
-        label = str(value) if has_label else None
+        has_label = is_named or number >= 0  # -1 is of messages without instances
+        label = str(number) if has_label else None
         name = f"{message}[{label}]" if has_label else message
         source = Source(message, label)
         rows = DecodedRows(
@@ -361,7 +364,7 @@ def _reported_columns(spec: MessageMap) -> set[str]:
     needed: set[str] = set()
     for role in spec.roles:
         needed |= set(ROLE_COLUMNS[role])
-    needed.discard("event_index")
+    needed.discard("event_index")  # `channel_of` numbers exposures itself
     if spec.attitude or spec.position:
         needed -= {"q_w", "q_x", "q_y", "q_z", "lat_rad", "lon_rad"}
     if spec.position:
@@ -371,7 +374,7 @@ def _reported_columns(spec: MessageMap) -> set[str]:
 
 _FARTHER_THAN_ALL = 1 << 40  # [bytes] more than any log has
 _TIME_BITS = 52  # 2^52 us are 142 years: the instance fits above the time
-_INSTANCE_MASK = 0x3FF
+_INSTANCE_MASK = 0x3FF  # ten bits above the time: the sign of int64 stays free
 
 
 def _join_accuracy(fixes: Table, accuracies: Table) -> Table:
@@ -442,7 +445,9 @@ def _neighbours(fixes: _Keyed, accuracies: _Keyed, in_log_order: Integers, *, sh
     is_accuracy = in_log_order >= fixes.key.shape[0]
     ordered_accuracy_rows = in_log_order[is_accuracy] - fixes.key.shape[0]
     positions_of_fixes = np.flatnonzero(~is_accuracy)
-    neighbour = np.cumsum(is_accuracy)[positions_of_fixes] + shift
+    # as many accuracies as stand before a fix: that is the index of the first one behind it
+    following = np.cumsum(is_accuracy)[positions_of_fixes]
+    neighbour = following + shift
     has_neighbour = (neighbour >= 0) & (neighbour < ordered_accuracy_rows.shape[0])
     fix_rows = in_log_order[positions_of_fixes[has_neighbour]]
     accuracy_rows = ordered_accuracy_rows[neighbour[has_neighbour]]
@@ -454,6 +459,6 @@ def _neighbours(fixes: _Keyed, accuracies: _Keyed, in_log_order: Integers, *, sh
 
 
 def _key(table: Table) -> Integers:
-    """The instance and the time of each row as one number."""
-    instance = instance_of(table).astype(np.int64) + 1 & _INSTANCE_MASK
+    """The instance and the time of each row as one number; no instance, -1, becomes 0."""
+    instance = (instance_of(table).astype(np.int64) + 1) & _INSTANCE_MASK
     return np.asarray(microseconds(table["TimeUS"]) + (instance << _TIME_BITS), np.int64)

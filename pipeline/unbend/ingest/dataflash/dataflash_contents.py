@@ -53,6 +53,7 @@ def contents_of(
     other clocks that tell the date.
     """
     timed = timed_tables(tables, ledger)
+    # Clock, parameters and drops come first: `channels_of` removes the tables.
     clock, time_base = clock_of(line, timed, ledger, witnesses)
     parameters = _last_values(timed.get("PARM", {}))
     dropped = 0
@@ -139,7 +140,7 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
             timeless[name] = table
         else:
             ledger.add(messages.no_time_field(message=name, count=table[PLACE].size))
-    if timeless and timed:
+    if timeless and timed:  # without any timed row there is no time to take over
         _add_timeless(timed, timeless, ledger)
     return timed
 
@@ -171,7 +172,8 @@ def _rows_with_time(table: Table) -> Table:
 def _add_timeless(timed: dict[str, Table], timeless: Mapping[str, Table], ledger: Ledger) -> None:
     """Add the timeless tables to the timed ones; a row gets the time of the record before it.
 
-    Exposures (CAM) get that of the last fix.
+    Rows before all timed records get the time of the first one. Exposures (CAM) get that of the
+    last fix.
     """
     places = np.concatenate([table[PLACE] for table in timed.values()])
     times_us = np.concatenate([microseconds(table["TimeUS"]) for table in timed.values()])
@@ -186,10 +188,11 @@ def _add_timeless(timed: dict[str, Table], timeless: Mapping[str, Table], ledger
 
 
 def with_time(name: str, columns: Table) -> Table:
-    """The table of a message with its time in TimeUS [us].
+    """The table of a message with its time since boot in TimeUS [us], and GPS time in GMS and GWk.
 
-    Until 2015 the time was in TimeMS [ms], and in rows of receivers, where TimeMS and Week were the
-    GPS time, in T [ms].
+    Tables without TimeUS are of logs until 2015. Their time since boot was in TimeMS [ms], but in
+    rows of receivers in T [ms]: there TimeMS and Week were the GPS time. A table with neither is
+    returned as it is.
     """
     is_receiver = name in RECEIVERS
     time_ms = columns.get("T" if is_receiver else "TimeMS")
@@ -221,7 +224,8 @@ class _Fixes(NamedTuple):
 def _fixes_of(receiver: Table) -> _Fixes:
     """The fixes of a table of GPS rows, none where it lacks the time or the status."""
     if not {"GMS", "GWk", "Status"} <= receiver.keys():
-        return _Fixes(np.empty(0, np.int64), np.empty(0, np.int64))
+        nothing = np.empty(0, np.int64)
+        return _Fixes(nothing, nothing)
     has_fix = receiver["Status"] >= LOWEST_FIX
     gps_ms = _gps_ms(receiver["GWk"][has_fix], receiver["GMS"][has_fix])
     time_us = microseconds(receiver["TimeUS"][has_fix])
@@ -232,7 +236,8 @@ def _fixes_of(receiver: Table) -> _Fixes:
 def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> Table:
     """Exposures, of which only the GPS time of the last fix is logged, with a time and its sigma.
 
-    The time is half an interval of fixes after that of the fix.
+    The time is half an interval of fixes after that of the fix. An exposure whose fix is not in the
+    log keeps its time, which is that of the record before it.
     """
     time_us = exposures["TimeUS"].copy()
     fixes = _fixes_of(receiver)
@@ -241,8 +246,8 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
     if {"GPSTime", "GPSWeek"} <= exposures.keys() and np.isfinite(interval_s):
         last_fix_ms = _gps_ms(exposures["GPSWeek"], exposures["GPSTime"])
         row = np.minimum(np.searchsorted(fixes.gps_ms, last_fix_ms), fixes.gps_ms.size - 1)
-        known = fixes.gps_ms[row] == last_fix_ms
-        half_interval_us = round(interval_s * 5e5)
+        known = fixes.gps_ms[row] == last_fix_ms  # the fix itself is in the log
+        half_interval_us = round(interval_s / 2.0 * 1e6)
         time_us[known] = fixes.time_us[row[known]] + half_interval_us
     sigma_s = interval_s / np.sqrt(12.0)  # of a uniform distribution over the interval
     ledger.add(
@@ -268,15 +273,18 @@ def stamped(name: str, table: Table, clock: BootClock, instance: str | None) -> 
 
     ``instance``: of which only the rows are wanted; empty where no row is of it.
     """
-    timed = with_time(name, table)
-    places = table.pop(PLACE)
-    if "TimeUS" in timed and is_number(timed["TimeUS"]):
-        time_ns = clock.utc(places, nanoseconds(timed["TimeUS"]))
-        time_columns: Table = {"time_ns": time_ns, "boot": clock.line.boot_of(places)}
-        table = time_columns | table
+    places = table[PLACE]
+    time_us = with_time(name, table).get("TimeUS")
+    logged = {field: column for field, column in table.items() if field != PLACE}
+    time_columns: Table = {}
+    if time_us is not None and is_number(time_us):
+        time_columns["time_ns"] = clock.utc(places, nanoseconds(time_us))
+        time_columns["boot"] = clock.line.boot_of(places)
+    whole = time_columns | logged
     if instance is None:
-        return table
+        return whole
+
     rows = instance_of(table).astype(np.str_) == instance
     if not rows.any():
         return {}
-    return {field: column[rows] for field, column in table.items()}
+    return {field: column[rows] for field, column in whole.items()}

@@ -19,6 +19,7 @@ from unbend.ingest.dataflash.record_definitions import (
     FMT_TYPE,
     HEADER,
     MAGIC,
+    NAME_BYTES,
     define,
     definition_of_fmt,
 )
@@ -132,8 +133,9 @@ class RecordWalker(DamagedBytes):
         begin = place
         end = min(place + SPAN, self.size - HEADER + 1)
         raw = self.data.array(begin, end + HEADER - 1)
-        rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
-        block = _Candidates(rows + begin, raw[rows + 2], self.length_of)
+        is_header = (raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1])  # the type byte follows
+        offsets = np.flatnonzero(is_header)
+        block = _Candidates(offsets + begin, raw[offsets + 2], self.length_of)
         while place < end:
             run = self._whole_records(block, place)
             if run.start == run.stop:
@@ -160,14 +162,15 @@ class RecordWalker(DamagedBytes):
             return run
         return slice(run.start, last)
 
-    def _keep(self, block: _Candidates, row: int, stop: int) -> int:
-        """Keep the records in rows from ``row`` to ``stop``, and put their definitions in force.
+    def _keep(self, block: _Candidates, start: int, stop: int) -> int:
+        """Keep the records in rows from ``start`` to ``stop``, and put their definitions in force.
 
         Returns the row before which it ends: an earlier one than ``stop`` if other records follow
         on an FMT record that defines a type anew, because their lengths may have changed.
         """
-        is_definition = block.types[row:stop] == FMT_TYPE
-        definition_rows = row + np.flatnonzero(is_definition)
+        row = start  # the first row that is not entered yet
+        is_definition = block.types[start:stop] == FMT_TYPE
+        definition_rows = start + np.flatnonzero(is_definition)
         for definition_row in definition_rows.tolist():
             number = self._number_of_definition(int(block.at[definition_row]))
             if number is None:
@@ -201,7 +204,7 @@ class RecordWalker(DamagedBytes):
             return number
         definition = define(payload)
         if definition is None or len(self.definitions) == MOST_DEFINITIONS:
-            self.refused.append(f"type {payload[0]} {payload[2:6]!r} at byte {at}")
+            self.refused.append(f"type {payload[0]} {payload[NAME_BYTES]!r} at byte {at}")
             return None
         number = len(self.definitions)
         self.seen[payload] = number
@@ -264,13 +267,14 @@ class RecordWalker(DamagedBytes):
         off is no damage: its bytes are counted as cut.
         """
         begin = at
-        if self._record_before_is_damaged(at):
+        includes_last_record = self._record_before_is_damaged(at)
+        if includes_last_record:
             begin = int(self.runs[-1].places[-1])
         resumed = self._next_chain(begin + 1)
         if resumed == self.size and self._is_cut_record(at):
             self.cut_bytes = self.size - at
             return self.size
-        if begin < at:
+        if includes_last_record:
             self._drop_last_record()
         self.drop(begin, resumed)
         return resumed
@@ -278,8 +282,9 @@ class RecordWalker(DamagedBytes):
     def _record_before_is_damaged(self, at: int) -> bool:
         """Whether the last record ends at this byte, but only because its type byte is damaged.
 
-        A record whose type byte was flipped ends in the wrong place. That is so if both bytes at
-        its end differ from those of a header, or if a chain of records begins inside it.
+        A record whose type byte was flipped has the length of another type, and ends in the wrong
+        place. Two things show that: both bytes at the end of the record differ from those of a
+        header, or a chain of records begins inside the record.
         """
         if not self.runs:
             return False
@@ -288,7 +293,8 @@ class RecordWalker(DamagedBytes):
         if before + self._length(type_byte) != at:
             return False
         mark = self.data[at : at + len(MAGIC)]
-        if mark and mark[:1] != MAGIC[:1] and mark[1:] != MAGIC[1:]:
+        both_differ = mark[:1] != MAGIC[:1] and mark[1:] != MAGIC[1:]
+        if mark and both_differ:
             return True
         inside = self.data.find(MAGIC, before + HEADER, at)
         while inside != -1:
@@ -337,7 +343,8 @@ class RecordWalker(DamagedBytes):
     def _chain(self, place: int) -> bool:
         """Whether a chain of `LINKS` records begins at a byte, or a shorter one at the file's end.
 
-        The end may cut off the last record of a shorter chain; its first only in the header.
+        The end of the file may be that of the last record, or cut off the last record: a first one
+        within its header only, as its length alone would prove nothing.
         """
         for link in range(LINKS):
             header = self.data[place : place + HEADER]
@@ -350,7 +357,8 @@ class RecordWalker(DamagedBytes):
                 return False
             place += length
             if place >= self.size:
-                return place == self.size or link > 0  # the last record may be cut
+                is_cut_off = place > self.size
+                return not is_cut_off or link > 0
         return True
 
 

@@ -137,7 +137,7 @@ LOG_INSTANCE = Code(
 def stray_instances(
     *, message: str, count: int, numbers: Sequence[int], most: int, main: int
 ) -> Message:
-    """A few rows are of instances beside one with a hundred times as many."""
+    """A few rows are of other instances than ``main``, which has ``most``, a hundred times more."""
     return loss(
         LOG_INSTANCE,
         "{count} rows are of instances ({numbers}) that no other row has, beside {most} of "

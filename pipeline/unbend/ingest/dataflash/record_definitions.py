@@ -27,7 +27,11 @@ DIVISORS = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
 """What the integers of scaled fields are divided by, by letter."""
 
 _BYTES_OF_FILE = ("u1", (64,))  # the field Z of FILE holds no text
-_OFFSET = 1  # the place of the offset in what numpy says of a field: its type and its offset
+
+# Where the payload of an FMT record has its texts; before them are the type and the length.
+NAME_BYTES = slice(2, 6)
+_LETTERS_BYTES = slice(6, 22)
+_COLUMNS_BYTES = slice(22, 86)
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,8 @@ class RecordDefinition:
         for name, kind in (("TimeUS", "<u8"), ("TimeMS", "<u4")):
             if name not in fields:
                 continue
-            is_first = fields[name][_OFFSET] == HEADER
-            if is_first and fields[name][0] == np.dtype(kind):
+            kind_of_field, offset = fields[name]
+            if offset == HEADER and kind_of_field == np.dtype(kind):
                 return name
         return ""
 
@@ -71,9 +75,9 @@ def define(payload: bytes) -> RecordDefinition | None:
     type_id = payload[0]
     length = payload[1]
     try:
-        name = _text(payload[2:6])
-        letters = _text(payload[6:22])
-        columns = _text(payload[22:86])
+        name = _text(payload[NAME_BYTES])
+        letters = _text(payload[_LETTERS_BYTES])
+        columns = _text(payload[_COLUMNS_BYTES])
     except UnicodeDecodeError:
         return None
     fields = columns.split(",") if columns else []

@@ -65,7 +65,7 @@ def decode(walker: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) ->
     _fill(tables, walker)
     tables_of_name: dict[str, list[Table]] = {}
     for number in sorted(tables):
-        table = tables.pop(number)
+        table = tables.pop(number)  # so that the characters are freed once they are text
         for field, column in table.items():
             if column.dtype.kind == "S":
                 table[field] = texts(column)
@@ -129,10 +129,10 @@ def _text(value: bytes) -> str:
 
 
 def merge_tables(several: list[Table]) -> Table:
-    """One table of those of all definitions of a message.
+    """The tables of all definitions of a message as one table.
 
-    Rows of a definition without the field of instances get the instance -1, which changes their
-    table, so that the field stays one of integers.
+    A definition may lack the field of instances. Its table then gets that field, with the instance
+    -1 in all rows: else the field would become one of floats, with NaN in these rows.
     """
     if len(several) == 1:
         return several[0]

@@ -41,7 +41,7 @@ _TIME_UNITS_US = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}  # by name and lett
 def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
     """The contents of a log as text; ``witnesses`` are other clocks that tell its date."""
     reader = _LineReader()
-    tables = reader.read(path, set(wanted_fields()))
+    tables = reader.read(path, set(wanted_fields()))  # then the reader has all counts and times
     reader.report_bytes(ledger, path.name, "line")
 
     def reread(names: set[str]) -> dict[str, Table]:
@@ -94,7 +94,7 @@ class _LineFormat:
             return False
         try:
             return all(map(_fits, self.letters, values))
-        except ValueError:
+        except ValueError:  # of float and int: no number
             return False
 
     def table(self, lines: list[_Line]) -> Table:
@@ -210,7 +210,8 @@ class _LineReader(DamagedBytes):
         form = self.formats.get(name)
         if form is None:
             return "", []
-        values = [value.strip() for value in rest.split(",", len(form.fields) - 1)]
+        commas = len(form.fields) - 1  # further ones are of the last value
+        values = [value.strip() for value in rest.split(",", commas)]
         if not form.accepts(values):
             return "", []
         if name == "FMT" and not self._define(values):
@@ -219,9 +220,10 @@ class _LineReader(DamagedBytes):
 
     def _define(self, values: list[str]) -> bool:
         """Take the definition of an FMT line; False where it is not valid."""
-        name = values[2]
-        letters = values[3]
-        columns = values[4]
+        definition = dict(zip(_FMT.fields, values, strict=True))
+        name = definition["Name"]
+        letters = definition["Format"]
+        columns = definition["Columns"]
         fields = tuple(part.strip() for part in columns.split(","))
         if columns == "Type,Length,Name,Format":  # old logs forget the last one
             fields += ("Columns",)
@@ -231,7 +233,7 @@ class _LineReader(DamagedBytes):
         if len(fields) != len(letters) or not letters:
             return False
         if name == "FMT" and len(fields) != len(_FMT.fields):
-            return False
+            return False  # this method could not read further FMT lines
         form = _LineFormat(letters, fields)
         known = self.definitions_of.setdefault(name, set())
         known.add(form)

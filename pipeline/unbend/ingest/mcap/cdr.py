@@ -188,9 +188,9 @@ class _Cursors:
         self.columns = {name: column[good] for name, column in self.columns.items()}
 
     def restarted(self) -> _Cursors:
-        """Cursors of their own at the same places of the same messages, which are numbered anew.
+        """New cursors at the same places, without columns, which leave these cursors as they are.
 
-        They have no columns, and leave these cursors as they are.
+        Their ``row`` numbers the messages from 0 on, in the order that these have here.
         """
         rows = np.arange(self.row.shape[0])
         return _Cursors(
@@ -250,15 +250,17 @@ def decode(
     >>> decode(data, np.array([0]), np.array([12]), plan).columns
     {'s': array(['a'], dtype='<U1'), 'x': array([7], dtype=uint16)}
     """
-    rows = np.flatnonzero(length >= HEAD)
-    is_plain = (data[begin[rows]] == 0) & (data[begin[rows] + 1] <= CDR_LE)
-    rows = rows[is_plain]
+    with_head = np.flatnonzero(length >= HEAD)
+    first_byte = data[begin[with_head]]
+    second_byte = data[begin[with_head] + 1]  # these two are the encoding, high byte first
+    is_plain = (first_byte == 0) & (second_byte <= CDR_LE)
+    rows = with_head[is_plain]
     cursors = _Cursors(
         data=data,
         row=rows,
         begin=begin[rows] + HEAD,
         length=length[rows] - HEAD,
-        big=data[begin[rows] + 1] != CDR_LE,
+        big=second_byte[is_plain] != CDR_LE,
         at=np.zeros(rows.shape, np.int64),
         budget=budget or StepBudget(),
     )

@@ -46,9 +46,9 @@ class ChunkReader:
         chunk = self._checked_head(record)
         if chunk is None:
             return
-        lost = record.length if chunk.small else chunk.length
+        lost_bytes = record.length if chunk.small else chunk.length  # if it cannot be inflated
         where = self.damage.at(record.at)
-        inflated = chunks.inflate(self.data, chunk, where=where, count=lost)
+        inflated = chunks.inflate(self.data, chunk, where=where, count=lost_bytes)
         if isinstance(inflated, Message):
             self.damage.add(inflated)
         elif chunk.small:
@@ -98,8 +98,9 @@ class ChunkReader:
                 kept += _kept_part(stream, opcode, length)
                 place += RECORD.size + length
                 if len(kept) >= BATCH_BYTES:
-                    yield from self._records_in(np.frombuffer(bytes(kept), np.uint8), at)
+                    batch = bytes(kept)  # a copy: messages hold parts of it
                     kept.clear()
+                    yield from self._records_in(np.frombuffer(batch, np.uint8), at)
         yield from self._records_in(np.frombuffer(bytes(kept), np.uint8), at)
 
     def _records_in(self, view: Bytes, at: int) -> Iterator[Definition | MessageRecords]:
@@ -149,10 +150,11 @@ class ChunkReader:
         if starts and starts[-1].size:
             last_begin = int(starts[-1][-1])  # where the message before the place begins
         resumed = next_message_in_chunk(view, last_begin, self.channels)
-        lost = resumed - place
         if resumed < place:
             starts[-1] = starts[-1][:-1]
             lost = resumed - last_begin
+        else:
+            lost = resumed - place
         self.damage.add(
             messages.chunk_not_records(
                 where=self.damage.at(at), count=lost, size=int(view.shape[0])

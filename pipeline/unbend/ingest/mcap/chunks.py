@@ -100,12 +100,13 @@ class InflationBudget:
         self.messages_left = self.most_messages
 
     def spend(self, chunk: Chunk, *, where: str, count: int) -> Message | None:
-        """Take what inflating a chunk costs from the budget, if the chunk may be inflated.
+        """Take what inflating a chunk costs from the budget; returns why it may not be inflated.
 
-        Returns None then; otherwise the reason why it may not, and nothing is taken. ``where`` and
-        ``count`` are its place, and its bytes in the file, for the message.
+        None stands for a chunk that may be inflated; of another one nothing is taken. ``where`` and
+        ``count`` are the chunk's place, and its bytes in the file, for the message.
         """
-        if chunk.size > min(MAX_CHUNK, max(FREE_CHUNK, MAX_RATIO * chunk.length)):
+        largest = min(MAX_CHUNK, max(FREE_CHUNK, MAX_RATIO * chunk.length))
+        if chunk.size > largest:
             return messages.chunk_too_large(
                 where=where,
                 count=count,
@@ -207,9 +208,11 @@ def chunk_stream(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
     import lz4.frame  # type: ignore[import-untyped]  # it ships neither stubs nor a marker
     import zstandard
 
-    packed: Any = io.BufferedReader(_Packed(data, chunk), BLOCK)
+    packed: Any
     if chunk.small:
         packed = io.BytesIO(data[chunk.begin : chunk.begin + chunk.length])
+    else:
+        packed = io.BufferedReader(_Packed(data, chunk), BLOCK)
     if chunk.compression == "zstd":
         inflater = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
         stream = inflater.stream_reader(packed)

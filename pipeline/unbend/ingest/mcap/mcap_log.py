@@ -36,7 +36,7 @@ from unbend.units import NANOSECONDS_PER_SECOND, Mask, Rows
 def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
     """The contents of an MCAP log; ``witnesses`` are other clocks that tell its date."""
     reader = McapReader(ledger, path.name)
-    line = timeline(reader.through(path))
+    line = timeline(reader.through(path))  # reads the file: all below needs the whole pass
     lost = reader.report()
     series: list[TopicSamples] = []
     for topic in reader.topics.values():
@@ -54,7 +54,8 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
             channel = channel_of(part, samples.spec, ledger)
             if channel is not None:
                 channels.append(channel)
-    if not clock.line.boot.size:
+    counts_from_boot = clock.line.boot.size > 0  # else no message does
+    if not counts_from_boot:
         compare_with_recorder(channels, reader.recorded_ns, ledger)
     return Contents(
         messages=reader.counts.by_name(reader.names),
@@ -76,8 +77,8 @@ def compare_with_recorder(
 ) -> None:
     """Report stamps that are more than a minute from log_time; ``recorded_ns`` is the first one.
 
-    Both are clocks of computers that nothing need have set. Dates that no log can have are judged
-    elsewhere.
+    Stamps and log_time are of clocks of computers, and neither clock need be right. Dates that no
+    log can have are judged elsewhere.
     """
     begins_ns = [int(channel.time_ns[0]) for channel in channels if len(channel)]
     if recorded_ns is None or not begins_ns or not is_possible(min(begins_ns)):
@@ -96,7 +97,8 @@ def _time_base(clock: BootClock, unstamped: int) -> str:
 
     ``unstamped`` : how many messages have no time of their own.
     """
-    if not clock.line.boot.size:
+    counts_from_boot = clock.line.boot.size > 0
+    if not counts_from_boot:
         time_base = "header.stamp of the messages"
     elif any(clock.utc_known):
         time_base = "the vehicle's time since boot, set to UTC by its GNSS messages"
@@ -149,10 +151,10 @@ def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
 def _steps_back_at(line: Timeline, starts: Rows, samples: TopicSamples) -> Mask:
     """Whether the time of a topic steps back from before each of some stretches to behind it."""
     places, boot_ns = samples.stamps(line)
-    first_row = np.searchsorted(places, line.first[starts])
-    has_both_sides = (first_row > 0) & (first_row < places.shape[0])
-    first_row = first_row[has_both_sides]
-    step_ns = boot_ns[first_row] - boot_ns[first_row - 1]
+    row_behind = np.searchsorted(places, line.first[starts])
+    has_both_sides = (row_behind > 0) & (row_behind < places.shape[0])
+    rows_between = row_behind[has_both_sides]
+    step_ns = boot_ns[rows_between] - boot_ns[rows_between - 1]
     steps_back = np.zeros(starts.shape, np.bool_)
     steps_back[has_both_sides] = step_ns < -BOOT_STEP_NS
     return steps_back
@@ -184,7 +186,11 @@ def boot_clock_of(
             why=UNCHECKED_WHY,
         )
         return BootClock(
-            line, (None,), (False,), sigma_s=UNCHECKED_SIGMA_S, assessments=(of_stamps,)
+            line,
+            fits=(None,),
+            utc_known=(False,),
+            sigma_s=UNCHECKED_SIGMA_S,
+            assessments=(of_stamps,),
         )
     receivers: list[UtcReadings] = []
     cameras: list[UtcReadings] = []

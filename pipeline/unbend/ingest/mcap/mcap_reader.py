@@ -123,7 +123,7 @@ class McapReader:
         boot_ns = np.concatenate([part.boot_ns for part in stamps])
         log_ns = np.concatenate([part.log_ns for part in stamps])
         order = np.argsort(places)
-        step = -(-order.shape[0] // RECORDED)
+        step = -(-order.shape[0] // RECORDED)  # rounded up
         sample = order[::step]
         self._recorded.append(np.stack([places[sample], boot_ns[sample], log_ns[sample]]))
         return places[order], boot_ns[order]
@@ -134,11 +134,11 @@ class McapReader:
             return None
         places, boot_ns, log_ns = np.concatenate(self._recorded, axis=1)
         return UtcReadings(
-            "log_time",
-            places,
-            boot_ns,
-            log_ns,
-            log_ns > UNIX_NS_FROM,
+            source="log_time",
+            places=places,
+            boot_ns=boot_ns,
+            utc_ns=log_ns,
+            usable=log_ns > UNIX_NS_FROM,
             sigma_s=UNCHECKED_SIGMA_S,
             why=UNCHECKED_WHY,
         )
@@ -149,7 +149,11 @@ class McapReader:
         self._subscriptions.clear()
 
     def _define(self, definition: Definition) -> None:
-        """Take a definition; those that are repeated, as in every chunk, are passed over."""
+        """Take a definition, of which the first with its number counts.
+
+        Copies, as in every chunk, are passed over. A later one that differs is a contradiction, and
+        one that cannot be parsed is damage. The last statistics count.
+        """
         from mcap import records as library
         from mcap.data_stream import ReadDataStream
         from mcap.exceptions import McapError
@@ -186,18 +190,23 @@ class McapReader:
 
     def _is_known(self, definition: Definition) -> bool:
         """Whether a definition need not be looked at: it is a copy, or too many contradict."""
-        number = definition.content[:2]
+        number = definition.content[:2]  # of a schema or a channel; of statistics just two bytes
         first = self._contents.setdefault((definition.opcode, number), definition.content)
-        if first is definition.content:
+        is_new = first is definition.content
+        if is_new:
             return False
-        return first == definition.content or len(self._contradictions) > MAX_CONTRADICTIONS
+        is_copy = first == definition.content
+        return is_copy or len(self._contradictions) > MAX_CONTRADICTIONS
 
     def _subscribe(self, channel: Any) -> None:
         """Begin to read the topic of a channel, if it is wanted and can be decoded."""
         schema = self._schemas.get(channel.schema_id)
-        name = known_name(schema.name) if schema is not None else ""
-        of_schema = "" if schema is None else schema.encoding
-        self._note_encoding(channel.topic, channel.message_encoding, of_schema)
+        name = ""
+        encoding_of_schema = ""
+        if schema is not None:
+            name = known_name(schema.name)
+            encoding_of_schema = schema.encoding
+        self._note_encoding(channel.topic, channel.message_encoding, encoding_of_schema)
         if self.only is None:
             is_wanted = name in SCHEMAS or channel.message_encoding == "json"
         else:
@@ -236,8 +245,9 @@ class McapReader:
         name: str,
         spec: MessageMap,
     ) -> topics.Decoder | Exception | None:
-        """What decodes the messages of a channel; an error of its schema; None where it is left.
+        """What decodes the messages of a channel, or the error of a schema that cannot be parsed.
 
+        None where the encoding is not read, or the library for it is missing; that is entered.
         Thousands of channels may share a schema: it is parsed once.
         """
         key = (channel.schema_id, channel.message_encoding)
@@ -262,7 +272,10 @@ class McapReader:
         name: str,
         spec: MessageMap,
     ) -> topics.Decoder | None:
-        """What decodes the messages of a channel; None where their encoding is not read."""
+        """What decodes the messages of a channel; None where their encoding is not read.
+
+        JSON needs no schema; without one, messages of any other encoding cannot be read.
+        """
         wanted = None if self.only else topics.paths_of(spec)
         encoding = channel.message_encoding
         if encoding == "json":

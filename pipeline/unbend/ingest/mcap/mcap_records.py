@@ -149,12 +149,12 @@ class RecordWalk:
                 if has_ended:
                     return span
             place = end
-        # Fewer bytes are left of the span than the head of a record has, or the last record, whose
-        # end is in the file, reaches beyond the span. At the end of the file a footer is missing.
         following = begin + place
-        if place > len(raw) or (place > 0 and following < self.data.size):
+        reaches_beyond = place > len(raw)  # the last record, whose end is in the file
+        begins_record = place > 0 and following < self.data.size  # its head is not in the span
+        if reaches_beyond or begins_record:
             span.following = following
-        else:
+        else:  # the file ends without a footer
             left = self.data.size - following
             self.damage.add(messages.no_footer(where=self.damage.at(following), count=left))
         return span
@@ -167,7 +167,7 @@ class RecordWalk:
         """
         is_possible = 0 < record.opcode <= LAST or record.opcode >= PRIVATE
         if record.end > self.data.size or not is_possible:
-            last_begin = self._last_begin
+            last_begin = self._last_begin  # `_resume` changes it
             span.following = self._resume(record)
             if span.following is not None and span.following < record.at:
                 # Records lie inside the last message: its length was damaged.
@@ -247,8 +247,9 @@ class RecordWalk:
                 )
             )
             return None
-        # Records that go on before this one do so inside the last one, all of which is lost.
-        lost = place - record.at if place > record.at else place - before
+        # Where records go on before this one, they do so inside the last one: all of it is lost.
+        lost_from = record.at if place > record.at else before
+        lost = place - lost_from
         where = self.damage.at(min(record.at, place))
         self.damage.add(messages.not_a_record(where=where, count=lost))
         self._last_begin = place
@@ -294,9 +295,9 @@ class RecordWalk:
         return MessageRecords(np.frombuffer(start, np.uint8), np.zeros(1, np.int64))
 
     def _check_data_end(self, record: Record) -> None:
-        """Check the first end of the data by its checksum, which is that of all bytes before it.
+        """Check a record that ends the data.
 
-        A checksum of 0 is none. A second end of the data is damage.
+        The first holds the checksum of all bytes before it; 0 is no checksum. A second is damage.
         """
         where = self.damage.at(record.at)
         if self._data_end_checked:

@@ -84,9 +84,9 @@ def _messages_at(data: Bytes, starts: Integers) -> Messages:
     """The messages whose records begin at these places; too short records are only counted."""
     size = _MESSAGE_HEADER.itemsize
     inside = starts[starts + size <= data.shape[0]]
-    head = gather(data, inside, size).view(_MESSAGE_HEADER)
-    is_whole = head["length"].astype(np.int64) >= MESSAGE.size
-    head = head[is_whole]
+    heads = gather(data, inside, size).view(_MESSAGE_HEADER)
+    is_whole = heads["length"].astype(np.int64) >= MESSAGE.size
+    head = heads[is_whole]
     return Messages(
         data=data,
         channel=head["channel"].copy(),

@@ -57,13 +57,14 @@ class MessageCounts:
         log_ns = batch.log_time[order]
         first_of_channel = np.flatnonzero(np.diff(channel, prepend=-1))
         channels = channel[first_of_channel]
+        # the last values of earlier batches are read before those of this one replace them
         number_before = _value_before(number, first_of_channel, self._last_number[channels])
         log_before_ns = _value_before(log_ns, first_of_channel, self._last_ns[channels])
         last_of_channel = np.append(first_of_channel[1:], channel.shape[0]) - 1
         self._last_number[channels] = number[last_of_channel]
         self._last_ns[channels] = log_ns[last_of_channel]
 
-        step = np.where(number_before < 0, 0, number - number_before)
+        step = np.where(number_before < 0, 0, number - number_before)  # 0 of a first message
         np.add.at(self._single_steps, channel[step == 1], 1)
         # Chunks in another order fill gaps that were counted before: in 1 2 5 6 3 4 7 the steps 3,
         # -3 and 3 add 2, -4 and 2 missing numbers. A recorder that counts anew fills no gap.
@@ -81,8 +82,9 @@ class MessageCounts:
     def report(self, names: Mapping[int, str], ledger: Ledger, where: str, *, damaged: bool) -> int:
         """Report missing messages; returns how many are missing.
 
-        Without statistics these are the numbers that are skipped. ``damaged`` says that parts of
-        the log could not be read, so that its statistics may have been among them.
+        Missing are the numbers that are skipped, or, if that is more, what the statistics of the
+        log state beyond the messages read. ``damaged``: parts of the log could not be read, and its
+        statistics may be among them; only else it is reported that there are none.
         """
         if self.orphans:
             ledger.add(messages.no_channel_of_messages(file=where, count=self.orphans))
@@ -100,7 +102,7 @@ class MessageCounts:
                 file=where, read=read, stated=self.stated_total, topics=topics
             )
             ledger.add(differ)
-        return max(self.stated_total - read, skipped, 0)
+        return max(self.stated_total - read, skipped)
 
     def _report_skipped(self, names: Mapping[int, str], ledger: Ledger) -> int:
         """Report the messages that are missing by their numbers; returns how many.

@@ -91,7 +91,10 @@ def chunk_not_inflated(*, where: str, count: int, reason: str) -> Message:
 
 
 def chunk_of_another_size(*, where: str, count: int, size: int, stated: int) -> Message:
-    """A chunk inflates to another size than its head states; of a larger one less was read."""
+    """A chunk inflates to another size than its head states.
+
+    A chunk that is too large is not inflated to its end: ``size`` is then only more than stated.
+    """
     inflated = str(Counted(size, "byte")) if size < stated else "more"
     return loss(
         LOG_BAD_BYTES,
@@ -340,7 +343,7 @@ def statistics_differ(*, file: str, read: int, stated: int, topics: Sequence[str
         LOG_INCONSISTENT,
         "{messages} read, the log's statistics state {stated}{differ}",
         where=file,
-        count=max(abs(stated - read), 1),
+        count=max(abs(stated - read), 1),  # in all they may agree while those of topics differ
         messages=f"{Counted(read, 'message')} {'was' if read == 1 else 'were'}",
         stated=stated,
         differ=differ,

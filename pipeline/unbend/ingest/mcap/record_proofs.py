@@ -86,7 +86,8 @@ def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
     if count <= 0:
         return np.empty(0, np.intp)
     possible = np.isin(view[:count], np.array(opcodes, np.uint8))
-    for byte in range(5, RECORD.size):  # the upper half of the length
+    upper_half = RECORD.size - 4  # of the length, whose eight bytes end the head of a record
+    for byte in range(upper_half, RECORD.size):
         possible &= view[byte : byte + count] == 0
     return np.flatnonzero(possible)
 
@@ -111,4 +112,4 @@ def messages_follow(raw: memoryview, place: int, channels: Set[int]) -> bool:
         if int.from_bytes(channel_number, "little") not in channels:
             return False
         place = content + length
-    return place <= len(raw)
+    return place <= len(raw)  # the last message is whole

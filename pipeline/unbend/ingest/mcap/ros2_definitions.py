@@ -84,7 +84,7 @@ def steps_of(name: str, text: str) -> tuple[MessageField, ...]:
     (NumberField(path='c.x', kind='f8', count=3, array=True), TextField(path='s'))
     """
     definitions = dict(_BUILT_IN)
-    current = short(name)
+    current = short(name)  # of the first part, which has no title
     for part in _SEPARATOR.split(text):
         title = _TITLE.search(part)
         definition = part
@@ -92,7 +92,8 @@ def steps_of(name: str, text: str) -> tuple[MessageField, ...]:
             current = short(title.group(1))
             definition = part.replace(title.group(0), "", 1)
         definitions[current] = definition
-    return tuple(_Flattener(definitions).message(short(name), "", 0))
+    flattener = _Flattener(definitions)
+    return tuple(flattener.message(short(name), prefix="", depth=0))
 
 
 def short(name: str) -> str:
@@ -185,12 +186,15 @@ class _Flattener:
         size = declared.fixed_size
         if kind == "wstring":
             raise SchemaError(f"{path} is a wstring, which is not read")
-        if size >= MAX_COUNT or (size > MAX_STEPS and kind not in KINDS):
+        most = MAX_COUNT - 1 if kind in KINDS else MAX_STEPS  # an array of numbers is one step
+        if size > most:
             raise SchemaError(f"{path[:_SHOWN]} has {size} elements")
         if kind in KINDS:
-            numbers = NumberField(path, KINDS[kind], size or 1, array=bool(size))
-            is_sequence = declared.is_sequence
-            yield self.counted(SequenceField(path, (numbers,)) if is_sequence else numbers)
+            numbers = NumberField(path, KINDS[kind], size or 1, array=size > 0)
+            if declared.is_sequence:
+                yield self.counted(SequenceField(path, (numbers,)))
+            else:
+                yield self.counted(numbers)
         elif kind == "string":
             yield from self.texts(declared, path)
         else:

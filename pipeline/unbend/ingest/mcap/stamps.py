@@ -95,10 +95,11 @@ def _first(value: Any, names: tuple[str, ...]) -> Any:
 
 
 def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None:
-    """The rows in the order of their (n,) numbers, if that puts times in order that are not.
+    """The rows in the order of their (n,) numbers; None where they need or allow no new order.
 
-    None where the times are in order, or the numbers repeat or contradict them: then a recorder has
-    counted anew, or a clock was set.
+    - Times that are in order need none.
+    - Numbers that repeat allow none: a recorder has counted anew.
+    - Numbers whose order does not put the times in order allow none: a clock was set.
 
     >>> in_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
     array([0, 1, 3, 2])
@@ -121,10 +122,13 @@ class OwnTimes(NamedTuple):
 
 
 def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
-    """The times that messages carry.
+    """The times that ``count`` messages carry, by the first of these that their columns have.
 
-    ``time_field``: the field with a Time of ROS, or with microseconds since a boot or 1970.
-    ``count``: of the messages.
+    - `STAMP`, which a decoder made of the time in the message.
+    - ``time_field`` with the parts of a Time of ROS.
+    - ``time_field`` with an integer: microseconds since a boot or 1970.
+
+    Messages without any of these have the time 0.
     """
     if STAMP in columns:
         return OwnTimes(columns[STAMP], counted=False)
@@ -148,8 +152,9 @@ def since_boot(stamp_ns: TimeArray) -> Mask:
 def good_rows(places: Integers, stamp_ns: TimeArray, clock: BootClock) -> Mask:
     """Which messages of a topic, at (n,) places and stamps [ns], have a time that fits the log.
 
-    A stamp that fits none of its neighbours in the log may be of a message that came late: it is
-    good if it lies between its neighbours of the same topic, and within the times of the boot.
+    Stamps of Unix time, and of no time, always do. A stamp since boot that fits none of its
+    neighbours in the log may be of a message that came late: it is good if it lies between its
+    neighbours of the same topic, and within the times of the boot.
     """
     line = clock.line
     is_since_boot = since_boot(stamp_ns)
@@ -196,21 +201,26 @@ def times_of(
 
     ``places`` of messages whose stamps are in microseconds, maybe since a boot; None of others.
     """
-    is_unstamped = stamp_ns == 0
-    is_early = stamp_ns < UNIX_NS_FROM
     if places is None:
+        is_counted = np.zeros(stamp_ns.shape, np.bool_)
         time_ns = stamp_ns
         boot = np.zeros(stamp_ns.shape, np.int16)
     else:
-        counted = since_boot(stamp_ns)
-        time_ns = np.where(counted, clock.utc(places, stamp_ns), stamp_ns)
+        is_counted = since_boot(stamp_ns)
+        time_ns = np.where(is_counted, clock.utc(places, stamp_ns), stamp_ns)
         boot = clock.line.boot_of(places)
-        is_early &= ~counted
+    is_unstamped = stamp_ns == 0
     unstamped = int(np.count_nonzero(is_unstamped))
     if unstamped:
         ledger.add(messages.messages_without_stamp(topic=topic, count=unstamped))
         time_ns = np.where(is_unstamped, log_ns, time_ns)
-        is_early[is_unstamped] = log_ns[is_unstamped] < UNIX_NS_FROM
+    # times since a boot are small where UTC is unknown, which is reported elsewhere
+    is_before_2001 = time_ns < UNIX_NS_FROM
+    is_early = is_before_2001 & ~is_counted
     if bool(is_early.any()):
         ledger.add(messages.stamps_before_2001(topic=topic))
-    return MessageTimes(time_ns, boot, unstamped)
+    return MessageTimes(
+        time_ns=time_ns,
+        boot=boot,
+        unstamped=unstamped,
+    )

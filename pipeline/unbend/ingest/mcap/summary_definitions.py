@@ -38,24 +38,26 @@ class _Footer(NamedTuple):
 def summary_definitions(data: FileView, damage: Damage) -> Iterator[Definition]:
     """Yield the schemas and channels of the summary at the end of the file, if its checksum holds.
 
-    Lost bytes may have moved the summary: where it is not at its stated place, which is damage, it
-    is searched behind the records that end the data.
+    A summary without a checksum, or without a stated place, is not read. One whose checksum does
+    not hold at its stated place is damage: lost bytes may have moved it, and it is searched behind
+    the records that end the data.
     """
     footer = _footer_of(data)
     if footer is None or not footer.summary_crc or not footer.summary_start:
-        return  # no summary, or none that could be checked
+        return
     start: int | None = footer.summary_start
     if not _is_summary(data, footer.summary_start, footer):
         damage.add(messages.summary_checksum_fails(where=damage.at(footer.content)))
         start = _moved_summary(data, footer)
     if start is None:
         return
-    while start + RECORD.size < footer.content:
-        record = record_at(data, start)
+    place = start
+    while place + RECORD.size < footer.content:
+        record = record_at(data, place)
         if record.opcode in DEFINITIONS_IN_CHUNKS and record.length <= MAX_DEFINITION:
             content = data[record.content : record.end]
             yield Definition(record.opcode, content, record.content)
-        start = record.end
+        place = record.end
 
 
 def _footer_of(data: FileView) -> _Footer | None:

@@ -82,9 +82,11 @@ def known_name(schema: str) -> str:
 def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
     """The columns of a message as the package uses them, from those that were decoded.
 
-    Attitudes follow the package's convention, variances become sigmas, a fix is that of MAVLink. An
-    Imu whose first covariance is -1 has no orientation (sensor_msgs/Imu); a NavSatFix whose
-    covariance type is 0 does not know its accuracy.
+    - Attitudes follow the package's convention. An Imu whose first covariance is -1 has none
+      (sensor_msgs/Imu).
+    - The value of a DebugValue is the integer where the message says that it is one.
+    - A status of ROS becomes a fix as MAVLink counts it: 3D or none.
+    - Variances become sigmas. A NavSatFix whose covariance type is 0 does not know its accuracy.
     """
     result = dict(columns)
     if schema.endswith("/GimbalDeviceAttitudeStatus") and "flags" in result:
@@ -108,16 +110,18 @@ def _turn_ros_attitude(columns: dict[str, Array]) -> None:
     """Replace the attitude of ROS by that of the package, in the same memory."""
     components = [columns.pop(f"ros_{axis}") for axis in "wxyz"]
     replace_in_blocks(ned_frd_of_enu_flu, components)
-    if "covariance_0" in columns:
-        is_unknown = columns.pop("covariance_0") == _NO_ORIENTATION
+    first_covariance = columns.pop("covariance_0", None)
+    if first_covariance is not None:
+        is_unknown = first_covariance == _NO_ORIENTATION
         for component in components:
             component[is_unknown] = np.nan
     columns.update(zip(("q_w", "q_x", "q_y", "q_z"), components, strict=True))
 
 
 def _add_sigmas(columns: dict[str, Array]) -> None:
-    """Replace the variances of a NavSatFix by sigmas."""
-    known = columns.pop("covariance_type") > 0.0
+    """Replace the variances of a NavSatFix by sigmas; NaN where the accuracy is unknown."""
+    covariance_type = columns.pop("covariance_type")
+    known = covariance_type > 0.0
     variances = []
     for name in ("variance_0", "variance_1", "variance_2"):  # east, north, up
         variance = columns.pop(name, np.full(known.shape, np.nan))
@@ -206,7 +210,7 @@ class TopicSamples:
         utc_us = _copied(self.utc_us)
         stamp_ns = _copied(self.stamp_ns)
         is_set = utc_us > FIRST_SET_US
-        fix = self.columns.stores.get("fix", ColumnStore("f8"))
+        fix = self.columns.stores.get("fix", ColumnStore("f8"))  # empty of messages without
         return rows_of(
             self.name,
             places=_copied(self.places),
@@ -228,7 +232,6 @@ class TopicSamples:
             log_ns[first : first + part.shape[0]] = part
         self.log_ns.clear()
         places = self.places.whole() if self.counted else None
-        good = None if places is None else good_rows(places, stamp_ns, clock)
         times = times_of(stamp_ns, log_ns, places, clock, ledger=ledger, topic=self.name)
         rows = DecodedRows(
             name=self.name,
@@ -238,10 +241,11 @@ class TopicSamples:
             columns=self.columns.whole(),
             labels={name: tuple(texts) for name, texts in self.labels.items()},
         )
-        if not self.counted:
+        if places is None:
             rows = _in_sequence(rows, self.sequence.whole(), ledger)
-        if good is not None:
-            rows = without_stray(rows, ~good, ledger)
+        else:
+            is_stray = ~good_rows(places, stamp_ns, clock)
+            rows = without_stray(rows, is_stray, ledger)
         if self.spec.event:
             rows = captured_rows(rows, ledger)
         return rows, times.unstamped

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -111,7 +111,7 @@ class Topic:
         definitions. ``before``: how many messages precede the batch in the log. Returns the stamps
         that count from a boot; none of a table.
         """
-        # A table keeps the columns; those of channels are handed on at the end.
+        # The blocks of a table are kept; those of channels become samples of the series below.
         blocks = self.blocks if self.series is None else _no_blocks()
         for decoder, rows in shares:
             decoded = decoder(batch, rows)
@@ -307,7 +307,8 @@ class ObjectDecoder:
                 unparsed += 1
                 continue
             with suppress(*self.errors):
-                decoded.append(self._values_of(bytes(raw[begin : begin + length])))
+                values_of_message = self._values_of(bytes(raw[begin : begin + length]))
+                decoded.append(values_of_message)
                 done.append(row)
         odd = 0
         if self.wanted is not None:
@@ -319,17 +320,22 @@ class ObjectDecoder:
         columns = {name: column_of([values.get(name) for values in decoded]) for name in names}
         if STAMP in columns:
             columns[STAMP] = columns[STAMP].astype(np.int64)
-        return Decoded(np.array(done, np.intp), columns, odd, unparsed, self.budget.limit)
+        return Decoded(
+            rows=np.array(done, np.intp),
+            columns=columns,
+            odd=odd,
+            unparsed=unparsed,
+            parse_limit=self.budget.limit,
+        )
 
     def _values_of(self, raw: bytes) -> dict[str, Any]:
         """The values of one message by path, and its own time as `STAMP`; 0 without a time."""
         message = self.parse(raw)
         values = dict(flat(message, "", self.wanted))
-        stamp = message
-        for part in self.spec.time_field.split("."):
-            getter = stamp.get if isinstance(stamp, dict) else partial(getattr, stamp)
-            stamp = getter(part, None)
-        values[STAMP] = stamp_of(stamp)
+        member = message  # from here down to the time
+        for name in self.spec.time_field.split("."):
+            member = member.get(name) if isinstance(member, dict) else getattr(member, name, None)
+        values[STAMP] = stamp_of(member)
         return values
 
 
@@ -355,7 +361,7 @@ def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple
     numbers and texts, and the lengths of long arrays, as ``path[]``.
     """
     if wanted is not None and path in wanted and value is not None:
-        yield path, value
+        yield path, value  # a member of it may be wanted too
     if isinstance(value, bool | int | float | str):
         if wanted is None:
             yield path, value

@@ -76,6 +76,7 @@ def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Le
             continue
         for block in store.blocks():
             for sender, rows in by_sender(block):
+                # of a sender with a clock, only the UTC of images is checked
                 if sender not in clocks.senders or OWN_UTC in names:
                     times_of.setdefault(sender, []).append(_sent_times(block[rows], field))
     for sender, times in sorted(times_of.items()):
@@ -84,7 +85,10 @@ def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Le
 
 
 def _sent_times(rows: NDArray[Any], field: str) -> _SentTimes:
-    """The times of messages; ``field`` is that of the time since boot."""
+    """The times of messages; ``field`` is that of the time since boot.
+
+    Some senders write Unix time into that field; such a time counts as 0, which is none.
+    """
     unit_ns, turn_ns = CLOCK_FIELDS[field]
     raw = microseconds(rows["records"][field])
     readings = np.empty(rows.shape, READING)
@@ -106,25 +110,39 @@ def unix_us(records: NDArray[Any]) -> Integers:
 def _with_checked_clock(
     clocks: Clocks, sender: Sender, times: Sequence[_SentTimes], ledger: Ledger
 ) -> Clocks:
-    """The clocks after those times of one sender are checked by when they were received.
+    """The clocks after the times of one sender are checked by when its messages were received.
 
     First the UTC that its images carry; then, if the sender has no clock, its time since boot
     against the clock of another component. Where that does not fit, the sender gets its own clock.
     """
     clock = clocks.of(sender)
-    late_ns = np.concatenate([part.late_by_utc(clock) for part in times])
-    if late_ns.size and not _is_plausible(late_ns):
+    late_by_utc_ns = np.concatenate([part.late_by_utc(clock) for part in times])
+    if late_by_utc_ns.size and not _is_plausible(late_by_utc_ns):
         wrong_utc = messages.camera_utc_wrong(
             sender=str(sender),
-            count=late_ns.size,
-            late_s=_median_s(late_ns),
+            count=late_by_utc_ns.size,
+            late_s=_median_s(late_by_utc_ns),
         )
         ledger.add(wrong_utc)
         clocks = replace(clocks, wrong_utc=clocks.wrong_utc | {sender})
-        for part in times:
+        for part in times:  # their time since boot is checked instead
             part.readings["utc_ns"] = 0
+    if sender in clocks.senders:
+        return clocks
+    return _with_lent_or_own_clock(clocks, sender, times, ledger)
+
+
+def _with_lent_or_own_clock(
+    clocks: Clocks, sender: Sender, times: Sequence[_SentTimes], ledger: Ledger
+) -> Clocks:
+    """The clocks, with one for a sender without a clock if that of another component does not fit.
+
+    The clocks as they are where no time since boot is to be checked, where no component of the
+    system has a clock, and where the clock of the other component fits.
+    """
+    clock = clocks.of(sender)
     late_ns = np.concatenate([part.late_by_boot(clock) for part in times])
-    if sender in clocks.senders or not late_ns.size:
+    if not late_ns.size:
         return clocks
     lender = clocks.lender(sender)
     if lender is None:
@@ -142,9 +160,9 @@ def _with_checked_clock(
     if is_borrowed:
         return clocks
     readings = np.concatenate([part.readings for part in times])
-    readings = readings[readings["boot_ns"] > 0]
-    readings = readings[np.argsort(readings["at"], kind="stable")]
-    clock_of_sender = fit_sender(readings, clock, sender, ledger)
+    timed_readings = readings[readings["boot_ns"] > 0]
+    in_file_order = timed_readings[np.argsort(timed_readings["at"], kind="stable")]
+    clock_of_sender = fit_sender(in_file_order, clock, sender, ledger)
     return replace(clocks, senders={**clocks.senders, sender: clock_of_sender})
 
 

@@ -45,11 +45,11 @@ class Sampler:
         """Sample the next messages of the file, which have ``time_boot_ms``."""
         if not timed:
             return
-        rows = np.concatenate([_readings_of(part) for part in timed])
-        rows = rows[np.lexsort((rows["at"], rows["source"]))]
-        rows = rows[_is_sampled(rows)]
-        rows = rows[_is_kept(rows)]
-        self.rows.add(rows[np.argsort(rows["at"], kind="stable")])
+        readings = np.concatenate([_readings_of(part) for part in timed])
+        by_sender = readings[np.lexsort((readings["at"], readings["source"]))]
+        sampled = by_sender[_is_sampled(by_sender)]
+        kept = sampled[_is_kept(sampled)]
+        self.rows.add(kept[np.argsort(kept["at"], kind="stable")])
 
     def readings(self, systems: Set[int]) -> Readings:
         """The samples of the senders of these systems; removes all samples."""
@@ -73,7 +73,10 @@ def _readings_of(messages: NDArray[Any]) -> Readings:
 
 
 def _is_sampled(rows: Readings) -> Mask:
-    """Which readings, sorted by sender, are the first of a sampling interval or have UTC."""
+    """Which readings, sorted by sender, are the first of a sampling interval or have UTC.
+
+    An interval begins where either clock, the sender's or the ground station's, begins one.
+    """
     host_ms = rows["host_us"] // 1000
     boot_ms = rows["boot_ns"] // MILLISECOND
     sampled = _changes(rows["source"])
@@ -84,15 +87,20 @@ def _is_sampled(rows: Readings) -> Mask:
 
 
 def _is_kept(rows: Readings) -> Mask:
-    """Which samples to keep: about each change of the delay, each second, and around jumps."""
+    """Which samples, sorted by sender, to keep of those taken.
+
+    - The two on both sides of each change of the delay, and of each second.
+    - Those with UTC.
+    - Some rows around each jump of a clock, and around the first sample of each sender.
+    """
     boot_ms = rows["boot_ns"] // MILLISECOND
-    delay = (rows["host_us"] - boot_ms * 1000) // DELAY_US
-    changed = _changes(delay) | _changes(boot_ms // STEADY_MS)
+    delay_step = (rows["host_us"] - boot_ms * 1000) // DELAY_US
+    changed = _changes(delay_step) | _changes(boot_ms // STEADY_MS)
     before_change = np.append(changed[1:], True)
     kept = np.asarray(changed | before_change | (rows["utc_ns"] > 0), np.bool_)
     jumps = _changes(rows["source"])
     jumps[1:] |= np.abs(np.diff(boot_ms)) > STEADY_MS
-    for row in np.flatnonzero(jumps).tolist():  # the number of rows after it shows a glitch
+    for row in np.flatnonzero(jumps).tolist():  # how many rows follow a jump shows a glitch
         kept[max(row - STRAY_ROWS - 1, 0) : row + STRAY_ROWS + 1] = True
     return kept
 

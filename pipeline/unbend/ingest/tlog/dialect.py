@@ -52,7 +52,10 @@ def _definition(library_class: Any) -> MessageDefinition:
     """The definition of a message by the class that the library has for it."""
     name = str(library_class.msgname)
     fields = tuple(library_class.fieldnames)
-    kinds = zip(fields, library_class.fieldtypes, strict=True)
+    texts = set()
+    for field, kind in zip(fields, library_class.fieldtypes, strict=True):
+        if kind == "char":
+            texts.add(field)
     own_instance_field = MESSAGES[name].id_field if name in MESSAGES else ""
     return MessageDefinition(
         number=int(library_class.id),
@@ -60,7 +63,7 @@ def _definition(library_class: Any) -> MessageDefinition:
         crc_extra=int(library_class.crc_extra),
         dtype=layout_of(library_class.unpacker.format, library_class.ordered_fieldnames),
         fields=fields,
-        texts=frozenset(field for field, kind in kinds if kind == "char"),
+        texts=frozenset(texts),
         instance_field=own_instance_field or library_class.instance_field or "",
     )
 
@@ -121,5 +124,8 @@ def layout_of(layout: str, fields: list[str]) -> np.dtype[Any]:
     """
     kinds = []
     for count, letter in re.findall(r"(\d*)([a-zA-Z])", layout):
-        kinds.append(f"S{count or 1}" if letter == "s" else f"{count}<{letter}")
+        if letter == "s":
+            kinds.append(f"S{count or 1}")
+        else:
+            kinds.append(f"{count}<{letter}")
     return np.dtype(list(zip(fields, kinds, strict=True)))

@@ -203,9 +203,10 @@ def _packets_of_one_length(frames: Frames, known: Mask) -> list[_Packets]:
     starts = np.flatnonzero(np.diff(group[rows].astype(np.int32), prepend=-1)).tolist()
     packets = []
     for begin, end in pairwise([*starts, rows.shape[0]]):
-        key = int(group[rows[begin]])
-        before_payload = V2_BEFORE_PAYLOAD if key & 1 else V1_BEFORE_PAYLOAD
-        covered = before_payload - 1 + (key >> 1)  # all but the magic byte
+        first_row = rows[begin]
+        is_v2 = frames.version[first_row] == 2
+        before_payload = V2_BEFORE_PAYLOAD if is_v2 else V1_BEFORE_PAYLOAD
+        covered = before_payload - 1 + int(frames.length[first_row])  # all but the magic byte
         for first in range(begin, end, BLOCK):
             packets.append(_Packets(rows[first : min(first + BLOCK, end)], covered))
     return packets
@@ -218,12 +219,12 @@ def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> 
         return holds
     ids = np.array(sorted(extras), np.int32)
     extra_of_id = np.array([extras[number] for number in ids.tolist()], np.uint16)
-    place = np.minimum(np.searchsorted(ids, frames.message_id), ids.shape[0] - 1)
-    known = ids[place] == frames.message_id
-    extra = extra_of_id[place]
+    nearest_id = np.minimum(np.searchsorted(ids, frames.message_id), ids.shape[0] - 1)
+    known = ids[nearest_id] == frames.message_id
+    extra = extra_of_id[nearest_id]
     for rows, covered in _packets_of_one_length(frames, known):
-        first = frames.at[rows] + STAMP + 1
-        computed, stored = checksums(window, first, covered, extra[rows])
+        behind_magic = frames.at[rows] + STAMP + 1
+        computed, stored = checksums(window, behind_magic, covered, extra[rows])
         holds[rows] = computed == stored
     return holds
 
@@ -235,30 +236,36 @@ def checksums(
 
     The ``covered`` bytes begin at ``first`` (n,), behind the magic byte; ``extra`` (n,): CRC_EXTRA.
     """
-    odd = covered & 1  # an odd packet is read from a byte before, so that it consists of words
-    size = odd + covered + CHECKSUM
-    packet = gather(window, first - odd, size)
-    words = packet.view("<u2").reshape(-1, size // 2)
+    # Packets with an odd number of bytes are read from the byte before, so that they are of words.
+    bytes_before = covered % 2
+    size = bytes_before + covered + CHECKSUM
+    packets = gather(window, first - bytes_before, size)
+    words = packets.view("<u2").reshape(-1, size // 2)
+    stored_word = size // 2 - 1
     crc = np.full(first.shape, 0xFFFF, np.uint16)
-    if odd:
-        crc = _step(crc, words[:, 0] >> 8)  # without the byte before
-    for word in range(odd, size // 2 - 1):
-        np.bitwise_xor(crc, words[:, word], out=crc)
+    first_whole_word = 0
+    if bytes_before:
+        high_byte = words[:, 0] >> 8  # the low one is the byte before the packet
+        crc = _step(crc, high_byte)
+        first_whole_word = 1
+    for number in range(first_whole_word, stored_word):
+        np.bitwise_xor(crc, words[:, number], out=crc)
         crc = _WORDS.take(crc, mode="clip")  # 16 bits are never out of range: no test needed
-    return _step(crc, extra), words[:, -1]
+    return _step(crc, extra), words[:, stored_word]
 
 
 def payloads(window: Bytes, frames: Frames, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Payloads of frames of one message as a structured array.
 
-    What MAVLink 2 does not send, zeros at the end, is filled in.
+    What MAVLink 2 does not send, zeros at the end, is filled in. Bytes beyond ``dtype``, of a field
+    that the dialect does not know, are cut off.
     """
     filled = np.zeros((len(frames), dtype.itemsize), np.uint8)
     begin = frames.payload
     for length in np.flatnonzero(np.bincount(frames.length)).tolist():
-        used = min(length, dtype.itemsize)
-        if used:
+        used_bytes = min(length, dtype.itemsize)
+        if used_bytes:
             rows = np.flatnonzero(frames.length == length)
-            sent = gather(window, begin[rows], used).view(np.uint8)
-            filled[rows, :used] = sent.reshape(-1, used)
+            sent = gather(window, begin[rows], used_bytes).view(np.uint8)
+            filled[rows, :used_bytes] = sent.reshape(-1, used_bytes)
     return filled.view(dtype).reshape(len(frames))

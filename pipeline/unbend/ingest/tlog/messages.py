@@ -18,7 +18,7 @@ LOG_UNKNOWN_ID = Code(
 
 
 def unknown_ids(*, file: str, first: int, count: int, ids: Sequence[int]) -> Message:
-    """Frames of ids outside the dialect fill all between accepted ones."""
+    """Frames of ids outside the dialect lie one behind the other between accepted frames."""
     return warning(
         LOG_UNKNOWN_ID,
         "{count} messages have ids that the dialect does not know ({ids}): not checked, not read",

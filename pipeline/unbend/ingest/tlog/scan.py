@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +87,14 @@ class _SequenceState:
     ahead: int = 0
 
 
+class _SenderMessages(NamedTuple):
+    """Some messages of one sender, (n,) in the order of the file; the columns are of `Frames`."""
+
+    sequence: NDArray[np.uint8]
+    host_us: Integers
+    at: Integers
+
+
 def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
     """Rows of a message: the byte and the clock of the ground station, the sender, the fields."""
     packed = np.dtype([(name, layout[name]) for name in layout.names or ()])
@@ -132,7 +140,7 @@ class Scan(DamagedBytes):
         self._row_types = {number: _row_type(layout) for number, layout in wanted.items()}
         self._late = late
         self._end = 0  # of the last accepted frame
-        self._host_us = 0  # its stamp
+        self._host_us = 0  # its stamp; 0 before the first
         self._sequences: dict[int, _SequenceState] = {}
         for begin in range(0, data.size, STRETCH):
             self._scan_stretch(begin, min(begin + STRETCH, data.size))
@@ -144,17 +152,17 @@ class Scan(DamagedBytes):
     def _scan_stretch(self, begin: int, stop: int) -> None:
         """Scan the frames that begin in a stretch, behind the last accepted frame."""
         window = self._data.array(begin, stop + LONGEST)
-        room = window.shape[0]
+        room = window.shape[0]  # the padding is no room for frames
         if stop == self._data.size:
             window = _padded(window)
         places = candidates(window, stop - begin)
-        places = places[places >= self._end - begin]
-        frames = headers(window, places, room)
-        frames = frames.take(checksums_hold(window, frames, self._extras))
-        frames = _apart(frames)
-        self._keep(window, frames, begin)
-        if len(frames):
-            self._accept(frames.moved(begin))
+        places_behind = places[places >= self._end - begin]
+        frames = headers(window, places_behind, room)
+        whole_frames = frames.take(checksums_hold(window, frames, self._extras))
+        accepted = _apart(whole_frames)
+        self._keep(window, accepted, begin)
+        if len(accepted):
+            self._accept(accepted.moved(begin))
 
     def _keep(self, window: Bytes, frames: Frames, begin: int) -> None:
         """Keep the wanted messages of a stretch, and sample the clocks of their senders.
@@ -183,12 +191,12 @@ class Scan(DamagedBytes):
     def _accept(self, frames: Frames) -> None:
         """Count the accepted frames of a stretch, and examine the bytes before each of them.
 
-        Frames between them that are not accepted count when lost messages are looked for.
+        The messages of other frames between these are not lost, though they are not accepted.
         """
         self._check_stamps(frames)
-        counted = [frames, *self._frames_between(frames)]
-        self._count_lost(joined(counted) if len(counted) > 1 else frames)
-        self._end = int(frames.end[-1])
+        sent = [frames, *self._frames_between(frames)]
+        self._count_lost(joined(sent) if len(sent) > 1 else frames)
+        self._end = int(frames.end[-1])  # only now: the first gap begins at the end before
         counts = np.bincount(frames.message_id[frames.message_id < _MOST_IDS])
         for number in np.flatnonzero(counts).tolist():
             self.counts[number] += int(counts[number])
@@ -218,15 +226,12 @@ class Scan(DamagedBytes):
         follows is a frame that the end of the file cuts off, or bytes of no message.
         """
         places, end = self._frames_in_a_row(begin, stop)
-        cut_bytes = 0
-        if end < stop:
-            if self._ends_in_frame(end, stop, places):
-                cut_bytes = stop - end
-            elif places:
+        if end < stop and self._ends_in_frame(end, stop, places):
+            self.cut_bytes += stop - end
+        elif end < stop:
+            if places:
                 # The length of the last frame may be damaged: it counts to the bytes of no message.
                 end = places.pop()
-        self.cut_bytes += cut_bytes
-        if end + cut_bytes < stop:
             self.drop(end, stop)
         window = _padded(self._data.array(begin, end))
         frames = headers(window, np.array(places, np.int64) - begin, end - begin).moved(begin)
@@ -258,14 +263,15 @@ class Scan(DamagedBytes):
     def _ends_in_frame(self, at: int, stop: int, places: list[int]) -> bool:
         """Whether the file ends within a frame that begins at a byte, behind frames at ``places``.
 
-        It does if fewer bytes are left than any frame has, or fewer than the header says. False
-        behind a frame of the dialect, whose checksum has failed.
+        The file does if fewer bytes are left than any frame has, or fewer than the header says.
+        False behind a frame of the dialect, whose checksum has failed.
         """
         if stop != self._data.size:
             return False
         last_bytes = self._data[at : at + LONGEST]
-        is_whole_or_none = stop - at >= SHORTEST and frame_length(last_bytes, 0) <= len(last_bytes)
-        if is_whole_or_none:
+        has_no_room = stop - at < SHORTEST
+        stated_length = frame_length(last_bytes, 0)  # 0 where no frame begins
+        if not has_no_room and stated_length <= len(last_bytes):
             return False
         if not places:
             return True
@@ -288,18 +294,19 @@ class Scan(DamagedBytes):
 
     def _count_lost(self, frames: Frames) -> None:
         """Count the messages that each sender numbered, but that are not among these frames."""
-        numbers = frames.sender
-        order = np.argsort(numbers, kind="stable")
-        starts = np.flatnonzero(np.diff(numbers[order].astype(np.int32), prepend=-1)).tolist()
+        senders = frames.sender
+        order = np.argsort(senders, kind="stable")
+        starts = np.flatnonzero(np.diff(senders[order].astype(np.int32), prepend=-1)).tolist()
         for begin, end in pairwise([*starts, order.shape[0]]):
             rows = order[begin:end]
-            self._count_lost_of_sender(
-                int(numbers[rows[0]]), frames.sequence[rows], frames.host_us[rows], frames.at[rows]
+            sent = _SenderMessages(
+                sequence=frames.sequence[rows],
+                host_us=frames.host_us[rows],
+                at=frames.at[rows],
             )
+            self._count_lost_of_sender(int(senders[rows[0]]), sent)
 
-    def _count_lost_of_sender(
-        self, number: int, sequence: NDArray[np.uint8], host_us: Integers, at: Integers
-    ) -> None:
+    def _count_lost_of_sender(self, number: int, sent: _SenderMessages) -> None:
         """Count the numbers that are missing in the next messages of a sender, and its silences.
 
         The sequence counts modulo 256. A step of more than half of that is one backward, to a
@@ -308,18 +315,15 @@ class Scan(DamagedBytes):
         """
         sender = Sender.of_number(number)
         state = self._sequences.get(number)
-        if state is None:
-            state = _SequenceState(last=(int(sequence[0]) - 1) % SEQUENCE, heard_us=int(host_us[0]))
-        skipped = np.diff(sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
-        is_after_gap = np.diff(host_us, prepend=state.heard_us) > SILENT_US
-        for row in np.flatnonzero(is_after_gap).tolist():  # a stray stamp makes a gap too
-            silent_us = _silent_us(host_us, row, state.heard_us)
-            if silent_us > SILENT_US:
-                is_backward = skipped[row] >= SEQUENCE // 2
-                backward = int(skipped[row]) if is_backward else 0
-                self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
+        if state is None:  # nothing is missing before the first message
+            number_before = (int(sent.sequence[0]) - 1) % SEQUENCE
+            state = _SequenceState(last=number_before, heard_us=int(sent.host_us[0]))
+        skipped = np.diff(sent.sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
+        is_after_gap = np.diff(sent.host_us, prepend=state.heard_us) > SILENT_US
+        for row in np.flatnonzero(is_after_gap).tolist():
+            self._add_silence(sender, sent, row, int(skipped[row]), state.heard_us)
         step = skipped.view(np.int8).astype(np.int64) + 1  # as int8, more than half is negative
-        step[(step < 0) & is_after_gap] = 1
+        step[(step < 0) & is_after_gap] = 1  # what it skips is in ``backward`` of the silence
         # The number of each message, counted on beyond 256 from 0 at the last message before these.
         position = np.cumsum(step)
         new_positions = np.unique(position[position > state.ahead])
@@ -328,17 +332,32 @@ class Scan(DamagedBytes):
             lost = int(new_positions[-1]) - state.ahead - new_positions.shape[0]
         self.lost[sender] += lost
         self._sequences[number] = _SequenceState(
-            last=int(sequence[-1]),
-            heard_us=int(host_us[-1]),
+            last=int(sent.sequence[-1]),
+            heard_us=int(sent.host_us[-1]),
             ahead=max(state.ahead, int(position.max())) - int(position[-1]),
         )
 
+    def _add_silence(
+        self, sender: Sender, sent: _SenderMessages, row: int, skipped: int, heard_us: int
+    ) -> None:
+        """Add the silence before the message in a row, if it is one: a stray stamp is none.
+
+        ``skipped``: the numbers between that message and the one before. ``heard_us``: the stamp of
+        the sender before all these messages.
+        """
+        silent_us = _silent_us(sent.host_us, row, heard_us)
+        if silent_us <= SILENT_US:
+            return
+        is_backward = skipped >= SEQUENCE // 2
+        backward = skipped if is_backward else 0
+        self.silences.append(Silence(sender, int(sent.at[row]), silent_us / 1e6, backward))
+
 
 def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:
-    """How long a sender was silent before a message [us].
+    """How long a sender was silent before the message in a row [us].
 
-    From the latest of a few stamps before to the earliest of a few stamps from there on, because
-    single stamps may be stray. ``heard_us``: the stamp of the sender before all rows.
+    From the latest of a few stamps before that message to the earliest of a few stamps from the
+    message on, because single stamps may be stray. ``heard_us``: the stamp before all rows.
     """
     first = max(row - STRAY_ROWS - 1, 0)
     before_us = host_us[first:row].max(initial=heard_us)

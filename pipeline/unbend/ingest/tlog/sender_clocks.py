@@ -199,7 +199,7 @@ def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn_ns: int) -> TimeArray
     """
     behind_ns = near_ns - stamp_ns
     if not behind_ns.shape[0] or int(behind_ns.max()) <= turn_ns // 2:
-        return stamp_ns
+        return stamp_ns  # no turn is missing
     turns = np.rint(behind_ns / turn_ns).astype(np.int64)
     whole_ns = stamp_ns + turns * turn_ns
     fits = (turns > 0) & (np.abs(whole_ns - near_ns) < NEAR_NS)
@@ -215,10 +215,18 @@ class KnownDates:
 
 
 def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates()) -> Clocks:
-    """Fit the clocks of all senders; residuals and fallbacks are entered in the ledger."""
+    """Fit the clocks of all senders; residuals and fallbacks are entered in the ledger.
+
+    The vehicle is the sender with the most readings. Its clock is fitted first, and leads those of
+    the other components of its system.
+    """
     if not readings.size:
         ledger.add(messages.no_vehicle_time())
-        return Clocks({}, 1, "ground station clock")
+        return Clocks(
+            senders={},
+            boots=1,
+            description="ground station clock",
+        )
     numbers, counts = np.unique(readings["source"], return_counts=True)
     check_senders(numbers.shape[0])
     busiest_first = numbers[np.argsort(-counts, kind="stable")].tolist()
@@ -236,9 +244,9 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
     for sender_clock in clocks.values():
         assessments += sender_clock.clock.assessments
     return Clocks(
-        clocks,
-        clock.line.boots,
-        _description(clock),
+        senders=clocks,
+        boots=clock.line.boots,
+        description=_description(clock),
         utc_sigma_s=clock.sigma_s,
         assessments=tuple(assessments),
     )
@@ -263,8 +271,9 @@ def _selected(readings: Readings, rows: Mask) -> Readings:
 def overtaken(readings: Readings) -> Mask:
     """Which (n,) readings of a sender are of messages that later ones overtook.
 
-    Their time is up to `LATEST_NS` before that of an earlier row, and the sender was not restarted:
-    by the stamps of reception it had been on for longer than since that row.
+    Such a reading has a time up to `LATEST_NS` before that of an earlier row, the newest one so
+    far. A restart would explain that as well: it is excluded where, by the stamps of reception, the
+    sender was switched on before that row.
     """
     boot_ns = readings["boot_ns"]
     host_ns = readings["host_us"] * MICROSECOND
@@ -272,7 +281,7 @@ def overtaken(readings: Readings) -> Mask:
     is_newest = newest_ns == boot_ns
     row_of_newest = np.maximum.accumulate(np.where(is_newest, np.arange(boot_ns.size), 0))
     late_ns = newest_ns - boot_ns
-    boot_by_host_ns = host_ns - boot_ns
+    boot_by_host_ns = host_ns - boot_ns  # when the sender was switched on, by the host's clock
     was_on = boot_by_host_ns < host_ns[row_of_newest] - LATEST_NS
     return np.asarray((late_ns > BOOT_STEP_NS) & (late_ns < LATEST_NS) & was_on, np.bool_)
 
@@ -322,7 +331,7 @@ def fit_sender(
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     _report_host_clock(clock, counts, sender, ledger)
     second = boot_ns // NANOSECONDS_PER_SECOND
-    is_kept = np.append(True, (np.diff(second) != 0) | (np.diff(boot) != 0))
+    is_kept = np.append(True, (np.diff(second) != 0) | (np.diff(boot) != 0))  # the first of each
     return SenderClock(
         at=places[is_kept],
         boot_ns=boot_ns[is_kept],
@@ -334,9 +343,10 @@ def fit_sender(
 
 
 def _shifts_of_stated(clock: BootClock, stated: UtcReadings) -> tuple[int, ...]:
-    """By boot, how much later UTC is than a sender states it [ns]; 0 where its date stands.
+    """By boot, how much later UTC is than a sender states in SYSTEM_TIME [ns]; 0 up to a day.
 
-    Its other messages with UTC have the same date as its SYSTEM_TIME.
+    A larger shift is of a date that was repaired. The other messages of the sender state UTC by the
+    same clock, and need the same shift.
     """
     stated = stated.usable_rows(clock.line)
     boots = clock.line.boot_of(stated.places)

@@ -51,9 +51,10 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         scan = Scan(data, crc_extras(), wanted, late)
     scan.report_bytes(ledger, path.name, "message")
     damaged_bytes = _report_rejected(scan, set(wanted), path.name, ledger)
-    if not scan.steady:
+    if not scan.steady:  # before the stamps are used: in messages, and in readings of clocks
         _replace_stray_stamps(scan, ledger, path.name)
-    sent = {name_of(number): scan.sent.pop(number) for number in list(scan.sent)}
+    sent = {name_of(number): store for number, store in scan.sent.items()}
+    scan.sent.clear()  # `channels_of` frees what ``sent`` holds, message by message
     carried = [store for name, store in sent.items() if name in _CARRIED]
     readings = scan.clock.readings(_systems(carried))
     dates = KnownDates(
@@ -154,7 +155,7 @@ def _report_link(
             silences_of.setdefault(sender, []).append(silence)
             # after seconds of silence no message overtakes another: the step is a loss
             lost[sender] += silence.backward
-    for sender, count in sorted((+lost).items()):
+    for sender, count in sorted((+lost).items()):  # + leaves out senders that lost none
         lost_message = messages.lost_by_radio(
             file=file,
             count=count,
@@ -179,7 +180,8 @@ def _report_link(
 def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     """Replace stamps of the ground station that jump and return: no checksum covers them.
 
-    A stray stamp gets the value of the stamp of the last good message before it.
+    A stray stamp gets the value of the stamp of the last good message before it, or of the first
+    good one. Stamps of which all are stray stay as they are.
     """
     blocks = [block for store in scan.sent.values() for block in store.blocks()]
     if not blocks:
@@ -196,13 +198,13 @@ def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     stray_places = places[stray]
     ledger.add(messages.stray_stamps(file=file, first=int(stray_places[0]), count=count))
     good_us = host_us[~stray]
-    good_before = np.searchsorted(np.flatnonzero(~stray), np.flatnonzero(stray)) - 1
-    replacement_us = good_us[np.maximum(good_before, 0)]
+    good_before = np.searchsorted(places[~stray], stray_places) - 1
+    replacement_us = good_us[np.maximum(good_before, 0)]  # (count,)
     for store in (*scan.sent.values(), scan.clock.rows):
         for block in store.blocks():
-            number = np.minimum(np.searchsorted(stray_places, block["at"]), count - 1)
-            is_stray = stray_places[number] == block["at"]
-            block["host_us"][is_stray] = replacement_us[number[is_stray]]
+            nearest_stray = np.minimum(np.searchsorted(stray_places, block["at"]), count - 1)
+            is_stray = stray_places[nearest_stray] == block["at"]
+            block["host_us"][is_stray] = replacement_us[nearest_stray[is_stray]]
 
 
 def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:

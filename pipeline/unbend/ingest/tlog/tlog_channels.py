@@ -59,7 +59,7 @@ def channels_of(
     limit.report(ledger, "")
     parameters = {}
     if PARAM_VALUE in sent:
-        systems = [c.source.system or 0 for c in channels if "h_msl_m" in c.columns]
+        systems = _systems_with_height(channels)
         parameters = _last_values(sent[PARAM_VALUE].whole(), systems)
     return with_both_heights(channels, parameters, ledger, PARAM_VALUE), parameters
 
@@ -77,10 +77,10 @@ def _rows_of_series(series: "_Series", ledger: Ledger) -> DecodedRows:
 
 
 def _in_time_order(rows: DecodedRows, *, is_event: bool) -> DecodedRows:
-    """The rows in the order of their time, if they are of events or no clock was set back.
+    """The rows in the order of their time; as they are where a clock was set back.
 
-    The link delivers exposures late, and other messages overtake each other by up to some seconds:
-    a step back of `LATEST_NS` or more is of the clock.
+    Messages overtake each other by up to some seconds: a step back of `LATEST_NS` or more is of the
+    clock. Events are put in order in any case, because the link may deliver them much later.
     """
     if bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
         return rows
@@ -89,6 +89,15 @@ def _in_time_order(rows: DecodedRows, *, is_event: bool) -> DecodedRows:
     if clock_was_set_back and not is_event:
         return rows
     return rows.take(np.argsort(rows.time_ns, kind="stable"))
+
+
+def _systems_with_height(channels: Sequence[Channel]) -> list[int]:
+    """The systems with a channel that has heights: their parameters are used."""
+    systems = []
+    for channel in channels:
+        if "h_msl_m" in channel.columns:
+            systems.append(channel.source.system or 0)
+    return systems
 
 
 def _last_values(rows: NDArray[Any], systems: Sequence[int]) -> dict[str, float]:
@@ -208,8 +217,12 @@ def times_of(
 ) -> tuple[TimeArray, NDArray[np.int16]]:
     """UTC [ns] and boot of (n,) messages of a sender.
 
-    ``field``: the one with the messages' own time, of `CLOCK_FIELDS`; where that is "", the time of
-    their reception counts.
+    ``field``: the one with the messages' own time. What counts, by field:
+
+    - "": the time of reception.
+    - ``time_boot_ms``: the time since boot; of images the UTC that they carry, if it is right.
+    - ``time_usec``: Unix time from some senders, time since boot from others. A time of 0 is
+      unknown: the time of reception counts.
     """
     places = rows["at"]
     host_ns = rows["host_us"] * MICROSECOND
@@ -225,15 +238,16 @@ def times_of(
     if field == "time_boot_ms":
         utc_us = unix_us(rows["records"])
         if sender not in clocks.wrong_utc and utc_us.any():
-            stated_ns = utc_us * MICROSECOND
-            stated_ns = clock.utc_of_stated(places, stated_ns)
-            time_ns = np.where(utc_us > 0, stated_ns, time_ns)
+            utc_of_images_ns = clock.utc_of_stated(places, utc_us * MICROSECOND)
+            time_ns = np.where(utc_us > 0, utc_of_images_ns, time_ns)
         return time_ns, boot
-    # time_usec: Unix time from some senders, time since boot from others, 0 when not known
     is_unix = stamp > FIRST_SET_US
     is_unknown = stamp == 0
-    stated_ns = clock.utc_of_stated(places, stamp_ns)
-    time_ns = np.where(is_unix, stated_ns, time_ns)
+    time_ns = np.where(
+        is_unix,
+        clock.utc_of_stated(places, stamp_ns),
+        time_ns,
+    )
     not_since_boot = is_unix | is_unknown
     if not_since_boot.any():
         boot[not_since_boot] = clock.boot(places[not_since_boot])
@@ -254,7 +268,8 @@ def text_of(value: bytes) -> str:
 def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
     """The rows of an autopilot's texts, with the chunks of one text joined.
 
-    Chunks have the same id, which is not 0. "..." stands for chunks that are missing.
+    Chunks of one text have the same id and count from 0; a text of a single chunk has the id 0.
+    "..." stands for chunks that are missing. A joined text is in the row of its first chunk.
     """
     texts: list[str] = []
     first_rows: list[int] = []
@@ -263,18 +278,18 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
     ids = records["id"].tolist()
     chunks = records["chunk_seq"].tolist()
     for row, text in enumerate(rows.labels["text"]):
-        number = ids[row]
+        text_id = ids[row]
         chunk = chunks[row]
-        is_later_chunk = number != 0 and chunk != 0
-        due = next_chunk.get(number, 0)
-        if is_later_chunk and number in text_of_id and chunk >= due:
+        is_later_chunk = text_id != 0 and chunk != 0
+        due = next_chunk.get(text_id, 0)
+        if is_later_chunk and text_id in text_of_id and chunk >= due:
             missing = MISSING_CHUNK if chunk > due else ""
-            texts[text_of_id[number]] += missing + text
-        else:
-            text_of_id[number] = len(texts)
+            texts[text_of_id[text_id]] += missing + text
+        else:  # a new text, of which the first chunks may be missing
+            text_of_id[text_id] = len(texts)
             texts.append(MISSING_CHUNK + text if is_later_chunk else text)
             first_rows.append(row)
-        next_chunk[number] = chunk + 1
+        next_chunk[text_id] = chunk + 1
     return replace(rows.take(np.array(first_rows, np.intp)), labels={"text": tuple(texts)})
 
 
@@ -282,6 +297,7 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     """The rows of CAMERA_FEEDBACK that are exposures, each time once with its first index.
 
     ArduPilot repeats a row while it waits for the next pulse, maybe already with the next index.
+    Rows without a time are distinguished by their index; those without a place too are dropped.
     """
     times_us = table["time_usec"]
     indices = table["img_idx"].astype(np.uint64)
@@ -308,6 +324,7 @@ def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     failures = int(np.count_nonzero(failed))
     if failures:
         ledger.add(failed_exposures(channel=name, count=failures, total=table.shape[0]))
+    # One image has one time and one index: both, of 32 bits each, are one number.
     keys = table["time_boot_ms"].astype(np.int64) << 32
     keys |= table["image_index"].astype(np.int64) & 0xFFFFFFFF
     return _first_of_each(keys, ~failed, "an image", name, ledger)

@@ -236,13 +236,13 @@ def report_silences(log: ULogMessages, path: Path, ledger: Ledger) -> None:
 def _silences(rows_of_topic: TopicRows) -> _Silences | None:
     """The silences of all of some topics; None without any.
 
-    Only topics whose intervals are short throughout show silences, not those that come in bursts;
-    any topic ends them. Not counted are stray stamps, and stamps that were sampled before the
-    logger began.
+    A silence is a time without a message of any topic. Which times are silences, and from when on,
+    only the steady topics show, whose intervals are short throughout; without these there are none.
+    Stray stamps do not count, nor the first rows, which may be older than the log.
     """
     times_of_topics = []
-    begin_ns = 0
-    shortest_ns = float("inf")
+    begin_ns = 0  # when all steady topics have begun
+    shortest_ns = float("inf")  # the usual interval of the fastest steady topic
     for rows in rows_of_topic.values():
         time_ns = nanoseconds(rows["timestamp"])[EARLY_ROWS:]
         time_ns = time_ns[~stray_times(time_ns)]
@@ -250,7 +250,8 @@ def _silences(rows_of_topic: TopicRows) -> _Silences | None:
         if time_ns.size <= STRAY_ROWS:
             continue
         usual_ns, long_ns = np.percentile(np.diff(time_ns), [50.0, MOST_INTERVALS]).tolist()
-        if long_ns <= LONGEST_INTERVAL_NS:
+        is_steady = long_ns <= LONGEST_INTERVAL_NS
+        if is_steady:
             begin_ns = max(begin_ns, int(time_ns[0]))
             shortest_ns = min(shortest_ns, usual_ns)
     if not np.isfinite(shortest_ns):
@@ -277,19 +278,17 @@ def _clock(
 ) -> BootClock:
     """The clock of a log: UTC by its receivers; without a fix by what else states UTC.
 
-    That is the UTC of camera captures, and that of the boot, which the logger writes when the
-    vehicle's clock has been set: by a receiver, a companion computer or a ground station.
+    That is the UTC of camera captures; without such, that of the boot, which the logger writes when
+    the vehicle's clock has been set: by a receiver, a companion computer or a ground station. The
+    UTC of the boot also tells the date of the log, as a weak witness.
     """
-    unchecked = _utc_readings(log.rows, sources, "events", CAPTURE_UTC_FIELD)
-    unchecked = [
-        replace(source, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY) for source in unchecked
-    ]
+    unchecked = []
+    for captures in _utc_readings(log.rows, sources, "events", CAPTURE_UTC_FIELD):
+        unchecked.append(replace(captures, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY))
+    boot_time = _utc_of_boot_time(log)
     if not any(source.usable.any() for source in unchecked):
-        unchecked += _utc_of_boot_time(log)
-    of_boot = [
-        Witness(source.source, int(source.utc_ns[0]), is_weak=True)
-        for source in _utc_of_boot_time(log)
-    ]
+        unchecked += boot_time
+    of_boot = [Witness(source.source, int(source.utc_ns[0]), is_weak=True) for source in boot_time]
     return fit_clock(
         _ONE_BOOT,
         _utc_readings(log.rows, sources, "position", UTC_FIELD),
@@ -358,11 +357,12 @@ def _table(path: Path, offset_ns: int, topic: str, instance: str | None) -> Tabl
     instance_columns = []
     rows_of_topic = _messages(path, [topic]).rows
     sources = _sources(rows_of_topic)
-    for key, all_rows in rows_of_topic.items():
-        for source, rows in _rows_by_instance(sources[key], all_rows):
-            if instance in (None, source.instance, str(key.instance)):
-                rows_of_instances.append(rows)
-                instance_columns.append(np.full(len(rows), key.instance, np.int16))
+    for key, rows_of_key in rows_of_topic.items():
+        for source, rows_of_source in _rows_by_instance(sources[key], rows_of_key):
+            label = source.instance or str(key.instance)
+            if instance in (None, label):
+                rows_of_instances.append(rows_of_source)
+                instance_columns.append(np.full(len(rows_of_source), key.instance, np.int16))
     if not rows_of_instances:
         return {}
     rows = np.concatenate(rows_of_instances)

@@ -75,8 +75,10 @@ def flat_fields(
     result: list[FlatField] = []
     size = 0
     for part in formats[name]:
-        inner: list[FlatField] | None = [FlatField("", TYPES.get(part.kind, ""))]
-        if part.kind not in TYPES:
+        inner: list[FlatField] | None
+        if part.kind in TYPES:
+            inner = [FlatField("", TYPES[part.kind])]
+        else:
             inner = flat_fields(part.kind, formats, depth + 1, known)
         if not inner:
             return None
@@ -122,10 +124,11 @@ class Definitions:
             match = _FIELD.fullmatch(part)
             if match is None:
                 return False
-            count = int(match["count"] or 0)
-            if match["count"] is not None and count == 0:
+            elements = int(match["count"] or 0)
+            is_empty_array = match["count"] is not None and elements == 0
+            if is_empty_array:
                 return False
-            fields.append(Field(match["kind"], count, match["name"]))
+            fields.append(Field(match["kind"], elements, match["name"]))
         if not colon or not fields:
             return False
         self.formats[name] = fields
@@ -134,10 +137,10 @@ class Definitions:
         return True
 
     def sizes_of(self, name: str) -> tuple[int, int] | None:
-        """The bytes of a topic's data without and with padding; None if it is not defined.
+        """The bytes of a topic's data without and with the padding at its end, not always logged.
 
-        Padding at the end of a message is not always logged. If the topic has a timestamp, its
-        layout without that padding is added to ``layouts``.
+        None if the topic is not defined, or two of its fields have the same path. If the topic has
+        a timestamp, its layout without that padding is added to ``layouts``.
         """
         if name not in self._sizes:
             self._sizes[name] = self._new_sizes(name)

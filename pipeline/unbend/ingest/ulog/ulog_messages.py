@@ -31,6 +31,7 @@ SPAN = 4 << 20  # [bytes] walked at once
 NEAR = 4096  # [bytes] searched first after damage
 LONGEST = HEAD.size + 0xFFFF
 LINKS = 3  # messages in a row that prove a place after damage
+_KIND_PLACE = 2  # of the kind in a message: behind the size
 _NUMBER = 2  # [bytes] of the number of a topic, at the beginning of data
 _TIME = 8  # [bytes] of a time since boot
 _LEAST_UNKNOWN = _NUMBER + _TIME  # [bytes] of data whose definition was lost: it begins so
@@ -79,7 +80,7 @@ class FileFlags(NamedTuple):
 def flags_of(data: FileView) -> FileFlags:
     """The flags of a file; none where it has no message of them."""
     raw = data[FILE_HEADER : FILE_HEADER + HEAD.size + FLAGS.size]
-    if len(raw) < HEAD.size + FLAGS.size or raw[HEAD.size - 1] != MessageKind.FLAGS:
+    if len(raw) < HEAD.size + FLAGS.size or raw[_KIND_PLACE] != MessageKind.FLAGS:
         return FileFlags(bytes(8), [])
     _, incompatible, *places = FLAGS.unpack_from(raw, HEAD.size)
     appended = []
@@ -178,7 +179,7 @@ class ULogMessages(DamagedBytes):
     def _walk_span(self, view: _View) -> int:
         """Take the messages that begin in a span; returns where in the view the next one begins."""
         is_last = view.base + len(view.raw) >= self._data.size
-        end = len(view.raw) if is_last else SPAN
+        end = len(view.raw) if is_last else SPAN  # behind it messages may not be whole in the view
         place = 0
         while place < end:
             place = self._pass_data(view.raw, place, end)
@@ -203,12 +204,12 @@ class ULogMessages(DamagedBytes):
         unpack = DATA.unpack_from
         sizes = self.sizes
         places_of = self._places
-        whole = len(raw)
-        last = min(end, whole - DATA.size)
+        raw_length = len(raw)
+        last = min(end, raw_length - DATA.size)
         while place < last:
             size, kind, number = unpack(raw, place)
             following = place + HEAD.size + size
-            if kind != MessageKind.DATA or following > whole or number not in sizes:
+            if kind != MessageKind.DATA or following > raw_length or number not in sizes:
                 break
             least, most = sizes[number]
             if not least <= size - _NUMBER <= most:
@@ -243,11 +244,12 @@ class ULogMessages(DamagedBytes):
         begin = view.base + place
         if place + length > len(view.raw):
             return 0
-        if any(begin < cut < begin + length for cut in self._appended):
-            return 0
-        if self._fits(view, place):
+        if any(begin < appended < begin + length for appended in self._appended):
+            return 0  # a crash cut the message off, before data was appended
+        may_be_unknown_data = loose and kind == MessageKind.DATA and size >= _LEAST_UNKNOWN
+        if self._fits(view, place) or may_be_unknown_data:
             return length
-        return length if loose and kind == MessageKind.DATA and size >= _LEAST_UNKNOWN else 0
+        return 0
 
     def _fits(self, view: _View, place: int) -> bool:
         """Whether the size and the first bytes of a message are possible for its kind."""
@@ -262,19 +264,24 @@ class ULogMessages(DamagedBytes):
             return _has_key(content, kind, size)
         if kind == MessageKind.DATA:
             number = int.from_bytes(content[:_NUMBER], "little")
-            least, most = self.sizes.get(number, (1, 0))
+            if number not in self.sizes:
+                return False
+            least, most = self.sizes[number]
             return bool(least <= size - _NUMBER <= most)
         if kind == MessageKind.FLAGS:
             return bool(view.base + place == FILE_HEADER and size >= FLAGS.size)
         return kind in (MessageKind.FORMAT, MessageKind.SUBSCRIPTION)
 
     def _take(self, raw: bytes, place: int, length: int) -> bool:
-        """Take a message; False where it cannot be used."""
-        kind = raw[place + HEAD.size - 1]
+        """Take a message; False where a definition or a subscription cannot be used.
+
+        Messages of the other kinds, of which nothing is kept, are passed over.
+        """
+        kind = raw[place + _KIND_PLACE]
         content = raw[place + HEAD.size : place + length]
         if kind == MessageKind.DATA:
             self._places[int.from_bytes(content[:_NUMBER], "little")].append(place)
-        elif kind == MessageKind.FORMAT:  # among the data it is not valid
+        elif kind == MessageKind.FORMAT:  # a format among the data is not valid
             return self._defining and self.definitions.add_format(content)
         elif kind == MessageKind.SUBSCRIPTION:
             self._defining = False
@@ -289,14 +296,19 @@ class ULogMessages(DamagedBytes):
         return True
 
     def _subscribe(self, content: bytes) -> bool:
-        """Take a subscription; False where its format is not defined or its number is taken."""
+        """Take a subscription; False where its format is not defined or its number is taken.
+
+        The content: the instance in one byte, the number of the topic in two, the name.
+        """
         name = content[3:].decode("ascii", "replace")
         number = int.from_bytes(content[1:3], "little")
         sizes = self.definitions.sizes_of(name)
         if sizes is None:
             return False
-        topic = UlogTopic(name, content[0])
-        if self.topics.setdefault(number, topic) != topic:
+        instance = content[0]
+        topic = UlogTopic(name, instance)
+        topic_of_number = self.topics.setdefault(number, topic)
+        if topic_of_number != topic:
             return False
         self.sizes[number] = sizes
         return True
@@ -308,7 +320,10 @@ class ULogMessages(DamagedBytes):
             self.texts.append(Text(time_us, content[_TIME:].decode("utf-8", "replace")))
 
     def _take_value(self, kind: int, content: bytes) -> None:
-        """Check the value of a parameter or of information, and keep those that are numbers."""
+        """Check the length of a value with a key, and keep a number of the kinds that are used.
+
+        Kept are parameters, but not their defaults, and information that is in one part.
+        """
         value = _keyed_value(content, kind)
         dtype = dtype_of_value(value.key)
         if value.key is None or dtype is None:
@@ -319,19 +334,23 @@ class ULogMessages(DamagedBytes):
         name = value.key["name"].decode()
         if kind == MessageKind.PARAMETER:
             self.parameters[name] = _first_number(value.raw, dtype)
-        elif kind != MessageKind.INFORMATION:
-            return
-        elif dtype.kind in "iuf":
+        elif kind == MessageKind.INFORMATION and dtype.kind in "iuf":
             self.numbers[name] = _first_number(value.raw, dtype)
 
     def _resume(self, view: _View, place: int) -> int:
-        """Where in the file messages go on after a place that begins none."""
+        """Where in the file messages go on after a place that begins none.
+
+        What is passed over is counted: data whose definition was lost, if messages follow it; else
+        all bytes up to the next place from which messages follow each other.
+        """
         begin = view.base + place
-        skipped = self._length(view, place, loose=True)  # data whose definition was lost
+        length_of_unknown = self._length(view, place, loose=True)
         number = int.from_bytes(view.raw[place + HEAD.size : place + DATA.size], "little")
-        if skipped and number not in self.sizes and self._linked(view, place + skipped):
-            self.drop(begin, begin + skipped)
-            return begin + skipped
+        is_unknown = length_of_unknown > 0 and number not in self.sizes
+        if is_unknown and self._linked(view, place + length_of_unknown):
+            resumed = begin + length_of_unknown
+            self.drop(begin, resumed)
+            return resumed
         resumed = self._next_linked(begin + 1)
         if resumed < self._data.size:
             self.drop(begin, resumed)
@@ -347,10 +366,10 @@ class ULogMessages(DamagedBytes):
         while begin < self._data.size:
             data = self._data.array(begin, begin + reach + LONGEST * LINKS)
             view = _View(data.tobytes(), begin)
-            kinds = data[HEAD.size - 1 : HEAD.size - 1 + reach]
+            kinds = data[_KIND_PLACE : _KIND_PLACE + reach]
             starts = np.flatnonzero(np.isin(kinds, _KINDS)).tolist()
-            cuts = [cut - begin for cut in self._appended if begin <= cut < begin + reach]
-            for start in sorted({*starts, *cuts}):
+            appended = [place - begin for place in self._appended if begin <= place < begin + reach]
+            for start in sorted({*starts, *appended}):
                 if self._linked(view, start):
                     return int(begin + start)
             begin += reach
@@ -366,7 +385,11 @@ class ULogMessages(DamagedBytes):
         return HEAD.size + size > len(rest) and self._fits(_View(rest, at), 0)
 
     def _linked(self, view: _View, place: int) -> bool:
-        """Whether three messages follow each other from here, or fewer up to the file's end."""
+        """Whether three messages follow each other from here, or fewer up to the file's end.
+
+        Where data was appended, no proof is needed. Only behind the first message may there be data
+        whose topic is not known.
+        """
         if view.base + place in self._appended:
             return True
         reaches_end = view.base + len(view.raw) >= self._data.size

@@ -145,11 +145,8 @@ def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
         else:
             t_1 = t
             f_1 = f
-        is_secant_next = guess % 2 == 0
-        if is_secant_next:
-            t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0)
-        else:
-            t = 0.5 * (t_0 + t_1)
+        # A secant after an even number of guesses, the middle after an odd one.
+        t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0) if guess % 2 == 0 else 0.5 * (t_0 + t_1)
     return t, height
 
 

@@ -33,9 +33,13 @@ def hole_between(
     """What shows that an event or an image is missing in between, in words; empty if nothing.
 
     After a missing event or image all images up to the end would belong to other events than
-    assigned. Nothing is missing unnoticed where the times of the images took part in the
-    assignment. Without an image whose event the user stated, more images than events are enough to
-    show it, or lost events without any of ``likelihoods``, which would show where they are missing.
+    assigned. In this order:
+
+    * Where the times of the images took part in the assignment, nothing is missing unnoticed.
+    * Unless the user stated the event of an image: something is missing if there are fewer events
+      than images (or than images are counted), or if the log lost events and none of
+      ``likelihoods`` could show where.
+    * Something is missing where the likelihoods speak for it (`is_shifted`).
     """
     if "times" in assignment.evidence:
         return ""
@@ -43,8 +47,9 @@ def hole_between(
     events_count = exposed.time_ns.size
     counted = images.numbering == "counted"
     events_needed = int(images.number.max()) if counted else images_count
-    events_were_lost = events_needed > events_count or (exposed.lost > 0 and not likelihoods)
-    if events_were_lost and "first_image" not in assignment.evidence:
+    lost_somewhere = exposed.lost > 0 and not likelihoods
+    is_event_missing = events_needed > events_count or lost_somewhere
+    if is_event_missing and "first_image" not in assignment.evidence:
         if counted:
             return f"{events_count} events for images counted up to {events_needed}: some were lost"
         return (
@@ -70,13 +75,14 @@ def places_of_holes(
     With tie points they are those before and after each image that does not fit the others; without
     tie points they are evenly spaced. At most 20.
     """
-    places = np.linspace(1, order.size - 1, PLACES_OF_HOLES).astype(int)
     ties = likelihoods.get(TIES)
     if isinstance(ties, TieLikelihood):
         contradicted = np.flatnonzero(np.isin(order, ties.contradicted(assignment.event)))
         places = np.concatenate([contradicted, contradicted + 1])
         if places.size:
             places = evenly_spaced_of(places, PLACES_OF_HOLES)
+    else:
+        places = np.linspace(1, order.size - 1, PLACES_OF_HOLES).astype(int)
     inside = (places > 0) & (places < order.size)
     return [int(place) for place in np.unique(places[inside])]
 

@@ -150,15 +150,15 @@ def tie_likelihood(
 
     ``stations`` are those of all events of the camera.
     """
-    camera_of_image = np.full(images.name.shape, "camera", object)
+    camera_of_image = np.full(images.name.shape, "camera", object)  # any name: there is only one
     rays = tie_rays(ties, images.name, camera_of_image, {"camera": camera})
     points = np.unique(rays.point)
-    needed = max(2.0, USABLE_STATIONS * len(stations))
+    needed = max(2.0, USABLE_STATIONS * len(stations))  # a point needs two stations
     if points.size < FEWEST_POINTS or stations.ok.sum() < needed:
         return None
     all_rays = replace(rays, height_m=None)
-    rays = all_rays.of_points(evenly_spaced_of(points, TIE_POINTS))
-    return TieLikelihood(orientations_of(stations), rays, all_rays)
+    deciding_rays = all_rays.of_points(evenly_spaced_of(points, TIE_POINTS))
+    return TieLikelihood(orientations_of(stations), deciding_rays, all_rays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +196,8 @@ class PositionLikelihood:
         shared = shared_errors(residual, design)
         remaining = squares_of_pairs(residual - design @ shared)
         prior = np.square(shared).sum()  # what the shared errors cost
+        # A position whose image has no event, or an event without a place, costs what an outlier
+        # costs: otherwise the assignment with the fewest events would be the likeliest.
         without_event = int(self.is_written.sum()) - rows.size
         cost = np.minimum(remaining, OUTLIER).sum() + prior + without_event * OUTLIER
         return -0.5 * float(cost)

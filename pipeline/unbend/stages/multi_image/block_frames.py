@@ -43,19 +43,20 @@ def orientation_table(section: OrientationSection, inputs: OpenedInputs) -> Orie
         raise no_events(where="stations", what="orientation")
     if not section.of_block:
         return table
-    block_camera = np.array(table.camera)
-    block_cameras = sorted(set(block_camera.tolist()))
-    mission_camera = dict(inputs.camera_names)
-    if len(block_cameras) == 1 and "" in mission_camera:
-        (only,) = block_cameras
-        mission_camera[only] = mission_camera[""]
-    for name in block_cameras:
-        if name not in mission_camera:
-            images = table.image[block_camera == name]
+    camera_in_block = np.array(table.camera)  # of each image
+    cameras_of_block = sorted(set(camera_in_block.tolist()))
+    mission_camera_of = dict(inputs.camera_names)
+    if len(cameras_of_block) == 1 and "" in mission_camera_of:
+        # "" stands for the only camera of the mission, whatever the block calls it.
+        (only,) = cameras_of_block
+        mission_camera_of[only] = mission_camera_of[""]
+    for name in cameras_of_block:
+        if name not in mission_camera_of:
+            images = table.image[camera_in_block == name]
             raise messages.block_camera_unknown(
                 where=section.path, total=images.size, image=str(images[0]), name=str(name)
             )
-    camera = np.array([mission_camera[name] for name in block_camera], object)
+    camera = np.array([mission_camera_of[name] for name in camera_in_block], object)
     return replace(table, camera=camera)
 
 
@@ -83,6 +84,8 @@ def block_points(
         raise messages.block_without_points(where=section.path)
     table = orientation_table(section, inputs)
     if section.is_geodetic:
+        # Converted as the positions of the images are, in whose place the points stand here; the
+        # notes on the conversion come with the images.
         table, _ = in_wgs84(section, replace(table, position=block.position), inputs.geoid)
         latitude, longitude, h = table.position.T
     else:
@@ -136,11 +139,12 @@ def in_wgs84(
     """The table with its positions in WGS 84, and the convergence of its grid; notes on these."""
     if section.crs is None or section.heights is None:
         return table, ()
-    x, y, h = table.position.T
     if section.frame == "geographic":
         latitude, longitude, h = table.position.T
         x = np.degrees(longitude)
         y = np.degrees(latitude)
+    else:
+        x, y, h = table.position.T
     places, notes = places_of(
         section.crs,
         (x, y, h),
@@ -169,8 +173,9 @@ def frame_of_block(
 ) -> CartesianFrame:
     """The frame of the angles of a table, where it is not that of each station's vertical.
 
-    The mission file states the frame, or the block says it. An unknown frame is fitted to known
-    positions of images: those of the mission file, or of the log, at the stations ``exposed``.
+    The frame is the one that the mission file states; else the one that the block itself says. A
+    warning says so if the two differ. A frame that is stated to be unknown is fitted to known
+    positions of images: those of the mission file, else those of the log (``exposed``).
     """
     named = section.frame
     stated = named.enu.build() if isinstance(named, EnuFrame) else named
@@ -198,6 +203,7 @@ def frame_of_block(
         return ledger.take(of_datum)
     if frame == "ecef":
         return oriented_images.ECEF
+    # The frame is "unknown".
     known = section.known_positions
     if isinstance(known, KnownPositions) and inputs.known_positions is not None:
         sigma_m = known.sigma_m
@@ -236,8 +242,8 @@ def check_frame(
     """What all known positions of the images say of the frame of their orientations.
 
     ``stations`` are those of the rows of ``table``, whose images are called as in the block;
-    ``frame`` is that of its x, y, z. ``exposed`` are the stations of the log; control points tell a
-    frame by themselves.
+    ``frame`` is that of its x, y, z. ``exposed`` are the stations of the log. With control points
+    the frame need not be tested here: they show a wrong one.
     """
     known = places_of_block(inputs, table, frame)
     files = inputs.image_times

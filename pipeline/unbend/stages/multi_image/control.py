@@ -30,11 +30,12 @@ METRES_OF_A_FOOT = 0.3048
 # Control is misread or wrong as a whole if it is farther than each of these three from where its
 # rays meet.
 FAR_M = 1.0
-FAR_SIGMAS = 5.0  # of that distance; a single point beyond as many is an outlier
+FAR_SIGMAS = 5.0  # of that distance
 FAR_EFFECTS = 3.0  # times as far as the correction moves the points
 BETTER = 0.2  # another reading is likely if it leaves less than this part of the distance
+OUTLIER_SIGMAS = 5.0  # beyond them a point is an outlier among the others
 FEWEST = 5  # points: among fewer none is called an outlier
-WORSE = 0.25  # of the square of what the correction moves: by so much that of misses may grow
+WORSE = 0.25  # of the squared effect of the correction: so much the squared misses may grow by it
 NORMAL_OF_MEDIAN = 1.4826  # standard deviation over median absolute deviation
 MOST_LISTED = 5  # outliers that a finding names
 
@@ -178,9 +179,10 @@ def compare_control(
         geoid=inputs.geoid,
         ledger=ledger,
     )
-    rays = rays_of_control(inputs.observations, points, setup)
-    control = MeasuredControl.of(points, np.unique(rays.point), stations, heights)
-    rays = rays.known()
+    all_rays = rays_of_control(inputs.observations, points, setup)
+    # By all rays: a point whose rays are of no use is measured all the same.
+    control = MeasuredControl.of(points, np.unique(all_rays.point), stations, heights)
+    rays = all_rays.known()
     point_number = np.searchsorted(control.row, rays.point)
     orientations = orientations_of_mission(mission, stations)
     meeting = meeting_points(rays, point_number, control.row.size, orientations)
@@ -188,23 +190,28 @@ def compare_control(
     axes = enu_from_ecef(control.latitude_rad, control.longitude_rad)
     places = np.stack([meeting.before, meeting.after])  # (2, p, 3)
     before, after = np.einsum("pij,kpj->kpi", axes, places - control.place())
-    # Finite where a station has both sigmas.
-    station_sigmas = (stations.sigma_height_m + stations.sigma_tilt_rad)[rays.station]
     comparison = ControlComparison(
         name=tuple(points.name.take(pa.array(control.row)).to_pylist()),
         rays=np.bincount(point_number, minlength=control.row.size),
         before=before,
         after=after,
         sigma_m=meeting.sigma_m,
-        sigma_stated=bool(np.isfinite(station_sigmas).any()),
+        sigma_stated=has_any_sigmas(stations, rays.station),
         unmeasured=len(points.name) - control.row.size,
     )
     if not comparison.used.any():
         ledger.add(messages.control_without_rays(where="control", count=control.row.size))
         return None
     readings = control.other_readings(section.reference, heights.home_h_msl_m)
-    judge_control(comparison, distances_of(readings, meeting.after, comparison.used), ledger)
+    off_m = distances_of(readings, meeting.after, comparison.used)
+    judge_control(comparison, off_m, ledger)
     return comparison
+
+
+def has_any_sigmas(stations: Stations, row: Integers) -> bool:
+    """Whether the sigmas of height and of tilt are known of any of some stations, by rows."""
+    is_known = np.isfinite(stations.sigma_height_m) & np.isfinite(stations.sigma_tilt_rad)
+    return bool(is_known[row].any())
 
 
 def distances_of(readings: Mapping[str, Array], meeting: Array, used: Mask) -> dict[str, float]:
@@ -254,13 +261,13 @@ class MeasuredControl:
     def other_readings(self, reference: str, home_h_msl_m: float | None) -> dict[str, Array]:
         """(p, 3) where the points are if the table was misread, for each mistake in words.
 
-        ``reference`` is what the mission file says that the heights count from. An unknown height
-        of the take-off makes its reading NaN; so does 0, with which nothing would be misread.
+        ``reference`` is what the mission file says that the heights count from. The reading by the
+        height of the take-off is NaN if this height is unknown, or 0, which misreads nothing.
         """
         h_m = self.h_m
         undulation_m = self.undulation_m
         home_m = home_h_msl_m or np.nan
-        # The numbers of the table, whose part beyond 0.3048 is too much if they are in feet.
+        # The numbers of the table. If they are feet, 0.3048 of each is right and the rest too high.
         stated_m = h_m if reference == "ellipsoid" else h_m - undulation_m
         too_high_in_feet_m = (1.0 - METRES_OF_A_FOOT) * stated_m
         below = self.place(h_m - undulation_m)
@@ -356,9 +363,10 @@ def judge_control(
 ) -> None:
     """Add what control points say against themselves, the stations or the correction.
 
-    Control that is far from where its corrected rays meet has one finding; else single outliers
-    are looked for, and whether the correction brings the points nearer. ``off_m`` is the median
-    distance of the corrected points from the control in each other reading of the control [m].
+    Control that is far from where its corrected rays meet, in the median, gets that one finding.
+    Otherwise single outliers are looked for, and whether the correction brings the points nearer.
+    ``off_m`` is the median distance [m] from where the corrected rays meet to the control, for each
+    other reading of the control.
     """
     used = comparison.used
     after = comparison.after[used]
@@ -404,14 +412,15 @@ def report_outliers(
 ) -> None:
     """Add a finding of control points whose misses differ from the median miss by far.
 
-    ``apart_m`` (p,) is by how much, ``scatter_m`` the usual amount; ``sigma_m`` is what the sigmas
-    of stations and pixels let points miss. With fewer than five points none is called an outlier.
+    ``apart_m`` is by how much those of each used point differ, ``scatter_m`` the usual amount;
+    ``sigma_m`` is what the sigmas of stations and pixels let points miss. With fewer than five
+    points none is called an outlier.
     """
     expected_m = max(scatter_m, sigma_m if comparison.sigma_stated else 0.0)
-    outliers = apart_m > FAR_SIGMAS * expected_m
-    if apart_m.size < FEWEST or not bool(outliers.any()):
+    is_outlier = apart_m > OUTLIER_SIGMAS * expected_m
+    if apart_m.size < FEWEST or not bool(is_outlier.any()):
         return
-    names = np.array(comparison.name)[comparison.used][outliers]
+    names = np.array(comparison.name)[comparison.used][is_outlier]
     ledger.add(
         messages.control_outlier(
             where="control",
@@ -433,9 +442,9 @@ def report_effect(
 ) -> None:
     """Add a note if control points are too noisy to show the effect of the correction.
 
-    If they are not, and miss by more after the correction than before, add a finding. ``effect_m``
-    is how far the correction moves points. The noise is ``sigma_m``, what the sigmas of stations
-    and pixels let points miss, if those are stated; else the scatter among the points.
+    Otherwise add a finding if they miss by clearly more after the correction than before.
+    ``effect_m`` is how far the correction moves points. The noise is ``sigma_m``, what the sigmas
+    of stations and pixels let points miss, if those are stated; else the scatter of the points.
     """
     count = int(comparison.used.sum())
     was_m = length(comparison.rms(comparison.before))

@@ -117,9 +117,16 @@ def assigned_events(
 ) -> tuple[AssignedEvents, Notes]:
     """The events of a camera that have an image, and notes on how they were found.
 
-    The log's own numbers in names decide, unless tie points, times or positions contradict them
-    by a factor of 1000: refuses (EVENTS-CONTRADICTED). Without such numbers the likelihood decides:
-    refuses (EVENTS-AMBIGUOUS) where the next best assignment is not 1000 times less likely.
+    With the log's own numbers in the names of images, these decide:
+
+    * an image whose likeliest event is another one than its number says has no event (undecided),
+      if these are 2 % of the images at most;
+    * if these are more, and tie points, times or positions contradict the numbers by a factor of
+      1000, the mission is refused (EVENTS-CONTRADICTED);
+    * if these are more, but the evidence against the numbers is weaker, all numbers hold.
+
+    Without such numbers the likelihood decides. The mission is refused (EVENTS-AMBIGUOUS) if the
+    next best assignment is not 1000 times less likely, or a part of the images may be shifted.
     """
     all_rows = np.arange(exposed.time_ns.size, dtype=np.int64)
     has_names = bool((exposed.image != "").all())
@@ -154,6 +161,7 @@ def assigned_events(
             refuse_contradiction(
                 assignment, by_name, images, exposed, evidence, likelihoods=likelihoods
             )
+            # Not refused: what is likelier by less than the limit does not count.
             assignment = stated_assignment(assignment, by_name)
             undecided = np.zeros(by_name.shape, np.bool_)
         event = np.where(undecided, -1, by_name)
@@ -242,15 +250,15 @@ def refuse_contradiction(
     *,
     likelihoods: Mapping[str, Likelihood],
 ) -> None:
-    """Refuse (EVENTS-CONTRADICTED) the log's numbers in names, where evidence says otherwise.
+    """Refuse (EVENTS-CONTRADICTED) the log's numbers in names, if evidence says otherwise.
 
-    Evidence are tie points, times, positions, and a pair that the mission file states; how usual
-    it is that images or events are missing is none.
+    Evidence are tie points, times, positions, and a pair that the mission file states. That images
+    or events are usually not missing is no evidence here.
     """
     against = evidence_against_names(assignment, by_name, exposed, evidence, likelihoods)
-    decisive = [name for name, log_ratio in against.items() if log_ratio > 0.0]
     if sum(against.values()) <= LOG_RATIO_NEEDED:
         return
+    decisive = [name for name, log_ratio in against.items() if log_ratio > 0.0]
     where = f"events.log.{exposed.camera}"
     raise messages.numbers_contradicted(
         where=where,
@@ -283,9 +291,8 @@ def evidence_against_names(
         of_best = evidence.log_likelihood_of_times(events, event, sigma_s)
         against["times"] = of_best - evidence.log_likelihood_of_times(events, claimed, sigma_s)
     if "first_image" in assignment.evidence:
-        against["first_image"] = (
-            np.inf
-        )  # a stated pair, which the assignment has and names have not
+        # The mission file states a pair, which the assignment has and the names have not.
+        against["first_image"] = np.inf
     return against
 
 

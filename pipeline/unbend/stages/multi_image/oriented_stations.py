@@ -39,7 +39,7 @@ from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints, tie_rays
 from unbend.units import DEGREE, Array, Integers
 
-FEW_BELOW_GROUND = 0.1  # share of the stations that may be wrong alone
+FEW_WRONG = 0.1  # share of the stations: so many may be wrong alone, below ground or too high
 HIGHEST_ABOVE_GROUND_M = 15_000.0  # no survey is flown higher, in the median
 METRES_OF_A_FOOT = 0.3048
 SECTION = "stations.orientation"
@@ -68,19 +68,23 @@ def oriented_stations(
         )
     table = ledger.take(in_wgs84(section, table, inputs.geoid))
     ledger.extend(table.notes)
-    named_by_block = table.image
-    differences = mission.observations.match_names
-    image = renamed(table.image, observations.images, differences, "stations.orientation")
-    table = replace(table, image=ledger.take(image))
+    named_as_in_block = table
+    renamed_images = renamed(
+        table.image, observations.images, mission.observations.match_names, SECTION
+    )
+    table = replace(table, image=ledger.take(renamed_images))
     reader = Reader(mission, inputs, flight, section, exposed)
     stations = reader.stations(table, ledger)
+    frame = None
+    if not section.is_level:
+        frame = reader.frame(table, Ledger())  # its notes were added with the stations
     ledger.extend(
         check_frame(
             inputs,
             section,
-            replace(table, image=named_by_block),
+            named_as_in_block,
             stations,
-            frame=None if section.is_level else reader.frame(table, Ledger()),
+            frame=frame,
             exposed=exposed,
             has_control=mission.control is not None,
         )
@@ -98,7 +102,7 @@ def oriented_stations(
 def other_readings(
     section: OrientationSection, table: OrientationTable, reader: "Reader"
 ) -> Iterator[StationsReading]:
-    """What a table could mean instead of what the mission file states: angles and positions."""
+    """What the table could mean instead of what the mission file states: angles and positions."""
 
     def reading(words: str, key: str, changed: OrientationTable) -> StationsReading:
         stations = partial(reader.stations, changed, Ledger())
@@ -164,16 +168,16 @@ class Reader:
             self.mission, table.camera, section.camera, len(table.image), where=section.path
         )
         images = OrientedImages(
-            table.image,
-            camera,
-            self.times(table),
-            latitude,
-            longitude,
-            height_m,
-            section.is_msl(table.heights),
-            quaternion,
-            section.angles == "roll_pitch_yaw",
-            sigmas_of_block(section, table, tilt_rad),
+            image=table.image,
+            camera=camera,
+            time_ns=self.times(table),
+            lat_rad=latitude,
+            lon_rad=longitude,
+            h_m=height_m,
+            is_msl=section.is_msl(table.heights),
+            quaternion=quaternion,
+            of_body=section.angles == "roll_pitch_yaw",
+            sigmas=sigmas_of_block(section, table, tilt_rad),
         )
         stations = oriented_images.stations_of_images(
             images, self.mission.mounts, self.flight.heights
@@ -189,7 +193,11 @@ class Reader:
         )
 
     def times(self, table: OrientationTable) -> Integers:
-        """(n,) times of the images [Unix ns]: those of the events where the table has none."""
+        """(n,) times of the images [Unix ns].
+
+        They are the table's, if it has times or there are no events; else those of the events,
+        `NO_TIME` for an image without an event.
+        """
         table_has_times = self.section.has_clock or bool((table.time_ns != NO_TIME).any())
         if table_has_times or not self.exposed:
             return table.time_ns
@@ -217,10 +225,15 @@ def check_height_above_ground(
     observations: Observations,
     ledger: Ledger,
 ) -> Stations:
-    """The stations, some of them suspect because they are far too high above the given ground.
+    """Compare the stations with the given ground; returns them, some perhaps suspect.
 
-    Adds a note of the heights above ground. Refuses (ORIENTATION-HEIGHT) stations more than a tenth
-    of which are below the ground.
+    In this order:
+
+    * refused (ORIENTATION-HEIGHT) if more than a tenth of the stations are below the ground;
+    * if a few, at most a tenth, are far too high, these become suspect, with a loss;
+    * else a note of the heights above ground; a warning if some are below it or too high.
+
+    Nothing is compared where no height of the ground is given.
     """
     section = mission.ground
     batch = next(observations.batches(mission.output.batch_rows))
@@ -233,14 +246,13 @@ def check_height_above_ground(
     offset_m = heights.ground_offsets(section.reference_of_values, stations, flight.heights)
     above_m = stations.h_msl_m - (offset_m + np.median(ground_m))
     above_ok = above_m[stations.ok]
-    where = "stations.orientation"
     median = float(np.median(above_ok))
     lowest = float(above_ok.min())
     highest = float(above_ok.max())
     below = int((above_ok <= 0.0).sum())
-    if below > FEW_BELOW_GROUND * above_ok.size:
+    if below > FEW_WRONG * above_ok.size:
         raise messages.stations_below_ground(
-            where=where,
+            where=SECTION,
             count=below,
             total=above_ok.size,
             median=median,
@@ -250,10 +262,10 @@ def check_height_above_ground(
     with np.errstate(invalid="ignore"):
         too_high = stations.ok & (above_m > HIGHEST_ABOVE_GROUND_M)
     count = int(too_high.sum())
-    if 0 < count <= FEW_BELOW_GROUND * above_ok.size:
+    if 0 < count <= FEW_WRONG * above_ok.size:
         ledger.add(
             messages.stations_too_high(
-                where=where,
+                where=SECTION,
                 count=count,
                 first=str(stations.image[too_high][0]),
                 median=median,
@@ -267,7 +279,7 @@ def check_height_above_ground(
     ledger.add(
         messages.heights_above_ground(
             kind=Kind.WARNING if is_odd else Kind.NOTE,
-            where=where,
+            where=SECTION,
             count=above_ok.size,
             median=median,
             low=lowest,

@@ -111,7 +111,11 @@ def intersected(stations: Stations, rays: ImageRays) -> Intersection:
 def refuse_other_reading(
     stations: Stations, readings: Iterable[StationsReading], rays: ImageRays, *, where: str
 ) -> None:
-    """Refuse (ORIENTATION-READING) stations, where rays meet far better in another reading."""
+    """Refuse (ORIENTATION-READING) stations, where rays meet far better in another reading.
+
+    The best of the ``readings`` has to be 1000 times as likely as what is stated, and its residuals
+    at most twice those that an adjusted block has.
+    """
     as_stated = intersected(stations, rays)
     if as_stated.misfit <= LOG_RATIO_NEEDED:  # nothing can be more likely by as much
         return
@@ -165,7 +169,7 @@ def roads_of_angles(
         source = mission.position_events[camera]
         if not channel.fits_role("attitude") or source.times_only:
             continue
-        # The file's own head says in which order they turn, or which angles they are.
+        # The order of these angles, and which angles they are, is stated in the head of the file.
         names = ("the first angle", "the second angle", "kappa or heading")
         readings = [*readings_of_angles(names, "deg", "omega_phi_kappa")]
         readings.append(_other_order("phi_omega_kappa"))

@@ -123,7 +123,8 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
         return
     where = "ground.height.points"
     batch = next(observations.batches(CHECKED_ROWS))
-    _, row = points.heights(batch.point, batch.image)
+    _, row = points.heights(batch.point, batch.image)  # -1 for a point that is not among them
+    # Only a block has heights ``of_image``.
     if points.of_image is None and not bool((row >= 0).any()):
         raise messages.no_point_in_table(
             where=where, total=len(batch), point=str(batch.point[0]), first=str(points.name[0])
@@ -213,8 +214,9 @@ def with_intersected_heights(
     counts: Counter[str] = Counter()
     shares = []
     with ExitStack() as stack:
-        wanted_files = 1 if observations.sample else 1 + observations.rows // ROWS_OF_A_FILE
-        number_of_files = min(MOST_FILES, wanted_files)
+        number_of_files = 1
+        if observations.sample is None:
+            number_of_files = min(MOST_FILES, 1 + observations.rows // ROWS_OF_A_FILE)
         files_of_rays = [stack.enter_context(TemporaryFile()) for _ in range(number_of_files)]
         write_rays(batches_with_points(observations), setup, files_of_rays)
         for file in files_of_rays:
@@ -332,19 +334,20 @@ def heights_of_rays(
     y_px = rays["y"]
     undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[station]
 
-    def intersected(x_px: Array, y_px: Array) -> tuple[Array, PointHeights]:
-        direction, sigma_rad = setup.directions(x_px, y_px, station)
+    def intersected(pixel_x: Array, pixel_y: Array) -> tuple[Array, PointHeights]:
+        direction, sigma_rad = setup.directions(pixel_x, pixel_y, station)
         image_rays = ImageRays(station, rays["point"], direction, sigma_rad)
         points = point_heights(orientations, image_rays)  # above the ellipsoid
         ray_count = np.maximum(np.bincount(points.index), 1)
         mean_undulation = np.bincount(points.index, undulation) / ray_count
         return (points.h_m - mean_undulation)[points.index], points
 
-    h_msl, points = intersected(x_px, y_px)
-    if setup.direction == "remove":
-        straight = straight_pixels(x_px, y_px, h_msl, station, setup)
-        h_msl, points = intersected(*straight)
-    return h_msl, points
+    as_measured = intersected(x_px, y_px)
+    if setup.direction != "remove":
+        return as_measured
+    h_msl, _ = as_measured
+    straight_x, straight_y = straight_pixels(x_px, y_px, h_msl, station, setup)
+    return intersected(straight_x, straight_y)
 
 
 def straight_pixels(

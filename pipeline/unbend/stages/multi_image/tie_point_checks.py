@@ -82,7 +82,8 @@ class TieEvidence:
     def orientations(self, seconds: float = 0.0) -> Orientations:
         """Position and attitude of the stations, or of the same stations some ``seconds`` later.
 
-        Stations that are not ok now have no orientation later either.
+        Stations that are not ok now have no orientation later either. Without `later` the
+        ``seconds`` are of no effect.
         """
         stations = self.stations if self.later is None else self.later(seconds)
         stations = stations.with_status(~self.stations.ok, "suspect")
@@ -121,15 +122,15 @@ class TieEvidence:
         straight_rays = straightened(orientations, replace(rays, height_m=None))
         points = point_heights(orientations, straight_rays)
         met = np.isfinite(points.h_m)  # of the distinct points, in the order of their numbers
-        latitude, longitude, h_m = geodetic_of_ecef(*points.position_m[met].T)
+        latitude, longitude, point_m = geodetic_of_ecef(*points.position_m[met].T)
         row, column = model.nodes(latitude, longitude)
-        height_m = model.heights(row, column)
+        model_m = model.heights(row, column)
         ground_of_point = np.full(self.ties.point.max() + 1, np.nan)
-        ground_of_point[np.unique(rays.point)[met]] = height_m
+        ground_of_point[np.unique(rays.point)[met]] = model_m
         ties = replace(self.ties, ground=ground_of_point[self.ties.point])
         station_m = self.stations.h_msl_m[self.stations.ok]
         reordered = model_in_other_order(
-            model, row, column, h_m=h_m, height_m=height_m, station_m=station_m
+            model, row, column, point_m=point_m, model_m=model_m, station_m=station_m
         )
         return replace(self, ties=ties), reordered
 
@@ -146,7 +147,7 @@ class TieEvidence:
             given_m = rays.height_m[np.isfinite(rays.height_m)]
             ground_m = float(np.median(given_m)) - undulation_m - offset_m
         station_m = float(np.nanmedian(self.stations.h_msl_m[self.stations.ok]))
-        home_m = self.heights.home_h_msl_m or 0.0
+        home_m = self.heights.home_h_msl_m or 0.0  # 0 explains nothing: so an unknown one counts
         too_much = FEET_IN_METRES_TOO_MUCH
         return {
             "heights above the ellipsoid were taken for those above sea level": -undulation_m,
@@ -163,20 +164,20 @@ def model_in_other_order(
     row: Array,
     column: Array,
     *,
-    h_m: Array,
-    height_m: Array,
+    point_m: Array,
+    model_m: Array,
     station_m: Array,
 ) -> str:
     """How much better a model fits points with its rows or columns reversed or exchanged, in words.
 
-    ``h_m`` (n,) are heights of points in the cells (``row``, ``column``), ``height_m`` (n,) those
-    of the model there, ``station_m`` those of the stations. Empty if the model fits as it is, if it
+    ``point_m`` (n,) are heights of points in the cells (``row``, ``column``), ``model_m`` (n,) of
+    the model in these cells, ``station_m`` of the stations. Empty if the model fits as it is, if it
     is off by too little to judge, or if it fits hardly better in another order.
     """
-    scatter_m = scatter_of(height_m - h_m)
-    if not np.isfinite(scatter_m) or scatter_m <= TERRAIN_FITS * scatter_of(h_m):
+    scatter_m = scatter_of(model_m - point_m)
+    if not np.isfinite(scatter_m) or scatter_m <= TERRAIN_FITS * scatter_of(point_m):
         return ""
-    above_ground_m = np.nanmedian(station_m - np.nanmedian(height_m))
+    above_ground_m = np.nanmedian(station_m - np.nanmedian(model_m))
     if scatter_m <= FLAT * above_ground_m:
         return ""
     cell = np.array([row, column])
@@ -186,7 +187,7 @@ def model_in_other_order(
     for is_exchanged, *is_reversed in orders[1:]:  # the first, all False, is the order it has
         in_order = cell[::-1] if is_exchanged else cell
         in_order = np.where(np.array(is_reversed)[:, None], size - 1 - in_order, in_order)
-        best_m = min(best_m, scatter_of(model.heights(*in_order) - h_m))
+        best_m = min(best_m, scatter_of(model.heights(*in_order) - point_m))
     if best_m >= FAR_BETTER * scatter_m:
         return ""
     return (
@@ -199,8 +200,8 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     """Add a finding for each part of the mission file that tie points contradict.
 
     That is done only if these findings together explain how far the rays miss each other. If they
-    do not, one finding says how far they miss, and lists what would explain a part of it. Nothing
-    is checked with fewer than ten tie points in usable images.
+    do not, `report_misses` adds one finding of how far the rays miss, with what would explain a
+    part of that. Nothing is checked with fewer than ten tie points in usable images.
     """
     cameras = evidence.mission.interior_orientations
     stations = evidence.stations
@@ -208,10 +209,10 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     usable_points = np.unique(rays.point[stations.ok[rays.image]])
     if usable_points.size < FEWEST_TIE_POINTS:
         return
-    reordered = ""
+    reordered = ""  # in which other order of rows and columns the elevation model fits, in words
     if evidence.terrain is not None:
         evidence, reordered = evidence.on_terrain(evidence.terrain)
-        rays = evidence.rays(cameras, {})
+        rays = evidence.rays(cameras, {})  # the same, with the heights of the model
     intersection, findings = diagnosis(stated_mission(evidence, rays))
     if reordered and not any(finding.code == "TIES-HEIGHT" for finding in findings):
         of_model = Finding(
@@ -222,7 +223,7 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
             sigma_factor=intersection.sigma_factor,
         )
         findings = (*findings, of_model)
-    # Each finding's factor holds when it and all before it are mended, that of the last with all.
+    # The factor of a finding holds when that one and all before are mended; of the last, when all.
     is_explained = bool(findings) and findings[-1].sigma_factor < POOR_FACTOR
     if is_explained:
         remaining = findings[-1].sigma_factor
@@ -248,7 +249,9 @@ def stated_mission(evidence: TieEvidence, rays: ImageRays) -> StatedMission:
     mission = evidence.mission
     oriented = mission.stations.orientation
     turned_by_mounts = oriented is None or oriented.angles == "roll_pitch_yaw"
-    later = None if evidence.later is None else lru_cache(8)(evidence.orientations)
+    later = None
+    if evidence.later is not None:
+        later = lru_cache(8)(evidence.orientations)  # the same few delays are asked for again
     return StatedMission(
         orientations=evidence.orientations(),
         cameras=mission.interior_orientations,
@@ -298,9 +301,12 @@ def report_misses(
 ) -> None:
     """Add how far the rays of tie points miss each other to the ledger.
 
-    That is a note if findings have ``explained`` the misses, or if the rays meet and there is no
-    finding (``nearest``, which lists the findings in words, is empty). Else it is a finding itself,
-    with the worst cameras and images. ``oriented`` says whether the stations are those of a table.
+    * A note if findings have ``explained`` the misses.
+    * A note if the rays meet, and nothing was found.
+    * Else a finding, with the worst cameras and images.
+
+    ``nearest`` lists in words what was found, and is empty if that is nothing. ``oriented`` says
+    whether the stations are those of a table.
     """
     point_of_ray = np.searchsorted(intersection.point, rays.point)
     miss_rad = np.sqrt(np.mean(intersection.residual_rad**2, axis=1))
