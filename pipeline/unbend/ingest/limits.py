@@ -19,6 +19,9 @@ MAX_SENDERS = 500
 MAX_DEFINITIONS_OF_ONE = 32
 # Times at which a type of record gets another definition: the records behind are found anew.
 MAX_REDEFINITIONS = 1000
+# Places of damage behind each of which the next message is searched: 0.5 ms each.
+FREE_PLACES = 2000
+BYTES_OF_PLACE = 1000  # ... and one more for so many bytes of the file
 # Fields of all formats of a PX4 log, nested ones in each place: usual are 10,000.
 MAX_FIELDS = 1 << 17
 # Topics, senders and instances whose values are read: each has a channel of its own.

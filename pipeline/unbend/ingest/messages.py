@@ -302,6 +302,17 @@ LOG_TOO_LARGE = Code(
 )
 
 
+def too_much_damage(*, file: str, first: int, places: int) -> Message:
+    """A log is damaged at so many places that the rest of it is not searched for messages."""
+    return loss(
+        LOG_TOO_LARGE,
+        "it is damaged at {places} places: what follows byte {first} is not read",
+        where=file,
+        places=places,
+        first=first,
+    )
+
+
 def too_many_boots(*, count: int, most: int) -> LogError:
     """The time since boot of a log begins anew more often than a vehicle is switched on."""
     return LogError(

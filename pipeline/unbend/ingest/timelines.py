@@ -15,7 +15,7 @@ from unbend.flight.channels import TimeArray
 from unbend.ingest import messages
 from unbend.ingest.limits import check_boots
 from unbend.messages import Ledger
-from unbend.units import Integers, Mask, Rows
+from unbend.units import Integers, Mask, Rows, whole_numbers
 
 _FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters come one by one
 
@@ -96,8 +96,8 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
     True
     """
     if raw.dtype.kind == "f":
-        known = np.nan_to_num(raw, nan=clock.LAST_US)
-        return np.asarray(known.clip(0, clock.LAST_US), np.int64)
+        known = np.where(np.isnan(raw), float(clock.LAST_US), raw.astype(np.float64))
+        return whole_numbers(known, 0, clock.LAST_US)
     unsigned = raw.astype(np.uint64, copy=False)  # what is below 0 becomes huge
     last_us = np.uint64(clock.LAST_US)
     cut_us = np.minimum(unsigned, last_us)

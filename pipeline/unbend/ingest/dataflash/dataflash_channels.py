@@ -23,7 +23,7 @@ from unbend.ingest.timelines import Stamps, Timeline, microseconds, nanoseconds,
 from unbend.ingest.utc_evidence import Witness
 from unbend.ingest.utc_readings import UtcReadings, rows_of
 from unbend.messages import Ledger
-from unbend.units import Integers, Mask
+from unbend.units import Integers, Mask, whole_numbers
 
 RECEIVERS = ("GPS", "GPS2")
 _WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
@@ -460,5 +460,5 @@ def _neighbours(fixes: _Keyed, accuracies: _Keyed, in_log_order: Integers, *, sh
 
 def _key(table: Table) -> Integers:
     """The instance and the time of each row as one number; no instance, -1, becomes 0."""
-    instance = (instance_of(table).astype(np.int64) + 1) & _INSTANCE_MASK
+    instance = (whole_numbers(instance_of(table), -1, _INSTANCE_MASK) + 1) & _INSTANCE_MASK
     return np.asarray(microseconds(table["TimeUS"]) + (instance << _TIME_BITS), np.int64)

@@ -140,6 +140,8 @@ class RecordWalker(DamagedBytes):
             run = self._whole_records(block, place)
             if run.start == run.stop:
                 place = self._resume(place)
+                if self.is_hopeless(self.size):
+                    return self.give_up(place, self.size)
                 continue
             stop = self._keep(block, run.start, run.stop)
             place = int(block.end[stop - 1])

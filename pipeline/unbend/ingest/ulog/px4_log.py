@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel, Source
-from unbend.flight.clock import STRAY_ROWS, stray_times
+from unbend.flight.clock import LAST_US, STRAY_ROWS, stray_times
 from unbend.ingest.attitude import earth_frame_attitude
 from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.buffers import open_view
@@ -302,7 +302,7 @@ def _clock(
 def _utc_of_boot_time(log: ULogMessages) -> list[UtcReadings]:
     """UTC of the boot as the logger wrote it (``boot_time_utc_us``); none where it did not."""
     utc_us = log.numbers.get(BOOT_UTC, 0.0)
-    if utc_us <= FIRST_SET_US:
+    if not FIRST_SET_US < utc_us < LAST_US:  # also not a number
         return []
     one_row = np.zeros(1, np.int64)
     return [
