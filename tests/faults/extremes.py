@@ -217,10 +217,9 @@ def extreme_tlog(draw: random.Random) -> bytes:
         for name, usual in TLOG_MESSAGES.items():
             ms, host_us = 60_000 + 200 * k, hostile.HOST_US + 200_000 * k
             fields = dict(usual)
-            for field, value in (("time_boot_ms", ms), ("time_usec", 1000 * ms),
-                                 ("time_unix_usec", host_us), ("img_idx", k), ("image_index", k)):  # fmt: skip
-                if field in fields:
-                    fields[field] = value
+            now = {"time_boot_ms": ms, "time_usec": 1000 * ms, "time_unix_usec": host_us,
+                   "img_idx": k, "image_index": k}  # fmt: skip
+            fields |= {field: value for field, value in now.items() if field in fields}
             if draw.random() < share:
                 fields |= {field: extreme_field(field, draw) for field in chosen[name]}
             if draw.random() < stamp_share:
@@ -232,8 +231,10 @@ def extreme_tlog(draw: random.Random) -> bytes:
 def extreme_mcap(draw: random.Random) -> bytes:
     """Messages of CDR, JSON and PX4 with times and values at their limits."""
     kinds = {
-        1: (hostile.FLUID_PRESSURE, f"std_msgs/Header header\nfloat64 fluid_pressure\n{hostile.HEADER_OF_ROS}"),
-        2: ("px4_msgs/msg/SensorGps", "uint64 timestamp\nuint64 time_utc_usec\nfloat64 latitude_deg\n"
+        1: (hostile.FLUID_PRESSURE,
+            f"std_msgs/Header header\nfloat64 fluid_pressure\n{hostile.HEADER_OF_ROS}"),
+        2: ("px4_msgs/msg/SensorGps",
+            "uint64 timestamp\nuint64 time_utc_usec\nfloat64 latitude_deg\n"
             "float64 longitude_deg\nfloat64 altitude_msl_m\nuint8 fix_type"),
         3: ("px4_msgs/msg/SensorBaro", "uint64 timestamp\nfloat32 pressure\nfloat32 temperature"),
         4: ("sensor_msgs/msg/Temperature", "std_msgs/Header header\nfloat64 temperature\n"
