@@ -49,6 +49,13 @@ def test_the_filters_constants_are_the_steady_state_of_its_default_noises(rate_h
     assert max(shifts) == pytest.approx(log_accuracy.FILTER_TIME_S, rel=0.15)
 
 
+def test_a_receiver_of_one_fix_has_that_accuracy_before_and_after_it() -> None:
+    receiver = channel([10.0], sigma_h_m=np.array([1.0]), sigma_v_m=np.array([1.5]))
+    sigmas = LogAccuracy(receiver).positions(receiver, at(9.9, 10.0, 10.1))
+    assert sigmas.horizontal_m.tolist() == [1.0, 1.0, 1.0]
+    assert sigmas.height_m.tolist() == [1.5, 1.5, 1.5]
+
+
 def test_a_filter_has_the_accuracy_of_its_receiver_and_its_innovations() -> None:
     seconds = list(np.arange(0.0, 60.0, 0.2))
     receiver = channel(seconds, sigma_h_m=np.full(300, 1.0), sigma_v_m=np.full(300, 1.5))

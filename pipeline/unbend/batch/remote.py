@@ -257,15 +257,16 @@ class Publication:
             raise
         published = by_another
         if by_another is None:
-            # This writer is the first, or the first one did not publish in time.
+            # This writer is the first, or the first one did not publish in time. The attempt is not
+            # removed if this fails: it may be published already.
             published = self._replace_manifest(of_attempt, content)
-        if published is None or published.run.attempt != attempt:
-            # Another writer's results are published, or none are.
+        is_own = published is not None and published.run.attempt == attempt
+        if not is_own:
             self._remove(attempt)
-            if published is None or published.run.fingerprint != self._fingerprint:
-                # This run is refused, and so no later writer of it must wait for it.
-                self._place.remove([run_name(self._fingerprint)])
-                raise messages.published_meanwhile(url=str(self._place))
+        if published is None or published.run.fingerprint != self._fingerprint:
+            # This run is refused, and so no later writer of it must wait for it.
+            self._place.remove([run_name(self._fingerprint)])
+            raise messages.published_meanwhile(url=str(self._place))
         self._remove_former(published)
         return published
 

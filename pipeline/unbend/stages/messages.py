@@ -170,8 +170,8 @@ def no_events(*, where: str, what: str) -> MissionError:
 
 EVENTS_CAMERA = Code(
     "EVENTS-CAMERA",
-    means="A table of exposures or orientations names a camera that the mission file does not define, "
-    "or nothing says which of several cameras its rows are of.",
+    means="A table of exposures or orientations names a camera that the mission file does not "
+    "define, or nothing says which of several cameras its rows are of.",
     effect="The mission is refused.",
     remedy="Mend the name in the table, define the camera under cameras, or name the column of "
     "cameras.",

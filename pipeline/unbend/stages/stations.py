@@ -87,17 +87,22 @@ class StationBuilder:
         """The builder for a camera.
 
         A file of ``positions`` at the exposures, unless only its times are used, replaces the
-        channels of position and height, and that of the attitude if it has attitudes. Stretches
-        that contradict a replaced channel do not count; those that contradict the file do.
+        channels of position and height, and that of the attitude if it has attitudes. Suspect are
+        then:
+
+        * stretches of the log's attitude, unless the file replaces it;
+        * stretches in which the log contradicts the position or the height of the file. Attitudes
+          of a file are not compared with the log.
         """
         roles = flight.roles_of(camera)
         suspect = flight.suspect
         if positions is not None and not mission.position_events[camera].times_only:
             roles = roles | {"position": positions, "height": positions}
-            suspect = tuple(stretch for stretch in suspect if stretch.quantity == "attitude")
             if positions.fits_role("attitude"):
                 roles = roles | {"attitude": positions}
                 suspect = ()
+            else:
+                suspect = tuple(stretch for stretch in suspect if stretch.quantity == "attitude")
             suspect += contradictions_of_import(
                 positions, ("position", "height"), flight.own, flight.own_suspect
             )

@@ -337,9 +337,10 @@ def _nearest_height(
 
 
 def _above_its_begin(other: Channel) -> Channel:
-    """A channel without heights above the take-off, with those above the begin of the log instead.
+    """A channel that has heights above the take-off, if its heights are known at all.
 
-    Cameras count heights from the take-off that a receiver does not know.
+    Where it has none, its heights above its first known one stand for them: cameras count from a
+    take-off that a receiver does not know.
     """
     column = other.height_column
     if column is None or "h_home_m" in other.columns:

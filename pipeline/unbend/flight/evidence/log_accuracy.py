@@ -218,11 +218,13 @@ def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Arr
 
 def _nearest_row(channel: Channel, time_ns: TimeArray) -> Rows:
     """(m,) rows of the samples nearest to instants; of equally near ones the later."""
-    after = np.clip(np.searchsorted(channel.time_ns, time_ns), 1, max(len(channel) - 1, 1))
-    # The remainder is for a channel of one sample, which has no row ``after`` to be asked.
-    to_before = time_ns - channel.time_ns[after - 1]
-    to_after = channel.time_ns[after % len(channel)] - time_ns
-    return np.asarray(np.where(to_before < to_after, after - 1, after))
+    last_row = len(channel) - 1
+    rows_after = np.searchsorted(channel.time_ns, time_ns)
+    after = np.minimum(rows_after, last_row)
+    before = np.maximum(rows_after - 1, 0)
+    to_before = time_ns - channel.time_ns[before]
+    to_after = channel.time_ns[after] - time_ns
+    return np.asarray(np.where(to_before < to_after, before, after))
 
 
 class _Scatter(NamedTuple):

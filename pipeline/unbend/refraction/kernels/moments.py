@@ -234,7 +234,6 @@ def _mark_served(air, group, top, steps_down):  # type: ignore[no-untyped-def]
 
     ``steps_down`` of served rays is filled with the number of intervals from ``top``, the camera's,
     down to that of the target. Returns the largest of these, -1 where the series serves no ray.
-
     The conditions are joined by &, which evaluates all of them, because branches are slower.
     """
     h_c = group.h_c
@@ -254,9 +253,10 @@ def _mark_served(air, group, top, steps_down):  # type: ignore[no-untyped-def]
         is_same_radius = abs(r_c - r_table) < _SAME_RADIUS * r_table
         # 2 y x w is at least w u, because u = y x (2 - y x).
         is_small_w_u = 2.0 * (h_c - h_g[i]) <= _LARGEST_W_U * r_c_cos2
-        # The straight line is level r_c_cos2 / (1 + sin_c) below the camera: deep enough that the
-        # ray meets the height of its target once only.
-        is_deep = r_c_cos2 > 2.0 * (1.0 + sin_c[i]) * (h_c + _DEEP_M)
+        # The straight line becomes level at this depth below the camera. Where it is twice as deep
+        # as all land, the bent ray meets the height of its target once only: see `crosses_once`.
+        depth_of_level = r_c_cos2 / (1.0 + sin_c[i])
+        is_deep = depth_of_level > 2.0 * (h_c + _DEEP_M)
         is_served = is_ray & is_downwards & is_same_radius & is_small_w_u & is_deep
         status[i] = OK if is_served else LEFT
         if is_served:

@@ -280,8 +280,9 @@ def _subtended_to_height(table, ray, h, theta_to_rise):  # type: ignore[no-untyp
 def _chord2_slope(table, ray, theta, h, sense):  # type: ignore[no-untyped-def]
     """d(chord^2)/dh [m] along a ray that has subtended ``theta`` where its height is h.
 
-    The derivative of `chord2` with d(theta)/dh = ``sense`` k / (r sqrt(n^2 r^2 - k^2)) (Gyer 1996,
-    Eq. 12). ``sense`` is 1 where the ray rises, -1 where it falls.
+    The derivative of `chord2`, (h - h_c)^2 + 4 r_c r sin^2(theta / 2), with d(theta)/dh =
+    ``sense`` k / (r sqrt(n^2 r^2 - k^2)) (Gyer 1996, Eq. 12). With the excess E = n r - k the root
+    is that of E (E + 2 k). ``sense`` is 1 where the ray rises, -1 where it falls.
     """
     excess_h = excess(table, ray, piece_at(table.edge, h), h)
     r_c = ray.r_e + ray.h_c

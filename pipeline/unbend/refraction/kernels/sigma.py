@@ -290,9 +290,10 @@ def _pixel_sigmas(turn, motion, air, station):  # type: ignore[no-untyped-def]
     by_window = turn.along * motion.window.along + turn.across * motion.window.across
     by_air = abs(turn.along) * air.sigma_r
     if station.window_kind >= 0:
-        # Through a window with a vertical normal N_c - N_cc turns the ray by tan(zeta)
-        # (1 - dR/dzeta) along, which `_air_sigma` has in ``straight``. The rest is by its lean.
-        leaning = by_window - turn.along * (motion.tan_z * (1.0 - motion.dr_dzeta))
+        # A window with a vertical normal would turn the ray by tan(zeta) (1 - dR/dzeta) along: that
+        # is in air_x. What this window does beside it, because it leans, is by air_y.
+        by_level_window = turn.along * (motion.tan_z * (1.0 - motion.dr_dzeta))
+        leaning = by_window - by_level_window
         by_air = _air_sigma(turn, leaning, motion, air)
     return _PixelSigmas(
         air=by_air,
@@ -364,7 +365,9 @@ def _fill_sigmas(room, count, camera, station):  # type: ignore[no-untyped-def]
         in_y = _pixel_sigmas(turn_y, motion, air, station)
         x_lever = (room[X_PX, i] - camera.cx) / camera.fx
         y_lever = (room[Y_PX, i] - camera.cy) / camera.fy
-        by_mode = room[MODE_BY_TANGENT, i] * motion.tan_z  # dR/ds
+        # s, the parameter of the leading mode of the air's errors, changes R and, at the window,
+        # N_c - N_cc by mode_air_y.
+        r_by_mode = room[MODE_BY_TANGENT, i] * motion.tan_z
 
         # All results are unknown where the ray is not known, or beyond the tables.
         one_if_known = math.nan if math.isnan(ray.dr_dzeta) else room[ONE_IF_KNOWN, i]
@@ -378,8 +381,8 @@ def _fill_sigmas(room, count, camera, station):  # type: ignore[no-untyped-def]
         room[SIGMA_R_CC, i] = window.tangent * sigma_n_cabin * one_if_known
         room[CABIN_DX, i] = _cabin_sigma(in_x.by_window, x_lever, station) * one_if_known
         room[CABIN_DY, i] = _cabin_sigma(in_y.by_window, y_lever, station) * one_if_known
-        dx_ds = turn_x.along * by_mode + in_x.by_window * station.mode_air_y
-        dy_ds = turn_y.along * by_mode + in_y.by_window * station.mode_air_y
+        dx_ds = turn_x.along * r_by_mode + in_x.by_window * station.mode_air_y
+        dy_ds = turn_y.along * r_by_mode + in_y.by_window * station.mode_air_y
         room[DX_DS, i] = dx_ds * one_if_known
         room[DY_DS, i] = dy_ds * one_if_known
         room[DX_DNCC, i] = -in_x.by_window * one_if_window * one_if_known

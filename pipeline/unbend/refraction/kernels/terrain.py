@@ -131,11 +131,9 @@ def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
     fall = f_0 - f_1 + square
     share = 2.0 * f_0 / (fall + math.sqrt(max(fall * fall - 4.0 * square * f_0, 0.0)))
     t = t_0 + min(max(share, 0.0), 1.0) * (t_1 - t_0)
-    height = math.nan
+    at = place_at(path, t)
     for guess in range(_MOST_GUESSES):
-        at = place_at(path, t)
         f = _above(patch, at)
-        height = at.height
         if abs(f) < _FLAT_M or t_1 - t_0 < _NARROW_M:
             break
         # The crossing stays between t_0, where the ray is above the patch, and t_1.
@@ -147,7 +145,8 @@ def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
             f_1 = f
         # A secant after an even number of guesses, the middle after an odd one.
         t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0) if guess % 2 == 0 else 0.5 * (t_0 + t_1)
-    return t, height
+        at = place_at(path, t)
+    return t, at.height
 
 
 @jit
@@ -373,8 +372,8 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
             first_column=around.edges.left,
         )
         passage = _passage(path, patch, around, (t, t_1), (at, at_1))
-        is_all_unknown = around.is_over and around.is_under  # see `Surroundings`
-        is_unknown = is_all_unknown or math.isnan(passage.f_0)
+        # Over and under at once is a box of unknown nodes: see `Surroundings`.
+        is_unknown = (around.is_over and around.is_under) or math.isnan(passage.f_0)
         if is_unknown:
             state.gap[ray] = True
         else:

@@ -117,9 +117,9 @@ def velocity_at(path, at):  # type: ignore[no-untyped-def]
 def fill_path(rays, i, row, column, powers):  # type: ignore[no-untyped-def]
     """Fill row and column of ray i as polynomials in the arc, from those of its chart.
 
-    The chart has polynomials in east and north of the station, which along the ray are the arc
-    times its azimuth: terms of one degree are one power of the arc. ``powers``
-    (2, `CHART_DEGREE` + 1) is room for powers of east and of north; the first ones are 1.
+    The chart has polynomials in east and north of the station. Along the ray these are the arc
+    times the east and north part of its azimuth: all terms of one degree are one power of the arc.
+    ``powers`` (2, `CHART_DEGREE` + 1) is room for powers of east and of north; the first are 1.
     """
     easts = powers[0]
     norths = powers[1]

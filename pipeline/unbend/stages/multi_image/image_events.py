@@ -277,19 +277,20 @@ def evidence_against_names(
 ) -> dict[str, float]:
     """By each evidence, how much more likely an assignment is than that of the names.
 
-    ``by_name`` (k,) are the rows of the events that names claim. The values are natural logarithms;
-    those of images without an event by their name do not count.
+    ``by_name`` (k,) are the rows of the events that names claim. The values are natural logarithms.
+    Only images count that have an event in the assignment and by their name.
     """
-    event = np.where(by_name >= 0, assignment.event, -1)
-    claimed = np.where(event >= 0, by_name, -1)
+    is_in_both = (by_name >= 0) & (assignment.event >= 0)
+    assigned = np.where(is_in_both, assignment.event, -1)
+    claimed = np.where(is_in_both, by_name, -1)
     against = {}
     for name, likelihood in likelihoods.items():
-        against[name] = likelihood(event) - likelihood(claimed)
+        against[name] = likelihood(assigned) - likelihood(claimed)
     if evidence.time_s is not None:
         events = camera_events(exposed)
         sigma_s = float(np.nan_to_num(assignment.sigma_s))
-        of_best = evidence.log_likelihood_of_times(events, event, sigma_s)
-        against["times"] = of_best - evidence.log_likelihood_of_times(events, claimed, sigma_s)
+        of_assigned = evidence.log_likelihood_of_times(events, assigned, sigma_s)
+        against["times"] = of_assigned - evidence.log_likelihood_of_times(events, claimed, sigma_s)
     if "first_image" in assignment.evidence:
         # The mission file states a pair, which the assignment has and the names have not.
         against["first_image"] = np.inf
