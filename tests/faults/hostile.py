@@ -410,7 +410,7 @@ GROWING = {
     "bin redefined": Hostile(".bin", redefined_records, 20_000, 40, TOO_LARGE),
     "bin in turns": Hostile(".bin", redefined_in_turns, 20_000, 1100, TOO_LARGE),
     "bin boots": Hostile(".bin", boots_as_records, 6000, 60, TOO_LARGE),
-    "bin damage": Hostile(".bin", damage_again_and_again, 20_000, 400, TOO_LARGE),
+    "bin damage": Hostile(".bin", damage_again_and_again, 20_000, 1500, TOO_LARGE),
     "ulog nested": Hostile(".ulg", nested_formats, 200, 3, TOO_LARGE),
     "ulog topics": Hostile(".ulg", many_topics, 20_000, 100),
     "tlog boots": Hostile(".tlog", boots_of_telemetry, 1500, 100),
