@@ -131,6 +131,12 @@ loss = partial(message, Kind.LOSS)
 Result = TypeVar("Result")
 
 
+def _identity(message: Message) -> tuple[object, ...]:
+    """What two messages share that say the same; it can be looked up in a set."""
+    values = tuple(sorted(message.values.items()))
+    return message.kind, message.code, message.text, message.where, message.count, values
+
+
 class Ledger:
     """All messages of a mission, each once, in the order of their coming.
 
@@ -143,6 +149,7 @@ class Ledger:
 
     def __init__(self, messages: Iterable[Message] = ()) -> None:
         self._messages: list[Message] = list(messages)
+        self._known = {_identity(message) for message in self._messages}
 
     def __iter__(self) -> Iterator[Message]:
         return iter(self._messages)
@@ -157,7 +164,9 @@ class Ledger:
 
     def add(self, message: Message) -> None:
         """Append a message, unless the same stands there."""
-        if message not in self._messages:
+        identity = _identity(message)
+        if identity not in self._known:
+            self._known.add(identity)
             self._messages.append(message)
 
     def extend(self, messages: Iterable[Message]) -> None:
@@ -194,6 +203,7 @@ class Ledger:
                     message, kind=Kind.WARNING, accepted=reasons[message.code]
                 )
                 unused.discard(message.code)
+        self._known = {_identity(message) for message in self._messages}
         return tuple(sorted(unused))
 
     def sorted(self) -> list[Message]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ VAPOUR_DEFICIT = 0.378
 WGS84_A = 6_378_137.0  # [m]
 WGS84_F = 1.0 / 298.257223563
 
+MOST_FLAGS = (1 << 32) - 1  # of a field: it has 32 bits at most
 UNIX_NS_OF_GPS_EPOCH = 315_964_800 * NANOSECONDS_PER_SECOND  # 1980-01-06T00:00:00Z
 
 
@@ -47,6 +48,26 @@ def round_step(least: float) -> float:
     power = math.floor(math.log10(least))
     steps = (float(f"{f}e{power}") for f in (1, 2, 5, 10))
     return next(step for step in steps if step >= least * (1.0 - 1e-9))
+
+
+def whole_numbers(values: NDArray[Any], lowest: int, highest: int) -> Integers:
+    """Numbers of any type as int64 without their fractions, cut at two limits; NaN is the lowest.
+
+    The limits are at most 2**62 from 0: numpy converts what 64 bits do not hold into any number.
+
+    >>> whole_numbers(np.array([np.nan, -1e300, 7.9, np.inf]), 0, 9).tolist()
+    [0, 0, 7, 9]
+    >>> whole_numbers(np.array([7, 2**64 - 1], np.uint64), 0, 9).tolist()
+    [7, 9]
+    """
+    if values.dtype.kind == "u":
+        return np.minimum(values, np.uint64(highest)).astype(np.int64).clip(lowest)
+    if values.dtype.kind in "bi":
+        return values.astype(np.int64).clip(lowest, highest)
+    with np.errstate(invalid="ignore"):  # signalling NaNs
+        numbers = np.asarray(values, np.float64)
+    known = np.where(np.isnan(numbers), lowest, numbers)
+    return known.clip(lowest, highest).astype(np.int64)
 
 
 def evenly_spaced(count: int, most: int) -> Integers:

@@ -71,11 +71,16 @@ def one(mission, *, progress=None):
 
 
 def main():
+    from unbend.batch import dask_answers, dask_executor
     from unbend.batch.dask_executor import DaskExecutor
     from unbend.batch.processes import Processes
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # as the command line has it
     where, folder, *names = sys.argv[1:]
+    if "--impatient" in names:
+        names.remove("--impatient")
+        dask_answers.ANSWER_S = 3.0
+        dask_executor._LOOK_S = 1.0
     executor = Processes(int(where)) if where.isdecimal() else DaskExecutor(where)
     missions = [Unread(Path(folder) / f"{name}.yaml") for name in names]
     for mission, end in run_many(one, missions, executor):

@@ -91,7 +91,8 @@ def started(machines: Machines, folder: Path, *names: str, pace: float = 0.0) ->
     folder.mkdir(exist_ok=True)
     (folder / "pace").write_text(str(pace))
     for name in names:
-        (folder / f"{name}.yaml").touch()
+        if not name.startswith("--"):
+            (folder / f"{name}.yaml").touch()
     return subprocess.Popen(
         [sys.executable, "-W", "error", str(MISSIONS), str(machines.file), str(folder), *names],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -224,3 +225,43 @@ def test_a_signal_stops_what_the_workers_do(machines, tmp_path):
     ]
     wait_until(lambda: all(map(missions_module.gone, workers)), 5.0)
     assert begun(tmp_path / "stopped") == ["a"]
+
+
+def test_a_worker_that_is_stopped_costs_no_mission(machines, tmp_path, monkeypatch):
+    """SIGSTOP: the connection stays, and nothing comes. The other worker does what it had."""
+    machines.stop()
+    machines.start_scheduler()
+    machines.need_workers(2)
+    folder = tmp_path / "frozen"
+    names = [f"m{i}" for i in range(4)]
+    process = started(machines, folder, *names, "--impatient", pace=1.0)
+    wait_until(lambda: len(begun(folder)) >= 2)
+    frozen = machines.workers[0]
+    frozen.send_signal(signal.SIGSTOP)
+    try:
+        ends = ends_of(process)
+        monkeypatch.setattr(dask_executor, "_CHECK_S", 3.0)
+        said = refusal(str(machines.file))
+    finally:
+        frozen.kill()
+    assert set(ends) == set(names)
+    assert set(ends.values()) <= {"done", "repeated"}
+    assert said.startswith("SCHEDULER-WORKERS: this worker has not answered for")
+
+
+def test_the_only_worker_that_is_stopped_is_named(machines, tmp_path):
+    machines.stop()
+    machines.start_scheduler()
+    machines.need_workers(1)
+    folder = tmp_path / "alone"
+    process = started(machines, folder, "m0", "m1", "--impatient", pace=600.0)
+    wait_until(lambda: begun(folder))
+    machines.workers[0].send_signal(signal.SIGSTOP)
+    try:
+        out, err = process.communicate(timeout=LIMIT_S)
+    finally:
+        machines.stop()
+    ends = [json.loads(line) for line in out.splitlines()]
+    assert (process.returncode, err) == (0, "")
+    assert {name: word for name, word, _ in ends} == {"m0": "WORKER-LOST", "m1": "WORKER-LOST"}
+    assert any("tcp://127.0.0.1" in text and "has not answered" in text for _, _, text in ends)

@@ -15,16 +15,17 @@ import socket
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from unbend.batch import messages
+from unbend.batch import dask_answers, messages
+from unbend.batch.dask_answers import answers_of_workers, state_of_cluster, within
 from unbend.batch.executors import Bug, Ends, Lost, Task, TaskEnd
 from unbend.batch.fingerprint import all_versions, version
 from unbend.batch.processes import MissionProcess, stop_all
@@ -43,6 +44,12 @@ _LISTEN_PAUSE_S = 0.2
 
 _STOP_S = 4.0
 """How long an interrupted command waits until its missions are stopped."""
+
+_CHECK_S = 180.0
+"""How long a worker may take to say what it has: it imports the program first, maybe from afar."""
+
+_LOOK_S = 30.0
+"""Without the end of a mission for so long, it is asked whether the workers still answer."""
 
 _SUBMISSIONS = 6
 """How often a mission is handed out whose workers die; each time Dask tries a few of them."""
@@ -124,18 +131,32 @@ class DaskExecutor:
             check_workers(client, command, versions, [mission.path for mission in tasks])
             waiting: dict[str, _Submitted] = {}
 
-            def submit(mission: MissionRef, times: int) -> None:
+            def submit(
+                mission: MissionRef, times: int, workers: Sequence[str] | None = None
+            ) -> None:
                 task = pickle.dumps(partial(run_here, versions, tasks[mission]))
-                future = client.submit(run_apart, command, task, pure=False)
+                future = client.submit(run_apart, command, task, pure=False, workers=workers)
                 waiting[future.key] = _Submitted(mission, future, times)
                 future.add_done_callback(ended_futures.put)
 
             for mission in tasks:
                 submit(mission, 1)
             while waiting:
-                ended = ended_futures.get()
+                try:
+                    ended = ended_futures.get(timeout=_LOOK_S)
+                except Empty:
+                    for lost in lost_tasks(client, waiting):
+                        mission, future, times = waiting.pop(lost.key)
+                        future.cancel()
+                        if lost.others and times < _SUBMISSIONS:
+                            submit(mission, times + 1, lost.others)
+                        else:
+                            ends.put((mission, Lost(lost.how)))
+                    continue
                 if ended is None:
                     return
+                if ended.key not in waiting:  # it was lost, and cancelled
+                    continue
                 mission, future, times = waiting.pop(ended.key)
                 try:
                     ends.put((mission, future.result()))
@@ -146,10 +167,35 @@ class DaskExecutor:
                         ends.put((mission, Lost(str(error))))
 
 
+class _LostTask(NamedTuple):
+    """A task whose worker is silent: its key, how it is lost in words, and the other workers."""
+
+    key: str
+    how: str
+    others: tuple[str, ...]
+
+
+def lost_tasks(client: Any, keys: Iterable[str]) -> list[_LostTask]:
+    """Which tasks have a worker that does not answer, or none because all are silent or gone."""
+    state = state_of_cluster(client)
+    lost = []
+    for key in keys:
+        worker = state.worker_of.get(key)
+        if worker in state.silent:
+            how = f"its worker {worker} has not answered for {dask_answers.ANSWER_S:.0f} s"
+            lost.append(_LostTask(key, how, state.answering))
+        elif worker is None and not state.answering:
+            how = "no worker of the scheduler is left that answers"
+            lost.append(_LostTask(key, how, ()))
+    return lost
+
+
 def scheduler_address(scheduler: str) -> str:
     """The address itself, or that in a scheduler's file; else refused (SCHEDULER-FILE)."""
     if "://" in scheduler:
         return scheduler
+    if Path(scheduler).exists() and not Path(scheduler).is_file():  # reading might never end
+        raise messages.scheduler_file_invalid(path=scheduler, error="it is no file")
     try:
         return str(json.loads(Path(scheduler).read_text(encoding="utf-8"))["address"])
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -209,8 +255,10 @@ def connected(scheduler: str, command: str) -> Iterator[Any]:
         yield client
     finally:
         with suppress(Exception):  # where the scheduler has gone there is nobody to tell
-            client.run(stop_command, command)
-            client.close(timeout=_STOP_S)
+            workers = list(within(_STOP_S, client.nthreads))
+            answers_of_workers(client, workers, _STOP_S, stop_command, command)
+        with suppress(Exception):
+            within(2.0 * _STOP_S, partial(client.close, timeout=_STOP_S))
 
 
 def check_workers(
@@ -222,9 +270,13 @@ def check_workers(
     ``files`` (WORKER-FILES).
     """
     question = pickle.dumps(partial(about_worker, files))
-    reports = client.run(run_beside, command, question, on_error="return")
-    if not reports:
+    workers = sorted(within(_CHECK_S, client.nthreads))
+    if not workers:
         raise messages.no_workers(address=client.scheduler_info()["address"])
+    reports = answers_of_workers(client, workers, _CHECK_S, run_beside, command, question)
+    for worker in workers:
+        if worker not in reports:
+            raise messages.worker_silent(worker=worker, seconds=_CHECK_S)
     for worker, report in sorted(reports.items()):
         if not isinstance(report, tuple):  # `about_worker` failed; the last line says why
             text = report.traceback if isinstance(report, Bug) else str(report)

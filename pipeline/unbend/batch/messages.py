@@ -348,9 +348,9 @@ SCHEDULER_NONE = Code(
 )
 SCHEDULER_WORKERS = Code(
     "SCHEDULER-WORKERS",
-    means="The scheduler has no workers.",
+    means="The scheduler has no workers, or one of them does not answer.",
     effect="Nothing is run.",
-    remedy="Start some: dask worker ADDRESS.",
+    remedy="Start some: dask worker ADDRESS. A worker that was stopped must go on or end.",
 )
 WORKER_FILES = Code(
     "WORKER-FILES",
@@ -417,6 +417,17 @@ def no_workers(*, address: str) -> ConfigError:
         "the scheduler has no workers",
         where=address,
         remedy="start some: dask worker ADDRESS --nthreads 1",
+    )
+
+
+def worker_silent(*, worker: str, seconds: float) -> ConfigError:
+    """A worker is registered, and answers nothing: stopped, swapping, or cut off."""
+    return ConfigError(
+        SCHEDULER_WORKERS,
+        "this worker has not answered for {seconds:.0f} s",
+        where=worker,
+        remedy="let it go on or stop it for good, then run again",
+        seconds=seconds,
     )
 
 

@@ -113,6 +113,8 @@ def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign
 
 def _campaign_at(path: Path) -> Campaign | None:
     """The campaign of a file; None for a file that holds something else, or cannot be read."""
+    if not path.is_file():  # a pipe might never end; `read_yaml` says what is wrong
+        return None
     try:
         # Most files are those of missions: this search spares reading their YAML twice.
         if not _IS_CAMPAIGN.search(path.read_text(encoding="utf-8")):

@@ -79,6 +79,9 @@ MissionLoader.add_implicit_resolver(
 
 def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
     """The sections of a file, and its nodes, which know their lines; refuses what is not YAML."""
+    if path.exists() and not (path.is_file() or path.is_dir()):  # reading might never end
+        problem = "it is a pipe or a device, not a file"
+        raise messages.config_unreadable(path=path, problem=problem)
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:

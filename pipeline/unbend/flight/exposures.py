@@ -13,7 +13,7 @@ from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, times_on_th
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import ns_to_nearest
 from unbend.messages import Message, Notes
-from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Names
+from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Names, whole_numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def events_of_channel(
     ``{n}`` for the number of the event from 1. A pattern with ``*`` leaves the names empty: the
     images themselves give them. Numbers that the log skips are pulses that were lost.
     """
-    index = channel["event_index"].astype(np.int64)
+    index = whole_numbers(channel["event_index"], -_MOST_INDEX, _MOST_INDEX)
     if "*" in pattern:
         names = [""] * index.size
     else:
@@ -95,6 +95,7 @@ def events_of_table(
     )
 
 
+_MOST_INDEX = 1 << 53  # of an exposure: beyond, float64 has not every integer
 _COUNT_ROUND = 1 << 16  # counts of 16 bits run over here
 _COUNT_NEAR = 1 << 12  # a count that goes on farther than this from zero has begun anew
 

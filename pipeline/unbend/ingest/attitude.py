@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from unbend.units import Array
+from unbend.units import MOST_FLAGS, Array, whole_numbers
 
 BLOCK = 65_536  # rows turned at once: their quaternions fit the cache
 
@@ -86,7 +86,7 @@ def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
     as the flags say; where neither flag is set, a locked yaw counts from north (the text of the
     message in MAVLink's common.xml).
     """
-    flags = np.nan_to_num(columns["flags"]).astype(np.int64)  # unknown flags count as not set
+    flags = whole_numbers(columns["flags"], 0, MOST_FLAGS)  # unknown flags count as not set
     is_locked = flags & _YAW_LOCK != 0
     in_vehicle_frame = flags & _YAW_IN_VEHICLE_FRAME != 0
     in_earth_frame = flags & _YAW_IN_EARTH_FRAME != 0

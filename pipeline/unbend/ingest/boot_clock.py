@@ -9,6 +9,7 @@ import numpy as np
 from unbend.flight import clock
 from unbend.flight.channels import TimeArray
 from unbend.ingest import messages
+from unbend.ingest.limits import check_boots
 from unbend.ingest.timelines import Silences, Timeline, place_of_boot
 from unbend.ingest.utc_evidence import ClockAssessment, Witness, date_text
 from unbend.ingest.utc_readings import DateCheck, UtcReadings, possible_recorder
@@ -145,7 +146,9 @@ def _split_boots(line: Timeline, source: UtcReadings, is_decided: Mask) -> Timel
         return line
     silence_places = line.first[undecided.after]
     boot = line.boot.copy()
-    for before, after in _offset_steps(line, source):
+    steps = _offset_steps(line, source)
+    check_boots(line.boots + len(steps))
+    for before, after in steps:
         # the longest silence between the two rows is where the vehicle was restarted
         begin, end = np.searchsorted(silence_places, [before, after], side="right")
         if begin < end:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.ingest import messages
-from unbend.units import Array
+from unbend.units import MOST_FLAGS, Array, whole_numbers
 
 MAPS = tomllib.loads(files("unbend.ingest").joinpath("data/field_maps.toml").read_text("utf-8"))
 # By unit: divisor, factor and offset to SI.
@@ -144,7 +144,7 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
     if spec.floor is not None:
         unknown |= value < spec.floor
     if spec.unit in FLAGS:
-        bits = np.where(unknown, 0.0, value).astype(np.int64)
+        bits = whole_numbers(np.where(unknown, 0.0, value), 0, MOST_FLAGS)
         flags = _translated_flags(bits, FLAGS[spec.unit])
         return np.where(unknown, np.nan, flags.astype(np.float64))
     divisor, factor, offset = UNITS[spec.unit]

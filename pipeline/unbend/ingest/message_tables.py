@@ -1,10 +1,13 @@
 """Tables of messages: columns of any type, joined and put in the order of the log."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from unbend.ingest.limits import check_cells
+from unbend.units import Rows
 
 Table = dict[str, NDArray[Any]]
 """The columns of one message type, all of one length, named and measured as the log has them.
@@ -14,6 +17,8 @@ if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
 """
 
 PLACE = "\0place"  # the column with the places of messages in the log; no field has such a name
+MAX_TEXTS = 16 << 20  # [bytes] of a column of str; a longer one is of objects
+_BYTES_OF_LETTER = 4  # of a str in numpy
 EXACT = 1 << 53  # every integer up to here is a float64
 _WORD = 1 << 64  # the first integer that needs more than 64 bits
 
@@ -35,7 +40,7 @@ def column_of(values: list[Any]) -> NDArray[Any]:
     kinds = kinds_with_none - {type(None)}
     is_complete = kinds == kinds_with_none
     if kinds == {str}:
-        return np.array(_filled_values(values, ""), np.str_)
+        return text_column(_objects(_filled_values(values, "")))
     if kinds == {bool} and is_complete:
         return np.array(values, np.bool_)
     if kinds and kinds <= {bool, int} and is_complete and _fit_64_bits(values):
@@ -43,6 +48,20 @@ def column_of(values: list[Any]) -> NDArray[Any]:
     if kinds <= {bool, int, float} and all(_is_exact_as_float(value) for value in values):
         return np.array(_filled_values(values, np.nan), np.float64)
     return _objects(values)
+
+
+def text_column(texts: NDArray[Any]) -> NDArray[Any]:
+    """A column of objects that are texts, as one of str if that takes no more than `MAX_TEXTS`.
+
+    In a column of str each text takes as much memory as the longest one.
+
+    >>> text_column(np.array(["a", "bcd"], object))
+    array(['a', 'bcd'], dtype='<U3')
+    """
+    longest = max(map(len, texts.tolist()), default=0)
+    if longest * texts.shape[0] * _BYTES_OF_LETTER > MAX_TEXTS:
+        return texts
+    return texts.astype(np.str_)
 
 
 def _filled_values(values: list[Any], missing: Any) -> list[Any]:
@@ -82,6 +101,22 @@ def _objects(values: list[Any]) -> NDArray[Any]:
     return column
 
 
+def rows_by_value(column: NDArray[Any]) -> Iterator[tuple[Any, Rows]]:
+    """The values of a column, rising, and the rows of each.
+
+    >>> [(value, rows.tolist()) for value, rows in rows_by_value(np.array([7, 5, 7]))]
+    [(5, [1]), (7, [0, 2])]
+    """
+    order = np.argsort(column, kind="stable")
+    sorted_values = column[order]
+    is_first = np.append(True, sorted_values[1:] != sorted_values[:-1])[: column.shape[0]]
+    starts = np.flatnonzero(is_first)
+    stops = np.append(starts, column.shape[0])[1:]
+    values = sorted_values[starts].tolist()
+    for value, start, stop in zip(values, starts.tolist(), stops.tolist(), strict=True):
+        yield value, order[start:stop]
+
+
 def in_order(tables: Sequence[Table]) -> Table:
     """Tables with `PLACE` as one table in the order of the log, their columns by `join_pieces`.
 
@@ -99,6 +134,8 @@ def _joined(tables: Sequence[Table]) -> Table:
     """Tables end to end; takes their columns out of them one by one, so that memory is freed."""
     names = dict.fromkeys(name for table in tables for name in table)
     counts = [table[PLACE].shape[0] for table in tables]
+    filled = sum(len(table) * count for table, count in zip(tables, counts, strict=True))
+    check_cells(len(names), sum(counts), filled)
     whole: Table = {}
     for name in names:
         pieces: list[NDArray[Any] | int] = []
@@ -136,12 +173,20 @@ def _joined_without_loss(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any] |
     are_numbers = kinds <= set("biuf")
     if len(shapes) != 1 or not (are_texts or are_numbers):
         return None
+    if kinds == {"U"} and _width(pieces, arrays) > MAX_TEXTS:
+        return None
     joined = np.concatenate(_filled(pieces, arrays))
     if joined.dtype.kind != "f":
         return joined  # only floats alter values: large integers that become such
     if _has_floats(pieces, arrays) and all(_fits_float(array) for array in arrays):
         return joined
     return None
+
+
+def _width(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> int:
+    """The bytes that pieces of texts take as one column of str."""
+    rows = sum(piece if isinstance(piece, int) else piece.shape[0] for piece in pieces)
+    return rows * max(array.dtype.itemsize for array in arrays)
 
 
 def _has_floats(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> bool:

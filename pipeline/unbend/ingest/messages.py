@@ -293,6 +293,109 @@ def cut_off(*, file: str, count: int, unit: str) -> Message:
     )
 
 
+LOG_TOO_LARGE = Code(
+    "LOG-TOO-LARGE",
+    means="A part of the log (a chunk, a number of names, definitions, power-ups, senders) is "
+    "beyond all reason: damage, or a bomb.",
+    effect="That part is not read; if nothing can be read without it, the log is refused.",
+    remedy="Copy the log again. `docs/pages/limits.md` has the limits.",
+)
+
+
+def too_much_damage(*, file: str, first: int, places: int) -> Message:
+    """A log is damaged at so many places that the rest of it is not searched for messages."""
+    return loss(
+        LOG_TOO_LARGE,
+        "it is damaged at {places} places: what follows byte {first} is not read",
+        where=file,
+        places=places,
+        first=first,
+    )
+
+
+def too_many_boots(*, count: int, most: int) -> LogError:
+    """The time since boot of a log begins anew more often than a vehicle is switched on."""
+    return LogError(
+        LOG_TOO_LARGE,
+        "its time since boot begins anew {count} times or more; at most {most} power-ups are read",
+        remedy="copy the log again, or cut it at a power-up",
+        count=count,
+        most=most,
+    )
+
+
+def too_many_definitions(*, name: str, most: int) -> LogError:
+    """A log defines a message anew more often than firmware ever changed it."""
+    return LogError(
+        LOG_TOO_LARGE,
+        "{name} is defined in more than {most} ways",
+        remedy="copy the log again",
+        name=name,
+        most=most,
+    )
+
+
+def too_many_redefinitions(*, name: str, most: int) -> LogError:
+    """A type of record of a binary log is defined in turns."""
+    return LogError(
+        LOG_TOO_LARGE,
+        "types of records, {name} the last of them, get another definition more than {most} times",
+        remedy="copy the log again",
+        name=name,
+        most=most,
+    )
+
+
+def too_many_senders(*, count: int, most: int) -> LogError:
+    """A telemetry log has more senders than a swarm."""
+    return LogError(
+        LOG_TOO_LARGE,
+        "{senders} sent messages; at most {most} are read",
+        remedy="copy the log again, or keep the messages of the vehicle",
+        senders=Counted(count, "component"),
+        most=most,
+    )
+
+
+def too_many_fields(*, count: int, most: int) -> LogError:
+    """The formats of a PX4 log nest more fields than any message has bytes."""
+    return LogError(
+        LOG_TOO_LARGE,
+        "its formats have {count} fields or more; at most {most} are read",
+        remedy="copy the log again",
+        count=count,
+        most=most,
+    )
+
+
+def table_too_wide(*, columns: int, rows: int, filled: int, most: int) -> LogError:
+    """The messages of a table have so many fields of their own that most values are missing."""
+    return LogError(
+        LOG_TOO_LARGE,
+        "{rows} messages with {filled} values have {columns} fields together: the table would have "
+        "more than {most} values",
+        remedy="read the channels of the log instead of this table",
+        rows=rows,
+        filled=filled,
+        columns=columns,
+        most=most,
+    )
+
+
+def too_many_series(*, file: str, count: int, most: int) -> Message:
+    """The log has more topics, senders or instances than channels are made of."""
+    return loss(
+        LOG_TOO_LARGE,
+        "{count} messages are of other topics, senders or instances than the first {most}: their "
+        "values are not read",
+        one="1 message is of another topic, sender or instance than the first {most}: its values "
+        "are not read",
+        where=file,
+        count=count,
+        most=most,
+    )
+
+
 LOG_CRC = Code(
     "LOG-CRC",
     means="Messages, a chunk or the summary fail their checksum.",

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from unbend.errors import LogError
 from unbend.flight.evidence.quality import mask_impossible_values
 from unbend.ingest import messages
 from unbend.ingest.buffers import release_pages
@@ -61,7 +62,7 @@ def open_log(
     them start and end are 0. ``date_ns``: the date of the flight [Unix ns], if the mission file
     states it. Damage is no reason to refuse: it is counted in the ledger of the log.
     Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT, LOG-NO-MESSAGES, LOG-UNREADABLE,
-    LOG-CHANGED; of PX4 logs LOG-ULOG) when nothing can be used.
+    LOG-CHANGED, LOG-TOO-LARGE; of PX4 logs LOG-ULOG) when nothing can be used.
     """
     path = Path(path)
     ledger = Ledger()
@@ -84,6 +85,10 @@ def open_log(
     except OSError as error:
         reason = error.strerror or str(error)
         raise messages.log_unreadable(path=str(path), reason=reason) from error
+    except LogError as error:
+        if error.where:
+            raise
+        raise error.again(LogError, path) from error
     channels = contents.channels
     return Log(
         **vars(contents),

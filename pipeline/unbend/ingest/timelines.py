@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from unbend.flight import clock
 from unbend.flight.channels import TimeArray
 from unbend.ingest import messages
+from unbend.ingest.limits import check_boots
 from unbend.messages import Ledger
-from unbend.units import Integers, Mask, Rows
+from unbend.units import Integers, Mask, Rows, whole_numbers
 
 _FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters come one by one
 
@@ -95,8 +96,8 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
     True
     """
     if raw.dtype.kind == "f":
-        known = np.nan_to_num(raw, nan=clock.LAST_US)
-        return np.asarray(known.clip(0, clock.LAST_US), np.int64)
+        known = np.where(np.isnan(raw), float(clock.LAST_US), raw.astype(np.float64))
+        return whole_numbers(known, 0, clock.LAST_US)
     unsigned = raw.astype(np.uint64, copy=False)  # what is below 0 becomes huge
     last_us = np.uint64(clock.LAST_US)
     cut_us = np.minimum(unsigned, last_us)
@@ -173,26 +174,28 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
         end,
         length,
     )
+    boots = _boots(begin, end, stray)
+    check_boots(int(boots.max(initial=0)) + 1)
     return Timeline(
         first=np.array([stretch.first for stretch in stretches], np.int64),
         begin=begin,
         end=end,
         length=length,
         stray=stray,
-        boot=_boots(begin, end, stray),
+        boot=boots.astype(np.int16),
     )
 
 
-def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> NDArray[np.int16]:
+def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> Integers:
     """The boot of each of (n,) stretches; a stray one has that of the stretch before it."""
     if not begin.size:
-        return np.empty(0, np.int16)
+        return np.empty(0, np.int64)
     steady = ~stray
     steps_ns = begin[steady][1:] - end[steady][:-1]
     steps_back = steps_ns < -clock.BOOT_STEP_NS
-    boot_of_steady = np.append(0, np.cumsum(steps_back)).astype(np.int16)
+    boot_of_steady = np.append(0, np.cumsum(steps_back))
     last_steady = np.maximum(np.cumsum(steady) - 1, 0)  # of stray ones before all: the first
-    return np.asarray(boot_of_steady[last_steady], np.int16)
+    return np.asarray(boot_of_steady[last_steady], np.int64)
 
 
 def report_timeline(line: Timeline, ledger: Ledger) -> None:

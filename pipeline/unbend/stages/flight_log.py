@@ -9,6 +9,7 @@ import numpy as np
 from unbend.config import Mission
 from unbend.config.logs import NamedChannel
 from unbend.flight.channels import ROLE_COLUMNS, Channel
+from unbend.flight.evidence.constant_sensors import constant_sensors
 from unbend.flight.evidence.contradictions import examine
 from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.log_accuracy import LogAccuracy, with_accuracy
@@ -151,6 +152,7 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
             angle_order=angle_order_of_trajectory(mission),
         )
         roles = with_trajectory(own, trajectory, replaced, ledger)
+    ledger.extend(constant_sensors(roles))
     roles, accuracy = with_accuracy(roles, channels)
     return FlightLog(
         log=log,

@@ -32,7 +32,7 @@ def open_file(path: Path, file_format: str | None) -> OpenedTable:
     """A file of observations, its schema that of Arrow; of a CSV all text until it is scanned."""
     kind = file_format or format_of_name(path)
     is_block = kind in BLOCKS
-    is_there = path.exists() if is_block else path.is_file()
+    is_there = path.is_file() or (is_block and path.is_dir())
     if not is_there:
         raise messages.observations_missing(where=path)
     if is_block:

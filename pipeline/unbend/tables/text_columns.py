@@ -19,7 +19,7 @@ from unbend.flight.survey_dates import can_be_flown
 from unbend.tables import messages
 from unbend.tables.delimited import text_file
 from unbend.tables.refraction_mark import Direction
-from unbend.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
+from unbend.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask, whole_numbers
 from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, number_of
 from unbend.written_tables import BLANKS, columns_in_words, with_decimal_points
 
@@ -33,6 +33,8 @@ LINE_OF_FIRST_ROW = 2  # of a table in memory, as though its first line were its
 _PUNCTUATION = re.compile(r"[^a-z0-9]")
 _ENDINGS_OF_HEMISPHERE = ("ref", "hemisphere", "hemi", "dir")
 _QUANTITIES_OF_NAMES = ("image", "camera", "point")  # whose columns hold text
+_MOST_WEEKS = 10_000  # until 2171: 64 bits of nanoseconds hold it
+_MOST_SECONDS = 1e9  # within a week, or since 1980 by a table that counts on
 _WEEK_NS = SECONDS_PER_WEEK * 10**9
 # ISO 8601 with year, month and day; years of four digits that nanoseconds since 1970 can count.
 _WITH_DAY = r"(?:19|20)\d\d(?:-\d{1,2}-\d{1,2}|\d{4})(?!\d)"
@@ -271,7 +273,8 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     0 where one of both is unknown (NaN).
     """
     known = np.isfinite(week) & np.isfinite(seconds)
-    week, seconds = np.where(known, week, 0).astype(np.int64), np.where(known, seconds, 0.0)
+    week = whole_numbers(np.where(known, week, 0), -_MOST_WEEKS, _MOST_WEEKS)
+    seconds = np.where(known, seconds, 0.0).clip(-_MOST_SECONDS, _MOST_SECONDS)
     if system == "gpst":
         return np.where(known, utc_of_gps(week, seconds), 0)
     start = UNIX_NS_OF_GPS_EPOCH + week * _WEEK_NS

@@ -16,7 +16,7 @@ from unbend.flight.evidence.stretches import (
 )
 from unbend.flight.rotations import down_in_body
 from unbend.flight.trajectory import interpolate
-from unbend.units import Array
+from unbend.units import MOST_FLAGS, Array, whole_numbers
 
 # A difference of the verticals of two attitudes that is noise, whatever is usual [deg].
 NOISE_TILT_DEG = 1.5
@@ -106,7 +106,7 @@ def _rejected_measurements(column: str, lanes: list[Channel]) -> list[Stretch]:
 
 def _flagged(channel: Channel) -> list[Stretch]:
     """The stretches in which a filter's flags say that its position is wrong."""
-    flags = np.nan_to_num(channel["filter_flags"]).astype(np.int64)
+    flags = whole_numbers(channel["filter_flags"], 0, MOST_FLAGS)
     suspect: list[Stretch] = []
     for reason, bit in _FLAGS.items():
         is_set = flags & bit > 0

@@ -78,6 +78,29 @@ def samples_jump(*, where: str, count: int, total: int, first_s: float) -> Messa
     )
 
 
+SENSOR_CONSTANT = Code(
+    "SENSOR-CONSTANT",
+    means="All values of a sensor are equal to the last digit in a flight that moved: it is stuck, "
+    "or its values were never sent.",
+    effect="They are used; what is computed from them is wrong if the sensor is stuck.",
+    remedy="Name another channel for the role, or state under `accept` why the values are right.",
+)
+
+
+def sensor_constant(*, channel: str, role: str, what: str, count: int, moved: str) -> Message:
+    """A value that never changes, although another sensor shows that the flight moved."""
+    return finding(
+        SENSOR_CONSTANT,
+        "all {samples} of the {role} have {what}, although {moved}",
+        where=channel,
+        count=count,
+        samples=Counted(count, "sample"),
+        role=role,
+        what=what,
+        moved=moved,
+    )
+
+
 SENSOR_NOISE = Code(
     "SENSOR-NOISE",
     means="Samples jump so often that which of them are wrong cannot be decided.",

@@ -202,7 +202,8 @@ def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
         outside = _outside(channel[column], column)
         if not outside.any():
             continue
-        median = float(np.nanmedian(channel[column]))
+        with np.errstate(over="ignore"):  # the mean of the two in the middle
+            median = float(np.nanmedian(channel[column]))
         if RANGES[column].has(median):
             notes.append(_out_of_range(channel, column, outside))
             channel = channel.with_impossible(column, outside, Reason.OUT_OF_RANGE)

@@ -17,12 +17,13 @@ from unbend.ingest.dataflash.dataflash_records import RecordBlock, RecordWalker
 from unbend.ingest.dataflash.record_definitions import HEADER
 from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS
 from unbend.ingest.field_maps import MAPS, MessageMap, extract, is_number, message_maps
-from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.limits import SeriesLimit
+from unbend.ingest.message_tables import PLACE, Table, rows_by_value
 from unbend.ingest.timelines import Stamps, Timeline, microseconds, nanoseconds, report_timeline
 from unbend.ingest.utc_evidence import Witness
 from unbend.ingest.utc_readings import UtcReadings, rows_of
 from unbend.messages import Ledger
-from unbend.units import Integers, Mask
+from unbend.units import Integers, Mask, whole_numbers
 
 RECEIVERS = ("GPS", "GPS2")
 _WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
@@ -209,11 +210,13 @@ def channels_of(
     Their tables are removed from ``tables``, so that memory does not hold them twice.
     """
     channels = []
+    limit = SeriesLimit()
     for message, spec in MESSAGES.items():
-        for rows in _rows_of_message(message, spec, tables, clock, ledger):
+        for rows in _rows_of_message(message, spec, tables, clock, ledger, limit):
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
+    limit.report(ledger, "")
     return tuple(with_both_heights(channels, parameters, ledger, "PARM"))
 
 
@@ -234,7 +237,12 @@ def _row_times(table: Table, clock: BootClock) -> _RowTimes:
 
 
 def _rows_of_message(
-    message: str, spec: MessageMap, tables: dict[str, Table], clock: BootClock, ledger: Ledger
+    message: str,
+    spec: MessageMap,
+    tables: dict[str, Table],
+    clock: BootClock,
+    ledger: Ledger,
+    limit: SeriesLimit,
 ) -> Iterator[DecodedRows]:
     """The rows of each instance of a message, as channels are built from them.
 
@@ -262,7 +270,11 @@ def _rows_of_message(
     distinct_instances = np.unique(instance)
     if not is_named and not spec.event:  # a name or an exposure may rightly come once
         distinct_instances = _without_stray_instances(message, instance, ledger)
+    rows_of = dict(rows_by_value(instance))
     for number in distinct_instances.tolist():
+        chosen_rows = rows_of[number]
+        if not limit.admits(chosen_rows.size):
+            continue
         has_label = is_named or number >= 0  # -1 is of messages without instances
         label = str(number) if has_label else None
         name = f"{message}[{label}]" if has_label else message
@@ -274,7 +286,9 @@ def _rows_of_message(
             boot=times.boot,
             columns=values,
         )
-        yield _chosen(rows, (instance == number) & times.good)
+        is_chosen = np.zeros(instance.shape, np.bool_)
+        is_chosen[chosen_rows] = True
+        yield _chosen(rows, is_chosen & times.good)
 
 
 def _text_rows(
@@ -446,5 +460,5 @@ def _neighbours(fixes: _Keyed, accuracies: _Keyed, in_log_order: Integers, *, sh
 
 def _key(table: Table) -> Integers:
     """The instance and the time of each row as one number; no instance, -1, becomes 0."""
-    instance = (instance_of(table).astype(np.int64) + 1) & _INSTANCE_MASK
+    instance = (whole_numbers(instance_of(table), -1, _INSTANCE_MASK) + 1) & _INSTANCE_MASK
     return np.asarray(microseconds(table["TimeUS"]) + (instance << _TIME_BITS), np.int64)

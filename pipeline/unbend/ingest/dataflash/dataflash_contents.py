@@ -26,11 +26,12 @@ from unbend.ingest.timelines import Timeline, microseconds, nanoseconds
 from unbend.ingest.utc_evidence import Witness
 from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Ledger
-from unbend.units import Integers
+from unbend.units import Integers, whole_numbers
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
 _NUMBERS = {"TimeUS", "GMS", "GWk", "Week", "Status", "Value", *INSTANCE_FIELDS, *ACCURACY_FIELDS}
 
+_LAST_WEEK = 1 << 13  # GPS weeks, until 2137
 _NO_COUNT = 1 << 31  # messages: no logger drops as many, a damaged or negative number is as large
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
 
@@ -96,7 +97,7 @@ def _dropped_messages(
     dropped = 0
     for number in np.unique(boot).tolist():
         of_boot = is_good & (boot == number)
-        counts = table["Dp"][of_boot].astype(np.int64)
+        counts = whole_numbers(table["Dp"][of_boot], -1, _NO_COUNT)
         is_count = (counts >= 0) & (counts < _NO_COUNT)
         dropped += _sum_of_rises(counts[is_count])
     if dropped:
@@ -264,8 +265,8 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
 
 def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> Integers:
     """(n,) GPS time [ms] since 1980 of weeks and of times within them [ms]."""
-    week_ms = np.asarray(week, np.int64) * (SECONDS_PER_WEEK * 1000)
-    return np.asarray(week_ms + np.asarray(time_ms, np.int64), np.int64)
+    week_ms = whole_numbers(week, 0, _LAST_WEEK) * (SECONDS_PER_WEEK * 1000)
+    return np.asarray(week_ms + whole_numbers(time_ms, -1, SECONDS_PER_WEEK * 1000), np.int64)
 
 
 def stamped(name: str, table: Table, clock: BootClock, instance: str | None) -> Table:

@@ -23,6 +23,8 @@ from unbend.ingest.dataflash.record_definitions import (
     define,
     definition_of_fmt,
 )
+from unbend.ingest.limits import MAX_DEFINITIONS_OF_ONE, MAX_REDEFINITIONS
+from unbend.ingest.messages import too_many_definitions, too_many_redefinitions
 from unbend.units import Integers
 
 LINKS = 3  # records in a row that confirm a place to continue after damage
@@ -86,6 +88,8 @@ class RecordWalker(DamagedBytes):
         self.names = names
         self.size = data.size
         self.definitions = [definition_of_fmt()]
+        self.definitions_of: Counter[str] = Counter()  # how many each name has
+        self.redefinitions = 0  # records behind which a type has another definition
         self.number_of = np.zeros(TYPES, np.uint16)  # of the definition in force, by type
         self.length_of = np.zeros(TYPES, np.int64)
         self.length_of[FMT_TYPE] = FMT_LENGTH
@@ -136,6 +140,8 @@ class RecordWalker(DamagedBytes):
             run = self._whole_records(block, place)
             if run.start == run.stop:
                 place = self._resume(place)
+                if self.is_hopeless(self.size):
+                    return self.give_up(place, self.size)
                 continue
             stop = self._keep(block, run.start, run.stop)
             place = int(block.end[stop - 1])
@@ -177,6 +183,9 @@ class RecordWalker(DamagedBytes):
                 continue
             self._enter(block, row, definition_row + 1)  # by the definitions in force before it
             row = definition_row + 1
+            self.redefinitions += bool(number_in_force)
+            if self.redefinitions > MAX_REDEFINITIONS:
+                raise too_many_redefinitions(name=form.name, most=MAX_REDEFINITIONS)
             self.number_of[form.type_id] = number
             self.length_of[form.type_id] = form.length
             following_types = block.types[row:stop]
@@ -202,6 +211,9 @@ class RecordWalker(DamagedBytes):
         number = len(self.definitions)
         self.seen[payload] = number
         self.definitions.append(definition)
+        self.definitions_of[definition.name] += 1
+        if self.definitions_of[definition.name] > MAX_DEFINITIONS_OF_ONE:
+            raise too_many_definitions(name=definition.name, most=MAX_DEFINITIONS_OF_ONE)
         return number
 
     def _enter(self, block: _Candidates, row: int, stop: int) -> None:

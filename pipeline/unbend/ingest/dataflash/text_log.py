@@ -19,7 +19,9 @@ from unbend.ingest.dataflash.dataflash_channels import wanted_fields
 from unbend.ingest.dataflash.dataflash_contents import contents_of
 from unbend.ingest.dataflash.record_tables import merge_tables
 from unbend.ingest.flight_log import Contents, LogFormat
+from unbend.ingest.limits import MAX_DEFINITIONS_OF_ONE
 from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.messages import too_many_definitions
 from unbend.ingest.timelines import Stamps, nanoseconds, timeline
 from unbend.ingest.utc_evidence import Witness
 from unbend.messages import Ledger
@@ -30,6 +32,9 @@ _FIRST = re.compile(rb"FMT, ?\d+, ?\d+, ?\w+")
 _BANNER = re.compile(rb"[\t -~]*\r?\n")  # a line of printable characters
 _DECIMAL = "cCeELfdg"  # scaled and floating-point letters
 _TEXT = "nNZaM"  # arrays and flight modes are words in these logs
+_UNSIGNED = "BHIQ"  # letters of whole numbers that are never negative
+_LONGEST_WORD = 128  # letters of a text: binary logs have 64 bytes for one
+_LONGEST_TEXT = {"a": 512}  # by letter: 32 whole numbers as text
 _TIME_UNITS_US = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}  # by name and letter of a first field
 
 
@@ -88,14 +93,9 @@ class _LineFormat:
         if len(values) != len(self.fields):
             return False
         try:
-            for letter, value in zip(self.letters, values, strict=True):
-                if letter in _DECIMAL:
-                    float(value)
-                elif letter not in _TEXT and not _fits_64_bits(int(value)):
-                    return False
+            return all(map(_fits, self.letters, values))
         except ValueError:  # of float and int: no number
             return False
-        return True
 
     def table(self, lines: list[_Line]) -> Table:
         """Places and values of lines as columns."""
@@ -106,9 +106,18 @@ class _LineFormat:
         return columns
 
 
-def _fits_64_bits(value: int) -> bool:
-    """Whether int64 or uint64 holds an integer."""
-    return -(1 << 63) <= value < 1 << 64
+def _fits(letter: str, value: str) -> bool:
+    """Whether a field of a letter may hold a value: at most what binary logs hold.
+
+    Raises ValueError where a number should stand and does not.
+    """
+    if letter in _DECIMAL:
+        float(value)
+        return True
+    if letter in _TEXT:
+        return len(value) <= _LONGEST_TEXT.get(letter, _LONGEST_WORD)
+    lowest = 0 if letter in _UNSIGNED else -(1 << 63)
+    return lowest <= int(value) < lowest + (1 << 64)
 
 
 def _column(letter: str, values: Sequence[str]) -> NDArray[Any]:
@@ -156,6 +165,7 @@ class _LineReader(DamagedBytes):
     """One pass over a file: the current definitions, counts of messages, and damage."""
 
     formats: dict[str, _LineFormat] = field(default_factory=lambda: {"FMT": _FMT})
+    definitions_of: dict[str, set[_LineFormat]] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
     times: list[tuple[int, int]] = field(default_factory=list)  # places, times since boot [us]
 
@@ -220,11 +230,16 @@ class _LineReader(DamagedBytes):
         is_distinct = len(set(fields)) == len(fields)
         if not name.isidentifier() or not is_distinct or "" in fields:
             return False
-        if len(fields) != len(letters):
+        if len(fields) != len(letters) or not letters:
             return False
         if name == "FMT" and len(fields) != len(_FMT.fields):
             return False  # this method could not read further FMT lines
-        self.formats[name] = _LineFormat(letters, fields)
+        form = _LineFormat(letters, fields)
+        known = self.definitions_of.setdefault(name, set())
+        known.add(form)
+        self.formats[name] = form
+        if len(known) > MAX_DEFINITIONS_OF_ONE:
+            raise too_many_definitions(name=name, most=MAX_DEFINITIONS_OF_ONE)
         return True
 
     def stamps(self) -> Iterator[Stamps]:

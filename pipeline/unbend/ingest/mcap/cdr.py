@@ -24,6 +24,7 @@ from unbend.ingest.mcap.ros2_definitions import (
     SequenceField,
     TextField,
 )
+from unbend.ingest.message_tables import text_column
 from unbend.units import Integers, Mask, Rows
 
 HEAD = 4  # bytes of encapsulation; alignment counts from behind them
@@ -33,6 +34,31 @@ COUNT = 4  # [bytes] of a length
 
 NumberRun = tuple[NumberField, ...]
 PlanStep = NumberRun | TextField | SequenceField
+
+
+@dataclass
+class StepBudget:
+    """How many texts and elements of sequences may still be passed one by one, of all messages.
+
+    Each takes some 50 us for any number of messages, however few bytes it has. ``dropped``: how
+    many messages were not decoded because none were left.
+    """
+
+    left: int = 20_000  # 1 s; usual are tens for each 4 MiB of messages
+    dropped: int = 0
+
+    @classmethod
+    def of_file(cls, size: int) -> StepBudget:
+        """The budget of a file: more for a larger one, 0.8 s a MB."""
+        return cls(cls.left + size // 64)
+
+    def spend(self, rows: int) -> bool:
+        """Take a step of so many messages; False where none is left."""
+        if self.left > 0:
+            self.left -= 1
+            return True
+        self.dropped += rows
+        return False
 
 
 @dataclass(frozen=True)
@@ -137,6 +163,7 @@ class _Cursors:
     begin, length : where each begins in ``data``, and its bytes, without the encapsulation.
     big : whether each is big-endian.
     at : the cursor of each, from its ``begin`` on.
+    budget : of steps that are taken one by one.
     columns : the values that were read, a row for each.
     """
 
@@ -146,6 +173,7 @@ class _Cursors:
     length: Integers
     big: Mask
     at: Integers
+    budget: StepBudget = field(default_factory=StepBudget)
     columns: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def only(self, good: Mask) -> None:
@@ -172,7 +200,15 @@ class _Cursors:
             length=self.length,
             big=self.big,
             at=self.at,
+            budget=self.budget,
         )
+
+    def has_step(self) -> bool:
+        """Whether one more step may be taken; if not, all messages are dropped."""
+        if self.budget.spend(self.row.shape[0]):
+            return True
+        self.only(np.zeros(self.row.shape, np.bool_))
+        return False
 
     def read_length(self) -> Integers:
         """Read a 32-bit length, and move the cursors behind it.
@@ -194,11 +230,18 @@ class DecodedMessages(NamedTuple):
     columns: dict[str, NDArray[Any]]
 
 
-def decode(data: Bytes, begin: Integers, length: Integers, plan: DecodePlan) -> DecodedMessages:
+def decode(
+    data: Bytes,
+    begin: Integers,
+    length: Integers,
+    plan: DecodePlan,
+    budget: StepBudget | None = None,
+) -> DecodedMessages:
     """Decode messages of one definition.
 
     ``begin``, ``length``: (n,) of each in ``data``, with the encapsulation. Returns the rows that
     could be read, and their columns: numbers of their own kind, arrays as (m, count), texts as str.
+    ``budget``: of the steps that are taken one by one, of all messages of the log.
     Left out are messages that end too early, and anything but plain CDR of either byte order
     (DDS-RTPS 2.2, section 10; not parameter lists, not XCDR2).
 
@@ -219,8 +262,11 @@ def decode(data: Bytes, begin: Integers, length: Integers, plan: DecodePlan) -> 
         length=length[rows] - HEAD,
         big=second_byte[is_plain] != CDR_LE,
         at=np.zeros(rows.shape, np.int64),
+        budget=budget or StepBudget(),
     )
     for step in plan.steps:
+        if not cursors.row.shape[0]:
+            break
         if isinstance(step, tuple):
             _read_numbers(cursors, step, plan.wanted)
         elif isinstance(step, TextField):
@@ -324,6 +370,8 @@ def _fill_columns(cursors: _Cursors, layout: _Layout, rows: Mask | slice) -> Non
 
 def _read_text(cursors: _Cursors, step: TextField, *, wanted: bool) -> None:
     """Read a text, or move behind it."""
+    if not cursors.has_step():
+        return
     length = cursors.read_length()
     good = cursors.at + length <= cursors.length
     cursors.only(good)
@@ -334,7 +382,7 @@ def _read_text(cursors: _Cursors, step: TextField, *, wanted: bool) -> None:
     cursors.at = cursors.at + length
 
 
-def _texts(data: Bytes, begin: Integers, length: Integers) -> NDArray[np.str_]:
+def _texts(data: Bytes, begin: Integers, length: Integers) -> NDArray[Any]:
     """Texts at (n,) places, of (n,) lengths in bytes with the NUL at the end."""
     if not length.size:
         return np.empty(0, "U1")
@@ -345,7 +393,7 @@ def _texts(data: Bytes, begin: Integers, length: Integers) -> NDArray[np.str_]:
         distinct, number_of_row = np.unique(raw, return_inverse=True)
         decoded = [value.decode("utf-8", "backslashreplace") for value in distinct.tolist()]
         texts[rows] = np.array(decoded, object)[number_of_row]
-    return texts.astype(np.str_)
+    return text_column(texts)
 
 
 def _skip(cursors: _Cursors, step: SequenceField, *, counted: bool = False) -> None:
@@ -359,15 +407,15 @@ def _skip(cursors: _Cursors, step: SequenceField, *, counted: bool = False) -> N
 def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> None:
     """Move behind the elements of a sequence; ``count`` is their number in each message.
 
-    Elements that are numbers are passed all at once. Other elements are passed one after the other:
+    Elements of numbers alone are passed all at once. Other elements are passed one after the other:
     the first in all messages, then the second in all that have a second, and so on.
     """
     good = count <= cursors.length  # an element has a byte at least
     cursors.only(good)
     count = count[good]
-    first = step.steps[0] if step.steps else None
-    if isinstance(first, NumberField) and len(step.steps) == 1:
-        _skip_numbers(cursors, first, count)
+    numbers = tuple(part for part in step.steps if isinstance(part, NumberField))
+    if len(numbers) == len(step.steps):
+        _skip_numbers(cursors, numbers, count)
     else:
         _skip_one_by_one(cursors, step, count)
 
@@ -387,7 +435,7 @@ def _skip_one_by_one(cursors: _Cursors, step: SequenceField, count: Integers) ->
         is_passed = ~has_more
         ends[unfinished.row[is_passed]] = unfinished.at[is_passed]
         unfinished.only(has_more)
-        if not unfinished.row.shape[0]:
+        if not unfinished.row.shape[0] or not unfinished.has_step():
             break
         _skip_steps(unfinished, steps)
         passed += 1
@@ -395,21 +443,33 @@ def _skip_one_by_one(cursors: _Cursors, step: SequenceField, count: Integers) ->
     cursors.only(ends >= 0)
 
 
-def _skip_numbers(cursors: _Cursors, numbers: NumberField, count: Integers) -> None:
-    """Move behind ``count`` elements, each of them a number or an array of numbers.
+def _skip_numbers(cursors: _Cursors, run: NumberRun, count: Integers) -> None:
+    """Move behind ``count`` elements, each of them the numbers of a run.
 
-    Only before an element there are bytes that align it: a sequence without elements has none.
+    Only before an element there are bytes that align it: a sequence without elements has none. The
+    bytes of an element depend on where it begins modulo `ALIGN`; so do those of 2, 4, 8 ...
+    elements, of which the ``count`` elements are put together.
     """
-    size = np.dtype(numbers.kind).itemsize
-    size_of_element = numbers.count * size
-    end = _aligned(cursors.at, size) + count * size_of_element
-    cursors.at = np.where(count > 0, end, cursors.at)
+    phases = np.arange(ALIGN)
+    sizes = [_layout(run, frozenset(), phase, big=False).size for phase in phases.tolist()]
+    bytes_at_phase = np.minimum(sizes, MAX_COUNT)  # no message is that long
+    at = cursors.at
+    left = count
+    while left.any():
+        is_odd = left % 2 == 1
+        at = np.where(is_odd, at + bytes_at_phase[at % ALIGN], at)
+        twice = bytes_at_phase + bytes_at_phase[(phases + bytes_at_phase) % ALIGN]
+        bytes_at_phase = np.minimum(twice, MAX_COUNT)
+        left = left // 2
+    cursors.at = at
     cursors.only(cursors.at <= cursors.length)
 
 
 def _skip_steps(cursors: _Cursors, steps: Sequence[PlanStep]) -> None:
     """Move behind one element of these steps."""
     for step in steps:
+        if not cursors.row.shape[0]:
+            return
         if isinstance(step, tuple):
             _read_numbers(cursors, step, frozenset())
         elif isinstance(step, TextField):

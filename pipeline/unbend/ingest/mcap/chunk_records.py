@@ -128,7 +128,17 @@ class ChunkReader:
                 yield Definition(raw[place], bytes(content), at)
             place = end
         if starts:
-            yield MessageRecords(view, np.concatenate(starts))
+            yield from self._within_budget(MessageRecords(view, np.concatenate(starts)), at)
+
+    def _within_budget(self, records: MessageRecords, at: int) -> Iterator[MessageRecords]:
+        """Messages of a chunk, unless they are too many for a file of this size."""
+        too_many = self.budget.spend_messages(
+            records.starts.shape[0], where=self.damage.at(at), count=records.data.shape[0]
+        )
+        if too_many is None:
+            yield records
+        else:
+            self.damage.add(too_many)
 
     def _resume_in(self, view: Bytes, place: int, starts: list[Integers], at: int) -> int:
         """Enter damage that shows at a place of a chunk; returns where messages go on.

@@ -29,6 +29,8 @@ FREE_CHUNK = 64 << 20  # [bytes] inflated; taken however far it was compressed
 MAX_CHUNK = 2 << 30  # [bytes] inflated
 MAX_RATIO = 200  # of a chunk larger than FREE_CHUNK, and of a file whose chunks exceed FREE_FILE
 FREE_FILE = 256 << 20  # [bytes] inflated, all chunks of a file: 0.1 to 0.3 s
+FREE_MESSAGES = 500_000  # in the chunks of any file: 0.5 s, and 60 MB of columns
+BYTES_OF_MESSAGE = 8  # of the file, compressed: a time and a value alone that vary need more
 MAX_WINDOW = 64 << 20  # [bytes] that a decompressor may look back
 BLOCK = 1 << 18  # [bytes] of a large chunk at once
 
@@ -84,7 +86,7 @@ class Chunk:
 
 
 class InflationBudget:
-    """How many bytes the chunks of a file may inflate to together: more for a larger file.
+    """How many bytes and messages the chunks of a file may inflate to: more for a larger file.
 
     >>> chunk = Chunk(0, 0, 60 << 20, 0, "zstd", 0, 9, 0)
     >>> InflationBudget(0).spend(chunk, where="a.mcap, byte 0", count=9) is None
@@ -94,6 +96,8 @@ class InflationBudget:
     def __init__(self, file_bytes: int) -> None:
         self.limit = FREE_FILE + MAX_RATIO * file_bytes
         self.left = self.limit
+        self.most_messages = FREE_MESSAGES + file_bytes // BYTES_OF_MESSAGE
+        self.messages_left = self.most_messages
 
     def spend(self, chunk: Chunk, *, where: str, count: int) -> Message | None:
         """Take what inflating a chunk costs from the budget; returns why it may not be inflated.
@@ -123,6 +127,19 @@ class InflationBudget:
                 limit=self.limit,
             )
         self.left -= cost
+        return None
+
+    def spend_messages(self, rows: int, *, where: str, count: int) -> Message | None:
+        """Take the messages of a chunk from the budget; returns why they may not be read."""
+        if rows > self.messages_left:
+            return messages.too_many_messages(
+                where=where,
+                count=count,
+                rows=rows,
+                left=self.messages_left,
+                limit=self.most_messages,
+            )
+        self.messages_left -= rows
         return None
 
 

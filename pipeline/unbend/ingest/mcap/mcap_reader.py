@@ -11,7 +11,9 @@ import numpy as np
 from unbend.flight.clock import UNIX_NS_FROM
 from unbend.ingest.buffers import open_view
 from unbend.ingest.field_maps import MessageMap
+from unbend.ingest.limits import MAX_SERIES, SeriesLimit
 from unbend.ingest.mcap import messages, topics
+from unbend.ingest.mcap.cdr import StepBudget
 from unbend.ingest.mcap.damage import Damage
 from unbend.ingest.mcap.mcap_records import RecordWalk
 from unbend.ingest.mcap.message_batches import Messages
@@ -19,6 +21,7 @@ from unbend.ingest.mcap.message_counts import MessageCounts
 from unbend.ingest.mcap.record_layout import Definition, Opcode
 from unbend.ingest.mcap.ros2_definitions import SchemaError
 from unbend.ingest.mcap.topic_samples import PLAIN_JSON, SCHEMAS, TopicSamples, known_name
+from unbend.ingest.message_tables import rows_by_value
 from unbend.ingest.timelines import Stamps
 from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, UNCHECKED_WHY
 from unbend.ingest.utc_readings import UtcReadings
@@ -75,12 +78,18 @@ class McapReader:
         self._decoders: dict[tuple[int, str], topics.Decoder | Exception] = {}
         self._subscriptions: dict[int, _Subscription] = {}
         self.recorded_ns: int | None = None  # log_time of the first message that has UTC
+        self._parse_budget = topics.ParseBudget()
+        self._step_budget = StepBudget()
+        self.series_limit = SeriesLimit()  # of all topics together
+        self._crowded_out: set[int] = set()  # channels of topics beyond `MAX_SERIES`
         self._seen = 0  # messages, of any channel
         self._recorded: list[Integers] = []  # (3, n) places, times since boot, log_time
 
     def through(self, path: Path) -> Iterator[Stamps]:
         """Read the file; yields places and times since boot of the messages that count it."""
         with open_view(path) as data:
+            self._parse_budget = topics.ParseBudget.of_file(data.size)
+            self._step_budget = StepBudget.of_file(data.size)
             for part in RecordWalk(data, self.damage):
                 if isinstance(part, Definition):
                     self._define(part)
@@ -92,10 +101,11 @@ class McapReader:
     def _take(self, batch: Messages) -> list[topics.BootStamps]:
         """Hand messages to their topics; returns the stamps of those that count from a boot."""
         shares: dict[TopicKey, list[tuple[topics.Decoder, Rows]]] = {}
+        rows_of = dict(rows_by_value(batch.channel))
         for number in self.counts.take(batch, self.names):
             if number in self._subscriptions:
                 topic, decoder = self._subscriptions[number]
-                rows = np.flatnonzero(batch.channel == number)
+                rows = rows_of[number]
                 shares.setdefault(TopicKey(topic.name, topic.schema), []).append((decoder, rows))
         if self.recorded_ns is None:
             with_utc = batch.log_time[batch.log_time > UNIX_NS_FROM]
@@ -211,9 +221,14 @@ class McapReader:
             )
         elif decoder is not None:
             key = TopicKey(channel.topic, name)
+            if key not in self.topics and len(self.topics) >= MAX_SERIES:
+                self._crowded_out.add(channel.id)
+                return
             if key not in self.topics:
                 series: dict[topics.SeriesKey, TopicSamples] | None = None if self.only else {}
-                self.topics[key] = topics.Topic(channel.topic, name, spec, series)
+                self.topics[key] = topics.Topic(
+                    channel.topic, name, spec, series, limit=self.series_limit
+                )
             self._subscriptions[channel.id] = _Subscription(self.topics[key], decoder)
 
     def _note_encoding(self, topic: str, encoding: str, of_schema: str) -> None:
@@ -264,13 +279,13 @@ class McapReader:
         wanted = None if self.only else topics.paths_of(spec)
         encoding = channel.message_encoding
         if encoding == "json":
-            return topics.json_decoder(spec, wanted)
+            return topics.json_decoder(spec, wanted, self._parse_budget)
         if schema is None:
             return None
         if encoding == "cdr" and schema.encoding == "ros2msg":
-            return topics.cdr_decoder(schema.name, schema.data.decode(), wanted)
+            return topics.cdr_decoder(schema.name, schema.data.decode(), wanted, self._step_budget)
         if encoding == "protobuf" and schema.encoding == "protobuf":
-            return topics.protobuf_decoder(schema, spec, wanted)
+            return topics.protobuf_decoder(schema, spec, wanted, self._parse_budget)
         self._leave_unread(
             messages.encoding_not_read(
                 topic=channel.topic,
@@ -299,5 +314,11 @@ class McapReader:
             )
         for topic in self.topics.values():
             self.ledger.extend(topic.losses())
+        self.series_limit.dropped += int(self.counts.counts[list(self._crowded_out)].sum())
+        if self._step_budget.dropped:
+            self.ledger.add(
+                messages.too_many_elements(file=self.file, count=self._step_budget.dropped)
+            )
+        self.series_limit.report(self.ledger, self.file)
         damaged = bool(self.damage.losses)
         return self.counts.report(self.names, self.ledger, self.file, damaged=damaged)

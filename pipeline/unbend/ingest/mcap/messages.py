@@ -9,6 +9,7 @@ from unbend.ingest.messages import (
     LOG_CRC,
     LOG_LINK_LOSS,
     LOG_NO_TABLE,
+    LOG_TOO_LARGE,
     LOG_TRUNCATED,
     TIME_NO_UTC,
 )
@@ -180,13 +181,6 @@ def more_places(*, like: Message, places: int, count: int) -> Message:
 
 # What is larger than reason allows.
 
-LOG_TOO_LARGE = Code(
-    "LOG-TOO-LARGE",
-    means="A chunk or a number of names is beyond all reason: damage, or a bomb.",
-    effect="It is not read.",
-    remedy="Copy the log again.",
-)
-
 
 def chunk_too_large(
     *, where: str, count: int, packed: int, size: int, largest: int, ratio: int, free: int
@@ -232,6 +226,47 @@ def definition_too_large(*, where: str, count: int, opcode: int) -> Message:
         count=count,
         length=Counted(count, "byte"),
         opcode=opcode,
+    )
+
+
+def too_many_messages(*, where: str, count: int, rows: int, left: int, limit: int) -> Message:
+    """The chunks hold more messages than a file of this size may."""
+    return loss(
+        LOG_TOO_LARGE,
+        "a chunk holds {rows} messages, and those before it left {left} of the {limit} that all "
+        "chunks of a file of this size may hold: they are skipped",
+        where=where,
+        count=count,
+        rows=rows,
+        left=left,
+        limit=limit,
+    )
+
+
+def objects_too_large(*, topic: str, count: int, limit: int) -> Message:
+    """Messages of JSON or protobuf, parsed one by one, inflate to more than the file allows."""
+    return loss(
+        LOG_TOO_LARGE,
+        "{count} messages are not parsed: all messages of JSON and protobuf of a file of this size "
+        "may have {limit} bytes",
+        one="1 message is not parsed: all messages of JSON and protobuf of a file of this size may "
+        "have {limit} bytes",
+        where=topic,
+        count=count,
+        limit=limit,
+    )
+
+
+def too_many_elements(*, file: str, count: int) -> Message:
+    """Messages hold more texts, or elements of sequences, than a log of this size may."""
+    return loss(
+        LOG_TOO_LARGE,
+        "{count} messages are not decoded: they have more elements of sequences, each of which has "
+        "to be passed by itself, than a file of this size may",
+        one="1 message is not decoded: it has more elements of sequences, each of which has to be "
+        "passed by itself, than a file of this size may",
+        where=file,
+        count=count,
     )
 
 

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM
 from unbend.ingest.boot_clock import BootClock
+from unbend.ingest.field_maps import is_number
 from unbend.ingest.mcap import messages
 from unbend.ingest.timelines import nanoseconds
 from unbend.messages import Ledger
-from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
+from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows, whole_numbers
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -24,6 +25,8 @@ LOG_TIME = "\0log_ns"  # that of the recorder
 SEQUENCE = "\0sequence"  # its number
 
 _LAST_NS = 2**63 - 1
+_LAST_S = 1 << 32  # until 2106
+_MOST_PART_NS = 1 << 32  # of a second, which the field of 32 bits may exceed
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ISO = re.compile(
     r"(?P<seconds>\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(?P<fraction>\d+))?"
@@ -132,14 +135,16 @@ def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
     """
     if STAMP in columns:
         return OwnTimes(columns[STAMP], counted=False)
-    if f"{time_field}.sec" in columns:
-        time_ns = columns[f"{time_field}.sec"].astype(np.int64) * NANOSECONDS_PER_SECOND
+    numbers = {name: column for name, column in columns.items() if is_number(column)}
+    if f"{time_field}.sec" in numbers:
+        seconds = whole_numbers(numbers[f"{time_field}.sec"], 0, _LAST_S)
+        time_ns = seconds * NANOSECONDS_PER_SECOND
         for name in (f"{time_field}.nanosec", f"{time_field}.nsec"):
-            if name in columns:
-                time_ns = time_ns + columns[name].astype(np.int64)
+            if name in numbers:
+                time_ns = time_ns + whole_numbers(numbers[name], 0, _MOST_PART_NS)
                 break
         return OwnTimes(time_ns, counted=False)
-    if time_field in columns and columns[time_field].dtype.kind in "iu":
+    if time_field in numbers and numbers[time_field].dtype.kind in "iu":
         return OwnTimes(nanoseconds(columns[time_field]), counted=True)
     return OwnTimes(np.zeros(count, np.int64), counted=False)
 

@@ -19,6 +19,7 @@ from unbend.ingest.field_maps import (
     FieldColumn,
     MessageMap,
     extract,
+    is_number,
     message_maps,
 )
 from unbend.ingest.mcap import messages
@@ -172,9 +173,9 @@ class TopicSamples:
             self.log_ns.append((before, columns[LOG_TIME]))
         utc_field = UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD
         utc = columns.get(utc_field)
-        if utc is not None and utc.dtype.kind in "iu":
+        if utc is not None and is_number(utc) and utc.dtype.kind in "iu":
             self.utc_us.add(microseconds(utc))
-        numbers = {name: column for name, column in columns.items() if column.dtype.kind in "biuf"}
+        numbers = {name: column for name, column in columns.items() if is_number(column)}
         values = extract(numbers, self.spec.columns)
         self.columns.add(finished(self.source.message, values), count)
         if self.spec.event:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,30 +12,39 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import Source, TimeArray
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
+from unbend.ingest.limits import SeriesLimit, check_cells
 from unbend.ingest.mcap import messages
-from unbend.ingest.mcap.cdr import decode, decode_plan
+from unbend.ingest.mcap.cdr import StepBudget, decode, decode_plan
 from unbend.ingest.mcap.message_batches import Messages
 from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, own_times, since_boot, stamp_of
 from unbend.ingest.mcap.topic_samples import LABELS, PLAIN_JSON, TopicSamples
-from unbend.ingest.message_tables import PLACE, column_of, in_order
+from unbend.ingest.message_tables import PLACE, column_of, in_order, rows_by_value
 from unbend.messages import Message
-from unbend.units import Integers, Mask, Rows
+from unbend.units import Integers, Rows
 
 Columns = dict[str, NDArray[Any]]
 MAX_ARRAY = 64  # elements of an array that become columns; of a longer one only the length does
+# Messages of JSON and protobuf are parsed one by one, at some 50 MB/s and 10 us for each; chunks of
+# them may inflate to more than the file has bytes.
+FREE_PARSED = 32 << 20  # [bytes] of any file: 0.6 s
+PARSED_RATIO = 40  # ... and as many times its size: 0.8 s a MB
+BYTES_OF_PARSE = 500  # that take as long to parse as the rest of a message
 MAX_NAMES = 1000  # series that the names in the messages of a topic may make; usual are tens
 
 
 class Decoded(NamedTuple):
     """Messages of one definition that could be decoded, by their rows among those handed over.
 
-    ``odd``: how many wanted values are not numbers, and became NaN.
+    ``odd``: how many wanted values are not numbers, and became NaN. ``unparsed``, ``parse_limit``:
+    how many messages are beyond the `ParseBudget`, and its limit [bytes].
     """
 
     rows: Rows
     columns: Columns
     odd: int = 0
+    unparsed: int = 0
+    parse_limit: int = 0
 
 
 Decoder = Callable[[Messages, Rows], Decoded]
@@ -76,6 +86,8 @@ class Topic:
     failed : how many messages could not be decoded.
     nameless : how many messages were left out because their names are beyond `MAX_NAMES`.
     odd : how many wanted values are not numbers.
+    unparsed, parse_limit : how many messages are beyond the `ParseBudget`, and its limit.
+    limit : how many series all topics may have.
     """
 
     name: str
@@ -86,6 +98,9 @@ class Topic:
     failed: int = 0
     nameless: int = 0
     odd: int = 0
+    unparsed: int = 0
+    parse_limit: int = 0
+    limit: SeriesLimit = field(default_factory=SeriesLimit)
 
     def take(
         self, batch: Messages, shares: Iterable[tuple[Decoder, Rows]], before: int
@@ -100,7 +115,9 @@ class Topic:
         blocks = self.blocks if self.series is None else _no_blocks()
         for decoder, rows in shares:
             decoded = decoder(batch, rows)
-            self.failed += rows.shape[0] - len(decoded.rows)
+            self.failed += rows.shape[0] - len(decoded.rows) - decoded.unparsed
+            self.unparsed += decoded.unparsed
+            self.parse_limit = decoded.parse_limit
             self.odd += decoded.odd
             if not len(decoded.rows):
                 continue
@@ -127,13 +144,16 @@ class Topic:
         Names beyond `MAX_NAMES` get no series, but their stamps are returned too.
         """
         for name, rows in rows_by_name(block, self.spec.id_field):
-            part = {path: column[rows] for path, column in block.items()}
             key = SeriesKey(name, counted)
-            if key not in series and len(series) >= MAX_NAMES:
-                self.nameless += int(part[PLACE].shape[0])
-                continue
             if key not in series:
+                count = int(block[PLACE][rows].shape[0])
+                if len(series) >= MAX_NAMES:
+                    self.nameless += count
+                    continue
+                if not self.limit.admits(count):
+                    continue
                 series[key] = self._new_series(key)
+            part = {path: column[rows] for path, column in block.items()}
             series[key].add(part)
         from_boot = since_boot(block[STAMP])
         if not counted or not bool(from_boot.any()):
@@ -174,6 +194,10 @@ class Topic:
             yield self.misfit
         if self.odd and self._wants_numbers():
             yield messages.values_not_numbers(topic=self.name, count=self.odd)
+        if self.unparsed:
+            yield messages.objects_too_large(
+                topic=self.name, count=self.unparsed, limit=self.parse_limit
+            )
         if self.nameless:
             yield messages.too_many_names(topic=self.name, count=self.nameless, most=MAX_NAMES)
 
@@ -188,7 +212,7 @@ class Topic:
         return any(samples.columns.stores for samples in (self.series or {}).values())
 
 
-def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, slice | Mask]]:
+def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, slice | Rows]]:
     """The names in a ``field`` of messages, and the rows of each.
 
     In the place of an empty name stands the ``index`` of the message. Without a field of names, the
@@ -197,11 +221,13 @@ def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, sli
     if not field or field not in columns:
         yield None, slice(None)
         return
-    names = columns[field].astype(np.str_)
+    names = columns[field].astype(np.str_).astype(object)
+    if columns[field].dtype.kind == "O":  # as one column of str they may be too large
+        names = np.array([str(name) for name in columns[field].tolist()], object)
     if "index" in columns:
-        names = np.where(names == "", columns["index"].astype(np.str_), names)
-    for name in np.unique(names).tolist():
-        yield str(name), names == name
+        is_empty = names == ""
+        names[is_empty] = columns["index"].astype(np.str_)[is_empty]
+    yield from rows_by_value(names)
 
 
 def paths_of(spec: MessageMap) -> frozenset[str]:
@@ -217,15 +243,39 @@ def paths_of(spec: MessageMap) -> frozenset[str]:
     return frozenset(paths)
 
 
-def cdr_decoder(schema: str, text: str, wanted: frozenset[str] | None) -> Decoder:
+def cdr_decoder(
+    schema: str, text: str, wanted: frozenset[str] | None, budget: StepBudget | None = None
+) -> Decoder:
     """The decoder of ROS 2 messages, by their definition in the log; raises SchemaError."""
     plan = decode_plan(steps_of(schema, text), wanted)
 
     def decoder(batch: Messages, rows: Rows) -> Decoded:
-        decoded = decode(batch.data, batch.begin[rows], batch.length[rows], plan)
+        decoded = decode(batch.data, batch.begin[rows], batch.length[rows], plan, budget)
         return Decoded(decoded.rows, decoded.columns)
 
     return decoder
+
+
+@dataclass
+class ParseBudget:
+    """How many bytes of messages may still be parsed one by one, of all topics of a log."""
+
+    limit: int = FREE_PARSED
+    left: int = FREE_PARSED
+
+    @classmethod
+    def of_file(cls, size: int) -> "ParseBudget":
+        """The budget of a file: more for a larger one."""
+        limit = FREE_PARSED + PARSED_RATIO * size
+        return cls(limit, limit)
+
+    def spend(self, length: int) -> bool:
+        """Take a message of so many bytes; False where the budget does not suffice for it."""
+        cost = length + BYTES_OF_PARSE
+        if cost > self.left:
+            return False
+        self.left -= cost
+        return True
 
 
 @dataclass(frozen=True)
@@ -242,6 +292,7 @@ class ObjectDecoder:
     errors: tuple[type[Exception], ...]
     spec: MessageMap
     wanted: frozenset[str] | None
+    budget: ParseBudget = field(default_factory=ParseBudget)
 
     def __call__(self, batch: Messages, rows: Rows) -> Decoded:
         """Decode some rows of messages."""
@@ -250,7 +301,11 @@ class ObjectDecoder:
         lengths = batch.length[rows].tolist()
         done = []
         decoded = []
+        unparsed = 0
         for row, (begin, length) in enumerate(zip(begins, lengths, strict=True)):
+            if not self.budget.spend(length):
+                unparsed += 1
+                continue
             with suppress(*self.errors):
                 values_of_message = self._values_of(bytes(raw[begin : begin + length]))
                 decoded.append(values_of_message)
@@ -260,6 +315,7 @@ class ObjectDecoder:
             for values in decoded:
                 odd += _make_numbers(values, self.spec.fields)
         names = dict.fromkeys(name for values in decoded for name in values)
+        check_cells(len(names), len(decoded), sum(map(len, decoded)))
         # None where a message lacks the field: `column_of` fills it in.
         columns = {name: column_of([values.get(name) for values in decoded]) for name in names}
         if STAMP in columns:
@@ -268,6 +324,8 @@ class ObjectDecoder:
             rows=np.array(done, np.intp),
             columns=columns,
             odd=odd,
+            unparsed=unparsed,
+            parse_limit=self.budget.limit,
         )
 
     def _values_of(self, raw: bytes) -> dict[str, Any]:
@@ -319,7 +377,21 @@ def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple
 
 def _is_wanted(path: str, wanted: frozenset[str]) -> bool:
     """Whether a path is wanted, or lies on the way to one that is."""
-    return any(each == path or each.startswith(f"{path}.") for each in wanted)
+    return path in _ways_to(wanted)
+
+
+@lru_cache(maxsize=64)
+def _ways_to(wanted: frozenset[str]) -> frozenset[str]:
+    """Wanted paths, and all paths on the way to one.
+
+    >>> sorted(_ways_to(frozenset({"header.stamp.sec"})))
+    ['header', 'header.stamp', 'header.stamp.sec']
+    """
+    ways = set()
+    for path in wanted:
+        parts = path.split(".")
+        ways |= {".".join(parts[:end]) for end in range(1, len(parts) + 1)}
+    return frozenset(ways)
 
 
 def _members(value: Any) -> Iterator[tuple[str, Any]]:
@@ -345,10 +417,12 @@ def _is_long(value: Any) -> bool:
     return isinstance(value, bytes) or len(value) > MAX_ARRAY
 
 
-def json_decoder(spec: MessageMap, wanted: frozenset[str] | None) -> Decoder:
+def json_decoder(
+    spec: MessageMap, wanted: frozenset[str] | None, budget: ParseBudget | None = None
+) -> Decoder:
     """The decoder of JSON objects; a message that is any other JSON does not fit."""
     errors = (ValueError, TypeError, AttributeError, OverflowError, RecursionError)
-    return ObjectDecoder(_json_object, errors, spec, wanted)
+    return ObjectDecoder(_json_object, errors, spec, wanted, budget or ParseBudget())
 
 
 def _json_object(data: bytes) -> dict[str, Any]:
@@ -359,7 +433,12 @@ def _json_object(data: bytes) -> dict[str, Any]:
     return value
 
 
-def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | None) -> Decoder:
+def protobuf_decoder(
+    schema: Any,
+    spec: MessageMap,
+    wanted: frozenset[str] | None,
+    budget: ParseBudget | None = None,
+) -> Decoder:
     """The decoder of protobuf messages, by mcap-protobuf-support.
 
     Raises ImportError without that library, SchemaError for a damaged schema, and TypeError for one
@@ -376,7 +455,7 @@ def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | Non
     if parse is None:
         raise TypeError(f"a {schema.encoding} schema")
     errors = (DecodeError, ValueError, TypeError, OverflowError, RuntimeError)
-    return ObjectDecoder(parse, errors, spec, wanted)
+    return ObjectDecoder(parse, errors, spec, wanted, budget or ParseBudget())
 
 
 def number(value: Any) -> float | None:

@@ -225,6 +225,9 @@ class Scan(DamagedBytes):
         returned, because their messages are not lost, though their content is not used. What
         follows is a frame that the end of the file cuts off, or bytes of no message.
         """
+        if self.is_hopeless(self._data.size):  # what lies between good frames is not searched
+            self.drop(begin, stop)
+            return headers(_padded(self._data.array(begin, begin)), np.empty(0, np.int64), 0)
         places, end = self._frames_in_a_row(begin, stop)
         if end < stop and self._ends_in_frame(end, stop, places):
             self.cut_bytes += stop - end

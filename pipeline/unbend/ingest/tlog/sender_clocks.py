@@ -17,6 +17,7 @@ from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, clock_map, stray_times
 from unbend.flight.survey_dates import DAY_NS
 from unbend.ingest.boot_clock import BootClock, fit_clock
+from unbend.ingest.limits import check_senders
 from unbend.ingest.timelines import timeline
 from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.clock_samples import MICROSECOND, MILLISECOND, Readings
@@ -227,6 +228,7 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
             description="ground station clock",
         )
     numbers, counts = np.unique(readings["source"], return_counts=True)
+    check_senders(numbers.shape[0])
     busiest_first = numbers[np.argsort(-counts, kind="stable")].tolist()
     vehicle = Sender.of_number(busiest_first[0])
     clocks: dict[Sender, SenderClock] = {}

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.units import Mask
+from unbend.ingest.message_tables import rows_by_value
+from unbend.units import Rows
 
 _COMPONENTS = 256  # that a system can have: the number is a byte
 
@@ -50,11 +51,11 @@ def components_of(numbers: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return np.asarray(numbers % _COMPONENTS, np.uint16)
 
 
-def by_sender(rows: NDArray[Any]) -> Iterator[tuple[Sender, Mask | slice]]:
+def by_sender(rows: NDArray[Any]) -> Iterator[tuple[Sender, Rows | slice]]:
     """The senders in the column ``source`` (`Sender.number`) of messages, and the rows of each."""
-    numbers = np.unique(rows["source"])
-    if numbers.shape[0] == 1:
+    numbers = rows["source"]
+    if numbers.size and bool(np.all(numbers == numbers[0])):
         yield Sender.of_number(int(numbers[0])), slice(None)
         return
-    for number in numbers.tolist():
-        yield Sender.of_number(number), rows["source"] == number
+    for number, of_sender in rows_by_value(numbers):
+        yield Sender.of_number(number), of_sender

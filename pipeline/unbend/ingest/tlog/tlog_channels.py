@@ -12,6 +12,8 @@ from unbend.ingest.attitude import earth_frame_attitude
 from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, channel_of, with_both_heights
 from unbend.ingest.field_maps import extract
+from unbend.ingest.limits import SeriesLimit
+from unbend.ingest.message_tables import rows_by_value
 from unbend.ingest.messages import failed_exposures
 from unbend.ingest.timelines import microseconds
 from unbend.ingest.tlog import messages
@@ -44,15 +46,17 @@ def channels_of(
     for key in MESSAGES:
         keys_of_message.setdefault(message_of_key(key), []).append(key)
     channels = []
+    limit = SeriesLimit()
     for message, keys in keys_of_message.items():
         if message not in sent:
             continue
-        for series in _series_of_message(keys, sent.pop(message), clocks):
+        for series in _series_of_message(keys, sent.pop(message), clocks, limit):
             rows = _rows_of_series(series, ledger)
             rows = _in_time_order(rows, is_event=series.spec.event)
             channel = channel_of(rows, series.spec, ledger)
             if channel is not None:
                 channels.append(channel)
+    limit.report(ledger, "")
     parameters = {}
     if PARAM_VALUE in sent:
         systems = _systems_with_height(channels)
@@ -162,13 +166,17 @@ def _fields_of(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return fields
 
 
-def _series_of_message(keys: list[str], store: ColumnStore, clocks: Clocks) -> list[_Series]:
+def _series_of_message(
+    keys: list[str], store: ColumnStore, clocks: Clocks, limit: SeriesLimit
+) -> list[_Series]:
     """The series of one message, for each key, sender and instance; the store is emptied."""
     series_of_group: dict[tuple[Sender, Any], list[_Series]] = {}  # the instance as sent, or None
     field = message_of_name()[message_of_key(keys[0])].instance_field
     for sender, instance, rows in _rows_by_group(store, field):
         group = (sender, instance)
         if group not in series_of_group:
+            if not limit.admits(rows.shape[0]):
+                continue
             label = None if instance is None else label_of(instance)
             series_of_group[group] = [_Series(key, sender, label) for key in keys]
         for series in series_of_group[group]:
@@ -201,7 +209,7 @@ def _by_instance(rows: NDArray[Any], field: str) -> list[tuple[Any, NDArray[Any]
     if not field:
         return [(None, rows)]
     instances = rows["records"][field]
-    return [(value.item(), rows[instances == value]) for value in np.unique(instances)]
+    return [(value, rows[of_value]) for value, of_value in rows_by_value(instances)]
 
 
 def times_of(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel, Source
-from unbend.flight.clock import STRAY_ROWS, stray_times
+from unbend.flight.clock import LAST_US, STRAY_ROWS, stray_times
 from unbend.ingest.attitude import earth_frame_attitude
 from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.buffers import open_view
@@ -24,7 +24,8 @@ from unbend.ingest.channel_builder import (
 )
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
 from unbend.ingest.flight_log import Contents, LogFormat
-from unbend.ingest.message_tables import Table
+from unbend.ingest.limits import SeriesLimit
+from unbend.ingest.message_tables import Table, rows_by_value
 from unbend.ingest.timelines import microseconds, nanoseconds, timeline
 from unbend.ingest.ulog import messages
 from unbend.ingest.ulog.ulog_messages import (
@@ -62,9 +63,13 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
     fit = clock.fits[0]
     offset_ns = 0 if fit is None else fit.offset_ns
     channels = []
+    limit = SeriesLimit()
     for topic, rows_of_topic in log.rows.items():
         for source, rows in _rows_by_instance(sources[topic], rows_of_topic):
+            if not limit.admits(len(rows)):
+                continue
             channels += _channels_of_topic(topic, rows, source, offset_ns, ledger)
+    limit.report(ledger, path.name)
     texts = _texts_channel(log.texts, offset_ns, ledger)
     if texts is not None:
         channels.append(texts)
@@ -125,13 +130,13 @@ def _rows_by_instance(source: Source, rows: NDArray[Any]) -> Iterator[tuple[Sour
     """
     spec = PX4_TOPICS.get(source.message)  # None in a table of a topic that is no channel
     id_field = "" if spec is None else spec.id_field
-    ids = np.unique(rows[id_field]).tolist() if id_field in _names(rows) else []
-    if len(ids) <= 1:
+    rows_of_id = list(rows_by_value(rows[id_field])) if id_field in _names(rows) else []
+    if len(rows_of_id) <= 1:
         yield source, rows
         return
-    for value in ids:
+    for value, of_id in rows_of_id:
         instance = str(value) if source.instance is None else f"{source.instance}.{value}"
-        yield replace(source, instance=instance), rows[rows[id_field] == value]
+        yield replace(source, instance=instance), rows[of_id]
 
 
 def _channel_name(source: Source) -> str:
@@ -297,7 +302,7 @@ def _clock(
 def _utc_of_boot_time(log: ULogMessages) -> list[UtcReadings]:
     """UTC of the boot as the logger wrote it (``boot_time_utc_us``); none where it did not."""
     utc_us = log.numbers.get(BOOT_UTC, 0.0)
-    if utc_us <= FIRST_SET_US:
+    if not FIRST_SET_US < utc_us < LAST_US:  # also not a number
         return []
     one_row = np.zeros(1, np.int64)
     return [

@@ -2,9 +2,12 @@
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from unbend.ingest.limits import check_fields
 
 TYPES = {
     "int8_t": "i1", "uint8_t": "u1", "bool": "i1", "char": "i1", "int16_t": "<i2",
@@ -40,32 +43,52 @@ def _size(fields: list[FlatField]) -> int:
     return sum(np.dtype(field.dtype).itemsize for field in fields)
 
 
+@dataclass
+class FlatFormats:
+    """Formats that `flat_fields` has taken apart, by name, and how many fields they have."""
+
+    fields: dict[str, list[FlatField] | None] = field(default_factory=dict)
+    count: int = 0
+
+
 def flat_fields(
-    name: str, formats: dict[str, list[Field]], depth: int = 0
+    name: str,
+    formats: dict[str, list[Field]],
+    depth: int = 0,
+    known: FlatFormats | None = None,
 ) -> list[FlatField] | None:
     """Names and types of all numbers of a format, also of formats nested in it, and of padding.
 
-    None if a part of the format is not defined, or if it is longer than a message can be.
+    None if a part of the format is not defined, or if it is longer than a message can be. ``known``
+    gets the formats that are taken apart on the way. LogError if all of these have more fields than
+    any log (LOG-TOO-LARGE).
 
     >>> flat_fields("a", {"a": [Field("b", 2, "x")], "b": [Field("float", 0, "y")]})
     [FlatField(path='x[0].y', dtype='<f4'), FlatField(path='x[1].y', dtype='<f4')]
     """
+    known = FlatFormats() if known is None else known
+    if name in known.fields:
+        return known.fields[name]
     if name not in formats or depth > DEEPEST:
         return None
+    known.fields[name] = None  # also of a format that lies within itself
     result: list[FlatField] = []
     size = 0
-    for field in formats[name]:
+    for part in formats[name]:
         inner: list[FlatField] | None
-        if field.kind in TYPES:
-            inner = [FlatField("", TYPES[field.kind])]
+        if part.kind in TYPES:
+            inner = [FlatField("", TYPES[part.kind])]
         else:
-            inner = flat_fields(field.kind, formats, depth + 1)
+            inner = flat_fields(part.kind, formats, depth + 1, known)
         if not inner:
             return None
-        size += max(field.elements, 1) * _size(inner)
+        size += max(part.elements, 1) * _size(inner)
         if size > LONGEST_DATA:  # before its elements are made, which may be many
             return None
-        result += _elements(field, inner)
+        result += _elements(part, inner)
+    known.fields[name] = result
+    known.count += len(result)
+    check_fields(known.count)
     return result
 
 
@@ -88,6 +111,8 @@ class Definitions:
     def __init__(self) -> None:
         self.formats: dict[str, list[Field]] = {}
         self.layouts: dict[str, np.dtype[Any]] = {}
+        self._flattened = FlatFormats()
+        self._sizes: dict[str, tuple[int, int] | None] = {}
 
     def add_format(self, content: bytes) -> bool:
         """Add the format that a definition message holds; False if that is damaged."""
@@ -107,6 +132,8 @@ class Definitions:
         if not colon or not fields:
             return False
         self.formats[name] = fields
+        self._flattened = FlatFormats()
+        self._sizes.clear()
         return True
 
     def sizes_of(self, name: str) -> tuple[int, int] | None:
@@ -115,7 +142,13 @@ class Definitions:
         None if the topic is not defined, or two of its fields have the same path. If the topic has
         a timestamp, its layout without that padding is added to ``layouts``.
         """
-        fields = flat_fields(name, self.formats) or []
+        if name not in self._sizes:
+            self._sizes[name] = self._new_sizes(name)
+        return self._sizes[name]
+
+    def _new_sizes(self, name: str) -> tuple[int, int] | None:
+        """The sizes of a topic that is taken apart for the first time."""
+        fields = list(flat_fields(name, self.formats, known=self._flattened) or [])
         with_padding = _size(fields)
         while fields and fields[-1].path.startswith(_PADDING):
             fields.pop()

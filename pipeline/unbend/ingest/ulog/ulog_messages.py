@@ -188,6 +188,9 @@ class ULogMessages(DamagedBytes):
             length = self._length(view, place)
             if not length:
                 place = self._resume(view, place) - view.base
+                if self.is_hopeless(self._data.size):
+                    end = self.give_up(view.base + place, self._data.size)
+                    return end - view.base
                 continue
             if not self._take(view.raw, place, length):
                 self.drop(view.base + place, view.base + place + length)

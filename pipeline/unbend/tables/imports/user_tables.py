@@ -31,8 +31,9 @@ from unbend.tables.text_columns import (
     utc_of_dates,
     utc_of_weeks,
 )
-from unbend.units import DEGREE, RADIANS, Array, Integers, Mask, Names
+from unbend.units import DEGREE, RADIANS, Array, Integers, Mask, Names, whole_numbers
 
+_LAST_US = 9 * 10**15  # since 1970: 2255, in nanoseconds within 64 bits
 _SINCE_EPOCH_S = 1e8  # seconds beyond this count from an epoch, not from the beginning of a week
 _AS_THEY_ARE = (
     "v_north_m_s", "v_east_m_s", "v_down_m_s", "sigma_h_m", "sigma_v_m", "q_w", "q_x", "q_y", "q_z",
@@ -141,7 +142,8 @@ def _utc(
         return stated.utc_of_week_seconds(path, seconds, system), readable
     if system == "gpst":
         return utc_of_weeks(*np.divmod(seconds, SECONDS_PER_WEEK), system), readable
-    return np.rint(np.where(readable, seconds, 0.0) * 1e6).astype(np.int64) * 1000, readable
+    time_us = np.rint(np.where(readable, seconds, 0.0) * 1e6)
+    return whole_numbers(time_us, -_LAST_US, _LAST_US) * 1000, readable
 
 
 _ANGLES = {

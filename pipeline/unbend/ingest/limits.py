@@ -1,0 +1,77 @@
+"""How much a log may hold of what costs more to read than its bytes: no usual log comes near.
+
+With these limits the time and the memory of reading grow with the bytes of the file, whatever it
+holds: docs/pages/limits.md states the budget. What is beyond a limit is refused, or counted as a
+loss (LOG-TOO-LARGE).
+"""
+
+from dataclasses import dataclass
+
+from unbend.ingest import messages
+from unbend.messages import Ledger
+
+# Times are compared boot by boot: each one costs a pass over the rows. Usual logs have 1 to 10.
+MAX_BOOTS = 1000
+# Each sender of a telemetry log has a clock of its own. Usual are 2 to 10, of a swarm some hundred.
+MAX_SENDERS = 500
+# Ways in which a DataFlash log may define one message: all of them become one table. Usual are 1,
+# and in a log of two versions of the firmware 2.
+MAX_DEFINITIONS_OF_ONE = 32
+# Times at which a type of record gets another definition: the records behind are found anew.
+MAX_REDEFINITIONS = 1000
+# Places of damage behind each of which the next message is searched: 0.5 ms each.
+FREE_PLACES = 2000
+BYTES_OF_PLACE = 1000  # ... and one more for so many bytes of the file
+# Fields of all formats of a PX4 log, nested ones in each place: usual are 10,000.
+MAX_FIELDS = 1 << 17
+# Topics, senders and instances whose values are read: each has a channel of its own.
+MAX_SERIES = 1000
+# Values that a table may have if its messages lack fields: NaN in the place of each missing one.
+FREE_CELLS = 4_000_000
+FILLED_CELLS = 4  # ... or as many times the values that are there
+
+
+@dataclass
+class SeriesLimit:
+    """Counts the series of a log up to `MAX_SERIES`; ``dropped``: messages of the series beyond."""
+
+    count: int = 0
+    dropped: int = 0
+
+    def admits(self, rows: int) -> bool:
+        """Whether one more series may be read, of which so many messages are there now."""
+        if self.count < MAX_SERIES:
+            self.count += 1
+            return True
+        self.dropped += rows
+        return False
+
+    def report(self, ledger: Ledger, file: str) -> None:
+        """Enter the messages of series that are not read."""
+        if self.dropped:
+            ledger.add(messages.too_many_series(file=file, count=self.dropped, most=MAX_SERIES))
+
+
+def check_boots(boots: int) -> None:
+    """Refuse a log whose time begins anew too often."""
+    if boots > MAX_BOOTS:
+        raise messages.too_many_boots(count=boots, most=MAX_BOOTS)
+
+
+def check_senders(count: int) -> None:
+    """Refuse a telemetry log with too many senders."""
+    if count > MAX_SENDERS:
+        raise messages.too_many_senders(count=count, most=MAX_SENDERS)
+
+
+def check_fields(fields: int) -> None:
+    """Refuse a PX4 log whose formats have too many fields together."""
+    if fields > MAX_FIELDS:
+        raise messages.too_many_fields(count=fields, most=MAX_FIELDS)
+
+
+def check_cells(columns: int, rows: int, filled: int) -> None:
+    """Refuse a table most of whose values would be missing ones; ``filled`` are there."""
+    most = FREE_CELLS + FILLED_CELLS * filled
+    if columns * rows > most:
+        raise messages.table_too_wide(columns=columns, rows=rows, filled=filled, most=most)

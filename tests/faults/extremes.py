@@ -1,0 +1,298 @@
+"""Logs whose fields hold values at their limits, and whose definitions are repeated and nested.
+
+`extreme_log` draws one by its format and a seed: the structure stays whole, the values do not.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from tests.faults import hostile
+
+WORDS = (
+    "-5", "-1", "0", str(2**31), str(2**53 + 1), str(2**63 - 1), str(2**63), str(2**64 - 1),
+    str(2**64), str(-(2**63)), "9" * 400, "nan", "-nan", "inf", "-inf", "1e400", "-1e400",
+    "1e308", "5e-324", "-0.0", "", " ", "x", "1_0", "٣", "0x7", "1e3", "-9999-01-01",
+)  # fmt: skip
+JSON_VALUES = (
+    "-5", "0", str(2**63), str(2**64), "9" * 300, "1e400", "-1e400", "NaN", "Infinity", "null",
+    "true", '""', '"x"', '"0000-00-00T00:00:00Z"', '"9999-12-31T23:59:59.999999999Z"',
+    '"0001-01-01T00:00:00+23:59"', '"9999-12-31T23:59:59-23:59"', "[]", "{}", "[[[[1]]]]",
+    '{"sec":-1,"nsec":-1}', '{"sec":1e400,"nsec":0}', '{"sec":"x"}', '{"sec":null,"nsec":null}',
+    '{"sec":99999999999999999999,"nsec":5}', '{"sec":[1],"nsec":{}}',
+)  # fmt: skip
+FLOATS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 3.4e38, -1.0)
+
+
+def extreme_value(letter: str, draw: random.Random) -> Any:
+    """A value at a limit of a letter of struct."""
+    if letter in "efd":
+        value = draw.choice(FLOATS)
+        largest = {"e": 6e4, "f": 3e38, "d": 1.7e308}[letter]
+        return max(min(value, largest), -largest) if math.isfinite(value) else value
+    bits = 8 * struct.calcsize(letter)
+    if letter.islower():
+        return draw.choice((0, -1, 1, -(1 << bits - 1), (1 << bits - 1) - 1))
+    return draw.choice((0, 1, (1 << bits) - 1, 1 << bits - 1, (1 << bits - 1) - 1))
+
+
+def packed_extremes(
+    layout: str, values: Sequence[Any], changed: set[int], draw: random.Random
+) -> bytes:
+    """Values packed by the letters of struct, those at some places at their limits."""
+    result = list(values)
+    for place in changed:
+        if isinstance(values[place], int | float):
+            result[place] = extreme_value(layout[place], draw)
+    return struct.pack("<" + "".join(layout), *result)
+
+
+def some_places(count: int, draw: random.Random) -> set[int]:
+    return {k for k in range(count) if draw.random() < 0.3} or {draw.randrange(count)}
+
+
+DATAFLASH_ROWS: dict[str, tuple[str, list[str], dict[str, Any]]] = {
+    # letters of FMT; letters of struct; usual values
+    "GPS": ("QBIHBcLLefffB", ["Q", "B", "I", "H", "B", "h", "i", "i", "i", "f", "f", "f", "B"],
+            {"TimeUS": 0, "Status": 3, "GMS": 200_000, "GWk": 2200, "NSats": 9, "HDop": 80,
+             "Lat": 470_000_000, "Lng": 80_000_000, "Alt": 50_000, "Spd": 3.0, "GCrs": 1.0,
+             "VZ": 0.0, "I": 0}),
+    "ATT": ("QccC", ["Q", "h", "h", "H"], {"TimeUS": 0, "Roll": 100, "Pitch": 50, "Yaw": 9000}),
+    "BARO": ("QBff", ["Q", "B", "f", "f"], {"TimeUS": 0, "I": 0, "Press": 9e4, "Temp": 20.0}),
+    "HYGR": ("QBff", ["Q", "B", "f", "f"], {"TimeUS": 0, "Id": 0, "Humidity": 50.0, "Temp": 20.0}),
+    "CAM": ("QIHLLee", ["Q", "I", "H", "i", "i", "i", "i"],
+            {"TimeUS": 0, "GPSTime": 200_000, "GPSWeek": 2200, "Lat": 470_000_000,
+             "Lng": 80_000_000, "Alt": 50_000, "RelAlt": 100}),
+    "GPA": ("QCCf", ["Q", "H", "H", "f"], {"TimeUS": 0, "HAcc": 50, "VAcc": 80, "AEl": 500.0}),
+    "DSF": ("QI", ["Q", "I"], {"TimeUS": 0, "Dp": 0}),
+    "MNT": ("Qfff", ["Q", "f", "f", "f"], {"TimeUS": 0, "Roll": 1.0, "Pitch": 1.0, "YawE": 1.0}),
+    "TRIG": ("QIH", ["Q", "I", "H"], {"TimeUS": 0, "GPSTime": 0, "GPSWeek": 2200}),
+}  # fmt: skip
+LETTERS_OF_NUMBERS = "bBhHiIqQfdcCeELg"
+
+
+def extreme_dataflash(draw: random.Random) -> bytes:
+    """Some rows with values at their limits; a definition may come again with other letters."""
+    parts = [hostile.definition_of("FMT")]
+    numbers = {name: 150 + k for k, name in enumerate(DATAFLASH_ROWS)}
+    changed = {name: some_places(len(row[1]), draw) for name, row in DATAFLASH_ROWS.items()}
+    layouts = {name: list(row[1]) for name, row in DATAFLASH_ROWS.items()}
+
+    def define(name: str, letters: str) -> None:
+        columns = ",".join(DATAFLASH_ROWS[name][2])
+        sizes = {letter: struct.calcsize(letter) for letter in "bBhHiIqQfde"}
+        layouts[name] = [{"c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "g": "e"}.get(x, x)
+                         for x in letters]  # fmt: skip
+        length = 3 + sum(sizes[letter] for letter in layouts[name])
+        parts.append(hostile.binary_definition(numbers[name], name, letters, columns, length))
+
+    for name, (letters, _, _) in DATAFLASH_ROWS.items():
+        define(name, letters)
+    share = draw.choice((0.02, 0.5, 1.0))
+    for k in range(40):
+        for name, (letters, _, usual) in DATAFLASH_ROWS.items():
+            if draw.random() < 0.01:
+                define(name, "".join(draw.choice(LETTERS_OF_NUMBERS) for _ in letters))
+            values: list[Any] = []
+            for field, letter, value in zip(usual, layouts[name], usual.values(), strict=True):
+                now = 5_000_000 + 200_000 * k if field == "TimeUS" else value
+                if letter in "efd":
+                    values.append(float(min(now, 6e4)))
+                else:
+                    bits = 8 * struct.calcsize(letter)
+                    values.append(int(now) % (1 << bits - 1))
+            places = changed[name] if draw.random() < share else set()
+            row = packed_extremes("".join(layouts[name]), values, places, draw)
+            parts.append(b"\xa3\x95" + bytes([numbers[name]]) + row)
+    return b"".join(parts)
+
+
+def extreme_text(draw: random.Random) -> bytes:
+    """Lines with odd words in the place of some values."""
+    lines = [hostile.BARO_LINES[0]]
+    for k, (name, (letters, _, usual)) in enumerate(DATAFLASH_ROWS.items()):
+        lines.append(hostile.definition_line(150 + k, name, letters, ",".join(usual)))
+    lines.append(hostile.definition_line(190, "MSG", "QZ", "TimeUS,Message"))
+    lines.append(hostile.definition_line(191, "PARM", "QNf", "TimeUS,Name,Value"))
+    share = draw.choice((0.02, 0.5, 1.0))
+    columns = {name: some_places(len(row[1]), draw) for name, row in DATAFLASH_ROWS.items()}
+    words = {name: draw.choice(WORDS) for name in DATAFLASH_ROWS}
+    for k in range(40):
+        for name, (_, _, usual) in DATAFLASH_ROWS.items():
+            values = [str(value) for value in usual.values()]
+            values[0] = str(5_000_000 + 200_000 * k)
+            if draw.random() < share:
+                for place in columns[name]:
+                    values[place] = draw.choice((words[name], draw.choice(WORDS)))
+            lines.append(", ".join([name, *values]))
+        lines.append(f"MSG, {draw.choice(WORDS)}, {draw.choice(WORDS)}")
+        lines.append(f"PARM, {5_000_000 + k}, GPS_DELAY_MS, {draw.choice(WORDS)}")
+    return hostile.text_log(lines)
+
+
+ULOG_TOPICS = {
+    "sensor_gps": ("QQddfffB", "uint64_t time_utc_usec;double latitude_deg;double longitude_deg;"
+                   "float altitude_msl_m;float eph;float epv;uint8_t fix_type;",
+                   (0, 1_700_000_000_000_000, 47.5, 8.25, 600.0, 0.5, 0.5, 3)),
+    "vehicle_attitude": ("Qffff", "float[4] q;", (0, 1.0, 0.0, 0.0, 0.0)),
+    "sensor_baro": ("Qff", "float pressure;float temperature;", (0, 9e4, 20.0)),
+    "camera_capture": ("QQIddb", "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;"
+                       "int8_t result;", (0, 1_700_000_000_000_000, 1, 47.5, 8.25, 1)),
+}  # fmt: skip
+
+
+def extreme_ulog(draw: random.Random) -> bytes:
+    """Rows with values at their limits, and information and parameters too."""
+    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000) + hostile.ulog_message("B", bytes(40))
+    for name, (_, fields, _) in ULOG_TOPICS.items():
+        data += hostile.ulog_message("F", f"{name}:uint64_t timestamp;{fields}".encode())
+    for kind, letter in (("uint64_t", "Q"), ("int64_t", "q"), ("double", "d"), ("float", "f")):
+        key = f"{kind} boot_time_utc_us".encode()
+        value = struct.pack("<" + letter, extreme_value(letter, draw))
+        if draw.random() < 0.5:
+            data += hostile.ulog_message("I", bytes([len(key)]) + key + value)
+        key = f"{kind} EKF2_GPS_DELAY".encode()
+        data += hostile.ulog_message("P", bytes([len(key)]) + key + value)
+    for number, name in enumerate(ULOG_TOPICS):
+        data += hostile.ulog_message("A", struct.pack("<BH", 0, number) + name.encode())
+    share = draw.choice((0.02, 0.5, 1.0))
+    changed = {name: some_places(len(row[0]), draw) for name, row in ULOG_TOPICS.items()}
+    for k in range(60):
+        for number, (name, (layout, _, usual)) in enumerate(ULOG_TOPICS.items()):
+            values = [60_000_000 + 100_000 * k, *usual[1:]]
+            places = changed[name] if draw.random() < share else set()
+            row = packed_extremes(layout, values, places, draw)
+            data += hostile.ulog_message("D", struct.pack("<H", number) + row)
+        text = struct.pack("<BQ", ord("6"), extreme_value("Q", draw)) + b"text"
+        data += hostile.ulog_message("L", text)
+    return data
+
+
+TLOG_MESSAGES: dict[str, dict[str, Any]] = {
+    "system_time": {"time_unix_usec": 0, "time_boot_ms": 0},
+    "attitude": dict.fromkeys(("time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed",
+                               "yawspeed"), 0),
+    "gps_raw_int": {"time_usec": 0, "fix_type": 3, "lat": 470_000_000, "lon": 80_000_000,
+                    "alt": 500_000, "eph": 80, "epv": 80, "vel": 0, "cog": 0,
+                    "satellites_visible": 9, "alt_ellipsoid": 0, "h_acc": 0, "v_acc": 0},
+    "scaled_pressure": hostile.pressure_fields(0),
+    "camera_feedback": {"time_usec": 0, "target_system": 0, "cam_idx": 0, "img_idx": 0,
+                        "lat": 470_000_000, "lng": 80_000_000, "alt_msl": 600.0, "alt_rel": 30.0,
+                        "roll": 1.0, "pitch": 2.0, "yaw": 3.0, "foc_len": 0.0, "flags": 0},
+    "camera_image_captured": {"time_boot_ms": 0, "time_utc": 0, "camera_id": 1, "lat": 0, "lon": 0,
+                              "alt": 0, "relative_alt": 0, "q": [1.0, 0, 0, 0], "image_index": 0,
+                              "capture_result": 1, "file_url": b"a"},
+    "param_value": {"param_id": b"GPS_DELAY_MS", "param_value": 0.0, "param_type": 9,
+                    "param_count": 1, "param_index": 0},
+}  # fmt: skip
+UNSIGNED_BITS = {"time_unix_usec": 64, "time_boot_ms": 32, "time_usec": 64, "time_utc": 64,
+                 "fix_type": 8, "img_idx": 16, "cam_idx": 8, "temperature": -16, "lat": -32,
+                 "lon": -32, "lng": -32, "alt": -32, "relative_alt": -32, "image_index": -32,
+                 "alt_ellipsoid": -32, "h_acc": 32, "v_acc": 32, "eph": 16, "epv": 16, "vel": 16,
+                 "capture_result": -8, "temperature_press_diff": -16}  # fmt: skip
+"""Bits of fields; negative for signed ones. Other numbers are floats."""
+
+
+def extreme_field(name: str, draw: random.Random) -> Any:
+    bits = UNSIGNED_BITS.get(name, 0)
+    letters = {8: "b", 16: "h", 32: "i", 64: "q", 0: "f"}
+    letter = letters[abs(bits)]
+    return extreme_value(letter.upper() if bits > 0 else letter, draw)
+
+
+def extreme_tlog(draw: random.Random) -> bytes:
+    """Frames whose checksums hold, with values and stamps of reception at their limits."""
+    share = draw.choice((0.02, 0.5, 1.0))
+    stamp_share = draw.choice((0.0, 0.0, 0.1))
+    steady = {"cog", "target_system", "camera_id", "satellites_visible", "q", "flags", "file_url",
+              "param_id", "param_type", "param_count", "param_index"}  # fmt: skip
+    chosen = {name: [field for field in fields if field not in steady and draw.random() < 0.4]
+              for name, fields in TLOG_MESSAGES.items()}  # fmt: skip
+    frames = []
+    for k in range(40):
+        for name, usual in TLOG_MESSAGES.items():
+            ms, host_us = 60_000 + 200 * k, hostile.HOST_US + 200_000 * k
+            fields = dict(usual)
+            now = {"time_boot_ms": ms, "time_usec": 1000 * ms, "time_unix_usec": host_us,
+                   "img_idx": k, "image_index": k}  # fmt: skip
+            fields |= {field: value for field, value in now.items() if field in fields}
+            if draw.random() < share:
+                fields |= {field: extreme_field(field, draw) for field in chosen[name]}
+            if draw.random() < stamp_share:
+                host_us = draw.choice((0, 1, 2**63 - 1, 2**64 - 1, 2**52))
+            frames.append((1, 1, host_us, fields, name))
+    return hostile.telemetry(frames)
+
+
+def extreme_mcap(draw: random.Random) -> bytes:
+    """Messages of CDR, JSON and PX4 with times and values at their limits."""
+    kinds = {
+        1: (hostile.FLUID_PRESSURE,
+            f"std_msgs/Header header\nfloat64 fluid_pressure\n{hostile.HEADER_OF_ROS}"),
+        2: ("px4_msgs/msg/SensorGps",
+            "uint64 timestamp\nuint64 time_utc_usec\nfloat64 latitude_deg\n"
+            "float64 longitude_deg\nfloat64 altitude_msl_m\nuint8 fix_type"),
+        3: ("px4_msgs/msg/SensorBaro", "uint64 timestamp\nfloat32 pressure\nfloat32 temperature"),
+        4: ("sensor_msgs/msg/Temperature", "std_msgs/Header header\nfloat64 temperature\n"
+            "===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+            "===\nMSG: builtin_interfaces/Time\n"
+            + draw.choice(("uint64 sec\nuint64 nanosec", "float64 sec\nfloat64 nanosec",
+                           "int8 sec\nint64 nanosec", "bool sec\nbool nanosec",
+                           "int32[2] sec\nuint32[2] nanosec", "string sec\nuint32 nanosec"))),
+    }  # fmt: skip
+    parts = []
+    for number, (name, definition) in kinds.items():
+        parts.append(hostile.schema(number, name, "ros2msg", definition))
+        parts.append(hostile.channel(number, number, f"/t{number}", "cdr"))
+    parts.append(hostile.channel(9, 0, "/json", "json"))
+    share = draw.choice((0.02, 0.5, 1.0))
+    changed = {number: some_places(6, draw) for number in kinds}
+    letters_of_time = draw.choice(("QQ", "dd", "qq"))
+    for k in range(40):
+        now_us = 60_000_000 + 100_000 * k
+        rows = {
+            1: ("iIId", [1_763_073_169 + k, 5, 0, 9e4]),
+            2: ("QQdddB", [now_us, 1_700_000_000_000_000 + now_us, 47.5, 8.25, 600.0, 3]),
+            3: ("Qff", [now_us, 9e4, 20.0]),
+            4: (
+                f"{letters_of_time}QQ",
+                [1_763_073_169 + k if letters_of_time != "dd" else 1e9, 5, 0, 0],
+            ),
+        }
+        for number, (layout, values) in rows.items():
+            places = (
+                {p for p in changed[number] if p < len(values)} if draw.random() < share else set()
+            )
+            if number == 1:
+                places.discard(2)  # the length of a text
+            content = packed_extremes(layout, values, places, draw)
+            if number == 1:
+                content = content[:12] + bytes(4) + content[12:]
+            time_ns = hostile.START_NS + 10_000_000 * k
+            if draw.random() < 0.05:
+                time_ns = draw.choice((0, 1, 2**63 - 1, 2**64 - 1))
+            head = struct.pack("<HIQQ", number, k, time_ns, time_ns)
+            parts.append(hostile.record(5, head + b"\0\1\0\0" + content))
+        stamp = draw.choice(JSON_VALUES) if draw.random() < share else str(hostile.START_NS + k)
+        value = draw.choice(JSON_VALUES) if draw.random() < share else str(k)
+        content = f'{{"timestamp":{stamp},"header":{{"stamp":{stamp}}},"value":{value}}}'
+        parts.append(hostile.message(9, k, content.encode()))
+    return hostile.mcap(b"".join(parts))
+
+
+EXTREME: dict[str, Callable[[random.Random], bytes]] = {
+    ".bin": extreme_dataflash,
+    ".log": extreme_text,
+    ".tlog": extreme_tlog,
+    ".mcap": extreme_mcap,
+    ".ulg": extreme_ulog,
+}
+
+
+def extreme_log(suffix: str, seed: int) -> bytes:
+    """The log of a format that a seed draws."""
+    return EXTREME[suffix](random.Random(f"{suffix} {seed}"))
