@@ -11,7 +11,6 @@ unless ``--all`` asks for it. ``--every`` takes one flight in N.
 from __future__ import annotations
 
 import argparse
-import inspect
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from ascents import CLIMBS_M, FOLDER, Ascent, read_ascents
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.air_variation import solar_hour
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.atmosphere.soundings import Sounding
@@ -73,14 +73,12 @@ def metar_of(ascent: Ascent) -> SurfaceReport:
 
 def background_of(ascent: Ascent):
     """The climatology of a flight at the place and time of an ascent, as a mission has it."""
-    place = {"longitude_rad": ascent.longitude_rad}
-    if "time_ns" in inspect.signature(climatology).parameters:
-        place["time_ns"] = ascent.time_ns
     return climatology(
         latitude_rad=ascent.latitude_rad,
         month=month_of(ascent.time_ns),
         ground_h_m=float(ascent.h_m[0]),
-        **place,
+        longitude_rad=ascent.longitude_rad,
+        hour=solar_hour(ascent.time_ns, ascent.longitude_rad),
     )
 
 
