@@ -31,6 +31,7 @@ from unbend.atmosphere.air_variation import (
     mixed_share,
     reduced_height,
     tropopause_m,
+    weather_share,
 )
 from unbend.atmosphere.climate_tables import season, supplements_profile
 
@@ -54,26 +55,31 @@ GROUP_WEIGHT = 30.0  # pairs of one lag or distance share ascents: they count as
 FEWEST = 8  # ascents, or pairs, that have moments
 DAY_HOURS = (8.0, 20.0)
 
-FINE_NODE_M = np.array([0.0, 300.0, 2000.0, 4000.0])
+FINE_NODE_M = np.array([0.0, 300.0, 1000.0, 2000.0, 4000.0])
 FINE_LENGTH_M = {"kinked": 600.0, "smooth": 500.0}
-FINE_SHARES = {"kinked": np.array([1.0, 0.742, 0.742, 0.742]), "smooth": np.array([0.0, 0.67, 0.67, 0.67])}
-FINE_K = np.array([2.0, 2.0, 2.0, 0.8])
+FINE_SHARES = {
+    "kinked": np.array([1.0, 0.742, 0.742, 0.742, 0.742]),
+    "smooth": np.array([0.0, 0.67, 0.67, 0.67, 0.67]),
+}
+FINE_K = np.array([2.0, 2.0, 2.0, 2.0, 0.8])
+LOWEST_2_KM = np.array([1.0, 1.0, 1.0, 1.0, 0.0])
+MIXED_NODES = np.array([1.0, 1.0, 1.0, 0.0, 0.0])  # inversions stay at the top of mixed air
 """Fine structure: its amplitude at `FINE_NODE_M` in stable air, and how it is shared between a part
 with kinks, all of it at the ground and 0.55 of the variance from 300 m on, and one without, from nine
 ascents with all their levels (docs/decisions.md)."""
 
-FUNCTIONAL_WEIGHT = 2.0  # of the logarithm of the variance of R, beside a row of a matrix
+FUNCTIONAL_WEIGHT = 2.0  # of the logarithms of the variances of R and T, beside a row of a matrix
 
 
 @dataclass
 class Moments:
     """Second moments (n, n) of departures, or of changes in hours and over a distance; ``r`` (c,)
-    those of R at `CLIMBS_M` [%2]; ``mixed`` as of `air_variation.mixed_share`, mean of the air."""
+    those of R at `CLIMBS_M` [%2]; ``mixed`` (n,) as of `air_variation.mixed_share`, the mean."""
 
     matrix: np.ndarray
     r: np.ndarray
     weight: float
-    mixed: float
+    mixed: np.ndarray
     hours: float = 0.0
     km: float = 0.0
     is_change: bool = True
@@ -160,7 +166,7 @@ def r_by_temperature() -> np.ndarray:
 R_BY_TEMPERATURE = r_by_temperature()
 
 
-def moments_of(values: list[np.ndarray] | np.ndarray, weight: float, mixed: float, **how) -> Moments:
+def moments_of(values: list[np.ndarray] | np.ndarray, weight: float, mixed: np.ndarray, **how) -> Moments:
     """Second moments of departures or changes (m, n)."""
     values = np.asarray(values)
     by = np.where(np.abs(R_BY_TEMPERATURE) > 1e-9, R_BY_TEMPERATURE, 0.0)
@@ -174,15 +180,18 @@ def observed(departures: Departures) -> list[Moments]:
     groups = departures.groups
     hours = np.array([ascent.time_ns / 3.6e12 for ascent in ascents])
     by_day = np.array([DAY_HOURS[0] < ascent.solar_hour < DAY_HOURS[1] for ascent in ascents])
-    mixed = np.array([mixed_share(a.latitude_rad, a.month, a.solar_hour) for a in ascents])
+    mixed = np.array(
+        [mixed_share(a.latitude_rad, a.month, a.solar_hour, HEIGHT_M) for a in ascents]
+    )
     degrees = np.array([abs(math.degrees(ascent.latitude_rad)) for ascent in ascents])
     middle = degrees > MIDDLE_LATITUDES_DEG
+    kelvin = kelvin / np.array([weather_share(ascent.latitude_rad) for ascent in ascents])[:, None]
     moments = []
     for group in np.unique(groups[middle]):
         for at_day in (True, False):
             chosen = middle & (groups == group) & (by_day == at_day)
             if chosen.sum() >= FEWEST:
-                weight, share = GROUP_WEIGHT, float(mixed[chosen].mean())
+                weight, share = GROUP_WEIGHT, mixed[chosen].mean(axis=0)
                 moments.append(moments_of(kelvin[chosen], weight, share, is_change=False))
     place = np.array([(a.latitude_rad, a.longitude_rad) for a in ascents])
     pairs: dict[tuple[float, bool, bool], list[tuple[int, int]]] = {}
@@ -196,7 +205,7 @@ def observed(departures: Departures) -> list[Moments]:
     for (lag, _, _), of_lag in pairs.items():
         if len(of_lag) >= FEWEST:
             first, later = np.array(of_lag).T
-            share = float(np.mean(0.5 * (mixed[first] + mixed[later])))
+            share = np.mean(0.5 * (mixed[first] + mixed[later]), axis=0)
             weight = min(float(len(of_lag)), GROUP_WEIGHT)
             moments.append(moments_of(kelvin[later] - kelvin[first], weight, share, hours=lag))
     america = np.flatnonzero(np.char.startswith(groups, "n_america"))
@@ -205,7 +214,7 @@ def observed(departures: Departures) -> list[Moments]:
         first, other = np.nonzero(np.triu((km > low) & (km <= high), 1))
         if first.size >= FEWEST:
             changes = kelvin[america[first]] - kelvin[america[other]]
-            share = float(mixed[america].mean())
+            share = mixed[america].mean(axis=0)
             weight = min(float(first.size), 2.0 * GROUP_WEIGHT)
             at = float(km[first, other].mean())
             moments.append(moments_of(changes, weight, share, km=at))
@@ -214,22 +223,26 @@ def observed(departures: Departures) -> list[Moments]:
 
 NAMES = ("waves", "layers", "climate", "ground")
 START = np.concatenate([
-    [1.0, 3.0, 5.0, 5.5, 5.0, 1.5, -4.0, -4.5, -1.5],  # waves [K] at NODE_M
+    [2.0, 3.0, 5.0, 5.5, 5.0, 1.5, -4.0, -4.5, -1.5],  # waves [K] at NODE_M
     [2.0, 3.0, 2.0, 2.0, 2.0, 3.0, 2.5, 2.0, 2.0],  # layers [K] at NODE_M
-    [6.0, 4.0, 2.0, 2.5, 3.0, 2.5, 2.0],  # climate [K] at CLIMATE_NODE_M
+    [6.0, 5.0, 3.0, 2.0, 2.0, 2.0, 2.0],  # climate [K] at CLIMATE_NODE_M
     np.log([1500.0]),  # length of layers [m]
     np.log([100.0, 32.0, 8.0, 20.0]),  # memory of waves, layers, ground, fine [h]
     np.log([2500.0, 1500.0, 1500.0, 150.0, 300.0]),  # reach, with climate before ground [km]
-    np.log([1.0, 0.5]),  # factors of the fine structure below 2 km, in stable and in mixed air
+    np.log([1.0, 0.5]),  # factor of the fine structure below 2 km, and of that in mixed air
 ])  # fmt: skip
 EXPECTED = np.concatenate([
-    np.full(9, 2.0), np.full(9, 1.0), np.full(7, 1.5), [0.5], [0.4, 0.4, 0.1, 0.4], [0.4, 0.4, 0.4, 0.1, 0.1],
-    [0.2, 0.4],
+    np.full(9, 2.0), np.full(9, 1.0), np.full(7, 1.5), [0.5], [0.4, 0.2, 0.1, 0.2], [0.4, 0.4, 0.4, 0.1, 0.1],
+    [0.05, 0.4],
 ])  # fmt: skip
 """How far the fit may be from its start before that costs as much as a moment."""
 WAVES_LENGTH_M = 20_000.0  # one pattern from the ground to the stratosphere
-CLIMATE_LENGTH_M = 5000.0
-LEAST_K = 1.0  # amplitude of layers and climate, also where no ascent shows any
+CLIMATE_LENGTH_M = 15_000.0
+LEAST_WAVES_K = 1.5  # at the ground: inversions there are of other parts
+LEAST_MIXED = 0.25  # of the fine structure stays in mixed air: thermals
+LEAST_K = 1.0  # amplitude of layers, also where no ascent shows any
+LEAST_CLIMATE_K = np.array([4.5, 4.0, 2.0, 1.5, 1.0, 1.0, 1.0])
+"""What groups of ascents depart by together: R hardly sees it, stations at the ground do [K]."""
 
 
 @dataclass
@@ -256,9 +269,9 @@ class Model:
         }
         mixed_k = {}
         for name, fine_length in FINE_LENGTH_M.items():
-            stable, mixed = (FINE_K * FINE_SHARES[name] * self._fine(i) for i in (35, 36))
+            stable = FINE_K * FINE_SHARES[name] * np.exp(x[35] * LOWEST_2_KM)
             shapes[name] = (FINE_NODE_M, stable, fine_length, name)
-            mixed_k[name] = mixed
+            mixed_k[name] = stable * np.exp(x[36] * MIXED_NODES)
         memory |= {"climate": CLIMATE_MEMORY_H, "kinked": memory["fine"], "smooth": memory["fine"]}
         reach |= {"kinked": reach["fine"], "smooth": reach["fine"]}
         return {
@@ -273,10 +286,6 @@ class Model:
             }
             for name, (nodes, sigma, length_m, shape) in shapes.items()
         }
-
-    def _fine(self, number: int) -> np.ndarray:
-        """A factor of the fine structure, which only the lowest 2 km have."""
-        return np.exp(self.numbers[number] * np.array([1.0, 1.0, 1.0, 0.0]))
 
     def moments(self, of: list[Moments]) -> list[np.ndarray]:
         """What the parts give in the place of the observed moments."""
@@ -305,11 +314,16 @@ def fitted(moments: list[Moments]) -> Model:
             off = (matrix - moment.matrix) / np.outer(sigma, sigma) / math.sqrt(sigma.size)
             r = np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
             of_r = FUNCTIONAL_WEIGHT * np.log(r / moment.r)
-            parts += [np.sqrt(moment.weight / GROUP_WEIGHT) * row for row in (off.ravel(), of_r)]
+            of_t = np.log(np.diag(matrix) / sigma**2) / math.sqrt(sigma.size)
+            rows = off.ravel(), of_r, FUNCTIONAL_WEIGHT * of_t
+            parts += [np.sqrt(moment.weight / GROUP_WEIGHT) * row for row in rows]
         return np.concatenate(parts)
 
     low = np.full(START.size, -np.inf)
-    low[9:25] = LEAST_K
+    low[9:18] = LEAST_K
+    low[0] = LEAST_WAVES_K
+    low[18:25] = LEAST_CLIMATE_K
+    low[36] = math.log(LEAST_MIXED)
     return Model(least_squares(residuals, START, bounds=(low, np.inf)).x)
 
 
@@ -352,9 +366,11 @@ def main() -> None:
     model = fitted(moments)
     for moment, matrix in zip(moments, model.moments(moments), strict=True):
         r = np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
-        what = f"{moment.hours:.0f} h, {moment.km:.0f} km, {moment.mixed:.1f} mixed"
+        what = f"{moment.hours:.0f} h, {moment.km:.0f} km, {moment.mixed[0]:.1f} {moment.mixed[-1]:.1f} mixed"
         ratios = ", ".join(f"{ratio:.2f}" for ratio in np.sqrt(moment.r / r))
-        print(f"{what:>32}: R observed over fitted {ratios}", file=sys.stderr)
+        kelvin = np.sqrt(np.diag(moment.matrix) / np.diag(matrix))[::4]
+        of_t = ", ".join(f"{ratio:.2f}" for ratio in kelvin)
+        print(f"{what:>32}: observed over fitted R {ratios}, T {of_t}", file=sys.stderr)
     print_toml(daily, model, len(ascents))
 
 

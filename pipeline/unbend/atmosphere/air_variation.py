@@ -34,14 +34,16 @@ LOWEST_TROPOPAUSE_M = 6000.0  # above the ground, over the highest plateaus [m]
 
 WARMEST_HOUR = 15.0  # mean local time when the lowest air is warmest [h]
 
-CALM_TROPICS = 0.35
-"""Amplitude of weather in the tropics over that in middle latitudes: 16 ascents over Darwin and the
-Atlantic depart by 1 to 1.5 K within a season, where others do by 3 to 5 K."""
-_TROPICS_DEG, _MIDDLE_DEG = 15.0, 35.0
+_WEATHER_DEG, _WEATHER = (15.0, 35.0, 50.0, 60.0), (0.35, 1.0, 1.0, 1.4)
+"""Amplitude of weather at latitudes over that in middle ones: 16 ascents over Darwin and the Atlantic
+depart by 1 to 1.5 K within a season, where others do by 3 to 5 K, and 16 north of 52 degrees by half
+as much again."""
 
 _TROPOPAUSE_DEG = (20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
 _TROPOPAUSE_M = (16_500.0, 14_500.0, 12_500.0, 11_200.0, 10_000.0, 9_200.0)
 _HIGHER_IN_SUMMER_M = (0.0, 800.0, 1000.0, 700.0, 600.0, 400.0)  # than the mean of the year
+
+_UNMIXED_BY_NIGHT_M = (200.0, 700.0)  # reduced heights: below all, above nothing [m]
 
 _STEP_M, _TOP_M = 250.0, 30_000.0
 _NEAR_GROUND_M = (15.0, 30.0, 50.0, 80.0, 120.0, 180.0, 300.0)
@@ -126,18 +128,18 @@ def variation_parts(
     h = np.arange(ground_h_m - 1000.0, _TOP_M, _STEP_M)
     h = np.union1d(h, ground_h_m + np.array([0.0, *_NEAR_GROUND_M]))
     reduced = reduced_height(h, ground_h_m, tropopause_m(latitude_rad, month))
-    degrees = abs(latitude_rad) / DEGREE
-    calm = float(np.interp(degrees, [_TROPICS_DEG, _MIDDLE_DEG], [CALM_TROPICS, 1.0]))
-    mixed = mixed_share(latitude_rad, month, hour)
+    weather = weather_share(latitude_rad)
+    mixed = mixed_share(latitude_rad, month, hour, reduced)
     parts = []
     for name, table in _tables()["parts"].items():
-        stable_k, mixed_k = np.array(table["sigma_k"]), np.array(table["mixed_sigma_k"])
-        at_hour = (1.0 - mixed) * stable_k + mixed * mixed_k
-        sigma = np.interp(reduced, table["height_m"], at_hour)
+        stable_k, mixed_k = (
+            np.interp(reduced, table["height_m"], table[key]) for key in ("sigma_k", "mixed_sigma_k")
+        )
+        sigma = (1.0 - mixed) * stable_k + mixed * mixed_k
         if name == "climate":  # aloft the tables depart from the tropics as from other latitudes
-            sigma = sigma * np.interp(reduced, [1000.0, 4000.0], [calm, 1.0])
+            sigma = sigma * np.interp(reduced, [1000.0, 4000.0], [weather, max(weather, 1.0)])
         else:
-            sigma = sigma * calm
+            sigma = sigma * weather
         parts.append(
             Part(
                 name=name,
@@ -178,6 +180,11 @@ def tropopause_m(latitude_rad: float, month: float) -> float:
     return mean + summer * float(np.interp(degrees, _TROPOPAUSE_DEG, _HIGHER_IN_SUMMER_M))
 
 
+def weather_share(latitude_rad: float) -> float:
+    """Amplitude of the weather at a latitude over that in middle latitudes."""
+    return float(np.interp(abs(latitude_rad) / DEGREE, _WEATHER_DEG, _WEATHER))
+
+
 def share_of_day(latitude_rad: float) -> float:
     """How much of the day's cycle a latitude has: that of land between 30 and 50 degrees is 1; the
     tropics that are known here are sea and coast, and farther north there is snow."""
@@ -185,18 +192,24 @@ def share_of_day(latitude_rad: float) -> float:
     return float(np.interp(degrees, [15.0, 30.0, 50.0, 60.0, 75.0], [0.0, 1.0, 1.0, 0.5, 0.4]))
 
 
-def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
-    """How far the sun has mixed the lowest air: 1 on a summer's afternoon, 0 at night, in winter
-    and where the mean local time [h] is not known.
+def mixed_share(latitude_rad: float, month: float, hour: float | None, reduced_m: Array) -> Array:
+    """How far the sun has mixed the air at reduced heights (n,) [m]: 1 on a summer's afternoon.
 
-    >>> round(mixed_share(0.8, 7.0, 15.0), 2), mixed_share(0.8, 7.0, 3.0)
-    (1.0, 0.0)
+    0 in winter, and where the mean local time [h] is not known; a summer's night unmixes what lies
+    below a kilometre.
+
+    >>> heights = np.array([0.0, 1000.0])
+    >>> mixed_share(0.8, 7.0, 15.0, heights).round(2).tolist()
+    [1.0, 1.0]
+    >>> mixed_share(0.8, 7.0, 3.0, heights).round(2).tolist()
+    [0.0, 1.0]
     """
     if hour is None:
-        return 0.0
+        return np.zeros(reduced_m.shape)
     warm = 0.5 - 0.5 * season(latitude_rad, month)
-    high = float(np.interp(abs(latitude_rad) / DEGREE, [50.0, 60.0], [1.0, 0.3]))
-    return warm * high * max(0.0, math.cos(2.0 * math.pi * (hour - WARMEST_HOUR) / 24.0))
+    snowless = float(np.interp(abs(latitude_rad) / DEGREE, [50.0, 60.0], [1.0, 0.3]))
+    sunny = max(0.0, math.cos(2.0 * math.pi * (hour - WARMEST_HOUR) / 24.0))
+    return warm * snowless * np.interp(reduced_m, _UNMIXED_BY_NIGHT_M, [sunny, 1.0])
 
 
 @dataclass(frozen=True)
