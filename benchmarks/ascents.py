@@ -79,7 +79,7 @@ class Ascent:
         return 2.0 * _EARTH_KM * math.asin(math.sqrt(chord))
 
     def is_judged(self) -> bool:
-        """Whether it belongs to the half that judges: blocks of days of a station, else stations."""
+        """Whether it belongs to the half that judges: blocks of days, by place."""
         days = self.time_ns // (86_400 * 10**9)
         block = days // _BLOCK_DAYS
         place = round(math.degrees(self.latitude_rad) * 20) + round(

@@ -1,6 +1,8 @@
 """Fits the structure function of the air to public ascents: `atmosphere/data/air_variation.toml`.
 
-    python benchmarks/fit_air.py [--half] [FOLDER] > pipeline/unbend/atmosphere/data/air_variation.toml
+    python benchmarks/fit_air.py [--half] [FOLDER] > air_variation.toml
+
+(into pipeline/unbend/atmosphere/data).
 
 First what the Supplements 1966 lack in the lowest 3 km, on average and by the hour of the day; then
 the parts of `unbend.atmosphere.air_variation`, so that their sum has the second moments of
@@ -18,6 +20,7 @@ import argparse
 import math
 import sys
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +28,6 @@ from ascents import CLIMBS_M, FOLDER, Ascent, read_ascents
 from scipy.optimize import least_squares
 
 from unbend.atmosphere.air_variation import (
-    NOMINAL_TROPOPAUSE_M,
     WARMEST_HOUR,
     correlation,
     mixed_share,
@@ -42,8 +44,8 @@ HEIGHT_M = np.concatenate([LOW_M, HIGH_M])  # reduced heights at which ascents a
 NODE_M = np.array([0.0, 1000.0, 3000.0, 5000.0, 7500.0, 9500.0, 11_500.0, 13_500.0, 16_000.0])
 CLIMATE_NODE_M = np.array([0.0, 1000.0, 3000.0, 6000.0, 9000.0, 11_500.0, 15_000.0])
 GROUND_K, GROUND_DEPTH_M = 1.5, 40.0
-"""Air in the sun, or over a cold field, is off by so much, less by 1/e in so much height: similarity
-theory (Businger et al. 1971) gives 2 K between 2 and 50 m, at 200 W/m2 and a friction velocity of
+"""Air in the sun, or over a cold field, is off by so much, less by 1/e in so much height:
+similarity theory (Businger et al. 1971) gives 2 K between 2 and 50 m, at 200 W/m2 and a friction velocity of
 0.3 m/s."""
 GROUND_NODE_M = np.array([0.0, 15.0, 30.0, 50.0, 80.0, 120.0, 200.0, 320.0])
 
@@ -65,10 +67,10 @@ FINE_K = np.array([2.0, 2.0, 2.0, 2.0, 0.8])
 LOWEST_2_KM = np.array([1.0, 1.0, 1.0, 1.0, 0.0])
 MIXED_NODES = np.array([1.0, 1.0, 1.0, 0.0, 0.0])  # inversions stay at the top of mixed air
 """Fine structure: its amplitude at `FINE_NODE_M` in stable air, and how it is shared between a part
-with kinks, all of it at the ground and 0.55 of the variance from 300 m on, and one without, from nine
-ascents with all their levels (docs/decisions.md)."""
+with kinks, all of it at the ground and 0.55 of the variance from 300 m on, and one without, from
+nine ascents with all their levels (docs/decisions.md)."""
 
-FUNCTIONAL_WEIGHT = 2.0  # of the logarithms of the variances of R and T, beside a row of a matrix
+FUNCTIONAL_WEIGHT = 2.0  # of logarithms of variances of R and T, beside a row of a matrix
 
 
 @dataclass
@@ -166,7 +168,9 @@ def r_by_temperature() -> np.ndarray:
 R_BY_TEMPERATURE = r_by_temperature()
 
 
-def moments_of(values: list[np.ndarray] | np.ndarray, weight: float, mixed: np.ndarray, **how) -> Moments:
+def moments_of(
+    values: list[np.ndarray] | np.ndarray, weight: float, mixed: np.ndarray, **how
+) -> Moments:
     """Second moments of departures or changes (m, n)."""
     values = np.asarray(values)
     by = np.where(np.abs(R_BY_TEMPERATURE) > 1e-9, R_BY_TEMPERATURE, 0.0)
@@ -210,7 +214,7 @@ def observed(departures: Departures) -> list[Moments]:
             moments.append(moments_of(kelvin[later] - kelvin[first], weight, share, hours=lag))
     america = np.flatnonzero(np.char.startswith(groups, "n_america"))
     km = np.array([[ascents[i].km_from(ascents[j]) for j in america] for i in america])
-    for low, high in zip(DISTANCES_KM[:-1], DISTANCES_KM[1:], strict=True):
+    for low, high in pairwise(DISTANCES_KM):
         first, other = np.nonzero(np.triu((km > low) & (km <= high), 1))
         if first.size >= FEWEST:
             changes = kelvin[america[first]] - kelvin[america[other]]
@@ -293,7 +297,8 @@ class Model:
         sums = [np.zeros(apart.shape) for _ in of]
         for part in self.tables().values():
             stable, mixed = (
-                np.interp(HEIGHT_M, part["height_m"], part[key]) for key in ("sigma_k", "mixed_sigma_k")
+                np.interp(HEIGHT_M, part["height_m"], part[key])
+                for key in ("sigma_k", "mixed_sigma_k")
             )
             shape = correlation(apart, part["length_m"], kinked=part["shape"] == "kinked")
             for i, moment in enumerate(of):
@@ -311,7 +316,8 @@ def fitted(moments: list[Moments]) -> Model:
         parts = [0.3 * (numbers - START) / EXPECTED]
         for moment, matrix in zip(moments, Model(numbers).moments(moments), strict=True):
             sigma = np.sqrt(np.maximum(np.diag(moment.matrix), 1.0))
-            off = (matrix - moment.matrix) / np.outer(sigma, sigma) / math.sqrt(sigma.size)
+            off = (matrix - moment.matrix) / np.outer(sigma, sigma)
+            off /= math.sqrt(sigma.size)
             r = np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
             of_r = FUNCTIONAL_WEIGHT * np.log(r / moment.r)
             of_t = np.log(np.diag(matrix) / sigma**2) / math.sqrt(sigma.size)

@@ -32,12 +32,14 @@ NOMINAL_TROPOPAUSE_M = 11_500.0  # reduced height of the tropopause [m]
 STRETCHED_ABOVE_M = 3000.0  # below, a reduced height is the height above the ground [m]
 LOWEST_TROPOPAUSE_M = 6000.0  # above the ground, over the highest plateaus [m]
 
+CYCLE_LENGTH_M = 5000.0  # correlation in height of the day's cycle, its hour unknown [m]
+SPRING = 4.0  # a month between the seasons, where none is known
 WARMEST_HOUR = 15.0  # mean local time when the lowest air is warmest [h]
 
 _WEATHER_DEG, _WEATHER = (15.0, 35.0, 50.0, 60.0), (0.35, 1.0, 1.0, 1.4)
-"""Amplitude of weather at latitudes over that in middle ones: 16 ascents over Darwin and the Atlantic
-depart by 1 to 1.5 K within a season, where others do by 3 to 5 K, and 16 north of 52 degrees by half
-as much again."""
+"""Amplitude of weather at latitudes over that in middle ones: 16 ascents over Darwin and the
+Atlantic depart by 1 to 1.5 K within a season, where others do by 3 to 5 K, and 16 north of 52
+degrees by half as much again."""
 
 _TROPOPAUSE_DEG = (20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
 _TROPOPAUSE_M = (16_500.0, 14_500.0, 12_500.0, 11_200.0, 10_000.0, 9_200.0)
@@ -69,7 +71,9 @@ class Part:
 
     def alike(self, hours: Array | float, metres: Array | float) -> Array:
         """Correlation of the part over hours and metres."""
-        return np.asarray(np.exp(-np.divide(hours, self.memory_h) - np.divide(metres, self.reach_m)))
+        return np.asarray(
+            np.exp(-np.divide(hours, self.memory_h) - np.divide(metres, self.reach_m))
+        )
 
     def covariance(self, h: Array, other_h: Array, other: "Part | None" = None) -> Array:
         """(n, m) covariance [K2] at heights (n,) and (m,) [m above sea level]; of the air of the
@@ -100,7 +104,7 @@ def covariance_of(parts: Parts, h: Array, other_h: Array) -> Array:
 def sigma_of(parts: Parts, h: Array) -> Array:
     """One sigma [K] of the sum of parts at heights (n,) [m above sea level]."""
     squares = [np.interp(h, part.h_m, part.sigma_k) ** 2 for part in parts]
-    return np.sqrt(np.sum(squares, axis=0))
+    return np.asarray(np.sqrt(np.sum(squares, axis=0)))
 
 
 def changes(parts: Parts, hours: float, metres: float = 0.0) -> Parts:
@@ -124,7 +128,7 @@ def correlation(apart_m: Array, length_m: float, *, kinked: bool) -> Array:
 def variation_parts(
     latitude_rad: float, month: float, ground_h_m: float, hour: float | None = None
 ) -> Parts:
-    """The parts at a latitude, season and mean local time [h], over a ground [m above sea level]."""
+    """The parts at a latitude, season and mean local time [h] over a ground [m above sea level]."""
     h = np.arange(ground_h_m - 1000.0, _TOP_M, _STEP_M)
     h = np.union1d(h, ground_h_m + np.array([0.0, *_NEAR_GROUND_M]))
     reduced = reduced_height(h, ground_h_m, tropopause_m(latitude_rad, month))
@@ -133,7 +137,8 @@ def variation_parts(
     parts = []
     for name, table in _tables()["parts"].items():
         stable_k, mixed_k = (
-            np.interp(reduced, table["height_m"], table[key]) for key in ("sigma_k", "mixed_sigma_k")
+            np.interp(reduced, table["height_m"], table[key])
+            for key in ("sigma_k", "mixed_sigma_k")
         )
         sigma = (1.0 - mixed) * stable_k + mixed * mixed_k
         if name == "climate":  # aloft the tables depart from the tropics as from other latitudes

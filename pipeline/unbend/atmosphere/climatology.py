@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unbend.atmosphere import messages
-from unbend.atmosphere.air_variation import DailyCycle, Part, Parts, sigma_of, variation_parts
+from unbend.atmosphere.air_variation import (
+    CYCLE_LENGTH_M,
+    SPRING,
+    DailyCycle,
+    Part,
+    Parts,
+    sigma_of,
+    variation_parts,
+)
 from unbend.atmosphere.climate_tables import SUPPLEMENTS, season
 from unbend.atmosphere.layers import STANDARD, stack_layers
 from unbend.atmosphere.profile import Profile
@@ -20,7 +28,6 @@ from unbend.units import DEGREE, Array
 
 HUMIDITY_CORRELATION_M = 1000.0
 
-_NO_SEASON = 4.0
 _SPREAD_TOP_M, _SPREAD_STEP_M = 30_000.0, 250.0
 _DRY_ABOVE_M = 12_000.0  # above, all humidities weigh less than 1e-4 of n - 1
 _DAILY_TO_M, _DAILY_STEP_M = 3000.0, 50.0  # heights above the ground that the day warms [m]
@@ -165,7 +172,7 @@ def _with_day(profile: Profile, daily: DailyCycle, hour: float | None) -> Profil
     beside = np.min(np.abs(inner[:, None] - added), axis=1) > 1.0
     edge = np.unique(np.concatenate([profile.layers.edge[[0, -1]], inner[beside], added]))
     h = gravity.height(edge)
-    t_m, pressure, vapour = profile.state(h)
+    t_m, _, vapour = profile.state(h)
     warmer = daily.mean_k(h) + daily.of_hour_k(h, hour)
     return replace(
         profile,
@@ -189,7 +196,7 @@ def month_of(time_ns: int | None) -> float:
     (6.95, 4.0)
     """
     if time_ns is None:
-        return _NO_SEASON
+        return SPRING
     day = np.datetime64(int(time_ns), "ns").astype("datetime64[D]")
     into = float((day - day.astype("datetime64[Y]")).astype(np.float64))
     return (into - 14.0) / 365.25 * 12.0 + 1.0
@@ -212,7 +219,7 @@ def expected_spread(
     if hour is None:
         cycle = DailyCycle(latitude_rad, month, ground_h_m).by_hour_k(parts[0].h_m)
         of_day = cycle / math.sqrt(2.0)  # of a cosine at any time
-        parts = (*parts, Part("hour", parts[0].h_m, of_day, _OTHER_TABLE_LENGTH_M))
+        parts = (*parts, Part("hour", parts[0].h_m, of_day, CYCLE_LENGTH_M))
     above_ground = np.maximum(h - ground_h_m, 0.0)
     humidity = np.interp(above_ground, [0.0, 1000.0, 10_000.0, 13_000.0], [0.15, 0.3, 0.3, 0.15])
     level = 0.006 + away * (0.004 + 0.003 * winter)

@@ -11,7 +11,7 @@ from unbend.atmosphere.estimate.adjusted_profile import Adjustment, build_adjust
 from unbend.atmosphere.estimate.candidates import ExternalSources, no_source_used
 from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.series import profile_series
-from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
+from unbend.atmosphere.series.profile_series import FlightPath, ProfileSeries, TimedProfile
 from unbend.atmosphere.series.profiles_by_place import add_model_changes
 from unbend.atmosphere.series.time_windows import TimeWindow, estimate_windows
 from unbend.config import Mission
@@ -76,7 +76,9 @@ def adjusted_profiles(
     if model is not None and not is_used(model, adjustment):
         model = None
     levels = levels_of_mission(mission, stations, sources)
-    return profiles_in_time(adjustment, stations, levels, model, ledger)
+    # A model knows the distance better than the path does: see `add_model_changes`.
+    path = sources.path if model is None else None
+    return profiles_in_time(adjustment, stations, levels, model, ledger, path=path)
 
 
 def levels_of_mission(mission: Mission, stations: Stations, sources: AirSources) -> Levels:
@@ -100,8 +102,12 @@ def profiles_in_time(
     levels: Levels,
     model: ModelAir | None,
     ledger: Ledger,
+    *,
+    path: FlightPath | None = None,
 ) -> FlightAir:
     """The profile of each exposure at its time, and at its place where a ``model`` knows it.
+
+    Without a model its sigma grows with the distance on the ``path`` of the flight.
 
     Exposures without a time, and images without an exposure, get the profile of the middle
     exposure.
@@ -129,7 +135,9 @@ def profiles_in_time(
             series = profile_series.interpolate_series(airs, times, h_c, h_g)
         if adjustment.samples is not None:
             series = ledger.take(
-                profile_series.add_ageing(series, times, adjustment.samples, max(h_c), h_g)
+                profile_series.add_ageing(
+                    series, times, adjustment.samples, max(h_c), h_g, path=path
+                )
             )
         if model is not None:
             is_measured = adjustment.time_ns is not None

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from unbend.atmosphere import surface_report
 from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.air_variation import solar_hour
 from unbend.atmosphere.climatology import Climatology, climatology, month_of
 from unbend.atmosphere.estimate.external_readings import TimeAndPlace, distance_notes
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.atmosphere.series.profile_series import Place
+from unbend.atmosphere.series.profile_series import FlightPath, Place
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.model_field import ModelField, model_column
@@ -277,6 +278,7 @@ class AirSources:
     time_ns, longitude_rad : the middle of the flight.
     lowest_h_m : the lowest height at which the log sampled the air, else that of the take-off,
         else 0 [m above sea level].
+    path : where the flight was.
     calibration : the known errors of sensors.
     """
 
@@ -287,6 +289,7 @@ class AirSources:
     longitude_rad: float = math.nan
     lowest_h_m: float = 0.0
     model: ModelAir | None = None
+    path: FlightPath | None = None
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
 
     def lines(self) -> list[tuple[str, str]]:
@@ -359,6 +362,7 @@ def read_air_sources(
         index=index_of(section),
         ground_h_m=lowest_h_m,
         longitude_rad=longitude if known.size else 0.0,
+        hour=solar_hour(flight_ns, longitude),
     )
     soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
     surface = read_reports(section, flight_ns, background, ledger)
@@ -375,6 +379,7 @@ def read_air_sources(
         longitude_rad=longitude,
         lowest_h_m=lowest_h_m,
         model=model,
+        path=flight_path(flight.track),
         calibration=section.sensors.calibration,
     )
     if not section.adjust:
@@ -425,6 +430,18 @@ def report_unused(sources: AirSources, ledger: Ledger) -> None:
                 calibrations=len(sources.calibration),
             )
         )
+
+
+def flight_path(track: Track | None) -> FlightPath | None:
+    """The known positions of a track; None where there are none."""
+    if track is None:
+        return None
+    time_ns, latitude, longitude = track
+    known = np.isfinite(latitude + longitude)
+    if not bool(known.any()):
+        return None
+    east = longitudes_near(longitude[known], float(longitude[known][0]))
+    return FlightPath(time_ns[known], latitude[known], east)
 
 
 def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:

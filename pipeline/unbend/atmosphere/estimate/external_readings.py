@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from unbend.atmosphere.air_variation import changes, sigma_of, solar_hour, variation_parts
+from unbend.atmosphere.air_variation import SPRING, changes, sigma_of, solar_hour, variation_parts
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import messages, sensors
 from unbend.atmosphere.estimate.state import TOP_M, Departure, Drift, Separation, exponential
@@ -54,7 +54,6 @@ STATION_K, STATION_RH, STATION_LOG_P = 1.5, 0.06, 5e-4
 THIN_M = 100.0  # levels of a sounding are averaged over this [m']
 
 HUMIDITY_BELOW_M = 12_000.0
-_SPRING = 4.0  # a month between the seasons
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ def distance_notes(
         if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
             yield messages.sounding_unplaced(where=name, km=UNPLACED_M / 1e3)
         if metres > FAR_M:
-            parts = variation_parts(flight.latitude_rad, _SPRING, ground_h_m=0.0)
+            parts = variation_parts(flight.latitude_rad, SPRING, ground_h_m=0.0)
             kelvin = sigma_of(changes(parts, 0.0, metres), np.array([FAR_SHOWN_M]))[0]
             worth = f"temperatures are {kelvin:.1f} K less certain for that"
             worth = worth if metres <= MOST_METRES else "it has no information on its air"
@@ -158,7 +157,9 @@ def sounding_departures(
     for sounding in inside:
         levels = gravity.geopotential_height(sounding.h_m)
         knots = _departure_knots(levels[_inside(sounding, background)])
-        sigma = np.interp(knots, levels, np.broadcast_to(sounding.errors.temperature_k, levels.shape))
+        sigma = np.interp(
+            knots, levels, np.broadcast_to(sounding.errors.temperature_k, levels.shape)
+        )
         errors = np.outer(sigma, sigma) * exponential(knots, sounding.errors.temperature_length_m)
         h = gravity.height(knots)
         then = solar_hour(sounding.time_ns, _longitude(sounding, flight))
@@ -296,11 +297,11 @@ def surface_readings(
     readings: list[sensors.Readings] = []
     if np.isfinite(t := report.temperature_k):
         here = np.array([report.h_m])
-        of_air = STATION_K**2 + report.sigma_temperature_k**2
-        of_air += sigma_of(changes(background.spread.parts, hours, metres), here) ** 2
+        instrument = np.hypot(STATION_K, report.sigma_temperature_k)
+        changed = sigma_of(changes(background.spread.parts, hours, metres), here)
         then = solar_hour(report.time_ns, flight.longitude_rad)
         now = t + background.warming_since(then, here)
-        readings.append(sensors.Temperatures(name, height, now, np.sqrt(of_air)))
+        readings.append(sensors.Temperatures(name, height, now, np.hypot(instrument, changed)))
     if np.isfinite(pressure):
         instrument = np.hypot(STATION_LOG_P, report.sigma_pressure_pa / pressure)
         weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * report.distance_m)
