@@ -45,14 +45,16 @@ NODE_M = np.array([0.0, 1000.0, 3000.0, 5000.0, 7500.0, 9500.0, 11_500.0, 13_500
 CLIMATE_NODE_M = np.array([0.0, 1000.0, 3000.0, 6000.0, 9000.0, 11_500.0, 15_000.0])
 GROUND_K, GROUND_DEPTH_M = 1.5, 40.0
 """Air in the sun, or over a cold field, is off by so much, less by 1/e in so much height:
-similarity theory (Businger et al. 1971) gives 2 K between 2 and 50 m, at 200 W/m2 and a friction velocity of
-0.3 m/s."""
+similarity theory (Businger et al. 1971) gives 2 K between 2 and 50 m, at 200 W/m2 and a friction
+velocity of 0.3 m/s."""
 GROUND_NODE_M = np.array([0.0, 15.0, 30.0, 50.0, 80.0, 120.0, 200.0, 320.0])
 
 LAGS_H = (12, 24, 36, 48, 72, 120, 240)
 DISTANCES_KM = (0, 450, 600, 900, 1300, 2000, 3500)
 MIDDLE_LATITUDES_DEG = 24.0  # from here on the moments are fitted; nearer are 16 ascents
 CLIMATE_MEMORY_H = 1000.0  # what a place has beside its climatology stays for weeks
+STRATOSPHERE_M, STRATOSPHERE_K = (18_000.0, 22_000.0), (3.0, 5.0)
+"""Above the ascents: judgement, it weighs little in R."""
 GROUP_WEIGHT = 30.0  # pairs of one lag or distance share ascents: they count as so many at most
 FEWEST = 8  # ascents, or pairs, that have moments
 DAY_HOURS = (8.0, 20.0)
@@ -236,8 +238,8 @@ START = np.concatenate([
     np.log([1.0, 0.5]),  # factor of the fine structure below 2 km, and of that in mixed air
 ])  # fmt: skip
 EXPECTED = np.concatenate([
-    np.full(9, 2.0), np.full(9, 1.0), np.full(7, 1.5), [0.5], [0.4, 0.2, 0.1, 0.2], [0.4, 0.4, 0.4, 0.1, 0.1],
-    [0.05, 0.4],
+    np.full(9, 2.0), np.full(9, 1.0), np.full(7, 1.5),
+    [0.5], [0.4, 0.2, 0.1, 0.2], [0.4, 0.4, 0.4, 0.1, 0.1], [0.05, 0.4],
 ])  # fmt: skip
 """How far the fit may be from its start before that costs as much as a moment."""
 WAVES_LENGTH_M = 20_000.0  # one pattern from the ground to the stratosphere
@@ -268,7 +270,12 @@ class Model:
         shapes = {
             "waves": (NODE_M, x[:9], WAVES_LENGTH_M, "smooth"),
             "layers": (NODE_M, x[9:18], length, "smooth"),
-            "climate": (CLIMATE_NODE_M, x[18:25], CLIMATE_LENGTH_M, "smooth"),
+            "climate": (
+                np.append(CLIMATE_NODE_M, STRATOSPHERE_M),
+                np.append(x[18:25], STRATOSPHERE_K),
+                CLIMATE_LENGTH_M,
+                "smooth",
+            ),
             "ground": (GROUND_NODE_M, ground, WAVES_LENGTH_M, "smooth"),
         }
         mixed_k = {}
@@ -372,7 +379,7 @@ def main() -> None:
     model = fitted(moments)
     for moment, matrix in zip(moments, model.moments(moments), strict=True):
         r = np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
-        what = f"{moment.hours:.0f} h, {moment.km:.0f} km, {moment.mixed[0]:.1f} {moment.mixed[-1]:.1f} mixed"
+        what = f"{moment.hours:.0f} h, {moment.km:.0f} km, {moment.mixed[0]:.1f} mixed"
         ratios = ", ".join(f"{ratio:.2f}" for ratio in np.sqrt(moment.r / r))
         kelvin = np.sqrt(np.diag(moment.matrix) / np.diag(matrix))[::4]
         of_t = ", ".join(f"{ratio:.2f}" for ratio in kelvin)

@@ -33,6 +33,7 @@ STRETCHED_ABOVE_M = 3000.0  # below, a reduced height is the height above the gr
 LOWEST_TROPOPAUSE_M = 6000.0  # above the ground, over the highest plateaus [m]
 
 CYCLE_LENGTH_M = 5000.0  # correlation in height of the day's cycle, its hour unknown [m]
+CYCLE_MEMORY_H = 6.0  # the same in time: a quarter of a day
 SPRING = 4.0  # a month between the seasons, where none is known
 WARMEST_HOUR = 15.0  # mean local time when the lowest air is warmest [h]
 

@@ -147,7 +147,7 @@ def change_parts(
     at = parts[0].h_m
     age, away = (np.interp(at, h_m, np.broadcast_to(x, h_m.shape)) for x in (hours, metres))
     cycle = DailyCycle(latitude, SPRING, ground_h_m).by_hour_k(at)
-    day = cycle * np.sqrt(1.0 - np.cos(2.0 * np.pi * np.minimum(age, 12.0) / 24.0))
+    day = cycle * np.sqrt(1.0 - np.cos(2.0 * np.pi * age / 24.0))
     return (*(part.change(age, away) for part in parts), Part("day", at, day, CYCLE_LENGTH_M))
 
 
