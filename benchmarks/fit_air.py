@@ -66,7 +66,6 @@ FINE_SHARES = {
     "smooth": np.array([0.0, 0.67, 0.67, 0.67, 0.67]),
 }
 FINE_K = np.array([2.0, 2.0, 2.0, 2.0, 0.8])
-LOWEST_2_KM = np.array([1.0, 1.0, 1.0, 1.0, 0.0])
 MIXED_NODES = np.array([1.0, 1.0, 1.0, 0.0, 0.0])  # inversions stay at the top of mixed air
 """Fine structure: its amplitude at `FINE_NODE_M` in stable air, and how it is shared between a part
 with kinks, all of it at the ground and 0.55 of the variance from 300 m on, and one without, from
@@ -235,11 +234,11 @@ START = np.concatenate([
     np.log([1500.0]),  # length of layers [m]
     np.log([100.0, 32.0, 8.0, 20.0]),  # memory of waves, layers, ground, fine [h]
     np.log([2500.0, 1500.0, 1500.0, 150.0, 300.0]),  # reach, with climate before ground [km]
-    np.log([1.0, 0.5]),  # factor of the fine structure below 2 km, and of that in mixed air
+    np.log([0.5]),  # factor of the fine structure in mixed air
 ])  # fmt: skip
 EXPECTED = np.concatenate([
     np.full(9, 2.0), np.full(9, 1.0), np.full(7, 1.5),
-    [0.5], [0.4, 0.2, 0.1, 0.2], [0.4, 0.4, 0.4, 0.1, 0.1], [0.05, 0.4],
+    [0.5], [0.4, 0.2, 0.1, 0.2], [0.4, 0.4, 0.4, 0.1, 0.1], [0.4],
 ])  # fmt: skip
 """How far the fit may be from its start before that costs as much as a moment."""
 WAVES_LENGTH_M = 20_000.0  # one pattern from the ground to the stratosphere
@@ -280,9 +279,9 @@ class Model:
         }
         mixed_k = {}
         for name, fine_length in FINE_LENGTH_M.items():
-            stable = FINE_K * FINE_SHARES[name] * np.exp(x[35] * LOWEST_2_KM)
+            stable = FINE_K * FINE_SHARES[name]
             shapes[name] = (FINE_NODE_M, stable, fine_length, name)
-            mixed_k[name] = stable * np.exp(x[36] * MIXED_NODES)
+            mixed_k[name] = stable * np.exp(x[35] * MIXED_NODES)
         memory |= {"climate": CLIMATE_MEMORY_H, "kinked": memory["fine"], "smooth": memory["fine"]}
         reach |= {"kinked": reach["fine"], "smooth": reach["fine"]}
         return {
@@ -336,7 +335,7 @@ def fitted(moments: list[Moments]) -> Model:
     low[9:18] = LEAST_K
     low[0] = LEAST_WAVES_K
     low[18:25] = LEAST_CLIMATE_K
-    low[36] = math.log(LEAST_MIXED)
+    low[35] = math.log(LEAST_MIXED)
     return Model(least_squares(residuals, START, bounds=(low, np.inf)).x)
 
 
