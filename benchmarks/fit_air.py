@@ -230,7 +230,7 @@ NAMES = ("waves", "layers", "climate", "ground")
 START = np.concatenate([
     [2.0, 3.0, 5.0, 5.5, 5.0, 1.5, -4.0, -4.5, -1.5],  # waves [K] at NODE_M
     [2.0, 3.0, 2.0, 2.0, 2.0, 3.0, 2.5, 2.0, 2.0],  # layers [K] at NODE_M
-    [6.0, 5.0, 3.0, 2.0, 2.0, 2.0, 2.0],  # climate [K] at CLIMATE_NODE_M
+    [7.0, 6.0, 3.5, 2.0, 2.0, 2.0, 2.0],  # climate [K] at CLIMATE_NODE_M
     np.log([1500.0]),  # length of layers [m]
     np.log([100.0, 32.0, 8.0, 20.0]),  # memory of waves, layers, ground, fine [h]
     np.log([2500.0, 1500.0, 1500.0, 150.0, 300.0]),  # reach, with climate before ground [km]
@@ -246,7 +246,7 @@ CLIMATE_LENGTH_M = 15_000.0
 LEAST_WAVES_K = 1.5  # at the ground: inversions there are of other parts
 LEAST_MIXED = 0.25  # of the fine structure stays in mixed air: thermals
 LEAST_K = 1.0  # amplitude of layers, also where no ascent shows any
-LEAST_CLIMATE_K = np.array([4.5, 4.0, 2.0, 1.5, 1.0, 1.0, 1.0])
+LEAST_CLIMATE_K = np.array([6.5, 5.8, 3.0, 1.8, 1.0, 1.0, 1.0])
 """What groups of ascents depart by together: R hardly sees it, stations at the ground do [K]."""
 
 
