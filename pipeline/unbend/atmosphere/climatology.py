@@ -220,7 +220,10 @@ def expected_spread(
     if hour is None:
         cycle = DailyCycle(latitude_rad, month, ground_h_m).by_hour_k(parts[0].h_m)
         of_day = cycle / math.sqrt(2.0)  # of a cosine at any time
-        parts = (*parts, Part("hour", parts[0].h_m, of_day, CYCLE_LENGTH_M, memory_h=CYCLE_MEMORY_H))
+        parts = (
+            *parts,
+            Part("hour", parts[0].h_m, of_day, CYCLE_LENGTH_M, memory_h=CYCLE_MEMORY_H),
+        )
     above_ground = np.maximum(h - ground_h_m, 0.0)
     humidity = np.interp(above_ground, [0.0, 1000.0, 10_000.0, 13_000.0], [0.15, 0.3, 0.3, 0.15])
     level = 0.006 + away * (0.004 + 0.003 * winter)
