@@ -355,7 +355,7 @@ def test_a_station_is_worth_its_kelvin_and_half_a_hectopascal(ascents):
     assert 1.3 < made.covariance.sigma_temperature(ground).item() < 1.7
     assert 5e-4 < made.covariance.sigma_log_pressure(ground).item() < 9e-4
     aged, _ = adjusted(truth, surface=[station(truth, 6.0)])
-    # The prior of 6 K with 1.6 K, and 3 K of six hours of an unknown part of the day; 3 hPa of them.
+    # The prior of 6 K with 1.6 K, and 3 K of six hours somewhere in the day; 3 hPa of them.
     assert 2.2 < aged.covariance.sigma_temperature(ground).item() < 3.7
     assert 2.5e-3 < aged.covariance.sigma_log_pressure(ground).item() < 3.5e-3
     rounded, _ = adjusted(truth, surface=[station(truth, sigma_temperature_k=3.0)])
