@@ -151,3 +151,24 @@ def test_numbers_that_no_ground_has(values, code):
         surface_report(**({"h_m": 250.0} | values))
     assert caught.value.code == code
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "LOWW 121150Z 33009KT CAVOK 06/02 Q1026= LOWI 121150Z 33009KT CAVOK 04/02 Q0996=",
+        "METAR LOWW 121150Z 33009KT 06/02 Q1026\nMETAR LOWW 121220Z 33009KT 07/02 Q1026",
+    ],
+)
+def test_of_several_reports_none_is_guessed(text):
+    with pytest.raises(InputError) as caught:
+        parse_metar(text, 200.0, Ledger())
+    assert caught.value.code == "METAR-PARSE"
+    assert "2 reports" in caught.value.what
+
+
+@pytest.mark.parametrize("stamp", ["321150Z", "122450Z", "121160Z"])
+def test_a_time_that_is_none_is_refused(stamp):
+    with pytest.raises(InputError) as caught:
+        parse_metar(f"LOWW {stamp} 33009KT CAVOK 06/02 Q1026", 200.0, Ledger())
+    assert caught.value.code == "METAR-PARSE"

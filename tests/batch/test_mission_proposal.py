@@ -122,7 +122,7 @@ def test_nothing_is_written_over(mission, unbend, tmp_path):
 
 def test_wrong_inputs_are_refused_in_words(mission, unbend, tmp_path):
     (tmp_path / "no.bin").write_bytes(b"nothing of a log" * 100)
-    (tmp_path / "no.csv").write_text("image;point\na;b\n", encoding="utf-8")
+    (tmp_path / "no.csv").write_text("image,point\na,b\nc,d,e\n", encoding="utf-8")
     assert "LOG-FORMAT" in unbend("init", tmp_path / "no.bin", "--out", "-").err
     assert "LOG-MISSING" in unbend("init", tmp_path / "none.bin", "--out", "-").err
     assert "OBS-CSV" in unbend("init", mission.log, tmp_path / "no.csv", "--out", "-").err

@@ -672,7 +672,6 @@ def test_aliases_cannot_swell(refused):
           "heights": None}, "no vertical, no north and no scale"),
         ({"frame": "unknown", "angles": "quaternion", "known_positions": "log"},
          "not columns.latitude"),
-        ({"known_positions": {"path": "k.csv"}}, "known_positions are for frame: unknown"),
         ({"angles": "quaternion", "frame": "ecef"}, "convergence_deg is for frame: geographic"),
         ({"frame": "projected"}, "projected needs crs"),
         ({"date": "14.5.2026"}, "no date like"),
@@ -702,3 +701,12 @@ def test_without_a_log_nothing_comes_from_a_log(refused, accepted):
     assert "needs log and events" in refused(oriented(unknown)).what
     air = {"board_temperature": True}
     assert "log.channels.temperature" in refused(no_log | {"atmosphere": air}).what
+
+
+def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
+    content = copy.deepcopy(FULL)
+    content["log"]["channels"] = {"temperature": None, "pressure": "BARO[0]"}
+    content["atmosphere"].pop("board_temperature", None)  # it needs a named thermometer
+    channels = accepted(content).log.channels
+    assert channels.empty == ("temperature",)
+    assert list(channels.named()) == ["pressure"]

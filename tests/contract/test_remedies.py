@@ -10,6 +10,12 @@ from unbend.atmosphere.soundings.formats import PLACE_COLUMNS, PLAIN_COLUMNS
 from unbend.config import Mission
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pipeline" / "unbend"
+OF_FILES = {"calibrated_camera_parameters", "tp_pix4d"}
+"""Parts of names of files that Pix4D writes."""
+
+OF_EXPORTS = {"origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"}
+"""Columns of ``unbend export --format opk-enu``."""
+
 WORD = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)+")
 
 
@@ -43,6 +49,7 @@ def test_remedies_name_keys_that_exist():
     known = (
         keys_of_mission_files(Mission.model_json_schema()) | set(PLAIN_COLUMNS) | set(PLACE_COLUMNS)
     )
+    known |= OF_FILES | OF_EXPORTS
     words = words_of_remedies()
     assert len(words) >= 7
     assert "station_h_msl_m" in words

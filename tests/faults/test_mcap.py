@@ -229,6 +229,18 @@ def test_a_damaged_length_of_a_message_costs_that_message(tmp_path: Path) -> Non
     assert {e.code for e in log.ledger if e.kind == "loss"} >= {"LOG-BAD-BYTES", "LOG-INCONSISTENT"}
 
 
+def test_a_log_without_an_end_of_its_data_says_so(tmp_path: Path) -> None:
+    """The record that ends the data is cut out, and no checksum tells."""
+    data = small_logs()[3]
+    end_of_data = b"\x0f" + struct.pack("<Q", 4)
+    at = data.rindex(end_of_data)
+    log = read(tmp_path / "end.mcap", data[:at] + data[at + len(end_of_data) + 4 :])
+    assert sum(log.messages.values()) == 4 * 120 + 12
+    losses = [e.what for e in log.ledger if e.code == "LOG-INCONSISTENT"]
+    assert len(losses) == 1
+    assert "but no record ends the data" in losses[0]
+
+
 def test_a_message_that_changed_its_topic_is_noticed(tmp_path: Path) -> None:
     """The total stays what the statistics say; the topics do not."""
     data = bytearray(small_logs()[3])
@@ -246,6 +258,7 @@ def test_definitions_from_the_summary_save_a_log_that_lost_its_first_chunk(
 ) -> None:
     """Writers define channels in the first chunk that needs them."""
     monkeypatch.setattr("unbend.ingest.mcap.mcap_records.SPAN", 8192)  # as if the log were long
+    monkeypatch.setattr("unbend.ingest.mcap.message_batches.BATCH_BYTES", 8192)
     data = bytearray(small_logs()[0])
     begin, end, lost = next(chunks(bytes(data)))
     data[end - 40] ^= 0xFF

@@ -183,9 +183,13 @@ def test_along_follows_a_drifting_clock_and_does_not_extrapolate_the_drift() -> 
         (5003, slice(0, 150), "loss", 150),
         (999, slice(390, 400), "loss", 10),  # a leap second late in a flight: not in p5 to p95
         (999, slice(200, 204), "note", 400),  # a glitch
-        (201, slice(200, 205), "loss", 5),
-        (199, slice(200, 205), "note", 400),
-        (86_400_000, slice(399, 400), "loss", 1),
+        (999, slice(200, 249), "note", 49),  # 9.6 s, and then as before
+        (999, slice(200, 251), "loss", 51),  # 10 s
+        (201, slice(395, 400), "loss", 5),  # it may have lasted beyond the log
+        (201, slice(200, 205), "note", 400),
+        (1200, slice(0, 2), "note", 2),  # written late, as the logger began
+        (604_800_001, slice(0, 3), "note", 3),  # the week number came late
+        (86_400_000, slice(399, 400), "note", 1),
     ],
 )
 def test_a_stepping_clock_is_a_loss_counted_and_placed(late_ms, rows, kind, count):
@@ -200,14 +204,26 @@ def test_a_stepping_clock_is_a_loss_counted_and_placed(late_ms, rows, kind, coun
         assert entry.where == f"boot 0, first {50 + rows.start / 5:.3f} s after boot"
 
 
-@pytest.mark.parametrize(("late_s", "kind"), [(0.9, "note"), (1.5, "loss"), (5.0, "loss")])
-def test_a_single_stamp_more_than_a_second_off_is_a_loss(late_s: float, kind: str) -> None:
-    """p5 and p95 of 400 rows do not see it."""
+@pytest.mark.parametrize("late_s", [0.9, 1.5, 5.0])
+def test_a_single_stamp_that_is_off_is_no_step(late_s: float) -> None:
+    """p5 and p95 of 400 rows do not see it, and the median does not follow it."""
     boot_ns = np.arange(400) * SECOND
     utc_ns = boot_ns + 1_700_000_000 * SECOND
     utc_ns[200] += round(late_s * SECOND)
     fit = fit_offset(utc_ns, boot_ns)
     assert (fit.spread_ns, fit.largest_ns, fit.far) == (0, round(late_s * SECOND), 1)
     entry = clock_fit_note("400 GPS rows", fit, "boot 0")
-    assert (entry.kind, entry.count) == (kind, 400 if kind == "note" else 1)
+    assert (entry.kind, entry.count) == ("note", 400 if late_s < 1.0 else 1)
+    assert "stepped" not in entry.what
     assert f"the farthest is {late_s * 1000:.0f} ms off" in entry.what
+
+
+def test_stamps_that_scatter_are_no_step_and_say_how_good_utc_is() -> None:
+    """Uniform within 0.18 s to both sides: none is more than 0.2 s off, p5 to p95 are 0.32 s."""
+    boot_ns = np.arange(400) * SECOND
+    jitter_ns = np.random.default_rng(5).integers(-180_000_000, 180_000_000, 400)
+    fit = fit_offset(boot_ns + 1_700_000_000 * SECOND + jitter_ns, boot_ns)
+    entry = clock_fit_note("400 GPS rows", fit, "boot 0")
+    assert (entry.kind, entry.count, fit.far) == ("warning", 400, 0)
+    assert "stepped" not in entry.what
+    assert fit.sigma_ns == pytest.approx(1.4826 * 0.09 * SECOND, rel=0.1)  # the median of |jitter|

@@ -9,12 +9,9 @@ import pytest
 
 from unbend.atmosphere.rejection import Reason
 from unbend.flight.channels import Channel, Source
+from unbend.flight.evidence.autopilot_texts import text_evidence
 from unbend.flight.evidence.contradictions import examine
-from unbend.flight.evidence.filter_health import (
-    attitude_evidence,
-    filter_evidence,
-    message_evidence,
-)
+from unbend.flight.evidence.filter_health import attitude_evidence, filter_evidence
 from unbend.flight.evidence.source_differences import source_difference
 from unbend.flight.evidence.sources import source_path, velocity_at
 from unbend.flight.evidence.stretches import POSITION, Stretch, flag_suspect, merged, runs
@@ -277,7 +274,7 @@ def test_clipping_accelerometers_make_the_attitude_doubtful():
 def told(*lines: tuple[float, str]) -> list[Stretch]:
     t = np.array([at for at, _ in lines])
     texts = channel("MSG", t)
-    return message_evidence([replace(texts, labels={"text": tuple(text for _, text in lines)})])
+    return text_evidence([replace(texts, labels={"text": tuple(text for _, text in lines)})])
 
 
 def test_what_the_autopilot_says_holds_until_it_says_that_it_is_over():
@@ -292,6 +289,52 @@ def test_what_the_autopilot_says_holds_until_it_says_that_it_is_over():
     switch, _ = told((50.0, "EKF3 lane switch 1"), (90.0, "Mission: 3 WP"))
     assert (switch.end_ns - switch.begin_ns) / SECOND == 5.0
     assert told((10.0, "GPS 1: detected u-blox"), (12.0, "EKF3 IMU0 is using GPS")) == []
+
+
+@pytest.mark.parametrize(
+    ("begins", "ends"),
+    [
+        ("GPS Glitch", "GPS Glitch cleared"),
+        ("GPS Glitch or Compass error", "Glitch cleared"),
+        ("EKF variance", "EKF Failsafe Cleared"),
+        ("EKF variance", "EKF variance has stopped"),
+        ("EKF variance", "EKF variance good again"),
+        ("GPS Glitch", "GPS glitch passed"),
+        ("EKF Failsafe: changed to LAND Mode", "EKF Failsafe Cleared"),
+        ("Dead Reckoning started", "Dead Reckoning ended"),
+        ("dead reckoning active", "dead reckoning stopped"),
+        ("GPS signal lost", "GPS signal regained"),
+        ("GNSS fix lost", "GNSS fix recovered"),
+        ("EKF3 IMU0 stopped aiding", "EKF3 IMU0 is using GPS"),
+        ("Position estimate invalid", "Position estimate valid"),
+        ("Navigation failure", "Navigation recovered"),
+        ("ERR GPS 2", "ERR GPS 0"),
+        ("ERR EKFCHECK 2", "ERR EKFCHECK 0"),
+    ],
+)
+def test_a_text_that_ends_a_trouble_begins_none(begins, ends):
+    (stretch,) = told((50.0, begins), (70.0, ends), (90.0, "Mission: 3 WP"))
+    assert [(s - START) / SECOND for s in (stretch.begin_ns, stretch.end_ns)] == [49.5, 70.0]
+    assert told((70.0, ends)) == []
+
+
+def test_another_trouble_that_ends_does_not_end_this_one():
+    (glitch,) = told((50.0, "GPS Glitch"), (60.0, "EKF Failsafe Cleared"), (70.0, "Glitch cleared"))
+    assert (glitch.end_ns - START) / SECOND == 70.0
+    waits, _ = told((50.0, "GPS signal lost"), (51.0, "Dead reckoning until GPS regained"))
+    assert (waits.end_ns - START) / SECOND > 60.0
+
+
+def test_a_trouble_of_one_channel_of_texts_may_end_in_another():
+    message = replace(channel("MSG", np.array([50.0])), labels={"text": ("EKF variance",)})
+    error = replace(channel("ERR", np.array([65.0])), labels={"text": ("ERR EKFCHECK 0",)})
+    (stretch,) = text_evidence([message, error])
+    assert (stretch.end_ns - START) / SECOND == 65.0
+
+
+def test_a_check_before_take_off_is_no_state_of_the_flight():
+    (moment,) = told((50.0, "PreArm: GPS Glitch"), (90.0, "Mission: 3 WP"))
+    assert (moment.end_ns - moment.begin_ns) / SECOND == 5.0
 
 
 def attitude(name: str, t: np.ndarray, roll_deg, rank_role=("attitude",)) -> Channel:

@@ -11,9 +11,9 @@ from unbend.flight.exposures import (
     ExposureDelay,
     events_of_channel,
     events_of_table,
-    lag_from_feedback,
     unwrapped_numbers,
 )
+from unbend.flight.triggers import lag_from_feedback
 
 SECOND = 10**9
 

@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from unbend.flight.channels import Channel, Source
-from unbend.flight.ground_times import times_on_the_ground
+from unbend.flight.ground_times import (
+    GroundEvidence,
+    LoggedPath,
+    home_is_set,
+    takeoff_of,
+    times_on_the_ground,
+)
 
 SECOND_NS = 1_000_000_000
 
@@ -23,3 +30,78 @@ def test_a_longitude_that_is_unknown_hides_no_landing():
     assert set(range(61)) <= set(on_the_ground_s.tolist())
     assert set(range(661, 720)) <= set(on_the_ground_s.tolist())
     assert not set(range(70, 650)) & set(on_the_ground_s.tolist())
+
+
+HOVER_S = np.arange(190)
+POSITION = ("position",)
+
+
+def hover(**columns: object) -> Channel:
+    """A hover of three minutes 500 m above the take-off, ten seconds 100 m higher at its end."""
+    height_m = np.where(HOVER_S < 180, 950.0, 1050.0)
+    arrays = {"lat_rad": 0.8, "lon_rad": 0.15, "h_msl_m": height_m} | columns
+    arrays = {
+        name: np.broadcast_to(np.asarray(value, float), HOVER_S.shape)
+        for name, value in arrays.items()
+    }
+    return Channel("POS", HOVER_S * SECOND_NS, arrays, Source("POS"), roles=POSITION)
+
+
+def said(name: str, seconds: list[int], column: str, *values: float) -> Channel:
+    times_ns = np.array(seconds) * SECOND_NS
+    return Channel(name, times_ns, {column: np.array(values)}, Source(name))
+
+
+def words(seconds: list[int], *texts: str) -> Channel:
+    times_ns = np.array(seconds) * SECOND_NS
+    return Channel("EV", times_ns, {}, Source("EV"), labels={"text": texts})
+
+
+FLIES = [
+    (hover(h_home_m=500.0), []),
+    (hover(), [said("vehicle_land_detected", [0], "landed", 0.0)]),
+    (hover(), [said("EXTENDED_SYS_STATE", [0, 60], "landed_state", 2.0, 4.0)]),
+    (hover(), [said("STAT", [0], "flying", 1.0)]),
+    (hover(), [said("home_position", [0], "home_h_msl_m", 450.0)]),
+    (hover(), [words([0], "EV NOT_LANDED")]),
+    # two detectors contradict each other: the height above the take-off decides
+    (
+        hover(h_home_m=500.0),
+        [words([0], "EV LAND_COMPLETE"), said("STAT", [0], "flying", 1.0)],
+    ),
+]
+
+
+@pytest.mark.parametrize(("position", "others"), FLIES)
+def test_a_hover_is_no_ground(position: Channel, others: list[Channel]) -> None:
+    evidence = GroundEvidence.of([position, *others])
+    assert times_on_the_ground(position, evidence).size == 0
+    track = tuple(position[name] for name in ("lat_rad", "lon_rad", "h_msl_m"))
+    assert takeoff_of(LoggedPath(position.time_ns, *track), None, evidence) is None
+    assert times_on_the_ground(position).size > 100  # nothing but the motion
+
+
+def test_a_log_that_never_rises_shows_no_ground() -> None:
+    assert times_on_the_ground(hover(h_msl_m=950.0)).size == 0
+
+
+def test_what_the_log_says_of_standing_holds_where_it_stands_still() -> None:
+    """It stands on a hill, 500 m above the lowest place; or at a home that is not set yet."""
+    lowest = np.where(HOVER_S > 185, 450.0, 950.0)
+    on_a_hill = hover(h_msl_m=lowest, h_home_m=500.0)
+    landed = said("vehicle_land_detected", [0, 100], "landed", 1.0, 0.0)
+    evidence = GroundEvidence.of([on_a_hill, landed])
+    on_ground_s = times_on_the_ground(on_a_hill, evidence) // SECOND_NS
+    assert on_ground_s.tolist() == list(range(100))
+    home_m = np.where(HOVER_S < 60, 950.0, 0.0)  # above the sea until home is set
+    unset = hover(h_home_m=home_m)
+    on_ground_s = times_on_the_ground(unset, GroundEvidence.of([unset])) // SECOND_NS
+    assert set(range(60)) <= set(on_ground_s.tolist())
+
+
+def test_a_home_that_was_never_set_is_no_home_at_sea_level():
+    h_msl_m = np.array([500.0, 520.0, np.nan])
+    assert not home_is_set(h_msl_m, h_msl_m).any()
+    assert home_is_set(h_msl_m - 495.0, h_msl_m - 495.0).tolist() == [True, True, False]
+    assert home_is_set(h_msl_m, h_msl_m - [500.0, 0.0, 0.0]).tolist() == [True, False, False]
+    assert home_is_set(np.full(3, np.nan), np.array([1.0, 2.0, 3.0])).all()

@@ -53,6 +53,27 @@ def test_names_change_only_where_that_is_stated():
     assert (entry.code, entry.count) == ("IMAGES-RENAMED", 1)
 
 
+def test_composed_and_decomposed_names_are_the_same_image():
+    """One folder on macOS, one elsewhere; the observations' spelling stays."""
+    decomposed = "Fla\u0308che 1.jpg"
+    names = np.array([decomposed, "b.jpg"], object)
+    changed, (entry,) = renamed(names, ["Fl\u00e4che 1.jpg", "b.jpg"], [], "events")
+    assert changed.tolist() == ["Fl\u00e4che 1.jpg", "b.jpg"]
+    assert (entry.code, entry.count) == ("IMAGES-RENAMED", 1)
+    assert "a\\xcc\\x88" in entry.what
+    back, _ = renamed(changed, [decomposed], [], "events")
+    assert back.tolist() == [decomposed, "b.jpg"]
+    assert renamed(names, [decomposed, "b.jpg"], [], "events") == (names, ())
+
+
+def test_names_that_look_alike_are_shown_with_their_bytes():
+    """A Cyrillic letter in one of them."""
+    with pytest.raises(MissionError) as refused:
+        refuse_other_names({"c": ["\u0410_1.jpg"]}, ["A_1.jpg"])
+    assert "b'\\xd0\\x90_1.jpg'" in str(refused.value)
+    assert "like 'A_1.jpg'," in str(refused.value)
+
+
 def test_a_camera_without_any_of_the_images_is_refused():
     images = [f"IMG_{k:04d}.JPG" for k in range(10)]
     with pytest.raises(MissionError) as caught:

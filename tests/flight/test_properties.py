@@ -12,7 +12,7 @@ from unbend.flight.clock import (
     SECONDS_PER_WEEK,
     clock_map,
     fit_offset,
-    full_weeks,
+    later_by_rollovers,
     rows_in_time_order,
     stray_times,
     utc_of_gps,
@@ -70,13 +70,11 @@ def test_utc_of_gps_never_runs_faster_than_gps(week, seconds, later):
     assert abs(slower - round(slower)) < 1e-6
 
 
-@given(st.integers(1024, 3000), st.lists(st.integers(0, 1023), min_size=1, max_size=9))
-def test_full_weeks_keep_the_week_of_the_signal(first, since):
-    true = first + np.array(since)
-    full, changed = full_weeks(true % 1024, first)
-    np.testing.assert_array_equal(full, true)
-    assert changed == len(since)
-    np.testing.assert_array_equal(full_weeks(true, first)[0], true)
+@given(st.integers(1560, 2400), st.integers(-1, 2), st.floats(0.0, SECONDS_PER_WEEK - 1.0))
+def test_rollovers_of_a_week_give_the_full_week(week, rollovers, seconds):
+    early = utc_of_gps([week - 1024 * rollovers], [seconds])
+    full = later_by_rollovers(early, rollovers, from_gps_week=True)
+    np.testing.assert_array_equal(full, utc_of_gps([week], [seconds]))
 
 
 @given(st.integers(-(10**18), 10**18), STEPS)

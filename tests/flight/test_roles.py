@@ -7,7 +7,7 @@ import pytest
 
 from unbend.atmosphere.rejection import Reason
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel, Source
+from unbend.flight.channels import ROLE_COLUMNS, Channel, Source
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.evidence.stretches import HEIGHT as HEIGHT_QUANTITY
 from unbend.flight.evidence.stretches import Stretch
@@ -60,6 +60,15 @@ def test_filter_for_position_receiver_for_height() -> None:
     chosen = {e.where: e.what for e in ledger if e.code == "ROLE"}
     assert chosen["height"] == "height: GPS[0]"
     assert (roles["position"], roles["height"], roles["attitude"]) == ("POS", "GPS[0]", "ATT")
+
+
+@pytest.mark.parametrize("role", [role for role in ROLE_COLUMNS if role != "events"])
+def test_a_role_that_is_stated_as_null_is_played_by_no_channel(role: str) -> None:
+    channels = (POS, GPS, ATT, BARO, CABIN, OUT, ARSP)
+    roles, notes = assign_roles(channels, {}, needs_cabin=True, empty=(role,))
+    assert role not in roles
+    (left_empty,) = [note.what for note in notes if "null" in note.what]
+    assert left_empty.endswith(f"none, as log.channels.{role} is null")
 
 
 def test_barometers_are_told_apart_by_what_they_measure() -> None:

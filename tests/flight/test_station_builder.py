@@ -17,7 +17,6 @@ from unbend.flight.exposures import (
     choose_event_channel,
     events_of_channel,
     refuse_repeated_images,
-    trigger_notes,
 )
 from unbend.flight.heights import (
     GeodeticOrigin,
@@ -29,6 +28,7 @@ from unbend.flight.heights import (
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations
 from unbend.flight.stations import append_unmatched_images, unusable_station_notes
+from unbend.flight.triggers import trigger_notes
 from unbend.geodesy import GeoidGrid
 from unbend.messages import Ledger
 from unbend.refraction.window import Cabin
@@ -256,7 +256,7 @@ def test_triggers_without_a_shutter_are_counted() -> None:
     shots = channel("CAM[0]", [1, 2, 3], event_index=[1, 2, 3])
     triggers = channel("TRIG[0]", [1, 2, 3, 4, 5], rank=40, event_index=[1, 2, 3, 4, 5])
     ledger = Ledger()
-    ledger.extend(trigger_notes((shots, triggers), shots))
+    ledger.extend(trigger_notes((shots, triggers), shots, {}))
     assert [e.count for e in ledger] == [2]
 
 
@@ -298,7 +298,7 @@ def test_triggers_of_another_camera_do_not_count(
     ledger = Ledger()
     for camera in channels:
         if camera.source.message == "CAM":
-            ledger.extend(trigger_notes(channels, camera))
+            ledger.extend(trigger_notes(channels, camera, {}))
     assert [(entry.code, entry.where, entry.count) for entry in ledger] == told
 
 
@@ -410,7 +410,7 @@ def test_camera_rows_without_triggers_are_the_triggers() -> None:
         ((camera, trigger), trigger, True),
     ):
         ledger = Ledger()
-        ledger.extend(trigger_notes(channels, chosen))
+        ledger.extend(trigger_notes(channels, chosen, {}))
         assert [entry.code for entry in ledger] == ["EVENTS-TRIGGER-TIME"] * told
         assert all(entry.kind == "note" and "delay_s" in entry.what for entry in ledger)
 

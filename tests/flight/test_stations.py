@@ -99,6 +99,16 @@ def test_the_table_is_in_degrees_and_unknown_times_are_null():
     assert [columns[f"aircraft_q_{a}"][0] for a in "wxyz"] == [0.5, 0.6, 0.7, 0.8]
 
 
+def test_the_median_longitude_goes_on_across_the_180th_meridian():
+    """The plain median of 179.9, 179.95, -179.9 and -179.95 degrees is 0: another ocean."""
+    lon = np.radians([179.9, 179.95, -179.9, -179.95])
+    across = replace(stations(4), lon_rad=lon).median_longitude_rad
+    assert abs(np.degrees(across)) == pytest.approx(180.0)
+    east = np.array([np.nan, 0.3, 0.1, 0.2])
+    assert replace(stations(4), lon_rad=east).median_longitude_rad == 0.2
+    assert np.isnan(replace(stations(4), lon_rad=np.full(4, np.nan)).median_longitude_rad)
+
+
 def test_the_mean_latitude_is_of_the_known_ones():
     lat = np.array([0.4, np.nan, 0.6])
     assert replace(stations(), lat_rad=lat).mean_latitude_rad == pytest.approx(0.5)
@@ -125,3 +135,14 @@ def test_stations_that_are_known_worse_than_needed_are_a_loss_for_each_limit():
         assert median in said.what
     assert [entry.kind for entry in sigma_notes(known, SigmaLimits())] == ["note"]
     assert not list(sigma_notes(known.with_status(known.ok, "in_gap"), SigmaLimits(1.0, 1.0, 1.0)))
+
+
+def test_a_suspect_station_does_not_move_the_middle_of_the_flight():
+    flown = replace(
+        stations(),
+        lat_rad=np.array([0.84, 0.0, 0.84]),
+        lon_rad=np.array([0.28, 0.0, 0.28]),
+        status=np.array(["ok", "suspect", "ok"], object),
+    )
+    assert flown.mean_latitude_rad == pytest.approx(0.84)
+    assert flown.median_longitude_rad == pytest.approx(0.28)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from unbend.flight.channels import Channel, Source
+from unbend.flight.ground_times import LoggedPath, takeoff_of
 from unbend.flight.trajectory import (
     GAP_IN_CHANNEL,
     INSIDE,
@@ -208,3 +209,13 @@ def test_an_attitude_at_1_hz_follows_its_rates_and_knows_its_sigma() -> None:
 
 def rms_deg(true: Rotation, found: Rotation) -> float:
     return float(np.sqrt(np.mean((true.inv() * found).as_rotvec(degrees=True) ** 2)))
+
+
+def test_a_log_that_begins_on_the_180th_meridian_stands_still_there() -> None:
+    """Its longitudes change sign from sample to sample, and lie 20 cm apart."""
+    time_ns = np.arange(5) * SECOND
+    lon_rad = np.array([1.0, -1.0, 1.0, -1.0, 1.0]) * (np.pi - 1.5e-8)
+    takeoff = takeoff_of(LoggedPath(time_ns, np.zeros(5), lon_rad, np.full(5, 12.0)), home_m=None)
+    assert takeoff is not None
+    assert takeoff.stands
+    assert takeoff.h_msl_m == 12.0

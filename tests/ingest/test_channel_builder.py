@@ -45,6 +45,20 @@ def test_an_exposure_without_a_place_has_no_height_either() -> None:
     np.testing.assert_array_equal(channel["h_msl_m"], [5.0, np.nan, 6.0])
 
 
+def test_the_largest_integer_is_no_place_of_an_exposure() -> None:
+    largest_rad = np.radians(214.7483647)
+    pole_rad = np.radians(90.0)
+    place = {
+        "lat_rad": [0.8, largest_rad, -pole_rad],
+        "lon_rad": [0.1, largest_rad, np.pi],
+        "h_msl_m": [5.0, 2_147_483.647, 6.0],
+    }
+    channel = channel_of(rows([1, 2, 3], **place), SHOT, Ledger())
+    assert channel is not None
+    for name in place:
+        assert np.isnan(channel[name]).tolist() == [False, True, False]
+
+
 def test_exposures_are_numbered_after_repeats_and_before_rows_out_of_order_are_dropped() -> None:
     ledger = Ledger()
     times = [1, 2, 2, 3, 4, 5, 6, 2.5, 7, 8]

@@ -116,6 +116,7 @@ def test_evidence_of_dataflash_is_the_librarys(name: str) -> None:
     log, rows = open_log(path), library_rows(path, [*DATAFLASH, "MSG", "EV", "PARM"])
     assert compare(log, DATAFLASH, rows) > 300
     names = {"EKF_ALT_RESET": "60", "EKF_YAW_RESET": "62", "GPS_PRIMARY_CHANGED": "67"}
+    names |= {"LAND_COMPLETE": "18", "NOT_LANDED": "28"}
     said = {channel.name: channel.labels.get("text", ()) for channel in log.channels}
     lines = [line for row in said.get("MSG", ()) for line in row.split("\n")]
     assert lines == [row.Message.strip() for row in rows["MSG"]]

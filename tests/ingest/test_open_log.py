@@ -43,9 +43,11 @@ KNOWN = {
     "cubs2_cub_stabilize.mcap": ("mcap", 21_258, 2),
 }
 LOSSES = {
+    "ardusub_small.BIN": {"LOG-DROPOUT"},
+    "beastayyg_sample.bin": {"LOG-DROPOUT"},
+    "sitl_survey.BIN": {"LOG-DROPOUT"},
     "pymavlink_test.BIN": {"LOG-TRUNCATED"},
-    "sitl_belowsea_2cam.BIN": {"LOG-TRUNCATED"},
-    "px4_triggers.ulg": {"LOG-GAP"},
+    "sitl_belowsea_2cam.BIN": {"LOG-TRUNCATED", "LOG-DROPOUT"},
     "pymavlink_swift_flight.tlog": {"LOG-TRUNCATED", "LOG-LINK-LOSS", "LOG-GAP"},
 }
 

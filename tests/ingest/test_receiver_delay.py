@@ -49,7 +49,7 @@ def flown(delay_s: float, **changes: object) -> Contents:
     def table(name: str, instance: str | None) -> dict[str, np.ndarray]:
         return {"time_ns": NOW_NS + np.array([50, 60]) * SECOND}
 
-    given: dict = {"parameters": {"GPS1_DELAY_MS": 0.0}} | changes
+    given: dict = {"parameters": {"GPS1_DELAY_MS": 0.0}, "utc_sigma_s": 0.0} | changes
     return Contents({}, channels, 0, 0, 1, "", table, **given)
 
 
@@ -131,7 +131,8 @@ def test_fixes_that_are_stamped_at_their_epoch_move_nothing() -> None:
 
 def test_without_a_filter_the_setting_counts() -> None:
     contents = flown(0.2)
-    bare = Contents({}, contents.channels[1:], 0, 0, 1, "", parameters={"GPS1_DELAY_MS": 130.0})
+    settings = {"GPS1_DELAY_MS": 130.0}
+    bare = Contents({}, contents.channels[1:], 0, 0, 1, "", parameters=settings, utc_sigma_s=0.0)
     after = with_receiver_delay(bare, Ledger())
     assert after.utc_sigma_s == 0.04
     assert after.channels[1].time_ns[0] - bare.channels[1].time_ns[0] == 130_000_000
@@ -140,3 +141,15 @@ def test_without_a_filter_the_setting_counts() -> None:
 def test_a_log_without_a_receiver_is_left_alone() -> None:
     contents = Contents({}, flown(0.2).channels[2:], 0, 0, 1, "")
     assert with_receiver_delay(contents, Ledger()) is contents
+
+
+@pytest.mark.parametrize(
+    ("clock_s", "sigma_s", "words"),
+    [(5.0, 5.0, "good to 5.0 s"), (float("nan"), float("nan"), "UTC is unknown")],
+)
+def test_utc_of_another_clock_is_not_as_good_as_the_delay(clock_s, sigma_s, words) -> None:
+    ledger = Ledger()
+    after = with_receiver_delay(flown(0.2, utc_sigma_s=clock_s), ledger)
+    assert after.utc_sigma_s == pytest.approx(sigma_s, rel=1e-4, nan_ok=True)
+    (entry,) = [e for e in ledger if e.code == "TIME-FIT"]
+    assert words in entry.what

@@ -564,7 +564,7 @@ def test_every_number_of_a_log():
              "gaps": [{"seconds": 1.25}, {"seconds": 12.5}]},
             {"name": "CAM", "samples": 12, "rate_hz": 0.5, "gaps": []},
         ],
-        "ledger": MANIFEST["ledger"],
+        "ledger": MANIFEST["ledger"], "vehicles": [], "receivers": [], "clocks": [],
     }  # fmt: skip
     lines = printed(print_log, log, "a[1].mcap")
     assert [" ".join(line.split()) for line in lines[:7]] == [

@@ -10,7 +10,7 @@ from unbend.report import terminal
 from unbend.report.terminal import field_rows, write_messages_csv
 
 COLUMNS = {
-    "time_ns": np.array([1_000_000_001, 86_400_000_000_000, 2], np.int64),
+    "time_ns": np.array([1_500_000_000_000_000_001, 1_500_000_086_400_000_000, 2], np.int64),
     "Temp": np.array([np.nan, -2.5, 0.1]),
     "Name": np.array(["a,b", 'c"d', ""]),
     "q": np.array([[1, 2], [3, 4], [6, 5]], np.int16),
@@ -20,9 +20,9 @@ COLUMNS = {
 def test_every_cell_of_the_csv(monkeypatch):
     expected = (
         "time_utc,Temp,Name,q[0],q[1]\n"
-        '1970-01-01T00:00:01.000000001Z,nan,"a,b",1,2\n'
-        '1970-01-02T00:00:00.000000000Z,-2.5,"c""d",3,4\n'
-        "1970-01-01T00:00:00.000000002Z,0.1,,6,5\n"
+        '2017-07-14T02:40:00.000000001Z,nan,"a,b",1,2\n'
+        '2017-07-14T02:41:26.400000000Z,-2.5,"c""d",3,4\n'
+        ",0.1,,6,5\n"  # a time that counts from a boot
     )
     for block in (8192, 2):
         monkeypatch.setattr(terminal, "BLOCK", block)
@@ -33,7 +33,7 @@ def test_every_cell_of_the_csv(monkeypatch):
 
 def test_every_cell_of_the_fields():
     assert field_rows(COLUMNS) == [
-        {"field": "time_ns", "type": "int64", "first": "1970-01-01T00:00:01.000000001Z"},
+        {"field": "time_ns", "type": "int64", "first": "2017-07-14T02:40:00.000000001Z"},
         {"field": "Temp", "type": "float64", "first": "nan", "lowest": "-2.5", "highest": "0.1"},
         {"field": "Name", "type": "<U3", "first": "a,b"},
         {"field": "q[0]", "type": "int16", "first": "1", "lowest": "1", "highest": "6"},

@@ -6,6 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
+
+from unbend.simulate import SimulationOptions, simulate
 
 sys.path.insert(0, str(Path(__file__).parent))
 from block_files import CABIN
@@ -33,3 +36,26 @@ def by_log(mission_factory, tmp_path_factory):
     ended = mission.run()
     assert ended.code == 0, ended.text
     return mission
+
+
+@pytest.fixture(scope="module")
+def fly_crossing_lines():
+    """Simulates three lines with tie points between them in a folder.
+
+    Returns the flight and the sections of its mission.
+    """
+
+    def fly(folder):
+        options = SimulationOptions(
+            seed=9,
+            height_above_ground_m=2500.0,
+            lines=3,
+            exposures_per_line=5,
+            points_per_image=25,
+            image_noise_px=0.3,
+        )
+        flown = simulate(folder, options)
+        text = flown.missions["bin"].read_text(encoding="utf-8")
+        return flown, yaml.safe_load(text)
+
+    return fly

@@ -290,8 +290,8 @@ def test_a_log_without_a_cabin_thermometer(mission, unbend, monkeypatch):
     channels = mission.config["log"]["channels"]
     del channels["cabin_temperature"], channels["cabin_humidity"]
 
-    def without_box(*given):
-        log = open_log(*given)
+    def without_box(*given, **named):
+        log = open_log(*given, **named)
         return replace(log, channels=tuple(c for c in log.channels if c.name != "HYGR[1]"))
 
     monkeypatch.setattr(opening, "open_log", without_box)

@@ -16,7 +16,6 @@ import yaml
 
 from unbend.batch.runs import read_mission
 from unbend.errors import InputError
-from unbend.simulate import SimulationOptions, simulate
 
 sys.path.insert(0, str(Path(__file__).parent))
 from block_files import earth_centred, matrices
@@ -515,15 +514,10 @@ def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factor
 
 
 @pytest.fixture(scope="module")
-def crossing(tmp_path_factory):
+def crossing(tmp_path_factory, fly_crossing_lines):
     """Three lines with tie points between them, as a mission without a log, and its true table."""
     folder = tmp_path_factory.mktemp("crossing")
-    options = SimulationOptions(
-        seed=9, height_above_ground_m=2500.0, lines=3, exposures_per_line=5, points_per_image=25,
-        image_noise_px=0.3,
-    )  # fmt: skip
-    flown = simulate(folder, options)
-    config = yaml.safe_load(flown.missions["bin"].read_text(encoding="utf-8"))
+    flown, config = fly_crossing_lines(folder)
     for section in ("log", "mount", "events"):
         del config[section]
     for camera in config["cameras"].values():

@@ -238,10 +238,12 @@ def test_each_camera_follows_the_gimbal_of_its_own(mission, files, truth, monkey
             "attitude": f"MNT[{k}]", "pitch_deg": 90.0, "roll_deg": 0.0
         }  # fmt: skip
     whole = opening.open_log
-    monkeypatch.setattr(
-        opening, "open_log",
-        lambda *file: replace(log := whole(*file), channels=(*log.channels, *heads)),
-    )  # fmt: skip
+
+    def with_heads(*file, **named):
+        log = whole(*file, **named)
+        return replace(log, channels=(*log.channels, *heads))
+
+    monkeypatch.setattr(opening, "open_log", with_heads)
     prepared = read_mission(mission.save())
     stations = prepared.stations
     assert stations.ok.all()

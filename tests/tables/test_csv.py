@@ -360,7 +360,7 @@ def test_rows_without_a_time_are_counted(tmp_path):
 @pytest.mark.parametrize(
     ("text", "code"),
     [
-        (b"", "EVENTS-CSV"), (b"image time\na 2025-06-12T10:00:00Z\n", "EVENTS-COLUMN"),
+        (b"", "EVENTS-CSV"),
         (b"image,tme\na,2025-06-12T10:00:00Z\n", "EVENTS-COLUMN"),
         (b"image,time\na,soon\n", "EVENTS-EMPTY"), (b"image,time\n", "EVENTS-EMPTY"),
         (b"image,time\na,1,2,3\nb,1\n", "EVENTS-CSV"),
@@ -375,7 +375,7 @@ def test_tables_of_exposures_that_are_none(tmp_path, text, code):
         events(tmp_path, text)
 
 
-@pytest.mark.parametrize("mark", [",", ";", "\t"])
+@pytest.mark.parametrize("mark", [",", ";", "\t", "|", "   "])
 def test_semicolons_and_tabs_separate_too(tmp_path, mark):
     found, ledger = events(tmp_path, f"image{mark}time\na{mark}2025-06-12T10:00:00Z\n")
     assert found.image.tolist() == ["a"]
@@ -386,3 +386,72 @@ def test_a_column_that_nearly_has_the_name(tmp_path):
     with pytest.raises(InputError, match="perhaps 'tme'") as refusal:
         events(tmp_path, "image,tme\na,2025-06-12T10:00:00Z\n")
     assert refusal.value.remedy == "say what it is called: events.csv.columns.time_utc"
+
+
+PLAIN = "image,point,x_px,y_px,h_g_m,own\nA 1.jpg,p,1.5,-2.25,300.125,7\nB.jpg,q,2,3.5,,8\n"
+AS_SPREADSHEETS_WRITE = {
+    "semicolons": "image;point;x_px;y_px;h_g_m;own\r\n"
+    "A 1.jpg;p;1,5;-2,25;300,125;7\r\nB.jpg;q;2;3,5;;8\r\n",
+    "quoted decimal commas": "image,point,x_px,y_px,h_g_m,own\n"
+    'A 1.jpg,p,"1,5","-2,25","300,125",7\nB.jpg,q,2,"3,5",,8\n',
+    "tabs": PLAIN.replace(",", "\t"),
+    "bars": PLAIN.replace(",", "|"),
+    "a comment and a head in it": "# by hand\n#" + PLAIN.replace(",", "\t"),
+    "sep=": "sep=;\n" + PLAIN.replace(",", ";"),
+    "a mark of UTF-8": "\ufeff" + PLAIN,
+}
+
+
+@pytest.mark.parametrize("form", AS_SPREADSHEETS_WRITE)
+def test_observations_as_spreadsheets_write_them(tmp_path, form):
+    plain = whole(opened(tmp_path / "o.csv", PLAIN))
+    assert str(whole(opened(tmp_path / "o.csv", AS_SPREADSHEETS_WRITE[form]))) == str(plain)
+
+
+def test_observations_parted_by_blanks(tmp_path):
+    text = "  image   point x_px\ty_px  h_g_m own\n"
+    rows = [f'"A {k}.jpg"  p{k}   {k}.5 -2.25 \t 300.125   {k}  \n' for k in range(40_000)]
+    table = opened(tmp_path / "o.txt", text + "".join(rows))
+    found = whole(table, 100_000)
+    assert table.rows == 40_000
+    assert found["image"][:2] == ["A 0.jpg", "A 1.jpg"]
+    assert found["x_px"] == [k + 0.5 for k in range(40_000)]
+    assert found["own"] == list(range(40_000))
+
+
+def test_unicode_text_of_spreadsheets(tmp_path):
+    """UTF-16 with tabs."""
+    path = tmp_path / "o.csv"
+    path.write_bytes(AS_SPREADSHEETS_WRITE["tabs"].encode("utf-16"))
+    table = open_observations(path, COLUMNS, "h_g_m", Ledger())
+    assert whole(table)["image"] == ["A 1.jpg", "B.jpg"]
+
+
+def test_a_decimal_point_among_decimal_commas_changes_no_other_number(tmp_path):
+    text = "image;point;x_px;y_px;h_g_m\n" + "a;q;1,5;2,5;3,5\n" * 300
+    found = whole(opened(tmp_path / "o.csv", text + "a;q;7.25;2,5;3,5\na;q;1,234;2,5;x\n"))
+    assert found["x_px"][:301] == [1.5] * 300 + [7.25]
+    assert np.isnan(found["x_px"][301])  # a thousand, or one and a quarter
+    assert np.isnan(found["ground"][301])
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ("image,point,x_px,y_px,h_g_m\nFl\u00e4che,p,1,2,3\n".encode("latin-1"), "is not UTF-8"),
+        ('image,point,x_px,y_px,h_g_m\na,p,"1,234","2,345",\n', "thousands or a decimal comma"),
+        ("a b 1 2 3\nc d 4 5 6\n", "no head: its columns are called 1 to 5"),
+        ("image;point;x_px;y_px\na;p;1,5;2;3;4\n", "by semicolons its first row has 4 fields"),
+    ],
+)
+def test_what_is_no_table_is_named(tmp_path, content, why):
+    with pytest.raises(InputError, match="OBS-C") as refusal:
+        opened(tmp_path / "o.csv", content)
+    assert why in refusal.value.what
+
+
+def test_columns_without_names_are_called_by_numbers(tmp_path):
+    columns = dict(zip(COLUMNS, "1234", strict=True))
+    table = opened(tmp_path / "o.csv", "a b 1 2 3\nc d 4 5 6\n", ground="5", columns=columns)
+    assert whole(table)["x_px"] == [1.0, 4.0]
+    assert whole(table)["ground"] == [3.0, 6.0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -56,3 +57,27 @@ def test_a_fill_value_is_no_reading_and_a_missing_variable_is_refused(tmp_path):
     assert np.nanmin(sounding.temperature_k) == pytest.approx(CELSIUS.min() + 273.15)
     with pytest.raises(InputError, match="it has no variable rh"):
         read_sounding(write(tmp_path / "without.cdf", rh=None), Ledger())
+
+
+def zipped(path: Path, *members: Path) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for member in members:
+            archive.write(member, member.name)
+    return path
+
+
+def test_a_station_file_as_it_is_distributed(tmp_path):
+    plain = write(tmp_path / "sonde.cdf")
+    packed = read_sounding(zipped(tmp_path / "sonde.zip", plain), Ledger())
+    np.testing.assert_array_equal(packed.h_m, read_sounding(plain, Ledger()).h_m)
+
+
+def test_an_archive_that_does_not_hold_one_file_is_refused(tmp_path):
+    plain = write(tmp_path / "sonde.cdf")
+    whole = zipped(tmp_path / "two.zip", plain, write(tmp_path / "other.cdf"))
+    cut = tmp_path / "cut.zip"
+    cut.write_bytes(whole.read_bytes()[:-40])
+    for path in (whole, cut):
+        with pytest.raises(InputError) as caught:
+            read_sounding(path, Ledger())
+        assert caught.value.code == "SOUNDING-ZIP"

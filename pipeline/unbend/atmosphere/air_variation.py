@@ -94,6 +94,14 @@ class Part:
 Parts = tuple[Part, ...]
 
 
+def larger_part(part: Part, other: Part) -> Part:
+    """A part with the amplitude of another at the heights where that is larger; the heights are
+    those of the first."""
+    other_k = np.interp(part.h_m, other.h_m, other.sigma_k)
+    is_larger = np.abs(other_k) > np.abs(part.sigma_k)
+    return replace(part, sigma_k=np.where(is_larger, other_k, part.sigma_k))
+
+
 def covariance_of(parts: Parts, h: Array, other_h: Array) -> Array:
     """(n, m) covariance [K2] of the sum of parts at heights (n,), (m,) [m above sea level]."""
     total = np.zeros((h.size, other_h.size))

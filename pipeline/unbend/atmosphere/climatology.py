@@ -17,6 +17,7 @@ from unbend.atmosphere.air_variation import (
     DailyCycle,
     Part,
     Parts,
+    larger_part,
     sigma_of,
     variation_parts,
 )
@@ -29,6 +30,7 @@ from unbend.units import DEGREE, Array
 
 HUMIDITY_CORRELATION_M = 1000.0
 
+_EXTREME_MONTHS = (1.0, 7.0)
 _SPREAD_TOP_M, _SPREAD_STEP_M = 30_000.0, 250.0
 _DRY_ABOVE_M = 12_000.0  # above, all humidities weigh less than 1e-4 of n - 1
 _DAILY_TO_M, _DAILY_STEP_M = 3000.0, 50.0  # heights above the ground that the day warms [m]
@@ -124,7 +126,7 @@ def climatology(
     name: str = AUTO,
     *,
     latitude_rad: float,
-    month: float,
+    month: float | None,
     index: IndexModel | None = None,
     ground_h_m: float = 0.0,
     longitude_rad: float = 0.0,
@@ -135,10 +137,10 @@ def climatology(
     ``name``: one of `known_names`; ``auto`` is the Supplements 1966 by latitude and season, and in
     the lowest 3 km what public ascents have beside them, by the hour of the day.
     ``latitude_rad``: north positive; gives gravity too. ``month``: 1.0 is mid-January, 7.0
-    mid-July; see `month_of`. ``ground_h_m``: of the ground [m above sea level], on which the
-    boundary layer stands. ``longitude_rad``: used by NRLMSIS only. ``hour``: mean local time, see
-    `air_variation.solar_hour`; without it the mean of day and night is expected, and the day's
-    cycle is part of the spread.
+    mid-July, None where the date is not known; see `month_of`. ``ground_h_m``: of the ground
+    [m above sea level], on which the boundary layer stands. ``longitude_rad``: used by NRLMSIS
+    only. ``hour``: mean local time, see `air_variation.solar_hour`; without it, or without a month,
+    the mean of day and night is expected, and the day's cycle is part of the spread.
 
     Raises ``PhysicsError`` where the name is unknown, the latitude is beyond the pole, or the
     package behind NRLMSIS is not installed.
@@ -151,10 +153,15 @@ def climatology(
     if model is None:
         raise messages.unknown_climatology(name=name, names=", ".join(known_names()))
     index = index or IndexModel()
-    place = SeasonAndPlace(latitude_rad, month, longitude_rad)
-    daily = DailyCycle(latitude_rad, month, ground_h_m)
-    spread = expected_spread(latitude_rad, month, ground_h_m, hour)
-    expected = _with_day(ATMOSPHERES[SUPPLEMENTS].profile(place, index), daily, hour)
+    if month is None:
+        hour = None
+    place = SeasonAndPlace(latitude_rad, SPRING if month is None else month, longitude_rad)
+    daily = DailyCycle(latitude_rad, place.month, ground_h_m)
+    expected = _expected_profile(place, daily, hour, index)
+    if month is None:
+        spread = _spread_over_the_year(place, ground_h_m, index)
+    else:
+        spread = expected_spread(latitude_rad, month, ground_h_m, hour)
     if model is ATMOSPHERES[SUPPLEMENTS]:
         origin = f"{model.origin}; the lowest 3 km by the hour of the day, from public ascents"
         return Climatology(expected, spread, origin, model.has_humidity, daily, hour)
@@ -163,9 +170,12 @@ def climatology(
     return Climatology(profile, about, model.origin, model.has_humidity, daily, hour)
 
 
-def _with_day(profile: Profile, daily: DailyCycle, hour: float | None) -> Profile:
-    """A profile with what the lowest 3 km have beside it; its vapour and its pressure at the
-    ground stay."""
+def _expected_profile(
+    place: SeasonAndPlace, daily: DailyCycle, hour: float | None, index: IndexModel
+) -> Profile:
+    """The Supplements 1966 with what the lowest 3 km of public ascents have beside them; vapour
+    and the pressure at the ground are those of the tables."""
+    profile = ATMOSPHERES[SUPPLEMENTS].profile(place, index)
     gravity = profile.gravity
     above_ground = np.arange(0.0, _DAILY_TO_M + 1.0, _DAILY_STEP_M)
     added = gravity.geopotential_height(daily.ground_h_m + above_ground)
@@ -175,29 +185,52 @@ def _with_day(profile: Profile, daily: DailyCycle, hour: float | None) -> Profil
     h = gravity.height(edge)
     t_m, _, vapour = profile.state(h)
     warmer = daily.mean_k(h) + daily.of_hour_k(h, hour)
+    layers = stack_layers(
+        edge,
+        t_m + warmer,
+        vapour,
+        (STANDARD,) * (edge.size - 1),
+        anchor=(float(added[0]), float(profile.pressure(daily.ground_h_m))),
+        constant=profile.constant,
+    )
+    return replace(profile, layers=layers)
+
+
+def _spread_over_the_year(place: SeasonAndPlace, ground_h_m: float, index: IndexModel) -> Spread:
+    """The spread about the middle of the year, at a place where the day is not known.
+
+    Mid-winter and mid-summer are half of their difference away. That counts as one sigma, beside
+    the weather of the season in which it is larger: most flights are of one season, and have to be
+    covered there.
+    """
+    latitude_rad = place.latitude_rad or 0.0
+    middle_day = DailyCycle(latitude_rad, place.month, ground_h_m)
+    middle = _expected_profile(place, middle_day, None, index)
+    spreads = []
+    for month in _EXTREME_MONTHS:
+        daily = DailyCycle(latitude_rad, month, ground_h_m)
+        extreme = _expected_profile(replace(place, month=month), daily, None, index)
+        of_season = expected_spread(latitude_rad, month, ground_h_m)
+        spreads.append(of_season.about(extreme, middle))
+    winter, summer = spreads
     return replace(
-        profile,
-        layers=stack_layers(
-            edge,
-            t_m + warmer,
-            vapour,
-            (STANDARD,) * (edge.size - 1),
-            anchor=(float(added[0]), float(profile.pressure(daily.ground_h_m))),
-            constant=profile.constant,
-        ),
+        winter,
+        parts=tuple(map(larger_part, winter.parts, summer.parts)),
+        relative_humidity=np.maximum(winter.relative_humidity, summer.relative_humidity),
+        pressure_ratio=max(winter.pressure_ratio, summer.pressure_ratio),
     )
 
 
-def month_of(time_ns: int | None) -> float:
+def month_of(time_ns: int | None) -> float | None:
     """The month that `climatology` takes, of a time [Unix ns]; 1.0 is 15 January.
 
-    Without a time it is one between the seasons.
+    None without a time: no season may be assumed.
 
     >>> round(month_of(1_310_688_000 * 10**9), 2), month_of(None)  # 15 July 2011
-    (6.95, 4.0)
+    (6.95, None)
     """
     if time_ns is None:
-        return SPRING
+        return None
     day = np.datetime64(int(time_ns), "ns").astype("datetime64[D]")
     into = float((day - day.astype("datetime64[Y]")).astype(np.float64))
     return (into - 14.0) / 365.25 * 12.0 + 1.0

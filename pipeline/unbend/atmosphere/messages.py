@@ -302,6 +302,17 @@ def metar_parse(*, where: object, why: str) -> InputError:
     )
 
 
+def metar_several(*, where: object, total: int) -> InputError:
+    """A text holds several reports."""
+    return InputError(
+        METAR_PARSE,
+        "the text holds {total} reports: which of them is meant?",
+        where=where,
+        total=total,
+        remedy="give one report for each entry of atmosphere.surface",
+    )
+
+
 METAR_RANGE = Code(
     "METAR-RANGE",
     means="A value of the METAR does not occur at the ground.",

@@ -25,6 +25,7 @@ _TENTHS = re.compile(r"\sT[01]\d{3}[01]\d{3}(?=\s|=|$)")
 _WHOLE_K, _TENTH_K = 0.5, 0.3
 _QNH_HPA, _QNH_INCHES = re.compile(r"\sQ(\d{4})(?=\s|=|$)"), re.compile(r"\sA(\d{4})(?=\s|=|$)")
 _QNH_SIGMA_PA = 50.0
+_STAMP = re.compile(r"(?<!\S)\d{6}Z(?!\S)")  # day, hour and minute: one in each report
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,9 @@ def parse_metar(
     """
     _refuse_height(station_h_m, where)
     flat = " ".join(text.split()).rstrip("=").strip()
+    reports = len(_STAMP.findall(flat))
+    if reports > 1:
+        raise messages.metar_several(where=where, total=reports)
     report, complaints = _decode(flat, where)
     if complaints:
         groups = "; ".join(complaints)
@@ -108,7 +112,7 @@ def parse_metar(
         if number < low or number > high:
             place = f"{where}: {flat[:80]!r}"
             raise messages.metar_range(where=place, quantity=quantity, number=number, unit=unit)
-    time_ns = _nearest_day(flat, flight_ns)
+    time_ns = _nearest_day(flat, flight_ns, where)
     if dew > t:
         celsius, dew_c, dew = t - ZERO_CELSIUS_K, dew - ZERO_CELSIUS_K, t
         ledger.add(messages.metar_dew_point(where=where, count=1, dew_c=dew_c, celsius=celsius))
@@ -154,13 +158,16 @@ def _decode(flat: str, where: str) -> tuple[Any, list[str]]:
     return report, complaints
 
 
-def _nearest_day(flat: str, flight_ns: int | None) -> int | None:
-    """The time of the group DDHHMMZ on the nearest day with that number."""
+def _nearest_day(flat: str, flight_ns: int | None, where: str) -> int | None:
+    """The time of the group DDHHMMZ on the nearest day with that number; refuses what is none."""
     group = re.search(r"\s(\d\d)(\d\d)(\d\d)Z\s", flat + " ")
-    if group is None or flight_ns is None:
+    if group is None:
         return None
     day, hour, minute = (int(part) for part in group.groups())
     if not (1 <= day <= 31 and hour < 24 and minute < 60):
+        why = f"{group[0].strip()} is no day, hour and minute"
+        raise messages.metar_parse(where=f"{where}: {flat[:80]!r}", why=why)
+    if flight_ns is None:
         return None
     flight = np.datetime64(int(flight_ns), "ns").astype("datetime64[D]")
     days = [flight + np.timedelta64(step, "D") for step in range(-31, 32)]

@@ -24,12 +24,13 @@ from unbend.config.campaign import Campaign, MissionRef, open_configs, refuse_tw
 from unbend.errors import UnbendError, storage_errors
 from unbend.exit_codes import EXIT_BUG
 from unbend.report.campaign import Row, campaign_page, campaign_table, row_of, row_without
+from unbend.tables.manifest.whole import Manifest
 
 PAGE = "campaign.html"
 TABLE = "campaign.parquet"
 MARK = '<meta name="generator" content="unbend campaign">'
 
-_HEAD_CHARACTERS = 2000  # of a page, which hold its mark and its digest
+_HEAD_CHARACTERS = 2000  # at the beginning of a page; its mark and its digest stand there
 _MOST_LISTED = 20  # names that a refusal lists
 
 
@@ -43,7 +44,11 @@ class NamedMission(NamedTuple):
 
 @dataclass(frozen=True)
 class KnownMission:
-    """A mission that is unchanged: what its manifest says of it, and its row of a page."""
+    """A mission that need not run, because its results are there and nothing changed.
+
+    ``exit_code`` is that of the run that made the results. ``row`` is the mission's row of a
+    campaign's page; None where no page will be written.
+    """
 
     name: str
     output: Path
@@ -53,16 +58,23 @@ class KnownMission:
 
 @dataclass(frozen=True)
 class Selection:
-    """Missions and their campaigns: which are refused, and which are unchanged."""
+    """The missions that a command chose, their campaigns, and what is known before any runs.
+
+    missions : the chosen missions.
+    campaigns : the campaigns of the files, with all their missions, chosen or not.
+    named : name and output of each mission of the files that can be read.
+    refused : missions whose results would go to the folder of an earlier mission.
+    known : missions that are unchanged.
+    """
 
     missions: tuple[MissionRef, ...]
     campaigns: tuple[Campaign, ...]
-    called: Mapping[MissionRef, NamedMission]
+    named: Mapping[MissionRef, NamedMission]
     refused: Mapping[MissionRef, UnbendError]
     known: Mapping[MissionRef, KnownMission]
 
     def is_unchanged(self, ref: MissionRef) -> bool:
-        """Whether a mission is known not to run."""
+        """Whether a mission is unchanged, so that it need not run."""
         return ref in self.known
 
     def ends(
@@ -71,9 +83,9 @@ class Selection:
         *,
         again: bool = False,
     ) -> Generator[tuple[MissionRef, MissionEnd]]:
-        """How each mission ended. ``run`` gets all but refused missions and unchanged ones.
+        """Yield how each chosen mission ended: refused and unchanged ones first, then the others.
 
-        With ``again`` unchanged missions are run too.
+        The others are handed to ``run`` together; with ``again`` unchanged missions are among them.
         """
         waiting = []
         for ref in self.missions:
@@ -87,9 +99,9 @@ class Selection:
             yield from run(waiting)
 
     def _repeated(self, known: KnownMission) -> Outcome:
-        """The outcome of an unchanged mission, with its manifest where that will be shown."""
+        """The outcome of an unchanged mission, with its manifest if it is the only mission."""
         manifest = None
-        if len(self.missions) == 1:
+        if len(self.missions) == 1:  # of several missions no manifest is shown
             manifest = read_manifest(known.output)
         return Outcome(
             name=known.name,
@@ -107,17 +119,22 @@ def select_missions(
     *,
     writes: bool = True,
 ) -> Selection:
-    """The missions of mission and campaign files; of them ``names`` (or files), and a ``part``.
+    """Choose among the missions of mission files and campaign files.
 
-    Refuses (ConfigError) twins in a campaign, a name that no mission has (CAMPAIGN-MISSION), and
-    with ``writes`` a page of somebody else.
+    ``names`` are names or files of missions; without names all missions are chosen. ``part`` is
+    the share of one of several jobs in these. ``writes`` says whether pages will be written.
+
+    Refuses (ConfigError) missions of a campaign with the same name or the same results, and
+    (CAMPAIGN-MISSION) a name that no mission has; with ``writes`` also (STORAGE-NOT-OURS) a
+    campaign whose page another program wrote.
     """
     missions, campaigns = open_configs(configs)
-    known = known_missions(missions, with_rows=writes and bool(campaigns))
+    will_write_pages = writes and bool(campaigns)
+    known = known_missions(missions, with_rows=will_write_pages)
     listed = list(named_missions(missions, known))
     for campaign in campaigns:
-        own = set(campaign.missions)
-        refuse_twins(campaign, [mission for mission in listed if mission.ref in own])
+        members = set(campaign.missions)
+        refuse_twins(campaign, [mission for mission in listed if mission.ref in members])
         if writes:
             refuse_foreign_page(campaign.output)
     chosen = missions
@@ -126,7 +143,7 @@ def select_missions(
     return Selection(
         missions=tuple(chosen[part]),
         campaigns=tuple(campaigns),
-        called={mission.ref: mission for mission in listed},
+        named={mission.ref: mission for mission in listed},
         refused=shared_outputs((mission.ref, mission.output) for mission in listed),
         known=known,
     )
@@ -135,14 +152,16 @@ def select_missions(
 def known_missions(
     missions: Iterable[MissionRef], *, with_rows: bool
 ) -> dict[MissionRef, KnownMission]:
-    """The missions that are unchanged."""
+    """The missions that are unchanged, ``with_rows`` with their rows of a page."""
     known = {}
     for ref in missions:
         unchanged = find_unchanged(ref)
         if unchanged is None:
             continue
         exit_code = unchanged.manifest.run.exit_code
-        with suppress(UnbendError):  # its manifest lacks results: it is compared, or run again
+        # A manifest without the values of a row is an older version's: the mission is then not
+        # known to be unchanged, and takes the full comparison.
+        with suppress(UnbendError):
             row = row_of(unchanged.manifest) if with_rows else None
             known[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
     return known
@@ -164,15 +183,17 @@ def named_missions(
 def missions_called(names: Sequence[str], listed: Sequence[NamedMission]) -> list[MissionRef]:
     """The missions of some names or files; refuses (CAMPAIGN-MISSION) a name that none has."""
     wanted = set(names)
+    not_met = set(names)
     chosen = []
     for mission in listed:
-        own = {mission.name, mission.ref.words[-1]}
-        if own & set(names):
+        argument = mission.ref.words[-1]  # the file; or the name, in a campaign
+        names_of_mission = {mission.name, argument}
+        if names_of_mission & wanted:
             chosen.append(mission.ref)
-        wanted -= own
-    for name in wanted:
+        not_met -= names_of_mission
+    if not_met:
         known = sorted(mission.name for mission in listed)
-        raise messages.no_such_mission(name=name, known=known[:_MOST_LISTED])
+        raise messages.no_such_mission(name=next(iter(not_met)), known=known[:_MOST_LISTED])
     return chosen
 
 
@@ -184,10 +205,13 @@ def refuse_foreign_page(output: Path) -> None:
 
 
 def is_page_ours(output: Path, present: Sequence[str]) -> bool:
-    """Whether a campaign wrote the page, or the table where that is alone."""
+    """Whether a campaign wrote the page, or the table if only that is there.
+
+    ``present`` are the names of those that are there, one at least.
+    """
     if PAGE in present:
         return MARK in head_of(output / PAGE)
-    # The page was removed, or a run ended between the two.
+    # Only the table is there: the page was removed, or a run ended after it wrote the table.
     from pyarrow.parquet import read_schema
 
     try:
@@ -197,7 +221,10 @@ def is_page_ours(output: Path, present: Sequence[str]) -> bool:
 
 
 def write_pages(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> Iterator[Path]:
-    """Write page and table of each campaign, where they say something new; yields the pages."""
+    """Write page and table of each campaign, unless both are there and say the same already.
+
+    Yields the path of each campaign's page. The page holds the digest of all that it is made of.
+    """
     for campaign in chosen.campaigns:
         rows = [page_row(chosen, ref, ended.get(ref), campaign.output) for ref in campaign.missions]
         content = json.dumps([code_hash(), campaign.name, rows])
@@ -209,7 +236,7 @@ def write_pages(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> It
 
 
 def head_of(page: Path) -> str:
-    """The beginning of a page, which says who wrote it and of what; "" where there is none."""
+    """The beginning of a page, with its mark and digest; "" of a page that cannot be read."""
     try:
         with page.open(encoding="utf-8") as file:
             return file.read(_HEAD_CHARACTERS)
@@ -230,12 +257,15 @@ def write_page(campaign: Campaign, rows: Sequence[Row], digest: str) -> None:
 
 
 def page_row(chosen: Selection, ref: MissionRef, end: MissionEnd | None, page: Path) -> Row:
-    """What the page in a folder shows of a mission."""
+    """What a campaign's page shows of a mission. ``page`` is the folder of the page.
+
+    ``end`` is how the mission ended; None for a mission that this command did not run.
+    """
     name = ref.label
     output: Path | Place | None = None
-    if ref in chosen.called:
-        name = chosen.called[ref].name
-        output = chosen.called[ref].output
+    if ref in chosen.named:
+        name = chosen.named[ref].name
+        output = chosen.named[ref].output
     if isinstance(end, Outcome):
         output = end.output
     link = {} if output is None else {"results": link_to(output, page)}
@@ -249,9 +279,12 @@ def row_of_end(
     name: str,
     output: Path | Place | None,
 ) -> Row:
-    """What is known of a mission that ended now, or before, or never ran."""
-    is_repeated = end is None or (isinstance(end, Outcome) and end.repeated)
-    if is_repeated and ref in chosen.known:
+    """The row of a mission that ended in this command, or in an earlier one, or never ran.
+
+    The manifest at ``output`` is read only where neither ``end`` nor ``chosen`` has what it says.
+    """
+    has_not_run_now = end is None or (isinstance(end, Outcome) and end.repeated)
+    if has_not_run_now and ref in chosen.known:
         known = chosen.known[ref].row
         if known is not None:
             return known
@@ -262,6 +295,15 @@ def row_of_end(
     manifest = None if end is None else end.manifest
     if manifest is None and output is not None:
         manifest = read_manifest(output, damaged=True)
+    return row_of_manifest(name, manifest)
+
+
+def row_of_manifest(name: str, manifest: Manifest | None) -> Row:
+    """The row of a mission by the manifest in its folder.
+
+    Without a manifest, or with that of a mission of another name, the row says that the mission
+    has no results yet.
+    """
     if manifest is None or manifest.run.mission != name:
         return row_without(name, None, "", "it has no results yet")
     try:
@@ -283,7 +325,7 @@ def link_to(output: Path | Place, page: Path) -> str:
 
 
 def run_chosen(ref: MissionRef, **options: Any) -> Outcome:
-    """`run_mission`, which is imported by the process that runs it: a second of its time."""
+    """Run a mission. The import takes a second, and only in the process that runs missions."""
     from unbend.batch.runs import run_mission
 
     return run_mission(ref, **options)

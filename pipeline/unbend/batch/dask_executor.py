@@ -1,7 +1,7 @@
 """Missions on a Dask cluster: a task is one mission, which the worker runs in a process apart.
 
-The death of a mission's process costs that mission, the death of a worker its missions under way,
-which others run again.
+When a mission's process dies, that mission alone is lost. When a worker dies, other workers run
+again the missions that it had under way.
 """
 
 from __future__ import annotations
@@ -69,23 +69,23 @@ class DaskExecutor:
         self._scheduler = scheduler
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
-        """How each mission ended, as soon as it did; ``alone`` changes nothing.
+        """Yield how each mission ended, as soon as it did; ``alone`` changes nothing here.
 
-        Refuses before any work a scheduler that is not there or has no workers, and workers with
-        other versions or without its files; SCHEDULER-LOST where it goes away.
+        Refuses before any work a scheduler that does not answer or has no workers, and workers with
+        other versions or without the mission files; SCHEDULER-LOST where the scheduler goes away.
         """
         # The main thread waits for nothing but these ends, so that a signal leaves no lock behind.
         ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception] = SimpleQueue()
-        done: SimpleQueue[Any] = SimpleQueue()
+        ended_futures: SimpleQueue[Any] = SimpleQueue()  # None in it ends the thread
 
         def serve() -> None:
             try:
-                self._serve(tasks, ends, done)
+                self._serve(tasks, ends, ended_futures)
             except (OSError, CancelledError) as error:
                 text = str(error) or type(error).__name__
                 ends.put(messages.scheduler_lost(address=self._scheduler, error=text))
             except Exception as error:
-                ends.put(error)  # raised where a person reads it
+                ends.put(error)  # raised in the main thread, which reports it
 
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
@@ -96,7 +96,7 @@ class DaskExecutor:
                     raise end
                 yield end
         finally:
-            done.put(None)
+            ended_futures.put(None)
             with held_back():
                 thread.join(_STOP_S)
 
@@ -104,29 +104,33 @@ class DaskExecutor:
         self,
         tasks: Mapping[MissionRef, Task],
         ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception],
-        done: SimpleQueue[Any],
+        ended_futures: SimpleQueue[Any],
     ) -> None:
-        """Hand all missions to the workers, and pass on how they ended, until None is done."""
+        """Hand all missions to the workers, and put how each ended into ``ends``.
+
+        Returns when all have ended, or when None is put into ``ended_futures``. A mission whose
+        worker died is submitted again, a few times.
+        """
         try:
             import distributed
         except ImportError as error:
             raise messages.dask_missing(error=str(error)) from None
-        own = versions_here()
+        versions = versions_here()
         command = uuid.uuid4().hex
         with connected(self._scheduler, command) as client:
-            check_workers(client, command, own, [mission.path for mission in tasks])
+            check_workers(client, command, versions, [mission.path for mission in tasks])
             waiting: dict[str, _Submitted] = {}
 
             def submit(mission: MissionRef, times: int) -> None:
-                task = pickle.dumps(partial(run_here, own, tasks[mission]))
+                task = pickle.dumps(partial(run_here, versions, tasks[mission]))
                 future = client.submit(run_apart, command, task, pure=False)
                 waiting[future.key] = _Submitted(mission, future, times)
-                future.add_done_callback(done.put)
+                future.add_done_callback(ended_futures.put)
 
             for mission in tasks:
                 submit(mission, 1)
             while waiting:
-                ended = done.get()
+                ended = ended_futures.get()
                 if ended is None:
                     return
                 mission, future, times = waiting.pop(ended.key)
@@ -150,10 +154,13 @@ def scheduler_address(scheduler: str) -> str:
 
 
 def refuse_missing(scheduler: str) -> None:
-    """Refuse (SCHEDULER-NONE) a scheduler at whose address nobody begins to listen."""
+    """Refuse (SCHEDULER-NONE) an address where no scheduler begins to listen within 10 s.
+
+    Only tcp and tls are tried.
+    """
     address = scheduler_address(scheduler)
     limit = time.monotonic() + _CONNECT_S
-    with refusing_what_is_said_of(address):
+    with connection_errors(address):
         url = urlsplit(address)
         while url.scheme in ("tcp", "tls"):
             try:
@@ -166,8 +173,8 @@ def refuse_missing(scheduler: str) -> None:
 
 
 @contextmanager
-def refusing_what_is_said_of(address: str) -> Iterator[None]:
-    """Raise what is said of an address where no scheduler is as a refusal (SCHEDULER-NONE)."""
+def connection_errors(address: str) -> Iterator[None]:
+    """Turn errors of connecting to an address into a refusal (SCHEDULER-NONE)."""
     try:
         yield
     except (OSError, ValueError, TypeError, ImportError) as error:
@@ -176,19 +183,23 @@ def refusing_what_is_said_of(address: str) -> Iterator[None]:
 
 @contextmanager
 def connected(scheduler: str, command: str) -> Iterator[Any]:
-    """A client of a scheduler that is there; at the end what the command runs is stopped."""
+    """A client that is connected to a scheduler.
+
+    At the end all processes that the ``command`` has on the workers are stopped. Refuses
+    (SCHEDULER-NONE) an address where no scheduler answers.
+    """
     from distributed import Client
     from distributed.comm import resolve_address
 
     address = scheduler_address(scheduler)
     for name in list(logging.root.manager.loggerDict):
-        if name.startswith("distributed"):  # each has a level of its own
+        if name.startswith("distributed"):  # silenced one by one: each has a level of its own
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    with refusing_what_is_said_of(address):
-        resolve_address(address)  # a client of another scheme would try it for long, unasked
+    with connection_errors(address):
+        resolve_address(address)  # refuses an unknown scheme at once; a client would try for long
         client = Client(address, timeout=_CONNECT_S, set_as_default=False, direct_to_workers=False)
     try:
-        with suppress(TimeoutError):
+        with suppress(TimeoutError):  # `check_workers` refuses a scheduler without workers
             client.wait_for_workers(1, timeout=_CONNECT_S)
         yield client
     finally:
@@ -197,28 +208,36 @@ def connected(scheduler: str, command: str) -> Iterator[Any]:
             client.close(timeout=_STOP_S)
 
 
-def check_workers(client: Any, command: str, own: Mapping[str, str], files: list[Path]) -> None:
-    """Refuse (WORKER-VERSION, WORKER-FILES) workers that would not do what this process does."""
+def check_workers(
+    client: Any, command: str, versions: Mapping[str, str], files: list[Path]
+) -> None:
+    """Refuse workers that would not do what this process does, and a scheduler without workers.
+
+    Refused are workers with other versions (WORKER-VERSION), or that cannot see one of the mission
+    ``files`` (WORKER-FILES).
+    """
     question = pickle.dumps(partial(about_worker, files))
     reports = client.run(run_beside, command, question, on_error="return")
     if not reports:
         raise messages.no_workers(address=client.scheduler_info()["address"])
     for worker, report in sorted(reports.items()):
-        if not isinstance(report, tuple):
+        if not isinstance(report, tuple):  # `about_worker` failed; the last line says why
             text = report.traceback if isinstance(report, Bug) else str(report)
             raise messages.worker_unable(worker=worker, error=text.strip().split("\n")[-1])
-        theirs, missing = report
-        refuse_other_versions(worker, own, theirs)
+        versions_there, missing = report
+        refuse_other_versions(worker, versions, versions_there)
         if missing:
             raise messages.files_not_seen(worker=worker, first=missing[0], count=len(missing))
 
 
-def refuse_other_versions(worker: str, own: Mapping[str, str], theirs: Mapping[str, str]) -> None:
-    """Refuse (WORKER-VERSION) a worker with other versions than those here."""
+def refuse_other_versions(
+    worker: str, versions: Mapping[str, str], versions_there: Mapping[str, str]
+) -> None:
+    """Refuse (WORKER-VERSION) a worker with other versions than those of the command."""
     other = []
-    for name in sorted(own.keys() | theirs.keys()):
-        there = theirs.get(name, "missing")
-        here = own.get(name, "missing")
+    for name in sorted(versions.keys() | versions_there.keys()):
+        there = versions_there.get(name, "missing")
+        here = versions.get(name, "missing")
         if there != here:
             other.append(f"{name} {there} (here {here})")
     if other:
@@ -227,30 +246,33 @@ def refuse_other_versions(worker: str, own: Mapping[str, str], theirs: Mapping[s
 
 def versions_here() -> dict[str, str]:
     """Versions of the program, Python and all libraries in this process."""
-    found = all_versions()
+    versions = all_versions()
     for name in _OPTIONAL:
         installed = version(name)
         if installed is not None:
-            found[name] = installed
-    return found
+            versions[name] = installed
+    return versions
 
 
 # In a process of a worker
 
 
 def about_worker(files: Sequence[Path]) -> Any:
-    """Its versions, and which mission files it cannot see."""
+    """The versions in this process, and which mission files it cannot see."""
     return versions_here(), [str(file) for file in files if not file.is_file()]
 
 
 def run_here(versions: Mapping[str, str], task: Callable[[], TaskEnd]) -> TaskEnd:
-    """Run a task, if this worker, perhaps new, is like the others."""
+    """Run a task, after the versions were checked: the worker may have come after the check of all.
+
+    Refuses (WORKER-VERSION) a worker with other versions than the command's.
+    """
     refuse_other_versions("one of the workers", versions, versions_here())
     return task()
 
 
 def run_pickled(task: bytes) -> TaskEnd:
-    """Run a pickled task; to unpickle it imports what it needs, which the worker does not."""
+    """Run a pickled task. Unpickling it imports its modules in this process, not in the worker."""
     end: TaskEnd = pickle.loads(task)()
     return end
 
@@ -266,7 +288,10 @@ class _Processes:
         self.stopped = False
 
     def take(self, threads: int) -> MissionProcess:
-        """A process that has nothing to do, or a new one."""
+        """A process that has nothing to do, or a new one; it is marked as busy.
+
+        ``threads`` of the worker share the CPUs. The caller holds `_LOCK`.
+        """
         free = [process for process, busy in self.busy.items() if not busy]
         process = free[0] if free else MissionProcess(max(1, usable_cpus() // threads))
         self.busy[process] = True
@@ -275,10 +300,14 @@ class _Processes:
 
 _COMMANDS: dict[str, _Processes] = {}
 _LOCK = threading.Lock()
+"""Held while `_COMMANDS` or the processes of a command are looked up or changed."""
 
 
 def run_apart(command: str, task: bytes, threads: int | None = None) -> TaskEnd:
-    """On a worker of so many ``threads``: run a pickled task in a free process."""
+    """On a worker: run a pickled task in a free process.
+
+    ``threads`` of the worker run tasks side by side; None stands for the worker of this thread.
+    """
     if threads is None:
         from distributed import get_worker
 
@@ -294,6 +323,7 @@ def run_apart(command: str, task: bytes, threads: int | None = None) -> TaskEnd:
             end = process.end(process.submit(partial(run_pickled, task)))
             if not isinstance(end, OutputInUseError):
                 break
+            # The process of a worker that died may still hold the folder, and is about to end.
             time.sleep(0.5)
         return end
     finally:
@@ -303,21 +333,22 @@ def run_apart(command: str, task: bytes, threads: int | None = None) -> TaskEnd:
 def allow_processes() -> None:
     """Let this worker start processes.
 
-    Dask's nanny starts workers as daemons, which may have none, so that none is left behind; those
-    that it starts here end with it (`processes.end_with_parent`).
+    Dask's nanny starts workers as daemons, and Python forbids daemons to start processes, which
+    might stay behind. The processes started here do not: they end with the worker
+    (`processes.end_with_parent`).
     """
     settings: Any = getattr(multiprocessing.current_process(), "_config", {})
     settings["daemon"] = False
 
 
 async def run_beside(command: str, task: bytes, dask_worker: Any) -> TaskEnd:
-    """On a worker: run a task now, whatever else it does."""
+    """On a worker: run a pickled task now, even if all its threads run missions."""
     run = partial(run_apart, command, task, int(dask_worker.state.nthreads))
     return await asyncio.get_running_loop().run_in_executor(None, run)
 
 
 def stop_command(command: str) -> None:
-    """On a worker: stop the processes of a command; none begins any more."""
+    """On a worker: stop the processes of a command; no later task of it starts one."""
     with _LOCK:
         processes = _COMMANDS.setdefault(command, _Processes())
         processes.stopped = True

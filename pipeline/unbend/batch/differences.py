@@ -11,7 +11,10 @@ from unbend.tables.manifest.whole import Manifest
 
 
 def reasons_to_run(plan: Plan, manifest: Manifest) -> list[str]:
-    """Why the results of a manifest are not a plan's, whole and unchanged, one reason each."""
+    """Why a plan has to run although a manifest is there, one reason each; empty if it need not.
+
+    Where the manifest is that of the same plan, only damage of its results is a reason.
+    """
     run = manifest.run
     if run.fingerprint == plan.fingerprint:
         return find_damage(plan.output, manifest, read=False)
@@ -20,19 +23,20 @@ def reasons_to_run(plan: Plan, manifest: Manifest) -> list[str]:
         *changed_keys(plan.config, run.config),
         *changed_versions(plan.versions, run.versions),
     ]
+    # No value differs and yet the fingerprint does: the values are put together in another way.
     return reasons or ["the mission file is read in another way"]
 
 
 def changed_inputs(plan: Plan, records: list[InputRecord]) -> Iterator[str]:
     """The inputs that differ from those of a run."""
-    before = {record.role: record.sha256 for record in records}
-    now = {item.role: item for item in plan.inputs}
-    for role in before.keys() - now.keys():
+    hashes_before = {record.role: record.sha256 for record in records}
+    inputs_now = {item.role: item for item in plan.inputs}
+    for role in hashes_before.keys() - inputs_now.keys():
         yield f"{role} is no longer read"
-    for role, item in now.items():
-        if role not in before:
+    for role, item in inputs_now.items():
+        if role not in hashes_before:
             yield f"{role} is new ({item.name})"
-        elif before[role] != item.sha256:
+        elif hashes_before[role] != item.sha256:
             yield f"{role} changed ({item.name})"
 
 
@@ -46,12 +50,15 @@ def changed_keys(config: Mapping[str, Any], of_run: Mapping[str, Any]) -> Iterat
 
 
 def changed_versions(versions: Mapping[str, str], of_run: Mapping[str, str]) -> Iterator[str]:
-    """The versions that differ from those of a run: of the program first."""
-    own = ("unbend", "code_sha256")
-    if any(versions[name] != of_run.get(name) for name in own):
+    """The versions that differ from those of a run, that of the program first.
+
+    Version and hash of the program's code are one difference.
+    """
+    of_program = ("unbend", "code_sha256")
+    if any(versions[name] != of_run.get(name) for name in of_program):
         yield f"another version of unbend ({of_run.get('unbend')} -> {versions['unbend']})"
     for name in sorted(versions.keys() | of_run.keys()):
-        if name not in own and versions.get(name) != of_run.get(name):
+        if name not in of_program and versions.get(name) != of_run.get(name):
             yield f"{name} {_shown(of_run.get(name))} -> {_shown(versions.get(name))}"
 
 
@@ -69,4 +76,5 @@ def values_by_key(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _shown(value: Any) -> str:
+    """A value of a key or a version, in words where there is none."""
     return "nothing" if value is None else str(value)

@@ -29,7 +29,8 @@ def run_many(
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions; yields how each ended, as soon as it did.
 
-    One whose process dies is run again, alone; then refused with its command (WORKER-LOST).
+    A mission whose process dies is run again, alone. If its process dies again, the mission is
+    refused (WORKER-LOST) with the command that repeats it.
     """
     tasks: dict[MissionRef, Task] = {ref: partial(run_mission, ref) for ref in missions}
     lost: dict[MissionRef, Lost] = {}
@@ -46,18 +47,27 @@ def run_many(
     with closing(executor.run(again, alone=True)) as ends:
         for mission, end in ends:
             if isinstance(end, Lost):
-                end = messages.worker_lost(
-                    path=str(mission.path),
-                    first=lost[mission].how,
-                    second=end.how,
-                    replay=shlex.join(["unbend", "run", *mission.words]),
-                )
-            yield mission, with_manifest(end)
+                yield mission, lost_twice(mission, lost[mission], end)
+            else:
+                yield mission, with_manifest(end)
+
+
+def lost_twice(mission: MissionRef, first: Lost, second: Lost) -> UnbendError:
+    """The refusal (WORKER-LOST) of a mission whose process died again when it ran alone."""
+    return messages.worker_lost(
+        path=str(mission.path),
+        first=first.how,
+        second=second.how,
+        replay=shlex.join(["unbend", "run", *mission.words]),
+    )
 
 
 def with_manifest(end: MissionEnd) -> MissionEnd:
-    """How a mission ended, with its manifest; refuses results that are not here."""
-    if not isinstance(end, Outcome) or not end.fingerprint:
+    """How a mission ended, with the manifest that the receipt of another process leaves out.
+
+    Results that cannot be seen from here, or that are another run's, become a refusal.
+    """
+    if not isinstance(end, Outcome) or not end.fingerprint:  # no results, or no receipt
         return end
     try:
         manifest = read_manifest(end.output)
@@ -69,41 +79,46 @@ def with_manifest(end: MissionEnd) -> MissionEnd:
 
 
 def shard_of(shard: str | None) -> slice:
-    """The missions of one of several jobs, which have the same list; refuses (RUN-SHARD) others.
+    """Which missions of a list one of several jobs runs; all jobs have the same list.
+
+    ``shard`` is the number of the job, counted from 0, and how many jobs there are, as ``1/3``;
+    None stands for one job. Refuses (RUN-SHARD) any other text.
 
     >>> "abcdefg"[shard_of("1/3")], "abcdefg"[shard_of(None)]
     ('be', 'abcdefg')
     """
     if shard is None:
         return slice(None)
-    found = re.fullmatch(r"(\d+)/(\d+)", shard)
-    if found is None:
+    match = re.fullmatch(r"(\d+)/(\d+)", shard)
+    if match is None:
         raise messages.no_such_shard(shard=shard)
-    number = int(found[1])
-    jobs = int(found[2])
+    number = int(match[1])
+    jobs = int(match[2])
     if number >= jobs:
         raise messages.no_such_shard(shard=shard)
     return slice(number, None, jobs)
 
 
 def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
-    """Missions whose results would be written to the folder of an earlier one.
+    """Missions whose results would be written to the folder of an earlier mission, with refusals.
 
     Folders are compared after symbolic links are resolved, and on Windows without case.
     """
     first_of: dict[str, MissionRef] = {}
     refused: dict[MissionRef, UnbendError] = {}
     for mission, folder in folders:
-        place = os.path.normcase(os.path.realpath(str(folder)))
-        if place in first_of:
-            refused[mission] = messages.output_shared(first=str(first_of[place].path))
+        real_folder = os.path.normcase(os.path.realpath(str(folder)))
+        if real_folder in first_of:
+            refused[mission] = messages.output_shared(first=str(first_of[real_folder].path))
         else:
-            first_of[place] = mission
+            first_of[real_folder] = mission
     return refused
 
 
 def exit_code_of_command(codes: Sequence[int]) -> int:
-    """The exit code of one mission, or of several: 1 for a bug, 6 for a refusal, else the worst.
+    """The exit code of a command by those of its missions; that of a single mission as it is.
+
+    Of several missions: 1 for a bug, 6 for any other failure, else the worst.
 
     >>> [exit_code_of_command(codes) for codes in ([0, 3], [2], [0, 2], [6, 1])]
     [3, 2, 6, 1]

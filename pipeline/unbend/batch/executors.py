@@ -20,11 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a mission ended: where its results are, its manifest, and its exit code.
+    """A mission that ended with results.
 
-    ``output`` is a folder, or a place in object storage. ``manifest`` is None where nobody asks
-    for it. From another process comes a receipt of less than a kilobyte: the manifest, which is at
-    ``output``, is left out, and only its ``fingerprint`` comes.
+    output : the folder of the results, or a place in object storage.
+    manifest : None where nobody asks for it, and in a receipt.
+    repeated : whether an earlier run had made the results, so that the mission did not run.
+    fingerprint : of the manifest, in a receipt only. A receipt is the outcome as another process
+        sends it, in less than a kilobyte; its manifest is read at ``output``.
     """
 
     name: str
@@ -35,7 +37,7 @@ class Outcome:
     fingerprint: str = ""
 
     def receipt(self) -> Outcome:
-        """The outcome without its manifest."""
+        """The outcome without its manifest, whose fingerprint stays."""
         return Outcome(
             name=self.name,
             output=self.output,
@@ -73,7 +75,10 @@ class Executor(Protocol):
     """Runs missions somewhere."""
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
-        """How each ended, as soon as it did (``alone``: one by one). Leaving stops the rest."""
+        """Yield how each mission ended, as soon as it did; ``alone`` runs them one by one.
+
+        Closing the generator stops the missions that have not ended.
+        """
 
 
 def end_of(task: Callable[[], TaskEnd]) -> TaskEnd:
@@ -94,7 +99,7 @@ class Inline:
         self._bar = bar
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = True) -> Ends:
-        """How each mission ended, in the order given; they are one by one in any case."""
+        """Yield how each mission ended, in the order given; they run one by one in any case."""
         for mission, task in tasks.items():
             with self._bar(mission.path.stem) as progress:
                 end = end_of(partial(task, progress=progress))

@@ -91,7 +91,10 @@ def version(library: str) -> str | None:
 
 @lru_cache(maxsize=1)
 def grids_of_proj() -> str:
-    """PROJ's version and a hash of its grids: one installed later changes coordinates."""
+    """PROJ's version, and a hash of names and sizes of its grid files.
+
+    A grid that is installed later changes coordinates.
+    """
     import pyproj
 
     folders = pyproj.datadir.get_data_dir().split(os.pathsep)
@@ -110,8 +113,8 @@ def grids_of_proj() -> str:
 def versions_of(roles: Iterable[str], standard: str) -> dict[str, str]:
     """Versions of the program, Python and libraries that a mission's numbers depend on.
 
-    ``roles`` of its inputs, and the name of its standard atmosphere: some need libraries of their
-    own. A library that is not installed has no entry.
+    ``roles`` are those of its inputs, ``standard`` is the name of its standard atmosphere: some
+    inputs and atmospheres need further libraries. A library that is not installed has no entry.
     """
     names = [*LIBRARIES, *LIBRARIES_OF_ATMOSPHERES.get(standard, ())]
     needs_grids = False
@@ -136,7 +139,7 @@ def versions_of(roles: Iterable[str], standard: str) -> dict[str, str]:
 
 def all_versions() -> dict[str, str]:
     """Versions of all that any mission may need."""
-    return versions_of(LIBRARIES_OF_INPUTS, MSIS)
+    return versions_of(roles=LIBRARIES_OF_INPUTS, standard=MSIS)  # its keys are roles
 
 
 def fingerprint_of(

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from unbend.batch import messages
 from unbend.config import Mission
+from unbend.config.orientations import KnownPositions
 from unbend.ingest import hash_file
 from unbend.tables.geodata.gdal import raster_files
 from unbend.tables.imports.blocks import BLOCKS, block_reader, damage_refused
@@ -22,13 +23,20 @@ SETTLED_NS = 2_000_000_000
 GDAL = "GDAL"
 """Stands for the program of a raster, beside which GDAL reads other files."""
 
+BUILT_IN_GEOID = "egm96"
+"""The geoid that needs no file: it is in the package."""
+
 _EXIF_BYTES = 1 << 18  # EXIF comes first in a JPEG, and is never longer
 
 
 class NamedInput(NamedTuple):
     """An input as the mission file names it.
 
-    ``program`` is that of a block, or GDAL: such an input has several files.
+    role : what it is to the mission: log, observations, events, ...
+    key : the key of the mission file that names it.
+    name : its path or URL in the mission file.
+    program : that of a block, or `GDAL` of a raster: such an input may have several files.
+    may_be_folder : whether a folder is allowed in the place of a file.
     """
 
     role: str
@@ -39,62 +47,114 @@ class NamedInput(NamedTuple):
 
 
 def named_inputs(mission: Mission) -> Iterator[NamedInput]:
-    """The files that a mission reads, with the keys of the mission file that name them."""
-    stations = mission.stations
-    events = mission.events
-    orientation = stations.orientation
+    """The files that a mission reads, with the keys of the mission file that name them.
+
+    In this order they stand in the manifest, and the first that is missing is refused.
+    """
     if mission.log is not None:
         yield NamedInput("log", "log.path", mission.log.path)
-    observations = mission.observations
-    program = block_program(observations.format)
-    yield NamedInput(
-        "observations", "observations.path", observations.path, program, program is not None
-    )
-    if mission.mission.geoid != "egm96":
-        yield NamedInput("geoid", "mission.geoid", mission.mission.geoid, GDAL)
-    if mission.ground.points is not None:
-        yield NamedInput("object points", "ground.height.points", mission.ground.points.points)
-    if mission.control is not None:
-        yield NamedInput("control", "control.path", mission.control.path)
-    if mission.ground.model is not None:
-        for number, path in enumerate(mission.ground.model.paths, 1):
-            yield NamedInput(f"elevation model {number}", "ground.height.dem", path, GDAL)
-    if orientation is not None:
-        program = block_program(orientation.format)
-        yield NamedInput(
-            "orientation",
-            "stations.orientation.path",
-            orientation.path,
-            program,
-            may_be_folder=program is not None or orientation.format == "dji",
-        )
-        known = orientation.known_positions
-        if known is not None and not isinstance(known, str):
-            key = "stations.orientation.known_positions.path"
-            yield NamedInput("known positions", key, known.path)
-    if events is not None and events.csv is not None:
-        yield NamedInput("events", "events.csv.path", events.csv.path)
-    if events is not None and events.images is not None:
-        yield NamedInput("images", "events.images.path", events.images.path, may_be_folder=True)
-    for name, camera in mission.cameras.items():
-        if camera.file is not None:
-            program = block_program(camera.format)
-            role = f"camera {name}"
-            yield NamedInput(
-                role, f"cameras.{name}.file", camera.file, program, program is not None
-            )
+    yield _observations(mission)
+    yield from _heights_and_points(mission)
+    yield from _orientation(mission)
+    yield from _events(mission)
+    yield from _camera_files(mission)
     for name, positions in mission.position_events.items():
         yield NamedInput(f"events of {name}", "events.positions", positions.path)
-    if stations.trajectory is not None:
-        trajectory = stations.trajectory
-        yield NamedInput("trajectory", "stations.trajectory.path", trajectory.path)
-        if trajectory.accuracy is not None:
-            key = "stations.trajectory.accuracy"
-            yield NamedInput("trajectory accuracy", key, trajectory.accuracy)
-    for number, sounding in enumerate(mission.atmosphere.soundings):
+    yield from _trajectory(mission)
+    yield from _soundings_and_model(mission)
+
+
+def _observations(mission: Mission) -> NamedInput:
+    """The table of observations, or the block of another program that has them."""
+    section = mission.observations
+    program = block_program(section.format)
+    return NamedInput(
+        role="observations",
+        key="observations.path",
+        name=section.path,
+        program=program,
+        may_be_folder=program is not None,
+    )
+
+
+def _heights_and_points(mission: Mission) -> Iterator[NamedInput]:
+    """Geoid, object points, control points and the rasters of the elevation model."""
+    geoid = mission.mission.geoid
+    if geoid != BUILT_IN_GEOID:
+        yield NamedInput("geoid", "mission.geoid", geoid, program=GDAL)
+    ground = mission.ground
+    if ground.points is not None:
+        yield NamedInput("object points", "ground.height.points", ground.points.points)
+    if mission.control is not None:
+        yield NamedInput("control", "control.path", mission.control.path)
+    if ground.model is not None:
+        for number, path in enumerate(ground.model.paths, start=1):
+            yield NamedInput(f"elevation model {number}", "ground.height.dem", path, program=GDAL)
+
+
+def _orientation(mission: Mission) -> Iterator[NamedInput]:
+    """The orientations of the images, and the known positions that say in which frame they are."""
+    section = mission.stations.orientation
+    if section is None:
+        return
+    program = block_program(section.format)
+    yield NamedInput(
+        role="orientation",
+        key="stations.orientation.path",
+        name=section.path,
+        program=program,
+        may_be_folder=program is not None or section.format == "dji",
+    )
+    known = section.known_positions
+    if isinstance(known, KnownPositions):
+        key = "stations.orientation.known_positions.path"
+        yield NamedInput("known positions", key, known.path)
+
+
+def _events(mission: Mission) -> Iterator[NamedInput]:
+    """The table of events, and the images whose EXIF holds their times."""
+    section = mission.events
+    if section is None:
+        return
+    if section.csv is not None:
+        yield NamedInput("events", "events.csv.path", section.csv.path)
+    if section.images is not None:
+        yield NamedInput("images", "events.images.path", section.images.path, may_be_folder=True)
+
+
+def _camera_files(mission: Mission) -> Iterator[NamedInput]:
+    """The files of interior orientations, which may be blocks of other programs."""
+    for name, camera in mission.cameras.items():
+        if camera.file is None:
+            continue
+        program = block_program(camera.format)
+        yield NamedInput(
+            role=f"camera {name}",
+            key=f"cameras.{name}.file",
+            name=camera.file,
+            program=program,
+            may_be_folder=program is not None,
+        )
+
+
+def _trajectory(mission: Mission) -> Iterator[NamedInput]:
+    """The trajectory, and the file of its accuracy."""
+    section = mission.stations.trajectory
+    if section is None:
+        return
+    yield NamedInput("trajectory", "stations.trajectory.path", section.path)
+    if section.accuracy is not None:
+        key = "stations.trajectory.accuracy"
+        yield NamedInput("trajectory accuracy", key, section.accuracy)
+
+
+def _soundings_and_model(mission: Mission) -> Iterator[NamedInput]:
+    """Soundings of the air, and a weather model."""
+    section = mission.atmosphere
+    for number, sounding in enumerate(section.soundings):
         yield NamedInput(sounding_role(number), "atmosphere.soundings", sounding.path)
-    if mission.atmosphere.model is not None:
-        yield NamedInput("weather model", "atmosphere.model.path", mission.atmosphere.model.path)
+    if section.model is not None:
+        yield NamedInput("weather model", "atmosphere.model.path", section.model.path)
 
 
 def block_program(program: str | None) -> str | None:
@@ -123,11 +183,11 @@ class FileState(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether the last change is so long ago that the next one will show."""
+        """Whether the last change is so long ago that the next one will show in the times."""
         return max(self.mtime_ns, self.ctime_ns) < time.time_ns() - SETTLED_NS
 
     @property
-    def elsewhere(self) -> tuple[int, ...]:
+    def without_device(self) -> tuple[int, ...]:
         """The state as all machines that share a disk see it: each numbers devices by itself."""
         return self[1:]
 
@@ -145,29 +205,42 @@ States = tuple[FileState | None, ...]
 
 
 def record_of(named: NamedInput, files: tuple[Path, ...], states: States) -> InputRecord:
-    """The record of an input by the states of its files, without a hash."""
+    """The record of an input by the states of its files, without a hash of its content.
+
+    The record has a time only where the same time will prove that the input is unchanged: where
+    all its files are there, and none was changed so lately that the next change may not show.
+    Its version tells which files an input has that may have several; it is empty for others.
+    """
     there = [state for state in states if state is not None]
-    settled = bool(there) and len(there) == len(states) and all(s.is_settled for s in there)
-    listed = ""
-    if len(files) > 1 or named.may_be_folder:
-        digest = hashlib.sha256()
-        for file, state in zip(files, states, strict=True):
-            size = state and state.size_bytes
-            mtime = state and state.mtime_ns
-            digest.update(f"{file.name}\0{size}\0{mtime}\0".encode())
-        listed = digest.hexdigest()
+    are_all_there = bool(there) and len(there) == len(states)
+    is_settled = are_all_there and all(state.is_settled for state in there)
+    has_several_files = len(files) > 1 or named.may_be_folder
     return InputRecord(
         role=named.role,
         name=named.name,
         sha256="",
         bytes=sum(state.size_bytes for state in there),
-        mtime_ns=max(state.mtime_ns for state in there) if settled else None,
-        version=listed,
+        mtime_ns=max(state.mtime_ns for state in there) if is_settled else None,
+        version=_hash_of_listing(files, states) if has_several_files else "",
     )
 
 
+def _hash_of_listing(files: tuple[Path, ...], states: States) -> str:
+    """SHA-256 of the names, sizes and times of files; it stands for the version of them all."""
+    digest = hashlib.sha256()
+    for file, state in zip(files, states, strict=True):
+        size = state and state.size_bytes
+        mtime = state and state.mtime_ns
+        digest.update(f"{file.name}\0{size}\0{mtime}\0".encode())
+    return digest.hexdigest()
+
+
 def files_of(path: Path, program: str | None) -> tuple[Path, ...]:
-    """The files of an input: of a block all, of a raster those beside it too, or images."""
+    """The files of an input.
+
+    They are all files of a block, a raster and what GDAL reads beside it, the images of a folder,
+    or else the one file.
+    """
     if program == GDAL:
         return raster_files(path)
     if program is not None:
@@ -183,12 +256,13 @@ def files_of(path: Path, program: str | None) -> tuple[Path, ...]:
 def hash_input(
     path: Path, program: str | None, files: tuple[Path, ...], states: States = ()
 ) -> str:
-    """SHA-256 of a file, or of names and hashes of a block's, a raster's or a folder's files.
+    """SHA-256 of an input: of one file, or of the names and hashes of several.
 
-    Of the images of a folder only EXIF is read. Without ``states`` of its files all are read.
+    ``files`` of a block or a raster are read whole; of the images of a folder (no ``program``) only
+    EXIF is. With the ``states`` of the files, one that was hashed in that state is not read again.
     """
     states = states or (None,) * len(files)
-    if files == (path,):
+    if files == (path,):  # the input is one file
         return hash_once(path, states[0])
     digest = hashlib.sha256()
     for file, state in zip(files, states, strict=True):
@@ -201,7 +275,10 @@ def hash_input(
 
 
 def hash_once(path: Path, state: FileState | None) -> str:
-    """SHA-256 of a file in a state; missions of one process that share it read it once."""
+    """SHA-256 of a file, which missions of one process that share it read once.
+
+    A file is read each time without a ``state``, or if its next change may not show in the state.
+    """
     if state is None or not state.is_settled:
         return hash_file(path)
     return _hash_in_state(path, state)
@@ -209,6 +286,7 @@ def hash_once(path: Path, state: FileState | None) -> str:
 
 @lru_cache(maxsize=1000)
 def _hash_in_state(path: Path, _: FileState) -> str:
+    """SHA-256 of a file, kept for the state that it has."""
     return hash_file(path)
 
 
@@ -252,18 +330,21 @@ class Input:
 
 
 def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:
-    """Refuse results whose inputs were written to, or replaced, while they were made.
+    """Refuse (INPUT-CHANGED) inputs that were written to, or replaced, since they were hashed.
 
-    By the same content too: another one may have been there in between, and read. Without
-    ``folders`` those of images are not looked at. Objects in storage are compared by `remote`.
+    An input that was written again with the same content is refused too: in between another content
+    may have been there, and been read. Without ``folders`` the images of a folder are not looked
+    at. Inputs in object storage are not compared here, but by `remote.refuse_changed`.
     """
     for item in inputs:
-        if item.url or not (folders or item.program is not None or item.path.is_file()):
+        is_folder_of_images = item.program is None and item.path.is_dir()
+        if item.url or (is_folder_of_images and not folders):
             continue
         now = [state_of(file) for file in files_of(item.path, item.program)]
-        if _as_shared(now) != _as_shared(item.states):
+        if _without_devices(now) != _without_devices(item.states):
             raise messages.input_changed(role=item.role, path=str(item.path))
 
 
-def _as_shared(states: Iterable[FileState | None]) -> list[tuple[int, ...] | None]:
-    return [None if state is None else state.elsewhere for state in states]
+def _without_devices(states: Iterable[FileState | None]) -> list[tuple[int, ...] | None]:
+    """The states of files, without the numbers of their devices; None for a file not there."""
+    return [None if state is None else state.without_device for state in states]

@@ -24,7 +24,7 @@ def manifest_text(manifest: Manifest) -> str:
 def parse_manifest(content: bytes, where: str, *, of_attempt: bool = False) -> Manifest:
     """The manifest in a file; refuses (MANIFEST-UNREADABLE) what unbend did not write.
 
-    ``of_attempt`` : the manifest is in object storage, and has to name the attempt it is of.
+    ``of_attempt`` : the manifest is in object storage, and must name the attempt with its files.
     """
     try:
         values = json.loads(content.decode("utf-8"))
@@ -44,9 +44,10 @@ def damage_of(
     sizes: Mapping[str, int],
     hash_of: Callable[[str], str | None],
 ) -> list[str]:
-    """What is missing, changed or too many among results, one line each.
+    """What is missing, changed or too many among the results of a manifest, one line each.
 
-    ``sizes`` by the names of the files that are there; ``hash_of`` a file, None to trust it.
+    ``sizes`` are those of the files that are there, by name. ``hash_of`` returns the hash of a file
+    by its name, or None for a file that is trusted without reading it.
     """
     damage = []
     for item in manifest.run.outputs:

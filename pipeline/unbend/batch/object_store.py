@@ -23,7 +23,7 @@ _STORES = {"s3": "S3Store", "az": "AzureStore", "gs": "GCSStore"}
 
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9._-]{1,62}")
 
-_BLOCK_BYTES = 32 << 20  # of an object that is read: all that is in memory of it
+_BLOCK_BYTES = 32 << 20  # of an object that is read; no more of it is in memory at once
 
 _PLAIN_HTTP = ("AWS_ALLOW_HTTP", "AZURE_ALLOW_HTTP", "AZURE_STORAGE_USE_EMULATOR")
 """Variables of the environment that allow a store without encryption, such as one on this host."""
@@ -148,7 +148,7 @@ class Place:
             stop = min(start + _BLOCK_BYTES, meta["size"])
             options = {"range": (start, stop), "if_match": meta["e_tag"]}
             got = request("read", self, "get", options=options)
-            if got is None:
+            if got is None:  # the condition does not hold: it is another object by now
                 raise messages.input_changed(role=self.name, path=str(self))
             block = bytes(answered("read", self, got.bytes))
             if len(block) != stop - start:
@@ -156,7 +156,7 @@ class Place:
             yield block
 
     def sha256(self) -> str:
-        """The hash of an object; empty for one that is not there, or changes meanwhile."""
+        """The hash of an object; empty for one that is not there, or that changes meanwhile."""
         digest = hashlib.sha256()
         try:
             for block in self.blocks():
@@ -166,7 +166,7 @@ class Place:
         return digest.hexdigest()
 
     def objects(self) -> dict[str, dict[str, Any]]:
-        """What `head` says of each object below the place, by the name from the place on."""
+        """Size, version and time of each object below the place, by its name from the place on."""
         start = f"{self.key}/" if self.key else ""
         listing = request("list", Place(self.scheme, self.bucket, start), "list")
         listed = answered("list", self, listing.collect)
@@ -182,7 +182,7 @@ class Place:
 
 
 def _mistake_of(url: str, bucket: str, key: str) -> str:
-    """Why a URL with a known scheme names no object; empty where it does."""
+    """Why a URL with a known scheme names no place; empty for a URL that names one."""
     if "@" in bucket or re.search("[?#]", url):
         return "it has a user, a password, a query or a fragment"
     if not _BUCKET.fullmatch(bucket):
@@ -206,10 +206,10 @@ def open_store(scheme: str, bucket: str) -> Any:
 
 
 def request(verb: str, place: Place, function: str, *arguments: Any, **options: Any) -> Any:
-    """Call a function of obstore for an object; ``verb`` is what a refusal (StorageError) says.
+    """Call a function of obstore, by its name, for an object.
 
-    None where a condition of the request does not hold; FileNotFoundError where an object is not
-    there.
+    Returns None where a condition of the request does not hold. Raises FileNotFoundError where the
+    object is not there, and StorageError for any other error; its text has the ``verb``.
     """
 
     def call() -> Any:
@@ -222,7 +222,7 @@ def request(verb: str, place: Place, function: str, *arguments: Any, **options: 
 
 
 def answered(verb: str, place: Place, call: Callable[[], Any]) -> Any:
-    """What a call of obstore returns; an error becomes None or a refusal, as `request` says."""
+    """What a call of obstore returns. Errors become None or an exception, as `request` says."""
     try:
         from obstore import exceptions
     except ImportError:
@@ -236,6 +236,7 @@ def answered(verb: str, place: Place, call: Callable[[], Any]) -> Any:
         if refusal is None and isinstance(error, FileNotFoundError):
             raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(place)) from None
         answer = answer_in(str(error))
+    # Raised here, and not while obstore's error is handled: its text would be printed as the cause.
     raise refusal or messages.request_failed(url=str(place), verb=verb, answer=answer)
 
 

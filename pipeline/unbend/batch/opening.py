@@ -8,10 +8,12 @@ from pathlib import Path
 import pyarrow as pa
 
 from unbend.batch import messages, remote
-from unbend.batch.input_files import named_inputs
+from unbend.batch.input_files import block_program, named_inputs
 from unbend.batch.plan import located, with_camera_files
 from unbend.batch.remote import Place
+from unbend.block.known_places import KnownPlaces
 from unbend.config import Mission
+from unbend.config.image_frames import image_frame_of
 from unbend.config.orientations import KnownPositions, OrientationSection
 from unbend.flight.channels import Channel
 from unbend.ingest import Log, open_log
@@ -65,6 +67,7 @@ def open_inputs(
         orientation=_orientation(mission, paths, ledger),
         camera_names=camera_names or {},
         known_positions=_known_positions(mission, paths),
+        block_places=_block_places(mission, paths),
         block_points=_block_points(mission, paths),
         object_points=_object_points(mission, paths),
         control=_control(mission, paths),
@@ -96,6 +99,7 @@ def open_table(
         sigma_column=ground.sigma_column,
         direction=mission.refraction.direction,
         pixels=section.pixels,
+        frame=image_frame_of(section, mission.cameras),
         most_rows=most_rows,
         file_format=section.format,
         table=table,
@@ -106,13 +110,13 @@ def decode_log(mission: Mission, paths: Paths, sha256: str | None) -> Log | None
     """The log of a mission, decoded; None where stations come from elsewhere."""
     if mission.log is None:
         return None
-    return open_log(paths["log"], sha256)
+    return open_log(paths["log"], sha256, date_ns=mission.mission.date_ns)
 
 
 def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[str, Path]]:
     """Where the files are of a mission whose observations and orientations are in memory.
 
-    Returned before the paths by role is the mission with what the files of its cameras say. Such a
+    Returns the mission, with what the files of its cameras say, and the paths by role. Such a
     mission has no log. Refuses (INPUT-MISSING) what is not there; an input in object storage is
     copied.
     """
@@ -181,7 +185,12 @@ def _orientation(mission: Mission, paths: Paths, ledger: Ledger) -> OrientationT
 
 def stated_orientation(section: OrientationSection) -> Stated:
     """What the mission file states of a table of orientations."""
-    return Stated(columns=section.column_names, angle_unit=section.unit)
+    return Stated(
+        columns=section.column_names,
+        unstated=section.unstated,
+        angle_unit=section.unit,
+        heights=section.heights,
+    )
 
 
 def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownImagePositions | None:
@@ -191,6 +200,23 @@ def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownImage
         return None
     names = known.model_dump(exclude={"path", "sigma_m"})
     return opened_inputs.KnownImagePositions(*read_known_positions(paths["known positions"], names))
+
+
+def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
+    """Where the files of the orientations and the observations say that the images were."""
+    section = mission.stations.orientation
+    if section is None:
+        return ()
+    programs = {}
+    if section.of_block and "orientation" in paths:
+        programs[paths["orientation"]] = section.format
+    observations_format = block_program(mission.observations.format)
+    if observations_format is not None and "observations" in paths:
+        programs[paths["observations"]] = observations_format
+    places: tuple[KnownPlaces, ...] = ()
+    for path, program in programs.items():
+        places += blocks.read_block_places(path, program)
+    return places
 
 
 def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints | None:

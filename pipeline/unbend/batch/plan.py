@@ -79,7 +79,7 @@ class Plan:
         return next(item for item in self.inputs if item.role == role)
 
     def identity(self) -> Identity:
-        """What of the manifest says which run it is of."""
+        """The part of the manifest that says which run it is of, and of which inputs."""
         return Identity(
             manifest_version=MANIFEST_VERSION,
             mission=self.mission.mission.name,
@@ -93,7 +93,8 @@ class Plan:
     def check_unchanged(self, *, folders: bool = True) -> None:
         """Refuse (INPUT-CHANGED) inputs that were written to, or replaced, since they were hashed.
 
-        Without ``folders`` those of images are not looked at, and no object storage.
+        Without ``folders`` neither the images of folders nor inputs in object storage are looked
+        at, as both may take long.
         """
         check_unchanged(self.inputs, folders=folders)
         if folders:
@@ -115,15 +116,16 @@ def output_of(mission: Mission, folder: Path) -> Path | Place:
 def make_plan(
     mission: Mission, folder: Path, *, verify: bool = False, text_sha256: str = ""
 ) -> Plan:
-    """Hash the inputs of a mission; relative paths resolve from the mission file's folder.
+    """Hash the inputs of a mission; relative paths resolve from ``folder``, the mission file's.
 
-    An input that is unchanged by size and time since the run whose results are there is read only
-    to ``verify``. Refuses results that would go over an input.
+    An input whose size and time are those that the manifest of an earlier run states keeps the hash
+    in that manifest, unless ``verify`` is set. Refuses inputs that are missing or cannot be read,
+    and results that would replace an input.
     """
     output = output_of(mission, folder)
     refuse_among_results("mission", folder, output)
     earlier = read_manifest(output, damaged=True)
-    records: dict[str, InputRecord] = {}
+    records: dict[str, InputRecord] = {}  # of the earlier run, by role; none to verify
     if earlier is not None and not verify:
         records = {record.role: record for record in earlier.run.inputs}
     inputs = []
@@ -132,9 +134,11 @@ def make_plan(
         place = located(named.name, folder)
         with readable(named, place):
             if isinstance(place, Place):
-                remotes[named.role] = found = look_up(named, place)
+                in_storage = look_up(named, place)
+                remotes[named.role] = in_storage
                 refuse_among_results(named.role, place, output)
-                inputs.append(remote_input(named, found, records.get(named.role), verify=verify))
+                known = records.get(named.role)
+                inputs.append(remote_input(named, in_storage, known, verify=verify))
             else:
                 refuse_missing(named, place)
                 refuse_among_results(named.role, place, output)
@@ -168,9 +172,10 @@ def refuse_missing(named: NamedInput, path: Path) -> None:
 
 
 def local_input(named: NamedInput, path: Path, known: InputRecord | None, *, verify: bool) -> Input:
-    """An input in a folder, hashed; ``known`` is its record in an earlier run.
+    """An input on a disk, hashed; ``known`` is its record in an earlier run, None without any.
 
-    A file of the size and time of that record is not read, unless to ``verify``.
+    An input of the size and time of that record is not read. With ``verify`` each file is read,
+    even if another mission of this process has hashed it.
     """
     files = files_of(path, named.program)
     states = tuple(state_of(file) for file in files)
@@ -184,40 +189,43 @@ def local_input(named: NamedInput, path: Path, known: InputRecord | None, *, ver
 
 
 def look_up(named: NamedInput, place: Place) -> RemoteInput:
-    """An input in object storage; FileNotFoundError where it is not there, or is a folder."""
+    """An input as it is in object storage now.
+
+    Raises FileNotFoundError where it is not there, or is a folder and must be one object.
+    """
     if place.is_folder and not named.may_be_folder:
         raise FileNotFoundError(str(place))
     return remote.look_up(place)
 
 
 def remote_input(
-    named: NamedInput, found: RemoteInput, known: InputRecord | None, *, verify: bool
+    named: NamedInput, in_storage: RemoteInput, known: InputRecord | None, *, verify: bool
 ) -> Input:
-    """An input in object storage, hashed; ``known`` is its record in an earlier run.
+    """An input in object storage, hashed; ``known`` is its record in an earlier run, if any.
 
-    An object of the version in that record is not copied; that of a camera is always, because it is
-    read when the mission is understood.
+    An input of the version in that record is not copied here and read. The file of a camera always
+    is, because the mission is not understood without it. ``verify`` copies an input anew.
     """
     record = InputRecord(
         role=named.role,
         name=named.name,
         sha256="",
-        bytes=found.size_bytes,
-        mtime_ns=found.mtime_ns,
-        version=found.version,
+        bytes=in_storage.size_bytes,
+        mtime_ns=in_storage.mtime_ns,
+        version=in_storage.version,
     )
     is_of_camera = named.role.startswith("camera ")
     if record.is_like(known) and known is not None and not is_of_camera:
         record = known
     else:
-        copy = remote.fetch(found, anew=verify)
+        copy = remote.fetch(in_storage, anew=verify)
         sha256 = hash_input(copy, named.program, files_of(copy, named.program))
         record = record.with_hash(sha256)
-    return Input(record, found.copy, program=named.program, url=str(found.place))
+    return Input(record, in_storage.copy, program=named.program, url=str(in_storage.place))
 
 
 def with_camera_files(mission: Mission, paths: Mapping[str, Path]) -> Mission:
-    """The mission with what the files of its cameras say; ``paths`` are those of inputs by role."""
+    """The mission with what the files of its cameras say; ``paths`` are those of all inputs."""
     cameras = {}
     for name, camera in mission.cameras.items():
         role = f"camera {name}"
@@ -235,7 +243,7 @@ def names_of_cameras(mission: Mission) -> dict[str, str]:
         names[str(camera.camera or name)] = name
     if len(mission.cameras) == 1:
         (only,) = mission.cameras.values()
-        if only.camera is None:
+        if only.camera is None:  # the mission file does not say what a block calls it
             names[""] = next(iter(names.values()))
     return names
 
@@ -250,7 +258,10 @@ def refuse_other_mission(plan: Plan, manifest: Manifest | None) -> None:
 
 
 def refuse_among_results(role: str, path: Path | Place, output: Path | Place) -> None:
-    """Refuse (OUTPUT-OVER-INPUT) what a run would remove or replace."""
+    """Refuse (OUTPUT-OVER-INPUT) an input that a run would remove or replace.
+
+    A folder on a disk and a place in object storage never lie in each other.
+    """
     if isinstance(output, Place) and isinstance(path, Place):
         replaced = remote.would_replace(output, path)
     elif isinstance(output, Path) and isinstance(path, Path):
@@ -266,21 +277,27 @@ def fetch_inputs(plan: Plan) -> None:
 
     Refuses (INPUT-CHANGED) an input whose new copy has another hash than planned.
     """
-    for role, found in plan.remotes.items():
+    for role, in_storage in plan.remotes.items():
         item = plan.input(role)
-        if not is_whole(item, found, anew=False) and not is_whole(item, found, anew=True):
+        copy = remote.fetch(in_storage)
+        if has_planned_hash(item, copy):
+            continue
+        new_copy = remote.fetch(in_storage, anew=True)  # the one before may be damaged
+        if not has_planned_hash(item, new_copy):
             raise messages.input_changed(role=role, path=item.url)
 
 
-def is_whole(item: Input, found: RemoteInput, *, anew: bool) -> bool:
-    """Whether the copy of an input, made if missing or ``anew``, has the planned hash."""
-    copy = remote.fetch(found, anew=anew)
+def has_planned_hash(item: Input, copy: Path) -> bool:
+    """Whether the copy of an input has the hash that the plan states."""
     return hash_input(copy, item.program, files_of(copy, item.program)) == item.sha256
 
 
 @contextmanager
 def places_named(plan: Plan) -> Iterator[None]:
-    """Let a refusal name the URLs of the mission file, in the place of copies and folders here."""
+    """Let a refusal name inputs and results in object storage by their URLs.
+
+    Otherwise it would name their copies, and the folder of the results, in the user's cache.
+    """
     try:
         yield
     except UnbendError as error:

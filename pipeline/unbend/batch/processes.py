@@ -49,6 +49,7 @@ class MissionProcess:
             return self._submit(task)
 
     def _submit(self, task: Callable[[], TaskEnd]) -> Future[TaskEnd]:
+        """Begin a task, in a new pool if there is none; notes a process that was started."""
         if self._pool is None:
             self._pool = ProcessPoolExecutor(
                 max_workers=1,
@@ -58,6 +59,7 @@ class MissionProcess:
                 initargs=(self._threads,),
             )
         with _STARTING, ctrl_c_kept_back():
+            # A pool starts its process with the first task: the child that is new then is the one.
             before = set(multiprocessing.active_children())
             future = self._pool.submit(run_task, task)
             started = set(multiprocessing.active_children()) - before
@@ -66,14 +68,14 @@ class MissionProcess:
         return future
 
     def end(self, future: Future[TaskEnd]) -> TaskEnd:
-        """How a task ended that is done; Lost where its process died."""
+        """How a task ended, whose ``future`` is done; Lost where its process died."""
         try:
             return future.result()
         except BrokenProcessPool:
-            self._close()
+            self._close()  # waits for the process, which has an exit code then
             code = None if self._process is None else self._process.exitcode
             return Lost(way_of_death(code))
-        except Exception as error:  # what it returned, or is asked to do, cannot be sent
+        except Exception as error:  # the task, or what it returned, cannot be pickled
             return Bug(f"{type(error).__name__}: {error}")
 
     def ask_to_stop(self) -> None:
@@ -102,12 +104,12 @@ class MissionProcess:
 
 
 _STARTING = threading.Lock()
-"""Held while a process starts, so that it is known whose it is."""
+"""Held while a process starts: no other may start before it is known which child is new."""
 
 
 @contextmanager
 def ctrl_c_kept_back() -> Iterator[None]:
-    """Start processes that do not hear Ctrl-C until `prepare_process` says what they do then."""
+    """Start processes that Ctrl-C cannot end before `prepare_process` makes them ignore it."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -129,7 +131,7 @@ def stop_all(processes: Iterable[MissionProcess]) -> None:
 
 
 def prepare_process(threads: int) -> None:
-    """In a new process: its share of the CPUs, its answer to signals, and no life of its own."""
+    """In a new process: set its share of the CPUs, and let it end at SIGTERM or with its parent."""
     os.environ["UNBEND_THREADS"] = str(threads)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the command line does
     # What a library prints must not get among what the command prints.
@@ -147,8 +149,10 @@ def stop_at_signal(_: int, __: FrameType | None) -> None:
 
 
 def end_with_parent() -> None:
-    """End this process when the one that started it has died: whoever runs the mission next needs
-    the lock of its folder."""
+    """End this process when the one that started it has died.
+
+    Otherwise it would keep the lock of its mission's folder, which the next run needs.
+    """
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -183,15 +187,19 @@ class Processes:
         self._jobs = jobs
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
-        """How each ended, as soon as it did. A mission is assigned when a process is free."""
+        """Yield how each mission ended, as soon as it did; ``alone`` runs them one by one.
+
+        A mission is assigned when a process is free.
+        """
         jobs = 1 if alone else min(self._jobs, len(tasks))
         threads = max(1, usable_cpus() // jobs)
         processes = [MissionProcess(threads) for _ in range(jobs)]
         waiting = iter(tasks.items())
-        # The main thread waits for nothing else: a signal interrupts that without a lock held.
+        # The main thread waits for this queue alone: a signal interrupts it without a lock held.
         done: SimpleQueue[tuple[MissionProcess, MissionRef, Future[TaskEnd]]] = SimpleQueue()
 
         def begin_next(process: MissionProcess) -> None:
+            """Let a free process begin the next mission that waits, if one does."""
             mission, task = next(waiting, (None, None))
             if mission is None or task is None:
                 return

@@ -28,7 +28,7 @@ def packed(value: Any) -> bytes:
 
 
 def unpacked(content: bytes) -> Any:
-    """The value that was packed; None where the bytes are damaged, or another program's.
+    """The value that was packed; None where the bytes are damaged, or were not packed by this code.
 
     >>> unpacked(packed({"rows": 3})), unpacked(packed({"rows": 3})[:-1])
     ({'rows': 3}, None)
@@ -60,16 +60,20 @@ class _PlainUnpickler(pickle.Unpickler):
     """Reads values of plain classes; refuses to call anything else."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """The class of a value."""
+        """The class or function that a pickle names; UnpicklingError for any that is not allowed.
+
+        Allowed are functions that make arrays, and classes of this package that hold values:
+        dataclasses, named tuples and enumerations.
+        """
         if (module, name) == ("builtins", "getattr"):
             return member_of
         room = module.partition(".")[0]
         if name in _FUNCTIONS.get(room, ()):
             return super().find_class(module, name)
         if room == "unbend":
-            found = super().find_class(module, name)
-            if isinstance(found, type) and (issubclass(found, tuple | Enum) or is_dataclass(found)):
-                return found
+            plain = super().find_class(module, name)
+            if isinstance(plain, type) and (issubclass(plain, tuple | Enum) or is_dataclass(plain)):
+                return plain
         raise pickle.UnpicklingError(f"{module}.{name} is no plain value")
 
 

@@ -192,12 +192,16 @@ def times_text(corrected: CorrectedMission) -> str:
     """When the log begins and ends, and when the events do."""
     exposures = corrected.stations.time_ns
     times = {
-        "log": corrected.prepared.track()[0],
+        "log": corrected.prepared.track().time_ns,
         "events": exposures[exposures != NO_TIME],
     }
     parts = []
+    from_boot = bool(corrected.stations.from_boot.any())
     for label, values in times.items():
-        if values.size:
+        if values.size and from_boot:
+            seconds = values.min() / 1e9, values.max() / 1e9
+            parts.append(f"{label} {seconds[0]:.0f} to {seconds[1]:.0f} s after boot")
+        elif values.size:
             first = utc_second(int(values.min())).removesuffix("Z").replace("T", " ")
             _, last = utc_second(int(values.max())).removesuffix("Z").split("T")
             parts.append(f"{label} {first} to {last} UTC")
@@ -289,11 +293,11 @@ def corrections_of(facts: Facts, rows: Integers, h_g: Array, setup: CorrectionSe
 def warmer(profile: Profile, by_k: float) -> Profile:
     """The air ``by_k`` warmer at every height, with the same pressure at the bottom."""
     layers = profile.layers
-    top = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])
+    top_vapour = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])
     warmed = stack_layers(
         layers.edge,
         layers.edge_temperature + by_k,
-        np.append(layers.vapour, top),
+        np.append(layers.vapour, top_vapour),
         layers.source,
         anchor=(float(layers.edge[0]), float(layers.pressure[0])),
         constant=profile.constant,

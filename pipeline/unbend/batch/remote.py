@@ -3,8 +3,8 @@
 Below a place of results lie ``attempts/<uuid>/`` with the files of a run,
 ``runs/<fingerprint>.json``, which the first writer of that run creates, and ``manifest.json``,
 which names the attempt to read. A writer replaces the manifest only where it is still the one that
-was there before its run; it publishes no attempt but its own, and so may remove that at any time
-before.
+was there before its run. A writer publishes no attempt but its own, and so may remove its attempt
+at any time before it is published.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ __all__ = ["Place", "is_url"]
 # Inputs
 
 _MOST_BYTES = 50_000_000_000
-"""Copies kept beyond a day after their last use; what is used longest ago goes first."""
+"""Bytes of copies of inputs. Beyond it copies are removed whose last use is over a day ago, those
+used longest ago first."""
 
 _STORE_VARIABLES = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AZURE_STORAGE_ACCOUNT_NAME")
 """Variables of the environment that say which store a URL leads to."""
@@ -55,7 +56,7 @@ class RemoteInput:
 
     @property
     def copy(self) -> Path:
-        """Where the copy of the input is, or will be: a path with the same last part."""
+        """Where the copy of the input is, or will be made; it ends with the name of the input."""
         key = hashlib.sha256(f"{self.place}\0{self.version}".encode()).hexdigest()[:32]
         return Path(user_cache()) / "copies" / key / self.place.name
 
@@ -94,34 +95,39 @@ def look_up(place: Place) -> RemoteInput:
 
 
 def fetch(remote: RemoteInput, *, anew: bool = False) -> Path:
-    """The path of the copy of an input, which is made if it is not there, or ``anew``.
+    """Copy an input, if it has no copy yet, or ``anew``; returns the path of the copy.
 
     Refuses (INPUT-CHANGED) an object that is changed or removed while it is read.
     """
-    place = remote.place
     copy = remote.copy
-    kept = copy.parent
-    draft = kept.with_suffix(f".{os.getpid()}.draft")
+    folder = copy.parent
     if anew:
-        shutil.rmtree(kept, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
     with storage_errors(copy):
         if not copy.exists():
-            try:
-                for name in objects_of(place):
-                    target = draft / place.name / name
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    with target.open("wb") as file:
-                        file.writelines((place / name).blocks())
-                refuse_changed(remote, role=place.name)
-                with suppress(OSError):  # another process was faster
-                    draft.replace(kept)
-            except FileNotFoundError:  # an object was removed since
-                raise messages.input_changed(role=place.name, path=str(place)) from None
-            finally:
-                shutil.rmtree(draft, ignore_errors=True)
-            forget_oldest(str(kept.parent), _MOST_BYTES)
-        os.utime(kept)
+            _make_copy(remote, folder)
+            forget_oldest(str(folder.parent), _MOST_BYTES)
+        os.utime(folder)  # its last use, by which `forget_oldest` chooses
     return copy
+
+
+def _make_copy(remote: RemoteInput, folder: Path) -> None:
+    """Copy the objects of an input into a folder, which appears when all are copied."""
+    place = remote.place
+    draft = folder.with_suffix(f".{os.getpid()}.draft")
+    try:
+        for name in objects_of(place):
+            target = draft / place.name / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with target.open("wb") as file:
+                file.writelines((place / name).blocks())
+        refuse_changed(remote, role=place.name)
+        with suppress(OSError):  # another process was faster
+            draft.replace(folder)
+    except FileNotFoundError:  # an object was removed since
+        raise messages.input_changed(role=place.name, path=str(place)) from None
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
 
 
 def refuse_changed(remote: RemoteInput, *, role: str) -> None:
@@ -173,9 +179,9 @@ def copy_of_attempt(place: Place, manifest: Manifest) -> Path:
 
 
 def find_damage(place: Place, manifest: Manifest, *, read: bool = True) -> list[str]:
-    """Names of what is missing or changed of a published run.
+    """What is missing or changed of a published run, one line each; empty when nothing is.
 
-    Without ``read`` only sizes are looked at: no file of an attempt is written twice.
+    Without ``read`` only sizes are compared: no file of an attempt is written twice.
     """
     attempt = attempt_of(place, manifest)
     sizes = {name: int(meta["size"]) for name, meta in attempt.objects().items()}
@@ -223,7 +229,8 @@ class Publication:
     def __init__(self, place: Place, fingerprint: str) -> None:
         self._place = place
         self._fingerprint = fingerprint
-        self._run = place / run_name(fingerprint)
+        self._run = place / run_name(fingerprint)  # the object of the first writer of this run
+        # Versions of both objects before this run; None for an object that is not there.
         self._version = (place / MANIFEST).read()[1]
         self._run_version = self._run.read()[1]
         self._before = read_manifest(place, damaged=True)
@@ -236,30 +243,41 @@ class Publication:
         with the number of bytes of each file.
         """
         attempt = uuid.uuid4().hex
-        own = manifest.with_values({"attempt": attempt})
-        content = manifest_text(own).encode()
+        of_attempt = manifest.with_values({"attempt": attempt})
+        content = manifest_text(of_attempt).encode()
         try:
-            self._upload(folder, own, advance)
+            self._upload(folder, of_attempt, advance)
             is_first = self._run.put(content, self._run_version)
-            published = None if is_first else self._of_another_writer()
+            published = None if is_first else self._published_by_another_writer()
         except BaseException:
             with suppress(UnbendError):
                 self._remove(attempt)
             raise
         if published is None:
-            published = own
-            if not (self._place / MANIFEST).put(content, self._version):
-                # Refused, or done and the answer lost: what is there now says which.
-                published = read_manifest(self._place)
+            # This writer is the first, or the first one did not publish in time.
+            published = self._replace_manifest(of_attempt, content)
         if published is None or published.run.attempt != attempt:
+            # Another writer's results are published, or none are.
             self._remove(attempt)
             if published is None or published.run.fingerprint != self._fingerprint:
+                # This run is refused, and so no later writer of it must wait for it.
                 self._place.remove([run_name(self._fingerprint)])
                 raise messages.published_meanwhile(url=str(self._place))
         self._remove_former(published)
         return published
 
+    def _replace_manifest(self, manifest: Manifest, content: bytes) -> Manifest | None:
+        """Publish a manifest, if the one of before is still there; returns the one there then.
+
+        ``content`` is the manifest as it is written.
+        """
+        if not (self._place / MANIFEST).put(content, self._version):
+            # Refused, or done and the answer lost: what is there now says which.
+            return read_manifest(self._place)
+        return manifest
+
     def _upload(self, folder: Path, manifest: Manifest, advance: Callable[[int], None]) -> None:
+        """Write the results of a folder below the attempt of a manifest, and check their sizes."""
         attempt = attempt_of(self._place, manifest)
         for item in manifest.run.outputs:
             (attempt / item.name).put(folder / item.name, "overwrite")
@@ -270,8 +288,11 @@ class Publication:
                 url=str(self._place), verb="write", answer=", ".join(damage)
             )
 
-    def _of_another_writer(self) -> Manifest | None:
-        """The manifest of the same run by a faster writer; None if not published in 10 s."""
+    def _published_by_another_writer(self) -> Manifest | None:
+        """Wait for the manifest of the same run by a faster writer; None if none comes in 10 s.
+
+        The manifest that was there before does not count, though it may be of the same run.
+        """
         deadline = time.monotonic() + _WAIT_S
         while time.monotonic() < deadline:
             now = read_manifest(self._place, damaged=True)
@@ -291,6 +312,7 @@ class Publication:
             self._place.remove([run_name(before.run.fingerprint)])
 
     def _remove(self, attempt: str) -> None:
+        """Remove the files of an attempt."""
         of_attempt = self._place / f"attempts/{attempt}"
         of_attempt.remove(of_attempt.objects())
 
@@ -325,8 +347,8 @@ _YOUNG = timedelta(hours=1)  # an upload of this age may still go on
 class _Leftovers:
     """Attempts and runs below a place that no published manifest names.
 
-    ``groups`` : names of the objects of each attempt or run. A group with an object that no run
-    writes is another program's, and left out.
+    ``groups`` : the names of the objects of each attempt or run, by the name of that attempt or
+    run. A group with an object that no run writes is another program's, and left out.
     """
 
     def __init__(self, place: Place) -> None:
@@ -339,7 +361,7 @@ class _Leftovers:
             match = _OBJECT_OF_A_RUN.fullmatch(name)
             if match is None or self._is_published(match):
                 continue
-            group = name
+            group = name  # a run is one object
             if match["attempt"]:
                 group = f"{match['start']}attempts/{match['attempt']}/"
             self.groups.setdefault(group, []).append(name)
@@ -374,10 +396,10 @@ class _Leftovers:
 
 
 def remove_leftovers(place: Place, *, recent: bool = False) -> tuple[list[str], int]:
-    """Remove what killed runs left at a place and below it; what was removed, and how many stay.
+    """Remove what killed runs left at a place and below it.
 
-    Leftovers of the last hour stay unless ``recent``, because their run may go on. Objects of other
-    programs stay.
+    Returns what was removed, and how many leftovers stay: those of the last hour, unless ``recent``
+    is set, because their run may go on. Objects of other programs stay, and are not counted.
     """
     leftovers = _Leftovers(place)
     removed = []

@@ -8,7 +8,10 @@ from unbend.tables.manifest.whole import Manifest
 
 
 def read_manifest(output: Path | Place, *, damaged: bool = False) -> Manifest | None:
-    """The manifest of a run's results; None where there is none, or ``damaged`` a damaged one."""
+    """The manifest of a run's results; None without a manifest.
+
+    A damaged manifest is refused; with ``damaged`` it counts as none.
+    """
     if isinstance(output, Place):
         return remote.read_manifest(output, damaged=damaged)
     return store.read_manifest(output, damaged=damaged)

@@ -18,16 +18,17 @@ from unbend.tables.writing import table_of_profiles, table_of_stations, write_pa
 class PartsOfRun:
     """Parts as ``observations/part-*.parquet`` of a run, each with a receipt when it is written.
 
-    ``check`` comes before each of the two: it refuses changed inputs.
+    ``check`` refuses changed inputs. It is called before a part takes its name, and again before
+    its receipt is written.
     """
 
     folder: RunFolder
     check: Callable[[], None] = lambda: None
 
     def finished(self, number: int) -> Statistics | None:
-        """The counts of a part whose receipt says that it is whole."""
-        found: Statistics | None = self.folder.read_receipt(name_of_part(number))
-        return found
+        """The counts of a part that an earlier run finished; None where it must be made."""
+        statistics: Statistics | None = self.folder.read_receipt(name_of_part(number))
+        return statistics
 
     def write(self, part: CorrectedPart) -> Statistics:
         """Write, seal and receipt a part; returns its counts. Called on threads."""
@@ -57,8 +58,9 @@ def correct_into(
 ) -> Statistics:
     """Correct all observations and write them; parts that an earlier run finished are kept.
 
-    ``progress`` is called with the number of rows of every part. The counts are merged in the order
-    of the parts, the same to the last bit whichever run made them.
+    Returns the counts of all parts. They are merged in the order of the parts, so that the sum is
+    the same to the last bit whichever run made a part. ``progress`` is called with the number of
+    rows of every part.
     """
     finished: dict[int, Statistics] = {}
     missing = []

@@ -42,9 +42,10 @@ def run_mission(
     verify_inputs: bool = False,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Run one mission into its folder of results, unless the same gave these before, or ``force``.
+    """Run one mission, unless the results that are there are those that it would give.
 
-    ``verify_inputs`` reads inputs that seem unchanged too.
+    ``force`` runs it in any case. ``verify_inputs`` reads also inputs that are unchanged by size
+    and time.
     """
     progress = progress or Progress()
     progress.start("hashing the inputs")
@@ -64,7 +65,10 @@ def plan_of(mission: MissionRef | Path | str, *, verify: bool = False) -> Plan:
 
 
 def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress) -> Outcome:
-    """Run a mission in the user's cache, then publish it, or only publish what was made before."""
+    """Run a mission in the user's cache, then publish its results at a place.
+
+    Results that an earlier command made there and could not publish are published without a run.
+    """
     publication = remote.Publication(place, plan.fingerprint)
     earlier = finished_before(plan, force=force)
     if earlier is not None:
@@ -77,6 +81,7 @@ def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress
         here = replace(plan, output=plan.folder)
         is_repeated, made = run_plan(here, force=force, progress=progress)
         if is_repeated and store.find_damage(plan.folder, made):
+            # What is uploaded has to be whole, by the content of each file.
             _, made = run_plan(here, force=True, progress=progress)
         size = sum(output.bytes for output in made.run.outputs)
         progress.start("uploading", size)
@@ -90,7 +95,7 @@ def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress
 def run_plan(plan: Plan, *, force: bool, progress: Progress) -> tuple[bool, Manifest]:
     """Run a mission with its inputs hashed, whose results go to a folder.
 
-    Returns whether the same gave these results before, and their manifest.
+    Returns whether an earlier run had made these results, so that nothing ran, and their manifest.
     """
     with store.open_folder(plan.folder) as folder:
         earlier = finished_before(plan, force=force)
@@ -145,7 +150,7 @@ def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> Pre
 def manifest_of(plan: Plan, corrected: CorrectedMission) -> Manifest:
     """The manifest of a run, without its outputs.
 
-    Holds no host name and no absolute path, and no clock but the times of the inputs.
+    It holds no host name, no absolute path, and no time but those of the inputs.
     """
     ledger = [renamed(entry, plan.inputs) for entry in corrected.results.ledger]
     results = replace(corrected.results, ledger=ledger)
@@ -153,7 +158,7 @@ def manifest_of(plan: Plan, corrected: CorrectedMission) -> Manifest:
 
 
 def renamed(entry: MessageRecord, inputs: Iterable[Input]) -> MessageRecord:
-    """A message that names files as the mission file does, without its folder."""
+    """A message that names inputs as the mission file does, not by their paths here."""
     where = entry.where
     for item in inputs:
         where = where.replace(str(item.path), item.name)
@@ -161,7 +166,7 @@ def renamed(entry: MessageRecord, inputs: Iterable[Input]) -> MessageRecord:
 
 
 def outcome_of(plan: Plan, manifest: Manifest, *, repeated: bool) -> Outcome:
-    """How a mission ended whose results have a manifest."""
+    """How a mission ended, by the manifest of its results."""
     return Outcome(
         name=plan.mission.mission.name,
         output=plan.output,
@@ -172,7 +177,11 @@ def outcome_of(plan: Plan, manifest: Manifest, *, repeated: bool) -> Outcome:
 
 
 def finished_before(plan: Plan, *, force: bool = False) -> Manifest | None:
-    """The manifest of an earlier run of this plan; refuses another mission's, ``force`` or not."""
+    """The manifest of an earlier run that made what this plan would make; None where it must run.
+
+    With ``force`` it must run in any case, and a damaged manifest is not refused. The manifest of
+    another mission is always refused.
+    """
     manifest = read_manifest(plan.output, damaged=force)
     refuse_other_mission(plan, manifest)
     if force or manifest is None or reasons_to_run(plan, manifest):
@@ -257,7 +266,7 @@ def drawing_of(corrected: CorrectedMission) -> Flown:
 
 
 def finish_run(plan: Plan, folder: store.RunFolder, manifest: Manifest, flown: Flown) -> Manifest:
-    """Write the report, and last the manifest, with the outputs, which makes the run finished."""
+    """Write the report, and last the manifest with the outputs: with it the run is finished."""
     report = folder.place("report.html")
     with storage_errors(report):
         write_report(report, manifest, flown)
@@ -277,7 +286,7 @@ def read_mission(mission: MissionRef | Path) -> PreparedMission:
 def air_of_mission_or_standard(
     config: Path | None, atmosphere: str | None
 ) -> tuple[FlightAir, AirSamples, Ledger]:
-    """The air of a mission, or a standard atmosphere by its name."""
+    """The air of a mission with its samples and notes, or a standard atmosphere by its name."""
     if config is not None:
         prepared = read_mission(config)
         return prepared.air, prepared.samples, prepared.ledger

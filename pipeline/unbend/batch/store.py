@@ -48,7 +48,8 @@ _REPLACE_PAUSE_S = 0.1
 def atomic_write(path: Path) -> Iterator[Path]:
     """A path to write to, beside ``path``; renamed to it when all is written and on the disk.
 
-    The caller writes a file there, or makes a folder of files, for a ``path`` that is not there.
+    The caller writes a file there, which may replace one at ``path``; or makes a folder of files
+    there, if nothing is at ``path``.
     """
     draft = path.with_name(f".{path.name}.{uuid4().hex[:12]}.draft")
     try:
@@ -101,13 +102,16 @@ class RunFolder:
             self._seals[name] = Seal(hash_file(target), target.stat().st_size)
 
     def resume(self, key: str, *, anew: bool = False) -> None:
-        """Go on with the parts that a run of the same key left; other ones, or all, are removed."""
-        name = self.staging / _KEY
-        with storage_errors(name):
-            if anew or not name.is_file() or name.read_text(encoding="utf-8") != key:
+        """Keep the finished parts that a run of the same ``key`` left, and remove those of another.
+
+        ``anew`` removes them in any case. The key says what the parts depend on.
+        """
+        key_file = self.staging / _KEY
+        with storage_errors(key_file):
+            if anew or not key_file.is_file() or key_file.read_text(encoding="utf-8") != key:
                 _remove(self.staging)
                 self.staging.mkdir()
-                with atomic_write(name) as draft:
+                with atomic_write(key_file) as draft:
                     draft.write_text(key, encoding="utf-8")
 
     def write_receipt(self, name: str, value: Any) -> None:
@@ -120,9 +124,10 @@ class RunFolder:
                 sync_folder(folder)
 
     def read_receipt(self, name: str) -> Any:
-        """What is known of a part that is there, whole and sealed; None where it must be made.
+        """What the receipt keeps of a finished part; None where the part must be made (again).
 
-        Its seal counts for the manifest again.
+        A part is finished if it has the size and hash of the seal in its receipt. That seal is
+        entered for the manifest, as if this run had sealed the part.
         """
         part = self.staging / name
         receipt = self.staging / _RECEIPTS / part.name
@@ -154,14 +159,17 @@ class RunFolder:
         before the next begins.
         """
         with storage_errors(self.path):
+            # All that is new is on the disk before anything old goes.
             draft = self.staging / MANIFEST
             draft.write_text(manifest_text(manifest), encoding="utf-8", newline="\n")
             sync_file(draft)
             staged = sorted(self._seals)
             for folder in sorted({(self.staging / name).parent for name in (*staged, MANIFEST)}):
                 sync_folder(folder)
+            # The old manifest goes first, so that it never names results that are replaced.
             (self.path / MANIFEST).unlink(missing_ok=True)
             sync_folder(self.path)
+            # Old parts that no new part replaces are removed, and the new results renamed.
             for part in _parts(self.path):
                 if f"{_PARTS}/{part.name}" not in self._seals:
                     part.unlink()
@@ -171,6 +179,7 @@ class RunFolder:
                 replace_file(self.staging / name, target)
             for folder in sorted({(self.path / name).parent for name in staged}):
                 sync_folder(folder)
+            # With the new manifest the results are complete.
             replace_file(draft, self.path / MANIFEST)
             sync_folder(self.path)
             _remove(self.staging)
@@ -217,6 +226,7 @@ def _parts(path: Path) -> list[Path]:
 
 
 def _remove(path: Path) -> None:
+    """Remove a file, a link or a folder with all in it; nothing where none is there."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     elif os.path.lexists(path):
@@ -246,11 +256,12 @@ def would_replace(folder: Path, path: Path) -> bool:
 
 def rehearse_folder(path: Path) -> None:
     """Refuse what `open_folder` would, and a folder that cannot be written to; writes nothing."""
-    exists = next(folder for folder in (path, *path.parents) if os.path.lexists(folder))
+    # The folder itself, or the one in which it would be made.
+    nearest = next(folder for folder in (path, *path.parents) if os.path.lexists(folder))
     with storage_errors(path):
-        os.stat(os.path.join(exists, "."))  # NotADirectoryError where it is a file
-        if not os.access(exists, os.W_OK | os.X_OK):
-            raise PermissionError(EACCES, os.strerror(EACCES), str(exists))
+        os.stat(os.path.join(nearest, "."))  # NotADirectoryError where it is a file
+        if not os.access(nearest, os.W_OK | os.X_OK):
+            raise PermissionError(EACCES, os.strerror(EACCES), str(nearest))
     _refuse_links(path)
     _refuse_strangers(path)
     if (path / _LOCK).exists():
@@ -261,11 +272,13 @@ def rehearse_folder(path: Path) -> None:
 def open_folder(path: Path) -> Iterator[RunFolder]:
     """Lock an output folder and remove what an interrupted run left, but for its finished parts.
 
-    These stay, hidden, when it is interrupted or the disk refuses to write: `RunFolder.resume`
-    takes them up. The lock ends with the process that holds it. Refuses a folder that another
-    process writes to (OUTPUT-IN-USE), one with symbolic links in the place of results
-    (STORAGE-SYMLINK), and one whose files are named like results but were written by another
-    program (STORAGE-NOT-OURS).
+    Finished parts stay, hidden, when a run is interrupted or the disk refuses to write;
+    `RunFolder.resume` decides whether the next run keeps them. When a run ends in another way, all
+    that it staged is removed. The lock ends with the process that holds it.
+
+    Refuses a folder that another process writes to (OUTPUT-IN-USE), one with symbolic links in the
+    place of results (STORAGE-SYMLINK), and one whose files are named like results but were written
+    by another program (STORAGE-NOT-OURS).
     """
     with storage_errors(path):
         path.mkdir(parents=True, exist_ok=True)
@@ -289,6 +302,7 @@ def open_folder(path: Path) -> Iterator[RunFolder]:
 
 
 def _refuse_links(path: Path) -> None:
+    """Refuse (STORAGE-SYMLINK) symbolic links in the place of results or of the lock."""
     for name in (_LOCK, STAGING, *_RESULTS, MANIFEST):
         if (path / name).is_symlink():
             raise messages.result_is_link(path=str(path), name=name)
@@ -302,34 +316,40 @@ def lock_folder(path: Path) -> FileLock:
     except Timeout:
         raise messages.output_in_use(path=str(path)) from None
     except (OSError, NotImplementedError) as error:
-        with storage_errors(path):
-            if getattr(error, "errno", None) in (EACCES, EPERM, EROFS):
+        if getattr(error, "errno", None) in (EACCES, EPERM, EROFS):
+            with storage_errors(path):  # a refusal to write, in its words
                 raise
         raise messages.folder_not_lockable(path=str(path), error=str(error)) from None
     return lock
 
 
 def _refuse_strangers(path: Path) -> None:
-    """Refuse files that are named like results where no manifest says whose they are."""
+    """Refuse (STORAGE-NOT-OURS) files that are named like results where no manifest is.
+
+    A manifest shows that unbend wrote them; that of an interrupted commit is still staged.
+    """
     results = [name for name in _RESULTS if os.path.lexists(path / name)]
-    manifests = (path / MANIFEST).exists() or (path / STAGING / MANIFEST).is_file()
-    if results and not manifests:
+    has_manifest = (path / MANIFEST).exists() or (path / STAGING / MANIFEST).is_file()
+    if results and not has_manifest:
         raise messages.files_not_ours(path=str(path), results=results)
 
 
 def _clear_interrupted(path: Path, *, resumable: bool) -> None:
-    """Remove what is staged but for finished parts; of an interrupted commit the results too.
+    """Remove staged files, and visible results that an interrupted commit left without a manifest.
 
-    Parts stay only where a run may resume; a part of an interrupted commit goes back to them.
+    ``resumable`` keeps finished parts, which have receipts; those that an interrupted commit made
+    visible are staged again.
     """
     _refuse_strangers(path)
     staging = path / STAGING
-    receipts: set[str] = set()
+    receipts: set[str] = set()  # named as their parts
     if resumable:
         receipts = {file.name for file in (staging / _RECEIPTS).glob("part-*")}
-    kept = {_RECEIPTS, _KEY, _PARTS} if receipts else set[str]()
+    kept: set[str] = set()
+    if receipts:
+        kept = {_RECEIPTS, _KEY, _PARTS}
     if not (path / MANIFEST).exists():
-        # Only a commit puts a manifest into the staging folder: it began and did not end.
+        # Visible results are then those of a commit that began and did not end: others are refused.
         _undo_commit(path, receipts)
         if os.path.lexists(path / _PARTS):
             # The staged manifest stays until a commit ends: it shows that the folder is unbend's.
@@ -338,7 +358,7 @@ def _clear_interrupted(path: Path, *, resumable: bool) -> None:
         _remove(staging)
         return
     staged = [*staging.iterdir(), *(staging / _PARTS).glob("*")]
-    staged += (staging / _RECEIPTS).glob(".*")
+    staged += (staging / _RECEIPTS).glob(".*")  # drafts of receipts
     for file in staged:
         if file.name not in kept and file.name not in receipts:
             _remove(file)
@@ -360,7 +380,10 @@ def _undo_commit(path: Path, receipts: set[str]) -> None:
 
 
 def read_manifest(path: Path, *, damaged: bool = False) -> Manifest | None:
-    """The manifest of a run's folder; None where there is none, or ``damaged`` a damaged one."""
+    """The manifest of a run's folder; None without a manifest.
+
+    A damaged manifest is refused; with ``damaged`` it counts as none.
+    """
     file = path / MANIFEST
     try:
         try:
@@ -379,8 +402,8 @@ def read_manifest(path: Path, *, damaged: bool = False) -> Manifest | None:
 def find_damage(path: Path, manifest: Manifest, *, read: bool = True) -> list[str]:
     """What is missing or changed in a run's folder, one line each; empty when nothing is.
 
-    Without ``read`` only files are read that changed after the manifest was written, which is the
-    last file of a run.
+    Without ``read`` only those files are read that changed after the manifest was written: a run
+    writes its manifest last.
     """
     names = [item.name for item in manifest.run.outputs]
     names += [f"{_PARTS}/{part.name}" for part in (path / _PARTS).glob("part-*.parquet")]

@@ -1,7 +1,8 @@
-"""Missions that are as they were, known without checking their files: a fifth of the time.
+"""Missions that are as they were, known without checking their mission files.
 
-The manifest holds a hash of the mission file as it was understood then. Where that is the same,
-and so are the versions, the sizes and times of the inputs, and the results, nothing would run.
+That takes a fifth of the time of a full comparison. The manifest holds a hash of the text of the
+mission file. Where that hash is the same, and so are the versions, the sizes and times of the
+inputs, and the results, nothing would run.
 """
 
 import hashlib
@@ -43,7 +44,10 @@ class Unchanged:
 
 @dataclass(frozen=True)
 class LoadedMission:
-    """A mission as understood; ``text_sha256`` of what it was read from, "" where that changed."""
+    """A mission as understood; ``text_sha256`` is the hash of the text that it was read from.
+
+    The hash is "" where the text changed while it was read.
+    """
 
     mission: Mission
     text_sha256: str
@@ -76,10 +80,11 @@ def hash_of_text(ref: MissionRef, text: bytes) -> str:
 
 
 def find_unchanged(ref: MissionRef) -> Unchanged | None:
-    """The mission, if it is unchanged; None where that takes a full comparison to know."""
+    """The mission, if it is unchanged; None if it is not, or if only a full comparison can tell."""
     try:
         text = text_of(ref)
         name, path = name_and_output(ref, text)
+    # What a text raises that is no mission file; it is refused when the mission is read.
     except (OSError, AttributeError, KeyError, TypeError, ValueError, yaml.YAMLError):
         return None
     if is_url(path):
@@ -106,25 +111,32 @@ def find_unchanged(ref: MissionRef) -> Unchanged | None:
 
 
 def name_and_output(ref: MissionRef, text: bytes) -> tuple[str, str]:
-    """Name and output path of a mission, from its text alone; KeyError where it has none.
+    """Name and output path of a mission, from its text alone; KeyError where it states none.
 
-    All scalars are taken for words: a text that was ever understood has words there.
+    No scalar of the text is turned into a number or a date, which is fast: in a mission file that
+    was ever run these two are words.
     """
-    own = yaml.load(text, yaml.CBaseLoader)
+    sections = yaml.load(text, yaml.CBaseLoader)
     defaults = json.loads(ref.defaults) if ref.defaults else {}
-    values = merged(_about_results(defaults), _about_results(own))
+    values = merged(_about_results(defaults), _about_results(sections))
     return str(values["mission"]["name"]), str(values["output"]["path"])
 
 
 def _about_results(sections: Mapping[str, Any]) -> dict[str, Any]:
+    """The sections with the name of a mission and the place of its results."""
     return {name: sections[name] for name in ("mission", "output") if name in sections}
 
 
 def is_as_recorded(record: InputRecord, folder: Path) -> bool:
-    """Whether an input in a file, or a raster, has the size and time that a manifest says."""
+    """Whether an input has the size and time that the record in a manifest says.
+
+    False for inputs in object storage, blocks and folders of images, which take the full
+    comparison: only the readers of their formats know which files count.
+    """
     raster = is_raster(record.role)
-    if is_url(record.name) or (record.version and not raster):
-        return False  # of blocks and folders of images: which files count, only formats know
+    has_several_files = bool(record.version)
+    if is_url(record.name) or (has_several_files and not raster):
+        return False
     named = NamedInput(record.role, key="", name=record.name, program=GDAL if raster else None)
     path = folder / record.name
     if not path.is_file():

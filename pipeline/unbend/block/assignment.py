@@ -31,6 +31,7 @@ _HOPELESS = 60.0  # so far below the best one, a hypothesis is not shown to the 
 _ENOUGH_MEET, _RIVALS = 0.8, 3  # of the most points that meet; rivals that are looked at closely
 _LARGEST_SIGMA = 0.25  # of the median interval: chance alone gives 0.37
 _MOST_AMBIGUOUS = 0.2  # of the images
+_WINDOW = 6.0  # sigmas, beyond which a time says no more than that it does not fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +134,62 @@ class ImageEvidence:
         total = int(self.number.max()) if self.total is None else self.total
         return total == events.time_s.size
 
+    def rows_of_names(self, events: CameraEvents) -> Integers:
+        """(k,) the row of the event that each name claims, -1 for none and where names say none."""
+        claimed = np.full(self.count, -1, np.int64)
+        if self.number is None or not self.names_speak(events):
+            return claimed
+        rows = range(events.time_s.size)
+        number_of_row = np.array(rows) + 1
+        if self.numbering == "index" and events.index is not None:
+            number_of_row = events.index % _COUNT_ROUND
+        row_of_number = dict(zip(number_of_row.tolist(), rows, strict=True))
+        for image, number in enumerate(self.number.tolist()):
+            claimed[image] = row_of_number.get(number % _COUNT_ROUND, -1)
+        return claimed
+
+    def offsets_of_names(self, events: CameraEvents, axis: Axis) -> Array:
+        """(1,) the offset under which names are what their pattern says; (0,) where they are mute.
+
+        It is a hypothesis even where many others bring as many images to an event.
+        """
+        claimed = self.rows_of_names(events)[axis.image_rows]
+        has = claimed >= 0
+        if not has.any():
+            return np.empty(0)
+        apart = axis.events[claimed[has]] - axis.images[has]
+        return np.array([np.median(apart)])
+
+    def log_likelihood_of_times(
+        self, events: CameraEvents, rows: Integers, sigma_s: float
+    ) -> float:
+        """Log likelihood of the camera's times alone, if images (k,) are of the events ``rows``.
+
+        At the likeliest offset and drift of the camera's clock; 0 without times. A time that is six
+        sigmas off costs no more than one that is farther. ``sigma_s`` is the least sigma.
+        """
+        if self.time_s is None:
+            return 0.0
+        timed = np.flatnonzero((rows >= 0) & np.isfinite(self.time_s))
+        if timed.size == 0:
+            return 0.0
+        camera_s = self.time_s[timed]
+        sigma_of_image = np.broadcast_to(self.sigma_s, self.time_s.shape)
+        sigma = np.maximum(sigma_of_image[timed], sigma_s)
+        late_s = events.time_s[rows[timed]] - camera_s
+        offset_s = float(np.median(late_s))
+        late_s = late_s - offset_s
+        near = np.abs(late_s) < _WINDOW * sigma
+        middle_s = np.median(camera_s)
+        since_middle = (camera_s - middle_s) / sigma
+        normal = np.sum(since_middle[near] ** 2) + self.drift_sigma**-2.0
+        drift = np.sum((since_middle * late_s / sigma)[near]) / normal
+        misfit = late_s / sigma - drift * since_middle
+        of_clock = (offset_s - self.clock_offset_s) / self.clock_sigma_s
+        cost = np.minimum(misfit**2, _WINDOW**2)
+        total = cost.sum() + of_clock**2
+        return -0.5 * float(total)
+
     def log_prior_of_names(self, events: CameraEvents, rows: Integers) -> Array:
         """(c,) log probability of assignments (c, k) by what the pattern of the names claims."""
         if not self.names_speak(events) or self.number is None:
@@ -202,6 +259,7 @@ def assign(
         reason = "there are no events, or no times of the images that should have one"
         return _empty(events, images, reason)
     offsets = axis.candidate_offsets(_MOST_WITH_POINTS if tie_points else _MOST_HYPOTHESES)
+    offsets = np.append(offsets, images.offsets_of_names(events, axis))
     if first_image is not None:
         offsets = np.append(offsets, axis.events[first_image[1]] - axis.images[place[0]])
     axis = axis.with_sigma_shown(axis.fitted(offsets))
@@ -247,7 +305,9 @@ def assign(
         sigma = float(axis.sigma.mean())
         offset, drift = clocks[best].tolist()
         found = replace(found, offset_s=offset, drift=drift, sigma_s=sigma)
-    against = float(score.max() - score[best])
+    # Prices of missing events and images alone are no evidence against what was stated.
+    has_evidence = axis.is_time or tie_points is not None or images.names_speak(events)
+    against = has_evidence * float(score.max() - score[best])
     return replace(found, reason=why_refused(found, events, images, axis, against))
 
 

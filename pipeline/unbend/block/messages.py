@@ -1,7 +1,7 @@
 """Messages of block: what each code means, and the words of what is sent."""
 
 from unbend.errors import Code, Counted, MissionError
-from unbend.messages import Kind, Message, loss, message
+from unbend.messages import Kind, Message, finding, loss, message, note, warning
 
 ORIENTATION_FAR = Code(
     "ORIENTATION-FAR",
@@ -190,4 +190,96 @@ def some_cameras_look_up(*, where: str, count: int, total: int, first: str) -> M
         count=count,
         images=Counted(total, "image"),
         first=first,
+    )
+
+
+FRAME_PLACES = Code(
+    "FRAME-PLACES",
+    means=(
+        "The same files, or the log, know where the images were, and the stated frame of the block "
+        "puts them elsewhere: turned, tilted, in another unit, scale or datum."
+    ),
+    effect="The stations follow the stated frame; the run ends with 3.",
+    remedy=(
+        "Correct stations.orientation.frame, or give frame: unknown with known_positions; accept "
+        "the finding if the known positions are wrong."
+    ),
+)
+
+
+def frame_contradicts_places(
+    *, where: str, count: int, source: str, contradictions: str, extent: float, residual: float
+) -> Message:
+    """Known positions of images contradict the frame of a block."""
+    return finding(
+        FRAME_PLACES,
+        "by {source} of {count} images, {extent:.0f} m across, the frame of the block is wrong: "
+        "{contradictions} (residuals {residual:.1f} m)",
+        one="by {source} of 1 image the frame of the block is wrong: {contradictions}",
+        where=where,
+        count=count,
+        source=source,
+        contradictions=contradictions,
+        extent=extent,
+        residual=residual,
+    )
+
+
+FRAME_CONFIRMED = Code(
+    "FRAME-CONFIRMED",
+    means="Known positions of the images agree with the frame of the block, as far as they tell.",
+    effect="None.",
+    remedy="Nothing.",
+)
+
+
+def frame_confirmed(
+    *, where: str, count: int, source: str, tested: str, residual: float
+) -> Message:
+    """Known positions of images agree with the frame of a block."""
+    return note(
+        FRAME_CONFIRMED,
+        "{source} of {count} images confirm the frame of the block: {tested}; residuals "
+        "{residual:.1f} m",
+        one="{source} of 1 image confirms the place of the block: {tested}",
+        where=where,
+        count=count,
+        source=source,
+        tested=tested,
+        residual=residual,
+    )
+
+
+FRAME_UNVERIFIED = Code(
+    "FRAME-UNVERIFIED",
+    means="Nothing in the files of the mission can confirm the frame of the block.",
+    effect=(
+        "None; were the model without scale, in feet, tilted, turned or of another datum, no check "
+        "would say so, and every number of the run would be wrong."
+    ),
+    remedy=(
+        "Compare extent and heights with the flight; give stations.orientation.known_positions, "
+        "events.images with positions in EXIF, control, or the database with pose priors."
+    ),
+)
+
+
+SMALL_BLOCK_M = 10.0  # of a smaller one decimals are shown: it is a model without scale
+
+
+def frame_unverified(*, where: str, count: int, extent: float, low: float, high: float) -> Message:
+    """Nothing confirms the frame of a block."""
+    return warning(
+        FRAME_UNVERIFIED,
+        "nothing in this mission can verify the frame of the block: no file has positions of four "
+        "images or more; a model without scale, in feet, tilted, turned or of another datum would "
+        "look the same: compare with the flight that the {count} images lie within {extent} m, "
+        "{low:.0f} to {high:.0f} m above sea level",
+        one="nothing in this mission can verify the frame of the block of 1 image: no file has "
+        "positions; compare with the flight that it is {high:.0f} m above sea level",
+        where=where,
+        count=count,
+        extent=f"{extent:,.0f}" if extent >= SMALL_BLOCK_M else f"{extent:.2g}",
+        low=low,
+        high=high,
     )

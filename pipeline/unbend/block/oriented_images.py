@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from unbend.block import messages
 from unbend.flight.heights import GeodeticOrigin, HeightSystem
+from unbend.flight.image_names import composed
 from unbend.flight.mount import Mount
 from unbend.flight.rotations import in_turned_frame, matrices_of, quaternions_of
 from unbend.flight.stations import (
@@ -52,6 +53,11 @@ class CartesianFrame:
     def geodetic(self, xyz: Array) -> tuple[Array, Array, Array]:
         """Latitude, longitude [rad] and ellipsoidal height [m] of (n, 3) positions."""
         return geodetic_of_ecef(*(self.origin_m + self.scale * xyz @ self.ecef_from_frame.T).T)
+
+    def local(self, geodetic: Array) -> Array:
+        """(n, 3) x, y, z of latitudes, longitudes [rad] and ellipsoidal heights [m]."""
+        ecef = ecef_of_geodetic(*geodetic.T)
+        return (ecef - self.origin_m) @ self.ecef_from_frame / self.scale
 
     def local_attitude(self, quaternion: Array, lat_rad: Array, lon_rad: Array) -> Array:
         """(n, 4) attitudes against this frame as those against east, north, up at each place."""
@@ -132,8 +138,13 @@ def _positions_of_both(
     image: Names, xyz: Array, known_image: Names, known: Array
 ) -> tuple[Names, Array, Array]:
     """Names of the images that model and known positions share, and both positions (k, 3) [m]."""
-    row = {name: number for number, name in enumerate(image.tolist())}
-    pairs = [(row[name], k) for k, name in enumerate(known_image.tolist()) if name in row]
+    row = {}
+    for number, name in enumerate(image.tolist()):
+        row[composed(name)] = number
+    pairs = []
+    for k, name in enumerate(known_image.tolist()):
+        if composed(name) in row:
+            pairs.append((row[composed(name)], k))
     usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
     if len(usable) < 3:
         where = "stations.orientation.known_positions"

@@ -272,7 +272,7 @@ def status(answer: Answer, configs: Configs, names: Names = None) -> None:
 def status_of(answer: Answer, ref: MissionRef, chosen: Selection) -> tuple[str, list[str]]:
     """Where the results of a mission go, and why it would run: no reason where it would not."""
     if chosen.is_unchanged(ref):
-        return str(chosen.called[ref].output), []
+        return str(chosen.named[ref].output), []
     with answer.progress(f"looking at {ref.path.name}"):
         from unbend.batch.runs import mission_status
 

@@ -140,8 +140,9 @@ class SurfaceSection(Section):
     @model_validator(mode="after")
     def _check_metar_or_numbers(self) -> Self:
         numbers = (self.temperature_c, self.pressure_hpa, self.relative_humidity, self.time_utc)
-        given = [value for value in numbers if value is not None]
-        if (self.metar is None) != bool(given):
+        has_numbers = any(value is not None for value in numbers)
+        has_metar = self.metar is not None
+        if has_metar == has_numbers:
             raise SectionError(
                 "give either metar, or temperature_c, pressure_hpa, relative_humidity and time_utc"
             )
@@ -151,22 +152,22 @@ class SurfaceSection(Section):
 
     @property
     def temperature_k(self) -> float:
-        """[K], NaN where not given."""
+        """The air temperature [K], NaN where not given."""
         return math.nan if self.temperature_c is None else self.temperature_c + ZERO_CELSIUS_K
 
     @property
     def pressure_pa(self) -> float:
-        """[Pa], NaN where not given."""
+        """The pressure at the station [Pa], NaN where not given."""
         return math.nan if self.pressure_hpa is None else self.pressure_hpa * HECTOPASCAL
 
     @property
     def humidity(self) -> float:
-        """0 to 1, NaN where not given."""
+        """The relative humidity, 0 to 1, NaN where not given."""
         return math.nan if self.relative_humidity is None else self.relative_humidity
 
     @property
     def time_ns(self) -> int | None:
-        """[Unix ns]; without an offset the time is UTC."""
+        """The time of the report [Unix ns]; without an offset it is UTC."""
         if self.time_utc is None:
             return None
         time = datetime.fromisoformat(self.time_utc)
@@ -327,11 +328,15 @@ class GnssSection(Section):
 
 
 class CalibrationKey(NamedTuple):
-    """Where the mission file states a fault of a sensor."""
+    """Where the mission file states a fault of a sensor.
+
+    ``key`` is that of the value of the fault; the key of its standard deviation is the same after
+    ``sigma_``. ``unit`` is the unit of both keys in SI units.
+    """
 
     sensor: str
-    key: str  # of its value; ``sigma_`` and this, of its standard deviation
-    unit: float = 1.0  # that of the key in SI
+    key: str
+    unit: float = 1.0
 
 
 CALIBRATION_KEYS = {

@@ -22,7 +22,8 @@ INTERIOR_ORIENTATION = {
 def with_block(values: dict[str, Any]) -> dict[str, Any]:
     """The values of a mission file, with the cameras and orientations of its block of observations.
 
-    ``values`` are unchecked: a section that is no mapping is left as it is, to be refused later.
+    Without a block as observations they stay as they are. ``values`` are unchecked: a section that
+    is no mapping is left as it is, to be refused later.
     """
     observations = values.get("observations")
     if not isinstance(observations, dict) or not is_block(observations.get("format")):
@@ -46,8 +47,8 @@ def _with_orientation(
 ) -> dict[str, Any]:
     """The section of stations, whose orientation is the block's unless it has a path of its own.
 
-    Without the key of an orientation it is the block's only where nothing else gives stations:
-    ``alone``, and no trajectory.
+    A section without the key ``orientation`` gets that of the block only where nothing else gives
+    stations: neither log nor events (``alone``), nor a trajectory.
     """
     if "orientation" in stations:
         orientation = stations["orientation"]
@@ -69,7 +70,7 @@ def _with_cameras(cameras: dict[str, Any], block: dict[str, Any]) -> dict[str, A
             filled[name] = section
             continue
         of_block = dict(block)
-        if len(cameras) > 1:
+        if len(cameras) > 1:  # which of the block's cameras it is; a single one needs no name
             of_block["camera"] = name
         filled[name] = of_block | section
     return filled

@@ -31,7 +31,7 @@ from unbend.refraction.calibration import (
     refuse_impossible,
 )
 from unbend.tables.imports.blocks import BLOCKS, read_camera
-from unbend.tables.pixels import PixelOrigin, PixelSystem
+from unbend.tables.pixels import ImageFrame, PixelOrigin, PixelSystem
 
 SHORTEST_DISTANCE_PX = 10  # a focal length in millimetres is shorter than its image has pixels
 LONGEST_DISTANCE_PX = 1e6
@@ -320,6 +320,15 @@ class CameraSection(Section):
         if self.pixel_origin is not None or pixel_origin == "corner":
             return self.interior_orientation
         return self._camera(pixel_origin)
+
+    def image_frame(self, pixel_origin: PixelOrigin, unit_mm: float) -> ImageFrame | None:
+        """The frame of image coordinates in a unit [mm]; None without the report of the camera."""
+        if self.metric is None:
+            return None
+        size_px = (self.width_px or 0, self.height_px or 0)
+        return self.metric.image_frame(
+            size_px, PixelSystem(self.pixel_origin or pixel_origin), unit_mm
+        )
 
     def _camera(self, pixel_origin: PixelOrigin) -> Camera:
         width = self.width_px or 0

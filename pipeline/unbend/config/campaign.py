@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -65,7 +65,7 @@ class MissionRef:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The arguments of `unbend run` that run this mission alone."""
+        """The arguments of `unbend run` that run this mission alone; the last names the mission."""
         name = self._own_name or str(self.path)
         return (self.campaign, "--mission", name) if self.campaign else (name,)
 
@@ -89,15 +89,17 @@ class Campaign:
 
 
 def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign]]:
-    """The missions of some mission files and campaign files, each once, and the campaigns.
+    """The missions of some mission files and campaign files, and the campaigns.
 
-    Missions stand in the order of ``paths``. Refuses as `campaign_of`; a file that cannot be read
-    counts as a mission, which is refused when its turn comes.
+    Missions stand in the order of ``paths``; a file that is named twice counts once. Refuses as
+    `campaign_of`; a file that cannot be read counts as a mission file, which is refused when the
+    mission's turn comes.
     """
     missions: list[MissionRef] = []
     campaigns: list[Campaign] = []
     path_of_file = {}
     for path in paths:
+        # A link to a file is a file of its own: relative paths count from the folder of the link.
         path_of_file[os.path.join(os.path.realpath(path.parent), path.name)] = path
     for path in path_of_file.values():
         campaign = _campaign_at(path)
@@ -129,6 +131,7 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     opened; a pattern that matches none is refused.
     """
     complete = _with_defaults(values)
+    # What the models refuse of the campaign's sections, of its defaults and of its missions.
     items = _refused(CampaignFile, values)
     items += _refused_defaults(values)
     items += _refused_missions(complete)
@@ -141,9 +144,17 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     output_of_missions = {"output": {"path": os.path.join(output, "{mission}")}}
     defaults = merged(output_of_missions, values.get("defaults", {}))
     missions = []
-    for file, sections in mission_files(path, values["missions"]):
-        defaults_there = _seen_from(defaults, path.parent, file.parent)
-        missions.append(MissionRef(file, json.dumps(defaults_there), sections, str(path)))
+    for mission in missions_listed(path, values["missions"]):
+        # Relative paths of the defaults count from the campaign's folder, a mission's from its own.
+        defaults_there = _seen_from(defaults, path.parent, mission.file.parent)
+        missions.append(
+            MissionRef(
+                path=mission.file,
+                defaults=json.dumps(defaults_there),
+                own=mission.own,
+                campaign=str(path),
+            )
+        )
     return Campaign(path, section["name"], path.parent / output, tuple(missions))
 
 
@@ -175,8 +186,9 @@ def _refused(model: type[BaseModel], values: object, *, at: Place = ()) -> list[
 def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
     """What is wrong with the defaults of a campaign, whatever a mission adds to them.
 
-    A missing key is no mistake here, nor are keys of a section that do not go together: a mission
-    may state them.
+    A missing key is no mistake here, as a mission may state it; nor are keys of a section that do
+    not go together, as a mission may replace one of them. A mistake of one key is one, though the
+    validator of its section reports it.
     """
     for item in _refused(Mission, values.get("defaults", {}), at=("defaults",)):
         error = item.get("ctx", {}).get("error")
@@ -188,41 +200,53 @@ def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
 
 
 def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """What is wrong with the missions that stand in a campaign file, with its defaults."""
+    """What is wrong with the missions that stand in a campaign file.
+
+    ``values`` are those of the file, with its defaults in its missions.
+    """
     missions = values.get("missions", [])
     if not isinstance(missions, list) or not isinstance(values.get("defaults", {}), dict):
-        return
-    # Without an output of their own they have the campaign's, where that is stated.
-    output = {"path": "-"} if isinstance(values.get("campaign"), dict) else {}
+        return  # the model of the campaign itself reports that
+    # A mission without an output gets one below the campaign's: here any path will do. Without a
+    # campaign section it stays without, and its key output.path is reported as missing.
+    has_campaign = isinstance(values.get("campaign"), dict)
+    output = {"path": "-"} if has_campaign else {}
     for number, mission in enumerate(missions):
         if isinstance(mission, dict):
             complete = merged({"output": output}, mission)
             yield from _refused(Mission, complete, at=("missions", number))
 
 
-def mission_files(path: Path, stated: Sequence[Any]) -> Iterator[tuple[Path, str]]:
-    """The file of each mission of a campaign, and as JSON the sections that stand in the campaign.
+class ListedMission(NamedTuple):
+    """A mission of a campaign: its file, or the campaign file and as JSON its ``own`` sections."""
 
-    ``stated`` are the entries under ``missions``: paths, patterns of paths, or sections. A file
-    that several entries name comes once.
+    file: Path
+    own: str = ""
+
+
+def missions_listed(path: Path, stated: Sequence[Any]) -> Iterator[ListedMission]:
+    """The missions of a campaign; ``stated`` are the entries under ``missions``.
+
+    An entry is a path, a pattern of paths, or sections. A file that matches a pattern comes once,
+    and not at all by the pattern if an entry names it.
     """
-    listed: set[str] = set()
+    listed: set[str] = set()  # files that an entry names, then those of patterns too
     for entry in stated:
         if isinstance(entry, str):
             listed.add(os.path.realpath(path.parent / entry))
     for entry in stated:
         if not isinstance(entry, str):
-            yield path, json.dumps(entry)
+            yield ListedMission(path, own=json.dumps(entry))
             continue
         file = path.parent / entry
         if file.exists() or not glob.has_magic(entry):
-            yield file, ""
+            yield ListedMission(file)
             continue
         for matching in _matching_files(path, entry):
             real = os.path.realpath(matching)
             if real not in listed:
                 listed.add(real)
-                yield matching, ""
+                yield ListedMission(matching)
 
 
 def _matching_files(path: Path, pattern: str) -> list[Path]:

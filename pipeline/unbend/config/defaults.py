@@ -23,13 +23,16 @@ WHOLE = (
 """Sections whose values belong together: a mission's own replaces the default as a whole."""
 
 LEADING = ("ground.height", "mission.geoid", "mission.undulation_m", "events.log.*.channel")
-"""Keys that the others of their section describe: of a mission that has one, these are its own."""
+"""A mission that states one of these keys takes nothing of its section from the defaults: the other
+keys of the section describe this one."""
 
 
 def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """A mission's own values, and the defaults where it has none; null takes a default away.
 
-    ``{mission}`` in a path of results is its name; `WHOLE` and `LEADING` values stay together.
+    ``{mission}`` in a default path of results is replaced by the mission's name. The values of a
+    section of `WHOLE`, and those beside a key of `LEADING`, are the mission's own or the defaults',
+    never a mixture.
 
     >>> merged({"log": {"path": "a", "max_gap_s": 2.0}, "mount": {"nadir": {"roll_deg": 1.0}}},
     ...        {"log": {"path": "b"}, "mount": {"nadir": {"yaw_deg": 90.0}}})
@@ -37,7 +40,7 @@ def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """
     values = _merged_sections(defaults, own)
     states_output = isinstance(own.get("output"), dict) and "path" in own["output"]
-    if states_output:
+    if states_output:  # a path of its own is taken literally
         return values
     match values:
         case {"output": {"path": str(path)}, "mission": {"name": str(name)}}:
@@ -48,12 +51,14 @@ def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 def _merged_sections(
     defaults: dict[str, Any], own: dict[str, Any], above: str = ""
 ) -> dict[str, Any]:
+    """The values of two mappings, section by section; ``above`` are the keys that lead to them."""
     values = defaults | own
     for key in defaults.keys() & own.keys():
         place = f"{above}.{key}".removeprefix(".")
         if own[key] is None:
             del values[key]
             continue
+        # A mission's own value replaces the default, but a section is merged with the default one.
         if not isinstance(defaults[key], dict) or not isinstance(own[key], dict):
             continue
         has_leading = any(_is_one_of(LEADING, f"{place}.{inner}") for inner in own[key])
@@ -63,4 +68,5 @@ def _merged_sections(
 
 
 def _is_one_of(patterns: Sequence[str], place: str) -> bool:
+    """Whether a place, as ``cameras.nadir``, matches one of some patterns, as ``cameras.*``."""
     return any(fnmatchcase(place, pattern) for pattern in patterns)

@@ -21,11 +21,11 @@ def image_pattern(value: str) -> str:
     except ValueError as error:
         raise SectionError(f"is not a pattern with {{index}} or {{n}} ({error})") from None
     names = []
-    for piece in pieces:  # of text, and the name, format and conversion of the field behind it
+    for piece in pieces:  # a text, then name, format and conversion of the field that follows it
         name = piece[1]
         number_format = piece[2]
         conversion = piece[3]
-        if name is None:  # text behind the last field
+        if name is None:  # no field follows the text
             continue
         is_number = _NUMBER_FORMAT.match(number_format or "")
         if name not in ("index", "n") or conversion or not is_number:
@@ -170,12 +170,12 @@ class PositionEvents(Section):
 
     @property
     def format_name(self) -> str:
-        """The format, stated or by the ending of the file."""
+        """The format of the file: the one stated, or that of its ending."""
         return format_of(CAMERA_EVENTS, Path(self.path), self.format)
 
     @property
     def reference_point(self) -> str:
-        """Whose positions it has: antenna or camera."""
+        """The point whose positions the file has: antenna or camera."""
         return self.point or ("antenna" if self.format_name == "rtklib" else "camera")
 
     @model_validator(mode="after")
@@ -285,19 +285,22 @@ class EventsSection(Section):
 
     @property
     def patterns(self) -> dict[str, str]:
-        """By camera, the names of images whose events are pulses of a log or file."""
+        """The pattern of the names of images, by camera; empty for a table, which has the names.
+
+        Only exposures of a log, or of files with positions, are named by a pattern.
+        """
         sources = self.log or self.positions or {}
         return {camera: source.image for camera, source in sources.items()}
 
     @property
     def time_key(self) -> str:
-        """Where the mission file says of which clock the times of the exposures are."""
+        """The key of the mission file that says by which clock the exposures are timed."""
         if self.csv is None:
             return "events.log" if self.log is not None else "events.positions"
         column = "gps_week" if self.csv.columns.time_utc is None else "time_utc"
         return f"events.csv.columns.{column}"
 
     def anchor(self, camera: str) -> FirstImage | None:
-        """The image and event that are stated for a camera."""
+        """The image and event that are stated for a camera; None where none are."""
         stated = self.first_image.get(camera)
         return FirstImage(image=stated) if isinstance(stated, str) else stated

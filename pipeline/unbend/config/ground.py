@@ -147,8 +147,8 @@ class GroundModel(Section):
 def _kind_of_height(value: object) -> str:
     """The tag of the kind of height that a value is meant as.
 
-    pydantic checks the value as this kind alone, and so reports the mistakes against this kind and
-    not those against every kind.
+    pydantic then checks the value as this kind alone. Without the tag it would report what is
+    wrong with the value as each of the kinds.
     """
     match value:
         case str():
@@ -165,6 +165,7 @@ def _kind_of_height(value: object) -> str:
 
 
 _ABOVE_THE_SEA = ("from_distance", "intersected", "block")
+"""Words for heights that follow from those of the cameras, which are above mean sea level."""
 
 GroundHeight = Annotated[
     Annotated[float, Tag("number")]
@@ -241,7 +242,10 @@ class GroundSection(Section):
 
     @property
     def reference_of_values(self) -> Literal["msl", "ellipsoid", "relative"]:
-        """What the heights of the observations count from: others are reduced to msl."""
+        """What the ground heights count from when the observations have them.
+
+        Heights of a table of points and of an elevation model are reduced to mean sea level before.
+        """
         reduced = self.points is not None or self.model is not None
         return "msl" if reduced else self.reference
 
@@ -253,7 +257,7 @@ class GroundSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _default_reference(cls, values: object) -> object:
-        """Heights that follow from the camera's own are above mean sea level."""
+        """Fill in the reference of heights that follow from the cameras' own: mean sea level."""
         if not isinstance(values, dict):
             return values
         if values.get("height") in _ABOVE_THE_SEA:
@@ -272,9 +276,7 @@ class GroundSection(Section):
         states_home = self.home_h_msl_m is not None
         if self.sigma_m is not None and self.sigma_column is not None:
             raise SectionError("give either sigma_m or sigma_column")
-        # A word (from_distance, intersected, block): heights follow from the cameras' own, which
-        # are above mean sea level.
-        follows_from_cameras = isinstance(self.height, str)
+        follows_from_cameras = isinstance(self.height, str)  # a word of `_ABOVE_THE_SEA`
         if follows_from_cameras and (self.reference != "msl" or states_home):
             raise SectionError(
                 f"height: {self.height} gives heights above mean sea level; leave reference and "

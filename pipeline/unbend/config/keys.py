@@ -86,16 +86,18 @@ def as_written(value: object) -> str:
 def mission_keys(node: Node | None = None, above: str = "") -> Iterator[MissionKey]:
     """All keys of a mission file, each after the one that it stands under.
 
+    With a ``node`` of the schema: the keys of that node, which stands under the key ``above``.
+
     >>> keys = {key.path: key for key in mission_keys()}
     >>> keys["cameras.*.f_px"].allowed, keys["log.max_gap_s"].default
     ('a number from 10 to 1000000 [px]', '2.0')
     """
     for arm in alternatives(mission_schema() if node is None else node):
-        named = arm.get("additionalProperties")
+        value_of_any_name = arm.get("additionalProperties")  # False, or a node: any key is a name
         if "items" in arm:
             yield from mission_keys(arm["items"], f"{above}.*")
-        elif isinstance(named, dict):
-            yield from mission_keys(named, f"{above}.*")
+        elif isinstance(value_of_any_name, dict):
+            yield from mission_keys(value_of_any_name, f"{above}.*")
         required = arm.get("required", ())
         for key, value in arm.get("properties", {}).items():
             path = f"{above}.{key}".removeprefix(".")
@@ -111,16 +113,16 @@ def mission_keys(node: Node | None = None, above: str = "") -> Iterator[MissionK
 
 
 def _default_in_words(value: Node, *, is_required: bool) -> str:
-    """What holds where a key is not given."""
+    """What holds where a key is not given; for a key without a default, whether it must be."""
     if "default" not in value:
         return "must be given" if is_required else "must be given, unless other keys say it"
     default = value["default"]
     if isinstance(default, dict):
-        return "as its own keys" if default else "none"
+        return "as its own keys" if default else "none"  # the defaults of the keys of a section
     return as_written(default)
 
 
 def campaign_keys() -> list[MissionKey]:
-    """The keys of a campaign file that are none of a mission file."""
+    """The keys of a campaign file, without those of the mission files that it may contain."""
     keys = mission_keys(campaign_schema())
     return [key for key in keys if not key.path.startswith(("defaults.", "missions."))]

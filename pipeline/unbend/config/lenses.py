@@ -54,7 +54,7 @@ class LensSection(Section):
     )
 
     def build(self, principal_distance_px: float) -> LensInAir:
-        """In Pa and K."""
+        """The air in a lens with this principal distance, in Pa and K."""
         return LensInAir(
             principal_distance_px,
             reference_pressure_pa=self.reference.pressure_hpa * HECTOPASCAL,

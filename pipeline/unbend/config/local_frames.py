@@ -37,7 +37,7 @@ class LocalOrigin(Section):
     )
 
     def build(self) -> GeodeticOrigin:
-        """In radians."""
+        """The origin, in radians."""
         return GeodeticOrigin(self.lat_deg * DEGREE, self.lon_deg * DEGREE, self.h_ellipsoid_m)
 
 

@@ -30,7 +30,10 @@ class NamedChannel(Section):
 
 
 class ChannelsSection(Section):
-    """Which channel plays which role; names as ``unbend inspect`` prints them."""
+    """Which channel plays which role; names as ``unbend inspect`` prints them.
+
+    null: no channel plays it. A key that is not there leaves the choice to the program.
+    """
 
     position: str | NamedChannel | None = Field(
         None,
@@ -134,6 +137,11 @@ class ChannelsSection(Section):
             if value is not None:
                 channels[role] = value
         return channels
+
+    @property
+    def empty(self) -> tuple[str, ...]:
+        """The roles that no channel may play: their keys are there, with null."""
+        return tuple(role for role in self.model_fields_set if getattr(self, role) is None)
 
 
 class LogSection(Section):

@@ -15,10 +15,11 @@ from unbend.config.section import (
 )
 from unbend.refraction import Camera
 from unbend.refraction.calibration import (
+    DIRECTIONS,
     MetricReport,
     camera_of_report,
 )
-from unbend.tables.pixels import PixelSystem
+from unbend.tables.pixels import ImageFrame, PixelSystem
 from unbend.units import Array
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -209,6 +210,26 @@ class MetricSection(Section):
         ),
     )
 
+    def origin_px(self, size_px: tuple[int, int], pixels: PixelSystem) -> Array:
+        """(2,) the origin of the report's coordinates in COLMAP's pixels."""
+        if isinstance(self.origin, str):
+            return np.array(size_px) / 2.0
+        return np.asarray(pixels.to_colmap(np.array(self.origin)))
+
+    def image_frame(
+        self, size_px: tuple[int, int], pixels: PixelSystem, unit_mm: float
+    ) -> ImageFrame:
+        """The frame of image coordinates in a unit [mm], from this origin along these axes."""
+        pixel_mm = np.array(self.pixel_um) * MILLIMETRES_PER_MICROMETRE
+        x_axis, y_axis = (
+            np.array(DIRECTIONS[direction]) * unit_mm / pixel_mm for direction in self.axes.split()
+        )
+        return ImageFrame(
+            origin_px=tuple(self.origin_px(size_px, pixels).tolist()),
+            px_of_x=tuple(x_axis.tolist()),
+            px_of_y=tuple(y_axis.tolist()),
+        )
+
     def build(self, size_px: tuple[int, int], pixels: PixelSystem) -> Camera:
         """The camera; refuses as `camera_of_report`."""
         coefficients: dict[str, float] = {}
@@ -216,10 +237,7 @@ class MetricSection(Section):
         if self.distortion is not None:
             coefficients = self.distortion.model_dump(exclude={"sense"})
             sense = self.distortion.sense
-        if isinstance(self.origin, str):
-            origin_px = np.array(size_px) / 2.0
-        else:
-            origin_px = pixels.to_colmap(np.array(self.origin))
+        origin_px = self.origin_px(size_px, pixels)
         report = MetricReport(
             self.focal_mm,
             pixel_mm=np.array(self.pixel_um) * MILLIMETRES_PER_MICROMETRE,

@@ -16,7 +16,9 @@ from unbend.config.blocks import with_block
 from unbend.config.cameras import CameraSection
 from unbend.config.event_sources import EventsSection, PositionEvents
 from unbend.config.ground import ControlSection, GroundSection
+from unbend.config.image_frames import image_frame_of
 from unbend.config.logs import USUAL_MAX_GAP_S, LogSection
+from unbend.config.mission_section import MissionSection
 from unbend.config.mounts import MountSection
 from unbend.config.observation_table import ObservationsSection
 from unbend.config.section import (
@@ -30,39 +32,6 @@ from unbend.config.station_sources import StationsSection
 from unbend.flight.mount import Mount
 from unbend.refraction import METHODS, Camera, LensInAir, Window
 from unbend.tables.imports.blocks import BLOCKS
-
-
-class MissionSection(Section):
-    """Name of the mission, and what its log does not hold."""
-
-    name: str = Field(
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$",
-        description="name of the mission: letters, digits, dot, dash, underscore",
-        examples=["survey-2026-05"],
-        json_schema_extra={
-            "patternErrorMessage": "letters, digits, dots, dashes and underscores, at most 100"
-        },
-    )
-    undulation_m: float | None = Field(
-        None,
-        ge=-120,
-        le=100,
-        description=(
-            "ellipsoidal height minus height above mean sea level, where the log does not carry "
-            "both; by default that of the geoid"
-        ),
-        examples=[47.6],
-        json_schema_extra={"unit": "m"},
-    )
-    geoid: Literal["egm96"] | PathText = Field(
-        "egm96",
-        description=(
-            "geoid of the undulations that neither the log nor undulation_m gives: egm96 (in the "
-            "package), or the path of a .gtx or a GeoTIFF of ellipsoidal minus orthometric heights "
-            "[m]"
-        ),
-        examples=["egm96"],
-    )
 
 
 class RefractionSection(Section):
@@ -297,11 +266,12 @@ class Mission(Section):
             )
         if camera is not None and camera not in self.cameras:
             raise SectionError(f"stations.orientation names camera {camera!r}, which is not there")
-        has_time = orientation.has_clock or orientation.date is not None or self.events is not None
+        is_dated = orientation.date is not None or self.mission.date is not None
+        has_time = orientation.has_clock or is_dated or self.events is not None
         if self.atmosphere.adjust and not has_time:
             raise SectionError(
                 "stations.orientation needs a time for the air: columns.time_utc, gps_week and "
-                "gps_seconds, or date"
+                "gps_seconds, or date (also mission.date)"
             )
         return self
 
@@ -467,7 +437,8 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_camera_names(self) -> Self:
-        """All sections name the same cameras."""
+        """All sections name the same cameras, of one frame where observations are in mm."""
+        image_frame_of(self.observations, self.cameras)
         named = self._cameras_by_section()
         for section, names in named.items():
             for name in sorted(names - self.cameras.keys()):

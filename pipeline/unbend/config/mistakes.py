@@ -27,12 +27,17 @@ class Mistake:
 
 @dataclass(frozen=True)
 class Refused:
-    """One thing that the models refuse: pydantic's type of it, the place in the file, the value."""
+    """One thing that the models refuse.
+
+    kind : pydantic's type of the error.
+    place, value : where in the file it is, and what stands there; None for a missing key.
+    text : that of the validator that refuses it, empty if pydantic itself does.
+    """
 
     kind: str
     place: Place
     value: Any
-    text: str = ""  # of the validator that refuses it
+    text: str = ""
 
 
 def sentences_of(
@@ -67,6 +72,7 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
         yield Mistake(place, f"still TODO: it takes {allowed_at(place)}")
     all_refused = [_refused(values, item) for item in items]
     for refused in all_refused:
+        # TODO is refused as a value too, and so may be the section around it.
         follows = any(_overlap(refused.place, question) for question in questions)
         if follows or _is_arm(refused, all_refused):
             continue
@@ -74,7 +80,7 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
 
 
 def _refused(values: object, item: Mapping[str, Any]) -> Refused:
-    """An error of pydantic, without the arms of unions in its place."""
+    """An error of pydantic, at its place in the file, which may be the key that it names."""
     error = item.get("ctx", {}).get("error")
     place, value = _found_at(values, item["loc"])
     if isinstance(error, SectionError) and error.key:
@@ -93,7 +99,11 @@ def _overlap(place: Place, other: Place) -> bool:
 
 
 def _is_arm(refused: Refused, others: Iterable[Refused]) -> bool:
-    """Whether a section is refused as one arm of a union: its own mistakes say more."""
+    """Whether a section is refused as a whole, and something inside it is refused as well.
+
+    pydantic refuses it for each kind of value (arm of a union) that it could be. The mistakes
+    inside say more.
+    """
     if refused.kind in ("value_error", "extra_forbidden", "missing"):
         return False
     if not isinstance(refused.value, dict | list):
@@ -104,7 +114,7 @@ def _is_arm(refused: Refused, others: Iterable[Refused]) -> bool:
 
 
 def _what(refused: Refused, values: dict[str, Any]) -> str:
-    """What is wrong with a value."""
+    """What is wrong with a value, and what the key takes instead."""
     match refused.kind:
         case "value_error":
             return refused.text
@@ -133,7 +143,7 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
 
 
 def _missing_key(place: Place) -> str:
-    """What a key that is missing means, and what it takes."""
+    """What a key that is missing means, and what it takes, if that is short."""
     texts = [node["description"] for node in nodes_at(place) if "description" in node][:1]
     allowed = allowed_at(place)
     if not texts or len(allowed) < LONGEST_ALLOWED:
@@ -142,7 +152,11 @@ def _missing_key(place: Place) -> str:
 
 
 def _found_at(values: object, loc: Sequence[int | str]) -> tuple[Place, object]:
-    """Place and value of an error of the models, without the arms of unions; None if missing."""
+    """Place and value of an error of the models; the value of a missing key is None.
+
+    ``loc`` is pydantic's place of the error. It has besides the keys the names of the arms of
+    unions, which are left out.
+    """
     place: list[str | int] = []
     value: Any = values
     for i, part in enumerate(loc):
@@ -153,7 +167,7 @@ def _found_at(values: object, loc: Sequence[int | str]) -> tuple[Place, object]:
         is_last = i == len(loc) - 1
         if is_last and isinstance(value, dict) and nodes_at((*place, part)):
             value = None
-            place.append(part)  # a key that is missing
+            place.append(part)  # a key that is missing, and no arm
     return tuple(place), value
 
 

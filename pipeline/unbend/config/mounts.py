@@ -100,7 +100,7 @@ class MountSection(Section):
     def mount(self) -> Mount:
         """The mount, in radians."""
         forward, right, down = self.lever_arm_m
-        sigma_yaw_deg = self.sigma_yaw_deg
+        sigma_yaw_deg = self.sigma_yaw_deg  # by default that of the tilt
         if sigma_yaw_deg is None:
             sigma_yaw_deg = self.sigma_tilt_deg
         return Mount(
@@ -114,4 +114,5 @@ class MountSection(Section):
 
 
 def _in_radians(angle_deg: float | None) -> float | None:
+    """An angle in radians; None without one."""
     return None if angle_deg is None else angle_deg * DEGREE

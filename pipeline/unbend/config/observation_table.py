@@ -18,6 +18,8 @@ from unbend.flight.image_names import Difference
 from unbend.tables.imports.blocks import BLOCKS
 from unbend.tables.pixels import PixelOrigin, PixelSystem
 
+MILLIMETRES_OF_UNIT = {"mm": 1.0, "um": 1e-3}
+
 
 class ObservationColumnNames(Section):
     """What the columns of the table are called."""
@@ -34,12 +36,12 @@ class ObservationColumnNames(Section):
     )
     x_px: str = Field(
         "x_px",
-        description="column of the measured x, in pixels to the right",
+        description="column of the measured x, in pixels to the right, or as unit says",
         examples=["x_px"],
     )
     y_px: str = Field(
         "y_px",
-        description="column of the measured y, in pixels down",
+        description="column of the measured y, in pixels down, or as unit says",
         examples=["y_px"],
     )
     distance_m: str | None = Field(
@@ -83,6 +85,15 @@ class ObservationsSection(Section):
         ),
         examples=["corner"],
     )
+    unit: Literal["px", "mm", "um"] = Field(
+        "px",
+        description=(
+            "unit of x and y. mm, um: coordinates in the frame of the image, as BINGO and PATB "
+            "have them, from the origin and along the axes that cameras.<name>.metric states; the "
+            "results have pixels, and these columns pass through"
+        ),
+        examples=["px"],
+    )
     match_names: list[Difference] = Field(
         [],
         description=(
@@ -121,7 +132,14 @@ class ObservationsSection(Section):
                 f"format: {self.format} says itself where pixels count from, and they are written "
                 "with pixel_origin: corner; leave it out"
             )
+        if self.unit != "px":
+            raise SectionError(f"format: {self.format} has pixels; leave unit out")
         return self
+
+    @property
+    def unit_mm(self) -> float | None:
+        """The unit of coordinates in the frame of the image [mm]; None where they are pixels."""
+        return MILLIMETRES_OF_UNIT.get(self.unit)
 
     @property
     def pixels(self) -> PixelSystem:

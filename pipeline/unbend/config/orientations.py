@@ -1,6 +1,5 @@
 """The sections of a mission file on the position and attitude of every image."""
 
-from datetime import UTC, date, datetime
 from typing import Annotated, Literal, Self
 
 from pydantic import (
@@ -10,6 +9,7 @@ from pydantic import (
     model_validator,
 )
 
+from unbend.config.dates import StatedDate, nanoseconds_of_date
 from unbend.config.local_frames import EnuFrame
 from unbend.config.section import (
     PathText,
@@ -21,7 +21,7 @@ from unbend.config.section import (
 from unbend.config.table_columns import ClockColumns, PoseColumns
 from unbend.tables.imports import ORIENTATIONS
 from unbend.tables.imports.blocks import BLOCKS
-from unbend.units import NANOSECONDS_PER_SECOND, AngleUnit
+from unbend.units import AngleUnit
 
 _OF_ANGLES = {
     "omega_phi_kappa": ("omega", "phi", "kappa"),
@@ -30,13 +30,11 @@ _OF_ANGLES = {
     "quaternion": ("q_w", "q_x", "q_y", "q_z"),
     "quaternion_to_frame": ("q_w", "q_x", "q_y", "q_z"),
 }
-_SAY_FRAME = ("opensfm", "metashape")
+_SAY_FRAME = ("opensfm", "metashape", "pix4d", "blocksexchange")
 _GEODETIC = ("latitude", "longitude", "height")
 _CARTESIAN = ("x", "y", "z")
 _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 _CLOCK = ("time_utc", "gps_week", "gps_seconds")
-
-EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error
 
 
 class OrientationColumns(ClockColumns, PoseColumns):
@@ -80,7 +78,7 @@ class OrientationColumns(ClockColumns, PoseColumns):
 
 
 class KnownPositions(Section):
-    """Positions of at least three images, for a frame that is unknown."""
+    """Positions of three images or more, to which a frame is fitted, or compared with it."""
 
     path: PathText = Field(
         description="a CSV of images with latitude and longitude [deg] and height [m]",
@@ -159,8 +157,8 @@ class OrientationSection(Section):
             "north, east, down) at each station; projected: x, y of crs, whose grid north the "
             "angles count from, and z, the height; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
             "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to "
-            "known_positions. By default what the block says: OpenSfM's reference_lla, Metashape's "
-            "coordinate system"
+            "known_positions. By default what the block says: OpenSfM's reference_lla, the "
+            "coordinate system of Metashape, Pix4D or BlocksExchange"
         ),
         examples=["geographic"],
     )
@@ -201,7 +199,7 @@ class OrientationSection(Section):
         description="camera of every row, without a column camera",
         examples=["nadir"],
     )
-    date: str | None = Field(
+    date: StatedDate | None = Field(
         None,
         description=(
             "UTC day, as 2026-05-14, or day and time, where no column has the time: season of the "
@@ -212,8 +210,8 @@ class OrientationSection(Section):
     known_positions: KnownPositions | Literal["log"] | None = Field(
         None,
         description=(
-            "positions of at least three images, for an unknown frame: a CSV, or log: the "
-            "exposures of the log"
+            "positions of at least three images, to which an unknown frame is fitted, and with "
+            "which another one is compared: a CSV, or log: the exposures of the log"
         ),
         examples=["log"],
     )
@@ -275,6 +273,12 @@ class OrientationSection(Section):
         level = self.frame in ("geographic", "projected")
         return level or self.columns.latitude is not None
 
+    def in_system_of(self, crs: str | None, kind: str | None) -> Self:
+        """The section with the coordinate system that a block names, where no frame is stated."""
+        if self.frame is not None or crs is None or kind is None:
+            return self
+        return self.model_copy(update={"frame": kind, "crs": crs})
+
     def is_msl(self, found: str | None) -> bool:
         """Whether heights are above the sea; ``found`` is what a coordinate system says of them."""
         has_heights = self.is_geodetic or self.frame is None
@@ -295,6 +299,23 @@ class OrientationSection(Section):
         return columns
 
     @property
+    def unstated(self) -> tuple[str, ...]:
+        """Camera, time and sigmas, as far as neither a column nor a constant gives them."""
+        constants = {
+            "camera": self.camera,
+            "time_utc": self.date,
+            "sigma_horizontal_m": self.sigma_horizontal_m,
+            "sigma_height_m": self.sigma_height_m,
+            "sigma_tilt": self.sigma_tilt_deg,
+            "sigma_yaw": self.sigma_yaw_deg,
+        }
+        return tuple(
+            quantity
+            for quantity, constant in constants.items()
+            if constant is None and quantity not in self.columns.named
+        )
+
+    @property
     def angle_names(self) -> tuple[str, ...]:
         """The quantities of the attitude, in the order of their names."""
         return _OF_ANGLES[self.angles]
@@ -307,31 +328,10 @@ class OrientationSection(Section):
     @property
     def date_ns(self) -> int | None:
         """The stated date [Unix ns]; a day without a time is its noon in UTC."""
-        if self.date is None:
-            return None
-        time = datetime.fromisoformat(self.date)
-        if len(self.date) == len("2026-05-14"):
-            time = time.replace(hour=12)
-        if time.tzinfo is None:
-            time = time.replace(tzinfo=UTC)
-        return round(time.timestamp()) * NANOSECONDS_PER_SECOND
-
-    @field_validator("date")
-    @classmethod
-    def _check_date(cls, value: str | None) -> str | None:
-        if value is None:
-            return None
-        mistake = SectionError("is no date like 2026-05-14 or 2026-05-14T10:20")
-        try:
-            day = datetime.fromisoformat(value).date()
-        except ValueError:
-            raise mistake from None
-        if day < EARLIEST_DATE:
-            raise mistake
-        return value
+        return nanoseconds_of_date(self.date)
 
     @property
-    def _is_level(self) -> bool:
+    def is_level(self) -> bool:
         """Whether the angles count from the horizon of each station."""
         return self.frame in ("geographic", "projected")
 
@@ -340,7 +340,7 @@ class OrientationSection(Section):
         of_body = self.angles == "roll_pitch_yaw"
         if self.format == "dji" and not of_body:
             raise SectionError("format: dji has angles: roll_pitch_yaw, of the gimbal")
-        if of_body and not self._is_level:
+        if of_body and not self.is_level:
             raise SectionError(
                 "roll, pitch and yaw are those of north, east and down at the station: frame is "
                 "geographic, or projected"
@@ -351,12 +351,10 @@ class OrientationSection(Section):
     def _check_frame(self) -> Self:
         if self.frame == "projected" and self.crs is None:
             raise SectionError("frame: projected needs crs, as EPSG:25832")
-        if self.crs and not self._is_level:
+        if self.crs and not self.is_level:
             raise SectionError("crs is only for frame: projected or geographic")
         if self.frame == "unknown":
             self._check_unknown_frame()
-        elif self.known_positions is not None:
-            raise SectionError("known_positions are for frame: unknown")
         return self
 
     def _check_unknown_frame(self) -> None:
@@ -371,8 +369,8 @@ class OrientationSection(Section):
 
     @model_validator(mode="after")
     def _check_heights(self) -> Self:
-        known = isinstance(self.known_positions, KnownPositions)
-        has_heights = self.is_geodetic or self.frame is None or known
+        is_fitted = self.frame == "unknown" and isinstance(self.known_positions, KnownPositions)
+        has_heights = self.is_geodetic or self.frame is None or is_fitted
         if has_heights == (self.heights is not None):
             return self
         mistake = (

@@ -31,7 +31,8 @@ def mission_of(
     """Check the values of a mission and return the mission that they state.
 
     ``own`` are the values of the mission itself, ``defaults`` those of its campaign, which hold
-    where the mission has none. ``node`` knows the lines of ``own``; None if these stand in no file.
+    where the mission has none. ``node`` knows the lines of ``own``; None if their lines are not
+    known. ``where`` names the mission in a refusal.
     """
     if "campaign" in own and "mission" not in own:
         raise messages.config_campaign(where=where)
@@ -42,7 +43,7 @@ def mission_of(
     except ValidationError as error:
         items = error.errors(include_url=False)
         raise refusal_of(items, values, node, where, own=own_in_campaign) from None
-    if open_questions(values):  # which the refusal lists itself
+    if open_questions(values):  # TODO in the place of a text; the refusal lists them
         raise refusal_of([], values, node, where, own=own_in_campaign)
     return mission
 
@@ -62,6 +63,7 @@ def refusal_of(
 
 
 def _code_of(items: Sequence[Mapping[str, Any]], *, has_questions: bool) -> Code:
+    """The code of a refusal: for open questions; else for unknown keys; else for other mistakes."""
     if has_questions:
         return messages.CONFIG_TODO
     if any(item["type"] == "extra_forbidden" for item in items):

@@ -24,7 +24,7 @@ SHOWN_LAST = ("description", "unit", "examples", "patternErrorMessage")
 
 
 def all_sections(annotation: object = Mission | CampaignFile) -> dict[str, type[BaseModel]]:
-    """The sections that an annotation names and all within them, by the names of their classes."""
+    """The sections in the type of a key, and all within these, by the names of their classes."""
     sections: dict[str, type[BaseModel]] = {}
     inner = list(typing.get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -46,7 +46,11 @@ def mission_schema() -> Node:
 
 @cache
 def campaign_schema() -> Node:
-    """The JSON schema (draft 7) of a campaign file; what its missions share, each may leave out."""
+    """The JSON schema (draft 7) of a campaign file.
+
+    No key of a mission is required in it: the defaults of the campaign may state what a mission
+    leaves out, and the missions what the defaults leave out.
+    """
     schema = _in_order(CampaignFile.model_json_schema(), CampaignFile)
     mission = json.loads(json.dumps(mission_schema()))
     definitions = mission.pop("$defs") | {"Mission": mission}
@@ -54,25 +58,34 @@ def campaign_schema() -> Node:
         node.pop("required", None)
     schema["$defs"] |= definitions
     schema["properties"]["defaults"]["$ref"] = "#/$defs/Mission"
-    schema["properties"]["missions"]["items"]["anyOf"][1] = {"$ref": "#/$defs/Mission"}
+    mission_kinds = schema["properties"]["missions"]["items"]["anyOf"]  # a path, or sections
+    mission_kinds[1] = {"$ref": "#/$defs/Mission"}
     return {"$schema": mission.pop("$schema")} | schema
 
 
 def _in_order(schema: Node, root: type[BaseModel]) -> Node:
-    """The schema of pydantic without its titles, and with the defaults that are made anew."""
+    """The schema of pydantic, changed where it stands: no titles, texts for people last.
+
+    Keys that validators fill in are not required, and a default that a factory makes is stated.
+    """
     for name, section in all_sections(root).items():
         node = schema if section is root else schema["$defs"][name]
         required = set(node.get("required", ()))
         node["required"] = sorted(required - _FILLED_IN.get(name, set()))
         for key, value in node["properties"].items():
-            value.pop("title", None)
-            for shown in SHOWN_LAST:
-                if shown in value:
-                    value[shown] = value.pop(shown)
+            _put_in_order(value)
             factory = section.model_fields[key].default_factory
             if factory is not None:
                 value["default"] = factory()  # type: ignore[call-arg]
     return schema
+
+
+def _put_in_order(value: Node) -> None:
+    """Remove the title of a key, and move what people read of it to the end."""
+    value.pop("title", None)
+    for shown in SHOWN_LAST:
+        if shown in value:
+            value[shown] = value.pop(shown)
 
 
 def alternatives(node: Node) -> list[Node]:
@@ -97,7 +110,10 @@ def _definition(name: str) -> Node:
 
 
 def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
-    """The nodes of the schema for a place in a mission or campaign file; empty without the key."""
+    """The nodes of the schema for a place in a mission or campaign file; empty for no such place.
+
+    There are several where a value may be of several kinds.
+    """
     of_campaign = bool(keys) and keys[0] in CampaignFile.model_fields
     nodes = [campaign_schema() if of_campaign else mission_schema()]
     for key in keys:
@@ -110,7 +126,7 @@ def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
 
 
 def _at(node: Node, key: str | int) -> list[Node]:
-    """The node under a key, or at a place in a list."""
+    """The node under a key, or at a place in a list; empty without one."""
     if isinstance(key, int):
         return [node["items"]] if "items" in node else []
     if key in node.get("properties", {}):

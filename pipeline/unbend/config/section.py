@@ -45,7 +45,7 @@ class Section(BaseModel):
     )
 
     def __copy__(self) -> Self:
-        """A copy of the keys: what was computed of them may be another one of changed keys."""
+        """A copy without cached properties: `model_copy` may change the keys that they follow."""
         copied = super().__copy__()
         for name in copied.__dict__.keys() - type(self).model_fields.keys():
             del copied.__dict__[name]
@@ -53,9 +53,9 @@ class Section(BaseModel):
 
 
 class SectionError(ValueError):
-    """Values of a section that do not go together, said by its validator.
+    """What a validator of a section refuses: a value, or values that do not go together.
 
-    ``key`` is the key of the section that the mistake is at; without it, it is the whole section.
+    ``key`` is the key of the section where the mistake is; empty for the place that is validated.
     """
 
     def __init__(self, text: str, *, key: str = "") -> None:

@@ -174,6 +174,12 @@ class TrajectorySection(Section):
         """Whether positions come from it, and with them the point that they are of."""
         return self.replaces is None or "position" in self.replaces
 
+    @property
+    def has_angles(self) -> bool:
+        """Whether attitudes come from roll, pitch and yaw of a table."""
+        replaced = self.replaces is None or "attitude" in self.replaces
+        return replaced and self.columns is not None and self.columns.yaw is not None
+
     @model_validator(mode="after")
     def _check_point(self) -> Self:
         moves_camera = self.lever_arm_m != NO_LEVER_ARM

@@ -86,6 +86,7 @@ class CabinSection(Section):
         json_schema_extra={"unit": "K"},
     )
 
+    # Checked after ``pressure``, whose value is known then, and also where it is not given.
     @field_validator("pressure_hpa")
     @classmethod
     def _one_pressure(cls, value: float | None, info: ValidationInfo) -> float | None:
@@ -97,7 +98,7 @@ class CabinSection(Section):
         return value
 
     def build(self) -> Cabin:
-        """In SI."""
+        """The air in the compartment, in SI units."""
         pressure = self.pressure if self.pressure_hpa is None else self.pressure_hpa
         source: Literal["log", "ambient", "constant"] = "constant"
         if isinstance(pressure, str):
@@ -125,7 +126,7 @@ def _known(value: float | None) -> float:
     return UNKNOWN if value is None else value
 
 
-SHORTEST_NORMAL = 1e-6  # of a direction that can be told from none
+SHORTEST_NORMAL = 1e-6  # a shorter vector has no direction: `Window` refuses it
 
 _KEY_OF_REFUSAL = {"WINDOW-AIR": "cabin", "WINDOW-NORMAL": "normal"}
 """The key that a refusal of `Window` is about."""
@@ -194,6 +195,7 @@ class WindowSection(Section):
     @field_validator("normal")
     @classmethod
     def _unit_normal(cls, value: list[float]) -> list[float]:
+        """The normal of length 1; zeros, which `Window` refuses, for one without a direction."""
         length = float(np.linalg.norm(value))
         if length <= SHORTEST_NORMAL:
             return [0.0, 0.0, 0.0]
@@ -208,7 +210,7 @@ class WindowSection(Section):
             raise SectionError(f"{error.what}; {error.remedy}", key=key) from None
         if window.shape == "plane":
             return self
-        # By their values: the manifest of a run states the defaults too.
+        # Defaults are allowed though they are stated: the mission in a manifest states them all.
         if window.frame != "camera" and window.normal[2] != 1.0:
             raise SectionError("a spherical window has no frame and no normal")
         if window.frame != "camera":

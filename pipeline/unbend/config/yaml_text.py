@@ -11,7 +11,7 @@ from unbend.config import messages
 from unbend.config.mission_file import Mission
 
 Place = tuple[str | int, ...]
-"""The keys that lead to a value, and places in lists, from 0."""
+"""What leads to a value: keys of mappings, and for lists the numbers of their items, from 0."""
 
 TODO = "TODO"
 """What stands in a mission file for a question that is still open."""
@@ -34,6 +34,7 @@ PROBLEMS = {
 """Beginnings of what the YAML parser says, and the same in plain words."""
 
 _REPLACED_TYPES = ("bool", "int", "float", "timestamp")
+"""Scalars that YAML 1.1 reads otherwise than a mission file means them; dates stay words."""
 
 
 class MissionLoader(yaml.SafeLoader):
@@ -106,7 +107,7 @@ def problem_of(error: Exception) -> str:
     for beginning, words in PROBLEMS.items():
         if problem.startswith(beginning):
             return words
-    return "here the text is no YAML"
+    return "here the text is no YAML"  # a problem that has no words of ours
 
 
 def open_questions(values: object) -> list[Place]:
@@ -118,17 +119,17 @@ def open_questions(values: object) -> list[Place]:
         place, value = left.pop()
         if value == TODO:
             questions.append(place)
-        if not isinstance(value, dict | list) or id(value) in walked:
+        if not isinstance(value, dict | list) or id(value) in walked:  # by an alias
             continue
         walked.add(id(value))
         items = value.items() if isinstance(value, dict) else enumerate(value)
         inner = [((*place, key), item) for key, item in items]
-        left += reversed(inner)
+        left += reversed(inner)  # the last one is taken first: in the order of the file
     return questions
 
 
 def line_of(node: yaml.Node, place: Place) -> int:
-    """The line of the key that a place ends with, or of the last on the way that is there."""
+    """The line of the last key of a place; of the last one that is there, if others are missing."""
     line = int(node.start_mark.line) + 1
     for key in place:
         if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
@@ -143,7 +144,7 @@ def line_of(node: yaml.Node, place: Place) -> int:
 
 
 def _pair_of(node: yaml.Node, key: str | int) -> tuple[yaml.Node, yaml.Node] | None:
-    """The nodes of a key of a mapping, and of its value."""
+    """The nodes of a key of a mapping and of its value; None without the key."""
     if not isinstance(node, yaml.MappingNode):
         return None
     for key_node, value_node in node.value:

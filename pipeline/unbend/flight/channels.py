@@ -42,10 +42,23 @@ _OF_HEALTH = {
     "filter_faults",
     "vibration_m_s2",
     "clipping",
+    "landed",
+    "landed_state",
+    "flying",
+    "home_h_msl_m",
     "rate_x_rad_s",
     "rate_y_rad_s",
     "rate_z_rad_s",
 }
+
+
+def plain_name(message: str) -> str:
+    """The name of a message without cases, underscores and paths: PX4 writes it in two ways.
+
+    >>> plain_name("px4_msgs/GimbalV1"), plain_name("gimbal_v1")
+    ('GIMBALV1', 'GIMBALV1')
+    """
+    return message.rpartition("/")[2].replace("_", "").upper()
 
 
 @dataclass(frozen=True)
@@ -56,6 +69,15 @@ class Source:
     instance: str | None = None
     system: int | None = None
     component: int | None = None
+
+    @property
+    def kind(self) -> str:
+        """The message, without the spelling of the format.
+
+        >>> Source("px4_msgs/CameraCapture").kind, Source("camera_capture").kind
+        ('CAMERACAPTURE', 'CAMERACAPTURE')
+        """
+        return plain_name(self.message)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +103,8 @@ class Channel:
     rate_z_rad_s (about the body's forward, right and down axis); pressure_pa, board_temperature_k,
     temperature_k, relative_humidity (0-1), airspeed_m_s; event_index, sigma_time_s (of an event
     whose time is not logged exactly), roll_rad, pitch_rad, yaw_rad; yaw_in_body_rad (of a gimbal);
-    value (of a named value, in the mission file's unit).
+    value (of a named value, in the mission file's unit); feedback (1 of a shutter's pulse, 0 of a
+    trigger's command); landed, flying (1 or 0), landed_state (MAV_LANDED_STATE), home_h_msl_m.
 
     Of a receiver: fix (GPS_FIX_TYPE of MAVLink: 3 is 3D, 6 RTK fixed), satellites, hdop, sigma_h_m
     (of one horizontal axis), sigma_v_m, sigma_speed_m_s; gps_week (may count modulo 1024) and

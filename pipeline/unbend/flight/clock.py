@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unbend.flight.channels import TimeArray
-from unbend.flight.messages import clock_stepped, time_fit
+from unbend.flight.messages import clock_scatters, clock_stepped, time_fit, time_fit_but_for
 from unbend.messages import Message
 from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, Array, Integers, Mask, Rows
 
@@ -38,6 +38,12 @@ LAST_US = 1 << 52  # 142 years: a stamp beyond is damage, and below, nanoseconds
 BOOT_STEP_NS = NANOSECONDS_PER_SECOND  # loggers write records up to some ms out of order
 STRAY_ROWS = 4  # this many rows in a row can be one glitch; a power-up writes more
 LARGEST_SPREAD_NS = 200_000_000  # real logs: 1 to 40 ms; a receiver's time step is a second or more
+LARGEST_SIGMA_NS = 60_000_000  # of one row, by the median: 200 ms from p5 to p95
+SIGMA_OF_MAD = 1.4826  # of a normal distribution, over its median absolute deviation
+LASTING_NS = (
+    10 * NANOSECONDS_PER_SECOND
+)  # an offset that differs for longer is of a clock that stepped
+LASTING_SHARE = 0.25  # ... or for this share of a log that is shorter than 40 s
 SET_BACKS = 16  # a clock that was set back more often than this is no clock
 
 
@@ -61,21 +67,29 @@ def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
     return np.asarray(utc, np.int64)
 
 
-def full_weeks(week: ArrayLike, first: int) -> tuple[Integers, int]:
-    """GPS weeks that a receiver counts modulo 1024 -> full weeks.
+def later_by_rollovers(utc_ns: TimeArray, rollovers: int, *, from_gps_week: bool) -> TimeArray:
+    """UTC of a receiver whose week counter has rolled over, (n,) [ns], with the weeks it lacks.
 
-    ``week``: (n,) as reported. ``first``: the first week that is possible; a receiver whose median
-    is before it rolls over. Returns (n,) full weeks, and how many were changed.
+    ``from_gps_week``: the UTC was computed from the GPS week, with the leap seconds of the date
+    that is too early; else the receiver subtracted the present ones itself.
 
-    >>> full_weeks([276, 276, 277], first=1773)
-    (array([2324, 2324, 2325]), 3)
+    >>> early = utc_of_gps([276], [0.0])
+    >>> full = later_by_rollovers(early, 1, from_gps_week=True)
+    >>> bool(full == utc_of_gps([1300], [0.0]))
+    True
     """
-    weeks = np.asarray(week).astype(np.int64)
-    early = weeks < first
-    if not weeks.size or np.median(weeks) >= first:
-        return weeks, 0
-    full = np.where(early, first + (weeks - first) % WEEKS_PER_ROLLOVER, weeks)
-    return full, int(np.count_nonzero(early))
+    weeks_ns = rollovers * WEEKS_PER_ROLLOVER * SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
+    moved_ns = utc_ns + weeks_ns
+    if not from_gps_week:
+        return moved_ns
+    more_leap_seconds = _leap_seconds_at(moved_ns) - _leap_seconds_at(utc_ns)
+    return np.asarray(moved_ns - more_leap_seconds * NANOSECONDS_PER_SECOND, np.int64)
+
+
+def _leap_seconds_at(utc_ns: TimeArray) -> Integers:
+    """GPS minus UTC [s] at (n,) times [Unix ns]."""
+    row = np.maximum(np.searchsorted(_LEAP_UTC_NS, utc_ns, side="right") - 1, 0)
+    return np.asarray(_LEAP_SECONDS[row], np.int64)
 
 
 def stray_times(time_ns: TimeArray) -> Mask:
@@ -209,7 +223,8 @@ class ClockOffset:
     largest_ns: int = 0  # of the row farthest from the median
     far: int = 0  # rows farther from it than `LARGEST_SPREAD_NS`
     first_far_ns: int = 0  # time since boot of the first of these
-    stepped: bool = False  # more than `STRAY_ROWS` of them are in a row
+    stepped: bool = False  # the rows of a stretch that lasts are far from it
+    sigma_ns: int = 0  # of the offset, by the scatter of most rows; 0 where these agree
 
 
 def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
@@ -229,11 +244,13 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
     apart = (difference - base).astype(np.float64)
     low, middle, high = np.percentile(apart, (5.0, 50.0, 95.0))
     largest = max(float(apart.max() - middle), float(middle - apart.min()))
+    sigma = SIGMA_OF_MAD * float(np.median(np.abs(apart - middle)))
     offset = ClockOffset(
         offset_ns=base + round(middle),
         spread_ns=round(high - low),
         rows=utc_ns.size,
         largest_ns=round(largest),
+        sigma_ns=round(sigma) if sigma > LARGEST_SIGMA_NS else 0,
     )
     if largest <= LARGEST_SPREAD_NS:
         return offset
@@ -242,8 +259,24 @@ def fit_offset(utc_ns: TimeArray, boot_ns: TimeArray) -> ClockOffset | None:
         offset,
         far=int(np.count_nonzero(is_far)),
         first_far_ns=int(boot_ns[np.argmax(is_far)]),
-        stepped=bool(_in_long_runs(is_far).any()),
+        stepped=_lasts(is_far, boot_ns),
     )
+
+
+def _lasts(is_far: Mask, boot_ns: TimeArray) -> bool:
+    """Whether an offset differs for so long that a clock stepped; some late rows are no step.
+
+    ``is_far``: (n,) which rows are far from the median; ``boot_ns``: (n,) their time since boot. A
+    change that is there when the log ends may have lasted.
+    """
+    span_ns = float(boot_ns.max() - boot_ns.min())
+    lasting_ns = min(LASTING_NS, LASTING_SHARE * span_ns)
+    in_runs = _in_long_runs(is_far)
+    begins = np.flatnonzero(in_runs & ~np.append(False, in_runs[:-1]))
+    ends = np.flatnonzero(in_runs & ~np.append(in_runs[1:], False))
+    is_long = boot_ns[ends] - boot_ns[begins] >= lasting_ns
+    is_last = ends == is_far.shape[0] - 1
+    return bool((is_long | is_last).any())
 
 
 def new_readings(time_ns: TimeArray) -> Mask:
@@ -288,26 +321,45 @@ def clock_map(from_ns: TimeArray, to_ns: TimeArray) -> Callable[[TimeArray], Tim
 
 
 def clock_fit_note(source: str, fit: ClockOffset, where: str) -> Message:
-    """Report how well the rows of a source agree on UTC; a loss where one of the clocks stepped.
+    """Report how well the rows of a source agree on UTC.
 
-    p5 to p95 do not see a tenth of the rows: the farthest counts as well, and rows that stay away.
+    A loss where one of the clocks stepped: the offset differs for a while. Single rows that came
+    late, or with a wrong week, are counted; the median does not follow them.
     """
     spread_ms = fit.spread_ns / 1e6
     largest_ms = fit.largest_ns / 1e6
-    is_steady = fit.spread_ns <= LARGEST_SPREAD_NS and fit.largest_ns <= BOOT_STEP_NS
-    if is_steady and not fit.stepped:
-        return time_fit(
+    limit_ms = LARGEST_SPREAD_NS / 1e6
+    if fit.stepped:
+        return clock_stepped(
+            where=f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot",
+            far=fit.far,
+            source=source,
+            spread_ms=spread_ms,
+            largest_ms=largest_ms,
+            limit_ms=limit_ms,
+        )
+    if fit.sigma_ns:
+        return clock_scatters(
             where=where,
             rows=fit.rows,
             source=source,
             spread_ms=spread_ms,
             largest_ms=largest_ms,
+            sigma_ms=fit.sigma_ns / 1e6,
         )
-    return clock_stepped(
-        where=f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot",
-        far=fit.far,
+    if fit.spread_ns > LARGEST_SPREAD_NS or fit.largest_ns > BOOT_STEP_NS:
+        return time_fit_but_for(
+            where=f"{where}, first {fit.first_far_ns / 1e9:.3f} s after boot",
+            far=fit.far,
+            source=source,
+            spread_ms=spread_ms,
+            largest_ms=largest_ms,
+            limit_ms=limit_ms,
+        )
+    return time_fit(
+        where=where,
+        rows=fit.rows,
         source=source,
         spread_ms=spread_ms,
         largest_ms=largest_ms,
-        limit_ms=LARGEST_SPREAD_NS / 1e6,
     )

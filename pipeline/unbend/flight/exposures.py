@@ -1,6 +1,6 @@
 """Camera pulses become exposures: their channel, the names of their images, and lost pulses."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from unbend.flight import messages
 from unbend.flight.channels import Channel
-from unbend.flight.ground_times import times_on_the_ground
+from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, times_on_the_ground
 from unbend.flight.stations import Stations
+from unbend.flight.trajectory import ns_to_nearest
 from unbend.messages import Message, Notes
-from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask, Names
+from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Names
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,49 +46,6 @@ class ExposureDelay:
     def nanoseconds(self) -> int:
         """The delay in whole nanoseconds."""
         return round(self.seconds * 1e9)
-
-
-LONGEST_LAG_S = 1.0  # of a shutter behind its trigger; a later pulse is another exposure's
-FEWEST_PAIRS = 10  # of triggers and pulses, of which the median is a lag
-_NUMBERS_PER_BOOT = 1e6  # numbers of two power-ups are kept apart by this
-
-
-def lag_from_feedback(
-    channels: tuple[Channel, ...], trigger: Channel, camera: str
-) -> tuple[ExposureDelay, Notes]:
-    """The shutter's lag behind the trigger, from triggers whose pulse is logged.
-
-    That is the median lag of pairs of one number and power-up, with the scatter of the pairs as
-    sigma. Refuses (MissionError EVENTS-FEEDBACK) fewer than ten pairs, or events that are no
-    triggers.
-    """
-    lags = np.empty(0)
-    if trigger.source.message == "TRIG":
-        for shutter in _shutters_of(trigger, channels):
-            lags = np.append(lags, _lags_of_pairs(trigger, shutter))
-    if lags.size < FEWEST_PAIRS:
-        raise messages.too_few_feedback_pairs(
-            camera=camera, channel=trigger.name, pairs=lags.size, needed=FEWEST_PAIRS
-        )
-    low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
-    message = messages.shutter_lag(
-        camera=camera,
-        channel=trigger.name,
-        pairs=lags.size,
-        lag_ms=middle * 1e3,
-        scatter_ms=(high - low) * 5e2,
-    )
-    return ExposureDelay(float(middle), sigma_s=float(high - low) / 2.0), (message,)
-
-
-def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
-    """(k,) seconds from each trigger to the pulse of the same number and power-up."""
-    trigger_number = trigger["event_index"] + _NUMBERS_PER_BOOT * trigger.boot
-    shot_number = shots["event_index"] + _NUMBERS_PER_BOOT * shots.boot
-    _, trigger_row, shot_row = np.intersect1d(trigger_number, shot_number, return_indices=True)
-    apart = (shots.time_ns[shot_row] - trigger.time_ns[trigger_row]) * 1e-9
-    lags = apart[(apart > 0.0) & (apart < LONGEST_LAG_S)]
-    return np.asarray(lags)
 
 
 def events_of_channel(
@@ -225,7 +183,7 @@ def _usual_shifts_ns() -> list[int]:
     widest_zone = 14 * hour
     sizes_s = [leap_seconds, *range(hour, widest_zone + 1, hour)]  # hours of time zones
     sizes_s += [24 * hour, 7 * 24 * hour]
-    sizes_s += range(quarter, widest_zone + 1, quarter)
+    sizes_s += range(quarter, widest_zone + 1, quarter)  # rarer zones; whole hours twice, no matter
     shifts: list[int] = []
     for size_s in sizes_s:
         shifts += [size_s * NANOSECONDS_PER_SECOND, -size_s * NANOSECONDS_PER_SECOND]
@@ -310,7 +268,10 @@ def _fitting_shift(events: _Span, flight: _Span) -> int:
 
 
 def ground_shot_notes(
-    stations: Stations, roles: Mapping[str, Channel], images: Collection[str]
+    stations: Stations,
+    roles: Mapping[str, Channel],
+    images: Collection[str],
+    evidence: GroundEvidence = NOTHING_SAID,
 ) -> Notes:
     """Report exposures made while the aircraft stood on the ground, by name: test shots.
 
@@ -320,10 +281,10 @@ def ground_shot_notes(
     height = roles.get("height")
     if height is None or len(stations) == 0:
         return ()
-    on_ground_ns = times_on_the_ground(height)
+    on_ground_ns = times_on_the_ground(height, evidence)
     if on_ground_ns.size == 0:
         return ()
-    is_on_ground = _within_a_second(stations.time_ns, on_ground_ns)
+    is_on_ground = ns_to_nearest(stations.time_ns, on_ground_ns) < NANOSECONDS_PER_SECOND
     names = stations.image[stations.ok & is_on_ground].tolist()
     if not names:
         return ()
@@ -334,14 +295,6 @@ def ground_shot_notes(
         most=2 * len(names) > int(np.count_nonzero(stations.ok)),
     )
     return (message,)
-
-
-def _within_a_second(time_ns: Integers, others_ns: Integers) -> Mask:
-    """(n,) which times are less than a second from the nearest of others, which are in order."""
-    after = np.clip(np.searchsorted(others_ns, time_ns), 1, others_ns.size - 1)
-    to_before = np.abs(time_ns - others_ns[after - 1])
-    to_after = np.abs(time_ns - others_ns[after])
-    return np.asarray(np.minimum(to_before, to_after) < NANOSECONDS_PER_SECOND)
 
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
@@ -360,50 +313,6 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
             return best[0]
     listed = [f"{channel.name} ({len(channel)})" for channel in event_channels]
     raise messages.event_channel_unknown(name=name, channels=listed)
-
-
-def trigger_notes(channels: tuple[Channel, ...], chosen: Channel) -> Iterator[Message]:
-    """Report events that are triggers themselves, and triggers without a pulse of the shutter.
-
-    ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
-    without one CAM alone, at the trigger. Cameras fire apart: the rows of an instance belong to one
-    camera.
-    """
-    kind = chosen.source.message
-    triggers = [
-        channel
-        for channel in channels
-        if channel.source.message == "TRIG" and _may_be_of_one_camera(channel, chosen)
-    ]
-    is_trigger = kind in ("TRIG", "CAMERA_TRIGGER")
-    if is_trigger or (kind == "CAM" and not triggers):
-        yield messages.trigger_times(channel=chosen.name, events=len(chosen))
-    if kind != "CAM":
-        return
-    for trigger in triggers:
-        shutters = _shutters_of(trigger, channels)
-        events = sum(len(channel) for channel in shutters)
-        if len(trigger) > events:
-            yield messages.triggers_without_pulse(
-                shutters=", ".join(channel.name for channel in shutters),
-                trigger=trigger.name,
-                sent=len(trigger),
-                events=events,
-            )
-
-
-def _shutters_of(trigger: Channel, channels: tuple[Channel, ...]) -> list[Channel]:
-    """The channels of shutter events that may be of the camera of a trigger."""
-    return [
-        channel
-        for channel in channels
-        if channel.source.message == "CAM" and _may_be_of_one_camera(trigger, channel)
-    ]
-
-
-def _may_be_of_one_camera(trigger: Channel, shots: Channel) -> bool:
-    """Whether a trigger has the instance of some events, or none, and then may be of any camera."""
-    return trigger.source.instance in (None, shots.source.instance)
 
 
 def refuse_repeated_images(events: list[Events]) -> None:

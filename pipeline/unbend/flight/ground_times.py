@@ -1,25 +1,162 @@
-"""When the aircraft stood on the ground."""
+"""When the aircraft stood on the ground, and where it took off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from unbend.flight.channels import Channel
-from unbend.units import Array, Integers, Mask
+from unbend.flight.channels import Channel, TimeArray
+from unbend.flight.trajectory import interpolate
+from unbend.geodesy import longitudes_near
+from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask
 
 GROUND_RISE_M = 20.0  # an aircraft that stands, this near the lowest height, is on the ground [m]
 STILL_M_S = 1.0  # slower than this, over ten seconds, an aircraft does not move [m/s]
 WINDOW_S = 10.0
 SHORTEST_WINDOW_S = 5.0  # at the ends of a log
 FEWEST_SAMPLES = 3
-LOWEST_PERCENTILE = 0.5  # of heights: the lowest ones may be wrong
+EXTREME_PERCENTILES = (0.5, 99.5)  # of heights: the lowest and the highest ones may be wrong
+FLIES_ABOVE_HOME_M = 20.0  # higher above the take-off it does not stand where it took off [m]
+
+HOME_NOT_SET_M = 0.01  # where a height above home is that above the sea, home is not set [m]
+AT_SEA_LEVEL_M = 20.0  # a log that comes so near to sea level may have taken off there [m]
+_HOME_GAP_S = 5.0  # between heights above home
+_MAV_LANDED_STATE_ON_GROUND = 1.0
+
+_TAKEOFF_NS = 10 * NANOSECONDS_PER_SECOND  # from the begin of a log, in which it stands or moves
+_TAKEOFF_MOVE_M = 20.0  # by which receivers wander meanwhile
 
 _EARTH_M = 6.37e6  # only to notice that an aircraft moves: any radius will do
 
 
-def times_on_the_ground(height: Channel) -> Integers:
+@dataclass(frozen=True, eq=False)
+class GroundEvidence:
+    """What a log says of whether the aircraft stands on the ground, beside its own motion.
+
+    ``landed`` : channels in which the autopilot says so. ``above_home`` : one with heights above
+    the take-off; None without.
+    """
+
+    landed: tuple[Channel, ...] = ()
+    above_home: Channel | None = None
+
+    @classmethod
+    def of(cls, channels: Iterable[Channel]) -> GroundEvidence:
+        """The evidence among the channels of a log."""
+        filled = [channel for channel in channels if len(channel)]
+        landed = [channel for channel in filled if _landed_of(channel) is not None]
+        homes = [channel for channel in filled if "home_h_msl_m" in channel.columns]
+        home = homes[0] if homes else None
+        positions = [channel for channel in filled if "position" in channel.roles]
+        for position in sorted(positions, key=lambda channel: channel.rank):
+            above_home_m = _above_home(position, home)
+            if np.isfinite(above_home_m).any():
+                columns = dict(position.columns) | {"h_home_m": above_home_m}
+                return cls(tuple(landed), replace(position, columns=columns, labels={}))
+        return cls(tuple(landed))
+
+    def landed_at(self, time_ns: TimeArray) -> Array:
+        """(n,) 1 where the autopilot last said that it stands, 0 that it flies; NaN before that.
+
+        NaN also where two channels contradict each other.
+        """
+        landed = np.full(time_ns.shape, np.nan)
+        is_contradicted = np.zeros(time_ns.shape, np.bool_)
+        for channel in self.landed:
+            values = _landed_of(channel)
+            if values is None:
+                continue
+            landed_by_channel = _last_said(channel, values, time_ns)
+            is_contradicted |= np.abs(landed_by_channel - landed) > 0.0
+            is_unsaid = np.isnan(landed)
+            landed = np.where(is_unsaid, landed_by_channel, landed)
+        return np.where(is_contradicted, np.nan, landed)
+
+    def flies(self, time_ns: TimeArray) -> Mask:
+        """(n,) where the log says that the aircraft is in the air."""
+        landed = self.landed_at(time_ns)
+        is_high = np.zeros(time_ns.shape, np.bool_)
+        if self.above_home is not None:
+            gap_s = self.above_home.gap_limit_s(_HOME_GAP_S)
+            above_home_m = interpolate(self.above_home, "h_home_m", time_ns, gap_s)
+            is_high = above_home_m > FLIES_ABOVE_HOME_M
+        return np.asarray((landed == 0.0) | (is_high & ~(landed == 1.0)))
+
+
+def _last_said(channel: Channel, values: Array, time_ns: TimeArray) -> Array:
+    """(n,) the values of a channel last before instants; NaN before the first."""
+    row = np.searchsorted(channel.time_ns, time_ns, side="right") - 1
+    return np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
+
+
+def home_is_set(h_msl_m: Array, above_home_m: Array) -> Mask:
+    """(n,) where heights above home count from the take-off.
+
+    Before home is set, an autopilot gives the height above the sea for both. Where the two never
+    differ, the aircraft took off at sea level, if it comes near to it; else home was never set.
+    """
+    are_equal = np.abs(h_msl_m - above_home_m) < HOME_NOT_SET_M
+    is_set = np.isfinite(above_home_m) & ~are_equal
+    if is_set.any() or not are_equal.any():
+        return is_set
+    lowest_m = np.min(np.abs(h_msl_m[are_equal]))
+    is_at_sea_level = lowest_m < AT_SEA_LEVEL_M
+    return are_equal if is_at_sea_level else is_set
+
+
+def _above_home(position: Channel, home: Channel | None) -> Array:
+    """(n,) heights of a position above the take-off [m]; NaN where that is unknown.
+
+    ``home`` : a channel with the height of the take-off, for positions without heights above it.
+    """
+    h_msl_m = position.get("h_msl_m")
+    above_home_m = position.get("h_home_m")
+    if np.isfinite(above_home_m).any():
+        is_set = home_is_set(h_msl_m, above_home_m)
+        return np.where(is_set, above_home_m, np.nan)
+    if home is None:
+        return above_home_m
+    return np.asarray(h_msl_m - _last_said(home, home["home_h_msl_m"], position.time_ns))
+
+
+def _landed_of(channel: Channel) -> Array | None:
+    """(n,) 1 where a channel says that the aircraft stands, 0 that it flies; None if it is mute."""
+    columns = channel.columns
+    if "landed" in columns:
+        return columns["landed"]
+    if "landed_state" in columns:
+        state = columns["landed_state"]
+        landed = (state == _MAV_LANDED_STATE_ON_GROUND).astype(np.float64)
+        return np.where(np.isfinite(state), landed, np.nan)
+    if "flying" in columns:
+        return 1.0 - columns["flying"]
+    texts = channel.labels.get("text", ())
+    by_text = {"EV LAND_COMPLETE": 1.0, "EV NOT_LANDED": 0.0}
+    if not any(line in by_text for text in texts for line in text.splitlines()):
+        return None
+    landed = np.full(len(channel), np.nan)
+    last = np.nan
+    for row, text in enumerate(texts):
+        for line in text.splitlines():
+            last = by_text.get(line, last)
+        landed[row] = last
+    return landed
+
+
+NOTHING_SAID = GroundEvidence()
+
+
+def times_on_the_ground(height: Channel, evidence: GroundEvidence = NOTHING_SAID) -> Integers:
     """Times [Unix ns] at which the aircraft stood on the ground, increasing.
 
     It stands where it moves neither along nor up over ten seconds, near the lowest height of the
-    log; so each landing and take-off of a log with several flights is seen.
+    log, so each landing and take-off of a log with several flights is seen; or where the autopilot
+    says that it stands. What the log says of flying overrules the motion: a hover is no ground. A
+    log that never rises shows no ground by its motion: it may be one of a hover.
     """
     column = height.height_column
     if column is None:
@@ -29,18 +166,26 @@ def times_on_the_ground(height: Channel) -> Integers:
         return np.empty(0, np.int64)
     time_ns = height.time_ns[known]
     height_m = height[column][known]
-    lat_rad = height["lat_rad"][known]
-    lon_rad = np.unwrap(height["lon_rad"][known])
+    still = _stands_still(time_ns, height_m, height["lat_rad"][known], height["lon_rad"][known])
+    lowest, highest = np.percentile(height_m, EXTREME_PERCENTILES).tolist()
+    is_low = height_m < lowest + GROUND_RISE_M
+    if highest < lowest + GROUND_RISE_M:
+        is_low[:] = False
+    says_landed = evidence.landed_at(time_ns) == 1.0
+    is_on_ground = still & (is_low | says_landed) & ~evidence.flies(time_ns)
+    return np.asarray(time_ns[is_on_ground])
+
+
+def _stands_still(time_ns: Integers, height_m: Array, lat_rad: Array, lon_rad: Array) -> Mask:
+    """(n,) whether an aircraft moves neither along nor up over ten seconds."""
     seconds = (time_ns - time_ns[0]) * 1e-9
     north_m = lat_rad * _EARTH_M
-    east_m = lon_rad * np.cos(lat_rad[0]) * _EARTH_M
+    east_m = np.unwrap(lon_rad) * np.cos(lat_rad[0]) * _EARTH_M
     track = [north_m, east_m, height_m]
     # Until it takes off it stood still before, and from the landing on it stands still afterwards.
     stood_still = _moves_little(track, seconds, -WINDOW_S)
     will_stand_still = _moves_little(track, seconds, WINDOW_S)
-    still = stood_still | will_stand_still
-    lowest = float(np.percentile(height_m, LOWEST_PERCENTILE))
-    return np.asarray(time_ns[still & (height_m < lowest + GROUND_RISE_M)])
+    return stood_still | will_stand_still
 
 
 def _moves_little(track: list[Array], seconds: Array, window_s: float) -> Mask:
@@ -50,3 +195,52 @@ def _moves_little(track: list[Array], seconds: Array, window_s: float) -> Mask:
     distance = np.sqrt(np.sum(np.square(moved), axis=0))
     lasted = np.abs(other - seconds)  # of a log that began in the air there is no half of it
     return np.asarray((lasted >= SHORTEST_WINDOW_S) & (distance < STILL_M_S * lasted))
+
+
+@dataclass(frozen=True, eq=False)
+class Takeoff:
+    """Where the log begins."""
+
+    lat_rad: float
+    lon_rad: float
+    h_msl_m: float
+    stands: bool = True  # the aircraft still stands there, at this height
+
+
+class LoggedPath(NamedTuple):
+    """(n,) times [Unix ns], latitudes, longitudes [rad], heights above sea level [m] of a log."""
+
+    time_ns: TimeArray
+    latitude_rad: Array
+    longitude_rad: Array
+    h_msl_m: Array
+
+
+def takeoff_of(
+    path: LoggedPath, home_m: float | None, evidence: GroundEvidence = NOTHING_SAID
+) -> Takeoff | None:
+    """Where a log begins; None if the aircraft moves there and no take-off height is known.
+
+    ``home_m`` is the take-off height [m], if known. A hover, by the ``evidence`` of the log, is no
+    take-off.
+    """
+    known = np.isfinite(path.latitude_rad + path.longitude_rad + path.h_msl_m)
+    if not known.any():
+        return None
+    begin_ns = path.time_ns[known][0]
+    is_at_begin = known & (path.time_ns <= begin_ns + _TAKEOFF_NS)
+    lat_rad = path.latitude_rad[is_at_begin]
+    lon_rad = path.longitude_rad[is_at_begin]
+    lon_rad = longitudes_near(lon_rad, lon_rad[0])
+    height_m = path.h_msl_m[is_at_begin]
+    north_m = float(np.ptp(lat_rad)) * _EARTH_M
+    east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M
+    moved_m = max(math.hypot(north_m, east_m), float(np.ptp(height_m)))
+    flies = bool(evidence.flies(path.time_ns[is_at_begin]).any())
+    stands = moved_m <= _TAKEOFF_MOVE_M and not flies
+    if home_m is None and not stands:
+        return None
+    logged_m = float(np.median(height_m))
+    home_m = logged_m if home_m is None else home_m
+    is_at_home = abs(logged_m - home_m) <= _TAKEOFF_MOVE_M
+    return Takeoff(float(lat_rad[0]), float(lon_rad[0]), home_m, stands=stands and is_at_home)

@@ -10,6 +10,7 @@ import numpy as np
 
 from unbend.flight import messages
 from unbend.flight.channels import Channel
+from unbend.flight.ground_times import home_is_set
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import GeoidGrid, offset_geodetic
@@ -17,7 +18,6 @@ from unbend.messages import Message, Notes
 from unbend.units import Array, Integers
 
 STEADY_HOME_M = 2.0  # the take-off height of a flight does not change by more than this [m]
-_HOME_NOT_SET_M = 0.01  # where a height above home is that above the sea, home is not set [m]
 
 LOWEST_GROUND_M = -600.0
 HIGHEST_GROUND_M = 10_000.0
@@ -152,12 +152,12 @@ def _undulation_of_grid(geoid: GeoidGrid | None, channel: Channel) -> Array:
 def _logged_home(position: Channel) -> tuple[float | None, Notes]:
     """The take-off height [m] by the heights of a position above sea level and above home.
 
-    None where it is unknown or changes.
+    None where it is unknown, was never set, or changes.
     """
-    homes_m = _difference(position, "h_msl_m", "h_home_m")
-    is_set = np.abs(homes_m) > _HOME_NOT_SET_M
-    if is_set.any():
-        homes_m = homes_m[is_set]
+    h_msl_m = position.get("h_msl_m")
+    above_home_m = position.get("h_home_m")
+    homes_m = (h_msl_m - above_home_m)[home_is_set(h_msl_m, above_home_m)]
+    homes_m = homes_m[np.isfinite(homes_m)]
     if homes_m.size == 0:
         return None, ()
     low_m, middle_m, high_m = np.percentile(homes_m, [5.0, 50.0, 95.0]).tolist()
@@ -181,7 +181,7 @@ def undulation_notes(
     heights: HeightSystem, stations: Stations, egm96: GeoidGrid
 ) -> Iterator[Message]:
     """Report which undulation is used at the stations, and if it differs much from EGM96."""
-    has_place = np.isfinite(stations.lat_rad)
+    has_place = np.isfinite(stations.lat_rad + stations.lon_rad)
     lat_rad = stations.lat_rad[has_place]
     lon_rad = stations.lon_rad[has_place]
     where = "mission.geoid"

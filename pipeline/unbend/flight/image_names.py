@@ -1,6 +1,7 @@
 """Names of images: what they differ in, and the pattern of those that differ in one number."""
 
 import re
+import unicodedata
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -17,17 +18,27 @@ Difference = Literal["case", "extension", "folder", "digits"]
 DIFFERENCES: tuple[Difference, ...] = ("case", "extension", "folder", "digits")
 
 
+def composed(name: str) -> str:
+    """A name with its characters composed (Unicode NFC), as most systems but macOS write them.
+
+    >>> composed("A\u0308.jpg") == "\u00c4.jpg"
+    True
+    """
+    return unicodedata.normalize("NFC", name)
+
+
 def without_differences(name: str, differences: Collection[str]) -> str:
     """A name without the listed differences: case, extension, folder, marks before digits.
 
     ``differences`` : which of these are taken away. One ``#`` stands for the zeros, blanks, lines
-    and underscores before digits.
+    and underscores before digits. Characters come composed: file systems differ in that.
 
     >>> without_differences("left/DSC_0001.JPG", DIFFERENCES)
     'dsc#1'
     >>> without_differences("DSC1.jpg", ["digits", "extension"])
     'DSC#1'
     """
+    name = composed(name)
     if "folder" in differences:
         name = re.split(r"[\\/]", name)[-1]
     if "extension" in differences:
@@ -74,10 +85,8 @@ def renamed(
     """Names of exposures, with those that match an observed image replaced by the image's name.
 
     ``images`` are observed; they may differ from ``names`` by the ``differences`` that the mission
-    file allows. A note says how many names were replaced.
+    file allows, and in composed characters. A note says how many names were replaced.
     """
-    if not differences:
-        return names, ()
     given = [name for name in names.tolist() if name]
     matches = other_names(images, given, differences)
     if not matches:

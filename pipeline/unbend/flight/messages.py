@@ -4,14 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from unbend.errors import Code, Counted, MissionError
-from unbend.messages import Message, finding, loss, note, warning
+from unbend.messages import Message, fallback, finding, loss, note, warning
 
 # The clock.
 
 TIME_FIT = Code(
     "TIME-FIT",
     means="How UTC follows from the log's clock, with the residuals.",
-    effect="A note; a loss where one of the two clocks stepped.",
+    effect="A note; a warning where the stamps scatter; a loss where one of the two clocks stepped "
+    "and stayed so.",
     remedy="Check exposures near the step, if it is a loss.",
 )
 
@@ -27,6 +28,57 @@ def time_fit(*, where: str, rows: int, source: str, spread_ms: float, largest_ms
         source=source,
         spread_ms=spread_ms,
         largest_ms=largest_ms,
+    )
+
+
+def time_fit_but_for(
+    *,
+    where: str,
+    far: int,
+    source: str,
+    spread_ms: float,
+    largest_ms: float,
+    limit_ms: float,
+) -> Message:
+    """Few of the stamps that tie a vehicle's clock to UTC are late or wrong."""
+    return note(
+        TIME_FIT,
+        "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+        "{largest_ms:.0f} ms off: {count} are off by more than {limit_ms:.0f} ms, because they "
+        "came late or are wrong, and the median does not follow them",
+        one="UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+        "{largest_ms:.0f} ms off: 1 is off by more than {limit_ms:.0f} ms, because it came late or "
+        "is wrong, and the median does not follow it",
+        where=where,
+        count=far,
+        source=source,
+        spread_ms=spread_ms,
+        largest_ms=largest_ms,
+        limit_ms=limit_ms,
+    )
+
+
+def clock_scatters(
+    *,
+    where: str,
+    rows: int,
+    source: str,
+    spread_ms: float,
+    largest_ms: float,
+    sigma_ms: float,
+) -> Message:
+    """The stamps that tie a vehicle's clock to UTC scatter, without a step."""
+    return warning(
+        TIME_FIT,
+        "UTC from {source}, which scatter by {spread_ms:.0f} ms (p5 to p95), the farthest is "
+        "{largest_ms:.0f} ms off: UTC is good to {sigma_ms:.0f} ms (1 sigma), which goes into the "
+        "stations of exposures by UTC",
+        where=where,
+        count=rows,
+        source=source,
+        spread_ms=spread_ms,
+        largest_ms=largest_ms,
+        sigma_ms=sigma_ms,
     )
 
 
@@ -70,6 +122,51 @@ ROLE = Code(
 def role_filled(*, role: str, channel: str) -> Message:
     """A channel plays a role for which the mission file names none."""
     return note(ROLE, "{shown}: {channel}", where=role, shown=_shown(role), channel=channel)
+
+
+ROLE_SPARE = Code(
+    "ROLE-SPARE",
+    means="The channel of a role falls silent, and a spare of its kind goes on.",
+    effect="The spare plays the role where the first gives nothing, with its own accuracy.",
+    remedy="Name the better channel under log.channels, if it is to play the role all the time.",
+)
+
+
+def spare_plays_role(*, role: str, channel: str, spare: str, seconds: float) -> Message:
+    """A channel ends, or begins late, and a spare gives its samples."""
+    return fallback(
+        ROLE_SPARE,
+        "{shown}: {spare} for {seconds:.1f} s, in which {channel} gives nothing",
+        where=role,
+        shown=_shown(role),
+        spare=spare,
+        channel=channel,
+        seconds=seconds,
+    )
+
+
+def spare_plays_all(*, role: str, channel: str, spare: str, seconds: float) -> Message:
+    """A sensor ends before the flight does, and a spare plays its role for the whole flight."""
+    return fallback(
+        ROLE_SPARE,
+        "{shown}: {spare}, as {channel} gives nothing for the last {seconds:.1f} s of the flight",
+        where=role,
+        shown=_shown(role),
+        spare=spare,
+        channel=channel,
+        seconds=seconds,
+    )
+
+
+def role_left_empty(*, role: str) -> Message:
+    """The mission file says that no channel plays a role."""
+    return note(
+        ROLE,
+        "{shown}: none, as log.channels.{role} is null",
+        where=role,
+        shown=_shown(role),
+        role=role,
+    )
 
 
 ROLE_AMBIGUOUS = Code(
@@ -740,6 +837,18 @@ def trigger_times(*, channel: str, events: int) -> Message:
     )
 
 
+def perhaps_trigger_times(*, channel: str, events: int, parameter: str) -> Message:
+    """The log does not say whether captures have the times of triggers or of the shutter."""
+    return note(
+        EVENTS_TRIGGER_TIME,
+        "{where} has the times of the trigger commands if {parameter} was 0, which is not logged: "
+        "the shutter opens later then, which events.log.<camera>.delay_s takes into account",
+        where=channel,
+        count=events,
+        parameter=parameter,
+    )
+
+
 # Names of images.
 
 IMAGES_OTHER = Code(
@@ -763,16 +872,16 @@ def no_image_of_camera(
     proposal: str,
 ) -> MissionError:
     """None of the exposures of a camera is an image of the observations."""
-    called = "" if example is None else f", which are called like {example!r}"
+    called = "" if example is None else f", which are called like {name_in_bytes(example)}"
     more = f"; {proposal}" if proposal else ""
     return MissionError(
         IMAGES_OTHER,
-        "none of {unknown_images} of the observations, like {image!r}, is one of the "
+        "none of {unknown_images} of the observations, like {like}, is one of the "
         "{of_camera} of {camera}{called}{more}",
         where=f"observations, {camera}",
         remedy="state observations.match_names, or correct the pattern or the names of the images",
         unknown_images=Counted(unknown, "image"),
-        image=image,
+        like=name_in_bytes(image),
         of_camera=Counted(exposures, "exposure"),
         camera=camera,
         called=called,
@@ -800,15 +909,15 @@ def images_renamed(
     """Exposures take the names that the observations have."""
     return note(
         IMAGES_RENAMED,
-        "{count} names are those of images of the observations but for {differences}: {name!r} is "
-        "{image!r}",
-        one="1 name is that of an image of the observations but for {differences}: {name!r} is "
-        "{image!r}",
+        "{count} names are those of images of the observations but for {differences}: {name} is "
+        "{image}",
+        one="1 name is that of an image of the observations but for {differences}: {name} is "
+        "{image}",
         where=where,
         count=count,
-        differences=" and ".join(differences),
-        name=name,
-        image=image,
+        differences=" and ".join(differences) or "composed characters (Unicode NFC and NFD)",
+        name=name_in_bytes(name),
+        image=name_in_bytes(image),
     )
 
 
@@ -826,9 +935,9 @@ def images_unmatched(
     """Images of the observations without exposure, beside ``unused`` exposures or one ``like``."""
     hint = ""
     if unused:
-        hint = f"; exposures without observations: {first_names(unused, 3)}"
+        hint = f"; exposures without observations: {first_names(names_in_bytes(unused), 3)}"
     elif like is not None:
-        hint = f"; exposures are called like {like!r}"
+        hint = f"; exposures are called like {name_in_bytes(like)}"
     if proposal:
         hint += f"; {proposal}"
     return loss(
@@ -837,7 +946,7 @@ def images_unmatched(
         one="1 image has observations but no exposure: {listed}{hint}",
         where="events",
         count=len(images),
-        listed=first_names(images, 3),
+        listed=first_names(names_in_bytes(images), 3),
         hint=hint,
     )
 
@@ -1050,6 +1159,21 @@ def readings_at_suspect_heights(*, channel: str, count: int) -> Message:
         where=channel,
         count=count,
     )
+
+
+def name_in_bytes(name: str) -> str:
+    """A name in quotation marks, with its bytes where two names can look alike and differ.
+
+    >>> name_in_bytes("a.jpg")
+    "'a.jpg'"
+    """
+    shown = repr(name)
+    return shown if name.isascii() else f"{shown} (in UTF-8 {name.encode()!r})"
+
+
+def names_in_bytes(names: Sequence[str]) -> list[str]:
+    """Names for a list: those of plain characters as they are, others as `name_in_bytes`."""
+    return [name if name.isascii() else name_in_bytes(name) for name in names]
 
 
 def first_names(names: Sequence[str], most: int) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from unbend.flight import messages
-from unbend.flight.channels import Channel
+from unbend.flight.channels import Channel, plain_name
 from unbend.flight.rotations import (
     CAMERA_AT_REST,
     down_in_body,
@@ -25,17 +25,18 @@ _GIMBAL_MESSAGES = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTIT
 # looks down, it is 90 degrees away from there.
 _LARGEST_AXIS_ANGLE_DEG = 45.0
 
-_COUNTERED = -0.5  # slope of angles that counter a motion, half-way to none
+# Angles that counter a motion have a slope of -1 over it, others of 0: half-way between.
+_COUNTERED = -0.5
 
-_LARGEST_ANGLE_RAD = 2.0 * np.pi  # old autopilots send a place where angles are due
+_LARGEST_ANGLE_RAD = 2.0 * np.pi  # more is no angle: old autopilots send a position instead
 
 
 @dataclass(frozen=True)
 class Mount:
     """How a camera sits in the aircraft; angles [rad], lever arm [m] in the body frame.
 
-    ``sigma_tilt_rad`` about each level axis of the body and ``sigma_yaw_rad`` about its vertical
-    one are those of the attitude and the mount together; None for those of the log.
+    ``sigma_tilt_rad``, about each level axis of the body, and ``sigma_yaw_rad``, about its vertical
+    axis, are those of attitude and mount together. None where the mission file states none.
     """
 
     roll_rad: float = 0.0
@@ -64,24 +65,25 @@ def payload_attitude(
 ) -> tuple[Channel, Notes]:
     """A gimbal's channel with the attitude of its payload, also where its yaw counts from the nose.
 
-    Roll and pitch of gimbals are to the horizon, so only the yaw of the aircraft is added:
-    v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload, then comes the mount
-    (boresight) of the camera (common.xml of MAVLink: GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and
-    MOUNT_ORIENTATION). MOUNT_STATUS may hold the angles of servos. Angles that follow roll and
-    pitch of the aircraft with a slope of -1 are such, and count from the aircraft:
-    v_ned = R(aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload. Numbers beyond 360 degrees are no
-    angles: old autopilots send a position in these fields.
+    In such rows the attitude ``q_*`` is unknown so far. Roll and pitch of gimbals count from the
+    horizon, so only the yaw of the aircraft is added:
+    v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload (common.xml of MAVLink:
+    GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and MOUNT_ORIENTATION). Angles of servos, which a
+    MOUNT_STATUS may hold, count from the aircraft altogether:
+    v_ned = R(aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload. The mount (boresight) of the camera on
+    the payload is applied later. The channel stays as it is if no row is such, or if no attitude of
+    the aircraft is known.
     """
     to_nose = _rotations_to_nose(gimbal)
     if to_nose is None or aircraft is None:
         return gimbal, ()
     quaternion = np.stack([gimbal.get(name) for name in _QUATERNION], axis=1)
     is_unknown = np.isnan(quaternion).any(axis=1)
-    missing = is_unknown & np.isfinite(to_nose).all(axis=(1, 2))
-    if not bool(missing.any()):
+    only_to_nose = is_unknown & np.isfinite(to_nose).all(axis=(1, 2))
+    if not bool(only_to_nose.any()):
         return gimbal, ()
-    to_nose = to_nose[missing]
-    attitude = attitude_at(aircraft, gimbal.time_ns[missing], max_gap_s).quaternion
+    to_nose = to_nose[only_to_nose]
+    attitude = attitude_at(aircraft, gimbal.time_ns[only_to_nose], max_gap_s).quaternion
     ned_from_aircraft = matrices_of(attitude)
     if _are_angles_of_servos(gimbal, to_nose, ned_from_aircraft):
         ned_from_base = ned_from_aircraft
@@ -89,10 +91,10 @@ def payload_attitude(
     else:
         ned_from_base = _yaw_alone(ned_from_aircraft)
         describe = messages.gimbal_yaw_added
-    quaternion[missing] = quaternions_of(ned_from_base @ to_nose)
+    quaternion[only_to_nose] = quaternions_of(ned_from_base @ to_nose)
     message = describe(
         gimbal=gimbal.name,
-        rows=int(np.count_nonzero(missing)),
+        rows=int(np.count_nonzero(only_to_nose)),
         total=len(gimbal),
         aircraft=aircraft.name,
     )
@@ -102,7 +104,11 @@ def payload_attitude(
 
 
 def _rotations_to_nose(gimbal: Channel) -> Array | None:
-    """(n, 3, 3) rotations of a payload whose yaw counts from the nose; None without any."""
+    """(n, 3, 3) rotations of a payload whose yaw counts from the nose of the aircraft.
+
+    NaN for numbers that are no angles. None if the channel has neither such a quaternion nor such
+    angles.
+    """
     if "gimbal_q_w" in gimbal.columns:
         quaternion = np.stack([gimbal[f"gimbal_{name}"] for name in _QUATERNION], axis=1)
         return matrices_of(quaternion)
@@ -116,7 +122,11 @@ def _rotations_to_nose(gimbal: Channel) -> Array | None:
 
 
 def _are_angles_of_servos(gimbal: Channel, to_nose: Array, ned_from_aircraft: Array) -> bool:
-    """Whether angles are to the aircraft: those of a MOUNT_STATUS that counter its motion."""
+    """Whether all angles count from the aircraft, as those of servos do.
+
+    Only a MOUNT_STATUS may hold such angles. Its roll and pitch are such if they counter those of
+    the aircraft; roll and pitch from the horizon do not depend on the aircraft.
+    """
     if not is_of_gimbal(gimbal.source.message, "MOUNTSTATUS"):
         return False
     slope = slope_of(roll_and_pitch(to_nose), roll_and_pitch(ned_from_aircraft))
@@ -124,7 +134,7 @@ def _are_angles_of_servos(gimbal: Channel, to_nose: Array, ned_from_aircraft: Ar
 
 
 def _yaw_alone(ned_from_aircraft: Array) -> Array:
-    """(n, 3, 3) rotations about the vertical by the yaw of an aircraft."""
+    """(n, 3, 3) rotations by the yaw of an aircraft alone, with neither roll nor pitch."""
     angles = np.zeros((ned_from_aircraft.shape[0], 3))
     angles[:, 2] = np.arctan2(ned_from_aircraft[:, 1, 0], ned_from_aircraft[:, 0, 0])
     return ned_from_body(angles)
@@ -133,10 +143,10 @@ def _yaw_alone(ned_from_aircraft: Array) -> Array:
 def with_payload_attitude(
     channels: tuple[Channel, ...], named: Mapping[str, str], max_gap_s: float
 ) -> tuple[tuple[Channel, ...], Notes]:
-    """The channels, in which a gimbal that is named as attitude has its `payload_attitude`.
+    """The channels, in which a gimbal that is named for the attitude has its `payload_attitude`.
 
-    ``named`` : role -> name of the channel. The attitude of the aircraft is that of the channel
-    named for it, or of the channel with the best rank.
+    ``named`` : role -> name of the channel. Without a gimbal named for the attitude the channels
+    stay as they are.
     """
     attitude_name = named.get("attitude")
     gimbal = next((channel for channel in channels if channel.name == attitude_name), None)
@@ -149,7 +159,7 @@ def with_payload_attitude(
 
 
 def _aircraft_of_gimbal(channels: tuple[Channel, ...], name: str | None) -> Channel | None:
-    """The channel with the attitude of the aircraft: of this name, or of the best rank."""
+    """The channel with the attitude of the aircraft: that of this name, else of the best rank."""
     candidates = [
         channel
         for channel in channels
@@ -176,7 +186,7 @@ def gimbal_notes(
         return
     down = down_in_body(attitude)
     for camera, mount in mounts.items():
-        optical_axis = mount.camera_from_body[2]
+        optical_axis = mount.camera_from_body[2]  # in the body: forward, right, down
         cosine = optical_axis @ down
         cosine = cosine[np.isfinite(cosine)]
         if cosine.size == 0:
@@ -192,22 +202,25 @@ def gimbal_notes(
 
 
 def _angle_deg(cosine: float) -> float:
-    """The angle of a cosine that rounding may have carried beyond 1."""
+    """The angle [deg] of a cosine, which rounding may have carried beyond 1."""
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def roll_and_pitch(ned_from_body: Array) -> Array:
     """(2, n) roll and pitch [rad] of (n, 3, 3) matrices."""
-    forward = ned_from_body[:, 2, 0]
-    right = ned_from_body[:, 2, 1]
-    down = ned_from_body[:, 2, 2]
-    roll = np.arctan2(right, down)
-    pitch = -np.arcsin(forward.clip(-1.0, 1.0))
+    # How much each axis of the body points down.
+    forward_axis = ned_from_body[:, 2, 0]
+    right_axis = ned_from_body[:, 2, 1]
+    down_axis = ned_from_body[:, 2, 2]
+    roll = np.arctan2(right_axis, down_axis)
+    pitch = -np.arcsin(forward_axis.clip(-1.0, 1.0))
     return np.stack([roll, pitch])
 
 
 def slope_of(angles: Array, motion: Array) -> float:
-    """The slope of (k, n) angles over a (k, n) motion: -1 where they counter it; 0 without motion.
+    """The slope of (k, n) angles over a (k, n) motion, about the medians of both.
+
+    It is -1 where the angles counter the motion, and 0 without motion.
 
     >>> slope_of(np.array([[0.1, 0.0, -0.1]]), np.array([[-0.1, 0.0, 0.1]]))
     -1.0
@@ -227,9 +240,9 @@ def _about_median(angles: Array) -> Array:
 
 
 def is_of_gimbal(message: str, *names: str) -> bool:
-    """Whether a message is of a gimbal, or, with ``names``, one of these.
+    """Whether a message is one of a gimbal's or, if ``names`` are given, one of these.
 
-    PX4 writes the names of messages as topics and as ROS types.
+    Cases, underscores and paths do not count, because PX4 writes the names as topics (gimbal_v1)
+    and as ROS types (px4_msgs/GimbalV1).
     """
-    plain_name = message.rpartition("/")[2].replace("_", "").upper()
-    return plain_name in (names or _GIMBAL_MESSAGES)
+    return plain_name(message) in (names or _GIMBAL_MESSAGES)

@@ -9,7 +9,7 @@ from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.stretches import HEIGHT, Stretch, covered
-from unbend.flight.ground_times import times_on_the_ground
+from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, times_on_the_ground
 from unbend.flight.heights import HeightSystem, heights_at
 from unbend.messages import Message, Notes
 from unbend.units import Integers, Mask
@@ -35,13 +35,15 @@ def outside_air_samples(
     heights: HeightSystem,
     max_gap_s: float,
     suspect: Sequence[Stretch] = (),
+    evidence: GroundEvidence = NOTHING_SAID,
 ) -> tuple[AirSamples, Notes]:
     """The readings of the outside sensors at their heights above sea level.
 
     Temperature and humidity on the ground and in the first two minutes after take-off are shown
     but not accepted: they are the runway's. Nor are readings where the height is ``suspect`` and
     no other source replaces it, nor pressures but the lowest where no receiver gives the height: a
-    height fused with the barometer says nothing on the air between two pressures.
+    height fused with the barometer says nothing on the air between two pressures. ``evidence`` says
+    where the aircraft stands on the ground.
     """
     height = roles.get("height")
     if height is None:
@@ -49,7 +51,7 @@ def outside_air_samples(
     suspect_heights = [
         stretch for stretch in suspect if stretch.quantity == HEIGHT and not stretch.replaced_by
     ]
-    on_ground_ns = times_on_the_ground(height)
+    on_ground_ns = times_on_the_ground(height, evidence)
     sensors: dict[str, SensorSamples] = {}
     notes: list[Message] = []
     for role, column in _SENSORS:

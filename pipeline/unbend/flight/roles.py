@@ -9,6 +9,7 @@ from unbend.flight import messages
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.trajectory import interpolate
 from unbend.messages import Message, Notes
+from unbend.units import NANOSECONDS_PER_SECOND
 
 # Roles of which a second sensor is a spare: the first of several equals is taken.
 _SPARES = {"position", "height", "attitude"}
@@ -23,6 +24,7 @@ _LEAST_HEIGHT_SPAN_M = 300.0  # over less, a closed compartment cannot be told f
 _FEWEST_PRESSURES = 10
 _LARGEST_UNEXPLAINED = 0.01  # part of the pressure's variation that a parabola may leave
 _HEIGHT_GAP_S = 5.0
+LONGEST_SILENCE_S = 10.0  # of a barometer before the end of the heights, that a spare is not needed
 
 
 def assign_roles(
@@ -31,11 +33,13 @@ def assign_roles(
     *,
     needs_cabin: bool,
     elsewhere: Collection[str] = (),
+    empty: Collection[str] = (),
 ) -> tuple[dict[str, Channel], Notes]:
     """The channel of each role that can be filled, by role.
 
     ``named``: role -> channel named in the mission file. ``needs_cabin``: whether the window asks
     for cabin air from the log. ``elsewhere``: roles that a file other than the log fills.
+    ``empty``: roles that no channel may play, as the mission file says.
 
     The notes hold each choice, and each role left empty. Named channels that are absent refuse the
     mission where the role is needed, and are a loss where it is not. ``aircraft_attitude`` is only
@@ -46,15 +50,19 @@ def assign_roles(
     _refuse_one_sensor_twice(filled)
     named_channels = {channel.name for channel in filled.values()}
     free = [channel for channel in all_channels if channel.name not in named_channels]
+    notes += [messages.role_left_empty(role=role) for role in sorted(empty)]
+    stated = {*named, *empty}
     for role in ("height", "position", "attitude", "airspeed"):
-        notes += _fill(filled, role, all_channels, named)
-    if "height" not in filled and "position" in filled:
+        notes += _fill(filled, role, all_channels, stated)
+    if "height" not in {*filled, *empty} and "position" in filled:
         filled["height"] = filled["position"]
-    notes += _fill_barometers(filled, free, named, needs_cabin=needs_cabin)
+    notes += _fill_barometers(filled, free, stated, needs_cabin=needs_cabin)
     for role in ("temperature", "humidity"):
-        notes += _fill_outside_and_cabin(filled, role, all_channels, named, needs_cabin=needs_cabin)
+        notes += _fill_outside_and_cabin(
+            filled, role, all_channels, stated, needs_cabin=needs_cabin
+        )
     for role in ("position", "attitude"):  # what the cabin lacks is reported camera by camera
-        if role not in filled and role not in named and role not in elsewhere:
+        if role not in {*filled, *stated, *elsewhere}:
             names = list(dict.fromkeys(channel.name for channel in all_channels))
             notes.append(messages.role_empty(role=role, channels=names))
     return filled, tuple(notes)
@@ -114,14 +122,14 @@ def _refuse_one_sensor_twice(filled: Mapping[str, Channel]) -> None:
 
 
 def _fill(
-    filled: dict[str, Channel], role: str, channels: tuple[Channel, ...], named: Mapping[str, str]
+    filled: dict[str, Channel], role: str, channels: tuple[Channel, ...], stated: Collection[str]
 ) -> Iterator[Message]:
-    """Fill a role that was not named with the only candidate of the best rank.
+    """Fill a role that was not stated with the only candidate of the best rank.
 
     Where several have a rank, none of them gets the role and the next rank is tried; but in the
     roles `_SPARES` the first of several gets it.
     """
-    if role in filled or role in named:
+    if role in filled or role in stated:
         return
     candidates = _candidates(filled, role, channels)
     for rank in sorted({channel.rank for channel in candidates}):
@@ -158,7 +166,7 @@ def _fill_outside_and_cabin(
     filled: dict[str, Channel],
     role: str,
     channels: tuple[Channel, ...],
-    named: Mapping[str, str],
+    stated: Collection[str],
     *,
     needs_cabin: bool,
 ) -> Iterator[Message]:
@@ -167,7 +175,7 @@ def _fill_outside_and_cabin(
     Where both are needed and neither is given, a sensor that may be either gets neither role.
     """
     cabin_role = f"cabin_{role}"
-    given = filled.keys() | named.keys()
+    given = {*filled, *stated}
     if needs_cabin and role not in given and cabin_role not in given:
         either = [
             channel.name
@@ -177,15 +185,15 @@ def _fill_outside_and_cabin(
         if either:
             yield messages.outside_or_cabin(role=role, candidates=either)
             return
-    yield from _fill(filled, role, channels, named)
+    yield from _fill(filled, role, channels, stated)
     if needs_cabin:
-        yield from _fill(filled, cabin_role, channels, named)
+        yield from _fill(filled, cabin_role, channels, stated)
 
 
 def _fill_barometers(
     filled: dict[str, Channel],
     free: list[Channel],
-    named: Mapping[str, str],
+    stated: Collection[str],
     *,
     needs_cabin: bool,
 ) -> Iterator[Message]:
@@ -196,7 +204,7 @@ def _fill_barometers(
     height = filled.get("height")
     if height is None:
         return
-    given = filled.keys() | named.keys()
+    given = {*filled, *stated}
     seeks_outside = "pressure" not in given
     seeks_cabin = needs_cabin and "cabin_pressure" not in given
     if not (seeks_outside or seeks_cabin):
@@ -206,20 +214,42 @@ def _fill_barometers(
     indoors = [channel for channel in barometers if follows_height(channel, height) is False]
     if seeks_outside:
         outdoors = [channel for channel in barometers if channel not in indoors]
-        yield from _fill_outside_pressure(filled, outdoors, indoors)
+        yield from _fill_outside_pressure(filled, outdoors, indoors, height)
     if seeks_cabin:
         yield from _fill_cabin_pressure(filled, indoors)
 
 
 def _fill_outside_pressure(
-    filled: dict[str, Channel], outdoors: list[Channel], indoors: list[Channel]
+    filled: dict[str, Channel], outdoors: list[Channel], indoors: list[Channel], height: Channel
 ) -> Iterator[Message]:
-    """Fill the pressure outside with the first barometer that may be outside."""
+    """Fill the pressure outside with the first barometer that may be outside.
+
+    One that falls silent before the flight ends gives way to the first that goes on.
+    """
     for channel in indoors:
         yield messages.barometer_not_outside(channel=channel.name)
-    if outdoors:
-        filled["pressure"] = outdoors[0]
-        yield messages.role_filled(role="pressure", channel=outdoors[0].name)
+    if not outdoors:
+        return
+    first = outdoors[0]
+    chosen = next((channel for channel in outdoors if _silent_s(channel, height) == 0.0), first)
+    filled["pressure"] = chosen
+    if chosen is first:
+        yield messages.role_filled(role="pressure", channel=first.name)
+    else:
+        yield messages.spare_plays_all(
+            role="pressure",
+            channel=first.name,
+            spare=chosen.name,
+            seconds=_silent_s(first, height),
+        )
+
+
+def _silent_s(channel: Channel, height: Channel) -> float:
+    """How long [s] a channel has ended before the heights do; 0 for less than ten seconds."""
+    if len(channel) == 0 or len(height) == 0:
+        return 0.0
+    silent_s = float(height.time_ns[-1] - channel.time_ns[-1]) / NANOSECONDS_PER_SECOND
+    return silent_s if silent_s > LONGEST_SILENCE_S else 0.0
 
 
 def _fill_cabin_pressure(filled: dict[str, Channel], indoors: list[Channel]) -> Iterator[Message]:

@@ -195,10 +195,24 @@ def quaternion_products(first: Array, second: Array) -> Array:
 
 def down_in_body(channel: Channel) -> Array:
     """(3, n) direction of down about the body's axes, of the attitudes of a channel."""
-    w = channel["q_w"]
-    x = channel["q_x"]
-    y = channel["q_y"]
-    z = channel["q_z"]
+    quaternion = np.stack(
+        [
+            channel["q_w"],
+            channel["q_x"],
+            channel["q_y"],
+            channel["q_z"],
+        ],
+        axis=1,
+    )
+    return down_of(quaternion)
+
+
+def down_of(quaternion: Array) -> Array:
+    """(3, n) direction of down about the body's axes, of (n, 4) quaternions w, x, y, z."""
+    w = quaternion[:, 0]
+    x = quaternion[:, 1]
+    y = quaternion[:, 2]
+    z = quaternion[:, 3]
     forward = 2.0 * (x * z - w * y)
     right = 2.0 * (y * z + w * x)
     down = 1.0 - 2.0 * (x * x + y * y)

@@ -42,6 +42,20 @@ from unbend.messages import Notes
 from unbend.units import Array, Mask
 
 
+class ClockSigmas(NamedTuple):
+    """How well the clock of the exposures agrees with that of each channel, 1 sigma [s].
+
+    0 where both are of one log, or both UTC of a GNSS receiver.
+    """
+
+    position_s: float = 0.0
+    height_s: float = 0.0
+    attitude_s: float = 0.0
+
+
+ONE_CLOCK = ClockSigmas()
+
+
 def build_stations(
     events: Events,
     roles: Mapping[str, Channel],
@@ -50,12 +64,13 @@ def build_stations(
     max_gap_s: float,
     *,
     accuracy: LogAccuracy = LogAccuracy(),  # noqa: B008
+    clocks: ClockSigmas = ONE_CLOCK,
 ) -> Stations:
     """Position, attitude and air at each exposure of one camera, with their sigmas.
 
     The values of an exposure outside the log, in a gap, or without position, attitude or height
     above sea level are NaN, and its status gives the reason. ``accuracy`` is that of the log's
-    samples.
+    samples; ``clocks`` how well the clocks of exposures and channels agree.
     """
     time_ns = events.time_ns
     every = np.ones(time_ns.size, np.bool_)
@@ -71,6 +86,8 @@ def build_stations(
     attitudes = attitude_at(roles["attitude"], time_ns, max_gap_s)
     stations = _with_coverage(stations, attitudes.coverage)
     stations = stations.with_status(_unknown_rows(attitudes.quaternion), NO_ATTITUDE)
+    if "height" not in roles:
+        return stations.with_status(every, HEIGHT_REFERENCE_UNKNOWN)
     height = roles["height"]
     h_msl_m, h_ellipsoid_m = heights_at(height, time_ns, heights, max_gap_s)
     no_msl = np.isnan(h_msl_m)
@@ -92,7 +109,7 @@ def build_stations(
     )
     sample_sigmas = _sigmas_of_samples(roles, time_ns, track.lat_rad, mount, accuracy)
     stations = _with_sigmas(
-        stations, sample_sigmas, _Motion(track, attitudes, bend), events.sigma_time_s
+        stations, sample_sigmas, _Motion(track, attitudes, bend), _time_sigmas(events, clocks)
     )
     if any(mount.lever_arm_m):
         stations = stations.moved(_lever_arm_enu(body_attitude, mount))
@@ -159,8 +176,25 @@ def _attitude_sigmas(
     return AttitudeSigmas(tilt, yaw)
 
 
+class _TimeSigmas(NamedTuple):
+    """Sigmas of the exposures' times on the clocks of the channels [s], one or (n,)."""
+
+    position_s: Array
+    height_s: Array
+    attitude_s: Array
+
+
+def _time_sigmas(events: Events, clocks: ClockSigmas) -> _TimeSigmas:
+    """The sigmas of the times of exposures on the clocks of the channels."""
+    return _TimeSigmas(
+        position_s=np.hypot(events.sigma_time_s, clocks.position_s),
+        height_s=np.hypot(events.sigma_time_s, clocks.height_s),
+        attitude_s=np.hypot(events.sigma_time_s, clocks.attitude_s),
+    )
+
+
 def _with_sigmas(
-    stations: Stations, samples: _SampleSigmas, motion: _Motion, sigma_time_s: Array | float
+    stations: Stations, samples: _SampleSigmas, motion: _Motion, times: _TimeSigmas
 ) -> Stations:
     """Stations with their sigmas.
 
@@ -172,14 +206,14 @@ def _with_sigmas(
     bend = motion.bend
     interpolation_m2 = np.square(track.sigma_m).mean(axis=1)
     square_speed = np.square(track.velocity_m_s).mean(axis=1)
-    moved_m2 = np.square(sigma_time_s) * square_speed
+    moved_m2 = np.square(times.position_s) * square_speed
     horizontal_m2 = np.square(samples.position.horizontal_m) + interpolation_m2 + moved_m2
 
-    climbed_m2 = np.square(sigma_time_s * bend.speed_down_m_s)
+    climbed_m2 = np.square(times.height_s * bend.speed_down_m_s)
     height_m2 = np.square(samples.height_m) + np.square(bend.sigma_m) + climbed_m2
 
     attitudes = motion.attitudes
-    turned_rad = attitudes.rate_rad_s * np.reshape(sigma_time_s, (-1, 1))
+    turned_rad = attitudes.rate_rad_s * np.reshape(times.attitude_s, (-1, 1))
     turn_rad2 = np.square(attitudes.sigma_rad) + np.square(turned_rad)
     tilt_rad2 = np.square(samples.attitude.tilt_rad) + turn_rad2[:, :2].mean(axis=1)
     yaw_rad2 = np.square(samples.attitude.yaw_rad) + turn_rad2[:, 2]

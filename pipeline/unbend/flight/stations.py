@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.flight import messages
 from unbend.flight.image_names import proposal
-from unbend.geodesy import offset_geodetic
+from unbend.geodesy import longitudes_near, offset_geodetic
 from unbend.messages import Message, Notes
 from unbend.units import DEGREE, HECTOPASCAL, Array, Integers, Mask, Names
 
@@ -26,8 +27,13 @@ HEIGHT_REFERENCE_UNKNOWN = "height_reference_unknown"
 UNMATCHED = "unmatched"
 SUSPECT = "suspect"
 NO_TIME = np.iinfo(np.int64).min  # time of a station that has none
-
 _QUATERNIONS = ("quaternion", "aircraft_quaternion")
+
+
+def middle_time_ns(time_ns: Integers) -> int | None:
+    """The middle one of (s,) times of stations in their order; None where no station has one."""
+    known_ns = np.sort(time_ns[time_ns != NO_TIME])
+    return int(known_ns[known_ns.size // 2]) if known_ns.size else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +47,7 @@ class Stations:
     axes, ``sigma_yaw_rad`` about its vertical one. ``suspect_reason`` is empty but for stations
     that contradict other evidence, which may be ``suspect_m`` off. ``status`` is ok or names what
     is missing; ``accepted`` are suspect ones that the mission file wants used all the same.
+    ``from_boot`` marks times that count from a boot of the vehicle: their UTC is not known.
     """
 
     image: Names
@@ -68,14 +75,17 @@ class Stations:
     suspect_m: Array
     accepted: Mask
     status: Names
+    from_boot: Mask = field(default_factory=lambda: np.zeros(0, np.bool_))
 
     def __post_init__(self) -> None:
         n = self.image.shape[0]
-        for field in fields(self):
-            shape = getattr(self, field.name).shape
-            due = (n, 4) if field.name in _QUATERNIONS else (n,)
+        if not self.from_boot.shape[0]:
+            object.__setattr__(self, "from_boot", np.zeros(n, np.bool_))
+        for column in fields(self):
+            shape = getattr(self, column.name).shape
+            due = (n, 4) if column.name in _QUATERNIONS else (n,)
             if shape != due:
-                raise ValueError(f"stations: {field.name} is {shape} for {n} stations")
+                raise ValueError(f"stations: {column.name} is {shape} for {n} stations")
 
     def __len__(self) -> int:
         return int(self.image.shape[0])
@@ -86,10 +96,33 @@ class Stations:
         return np.asarray((self.status == STATION_OK) | self.accepted)
 
     @property
+    def utc_ns(self) -> Integers:
+        """(s,) UTC [Unix ns]; `NO_TIME` where it is not known."""
+        return np.where(self.from_boot, NO_TIME, self.time_ns)
+
+    @property
     def mean_latitude_rad(self) -> float:
         """Latitude of the flight [rad]; 45 degrees where no station has one."""
-        known = self.lat_rad[np.isfinite(self.lat_rad)]
+        known = self._known_of_usable(self.lat_rad)
         return float(known.mean()) if known.size else float(np.pi / 4.0)
+
+    @property
+    def median_longitude_rad(self) -> float:
+        """The median longitude of the flight [rad], within half a turn; NaN without any."""
+        known = self._known_of_usable(self.lon_rad)
+        if not known.size:
+            return math.nan
+        median = float(np.median(longitudes_near(known, known[0])))
+        return math.remainder(median, 2.0 * math.pi)  # exact where it is within half a turn
+
+    def _known_of_usable(self, values: Array) -> Array:
+        """The known values of stations that can be used; of all, where none of those has one.
+
+        The place of a suspect station would move the middle of the flight.
+        """
+        known = np.isfinite(values)
+        usable = known & self.ok
+        return values[usable] if bool(usable.any()) else values[known]
 
     def with_status(self, where: Mask, status: str) -> Stations:
         """The stations with another status where a mask is True and they were ok."""
@@ -137,7 +170,7 @@ class Stations:
 
     def rows(self, which: Integers) -> Stations:
         """Some of the stations, in the order of ``which``."""
-        chosen = {field.name: getattr(self, field.name)[which] for field in fields(self)}
+        chosen = {column.name: getattr(self, column.name)[which] for column in fields(self)}
         return Stations(**chosen)
 
     def to_pandas(self) -> Any:
@@ -150,7 +183,7 @@ class Stations:
 def empty_stations(image: Names, camera: Names, status: str) -> Stations:
     """Stations of which only the name is known."""
     n = image.shape[0]
-    columns: dict[str, Any] = {field.name: np.full(n, np.nan) for field in fields(Stations)}
+    columns: dict[str, Any] = {column.name: np.full(n, np.nan) for column in fields(Stations)}
     for name in _QUATERNIONS:
         columns[name] = np.full((n, 4), np.nan)
     columns["image"] = image
@@ -158,6 +191,7 @@ def empty_stations(image: Names, camera: Names, status: str) -> Stations:
     columns["time_ns"] = np.full(n, NO_TIME, np.int64)
     columns["suspect_reason"] = np.full(n, "", dtype=object)
     columns["accepted"] = np.zeros(n, dtype=np.bool_)
+    columns["from_boot"] = np.zeros(n, dtype=np.bool_)
     columns["status"] = np.full(n, status, dtype=object)
     return Stations(**columns)
 
@@ -165,24 +199,24 @@ def empty_stations(image: Names, camera: Names, status: str) -> Stations:
 def join_stations(parts: list[Stations]) -> Stations:
     """Stations of several cameras or sources, one after the other."""
     joined: dict[str, Any] = {}
-    for field in fields(Stations):
-        joined[field.name] = np.concatenate([getattr(part, field.name) for part in parts])
+    for column in fields(Stations):
+        joined[column.name] = np.concatenate([getattr(part, column.name) for part in parts])
     return Stations(**joined)
 
 
 def station_columns(stations: Stations) -> dict[str, Any]:
     """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
     columns: dict[str, Any] = {}
-    for field in fields(stations):
-        if field.name != "accepted":
-            columns |= _columns_of_field(field.name, getattr(stations, field.name))
+    for name in (column.name for column in fields(stations)):
+        if name == "time_ns":
+            columns["time_utc"] = _utc(stations.utc_ns)
+        elif name not in ("accepted", "from_boot"):
+            columns |= _columns_of_field(name, getattr(stations, name))
     return columns
 
 
 def _columns_of_field(name: str, values: NDArray[Any]) -> dict[str, Any]:
     """The columns of ``stations.parquet`` that a field of the stations becomes."""
-    if name == "time_ns":
-        return {"time_utc": _utc(values)}
     if name in _QUATERNIONS:
         prefix = name.removesuffix("quaternion") + "q_"
         return {f"{prefix}{axis}": values[:, column] for column, axis in enumerate("wxyz")}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.rotations import lengths, quaternion_products, rotation_vectors
 from unbend.geodesy import principal_radii, wrapped
-from unbend.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
+from unbend.units import Array, Mask, Rows
 
 VELOCITY = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
 RATES = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
@@ -85,6 +84,22 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     coverage[is_gap & ~is_hit] = GAP_IN_CHANNEL
     coverage[is_outside] = OUTSIDE_CHANNEL
     return Bracket(before, after, fraction, coverage)
+
+
+def ns_to_nearest(time_ns: TimeArray, stamps: TimeArray) -> TimeArray:
+    """(m,) nanoseconds from instants to the nearest of stamps, one or more, which are in order.
+
+    >>> ns_to_nearest(np.array([1, 8, 30]), np.array([5, 10])).tolist()
+    [4, 2, 20]
+    """
+    last = stamps.size - 1
+    after = np.searchsorted(stamps, time_ns)
+    after = np.minimum(after, last)
+    before = np.maximum(after - 1, 0)
+    since_before = time_ns - stamps[before]
+    until_after = stamps[after] - time_ns
+    nearest = np.minimum(np.abs(since_before), np.abs(until_after))
+    return np.asarray(nearest)
 
 
 def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float) -> Array:
@@ -266,7 +281,13 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
         inverse = unit[first] * [-1.0, -1.0, -1.0, 1.0]
         return rotation_vectors(quaternion_products(inverse, unit[second]))
 
-    curve = _Curve(channel, RATES, turn, _LIMITS_RAD, RATE_LAG_S)
+    curve = _Curve(
+        channel,
+        RATES,
+        turn,
+        _LIMITS_RAD,
+        RATE_LAG_S,
+    )
     step, bend = curve.between(samples)
     turned = step * samples.fraction[:, None] + bend
     quaternion = quaternion_products(unit[samples.before], _quaternions_of_vectors(turned))
@@ -366,7 +387,13 @@ class _Curve:
         end = self._parabola(step, interval_s, after, later)
         return begin, end
 
-    def _parabola(self, step: Array, interval_s: Array, first: Rows, second: Rows) -> Array:
+    def _parabola(
+        self,
+        step: Array,
+        interval_s: Array,
+        first: Rows,
+        second: Rows,
+    ) -> Array:
         """(m, k) slope of a parabola, over the whole interval, where that meets a neighbouring one.
 
         The neighbouring interval lies between the rows ``first`` and ``second``. Where that is too
@@ -426,47 +453,3 @@ def _in_frame_of_begin(rate: Array, turn: Array) -> Array:
     """
     across = np.cross(turn, rate)
     return np.asarray(rate + across / 2.0 + np.cross(turn, across) / 12.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Takeoff:
-    """Where the log begins."""
-
-    lat_rad: float
-    lon_rad: float
-    h_msl_m: float
-    stands: bool = True  # the aircraft still stands there, at this height
-
-
-_TAKEOFF_NS = 10 * NANOSECONDS_PER_SECOND  # from the begin of a log, in which it stands or moves
-_TAKEOFF_MOVE_M = 20.0  # by which receivers wander meanwhile
-_EARTH_M = 6.371e6
-
-
-def takeoff_of(
-    track: tuple[TimeArray, Array, Array, Array], home_m: float | None
-) -> Takeoff | None:
-    """Where a log begins; None if the aircraft moves there and no take-off height is known.
-
-    ``track`` holds time [Unix ns], latitude, longitude [rad] and height above sea level [m];
-    ``home_m`` is the take-off height [m], if known.
-    """
-    time_ns, lat_rad, lon_rad, height_m = track
-    known = np.isfinite(lat_rad + lon_rad + height_m)
-    if not known.any():
-        return None
-    begin_ns = time_ns[known][0]
-    is_at_begin = known & (time_ns <= begin_ns + _TAKEOFF_NS)
-    lat_rad = lat_rad[is_at_begin]
-    lon_rad = lon_rad[is_at_begin]
-    height_m = height_m[is_at_begin]
-    north_m = float(np.ptp(lat_rad)) * _EARTH_M
-    east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M
-    moved_m = max(math.hypot(north_m, east_m), float(np.ptp(height_m)))
-    stands = moved_m <= _TAKEOFF_MOVE_M
-    if home_m is None and not stands:
-        return None
-    logged_m = float(np.median(height_m))
-    home_m = logged_m if home_m is None else home_m
-    is_at_home = abs(logged_m - home_m) <= _TAKEOFF_MOVE_M
-    return Takeoff(float(lat_rad[0]), float(lon_rad[0]), home_m, stands=stands and is_at_home)

@@ -11,7 +11,7 @@ from unbend.units import Array
 
 BLOCK = 65_536  # rows turned at once: their quaternions fit the cache
 
-# GIMBAL_DEVICE_FLAGS: in which frame the yaw of the quaternion is
+# Bits of GIMBAL_DEVICE_FLAGS that say what the yaw of the quaternion counts from.
 _YAW_LOCK = 16
 _YAW_IN_VEHICLE_FRAME = 32
 _YAW_IN_EARTH_FRAME = 64
@@ -30,9 +30,9 @@ def unit_quaternions(q: Array) -> Array:
 
 
 def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
-    """Replace four (n,) columns, in place and some rows at a time, by those of quaternions.
+    """Replace the numbers in four (n,) columns by quaternions, in place and some rows at a time.
 
-    ``rotation`` makes (m, 4) quaternions of the numbers in (m, 4) rows of the columns.
+    ``rotation`` makes (m, 4) quaternions of (m, 4) numbers, a row of the four columns each.
     """
     for begin in range(0, parts[0].shape[0], BLOCK):
         block = slice(begin, begin + BLOCK)

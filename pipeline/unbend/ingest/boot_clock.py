@@ -1,241 +1,22 @@
-"""Power-ups of a vehicle, and UTC minus time since boot of each, for all log formats.
+"""UTC minus the time since boot of each power-up, for all log formats: few records carry UTC."""
 
-Places in a log rise: bytes, or numbers of messages. Few of its records carry UTC.
-"""
-
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unbend.errors import Counted
 from unbend.flight import clock
 from unbend.flight.channels import TimeArray
 from unbend.ingest import messages
+from unbend.ingest.timelines import Silences, Timeline, place_of_boot
+from unbend.ingest.utc_evidence import ClockAssessment, Witness, date_text
+from unbend.ingest.utc_readings import DateCheck, UtcReadings, possible_recorder
 from unbend.messages import Ledger
-from unbend.units import Integers, Mask, Rows
+from unbend.units import Integers, Mask
 
-LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
+RECORDER_APART_S = 60.0  # a recorder set by a network is seconds off, one set by hand may be hours
 _BLOCK = 65_536  # rows of the running median at once
-_FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters come one by one
-
-# Places of records in the log, rising, and their times since boot [ns].
-Stamps = tuple[Integers, TimeArray]
-
-
-class Silences(NamedTuple):
-    """Times in which nothing was recorded: the stretch ``after`` each, and how long [ns]."""
-
-    after: Rows
-    length_ns: TimeArray
-
-
-@dataclass(frozen=True)
-class Timeline:
-    """Stretches of a log in which the time since boot runs on, (n,) in the order of the log."""
-
-    first: Integers  # place of the first record
-    begin: TimeArray  # time since boot of the first record [ns]
-    end: TimeArray  # that of the last record [ns]
-    length: Integers  # number of records
-    stray: Mask  # whether the stretch is a glitch of the stamps
-    boot: NDArray[np.int16]  # number of the power-up, from 0
-
-    @property
-    def boots(self) -> int:
-        """How many power-ups there are, at least 1."""
-        if not self.boot.size:
-            return 1
-        return int(self.boot.max()) + 1
-
-    def boot_of(self, places: Integers) -> NDArray[np.int16]:
-        """The power-up to which records belong, from 0."""
-        if self.boots == 1:
-            return np.zeros(places.shape, np.int16)
-        return np.asarray(self.boot[self._stretch(places)], np.int16)
-
-    def good(self, places: Integers) -> Mask:
-        """Which records, by their places, have a stamp that is no glitch."""
-        if not self.stray.any():
-            return np.ones(places.shape, np.bool_)
-        return np.asarray(~self.stray[self._stretch(places)], np.bool_)
-
-    def silences(self) -> Silences:
-        """The silences between stretches that are no glitches."""
-        steady = np.flatnonzero(~self.stray)
-        silence_ns = self.begin[steady][1:] - self.end[steady][:-1]
-        is_long = silence_ns > clock.BOOT_STEP_NS
-        return Silences(steady[1:][is_long], silence_ns[is_long])
-
-    def _stretch(self, places: Integers) -> Rows:
-        """The stretches in which records lie, by their places."""
-        return np.maximum(np.searchsorted(self.first, places, side="right") - 1, 0)
-
-
-def microseconds(raw: NDArray[Any]) -> TimeArray:
-    """Time fields of any type as a new int64 array [us]; what no log can last is cut at `LAST_US`.
-
-    >>> microseconds(np.array([7, 2**64 - 1], np.uint64)).tolist() == [7, 2**52]
-    True
-    """
-    if raw.dtype.kind == "f":
-        known = np.nan_to_num(raw, nan=clock.LAST_US)
-        return np.asarray(known.clip(0, clock.LAST_US), np.int64)
-    # what is below 0 becomes huge
-    unsigned = raw.astype(np.uint64, copy=False)
-    return np.asarray(np.minimum(unsigned, np.uint64(clock.LAST_US)).view(np.int64), np.int64)
-
-
-def nanoseconds(raw: NDArray[Any]) -> TimeArray:
-    """Time fields in microseconds as a new array in nanoseconds, cut as by `microseconds`."""
-    time_ns = microseconds(raw)
-    time_ns *= 1000
-    return time_ns
-
-
-class _Stretch(NamedTuple):
-    """Records whose times since boot [ns] run on; ``first`` is the place of the first of them."""
-
-    first: int
-    begin: int
-    end: int
-    length: int
-
-
-def _stretches_of(places: Integers, time_ns: TimeArray) -> list[_Stretch]:
-    """The stretches of some records, at least one, that follow each other in a log."""
-    cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > clock.BOOT_STEP_NS) + 1
-    starts = np.append(0, cuts)
-    stops = np.append(cuts, time_ns.shape[0])
-    columns = (places[starts], time_ns[starts], time_ns[stops - 1], stops - starts)
-    return [_Stretch(*row) for row in np.stack(columns, axis=1).tolist()]
-
-
-def timeline(blocks: Iterable[Stamps]) -> Timeline:
-    """Find power-ups and stray stamps in all times since boot of a log, in its order.
-
-    A step back by more than 1 s is a power-up, unless it belongs to a stray stretch.
-
-    >>> time_ns = np.array([5, 6, 7, 8, 9, 2, 3, 4, 5, 6]) * 10**9
-    >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
-    array([0, 1], dtype=int16)
-    """
-    stretches: list[_Stretch] = []
-    for places, time_ns in blocks:
-        if not places.shape[0]:
-            continue
-        new_stretches = _stretches_of(places, time_ns)
-        if stretches and abs(new_stretches[0].begin - stretches[-1].end) <= clock.BOOT_STEP_NS:
-            continuation = new_stretches.pop(0)
-            last = stretches[-1]
-            records = last.length + continuation.length
-            stretches[-1] = last._replace(end=continuation.end, length=records)
-        stretches += new_stretches
-    first, begin, end, length = np.array(stretches, np.int64).reshape(-1, 4).T.copy()
-    stray = clock.stray_stretches(begin, end, length)
-    boot = _boots(begin, end, stray)
-    return Timeline(
-        first=first,
-        begin=begin,
-        end=end,
-        length=length,
-        stray=stray,
-        boot=boot,
-    )
-
-
-def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> NDArray[np.int16]:
-    """The boot of each of (n,) stretches; a stray one has that of the stretch before it."""
-    if not begin.size:
-        return np.empty(0, np.int16)
-    steady = ~stray
-    steps_back = begin[steady][1:] - end[steady][:-1] < -clock.BOOT_STEP_NS
-    boot_of_steady = np.append(0, np.cumsum(steps_back)).astype(np.int16)
-    last_steady = np.maximum(np.cumsum(steady) - 1, 0)
-    return np.asarray(boot_of_steady[last_steady], np.int16)
-
-
-def report_timeline(line: Timeline, ledger: Ledger) -> None:
-    """Report stray stamps, and silences between records of sensors, of a log.
-
-    The places of the log must be bytes: the reports name them.
-    """
-    if line.stray.any():
-        first_byte = int(line.first[line.stray][0])
-        count = int(line.length[line.stray].sum())
-        ledger.add(messages.stray_records(byte=first_byte, count=count))
-    # Stretches of few records are of parameters and texts, before and behind those of sensors.
-    with_sensors = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
-    if not with_sensors.size:
-        return
-    silences = line.silences()
-    begins_behind_first = silences.after > with_sensors[0]
-    ends_before_last = silences.after <= with_sensors[-1]
-    is_between = begins_behind_first & ends_before_last
-    if not is_between.any():
-        return
-    first_byte = int(line.first[silences.after[is_between][0]])
-    seconds = float(silences.length_ns[is_between].sum()) / 1e9
-    count = int(np.count_nonzero(is_between))
-    ledger.add(messages.nothing_logged(byte=first_byte, count=count, seconds=seconds))
-
-
-@dataclass(frozen=True)
-class UtcReadings:
-    """UTC beside the time since boot, by one source, (n,) in the order of the log."""
-
-    source: str  # what the rows are, in the plural
-    places: Integers
-    boot_ns: TimeArray
-    utc_ns: TimeArray
-    usable: Mask  # False where there is no UTC, or a stray stamp
-    fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))  # of a receiver; else empty
-    one: str = ""  # what one row is, in the singular
-
-    def counted(self, rows: int) -> str:
-        """A number of rows of this source, in words."""
-        return str(Counted(rows, self.one or self.source, self.source))
-
-    def usable_rows(self, line: Timeline) -> "UtcReadings":
-        """The rows without stray stamps, with a fix, and with another UTC than the row before."""
-        good = self.usable & line.good(self.places)
-        if self.fix.size:
-            good &= self.fix >= LOWEST_FIX
-        good_utc_ns = self.utc_ns if bool(good.all()) else self.utc_ns[good]
-        good[good] = clock.new_readings(good_utc_ns)
-        if bool(good.all()):
-            return self
-        return UtcReadings(
-            source=self.source,
-            places=self.places[good],
-            boot_ns=self.boot_ns[good],
-            utc_ns=self.utc_ns[good],
-            usable=good[good],
-            one=self.one,
-        )
-
-
-def rows_of(
-    name: str,
-    *,
-    places: Integers,
-    boot_ns: TimeArray,
-    utc_ns: TimeArray,
-    usable: Mask,
-    fix: NDArray[Any],
-) -> UtcReadings:
-    """The UTC of the rows of a channel or topic."""
-    return UtcReadings(
-        source=f"rows of {name}",
-        places=places,
-        boot_ns=boot_ns,
-        utc_ns=utc_ns,
-        usable=usable,
-        fix=fix,
-        one=f"row of {name}",
-    )
 
 
 @dataclass(frozen=True)
@@ -243,11 +24,15 @@ class BootClock:
     """UTC of a clock that begins anew at each boot of ``line``.
 
     ``fits`` is None where no source gives UTC; ``utc_known`` False where only the recorder does.
+    ``sigma_s`` [s] of UTC in the worst boot, NaN where none has UTC; ``assessments``: what each
+    clock of the log is good for.
     """
 
     line: Timeline
     fits: tuple[clock.ClockOffset | None, ...]
     utc_known: tuple[bool, ...]
+    sigma_s: float = float("nan")
+    assessments: tuple[ClockAssessment, ...] = ()
 
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
         """UTC [ns] of times since boot at places of the log; the times where UTC is unknown."""
@@ -266,39 +51,55 @@ def fit_clock(
     *,
     cameras: Sequence[UtcReadings] = (),
     utc_of: str = "source of UTC",
+    witnesses: Sequence[Witness] = (),
 ) -> BootClock:
     """Fit the offset of UTC from the time since boot, for each boot, and report how well it fits.
 
     In each boot the one of the ``sources`` with the most rows is used, by the median of its rows;
     each other source that differs by more than 1 s is a loss. ``cameras`` are used if no source has
     UTC, and ``recorder`` in boots without either; a boot without any counts from 1970. ``where`` is
-    the vehicle and ``utc_of`` what gives UTC in this format, in words for the reports.
+    the vehicle and ``utc_of`` what gives UTC in this format, in words for the reports. Dates that
+    no log can have are repaired or not used; ``witnesses`` are further clocks that tell the date.
 
     A boot is also split where nothing was recorded for more than 1 s and the offset differs by more
     than 1 s from then on. Where the offset steps without such a silence, a clock was set.
     """
-    sources = [source.usable_rows(line) for source in sources]
-    if not any(source.places.size for source in sources):
-        sources = [camera.usable_rows(line) for camera in cameras]
-    sources = sorted(sources, key=lambda source: -source.places.size)
     if recorder is not None:
-        recorder = recorder.usable_rows(line)
+        recorder = possible_recorder(recorder.usable_rows(line), line, where, ledger)
+    dates = DateCheck(line, recorder, tuple(witnesses), where)
+    sources = [dates.acceptable(source.usable_rows(line), ledger) for source in sources]
+    if not any(source.places.size for source in sources):
+        sources = [dates.acceptable(camera.usable_rows(line), ledger) for camera in cameras]
+    # The best source decides first about silences; `_utc_of_boots` chooses anew in each boot.
+    sources = sorted(sources, key=lambda source: -source.places.size)
     boots_by_steps = line.boots
-    line = _split_at_silences(line, sources if recorder is None else [*sources, recorder])
+    with_recorder = sources if recorder is None else [*sources, recorder]
+    line = _split_at_silences(line, with_recorder)
     if line.boots > boots_by_steps:
         ledger.add(messages.restarted(where=where, count=line.boots - boots_by_steps))
-    fits = []
-    utc_known = []
-    for number in range(line.boots):
-        place = f"{where}, boot {number}".removeprefix(", ")
-        fit = _best_fit(line, number, sources, place, ledger)
-        utc_known.append(fit is not None)  # the recorder's clock is not known to be UTC
-        if fit is None and recorder is not None:
-            fit = _fit_boot(line, number, recorder)
-        if fit is None:
+    chosen = _utc_of_boots(line, sources, recorder, where, ledger)
+    for number, utc in enumerate(chosen):
+        if utc.fit is None:
+            place = place_of_boot(where, number)
             ledger.add(messages.no_utc(where=place, utc_of=utc_of))
-        fits.append(fit)
-    return BootClock(line, tuple(fits), tuple(utc_known))
+    return _clock_of(line, chosen)
+
+
+def _clock_of(line: Timeline, chosen: "Sequence[BootUtc]") -> BootClock:
+    """The clock of a log from the UTC of each of its boots."""
+    sigma_s = float("nan")
+    assessments: list[ClockAssessment] = []
+    for utc in chosen:
+        assessments += utc.assessments
+        if utc.fit is not None:
+            sigma_s = float(np.fmax(sigma_s, utc.sigma_s))
+    return BootClock(
+        line,
+        tuple(utc.fit for utc in chosen),
+        tuple(utc.is_known for utc in chosen),
+        sigma_s=sigma_s,
+        assessments=tuple(assessments),
+    )
 
 
 def _split_at_silences(line: Timeline, sources: Sequence[UtcReadings]) -> Timeline:
@@ -376,33 +177,161 @@ def _fit_boot(line: Timeline, number: int, source: UtcReadings) -> clock.ClockOf
     return clock.fit_offset(source.utc_ns[rows], source.boot_ns[rows])
 
 
-def _best_fit(
-    line: Timeline, number: int, sources: Sequence[UtcReadings], place: str, ledger: Ledger
-) -> clock.ClockOffset | None:
-    """The offset of a boot by the source with the most rows in it; None without any rows.
+def _utc_of_boots(
+    line: Timeline,
+    sources: Sequence[UtcReadings],
+    recorder: UtcReadings | None,
+    where: str,
+    ledger: Ledger,
+) -> "list[BootUtc]":
+    """UTC of each boot; how well it fits, and what contradicts it, is reported."""
+    recorders = [] if recorder is None else [recorder]
+    chosen = []
+    for number in range(line.boots):
+        fitted = _BootSources(
+            stated=_fitted(line, number, sources),
+            recorded=_fitted(line, number, recorders),
+            place=place_of_boot(where, number),
+        )
+        chosen.append(fitted.utc(ledger))
+    return chosen
 
-    The fit is reported, and each source that differs from it by more than 1 s.
+
+class BootUtc(NamedTuple):
+    """UTC of a boot: its offset, whether a source states it, its sigma [s]; all its clocks."""
+
+    fit: clock.ClockOffset | None
+    is_known: bool
+    sigma_s: float
+    assessments: tuple[ClockAssessment, ...]
+
+
+class _FittedSource(NamedTuple):
+    """A source of UTC with its offset in a boot."""
+
+    readings: UtcReadings
+    fit: clock.ClockOffset
+
+    @property
+    def sigma_s(self) -> float:
+        """Of the clock, and of the scatter of its rows [s]."""
+        return float(np.hypot(self.readings.sigma_s, self.fit.sigma_ns / 1e9))
+
+    def seconds_from(self, other: "_FittedSource") -> float:
+        """Its UTC minus that of another source [s]."""
+        return (self.fit.offset_ns - other.fit.offset_ns) / 1e9
+
+    def words(self) -> str:
+        """The source and how many rows of it are of the boot."""
+        return self.readings.counted(self.fit.rows)
+
+
+@dataclass(frozen=True)
+class _BootSources:
+    """The sources of UTC that have rows in a boot, and the recorder if it has; ``place`` in words.
+
+    ``stated`` may be empty, and ``recorded`` has one source at most.
     """
-    fits = []
+
+    stated: list[_FittedSource]
+    recorded: list[_FittedSource]
+    place: str
+
+    def utc(self, ledger: Ledger) -> BootUtc:
+        """UTC of the boot by the source with the most rows, else by the recorder."""
+        if self.stated:
+            used = max(self.stated, key=lambda source: source.fit.rows)
+            ledger.add(clock.clock_fit_note(used.words(), used.fit, self.place))
+            self._report_contradictions(used, ledger)
+            return self._by(used, is_known=True, sigma_s=self._sigma_s(used))
+        if self.recorded:
+            used = self.recorded[0]
+            return self._by(used, is_known=False, sigma_s=used.sigma_s)
+        return _without_utc(self.place)
+
+    def _by(self, used: _FittedSource, *, is_known: bool, sigma_s: float) -> BootUtc:
+        """UTC by one of the sources, and how good each of them is."""
+        assessments = []
+        for source in (*self.stated, *self.recorded):
+            assessments.append(_assessment(source, used, sigma_s, self.place))
+        return BootUtc(
+            used.fit,
+            is_known=is_known,
+            sigma_s=sigma_s,
+            assessments=tuple(assessments),
+        )
+
+    def _sigma_s(self, used: _FittedSource) -> float:
+        """The sigma of a source; neither it nor the recorder may be set by a receiver.
+
+        Then they are as good as they agree.
+        """
+        sigma_s = used.sigma_s
+        for recorder in self.recorded:
+            if used.readings.sigma_s:
+                sigma_s = max(sigma_s, abs(recorder.seconds_from(used)))
+        return sigma_s
+
+    def _report_contradictions(self, used: _FittedSource, ledger: Ledger) -> None:
+        """Report sources more than 1 s from the one in use, and a recorder more than a minute."""
+        for source in self.stated:
+            apart_s = source.seconds_from(used)
+            if abs(apart_s) * 1e9 > clock.BOOT_STEP_NS:
+                ledger.add(
+                    messages.sources_disagree(
+                        where=self.place,
+                        rows=source.fit.rows,
+                        source=source.words(),
+                        apart_s=apart_s,
+                        used=used.words(),
+                    )
+                )
+        for recorder in self.recorded:
+            apart_s = recorder.seconds_from(used)
+            if abs(apart_s) > RECORDER_APART_S:
+                ledger.add(
+                    messages.recorder_disagrees(
+                        where=self.place,
+                        recorder=recorder.readings.source,
+                        apart_s=apart_s,
+                        used=used.words(),
+                    )
+                )
+
+
+def _without_utc(place: str) -> BootUtc:
+    """A boot whose UTC no clock of the log tells."""
+    assessment = ClockAssessment(
+        clock=f"the vehicle's time ({place})",
+        use="counts from boot",
+        utc=None,
+        apart_s=None,
+        sigma_s=None,
+        why="no clock of the log tells its UTC",
+    )
+    return BootUtc(None, is_known=False, sigma_s=float("nan"), assessments=(assessment,))
+
+
+def _fitted(line: Timeline, number: int, sources: Sequence[UtcReadings]) -> list[_FittedSource]:
+    """The sources that have rows in a boot, with their offsets."""
+    fitted = []
     for source in sources:
         fit = _fit_boot(line, number, source)
         if fit is not None:
-            fits.append((source, fit))
-    if not fits:
-        return None
-    chosen, best = max(fits, key=lambda pair: pair[1].rows)
-    used = chosen.counted(best.rows)
-    ledger.add(clock.clock_fit_note(used, best, place))
-    for source, fit in fits:
-        apart_ns = fit.offset_ns - best.offset_ns
-        if abs(apart_ns) > clock.BOOT_STEP_NS:
-            ledger.add(
-                messages.sources_disagree(
-                    where=place,
-                    rows=fit.rows,
-                    source=source.counted(fit.rows),
-                    apart_s=apart_ns / 1e9,
-                    used=used,
-                )
-            )
-    return best
+            fitted.append(_FittedSource(source, fit))
+    return fitted
+
+
+def _assessment(
+    source: _FittedSource, used: _FittedSource, sigma_s: float, place: str
+) -> ClockAssessment:
+    """What a source of UTC is good for, beside the one that is ``used``."""
+    is_used = source is used
+    return ClockAssessment(
+        clock=f"{source.words()} ({place})",
+        use="UTC of the log" if is_used else "compared",
+        utc=date_text(source.readings.utc_ns[0]) if source.readings.utc_ns.size else None,
+        apart_s=source.seconds_from(used),
+        sigma_s=sigma_s if is_used else source.sigma_s,
+        why=source.readings.why,
+    )

@@ -1,8 +1,8 @@
 """Bytes of a file, and memory for the rows and columns that are made of them.
 
-Columns are in the process's own memory while they are few, in temporary files beyond. The system
-writes the pages of a file out when it needs memory: so logs of many GB are read on machines that
-have less, and what else runs there goes on. The files disappear with the process.
+Columns are in the process's own memory while they are few; further ones are in temporary files.
+The system writes the pages of a file out when it needs memory, so that logs of many GB are read on
+machines that have less, and other programs go on. The files disappear with the process.
 """
 
 import io
@@ -26,7 +26,7 @@ SPAN = 4 << 20  # [bytes] read at once; 1 to 16 MiB are equally fast
 BEHIND = 4096  # [bytes] kept before the place asked for: recovery after damage goes back
 PRIVATE = 256 << 20  # [bytes] of rows and columns in memory of the process's own
 REGION = 64 << 20  # [bytes] of a temporary file, at least
-SMALL = 4096  # [bytes] that are left to the heap
+SMALL = 4096  # [bytes]: smaller arrays are left to the heap
 BLOCK = 1 << 20  # [bytes] of the largest block of a `ColumnStore`
 _SMALLEST_BLOCK = 4096  # [bytes]
 _ALIGNED = 64  # [bytes]
@@ -36,9 +36,10 @@ Bytes = NDArray[np.uint8]
 
 
 class FileView:
-    """The bytes of a file, to where it ended at the beginning, read in spans when asked for.
+    """The bytes of a file, up to the ``size`` that it had when it was opened, read when asked for.
 
-    No memory map: a file that is cut while it is mapped ends the process.
+    A span of some MB is kept. A memory map is not used, because a file that is cut while it is
+    mapped ends the process.
     """
 
     def __init__(self, stream: io.FileIO | io.BytesIO, size: int, name: str = "") -> None:
@@ -58,7 +59,10 @@ class FileView:
         return self._bytes[begin - self._begin : end - self._begin]
 
     def _read(self, begin: int, end: int) -> Bytes:
-        """A span of the file from ``begin`` on, at least to ``end``; LogError where it is cut."""
+        """A span of the file from ``begin`` on, at least to ``end``.
+
+        Raises LogError if the file has become shorter.
+        """
         length = min(max(end - begin, SPAN + 2 * BEHIND), self.size - begin)
         span = np.empty(length, np.uint8)
         self._stream.seek(begin)
@@ -82,7 +86,7 @@ class FileView:
             place = self.array(begin, stop).tobytes().find(mark)
             if place >= 0:
                 return begin + place
-            begin = stop - len(mark) + 1
+            begin = stop - len(mark) + 1  # a mark may lie across the border of two spans
         return -1
 
 
@@ -140,14 +144,17 @@ class Runs:
 
 
 class _Arena:
-    """Memory of columns: ``private`` bytes in maps of their own, others in ``regions`` of files."""
+    """Memory of columns: ``private`` bytes of the process; ``regions``, maps of temporary files.
+
+    Each piece of private memory is a map of its own, and returns to the system when it is freed.
+    """
 
     def __init__(self) -> None:
         self.generation = 0
         self.reset()
 
     def reset(self) -> None:
-        """Forget all memory; in a child process, which shares the files of its parent."""
+        """Forget all memory: a child process must not take more from the files of its parent."""
         self.lock = threading.RLock()  # the collector may free memory while it is held
         self.generation += 1
         self.private = 0
@@ -156,18 +163,24 @@ class _Arena:
         self.used = 0  # bytes of the last region
 
     def take(self, size: int) -> tuple[mmap.mmap, int]:
-        """Memory with ``size`` free bytes, and the place in it where these begin."""
+        """Memory with ``size`` free bytes, and the place in it where these begin.
+
+        Private memory up to `PRIVATE` bytes, and beyond if the disk has no space for a file.
+        """
         with self.lock:
             if self.private + size > PRIVATE:
                 region = self._region_with(size)
                 if region is not None:
                     begin = self.used
-                    self.used += -(-size // _ALIGNED) * _ALIGNED
+                    self.used += -(-size // _ALIGNED) * _ALIGNED  # rounded up
                     return region, begin
             return self._take_private(size), 0
 
     def _region_with(self, size: int) -> mmap.mmap | None:
-        """The last region where it has room, else a new one; None without space on the disk."""
+        """The last region if it has room, else a new one; None without space on the disk.
+
+        Before a new one is made, the pages of all others may be written out.
+        """
         region = self.last()
         if region is not None and self.used + size <= len(region):
             return region
@@ -181,7 +194,7 @@ class _Arena:
 
     def _take_private(self, size: int) -> mmap.mmap:
         """Memory of the process's own."""
-        # pages that a child process shares until either writes to them
+        # A child process shares the pages until either writes to them.
         access = mmap.ACCESS_COPY if hasattr(os, "fork") else mmap.ACCESS_WRITE
         try:
             memory = mmap.mmap(-1, size, access=access)
@@ -296,7 +309,7 @@ class ColumnStore:
         self._blocks.append(allocate(self._room, self.dtype))
 
     def blocks(self) -> Iterator[NDArray[Any]]:
-        """The rows, block by block; they may be written to."""
+        """The rows, block by block, without free ones; they may be written to."""
         yield from self._blocks[:-1]
         for block in self._blocks[-1:]:
             yield block[: block.shape[0] - self._room]

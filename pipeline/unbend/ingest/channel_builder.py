@@ -11,14 +11,16 @@ from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import new_readings, rows_in_time_order
 from unbend.ingest import messages
 from unbend.ingest.attitude import quaternion_of_euler, replace_in_blocks, unit_quaternions
-from unbend.ingest.boot_clock import LOWEST_FIX
 from unbend.ingest.buffers import ColumnStore, allocate, copy_rows
 from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.flight_log import utc_text
+from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Kind, Ledger
 from unbend.units import Array, Mask, Rows
 
 _QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+SENT = ".sent"  # of a channel with the commands of a trigger, beside that of the shutter's pulses
+_BEHIND_PULSES = 10  # ranks
 _EULER = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
@@ -112,7 +114,7 @@ def _channel(rows: DecodedRows, columns: Mapping[str, Array], spec: MessageMap) 
         columns=columns,
         source=rows.source,
         boot=rows.boot,
-        rank=_rank(rows.source, spec),
+        rank=_rank(rows, spec),
         labels=rows.labels,
         logged_units={column.name: column.unit for column in spec.columns if column.unit},
     )
@@ -131,9 +133,11 @@ def _needed_columns(rows: DecodedRows, spec: MessageMap) -> set[str]:
     return needed
 
 
-def _rank(source: Source, spec: MessageMap) -> int:
+def _rank(rows: DecodedRows, spec: MessageMap) -> int:
     """The rank of a channel among candidates for a role; spare instances have one of their own."""
-    is_first = source.instance in (None, "0")
+    if rows.name.endswith(SENT):
+        return spec.rank + _BEHIND_PULSES
+    is_first = rows.source.instance in (None, "0")
     if spec.spare_rank is None or is_first:
         return spec.rank
     return spec.spare_rank
@@ -157,17 +161,59 @@ def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
 def _numbered_exposures(rows: DecodedRows) -> DecodedRows:
     """Exposures, numbered by their row where the log does not number them, with 0, 0 as no place.
 
-    To be called before rows are dropped.
+    A latitude beyond a pole is none either: in MAVLink the largest integer means unknown. Their
+    attitudes get the columns of attitudes. To be called before rows are dropped.
     """
     columns = dict(rows.columns)
     if "event_index" not in columns:
         columns["event_index"] = np.arange(len(rows), dtype=np.float64)
     if "lat_rad" in columns and "lon_rad" in columns:
         nowhere = (columns["lat_rad"] == 0.0) & (columns["lon_rad"] == 0.0)
+        nowhere |= np.abs(columns["lat_rad"]) > _POLE_RAD
         for name in ("lat_rad", "lon_rad", "h_msl_m"):
             if name in columns:
                 columns[name] = np.where(nowhere, np.nan, columns[name])
+    columns |= _attitudes_of_exposures(columns)
     return replace(rows, columns=columns)
+
+
+def _attitudes_of_exposures(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """The attitude that a log has of each exposure, as the columns of an attitude; empty without.
+
+    Angles that are all 0 are those of no attitude.
+    """
+    logged = [f"camera_{name}" for name in _QUATERNION]
+    if all(name in columns for name in logged):
+        quaternions = unit_quaternions(np.stack([columns[name] for name in logged], axis=1))
+    elif all(name in columns for name in _EULER):
+        roll_rad, pitch_rad, yaw_rad = (columns[name] for name in _EULER)
+        quaternions = quaternion_of_euler(roll_rad, pitch_rad, yaw_rad)
+        is_known = (roll_rad != 0.0) | (pitch_rad != 0.0) | (yaw_rad != 0.0)
+        quaternions = np.where(is_known[:, None], quaternions, np.nan)
+    else:
+        return {}
+    return dict(zip(_QUATERNION, quaternions.T, strict=True))
+
+
+def feedback_apart(rows: DecodedRows, ledger: Ledger) -> list[DecodedRows]:
+    """The rows of events; two parts where some are commands of a trigger, some pulses of a shutter.
+
+    The pulses keep the name, the commands are named ``.sent``.
+    """
+    feedback = rows.columns.get("feedback", np.empty(0))
+    is_pulse = feedback > 0.0
+    if is_pulse.all() or not is_pulse.any():
+        return [rows]
+    sent = replace(rows.take(~is_pulse), name=f"{rows.name}{SENT}")
+    ledger.add(
+        messages.pulses_and_commands(
+            channel=rows.name,
+            pulses=int(np.count_nonzero(is_pulse)),
+            sent=sent.name,
+            commands=len(sent),
+        )
+    )
+    return [rows.take(is_pulse), sent]
 
 
 def _make_unit_quaternions(columns: dict[str, Array]) -> None:
@@ -225,6 +271,7 @@ def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows
     return rows.take(~stray)
 
 
+_POLE_RAD = np.pi / 2.0
 _FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (CameraCapture.msg)
 
 
@@ -358,5 +405,6 @@ def _with_both_heights(columns: Mapping[str, Array], *, is_ellipsoidal: bool) ->
     if is_ellipsoidal:
         result["h_ellipsoid_m"] = logged_m
         result["h_msl_m"] = logged_m - undulation_m
-    result.setdefault("h_ellipsoid_m", logged_m + undulation_m)
+    else:
+        result.setdefault("h_ellipsoid_m", logged_m + undulation_m)
     return result

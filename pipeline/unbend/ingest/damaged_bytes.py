@@ -8,20 +8,28 @@ from unbend.messages import Ledger
 
 @dataclass
 class DamagedBytes:
-    """Bytes outside all messages; ``cut_bytes`` of a last one that the end of the file cuts off."""
+    """Counts of the bytes that belong to no message.
+
+    bad_bytes : how many lie between messages.
+    first_bad : the place of the first of these, -1 without any.
+    cut_bytes : those of a last message that the end of the file cuts off.
+    """
 
     bad_bytes: int = 0
     first_bad: int = -1
     cut_bytes: int = 0
 
     def drop(self, begin: int, end: int) -> None:
-        """Count bytes of the file that belong to no message."""
+        """Count the bytes of the file from ``begin`` to ``end``, which belong to no message."""
         self.bad_bytes += end - begin
         if self.first_bad < 0:
             self.first_bad = begin
 
     def report_bytes(self, ledger: Ledger, name: str, unit: str) -> None:
-        """Enter them; ``name`` of the file, ``unit`` the format's word for a message."""
+        """Add the counts to the ledger, if there are any.
+
+        ``name`` is that of the file, ``unit`` the word of its format for a message.
+        """
         if self.bad_bytes:
             ledger.add(
                 messages.bad_bytes(file=name, first=self.first_bad, count=self.bad_bytes, unit=unit)

@@ -16,8 +16,11 @@ from unbend.ingest import messages
 from unbend.units import Array
 
 MAPS = tomllib.loads(files("unbend.ingest").joinpath("data/field_maps.toml").read_text("utf-8"))
+# By unit: divisor, factor and offset to SI.
 UNITS: Mapping[str, tuple[float, float, float]] = MAPS["units"]
+# By kind of flags: the number of a bit in the log, and in the package.
 FLAGS: Mapping[str, list[tuple[int, int]]] = MAPS["flags"]
+# By unit: the column, and factor and offset to SI.
 STATED_UNITS: Mapping[str, tuple[str, float, float]] = MAPS["stated_units"]
 
 # "q_w q_x = q.0 q.1|old [unit] unless MISSING from FLOOR"
@@ -36,7 +39,7 @@ _SAME_FLAGS = 0x3FF  # the lowest ten bits mean the same in all logs
 class FieldColumn:
     """One column of a channel, and the names of its field in all versions, newest first.
 
-    ``missing`` is the value in the log that means unknown, as do those below ``floor``.
+    ``missing`` is the value in the log that means unknown; values below ``floor`` mean it too.
     """
 
     name: str
@@ -58,7 +61,8 @@ class MessageMap:
     position: bool = False  # rows without a fix are dropped
     attitude: bool = False  # Euler angles become quaternions
     text_field: str = ""  # the words of the autopilot; there are no columns then
-    # of all instances but the first: numbers do not show which thermometer is outside
+    # The rank of all instances but the first, because the numbers of instances do not show which
+    # thermometer is outside; None if all have the same rank.
     spare_rank: int | None = None
 
     @property
@@ -99,6 +103,7 @@ FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
 
 
 def _number_or_none(text: str | None) -> float | None:
+    """The number that a part of a line holds; None for a part that the line has not."""
     return None if text is None else float(text)
 
 
@@ -108,7 +113,7 @@ def message_maps(section: str) -> dict[str, MessageMap]:
     maps: dict[str, MessageMap] = {}
     for name, stated in MAPS[section].items():
         options = dict(stated)
-        # a message that is like an earlier one has its own rank all the same
+        # A message that is like an earlier one takes over all but its rank.
         template = maps.get(options.pop("like", ""), MessageMap(()))
         template = replace(template, rank=MessageMap.rank, spare_rank=None)
         if "columns" in options:
@@ -120,7 +125,9 @@ def message_maps(section: str) -> dict[str, MessageMap]:
 
 
 def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
-    """Values of a log -> SI, NaN where the log says unknown or the value is not finite.
+    """Values of a log in SI, NaN where the log says unknown or the value is not finite.
+
+    Flags get their bits in the package's order.
 
     >>> to_si(np.array([-32768, 2000]), FieldColumn("temperature_k", ("t",), "cdegC", -32768))
     array([   nan, 293.15])
@@ -191,9 +198,9 @@ def extract(
     """The columns of a field map, in SI, that a decoded message has fields for.
 
     A field that is an array or a text where a number is expected is left out. Speed and course
-    become velocity, a vibration that of the worst axis, clippings of several sensors their sum.
-    ``kept`` makes the array that is returned of each column. Fields that are read are removed from
-    ``used_up``: memory has its peak here.
+    become velocity, the vibrations of several axes that of the worst, the clippings of several
+    sensors their sum. ``kept`` makes the array that is returned of each column. Fields are removed
+    from ``used_up`` once no further column is made of them, because memory has its peak here.
     """
     result: dict[str, Array] = {}
     last_use = {field: spec.name for spec in columns for field in spec.fields}
@@ -217,13 +224,16 @@ def extract(
 
 
 def _make_velocity(columns: dict[str, Array], kept: Callable[[Array], Array]) -> None:
-    """Replace speed and course by the velocity; the vertical one is NaN where it is not known."""
+    """Replace speed and course, in place, by the horizontal velocity.
+
+    The vertical velocity becomes NaN in rows that say that they have none.
+    """
     if "speed_m_s" in columns and "course_rad" in columns:
         speed = columns.pop("speed_m_s")
         course = columns.pop("course_rad")
         columns["v_north_m_s"] = kept(speed * np.cos(course))
         columns["v_east_m_s"] = kept(speed * np.sin(course))
-    has_vertical_speed = columns.pop("has_vertical_speed", None)  # the speed is 0 without it
+    has_vertical_speed = columns.pop("has_vertical_speed", None)  # where not, the log writes 0
     if has_vertical_speed is not None and "v_down_m_s" in columns:
         columns["v_down_m_s"][has_vertical_speed == 0.0] = np.nan
 
@@ -237,7 +247,7 @@ def _field_of(spec: FieldColumn, table: Mapping[str, NDArray[Any]]) -> str | Non
 
 
 def _taken(columns: dict[str, Array], prefix: str) -> list[Array]:
-    """Remove the columns whose names begin with a prefix; returns them in the order of names."""
+    """Remove the columns whose names begin with a prefix, and return them, sorted by name."""
     names = sorted(name for name in columns if name.startswith(prefix))
     return [columns.pop(name) for name in names]
 

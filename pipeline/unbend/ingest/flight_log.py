@@ -2,7 +2,7 @@
 
 import difflib
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 from unbend.flight.channels import Channel
 from unbend.ingest import messages
 from unbend.ingest.message_tables import Table
+from unbend.ingest.utc_evidence import ClockAssessment, Witness, is_utc_time
 from unbend.messages import Ledger
 
 SIMILAR_NAMES = 3  # that a refusal lists first, of an unknown name
@@ -25,7 +26,10 @@ class Contents:
     ``messages`` by type or topic, wanted or not; ``channels`` (in a `Log` sorted, none empty);
     ``bad_bytes`` of no valid message; ``lost_messages`` by the log's own numbers; ``boots`` of the
     vehicle; ``time_base`` of its UTC in words; ``table`` decodes all messages of a type, or of one
-    instance; ``parameters`` as last logged; ``utc_sigma_s`` [s] of its UTC, NaN where unknown.
+    instance; ``parameters`` as last logged; ``utc_sigma_s`` [s] of its UTC, NaN where unknown;
+    ``clocks``: what each clock is good for; ``recorded_ns``: when it was recorded,
+    by the recorder's clock [Unix ns].
+    ``unread_encodings`` of messages that are not read, each with a topic.
     """
 
     messages: Mapping[str, int]
@@ -37,6 +41,9 @@ class Contents:
     table: Callable[[str, str | None], Table] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     utc_sigma_s: float = float("nan")
+    clocks: tuple[ClockAssessment, ...] = ()
+    recorded_ns: int | None = None
+    unread_encodings: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -44,14 +51,14 @@ class LogFormat:
     """A log format: ``title`` in messages; ``extensions`` in lower case with dot, the usual first.
 
     ``matches`` says whether the first 64 KiB of a file look like it; ``read`` decodes the wanted
-    messages, and enters what is damaged or skipped.
+    messages, and enters what is damaged or skipped; further clocks tell it the date.
     """
 
     name: str
     title: str
     extensions: tuple[str, ...]
     matches: Callable[[bytes], bool]
-    read: Callable[[Path, Ledger], Contents]
+    read: Callable[[Path, Ledger, Sequence[Witness]], Contents]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,6 +75,11 @@ class Log(Contents):
     start_ns: int
     end_ns: int
     ledger: Ledger
+
+    @property
+    def has_utc(self) -> bool:
+        """Whether all of its times are UTC; else those of some boots count from the boot."""
+        return is_utc_time(self.start_ns)
 
     @property
     def duration_s(self) -> float:
@@ -132,9 +144,13 @@ class Log(Contents):
 
     def to_json_dict(self) -> dict[str, Any]:
         """A summary of the log for ``unbend inspect --json``."""
-        from unbend.ingest.overview import roles_of
+        from unbend.ingest.overview import receivers_of, roles_of, vehicles_of
 
+        vehicles = vehicles_of(self.channels)
         flight, roles = roles_of(self.channels)
+        if vehicles:  # a mission has one of them
+            flight = vehicles[0]["flight"]
+            roles = vehicles[0]["roles"]
         return {
             "format": self.format,
             "sha256": self.sha256,
@@ -144,12 +160,15 @@ class Log(Contents):
             "lost_messages": self.lost_messages,
             "boots": self.boots,
             "channels": [describe(channel) for channel in self.channels],
-            "start_utc": utc_text(self.start_ns),
-            "end_utc": utc_text(self.end_ns),
+            "start_utc": utc_or_none(self.start_ns),
+            "end_utc": utc_or_none(self.end_ns),
             "duration_s": self.duration_s,
             "flight": flight,
             "roles": roles,
+            "vehicles": vehicles,
+            "receivers": receivers_of(self.channels),
             "time_base": self.time_base,
+            "clocks": [vars(assessment) for assessment in self.clocks],
             "ledger": self.ledger.rows(),
         }
 
@@ -172,6 +191,15 @@ def utc_text(time_ns: int) -> str:
     return f"{np.datetime64(time_ns // 1000, 'us')}Z"
 
 
+def utc_or_none(time_ns: int) -> str | None:
+    """The UTC of a time of a log as ISO 8601; None where it counts from a boot.
+
+    >>> utc_or_none(90_000_000_000) is None
+    True
+    """
+    return utc_text(time_ns) if is_utc_time(time_ns) else None
+
+
 def describe(channel: Channel) -> dict[str, Any]:
     """A summary of a channel for ``unbend inspect --json``."""
     steps = np.diff(channel.time_ns) / 1e9
@@ -180,7 +208,7 @@ def describe(channel: Channel) -> dict[str, Any]:
         gaps = []  # events and texts come when they come
     listed_gaps = []
     for row in gaps:
-        start = utc_text(int(channel.time_ns[row]))
+        start = utc_or_none(int(channel.time_ns[row]))
         listed_gaps.append({"start_utc": start, "seconds": float(steps[row])})
     return {
         "name": channel.name,
@@ -188,8 +216,8 @@ def describe(channel: Channel) -> dict[str, Any]:
         "columns": sorted(channel.columns),
         "samples": len(channel),
         "rate_hz": channel.rate_hz,
-        "start_utc": utc_text(int(channel.time_ns[0])),
-        "end_utc": utc_text(int(channel.time_ns[-1])),
+        "start_utc": utc_or_none(int(channel.time_ns[0])),
+        "end_utc": utc_or_none(int(channel.time_ns[-1])),
         "gaps": listed_gaps,
     }
 

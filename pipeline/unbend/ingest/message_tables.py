@@ -13,7 +13,7 @@ Where a format knows them it adds, first and in lower case: ``time_ns`` (int64, 
 if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
 """
 
-PLACE = "\0place"  # the column of the places of messages in the log, beside their fields
+PLACE = "\0place"  # the column with the places of messages in the log; no field has such a name
 EXACT = 1 << 53  # every integer up to here is a float64
 _WORD = 1 << 64  # the first integer that needs more than 64 bits
 
@@ -60,7 +60,10 @@ def _integers(values: list[int]) -> NDArray[Any]:
 
 
 def _is_exact_as_float(value: Any) -> bool:
-    """Whether a float64 holds a value as it is; None counts as NaN, which it holds."""
+    """Whether a float64 holds a value unchanged, as it holds all but large integers.
+
+    None, which becomes NaN, counts as held.
+    """
     if not isinstance(value, int) or abs(value) <= EXACT:
         return True
     return abs(value) < _WORD and int(float(value)) == value
@@ -69,15 +72,15 @@ def _is_exact_as_float(value: Any) -> bool:
 def _objects(values: list[Any]) -> NDArray[Any]:
     """Values of any kind as a column of objects."""
     column = np.empty(len(values), object)
-    for row, value in enumerate(values):  # at once, lists of one length would be an array
+    for row, value in enumerate(values):  # assigned at once, lists of one length become an array
         column[row] = value
     return column
 
 
 def in_order(tables: Sequence[Table]) -> Table:
-    """Tables with `PLACE` as one table in the order of the log, with columns as `join_pieces`.
+    """Tables with `PLACE` as one table in the order of the log, their columns by `join_pieces`.
 
-    The columns are removed from the tables, so that memory does not hold them twice.
+    Several tables are emptied, column by column, so that memory does not hold columns twice.
     """
     whole = tables[0] if len(tables) == 1 else _joined(tables)
     places = whole[PLACE]
@@ -88,7 +91,7 @@ def in_order(tables: Sequence[Table]) -> Table:
 
 
 def _joined(tables: Sequence[Table]) -> Table:
-    """Tables end to end; their columns are removed one by one, so that memory is freed."""
+    """Tables end to end; takes their columns out of them one by one, so that memory is freed."""
     names = dict.fromkeys(name for table in tables for name in table)
     counts = [table[PLACE].shape[0] for table in tables]
     whole: Table = {}
@@ -132,7 +135,10 @@ def _joined_without_loss(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any] |
 
 
 def _has_floats(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> bool:
-    """Whether a joined column has floats by right: in a piece, or NaN for missing rows."""
+    """Whether a column is of floats because of its values: a piece has floats, or rows are missing.
+
+    Else numpy has made floats of integers of different types.
+    """
     return len(arrays) < len(pieces) or any(array.dtype.kind == "f" for array in arrays)
 
 
@@ -157,7 +163,7 @@ def _filled(
 
 
 def _fits_float(array: NDArray[Any]) -> bool:
-    """Whether a float64 holds all values of an array, by their range."""
+    """Whether a float64 holds all values of an array unchanged: those of 64 bits by their range."""
     if array.dtype.kind not in "iu" or array.dtype.itemsize < 8 or not array.size:
         return True
     return bool(array.min() >= -EXACT and array.max() <= EXACT)

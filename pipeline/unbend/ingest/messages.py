@@ -3,11 +3,13 @@
 What only one format says stands in ``messages.py`` of its folder.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from unbend.errors import Code, Counted, LogError, MissionError
+from unbend.flight.clock import WEEKS_PER_ROLLOVER
 from unbend.flight.evidence.messages import CHANNEL_UNIT
 from unbend.flight.messages import TIME_FIT
+from unbend.ingest.utc_evidence import Witness, date_text
 from unbend.messages import Kind, Message, fallback, loss, message, note, warning
 
 # Opening a log.
@@ -147,8 +149,20 @@ LOG_NO_MESSAGES = Code(
 )
 
 
-def no_wanted_messages(*, path: str, total: int, kinds: Sequence[str]) -> LogError:
-    """No message of a log becomes a channel."""
+def no_wanted_messages(
+    *, path: str, total: int, kinds: Sequence[str], unread: Mapping[str, str]
+) -> LogError:
+    """No message of a log becomes a channel; ``unread`` are encodings, each with a topic."""
+    if unread:
+        listed = [f"{encoding} ({topic})" for encoding, topic in unread.items()]
+        return LogError(
+            LOG_NO_MESSAGES,
+            "{total}, but none that can be read: they are encoded as {encodings}",
+            where=path,
+            remedy="record or convert them as ROS 2 CDR with ros2msg definitions, protobuf or JSON",
+            total=Counted(total, "message"),
+            encodings=", ".join(listed),
+        )
     return LogError(
         LOG_NO_MESSAGES,
         "{total}, but none with a position, an attitude, air data or camera events",
@@ -311,6 +325,37 @@ def rows_without_field(*, where: str, count: int, fields: Sequence[str]) -> Mess
         where=where,
         count=count,
         fields=", ".join(fields),
+    )
+
+
+LOG_DROPOUT = Code(
+    "LOG-DROPOUT",
+    means="The logger could not keep up.",
+    effect="Messages of that time are missing.",
+    remedy="Log less, or to a faster card.",
+)
+
+
+EVENTS_BOTH = Code(
+    "EVENTS-BOTH",
+    means="A topic has commands of the trigger and pulses of the shutter.",
+    effect="They are two channels: the pulses keep the name, the commands are named .sent.",
+    remedy="Name the one with the pulses.",
+)
+
+
+def pulses_and_commands(*, channel: str, pulses: int, sent: str, commands: int) -> Message:
+    """Events of two kinds in one topic."""
+    return note(
+        EVENTS_BOTH,
+        "{pulses} rows are pulses of the shutter (channel {channel}), {commands} are commands of "
+        "the trigger (channel {sent})",
+        where=channel,
+        count=pulses + commands,
+        channel=channel,
+        pulses=pulses,
+        sent=sent,
+        commands=commands,
     )
 
 
@@ -494,6 +539,81 @@ def sources_disagree(*, where: str, rows: int, source: str, apart_s: float, used
     )
 
 
+def recorder_disagrees(*, where: str, recorder: str, apart_s: float, used: str) -> Message:
+    """The clock of the ground station or the recorder is minutes or more from UTC."""
+    return warning(
+        TIME_SOURCES,
+        "by the {recorder} it would be {apart_s:+.0f} s from the UTC of {used}, which are used",
+        where=where,
+        recorder=recorder,
+        apart_s=apart_s,
+        used=used,
+    )
+
+
+TIME_WEEK_ROLLOVER = Code(
+    "TIME-WEEK-ROLLOVER",
+    means="A receiver counts weeks modulo 1024: its date is 19.6 years off, or a multiple of it.",
+    effect="The date is moved by that, by the other clocks of the log or because no other date is "
+    "possible.",
+    remedy="Check the date in the report; update the receiver's firmware.",
+)
+
+
+def week_rollover(
+    *,
+    where: str,
+    source: str,
+    count: int,
+    stated: str,
+    moved: str,
+    rollovers: int,
+    clocks: Sequence[Witness],
+) -> Message:
+    """The date of a source of UTC is off by rollovers of the GPS week."""
+    return warning(
+        TIME_WEEK_ROLLOVER,
+        "UTC of {source} is of {stated}: the receiver counts weeks modulo 1024, and {weeks} weeks "
+        "more are of {moved}, {evidence}",
+        where=where,
+        count=count,
+        source=source,
+        stated=stated,
+        moved=moved,
+        weeks=WEEKS_PER_ROLLOVER * rollovers,
+        evidence=_agrees_with(clocks) or "the only possible date",
+    )
+
+
+def _agrees_with(clocks: Sequence[Witness]) -> str:
+    """The other clocks of a log with the dates that they state; empty without any."""
+    stated = [f"{clock.name} ({date_text(clock.time_ns)})" for clock in clocks]
+    return f"which agrees with {', '.join(stated)}" if stated else ""
+
+
+TIME_IMPOSSIBLE = Code(
+    "TIME-IMPOSSIBLE",
+    means="A clock of the log states a date that no log can have, or one that no receiver has set "
+    "and that the other clocks contradict.",
+    effect="It is not used: UTC comes from the other clocks, or is unknown.",
+    remedy="State mission.date, if nothing else has the date.",
+)
+
+
+def utc_not_accepted(*, where: str, source: str, stated: str, clocks: Sequence[Witness]) -> Message:
+    """The date of a source of UTC is impossible, or contradicted by better clocks."""
+    others = [f"{clock.name} of {date_text(clock.time_ns)}" for clock in clocks]
+    return warning(
+        TIME_IMPOSSIBLE,
+        "UTC of {source} is of {stated}, which is impossible or contradicted ({others}): it is not "
+        "used",
+        where=where,
+        source=source,
+        stated=stated,
+        others=", ".join(others) or "no other clock tells the date",
+    )
+
+
 def utc_accuracy(
     *, receiver: str, fixes: int, sigma_s: float, delay_s: float, origin: str
 ) -> Message:
@@ -505,6 +625,22 @@ def utc_accuracy(
         where=receiver,
         count=fixes,
         sigma_ms=sigma_s * 1e3,
+        delay_ms=delay_s * 1e3,
+        origin=origin,
+    )
+
+
+def fix_delay(
+    *, receiver: str, fixes: int, utc_sigma_s: float | None, delay_s: float, origin: str
+) -> Message:
+    """How late fixes are stamped, where UTC is not the receiver's."""
+    accuracy = "is unknown" if utc_sigma_s is None else f"is good to {utc_sigma_s:.1f} s (1 sigma)"
+    return note(
+        TIME_FIT,
+        "UTC {accuracy}; fixes are stamped {delay_ms:.0f} ms after their epoch, {origin}",
+        where=receiver,
+        count=fixes,
+        accuracy=accuracy,
         delay_ms=delay_s * 1e3,
         origin=origin,
     )

@@ -1,6 +1,6 @@
 """What a log says of its flight, and which channel a mission would take for each role."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,9 +9,14 @@ from unbend.atmosphere.rejection import count_by_reason, described_counts
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.sources import is_receiver
+from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, LoggedPath, takeoff_of
 from unbend.flight.roles import assign_roles, follows_height
-from unbend.flight.trajectory import interpolate, takeoff_of
+from unbend.flight.trajectory import interpolate
+from unbend.flight.vehicles import Vehicles, median_distance_m
+from unbend.ingest.utc_evidence import date_text, is_utc_time
 from unbend.messages import Notes
+from unbend.units import NANOSECONDS_PER_SECOND
 
 _ROLES = ("position", "height", "attitude", "pressure", "temperature", "humidity", "airspeed")
 _CABIN = ("cabin_pressure", "cabin_temperature", "cabin_humidity")
@@ -21,12 +26,14 @@ HEIGHT_PERCENTILES = (0.1, 99.9)  # the lowest and the highest without single wr
 _HEIGHT_REFERENCES = {"h_msl_m": "sea level", "h_ellipsoid_m": "ellipsoid"}
 
 
-def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
+def flight_of(
+    position: Channel, height: Channel, evidence: GroundEvidence = NOTHING_SAID
+) -> dict[str, Any]:
     """Place, day and heights of a flight, from its channels of position and height.
 
     Latitude and longitude where the log begins, to 0.001 degrees (100 m). Heights [m] above
     ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where the log begins standing
-    still.
+    still, and not in a hover by the ``evidence`` of the log.
     """
     lat_rad = position["lat_rad"]
     lon_rad = position["lon_rad"]
@@ -43,14 +50,20 @@ def flight_of(position: Channel, height: Channel) -> dict[str, Any]:
     if known_heights_m.size:
         limits_m = np.percentile(known_heights_m, HEIGHT_PERCENTILES).round(1)
         lowest_m, highest_m = limits_m.tolist()
-    take_off = takeoff_of((position.time_ns, lat_rad, lon_rad, heights_m), None)
+    path = LoggedPath(
+        time_ns=position.time_ns,
+        latitude_rad=lat_rad,
+        longitude_rad=lon_rad,
+        h_msl_m=heights_m,
+    )
+    take_off = takeoff_of(path, None, evidence)
     first = int(np.argmax(known))
-    start = np.datetime64(int(position.time_ns[first]), "ns")
+    start_ns = int(position.time_ns[first])
     duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9
     return {
         "lat_deg": round(float(np.degrees(lat_rad[first])), 3),
         "lon_deg": round(float(np.degrees(lon_rad[first])), 3),
-        "date_utc": str(start.astype("datetime64[D]")),
+        "date_utc": date_text(start_ns) if is_utc_time(start_ns) else None,
         "duration_s": round(duration_s, 3),
         "height_reference": _HEIGHT_REFERENCES.get(str(column)),
         "lowest_m": lowest_m,
@@ -77,8 +90,69 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
             rows.append(_row(role, able, remark_on(channel, role, height), channel))
     flight = {}
     if position is not None and height is not None:
-        flight = flight_of(position, height)
+        flight = flight_of(position, height, GroundEvidence.of(channels))
     return flight, rows
+
+
+def vehicles_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
+    """Each vehicle of a log of several, and the roles that its channels would play."""
+    vehicles = Vehicles.of(channels)
+    rows = []
+    for name in vehicles.names:
+        flight, roles = roles_of(vehicles.channels_of(name, channels))
+        rows.append({"vehicle": name, "flight": flight, "roles": roles})
+    return rows
+
+
+def receivers_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
+    """Each receiver of a log: its vehicle, what it is good for, and why."""
+    vehicles = Vehicles.of(channels)
+    rows = []
+    for name in vehicles.names or ("",):
+        of_vehicle = vehicles.channels_of(name, channels)
+        chosen, _ = assign_roles(of_vehicle, {}, needs_cabin=False)
+        for channel in of_vehicle:
+            if is_receiver(channel) and vehicles.of_channel(channel) == name:
+                rows.append(
+                    {
+                        "channel": channel.name,
+                        "vehicle": name,
+                        "good_for": _use_of_receiver(channel, chosen),
+                        "why": _why_of_receiver(channel, chosen),
+                    }
+                )
+    return rows
+
+
+def _use_of_receiver(channel: Channel, chosen: Mapping[str, Channel]) -> str:
+    """The roles of a receiver, or of which channel it is the spare."""
+    roles = [role for role in ("position", "height") if chosen.get(role) is channel]
+    if roles:
+        return ", ".join(roles)
+    height = chosen.get("height")
+    return "spare" if height is None else f"spare of {height.name}"
+
+
+def _why_of_receiver(channel: Channel, chosen: Mapping[str, Channel]) -> str:
+    """What speaks for and against a receiver: its own report, its end, its distance from others."""
+    reasons = []
+    sigma_m = channel.get("sigma_h_m")
+    hdop = channel.get("hdop")
+    if np.isfinite(sigma_m).any():
+        reasons.append(f"± {np.nanmedian(sigma_m):.2g} m by its own report")
+    elif np.isfinite(hdop).any():
+        reasons.append(f"HDOP {np.nanmedian(hdop):.2g}")
+    else:
+        reasons.append("no report of its accuracy")
+    position = chosen.get("position")
+    if position is not None and position is not channel:
+        apart_m = median_distance_m(position, channel)
+        if np.isfinite(apart_m):
+            reasons.append(f"{apart_m:.1f} m from {position.name} in the median")
+        silent_s = float(position.time_ns[-1] - channel.time_ns[-1]) / NANOSECONDS_PER_SECOND
+        if silent_s > MAX_HEIGHT_GAP_S:
+            reasons.append(f"silent in the last {silent_s:.0f} s")
+    return ", ".join(reasons)
 
 
 def _row(

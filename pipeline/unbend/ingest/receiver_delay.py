@@ -4,6 +4,7 @@ UTC comes from these stamps, so until here it is late for everything but the fix
 positions of the autopilot's filter already allow for it, and move along the axis of UTC.
 """
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,8 @@ from unbend.geodesy import principal_radii, wrapped
 from unbend.ingest import messages
 from unbend.ingest.flight_log import Contents
 from unbend.ingest.message_tables import Table
-from unbend.messages import Ledger
+from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, ClockAssessment
+from unbend.messages import Ledger, Message
 from unbend.units import Array
 
 _RECEIVERS = ("GPS", "GPS2", "GPS_RAW_INT", "GPS2_RAW", "sensor_gps", "vehicle_gps_position")
@@ -77,15 +79,7 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
     delays = {channel.name: _delay_of(channel, contents) for channel in receivers}
     main = max(receivers, key=len)  # UTC is from the receiver with the most rows
     delay = delays[main.name]
-    ledger.add(
-        messages.utc_accuracy(
-            receiver=main.name,
-            fixes=len(main),
-            sigma_s=delay.sigma_s,
-            delay_s=delay.delay_s,
-            origin=delay.origin,
-        )
-    )
+    ledger.add(_accuracy_note(main, delay, contents.utc_sigma_s))
     later_ns = round(delay.delay_s * 1e9)
     channels = []
     for channel in contents.channels:
@@ -99,7 +93,37 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
         contents,
         channels=tuple(channels),
         table=_later_table(contents.table, later_ns),
-        utc_sigma_s=delay.sigma_s,
+        utc_sigma_s=float(np.hypot(contents.utc_sigma_s, delay.sigma_s)),
+        clocks=tuple(_with_delay(assessment, delay) for assessment in contents.clocks),
+    )
+
+
+def _accuracy_note(receiver: Channel, delay: ReceiverDelay, clock_sigma_s: float) -> Message:
+    """How accurate UTC is: by the delay of the receiver, or by the clock that gives UTC."""
+    if clock_sigma_s == 0.0:
+        return messages.utc_accuracy(
+            receiver=receiver.name,
+            fixes=len(receiver),
+            sigma_s=delay.sigma_s,
+            delay_s=delay.delay_s,
+            origin=delay.origin,
+        )
+    return messages.fix_delay(
+        receiver=receiver.name,
+        fixes=len(receiver),
+        utc_sigma_s=None if math.isnan(clock_sigma_s) else clock_sigma_s,
+        delay_s=delay.delay_s,
+        origin=delay.origin,
+    )
+
+
+def _with_delay(assessment: ClockAssessment, delay: ReceiverDelay) -> ClockAssessment:
+    """What a clock is good for, with the uncertainty of the delay where a receiver sets it."""
+    if assessment.sigma_s is None or assessment.sigma_s >= UNCHECKED_SIGMA_S:
+        return assessment
+    sigma_s = float(np.hypot(assessment.sigma_s, delay.sigma_s))
+    return replace(
+        assessment, sigma_s=sigma_s, why=f"{assessment.why}; fixes are late, {delay.origin}"
     )
 
 

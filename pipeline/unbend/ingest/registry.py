@@ -1,5 +1,6 @@
 """Which formats there are, and opening a log by its content."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -11,9 +12,11 @@ from unbend.ingest.dataflash.binary_log import DATAFLASH
 from unbend.ingest.dataflash.text_log import DATAFLASH_TEXT
 from unbend.ingest.flight_log import Contents, Log, LogFormat, hash_file
 from unbend.ingest.mcap.mcap_log import MCAP
+from unbend.ingest.possible_dates import with_possible_dates
 from unbend.ingest.receiver_delay import with_receiver_delay
 from unbend.ingest.tlog.telemetry_log import TLOG
 from unbend.ingest.ulog.px4_log import ULOG
+from unbend.ingest.utc_evidence import Witness, date_in_name
 from unbend.messages import Ledger
 
 # the surest mark first
@@ -45,11 +48,18 @@ _RELATED_FORMATS = (
 )
 
 
-def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: bool = True) -> Log:
+def open_log(
+    path: Path | str,
+    sha256: str | None = None,
+    *,
+    needs_channels: bool = True,
+    date_ns: int | None = None,
+) -> Log:
     """Read a flight log of any format in `FORMATS`; its content and its extension have to agree.
 
     ``sha256``: its hash, if already taken. ``needs_channels``: refuse a log without any; without
-    them start and end are 0. Damage is no reason to refuse: it is counted in the ledger of the log.
+    them start and end are 0. ``date_ns``: the date of the flight [Unix ns], if the mission file
+    states it. Damage is no reason to refuse: it is counted in the ledger of the log.
     Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT, LOG-NO-MESSAGES, LOG-UNREADABLE,
     LOG-CHANGED; of PX4 logs LOG-ULOG) when nothing can be used.
     """
@@ -67,7 +77,8 @@ def open_log(path: Path | str, sha256: str | None = None, *, needs_channels: boo
         # reading shows whether it is a log at all
         if form.matches(head) and not sha256:
             sha256 = hash_file(path)
-        contents = _read(form, path, ledger, needs_channels=needs_channels)
+        clocks = _witnesses(path, date_ns)
+        contents = _read(form, path, clocks, ledger, needs_channels=needs_channels)
         if not sha256:
             sha256 = hash_file(path)
     except OSError as error:
@@ -122,9 +133,27 @@ def _format_of(path: Path, head: bytes) -> LogFormat:
     return by_extension  # a log with a damaged beginning: its reader decides
 
 
-def _read(form: LogFormat, path: Path, ledger: Ledger, *, needs_channels: bool) -> Contents:
+def _witnesses(path: Path, date_ns: int | None) -> list[Witness]:
+    """What tells the date of a log beside the log: the mission file, and the name of the file."""
+    clocks = []
+    if date_ns is not None:
+        clocks.append(Witness("mission.date", date_ns))
+    of_name = date_in_name(path.name)
+    if of_name is not None:
+        clocks.append(of_name)
+    return clocks
+
+
+def _read(
+    form: LogFormat,
+    path: Path,
+    clocks: Sequence[Witness],
+    ledger: Ledger,
+    *,
+    needs_channels: bool,
+) -> Contents:
     """The contents of a log with its channels checked and sorted; LogError if nothing is usable."""
-    contents = form.read(path, ledger)
+    contents = with_possible_dates(form.read(path, ledger, clocks), clocks, ledger)
     channels = []
     for channel in contents.channels:
         checked = ledger.take(mask_impossible_values(channel))
@@ -145,6 +174,7 @@ def _read(form: LogFormat, path: Path, ledger: Ledger, *, needs_channels: bool) 
             path=str(path),
             total=sum(contents.messages.values()),
             kinds=sorted(contents.messages)[:LISTED_TYPES],
+            unread=contents.unread_encodings,
         )
     counts = dict(sorted(contents.messages.items()))
     contents = replace(contents, messages=counts, channels=tuple(channels))

@@ -126,7 +126,10 @@ def flight_figure(
     locator = AutoDateLocator()
     beside.xaxis.set_major_locator(locator)
     beside.xaxis.set_major_formatter(ConciseDateFormatter(locator))
-    beside.set_xlabel("UTC")
+    axis = "UTC"
+    if stations.from_boot.any():
+        axis = "time since boot"
+    beside.set_xlabel(axis)
     beside.set_ylabel("height above sea level [m]")
     figure.legend(loc="outside upper center", ncols=4, frameon=False)
     return figure

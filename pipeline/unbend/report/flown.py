@@ -60,6 +60,7 @@ class Flown:
     limits_deg: Limits | None
     relief: tuple[Limits, Array] | None
     air: Mapping[str, Any]
+    from_boot: bool = False  # whether times count from a boot, without UTC
 
     @cached_property
     def time(self) -> dict[str, Any]:
@@ -78,6 +79,7 @@ class Flown:
             of_exposures = np.where(time_ns == NO_TIME, np.nan, (time_ns - begin) * 1e-9)
         margin = 0.05 * max(float(np.ptp(heights)), 10.0) if heights.size else 0.0
         return {
+            "is_utc": not self.from_boot,
             "begin_ns": begin,
             "of_exposures": of_exposures,
             "of_track": (track["time_ns"] - (begin or 0)) * 1e-9,
@@ -144,6 +146,7 @@ def flown_of(
         limits,
         None if terrain is None or limits is None else relief_of(terrain, limits),
         air_curves(air, samples, heights[np.isfinite(heights)]),
+        from_boot=bool(stations.from_boot.any()),
     )  # fmt: skip
 
 

@@ -70,13 +70,20 @@ def verdict(manifest: Manifest) -> str:
     if concerns:
         end = f", but not to be used before a look at {concerns}"
     elif is_tiny(manifest):
-        end = ", less than can be measured there: not needed here"
+        end = f", less than can be measured there: not needed here{condition_of_frame(manifest)}"
     elif applied:
         end = ", for simulations and tests: they now contain refraction"
     else:
         left = "" if done == rows else f" without the other {count(rows - done, 'row')}"
         end = f", and can be adjusted{left}"
     return f"{start} {verb} by up to {shown} in the image{end}."
+
+
+def condition_of_frame(manifest: Manifest) -> str:
+    """What a verdict rests on, if nothing confirms the frame of a block."""
+    if any(entry.code == "FRAME-UNVERIFIED" for entry in manifest.results.ledger):
+        return ", if the frame of the block is right, which nothing confirms"
+    return ""
 
 
 def remarks(manifest: Manifest) -> list[str]:

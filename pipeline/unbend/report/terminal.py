@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
 
+from unbend.ingest.utc_evidence import is_utc
 from unbend.messages import Kind, MessageRecord
 from unbend.report import summary
 from unbend.report.console import (
@@ -164,7 +165,10 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     """What ``unbend inspect`` prints: flight, roles, and channels by the names of mission files."""
     console.print(f"[bold]{shown(name)}[/bold]: {log['format']}, {log['duration_s']:.1f} s")
     flight, boots = log["flight"], log["boots"]
-    begin, end = (log[f"{key}_utc"][:19].replace("T", " ") for key in ("start", "end"))
+    begin, end = ((log[f"{key}_utc"] or "")[:19].replace("T", " ") for key in ("start", "end"))
+    times = "counts from boot; UTC is unknown"
+    if begin:
+        times = f"{begin} to {end if end[:10] != begin[:10] else end[11:]} UTC"
     reference = flight.get("height_reference")
     heights = take_off = "unknown"
     if reference and flight["lowest_m"] is not None:
@@ -178,7 +182,7 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
         console,
         [
             ("place", place),
-            ("time", f"{begin} to {end if end[:10] != begin[:10] else end[11:]} UTC"),
+            ("time", times),
             ("clock", log["time_base"]),
             ("heights", heights),
             ("take-off", take_off),
@@ -187,15 +191,13 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
              f"{log['lost_messages']:,} lost" + (f", {boots} boots" if boots > 1 else "")),
         ],
     )  # fmt: skip
-    roles = [
-        (row["role"], row["channel"] or "-",
-         "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}",
-         "; also ".join(filter(None, (row["remark"], ", ".join(row["others"])))))
-        for row in log["roles"]
-    ]  # fmt: skip
-    console.print()
-    heads = "role", "channel", "rate [Hz]", "remark"
-    print_rows(console, heads, roles, gap=2, left=(1, 3))
+    print_clocks(console, log["clocks"])
+    for vehicle in log["vehicles"] or [{"vehicle": "", "roles": log["roles"]}]:
+        console.print()
+        if vehicle["vehicle"]:
+            console.print(f"  [bold]{shown(vehicle['vehicle'])}[/bold], one of several vehicles")
+        print_roles(console, vehicle["roles"])
+    print_receivers(console, log["receivers"])
     table = plain_table(("channel", "samples", "rate [Hz]", "gaps", "gaps [s]"), gap=2)
     # Names are copied into mission files: in one piece, and never cut.
     table.columns[0].overflow = "fold"
@@ -208,6 +210,54 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     print_indented(console, table)
     console.print()
     print_ledger(console, [MessageRecord(**entry) for entry in log["ledger"]])
+
+
+def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
+    """What each clock of a log is good for, and why; the one that gives UTC comes first."""
+    lines = []
+    for clock in clocks:
+        parts = [clock["clock"], clock["use"]]
+        if clock["utc"] is not None:
+            parts.append(f"of {clock['utc']}")
+        if clock["apart_s"]:
+            parts.append(f"{clock['apart_s']:+.3g} s from it")
+        if clock["sigma_s"] is not None:
+            parts.append(f"good to {clock['sigma_s']:.2g} s")
+        lines.append(("clock", f"{', '.join(parts)}: {clock['why']}"))
+    if lines:
+        console.print()
+        print_labelled(console, lines)
+
+
+def print_roles(console: Console, roles: Sequence[Mapping[str, Any]]) -> None:
+    """The channel of each role, and what speaks for it."""
+    rows = []
+    for row in roles:
+        rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}"
+        remarks = [text for text in (row["remark"], ", ".join(row["others"])) if text]
+        rows.append((row["role"], row["channel"] or "-", rate, "; also ".join(remarks)))
+    print_rows(
+        console,
+        ("role", "channel", "rate [Hz]", "remark"),
+        rows,
+        gap=2,
+        left=(1, 3),
+    )
+
+
+def print_receivers(console: Console, receivers: Sequence[Mapping[str, str]]) -> None:
+    """What each of several receivers is good for, and why."""
+    if len(receivers) < 2:
+        return
+    rows = [(row["channel"], row["good_for"], row["why"]) for row in receivers]
+    console.print()
+    print_rows(
+        console,
+        ("receiver", "good for", "why"),
+        rows,
+        gap=2,
+        left=(1, 2),
+    )
 
 
 def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:
@@ -237,7 +287,13 @@ def print_model(console: Console, contents: Mapping[str, Any], name: str) -> Non
     cells = [[str(row[key]) for key in keys] for row in contents["variables"]]
     console.print()
     heads = "variable", "unit", "levels", "name"
-    print_rows(console, heads, cells, gap=2, left=(1, 3))
+    print_rows(
+        console,
+        heads,
+        cells,
+        gap=2,
+        left=(1, 3),
+    )
 
 
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
@@ -258,10 +314,14 @@ Columns = Mapping[str, NDArray[Any]]
 def write_messages_csv(stream: TextIO, columns: Columns) -> None:
     """Columns of one length as CSV: numbers exactly, times as ISO 8601, an array as many columns.
 
+    A time that counts from a boot is no UTC: its field is empty; the log's own columns have it.
+
     >>> import sys
-    >>> write_messages_csv(sys.stdout, {"time_ns": np.array([0]), "Temp": np.array([2.5])})
+    >>> times_ns = np.array([1_500_000_000 * 10**9, 0])
+    >>> write_messages_csv(sys.stdout, {"time_ns": times_ns, "Temp": np.array([2.5, 2.6])})
     time_utc,Temp
-    1970-01-01T00:00:00.000000000Z,2.5
+    2017-07-14T02:40:00.000000000Z,2.5
+    ,2.6
     """
     flat = dict(_flat(columns))
     writer = csv.writer(stream, lineterminator="\n")
@@ -298,4 +358,7 @@ def _flat(columns: Columns) -> Iterator[tuple[str, NDArray[Any]]]:
 def _values(name: str, column: NDArray[Any]) -> list[Any]:
     if name != "time_ns":
         return list(column.tolist())
-    return [f"{text}Z" for text in np.datetime_as_string(column.astype("datetime64[ns]"))]
+    times = column.astype("datetime64[ns]")
+    texts = np.char.add(np.datetime_as_string(times), "Z")
+    in_utc = np.where(is_utc(column), texts, "")
+    return list(in_utc.tolist())

@@ -4,14 +4,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere import Profile, standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
-from unbend.atmosphere.estimate import adjusted_profile as estimate
-from unbend.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
+from unbend.atmosphere.estimate.adjusted_profile import (
+    Adjustment,
+    build_adjusted_profile,
+    unadjusted,
+    under_gravity,
+)
 from unbend.atmosphere.estimate.candidates import ExternalSources, no_source_used
 from unbend.atmosphere.estimate.sensors import SensorSettings
-from unbend.atmosphere.series import profile_series
-from unbend.atmosphere.series.profile_series import FlightPath, ProfileSeries, TimedProfile
+from unbend.atmosphere.series.profile_series import (
+    FlightPath,
+    ProfileSeries,
+    TimedProfile,
+    add_ageing,
+    constant_series,
+    interpolate_series,
+)
 from unbend.atmosphere.series.profiles_by_place import add_model_changes
 from unbend.atmosphere.series.time_windows import TimeWindow, estimate_windows
 from unbend.config import Mission
@@ -50,20 +60,13 @@ def adjusted_profiles(
     profile between those of these parts, and the uncertainty grows with the age of measurements.
     """
     section = mission.atmosphere
-    latitude = stations.mean_latitude_rad
+    latitude_rad = stations.mean_latitude_rad
     standard = replace(standard_atmosphere(section.standard), index=index_of(section))
-    if not section.adjust:
-        why = "atmosphere.adjust is false: the standard is kept"
-        ledger.add(messages.air_not_adjusted())
-        external = ExternalSources(sources.soundings, sources.surface)
-        unused = no_source_used(samples, external, standard.name, why)
-        kept = estimate.unadjusted(estimate.under_gravity(standard, latitude), why)
-        adjustment = replace(kept, sources=unused)
-    else:
+    if section.adjust:
         adjustment = build_adjusted_profile(
             samples,
             standard,
-            latitude,
+            latitude_rad,
             ledger,
             settings=SensorSettings(section.board_temperature, sources.calibration),
             background=sources.background,
@@ -71,7 +74,11 @@ def adjusted_profiles(
             surface=sources.surface,
             time_ns=sources.time_ns,
             longitude_rad=sources.longitude_rad,
+            utc_known=sources.utc_known,
         )
+    else:
+        ledger.add(messages.air_not_adjusted())
+        adjustment = kept_standard(standard, latitude_rad, samples, sources)
     model = sources.model
     if model is not None and not is_used(model, adjustment):
         model = None
@@ -79,6 +86,16 @@ def adjusted_profiles(
     # A model knows the distance better than the path does: see `add_model_changes`.
     path = sources.path if model is None else None
     return profiles_in_time(adjustment, stations, levels, model, ledger, path=path)
+
+
+def kept_standard(
+    standard: Profile, latitude_rad: float, samples: AirSamples, sources: AirSources
+) -> Adjustment:
+    """The standard atmosphere under the gravity of a latitude, and why no source changed it."""
+    why = "atmosphere.adjust is false: the standard is kept"
+    external = ExternalSources(sources.soundings, sources.surface)
+    unused = no_source_used(samples, external, standard.name, why)
+    return replace(unadjusted(under_gravity(standard, latitude_rad), why), sources=unused)
 
 
 def levels_of_mission(mission: Mission, stations: Stations, sources: AirSources) -> Levels:
@@ -112,52 +129,82 @@ def profiles_in_time(
     Exposures without a time, and images without an exposure, get the profile of the middle
     exposure.
     """
-    h_c = levels.cameras_m
-    h_g = levels.ground_m
-    windows: tuple[TimeWindow, ...] = ()
-    if max(h_c) > h_g + LEAST_HEIGHT_M:
-        windows = ledger.take(estimate_windows(adjustment, h_c, h_g))
-    if model is not None:
-        windows = tuple(window_of_model(window, model, adjustment) for window in windows)
-    whole = TimedProfile(
+    windows = windows_of_flight(adjustment, levels, model, ledger)
+    whole_flight = TimedProfile(
         adjustment.time_ns,
         adjustment.profile,
         adjustment.covariance,
         sampled_at=None if model is None else model.place,
     )
-    series = profile_series.constant_series(whole, len(stations))
+    series = constant_series(whole_flight, len(stations))
     middle_ns = middle_exposure_ns(stations)
     if middle_ns is not None:
         is_timed = stations.ok & (stations.time_ns != NO_TIME)
-        times = np.where(is_timed, stations.time_ns, middle_ns)
+        times_ns = np.where(is_timed, stations.time_ns, middle_ns)
         if windows:
-            airs = [window.air for window in windows]
-            series = profile_series.interpolate_series(airs, times, h_c, h_g)
+            series = series_between(windows, times_ns, levels)
         if adjustment.samples is not None:
-            series = ledger.take(
-                profile_series.add_ageing(
-                    series, times, adjustment.samples, max(h_c), h_g, path=path
-                )
-            )
+            series = with_ageing(series, adjustment.samples, times_ns, levels, path, ledger)
         if model is not None:
             is_measured = adjustment.time_ns is not None
             series = with_model_changes(
-                series, model, stations, times, levels, is_measured=is_measured, ledger=ledger
+                series, model, stations, times_ns, levels, is_measured=is_measured, ledger=ledger
             )
-        if not windows and len(stations):
-            middle = int(np.argmin(np.abs(times - middle_ns)))
+        if not windows:  # one covariance is reported: that of the middle exposure, with its age
+            middle = int(np.argmin(np.abs(times_ns - middle_ns)))
             adjustment = with_covariance_of(adjustment, series, middle)
     effects = effects_on_r(
-        adjustment.profile, adjustment.standard, adjustment.covariance, float(np.median(h_c)), h_g
+        adjustment.profile,
+        adjustment.standard,
+        adjustment.covariance,
+        h_c=float(np.median(levels.cameras_m)),
+        h_g=levels.ground_m,
     )
     return FlightAir(adjustment, series, windows, effects)
+
+
+def windows_of_flight(
+    adjustment: Adjustment, levels: Levels, model: ModelAir | None, ledger: Ledger
+) -> tuple[TimeWindow, ...]:
+    """The parts of a flight that are estimated on their own; none where no ray looks down."""
+    looks_down = max(levels.cameras_m) > levels.ground_m + LEAST_HEIGHT_M
+    if not looks_down:
+        return ()
+    windows = ledger.take(estimate_windows(adjustment, levels.cameras_m, levels.ground_m))
+    if model is None:
+        return windows
+    return tuple(window_of_model(window, model, adjustment) for window in windows)
+
+
+def series_between(
+    windows: tuple[TimeWindow, ...], times_ns: Integers, levels: Levels
+) -> ProfileSeries:
+    """The profiles at the times (s,) of the exposures, between those of the parts of a flight."""
+    airs = [window.air for window in windows]
+    return interpolate_series(airs, times_ns, levels.cameras_m, levels.ground_m)
+
+
+def with_ageing(
+    series: ProfileSeries,
+    samples: AirSamples,
+    times_ns: Integers,
+    levels: Levels,
+    path: FlightPath | None,
+    ledger: Ledger,
+) -> ProfileSeries:
+    """The profiles with their sigmas at times (s,), which may be long after the samples.
+
+    With a ``path`` also at the places of the exposures, which may be far from the samples.
+    """
+    highest_m = max(levels.cameras_m)
+    return ledger.take(add_ageing(series, times_ns, samples, highest_m, levels.ground_m, path))
 
 
 def with_model_changes(
     series: ProfileSeries,
     model: ModelAir,
     stations: Stations,
-    times: Integers,
+    times_ns: Integers,
     levels: Levels,
     *,
     is_measured: bool,
@@ -165,19 +212,18 @@ def with_model_changes(
 ) -> ProfileSeries:
     """The profiles with the changes of a weather model along the flight.
 
-    ``times`` (s,) are those of the exposures; ``is_measured`` says whether the profiles come from
-    measurements with a time.
+    ``times_ns`` (s,) are those of the exposures; ``is_measured`` says whether the profiles come
+    from measurements with a time.
     """
-    _, longitude, _ = model.place
-    north = np.where(stations.ok, stations.lat_rad, np.nan)
-    east = longitudes_near(stations.lon_rad, longitude)
+    latitude_rad = np.where(stations.ok, stations.lat_rad, np.nan)
+    longitude_rad = longitudes_near(stations.lon_rad, model.place.longitude_rad)
     return ledger.take(
         add_model_changes(
             series,
             model.field,
-            times,
-            north,
-            east,
+            times_ns,
+            latitude_rad,
+            longitude_rad,
             h_c=levels.cameras_m,
             h_g=levels.ground_m,
             measured=is_measured,

@@ -16,21 +16,29 @@ from unbend.atmosphere.estimate.external_readings import TimeAndPlace, distance_
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.atmosphere.series.profile_series import FlightPath, Place
+from unbend.atmosphere.series.profile_series import FlightPath, PlaceInTime
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.model_field import ModelField, model_column
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection, SurfaceSection
-from unbend.flight.stations import NO_TIME, Stations
+from unbend.flight.stations import NO_TIME, Stations, middle_time_ns
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.stages import messages
-from unbend.stages.flight_log import FlightLog, Track
+from unbend.stages.flight_date import flight_date_ns, refuse_dated_sources
+from unbend.stages.flight_log import FlightLog, GroundTrack
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.weather_files import FlightArea
-from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, Mask
+from unbend.units import (
+    DEGREE,
+    HECTOPASCAL,
+    ZERO_CELSIUS_K,
+    Array,
+    Integers,
+    Mask,
+)
 
 BIN_M = 100.0  # of heights: a climb counts more than a long level run
 LIKELY_SIGMAS = 2.0  # that a value in another unit, or reduced, may be off
@@ -52,10 +60,10 @@ class ModelAir:
 
     field: ModelField
     column: Sounding
-    place: Place
-    track: Track | None
+    place: PlaceInTime
+    track: GroundTrack | None
 
-    def place_of(self, samples: AirSamples | None, window: TimeWindow) -> Place:
+    def place_of(self, samples: AirSamples | None, window: TimeWindow) -> PlaceInTime:
         """Where and when a part of the flight met the air from which its profile is estimated.
 
         A part without an estimate of its own has the air, and the place, of the whole flight.
@@ -83,11 +91,12 @@ def read_model_air(
     model = inputs.weather_model
     if model is None:
         return None
-    if middle.time_ns is None or not math.isfinite(middle.latitude_rad + middle.longitude_rad):
+    has_place = math.isfinite(middle.latitude_rad + middle.longitude_rad)
+    if middle.time_ns is None or not has_place or bool(stations.from_boot.any()):
         raise messages.flight_without_time(where=model.name)
     place = sampled_place(samples, flight.track)
     if place is None:
-        place = middle.latitude_rad, middle.longitude_rad, middle.time_ns
+        place = PlaceInTime(middle.latitude_rad, middle.longitude_rad, middle.time_ns)
     placed = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
     area = area_of_flight(stations, placed, place)
     field = model.read(area, ledger)
@@ -100,16 +109,15 @@ def read_model_air(
         ground_m = math.nan
     highest_m = float(stations.h_msl_m[placed].max(initial=0.0))
     column = ledger.take(model_column(field, place, ground_h_m=ground_m, highest_h_m=highest_m))
-    latitude, longitude, time_ns = place
     ledger.add(
         messages.model_column(
             where=model.name,
             count=column.h_m.size,
             low=float(column.h_m[0]),
             high=float(column.h_m[-1]),
-            north=latitude / DEGREE,
-            east=longitude / DEGREE,
-            hours=TimeAndPlace(time_ns).hours_from(column.time_ns),
+            north=place.latitude_rad / DEGREE,
+            east=place.longitude_rad / DEGREE,
+            hours=TimeAndPlace(place.time_ns).hours_from(column.time_ns),
         )
     )
     # It is the air where the flight met it: no distance adds to its errors.
@@ -117,50 +125,55 @@ def read_model_air(
     return ModelAir(field, column, place, flight.track)
 
 
-def area_of_flight(stations: Stations, placed: Mask, place: Place) -> FlightArea:
-    """The ``placed`` stations (a mask), and ``place``, where the flight met its air."""
-    latitude, longitude, time_ns = place
-    times = stations.time_ns[placed]
-    times = np.where(times == NO_TIME, time_ns, times)
+def area_of_flight(stations: Stations, placed: Mask, place: PlaceInTime) -> FlightArea:
+    """The area of the ``placed`` stations (a mask), and of the place where they met their air.
+
+    Stations without a time have that of the place.
+    """
+    times_ns = stations.time_ns[placed]
+    times_ns = np.where(times_ns == NO_TIME, place.time_ns, times_ns)
+    longitudes_rad = np.append(stations.lon_rad[placed], place.longitude_rad)
     return FlightArea(
-        np.append(stations.lat_rad[placed], latitude),
-        longitudes_near(np.append(stations.lon_rad[placed], longitude), longitude),
-        np.append(times, time_ns),
+        np.append(stations.lat_rad[placed], place.latitude_rad),
+        longitudes_near(longitudes_rad, place.longitude_rad),
+        np.append(times_ns, place.time_ns),
     )
 
 
 def sampled_place(
     samples: AirSamples,
-    track: Track | None,
+    track: GroundTrack | None,
     start_ns: int = -ALWAYS_NS,
     end_ns: int = ALWAYS_NS,
-) -> Place | None:
-    """Latitude, longitude and time where a flight met the air that it measured between two times.
+) -> PlaceInTime | None:
+    """Where and when a flight met the air that it measured between two times.
 
-    The mean over heights in bins of 100 m: a climb counts more than a long level run. None if no
-    air was measured then, or the flight has no positions.
+    That is the mean over heights in bins of 100 m: a climb counts more than a long level run. None
+    if no air was measured then, or the flight has no positions.
     """
     if track is None:
         return None
-    time_ns, latitude, longitude = track
-    known = np.isfinite(latitude + longitude)
+    is_known = np.isfinite(track.latitude_rad + track.longitude_rad)
     used = used_samples(samples, start_ns, end_ns)
-    if used is None or not bool(known.any()):
+    if used is None or not bool(is_known.any()):
         return None
-    first_ns = int(time_ns[0])
+    # Seconds from the beginning of the flight: interpolation would round nanoseconds of Unix time.
+    first_ns = int(track.time_ns[0])
     sample_s = (used.time_ns - first_ns) * 1e-9
-    track_s = (time_ns[known] - first_ns) * 1e-9
-    east = longitudes_near(longitude[known], float(longitude[known][0]))
+    track_s = (track.time_ns[is_known] - first_ns) * 1e-9
+    latitude_rad = track.latitude_rad[is_known]
+    longitude_rad = track.longitude_rad[is_known]
+    longitude_rad = longitudes_near(longitude_rad, float(longitude_rad[0]))
     _, bin_number = np.unique(np.floor(used.h_m / BIN_M), return_inverse=True)
     bin_count = np.bincount(bin_number)
 
     def mean_of_bins(values: NDArray[np.floating[Any]]) -> float:
         return float(np.mean(np.bincount(bin_number, values) / bin_count))
 
-    return (
-        mean_of_bins(np.interp(sample_s, track_s, latitude[known])),
-        mean_of_bins(np.interp(sample_s, track_s, east)),
-        first_ns + round(mean_of_bins(sample_s) * 1e9),
+    return PlaceInTime(
+        latitude_rad=mean_of_bins(np.interp(sample_s, track_s, latitude_rad)),
+        longitude_rad=mean_of_bins(np.interp(sample_s, track_s, longitude_rad)),
+        time_ns=first_ns + round(mean_of_bins(sample_s) * 1e9),
     )
 
 
@@ -275,7 +288,9 @@ def refuse_impossible_pressure(
 class AirSources:
     """What a mission has of the air beside its log.
 
-    time_ns, longitude_rad : the middle of the flight.
+    time_ns, longitude_rad : the middle of the flight; its time is None where neither the log nor
+        the mission file has it.
+    utc_known : whether the times of the log are UTC; else they count from a boot.
     lowest_h_m : the lowest height at which the log sampled the air, else that of the take-off,
         else 0 [m above sea level].
     path : where the flight was.
@@ -291,6 +306,7 @@ class AirSources:
     model: ModelAir | None = None
     path: FlightPath | None = None
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
+    utc_known: bool = True
 
     def lines(self) -> list[tuple[str, str]]:
         """A label and a description of each source, for `unbend check`."""
@@ -347,13 +363,9 @@ def read_air_sources(
 ) -> AirSources:
     """Read soundings, surface reports and weather model of a mission; choose its climatology."""
     section = mission.atmosphere
-    flight_ns = middle_exposure_ns(stations)
-    orientation = mission.stations.orientation
-    if flight_ns is None and orientation is not None:
-        flight_ns = orientation.date_ns
+    flight_ns = flight_date_ns(mission, stations, ledger)
     latitude = stations.mean_latitude_rad
-    known = stations.lon_rad[np.isfinite(stations.lon_rad)]
-    longitude = float(np.median(known)) if known.size else math.nan
+    longitude = stations.median_longitude_rad
     lowest_h_m = lowest_sample_m(samples, flight.heights.home_h_msl_m)
     background = climatology(
         section.climatology,
@@ -361,11 +373,13 @@ def read_air_sources(
         month=month_of(flight_ns),
         index=index_of(section),
         ground_h_m=lowest_h_m,
-        longitude_rad=longitude if known.size else 0.0,
+        longitude_rad=0.0 if math.isnan(longitude) else longitude,
         hour=solar_hour(flight_ns, longitude),
     )
     soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
     surface = read_reports(section, flight_ns, background, ledger)
+    if flight_ns is None and section.adjust:
+        refuse_dated_sources(soundings, section)
     middle = TimeAndPlace(flight_ns, latitude, longitude)
     model = read_model_air(mission, inputs, flight, stations, samples, middle=middle, ledger=ledger)
     if model is not None:
@@ -381,6 +395,7 @@ def read_air_sources(
         model=model,
         path=flight_path(flight.track),
         calibration=section.sensors.calibration,
+        utc_known=not bool(stations.from_boot.any()),
     )
     if not section.adjust:
         report_unused(sources, ledger)
@@ -432,16 +447,16 @@ def report_unused(sources: AirSources, ledger: Ledger) -> None:
         )
 
 
-def flight_path(track: Track | None) -> FlightPath | None:
+def flight_path(track: GroundTrack | None) -> FlightPath | None:
     """The known positions of a track; None where there are none."""
     if track is None:
         return None
-    time_ns, latitude, longitude = track
-    known = np.isfinite(latitude + longitude)
-    if not bool(known.any()):
+    is_known = np.isfinite(track.latitude_rad + track.longitude_rad)
+    if not bool(is_known.any()):
         return None
-    east = longitudes_near(longitude[known], float(longitude[known][0]))
-    return FlightPath(time_ns[known], latitude[known], east)
+    longitude_rad = track.longitude_rad[is_known]
+    longitude_rad = longitudes_near(longitude_rad, float(longitude_rad[0]))
+    return FlightPath(track.time_ns[is_known], track.latitude_rad[is_known], longitude_rad)
 
 
 def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:
@@ -458,8 +473,7 @@ def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:
 
 def middle_exposure_ns(stations: Stations) -> int | None:
     """The time of the middle exposure [Unix ns]; None where no exposure has a time."""
-    times = np.sort(stations.time_ns[stations.time_ns != NO_TIME])
-    return int(times[times.size // 2]) if times.size else None
+    return middle_time_ns(stations.time_ns)
 
 
 def index_of(section: AtmosphereSection) -> IndexModel:

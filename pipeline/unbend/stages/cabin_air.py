@@ -31,11 +31,11 @@ from unbend.stages import messages
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K, Array, Mask
 
 USUAL_TEMPERATURE_K = 294.15  # 21 degC
-SIGMA_PRESSURISED_K = 5.0  # about it, of cabins with pressurisation
-SIGMA_AMBIENT_K = 10.0  # and of those without
-PRESSURISED_PA = 20.0 * HECTOPASCAL  # more than the air outside: a cabin is pressurised
-THIN_PA = 0.5 * PRESSURISED_PA  # less than the air outside: no cabin has that
-ODD_SIGMAS = 4.0  # of the usual temperature, beyond which it is that of no cabin
+SIGMA_PRESSURISED_K = 5.0  # of the usual temperature, in cabins with pressurisation
+SIGMA_AMBIENT_K = 10.0  # of the usual temperature, in cabins without pressurisation
+PRESSURISED_PA = 20.0 * HECTOPASCAL  # a cabin with so much more than the air outside is pressurised
+THIN_PA = 0.5 * PRESSURISED_PA  # no cabin has so much less pressure than the air outside
+ODD_SIGMAS = 4.0  # no cabin's temperature is so many sigmas away from the usual one
 MAX_GAP_S = 10.0  # between samples of a barometer that is compared with the air outside
 
 BOARD_WARMER_K = 10.0
@@ -43,7 +43,8 @@ SIGMA_BOARD_K = 6.0
 """A barometer's board against the air about it: 0 to 20 K warmer in autopilots and their simulator,
 evenly spread (standard deviation 5.8 K); the same 10 K as `atmosphere.estimate.readings` has."""
 
-_STEP_PA = 100.0  # of the derivatives, good to 1e-4 of them
+# Half the steps of the central differences, which are good to 1e-4 of the derivatives.
+_STEP_PA = 100.0
 _STEP_K = 1.0
 
 
@@ -73,23 +74,24 @@ def cabin_from_log(
 ) -> tuple[Stations, Notes]:
     """The stations with the logged air in the cabin of a camera, and notes on what the log lacks.
 
-    Exposures without the pressure that is to come from the log become suspect (CABIN-MISSING). A
-    temperature that is missing is assumed later. `BOARD_WARMER_K` is subtracted from that of a
-    barometer's circuit board.
+    If the pressure is to come from the log, exposures without it become suspect (CABIN-MISSING); if
+    it is to be that of the air outside, a barometer that reads much more is reported. A temperature
+    that neither mission file nor schedule states comes from the log: exposures without it are
+    counted here and get one in `air_in`; that of a circuit board is made that of the air.
     """
     roles = roles or {}
     channels = tuple(channels)
     notes: list[Message] = []
     if cabin.source == "log":
-        candidates = could_play("pressure", channels, roles)
-        stations, losses = without_pressure(stations, camera, candidates)
+        candidates = candidates_for_cabin("pressure", channels, roles)
+        stations, losses = suspect_without_pressure(stations, camera, candidates)
         notes += losses
     of_camera = (stations.camera == camera) & stations.ok
     if cabin.source == "ambient":
-        notes += pressurised_after_all(stations, of_camera, camera, channels, roles)
+        notes += barometer_in_cabin(stations, of_camera, camera, channels, roles)
 
-    stated = cabin.source == "standard_schedule" or np.isfinite(cabin.temperature_k)
-    if stated:
+    is_temperature_stated = cabin.source == "standard_schedule" or np.isfinite(cabin.temperature_k)
+    if is_temperature_stated:
         return stations, tuple(notes)
     count = int((of_camera & np.isnan(stations.cabin_temperature_k)).sum())
     if count:
@@ -98,37 +100,46 @@ def cabin_from_log(
                 kind=Kind.LOSS if cabin.temperature_logged else Kind.FALLBACK,
                 where=f"camera {camera}",
                 count=count,
-                able=could_play("temperature", channels, roles),
+                able=candidates_for_cabin("temperature", channels, roles),
             )
         )
     thermometer = roles.get("cabin_temperature")
     if thermometer is None or "board_temperature_k" not in thermometer.columns:
         return stations, tuple(notes)
+    stations, board_note = with_air_of_board(stations, camera, thermometer.name)
+    return stations, (*notes, board_note)
+
+
+def with_air_of_board(
+    stations: Stations, camera: str, thermometer: str
+) -> tuple[Stations, Message]:
+    """The stations of a camera with `BOARD_WARMER_K` taken off the temperature of a circuit board.
+
+    ``thermometer`` is the name of the channel, for the note.
+    """
     rows = (stations.camera == camera) & np.isfinite(stations.cabin_temperature_k)
-    notes.append(
-        messages.cabin_board(
-            where=f"camera {camera}",
-            count=int(rows.sum()),
-            name=thermometer.name,
-            warmer=BOARD_WARMER_K,
-            sigma=SIGMA_BOARD_K,
-        )
+    note = messages.cabin_board(
+        where=f"camera {camera}",
+        count=int(rows.sum()),
+        name=thermometer,
+        warmer=BOARD_WARMER_K,
+        sigma=SIGMA_BOARD_K,
     )
     stations = replace(
         stations,
         cabin_temperature_k=stations.cabin_temperature_k - BOARD_WARMER_K * rows,
         sigma_cabin_temperature_k=np.where(rows, SIGMA_BOARD_K, stations.sigma_cabin_temperature_k),
     )
-    return stations, tuple(notes)
+    return stations, note
 
 
-def without_pressure(
+def suspect_without_pressure(
     stations: Stations, camera: str, candidates: str
 ) -> tuple[Stations, list[Message]]:
-    """The stations, those of a camera suspect if the pressure in its cabin is unknown.
+    """The stations, in which those of a camera are suspect if the pressure in its cabin is unknown.
 
-    Also the loss that counts the suspect ones; ``candidates`` says which channels of the log could
-    have the pressure.
+    Also the loss that counts these suspect stations, if there are any. ``candidates`` says in words
+    which channels of the log could have the pressure.
     """
     missing = np.isnan(stations.cabin_pressure_pa) & (stations.camera == camera) & stations.ok
     count = int(missing.sum())
@@ -139,8 +150,13 @@ def without_pressure(
     return stations.as_suspect(missing, reason, np.nan, use=False), [lost]
 
 
-def could_play(quantity: str, channels: Iterable[Channel], roles: Mapping[str, Channel]) -> str:
-    """Which channels of the log could be those of a cabin, in words."""
+def candidates_for_cabin(
+    quantity: str, channels: Iterable[Channel], roles: Mapping[str, Channel]
+) -> str:
+    """Which channels of the log could give a quantity of the air in a cabin, in words.
+
+    ``quantity`` is pressure or temperature, which is also the role of the air outside.
+    """
     outside = roles.get(quantity)
     names = []
     for channel in channels:
@@ -155,14 +171,17 @@ def could_play(quantity: str, channels: Iterable[Channel], roles: Mapping[str, C
     return f"log.channels.cabin_{quantity} could be {', '.join(names)}"
 
 
-def pressurised_after_all(
+def barometer_in_cabin(
     stations: Stations,
     of_camera: Mask,
     camera: str,
     channels: Iterable[Channel],
     roles: Mapping[str, Channel],
 ) -> list[Message]:
-    """A finding if a barometer of the log reads much more pressure than that of the air outside."""
+    """A finding if a barometer of the log reads far more than the pressure of the air outside.
+
+    The first such barometer is reported. None is where the log gives no pressure outside.
+    """
     outside = roles.get("pressure")
     if outside is None:
         return []
@@ -194,9 +213,11 @@ def with_cabin_air(
 ) -> Stations:
     """Stations with the air in the cabins, and its sigmas (NaN for numbers that have none).
 
-    It matters behind a plane window and, behind any, to cameras among ``lenses``.
+    The air in a cabin counts if the window is plane, because the window then bends the rays, and
+    behind any window if the camera is among ``lenses``, whose principal distance depends on it.
+    Other stations keep what the log says.
     """
-    columns = CabinAir(
+    columns = CabinAir(  # copies, which are filled camera by camera
         pressure_pa=stations.cabin_pressure_pa.copy(),
         temperature_k=stations.cabin_temperature_k.copy(),
         vapour_pressure_pa=stations.cabin_vapour_pressure_pa.copy(),
@@ -229,14 +250,14 @@ def with_cabin_air(
 
 
 def report_humidity(name: str, cabin: Cabin, logged: CabinAir, ok: Mask, ledger: Ledger) -> None:
-    """A fallback where the humidity of a logged cabin is not known."""
+    """Report a cabin whose pressure is logged, but whose humidity is neither logged nor stated."""
     count = int((~np.isfinite(logged.vapour_pressure_pa) & ok).sum())
     if cabin.source == "log" and not np.isfinite(cabin.relative_humidity) and count:
         ledger.add(messages.cabin_dry(where=f"camera {name}", count=count))
 
 
 def report_schedule(name: str, cabin: Cabin, h_m: Array, ok: Mask, ledger: Ledger) -> None:
-    """Notes where the air of a cabin is that of a schedule, and where that ends."""
+    """Report a cabin whose air is that of the schedule, and exposures above its highest height."""
     if cabin.source != "standard_schedule":
         return
     where = f"cameras.{name}.window.cabin"
@@ -250,7 +271,7 @@ def report_schedule(name: str, cabin: Cabin, h_m: Array, ok: Mask, ledger: Ledge
 def report_implausible(
     name: str, air: CabinAir, outside: OutsideAir, ok: Mask, ledger: Ledger
 ) -> None:
-    """Warnings where pressure or temperature are those of no cabin."""
+    """Warn of a pressure well below that outside, and of a temperature far from the usual one."""
     sigma_k = usual_sigma(air.pressure_pa, outside.pressure_pa)
     with np.errstate(invalid="ignore"):
         thin = ok & (outside.pressure_pa - air.pressure_pa > THIN_PA)
@@ -276,7 +297,10 @@ def report_implausible(
 
 
 def usual_sigma(pressure_pa: Array, outside_pa: Array) -> Array:
-    """(m,) standard deviation of a cabin's temperature about 21 degC [K], by its pressure [Pa]."""
+    """(m,) standard deviation [K] of a cabin's temperature about 21 degC.
+
+    It is smaller in a pressurised cabin, whose pressure is well above that of the air outside.
+    """
     pressurised = pressure_pa - outside_pa > PRESSURISED_PA
     return np.where(pressurised, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K)
 
@@ -291,12 +315,17 @@ def first_known(*values: ArrayLike) -> Array:
 
 
 def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
-    """The air in a cabin: what is stated, else what is logged, else that of the air outside."""
-    blank = np.full(logged.pressure_pa.shape, np.nan)
+    """The air in a cabin: its pressure by the source that is stated, the rest by what is known.
+
+    The temperature is the stated one, else the schedule's or the logged one, else 21 degC. The
+    humidity is the stated one, else the logged one, else that of the air outside if the cabin has
+    that air, else none. Stated sigmas come first; a stated temperature has no other.
+    """
+    blank = np.full(logged.pressure_pa.shape, np.nan)  # makes a column of a number in first_known
     temperature_logged = logged.temperature_k
     vapour_logged = logged.vapour_pressure_pa
     scheduled = cabin.source == "standard_schedule"
-    if scheduled:  # whatever is logged, for instance of another cabin
+    if scheduled:  # what is logged may be of another cabin
         temperature_logged = np.full(blank.shape, SCHEDULE_TEMPERATURE_K)
         vapour_logged = np.zeros(blank.shape)
 
@@ -331,10 +360,10 @@ def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
 def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: IndexModel) -> Array:
     """(s, 4) what one sigma of the pressure and of the temperature in a cabin change.
 
-    The first two columns are changes of the refractivity in the cabin, the others of the principal
-    distance [px] of a camera among the ``lenses``; by pressure and by temperature each. NaN where
-    neither has a sigma; a single unknown sigma counts as 0. The derivatives are central differences
-    over 2 hPa and 2 K, good to 1e-4 of their values.
+    The columns are the change of the refractivity in the cabin by the pressure and by the
+    temperature, then the change of the principal distance [px] by the pressure and by the
+    temperature, which is 0 for cameras that are not among the ``lenses``. NaN where neither
+    pressure nor temperature has a sigma; if one has, the unknown other sigma counts as 0.
     """
     p = stations.cabin_pressure_pa
     t = stations.cabin_temperature_k
@@ -344,7 +373,7 @@ def cabin_changes(stations: Stations, lenses: Mapping[str, LensInAir], index: In
     by_pressure = index.refractivity(t, p + _STEP_PA, e) - index.refractivity(t, p - _STEP_PA, e)
     by_temperature = index.refractivity(t + _STEP_K, p, e) - index.refractivity(t - _STEP_K, p, e)
     slopes[:, 0] = by_pressure / (2.0 * _STEP_PA)
-    slopes[:, 1] = 0.5 * by_temperature
+    slopes[:, 1] = by_temperature / (2.0 * _STEP_K)
     for name, lens in lenses.items():
         slopes[stations.camera == name, 2:] = lens.px_per_pa, lens.px_per_k
     changes = slopes * np.tile(np.nan_to_num(sigmas), 2)

@@ -64,7 +64,7 @@ def correct_parts(
     batch_rows: int,
     metadata: Mapping[str, str],
 ) -> Generator[Done, None, None]:
-    """Correct all observations, or the parts of some numbers, which rise.
+    """Correct all observations, or only the parts with these ``numbers``, which rise.
 
     ``finish`` takes each part on the thread that made it, for instance to write it; what it returns
     is yielded in the order of the parts. Memory holds a part for each thread, and one more.
@@ -97,14 +97,18 @@ def runs_of_numbers(numbers: Sequence[int]) -> Iterator[range]:
     if not numbers:
         return
     first = numbers[0]
-    for number, following in pairwise([*numbers, numbers[-1] + 2]):
+    behind_a_gap = numbers[-1] + 2  # ends the last range
+    for number, following in pairwise([*numbers, behind_a_gap]):
         if following != number + 1:
             yield range(first, number + 1)
             first = following
 
 
 def threads_for(rows: int) -> int:
-    """How many parts of that many rows are corrected at once: one a CPU, as memory allows."""
+    """How many parts of that many rows are corrected at once.
+
+    One for each CPU, fewer if the parts would take more than a quarter of the memory.
+    """
     try:
         memory_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):  # Windows says it in another way
@@ -116,7 +120,10 @@ def threads_for(rows: int) -> int:
 def correct_counted(
     batch: Batch, setup: CorrectionSetup, sampled: int = SAMPLED_ROWS
 ) -> tuple[Corrections, Array, Statistics]:
-    """Corrections of a batch, heights of its points [m], counts of both with ``sampled`` rows."""
+    """The corrections of a batch, the heights of its points [m], and the statistics of both.
+
+    The statistics hold at most ``sampled`` rows that stand for all.
+    """
     station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
     ground = setup.ground.heights(batch, station, setup)
     corrections = ground.flagged(correct_batch(batch, station, ground, setup))
@@ -137,7 +144,12 @@ def on_threads(
     *,
     threads: int,
 ) -> Generator[Done, None, None]:
-    """Results for batches, in their order, computed on threads; ``first`` numbers the first one."""
+    """Results for batches, in their order, computed on threads; ``first`` numbers the first one.
+
+    One batch more than there are ``threads`` is in work or waits to be yielded. A signal is held
+    back while a batch is handed over or waited for; at the end, or after an error, batches that
+    have not begun are cancelled, and those that have begun are waited for.
+    """
     pending: deque[Future[Done]] = deque()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="batch")
 
@@ -165,12 +177,13 @@ def correct_batch(
 ) -> Corrections:
     """The corrections of a batch, computed for each camera and profile, in the order of its rows.
 
-    ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch.
+    ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch. Rows that
+    are in no group, without a station or a camera, get the status no_station.
     """
     parts: list[tuple[Integers, Corrections]] = []
     for rows, camera, profile in setup.groups(station):
         correct = partial(correct_rows, batch, camera=camera, profile=profile)
-        if rows.size == len(batch):
+        if rows.size == len(batch):  # a slice spares the copies
             return correct(slice(None), station, ground, setup)
         corrections = correct(rows, station, ground, setup)
         parts.append((rows, corrections))
@@ -195,7 +208,10 @@ def correct_rows(
     camera: Camera,
     profile: int,
 ) -> Corrections:
-    """The corrections of some rows of a batch, which one camera saw in one profile."""
+    """The corrections of some rows of a batch, which one camera saw in one profile.
+
+    Slant ranges are those of the batch, else those of an elevation model, else none.
+    """
     method = correct_observations if setup.direction == "remove" else apply_refraction
     uncertainty = setup.uncertainties[profile]
     distance_m = ground.distance_m if batch.distance_m is None else batch.distance_m

@@ -25,10 +25,10 @@ from unbend.units import Array, Integers, Names
 
 
 class GroundHeights(NamedTuple):
-    """Heights of the points of a batch above sea level [m], their sigmas, all (n,); NaN unknown.
+    """Heights of the points of a batch above sea level [m] and their sigmas; (n,), NaN if unknown.
 
-    ``status`` (codes) and ``distance_m`` (slant ranges) where a source has them; ``implausible``
-    counts heights that are of no ground on earth.
+    Only an elevation model gives ``status`` (codes of rays that land nowhere) and ``distance_m``
+    (slant ranges); ``implausible`` counts heights that no ground on earth has.
     """
 
     h_m: Array
@@ -38,7 +38,10 @@ class GroundHeights(NamedTuple):
     distance_m: Array | None = None
 
     def flagged(self, corrections: Corrections) -> Corrections:
-        """The corrections with this status where theirs is ok or no_ground."""
+        """The corrections with the status of the ground, if that is not ok, in place of their own.
+
+        It replaces only ok and no_ground: any other status says what failed before the ground.
+        """
         if self.status is None:
             return corrections
         of_ground = np.isin(corrections.status, (OK, NO_GROUND)) & (self.status != OK)
@@ -47,7 +50,7 @@ class GroundHeights(NamedTuple):
 
 
 class Ground(Protocol):
-    """A source of heights: one class each; `correction_setup` chooses."""
+    """A source of ground heights. Each source is a class; `correction_setup` chooses one."""
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -61,8 +64,8 @@ class Ground(Protocol):
 class CorrectionSetup:
     """Everything that a batch of observations is corrected with.
 
-    ``images``, ``camera_names`` and ``profile_number`` (s,) belong to the rows of ``exposures``;
-    the last indexes ``rays`` and ``uncertainties`` (None: no standard deviations).
+    ``images``, ``camera_names`` and ``profile_number`` (s,) belong to the rows of ``exposures``. A
+    profile number is an index into ``rays`` and ``uncertainties`` (None: no standard deviations).
     """
 
     images: Names
@@ -92,7 +95,10 @@ class CorrectionSetup:
         return np.array([*numbers, -1], np.int64)
 
     def groups(self, station: Integers) -> Iterator[tuple[Integers, Camera, int]]:
-        """The observations (n,) of each camera in each profile: rows, camera, profile number."""
+        """The observations (n,) of each camera in each profile: rows, camera, profile number.
+
+        Observations without a station, or whose station has no camera, are in no group.
+        """
         camera_number = self.camera_number[station]
         for number, camera in enumerate(self.cameras.values()):
             rows = np.flatnonzero(camera_number == number)
@@ -105,7 +111,10 @@ class CorrectionSetup:
                 yield rows[profile == profile_number], camera, profile_number
 
     def directions(self, x_px: Array, y_px: Array, station: Integers) -> tuple[Array, Array]:
-        """(n, 3) unit vectors of pixels in their cameras, and (n,) the size of a pixel [rad]."""
+        """(n, 3) unit vectors of pixels in their cameras, and (n,) the size of a pixel [rad].
+
+        A pixel without a camera has the vector NaN and the size 1.
+        """
         direction = np.full((station.size, 3), np.nan)
         sigma_rad = np.ones(station.size)
         for rows, camera, _ in self.groups(station):

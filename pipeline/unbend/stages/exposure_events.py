@@ -18,6 +18,7 @@ from unbend.flight.exposures import (
 )
 from unbend.flight.image_names import renamed
 from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
+from unbend.flight.triggers import lag_from_feedback, trigger_notes
 from unbend.messages import Ledger
 from unbend.stages import messages
 from unbend.stages.flight_log import FlightLog, time_range
@@ -37,7 +38,7 @@ def read_positions(
     """The exposures of each camera that come from a file with their positions.
 
     Attitudes of cameras become those of the aircraft, by the mount. Refuses (STATIONS-ATTITUDE) a
-    file without, where there is no log and no trajectory.
+    file that gives no attitudes, if neither a log nor a trajectory does.
     """
     positions = {}
     for camera, source in mission.position_events.items():
@@ -51,10 +52,11 @@ def read_positions(
         channel = inputs.camera_events[camera](stated, ledger)
         where = f"events.positions.{camera}"
         replaced: tuple[str, ...] = ("position", "height")
-        if channel.fits_role("attitude") and not source.times_only:
+        gives_attitude = channel.fits_role("attitude") and not source.times_only
+        if gives_attitude:
             channel = with_aircraft_attitude(mission, camera, channel)
             replaced += ("attitude",)
-        elif "attitude" not in flight.roles and mission.log is None:
+        elif mission.log is None and "attitude" not in flight.roles:  # those of a trajectory
             raise messages.stations_without_attitude(where=where)
         places = "" if source.times_only else f", and where the {source.reference_point} was then"
         ledger.add(
@@ -121,7 +123,7 @@ def events_of_cameras(
 ) -> list[Events]:
     """When each camera was exposed: one `Events` for each camera that a source names."""
     if section.log is not None:
-        return events_of_log(section, flight.channels, ledger)
+        return events_of_log(section, flight, ledger)
     if section.positions is not None:
         events = []
         for camera, source in section.positions.items():
@@ -130,19 +132,19 @@ def events_of_cameras(
         return events
     if inputs.events is None:
         raise messages.no_events(where="events", what="events")
-    return events_of_table(mission, section, inputs.events, flight)
+    return events_of_table(mission, section, inputs.events)
 
 
-def events_of_log(
-    section: EventsSection, channels: tuple[Channel, ...], ledger: Ledger
-) -> list[Events]:
+def events_of_log(section: EventsSection, flight: FlightLog, ledger: Ledger) -> list[Events]:
     """The pulses that a log has of each camera, moved by their delay."""
+    channels = flight.channels
+    parameters = {} if flight.log is None else flight.log.parameters
     events = []
     for camera, source in (section.log or {}).items():
         channel = exposures.choose_event_channel(channels, source.channel)
-        ledger.extend(exposures.trigger_notes(channels, channel))
+        ledger.extend(trigger_notes(channels, channel, parameters))
         if source.delay_s == "from_feedback":
-            delay = ledger.take(exposures.lag_from_feedback(channels, channel, camera))
+            delay = ledger.take(lag_from_feedback(channels, channel, camera))
         else:
             delay = ExposureDelay(source.delay_s)
         exposed = events_of_channel(channel, camera, source.image, delay)
@@ -150,19 +152,15 @@ def events_of_log(
     return events
 
 
-def events_of_table(
-    mission: Mission, section: EventsSection, table: EventTable, flight: FlightLog
-) -> list[Events]:
-    """The exposures of a table, by camera; its times are placed by the log's UTC."""
+def events_of_table(mission: Mission, section: EventsSection, table: EventTable) -> list[Events]:
+    """The exposures of a table, by camera."""
     csv = section.csv
     if csv is None:
         raise messages.no_events(where="events", what="events")
     camera_of = camera_of_rows(
         mission, table.camera, csv.camera, table.time_ns.size, where=str(csv.path)
     )
-    log = flight.log
-    utc_sigma_s = 0.0 if log is None else float(np.nan_to_num(log.utc_sigma_s))
-    delay = ExposureDelay(csv.delay_s, sigma_s=utc_sigma_s)
+    delay = ExposureDelay(csv.delay_s)
     return [
         exposures.events_of_table(table.image, camera_of, table.time_ns, camera, delay)
         for camera in mission.cameras

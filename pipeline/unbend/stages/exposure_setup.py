@@ -33,7 +33,11 @@ class Air(NamedTuple):
 
 
 def orientations_of_mission(mission: Mission, stations: Stations) -> Orientations:
-    """Position and attitude of the stations for intersections; usual sigmas for unknown ones."""
+    """Position and attitude of the stations for intersections.
+
+    Unknown sigmas are the usual ones of an adjusted block, if the orientations come from one, else
+    those of a flight.
+    """
     if mission.stations.orientation is not None:
         return orientations_of(stations, SIGMAS_OF_BLOCK)
     return orientations_of(stations, UNKNOWN_SIGMAS)
@@ -79,8 +83,8 @@ def exposures_of(
     h = stations.h_msl_m
     n_outside = profile.refractivity(h)
     n_in_cabin = n_outside.copy()
-    normal = np.tile(OPTICAL_AXIS, (len(stations), 1))
-    change = np.zeros(len(stations))
+    normal = np.tile(OPTICAL_AXIS, (len(stations), 1))  # where no window bends, of no effect
+    change = np.zeros(len(stations))  # of the principal distance [px]
     for name in dict.fromkeys((*windows, *lenses)):
         rows = stations.camera == name
         if not bool(rows.any()):
@@ -96,10 +100,19 @@ def exposures_of(
             normal[rows] = window_normals(window, rotation[rows], aircraft)
         if lens is not None:
             change[rows] = principal_change(lens, air.pressure_pa, air.temperature_k)
-            report_change(name, lens, change[rows], air.pressure_pa, stations.ok[rows], ledger)
+            report_change(
+                name,
+                lens,
+                change_px=change[rows],
+                pressure_pa=air.pressure_pa,
+                ok=stations.ok[rows],
+                ledger=ledger,
+            )
 
-    # Above the top of the profile the air is unknown too; those rows get outside_profile later.
-    air_unknown = np.isfinite(n_outside) & (np.isnan(n_in_cabin) | np.isnan(change))
+    # An exposure above the top of the profile has no air outside (NaN). It stays usable here and
+    # gets the status outside_profile later.
+    is_below_top = np.isfinite(n_outside)
+    air_unknown = is_below_top & (np.isnan(n_in_cabin) | np.isnan(change))
     attitude_known = np.isfinite(rotation).all(axis=(1, 2)) & np.isfinite(normal).all(axis=1)
     return Exposures(
         usable=stations.ok & attitude_known & ~air_unknown,
@@ -121,7 +134,11 @@ def air_at_camera(
     lens: LensInAir | None,
     rows: Mask,
 ) -> Air:
-    """The air about the lens of a camera at some exposures (a mask): of its cabin, or outside."""
+    """The air about the lens of a camera at some exposures (a mask): of its cabin, or outside.
+
+    The air of the cabin is known, and used, only where `with_cabin_air` fills it in: for a camera
+    with a lens in air or behind a plane window.
+    """
     has_plane_window = window is not None and window.shape == "plane"
     has_cabin = window is not None and window.cabin is not None
     if has_cabin and (lens is not None or has_plane_window):
@@ -137,10 +154,15 @@ def air_at_camera(
 
 
 def window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
-    """(m, 3) normals of a window in the frame of its camera; NaN where an attitude is unknown."""
+    """(m, 3) normals of a window in the frame of its camera; NaN where an attitude is unknown.
+
+    ``rotation`` (m, 3, 3) turns east-north-up into the camera, ``aircraft_quaternion`` (m, 4) into
+    the body of the aircraft, in which the normal is stated unless the camera's frame is named.
+    """
     normal = np.array(window.normal)
     if window.frame == "camera":
         return np.broadcast_to(normal, (rotation.shape[0], 3))
+    # "nji" transposes the rotation into the body, which turns the normal out of it.
     in_enu = np.einsum("nji,j->ni", matrices_of(aircraft_quaternion), normal)
     return np.asarray(np.einsum("nij,nj->ni", rotation, in_enu))
 
@@ -175,7 +197,7 @@ def report_change(
 
 
 def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
-    """Note which windows bend nothing, and whether the displacement by the glass is removed."""
+    """Note of each window whether it is spherical, and else how the glass's displacement counts."""
     for name, window in windows.items():
         where = f"cameras.{name}.window"
         if window.shape == "spherical":
@@ -204,8 +226,9 @@ def correction_setup(
 ) -> CorrectionSetup:
     """Exposures, cameras, rays and ground heights of a mission.
 
-    The ground is the given one, or where slant ranges end; elevation models and intersections take
-    its place later. ``heights`` relate heights above sea level and ellipsoid.
+    The ground is the given one, or that at which slant ranges end; `with_terrain` and
+    `with_intersected_heights` replace it later. ``heights`` relates heights above sea level, above
+    the ellipsoid and above the take-off.
     """
     section = mission.ground
     ground: Ground

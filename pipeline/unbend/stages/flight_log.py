@@ -2,6 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
 
 from unbend.config import Mission
 from unbend.config.logs import NamedChannel
@@ -11,24 +14,34 @@ from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.log_accuracy import LogAccuracy, with_accuracy
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.evidence.stretches import Stretch
+from unbend.flight.ground_times import GroundEvidence
 from unbend.flight.heights import HeightSystem, height_system, to_geodetic
 from unbend.flight.mount import Mount, gimbal_notes, is_of_gimbal, with_payload_attitude
 from unbend.flight.roles import assign_roles
+from unbend.flight.spares import with_spares
+from unbend.flight.stations import NO_TIME
 from unbend.ingest import Log
 from unbend.ingest.field_maps import in_stated_unit
+from unbend.ingest.utc_evidence import is_utc
 from unbend.messages import Ledger
 from unbend.stages import messages
 from unbend.stages.opened_inputs import OpenedInputs
+from unbend.stages.vehicle import channels_of_one_vehicle
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.imports.agreement import compare_with_log
 from unbend.tables.imports.stated import Stated
-from unbend.units import Array, Integers
-
-Track = tuple[Integers, Array, Array]
-"""Times [Unix ns], latitudes and longitudes [rad] of a flight."""
+from unbend.units import Array, Integers, Mask
 
 Roles = dict[str, Channel]
 """The channel that plays each role."""
+
+
+class GroundTrack(NamedTuple):
+    """(n,) times [Unix ns], latitudes and longitudes [rad] of a flight, as logged."""
+
+    time_ns: Integers
+    latitude_rad: Array
+    longitude_rad: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +79,24 @@ class FlightLog:
             roles.setdefault("aircraft_attitude", aircraft)
         return roles
 
+    def counts_from_boot(self, time_ns: Integers) -> Mask:
+        """(n,) which times count from a boot, because the log has no UTC then."""
+        if self.log is None:
+            return np.zeros(time_ns.shape, np.bool_)
+        return np.asarray(~is_utc(time_ns) & (time_ns != NO_TIME), np.bool_)
+
     @property
-    def track(self) -> Track | None:
+    def track(self) -> GroundTrack | None:
         """Where the aircraft was; None where no position is known."""
         position = self.roles.get("position")
         if position is None:
             return None
-        return position.time_ns, position["lat_rad"], position["lon_rad"]
+        return GroundTrack(position.time_ns, position["lat_rad"], position["lon_rad"])
+
+    @property
+    def ground(self) -> GroundEvidence:
+        """What the log says of whether the aircraft stands on the ground."""
+        return GroundEvidence.of(self.channels)
 
     @property
     def air_roles(self) -> Roles:
@@ -137,7 +161,7 @@ def report_gimbals(
 
 
 def channels_of_log(mission: Mission, log: Log | None, ledger: Ledger) -> tuple[Channel, ...]:
-    """The channels of a log as the mission file states them.
+    """The channels of a log as the mission file states them, of the vehicle that flew it.
 
     The attitude that ``log.channels`` names, and that of each mount, may be of a gimbal: its
     channel then has the attitude of the payload.
@@ -147,6 +171,7 @@ def channels_of_log(mission: Mission, log: Log | None, ledger: Ledger) -> tuple[
         return ()
     names = names_of_roles(mission)
     channels = stated_channels(mission, log.channels)
+    channels = channels_of_one_vehicle(mission, channels, names, ledger)
     attitudes = [names.get("attitude", "")]
     for mount in mission.mount.values():
         if mount.attitude is not None:
@@ -273,9 +298,13 @@ def roles_of_channels(
             names_of_roles(mission),
             needs_cabin=any(camera.needs_cabin_from_log for camera in mission.cameras.values()),
             elsewhere=replaced if has_log else ("position", "attitude"),
+            empty=() if mission.log is None else mission.log.channels.empty,
         )
     )
-    return {role: ledger.take(plausible_samples(channel, role)) for role, channel in roles.items()}
+    plausible = {}
+    for role, channel in roles.items():
+        plausible[role] = ledger.take(plausible_samples(channel, role))
+    return ledger.take(with_spares(plausible, channels, names_of_roles(mission)))
 
 
 def heads_of_cameras(

@@ -36,13 +36,14 @@ class GivenGround:
     def heights(
         self, batch: Batch, station: Integers, setup: CorrectionSetup | None = None
     ) -> GroundHeights:
-        """(n,) heights above sea level [m]; NaN where implausible."""
+        """(n,) heights above sea level [m], NaN where implausible; counts the implausible ones."""
         given = batch.ground
         if given is None:
             given = np.full(len(batch), self.constant_m, dtype=np.float64)
         plausible = plausible_heights(given)
+        # A station of -1 is no station: it takes the last offset, NaN, which then counts as 0. The
+        # height is of no use, because such an observation gets the status no_station.
         offset = np.append(self.offset_m, np.nan)[station]
-        # Without a station there is no offset; such an observation gets the status no_station.
         h_m = plausible + np.where(station < 0, 0.0, offset)
         is_implausible = np.isfinite(given) & np.isnan(plausible)
         return GroundHeights(
@@ -64,7 +65,7 @@ class GivenGround:
 
 @dataclass(frozen=True, eq=False)
 class SlantRangeGround:
-    """Heights where the slant ranges end; ``sigma_m`` as for `GivenGround`."""
+    """Heights at which the slant ranges end; ``sigma_m`` as for `GivenGround`."""
 
     sigma_m: float | None = None
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
@@ -89,13 +90,17 @@ class SlantRangeGround:
 
 @dataclass(frozen=True, eq=False)
 class ComputedGround:
-    """Heights that were computed before: (2, rows) heights and sigmas [m] of the whole table."""
+    """Heights that were computed before the correction.
+
+    of_rows : (2, rows) heights above sea level, and below them their sigmas [m], of all rows of the
+        observation table.
+    """
 
     of_rows: Array
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
 
     def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
-        """(n,) heights above sea level [m], NaN where none was computed, or it is implausible."""
+        """(n,) heights above sea level [m]; NaN if none was computed or it is implausible."""
         h_m, sigma_m = np.array(self.of_rows[:, batch.rows])
         return GroundHeights(plausible_heights(h_m), sigma_m)
 
@@ -116,13 +121,13 @@ def plausible_heights(height_m: Array) -> Array:
     return np.where(plausible, height_m, np.nan)
 
 
-LARGEST_SLOPE_FACTOR = 20.0  # of an error of the model's height, where a ray grazes a slope
+LARGEST_SLOPE_FACTOR = 20.0  # an error of the model counts so often where a ray grazes a slope
 
 
 class Landings(NamedTuple):
     """Where rays meet an elevation model, (n,) each.
 
-    error_factor : error of the height over that of the model.
+    error_factor : error of the height over the error of the model that causes it.
     distance_m : slant range.
     status : codes of `status_codes`.
     """
@@ -138,8 +143,9 @@ class TerrainGround:
     """Heights where rays first meet an elevation model.
 
     places : (s,) latitudes and longitudes of the stations [rad].
-    sigma_m : standard deviation of the heights of the model. That of a landing is larger on slopes
-        that fall away from the camera: by 1 / (1 + tan slope tan zeta), 20 at most.
+    sigma_m : standard deviation of the heights of the model. The height at which a ray lands is
+        less certain on slopes that fall away from the camera: by 1 / (1 + tan slope tan zeta), with
+        a negative slope, at most 20 times.
     """
 
     model: ElevationModel

@@ -1,5 +1,7 @@
 """Messages of stages: what each code means, and the words of what is sent."""
 
+from collections.abc import Sequence
+
 from unbend.errors import Code, Counted, InputError, MissionError
 from unbend.flight.messages import CHANNEL_MISSING
 from unbend.messages import Kind, Message, fallback, finding, loss, message, note, warning
@@ -86,6 +88,64 @@ def events_positions(*, where: str, count: int, name: str, camera: str, places: 
         name=name,
         camera=camera,
         places=places,
+    )
+
+
+LOG_VEHICLES = Code(
+    "LOG-VEHICLES",
+    means="The log has the messages of several vehicles.",
+    effect=(
+        "Roles are taken from the vehicle whose events are used, or whose channels are named; "
+        "refused where neither says which vehicle flew the mission."
+    ),
+    remedy="Name the events of one vehicle, or its log.channels.position.",
+)
+
+
+def vehicles_ambiguous(*, vehicles: Sequence[str], reason: str) -> MissionError:
+    """Neither events nor named channels say which vehicle flew the mission."""
+    contradiction = f"; {reason} are named of several" if reason else ""
+    return MissionError(
+        LOG_VEHICLES,
+        "the log has several vehicles: {listed}{contradiction}",
+        where="log",
+        remedy="name the events of one of them (events.log.<camera>.channel), or its position "
+        "(log.channels.position)",
+        listed="; ".join(vehicles),
+        contradiction=contradiction,
+    )
+
+
+def vehicle_chosen(*, vehicle: str, vehicles: Sequence[str], channel: str) -> Message:
+    """Of several vehicles of a log one flew the mission."""
+    return note(
+        LOG_VEHICLES,
+        "of {listed} the roles are those of {vehicle}, as {channel} is used",
+        where="log",
+        count=len(vehicles),
+        listed=", ".join(vehicles),
+        vehicle=vehicle,
+        channel=channel,
+    )
+
+
+LOG_VEHICLES_MIXED = Code(
+    "LOG-VEHICLES-MIXED",
+    means="A channel that is named is of another vehicle than the events.",
+    effect="It is used as stated; the run ends with 3.",
+    remedy="Name the channel of the vehicle whose events are used; or accept it with the reason.",
+)
+
+
+def role_of_another_vehicle(*, role: str, channel: str, other: str, vehicle: str) -> Message:
+    """The mission file names a channel of another vehicle."""
+    return finding(
+        LOG_VEHICLES_MIXED,
+        "{channel} is of {other}, the mission was flown by {vehicle}",
+        where=f"log.channels.{role}",
+        channel=channel,
+        other=other,
+        vehicle=vehicle,
     )
 
 
@@ -257,9 +317,56 @@ def flight_without_time(*, where: str) -> InputError:
     """No station has a time and a place to take a weather model at."""
     return InputError(
         MODEL_TIME,
-        "no station has a time and a place to take the weather model at",
+        "no station has a UTC and a place to take the weather model at",
         where=where,
-        remedy="give the day and hour: stations.orientation.date",
+        remedy="give the day and hour: stations.orientation.date; a log has to have UTC",
+    )
+
+
+FLIGHT_UNDATED = Code(
+    "FLIGHT-UNDATED",
+    means="Neither the log nor the mission file says when the flight was.",
+    effect="No season is assumed: the climatology has the spread of the whole year.",
+    remedy="State mission.date.",
+)
+
+
+def flight_undated() -> Message:
+    """No exposure has a UTC, and the mission file states no date."""
+    return fallback(
+        FLIGHT_UNDATED,
+        "no exposure has a UTC, and no date is stated: the climatology has the spread of the whole "
+        "year (mission.date)",
+    )
+
+
+def sources_of_undated_flight(*, where: str) -> InputError:
+    """Soundings or reports are named, and the day of the flight is not known."""
+    return InputError(
+        FLIGHT_UNDATED,
+        "the flight has neither UTC nor a stated date: how old the soundings and surface reports "
+        "are is unknown",
+        where=where,
+        remedy="state mission.date, as 2026-05-14 or 2026-05-14T10:20",
+    )
+
+
+DATE_CONTRADICTED = Code(
+    "DATE-CONTRADICTED",
+    means="The date that the mission file states is not that of the exposures.",
+    effect="The exposures count.",
+    remedy="Correct mission.date or stations.orientation.date, or check the clock of the log.",
+)
+
+
+def date_contradicted(*, stated: str, flown: str) -> Message:
+    """A stated date is more than a day and a half from the exposures."""
+    return warning(
+        DATE_CONTRADICTED,
+        "the mission file states {stated}, and the exposures are of {flown}, which counts",
+        where="mission.date",
+        stated=stated,
+        flown=flown,
     )
 
 
@@ -995,4 +1102,55 @@ def cabin_temperature_assumed(*, kind: Kind, where: str, count: int, able: str) 
         where=where,
         count=count,
         able=able,
+    )
+
+
+OBS_UNIT = Code(
+    "OBS-UNIT",
+    means=(
+        "The coordinates of the observations are not in the unit that the mission file states: "
+        "pixels count from a corner of the image and are not negative, millimetres lie within the "
+        "format of the camera."
+    ),
+    effect="The mission is refused.",
+    remedy=(
+        "State observations.unit: mm or um, with the metric report of the camera, which says where "
+        "they count from and along which axes; or name the columns that have pixels."
+    ),
+)
+
+
+def coordinates_without_pixels(
+    *, where: str, percent: float, largest: float, likely: str
+) -> InputError:
+    """Coordinates that are negative as often as not are no pixels."""
+    return InputError(
+        OBS_UNIT,
+        (
+            "x and y are negative in {percent:.0f} % of the observations or more, and {largest:.6g}"
+            " at most: these are not pixels from a corner of the image, but perhaps {likely} from "
+            "its middle"
+        ),
+        where=where,
+        percent=percent,
+        largest=largest,
+        likely=likely,
+        remedy=(
+            "state observations.unit: {likely}, with cameras.<name>.metric; or name the columns of "
+            "pixels under observations.columns"
+        ),
+    )
+
+
+def coordinates_beyond_frame(*, where: str, unit: str, percent: float) -> InputError:
+    """Coordinates in a stated unit lie outside the image."""
+    return InputError(
+        OBS_UNIT,
+        "taken for {unit}, {percent:.0f} % of the observations lie outside the image",
+        where=where,
+        unit=unit,
+        percent=percent,
+        remedy=(
+            "check observations.unit, and pixel_um, origin and axes under cameras.<name>.metric"
+        ),
     )

@@ -8,6 +8,7 @@ import pyarrow as pa
 
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.model_field import ModelField
+from unbend.block.known_places import KnownPlaces
 from unbend.flight.channels import Channel
 from unbend.geodesy import GeoidGrid
 from unbend.ingest import Log
@@ -88,7 +89,8 @@ class OpenedInputs:
     """The inputs of a mission; None, or empty, where the mission file names none.
 
     ``geoid`` is a grid of the user's own, ``camera_names`` the mission's cameras by what a block
-    calls them, ``camera_events`` read exposures with positions, by camera.
+    calls them, ``camera_events`` read exposures with positions, by camera, ``block_places`` where
+    the files of blocks say that images were, beside their orientations.
     """
 
     observations: Observations
@@ -101,6 +103,7 @@ class OpenedInputs:
     orientation: OrientationTable | None = None
     camera_names: Mapping[str, str] = field(default_factory=dict)
     known_positions: KnownImagePositions | None = None
+    block_places: tuple[KnownPlaces, ...] = ()
     block_points: BlockPoints | None = None
     object_points: ObjectPointTable | None = None
     control: ObjectPointTable | None = None

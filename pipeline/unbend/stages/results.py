@@ -132,7 +132,7 @@ def record_of_flight(
 ) -> FlightRecord:
     """When and where the exposures are, and what the cameras see."""
     ok = stations.ok
-    time_ns = stations.time_ns[ok & (stations.time_ns != NO_TIME)]
+    time_ns = stations.utc_ns[ok & (stations.utc_ns != NO_TIME)]
     rows = statistics.sampled_rows()
     station_height_m = np.append(np.where(ok, stations.h_msl_m, np.nan), np.nan)
     above_m = station_height_m[rows.station] - rows.h_g_m
@@ -307,7 +307,9 @@ def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
         samples=[record_of_samples(use) for use in adjustment.sensor_uses],
         sensors=[record_of_sensor(estimate) for estimate in adjustment.faults],
         profiles=len(air.series.timed_profiles),
-        windows=[record_of_window(window) for window in air.windows],
+        windows=[
+            record_of_window(window, utc_known=adjustment.utc_known) for window in air.windows
+        ],
     )
 
 
@@ -349,11 +351,11 @@ def record_of_sensor(estimate: FaultEstimate) -> SensorRecord:
     )
 
 
-def record_of_window(window: TimeWindow) -> TimeWindowRecord:
-    """A part of a flight that was estimated on its own."""
+def record_of_window(window: TimeWindow, *, utc_known: bool) -> TimeWindowRecord:
+    """A part of a flight that was estimated on its own; without UTC it has no times."""
     return TimeWindowRecord(
-        start_utc=utc_second(window.start_ns),
-        end_utc=utc_second(window.end_ns),
+        start_utc=utc_second(window.start_ns) if utc_known else None,
+        end_utc=utc_second(window.end_ns) if utc_known else None,
         change=round(window.change, 5),
         sigma=round(window.sigma, 5),
         why_not=window.why_not,

@@ -1,13 +1,15 @@
 """The stations of a mission: one row for each exposure, matched to the images."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from unbend.config import Mission
 from unbend.flight import exposures
 from unbend.flight.channels import Channel
+from unbend.flight.evidence.exposure_places import ExposureEvidence, exposure_findings
 from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.evidence.stretches import Stretch, flag_suspect
@@ -15,7 +17,13 @@ from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem
 from unbend.flight.image_names import refuse_other_names
 from unbend.flight.mount import Mount
-from unbend.flight.station_builder import build_stations, flag_missing_aircraft_attitude, with_air
+from unbend.flight.station_builder import (
+    ONE_CLOCK,
+    ClockSigmas,
+    build_stations,
+    flag_missing_aircraft_attitude,
+    with_air,
+)
 from unbend.flight.stations import (
     SigmaLimits,
     Stations,
@@ -24,19 +32,31 @@ from unbend.flight.stations import (
     sigma_notes,
     unusable_station_notes,
 )
-from unbend.messages import Ledger
+from unbend.messages import Ledger, Message
 from unbend.stages import messages
 from unbend.stages.cabin_air import cabin_from_log
 from unbend.stages.exposure_events import exposure_events, read_positions
-from unbend.stages.flight_log import FlightLog
+from unbend.stages.flight_log import FlightLog, flight_log
 from unbend.stages.multi_image.image_events import assigned_stations
 from unbend.stages.multi_image.oriented_stations import oriented_stations
-from unbend.stages.multi_image.tie_point_checks import TieEvidence, check_tie_points
+from unbend.stages.multi_image.other_readings import (
+    AngleReading,
+    AngleRoad,
+    StationsReading,
+    refuse_other_reading,
+    roads_of_angles,
+)
+from unbend.stages.multi_image.tie_point_checks import (
+    FEWEST_TIE_POINTS,
+    TieEvidence,
+    check_tie_points,
+)
+from unbend.stages.observation_units import refuse_other_unit
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.messages import points_repeated
 from unbend.tables.observations import Observations
-from unbend.tables.tie_points import MOST_TIE_POINTS, TiePoints, draw_tie_points
+from unbend.tables.tie_points import MOST_TIE_POINTS, TiePoints, draw_tie_points, tie_rays
 from unbend.units import DEGREE
 
 
@@ -47,6 +67,7 @@ class StationBuilder:
     roles, suspect : the channels of the camera, and the stretches that contradict these.
     offsets : a file of exposures with the way from the antenna to the camera at each; None where
         the mount has the lever arm.
+    clocks : how well the clock of the exposures agrees with those of the channels.
     """
 
     camera: str
@@ -57,6 +78,7 @@ class StationBuilder:
     heights: HeightSystem
     accuracy: LogAccuracy
     max_gap_s: float
+    clocks: ClockSigmas
 
     @classmethod
     def of(
@@ -87,12 +109,19 @@ class StationBuilder:
             heights=flight.heights,
             accuracy=flight.accuracy,
             max_gap_s=mission.max_gap_s,
+            clocks=clock_sigmas(mission, flight, roles),
         )
 
     def stations(self, events: Events) -> Stations:
         """The stations at some exposures; those in suspect stretches are not flagged yet."""
         stations = build_stations(
-            events, self.roles, self.mount, self.heights, self.max_gap_s, accuracy=self.accuracy
+            events,
+            self.roles,
+            self.mount,
+            self.heights,
+            self.max_gap_s,
+            accuracy=self.accuracy,
+            clocks=self.clocks,
         )
         offsets = self.offsets
         if offsets is None:
@@ -109,6 +138,27 @@ class StationBuilder:
         """The stations of the same images if these had been exposed some ``seconds`` later."""
         time_ns = stations.time_ns + round(seconds * 1e9)
         return self.stations(Events(self.camera, stations.image, time_ns))
+
+
+def clock_sigmas(mission: Mission, flight: FlightLog, roles: Mapping[str, Channel]) -> ClockSigmas:
+    """How well the clock of a camera's exposures agrees with those of the channels in ``roles``.
+
+    The log's own exposures are on the clock of its channels. Tables and files give UTC, as do
+    trajectories: between these and the log lies what the UTC of the log is good for.
+    """
+    if flight.log is None or mission.events is None:
+        return ONE_CLOCK
+    events_in_log = mission.events.log is not None
+    logged = {channel.name for channel in flight.channels}
+    utc_sigma_s = float(np.nan_to_num(flight.log.utc_sigma_s))
+
+    def sigma_s(role: str) -> float:
+        channel = roles.get(role)
+        if channel is None or (channel.name in logged) == events_in_log:
+            return 0.0
+        return utc_sigma_s
+
+    return ClockSigmas(sigma_s("position"), sigma_s("height"), sigma_s("attitude"))
 
 
 def mount_of_camera(mission: Mission, camera: str) -> tuple[Mount, bool]:
@@ -145,6 +195,7 @@ def stations_of_mission(
 ) -> Stations:
     """Position, attitude and air of each exposure, or a status; checked by tie points."""
     observations = inputs.observations
+    refuse_other_unit(mission, observations)
 
     # Stations at the exposures of each camera.
     positions = read_positions(mission, inputs, flight, ledger)
@@ -156,6 +207,7 @@ def stations_of_mission(
         camera = camera_events.camera
         builder = StationBuilder.of(mission, flight, camera, positions.get(camera))
         stations = builder.stations(camera_events)
+        ledger.extend(findings_of_exposures(mission, flight, builder, camera_events))
         stations = ledger.take(flag_suspect(stations, builder.suspect, use_suspect=use_suspect))
         builders.append(builder)
         exposed.append(stations)
@@ -177,6 +229,9 @@ def stations_of_mission(
     # The stations are those of the events, or a table says where the cameras were.
     if mission.stations.orientation is None:
         stations = join_stations(exposed)
+        refuse_other_readings_of_imports(
+            mission, inputs, positions, exposed=exposed, stations=stations, ties=ties
+        )
     else:
         oriented = oriented_stations(mission, inputs, flight, exposed, ties=ties, ledger=ledger)
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
@@ -197,8 +252,76 @@ def stations_of_mission(
     )
     check_tie_points(evidence, ledger)
     stations = with_cabins(mission, flight, stations, ledger)
+    stations = replace(stations, from_boot=flight.counts_from_boot(stations.time_ns))
     cameras = {camera_events.camera for camera_events in events}
     return matched_stations(mission, flight, stations, cameras, observations.images, ledger=ledger)
+
+
+def findings_of_exposures(
+    mission: Mission, flight: FlightLog, builder: StationBuilder, events: Events
+) -> Iterator[Message]:
+    """Findings where a log's own places of the exposures of a camera are not the stations'."""
+    if mission.events is None or mission.events.log is None:
+        return
+    source = mission.events.log[builder.camera]
+    arms_m = [mission.mounts[builder.camera].lever_arm_m, builder.mount.lever_arm_m]
+    yield from exposure_findings(
+        ExposureEvidence(
+            channel=exposures.choose_event_channel(flight.channels, source.channel),
+            time_ns=events.time_ns,
+            roles=builder.roles,
+            own=flight.own,
+            accuracy=flight.accuracy,
+            suspect=(*builder.suspect, *flight.own_suspect),
+            lever_arm_m=max(float(np.linalg.norm(arm)) for arm in arms_m),
+            max_gap_s=mission.max_gap_s,
+        )
+    )
+
+
+def refuse_other_readings_of_imports(
+    mission: Mission,
+    inputs: OpenedInputs,
+    positions: Mapping[str, Channel],
+    *,
+    exposed: list[Stations],
+    stations: Stations,
+    ties: TiePoints,
+) -> None:
+    """Refuse (ORIENTATION-READING) imported angles by which tie points meet far worse than else.
+
+    ``exposed`` are the stations camera by camera, ``stations`` all of them.
+    """
+    roads = list(roads_of_angles(mission, inputs, positions))
+    if not roads:
+        return
+    rays = tie_rays(ties, stations.image, stations.camera, mission.interior_orientations)
+    if np.unique(rays.point).size < FEWEST_TIE_POINTS:
+        return
+
+    def read_anew(road: AngleRoad, reading: AngleReading) -> Stations:
+        changed = road.inputs_as(reading.change)
+        changed_flight = flight_log(mission, changed, Ledger())
+        changed_positions = read_positions(mission, changed, changed_flight, Ledger())
+        parts = []
+        for of_camera in exposed:
+            if len(of_camera) == 0:
+                continue
+            camera = str(of_camera.camera[0])
+            builder = StationBuilder.of(
+                mission, changed_flight, camera, changed_positions.get(camera)
+            )
+            parts.append(builder.later(of_camera, 0.0))
+        return join_stations(parts)
+
+    for road in roads:
+        readings = [
+            StationsReading(
+                reading.words, f"{road.key}: {reading.key}", partial(read_anew, road, reading)
+            )
+            for reading in road.readings
+        ]
+        refuse_other_reading(stations, readings, rays, where=road.path)
 
 
 def report_repeated_points(observations: Observations, ties: TiePoints, ledger: Ledger) -> None:
@@ -228,7 +351,7 @@ def matched_stations(
     names = sorted({*stations.camera.tolist(), *cameras})
     images = {name: stations.image[stations.camera == name].tolist() for name in names}
     refuse_other_names(images, observed)
-    ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed))
+    ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed, flight.ground))
     stations = ledger.take(append_unmatched_images(stations, observed))
     ledger.extend(unusable_station_notes(stations))
     section = mission.stations

@@ -65,8 +65,8 @@ _ROWS = 10
 class ShiftStatistics:
     """How far corrections move the points of a camera.
 
-    ``sums`` (3, 10, 14) are those of dx and dy [px], and the number of points, in each cell of the
-    image.
+    ``sums`` (3, 10, 14): in each cell of the image the sum of dx and the sum of dy [px], and the
+    number of points.
     """
 
     width_px: int
@@ -80,7 +80,7 @@ class ShiftStatistics:
         """Add the corrections of points measured at (x, y); those without one do not count."""
         good: Any = np.isfinite(corrections.dx_px)
         if good.all():
-            good = slice(None)
+            good = slice(None)  # spares the copies
         dx = corrections.dx_px[good]
         dy = corrections.dy_px[good]
         column = np.clip(x_px[good] / self.width_px * _COLUMNS, 0, _COLUMNS - 1).astype(np.intp)
@@ -135,8 +135,9 @@ def to_five_digits(values: Array) -> list[float]:
 class SampledRows(NamedTuple):
     """Rows that stand for all; (n,) each.
 
-    ``station`` is -1 where an image has none; ``weight`` how many rows each stands for;
-    ``sigma_px`` (n, 4) standard deviations of the correction as in `SIGMA_PARTS`, NaN if unknown.
+    ``station`` is -1 for an image without a station; ``weight`` is how many rows each row stands
+    for; ``sigma_px`` (n, 4) has a column of standard deviations of the correction for each of
+    `SIGMA_PARTS`, NaN if unknown.
     """
 
     station: NDArray[np.int64]
@@ -193,7 +194,9 @@ class Statistics:
     shifts : how far corrections move points, by camera.
     status : how many rows have each status.
     examples : the first images and points of each status but ok, in the order of the rows.
-    ground_m : the lowest and the highest ground that was used.
+    no_distance, no_sigma, no_point, implausible_heights : how many rows have a slant range, a sigma
+        or a height of the ground that cannot be used, or a point without a height.
+    ground_m : the lowest and the highest ground that was used; infinite before any.
     air_variance : sum of the squares of the sigmas of corrections by the air [px2].
     by_mode : sum of the squares of the derivatives of corrections by the parameter of the leading
         mode of the air [px2].
@@ -225,7 +228,10 @@ class Statistics:
         return cls(shifts)
 
     def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
-        """Count a batch; ``camera`` (n,) numbers the cameras, -1 without one."""
+        """Count a batch; ``camera`` (n,) is the number of each row's camera, -1 without one.
+
+        The rows of a sample have a weight: each counts as the rows of the table it stands for.
+        """
         rows = len(batch) if batch.weight is None else round(batch.weight.sum())
         self.parts += 1
         self.rows += rows
@@ -249,7 +255,10 @@ class Statistics:
                 shift_statistics.add(x_px, y_px, corrections.rows(of_camera))
 
     def _add_statuses(self, batch: Batch, corrections: Corrections) -> None:
-        """Count the statuses of a batch, and keep the first rows of each that is not ok."""
+        """Count the statuses of a batch, and keep the first rows of each that is not ok.
+
+        The examples are those of this batch: `merge` appends the examples of later batches.
+        """
         counts = np.bincount(corrections.status, batch.weight, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + round(count)
@@ -297,9 +306,9 @@ class Statistics:
     def sigma_budget(self, camera: NDArray[np.int64]) -> dict[str, dict[str, SigmaRecord]]:
         """Median and 95 % of the parts of sigma [px, m on the ground] by camera, for the manifest.
 
-        ``camera`` (s + 1,) numbers the camera of each station, as `CorrectionSetup.camera_number`.
-        From the rows that stand for all, at the scale of each one's shift; ``all`` is the root of
-        the sum of the squares of the parts that are known.
+        ``camera`` (s + 1,) is `CorrectionSetup.camera_number`, whose last entry is for rows without
+        a station (-1). The sampled rows count. Pixels become metres by each row's own shift, which
+        is known in both. The part ``all`` is the root of the sum of the squares of the known parts.
         """
         rows = self.sampled_rows()
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -310,16 +319,11 @@ class Statistics:
         budget = {}
         for number, name in enumerate(self.shifts):
             of_camera = camera[rows.station] == number
-            weight = rows.weight[of_camera]
-            known = {}
-            for part, sigma_px in parts.items():
-                of_rows = sigma_px[of_camera]
-                if np.isfinite(of_rows).any():
-                    metres = of_rows * metres_per_px[of_camera]
-                    known[part] = SigmaRecord(
-                        px=median_and_p95(of_rows, weight), m=median_and_p95(metres, weight)
-                    )
-            budget[name] = known
+            budget[name] = sigma_records(
+                {part: sigma_px[of_camera] for part, sigma_px in parts.items()},
+                metres_per_px=metres_per_px[of_camera],
+                weight=rows.weight[of_camera],
+            )
         return budget
 
     def ground_of_stations(self, count: int) -> Array:
@@ -330,7 +334,10 @@ class Statistics:
         return np.asarray(medians.reindex(range(count)), np.float64)
 
     def ground_heights(self) -> GroundHeightsRecord | None:
-        """Limits of all ground heights [m above the sea], median and histogram of sampled ones."""
+        """Limits of all ground heights [m above the sea], median and histogram of sampled ones.
+
+        None if no row was corrected.
+        """
         low, high = self.ground_m
         if not low <= high:
             return None
@@ -392,7 +399,10 @@ class Statistics:
 
 
 def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
-    """(n, 4) lengths [px] of the standard deviations of some rows, as in `SIGMA_PARTS`."""
+    """(n, 4) standard deviations [px] of some rows, x and y together, a column for each part.
+
+    The parts are `SIGMA_PARTS`; NaN where the corrections have no standard deviations.
+    """
     if corrections.sigmas is None:
         return np.full((rows.size, len(SIGMA_PARTS)), np.nan)
     columns = corrections.sigmas._asdict()
@@ -403,8 +413,25 @@ def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
 
 
 def _squares(*columns: NDArray[np.float32]) -> float:
-    """The sum of the squares of numbers, those that are none left out."""
+    """The sum of the squares of all numbers in some columns, without NaN."""
     return sum(float(np.nansum(np.square(column, dtype=np.float64))) for column in columns)
+
+
+def sigma_records(
+    sigmas_px: Mapping[str, Array], *, metres_per_px: Array, weight: Array
+) -> dict[str, SigmaRecord]:
+    """Median and 95 % of each part of sigma; a part that no row knows is left out.
+
+    ``sigmas_px`` has (n,) standard deviations of each part.
+    """
+    records = {}
+    for part, sigma_px in sigmas_px.items():
+        if np.isfinite(sigma_px).any():
+            records[part] = SigmaRecord(
+                px=median_and_p95(sigma_px, weight),
+                m=median_and_p95(sigma_px * metres_per_px, weight),
+            )
+    return records
 
 
 def median_and_p95(values: Array, weight: Array) -> Quantiles:
@@ -424,6 +451,6 @@ def weighted_quantile(values: Array, weight: Array, share: float) -> float | Non
     order = order[np.isfinite(values[order])]
     if not order.size:
         return None
-    until = np.cumsum(weight[order])
-    row = order[np.searchsorted(until, share * until[-1])]
+    weight_up_to = np.cumsum(weight[order])
+    row = order[np.searchsorted(weight_up_to, share * weight_up_to[-1])]
     return float(f"{values[row]:.6g}")

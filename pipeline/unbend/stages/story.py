@@ -7,10 +7,10 @@ import numpy as np
 
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.config import Mission
+from unbend.flight.ground_times import LoggedPath, takeoff_of
 from unbend.flight.heights import heights_at, logged_terrain, undulation_notes
 from unbend.flight.outside_air import outside_air_samples
 from unbend.flight.stations import Stations, append_unmatched_images, flag_height_misfits
-from unbend.flight.trajectory import takeoff_of
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir
 from unbend.stages.air_of_mission import adjusted_profiles
@@ -38,7 +38,6 @@ from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.manifest.results import ResultsRecord
 from unbend.tables.observations import Observations
-from unbend.units import Array, Integers
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,17 +59,16 @@ class PreparedMission:
         """The table of observations, with the heights of object points where these have them."""
         return self.inputs.observations
 
-    def track(self) -> tuple[Integers, Array, Array, Array]:
-        """(n,) time [Unix ns], latitude, longitude [rad], height above sea level [m] as logged."""
+    def track(self) -> LoggedPath:
+        """Where the aircraft was as logged; empty where positions or heights are not known."""
         track = self.flight.track
         height = self.flight.roles.get("height")
         if track is None or height is None:
             none = np.empty(0)
-            return np.empty(0, np.int64), none, none, none
-        time_ns, latitude, longitude = track
+            return LoggedPath(np.empty(0, np.int64), none, none, none)
         gap_s = self.mission.max_gap_s
-        h_msl_m, _ = heights_at(height, time_ns, self.flight.heights, gap_s)
-        return time_ns, latitude, longitude, h_msl_m
+        h_msl_m, _ = heights_at(height, track.time_ns, self.flight.heights, gap_s)
+        return LoggedPath(*track, h_msl_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +104,17 @@ def prepare_mission(
 
     # The air that they flew through.
     samples = ledger.take(
-        outside_air_samples(flight.air_roles, flight.heights, mission.max_gap_s, flight.own_suspect)
+        outside_air_samples(
+            flight.air_roles,
+            flight.heights,
+            mission.max_gap_s,
+            flight.own_suspect,
+            flight.ground,
+        )
     )
-    sources = read_air_sources(mission, inputs, flight, stations, samples, ledger)
+    sources = read_air_sources(
+        mission, inputs, flight=flight, stations=stations, samples=samples, ledger=ledger
+    )
     air = adjusted_profiles(mission, stations, samples, sources, ledger)
     if air.adjustment.is_measured:
         use_suspect = mission.stations.use_suspect
@@ -149,7 +155,14 @@ def correct_mission(
     setup = with_uncertainties(setup, mission, stations, air.series, batch)
 
     # The correction, and the user's own control before and after it.
-    control = compare_control(mission, prepared.inputs, setup, stations, heights, ledger)
+    control = compare_control(
+        mission,
+        prepared.inputs,
+        setup=setup,
+        stations=stations,
+        heights=heights,
+        ledger=ledger,
+    )
     statistics = correct(setup)
 
     # What is to be said of the results.
@@ -192,7 +205,7 @@ def facts_of(
         cameras=setup.cameras,
         rows=statistics.sampled_rows(),
         adjustment=prepared.air.adjustment,
-        takeoff=takeoff_of(prepared.track(), flight.heights.home_h_msl_m),
+        takeoff=takeoff_of(prepared.track(), flight.heights.home_h_msl_m, flight.ground),
         logged_terrain_m=logged_terrain(flight.channels, stations.time_ns),
         terrain=prepared.terrain,
     )

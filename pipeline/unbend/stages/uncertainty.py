@@ -30,16 +30,18 @@ def with_uncertainties(
     """The setup with what standard deviations and derivatives are computed from, for each profile.
 
     The leading mode of the air is that of rays to the median height of the points of a ``batch``.
-    Each of several profiles has a leading mode of its own; all have one parameter, as their errors
-    are taken for one that moves R of all to the same side. A profile without covariance has None
-    if stations, ground and windows have no standard deviation either.
+    Each profile has a leading mode of its own, but all modes have one common parameter: the errors
+    of the profiles are taken to change all refractions to the same side. A profile without
+    covariance gets None if stations, ground and windows have no standard deviation either.
     """
     cabin = cabin_changes(stations, mission.lenses, air.profiles[0].index)
     sigmas = replace(station_sigmas(mission, stations), cabin=cabin)
     window_kinds = kinds_of_windows(mission, stations, air)
     any_sigma = has_any_sigma(mission, stations, sigmas, window_kinds)
     typical_ground_m = median_ground_m(setup, batch)
-    masks = [(camera, stations.camera == name) for name, camera in setup.cameras.items()]
+    stations_of_cameras = [
+        (camera, stations.camera == name) for name, camera in setup.cameras.items()
+    ]
     uncertainties: list[Uncertainty | None] = []
     for number, timed in enumerate(air.timed_profiles):
         if timed.covariance is None and not any_sigma:
@@ -51,7 +53,7 @@ def with_uncertainties(
             timed.covariance,
             replace(setup.exposures, usable=usable),
             sigmas,
-            masks,
+            stations_of_cameras,
             window_kinds=window_kinds,
             ground_heights_m=setup.ground.limits,
             typical_ground_m=typical_ground_m,
@@ -83,10 +85,10 @@ def has_any_sigma(
 def with_common_scale(
     uncertainties: Iterable[Uncertainty | None],
 ) -> tuple[Uncertainty | None, ...]:
-    """Uncertainties whose leading modes have one parameter, with one sigma.
+    """Uncertainties whose leading modes have one common parameter, and so one sigma.
 
-    That is the root mean square of the sigmas of all modes. A profile without uncertainty keeps
-    None.
+    The sigma is the root mean square of the sigmas of all modes, to six digits. A profile without
+    uncertainty keeps None; an uncertainty without a mode stays as it is.
     """
     known = tuple(uncertainties)
     scales = []
@@ -96,11 +98,18 @@ def with_common_scale(
     common = np.nan
     if scales:
         common = float(f"{np.sqrt(np.mean(np.square(scales))):.6g}")
-    return tuple(u and u.with_scale(common) for u in known)
+    scaled: list[Uncertainty | None] = []
+    for uncertainty in known:
+        scaled.append(None if uncertainty is None else uncertainty.with_scale(common))
+    return tuple(scaled)
 
 
 def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -> Integers:
-    """(s,) the kind of window of each exposure: `OPEN`, `SEALED` or `SCHEDULED`."""
+    """(s,) the kind of window of each exposure: `OPEN`, `SEALED` or `SCHEDULED`.
+
+    `SCHEDULED` are windows behind which the pressure is that of the air outside: all of an unsealed
+    cabin, and those below the height at which the schedule begins to hold its pressure.
+    """
     kinds = np.full(len(stations), OPEN, np.int64)
     pressure = air.pressure(stations.h_msl_m)
     for name, window in mission.windows.items():
@@ -120,15 +129,15 @@ def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
     """
     tilt = stations.sigma_tilt_rad.copy()
     yaw = stations.sigma_yaw_rad.copy()
-    axis = np.tile([0.0, 0.0, 1.0], (len(stations), 1))
+    vertical_axis = np.tile([0.0, 0.0, 1.0], (len(stations), 1))  # of the body, in the camera
     for name, mount in mission.mounts.items():
         rows = stations.camera == name
-        axis[rows] = mount.camera_from_body[:, 2]
+        vertical_axis[rows] = mount.camera_from_body[:, 2]
         if mount.sigma_tilt_rad is not None:
             tilt[rows & np.isnan(tilt)] = mount.sigma_tilt_rad
         if mount.sigma_yaw_rad is not None:
             yaw[rows & np.isnan(yaw)] = mount.sigma_yaw_rad
-    return StationSigmas(tilt, yaw, axis, stations.sigma_height_m)
+    return StationSigmas(tilt, yaw, vertical_axis, stations.sigma_height_m)
 
 
 def report_unknown_sigmas(
@@ -145,7 +154,7 @@ def report_unknown_sigmas(
 
 
 def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> Iterator[str]:
-    """Standard deviations that nobody stated, each with the key that would state it."""
+    """Standard deviations that nothing gives, each with the key that would state it."""
     if not all(timed.has_covariance for timed in air.timed_profiles):
         yield "the air (its profile has no covariance)"
     unknown = stations.ok & np.isnan(station_sigmas(mission, stations).tilt_rad)
@@ -153,10 +162,18 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
         yield f"the attitude (mount.{name}.sigma_tilt_deg)"
     if mission.ground.sigma_m is None and mission.ground.sigma_column is None:
         yield "the ground (ground.sigma_m or ground.sigma_column)"
-    heights = int((stations.ok & ~np.isfinite(stations.sigma_height_m)).sum())
-    if heights:
-        counted = Counted(heights, "station")
+    without_height_sigma = int((stations.ok & ~np.isfinite(stations.sigma_height_m)).sum())
+    if without_height_sigma:
+        counted = Counted(without_height_sigma, "station")
         yield f"the height of {counted} (not in the log; it does not count)"
+    yield from missing_sigmas_of_cabins(mission, stations)
+
+
+def missing_sigmas_of_cabins(mission: Mission, stations: Stations) -> Iterator[str]:
+    """The standard deviations that the air in cabins behind plane windows lacks.
+
+    A key is named if any usable station of the camera lacks its standard deviation.
+    """
     of_cabins = {
         "sigma_pressure_hpa": stations.sigma_cabin_pressure_pa,
         "sigma_temperature_k": stations.sigma_cabin_temperature_k,
@@ -166,5 +183,6 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
             continue
         rows = (stations.camera == name) & stations.ok
         for key, sigma in of_cabins.items():
-            if bool(np.isnan(sigma[rows]).any()):
+            is_missing = np.isnan(sigma[rows])
+            if bool(is_missing.any()):
                 yield f"the cabin's air (cameras.{name}.window.cabin.{key})"

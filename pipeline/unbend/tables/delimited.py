@@ -1,9 +1,13 @@
 """CSV: a column has the type that fits each of its values, and nothing is altered.
 
 A column is given a type only if each of its values can be had back from it. Digits that are no
-plain number, such as 007, +49 or 12345678901234567890, stay text.
+plain number, such as 007, +49 or 12345678901234567890, stay text. What parts the fields, and
+whether decimals have a comma, the file itself shows (`unbend.written_tables`).
 """
 
+import codecs
+import io
+import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +17,81 @@ import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 
 from unbend.tables import messages
+from unbend.written_tables import BLANKS, TableForm, form_of
 
 _BLOCK_BYTES = 4 << 20
+_SHOWN_BYTES = 1 << 18  # of a file, by which its form is known
+
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # spreadsheets write it as "Unicode text"
+
+
+@dataclass(frozen=True)
+class WrittenTable:
+    """A table in a text file: its encoding, and how its lines are written."""
+
+    path: Path
+    encoding: str
+    form: TableForm
+
+
+def text_file(path: Path) -> WrittenTable:
+    """Recognise the encoding and the form of a table by its first quarter of a megabyte.
+
+    Raises ValueError for what is no text in UTF-8 or UTF-16, and as `form_of`.
+    """
+    with path.open("rb") as file:
+        head = file.read(_SHOWN_BYTES)
+        is_whole = not file.read(1)
+    encoding = "utf-16" if head.startswith(_UTF_16) else "utf-8-sig"
+    try:
+        text = codecs.getincrementaldecoder(encoding)().decode(head, is_whole)
+    except UnicodeDecodeError as error:
+        byte = error.object[error.start]
+        raise ValueError(
+            f"its text is not UTF-8 (byte 0x{byte:02x} at {error.start}): save it as UTF-8"
+        ) from None
+    lines = text.splitlines()
+    if not is_whole and len(lines) > 1:
+        del lines[-1]
+    return WrittenTable(path, encoding, form_of(lines))
+
+
+class _PartedByTabs(io.RawIOBase):
+    """A file whose fields any number of blanks parts, read as though single tabs did."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("rb")
+        self._ready = b""
+
+    def readable(self) -> bool:
+        """It can be read."""
+        return True
+
+    def readinto(self, buffer: "memoryview[int]") -> int:  # type: ignore[override]
+        """Fill a buffer with whole lines, or parts of those that were read before."""
+        if not self._ready:
+            self._ready = parted_by_tabs(self._file.read(1 << 20) + self._file.readline())
+        part = self._ready[: len(buffer)]
+        self._ready = self._ready[len(part) :]
+        buffer[: len(part)] = part
+        return len(part)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
+
+
+def parted_by_tabs(lines: bytes) -> bytes:
+    """Lines with a tab in place of the blanks between fields; those within quotes stay.
+
+    >>> parted_by_tabs(b'  IMG_1.JPG  1.5   2 \\n"a b" 3 4\\n')
+    b'IMG_1.JPG\\t1.5\\t2\\n"a b"\\t3\\t4\\n'
+    """
+    lines = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", lines)
+    if b'"' not in lines:
+        return re.sub(rb"[ \t]+", b"\t", lines)
+    return re.sub(rb'("[^"\n]*")|[ \t]+', lambda found: found[1] or b"\t", lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +161,8 @@ def csv_names(path: Path) -> list[str]:
     try:
         with open_csv(path, {}) as reader:
             names: list[str] = reader.schema.names
-    except (pa.ArrowInvalid, OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise messages.observations_csv_unreadable(where=path, error=str(error)) from None
-    if len(names) == 1 and any(mark in names[0] for mark in ";\t|"):
-        raise messages.observations_without_commas(where=path)
     return names
 
 
@@ -100,25 +175,25 @@ def scan_csv(
     ``texts`` are the columns of images and points, text even where all are digits, ``numbers``
     float64 unless a value is no number. ``add_names`` is called with the images of the next rows.
     """
-    image = texts[0]
     kinds: dict[str, tuple[_Kind, ...]] = {
         name: (_NUMBER,) if name in numbers else () if name in texts else _KINDS for name in names
     }
     filled = set(numbers)
     rows, images = 0, set()
     try:
+        decimal_comma = text_file(path).form.decimal_comma
         with open_csv(path, dict.fromkeys(names, pa.string())) as reader:
             for batch in reader:
                 rows += batch.num_rows
-                images.update(pc.unique(batch.column(image)).to_pylist())
+                images.update(pc.unique(batch.column(texts[0])).to_pylist())
                 if add_names is not None:
-                    add_names(batch.column(image))
+                    add_names(batch.column(texts[0]))
                 for name, left in kinds.items():
                     values = batch.column(name)
-                    kinds[name] = tuple(kind for kind in left if kind.holds(values))
+                    kinds[name] = _kinds_that_hold(left, values, decimal_comma=decimal_comma)
                     if values.null_count < len(values):
                         filled.add(name)
-    except (pa.ArrowInvalid, OSError) as error:
+    except (OSError, ValueError) as error:
         raise messages.observations_csv_unreadable(where=path, error=str(error)) from None
     chosen = {name: next(iter(left), None) for name, left in kinds.items() if name in filled}
     types = {name: kind.type if (kind := chosen.get(name)) else pa.string() for name in names}
@@ -126,15 +201,42 @@ def scan_csv(
     return CsvScan(rows, images - {None}, types, codes)
 
 
+def _kinds_that_hold(
+    kinds: tuple[_Kind, ...], values: pa.StringArray, *, decimal_comma: bool
+) -> tuple[_Kind, ...]:
+    """Those of some kinds that hold values, whose numbers may have a decimal comma."""
+    numbers = with_points(values) if decimal_comma else values
+    return tuple(
+        kind for kind in kinds if kind.holds(numbers if kind.type == pa.float64() else values)
+    )
+
+
+def with_points(values: pa.StringArray) -> pa.StringArray:
+    """Numbers with a decimal comma as those with a decimal point; those with a point are none."""
+    without_points = pc.replace_substring(values, ".", "_")
+    return pc.replace_substring(without_points, ",", ".")
+
+
 def open_csv(
     path: Path, types: Mapping[str, pa.DataType], only: list[str] | None = None
 ) -> pa_csv.CSVStreamingReader:
-    """A stream of the rows of a CSV; only an empty field is null.
+    """A stream of the rows of a CSV, in whatever form; only an empty field is null.
 
     ``NA`` is a country, and ``nan`` reads as a number where one is due.
     """
-    read = pa_csv.ReadOptions(block_size=_BLOCK_BYTES)
-    parse = pa_csv.ParseOptions(newlines_in_values=True)
+    file = text_file(path)
+    form = file.form
+    read = pa_csv.ReadOptions(block_size=_BLOCK_BYTES, skip_rows=form.lines_before)
+    if not form.head_is_row:
+        read.column_names = list(form.names)
+    if file.encoding == "utf-16":
+        read.encoding = "utf-16"
+    separator = "\t" if form.separator == BLANKS else form.separator
+    parse = pa_csv.ParseOptions(newlines_in_values=True, delimiter=separator)
     nulls = {"null_values": [""], "strings_can_be_null": True, "quoted_strings_can_be_null": False}
-    convert = pa_csv.ConvertOptions(column_types=types, include_columns=only, **nulls)
-    return pa_csv.open_csv(path, read, parse, convert)
+    decimal_point = "," if form.decimal_comma else "."
+    convert = pa_csv.ConvertOptions(
+        column_types=types, include_columns=only, decimal_point=decimal_point, **nulls
+    )
+    source = _PartedByTabs(path) if form.separator == BLANKS else path
+    return pa_csv.open_csv(source, read, parse, convert)

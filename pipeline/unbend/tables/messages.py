@@ -15,7 +15,10 @@ def csv_unreadable(*, code: Code, where: Path | str, error: str) -> InputError:
         code,
         "cannot be read as CSV: {error}",
         where=where,
-        remedy="a table has a header line, commas, and as many fields in every row",
+        remedy=(
+            "a table is text in UTF-8, its first line the names of its columns, and has as many "
+            "fields in every row, parted by commas, semicolons, tabs or blanks"
+        ),
         error=error,
     )
 
@@ -501,7 +504,10 @@ OBS_CSV = Code(
     "OBS-CSV",
     means="The table of observations cannot be read as CSV.",
     effect="The mission is refused.",
-    remedy="Write it as UTF-8 with a header line, commas, and as many fields in every row.",
+    remedy=(
+        "Write it as text in UTF-8, with the names of the columns in the first line and as many "
+        "fields in every row."
+    ),
 )
 
 
@@ -511,18 +517,11 @@ def observations_csv_unreadable(*, where: Path | str, error: str) -> InputError:
         OBS_CSV,
         "cannot be read as CSV: {error}",
         where=where,
-        remedy=("a table is UTF-8 and has a header line, commas, and as many fields in every row"),
+        remedy=(
+            "a table is text in UTF-8, its first line the names of its columns, and has as many "
+            "fields in every row, parted by commas, semicolons, tabs or blanks"
+        ),
         error=error,
-    )
-
-
-def observations_without_commas(*, where: Path | str) -> InputError:
-    """The header of a CSV has semicolons, tabs or bars, and no comma."""
-    return InputError(
-        OBS_CSV,
-        "cannot be read as CSV: its fields are not separated by commas",
-        where=where,
-        remedy=("a table is UTF-8 and has a header line, commas, and as many fields in every row"),
     )
 
 
@@ -828,6 +827,25 @@ def sounding_variable_missing(*, where: Path | str, variable: str) -> InputError
 def sounding_damaged(*, where: Path | str, error: str) -> InputError:
     """A netCDF file that scipy cannot decode."""
     return _not_of_arm(where=where, why="it cannot be decoded: {name}", name=error)
+
+
+SOUNDING_ZIP = Code(
+    "SOUNDING-ZIP",
+    means="The sounding is a ZIP archive that does not hold one readable file.",
+    effect="The mission is refused.",
+    remedy="Unpack it, and give the sounding itself.",
+)
+
+
+def sounding_archive(*, where: Path | str, why: str) -> InputError:
+    """An archive does not hold one readable file."""
+    return InputError(
+        SOUNDING_ZIP,
+        "the archive cannot be used: {why}",
+        where=where,
+        why=why,
+        remedy="unpack it, and give the sounding itself",
+    )
 
 
 SOUNDING_SIZE = Code(

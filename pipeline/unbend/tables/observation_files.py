@@ -56,7 +56,11 @@ def open_file(path: Path, file_format: str | None) -> OpenedTable:
 def format_of_name(path: Path) -> str:
     """The format that the ending of a file says, or the ending itself."""
     ending = path.suffix.lower().removeprefix(".")
-    other_endings = {"txt": "csv", "pq": "parquet"}
+    other_endings = {
+        "txt": "csv",
+        "tsv": "csv",
+        "pq": "parquet",
+    }
     return other_endings.get(ending, ending)
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
@@ -20,10 +19,16 @@ from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.blocks import BLOCKS
 from unbend.tables.imports.blocks.image_points import of_points
 from unbend.tables.observation_files import OpenedTable, Records, csv_records, in_memory, open_file
-from unbend.tables.pixels import COLMAP, PixelSystem
+from unbend.tables.pixels import COLMAP, ImageFrame, PixelSystem
 from unbend.tables.refraction_mark import Direction, refuse_done
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
-from unbend.tables.text_columns import hashes_of, is_text, refuse_other_pixels, require_columns
+from unbend.tables.text_columns import (
+    hashes_of,
+    is_text,
+    numbers_in_text,
+    refuse_other_pixels,
+    require_columns,
+)
 from unbend.units import Array
 
 _SCANNED_ROWS = 1 << 20  # read at a time for the names of images
@@ -36,7 +41,7 @@ _OURS = OBSERVATION_COLUMNS.keys() | DISPLACED_COLUMNS.keys()
 class Batch:
     """A slice of the observations: ours as numpy, the user's as Arrow, in the order of the file.
 
-    ``x_px``, ``y_px`` are COLMAP's; ``x_given_px``, ``y_given_px`` the numbers of the table.
+    ``x_px``, ``y_px`` are COLMAP's; ``x_given_px``, ``y_given_px`` the pixels of the table.
     ``distance_m`` are slant ranges, NaN where there is none; ``no_distance`` counts those that are
     none: zero, negative, infinite or no number. ``ground_sigma`` and ``no_sigma`` likewise for
     standard deviations of ground heights, of which zero is one. ``first_row`` is the place of its
@@ -158,7 +163,7 @@ class Observations:
 
     ``user_fields`` are the columns that pass through, under the names they leave with; ``pixels``
     the system of the table's pixels, ``points`` give the heights where they do. A database of
-    keypoints has no points (``has_points``).
+    keypoints has no points (``has_points``). Coordinates in millimetres have a ``frame``.
     """
 
     path: Path
@@ -169,6 +174,7 @@ class Observations:
     user_fields: tuple[pa.Field, ...]
     sigma_column: str | None = None
     pixels: PixelSystem = COLMAP
+    frame: ImageFrame | None = None
     points: ObjectPoints | None = None
     is_block: bool = False
     has_points: bool = True
@@ -279,6 +285,10 @@ class Observations:
             optional["ground_sigma"], optional["no_sigma"] = found
         own = {name: arrays[source] for name, source in users.items()}
         x_px, y_px = self.pixels.to_colmap(x), self.pixels.to_colmap(y)
+        if self.frame is not None:
+            x_px, y_px = self.frame.to_colmap(x, y)
+            x = self.pixels.from_colmap(x_px)
+            y = self.pixels.from_colmap(y_px)
         return Batch(image, point, x_px, y_px, x, y, ground=ground, users=own, **optional)
 
 
@@ -292,6 +302,7 @@ def open_observations(
     sigma_column: str | None = None,
     direction: Direction = "remove",
     pixels: PixelSystem = COLMAP,
+    frame: ImageFrame | None = None,
     most_rows: int | None = None,
     file_format: str | None = None,
     table: pa.Table | None = None,
@@ -308,7 +319,8 @@ def open_observations(
         column of that name is the user's own and leaves as ``h_g_m_input``.
     sigma_column : the column of standard deviations of the ground heights, which passes through.
     direction : whether refraction will be removed from these observations or applied to them.
-    pixels : where the table counts its pixels from.
+    pixels : where the table counts its pixels from, and the results do.
+    frame : that of coordinates that are no pixels; they pass through as the user's own.
     most_rows : draw that many rows, spread over the images, for `Observations.sampled`.
     file_format : csv, parquet, or one of `BLOCKS`; by default the ending says it.
     table : the table itself, where it is in memory and no file.
@@ -341,6 +353,7 @@ def open_observations(
 
     # The user's other columns, beside those that the results replace.
     replaced = set(named.values()) - {named.get("distance_m")}
+    replaced -= set() if frame is None else {named["x_px"], named["y_px"]}
     if ground_column == "h_g_m" and ground_is_msl:
         replaced.add("h_g_m")
     own_names = [name for name in scan.schema.names if name not in replaced]
@@ -357,6 +370,7 @@ def open_observations(
         user_fields=tuple(user_fields),
         sigma_column=sigma_column,
         pixels=pixels,
+        frame=frame,
         is_block=opened.kind in BLOCKS,
         has_points=scan.has_points,
         sample=sample,
@@ -467,9 +481,9 @@ def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
 
 
 def _as_float(column: pa.Array) -> Array:
-    """float64 with NaN for null and for text that is no number."""
+    """float64 with NaN for null and for text that is no number, with point or comma."""
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
-        values = pd.to_numeric(column.to_pandas(), errors="coerce")
+        values = numbers_in_text(column.to_pandas())
     else:
         values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
     return np.asarray(values, np.float64)

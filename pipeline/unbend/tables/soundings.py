@@ -1,20 +1,25 @@
 """A sounding from disk: text in any known format, or the netCDF of an ARM radiosonde."""
 
 import math
+import zlib
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from unbend.atmosphere import soundings
-from unbend.atmosphere.soundings.levels import FILLS, LARGEST, radians, to_si
+from unbend.atmosphere.soundings.levels import FILLS, LARGEST, place_of_numbers, to_si
+from unbend.errors import Counted
 from unbend.messages import Ledger
 from unbend.tables import messages
 from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 # Room for decades of one station; a larger file is of another kind, and would fill memory.
 LARGEST_BYTES = 200_000_000
+_ZIP = b"PK\x03\x04"
 _LATEST_S = 7_258_118_400  # the year 2200
 
 _NETCDF3, _HDF5 = b"CDF", b"\x89HDF"
@@ -42,10 +47,12 @@ def read_sounding(
         raise messages.sounding_unreadable(where=path, strerror=str(error.strerror)) from None
     if size > LARGEST_BYTES:
         raise messages.sounding_size(where=path, size=size, largest_bytes=LARGEST_BYTES)
+    if data.startswith(_ZIP):
+        data = _unpacked(data, path)
     if data.startswith(_HDF5):
         raise messages.sounding_is_netcdf4(where=path)
     if data.startswith(_NETCDF3):
-        raw = soundings.nearest_in_time([_netcdf(path)], time_ns, path.name)
+        raw = soundings.nearest_in_time([_netcdf(data, path)], time_ns, path.name)
         checked = soundings.check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m)
         sounding = ledger.take(checked)
     else:
@@ -61,12 +68,35 @@ def read_sounding(
     return sounding if sounding.station else replace(sounding, station=path.name)
 
 
-def _netcdf(path: Path) -> soundings.RawLevels:
+def _unpacked(data: bytes, path: Path) -> bytes:
+    """The only file of a ZIP archive, as archives distribute their station files.
+
+    Refuses (InputError SOUNDING-ZIP) archives that are damaged, or hold no file or several, and
+    (SOUNDING-SIZE) one that unpacks to more than `LARGEST_BYTES`.
+    """
+    try:
+        with ZipFile(BytesIO(data)) as archive:
+            members = [member for member in archive.infolist() if not member.is_dir()]
+            if len(members) != 1:
+                raise messages.sounding_archive(
+                    where=path, why=f"it holds {Counted(len(members), 'file')}"
+                )
+            if members[0].file_size > LARGEST_BYTES:
+                raise messages.sounding_size(
+                    where=path, size=members[0].file_size, largest_bytes=LARGEST_BYTES
+                )
+            with archive.open(members[0]) as file:
+                return file.read(LARGEST_BYTES)
+    except (BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error) as error:
+        raise messages.sounding_archive(where=path, why=str(error)) from None
+
+
+def _netcdf(data: bytes, path: Path) -> soundings.RawLevels:
     """The levels of a classic netCDF file with ARM's names; fill values become NaN."""
     from scipy.io import netcdf_file
 
     try:
-        with netcdf_file(path, "r", mmap=False) as file:
+        with netcdf_file(BytesIO(data), "r", mmap=False) as file:
             for missing in (name for name in _VARIABLES if name not in file.variables):
                 raise messages.sounding_variable_missing(where=path, variable=missing)
             columns = {name: to_si(_column(file, name), unit) for name, unit in _VARIABLES.items()}
@@ -85,6 +115,7 @@ def _netcdf(path: Path) -> soundings.RawLevels:
     if start is not None and 0 < start < _LATEST_S:
         since = offset if math.isfinite(offset) else 0.0
         release_ns = round((start + since) * NANOSECONDS_PER_SECOND)
+    where_released = place_of_numbers(place["lat"], place["lon"])
     return soundings.RawLevels(
         h_m=columns["alt"],
         pressure_pa=columns["pres"],
@@ -95,8 +126,8 @@ def _netcdf(path: Path) -> soundings.RawLevels:
         dew_point_k=columns["dp"],
         relative_humidity=columns["rh"],
         time_ns=release_ns,
-        latitude_rad=radians(place["lat"], 90.0),
-        longitude_rad=radians(place["lon"], 180.0),
+        latitude_rad=where_released.latitude_rad,
+        longitude_rad=where_released.longitude_rad,
         origin="ARM radiosonde netCDF",
         where=path.name,
         column_of={"pressure": "pres [hPa]", "temperature": "tdry [C]", "dew point": "dp [C]"},

@@ -2,7 +2,8 @@
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,13 @@ from numpy.typing import NDArray
 from unbend.errors import Code
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
+from unbend.flight.survey_dates import can_be_flown
 from unbend.tables import messages
+from unbend.tables.delimited import text_file
 from unbend.tables.refraction_mark import Direction
 from unbend.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
+from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, number_of
+from unbend.written_tables import BLANKS, columns_in_words, with_decimal_points
 
 Hashes = NDArray[np.uint64]
 
@@ -24,34 +29,84 @@ _LEAST_SIMILAR = 0.5  # of names, by difflib: x_pix is 0.89 to x_px
 _FNV_BASIS = np.uint64(0xCBF29CE484222325)  # of FNV-1a with 64 bits
 _FNV_PRIME = np.uint64(0x100000001B3)
 _MIXING_FACTOR = np.uint64(0xD6E8FEB86659FD93)  # FNV-1a hardly changes the highest bits
-LINE_OF_FIRST_ROW = 2  # of a table whose first line is its header
+LINE_OF_FIRST_ROW = 2  # of a table in memory, as though its first line were its header
+_PUNCTUATION = re.compile(r"[^a-z0-9]")
+_ENDINGS_OF_HEMISPHERE = ("ref", "hemisphere", "hemi", "dir")
+_QUANTITIES_OF_NAMES = ("image", "camera", "point")  # whose columns hold text
 _WEEK_NS = SECONDS_PER_WEEK * 10**9
+# ISO 8601 with year, month and day; years of four digits that nanoseconds since 1970 can count.
+_WITH_DAY = r"(?:19|20)\d\d(?:-\d{1,2}-\d{1,2}|\d{4})(?!\d)"
+# 1990: no survey had GPS before. Receivers that count weeks modulo 1024 state such weeks today.
+FIRST_WEEK_OF_SURVEYS = 521
 
 
 def text_table(
     path: Path, wanted: Mapping[str, str], *, codes: tuple[Code, Code], key: str
 ) -> pd.DataFrame:
-    """All fields as text, under the names of the first line; a field that is not there is empty.
+    """All fields as text, by the names of their columns; a field that is not there is empty.
 
-    Commas, semicolons or tabs, whichever the first line has most of. ``wanted`` : quantity -> name
-    of its column, as stated under ``key`` of the mission file. Refuses what is no table or has two
-    columns of one name (the first of ``codes``), and one that lacks a column (the second).
+    The table has any form that `unbend.written_tables` knows; numbers with a decimal comma come
+    with a point. The index are the numbers of the lines. ``wanted`` : quantity -> name of its
+    column, as stated under ``key`` of the mission file. Refuses what is no table or has two columns
+    of one name (the first of ``codes``), and one that lacks a column (the second).
+    """
+    of_names = {name for quantity, name in wanted.items() if quantity in _QUANTITIES_OF_NAMES}
+    table = unrepeated_table(path, codes[0], of_names)
+    stated = ((quantity, name, f"{key}.{quantity}") for quantity, name in wanted.items())
+    require_names(codes[1], path, table.columns.tolist(), stated)
+    return table
+
+
+def unrepeated_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFrame:
+    """As `whole_table`; refuses (``code``) a table with two columns of one name, too."""
+    table = whole_table(path, code, of_names)
+    if repeated := _repeated(table.columns.tolist()):
+        why = f"the columns {repeated} stand there twice"
+        raise messages.csv_unreadable(code=code, where=path, error=why)
+    return table
+
+
+def whole_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFrame:
+    """The table of `text_table`, whatever columns it has; refuses (``code``) what is no table.
+
+    The columns ``of_names`` stay as they are, even where they look like numbers.
     """
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            head = file.readline()
-        # The header is read as a row: pandas takes longer rows for an index and renames repeats.
+        file = text_file(path)
+        form = file.form
+        # The head is read as a row: pandas takes longer rows for an index and renames repeats.
         rows = pd.read_csv(
-            path, header=None, dtype=str, keep_default_na=False, skipinitialspace=True,
-            encoding="utf-8-sig", sep=max(",;\t", key=head.count),
-        ).fillna("")  # fmt: skip
-        names = rows.iloc[0].tolist()
-        if repeated := _repeated(names):
-            raise ValueError(f"the columns {repeated} stand there twice")
+            path,
+            header=None,
+            dtype=str,
+            keep_default_na=False,
+            skipinitialspace=True,
+            skiprows=form.lines_before,
+            encoding=file.encoding,
+            sep=r"\s+" if form.separator == BLANKS else form.separator,
+        ).fillna("")
+        if len(form.names) != rows.shape[1]:
+            raise ValueError(
+                f"it names {len(form.names)} columns, and its rows have {rows.shape[1]}"
+            )
     except (OSError, ValueError) as error:
-        raise messages.csv_unreadable(code=codes[0], where=path, error=str(error).strip()) from None
-    require_names(codes[1], path, names, ((q, n, f"{key}.{q}") for q, n in wanted.items()))
-    return rows.iloc[1:].set_axis(names, axis="columns").reset_index(drop=True)
+        raise messages.csv_unreadable(code=code, where=path, error=str(error).strip()) from None
+    table = rows.iloc[int(form.head_is_row) :].set_axis(list(form.names), axis="columns")
+    table.index = pd.RangeIndex(len(table)) + form.line_of_first_row
+    table = table[~_comments_between_rows(table)]
+    for column, name in enumerate(form.names):
+        fields = table.iloc[:, column].tolist()
+        with_points = with_decimal_points(fields, decimal_comma=form.decimal_comma)
+        if name not in of_names and with_points is not fields:
+            table.isetitem(column, list(with_points))
+    return table
+
+
+def _comments_between_rows(table: pd.DataFrame) -> Mask:
+    """(n,) the rows that begin with # or % and have no other field."""
+    begins_so = table.iloc[:, 0].str.startswith(("#", "%"))
+    has_no_other = (table.iloc[:, 1:] == "").all(axis=1)
+    return np.asarray(begins_so & has_no_other, np.bool_)
 
 
 def text_of_frame(
@@ -64,7 +119,8 @@ def text_of_frame(
     stated = ((quantity, column, f"{key}.{quantity}") for quantity, column in wanted.items())
     require_names(codes[1], Path(name), names, stated)
     text = frame.astype(object).where(frame.notna(), "").map(str)
-    return text.set_axis(names, axis="columns").reset_index(drop=True)
+    text.index = pd.RangeIndex(len(text)) + LINE_OF_FIRST_ROW
+    return text.set_axis(names, axis="columns")
 
 
 def _repeated(names: Sequence[str]) -> str:
@@ -91,6 +147,65 @@ def numbers(text: "pd.Series[str]") -> Array:
         return pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
 
 
+def numbers_in_text(text: "pd.Series[str]") -> Array:
+    """(n,) numbers of fields among which others are text; with decimal points or commas."""
+    values = np.array(pd.to_numeric(text, errors="coerce"), np.float64)
+    for row in np.flatnonzero(text.str.contains(",", regex=False, na=False)).tolist():
+        with suppress(ValueError):
+            values[row] = number_of(text.iloc[row])
+    return values
+
+
+def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code, *, quantity: str) -> Array:
+    """(n,) a column of latitudes or longitudes [deg], as numbers or in degrees and minutes.
+
+    A column of hemispheres beside it gives the signs. NaN where a field is empty; refuses
+    (``code``) any other text, and a sign or letter of another hemisphere.
+    """
+    fields = table[name]
+    letters = LETTERS_OF_AXIS[quantity]
+    hemispheres = _hemispheres_of(table, name, quantity)
+    degrees = np.array(numbers(fields))
+    unread = []
+    has_hemisphere = (hemispheres != "").to_numpy()
+    in_parts = np.isnan(degrees) | has_hemisphere
+    for row in np.flatnonzero(in_parts).tolist():
+        try:
+            degrees[row] = angle_of(fields.iloc[row], hemispheres.iloc[row], letters)
+        except ValueError:
+            unread.append(row)
+    if unread:
+        raise messages.fields_without_number(
+            code=code,
+            path=path,
+            line=int(table.index[unread[0]]),
+            column=name,
+            count=len(unread),
+            first=fields.iloc[unread[0]],
+        )
+    return degrees
+
+
+def _hemispheres_of(table: pd.DataFrame, name: str, quantity: str) -> "pd.Series[str]":
+    """(n,) the hemisphere of each row, by a column that is called so; else empty.
+
+    Its name is that of the angle with "ref", "hemisphere" or "dir" behind it, or N/S, E/W.
+    """
+    letters = LETTERS_OF_AXIS[quantity]
+    of_angle = _PUNCTUATION.sub("", name.lower())
+    known = {of_angle + ending for ending in _ENDINGS_OF_HEMISPHERE} | {letters.lower()}
+    for column in table.columns:
+        called = _PUNCTUATION.sub("", str(column).lower())
+        if called not in known:
+            continue
+        values = table[column].str.strip()
+        filled = values[values != ""]
+        first_letters = filled.str[0].str.upper()
+        if first_letters.isin(list(letters)).all():
+            return values
+    return pd.Series("", index=table.index, dtype=str)
+
+
 def numbers_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
     """(n,) a column as numbers, NaN where a field is empty; refuses (``code``) any other text."""
     values = numbers(table[name])
@@ -99,7 +214,7 @@ def numbers_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
         raise messages.fields_without_number(
             code=code,
             path=path,
-            line=int(wrong[0]) + LINE_OF_FIRST_ROW,
+            line=int(table.index[wrong[0]]),
             column=name,
             count=wrong.size,
             first=table[name].iloc[wrong[0]],
@@ -107,10 +222,12 @@ def numbers_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
     return values
 
 
-def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: Code, key: str) -> Array:
+def angles_in_radians(
+    given: Array, unit: AngleUnit, path: Path, code: Code, *, key: str, lines: "pd.Index[Any]"
+) -> Array:
     """(n, 3) angles in radians; refuses (``code``) more than a full turn in the unit stated.
 
-    ``key`` is the mission file's for the unit.
+    ``key`` is the mission file's for the unit; ``lines`` (n,) are those of the rows.
     """
     turn = {name: 2.0 * np.pi / size for name, size in RADIANS.items()}
     beyond = (np.abs(given) > turn[unit] * (1.0 + 1e-6)).any(axis=1)
@@ -120,7 +237,7 @@ def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: Code, key
     raise messages.angles_beyond_turn(
         code=code,
         path=path,
-        line=int(np.argmax(beyond)) + LINE_OF_FIRST_ROW,
+        line=int(lines[int(np.argmax(beyond))]),
         count=int(beyond.sum()),
         turn=turn[unit],
         unit=unit,
@@ -133,12 +250,15 @@ def angles_in_radians(given: Array, unit: AngleUnit, path: Path, code: Code, key
 def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray, Mask]:
     """(n,) Unix nanoseconds of dates with a time of day in UTC or GPS time; which are good.
 
-    ISO 8601, or with slashes between year, month and day; zones are honoured.
+    ISO 8601, or with slashes between year, month and day; zones are honoured. A year or a month
+    alone is no time, and a time at which no survey can have been flown is none either.
     """
-    iso = text.str.replace("/", "-", regex=False)
-    stamps = pd.to_datetime(iso, utc=True, errors="coerce", format="ISO8601")
+    iso = text.str.replace("/", "-", regex=False).str.strip()
+    has_day = iso.str.match(_WITH_DAY).to_numpy(np.bool_)
+    stamps = pd.to_datetime(iso.where(has_day), utc=True, errors="coerce", format="ISO8601")
     good = stamps.notna().to_numpy()
     time_ns = np.where(good, stamps.to_numpy("datetime64[ns]").astype(np.int64), 0)
+    good = good & can_be_flown(time_ns)
     if system == "gpst":
         week, rest = np.divmod(time_ns - UNIX_NS_OF_GPS_EPOCH, _WEEK_NS)
         time_ns = utc_of_gps(week, rest / 1e9)
@@ -166,9 +286,14 @@ def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeA
     if "time_utc" in names:
         return utc_of_dates(table[names["time_utc"]])
     week, seconds = (numbers(table[names[part]]) for part in ("gps_week", "gps_seconds"))
-    good = np.isfinite(week) & np.isfinite(seconds) & (week > 0) & (week == np.floor(week))
-    good &= (seconds >= 0.0) & (seconds <= 604_800.0)
-    return utc_of_weeks(np.where(good, week, np.nan), seconds, "gpst"), good
+    is_whole = week == np.floor(week)
+    good = np.isfinite(week) & np.isfinite(seconds) & is_whole
+    good &= week >= FIRST_WEEK_OF_SURVEYS
+    good &= seconds >= 0.0
+    good &= seconds <= SECONDS_PER_WEEK
+    known_week = np.where(good, week, np.nan)
+    time_ns = utc_of_weeks(known_week, seconds, "gpst")
+    return time_ns, good & can_be_flown(time_ns)
 
 
 def hashes_of(names: pa.StringArray) -> Hashes:
@@ -221,7 +346,7 @@ is image, x_pix
                 quantity=quantity,
                 column=name,
                 similar=similar[0] if similar else "",
-                present=", ".join(there),
+                present=columns_in_words(there),
                 key=key,
             )
 

@@ -148,11 +148,14 @@ def table_of_profile(
     standard = adjustment.standard
     air = air or TimedProfile(adjustment.time_ns, adjustment.profile, adjustment.covariance)
     profile = air.profile
+    time_ns = air.time_ns
+    if not adjustment.utc_known:
+        time_ns = None
     columns = profile_table(profile, heights)
     h = columns["h_m"]
     columns |= {
         "profile_id": np.full(h.shape, profile_id, dtype=object),
-        "time_utc": [air.time_ns] * h.size,
+        "time_utc": [time_ns] * h.size,
         "standard_temperature_k": standard.temperature(h),
         "standard_pressure_pa": standard.pressure(h),
         "standard_vapour_pressure_pa": standard.vapour_pressure(h),

@@ -59,8 +59,16 @@ def test_what_is_not_known_is_not_near():
     nowhere = TimeAndPlace(0)
     assert math.isnan(nowhere.metres_from(*place(47.0, 8.0)))
     assert math.isnan(nowhere.hours_from(None))
-    meridian = TimeAndPlace(0, *place(47.0, 8.0)).metres_from(math.radians(57.0), math.nan)
-    assert meridian == pytest.approx(1.112e6, rel=5e-3)
+    here = TimeAndPlace(0, *place(47.0, 8.0))
+    assert math.isnan(here.metres_from(math.radians(57.0), math.nan))
+
+
+@pytest.mark.parametrize(("north", "km"), [(47.0, 100.0), (57.0, 1112.0)])
+def test_a_column_without_a_longitude_is_not_at_the_flight(ascents, north, km):
+    """Its latitude alone tells how far it is at least."""
+    column = balloon_of(ascents["2023"], latitude_rad=math.radians(north), longitude_rad=math.nan)
+    _, metres = hours_and_metres(column, TimeAndPlace(0, *place(47.0, 8.0)))
+    assert metres == pytest.approx(1e3 * km, rel=5e-3)
 
 
 def test_a_distance_counts_twice_across_a_coast(ascents):
@@ -205,7 +213,7 @@ def adjusted(truth, samples=None, **more):
     background = climatology(latitude_rad=truth.latitude, month=6.0)
     made = build_adjusted_profile(
         samples or AirSamples(), US1976, truth.latitude, ledger, background=background,
-        **({"time_ns": truth.start_ns} | more),
+        **({"time_ns": truth.start_ns, "longitude_rad": 0.0} | more),
     )  # fmt: skip
     return made, ledger
 

@@ -120,7 +120,6 @@ def test_wyoming_without_a_place_and_with_a_missing_height(files):
     s = read_sounding(
         files / "wyoming_csv_82244_20120101_00Z.csv", ledger, latitude_rad=math.radians(-2.43)
     )
-    assert math.isnan(s.latitude_rad)
     assert math.isnan(s.longitude_rad)
     assert counts(ledger) == {"SOUNDING-HEIGHTS": 1}
     # 1002.0 hPa, 2 hPa below 74 m: 17.6 m by hand, with Tv of 305.2 K.
@@ -195,6 +194,22 @@ def test_a_clean_csv_needs_no_repair():
     assert s.pressure_pa == pytest.approx(100.0 * standard_hpa(HEIGHTS), rel=1e-7)
     assert s.temperature_k[0] == 288.15
     assert s.h_m[-1] == pytest.approx(metres(5500.0, 45.0), abs=0.1)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_csv_with_decimal_commas_is_the_same(separator):
+    text = text_of(air()).replace(",", separator).replace(".", ",")
+    sounding = parse_sounding(text, Ledger(), latitude_rad=math.radians(45.0))
+    plain, _ = read(air())
+    assert sounding.pressure_pa == pytest.approx(plain.pressure_pa, rel=1e-9)
+    assert sounding.temperature_k == pytest.approx(plain.temperature_k, rel=1e-9)
+
+
+def test_a_csv_with_longer_rows_is_refused_by_name():
+    text = text_of(air()) + ",1,2\n"
+    with pytest.raises(InputError, match="SOUNDING-EMPTY") as caught:
+        parse_sounding(text, Ledger(), latitude_rad=0.8)
+    assert "its first row has 4 fields" in caught.value.what
 
 
 def test_geometric_heights_stay():
@@ -446,9 +461,7 @@ def dated(time: str) -> tuple[Sounding, dict[str, int]]:
         ("2025-06-12T11:00:00+02:00", "2025-06-12T09:00", {}),
         ("2025-06-12 09:00", "2025-06-12T09:00", {}),
         ("", None, {}),
-        ("12.06.2025 09:00", None, {"SOUNDING-TIME": 1}),
-        ("3025-06-12T09:00:00Z", None, {"SOUNDING-TIME": 1}),
-        ("0001-01-01", None, {"SOUNDING-TIME": 1}),
+        ("NaN", None, {}),
     ],
 )
 def test_times_of_a_csv(text, when, said):
@@ -456,6 +469,53 @@ def test_times_of_a_csv(text, when, said):
     assert s.time_ns == (None if when is None else ns(when))
     assert counted == said
     assert ("2025-06-12T09:00" in s.name) is (when is not None)
+
+
+@pytest.mark.parametrize("text", ["12.06.2025 09:00", "3025-06-12T09:00:00Z", "0001-01-01", "noon"])
+def test_a_time_that_is_stated_and_cannot_be_read_is_refused(text):
+    with pytest.raises(InputError) as caught:
+        dated(text)
+    assert caught.value.code == "SOUNDING-TIME"
+    assert text in caught.value.what
+
+
+def at_place(north: str, east: str):
+    """A plain CSV with a place in its columns, as it is read."""
+    lines = text_of(air()).splitlines()
+    rows = [f'{line},"{north}","{east}"' for line in lines[1:]]
+    text = "\n".join([f"{lines[0]},latitude_deg,longitude_deg", *rows])
+    return parse_sounding(text, Ledger(), latitude_rad=0.8)
+
+
+@pytest.mark.parametrize(
+    ("east", "degrees"),
+    [("16.35", 16.35), ("-70.5", -70.5), ("289.5", -70.5), ("180", 180.0), ("359.99", -0.01)],
+)
+def test_longitudes_of_either_kind(east, degrees):
+    assert math.degrees(at_place("48.2", east).longitude_rad) == pytest.approx(degrees)
+
+
+@pytest.mark.parametrize(
+    ("north", "east"), [("", ""), ("-9999", "-9999"), ("-99.99", "-99.99"), ("", "8.3")]
+)
+def test_a_place_that_is_not_stated_is_unknown(north, east):
+    s = at_place(north, east)
+    assert math.isnan(s.longitude_rad)
+
+
+@pytest.mark.parametrize(
+    ("north", "east"),
+    [("48 14", "16 21"), ("48.2", "361"), ("98.2", "16.35"), ("48.2N", "16.35E")],
+)
+def test_a_place_that_is_stated_and_cannot_be_read_is_refused(north, east):
+    with pytest.raises(InputError) as caught:
+        at_place(north, east)
+    assert caught.value.code == "SOUNDING-PLACE"
+
+
+def test_a_place_with_decimal_commas_is_read():
+    sounding = at_place("48,2333", "16,35")
+    assert math.degrees(sounding.longitude_rad) == pytest.approx(16.35)
 
 
 def test_format_by_name():
@@ -633,3 +693,61 @@ def test_rows_of_two_ascents_in_one_table(hours):
         return
     with pytest.raises(InputError, match=r"SOUNDING-CHOICE.*up to 5\.0 hours apart"):
         parse_sounding(text, Ledger(), station_h_m=540.0)
+
+
+def wyoming_of(heading: str, station: str = "", levels: int = 8) -> str:
+    """A list of the University of Wyoming under a heading, with lines on its station after it."""
+    rows = []
+    for k in range(levels):
+        h = 500 * k + 200
+        p = 1013.25 * (1 - 2.25577e-5 * h) ** 5.25588
+        rows.append(f"{p:7.1f}{h:7d}{15 - 0.0065 * h:7.1f}{5 - 0.0065 * h:7.1f}{50:7d}")
+    rule = "-" * 77
+    titles = "   PRES   HGHT   TEMP   DWPT   RELH\n    hPa     m      C      C      %"
+    table = "\n".join([rule, titles, rule, *rows])
+    return f"<H1>{heading}</H1>\n<PRE>\n{table}\n</PRE>\n{station}\n"
+
+
+NEW_HEADING = "Observations for Station 11035 at 12 UTC 12 Mar 2015"
+NEW_PLACE = "<I>Latitude: 48.2333 Longitude: 16.35</I>"
+
+
+def test_the_present_page_has_time_and_place_in_its_head():
+    s = parse_sounding(wyoming_of(f"{NEW_HEADING}</H1>\n{NEW_PLACE}\n<H1>"), Ledger())
+    assert s.time_ns == ns("2015-03-12T12:00")
+    assert s.station == "11035"
+    assert np.degrees([s.latitude_rad, s.longitude_rad]) == pytest.approx([48.2333, 16.35])
+
+
+@pytest.mark.parametrize("heading", ["Observations for Station 11035 at noon", "11035 Wien "
+                                     "Observations at 12Z 12 Mrz 2015"])  # fmt: skip
+def test_a_heading_whose_time_cannot_be_read_is_refused(heading):
+    with pytest.raises(InputError) as caught:
+        parse_sounding(wyoming_of(heading), Ledger(), latitude_rad=0.8)
+    assert caught.value.code == "SOUNDING-TIME"
+
+
+@pytest.mark.parametrize("stamp", ["150312/12", "151312/1200", "noon"])
+def test_an_observation_time_that_cannot_be_read_is_refused(stamp):
+    station = f"Observation time: {stamp}"
+    with pytest.raises(InputError) as caught:
+        parse_sounding(wyoming_of("", station), Ledger(), latitude_rad=0.8)
+    assert caught.value.code == "SOUNDING-TIME"
+
+
+@pytest.mark.parametrize(
+    ("flight", "hour"), [("2015-03-13T01", "13T00"), ("2015-03-12T10", "12T12")]
+)
+def test_of_two_ascents_of_a_page_the_nearest_in_time(flight, hour):
+    page = wyoming_of("11035 Wien Observations at 12Z 12 Mar 2015", "Observation time: 150312/1200")
+    page += wyoming_of("11035 Wien Observations at 00Z 13 Mar 2015", levels=9)
+    s = parse_sounding(page, Ledger(), time_ns=ns(flight), latitude_rad=0.8)
+    assert s.time_ns == ns(f"2015-03-{hour}:00")
+    assert s.h_m.size == (9 if hour == "13T00" else 8)
+
+
+def test_a_date_of_the_archive_that_is_none_is_refused():
+    text = igra("01", "12", "1137").replace(" 06 01 ", " 13 01 ")
+    with pytest.raises(InputError) as caught:
+        parse_sounding(text, Ledger())
+    assert caught.value.code == "SOUNDING-TIME"

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
-from unbend.flight.clock import full_weeks, utc_of_gps
+from unbend.flight.clock import utc_of_gps
 from unbend.ingest import Log, open_log
 from unbend.ingest.buffers import view_of_bytes
 from unbend.ingest.dataflash.binary_log import read_tables
@@ -117,9 +117,32 @@ def test_a_receiver_that_counts_weeks_modulo_1024(
     assert [entry.count for entry in told] == ([20] if rollovers else [])
 
 
-def test_one_wild_week_is_no_rollover() -> None:
-    weeks, repaired = full_weeks([2324, 2324, 3, 2324], first=1773)
-    assert (weeks.tolist(), repaired) == ([2324, 2324, 3, 2324], 0)
+def test_one_wild_week_is_no_rollover(writer: Any, opened: Callable) -> None:
+    fixes(writer, 2324)
+    writer.row("GPS", 9_000_000, 0, 3, 9_000, 3, 12, 0.8, 47.0, 8.0, 600.0)
+    log = opened(writer.data)
+    assert log.channel("GPS[0]").time_ns[0] == utc_of_gps(2324, 1.0)
+    assert not entries(log, "TIME-WEEK-ROLLOVER")
+
+
+@pytest.mark.parametrize(
+    ("name", "week", "full"),
+    [
+        ("flight.bin", 1590, 1590),  # June 2010 is possible, and nothing speaks against it
+        ("2010-06-28 10-12-00.bin", 1590, 1590),
+        ("flight.bin", 1400, 2424),  # November 2006 is not: 2026 is the only possible date
+        ("2024-07-22.bin", 276, 2324),
+    ],
+)
+def test_a_date_is_moved_only_on_evidence(
+    name: str, week: int, full: int, writer: Any, tmp_path: Path
+) -> None:
+    fixes(writer, week)
+    path = tmp_path / name
+    path.write_bytes(writer.data)
+    log = open_log(path)
+    assert log.channel("GPS[0]").time_ns[0] == utc_of_gps(full, 1.0)
+    assert len(entries(log, "TIME-WEEK-ROLLOVER")) == (week != full)
 
 
 def test_gps_time_that_cannot_be_is_not_used(writer: Any, opened: Callable) -> None:

@@ -107,6 +107,50 @@ def opened(tmp_path: Path, body: str) -> Log:
     return open_log(path)
 
 
+def barometer(second: int, dropped: int) -> str:
+    """A row of a barometer and the logger's count at a second since boot."""
+    time_us = second * 1_000_000
+    return f"BARO, {time_us}, 0, 95000.0, 20.0\nDSF, {time_us}, {dropped}\n"
+
+
+DEFINED = "FMT, 61, 15, DSF, QI, TimeUS,Dp\n"
+
+
+def test_what_the_logger_dropped_is_a_loss_with_its_own_count(tmp_path: Path) -> None:
+    first = "".join(barometer(second, 7 * second) for second in range(5, 10))
+    second = "".join(barometer(second, 2) for second in range(1, 4))
+    log = opened(tmp_path, DEFINED + first + second)
+    (dropped,) = [entry for entry in log.ledger if entry.code == "LOG-DROPOUT"]
+    assert (dropped.kind, dropped.count, log.lost_messages) == ("loss", 65, 65)
+    assert log.boots == 2
+
+
+def test_a_logger_that_starts_again_within_a_boot_counts_from_0(tmp_path: Path) -> None:
+    counts = (5, 50, 50, 0, 7, 4_294_967_290, 9)  # one of them is damaged
+    rows = "".join(barometer(second, count) for second, count in enumerate(counts))
+    log = opened(tmp_path, DEFINED + rows)
+    assert (log.boots, log.lost_messages) == (1, 59)
+
+
+def test_a_logger_that_dropped_nothing_lost_nothing(tmp_path: Path) -> None:
+    log = opened(tmp_path, DEFINED + "".join(barometer(second, 0) for second in range(5)))
+    assert not log.ledger.has_losses
+    assert log.lost_messages == 0
+
+
+def test_the_banner_of_the_firmware_is_no_damage(tmp_path: Path) -> None:
+    body = "".join(f"BARO, {second}000000, 0, 95000.0, 20.0\n" for second in range(5))
+    banner = "\r\nArduCopter V3.2.1 (36b405fb)\r\nFree RAM: 2048\r\nPX4: 34e1d543\r\n \r\n"
+    path = tmp_path / "flight.log"
+    path.write_bytes((banner + HEAD + body).encode())
+    log = open_log(path)
+    assert (log.bad_bytes, log.ledger.has_losses) == (0, False)
+    path.write_bytes((HEAD + banner + body).encode())
+    assert open_log(path).bad_bytes > 0
+    path.write_bytes(b"\x00\xf3\n" + (HEAD + body).encode())
+    assert open_log(path).bad_bytes == 3
+
+
 def test_lines_that_make_no_sense_are_counted(tmp_path: Path) -> None:
     rows = [f"BARO, {k}000000, 0, {95_000 - k}.5, 20.5" for k in range(6)]
     rows[2] = "BARO, 2000000, 0, 95#98.5, 20.5"

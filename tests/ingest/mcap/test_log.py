@@ -653,6 +653,30 @@ def test_ros_1_is_counted_and_not_read(tmp_path: Path) -> None:
     assert log.channel("/air")["temperature_k"][0] == 288.15
 
 
+@pytest.mark.parametrize(
+    ("encoding", "definitions"),
+    [("ros1", "ros1msg"), ("cdr", "ros2idl"), ("cdr", "omgidl"), ("cbor", ""), ("", "flatbuffer")],
+)
+def test_a_refusal_names_the_encodings_that_are_not_read(
+    tmp_path: Path, encoding: str, definitions: str
+) -> None:
+    from mcap.writer import Writer
+
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start(profile="", library="test")
+    schema = writer.register_schema("sensor_msgs::msg::NavSatFix", definitions, b"x")
+    channel = writer.register_channel("/fix", encoding, schema)
+    for k in range(3):
+        writer.add_message(channel, START + k, bytes(8), START + k)
+    writer.finish()
+    with pytest.raises(LogError) as caught:
+        opened(tmp_path, file.getvalue())
+    assert caught.value.code == "LOG-NO-MESSAGES"
+    named = f"{encoding or 'no encoding'} with {definitions or 'no'} definitions (/fix)"
+    assert named in caught.value.what
+
+
 def test_any_damage_opens_or_refuses(tmp_path: Path) -> None:
     logs = [
         flight(12, compression=kind, enable_crcs=crcs).data

@@ -135,6 +135,7 @@ def test_texts_in_one_block_take_no_numbers_from_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("unbend.ingest.mcap.mcap_records.SPAN", 20_000)
+    monkeypatch.setattr("unbend.ingest.mcap.message_batches.BATCH_BYTES", 20_000)
     values = [str(k) for k in range(600)]
     values[20] = '"n/a"'
     log = readings(tmp_path / "log.mcap", values, "x" * 300)
@@ -172,6 +173,7 @@ def test_integers_are_exact_in_tables(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (table["value"].tolist(), table["value"].dtype) == (values, np.int64)
     assert table["timestamp"].tolist() == times(300)
     monkeypatch.setattr("unbend.ingest.mcap.mcap_records.SPAN", 8000)  # parts of several kinds
+    monkeypatch.setattr("unbend.ingest.mcap.message_batches.BATCH_BYTES", 8000)
     odd = [2**64 - 1, None, *values[2:200], True, *values[201:250], 0.5, *values[251:]]
     log = readings(tmp_path / "odd.mcap", [json.dumps(value) for value in odd])
     assert log.message("/cabin")["value"].tolist() == odd
@@ -283,3 +285,36 @@ def test_a_recorder_that_counts_anew_hides_no_gap(tmp_path: Path) -> None:
     log = written(tmp_path / "log.mcap", channels, messages, lambda k: numbers[k])
     assert log.lost_messages == 7
     assert entries(log, "LOG-REORDERED") == []
+
+
+def stamped(path: Path, stamp_ns: int, recorded_ns: int) -> Log:
+    """A pressure each tenth of a second, stamped by one clock and recorded by another."""
+    steps = [k * SECOND // 10 for k in range(50)]
+    rows = [(1, recorded_ns + step, cdr(stamp_ns + step, 9e4, 1.0)) for step in steps]
+    return written(path, [("/baro", AIR, PRESSURE, "cdr")], rows)
+
+
+def test_stamps_that_have_rolled_over_are_moved_by_the_recorders_clock(tmp_path: Path) -> None:
+    rollover_ns = 1024 * 604_800 * SECOND
+    log = stamped(tmp_path / "a.mcap", START - rollover_ns, START + SECOND)
+    assert log.channel("/baro").time_ns[0] == START
+    assert [kind for kind, _, _ in entries(log, "TIME-WEEK-ROLLOVER")] == ["warning"]
+    assert log.message("/baro")["time_ns"][0] == START
+
+
+@pytest.mark.parametrize("stamp_s", [1_150_000_000, 2_145_916_800])  # 2006, 2038
+def test_stamps_whose_date_cannot_be_are_no_utc(tmp_path: Path, stamp_s: int) -> None:
+    log = stamped(tmp_path / "a.mcap", stamp_s * SECOND, START)
+    assert not log.has_utc
+    assert len(log.channel("/baro")) == 50
+    assert entries(log, "TIME-IMPOSSIBLE")
+    assert entries(log, "TIME-NO-UTC")
+    assert np.isnan(log.utc_sigma_s)
+
+
+@pytest.mark.parametrize(("early_s", "expected"), [(30, []), (365 * 86_400, ["warning"])])
+def test_stamps_are_compared_with_the_recorders_clock(
+    tmp_path: Path, early_s: int, expected: list[str]
+) -> None:
+    log = stamped(tmp_path / "a.mcap", START - early_s * SECOND, START)
+    assert [kind for kind, _, _ in entries(log, "TIME-SOURCES")] == expected

@@ -345,3 +345,83 @@ def test_packets_that_others_overtake_are_no_boot_and_no_loss(tmp_path: Path, na
             assert np.abs(ours.time_ns - channel.time_ns).max() < 1000
             for column in channel.columns:
                 np.testing.assert_array_equal(ours[column], channel[column], column)
+
+
+ROLLOVER_US = 1024 * 604_800 * 10**6
+UTC_2042_US = 2_272_147_200_000_000
+DAY_US = 86_400 * 10**6
+
+
+def dated(
+    tmp_path: Path, stated_us: int, *, host_us: int = START_US, fix: int = 0, name: str = "a.tlog"
+) -> Log:
+    """A minute whose SYSTEM_TIME begins at a UTC, received at the stamps of a ground station."""
+    bus = Bus()
+    for k in range(60):
+        at_us = host_us + 10**6 * k + 200_000
+        boot_ms = 10_000 + 1000 * k
+        bus.send(at_us, (1, 1), "system_time", stated_us + 10**6 * k, boot_ms)
+        bus.send(at_us, (1, 1), "attitude", boot_ms, 0, 0, 0.01 * k, 0, 0, 0)
+        place = (475_000_000 + k, 80_000_000, 600_000)
+        bus.send(at_us, (1, 1), "gps_raw_int", boot_ms * 1000, fix, *place, 80, 80, 500, 0, 12)
+        feedback = (475_000_000, 80_000_000, 600.0, 100.0, 0.0, 0.0, 0.0, 24.0, 0)
+        bus.send(at_us, (1, 1), "camera_feedback", stated_us + 10**6 * k, 1, 0, k, *feedback)
+    return bus.opened(tmp_path / name)
+
+
+def shown_s(log: Log, channel: str = "ATTITUDE") -> float:
+    """When the first message of a channel was sent, after the true beginning."""
+    return float(log.channel(channel).time_ns[0] // 1000 - START_US) / 1e6
+
+
+@pytest.mark.parametrize("rollovers", [1, 2, -1])
+def test_a_rollover_is_found_by_the_stamps_of_reception(tmp_path: Path, rollovers: int) -> None:
+    log = dated(tmp_path, START_US - rollovers * ROLLOVER_US, fix=3)
+    assert shown_s(log) == pytest.approx(0.0, abs=0.3)  # the receiver's delay may move all
+    assert shown_s(log, "CAMERA_FEEDBACK[0]") == pytest.approx(shown_s(log), abs=1e-3)
+    (entry,) = entries(log, "TIME-WEEK-ROLLOVER")
+    assert "2023-11-14" in entry.what
+
+
+def test_2042_of_an_autopilot_without_a_fix_is_not_believed(tmp_path: Path) -> None:
+    log = dated(tmp_path, UTC_2042_US)
+    assert shown_s(log) == pytest.approx(0.2, abs=1e-3)
+    assert shown_s(log, "CAMERA_FEEDBACK[0]") == pytest.approx(0.2, abs=1e-3)
+    assert [entry.kind for entry in entries(log, "TIME-IMPOSSIBLE")] == ["warning"]
+    assert log.utc_sigma_s == 5.0
+
+
+@pytest.mark.parametrize(
+    ("fix", "expected_s", "codes"),
+    [(0, 0.2, ["TIME-IMPOSSIBLE"]), (3, -2 * 86_400.0, ["TIME-SOURCES"])],
+)
+def test_a_clock_that_no_receiver_has_set_yields_to_the_ground_stations(
+    tmp_path: Path, fix: int, expected_s: float, codes: list[str]
+) -> None:
+    log = dated(tmp_path, START_US - 2 * DAY_US, fix=fix)
+    assert shown_s(log) == pytest.approx(expected_s, abs=0.3)
+    said = {entry.code for entry in log.ledger}
+    assert sorted(said & {"TIME-IMPOSSIBLE", "TIME-SOURCES"}) == codes
+
+
+def test_two_clocks_that_nothing_checks_are_as_good_as_they_agree(tmp_path: Path) -> None:
+    log = dated(tmp_path, START_US - 3600 * 10**6)
+    assert shown_s(log) == pytest.approx(-3600.0, abs=0.3)
+    assert log.utc_sigma_s == pytest.approx(3600.2, abs=0.1)
+
+
+def test_neither_clock_has_a_date(tmp_path: Path) -> None:
+    log = dated(tmp_path, UTC_2042_US, host_us=1_150_000_000_000_000)  # 2006
+    assert not log.has_utc
+    assert np.isnan(log.utc_sigma_s)
+    assert log.to_json_dict()["start_utc"] is None
+    assert entries(log, "TIME-NO-UTC")
+
+
+def test_what_each_clock_is_good_for(tmp_path: Path) -> None:
+    clocks = dated(tmp_path, START_US, fix=3).to_json_dict()["clocks"]
+    uses = [(clock["use"], clock["utc"]) for clock in clocks]
+    assert uses == [("UTC of the log", "2023-11-14"), ("compared", "2023-11-14")]
+    assert clocks[0]["sigma_s"] == pytest.approx(0.15)  # by the receiver, whose delay is unknown
+    assert clocks[1]["sigma_s"] == 5.0
+    assert clocks[1]["apart_s"] == pytest.approx(0.2)

@@ -462,6 +462,28 @@ def regular() -> tuple[bytes, list[bytes]]:
     return head, rows
 
 
+def test_triggers_and_feedbacks_of_one_topic_are_two_channels(tmp_path: Path) -> None:
+    writer = ULogWriter()
+    writer.define("camera_trigger", "uint64_t timestamp_utc;uint32_t seq;bool feedback;")
+    writer.define("vehicle_land_detected", "bool landed;")
+    writer.subscribe("camera_trigger")
+    writer.subscribe("vehicle_land_detected")
+    for number in range(1, 9):
+        sent_us = 5_000_000 * number
+        writer.row("vehicle_land_detected", "?", sent_us, False)
+        writer.row("camera_trigger", "QI?", sent_us, 0, number, False)
+        writer.row("camera_trigger", "QI?", sent_us + 120_000, 0, number, True)
+    log = opened(tmp_path, writer.data)
+    pulses = log.channel("camera_trigger")
+    commands = log.channel("camera_trigger.sent")
+    assert pulses["event_index"].tolist() == commands["event_index"].tolist() == [*range(1, 9)]
+    assert ((pulses.time_ns - commands.time_ns) // 1000).tolist() == [120_000] * 8
+    assert pulses.rank < commands.rank
+    (both,) = [entry for entry in log.ledger if entry.code == "EVENTS-BOTH"]
+    assert (both.kind, both.count) == ("note", 16)
+    assert log.channel("vehicle_land_detected")["landed"].tolist() == [0.0] * 8
+
+
 def test_messages_that_were_cut_out_between_records_are_told(tmp_path: Path) -> None:
     head, rows = regular()
     assert not opened(tmp_path, head + b"".join(rows)).ledger.has_losses
@@ -474,6 +496,47 @@ def test_messages_that_were_cut_out_between_records_are_told(tmp_path: Path) -> 
         seconds = float(gap.where.split("first ")[1].split()[0])
         assert seconds == pytest.approx(60.0 + begin / 155.0, abs=0.1)
     assert not [e for e in log.ledger if e.kind == "loss" and e.code != "LOG-GAP"]
+
+
+def test_a_log_that_is_mostly_silent_was_not_logged_all_the_time(tmp_path: Path) -> None:
+    """1,300 messages in 8.4 s of 50 s: no message of an intact log is said to be missing."""
+    head, rows = regular()
+    log = opened(tmp_path, head + b"".join(rows[:650] + rows[-650:]))
+    assert not log.ledger.has_losses
+    (paused,) = [entry for entry in log.ledger if entry.code == "LOG-PAUSED"]
+    assert (paused.kind, paused.count) == ("warning", 1)
+
+
+def test_events_in_bursts_are_no_steady_topic(tmp_path: Path) -> None:
+    """Eight triggers, each with its feedback 0.12 s later, in a log of one attitude a second."""
+    writer = ULogWriter()
+    writer.define("camera_trigger", "uint64_t timestamp_utc;uint32_t seq;bool feedback;")
+    writer.define("vehicle_attitude", "float[4] q;")
+    for name in ("camera_trigger", "vehicle_attitude"):
+        writer.subscribe(name)
+    for number in range(1, 61):
+        second_us = 5_000_000 + 1_000_000 * number
+        writer.row("vehicle_attitude", "4f", second_us, 1.0, 0.0, 0.0, 0.0)
+        if number % 3 == 0:
+            writer.row("camera_trigger", "QI?", second_us + 10_000, 0, number, False)
+            writer.row("camera_trigger", "QI?", second_us + 130_000, 0, number, True)
+    codes = {entry.code for entry in opened(tmp_path, writer.data).ledger}
+    assert not codes & {"LOG-GAP", "LOG-PAUSED"}
+
+
+def test_a_topic_that_is_not_read_shows_that_the_log_goes_on(tmp_path: Path) -> None:
+    writer = ULogWriter()
+    for name in ("actuator_outputs", "vehicle_attitude"):
+        writer.define(name, "float[4] q;")
+    for name in ("actuator_outputs", "vehicle_attitude"):
+        writer.subscribe(name)
+    for k in range(200):
+        t = 60_000_000 + 50_000 * k
+        writer.row("actuator_outputs", "4f", t, 0.0, 0.0, 0.0, 0.0)
+        if not 60 <= k < 120:
+            writer.row("vehicle_attitude", "4f", t, 1.0, 0.0, 0.0, 0.0)
+    codes = {entry.code for entry in opened(tmp_path, writer.data).ledger}
+    assert not codes & {"LOG-GAP", "LOG-PAUSED"}
 
 
 def test_a_stray_time_is_no_cut(tmp_path: Path) -> None:
@@ -509,3 +572,34 @@ def test_texts_and_parameters(tmp_path: Path) -> None:
     )
     assert not log.ledger.has_losses
     assert not opened(tmp_path, flight()).parameters
+
+
+ROLLOVER_US = 1024 * 604_800 * 10**6
+UTC_2042_US = 2_272_147_200_000_000
+
+
+@pytest.mark.parametrize("rollovers", [1, 2])
+def test_a_receiver_that_has_rolled_over(tmp_path: Path, rollovers: int) -> None:
+    early_us = NOW_US - rollovers * ROLLOVER_US
+    log = opened(tmp_path, newer(utc=lambda k: early_us + 200_000 * k).data)
+    assert seconds(log, "vehicle_attitude") == WHOLE
+    assert [e.kind for e in log.ledger if e.code == "TIME-WEEK-ROLLOVER"] == ["warning"]
+
+
+def test_a_date_that_no_log_can_have_is_none(tmp_path: Path) -> None:
+    """2042 less a rollover is 2022: a clock that was never set is no rollover."""
+    log = opened(tmp_path, newer(utc=lambda k: UTC_2042_US + 200_000 * k).data)
+    assert not log.has_utc
+    assert {"TIME-IMPOSSIBLE", "TIME-NO-UTC"} <= {e.code for e in log.ledger}
+
+
+@pytest.mark.parametrize("fix", [0, 3])
+def test_the_utc_of_the_boot_counts_where_no_receiver_has_a_fix(tmp_path: Path, fix: int) -> None:
+    writer = newer(fix=lambda _: fix)
+    key = b"uint64_t boot_time_utc_us"
+    value = struct.pack("<Q", NOW_US - 60_000_000 + 1_500_000)
+    writer.message("I", bytes([len(key)]) + key + value)
+    log = opened(tmp_path, writer.data)
+    late_s = 0.0 if fix else 1.5
+    assert seconds(log, "vehicle_attitude") == pytest.approx([t + late_s for t in WHOLE])
+    assert (log.utc_sigma_s == 5.0) is (fix == 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -194,3 +195,61 @@ def test_a_damaged_time_moves_no_other_by_a_week(exposures):
     path = exposures.put("damaged.txt", "".join(lines))
     channel = read_eo_text(path, Stated("gpst", WEEK), Ledger())
     assert np.abs(channel.time_ns - np.delete(exposures.utc_ns, 5)).max() < 1000
+
+
+THIRD = "Third rotation is about the 'z' axis by the 'kappa' angle.\n"
+
+
+def eo_with_head(exposures, head: str, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)):
+    """The text with its head, easting, northing and height shifted; latitude is not."""
+    east, north = pyproj.Proj("EPSG:32632")(exposures.lon, exposures.lat)
+    text = head + "Zone: UTM North 32; lat, long in Deg; orientation in Degrees\n"
+    text += "EVENT TIME (s) EASTING NORTHING ELLIPSOID HEIGHT OMEGA PHI KAPPA LAT LONG\n"
+    for k in range(exposures.t.size):
+        text += (
+            f"{k + 1} {302_400.0 + exposures.t[k]:.4f} {east[k] + shift[0]:.3f} "
+            f"{north[k] + shift[1]:.3f} {exposures.height[k] + shift[2]:.3f} 0.5 -0.5 30 "
+            f"{exposures.lat[k]:.9f} {exposures.lon[k]:.9f}\n"
+        )
+    return exposures.put("head.txt", text)
+
+
+def test_a_shift_that_latitudes_do_not_have_is_taken_from_the_heights(exposures):
+    head = "Shift values: X = 12.000 m, Y = -30.000 m, Z = 48.500 m\n"
+    ledger = Ledger()
+    path = eo_with_head(exposures, head, (12.0, -30.0, 48.5))
+    channel = read_eo_text(path, Stated("gpst", WEEK), ledger)
+    assert np.abs(channel["h_ellipsoid_m"] - exposures.height).max() < 1e-3
+    assert "taken from the heights" in entries(ledger, "IMPORT-EO-HEAD")[0].what
+
+
+@pytest.mark.parametrize("shift", ["X = 12.0 m, Y = -30.0 m, Z = 48.5 m", "X=0, Y=0, Z=48.5"])
+def test_a_shift_that_nothing_shows_is_a_warning(exposures, shift):
+    ledger = Ledger()
+    path = eo_with_head(exposures, f"Shift values: {shift}\n")
+    channel = read_eo_text(path, Stated("gpst", WEEK), ledger)
+    assert np.abs(channel["h_ellipsoid_m"] - exposures.height).max() < 1e-3
+    told = entries(ledger, "IMPORT-EO-HEAD")
+    assert told[0].kind == "warning"
+    assert "as they stand" in told[0].what
+
+
+@pytest.mark.parametrize(
+    "rotations",
+    [
+        "First rotation is about the 'z' axis by the 'kappa' angle.\n"
+        "Second rotation is about the 'y' axis by the 'phi' angle.\n"
+        "Third rotation is about the 'x' axis by the 'omega' angle.\n",
+        "First rotation is about the 'y' axis by the 'omega' angle.\n"
+        "Second rotation is about the 'x' axis by the 'phi' angle.\n" + THIRD,
+    ],
+)
+def test_an_order_that_no_photogrammetric_angles_have_is_refused(exposures, rotations):
+    error = refused(read_eo_text, eo_with_head(exposures, rotations), Stated("gpst", WEEK))
+    assert error.code == "IMPORT-EO-HEAD"
+
+
+def test_an_order_that_is_not_stated_stands_in_the_ledger(exposures):
+    ledger = Ledger()
+    read_eo_text(eo_with_head(exposures, ""), Stated("gpst", WEEK), ledger)
+    assert "states no order" in entries(ledger, "IMPORT-EO-HEAD")[0].what

@@ -9,6 +9,7 @@ import exifread
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
 
 from unbend.errors import InputError
@@ -22,6 +23,11 @@ from unbend.tables.imports.exif import (
 from unbend.tables.imports.stated import Stated
 
 EXIF, GPS = 0x8769, 0x8825
+XMP_BEGIN = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/">'
+    '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+    '<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" '
+)
 ORIGINAL, OFFSET, SUBSEC = 0x9003, 0x9011, 0x9291
 
 
@@ -106,8 +112,8 @@ def test_a_stated_zone_holds_for_times_without_an_offset_only(tmp_path):
 
 def test_djis_utc_at_exposure_is_the_first_choice(tmp_path):
     xmp = (
-        '<x:xmpmeta><rdf:Description drone-dji:UTCAtExposure="2026:05:01 08:20:30.123456" '
-        'drone-dji:GimbalYawDegree="+12.30"/></x:xmpmeta>'
+        XMP_BEGIN + 'drone-dji:UTCAtExposure="2026:05:01 08:20:30.123456" '
+        'drone-dji:GimbalYawDegree="+12.30"/></rdf:RDF></x:xmpmeta>'
     )
     write_jpeg(tmp_path / "DJI_0001.JPG", "2026:05:01 11:00:00", xmp=xmp)
     times, _ = read(tmp_path)
@@ -199,7 +205,7 @@ def test_no_images(tmp_path):
     path.write_text("Name,DateTimeOriginal\na,b\n")
     with pytest.raises(InputError, match="IMAGES-NONE"):
         read(path)
-    path.write_bytes(b"\xff\xfe\x00\x81")
+    path.write_bytes(b"\xff\x81\x00")
     with pytest.raises(InputError, match="IMAGES-CSV"):
         read(path)
 
@@ -212,11 +218,11 @@ def test_what_is_no_time(text):
     assert parse_time(text) is None
 
 
-DJI = (
-    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description drone-dji:GpsLatitude="-33.5" '
+DJI = XMP_BEGIN + (
+    'drone-dji:GpsLatitude="-33.5" '
     'drone-dji:GpsLongtitude="+151.25" drone-dji:AbsoluteAltitude="+85.40" '
     'drone-dji:GimbalRollDegree="{}" drone-dji:GimbalPitchDegree="{}" '
-    'drone-dji:GimbalYawDegree="{}"/></x:xmpmeta>'
+    'drone-dji:GimbalYawDegree="{}"/></rdf:RDF></x:xmpmeta>'
 )
 
 
@@ -267,6 +273,185 @@ def test_where_a_gimbal_looks(tmp_path, angles, axis, top):
     assert table.time_ns.tolist() == [NO_TIME] * 2
 
 
+TURNS = {"Roll": "0", "Pitch": "-45", "Yaw": "+90"}
+ELEMENTS = "\n".join(
+    f"<drone-dji:Gimbal{name}Degree>{turn}</drone-dji:Gimbal{name}Degree>"
+    for name, turn in TURNS.items()
+)
+AS_ELEMENTS = XMP_BEGIN + f">\n{ELEMENTS}\n</rdf:Description></rdf:RDF></x:xmpmeta>"
+
+
+def gimbal(path: Path) -> tuple[np.ndarray, dict]:
+    """Pitch and yaw [deg] of the gimbals of the images in a folder, and the ledger by codes."""
+    ledger = Ledger()
+    table = read_gimbal_orientations(path, Stated(), ledger)
+    roll, pitch, yaw = table.angles.T
+    body = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_matrix()
+    down = np.degrees(np.arctan2(-body[:, 2, 2], np.hypot(body[:, 0, 2], body[:, 1, 2])))
+    azimuth = np.degrees(np.arctan2(body[:, 1, 2], body[:, 0, 2]))
+    return np.stack([down, azimuth], axis=1), {entry.code: entry for entry in ledger}
+
+
+@pytest.mark.parametrize(
+    "xmp",
+    [
+        AS_ELEMENTS,  # as tag editors rewrite it
+        AS_ELEMENTS.replace("drone-dji:", "ns1:").replace("xmlns:drone-dji", "xmlns:ns1"),
+        AS_ELEMENTS.replace("drone-dji/1.0/", "drone-dji/1.1/"),
+        '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>' + AS_ELEMENTS + "   \n",
+    ],
+)
+def test_xmp_is_read_however_it_is_written(tmp_path, xmp):
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", xmp=xmp)
+    turns, entries = gimbal(tmp_path)
+    assert turns == pytest.approx(np.array([[-45.0, 90.0]]))
+    assert not entries
+
+
+def test_xmp_behind_other_segments_of_a_megabyte_is_read(tmp_path):
+    """As of a thermal camera, which has its raw values before the XMP."""
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", xmp=AS_ELEMENTS)
+    whole = (tmp_path / "a.jpg").read_bytes()
+    segment = b"\xff\xe3\xff\xff" + b"<x:xmpmeta>" + bytes(65533 - 11)
+    (tmp_path / "a.jpg").write_bytes(whole[:2] + 16 * segment + whole[2:])
+    assert gimbal(tmp_path)[0] == pytest.approx(np.array([[-45.0, 90.0]]))
+
+
+EDITORS_PACKET = XMP_BEGIN + 'drone-dji:Model="M"/></rdf:RDF></x:xmpmeta>'
+
+
+def with_packet_before(path: Path, packet: str) -> None:
+    """Put another segment of XMP before all others of a JPEG."""
+    whole = path.read_bytes()
+    content = b"http://ns.adobe.com/xap/1.0/\0" + packet.encode()
+    segment = b"\xff\xe1" + (len(content) + 2).to_bytes(2, "big") + content
+    path.write_bytes(whole[:2] + segment + whole[2:])
+
+
+def test_all_packets_of_xmp_are_read(tmp_path):
+    """An editor that does not know the camera's XMP writes its own before it."""
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", xmp=AS_ELEMENTS)
+    with_packet_before(tmp_path / "a.jpg", EDITORS_PACKET)
+    turns, entries = gimbal(tmp_path)
+    assert turns == pytest.approx(np.array([[-45.0, 90.0]]))
+    assert not entries
+
+
+def test_packets_of_xmp_that_contradict_are_a_loss(tmp_path):
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", xmp=AS_ELEMENTS)
+    other = EDITORS_PACKET.replace('Model="M"', 'GimbalYawDegree="12.5"')
+    with_packet_before(tmp_path / "a.jpg", other)
+    _, entries = read(tmp_path)
+    assert "GimbalYawDegree twice" in entries["EXIF-UNREADABLE"].what
+
+
+def test_xmp_of_a_tiff_is_read(tmp_path):
+    xmp = AS_ELEMENTS.encode()
+    Image.new("RGB", (400, 400)).save(tmp_path / "a.tif", tiffinfo={700: xmp})
+    assert gimbal(tmp_path)[0] == pytest.approx(np.array([[-45.0, 90.0]]))
+
+
+@pytest.mark.parametrize(
+    ("xmp", "why"),
+    [
+        ('<!DOCTYPE x [<!ENTITY a "1">]>' + AS_ELEMENTS, "document type"),
+        (AS_ELEMENTS.replace("</rdf:RDF>", ""), "is no XML"),
+        (
+            AS_ELEMENTS.replace('xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" ', ""),
+            "unbound",
+        ),
+    ],
+)
+def test_xmp_that_is_none_is_a_loss_and_its_exif_is_read(tmp_path, xmp, why):
+    write_jpeg(tmp_path / "a.jpg", "2026:05:01 10:20:30", xmp=xmp)
+    times, entries = read(tmp_path)
+    assert times.time_ns.tolist() == [ns("2026-05-01T10:20:30")]
+    assert why in entries["EXIF-UNREADABLE"].what
+
+
+def test_xmp_without_an_end_is_a_loss(tmp_path):
+    (tmp_path / "a.tif").write_bytes(b"II*\0\x08\0\0\0\0\0\0\0\0\0" + AS_ELEMENTS[:300].encode())
+    ledger = Ledger()
+    read_image_times(tmp_path, "", ledger)
+    assert any("no end" in entry.what for entry in ledger if entry.code == "EXIF-UNREADABLE")
+
+
+GIMBAL_HEAD = "SourceFile{0}GPSLatitude{0}GPSLongitude{0}AbsoluteAltitude{0}"
+GIMBAL_HEAD += "GimbalRollDegree{0}GimbalPitchDegree{0}GimbalYawDegree\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        GIMBAL_HEAD.format(",") + "a.jpg,46.5,7.25,3000.3,2.3e-05,-89.9,90\n",
+        GIMBAL_HEAD.format(",") + 'a.jpg,"46,5","7,25","3000,3","0,000023","-89,9",90\n',
+        GIMBAL_HEAD.format(";") + "a.jpg;46,5;7,25;3000,3;2,3e-05;-89,9;90\n",
+        GIMBAL_HEAD.format("\t") + "a.jpg\t46 deg 30' 0.0\" N\t7,25\t3000,3 m\t0\t-89,9\t90\n",
+        "\ufeffsep=;\r\n" + GIMBAL_HEAD.format(";") + "a.jpg;46,5;7,25;3000,3;0;-89,9;90\r\n",
+    ],
+)
+def test_tags_of_spreadsheets_are_read_as_numbers(tmp_path, text):
+    (tmp_path / "t.csv").write_text(text, encoding="utf-8")
+    table = read_gimbal_orientations(tmp_path / "t.csv", Stated(), Ledger())
+    assert np.degrees(table.position[0, :2]) == pytest.approx([46.5, 7.25])
+    assert table.position[0, 2] == 3000.3
+    turns, _ = gimbal(tmp_path / "t.csv")
+    assert turns[0] == pytest.approx([-89.9, 90.0], abs=3e-4)
+
+
+def test_tags_that_are_no_numbers_are_losses(tmp_path):
+    """Thousands, and what a translated tag reader writes, are not read in part."""
+    text = GIMBAL_HEAD.format(",")
+    text += 'a.jpg,46.5,7.5,"1,234",0,-90,0\nb.jpg,46.5,7.5,3000.0,0,abwärts,0\n'
+    (tmp_path / "t.csv").write_text(text, encoding="utf-8")
+    ledger = Ledger()
+    table = read_gimbal_orientations(tmp_path / "t.csv", Stated(), ledger)
+    assert np.isnan(table.position[0, 2])
+    assert np.isnan(table.angles[1]).all()
+    told = [entry for entry in ledger if entry.code == "IMAGES-TAG"]
+    assert [entry.kind for entry in told] == ["loss", "loss"]
+    assert "a.jpg: '1,234'" in told[1].what
+    assert "b.jpg: 'abwärts'" in told[0].what
+
+
+def test_hemispheres_of_tags_are_compared(tmp_path):
+    """One that contradicts the tag's own, or belongs to the other axis, leaves no position."""
+    text = "SourceFile,GPSLatitude,GPSLatitudeRef,GPSLongitude,DateTimeOriginal\n"
+    text += "a.jpg,46.5,South,7.5 E,2026:05:01 10:20:30\n"
+    text += "b.jpg,46.5 N,S,7.5 E,2026:05:01 10:20:30\n"
+    text += "c.jpg,7.5 E,,46.5 N,2026:05:01 10:20:30\n"
+    (tmp_path / "t.csv").write_text(text)
+    times, entries = read(tmp_path / "t.csv")
+    assert np.degrees(times.position[0, :2]) == pytest.approx([-46.5, 7.5])
+    assert np.isnan(times.position[1:]).all()
+    assert entries["IMAGES-TAG"].kind == "loss"
+
+
+def test_djis_height_has_a_sign_of_its_own(tmp_path):
+    """GPSAltitudeRef belongs to GPSAltitude alone; some drones write it below the sea."""
+    text = "SourceFile,GPSLatitude,GPSLongitude,{},GPSAltitudeRef\na.jpg,46.5,7.5,600.5,{}\n"
+    (tmp_path / "a.csv").write_text(text.format("AbsoluteAltitude", "Below Sea Level"))
+    (tmp_path / "b.csv").write_text(text.format("GPSAltitude", "Below Sea Level"))
+    heights = [read(tmp_path / name)[0].position[0, 2] for name in ("a.csv", "b.csv")]
+    assert heights == [600.5, -600.5]
+
+
+def test_images_none_of_whose_tags_can_be_read_are_refused(tmp_path):
+    text = "SourceFile,GimbalRollDegree,GimbalPitchDegree,GimbalYawDegree\na.jpg,x,y,z\nb.jpg,,,\n"
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(InputError, match="IMAGES-TAG"):
+        read_gimbal_orientations(tmp_path / "t.csv", Stated(), Ledger())
+
+
+def test_a_gps_stamp_of_nothing_over_nothing_is_none(tmp_path):
+    stamp = (IFDRational(0, 0),) * 3
+    write_jpeg(tmp_path / "a.jpg", None, gps=("2026:05:01", stamp))
+    write_jpeg(tmp_path / "b.jpg", "2026:05:01 10:20:30")
+    times, entries = read(tmp_path)
+    assert times.time_ns[0] == NO_TIME
+    assert entries["EXIF-TIME"].count == 1
+
+
 def test_images_without_gimbal_are_refused(tmp_path):
     write_jpeg(tmp_path / "b.jpg", "2026:05:01 10:20:31")
     with pytest.raises(InputError, match="IMAGES-NO-GIMBAL"):
@@ -286,3 +471,16 @@ def test_a_damaged_file_is_a_loss_with_what_the_library_said(tmp_path, monkeypat
     monkeypatch.setattr(exifread, "process_file", process)
     _, entries = read(tmp_path)
     assert "b.jpg (ValueError: unknown type in tag 0x9003)" in entries["EXIF-UNREADABLE"].what
+
+
+def test_a_time_of_0_over_0_is_no_time_of_that_image_alone(tmp_path):
+    """As cameras write it that have no fix."""
+    undefined = tuple(IFDRational(0, 0) for _ in range(3))
+    for i in range(4):
+        stamp = undefined if i == 2 else (10.0, 20.0, 30.0 + i)
+        write_jpeg(tmp_path / f"IMG_{i}.JPG", None, gps=("2026:05:01", stamp))
+    times, said = read(tmp_path)
+    expected = [ns(f"2026-05-01T10:20:3{i}") for i in range(4)]
+    expected[2] = NO_TIME
+    assert times.time_ns.tolist() == expected
+    assert [entry.count for entry in said.values() if entry.kind == "loss"] == [1]

@@ -8,6 +8,8 @@ import pytest
 from unbend.errors import InputError
 from unbend.flight.stations import NO_TIME
 from unbend.messages import Ledger
+from unbend.tables.exports import station_files
+from unbend.tables.imports import user_tables
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import read_known_positions, read_orientation
 
@@ -85,11 +87,60 @@ def test_a_column_that_is_not_there(tmp_path):
     assert "stations.orientation.columns.kappa" in error.remedy
 
 
-def test_a_comma_for_a_decimal_point(tmp_path):
-    text = HEAD.replace(",", ";") + "a;47,5;8,5;3000;1;2;3\n"
-    error = refused(tmp_path, text, "ORIENTATION-NUMBER")
-    assert "'47,5'" in error.what
+@pytest.mark.parametrize(
+    "text",
+    [
+        "image;lat;lon;h;o;p;k\na;47,5;8,5;3000,5;1;-2;90\n",
+        "image lat lon h o p k\na 47,5 8,5 3000,5 1 -2 90\n",
+        "image\tlat\tlon\th\to\tp\tk\na\t47.5\t8.5\t3000.5\t1\t-2\t90\n",
+        "# image lat lon h o p k\n  a   47.5 8.5   3000.5 1 -2 90  \n",
+        "# Cameras (1)\n# image, lat, lon, h, o, p, k\na\t47.5\t8.5\t3000.5\t1\t-2\t90\n",
+        "\ufeffimage|lat|lon|h|o|p|k\na|47.5|8.5|3000.5|1|-2|90\n",
+        'image,lat,lon,h,o,p,k\na,"47°30\'0""N","8 deg 30\' 0"" E",3000.5,1,-2,90\n',
+    ],
+)
+def test_every_form_of_a_table_is_the_same_table(tmp_path, text):
+    table, entries = read(tmp_path, text)
+    plain, _ = read(tmp_path, HEAD + ROW)
+    assert table.image.tolist() == ["a"]
+    assert table.position == pytest.approx(plain.position)
+    assert table.angles == pytest.approx(plain.angles)
+    assert not entries
+
+
+def test_commas_that_may_be_thousands_are_refused(tmp_path):
+    error = refused(tmp_path, HEAD + 'a,47.5,8.5,"3,000",1,-2,90\n', "ORIENTATION-NUMBER")
+    assert "'3,000'" in error.what
     assert error.where.endswith("line 2")
+
+
+def test_lines_are_counted_from_the_begin_of_the_file(tmp_path):
+    text = "# Cameras\n\n# image, lat, lon, h, o, p, k\n" + ROW + ROW.replace("1.0", "x")
+    assert refused(tmp_path, text, "ORIENTATION-REPEATED").what.count("4, 5")
+    text = text.replace("\na,47.5,8.5,3000.5,x", "\nb,47.5,8.5,3000.5,x")
+    assert refused(tmp_path, text, "ORIENTATION-NUMBER").where.endswith("line 5")
+
+
+def test_columns_of_a_table_without_a_head_have_numbers(tmp_path):
+    """As orthority takes it."""
+    names = dict(zip(NAMES, "1324567", strict=True))
+    table, _ = read(tmp_path, "a 8.5 47.5 3000.5 1 -2 90\nb 8.6 47.5 3000.5 1 -2 90\n", names)
+    assert table.image.tolist() == ["a", "b"]
+    assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
+    error = refused(tmp_path, "a 8.5 47.5 1\nb 8.6 47.5 2\n", "ORIENTATION-COLUMN")
+    assert "no head: its columns are called 1 to 4" in error.what
+
+
+def test_the_table_of_opendronemap_has_the_names_of_its_manual(tmp_path):
+    names = {"image": "image", "latitude": "latitude", "longitude": "longitude", "height": "height",
+             "roll": "roll", "pitch": "pitch", "yaw": "yaw"}  # fmt: skip
+    text = "EPSG:4326\nDJI_0028.JPG -91.99 46.84 198.6 45 -90 2\n"
+    text += "DJI_0032.JPG -91.98 46.84 198.6 45 -90 2\n"
+    path = tmp_path / "geo.txt"
+    path.write_text(text)
+    table = read_orientation(path, Stated(columns=names), Ledger())
+    assert np.degrees(table.position[0, :2]) == pytest.approx([46.84, -91.99])
+    assert np.degrees(table.angles[0]) == pytest.approx([2, -90, 45])
 
 
 def test_an_image_that_stands_there_twice(tmp_path):
@@ -142,3 +193,86 @@ def test_known_positions(tmp_path):
     assert position[0] == pytest.approx([np.radians(47.0), np.radians(8.0), 2500.0])
     with pytest.raises(InputError, match="ORIENTATION-COLUMN"):
         read_known_positions(path, names | {"height": "hoehe"})
+
+
+OWN = (
+    "image,camera,status,time_utc,lat_deg,lon_deg,h_ellipsoid_m,omega_deg,phi_deg,kappa_deg,"
+    "sigma_horizontal_m,sigma_height_m,sigma_tilt_deg,sigma_yaw_deg"
+)
+OWN_ROW = "a,nadir,ok,2026-05-01 08:20:30.5Z,47.5,8.5,3000.5,1.0,-2.0,90.0,0.5,0.75,0.01,0.02"
+DEFAULTS = {name: name for name in NAMES}
+UNSTATED = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
+
+
+def read_by_defaults(tmp_path, text: str, **stated):
+    (tmp_path / "own.csv").write_text(text, encoding="utf-8")
+    ledger = Ledger()
+    given = Stated(columns=DEFAULTS, heights="ellipsoid", **stated)
+    return read_orientation(tmp_path / "own.csv", given, ledger), ledger
+
+
+def test_our_own_table_is_read_without_columns(tmp_path):
+    table, ledger = read_by_defaults(tmp_path, f"{OWN}\n{OWN_ROW}\n", unstated=UNSTATED)
+    plain, _ = read(tmp_path, HEAD + ROW)
+    assert table.position == pytest.approx(plain.position)
+    assert table.angles == pytest.approx(plain.angles)
+    assert table.camera.tolist() == ["nadir"]
+    assert table.time_ns[0] == 1777623630500000000
+    assert table.sigmas["sigma_horizontal_m"].tolist() == [0.5]
+    assert np.degrees(table.sigmas["sigma_yaw_rad"]) == pytest.approx([0.02])
+    (told,) = [entry for entry in ledger if entry.code == "ORIENTATION-NAMES"]
+    assert "latitude from lat_deg" in told.what
+
+
+def test_what_is_stated_is_not_taken_from_our_own_table(tmp_path):
+    table, _ = read_by_defaults(tmp_path, f"{OWN}\n{OWN_ROW}\n", unstated=("camera",))
+    assert table.time_ns.tolist() == [NO_TIME]
+    assert table.sigmas == {}
+
+
+def test_our_own_table_of_stations_without_times_has_none(tmp_path):
+    row = OWN_ROW.replace("2026-05-01 08:20:30.5Z", "")
+    table, ledger = read_by_defaults(tmp_path, f"{OWN}\n{row}\n", unstated=UNSTATED)
+    assert table.time_ns.tolist() == [NO_TIME]
+    assert {entry.code for entry in ledger} == {"ORIENTATION-NAMES"}
+
+
+def test_our_own_table_in_one_frame_says_its_origin(tmp_path):
+    names = ",x_m,y_m,z_m,origin_lat_deg,origin_lon_deg,origin_h_ellipsoid_m"
+    text = f"{OWN}{names}\n{OWN_ROW},1,2,3,47.25,8.5,400\n"
+    table, _ = read_by_defaults(tmp_path, text)
+    assert np.degrees([table.frame.lat_rad, table.frame.lon_rad]) == pytest.approx([47.25, 8.5])
+    assert table.frame.h_ellipsoid_m == 400.0
+
+
+def test_names_of_our_own_table_are_those_of_the_export():
+    columns = [*station_files._WORDS, *station_files._PLACES, *station_files._ANGLES]
+    assert {*columns, *station_files._SIGMAS} == set(OWN.split(","))
+    assert set(OWN.split(",")) == user_tables._NAMES_OF_OWN_EXPORT
+
+
+@pytest.mark.parametrize(
+    ("head", "stated"),
+    [
+        ("imageName,Latitude,Longitude,Height,Omega,Phi,Kappa", {}),
+        ("PhotoID,lat,lng,h_ellipsoid_m,OMEGA,PHI,KAPPA", {}),
+        ("Label,lat_deg,lon_deg,height,omega_grad,phi_grad,kappa_grad", {"angle_unit": "grad"}),
+    ],
+)
+def test_usual_names_of_other_programs(tmp_path, head, stated):
+    table, _ = read_by_defaults(tmp_path, f"{head}\na,47.5,8.5,3000.5,1,-2,90\n", **stated)
+    assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
+    assert table.image.tolist() == ["a"]
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "image,lat,lat_deg,lon,height,omega,phi,kappa",  # which of both?
+        "image,lat,x,lon,h_msl_m,omega,phi,kappa",  # above another surface than is stated
+        "image,lat,x,lon,height,omega_grad,phi,kappa",
+    ],
+)
+def test_names_that_do_not_decide_are_refused(tmp_path, head):
+    with pytest.raises(InputError, match="ORIENTATION-COLUMN"):
+        read_by_defaults(tmp_path, f"{head}\na,47.5,47.5,8.5,3000.5,1,-2,90\n")

@@ -107,11 +107,14 @@ def test_week_and_seconds_commas_and_minutes(flight):
     assert channel.time_ns[0] == flight.utc_ns[0] + 18 * 10**9 + 250_000_000  # seconds of UTC
 
 
-def test_baselines_start_at_the_base(flight):
+@pytest.mark.parametrize(
+    "place", [" 47.300000000    8.500000000", "   47 18 00.00000     8 30 00.00000"]
+)
+def test_baselines_start_at_the_base(flight, place):
     import pyproj
 
     base = (
-        "% ref pos   : 47.300000000    8.500000000  1500.0000\n"
+        f"% ref pos   :{place}  1500.0000\n"
         "% (e/n/u-baseline=WGS84,Q=1:fix,ns=# of satellites)\n"
         "%  JST  e-baseline(m) n-baseline(m) u-baseline(m)  Q  ns  sde(m)  sdn(m)  sdu(m)\n"
     )
@@ -127,6 +130,9 @@ def test_baselines_start_at_the_base(flight):
     assert str(np.datetime64(int(channel.time_ns[0]), "ns")).startswith("2026-05-06T12:00:00.0")
     without = base.split("\n", 1)[1] + row
     assert "ref pos" in refused(read_pos, flight.put("b.pos", without), Stated()).what
+    for wrong in ("47 75 00.0 8 30 00.0", "97.3 8.5", "47.3", "north east"):
+        spoilt = base.replace(place, f" {wrong}") + row
+        assert "ref pos" in refused(read_pos, flight.put("c.pos", spoilt), Stated()).what
 
 
 def test_velocities_of_a_pos_file_point_down(flight):

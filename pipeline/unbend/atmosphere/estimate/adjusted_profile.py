@@ -69,6 +69,7 @@ class Adjustment:
     samples: AirSamples | None = None
     settings: SensorSettings | None = None
     moisture: Climatology | None = None
+    utc_known: bool = True
 
     @property
     def is_measured(self) -> bool:
@@ -88,6 +89,7 @@ def build_adjusted_profile(
     surface: Sequence[SurfaceReport] = (),
     time_ns: int | None = None,
     longitude_rad: float = math.nan,
+    utc_known: bool = True,
 ) -> Adjustment:
     """The locally adjusted atmosphere profile of a flight, with its covariance.
 
@@ -103,6 +105,8 @@ def build_adjusted_profile(
         those too far in either to have any information are left out.
     time_ns, longitude_rad : of the flight, for age and distance; without samples this time gives
         the season.
+    utc_known : whether the times of the samples are UTC; else they count from a boot, and
+        ``time_ns`` alone gives the season.
 
     Where nothing has enough information, or no estimate passes its checks, it is the background
     with its own sigma, and the reason.
@@ -114,8 +118,10 @@ def build_adjusted_profile(
     1.4 / 0.6 % at 3 / 6 km.
     """
     standard = under_gravity(standard, latitude_rad)
-    middles = (sensor.middle_ns for sensor in samples.sensors.values())
-    middle = next((middle for middle in middles if middle is not None), time_ns)
+    middle = time_ns
+    if utc_known:
+        middles = (sensor.middle_ns for sensor in samples.sensors.values())
+        middle = next((middle for middle in middles if middle is not None), time_ns)
     flight = TimeAndPlace(middle, latitude_rad, longitude_rad)
     expected = partial(climatology, latitude_rad=latitude_rad, month=month_of(middle))
     moisture = expected(index=standard.index)
@@ -161,7 +167,7 @@ def build_adjusted_profile(
         rejected = _rejected_samples(samples, usable, {})
         return Adjustment(
             air.profile, standard, basis, reason, None, air, sources=uses,
-            rejected=rejected, sensor_uses=sensor_uses(samples, rejected),
+            rejected=rejected, sensor_uses=sensor_uses(samples, rejected), utc_known=utc_known,
         )  # fmt: skip
     candidate, made = trials.passed
     misfits = dict.fromkeys(candidate.external.left_out, _NO_AIR_FITS)
@@ -183,7 +189,7 @@ def build_adjusted_profile(
         None if candidate.main is None else candidate.main.middle_ns,
         replace(made.covariance, profile=profile), made.faults, uses,
         rejected, sensor_uses(samples, rejected),
-        samples=candidate.samples, settings=settings, moisture=moisture,
+        samples=candidate.samples, settings=settings, moisture=moisture, utc_known=utc_known,
     )  # fmt: skip
 
 

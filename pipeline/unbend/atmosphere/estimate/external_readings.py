@@ -75,15 +75,14 @@ class TimeAndPlace:
         return abs(self.time_ns - time_ns) / 3.6e12
 
     def metres_from(self, latitude_rad: float, longitude_rad: float) -> float:
-        """Great-circle distance [m]; along the meridian without a longitude, NaN without both.
+        """Great-circle distance [m]; NaN where a coordinate of either is not known.
 
         >>> round(TimeAndPlace(None, 0.0, 0.0).metres_from(0.0, 0.1))
         637100
         """
         north, east = latitude_rad - self.latitude_rad, longitude_rad - self.longitude_rad
-        if not math.isfinite(north):
+        if not math.isfinite(north + east):
             return math.nan
-        east = east if math.isfinite(east) else 0.0
         squeezed = math.cos(latitude_rad) * math.cos(self.latitude_rad)
         half_chord = math.sin(0.5 * north) ** 2 + squeezed * math.sin(0.5 * east) ** 2
         return 2.0 * _EARTH_M * math.asin(math.sqrt(min(half_chord, 1.0)))
@@ -96,7 +95,9 @@ def hours_and_metres(source: Sounding | SurfaceReport, flight: TimeAndPlace) -> 
     if isinstance(source, Sounding):
         undated_h = UNDATED_SOUNDING_H
         metres = flight.metres_from(source.latitude_rad, source.longitude_rad)
-        metres = metres if math.isfinite(metres) else UNPLACED_M
+        if not math.isfinite(metres):  # a latitude alone tells how far it is at least
+            along_meridian = _EARTH_M * abs(source.latitude_rad - flight.latitude_rad)
+            metres = max(UNPLACED_M, float(np.nan_to_num(along_meridian)))
     else:
         undated_h, metres = UNDATED_REPORT_H, source.distance_m
     metres *= ROUGHER if source.across else 1.0
@@ -138,7 +139,7 @@ def distance_notes(
             yield messages.sounding_far_away(where=name, km=metres / 1e3, worth=worth)
     for report in surface:
         hours = flight.hours_from(report.time_ns)
-        if report.time_ns is None and flight.time_ns is not None:
+        if report.time_ns is None:
             yield messages.surface_undated(where=report.name, hours=UNDATED_REPORT_H)
         if hours > FAR_REPORT_H and report.is_metar:
             yield messages.metar_far_in_time(where=report.name, hours=hours)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,8 +52,6 @@ METRES_AS_AN_HOUR = 36e3
 """Of two visits to a height the nearer counts: weather changes as much over so much distance as in
 an hour (48 h and 1800 km, `data/air_variation.toml`)."""
 
-Place = tuple[float, float, int]  # latitude, longitude [rad] and time [Unix ns]
-
 _BIN_M, _MINUTE_NS = 100.0, 60 * 10**9
 _EARTH_M = 6.371e6
 _MIDDLE_LATITUDE_RAD = 0.8  # of a profile without a place
@@ -73,6 +72,14 @@ class FlightPath:
         north = np.interp(seconds, at, self.latitude_rad - self.latitude_rad[0])
         east = np.interp(seconds, at, self.longitude_rad - self.longitude_rad[0])
         return _EARTH_M * np.stack([north, east * np.cos(self.latitude_rad[0])])
+
+
+class PlaceInTime(NamedTuple):
+    """Where and when air was met: geographic place [rad] and time [Unix ns]."""
+
+    latitude_rad: float
+    longitude_rad: float
+    time_ns: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +203,7 @@ class TimedProfile:
     own_covariance: ProfileCovariance | None = None
     neighbours: tuple[TimedProfile, TimedProfile, float] | None = None
     ages: SampleAges | None = None
-    sampled_at: Place | None = None
+    sampled_at: PlaceInTime | None = None
 
     @property
     def has_covariance(self) -> bool:

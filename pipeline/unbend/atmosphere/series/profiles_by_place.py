@@ -13,7 +13,7 @@ from unbend.atmosphere import messages
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.series.profile_series import (
     FINEST_CHANGE,
-    Place,
+    PlaceInTime,
     ProfileSeries,
     SampleAges,
     TimedProfile,
@@ -100,7 +100,7 @@ def add_model_changes(
     return ProfileSeries(tuple(airs[u] for u in used), numbers.astype(np.int64)), (entry,)
 
 
-def _origins(air: TimedProfile) -> list[tuple[Place, float]]:
+def _origins(air: TimedProfile) -> list[tuple[PlaceInTime, float]]:
     """Where and when the air was sampled, with weights that add up to 1."""
     if air.sampled_at is not None:
         return [(air.sampled_at, 1.0)]
@@ -122,7 +122,7 @@ def _column(columns: ModelColumns, i: int) -> tuple[Array, Array]:
 def changed_air(
     air: TimedProfile,
     here: tuple[Array, Array],
-    origins: Mapping[Place, tuple[Array, Array]],
+    origins: Mapping[PlaceInTime, tuple[Array, Array]],
     h_g: float,
 ) -> TimedProfile:
     """The air with the model's change to a column from where the air was sampled, below the lowest

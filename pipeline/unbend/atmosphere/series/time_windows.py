@@ -154,9 +154,18 @@ def estimate_windows(
     notes = [messages.air_windows(hours=hours, count=count, sigmas=departure, largest=largest)]
     for w in windows:
         if w.why_not:
-            when = np.datetime64(w.air.time_ns, "ns").astype("datetime64[s]")
-            notes.append(messages.air_window(when=str(when), reason=w.why_not))
+            when = _moment(w.air.time_ns, utc_known=whole.utc_known)
+            notes.append(messages.air_window(when=when, reason=w.why_not))
     return tuple(windows), tuple(notes)
+
+
+def _moment(time_ns: int | None, *, utc_known: bool) -> str:
+    """A time in words: UTC, or minutes after the boot."""
+    if time_ns is None:
+        return "unknown"
+    if not utc_known:
+        return f"{time_ns / 6e10:.0f} min after boot"
+    return str(np.datetime64(time_ns, "ns").astype("datetime64[s]"))
 
 
 def _whole_flight_as_background(

@@ -17,14 +17,17 @@ import numpy as np
 from unbend.atmosphere.soundings import messages
 from unbend.atmosphere.soundings.level_checks import check_levels
 from unbend.atmosphere.soundings.levels import (
+    PlaceOfSounding,
     RawLevels,
     Sounding,
+    first_stated,
     number,
     numbers,
-    radians,
+    place_of_numbers,
+    stated_place,
+    stated_time_ns,
     table,
     to_si,
-    utc_ns,
 )
 from unbend.messages import Ledger, Notes
 from unbend.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
@@ -53,10 +56,10 @@ def parse_igra(text: str, where: str) -> list[RawLevels]:
             temperature_k=(t := _igra_column(lines, 23, 27, 0.1) + ZERO_CELSIUS_K),
             dew_point_k=t - _igra_column(lines, 35, 39, 0.1),
             relative_humidity=_igra_column(lines, 29, 33, 0.001),
-            time_ns=_igra_time_ns(header),
+            time_ns=_igra_time_ns(header, at),
             station=header[1:12],
-            latitude_rad=radians(number(header[55:62]) * 1e-4, 90.0),
-            longitude_rad=radians(number(header[63:71]) * 1e-4, 180.0),
+            latitude_rad=_igra_place(header).latitude_rad,
+            longitude_rad=_igra_place(header).longitude_rad,
             origin="IGRA v2",
             where=at,
             notes=_igra_lines_missing(header, lines, at),
@@ -76,7 +79,7 @@ def parse_igra_derived(text: str, where: str) -> list[RawLevels]:
                 pressure_pa=_igra_column(lines, 1, 7, 1.0),
                 temperature_k=_igra_column(lines, 25, 31, 0.1),
                 vapour_pressure_pa=_igra_column(lines, 73, 79, 0.1),  # thousandths of a hectopascal
-                time_ns=_igra_time_ns(header),
+                time_ns=_igra_time_ns(header, at),
                 station=header[1:12],
                 origin="IGRA v2 derived",
                 where=at,
@@ -110,10 +113,16 @@ def _igra_lines_missing(header: str, lines: list[str], at: str) -> Notes:
     return (messages.sounding_truncated(where=at, count=int(missing)),) if missing > 0.0 else ()
 
 
-def _igra_time_ns(header: str) -> int | None:
+def _igra_place(header: str) -> PlaceOfSounding:
+    """The place of an ascent; unknown of ships, whose fields are filled."""
+    return place_of_numbers(number(header[55:62]) * 1e-4, number(header[63:71]) * 1e-4)
+
+
+def _igra_time_ns(header: str, at: str) -> int | None:
     """The release of the balloon, the nominal hour without one. The release has no date: 2303 of
     the sounding of 00 UTC is the evening before."""
-    midnight, hour = utc_ns(header[13:23].replace(" ", "-")), int(header[24:26])
+    midnight = stated_time_ns(header[13:23].replace(" ", "-"), at)
+    hour = int(header[24:26])
     release, seconds = number(header[27:31]), 3600 * hour
     if release // 100 < 24 and release % 100 < 60:
         seconds = 3600 * int(release // 100) + 60 * int(release % 100)
@@ -142,7 +151,14 @@ _TITLES = re.compile(r"^\s*PRES\s+HGHT\s+TEMP\s+DWPT", re.MULTILINE)
 _INLINE = re.compile(r"PRES\s+hPa,\s*HGHT\s+m,\s*TEMP\s+C,\s*DWPT\s+C")
 _TAG = re.compile(r"<[^>]+>")
 _MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
-_DATE = re.compile(r"(?P<hour>\d\d)Z (?P<day>\d\d?) (?P<month>[A-Z][a-z]{2}) (?P<year>\d{4})")
+# The heading of an ascent: "12Z 22 May 2011" until 2024, "12 UTC 22 May 2011" since.
+_DATE = re.compile(
+    r"(?P<hour>\d\d)(?:Z| UTC) (?P<day>\d\d?) (?P<month>[A-Z][a-z]{2})[a-z]* (?P<year>\d{4})"
+)
+_OBSERVED = re.compile(r"Observation time:\s*(?P<stamp>\S+)")
+_HEADING = re.compile(r"^.*\bObservations (?:for|at)\b.*$", re.MULTILINE)
+_STATION = re.compile(r"\bStation (?:identifier|number):\s*(\S+)")
+_STATION_OF_HEADING = re.compile(r"\bStation (\w+) at\b|^(\w+) .*\bObservations at\b", re.MULTILINE)
 
 _CSV_COLUMNS = {
     "pressure": "pressure_hPa",
@@ -165,49 +181,98 @@ def is_wyoming_csv(text: str) -> bool:
 
 
 def parse_wyoming_list(text: str, where: str) -> list[RawLevels]:
-    """The ascent of a text list, with or without the page around it."""
+    """The ascents of a text list, with or without the page around it."""
     plain = _TAG.sub("", text)
+    return [_ascent_of_list(part, where) for part in _parts_of_list(plain)]
+
+
+def _parts_of_list(plain: str) -> list[str]:
+    """The text of each ascent of a page: from its heading, or its titles, to the next one's."""
+    titles = [match.start() for match in _TITLES.finditer(plain)]
+    headings = [match.start() for match in _HEADING.finditer(plain)]
+    begins = [0]
+    for title_before, title in pairwise(titles):
+        between = [heading for heading in headings if title_before < heading < title]
+        begins.append(between[-1] if between else title)
+    return [plain[begin:end] for begin, end in pairwise([*begins, len(plain)])]
+
+
+def _ascent_of_list(plain: str, where: str) -> RawLevels:
+    """The only ascent of a part of a page."""
     titles = _TITLES.search(plain)
-    if titles is None:
-        rows = [line.split() for line in plain.splitlines() if not line.startswith("#")]
-        rows = [row for row in rows if len(row) >= 4]
-    else:
-        # Fields of the lines between the second rule and the first line that is no level.
-        rows = []
-        for line in plain[titles.start() :].splitlines()[1:]:
-            fields = [line[i : i + _WIDTH] for i in range(0, 5 * _WIDTH, _WIDTH)]
-            if math.isfinite(number(fields[0])):
-                rows.append(fields)
-            elif rows:
-                break
-    # Nominal time: ``Observation time: 110522/1200``, or ``12Z 22 May 2011`` in the heading.
-    time_ns, match = None, _DATE.search(plain)
-    if numeric := re.search(r"Observation time:\s*(\d{6}/\d{4})(?!\S)", plain):
-        # Two digits of the year: the list goes back to 1973.
-        stamp = numeric[1]
-        century = "19" if stamp[:2] >= "73" else "20"
-        day = f"{century}{stamp[:2]}-{stamp[2:4]}-{stamp[4:6]}"
-        time_ns = utc_ns(f"{day}T{stamp[7:9]}:{stamp[9:11]}")
-    elif match is not None and match["month"] in _MONTHS:
-        month = _MONTHS.index(match["month"]) + 1
-        time_ns = utc_ns(f"{match['year']}-{month:02d}-{int(match['day']):02d}T{match['hour']}:00")
+    rows = _rows_of_page(plain) if titles is None else _rows_of_list(plain[titles.start() :])
     columns = [numbers(row[i] if len(row) > i else "" for row in rows) for i in range(5)]
     if titles is None:  # the fifth column of a page without its titles is another
         columns[4] = np.full(len(rows), np.nan)
-    of_station = r"Station (identifier|number|latitude|longitude):\s*(\S+)"
-    station = dict(re.findall(of_station, plain)[::-1])  # the first of each
-    return [
-        _wyoming(
-            columns,
-            time_ns=time_ns,
-            station=station.get("identifier") or station.get("number", ""),
-            latitude_rad=radians(number(station.get("latitude", "")), 90.0),
-            longitude_rad=radians(number(station.get("longitude", "")), 180.0),
-            origin="University of Wyoming list",
-            where=where,
-            column_of={"pressure": "PRES hPa", "temperature": "TEMP C", "dew point": "DWPT C"},
-        )
-    ]
+    place = stated_place(_labelled(plain, "latitude"), _labelled(plain, "longitude"), where)
+    return _wyoming(
+        columns,
+        time_ns=_time_of_list(plain, where),
+        station=_station_of_list(plain),
+        latitude_rad=place.latitude_rad,
+        longitude_rad=place.longitude_rad,
+        origin="University of Wyoming list",
+        where=where,
+        column_of={"pressure": "PRES hPa", "temperature": "TEMP C", "dew point": "DWPT C"},
+    )
+
+
+def _rows_of_page(plain: str) -> list[list[str]]:
+    """The levels of a page that gives its titles in one line: fields parted by blanks."""
+    rows = [line.split() for line in plain.splitlines() if not line.startswith("#")]
+    return [row for row in rows if len(row) >= 4]
+
+
+def _rows_of_list(plain: str) -> list[list[str]]:
+    """Fields of the lines between the second rule and the first line that is no level."""
+    rows: list[list[str]] = []
+    for line in plain.splitlines()[1:]:
+        fields = [line[i : i + _WIDTH] for i in range(0, 5 * _WIDTH, _WIDTH)]
+        if math.isfinite(number(fields[0])):
+            rows.append(fields)
+        elif rows:
+            break
+    return rows
+
+
+def _labelled(plain: str, name: str) -> str:
+    """The first field behind ``Station latitude:`` or ``Latitude:``; empty without one."""
+    match = re.search(rf"\b{name}:\s*(\S+)", plain, re.IGNORECASE)
+    return "" if match is None else match[1]
+
+
+def _station_of_list(plain: str) -> str:
+    """The station by its own line, else by the heading; empty without one."""
+    match = _STATION.search(plain)
+    if match is not None:
+        return match[1]
+    heading = _STATION_OF_HEADING.search(plain)
+    return "" if heading is None else heading[1] or heading[2]
+
+
+def _time_of_list(plain: str, where: str) -> int | None:
+    """The nominal time of an ascent, by ``Observation time: 110522/1200`` or by its heading.
+
+    None where it has neither; refuses (InputError SOUNDING-TIME) one that cannot be read.
+    """
+    observed = _OBSERVED.search(plain)
+    if observed is not None:
+        stamp = observed["stamp"]
+        if re.fullmatch(r"\d{6}/\d{4}", stamp) is None:
+            raise messages.sounding_time(where=where, time=stamp)
+        # Two digits of the year: the list goes back to 1973.
+        century = "19" if stamp[:2] >= "73" else "20"
+        day = f"{century}{stamp[:2]}-{stamp[2:4]}-{stamp[4:6]}"
+        return stated_time_ns(f"{day}T{stamp[7:9]}:{stamp[9:11]}", where)
+    heading = _HEADING.search(plain)
+    match = _DATE.search(plain)
+    if match is not None and match["month"] in _MONTHS:
+        month = _MONTHS.index(match["month"]) + 1
+        day = f"{match['year']}-{month:02d}-{int(match['day']):02d}"
+        return stated_time_ns(f"{day}T{match['hour']}:00", where)
+    if heading is not None:
+        raise messages.sounding_time(where=where, time=heading[0].strip())
+    return None
 
 
 LONGEST_ASCENT_H = 4.0  # a balloon rises for two hours, and falls for one
@@ -215,7 +280,7 @@ LONGEST_ASCENT_H = 4.0  # a balloon rises for two hours, and falls for one
 
 def _refuse_several(times: Sequence[str], where: str) -> None:
     """Refuse (`InputError`) rows of one table that no single ascent takes so long for."""
-    known = [t for t in map(utc_ns, times) if t is not None]
+    known = [t for t in (stated_time_ns(time, where) for time in times) if t is not None]
     hours = (max(known) - min(known)) / 3.6e12 if known else 0.0
     if hours > LONGEST_ASCENT_H:
         raise messages.sounding_choice_rows(where=where, hours=hours)
@@ -228,16 +293,16 @@ def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
     if missing:
         raise messages.sounding_column_wyoming(where=where, missing=missing[0])
     time, north, east = (
-        next(iter(columns.get(name, [])), "") for name in ("time", "latitude", "longitude")
+        first_stated(columns.get(name, [])) for name in ("time", "latitude", "longitude")
     )
     _refuse_several(columns.get("time", []), where)
-    nowhere = number(north) < -90.0  # both are -99.99 for a station whose place is not known
+    place = stated_place(north, east, where)
     return [
         _wyoming(
             [numbers(columns[name]) for name in _CSV_COLUMNS.values()],
-            time_ns=utc_ns(time),
-            latitude_rad=radians(number(north), 90.0),
-            longitude_rad=np.nan if nowhere else radians(number(east), 180.0),
+            time_ns=stated_time_ns(time, where),
+            latitude_rad=place.latitude_rad,
+            longitude_rad=place.longitude_rad,
             origin="University of Wyoming CSV",
             where=where,
             column_of=_CSV_COLUMNS,
@@ -266,7 +331,7 @@ PLACE_COLUMNS = ("time_utc", "latitude_deg", "longitude_deg", "station")
 def is_plain(text: str) -> bool:
     """Whether the first line that is no comment names a pressure and a temperature with units."""
     lines = (line for line in text.lstrip("\ufeff").splitlines() if not line.startswith("#"))
-    names = {name.strip().lower() for name in next(lines, "").split(",")}
+    names = {name.strip().lower() for name in re.split(r"[,;\t|]", next(lines, ""))}
     return any(n.startswith("pressure") for n in names) and any(
         n.startswith("temperature") for n in names
     )
@@ -299,13 +364,11 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
             ),
         )
     geopotential = "height" not in values
-    time = next((text.strip() for text in columns.get("time_utc", []) if text.strip()), "")
-    time_ns = utc_ns(time)
+    time_ns = stated_time_ns(first_stated(columns.get("time_utc", [])), where)
     _refuse_several(columns.get("time_utc", []), where)
-    if time and time_ns is None:
-        notes += (messages.sounding_time(where=where, count=1, time=time[:40]),)
     unknown = np.full(values["pressure"].shape, np.nan)
-    first = {name: next(iter(columns.get(name, [])), "") for name in PLACE_COLUMNS}
+    first = {name: first_stated(columns.get(name, [])) for name in PLACE_COLUMNS}
+    place = stated_place(first["latitude_deg"], first["longitude_deg"], where)
     return [
         RawLevels(
             h_m=values.get("geopotential" if geopotential else "height", unknown),
@@ -317,8 +380,8 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
             relative_humidity=values.get("relative humidity"),
             time_ns=time_ns,
             station=first["station"].strip(),
-            latitude_rad=radians(number(first["latitude_deg"]), 90.0),
-            longitude_rad=radians(number(first["longitude_deg"]), 180.0),
+            latitude_rad=place.latitude_rad,
+            longitude_rad=place.longitude_rad,
             origin="plain CSV",
             where=where,
             column_of=column_of,

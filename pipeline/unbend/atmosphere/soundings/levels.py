@@ -1,6 +1,5 @@
 """Levels of a balloon sounding: as a file has them, as the estimator takes them, and its fields."""
 
-import csv
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -11,6 +10,7 @@ import numpy as np
 from unbend.atmosphere.soundings import messages
 from unbend.messages import Message, Notes
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
+from unbend.written_tables import form_of, split_rows, with_decimal_points
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
 """Numbers that mean a missing value. 9999 is not among them: it may be a height."""
@@ -138,18 +138,32 @@ def numbers(texts: Iterable[str]) -> Array:
 
 
 def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
-    """The columns of a CSV by name, fields as text; lines that begin with # are comments."""
-    rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
-    if not rows:
+    """The columns of a table by name, fields as text; lines that begin with # are comments.
+
+    Fields are parted as `unbend.written_tables` knows it; decimal commas become points.
+    """
+    filled = [line for line in lines if line.strip() and not line.startswith("#")]
+    if not filled:
         raise messages.sounding_without_lines(where=where)
-    names = [name.strip().lstrip("\ufeff") for name in rows[0]]
+    try:
+        form = form_of([filled[0].lstrip("\ufeff"), *filled[1:]])
+    except ValueError as error:
+        raise messages.sounding_no_table(where=where, error=str(error)) from None
+    names = [name.strip() for name in form.names]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise messages.sounding_column_twice(where=where, column=twice[0])
-    # A row that was cut off has empty fields where it ends.
-    return {
-        name: [row[i] if i < len(row) else "" for row in rows[1:]] for i, name in enumerate(names)
-    }
+    rows = split_rows(filled[form.line_of_first_row - 1 :], form.separator)
+    columns = {}
+    for column, name in enumerate(names):
+        fields = []
+        for row in rows:
+            # A row that was cut off has empty fields where it ends.
+            is_there = column < len(row)
+            fields.append(row[column] if is_there else "")
+        with_points = with_decimal_points(fields, decimal_comma=form.decimal_comma)
+        columns[name] = list(with_points)
+    return columns
 
 
 def utc_ns(text: str) -> int | None:
@@ -170,6 +184,81 @@ def utc_ns(text: str) -> int | None:
     return round(time.timestamp() * 1000) * (NANOSECONDS_PER_SECOND // 1000)
 
 
-def radians(degrees: float, limit: float) -> float:
-    """An angle in radians, NaN beyond the limit [deg]: -99.99 and -999 mean unknown."""
-    return math.radians(degrees) if abs(degrees) <= limit else math.nan
+@dataclass(frozen=True)
+class PlaceOfSounding:
+    """Latitude and longitude of a sounding [rad], NaN where the file does not state them."""
+
+    latitude_rad: float = math.nan
+    longitude_rad: float = math.nan
+
+
+_NOT_STATED = ("", "nan", "na", "n/a", "none", "null", "-", "--", "///")
+_UNKNOWN_DEG = (-99.99, -99.9, -98.8888, -998.8888)  # Wyoming; a ship of IGRA, under way
+
+
+def place_of_numbers(latitude_deg: float, longitude_deg: float) -> PlaceOfSounding:
+    """A place from degrees, of which longitudes may count from 0 to 360; NaN where it is none.
+
+    >>> place = place_of_numbers(48.0, 343.65)
+    >>> round(math.degrees(place.longitude_rad), 2)
+    -16.35
+    """
+    if not abs(latitude_deg) <= 90.0 or not -180.0 <= longitude_deg <= 360.0:
+        return PlaceOfSounding()
+    east_deg = longitude_deg - 360.0 if longitude_deg > 180.0 else longitude_deg
+    return PlaceOfSounding(math.radians(latitude_deg), math.radians(east_deg))
+
+
+def stated_place(latitude: str, longitude: str, where: str) -> PlaceOfSounding:
+    """The place that two fields of a file state, in degrees; a latitude may stand alone.
+
+    Not stated are empty fields and fill values. Refuses (InputError SOUNDING-PLACE) a field that is
+    stated and is no latitude or longitude.
+    """
+    north_deg = _stated_degrees(latitude)
+    east_deg = _stated_degrees(longitude)
+    is_latitude = math.isnan(north_deg) or abs(north_deg) <= 90.0
+    is_longitude = math.isnan(east_deg) or -180.0 <= east_deg <= 360.0
+    if not (is_latitude and is_longitude):
+        raise messages.sounding_place(where=where, latitude=latitude, longitude=longitude)
+    if math.isnan(east_deg):
+        return PlaceOfSounding(math.radians(north_deg))
+    return place_of_numbers(north_deg, east_deg)
+
+
+def _stated_degrees(text: str) -> float:
+    """The degrees of a field, NaN where it states none, infinite where it is no number."""
+    text = text.strip()
+    if text.lower() in _NOT_STATED:
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        return math.inf
+    return math.nan if value in FILLS or value in _UNKNOWN_DEG else value
+
+
+def first_stated(fields: Iterable[str]) -> str:
+    """The first field of a column that states something; empty where none does.
+
+    >>> first_stated(["", "-9999", "48.25"])
+    '48.25'
+    """
+    for text in fields:
+        if not math.isnan(_stated_degrees(text)):
+            return text.strip()
+    return ""
+
+
+def stated_time_ns(text: str, where: str) -> int | None:
+    """The time that a field of a file states [Unix ns]; None where it states none.
+
+    Refuses (InputError SOUNDING-TIME) a text that is no time: what is stated and cannot be read
+    is not unknown.
+    """
+    if text.strip().lower() in _NOT_STATED:
+        return None
+    time_ns = utc_ns(text)
+    if time_ns is None:
+        raise messages.sounding_time(where=where, time=text.strip()[:40])
+    return time_ns

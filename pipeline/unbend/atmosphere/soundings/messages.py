@@ -563,7 +563,7 @@ def sounding_duplicate(*, where: str, count: int) -> Message:
 
 SOUNDING_EMPTY = Code(
     "SOUNDING-EMPTY",
-    means="The sounding has no levels.",
+    means="The sounding has no levels, or its table cannot be read.",
     effect="The mission is refused.",
     remedy="Fetch the file again.",
 )
@@ -573,6 +573,17 @@ def sounding_without_lines(*, where: str) -> InputError:
     """The file of a sounding has no line."""
     return InputError(
         SOUNDING_EMPTY, "the sounding has no line", where=where, remedy="fetch the file again"
+    )
+
+
+def sounding_no_table(*, where: str, error: str) -> InputError:
+    """The lines of a sounding's table do not show how its fields are parted."""
+    return InputError(
+        SOUNDING_EMPTY,
+        "the sounding cannot be read as a table: {error}",
+        where=where,
+        error=error,
+        remedy="write a first line with the names of the columns, and as many fields in every row",
     )
 
 
@@ -949,20 +960,41 @@ def sounding_superadiabatic(
 
 SOUNDING_TIME = Code(
     "SOUNDING-TIME",
-    means="time_utc of the sounding is no time.",
-    effect="The sounding has none: 6 hours are assumed.",
+    means="The sounding states a time that cannot be read.",
+    effect="The mission is refused: how old the sounding is would be a guess.",
     remedy="Write it as 2026-05-14T10:20:00Z.",
 )
 
 
-def sounding_time(*, where: str, count: int, time: str) -> Message:
-    """time_utc of the sounding is no time."""
-    return warning(
+def sounding_time(*, where: str, time: str) -> InputError:
+    """A sounding states a time that is none."""
+    return InputError(
         SOUNDING_TIME,
-        "time_utc {time!r} is no time like 2026-05-14T10:20:00Z: the sounding has none",
+        "its time {time!r} is no time like 2026-05-14T10:20:00Z",
         where=where,
-        count=count,
+        remedy="write the time of the sounding, in UTC, as 2026-05-14T10:20:00Z",
         time=time,
+    )
+
+
+SOUNDING_PLACE = Code(
+    "SOUNDING-PLACE",
+    means="The sounding states a place that cannot be read.",
+    effect="The mission is refused: how far away the sounding is would be a guess.",
+    remedy="Write latitude_deg from -90 to 90 and longitude_deg from -180 to 360, with points.",
+)
+
+
+def sounding_place(*, where: str, latitude: str, longitude: str) -> InputError:
+    """A sounding states a latitude or a longitude that is none."""
+    return InputError(
+        SOUNDING_PLACE,
+        "its place ({latitude!r}, {longitude!r}) is no latitude and longitude in degrees",
+        where=where,
+        remedy="write latitude_deg from -90 to 90 and longitude_deg from -180 to 360, with points "
+        "for decimals",
+        latitude=latitude.strip()[:40],
+        longitude=longitude.strip()[:40],
     )
 
 

@@ -38,7 +38,8 @@ _LARGEST_DIFFERENCE_PX = 1e-6  # of reading back; the sample runs are reproduced
 _LARGEST_CHECKED_RAD = np.radians(80.0)
 """Beyond, an observation may be on the far branch by its distance, which no table keeps."""
 
-_CHECKED = ["x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m", "status"]
+_CHECKED_NUMBERS = ("x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m")
+_CHECKED = [*_CHECKED_NUMBERS, "status"]
 """Columns of the observations that are compared."""
 
 
@@ -51,41 +52,59 @@ def export_run(
     ground_height_m: float | None = None,
     force: bool = False,
 ) -> tuple[int, Ledger]:
-    """Write a finished run in a format, with its options.
+    """Write a finished run to ``out`` in the format of a ``name``, with the format's options.
 
-    Returns the number of rows written, and notes on what was left out.
+    ``ground_height_m`` [m above sea level] replaces the run's ground heights. ``force`` replaces a
+    file at ``out``, never a folder. Returns the number of rows written, and notes on what was left
+    out.
     """
     form = find_format(name, out)
     is_folder = not form.ending
     values = form.values(options)
-    if isinstance(path, Place):
-        path = copy_of_run(path)
-    refuse_output(path, out, force=force and not is_folder)
+    folder = copy_of_run(path) if isinstance(path, Place) else path
+    refuse_output(folder, out, force=force and not is_folder)
     ledger = Ledger()
-    run = rebuild_run(path, verify_run(path), ground_height_m, ledger)
+    run = rebuild_run(folder, verify_run(folder), ground_height_m, ledger)
     with store.atomic_write(out) as draft:
         if is_folder:
             draft.mkdir(parents=True)
         rows = form.write(run, values, draft, ledger)
         if form.use:
             ledger.add(messages.use_of_export(use=form.use, name=name))
-        if form.marked:
-            about = {"mission": run.mission, "notes": [message.what for message in ledger]}
-            # Marked are files of the folder, or "", which is the file itself.
-            files = {file or out.name: draft / file for file in form.marked}
-            beside = draft / form.marked[0] if is_folder else out
-            # It appears before the file: points without a mark might be corrected again.
-            with store.atomic_write(beside.with_name(beside.name + SIDECAR)) as sidecar:
-                sidecar.write_text(sidecar_text(files, about), encoding="utf-8")
+        # The mark appears before the file: points without it might be corrected again.
+        if form.marked and is_folder:
+            beside = draft / form.marked[0]
+            files = {file: draft / file for file in form.marked}
+            write_mark(beside, files, run.mission, ledger)
+        elif form.marked:
+            files = {out.name: draft}
+            write_mark(out, files, run.mission, ledger)
     return rows, ledger
 
 
+def write_mark(beside: Path, files: Mapping[str, Path], mission: str, ledger: Ledger) -> None:
+    """Write a sidecar file: that refraction is removed from the points in ``files``.
+
+    Its path is ``beside`` with another ending. ``files`` are paths by the names they will have.
+    """
+    notes = [message.what for message in ledger]
+    about = {"mission": mission, "notes": notes}
+    text = sidecar_text(files, about)
+    path = beside.with_name(beside.name + SIDECAR)
+    with store.atomic_write(path) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
 def refuse_output(run: Path, out: Path, *, force: bool) -> None:
-    """Refuse to write among the results of a run, over a file that is there already, to a URL."""
+    """Refuse to write among the results of a run, over a folder, over a file or to a URL.
+
+    ``force`` allows to write over a file.
+    """
     if is_url(str(out)):
         raise url_for_export(url=str(out))
     for resolve in (os.path.abspath, os.path.realpath):
-        if Path(resolve(out)).is_relative_to(resolve(run)):
+        target = Path(resolve(out))
+        if target.is_relative_to(resolve(run)):
             raise messages.inside_run(path=str(out))
     if out.is_dir():
         raise messages.folder_exists(path=str(out))
@@ -94,14 +113,18 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
 
 
 def copy_of_run(place: Place) -> Path:
-    """A copy in the user's cache of what is published at a place, as a folder; anew if replaced."""
+    """The folder, in the user's cache, of a copy of the run that is published at a place.
+
+    If another run is published meanwhile, that run is copied.
+    """
     manifest = manifest_of_run(place)
     with suppress(FileNotFoundError, InputError):
         copy = remote.copy_of_attempt(place, manifest)
-        if not find_damage(place, manifest, read=False):  # all was there until now
+        if not find_damage(place, manifest, read=False):  # all was there while it was copied
             with store.atomic_write(copy / MANIFEST) as draft:
                 draft.write_text(manifest_text(manifest), encoding="utf-8")
             return copy
+    # The files could not be copied. If the same run is published still, one of them has changed.
     if verify_run(place) == manifest:
         raise input_changed(role="results", path=str(place))
     return copy_of_run(place)
@@ -110,7 +133,11 @@ def copy_of_run(place: Place) -> Path:
 def rebuild_run(
     path: Path, manifest: Manifest, ground_height_m: float | None, ledger: Ledger
 ) -> FinishedRun:
-    """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights."""
+    """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights.
+
+    Refuses a run that has no corrections to remove refraction, and one whose corrections cannot be
+    computed again (EXPORT-NOT-REPRODUCED).
+    """
     if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
         raise messages.no_ground_height(
             height=ground_height_m, lowest=LOWEST_GROUND_M, highest=HIGHEST_GROUND_M
@@ -123,10 +150,11 @@ def rebuild_run(
     air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
     method = mission.refraction.method
     outputs = sorted(item.name for item in manifest.run.outputs)
+    already_reported = Ledger()  # the run has made these notes, and its manifest has them
     run = FinishedRun(
         mission=mission.mission.name,
         stations=stations,
-        exposures=exposure_setup.exposures_of_mission(mission, stations, air, Ledger()),
+        exposures=exposure_setup.exposures_of_mission(mission, stations, air, already_reported),
         air=air,
         rays=tuple(rays_by(profile, method) for profile in air.profiles),
         method=method,
@@ -150,7 +178,7 @@ def cameras_of(mission: Mission) -> dict[str, ExportCamera]:
     cameras = {}
     for name, camera in mission.interior_orientations.items():
         section = mission.cameras[name]
-        pixel_mm = np.nan
+        pixel_mm = np.nan  # unknown, or of pixels that are not square
         if section.metric is not None:
             width_um, height_um = section.metric.pixel_um
             if width_um == height_um:
@@ -165,9 +193,10 @@ def cameras_of(mission: Mission) -> dict[str, ExportCamera]:
 
 
 def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Array:
-    """(s,) median ground height [m above sea level] of the observations of each image, or constant.
+    """(s,) ground height [m above sea level] of each image: the median of its observations.
 
-    An image without observations gets the median of the others. Memory: 16 bytes an observation.
+    ``constant_m`` is the height of all images, if it is given. An image without observations gets
+    the median of the other images, with a note. Memory: 16 bytes an observation.
     """
     if constant_m is not None:
         return np.full(len(run.stations), constant_m)
@@ -180,17 +209,21 @@ def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Arr
     by_station = known.groupby(np.concatenate(rows)[known.index]).median()
     ground = np.array(by_station.reindex(range(len(run.stations))), dtype=np.float64)
     has_ground = np.isfinite(ground)
-    empty = ~has_ground & run.stations.ok
-    if bool(empty.any()) and bool(has_ground.any()):
+    lacks_ground = ~has_ground & run.stations.ok
+    if bool(lacks_ground.any()) and bool(has_ground.any()):
         median = float(np.nanmedian(ground))
-        ground[empty] = median
-        ledger.add(messages.ground_of_others(count=int(empty.sum()), median=median))
+        ground[lacks_ground] = median
+        ledger.add(messages.ground_of_others(count=int(lacks_ground.sum()), median=median))
     return ground
 
 
 def database_of(mission: Mission, manifest: Manifest, path: Path) -> Path | None:
-    """COLMAP's database that the run read, as seen from its folder; None if gone or changed."""
-    here = Path("/?/?/?/?/?")  # in the place of the mission's folder, whose name no table keeps
+    """COLMAP's database that the run read; None if it read none, or it is gone or changed.
+
+    ``path`` is the run's folder. The mission file, from whose folder the database and the results
+    are named, need not be there any more.
+    """
+    here = Path("/?/?/?/?/?")  # stands for the mission's folder; has room for five ".."
     stated = mission.observations.path
     if not os.path.isabs(stated):
         stated = os.path.relpath(here / stated, here / mission.output.path)
@@ -211,10 +244,15 @@ def check_reproduced(run: FinishedRun, path: Path) -> None:
 
 
 def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) -> float:
-    """The largest difference between corrections in a table and those computed now [px]."""
+    """The largest difference between corrections in a table and those computed now [px].
+
+    Infinite if a correction cannot be computed now. Rows beyond 80 degrees, or without the status
+    ok, are not compared.
+    """
     columns = {}
-    for name in _CHECKED[:-1]:
-        columns[name] = np.asarray(table[name].to_numpy(), dtype=np.float64)
+    for name in _CHECKED_NUMBERS:
+        values = table[name].to_numpy()
+        columns[name] = np.asarray(values, dtype=np.float64)
     for name in ("x_px", "y_px", "x_corrected_px", "y_corrected_px"):
         columns[name] = run.pixels.to_colmap(columns[name])
     ok = np.asarray(pc.equal(table["status"], "ok").to_numpy())

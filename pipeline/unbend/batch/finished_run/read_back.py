@@ -65,13 +65,15 @@ class _Columns:
 def stations_of(table: pa.Table) -> Stations:
     """Stations from the table of ``stations.parquet``; the inverse of `table_of_stations`."""
     columns = _Columns(table)
-    time = pc.fill_null(table["time_utc"].cast(pa.int64()), int(NO_TIME)).to_numpy()
+    time_utc = table["time_utc"].cast(pa.int64())
+    time = pc.fill_null(time_utc, int(NO_TIME)).to_numpy()
     status = columns.text("status")
     derived: dict[str, Any] = {
         "time_ns": time.astype(np.int64),
         "quaternion": columns.quaternion("q"),
         "aircraft_quaternion": columns.quaternion("aircraft_q"),
         "status": status,
+        "from_boot": np.zeros(0, np.bool_),
         "accepted": (status == SUSPECT) & table["profile_id"].is_valid().to_numpy(),
     }
     for name in ("lat", "lon", "sigma_tilt", "sigma_yaw"):

@@ -11,10 +11,11 @@ from unbend.config.yaml_text import TODO
 from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.evidence.quality import plausible_samples
-from unbend.flight.exposures import trigger_notes
+from unbend.flight.ground_times import GroundEvidence
 from unbend.flight.heights import height_system
 from unbend.flight.mount import is_of_gimbal
 from unbend.flight.roles import assign_roles
+from unbend.flight.triggers import trigger_notes
 from unbend.geodesy import longitudes_near, wrapped
 from unbend.ingest import Log, open_log
 from unbend.ingest.flight_log import utc_text
@@ -66,7 +67,7 @@ def facts_of_log(path: Path) -> LogFacts:
     for role in open_roles:
         questions += questions_of_role(role, log.channels, compartment)
 
-    takeoff = takeoff_remark(plausible)
+    takeoff = takeoff_remark(plausible, GroundEvidence.of(log.channels))
     remarks = [time_remark(log), place_remark(plausible), heights_remark(plausible, takeoff)]
     decided = [f"{role} {roles[role].name}" for role in roles if role not in open_roles]
     remarks.append(f"found by itself: {', '.join(decided)}")
@@ -100,9 +101,12 @@ def plausible_roles(
 
 def time_remark(log: Log) -> str:
     """When a log begins and ends, and what its times count from."""
+    minutes = f"{log.duration_s / 60.0:.1f} minutes; {log.time_base}"
+    if not log.has_utc:
+        return f"{minutes}: state the day of the flight, mission.date"
     first = utc_text(log.start_ns)[:19]
     last = utc_text(log.end_ns)[:19]
-    return f"{first} to {last} UTC, {log.duration_s / 60.0:.1f} minutes; {log.time_base}"
+    return f"{first} to {last} UTC, {minutes}"
 
 
 def place_remark(roles: Mapping[str, Channel]) -> str:
@@ -132,7 +136,7 @@ def heights_remark(roles: Mapping[str, Channel], takeoff: str) -> str:
     return f"{remark}; {takeoff}" if takeoff else remark
 
 
-def takeoff_remark(roles: Mapping[str, Channel]) -> str:
+def takeoff_remark(roles: Mapping[str, Channel], evidence: GroundEvidence) -> str:
     """The height of the take-off; empty where the log does not show it."""
     height = roles.get("height")
     position = roles.get("position")
@@ -143,7 +147,7 @@ def takeoff_remark(roles: Mapping[str, Channel]) -> str:
         return f"take-off {system.home_h_msl_m:.0f} m above the sea"
     takeoff_m = None
     if position is not None:
-        takeoff_m = flight_of(position, height).get("take_off_m")
+        takeoff_m = flight_of(position, height, evidence).get("take_off_m")
     if takeoff_m is None:
         return ""
     return f"take-off {takeoff_m:.0f} m above {surface_of_heights(height)}"
@@ -163,7 +167,7 @@ def late_events(log: Log, events: tuple[Channel, ...]) -> list[str]:
     """Names of channels of events that have the times of the triggers, each once."""
     late: dict[str, None] = {}
     for channel in events:
-        for note in trigger_notes(log.channels, channel):
+        for note in trigger_notes(log.channels, channel, log.parameters):
             if note.code == LATE_TRIGGER:
                 late[channel.name] = None
     for note in log.ledger:

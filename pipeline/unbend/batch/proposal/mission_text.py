@@ -27,8 +27,9 @@ LONGEST_NAME = 100  # characters of a mission's name
 def propose_mission(log: Path, observations: Path | None, images: Path | None, out: Path) -> str:
     """The text of a mission file, to be written to ``out``, from whose folder paths count.
 
-    ``log`` may be a block with orientations, alone; ``images`` is a folder of images, or
-    exiftool's table of them. Refuses (IMAGES-OTHER) images of which none is in the observations.
+    ``log`` may be a block with orientations: without ``observations`` it is these too, and no log
+    is read. ``images`` is a folder of images, or exiftool's table of them. Refuses (IMAGES-OTHER)
+    images of which none is in the observations.
     """
     log = folder_of_project(log)
     observations = None if observations is None else folder_of_project(observations)
@@ -103,7 +104,10 @@ def mission_template() -> Template:
 
 
 def as_remark(text: str) -> str:
-    """A remark at the end of a line, on this line whatever it cites."""
+    """A text as a remark at the end of a line; "" without a text.
+
+    Line breaks and other characters that do not print are replaced.
+    """
     on_one_line = " ".join(text.split())
     shown = "".join(c if c.isprintable() else "?" for c in on_one_line)
     return f"  # {shown}" if shown else ""

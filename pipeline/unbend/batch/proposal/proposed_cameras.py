@@ -9,7 +9,7 @@ from unbend.config.yaml_text import TODO
 from unbend.flight.channels import Channel
 from unbend.flight.image_names import NameSeries, name_series
 
-MOST_CAMERAS = 12  # more series of names than this are no cameras
+MOST_CAMERAS = 12  # more series of names than this do not tell cameras apart
 
 EventNumbers = Mapping[str, list[int]]
 """The log's own number of each event, by channel."""
@@ -17,7 +17,10 @@ EventNumbers = Mapping[str, list[int]]
 
 @dataclass(frozen=True)
 class ProposedCamera:
-    """A camera with its exposures; ``block`` is its name in the block that has it."""
+    """A camera with the keys of its exposures; ``block`` is what a block calls it, "" without one.
+
+    ``channel`` and ``image`` are None where the log has no exposures.
+    """
 
     name: str
     channel: Proposed | None = None
@@ -30,22 +33,25 @@ class Numbering:
     """How the numbers in the names of images follow the events of channels.
 
     ``field`` is the field of a name pattern: ``index`` for the log's own numbers, ``n`` for
-    numbers counted from 1, ``*`` for neither. ``channels`` have such events.
+    numbers counted from 1, ``*`` for neither. ``channels`` are those whose events have the numbers
+    of the images; none for ``*``.
     """
 
     field: str
     channels: tuple[str, ...] = ()
 
     def of_events(self, log_numbers: list[int]) -> Collection[int]:
-        """The numbers of events as names would have them."""
+        """The numbers that the names of a channel's images have, by its own numbers in the log."""
         return range(1, len(log_numbers) + 1) if self.field == "n" else log_numbers
 
 
 def proposed_cameras(
     channels: Sequence[Channel], images: tuple[str, ...], block_cameras: tuple[str, ...] = ()
 ) -> list[ProposedCamera]:
-    """The cameras by the names of the images, each with the channel that counts as they do.
+    """The cameras of a mission, each with the channel whose events are numbered as its images.
 
+    There is one for each series of image names; without series one for each camera of the block,
+    else for each channel, else one.
     ``channels`` are those of exposures in the log, ``block_cameras`` the cameras of a block.
     """
     all_series = series_of_cameras(images, block_cameras, len(channels))
@@ -62,7 +68,7 @@ def proposed_cameras(
             channel = channel_of_camera(number, count, event_numbers)
             remark = "names of its images; {index} is the log's number, as in IMG_{index:04d}.JPG"
             image = Proposed("image", TODO, remark)
-        block = block_cameras[number] if len(block_cameras) == count else ""
+        block = block_cameras[number] if block_cameras else ""
         cameras.append(ProposedCamera(name, channel, image, block))
     return cameras
 
@@ -70,9 +76,10 @@ def proposed_cameras(
 def series_of_cameras(
     images: tuple[str, ...], block_cameras: tuple[str, ...], channel_count: int
 ) -> list[NameSeries]:
-    """A series of image names for each camera; none where names do not tell cameras apart."""
+    """A series of image names for each camera; empty if a block has another number of cameras."""
     all_series = name_series(images)
     if len(all_series) > max(MOST_CAMERAS, channel_count):
+        # The names do not tell cameras apart: all images are taken for those of one camera.
         all_series = [NameSeries("", 0, "", (0,), has_number=False)]
     if block_cameras and len(block_cameras) != len(all_series):
         return []
@@ -95,8 +102,9 @@ def names_of_cameras(words: list[str]) -> list[str]:
 def numbering_of(series: NameSeries, event_numbers: EventNumbers) -> Numbering:
     """How a series of names follows the events of a log.
 
-    The log's own numbers decide; where no channel has such numbers, a channel with as many events
-    as there are images; else the log's numbers that fit but for a few names.
+    Tried one after the other, until one holds for a channel: all images have the log's own numbers,
+    from its first to its last; they have the numbers of the events counted from 1, up to the last;
+    all but a few have the log's own numbers.
     """
     by_index = [name for name, numbers in event_numbers.items() if series.counts_as(numbers)]
     if by_index:
@@ -106,7 +114,7 @@ def numbering_of(series: NameSeries, event_numbers: EventNumbers) -> Numbering:
     for name, numbers in event_numbers.items():
         if series.counts_as(range(1, len(numbers) + 1)):
             counted.append(name)
-        if series.strays(numbers):
+        if series.strays(numbers):  # the few names that do not fit; none if many do not
             nearly.append(name)
     if counted:
         return Numbering("n", tuple(counted))
@@ -116,7 +124,11 @@ def numbering_of(series: NameSeries, event_numbers: EventNumbers) -> Numbering:
 
 
 def channel_of_camera(number: int, count: int, event_numbers: EventNumbers) -> Proposed:
-    """The channel of a camera whose images have no known names: by the order of the channels."""
+    """The channel of a camera whose images have no known names.
+
+    Where there are as many channels as cameras (``count``), it is guessed by their order; otherwise
+    the value is left open.
+    """
     channels = list(event_numbers)
     if count != len(channels):
         return open_channel(channels, event_numbers)
@@ -129,7 +141,10 @@ def channel_of_camera(number: int, count: int, event_numbers: EventNumbers) -> P
 def channel_of_series(
     number: int, all_series: list[NameSeries], event_numbers: EventNumbers
 ) -> Proposed:
-    """The channel that fires the camera of a series of names; a question where several may."""
+    """The channel that fires the camera of a series of names; left open where several may.
+
+    A channel is certain if it alone fits the series, and the names of no other camera fit it.
+    """
     channels = list(event_numbers)
     numbering = numbering_of(all_series[number], event_numbers)
     fits = numbering.channels
@@ -148,13 +163,13 @@ def channel_of_series(
 
 
 def open_channel(channels: Sequence[str], event_numbers: EventNumbers) -> Proposed:
-    """The question which of some channels fires a camera."""
+    """The key of a channel with its value left open; the remark lists ``channels``."""
     choices = [f"{channel} ({len(event_numbers[channel])} events)" for channel in channels]
     return Proposed("channel", TODO, f"{' or '.join(choices)}: which of them fires this camera")
 
 
 def image_of_series(series: NameSeries, event_numbers: EventNumbers) -> Proposed:
-    """The pattern of the names of a series, with what speaks for it."""
+    """The pattern of the names of a series, with a remark on why it is guessed."""
     numbering = numbering_of(series, event_numbers)
     if numbering.channels:
         strays = series.strays(event_numbers[numbering.channels[0]])

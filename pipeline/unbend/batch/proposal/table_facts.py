@@ -47,9 +47,9 @@ class TableFacts:
     format : the program of a block; empty for a table.
     images : the images of the observations.
     remark : how many rows there are.
-    columns : keys under ``observations.columns`` that are guessed or open.
+    columns : keys under ``observations.columns`` whose values are guessed or left open.
     size : how far the observations reach, in words.
-    height, reference : those of the ground; ``heights`` is a remark on both.
+    height, reference : the keys of these names under ``ground``; ``heights`` is a remark on both.
     cameras : what a block calls its cameras.
     """
 
@@ -65,7 +65,10 @@ class TableFacts:
 
 
 def block_format(path: Path) -> str:
-    """The program whose block a file or folder is, by its files; empty for a file of none."""
+    """The program that wrote the block in a file or folder; empty for a file that is no block.
+
+    Refuses a folder that has no file of a block.
+    """
     if path.is_dir():
         for name, program in FILES_OF_BLOCKS.items():
             if (path / name).is_file():
@@ -108,7 +111,7 @@ def facts_of_table(path: Path) -> TableFacts:
         return TableFacts(remark=remark, columns=keys)
     columns: dict[str, str | None] = {}
     for quantity, name in guessed.items():
-        columns[quantity] = name or quantity
+        columns[quantity] = name or quantity  # not guessed if the columns are not listed
     candidates = height_candidates(names, columns)
     height = candidates[0] if len(candidates) == 1 else None
     observations = open_observations(path, columns, height, Ledger())
@@ -129,7 +132,7 @@ def facts_of_table(path: Path) -> TableFacts:
 
 
 def column_names(path: Path) -> list[str]:
-    """The columns of a CSV or Parquet file; none of what is neither, or cannot be read."""
+    """The columns of a CSV or Parquet file; empty for other files, and for one that is damaged."""
     if path.is_file() and path.suffix.lower() in (".csv", ".txt"):
         return csv_names(path)
     try:
@@ -140,6 +143,7 @@ def column_names(path: Path) -> list[str]:
 
 def guessed_columns(names: list[str]) -> dict[str, str | None]:
     """The column of each quantity: the one of its name, or of another usual name; or None."""
+    # Of names that differ by their case alone the first one counts.
     name_of_lower = {name.lower(): name for name in reversed(names)}
     columns: dict[str, str | None] = {}
     for quantity, usual_names in words_of_proposals()["columns"].items():
@@ -151,7 +155,7 @@ def guessed_columns(names: list[str]) -> dict[str, str | None]:
 
 
 def proposed_columns(columns: Mapping[str, str | None], names: list[str]) -> tuple[Proposed, ...]:
-    """Keys of the columns whose names are not those of their quantities."""
+    """Keys of the columns whose names are guessed or left open; none if no columns are listed."""
     proposed = []
     for quantity, name in columns.items():
         if not names or name == quantity:
@@ -217,7 +221,7 @@ class Reach(NamedTuple):
 
 
 def reach_text(pixels: list[Array]) -> Reach:
-    """How far the pixels of some batches reach, from 0 on."""
+    """How far the pixels of some batches reach, from 0 on; 0 without any."""
     most, largest = np.nanpercentile(np.concatenate([np.zeros(1), *pixels]), [99, 100]).round()
     return Reach(f"{most:.0f}", f"{largest:.0f}")
 

@@ -9,11 +9,8 @@ import numpy as np
 
 from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.flight.channels import Channel, TimeArray
-from unbend.flight.evidence.filter_health import (
-    attitude_evidence,
-    filter_evidence,
-    message_evidence,
-)
+from unbend.flight.evidence.autopilot_texts import text_evidence
+from unbend.flight.evidence.filter_health import attitude_evidence, filter_evidence
 from unbend.flight.evidence.messages import barometer_drifts, spare_barometer_drifts
 from unbend.flight.evidence.replacements import (
     BESIDE_S,
@@ -75,7 +72,7 @@ def examine(
     """
     examination = _Examination(channels, roles, dict(roles))
     if any(is_receiver(channel) for channel in channels):
-        examination.reported = filter_evidence(channels) + message_evidence(channels)
+        examination.reported = filter_evidence(channels) + text_evidence(channels)
     examination.examine_attitude()
     for quantity in (POSITION, HEIGHT):
         channel = roles.get(quantity)
@@ -233,7 +230,11 @@ def sources_of(
         path = source_path(other, quantity, [other, *with_velocity])
         velocity = velocity_at([channel, *with_velocity], quantity, path.channel.time_ns)
         difference = source_difference(
-            channel, path, quantity, velocity, steady_until_ns=steady_until_ns
+            channel,
+            path,
+            quantity,
+            velocity,
+            steady_until_ns=steady_until_ns,
         )
         differences.append(difference)
     names = tuple(barometer.name for barometer in barometers)
@@ -317,7 +318,13 @@ def _stretch_apart(sources: Sources, difference: Difference, run: Run) -> Stretc
     reason = f"{sources.of_role.channel.name} and {other.channel.name} are {off_m:.0f} m apart"
     if other.stepped_m[run.rows].any():
         reason = f"{other.channel.name} steps at {other.fastest_m_s:.0f} m/s; {reason}"
-    return stretch_of_run(other.channel.time_ns, run, sources.quantity, reason, off_m)
+    return stretch_of_run(
+        other.channel.time_ns,
+        run,
+        sources.quantity,
+        reason,
+        off_m,
+    )
 
 
 def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> list[Stretch]:
@@ -366,7 +373,15 @@ def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
     for run in runs(time_ns, is_away, is_away):
         off_m = float(away_m[run.rows].max())
         reason = f"{name} steps by {off_m:.0f} m at {path.fastest_m_s:.0f} m/s"
-        suspect.append(stretch_of_run(time_ns, run, quantity, reason, off_m))
+        suspect.append(
+            stretch_of_run(
+                time_ns,
+                run,
+                quantity,
+                reason,
+                off_m,
+            )
+        )
     around_ns = LONGEST_REPLACED_S // 2 * SECOND
     for step_ns in path.lasting_ns.tolist():
         reason = f"{name} steps at {path.fastest_m_s:.0f} m/s and does not return"

@@ -1,6 +1,5 @@
-"""What filter, autopilot and second attitudes say against a flight, as suspect stretches."""
+"""What a filter and second attitudes say against a flight, as suspect stretches."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -42,29 +41,8 @@ _LONGEST_CLIPPING_NS = 2 * SECOND
 _LANE_GAP_S = 2.0  # between samples of another lane of the filter
 _ATTITUDE_GAP_S = 1.0
 
-_MESSAGE_DELAY_NS = SECOND // 2  # an autopilot takes as long to say what is wrong
-_MOMENT_NS = 5 * SECOND  # what a switch from one filter to another counts for
-_NEVER_OVER_NS = 3600 * SECOND  # after the last of a boot, where nothing says that it is over
-
 # What bits of filter_flags say.
 _FLAGS = {"the filter sees a GPS glitch": 1 << 15, "the filter is dead reckoning": 1 << 18}
-
-# What an autopilot says when its position or attitude is suspect, and when no longer.
-_TROUBLE = re.compile(
-    r"DCM active|dead.?reckon|GPS glitch|EKF[ _]variance|EKF failsafe|stopped aiding|lane switch"
-    r"|primary changed|forced reset|emergency yaw|GPS (signal )?lost|EV GPS_PRIMARY_CHANGED"
-    r"|ERR (EKFCHECK|FAILSAFE_EKFINAV|FAILSAFE_GPS|GPS|FAILSAFE_DEADRECKON|EKF_PRIMARY) [1-9]"
-    r"|(position|navigation).*(fail|invalid)",
-    re.IGNORECASE,
-)
-_OVER = re.compile(
-    r"EKF\d? active|cleared|using GPS|regained|reckoning (ended|stopped)|"
-    r"ERR (EKFCHECK|FAILSAFE_EKFINAV|FAILSAFE_GPS|GPS|FAILSAFE_DEADRECKON) 0",
-    re.IGNORECASE,
-)
-_MOMENTARY = re.compile(r"lane switch|primary|forced reset|emergency yaw", re.IGNORECASE)
-_OF_ATTITUDE = re.compile(r"DCM|lane|EKF.primary|forced|yaw", re.IGNORECASE)
-
 
 # By column of a filter's health: the quantity it speaks of, and what it says.
 _INNOVATIONS = {
@@ -103,7 +81,12 @@ def _rejected_measurements(column: str, lanes: list[Channel]) -> list[Stretch]:
     time_ns = lanes[0].time_ns
     ratio = lanes[0][column]
     for lane in lanes[1:]:
-        lane_ratio = interpolate(lane, column, time_ns, lane.gap_limit_s(_LANE_GAP_S))
+        lane_ratio = interpolate(
+            lane,
+            column,
+            time_ns,
+            lane.gap_limit_s(_LANE_GAP_S),
+        )
         ratio = np.fmin(ratio, lane_ratio)
     suspect: list[Stretch] = []
     for run in runs(time_ns, ratio > SETTLED_RATIO, ratio > REJECTED_RATIO, SETTLED_S):
@@ -141,43 +124,6 @@ def _clipping(channel: Channel) -> list[Stretch]:
             reason = f"the accelerometers clip {rate[run.rows].max():.0f} times a second"
             suspect.append(stretch_of_run(time_ns, run, ATTITUDE, reason))
     return suspect
-
-
-def message_evidence(channels: Sequence[Channel]) -> list[Stretch]:
-    """The stretches from a text in which the autopilot reports trouble to one that ends it.
-
-    A switch from one filter to another makes 5 s suspect. A text comes half a second late.
-    """
-    suspect: list[Stretch] = []
-    for channel in channels:
-        for row, text in enumerate(channel.labels.get("text", ())):
-            for line in text.splitlines():
-                if _TROUBLE.search(line):
-                    suspect += _trouble(channel, row, line)
-    return suspect
-
-
-def _trouble(channel: Channel, row: int, line: str) -> list[Stretch]:
-    """The stretches that a line in a row of an autopilot's texts makes suspect, from then on."""
-    begin_ns = int(channel.time_ns[row]) - _MESSAGE_DELAY_NS
-    end_ns = begin_ns + _MOMENT_NS
-    if not _MOMENTARY.search(line):
-        end_ns = max(end_ns, _over_ns(channel, row))
-    reason = f'the autopilot says "{line.strip()}"'
-    suspect = [Stretch(begin_ns, end_ns, POSITION, reason)]
-    if _OF_ATTITUDE.search(line):
-        suspect.append(Stretch(begin_ns, end_ns, ATTITUDE, reason))
-    return suspect
-
-
-def _over_ns(channel: Channel, row: int) -> int:
-    """When the next text ends a trouble; else an hour after the last text of the boot."""
-    texts = channel.labels["text"]
-    for later in range(row + 1, len(texts)):
-        if _OVER.search(texts[later]):
-            return int(channel.time_ns[later])
-    of_boot = channel.time_ns[channel.boot == channel.boot[row]]
-    return int(of_boot[-1]) + _NEVER_OVER_NS
 
 
 def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[Stretch]:

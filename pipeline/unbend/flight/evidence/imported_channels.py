@@ -25,11 +25,11 @@ from unbend.flight.evidence.stretches import (
     stretch_of_run,
 )
 
-# A difference from the log that is an autopilot's own, beyond a constant one [m].
+# Beyond a constant offset, a smaller difference from the log may be the autopilot's own error [m].
 LEAST_M = {POSITION: 5.0, HEIGHT: 10.0}
 
-_SLOWEST_HZ = 1.0  # of a channel in which steps are looked for
-_EXPLAINED_SIGMAS = 3.0  # of an imported channel, which explain a difference
+_SLOWEST_HZ = 1.0  # steps are not looked for in a slower channel
+_EXPLAINED_SIGMAS = 3.0  # of the imported channel: they explain a smaller difference
 
 
 def contradictions_of_import(
@@ -38,11 +38,11 @@ def contradictions_of_import(
     roles: Mapping[str, Channel],
     suspect_in_log: Sequence[Stretch],
 ) -> tuple[Stretch, ...]:
-    """Stretches in which an imported channel steps, or departs from the log in the same quantities.
+    """Stretches in which an imported channel steps, or departs from the log, in some quantities.
 
     ``roles`` are those that the log fills; in the stretches ``suspect_in_log`` its values do not
-    count. Steps are looked for at 1 Hz and faster. What three of the channel's own sigmas explain
-    is no contradiction.
+    count. Steps are looked for in channels of 1 Hz and faster. A step or departure of less than
+    three of the sigmas that the channel reports itself is no contradiction.
     """
     suspect: list[Stretch] = []
     for quantity in (POSITION, HEIGHT):
@@ -81,14 +81,17 @@ def _contradictions_in(
 
 
 def _explained_by_sigma(stretch: Stretch, imported: Channel, quantity: str) -> bool:
-    """Whether a difference is less than three of the sigmas that the channel reports."""
+    """Whether a stretch is off by less than three of the sigmas that the channel reports in it.
+
+    Its largest sigma counts; an unknown sigma explains nothing.
+    """
     sigma_m = np.nan_to_num(imported.get(sigma_column(quantity)))
     largest_m = float(sigma_m[stretch.covers(imported.time_ns)].max(initial=0.0))
     return stretch.off_m < _EXPLAINED_SIGMAS * largest_m
 
 
 def _without_sigmas(channel: Channel) -> Channel:
-    """The channel without columns of its own accuracy."""
+    """The channel without its own accuracy, by which no sample is then left out as poor."""
     columns = {name: v for name, v in channel.columns.items() if not name.startswith("sigma_")}
     return replace(channel, columns=columns)
 
@@ -102,7 +105,7 @@ def _departures_from_log(
 ) -> list[Stretch]:
     """Stretches in which an imported path departs from the log by more than an autopilot's error.
 
-    The steps of the imported path itself count as departures here. In the stretches
+    The steps of the imported path are left in, so that they count as departures. In the stretches
     ``suspect_in_log`` the log is no evidence.
     """
     channel = imported.channel

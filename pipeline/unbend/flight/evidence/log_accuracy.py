@@ -8,7 +8,7 @@ import numpy as np
 
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.mount import is_of_gimbal
-from unbend.flight.trajectory import RATES, VELOCITY, interpolate, with_slopes
+from unbend.flight.trajectory import RATES, VELOCITY, interpolate, ns_to_nearest, with_slopes
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Rows
 
 # An innovation whose ratio to its gate is 1 is five sigmas (EK3_POS_I_GATE 500 and its like) of
@@ -68,13 +68,15 @@ class _PositionVariances(NamedTuple):
 class LogAccuracy:
     """What a log says about the accuracy of its positions and attitudes; None where nothing.
 
-    ``receiver`` has ``sigma_h_m`` and ``sigma_v_m``, or ``hdop``; ``health`` the innovations of the
-    filter over their gates; ``fused`` the heights of the filter.
+    ``receiver`` has ``sigma_h_m`` and ``sigma_v_m``, or ``hdop``; so have ``spare_receivers``,
+    which count where it is silent. ``health`` has the innovations of the filter over their gates,
+    ``fused`` the heights of the filter.
     """
 
     receiver: Channel | None = None
     health: Channel | None = None
     fused: Channel | None = None
+    spare_receivers: tuple[Channel, ...] = ()
 
     def positions(self, channel: Channel, time_ns: TimeArray) -> PositionSigmas:
         """(m,) sigmas of the positions of a channel at instants; NaN where unknown.
@@ -114,7 +116,7 @@ class LogAccuracy:
         if self.receiver is None:
             unknown = np.full(time_ns.shape, np.nan)
             return _PositionVariances(unknown, unknown)
-        of_receiver = _reported_variances(self.receiver, time_ns)
+        of_receiver = _variances_of_receivers((self.receiver, *self.spare_receivers), time_ns)
         by_position_m = POSITION_GATE_M * self.innovation("position", time_ns)
         by_velocity_m = VELOCITY_GATE_M_S * FILTER_TIME_S * self.innovation("velocity", time_ns)
         by_height_m = HEIGHT_GATE_M * self.innovation("height", time_ns)
@@ -172,7 +174,7 @@ def _reported_variances(source: Channel, time_ns: TimeArray) -> _PositionVarianc
     More than `USUAL_INTERVAL_S` away from that sample a filter has drifted.
     """
     row = _nearest_row(source, time_ns)
-    away_s = np.abs(time_ns - source.time_ns[row]) * 1e-9
+    away_s = _seconds_to_nearest(source, time_ns)
     drift_m = DRIFT_M_S * np.maximum(away_s - USUAL_INTERVAL_S, 0.0)
     horizontal_m = _reported_sigma(source, "sigma_h_m", HORIZONTAL_RANGES)
     height_m = _reported_sigma(source, "sigma_v_m", VERTICAL_RANGES)
@@ -180,6 +182,30 @@ def _reported_variances(source: Channel, time_ns: TimeArray) -> _PositionVarianc
         np.square(horizontal_m[row]) + np.square(drift_m),
         np.square(height_m[row]) + np.square(drift_m),
     )
+
+
+def _variances_of_receivers(
+    receivers: tuple[Channel, ...], time_ns: TimeArray
+) -> _PositionVariances:
+    """(m,) variances that receivers report: of the first, and of a later one where it is silent."""
+    first = receivers[0]
+    variances = _reported_variances(first, time_ns)
+    away_s = _seconds_to_nearest(first, time_ns)
+    for receiver in receivers[1:]:
+        other_away_s = _seconds_to_nearest(receiver, time_ns)
+        is_nearer = (away_s > USUAL_INTERVAL_S) & (other_away_s < away_s)
+        other = _reported_variances(receiver, time_ns)
+        variances = _PositionVariances(
+            np.where(is_nearer, other.horizontal_m2, variances.horizontal_m2),
+            np.where(is_nearer, other.height_m2, variances.height_m2),
+        )
+        away_s = np.where(is_nearer, other_away_s, away_s)
+    return variances
+
+
+def _seconds_to_nearest(source: Channel, time_ns: TimeArray) -> Array:
+    """(m,) seconds from instants to the nearest sample of a channel."""
+    return np.asarray(ns_to_nearest(time_ns, source.time_ns) * 1e-9)
 
 
 def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Array:
@@ -228,10 +254,11 @@ def _scatter_about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> _Sca
 def with_accuracy(
     roles: Mapping[str, Channel], channels: Iterable[Channel]
 ) -> tuple[dict[str, Channel], LogAccuracy]:
-    """The roles with velocities and body rates in their channels, and how accurate those are.
+    """The roles with velocities and body rates in their channels, and how accurate the log is.
 
-    A channel without such columns gets those of another channel of the same sender. A gimbal's does
-    not: the body rates of the sender are the aircraft's.
+    The accuracy is what channels of the position's sender tell. A channel without velocities or
+    rates gets those of another channel of the same sender (MAVLink's system). A gimbal's does not:
+    the body rates of the sender are the aircraft's.
     """
     by_rank = sorted(channels, key=lambda channel: (channel.rank, channel.name))
     result = dict(roles)
@@ -246,7 +273,7 @@ def with_accuracy(
 
 
 def _accuracy_of_sender(channels: list[Channel]) -> LogAccuracy:
-    """The best receiver, health and fused heights among the channels of one sender."""
+    """The best receiver, health and fused heights among the channels of one sender, best first."""
 
     def first(fits: Callable[[Channel], bool]) -> Channel | None:
         return next((channel for channel in channels if fits(channel)), None)
@@ -259,9 +286,14 @@ def _accuracy_of_sender(channels: list[Channel]) -> LogAccuracy:
         columns = channel.columns
         return "innovation_position" in columns and "innovation_velocity" in columns
 
+    # A filter's height is fused and not measured: its channel does not offer the role of a height.
     def is_fused(channel: Channel) -> bool:
         return "position" in channel.roles and "height" not in channel.roles
 
+    receivers = [channel for channel in channels if is_receiver(channel)]
     return LogAccuracy(
-        receiver=first(is_receiver), health=first(has_innovations), fused=first(is_fused)
+        receiver=receivers[0] if receivers else None,
+        health=first(has_innovations),
+        fused=first(is_fused),
+        spare_receivers=tuple(receivers[1:]),
     )

@@ -1,7 +1,9 @@
 """What the evidence of a log says: its codes, and one function for each message and refusal."""
 
+import math
+
 from unbend.errors import Code, Counted, MissionError
-from unbend.messages import Message, fallback, loss, note, warning
+from unbend.messages import Message, fallback, finding, loss, note, warning
 
 SENSOR_RANGE = Code(
     "SENSOR-RANGE",
@@ -250,4 +252,91 @@ def stations_suspect(
         first=first,
         far=far,
         reason=reason,
+    )
+
+
+EVENTS_ELSEWHERE = Code(
+    "EVENTS-ELSEWHERE",
+    means=(
+        "The log has a place, height or attitude of each exposure, and the station is elsewhere."
+    ),
+    effect="The stations stand as they are; the run ends with 3.",
+    remedy=(
+        "Check the channel of the events, their vehicle, clock and delay_s; or accept it with the "
+        "reason."
+    ),
+)
+
+
+def exposures_elsewhere(
+    *,
+    channel: str,
+    count: int,
+    total: int,
+    position: str,
+    off_m: float,
+    limit_m: float,
+    shift_s: float,
+) -> Message:
+    """The places that a log has of exposures are far from the flight at that time."""
+    likely = "likely the events of another vehicle or flight"
+    if math.isfinite(shift_s):
+        likely = (
+            f"these are its places {abs(shift_s):.2f} s {'later' if shift_s > 0 else 'earlier'}"
+        )
+    return finding(
+        EVENTS_ELSEWHERE,
+        "{count} of {exposures} have a place of their own in the log that is up to {off_m:.0f} m "
+        "from {position} at that time, expected within {limit_m:.0f} m: {likely}",
+        where=channel,
+        count=count,
+        exposures=Counted(total, "exposure"),
+        position=position,
+        off_m=off_m,
+        limit_m=limit_m,
+        likely=likely,
+    )
+
+
+def exposures_at_other_heights(
+    *,
+    channel: str,
+    column: str,
+    count: int,
+    total: int,
+    height: str,
+    off_m: float,
+    limit_m: float,
+) -> Message:
+    """The heights that a log has of exposures are none of the flight's at that time."""
+    return finding(
+        EVENTS_ELSEWHERE,
+        "{count} of {exposures} have a height of their own in the log ({column}) that is up to "
+        "{off_m:.0f} m from any of {height} at that time, expected within {limit_m:.0f} m: likely "
+        "the events of another vehicle or time",
+        where=channel,
+        count=count,
+        exposures=Counted(total, "exposure"),
+        column=column,
+        height=height,
+        off_m=off_m,
+        limit_m=limit_m,
+    )
+
+
+def exposures_tilted_otherwise(
+    *, channel: str, count: int, total: int, attitude: str, off_deg: float, limit_deg: float
+) -> Message:
+    """The attitudes that a log has of exposures are not the flight's at that time."""
+    return finding(
+        EVENTS_ELSEWHERE,
+        "{count} of {exposures} have an attitude of their own in the log whose vertical is up to "
+        "{off_deg:.1f} deg from that of {attitude} at that time, expected within {limit_deg:.1f} "
+        "deg: likely the events of another vehicle or time, or a camera on a gimbal",
+        where=channel,
+        count=count,
+        exposures=Counted(total, "exposure"),
+        attitude=attitude,
+        off_deg=off_deg,
+        limit_deg=limit_deg,
     )

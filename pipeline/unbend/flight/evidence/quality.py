@@ -21,7 +21,7 @@ class Range(NamedTuple):
     high: float
 
     def has(self, value: float) -> bool:
-        """Whether a value lies in it; NaN does not."""
+        """Whether a value lies in the range; NaN does not."""
         return self.low <= value <= self.high
 
     def __str__(self) -> str:
@@ -42,20 +42,20 @@ RANGES: Mapping[str, Range] = {
 
 FASTEST_CLIMB_M_S = 200.0  # no survey aircraft climbs or sinks faster [m/s]
 FASTEST_M_S = 700.0  # no aircraft that takes pictures flies faster over the ground [m/s]
-# No aircraft turns faster [rad/s] and, within few samples, back; a flip goes on.
+# No aircraft turns faster [rad/s] and, within few samples, back; a flip turns on to the same side.
 FASTEST_TURN_RAD_S = float(np.radians(500.0))
 
 _HEIGHTS = ("h_msl_m", "h_ellipsoid_m")
 _METRES_PER_RAD = 6_371_000.0  # only to notice jumps of 100 m: any radius will do
 _TURN_NOISE_RAD = float(np.radians(20.0))
 
-_BLOCK = 1 << 16  # steps that are compared together: a long channel is not copied
+_BLOCK = 1 << 16  # steps that are compared together: a long channel is not copied as a whole
 _MOST_STRETCHES = 20_000  # a series that jumps more often than this has no glitches, it is noise
-_FEWEST_SAMPLES = 3  # of fewer no one stands between two others
+_FEWEST_SAMPLES = 3  # with fewer, no sample has one on either side
 
 
 class _WrongUnit(NamedTuple):
-    """Medians that show a wrong unit, and which it looks like."""
+    """Medians that show a wrong unit, and the unit that they look like."""
 
     medians: Range
     unit: str
@@ -74,53 +74,71 @@ _WRONG_UNITS: Mapping[str, tuple[_WrongUnit, ...]] = {
 _ROLES_WITH_JUMPS = ("position", "attitude", "pressure", "temperature", "humidity", "airspeed")
 
 
-class _Distance(NamedTuple):
-    """How to measure how far samples are apart, and up to which distance that is no jump."""
+class _Step(NamedTuple):
+    """How large a step from one sample to another is, and up to which size it is no jump.
 
-    between: Callable[[Channel, Rows, Rows], Array]  # (m,) of two arrays of rows
-    rate: float  # that is no jump, per second between the samples
-    noise: float  # that is no jump, whatever the time between the samples
+    size : gives (m,) sizes of the steps from (m,) rows to other (m,) rows of a channel.
+    rate : the size that is no jump, for each second between the samples.
+    noise : the size that is no jump, whatever the time between the samples.
+    """
+
+    size: Callable[[Channel, Rows, Rows], Array]
+    rate: float
+    noise: float
 
 
 def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
     """The channel without the samples that are missing or impossible in the columns of its role.
 
     A value is impossible if it is out of range, or reached and left faster than air or aircraft can
-    change. The notes count these samples, but not those that `mask_impossible_values` counted.
-    Refuses a channel whose median shows a wrong unit (hPa where Pa is due).
+    change. The notes count these samples, but not those that `mask_impossible_values` counted when
+    the log was read. A sample has the reason of the first column that gives one. Refuses a channel
+    whose median shows a wrong unit (hPa where Pa is due).
     """
     notes: list[Message] = []
     if role in ("position", "height"):
         channel, height_notes = _mask_heights(channel)
         notes += height_notes
-    reasons = np.zeros(len(channel), np.uint8)
+    reasons = np.zeros(len(channel), np.uint8)  # 0 is Reason.USED
     for column in ROLE_COLUMNS[role]:
-        values = channel[column]
         _refuse_wrong_unit(channel, role, column)
-        unknown = ~np.isfinite(values)
-        impossible = np.zeros(len(channel), np.uint8)
-        if column in channel.rejected:
-            impossible = np.where(unknown, channel.rejected[column], impossible)
-        missing = int(np.count_nonzero(unknown & (impossible == Reason.USED)))
-        if missing:
-            notes.append(
-                messages.samples_not_a_number(
-                    channel=channel.name, column=column, count=missing, total=len(channel)
-                )
-            )
-        outside = _outside(values, column)
-        if outside.any():
-            notes.append(_out_of_range(channel, column, outside))
-        reasons = np.where(reasons == Reason.USED, impossible, reasons)
-        reasons = with_reason(reasons, unknown, Reason.NO_VALUE)
-        reasons = with_reason(reasons, outside, Reason.OUT_OF_RANGE)
+        column_reasons, column_notes = _reasons_of_column(channel, column)
+        reasons = np.where(reasons == Reason.USED, column_reasons, reasons)
+        notes += column_notes
     jumps, jump_notes = _jumps(channel, reasons == Reason.USED, role)
     reasons[jumps] = Reason.JUMP
     return channel.without(reasons), (*notes, *jump_notes)
 
 
+def _reasons_of_column(channel: Channel, column: str) -> tuple[Reasons, Notes]:
+    """(n,) why samples have no possible value in a column; 0 (used) where they have one.
+
+    The notes count the samples without a value, and those out of range. A value that was impossible
+    when the log was read is unknown now, keeps its reason, and is not counted again.
+    """
+    notes: list[Message] = []
+    values = channel[column]
+    unknown = ~np.isfinite(values)
+    reasons = np.zeros(len(channel), np.uint8)
+    if column in channel.rejected:
+        reasons = np.where(unknown, channel.rejected[column], reasons)
+    missing = int(np.count_nonzero(unknown & (reasons == Reason.USED)))
+    if missing:
+        notes.append(
+            messages.samples_not_a_number(
+                channel=channel.name, column=column, count=missing, total=len(channel)
+            )
+        )
+    outside = _outside(values, column)
+    if outside.any():
+        notes.append(_out_of_range(channel, column, outside))
+    reasons = with_reason(reasons, unknown, Reason.NO_VALUE)
+    reasons = with_reason(reasons, outside, Reason.OUT_OF_RANGE)
+    return reasons, tuple(notes)
+
+
 def _refuse_wrong_unit(channel: Channel, role: str, column: str) -> None:
-    """Refuse (MissionError CHANNEL-UNIT) a column whose median shows another unit."""
+    """Refuse (MissionError CHANNEL-UNIT) a column whose median shows a wrong unit."""
     values = channel[column]
     known = np.isfinite(values)
     if not known.any():
@@ -137,8 +155,9 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
     """The channel of a log with impossible values unknown (NaN); the notes count them.
 
     Values are impossible as for `plausible_samples`, for all roles that the channel may get. Rows
-    in which no role has a value left are removed. A column whose median is impossible is kept, with
-    a warning: it has another unit, or is not of air. Of events only ranges are checked.
+    in which no role has a value left are removed. A column whose median is out of range is kept,
+    with a warning, and not searched for jumps: it has another unit, or is not of air. Of events
+    only heights and ranges are checked.
     """
     channel, height_notes = _mask_heights(channel)
     channel, odd_columns, range_notes = _mask_ranges(channel)
@@ -154,9 +173,10 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
 
 
 def _reasons_of_useless_rows(channel: Channel, roles: list[str]) -> Reasons:
-    """(n,) why no role has a value left in a row; 0 where a role has one.
+    """(n,) why no role has a value left in a row; 0 (used) where a role has one.
 
-    An impossible height is no reason: the row keeps its latitude and longitude.
+    An impossible height is no reason: the row keeps its latitude and longitude. A channel that fits
+    no role keeps all rows.
     """
     reasons = np.zeros(len(channel), np.uint8)
     for column, column_reasons in channel.rejected.items():
@@ -200,7 +220,7 @@ def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
 
 
 def _mask_jumps(channel: Channel, role: str) -> tuple[Channel, Notes]:
-    """The channel with the columns of a role unknown where they jump there and back."""
+    """The channel with all columns of a role unknown in the rows that jump there and back."""
     jumps, notes = _jumps(channel, _known(channel, role), role)
     if jumps.size:
         is_jump = np.zeros(len(channel), np.bool_)
@@ -211,7 +231,7 @@ def _mask_jumps(channel: Channel, role: str) -> tuple[Channel, Notes]:
 
 
 def _known(channel: Channel, role: str) -> Mask:
-    """The rows in which all columns of a role are known."""
+    """(n,) the rows in which all columns of a role are known."""
     known = np.ones(len(channel), np.bool_)
     for column in ROLE_COLUMNS[role]:
         known &= np.isfinite(channel[column])
@@ -219,19 +239,19 @@ def _known(channel: Channel, role: str) -> Mask:
 
 
 def _outside(values: Array, column: str) -> Mask:
-    """Where values are out of their range."""
+    """(n,) where the values of a column are out of its range; nowhere if it has no range."""
     nowhere = np.zeros(values.shape, np.bool_)
     if column not in RANGES or values.size == 0:
         return nowhere
     low, high = RANGES[column]
     with np.errstate(invalid="ignore"):
         if np.fmin.reduce(values) >= low and np.fmax.reduce(values) <= high:
-            return nowhere
+            return nowhere  # spares two masks of a long channel
         return np.asarray((values < low) | (values > high), np.bool_)
 
 
 def _out_of_range(channel: Channel, column: str, outside: Mask) -> Message:
-    """The loss of values out of range."""
+    """The message that counts the values of a column that are out of range."""
     return messages.samples_out_of_range(
         channel=channel.name,
         column=column,
@@ -242,9 +262,9 @@ def _out_of_range(channel: Channel, column: str, outside: Mask) -> Message:
 
 
 def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
-    """The channel with impossible heights unknown: out of range, or a jump there and back.
+    """The channel with impossible heights unknown: those out of range, or that jump there and back.
 
-    The row keeps its latitude and longitude.
+    Jumps are looked for only in channels with positions. The rows keep latitude and longitude.
     """
     notes: list[Message] = []
     for column in _HEIGHTS:
@@ -279,13 +299,13 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
 def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
     """The rows of samples that jump: few in a row, which the samples around them cannot reach.
 
-    Only known rows are compared, in the columns of a role. Jumps that show how a filter is aligned
-    are returned too; they have a note of their own instead of a loss.
+    Only known rows are compared, in the columns of a role. Jumps by which a filter is aligned are
+    returned too; they have a note of their own and are left out of the loss for the other jumps.
     """
     where = f"{channel.name}, as {role}"
     notes: list[Message] = []
     is_stray = np.zeros(len(channel), np.bool_)
-    for name in (role, *ROLE_COLUMNS[role]):
+    for name in (role, *ROLE_COLUMNS[role]):  # places and attitudes are compared as a whole
         if name in _STEPS:
             rows, noise_notes = _stray_rows(channel, known, _STEPS[name], where)
             is_stray[rows] = True
@@ -314,11 +334,11 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
 def _leads_to_another_attitude(channel: Channel, kept: Mask, jumps: Rows) -> Mask:
     """(j,) which jumps show that the filter was aligned.
 
-    The attitudes before and after such a jump are too far apart for the time between them, or the
-    jump comes before the first attitude that is kept.
+    The kept attitudes before and after such a jump are too far apart for the time between them, or
+    the jump comes before the first attitude that is kept. Jumps after the last one show nothing.
     """
     kept_rows = np.flatnonzero(kept)
-    place = np.searchsorted(kept_rows, jumps)
+    place = np.searchsorted(kept_rows, jumps)  # of the first kept row after each jump
     aligned = place == 0
     between = (place > 0) & (place < kept_rows.size)
     before = kept_rows[place[between] - 1]
@@ -330,7 +350,7 @@ def _leads_to_another_attitude(channel: Channel, kept: Mask, jumps: Rows) -> Mas
 
 
 def _metres(channel: Channel, first: Rows, second: Rows) -> Array:
-    """Horizontal distance [m], good enough to notice a jump."""
+    """(m,) horizontal distances [m] of two rows each, good enough to notice a jump."""
     lat = channel["lat_rad"]
     lon = channel["lon_rad"]
     north = lat[second] - lat[first]
@@ -339,31 +359,31 @@ def _metres(channel: Channel, first: Rows, second: Rows) -> Array:
 
 
 def _angle(channel: Channel, first: Rows, second: Rows) -> Array:
-    """The angle between attitudes [rad]; 0 where it is less than what is noise."""
-    cosine = np.zeros(first.shape)
+    """(m,) angles between the attitudes [rad] of two rows each; 0 for less than what is noise."""
+    cosine_of_half = np.zeros(first.shape)
     for name in ROLE_COLUMNS["attitude"]:
-        cosine += channel[name][first] * channel[name][second]
-    cosine = np.abs(cosine)
-    angle = np.zeros(cosine.shape)
-    wide = cosine < np.cos(_TURN_NOISE_RAD / 2.0)
-    angle[wide] = 2.0 * np.arccos(cosine[wide])
+        cosine_of_half += channel[name][first] * channel[name][second]
+    cosine_of_half = np.abs(cosine_of_half)  # a quaternion and its negative are one attitude
+    angle = np.zeros(cosine_of_half.shape)
+    wide = cosine_of_half < np.cos(_TURN_NOISE_RAD / 2.0)
+    angle[wide] = 2.0 * np.arccos(cosine_of_half[wide])
     return angle
 
 
-def _step_of(column: str, rate: float, noise: float) -> _Distance:
-    """The distance of samples by the difference of their values in a column."""
+def _step_of(column: str, rate: float, noise: float) -> _Step:
+    """The step whose size is the difference of the values in a column."""
 
-    def between(channel: Channel, first: Rows, second: Rows) -> Array:
+    def size(channel: Channel, first: Rows, second: Rows) -> Array:
         return np.abs(channel[column][second] - channel[column][first])
 
-    return _Distance(between, rate, noise)
+    return _Step(size, rate, noise)
 
 
 # By role or by column. 2,500 Pa/s is a climb of 200 m/s at sea level.
-_STEPS: Mapping[str, _Distance] = {
-    "position": _Distance(_metres, FASTEST_M_S, 100.0),
-    "height": _Distance(_metres, FASTEST_M_S, 100.0),
-    "attitude": _Distance(_angle, FASTEST_TURN_RAD_S, _TURN_NOISE_RAD),
+_STEPS: Mapping[str, _Step] = {
+    "position": _Step(_metres, FASTEST_M_S, 100.0),
+    "height": _Step(_metres, FASTEST_M_S, 100.0),
+    "attitude": _Step(_angle, FASTEST_TURN_RAD_S, _TURN_NOISE_RAD),
     "pressure_pa": _step_of("pressure_pa", 2_500.0, 100.0),
     "temperature_k": _step_of("temperature_k", 20.0, 5.0),
     "h_msl_m": _step_of("h_msl_m", FASTEST_CLIMB_M_S, 20.0),
@@ -371,15 +391,20 @@ _STEPS: Mapping[str, _Distance] = {
 }
 
 
-def _is_far(channel: Channel, first: Rows, second: Rows, step: _Distance) -> Mask:
-    """(m,) whether two samples are farther apart than a step allows in the time between them."""
+def _is_far(channel: Channel, first: Rows, second: Rows, step: _Step) -> Mask:
+    """(m,) whether the step from each first row to its second one is a jump in that time."""
     seconds = 1e-9 * (channel.time_ns[second] - channel.time_ns[first])
     limit = np.maximum(step.rate * seconds, step.noise)
-    return np.asarray(step.between(channel, first, second) > limit, np.bool_)
+    return np.asarray(step.size(channel, first, second) > limit, np.bool_)
 
 
-def _stray_rows(channel: Channel, known: Mask, step: _Distance, where: str) -> tuple[Rows, Notes]:
-    """The known rows, up to `STRAY_ROWS` in a row, that a step reaches from neither side."""
+def _stray_rows(channel: Channel, known: Mask, step: _Step, where: str) -> tuple[Rows, Notes]:
+    """The known rows that lie apart from all others: those of short stretches out of reach.
+
+    Jumps divide the known rows into stretches. One of up to `STRAY_ROWS` rows is stray if a jump
+    lies between it and the stretch that was kept last, on the way from the longest stretch to
+    either end. A series with too many jumps is noise: it has no stray rows, but a note.
+    """
     rows = np.flatnonzero(known)
     first = _begins_of_stretches(channel, rows, step)
     if rows.size < _FEWEST_SAMPLES or first.size == 1:
@@ -392,13 +417,12 @@ def _stray_rows(channel: Channel, known: Mask, step: _Distance, where: str) -> t
     end_row = rows[first + length - 1]
 
     def is_out_of_reach(earlier: int, later: int) -> bool:
-        """Whether a later stretch begins too far from the end of an earlier one."""
+        """Whether a jump lies between the end of an earlier and the begin of a later stretch."""
         end = end_row[earlier : earlier + 1]
         begin = begin_row[later : later + 1]
         return bool(_is_far(channel, end, begin, step)[0])
 
-    # From the longest stretch on, both ways, a stretch is kept that is reached from the last one
-    # kept. A long one is kept wherever it is: a sensor that is set anew, or the end of a gap.
+    # A long stretch is kept wherever it is: the sensor was set anew, or a gap has ended.
     is_short = length <= STRAY_ROWS
     is_stray = np.zeros(first.shape, np.bool_)
     longest = int(np.argmax(length))
@@ -415,8 +439,8 @@ def _stray_rows(channel: Channel, known: Mask, step: _Distance, where: str) -> t
     return np.asarray(rows[np.repeat(is_stray, length)], np.intp), ()
 
 
-def _begins_of_stretches(channel: Channel, rows: Rows, step: _Distance) -> Integers:
-    """Places in ``rows`` at which a stretch begins that is far from the sample before."""
+def _begins_of_stretches(channel: Channel, rows: Rows, step: _Step) -> Integers:
+    """Places in ``rows`` at which a stretch begins: 0, and each place behind a jump."""
     begins = [np.zeros(1, np.intp)]
     for begin in range(0, rows.size - 1, _BLOCK):
         block = rows[begin : begin + _BLOCK + 1]

@@ -12,18 +12,18 @@ from unbend.units import Array, Mask
 
 LONGEST_COAST_S = 2.0  # a filter without a receiver for longer is no longer known to be right [s]
 BESIDE_S = 10.0  # a source that replaces another agrees with it for so long before and after [s]
-LONGEST_REPLACED_S = 60  # that a filter without its receiver, or a barometer, replaces one [s]
+LONGEST_REPLACED_S = 60  # for longer, only a receiver replaces a source [s]
 # Half the acceleration by which a filter drifts whose vertical is 0.25 degrees wrong [m/s2].
 LARGEST_DRIFT_M_S2 = 0.02
-_FEWEST_BESIDE = 5  # samples before and after that agree
-_MOST_AGREE = 90.0  # percentile of them that is within the noise
+_FEWEST_BESIDE = 5  # samples before, and as many after, in which two sources are compared
+_MOST_AGREE = 90.0  # percent of these samples at least differ by no more than noise
 
 
 @dataclass(frozen=True, eq=False)
 class Sources:
     """The source that plays the role of a quantity, and its difference from each other source.
 
-    ``barometers`` : the names of those compared, first the one of the role of the pressure.
+    ``barometers`` : the names of those that are compared; the first plays the role of the pressure.
     """
 
     quantity: str
@@ -34,7 +34,10 @@ class Sources:
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """A source that replaces a suspect one, and how far the two are apart before and after."""
+    """A source that replaces a suspect one, and the offset of the two before and after it.
+
+    An offset is the place by the suspect source minus that by the replacement.
+    """
 
     difference: Difference
     before_m: Array  # (k,) offset
@@ -42,7 +45,7 @@ class Replacement:
 
     @property
     def channel(self) -> Channel:
-        """The channel of the source which replaces."""
+        """The channel of the source that replaces the suspect one."""
         return self.difference.other.channel
 
     @property
@@ -52,18 +55,18 @@ class Replacement:
 
     @property
     def spread_m(self) -> float:
-        """Half the difference of both offsets, and the scatter of the two sources, as one sigma."""
+        """Sigma of the replaced places: half the change of the offset, and the usual scatter."""
         change_m = float(np.linalg.norm(self.after_m - self.before_m))
         return float(np.hypot(0.5 * change_m, self.difference.scatter_m))
 
 
 def replacement_for(sources: Sources, stretch: Stretch) -> Replacement | None:
-    """The source that replaces a suspect one where it is plain which one is wrong; else None.
+    """The source that replaces a suspect one where it is plain what is wrong; else None.
 
-    A source is plainly wrong if it has steps of its own, a poor accuracy or no fix. That must be
-    the suspect source, or, where that is a filter, one of several receivers. The replacement has
-    none of these, and agrees for 10 s before and after. A filter or a barometer replaces a
-    receiver for at most 60 s.
+    It is plain if a receiver fails in the stretch or a second beside it: it is silent, steps or
+    reports a poor accuracy. The replacement must not fail, and must agree with the suspect source
+    for 10 s before and after. A receiver may replace any source; a filter or a barometer only a
+    receiver, and for at most 60 s.
     """
     wide = replace(
         stretch,
@@ -98,7 +101,7 @@ def _fails(path: SourcePath, stretch: Stretch) -> bool:
 
 
 def _if_agrees_beside(difference: Difference, stretch: Stretch) -> Replacement | None:
-    """The replacement by a source, if it agrees for 10 s before and after a stretch."""
+    """The replacement by the other source, if it agrees for 10 s before and after a stretch."""
     margin_ns = int(BESIDE_S * SECOND)
     before = replace(
         stretch,
@@ -118,7 +121,10 @@ def _if_agrees_beside(difference: Difference, stretch: Stretch) -> Replacement |
 
 
 def _agreed_offset(difference: Difference, stretch: Stretch) -> Array | None:
-    """(k,) median difference of two sources in a stretch; None where they do not agree in it."""
+    """(k,) median difference of two sources in a stretch; None if they do not agree there.
+
+    None also with fewer than five samples to compare.
+    """
     rows = stretch.covers(difference.other.channel.time_ns)
     rows &= np.isfinite(difference.off_m)
     if np.count_nonzero(rows) < _FEWEST_BESIDE:
@@ -134,14 +140,16 @@ def attitude_drifts(
 ) -> list[Stretch]:
     """The stretch as one of a suspect attitude, if the filter drifted; else nothing.
 
-    A filter that leaves its replacement without a step has a wrong vertical: a quarter of a degree
-    of tilt carries a coasting filter 0.02 m/s² t² away.
+    A filter that goes away from its replacement without a step has a wrong vertical: with a quarter
+    of a degree of tilt, a filter without a receiver is 0.02 m/s² t² away after the time t. It is a
+    drift if the sample that is farthest off is at least as far away, and by more than noise.
     """
     difference = replacement.difference
     time_ns = replacement.channel.time_ns
     has_stepped = filter_path.stepped_m.any(axis=1)
-    step_share = np.interp(time_ns, filter_path.channel.time_ns, has_stepped)
-    may_drift = stretch.covers(time_ns) & (step_share == 0.0)
+    # 0 between two samples of the filter of which neither has stepped away.
+    stepped_share = np.interp(time_ns, filter_path.channel.time_ns, has_stepped)
+    may_drift = stretch.covers(time_ns) & (stepped_share == 0.0)
     off_m = np.where(may_drift, np.nan_to_num(difference.off_m), 0.0)
     worst = int(np.argmax(off_m))
     after_s = (int(time_ns[worst]) - stretch.begin_ns) / SECOND
@@ -156,7 +164,10 @@ def attitude_drifts(
 
 
 def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) -> Channel:
-    """The channel with the samples of another source in a stretch, its lag and offset taken out."""
+    """The channel with the samples of the replacement in a stretch, without its lag and offset.
+
+    What the replacement does not know is NaN in these samples.
+    """
     other = replacement.channel
     other_ns = other.time_ns - round(replacement.difference.lag_s * 1e9)
     inside = stretch.covers(other_ns)
@@ -168,7 +179,7 @@ def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) 
     both_ns = np.concatenate([channel.time_ns[outside], other_ns[inside]])
     time_ns, rows = np.unique(both_ns, return_index=True)
     columns: dict[str, Array] = {}
-    for name in (*channel.columns, sigma):
+    for name in (*channel.columns, sigma):  # sigma may be among the columns or not
         both = np.concatenate([channel.get(name)[outside], filling.get(name, unknown)])
         columns[name] = both[rows]
     boot = np.concatenate([channel.boot[outside], other.boot[inside]])[rows]
@@ -180,7 +191,7 @@ def _filling_columns(
 ) -> dict[str, Array]:
     """The columns of some samples of a replacement, moved by its offset.
 
-    In the column ``sigma`` are the standard deviations that the source itself reports, and
+    The column named ``sigma`` has the standard deviations that the source itself reports, with
     `Replacement.spread_m` added in quadrature. ``height_column`` is that of the replaced channel.
     """
     other = replacement.channel

@@ -18,18 +18,18 @@ from unbend.flight.evidence.stretches import HEIGHT, POSITION, Run, runs
 from unbend.flight.trajectory import interpolate
 from unbend.units import Array, Mask, Rows
 
-# A difference of two sources that is noise, beyond lag and offset [m].
+# Beyond lag and offset, two sources differ by as much through noise [m].
 NOISE_MISFIT_M = {POSITION: 2.0, HEIGHT: 4.0}
 
-_SIGMA_OF_MEDIAN = 1.48  # of absolute differences of normal errors
+_SIGMA_OF_MEDIAN = 1.48  # standard deviation of normal errors over their median absolute value
 
 # Lag of a source behind another, by differences along the track.
-_SLOWEST_M_S = 2.0  # slower samples show no lag, nor those of less than a third of usual speeds
-_FAST_SHARE = 0.1  # of the square of the 95th percentile of speeds
-_FEWEST_FAST = 20
+_SLOWEST_M_S = 2.0  # slower samples show no lag
+_FAST_SHARE = 0.1  # of the square of usual speeds (95th percentile): nor do samples below it
+_FEWEST_FAST = 20  # samples: fewer show no lag
 _LAG_PARTS = 20  # of the flight, whose lags are tried where the median one does not fit
-_LONGEST_LAG_S = 0.3  # of receivers; a constant offset seems to be one along a line
-_PART_OF_FLIGHT = 0.1  # in which two sources agree: no chance, whatever the rest is like
+_LONGEST_LAG_S = 0.3  # of receivers; more is a constant offset, which looks like a lag along a line
+_PART_OF_FLIGHT = 0.1  # two sources do not agree by chance in so much of it, whatever the rest is
 
 # Heights of a barometer.
 _SLOPE_M = -8434.5  # dh / d ln p at 288.15 K
@@ -40,21 +40,31 @@ _LEAST_SCATTER_M = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """How far a source is from another, at the times of the other.
+    """How far a source is from another, at the (n,) times of the other.
 
     NaN where either is missing, or the other's accuracy is poor.
+
+    apart_m : (n, k) place by the source minus place by the other, from which the other's own steps
+        and its constant lag are taken out.
+    off_m : (n,) distance of ``apart_m`` from its usual value.
+    lag_s : by how much the other is behind the source.
+    limit_m : the largest ``off_m`` that is noise.
+    scatter_m : standard deviation of ``off_m`` on the samples that show its usual value.
     """
 
     other: SourcePath
-    apart_m: Array  # (n, k) from the other less its own steps and its constant lag ``lag_s``
-    off_m: Array  # (n,) beyond the usual offset
+    apart_m: Array
+    off_m: Array
     lag_s: float
-    limit_m: float  # the largest ``off_m`` that is noise
-    scatter_m: float  # its standard deviation
+    limit_m: float
+    scatter_m: float
 
     @property
     def apart(self) -> list[Run]:
-        """Rows of the other in which the two differ by more than noise."""
+        """Rows of the other in which the two differ by more than noise.
+
+        Such a run reaches as far as they differ by more than half of that.
+        """
         with np.errstate(invalid="ignore"):
             is_half_off = self.off_m > 0.5 * self.limit_m
             is_off = self.off_m > self.limit_m
@@ -72,9 +82,9 @@ def source_difference(
     """How far a source is from another source, beyond the usual offset of the two.
 
     ``velocity`` (n, k) [m/s] at the times of the other source. The usual offset is the median, or
-    that of a tenth of the flight or more in which the two agree: positions, and heights of
-    receivers, near 0; other heights before ``steady_until_ns``, when ``source`` stepped and did
-    not return.
+    that of a tenth of the flight or more in which the two agree. Positions, and heights of two
+    receivers, agree where they differ by less than noise. Other heights may have any offset:
+    they agree before ``steady_until_ns``, when ``source`` first stepped and did not return.
     """
     noise_m = NOISE_MISFIT_M[quantity]
     are_receivers = is_receiver(source) and is_receiver(other.channel)
@@ -84,8 +94,10 @@ def source_difference(
     known = np.isfinite(apart_m).all(axis=1) & other.good
     lag = _constant_lag(apart_m, velocity, known, noise_m, may_part=agree_near_zero)
     apart_m -= lag.seconds * velocity
-    is_reported = other.good | other.stepped_m.any(axis=1)
-    apart_m[~is_reported] = np.nan
+    # A sample that is not good has either stepped away, and its step is taken out, or its accuracy
+    # is poor.
+    is_accurate = other.good | other.stepped_m.any(axis=1)
+    apart_m[~is_accurate] = np.nan
     if agree_near_zero:
         agree = np.linalg.norm(apart_m, axis=1) < noise_m
     elif steady_until_ns is not None:
@@ -107,10 +119,11 @@ def source_difference(
 
 
 def _apart_with_lag(source: Channel, other: SourcePath, quantity: str) -> Array:
-    """(n, k) metres from another source, less its own steps, to ``source`` at its times.
+    """(n, k) metres from the other source, whose own steps are taken out, to ``source``.
 
-    A lag of the other source is still in them.
+    They hold at the times of the other source; its lag is still in them.
     """
+    # A height gives one column, a position two.
     columns = dict(zip("xy", places_of(source, quantity).T, strict=False))
     placed = replace(source, columns=columns, labels={})
     gap_s = source.gap_limit_s(SOURCE_GAP_S)
@@ -123,7 +136,7 @@ def _apart_with_lag(source: Channel, other: SourcePath, quantity: str) -> Array:
 
 
 class _Lag(NamedTuple):
-    """By how many seconds a source is behind another, and the (n,) samples that show it."""
+    """By how many seconds the other source is behind, and the (n,) samples that show it."""
 
     seconds: float
     shown_by: Mask
@@ -132,9 +145,10 @@ class _Lag(NamedTuple):
 def _constant_lag(
     apart_m: Array, velocity: Array, known: Mask, noise_m: float, *, may_part: bool
 ) -> _Lag:
-    """The lag that differences along the track show, the median; 0 where too few are fast.
+    """The lag that differences along the track show: the median, or 0 if too few samples are fast.
 
-    ``may_part`` where two sources may agree in a part of the flight only.
+    With ``may_part`` two sources may agree in a part of the flight only; the lag is that of such a
+    part if the lags of all samples scatter by more than noise.
     """
     square_speed = np.sum(velocity**2, axis=1)
     usual_square = float(np.percentile(square_speed, 95.0))
@@ -151,10 +165,10 @@ def _constant_lag(
 
 
 def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
-    """The lag [s] with which the nearest tenth of (f, k) differences is nearest.
+    """The lag [s] that makes the smallest tenth of (f, k) differences smallest.
 
-    Tried are the median of all (f,) lags and that of each twentieth of the flight: two sources may
-    agree in a part of it only.
+    The median of all (f,) lags is tried, and that of each twentieth of the flight, because two
+    sources may agree in a part of it only.
     """
 
     def distance_of_nearest(lag_s: float) -> float:
@@ -179,7 +193,8 @@ class _Misfit(NamedTuple):
 def _misfit(apart_m: Array, part: Rows, known: Mask, agree: Mask, noise_m: float) -> _Misfit:
     """How far two sources are apart beyond their usual offset, which each part has for itself.
 
-    Heights above home have a new home after a restart.
+    The parts of the other source have their own, because heights above home have a new home after
+    a restart. The offset of a part rests on its ``known`` samples (n,), or on any if none is known.
     """
     off_m = np.full(part.size, np.nan)
     settled = np.zeros(part.size, np.bool_)
@@ -199,8 +214,8 @@ def _misfit(apart_m: Array, part: Rows, known: Mask, agree: Mask, noise_m: float
 def _usual_offset(apart_m: Array, usable: Mask, agree: Mask, noise_m: float) -> tuple[Mask, Array]:
     """The rows that show the usual offset of two sources, and their median difference (k,) [m].
 
-    All usable rows; but only those that agree, if they are a tenth or more of the usable ones and
-    their median is another by more than noise.
+    These are the usable rows that agree, if they are more than a tenth of the usable ones and their
+    median is another by more than noise; else all usable rows.
     """
     offset_m = np.median(apart_m[usable], axis=0)
     agreeing = usable & agree
@@ -234,7 +249,10 @@ def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
 
 
 def _height_by_log_p(log_p: Array, height_m: Array, usable: Mask) -> Array:
-    """(n,) heights of pressures by a parabola, or a line of standard air, through usable rows."""
+    """(n,) heights of pressures by a parabola in ln p through the usable rows.
+
+    If these span less than 300 m it is a line with the slope of standard air.
+    """
     if float(np.ptp(height_m[usable])) > _SPAN_OF_PARABOLA_M:
         parabola = np.polynomial.Polynomial.fit(log_p[usable], height_m[usable], 2)
         return np.asarray(parabola(log_p))
@@ -243,7 +261,7 @@ def _height_by_log_p(log_p: Array, height_m: Array, usable: Mask) -> Array:
 
 
 def _is_near(height_m: Array, of_pressure_m: Array) -> Mask:
-    """(n,) which heights are within three sigma of those of the pressure."""
+    """(n,) which heights are within three sigma, or 1 m, of those of the pressure."""
     off_m = np.abs(height_m - of_pressure_m)
     three_sigma_m = 3.0 * _SIGMA_OF_MEDIAN * float(np.nanmedian(off_m))
     return np.asarray(off_m < max(three_sigma_m, _LEAST_SCATTER_M))

@@ -17,33 +17,39 @@ from unbend.units import Array, Mask, Rows
 # A step from sample to sample that is noise, beyond what velocity and neighbours explain [m].
 NOISE_STEP_M = {POSITION: 3.0, HEIGHT: 5.0}
 WORST_ACCURACY_M = 5.0  # a receiver that reports worse is not used [m]
-SEVERAL_USUAL_ACCURACIES = 3.0  # a report of so many times the median is not used
+SEVERAL_USUAL_ACCURACIES = 3.0  # nor is a report of more than so many times the median
 SEVERAL = 6.0  # a difference of so many times the usual one is no noise
 EARTH_RADIUS_M = 6_371_000.0  # for differences of metres: any radius will do
 SOURCE_GAP_S = 2.0  # between samples of a source that is compared
 
 _LONGEST_STEP_S = 10.0  # over a longer interval a vehicle may have gone anywhere
-_LIKELY_M_S2 = 4.0  # of a vehicle: what it moves otherwise within an interval is no step
-_RETURNS_WITHIN = 0.1  # of a step: a source that comes as near has returned
-_MOST_STEPS = 1_000
-_NEIGHBOURS = 3  # speeds on either side of which, with a sample's own, the median counts
+_LIKELY_M_S2 = 4.0  # acceleration of a vehicle: what it may move by that in an interval is no step
+_RETURNS_WITHIN = 0.1  # of a step: a source that comes as near to where it was has returned
+_MOST_STEPS = 1_000  # a source with more of them is noise
+_NEIGHBOURS = 3  # speeds on either side that, with a sample's own, make the median speed
 
 
 @dataclass(frozen=True, eq=False)
 class SourcePath:
     """One source of positions or heights, with the steps that no vehicle makes.
 
-    ``stepped_m`` (n, 2) north and east, or (n, 1) up, is how far its own steps have carried it from
-    where it was before and is later.
+    stepped_m : (n, 2) north and east, or (n, 1) up: how far the source is away from the level to
+        which it returns; 0 where it is not away.
+    good : (n,) where it is not away and reports a useful accuracy.
+    part : (n,) number of the part of the flight; a restart begins a part, and so does a step
+        without return.
+    step_ns : times of all steps.
+    lasting_ns : times of the steps without return.
+    fastest_m_s : speed of the worst step.
     """
 
     channel: Channel
     stepped_m: Array
-    good: Mask  # (n,) where it has not stepped away and reports a useful accuracy
-    part: Rows  # (n,) number of what lies between restarts and steps that do not return
-    step_ns: TimeArray  # of all steps
-    lasting_ns: TimeArray  # of those that do not return
-    fastest_m_s: float  # the worst step
+    good: Mask
+    part: Rows
+    step_ns: TimeArray
+    lasting_ns: TimeArray
+    fastest_m_s: float
 
 
 def is_receiver(channel: Channel) -> bool:
@@ -87,7 +93,10 @@ def metres(change: Array, lat_rad: Array) -> Array:
 
 
 def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) -> Array:
-    """(n, 2) north and east or (n, 1) up [m/s] of the first channel with velocities; else NaN."""
+    """(n, 2) north and east or (n, 1) up [m/s] by the first channel that has velocities.
+
+    NaN where that has none, or if no channel has any.
+    """
     names = ("v_down_m_s",) if quantity == HEIGHT else ("v_north_m_s", "v_east_m_s")
     sign = -1.0 if quantity == HEIGHT else 1.0
     for channel in channels:
@@ -101,10 +110,11 @@ def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) 
 def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) -> SourcePath:
     """Find the steps of a source that no vehicle makes.
 
-    A step is a move that is more than 3 m (5 m in height) and several times the usual one beyond
-    what velocity or the speed of neighbouring samples explains; velocity is that of the first of
-    ``channels`` with any. From a step that leaves to the step that returns the source is away;
-    one without return divides the source into two parts.
+    A step is a move that velocity or the speed of neighbouring samples leaves unexplained by more
+    than 3 m (5 m in height), by more than several times the usual amount, and by more than a
+    vehicle may accelerate in the interval. Velocity is that of the first of ``channels`` that has
+    any. From a step that leaves to the step that returns the source is away; a step without return
+    divides the source into two parts.
     """
     channel = with_places(channel, quantity)
     time_ns = channel.time_ns
@@ -114,7 +124,7 @@ def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) ->
     noise_m = max(NOISE_STEP_M[quantity], SEVERAL * float(np.percentile(size_m, 95.0)))
     limit_m = noise_m + 0.5 * _LIKELY_M_S2 * seconds**2
     before_step = np.flatnonzero(size_m > limit_m)
-    if before_step.size > _MOST_STEPS:  # a channel that always steps is noise
+    if before_step.size > _MOST_STEPS:
         before_step = before_step[:0]
     fastest_m_s = 0.0
     if before_step.size:
@@ -145,7 +155,8 @@ def _reports_useful_accuracy(channel: Channel, quantity: str) -> Mask:
 def _unexplained_moves(channel: Channel, quantity: str, channels: Iterable[Channel]) -> Array:
     """(n - 1, k) metres from sample to sample that neither velocity nor neighbours explain.
 
-    Of the two explanations the one that leaves less counts. 0 over long intervals and restarts.
+    The neighbours' speed counts unless the velocity leaves less unexplained; an unknown velocity
+    (NaN) never does. 0 over long intervals and restarts.
     """
     seconds = np.diff(channel.time_ns)[:, None] * 1e-9
     speed = moves_of(channel, quantity) / seconds
@@ -168,9 +179,9 @@ def _unexplained_moves(channel: Channel, quantity: str, channels: Iterable[Chann
 class _PairedSteps(NamedTuple):
     """The steps of a source, after those that leave are paired with those that return."""
 
-    stepped_m: Array  # (n, k) how far the source is away
-    part: Rows  # (n,) number of the part, divided by restarts and by steps without return
-    lasting_rows: list[int]  # the first rows after steps without return
+    stepped_m: Array  # (n, k) as of `SourcePath`
+    part: Rows  # (n,) as of `SourcePath`
+    lasting_rows: list[int]  # the first row after each step without return
 
 
 def _paired_steps(
@@ -178,7 +189,8 @@ def _paired_steps(
 ) -> _PairedSteps:
     """Pair the steps of a source that leave its level with those that return to it.
 
-    ``before_step``: the rows before each step. Between two steps a source stands at one level.
+    ``before_step``: the row before each step. Between two steps a source stands at one level, the
+    median of what steps have carried it by; ``base_m`` is the level that it last had for good.
     """
     carried_m = _carried_by_steps(channel.time_ns, unexplained_m, before_step)
     edges = [0, *(before_step + 1).tolist(), len(channel)]
@@ -198,7 +210,7 @@ def _paired_steps(
         if return_level is None:
             base_m = levels[level]
             lasting_rows.append(begin)
-            part[begin:] += int(part.max()) + 1
+            part[begin:] += int(part.max()) + 1  # numbers that no part has yet
             level += 1
         else:
             end = edges[return_level]
@@ -208,9 +220,9 @@ def _paired_steps(
 
 
 def _carried_by_steps(time_ns: TimeArray, unexplained_m: Array, before_step: Rows) -> Array:
-    """(n, k) metres by which the steps before each sample have carried a source.
+    """(n, k) metres by which all steps before each sample have carried a source.
 
-    A receiver smooths a step: unexplained moves within a second of it are part of it.
+    A receiver smooths a step: unexplained moves within a second of it belong to it.
     """
     near_step = np.zeros(time_ns.size - 1, np.bool_)
     for row in before_step:
@@ -222,7 +234,7 @@ def _carried_by_steps(time_ns: TimeArray, unexplained_m: Array, before_step: Row
 def _return_to(
     base_m: Array, levels: list[Array], away_level: int, tolerance_m: float
 ) -> int | None:
-    """The first level after the one that is away, at which a source is back at its base."""
+    """The first level after ``away_level`` that is near the base; None if there is none."""
     for later in range(away_level + 1, len(levels)):
         if np.linalg.norm(levels[later] - base_m) < tolerance_m:
             return later

@@ -20,12 +20,12 @@ ATTITUDE = "attitude"
 
 SECOND = NANOSECONDS_PER_SECOND
 
-_MOST_REASONS = 3  # of stretches that are joined
+_MOST_REASONS = 3  # that a stretch made of several keeps
 
 
 @dataclass(frozen=True, order=True)
 class Stretch:
-    """From ``begin_ns`` to ``end_ns`` a quantity is suspect."""
+    """A time from ``begin_ns`` to ``end_ns`` in which a quantity is suspect."""
 
     begin_ns: int
     end_ns: int
@@ -58,7 +58,10 @@ def covered(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
 
 
 def merged(stretches: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches of one quantity that touch, as one, with up to three of their reasons."""
+    """Stretches of one quantity, of which those less than a second apart are joined.
+
+    A joined stretch keeps up to three of the reasons.
+    """
     result: list[Stretch] = []
     for stretch in sorted(stretches):
         if result and stretch.begin_ns <= result[-1].end_ns + SECOND:
@@ -69,7 +72,10 @@ def merged(stretches: Sequence[Stretch]) -> list[Stretch]:
 
 
 def _joined(first: Stretch, second: Stretch) -> Stretch:
-    """Two stretches of one quantity that touch, as one."""
+    """One stretch for two of the same quantity, of which the second begins later.
+
+    It may be as far off as the worse of both.
+    """
     reasons = first.reason.split("; ")
     if second.reason not in reasons and len(reasons) < _MOST_REASONS:
         reasons.append(second.reason)
@@ -94,7 +100,10 @@ class Run(NamedTuple):
 
 
 def runs(time_ns: TimeArray, bad: Mask, seed: Mask, join_s: float = 1.0) -> list[Run]:
-    """The runs of bad rows with a seed; ``join_s`` [s] apart they are one."""
+    """The runs of ``bad`` rows that hold at least one ``seed``, a row that is bad beyond doubt.
+
+    Bad rows that are at most ``join_s`` [s] apart belong to one run, with the rows between them.
+    """
     if not seed.any():
         return []
     rows = np.flatnonzero(bad | seed)
@@ -112,7 +121,7 @@ def runs(time_ns: TimeArray, bad: Mask, seed: Mask, join_s: float = 1.0) -> list
 def stretch_of_run(
     time_ns: TimeArray, run: Run, quantity: str, reason: str, off_m: float = np.nan
 ) -> Stretch:
-    """The stretch from the row before a run to the row after it."""
+    """The stretch from the time of the row before a run to that of the row after it."""
     before = max(run.first - 1, 0)
     after = min(run.last + 1, time_ns.size - 1)
     return Stretch(int(time_ns[before]), int(time_ns[after]), quantity, reason, off_m)
@@ -121,7 +130,11 @@ def stretch_of_run(
 def flag_suspect(
     stations: Stations, stretches: Sequence[Stretch], *, use_suspect: bool
 ) -> tuple[Stations, Notes]:
-    """Mark stations in suspect stretches, usable with ``use_suspect``; note replaced samples."""
+    """Mark the usable stations in suspect stretches; they stay usable with ``use_suspect``.
+
+    A stretch whose samples another source replaced has a note only, and its stations stay as they
+    are. A station in several stretches counts in each of them.
+    """
     notes: list[Message] = []
     usable = stations.ok
     for stretch in stretches:

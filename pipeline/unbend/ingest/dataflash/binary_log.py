@@ -1,10 +1,9 @@
 """ArduPilot DataFlash logs (.bin): the registry's entry of this format, and how one is read."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
 
-from unbend.ingest.boot_clock import timeline
 from unbend.ingest.buffers import open_view
 from unbend.ingest.dataflash import messages
 from unbend.ingest.dataflash.dataflash_channels import stamps, wanted_fields
@@ -14,11 +13,13 @@ from unbend.ingest.dataflash.record_definitions import START
 from unbend.ingest.dataflash.record_tables import decode
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import Table
+from unbend.ingest.timelines import timeline
+from unbend.ingest.utc_evidence import Witness
 from unbend.messages import Ledger
 
 
-def read_log(path: Path, ledger: Ledger) -> Contents:
-    """The contents of a binary log."""
+def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+    """The contents of a binary log; ``witnesses`` are other clocks that tell its date."""
     wanted = wanted_fields()
     with open_view(path) as data:
         walker = RecordWalker(data, wanted)
@@ -37,6 +38,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         tables,
         ledger,
         reread=partial(read_tables, path),
+        witnesses=witnesses,
     )
 
 

@@ -1,6 +1,6 @@
 """Tables of an ArduPilot log, binary or text -> channels, in UTC by the GNSS receivers."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -8,19 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import ROLE_COLUMNS, Channel, Source, TimeArray
-from unbend.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, full_weeks, utc_of_gps
-from unbend.ingest.boot_clock import (
-    LOWEST_FIX,
-    BootClock,
-    Stamps,
-    Timeline,
-    UtcReadings,
-    fit_clock,
-    microseconds,
-    nanoseconds,
-    report_timeline,
-    rows_of,
-)
+from unbend.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, utc_of_gps
+from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.buffers import FileView, copy_rows, gather
 from unbend.ingest.channel_builder import DecodedRows, channel_of, with_both_heights
 from unbend.ingest.dataflash import messages
@@ -29,11 +18,13 @@ from unbend.ingest.dataflash.record_definitions import HEADER
 from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS
 from unbend.ingest.field_maps import MAPS, MessageMap, extract, is_number, message_maps
 from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.timelines import Stamps, Timeline, microseconds, nanoseconds, report_timeline
+from unbend.ingest.utc_evidence import Witness
+from unbend.ingest.utc_readings import UtcReadings, rows_of
 from unbend.messages import Ledger
 from unbend.units import Integers, Mask
 
 RECEIVERS = ("GPS", "GPS2")
-FIRST_WEEK = 1_721  # 2012-12-30: no log that defines its own records is older
 _WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
 _MS_PER_WEEK = SECONDS_PER_WEEK * 1000
 _UTC_FIELDS = {"GMS", "GWk", "Status"}  # of a receiver
@@ -46,6 +37,8 @@ MESSAGES: Mapping[str, MessageMap] = message_maps("dataflash")
 # Accuracy and the ellipsoidal height come in a message of their own, at the time of the GPS row.
 ACCURACY_MESSAGES = {"GPS": "GPA", "GPS2": "GPA2"}
 _ACCURACY_MAP = message_maps("dataflash_accuracy")["GPA"]
+# Statistics of a logger, of its card and of its link: Dp counts messages dropped since boot.
+DROP_COUNTERS = ("DSF", "DMS")
 ACCURACY_FIELDS = [field for column in _ACCURACY_MAP.columns for field in column.fields]
 
 
@@ -120,30 +113,52 @@ def _times_of_block(
     return offsets + block.base, time_us
 
 
-def clock_of(line: Timeline, tables: Mapping[str, Table], ledger: Ledger) -> tuple[BootClock, str]:
-    """The clock of a log from the rows of its GNSS receivers, and where its UTC comes from."""
+def clock_of(
+    line: Timeline,
+    tables: Mapping[str, Table],
+    ledger: Ledger,
+    witnesses: Sequence[Witness] = (),
+) -> tuple[BootClock, str]:
+    """The clock of a log from the rows of its GNSS receivers, and where its UTC comes from.
+
+    ``witnesses``: other clocks that tell its date.
+    """
     report_timeline(line, ledger)
     sources: list[UtcReadings] = []
     for name in RECEIVERS:
         if name in tables:
-            sources += _receiver_utc(line, tables[name], name, ledger)
-    clock = fit_clock(line, sources, ledger, utc_of="GPS row with a fix and a week")
+            sources += _receiver_utc(tables[name], name, ledger)
+    clock = fit_clock(
+        line, sources, ledger, utc_of="GPS row with a fix and a week", witnesses=witnesses
+    )
+    return clock, _time_base(clock)
+
+
+def _time_base(clock: BootClock) -> str:
+    """Where the UTC of a log comes from, in words."""
     unknown = clock.utc_known.count(False)
     if unknown:
-        return clock, f"vehicle clock; UTC is unknown in {unknown} of {len(clock.fits)} boots"
-    rows = sum(fit.rows for fit in clock.fits if fit is not None)
-    return clock, f"vehicle clock, set to UTC by the median of {rows} GPS rows"
+        boots = len(clock.fits)
+        return f"vehicle clock; UTC is unknown in {unknown} of {boots} boots"
+    rows = 0
+    for fit in clock.fits:
+        if fit is not None:
+            rows += fit.rows
+    return f"vehicle clock, set to UTC by the median of {rows} GPS rows"
 
 
-def _receiver_utc(line: Timeline, table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadings]:
+def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadings]:
     """The UTC readings of each receiver (instance) in the table of a message."""
     absent = sorted(_UTC_FIELDS - set(table))
     if absent:
         count = table[PLACE].size
         ledger.add(messages.no_utc_fields(message=name, count=count, fields=absent))
         return
-    has_utc = (table["GWk"] > 0) & (table["GWk"] < _WEEKS)
-    has_utc &= (table["GMS"] >= 0) & (table["GMS"] < _MS_PER_WEEK)
+    week = table["GWk"]
+    of_week_ms = table["GMS"]
+    is_week_known = (week > 0) & (week < _WEEKS)
+    is_time_known = (of_week_ms >= 0) & (of_week_ms < _MS_PER_WEEK)
+    has_utc = is_week_known & is_time_known
     instance = instance_of(table)
     for number in np.unique(instance[has_utc]):
         rows = has_utc & (instance == number)
@@ -151,44 +166,19 @@ def _receiver_utc(line: Timeline, table: Table, name: str, ledger: Ledger) -> It
         if not bool(rows.all()):  # a long log is not copied
             needed_fields = (PLACE, "TimeUS", *_UTC_FIELDS)
             receiver = {field: table[field][rows] for field in needed_fields}
-        label = f"{name}[{number}]" if number >= 0 else name
+        label = name
+        if number >= 0:
+            label = f"{name}[{number}]"
         places = receiver[PLACE]
-        week = _full_weeks_by_boot(receiver, line.boot_of(places), label, ledger)
         yield rows_of(
             label,
             places=places,
             boot_ns=nanoseconds(receiver["TimeUS"]),
-            utc_ns=utc_of_gps(week, receiver["GMS"] / 1000.0),
+            utc_ns=utc_of_gps(receiver["GWk"], receiver["GMS"] / 1000.0),
             usable=np.ones(places.shape, np.bool_),
             fix=receiver["Status"],
+            from_gps_week=True,
         )
-
-
-def _full_weeks_by_boot(
-    receiver: Table, boot: NDArray[np.int16], label: str, ledger: Ledger
-) -> NDArray[Any]:
-    """(n,) GPS weeks of a receiver, with the rollovers of its week counter repaired and reported.
-
-    The counter rolled over in all rows of a boot or in none.
-    """
-    week = receiver["GWk"]
-    has_fix = receiver["Status"] >= LOWEST_FIX
-    for number in np.unique(boot).tolist():
-        rows = has_fix & (boot == number)
-        full, repaired = full_weeks(week[rows], FIRST_WEEK)
-        if repaired:
-            ledger.add(
-                messages.week_rollover(
-                    receiver=label,
-                    boot=number,
-                    count=repaired,
-                    week=int(week[rows][0]),
-                    full=int(full[0]),
-                )
-            )
-            week = week.astype(np.int64)
-            week[rows] = full
-    return week
 
 
 def wanted_fields() -> dict[str, Callable[[str], bool]]:
@@ -203,6 +193,8 @@ def wanted_fields() -> dict[str, Callable[[str], bool]]:
         fields[name] = always | set(ACCURACY_FIELDS)
     fields["ERR"] |= {"ECode"}
     fields["PARM"] = {"TimeUS", "Name", "Value"}
+    for name in DROP_COUNTERS:
+        fields[name] = {"TimeUS", "TimeMS", "Dp"}
     return {name: names.__contains__ for name, names in fields.items()}
 
 
@@ -271,9 +263,10 @@ def _rows_of_message(
         has_label = is_named or value >= 0  # -1 is of messages without instances
         label = str(value) if has_label else None
         name = f"{message}[{label}]" if has_label else message
+        source = Source(message, label)
         rows = DecodedRows(
             name=name,
-            source=Source(message, label),
+            source=source,
             time_ns=times.time_ns,
             boot=times.boot,
             columns=values,
@@ -351,7 +344,9 @@ def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger)
 
 def _reported_columns(spec: MessageMap) -> set[str]:
     """The columns of the roles of a message, without those whose absence `channel_of` reports."""
-    needed = {column for role in spec.roles for column in ROLE_COLUMNS[role]}
+    needed: set[str] = set()
+    for role in spec.roles:
+        needed |= set(ROLE_COLUMNS[role])
     needed.discard("event_index")
     if spec.attitude or spec.position:
         needed -= {"q_w", "q_x", "q_y", "q_z", "lat_rad", "lon_rad"}

@@ -1,17 +1,18 @@
 """Tables of an ArduPilot log, binary or text -> its contents: a time for each row, channels."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.clock import LAST_US, SECONDS_PER_WEEK
-from unbend.ingest.boot_clock import LOWEST_FIX, BootClock, Timeline, microseconds, nanoseconds
+from unbend.ingest.boot_clock import BootClock
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash import messages
 from unbend.ingest.dataflash.dataflash_channels import (
     ACCURACY_FIELDS,
+    DROP_COUNTERS,
     RECEIVERS,
     channels_of,
     clock_of,
@@ -21,12 +22,16 @@ from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS, without_objec
 from unbend.ingest.field_maps import is_number
 from unbend.ingest.flight_log import Contents
 from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.timelines import Timeline, microseconds, nanoseconds
+from unbend.ingest.utc_evidence import Witness
+from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Ledger
 from unbend.units import Integers
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
 _NUMBERS = {"TimeUS", "GMS", "GWk", "Week", "Status", "Value", *INSTANCE_FIELDS, *ACCURACY_FIELDS}
 
+_NO_COUNT = 1 << 31  # messages: no logger drops as many, a damaged or negative number is as large
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
 
 
@@ -38,16 +43,21 @@ def contents_of(
     ledger: Ledger,
     *,
     reread: Callable[[set[str]], dict[str, Table]],
+    witnesses: Sequence[Witness] = (),
 ) -> Contents:
     """The contents of a log, binary or text.
 
     ``damage``: the bytes of no message. ``counts``: messages by type. ``line``: the power-ups.
     ``tables``: the wanted fields by type; they are removed, so that memory does not hold them
-    twice. ``reread``: reads all fields of some types, when somebody asks for them.
+    twice. ``reread``: reads all fields of some types, when somebody asks for them. ``witnesses``:
+    other clocks that tell the date.
     """
     timed = timed_tables(tables, ledger)
-    clock, time_base = clock_of(line, timed, ledger)
+    clock, time_base = clock_of(line, timed, ledger, witnesses)
     parameters = _last_values(timed.get("PARM", {}))
+    dropped = 0
+    for name in DROP_COUNTERS:
+        dropped += _dropped_messages(name, timed, clock, ledger)
 
     def table(name: str, instance: str | None) -> Table:
         decoded = reread({name})
@@ -59,12 +69,48 @@ def contents_of(
         messages=counts,
         channels=channels_of(timed, parameters, clock, ledger),
         bad_bytes=damage.bad_bytes,
-        lost_messages=0,  # neither records nor lines carry a sequence number
+        # neither records nor lines carry a sequence number: what the logger itself counted
+        lost_messages=dropped,
         boots=clock.line.boots,
         time_base=time_base,
         table=table,
         parameters=parameters,
+        utc_sigma_s=clock.sigma_s,
+        clocks=clock.assessments,
     )
+
+
+def _dropped_messages(
+    name: str, tables: Mapping[str, Table], clock: BootClock, ledger: Ledger
+) -> int:
+    """How many messages a logger dropped by its own count.
+
+    Each power-up begins it at 0, and so does a logger that starts again within one.
+    """
+    table = tables.get(name, {})
+    if "Dp" not in table or not is_number(table["Dp"]):
+        return 0
+    boot = clock.line.boot_of(table[PLACE])
+    is_good = clock.line.good(table[PLACE])
+    dropped = 0
+    for number in np.unique(boot).tolist():
+        of_boot = is_good & (boot == number)
+        counts = table["Dp"][of_boot].astype(np.int64)
+        is_count = (counts >= 0) & (counts < _NO_COUNT)
+        dropped += _sum_of_rises(counts[is_count])
+    if dropped:
+        ledger.add(messages.dropped_by_logger(message=name, count=dropped))
+    return dropped
+
+
+def _sum_of_rises(counts: Integers) -> int:
+    """What a counter has counted that began at 0, and does so again where it falls."""
+    before = np.zeros_like(counts)
+    before[1:] = counts[:-1]
+    has_restarted = counts < before
+    before[has_restarted] = 0
+    rises = counts - before
+    return int(rises.sum())
 
 
 def _last_values(rows: Table) -> dict[str, float]:

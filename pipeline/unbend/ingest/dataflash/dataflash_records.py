@@ -33,9 +33,11 @@ TYPES = 256  # a type is one byte
 
 @dataclass(frozen=True)
 class RecordBlock:
-    """The records that begin in one block of the file at ``base``: 6 bytes for each.
+    """Records that begin in one block of the file, in 6 bytes each.
 
-    ``at`` (n,) their places behind it, rising; ``numbers`` (n,) their definitions.
+    base : the place in the file from which ``at`` counts.
+    at : (n,) the places of the records, rising.
+    numbers : (n,) the numbers of their definitions.
     """
 
     base: int
@@ -43,14 +45,18 @@ class RecordBlock:
     numbers: NDArray[np.uint16]
 
     def end(self) -> int:
-        """A place behind the last record."""
+        """A place that the last record does not reach beyond."""
         if not self.at.size:
             return self.base
         return self.base + int(self.at[-1]) + LONGEST
 
 
 class _Candidates(Runs):
-    """Where a record may begin in one block, and the type bytes there."""
+    """Places in one block where a record may begin, and the type bytes there.
+
+    ``length_of`` are the lengths by type, 0 for one that is not defined: then it ends where it
+    begins.
+    """
 
     def __init__(self, places: Integers, types: NDArray[np.uint8], length_of: Integers) -> None:
         super().__init__(places, places + length_of[types])
@@ -68,9 +74,9 @@ class _RecordRun:
 class RecordWalker(DamagedBytes):
     """One pass over a file that finds its records.
 
-    After the pass ``wanted`` has the places of the records with some ``names`` (None for all), in
-    the order of the file and in blocks; ``definitions`` are all that occurred; ``refused`` tells of
-    FMT records that are not valid.
+    The pass is done when `blocks` is exhausted. Then ``wanted`` has the places of the records with
+    some ``names`` (None for all), in blocks in the order of the file; ``definitions`` are all that
+    occurred; ``refused`` describes FMT records that are not valid.
     """
 
     def __init__(self, data: FileView, names: Collection[str] | None = None) -> None:
@@ -82,14 +88,17 @@ class RecordWalker(DamagedBytes):
         self.number_of = np.zeros(TYPES, np.uint16)  # of the definition in force, by type
         self.length_of = np.zeros(TYPES, np.int64)
         self.length_of[FMT_TYPE] = FMT_LENGTH
-        self.seen: dict[bytes, int] = {}  # numbers of definitions by their payload
+        self.seen: dict[bytes, int] = {}  # numbers of definitions by the payload of their FMT
         self.refused: list[str] = []
         self.wanted: list[RecordBlock] = []
-        self.runs: list[_RecordRun] = []  # of the block in work
+        self.runs: list[_RecordRun] = []  # records that are not yet in a `RecordBlock`
         self._counts = np.zeros(1, np.int64)
 
     def blocks(self) -> Iterator[RecordBlock]:
-        """All records block by block, while their bytes are in memory; wanted ones are kept."""
+        """All records block by block, while their bytes are in memory; wanted ones are kept.
+
+        A block enters ``wanted`` and `counts` only after its reader asks for the next one.
+        """
         place = 0
         while place + HEADER <= self.size:
             place = self._walk_block(place)
@@ -100,7 +109,7 @@ class RecordWalker(DamagedBytes):
 
     @property
     def counts(self) -> Integers:
-        """(n,) how many records there are so far, wanted or not, by definition."""
+        """(n,) how many records of each definition there are so far, wanted or not."""
         missing = len(self.definitions) - self._counts.shape[0]
         return np.append(self._counts, np.zeros(missing, np.int64))
 
@@ -122,47 +131,63 @@ class RecordWalker(DamagedBytes):
         rows = np.flatnonzero((raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1]))
         block = _Candidates(rows + begin, raw[rows + 2], self.length_of)
         while place < end:
-            run = block.starting_at(place)
-            first = run.start
-            stop = run.stop
-            if stop > first:
-                last = stop - 1
-                if not block.at[last] < block.end[last] <= self.size:
-                    stop = last  # its type is unknown, or the file ends in it
-            if stop == first:
+            run = self._whole_records(block, place)
+            if run.start == run.stop:
                 place = self._resume(place)
                 continue
-            stop = self._keep(block, first, stop)
+            stop = self._keep(block, run.start, run.stop)
             place = int(block.end[stop - 1])
             if block.types[stop - 1] == FMT_TYPE:  # the lengths may be others from here on
                 block = _Candidates(block.at, block.types, self.length_of)
         return place
 
-    def _keep(self, block: _Candidates, row: int, stop: int) -> int:
-        """Keep the records from ``row`` to ``stop``, and take the definitions among them.
+    def _whole_records(self, block: _Candidates, place: int) -> slice:
+        """The rows of the records that follow each other from a place on; empty without any.
 
-        Returns where it ends: before ``stop`` if an FMT record redefines the records behind it.
+        Without the last one if its type is unknown, or if the file ends in it.
         """
-        definitions = row + np.flatnonzero(block.types[row:stop] == FMT_TYPE)
-        for place in definitions.tolist():
-            number = self._number_of_definition(int(block.at[place]))
+        run = block.starting_at(place)
+        if run.start == run.stop:
+            return run
+        last = run.stop - 1
+        type_is_known = block.end[last] > block.at[last]
+        is_all_there = block.end[last] <= self.size
+        if type_is_known and is_all_there:
+            return run
+        return slice(run.start, last)
+
+    def _keep(self, block: _Candidates, row: int, stop: int) -> int:
+        """Keep the records in rows from ``row`` to ``stop``, and put their definitions in force.
+
+        Returns the row before which it ends: an earlier one than ``stop`` if other records follow
+        on an FMT record that defines a type anew, because their lengths may have changed.
+        """
+        is_definition = block.types[row:stop] == FMT_TYPE
+        definition_rows = row + np.flatnonzero(is_definition)
+        for definition_row in definition_rows.tolist():
+            number = self._number_of_definition(int(block.at[definition_row]))
             if number is None:
                 continue
             form = self.definitions[number]
-            if self.number_of[form.type_id] == number:
-                continue  # repeated
-            self._enter(block, row, place + 1)  # by the definitions before this one
-            row = place + 1
+            number_in_force = self.number_of[form.type_id]
+            if number_in_force == number:
+                continue
+            self._enter(block, row, definition_row + 1)  # by the definitions in force before it
+            row = definition_row + 1
             self.number_of[form.type_id] = number
             self.length_of[form.type_id] = form.length
-            only_definitions_follow = bool((block.types[row:stop] == FMT_TYPE).all())
-            if not only_definitions_follow:  # the length of these never changes
+            following_types = block.types[row:stop]
+            only_definitions_follow = bool(np.all(following_types == FMT_TYPE))
+            if not only_definitions_follow:  # the length of definitions never changes
                 return row
         self._enter(block, row, stop)
         return stop
 
     def _number_of_definition(self, at: int) -> int | None:
-        """The number of the definition in an FMT record; None where that is not valid."""
+        """The number of the definition in the FMT record at a byte; a new one is added.
+
+        None if the record is not valid, or if there are too many definitions; it is then refused.
+        """
         payload = self.data[at + HEADER : at + FMT_LENGTH]
         number = self.seen.get(payload)
         if number is not None:
@@ -177,13 +202,13 @@ class RecordWalker(DamagedBytes):
         return number
 
     def _enter(self, block: _Candidates, row: int, stop: int) -> None:
-        """Keep the records of some rows of a block, by the definitions that are in force."""
+        """Add the records of some rows of a block to the runs, by the definitions in force."""
         if row < stop:
             numbers = self.number_of[block.types[row:stop]]
             self.runs.append(_RecordRun(block.at[row:stop], numbers))
 
     def _flush(self, keep: int) -> Iterator[RecordBlock]:
-        """Pack the runs into blocks.
+        """Pack the records of the runs into blocks, which it yields, counts and adds to ``wanted``.
 
         The last ``keep`` records (0 or 1) stay a run: damage behind them may include them.
         """
@@ -196,7 +221,8 @@ class RecordWalker(DamagedBytes):
             self.runs.append(_RecordRun(places[-keep:].copy(), numbers[-keep:].copy()))
             places = places[:-keep]
             numbers = numbers[:-keep]
-        holes = np.flatnonzero(np.diff(places) > SPAN) + 1  # a block is read in one piece
+        # A block is read in one piece: a long stretch of damage divides the records.
+        holes = np.flatnonzero(np.diff(places) > SPAN) + 1
         parts = zip(np.split(places, holes), np.split(numbers, holes), strict=True)
         for places_of_part, numbers_of_part in parts:
             if not places_of_part.size:
@@ -210,7 +236,8 @@ class RecordWalker(DamagedBytes):
             yield block
             counts = np.bincount(block.numbers, minlength=len(self.definitions))
             self._counts = self.counts + counts
-            self.wanted.append(self._wanted_of(block))
+            wanted_block = self._wanted_of(block)
+            self.wanted.append(wanted_block)
 
     def _wanted_of(self, block: RecordBlock) -> RecordBlock:
         """The records of a block whose names are wanted."""
@@ -221,7 +248,11 @@ class RecordWalker(DamagedBytes):
         return RecordBlock(block.base, block.at[rows], block.numbers[rows])
 
     def _resume(self, at: int) -> int:
-        """Skip the damage at a byte where no record begins; returns where records continue."""
+        """Skip the damage at a byte where no record begins; returns where records continue.
+
+        The last record is dropped if the damage is in it. A record that the end of the file cuts
+        off is no damage: its bytes are counted as cut.
+        """
         begin = at
         if self._record_before_is_damaged(at):
             begin = int(self.runs[-1].places[-1])
@@ -235,10 +266,10 @@ class RecordWalker(DamagedBytes):
         return resumed
 
     def _record_before_is_damaged(self, at: int) -> bool:
-        """Whether a record that ends here has another type than it should.
+        """Whether the last record ends at this byte, but only because its type byte is damaged.
 
-        A record whose type byte was flipped ends in the wrong place. It is damaged when the bytes
-        at its end do not resemble a header, or when records follow from inside it.
+        A record whose type byte was flipped ends in the wrong place. That is so if both bytes at
+        its end differ from those of a header, or if a chain of records begins inside it.
         """
         if not self.runs:
             return False
@@ -257,15 +288,15 @@ class RecordWalker(DamagedBytes):
         return False
 
     def _next_chain(self, place: int) -> int:
-        """The first place from here on where records follow each other, or the end of the file.
+        """The first place from a byte on where a chain of records begins, or the end of the file.
 
-        The reach starts small and doubles: in a log with many damaged records each search reads
-        little more than what lies before the next good one.
+        The bytes searched at once are few at first, and twice as many each time: in a log with many
+        damaged records, each search reads little more than what lies before the next good one.
         """
         reach = REACH
         while place < self.size:
             end = min(place + reach, self.size)
-            raw = self.data.array(place, end + 1)  # a magic byte at the end has its second behind
+            raw = self.data.array(place, end + 1)  # with the second byte of a magic at the end
             rows = np.flatnonzero((raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1]))
             for candidate in (rows + place).tolist():
                 if self._chain(candidate):
@@ -275,7 +306,7 @@ class RecordWalker(DamagedBytes):
         return self.size
 
     def _is_cut_record(self, at: int) -> bool:
-        """Whether the file ends in a record that begins here."""
+        """Whether the file ends in a record that begins at a byte."""
         header = self.data[at : at + HEADER]
         if not MAGIC.startswith(header[: len(MAGIC)]):
             return False
@@ -288,13 +319,16 @@ class RecordWalker(DamagedBytes):
             self.runs.append(_RecordRun(last.places[:-1], last.numbers[:-1]))
 
     def _length(self, type_byte: bytes) -> int:
-        """The length of the records of a type; 0 where that is not defined, or the byte missing."""
+        """The length of the records of a type; 0 if it is not defined, or the byte missing."""
         if not type_byte:
             return 0
         return int(self.length_of[type_byte[0]])
 
     def _chain(self, place: int) -> bool:
-        """Whether `LINKS` records follow each other from a byte, or as many as the file has."""
+        """Whether a chain of `LINKS` records begins at a byte, or a shorter one at the file's end.
+
+        The end may cut off the last record of a shorter chain; its first only in the header.
+        """
         for link in range(LINKS):
             header = self.data[place : place + HEADER]
             if not MAGIC.startswith(header[: len(MAGIC)]):

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from unbend.errors import Code, Counted
-from unbend.ingest.messages import LOG_FIELDS
-from unbend.messages import Message, fallback, loss, note, warning
+from unbend.ingest.messages import LOG_DROPOUT, LOG_FIELDS
+from unbend.messages import Message, fallback, loss, note
 
 LOG_BAD_FORMAT = Code(
     "LOG-BAD-FORMAT",
@@ -115,6 +115,17 @@ def columns_without_field(*, message: str, count: int, columns: Sequence[str]) -
     )
 
 
+def dropped_by_logger(*, message: str, count: int) -> Message:
+    """The logger counted messages that it could not write."""
+    return loss(
+        LOG_DROPOUT,
+        "the logger dropped {dropped} by its own count",
+        where=f"{message}.Dp",
+        count=count,
+        dropped=Counted(count, "message"),
+    )
+
+
 LOG_INSTANCE = Code(
     "LOG-INSTANCE",
     means="Single rows have a sensor number that no other row has: damage.",
@@ -138,29 +149,6 @@ def stray_instances(
         numbers=", ".join(map(str, numbers)),
         most=most,
         main=main,
-    )
-
-
-TIME_WEEK_ROLLOVER = Code(
-    "TIME-WEEK-ROLLOVER",
-    means="A receiver counts GPS weeks modulo 1024.",
-    effect="The full week is taken.",
-    remedy="Nothing.",
-)
-
-
-def week_rollover(*, receiver: str, boot: int, count: int, week: int, full: int) -> Message:
-    """The week of a receiver lies before logs of this kind existed."""
-    return warning(
-        TIME_WEEK_ROLLOVER,
-        "{count} GPS rows have week {week}, before logs of this kind existed: the receiver counts "
-        "modulo 1024, taken as {full}",
-        one="1 GPS row has week {week}, before logs of this kind existed: the receiver counts "
-        "modulo 1024, taken as {full}",
-        where=f"{receiver}, boot {boot}",
-        count=count,
-        week=week,
-        full=full,
     )
 
 

@@ -11,7 +11,7 @@ MAGIC = b"\xa3\x95"  # with which each record begins
 HEADER = 3  # [bytes] of a record before its fields: the magic and its type
 FMT_TYPE = 128  # the type of records that define types
 FMT_LENGTH = 89  # [bytes] of such a record
-START = MAGIC + bytes([FMT_TYPE])  # of a log
+START = MAGIC + bytes([FMT_TYPE])  # with which a log begins
 _FMT_PAYLOAD = struct.pack(
     "<BB4s16s64s", FMT_TYPE, FMT_LENGTH, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"
 )
@@ -24,15 +24,20 @@ FORMAT_LETTERS: Mapping[str, Any] = {
 """Types of fields by the letters of FMT records, as in pymavlink, which takes long to import."""
 
 DIVISORS = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
-"""What integers of some letters are divided by."""
+"""What the integers of scaled fields are divided by, by letter."""
 
 _BYTES_OF_FILE = ("u1", (64,))  # the field Z of FILE holds no text
-_OFFSET = 1  # in what numpy says of a field: its type and its offset
+_OFFSET = 1  # the place of the offset in what numpy says of a field: its type and its offset
 
 
 @dataclass(frozen=True)
 class RecordDefinition:
-    """A record type by its FMT record; ``divisors`` of the scaled fields by name."""
+    """A type of records as its FMT record defines it.
+
+    length : bytes of a record with its header.
+    dtype : a whole record; its header has no fields.
+    divisors : what the numbers of scaled fields are divided by, by the name of the field.
+    """
 
     type_id: int
     name: str
@@ -47,7 +52,10 @@ class RecordDefinition:
 
     @property
     def time_field(self) -> str:
-        """The time since boot with which the records begin: TimeUS, until 2015 TimeMS; or ""."""
+        """The field of the time since boot: TimeUS, until 2015 TimeMS; "" without such a field.
+
+        It counts only as the first field, and with the type that it has there.
+        """
         fields: Mapping[str, Any] = self.dtype.fields or {}
         for name, kind in (("TimeUS", "<u8"), ("TimeMS", "<u4")):
             if name not in fields:
@@ -69,9 +77,7 @@ def define(payload: bytes) -> RecordDefinition | None:
     except UnicodeDecodeError:
         return None
     fields = columns.split(",") if columns else []
-    if not name.isidentifier() or not set(letters) <= set(FORMAT_LETTERS):
-        return None
-    if len(fields) != len(letters) or len(set(fields)) != len(fields) or "" in fields:
+    if not name.isidentifier() or not _are_described(fields, letters):
         return None
     if type_id == FMT_TYPE and length != FMT_LENGTH:
         return None
@@ -85,8 +91,15 @@ def define(payload: bytes) -> RecordDefinition | None:
     return RecordDefinition(type_id, name, length, layout, divisors)
 
 
+def _are_described(fields: list[str], letters: str) -> bool:
+    """Whether all fields have names of their own and a letter, and each letter means a type."""
+    if not set(letters) <= set(FORMAT_LETTERS):
+        return False
+    return len(fields) == len(letters) == len(set(fields)) and "" not in fields
+
+
 def _layout(name: str, letters: str, fields: list[str]) -> np.dtype[Any]:
-    """The numpy type of the records of a name, with their header."""
+    """The numpy type of the records of a message, with their header."""
     kinds = []
     offsets = []
     end = HEADER

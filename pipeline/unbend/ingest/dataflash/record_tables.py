@@ -18,7 +18,7 @@ INSTANCE_FIELDS = ("I", "Instance", "Id", "C")
 
 
 class RecordRows(NamedTuple):
-    """Some records of one definition, as a structured array, and their places in the file."""
+    """Some records of the definition with a number: a structured array, and places in the file."""
 
     number: int
     rows: NDArray[Any]
@@ -26,9 +26,9 @@ class RecordRows(NamedTuple):
 
 
 def read_records(walker: RecordWalker, is_wanted: Mask) -> Iterator[RecordRows]:
-    """The records of the wanted definitions, block by block of the file, and in it by definition.
+    """The records of the wanted definitions: block by block of the file, in each by definition.
 
-    ``is_wanted``: (n,) by number of the definition.
+    ``is_wanted``: (n,) by the number of a definition.
     """
     for block in walker.wanted:
         rows = np.flatnonzero(is_wanted[block.numbers])
@@ -51,10 +51,11 @@ def read_records(walker: RecordWalker, is_wanted: Mask) -> Iterator[RecordRows]:
 def decode(walker: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
     """The tables of some message types by name, in one pass over the file, with `PLACE`.
 
-    ``wanted``: for each type a test whether a field is wanted. Numbers keep their type; scaled ones
-    (c, C, e, E, L) are float64, divided as pymavlink does; characters are text. Definitions of one
-    name give one table: what a row lacks is NaN or empty, and a field that was text and number is
-    of objects (`without_objects`).
+    ``wanted``: for each type a test whether a field is wanted. Numbers keep their type, but scaled
+    ones (c, C, e, E, L) become float64, divided as pymavlink does; characters become text. All
+    definitions of one name give one table: a field that a definition lacks is NaN or empty in its
+    rows, and a field that is text in one and a number in another is a column of objects, which
+    `without_objects` removes.
     """
     tables: dict[int, Table] = {}
     for number, count in enumerate(walker.counts.tolist()):
@@ -84,7 +85,10 @@ def _empty_table(form: RecordDefinition, is_wanted: Callable[[str], bool], count
 
 
 def _fill(tables: Mapping[int, Table], walker: RecordWalker) -> None:
-    """Write the records into the tables of their definitions, in the order of the file."""
+    """Write the records into the tables of their definitions, in the order of the file.
+
+    Numbers of scaled fields are divided here.
+    """
     is_wanted = np.zeros(len(walker.definitions), np.bool_)
     is_wanted[list(tables)] = True
     filled_rows = dict.fromkeys(tables, 0)
@@ -125,7 +129,11 @@ def _text(value: bytes) -> str:
 
 
 def merge_tables(several: list[Table]) -> Table:
-    """Tables of one message whose definition changed, as one; missing instances are -1."""
+    """One table of those of all definitions of a message.
+
+    Rows of a definition without the field of instances get the instance -1, which changes their
+    table, so that the field stays one of integers.
+    """
     if len(several) == 1:
         return several[0]
     for name in INSTANCE_FIELDS:
@@ -137,7 +145,10 @@ def merge_tables(several: list[Table]) -> Table:
 
 
 def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
-    """A table whose columns of objects became texts or numbers, as their last value is."""
+    """The table with texts or numbers, as the last value is, in place of columns of objects.
+
+    ``name`` is that of the message, for the loss of values of the other kind.
+    """
     columns = dict(table)
     for field, column in table.items():
         if column.dtype.kind == "O":

@@ -14,25 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.clock import LAST_US
-from unbend.ingest.boot_clock import Stamps, nanoseconds, timeline
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash.dataflash_channels import wanted_fields
 from unbend.ingest.dataflash.dataflash_contents import contents_of
 from unbend.ingest.dataflash.record_tables import merge_tables
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.timelines import Stamps, nanoseconds, timeline
+from unbend.ingest.utc_evidence import Witness
 from unbend.messages import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
 ROWS = 4096  # of one type that are made columns at once: as text they need 20 times the memory
 _FIRST = re.compile(rb"FMT, ?\d+, ?\d+, ?\w+")
+_BANNER = re.compile(rb"[\t -~]*\r?\n")  # a line of printable characters
 _DECIMAL = "cCeELfdg"  # scaled and floating-point letters
 _TEXT = "nNZaM"  # arrays and flight modes are words in these logs
 _TIME_UNITS_US = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}  # by name and letter of a first field
 
 
-def read_log(path: Path, ledger: Ledger) -> Contents:
-    """The contents of a log as text."""
+def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+    """The contents of a log as text; ``witnesses`` are other clocks that tell its date."""
     reader = _LineReader()
     tables = reader.read(path, set(wanted_fields()))
     reader.report_bytes(ledger, path.name, "line")
@@ -41,7 +43,15 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         return _LineReader().read(path, names)
 
     line = timeline(reader.stamps())
-    return contents_of(reader, dict(reader.counts), line, tables, ledger, reread=reread)
+    return contents_of(
+        reader,
+        dict(reader.counts),
+        line,
+        tables,
+        ledger,
+        reread=reread,
+        witnesses=witnesses,
+    )
 
 
 def is_text(head: bytes) -> bool:
@@ -163,9 +173,13 @@ class _LineReader(DamagedBytes):
                     self._count(name, form, line)
                     if name in wanted:
                         builder.add(name, form, line)
-                elif raw.strip():
+                elif raw.strip() and not self._is_banner(raw):
                     self.drop(begin, end)
         return builder.tables()
+
+    def _is_banner(self, raw: bytes) -> bool:
+        """Whether a line is of the banner that old firmware prints before it defines messages."""
+        return not self.counts and _BANNER.fullmatch(raw) is not None
 
     def _count(self, name: str, form: _LineFormat, line: _Line) -> None:
         """Count a line, and keep its time where it begins with one."""

@@ -1,7 +1,8 @@
 """CDR, the encoding of ROS 2 messages: all messages of a topic decoded at once, step by step.
 
-A step reads at the cursors of all messages and moves them on. Numbers are aligned to their size, so
-the layout of a run depends on where it begins modulo 8, which texts before it shift.
+Each message has a cursor, the place of its next field. A step reads one field, or a run of numbers,
+at the cursors of all messages and moves the cursors on. Numbers are aligned to their size. So the
+layout of a run depends on where it begins modulo 8, and texts before it shift that.
 """
 
 from __future__ import annotations
@@ -36,9 +37,13 @@ PlanStep = NumberRun | TextField | SequenceField
 
 @dataclass(frozen=True)
 class DecodePlan:
-    """The wanted steps of a message: runs of numbers, texts, sequences; ``rest`` behind all else.
+    """How messages of one definition are decoded.
 
-    Of sequences nothing is kept but, where ``counted``, how many elements they have.
+    steps : what is read one after the other, up to the last wanted field: runs of numbers, texts,
+        sequences.
+    wanted : paths of the numbers and texts that become columns; the others are passed over.
+    counted : whether the number of elements of each sequence becomes a column too.
+    rest : sequences behind all wanted fields, which are counted as far as a message has them.
     """
 
     steps: tuple[PlanStep, ...]
@@ -59,7 +64,7 @@ def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = N
         message_fields += _split_array(step, wanted)
     paths = frozenset(part.path for part in message_fields if not isinstance(part, SequenceField))
     chosen_paths = paths if wanted is None else paths & wanted
-    end = 0  # behind the last field that is chosen
+    end = 0  # behind the last chosen field: what follows need not be decoded
     for number, part in enumerate(message_fields):
         if part.path in chosen_paths:
             end = number + 1
@@ -71,7 +76,10 @@ def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = N
 
 
 def _split_array(step: MessageField, wanted: frozenset[str] | None) -> list[MessageField]:
-    """A field as it is, or an array as its wanted elements and the pieces between those."""
+    """A field as it is, or an array as its wanted elements and the pieces between those.
+
+    An array is split only where single elements of it are wanted, and not the whole.
+    """
     if wanted is None or step.path in wanted:
         return [step]
     if not isinstance(step, NumberField) or not step.array:
@@ -92,7 +100,7 @@ def _split_array(step: MessageField, wanted: frozenset[str] | None) -> list[Mess
 
 
 def _wanted_elements(step: NumberField, wanted: frozenset[str]) -> list[int]:
-    """The wanted elements of an array, rising."""
+    """The numbers of the wanted elements of an array, from 0, rising."""
     prefix = f"{step.path}."
     elements = []
     for path in wanted:
@@ -122,9 +130,14 @@ def _aligned(at: Integers, size: int) -> Integers:
 
 @dataclass
 class _Cursors:
-    """Messages still read, without the encapsulation, and the place ``at`` of the next field.
+    """The messages that are still read: places, cursors and what was read so far.
 
-    ``big``: whether they are big-endian; ``row``: which of the messages at the beginning they are.
+    data : bytes with all messages.
+    row : which of the messages at the beginning each one is.
+    begin, length : where each begins in ``data``, and its bytes, without the encapsulation.
+    big : whether each is big-endian.
+    at : the cursor of each, from its ``begin`` on.
+    columns : the values that were read, a row for each.
     """
 
     data: Bytes
@@ -147,14 +160,25 @@ class _Cursors:
         self.columns = {name: column[good] for name, column in self.columns.items()}
 
     def restarted(self) -> _Cursors:
-        """The same messages at the same places, numbered anew, without what was read."""
-        rows = np.arange(self.row.shape[0])
-        return _Cursors(self.data, rows, self.begin, self.length, self.big, self.at)
+        """Cursors of their own at the same places of the same messages, which are numbered anew.
 
-    def count(self) -> Integers:
+        They have no columns, and leave these cursors as they are.
+        """
+        rows = np.arange(self.row.shape[0])
+        return _Cursors(
+            data=self.data,
+            row=rows,
+            begin=self.begin,
+            length=self.length,
+            big=self.big,
+            at=self.at,
+        )
+
+    def read_length(self) -> Integers:
         """Read a 32-bit length, and move the cursors behind it.
 
-        Messages that end before the end of the length are dropped.
+        Messages that end before the end of the length are dropped: the result has one row for each
+        of those that stay.
         """
         self.at = _aligned(self.at, COUNT)
         self.only(self.at + COUNT <= self.length)
@@ -206,21 +230,22 @@ def decode(data: Bytes, begin: Integers, length: Integers, plan: DecodePlan) -> 
 
 
 def _count_rest(cursors: _Cursors, sequences: Sequence[SequenceField]) -> None:
-    """Count the elements of the last sequences; -1 where the message ends before that.
+    """Count the elements of the last sequences; -1 where a message ends before such a count.
 
-    The messages stay all the same: of a large one the beginning alone is there.
+    No message is dropped for that: of a large message only the beginning is there. Therefore other
+    cursors move through these sequences, and lose the messages that end.
     """
-    whole_messages = cursors.restarted()
+    not_ended = cursors.restarted()
     for step in sequences:
-        count = whole_messages.count()
+        count = not_ended.read_length()
         column = np.full(cursors.row.shape, -1, np.int64)
-        column[whole_messages.row] = count
+        column[not_ended.row] = count
         cursors.columns[f"{step.path}[]"] = column
-        _skip_elements(whole_messages, step, count)
+        _skip_elements(not_ended, step, count)
 
 
 class _Layout(NamedTuple):
-    """The numpy type of the wanted numbers of a run, None without any, and the run's length."""
+    """The numpy type of a run with its wanted numbers, None without any, and its bytes."""
 
     dtype: np.dtype[Any] | None
     size: int
@@ -252,52 +277,52 @@ def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) ->
     return _Layout(np.dtype(layout), length)  # type: ignore[call-overload]
 
 
-class _Arrangement(NamedTuple):
-    """How the next run lies in some messages: where it begins modulo `ALIGN`, and byte order."""
-
-    phase: int
-    big: bool
-
-    @classmethod
-    def of_key(cls, key: int) -> _Arrangement:
-        """The arrangement from a number that holds the phase and the byte order."""
-        return cls(key % ALIGN, key >= ALIGN)
-
-
 def _read_numbers(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]) -> None:
     """Read the wanted numbers of a run, and move behind it.
 
-    The layout of the run is the same in messages of one arrangement.
+    A run has the same layout in all messages in which it begins at the same place modulo `ALIGN`
+    and which have the same byte order. These arrangements are numbered by that place, in big-endian
+    messages by `ALIGN` more.
     """
-    key = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
+    arrangement = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
     layouts = {}
     sizes = np.zeros(2 * ALIGN, np.int64)
-    for number in np.flatnonzero(np.bincount(key, minlength=2 * ALIGN)).tolist():
-        arrangement = _Arrangement.of_key(number)
-        layouts[number] = _layout(run, wanted, arrangement.phase, big=arrangement.big)
+    messages_of_each = np.bincount(arrangement, minlength=2 * ALIGN)
+    for number in np.flatnonzero(messages_of_each).tolist():
+        layouts[number] = _layout(run, wanted, phase=number % ALIGN, big=number >= ALIGN)
         sizes[number] = layouts[number].size
-    good = cursors.at + sizes[key] <= cursors.length
-    cursors.only(good)
-    key = key[good]
+    is_whole = cursors.at + sizes[arrangement] <= cursors.length
+    cursors.only(is_whole)
+    arrangement = arrangement[is_whole]
+    _add_empty_columns(cursors, run, wanted)
+    for number, layout in layouts.items():
+        rows = slice(None) if len(layouts) == 1 else arrangement == number
+        _fill_columns(cursors, layout, rows)
+    cursors.at = cursors.at + sizes[arrangement]
+
+
+def _add_empty_columns(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]) -> None:
+    """Add columns, not yet filled, for the wanted numbers of a run."""
     count = cursors.row.shape[0]
     for numbers in run:
         if numbers.path in wanted:
             shape = (count, numbers.count) if numbers.array else (count,)
             cursors.columns[numbers.path] = np.empty(shape, numbers.kind)
-    for number, layout in layouts.items():
-        if layout.dtype is None:
-            continue
-        rows = slice(None) if len(layouts) == 1 else key == number
-        places = (cursors.begin + cursors.at)[rows]
-        records = gather(cursors.data, places, layout.size).view(layout.dtype)
-        for name in layout.dtype.names or ():
-            cursors.columns[name][rows] = records[name]
-    cursors.at = cursors.at + sizes[key]
+
+
+def _fill_columns(cursors: _Cursors, layout: _Layout, rows: Mask | slice) -> None:
+    """Read the numbers at the cursors of some rows, which have one layout, into their columns."""
+    if layout.dtype is None:
+        return
+    places = (cursors.begin + cursors.at)[rows]
+    records = gather(cursors.data, places, layout.size).view(layout.dtype)
+    for name in layout.dtype.names or ():
+        cursors.columns[name][rows] = records[name]
 
 
 def _read_text(cursors: _Cursors, step: TextField, *, wanted: bool) -> None:
     """Read a text, or move behind it."""
-    length = cursors.count()
+    length = cursors.read_length()
     good = cursors.at + length <= cursors.length
     cursors.only(good)
     length = length[good]
@@ -312,7 +337,7 @@ def _texts(data: Bytes, begin: Integers, length: Integers) -> NDArray[np.str_]:
     if not length.size:
         return np.empty(0, "U1")
     texts = np.full(length.shape, "", object)
-    for size in np.unique(length[length > 1]).tolist():
+    for size in np.unique(length[length > 1]).tolist():  # of length 1 is the NUL alone
         rows = np.flatnonzero(length == size)
         raw = gather(data, begin[rows], size - 1).view(f"S{size - 1}")
         distinct, number_of_row = np.unique(raw, return_inverse=True)
@@ -323,16 +348,17 @@ def _texts(data: Bytes, begin: Integers, length: Integers) -> NDArray[np.str_]:
 
 def _skip(cursors: _Cursors, step: SequenceField, *, counted: bool = False) -> None:
     """Move behind a sequence; where ``counted`` keep how many elements it has, but no element."""
-    count = cursors.count()
+    count = cursors.read_length()
     if counted:
         cursors.columns[f"{step.path}[]"] = count
     _skip_elements(cursors, step, count)
 
 
 def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> None:
-    """Move behind the elements of a sequence, of which each message has another ``count``.
+    """Move behind the elements of a sequence; ``count`` is their number in each message.
 
-    Numbers are passed at once; other elements one at a time, in all messages that have one more.
+    Elements that are numbers are passed all at once. Other elements are passed one after the other:
+    the first in all messages, then the second in all that have a second, and so on.
     """
     good = count <= cursors.length  # an element has a byte at least
     cursors.only(good)
@@ -340,26 +366,38 @@ def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> N
     first = step.steps[0] if step.steps else None
     if isinstance(first, NumberField) and len(step.steps) == 1:
         _skip_numbers(cursors, first, count)
-        return
+    else:
+        _skip_one_by_one(cursors, step, count)
+
+
+def _skip_one_by_one(cursors: _Cursors, step: SequenceField, count: Integers) -> None:
+    """Move behind ``count`` elements of any kind, an element at a time in all messages.
+
+    Other cursors move, and lose each message when its elements are passed; where that was is noted.
+    """
     ends = np.full(cursors.row.shape, -1, np.int64)  # -1 of messages that end too early
     unfinished = cursors.restarted()
-    unfinished.columns["count"] = count
+    unfinished.columns["count"] = count  # a column, as it loses the same messages
     steps = _runs(step.steps)
     passed = 0
     while True:
         has_more = unfinished.columns["count"] > passed
-        ends[unfinished.row[~has_more]] = unfinished.at[~has_more]
+        is_passed = ~has_more
+        ends[unfinished.row[is_passed]] = unfinished.at[is_passed]
         unfinished.only(has_more)
         if not unfinished.row.shape[0]:
             break
         _skip_steps(unfinished, steps)
         passed += 1
-    cursors.at = np.maximum(ends, 0)
+    cursors.at = np.maximum(ends, 0)  # 0 stands for messages that the next line drops
     cursors.only(ends >= 0)
 
 
 def _skip_numbers(cursors: _Cursors, numbers: NumberField, count: Integers) -> None:
-    """Move behind ``count`` elements, each of them numbers."""
+    """Move behind ``count`` elements, each of them a number or an array of numbers.
+
+    Only before an element there are bytes that align it: a sequence without elements has none.
+    """
     size = np.dtype(numbers.kind).itemsize
     end = _aligned(cursors.at, size) + count * numbers.count * size
     cursors.at = np.where(count > 0, end, cursors.at)

@@ -1,6 +1,7 @@
 """Chunks of an MCAP file, inflated as far as the limits allow.
 
-A chunk has to agree with its head: a bomb costs what that may state, not what it holds.
+A chunk is inflated no further than its head states, and the head may state no more than the limits
+allow. So a bomb costs what the limits allow, and not what it would inflate to.
 """
 
 import io
@@ -9,13 +10,13 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from unbend.ingest.buffers import FileView
 from unbend.ingest.mcap import messages
 from unbend.messages import Message
 
-CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size, checksum, letters that follow
+CHUNK_HEAD = struct.Struct("<QQQII")  # the fields of `_HeadFields`
 PACKED_SIZE = 8  # [bytes] of the number behind the name of the compression
 LONGEST_NAME = 16  # letters of the name of a compression
 COMPRESSIONS = ("", "lz4", "zstd")
@@ -32,11 +33,24 @@ MAX_WINDOW = 64 << 20  # [bytes] that a decompressor may look back
 BLOCK = 1 << 18  # [bytes] of a large chunk at once
 
 
+class _HeadFields(NamedTuple):
+    """The numbers at the beginning of a chunk; the name of the compression follows."""
+
+    first_time: int
+    last_time: int
+    size: int
+    crc: int
+    letters_of_name: int
+
+
 @dataclass(frozen=True)
 class Chunk:
-    """The head of a chunk, its records' ``size`` when inflated and where they lie in the file.
+    """The head of a chunk, and where its packed records lie in the file.
 
-    ``length`` of the packed records that begin at ``begin``; ``rest``: bytes behind them.
+    first_time, last_time : of its messages, as the head states them.
+    size, crc : bytes and checksum of its records when inflated; 0 for no checksum.
+    begin, length : place in the file and bytes of the packed records.
+    rest : bytes of the chunk behind the packed records; 0 in an undamaged chunk.
     """
 
     first_time: int
@@ -61,16 +75,19 @@ class Chunk:
 
     @property
     def small(self) -> bool:
-        """Whether it may be inflated at once; packing adds some bytes a block at the worst."""
+        """Whether it may be inflated at once: neither its records nor their packed bytes are large.
+
+        At the worst packing adds some bytes to each block.
+        """
         longest_packed = self.size + self.size // 64 + 4096
         return self.size <= WHOLE and self.length <= longest_packed
 
 
 class InflationBudget:
-    """How much the chunks of a file may inflate to together; it grows with the file's size.
+    """How many bytes the chunks of a file may inflate to together: more for a larger file.
 
     >>> chunk = Chunk(0, 0, 60 << 20, 0, "zstd", 0, 9, 0)
-    >>> InflationBudget(0).too_large(chunk, where="a.mcap, byte 0", count=9) is None
+    >>> InflationBudget(0).spend(chunk, where="a.mcap, byte 0", count=9) is None
     True
     """
 
@@ -78,10 +95,11 @@ class InflationBudget:
         self.limit = FREE_FILE + MAX_RATIO * file_bytes
         self.left = self.limit
 
-    def too_large(self, chunk: Chunk, *, where: str, count: int) -> Message | None:
-        """Why the chunk is not inflated; None where it is, and its bytes are subtracted.
+    def spend(self, chunk: Chunk, *, where: str, count: int) -> Message | None:
+        """Take what inflating a chunk costs from the budget, if the chunk may be inflated.
 
-        ``where``, ``count``: its place, and its bytes in the file, for the message.
+        Returns None then; otherwise the reason why it may not, and nothing is taken. ``where`` and
+        ``count`` are its place, and its bytes in the file, for the message.
         """
         if chunk.size > min(MAX_CHUNK, max(FREE_CHUNK, MAX_RATIO * chunk.length)):
             return messages.chunk_too_large(
@@ -93,7 +111,7 @@ class InflationBudget:
                 ratio=MAX_RATIO,
                 free=FREE_CHUNK,
             )
-        cost = chunk.size if chunk.small else 2 * chunk.size
+        cost = chunk.size if chunk.small else 2 * chunk.size  # a large one is inflated twice
         if cost > self.left:
             return messages.chunks_too_large(
                 where=where,
@@ -108,23 +126,26 @@ class InflationBudget:
 
 
 def chunk_head(data: FileView, at: int, length: int) -> Chunk | None:
-    """The head of a chunk record whose content is here; None where the lengths contradict."""
+    """The head of a chunk record whose content begins at ``at`` and has ``length`` bytes.
+
+    None where the lengths in the head do not fit into the record.
+    """
     head = data[at : at + min(length, CHUNK_HEAD.size + LONGEST_NAME + PACKED_SIZE)]
     if len(head) < CHUNK_HEAD.size + PACKED_SIZE:
         return None
-    first_time, last_time, size, crc, letters = CHUNK_HEAD.unpack_from(head)
-    name_end = CHUNK_HEAD.size + letters
+    fields = _HeadFields(*CHUNK_HEAD.unpack_from(head))
+    name_end = CHUNK_HEAD.size + fields.letters_of_name
     head_end = name_end + PACKED_SIZE
-    if letters > LONGEST_NAME or len(head) < head_end:
+    if fields.letters_of_name > LONGEST_NAME or len(head) < head_end:
         return None
     packed = int.from_bytes(head[name_end:head_end], "little")
     if packed > length - head_end:
         return None
     return Chunk(
-        first_time=first_time,
-        last_time=last_time,
-        size=size,
-        crc=crc,
+        first_time=fields.first_time,
+        last_time=fields.last_time,
+        size=fields.size,
+        crc=fields.crc,
         compression=head[CHUNK_HEAD.size : name_end].decode("ascii", "backslashreplace"),
         begin=at + head_end,
         length=packed,
@@ -133,21 +154,22 @@ def chunk_head(data: FileView, at: int, length: int) -> Chunk | None:
 
 
 def inflate(data: FileView, chunk: Chunk, *, where: str, count: int) -> bytes | Message:
-    """The records of a chunk, or why they cannot be used; of a large one nothing is kept.
+    """Inflate a chunk and check it; returns its records, or why they cannot be used.
 
-    ``where``, ``count``: its place, and its bytes in the file, for the message.
+    Of a large chunk nothing is returned but b"": it is checked here, and inflated again block by
+    block. ``where`` and ``count`` are its place, and its bytes in the file, for the message.
     """
     import zstandard
 
     blocks: list[bytes] = []
     size = 0
     crc = 0
-    step = chunk.size + 1 if chunk.small else BLOCK
+    step = chunk.size + 1 if chunk.small else BLOCK  # a byte more shows that a chunk is too long
     try:
         with chunk_stream(data, chunk) as stream:
             while size <= chunk.size and (block := stream.read(step)):
                 size += len(block)
-                if chunk.crc:
+                if chunk.crc:  # else the recorder made no checksum, and ``crc`` stays 0 too
                     crc = zlib.crc32(block, crc)
                 if chunk.small:
                     blocks.append(block)
@@ -164,7 +186,7 @@ def inflate(data: FileView, chunk: Chunk, *, where: str, count: int) -> bytes | 
 
 @contextmanager
 def chunk_stream(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
-    """The records of a chunk as a stream."""
+    """The records of a chunk as a stream; those of a large chunk are inflated as they are read."""
     import lz4.frame  # type: ignore[import-untyped]  # it ships neither stubs nor a marker
     import zstandard
 
@@ -175,7 +197,8 @@ def chunk_stream(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
         inflater = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
         stream = inflater.stream_reader(packed)
         yield stream if chunk.small else io.BufferedReader(stream, BLOCK)
-    elif chunk.compression == "lz4" and chunk.small:  # bytes behind the frame are left
+    elif chunk.compression == "lz4" and chunk.small:
+        # Bytes behind the frame are not read.
         frame = lz4.frame.LZ4FrameDecompressor()
         yield io.BytesIO(frame.decompress(packed.read(), max_length=chunk.size + 1))
     elif chunk.compression == "lz4":

@@ -6,11 +6,14 @@ from collections.abc import Iterator
 from unbend.ingest.mcap import messages
 from unbend.messages import Message
 
-NAMED = 8  # losses of one kind that are named one by one
+NAMED = 8  # losses of one kind (code) that are named one by one; the others are counted
 
 
 class Damage:
-    """Losses with their bytes; of many of a kind the first are named, the others counted."""
+    """The losses of a file, with their bytes in ``bad_bytes``.
+
+    Of each kind the first few are kept one by one in ``losses``; of the others only the bytes are.
+    """
 
     def __init__(self, file: str = "") -> None:
         self.losses: list[Message] = []
@@ -24,7 +27,7 @@ class Damage:
         return f"{self._file}, byte {place}"
 
     def add(self, loss: Message) -> None:
-        """Enter a loss; its count is in bytes."""
+        """Enter a loss; the count of its message is in bytes."""
         self.bad_bytes += loss.count
         self._seen[loss.code] += 1
         if self._seen[loss.code] <= NAMED:
@@ -33,7 +36,7 @@ class Damage:
             self._more_bytes[loss.code] += loss.count
 
     def messages(self) -> Iterator[Message]:
-        """The losses, those beyond the first few of a kind as one."""
+        """The losses; those of a kind beyond the first few as one message with their bytes."""
         yield from self.losses
         for code, count in self._more_bytes.items():
             last_named = [loss for loss in self.losses if loss.code == code][-1]

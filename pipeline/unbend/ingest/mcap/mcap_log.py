@@ -8,22 +8,33 @@ from pathlib import Path
 
 import numpy as np
 
+from unbend.flight.channels import Channel
 from unbend.flight.clock import BOOT_STEP_NS
-from unbend.ingest.boot_clock import BootClock, Timeline, UtcReadings, fit_clock, timeline
-from unbend.ingest.channel_builder import channel_of
+from unbend.ingest.boot_clock import RECORDER_APART_S, BootClock, fit_clock
+from unbend.ingest.channel_builder import channel_of, feedback_apart
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.mcap import messages, topics
 from unbend.ingest.mcap.mcap_reader import McapReader
-from unbend.ingest.mcap.mcap_records import MAGIC
+from unbend.ingest.mcap.record_layout import MAGIC
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, times_of
 from unbend.ingest.mcap.topic_samples import TopicSamples
 from unbend.ingest.message_tables import PLACE, Table, in_order
+from unbend.ingest.messages import recorder_disagrees
+from unbend.ingest.timelines import Timeline, timeline
+from unbend.ingest.utc_evidence import (
+    UNCHECKED_SIGMA_S,
+    UNCHECKED_WHY,
+    ClockAssessment,
+    Witness,
+    is_possible,
+)
+from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger
-from unbend.units import Mask, Rows
+from unbend.units import NANOSECONDS_PER_SECOND, Mask, Rows
 
 
-def read_log(path: Path, ledger: Ledger) -> Contents:
-    """The contents of an MCAP log."""
+def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+    """The contents of an MCAP log; ``witnesses`` are other clocks that tell its date."""
     reader = McapReader(ledger, path.name)
     line = timeline(reader.through(path))
     lost = reader.report()
@@ -31,7 +42,7 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     for topic in reader.topics.values():
         series += (topic.series or {}).values()
     make_names_unique(series)
-    clock = boot_clock_of(line, series, reader.recorder(), ledger)
+    clock = boot_clock_of(line, series, reader.recorder(), ledger, witnesses)
     reader.release_topics()
     channels = []
     unstamped = 0
@@ -39,9 +50,12 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         samples = series.pop(0)
         rows, unstamped_rows = samples.rows(clock, ledger)
         unstamped += unstamped_rows
-        channel = channel_of(rows, samples.spec, ledger)
-        if channel is not None:
-            channels.append(channel)
+        for part in feedback_apart(rows, ledger):
+            channel = channel_of(part, samples.spec, ledger)
+            if channel is not None:
+                channels.append(channel)
+    if not clock.line.boot.size:
+        compare_with_recorder(channels, reader.recorded_ns, ledger)
     return Contents(
         messages=reader.counts.by_name(reader.names),
         channels=tuple(channels),
@@ -50,7 +64,31 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         boots=clock.line.boots,
         time_base=_time_base(clock, unstamped),
         table=partial(_table, path, clock),
+        utc_sigma_s=clock.sigma_s,
+        clocks=clock.assessments,
+        recorded_ns=reader.recorded_ns,
+        unread_encodings=reader.unread_encodings,
     )
+
+
+def compare_with_recorder(
+    channels: Sequence[Channel], recorded_ns: int | None, ledger: Ledger
+) -> None:
+    """Report stamps that are more than a minute from log_time; ``recorded_ns`` is the first one.
+
+    Both are clocks of computers that nothing need have set. Dates that no log can have are judged
+    elsewhere.
+    """
+    begins_ns = [int(channel.time_ns[0]) for channel in channels if len(channel)]
+    if recorded_ns is None or not begins_ns or not is_possible(min(begins_ns)):
+        return
+    apart_s = (recorded_ns - min(begins_ns)) / NANOSECONDS_PER_SECOND
+    if abs(apart_s) > RECORDER_APART_S:
+        ledger.add(
+            recorder_disagrees(
+                where="", recorder="log_time", apart_s=apart_s, used="header.stamp of the messages"
+            )
+        )
 
 
 def _time_base(clock: BootClock, unstamped: int) -> str:
@@ -121,18 +159,33 @@ def _steps_back_at(line: Timeline, starts: Rows, samples: TopicSamples) -> Mask:
 
 
 def boot_clock_of(
-    line: Timeline, series: list[TopicSamples], recorder: UtcReadings | None, ledger: Ledger
+    line: Timeline,
+    series: list[TopicSamples],
+    recorder: UtcReadings | None,
+    ledger: Ledger,
+    witnesses: Sequence[Witness] = (),
 ) -> BootClock:
     """Fit UTC to the clock since boot that PX4's messages count.
 
     ``line`` is the timeline by the messages of all topics. UTC comes from the receivers among
     ``series``, from cameras where no receiver has a fix, and from ``recorder`` (log_time) in boots
-    without either. ``recorder`` is None where no message counts from a boot.
+    without either. ``recorder`` is None where no message counts from a boot: all stamps are then of
+    the recorder's computer. ``witnesses``: other clocks that tell the date.
     """
     if line.boots > 1:
         line = boots_of_topics(line, series)
     if recorder is None:
-        return BootClock(line, (None,), (False,))
+        of_stamps = ClockAssessment(
+            clock="header.stamp of the messages",
+            use="UTC of the log",
+            utc=None,
+            apart_s=None,
+            sigma_s=UNCHECKED_SIGMA_S,
+            why=UNCHECKED_WHY,
+        )
+        return BootClock(
+            line, (None,), (False,), sigma_s=UNCHECKED_SIGMA_S, assessments=(of_stamps,)
+        )
     receivers: list[UtcReadings] = []
     cameras: list[UtcReadings] = []
     for samples in series:
@@ -142,12 +195,17 @@ def boot_clock_of(
         if samples.spec.position:
             receivers.append(readings)
         else:
-            cameras.append(readings)
+            cameras.append(replace(readings, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY))
     utc_of = "GNSS message with a fix and no log_time"
-    clock = fit_clock(line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of)
+    clock = fit_clock(
+        line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of, witnesses=witnesses
+    )
     for number, fit in enumerate(clock.fits):
         if fit is not None and not clock.utc_known[number]:
-            ledger.add(messages.set_by_log_time(boot=number, count=fit.rows))
+            set_by_recorder = messages.set_by_log_time(
+                boot=number, count=fit.rows, sigma_s=clock.sigma_s
+            )
+            ledger.add(set_by_recorder)
     return clock
 
 

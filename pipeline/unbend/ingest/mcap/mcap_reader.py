@@ -9,15 +9,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from unbend.flight.clock import UNIX_NS_FROM
-from unbend.ingest.boot_clock import Stamps, UtcReadings
 from unbend.ingest.buffers import open_view
 from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.mcap import messages, topics
 from unbend.ingest.mcap.damage import Damage
-from unbend.ingest.mcap.mcap_records import Definition, Messages, Opcode, RecordWalk
+from unbend.ingest.mcap.mcap_records import RecordWalk
+from unbend.ingest.mcap.message_batches import Messages
 from unbend.ingest.mcap.message_counts import MessageCounts
+from unbend.ingest.mcap.record_layout import Definition, Opcode
 from unbend.ingest.mcap.ros2_definitions import SchemaError
 from unbend.ingest.mcap.topic_samples import PLAIN_JSON, SCHEMAS, TopicSamples, known_name
+from unbend.ingest.timelines import Stamps
+from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, UNCHECKED_WHY
+from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger, Message
 from unbend.units import Integers, Rows
 
@@ -26,6 +30,8 @@ _PARSE_ERRORS = (struct.error, ValueError, OverflowError)
 # What a definition that is damaged makes the libraries raise.
 _SCHEMA_ERRORS = (SchemaError, UnicodeDecodeError, TypeError, ValueError, KeyError, RuntimeError)
 
+# Of messages and of their definitions; JSON needs none.
+READ_ENCODINGS = {("cdr", "ros2msg"), ("protobuf", "protobuf")}
 RECORDED = 512  # messages of each block (4 MiB) whose log_time is kept beside their time since boot
 MAX_CONTRADICTIONS = 1000  # definitions that differ from an earlier one; no log has any
 LISTED_CONTRADICTIONS = 8  # in the ledger
@@ -49,6 +55,7 @@ class McapReader:
     """Definitions, counts and topics of one file; with ``only`` all fields of that topic.
 
     ``unread``: why topics that are wanted are not read; it is in the ledger too.
+    ``unread_encodings``: those of any messages that are not read, each with its first topic.
     """
 
     def __init__(self, ledger: Ledger, file: str, only: str | None = None) -> None:
@@ -60,12 +67,14 @@ class McapReader:
         self.names: dict[int, str] = {}  # topics, by the number of their channel
         self.topics: dict[TopicKey, topics.Topic] = {}
         self.unread: list[Message] = []
+        self.unread_encodings: dict[str, str] = {}
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, Any] = {}
         self._contents: dict[tuple[int, bytes], bytes] = {}  # of definitions: opcode and number
         self._contradictions: set[str] = set()
         self._decoders: dict[tuple[int, str], topics.Decoder | Exception] = {}
         self._subscriptions: dict[int, _Subscription] = {}
+        self.recorded_ns: int | None = None  # log_time of the first message that has UTC
         self._seen = 0  # messages, of any channel
         self._recorded: list[Integers] = []  # (3, n) places, times since boot, log_time
 
@@ -88,6 +97,9 @@ class McapReader:
                 topic, decoder = self._subscriptions[number]
                 rows = np.flatnonzero(batch.channel == number)
                 shares.setdefault(TopicKey(topic.name, topic.schema), []).append((decoder, rows))
+        if self.recorded_ns is None:
+            with_utc = batch.log_time[batch.log_time > UNIX_NS_FROM]
+            self.recorded_ns = int(with_utc[0]) if with_utc.size else None
         before = self._seen
         self._seen += len(batch)
         stamps: list[topics.BootStamps] = []
@@ -111,7 +123,15 @@ class McapReader:
         if not self._recorded:
             return None
         places, boot_ns, log_ns = np.concatenate(self._recorded, axis=1)
-        return UtcReadings("log_time", places, boot_ns, log_ns, log_ns > UNIX_NS_FROM)
+        return UtcReadings(
+            "log_time",
+            places,
+            boot_ns,
+            log_ns,
+            log_ns > UNIX_NS_FROM,
+            sigma_s=UNCHECKED_SIGMA_S,
+            why=UNCHECKED_WHY,
+        )
 
     def release_topics(self) -> None:
         """Free the memory of what was read of the topics; others may hold parts of it."""
@@ -166,6 +186,8 @@ class McapReader:
         """Begin to read the topic of a channel, if it is wanted and can be decoded."""
         schema = self._schemas.get(channel.schema_id)
         name = known_name(schema.name) if schema is not None else ""
+        of_schema = "" if schema is None else schema.encoding
+        self._note_encoding(channel.topic, channel.message_encoding, of_schema)
         if self.only is None:
             is_wanted = name in SCHEMAS or channel.message_encoding == "json"
         else:
@@ -185,8 +207,19 @@ class McapReader:
                 self.topics[key] = topics.Topic(channel.topic, name, spec, series)
             self._subscriptions[channel.id] = _Subscription(self.topics[key], decoder)
 
+    def _note_encoding(self, topic: str, encoding: str, of_schema: str) -> None:
+        """Keep the encoding of a topic, and of its schema, if its messages cannot be read."""
+        if encoding == "json" or (encoding, of_schema) in READ_ENCODINGS:
+            return
+        described = f"{encoding or 'no encoding'} with {of_schema or 'no'} definitions"
+        self.unread_encodings.setdefault(described, topic)
+
     def _decoder(
-        self, channel: Any, schema: Any, name: str, spec: MessageMap
+        self,
+        channel: Any,
+        schema: Any,
+        name: str,
+        spec: MessageMap,
     ) -> topics.Decoder | Exception | None:
         """What decodes the messages of a channel; an error of its schema; None where it is left.
 
@@ -208,7 +241,11 @@ class McapReader:
         return decoder
 
     def _new_decoder(
-        self, channel: Any, schema: Any, name: str, spec: MessageMap
+        self,
+        channel: Any,
+        schema: Any,
+        name: str,
+        spec: MessageMap,
     ) -> topics.Decoder | None:
         """What decodes the messages of a channel; None where their encoding is not read."""
         wanted = None if self.only else topics.paths_of(spec)

@@ -266,6 +266,17 @@ def summary_elsewhere(*, where: str, stated: int, found: int) -> Message:
     )
 
 
+def data_end_missing(*, where: str, stated: int) -> Message:
+    """The log has a footer, but no record says that the data end."""
+    return loss(
+        LOG_INCONSISTENT,
+        "the footer says that the summary begins at byte {stated}, but no record ends the data: a "
+        "part of the file is missing",
+        where=where,
+        stated=stated,
+    )
+
+
 def data_end_twice(*, where: str) -> Message:
     """A second record says that the data end."""
     return loss(
@@ -484,14 +495,15 @@ TIME_LOG_TIME = Code(
 )
 
 
-def set_by_log_time(*, boot: int, count: int) -> Message:
+def set_by_log_time(*, boot: int, count: int, sigma_s: float) -> Message:
     """No GNSS message of a boot ties the time since boot to UTC."""
     return fallback(
         TIME_LOG_TIME,
         "time counts from boot, and no GNSS message with a fix ties that to UTC: the clock is set "
-        "by the recorder's time",
+        "by the recorder's time, and UTC is good to {sigma_s:.0f} s (1 sigma)",
         where=f"boot {boot}",
         count=count,
+        sigma_s=sigma_s,
     )
 
 

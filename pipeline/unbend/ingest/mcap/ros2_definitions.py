@@ -43,7 +43,10 @@ class SchemaError(ValueError):
 
 @dataclass(frozen=True)
 class NumberField:
-    """``count`` numbers of one kind under a name; ``array`` where the message has an array."""
+    """``count`` numbers of one ``kind``, a numpy type; ``array`` says whether they are an array.
+
+    An array of one number is not the same as a single number.
+    """
 
     path: str
     kind: str
@@ -60,7 +63,7 @@ class TextField:
 
 @dataclass(frozen=True)
 class SequenceField:
-    """As many elements as the message says; each consists of steps of its own."""
+    """A sequence: each message says how many elements it has; ``steps`` are those of an element."""
 
     path: str
     steps: tuple[MessageField, ...]
@@ -70,7 +73,9 @@ MessageField = NumberField | TextField | SequenceField
 
 
 def steps_of(name: str, text: str) -> tuple[MessageField, ...]:
-    """The steps of a message from the definitions that a log has of it; names are joined by dots.
+    """The steps of a message, from the definitions that a log has of it.
+
+    The path of a step is the names that lead to it, joined by dots.
 
     ``name``: of the message, ``sensor_msgs/msg/Imu``. ``text``: its definition, and those of the
     messages in it below lines of ``=`` and ``MSG: name``. Raises SchemaError.
@@ -108,7 +113,7 @@ class _Declared(NamedTuple):
 
     @property
     def fixed_size(self) -> int:
-        """How many elements it has in every message; 0 for no array or a sequence."""
+        """How many elements an array has that has as many in each message; 0 for other fields."""
         size = self.array[1:-1]
         return int(size) if size.isdigit() else 0
 
@@ -118,20 +123,27 @@ class _Declared(NamedTuple):
         return bool(self.array) and not self.fixed_size
 
 
-# IDL knows no empty message: ROS 2 puts a byte there
+# The field of a message without fields: IDL knows no such message, and ROS 2 puts a byte there.
 _OF_EMPTY_MESSAGE = _Declared("uint8", "", "structure_needs_at_least_one_member")
 
 
 @dataclass
 class _Flattener:
-    """Flattening; steps are counted before they are kept: some lines can nest millions of them."""
+    """Turns the definitions of a message, and of the messages inside it, into steps.
+
+    ``count`` counts the steps so far, and each is counted when it is made: a definition of a few
+    lines can nest millions of steps. ``parsed`` are the fields of definitions read so far.
+    """
 
     definitions: Mapping[str, str]
     parsed: dict[str, list[_Declared]] = field(default_factory=dict)
     count: int = 0
 
     def message(self, name: str, prefix: str, depth: int) -> Iterator[MessageField]:
-        """The steps of a message whose paths begin so."""
+        """The steps of a message; their paths begin with ``prefix``.
+
+        ``depth``: how many messages it lies inside of.
+        """
         if depth > MAX_DEPTH:
             raise SchemaError(f"{prefix.rstrip('.')} lies {depth} messages deep")
         if name not in self.parsed:
@@ -141,7 +153,7 @@ class _Flattener:
             yield from self.field(declared, prefix + declared.name, package, depth)
 
     def parse(self, name: str) -> list[_Declared]:
-        """The fields of a definition."""
+        """The fields that the definition of a message declares, without its constants."""
         if name not in self.definitions:
             raise SchemaError(f"the definition of {name} is missing")
         fields = []
@@ -156,7 +168,7 @@ class _Flattener:
         return fields or [_OF_EMPTY_MESSAGE]
 
     def counted(self, step: MessageField) -> MessageField:
-        """The step, if there are not too many."""
+        """Count a step and return it; SchemaError if there are too many."""
         self.count += 1
         if self.count > MAX_STEPS:
             raise SchemaError(f"more than {MAX_STEPS} fields, at {step.path[:_SHOWN]}")
@@ -165,7 +177,10 @@ class _Flattener:
     def field(
         self, declared: _Declared, path: str, package: str, depth: int
     ) -> Iterator[MessageField]:
-        """The steps of one field; messages without a package are of the same as the owner."""
+        """The steps of one field. ``package`` is that of the message that declares it.
+
+        The kind of a message is taken from that package if it is named without one.
+        """
         kind = declared.kind
         size = declared.fixed_size
         if kind == "wstring":

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, UNIX_NS_FROM
-from unbend.ingest.boot_clock import BootClock, nanoseconds
+from unbend.ingest.boot_clock import BootClock
 from unbend.ingest.mcap import messages
+from unbend.ingest.timelines import nanoseconds
 from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 
@@ -58,14 +59,17 @@ def stamp_of(value: Any) -> int:
 
 
 def _ns_of_text(text: str) -> int:
-    """Unix time [ns] of RFC 3339; 0 of another text."""
+    """Unix time [ns] of RFC 3339; 0 of another text, and of a date that does not exist."""
     match = _ISO.fullmatch(text.strip())
     if not match:
         return 0
     zone = match["zone"]
     if zone is None or zone == "Z":
         zone = "+00:00"
-    moment = datetime.fromisoformat(match["seconds"] + zone)
+    try:
+        moment = datetime.fromisoformat(match["seconds"] + zone)
+    except ValueError:
+        return 0
     seconds = (moment - _EPOCH) // timedelta(seconds=1)
     fraction = match["fraction"] or "0"
     part_ns = int(fraction[:_DIGITS_OF_NS].ljust(_DIGITS_OF_NS, "0"))

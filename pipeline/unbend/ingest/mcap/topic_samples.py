@@ -8,16 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Source, TimeArray
-from unbend.flight.clock import UNIX_US_FROM
 from unbend.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
-from unbend.ingest.boot_clock import (
-    LOWEST_FIX,
-    BootClock,
-    Timeline,
-    UtcReadings,
-    microseconds,
-    rows_of,
-)
+from unbend.ingest.boot_clock import BootClock
 from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, captured_rows, without_stray
 from unbend.ingest.field_maps import (
@@ -42,6 +34,9 @@ from unbend.ingest.mcap.stamps import (
     times_of,
 )
 from unbend.ingest.message_tables import PLACE
+from unbend.ingest.timelines import Timeline, microseconds
+from unbend.ingest.utc_evidence import FIRST_SET_US
+from unbend.ingest.utc_readings import LOWEST_FIX, UtcReadings, rows_of
 from unbend.messages import Ledger
 from unbend.units import Array, Integers
 
@@ -78,10 +73,10 @@ LABELS: Mapping[str, tuple[str, ...]] = {
 def known_name(schema: str) -> str:
     """The name of a message in `SCHEMAS`, whatever the encoding writes between its parts.
 
-    >>> known_name("sensor_msgs/msg/NavSatFix"), known_name("foxglove_msgs/msg/RawImage")
+    >>> known_name("sensor_msgs::msg::NavSatFix"), known_name("foxglove_msgs/msg/RawImage")
     ('sensor_msgs/NavSatFix', 'foxglove.RawImage')
     """
-    return short(schema).replace("foxglove_msgs/", "foxglove.")
+    return short(schema.replace("::", "/")).replace("foxglove_msgs/", "foxglove.")
 
 
 def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
@@ -210,13 +205,15 @@ class TopicSamples:
             return None
         utc_us = _copied(self.utc_us)
         stamp_ns = _copied(self.stamp_ns)
+        is_set = utc_us > FIRST_SET_US
+        fix = self.columns.stores.get("fix", ColumnStore("f8"))
         return rows_of(
             self.name,
             places=_copied(self.places),
             boot_ns=stamp_ns,
             utc_ns=utc_us * 1000,
-            usable=(utc_us > UNIX_US_FROM) & since_boot(stamp_ns),
-            fix=_copied(self.columns.stores.get("fix", ColumnStore("f8"))),
+            usable=is_set & since_boot(stamp_ns),
+            fix=_copied(fix),
         )
 
     def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:

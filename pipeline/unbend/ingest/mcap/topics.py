@@ -14,7 +14,7 @@ from unbend.flight.channels import Source, TimeArray
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, UTC_FIELD, MessageMap
 from unbend.ingest.mcap import messages
 from unbend.ingest.mcap.cdr import decode, decode_plan
-from unbend.ingest.mcap.mcap_records import Messages
+from unbend.ingest.mcap.message_batches import Messages
 from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, own_times, since_boot, stamp_of
 from unbend.ingest.mcap.topic_samples import LABELS, PLAIN_JSON, TopicSamples
@@ -23,14 +23,14 @@ from unbend.messages import Message
 from unbend.units import Integers, Mask, Rows
 
 Columns = dict[str, NDArray[Any]]
-MAX_ARRAY = 64  # elements of an array that a table spreads over columns
-MAX_NAMES = 1000  # that the messages of a topic may give; a log of values has tens
+MAX_ARRAY = 64  # elements of an array that become columns; of a longer one only the length does
+MAX_NAMES = 1000  # series that the names in the messages of a topic may make; usual are tens
 
 
 class Decoded(NamedTuple):
     """Messages of one definition that could be decoded, by their rows among those handed over.
 
-    ``odd``: how many values were left out, as they are no numbers.
+    ``odd``: how many wanted values are not numbers, and became NaN.
     """
 
     rows: Rows
@@ -43,7 +43,7 @@ Decoder = Callable[[Messages, Rows], Decoded]
 
 
 class BootStamps(NamedTuple):
-    """Places, times since boot and log_time [ns] of messages that count from a boot."""
+    """Places, own times and log_time [ns] of messages whose own times count from a boot."""
 
     places: Integers
     boot_ns: TimeArray
@@ -51,13 +51,18 @@ class BootStamps(NamedTuple):
 
 
 class SeriesKey(NamedTuple):
-    """Samples of a topic: of a name in its messages, or of all, by one way of counting time."""
+    """Which samples of a topic go into one series.
+
+    name : a name in its messages; None where these have no names.
+    counted : whether their times are a count of microseconds (see `own_times`), maybe from a boot.
+    """
 
     name: str | None
     counted: bool
 
 
 def _no_blocks() -> dict[bool, list[Columns]]:
+    """Lists of columns, still empty, by whether the times are counted (see `SeriesKey`)."""
     return {False: [], True: []}
 
 
@@ -65,10 +70,13 @@ def _no_blocks() -> dict[bool, list[Columns]]:
 class Topic:
     """A topic that is read, with messages of one name of schema, and what was read of it.
 
-    Messages go to ``series`` of channels, one for each name in them (`rows_by_name`); or, where
-    that is None, to the ``blocks`` of a table, those with counted times apart. Counted are messages
-    that ``failed`` to decode, ``nameless`` ones beyond `MAX_NAMES`, and ``odd`` values: wanted ones
-    that are no numbers.
+    Its messages become channels or a table. series : for channels, the samples of each name in the
+    messages (`rows_by_name`); None for a table. blocks : for a table, its columns batch by batch,
+    those with counted times (see `SeriesKey`) apart.
+
+    failed : how many messages could not be decoded.
+    nameless : how many messages were left out because their names are beyond `MAX_NAMES`.
+    odd : how many wanted values are not numbers.
     """
 
     name: str
@@ -83,11 +91,13 @@ class Topic:
     def take(
         self, batch: Messages, shares: Iterable[tuple[Decoder, Rows]], before: int
     ) -> list[BootStamps]:
-        """Decode the messages of this topic in a batch; returns the stamps that count from a boot.
+        """Decode the messages of this topic in a batch, and add them to its series or its blocks.
 
         ``shares``: decoders, and the rows of the batch for each: a topic may have several
-        definitions. ``before``: how many messages precede the batch in the log.
+        definitions. ``before``: how many messages precede the batch in the log. Returns the stamps
+        that count from a boot; none of a table.
         """
+        # A table keeps the columns; those of channels are handed on at the end.
         blocks = self.blocks if self.series is None else _no_blocks()
         for decoder, rows in shares:
             decoded = decoder(batch, rows)
@@ -113,16 +123,18 @@ class Topic:
     def _add_samples(
         self, block: Columns, series: dict[SeriesKey, TopicSamples], *, counted: bool
     ) -> list[BootStamps]:
-        """Add messages to the series of their names; returns the stamps that count from a boot."""
+        """Add messages to the series of their names; returns the stamps that count from a boot.
+
+        Names beyond `MAX_NAMES` get no series, but their stamps are returned too.
+        """
         for name, rows in rows_by_name(block, self.spec.id_field):
             part = {path: column[rows] for path, column in block.items()}
             key = SeriesKey(name, counted)
+            if key not in series and len(series) >= MAX_NAMES:
+                self.nameless += int(part[PLACE].shape[0])
+                continue
             if key not in series:
-                if len(series) >= MAX_NAMES:
-                    self.nameless += int(part[PLACE].shape[0])
-                    continue
-                label = self.name if name is None else f"{self.name}[{name}]"
-                series[key] = TopicSamples(label, Source(self.schema, name), self.spec, counted)
+                series[key] = self._new_series(key)
             series[key].add(part)
         from_boot = since_boot(block[STAMP])
         if not counted or not bool(from_boot.any()):
@@ -131,9 +143,19 @@ class Topic:
             BootStamps(block[PLACE][from_boot], block[STAMP][from_boot], block[LOG_TIME][from_boot])
         ]
 
+    def _new_series(self, key: SeriesKey) -> TopicSamples:
+        """The series, still empty, of a name that is new in this topic."""
+        label = self.name if key.name is None else f"{self.name}[{key.name}]"
+        return TopicSamples(
+            name=label,
+            source=Source(self.schema, key.name),
+            spec=self.spec,
+            counted=key.counted,
+        )
+
     @property
     def misfit(self) -> Message:
-        """The messages that could not be decoded."""
+        """The message that says how many messages of this topic could not be decoded."""
         return messages.messages_not_decoded(topic=self.name, schema=self.schema, count=self.failed)
 
     def losses(self) -> Iterator[Message]:
@@ -146,16 +168,21 @@ class Topic:
             yield messages.too_many_names(topic=self.name, count=self.nameless, most=MAX_NAMES)
 
     def _wants_numbers(self) -> bool:
-        """Whether its values should be numbers; in a schema of the user's own, beside numbers."""
+        """Whether a value that is not a number is a loss.
+
+        In a schema that is known it is. In JSON of the user's own it is only if the topic has
+        numbers too.
+        """
         if self.spec is not PLAIN_JSON:
             return True
         return any(samples.columns.stores for samples in (self.series or {}).values())
 
 
 def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, slice | Mask]]:
-    """The names in a field of messages, and the rows of each; None with all rows without a field.
+    """The names in a ``field`` of messages, and the rows of each.
 
-    The ``index`` of a message stands for an empty name.
+    In the place of an empty name stands the ``index`` of the message. Without a field of names, the
+    only name is None, with all rows.
     """
     if not field or field not in columns:
         yield None, slice(None)
@@ -168,7 +195,7 @@ def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, sli
 
 
 def paths_of(spec: MessageMap) -> frozenset[str]:
-    """The fields that a channel is made of, its time and texts included."""
+    """The paths of the fields that a channel is made of, those of its time and texts included."""
     time = spec.time_field
     paths = {time, f"{time}.sec", f"{time}.nanosec", f"{time}.nsec"}
     paths |= {UTC_FIELD, CAPTURE_UTC_FIELD, *spec.fields}
@@ -181,7 +208,7 @@ def paths_of(spec: MessageMap) -> frozenset[str]:
 
 
 def cdr_decoder(schema: str, text: str, wanted: frozenset[str] | None) -> Decoder:
-    """ROS 2 messages, by their definition in the log; raises SchemaError."""
+    """The decoder of ROS 2 messages, by their definition in the log; raises SchemaError."""
     plan = decode_plan(steps_of(schema, text), wanted)
 
     def decoder(batch: Messages, rows: Rows) -> Decoded:
@@ -193,9 +220,12 @@ def cdr_decoder(schema: str, text: str, wanted: frozenset[str] | None) -> Decode
 
 @dataclass(frozen=True)
 class ObjectDecoder:
-    """Messages that a library parses one by one; ``wanted`` fields become columns, None: all.
+    """A decoder of messages that a library parses one by one.
 
-    ``errors`` are what ``parse`` and the reading of members raise on messages that do not fit.
+    parse : turns the bytes of a message into an object.
+    errors : what ``parse`` and the reading of members raise on a message that does not fit; such a
+        message is left out.
+    wanted : paths of the fields that become columns; None for all.
     """
 
     parse: Callable[[bytes], Any]
@@ -219,13 +249,14 @@ class ObjectDecoder:
             for values in decoded:
                 odd += _make_numbers(values, self.spec.fields)
         names = dict.fromkeys(name for values in decoded for name in values)
+        # None where a message lacks the field: `column_of` fills it in.
         columns = {name: column_of([values.get(name) for values in decoded]) for name in names}
         if STAMP in columns:
             columns[STAMP] = columns[STAMP].astype(np.int64)
         return Decoded(np.array(done, np.intp), columns, odd)
 
     def _values_of(self, raw: bytes) -> dict[str, Any]:
-        """The values of one message by path, with its own time."""
+        """The values of one message by path, and its own time as `STAMP`; 0 without a time."""
         message = self.parse(raw)
         values = dict(flat(message, "", self.wanted))
         stamp = message
@@ -237,7 +268,10 @@ class ObjectDecoder:
 
 
 def _make_numbers(values: dict[str, Any], fields: set[str]) -> int:
-    """Turn the values of some fields into numbers; returns how many are none, and become NaN."""
+    """Turn the values of some fields into numbers where they stand.
+
+    Returns how many values are not numbers; these become NaN.
+    """
     odd = 0
     for name in fields & values.keys():
         value = number(values[name])
@@ -249,9 +283,10 @@ def _make_numbers(values: dict[str, Any], fields: set[str]) -> int:
 
 
 def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple[str, Any]]:
-    """The paths and values of an object: wanted ones as they are; all if ``wanted`` is None.
+    """The paths and values of the members of an object, and of their members, from ``path`` on.
 
-    Of all, these are numbers and texts, and of long arrays the length, as ``path[]``.
+    With ``wanted`` paths these are the wanted values, whatever they are. With None they are all
+    numbers and texts, and the lengths of long arrays, as ``path[]``.
     """
     if wanted is not None and path in wanted and value is not None:
         yield path, value
@@ -274,14 +309,17 @@ def _is_wanted(path: str, wanted: frozenset[str]) -> bool:
 
 
 def _members(value: Any) -> Iterator[tuple[str, Any]]:
-    """The members of a JSON object, of a protobuf message or of a short array, by name."""
+    """The members of a JSON object, of a protobuf message or of a short array, by name.
+
+    A number has none. Texts and bytes do not come here: `flat` keeps them whole.
+    """
     if isinstance(value, dict):
         for name, member in value.items():
             yield str(name), member
     elif hasattr(value, "DESCRIPTOR"):
         for part in value.DESCRIPTOR.fields:
             yield part.name, getattr(value, part.name)
-    elif value is not None and hasattr(value, "__len__") and not _is_long(value):
+    elif hasattr(value, "__len__") and not _is_long(value):
         for k, member in enumerate(value):
             yield str(k), member
 
@@ -294,7 +332,7 @@ def _is_long(value: Any) -> bool:
 
 
 def json_decoder(spec: MessageMap, wanted: frozenset[str] | None) -> Decoder:
-    """JSON objects; whatever else the text is does not fit."""
+    """The decoder of JSON objects; a message that is any other JSON does not fit."""
     errors = (ValueError, TypeError, AttributeError, OverflowError, RecursionError)
     return ObjectDecoder(_json_object, errors, spec, wanted)
 
@@ -308,7 +346,11 @@ def _json_object(data: bytes) -> dict[str, Any]:
 
 
 def protobuf_decoder(schema: Any, spec: MessageMap, wanted: frozenset[str] | None) -> Decoder:
-    """Protobuf by mcap-protobuf-support; raises ImportError without it, SchemaError on damage."""
+    """The decoder of protobuf messages, by mcap-protobuf-support.
+
+    Raises ImportError without that library, SchemaError for a damaged schema, and TypeError for one
+    in another encoding.
+    """
     from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
     from mcap.exceptions import McapError
     from mcap_protobuf.decoder import DecoderFactory

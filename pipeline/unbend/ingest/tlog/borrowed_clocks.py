@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
-from unbend.flight.clock import UNIX_US_FROM
-from unbend.ingest.boot_clock import microseconds
 from unbend.ingest.buffers import ColumnStore
+from unbend.ingest.timelines import microseconds
 from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.clock_samples import MICROSECOND, READING, Readings
 from unbend.ingest.tlog.sender_clocks import (
@@ -23,6 +22,7 @@ from unbend.ingest.tlog.sender_clocks import (
     fit_sender,
 )
 from unbend.ingest.tlog.senders import Sender, by_sender
+from unbend.ingest.utc_evidence import FIRST_SET_US
 from unbend.messages import Ledger
 from unbend.units import Integers
 
@@ -90,7 +90,7 @@ def _sent_times(rows: NDArray[Any], field: str) -> _SentTimes:
     readings = np.empty(rows.shape, READING)
     for name in ("at", "source", "host_us"):
         readings[name] = rows[name]
-    readings["boot_ns"] = np.where(raw < UNIX_US_FROM, raw * unit_ns, 0)
+    readings["boot_ns"] = np.where(raw < FIRST_SET_US, raw * unit_ns, 0)
     readings["utc_ns"] = unix_us(rows["records"]) * MICROSECOND
     return _SentTimes(readings, turn_ns)
 
@@ -100,7 +100,7 @@ def unix_us(records: NDArray[Any]) -> Integers:
     if OWN_UTC not in (records.dtype.names or ()):
         return np.zeros(records.shape, np.int64)
     raw = microseconds(records[OWN_UTC])
-    return np.asarray(np.where(raw > UNIX_US_FROM, raw, 0), np.int64)
+    return np.asarray(np.where(raw > FIRST_SET_US, raw, 0), np.int64)
 
 
 def _with_checked_clock(

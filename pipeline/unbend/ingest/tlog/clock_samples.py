@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.flight.clock import STRAY_ROWS, UNIX_US_FROM
-from unbend.ingest.boot_clock import microseconds
+from unbend.flight.clock import STRAY_ROWS
 from unbend.ingest.buffers import ColumnStore
+from unbend.ingest.timelines import microseconds
 from unbend.ingest.tlog.senders import systems_of
+from unbend.ingest.utc_evidence import FIRST_SET_US
 from unbend.units import Mask
 
 MILLISECOND = 1_000_000  # [ns]
@@ -67,7 +68,7 @@ def _readings_of(messages: NDArray[Any]) -> Readings:
     rows["boot_ns"] = records["time_boot_ms"].astype(np.int64) * MILLISECOND
     if "time_unix_usec" in (records.dtype.names or ()):
         unix_us = microseconds(records["time_unix_usec"])
-        rows["utc_ns"] = np.where(unix_us > UNIX_US_FROM, unix_us * MICROSECOND, 0)
+        rows["utc_ns"] = np.where(unix_us > FIRST_SET_US, unix_us * MICROSECOND, 0)
     return rows
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from unbend.ingest.field_maps import MessageMap, message_maps
 from unbend.ingest.tlog.sender_clocks import CLOCK_FIELDS
 
-# A key with a dot is a second channel out of the same message.
+# By name; with a dot and more behind the name it is a second channel made of the same message.
 MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
-# Messages with a text that belongs to each row.
+# Fields with a text that belongs to each row, by message.
 LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
 
 SYSTEM_TIME = "SYSTEM_TIME"
@@ -22,7 +22,13 @@ PARAM_VALUE = "PARAM_VALUE"
 
 @dataclass(frozen=True)
 class MessageDefinition:
-    """One message: ``dtype`` as on the wire, ``fields`` as defined, those of ``texts`` are char."""
+    """One message of the dialect.
+
+    dtype : its payload, with the fields in the order in which they are sent.
+    fields : the names of the fields in the order of the definition.
+    texts : the names of those that hold text.
+    instance_field : the name of the field that tells sensors of one kind apart, or empty.
+    """
 
     number: int
     name: str
@@ -35,7 +41,7 @@ class MessageDefinition:
 
 @cache
 def dialect() -> Mapping[int, MessageDefinition]:
-    """The library's union of all dialects, by number."""
+    """The definitions of all messages of all dialects of the library, by message id."""
     from pymavlink.dialects.v20 import all as library
 
     definitions = [_definition(message_class) for message_class in library.mavlink_map.values()]
@@ -66,12 +72,12 @@ def crc_extras() -> dict[int, int]:
 
 @cache
 def message_of_name() -> Mapping[str, MessageDefinition]:
-    """The same by name."""
+    """The definitions of all messages by name."""
     return {message.name: message for message in dialect().values()}
 
 
 def name_of(number: int) -> str:
-    """The name of a message, made up where the dialect does not know it."""
+    """The name of the message with an id; UNKNOWN and the id if the dialect does not have it."""
     known = dialect().get(number)
     return f"UNKNOWN_{number}" if known is None else known.name
 
@@ -82,7 +88,10 @@ def message_of_key(key: str) -> str:
 
 
 def wanted_layouts() -> dict[int, np.dtype[Any]]:
-    """The layouts, by number, of the fields that channels and clocks are made of."""
+    """The layouts, by message id, of payloads with only the fields that are read.
+
+    These are the fields of channels, labels and clocks, of messages that have any such.
+    """
     wanted = {
         SYSTEM_TIME: {"time_unix_usec"},
         PARAM_VALUE: {"param_id", "param_value"},

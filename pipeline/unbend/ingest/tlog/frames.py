@@ -29,9 +29,11 @@ SHORTEST = STAMP + V1_BEFORE_PAYLOAD + CHECKSUM
 LONGEST = HEAD + 255 + CHECKSUM + SIGNATURE
 BLOCK = 8192  # rows of one pass of the checksum: they fit the cache
 
-# First two bytes of a stamp between 2001 (1e15 us, 0x00038D...) and 2103.
+# The second byte of a stamp between 2001 (1e15 us, 0x00038D...) and 2103; the first one is 0.
 STAMP_HIGH = range(0x03, 0x0F)
 
+# Fields of both versions lie over each other: those with 1 are MAVLink 1's, those with 2, the flags
+# and the two parts of the message id (low, high) MAVLink 2's.
 _HEAD = np.dtype(
     {
         "names": ["host", "magic", "length", "flags", "seq1", "sys1", "comp1", "id1",
@@ -45,9 +47,14 @@ _HEAD = np.dtype(
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames in the order of the file, ``at`` the byte of the stamp, ``total`` bytes long.
+    """Frames in the order of the file, (n,) each.
 
-    ``host_us`` is the ground station's clock, ``version`` 1 or 2, ``length`` that of the payload.
+    at : the byte at which the stamp, and with it the frame, begins.
+    total : how many bytes the frame has, with stamp, checksum and signature.
+    host_us : the stamp, which is the ground station's clock [us].
+    version : of MAVLink, 1 or 2.
+    length : how many bytes of payload are sent.
+    sequence : the sender's count of its messages, modulo 256.
     """
 
     at: Integers
@@ -80,13 +87,13 @@ class Frames:
         return sender_numbers(self.system, self.component)
 
     def take(self, rows: Mask | Rows | slice) -> "Frames":
-        """The frames of a mask, an index or a slice."""
+        """The frames in some rows; the same object if a mask has all of them."""
         if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and bool(rows.all()):
             return self
         return Frames(**{name: column[rows] for name, column in vars(self).items()})
 
     def moved(self, by: int) -> "Frames":
-        """The same frames counted from another place."""
+        """The same frames, whose places in a window become places in the file by adding ``by``."""
         return Frames(**(vars(self) | {"at": self.at + by}))
 
 
@@ -100,7 +107,9 @@ def joined(parts: list[Frames]) -> Frames:
 
 
 def frame_length(data: bytes, at: int) -> int:
-    """Bytes of the frame whose stamp begins here; 0 when there is none.
+    """How many bytes the frame has whose stamp begins at a byte, by its header; 0 without a frame.
+
+    The data may end within the frame.
 
     >>> frame_length(bytes([0, 5, 0, 0, 0, 0, 0, 0, 0xFE, 4]) + bytes(20), 0)
     20
@@ -119,13 +128,16 @@ def frame_length(data: bytes, at: int) -> int:
 
 
 def candidates(window: Bytes, stop: int) -> Integers:
-    """Where before ``stop`` a frame may begin: a plausible stamp, eight bytes on a magic byte."""
+    """Places before ``stop`` where a frame may begin.
+
+    There is a plausible stamp, and eight bytes on a magic byte.
+    """
     count = min(stop, window.shape[0] - STAMP)
     if count <= 0:
         return np.empty(0, np.int64)
     magic = window[STAMP : STAMP + count]
     stamp_high = window[1 : 1 + count]
-    # uint8 wraps: a difference below the length of a range means inside of it
+    # In uint8, values below the begin of a range wrap to large ones: one comparison is enough.
     possible = (magic - np.uint8(V2)) <= V1 - V2
     possible &= window[:count] == 0
     possible &= (stamp_high - np.uint8(STAMP_HIGH.start)) < len(STAMP_HIGH)
@@ -133,7 +145,10 @@ def candidates(window: Bytes, stop: int) -> Integers:
 
 
 def headers(window: Bytes, places: Integers, room: int) -> Frames:
-    """The frames at these places that end in ``room`` bytes; `HEAD` bytes follow the last place."""
+    """The frames at these places of a window that end within its first ``room`` bytes.
+
+    The window must have `HEAD` bytes from the last place on, though its frame may be shorter.
+    """
     head = gather(window, places, HEAD).view(_HEAD)
     is_v2 = head["magic"] == V2
     is_signed = is_v2 & (head["flags"] & SIGNED == 1)
@@ -155,7 +170,7 @@ def headers(window: Bytes, places: Integers, room: int) -> Frames:
     return frames.take(frames.end <= room)
 
 
-# CRC-16/MCRF4XX (X.25 of the MAVLink library): what each byte adds, bit by bit.
+# CRC-16/MCRF4XX (X.25 of the MAVLink library): what each byte adds to the checksum.
 _POLYNOMIAL = np.uint16(0x8408)
 _TABLE = np.arange(256, dtype=np.uint16)
 for _ in range(8):
@@ -168,21 +183,21 @@ def _step(crc: NDArray[np.uint16], byte: NDArray[np.integer[Any]]) -> NDArray[np
     return np.asarray((crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF], np.uint16)
 
 
-# Two bytes a step: the register is 16 bits wide, so one table of 65,536 entries is the whole step.
+# What two bytes add at a step: the register has 16 bits, so that 65,536 entries are all there are.
 _ZERO = np.zeros(1, np.uint16)
 _WORDS = _step(_step(np.arange(1 << 16, dtype=np.uint16), _ZERO), _ZERO)
 
 
 class _Packets(NamedTuple):
-    """Rows of frames of one version and one length, and how many bytes their checksum covers."""
+    """Rows of some frames of one version and one length, and the bytes their checksum covers."""
 
     rows: Rows
     covered: int
 
 
 def _packets_of_one_length(frames: Frames, known: Mask) -> list[_Packets]:
-    """The known frames by version and length, a block of them at a time."""
-    group = frames.length.astype(np.uint16) * 2 + (frames.version == 2)
+    """The known frames by version and length, in pieces of at most `BLOCK` rows."""
+    group = frames.length.astype(np.uint16) * 2 + (frames.version == 2)  # lowest bit: MAVLink 2
     rows = np.flatnonzero(known)
     rows = rows[np.argsort(group[rows], kind="stable")]
     starts = np.flatnonzero(np.diff(group[rows].astype(np.int32), prepend=-1)).tolist()
@@ -216,17 +231,17 @@ def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> 
 def checksums(
     window: Bytes, first: Integers, covered: int, extra: NDArray[np.uint16]
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    """The checksums of packets of one length, and those that stand behind them.
+    """The (n,) computed checksums of packets of one length, and the stored ones behind them.
 
     The ``covered`` bytes begin at ``first`` (n,), behind the magic byte; ``extra`` (n,): CRC_EXTRA.
     """
-    odd = covered & 1  # then the row begins a byte before, so that words lie on even places
+    odd = covered & 1  # an odd packet is read from a byte before, so that it consists of words
     size = odd + covered + CHECKSUM
     packet = gather(window, first - odd, size)
     words = packet.view("<u2").reshape(-1, size // 2)
     crc = np.full(first.shape, 0xFFFF, np.uint16)
     if odd:
-        crc = _step(crc, words[:, 0] >> 8)
+        crc = _step(crc, words[:, 0] >> 8)  # without the byte before
     for word in range(odd, size // 2 - 1):
         np.bitwise_xor(crc, words[:, word], out=crc)
         crc = _WORDS.take(crc, mode="clip")  # 16 bits are never out of range: no test needed
@@ -234,7 +249,10 @@ def checksums(
 
 
 def payloads(window: Bytes, frames: Frames, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Payloads of one message as a structured array; what MAVLink 2 trims is filled with zeros."""
+    """Payloads of frames of one message as a structured array.
+
+    What MAVLink 2 does not send, zeros at the end, is filled in.
+    """
     filled = np.zeros((len(frames), dtype.itemsize), np.uint8)
     begin = frames.payload
     for length in np.flatnonzero(np.bincount(frames.length)).tolist():

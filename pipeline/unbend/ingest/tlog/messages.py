@@ -159,17 +159,20 @@ def no_vehicle_time() -> Message:
     )
 
 
-def set_by_host_clock(*, sender: str, boot: int, count: int, spread_ms: float) -> Message:
+def set_by_host_clock(
+    *, sender: str, boot: int, count: int, spread_ms: float, sigma_s: float
+) -> Message:
     """A sender has a time since boot, and nothing that ties it to UTC."""
     return fallback(
         TIME_HOST_CLOCK,
         "no SYSTEM_TIME with UTC: the clock is set by the stamps of {messages}, which are the "
-        "ground station's and may be seconds off UTC; they agree within {spread_ms:.0f} ms "
-        "(p5 to p95)",
+        "ground station's: UTC is good to {sigma_s:.0f} s (1 sigma), though they agree within "
+        "{spread_ms:.0f} ms (p5 to p95)",
         where=f"{sender}, boot {boot}",
         count=count,
         messages=Counted(count, "message"),
         spread_ms=spread_ms,
+        sigma_s=sigma_s,
     )
 
 

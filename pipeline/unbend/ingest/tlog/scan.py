@@ -34,9 +34,9 @@ from unbend.ingest.tlog.senders import Sender
 from unbend.units import Integers
 
 STRETCH = 2 << 20  # [bytes] scanned at once: the tables of its frames fit the cache
-STEADY_US = 1_000_000  # a step back of more shows a stray stamp
+STEADY_US = 1_000_000  # stamps that step back by more show that one of them is stray
 SILENT_US = 3_000_000  # every component sends a HEARTBEAT each second: three in a row are missing
-SEQUENCE = 256  # numbers, then they begin again
+SEQUENCE = 256  # sequence numbers count modulo this
 _MOST_IDS = 1 << 16  # MAVLink 2 has 24 bits, and no dialect more than this
 
 
@@ -44,7 +44,8 @@ _MOST_IDS = 1 << 16  # MAVLink 2 has 24 bits, and no dialect more than this
 class Silence:
     """More than `SILENT_US` without a message of a sender, before the byte ``at``.
 
-    ``backward``: messages missing by a step of the sequence otherwise taken as backward, or 0.
+    ``backward``: how many messages are missing by a step of the sequence that would be one backward
+    without the silence (more than half of `SEQUENCE`); 0 for another step.
     """
 
     source: Sender
@@ -55,7 +56,11 @@ class Silence:
 
 @dataclass
 class RejectedFrames:
-    """Frames of one id that are not accepted: how many, the first of them, their bytes."""
+    """Frames of one id that are not accepted.
+
+    count, size : how many there are, and their bytes together.
+    first : the place of the first of them, -1 without any.
+    """
 
     count: int = 0
     first: int = -1
@@ -71,9 +76,10 @@ class RejectedFrames:
 
 @dataclass
 class _SequenceState:
-    """Where the sequence of a sender stands: its last number and when it was heard [us].
+    """Where the sequence of a sender stands after some messages.
 
-    ``ahead``: how far the highest number so far is ahead of the last: messages may come late.
+    last, heard_us : the number and the stamp [us] of the last message.
+    ahead : by how much the highest number so far is ahead of the last one, which may come late.
     """
 
     last: int
@@ -88,15 +94,20 @@ def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
 
 
 class Scan(DamagedBytes):
-    """The messages of a telemetry log, and what is damaged or missing.
+    """The messages of a telemetry log, which is scanned when the object is made, and its damage.
 
-    ``wanted``: layouts of payloads to keep, by id; ``late`` ones have not the time of sending. An
-    id outside the dialect counts where frames fill all between accepted ones.
+    extras : the CRC_EXTRA of each id of the dialect.
+    wanted : layouts of the payloads to keep, by id.
+    late : ids of wanted messages whose time since boot is not that of sending.
 
-    ``sent``: the wanted ones, with ``at`` (byte), ``host_us`` (the ground station's clock),
-    ``source`` (the number of the sender) and ``records``; ``unknown`` ids (in ``counts``)
-    and ``failed`` checksums; ``lost`` by sequence numbers modulo 256; ``steady``: no stamp lies
-    more than a second before the one before, as a stray one or the next would.
+    counts : how many messages of each id there are; those of an id outside the dialect count if
+        frames fill all the bytes between accepted ones.
+    sent : the rows of the wanted messages by id: ``at`` (byte), ``host_us`` (the ground station's
+        clock), ``source`` (the number of the sender) and ``records``.
+    unknown, failed : frames outside the dialect, and those whose checksum fails, by id.
+    lost : missing messages of each sender, by its sequence numbers.
+    steady : whether no stamp lies more than a second before the stamp before it, as a stray stamp
+        would, or the one that follows a stray stamp.
     """
 
     def __init__(
@@ -131,7 +142,7 @@ class Scan(DamagedBytes):
                 self._count_lost(frames_at_end)
 
     def _scan_stretch(self, begin: int, stop: int) -> None:
-        """Scan the frames that begin in a stretch."""
+        """Scan the frames that begin in a stretch, behind the last accepted frame."""
         window = self._data.array(begin, stop + LONGEST)
         room = window.shape[0]
         if stop == self._data.size:
@@ -146,7 +157,10 @@ class Scan(DamagedBytes):
             self._accept(frames.moved(begin))
 
     def _keep(self, window: Bytes, frames: Frames, begin: int) -> None:
-        """Keep the wanted messages of a stretch, and sample the clocks of their senders."""
+        """Keep the wanted messages of a stretch, and sample the clocks of their senders.
+
+        Clocks are sampled from messages with the time since boot at which they were sent.
+        """
         timed = []
         for number, layout in self._wanted.items():
             chosen = np.flatnonzero(frames.message_id == number)
@@ -167,7 +181,10 @@ class Scan(DamagedBytes):
         self.clock.take(timed)
 
     def _accept(self, frames: Frames) -> None:
-        """Count the accepted frames of a stretch, and examine the bytes between them."""
+        """Count the accepted frames of a stretch, and examine the bytes before each of them.
+
+        Frames between them that are not accepted count when lost messages are looked for.
+        """
         self._check_stamps(frames)
         counted = [frames, *self._frames_between(frames)]
         self._count_lost(joined(counted) if len(counted) > 1 else frames)
@@ -177,14 +194,14 @@ class Scan(DamagedBytes):
             self.counts[number] += int(counts[number])
 
     def _check_stamps(self, frames: Frames) -> None:
-        """Note if the clock of the ground station steps back by more than `STEADY_US`."""
+        """Set ``steady`` to False if the stamps step back by more than `STEADY_US`."""
         last_us = self._host_us or int(frames.host_us[0])
         step_us = np.diff(frames.host_us, prepend=last_us)
         self.steady &= bool(np.all(step_us >= -STEADY_US))
         self._host_us = int(frames.host_us[-1])
 
     def _frames_between(self, frames: Frames) -> list[Frames]:
-        """Examine the gaps between accepted frames; returns the rejected frames in each."""
+        """Examine the gaps before accepted frames; returns the frames in each that has any."""
         rejected: list[Frames] = []
         previous_end = np.concatenate([[self._end], frames.end[:-1]])
         for row in np.flatnonzero(previous_end != frames.at).tolist():
@@ -194,9 +211,11 @@ class Scan(DamagedBytes):
         return rejected
 
     def _examine_gap(self, begin: int, stop: int) -> Frames:
-        """Count the bytes between two accepted frames: frames not accepted, and no frames.
+        """Count the bytes from ``begin`` to ``stop``, which lie between two accepted frames.
 
-        Returns the frames among them. Their messages are no loss, though their content is not used.
+        From the begin on they may be frames that are not accepted, one behind the other; these are
+        returned, because their messages are not lost, though their content is not used. What
+        follows is a frame that the end of the file cuts off, or bytes of no message.
         """
         places, end = self._frames_in_a_row(begin, stop)
         cut_bytes = 0
@@ -204,7 +223,8 @@ class Scan(DamagedBytes):
             if self._ends_in_frame(end, stop, places):
                 cut_bytes = stop - end
             elif places:
-                end = places.pop()  # its length may be damaged
+                # The length of the last frame may be damaged: it counts to the bytes of no message.
+                end = places.pop()
         self.cut_bytes += cut_bytes
         if end + cut_bytes < stop:
             self.drop(end, stop)
@@ -225,7 +245,7 @@ class Scan(DamagedBytes):
         while place < stop:
             view_end = view_begin + len(view)
             needs_next_view = place + LONGEST > view_end and view_end < stop
-            if needs_next_view:  # the first one too
+            if needs_next_view:  # True at the first place, where the view is empty
                 view_begin = place
                 view = self._data[place : min(place + STRETCH, stop)]
             length = frame_length(view, place - view_begin)
@@ -236,7 +256,11 @@ class Scan(DamagedBytes):
         return places, place
 
     def _ends_in_frame(self, at: int, stop: int, places: list[int]) -> bool:
-        """Whether the file ends within a frame that begins here, behind frames at ``places``."""
+        """Whether the file ends within a frame that begins at a byte, behind frames at ``places``.
+
+        It does if fewer bytes are left than any frame has, or fewer than the header says. False
+        behind a frame of the dialect, whose checksum has failed.
+        """
         if stop != self._data.size:
             return False
         last_bytes = self._data[at : at + LONGEST]
@@ -245,13 +269,14 @@ class Scan(DamagedBytes):
             return False
         if not places:
             return True
-        # not behind a frame whose checksum fails: its length may be wrong
+        # The frame before is not accepted. If it is of the dialect, its checksum has failed, and
+        # its length may be wrong.
         head = _padded(self._data.array(places[-1], places[-1] + HEAD))
         last = headers(head, np.zeros(1, np.int64), LONGEST)
         return int(last.message_id[0]) not in self._extras
 
     def _count_rejected(self, frames: Frames) -> None:
-        """Count frames of unknown ids, and those whose checksum fails."""
+        """Count frames that are not accepted: of an unknown id, or else with a failed checksum."""
         columns = (frames.message_id.tolist(), frames.at.tolist(), frames.total.tolist())
         for number, place, length in zip(*columns, strict=True):
             if number in self._extras:
@@ -262,7 +287,7 @@ class Scan(DamagedBytes):
             rejected.add(place, length)
 
     def _count_lost(self, frames: Frames) -> None:
-        """Count the messages that each sender numbered and that are not among these frames."""
+        """Count the messages that each sender numbered, but that are not among these frames."""
         numbers = frames.sender
         order = np.argsort(numbers, kind="stable")
         starts = np.flatnonzero(np.diff(numbers[order].astype(np.int32), prepend=-1)).tolist()
@@ -275,26 +300,28 @@ class Scan(DamagedBytes):
     def _count_lost_of_sender(
         self, number: int, sequence: NDArray[np.uint8], host_us: Integers, at: Integers
     ) -> None:
-        """Count the numbers that are missing in the next messages of a sender.
+        """Count the numbers that are missing in the next messages of a sender, and its silences.
 
-        The sequence counts modulo 256: a step of more than half of that is one backward, of a
-        message that was overtaken, which fills its gap. After a silence no step is backward.
+        The sequence counts modulo 256. A step of more than half of that is one backward, to a
+        message that later ones have overtaken and that therefore is not missing. After a gap in the
+        stamps no step is backward.
         """
         sender = Sender.of_number(number)
         state = self._sequences.get(number)
         if state is None:
             state = _SequenceState(last=(int(sequence[0]) - 1) % SEQUENCE, heard_us=int(host_us[0]))
         skipped = np.diff(sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
-        is_after_silence = np.diff(host_us, prepend=state.heard_us) > SILENT_US
-        for row in np.flatnonzero(is_after_silence).tolist():
+        is_after_gap = np.diff(host_us, prepend=state.heard_us) > SILENT_US
+        for row in np.flatnonzero(is_after_gap).tolist():  # a stray stamp makes a gap too
             silent_us = _silent_us(host_us, row, state.heard_us)
             if silent_us > SILENT_US:
                 is_backward = skipped[row] >= SEQUENCE // 2
                 backward = int(skipped[row]) if is_backward else 0
                 self.silences.append(Silence(sender, int(at[row]), silent_us / 1e6, backward))
-        step = skipped.view(np.int8).astype(np.int64) + 1
-        step[(step < 0) & is_after_silence] = 1
-        position = np.cumsum(step)  # of each message, counted from the last of those before
+        step = skipped.view(np.int8).astype(np.int64) + 1  # as int8, more than half is negative
+        step[(step < 0) & is_after_gap] = 1
+        # The number of each message, counted on beyond 256 from 0 at the last message before these.
+        position = np.cumsum(step)
         new_positions = np.unique(position[position > state.ahead])
         lost = 0
         if new_positions.size:

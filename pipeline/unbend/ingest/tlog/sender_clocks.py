@@ -7,7 +7,7 @@ or their own, the reception of their messages shows.
 """
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,14 +15,23 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import BOOT_STEP_NS, clock_map, stray_times
-from unbend.ingest.boot_clock import BootClock, UtcReadings, fit_clock, timeline
+from unbend.flight.survey_dates import DAY_NS
+from unbend.ingest.boot_clock import BootClock, fit_clock
+from unbend.ingest.timelines import timeline
 from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.clock_samples import MICROSECOND, MILLISECOND, Readings
 from unbend.ingest.tlog.senders import Sender
+from unbend.ingest.utc_evidence import (
+    UNCHECKED_SIGMA_S,
+    UNCHECKED_WHY,
+    ClockAssessment,
+    Witness,
+)
+from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 
-ROUND_MS = (1 << 32) * MILLISECOND  # [ns] 49.7 days: a 32-bit count of milliseconds runs over
+WRAP_OF_MS_NS = (1 << 32) * MILLISECOND  # [ns] 49.7 days: a 32-bit count of milliseconds runs over
 ROUND_US = (1 << 32) * MICROSECOND  # [ns] 71.6 minutes: one of microseconds
 
 
@@ -34,7 +43,7 @@ class ClockField(NamedTuple):
 
 
 CLOCK_FIELDS: Mapping[str, ClockField] = {
-    "time_boot_ms": ClockField(MILLISECOND, ROUND_MS),
+    "time_boot_ms": ClockField(MILLISECOND, WRAP_OF_MS_NS),
     "time_usec": ClockField(MICROSECOND, ROUND_US),
 }
 
@@ -60,6 +69,14 @@ class SenderClock:
     clock: BootClock
     counts: tuple[int, ...]
     maps: tuple[Callable[[TimeArray], TimeArray], ...]
+    stated_shift_ns: tuple[int, ...] = ()  # UTC minus the UTC that the sender states, by boot
+
+    def utc_of_stated(self, at: Integers, stated_ns: TimeArray) -> TimeArray:
+        """UTC [ns] of times that the sender states as UTC: its date may be a rollover off."""
+        if not any(self.stated_shift_ns):
+            return stated_ns
+        shift_ns = np.array(self.stated_shift_ns, np.int64)
+        return np.asarray(stated_ns + shift_ns[self.boot(at)], np.int64)
 
     def boot(self, at: Integers) -> NDArray[np.int16]:
         """The boot of messages at these places of the file."""
@@ -127,13 +144,16 @@ class Clocks:
     """The clocks of all senders of a log whose time since boot is known.
 
     ``boots`` of the vehicle; ``description`` of its clock in words; ``wrong_utc``: senders whose
-    images carry a UTC that does not fit.
+    images carry a UTC that does not fit; ``utc_sigma_s`` [s] of the vehicle's UTC; ``assessments``:
+    what each clock is good for.
     """
 
     senders: Mapping[Sender, SenderClock]
     boots: int
     description: str
     wrong_utc: frozenset[Sender] = frozenset()
+    utc_sigma_s: float = UNCHECKED_SIGMA_S
+    assessments: tuple[ClockAssessment, ...] = ()
 
     def lender(self, sender: Sender) -> Sender | None:
         """The sender whose clock is used: this one, else another component of its system."""
@@ -185,7 +205,15 @@ def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn_ns: int) -> TimeArray
     return np.asarray(np.where(fits, whole_ns, stamp_ns), np.int64)
 
 
-def clocks_of(readings: Readings, ledger: Ledger) -> Clocks:
+@dataclass(frozen=True)
+class KnownDates:
+    """The systems whose clock a receiver with a fix sets, and other clocks that tell the date."""
+
+    systems_with_fix: frozenset[int] = frozenset()
+    witnesses: tuple[Witness, ...] = ()
+
+
+def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates()) -> Clocks:
     """Fit the clocks of all senders; residuals and fallbacks are entered in the ledger."""
     if not readings.size:
         ledger.add(messages.no_vehicle_time())
@@ -200,9 +228,18 @@ def clocks_of(readings: Readings, ledger: Ledger) -> Clocks:
         if sender.system == vehicle.system:
             lead = clocks.get(vehicle, _HOST_CLOCK)
         readings_of_sender = _selected(readings, readings["source"] == number)
-        clocks[sender] = fit_sender(readings_of_sender, lead, sender, ledger)
+        clocks[sender] = fit_sender(readings_of_sender, lead, sender, ledger, dates)
     clock = clocks[vehicle].clock
-    return Clocks(clocks, clock.line.boots, _description(clock))
+    assessments: list[ClockAssessment] = []
+    for sender_clock in clocks.values():
+        assessments += sender_clock.clock.assessments
+    return Clocks(
+        clocks,
+        clock.line.boots,
+        _description(clock),
+        utc_sigma_s=clock.sigma_s,
+        assessments=tuple(assessments),
+    )
 
 
 def _description(clock: BootClock) -> str:
@@ -239,12 +276,17 @@ def overtaken(readings: Readings) -> Mask:
 
 
 def fit_sender(
-    readings: Readings, lead: SenderClock, sender: Sender, ledger: Ledger
+    readings: Readings,
+    lead: SenderClock,
+    sender: Sender,
+    ledger: Ledger,
+    dates: KnownDates = KnownDates(),
 ) -> SenderClock:
     """Fit the clock of a sender to its readings.
 
     UTC is that of its SYSTEM_TIME; in boots without, that of ``lead`` (the vehicle's clock) when
-    its messages were received.
+    its messages were received. SYSTEM_TIME of a system without a fix is of a clock that no
+    receiver has set.
     """
     readings = _selected(readings, ~stray_times(readings["boot_ns"]))
     if bool(np.any(np.diff(readings["boot_ns"]) < -BOOT_STEP_NS)):
@@ -260,6 +302,8 @@ def fit_sender(
         utc_ns=readings["utc_ns"],
         usable=readings["utc_ns"] > 0,
     )
+    if sender.system not in dates.systems_with_fix:
+        system_time = replace(system_time, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY)
     received = UtcReadings(
         source="stamps",
         one="stamp",
@@ -267,9 +311,11 @@ def fit_sender(
         boot_ns=boot_ns,
         utc_ns=lead.utc_of_host(places, stamped_ns),
         usable=np.ones(places.shape, np.bool_),
+        sigma_s=UNCHECKED_SIGMA_S,
+        why=UNCHECKED_WHY,
     )
     line = timeline([(places, boot_ns)])
-    clock = fit_clock(line, [system_time], ledger, received, str(sender))
+    clock = fit_clock(line, [system_time], ledger, received, str(sender), witnesses=dates.witnesses)
     boot = clock.line.boot_of(places)
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     _report_host_clock(clock, counts, sender, ledger)
@@ -281,7 +327,28 @@ def fit_sender(
         clock=clock,
         counts=tuple(counts),
         maps=_maps_to_utc(stamped_ns, clock.utc(places, boot_ns), counts),
+        stated_shift_ns=_shifts_of_stated(clock, system_time),
     )
+
+
+def _shifts_of_stated(clock: BootClock, stated: UtcReadings) -> tuple[int, ...]:
+    """By boot, how much later UTC is than a sender states it [ns]; 0 where its date stands.
+
+    Its other messages with UTC have the same date as its SYSTEM_TIME.
+    """
+    stated = stated.usable_rows(clock.line)
+    boots = clock.line.boot_of(stated.places)
+    shifts_ns = []
+    for number, fit in enumerate(clock.fits):
+        rows = boots == number
+        shift_ns = 0
+        if fit is not None and rows.any():
+            offsets_ns = np.sort(stated.utc_ns[rows] - stated.boot_ns[rows])
+            middle = offsets_ns.size // 2
+            shift_ns = fit.offset_ns - int(offsets_ns[middle])
+        has_other_date = abs(shift_ns) > DAY_NS
+        shifts_ns.append(shift_ns if has_other_date else 0)
+    return tuple(shifts_ns)
 
 
 def _report_host_clock(
@@ -296,6 +363,7 @@ def _report_host_clock(
                     boot=number,
                     count=counts[number],
                     spread_ms=fit.spread_ns / 1e6,
+                    sigma_s=clock.sigma_s,
                 )
             )
 
@@ -321,15 +389,16 @@ def _continued(
 ) -> TimeArray:
     """Times since boot that go on where the 32-bit count of milliseconds wrapped.
 
-    A new boot starts near zero too, but not exactly when the count was full by the host's clock. A
-    message that was overtaken has the time before the wrap: a step by a turn the other way.
+    A new boot starts near zero too, but not exactly when the count was full by the host's clock.
     """
     step_ns = np.diff(boot_ns)
-    turns_in_step = np.rint(-step_ns / ROUND_MS).astype(np.int64)
-    unexplained_ns = step_ns + turns_in_step * ROUND_MS - np.diff(stamped_ns)
-    turns_in_step[np.abs(unexplained_ns) > NEAR_NS] = 0
+    # 1 where the count wrapped, -1 where an overtaken message still has a time before that.
+    turns_in_step = np.rint(-step_ns / WRAP_OF_MS_NS).astype(np.int64)
+    unexplained_ns = step_ns + turns_in_step * WRAP_OF_MS_NS - np.diff(stamped_ns)
+    is_new_boot = np.abs(unexplained_ns) > NEAR_NS
+    turns_in_step[is_new_boot] = 0
     if not turns_in_step.any():
         return boot_ns
     turns = np.append(0, np.cumsum(turns_in_step))
     ledger.add(messages.count_wrapped(sender=str(sender), count=int(turns.max())))
-    return np.asarray(boot_ns + turns * ROUND_MS, np.int64)
+    return np.asarray(boot_ns + turns * WRAP_OF_MS_NS, np.int64)

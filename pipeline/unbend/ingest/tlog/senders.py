@@ -51,7 +51,7 @@ def components_of(numbers: NDArray[np.uint16]) -> NDArray[np.uint16]:
 
 
 def by_sender(rows: NDArray[Any]) -> Iterator[tuple[Sender, Mask | slice]]:
-    """The senders of messages with a column ``source``, and the rows of each."""
+    """The senders in the column ``source`` (`Sender.number`) of messages, and the rows of each."""
     numbers = np.unique(rows["source"])
     if numbers.shape[0] == 1:
         yield Sender.of_number(int(numbers[0])), slice(None)

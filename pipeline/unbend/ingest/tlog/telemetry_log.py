@@ -1,6 +1,7 @@
 """MAVLink telemetry logs (.tlog): frames -> channels in UTC."""
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,20 +28,23 @@ from unbend.ingest.tlog.dialect import (
 )
 from unbend.ingest.tlog.frames import frame_length
 from unbend.ingest.tlog.scan import SILENT_US, Scan, Silence
-from unbend.ingest.tlog.sender_clocks import Clocks, clock_field, clocks_of
+from unbend.ingest.tlog.sender_clocks import Clocks, KnownDates, clock_field, clocks_of
 from unbend.ingest.tlog.senders import Sender, by_sender, components_of, systems_of
 from unbend.ingest.tlog.tlog_channels import channels_of, label_of, times_of
+from unbend.ingest.utc_evidence import Witness
+from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Ledger
 
 SILENT_NS = SILENT_US * MICROSECOND
+RECEIVER_MESSAGES = ("GPS_RAW_INT", "GPS2_RAW")
 LISTED_IDS = 8  # of the unknown ones, in the ledger
 _CARRIED = {message_of_key(key) for key in MESSAGES}
 # Messages whose time is that of the exposure, not of sending.
 _LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 
-def read_log(path: Path, ledger: Ledger) -> Contents:
-    """The contents of a telemetry log."""
+def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+    """The contents of a telemetry log; ``witnesses`` are other clocks that tell its date."""
     wanted = wanted_layouts()
     late = {number for number in wanted if name_of(number) in _LATE}
     with open_view(path) as data:
@@ -52,7 +56,11 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
     sent = {name_of(number): scan.sent.pop(number) for number in list(scan.sent)}
     carried = [store for name, store in sent.items() if name in _CARRIED]
     readings = scan.clock.readings(_systems(carried))
-    clocks = with_borrowed_clocks(clocks_of(readings, ledger), carried, ledger)
+    dates = KnownDates(
+        systems_with_fix(sent),
+        tuple(witnesses),
+    )
+    clocks = with_borrowed_clocks(clocks_of(readings, ledger, dates), carried, ledger)
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(scan, clocks, channels, path.name, ledger)
     return Contents(
@@ -64,7 +72,23 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         time_base=clocks.description,
         table=partial(_table, path, clocks),
         parameters=parameters,
+        utc_sigma_s=clocks.utc_sigma_s,
+        clocks=clocks.assessments,
     )
+
+
+def systems_with_fix(sent: Mapping[str, ColumnStore]) -> frozenset[int]:
+    """The systems that sent a position of a GNSS receiver with a fix."""
+    systems: set[int] = set()
+    for name in RECEIVER_MESSAGES:
+        if name not in sent:
+            continue
+        for block in sent[name].blocks():
+            fix_type = block["records"]["fix_type"]
+            has_fix = fix_type >= LOWEST_FIX
+            with_fix = systems_of(block["source"][has_fix])
+            systems |= set(np.unique(with_fix).tolist())
+    return frozenset(systems)
 
 
 def _systems(stores: list[ColumnStore]) -> set[int]:

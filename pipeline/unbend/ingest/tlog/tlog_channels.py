@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel, Source, TimeArray
-from unbend.flight.clock import UNIX_US_FROM
 from unbend.ingest.attitude import earth_frame_attitude
-from unbend.ingest.boot_clock import microseconds
 from unbend.ingest.buffers import ColumnStore
 from unbend.ingest.channel_builder import ColumnStores, DecodedRows, channel_of, with_both_heights
 from unbend.ingest.field_maps import extract
 from unbend.ingest.messages import failed_exposures
+from unbend.ingest.timelines import microseconds
 from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.borrowed_clocks import unix_us
 from unbend.ingest.tlog.clock_samples import MICROSECOND
@@ -27,6 +26,7 @@ from unbend.ingest.tlog.dialect import (
 )
 from unbend.ingest.tlog.sender_clocks import CLOCK_FIELDS, LATEST_NS, Clocks, clock_field
 from unbend.ingest.tlog.senders import Sender, by_sender, systems_of
+from unbend.ingest.utc_evidence import FIRST_SET_US
 from unbend.messages import Ledger
 from unbend.units import Mask, Rows
 
@@ -73,16 +73,16 @@ def _rows_of_series(series: "_Series", ledger: Ledger) -> DecodedRows:
 
 
 def _in_time_order(rows: DecodedRows, *, is_event: bool) -> DecodedRows:
-    """The rows in the order of their time, unless a clock was set back.
+    """The rows in the order of their time, if they are of events or no clock was set back.
 
     The link delivers exposures late, and other messages overtake each other by up to some seconds:
-    a step back of more than `LATEST_NS` is of the clock.
+    a step back of `LATEST_NS` or more is of the clock.
     """
-    is_late_message = is_event
-    if not bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
-        newest_ns = np.maximum.accumulate(rows.time_ns)
-        is_late_message |= int(np.max(newest_ns - rows.time_ns)) < LATEST_NS
-    if not is_late_message:
+    if bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
+        return rows
+    steps_back_ns = np.maximum.accumulate(rows.time_ns) - rows.time_ns
+    clock_was_set_back = int(np.max(steps_back_ns)) >= LATEST_NS
+    if clock_was_set_back and not is_event:
         return rows
     return rows.take(np.argsort(rows.time_ns, kind="stable"))
 
@@ -217,12 +217,15 @@ def times_of(
     if field == "time_boot_ms":
         utc_us = unix_us(rows["records"])
         if sender not in clocks.wrong_utc and utc_us.any():
-            time_ns = np.where(utc_us > 0, utc_us * MICROSECOND, time_ns)
+            stated_ns = utc_us * MICROSECOND
+            stated_ns = clock.utc_of_stated(places, stated_ns)
+            time_ns = np.where(utc_us > 0, stated_ns, time_ns)
         return time_ns, boot
     # time_usec: Unix time from some senders, time since boot from others, 0 when not known
-    is_unix = stamp > UNIX_US_FROM
+    is_unix = stamp > FIRST_SET_US
     is_unknown = stamp == 0
-    time_ns = np.where(is_unix, stamp_ns, time_ns)
+    stated_ns = clock.utc_of_stated(places, stamp_ns)
+    time_ns = np.where(is_unix, stated_ns, time_ns)
     not_since_boot = is_unix | is_unknown
     if not_since_boot.any():
         boot[not_since_boot] = clock.boot(places[not_since_boot])
@@ -280,7 +283,7 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
         ledger.add(messages.empty_feedback(channel=name, count=empty_rows, total=table.shape[0]))
     keys = np.where(times_us == 0, indices, times_us)
     first_rows = _first_of_each(keys, ~is_empty, "the time of an exposure", name, ledger)
-    with_unix_time = int(np.count_nonzero(times_us[first_rows] > UNIX_US_FROM))
+    with_unix_time = int(np.count_nonzero(times_us[first_rows] > FIRST_SET_US))
     if with_unix_time:
         ledger.add(messages.times_of_triggers(channel=name, count=with_unix_time))
     unseen = np.setdiff1d(indices[~is_empty], indices[first_rows])

@@ -1,8 +1,8 @@
 """What the reader of PX4 logs says: codes, and one function for each message and refusal."""
 
 from unbend.errors import Code, Counted, LogError
-from unbend.ingest.messages import LOG_GAP
-from unbend.messages import Message, loss
+from unbend.ingest.messages import LOG_DROPOUT, LOG_GAP
+from unbend.messages import Message, loss, warning
 
 LOG_ULOG = Code(
     "LOG-ULOG",
@@ -56,14 +56,6 @@ def damaged_values(*, file: str, count: int) -> Message:
     )
 
 
-LOG_DROPOUT = Code(
-    "LOG-DROPOUT",
-    means="The logger could not keep up.",
-    effect="Messages of that time are missing.",
-    remedy="Log less, or to a faster card.",
-)
-
-
 def logger_dropouts(*, file: str, count: int, seconds: float) -> Message:
     """The logger reports that it lost data."""
     return loss(
@@ -89,4 +81,28 @@ def messages_cut_out(
         times=Counted(count, "time"),
         seconds=seconds,
         missing=Counted(missing, "message"),
+    )
+
+
+LOG_PAUSED = Code(
+    "LOG-PAUSED",
+    means="For most of its time the log has no message of any topic.",
+    effect="Exposures there have no station (in_gap); nothing shows that messages are missing.",
+    remedy="Check when the vehicle logs (SDLOG_MODE), if exposures are in these times.",
+)
+
+
+def logged_now_and_then(
+    *, file: str, after_boot_s: float, count: int, seconds: float, logged_s: float
+) -> Message:
+    """Most of the time nothing was logged: the logger was not running."""
+    return warning(
+        LOG_PAUSED,
+        "{times} nothing was logged, {seconds:.3f} s together beside {logged_s:.3f} s of log: the "
+        "logger was not running all the time",
+        where=f"{file}, first {after_boot_s:.3f} s after boot",
+        count=count,
+        times=Counted(count, "time"),
+        seconds=seconds,
+        logged_s=logged_s,
     )

@@ -1,30 +1,31 @@
 """PX4 logs (.ulg) -> channels in UTC."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.flight.channels import Channel, Source, TimeArray
-from unbend.flight.clock import STRAY_ROWS, UNIX_US_FROM, stray_times
+from unbend.flight.channels import Channel, Source
+from unbend.flight.clock import STRAY_ROWS, stray_times
 from unbend.ingest.attitude import earth_frame_attitude
-from unbend.ingest.boot_clock import (
-    UtcReadings,
-    fit_clock,
-    microseconds,
-    nanoseconds,
-    rows_of,
-    timeline,
-)
+from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.buffers import open_view
-from unbend.ingest.channel_builder import DecodedRows, captured_rows, channel_of, without_stray
+from unbend.ingest.channel_builder import (
+    DecodedRows,
+    captured_rows,
+    channel_of,
+    feedback_apart,
+    without_stray,
+)
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.message_tables import Table
+from unbend.ingest.timelines import microseconds, nanoseconds, timeline
 from unbend.ingest.ulog import messages
 from unbend.ingest.ulog.ulog_messages import (
     APPENDED,
@@ -35,11 +36,15 @@ from unbend.ingest.ulog.ulog_messages import (
     UlogTopic,
     flags_of,
 )
+from unbend.ingest.utc_evidence import FIRST_SET_US, UNCHECKED_SIGMA_S, UNCHECKED_WHY, Witness
+from unbend.ingest.utc_readings import UtcReadings, rows_of
 from unbend.messages import Ledger
 
+BOOT_UTC = "boot_time_utc_us"  # information message: UTC at time since boot 0 [us since 1970]
 SILENCE_NS = 100_000_000  # PX4 logs tens to hundreds of messages in this time
 SILENT_INTERVALS = 5.0  # of the topic with the shortest interval: no silence is shorter
 LONGEST_INTERVAL_NS = 200_000_000  # of a topic that shows whether anything was logged
+MOST_INTERVALS = 95.0  # percentile of the intervals of a topic that are short, if it is steady
 EARLY_ROWS = 2  # of a topic, that were sampled before the logger began
 
 _ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
@@ -48,21 +53,21 @@ _ELEMENT = re.compile(r"\[(\d+)\]")
 TopicRows = Mapping[UlogTopic, NDArray[Any]]
 
 
-def read_log(path: Path, ledger: Ledger) -> Contents:
-    """The contents of a PX4 log."""
+def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+    """The contents of a PX4 log; ``witnesses`` are other clocks that tell its date."""
     log = _messages(path, list(PX4_TOPICS))
     log.report_damage(ledger, path.name)
     sources = _sources(log.rows)
-    offset_ns, time_base = _clock(log.rows, sources, ledger)
+    clock = _clock(log, sources, ledger, witnesses)
+    fit = clock.fits[0]
+    offset_ns = 0 if fit is None else fit.offset_ns
     channels = []
     for topic, rows in log.rows.items():
-        channel = _channel(topic, rows, sources[topic], offset_ns, ledger)
-        if channel is not None:
-            channels.append(channel)
+        channels += _channels_of_topic(topic, rows, sources[topic], offset_ns, ledger)
     texts = _texts_channel(log.texts, offset_ns, ledger)
     if texts is not None:
         channels.append(texts)
-    report_silences(log, path.name, ledger)
+    report_silences(log, path, ledger)
     return Contents(
         messages=dict(log.counts),
         channels=tuple(channels),
@@ -70,9 +75,11 @@ def read_log(path: Path, ledger: Ledger) -> Contents:
         # the format does not number messages: whether any is lost, not how many
         lost_messages=int(log.bad_bytes > 0 or log.damaged_values > 0),
         boots=1,
-        time_base=time_base,
+        time_base=_time_base(clock),
         table=partial(_table, path, offset_ns),
         parameters=log.parameters,
+        utc_sigma_s=clock.sigma_s,
+        clocks=clock.assessments,
     )
 
 
@@ -117,10 +124,10 @@ def _channel_name(source: Source) -> str:
     return f"{source.message}[{source.instance}]"
 
 
-def _channel(
+def _channels_of_topic(
     topic: UlogTopic, rows: NDArray[Any], source: Source, offset_ns: int, ledger: Ledger
-) -> Channel | None:
-    """The channel of a topic; ``offset_ns`` is UTC minus time since boot."""
+) -> list[Channel]:
+    """The channel of a topic, or two of events; ``offset_ns`` is UTC minus time since boot."""
     spec = PX4_TOPICS[topic.name]
     boot_ns = nanoseconds(rows["timestamp"])
     fields = {_ELEMENT.sub(r".\1", name): rows[name] for name in _names(rows)}  # q[0] is "q.0"
@@ -137,7 +144,8 @@ def _channel(
     decoded = without_stray(decoded, stray_times(boot_ns), ledger)
     if spec.event:
         decoded = captured_rows(decoded, ledger)
-    return channel_of(decoded, spec, ledger)
+    parts = [channel_of(part, spec, ledger) for part in feedback_apart(decoded, ledger)]
+    return [channel for channel in parts if channel is not None]
 
 
 def _texts_channel(texts: list[Text], offset_ns: int, ledger: Ledger) -> Channel | None:
@@ -154,64 +162,148 @@ def _texts_channel(texts: list[Text], offset_ns: int, ledger: Ledger) -> Channel
     return channel_of(decoded, MessageMap((), text_field="text"), ledger)
 
 
-def report_silences(log: ULogMessages, name: str, ledger: Ledger) -> None:
+class _Silences(NamedTuple):
+    """The silences of all topics: when the first begins, their number, and how long together [ns].
+
+    ``logged_ns`` : the rest of the log.
+    """
+
+    first_ns: int
+    number: int
+    silent_ns: float
+    logged_ns: float
+
+
+def report_silences(log: ULogMessages, path: Path, ledger: Ledger) -> None:
     """Report silences of all topics: messages were cut out of the file, or never logged.
 
-    Only topics with short intervals show silences. Not counted are stray stamps, and stamps that
-    were sampled before the logger began.
+    Where most of the time is silent, the logger was not running all the time: no loss.
+    """
+    if _silences(log.rows) is None:
+        return
+    # Topics that are not wanted may have gone on: only a log with a silence is read for these.
+    silences = _silences(_messages(path, list(log.counts)).rows)
+    if silences is None:
+        return
+    after_boot_s = silences.first_ns * 1e-9
+    seconds = silences.silent_ns / 1e9
+    if silences.silent_ns > silences.logged_ns:
+        logged_s = silences.logged_ns / 1e9
+        ledger.add(
+            messages.logged_now_and_then(
+                file=path.name,
+                after_boot_s=after_boot_s,
+                count=silences.number,
+                seconds=seconds,
+                logged_s=logged_s,
+            )
+        )
+        return
+    messages_per_ns = log.counts.total() / silences.logged_ns
+    ledger.add(
+        messages.messages_cut_out(
+            file=path.name,
+            after_boot_s=after_boot_s,
+            count=silences.number,
+            seconds=seconds,
+            missing=round(messages_per_ns * silences.silent_ns),
+        )
+    )
+
+
+def _silences(rows_of_topic: TopicRows) -> _Silences | None:
+    """The silences of all of some topics; None without any.
+
+    Only topics whose intervals are short throughout show silences, not those that come in bursts;
+    any topic ends them. Not counted are stray stamps, and stamps that were sampled before the
+    logger began.
     """
     times_of_topics = []
-    shortest_ns = float(LONGEST_INTERVAL_NS)
-    for rows in log.rows.values():
+    begin_ns = 0
+    shortest_ns = float("inf")
+    for rows in rows_of_topic.values():
         time_ns = nanoseconds(rows["timestamp"])[EARLY_ROWS:]
         time_ns = time_ns[~stray_times(time_ns)]
-        interval_ns = _median_interval_ns(time_ns)
-        if interval_ns <= LONGEST_INTERVAL_NS:
-            times_of_topics.append(time_ns)
-            shortest_ns = min(shortest_ns, interval_ns)
-    if not times_of_topics:
-        return
-    begin_ns = max(int(time_ns[0]) for time_ns in times_of_topics)
+        times_of_topics.append(time_ns)
+        if time_ns.size <= STRAY_ROWS:
+            continue
+        usual_ns, long_ns = np.percentile(np.diff(time_ns), [50.0, MOST_INTERVALS]).tolist()
+        if long_ns <= LONGEST_INTERVAL_NS:
+            begin_ns = max(begin_ns, int(time_ns[0]))
+            shortest_ns = min(shortest_ns, usual_ns)
+    if not np.isfinite(shortest_ns):
+        return None
     all_times_ns = np.unique(np.concatenate(times_of_topics))
     all_times_ns = all_times_ns[all_times_ns >= begin_ns]
     steps_ns = np.diff(all_times_ns)
     silent = steps_ns > max(SILENCE_NS, SILENT_INTERVALS * shortest_ns)
     if not silent.any():
-        return
-    silent_ns = float(steps_ns[silent].sum())
-    messages_per_ns = log.counts.total() / float(steps_ns[~silent].sum())
-    cut_out = messages.messages_cut_out(
-        file=name,
-        after_boot_s=float(all_times_ns[np.argmax(silent)]) * 1e-9,
-        count=int(np.count_nonzero(silent)),
-        seconds=silent_ns / 1e9,
-        missing=round(messages_per_ns * silent_ns),
+        return None
+    return _Silences(
+        first_ns=int(all_times_ns[np.argmax(silent)]),
+        number=int(np.count_nonzero(silent)),
+        silent_ns=float(steps_ns[silent].sum()),
+        logged_ns=float(steps_ns[~silent].sum()),
     )
-    ledger.add(cut_out)
-
-
-def _median_interval_ns(time_ns: TimeArray) -> float:
-    """The median time between the messages of a topic [ns]; infinite for few."""
-    if time_ns.size <= STRAY_ROWS:
-        return float("inf")
-    return float(np.median(np.diff(time_ns)))
 
 
 def _clock(
-    rows_of_topic: TopicRows, sources: Mapping[UlogTopic, Source], ledger: Ledger
-) -> tuple[int, str]:
-    """UTC minus time since boot [ns], and in words where it comes from; 0 where it is unknown."""
-    clock = fit_clock(
+    log: ULogMessages,
+    sources: Mapping[UlogTopic, Source],
+    ledger: Ledger,
+    witnesses: Sequence[Witness],
+) -> BootClock:
+    """The clock of a log: UTC by its receivers; without a fix by what else states UTC.
+
+    That is the UTC of camera captures, and that of the boot, which the logger writes when the
+    vehicle's clock has been set: by a receiver, a companion computer or a ground station.
+    """
+    unchecked = _utc_readings(log.rows, sources, "events", CAPTURE_UTC_FIELD)
+    unchecked = [
+        replace(source, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY) for source in unchecked
+    ]
+    if not any(source.usable.any() for source in unchecked):
+        unchecked += _utc_of_boot_time(log)
+    of_boot = [
+        Witness(source.source, int(source.utc_ns[0]), is_weak=True)
+        for source in _utc_of_boot_time(log)
+    ]
+    return fit_clock(
         _ONE_BOOT,
-        _utc_readings(rows_of_topic, sources, "position", UTC_FIELD),
+        _utc_readings(log.rows, sources, "position", UTC_FIELD),
         ledger,
-        cameras=_utc_readings(rows_of_topic, sources, "events", CAPTURE_UTC_FIELD),
+        cameras=unchecked,
         utc_of="GPS row with a fix and UTC",
+        witnesses=[*witnesses, *of_boot],
     )
+
+
+def _utc_of_boot_time(log: ULogMessages) -> list[UtcReadings]:
+    """UTC of the boot as the logger wrote it (``boot_time_utc_us``); none where it did not."""
+    utc_us = log.numbers.get(BOOT_UTC, 0.0)
+    if utc_us <= FIRST_SET_US:
+        return []
+    one_row = np.zeros(1, np.int64)
+    return [
+        UtcReadings(
+            source=f"values of {BOOT_UTC}",
+            one=f"value of {BOOT_UTC}",
+            places=one_row,
+            boot_ns=one_row,
+            utc_ns=np.array([round(utc_us) * 1000], np.int64),
+            usable=np.ones(1, np.bool_),
+            sigma_s=UNCHECKED_SIGMA_S,
+            why=UNCHECKED_WHY,
+        )
+    ]
+
+
+def _time_base(clock: BootClock) -> str:
+    """Where the UTC of a log comes from, in words."""
     fit = clock.fits[0]
     if fit is None:
-        return 0, "vehicle clock; UTC is unknown"
-    return fit.offset_ns, f"vehicle clock, set to UTC by the median of {fit.rows} rows"
+        return "vehicle clock; UTC is unknown"
+    return f"vehicle clock, set to UTC by the median of {fit.rows} rows"
 
 
 def _utc_readings(
@@ -231,7 +323,7 @@ def _utc_readings(
                 places=np.arange(len(rows)),
                 boot_ns=boot_ns,
                 utc_ns=utc_us * 1000,
-                usable=(utc_us > UNIX_US_FROM) & ~stray_times(boot_ns),
+                usable=(utc_us > FIRST_SET_US) & ~stray_times(boot_ns),
                 fix=fix,
             )
         )

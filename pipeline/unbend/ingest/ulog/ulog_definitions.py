@@ -43,9 +43,9 @@ def _size(fields: list[FlatField]) -> int:
 def flat_fields(
     name: str, formats: dict[str, list[Field]], depth: int = 0
 ) -> list[FlatField] | None:
-    """Names and types of the elements of a format, with nested formats and padding.
+    """Names and types of all numbers of a format, also of formats nested in it, and of padding.
 
-    None where a part of it is not defined, or it is longer than a message can be.
+    None if a part of the format is not defined, or if it is longer than a message can be.
 
     >>> flat_fields("a", {"a": [Field("b", 2, "x")], "b": [Field("float", 0, "y")]})
     [FlatField(path='x[0].y', dtype='<f4'), FlatField(path='x[1].y', dtype='<f4')]
@@ -68,7 +68,7 @@ def flat_fields(
 
 
 def _elements(field: Field, inner: list[FlatField]) -> Iterator[FlatField]:
-    """The numbers of all elements of a field; ``inner``: of one of them."""
+    """The numbers of all elements of a field; ``inner`` are those of one element."""
     names = [field.name]
     if field.elements:
         names = [f"{field.name}[{k}]" for k in range(field.elements)]
@@ -78,14 +78,17 @@ def _elements(field: Field, inner: list[FlatField]) -> Iterator[FlatField]:
 
 
 class Definitions:
-    """The formats of a file, and the ``layouts`` of the topics with a timestamp."""
+    """The formats of a file, and the ``layouts`` of the topics with a timestamp.
+
+    `sizes_of` adds the layout of a topic.
+    """
 
     def __init__(self) -> None:
         self.formats: dict[str, list[Field]] = {}
         self.layouts: dict[str, np.dtype[Any]] = {}
 
     def add_format(self, content: bytes) -> bool:
-        """Take a format; False where it is damaged."""
+        """Add the format that a definition message holds; False if that is damaged."""
         name, colon, text = content.decode("ascii", "replace").partition(":")
         fields = []
         for part in text.split(";"):
@@ -104,15 +107,17 @@ class Definitions:
         return True
 
     def sizes_of(self, name: str) -> tuple[int, int] | None:
-        """The bytes of a topic's data without and with padding; None where it is not defined.
+        """The bytes of a topic's data without and with padding; None if it is not defined.
 
-        Padding at the end of a message is not always logged.
+        Padding at the end of a message is not always logged. If the topic has a timestamp, its
+        layout without that padding is added to ``layouts``.
         """
         fields = flat_fields(name, self.formats) or []
         with_padding = _size(fields)
         while fields and fields[-1].path.startswith(_PADDING):
             fields.pop()
-        if not fields or len({field.path for field in fields}) < len(fields):
+        has_repeated_paths = len({field.path for field in fields}) < len(fields)
+        if not fields or has_repeated_paths:
             return None
         layout = np.dtype([(field.path, field.dtype) for field in fields])
         if _TIMESTAMP in self.formats[name]:

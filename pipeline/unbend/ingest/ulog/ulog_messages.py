@@ -136,6 +136,7 @@ class ULogMessages(DamagedBytes):
         self.dropouts_ms: list[int] = []  # of the logger
         self.texts: list[Text] = []  # of the vehicle
         self.parameters: dict[str, float] = {}  # the last value of each
+        self.numbers: dict[str, float] = {}  # the last value of information that is a number
         self.definitions = Definitions()
         self.topics: dict[int, UlogTopic] = {}  # by number
         self.sizes: dict[int, tuple[int, int]] = {}  # of data: without and with padding
@@ -307,16 +308,21 @@ class ULogMessages(DamagedBytes):
             self.texts.append(Text(time_us, content[_TIME:].decode("utf-8", "replace")))
 
     def _take_value(self, kind: int, content: bytes) -> None:
-        """Check the value of a parameter or of information, and keep that of a parameter."""
+        """Check the value of a parameter or of information, and keep those that are numbers."""
         value = _keyed_value(content, kind)
         dtype = dtype_of_value(value.key)
         if value.key is None or dtype is None:
             return
         if len(value.raw) != dtype.itemsize:
             self.damaged_values += 1
-        elif kind == MessageKind.PARAMETER:
-            name = value.key["name"].decode()
-            self.parameters[name] = float(np.frombuffer(value.raw, dtype)[0])
+            return
+        name = value.key["name"].decode()
+        if kind == MessageKind.PARAMETER:
+            self.parameters[name] = _first_number(value.raw, dtype)
+        elif kind != MessageKind.INFORMATION:
+            return
+        elif dtype.kind in "iuf":
+            self.numbers[name] = _first_number(value.raw, dtype)
 
     def _resume(self, view: _View, place: int) -> int:
         """Where in the file messages go on after a place that begins none."""
@@ -372,6 +378,12 @@ class ULogMessages(DamagedBytes):
             if reaches_end and place == len(view.raw):
                 return True
         return True
+
+
+def _first_number(raw: bytes, dtype: np.dtype[Any]) -> float:
+    """The first number of a value."""
+    numbers = np.frombuffer(raw, dtype)
+    return float(numbers[0])
 
 
 def _has_key(content: bytes, kind: int, size: int) -> bool:

@@ -24,29 +24,30 @@ SPHERE_RADIUS = 10  # [m]
 CAMERA_HEIGHT = 11  # [m]
 RAY_ROWS = 12
 
-# Columns of a matrix of stations (s, STATION_COLUMNS).
+# Columns of a matrix of stations (s, STATION_COLUMNS): what sigmas need to know of each exposure.
 REFRACTIVITY = 0  # N outside
-RELATIVE_GRADIENT = 1  # N'/n there [1/m]
-TABLE_NODE = 2  # number of the camera height below it in the tables
-NODE_SHARE = 3  # share of the way to the next camera height
+RELATIVE_GRADIENT = 1  # (dN/dh) / n outside [1/m]
+TABLE_NODE = 2  # number of the node of `AirTables` below the camera, on their axis of cameras
+NODE_SHARE = 3  # share of the way from that node to the next
 HEIGHT_SHARE = 4  # share of the way from the lowest camera height to the highest
 TILT_VARIANCE = 5  # [rad2]
 YAW_EXCESS_VARIANCE = 6  # variance of yaw less that of tilt [rad2]
-YAW_AXIS_EAST = 7  # of the unit vector of the yaw axis
-YAW_AXIS_NORTH = 8
+YAW_AXIS_EAST = 7  # of the unit vector of the yaw axis: its part to the east,
+YAW_AXIS_NORTH = 8  # and to the north
 SIGMA_HEIGHT = 9  # [m]
 WINDOW_KIND = 10  # number of its kind of window in the tables, -1 without a plane window
-WINDOW_GRADIENT = 11  # N'/n less the cabin's share that follows it [1/m]
+WINDOW_GRADIENT = 11  # `RELATIVE_GRADIENT` less dN/dh of a cabin that follows the outside [1/m]
 WINDOW_NORMAL = 12  # three: the normal of the window in the camera frame
-CABIN_SIGMAS = 15  # two: what the sigmas of pressure and temperature in the cabin do to N there
-LENS_SIGMAS = 17  # two: and what they do to the principal distance [px]
+CABIN_SIGMAS = 15  # two: change of N in the cabin by one sigma of its pressure, of its temperature
+LENS_SIGMAS = 17  # two: change of the principal distance [px] by the same
 STATION_COLUMNS = 19
 
 LEFT = 255
 """Status of a ray that one kernel leaves to another."""
 
 WORTH_A_TABLE = 24
-"""Rays from one height for which a table of moments is made: it costs as many integrals."""
+"""From so many rays from one height on a table of moments is made: it takes as long as to bend this
+many rays one by one."""
 
 
 class IndexTable(NamedTuple):
@@ -59,15 +60,16 @@ class IndexTable(NamedTuple):
 class FineTable(NamedTuple):
     """N as a polynomial of degree 5 in each of k intervals of at most 62.5 m.
 
-    It differs from that of `RayTable` by 1e-15 of n - 1. Moments of the air are kept for intervals.
+    It differs by 1e-15 of N from that of `IndexTable`. `kernels.moments` keeps moments of the air
+    for these intervals.
     """
 
     edge: Array  # (k + 1,) heights [m]
     coefficient: Array  # (k, 6) by the share of the interval that lies below, lowest power first
-    hint: Rows  # number of the interval at every `HINT_M` above the bottom
+    hint: Rows  # number of the interval at every `HINT_M` above the bottom: a search begins there
 
 
-HINT_M = 125.0
+HINT_M = 125.0  # about two intervals
 
 
 class RayColumns(NamedTuple):
@@ -154,12 +156,12 @@ class TracedColumns(NamedTuple):
     """Rays of observations that were followed to the ground."""
 
     rays: Array  # (RAY_ROWS, n)
-    r_c: Array  # refraction angle [rad]
+    angle: Array  # refraction angle R_c [rad]
     status: NDArray[np.uint8]
 
 
 class Shifts(NamedTuple):
-    """What the correction changes."""
+    """How far the correction moves observations."""
 
     dx: Array  # in the image [px]
     dy: Array
@@ -169,16 +171,16 @@ class Shifts(NamedTuple):
 class AirTables(NamedTuple):
     """Tables of what the air does to rays, for c heights of cameras and w ways to the target.
 
-    A way is the height of the camera above the target. Ways are even in their root; the factors are
-    at f even heights from the lowest camera to the highest, at j coarser ways and at k values of
-    the incidence 1 / sqrt(cos z_g), z_g the nadir angle of the ray at the ground. There are v kinds
-    of windows, and x and y are those of `uncertainty.sigmas`. The sigmas and the mode are NaN
-    throughout without a covariance.
+    A way is the height of the camera above the target. The roots of ways are evenly spaced. The
+    factors are given at f evenly spaced heights from the lowest camera to the highest, at j coarser
+    ways and at k values of the incidence 1 / sqrt(cos z_g), z_g the nadir angle of the ray at the
+    ground. There are v kinds of windows. x and y are those of `uncertainty.sigmas`, and no
+    coordinates of pixels. Without a covariance all sigmas and the mode are NaN.
     """
 
     way_first: float  # root of the first way [m^0.5]
     way_step: float  # between roots of ways [m^0.5]
-    coarse_step: float  # between roots of the coarser ways [m^0.5], which begin likewise
+    coarse_step: float  # between roots of the coarser ways [m^0.5], which begin with ``way_first``
     incidence_step: float  # between values of the incidence, which begin at 1
     sigma: Array  # (c, w) sigma_R / (tan(zeta) way) in the plane [rad/m]
     angle: Array  # (c, w) R / (tan(zeta) way) in the plane [rad/m]
@@ -189,14 +191,14 @@ class AirTables(NamedTuple):
     spacing_m: float  # between heights of ``refractivity`` [m]
     refractivity: Array  # (n,) N by height
     mode: Array  # (c, w) what one sigma of the leading mode changes in R / (tan(zeta) way)
-    mode_lean: Array  # (v, c) the same in y
-    mode_sigma: float  # that sigma, in the units of the parameter s
+    mode_lean: Array  # (v, c) what it changes in y
+    mode_sigma: float  # one sigma of the leading mode, in the units of its parameter s
 
 
 # Last axis of `AirTables.factors`: what the sphere does to values of the plane.
 SIGMA_FACTOR = 0  # times sigma_R
 ANGLE_FACTOR = 1  # times dR/dzeta
-MODE_SUMMAND = 2  # added to ``mode``
+MODE_SUMMAND = 2  # added to ``mode`` of the tables
 
 
 TILE = 512
@@ -206,6 +208,7 @@ BLOCK = 16
 """Cells of a block of a tile in either direction."""
 
 CHART_DEGREE = 4
+"""Of the polynomials that give rows and columns of a terrain about a station."""
 
 # What becomes of a ray over a terrain.
 LANDED = 0
@@ -225,7 +228,7 @@ class TerrainGrid(NamedTuple):
     tiles: NDArray[np.float32]  # (s, TILE + 1, TILE + 1) nodes [m], NaN in holes
     block_low: NDArray[np.float32]  # (s, TILE / BLOCK, TILE / BLOCK) lowest node of a block [m]
     block_high: NDArray[np.float32]  # and highest
-    around: int  # columns of the grid that go round the earth, 0 where they do not
+    around: int  # columns once round the earth; 0 where the grid does not go round it
 
 
 class TerrainRays(NamedTuple):
@@ -247,12 +250,12 @@ class TerrainRays(NamedTuple):
 class TerrainState(NamedTuple):
     """How far rays (n,) were followed, and what was found."""
 
-    end: Array  # distance from the camera to which the ray is followed [m]
-    t: Array  # to which it was followed so far [m]
-    side: NDArray[np.int8]  # of the terrain at ``t``: 1 above, -1 under, 0 unknown
-    gap: Mask  # whether the terrain at ``t`` is unknown
+    end: Array  # distance from the camera to which the ray is to be followed [m]
+    t: Array  # distance to which it was followed so far [m]
+    side: NDArray[np.int8]  # where terrain was last known: 1 above it, -1 under it, 0 never known
+    gap: Mask  # whether the terrain is unknown since then
     distance: Array  # to the first crossing [m], NaN without a crossing
     height: Array  # of the first crossing [m], NaN without a crossing
     factor: Array  # d(height of the crossing) / d(height of the terrain)
     wanted: Integers  # number of the tile that the ray waits for, -1 without
-    result: NDArray[np.uint8]  # what becomes of the ray, `LANDED` to `WAITS`
+    result: NDArray[np.uint8]  # what becomes of the ray, `LANDED` to `WAITS`; `WAITS` at first

@@ -1,4 +1,8 @@
-"""The distortion of lenses inside kernels: the functions of the model that the camera has."""
+"""The distortion of lenses inside kernels: the functions of the model that the camera has.
+
+Kernels call `distort` and `slopes`. The type of the parameters names the model: numba asks the
+functions with @overload what to compile for a type.
+"""
 
 from collections.abc import Callable
 from functools import cache
@@ -22,14 +26,14 @@ def slopes(u: Any, v: Any, parameters: Any) -> Any:
 
 @overload(distort)
 def _distort_of_model(u, v, parameters):  # type: ignore[no-untyped-def]
-    """What numba compiles for a type of parameters."""
+    """What numba compiles in the place of `distort` for a type of parameters."""
     of_model = _compiled(model_of(parameters.instance_class).distort)
     return lambda u, v, parameters: of_model(u, v, parameters)
 
 
 @overload(slopes)
 def _slopes_of_model(u, v, parameters):  # type: ignore[no-untyped-def]
-    """What numba compiles for a type of parameters."""
+    """What numba compiles in the place of `slopes` for a type of parameters."""
     of_model = _compiled(model_of(parameters.instance_class).slopes)
     return lambda u, v, parameters: of_model(u, v, parameters)
 

@@ -6,9 +6,12 @@ heights a ray subtends
     theta = integral of k dh / (r sqrt(n^2 r^2 - k^2))   (Eq. 12)
           = integral of k dh / (r sqrt(E (E + 2 k))),   E = n r - k.
 
-E, the excess [m], is zero where the ray is level: at P_90, its lowest point, of height h_90.
-Computed as r (N - N_c) + n_c (h - h_c) + lift, with lift = n_c r_c (1 - sin zeta_c), it loses no
-digits. The substitution h = h_90 + s^2 takes the singularity at h_90 out of the integrand.
+E, the excess [m], is zero where the ray is level: at P_90, its lowest point, of height h_90. Where
+E would be negative the ray does not come: it turns before. Computed as
+r (N - N_c) + n_c (h - h_c) + lift, with lift = n_c r_c (1 - sin zeta_c), E loses no digits. The
+substitution h = h_90 + s^2 takes the singularity at h_90 out of the integrand.
+
+A ray is symmetric about P_90: on its way up it passes each height as it did on its way down.
 """
 
 import math
@@ -20,25 +23,28 @@ from unbend.refraction.kernels.jit import entry, jit
 from unbend.refraction.status_codes import BEYOND_GRAZING, FAR_BRANCH, MISSES_GROUND, OK
 from unbend.units import Array
 
-# Within this depth of its lowest point [m] a ray follows closed form to 1e-9 arcsec, while n - n_c
-# has lost its digits.
+# Within this height above its lowest point [m] a ray follows the closed form for air in which n r
+# grows evenly, to 1e-9 arcsec; the integral does not: n - n_c has lost its digits.
 _LEVEL_M = 1e-4
 
-# Where n r grows less than this with height the ray bends nearly as the earth does, and may be
-# level at the upper end of a layer, or within it: such layers are integrated in halving panels.
+# Where d(n r)/dh is less than this the ray bends nearly as much as the earth, or more, and may be
+# level at the upper end of a layer, or within it. In common air it is about 0.8.
 _COMMON_SLOPE = 0.2
-_HALVINGS = 44  # of a layer, down to 1e-12 m
+_HALVINGS = 44  # of the panels of such a layer: the narrowest is 6e-14 of it
 
 LOWEST_TERRAIN_M = -500.0
 """No dry land lies lower. A ray whose lowest point is deeper meets the ground before it."""
 
-_HALVINGS_OF_HEIGHT = 80  # of the search for the height of the lowest point
-_HALVINGS_OF_LAYER = 60  # of the search for the smallest n r in a layer
+_HALVINGS_OF_HEIGHT = 80  # at most, in the search for the height of the lowest point
+_HALVINGS_OF_LAYER = 60  # in the search for the smallest n r in a layer
 _DEPTH_STEPS = 5  # of the iteration for the depth of the level point below a layer
 _DEGREE = 7  # of the polynomials of the table
 
-_LEVEL_COSINE = 1e-9  # at the camera's own height: the far crossing of a level ray is the near one
-_DEPTH_TO_SPARE_M = 100.0
+# Up to this cosine of its nadir angle a ray leaves the camera level: its two crossings of the
+# camera's own height are one.
+_LEVEL_COSINE = 1e-9
+
+_DEPTH_TO_SPARE_M = 100.0  # below the lowest land, in the test by the straight line's lowest point
 
 UPWARDS = 1.0
 DOWNWARDS = -1.0
@@ -60,7 +66,7 @@ class Ray(NamedTuple):
     sin_c: float  # of the apparent nadir angle zeta_c
     cos_c: float
     r_e: float  # radius of the sphere [m]
-    n_c: float  # N at the camera
+    big_n_c: float  # N_c, the refractivity at the camera
     lift: float  # n_c r_c (1 - sin zeta_c) [m], the excess at the camera
     k: float  # n_c r_c sin zeta_c [m]
 
@@ -75,7 +81,7 @@ class _Origin(NamedTuple):
 
 
 @jit
-def piece(edge, h):  # type: ignore[no-untyped-def]
+def piece_at(edge, h):  # type: ignore[no-untyped-def]
     """Number of the piece of the table that holds height h, by bisection in ``edge``."""
     low = 0
     high = edge.size - 1
@@ -105,17 +111,17 @@ def ray_at(table, h_c, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
 
     Its lift is n_c r_c cos^2 zeta_c / (1 + sin zeta_c), which loses no digits for level rays.
     """
-    n_c = refractivity(table, piece(table.edge, h_c), h_c)
-    lift = (1.0 + n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
-    k = (1.0 + n_c) * (r_e + h_c) - lift
-    return Ray(h_c=h_c, sin_c=sin_c, cos_c=cos_c, r_e=r_e, n_c=n_c, lift=lift, k=k)
+    big_n_c = refractivity(table, piece_at(table.edge, h_c), h_c)
+    lift = (1.0 + big_n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
+    k = (1.0 + big_n_c) * (r_e + h_c) - lift
+    return Ray(h_c=h_c, sin_c=sin_c, cos_c=cos_c, r_e=r_e, big_n_c=big_n_c, lift=lift, k=k)
 
 
 @jit
 def excess(table, ray, i, h):  # type: ignore[no-untyped-def]
     """n r - k [m] at height h in piece i, without cancellation."""
     n = refractivity(table, i, h)
-    return (ray.r_e + h) * (n - ray.n_c) + (1.0 + ray.n_c) * (h - ray.h_c) + ray.lift
+    return (ray.r_e + h) * (n - ray.big_n_c) + (1.0 + ray.big_n_c) * (h - ray.h_c) + ray.lift
 
 
 @jit
@@ -124,32 +130,42 @@ def _slope(table, i, h, r_e):  # type: ignore[no-untyped-def]
     edge, coefficient = table
     width = edge[i + 1] - edge[i]
     u = (h - edge[i]) / width
-    gradient = 7.0 * coefficient[i, _DEGREE]
+    gradient = _DEGREE * coefficient[i, _DEGREE]  # dN/du
     for j in range(_DEGREE - 1, 0, -1):
         gradient = gradient * u + j * coefficient[i, j]
     return 1.0 + refractivity(table, i, h) + (r_e + h) * (gradient / width)
 
 
 @jit
-def turning_height(table, ray):  # type: ignore[no-untyped-def]
-    """h_90 [m] at or below the camera, where n r = k (Gyer 1996, Eq. 16), by bisection.
+def _level_between(table, ray, i, low, high):  # type: ignore[no-untyped-def]
+    """Height [m] between two heights in piece i where n r = k, by bisection.
 
-    NaN where the ray is not level before it leaves the profile.
+    The excess is above zero at ``high``, and zero or below at ``low``.
     """
-    i = piece(table.edge, ray.h_c)
+    for _ in range(_HALVINGS_OF_HEIGHT):
+        middle = 0.5 * (low + high)
+        if middle <= low or middle >= high:  # no number lies between them
+            break
+        if excess(table, ray, i, middle) > 0.0:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@jit
+def turning_height(table, ray):  # type: ignore[no-untyped-def]
+    """h_90 [m] at or below the camera, where n r = k (Gyer 1996, Eq. 16).
+
+    The pieces of the table are looked at from the camera down. NaN where the ray is not level
+    before it leaves the profile.
+    """
+    i = piece_at(table.edge, ray.h_c)
     high = ray.h_c
     while i >= 0:
         low = table.edge[i]
         if excess(table, ray, i, low) <= 0.0:
-            for _ in range(_HALVINGS_OF_HEIGHT):
-                middle = 0.5 * (low + high)
-                if middle <= low or middle >= high:
-                    break
-                if excess(table, ray, i, middle) > 0.0:
-                    high = middle
-                else:
-                    low = middle
-            return high
+            return _level_between(table, ray, i, low, high)
         high = low
         i -= 1
     return math.nan
@@ -157,32 +173,37 @@ def turning_height(table, ray):  # type: ignore[no-untyped-def]
 
 @jit
 def _excess_near(table, ray, origin, y):  # type: ignore[no-untyped-def]
-    """n r - k [m] at the height of an `_Origin` + y [m], where y may be as small as it likes.
+    """n r - k [m] at the height of an `_Origin` + y [m], without cancellation however small y is.
 
-    The change of N over y is y times the divided difference of the polynomial, by Horner's scheme
-    beside that of its value.
+    With N_0 and u_0 the origin's N and share of the piece, n r - k grows over y by
+
+        (1 + N_0) y + r (N - N_0),   N - N_0 = (y / width) (N - N_0) / (u - u_0),
+
+    and Horner's scheme gives the quotient (N - N_0) / (u - u_0) of the polynomial without a
+    difference, beside its value N_0.
     """
     edge, coefficient = table
     i = origin.piece
     width = edge[i + 1] - edge[i]
     u_0 = (origin.height - edge[i]) / width
     u = u_0 + y / width
-    value = coefficient[i, _DEGREE]
+    n_0 = coefficient[i, _DEGREE]
     quotient = coefficient[i, _DEGREE]
     for j in range(_DEGREE - 1, 0, -1):
-        value = value * u_0 + coefficient[i, j]
-        quotient = quotient * u + value
-    value = value * u_0 + coefficient[i, 0]
+        n_0 = n_0 * u_0 + coefficient[i, j]
+        quotient = quotient * u + n_0
+    n_0 = n_0 * u_0 + coefficient[i, 0]
     r = ray.r_e + origin.height + y
-    return origin.excess + (1.0 + value) * y + r * (y / width) * quotient
+    return origin.excess + (1.0 + n_0) * y + r * (y / width) * quotient
 
 
 @jit
 def _subtended_in_panel(table, ray, origin, ends, depth):  # type: ignore[no-untyped-def]
     """Angle that the ray subtends between two distances ``ends`` [m] from an `_Origin`.
 
-    Eight nodes of Gauss and Legendre in s, with s^2 = distance + ``depth`` [m]: ``depth`` is how
-    far before the origin the ray is level, or zero. NaN where the ray turns between the ends.
+    Eight nodes of Gauss and Legendre in s, with s^2 = distance + ``depth`` [m]. ``depth`` is how
+    far behind the origin, seen from the ends, the ray is level, or zero. NaN where the ray turns
+    between the ends.
     """
     s_0 = math.sqrt(ends[0] + depth)
     s_1 = math.sqrt(ends[1] + depth)
@@ -195,16 +216,17 @@ def _subtended_in_panel(table, ray, origin, ends, depth):  # type: ignore[no-unt
             return math.nan
         r = ray.r_e + origin.height + y
         root = math.sqrt(excess_at_node * (excess_at_node + 2.0 * ray.k))
-        total += _W8[j] * 2.0 * s * ray.k / (r * root)
+        total += _W8[j] * 2.0 * s * ray.k / (r * root)  # dh is 2 s ds
     return total * (s_1 - s_0)
 
 
 @jit
 def _subtended_from(table, ray, origin, width):  # type: ignore[no-untyped-def]
-    """Angle that the ray subtends over ``width`` [m] from an `_Origin`, in 45 panels.
+    """Angle that the ray subtends over ``width`` [m] from an `_Origin`, in panels.
 
-    Each panel is half as wide as the next one, and the narrowest is at the origin. For air in which
-    n r hardly grows, or falls, away from its smallest value in the layer, which is at the origin.
+    Beginning at the far end, each panel takes half of what is left, and one the last rest. The
+    narrow panels at the origin take the steep integrand near a height where the ray is, or nearly
+    is, level.
     """
     total = 0.0
     far = width
@@ -217,7 +239,10 @@ def _subtended_from(table, ray, origin, width):  # type: ignore[no-untyped-def]
 
 @jit
 def _smallest_between(table, i, h_0, h_1, r_e):  # type: ignore[no-untyped-def]
-    """Height [m] between two heights in piece i where n r falls no more, by bisection."""
+    """Height [m] between two heights in piece i where n r is smallest, by bisection.
+
+    n r falls with height at ``h_0`` and grows at ``h_1``.
+    """
     falling = h_0
     growing = h_1
     for _ in range(_HALVINGS_OF_LAYER):
@@ -233,8 +258,8 @@ def _smallest_between(table, i, h_0, h_1, r_e):  # type: ignore[no-untyped-def]
 def _subtended_in_flat_layer(table, ray, i, ends, excess_0):  # type: ignore[no-untyped-def]
     """Angle subtended between two heights ``ends`` [m] of piece i where n r hardly grows, or falls.
 
-    ``excess_0`` is n r - k [m] at the lower end. The ray may be level at either end, and where n r
-    is smallest in between: panels are narrow there.
+    ``excess_0`` is n r - k [m] at the lower end. The layer is cut in two, so that the narrow panels
+    lie where the ray may be level: at the smallest n r between the ends, or else at both ends.
     """
     h_0, h_1 = ends
     excess_1 = ray.lift if h_1 == ray.h_c else excess(table, ray, i, h_1)
@@ -263,8 +288,9 @@ def _depth_of_level(table, ray, origin, slope):  # type: ignore[no-untyped-def]
     if not origin.excess > 0.0:
         return 0.0
     edge = table.edge
-    depth = origin.excess / slope
-    # Farther down the integrand is smooth whatever the substitution; nearer, digits end.
+    depth = origin.excess / slope  # if n r went on with this slope
+    # That is good enough where it is deep, because the integrand is smooth whatever is substituted,
+    # and where it is tiny, because the excess has no more digits.
     if _LEVEL_M < depth < 0.5 * (edge[origin.piece + 1] - edge[origin.piece]):
         for _ in range(_DEPTH_STEPS):
             depth += _excess_near(table, ray, origin, -depth) / slope
@@ -272,17 +298,33 @@ def _depth_of_level(table, ray, origin, slope):  # type: ignore[no-untyped-def]
 
 
 @jit
+def _subtended_in_layer(table, ray, i, ends, excess_0):  # type: ignore[no-untyped-def]
+    """Angle subtended between two heights ``ends`` [m] of piece i.
+
+    ``excess_0`` is n r - k [m] at the lower end. With h = h_90 + s^2, where h_90 is the height at
+    which the ray would be level if the piece of the table went on.
+    """
+    h_0, h_1 = ends
+    slope = _slope(table, i, h_0, ray.r_e)
+    rises_as_in_common_air = min(slope, _slope(table, i, h_1, ray.r_e)) > _COMMON_SLOPE
+    if not rises_as_in_common_air:
+        return _subtended_in_flat_layer(table, ray, i, ends, excess_0)
+    origin = _Origin(i, h_0, excess_0, UPWARDS)
+    depth = _depth_of_level(table, ray, origin, slope)
+    return _subtended_in_panel(table, ray, origin, (0.0, h_1 - h_0), depth)
+
+
+@jit
 def subtended(table, ray, low, high, is_level_at_low):  # type: ignore[no-untyped-def]
     """Angle theta [rad] that the ray subtends between two heights (Gyer 1996, Eq. 12).
 
-    With h = h_90 + s^2, where h_90 is the height at which the ray would be level by each piece of
-    the table. ``is_level_at_low`` states that the ray is level at ``low``: computed with a rounding
-    error of 1e-13 m, that height would change theta by 3e-5 arcsec. NaN where the ray turns in
-    between.
+    ``is_level_at_low`` states that the ray is level at ``low``, so that the excess there is zero:
+    computed from ``low``, whose rounding error is 1e-13 m, it would change theta by 3e-5 arcsec.
+    NaN where the ray turns in between.
     """
     edge = table.edge
     total = 0.0
-    for i in range(piece(edge, low), piece(edge, high) + 1):
+    for i in range(piece_at(edge, low), piece_at(edge, high) + 1):
         h_0 = max(low, edge[i])
         h_1 = min(high, edge[i + 1])
         if h_1 <= h_0:
@@ -293,14 +335,7 @@ def subtended(table, ray, low, high, is_level_at_low):  # type: ignore[no-untype
             excess_0 = ray.lift  # the same without a rounding error
         else:
             excess_0 = excess(table, ray, i, h_0)
-        slope = _slope(table, i, h_0, ray.r_e)
-        rises_as_in_common_air = min(slope, _slope(table, i, h_1, ray.r_e)) > _COMMON_SLOPE
-        if rises_as_in_common_air:
-            origin = _Origin(i, h_0, excess_0, UPWARDS)
-            depth = _depth_of_level(table, ray, origin, slope)
-            total += _subtended_in_panel(table, ray, origin, (0.0, h_1 - h_0), depth)
-        else:
-            total += _subtended_in_flat_layer(table, ray, i, (h_0, h_1), excess_0)
+        total += _subtended_in_layer(table, ray, i, (h_0, h_1), excess_0)
     return total
 
 
@@ -310,12 +345,14 @@ def subtended_to_rise(table, ray):  # type: ignore[no-untyped-def]
 
     Twice the angle down to P_90 (Gyer 1996, Eq. 15). NaN where P_90 is below all land.
     """
-    i = piece(table.edge, ray.h_c)
+    # The ray goes down: at an edge of the table the piece below counts.
+    i = piece_at(table.edge, ray.h_c)
     if i > 0 and ray.h_c <= table.edge[i]:
         i -= 1
     slope = _slope(table, i, ray.h_c, ray.r_e)
+    # lift / slope is the depth of P_90: so near to it n r grows evenly, and Eq. 12 has closed form.
     if slope > 0.0 and ray.lift < _LEVEL_M * slope:
-        return 2.0 * (1.0 + ray.n_c) * ray.sin_c * ray.cos_c / slope
+        return 2.0 * (1.0 + ray.big_n_c) * ray.sin_c * ray.cos_c / slope
     h_90 = turning_height(table, ray)
     if not h_90 >= LOWEST_TERRAIN_M:
         return math.nan
@@ -339,17 +376,19 @@ def angle_to(ray, theta, h_g):  # type: ignore[no-untyped-def]
 
     Eq. 11's r_c / r_g - cos(theta) is (h_c - h_g) / r_g + 2 sin^2(theta / 2), without cancellation.
     """
+    # The target from the camera, level and down, in units of r_g.
     across = math.sin(theta)
     sin_half = math.sin(0.5 * theta)
     down = (ray.h_c - h_g) / (ray.r_e + h_g) + 2.0 * (sin_half * sin_half)
+    # The same across the apparent direction, towards the nadir, and along it.
     aside = ray.sin_c * down - ray.cos_c * across
     ahead = ray.cos_c * down + ray.sin_c * across
     return math.atan2(aside, ahead)
 
 
 @jit
-def _lowest_target(table, h_g):  # type: ignore[no-untyped-def]
-    """The lowest height [m] that a ray to the target may have to pass within the profile."""
+def _lowest_ground(table, h_g):  # type: ignore[no-untyped-def]
+    """Height [m] of the lowest land, or of a target below it, but not below the profile."""
     return max(table.edge[0], min(LOWEST_TERRAIN_M, h_g))
 
 
@@ -357,14 +396,19 @@ def _lowest_target(table, h_g):  # type: ignore[no-untyped-def]
 def crosses_once(table, ray, h_g):  # type: ignore[no-untyped-def]
     """Whether it is clear that a ray meets the height h_g once only.
 
-    A ray that turns above the ground meets heights below h_c twice. The lowest point of the
-    straight line lies deeper than that of the ray, by less than a fifth in any air in which n falls
-    with height: a line that goes far below all land needs no further test.
+    A ray that goes down meets a height below the camera twice, going down and rising again, if it
+    turns above the lowest ground. The straight line in its direction is level
+    r_c (1 - sin zeta_c) = r_c cos^2 zeta_c / (1 + sin zeta_c) below the camera, and the ray deeper:
+    that depth over the mean of d(n r)/dh on the way, 0.8 in common air. So a line whose lowest
+    point is twice as deep as the lowest ground needs no further test: for the ray to turn above
+    it, n would have to grow with height by 157e-6 a kilometre all the way.
     """
     h_c = ray.h_c
-    if not (h_g < h_c or (h_g == h_c and ray.cos_c > _LEVEL_COSINE)):
+    # The camera's own height is met a second time by every ray that goes down.
+    may_cross_twice = h_g < h_c or (h_g == h_c and ray.cos_c > _LEVEL_COSINE)
+    if not may_cross_twice:
         return True
-    depth = h_c - _lowest_target(table, h_g) + _DEPTH_TO_SPARE_M
+    depth = h_c - _lowest_ground(table, h_g) + _DEPTH_TO_SPARE_M
     return (ray.r_e + h_c) * ray.cos_c * ray.cos_c > 2.0 * (1.0 + ray.sin_c) * depth
 
 
@@ -372,17 +416,21 @@ def crosses_once(table, ray, h_g):  # type: ignore[no-untyped-def]
 def _crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untyped-def]
     """R_c [rad] and status of a ray to h_g; ``angle`` is R_c at the near crossing of that height.
 
-    A ray that turns above the ground meets the height twice. The crossing is meant whose slant
-    range is nearer to ``distance`` [m]; where that is NaN the near one, status `BEYOND_GRAZING`.
+    A ray whose lowest point lies below h_g but above the lowest ground meets h_g twice, going down
+    and rising again. The crossing is meant whose slant range is nearer to ``distance`` [m]; where
+    that is NaN the near one, status `BEYOND_GRAZING`.
     """
     if crosses_once(table, ray, h_g):
         return angle, OK
-    lowest = _lowest_target(table, h_g)
-    turns_above_land = excess(table, ray, piece(table.edge, lowest), lowest) < 0.0
-    if not turns_above_land:
+    # Where the excess is negative the ray does not come: it turns before it is so low.
+    h_lowest = _lowest_ground(table, h_g)
+    turns_above_ground = excess(table, ray, piece_at(table.edge, h_lowest), h_lowest) < 0.0
+    if not turns_above_ground:
         return angle, OK
     if not distance > 0.0:
         return angle, BEYOND_GRAZING
+    # From the far crossing up to the camera's height the ray subtends what it did on its way down
+    # to the near one: it is symmetric about P_90.
     near_theta = subtended(table, ray, h_g, ray.h_c, is_level_at_low=False)
     far_theta = subtended_to_rise(table, ray) - near_theta
     near = math.sqrt(chord2(ray, near_theta, h_g))
@@ -405,8 +453,8 @@ def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
     else:
         low = min(h_c, h_g)
         high = max(h_c, h_g)
-        if not excess(table, ray, piece(table.edge, low), low) >= 0.0:
-            return math.nan
+        if not excess(table, ray, piece_at(table.edge, low), low) >= 0.0:
+            return math.nan  # it turns before it is so low
         theta = subtended(table, ray, low, high, is_level_at_low=False)
     return angle_to(ray, theta, h_g)
 
@@ -415,7 +463,8 @@ def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
 def bend_grazing_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` for the `RayColumns` that `bend_rays` has left.
 
-    ``which`` numbers them. An ``angle`` that is not NaN is R_c of the near crossing.
+    ``which`` numbers them. An ``angle`` that is not NaN is R_c of the near crossing, by the
+    difference form.
     """
     for i in which:
         h_g = rays.h_g[i]

@@ -4,8 +4,9 @@ Compiled in double precision, without fused or reordered operations, and without
 Python. Importing a module of kernels imports numba, which takes half a second of CPU: callers
 import theirs where they call them.
 
-numba compares what it kept with the file of the kernel alone, though functions of other files are
-compiled in. So the files lie in a folder that is named after all sources that may be.
+numba takes a kernel that it kept if the file of that kernel has not changed, though functions of
+other files are compiled into it. So what it keeps lies in a folder whose name is a hash of all
+sources that may be compiled into a kernel.
 """
 
 import os
@@ -21,7 +22,7 @@ from typing import Any
 
 import numba
 from filelock import FileLock, Timeout
-from numba.core import event
+from numba.core.event import Listener, register
 
 from unbend.caches import OF_COMPILED, compiled_code
 
@@ -40,8 +41,8 @@ COMPILING: list[str] = []
 _DECORATING = threading.Lock()
 
 
-class _NoteOfCompiling(event.Listener):  # type: ignore[misc]
-    """Keeps `COMPILING`; numba tells it when it compiles, but not when it loads what it kept."""
+class _NoteOfCompiling(Listener):  # type: ignore[misc]
+    """Keeps `COMPILING`: numba calls it when it compiles, but not when it loads what it kept."""
 
     def on_start(self, event: Any) -> None:
         COMPILING.append(event.data["dispatcher"].__name__)
@@ -50,7 +51,7 @@ class _NoteOfCompiling(event.Listener):  # type: ignore[misc]
         COMPILING.pop()
 
 
-event.register("numba:compile", _NoteOfCompiling())
+register("numba:compile", _NoteOfCompiling())
 
 
 def compiled_sources(room: str = ROOM) -> list[str]:
@@ -107,7 +108,10 @@ def _remove_unused(base: str, current: str) -> None:
 
 @contextmanager
 def _caching_in(folder: str) -> Iterator[None]:
-    """Let numba keep in a folder what is decorated meanwhile; the user's own functions not."""
+    """Let numba keep in a folder what is decorated inside this context.
+
+    Afterwards its setting is what it was: the user's own functions are kept where the user says.
+    """
     with _DECORATING:
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = folder
@@ -126,16 +130,20 @@ def jit(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def within(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function compiled as a part of the one that calls it; each level takes time."""
+    """A function that is compiled as a part of each function that calls it.
+
+    Loops in it are then optimized with what the caller knows. Each level of such functions makes
+    compiling slower.
+    """
     compiled: Callable[..., Any] = numba.njit(inline="always", **OPTIONS)(function)
     return compiled
 
 
 class _CompilesAlone:
-    """What compiles or loads a kernel in the place of its dispatcher's ``compile``, under a lock.
+    """Compiles or loads a kernel under a lock, in the place of its dispatcher's ``compile``.
 
-    numba numbers the files of a function as it finds them, so two processes that compile it for
-    two types of arguments at the same time may each be given the code of the other.
+    numba numbers the files of a function as it finds them. Without a lock two processes that
+    compile it at the same time, for two types of arguments, may each be given the other's code.
     """
 
     def __init__(
@@ -150,7 +158,7 @@ class _CompilesAlone:
         self._patience_s = COMPILED_WITHIN_S
 
     def __call__(self, types: object) -> object:
-        """The code for types of arguments; without the lock it is in memory alone."""
+        """The code for types of arguments; kept in memory alone where the lock is not to be had."""
         lock = FileLock(self._lock_file, timeout=self._patience_s)
         try:
             lock.acquire()
@@ -164,14 +172,14 @@ class _CompilesAlone:
 
 
 def entry(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that Python calls: compiled at its first call, unless it was kept."""
-    kernel: Any = numba.njit(**OPTIONS)(function)
+    """A function that Python calls: compiled at its first call, or loaded if it was kept."""
+    in_memory: Any = numba.njit(**OPTIONS)(function)
+    dispatcher: Callable[..., Any] = in_memory
     folder = cache_folder()
     if folder is not None:
-        in_memory = kernel
         with _caching_in(folder):
-            kernel = numba.njit(cache=True, **OPTIONS)(function)
+            kept: Any = numba.njit(cache=True, **OPTIONS)(function)
         lock_file = os.path.join(folder, f"{function.__name__}.lock")
-        kernel.compile = _CompilesAlone(kernel.compile, in_memory.compile, lock_file)
-    dispatcher: Callable[..., Any] = kernel
+        kept.compile = _CompilesAlone(kept.compile, in_memory.compile, lock_file)
+        dispatcher = kept
     return dispatcher

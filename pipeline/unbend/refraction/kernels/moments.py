@@ -1,8 +1,8 @@
 """R_c of many steep rays from one camera, by moments of the air that all of them share, compiled.
 
 The difference integral of `kernels.ray` is split at the upper end of the interval of `FineTable`
-that holds the target. Above that end the moments give the integral; below, in the rest of one
-interval, three nodes do.
+that holds the target. From that end up to the camera the moments give the integral. From the
+target up to that end, less than one interval, three nodes of Gauss and Legendre give it.
 
 With x = 1/r_c, y = h_c - h, u = y x (2 - y x) = 1 - (r/r_c)^2, w = 1/cos^2 zeta_c and
 m = n^2 - n_c^2, the difference form of `kernels.ray` expands, where w u and w m are small, into
@@ -10,9 +10,12 @@ m = n^2 - n_c^2, the difference form of `kernels.ray` expands, where w u and w m
     delta = x tan zeta_c  sum_p w^p  sum_k (w x)^k  M_pk
     M_pk = c_p b_pk / n_c^(2p)  integral_{h_g}^{h_c}  m^p (1 - y x)^(2p-1) y^k (2 - y x)^k  dh
 
-with c_p from 1/sqrt(1 + s) and b_pk = binomial(p - 1/2 + k, k). The angle does not enter the
-moments M_pk, and the radius hardly: they are kept with their derivative by x. One table of them,
-from the camera down, serves all rays of an exposure, however many layers they cross.
+for p from 1 and k from 0, with c_p the coefficient of s^p in 1 - 1/sqrt(1 + s), and
+b_pk = binomial(p - 1/2 + k, k). The angle does not enter the moments M_pk, and the radius hardly:
+they are kept with their derivative by x. One table of them, from the camera down, serves all rays
+of an exposure, however many layers they cross.
+
+In arrays by order the index q = p - 1 stands for the order p.
 """
 
 import math
@@ -28,41 +31,49 @@ from unbend.refraction.kernels.ray import Triangle, sides_of, small_angle
 from unbend.refraction.status_codes import OK
 from unbend.units import Array
 
-# As many rays from one height are taken together: their columns fit into a core's cache.
-_TOGETHER = 4096
+# At most so many rays from one height are taken together: their columns fit into a core's cache.
+_MOST_TOGETHER = 4096
 
-# A ray whose straight line would go this far down [m] before it is level passes no lowest point
-# above land, whatever the air: 500 m of depth, and more again for the bending.
+# Rays that may turn above land are left to `kernels.ray`. The test is that of `crosses_once`, with
+# land down to this depth below sea level [m]: 700 m more than there is.
 _DEEP_M = 1200.0
 
-_LARGEST_M = -1  # the last column of a row of moments: the largest |m| above
-
 # The series is left where its terms fall too slowly: w u and w m at the target.
-_LARGEST_DROP = 0.06
-_LARGEST_BEND = 5e-3
+_LARGEST_W_U = 0.06
+_LARGEST_W_M = 5e-3
 
 # The derivative by x is good for radii within this share of each other: over 30 km of height the
 # next term is then 1e-11 of the whole.
 _SAME_RADIUS = 0.01
 
-# How many moments of each order p the series needs for 1e-12 of itself, and up to which w u and
-# w m: three classes, most rays of a camera are in the first.
+# How many moments of each order the series needs for 1e-12 of itself: one row for each class of
+# rays, which ends at these values of w u and w m. Most rays of a camera are in the first.
 _COUNT = np.array([[6, 4, 3, 1, 0], [8, 6, 4, 3, 1], [12, 9, 7, 5, 4]])
-_DROP_OF_CLASS = np.array([0.005, 0.02, _LARGEST_DROP])
-_BEND_OF_CLASS = np.array([6e-4, 2e-3, _LARGEST_BEND])
-_CLASSES = _DROP_OF_CLASS.size
+_W_U_OF_CLASS = np.array([0.005, 0.02, _LARGEST_W_U])
+_W_M_OF_CLASS = np.array([6e-4, 2e-3, _LARGEST_W_M])
+_CLASSES = _W_U_OF_CLASS.size
 
 _ORDERS = _COUNT.shape[1]
-_LONGEST = _COUNT[-1]
-_START = np.concatenate([[0], np.cumsum(_LONGEST)])
-_FACTOR = np.zeros((_ORDERS, int(_LONGEST.max())))
-for _p in range(1, _ORDERS + 1):
-    _c = math.prod(-(0.5 + i) / (1.0 + i) for i in range(_p))
-    for _k in range(_FACTOR.shape[1]):
-        _FACTOR[_p - 1, _k] = -_c * math.prod((_p + 0.5 + i) / (1.0 + i) for i in range(_k))
+_LONGEST = _COUNT[-1]  # moments of each order in the last class, which has the most
+_START = np.concatenate([[0], np.cumsum(_LONGEST)])  # number of the first moment of each order
 
-# Columns of the table: the moments with their derivatives, and the largest |m| above.
-_MOMENTS = 2 * int(_START[-1]) + 1
+
+def _factors() -> Array:
+    """c_p b_pk of the module's equations, (orders, k)."""
+    factors = np.zeros((_ORDERS, int(_LONGEST.max())))
+    for p in range(1, _ORDERS + 1):
+        c_p = -math.prod(-(0.5 + i) / (1.0 + i) for i in range(p))
+        for k in range(factors.shape[1]):
+            factors[p - 1, k] = c_p * math.prod((p + 0.5 + i) / (1.0 + i) for i in range(k))
+    return factors
+
+
+_FACTOR = _factors()
+
+# Columns of the table of moments: each moment, followed by its derivative by x, and at last the
+# largest |m| from there up to the camera.
+_COLUMN_OF_M = 2 * int(_START[-1])
+_COLUMNS = _COLUMN_OF_M + 1
 
 _X3, _W3 = gauss_legendre(3)
 _FINE_DEGREE = 5  # of the polynomials of `FineTable`
@@ -74,22 +85,23 @@ _COS_C = 2
 _R_E = 3  # radius of the sphere [m]
 _W = 4  # w = 1/cos^2 zeta_c
 _X = 5  # x = 1/r_c [1/m]
-_BELOW = 6  # the difference integral from the target to the upper end of its interval; then delta/2
-_ABOVE = 7  # delta / (x tan zeta_c) from there to the camera
+_BELOW = 6  # the difference integral from the target to the upper end of its interval
+_ABOVE = 7  # delta / (x tan zeta_c) from the upper end of that interval to the camera
 _W_X = 8  # w x
-_X_CHANGE = 9  # x less that of the table
-_SUM_OF_ORDER = 10  # of the moments of one order p
-_ANGLE = 11  # R_c [rad]
-_ROWS = 12
+_X_CHANGE = 9  # x less that of the table of moments
+_SUM_OF_ORDER = 10  # of the terms of one order p, without w^p
+_HALF_DELTA = 11  # delta / 2 [rad]
+_ANGLE = 12  # R_c [rad]
+_ROWS = 13
 
 
 class _Camera(NamedTuple):
     """The camera of some rays, and the moments from there down."""
 
     h_c: float  # height [m]
-    n_c: float  # N there
+    big_n_c: float  # N_c, the refractivity at the camera
     x: float  # 1/r_c for which the moments are made [1/m]
-    moments: Array  # (k + 1, _MOMENTS) from each edge of the `FineTable` up to the camera
+    moments: Array  # (k + 1, _COLUMNS) from each edge of the `FineTable` up to the camera
 
 
 class _Group(NamedTuple):
@@ -107,7 +119,7 @@ class _Group(NamedTuple):
 class _Room(NamedTuple):
     """Arrays to work in, for one group of rays after the other."""
 
-    moments: Array  # (k + 1, _MOMENTS)
+    moments: Array  # (k + 1, _COLUMNS)
     steps_down: NDArray[np.int64]  # (n,) intervals between the camera's and that of a target
     order: NDArray[np.int64]  # (n,) numbers of rays in the order of their intervals
     rays: Array  # (_ROWS, n) the rays to one interval
@@ -126,44 +138,52 @@ def _refractivity_in(coefficient, i, u):  # type: ignore[no-untyped-def]
 def _fill_moments(air, camera, top, bottom):  # type: ignore[no-untyped-def]
     """Fill the moments M_pk and their derivatives by x, for intervals from ``top`` to ``bottom``.
 
-    ``camera`` is a `_Camera`: row i of its moments is filled with those from ``edge[i]`` of the
-    `FineTable` up to the camera, and with the largest |m| above. Row top + 1 must be zero.
+    ``camera`` is a `_Camera`, which lies in interval ``top``. Row i of its moments is filled with
+    those from ``edge[i]`` of the `FineTable` up to the camera, and with the largest |m| on the way.
+    Each row is the row above and what interval i adds; row top + 1 must be zero.
     """
     edge = air.edge
-    coefficient = air.coefficient
     h_c = camera.h_c
-    refractivity_c = camera.n_c
-    x = camera.x
-    index2 = (1.0 + refractivity_c) * (1.0 + refractivity_c)
     for i in range(top, bottom - 1, -1):
         moments = camera.moments[i]
-        for column in range(_MOMENTS):
+        for column in range(_COLUMNS):
             moments[column] = camera.moments[i + 1, column]
         low = edge[i]
         high = edge[i + 1] if edge[i + 1] < h_c else h_c
         share = (high - low) / (edge[i + 1] - low)
         for j in range(_X3.size):
-            refractivity = _refractivity_in(coefficient, i, share * _X3[j])
-            # n^2 - n_c^2, from refractivities n - 1, which keep their digits.
-            m = (refractivity - refractivity_c) * (2.0 + refractivity + refractivity_c)
-            if abs(m) > moments[_LARGEST_M]:
-                moments[_LARGEST_M] = abs(m)
+            refractivity = _refractivity_in(air.coefficient, i, share * _X3[j])
+            # m = n^2 - n_c^2, from refractivities, which keep their digits.
+            m = (refractivity - camera.big_n_c) * (2.0 + refractivity + camera.big_n_c)
+            if abs(m) > moments[_COLUMN_OF_M]:
+                moments[_COLUMN_OF_M] = abs(m)
             y = h_c - (low + (high - low) * _X3[j])
-            inside = 1.0 - y * x
-            along = y * (2.0 - y * x)
-            power = _W3[j] * (high - low) / inside
-            for p in range(_ORDERS):
-                power *= m / index2 * inside * inside
-                term = power
-                # d ln(M)/dx of (1 - y x)^(2p - 1), and of each factor (2 - y x); p counts from 0.
-                slope = -(2 * p + 1) * y / inside
-                step = -y / (2.0 - y * x)
-                for k in range(_LONGEST[p]):
-                    value = _FACTOR[p, k] * term
-                    column = 2 * (_START[p] + k)
-                    moments[column] += value
-                    moments[column + 1] += value * (slope + k * step)
-                    term *= along
+            _add_node(moments, camera, m, y, _W3[j] * (high - low))
+
+
+@jit
+def _add_node(moments, camera, m, y, weight):  # type: ignore[no-untyped-def]
+    """Add what one node of the integrals adds to a row of moments and their derivatives by x.
+
+    ``m`` and ``y`` are those of the module at the node, ``weight`` [m] is that of the node.
+    """
+    x = camera.x
+    index2 = (1.0 + camera.big_n_c) * (1.0 + camera.big_n_c)
+    inside = 1.0 - y * x
+    along = y * (2.0 - y * x)
+    power = weight / inside
+    for q in range(_ORDERS):
+        power *= m / index2 * inside * inside
+        # d ln(term)/dx: of (1 - y x)^(2p - 1), and of each of the k factors (2 - y x).
+        slope = -(2 * q + 1) * y / inside
+        slope_of_factor = -y / (2.0 - y * x)
+        term = power
+        for k in range(_LONGEST[q]):
+            value = _FACTOR[q, k] * term
+            column = 2 * (_START[q] + k)
+            moments[column] += value
+            moments[column + 1] += value * (slope + k * slope_of_factor)
+            term *= along
 
 
 @jit
@@ -171,7 +191,8 @@ def _fill_above(n, moments, length_class, x_table, rays):  # type: ignore[no-unt
     """Fill delta / (x tan zeta_c) of n rays between one height and the camera, by the series.
 
     ``moments`` are those of the height, made for 1/r_c = ``x_table``; ``length_class`` says how
-    many of them count. Term by term over all rays: the short loops run four rays at a time.
+    many of them count. Horner's scheme, in w over the orders and in w x within each, goes term by
+    term over all rays: the short loops run four rays at a time.
     """
     w = rays[_W]
     x = rays[_X]
@@ -184,11 +205,11 @@ def _fill_above(n, moments, length_class, x_table, rays):  # type: ignore[no-unt
     for i in range(n):
         x_change[i] = x[i] - x_table
         total[i] = 0.0
-    for p in range(_ORDERS - 1, -1, -1):
+    for q in range(_ORDERS - 1, -1, -1):
         for i in range(n):
             of_order[i] = 0.0
-        for k in range(_COUNT[length_class, p] - 1, -1, -1):
-            column = 2 * (_START[p] + k)
+        for k in range(_COUNT[length_class, q] - 1, -1, -1):
+            column = 2 * (_START[q] + k)
             value = moments[column]
             slope = moments[column + 1]
             for i in range(n):
@@ -199,10 +220,9 @@ def _fill_above(n, moments, length_class, x_table, rays):  # type: ignore[no-unt
 
 @jit
 def _interval(edge, hint, h):  # type: ignore[no-untyped-def]
-    """Number of the interval of `FineTable` that holds height h."""
+    """Number of the interval of `FineTable` that holds height h: a hint, and steps from there."""
     k = int((h - edge[0]) / HINT_M)
-    last = hint.size - 1
-    i = hint[k if k < last else last]
+    i = hint[min(k, hint.size - 1)]
     while i < edge.size - 2 and edge[i + 1] <= h:
         i += 1
     return i
@@ -212,8 +232,10 @@ def _interval(edge, hint, h):  # type: ignore[no-untyped-def]
 def _mark_served(air, group, top, steps_down):  # type: ignore[no-untyped-def]
     """Set the status OK of the rays that the series may serve, and `LEFT` of all others.
 
-    ``steps_down`` is filled with the number of intervals between ``top``, the camera's, and that of
-    the target. Returns the largest of these, -1 where the series serves no ray.
+    ``steps_down`` of served rays is filled with the number of intervals from ``top``, the camera's,
+    down to that of the target. Returns the largest of these, -1 where the series serves no ray.
+
+    The conditions are joined by &, which evaluates all of them, because branches are slower.
     """
     h_c = group.h_c
     h_g = group.h_g
@@ -226,15 +248,16 @@ def _mark_served(air, group, top, steps_down):  # type: ignore[no-untyped-def]
     r_table = r_e[0] + h_c
     for i in range(h_g.size):
         r_c = r_e[i] + h_c
-        # The straight line is level r_c_cos2 / (1 + sin_c) below the camera.
         r_c_cos2 = r_c * cos_c[i] * cos_c[i]
         is_ray = (cos_c[i] > 0.0) & (cos_c[i] <= 1.0) & (sin_c[i] >= 0.0) & (sin_c[i] <= 1.0)
         is_downwards = (edge[0] <= h_g[i]) & (h_g[i] < h_c)
         is_same_radius = abs(r_c - r_table) < _SAME_RADIUS * r_table
-        is_near = 2.0 * (h_c - h_g[i]) <= _LARGEST_DROP * r_c_cos2
-        # Only then can the ray turn above land; the other kernel decides about those.
+        # 2 y x w is at least w u, because u = y x (2 - y x).
+        is_small_w_u = 2.0 * (h_c - h_g[i]) <= _LARGEST_W_U * r_c_cos2
+        # The straight line is level r_c_cos2 / (1 + sin_c) below the camera: deep enough that the
+        # ray meets the height of its target once only.
         is_deep = r_c_cos2 > 2.0 * (1.0 + sin_c[i]) * (h_c + _DEEP_M)
-        is_served = is_ray & is_downwards & is_same_radius & is_near & is_deep
+        is_served = is_ray & is_downwards & is_same_radius & is_small_w_u & is_deep
         status[i] = OK if is_served else LEFT
         if is_served:
             steps_down[i] = top - _interval(edge, air.hint, h_g[i])
@@ -250,10 +273,9 @@ def _fill_order(status, steps_down, most_steps, order):  # type: ignore[no-untyp
     Returns where the rays of each number of steps begin in ``order``, (most_steps + 2,): the last
     is the count of all.
     """
-    start = np.empty(most_steps + 2, np.int64)
-    place = np.empty(most_steps + 2, np.int64)
-    for k in range(most_steps + 2):
-        start[k] = 0
+    start = np.zeros(most_steps + 2, np.int64)
+    place = np.empty(most_steps + 2, np.int64)  # where the next ray of each number of steps goes
+    # The rays of k steps are counted in place k + 1: the sums up to there are their beginnings.
     for i in range(status.size):
         if status[i] == OK:
             start[steps_down[i] + 1] += 1
@@ -271,74 +293,77 @@ def _fill_order(status, steps_down, most_steps, order):  # type: ignore[no-untyp
 def _fill_below(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
     """Fill the difference integral of n rays from their targets up to the end of their interval.
 
-    The integrand (n^2 - n_c^2) r / (a b (a + b)) of `kernels.ray` is expanded in the bending
-    (n^2 - n_c^2) r^2 / b^2, which is below 5e-3 here, and about the middle of the way, from where
-    b^2 differs by less than 1e-3 of itself.
+    The integrand m r / (a b (a + b)) of `kernels.ray`, a and b as there, is expanded in two small
+    numbers: b^2 = b_m^2 (1 + off), b_m in the middle of the way, ``off`` below 1e-3; and
+    a^2 = b^2 (1 + bending), where the bending m r^2 / b^2 is below 5e-3.
     """
     low = air.edge[interval]
-    h_1 = air.edge[interval + 1]
+    width = air.edge[interval + 1] - low
     h_c = camera.h_c
-    n_c = camera.n_c
-    high = h_1 if h_1 < h_c else h_c
+    high = min(air.edge[interval + 1], h_c)
     h_g = rays[_H_G]
     cos_c = rays[_COS_C]
     r_e = rays[_R_E]
     below = rays[_BELOW]
-    index2 = (1.0 + n_c) * (1.0 + n_c)
-    per_metre = 1.0 / (h_1 - low)
+    index2 = (1.0 + camera.big_n_c) * (1.0 + camera.big_n_c)
+    per_metre = 1.0 / width
+    # The interval's polynomial as single numbers, so that the loop reads them once.
     polynomial = air.coefficient[interval]
-    a_0 = polynomial[0]
-    a_1 = polynomial[1]
-    a_2 = polynomial[2]
-    a_3 = polynomial[3]
-    a_4 = polynomial[4]
-    a_5 = polynomial[5]
+    p_0 = polynomial[0]
+    p_1 = polynomial[1]
+    p_2 = polynomial[2]
+    p_3 = polynomial[3]
+    p_4 = polynomial[4]
+    p_5 = polynomial[5]
     for i in range(n):
         r_c = r_e[i] + h_c
         middle = 0.5 * (h_g[i] + high)
-        b2 = index2 * (r_c * cos_c[i] * r_c * cos_c[i] - (h_c - middle) * (r_c + r_e[i] + middle))
-        inverse = 1.0 / b2
+        along2_c = r_c * cos_c[i] * r_c * cos_c[i]
+        # 1 / b_m^2, r_c^2 - r_m^2 as a product.
+        inverse_b2 = 1.0 / (index2 * (along2_c - (h_c - middle) * (r_c + r_e[i] + middle)))
         total = 0.0
         for j in range(_X3.size):
             h = h_g[i] + (high - h_g[i]) * _X3[j]
             u = (h - low) * per_metre
             r = r_e[i] + h
-            index = a_0 + u * (a_1 + u * (a_2 + u * (a_3 + u * (a_4 + u * a_5))))
-            m = (index - n_c) * (2.0 + index + n_c)
-            # b^2 = b2 (1 + off), a^2 = b^2 (1 + bending): the series of (1 + off)^(-3/2) and of
-            # 1 / (sqrt(1 + bending) (1 + sqrt(1 + bending))).
-            off = index2 * (h - middle) * (r + r_e[i] + middle) * inverse
-            cube = 1.0 - off * (1.5 - off * (1.875 - off * 2.1875))
-            bending = m * r * r * inverse * (1.0 - off * (1.0 - off))
+            refractivity = p_0 + u * (p_1 + u * (p_2 + u * (p_3 + u * (p_4 + u * p_5))))
+            m = (refractivity - camera.big_n_c) * (2.0 + refractivity + camera.big_n_c)
+            off = index2 * (h - middle) * (r + r_e[i] + middle) * inverse_b2
+            # (1 + off)^(-3/2), and the bending with 1 / (1 + off), by their series.
+            by_distance = 1.0 - off * (1.5 - off * (1.875 - off * 2.1875))
+            bending = m * r * r * inverse_b2 * (1.0 - off * (1.0 - off))
+            # 1 / (sqrt(1 + bending) (1 + sqrt(1 + bending))), by its series.
             tail = bending * (0.3125 - bending * (0.2734375 - bending * 0.24609375))
-            bent = 0.5 - bending * (0.375 - tail)
-            total += _W3[j] * m * r * cube * bent
-        below[i] = total * (high - h_g[i]) * inverse * math.sqrt(inverse)
+            by_bending = 0.5 - bending * (0.375 - tail)
+            total += _W3[j] * m * r * by_distance * by_bending
+        below[i] = total * (high - h_g[i]) * inverse_b2 * math.sqrt(inverse_b2)  # b_m^-3
 
 
 @jit
-def _length_class(n, largest, h_c, rays):  # type: ignore[no-untyped-def]
-    """The class of `_COUNT` that is enough for all rays that the series serves.
+def _length_class(n, largest_m, h_c, rays):  # type: ignore[no-untyped-def]
+    """The class of `_COUNT` that is enough for all n rays that the series serves.
 
-    ``largest`` is the largest |m| above the target, ``h_c`` the height of the camera [m]. Returns
-    `_CLASSES` where the series serves no ray.
+    ``largest_m`` is the largest |m| above the targets, ``h_c`` the height of the camera [m].
+    Returns `_CLASSES` where the series serves no ray.
     """
     h_g = rays[_H_G]
     w = rays[_W]
     x = rays[_X]
     largest_w_u = -1.0
     largest_w_m = -1.0
+    # Rays with a larger w m are not served, and do not count.
     for j in range(n):
-        w_m = largest * w[j]
-        if w_m <= _LARGEST_BEND:
-            w_u = 2.0 * (h_c - h_g[j]) * w[j] * x[j]
+        w_m = largest_m * w[j]
+        if w_m <= _LARGEST_W_M:
+            w_u = 2.0 * (h_c - h_g[j]) * w[j] * x[j]  # at least w u: u = y x (2 - y x)
             largest_w_m = w_m if w_m > largest_w_m else largest_w_m
             largest_w_u = w_u if w_u > largest_w_u else largest_w_u
     if largest_w_m < 0.0:
         return _CLASSES
     for c in range(_CLASSES):
-        if largest_w_u <= _DROP_OF_CLASS[c] and largest_w_m <= _BEND_OF_CLASS[c]:
+        if largest_w_u <= _W_U_OF_CLASS[c] and largest_w_m <= _W_M_OF_CLASS[c]:
             return c
+    # `_mark_served` left all rays beyond the last class: only rounding leads here.
     return _CLASSES
 
 
@@ -346,7 +371,7 @@ def _length_class(n, largest, h_c, rays):  # type: ignore[no-untyped-def]
 def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
     """Fill R_c of n ``rays`` whose targets lie in interval i; False where the series serves none.
 
-    ``camera`` is their `_Camera`.
+    ``camera`` is their `_Camera`. R_c follows from delta as in `kernels.ray`.
     """
     h_g = rays[_H_G]
     sin_c = rays[_SIN_C]
@@ -356,22 +381,22 @@ def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
     x = rays[_X]
     below = rays[_BELOW]
     above = rays[_ABOVE]
+    half_delta = rays[_HALF_DELTA]
     angle = rays[_ANGLE]
     h_c = camera.h_c
-    n_c = camera.n_c
     for j in range(n):
         w[j] = 1.0 / (cos_c[j] * cos_c[j])
         x[j] = 1.0 / (r_e[j] + h_c)
-    length_class = _length_class(n, camera.moments[i, -1], h_c, rays)
+    length_class = _length_class(n, camera.moments[i, _COLUMN_OF_M], h_c, rays)
     if length_class == _CLASSES:
         return False
     _fill_above(n, camera.moments[i + 1], length_class, camera.x, rays)
     _fill_below(n, air, i, camera, rays)
-    half_delta = below
     for j in range(n):
-        delta_below = (1.0 + n_c) * (r_e[j] + h_c) * sin_c[j] * below[j]
+        k = (1.0 + camera.big_n_c) * (r_e[j] + h_c) * sin_c[j]
+        delta_below = k * below[j]
         half_delta[j] = 0.5 * (delta_below + sin_c[j] / cos_c[j] * x[j] * above[j])
-    # Angles are below 0.01 wherever the series holds.
+    # The angles are below 0.01 wherever the series of moments holds: `small_angle` serves them.
     for j in range(n):
         r_c = r_e[j] + h_c
         r_g = r_e[j] + h_g[j]
@@ -401,15 +426,20 @@ def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
     h_c = group.h_c
     order = room.order
     rays = room.rays
+    # The rays that the series serves, in the order of the intervals of their targets.
     top = _interval(edge, air.hint, h_c)
     most_steps = _mark_served(air, group, top, room.steps_down)
     start = _fill_order(group.status, room.steps_down, most_steps, order)
+
+    # The moments from the camera down to the lowest of these intervals.
     share = (h_c - edge[top]) / (edge[top + 1] - edge[top])
-    n_c = _refractivity_in(air.coefficient, top, share)
-    camera = _Camera(h_c, n_c, 1.0 / (group.r_e[0] + h_c), room.moments)
-    for column in range(_MOMENTS):
+    big_n_c = _refractivity_in(air.coefficient, top, share)
+    camera = _Camera(h_c, big_n_c, 1.0 / (group.r_e[0] + h_c), room.moments)
+    for column in range(_COLUMNS):
         room.moments[top + 1, column] = 0.0
     _fill_moments(air, camera, top, top - most_steps)
+
+    # The rays to one interval after the other: copied together, bent, and copied back.
     for steps in range(most_steps + 1):
         n = start[steps + 1] - start[steps]
         if n == 0:
@@ -421,10 +451,10 @@ def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
             rays[_COS_C, j] = group.cos_c[i]
             rays[_R_E, j] = group.r_e[i]
         is_served = _bend_to_interval(n, air, top - steps, camera, rays)
-        largest = room.moments[top - steps, -1]
+        largest_m = room.moments[top - steps, _COLUMN_OF_M]
         for j in range(n):
             i = order[start[steps] + j]
-            if is_served and largest * rays[_W, j] <= _LARGEST_BEND:
+            if is_served and largest_m * rays[_W, j] <= _LARGEST_W_M:
                 group.angle[i] = rays[_ANGLE, j]
             else:
                 group.status[i] = LEFT
@@ -432,24 +462,25 @@ def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
 
 @entry
 def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
-    """Fill ``angle`` [rad] and ``status`` of the steep rays among `RayColumns` from few heights.
+    """Fill ``angle`` [rad] and ``status`` of those `RayColumns` that the series of moments serves.
 
-    ``air`` is a `FineTable`. Rays from one height that follow each other share a table of moments,
-    filled downwards as far as their targets lie. The other rays get the status `LEFT`.
+    ``air`` is a `FineTable`. `WORTH_A_TABLE` or more rays from one height that follow each other
+    share a table of moments, filled downwards as far as their targets lie. The other rays get the
+    status `LEFT`.
     """
     edge = air.edge
     h_c = rays.h_c
-    together = h_c.size if h_c.size < _TOGETHER else _TOGETHER
+    most_rays = h_c.size if h_c.size < _MOST_TOGETHER else _MOST_TOGETHER
     room = _Room(
-        moments=np.empty((edge.size, _MOMENTS)),
-        steps_down=np.empty(together, np.int64),
-        order=np.empty(together, np.int64),
-        rays=np.empty((_ROWS, together)),
+        moments=np.empty((edge.size, _COLUMNS)),
+        steps_down=np.empty(most_rays, np.int64),
+        order=np.empty(most_rays, np.int64),
+        rays=np.empty((_ROWS, most_rays)),
     )
     first = 0
     while first < h_c.size:
         last = first + 1
-        while last < h_c.size and last - first < together and h_c[last] == h_c[first]:
+        while last < h_c.size and last - first < most_rays and h_c[last] == h_c[first]:
             last += 1
         if last - first >= WORTH_A_TABLE and edge[0] <= h_c[first] <= edge[-1]:
             rows = slice(first, last)

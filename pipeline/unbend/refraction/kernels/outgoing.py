@@ -1,9 +1,9 @@
 """From pixels to rays outside the window, compiled.
 
 The rays of n observations are the matrix (RAY_ROWS, n) of rows `IDEAL_U` to `CAMERA_HEIGHT`.
-Observations of one exposure that follow each other, `ExposureRows`, are taken together: what
-belongs to the exposure is read once, and each step is a short loop over the rows without a branch,
-which the processor does for four rays at a time.
+Observations of one exposure that follow each other, `ExposureRows`, are taken together. What
+belongs to the exposure is read once. Each step is a short loop over the rows without a branch,
+which touches few columns: the processor does such loops for four rays at a time.
 """
 
 import math
@@ -40,14 +40,14 @@ MORE_NEWTON_STEPS = 30  # at most, for pixels that need more
 ROUNDING = 4e-15  # residual in distorted image coordinates at which the iteration ends
 CONVERGED = 1e-12  # largest residual in distorted image coordinates that counts as a solution
 
-SERIES_LIMIT_RAD = 0.01  # up to which the series of R_cc is good
+SERIES_LIMIT_RAD = 0.01  # up to which the series of `fill_window_change` for R_cc is good
 
 
 class ExposureRows(NamedTuple):
     """The observations ``first`` to ``end`` - 1, which belong to one exposure.
 
-    The numbers are unsigned: an index that might count from the end keeps the compiler from
-    vectors.
+    The numbers are unsigned: an index that might be negative, and count from the end of an array,
+    keeps the compiler from doing four rows at a time.
     """
 
     first: np.uint64
@@ -55,7 +55,7 @@ class ExposureRows(NamedTuple):
 
 
 class _ExposureOptics(NamedTuple):
-    """What turns the rays of one exposure."""
+    """The window of one exposure, its rotation, and the ellipsoid there."""
 
     normal: Array  # (3,) unit vector out of the window, in the camera frame
     excess: float  # n_cabin / n_outside - 1
@@ -72,7 +72,7 @@ class _Scratch(NamedTuple):
 
 @within
 def exposure_rows_from(first, exposure):  # type: ignore[no-untyped-def]
-    """The `ExposureRows` that begin with ``first``; ``exposure`` (n,) are those of all rows."""
+    """The `ExposureRows` that begin with row ``first``; ``exposure`` (n,) is that of each row."""
     end = first + np.uint64(1)
     while end < exposure.size and exposure[end] == exposure[first]:
         end += np.uint64(1)
@@ -107,8 +107,11 @@ def _residual(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _converged(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
-    """Ideal image coordinates of (u_d, v_d) by Newton's iteration from (u, v); NaN without any."""
+def _ideal_coordinates(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
+    """Ideal image coordinates whose distorted ones are (u_d, v_d), by Newton's iteration.
+
+    It begins with (u, v). NaN where it does not converge.
+    """
     for _ in range(MORE_NEWTON_STEPS):
         if _residual(u_d, v_d, u, v, parameters) < ROUNDING:
             break
@@ -136,12 +139,15 @@ def _fill_ideal_coordinates(rows, pixels, camera, change_px, rays):  # type: ign
     parameters = camera.distortion
     u = rays[IDEAL_U]
     v = rays[IDEAL_V]
+
     # The distorted coordinates, in two rows that are filled with other values afterwards.
     u_d = rays[WINDOW_CHANGE]
     v_d = rays[WINDOW_CHANGE + 1]
     for i in range(rows.first, rows.end):
         u_d[i] = (x[i] - cx) / fx
         v_d[i] = (y[i] - cy) / fy
+
+    # Some of Newton's steps for all pixels, because that takes no branch.
     for i in range(rows.first, rows.end):
         u_i = u_d[i]
         v_i = v_d[i]
@@ -149,12 +155,14 @@ def _fill_ideal_coordinates(rows, pixels, camera, change_px, rays):  # type: ign
             u_i, v_i = _newton_step(u_d[i], v_d[i], u_i, v_i, parameters)
         u[i] = u_i
         v[i] = v_i
-    is_lens = 0.0 < fx < math.inf and 0.0 < fy < math.inf
+
+    # The rest of them one by one, and NaN for pixels that the camera does not cover.
+    has_distance = 0.0 < fx < math.inf and 0.0 < fy < math.inf
     for i in range(rows.first, rows.end):
         u_i = math.nan
         v_i = math.nan
-        if is_lens and 0.0 <= x[i] <= width and 0.0 <= y[i] <= height:
-            u_i, v_i = _converged(u_d[i], v_d[i], u[i], v[i], parameters)
+        if has_distance and 0.0 <= x[i] <= width and 0.0 <= y[i] <= height:
+            u_i, v_i = _ideal_coordinates(u_d[i], v_d[i], u[i], v[i], parameters)
         if not u_i * u_i + v_i * v_i <= camera.largest_radius * camera.largest_radius:
             u_i = math.nan
             v_i = math.nan
@@ -189,8 +197,7 @@ def _fill_rays_outside(rows, rays, scratch, optics, r_cc):  # type: ignore[no-un
     """Fill the rays of one exposure outside the window from their ideal image coordinates.
 
     ``optics`` is the `_ExposureOptics`, ``scratch`` a `_Scratch`. Filled are the rows
-    `WINDOW_CHANGE` to `SPHERE_RADIUS` of ``rays``, and ``r_cc`` [rad]; NaN stays NaN. There is a
-    loop for each column: a loop over few columns is fast.
+    `WINDOW_CHANGE` to `SPHERE_RADIUS` of ``rays``, and ``r_cc`` [rad]; NaN stays NaN.
     """
     normal = optics.normal
     excess = optics.excess
@@ -199,7 +206,7 @@ def _fill_rays_outside(rows, rays, scratch, optics, r_cc):  # type: ignore[no-un
     along_normal = scratch.along_normal
     _fill_camera_directions(rows, rays, direction)
 
-    # Through the window (Gyer 1996, Eq. 36).
+    # Through the window (Gyer 1996, Eq. 36): the change is excess direction + along_normal normal.
     if excess == 0.0:
         for i in range(rows.first, rows.end):
             along_normal[i] = 0.0
@@ -225,7 +232,7 @@ def _fill_rays_outside(rows, rays, scratch, optics, r_cc):  # type: ignore[no-un
         for i in range(rows.first, rows.end):
             direction_k[i] += change[i]
 
-    # To east, north and up.
+    # From the camera frame to east, north and up: by the transposed rotation.
     d_0 = direction[0]
     d_1 = direction[1]
     d_2 = direction[2]
@@ -291,8 +298,9 @@ def _status_of_input(x, y, h_g, has_station):  # type: ignore[no-untyped-def]
 def _set_status_of_rays(rows, rays, refractivity_outside, r_cc, status):  # type: ignore[no-untyped-def]
     """Set the status of observations whose ray does not exist, and their numbers to NaN.
 
-    ``refractivity_outside`` is NaN where the camera is outside the profile. An R_cc beyond the
-    range of the series, near total reflection, is computed anew.
+    ``refractivity_outside`` is NaN where the camera is outside the profile. Near total reflection,
+    where R_cc is too large for its series, it is computed anew from the length of the change at the
+    window.
     """
     u = rays[IDEAL_U]
     for i in range(rows.first, rows.end):
@@ -307,8 +315,8 @@ def _set_status_of_rays(rows, rays, refractivity_outside, r_cc, status):  # type
                 x = rays[WINDOW_CHANGE, i]
                 y = rays[WINDOW_CHANGE + 1, i]
                 z = rays[WINDOW_CHANGE + 2, i]
-                angle = 2.0 * math.asin(0.5 * math.sqrt(x * x + y * y + z * z))
-                r_cc[i] = math.copysign(angle, r_cc[i])
+                length = math.sqrt(x * x + y * y + z * z)
+                r_cc[i] = math.copysign(2.0 * math.asin(0.5 * length), r_cc[i])
         if status[i] != OK:
             r_cc[i] = math.nan
             for k in range(RAY_ROWS):
@@ -330,12 +338,11 @@ def fill_outgoing_rays(observed, camera, exposures, outgoing):  # type: ignore[n
     r_cc = outgoing.r_cc
     status = outgoing.status
     room = np.empty((4, x.size))
-    scratch = _Scratch(room[:3], room[3])
-    end = np.uint64(0)
-    while end < x.size:
-        rows = exposure_rows_from(end, exposure)
-        end = rows.end
-        e = exposure[rows.first]
+    scratch = _Scratch(direction=room[:3], along_normal=room[3])
+    first = np.uint64(0)  # unsigned as in `ExposureRows`
+    while first < x.size:
+        rows = exposure_rows_from(first, exposure)
+        e = exposure[first]
         has_station = 0 <= e < exposures.usable.size and exposures.usable[e]
         for i in range(rows.first, rows.end):
             status[i] = _status_of_input(x[i], y[i], h_g[i], has_station)
@@ -354,4 +361,6 @@ def fill_outgoing_rays(observed, camera, exposures, outgoing):  # type: ignore[n
                 curvature=exposures.curvature[e],
             )
             _fill_rays_outside(rows, rays, scratch, optics, r_cc)
+        # Rays without a station were not filled: their status makes them NaN.
         _set_status_of_rays(rows, rays, refractivity_outside, r_cc, status)
+        first = rows.end

@@ -8,8 +8,9 @@ straight less bent, is
 
     delta = k integral_{h_g}^{h_c} (N - N_c) (2 + N + N_c) r / (a b (a + b)) dh
 
-without cancellation: the difference form. From delta, with sin z = s / r_g and cos z = q / r_g the
-straight line at the target, q = sqrt(r_g^2 - s^2), and D the length of that line,
+without cancellation: the difference form. The integral, without the factor k, is called the
+difference integral. With the angle z of the straight line to the vertical at the target,
+sin z = s / r_g and cos z = q / r_g, q = sqrt(r_g^2 - s^2), and the length D of that line,
 
     D = (h_c - h_g) (r_c + r_g) / (r_c cos zeta_c + q),
     tan R_c = 2 r_g sin(delta / 2) cos(z - delta / 2)
@@ -27,7 +28,7 @@ from unbend.refraction.kernels.grazing import (
     crosses_once,
     excess,
     gauss_legendre,
-    piece,
+    piece_at,
     ray_at,
     refractivity,
     subtended,
@@ -42,22 +43,29 @@ from unbend.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, O
 # its eight nodes err by 6e-7 arcsec at 0.3, by 2e-10 at 0.5.
 _GRAZING_GUARD = 0.5
 
-# The difference form is also left where the ray is bent to half the slope of the straight line.
+# The difference form is also left where the bent ray is much nearer to level than the straight
+# line, that is where a^2 of the module's equations is less than half of b^2.
 _BENT_GUARD = 0.5
 
-# The height at a distance is known when the step is shorter [m]: a height is rounded to 1e-12 m.
+# The search for the height at a distance ends with a step that is shorter than this [m]: heights
+# themselves are rounded to 1e-12 m.
 _SHORTEST_STEP_M = 1e-10
 
-# Nodes and weights of Gauss and Legendre between 0 and 1, and of how many a piece takes.
+# Nodes and weights of Gauss and Legendre between 0 and 1. Four serve the part of a steep ray in one
+# piece of the table, to 1e-13 of the whole, where that part is no higher than `_WIDEST_M`. Steep is
+# a ray whose (r cos zeta)^2 is at one end more than this share of that at the other.
 _X4, _W4 = gauss_legendre(4)
 _X8, _W8 = gauss_legendre(8)
-_WIDEST_M = 260.0  # up to which four are enough for a steep ray
-_STEEP_SHARE = 0.9  # of (r cos zeta)^2 at one end to that at the other
+_WIDEST_M = 260.0
+_STEEP_SHARE = 0.9
 
 _SLACK_M = 1e-6  # heights so far outside the profile are rounding
 _SMALL_ANGLE = 0.01  # up to which the series of `small_angle` is good
 _MOST_STEPS = 100  # of the search for a height, bisections among them
-_REACHED = 2e-6  # of the distance: what a ray may lack of it at the end of the profile
+
+# A ray whose chord at the end of the profile is half of this [m] too short still reaches its
+# distance: chord^2 - distance^2 is 2 distance times what the chord lacks.
+_TWICE_SHORT_M = 2e-6
 
 
 class Triangle(NamedTuple):
@@ -77,10 +85,10 @@ class _Search(NamedTuple):
 
     low: float  # limits of the height [m]
     high: float
-    h_90: float  # of the lowest point of the ray, or below it [m]
+    base: float  # height from which s^2 counts [m]: h_90, or one that stands for it
     start: float  # first guess [m]
-    theta_to_rise: float  # angle through P_90 up to h_c [rad], 0 before P_90
-    sense: float  # sign of d(chord)/dh
+    theta_to_rise: float  # angle from the camera through P_90 up to h_c [rad]; 0 before P_90
+    sense: float  # 1 where the ray rises on the part that is searched, -1 where it falls
 
 
 @jit
@@ -91,10 +99,11 @@ def sides_of(half_delta, line):  # type: ignore[no-untyped-def]
     """
     q = math.sqrt(line.along2_g)
     sum_of_sides = line.along_c + q
-    # The next terms of these series are 1e-14 of the whole.
+    # Sine and cosine by their series, whose next terms are 1e-14 of the whole.
     square = half_delta * half_delta
     sin_half = half_delta - half_delta * square * (1.0 / 6.0 - square / 120.0)
     cos_half = 1.0 - square * (0.5 - square / 24.0)
+    # r_g sin(z - delta / 2) and r_g cos(z - delta / 2) follow from r_g sin z = s and r_g cos z = q.
     twice_sine = 2.0 * sin_half * sum_of_sides
     turned = line.sense * twice_sine * (line.s * cos_half - q * sin_half)
     ahead = line.rise * (line.r_c + line.r_g) - turned
@@ -110,58 +119,83 @@ def small_angle(tangent):  # type: ignore[no-untyped-def]
 
 
 @jit
+def _integral_over_layer(table, ray, i, ends, is_steep):  # type: ignore[no-untyped-def]
+    """The difference integral (see the module) between two heights ``ends`` [m] of piece i.
+
+    NaN where the bent ray is nearly level between them.
+    """
+    h_0, h_1 = ends
+    width = h_1 - h_0
+    big_n_c = ray.big_n_c
+    r_c = ray.r_e + ray.h_c
+    index2 = (1.0 + big_n_c) * (1.0 + big_n_c)
+    along2_c = (r_c * ray.cos_c) * (r_c * ray.cos_c)
+    if is_steep and width < _WIDEST_M:
+        nodes = _X4
+        weights = _W4
+    else:
+        nodes = _X8
+        weights = _W8
+    total = 0.0
+    for j in range(nodes.size):
+        h = h_0 + width * nodes[j]
+        n = refractivity(table, i, h)
+        r = ray.r_e + h
+        # n^2 - n_c^2 of the indices of refraction.
+        index2_change = (n - big_n_c) * (2.0 + n + big_n_c)
+        b2 = index2 * (along2_c - (ray.h_c - h) * (r_c + r))
+        a2 = b2 + index2_change * r * r
+        if not (b2 > 0.0 and a2 > _BENT_GUARD * b2):
+            return math.nan
+        a = math.sqrt(a2)
+        b = math.sqrt(b2)
+        total += weights[j] * (index2_change * r / (a * b * (a + b)))
+    return total * width
+
+
+@jit
+def _difference_integral(table, ray, h_g, is_steep):  # type: ignore[no-untyped-def]
+    """The difference integral (see the module) between h_c and h_g, piece by piece of the table.
+
+    NaN where the bent ray is nearly level before it reaches h_g.
+    """
+    edge = table.edge
+    low = min(ray.h_c, h_g)
+    high = max(ray.h_c, h_g)
+    total = 0.0
+    for i in range(piece_at(edge, low), piece_at(edge, high) + 1):
+        h_0 = max(low, edge[i])
+        h_1 = min(high, edge[i + 1])
+        if h_1 <= h_0:
+            continue
+        in_layer = _integral_over_layer(table, ray, i, (h_0, h_1), is_steep)
+        if math.isnan(in_layer):
+            return math.nan
+        total += in_layer
+    return total
+
+
+@jit
 def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
     """R_c [rad] by the difference form (see the module).
 
     NaN where the bent ray is nearly level before it reaches h_g.
     """
-    edge = table.edge
     h_c = ray.h_c
-    n_c = ray.n_c
-    r_e = ray.r_e
-    r_c = r_e + h_c
-    r_g = r_e + h_g
-    index_c = 1.0 + n_c
-    index2 = index_c * index_c
+    r_c = ray.r_e + h_c
+    r_g = ray.r_e + h_g
     s = r_c * ray.sin_c
-    # r^2 - s^2 along the straight line is linear in r^2.
+    # Along the straight line r^2 - s^2 = (r cos zeta)^2.
     along2_c = (r_c * ray.cos_c) * (r_c * ray.cos_c)
     along2_g = along2_c - (h_c - h_g) * (r_c + r_g)
     is_steep = min(along2_g, along2_c) > _STEEP_SHARE * max(along2_g, along2_c)
-    low = min(h_c, h_g)
-    high = max(h_c, h_g)
-    integral = 0.0
-    for i in range(piece(edge, low), piece(edge, high) + 1):
-        h_0 = max(low, edge[i])
-        h_1 = min(high, edge[i + 1])
-        width = h_1 - h_0
-        if width <= 0.0:
-            continue
-        # Far from grazing the integrand is smooth across a layer: the error of four nodes over
-        # 260 m is 1e-13 of the whole.
-        if is_steep and width < _WIDEST_M:
-            nodes = _X4
-            weights = _W4
-        else:
-            nodes = _X8
-            weights = _W8
-        part = 0.0
-        for j in range(nodes.size):
-            h = h_0 + width * nodes[j]
-            n = refractivity(table, i, h)
-            r = r_e + h
-            index2_change = (n - n_c) * (2.0 + n + n_c)
-            b2 = index2 * (along2_c - (h_c - h) * (r_c + r))
-            a2 = b2 + index2_change * r * r
-            if not (b2 > 0.0 and a2 > _BENT_GUARD * b2):
-                return math.nan
-            a = math.sqrt(a2)
-            b = math.sqrt(b2)
-            part += weights[j] * (index2_change * r / (a * b * (a + b)))
-        integral += part * width
-    # Upwards the bent ray subtends the larger angle, and both signs turn over.
+    integral = _difference_integral(table, ray, h_g, is_steep)
+    if math.isnan(integral):
+        return math.nan
+    # Upwards the bent ray subtends the larger angle in common air. There delta is bent less
+    # straight, and the sign in the denominator of tan R_c turns over too.
     sense = 1.0 if h_g < h_c else -1.0
-    half_delta = 0.5 * sense * index_c * s * integral
+    half_delta = 0.5 * sense * (1.0 + ray.big_n_c) * s * integral
     line = Triangle(
         sense=sense,
         s=s,
@@ -179,13 +213,30 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
 
 @jit
 def _is_far_from_grazing(ray, h_g):  # type: ignore[no-untyped-def]
-    """Whether the difference form serves a ray to the height h_g."""
+    """Whether both ends of a ray to the height h_g are far from grazing: see `_GRAZING_GUARD`."""
     if h_g > ray.h_c and ray.cos_c > 0.0:  # down through P_90 and up again
         return False
     along_c = (ray.r_e + ray.h_c) * ray.cos_c
     along2_c = along_c * along_c
     along2_g = along2_c - (ray.h_c - h_g) * (2.0 * ray.r_e + ray.h_c + h_g)
     return min(along2_c, along2_g) >= _GRAZING_GUARD * max(along2_c, along2_g)
+
+
+@jit
+def _status_of_input(table, rays, i):  # type: ignore[no-untyped-def]
+    """The status of ray i of `RayColumns` before it is followed: `OK`, or why there is no angle."""
+    h_c = rays.h_c[i]
+    h_g = rays.h_g[i]
+    r_e = rays.r_e[i]
+    cos_c = rays.cos_c[i]
+    is_finite = math.isfinite(h_c) and math.isfinite(h_g) and math.isfinite(r_e)
+    if not (is_finite and 0.0 <= rays.sin_c[i] <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0):
+        return BAD_MEASUREMENT
+    if min(h_c, h_g) < table.edge[0] - _SLACK_M or max(h_c, h_g) > table.edge[-1] + _SLACK_M:
+        return OUTSIDE_PROFILE
+    if h_g < h_c and cos_c <= 0.0:  # a ray that leaves upwards
+        return MISSES_GROUND
+    return OK
 
 
 @entry
@@ -195,53 +246,44 @@ def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def
     The status is `LEFT` for a ray that the difference form does not serve, whose angle is NaN, and
     for a ray that may meet its height twice, whose angle is that of the near crossing.
     """
-    bottom = table.edge[0] - _SLACK_M
-    top = table.edge[-1] + _SLACK_M
     for i in which:
-        h_c = rays.h_c[i]
-        h_g = rays.h_g[i]
-        r_e = rays.r_e[i]
-        sin_c = rays.sin_c[i]
-        cos_c = rays.cos_c[i]
         angle[i] = math.nan
-        is_finite = math.isfinite(h_c) and math.isfinite(h_g) and math.isfinite(r_e)
-        if not (is_finite and 0.0 <= sin_c <= 1.0 and abs(cos_c) <= 1.0 and r_e > 0.0):
-            status[i] = BAD_MEASUREMENT
-        elif min(h_c, h_g) < bottom or max(h_c, h_g) > top:
-            status[i] = OUTSIDE_PROFILE
-        elif h_g < h_c and cos_c <= 0.0:
-            status[i] = MISSES_GROUND
-        else:
-            ray = ray_at(table, h_c, sin_c, cos_c, r_e)
-            if h_g == h_c:
-                angle[i] = 0.0
-            elif _is_far_from_grazing(ray, h_g):
-                angle[i] = bend_by_difference(table, ray, h_g)
-            once = not math.isnan(angle[i]) and crosses_once(table, ray, h_g)
-            status[i] = OK if once else LEFT
+        status[i] = _status_of_input(table, rays, i)
+        if status[i] != OK:
+            continue
+        h_g = rays.h_g[i]
+        ray = ray_at(table, rays.h_c[i], rays.sin_c[i], rays.cos_c[i], rays.r_e[i])
+        if h_g == ray.h_c:  # the near crossing is at the camera
+            angle[i] = 0.0
+        elif _is_far_from_grazing(ray, h_g):
+            angle[i] = bend_by_difference(table, ray, h_g)
+        once = not math.isnan(angle[i]) and crosses_once(table, ray, h_g)
+        status[i] = OK if once else LEFT
 
 
 @jit
 def _subtended_to_height(table, ray, h, theta_to_rise):  # type: ignore[no-untyped-def]
-    """Angle [rad] that a ray has subtended where its height is h.
+    """Angle [rad] that a ray has subtended since the camera where its height is h.
 
     ``theta_to_rise`` is the angle through P_90 up to the camera's height, and zero where h is
     reached before P_90.
     """
-    if theta_to_rise > 0.0 and h >= ray.h_c:
-        return theta_to_rise + subtended(table, ray, ray.h_c, h, is_level_at_low=False)
-    theta = subtended(table, ray, min(h, ray.h_c), max(h, ray.h_c), is_level_at_low=False)
-    return theta_to_rise - theta if theta_to_rise > 0.0 else theta
+    theta_between = subtended(table, ray, min(h, ray.h_c), max(h, ray.h_c), is_level_at_low=False)
+    if not theta_to_rise > 0.0:
+        return theta_between
+    if h >= ray.h_c:
+        return theta_to_rise + theta_between
+    return theta_to_rise - theta_between  # it is still to rise from h to the camera's height
 
 
 @jit
 def _chord2_slope(table, ray, theta, h, sense):  # type: ignore[no-untyped-def]
     """d(chord^2)/dh [m] along a ray that has subtended ``theta`` where its height is h.
 
-    Of `chord2`, with d(theta)/dh = k / (r sqrt(n^2 r^2 - k^2)) (Gyer 1996, Eq. 12), whose sign is
-    ``sense``.
+    The derivative of `chord2` with d(theta)/dh = ``sense`` k / (r sqrt(n^2 r^2 - k^2)) (Gyer 1996,
+    Eq. 12). ``sense`` is 1 where the ray rises, -1 where it falls.
     """
-    excess_h = excess(table, ray, piece(table.edge, h), h)
+    excess_h = excess(table, ray, piece_at(table.edge, h), h)
     r_c = ray.r_e + ray.h_c
     r_h = ray.r_e + h
     theta_slope = sense * ray.k / (r_h * math.sqrt(excess_h * (excess_h + 2.0 * ray.k)))
@@ -252,50 +294,63 @@ def _chord2_slope(table, ray, theta, h, sense):  # type: ignore[no-untyped-def]
 
 
 @jit
+def _step_in_s(s, s_0, s_1, too_long_m2, slope):  # type: ignore[no-untyped-def]
+    """The next step of the search for s between ``s_0`` and ``s_1``, with h = base + s^2.
+
+    The square of the chord is ``too_long_m2`` [m2] too large, and ``slope`` is its derivative by h.
+    Newton's step, or the step to the middle of the interval where Newton's would leave it.
+    """
+    step = -too_long_m2 / (slope * 2.0 * s) if s > 0.0 else math.nan  # dh/ds is 2 s
+    is_inside = s_0 < s + step < s_1  # False for NaN
+    return step if is_inside else 0.5 * (s_0 + s_1) - s
+
+
+@jit
 def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def]
     """The height [m] at which the chord is ``distance`` [m] long, and status; see `_Search`.
 
-    Newton's iteration in s with h = h_90 + s^2, in which the chord is smooth through P_90, and
-    bisection where Newton's step would leave the interval that is known to hold the height.
+    Newton's iteration in s with h = base + s^2: in s the chord is smooth through P_90, in h it is
+    not.
     """
     low = search.low
     high = search.high
-    h_90 = search.h_90
-    sense = search.sense
-    s_0 = math.sqrt(max(low - h_90, 0.0))
-    s_1 = math.sqrt(max(high - h_90, 0.0))
+    base = search.base
+    # The interval, and the first guess: its middle where the height of the guess lies outside.
+    s_0 = math.sqrt(max(low - base, 0.0))
+    s_1 = math.sqrt(max(high - base, 0.0))
     s = 0.5 * (s_0 + s_1)
     if low < search.start < high:
-        s = math.sqrt(search.start - h_90)
-    is_reached = False
+        s = math.sqrt(search.start - base)
+    is_reached = False  # a chord was at least as long as the distance
     for _ in range(_MOST_STEPS):
-        h = min(max(h_90 + s * s, low), high)
+        h = min(max(base + s * s, low), high)
         theta = _subtended_to_height(table, ray, h, search.theta_to_rise)
         too_long_m2 = chord2(ray, theta, h) - distance * distance
         if math.isnan(too_long_m2):
-            return math.nan, MISSES_GROUND
+            return math.nan, MISSES_GROUND  # the ray turns on its way
         is_reached = is_reached or too_long_m2 >= 0.0
-        if too_long_m2 * sense > 0.0:
+        # Where the ray rises the chord grows with s, where it falls it shrinks.
+        if too_long_m2 * search.sense > 0.0:
             s_1 = s
         else:
             s_0 = s
-        slope = _chord2_slope(table, ray, theta, h, sense)
-        step = -too_long_m2 / (slope * 2.0 * s) if s > 0.0 else math.nan
-        if not s_0 < s + step < s_1:  # also where the slope is no number
-            step = 0.5 * (s_0 + s_1) - s
+        slope = _chord2_slope(table, ray, theta, h, search.sense)
+        step = _step_in_s(s, s_0, s_1, too_long_m2, slope)
         s += step
+        # The left side is at least the change of the height, which is that of s^2.
         if abs(step) * (2.0 * s + abs(step)) < _SHORTEST_STEP_M:
             break
-    if is_reached or abs(too_long_m2) < _REACHED * distance:
-        return min(max(h_90 + s * s, low), high), OK
-    return math.nan, OUTSIDE_PROFILE  # not even at the end of the profile is it so far
+    if is_reached or abs(too_long_m2) < _TWICE_SHORT_M * distance:
+        return min(max(base + s * s, low), high), OK
+    return math.nan, OUTSIDE_PROFILE  # the chord is too short even at the end of the profile
 
 
 @jit
 def _start_height(ray, distance):  # type: ignore[no-untyped-def]
-    """Height [m] at a distance along the straight line in the ray's direction.
+    """Height [m] at a distance along the straight line in the ray's direction: a first guess.
 
-    Tenths of a metre from that of the ray for steep rays, kilometres for level ones.
+    It differs from the height of the ray by tenths of a metre for steep rays, by kilometres for
+    level ones.
     """
     r_c = ray.r_e + ray.h_c
     square_change = distance * (distance - 2.0 * r_c * ray.cos_c)  # r^2 - r_c^2
@@ -317,35 +372,39 @@ def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
     top = table.edge[-1]
     start = _start_height(ray, distance)
     h_90 = turning_height(table, ray) if ray.cos_c > 0.0 else math.nan
-    # Where the ray would be level if n r grew by a metre for each metre of height. It stands for
-    # h_90 in rays without a lowest point: the search goes by s^2 = h - h_90 and needs a smooth s.
+    # The search goes by s = sqrt(h - base), in which the chord is smooth if the ray is level at
+    # the base. For h_90, in a ray without a lowest point, stands the height at which it would be
+    # level if n r grew by a metre for each metre of height.
     level = h_c - ray.lift
-    if ray.cos_c <= 0.0:  # it rises
-        search = _Search(low=h_c, high=top, h_90=level, start=start, theta_to_rise=0.0, sense=1.0)
+    if ray.cos_c <= 0.0:  # the ray rises from the camera on
+        search = _Search(low=h_c, high=top, base=level, start=start, theta_to_rise=0.0, sense=1.0)
     elif math.isnan(h_90):  # it falls to the end of the table
         search = _Search(
             low=bottom,
             high=h_c,
-            h_90=min(level, bottom),
+            base=min(level, bottom),
             start=start,
             theta_to_rise=0.0,
             sense=-1.0,
         )
-    elif _chord_to_lowest(table, ray, h_90) >= distance:  # it falls, to before its lowest point
-        search = _Search(low=h_90, high=h_c, h_90=h_90, start=start, theta_to_rise=0.0, sense=-1.0)
-    else:  # it rises again behind its lowest point
+    elif _chord_to_lowest(table, ray, h_90) >= distance:  # the distance ends before P_90
+        search = _Search(low=h_90, high=h_c, base=h_90, start=start, theta_to_rise=0.0, sense=-1.0)
+    else:  # the distance ends behind P_90, where the ray rises again
         theta_to_rise = subtended_to_rise(table, ray)
         if not theta_to_rise > 0.0:
             return math.nan, MISSES_GROUND  # its lowest point lies under all land
         search = _Search(
-            low=h_90, high=top, h_90=h_90, start=start, theta_to_rise=theta_to_rise, sense=1.0
+            low=h_90, high=top, base=h_90, start=start, theta_to_rise=theta_to_rise, sense=1.0
         )
     return _search_height(table, ray, distance, search)
 
 
 @entry
 def ray_heights(table, rays, height, status):  # type: ignore[no-untyped-def]
-    """Fill ``height`` [m] and ``status`` for `RayColumns` at their distances; h_g is not read."""
+    """Fill ``height`` [m] and ``status`` of the points of `RayColumns` at their distances.
+
+    The distances are lengths of straight chords from the camera; h_g is not read.
+    """
     edge = table.edge
     for i in range(rays.h_c.size):
         h_c = rays.h_c[i]

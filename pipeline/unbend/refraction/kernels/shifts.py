@@ -7,6 +7,8 @@ angle z, east e, north n and up u of the apparent unit vector,
     u' - u = -2 u sin^2(R_c / 2) - sin(R_c) sin(z),
 
 the vector form of Gyer 1996, Eq. 40-51, without a difference of directions.
+
+In these functions r_c and r_g are distances from the earth's centre, and R_c is ``angle``.
 """
 
 import math
@@ -37,8 +39,8 @@ class _Scratch(NamedTuple):
 
     sin_half_r: Array  # (n,) sin(R_c / 2)
     sin_r: Array  # (n,) sin(R_c)
-    to_nadir: Array  # (3, n) straight less apparent unit vector outside; east, north, up
-    vector: Array  # (3, n) a vector of each ray that one function fills and uses
+    to_nadir: Array  # (3, n) straight less apparent unit vector outside: e' - e, n' - n, u' - u
+    vector: Array  # (3, n) a vector of each ray; each function fills it with another one
 
 
 class _ExposedCamera(NamedTuple):
@@ -80,19 +82,19 @@ def fill_straight_reach(rays, is_far, distance):  # type: ignore[no-untyped-def]
 
 
 @within
-def _fill_turn_to_nadir(rays, r_c, scratch):  # type: ignore[no-untyped-def]
+def _fill_turn_to_nadir(rays, angle, scratch):  # type: ignore[no-untyped-def]
     """Fill ``scratch.to_nadir`` of all rays from their refraction angles (see the module)."""
     sin_half_r = scratch.sin_half_r
     sin_r = scratch.sin_r
     to_nadir = scratch.to_nadir
-    for i in range(r_c.size):
-        sin_half_r[i] = math.sin(0.5 * r_c[i])
-        sin_r[i] = math.sin(r_c[i])
-    for i in range(r_c.size):
+    for i in range(angle.size):
+        sin_half_r[i] = math.sin(0.5 * angle[i])
+        sin_r[i] = math.sin(angle[i])
+    for i in range(angle.size):
         sin_z = rays[NADIR_SINE, i]
         cos_z = rays[NADIR_COSINE, i]
         second_order = -2.0 * (sin_half_r[i] * sin_half_r[i])
-        # A ray at the nadir does not turn.
+        # A ray at the nadir has R_c = 0, and its sine divides nothing.
         first_order = sin_r[i] * cos_z / sin_z if sin_z > 0.0 else 0.0
         to_nadir[0, i] = rays[DIRECTION, i] * (second_order - first_order)
         to_nadir[1, i] = rays[DIRECTION + 1, i] * (second_order - first_order)
@@ -103,8 +105,9 @@ def _fill_turn_to_nadir(rays, r_c, scratch):  # type: ignore[no-untyped-def]
 def _fill_image_shift(rows, rays, scratch, exposed, shifts):  # type: ignore[no-untyped-def]
     """Fill ``dx`` and ``dy`` [px] of the `Shifts` of one exposure, an `_ExposedCamera`.
 
-    The straight ray in the camera frame is (u, v, 1) as a unit vector, changed by the window and by
-    the turn to the nadir; its pixel is that of the calibrated principal distance.
+    The measured pixel is fx + ``change_px`` times the distorted u of the ray inside the camera. The
+    corrected one is fx times the distorted u of the straight ray, which is (u, v, 1) as a unit
+    vector, changed by the window and by the turn to the nadir. Likewise y.
     """
     camera = exposed.camera
     rotation = exposed.rotation
@@ -119,6 +122,7 @@ def _fill_image_shift(rows, rays, scratch, exposed, shifts):  # type: ignore[no-
     east = scratch.to_nadir[0]
     north = scratch.to_nadir[1]
     up = scratch.to_nadir[2]
+    # The change of the unit vector by the window and by the turn to the nadir, in the camera frame.
     change = scratch.vector
     for k in range(3):
         t_0 = rotation[k, 0]
@@ -132,21 +136,24 @@ def _fill_image_shift(rows, rays, scratch, exposed, shifts):  # type: ignore[no-
     change_y = change[1]
     change_z = change[2]
     for i in range(rows.first, rows.end):
+        # u of the straight ray is its x / z: (u z + change_x) / (z + change_z), z that of the ray
+        # inside, without a difference of near numbers.
         straight_z = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0) + change_z[i]
-        u_0, v_0 = distort(u[i], v[i], parameters)
         u_straight = u[i] + (change_x[i] - u[i] * change_z[i]) / straight_z
         v_straight = v[i] + (change_y[i] - v[i] * change_z[i]) / straight_z
-        u_1, v_1 = distort(u_straight, v_straight, parameters)
-        dx[i] = fx * (u_1 - u_0) - change_px * u_0
-        dy[i] = fy * (v_1 - v_0) - change_px * v_0
+        u_measured, v_measured = distort(u[i], v[i], parameters)
+        u_corrected, v_corrected = distort(u_straight, v_straight, parameters)
+        dx[i] = fx * (u_corrected - u_measured) - change_px * u_measured
+        dy[i] = fy * (v_corrected - v_measured) - change_px * v_measured
 
 
 @within
 def _fill_ground_shift(rows, traced, h_g, scratch, rotation, shift):  # type: ignore[no-untyped-def]
     """Fill how far apart two straight rays meet the height ``h_g`` of the target [m].
 
-    The first has the direction of the ray inside the window, the second that of the straight ray to
-    the target. ``shift`` (n,) [m] is filled for one exposure, ``rotation`` that of its camera.
+    The raw one has the direction of the ray inside the window, the true one that of the straight
+    ray to the target. ``shift`` (n,) [m] is filled for one exposure, ``rotation`` is that of its
+    camera.
     """
     rays = traced.rays
     status = traced.status
@@ -157,7 +164,8 @@ def _fill_ground_shift(rows, traced, h_g, scratch, rotation, shift):  # type: ig
     at_window_0 = rays[WINDOW_CHANGE]
     at_window_1 = rays[WINDOW_CHANGE + 1]
     at_window_2 = rays[WINDOW_CHANGE + 2]
-    for k in range(3):  # the direction inside the window: east, north, up
+    # The direction inside the window in east, north and up: outside less the change at the window.
+    for k in range(3):
         t_0 = rotation[0, k]
         t_1 = rotation[1, k]
         t_2 = rotation[2, k]
@@ -171,13 +179,14 @@ def _fill_ground_shift(rows, traced, h_g, scratch, rotation, shift):  # type: ig
     up = rays[DIRECTION + 2]
     for i in range(rows.first, rows.end):
         is_far = status[i] == FAR_BRANCH
-        cos_straight = -up[i] - to_nadir[2, i]
-        raw_m = _straight_distance(-inside[2, i], h_c[i], h_g[i], radius[i], is_far)
-        true_m = _straight_distance(cos_straight, h_c[i], h_g[i], radius[i], is_far)
-        x = inside[0, i] * raw_m - (east[i] + to_nadir[0, i]) * true_m
-        y = inside[1, i] * raw_m - (north[i] + to_nadir[1, i]) * true_m
-        z = inside[2, i] * raw_m - (up[i] + to_nadir[2, i]) * true_m
-        shift[i] = math.sqrt(x * x + y * y + z * z)
+        cos_raw = -inside[2, i]  # of the nadir angle
+        cos_true = -up[i] - to_nadir[2, i]
+        raw_m = _straight_distance(cos_raw, h_c[i], h_g[i], radius[i], is_far)
+        true_m = _straight_distance(cos_true, h_c[i], h_g[i], radius[i], is_far)
+        to_east = inside[0, i] * raw_m - (east[i] + to_nadir[0, i]) * true_m
+        to_north = inside[1, i] * raw_m - (north[i] + to_nadir[1, i]) * true_m
+        upwards = inside[2, i] * raw_m - (up[i] + to_nadir[2, i]) * true_m
+        shift[i] = math.sqrt(to_east * to_east + to_north * to_north + upwards * upwards)
 
 
 @entry
@@ -188,15 +197,14 @@ def fill_shifts(observed, camera, exposures, traced, shifts):  # type: ignore[no
     `ExposureColumns` and ``traced`` `TracedColumns`; NaN where there is no refraction angle.
     """
     exposure = observed.exposure
-    r_c = traced.r_c
-    room = np.empty((8, r_c.size))
-    scratch = _Scratch(room[0], room[1], room[2:5], room[5:8])
-    _fill_turn_to_nadir(traced.rays, r_c, scratch)
-    end = np.uint64(0)
-    while end < r_c.size:
-        rows = exposure_rows_from(end, exposure)
-        end = rows.end
-        e = exposure[rows.first]
+    angle = traced.angle
+    room = np.empty((8, angle.size))
+    scratch = _Scratch(sin_half_r=room[0], sin_r=room[1], to_nadir=room[2:5], vector=room[5:8])
+    _fill_turn_to_nadir(traced.rays, angle, scratch)
+    first = np.uint64(0)  # unsigned as in `ExposureRows`
+    while first < angle.size:
+        rows = exposure_rows_from(first, exposure)
+        e = exposure[first]
         if 0 <= e < exposures.usable.size:
             rotation = exposures.rotation[e]
             exposed = _ExposedCamera(camera, rotation, exposures.change_px[e])
@@ -209,8 +217,9 @@ def fill_shifts(observed, camera, exposures, traced, shifts):  # type: ignore[no
                 rotation=rotation,
                 shift=shifts.ground,
             )
-    for i in range(r_c.size):
-        if math.isnan(r_c[i]):
+        first = rows.end
+    for i in range(angle.size):
+        if math.isnan(angle[i]):
             shifts.dx[i] = math.nan
             shifts.dy[i] = math.nan
             shifts.ground[i] = math.nan

@@ -21,9 +21,9 @@ from unbend.refraction.kernels.sigma_rows import (
     MODE_BY_TANGENT,
     N_GROUND,
     ONE_IF_KNOWN,
-    SHARED_XY,
+    SHARED_AIR_XY,
+    SIGMA_AIR_X,
     SIGMA_BY_TANGENT,
-    SIGMA_X,
     SLOPE_BY_SECANT2,
     WAY_POSITION,
 )
@@ -36,17 +36,20 @@ class TablePlace(NamedTuple):
     share: float  # of the way from this node to the next
 
 
-class _SphereFactors(NamedTuple):
+class _OnSphere(NamedTuple):
     """What the sphere does to values of the plane."""
 
-    sigma: float  # factor of sigma_R
-    angle: float  # factor of dR/dzeta
-    mode: float  # ``mode`` in the plane, and the sphere's summand
+    sigma_factor: float  # of sigma_R
+    angle_factor: float  # of dR/dzeta
+    mode: float  # that of the plane, and the sphere's summand
 
 
 @jit
 def _place_at(position, count):  # type: ignore[no-untyped-def]
-    """The `TablePlace` at a position on an axis of ``count`` nodes; outside, at the axis's end."""
+    """The `TablePlace` at a position, in nodes, on an axis of ``count`` nodes.
+
+    A position beyond the axis gets the place at its end.
+    """
     inside = min(max(position, 0.0), count - 1.0)
     node = min(int(inside), count - 2)
     return TablePlace(node, inside - node)
@@ -71,13 +74,15 @@ def _bilinear(table, row_place, column_place):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _sphere_factors(factors, height, way, incidence, mode):  # type: ignore[no-untyped-def]
-    """The `_SphereFactors` between the eight nodes around three places.
+def _on_sphere(factors, height, way, incidence, mode_in_plane):  # type: ignore[no-untyped-def]
+    """The `_OnSphere` between the eight nodes around three `TablePlace`.
 
-    ``factors`` are those of `AirTables`, ``mode`` is the value of the plane.
+    ``factors`` are those of `AirTables`. The three bits of a corner's number say on which axes it
+    lies at the next node.
     """
     sigma_factor = 0.0
     angle_factor = 0.0
+    mode = mode_in_plane
     for corner in range(8):
         next_height = corner >> 2
         next_way = (corner >> 1) & 1
@@ -92,15 +97,17 @@ def _sphere_factors(factors, height, way, incidence, mode):  # type: ignore[no-u
         sigma_factor += weight * factors[i, j, k, SIGMA_FACTOR]
         angle_factor += weight * factors[i, j, k, ANGLE_FACTOR]
         mode += weight * factors[i, j, k, MODE_SUMMAND]
-    return _SphereFactors(sigma_factor, angle_factor, mode)
+    return _OnSphere(sigma_factor, angle_factor, mode)
 
 
 @within
 def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
-    """Fill where ``count`` rays are in the tables, their `DROP`, and `ONE_IF_KNOWN`.
+    """Fill where ``count`` rays are in the tables ``air``, their `DROP`, and `ONE_IF_KNOWN`.
 
     The tables do not serve a ray to a target at or above the camera, nor a ray that is nearly level
-    at the target: its `ONE_IF_KNOWN` becomes NaN.
+    at the target: its `ONE_IF_KNOWN` becomes NaN, and its positions are 0, which any table has.
+
+    The conditions are joined by &, which evaluates all of them, because branches are slower.
     """
     way_first = air.way_first
     way_step = air.way_step
@@ -112,12 +119,13 @@ def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
     for i in range(count):
         h_c = room[CAMERA_HEIGHT, i]
         cos_z = room[NADIR_COSINE, i]
-        r_c = room[SPHERE_RADIUS, i] + room[CAMERA_HEIGHT, i]
+        r_c = room[SPHERE_RADIUS, i] + h_c
         drop = h_c - room[H_G, i]
         r_g = room[SPHERE_RADIUS, i] + h_c - drop
         # cos^2 of the straight ray's nadir angle at the target.
         cos2_g = (r_c * r_c * cos_z * cos_z - drop * (r_c + r_g)) / (r_g * r_g)
         beyond_first_way = math.sqrt(drop) - way_first
+        # In nodes of the axis of 1 / sqrt(cos z_g), which begins at 1.
         incidence = (1.0 / math.sqrt(math.sqrt(cos2_g)) - 1.0) / incidence_step
         is_served = (room[ONE_IF_KNOWN, i] == 1.0) & (drop > 0.0) & (cos_z > 0.0) & (cos2_g > 0.0)
         is_served &= incidence <= last_incidence
@@ -133,35 +141,34 @@ def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
 def interpolate(room, count, air, station):  # type: ignore[no-untyped-def]
     """Fill `SIGMA_BY_TANGENT` to `N_GROUND` of ``count`` rays from their positions in the tables.
 
-    ``station`` is the `Station` of their exposure. NaN in, NaN out; x and y are zero without a
-    plane window.
+    ``air`` are the `AirTables`, ``station`` is the `Station` of the rays' exposure. NaN in, NaN
+    out. `SIGMA_AIR_X` and `SHARED_AIR_XY` are zero without a plane window.
     """
     sigma = air.sigma
-    angle = air.angle
     factors = air.factors
-    behind = air.behind
     refractivity = air.refractivity
     camera = station.camera_place
-    window = station.window_kind
+    window_kind = station.window_kind
     height_nodes = factors.shape[0]
     height = _place_at(station.height_share * (height_nodes - 1), height_nodes)
-    for r in range(count):
-        drop = room[DROP, r]
-        way = _place_at(room[WAY_POSITION, r], sigma.shape[1])
+    for i in range(count):
+        drop = room[DROP, i]
+        # In the plane: by the heights of the camera and the ways to the target.
+        way = _place_at(room[WAY_POSITION, i], sigma.shape[1])
         sigma_in_plane = _bilinear(sigma, camera, way)
-        angle_in_plane = _bilinear(angle, camera, way)
+        angle_in_plane = _bilinear(air.angle, camera, way)
         mode_in_plane = _bilinear(air.mode, camera, way)
-        room[SIGMA_X, r] = 0.0
-        room[SHARED_XY, r] = 0.0
-        if window >= 0:
-            room[SIGMA_X, r] = _bilinear(behind[window, 0], camera, way)
-            room[SHARED_XY, r] = _bilinear(behind[window, 1], camera, way)
-        coarse_way = _place_at(room[COARSE_POSITION, r], factors.shape[1])
-        incidence = _place_at(room[INCIDENCE_POSITION, r], factors.shape[2])
-        sphere = _sphere_factors(factors, height, coarse_way, incidence, mode_in_plane)
-        room[SIGMA_BY_TANGENT, r] = sigma_in_plane * sphere.sigma * drop
-        room[SLOPE_BY_SECANT2, r] = angle_in_plane * sphere.angle * drop
-        room[MODE_BY_TANGENT, r] = sphere.mode * drop / air.mode_sigma
-        room[N_GROUND, r] = linear(
-            refractivity, _place_at(room[GROUND_POSITION, r], refractivity.size)
-        )
+        room[SIGMA_AIR_X, i] = 0.0
+        room[SHARED_AIR_XY, i] = 0.0
+        if window_kind >= 0:
+            room[SIGMA_AIR_X, i] = _bilinear(air.behind[window_kind, 0], camera, way)
+            room[SHARED_AIR_XY, i] = _bilinear(air.behind[window_kind, 1], camera, way)
+        # On the sphere. The tables hold values over the way, which is `DROP`.
+        coarse_way = _place_at(room[COARSE_POSITION, i], factors.shape[1])
+        incidence = _place_at(room[INCIDENCE_POSITION, i], factors.shape[2])
+        sphere = _on_sphere(factors, height, coarse_way, incidence, mode_in_plane)
+        room[SIGMA_BY_TANGENT, i] = sigma_in_plane * sphere.sigma_factor * drop
+        room[SLOPE_BY_SECANT2, i] = angle_in_plane * sphere.angle_factor * drop
+        room[MODE_BY_TANGENT, i] = sphere.mode * drop / air.mode_sigma
+        ground = _place_at(room[GROUND_POSITION, i], refractivity.size)
+        room[N_GROUND, i] = linear(refractivity, ground)

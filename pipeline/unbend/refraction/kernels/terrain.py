@@ -3,6 +3,9 @@
 The terrain is bilinear between the nodes of a grid, which is cut into square tiles; of each tile,
 and of blocks of it, the lowest and the highest node are known, so that a ray steps over what it
 cannot meet. A ray waits where it needs a tile that is not in memory.
+
+A ray is followed in steps, each over one tile, block or cell. Distances t and lengths of steps are
+straight distances from the camera [m]; heights f are those of the ray above the terrain [m].
 """
 
 import math
@@ -18,33 +21,38 @@ from unbend.refraction.kernels.columns import (
     LANDED,
     NO_TERRAIN,
     PASSES,
-    TILE,
     WAITS,
 )
 from unbend.refraction.kernels.jit import entry, jit
-from unbend.refraction.kernels.terrain_paths import Path, fill_path, place_at, velocity_at
+from unbend.refraction.kernels.terrain_boxes import TO_BE_READ, Surroundings, surroundings_at
+from unbend.refraction.kernels.terrain_paths import (
+    Path,
+    RayPlace,
+    fill_path,
+    place_at,
+    velocity_at,
+)
 
 _SKY_M = 9_000.0  # above all land
 _DEEP_M = 500.0  # so deep under the ground a ray is not followed any further
 
 _BEHIND = 1e-5  # steps end this far behind the edge of a cell, in cells
-_CLOSE_M = 1e-6  # steps of the search for a crossing, and heights above the terrain
-_FLAT_M = 1e-7  # a height above the terrain that is none
+_BEYOND_M = 1e-6  # steps to the height of a node end this far beyond it
 _SHORTEST_STEP_M = 1e-3  # down from the sky
 
-# So much of the way over the radius a steep ray is earlier at an edge than its speed says: without
-# air all of it.
+_FLAT_M = 1e-7  # the search for a crossing ends at a height above the terrain that is less,
+_NARROW_M = 1e-6  # or where the crossing is known to lie within this distance
+_CLEAR_M = 1e-6  # a ray under the terrain comes out where it is this high above: less is rounding
+
+# A ray that goes down moves over the grid faster and faster: on a step of t [m], on the average, by
+# the share t cos(zeta) / r_e faster than at its begin without air, by about 0.75 of that in air.
+# Steps to edges are shorter by as much.
 _FASTER = 0.75
 
-# So near to nodes of a tile its blocks are looked at, and cells of a block: steps fall short.
-_ABOUT_TILE_M = 5.0
-_ABOUT_BLOCK_M = 0.01
+_MOST_HALVINGS = 100  # in the search for a crossing, and secants among them
 
-_MOST_HALVINGS = 100
-
-# Slots of tiles that are not in memory.
-_NOT_NEEDED = -1
-_TO_BE_READ = -2
+_GOES_ON = 255
+"""What becomes of a ray on a step that decides nothing, beside `LANDED` to `WAITS`."""
 
 
 class _Patch(NamedTuple):
@@ -58,51 +66,33 @@ class _Patch(NamedTuple):
     first_column: float
 
 
-class _Edges(NamedTuple):
-    """Rows and columns between which a box lies."""
-
-    top: float
-    bottom: float
-    left: float
-    right: float
-
-
-class _Box(NamedTuple):
-    """The tile about a place, or the block of the tile where its nodes are needed."""
-
-    tile: int  # number of the tile, -1 beside the grid
-    slot: int  # of the tile, or `_NOT_NEEDED`, `_TO_BE_READ`
-    cell: tuple[int, int]  # row and column of the place's cell in the tile
-    low: float  # lowest node [m]; infinite where all are unknown
-    high: float  # highest node [m]; minus infinite where all are unknown
-    edges: _Edges
-
-
-class _Surroundings(NamedTuple):
-    """What a ray has about it: a box that it is above or below, or else one cell of that box."""
-
-    box: _Box
-    edges: _Edges  # of the box, or of the cell
-    is_over: bool  # the ray is above all nodes of the box
-    is_under: bool  # the ray is below all nodes; both where all nodes are unknown
-    is_near: bool  # neither: the corners of the cell are looked at
-
-
 class _Passage(NamedTuple):
-    """Heights of a ray above the terrain along a straight step over it."""
+    """Heights f of a ray above the terrain along a straight step over it."""
 
-    f: float  # at the begin of the step [m]; NaN in a hole
+    f_0: float  # at the begin of the step [m]; NaN in a hole
     f_1: float  # at its end [m]
-    t_turn: float  # distance of the turn of this height that is nearest to zero, or of the end [m]
-    f_turn: float  # at the turn [m]
-    square: float  # term of second order over the whole step [m]
+    t_turn: float  # distance of the turn at which f is nearest to zero, or else of the end [m]
+    f_turn: float  # f there [m]
+    square: float  # term of second order of f over the whole step [m]
+
+
+class _Step(NamedTuple):
+    """A straight step of a ray over its surroundings."""
+
+    t: float  # distance from the camera at the begin [m]
+    length: float  # [m]
+    at: RayPlace  # the ray at the begin
+    at_1: RayPlace  # and at the end
+    around: Surroundings  # of the begin: what the step leads over
+    patch: _Patch
+    passage: _Passage
 
 
 @jit
 def _exit(low, high, place, speed):  # type: ignore[no-untyped-def]
-    """Way [m] to the edge of the interval from low to high; infinite for what stands still.
+    """Way [m] to just behind the edge of the interval from low to high, which holds ``place``.
 
-    ``place`` is a row or a column, ``speed`` its change per metre.
+    ``place`` is a row or a column, ``speed`` its change per metre. Infinite where that is zero.
     """
     if speed > 0.0:
         return (high - place + _BEHIND) / speed
@@ -128,25 +118,26 @@ def _above(patch, at):  # type: ignore[no-untyped-def]
 def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
     """Distance and height [m] at which a ray meets a patch between two distances ``ends`` [m].
 
-    ``sides`` are the heights above the patch at the ends, the first above zero. Between them the
-    height of a straight way is a parabola with the term of second order ``square``: its root is the
-    first guess, then secant and bisection in turn.
+    ``sides`` are the heights f at the ends, the first above zero. Along a straight way f is a
+    parabola with the term of second order ``square``: its smaller root is the first guess. Then
+    secant and bisection take turns.
     """
     t_0, t_1 = ends
     f_0, f_1 = sides
+    # f_0 - fall * share + square * share^2 = 0
     fall = f_0 - f_1 + square
     share = 2.0 * f_0 / (fall + math.sqrt(max(fall * fall - 4.0 * square * f_0, 0.0)))
     t = t_0 + min(max(share, 0.0), 1.0) * (t_1 - t_0)
     height = math.nan
-    for turn in range(_MOST_HALVINGS):
-        if turn % 2 == 1:
+    for guess in range(_MOST_HALVINGS):
+        if guess % 2 == 1:
             t = t_0 - f_0 * (t_1 - t_0) / (f_1 - f_0)
-        elif turn > 0:
+        elif guess > 0:
             t = 0.5 * (t_0 + t_1)
         at = place_at(path, t)
         f = _above(patch, at)
         height = at.height
-        if abs(f) < _FLAT_M or t_1 - t_0 < _CLOSE_M:
+        if abs(f) < _FLAT_M or t_1 - t_0 < _NARROW_M:
             break
         if (f > 0.0) == (f_0 > 0.0):
             t_0 = t
@@ -158,97 +149,63 @@ def _crossing(path, patch, ends, sides, square):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _passage_over_patch(path, patch, ends, at, at_1):  # type: ignore[no-untyped-def]
+def _passage_over_patch(path, patch, ends, at_0, at_1):  # type: ignore[no-untyped-def]
     """The `_Passage` over a `_Patch` between two distances ``ends`` [m], at two places.
 
-    The height above the patch is a parabola along a straight way: the term of second order comes
-    from the twist of the patch.
+    Along a straight way f is a parabola: the term of second order comes from the twist of the
+    patch.
     """
-    t, t_1 = ends
+    t_0, t_1 = ends
     tiles = patch.tiles
     slot = patch.slot
     i = patch.i
     j = patch.j
-    f = _above(patch, at)
+    f_0 = _above(patch, at_0)
     f_1 = _above(patch, at_1)
     twist = tiles[slot, i, j] - tiles[slot, i, j + 1] - tiles[slot, i + 1, j]
     twist += tiles[slot, i + 1, j + 1]
-    square = -twist * (at_1.row - at.row) * (at_1.column - at.column)
-    linear = f_1 - f - square
+    square = -twist * (at_1.row - at_0.row) * (at_1.column - at_0.column)
+    linear = f_1 - f_0 - square
     t_turn = t_1
     f_turn = f_1
-    if f * f_1 > 0.0 and square * f > 0.0 and 0.0 < -linear / (2.0 * square) < 1.0:
+    # Both ends are on one side of the patch, and the parabola comes nearer to it in between.
+    if f_0 * f_1 > 0.0 and square * f_0 > 0.0 and 0.0 < -linear / (2.0 * square) < 1.0:
         share = -linear / (2.0 * square)
-        t_turn = t + share * (t_1 - t)
+        t_turn = t_0 + share * (t_1 - t_0)
         f_turn = _above(patch, place_at(path, t_turn))
-    return _Passage(f, f_1, t_turn, f_turn, square)
+    return _Passage(f_0, f_1, t_turn, f_turn, square)
 
 
 @jit
-def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
-    """The `_Box` of the tile about a place, or of a block of it where the tile's nodes are needed.
+def _side_now(f, side):  # type: ignore[no-untyped-def]
+    """Side of the terrain of a ray ``f`` [m] above it that was on ``side``: 1 above, -1 under.
 
-    The nodes are needed where the height is between the lowest and the highest of the tile. The
-    slot is `_TO_BE_READ` where they are not in memory yet, and `_NOT_NEEDED` elsewhere.
+    A ray that was under the terrain is out only when it is clearly above: a landing leaves heights
+    of either sign by rounding.
     """
-    turn = 0
-    if grid.around > 0:  # columns go round the earth
-        turn = math.floor(column / grid.around) * grid.around
-    i = math.floor(row)
-    j = math.floor(column) - turn
-    p = i // TILE
-    q = j // TILE
-    top = p * TILE
-    left = q * TILE
-    cell = (i - top, j - left)
-    bottom = top + TILE
-    right = left + TILE
-    if grid.around > 0 and right > grid.around:
-        right = grid.around
-    low = np.inf
-    high = -np.inf
-    slot = _NOT_NEEDED
-    tile = -1
-    if 0 <= p < grid.low.shape[0] and 0 <= q < grid.low.shape[1]:
-        tile = p * grid.low.shape[1] + q
-        low = grid.low[p, q]
-        high = grid.high[p, q]
-        if math.isnan(low) or low - _ABOUT_TILE_M <= height <= high + _ABOUT_TILE_M:
-            slot = grid.slot[p, q]
-            if slot < 0:
-                slot = _TO_BE_READ
-            else:
-                k = cell[0] // BLOCK
-                m = cell[1] // BLOCK
-                low = grid.block_low[slot, k, m]
-                high = grid.block_high[slot, k, m]
-                top = top + k * BLOCK
-                left = left + m * BLOCK
-                bottom = top + BLOCK
-                right = min(left + BLOCK, right)
-    edges = _Edges(float(top), float(bottom), float(left + turn), float(right + turn))
-    return _Box(tile=tile, slot=slot, cell=cell, low=low, high=high, edges=edges)
+    least = _CLEAR_M if side < 0 else 0.0
+    return 1 if f > least else -1
 
 
 @jit
 def _change(side, now, gap, t):  # type: ignore[no-untyped-def]
-    """What becomes of a ray that was on one ``side`` of the terrain and is on another ``now``.
+    """What becomes of a ray that was on one ``side`` of the terrain and is on the side ``now``.
 
-    Sides are 1 above, -1 under, 0 unknown; ``gap`` says that the terrain in between is unknown,
-    ``t`` is the distance from the camera [m]. A ray that is suddenly under the terrain has LANDED
-    at a step of the terrain.
+    Sides are 1 above, -1 under, 0 never known; ``gap`` says that the terrain in between is unknown,
+    ``t`` is the distance from the camera [m]. A ray without a gap that was above the last cell and
+    is under this one has LANDED where the two meet.
     """
     if side == 0 and now < 0:
         return NO_TERRAIN if gap or t > 0.0 else HIDDEN
     if side > 0 and now < 0:
         return NO_TERRAIN if gap else LANDED
-    return EMERGES if side < 0 and now > 0 else WAITS
+    return EMERGES if side < 0 and now > 0 else _GOES_ON
 
 
 @jit
-def _at_end(landed, side, gap):  # type: ignore[no-untyped-def]
-    """What becomes of a ray that was followed to its end, when it is on ``side`` of the terrain."""
-    if landed:
+def _at_end(has_landed, side, gap):  # type: ignore[no-untyped-def]
+    """What becomes of a ray at the end of its way, where it is on ``side`` of the terrain."""
+    if has_landed:
         return LANDED
     if side != 0 and not gap:
         return PASSES
@@ -256,35 +213,23 @@ def _at_end(landed, side, gap):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _surroundings(grid, at):  # type: ignore[no-untyped-def]
-    """The `_Surroundings` of the `RayPlace` ``at``."""
-    box = _box_at(grid, at.row, at.column, at.height)
-    edges = box.edges
-    is_over = at.height > box.high + _ABOUT_BLOCK_M
-    is_under = at.height < box.low
-    is_near = not (is_over or is_under)
-    if is_near:
-        top = float(math.floor(at.row))
-        left = float(math.floor(at.column))
-        edges = _Edges(top, top + 1.0, left, left + 1.0)
-    return _Surroundings(box, edges, is_over, is_under, is_near)
-
-
-@jit
-def _step(path, at, velocity, around, way_left):  # type: ignore[no-untyped-def]
-    """Length [m] of a step to the edge of the `_Surroundings` ``around``.
+def _length_of_step(path, at, velocity, around, way_left):  # type: ignore[no-untyped-def]
+    """Length [m] of a step to the edge of the `Surroundings` ``around``.
 
     Not beyond the height of their highest or lowest node, nor beyond ``way_left`` [m].
     """
     edges = around.edges
     to_row = _exit(edges.top, edges.bottom, at.row, velocity.row)
     to_column = _exit(edges.left, edges.right, at.column, velocity.column)
-    step = min(to_row, to_column)
-    step = min(step * (1.0 - _FASTER * min(step, way_left) * at.cosine / path.r_e), way_left)
+    to_edge = min(to_row, to_column)  # at the velocity at the begin; may be infinite
+    faster_by = _FASTER * min(to_edge, way_left) * at.cosine / path.r_e
+    step = min(to_edge * (1.0 - faster_by), way_left)
     if around.is_over and velocity.rise < 0.0:
-        step = min(step, (at.height - around.box.high) / -velocity.rise + _CLOSE_M)
+        to_highest = (at.height - around.box.high) / -velocity.rise
+        step = min(step, to_highest + _BEYOND_M)
     if around.is_under and velocity.rise > 0.0:
-        step = min(step, (around.box.low - at.height) / velocity.rise + _CLOSE_M)
+        to_lowest = (around.box.low - at.height) / velocity.rise
+        step = min(step, to_lowest + _BEYOND_M)
     return step
 
 
@@ -292,12 +237,13 @@ def _step(path, at, velocity, around, way_left):  # type: ignore[no-untyped-def]
 def _passage(path, patch, around, ends, places):  # type: ignore[no-untyped-def]
     """The `_Passage` of a step between two distances ``ends`` [m] and two ``places``.
 
-    Over or under a box the height above its highest or lowest node stands for all heights.
+    Over a box the height above its highest node stands for f on the whole step, and under a box
+    that above its lowest node: it has the sign of f.
     """
-    at, after = places
+    at_0, at_1 = places
     if around.is_near:
-        return _passage_over_patch(path, patch, ends, at, after)
-    f = at.height - around.box.high if around.is_over else at.height - around.box.low
+        return _passage_over_patch(path, patch, ends, at_0, at_1)
+    f = at_0.height - around.box.high if around.is_over else at_0.height - around.box.low
     return _Passage(f, f, ends[0], f, 0.0)
 
 
@@ -309,10 +255,83 @@ def _lands(around, passage):  # type: ignore[no-untyped-def]
 
 @jit
 def _after_sky(at, rise, t, end):  # type: ignore[no-untyped-def]
-    """The distance [m] at which a ray that is above all land comes down to it; else ``end``."""
+    """Distance [m] at which a ray comes down to the height of land; ``end`` where it rises."""
     if rise >= 0.0:
         return end
     return t + max((at.height - _SKY_M) / -rise, _SHORTEST_STEP_M)
+
+
+@jit
+def _put_landing(state, ray, distance, height, factor):  # type: ignore[no-untyped-def]
+    """Put where a ray landed into the `TerrainState`."""
+    state.distance[ray] = distance
+    state.height[ray] = height
+    state.factor[ray] = factor
+
+
+@jit
+def _land_in_cell(path, step):  # type: ignore[no-untyped-def]
+    """Distance [m], height [m] and factor of the landing of a ray on a `_Step` over a cell.
+
+    The ray lands between the begin of the step and the turn of its `_Passage`.
+    """
+    passage = step.passage
+    share = (passage.t_turn - step.t) / step.length
+    square = passage.square * share * share
+    ends = (step.t, passage.t_turn)
+    sides = (passage.f_0, passage.f_turn)
+    distance, height = _crossing(path, step.patch, ends, sides, square)
+    # Terrain that is higher by df is met where the ray is higher by df times its change of height
+    # over its change of f.
+    rise = step.at_1.height - step.at.height
+    factor = abs(rise * share / (passage.f_turn - passage.f_0))
+    return distance, height, factor
+
+
+@jit
+def _under_ground(passage):  # type: ignore[no-untyped-def]
+    """What becomes of a landed ray on a step that begins under the terrain, or lands there.
+
+    On a step that lands, f is zero or less at its turn, so that only the end can be out.
+    """
+    if max(passage.f_1, passage.f_turn) > _CLEAR_M:
+        return EMERGES
+    if passage.f_1 < -_DEEP_M:
+        return LANDED
+    return _GOES_ON
+
+
+@jit
+def _result_of_step(path, step, ray, state):  # type: ignore[no-untyped-def]
+    """What becomes of a ray on a `_Step` over known terrain, or `_GOES_ON`.
+
+    ``ray`` is its number in the `TerrainState`, into which a landing and the new side are put.
+    """
+    passage = step.passage
+    side = state.side[ray]
+    has_landed = not math.isnan(state.height[ray])
+
+    # Where this box or cell meets the last one.
+    now = _side_now(passage.f_0, side)
+    result = _change(side, now, state.gap[ray], step.t)
+    state.side[ray] = now
+    state.gap[ray] = False
+    if result == LANDED:
+        _put_landing(state, ray, step.t, step.at.height, 1.0)
+        has_landed = True
+        result = _GOES_ON
+
+    # Over this cell.
+    if result == _GOES_ON and not has_landed and _lands(step.around, passage):
+        distance, height, factor = _land_in_cell(path, step)
+        _put_landing(state, ray, distance, height, factor)
+        has_landed = True
+
+    # Under the terrain.
+    if result == _GOES_ON and has_landed:
+        state.side[ray] = -1
+        result = _under_ground(passage)
+    return result
 
 
 @jit
@@ -324,25 +343,24 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
     """
     end = state.end[ray]
     t = state.t[ray]
-    side = state.side[ray]
-    gap = state.gap[ray]
-    has_landed = not math.isnan(state.height[ray])
-    result = WAITS
-    state.wanted[ray] = -1
     at = place_at(path, t)
-    while result == WAITS and t < end:
+    result = _GOES_ON
+    state.wanted[ray] = -1
+    while result == _GOES_ON and t < end:
         velocity = velocity_at(path, at)
         if at.height > _SKY_M:
             t = _after_sky(at, velocity.rise, t, end)
             at = place_at(path, t)
             continue
-        around = _surroundings(grid, at)
+        around = surroundings_at(grid, at)
         box = around.box
-        if box.slot == _TO_BE_READ:
+        if box.slot == TO_BE_READ:
             state.wanted[ray] = box.tile
-            break
-        step = _step(path, at, velocity, around, end - t)
-        after = place_at(path, t + step)
+            result = WAITS
+            continue
+        length = _length_of_step(path, at, velocity, around, end - t)
+        t_1 = t + length
+        at_1 = place_at(path, t_1)
         patch = _Patch(
             tiles=grid.tiles,
             slot=box.slot,
@@ -351,50 +369,27 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
             first_row=around.edges.top,
             first_column=around.edges.left,
         )
-        passage = _passage(path, patch, around, (t, t + step), (at, after))
-        f = passage.f
-        f_1 = passage.f_1
-        f_turn = passage.f_turn
-        if math.isnan(f) or (around.is_over and around.is_under):
-            gap = True
-            t = t + step
-            at = after
-            continue
-
-        # What becomes of the ray on this step.
-        now = 1 if f > (_CLOSE_M if side < 0 else 0.0) else -1
-        result = _change(side, now, gap, t)
-        side = now
-        gap = False
-        if result == LANDED:  # at a step of the terrain
-            state.distance[ray] = t
-            state.height[ray] = at.height
-            state.factor[ray] = 1.0
-            has_landed = True
-            result = WAITS
-        elif _lands(around, passage) and not has_landed and result == WAITS:
-            share = (passage.t_turn - t) / step
-            square = passage.square * share * share
-            ends = (t, passage.t_turn)
-            distance, height = _crossing(path, patch, ends, (f, f_turn), square)
-            state.distance[ray] = distance
-            state.height[ray] = height
-            state.factor[ray] = abs((after.height - at.height) * share / (f_turn - f))
-            has_landed = True
-            f_turn = f_1
-        if has_landed and result == WAITS:
-            side = -1
-            if max(f_1, f_turn) > _CLOSE_M:
-                result = EMERGES
-            elif f_1 < -_DEEP_M:
-                result = LANDED
-        t = t + step
-        at = after
-    if t >= end and result == WAITS:
-        result = _at_end(has_landed, side, gap)
+        passage = _passage(path, patch, around, (t, t_1), (at, at_1))
+        is_unknown = math.isnan(passage.f_0) or (around.is_over and around.is_under)
+        if is_unknown:
+            state.gap[ray] = True
+        else:
+            step = _Step(
+                t=t,
+                length=length,
+                at=at,
+                at_1=at_1,
+                around=around,
+                patch=patch,
+                passage=passage,
+            )
+            result = _result_of_step(path, step, ray, state)
+        t = t_1
+        at = at_1
+    if result == _GOES_ON:  # it was followed to its end
+        has_landed = not math.isnan(state.height[ray])
+        result = _at_end(has_landed, state.side[ray], state.gap[ray])
     state.t[ray] = t
-    state.side[ray] = side
-    state.gap[ray] = gap
     state.result[ray] = result
 
 
@@ -404,6 +399,7 @@ def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
 
     ``rays`` is a `TerrainRays`; the columns of ``state``, a `TerrainState`, are changed.
     """
+    # Room for the polynomials of one path, and for powers, of which the first are 1.
     row = np.empty(CHART_DEGREE + 1)
     column = np.empty(CHART_DEGREE + 1)
     powers = np.ones((2, CHART_DEGREE + 1))
@@ -427,7 +423,10 @@ def follow_rays(rays, which, grid, state):  # type: ignore[no-untyped-def]
 
 @entry
 def extremes_of_tile(tile, low, high):  # type: ignore[no-untyped-def]
-    """Fill lowest and highest node of the blocks of a tile; infinite where all are unknown."""
+    """Fill lowest and highest node of the blocks of a tile, its edges among them.
+
+    Where all nodes of a block are NaN, unknown, the lowest is infinite and the highest minus that.
+    """
     for k in range(low.shape[0]):
         for m in range(low.shape[1]):
             least = np.inf

@@ -1,8 +1,8 @@
 """The ways of curved rays over the grid of a terrain, compiled.
 
-A ray is a straight line from the camera at each distance t, turned by R_c(t); R_c / t is Newton's
-polynomial through some knots. Row and column of the grid are polynomials in the arc along the
-sphere from the camera.
+The point of a ray at the straight distance t from the camera lies at the nadir angle
+zeta_c - R_c(t). R_c / t is Newton's polynomial through some knots. Row and column of the grid are
+polynomials in the arc along the sphere from the camera.
 """
 
 import math
@@ -24,9 +24,8 @@ class Path(NamedTuple):
     r_c: float  # r_e + h_c
     knot: np.ndarray  # (k,) straight distances from the camera [m]
     bend: np.ndarray  # (k,) divided differences of R_c / distance at the knots
-    row: (
-        np.ndarray
-    )  # row of the grid as a polynomial in the arc from the camera, lowest power first
+    # Coefficients of row and column of the grid by powers of the arc from the camera, from 0 on.
+    row: np.ndarray
     column: np.ndarray
 
 
@@ -37,42 +36,46 @@ class RayPlace(NamedTuple):
     column: float
     height: float  # [m]
     arc: float  # along the sphere from the camera [m]
-    sine: float  # of the nadir angle, at the camera, of the ray's own direction there
+    sine: float  # of the angle between the ray's own direction there and the camera's nadir
     cosine: float
 
 
 class Velocity(NamedTuple):
     """Changes per metre of the way."""
 
-    row: float
+    row: float  # of the row of the grid
     column: float
     rise: float  # of the height [m/m]
 
 
 @jit
-def place_at(path, t):  # type: ignore[no-untyped-def]
-    """The `RayPlace` of a ray at the straight distance t [m] from the camera.
-
-    The end of the straight line at the nadir angle zeta_c - R_c(t). Where it moves on, the ray's
-    own direction is that of the line, turned by t dR_c/dt.
-    """
+def _angle_at(path, t):  # type: ignore[no-untyped-def]
+    """R_c [rad] at the straight distance t [m], and t dR_c/dt."""
     knot = path.knot
     bend = path.bend
-    r_c_by_t = bend[-1]  # R_c / t by Newton's polynomial, and its derivative
+    # Newton's polynomial for R_c / t, and its derivative.
+    angle_by_t = bend[-1]
     slope = 0.0
     for k in range(bend.size - 2, -1, -1):
-        slope = r_c_by_t + (t - knot[k]) * slope
-        r_c_by_t = bend[k] + (t - knot[k]) * r_c_by_t
-    turned = (r_c_by_t + t * slope) * t
-    angle = r_c_by_t * t
+        slope = angle_by_t + (t - knot[k]) * slope
+        angle_by_t = bend[k] + (t - knot[k]) * angle_by_t
+    return angle_by_t * t, (angle_by_t + t * slope) * t
+
+
+@jit
+def place_at(path, t):  # type: ignore[no-untyped-def]
+    """The `RayPlace` of a ray at the straight distance t [m] from the camera."""
+    angle, turned = _angle_at(path, t)
+    # The direction of the straight line there, at the nadir angle zeta_c - R_c. R_c is below 0.01.
     cos_angle = 1.0 - 0.5 * angle * angle
     sine = path.sin_c * cos_angle - path.cos_c * angle
     cosine = path.cos_c * cos_angle + path.sin_c * angle
+    # The end of that line, in the vertical plane of the ray from the earth's centre.
     across = t * sine
     down = path.r_c - t * cosine
     r = math.sqrt(across * across + down * down)
     height = path.h_c - t * cosine + across * across / (r + down)
-    tangent = across / down  # of the angle at the earth's centre
+    tangent = across / down  # of the angle at the earth's centre, whose arctangent is a series
     square = tangent * tangent
     arc = path.r_e * tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
     row = path.row[-1]
@@ -80,6 +83,7 @@ def place_at(path, t):  # type: ignore[no-untyped-def]
     for k in range(path.row.size - 2, -1, -1):
         row = row * arc + path.row[k]
         column = column * arc + path.column[k]
+    # The ray's own direction is that of the line, turned by t dR_c/dt.
     return RayPlace(
         row=row,
         column=column,
@@ -92,9 +96,13 @@ def place_at(path, t):  # type: ignore[no-untyped-def]
 
 @jit
 def velocity_at(path, at):  # type: ignore[no-untyped-def]
-    """The `Velocity` of a ray at the `RayPlace` ``at``."""
+    """The `Velocity` of a ray at the `RayPlace` ``at``.
+
+    There the ray's own nadir angle is that at the camera and theta, the angle at the earth's
+    centre. Its sine and cosine are taken to first order in theta.
+    """
     arc = at.arc
-    theta = arc / path.r_e  # at the earth's centre
+    theta = arc / path.r_e
     arc_per_metre = (at.sine + theta * at.cosine) / (1.0 + at.height / path.r_e)
     row = 0.0
     column = 0.0
@@ -109,7 +117,9 @@ def velocity_at(path, at):  # type: ignore[no-untyped-def]
 def fill_path(rays, i, row, column, powers):  # type: ignore[no-untyped-def]
     """Fill row and column of ray i as polynomials in the arc, from those of its chart.
 
-    ``powers`` (2, `CHART_DEGREE` + 1) is room for powers of east and of north; the first are 1.
+    The chart has polynomials in east and north of the station, which along the ray are the arc
+    times its azimuth: terms of one degree are one power of the arc. ``powers``
+    (2, `CHART_DEGREE` + 1) is room for powers of east and of north; the first ones are 1.
     """
     easts = powers[0]
     norths = powers[1]
@@ -124,15 +134,15 @@ def fill_path(rays, i, row, column, powers):  # type: ignore[no-untyped-def]
     term = 0
     for degree in range(CHART_DEGREE + 1):
         for power in range(degree + 1):
-            share = easts[degree - power] * norths[power]
-            row[degree] += rays.charts[chart, 0, term] * share
-            column[degree] += rays.charts[chart, 1, term] * share
+            monomial = easts[degree - power] * norths[power]
+            row[degree] += rays.charts[chart, 0, term] * monomial
+            column[degree] += rays.charts[chart, 1, term] * monomial
             term += 1
 
 
 @entry
 def divide_differences(knot, value):  # type: ignore[no-untyped-def]
-    """Newton's divided differences of ``value`` (n, k) at ``knot`` (n, k), in its place."""
+    """Replace each row of ``value`` (n, k) by Newton's divided differences at ``knot`` (n, k)."""
     for i in range(knot.shape[0]):
         for order in range(1, knot.shape[1]):
             for k in range(knot.shape[1] - 1, order - 1, -1):

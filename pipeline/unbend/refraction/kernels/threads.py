@@ -1,4 +1,7 @@
-"""Blocks of rows on all cores we may use; the compiled functions hold no lock: threads do."""
+"""Blocks of rows on all cores we may use.
+
+Threads are enough for that: compiled functions run without the lock of Python.
+"""
 
 import os
 from collections.abc import Callable
@@ -14,7 +17,7 @@ BLOCK_ROWS = 8_192
 def usable_cpus() -> int:
     """How many CPUs this process may use: fewer than there are under taskset or a batch system.
 
-    UNBEND_THREADS states another number; a process beside others has its share of them.
+    UNBEND_THREADS states another number: a process that runs beside others is given its share.
     """
     if (stated := os.environ.get("UNBEND_THREADS", "")).isdecimal():
         return max(1, int(stated))
@@ -42,12 +45,12 @@ def in_blocks(function: Callable[[slice], None], rows: int) -> None:
         for block in blocks:
             function(block)
         return
-    with held_back() as heard:
+    with held_back() as deliver_signals:
         parts = [_pool().submit(function, block) for block in blocks]
         try:
             for part in parts:
                 part.result()
-                heard()
-        finally:
+                deliver_signals()
+        finally:  # after an error or a signal the blocks that have not begun are left out
             for part in parts:
                 part.cancel()

@@ -10,7 +10,8 @@ so that the direction changes by
     d' - d = excess t + m (cos(a') - cos(a)),
     cos(a') - cos(a) = -excess (2 + excess) sin^2(a) / (cos(a') + cos(a)),
 
-which loses no digits where the excess, some 1e-4, is small.
+which loses no digits where the excess, some 1e-4, is small. The angle between d and d' is
+2 asin(length / 2), with the length of the change.
 """
 
 import math
@@ -19,23 +20,24 @@ from unbend.refraction.kernels.jit import entry, jit
 
 
 @jit
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    """The product of two vectors of three numbers."""
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """The scalar product of two vectors of three numbers."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @jit
 def _change_at_plane(cos_in, sin2_in, excess):  # type: ignore[no-untyped-def]
-    """The change of direction at a plane along its normal, and the squared length of the change.
+    """cos(a') - cos(a) of the module's equations, and the squared length of d' - d.
 
-    ``cos_in`` and ``sin2_in`` are cos(a) and sin^2(a) of the module's equations. The first number
-    is cos(a') - cos(a). Both are NaN where the plane reflects the ray wholly.
+    ``cos_in`` and ``sin2_in`` are cos(a) and sin^2(a). Both results are NaN where the plane
+    reflects the ray wholly.
     """
     ratio = 1.0 + excess  # n_in / n_out
     cos_out = math.sqrt(1.0 - ratio * ratio * sin2_in)
-    along_normal = -excess * (2.0 + excess) * sin2_in / (cos_out + cos_in)
-    length2 = excess * excess * sin2_in + along_normal * along_normal
-    return along_normal, length2
+    change_of_cosine = -excess * (2.0 + excess) * sin2_in / (cos_out + cos_in)
+    # excess t and m (cos(a') - cos(a)) are square to each other, and t is sin(a) long.
+    length2 = excess * excess * sin2_in + change_of_cosine * change_of_cosine
+    return change_of_cosine, length2
 
 
 @entry
@@ -49,16 +51,17 @@ def refract_directions(direction, normal, excess, change, angle):  # type: ignor
     for i in range(angle.size):
         d = direction[i]
         m = normal[i]
-        cos_in = _dot(d, m)
+        cos_in = dot(d, m)
         if not cos_in > 0.0:
             cos_in = math.nan
-        t = change[i]  # the direction's part along the plane, and then the change
+        # The row of the result holds t, the direction's part along the plane, before the change.
+        t = change[i]
         for k in range(3):
             t[k] = d[k] - cos_in * m[k]
-        sin2_in = _dot(t, t)
-        along_normal, length2 = _change_at_plane(cos_in, sin2_in, excess[i])
+        sin2_in = dot(t, t)
+        change_of_cosine, length2 = _change_at_plane(cos_in, sin2_in, excess[i])
         for k in range(3):
-            t[k] = excess[i] * t[k] + along_normal * m[k]
+            change[i, k] = excess[i] * t[k] + change_of_cosine * m[k]
         half_length = 0.5 * math.sqrt(length2)
         angle[i] = math.copysign(2.0 * math.asin(half_length), excess[i])
 
@@ -71,8 +74,8 @@ def fill_window_change(rows, direction, normal, excess, along_normal, r_cc):  # 
     ``normal`` (3,) its unit normal, ``excess`` n_cabin / n_outside - 1. The change is
     excess * direction + ``along_normal`` * normal.
 
-    R_cc is the series of 2 asin(length / 2), good below 0.01. Both are NaN for a ray that the
-    window reflects wholly, or that does not lead out.
+    R_cc is 2 asin(length / 2) by its series, good below 0.01. ``along_normal`` and ``r_cc`` are NaN
+    for a ray that the window reflects wholly, or that does not lead out.
     """
     d_0 = direction[0]
     d_1 = direction[1]
@@ -80,15 +83,15 @@ def fill_window_change(rows, direction, normal, excess, along_normal, r_cc):  # 
     m = (normal[0], normal[1], normal[2])
     for i in range(rows.first, rows.end):
         d = (d_0[i], d_1[i], d_2[i])
-        cos_in = _dot(d, m)
+        cos_in = dot(d, m)
         t_0 = d[0] - cos_in * m[0]
         t_1 = d[1] - cos_in * m[1]
         t_2 = d[2] - cos_in * m[2]
         t = (t_0, t_1, t_2)
-        change_of_cosine, length2 = _change_at_plane(cos_in, _dot(t, t), excess)
+        change_of_cosine, length2 = _change_at_plane(cos_in, dot(t, t), excess)
         series = 1.0 + length2 * (1.0 + 0.1125 * length2) / 24.0
         r_cc_size = math.sqrt(length2) * series
         one_if_outward = 1.0 if cos_in > 0.0 else math.nan
-        # excess * direction holds excess * cos(a) along the normal, which the plane does not add.
+        # The change is excess t + change_of_cosine m, and t = d - m cos(a).
         along_normal[i] = one_if_outward * (change_of_cosine - excess * cos_in)
         r_cc[i] = one_if_outward * math.copysign(r_cc_size, excess)

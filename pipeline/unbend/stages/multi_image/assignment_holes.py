@@ -32,25 +32,28 @@ def hole_between(
 ) -> str:
     """What shows that an event or an image is missing in between, in words; empty if nothing.
 
-    After a missing one all images up to the end would belong to other events than assigned.
+    After a missing event or image all images up to the end would belong to other events than
+    assigned. Nothing is missing unnoticed where the times of the images took part in the
+    assignment. Without an image whose event the user stated, more images than events are enough to
+    show it, or lost events without any of ``likelihoods``, which would show where they are missing.
     """
     if "times" in assignment.evidence:
         return ""
     images_count = images.name.size
     events_count = exposed.time_ns.size
     counted = images.numbering == "counted"
-    last = int(images.number.max()) if counted else images_count
-    lost = last > events_count or (exposed.lost > 0 and not likelihoods)
-    if lost and "first_image" not in assignment.evidence:
+    events_needed = int(images.number.max()) if counted else images_count
+    events_were_lost = events_needed > events_count or (exposed.lost > 0 and not likelihoods)
+    if events_were_lost and "first_image" not in assignment.evidence:
         if counted:
-            return f"{events_count} events for images counted up to {last}: some were lost"
+            return f"{events_count} events for images counted up to {events_needed}: some were lost"
         return (
             f"{events_count} events for {images_count} images, and nothing shows where the log "
             "lacks one"
         )
     if not likelihoods:
         return ""
-    order = np.argsort(images.number, kind="stable")
+    order = np.argsort(images.number, kind="stable")  # of the images, by their numbers
     for place in places_of_holes(assignment, order, likelihoods):
         if is_shifted(
             assignment, images, order, place, events_count=events_count, likelihoods=likelihoods
@@ -62,15 +65,16 @@ def hole_between(
 def places_of_holes(
     assignment: Assignment, order: Integers, likelihoods: Mapping[str, Likelihood]
 ) -> list[int]:
-    """Places in the ``order`` of the images before which one may be missing.
+    """Places in the ``order`` of the images before which an event or an image may be missing.
 
-    With tie points they are those beside images that do not fit the others; else evenly spaced.
+    With tie points they are those before and after each image that does not fit the others; without
+    tie points they are evenly spaced. At most 20.
     """
     places = np.linspace(1, order.size - 1, PLACES_OF_HOLES).astype(int)
     ties = likelihoods.get(TIES)
     if isinstance(ties, TieLikelihood):
-        rank = np.flatnonzero(np.isin(order, ties.contradicted(assignment.event)))
-        places = np.concatenate([rank, rank + 1])
+        contradicted = np.flatnonzero(np.isin(order, ties.contradicted(assignment.event)))
+        places = np.concatenate([contradicted, contradicted + 1])
         if places.size:
             places = evenly_spaced_of(places, PLACES_OF_HOLES)
     inside = (places > 0) & (places < order.size)
@@ -88,8 +92,8 @@ def is_shifted(
 ) -> bool:
     """Whether images before a place in their order, or from it on, fit far better shifted.
 
-    Shifted by 1 to 12 events, or by as many as there are more events than images. Tie points
-    count if images on both sides of the place show them.
+    They do if one of the `shifted_assignments` is 1000 times as likely as the assignment. Only tie
+    points that images on both sides of the place show count, because they alone feel the shift.
     """
     across_place: list[Likelihood] = []
     for likelihood in likelihoods.values():
@@ -114,12 +118,14 @@ def shifted_assignments(
 ) -> Iterator[Integers]:
     """Assignments (k,) with the images before a place in their order, or from it on, shifted.
 
-    An image that would be shifted beyond the events has none (-1). A shift that leaves fewer than
-    half of the images an event is left out.
+    The shifts, to both sides, are by 1 event up to the difference of the numbers of events and
+    images, which counts as 2 at least; of shifts beyond 12 only that difference itself is tried. An
+    image that would be shifted beyond the events has none (-1). A shift that leaves fewer than half
+    of the shifted images an event is left out.
     """
     event = assignment.event
     offset = int(np.median((event - images.number)[event >= 0]))
-    surplus = max(2, abs(events_count - order.size))
+    surplus = max(2, abs(events_count - order.size))  # of events or of images
     sizes = {*range(1, min(surplus, LARGEST_HOLE) + 1), surplus}
     shifts = [sign * size for size in sizes for sign in (-1, 1)]
     for rows, shift in product((order[:place], order[place:]), shifts):

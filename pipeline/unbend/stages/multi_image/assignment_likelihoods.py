@@ -27,23 +27,23 @@ TIES = "tie points"
 FEWEST_POINTS = 10  # tie points: fewer decide nothing
 TIE_POINTS = 200  # that decide: 800 rays show a shift by a factor of e^3000
 POINTS_AT_FIRST = 50  # tie points whose rays rank many assignments
-FEWEST_MEET = 0.5  # share of the points whose rays meet under a right assignment
-POOREST_FIT = 5.0  # residuals over what the sigmas of the stations say
-FEWEST_WRITTEN = 3  # images with a position
+FEWEST_MEET = 0.5  # share of the points whose rays meet at least under a right assignment
+POOREST_FIT = 5.0  # residuals over their sigmas, at most under a right assignment
+FEWEST_WRITTEN = 3  # images with a position: fewer decide nothing
 WRITTEN_SHARE = 0.5  # of the images that must have a position
 USABLE_STATIONS = 0.9  # share of the events that must have a usable station
-CONTRADICTED_SHARE = 0.5  # of the rays of an image, which meet no other ray
-FEWEST_RAYS = 4  # an image with fewer counts as one with so many
+CONTRADICTED_SHARE = 0.5  # an image is contradicted if so many of its rays meet no other ray
+FEWEST_RAYS = 4  # an image with fewer rays is judged as if it had so many
 POSITION_M = 10.0  # sigma of a position in EXIF
 COMMON_M = 5.0  # sigma of an offset that all positions share
 DELAY_S = 1.0  # sigma of a delay that all positions share: that of a receiver's last fix
-OUTLIER = 25.0  # square of sigmas, beyond which a position costs no more
+OUTLIER = 25.0  # squared residual in sigmas: what a position costs at most
 FEWEST_STATIONS = 3  # the velocity of a station needs its neighbours
 ITERATIONS = 4  # of the robust fit of what positions share
 
 
 def joint_likelihood(likelihoods: Iterable[Likelihood]) -> Likelihood:
-    """The log likelihood of assignments by several evidences that do not depend on each other."""
+    """The log likelihood of assignments by several independent likelihoods: their sum."""
     parts = tuple(likelihoods)
 
     def of_assignment(event: Integers) -> float:
@@ -57,8 +57,8 @@ class TieLikelihood:
     """Log likelihood of assignments (k,) of events to images, by tie points.
 
     event_orientations : position and attitude of the camera at each event.
-    rays : rays of the points that decide.
-    all_rays : rays of all points.
+    rays : rays of the tie points that decide, some of all.
+    all_rays : rays of all tie points.
     """
 
     event_orientations: Orientations
@@ -79,17 +79,19 @@ class TieLikelihood:
     def share_met(self, events: Integers) -> Array:
         """(c,) share of the points whose rays meet under each of several assignments (c, k).
 
-        By 50 of the points, for all assignments at a time. Each point stands alone, so that more
-        rays meet than in an intersection in which the points share the errors of the stations.
+        50 of the points are intersected under all assignments at a time. Each point stands alone
+        here, so that more rays meet than in an intersection (`intersected`) in which all points
+        share the errors of the stations.
         """
         points = evenly_spaced_of(np.unique(self.rays.point), POINTS_AT_FIRST)
         rays = self.rays.of_points(points)
         assignment_count = events.shape[0]
         event_count = self.event_orientations.camera.size
-        # An image without an event (-1) is seen from a last row, which has no orientation.
+        # One row of orientations for each event, and a last one without an orientation. An image
+        # without an event (-1) takes the last row, by the remainder.
         orientations = self.event_orientations.assigned(np.append(np.arange(event_count), -1))
         row = events[:, rays.image] % (event_count + 1)
-        # Each assignment has points of its own.
+        # Each assignment has point numbers of its own, so that its rays meet only each other.
         first_point = points.size * np.arange(assignment_count)
         point = np.searchsorted(points, rays.point) + first_point[:, None]
         stacked = ImageRays(
@@ -102,14 +104,18 @@ class TieLikelihood:
         return np.asarray(np.isfinite(heights_m).reshape(assignment_count, -1).mean(axis=1))
 
     def across(self, images: Integers) -> TieLikelihood:
-        """The likelihood by those points that both some ``images`` (by rows) and others show."""
+        """The likelihood by those tie points that both some ``images`` (rows) and others show."""
         rays = self.all_rays
         is_inside = np.isin(rays.image, images)
         shared = np.intersect1d(rays.point[is_inside], rays.point[~is_inside])
         return replace(self, rays=rays.of_points(shared))
 
     def contradicted(self, event: Integers) -> Integers:
-        """Rows of the images half of whose rays meet no ray of another image, if assigned so."""
+        """Rows of the images that the others contradict under an assignment (k,).
+
+        Half of the rays of such an image, and at least two, meet no ray of another image. Images
+        without an orientation are left out.
+        """
         orientations = self.event_orientations.assigned(event)
         rays = self.all_rays
         intersection = intersect(orientations, straightened(orientations, rays))
@@ -122,7 +128,10 @@ class TieLikelihood:
         return np.flatnonzero((lost_count >= limit) & is_placed)
 
     def fits(self, event: Integers) -> bool:
-        """Whether rays meet under the best assignment; else not the assignment is wrong."""
+        """Whether rays meet under the best assignment.
+
+        If they do not, something else than the assignment is wrong, and tie points decide nothing.
+        """
         intersection = self.intersected(event)
         meets = intersection.used.mean() >= FEWEST_MEET
         return bool(meets and intersection.sigma_factor < POOREST_FIT)
@@ -156,11 +165,13 @@ def tie_likelihood(
 class PositionLikelihood:
     """Log likelihood of assignments (k,) of events to images, by positions in the images.
 
-    A position errs by 10 m, at most five times that. All positions together err by an offset of
-    5 m and by a delay of 1 s, that of a receiver's last fix. Along one line of flight positions
-    therefore decide nothing; along lines to and fro they do.
+    A position has a sigma of 10 m; an error of more than five sigmas costs no more than that. All
+    positions share an offset with a sigma of 5 m to each side, and a delay with a sigma of 1 s,
+    that of a receiver's last fix. Along one line of flight positions therefore decide nothing;
+    along lines to and fro they do.
 
-    written_m : (k, 2) position in each image, to the north and east; see ``is_written``.
+    is_written : (k,) which images hold a position.
+    written_m : (k, 2) that position, to the north and east.
     flown_m, velocity_m_s : (m, 2) of the camera at each event, to the north and east.
     """
 
@@ -173,8 +184,9 @@ class PositionLikelihood:
         """The log likelihood of an assignment (k,), at the likeliest common offset and delay."""
         rows = np.flatnonzero(self.is_written & (event >= 0))
         rows = rows[np.isfinite(self.flown_m[event[rows], 0])]
-        # Residuals (n north, east pairs as 2 n,) and their derivatives, in sigmas of a position, by
-        # the common errors, in sigmas of theirs: delay, offset to the north, offset to the east.
+        # Residuals (2 n,), north and east of one image side by side, in sigmas of a position; and
+        # their derivatives (2 n, 3) by the errors that all share, each in sigmas of its own: delay,
+        # offset to the north, offset to the east.
         residual = (self.written_m[rows] - self.flown_m[event[rows]]).ravel() / POSITION_M
         design = np.zeros((rows.size, 2, 3))
         design[:, :, 0] = self.velocity_m_s[event[rows]] * DELAY_S / POSITION_M
@@ -183,14 +195,17 @@ class PositionLikelihood:
         design = design.reshape(-1, 3)
         shared = shared_errors(residual, design)
         remaining = squares_of_pairs(residual - design @ shared)
-        prior = np.square(shared).sum()
+        prior = np.square(shared).sum()  # what the shared errors cost
         without_event = int(self.is_written.sum()) - rows.size
         cost = np.minimum(remaining, OUTLIER).sum() + prior + without_event * OUTLIER
         return -0.5 * float(cost)
 
 
 def shared_errors(residual: Array, design: Array) -> Array:
-    """(3,) errors that all positions share, in sigmas, fitted without outliers."""
+    """(3,) errors that all positions share, in sigmas, fitted without outliers.
+
+    Least squares, in which the shared errors themselves are observed to be 0, with a sigma of 1.
+    """
     shared = np.zeros(3)
     limit = 4.0 * OUTLIER  # at first, before anything is fitted
     for _ in range(ITERATIONS):
@@ -209,9 +224,10 @@ def squares_of_pairs(values: Array) -> Array:
 def position_likelihood(
     images: CameraImages, files: ImageTimes | None, stations: Stations
 ) -> PositionLikelihood | None:
-    """The likelihood by positions in the images; None where few images or events have one.
+    """The likelihood by positions in the images; None where few images or events have a position.
 
-    ``stations`` are those of all events of the camera.
+    ``stations`` are those of all events of the camera. Metres count from the median latitude and
+    the first longitude of the stations.
     """
     if files is None or len(stations) < FEWEST_STATIONS:
         return None

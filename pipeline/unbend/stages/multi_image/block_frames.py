@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from unbend.block import oriented_images
+from unbend.block.known_places import KnownPlaces, frame_notes
 from unbend.block.oriented_images import CartesianFrame
 from unbend.config import Mission
 from unbend.config.local_frames import EnuFrame
@@ -18,8 +19,14 @@ from unbend.stages.flight_log import FlightLog
 from unbend.stages.messages import no_events
 from unbend.stages.multi_image import messages
 from unbend.stages.opened_inputs import BlockPoints, OpenedInputs
-from unbend.tables.geodata.coordinate_systems import places_of
+from unbend.tables.geodata.coordinate_systems import (
+    GeocentricDatum,
+    frame_of_datum,
+    kind_of_system,
+    places_of,
+)
 from unbend.tables.geodata.object_points import ObjectPoints
+from unbend.tables.imports.exif import ImageTimes
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array, Names
 
@@ -52,6 +59,15 @@ def orientation_table(section: OrientationSection, inputs: OpenedInputs) -> Orie
     return replace(table, camera=camera)
 
 
+def section_of_block(mission: Mission, inputs: OpenedInputs) -> OrientationSection:
+    """The section of orientations, with the coordinate system that a block names by itself."""
+    section = mission.stations.orientation
+    if section is None or inputs.orientation is None:
+        raise no_events(where="stations", what="orientation")
+    crs = inputs.orientation.crs
+    return section if crs is None else section.in_system_of(crs, kind_of_system(crs))
+
+
 def block_points(
     mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
 ) -> ObjectPoints:
@@ -59,9 +75,9 @@ def block_points(
 
     An image point without an object point gets the median height of those in its image.
     """
-    section = mission.stations.orientation
+    section = section_of_block(mission, inputs)
     block = inputs.block_points
-    if section is None or block is None:
+    if block is None:
         raise no_events(where="stations", what="orientation")
     if len(block.name) == 0:
         raise messages.block_without_points(where=section.path)
@@ -161,14 +177,25 @@ def frame_of_block(
     frame = stated or table.frame
     if frame is None:
         raise messages.frame_unstated(where=section.path)
+    if frame == "ecef" and isinstance(table.frame, GeocentricDatum):
+        frame = table.frame  # earth-centred all the same: the file says in which datum
     if table.frame not in (None, frame):
         ledger.add(
             messages.frame_contradicted(
-                where=section.path, found=str(table.frame), stated=str(frame)
+                where=section.path, found=frame_in_words(table.frame), stated=frame_in_words(frame)
             )
         )
     if isinstance(frame, GeodeticOrigin):
         return oriented_images.topocentric(frame)
+    if isinstance(frame, GeocentricDatum):
+        of_datum = frame_of_datum(
+            frame,
+            table.position,
+            keep_heights=section.is_msl(table.heights),
+            where=section.path,
+            key="export the block in WGS 84",
+        )
+        return ledger.take(of_datum)
     if frame == "ecef":
         return oriented_images.ECEF
     known = section.known_positions
@@ -183,6 +210,75 @@ def frame_of_block(
     return ledger.take(
         oriented_images.fitted_frame(table.image, table.position, image, position, sigma_m=sigma_m)
     )
+
+
+def frame_in_words(frame: object) -> str:
+    """A frame as a message names it."""
+    if isinstance(frame, GeodeticOrigin):
+        latitude = np.degrees(frame.lat_rad)
+        longitude = np.degrees(frame.lon_rad)
+        return f"east, north, up at {latitude:.6f}, {longitude:.6f}, {frame.h_ellipsoid_m:.1f} m"
+    if isinstance(frame, GeocentricDatum):
+        return f"earth-centred in {frame.name}"
+    return str(frame)
+
+
+def check_frame(
+    inputs: OpenedInputs,
+    section: OrientationSection,
+    table: OrientationTable,
+    stations: Stations,
+    *,
+    frame: CartesianFrame | None,
+    exposed: list[Stations],
+    has_control: bool,
+) -> Notes:
+    """What all known positions of the images say of the frame of their orientations.
+
+    ``stations`` are those of the rows of ``table``, whose images are called as in the block;
+    ``frame`` is that of its x, y, z. ``exposed`` are the stations of the log; control points tell a
+    frame by themselves.
+    """
+    known = places_of_block(inputs, table, frame)
+    files = inputs.image_times
+    if files is not None and section.format != "dji":
+        known.append(("positions in EXIF", positions_in_exif(files, stations.image)))
+    if inputs.known_positions is not None and section.frame != "unknown":
+        given = inputs.known_positions
+        places = KnownPlaces("known_positions", given.image, given.position)
+        known.append((places.source, places.rows_of(stations.image)))
+    if exposed:
+        image, position, _ = positions_of_log(join_stations(exposed))
+        places = KnownPlaces("positions of the log at the exposures", image, position)
+        known.append((places.source, places.rows_of(stations.image)))
+    needs_test = section.frame not in ("geographic", "unknown") and not has_control
+    return frame_notes(stations, known, must_be_tested=needs_test, where=section.path)
+
+
+def places_of_block(
+    inputs: OpenedInputs, table: OrientationTable, frame: CartesianFrame | None
+) -> list[tuple[str, Array]]:
+    """Known positions (n, 3) of the images of a table by the files of its block, by source."""
+    known = []
+    for places in inputs.block_places:
+        position = places.rows_of(table.image)
+        if not places.in_frame:
+            known.append((places.source, position))
+        elif frame is not None:
+            geodetic = np.stack(frame.geodetic(position), axis=1)
+            known.append((places.source, geodetic))
+    return known
+
+
+def positions_in_exif(files: ImageTimes, images: Names) -> Array:
+    """(n, 3) positions in the files of images, NaN where there is none."""
+    names = images.tolist()
+    row_of_image = files.rows_of(names)
+    position = np.full((images.size, 3), np.nan)
+    for i, name in enumerate(names):
+        if name in row_of_image:
+            position[i] = files.position[row_of_image[name]]
+    return position
 
 
 def positions_of_log(stations: Stations) -> tuple[Names, Array, float]:

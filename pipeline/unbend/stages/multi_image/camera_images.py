@@ -12,15 +12,16 @@ from unbend.tables.imports.exif import ImageTimes
 from unbend.units import Integers, Names
 
 FIELDS = {"index": "index", "n": "counted"}
-"""How images are numbered, by the field of the pattern: by the log's numbers, or counted."""
+"""What the numbers in names count, by the field of the pattern (see `CameraImages.number`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraImages:
     """The images of one camera, (k,).
 
-    number : the number in each name; ``numbering`` says what it counts: ``index`` the log's events,
-        ``counted`` events from the first, ``sequence`` the images themselves.
+    number : the number in each name.
+    numbering : what the number counts: ``index`` events, as the log numbers them; ``counted``
+        events from the first; ``sequence`` the images themselves.
     file : the row of the file of each image, -1 without a file.
     """
 
@@ -45,7 +46,8 @@ class DescribedImage(NamedTuple):
 class NamePattern:
     """A pattern of names, such as ``IMG_{index:04d}.JPG``, as regular expressions.
 
-    ``stem`` leaves the ending open; ``fields`` are those of the pattern in their order.
+    ``whole`` fits names as the pattern writes them, ``stem`` those with any other ending, or none,
+    and in letters of either case; ``fields`` are those of the pattern in their order.
     """
 
     pattern: str
@@ -63,6 +65,7 @@ class NamePattern:
             text += re.escape(literal).replace(re.escape("*"), ".*")
             if field is None:
                 continue
+            # A field that is repeated cannot have its name twice in an expression.
             text += r"\d+" if field in fields else rf"(?P<{field}>\d+)"
             fields.append(field)
         without_ending = re.sub(r"\\\.\w+$", "", text)
@@ -70,7 +73,11 @@ class NamePattern:
         return cls(pattern, re.compile(text), stem, tuple(fields))
 
     def name_of(self, path: str, values: dict[str, str]) -> str:
-        """The name of an image that is not observed, by its file."""
+        """The name of an image that is not observed, by the path of its file.
+
+        The pattern with its one field filled in; the path itself, if the pattern has a ``*`` or
+        another number of fields, so that it does not give the name.
+        """
         if "*" in self.pattern or len(set(self.fields)) != 1:
             return path
         return self.pattern.format(**{key: int(value) for key, value in values.items()})
@@ -81,8 +88,8 @@ def images_of_camera(
 ) -> CameraImages:
     """The images that a pattern describes, in the order of their names.
 
-    They are images of the observations, and files of images in which nothing was measured. Where
-    the pattern has no number, the digits that differ most are the camera's count.
+    They are images of the observations, and files of images in which nothing was measured. If the
+    pattern has no field for a number, the number is the `count_of_camera`.
     """
     name_pattern = NamePattern.of(pattern)
     images = described_images(name_pattern, observed, files)
@@ -99,7 +106,11 @@ def images_of_camera(
 def described_images(
     name_pattern: NamePattern, observed: tuple[str, ...], files: ImageTimes | None
 ) -> list[DescribedImage]:
-    """The images that a pattern describes: observed ones first, then files of no observed image."""
+    """The images that a pattern describes: observed ones first, then files of no observed image.
+
+    An observed image is described by its name, or by the path of its file in any case and ending; a
+    file by its path, or by the last part of that.
+    """
     paths: list[str] = []
     row_of_image: Mapping[str, int] = {}
     if files is not None:
@@ -135,17 +146,18 @@ def sorting_key(name: str) -> list[str]:
 
 
 def count_of_camera(names: Names) -> Integers:
-    """(k,) the camera's count in sorted names: the digits that differ most, if they rise.
+    """(k,) the camera's count in sorted names: of their groups of digits the one that differs most.
 
-    Else a number for each name, from 0. Of digits that differ alike the last ones count.
+    Of groups that differ equally often it is the last one. If that group does not rise from name to
+    name, or names have different numbers of groups or none, the names are numbered from 0.
     """
     from_zero = np.arange(names.size, dtype=np.int64)
     groups = [re.findall(r"\d{1,15}", name) for name in names]
     group_counts = {len(group) for group in groups}
     if len(group_counts) != 1 or not groups[0]:
         return from_zero
-    last_first = np.array(groups).astype(np.int64).T[::-1]
-    varieties = [np.unique(column).size for column in last_first]
-    count = last_first[np.argmax(varieties)]
+    last_group_first = np.array(groups).astype(np.int64).T[::-1]  # a row for each group
+    varieties = [np.unique(numbers).size for numbers in last_group_first]
+    count = last_group_first[np.argmax(varieties)]  # the first of equals
     is_rising = bool((np.diff(count) > 0).all())
     return count if is_rising else from_zero

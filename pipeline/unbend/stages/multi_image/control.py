@@ -1,4 +1,4 @@
-"""Before and after on the user's own control: points intersected with and without refraction."""
+"""Control points compared with where their rays meet, before and after the correction."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -27,23 +27,28 @@ from unbend.units import Array, Integers, Mask
 
 BATCH_ROWS = 250_000
 METRES_OF_A_FOOT = 0.3048
-FAR_M = 1.0  # control farther than each of these three from where its rays meet is another
-FAR_SIGMAS = 5.0
-FAR_EFFECTS = 3.0  # times what refraction moves
-BETTER = 0.2  # of the distance, by another reading
-FEWEST = 5  # points, among which one may be an outlier
-WORSE = 0.25  # part of the square of what refraction moves, by which that of misses may grow
+# Control is misread or wrong as a whole if it is farther than each of these three from where its
+# rays meet.
+FAR_M = 1.0
+FAR_SIGMAS = 5.0  # of that distance; a single point beyond as many is an outlier
+FAR_EFFECTS = 3.0  # times as far as the correction moves the points
+BETTER = 0.2  # another reading is likely if it leaves less than this part of the distance
+FEWEST = 5  # points: among fewer none is called an outlier
+WORSE = 0.25  # of the square of what the correction moves: by so much that of misses may grow
 NORMAL_OF_MEDIAN = 1.4826  # standard deviation over median absolute deviation
-MOST_LISTED = 5
+MOST_LISTED = 5  # outliers that a finding names
 
 
 @dataclass(frozen=True, eq=False)
 class ControlComparison:
-    """Intersected minus given places of control points (p, 3), east, north, up [m].
+    """Control points (p,) against the places where their rays meet.
 
-    ``before`` by the rays as measured, ``after`` by the corrected ones; NaN where they do not meet.
-    ``sigma_m`` (p,) is what the sigmas of stations and pixels let a height miss, ``sigma_stated``
-    whether those of the stations are known. ``unmeasured`` control points are in no image.
+    rays : (p,) how many rays each point has.
+    before, after : (p, 3) place where the rays meet minus place of the control, to the east, north
+        and up [m]: of the rays as measured and as corrected; NaN where they do not meet.
+    sigma_m : (p,) standard deviation of the intersected height, by those of stations and pixels.
+    sigma_stated : whether the standard deviations of any station are known, not assumed.
+    unmeasured : how many control points are in no image.
     """
 
     name: tuple[str, ...]
@@ -56,7 +61,7 @@ class ControlComparison:
 
     @property
     def used(self) -> Mask:
-        """(p,) points whose rays meet."""
+        """(p,) which points have rays that meet, as measured and as corrected."""
         return np.asarray(np.isfinite(self.before + self.after).all(axis=1))
 
     def rms(self, values: Array) -> Array:
@@ -64,13 +69,13 @@ class ControlComparison:
         return np.asarray(np.sqrt(np.mean(values[self.used] ** 2, axis=0)))
 
     def part_explained(self) -> float:
-        """The part of the mean square distance to the control that the correction takes away."""
+        """The part of the mean square distance to the control that the correction removes."""
         before_m2 = float(np.sum(self.rms(self.before) ** 2))
         after_m2 = float(np.sum(self.rms(self.after) ** 2))
         return 1.0 - after_m2 / before_m2
 
     def record(self) -> ControlRecord:
-        """The record for the manifest, to tenths of a millimetre."""
+        """The record for the manifest, to tenths of a millimetre; sigmas only if stated."""
         sigma_m = self.sigma_m
         if not self.sigma_stated:
             sigma_m = np.full(sigma_m.size, np.nan)
@@ -101,12 +106,12 @@ class ControlComparison:
 
 
 def rounded_known(metres: Array) -> list[float]:
-    """Numbers to four digits behind the point."""
+    """Numbers, none of which is NaN, to four digits behind the point."""
     return [round(value, 4) for value in metres.tolist()]
 
 
 def rounded(metres: Array) -> list[float | None]:
-    """Numbers to four digits behind the point, None where one is not known."""
+    """Numbers to four digits behind the point, None for NaN."""
     numbers = []
     for value in metres.tolist():
         numbers.append(None if np.isnan(value) else round(value, 4))
@@ -115,7 +120,11 @@ def rounded(metres: Array) -> list[float | None]:
 
 @dataclass(frozen=True, eq=False)
 class ControlRays:
-    """Rays of control points, (n,): rows of points and stations, sigma [rad]; (n, 3) directions."""
+    """Rays of control points, (n,) each.
+
+    point, station : rows of the control table and of the stations; a station of -1 is none.
+    before, after : (n, 3) directions in the camera as measured and as corrected.
+    """
 
     point: Integers
     station: Integers
@@ -177,8 +186,9 @@ def compare_control(
     meeting = meeting_points(rays, point_number, control.row.size, orientations)
 
     axes = enu_from_ecef(control.latitude_rad, control.longitude_rad)
-    places = np.stack([meeting.before, meeting.after])
+    places = np.stack([meeting.before, meeting.after])  # (2, p, 3)
     before, after = np.einsum("pij,kpj->kpi", axes, places - control.place())
+    # Finite where a station has both sigmas.
     station_sigmas = (stations.sigma_height_m + stations.sigma_tilt_rad)[rays.station]
     comparison = ControlComparison(
         name=tuple(points.name.take(pa.array(control.row)).to_pylist()),
@@ -198,7 +208,11 @@ def compare_control(
 
 
 def distances_of(readings: Mapping[str, Array], meeting: Array, used: Mask) -> dict[str, float]:
-    """Median distance [m] of where rays meet (p, 3) from the control, in each reading of that."""
+    """Median distance [m] from where rays meet to the control, for each reading of the control.
+
+    ``meeting`` (p, 3) and the places of the ``readings`` are earth-centred; ``used`` (p,) says
+    which points count.
+    """
     distances = {}
     for words, place in readings.items():
         distance_m = np.linalg.norm(meeting - place, axis=1)
@@ -210,8 +224,8 @@ def distances_of(readings: Mapping[str, Array], meeting: Array, used: Mask) -> d
 class MeasuredControl:
     """Control points that are observed, (p,): rows of their table, places, undulation [m].
 
-    ``h_m`` counts from where the heights of the stations do: from the ellipsoid where these are
-    known, else from sea level.
+    ``h_m`` counts from the same zero as the heights of the stations in intersections: from the
+    ellipsoid if these are known above it, else from sea level.
     """
 
     row: Integers
@@ -224,7 +238,7 @@ class MeasuredControl:
     def of(
         cls, points: ObjectPoints, row: Integers, stations: Stations, heights: HeightSystem
     ) -> "MeasuredControl":
-        """Some rows of a table of points above sea level."""
+        """The points in some rows of a table, whose heights are above sea level."""
         latitude = points.lat_rad[row]
         longitude = points.lon_rad[row]
         undulation = heights.undulation(latitude, longitude)
@@ -240,11 +254,13 @@ class MeasuredControl:
     def other_readings(self, reference: str, home_h_msl_m: float | None) -> dict[str, Array]:
         """(p, 3) where the points are if the table was misread, for each mistake in words.
 
-        ``reference`` is what the mission file says that the heights count from.
+        ``reference`` is what the mission file says that the heights count from. An unknown height
+        of the take-off makes its reading NaN; so does 0, with which nothing would be misread.
         """
         h_m = self.h_m
         undulation_m = self.undulation_m
         home_m = home_h_msl_m or np.nan
+        # The numbers of the table, whose part beyond 0.3048 is too much if they are in feet.
         stated_m = h_m if reference == "ellipsoid" else h_m - undulation_m
         too_high_in_feet_m = (1.0 - METRES_OF_A_FOOT) * stated_m
         below = self.place(h_m - undulation_m)
@@ -264,7 +280,10 @@ class MeasuredControl:
 def rays_of_control(
     observations: Observations, points: ObjectPoints, setup: CorrectionSetup
 ) -> ControlRays:
-    """The rays of all observations of control points, measured and corrected."""
+    """The rays of all observations of control points, measured and corrected.
+
+    Refuses (CONTROL-MISSING) control of which no point is observed.
+    """
     # Of the corrections only the rays are wanted, no standard deviations.
     setup = replace(setup, uncertainties=(None,) * len(setup.rays))
     images = pa.array(setup.images, pa.string())
@@ -294,7 +313,11 @@ def rays_of_batch(
 
 
 class MeetingPoints(NamedTuple):
-    """Where the rays of control points meet, (p, 3) earth-centred [m]; (p,) sigma of the height."""
+    """Where the rays of (p,) control points meet, as measured and as corrected.
+
+    before, after : (p, 3) earth-centred places [m].
+    sigma_m : (p,) standard deviation of the height of the corrected place.
+    """
 
     before: Array
     after: Array
@@ -306,13 +329,15 @@ def meeting_points(
 ) -> MeetingPoints:
     """Where rays meet as measured and as corrected.
 
-    ``point_number`` (n,) is the point of each ray among ``count`` points; NaN for a point whose
-    rays do not meet. The sigmas are those of the corrected rays.
+    ``point_number`` (n,) is the number of each ray's point, of ``count`` points. A point with too
+    few rays, or rays that are nearly parallel, is NaN. The place of any other is the one nearest to
+    its rays, even if they miss each other by far.
     """
     points = np.unique(point_number)
     sigma_m = np.full(count, np.nan)
     places = []
     for direction in (rays.before, rays.after):
+        # The second pass is by the corrected rays: its sigmas replace those of the first.
         image_rays = ImageRays(rays.station, point_number, direction, rays.sigma_rad)
         by_point = sorted_rays(orientations, image_rays)
         nearest = by_point.positions(by_point.oriented) + by_point.origin
@@ -331,8 +356,9 @@ def judge_control(
 ) -> None:
     """Add what control points say against themselves, the stations or the correction.
 
-    ``off_m`` : median distance of the corrected points from the control, in each other reading of
-    the control [m].
+    Control that is far from where its corrected rays meet has one finding; else single outliers
+    are looked for, and whether the correction brings the points nearer. ``off_m`` is the median
+    distance of the corrected points from the control in each other reading of the control [m].
     """
     used = comparison.used
     after = comparison.after[used]
@@ -356,7 +382,11 @@ def length(vector: Array) -> float:
 
 
 def far_control(count: int, misses_m: float, sigma_m: float, off_m: Mapping[str, float]) -> Message:
-    """The finding of control that is far from where its rays meet: another reading, or unknown."""
+    """The finding of control that is far from where its rays meet.
+
+    It names the reading of the control in ``off_m`` that is nearest to where the rays meet, if that
+    leaves less than a fifth of the median distance ``misses_m``; else the cause is unknown.
+    """
     likely = min(off_m, key=lambda reading: np.nan_to_num(off_m[reading], nan=np.inf))
     if off_m[likely] < BETTER * misses_m:
         return messages.control_reading(
@@ -372,7 +402,11 @@ def report_outliers(
     sigma_m: float,
     ledger: Ledger,
 ) -> None:
-    """A finding of single control points that are off where the others are not."""
+    """Add a finding of control points whose misses differ from the median miss by far.
+
+    ``apart_m`` (p,) is by how much, ``scatter_m`` the usual amount; ``sigma_m`` is what the sigmas
+    of stations and pixels let points miss. With fewer than five points none is called an outlier.
+    """
     expected_m = max(scatter_m, sigma_m if comparison.sigma_stated else 0.0)
     outliers = apart_m > FAR_SIGMAS * expected_m
     if apart_m.size < FEWEST or not bool(outliers.any()):
@@ -397,10 +431,11 @@ def report_effect(
     effect_m: float,
     ledger: Ledger,
 ) -> None:
-    """Add a note if control points are too noisy to show the correction; a finding if it is worse.
+    """Add a note if control points are too noisy to show the effect of the correction.
 
-    ``effect_m`` is how far the correction moves points; ``sigma_m`` and ``scatter_m`` are how far
-    control points miss by the sigmas of stations and pixels, and among each other.
+    If they are not, and miss by more after the correction than before, add a finding. ``effect_m``
+    is how far the correction moves points. The noise is ``sigma_m``, what the sigmas of stations
+    and pixels let points miss, if those are stated; else the scatter among the points.
     """
     count = int(comparison.used.sum())
     was_m = length(comparison.rms(comparison.before))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
 from unbend.config import Mission
 from unbend.config.event_sources import EventsSection, FirstImage
@@ -116,9 +117,9 @@ def assigned_events(
 ) -> tuple[AssignedEvents, Notes]:
     """The events of a camera that have an image, and notes on how they were found.
 
-    The log's own numbers in names decide, unless other evidence contradicts them: refuses
-    (EVENTS-CONTRADICTED). Without such numbers the likelihood decides: refuses (EVENTS-AMBIGUOUS)
-    where the next best assignment is not 1000 times less likely.
+    The log's own numbers in names decide, unless tie points, times or positions contradict them
+    by a factor of 1000: refuses (EVENTS-CONTRADICTED). Without such numbers the likelihood decides:
+    refuses (EVENTS-AMBIGUOUS) where the next best assignment is not 1000 times less likely.
     """
     all_rows = np.arange(exposed.time_ns.size, dtype=np.int64)
     has_names = bool((exposed.image != "").all())
@@ -149,7 +150,12 @@ def assigned_events(
     event = assignment.event
     if by_index:
         undecided = (event >= 0) & (event != by_name)
-        refuse_contradiction(assignment, undecided, images, exposed)
+        if float(undecided.mean()) > FEW_CONTRADICTED:
+            refuse_contradiction(
+                assignment, by_name, images, exposed, evidence, likelihoods=likelihoods
+            )
+            assignment = stated_assignment(assignment, by_name)
+            undecided = np.zeros(by_name.shape, np.bool_)
         event = np.where(undecided, -1, by_name)
     else:
         refuse_ambiguity(assignment, assignment.reason, images, exposed)
@@ -179,19 +185,20 @@ def likeliest_assignment(
 ) -> Assignment:
     """The assignment of events to images that all evidence makes most likely.
 
-    The names of the ``likelihoods`` are among the evidence that the assignment lists.
+    In the evidence that the assignment lists, the names of the ``likelihoods`` stand for the "tie
+    points" of `assign`.
     """
-
     ties = likelihoods.get(TIES)
     assignment = assign(
-        CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index),
+        camera_events(exposed),
         evidence,
         first_image=anchor_rows(anchor, images, exposed),
         tie_points=joint_likelihood(likelihoods.values()) if likelihoods else None,
         share_met=ties.share_met if isinstance(ties, TieLikelihood) else None,
     )
+    # `assign` calls every joint likelihood "tie points", whatever it is made of.
     names = " and ".join(likelihoods)
-    listed = tuple(name.replace(TIES, names) for name in assignment.evidence)
+    listed = tuple(names if name == TIES else name for name in assignment.evidence)
     return replace(assignment, evidence=listed)
 
 
@@ -227,13 +234,77 @@ def events_by_name(exposed: Events, images: CameraImages, *, by_index: bool) -> 
 
 
 def refuse_contradiction(
-    assignment: Assignment, undecided: Mask, images: CameraImages, exposed: Events
+    assignment: Assignment,
+    by_name: Integers,
+    images: CameraImages,
+    exposed: Events,
+    evidence: ImageEvidence,
+    *,
+    likelihoods: Mapping[str, Likelihood],
 ) -> None:
-    """Refuse (EVENTS-CONTRADICTED) the log's numbers in names, where evidence says otherwise."""
-    if float(undecided.mean()) > FEW_CONTRADICTED:
-        where = f"events.log.{exposed.camera}"
-        description = describe_assignment(assignment, images, exposed)
-        raise messages.numbers_contradicted(where=where, of=where, found=description)
+    """Refuse (EVENTS-CONTRADICTED) the log's numbers in names, where evidence says otherwise.
+
+    Evidence are tie points, times, positions, and a pair that the mission file states; how usual
+    it is that images or events are missing is none.
+    """
+    against = evidence_against_names(assignment, by_name, exposed, evidence, likelihoods)
+    decisive = [name for name, log_ratio in against.items() if log_ratio > 0.0]
+    if sum(against.values()) <= LOG_RATIO_NEEDED:
+        return
+    where = f"events.log.{exposed.camera}"
+    raise messages.numbers_contradicted(
+        where=where,
+        of=where,
+        evidence=" and ".join(decisive),
+        found=describe_assignment(assignment, images, exposed),
+    )
+
+
+def evidence_against_names(
+    assignment: Assignment,
+    by_name: Integers,
+    exposed: Events,
+    evidence: ImageEvidence,
+    likelihoods: Mapping[str, Likelihood],
+) -> dict[str, float]:
+    """By each evidence, how much more likely an assignment is than that of the names.
+
+    ``by_name`` (k,) are the rows of the events that names claim. The values are natural logarithms;
+    those of images without an event by their name do not count.
+    """
+    event = np.where(by_name >= 0, assignment.event, -1)
+    claimed = np.where(event >= 0, by_name, -1)
+    against = {}
+    for name, likelihood in likelihoods.items():
+        against[name] = likelihood(event) - likelihood(claimed)
+    if evidence.time_s is not None:
+        events = camera_events(exposed)
+        sigma_s = float(np.nan_to_num(assignment.sigma_s))
+        of_best = evidence.log_likelihood_of_times(events, event, sigma_s)
+        against["times"] = of_best - evidence.log_likelihood_of_times(events, claimed, sigma_s)
+    if "first_image" in assignment.evidence:
+        against["first_image"] = (
+            np.inf
+        )  # a stated pair, which the assignment has and names have not
+    return against
+
+
+def stated_assignment(assignment: Assignment, by_name: Integers) -> Assignment:
+    """The assignment that names claim, and no evidence contradicts."""
+    return replace(
+        assignment,
+        event=by_name,
+        residual_s=np.full(by_name.shape, np.nan),
+        ambiguous=np.zeros(by_name.shape, np.bool_),
+        runner_up=np.empty(0, np.int64),
+        evidence=("names (index)",),
+        offset_s=np.nan,
+    )
+
+
+def camera_events(exposed: Events) -> CameraEvents:
+    """The events of a camera with times from the first one [s]."""
+    return CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index)
 
 
 def refuse_ambiguity(

@@ -5,7 +5,7 @@ from unbend.flight.messages import IMAGES_OTHER
 from unbend.messages import Kind, Message, finding, loss, message, note, warning
 from unbend.stages.messages import POINTS_MISSING
 from unbend.tables.geodata.messages import POINTS_EMPTY
-from unbend.tables.imports.messages import IMPORT_CONTRADICTED
+from unbend.tables.imports.messages import IMPORT_CONTRADICTED, ORIENTATION_FRAME
 
 
 def images_of_another_flight(*, where: str, absent: str, files: str) -> InputError:
@@ -42,7 +42,10 @@ def images_absent(*, where: str, count: int, first: str) -> Message:
 
 EVENTS_CONTRADICTED = Code(
     "EVENTS-CONTRADICTED",
-    means="Times or tie points contradict the log's numbers in the names of images.",
+    means=(
+        "Tie points, times or positions of the images, or the pair under events.first_image, "
+        "contradict the log's numbers in the names of images."
+    ),
     effect="The mission is refused.",
     remedy=(
         "Check which camera the channel belongs to; count the images by {n} or name them by *, so "
@@ -51,12 +54,13 @@ EVENTS_CONTRADICTED = Code(
 )
 
 
-def numbers_contradicted(*, where: str, found: str, of: str) -> MissionError:
+def numbers_contradicted(*, where: str, found: str, of: str, evidence: str) -> MissionError:
     """Evidence contradicts the log's numbers in the names of images."""
     return MissionError(
         EVENTS_CONTRADICTED,
-        "the log's numbers in the names of images are contradicted: {found}",
+        "the log's numbers in the names of images are contradicted by {evidence}: {found}",
         where=where,
+        evidence=evidence,
         found=found,
         of=of,
         remedy=(
@@ -224,7 +228,10 @@ ORIENTATION_READING = Code(
         "entry names."
     ),
     effect="The mission is refused.",
-    remedy="State under stations.orientation what the table holds.",
+    remedy=(
+        "State what the file holds: unit, angles or columns under stations.orientation, angle_unit "
+        "or columns under stations.trajectory; or correct the file."
+    ),
 )
 
 
@@ -243,7 +250,7 @@ def orientation_reading(
         likely=likely,
         better=better,
         changed=changed,
-        remedy="change stations.orientation.{changed}, or mend the table",
+        remedy="change {changed}, or correct the file",
     )
 
 
@@ -281,17 +288,6 @@ def block_without_points(*, where: str) -> InputError:
     )
 
 
-ORIENTATION_FRAME = Code(
-    "ORIENTATION-FRAME",
-    means=(
-        "Nothing says what x, y and z of the orientations are, or the stated frame puts the "
-        "points off the earth."
-    ),
-    effect="The mission is refused.",
-    remedy=("Give stations.orientation.frame: ecef, {enu: ...}, projected with crs, or unknown."),
-)
-
-
 def frame_impossible(*, where: str, height_m: float) -> InputError:
     """In the stated frame a block lies at impossible heights."""
     return InputError(
@@ -315,6 +311,23 @@ def frame_unstated(*, where: str) -> MissionError:
         remedy=(
             "give stations.orientation.frame: ecef; {{enu: {{lat_deg, lon_deg, h_ellipsoid_m}}}}; "
             "projected, with crs; or unknown, with known_positions"
+        ),
+    )
+
+
+def angles_of_one_frame(*, where: str, stated: str, latitude_deg: float) -> MissionError:
+    """Our own table of angles in one frame, stated as angles against the vertical of each image."""
+    return MissionError(
+        ORIENTATION_FRAME,
+        "its angles count from east, north and up at one place (origin_lat_deg {latitude_deg:.6f}),"
+        " not from those of each image as frame: {stated} says",
+        where=where,
+        stated=stated,
+        latitude_deg=latitude_deg,
+        remedy=(
+            "give stations.orientation.frame: {{enu: {{lat_deg, lon_deg, h_ellipsoid_m}}}} with "
+            "the columns origin_lat_deg, origin_lon_deg, origin_h_ellipsoid_m; or use export "
+            "--format opk"
         ),
     )
 

@@ -1,49 +1,48 @@
 """Stations from the orientation of a block: read, brought to each station's vertical, checked."""
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
 from unbend.block import oriented_images
-from unbend.block.alignment import LOG_RATIO_NEEDED
-from unbend.block.image_rays import ImageRays, orientations_of, straightened
-from unbend.block.intersection import Intersection, intersect
-from unbend.block.oriented_images import SIGMAS_OF_BLOCK, OrientedImages
+from unbend.block.oriented_images import CartesianFrame, OrientedImages
 from unbend.config import Mission
 from unbend.config.orientations import OrientationSection
-from unbend.errors import MissionError
 from unbend.flight import heights, rotations
+from unbend.flight.heights import GeodeticOrigin
 from unbend.flight.image_names import renamed
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Kind, Ledger
 from unbend.stages.exposure_events import camera_of_rows
 from unbend.stages.flight_log import FlightLog
-from unbend.stages.messages import no_events
 from unbend.stages.multi_image import messages
-from unbend.stages.multi_image.block_frames import frame_of_block, in_wgs84, orientation_table
+from unbend.stages.multi_image.block_frames import (
+    check_frame,
+    frame_of_block,
+    in_wgs84,
+    orientation_table,
+    section_of_block,
+)
+from unbend.stages.multi_image.other_readings import (
+    UNSTATED,
+    StationsReading,
+    readings_of_angles,
+    refuse_other_reading,
+)
 from unbend.stages.multi_image.tie_point_checks import FEWEST_TIE_POINTS
 from unbend.stages.opened_inputs import OpenedInputs
+from unbend.tables.imports.exif import gimbal_of_rpy, rpy_of_gimbal
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints, tie_rays
-from unbend.units import DEGREE, RADIANS, Array, Integers
+from unbend.units import DEGREE, Array, Integers
 
 FEW_BELOW_GROUND = 0.1  # share of the stations that may be wrong alone
-GOOD_FACTOR = 2.0  # residuals over those of an adjusted block, that another reading may have
 HIGHEST_ABOVE_GROUND_M = 15_000.0  # no survey is flown higher, in the median
 METRES_OF_A_FOOT = 0.3048
-ANGLES = "angles or columns"  # what to change, where no single key says it
-
-
-class Reading(NamedTuple):
-    """What a table could mean: in words, the key to change then, and the table."""
-
-    words: str
-    key: str
-    table: OrientationTable
+SECTION = "stations.orientation"
 
 
 def oriented_stations(
@@ -59,90 +58,70 @@ def oriented_stations(
 
     Refuses (ORIENTATION-READING) a table by which tie points meet far better in another reading.
     """
-    section = mission.stations.orientation
-    if section is None:
-        raise no_events(where="stations", what="orientation")
+    section = section_of_block(mission, inputs)
     observations = inputs.observations
-    table = ledger.take(in_wgs84(section, orientation_table(section, inputs), inputs.geoid))
+    table = orientation_table(section, inputs)
+    if isinstance(table.frame, GeodeticOrigin) and section.frame == "geographic":
+        latitude_deg = table.frame.lat_rad / DEGREE
+        raise messages.angles_of_one_frame(
+            where=section.path, stated=section.frame, latitude_deg=latitude_deg
+        )
+    table = ledger.take(in_wgs84(section, table, inputs.geoid))
+    ledger.extend(table.notes)
+    named_by_block = table.image
     differences = mission.observations.match_names
     image = renamed(table.image, observations.images, differences, "stations.orientation")
     table = replace(table, image=ledger.take(image))
     reader = Reader(mission, inputs, flight, section, exposed)
     stations = reader.stations(table, ledger)
+    ledger.extend(
+        check_frame(
+            inputs,
+            section,
+            replace(table, image=named_by_block),
+            stations,
+            frame=None if section.is_level else reader.frame(table, Ledger()),
+            exposed=exposed,
+            has_control=mission.control is not None,
+        )
+    )
     use_suspect = mission.stations.use_suspect
     stations = ledger.take(oriented_images.flag_far_images(stations, use=use_suspect))
     stations = check_height_above_ground(mission, flight, stations, observations, ledger)
     rays = tie_rays(ties, stations.image, stations.camera, mission.interior_orientations)
     if np.unique(rays.point).size >= FEWEST_TIE_POINTS:
-        refuse_other_reading(reader, table, stations, rays)
+        readings = other_readings(section, table, reader)
+        refuse_other_reading(stations, readings, rays, where=section.path)
     return stations
 
 
-def refuse_other_reading(
-    reader: "Reader", table: OrientationTable, stations: Stations, rays: ImageRays
-) -> None:
-    """Refuse (ORIENTATION-READING) a table by which rays meet far better in another reading."""
-    section = reader.section
-    as_stated = intersected(stations, rays)
-    likely: Reading | None = None
-    best = as_stated
-    for reading in other_readings(section, table):
-        with suppress(MissionError):  # a reading that is refused is not meant
-            intersection = intersected(reader.stations(reading.table, Ledger()), rays)
-            if intersection.log_likelihood > best.log_likelihood:
-                likely = reading
-                best = intersection
-    better = best.log_likelihood - as_stated.log_likelihood
-    if likely is not None and better > LOG_RATIO_NEEDED and best.sigma_factor < GOOD_FACTOR:
-        raise messages.orientation_reading(
-            where=section.path,
-            points=int(np.unique(rays.point).size),
-            likely=likely.words,
-            better=float(better),
-            changed=likely.key,
-        )
-
-
-def intersected(stations: Stations, rays: ImageRays) -> Intersection:
-    """The tie points at which rays meet, with the stations held."""
-    orientations = orientations_of(stations, SIGMAS_OF_BLOCK)
-    return intersect(orientations, straightened(orientations, replace(rays, height_m=None)))
-
-
-def other_readings(section: OrientationSection, table: OrientationTable) -> Iterator[Reading]:
+def other_readings(
+    section: OrientationSection, table: OrientationTable, reader: "Reader"
+) -> Iterator[StationsReading]:
     """What a table could mean instead of what the mission file states: angles and positions."""
+
+    def reading(words: str, key: str, changed: OrientationTable) -> StationsReading:
+        stations = partial(reader.stations, changed, Ledger())
+        return StationsReading(words, f"{SECTION}.{key}", stations)
+
     if section.angles.startswith("quaternion"):
         inverse = replace(table, angles=table.angles * [1, -1, -1, -1])
-        yield Reading("if the quaternions turn the other way", ANGLES, inverse)
+        yield reading("if the quaternions turn the other way", UNSTATED, inverse)
     else:
-        yield from other_readings_of_angles(section, table)
+        order = section.angles if section.angles.endswith("kappa") else None
+        first, second, last = section.angle_names
+        for words, key, change in readings_of_angles((first, second, last), section.unit, order):
+            if section.format == "dji":  # the mistake would be one about the gimbal's angles
+                angles = rpy_of_gimbal(change(gimbal_of_rpy(table.angles)))
+            else:
+                angles = change(table.angles)
+            yield reading(words, key, replace(table, angles=angles))
     if section.is_geodetic:
         swapped = replace(table, position=table.position[:, [1, 0, 2]])
         key = "columns (latitude, longitude)"
-        yield Reading("with latitude and longitude exchanged", key, swapped)
+        yield reading("with latitude and longitude exchanged", key, swapped)
         in_feet = replace(table, position=table.position * [1, 1, METRES_OF_A_FOOT])
-        yield Reading("if the heights are in feet", ANGLES, in_feet)
-
-
-def other_readings_of_angles(
-    section: OrientationSection, table: OrientationTable
-) -> Iterator[Reading]:
-    """What else the angles of a table could mean: other units, signs and orders."""
-    angles = table.angles
-    first, second, last = section.angle_names
-    for unit, size in RADIANS.items():
-        if unit != section.unit:
-            in_unit = angles * (size / RADIANS[section.unit])
-            yield Reading(f"if the angles are in {unit}", "unit", replace(table, angles=in_unit))
-    for what, undone in rotations.ANGLE_MISTAKES.items():
-        changed = np.stack(undone(*angles.T), axis=1)
-        words = what.format(first, second, last)
-        yield Reading(words, ANGLES, replace(table, angles=changed))
-    if last == "kappa":
-        order = f"{second}_{first}_kappa"
-        in_order = rotations.quaternion_of_opk(angles[:, [1, 0, 2]], order)
-        same = rotations.opk_of_quaternion(in_order, section.angles)
-        yield Reading(f"if the angles are {order}", ANGLES, replace(table, angles=same))
+        yield reading("if the heights are in feet", UNSTATED, in_feet)
 
 
 class Reader:
@@ -171,14 +150,12 @@ class Reader:
         quaternion = quaternions_of_table(section, table)
         latitude, longitude, height_m = table.position.T
         tilt_rad = 0.0
-        if section.frame in ("geographic", "projected"):
+        if section.is_level:
             convergence_rad = section.convergence_deg * DEGREE + table.convergence_rad
             turn = rotations.enu_from_grid(convergence_rad)
             quaternion = rotations.in_turned_frame(quaternion, turn.swapaxes(-1, -2))
         else:
-            frame = frame_of_block(
-                self.inputs, self.flight, section, table, exposed=self.exposed, ledger=ledger
-            )
+            frame = self.frame(table, ledger)
             tilt_rad = frame.tilt_rad
             if not section.is_geodetic:
                 latitude, longitude, height_m = frame.geodetic(table.position)
@@ -204,6 +181,12 @@ class Reader:
         stations = ledger.take(oriented_images.flag_above_horizon(stations))
         oriented_images.refuse_turned_images(stations)
         return stations
+
+    def frame(self, table: OrientationTable, ledger: Ledger) -> CartesianFrame:
+        """The frame of the angles of a table that are not against each station's vertical."""
+        return frame_of_block(
+            self.inputs, self.flight, self.section, table, exposed=self.exposed, ledger=ledger
+        )
 
     def times(self, table: OrientationTable) -> Integers:
         """(n,) times of the images [Unix ns]: those of the events where the table has none."""

@@ -1,4 +1,4 @@
-"""Heights of points from a table of the user's, checked, or by intersection."""
+"""Heights of points: from a table of the user's, which is checked, or by intersection of rays."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -35,13 +35,13 @@ from unbend.tables.text_columns import hashes_of, rows_among
 from unbend.units import WGS84_A, Array, Integers
 
 STEEPEST = 20.0  # flying heights: points farther away are seen at more than 87 deg
-LOWEST_FLIGHT_M = 50.0  # above the points, that counts for it
+LOWEST_FLIGHT_M = 50.0  # above the points: a lower flight counts as one of this height
 CHECKED_ROWS = 100_000  # first rows whose points are compared with their stations
-LIKELY_EXCHANGED = 0.1  # of the distance: exchanged coordinates that lie so much nearer
+LIKELY_EXCHANGED = 0.1  # exchanged coordinates are likely if they give so small a part of distances
 BATCH_ROWS = 250_000
-ROWS_OF_A_FILE = 300_000  # whose rays are intersected at a time: 12 MB
-MOST_FILES = 200
-SAMPLED_SHARES = 10_000  # sigmas of a file that stand for all in the median
+ROWS_OF_A_FILE = 300_000  # about as many rays are intersected at a time: 12 MB
+MOST_FILES = 200  # temporary files that are open together
+SAMPLED_SHARES = 10_000  # sigmas of each file that count in the median
 POOR_SIGMA = 0.05  # of the camera's height above a point: 5 % of it are 5 % of R
 
 RAY = np.dtype([("point", "u8"), ("row", "i8"), ("station", "i8"), ("x", "f8"), ("y", "f8")])
@@ -51,7 +51,10 @@ RAY = np.dtype([("point", "u8"), ("row", "i8"), ("station", "i8"), ("x", "f8"), 
 def with_object_points(
     mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
 ) -> Observations:
-    """The observations with the object points of a table, or of the block, if any."""
+    """The observations with the object points that give the ground heights, if the mission has any.
+
+    They are those of the block or of the user's table.
+    """
     ground = mission.ground
     observations = inputs.observations
     if ground.height == "block":
@@ -110,8 +113,10 @@ def points_above_sea(
 def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:
     """Compare the places of object points with the stations that see them.
 
-    Refuses a table that has none of the observed points (POINTS-MISSING), and points beyond the
-    horizon in the median (POINTS-FAR); a loss if they are seen at more than 87 deg from the nadir.
+    Refuses a user's table that has none of the observed points (POINTS-MISSING); of a block all may
+    be unknown, because an unknown point has the usual height of its image. Refuses points whose
+    median distance is beyond the horizon (POINTS-FAR); a loss if they are nearer, but seen at more
+    than 87 deg from the nadir.
     """
     points = observations.points
     if points is None:
@@ -124,23 +129,26 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
             where=where, total=len(batch), point=str(batch.point[0]), first=str(points.name[0])
         )
     station = matching_rows(batch.image, pa.array(stations.image, pa.string()))
-    has_both = (row >= 0) & (station >= 0)
-    seen = seen_points(points, stations, row[has_both], station[has_both])
+    is_pair = (row >= 0) & (station >= 0)  # of a known point and a station
+    seen = seen_points(points, stations, row[is_pair], station[is_pair])
     known = np.isfinite(seen.distance_m)
     if not bool(known.any()):
         return
     usual_m = float(np.median(seen.distance_m[known]))
-    if usual_m < STEEPEST * np.median(seen.above_m[known]):
+    is_near = usual_m < STEEPEST * np.median(seen.above_m[known])
+    if is_near:
         return
-    other = ""
+    likely_cause = ""
     exchanged_m = float(np.nanmedian(seen.distance_exchanged_m))
     if exchanged_m < LIKELY_EXCHANGED * usual_m:
-        other = f"; with latitude and longitude exchanged {exchanged_m / 1000.0:.0f} km"
+        likely_cause = f"; with latitude and longitude exchanged {exchanged_m / 1000.0:.0f} km"
     horizon_m = float(np.median(np.sqrt(2.0 * WGS84_A * seen.above_m[known])))
     if usual_m > horizon_m:
-        raise messages.points_beyond_horizon(where=where, km=usual_m / 1000.0, other=other)
+        raise messages.points_beyond_horizon(where=where, km=usual_m / 1000.0, other=likely_cause)
     count = int(known.sum())
-    ledger.add(messages.points_far(where=where, count=count, km=usual_m / 1000.0, other=other))
+    ledger.add(
+        messages.points_far(where=where, count=count, km=usual_m / 1000.0, other=likely_cause)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +157,7 @@ class SeenPoints:
 
     distance_m : from station to point.
     distance_exchanged_m : the same with latitude and longitude of the point exchanged.
-    above_m : height of the station above the point, at least 50 m.
+    above_m : difference of the heights of station and point, at least 50 m.
     """
 
     distance_m: Array
@@ -170,7 +178,7 @@ def seen_points(
     station_h = stations.h_msl_m[station]
     centre = ecef_of_geodetic(stations.lat_rad[station], stations.lon_rad[station], station_h)
     apart = ecef_of_geodetic(latitude, longitude, h) - centre
-    # As if the columns of latitude and longitude had been confused.
+    # The places if the columns of latitude and longitude were confused.
     exchanged = ecef_of_geodetic(longitude, latitude, h) - centre
     return SeenPoints(
         np.linalg.norm(apart, axis=1),
@@ -188,17 +196,19 @@ def with_intersected_heights(
 ) -> CorrectionSetup:
     """The setup with intersected ground heights and their sigmas, if the mission asks for them.
 
-    The rays of a point may lie anywhere in a table of any length: its rows are divided by the hash
-    of their points into temporary files of some 300,000 rows, which are intersected one after the
-    other, by rays without refraction of air and window. Heights lie in a temporary file too (16
-    bytes a row, the rays 40). A rehearsal takes the points of its rows alone. A point whose rays do
-    not meet has no height (NaN); refuses (GROUND-INTERSECTED) a mission in which no point has one.
+    The rays of one point may lie anywhere in a long table. Therefore the rows are first divided,
+    by the hash of their points, among temporary files of some 300,000 rows, so that all rays of a
+    point are in one file; then the files are intersected one after the other (`heights_of_rays`).
+    The heights lie in a temporary file too (16 bytes a row, the rays 40). A sample of the
+    observations needs one file: only rows that show a point of the sample are read. A point whose
+    rays do not meet has no height (NaN); refuses (GROUND-INTERSECTED) a mission in which no point
+    has one.
     """
     if mission.ground.height != "intersected":
         return setup
     with TemporaryFile() as file_of_heights:  # the map of its memory outlives the closed file
         heights = np.memmap(file_of_heights, np.float64, "w+", shape=(2, observations.rows))
-    heights[:] = np.nan
+    heights[:] = np.nan  # the first row will be heights, the second their sigmas
     orientations = orientations_of_mission(mission, stations)
     counts: Counter[str] = Counter()
     shares = []
@@ -222,7 +232,7 @@ def with_intersected_heights(
 
 
 def counts_of_points(points: PointHeights) -> Counter[str]:
-    """How many points there are, and how many have no height, by the reason."""
+    """How many points there are, and how many have no height for each of three reasons."""
     return Counter(
         points=points.h_m.size,
         few=int(points.few.sum()),
@@ -232,7 +242,10 @@ def counts_of_points(points: PointHeights) -> Counter[str]:
 
 
 def sigma_shares(sigma_m: Array, above_m: Array) -> Array:
-    """Some of the known sigmas of heights, as shares of the camera's height above the point."""
+    """Known sigmas of heights as shares of the camera's height above the point, evenly spaced.
+
+    At most about `SAMPLED_SHARES` of them, for a median over all files.
+    """
     with np.errstate(invalid="ignore"):
         share = sigma_m / np.abs(above_m)
     step = max(1, share.size // SAMPLED_SHARES)
@@ -240,7 +253,11 @@ def sigma_shares(sigma_m: Array, above_m: Array) -> Array:
 
 
 def batches_with_points(observations: Observations) -> Iterable[Batch]:
-    """The observations in batches; with a sample one batch, all that show a point of the sample."""
+    """The observations in batches.
+
+    Of a sample there is one batch: all rows of the table that show a point of the sample, because
+    the sampled rows alone have too few rays of each point.
+    """
     if observations.sample is None:
         return observations.batches(BATCH_ROWS)
     wanted = np.unique(hashes_of(observations.sampled(points=True).point))
@@ -250,7 +267,10 @@ def batches_with_points(observations: Observations) -> Iterable[Batch]:
 def write_rays(
     batches: Iterable[Batch], setup: CorrectionSetup, files: Sequence[IO[bytes]]
 ) -> None:
-    """Write the rays of observations that have a station; those of one point go into one file."""
+    """Write the rays of observations that have a point, a pixel and a station into files.
+
+    All rays of one point go into the same file.
+    """
     images = pa.array(setup.images, pa.string())
     for batch in batches:
         rows = batch.rows
@@ -301,10 +321,11 @@ def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger
 def heights_of_rays(
     rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
 ) -> tuple[Array, PointHeights]:
-    """(n,) heights above sea level at which the rays of each point meet, and the points.
+    """(n,) height above sea level of the point of each ray, and the points as intersected.
 
-    Rays that were bent by refraction are straightened before they are intersected; a first
-    intersection of the rays as measured gives the heights that this needs.
+    Measured rays are bent by air and window. They are intersected twice: as measured, which gives
+    the heights with which refraction is removed from the pixels, and then without refraction. If
+    the mission applies refraction, its pixels have none yet, and the first intersection holds.
     """
     station = rays["station"]
     x_px = rays["x"]
@@ -314,7 +335,7 @@ def heights_of_rays(
     def intersected(x_px: Array, y_px: Array) -> tuple[Array, PointHeights]:
         direction, sigma_rad = setup.directions(x_px, y_px, station)
         image_rays = ImageRays(station, rays["point"], direction, sigma_rad)
-        points = point_heights(orientations, image_rays)
+        points = point_heights(orientations, image_rays)  # above the ellipsoid
         ray_count = np.maximum(np.bincount(points.index), 1)
         mean_undulation = np.bincount(points.index, undulation) / ray_count
         return (points.h_m - mean_undulation)[points.index], points

@@ -26,13 +26,15 @@ from unbend.units import Array, Mask, Names
 
 FEWEST_TIE_POINTS = 10
 FEET_IN_METRES_TOO_MUCH = 1.0 - 0.3048  # of heights in feet that were taken for metres
-PART_FACTOR = 1.5  # residuals over sigmas, after findings that explain them in part
-POOR_FACTOR = 5.0  # and where they do not explain them
-TERRAIN_FITS = 0.2  # of the relief: the scatter about a model that belongs to the points
-FLAT = 0.002  # of the flying height: the scatter that is judged at all
-FAR_BETTER = 0.5  # of the scatter: a model reversed that fits so much better
-PANE_RAD = 1e-4  # what a window bends, which stays in the rays
-MOST_MEET = 0.5  # share of the points whose rays meet where nothing is wrong
+# Residuals over their sigmas when all findings are mended: beyond the first the findings explain a
+# part of the residuals only, beyond the second they do not explain them.
+PART_FACTOR = 1.5
+POOR_FACTOR = 5.0
+TERRAIN_FITS = 0.2  # of the points' relief: a smaller scatter about a model means that it fits
+FLAT = 0.002  # of the flying height: a smaller scatter about a model is not judged
+FAR_BETTER = 0.5  # of the scatter: less than this in another order speaks for that order
+PANE_RAD = 1e-4  # sigma of what a window bends, which stays in the rays
+MOST_MEET = 0.5  # share of the points whose rays meet at least where nothing is wrong
 MOST_WORST_IMAGES = 3  # that a finding names
 
 TO_CHANGE = {
@@ -44,7 +46,7 @@ TO_CHANGE = {
     "TIES-PIXELS": "{}: x_px, y_px",
     "TIES-CAMERAS": "image or channel of both under events, or their names under cameras",
 }
-"""What to change by the code of a finding; its key for others."""
+"""What to change, by the code of a finding. For other codes that is the key of the finding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +54,8 @@ class TieEvidence:
     """Tie points, the stations of a mission, and the ground heights that the mission states.
 
     terrain : the elevation model, if the mission has one.
-    later : gives the stations of the same exposures some seconds later; None where the stations
-        are not those of events.
+    later : gives the stations of the same exposures, in the same rows, as if they had been some
+        seconds later; None where the stations are not those of events.
     """
 
     mission: Mission
@@ -71,20 +73,28 @@ class TieEvidence:
 
     @cached_property
     def undulation_m(self) -> Array:
-        """(s,) undulation at the stations [m]; 0 where only one of their heights is known."""
+        """(s,) undulation at the stations [m], ellipsoidal height minus height above sea level.
+
+        0 where only one of the two heights of a station is known.
+        """
         return np.nan_to_num(self.stations.h_ellipsoid_m - self.stations.h_msl_m)
 
     def orientations(self, seconds: float = 0.0) -> Orientations:
-        """Position and attitude of the stations, or of the stations some ``seconds`` later."""
+        """Position and attitude of the stations, or of the same stations some ``seconds`` later.
+
+        Stations that are not ok now have no orientation later either.
+        """
         stations = self.stations if self.later is None else self.later(seconds)
         stations = stations.with_status(~self.stations.ok, "suspect")
         return orientations_of_mission(self.mission, stations)
 
     def rays(self, cameras: Mapping[str, Camera], axes: Mapping[str, str]) -> ImageRays:
-        """The apparent rays of tie points, with the stated heights above the ellipsoid.
+        """The apparent rays of tie points, with the stated ground heights above the ellipsoid.
 
         ``cameras`` are the interior orientations; ``axes`` say, by camera, whether pixels have
-        other axes than stated, as for `tie_rays`.
+        other axes than stated, as for `tie_rays`. Tie points without heights have the one height
+        of the mission; NaN without that. Rays through a window are less certain, because what the
+        window bends is not removed.
         """
         stations = self.stations
         sections = self.mission.cameras
@@ -101,15 +111,16 @@ class TieEvidence:
         )
 
     def on_terrain(self, model: ElevationModel) -> tuple[TieEvidence, str]:
-        """The evidence with heights of an elevation model where rays meet.
+        """The evidence with the model's heights at the points where rays meet as stated heights.
 
-        Also whether the model fits better in another order, as `model_in_other_order` says.
+        Also whether the model fits better in another order, as `model_in_other_order` says. Rays
+        are straightened by the heights at which they meet, not by given ones.
         """
         orientations = self.orientations()
         rays = self.rays(self.mission.interior_orientations, {})
         straight_rays = straightened(orientations, replace(rays, height_m=None))
         points = point_heights(orientations, straight_rays)
-        met = np.isfinite(points.h_m)
+        met = np.isfinite(points.h_m)  # of the distinct points, in the order of their numbers
         latitude, longitude, h_m = geodetic_of_ecef(*points.position_m[met].T)
         row, column = model.nodes(latitude, longitude)
         height_m = model.heights(row, column)
@@ -123,7 +134,11 @@ class TieEvidence:
         return replace(self, ties=ties), reordered
 
     def other_heights_m(self, rays: ImageRays) -> dict[str, float]:
-        """How far stations lie too low [m], for each way to misread heights, in words."""
+        """How far stations lie too low above the ground [m], for each way to misread heights.
+
+        The ways are in words. Ground that is taken for too high makes stations too low; stations
+        that are taken for too high make it negative.
+        """
         undulation_m = float(np.nanmedian(self.undulation_m))
         offset_m = float(np.nanmedian(self.offset_m))
         ground_m = np.nan
@@ -155,8 +170,8 @@ def model_in_other_order(
     """How much better a model fits points with its rows or columns reversed or exchanged, in words.
 
     ``h_m`` (n,) are heights of points in the cells (``row``, ``column``), ``height_m`` (n,) those
-    of the model there, ``station_m`` those of the stations. Empty where the model fits as it is, is
-    flat, or fits hardly better in another order.
+    of the model there, ``station_m`` those of the stations. Empty if the model fits as it is, if it
+    is off by too little to judge, or if it fits hardly better in another order.
     """
     scatter_m = scatter_of(height_m - h_m)
     if not np.isfinite(scatter_m) or scatter_m <= TERRAIN_FITS * scatter_of(h_m):
@@ -167,8 +182,8 @@ def model_in_other_order(
     cell = np.array([row, column])
     size = np.array(model.size)[:, None]
     best_m = np.inf
-    orders = list(product((False, True), repeat=3))
-    for is_exchanged, *is_reversed in orders[1:]:  # the first is the order that it has
+    orders = list(product((False, True), repeat=3))  # exchanged, rows reversed, columns reversed
+    for is_exchanged, *is_reversed in orders[1:]:  # the first, all False, is the order it has
         in_order = cell[::-1] if is_exchanged else cell
         in_order = np.where(np.array(is_reversed)[:, None], size - 1 - in_order, in_order)
         best_m = min(best_m, scatter_of(model.heights(*in_order) - h_m))
@@ -183,13 +198,15 @@ def model_in_other_order(
 def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     """Add a finding for each part of the mission file that tie points contradict.
 
-    If no finding explains how far the rays miss each other, a single one lists what would explain
-    the most.
+    That is done only if these findings together explain how far the rays miss each other. If they
+    do not, one finding says how far they miss, and lists what would explain a part of it. Nothing
+    is checked with fewer than ten tie points in usable images.
     """
     cameras = evidence.mission.interior_orientations
     stations = evidence.stations
     rays = evidence.rays(cameras, {})
-    if np.unique(rays.point[stations.ok[rays.image]]).size < FEWEST_TIE_POINTS:
+    usable_points = np.unique(rays.point[stations.ok[rays.image]])
+    if usable_points.size < FEWEST_TIE_POINTS:
         return
     reordered = ""
     if evidence.terrain is not None:
@@ -197,9 +214,15 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
         rays = evidence.rays(cameras, {})
     intersection, findings = diagnosis(stated_mission(evidence, rays))
     if reordered and not any(finding.code == "TIES-HEIGHT" for finding in findings):
-        key = "ground.height.dem"
-        of_model = Finding("TIES-HEIGHT", key, reordered, np.inf, intersection.sigma_factor)
+        of_model = Finding(
+            code="TIES-HEIGHT",
+            key="ground.height.dem",
+            what=reordered,
+            log_ratio=np.inf,
+            sigma_factor=intersection.sigma_factor,
+        )
         findings = (*findings, of_model)
+    # Each finding's factor holds when it and all before it are mended, that of the last with all.
     is_explained = bool(findings) and findings[-1].sigma_factor < POOR_FACTOR
     if is_explained:
         remaining = findings[-1].sigma_factor
@@ -218,17 +241,20 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
 
 
 def stated_mission(evidence: TieEvidence, rays: ImageRays) -> StatedMission:
-    """What the mission file states of all that tie points may contradict."""
+    """What the mission file states of all that tie points may contradict.
+
+    Mounts count unless a table gives the angles of the cameras themselves.
+    """
     mission = evidence.mission
     oriented = mission.stations.orientation
     turned_by_mounts = oriented is None or oriented.angles == "roll_pitch_yaw"
     later = None if evidence.later is None else lru_cache(8)(evidence.orientations)
     return StatedMission(
-        evidence.orientations(),
-        mission.interior_orientations,
-        evidence.rays,
-        mission.mounts if turned_by_mounts else {},
-        later,
+        orientations=evidence.orientations(),
+        cameras=mission.interior_orientations,
+        rays=evidence.rays,
+        mounts=mission.mounts if turned_by_mounts else {},
+        shifted=later,
         sigma_heights_m=mission.ground.sigma_m or 0.0,
         other_heights_m=evidence.other_heights_m(rays),
         one_height=mission.ground.constant_m is not None,
@@ -253,7 +279,7 @@ def message_of_finding(finding: Finding, sigma_factor: float, *, count: int) -> 
 
 
 def described(finding: Finding) -> str:
-    """The mistake of a finding, with others that tie points do not tell from this one."""
+    """The mistake of a finding, with other mistakes that explain the tie points equally well."""
     mistakes = "; or ".join((finding.what, *finding.also))
     if finding.also:
         return f"equally likely by the tie points: {mistakes}"
@@ -272,21 +298,22 @@ def report_misses(
 ) -> None:
     """Add how far the rays of tie points miss each other to the ledger.
 
-    That is a note if findings have ``explained`` the misses, or if the rays meet and no finding
-    would explain even a part of what remains (``nearest`` is empty). Else it is a finding, with the
-    worst cameras and images.
+    That is a note if findings have ``explained`` the misses, or if the rays meet and there is no
+    finding (``nearest``, which lists the findings in words, is empty). Else it is a finding itself,
+    with the worst cameras and images. ``oriented`` says whether the stations are those of a table.
     """
     point_of_ray = np.searchsorted(intersection.point, rays.point)
     miss_rad = np.sqrt(np.mean(intersection.residual_rad**2, axis=1))
-    # A point is judged if it has a place, or would have one without the rays that miss the others.
-    # Rays that are all but parallel fix no place.
+    # A point is judged if it has a place, if its rays cross at an angle at which it would have a
+    # place if they met, or if some of its rays contradict the others.
     is_judged = intersection.used | (intersection.angle_rad >= MINIMUM_ANGLE_RAD)
     is_judged[point_of_ray[intersection.bad]] = True
     where = "stations.orientation.path" if oriented else "stations"
     count = intersection.point.size
     misses = describe_misses(intersection, rays, miss_rad)
     most_meet = intersection.used.sum() >= MOST_MEET * is_judged.sum()
-    meets = most_meet and not intersection.sigma_factor > POOR_FACTOR
+    is_poor = intersection.sigma_factor > POOR_FACTOR  # False for NaN: nothing checks the rays
+    meets = most_meet and not is_poor
     if explained or (meets and not nearest):
         ledger.add(messages.ties_miss(oriented=oriented, where=where, count=count, misses=misses))
         return
@@ -311,10 +338,10 @@ def report_misses(
 
 @dataclass(frozen=True, eq=False)
 class RaysMissed:
-    """Rays of tie points that miss each other, (r,) each.
+    """Rays of tie points, (r,) each, and how far they miss the other rays of their points.
 
-    is_judged : the point of the ray has a place, or would have one.
-    is_lost : the ray meets no other ray of its point.
+    is_judged : the point of the ray has a place, or would have one if its rays met.
+    is_lost : the ray is of a judged point, but meets no other ray of it.
     distance_m : from the camera to the point.
     """
 

@@ -20,7 +20,10 @@ KEYS_OF_STATIONS = {
 
 
 def causes_of_statuses(facts: Facts) -> dict[str, str]:
-    """A likely cause of each status that flags rows, with the keys to look at."""
+    """A likely cause of each status that flags rows, with the keys to look at.
+
+    Two statuses, whose causes have to be computed, have an entry only if a sampled row has them.
+    """
     columns = facts.mission.observations.columns
     height = "no height is known"
     if facts.mission.ground.column is not None:
@@ -57,19 +60,20 @@ def cause_of_misses(facts: Facts) -> str:
     rows = facts.rows.status == MISSES_GROUND
     ground_above_camera_m = (facts.rows.h_g_m - facts.camera_height_m)[rows]
     nadir_angle_rad = facts.nadir_angle_rad[rows]
-    is_below = ground_above_camera_m < 0.0
+    ground_is_below = ground_above_camera_m < 0.0
     causes = []
-    if not is_below.all():
-        too_high_m = ground_above_camera_m[~is_below]
+    if not ground_is_below.all():
+        too_high_m = ground_above_camera_m[~ground_is_below]
         most_m = np.max(too_high_m)
         causes.append(
             f"the ground lies up to {most_m:.0f} m above the camera (ground.height, "
             "ground.reference)"
         )
-    if is_below.any():
-        camera_radius_m = EARTH_RADIUS_M - ground_above_camera_m[is_below]
-        dip_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)  # of the horizon of the ground
-        beyond_deg = np.degrees(nadir_angle_rad[is_below] + dip_rad) - 90.0
+    if ground_is_below.any():
+        # From the centre of a sphere through the ground.
+        camera_radius_m = EARTH_RADIUS_M - ground_above_camera_m[ground_is_below]
+        dip_of_horizon_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)
+        beyond_deg = np.degrees(nadir_angle_rad[ground_is_below] + dip_of_horizon_rad) - 90.0
         causes.append(
             f"rays pass up to {np.nanmax(beyond_deg):.1f} deg beyond the horizon (angles of mount, "
             "f_px of the camera)"
@@ -81,8 +85,8 @@ def cause_of_outside(facts: Facts, outside: Mask) -> str:
     """Why pixels are outside a camera.
 
     They are beyond the image or beyond what the distortion allows, their rays do not pass the
-    window, or refraction, where it is applied, displaces them out of the image. ``outside`` (n,)
-    are the rows of such pixels.
+    window, or refraction, where it is applied, displaces them out of the image. Every cause that
+    explains a pixel is named, camera by camera. ``outside`` (n,) is True for such pixels.
     """
     causes = []
     for name in np.unique(facts.camera[outside]).tolist():
@@ -90,7 +94,7 @@ def cause_of_outside(facts: Facts, outside: Mask) -> str:
         rows = np.flatnonzero(outside & (facts.camera == name))
         x = facts.rows.x_px[rows]
         y = facts.rows.y_px[rows]
-        # Pixels are COLMAP's: 0 is the outer corner.
+        # Pixels are COLMAP's: the outer corner of the image is 0, 0.
         beyond_format = (x < 0) | (y < 0) | (x > camera.width_px) | (y > camera.height_px)
         u, v, is_covered = camera.rays(x, y)
         is_blocked = is_covered & ~passes_window(facts.exposures, facts.rows.station[rows], u, v)
@@ -120,7 +124,8 @@ def passes_window(exposures: Exposures, station: Integers, u: Array, v: Array) -
     """Whether rays (n,) go out through the plane window of their exposures, if there is one.
 
     ``station`` are rows of ``exposures``, ``u`` and ``v`` ideal image coordinates. A window
-    reflects a ray that meets it too flat, and a ray against its normal does not meet it.
+    reflects a ray that meets it too flat, and a ray against its normal does not meet it: neither
+    has a refracted angle r_cc. Equal refractivities on both sides mean that no window bends rays.
     """
     direction = np.stack([u, v, np.ones(u.size)], axis=1)
     direction = direction / np.linalg.norm(direction, axis=1)[:, None]

@@ -9,8 +9,8 @@ import numpy as np
 
 from unbend.atmosphere.estimate.adjusted_profile import Adjustment
 from unbend.config import Mission
+from unbend.flight.ground_times import Takeoff
 from unbend.flight.stations import Stations
-from unbend.flight.trajectory import Takeoff
 from unbend.refraction.calibration import is_fisheye
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.effect import Effect, effects_on_r

@@ -12,7 +12,7 @@ from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.rules import RULES
 
 VERIFYING = ("TIES-RESIDUALS", "ORIENTATION-TIES")
-"""Codes of comparisons of tie points, which have been compared with an elevation model too."""
+"""Codes of the comparison with tie points, which compares an elevation model with them too."""
 
 
 def report_findings(facts: Facts, ledger: Ledger) -> None:
@@ -29,10 +29,10 @@ def report_findings(facts: Facts, ledger: Ledger) -> None:
 
 
 def accept_findings(accepted: Iterable[AcceptedFinding], ledger: Ledger) -> None:
-    """Turn accepted findings into warnings, with their reasons.
+    """Turn the findings in the ledger that the mission file accepts into warnings.
 
-    Refuses (MissionError ACCEPT-LOSS) the code of a loss, which cannot be accepted; warns of a code
-    that no finding has.
+    The warnings keep the reasons that the mission file gives. Refuses (MissionError ACCEPT-LOSS)
+    the code of a loss, which cannot be accepted; warns of an accepted code that no finding has.
     """
     losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
     reasons = {}
@@ -40,14 +40,16 @@ def accept_findings(accepted: Iterable[AcceptedFinding], ledger: Ledger) -> None
         if finding.code in losses:
             raise messages.loss_accepted(where="accept", accepted_code=finding.code)
         reasons[finding.code] = finding.reason
-    for code in ledger.accept(reasons):
+    unused_codes = ledger.accept(reasons)
+    for code in unused_codes:
         ledger.add(messages.accepted_code_unused(where="accept", accepted_code=code))
 
 
 def is_verified(facts: Facts, ledger: Ledger) -> bool:
     """Whether something in the mission could contradict its elevation model.
 
-    That is a take-off on the model, terrain that the autopilot logged, or tie points.
+    That is a take-off from ground that the model covers, terrain heights that the autopilot logged,
+    or tie points.
     """
     takeoff = facts.takeoff
     if takeoff is not None and takeoff.stands and math.isfinite(facts.model_at_takeoff_m):

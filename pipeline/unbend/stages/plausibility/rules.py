@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from unbend.flight.trajectory import Takeoff
+from unbend.flight.ground_times import Takeoff
 from unbend.geodesy import wrapped
 from unbend.messages import Message
 from unbend.refraction.calibration import is_fisheye

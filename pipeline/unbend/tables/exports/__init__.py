@@ -10,18 +10,21 @@ from pathlib import Path
 
 from unbend.tables.exports import (
     bingo,
+    blocks_exchange_xml,
     bundler,
     calibrations,
     colmap_files,
     correction_tables,
     messages,
     opensfm_project,
+    pix4d_parameters,
     station_files,
 )
 from unbend.tables.exports.format import ExportCamera, ExportFormat, FinishedRun, Option
 
 MODULES = (
     correction_tables, calibrations, station_files, colmap_files, bundler, opensfm_project, bingo,
+    blocks_exchange_xml, pix4d_parameters,
 )  # fmt: skip
 
 FORMATS: Mapping[str, ExportFormat] = {

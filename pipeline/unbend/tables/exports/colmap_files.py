@@ -10,9 +10,9 @@ an adjustment could not determine it.
 Tables of the database are those of COLMAP 4.2 (``colmap_4_2.sql``); image points keep their places
 as keypoints. Keypoints are 32-bit numbers there: up to 16,384 px they lose at most 0.0005 px, which
 the model does not. Points tie each pair of their images (matches and verified geometries); where
-the run read a database, its own matches and geometries are copied. Pose priors are the stations'
-positions with the covariance of their sigmas. That refraction was removed stands in a table of its
-own, which COLMAP leaves alone.
+the run read a database, its own matches and geometries are copied, and its rigs and frames. Pose
+priors are the stations' positions with the covariance of their sigmas. That refraction was removed
+stands in a table of its own, which COLMAP leaves alone.
 """
 
 import sqlite3
@@ -33,6 +33,7 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports import messages
+from unbend.tables.exports.colmap_rigs import CAMERA_SENSOR, rig_tables
 from unbend.tables.exports.exported_block import ExportedBlock, block_of
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from unbend.tables.imports.blocks import damage_refused
@@ -54,7 +55,7 @@ _GREY, _NO_ERROR = (128, 128, 128), -1.0
 
 _VERSION = 4_020_100
 _MOST_IMAGES = 2_147_483_647  # of pair_id = first * this + second
-_CALIBRATED, _CARTESIAN, _CAMERA_SENSOR, _WITH_PRIOR = 2, 1, 0, 1
+_CALIBRATED, _CARTESIAN, _WITH_PRIOR = 2, 1, 1
 _LARGEST_ROUNDING_PX = 0.0005
 
 
@@ -152,7 +153,8 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
     """The database of a block; the number of keypoints."""
     block = block_of(run, ledger, intersect=False)
     note_cameras(block, ledger)
-    tables = rows_of_tables(block)
+    source = run.database()
+    tables = rows_of_tables(block) | rig_tables(block, source, ledger)
     unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
     if unknown:
         ledger.add(messages.sigmas_missing(where="stations.parquet", count=unknown))
@@ -173,7 +175,7 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
             xy = np.stack([block.x_px[here], block.y_px[here]], axis=1).astype("<f4")
             keypoints = i + 1, len(xy), xy.tobytes()
             database.execute("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoints)
-        tied, source = 0, run.database()
+        tied = 0
         for table, *row in match_rows(block) if source is None else copied_rows(block, source):
             marks = "?, ?, 2, ?" if table == "matches" else "?, ?, 2, ?, ?" + ", NULL" * 7
             database.execute(f"INSERT INTO {table} VALUES ({marks})", row)
@@ -185,12 +187,9 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
 
 
 def rows_of_tables(block: ExportedBlock) -> dict[str, list[tuple[Any, ...]]]:
-    """Rows of the tables that have one for each camera or image, and the mark.
-
-    Every camera is a rig and every image a frame of its own.
-    """
+    """Rows of the tables that have one for each camera or image, and the mark."""
     cameras, frame = list(block.cameras.items()), block.frame
-    sensors = [(n, c + 1, _CAMERA_SENSOR) for n, c in enumerate(block.camera.tolist(), 1)]
+    sensors = [(n, c + 1, CAMERA_SENSOR) for n, c in enumerate(block.camera.tolist(), 1)]
     unknown = np.full(3, np.nan).tobytes()
     models = [(camera, *colmap_camera(camera, name)) for name, camera in cameras]
     return {
@@ -200,10 +199,7 @@ def rows_of_tables(block: ExportedBlock) -> dict[str, list[tuple[Any, ...]]]:
              np.array(params, "<f8").tobytes(), _WITH_PRIOR)
             for n, (camera, model, params) in enumerate(models, 1)
         ],
-        "rigs": [(n, n, _CAMERA_SENSOR) for n in range(1, len(cameras) + 1)],
         "images": [(n, block.image[n - 1], camera) for n, camera, _ in sensors],
-        "frames": [(n, camera) for n, camera, _ in sensors],
-        "frame_data": [(n, n, camera, sensor) for n, camera, sensor in sensors],
         "pose_priors": [
             (n, n, camera, sensor, frame.position_m[n - 1].tobytes(),
              frame.covariance_m2[n - 1].tobytes(), unknown, _CARTESIAN)

@@ -686,3 +686,39 @@ def window_not_held(*, where: str, name: str) -> Message:
         where=where,
         name=name,
     )
+
+
+EXPORT_RIGS = Code(
+    "EXPORT-RIGS",
+    means=(
+        "Rigs of several cameras of the database that was read, and their frames, as far as their "
+        "cameras are those of the mission, one for one."
+    ),
+    effect="A note; a warning where a rig is not kept: its cameras are rigs of their own.",
+    remedy="Give each camera of the rig a camera of the mission.",
+)
+
+
+def rigs_kept(*, where: str, count: int, frames: int) -> Message:
+    """Rigs of several cameras came with their frames."""
+    return note(
+        EXPORT_RIGS,
+        "{count} rigs of several cameras are kept, with {frames}",
+        one="1 rig of several cameras is kept, with {frames}",
+        where=where,
+        count=count,
+        frames=Counted(frames, "frame"),
+    )
+
+
+def rigs_lost(*, where: str, count: int) -> Message:
+    """Rigs of several cameras are not kept."""
+    return warning(
+        EXPORT_RIGS,
+        "{count} rigs of several cameras are not kept: their cameras are not cameras of the "
+        "mission, one for one, with stations",
+        one="1 rig of several cameras is not kept: its cameras are not cameras of the mission, one "
+        "for one, with stations",
+        where=where,
+        count=count,
+    )

@@ -11,9 +11,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from unbend.block.oriented_images import CartesianFrame
 from unbend.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
-from unbend.geodesy import GeoidGrid
+from unbend.geodesy import GeoidGrid, ecef_of_geodetic
 from unbend.messages import Message, Notes
 from unbend.tables.geodata import messages
 from unbend.tables.geodata.geoid import package_geoid
@@ -130,7 +132,9 @@ def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
     return lon_lat
 
 
-def _to_wgs84(horizontal: Any, lon_lat: Array, where: str, key: str) -> tuple[Any, str, bool]:
+def _to_wgs84(
+    horizontal: Any, lon_lat: Array, where: str, key: str, *, target: str = "EPSG:4326"
+) -> tuple[Any, str, bool]:
     """The one transformation that is best about (2, n) places with the grids that are here, what it
     is, and whether it is good to 1 m. No other takes its place where its grid ends.
     """
@@ -143,7 +147,7 @@ def _to_wgs84(horizontal: Any, lon_lat: Array, where: str, key: str) -> tuple[An
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the words say it
         group = TransformerGroup(
-            horizontal, "EPSG:4326", always_xy=True, allow_ballpark=False,
+            horizontal, target, always_xy=True, allow_ballpark=False,
             area_of_interest=AreaOfInterest(*corners),
         )  # fmt: skip
     if not group.transformers:
@@ -179,6 +183,138 @@ def _meridian_deg(system: Any) -> float:
     """Longitude of a system's prime meridian from Greenwich [deg]."""
     meridian = system.prime_meridian
     return float(np.degrees(meridian.longitude * meridian.unit_conversion_factor))
+
+
+@dataclass(frozen=True)
+class GeocentricDatum:
+    """Earth-centred axes of the datum of a coordinate system, on its own ellipsoid."""
+
+    crs: str
+    name: str
+
+
+def datum_of(crs: str) -> GeocentricDatum | None:
+    """The datum of a coordinate system, as WKT or EPSG; None where PROJ knows none.
+
+    >>> datum_of("EPSG:2056").name, datum_of("LOCAL_CS[...]")
+    ('CH1903+', None)
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        system = CRS.from_user_input(crs)
+    except CRSError:
+        return None
+    geodetic = system.geodetic_crs
+    return None if geodetic is None else GeocentricDatum(crs, geodetic.name)
+
+
+def kind_of_system(crs: str) -> str | None:
+    """Whether a system of PROJ's is geographic, projected or ecef; None for another, or none.
+
+    >>> kind_of_system("EPSG:32632"), kind_of_system("WGS84"), kind_of_system("EPSG:4978")
+    ('projected', 'geographic', 'ecef')
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        system = CRS.from_user_input(crs)
+    except CRSError:
+        return None
+    if system.is_geocentric:
+        return "ecef"
+    if system.is_projected:
+        return "projected"
+    return "geographic" if system.is_geographic else None
+
+
+def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:
+    """(n,) latitudes and longitudes on WGS 84 [rad] of x and y in a system, or lon and lat [deg].
+
+    To some metres, for comparisons; None where PROJ does not know the system.
+    """
+    from pyproj import CRS, Transformer
+    from pyproj.exceptions import CRSError, ProjError
+
+    try:
+        system = CRS.from_user_input(crs)
+        lon, lat = Transformer.from_crs(system, "EPSG:4326", always_xy=True).transform(x, y)
+    except (CRSError, ProjError):
+        return None
+    return np.radians(lat), np.radians(lon)
+
+
+CUBE_M = 1000.0  # half an edge of the cube whose corners tell how a datum lies to another
+
+
+def frame_of_datum(
+    datum: GeocentricDatum, xyz: Array, *, keep_heights: bool, where: str, key: str
+) -> tuple[CartesianFrame, Notes]:
+    """The frame of the earth-centred x, y, z of another datum than WGS 84.
+
+    ``xyz`` (n, 3) are positions of a block: about their middle the best transformation that PROJ
+    has is taken as a similarity. ``keep_heights`` : heights above the own ellipsoid stay what they
+    are, numbers above sea level that a program took for them. Refuses (InputError CRS-BALLPARK) a
+    datum of which PROJ knows only the name.
+    """
+    known = np.isfinite(xyz).all(axis=1)
+    middle = np.median(xyz[known], axis=0)
+    corners = CUBE_M * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    places = own_geodetic(datum, middle + corners)
+    transform, by, is_good = to_wgs84_with_heights(datum, places, where, key)
+    lon, lat, h = transform.transform(*places.T)
+    if keep_heights:
+        h = places[:, 2]
+    ecef = ecef_of_geodetic(np.radians(lat), np.radians(lon), h)
+    note = messages.positions_on_wgs84(
+        where=where,
+        count=int(known.sum()),
+        system=f"{datum.name}, earth-centred",
+        crs=datum.name,
+        operation=by,
+        is_good=is_good,
+    )
+    return frame_through(corners, ecef, middle), (note,)
+
+
+def frame_through(corners: Array, ecef: Array, middle: Array) -> CartesianFrame:
+    """The similarity that brings (n, 3) corners about a place to earth-centred positions."""
+    centre = ecef.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(ecef - centre, corners)
+    matrix = rotation.as_matrix()
+    turned = corners @ matrix.T
+    scale = float(np.sum(turned * (ecef - centre)) / np.sum(turned**2))
+    return CartesianFrame(matrix, centre - scale * matrix @ middle, scale)
+
+
+def own_geodetic(datum: GeocentricDatum, xyz: Array) -> Array:
+    """(n, 3) longitude, latitude [units of the datum's system] and height [m] on its ellipsoid."""
+    from pyproj import CRS, Transformer
+
+    geodetic = CRS.from_user_input(datum.crs).geodetic_crs
+    ellipsoid = geodetic.ellipsoid
+    axes = f"+a={ellipsoid.semi_major_metre} +b={ellipsoid.semi_minor_metre}"
+    to_geodetic = Transformer.from_pipeline(
+        f"+proj=pipeline +step +inv +proj=cart {axes} "
+        "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
+    )
+    lon, lat, h = to_geodetic.transform(*xyz.T)
+    unit_deg = np.degrees(geodetic.axis_info[0].unit_conversion_factor)
+    return np.stack([(lon - _meridian_deg(geodetic)) / unit_deg, lat / unit_deg, h], axis=1)
+
+
+def to_wgs84_with_heights(
+    datum: GeocentricDatum, own: Array, where: str, key: str
+) -> tuple[Any, str, bool]:
+    """As `_to_wgs84` for (n, 3) longitudes, latitudes and ellipsoidal heights of a datum."""
+    from pyproj import CRS
+
+    system = CRS.from_user_input(datum.crs).geodetic_crs
+    unit_deg = np.degrees(system.axis_info[0].unit_conversion_factor)
+    lon_lat = unit_deg * own[:, :2].T + np.array([[_meridian_deg(system)], [0.0]])
+    return _to_wgs84(system.to_3d(), lon_lat, where, key, target="EPSG:4979")
 
 
 @dataclass(frozen=True)

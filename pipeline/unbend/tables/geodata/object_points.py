@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from unbend.tables.geodata import messages
-from unbend.tables.text_columns import numbers_of, require_names, text_table
+from unbend.tables.text_columns import degrees_of, numbers_of, require_names, text_table
 from unbend.units import Array, Integers
 
 _CODES = (messages.POINTS_TABLE, messages.POINTS_COLUMN)
@@ -43,11 +43,20 @@ class ObjectPoints:
 def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Integers:
     """(n,) the row of each name among those that are known, -1 where it is not.
 
+    Characters may be composed in the one and decomposed in the other (Unicode NFC, NFD).
+
     >>> matching_rows(pa.array(["b", None, "x", "a"]), pa.array(["a", "b"])).tolist()
     [1, -1, -1, 0]
+    >>> matching_rows(pa.array(["A\\u0308"]), pa.array(["\\u00c4"])).tolist()
+    [0]
     """
     encoded = name.dictionary_encode()
-    row = pc.fill_null(pc.index_in(encoded.dictionary, value_set=known), -1)
+    different = encoded.dictionary
+    is_plain = pc.all(pc.string_is_ascii(known), min_count=0)
+    if not is_plain.as_py():
+        known = pc.utf8_normalize(known, form="NFC")
+        different = pc.utf8_normalize(different, form="NFC")
+    row = pc.fill_null(pc.index_in(different, value_set=known), -1)
     by_code = np.append(row.to_numpy(zero_copy_only=False).astype(np.int64), -1)
     codes = pc.fill_null(encoded.indices, len(by_code) - 1).to_numpy(zero_copy_only=False)
     return np.asarray(by_code[codes])
@@ -76,9 +85,7 @@ def read_object_points(
         except (pa.ArrowException, OSError) as error:
             raise messages.points_table(where=path, error=str(error)) from None
     else:
-        text = text_table(path, columns, codes=_CODES, key=key)
-        given = pa.array(text[columns["point"]].str.strip(), pa.string())
-        values = {q: numbers_of(text, name, path, _CODES[0]) for q, name in numbers.items()}
+        given, values = _points_of_text(path, columns, key)
     names = given.value_counts()
     twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
     if len(names) == 0:
@@ -86,3 +93,18 @@ def read_object_points(
     if len(twice):
         raise messages.points_repeated(where=path, count=len(twice), first=repr(twice[0].as_py()))
     return given, values
+
+
+def _points_of_text(
+    path: Path, columns: Mapping[str, str], key: str
+) -> tuple[pa.StringArray, dict[str, Array]]:
+    """Names, and the other columns by quantity, of a table that is text."""
+    text = text_table(path, columns, codes=_CODES, key=key)
+    values = {}
+    code = _CODES[0]
+    for quantity, name in columns.items():
+        if quantity in ("latitude", "longitude"):
+            values[quantity] = degrees_of(text, name, path, code, quantity=quantity)
+        elif quantity != "point":
+            values[quantity] = numbers_of(text, name, path, code)
+    return pa.array(text[columns["point"]].str.strip(), pa.string()), values

@@ -12,6 +12,7 @@ long in Deg`` and ``orientation in Degrees``, that of the grid ``Zone:  UTM Nort
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +22,10 @@ from unbend.flight.channels import Channel
 from unbend.messages import Ledger
 from unbend.tables.geodata.coordinate_systems import grid_coordinates
 from unbend.tables.imports import messages
+from unbend.tables.imports.eo_head import EoHead, head_of_eo
 from unbend.tables.imports.stated import Stated, channel_of_rows, read_text
 from unbend.tables.text_columns import numbers, split_lines, utc_of_weeks
-from unbend.units import RADIANS, Array
+from unbend.units import Array
 
 _MILLIMETRE = 1e-3
 _LINE = r"\[.*\].*,N.*,E.*,V.*,Lat.*,Lon.*,Ellh.*,.*,.*,Q"
@@ -73,6 +75,7 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
 
 # Another zone or projection is farther away; another datum, or rounded degrees, are nearer.
 FARTHEST_FROM_GRID_M = 5000.0
+SHOWN_SHIFT = 0.2  # of a stated shift, that it may differ from the one which is seen
 _TITLES = re.compile(
     r"EVENT|TIME(?=\s*\(s\))|EASTING|NORTHING|(?:ELLIPSOID|ORTHOMETRIC)(?=\s+HEIGHT)|OMEGA|PHI"
     r"|KAPPA|ROLL|PITCH|HEADING|LAT\b|LONG\b|\bID\b",
@@ -111,51 +114,127 @@ def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         stated.height_column(path, ledger, surface): value[above],
     }
     time_ns = stated.utc_of_week_seconds(path, value["TIME"], stated.system_of(path, ledger))
-    head = "\n".join(lines[:at])
+    head = head_of_eo("\n".join(lines[:at]))
+    grid = stated.grid or head.grid
+    if grid is not None and value["LAT"].size and {"EASTING", "NORTHING"} <= value.keys():
+        on_grid = places_on_grid(path, grid, value)
+        columns |= without_shift(path, columns, head, on_grid, ledger)
     columns |= attitudes_of_eo(path, head, value, stated, ledger)
     labels = {"name": tuple(table["ID"])} if "ID" in titles else None
     return channel_of_rows(path, "EO", time_ns, columns, ledger, readable=readable, labels=labels)
 
 
+@dataclass(frozen=True, eq=False)
+class PlacesOnGrid:
+    """The latitudes and longitudes of a file in its grid.
+
+    convergence_rad : (n,) azimuth of the grid's north.
+    apart_m : (2,) easting and northing minus those of latitude and longitude, in the median.
+    away_m : the median distance between both.
+    """
+
+    convergence_rad: Array
+    apart_m: Array
+    away_m: float
+
+
+def places_on_grid(path: Path, grid: str, value: Mapping[str, Array]) -> PlacesOnGrid:
+    """Latitude and longitude by PROJ, compared with easting and northing where a file has these.
+
+    Refuses (IMPORT-EO-GRID) a grid that is not known.
+    """
+    place = np.nan_to_num([value["LONG"], value["LAT"]])
+    try:
+        east_m, north_m, convergence_rad = grid_coordinates(grid, *place)
+    except ValueError as error:
+        raise messages.grid_unknown(where=path, grid=grid, error=str(error)) from None
+    unknown = np.full(east_m.shape, np.nan)
+    apart_m = np.stack(
+        [value.get("EASTING", unknown) - east_m, value.get("NORTHING", unknown) - north_m]
+    )
+    apart_m = apart_m[:, np.isfinite(apart_m).all(axis=0)]
+    if apart_m.size == 0:
+        return PlacesOnGrid(convergence_rad, np.zeros(2), 0.0)
+    away_m = float(np.median(np.hypot(*apart_m)))
+    return PlacesOnGrid(convergence_rad, np.median(apart_m, axis=1), away_m)
+
+
+def without_shift(
+    path: Path, columns: Mapping[str, Array], head: EoHead, places: PlacesOnGrid, ledger: Ledger
+) -> dict[str, Array]:
+    """The heights without the shift that the head states, if easting and northing have it alone.
+
+    Latitude and longitude, which are used, show it: they lie apart from easting and northing by
+    the shift, or not. Where they do not, they may have it too, which is a warning.
+    """
+    if not head.shift_m.any():
+        return {}
+    shift = ", ".join(f"{value:g}" for value in head.shift_m)
+    size_m = float(np.hypot(*head.shift_m[:2]))
+    left_m = float(np.hypot(*(places.apart_m - head.shift_m[:2])))
+    if size_m > 0.0 and left_m < SHOWN_SHIFT * size_m:
+        ledger.add(messages.eo_shift_undone(where=path.name, shift=shift))
+        return {
+            name: heights_m - head.shift_m[2]
+            for name, heights_m in columns.items()
+            if name in ("h_msl_m", "h_ellipsoid_m")
+        }
+    ledger.add(messages.eo_shift_unknown(where=path.name, shift=shift))
+    return {}
+
+
 def attitudes_of_eo(
-    path: Path, head: str, value: Mapping[str, Array], stated: Stated, ledger: Ledger
+    path: Path, head: EoHead, value: Mapping[str, Array], stated: Stated, ledger: Ledger
 ) -> dict[str, Array]:
     """The columns q_w to q_z by omega, phi and kappa in a grid, or by roll, pitch and heading.
 
     The axes of the grid are turned by its convergence at each event (PROJ's). Easting and northing
-    prove the grid: refuses (InputError IMPORT-EO-GRID) one in which they lie elsewhere.
+    prove the grid: refuses (InputError IMPORT-EO-GRID) one in which they lie elsewhere. Refuses
+    (IMPORT-EO-HEAD) an order of the rotations that no photogrammetric angles have.
     """
-    names = ("OMEGA", "PHI", "KAPPA") if "OMEGA" in value else ("ROLL", "PITCH", "HEADING")
+    in_grid = "OMEGA" in value
+    names = ("OMEGA", "PHI", "KAPPA") if in_grid else ("ROLL", "PITCH", "HEADING")
     if not set(names) <= value.keys() or value["LAT"].size == 0:
         return {}
-    unit = re.search(r"orientation in (deg|grad|gon|rad)", head, re.IGNORECASE)
-    zone = re.search(r"UTM\s+(North|South)\s+(\d{1,2})\b", head, re.IGNORECASE)
-    grid = stated.grid
-    if zone is not None and grid is None:
-        grid = f"EPSG:{32600 + 100 * (zone[1].lower() == 'south') + int(zone[2])}"
-    if unit is None or (grid is None and "OMEGA" in value):
-        missing = "'orientation in Degrees'" if unit is None else "its UTM zone"
+    grid = stated.grid or head.grid
+    if head.radians is None or (grid is None and in_grid):
+        missing = "'orientation in Degrees'" if head.radians is None else "its UTM zone"
         ledger.add(messages.eo_angles_unused(where=path.name, missing=missing))
         return {}
-    scale = {"d": RADIANS["deg"], "r": RADIANS["rad"], "g": RADIANS["grad"]}[unit[1][0].lower()]
-    angles = np.stack([value[name] for name in names], axis=1) * scale
-    if "OMEGA" not in value:
-        q = rotations.quaternions_of(rotations.ned_from_body(angles))
+    angles = np.stack([value[name] for name in names], axis=1) * head.radians
+    if in_grid:
+        order = order_of_rotations(head, path, ledger)
+        in_order = [names.index(name.upper()) for name in order.split("_")]
+        camera = rotations.quaternion_of_opk(stated.angles_meant(angles[:, in_order]), order)
+        q = body_at_rest(camera, proved_convergence(path, str(grid), value))
     else:
-        place = np.nan_to_num([value["LONG"], value["LAT"]])
-        try:
-            *of_place, convergence = grid_coordinates(str(grid), *place)
-        except ValueError as error:
-            raise messages.grid_unknown(where=path, grid=str(grid), error=str(error)) from None
-        unknown = np.full(place[0].shape, np.nan)
-        grid_m = np.stack([value.get(name, unknown) for name in ("EASTING", "NORTHING")])
-        off_m = np.hypot(*(np.stack(of_place) - grid_m))
-        off_m = off_m[np.isfinite(off_m)]
-        away_m = float(np.median(off_m)) if off_m.size else 0.0
-        if not away_m < FARTHEST_FROM_GRID_M:
-            raise messages.grid_elsewhere(where=path, grid=str(grid), away_m=away_m)
-        turn = rotations.enu_from_grid(convergence)
-        camera = rotations.matrices_of(rotations.quaternion_of_opk(angles))
-        axes = (camera @ turn.transpose(0, 2, 1)).transpose(0, 2, 1)
-        q = rotations.quaternions_of(rotations.NED_FROM_ENU @ axes @ rotations.CAMERA_AT_REST)
+        q = rotations.quaternions_of(rotations.ned_from_body(stated.angles_meant(angles)))
     return dict(zip(("q_w", "q_x", "q_y", "q_z"), q.T, strict=True))
+
+
+def proved_convergence(path: Path, grid: str, value: Mapping[str, Array]) -> Array:
+    """(n,) convergence of a grid [rad]; refuses (IMPORT-EO-GRID) one that lies elsewhere."""
+    places = places_on_grid(path, grid, value)
+    if not places.away_m < FARTHEST_FROM_GRID_M:
+        raise messages.grid_elsewhere(where=path, grid=grid, away_m=places.away_m)
+    return places.convergence_rad
+
+
+def order_of_rotations(head: EoHead, path: Path, ledger: Ledger) -> str:
+    """The order in which the angles turn; notes on it, and on a cardinal rotation of kappa.
+
+    Refuses (IMPORT-EO-HEAD) an order that no photogrammetric angles have.
+    """
+    if head.order is None:
+        raise messages.eo_order_unknown(where=path, rotations=head.rotations)
+    ledger.add(messages.eo_order(where=path.name, rotations=head.rotations))
+    if head.cardinal_deg:
+        ledger.add(messages.eo_cardinal_rotation(where=path.name, turn_deg=head.cardinal_deg))
+    return head.order
+
+
+def body_at_rest(camera: Array, convergence_rad: Array) -> Array:
+    """(n, 4) attitudes of a body in which the camera is at rest, of cameras against a grid."""
+    turn = rotations.enu_from_grid(convergence_rad)
+    axes = (rotations.matrices_of(camera) @ turn.transpose(0, 2, 1)).transpose(0, 2, 1)
+    return rotations.quaternions_of(rotations.NED_FROM_ENU @ axes @ rotations.CAMERA_AT_REST)

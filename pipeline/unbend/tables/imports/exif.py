@@ -4,9 +4,10 @@ import logging
 import re
 import struct
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -19,28 +20,33 @@ from scipy.spatial.transform import Rotation
 
 from unbend.flight import rotations
 from unbend.flight.clock import utc_of_gps
+from unbend.flight.image_names import composed
 from unbend.flight.stations import NO_TIME
+from unbend.flight.survey_dates import can_be_flown
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import OrientationTable
+from unbend.tables.imports.xmp import dji_tags
+from unbend.tables.text_columns import FIRST_WEEK_OF_SURVEYS, whole_table
 from unbend.units import Integers, Names
+from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, height_of
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
 
 _MOST_EXAMPLES = 3  # of images that a message names
+LARGEST_WEEK = 9_999  # of GPS, in 2171: a larger number is no week, and would not fit into 64 bits
+LARGEST_HEIGHT_M = 100_000.0  # no aircraft is as high; 2**32 - 1 stands for an unknown height
 _STAMP = re.compile(
     r"(\d{4})[:/-](\d\d)[:/-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
 )
 _UNIX = re.compile(r"(\d{9,10})(?:\.(\d+))?")
-_DJI = re.compile(rb"drone-dji:(\w+)\s*(?:=\s*[\"']|>)([^\"'<]+)")
 _OF_DAMAGE = (
     ExifError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError,
     EOFError, OSError, MemoryError, struct.error,
 )  # fmt: skip
 """What exifread raises on damaged files, by 41,000 of them, and what it reads them with."""
 
-_XMP_BYTES = 1 << 18  # DJI writes its XMP behind the EXIF, which has a preview of 64 KiB at most
 # A receiver's stamp may be some seconds old; the zones of the world are quarters of an hour apart.
 _RECEIVER_SIGMA_S, _QUARTER_S, _ZONE_PROOF_S, _FARTHEST_ZONE_S = 2.0, 900, 120.0, 14 * 3600
 
@@ -56,6 +62,8 @@ class Stamp(NamedTuple):
 
 def parse_time(text: str, zone: str = "") -> Stamp | None:
     """A time as EXIF, ISO 8601 or Unix seconds write it; None where it is none of them.
+
+    None also where no survey can have it: in the future, or of a clock that was never set.
 
     ``zone`` is a UTC offset stated elsewhere, such as OffsetTimeOriginal. Without one the time is
     local, and counted as though it were UTC.
@@ -83,6 +91,8 @@ def parse_time(text: str, zone: str = "") -> Stamp | None:
         seconds -= int(signed[1] + "1") * (int(signed[2]) * 3600 + int(signed[3]) * 60)
     decimals = decimals[:9]
     time_ns = seconds * 10**9 + int(decimals.ljust(9, "0"))
+    if not bool(can_be_flown(np.array([time_ns]))[0]):
+        return None
     return Stamp(time_ns, 10.0 ** -len(decimals), signed is not None or offset in ("Z", "UTC"))
 
 
@@ -132,8 +142,8 @@ class ImageTimes:
 
 
 def _parts(path: str) -> tuple[str, ...]:
-    """Folders and name without ending, in one case."""
-    pure = PurePosixPath(path.replace("\\", "/").casefold())
+    """Folders and name without ending, in one case, of composed characters."""
+    pure = PurePosixPath(composed(path).replace("\\", "/").casefold())
     return tuple(part for part in pure.with_suffix("").parts if part not in ("/", "."))
 
 
@@ -186,8 +196,11 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
     by_gps = all(stamp.by_gps for stamp in rows if stamp is not None)
     clock_sigma_s = _RECEIVER_SIGMA_S if by_gps else np.inf
     sigma_s = np.maximum(step / 2.0, 1e-3)
-    position = positions_of_tags([tags[file] for file in files])
+    position = positions_of_tags({file: tags[file] for file in files}, path, ledger)
     return ImageTimes(np.array(files, object), time_ns, sigma_s, is_utc, position, clock_sigma_s)
+
+
+_NAMES_OF_FILES = ("SourceFile", "FileName", "image")  # columns that are no numbers
 
 
 def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
@@ -195,10 +208,7 @@ def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
     if path.is_dir():
         tags = _tags_of_folder(path, ledger)
     else:
-        try:
-            table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
-        except (OSError, ValueError) as error:
-            raise messages.images_csv_unreadable(where=path, error=str(error).strip()) from None
+        table = whole_table(path, messages.IMAGES_CSV, _NAMES_OF_FILES)
         table.columns = pd.Index([_key(str(name)) for name in table.columns])
         table = table.loc[:, ~table.columns.duplicated()]
         column = next((c for c in ("sourcefile", "filename", "image") if c in table), None)
@@ -209,37 +219,64 @@ def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
     return tags
 
 
-def positions_of_tags(tags: Iterable[Mapping[str, str]]) -> NDArray[np.float64]:
-    """(m, 3) latitude, longitude [rad] and height as written [m]; a place of 0, 0 is none."""
+@dataclass
+class TagReader:
+    """Reads numbers and angles of the tags of images, and keeps what cannot be read.
+
+    unread : by tag, the first image and text that is neither, and how many there are.
+    """
+
+    read: int = 0
+    unread: dict[str, tuple[str, str, int]] = field(default_factory=dict)
+
+    def value(
+        self, file: str, tags: Mapping[str, str], key: str, reader: Callable[[str], float]
+    ) -> float:
+        """The value of a tag by a reader that raises ValueError; NaN where none can be read."""
+        text = tags.get(key, "")
+        try:
+            value = reader(text)
+        except ValueError:
+            first_file, first_text, count = self.unread.get(key, (file, text, 0))
+            self.unread[key] = (first_file, first_text, count + 1)
+            return np.nan
+        self.read += bool(np.isfinite(value))
+        return value
+
+    def report(self, where: Path, ledger: Ledger) -> None:
+        """A loss for each tag that could not be read; refuses (IMAGES-TAG) if nothing could."""
+        for key, (file, text, count) in self.unread.items():
+            if self.read == 0:
+                raise messages.no_tag_readable(where=where, tag=key, image=file, value=text)
+            lost = messages.tags_unreadable(
+                where=where.name, tag=key, count=count, image=file, value=text
+            )
+            ledger.add(lost)
+
+
+def positions_of_tags(
+    tags: Mapping[str, Mapping[str, str]], where: Path, ledger: Ledger
+) -> NDArray[np.float64]:
+    """(m, 3) latitude, longitude [rad] and height as written [m]; a place of 0, 0 is none.
+
+    A tag that can be read in no way is a loss.
+    """
+    reader = TagReader()
     rows = []
-    for of in tags:
-        lat, lon = (
-            _degrees(of.get(f"gps{axis}", ""), of.get(f"gps{axis}ref", ""))
-            for axis in ("latitude", "longitude")
-        )
-        lon = _degrees(of.get("gpslongtitude", "")) if np.isnan(lon) else lon  # as DJI spelt it
-        height = _degrees(of.get("absolutealtitude", "") or of.get("gpsaltitude", ""))
-        below = of.get("gpsaltituderef", "0").lower().startswith(("1", "below"))
-        height = -abs(height) if below or "below" in of.get("gpsaltitude", "").lower() else height
+    for file, of in tags.items():
+        degrees = {}
+        for axis in ("latitude", "longitude"):
+            stated = of.get(f"gps{axis}ref", "")
+            angle = partial(angle_of, hemisphere=stated, letters=LETTERS_OF_AXIS[axis])
+            degrees[axis] = reader.value(file, of, f"gps{axis}", angle)
+        lat, lon = degrees["latitude"], degrees["longitude"]
+        if np.isnan(lon):
+            lon = reader.value(file, of, "gpslongtitude", angle_of)  # as DJI spelt it
+        height = _height_of_tags(reader, file, of)
         on_earth = abs(lat) <= 90.0 and abs(lon) <= 360.0 and (lat, lon) != (0.0, 0.0)
         rows.append((*np.radians([lat, lon]), height) if on_earth else (np.nan,) * 3)
+    reader.report(where, ledger)
     return np.array(rows).reshape(-1, 3)
-
-
-def _degrees(text: str, hemisphere: str = "") -> float:
-    r"""A number, or degrees, minutes and seconds with the letter of their hemisphere; NaN for none.
-
-    >>> round(_degrees("47 deg 18' 36.00\" S"), 9), _degrees("[8, 30, 0]", "W"), _degrees("+8.5")
-    (-47.31, -8.5, 8.5)
-    """
-    parts = [
-        float(part) / float(by or 1.0) if float(by or 1.0) else np.nan
-        for part, by in re.findall(r"(\d+(?:\.\d*)?)(?:/(\d+))?", text)[:3]
-    ]
-    if not parts:
-        return np.nan
-    minus = "-" in text or re.search(r"[SW]$", text.strip() + hemisphere[:1].upper())
-    return sum(part / 60.0**k for k, part in enumerate(parts)) * (-1.0 if minus else 1.0)
 
 
 def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:
@@ -252,19 +289,39 @@ def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> Orie
     """
     tags = read_tags(path, ledger)
     files = sorted(tags)
-    keys = [f"gimbal{name}degree" for name in ("roll", "pitch", "yaw")]
-    given = np.radians([[_degrees(tags[file].get(key, "")) for key in keys] for file in files])
+    reader = TagReader()
+    degrees = np.full((len(files), 3), np.nan)
+    for row, file in enumerate(files):
+        for column, name in enumerate(("roll", "pitch", "yaw")):
+            key = f"gimbal{name}degree"
+            degrees[row, column] = reader.value(file, tags[file], key, angle_of)
+    reader.report(path, ledger)
+    given = np.radians(degrees)
     if not np.isfinite(given).all(axis=1).any():
         raise messages.images_no_gimbal(where=path, files=len(files))
-    quarter = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
-    turned = rotations.ned_from_body(given) @ quarter
-    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
-    angles = rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
+    angles = rpy_of_gimbal(given)
     stamps = [_time_of(tags[file], "") for file in files]
     utc = [s.time_ns if s is not None and s.is_utc else NO_TIME for s in stamps]
-    position = positions_of_tags(tags[file] for file in files)
+    position = positions_of_tags({file: tags[file] for file in files}, path, ledger)
     names = np.array(files, object)
     return OrientationTable(names, None, np.array(utc, np.int64), position, angles, {})
+
+
+_QUARTER = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+
+
+def rpy_of_gimbal(given: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) roll, pitch, yaw [rad] of a body in which the camera looks down, of a gimbal's."""
+    turned = rotations.ned_from_body(given) @ _QUARTER
+    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
+    return rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
+
+
+def gimbal_of_rpy(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) roll, pitch, yaw [rad] of a gimbal; inverse of `rpy_of_gimbal`."""
+    turned = rotations.ned_from_body(angles) @ _QUARTER.T
+    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
+    return rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -287,17 +344,16 @@ def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
         try:
             with path.open("rb") as file:
                 read = exifread.process_file(file, details=False, extract_thumbnail=False)
-                file.seek(0)
-                xmp = _DJI.findall(file.read(_XMP_BYTES))
         except _OF_DAMAGE as error:
             unreadable.append(f"{name} ({type(error).__name__}: {error})")
             continue
         tags[name] = {_key(key): str(value) for key, value in read.items()}
         if "GPS GPSTimeStamp" in read:
-            hour, minute, second = (float(value) for value in read["GPS GPSTimeStamp"].values)
-            text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
-            tags[name]["gpstimestamp"] = text.rstrip("0").rstrip(".") if second % 1 else text[:8]
-        tags[name] |= {_key(key.decode()): text.decode("ascii", "replace") for key, text in xmp}
+            tags[name]["gpstimestamp"] = _time_of_day(read["GPS GPSTimeStamp"].values)
+        try:
+            tags[name] |= {_key(key): text for key, text in dji_tags(path).items()}
+        except (ValueError, OSError) as error:
+            unreadable.append(f"{name} ({error})")
     if unreadable:
         examples = ", ".join(unreadable[:_MOST_EXAMPLES])
         lost = messages.exif_unreadable(where=folder.name, count=len(unreadable), examples=examples)
@@ -305,19 +361,66 @@ def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
     return tags
 
 
+def _time_of_day(rationals: Sequence[object]) -> str:
+    """Hours, minutes and seconds of a GPSTimeStamp as text; empty where one is undefined, 0/0.
+
+    >>> from exifread.utils import Ratio
+    >>> _time_of_day([Ratio(10, 1), Ratio(5, 1), Ratio(61, 2)]), _time_of_day([Ratio(0, 0)] * 3)
+    ('10:05:30.5', '')
+    """
+    parts = []
+    for rational in rationals:
+        numerator = getattr(rational, "numerator", rational)
+        denominator = getattr(rational, "denominator", 1)
+        if not isinstance(numerator, int | float) or not denominator:
+            return ""
+        parts.append(float(numerator) / float(denominator))
+    if len(parts) != 3:
+        return ""
+    hour, minute, second = parts
+    text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
+    return text.rstrip("0").rstrip(".") if second % 1 else text[:8]
+
+
 def _key(name: str) -> str:
     """A tag's name without its group: of EXIF:DateTimeOriginal, GPS GPSDate or time_utc."""
     return re.sub(r"[^a-z0-9]", "", re.split(r"[: ]", name)[-1].lower())
+
+
+def _height_of_tags(reader: TagReader, file: str, tags: Mapping[str, str]) -> float:
+    """The height of an image as its tags state it [m]; NaN where it is unknown."""
+    if tags.get("absolutealtitude"):  # DJI's has a sign of its own
+        height = reader.value(file, tags, "absolutealtitude", height_of)
+    else:
+        height = reader.value(file, tags, "gpsaltitude", height_of)
+        reference = tags.get("gpsaltituderef", "0").lower()
+        if reference.startswith(("1", "below")):
+            height = -abs(height)
+    return np.nan if abs(height) > LARGEST_HEIGHT_M else height
+
+
+def _stamp_of_week(week: str, seconds: str) -> Stamp | None:
+    """The time of a GPS week and its seconds; None where no survey can have it."""
+    if not week.isdigit() or not re.fullmatch(r"\d{1,6}(\.\d*)?", seconds):
+        return None
+    if int(week) < FIRST_WEEK_OF_SURVEYS:
+        return None
+    step_s = 10.0 ** -len(seconds.partition(".")[2])
+    time_ns = utc_of_gps(min(int(week), LARGEST_WEEK), float(seconds)).reshape(1)
+    if not bool(can_be_flown(time_ns)[0]):
+        return None
+    return Stamp(int(time_ns[0]), step_s, True, True)
 
 
 def _time_of(tags: Mapping[str, str], zone: str) -> Stamp | None:
     """The time of an exposure, from the best of the tags that state one."""
     if (dji := parse_time(tags.get("utcatexposure", ""), "UTC")) is not None:
         return dji._replace(by_gps=True)
-    week, seconds = tags.get("gpsweek", "").strip(), tags.get("gpsseconds", "").strip()
-    if week.isdigit() and re.fullmatch(r"\d{1,6}(\.\d*)?", seconds) and int(week) > 0:
-        step_s = 10.0 ** -len(seconds.partition(".")[2])
-        return Stamp(int(utc_of_gps(int(week), float(seconds))), step_s, True, True)
+    week = tags.get("gpsweek", "").strip()
+    seconds = tags.get("gpsseconds", "").strip().replace(",", ".")
+    by_week = _stamp_of_week(week, seconds)
+    if by_week is not None:
+        return by_week
     texts = [
         (tags.get("timeutc", ""), "UTC"),
         *((tags.get(n, ""), zone) for n in ("unixtime", "timestamp", "subsecdatetimeoriginal")),

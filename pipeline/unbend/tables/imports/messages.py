@@ -1,5 +1,6 @@
 """Messages of trajectories, camera events, orientations and images of other programs."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,8 @@ def events_empty(*, where: Path | str) -> InputError:
 
 EVENTS_TIME = Code(
     "EVENTS-TIME",
-    means="Rows of the table of events have no readable time.",
+    means="Rows of the table of events have no readable time, or one that no survey can have: in "
+    "the future, or of a clock that was never set (1970-01-01, 1980-01-06, GPS weeks before 1990).",
     effect="They are not used; their images have no station.",
     remedy="Correct these rows.",
 )
@@ -52,8 +54,8 @@ def events_without_time(*, where: str, count: int, line: int) -> Message:
     """Rows of a table of exposures whose time cannot be read; ``line`` is that of the first."""
     return loss(
         EVENTS_TIME,
-        "{count} rows have no readable time, the first in line {line}",
-        one="1 row has no readable time: line {line}",
+        "{count} rows have no readable time that a survey can have, the first in line {line}",
+        one="1 row has no readable time that a survey can have: line {line}",
         where=where,
         count=count,
         line=line,
@@ -83,8 +85,8 @@ def images_without_time(*, where: str, count: int, total: int, examples: str) ->
 
 EXIF_UNREADABLE = Code(
     "EXIF-UNREADABLE",
-    means="The EXIF of some files cannot be read.",
-    effect="They have no time.",
+    means="The EXIF or the XMP of some files cannot be read.",
+    effect="They have no time, position or angles.",
     remedy="Check whether the files are damaged.",
 )
 
@@ -93,8 +95,8 @@ def exif_unreadable(*, where: str, count: int, examples: str) -> Message:
     """Files whose EXIF is damaged."""
     return loss(
         EXIF_UNREADABLE,
-        "the EXIF of {count} files cannot be read: {examples}",
-        one="the EXIF of 1 file cannot be read: {examples}",
+        "the EXIF or XMP of {count} files cannot be read: {examples}",
+        one="the EXIF or XMP of 1 file cannot be read: {examples}",
         where=where,
         count=count,
         examples=examples,
@@ -146,17 +148,6 @@ IMAGES_CSV = Code(
 )
 
 
-def images_csv_unreadable(*, where: Path | str, error: str) -> InputError:
-    """The table of images cannot be read as CSV."""
-    return InputError(
-        IMAGES_CSV,
-        "cannot be read as CSV: {error}",
-        where=where,
-        error=error,
-        remedy="write it with exiftool -csv -r FOLDER",
-    )
-
-
 IMAGES_DUPLICATE = Code(
     "IMAGES-DUPLICATE",
     means="An image of the observations may be one of several files in different folders.",
@@ -197,6 +188,47 @@ def images_no_gimbal(*, where: Path | str, files: int) -> InputError:
         where=where,
         files=Counted(files, "image"),
         remedy="give a CSV under stations.orientation.path, without format",
+    )
+
+
+IMAGES_TAG = Code(
+    "IMAGES-TAG",
+    means="Tags of images are neither numbers nor angles.",
+    effect=(
+        "These images have no such value. The mission is refused if no image has one that can be "
+        "read."
+    ),
+    remedy=(
+        "Write the tags as numbers: exiftool -n -csv -r FOLDER. Taken are numbers like -89.9 or "
+        "-89,9, and degrees, minutes and seconds with marks between them."
+    ),
+)
+
+
+def tags_unreadable(*, where: str, tag: str, count: int, image: str, value: str) -> Message:
+    """Some images have a tag that is neither a number nor an angle."""
+    return loss(
+        IMAGES_TAG,
+        "{count} images have a tag {tag} that cannot be read, the first {image}: {value!r}",
+        one="1 image has a tag {tag} that cannot be read, {image}: {value!r}",
+        where=where,
+        count=count,
+        tag=tag,
+        image=image,
+        value=value,
+    )
+
+
+def no_tag_readable(*, where: Path | str, tag: str, image: str, value: str) -> InputError:
+    """No image has a tag of a kind that is a number or an angle."""
+    return InputError(
+        IMAGES_TAG,
+        "no image has a tag {tag} that can be read; the first, {image}, has {value!r}",
+        where=where,
+        tag=tag,
+        image=image,
+        value=value,
+        remedy="write the tags as numbers: exiftool -n -csv -r FOLDER",
     )
 
 
@@ -297,6 +329,73 @@ def eo_angles_unused(*, where: str, missing: str) -> Message:
         ),
         where=where,
         missing=missing,
+    )
+
+
+IMPORT_EO_HEAD = Code(
+    "IMPORT-EO-HEAD",
+    means=(
+        "The head of an EO text states the order of its rotations, a cardinal rotation of kappa, "
+        "or a shift of its coordinates."
+    ),
+    effect=(
+        "The angles are read in that order, as those of the image as written, the cardinal "
+        "rotation included. A shift that easting and northing show against latitude and "
+        "longitude is taken from the heights. Other orders of rotations are refused."
+    ),
+    remedy="Compare with tie points, or with the program's settings.",
+)
+
+
+def eo_order(*, where: str, rotations: str) -> Message:
+    """The order of the rotations that the head states, or that is taken where it states none."""
+    text = "angles in the order of its head: {rotations}"
+    if not rotations:
+        text = "its head states no order of rotations: omega first, then phi and kappa"
+    return note(IMPORT_EO_HEAD, text, where=where, rotations=rotations)
+
+
+def eo_order_unknown(*, where: Path | str, rotations: str) -> InputError:
+    """The head states an order of the rotations that is not omega, phi or phi, omega, and kappa."""
+    return InputError(
+        IMPORT_EO_HEAD,
+        "its rotations are {rotations}; allowed: omega about x and phi about y, either first, and "
+        "kappa about z last",
+        where=where,
+        rotations=rotations,
+        remedy="write the exterior orientation with kappa as the third rotation",
+    )
+
+
+def eo_cardinal_rotation(*, where: str, turn_deg: float) -> Message:
+    """The head states a cardinal rotation of kappa."""
+    return warning(
+        IMPORT_EO_HEAD,
+        "kappa has a cardinal rotation of {turn_deg:g} deg: the angles are taken for those of the "
+        "images as they were measured; only tie points show whether these are turned against it",
+        where=where,
+        turn_deg=turn_deg,
+    )
+
+
+def eo_shift_undone(*, where: str, shift: str) -> Message:
+    """Easting and northing have the stated shift, latitude and longitude do not."""
+    return warning(
+        IMPORT_EO_HEAD,
+        "X, Y, Z were shifted by {shift} m, latitude and longitude were not: the shift is taken "
+        "from the heights",
+        where=where,
+        shift=shift,
+    )
+
+
+def eo_shift_unknown(*, where: str, shift: str) -> Message:
+    """A shift is stated, and latitude and longitude do not show whether they have it."""
+    return warning(
+        IMPORT_EO_HEAD,
+        "X, Y, Z were shifted by {shift} m; latitude, longitude and height are read as they stand",
+        where=where,
+        shift=shift,
     )
 
 
@@ -620,7 +719,8 @@ def not_on_earth(*, where: Path | str, radius: float) -> InputError:
 
 IMPORT_ROWS = Code(
     "IMPORT-ROWS",
-    means="Rows cannot be read, or repeat the time of another.",
+    means="Rows cannot be read, have a place or time that no survey can have (0, 0; the future; a "
+    "clock that was never set), or repeat the time of another.",
     effect="They are not used.",
     remedy="Correct the file if they matter.",
 )
@@ -824,6 +924,28 @@ def week_unknown(*, where: Path | str) -> InputError:
 
 # Tables of orientations
 
+ORIENTATION_NAMES = Code(
+    "ORIENTATION-NAMES",
+    means=(
+        "Columns of orientations that the mission file does not name were found by names that "
+        "programs usually give them."
+    ),
+    effect="They are read.",
+    remedy="If one of them holds something else, name the right one.",
+)
+
+
+def columns_by_usual_names(*, where: str, names: Mapping[str, str]) -> Message:
+    """Columns of a table of orientations that were found by usual names."""
+    listed = ", ".join(f"{quantity} from {name}" for quantity, name in names.items())
+    return note(
+        ORIENTATION_NAMES,
+        "read by usual names: {listed}",
+        where=where,
+        listed=listed,
+    )
+
+
 ORIENTATION_COLUMN = Code(
     "ORIENTATION-COLUMN",
     means="The table of orientations lacks a column.",
@@ -853,6 +975,17 @@ ORIENTATION_UNIT = Code(
     means="Angles are more than a turn: another unit.",
     effect="The mission is refused.",
     remedy="State stations.orientation.unit: deg, rad or grad.",
+)
+
+
+ORIENTATION_FRAME = Code(
+    "ORIENTATION-FRAME",
+    means=(
+        "Nothing says what x, y and z of the orientations are, or the stated frame puts the "
+        "points off the earth."
+    ),
+    effect="The mission is refused.",
+    remedy=("Give stations.orientation.frame: ecef, {enu: ...}, projected with crs, or unknown."),
 )
 
 
@@ -960,7 +1093,8 @@ def orientation_repeated(*, where: Path | str, count: int, image: str, lines: st
 
 ORIENTATION_TIME = Code(
     "ORIENTATION-TIME",
-    means="Rows of the orientations have no readable time.",
+    means="Rows of the orientations have no readable time, or one that no survey can have: in the "
+    "future, or of a clock that was never set (1970-01-01, 1980-01-06, a GPS week before 1990).",
     effect="They get the air of the middle exposure.",
     remedy="Correct these rows.",
 )
@@ -971,11 +1105,12 @@ def orientations_without_time(*, where: str, count: int, line: int) -> Message:
     return loss(
         ORIENTATION_TIME,
         (
-            "{count} rows have no readable time, the first in line {line}: the air of the "
+            "{count} rows have no readable time that a survey can have, the first in line {line}: "
+            "the air of the "
             "middle exposure is taken for them"
         ),
         one=(
-            "1 row has no readable time, the first in line {line}: the air of the middle "
+            "1 row has no readable time that a survey can have, line {line}: the air of the middle "
             "exposure is taken for them"
         ),
         where=where,

@@ -4,8 +4,9 @@ Format: RTKLIB manual 2.4.2, appendix B.1. Columns are found by the names in the
 order and each separator that RTKLIB can write is read.
 """
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -101,9 +102,8 @@ def _positions(
         local = np.einsum("nij,jkn,nik->ni", axes, np.sign(root) * root**2, axes)
         variance = (local[:, 0] + local[:, 1]) / 2.0, local[:, 2]
     elif "e-baseline(m)" in value:
-        base = next((line for line in header if re.match(r"%\s*ref pos\s*:", line)), "")
-        origin = [float(part) for part in re.findall(r"-?\d+\.\d+", base)]
-        if len(origin) != 3 or abs(origin[0]) > 90.0:
+        origin = _base(header)
+        if origin is None:
             raise messages.pos_without_base(where=path)
         enu = np.stack([value[f"{axis}-baseline(m)"] for axis in "enu"], axis=1)
         start = np.tile([*np.radians(origin[:2]), origin[2]], (len(enu), 1)).T
@@ -124,3 +124,42 @@ def _positions(
     sigma_h, sigma_v = np.sqrt(np.maximum(variance, 0.0))
     places = {"lat_rad": lat, "lon_rad": lon, stated.height_column(path, ledger, above): height}
     return places | {"sigma_h_m": sigma_h, "sigma_v_m": sigma_v}
+
+
+_MINUTES_AND_SECONDS = 60.0  # below it each, of an angle in degrees, minutes and seconds
+
+
+def _base(header: Sequence[str]) -> tuple[float, float, float] | None:
+    """Latitude, longitude [deg] and height [m] of the base of a solution, by its header.
+
+    RTKLIB writes both angles in degrees, or in degrees, minutes and seconds; the degrees carry the
+    sign, -0 as well. None where the header has no base, or one that is no place.
+
+    >>> _base(["% ref pos   :  47 30 00.0000   -0 30 00.0000   450.0000"])
+    (47.5, -0.5, 450.0)
+    """
+    line = next((line for line in header if re.match(r"%\s*ref pos\s*:", line)), "")
+    fields = re.split(_SEPARATOR, line.partition(":")[2].strip())
+    try:
+        numbers_of_base = [float(field) for field in fields]
+    except ValueError:
+        return None
+    if len(numbers_of_base) == 3:
+        latitude, longitude, height = numbers_of_base
+    elif len(numbers_of_base) == 7:
+        *angles, height = numbers_of_base
+        if any(not 0.0 <= part < _MINUTES_AND_SECONDS for part in (*angles[1:3], *angles[4:6])):
+            return None
+        latitude = _degrees_of(angles[:3])
+        longitude = _degrees_of(angles[3:])
+    else:
+        return None
+    if abs(latitude) > 90.0 or abs(longitude) > 360.0:
+        return None
+    return latitude, longitude, height
+
+
+def _degrees_of(parts: Sequence[float]) -> float:
+    """Degrees, minutes and seconds as degrees; the degrees carry the sign."""
+    degrees, minutes, seconds = parts
+    return math.copysign(abs(degrees) + minutes / 60.0 + seconds / 3600.0, degrees)

@@ -3,7 +3,7 @@
 The week of its seconds, and a channel in the order of time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -13,11 +13,17 @@ import pandas as pd
 
 from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK
+from unbend.flight.survey_dates import can_be_flown
 from unbend.geodesy import GeoidGrid
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
 from unbend.tables.text_columns import utc_of_weeks
 from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
+
+
+def as_written(angles: Array) -> Array:
+    """The angles of a file as they stand there."""
+    return angles
 
 
 @dataclass(frozen=True)
@@ -32,10 +38,13 @@ class Stated:
     heights : ellipsoid or msl.
     accuracy : the file of standard deviations that belongs to an SBET.
     columns : quantity -> name of the column, of a CSV.
+    unstated : quantities that nothing states, which our own table of orientations has.
     position_unit, angle_unit : of latitude and longitude, and of the attitude, in a CSV.
     angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
     crs, geoid : coordinate system of a CSV, and the user's grid for its heights.
     grid : the projected coordinate system in whose axes omega, phi and kappa count.
+    angles_meant : what three angles (n, 3) [rad] mean, in the order in which they turn or as roll,
+        pitch, yaw; by default what the file says. Another reading is tried by it.
     """
 
     time_system: Literal["gpst", "utc"] | None = None
@@ -44,12 +53,14 @@ class Stated:
     heights: Literal["msl", "ellipsoid"] | None = None
     accuracy: Path | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
+    unstated: tuple[str, ...] = ()
     position_unit: AngleUnit = "deg"
     angle_unit: AngleUnit = "deg"
     angle_order: str = "ZYX"
     crs: str | None = None
     geoid: GeoidGrid | None = None
     grid: str | None = None
+    angles_meant: Callable[[Array], Array] = as_written
 
     def system_of(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
         """The time system, gpst or utc; ``found`` is what the file says of itself."""
@@ -102,6 +113,13 @@ def read_text(path: Path) -> list[str]:
     return [line for line in lines if line.strip()]
 
 
+def _has_place(columns: Mapping[str, Array]) -> Mask:
+    """(n,) False where the place is 0, 0: that stands for an unknown one."""
+    is_at_equator = columns["lat_rad"] == 0.0
+    is_at_greenwich = columns["lon_rad"] == 0.0
+    return np.asarray(~(is_at_equator & is_at_greenwich))
+
+
 def channel_of_rows(
     path: Path,
     kind: str,
@@ -114,9 +132,11 @@ def channel_of_rows(
 ) -> Channel:
     """A channel called like the file, in the order of time, without rows that cannot be read.
 
-    ``readable`` (n,) False where a row is damaged; these rows, and those that repeat a time, are a
+    ``readable`` (n,) False where a row is damaged; these rows, those whose time no survey can
+    have, those whose place is 0, 0 because it was not known, and those that repeat a time, are a
     loss. Refuses latitudes beyond the poles.
     """
+    readable = readable & can_be_flown(time_ns) & _has_place(columns)
     rows = np.argsort(time_ns, kind="stable")
     rows = rows[readable[rows]]
     again = np.diff(time_ns[rows], prepend=-1) == 0

@@ -1,9 +1,9 @@
 """The user's CSV, by its names of columns, units and orders: trajectories, orientations, events."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -14,22 +14,24 @@ from unbend.flight.clock import SECONDS_PER_WEEK
 from unbend.flight.heights import GeodeticOrigin
 from unbend.flight.stations import NO_TIME
 from unbend.geodesy import geodetic_of_ecef
-from unbend.messages import Ledger
-from unbend.tables.geodata.coordinate_systems import places_of
+from unbend.messages import Ledger, Notes
+from unbend.tables.geodata.coordinate_systems import GeocentricDatum, places_of
 from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated, channel_of_rows
 from unbend.tables.text_columns import (
-    LINE_OF_FIRST_ROW,
     angles_in_radians,
+    degrees_of,
     numbers,
     numbers_of,
+    require_names,
     text_of_frame,
     text_table,
+    unrepeated_table,
     utc_of_columns,
     utc_of_dates,
     utc_of_weeks,
 )
-from unbend.units import RADIANS, Array, Integers, Mask, Names
+from unbend.units import DEGREE, RADIANS, Array, Integers, Mask, Names
 
 _SINCE_EPOCH_S = 1e8  # seconds beyond this count from an epoch, not from the beginning of a week
 _AS_THEY_ARE = (
@@ -51,6 +53,12 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     table = text_table(path, stated.columns, codes=(messages.IMPORT_FORMAT, messages.IMPORT_COLUMN),
                        key="stations.trajectory.columns")  # fmt: skip
     value = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
+    if stated.position_unit == "deg":
+        for quantity in value.keys() & _LIMITS_DEG.keys():
+            name = stated.columns[quantity]
+            value[quantity] = degrees_of(
+                table, name, path, messages.IMPORT_FORMAT, quantity=quantity
+            )
     columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
     grid_north: Array | None = None
     if stated.crs is not None:
@@ -79,8 +87,15 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     columns |= {"lat_rad": lat, "lon_rad": lon, surface: height}
     if "yaw" in value:
         angles = np.stack([value[name] for name in ("roll", "pitch", "yaw")], axis=1)
-        angles = angles_in_radians(angles, stated.angle_unit, path, messages.IMPORT_ANGLES,
-                                   "stations.trajectory.angle_unit")  # fmt: skip
+        angles = angles_in_radians(
+            angles,
+            stated.angle_unit,
+            path,
+            messages.IMPORT_ANGLES,
+            key="stations.trajectory.angle_unit",
+            lines=table.index,
+        )
+        angles = stated.angles_meant(angles)
         known = np.isfinite(angles).all(axis=1)
         in_order = angles[known][:, ["XYZ".index(axis) for axis in stated.angle_order]]
         q = np.full((known.size, 4), np.nan)
@@ -145,7 +160,9 @@ class OrientationTable:
     None without that column; ``time_ns`` is `NO_TIME` where unknown; ``sigmas`` holds columns in SI
     and radians by quantity, for those that are there. ``convergence_rad`` (n,) is the azimuth of
     the grid's north, ``heights`` what a coordinate system says of them. ``frame`` is what a file
-    says of the frame of its x, y, z: earth-centred, or the origin of east, north and up.
+    says of the frame of its x, y, z: earth-centred, on WGS 84 or of another datum, or the origin of
+    east, north and up; ``crs`` is the coordinate system that it names for them. ``notes`` are what
+    its reader has to say.
     """
 
     image: Names
@@ -156,7 +173,9 @@ class OrientationTable:
     sigmas: Mapping[str, Array]
     convergence_rad: Array | float = 0.0
     heights: str | None = None
-    frame: Literal["ecef"] | GeodeticOrigin | None = None
+    frame: Literal["ecef"] | GeodeticOrigin | GeocentricDatum | None = None
+    crs: str | None = None
+    notes: Notes = ()
 
 
 def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:
@@ -168,9 +187,70 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
     Refuses (InputError) columns that are not there, text for numbers, images that stand there
     twice, latitudes and angles that none can be, and quaternions that are no rotations.
     """
+    of_names = {stated.columns["image"], stated.columns.get("camera", ""), *_USUAL_NAMES["image"]}
+    table = unrepeated_table(path, _CODES_OF_ORIENTATION[0], of_names)
+    usual = usual_columns(table.columns.tolist(), stated)
+    if "time_utc" in usual and not table[usual["time_utc"]].str.strip().any():
+        del usual["time_utc"]  # stations without a time
+    if usual:
+        ledger.add(messages.columns_by_usual_names(where=path.name, names=usual))
+    columns = {**stated.columns, **usual}
     key = "stations.orientation.columns"
-    table = text_table(path, stated.columns, codes=_CODES_OF_ORIENTATION, key=key)
-    return _orientation(table, path, stated, ledger)
+    wanted = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
+    require_names(_CODES_OF_ORIENTATION[1], path, table.columns.tolist(), wanted)
+    return _orientation(table, path, replace(stated, columns=columns), ledger)
+
+
+_USUAL_NAMES: Mapping[str, tuple[str, ...]] = {
+    "image": ("imageName", "PhotoID", "Label", "filename", "image_name", "name"),
+    "latitude": ("lat_deg", "latitude_deg", "lat"),
+    "longitude": ("lon_deg", "longitude_deg", "lon", "long", "lng"),
+    "x": ("x_m", "X/East", "X/Easting", "east", "easting"),
+    "y": ("y_m", "Y/North", "Y/Northing", "north", "northing"),
+    "z": ("z_m", "Z/Altitude", "up"),
+}
+"""Names that programs give to columns of orientations, beside that of the quantity itself."""
+
+_NAMES_OF_HEIGHTS = {"ellipsoid": ("h_ellipsoid_m",), "msl": ("h_msl_m",)}
+_NAMES_OF_OWN_EXPORT = {
+    "image", "camera", "status", "time_utc", "lat_deg", "lon_deg", "h_ellipsoid_m", "omega_deg",
+    "phi_deg", "kappa_deg", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt_deg",
+    "sigma_yaw_deg",
+}  # fmt: skip
+
+
+_OWN_NAMES = {"sigma_tilt": "sigma_tilt_deg", "sigma_yaw": "sigma_yaw_deg"}
+
+
+def usual_columns(names: Sequence[str], stated: Stated) -> dict[str, str]:
+    """Quantity -> name, for quantities that the mission file does not name and programs usually do.
+
+    A quantity that is not named has the name of its own; where the table has no such column, one in
+    other case or of a usual name takes its place, if it is the only one. Of our own table of
+    orientations everything is known that nothing states.
+    """
+    columns = {}
+    for quantity, name in stated.columns.items():
+        is_named = name != quantity
+        if is_named or name in names:
+            continue
+        usual = _usual_names(quantity, stated)
+        candidates = [known for known in names if known.lower() in usual]
+        if len(candidates) == 1:
+            columns[quantity] = candidates[0]
+    if set(names) >= _NAMES_OF_OWN_EXPORT and stated.angle_unit == "deg":
+        columns |= {quantity: _OWN_NAMES.get(quantity, quantity) for quantity in stated.unstated}
+    return columns
+
+
+def _usual_names(quantity: str, stated: Stated) -> set[str]:
+    """The usual names of the column of a quantity, in small letters."""
+    usual = {quantity, *_USUAL_NAMES.get(quantity, ())}
+    if quantity == "height":
+        usual.update(_NAMES_OF_HEIGHTS.get(stated.heights or "", ()))
+    if quantity in _ANGLES and not quantity.startswith("q_"):
+        usual.add(f"{quantity}_{stated.angle_unit}")
+    return {name.lower() for name in usual}
 
 
 def orientation_of_frame(
@@ -190,22 +270,19 @@ def _orientation(
     angle_names = [name for name in names if name in _ANGLES]
     _refuse_repeated(table, names["image"], path)
     value = _numbers(table, names, path)
-    position = _positions(value, path, "stations.orientation.columns")
+    position = _positions(value, path, "stations.orientation.columns", table.index)
     angles = np.stack([value[name] for name in angle_names], axis=1)
     if len(angle_names) == 4:
-        length = np.linalg.norm(angles, axis=1)
-        if (wrong := np.abs(length - 1.0) > _LONGEST_NORM_ERROR).any():
-            worst = int(np.nanargmax(np.abs(length - 1.0)))
-            raise messages.orientation_quaternion(
-                path=path,
-                line=worst + LINE_OF_FIRST_ROW,
-                count=int(wrong.sum()),
-                length=float(length[worst]),
-            )
-        attitude = angles / length[:, None]
+        attitude = _unit_quaternions(angles, table, path)
     else:
-        attitude = angles_in_radians(angles, unit, path, messages.ORIENTATION_UNIT,
-                                     "stations.orientation.unit")  # fmt: skip
+        attitude = angles_in_radians(
+            angles,
+            unit,
+            path,
+            messages.ORIENTATION_UNIT,
+            key="stations.orientation.unit",
+            lines=table.index,
+        )
     sigmas = {name: values for name, values in value.items() if name.startswith("sigma_")}
     for tilt in {"sigma_tilt", "sigma_yaw"} & sigmas.keys():
         sigmas[f"{tilt}_rad"] = sigmas.pop(tilt) * RADIANS[unit]
@@ -214,11 +291,38 @@ def _orientation(
         read_ns, good = utc_of_columns(table, names)
         time_ns[good] = read_ns[good]
         if bad := int((~good).sum()):
-            line = int(np.argmin(good)) + LINE_OF_FIRST_ROW
+            line = int(table.index[int(np.argmin(good))])
             ledger.add(messages.orientations_without_time(where=path.name, count=bad, line=line))
     camera = table[names["camera"]].to_numpy(object) if "camera" in names else None
     image = table[names["image"]].to_numpy(object)
-    return OrientationTable(image, camera, time_ns, position, attitude, sigmas)
+    frame = _frame_of_own_export(table, path) if set(_ORIGIN) <= set(table.columns) else None
+    return OrientationTable(image, camera, time_ns, position, attitude, sigmas, frame=frame)
+
+
+def _unit_quaternions(quaternion: Array, table: pd.DataFrame, path: Path) -> Array:
+    """(n, 4) quaternions of length 1; refuses those whose length is another."""
+    length = np.linalg.norm(quaternion, axis=1)
+    error = np.abs(length - 1.0)
+    wrong = error > _LONGEST_NORM_ERROR
+    if wrong.any():
+        worst = int(np.nanargmax(error))
+        raise messages.orientation_quaternion(
+            path=path,
+            line=int(table.index[worst]),
+            count=int(wrong.sum()),
+            length=float(length[worst]),
+        )
+    return np.asarray(quaternion / length[:, None])
+
+
+_ORIGIN = ("origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m")
+
+
+def _frame_of_own_export(table: pd.DataFrame, path: Path) -> GeodeticOrigin | None:
+    """The one place whose east, north and up is the frame of our own table ``opk-enu``."""
+    origin = [numbers_of(table, name, path, messages.ORIENTATION_NUMBER) for name in _ORIGIN]
+    latitude, longitude, h_m = (float(values[0]) for values in origin)
+    return GeodeticOrigin(latitude * DEGREE, longitude * DEGREE, h_m)
 
 
 def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[Names, Array]:
@@ -226,7 +330,7 @@ def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[Names, A
     key = "stations.orientation.known_positions"
     table = text_table(path, names, codes=_CODES_OF_ORIENTATION, key=key)
     _refuse_repeated(table, names["image"], path)
-    position = _positions(_numbers(table, names, path), path, key)
+    position = _positions(_numbers(table, names, path), path, key, table.index)
     return table[names["image"]].to_numpy(object), position
 
 
@@ -237,25 +341,30 @@ def _refuse_repeated(table: pd.DataFrame, column: str, path: Path) -> None:
         raise messages.orientations_empty(where=path)
     twice = images[images.duplicated(keep=False)]
     if len(twice):
-        lines = ", ".join(
-            str(row + LINE_OF_FIRST_ROW) for row in twice.index[twice == twice.iloc[0]]
-        )
+        lines = ", ".join(str(line) for line in twice.index[twice == twice.iloc[0]])
         raise messages.orientation_repeated(
             where=path, count=twice.nunique(), image=twice.iloc[0], lines=lines
         )
 
 
 def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[str, Array]:
-    """The columns that hold numbers, by quantity."""
-    return {
-        quantity: numbers_of(table, column, path, messages.ORIENTATION_NUMBER)
-        for quantity, column in names.items()
-        if quantity not in ("image", "camera", "time_utc")
-    }
+    """The columns that hold numbers, by quantity; latitude and longitude in degrees."""
+    value = {}
+    for quantity, column in names.items():
+        if quantity in _LIMITS_DEG:
+            value[quantity] = degrees_of(
+                table, column, path, messages.ORIENTATION_NUMBER, quantity=quantity
+            )
+        elif quantity not in ("image", "camera", "time_utc"):
+            value[quantity] = numbers_of(table, column, path, messages.ORIENTATION_NUMBER)
+    return value
 
 
-def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
-    """(n, 3) positions, latitude and longitude in radians; refuses those of no place on earth."""
+def _positions(value: Mapping[str, Array], path: Path, key: str, lines: "pd.Index[Any]") -> Array:
+    """(n, 3) positions, latitude and longitude in radians; refuses those of no place on earth.
+
+    ``lines`` (n,) are those of the rows.
+    """
     if "x" in value:
         return np.stack([value[axis] for axis in "xyz"], axis=1)
     for quantity, limit in _LIMITS_DEG.items():
@@ -265,7 +374,7 @@ def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
             row = int(np.argmax(wrong))
             raise messages.orientation_position(
                 path=path,
-                line=row + LINE_OF_FIRST_ROW,
+                line=int(lines[row]),
                 count=int(wrong.sum()),
                 limit=limit,
                 quantity=quantity,
@@ -274,7 +383,10 @@ def _positions(value: Mapping[str, Array], path: Path, key: str) -> Array:
                 key=key,
             )
     lat, lon = np.radians(value["latitude"]), np.radians(value["longitude"])
-    return np.stack([lat, lon, value["height"]], axis=1)
+    position = np.stack([lat, lon, value["height"]], axis=1)
+    is_unset = (lat == 0.0) & (lon == 0.0)  # as programs fill fields that they do not know
+    position[is_unset] = np.nan
+    return position
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +410,7 @@ def read_events(path: Path, columns: Mapping[str, str], ledger: Ledger) -> Event
     time_ns, good = utc_of_columns(table, columns)
     if not bool(good.all()):
         rows = np.flatnonzero(~good)
-        line = int(rows[0]) + LINE_OF_FIRST_ROW
+        line = int(table.index[rows[0]])
         ledger.add(messages.events_without_time(where=path.name, count=rows.size, line=line))
     if not bool(good.any()):
         raise messages.events_empty(where=path)

@@ -112,8 +112,8 @@ class SensorRecord:
 class TimeWindowRecord:
     """A part of a flight estimated on its own: change and sigma of R against that of the flight."""
 
-    start_utc: str
-    end_utc: str
+    start_utc: str | None
+    end_utc: str | None
     change: float
     sigma: float
     why_not: str

@@ -165,7 +165,40 @@ def test_a_model_that_is_cut_anywhere_is_refused(model, name, form):
             assert file.name in text or end == 0 or "OBS-EMPTY" in text or "CAMERA-" in text
             assert re.search(r"cut short|line \d+|model number|OBS-EMPTY|CAMERA-", text), text
         else:
-            assert (name, len(names)) == ("points3D", 0), end  # which ground.height: block refuses
+            if len(names):  # in the last line, of whose end no other file knows
+                assert (name, form) in {("cameras", "txt"), ("images", "txt")}, end
+                assert b"\n" not in content[end:].strip(), end
+                (note,) = read_block_images(folder / form, "colmap").notes
+                assert note.code == "COLMAP-COUNT"
+            else:
+                assert name == "points3D", end  # which ground.height: block refuses
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
+@pytest.mark.parametrize("count", [b"1", b"200"])
+def test_a_count_in_a_comment_and_a_missing_end_do_not_matter(model, name, count):
+    """Nothing else is missing: images and points name each other."""
+    _, folder = model
+    wanted = rows(folder / "txt", "colmap")
+    file = folder / "txt" / f"{name}.txt"
+    content = file.read_bytes()
+    changed = re.sub(rb"(?m)^(# Number of \w+: )\d+", rb"\g<1>" + count, content)
+    assert changed != content
+    file.write_bytes(changed.removesuffix(b"\n"))
+    pd.testing.assert_frame_equal(rows(folder / "txt", "colmap"), wanted)
+    assert len(block_reader("colmap").read_points(folder / "txt")[0]) == 5
+    notes = read_block_images(folder / "txt", "colmap").notes
+    assert {note.code for note in notes} == {"COLMAP-COUNT"}
+    assert len(notes) == (2 if name == "images" else 1)
+
+
+def test_images_without_their_points_are_missing(model):
+    """A line of an image is gone, which the tracks of the points name."""
+    _, folder = model
+    file = folder / "txt" / "images.txt"
+    lines = file.read_text().splitlines(keepends=True)
+    file.write_text("".join(lines[:-2]))
+    assert "behind 7 of 8 records" in refusal(folder / "txt", "colmap")
 
 
 def test_other_versions_and_models(model):

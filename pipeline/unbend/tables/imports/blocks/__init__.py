@@ -31,6 +31,7 @@ from unbend.units import Array
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from unbend.block.known_places import KnownPlaces
     from unbend.tables.imports.blocks.image_points import CameraMakers
     from unbend.tables.imports.user_tables import OrientationTable
 
@@ -47,6 +48,9 @@ class BlockFormat(Protocol):
     def read_images(self, path: Path) -> OrientationTable:
         """Images, their cameras, x, y, z and quaternions; NaN where an image has none."""
 
+    def read_places(self, path: Path) -> tuple[KnownPlaces, ...]:
+        """Where the files say that the images were, beside their orientations; of each source."""
+
     def read_rows(self, path: Path) -> Iterator[pa.RecordBatch]:
         """Image points, image by image (see `image_points`)."""
 
@@ -57,7 +61,9 @@ class BlockFormat(Protocol):
 BLOCKS: Registry = {
     "colmap": ("unbend.tables.imports.blocks.colmap", (".txt", ".bin", ".db")),
     "opensfm": ("unbend.tables.imports.blocks.opensfm", (".json",)),
-    "metashape": ("unbend.tables.imports.blocks.metashape", (".xml", ".psz")),
+    "metashape": ("unbend.tables.imports.blocks.metashape", (".xml", ".psz", ".psx")),
+    "pix4d": ("unbend.tables.imports.blocks.pix4d", ()),
+    "blocksexchange": ("unbend.tables.imports.blocks.blocks_exchange", ()),
     "dbat": ("unbend.tables.imports.blocks.dbat", ()),
 }
 """Formats, and the endings by which the file of a camera is known."""
@@ -71,13 +77,24 @@ def block_reader(program: str) -> BlockFormat:
 
 _LONGEST_NORM_ERROR = 1e-3  # of quaternions, which are written with a few digits
 _OF_LIBRARIES = (
-    LookupError, ValueError, TypeError, AttributeError, EOFError, OSError, SyntaxError,
-    sqlite3.Error, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    EOFError,
+    OSError,
+    SyntaxError,
+    sqlite3.Error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 @contextmanager
-def damage_refused(path: Path | str, program: str) -> Iterator[None]:
+def damage_refused(
+    path: Path | str,
+    program: str,
+) -> Iterator[None]:
     """Raise what a library says of a damaged file as InputError (IMPORT-FORMAT)."""
     try:
         yield
@@ -90,22 +107,53 @@ def damage_refused(path: Path | str, program: str) -> Iterator[None]:
         raise _refusal_of(error, path, program) from None
 
 
-def _refusal_of(error: Exception, path: Path | str, program: str) -> InputError:
+def _refusal_of(
+    error: Exception,
+    path: Path | str,
+    program: str,
+) -> InputError:
     """What a library says of a damaged file, as a refusal."""
     if isinstance(error, KeyError):
-        return messages.part_missing(where=path, program=program, part=repr(error.args[0]))
+        return messages.part_missing(
+            where=path,
+            program=program,
+            part=repr(error.args[0]),
+        )
     if isinstance(error, json.JSONDecodeError):
-        return messages.not_json(where=path, program=program, line=error.lineno)
+        return messages.not_json(
+            where=path,
+            program=program,
+            line=error.lineno,
+        )
     if isinstance(error, ElementTree.ParseError):
-        return messages.not_xml(where=path, program=program, line=error.position[0])
+        return messages.not_xml(
+            where=path,
+            program=program,
+            line=error.position[0],
+        )
     if isinstance(error, sqlite3.Error):
-        return messages.not_database(where=path, program=program, error=str(error))
+        return messages.not_database(
+            where=path,
+            program=program,
+            error=str(error),
+        )
     if isinstance(error, OSError) and error.strerror:
-        return messages.not_readable(where=path, program=program, error=error.strerror)
-    return messages.damaged(where=path, program=program)
+        return messages.not_readable(
+            where=path,
+            program=program,
+            error=error.strerror,
+        )
+    return messages.damaged(
+        where=path,
+        program=program,
+    )
 
 
-def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera:
+def read_camera(
+    path: Path,
+    file_format: str | None,
+    name: str | None,
+) -> Camera:
     """The camera of a file: the named one, or the only one.
 
     Refuses (InputError) a format that is not known or not met (IMPORT-FORMAT), a name that is not
@@ -120,11 +168,21 @@ def read_camera(path: Path, file_format: str | None, name: str | None) -> Camera
                 return cameras[chosen]()
     names = ", ".join(map(repr, cameras)) or "no camera"
     if name is None:
-        raise messages.camera_unnamed(where=path, cameras=names)
-    raise messages.camera_not_there(where=path, cameras=names, name=name)
+        raise messages.camera_unnamed(
+            where=path,
+            cameras=names,
+        )
+    raise messages.camera_not_there(
+        where=path,
+        cameras=names,
+        name=name,
+    )
 
 
-def read_block_images(path: Path, program: str) -> OrientationTable:
+def read_block_images(
+    path: Path,
+    program: str,
+) -> OrientationTable:
     """The images of a block with their orientations.
 
     Refuses (InputError) an image that stands there twice, and a block without orientations.
@@ -133,17 +191,35 @@ def read_block_images(path: Path, program: str) -> OrientationTable:
         table = block_reader(program).read_images(path)
     twice = [name for name, count in Counter(table.image.tolist()).items() if count > 1]
     if twice:
-        raise messages.image_repeated(where=path, image=twice[0])
+        raise messages.image_repeated(
+            where=path,
+            image=twice[0],
+        )
     if len(table.image) == 0:
         raise messages.no_orientation(where=path)
     length = np.linalg.norm(table.angles, axis=1)
     wrong = np.abs(length - 1.0) > _LONGEST_NORM_ERROR
     if wrong.any():
-        raise messages.no_rotation(where=path, image=str(table.image[np.argmax(wrong)]))
+        raise messages.no_rotation(
+            where=path,
+            image=str(table.image[np.argmax(wrong)]),
+        )
     return replace(table, angles=table.angles / length[:, None])
 
 
-def block_rows(path: Path, program: str) -> Iterator[pa.RecordBatch]:
+def read_block_places(
+    path: Path,
+    program: str,
+) -> tuple[KnownPlaces, ...]:
+    """Where the files of a block say that its images were, beside their orientations."""
+    with damage_refused(path, program):
+        return block_reader(program).read_places(path)
+
+
+def block_rows(
+    path: Path,
+    program: str,
+) -> Iterator[pa.RecordBatch]:
     """The image points of a block, image by image; refuses a damaged file where it is damaged."""
     with damage_refused(path, program):
         yield from block_reader(program).read_rows(path)

@@ -7,10 +7,10 @@ database, are called ``image:index``. Read without pycolmap, which takes a camer
 short without a word, streamed, and tested against what pycolmap writes.
 """
 
-import re
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from unbend.block.known_places import KnownPlaces
 from unbend.errors import PhysicsError
 from unbend.flight.rotations import matrices_of
 from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.imports.blocks import messages
+from unbend.tables.imports.blocks.colmap_texts import notes_on_texts, refuse_missing_records
 from unbend.tables.imports.blocks.image_points import (
     BinaryFile,
     CameraMakers,
@@ -40,6 +42,9 @@ _MODELS = (
     ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4), ("EUCM", 6),
     ("EQUIRECTANGULAR", 2),
 )  # fmt: skip
+_PRIOR_WGS84 = 0  # coordinate_system of a pose prior
+_PRIOR_CARTESIAN = 1
+_PRIOR_SYSTEMS = (_PRIOR_WGS84, _PRIOR_CARTESIAN)  # others are unknown
 POINT2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
@@ -72,10 +77,51 @@ def read_cameras(path: Path) -> CameraMakers:
 
 def read_images(path: Path) -> OrientationTable:
     """The images of a model; refuses a database, which orients none."""
-    found = [(name, camera, pose) for name, camera, pose, _, _ in _images(path)]
-    pose = np.array([pose for _, _, pose in found]).reshape(-1, 7)
+    images = [image[:3] for image in _images(path)]
+    names = [name for name, _, _ in images]
+    cameras = [camera for _, camera, _ in images]
+    pose = np.array([pose for _, _, pose in images]).reshape(-1, 7)
     centre = -np.einsum("nji,nj->ni", matrices_of(pose[:, :4]), pose[:, 4:])
-    return oriented_images([f[0] for f in found], [f[1] for f in found], centre, pose[:, :4])
+    table = oriented_images(names, cameras, centre, pose[:, :4])
+    return replace(table, notes=notes_on_texts(_of_model(path), len(images)))
+
+
+def read_places(path: Path) -> tuple[KnownPlaces, ...]:
+    """The pose priors of a database; those of EXIF are latitude, longitude and height.
+
+    Others are x, y, z in the frame of the model. A model has none.
+    """
+    if path.suffix.lower() != ".db":
+        return ()
+    places = []
+    for system, position_of_image in _priors(path).items():
+        position = np.array([*position_of_image.values()])
+        in_frame = system == _PRIOR_CARTESIAN
+        if not in_frame:
+            position[:, :2] = np.radians(position[:, :2])
+        image = np.array([*position_of_image], object)
+        places.append(KnownPlaces("pose priors", image, position, in_frame=in_frame))
+    return tuple(places)
+
+
+def _priors(path: Path) -> dict[int, dict[str, Array]]:
+    """The positions of images of a database, by their coordinate systems and names."""
+    query = (
+        "SELECT images.name, position, coordinate_system FROM pose_priors JOIN images ON "
+        "{key} = images.image_id WHERE position IS NOT NULL"
+    )
+    priors: dict[int, dict[str, Array]] = {}
+    with closing(opened(path)) as database:
+        columns = [row[1] for row in database.execute("PRAGMA table_info(pose_priors)")]
+        if "position" not in columns:
+            return priors  # of COLMAP before 3.8
+        key = "corr_data_id" if "corr_data_id" in columns else "pose_priors.image_id"
+        for name, blob, system in database.execute(query.format(key=key)):
+            position = np.frombuffer(blob, "<f8")
+            is_whole = position.size == 3 and bool(np.isfinite(position).all())
+            if is_whole and system in _PRIOR_SYSTEMS:
+                priors.setdefault(system, {})[name] = position
+    return priors
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
@@ -160,7 +206,7 @@ def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
                 pose, count = np.array(numbers, np.float64).reshape(7), count + 1
                 points = np.array(next(rows, "").split(), np.float64).reshape(-1, 3)
                 yield name, camera, pose, points[:, :2], points[:, 2].astype(np.int64)
-    _refuse_fewer(file, count)
+    refuse_missing_records(file, count)
 
 
 def _text_rows(file: Path, *, words: int, least: int) -> Iterator[list[Any]]:
@@ -172,17 +218,7 @@ def _text_rows(file: Path, *, words: int, least: int) -> Iterator[list[Any]]:
                 raise ValueError
             count += 1
             yield [lines.number, *fields[:words], *map(float, fields[words:])]
-    _refuse_fewer(file, count)
-
-
-def _refuse_fewer(file: Path, count: int) -> None:
-    """Refuse a text of COLMAP's that holds another number of records than it says, or no end."""
-    with file.open("rb") as stream:
-        stated = re.search(rb"^# Number of \w+: (\d+)", stream.read(1000), re.M)
-        stream.seek(max(file.stat().st_size - 1, 0))
-        if not stated or (int(stated[1]) == count and stream.read() == b"\n"):
-            return
-    raise messages.records_missing(where=file, found=count, total=int(stated[1]))
+    refuse_missing_records(file, count)
 
 
 def _of_model(path: Path) -> tuple[Path, ...]:

@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pyarrow as pa
 
+from unbend.block.known_places import KnownPlaces
 from unbend.flight.rotations import quaternion_of_opk
 from unbend.refraction.calibration import MetricReport, camera_of_model, camera_of_report
 from unbend.refraction.camera.camera import Camera
@@ -61,6 +62,11 @@ def read_images(path: Path) -> OrientationTable:
     eo = np.array([*found.values()]).reshape(-1, 6)
     quaternion = quaternion_of_opk(np.radians(eo[:, :3]), "omega_phi_kappa")
     return image_points.oriented_images([*found], [*cameras] * len(found), eo[:, 3:], quaternion)
+
+
+def read_places(_: Path) -> tuple[KnownPlaces, ...]:
+    """None: a script has positions of control points alone."""
+    return ()
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:

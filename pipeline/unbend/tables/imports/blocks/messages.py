@@ -1,13 +1,16 @@
 """Messages of blocks of other programs: cameras, orientations, image points and object points."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from unbend.errors import Code, Counted, InputError
+from unbend.messages import Message, note, warning
 from unbend.tables.imports.messages import (
     IMPORT_FORMAT,
     NAME_OR_EXPORT,
     ORIENTATION_EMPTY,
+    ORIENTATION_FRAME,
     ORIENTATION_REPEATED,
 )
 from unbend.tables.messages import OBS_EMPTY
@@ -203,6 +206,37 @@ def camera_of_image_unknown(*, where: Path | str, line: int, image: str, camera:
     return _damaged(where, text, line=line, image=image, camera=camera)
 
 
+COLMAP_COUNT = Code(
+    "COLMAP-COUNT",
+    means=(
+        "A text of COLMAP's has another number of records than a comment says, or no end of its "
+        "last line, and nothing is missing by what its records say of each other."
+    ),
+    effect="The records that are there are used.",
+    remedy="Write the model again if records are missing.",
+)
+
+
+def count_of_comment(*, where: Path | str, found: int, stated: int) -> Message:
+    """The comment of a text counts other records than there are."""
+    return warning(
+        COLMAP_COUNT,
+        "it has {found}, and by its comment {stated}: those that are there are used",
+        where=str(where),
+        found=Counted(found, "record"),
+        stated=stated,
+    )
+
+
+def line_without_end(*, where: Path | str) -> Message:
+    """The last line of a text has no end."""
+    return warning(
+        COLMAP_COUNT,
+        "its last line has no end: if the file was cut there, its last number is wrong",
+        where=str(where),
+    )
+
+
 def records_missing(*, where: Path | str, found: int, total: int) -> InputError:
     """A text of COLMAP's has fewer or more records than its head says, or no end."""
     text = "it is cut short, behind {found} of {total}"
@@ -225,7 +259,8 @@ def keypoints_none(*, where: Path | str, pairs: int) -> InputError:
 
 def is_folder(*, where: Path | str) -> InputError:
     """A folder stands where a file of Metashape's belongs."""
-    return _damaged(where, "it is a folder", remedy="name a .psz, or a .xml that was exported")
+    remedy = "name a .psz or .psx, or a .xml that was exported"
+    return _damaged(where, "it is a folder", remedy=remedy)
 
 
 def metashape_version(*, where: Path | str, tag: str, version: str) -> InputError:
@@ -314,6 +349,146 @@ def vector_missing(*, where: Path | str, item: str, key: str) -> InputError:
     return _damaged(where, "{item!r} has no {key} of three numbers", item=item, key=key)
 
 
+def reconstruction_in_utm(*, where: Path | str, evidence: str, name: str) -> InputError:
+    """ODM's reconstruction is in UTM minus an offset, and the one before is not beside it."""
+    return InputError(
+        ORIENTATION_FRAME,
+        "by {evidence} of ODM it is in UTM minus an offset, not east, north, up at reference_lla: "
+        "turned by the convergence of the grid",
+        where=where,
+        evidence=evidence,
+        remedy="copy ODM's {name} beside it, which is read in its place",
+        name=name,
+    )
+
+
+BLOCK_ODM = Code(
+    "BLOCK-ODM",
+    means="The reconstruction is the one that ODM kept before it wrote UTM over the other.",
+    effect="The stations are those of east, north, up at reference_lla.",
+    remedy="Nothing.",
+)
+
+
+def reconstruction_before_odm(*, where: Path | str) -> Message:
+    """The reconstruction is the one from before ODM wrote UTM over the other."""
+    return note(
+        BLOCK_ODM,
+        "{name} is read: of a project of ODM's it holds east, north, up at reference_lla, and "
+        "reconstruction.json UTM minus an offset",
+        where=str(where),
+        name=Path(where).name,
+    )
+
+
+BLOCK_DISABLED = Code(
+    "BLOCK-DISABLED",
+    means="Cameras of the project are disabled: they took no part in its adjustment.",
+    effect="These images are left out, with their image points: their poses may be old ones.",
+    remedy="Enable and align them in the project, if they are wanted.",
+)
+
+
+def disabled_cameras(*, where: Path | str, names: Sequence[str]) -> Message:
+    """Disabled cameras are left out."""
+    return note(
+        BLOCK_DISABLED,
+        "{disabled} left out, the first is {first}",
+        where=str(where),
+        disabled=Counted(len(names), "disabled camera is", "disabled cameras are"),
+        first=names[0],
+    )
+
+
+# Pix4D
+
+
+def several_of_pix4d(*, where: Path | str, name: str, files: int) -> InputError:
+    """A folder holds the parameters of several projects."""
+    return _damaged(
+        where,
+        "it has {files} that end in {name}",
+        remedy="name the file of the project that is meant",
+        files=Counted(files, "file"),
+        name=name,
+    )
+
+
+def offset_missing(*, where: Path | str, name: str) -> InputError:
+    """The centres count from a place of a map that no file names."""
+    return _damaged(
+        where,
+        "its projection centres count from the project's offset, which no file has",
+        remedy="copy the project's ..._{name} beside it, or its external parameters",
+        name=name,
+    )
+
+
+def files_of_pix4d_differ(
+    *, where: Path | str, image: str, away_m: float, turned_deg: float
+) -> InputError:
+    """An image has other poses in the two files of a project."""
+    return _damaged(
+        where,
+        "{image!r} is {away_m:.3g} m away and turned by {turned_deg:.3g} deg in the file of "
+        "external parameters",
+        remedy="give both files, and the offset, of one and the same calibration",
+        image=image,
+        away_m=away_m,
+        turned_deg=turned_deg,
+    )
+
+
+# BlocksExchange
+
+
+def is_folder_of_xml(*, where: Path | str) -> InputError:
+    """A folder stands where a file of BlocksExchange belongs."""
+    return _damaged(where, "it is a folder", remedy="name the .xml that was exported")
+
+
+def not_blocks_exchange(*, where: Path | str, tag: str) -> InputError:
+    """An XML of another kind."""
+    return _damaged(where, "it is a {tag}, not a BlocksExchange", tag=tag)
+
+
+def several_blocks(*, where: Path | str, blocks: int, names: str) -> InputError:
+    """A file of no block, or of several."""
+    return _damaged(
+        where,
+        "it has {blocks} ({names}), and one is read",
+        remedy="export the block that is meant alone",
+        blocks=Counted(blocks, "block"),
+        names=names,
+    )
+
+
+def system_of_group(*, where: Path | str, name: str) -> InputError:
+    """A photogroup is in another spatial reference system than its block."""
+    return _damaged(
+        where,
+        "the photogroup {name!r} is in another spatial reference system than its block",
+        remedy="export the block in one",
+        name=name,
+    )
+
+
+def rotation_unreadable(*, where: Path | str, angles: str) -> InputError:
+    """A rotation is neither a matrix nor omega, phi, kappa."""
+    return _damaged(
+        where,
+        "its rotations are {angles}, whose formula the format does not state",
+        remedy="export them as matrices, or as omega, phi, kappa",
+        angles=angles,
+    )
+
+
+def photo_unknown(*, where: Path | str, point: str, number: str) -> InputError:
+    """A measurement is in a photo that the block does not have."""
+    text = "{point!r} is measured in photo {number}, which is not there"
+    return _damaged(where, text, point=point, number=number)
+
+
 # DBAT
 
 
@@ -380,6 +555,34 @@ def file_of_project_missing(*, where: Path | str, name: str) -> InputError:
         "a project of OpenSfM has a {name}",
         where=where,
         remedy="name the folder of the project; of ODM that is opensfm",
+        name=name,
+    )
+
+
+def file_of_pix4d_missing(*, where: Path | str, name: str) -> InputError:
+    """The parameters of a Pix4D project lack a file that is needed."""
+    return InputError(
+        INPUT_MISSING,
+        "no file there ends in {name}",
+        where=where,
+        remedy=(
+            "name the folder params of the project, or its ..._calibrated_camera_parameters.txt; "
+            "without ..._tp_pix4d.txt give the image points as a table under observations"
+        ),
+        name=name,
+    )
+
+
+def folder_of_project_missing(*, where: Path | str, name: str) -> InputError:
+    """The folder of a Metashape project, or an archive in it, is not beside the project's file."""
+    return InputError(
+        INPUT_MISSING,
+        "the project names {name}, which is not there",
+        where=where,
+        remedy=(
+            "copy the project's .psx file and its .files folder together, or save it in Metashape "
+            "as .psz, or export cameras and markers as .xml"
+        ),
         name=name,
     )
 

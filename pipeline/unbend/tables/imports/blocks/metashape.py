@@ -4,45 +4,52 @@ Pixels count from the corner of the image, as COLMAP's: the centre of the upper 
 0.5). u = w/2 + cx + x' (f + b1) + y' b2, v = h/2 + cy + y' f (manual, appendix on camera models);
 before version 1.3: u = cx + x' fx + y' skew. P1 belongs to x and P2 to y, the other way round than
 in OpenCV. A camera's transform leads from it (x right, y down, z forward) to its chunk, the chunk's
-to the earth's centre where it has a coordinate system, else to local coordinates. A marker has its
-label as name; a tie point is called ``tie:`` and its number.
+to the earth's centre where it has a coordinate system, in the datum of that, else to local
+coordinates. A slave camera of a rig has no transform of its own where it follows its master: there
+it is the master's, times rotation and place of its sensor in the master's axes and the chunk's
+units. A marker has its label as name; a tie point is called ``tie:`` and its number. An image has
+the label of its camera; labels that repeat have the group's, or folders, before them. A camera that
+is disabled took no part in the adjustment: its pose is an old one, and it is left out.
 """
 
-import zipfile
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
 import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
+from unbend.block.known_places import KnownPlaces
 from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
-from unbend.tables.geodata.coordinate_systems import is_on_wgs84
+from unbend.tables.geodata.coordinate_systems import datum_of, is_on_wgs84, lat_lon_of
 from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
+from unbend.tables.imports.blocks.metashape_project import (
+    document,
+    files_of_project,
+    only_chunk,
+    vertices,
+)
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array
 
 _NOT_MODELLED = {"frame": ("p3", "p4"), "fisheye": ("p1", "p2", "p3", "p4", "b2", "skew")}
-_TYPES = {"float": "<f4", "double": "<f8", "int": "<i4", "uint": "<u4", "uchar": "u1",
-          "short": "<i2", "ushort": "<u2", "char": "i1"}  # fmt: skip
 
 
 def block_files(path: Path) -> tuple[Path, ...]:
-    """The file itself."""
-    if path.is_dir():
-        raise messages.is_folder(where=path)
-    return (path,)
+    """The file itself, and the archives of a project."""
+    return files_of_project(path)
 
 
 def read_cameras(path: Path) -> CameraMakers:
     """The calibration of each sensor by its label, with its number where labels repeat."""
-    root = _root(path)
+    root = document(path)
     if root.tag == "calibration":
         return {"calibration": partial(_camera, root, path)}
     return {name: partial(_camera, found, path) for name, found in _sensors(root).values()}
@@ -50,79 +57,187 @@ def read_cameras(path: Path) -> CameraMakers:
 
 def read_images(path: Path) -> OrientationTable:
     """The cameras of the chunk with their transforms; unknown where one is not aligned."""
-    chunk = _chunk(path)
-    sensors, cameras = _sensors(chunk), [*chunk.iterfind("cameras//camera")]
-    pose, quaternion = np.full((len(cameras), 4, 4), np.nan), np.full((len(cameras), 4), np.nan)
+    chunk = only_chunk(path)
+    sensors = _sensors(chunk)
+    all_cameras = [*chunk.iterfind("cameras//camera")]
+    poses = _poses(chunk, all_cameras)  # a master may be disabled, and its slave not
+    components = _components(all_cameras)
+    cameras = [camera for camera in all_cameras if _is_enabled(camera)]
+    position = np.full((len(cameras), 3), np.nan)
+    quaternion = np.full((len(cameras), 4), np.nan)
     for row, camera in enumerate(cameras):
-        if given := camera.findtext("transform"):
-            scale, turn, step = _to_earth(chunk, camera.get("component_id"))
-            pose[row] = np.array(given.split(), np.float64).reshape(4, 4)
-            turned = Rotation.from_matrix((turn @ pose[row, :3, :3]).T)
-            quaternion[row] = turned.as_quat()[[3, 0, 1, 2]]
-            pose[row, :3, 3] = scale * turn @ pose[row, :3, 3] + step
-    of = [sensors.get(camera.get("sensor_id", ""), ("", None))[0] for camera in cameras]
+        number = camera.get("id", "")
+        pose = poses.get(number)
+        if pose is None:
+            continue
+        scale, turn, step = _to_earth(chunk, components[number])
+        turned = Rotation.from_matrix((turn @ pose[:3, :3]).T)
+        quaternion[row] = turned.as_quat()[[3, 0, 1, 2]]
+        position[row] = scale * turn @ pose[:3, 3] + step
+    of_sensor = [sensors.get(camera.get("sensor_id", ""), ("", None))[0] for camera in cameras]
+    name_of_camera = _image_names(chunk)
+    names = [name_of_camera[camera.get("id", "")] for camera in cameras]
+    table = oriented_images(names, of_sensor, position, quaternion)
+    if len(cameras) < len(all_cameras):
+        left_out = [
+            name_of_camera[camera.get("id", "")]
+            for camera in all_cameras
+            if not _is_enabled(camera)
+        ]
+        table = replace(table, notes=(messages.disabled_cameras(where=path, names=left_out),))
     reference = chunk.findtext("reference", "")
-    on_earth = chunk.find(".//transform/scale") is not None and is_on_wgs84(reference)
-    labels = [camera.get("label", "") for camera in cameras]
-    return oriented_images(labels, of, pose[:, :3, 3], quaternion, "ecef" if on_earth else None)
+    if chunk.find(".//transform/scale") is None:
+        return table
+    return replace(table, frame="ecef" if is_on_wgs84(reference) else datum_of(reference))
+
+
+def read_places(path: Path) -> tuple[KnownPlaces, ...]:
+    """The reference of the cameras, in the chunk's coordinate system or its local coordinates."""
+    root = document(path)
+    if root.tag == "calibration":
+        return ()
+    chunk = only_chunk(path)
+    names = _image_names(chunk)
+    images = []
+    places = []
+    for camera in chunk.iterfind("cameras//camera"):
+        given = camera.find("reference")
+        if given is None or not _is_enabled(given) or not _is_enabled(camera):
+            continue
+        place = [float(given.get(axis, "nan")) for axis in "xyz"]
+        if np.isfinite(place[:2]).all():
+            images.append(names[camera.get("id", "")])
+            places.append(place)
+    if not images:
+        return ()
+    position = np.array(places)
+    crs = chunk.findtext("camera_crs", "") or chunk.findtext("reference", "")
+    lat_lon = lat_lon_of(crs, position[:, 0], position[:, 1])
+    if lat_lon is not None:
+        position[:, 0], position[:, 1] = lat_lon
+    source = "the camera reference of the chunk"
+    return (KnownPlaces(source, np.array(images, object), position, in_frame=lat_lon is None),)
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     """Markers, then tie points, image by image."""
-    chunk = _chunk(path)
+    chunk = only_chunk(path)
     frames = [*chunk.iterfind("frames/frame")] or [chunk]
     if len(frames) > 1:
         raise messages.several_frames(where=path, frames=len(frames))
     label = {m.get("id"): m.get("label", "") for m in chunk.iterfind("markers//marker")}
     marks: dict[str, list[tuple[str, float, float]]] = {}
     for marker in frames[0].iterfind("markers/marker"):
+        name = label[marker.get("marker_id")]
         for place in marker.iterfind("location"):
-            name, (x, y) = label[marker.get("marker_id")], (float(place.attrib[a]) for a in "xy")
-            marks.setdefault(place.attrib["camera_id"], []).append((name, x, y))
-    ties = {p.get("camera_id"): p.attrib["path"]
-            for p in frames[0].iterfind("point_cloud/projections")}  # fmt: skip
-    for camera in chunk.iterfind("cameras//camera"):
-        rows = marks.get(camera.get("id", ""), [])
-        if camera.get("id") in ties:
-            found = _ply(path, ties[camera.get("id")])
+            if place.get("valid", "true") in ("false", "0"):
+                continue
+            mark = (name, float(place.attrib["x"]), float(place.attrib["y"]))
+            marks.setdefault(place.attrib["camera_id"], []).append(mark)
+    ties = {}
+    for projections in frames[0].iterfind("point_cloud/projections"):
+        ties[projections.get("camera_id")] = projections.attrib["path"]
+    disabled = {c.get("id", "") for c in chunk.iterfind("cameras//camera") if not _is_enabled(c)}
+    for number, name in _image_names(chunk).items():
+        if number in disabled:
+            continue
+        rows = marks.get(number, [])
+        if number in ties:
+            found = vertices(path, ties[number])
             rows += [(f"tie:{k}", x, y) for k, x, y in found[["id", "x", "y"]].tolist()]
         if rows:
             xy = [row[1:] for row in rows]
-            yield rows_of_image(camera.get("label", ""), xy, [row[0] for row in rows])
+            yield rows_of_image(name, xy, [row[0] for row in rows])
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
     """The tie points of an archive."""
-    chunk = _chunk(path)
+    chunk = only_chunk(path)
     cloud = chunk.find("frames/frame/point_cloud/points")
     if cloud is None:
         return pa.array([], pa.string()), np.empty((0, 3))
-    points = _ply(path, cloud.attrib["path"])
+    points = vertices(path, cloud.attrib["path"])
     scale, turn, step = _to_earth(chunk, None)
     places = np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
     names = pa.array([f"tie:{number}" for number in points["id"].tolist()], pa.string())
     return names, np.asarray(scale * places @ turn.T + step)
 
 
-def _root(path: Path) -> ElementTree.Element:
-    """The document; refuses one of a version after 2."""
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            root = ElementTree.fromstring(archive.read("doc.xml"))
-    else:
-        root = ElementTree.fromstring(path.read_bytes())
-    version = root.get("version", "1" if root.tag == "calibration" else "")
-    if version.partition(".")[0] not in ("1", "2"):
-        raise messages.metashape_version(where=path, tag=root.tag, version=version or "unknown")
-    return root
+def _is_enabled(element: ElementTree.Element) -> bool:
+    """Whether a camera, or its reference, takes part in the adjustment."""
+    return element.get("enabled", "true").lower() not in ("false", "0")
 
 
-def _chunk(path: Path) -> ElementTree.Element:
-    chunks = [*_root(path).iter("chunk")]
-    if len(chunks) != 1:
-        names = ", ".join(repr(chunk.get("label", "")) for chunk in chunks)
-        raise messages.several_chunks(where=path, chunks=len(chunks), names=names)
-    return chunks[0]
+def _image_names(chunk: ElementTree.Element) -> dict[str, str]:
+    """What the image of each camera is called, by the camera's id, in the order of the cameras.
+
+    It is the camera's label; where several cameras have the same one, it has the label of the
+    camera's group before it, or, if they still have the same name, folders of the photo's path.
+    """
+    cameras = [*chunk.iterfind("cameras//camera")]
+    label = {camera.get("id", ""): camera.get("label", "") for camera in cameras}
+    group_of_camera = {}
+    for group in chunk.iterfind("cameras//group"):
+        for camera in group.iterfind("camera"):
+            group_of_camera[camera.get("id", "")] = group.get("label", "")
+    path_of_camera = {}
+    for camera in chunk.iterfind("frames/frame/cameras/camera"):
+        photo = camera.find("photo")
+        if photo is not None:
+            path_of_camera[camera.get("camera_id", "")] = photo.get("path", "")
+    names = dict(label)
+    for number in _repeated(names):
+        if group_of_camera.get(number):
+            names[number] = f"{group_of_camera[number]}/{label[number]}"
+    for number in _repeated(names):
+        folder = PurePosixPath(path_of_camera.get(number, "")).parent.name
+        if folder:
+            names[number] = f"{folder}/{label[number]}"
+    return names
+
+
+def _repeated(names: Mapping[str, str]) -> list[str]:
+    """The keys whose name is that of another key too."""
+    count = Counter(names.values())
+    return [key for key, name in names.items() if count[name] > 1]
+
+
+def _poses(chunk: ElementTree.Element, cameras: list[ElementTree.Element]) -> dict[str, Array]:
+    """(4, 4) from each camera to the chunk, by its id; of a slave without one by its master's."""
+    poses = {}
+    for camera in cameras:
+        if given := camera.findtext("transform"):
+            poses[camera.get("id", "")] = np.array(given.split(), np.float64).reshape(4, 4)
+    in_master = {sensor.get("id", ""): _place_in_master(sensor) for sensor in chunk.iter("sensor")}
+    for camera in cameras:
+        number = camera.get("id", "")
+        master = camera.get("master_id", "")
+        if number not in poses and master in poses:
+            poses[number] = poses[master] @ in_master.get(camera.get("sensor_id", ""), np.eye(4))
+    return poses
+
+
+def _place_in_master(sensor: ElementTree.Element) -> Array:
+    """(4, 4) from a sensor of a rig to the master's; Metashape leaves out what is none."""
+    pose = np.eye(4)
+    turn = sensor.findtext("rotation")
+    step = sensor.findtext("translation") or sensor.findtext("location")
+    if turn:
+        pose[:3, :3] = np.array(turn.split(), np.float64).reshape(3, 3)
+    if step:
+        pose[:3, 3] = np.array(step.split(), np.float64)
+    return pose
+
+
+def _components(cameras: list[ElementTree.Element]) -> dict[str, str | None]:
+    """The id of the component of each camera, by the camera's id; of a slave its master's."""
+    own = {camera.get("id", ""): camera.get("component_id") for camera in cameras}
+    components = {}
+    for camera in cameras:
+        number = camera.get("id", "")
+        is_slave = own[number] is None and not camera.findtext("transform")
+        components[number] = own.get(camera.get("master_id", "")) if is_slave else own[number]
+    return components
 
 
 def _to_earth(chunk: ElementTree.Element, component: str | None) -> tuple[float, Array, Array]:
@@ -137,26 +252,6 @@ def _to_earth(chunk: ElementTree.Element, component: str | None) -> tuple[float,
     turn = np.array(given.findtext("rotation", "1 0 0 0 1 0 0 0 1").split(), np.float64)
     step = np.array(given.findtext("translation", "0 0 0").split(), np.float64)
     return float(given.findtext("scale", "1")), turn.reshape(3, 3), step
-
-
-def _ply(path: Path, name: str) -> Any:
-    """The vertices of a binary PLY in an archive, a structured array."""
-    with zipfile.ZipFile(path) as archive:
-        if name not in archive.namelist():
-            raise messages.archive_part_missing(where=path, part=name)
-        head, _, content = archive.read(name).partition(b"end_header\n")
-    count, kinds = 0, []
-    for words in (line.split() for line in head.decode("ascii").splitlines()):
-        if words[:2] == ["element", "vertex"]:
-            count = int(words[2])
-        elif words[:1] == ["property"]:
-            kinds.append((words[2], _TYPES[words[1]]))
-    kind = np.dtype(kinds)
-    if b"binary_little_endian" not in head or len(content) != count * kind.itemsize:
-        raise messages.ply_cut(
-            where=path, part=name, size=len(content), records=count, each=kind.itemsize
-        )
-    return np.frombuffer(content, kind)
 
 
 def _sensors(root: ElementTree.Element) -> dict[str, tuple[str, ElementTree.Element | None]]:

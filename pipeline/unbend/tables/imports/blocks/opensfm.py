@@ -5,10 +5,15 @@ of pixels (w/2, h/2): a pixel (0, 0) of OpenSfM's is the centre of the upper lef
 from COLMAP's. Rotation vectors and translations lead from the frame of the reconstruction, east,
 north, up at reference_lla, to the camera, which has x right, y down, z forward. A point is the
 number of its track.
+
+ODM writes over ``reconstruction.json``: UTM minus an offset, which ``coords.txt`` has. What was
+there before, east, north, up, it keeps as ``reconstruction.topocentric.json``: that is read.
 """
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,14 +23,18 @@ import pandas as pd
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
+from unbend.block.alignment import LOG_RATIO_NEEDED
+from unbend.block.known_places import KnownPlaces
+from unbend.block.oriented_images import topocentric
 from unbend.flight.heights import GeodeticOrigin
 from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
+from unbend.tables.geodata.coordinate_systems import grid_coordinates
 from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
 from unbend.tables.imports.messages import IMPORT_FORMAT
 from unbend.tables.imports.user_tables import OrientationTable
-from unbend.tables.text_columns import numbers_of
+from unbend.tables.text_columns import LINE_OF_FIRST_ROW, numbers_of
 from unbend.units import Array
 
 _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
@@ -37,20 +46,39 @@ _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "fisheye_opencv": ("OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")),
 }
 _VERSION = "OPENSFM_TRACKS_VERSION_v2"
+_TOPOCENTRIC = "reconstruction.topocentric.json"
+_FLAG_OF_UTM = "exported_geocoords.txt"  # ODM writes it when reconstruction.json became UTM
+_COORDS = "odm_georeferencing/coords.txt"  # of ODM, beside the folder of the project
+_ZONE = re.compile(r"UTM (\d{1,2})([NS])", re.I)
+_ROUNDING_M2 = 1e-6  # of coordinates in the file: positions that agree are not infinitely likely
+_NO_FIX_DOP = 1000.0  # OpenSfM writes 999999 for an image without a position
 _COLUMNS = ("image", "track", "keypoint", "x", "y", "scale", "red", "green", "blue",
             "segmentation", "instance")  # fmt: skip
 
 
 def block_files(path: Path) -> tuple[Path, ...]:
-    """A file of cameras, or reconstruction.json and tracks.csv, and reference_lla.json if any."""
+    """A file of cameras, or a reconstruction and tracks.csv, and reference_lla.json if any.
+
+    Refuses the reconstruction of ODM's that is in UTM, where the other one is not beside it.
+    """
     if not path.is_dir():
         return (path,)
-    needed = (path / "reconstruction.json", path / "tracks.csv")
+    reconstruction = path / "reconstruction.json"
+    before_odm = path / _TOPOCENTRIC
+    if before_odm.is_file():
+        reconstruction = before_odm
+    elif (path / _FLAG_OF_UTM).is_file():
+        raise messages.reconstruction_in_utm(
+            where=reconstruction, evidence=_FLAG_OF_UTM, name=_TOPOCENTRIC
+        )
+    needed = (reconstruction, path / "tracks.csv")
     for file in needed:
         if not file.is_file():
             raise messages.file_of_project_missing(where=file, name=file.name)
-    reference = path / "reference_lla.json"
-    return (*needed, reference) if reference.is_file() else needed
+    beside = [path / "reference_lla.json"]
+    if reconstruction.name != _TOPOCENTRIC:
+        beside.append(path.parent / _COORDS)
+    return (*needed, *(file for file in beside if file.is_file()))
 
 
 def read_cameras(path: Path) -> CameraMakers:
@@ -63,20 +91,99 @@ def read_cameras(path: Path) -> CameraMakers:
 
 
 def read_images(path: Path) -> OrientationTable:
-    """The shots of the reconstruction; its frame is east, north, up at reference_lla."""
+    """The shots of the reconstruction; its frame is east, north, up at reference_lla.
+
+    Refuses (ORIENTATION-FRAME) shots that meet their gps_position only in ODM's UTM.
+    """
     content = _reconstruction(path)
     shots = content["shots"]
     turn = Rotation.from_rotvec(_vectors(shots, "rotation", path))
-    reference, files = content.get("reference_lla"), block_files(path)
-    if reference is None and len(files) == 3:
-        reference = json.loads(files[2].read_text(encoding="utf-8"))
-    frame = None
-    if reference is not None:
-        lat, lon, h = (float(reference[key]) for key in ("latitude", "longitude", "altitude"))
-        frame = GeodeticOrigin(np.radians(lat), np.radians(lon), h)
     cameras = [shot["camera"] for shot in shots.values()]
     centres = turn.inv().apply(-_vectors(shots, "translation", path))
-    return oriented_images([*shots], cameras, centres, turn.as_quat()[:, [3, 0, 1, 2]], frame)
+    quaternion = turn.as_quat()[:, [3, 0, 1, 2]]
+    table = oriented_images([*shots], cameras, centres, quaternion, _origin(path, content))
+    file = block_files(path)[0]
+    if file.name != _TOPOCENTRIC:
+        _refuse_utm(path, table)
+        return table
+    return replace(table, notes=(messages.reconstruction_before_odm(where=file),))
+
+
+def read_places(path: Path) -> tuple[KnownPlaces, ...]:
+    """The positions of the shots by EXIF or geo.txt, east, north, up as the reconstruction."""
+    if not path.is_dir():
+        return ()
+    content = _reconstruction(path)
+    places = {}
+    for name, shot in content["shots"].items():
+        position = shot.get("gps_position")
+        has_fix = float(shot.get("gps_dop", 0.0)) < _NO_FIX_DOP
+        if position is not None and len(position) == 3 and has_fix and any(position):
+            places[name] = position
+    if not places:
+        return ()
+    position = np.array([*places.values()], np.float64)
+    image = np.array([*places], object)
+    origin = _origin(path, content)
+    if origin is not None:
+        position = np.stack(topocentric(origin).geodetic(position), axis=1)
+    return (KnownPlaces("gps_position", image, position, in_frame=origin is None),)
+
+
+def _refuse_utm(path: Path, table: OrientationTable) -> None:
+    """Refuse shots whose gps_position is far more likely in the UTM of ODM's coords.txt.
+
+    The convergence of a grid turns a small block by less than receivers err: all shots decide.
+    """
+    coords = path.parent / _COORDS
+    places = read_places(path)
+    origin = table.frame
+    if not coords.is_file() or not places or not isinstance(origin, GeodeticOrigin):
+        return
+    known = places[0].rows_of(table.image)
+    there = np.isfinite(known).all(axis=1)
+    in_utm = _in_utm_of_odm(coords, known[there])
+    if in_utm is None:
+        return
+    in_enu = topocentric(origin).local(known[there])[:, :2]
+    shots = table.position[there, :2]
+    ratio = _mean_square_apart(shots, in_enu) / _mean_square_apart(shots, in_utm)
+    if int(there.sum()) * np.log(ratio) > LOG_RATIO_NEEDED:
+        raise messages.reconstruction_in_utm(
+            where=block_files(path)[0], evidence=coords.name, name=_TOPOCENTRIC
+        )
+
+
+def _in_utm_of_odm(coords: Path, geodetic: Array) -> Array | None:
+    """(n, 2) x and y as ODM writes them, of (n, 3) places; None if the zone cannot be read."""
+    first_line, offset = coords.read_text(encoding="utf-8").splitlines()[:2]
+    zone = _ZONE.search(first_line)
+    if zone is None:
+        return None
+    hemisphere = 326 if zone[2].upper() == "N" else 327
+    crs = f"EPSG:{hemisphere}{int(zone[1]):02d}"
+    lat_deg, lon_deg = np.degrees(geodetic[:, :2]).T
+    x, y, _ = grid_coordinates(crs, lon_deg, lat_deg)
+    return np.stack([x, y], axis=1) - np.array(offset.split()[:2], np.float64)
+
+
+def _mean_square_apart(places: Array, others: Array) -> float:
+    """Mean square distance of (n, 2) places from others whose middle is theirs [m2]."""
+    apart = places - others
+    square = np.sum((apart - apart.mean(axis=0)) ** 2, axis=1)
+    return float(np.mean(square)) + _ROUNDING_M2
+
+
+def _origin(path: Path, content: Mapping[str, Any]) -> GeodeticOrigin | None:
+    """The place whose east, north and up are the frame, by the reconstruction or beside it."""
+    reference = content.get("reference_lla")
+    beside = path / "reference_lla.json"
+    if reference is None and beside.is_file():
+        reference = json.loads(beside.read_text(encoding="utf-8"))
+    if reference is None:
+        return None
+    lat, lon, h = (float(reference[key]) for key in ("latitude", "longitude", "altitude"))
+    return GeodeticOrigin(np.radians(lat), np.radians(lon), h)
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
@@ -100,9 +207,10 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     try:
         table = read(dtype=kinds)
     except (ValueError, OverflowError):
-        text = read(dtype="str")
+        text = read(dtype="str").fillna("")
+        text.index = text.index + LINE_OF_FIRST_ROW
         for column in _COLUMNS[1:]:
-            numbers_of(text.fillna(""), column, file, IMPORT_FORMAT)
+            numbers_of(text, column, file, IMPORT_FORMAT)
         raise
     others = [name for name in _COLUMNS[5:] if table[name].notna().all()]
     for image, rows in table.groupby("image", sort=False):

@@ -1,0 +1,344 @@
+"""Where images were by another source than their orientation, compared with the stations.
+
+The comparison is that of a frame: positions that the same files know (EXIF, pose priors, the
+reference of a project, exposures of the log) tell a block that is turned, tilted, of another scale
+or elsewhere. Single positions are not judged: receivers in cameras err by metres.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from unbend.block import messages
+from unbend.flight.image_names import composed
+from unbend.flight.stations import Stations
+from unbend.geodesy import ecef_of_geodetic, enu_from_ecef
+from unbend.messages import Message, Notes
+from unbend.units import Array, Mask, Names
+
+FEWEST_FOR_A_TURN = 4  # images that tell turn and scale; three leave hardly a residual
+OUTLIER_SIGMAS = 4.0  # residuals beyond this, in robust sigmas, do not count in the fit
+MAD_OF_SIGMA = 0.6745  # median absolute residual of a normal distribution, in sigmas
+SIGNIFICANT_SIGMAS = 5.0  # a turn, tilt or scale below this is none
+OVER_RESIDUAL = 3.0  # what a turn does at the block's edge, over the residual: drifts do less
+SMALLEST_TURN_RAD = np.radians(0.3)  # changes nothing that can be measured: 5 deg turn R by 9 %
+SMALLEST_TILT_RAD = np.radians(0.3)  # 1 % of R at 45 deg
+SMALLEST_SCALE = 0.005  # relative; of the height above ground, and so of R
+SMALLEST_STEP_M = 2.0  # horizontal, at the edge of the block: receivers drift by as much
+SMALLEST_RISE_M = 5.0  # vertical, likewise
+LARGEST_OFFSET_M = 20.0  # of the middle of all images: receiver, clock and datum together
+LARGEST_HEIGHT_OFFSET_M = 150.0  # a geoid, or a barometer's zero, is no more
+LARGEST_RESIDUAL_M = 20.0  # horizontal, of a fit with turn and scale
+LARGEST_RESIDUAL = 0.02  # likewise, in parts of the extent
+LINE_WIDTH = 0.05  # width over length of images that lie on a line
+
+
+@dataclass(
+    frozen=True,
+    eq=False,
+)
+class KnownPlaces:
+    """Positions of images by one source, which ``source`` names in words.
+
+    ``position`` (m, 3) is latitude, longitude [rad] and height [m], NaN where unknown, whatever the
+    height counts from; or, where ``in_frame``, x, y and z in the frame of the block.
+    """
+
+    source: str
+    image: Names
+    position: Array
+    in_frame: bool = False
+
+    def rows_of(self, image: Names) -> Array:
+        """(n, 3) the positions of some images, NaN where there is none."""
+        row = {composed(name): k for k, name in enumerate(self.image.tolist())}
+        position = np.full((len(image), 3), np.nan)
+        for i, name in enumerate(image.tolist()):
+            name_here = composed(name)
+            if name_here in row:
+                position[i] = self.position[row[name_here]]
+        return position
+
+
+@dataclass(frozen=True)
+class PlaceComparison:
+    """How known positions lie against those of the block.
+
+    ``offset_m`` is the horizontal distance between their middles, ``height_m`` the median of known
+    heights minus those of the block, NaN without. ``turn_rad``, ``scale`` and ``tilt_rad`` bring
+    the block to the known positions, with sigmas; NaN where too few images tell them.
+    ``residual_m`` is the horizontal distance that remains (rms).
+    """
+
+    count: int
+    extent_m: float
+    offset_m: float
+    height_m: float
+    residual_m: float
+    turn_rad: float = np.nan
+    scale: float = np.nan
+    sigma_turn: float = np.nan  # of the turn [rad], and relative of the scale
+    tilt_rad: float = np.nan
+    sigma_tilt_rad: float = np.nan
+    rise_residual_m: float = np.nan
+
+    @property
+    def contradictions(self) -> list[str]:
+        """What of the frame the known positions contradict, in words."""
+        texts = self.turns_and_scales()
+        if self.is_tilted:
+            angle_deg = np.degrees(self.tilt_rad)
+            texts.append(f"it is tilted by {angle_deg:.2f} deg")
+        if self.offset_m > LARGEST_OFFSET_M:
+            texts.append(f"it is {self.offset_m:,.0f} m away")
+        if abs(self.height_m) > LARGEST_HEIGHT_OFFSET_M:
+            texts.append(f"its heights differ by {self.height_m:,.0f} m")
+        usual_m = max(LARGEST_RESIDUAL_M, LARGEST_RESIDUAL * self.extent_m)
+        if self.residual_m > usual_m:
+            texts.append(f"no turn, scale and shift leaves less than {self.residual_m:,.0f} m")
+        return texts
+
+    def turns_and_scales(self) -> list[str]:
+        """The turn and the scale, in words, if they are none of noise or drift."""
+        texts = []
+        half_m = 0.5 * self.extent_m
+        tolerated_m = max(OVER_RESIDUAL * self.residual_m, SMALLEST_STEP_M)
+        noise = SIGNIFICANT_SIGMAS * self.sigma_turn
+        turn = abs(self.turn_rad)
+        if turn > max(SMALLEST_TURN_RAD, noise) and turn * half_m > tolerated_m:
+            angle_deg = np.degrees(turn)
+            texts.append(f"it is turned by {angle_deg:.2f} deg about the vertical")
+        stretch = abs(self.scale - 1.0)
+        smallest_stretch = max(SMALLEST_SCALE, noise * self.scale)
+        if stretch > smallest_stretch and stretch * half_m > tolerated_m:
+            texts.append(f"its lengths are to be multiplied by {self.scale:.4g}")
+        return texts
+
+    @property
+    def is_tilted(self) -> bool:
+        """Whether the vertical leans by more than noise and drift of heights do."""
+        rise_m = self.tilt_rad * 0.5 * self.extent_m
+        noise = SIGNIFICANT_SIGMAS * self.sigma_tilt_rad
+        smallest_rise_m = max(OVER_RESIDUAL * self.rise_residual_m, SMALLEST_RISE_M)
+        return self.tilt_rad > max(SMALLEST_TILT_RAD, noise) and rise_m > smallest_rise_m
+
+    @property
+    def tested(self) -> str:
+        """What agrees, with its sigmas, in words."""
+        parts = [f"{self.offset_m:.1f} m apart in the middle"]
+        if np.isfinite(self.turn_rad):
+            degrees = np.degrees(abs(self.turn_rad))
+            sigma = np.degrees(self.sigma_turn)
+            parts.append(f"turned by {degrees:.2f} ± {sigma:.2g} deg")
+            parts.append(f"scale {self.scale:.5g} ± {self.sigma_turn:.2g}")
+        if np.isfinite(self.tilt_rad):
+            degrees = np.degrees(self.tilt_rad)
+            sigma = np.degrees(self.sigma_tilt_rad)
+            parts.append(f"tilted by {degrees:.2f} ± {sigma:.2g} deg")
+        if np.isfinite(self.height_m):
+            parts.append(f"heights differ by {self.height_m:.0f} m, whatever they count from")
+        return ", ".join(parts)
+
+
+def compared_places(
+    stations: Stations,
+    known: Array,
+) -> PlaceComparison | None:
+    """The comparison of stations with (n, 3) known positions; None where nothing is in both."""
+    position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)
+    usable = np.isfinite(known[:, :2]).all(axis=1) & np.isfinite(position).all(axis=1)
+    if not usable.any():
+        return None
+    block, other, has_height = in_one_plane(position[usable], known[usable])
+    apart = other - block
+    middle = np.median(apart, axis=0)
+    extent = float(np.linalg.norm(np.ptp(other[:, :2], axis=0)))
+    heights = apart[has_height, 2]
+    comparison = PlaceComparison(
+        count=int(usable.sum()),
+        extent_m=extent,
+        offset_m=float(np.hypot(middle[0], middle[1])),
+        height_m=float(np.median(heights)) if heights.size else np.nan,
+        residual_m=float(np.sqrt(np.mean(np.sum((apart - middle)[:, :2] ** 2, axis=1)))),
+    )
+    if comparison.count < FEWEST_FOR_A_TURN or extent == 0.0 or not np.ptp(block[:, 0]):
+        return comparison
+    return with_turn(comparison, block, other, has_height)
+
+
+def in_one_plane(
+    position: Array,
+    known: Array,
+) -> tuple[Array, Array, Mask]:
+    """East, north, up of both (n, 3) [m] about the middle of the known ones, and known heights.
+
+    A height that is not known is that of the block.
+    """
+    has_height = np.isfinite(known[:, 2])
+    height = np.where(has_height, known[:, 2], position[:, 2])
+    block = ecef_of_geodetic(*position.T)
+    other = ecef_of_geodetic(known[:, 0], known[:, 1], height)
+    middle = np.median(known, axis=0)
+    to_enu = enu_from_ecef(middle[:1], middle[1:2])[0]
+    origin = np.median(other, axis=0)
+    return (block - origin) @ to_enu.T, (other - origin) @ to_enu.T, has_height
+
+
+def with_turn(
+    comparison: PlaceComparison,
+    block: Array,
+    other: Array,
+    has_height: Mask,
+) -> PlaceComparison:
+    """The comparison with turn, scale and tilt, by lines through all but outliers."""
+    z = block[:, 0] + 1j * block[:, 1]
+    w = other[:, 0] + 1j * other[:, 1]
+    keep = np.ones(z.size, np.bool_)
+    for _ in range(3):  # outliers move the first fits
+        factor, miss = plane_similarity(z, w, keep)
+        keep = within_usual(np.abs(miss))
+    spread = float(np.sqrt(np.sum(np.abs(z[keep] - z[keep].mean()) ** 2)))
+    residual = float(np.sqrt(np.mean(np.abs(miss[keep]) ** 2)))
+    sigma = residual / np.sqrt(2.0) / (abs(factor) * spread) if spread else np.nan
+    tilt = None
+    tilt_rows = keep & has_height
+    if int(tilt_rows.sum()) >= FEWEST_FOR_A_TURN:
+        tilt = tilt_of(block[tilt_rows], other[tilt_rows])
+    turned = replace(
+        comparison,
+        turn_rad=float(-np.angle(factor)),
+        scale=float(abs(factor)),
+        sigma_turn=float(sigma),
+        residual_m=residual,
+    )
+    if tilt is None:
+        return turned
+    return replace(
+        turned,
+        tilt_rad=tilt.angle_rad,
+        sigma_tilt_rad=tilt.sigma_rad,
+        rise_residual_m=tilt.residual_m,
+    )
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """The tilt of a plane, its sigma, and what it leaves of heights (rms)."""
+
+    angle_rad: float
+    sigma_rad: float
+    residual_m: float
+
+
+def plane_similarity(
+    z: Array,
+    w: Array,
+    keep: Mask,
+) -> tuple[complex, Array]:
+    """The complex factor that brings z to w, by least squares, and what all (n,) miss it by."""
+    centred_z = z - z[keep].mean()
+    centred_w = w - w[keep].mean()
+    power = float(np.sum(np.abs(centred_z[keep]) ** 2))
+    factor = complex(np.vdot(centred_z[keep], centred_w[keep]) / power) if power else 1.0 + 0.0j
+    return factor, centred_w - factor * centred_z
+
+
+def within_usual(distance: Array) -> Mask:
+    """Which distances are within four robust sigmas."""
+    usual = float(np.median(distance)) / MAD_OF_SIGMA
+    return np.asarray(distance <= max(OUTLIER_SIGMAS * usual, 1e-9))
+
+
+def tilt_of(
+    block: Array,
+    other: Array,
+) -> Tilt | None:
+    """The tilt of a plane through the differences of heights.
+
+    None for images on a line, which do not tell the tilt across it.
+    """
+    flat = other[:, :2] - other[:, :2].mean(axis=0)
+    length, width = np.linalg.svd(flat, compute_uv=False)
+    if width < LINE_WIDTH * length:
+        return None
+    rise = other[:, 2] - block[:, 2]
+    keep = np.ones(rise.size, np.bool_)
+    design = np.column_stack([flat, np.ones(rise.size)])
+    for _ in range(3):
+        slopes = np.linalg.lstsq(design[keep], rise[keep], rcond=None)[0]
+        miss = rise - design @ slopes
+        keep = within_usual(np.abs(miss))
+    residual = float(np.sqrt(np.mean(miss[keep] ** 2)))
+    return Tilt(
+        angle_rad=float(np.arctan(np.hypot(slopes[0], slopes[1]))),
+        sigma_rad=residual / float(width),
+        residual_m=residual,
+    )
+
+
+def frame_notes(
+    stations: Stations,
+    known: Iterable[tuple[str, Array]],
+    *,
+    must_be_tested: bool,
+    where: str,
+) -> Notes:
+    """What known positions, by their sources, say of the frame of a block's stations.
+
+    A finding (FRAME-PLACES) where they contradict it, else a note (FRAME-CONFIRMED). Of a frame
+    that ``must_be_tested`` by something a warning (FRAME-UNVERIFIED), where no source has positions
+    of four images or more.
+    """
+    made: list[Message] = []
+    is_tested = False
+    for source, position in known:
+        comparison = compared_places(stations, position)
+        if comparison is None:
+            continue
+        contradictions = comparison.contradictions
+        if contradictions:
+            made.append(
+                messages.frame_contradicts_places(
+                    where=where,
+                    count=comparison.count,
+                    source=source,
+                    contradictions="; ".join(contradictions),
+                    extent=comparison.extent_m,
+                    residual=comparison.residual_m,
+                )
+            )
+        else:
+            made.append(
+                messages.frame_confirmed(
+                    where=where,
+                    count=comparison.count,
+                    source=source,
+                    tested=comparison.tested,
+                    residual=comparison.residual_m,
+                )
+            )
+        is_tested = is_tested or bool(contradictions) or np.isfinite(comparison.turn_rad)
+    if must_be_tested and not is_tested:
+        made.append(unverified(stations, where))
+    return tuple(made)
+
+
+def unverified(
+    stations: Stations,
+    where: str,
+) -> Message:
+    """The warning that nothing confirms a frame, with what can be seen of it."""
+    ok = stations.ok
+    position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)[ok]
+    extent = np.nan
+    if len(position):
+        block, _, _ = in_one_plane(position, position)
+        extent = float(np.linalg.norm(np.ptp(block[:, :2], axis=0)))
+    return messages.frame_unverified(
+        where=where,
+        count=int(ok.sum()),
+        extent=extent,
+        low=float(np.min(stations.h_msl_m[ok], initial=np.inf)),
+        high=float(np.max(stations.h_msl_m[ok], initial=-np.inf)),
+    )

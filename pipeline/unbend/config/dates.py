@@ -1,0 +1,47 @@
+"""Dates that a mission file states."""
+
+from datetime import UTC, date, datetime
+from typing import Annotated
+
+from pydantic import AfterValidator
+
+from unbend.config.section import SectionError
+from unbend.flight.survey_dates import latest_ns
+from unbend.units import NANOSECONDS_PER_SECOND
+
+EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error
+
+
+def checked_date(value: str) -> str:
+    """A day, or a day and a time, as stated; raises `SectionError` for any other text."""
+    mistake = SectionError("is no date like 2026-05-14 or 2026-05-14T10:20")
+    try:
+        day = datetime.fromisoformat(value).date()
+    except ValueError:
+        raise mistake from None
+    if day < EARLIEST_DATE:
+        raise mistake
+    time_ns = nanoseconds_of_date(value)
+    if time_ns is not None and time_ns > latest_ns():
+        raise SectionError("is in the future")
+    return value
+
+
+StatedDate = Annotated[str, AfterValidator(checked_date)]
+"""A value of a mission file that `checked_date` accepts."""
+
+
+def nanoseconds_of_date(value: str | None) -> int | None:
+    """A stated date [Unix ns], UTC; a day without a time is its noon.
+
+    >>> nanoseconds_of_date("2026-05-14") == nanoseconds_of_date("2026-05-14T12:00")
+    True
+    """
+    if value is None:
+        return None
+    time = datetime.fromisoformat(value)
+    if len(value) == len("2026-05-14"):
+        time = time.replace(hour=12)
+    if time.tzinfo is None:
+        time = time.replace(tzinfo=UTC)
+    return round(time.timestamp()) * NANOSECONDS_PER_SECOND

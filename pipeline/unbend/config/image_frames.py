@@ -1,0 +1,37 @@
+"""The frame of image coordinates in millimetres or micrometres: that of the metric cameras."""
+
+from collections.abc import Mapping
+
+from unbend.config.cameras import CameraSection
+from unbend.config.observation_table import ObservationsSection
+from unbend.config.section import SectionError
+from unbend.tables.pixels import ImageFrame
+
+
+def image_frame_of(
+    observations: ObservationsSection, cameras: Mapping[str, CameraSection]
+) -> ImageFrame | None:
+    """The frame of the coordinates of all cameras; None where the table has pixels.
+
+    Refuses (SectionError) cameras without a metric report, and such of different frames: the table
+    does not say which camera a row is of.
+    """
+    unit_mm = observations.unit_mm
+    if unit_mm is None:
+        return None
+    frames = set()
+    for name, camera in cameras.items():
+        frame = camera.image_frame(observations.pixel_origin, unit_mm)
+        if frame is None:
+            raise SectionError(
+                f"observations.unit: {observations.unit} needs cameras.{name}.metric, which says "
+                "where millimetres count from, along which axes, and how large a pixel is"
+            )
+        frames.add(frame)
+    if len(frames) > 1:
+        raise SectionError(
+            f"observations.unit: {observations.unit} needs one frame for all cameras (the same "
+            "size, pixel_um, origin and axes under metric); give the observations of the others "
+            "in pixels, or in a mission of their own"
+        )
+    return frames.pop()

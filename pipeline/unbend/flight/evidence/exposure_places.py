@@ -1,0 +1,385 @@
+"""The place, height and attitude that a log has of each exposure, beside those of the station.
+
+They are compared with the channels that the stations are made of, before lever arms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from unbend.flight.channels import Channel
+from unbend.flight.evidence import messages
+from unbend.flight.evidence.log_accuracy import LogAccuracy
+from unbend.flight.evidence.sources import is_receiver, metres
+from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, Stretch, covered
+from unbend.flight.ground_times import HOME_NOT_SET_M
+from unbend.flight.mount import is_of_gimbal
+from unbend.flight.rotations import down_in_body, down_of
+from unbend.flight.trajectory import Track, attitude_at, interpolate, track_at
+from unbend.messages import Message
+from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask
+
+# How much earlier or later than its row a place may be: the interval of a receiver and its delay
+# (0.2 s each), or the lag of a shutter behind its trigger (0.16 s were measured).
+LATENCY_S = 0.5
+SIGMAS = 5.0  # that two sound evidences may be apart
+NOISE_M = 5.0  # that places may be apart beyond their sigmas
+HEIGHT_NOISE_M = 10.0  # the same of heights of one filter, or of one receiver
+OTHER_SOURCE_M = 100.0  # the same of heights of a receiver and of a filter that has a barometer
+UNKNOWN_SIGMA_M = 5.0  # of a position whose accuracy the log does not report
+TILT_NOISE_DEG = 5.0  # that the verticals of an exposure and of the flight may be apart
+
+HEIGHTS_OF_FLIGHT = (
+    "h_msl_m",
+    "h_ellipsoid_m",
+    "h_home_m",
+)
+"""Surfaces that a height of an exposure may count from, whatever its name says."""
+
+_INSTANTS = 9  # in the time that an exposure's own place may be of
+_SLOWEST_M_S = 2.0  # slower places show no shift of time
+_OF_AIRCRAFT = {"CAM", "TRIG", "CAMERACAPTURE"}  # events with the attitude of the aircraft
+
+
+@dataclass(frozen=True, eq=False)
+class ExposureEvidence:
+    """What a log says of its exposures, and the flight with which that is compared.
+
+    ``channel`` has the (n,) events as logged, ``time_ns`` (n,) the times that the stations have.
+    ``roles`` are those of the stations, ``own`` those that the log alone fills. ``lever_arm_m`` is
+    how far the camera may be from the position. Exposures in ``suspect`` stretches do not count.
+    """
+
+    channel: Channel
+    time_ns: Integers
+    roles: Mapping[str, Channel]
+    own: Mapping[str, Channel]
+    accuracy: LogAccuracy
+    suspect: Sequence[Stretch]
+    lever_arm_m: float
+    max_gap_s: float
+
+    @property
+    def instants(self) -> Integers:
+        """(k, n) instants from the earliest to the latest of which the logged places may be."""
+        sigma_s = np.nan_to_num(self.channel.get("sigma_time_s"))
+        allowed_ns = np.round((LATENCY_S + 3.0 * sigma_s) * NANOSECONDS_PER_SECOND).astype(np.int64)
+        earliest = np.minimum(self.channel.time_ns, self.time_ns) - allowed_ns
+        latest = np.maximum(self.channel.time_ns, self.time_ns) + allowed_ns
+        share = np.linspace(
+            0.0,
+            1.0,
+            _INSTANTS,
+        )[:, None]
+        return np.asarray(earliest + np.round(share * (latest - earliest)).astype(np.int64))
+
+    def counts(self, quantity: str) -> Mask:
+        """(n,) which exposures count: those in no suspect stretch of a quantity."""
+        stretches = [stretch for stretch in self.suspect if stretch.quantity == quantity]
+        return ~covered(stretches, self.time_ns)
+
+
+def exposure_findings(evidence: ExposureEvidence) -> Iterator[Message]:
+    """Findings where the log's own places, heights or attitudes of exposures contradict stations.
+
+    Zeros are unknown, and heights may count from another surface than their name says.
+    """
+    if len(evidence.channel) == 0 or len(evidence.channel) != evidence.time_ns.size:
+        return
+    yield from _place_findings(evidence)
+    yield from _height_findings(evidence)
+    yield from _attitude_findings(evidence)
+
+
+def _place_findings(evidence: ExposureEvidence) -> Iterator[Message]:
+    """A finding where exposures have a place of their own that is far from the stations'."""
+    shots = evidence.channel
+    position = evidence.roles.get(POSITION)
+    if position is None or not shots.fits_role(POSITION):
+        return
+    nearest = _nearest_place(evidence, position)
+    sigmas = evidence.accuracy.positions(position, evidence.time_ns)
+    sigma_m = np.hypot(
+        _sigma(sigmas.horizontal_m),
+        _own_sigma(evidence).horizontal_m,
+    )
+    limit_m = NOISE_M + SIGMAS * sigma_m
+    limit_m += evidence.lever_arm_m
+    limit_m += nearest.between_m / 2.0
+    is_known = np.isfinite(nearest.distance_m) & evidence.counts(POSITION)
+    is_off = is_known & (np.nan_to_num(nearest.distance_m) > limit_m)
+    if is_off.any():
+        yield messages.exposures_elsewhere(
+            channel=shots.name,
+            count=int(np.count_nonzero(is_off)),
+            total=int(np.count_nonzero(is_known)),
+            position=position.name,
+            off_m=float(nearest.distance_m[is_off].max()),
+            limit_m=float(limit_m[is_off].min()),
+            shift_s=_shift_of_time(
+                evidence,
+                position,
+                is_off,
+                limit_m,
+            ),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _NearestPlaces:
+    """(n,) metres from places of exposures to the nearest of the flight's at some instants.
+
+    ``between_m`` is how far the flight moves from one of the instants to the next.
+    """
+
+    distance_m: Array
+    between_m: Array
+
+
+def _nearest_place(evidence: ExposureEvidence, position: Channel) -> _NearestPlaces:
+    """How near the flight comes to the logged places, in the time that these may be of."""
+    shots = evidence.channel
+    instants = evidence.instants
+    seconds = (instants[1] - instants[0]) / NANOSECONDS_PER_SECOND
+    distance_m = np.full(len(shots), np.nan)
+    between_m = np.zeros(len(shots))
+    for time_ns in instants:
+        track = track_at(
+            position,
+            time_ns,
+            evidence.max_gap_s,
+        )
+        offset_m = _offset(shots, track)
+        distance_m = np.fmin(distance_m, np.linalg.norm(offset_m, axis=1))
+        speed_m_s = np.linalg.norm(track.velocity_m_s, axis=1)
+        between_m = np.fmax(between_m, speed_m_s * seconds)
+    return _NearestPlaces(distance_m, between_m)
+
+
+def _offset(shots: Channel, track: Track) -> Array:
+    """(n, 2) metres north and east from places of the flight to those of exposures."""
+    north = shots["lat_rad"] - track.lat_rad
+    east = shots["lon_rad"] - track.lon_rad
+    change = np.stack([north, east], axis=1)
+    return metres(change, shots["lat_rad"])
+
+
+def _sigma(sigma_m: Array) -> Array:
+    """(n,) sigmas, with that of a position of unknown accuracy where they are not known."""
+    return np.where(
+        np.isfinite(sigma_m),
+        sigma_m,
+        UNKNOWN_SIGMA_M,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _OwnSigmas:
+    """(n,) sigmas [m] of the places that the log has of exposures."""
+
+    horizontal_m: Array
+    height_m: Array
+
+
+def _own_sigma(evidence: ExposureEvidence) -> _OwnSigmas:
+    """The sigmas of the log's own positions at its exposures."""
+    position = evidence.own.get(POSITION)
+    if position is None:
+        unknown = np.full(evidence.time_ns.shape, UNKNOWN_SIGMA_M)
+        return _OwnSigmas(unknown, unknown)
+    sigmas = evidence.accuracy.positions(position, evidence.time_ns)
+    return _OwnSigmas(_sigma(sigmas.horizontal_m), _sigma(sigmas.height_m))
+
+
+def _shift_of_time(
+    evidence: ExposureEvidence,
+    position: Channel,
+    is_off: Mask,
+    limit_m: Array,
+) -> float:
+    """By how many seconds events are early, if that explains where they were; else NaN."""
+    track = track_at(
+        position,
+        evidence.channel.time_ns,
+        evidence.max_gap_s,
+    )
+    offset_m = _offset(evidence.channel, track)
+    square_speed = np.sum(track.velocity_m_s**2, axis=1)
+    usable = is_off & np.isfinite(offset_m).all(axis=1) & (square_speed > _SLOWEST_M_S**2)
+    if not usable.any():
+        return float("nan")
+    along = np.sum(offset_m * track.velocity_m_s, axis=1)[usable] / square_speed[usable]
+    shift_s = float(np.median(along))
+    unexplained = offset_m[usable] - shift_s * track.velocity_m_s[usable]
+    if np.median(np.linalg.norm(unexplained, axis=1)) > np.median(limit_m[usable]):
+        return float("nan")
+    return shift_s
+
+
+def _height_findings(evidence: ExposureEvidence) -> Iterator[Message]:
+    """A finding where exposures have heights of their own that no height of the flight is near.
+
+    A height of a filter is compared with the filter's; one of the receiver with the receiver's.
+    """
+    position = evidence.own.get(POSITION)
+    height = evidence.own.get(HEIGHT)
+    if position is not None and not is_receiver(position):
+        yield from _heights_beside(
+            evidence,
+            "h_msl_m",
+            position,
+            HEIGHT_NOISE_M,
+        )
+    elif height is not None:
+        yield from _heights_beside(
+            evidence,
+            "h_msl_m",
+            height,
+            OTHER_SOURCE_M,
+        )
+    if height is not None and is_receiver(height):
+        yield from _heights_beside(
+            evidence,
+            "h_gnss_m",
+            height,
+            HEIGHT_NOISE_M,
+        )
+        yield from _heights_beside(
+            evidence,
+            "h_ellipsoid_m",
+            height,
+            OTHER_SOURCE_M,
+        )
+
+
+def _heights_beside(
+    evidence: ExposureEvidence,
+    column: str,
+    other: Channel,
+    noise_m: float,
+) -> Iterator[Message]:
+    """A finding where the heights of exposures in a column are none of another channel's.
+
+    Of the other channel the heights above the sea, the ellipsoid and the take-off count.
+    """
+    shots = evidence.channel
+    if column not in shots.columns:
+        return
+    apart_m = _nearest_height(
+        evidence,
+        column,
+        other,
+    )
+    sigmas = evidence.accuracy.positions(other, evidence.time_ns)
+    sigma_m = np.hypot(
+        _sigma(sigmas.height_m),
+        _own_sigma(evidence).height_m,
+    )
+    limit_m = noise_m + SIGMAS * sigma_m
+    is_known = np.isfinite(apart_m) & evidence.counts(HEIGHT)
+    is_off = is_known & (np.nan_to_num(apart_m) > limit_m)
+    if is_off.any():
+        yield messages.exposures_at_other_heights(
+            channel=shots.name,
+            column=column,
+            count=int(np.count_nonzero(is_off)),
+            total=int(np.count_nonzero(is_known)),
+            height=other.name,
+            off_m=float(apart_m[is_off].max()),
+            limit_m=float(limit_m[is_off].min()),
+        )
+
+
+def _nearest_height(
+    evidence: ExposureEvidence,
+    column: str,
+    other: Channel,
+) -> Array:
+    """(n,) metres from heights of exposures to the nearest height of another channel, any surface.
+
+    NaN where either is unknown: a logged height of 0 is none, and one that the log names as well as
+    that above a take-off counts only if the other channel has heights above it.
+    """
+    shots = evidence.channel
+    is_logged = shots[column] != 0.0
+    if "h_home_m" not in other.columns:
+        is_logged &= ~(np.abs(shots[column] - shots.get("h_home_m")) < HOME_NOT_SET_M)
+    logged_m = np.where(
+        is_logged,
+        shots[column],
+        np.nan,
+    )
+    other = _above_its_begin(other)
+    gap_s = other.gap_limit_s(evidence.max_gap_s)
+    apart_m = np.full(len(shots), np.nan)
+    for time_ns in evidence.instants:
+        for surface in HEIGHTS_OF_FLIGHT:
+            of_flight_m = interpolate(
+                other,
+                surface,
+                time_ns,
+                gap_s,
+            )
+            apart_m = np.fmin(apart_m, np.abs(logged_m - of_flight_m))
+    return apart_m
+
+
+def _above_its_begin(other: Channel) -> Channel:
+    """A channel without heights above the take-off, with those above the begin of the log instead.
+
+    Cameras count heights from the take-off that a receiver does not know.
+    """
+    column = other.height_column
+    if column is None or "h_home_m" in other.columns:
+        return other
+    known_m = other[column][np.isfinite(other[column])]
+    if known_m.size == 0:
+        return other
+    above_begin_m = other[column] - known_m[0]
+    return replace(other, columns=dict(other.columns) | {"h_home_m": above_begin_m})
+
+
+def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:
+    """A finding where the vertical of exposures departs from that of the flight.
+
+    Only events with the attitude of the aircraft are compared, and only with its attitude.
+    """
+    shots = evidence.channel
+    attitude = evidence.own.get(ATTITUDE)
+    if attitude is None or is_of_gimbal(attitude.source.message):
+        return
+    if shots.source.kind not in _OF_AIRCRAFT:
+        return
+    if not shots.fits_role(ATTITUDE) or attitude.name == shots.name:
+        return
+    logged_down = down_in_body(shots)
+    tilt_deg = np.full(len(shots), np.nan)
+    for time_ns in evidence.instants:
+        quaternion = attitude_at(attitude, time_ns, evidence.max_gap_s).quaternion
+        down = down_of(quaternion)
+        cosine = np.clip(
+            np.sum(logged_down * down, axis=0),
+            -1.0,
+            1.0,
+        )
+        tilt_deg = np.fmin(tilt_deg, np.degrees(np.arccos(cosine)))
+    sigma_rad = evidence.accuracy.attitude(
+        attitude,
+        evidence.time_ns,
+        shots.get("lat_rad"),
+    ).tilt_rad
+    limit_deg = TILT_NOISE_DEG + SIGMAS * np.degrees(np.nan_to_num(sigma_rad))
+    is_known = np.isfinite(tilt_deg) & evidence.counts(ATTITUDE)
+    is_off = is_known & (np.nan_to_num(tilt_deg) > limit_deg)
+    if is_off.any():
+        yield messages.exposures_tilted_otherwise(
+            channel=shots.name,
+            count=int(np.count_nonzero(is_off)),
+            total=int(np.count_nonzero(is_known)),
+            attitude=attitude.name,
+            off_deg=float(tilt_deg[is_off].max()),
+            limit_deg=float(limit_deg[is_off].min()),
+        )

@@ -1,0 +1,160 @@
+"""Commands of triggers and pulses of shutters: which of them a channel of events has."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from unbend.flight import messages
+from unbend.flight.channels import Channel
+from unbend.flight.exposures import ExposureDelay
+from unbend.flight.trajectory import ns_to_nearest
+from unbend.messages import Message, Notes
+from unbend.units import Array
+
+LONGEST_LAG_S = 1.0  # of a shutter behind its trigger; a later pulse is another exposure's
+FEWEST_PAIRS = 10  # of triggers and pulses, of which the median is a lag
+_NUMBERS_PER_BOOT = 1e6  # numbers of two power-ups are kept apart by this
+
+FEEDBACK_PARAMETER = "CAM_CAP_FBACK"
+"""PX4's parameter: 1 where the camera reports its exposures; 0 where each trigger counts as one."""
+
+_SAME_TIME_NS = 1_000_000  # a capture this near to the command of a trigger has its time
+_MOST = 0.5  # share of the captures
+
+
+def lag_from_feedback(
+    channels: tuple[Channel, ...], trigger: Channel, camera: str
+) -> tuple[ExposureDelay, Notes]:
+    """The shutter's lag behind the trigger, from triggers whose pulse is logged.
+
+    That is the median lag of pairs of one number and power-up, with the scatter of the pairs as
+    sigma. Refuses (MissionError EVENTS-FEEDBACK) fewer than ten pairs, or events that are no
+    triggers.
+    """
+    lags = np.empty(0)
+    if is_trigger(trigger):
+        for shutter in _shutters_of(trigger, channels):
+            lags = np.append(lags, _lags_of_pairs(trigger, shutter))
+    if lags.size < FEWEST_PAIRS:
+        raise messages.too_few_feedback_pairs(
+            camera=camera, channel=trigger.name, pairs=lags.size, needed=FEWEST_PAIRS
+        )
+    low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
+    message = messages.shutter_lag(
+        camera=camera,
+        channel=trigger.name,
+        pairs=lags.size,
+        lag_ms=middle * 1e3,
+        scatter_ms=(high - low) * 5e2,
+    )
+    return ExposureDelay(float(middle), sigma_s=float(high - low) / 2.0), (message,)
+
+
+def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
+    """(k,) seconds from each trigger to the pulse of the same number and power-up."""
+    trigger_number = trigger["event_index"] + _NUMBERS_PER_BOOT * trigger.boot
+    shot_number = shots["event_index"] + _NUMBERS_PER_BOOT * shots.boot
+    _, trigger_row, shot_row = np.intersect1d(trigger_number, shot_number, return_indices=True)
+    apart = (shots.time_ns[shot_row] - trigger.time_ns[trigger_row]) * 1e-9
+    lags = apart[(apart > 0.0) & (apart < LONGEST_LAG_S)]
+    return np.asarray(lags)
+
+
+def is_trigger(channel: Channel) -> bool:
+    """Whether the rows of a channel are commands of a trigger, and not pulses of a shutter."""
+    kind = channel.source.kind
+    if kind == "CAMERATRIGGER":
+        return not _is_feedback(channel)
+    return kind == "TRIG"
+
+
+def _is_feedback(channel: Channel) -> bool:
+    """Whether the rows of PX4's camera_trigger say that they are pulses of the shutter."""
+    return "feedback" in channel.columns and bool((channel["feedback"] > 0.0).all())
+
+
+def trigger_notes(
+    channels: tuple[Channel, ...], chosen: Channel, parameters: Mapping[str, float]
+) -> Iterator[Message]:
+    """Report events that are triggers themselves, and triggers without a pulse of the shutter.
+
+    ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
+    without one CAM alone, at the trigger. Cameras fire apart: the rows of an instance belong to one
+    camera. PX4 logs camera_capture at the feedback, or, as its parameter CAM_CAP_FBACK says, at the
+    trigger; camera_trigger says of each row which it is. ``parameters`` are those of the log.
+    """
+    kind = chosen.source.kind
+    triggers = [
+        channel
+        for channel in channels
+        if is_trigger(channel) and _are_of_one_system(channel, chosen)
+    ]
+    if kind == "CAMERACAPTURE":
+        yield from _capture_notes(chosen, triggers, parameters)
+    elif is_trigger(chosen) or (kind == "CAM" and not triggers):
+        yield messages.trigger_times(channel=chosen.name, events=len(chosen))
+    yield from _lost_pulses(channels, chosen, triggers)
+
+
+def _lost_pulses(
+    channels: tuple[Channel, ...], chosen: Channel, triggers: list[Channel]
+) -> Iterator[Message]:
+    """Report triggers of which fewer pulses than commands are logged."""
+    for trigger in triggers:
+        shutters = _shutters_of(trigger, channels)
+        if chosen not in shutters:
+            continue
+        events = sum(len(channel) for channel in shutters)
+        if len(trigger) > events:
+            yield messages.triggers_without_pulse(
+                shutters=", ".join(channel.name for channel in shutters),
+                trigger=trigger.name,
+                sent=len(trigger),
+                events=events,
+            )
+
+
+def _capture_notes(
+    captures: Channel, triggers: list[Channel], parameters: Mapping[str, float]
+) -> Iterator[Message]:
+    """Report captures of PX4 that have the times of the triggers, or may have them."""
+    feedback = parameters.get(FEEDBACK_PARAMETER)
+    commands = [trigger for trigger in triggers if "feedback" in trigger.columns]
+    are_commands = any(_has_times_of(captures, trigger) for trigger in commands)
+    if feedback == 0.0 or are_commands:
+        yield messages.trigger_times(channel=captures.name, events=len(captures))
+    elif feedback is None and not commands:
+        yield messages.perhaps_trigger_times(
+            channel=captures.name, events=len(captures), parameter=FEEDBACK_PARAMETER
+        )
+
+
+def _has_times_of(captures: Channel, trigger: Channel) -> bool:
+    """Whether most captures have the time of a command of a trigger."""
+    if len(captures) == 0 or len(trigger) == 0:
+        return False
+    is_same = ns_to_nearest(captures.time_ns, trigger.time_ns) < _SAME_TIME_NS
+    return bool(np.mean(is_same) > _MOST)
+
+
+def _shutters_of(trigger: Channel, channels: tuple[Channel, ...]) -> list[Channel]:
+    """The channels of shutter events that may be of the camera of a trigger."""
+    shutters = []
+    for channel in channels:
+        if trigger.source.kind == "TRIG":
+            is_shutter = channel.source.kind == "CAM"
+        else:
+            is_shutter = channel.source.kind == "CAMERATRIGGER" and _is_feedback(channel)
+        if is_shutter and _are_of_one_system(trigger, channel):
+            shutters.append(channel)
+    return shutters
+
+
+def _are_of_one_system(trigger: Channel, shots: Channel) -> bool:
+    """Whether a trigger may be that of some events.
+
+    It has their kind of log and their instance, or none, and then may be of any camera.
+    """
+    if (trigger.source.kind == "TRIG") != (shots.source.kind in ("CAM", "TRIG")):
+        return False
+    return trigger.source.instance in (None, shots.source.instance)

@@ -1,0 +1,196 @@
+"""The records in the chunks of an MCAP file: messages by the run, between them definitions."""
+
+from collections.abc import Iterator, Set
+from typing import IO
+
+import numpy as np
+
+from unbend.ingest.buffers import Bytes, FileView, Runs, gather
+from unbend.ingest.mcap import chunks, messages
+from unbend.ingest.mcap.damage import Damage
+from unbend.ingest.mcap.message_batches import BATCH_BYTES, MessageRecords
+from unbend.ingest.mcap.record_layout import (
+    DEFINITIONS_IN_CHUNKS,
+    LARGE_MESSAGE,
+    MAX_DEFINITION,
+    MESSAGE_START,
+    RECORD,
+    Definition,
+    Opcode,
+    Record,
+    raw_of,
+)
+from unbend.ingest.mcap.record_proofs import next_message_in_chunk
+from unbend.messages import Message
+from unbend.units import Integers
+
+KEPT = (*DEFINITIONS_IN_CHUNKS, Opcode.MESSAGE)  # kinds of records kept of a large chunk
+
+
+class ChunkReader:
+    """Reads the chunks of a file one after the other; ``damage`` is filled on the way.
+
+    ``channels`` are the numbers of the channels defined so far. When a chunk yields a definition,
+    the caller adds its channel before it asks for the next record: these numbers prove messages
+    after damage in the same chunk.
+    """
+
+    def __init__(self, data: FileView, damage: Damage, channels: Set[int]) -> None:
+        self.data = data
+        self.damage = damage
+        self.channels = channels
+        self.budget = chunks.InflationBudget(data.size)
+
+    def read(self, record: Record) -> Iterator[Definition | MessageRecords]:
+        """The records of a chunk; a chunk that cannot be read is entered as damage."""
+        chunk = self._checked_head(record)
+        if chunk is None:
+            return
+        lost = record.length if chunk.small else chunk.length
+        where = self.damage.at(record.at)
+        inflated = chunks.inflate(self.data, chunk, where=where, count=lost)
+        if isinstance(inflated, Message):
+            self.damage.add(inflated)
+        elif chunk.small:
+            yield from self._records_in(np.frombuffer(inflated, np.uint8), record.at)
+        else:
+            yield from self._large_chunk(record.at, chunk)
+
+    def _checked_head(self, record: Record) -> chunks.Chunk | None:
+        """The head of a chunk that may be inflated, whose cost is taken from the budget.
+
+        None for any other chunk, which is entered as damage.
+        """
+        where = self.damage.at(record.at)
+        count = record.length
+        chunk = chunks.chunk_head(self.data, record.content, record.length)
+        if chunk is None:
+            self.damage.add(messages.chunk_head_invalid(where=where, count=count))
+            return None
+        if chunk.compression not in chunks.COMPRESSIONS:
+            self.damage.add(
+                messages.compression_unknown(
+                    where=where, count=count, compression=chunk.compression
+                )
+            )
+            return None
+        too_large = self.budget.spend(chunk, where=where, count=count)
+        if too_large is not None:
+            self.damage.add(too_large)
+            return None
+        return chunk
+
+    def _large_chunk(self, at: int, chunk: chunks.Chunk) -> Iterator[Definition | MessageRecords]:
+        """The records of a chunk that `inflate` has checked, inflated again, block by block."""
+        kept = bytearray()
+        place = 0
+        with chunks.chunk_stream(self.data, chunk) as stream:
+            while place + RECORD.size <= chunk.size:
+                opcode, length = RECORD.unpack(stream.read(RECORD.size))
+                bytes_left = chunk.size - place - RECORD.size
+                if opcode == 0 or length > bytes_left:
+                    self.damage.add(
+                        messages.chunk_end_not_records(
+                            where=self.damage.at(at), count=chunk.size - place, size=chunk.size
+                        )
+                    )
+                    break
+                kept += _kept_part(stream, opcode, length)
+                place += RECORD.size + length
+                if len(kept) >= BATCH_BYTES:
+                    yield from self._records_in(np.frombuffer(bytes(kept), np.uint8), at)
+                    kept.clear()
+        yield from self._records_in(np.frombuffer(bytes(kept), np.uint8), at)
+
+    def _records_in(self, view: Bytes, at: int) -> Iterator[Definition | MessageRecords]:
+        """Yield the definitions among inflated records, and then all messages among them together.
+
+        ``at``: where the chunk begins in the file. Damage is entered, and passed over.
+        """
+        raw = raw_of(view)
+        size = int(view.shape[0])
+        runs = _message_runs(view)
+        starts: list[Integers] = []
+        place = 0
+        while place < size:
+            run = runs.starting_at(place)
+            if run.stop > run.start:  # messages that follow each other: all are taken at once
+                starts.append(runs.at[run])
+                place = int(runs.end[run.stop - 1])
+                continue
+            end = _definition_end(raw, place)
+            if end is None:
+                place = self._resume_in(view, place, starts, at)
+                continue
+            content = raw[place + RECORD.size : end]
+            if len(content) <= MAX_DEFINITION:
+                yield Definition(raw[place], bytes(content), at)
+            place = end
+        if starts:
+            yield MessageRecords(view, np.concatenate(starts))
+
+    def _resume_in(self, view: Bytes, place: int, starts: list[Integers], at: int) -> int:
+        """Enter damage that shows at a place of a chunk; returns where messages go on.
+
+        The length of the message before the place may be what is damaged: messages then go on
+        inside that message, before the place, and it is removed from ``starts``.
+        """
+        last_begin = place
+        if starts and starts[-1].size:
+            last_begin = int(starts[-1][-1])  # where the message before the place begins
+        resumed = next_message_in_chunk(view, last_begin, self.channels)
+        lost = resumed - place
+        if resumed < place:
+            starts[-1] = starts[-1][:-1]
+            lost = resumed - last_begin
+        self.damage.add(
+            messages.chunk_not_records(
+                where=self.damage.at(at), count=lost, size=int(view.shape[0])
+            )
+        )
+        return resumed
+
+
+def _kept_part(stream: IO[bytes], opcode: int, length: int) -> bytes:
+    """Read the content of a record of a large chunk from its stream; returns what is kept of it.
+
+    That is a record with all of a small message or definition, or with the beginning of a large
+    one; empty for records of other kinds. The stream is moved behind the content in any case.
+    """
+    kept = b""
+    left = length
+    if opcode in KEPT:
+        kept_length = _kept_length(opcode, length)
+        kept = RECORD.pack(opcode, kept_length) + stream.read(kept_length)
+        left -= kept_length
+    while left > 0:
+        left -= len(stream.read(min(left, chunks.BLOCK)))
+    return kept
+
+
+def _kept_length(opcode: int, length: int) -> int:
+    """How many bytes of the content of a definition or message are kept: all, or the first ones."""
+    if opcode in DEFINITIONS_IN_CHUNKS:
+        return min(length, MAX_DEFINITION)
+    return length if length <= LARGE_MESSAGE else MESSAGE_START
+
+
+def _message_runs(view: Bytes) -> Runs:
+    """The places of a chunk with the opcode of a message, and a length that ends inside."""
+    size = int(view.shape[0])
+    places = np.flatnonzero(view[: max(size - RECORD.size + 1, 0)] == Opcode.MESSAGE)
+    lengths = gather(view, places + 1, 8).view("<u8")
+    fits = lengths <= (size - RECORD.size - places).astype(np.uint64)
+    begins = places[fits].astype(np.int64)
+    return Runs(begins, begins + RECORD.size + lengths[fits].astype(np.int64))
+
+
+def _definition_end(raw: memoryview, place: int) -> int | None:
+    """Where a schema or channel ends that begins at a place of a chunk; None if none does."""
+    if place + RECORD.size > len(raw):
+        return None
+    opcode, length = RECORD.unpack_from(raw, place)
+    end = place + RECORD.size + length
+    if opcode not in DEFINITIONS_IN_CHUNKS or end > len(raw):
+        return None
+    return int(end)

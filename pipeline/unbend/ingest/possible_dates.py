@@ -1,0 +1,121 @@
+"""Dates of the stamps that logs carry as they are, such as ``header.stamp`` of ROS.
+
+Times since boot are set to UTC by `boot_clock`, which judges the dates of its sources. Stamps that
+come as Unix time are judged here, by the same rule.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from unbend.flight.channels import Channel
+from unbend.flight.survey_dates import latest_ns
+from unbend.ingest import messages
+from unbend.ingest.flight_log import Contents
+from unbend.ingest.message_tables import Table
+from unbend.ingest.utc_evidence import (
+    EARLIEST_NS,
+    ROLLOVER_NS,
+    Witness,
+    date_text,
+    is_possible,
+    is_utc,
+    is_utc_time,
+    missed_rollovers,
+)
+from unbend.messages import Ledger
+
+TableReader = Callable[[str, str | None], Table]
+
+
+def with_possible_dates(
+    contents: Contents, witnesses: Sequence[Witness], ledger: Ledger
+) -> Contents:
+    """The contents, of which channels with an impossible date are moved to a possible one.
+
+    The other clocks of the log decide: the recorder's, what the mission file and the name of the
+    file state. Where no date can be accepted, the times count from the first of them.
+    """
+    impossible = [channel for channel in contents.channels if _is_impossible(channel)]
+    if not impossible:
+        return contents
+    clocks = list(witnesses)
+    if contents.recorded_ns is not None:
+        clocks.insert(0, Witness("log_time", contents.recorded_ns))
+    rollovers = _reported_rollovers(impossible, clocks, ledger)
+    shift_ns = rollovers * ROLLOVER_NS
+    if not rollovers:
+        shift_ns = -min(int(channel.time_ns[0]) for channel in impossible)
+    moved = []
+    for channel in contents.channels:
+        is_moved = any(channel is other for other in impossible)
+        moved.append(_later(channel, shift_ns) if is_moved else channel)
+    sigma_s = contents.utc_sigma_s if rollovers else float("nan")
+    return replace(
+        contents, channels=tuple(moved), table=_later_table(contents, shift_ns), utc_sigma_s=sigma_s
+    )
+
+
+def _reported_rollovers(
+    impossible: Sequence[Channel], clocks: Sequence[Witness], ledger: Ledger
+) -> int:
+    """How many rollovers the stamps of some channels lack; 0 where no date can be accepted."""
+    stated_ns = min(_middle_ns(channel) for channel in impossible)
+    stated = date_text(stated_ns)
+    names = ", ".join(channel.name for channel in impossible)
+    rollovers = missed_rollovers(stated_ns, clocks, of_receiver=False)
+    if rollovers:
+        ledger.add(
+            messages.week_rollover(
+                where=names,
+                source="their stamps",
+                count=len(impossible),
+                stated=stated,
+                moved=date_text(stated_ns + rollovers * ROLLOVER_NS),
+                rollovers=rollovers,
+                clocks=clocks,
+            )
+        )
+        return rollovers
+    ledger.add(
+        messages.utc_not_accepted(where=names, source="their stamps", stated=stated, clocks=clocks)
+    )
+    ledger.add(messages.no_utc(where=names, utc_of="possible date"))
+    return 0
+
+
+def _middle_ns(channel: Channel) -> int:
+    """The time of the middle sample of a channel [ns]."""
+    return int(channel.time_ns[len(channel) // 2])
+
+
+def _is_impossible(channel: Channel) -> bool:
+    """Whether a channel states a UTC that no log can have."""
+    if not len(channel):
+        return False
+    middle_ns = _middle_ns(channel)
+    states_utc = is_utc_time(middle_ns)
+    return states_utc and not is_possible(middle_ns)
+
+
+def _later(channel: Channel, shift_ns: int) -> Channel:
+    """The channel with its times later by a shift."""
+    return replace(channel, time_ns=channel.time_ns + shift_ns)
+
+
+def _later_table(contents: Contents, shift_ns: int) -> TableReader | None:
+    """A function that decodes tables as that of the contents, with impossible times moved."""
+    table = contents.table
+    if table is None:
+        return None
+
+    def later(name: str, instance: str | None) -> Table:
+        columns = table(name, instance)
+        if "time_ns" in columns:
+            time_ns = columns["time_ns"]
+            is_moved = is_utc(time_ns) & ((time_ns < EARLIEST_NS) | (time_ns > latest_ns()))
+            columns["time_ns"] = np.where(is_moved, time_ns + shift_ns, time_ns)
+        return columns
+
+    return later

@@ -1,0 +1,226 @@
+"""Power-ups of a vehicle in a log, by the times since boot of its records, for all log formats.
+
+Places in a log rise: bytes, or numbers of messages.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.flight import clock
+from unbend.flight.channels import TimeArray
+from unbend.ingest import messages
+from unbend.messages import Ledger
+from unbend.units import Integers, Mask, Rows
+
+_FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters come one by one
+
+# Places of records in the log, rising, and their times since boot [ns].
+Stamps = tuple[Integers, TimeArray]
+
+
+def place_of_boot(where: str, number: int) -> str:
+    """A power-up in words; ``where`` is the vehicle, empty where the log has one.
+
+    >>> place_of_boot("system 1", 0), place_of_boot("", 2)
+    ('system 1, boot 0', 'boot 2')
+    """
+    return f"{where}, boot {number}".removeprefix(", ")
+
+
+class Silences(NamedTuple):
+    """Times in which nothing was recorded: the stretch ``after`` each, and how long [ns]."""
+
+    after: Rows
+    length_ns: TimeArray
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Stretches of a log in which the time since boot runs on, (n,) in the order of the log."""
+
+    first: Integers  # place of the first record
+    begin: TimeArray  # time since boot of the first record [ns]
+    end: TimeArray  # that of the last record [ns]
+    length: Integers  # number of records
+    stray: Mask  # whether the stretch is a glitch of the stamps
+    boot: NDArray[np.int16]  # number of the power-up, from 0
+
+    @property
+    def boots(self) -> int:
+        """How many power-ups there are, at least 1."""
+        if not self.boot.size:
+            return 1
+        return int(self.boot.max()) + 1
+
+    def boot_of(self, places: Integers) -> NDArray[np.int16]:
+        """The power-up to which records belong, from 0."""
+        if self.boots == 1:
+            return np.zeros(places.shape, np.int16)
+        return np.asarray(self.boot[self._stretch(places)], np.int16)
+
+    def good(self, places: Integers) -> Mask:
+        """Which records, by their places, have a stamp that is no glitch."""
+        if not self.stray.any():
+            return np.ones(places.shape, np.bool_)
+        return np.asarray(~self.stray[self._stretch(places)], np.bool_)
+
+    def silences(self) -> Silences:
+        """The silences between stretches that are no glitches."""
+        steady = np.flatnonzero(~self.stray)
+        begin_ns = self.begin[steady]
+        end_ns = self.end[steady]
+        silence_ns = begin_ns[1:] - end_ns[:-1]
+        is_long = silence_ns > clock.BOOT_STEP_NS
+        after = steady[1:]
+        return Silences(
+            after=after[is_long],
+            length_ns=silence_ns[is_long],
+        )
+
+    def _stretch(self, places: Integers) -> Rows:
+        """The stretches in which records lie, by their places."""
+        return np.maximum(np.searchsorted(self.first, places, side="right") - 1, 0)
+
+
+def microseconds(raw: NDArray[Any]) -> TimeArray:
+    """Time fields of any type as a new int64 array [us]; what no log can last is cut at `LAST_US`.
+
+    >>> microseconds(np.array([7, 2**64 - 1], np.uint64)).tolist() == [7, 2**52]
+    True
+    """
+    if raw.dtype.kind == "f":
+        known = np.nan_to_num(raw, nan=clock.LAST_US)
+        return np.asarray(known.clip(0, clock.LAST_US), np.int64)
+    # what is below 0 becomes huge
+    unsigned = raw.astype(np.uint64, copy=False)
+    last_us = np.uint64(clock.LAST_US)
+    cut_us = np.minimum(unsigned, last_us)
+    return np.asarray(cut_us.view(np.int64), np.int64)
+
+
+def nanoseconds(raw: NDArray[Any]) -> TimeArray:
+    """Time fields in microseconds as a new array in nanoseconds, cut as by `microseconds`."""
+    time_ns = microseconds(raw)
+    time_ns *= 1000
+    return time_ns
+
+
+class _Stretch(NamedTuple):
+    """Records whose times since boot [ns] run on; ``first`` is the place of the first of them."""
+
+    first: int
+    begin: int
+    end: int
+    length: int
+
+
+def _stretches_of(places: Integers, time_ns: TimeArray) -> list[_Stretch]:
+    """The stretches of some records, at least one, that follow each other in a log."""
+    cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > clock.BOOT_STEP_NS) + 1
+    starts = np.append(0, cuts)
+    stops = np.append(cuts, time_ns.shape[0])
+    columns = (
+        places[starts],
+        time_ns[starts],
+        time_ns[stops - 1],
+        stops - starts,
+    )
+    stretches = []
+    for row in np.stack(columns, axis=1).tolist():
+        stretches.append(_Stretch(*row))
+    return stretches
+
+
+def _goes_on(last: _Stretch, following: _Stretch) -> bool:
+    """Whether the time since boot runs on from one stretch to the next."""
+    step_ns = following.begin - last.end
+    return abs(step_ns) <= clock.BOOT_STEP_NS
+
+
+def timeline(blocks: Iterable[Stamps]) -> Timeline:
+    """Find power-ups and stray stamps in all times since boot of a log, in its order.
+
+    A step back by more than 1 s is a power-up, unless it belongs to a stray stretch.
+
+    >>> time_ns = np.array([5, 6, 7, 8, 9, 2, 3, 4, 5, 6]) * 10**9
+    >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
+    array([0, 1], dtype=int16)
+    """
+    stretches: list[_Stretch] = []
+    for places, time_ns in blocks:
+        if not places.shape[0]:
+            continue
+        new_stretches = _stretches_of(places, time_ns)
+        if stretches and _goes_on(stretches[-1], new_stretches[0]):
+            continuation = new_stretches.pop(0)
+            last = stretches.pop()
+            records = last.length + continuation.length
+            whole = last._replace(
+                end=continuation.end,
+                length=records,
+            )
+            stretches.append(whole)
+        stretches += new_stretches
+    begin = np.array([stretch.begin for stretch in stretches], np.int64)
+    end = np.array([stretch.end for stretch in stretches], np.int64)
+    length = np.array([stretch.length for stretch in stretches], np.int64)
+    stray = clock.stray_stretches(
+        begin,
+        end,
+        length,
+    )
+    return Timeline(
+        first=np.array([stretch.first for stretch in stretches], np.int64),
+        begin=begin,
+        end=end,
+        length=length,
+        stray=stray,
+        boot=_boots(begin, end, stray),
+    )
+
+
+def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> NDArray[np.int16]:
+    """The boot of each of (n,) stretches; a stray one has that of the stretch before it."""
+    if not begin.size:
+        return np.empty(0, np.int16)
+    steady = ~stray
+    steps_ns = begin[steady][1:] - end[steady][:-1]
+    steps_back = steps_ns < -clock.BOOT_STEP_NS
+    boot_of_steady = np.append(0, np.cumsum(steps_back)).astype(np.int16)
+    last_steady = np.maximum(np.cumsum(steady) - 1, 0)
+    return np.asarray(boot_of_steady[last_steady], np.int16)
+
+
+def report_timeline(line: Timeline, ledger: Ledger) -> None:
+    """Report stray stamps, and silences between records of sensors, of a log.
+
+    The places of the log must be bytes: the reports name them.
+    """
+    if line.stray.any():
+        stray_records = messages.stray_records(
+            byte=int(line.first[line.stray][0]),
+            count=int(line.length[line.stray].sum()),
+        )
+        ledger.add(stray_records)
+    # Stretches of few records are of parameters and texts, before and behind those of sensors.
+    with_sensors = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
+    if not with_sensors.size:
+        return
+    silences = line.silences()
+    begins_behind_first = silences.after > with_sensors[0]
+    ends_before_last = silences.after <= with_sensors[-1]
+    is_between = begins_behind_first & ends_before_last
+    if not is_between.any():
+        return
+    first_after = silences.after[is_between][0]
+    silent_ns = silences.length_ns[is_between].sum()
+    nothing_logged = messages.nothing_logged(
+        byte=int(line.first[first_after]),
+        count=int(np.count_nonzero(is_between)),
+        seconds=float(silent_ns) / 1e9,
+    )
+    ledger.add(nothing_logged)

@@ -1,0 +1,183 @@
+"""UTC beside the time since boot, as rows of a log state it, and whether its date is possible."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.errors import Counted
+from unbend.flight import clock
+from unbend.flight.channels import TimeArray
+from unbend.flight.survey_dates import DAY_NS
+from unbend.ingest import messages
+from unbend.ingest.timelines import Timeline, place_of_boot
+from unbend.ingest.utc_evidence import Witness, date_text, is_possible, missed_rollovers
+from unbend.messages import Ledger
+from unbend.units import Integers, Mask
+
+LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
+
+
+@dataclass(frozen=True)
+class UtcReadings:
+    """UTC beside the time since boot, by one source, (n,) in the order of the log."""
+
+    source: str  # what the rows are, in the plural
+    places: Integers
+    boot_ns: TimeArray
+    utc_ns: TimeArray
+    usable: Mask  # False where there is no UTC, or a stray stamp
+    fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))  # of a receiver; else empty
+    one: str = ""  # what one row is, in the singular
+    sigma_s: float = 0.0  # of this clock against UTC; 0 of a receiver, whose delay is added later
+    why: str = "set by the GNSS receiver"  # it has this sigma
+    from_gps_week: bool = False  # computed here from GPS week and seconds
+
+    def counted(self, rows: int) -> str:
+        """A number of rows of this source, in words."""
+        return str(Counted(rows, self.one or self.source, self.source))
+
+    def usable_rows(self, line: Timeline) -> "UtcReadings":
+        """The rows without stray stamps, with a fix, and with another UTC than the row before."""
+        good = self.usable & line.good(self.places)
+        if self.fix.size:
+            good &= self.fix >= LOWEST_FIX
+        good_utc_ns = self.utc_ns if bool(good.all()) else self.utc_ns[good]
+        good[good] = clock.new_readings(good_utc_ns)
+        if bool(good.all()):
+            return self
+        return self.rows(good)
+
+    def rows(self, keep: Mask) -> "UtcReadings":
+        """The rows that a mask keeps; all of them are usable."""
+        return replace(
+            self,
+            places=self.places[keep],
+            boot_ns=self.boot_ns[keep],
+            utc_ns=self.utc_ns[keep],
+            usable=np.ones(int(np.count_nonzero(keep)), np.bool_),
+            fix=np.empty(0),
+        )
+
+    def day_in(self, boot: Mask) -> int:
+        """The median UTC [Unix ns] of the rows of a boot, which a mask marks."""
+        sorted_ns = np.sort(self.utc_ns[boot])
+        return int(sorted_ns[sorted_ns.size // 2])
+
+
+def rows_of(
+    name: str,
+    *,
+    places: Integers,
+    boot_ns: TimeArray,
+    utc_ns: TimeArray,
+    usable: Mask,
+    fix: NDArray[Any],
+    from_gps_week: bool = False,
+) -> UtcReadings:
+    """The UTC of the rows of a channel or topic."""
+    return UtcReadings(
+        source=f"rows of {name}",
+        places=places,
+        boot_ns=boot_ns,
+        utc_ns=utc_ns,
+        usable=usable,
+        fix=fix,
+        one=f"row of {name}",
+        from_gps_week=from_gps_week,
+    )
+
+
+@dataclass(frozen=True)
+class DateCheck:
+    """Whether the dates that sources of UTC state are possible, by the other clocks of the log."""
+
+    line: Timeline
+    recorder: UtcReadings | None
+    witnesses: tuple[Witness, ...]
+    where: str
+
+    def acceptable(self, source: UtcReadings, ledger: Ledger) -> UtcReadings:
+        """The rows of a source in the boots whose date can be accepted, repaired where it can be.
+
+        A clock that nothing has set (``sigma_s`` above 0) is not accepted against a recorder that
+        is more than a day away.
+        """
+        boots = self.line.boot_of(source.places)
+        utc_ns = source.utc_ns
+        keep = np.ones(boots.shape, np.bool_)
+        for number in np.unique(boots).tolist():
+            rows = boots == number
+            stated_ns = source.day_in(rows)
+            clocks = self._clocks_of(number)
+            rollovers = missed_rollovers(stated_ns, clocks, of_receiver=not source.sigma_s)
+            place = place_of_boot(self.where, number)
+            words = source.counted(int(np.count_nonzero(rows)))
+            if rollovers is None or self._is_unset(source, stated_ns, clocks):
+                keep &= ~rows
+                ledger.add(
+                    messages.utc_not_accepted(
+                        where=place, source=words, stated=date_text(stated_ns), clocks=clocks
+                    )
+                )
+            elif rollovers:
+                utc_ns = utc_ns.copy() if utc_ns is source.utc_ns else utc_ns
+                utc_ns[rows] = clock.later_by_rollovers(
+                    utc_ns[rows], rollovers, from_gps_week=source.from_gps_week
+                )
+                moved_ns = int(np.median(utc_ns[rows]))
+                ledger.add(
+                    messages.week_rollover(
+                        where=place,
+                        source=words,
+                        count=int(np.count_nonzero(rows)),
+                        stated=date_text(stated_ns),
+                        moved=date_text(moved_ns),
+                        rollovers=rollovers,
+                        clocks=clocks,
+                    )
+                )
+        checked = replace(source, utc_ns=utc_ns)
+        return checked if bool(keep.all()) else checked.rows(keep)
+
+    def _clocks_of(self, boot: int) -> list[Witness]:
+        """The other clocks that tell the date of a boot, the strongest first."""
+        strong = [witness for witness in self.witnesses if not witness.is_weak]
+        weak = [witness for witness in self.witnesses if witness.is_weak]
+        if self.recorder is not None:
+            rows = self.line.boot_of(self.recorder.places) == boot
+            if rows.any():
+                strong.append(Witness(self.recorder.source, self.recorder.day_in(rows)))
+        return strong + weak
+
+    @staticmethod
+    def _is_unset(source: UtcReadings, stated_ns: int, clocks: Sequence[Witness]) -> bool:
+        """Whether a clock that no receiver has set contradicts the strongest other clock."""
+        if not source.sigma_s or not clocks or clocks[0].is_weak:
+            return False
+        return abs(stated_ns - clocks[0].time_ns) > DAY_NS
+
+
+def possible_recorder(
+    recorder: UtcReadings, line: Timeline, where: str, ledger: Ledger
+) -> UtcReadings:
+    """The rows of a recorder in the boots in which its date is possible."""
+    boots = line.boot_of(recorder.places)
+    keep = np.ones(boots.shape, np.bool_)
+    for number in np.unique(boots).tolist():
+        rows = boots == number
+        stated_ns = recorder.day_in(rows)
+        if is_possible(stated_ns):
+            continue
+        keep &= ~rows
+        ledger.add(
+            messages.utc_not_accepted(
+                where=place_of_boot(where, number),
+                source=recorder.counted(int(np.count_nonzero(rows))),
+                stated=date_text(stated_ns),
+                clocks=(),
+            )
+        )
+    return recorder if bool(keep.all()) else recorder.rows(keep)

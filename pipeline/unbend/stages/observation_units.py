@@ -1,0 +1,69 @@
+"""Whether the coordinates of the observations can be what the mission file says: pixels, or mm."""
+
+import numpy as np
+
+from unbend.config import Mission
+from unbend.stages import messages
+from unbend.tables.observations import Observations
+from unbend.units import Array
+
+LOOKED_AT = 20_000  # rows of the table
+FEWEST_ROWS = 10  # fewer may all be blunders
+NEGATIVE_SHARE = 0.25  # of x and of y, which pixels from the upper left corner never are
+SMALL_PART = 0.25  # of the image: so little of it all coordinates in millimetres would fill
+OUTSIDE_SHARE = 0.5  # of the observations outside the image, by a unit that is not theirs
+FORMAT_PART = 0.6  # of the format: coordinates from its centre reach half of it
+MICROMETRES_PER_MM = 1e3
+
+
+def refuse_other_unit(mission: Mission, observations: Observations) -> None:
+    """Refuse (OBS-UNIT) coordinates that are no pixels, or none in the unit that is stated.
+
+    Pixels count from a corner of the image. Coordinates that are negative as often as not, and
+    fill a small part of the image, or far more than it, count from its middle in another unit.
+    """
+    batch = next(observations.batches(LOOKED_AT))
+    known = np.isfinite(batch.x_px) & np.isfinite(batch.y_px)
+    if np.count_nonzero(known) < FEWEST_ROWS:
+        return
+    xy = np.stack([batch.x_px[known], batch.y_px[known]])
+    cameras = mission.interior_orientations.values()
+    size = np.array(
+        [
+            [max(camera.width_px for camera in cameras)],
+            [max(camera.height_px for camera in cameras)],
+        ]
+    )
+    unit = mission.observations.unit
+    if unit != "px":
+        outside = ((xy < 0.0) | (xy > size)).any(axis=0)
+        if outside.mean() > OUTSIDE_SHARE:
+            raise messages.coordinates_beyond_frame(
+                where=str(observations.path), unit=unit, percent=100.0 * float(outside.mean())
+            )
+        return
+    negative = (xy < 0.0).mean(axis=1)
+    if negative.min() < NEGATIVE_SHARE:
+        return
+    likely = likely_unit(mission, xy, float(size.max()))
+    if likely:
+        raise messages.coordinates_without_pixels(
+            where=str(observations.path),
+            percent=100.0 * float(negative.min()),
+            largest=float(np.abs(xy).max()),
+            likely=likely,
+        )
+
+
+def likely_unit(mission: Mission, xy: Array, size_px: float) -> str:
+    """The unit of coordinates (2, n) that count from the middle of the image; empty if pixels."""
+    largest = float(np.percentile(np.abs(xy), 99.0))
+    formats_mm = [
+        max(camera.metric.format_mm) for camera in mission.cameras.values() if camera.metric
+    ]
+    if formats_mm:
+        half_mm = FORMAT_PART * max(formats_mm)
+        if largest < half_mm:
+            return "mm"
+        return "um" if size_px < largest < MICROMETRES_PER_MM * half_mm else ""
+    return "mm" if largest < SMALL_PART * size_px else ""

@@ -1,0 +1,103 @@
+"""Pix4D's files of calibrated parameters, with image points: a folder as its ``params``.
+
+A point X is seen at K R (X - t), so the camera has x right, y down, z forward; omega, phi, kappa
+are those of photogrammetry, in degrees. All in the block's frame, east, north, up: a local
+coordinate system in Pix4D, without an offset. Pixels count from the corner of the image, as
+COLMAP's. Image points stand under the name of their image without its ending.
+"""
+
+from collections import Counter
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from unbend.flight.rotations import opk_of_quaternion
+from unbend.messages import Ledger
+from unbend.tables.exports import messages
+from unbend.tables.exports.blocks_exchange_xml import plain_coefficients
+from unbend.tables.exports.exported_block import ExportedBlock, block_of, refuse_names
+from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
+
+_HEAD = (
+    "fileName imageWidth imageHeight \n"
+    "camera matrix K [3x3]\n"
+    "radial distortion [3x1]\n"
+    "tangential distortion [2x1]\n"
+    "camera position t [3x1]\n"
+    "camera rotation R [3x3]\n"
+    "camera model m = K [R|-Rt] X\n\n"
+)
+_PREFIX = "unbend_"  # in the place of the project's name
+_SCALE = 1.0  # of an image point, which no program here knows
+
+
+def write_pix4d(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
+    """The four files of a project; the number of image points."""
+    block = block_of(run, ledger, intersect=False)
+    refuse_names(block.image, r"\s", "Pix4D")
+    refuse_names(block.name.to_pylist(), r"\s|^-", "Pix4D")
+    stems = [str(PurePosixPath(name).with_suffix("")) for name in block.image.tolist()]
+    for stem, count in Counter(stems).items():
+        if count > 1:
+            raise messages.name_with_separator(where="observations", name=stem, program="Pix4D")
+    cameras = folder / f"{_PREFIX}calibrated_camera_parameters.txt"
+    cameras.write_text(_HEAD + "".join(blocks_of_images(block)), encoding="utf-8")
+    write_external(block, folder / f"{_PREFIX}calibrated_external_camera_parameters.txt")
+    (folder / f"{_PREFIX}offset.xyz").write_text("0.000 0.000 0.000\n", encoding="utf-8")
+    with (folder / f"{_PREFIX}tp_pix4d.txt").open("w", encoding="utf-8") as file:
+        for i, _camera, here in block.images():
+            file.write(f"{stems[i]}\n")
+            points = block.name.take(block.point[here]).to_pylist()
+            pixels = zip(block.x_px[here].tolist(), block.y_px[here].tolist(), strict=True)
+            for point, (x, y) in zip(points, pixels, strict=True):
+                file.write(f"{point} {x!r} {y!r} {_SCALE}\n")
+            file.write("-99\n")
+    return int(block.point.size)
+
+
+def blocks_of_images(block: ExportedBlock) -> list[str]:
+    """Name, size, K, distortion, position and rotation of each image."""
+    coefficients = {
+        name: plain_coefficients(camera, name, "Pix4D") for name, camera in block.cameras.items()
+    }
+    names = [*block.cameras]
+    texts = []
+    for i, camera, _here in block.images():
+        known = coefficients[names[block.camera[i]]]
+        rows = [
+            [camera.fx_px, 0.0, camera.cx_px],
+            [0.0, camera.fy_px, camera.cy_px],
+            [0.0, 0.0, 1.0],
+            [known["k1"], known["k2"], known["k3"]],
+            [known["p1"], known["p2"]],
+            block.frame.position_m[i].tolist(),
+            *block.rotation[i].tolist(),
+        ]
+        lines = [f"{block.image[i]} {camera.width_px} {camera.height_px}"]
+        lines += [" ".join(map(repr, row)) for row in rows]
+        texts.append("\n".join(lines) + "\n")
+    return texts
+
+
+def write_external(block: ExportedBlock, path: Path) -> None:
+    """The file of X, Y, Z, omega, phi and kappa."""
+    opk_deg = np.degrees(opk_of_quaternion(block.frame.quaternion, "omega_phi_kappa"))
+    with path.open("w", encoding="utf-8") as file:
+        file.write("imageName X Y Z Omega Phi Kappa\n")
+        for i, name in enumerate(block.image.tolist()):
+            place = " ".join(f"{value:.6f}" for value in block.frame.position_m[i])
+            angles = " ".join(f"{value:.9f}" for value in opk_deg[i])
+            file.write(f"{name} {place} {angles}\n")
+
+
+FORMATS = (
+    ExportFormat(
+        "pix4d",
+        "a block as Pix4D's calibrated parameters: a folder with tie points",
+        "",
+        write_pix4d,
+        marked=(f"{_PREFIX}tp_pix4d.txt",),
+        use="Pix4D knows neither refraction nor earth curvature: nothing is to be switched off in "
+        "it; its coordinate system is a local one, in metres",
+    ),
+)

@@ -1,0 +1,111 @@
+"""DJI's tags in the XMP of an image, whichever way a camera or a tag editor has written them.
+
+A JPEG has its XMP in a segment of its own, before the pixels and behind any others; other files
+have it somewhere as plain text. XMP is XML: a property is an attribute, or an element, with the
+name space of DJI. A document type, which could declare entities, is refused.
+"""
+
+import mmap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+from xml.etree import ElementTree
+
+NAMESPACE = "{http://www.dji.com/drone-dji"  # as ElementTree writes it, of any version
+SEGMENT = b"http://ns.adobe.com/xap/1.0/\0"
+MOST_BYTES = 1 << 20  # of a packet; a segment of a JPEG has 64 KiB at most
+SEARCHED_BYTES = 1 << 25  # of a file that is no JPEG
+
+_JPEG = b"\xff\xd8"
+_SEGMENT_APP1 = 0xE1
+_WITHOUT_LENGTH = {0x01, *range(0xD0, 0xD9)}
+_ENDS_OF_HEAD = {0xD9, 0xDA}  # the end of the image, and the beginning of its pixels
+
+
+def dji_tags(path: Path) -> dict[str, str]:
+    """DJI's tags of an image by their names; empty without XMP.
+
+    Raises ValueError for XMP that is no XML, is larger than a megabyte, has a document type, or
+    states two values of one tag.
+    """
+    with path.open("rb") as file:
+        packets = [*xmp_of_jpeg(file)] if file.read(2) == _JPEG else [xmp_in_text(file)]
+    tags: dict[str, str] = {}
+    for packet in filter(None, packets):
+        of_packet = properties_of_dji(packet)
+        for name in tags.keys() & of_packet.keys():
+            if tags[name] != of_packet[name]:
+                raise ValueError(f"its XMP states {name} twice: {tags[name]} and {of_packet[name]}")
+        tags |= of_packet
+    return tags
+
+
+def xmp_of_jpeg(file: BinaryIO) -> Iterator[bytes]:
+    """Each packet of XMP of a JPEG, read from behind its first marker on.
+
+    Editors that keep what they do not know write a packet of their own before it.
+    """
+    for marker, length in _segments(file):
+        if marker != _SEGMENT_APP1:
+            continue
+        begin = file.tell()
+        if file.read(len(SEGMENT)) == SEGMENT:
+            yield file.read(length - len(SEGMENT))
+        file.seek(begin)
+
+
+def _segments(file: BinaryIO) -> Iterator[tuple[int, int]]:
+    """Marker and length of each segment before the pixels; the file stands at its first byte."""
+    while True:
+        mark = file.read(1)
+        while mark == b"\xff":  # bytes that fill up
+            mark = file.read(1)
+        if not mark or mark[0] in _ENDS_OF_HEAD:
+            return
+        if mark[0] in _WITHOUT_LENGTH:
+            continue
+        length = int.from_bytes(file.read(2), "big") - 2
+        if length < 0:
+            return
+        begin = file.tell()
+        yield mark[0], length
+        file.seek(begin + length)
+
+
+def xmp_in_text(file: BinaryIO) -> bytes:
+    """The XMP of a file in which it stands as text; empty without one in its first 32 MiB."""
+    if file.seek(0, 2) == 0:
+        return b""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        begin = content.find(b"<x:xmpmeta", 0, SEARCHED_BYTES)
+        if begin < 0:
+            return b""
+        end = content.find(b"</x:xmpmeta>", begin, begin + MOST_BYTES)
+        if end < 0:
+            raise ValueError(f"its XMP has no end within {MOST_BYTES} bytes")
+        return bytes(content[begin : end + len(b"</x:xmpmeta>")])
+
+
+def properties_of_dji(packet: bytes) -> dict[str, str]:
+    """The properties with DJI's name space; ValueError as of `dji_tags`.
+
+    >>> properties_of_dji(b'''<a xmlns:d="http://www.dji.com/drone-dji/1.0/" d:Roll="+1.0">
+    ... <d:Yaw>-2.5</d:Yaw>
+    ... </a>''')
+    {'Roll': '+1.0', 'Yaw': '-2.5'}
+    """
+    if len(packet) > MOST_BYTES:
+        raise ValueError(f"its XMP has more than {MOST_BYTES} bytes")
+    text = packet.decode("utf-8-sig")
+    if "<!DOCTYPE" in text.upper():
+        raise ValueError("its XMP has a document type, which XMP never has")
+    try:
+        root = ElementTree.fromstring(text[text.find("<") : text.rfind(">") + 1])
+    except ElementTree.ParseError as error:
+        raise ValueError(f"its XMP is no XML: {error}") from None
+    properties: dict[str, str] = {}
+    for element in root.iter():
+        for name, value in (*element.attrib.items(), (element.tag, element.text or "")):
+            if name.startswith(NAMESPACE):
+                properties[name.partition("}")[2]] = value.strip()
+    return properties

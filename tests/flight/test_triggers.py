@@ -1,0 +1,76 @@
+"""Commands of triggers and pulses of shutters in logs of PX4."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from unbend.errors import MissionError
+from unbend.flight.channels import Channel, Source
+from unbend.flight.triggers import lag_from_feedback, trigger_notes
+
+SECOND = 1_000_000_000
+NUMBER = np.arange(1.0, 13.0)
+LAG_S = 0.12
+
+
+def events(name: str, message: str, lag_s: float, feedback: float | None = None) -> Channel:
+    columns = {"event_index": NUMBER}
+    if feedback is not None:
+        columns["feedback"] = np.full(NUMBER.shape, feedback)
+    time_ns = np.round((NUMBER * 3.0 + lag_s) * SECOND).astype(np.int64)
+    return Channel(name, time_ns, columns, Source(message), roles=("events",))
+
+
+CAPTURE_AT_TRIGGER = events("camera_capture", "camera_capture", 0.0)
+CAPTURE = events("camera_capture", "camera_capture", LAG_S)
+COMMANDS = events("camera_trigger.sent", "camera_trigger", 0.0, feedback=0.0)
+PULSES = events("camera_trigger", "camera_trigger", LAG_S, feedback=1.0)
+UNSAID = events("camera_trigger", "camera_trigger", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("channels", "chosen", "parameters", "says"),
+    [
+        # what the parameter says
+        ([CAPTURE_AT_TRIGGER, UNSAID], CAPTURE_AT_TRIGGER, {"CAM_CAP_FBACK": 0.0}, "delay_s"),
+        ([CAPTURE, UNSAID], CAPTURE, {"CAM_CAP_FBACK": 1.0}, None),
+        # the times of the commands contradict the parameter
+        ([CAPTURE_AT_TRIGGER, COMMANDS], CAPTURE_AT_TRIGGER, {"CAM_CAP_FBACK": 1.0}, "delay_s"),
+        ([CAPTURE_AT_TRIGGER, COMMANDS], CAPTURE_AT_TRIGGER, {}, "delay_s"),
+        # and tell where nothing is stated; without either it is not known
+        ([CAPTURE, COMMANDS], CAPTURE, {}, None),
+        ([CAPTURE], CAPTURE, {}, "which is not logged"),
+        # rows of camera_trigger say themselves what they are
+        ([UNSAID], UNSAID, {}, "delay_s"),
+        ([COMMANDS], COMMANDS, {}, "delay_s"),
+        ([PULSES, COMMANDS], PULSES, {}, None),
+    ],
+)
+def test_captures_at_the_trigger_are_told_from_those_at_the_feedback(
+    channels: list[Channel], chosen: Channel, parameters: dict[str, float], says: str | None
+) -> None:
+    notes = list(trigger_notes(tuple(channels), chosen, parameters))
+    assert [note.code for note in notes] == ["EVENTS-TRIGGER-TIME"] * (says is not None)
+    assert all(str(says) in note.what for note in notes)
+
+
+def test_topics_over_ros_are_those_of_the_log() -> None:
+    capture = replace(CAPTURE_AT_TRIGGER, source=Source("px4_msgs/CameraCapture"))
+    (entry,) = trigger_notes((capture,), capture, {"CAM_CAP_FBACK": 0.0})
+    assert entry.code == "EVENTS-TRIGGER-TIME"
+
+
+def test_the_lag_is_that_of_pulses_behind_commands() -> None:
+    delay, _ = lag_from_feedback((PULSES, COMMANDS), COMMANDS, "cam")
+    assert delay.seconds == pytest.approx(LAG_S, abs=1e-6)
+    with pytest.raises(MissionError, match="EVENTS-FEEDBACK"):
+        lag_from_feedback((PULSES, COMMANDS), PULSES, "cam")
+
+
+def test_commands_without_a_pulse_are_lost_exposures() -> None:
+    fewer = PULSES.rows(NUMBER != 5.0)
+    (entry,) = trigger_notes((fewer, COMMANDS), fewer, {})
+    assert (entry.code, entry.kind, entry.count) == ("EVENTS-LOST", "loss", 1)

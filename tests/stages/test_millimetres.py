@@ -1,0 +1,130 @@
+"""Image coordinates in the frame of a metric camera, and coordinates that are no pixels."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from unbend.batch.opening import open_table
+from unbend.config.reading import mission_of
+from unbend.errors import ConfigError, InputError
+from unbend.messages import Ledger
+from unbend.stages.observation_units import refuse_other_unit
+
+METRIC = {
+    "focal_mm": 100.0, "pixel_um": [10.0, 20.0], "format_mm": [60.0, 40.0],
+    "origin": "image_centre", "axes": "right up", "ppa_mm": [0.0, 0.0],
+}  # fmt: skip
+CAMERA = {"width_px": 6000, "height_px": 2000, "calibration": "laboratory", "metric": METRIC}
+PIXELS = np.array([[3000.0, 1000.0], [100.0, 50.0], [5900.0, 1950.0], [2000.0, 1500.0]])
+
+
+def mission(unit: str, cameras: dict | None = None, **observations):
+    columns = {"x_px": "x", "y_px": "y"}
+    sections = {
+        "mission": {"name": "mm"},
+        "observations": {"path": "o.csv", "unit": unit, "columns": columns, **observations},
+        "cameras": cameras or {"c": CAMERA},
+        "stations": {"orientation": {"path": "s.csv", "angles": "omega_phi_kappa", "camera": "c",
+                                     "frame": "geographic", "heights": "msl",
+                                     "date": "2026-05-01"}},
+        "ground": {"height": 0.0, "reference": "msl"},
+        "output": {"path": "results"},
+    }  # fmt: skip
+    return mission_of(copy.deepcopy(sections), None, "sections")
+
+
+def opened(tmp_path, mission, xy: np.ndarray):
+    table = pd.DataFrame({"image": "a", "point": range(len(xy)), "x": xy[:, 0], "y": xy[:, 1]})
+    table.to_csv(tmp_path / "o.csv", index=False)
+    return open_table(mission, tmp_path / "o.csv", Ledger())
+
+
+FRAMES = {
+    "right up": lambda px: np.stack([px[:, 0] - 3000.0, 1000.0 - px[:, 1]], 1) * [0.01, 0.02],
+    "right down": lambda px: (px - [3000.0, 1000.0]) * [0.01, 0.02],
+    "up left": lambda px: np.stack([1000.0 - px[:, 1], 3000.0 - px[:, 0]], 1) * [0.02, 0.01],
+}
+"""Millimetres of pixels, by hand: 10 um across and 20 um down, from the middle."""
+
+
+@pytest.mark.parametrize("axes", FRAMES)
+@pytest.mark.parametrize(("unit", "size"), [("mm", 1.0), ("um", 1000.0)])
+def test_coordinates_of_each_frame_are_pixels(tmp_path, axes, unit, size):
+    stated = mission(unit, {"c": CAMERA | {"metric": METRIC | {"axes": axes}}})
+    given = FRAMES[axes](PIXELS) * size
+    (batch,) = opened(tmp_path, stated, given).batches(100)
+    assert np.stack([batch.x_px, batch.y_px], 1) == pytest.approx(PIXELS)
+    assert np.stack([batch.x_given_px, batch.y_given_px], 1) == pytest.approx(PIXELS)
+    assert batch.users["x"].to_pylist() == pytest.approx(given[:, 0].tolist())
+
+
+def test_results_count_pixels_as_is_stated(tmp_path):
+    stated = mission("mm", pixel_origin="centre")
+    (batch,) = opened(tmp_path, stated, FRAMES["right up"](PIXELS)).batches(100)
+    assert batch.x_px == pytest.approx(PIXELS[:, 0])
+    assert batch.x_given_px == pytest.approx(PIXELS[:, 0] - 0.5)
+
+
+def test_the_origin_may_be_a_pixel(tmp_path):
+    stated = mission("mm", {"c": CAMERA | {"metric": METRIC | {"origin": [3001.0, 998.0]}}})
+    (batch,) = opened(tmp_path, stated, np.zeros((1, 2))).batches(100)
+    assert (batch.x_px[0], batch.y_px[0]) == (3001.0, 998.0)
+
+
+OTHER = {"c": CAMERA, "d": CAMERA | {"metric": METRIC | {"axes": "right down"}}}
+PLAIN = {"width_px": 6000, "height_px": 2000, "f_px": 9000.0, "cx_px": 3000.0, "cy_px": 1000.0,
+         "calibration": "laboratory"}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("cameras", "why"), [({"c": PLAIN}, "needs cameras.c.metric"), (OTHER, "needs one frame")]
+)
+def test_millimetres_need_one_metric_frame(cameras, why):
+    with pytest.raises(ConfigError, match=why):
+        mission("mm", cameras)
+
+
+def spread(share: float, seed: int = 3) -> np.ndarray:
+    """Pixels of a share of the image, about its middle."""
+    draw = np.random.default_rng(seed).uniform(-0.5 * share, 0.5 * share, (200, 2))
+    return np.array([3000.0, 1000.0]) + draw * [6000.0, 2000.0]
+
+
+def test_coordinates_in_their_unit_pass(tmp_path):
+    for unit, size in (("mm", 1.0), ("um", 1000.0)):
+        stated = mission(unit)
+        refuse_other_unit(stated, opened(tmp_path, stated, FRAMES["right up"](spread(0.9)) * size))
+    stated = mission("px")
+    refuse_other_unit(stated, opened(tmp_path, stated, spread(0.9)))
+    refuse_other_unit(stated, opened(tmp_path, stated, spread(1.3)))  # many outside, on all sides
+
+
+@pytest.mark.parametrize(("size", "likely"), [(1.0, "mm"), (1000.0, "um")])
+def test_millimetres_that_are_taken_for_pixels_are_named(tmp_path, size, likely):
+    stated = mission("px")
+    table = opened(tmp_path, stated, FRAMES["right up"](spread(0.9)) * size)
+    with pytest.raises(InputError, match="OBS-UNIT") as refusal:
+        refuse_other_unit(stated, table)
+    assert f"perhaps {likely} from its middle" in refusal.value.what
+    assert f"observations.unit: {likely}" in refusal.value.remedy
+
+
+def test_millimetres_of_a_camera_without_report_are_named(tmp_path):
+    stated = mission("px", {"c": PLAIN})
+    with pytest.raises(InputError, match="perhaps mm"):
+        refuse_other_unit(stated, opened(tmp_path, stated, FRAMES["right up"](spread(0.9))))
+
+
+def test_pixels_that_are_taken_for_millimetres_are_named(tmp_path):
+    stated = mission("mm")
+    with pytest.raises(InputError, match=r"taken for mm, .* lie outside the image"):
+        refuse_other_unit(stated, opened(tmp_path, stated, spread(0.9)))
+
+
+def test_few_observations_decide_nothing(tmp_path):
+    stated = mission("px")
+    refuse_other_unit(stated, opened(tmp_path, stated, FRAMES["right up"](spread(0.9))[:9]))

@@ -1,0 +1,43 @@
+"""Text tables that are read whole: angles of places, and comments between rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from unbend.errors import InputError
+from unbend.tables.imports.messages import ORIENTATION_NUMBER
+from unbend.tables.text_columns import degrees_of, whole_table
+
+
+def latitudes(path, text: str):
+    path.write_text(text, encoding="utf-8")
+    table = whole_table(path, ORIENTATION_NUMBER, ("image",))
+    return degrees_of(table, "lat", path, ORIENTATION_NUMBER, quantity="latitude")
+
+
+@pytest.mark.parametrize("name", ["lat_ref", "LatRef", "N/S", "lat hemisphere"])
+def test_a_column_of_hemispheres_gives_the_signs(tmp_path, name):
+    rows = "a,33.5,S\nb,33 30 0,South\nc,1.5,N\nd,1.5,\n"
+    assert latitudes(tmp_path / "t.csv", f"image,lat,{name}\n{rows}") == pytest.approx(
+        np.array([-33.5, -33.5, 1.5, 1.5])
+    )
+
+
+def test_another_column_gives_none(tmp_path):
+    text = "image,lat,lon_ref,N/S\na,33.5,W,5\nb,34.5,W,6\n"
+    assert latitudes(tmp_path / "t.csv", text).tolist() == [33.5, 34.5]
+
+
+@pytest.mark.parametrize("text", ["image,lat\na,8.5 E\n", "image,lat,lat_ref\na,-33.5,N\n"])
+def test_contradicting_hemispheres_are_refused(tmp_path, text):
+    with pytest.raises(InputError, match="ORIENTATION-NUMBER"):
+        latitudes(tmp_path / "t.csv", text)
+
+
+def test_comments_between_rows_are_no_rows(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("image,x\na,1\n# second strip\nb,2\n#c,3\n")
+    table = whole_table(path, ORIENTATION_NUMBER, ("image",))
+    assert table["image"].tolist() == ["a", "b", "#c"]
+    assert table.index.tolist() == [2, 4, 5]
