@@ -475,7 +475,7 @@ def noisy(t, rng, size):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda t, _: noisy(t, np.random.default_rng(10), 20.0), "held out"),
+        (lambda t, _: noisy(t, np.random.default_rng(10), 30.0), "held out"),
         (lambda t, _: 290.0 - 0.014 * (t.h_m - t.h_m.min()), "overturns"),
         (lambda t, _: 330.0 + 1e-4 * t.h_m, "sigma from the climatology"),
     ],
@@ -647,16 +647,18 @@ def test_the_derivative_by_the_lag_is_that_of_an_exponential_memory():
 
 
 def test_air_near_the_ground_and_sun_on_a_probe_are_in_the_prior():
-    """By hand: 1.5 K at the lowest height, 1/e of it 40 m up; 0.2 K of a minute beside 0.4."""
+    """By hand: 1.5 K at the ground, 1/e of it 40 m up; 0.2 K of a minute beside 0.4."""
     air = climatology(latitude_rad=0.8, month=7.0)
     layout = Layout(
         np.array([-500.0, 0.0, 40.0, 4000.0]), np.array([0.0, 250.0, 15e3]), 0.0, (), ()
     )
     prior = prior_of(layout, air, air)
     covariance = np.linalg.inv(prior.precision)[:4, :4]
-    spread = air.spread.sigma_temperature(air.profile.gravity.height(layout.knot))
+    h = air.profile.gravity.height(layout.knot)
+    assert np.allclose(np.diag(covariance), air.spread.sigma_temperature(h) ** 2, rtol=1e-6)
+    (ground,) = [part for part in air.spread.parts if part.name == "ground"]
     near = 1.5 * np.array([1.0, 1.0, np.exp(-1.0), 0.0])
-    assert np.allclose(np.diag(covariance), spread**2 + near**2, rtol=1e-6)
+    assert np.interp(h, ground.h_m, ground.sigma_k) == pytest.approx(near, abs=0.08)
     drift = Drift("thermometer_drift", np.array([0.0, 60.0]), 0.4, 900.0, (0.2, 60.0))
     expected = 0.16 * np.exp(-60.0 / 900.0) + 0.04 * np.exp(-1.0)
     assert drift.covariance()[0].tolist() == pytest.approx([0.2, expected], rel=1e-6)

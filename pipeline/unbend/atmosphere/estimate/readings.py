@@ -14,7 +14,7 @@ from unbend.atmosphere.air_samples import AirSamples, SensorSamples, climb_of
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import external_readings, sensors
 from unbend.atmosphere.estimate.sensors import Readings, SensorCalibration, SensorSettings
-from unbend.atmosphere.estimate.state import TOP_M, Drift, Fault, SensorFault
+from unbend.atmosphere.estimate.state import TOP_M, Departure, Drift, Fault, SensorFault
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.rejection import Reason, Reasons, with_reason
 from unbend.atmosphere.soundings import Sounding
@@ -77,7 +77,7 @@ class FlightReadings:
 
     sets: tuple[Readings, ...]
     faults: tuple[Fault, ...]
-    drifts: tuple[Drift, ...]
+    drifts: tuple[Drift | Departure, ...]
     low: float
     high: float
     rejected: Mapping[str, Reasons] = field(default_factory=dict)
@@ -125,10 +125,11 @@ def collect_readings(
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
     at_sea_level = sensors.Pressures("climatology", at_sea, log_pressure, level, robust=False)
-    drifts += external_readings.sounding_departures(soundings, background, flight)
+    departures = external_readings.sounding_departures(soundings, background, flight)
+    humid = external_readings.humidity_drifts(soundings, background, flight)
     span = float(heights.min()), float(heights.max())
     every = at_sea_level, *external, *sets
-    return FlightReadings(every, tuple(faults), tuple(drifts), *span, rejected)
+    return FlightReadings(every, tuple(faults), (*drifts, *departures, *humid), *span, rejected)
 
 
 def _sensor_readings(
