@@ -1,6 +1,6 @@
 """How true the sigma of the flown air is when its sensors have faults: drawn flights, real air.
 
-    python benchmarks/judge_faults.py [--flights N] [--seed N] [--climbs KM ...] [--errors] [FAULT ...]
+    python benchmarks/judge_faults.py [--flights N] [--seed N] [--climbs KM ...] [FAULT ...]
 
 Draws flights with one fault of a sensor each through nine real ascents and five extreme airs
 (`tests/atmosphere/flights.py`, which shares nothing with the estimator), estimates the air as a
@@ -33,7 +33,7 @@ from unbend.messages import LOSSES, Ledger
 from unbend.stages.air_of_mission import Levels, profiles_in_time
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "atmosphere"))
-import flights  # noqa: E402  (the truth of the tests, which is not installed)
+import flights
 
 CLIMBS_KM = (0.8, 1.0, 1.5, 2.0, 3.0)
 US1976 = standard_atmosphere("us1976")
@@ -42,6 +42,7 @@ EXPOSURES = 20  # while the flight is level
 LONG_CRUISE_S = 3 * 3600.0  # of the flights in which the weather changes [s]
 CRUISE_S = 300.0
 WEATHER_PA_PER_3H = 150.0  # what pressure changes by in three hours, one sigma [Pa]
+WEATHER_PA_PER_ROOT_H = 20.0  # of a random walk beside [Pa]
 METRES_PER_RAD = 6_371_000.0
 
 
@@ -181,7 +182,8 @@ def leaking(truth: flights.Truth, climb_m: float, rng: np.random.Generator) -> F
 
 
 def long_and_level(truth: flights.Truth, climb_m: float, rng: np.random.Generator) -> Flight:
-    """Three hours level after the climb, in which the weather changes; the log ends up there."""
+    """Three hours level after the climb, in which the weather changes, sooner or later; the log
+    ends up there."""
     sensors = flights.surveyed(rng) if rng.random() < 0.5 else flights.drawn(rng)
     sensors = replace(sensors, pressure_ramp_pa=0.0)
     flight = fly_as_drawn(
@@ -189,8 +191,10 @@ def long_and_level(truth: flights.Truth, climb_m: float, rng: np.random.Generato
     )
     sensor = flight.samples.pressure
     hours = (sensor.time_ns - sensor.time_ns[0]) / 3.6e12
-    change = rng.normal(0.0, WEATHER_PA_PER_3H) / 3.0 * hours
-    change += 20.0 * np.cumsum(rng.normal(0.0, np.sqrt(1.0 / 3600.0), hours.size))
+    memory_h = rng.uniform(0.5, 6.0)
+    passed = -np.expm1(-hours / memory_h)
+    change = rng.normal(0.0, WEATHER_PA_PER_3H) * passed / passed[-1]
+    change += WEATHER_PA_PER_ROOT_H * np.cumsum(rng.normal(0.0, 1.0 / 60.0, hours.size))
     sensor = replace(sensor, value=sensor.value * (1.0 + change / 1e5))
     return replace(flight, samples=replace(flight.samples, pressure=sensor))
 
@@ -284,7 +288,9 @@ def outcome_of(flight: Flight) -> Outcome:
     air = profiles_in_time(adjustment, exposures, levels, None, ledger)
     flagged = 0
     if adjustment.is_measured:
-        exposures = ledger.take(flight_stations.flag_height_misfits(exposures, air.series))
+        errors = adjustment.barometer_errors
+        flagged_exposures = flight_stations.flag_height_misfits(exposures, air.series, errors)
+        exposures = ledger.take(flagged_exposures)
         flagged = int(np.count_nonzero(~exposures.ok))
     middle = air.series.timed_profiles[air.series.profile_number[EXPOSURES // 2]]
     sigma = middle.covariance.relative_sigma(ground_m + flight.climb_m, ground_m)

@@ -24,7 +24,7 @@ from unbend.atmosphere.estimate.estimate_checks import (
     hygrometer_is_outside,
     is_plausible,
 )
-from unbend.atmosphere.estimate.sensor_checks import is_maybe_indoors, usable_sensors
+from unbend.atmosphere.estimate.sensor_checks import maybe_in_a_bay, usable_sensors
 from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.estimate.thermometer_checks import thermometer_is_outside
@@ -300,15 +300,16 @@ def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of(flights
     truth = airs[TRADES]
     samples = flown(flights, truth, 600.0, descent=True)
     noise = np.random.default_rng(2).normal(0.0, 0.2, samples.temperature.value.size)
-    ledger = Ledger()
     constant = with_t(samples, truth.t[0] - 1.0 + noise)
-    assert ledger.take(is_maybe_indoors(constant, US1976, SensorSettings()))
-    assert [(e.code, e.kind) for e in ledger] == [("AIR-ISOTHERMAL", Kind.WARNING)]
-    ledger = Ledger()
-    assert not ledger.take(is_maybe_indoors(samples, US1976, SensorSettings()))
-    board = SensorSettings(board_temperature=True)
-    assert not ledger.take(is_maybe_indoors(constant, US1976, board))
-    assert list(ledger) == []
+    found, ledger = adjust(truth, constant)
+    (entry,) = [e for e in ledger if e.code == "AIR-ISOTHERMAL"]
+    assert entry.kind is Kind.WARNING
+    assert sigmas(truth, found, 600.0) < 2.0
+    _, ledger = adjust(truth, samples)
+    assert "AIR-ISOTHERMAL" not in [e.code for e in ledger]
+    # One that is stated to sit on a board needs no warning.
+    made = estimate(constant, background(truth), settings=SensorSettings(board_temperature=True))
+    assert maybe_in_a_bay(made, constant) == ()
 
 
 @pytest.mark.parametrize("tau_s", [300.0, 900.0, 3000.0])

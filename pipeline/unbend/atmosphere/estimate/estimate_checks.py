@@ -201,7 +201,7 @@ def is_better_than_background(
     every other bin of thermometer and barometer, about their median. Consistent readings do, even
     if all of them have the same error; unrelated noise does not."""
     measured = made.readings
-    layout = layout_of(measured, background)
+    layout = made.layout
     prior = prior_of(layout, background, moisture)
     used, held_out = list(measured.sets), []
     for i, readings in enumerate(measured.sets):

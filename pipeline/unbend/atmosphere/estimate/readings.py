@@ -13,6 +13,7 @@ import numpy as np
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples, climb_of
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import external_readings, sensors
+from unbend.atmosphere.estimate.hypotheses import RARE_FAULTS, RareFault
 from unbend.atmosphere.estimate.sensors import Readings, SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.state import TOP_M, Departure, Drift, Fault, SensorFault
 from unbend.atmosphere.profile import Profile
@@ -72,8 +73,8 @@ _OwnReadings = tuple[list[Readings], list[Fault], list[Drift], dict[str, Reasons
 
 @dataclass(frozen=True, eq=False)
 class FlightReadings:
-    """Everything that was measured, from ``low`` to ``high`` [m'], and the faults it may have;
-    ``rejected`` says of each sensor why samples are not used, outliers too."""
+    """Everything that was measured, from ``low`` to ``high`` [m'], and the faults it may have, the
+    ``rare`` ones too; ``rejected`` says of each sensor why samples are not used, outliers too."""
 
     sets: tuple[Readings, ...]
     faults: tuple[Fault, ...]
@@ -81,6 +82,7 @@ class FlightReadings:
     low: float
     high: float
     rejected: Mapping[str, Reasons] = field(default_factory=dict)
+    rare: tuple[RareFault, ...] = ()
 
 
 def collect_readings(
@@ -118,10 +120,8 @@ def collect_readings(
     faults = []
     for fault in expected:
         known = settings.calibration.get(fault.name, SensorCalibration())
-        ordinary = settings.usual_errors_only or known.sigma is not None
-        usual = fault.ordinary if ordinary else fault
         mean = fault.mean if known.mean is None else known.mean
-        faults.append(replace(usual, mean=mean, sigma=known.sigma_or(usual.sigma)))
+        faults.append(replace(fault, mean=mean, sigma=known.sigma_or(fault.sigma)))
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
     at_sea_level = sensors.Pressures("climatology", at_sea, log_pressure, level, robust=False)
@@ -129,7 +129,23 @@ def collect_readings(
     humid = external_readings.humidity_drifts(soundings, background, flight)
     span = float(heights.min()), float(heights.max())
     every = at_sea_level, *external, *sets
-    return FlightReadings(every, tuple(faults), (*drifts, *departures, *humid), *span, rejected)
+    every_drift = (*drifts, *departures, *humid)
+    rare = _rare_faults(faults, settings)
+    return FlightReadings(every, tuple(faults), every_drift, *span, rejected, rare)
+
+
+def _rare_faults(faults: Sequence[Fault], settings: SensorSettings) -> tuple[RareFault, ...]:
+    """The rare faults that the sensors of a flight may have: of none that is stated to be small,
+    and of no thermometer that is stated to sit on a board."""
+    if settings.usual_errors_only:
+        return ()
+    possible = {fault.name for fault in faults}
+    for name, known in settings.calibration.items():
+        if known.sigma is not None:
+            possible.discard(name)
+    if settings.board_temperature:
+        possible.discard(SensorFault.BAY_SHARE)
+    return tuple(rare for rare in RARE_FAULTS if rare.faults.keys() <= possible)
 
 
 def _sensor_readings(
@@ -168,7 +184,7 @@ def _sensor_readings(
         climbing = instruments.get("pressure", sensor)
         rejected["temperature"], warm = _thermometer(sensor, samples, climbing, binning)
         sets.append(warm)
-        board = settings.board_temperature or settings.maybe_indoors
+        board = settings.board_temperature
         bias = replace(sensors.THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
         faults += [bias, *sensors.THERMOMETER_FAULTS[1:]]
         faults += [] if warm.heating is None else [sensors.RECOVERY_FACTOR]
@@ -278,9 +294,13 @@ def _thermometer(
     last = np.maximum(np.searchsorted(takeoffs, bins.seconds, side="right") - 1, 0)
     since_s = np.maximum(bins.seconds - takeoffs[last], 0.0)
     heating = None if speed is None else sensors.heating_of(speed, profile.pressure(h), value)
+    rise = heights.at(bins.seconds + 5.0) - heights.at(bins.seconds - 5.0)
+    climbing_up = np.where(rise > 10.0 * CLIMBING_M_S, 1.0, 0.0)
     of_bins = bins.height, value, np.hypot(bins.sigma, AIR_NOISE_K), bins.seconds
     reasons = binning.reasons(sensor, bins)
-    return reasons, sensors.Thermometer(sensor.name, *of_bins, since_s, heights, heating)
+    return reasons, sensors.Thermometer(
+        sensor.name, *of_bins, since_s, heights, climbing_up, heating
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,8 @@ class SensorFault(StrEnum):
     THERMOMETER_LAG = "thermometer_lag"
     RECOVERY_FACTOR = "recovery_factor"
     THERMOMETER_DRIFT = "thermometer_drift"
+    BAY_SHARE = "bay_share"
+    CLIMB_WARMTH = "climb_warmth"
     PRESSURE_OFFSET = "pressure_offset"
     PRESSURE_SCALE = "pressure_scale"
     GNSS_HEIGHT_OFFSET = "gnss_height_offset"
@@ -49,47 +51,13 @@ class SensorFault(StrEnum):
 
 @dataclass(frozen=True)
 class Fault:
-    """A sensor fault that is one number: its prior mean, sigma, and its limits.
-
-    Where it is ``rare``, as a share, that a sensor has it at all, the others have one of sigma
-    ``usual``.
-    """
+    """A sensor fault that is one number: its prior mean, sigma, and its limits."""
 
     name: SensorFault
     mean: float
     sigma: float
     low: float = -np.inf
     high: float = np.inf
-    rare: float = 1.0
-    usual: float = 0.0
-
-    @property
-    def prior_sigma(self) -> float:
-        """Of all sensors, those that have the fault and the others."""
-        return float(np.sqrt(self.rare * self.sigma**2 + (1.0 - self.rare) * self.usual**2))
-
-    @property
-    def ordinary(self) -> "Fault":
-        """The same of a sensor that has not what is rare."""
-        return replace(self, sigma=self.usual, rare=1.0) if self.rare < 1.0 else self
-
-    def mixed(self, value: float, variance: float) -> tuple[float, float]:
-        """Mean and variance where the estimate of one that has it is ``value``, ``variance``.
-
-        The posterior of a prior that is a mixture of two normal distributions about ``mean`` is one
-        of two, whose weights are the marginal likelihoods of the estimate.
-        """
-        precision = max(1.0 / variance - 1.0 / self.sigma**2, 1e-12 / self.sigma**2)
-        departure = (value - self.mean) / variance / precision
-        sigmas = np.array([self.sigma, self.usual])
-        spread = sigmas**2 + 1.0 / precision
-        weight = np.array([self.rare, 1.0 - self.rare]) * np.exp(-0.5 * departure**2 / spread)
-        weight /= np.sqrt(spread)
-        weight /= weight.sum()
-        means = departure * sigmas**2 / spread
-        mean = float(weight @ means)
-        own = sigmas**2 / (precision * spread)
-        return self.mean + mean, float(weight @ (own + (means - mean) ** 2))
 
 
 @dataclass(frozen=True, eq=False)

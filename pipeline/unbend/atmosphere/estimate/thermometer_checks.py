@@ -10,6 +10,7 @@ from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import messages
 from unbend.atmosphere.estimate.estimate_checks import MISFIT, PASSED, Check, is_plausible
+from unbend.atmosphere.estimate.hypotheses import IN_A_BAY, LIKELY
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensor_checks import LOST_SIGMAS
 from unbend.atmosphere.estimate.sensors import Barometer, SensorSettings, Thermometer
@@ -54,10 +55,8 @@ def thermometer_is_outside(
     temperature, pressure = samples.temperature, samples.pressure
     if temperature is None or pressure is None or settings.board_temperature:
         return PASSED
-    indoors, settings = settings.maybe_indoors, replace(settings, maybe_indoors=False)
     flown = collect_readings(samples, background, settings)
-    ordinary = tuple(fault.ordinary for fault in flown.faults)
-    layout = layout_of(replace(flown, faults=ordinary), background)
+    layout = layout_of(flown, background)
     others = [readings for readings in flown.sets if not isinstance(readings, Thermometer)]
     prior = prior_of(layout, background, moisture or background)
     without = solve(layout, prior, others, background.profile)
@@ -67,7 +66,8 @@ def thermometer_is_outside(
         return check
     expected = replace(settings, usual_errors_only=True)
     estimate_of = partial(estimate, background=background, settings=expected, moisture=moisture)
-    drifted = indoors or max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
+    drifted = max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
+    drifted |= made.chances.get(IN_A_BAY.name, 0.0) > LIKELY
     if drifted or _inflated_sigma_k(made) > MISFIT_K:
         # The flight until half an hour after its thermometer's first accepted reading.
         until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
