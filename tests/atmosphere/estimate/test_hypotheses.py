@@ -96,13 +96,13 @@ def test_hypotheses_share_the_probability_and_give_the_sigma_before_the_flight()
         Fault(SensorFault.THERMOMETER_BIAS, 1.0, 3.0),
     )
     every = hypotheses_of(Layout(np.empty(0), np.empty(0), 0.0, faults, ()), (IN_A_BAY,))
-    assert [hypothesis.share for hypothesis in every] == pytest.approx([0.9, 0.1])
+    assert [hypothesis.share for hypothesis in every] == pytest.approx([0.8, 0.2])
     usual, rare = (hypothesis.layout.faults for hypothesis in every)
     assert usual == faults
     assert [(fault.mean, fault.sigma) for fault in rare] == [(0.5, 0.3), (1.0, 6.0)]
     sigma = prior_sigmas(every)
-    assert sigma[SensorFault.BAY_SHARE] == pytest.approx(np.sqrt(0.1 * (0.3**2 + 0.5**2)), 1e-3)
-    assert sigma[SensorFault.THERMOMETER_BIAS] == pytest.approx(np.sqrt(0.9 * 9.0 + 0.1 * 36.0))
+    assert sigma[SensorFault.BAY_SHARE] == pytest.approx(np.sqrt(0.2 * (0.3**2 + 0.5**2)), 1e-3)
+    assert sigma[SensorFault.THERMOMETER_BIAS] == pytest.approx(np.sqrt(0.8 * 9.0 + 0.2 * 36.0))
 
 
 # What it says of flights
@@ -141,7 +141,7 @@ def with_temperatures(samples, value):
     return replace(samples, temperature=replace(samples.temperature, value=value))
 
 
-@pytest.mark.parametrize("share", [0.2, 0.45, 0.7])
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.6])
 @pytest.mark.parametrize("climb", [800.0, 1500.0])
 def test_a_thermometer_partly_in_the_outside_air_is_in_the_sigma(flights, airs, share, climb):
     """T = 294 K - f (294 K - T_out): R erred by 10 to 23 % at 2 %, 4 to 12 sigma."""
@@ -150,7 +150,7 @@ def test_a_thermometer_partly_in_the_outside_air_is_in_the_sigma(flights, airs, 
         samples = flights.fly(truth, climb, flights.drawn(rng), rng, humidity="none", rate=2.5)
         inside = 294.0 - share * (294.0 - samples.temperature.value)
         air, ledger = adjust(truth, with_temperatures(samples, inside))
-        assert is_told(ledger) or sigmas(truth, air, climb) < 3.0, (truth.name, share)
+        assert is_told(ledger) or sigmas(truth, air, climb) < 4.0, (truth.name, share)
 
 
 @pytest.mark.parametrize("warmer_k", [1.0, 3.0])

@@ -24,6 +24,7 @@ from unbend.units import Array
 
 USUAL = "usual sensors"
 
+NOT_IMPROBABLE = 0.05  # a hypothesis with less chance excuses no misfit
 LIKELY = 0.5  # a rare fault that is more probable than this is reported
 
 
@@ -48,7 +49,7 @@ LOST_PRESSURE = RareFault(
 
 IN_A_BAY = RareFault(
     "a thermometer in a bay",
-    0.1,
+    0.2,
     {SensorFault.BAY_SHARE: (0.5, 0.3), SensorFault.THERMOMETER_BIAS: (0.0, 6.0)},
     {SensorFault.THERMOMETER_DRIFT: 1.0},
 )
@@ -137,6 +138,13 @@ def probabilities(solved: Sequence[Evidence], sets: Sequence[Readings]) -> NDArr
     )
     chances = np.exp(logs - logs.max())
     return np.asarray(chances / chances.sum())
+
+
+def best_fitting(solved: Sequence[Evidence], chances: Array) -> int:
+    """Which hypothesis fits best, by the least inflation, of those that are not improbable: what
+    none of them explains is a contradiction of the sensors."""
+    possible = [i for i, chance in enumerate(chances) if chance >= NOT_IMPROBABLE]
+    return min(possible, key=lambda i: (solved[i].log_sigma, -chances[i]))
 
 
 def _log_likelihood(

@@ -513,6 +513,14 @@ def thermometer_not_as_predicted(*, reads: str, departure_k: float, limit_k: flo
     )
 
 
+def thermometer_in_a_bay(*, percent: float) -> str:
+    """Why a thermometer is not outside: all its readings are more probable in a bay."""
+    return (
+        f"it is with a probability of {percent:.1f} % only partly in the air outside, or indoors "
+        "(log.channels.temperature)"
+    )
+
+
 def thermometer_contradicts_barometer(
     *, minutes: float, barometer: str, kelvin: float, limit_k: float
 ) -> str:

@@ -167,7 +167,8 @@ def _sensor_readings(
     if (sensor := instruments.get("pressure")) is not None:
         with np.errstate(invalid="ignore", divide="ignore"):
             departure = np.log(sensor.value) - np.log(profile.pressure(sensor.h_m))
-        bins = binning.bins(sensor, departure, LEAST_SCATTER_LOG_P)
+            step = resolution_of(sensor) / sensor.value
+        bins = binning.bins(sensor, departure, LEAST_SCATTER_LOG_P, step)
         rejected["pressure"] = binning.reasons(sensor, bins)
         value = bins.value + np.log(profile.pressure(profile.gravity.height(bins.height)))
         speed = binning.airspeed_at(bins.seconds, samples.airspeed)
@@ -196,7 +197,7 @@ def _sensor_readings(
         drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, drift, 900.0, sun, scales))
     if (sensor := instruments.get("humidity")) is not None:
         high_bins = replace(binning, width_m=2.0 * binning.width_m)
-        bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH)
+        bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH, resolution_of(sensor))
         fault, sigma = sensors.HYGROMETER_BIAS, np.hypot(bins.sigma, AIR_NOISE_RH)
         sets.append(
             sensors.Humidities(sensor.name, bins.height, bins.value, sigma, fault=fault.name)
@@ -247,11 +248,19 @@ class _Binning:
         width = max(SHALLOW_BIN_M if extent < SHALLOW_M else BIN_M, climbed / MOST_BINS)
         return cls(profile, start_ns, width, max(SLICE_S, duration_s / MOST_SLICES))
 
-    def bins(self, sensor: SensorSamples, departure: Array, floor: float) -> Bins:
-        """Means of a departure from the profile that is averaged about."""
+    def bins(
+        self, sensor: SensorSamples, departure: Array, floor: float, step: Array | float
+    ) -> Bins:
+        """Means of a departure from the profile that is averaged about; ``step`` of the sensor."""
         height = self.profile.gravity.geopotential_height(sensor.h_m)
         rows = _seconds(sensor, self.start_ns), height, departure, _usable(sensor, self.profile)
-        return bin_readings(*rows, width=self.width_m, slice_s=self.slice_s, floor=floor)
+        return bin_readings(
+            *rows,
+            width=self.width_m,
+            slice_s=self.slice_s,
+            floor=floor,
+            digits=Digits(sensor.value, step),
+        )
 
     def reasons(self, sensor: SensorSamples, bins: Bins) -> Reasons:
         """(n,) why samples of a sensor are not in its bins."""
@@ -284,7 +293,8 @@ def _thermometer(
     else:
         takeoffs = (samples.takeoff_ns - start_ns) * 1e-9
         takeoffs = takeoffs if takeoffs.size else np.array([LONG_AGO_S])
-    bins = binning.bins(sensor, sensor.value - profile.temperature(sensor.h_m), LEAST_SCATTER_K)
+    departure = sensor.value - profile.temperature(sensor.h_m)
+    bins = binning.bins(sensor, departure, LEAST_SCATTER_K, resolution_of(sensor))
     h = profile.gravity.height(bins.height)
     value = bins.value + profile.temperature(h)
     speed = binning.airspeed_at(bins.seconds, samples.airspeed)
@@ -319,6 +329,25 @@ class Bins:
     rejected: Mask
 
 
+@dataclass(frozen=True, eq=False)
+class Digits:
+    """The readings (n,) as a sensor gave them, and the ``step`` between two that it can tell apart,
+    in the unit of the departures that are averaged."""
+
+    reading: Array
+    step: Array | float
+
+    def sigma(self, use: Rows, bin_of: Rows) -> Array:
+        """(m,) sigma of a reading for its last digit, in each bin of the rows in ``use``."""
+        of_rows = np.broadcast_to(self.step, self.reading.shape)[use] / np.sqrt(12.0)
+        return np.bincount(bin_of, of_rows) / np.bincount(bin_of)
+
+    def different(self, use: Rows, bin_of: Rows) -> Array:
+        """(m,) how many different readings each bin has."""
+        pairs = np.unique(np.stack([bin_of, self.reading[use]]), axis=1)
+        return np.bincount(pairs[0].astype(np.int64))
+
+
 def bin_readings(
     seconds: Array,
     height: Array,
@@ -328,6 +357,7 @@ def bin_readings(
     width: float,
     slice_s: float,
     floor: float,
+    digits: Digits | None = None,
 ) -> Bins:
     """Means without outliers, of readings alike in height, direction and time.
 
@@ -335,7 +365,8 @@ def bin_readings(
     unit, best as a departure from something that follows the height. ``accepted``: (n,) readings
     to use. ``width``, ``slice_s``: of a bin, in height [m'] and in time [s]. ``floor``: smallest
     scatter that is assumed. Scatter is 1.4826 times the median absolute deviation, that of the
-    sensor or of the bin, whichever is larger.
+    sensor or of the bin, whichever is larger. The last of the ``digits`` that were read is
+    off by as much in all readings that are the same, so that only different ones average it.
     """
     # +1 climbing, 0 level, -1 descending: by the change of height over ten seconds.
     rate = climb_of(seconds, height) / 10.0
@@ -355,7 +386,8 @@ def bin_readings(
     spread = 1.4826 * _medians(bin_of, deviation, size)
     several = size >= 5
     common = max(floor, float(np.median(spread[several])) if several.any() else floor)
-    scatter = np.maximum(spread, common)
+    of_digit = np.zeros(size.size) if digits is None else digits.sigma(use, bin_of)
+    scatter = np.hypot(np.maximum(spread, common), of_digit)
     bad = deviation > OUTLIER_SIGMA * scatter[bin_of]
     rejected[use[bad]] = True
     good = (~bad).astype(np.float64)
@@ -367,8 +399,25 @@ def bin_readings(
     middle = mean(seconds[use])
     lasted = np.sqrt(12.0 * mean((seconds[use] - middle[bin_of]) ** 2))
     independent = np.minimum(count, 1.0 + lasted / CORRELATED_S)
-    sigma, number = scatter / np.sqrt(independent), count.astype(np.int64)
+    sigma = scatter / np.sqrt(independent)
+    if digits is not None:
+        sigma = np.hypot(sigma, of_digit / digits.different(use, bin_of))
+    number = count.astype(np.int64)
     return Bins(middle, mean(height[use]), mean(reading), sigma, number, rejected)
+
+
+def resolution_of(sensor: SensorSamples) -> float:
+    """The smallest step between readings of a sensor that differ, to a hundredth of their unit.
+
+    >>> whole = np.array([101_300.0, 101_200.0, 101_200.0, 100_900.0])
+    >>> resolution_of(SensorSamples(np.arange(4), np.arange(4.0), whole))
+    100.0
+    """
+    _, value = sensor.used()
+    distinct = np.unique(np.round(value, 2))
+    if distinct.size < 2:
+        return 0.0
+    return float(np.diff(distinct).min())
 
 
 def _medians(bin_of: Rows, value: Array, size: Integers) -> Array:

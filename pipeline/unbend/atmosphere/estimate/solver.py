@@ -82,7 +82,7 @@ class Estimate:
     ``background_sigma_k`` (k,) prior sigma of temperature at the knots; ``state`` the solution
     itself, and ``converged`` whether temperatures moved by less than 2 mK in the last step;
     ``drift_scales`` the sigma of each drift over the expected one, by the residuals; ``layout``
-    that of the likeliest hypothesis, and ``chances`` how probable each is, by its name.
+    that of the hypothesis that fits best, and ``chances`` how probable each is, by its name.
     """
 
     profile: Profile
@@ -112,10 +112,14 @@ class Solution:
     prior: Prior
     weights: tuple[Array, ...]
 
+    @property
+    def log_inflation(self) -> float:
+        """Sum of ln of the factors by which the sigmas of its readings were multiplied."""
+        return float(sum(fit.count * np.log(fit.sigma_inflation) for fit in self.fits))
+
     def evidence(self, share: float) -> Evidence:
         """What it says for its hypothesis, whose ``share`` is its probability beforehand."""
-        inflated = sum(fit.count * np.log(fit.sigma_inflation) for fit in self.fits)
-        return Evidence(share, self.air, self.prior, self.weights, float(inflated))
+        return Evidence(share, self.air, self.prior, self.weights, self.log_inflation)
 
     def profile(self, background: Profile) -> tuple[Profile, ProfileCovariance]:
         """The layers of the state, and the covariance of what defines them: T_M, ln p, e/p."""
@@ -183,11 +187,11 @@ def estimate(
         for hypothesis, solution in zip(every, solutions, strict=True)
     ]
     chances = hypotheses.probabilities(evidence, readings.sets)
-    likeliest = int(np.argmax(chances))
-    solution = _mixture(solutions, chances, likeliest, background.profile)
+    fitting = hypotheses.best_fitting(evidence, chances)
+    solution = _mixture(solutions, chances, fitting, background.profile)
     sigma = np.sqrt(np.diag(solution.covariance))
     prior_sigma = hypotheses.prior_sigmas(every)
-    layout = every[likeliest].layout
+    layout = every[fitting].layout
     estimated = tuple(
         FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), prior_sigma[fault.name])
         for i, fault in enumerate(layout.faults, layout.level + 1)
@@ -207,11 +211,11 @@ def estimate(
 
 
 def _mixture(
-    solutions: Sequence[Solution], chances: Array, likeliest: int, background: Profile
+    solutions: Sequence[Solution], chances: Array, fitting: int, background: Profile
 ) -> Solution:
-    """The solution of all hypotheses together: that of the likeliest, with the mean and covariance
+    """The solution of all hypotheses together: that which fits best, with the mean and covariance
     of the mixture."""
-    solution = solutions[likeliest]
+    solution = solutions[fitting]
     if len(solutions) == 1:
         return solution
     layout = solution.air.layout

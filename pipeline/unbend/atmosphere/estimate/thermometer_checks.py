@@ -10,7 +10,7 @@ from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import messages
 from unbend.atmosphere.estimate.estimate_checks import MISFIT, PASSED, Check, is_plausible
-from unbend.atmosphere.estimate.hypotheses import IN_A_BAY, LIKELY
+from unbend.atmosphere.estimate.hypotheses import IN_A_BAY
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensor_checks import LOST_SIGMAS
 from unbend.atmosphere.estimate.sensors import Barometer, SensorSettings, Thermometer
@@ -25,6 +25,8 @@ too: the sun on its probe comes to 0.9 K."""
 LARGEST_BIAS_K, LARGEST_CHANGE_K, COMPARED_SIGMAS = 8.0, 3.5, 3.5
 """A thermometer against what the barometer implies, in the mean and in its change from the lower to
 the upper half: more, beside so many sigmas of the comparison, is a wrong sensor."""
+
+CERTAIN_CHANCE = 0.99  # of being in a bay or indoors, above which a thermometer is not used
 
 LARGE_DRIFT = 1.25
 """A drift that the residuals make so many times as large as expected may hide a wrong sensor."""
@@ -45,14 +47,17 @@ def thermometer_is_outside(
 ) -> Check:
     """Whether the thermometer of a flight with a barometer (``made``: with both) can be outside.
 
-    Not passed where its readings, in the mean or in their change with height, are not those that
-    the estimate without them predicts, though the barometer is not seen to lose pressure; where
-    within half an hour no air that the barometer allows has them; or where the barometer differs
-    from any air that the thermometer allows, and fits plausible air of its own. All without
-    soundings and stations; the last two with drifts of the expected size, since a large one could
-    hide any contradiction.
+    Not passed where it is surely in a bay. Nor where its readings, in the mean or in their change
+    with height, are not those that the estimate without them predicts, though the barometer is not
+    seen to lose pressure; where within half an hour no air that the barometer allows has them; or
+    where the barometer differs from any air that the thermometer allows, and fits plausible air of
+    its own. All without soundings and stations; the last two with drifts of the expected size,
+    since a large one could hide any contradiction.
     """
     temperature, pressure = samples.temperature, samples.pressure
+    chance = made.chances.get(IN_A_BAY.name, 0.0)
+    if temperature is not None and chance > CERTAIN_CHANCE:
+        return Check(messages.thermometer_in_a_bay(percent=100.0 * chance))
     if temperature is None or pressure is None or settings.board_temperature:
         return PASSED
     flown = collect_readings(samples, background, settings)
@@ -67,7 +72,6 @@ def thermometer_is_outside(
     expected = replace(settings, usual_errors_only=True)
     estimate_of = partial(estimate, background=background, settings=expected, moisture=moisture)
     drifted = max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
-    drifted |= made.chances.get(IN_A_BAY.name, 0.0) > LIKELY
     if drifted or _inflated_sigma_k(made) > MISFIT_K:
         # The flight until half an hour after its thermometer's first accepted reading.
         until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
