@@ -1,6 +1,6 @@
 """Fits the structure function of the air to public ascents: `atmosphere/data/air_variation.toml`.
 
-    python benchmarks/fit_air.py [--half] [FOLDER] > air_variation.toml
+    python benchmarks/fit_air.py [--half 0|1] [FOLDER] > air_variation.toml
 
 (into pipeline/unbend/atmosphere/data).
 
@@ -11,7 +11,7 @@ the parts of `unbend.atmosphere.air_variation`, so that their sum has the second
 * the changes in 12 to 240 hours over one station, without their mean,
 * the differences between stations of one hour, 340 to 2700 km apart.
 
-``--half`` leaves out the ascents that `judge_air.py` judges.
+``--half`` fits one half of the ascents, so that `judge_air.py --half` judges by the other.
 """
 
 from __future__ import annotations
@@ -56,6 +56,7 @@ CLIMATE_MEMORY_H = 1000.0  # what a place has beside its climatology stays for w
 STRATOSPHERE_M, STRATOSPHERE_K = (18_000.0, 22_000.0), (3.0, 5.0)
 """Above the ascents: judgement, it weighs little in R."""
 GROUP_WEIGHT = 30.0  # pairs of one lag or distance share ascents: they count as so many at most
+NEAR_WEIGHT = 6.0  # of the nearest stations, since flights and their sources are nearer still
 FEWEST = 8  # ascents, or pairs, that have moments
 DAY_HOURS = (8.0, 20.0)
 
@@ -217,8 +218,8 @@ def observed(departures: Departures) -> list[Moments]:
         if first.size >= FEWEST:
             changes = kelvin[america[first]] - kelvin[america[other]]
             share = float(mixed[america].mean())
-            weight = min(float(first.size), 2.0 * GROUP_WEIGHT)
             at = float(km[first, other].mean())
+            weight = GROUP_WEIGHT * (NEAR_WEIGHT if high == DISTANCES_KM[1] else 1.0)
             moments.append(moments_of(changes, weight, share, km=at))
     return moments
 
@@ -230,7 +231,7 @@ START = np.concatenate([
     [5.0, 4.5, 3.0, 2.3, 2.0, 2.0, 2.0],  # climate [K] at CLIMATE_NODE_M
     np.log([1500.0]),  # length of layers [m]
     np.log([100.0, 32.0, 8.0, 11.0]),  # memory of waves, layers, ground, fine [h]
-    np.log([2500.0, 1500.0, 1500.0, 150.0, 300.0]),  # reach, with climate before ground [km]
+    np.log([3500.0, 2000.0, 1500.0, 150.0, 300.0]),  # reach, with climate before ground [km]
     np.log([0.7]),  # factor of layers and fine structure in mixed air
 ])  # fmt: skip
 EXPECTED = np.concatenate([
@@ -372,11 +373,11 @@ def main() -> None:
     """Read, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)
-    parser.add_argument("--half", action="store_true", help="without the ascents that are judged")
+    parser.add_argument("--half", type=int, choices=(0, 1), help="fit this half of the ascents")
     arguments = parser.parse_args()
     ascents = read_ascents(arguments.folder)
-    if arguments.half:
-        ascents = [ascent for ascent in ascents if not ascent.is_judged()]
+    if arguments.half is not None:
+        ascents = [ascent for ascent in ascents if ascent.half == arguments.half]
     departures = Departures(ascents)
     daily = daily_tables(departures, land_share(ascents))
     moments = observed(departures)

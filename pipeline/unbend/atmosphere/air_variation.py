@@ -184,7 +184,7 @@ def tropopause_m(latitude_rad: float, month: float) -> float:
     """The usual height of the tropopause above sea level [m], to some 500 m.
 
     >>> round(tropopause_m(0.8, 7.0))
-    12493
+    12566
     """
     degrees = abs(latitude_rad) / DEGREE
     mean = float(np.interp(degrees, _TROPOPAUSE_DEG, _TROPOPAUSE_M))
