@@ -78,14 +78,15 @@ class Ascent:
         chord = math.sin(north) ** 2 + squeezed * math.sin(east) ** 2
         return 2.0 * _EARTH_KM * math.asin(math.sqrt(chord))
 
-    def is_judged(self) -> bool:
-        """Whether it belongs to the half that judges: blocks of days, by place."""
+    @property
+    def half(self) -> int:
+        """0 or 1, by blocks of days and by place: one half is fitted, the other judges."""
         days = self.time_ns // (86_400 * 10**9)
         block = days // _BLOCK_DAYS
         place = round(math.degrees(self.latitude_rad) * 20) + round(
             math.degrees(self.longitude_rad) * 20
         )
-        return bool((block + place) % 2)
+        return int((block + place) % 2)
 
     def mean_gradient(self, climb_m: float, air=None) -> float:
         """R / tan(zeta) in the plane from a camera so high above the lowest level to that level:

@@ -1,6 +1,6 @@
 """Fits the structure function of the air to public ascents: `atmosphere/data/air_variation.toml`.
 
-    python benchmarks/fit_air.py [--half] [FOLDER] > air_variation.toml
+    python benchmarks/fit_air.py [--half 0|1] [FOLDER] > air_variation.toml
 
 (into pipeline/unbend/atmosphere/data).
 
@@ -11,7 +11,7 @@ the parts of `unbend.atmosphere.air_variation`, so that their sum has the second
 * the changes in 12 to 240 hours over one station, without their mean,
 * the differences between stations of one hour, 340 to 2700 km apart.
 
-``--half`` leaves out the ascents that `judge_air.py` judges.
+``--half`` fits one half of the ascents, so that `judge_air.py --half` judges by the other.
 """
 
 from __future__ import annotations
@@ -56,6 +56,7 @@ CLIMATE_MEMORY_H = 1000.0  # what a place has beside its climatology stays for w
 STRATOSPHERE_M, STRATOSPHERE_K = (18_000.0, 22_000.0), (3.0, 5.0)
 """Above the ascents: judgement, it weighs little in R."""
 GROUP_WEIGHT = 30.0  # pairs of one lag or distance share ascents: they count as so many at most
+NEAR_WEIGHT = 6.0  # of the nearest stations, since flights and their sources are nearer still
 FEWEST = 8  # ascents, or pairs, that have moments
 DAY_HOURS = (8.0, 20.0)
 
@@ -66,7 +67,6 @@ FINE_SHARES = {
     "smooth": np.array([0.0, 0.67, 0.67, 0.67, 0.67]),
 }
 FINE_K = np.array([2.0, 2.0, 2.0, 2.0, 0.8])
-MIXED_NODES = np.array([1.0, 1.0, 1.0, 0.0, 0.0])  # inversions stay at the top of mixed air
 """Fine structure: its amplitude at `FINE_NODE_M` in stable air, and how it is shared between a part
 with kinks, all of it at the ground and 0.55 of the variance from 300 m on, and one without, from
 nine ascents with all their levels (docs/decisions.md)."""
@@ -77,12 +77,12 @@ FUNCTIONAL_WEIGHT = 2.0  # of logarithms of variances of R and T, beside a row o
 @dataclass
 class Moments:
     """Second moments (n, n) of departures, or of changes in hours and over a distance; ``r`` (c,)
-    those of R at `CLIMBS_M` [%2]; ``mixed`` (n,) as of `air_variation.mixed_share`, the mean."""
+    those of R at `CLIMBS_M` [%2]; ``mixed`` the mean of `air_variation.mixed_share`."""
 
     matrix: np.ndarray
     r: np.ndarray
     weight: float
-    mixed: np.ndarray
+    mixed: float
     hours: float = 0.0
     km: float = 0.0
     is_change: bool = True
@@ -170,7 +170,7 @@ R_BY_TEMPERATURE = r_by_temperature()
 
 
 def moments_of(
-    values: list[np.ndarray] | np.ndarray, weight: float, mixed: np.ndarray, **how
+    values: list[np.ndarray] | np.ndarray, weight: float, mixed: float, **how
 ) -> Moments:
     """Second moments of departures or changes (m, n)."""
     values = np.asarray(values)
@@ -185,9 +185,7 @@ def observed(departures: Departures) -> list[Moments]:
     groups = departures.groups
     hours = np.array([ascent.time_ns / 3.6e12 for ascent in ascents])
     by_day = np.array([DAY_HOURS[0] < ascent.solar_hour < DAY_HOURS[1] for ascent in ascents])
-    mixed = np.array(
-        [mixed_share(a.latitude_rad, a.month, a.solar_hour, HEIGHT_M) for a in ascents]
-    )
+    mixed = np.array([mixed_share(a.latitude_rad, a.month, a.solar_hour) for a in ascents])
     degrees = np.array([abs(math.degrees(ascent.latitude_rad)) for ascent in ascents])
     middle = degrees > MIDDLE_LATITUDES_DEG
     kelvin = kelvin / np.array([weather_share(ascent.latitude_rad) for ascent in ascents])[:, None]
@@ -196,7 +194,7 @@ def observed(departures: Departures) -> list[Moments]:
         for at_day in (True, False):
             chosen = middle & (groups == group) & (by_day == at_day)
             if chosen.sum() >= FEWEST:
-                weight, share = GROUP_WEIGHT, mixed[chosen].mean(axis=0)
+                weight, share = GROUP_WEIGHT, float(mixed[chosen].mean())
                 moments.append(moments_of(kelvin[chosen], weight, share, is_change=False))
     place = np.array([(a.latitude_rad, a.longitude_rad) for a in ascents])
     pairs: dict[tuple[float, bool, bool], list[tuple[int, int]]] = {}
@@ -210,7 +208,7 @@ def observed(departures: Departures) -> list[Moments]:
     for (lag, _, _), of_lag in pairs.items():
         if len(of_lag) >= FEWEST:
             first, later = np.array(of_lag).T
-            share = np.mean(0.5 * (mixed[first] + mixed[later]), axis=0)
+            share = float(np.mean(0.5 * (mixed[first] + mixed[later])))
             weight = min(float(len(of_lag)), GROUP_WEIGHT)
             moments.append(moments_of(kelvin[later] - kelvin[first], weight, share, hours=lag))
     america = np.flatnonzero(np.char.startswith(groups, "n_america"))
@@ -219,9 +217,9 @@ def observed(departures: Departures) -> list[Moments]:
         first, other = np.nonzero(np.triu((km > low) & (km <= high), 1))
         if first.size >= FEWEST:
             changes = kelvin[america[first]] - kelvin[america[other]]
-            share = mixed[america].mean(axis=0)
-            weight = min(float(first.size), 2.0 * GROUP_WEIGHT)
+            share = float(mixed[america].mean())
             at = float(km[first, other].mean())
+            weight = GROUP_WEIGHT * (NEAR_WEIGHT if high == DISTANCES_KM[1] else 1.0)
             moments.append(moments_of(changes, weight, share, km=at))
     return moments
 
@@ -230,11 +228,11 @@ NAMES = ("waves", "layers", "climate", "ground")
 START = np.concatenate([
     [2.0, 3.0, 5.0, 5.5, 5.0, 1.5, -4.0, -4.5, -1.5],  # waves [K] at NODE_M
     [2.0, 3.0, 2.0, 2.0, 2.0, 3.0, 2.5, 2.0, 2.0],  # layers [K] at NODE_M
-    [7.0, 6.0, 3.5, 2.0, 2.0, 2.0, 2.0],  # climate [K] at CLIMATE_NODE_M
+    [5.0, 4.5, 3.0, 2.3, 2.0, 2.0, 2.0],  # climate [K] at CLIMATE_NODE_M
     np.log([1500.0]),  # length of layers [m]
-    np.log([100.0, 32.0, 8.0, 20.0]),  # memory of waves, layers, ground, fine [h]
-    np.log([2500.0, 1500.0, 1500.0, 150.0, 300.0]),  # reach, with climate before ground [km]
-    np.log([0.5]),  # factor of the fine structure in mixed air
+    np.log([100.0, 32.0, 8.0, 11.0]),  # memory of waves, layers, ground, fine [h]
+    np.log([3500.0, 2000.0, 1500.0, 150.0, 300.0]),  # reach, with climate before ground [km]
+    np.log([0.7]),  # factor of layers and fine structure in mixed air
 ])  # fmt: skip
 EXPECTED = np.concatenate([
     np.full(9, 2.0), np.full(9, 1.0), np.full(7, 1.5),
@@ -244,9 +242,14 @@ EXPECTED = np.concatenate([
 WAVES_LENGTH_M = 20_000.0  # one pattern from the ground to the stratosphere
 CLIMATE_LENGTH_M = 15_000.0
 LEAST_WAVES_K = 1.5  # at the ground: inversions there are of other parts
-LEAST_MIXED = 0.25  # of the fine structure stays in mixed air: thermals
+MIXED_BELOW_M = 1500.0  # inversions stay at the top of mixed air [m]
+LEAST_MIXED = 0.6
+"""Share of layers and fine structure that stays in mixed air at least. The ascents near hail alone
+would have 0.25, but moist air that is as warm cools less with height than theirs, and a
+thermometer's climb through it was then 1.8 sigma off, or refused."""
+LONGEST_FINE_H = 12.0  # memory of inversions: the day makes them, and ends them
 LEAST_K = 1.0  # amplitude of layers, also where no ascent shows any
-LEAST_CLIMATE_K = np.array([6.5, 5.8, 3.0, 1.8, 1.0, 1.0, 1.0])
+LEAST_CLIMATE_K = np.array([4.5, 4.0, 2.5, 2.3, 1.5, 1.5, 1.0])
 """What groups of ascents depart by together: R hardly sees it, stations at the ground do [K]."""
 
 
@@ -277,11 +280,12 @@ class Model:
             ),
             "ground": (GROUND_NODE_M, ground, WAVES_LENGTH_M, "smooth"),
         }
-        mixed_k = {}
+        mixed = float(np.exp(x[35]))
+        mixed_k = {"layers": x[9:18] * np.where(NODE_M < MIXED_BELOW_M, mixed, 1.0)}
         for name, fine_length in FINE_LENGTH_M.items():
             stable = FINE_K * FINE_SHARES[name]
             shapes[name] = (FINE_NODE_M, stable, fine_length, name)
-            mixed_k[name] = stable * np.exp(x[35] * MIXED_NODES)
+            mixed_k[name] = stable * np.where(FINE_NODE_M < MIXED_BELOW_M, mixed, 1.0)
         memory |= {"climate": CLIMATE_MEMORY_H, "kinked": memory["fine"], "smooth": memory["fine"]}
         reach |= {"kinked": reach["fine"], "smooth": reach["fine"]}
         return {
@@ -336,7 +340,9 @@ def fitted(moments: list[Moments]) -> Model:
     low[0] = LEAST_WAVES_K
     low[18:25] = LEAST_CLIMATE_K
     low[35] = math.log(LEAST_MIXED)
-    return Model(least_squares(residuals, START, bounds=(low, np.inf)).x)
+    high = np.full(START.size, np.inf)
+    high[29] = math.log(LONGEST_FINE_H)
+    return Model(least_squares(residuals, START, bounds=(low, high)).x)
 
 
 def print_toml(daily: np.ndarray, model: Model, count: int) -> None:
@@ -367,18 +373,18 @@ def main() -> None:
     """Read, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)
-    parser.add_argument("--half", action="store_true", help="without the ascents that are judged")
+    parser.add_argument("--half", type=int, choices=(0, 1), help="fit this half of the ascents")
     arguments = parser.parse_args()
     ascents = read_ascents(arguments.folder)
-    if arguments.half:
-        ascents = [ascent for ascent in ascents if not ascent.is_judged()]
+    if arguments.half is not None:
+        ascents = [ascent for ascent in ascents if ascent.half == arguments.half]
     departures = Departures(ascents)
     daily = daily_tables(departures, land_share(ascents))
     moments = observed(departures)
     model = fitted(moments)
     for moment, matrix in zip(moments, model.moments(moments), strict=True):
         r = np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
-        what = f"{moment.hours:.0f} h, {moment.km:.0f} km, {moment.mixed[0]:.1f} mixed"
+        what = f"{moment.hours:.0f} h, {moment.km:.0f} km, {moment.mixed:.1f} mixed"
         ratios = ", ".join(f"{ratio:.2f}" for ratio in np.sqrt(moment.r / r))
         kelvin = np.sqrt(np.diag(moment.matrix) / np.diag(matrix))[::4]
         of_t = ", ".join(f"{ratio:.2f}" for ratio in kelvin)

@@ -1,11 +1,12 @@
 """How true the sigmas of the air are: public ascents as truth, each source of the air by itself.
 
-    python benchmarks/judge_air.py [--all] [--every N] [FOLDER]
+    python benchmarks/judge_air.py [--half 0|1] [--every N] [FOLDER]
 
 Prints for each source and group the RMS of error over stated sigma of R at 45 degrees, and the
 share beyond 3 sigma, for cameras 1, 3, 6 and 10 km above the ground; and the error that is left by
-day without any source, beside that of US 1976. The ascents that `fit_air.py` fits are not judged,
-unless ``--all`` asks for it. ``--every`` takes one flight in N.
+day without any source, beside that of US 1976. ``--half`` judges by one half of the ascents: put
+what `fit_air.py --half` makes of the other into the package first. ``--every`` takes one flight in
+N.
 """
 
 from __future__ import annotations
@@ -107,10 +108,10 @@ def judged(truth: Ascent, source: str, soundings=(), surface=()) -> Judgement:
 
 
 def flights_and_sources(
-    ascents: list[Ascent], *, every: int, everything: bool
+    ascents: list[Ascent], *, every: int, half: int | None
 ) -> Iterator[tuple[Ascent, str, list[Sounding], list[SurfaceReport]]]:
     """Each judged ascent with what would be known of its air."""
-    flights = [ascent for ascent in ascents if everything or ascent.is_judged()]
+    flights = [ascent for ascent in ascents if half in (None, ascent.half)]
     for truth in flights[::every]:
         yield truth, "climatology", [], []
         yield truth, "METAR", [], [metar_of(truth)]
@@ -180,12 +181,12 @@ def main() -> None:
     """Read the ascents, judge, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)
-    parser.add_argument("--all", action="store_true", help="judge the fitted ascents too")
+    parser.add_argument("--half", type=int, choices=(0, 1), help="judge by this half only")
     parser.add_argument("--every", type=int, default=1, help="one flight in so many")
     arguments = parser.parse_args()
     ascents = read_ascents(arguments.folder)
     print_by_day(ascents)
-    cases = flights_and_sources(ascents, every=arguments.every, everything=arguments.all)
+    cases = flights_and_sources(ascents, every=arguments.every, half=arguments.half)
     print_sigmas([judged(*case) for case in cases])
 
 

@@ -46,8 +46,6 @@ _TROPOPAUSE_DEG = (20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
 _TROPOPAUSE_M = (16_500.0, 14_500.0, 12_500.0, 11_200.0, 10_000.0, 9_200.0)
 _HIGHER_IN_SUMMER_M = (0.0, 800.0, 1000.0, 700.0, 600.0, 400.0)  # than the mean of the year
 
-_UNMIXED_BY_NIGHT_M = (200.0, 700.0)  # reduced heights: below all, above nothing [m]
-
 _STEP_M, _TOP_M = 250.0, 30_000.0
 _NEAR_GROUND_M = (15.0, 30.0, 50.0, 80.0, 120.0, 180.0, 300.0)
 
@@ -142,7 +140,7 @@ def variation_parts(
     h = np.union1d(h, ground_h_m + np.array([0.0, *_NEAR_GROUND_M]))
     reduced = reduced_height(h, ground_h_m, tropopause_m(latitude_rad, month))
     weather = weather_share(latitude_rad)
-    mixed = mixed_share(latitude_rad, month, hour, reduced)
+    mixed = mixed_share(latitude_rad, month, hour)
     parts = []
     for name, table in _tables()["parts"].items():
         stable_k, mixed_k = (
@@ -186,7 +184,7 @@ def tropopause_m(latitude_rad: float, month: float) -> float:
     """The usual height of the tropopause above sea level [m], to some 500 m.
 
     >>> round(tropopause_m(0.8, 7.0))
-    12493
+    12566
     """
     degrees = abs(latitude_rad) / DEGREE
     mean = float(np.interp(degrees, _TROPOPAUSE_DEG, _TROPOPAUSE_M))
@@ -206,24 +204,20 @@ def share_of_day(latitude_rad: float) -> float:
     return float(np.interp(degrees, [15.0, 30.0, 50.0, 60.0, 75.0], [0.0, 1.0, 1.0, 0.5, 0.4]))
 
 
-def mixed_share(latitude_rad: float, month: float, hour: float | None, reduced_m: Array) -> Array:
-    """How far the sun has mixed the air at reduced heights (n,) [m]: 1 on a summer's afternoon.
+def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
+    """How far the sun has mixed the lowest air: 1 on a summer's afternoon.
 
-    0 in winter, and where the mean local time [h] is not known; a summer's night unmixes what lies
-    below a kilometre.
+    0 at night, in winter, and where the mean local time [h] is not known.
 
-    >>> heights = np.array([0.0, 1000.0])
-    >>> mixed_share(0.8, 7.0, 15.0, heights).round(2).tolist()
-    [1.0, 1.0]
-    >>> mixed_share(0.8, 7.0, 3.0, heights).round(2).tolist()
-    [0.0, 1.0]
+    >>> [round(mixed_share(0.8, 7.0, hour), 2) for hour in (3.0, 10.0, 15.0)]
+    [0.0, 0.26, 1.0]
     """
     if hour is None:
-        return np.zeros(reduced_m.shape)
+        return 0.0
     warm = 0.5 - 0.5 * season(latitude_rad, month)
     snowless = float(np.interp(abs(latitude_rad) / DEGREE, [50.0, 60.0], [1.0, 0.3]))
     sunny = max(0.0, math.cos(2.0 * math.pi * (hour - WARMEST_HOUR) / 24.0))
-    return warm * snowless * np.interp(reduced_m, _UNMIXED_BY_NIGHT_M, [sunny, 1.0])
+    return warm * snowless * sunny
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from unbend.atmosphere import surface_report
 from unbend.atmosphere.air_samples import AirSamples
-from unbend.atmosphere.air_variation import solar_hour
 from unbend.atmosphere.climatology import Climatology, climatology, month_of
 from unbend.atmosphere.estimate.external_readings import TimeAndPlace, distance_notes
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration
@@ -27,7 +26,7 @@ from unbend.flight.stations import NO_TIME, Stations, middle_time_ns
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.stages import messages
-from unbend.stages.flight_date import flight_date_ns, refuse_dated_sources
+from unbend.stages.flight_date import flight_date_ns, flight_hour, refuse_dated_sources
 from unbend.stages.flight_log import FlightLog, GroundTrack
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.weather_files import FlightArea
@@ -374,7 +373,7 @@ def read_air_sources(
         index=index_of(section),
         ground_h_m=lowest_h_m,
         longitude_rad=0.0 if math.isnan(longitude) else longitude,
-        hour=solar_hour(flight_ns, longitude),
+        hour=flight_hour(mission, stations, flight_ns),
     )
     soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
     surface = read_reports(section, flight_ns, background, ledger)

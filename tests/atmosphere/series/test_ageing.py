@@ -79,7 +79,7 @@ def test_the_nearest_visit_is_near_in_time_and_place():
     assert np.all(np.asarray(away.metres) < 1.0)
     climb = SensorSamples(*(v[:21] for v in (time_ns, h, sensor.value, sensor.rejected)), "T")
     (far,) = sample_ages(AirSamples(temperature=climb), [int(time_ns[60])], 500.0, 2400.0, path)
-    np.testing.assert_allclose(far.metres, math.sqrt(100e3**2 - 10e3**2), rtol=1e-3)
+    np.testing.assert_allclose(far.metres, math.sqrt(100e3**2 - 18e3**2), rtol=1e-3)
 
 
 def test_pressure_changes_where_it_was_sampled_last():

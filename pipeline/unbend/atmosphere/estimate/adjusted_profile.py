@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from unbend.atmosphere.air_samples import AirSamples, SensorUse, sensor_uses
+from unbend.atmosphere.air_variation import solar_hour
 from unbend.atmosphere.barometer_errors import NO_ERRORS, BarometerErrors
 from unbend.atmosphere.climatology import Climatology, climatology, month_of
 from unbend.atmosphere.covariance import ProfileCovariance
@@ -137,7 +138,12 @@ def build_adjusted_profile(
         middles = (sensor.middle_ns for sensor in samples.sensors.values())
         middle = next((middle for middle in middles if middle is not None), time_ns)
     flight = TimeAndPlace(middle, latitude_rad, longitude_rad)
-    expected = partial(climatology, latitude_rad=latitude_rad, month=month_of(middle))
+    expected = partial(
+        climatology,
+        latitude_rad=latitude_rad,
+        month=month_of(middle),
+        hour=solar_hour(middle, longitude_rad),
+    )
     moisture = expected(index=standard.index)
     if background is None:
         background = replace(expected(standard.name), profile=standard)

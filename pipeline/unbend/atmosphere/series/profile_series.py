@@ -43,14 +43,16 @@ CHANGE_RH, CHANGE_RH_IN_H = 0.1, 4.0  # of relative humidity, reached after four
 
 CHANGE_RH_LENGTH_M = 1500.0  # correlation of that in height [m]
 
-FRESH_S, FRESH_M = 1800.0, 10e3
-"""Within half an hour and 10 km the air changes by some 0.5 K at the ground: R by 0.2 %."""
+METRES_AS_AN_HOUR = 36e3
+"""Weather changes as much over so much distance as in an hour (`data/air_variation.toml`: 48 h and
+1300 to 2300 km); of two visits to a height the nearer counts."""
+
+FRESH_S = 1800.0
+FRESH_M = FRESH_S / 3600.0 * METRES_AS_AN_HOUR
+"""Air sampled within half an hour, and within as much in distance (18 km), counts as that of the
+exposure: at the ground it changes by some 0.6 K in that time."""
 
 CELL_M = 20e3  # exposures of so large a square share the distance of their air [m]
-
-METRES_AS_AN_HOUR = 36e3
-"""Of two visits to a height the nearer counts: weather changes as much over so much distance as in
-an hour (48 h and 1800 km, `data/air_variation.toml`)."""
 
 _BIN_M, _MINUTE_NS = 100.0, 60 * 10**9
 _EARTH_M = 6.371e6
@@ -86,7 +88,7 @@ class PlaceInTime(NamedTuple):
 class SampleAges:
     """Hours (n,) that the air of heights (n,) [m] has changed for since, or until, it was sampled:
     sqrt(t^2 - (1/2 h)^2), nothing within half an hour, and nearly t in the end; and likewise the
-    ``metres`` (n,) to where it was, nothing within 10 km."""
+    ``metres`` (n,) to where it was, nothing within 18 km."""
 
     h_m: Array
     hours: Array
@@ -94,7 +96,7 @@ class SampleAges:
 
     @property
     def is_fresh(self) -> bool:
-        """Whether all of it was sampled within half an hour and 10 km."""
+        """Whether all of it was sampled within half an hour and 18 km."""
         return not bool(np.any(self.hours > 0.0) or np.any(np.asarray(self.metres) > 0.0))
 
 
@@ -327,7 +329,7 @@ def add_ageing(
     ``time_ns``: (s,) of the exposures [Unix ns]. ``samples``: what the air was estimated from.
     ``h_c``, ``h_g``: heights of the highest camera and of the ground [m above sea level].
     ``path``: where the flight was; without it only time counts. Exposures are taken together in
-    quarters of an hour and squares of 20 km; air sampled within half an hour and 10 km stays as it
+    quarters of an hour and squares of 20 km; air sampled within half an hour and 18 km stays as it
     is.
     """
     if time_ns.size == 0:
