@@ -40,6 +40,8 @@ SLICE_S, MOST_SLICES = 30.0, 120
 """Readings so far apart in time are never averaged, in a long flight 1/120 of it: a sensor that
 catches up in level flight after a climb determines its lag [s]."""
 
+MOST_DIFFERENT = 0.5  # share of readings that differ, above which a sensor shows no steps
+
 AIR_NOISE_K, AIR_NOISE_LOG_P, AIR_NOISE_RH = 0.15, 3e-5, 0.03
 """Sigma of a bin's mean about the mean air of its height: eddies, the shape of the layer."""
 
@@ -407,15 +409,16 @@ def bin_readings(
 
 
 def resolution_of(sensor: SensorSamples) -> float:
-    """The smallest step between readings of a sensor that differ, to a hundredth of their unit.
+    """The smallest step between readings of a sensor that differ, to a hundredth of their unit; 0
+    where few of them are the same, as then the last digit is noise like other.
 
-    >>> whole = np.array([101_300.0, 101_200.0, 101_200.0, 100_900.0])
-    >>> resolution_of(SensorSamples(np.arange(4), np.arange(4.0), whole))
+    >>> whole = np.array([101_300.0, 101_200.0]).repeat(3)
+    >>> resolution_of(SensorSamples(np.arange(6), np.arange(6.0), whole))
     100.0
     """
     _, value = sensor.used()
     distinct = np.unique(np.round(value, 2))
-    if distinct.size < 2:
+    if distinct.size < 2 or distinct.size > MOST_DIFFERENT * value.size:
         return 0.0
     return float(np.diff(distinct).min())
 
