@@ -18,15 +18,15 @@ US1976 = standard_atmosphere("us1976")
 
 
 def test_the_step_of_a_sensor_is_seen_in_its_readings():
-    stamps = np.arange(200) * 10**9
-    rising = np.linspace(100_000.0, 90_000.0, 200)
-    whole = SensorSamples(stamps, np.zeros(200), 100.0 * np.round(rising / 100.0))
+    stamps = np.arange(600) * 10**9
+    rising = np.linspace(100_000.0, 90_000.0, 600)
+    whole = SensorSamples(stamps, np.zeros(600), 100.0 * np.round(rising / 100.0))
     assert resolution_of(whole) == 100.0
     as_hectopascals = replace(whole, value=np.round(rising / 100.0) * 0.01 * 1e4)
     assert resolution_of(as_hectopascals) == pytest.approx(100.0)
-    fine = replace(whole, value=rising + np.random.default_rng(1).normal(0.0, 5.0, 200))
+    fine = replace(whole, value=rising + np.random.default_rng(1).normal(0.0, 5.0, 600))
     assert resolution_of(fine) == 0.0
-    assert resolution_of(replace(whole, value=np.full(200, 9e4))) == 0.0
+    assert resolution_of(replace(whole, value=np.full(600, 9e4))) == 0.0
 
 
 def test_the_last_digit_does_not_average_in_level_flight_but_over_different_readings():

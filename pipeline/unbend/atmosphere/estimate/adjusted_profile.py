@@ -84,10 +84,10 @@ class Adjustment:
         """Those that the flight has determined; none without a barometer."""
         if self.settings is None or self.settings.highest is None:
             return NO_ERRORS
-        found = {fault.fault: fault.value for fault in self.faults}
+        values = {fault.fault: fault.value for fault in self.faults}
         return BarometerErrors(
-            offset_pa=found.get(SensorFault.PRESSURE_OFFSET, 0.0),
-            lost_share=found.get(SensorFault.PRESSURE_SCALE, 0.0),
+            offset_pa=values.get(SensorFault.PRESSURE_OFFSET, 0.0),
+            lost_share=values.get(SensorFault.PRESSURE_SCALE, 0.0),
             highest_pa=math.exp(self.settings.highest),
         )
 

@@ -66,8 +66,10 @@ RARE_FAULTS = (LOST_PRESSURE, IN_A_BAY, WARM_CLIMB)
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """What the sensors of a flight may be like: ``layout`` has their faults and drifts as expected
-    then, and ``share`` is how probable that is beforehand."""
+    """What the sensors of a flight may be like, and how probable that is beforehand (``share``).
+
+    ``layout`` has their faults and drifts as expected then.
+    """
 
     name: str
     share: float
@@ -112,15 +114,17 @@ def prior_sigmas(hypotheses: Sequence[Hypothesis]) -> dict[SensorFault, float]:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a solution says for its hypothesis: its ``air``, the ``prior`` of it, and the weights
-    (m,) of each set of readings."""
+    """What a solution says for its hypothesis, which has a ``share`` beforehand.
+
+    Its ``air``, its ``prior``, the weights (m,) of each set of readings, and the sum of ln of the
+    factors by which the sigmas of readings were multiplied.
+    """
 
     share: float
     air: AirAtKnots
     prior: Prior
     weights: tuple[Array, ...]
     log_sigma: float
-    """Sum of ln of the factors by which the sigmas of readings were multiplied."""
 
 
 def probabilities(solved: Sequence[Evidence], sets: Sequence[Readings]) -> NDArray[np.float64]:
@@ -130,21 +134,22 @@ def probabilities(solved: Sequence[Evidence], sets: Sequence[Readings]) -> NDArr
     least: a hypothesis must not excuse its misfit by larger sigmas.
     """
     best = min(solved, key=lambda evidence: evidence.log_sigma)
-    logs = np.array(
-        [
-            np.log(evidence.share) + _log_likelihood(evidence, sets, best.weights)
-            for evidence in solved
-        ]
-    )
+    logs = np.zeros(len(solved))
+    for number, evidence in enumerate(solved):
+        logs[number] = np.log(evidence.share) + _log_likelihood(evidence, sets, best.weights)
     chances = np.exp(logs - logs.max())
     return np.asarray(chances / chances.sum())
 
 
 def best_fitting(solved: Sequence[Evidence], chances: Array) -> int:
-    """Which hypothesis fits best, by the least inflation, of those that are not improbable: what
-    none of them explains is a contradiction of the sensors."""
-    possible = [i for i, chance in enumerate(chances) if chance >= NOT_IMPROBABLE]
-    return min(possible, key=lambda i: (solved[i].log_sigma, -chances[i]))
+    """Which hypothesis fits best, by the least inflation, of those that are not improbable.
+
+    What none of these explains is a contradiction of the sensors.
+    """
+    possible = np.flatnonzero(chances >= NOT_IMPROBABLE)
+    inflated = np.array([evidence.log_sigma for evidence in solved])
+    order = np.lexsort((-chances[possible], inflated[possible]))
+    return int(possible[order[0]])
 
 
 def _log_likelihood(

@@ -75,8 +75,11 @@ _OwnReadings = tuple[list[Readings], list[Fault], list[Drift], dict[str, Reasons
 
 @dataclass(frozen=True, eq=False)
 class FlightReadings:
-    """Everything that was measured, from ``low`` to ``high`` [m'], and the faults it may have, the
-    ``rare`` ones too; ``rejected`` says of each sensor why samples are not used, outliers too."""
+    """Everything that was measured, from ``low`` to ``high`` [m'], and the faults it may have.
+
+    ``rare`` are those that few sensors have; ``rejected`` says of each sensor why samples are not
+    used, outliers too.
+    """
 
     sets: tuple[Readings, ...]
     faults: tuple[Fault, ...]
@@ -131,14 +134,16 @@ def collect_readings(
     humid = external_readings.humidity_drifts(soundings, background, flight)
     span = float(heights.min()), float(heights.max())
     every = at_sea_level, *external, *sets
-    every_drift = (*drifts, *departures, *humid)
+    every_drift: tuple[Drift | Departure, ...] = (*drifts, *departures, *humid)
     rare = _rare_faults(faults, settings)
     return FlightReadings(every, tuple(faults), every_drift, *span, rejected, rare)
 
 
 def _rare_faults(faults: Sequence[Fault], settings: SensorSettings) -> tuple[RareFault, ...]:
-    """The rare faults that the sensors of a flight may have: of none that is stated to be small,
-    and of no thermometer that is stated to sit on a board."""
+    """The rare faults that the sensors of a flight may have.
+
+    None of those whose size is stated, and no bay for a thermometer stated to sit on a board.
+    """
     if settings.usual_errors_only:
         return ()
     possible = {fault.name for fault in faults}
@@ -333,8 +338,10 @@ class Bins:
 
 @dataclass(frozen=True, eq=False)
 class Digits:
-    """The readings (n,) as a sensor gave them, and the ``step`` between two that it can tell apart,
-    in the unit of the departures that are averaged."""
+    """The readings (n,) as a sensor gave them, and the ``step`` between two that it tells apart.
+
+    The step is in the unit of the departures that are averaged.
+    """
 
     reading: Array
     step: Array | float
@@ -347,7 +354,7 @@ class Digits:
     def different(self, use: Rows, bin_of: Rows) -> Array:
         """(m,) how many different readings each bin has."""
         pairs = np.unique(np.stack([bin_of, self.reading[use]]), axis=1)
-        return np.bincount(pairs[0].astype(np.int64))
+        return np.bincount(pairs[0].astype(np.int64)).astype(np.float64)
 
 
 def bin_readings(
@@ -409,8 +416,9 @@ def bin_readings(
 
 
 def resolution_of(sensor: SensorSamples) -> float:
-    """The smallest step between readings of a sensor that differ, to a hundredth of their unit; 0
-    where few of them are the same, as then the last digit is noise like other.
+    """The smallest step between readings of a sensor that differ, to a hundredth of their unit.
+
+    0 where few of them are the same: the last digit is then noise like other.
 
     >>> whole = np.array([101_300.0, 101_200.0]).repeat(3)
     >>> resolution_of(SensorSamples(np.arange(6), np.arange(6.0), whole))

@@ -100,8 +100,11 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """State, its covariance, and the air of it; ``prior`` with the drifts as large as they are,
-    and the ``weights`` (m,) of each set of readings in the last step."""
+    """State, its covariance, and the air of it.
+
+    ``prior`` has the drifts as large as they are; ``weights`` (m,) are those of each set of
+    readings in the last step.
+    """
 
     x: Array
     covariance: Array
@@ -189,23 +192,16 @@ def estimate(
     chances = hypotheses.probabilities(evidence, readings.sets)
     fitting = hypotheses.best_fitting(evidence, chances)
     solution = _mixture(solutions, chances, fitting, background.profile)
-    sigma = np.sqrt(np.diag(solution.covariance))
-    prior_sigma = hypotheses.prior_sigmas(every)
-    layout = every[fitting].layout
-    estimated = tuple(
-        FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), prior_sigma[fault.name])
-        for i, fault in enumerate(layout.faults, layout.level + 1)
-    )
     return Estimate(
         *solution.profile(background.profile),
         solution.prior.sigma_temperature,
-        estimated,
+        _fault_estimates(solution, hypotheses.prior_sigmas(every)),
         solution.fits,
         readings,
         solution.x,
         solution.converged,
         solution.drift_scales,
-        layout,
+        every[fitting].layout,
         hypotheses.described_chances([hypothesis.name for hypothesis in every], chances),
     )
 
@@ -213,8 +209,10 @@ def estimate(
 def _mixture(
     solutions: Sequence[Solution], chances: Array, fitting: int, background: Profile
 ) -> Solution:
-    """The solution of all hypotheses together: that which fits best, with the mean and covariance
-    of the mixture."""
+    """The solution of all hypotheses together.
+
+    It is that which fits best, with the mean and covariance of the mixture.
+    """
     solution = solutions[fitting]
     if len(solutions) == 1:
         return solution
@@ -225,6 +223,18 @@ def _mixture(
     pressure = np.exp(solution.air.log_pressure(layout.knot)[0])
     air = air_of(layout, x, pressure, background.constant)
     return replace(solution, x=x, covariance=covariance, air=air)
+
+
+def _fault_estimates(
+    solution: Solution, prior_sigma: Mapping[states.SensorFault, float]
+) -> tuple[FaultEstimate, ...]:
+    """The sensor faults of a solution, with their sigma before the flight."""
+    layout = solution.air.layout
+    sigma = np.sqrt(np.diag(solution.covariance))
+    return tuple(
+        FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), prior_sigma[fault.name])
+        for i, fault in enumerate(layout.faults, layout.level + 1)
+    )
 
 
 def layout_of(readings: FlightReadings, background: Climatology) -> Layout:
@@ -317,8 +327,10 @@ def drift_variances(
 def _normal_equations(
     prior: Prior, sets: Sequence[Readings], air: AirAtKnots, inflation: Array, step: int
 ) -> tuple[Array, Array, Array, list[tuple[Fit, Array, Array]]]:
-    """Matrix and right side, the inflation of the next step, and of each set its fit, share of the
-    matrix, and weights."""
+    """Matrix and right side, and the inflation of the next step.
+
+    And of each set its fit, its share of the matrix, and its weights.
+    """
     normal, right = prior.precision.copy(), prior.precision @ (prior.mean - air.x)
     after = inflation.copy()
     of_sets = []

@@ -37,6 +37,8 @@ _FEWEST_PRESSURES = 30
 _SPAN_OF_PARABOLA_M = 300.0  # of a flight: over less, noise would bend it
 _LEAST_SCATTER_M = 1.0
 
+_HOUR_NS = 3600 * NANOSECONDS_PER_SECOND
+
 # What weather changes between the height of a pressure and that of a receiver: 0.5 hPa an hour.
 WEATHER_M_PER_H = 4.2
 # An inversion makes the relation of height and ln p none of a parabola: 9 K in 250 m leave 15 m of
@@ -119,7 +121,8 @@ def source_difference(
     limit_m = np.full(known.size, max(noise_m, SEVERAL * scatter_m))
     if not agree_near_zero:
         height_m = places_of(other.channel, quantity)[:, 0]
-        limit_m += SEVERAL * air_change_m(other.channel.time_ns, height_m, misfit.settled)
+        of_air_m = air_change_m(other.channel.time_ns, height_m, misfit.settled)
+        limit_m += SEVERAL * of_air_m
     return Difference(
         other=other,
         apart_m=apart_m,
@@ -139,7 +142,8 @@ def air_change_m(time_ns: TimeArray, height_m: Array, settled: Mask) -> Array:
         return np.zeros(time_ns.shape)
     middle_ns = int(np.median(time_ns[settled]))
     middle_m = float(np.median(height_m[settled]))
-    hours = np.abs(time_ns - middle_ns) / (3600.0 * NANOSECONDS_PER_SECOND)
+    apart_ns = np.abs(time_ns - middle_ns)
+    hours = apart_ns / _HOUR_NS
     by_weather_m = WEATHER_M_PER_H * hours
     by_structure_m = STRUCTURE_SHARE * np.abs(height_m - middle_m)
     return np.asarray(np.hypot(by_weather_m, by_structure_m))
@@ -270,9 +274,8 @@ def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
     if np.count_nonzero(usable) < _FEWEST_PRESSURES:
         return None
     of_pressure_m = _height_by_log_p(log_p, height_m, usable)
-    usable &= _is_near(
-        height_m, of_pressure_m, air_change_m(barometer.time_ns, of_pressure_m, usable)
-    )
+    of_air_m = air_change_m(barometer.time_ns, of_pressure_m, usable)
+    usable &= _is_near(height_m, of_pressure_m, of_air_m)
     of_pressure_m = _height_by_log_p(log_p, height_m, usable)
     return replace(barometer, columns={"h_msl_m": of_pressure_m}, roles=(), labels={})
 
@@ -296,4 +299,5 @@ def _is_near(height_m: Array, of_pressure_m: Array, of_air_m: Array) -> Mask:
     """
     off_m = np.abs(height_m - of_pressure_m)
     three_sigma_m = 3.0 * _SIGMA_OF_MEDIAN * float(np.nanmedian(off_m))
-    return np.asarray(off_m < max(three_sigma_m, _LEAST_SCATTER_M) + 3.0 * of_air_m)
+    limit_m = max(three_sigma_m, _LEAST_SCATTER_M) + 3.0 * of_air_m
+    return np.asarray(off_m < limit_m)
