@@ -37,7 +37,7 @@ CYCLE_MEMORY_H = 6.0  # the same in time: a quarter of a day
 SPRING = 4.0  # a month between the seasons, where none is known
 WARMEST_HOUR = 15.0  # mean local time when the lowest air is warmest [h]
 
-_WEATHER_DEG, _WEATHER = (15.0, 35.0, 50.0, 60.0), (0.35, 1.0, 1.0, 1.4)
+_WEATHER_DEG, _WEATHER = (15.0, 35.0, 50.0, 60.0), (0.6, 1.0, 1.0, 1.4)
 """Amplitude of weather at latitudes over that in middle ones: 16 ascents over Darwin and the
 Atlantic depart by 1 to 1.5 K within a season, where others do by 3 to 5 K, and 16 north of 52
 degrees by half as much again."""

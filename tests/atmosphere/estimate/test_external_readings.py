@@ -487,7 +487,8 @@ def test_a_balloon_that_contradicts_the_flight_is_left_out(flights, ascents, kel
     how = {"descent": True, "thermometer": thermometer, "humidity": "none"}
     samples = flights.fly(truth, 3000.0, flights.surveyed(rng), rng, **how)
     alone, _ = adjusted(truth, samples)
-    good = balloon_of(truth, latitude_rad=truth.latitude)
+    # Beside the flight: without a longitude it would be 100 km away, where air may be 2 K other.
+    good = balloon_of(truth, latitude_rad=truth.latitude, longitude_rad=0.0)
     _, ledger = adjusted(truth, samples, soundings=[good])
     assert codes(ledger, Kind.LOSS) == []
     wrong = replace(good, temperature_k=good.temperature_k + kelvin)

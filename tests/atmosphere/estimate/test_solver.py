@@ -477,7 +477,7 @@ def noisy(t, rng, size):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda t, _: noisy(t, np.random.default_rng(10), 30.0), "held out"),
+        (lambda t, _: noisy(t, np.random.default_rng(10), 20.0), "held out"),
         (lambda t, _: 290.0 - 0.014 * (t.h_m - t.h_m.min()), "overturns"),
         (lambda t, _: 330.0 + 1e-4 * t.h_m, "only partly in the air outside"),
     ],

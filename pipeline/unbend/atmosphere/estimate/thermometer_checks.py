@@ -1,5 +1,6 @@
 """Thermometer checks: a thermometer must read what the estimate without it predicts."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -13,8 +14,8 @@ from unbend.atmosphere.estimate.estimate_checks import MISFIT, PASSED, Check, is
 from unbend.atmosphere.estimate.hypotheses import IN_A_BAY
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensor_checks import LOST_SIGMAS
-from unbend.atmosphere.estimate.sensors import Barometer, SensorSettings, Thermometer
-from unbend.atmosphere.estimate.solver import Estimate, Solution, estimate, layout_of, solve
+from unbend.atmosphere.estimate.sensors import Barometer, Readings, SensorSettings, Thermometer
+from unbend.atmosphere.estimate.solver import Estimate, Fit, Solution, estimate, layout_of, solve
 from unbend.atmosphere.estimate.state import SensorFault, prior_of
 from unbend.atmosphere.rejection import Reason
 
@@ -48,11 +49,11 @@ def thermometer_is_outside(
     """Whether the thermometer of a flight with a barometer (``made``: with both) can be outside.
 
     Not passed where it is surely in a bay. Nor where its readings, in the mean or in their change
-    with height, are not those that the estimate without them predicts, though the barometer is not
-    seen to lose pressure; where within half an hour no air that the barometer allows has them; or
-    where the barometer differs from any air that the thermometer allows, and fits plausible air of
-    its own. All without soundings and stations; the last two with drifts of the expected size,
-    since a large one could hide any contradiction.
+    with height, are not those that the estimate without them predicts, though the barometer fits an
+    air and is not seen to lose pressure; where within half an hour no air that the barometer allows
+    has them; or where the barometer differs from any air that the thermometer allows, and fits
+    plausible air of its own. All without soundings and stations; the last two with drifts of the
+    expected size, since a large one could hide any contradiction.
     """
     temperature, pressure = samples.temperature, samples.pressure
     chance = made.chances.get(IN_A_BAY.name, 0.0)
@@ -67,7 +68,8 @@ def thermometer_is_outside(
     without = solve(layout, prior, others, background.profile)
     warm = (s for s in flown.sets if isinstance(s, Thermometer))
     check = next((check for s in warm if not (check := is_predicted(s, without))), PASSED)
-    if not check and not barometer_loses_pressure(made):
+    barometer_fits = _largest_inflation(others, without.fits, Barometer) <= MISFIT
+    if not check and barometer_fits and not barometer_loses_pressure(made):
         return check
     expected = replace(settings, usual_errors_only=True)
     estimate_of = partial(estimate, background=background, settings=expected, moisture=moisture)
@@ -148,5 +150,10 @@ def _inflated_sigma_k(made: Estimate) -> float:
 
 def _sigma_inflation(made: Estimate, kind: type) -> float:
     """The largest sigma inflation factor of a kind of readings."""
-    pairs = zip(made.readings.sets, made.fits, strict=True)
+    return _largest_inflation(made.readings.sets, made.fits, kind)
+
+
+def _largest_inflation(sets: Sequence[Readings], fits: Sequence[Fit], kind: type) -> float:
+    """The largest sigma inflation factor of a kind among readings and their fits."""
+    pairs = zip(sets, fits, strict=True)
     return max((fit.sigma_inflation for s, fit in pairs if isinstance(s, kind)), default=1.0)
