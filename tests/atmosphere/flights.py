@@ -27,7 +27,8 @@ TAKEOFF_S = 30.0
 
 @dataclass(frozen=True)
 class Balloon:
-    """Levels of a balloon: geopotential [m'], T [K], e [Pa]; pressure [Pa] at the first."""
+    """Levels of a balloon: geopotential [m'], T [K], e [Pa]; pressure [Pa] at the first; when in
+    the year and the day it rose, and at which longitude [rad]."""
 
     name: str
     latitude: float
@@ -36,6 +37,8 @@ class Balloon:
     e: np.ndarray
     p0: float
     month: int = 6
+    utc_hour: float = 12.0
+    longitude: float = 0.0
 
 
 def from_levels(name: str, degrees: float, p, H, celsius, dew) -> Balloon:
@@ -54,21 +57,22 @@ def from_levels(name: str, degrees: float, p, H, celsius, dew) -> Balloon:
 def extremes() -> list[Balloon]:
     """Air made of straight lines: what nine soundings lack. T in K and RH at heights in m'."""
 
-    def made(name, degrees, month, h, t, rh) -> Balloon:
+    def made(name, degrees, month, hour, h, t, rh) -> Balloon:
         H = np.arange(0.0, 11_000.0, 25.0)
         t_k, u = np.interp(H, h, t), np.interp(H, h, rh)
         e = np.maximum(u * saturation_pressure_pa(t_k), 1e-3)
-        return Balloon(name, math.radians(degrees), H, t_k, e, 101_000.0, month)
+        return Balloon(name, math.radians(degrees), H, t_k, e, 101_000.0, month, hour)
 
     return [
-        made("arctic night, inversion of 15 K", 72.0, 1,
+        made("arctic night, inversion of 15 K", 72.0, 1, 0.0,
              [0, 150, 700, 2000, 9000, 11e3], [238, 246, 253, 250, 214, 212], [0.8] * 6),
-        made("desert noon, adiabatic to 4 km", 25.0, 7,
+        made("desert noon, adiabatic to 4 km", 25.0, 7, 12.0,
              [0, 4000, 11e3], [315, 276, 228], [0.1, 0.5, 0.2]),
-        made("monsoon", 20.0, 7, [0, 5000, 11e3], [303, 275.5, 233], [0.9, 0.9, 0.6]),
-        made("trade wind inversion of 6 K at 1.6 km", 18.0, 3,
+        made("monsoon", 20.0, 7, 14.0,
+             [0, 5000, 11e3], [303, 275.5, 233], [0.9, 0.9, 0.6]),
+        made("trade wind inversion of 6 K at 1.6 km", 18.0, 3, 12.0,
              [0, 600, 1600, 1850, 11e3], [299, 293.2, 287, 293, 238], [0.75, 0.9, 0.9, 0.15, 0.1]),
-        made("clear night, 9 K in 250 m", 47.0, 10,
+        made("clear night, 9 K in 250 m", 47.0, 10, 2.0,
              [0, 250, 900, 3000, 11e3], [277, 286, 284, 270, 217], [0.95, 0.6, 0.5, 0.3, 0.2]),
     ]  # fmt: skip
 
@@ -85,8 +89,9 @@ class Truth:
 
     def __init__(self, balloon: Balloon, reach: float = 10_500.0) -> None:
         self.name, self.latitude = balloon.name, balloon.latitude
-        day = np.datetime64(f"2020-{balloon.month:02d}-15T12:00:00", "ns")
-        self.start_ns = int(day.astype(np.int64))
+        day = np.datetime64(f"2020-{balloon.month:02d}-15", "ns")
+        self.start_ns = int(day.astype(np.int64)) + round(balloon.utc_hour * 3.6e12)
+        self.longitude = balloon.longitude
         lowest = float(balloon.H[0]) * 9.80665 / normal_gravity(balloon.latitude, 0.0)
         self.h = lowest + np.arange(0.0, reach)
         H = geopotential(balloon.latitude, self.h)
@@ -105,6 +110,11 @@ class Truth:
         self.p = p
         self.rh = np.minimum(self.e / saturation_pressure_pa(self.t), 1.0)
         self.refractivity = edlen_index(p, self.t, self.e) - 1.0
+
+    @property
+    def hour(self) -> float:
+        """Mean local time [h] of the flight's start."""
+        return (self.start_ns / 3.6e12 + math.degrees(self.longitude) / 15.0) % 24.0
 
     def over_hot_ground(self, rng: np.random.Generator) -> Truth:
         """The same with its lowest metres in the sun: warmer by 0.5 to 4 K, falling by 1/e in 10 to
@@ -142,7 +152,16 @@ def balloons() -> list[Balloon]:
             for name in ("pressure_hpa", "geopotential_m", "temperature_c", "dew_point_c")
         )
         balloon = from_levels(path.stem, float(about["latitude_deg"]), *columns)
-        found.append(replace(balloon, month=int(about["month"])))
+        time = about["station"].removesuffix(" UTC").split()[-1]  # "00", "05:32"
+        hour, _, minute = time.removesuffix("Z").partition(":")
+        found.append(
+            replace(
+                balloon,
+                month=int(about["month"]),
+                utc_hour=int(hour) + int(minute or 0) / 60.0,
+                longitude=math.radians(float(about["longitude_deg"])),
+            )
+        )
     return found
 
 

@@ -51,7 +51,12 @@ def background_of(truth, name) -> Climatology | None:
     if name == STANDARD:
         return None
     month = month_of(truth.start_ns)
-    return climatology(latitude_rad=truth.latitude, month=month, ground_h_m=float(truth.h[0]))
+    return climatology(
+        latitude_rad=truth.latitude,
+        month=month,
+        ground_h_m=float(truth.h[0]),
+        hour=truth.hour,
+    )
 
 
 def adjusted(flights, truth, climb, sensors, rng, name, **how) -> Adjustment:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.barometer_errors import BarometerErrors
 from unbend.flight.station_builder import flag_missing_aircraft_attitude
 from unbend.flight.stations import (
     NO_TIME,
@@ -45,6 +46,20 @@ def test_a_misfit_of_ten_hectopascal_is_noticed_and_one_of_less_than_eight_is_no
     if flagged:
         assert "are 10 hPa apart" in notes[0].what
         assert "apart there, image_1" in notes[0].what
+
+
+def test_a_leak_that_the_flight_has_found_rejects_no_height():
+    """6 % of 302 hPa of change are 18 hPa: the profile is right, and so is the height."""
+    leak = BarometerErrors(offset_pa=30.0, lost_share=0.06, highest_pa=101_325.0)
+    pressure = np.full(3, 70_121.0 + 30.0 + 0.06 * (101_325.0 - 70_121.0))
+    read = replace(stations(), pressure_pa=pressure)
+    assert flag_height_misfits(read, AIR, leak) == (read, ())
+    _, notes = flag_height_misfits(read, AIR)
+    assert [entry.count for entry in notes] == [3]
+    # A height that is wrong is still seen.
+    wrong = replace(read, h_msl_m=np.array([3000.0, 3200.0, 3000.0]))
+    checked, _ = flag_height_misfits(wrong, AIR, leak)
+    assert checked.status.tolist() == ["ok", "suspect", "ok"]
 
 
 def test_images_without_an_exposure_are_appended_in_order_and_unused_exposures_are_noted():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -19,7 +20,12 @@ SLOT_S = 5
 def restless(mission, baseline, monkeypatch):
     """The sample mission in air that changes in minutes as much as elsewhere in hours."""
     monkeypatch.setattr(course, "FRESH_S", 90.0)
-    monkeypatch.setattr(course, "CHANGE_K2_PER_H", 100.0)
+    calm = course.variation_parts
+    monkeypatch.setattr(
+        course,
+        "variation_parts",
+        lambda *of: tuple(replace(part, sigma_k=14.0 * part.sigma_k) for part in calm(*of)),
+    )
     monkeypatch.setattr(course, "SLOT_NS", SLOT_S * 10**9)
     ended = mission.run("--force")
     assert ended.code == 0, ended.text

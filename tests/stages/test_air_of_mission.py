@@ -99,7 +99,10 @@ def test_a_sounding_is_used_hashed_and_named(mission, unbend, plain_report):
 
 
 def test_a_sounding_stands_in_for_a_thermometer(mission, baseline, plain_report):
-    """Without a thermometer R has a sigma of 3 %; a balloon of the same air brings it down."""
+    """Without a thermometer R has a sigma of 3 %; a balloon of the same air brings it down.
+
+    It has neither time nor place: 6 h and 100 km change temperatures by 2.4 K, not by 1.5 K.
+    """
     (mission.folder / "balloon.csv").write_text(sounding_text())
     channels = mission.config["log"]["channels"]
     channels["temperature"] = channels["humidity"] = "HYGR[9]"
@@ -112,7 +115,7 @@ def test_a_sounding_stands_in_for_a_thermometer(mission, baseline, plain_report)
         effects.append(manifest(mission)["profile"]["effect"][0])
     right = true_factor(effects[0]["h_g_m"], effects[0]["h_c_m"])
     without, beside = effects
-    assert beside["sigma_arcsec"] < 0.8 * without["sigma_arcsec"]
+    assert beside["sigma_arcsec"] < 0.85 * without["sigma_arcsec"]
     assert abs(beside["r_c_arcsec"] - right) < 2.0 * beside["sigma_arcsec"] + 0.002 * right
     assert (sources(mission)["thermometer"])["why_not"] == "none outside in the log"
 
@@ -253,7 +256,8 @@ def test_a_report_of_another_day_is_left_out(mission, unbend):
         ({"temperature_c": 77.0}, "SURFACE-TEMPERATURE", "Fahrenheit"),
         ({"temperature_c": 59.0}, "SURFACE-CLIMATE", "Fahrenheit"),
         ({"temperature_c": 45.0}, "SURFACE-CLIMATE", "45.0 F would be 7.2 C"),
-        ({"temperature_c": 30.5}, "SURFACE-CLIMATE", "30.5 F would be -0.8 C"),
+        # On a summer's day -0.8 C (30.5 F) at 1500 m is as unusual as 30.5 C; on a high plateau:
+        ({"temperature_c": 9.0, "h_msl_m": 5000.0}, "SURFACE-CLIMATE", "9.0 F would be -12.8 C"),
         ({"temperature_c": -30.0}, "SURFACE-CLIMATE", "sigma"),
         ({"pressure_hpa": 1013.0, "h_msl_m": 345.0}, "SURFACE-LEVEL", "as QNH"),
         ({"pressure_hpa": 1019.0, "h_msl_m": 450.0}, "SURFACE-LEVEL", "as QNH"),

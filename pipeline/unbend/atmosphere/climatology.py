@@ -1,5 +1,5 @@
 """What the air is like without any measurement, one of `standard.ATMOSPHERES`, and how far from
-that it may be: one model for all, and how far each departs from the US Supplements 1966."""
+that it may be: one model for all, and how far each departs from the climatology by default."""
 
 from __future__ import annotations
 
@@ -10,41 +10,52 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unbend.atmosphere import messages
+from unbend.atmosphere.air_variation import (
+    CYCLE_LENGTH_M,
+    CYCLE_MEMORY_H,
+    SPRING,
+    DailyCycle,
+    Part,
+    Parts,
+    larger_part,
+    sigma_of,
+    variation_parts,
+)
 from unbend.atmosphere.climate_tables import SUPPLEMENTS, season
+from unbend.atmosphere.layers import STANDARD, stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
 from unbend.atmosphere.standard import ATMOSPHERES, AUTO, SeasonAndPlace, known_names
 from unbend.units import DEGREE, Array
 
 HUMIDITY_CORRELATION_M = 1000.0
-"""With it, the sigmas below and a measured surface pressure, sigma of R is 19 / 9 / 5 / 3 % over
-1 / 3 / 6 / 10 km; eight real ascents departed by 11 / 8 / 2 / 4 % RMS."""
 
-_NO_SEASON = 4.0  # halfway between the seasons, which follow a cosine
 _EXTREME_MONTHS = (1.0, 7.0)
 _SPREAD_TOP_M, _SPREAD_STEP_M = 30_000.0, 250.0
-_BOUNDARY_LAYER_M = 1500.0
 _DRY_ABOVE_M = 12_000.0  # above, all humidities weigh less than 1e-4 of n - 1
+_DAILY_TO_M, _DAILY_STEP_M = 3000.0, 50.0  # heights above the ground that the day warms [m]
+_OTHER_TABLE_LENGTH_M = 5000.0  # correlation in height of what one table has beside another [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
     """How far the air of one day is from a climatology.
 
-    One sigma (k,) of temperature [K] and of relative humidity over water [1] at increasing heights
-    ``h_m`` (k,) above sea level, linear between and constant beyond; ``pressure_ratio`` that of
-    ln p at sea level. Humidity correlates as exp(-dh / ``humidity_correlation_m``) over heights dh.
+    ``parts`` of the departure of temperature, independent of each other; one sigma (k,) of relative
+    humidity over water [1] at increasing heights ``h_m`` (k,) above sea level, linear between and
+    constant beyond; ``pressure_ratio`` that of ln p at sea level. Humidity correlates as
+    exp(-dh / ``humidity_correlation_m``) over heights dh.
     """
 
+    parts: Parts
     h_m: Array
-    temperature_k: Array
     relative_humidity: Array
     humidity_correlation_m: float
     pressure_ratio: float
 
     def sigma_temperature(self, h: ArrayLike) -> Array:
         """One sigma of temperature [K] at heights ``h`` [m above sea level]."""
-        return np.interp(np.asarray(h, np.float64), self.h_m, self.temperature_k)
+        return sigma_of(self.parts, np.asarray(h, np.float64))
 
     def sigma_relative_humidity(self, h: ArrayLike) -> Array:
         """One sigma of relative humidity (0 to 1) at heights ``h`` [m above sea level]."""
@@ -60,22 +71,45 @@ class Spread:
         wet = np.where(h < _DRY_ABOVE_M, wet, 0.0)
         level = float(np.log(profile.pressure(0.0) / expected.pressure(0.0)))
         return Spread(
-            h, temperature_k=np.hypot(self.temperature_k[inside], off),
+            parts=(*self.parts, Part("other table", h, off, _OTHER_TABLE_LENGTH_M)),
+            h_m=h,
             relative_humidity=np.hypot(self.relative_humidity[inside], wet),
             humidity_correlation_m=self.humidity_correlation_m,
             pressure_ratio=math.hypot(self.pressure_ratio, level),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Climatology:
     """The expected profile, its spread, and in words which tables it comes from; where it has no
-    humidity the profile is dry because the model says nothing of water."""
+    humidity the profile is dry because the model says nothing of water.
+
+    ``daily`` is the cycle of the day there, and ``hour`` the mean local time [h] of the profile,
+    None where it is not known.
+    """
 
     profile: Profile
     spread: Spread
     origin: str
     has_humidity: bool
+    daily: DailyCycle | None = None
+    hour: float | None = None
+
+    def warming_since(self, hour: float | None, h: Array) -> Array:
+        """What the day warms the air by [K] from another mean local time [h] to that of the
+        profile, at heights (n,) [m above sea level]; nothing where either is not known."""
+        if self.daily is None or self.hour is None or hour is None:
+            return np.zeros(h.shape)
+        return self.daily.of_hour_k(h, self.hour) - self.daily.of_hour_k(h, hour)
+
+    def parts_at(self, hour: float | None) -> Parts:
+        """The parts of the spread with the amplitudes of another mean local time [h]; those of the
+        profile's where either is not known."""
+        if self.daily is None or self.hour is None or hour is None:
+            return self.spread.parts
+        daily = self.daily
+        then = variation_parts(daily.latitude_rad, daily.month, daily.ground_h_m, hour)
+        return (*then, *self.spread.parts[len(then) :])
 
     def relative_humidity(self, h: ArrayLike) -> Array:
         """Expected relative humidity over water (0 to 1) at heights ``h`` [m above sea level]."""
@@ -96,35 +130,70 @@ def climatology(
     index: IndexModel | None = None,
     ground_h_m: float = 0.0,
     longitude_rad: float = 0.0,
+    hour: float | None = None,
 ) -> Climatology:
-    """The air to expect at a place and season, with its spread.
+    """The air to expect at a place, season and hour of the day, with its spread.
 
-    ``name``: one of `known_names`; ``auto`` is the Supplements 1966 by latitude and season.
+    ``name``: one of `known_names`; ``auto`` is the Supplements 1966 by latitude and season, and in
+    the lowest 3 km what public ascents have beside them, by the hour of the day.
     ``latitude_rad``: north positive; gives gravity too. ``month``: 1.0 is mid-January, 7.0
     mid-July, None where the date is not known; see `month_of`. ``ground_h_m``: of the ground
     [m above sea level], on which the boundary layer stands. ``longitude_rad``: used by NRLMSIS
-    only.
+    only. ``hour``: mean local time, see `air_variation.solar_hour`; without it, or without a month,
+    the mean of day and night is expected, and the day's cycle is part of the spread.
 
     Raises ``PhysicsError`` where the name is unknown, the latitude is beyond the pole, or the
     package behind NRLMSIS is not installed.
 
     >>> air = climatology(latitude_rad=0.8, month=7.0)
     >>> [round(float(t), 1) for t in (air.profile.temperature(0), air.spread.sigma_temperature(0))]
-    [293.8, 7.3]
+    [300.4, 8.3]
     """
     model = ATMOSPHERES.get(name)
     if model is None:
         raise messages.unknown_climatology(name=name, names=", ".join(known_names()))
     index = index or IndexModel()
-    place = SeasonAndPlace(latitude_rad, _NO_SEASON if month is None else month, longitude_rad)
-    profile = model.profile(place, index)
+    if month is None:
+        hour = None
+    place = SeasonAndPlace(latitude_rad, SPRING if month is None else month, longitude_rad)
+    daily = DailyCycle(latitude_rad, place.month, ground_h_m)
+    expected = _expected_profile(place, daily, hour, index)
     if month is None:
         spread = _spread_over_the_year(place, ground_h_m, index)
     else:
-        spread = expected_spread(latitude_rad, month, ground_h_m)
-    if model is not ATMOSPHERES[SUPPLEMENTS]:
-        spread = spread.about(profile, ATMOSPHERES[SUPPLEMENTS].profile(place, index))
-    return Climatology(profile, spread, model.origin, model.has_humidity)
+        spread = expected_spread(latitude_rad, month, ground_h_m, hour)
+    if model is ATMOSPHERES[SUPPLEMENTS]:
+        origin = f"{model.origin}; the lowest 3 km by the hour of the day, from public ascents"
+        return Climatology(expected, spread, origin, model.has_humidity, daily, hour)
+    profile = model.profile(place, index)
+    about = spread.about(profile, expected)
+    return Climatology(profile, about, model.origin, model.has_humidity, daily, hour)
+
+
+def _expected_profile(
+    place: SeasonAndPlace, daily: DailyCycle, hour: float | None, index: IndexModel
+) -> Profile:
+    """The Supplements 1966 with what the lowest 3 km of public ascents have beside them; vapour
+    and the pressure at the ground are those of the tables."""
+    profile = ATMOSPHERES[SUPPLEMENTS].profile(place, index)
+    gravity = profile.gravity
+    above_ground = np.arange(0.0, _DAILY_TO_M + 1.0, _DAILY_STEP_M)
+    added = gravity.geopotential_height(daily.ground_h_m + above_ground)
+    inner = profile.layers.edge[1:-1]
+    beside = np.min(np.abs(inner[:, None] - added), axis=1) > 1.0
+    edge = np.unique(np.concatenate([profile.layers.edge[[0, -1]], inner[beside], added]))
+    h = gravity.height(edge)
+    t_m, _, vapour = profile.state(h)
+    warmer = daily.mean_k(h) + daily.of_hour_k(h, hour)
+    layers = stack_layers(
+        edge,
+        t_m + warmer,
+        vapour,
+        (STANDARD,) * (edge.size - 1),
+        anchor=(float(added[0]), float(profile.pressure(daily.ground_h_m))),
+        constant=profile.constant,
+    )
+    return replace(profile, layers=layers)
 
 
 def _spread_over_the_year(place: SeasonAndPlace, ground_h_m: float, index: IndexModel) -> Spread:
@@ -134,17 +203,19 @@ def _spread_over_the_year(place: SeasonAndPlace, ground_h_m: float, index: Index
     the weather of the season in which it is larger: most flights are of one season, and have to be
     covered there.
     """
-    supplements = ATMOSPHERES[SUPPLEMENTS]
-    middle = supplements.profile(place, index)
+    latitude_rad = place.latitude_rad or 0.0
+    middle_day = DailyCycle(latitude_rad, place.month, ground_h_m)
+    middle = _expected_profile(place, middle_day, None, index)
     spreads = []
     for month in _EXTREME_MONTHS:
-        extreme = supplements.profile(replace(place, month=month), index)
-        of_season = expected_spread(place.latitude_rad or 0.0, month, ground_h_m)
+        daily = DailyCycle(latitude_rad, month, ground_h_m)
+        extreme = _expected_profile(replace(place, month=month), daily, None, index)
+        of_season = expected_spread(latitude_rad, month, ground_h_m)
         spreads.append(of_season.about(extreme, middle))
     winter, summer = spreads
     return replace(
         winter,
-        temperature_k=np.maximum(winter.temperature_k, summer.temperature_k),
+        parts=tuple(map(larger_part, winter.parts, summer.parts)),
         relative_humidity=np.maximum(winter.relative_humidity, summer.relative_humidity),
         pressure_ratio=max(winter.pressure_ratio, summer.pressure_ratio),
     )
@@ -165,29 +236,28 @@ def month_of(time_ns: int | None) -> float | None:
     return (into - 14.0) / 365.25 * 12.0 + 1.0
 
 
-def expected_spread(latitude_rad: float, month: float, ground_h_m: float = 0.0) -> Spread:
-    """One sigma of a day's air about the Supplements at the same latitude and season.
+def expected_spread(
+    latitude_rad: float, month: float, ground_h_m: float = 0.0, hour: float | None = None
+) -> Spread:
+    """One sigma of a day's air about the climatology at the same latitude and season.
 
-    Temperature: in the free troposphere 4 K in the tropics, 5 K in middle and high latitudes and
-    up to 6 K at the tropopause; near the ground 2 K more in the tropics, 3 K in middle and high
-    latitudes in summer and 6 K in winter, falling by 1/e in 1.5 km. Relative humidity: 0.30,
-    0.15 in the lowest kilometre and above 12 km. Pressure at sea level: 0.6 % in the tropics,
-    1.0 % in middle latitudes, 1.3 % in their winter.
-
-    These contain the day's weather, the hour, and the place along the parallel. They are judgement,
-    set on eight real ascents of five sites, whose departures they overstate by a third (RMS 0.74 of
-    sigma), because five sites are few.
+    Temperature: the parts of `air_variation`, fitted to public ascents; without an hour of the day
+    its cycle too. Relative humidity: 0.30, 0.15 in the lowest kilometre and above 12 km. Pressure
+    at sea level: 0.6 % in the tropics, 1.0 % in middle latitudes, 1.3 % in their winter.
     """
     degrees = abs(latitude_rad) / DEGREE
     winter = 0.5 + 0.5 * season(latitude_rad, month)
     away = float(np.interp(degrees, [15.0, 50.0], [0.0, 1.0]))  # from the tropics
     h = np.arange(0.0, _SPREAD_TOP_M + 1.0, _SPREAD_STEP_M)
-    tropics = np.interp(h, [0.0, 8000.0, 16_000.0, 19_000.0, 30_000.0], [4.0, 4.5, 5.0, 5.0, 4.0])
-    middle = np.interp(h, [0.0, 6000.0, 10_000.0, 13_000.0, 30_000.0], [4.5, 5.0, 6.0, 5.5, 5.0])
-    free = (1.0 - away) * tropics + away * middle
-    near = 2.0 + away * (1.0 + 3.0 * winter)
+    parts = variation_parts(latitude_rad, month, ground_h_m, hour)
+    if hour is None:
+        cycle = DailyCycle(latitude_rad, month, ground_h_m).by_hour_k(parts[0].h_m)
+        of_day = cycle / math.sqrt(2.0)  # of a cosine at any time
+        parts = (
+            *parts,
+            Part("hour", parts[0].h_m, of_day, CYCLE_LENGTH_M, memory_h=CYCLE_MEMORY_H),
+        )
     above_ground = np.maximum(h - ground_h_m, 0.0)
-    temperature = free + near * np.exp(-above_ground / _BOUNDARY_LAYER_M)
     humidity = np.interp(above_ground, [0.0, 1000.0, 10_000.0, 13_000.0], [0.15, 0.3, 0.3, 0.15])
     level = 0.006 + away * (0.004 + 0.003 * winter)
-    return Spread(h, temperature, humidity, HUMIDITY_CORRELATION_M, level)
+    return Spread(parts, h, humidity, HUMIDITY_CORRELATION_M, level)

@@ -5,23 +5,25 @@ from unbend.messages import Message, fallback, note, warning
 
 AIR_AGED = Code(
     "AIR-AGED",
-    means="Some exposures were made hours after the air at their heights was sampled.",
-    effect="The sigmas of the air of these exposures grow with that time.",
-    remedy="Climb or descend through the air more often, or add a sounding of the time.",
+    means="Some exposures were made hours after the air at their heights was sampled, or far away.",
+    effect="The sigmas of the air of these exposures grow with that time and distance.",
+    remedy="Climb or descend through the air more often, or add a sounding of the time and place.",
 )
 
 
-def air_aged(*, hours: float, height_m: float, count: int) -> Message:
-    """Some exposures were made hours after the air at their heights was sampled."""
+def air_aged(*, hours: float, height_m: float, count: int, km: float = 0.0) -> Message:
+    """Some exposures were made hours after the air at their heights was sampled, or far away."""
+    far = f", and up to {km:.0f} km from where it was" if km > 0.0 else ""
     return note(
         AIR_AGED,
         (
             "some exposures are {hours:.1f} h from when the air at {height_m:.0f} m was "
-            "sampled: the sigmas of the air grow with that time"
+            f"sampled{far}: the sigmas of the air grow with that"
         ),
         hours=hours,
         height_m=height_m,
         count=count,
+        km=km,
     )
 
 

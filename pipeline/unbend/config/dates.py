@@ -30,6 +30,15 @@ StatedDate = Annotated[str, AfterValidator(checked_date)]
 """A value of a mission file that `checked_date` accepts."""
 
 
+def is_day_alone(value: str) -> bool:
+    """Whether a stated date has no time of the day.
+
+    >>> is_day_alone("2026-05-14"), is_day_alone("2026-05-14T12:00")
+    (True, False)
+    """
+    return len(value) == len("2026-05-14")
+
+
 def nanoseconds_of_date(value: str | None) -> int | None:
     """A stated date [Unix ns], UTC; a day without a time is its noon.
 
@@ -42,7 +51,7 @@ def nanoseconds_of_date(value: str | None) -> int | None:
 def _nanoseconds_of_text(value: str) -> int:
     """A date, as `nanoseconds_of_date` takes it [Unix ns]."""
     time = datetime.fromisoformat(value)
-    if len(value) == len("2026-05-14"):
+    if is_day_alone(value):
         time = time.replace(hour=12)
     if time.tzinfo is None:
         time = time.replace(tzinfo=UTC)

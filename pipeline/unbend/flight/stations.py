@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from unbend.atmosphere.barometer_errors import NO_ERRORS, BarometerErrors
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.flight import messages
@@ -283,13 +284,20 @@ _SCALE_M_PER_K = 29.27  # the gas constant of dry air over gravity: scale height
 
 
 def flag_height_misfits(
-    stations: Stations, profile: Profile | ProfileSeries, *, use_suspect: bool = False
+    stations: Stations,
+    profile: Profile | ProfileSeries,
+    errors: BarometerErrors = NO_ERRORS,
+    *,
+    use_suspect: bool = False,
 ) -> tuple[Stations, Notes]:
-    """Mark stations whose pressure is more than 8 hPa from that of the flight's profile.
+    """Mark stations whose pressure is more than 8 hPa from what their barometer should read.
 
-    Their height is wrong, or their barometer failed. They stay usable with ``use_suspect``.
+    That is the pressure of the flight's profile with the ``errors`` of the barometer which the
+    flight determined. Their height is wrong, or their barometer failed. They stay usable with
+    ``use_suspect``.
     """
-    misfit_pa = np.abs(stations.pressure_pa - profile.pressure(stations.h_msl_m))
+    expected_pa = errors.reading(profile.pressure(stations.h_msl_m))
+    misfit_pa = np.abs(stations.pressure_pa - expected_pa)
     with np.errstate(invalid="ignore"):
         wrong = stations.ok & (misfit_pa > LARGEST_PRESSURE_MISFIT_PA)
     count = int(np.count_nonzero(wrong))

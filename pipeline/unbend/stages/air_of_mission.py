@@ -15,6 +15,7 @@ from unbend.atmosphere.estimate.adjusted_profile import (
 from unbend.atmosphere.estimate.candidates import ExternalSources, no_source_used
 from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.series.profile_series import (
+    FlightPath,
     ProfileSeries,
     TimedProfile,
     add_ageing,
@@ -82,7 +83,9 @@ def adjusted_profiles(
     if model is not None and not is_used(model, adjustment):
         model = None
     levels = levels_of_mission(mission, stations, sources)
-    return profiles_in_time(adjustment, stations, levels, model, ledger)
+    # A model knows the distance better than the path does: see `add_model_changes`.
+    path = sources.path if model is None else None
+    return profiles_in_time(adjustment, stations, levels, model, ledger, path=path)
 
 
 def kept_standard(
@@ -116,8 +119,12 @@ def profiles_in_time(
     levels: Levels,
     model: ModelAir | None,
     ledger: Ledger,
+    *,
+    path: FlightPath | None = None,
 ) -> FlightAir:
     """The profile of each exposure at its time, and at its place where a ``model`` knows it.
+
+    Without a model its sigma grows with the distance on the ``path`` of the flight.
 
     Exposures without a time, and images without an exposure, get the profile of the middle
     exposure.
@@ -137,7 +144,7 @@ def profiles_in_time(
         if windows:
             series = series_between(windows, times_ns, levels)
         if adjustment.samples is not None:
-            series = with_ageing(series, adjustment.samples, times_ns, levels, ledger)
+            series = with_ageing(series, adjustment.samples, times_ns, levels, path, ledger)
         if model is not None:
             is_measured = adjustment.time_ns is not None
             series = with_model_changes(
@@ -178,11 +185,19 @@ def series_between(
 
 
 def with_ageing(
-    series: ProfileSeries, samples: AirSamples, times_ns: Integers, levels: Levels, ledger: Ledger
+    series: ProfileSeries,
+    samples: AirSamples,
+    times_ns: Integers,
+    levels: Levels,
+    path: FlightPath | None,
+    ledger: Ledger,
 ) -> ProfileSeries:
-    """The profiles with their sigmas at times (s,), which may be long after the samples."""
+    """The profiles with their sigmas at times (s,), which may be long after the samples.
+
+    With a ``path`` also at the places of the exposures, which may be far from the samples.
+    """
     highest_m = max(levels.cameras_m)
-    return ledger.take(add_ageing(series, times_ns, samples, highest_m, levels.ground_m))
+    return ledger.take(add_ageing(series, times_ns, samples, highest_m, levels.ground_m, path))
 
 
 def with_model_changes(

@@ -15,7 +15,7 @@ from unbend.atmosphere.estimate.external_readings import TimeAndPlace, distance_
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.atmosphere.series.profile_series import PlaceInTime
+from unbend.atmosphere.series.profile_series import FlightPath, PlaceInTime
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.model_field import ModelField, model_column
@@ -26,7 +26,7 @@ from unbend.flight.stations import NO_TIME, Stations, middle_time_ns
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.stages import messages
-from unbend.stages.flight_date import flight_date_ns, refuse_dated_sources
+from unbend.stages.flight_date import flight_date_ns, flight_hour, refuse_dated_sources
 from unbend.stages.flight_log import FlightLog, GroundTrack
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.weather_files import FlightArea
@@ -297,6 +297,7 @@ class AirSources:
     utc_known : whether the times of the log are UTC; else they count from a boot.
     lowest_h_m : the lowest height at which the log sampled the air, else that of the take-off,
         else 0 [m above sea level].
+    path : where the flight was.
     calibration : the known errors of sensors.
     """
 
@@ -307,6 +308,7 @@ class AirSources:
     longitude_rad: float = math.nan
     lowest_h_m: float = 0.0
     model: ModelAir | None = None
+    path: FlightPath | None = None
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
     utc_known: bool = True
 
@@ -376,6 +378,7 @@ def read_air_sources(
         index=index_of(section),
         ground_h_m=lowest_h_m,
         longitude_rad=0.0 if math.isnan(longitude) else longitude,
+        hour=flight_hour(mission, stations, flight_ns),
     )
     soundings = read_soundings(section, inputs, flight_ns, latitude, ledger)
     surface = read_reports(section, flight_ns, background, ledger)
@@ -394,6 +397,7 @@ def read_air_sources(
         longitude_rad=longitude,
         lowest_h_m=lowest_h_m,
         model=model,
+        path=flight_path(flight.track),
         calibration=section.sensors.calibration,
         utc_known=not bool(stations.from_boot.any()),
     )
@@ -445,6 +449,18 @@ def report_unused(sources: AirSources, ledger: Ledger) -> None:
                 calibrations=len(sources.calibration),
             )
         )
+
+
+def flight_path(track: GroundTrack | None) -> FlightPath | None:
+    """The known positions of a track; None where there are none."""
+    if track is None:
+        return None
+    is_known = np.isfinite(track.latitude_rad + track.longitude_rad)
+    if not bool(is_known.any()):
+        return None
+    longitude_rad = track.longitude_rad[is_known]
+    longitude_rad = longitudes_near(longitude_rad, float(longitude_rad[0]))
+    return FlightPath(track.time_ns[is_known], track.latitude_rad[is_known], longitude_rad)
 
 
 def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:

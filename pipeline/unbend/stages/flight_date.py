@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from unbend.atmosphere.air_variation import solar_hour
 from unbend.atmosphere.soundings import Sounding
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection
+from unbend.config.dates import is_day_alone, nanoseconds_of_date
 from unbend.flight.stations import Stations, middle_time_ns
 from unbend.messages import Ledger
 from unbend.stages import messages
@@ -21,10 +23,7 @@ def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int 
 
     None where neither is known. A stated date that the exposures contradict is a finding.
     """
-    stated_ns = mission.mission.date_ns
-    orientation = mission.stations.orientation
-    if orientation is not None and orientation.date_ns is not None:
-        stated_ns = orientation.date_ns
+    stated_ns = nanoseconds_of_date(stated_date(mission))
     flown_ns = middle_time_ns(stations.utc_ns)
     if flown_ns is None:
         if stated_ns is None and mission.atmosphere.adjust:
@@ -38,6 +37,27 @@ def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int 
             )
         )
     return flown_ns
+
+
+def stated_date(mission: Mission) -> str | None:
+    """The date that a mission file states: that of its orientations, else its own."""
+    orientation = mission.stations.orientation
+    if orientation is not None and orientation.date is not None:
+        return orientation.date
+    return mission.mission.date
+
+
+def flight_hour(mission: Mission, stations: Stations, flight_ns: int | None) -> float | None:
+    """The mean local time [h] at which a mission was flown.
+
+    None where the exposures have no UTC and the mission file states no time of the day, or where
+    the longitude is not known.
+    """
+    stated = stated_date(mission)
+    is_flown = middle_time_ns(stations.utc_ns) is not None
+    if not is_flown and stated is not None and is_day_alone(stated):
+        return None
+    return solar_hour(flight_ns, stations.median_longitude_rad)
 
 
 def refuse_dated_sources(soundings: Sequence[Sounding], section: AtmosphereSection) -> None:

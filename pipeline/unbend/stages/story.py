@@ -123,8 +123,11 @@ def prepare_mission(
     )
     air = adjusted_profiles(mission, stations, samples, sources, ledger)
     if air.adjustment.is_measured:
+        errors = air.adjustment.barometer_errors
         use_suspect = mission.stations.use_suspect
-        stations = ledger.take(flag_height_misfits(stations, air.series, use_suspect=use_suspect))
+        stations = ledger.take(
+            flag_height_misfits(stations, air.series, errors, use_suspect=use_suspect)
+        )
     if flight.log is not None:
         ledger.extend(flight.log.ledger)
     return PreparedMission(

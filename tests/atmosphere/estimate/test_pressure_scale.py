@@ -10,7 +10,7 @@ import pytest
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from unbend.atmosphere.estimate.state import Fault, SensorFault
+from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.soundings import Sounding
 from unbend.messages import Kind, Ledger
 
@@ -121,29 +121,3 @@ def test_a_cold_thermometer_is_no_lost_pressure_where_drifts_are_large(flights):
         assert [e.code for e in ledger if e.kind is Kind.LOSS] == ["AIR-THERMOMETER"], truth.name
         sigma = found.covariance.relative_sigma(truth.h[0] + 6000.0, truth.h[0])
         assert abs(truth.error(found.profile, 6000.0)) < 2.0 * sigma, truth.name
-
-
-@pytest.mark.parametrize("value", [0.0, 0.004, 0.012, -0.03])
-@pytest.mark.parametrize("sigma", [0.002, 0.01, 0.02])
-def test_the_mixture_is_that_of_bayes_rule(value, sigma):
-    """Mean and variance against the posterior on a grid: likelihood times both parts of the prior.
-
-    ``value`` and ``sigma`` of the likelihood; with the wide prior they give what is mixed.
-    """
-    fault = Fault(SensorFault.PRESSURE_SCALE, 0.001, 0.03, rare=0.1, usual=0.002)
-    x = np.linspace(-0.3, 0.3, 600_001)
-
-    def normal(mean, deviation):
-        return np.exp(-0.5 * ((x - mean) / deviation) ** 2) / deviation
-
-    prior = 0.1 * normal(0.001, 0.03) + 0.9 * normal(0.001, 0.002)
-    posterior = prior * normal(value, sigma)
-    posterior /= posterior.sum()
-    mean = posterior @ x
-    variance = 1.0 / (sigma**-2 + 0.03**-2)
-    wide = variance * (value / sigma**2 + 0.001 / 0.03**2)
-    found, spread = fault.mixed(wide, variance)
-    assert found == pytest.approx(mean, abs=1e-7)
-    assert spread == pytest.approx(posterior @ (x - mean) ** 2, rel=1e-5)
-    of_prior = np.sqrt(prior @ (x - 0.001) ** 2 / prior.sum())
-    assert fault.prior_sigma == pytest.approx(of_prior, rel=1e-4)

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from unbend.atmosphere.air_samples import AirSamples, SensorUse, sensor_uses
+from unbend.atmosphere.air_variation import solar_hour
+from unbend.atmosphere.barometer_errors import NO_ERRORS, BarometerErrors
 from unbend.atmosphere.climatology import Climatology, climatology, month_of
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate import (
@@ -27,6 +29,7 @@ from unbend.atmosphere.estimate.candidates import Candidate, ExternalSources, So
 from unbend.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
 from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
+from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.layers import BAROMETRIC, MEASURED, RELAXED, STANDARD, stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.rejection import Reason, Reasons, with_reason
@@ -76,6 +79,18 @@ class Adjustment:
         """Whether the profile rests on any measurement."""
         return self.basis not in (UNMEASURED, UNADJUSTED)
 
+    @property
+    def barometer_errors(self) -> BarometerErrors:
+        """Those that the flight has determined; none without a barometer."""
+        if self.settings is None or self.settings.highest is None:
+            return NO_ERRORS
+        values = {fault.fault: fault.value for fault in self.faults}
+        return BarometerErrors(
+            offset_pa=values.get(SensorFault.PRESSURE_OFFSET, 0.0),
+            lost_share=values.get(SensorFault.PRESSURE_SCALE, 0.0),
+            highest_pa=math.exp(self.settings.highest),
+        )
+
 
 def build_adjusted_profile(
     samples: AirSamples,
@@ -123,7 +138,12 @@ def build_adjusted_profile(
         middles = (sensor.middle_ns for sensor in samples.sensors.values())
         middle = next((middle for middle in middles if middle is not None), time_ns)
     flight = TimeAndPlace(middle, latitude_rad, longitude_rad)
-    expected = partial(climatology, latitude_rad=latitude_rad, month=month_of(middle))
+    expected = partial(
+        climatology,
+        latitude_rad=latitude_rad,
+        month=month_of(middle),
+        hour=solar_hour(middle, longitude_rad),
+    )
     moisture = expected(index=standard.index)
     if background is None:
         background = replace(expected(standard.name), profile=standard)
@@ -132,8 +152,6 @@ def build_adjusted_profile(
         sensor_checks.subtract_known_biases(samples, settings or SensorSettings())
     )
     usable = ledger.take(sensor_checks.usable_sensors(samples, standard))
-    indoors = ledger.take(sensor_checks.is_maybe_indoors(usable, standard, settings))
-    settings = replace(settings, maybe_indoors=indoors)
     external = ExternalSources(tuple(soundings), tuple(surface))
     whys = {source.name: reason_uninformative(source, flight) for source in external.sources}
     unused = {name: why for name, why in whys.items() if why is not None}
@@ -176,6 +194,7 @@ def build_adjusted_profile(
     profile = replace(made.profile, layers=replace(made.profile.layers, source=_sources(made)))
     ledger.add(sensor_checks.pressure_level(profile, background, candidate.samples.pressure))
     ledger.extend(_notes(candidate, made))
+    ledger.extend(sensor_checks.maybe_in_a_bay(made, candidate.samples))
     ledger.extend(
         sensor_checks.check_calibration(made, settings, lambda s: make(candidate, settings=s))
     )

@@ -157,11 +157,12 @@ def column_agrees(
         return PASSED
     h = np.linspace(low, high, 30)
     measured = np.interp(h, levels, column.temperature_k)
-    mean = float(np.mean(measured - own.profile.temperature(gravity.height(h))))
+    expected = np.interp(h, departures[0].knot, departures[0].expected_k)
+    mean = float(np.mean(measured - expected - own.profile.temperature(gravity.height(h))))
     # The variance of the mean of T(h); that of T_M stands for it.
     parts = (
         (hats(edge, h).mean(axis=0), own.covariance.matrix[: edge.size, : edge.size]),
-        (hats(departures[0].knot, h).mean(axis=0), departures[0].covariance()),
+        (hats(departures[0].knot, h).mean(axis=0), departures[0].covariance(background)),
     )
     sigma = float(
         np.sqrt(sum(w @ matrix @ w for w, matrix in parts) + external_readings.LEVEL_K**2)
@@ -200,7 +201,7 @@ def is_better_than_background(
     every other bin of thermometer and barometer, about their median. Consistent readings do, even
     if all of them have the same error; unrelated noise does not."""
     measured = made.readings
-    layout = layout_of(measured, background)
+    layout = made.layout
     prior = prior_of(layout, background, moisture)
     used, held_out = list(measured.sets), []
     for i, readings in enumerate(measured.sets):

@@ -1,8 +1,8 @@
 """Soundings, weather stations and the climatology as readings, weighted by their age and distance.
 
-After a time t and over a distance d the air's departure from its climatology correlates by
-rho = exp(-t/tau - max(d/(tau v), (d/L)^2/2)) with what it was. An old or far reading with an error
-of variance s^2 (1/rho^2 - 1), where s is the spread of the climatology, has the weight rho^2.
+What the air has changed by in that time and over that distance follows from its structure function
+(`atmosphere.air_variation`): a sounding departs from the air of the flight by a profile whose
+covariance, with the air itself and with other soundings, is part of the prior (`state.prior_of`).
 """
 
 import math
@@ -11,34 +11,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from unbend.atmosphere.air_variation import SPRING, changes, sigma_of, solar_hour, variation_parts
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import messages, sensors
-from unbend.atmosphere.estimate.state import TOP_M, Drift
+from unbend.atmosphere.estimate.state import TOP_M, Departure, Drift, Separation, exponential
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.messages import Message
 from unbend.units import Array, Mask
 
-SPREAD_K, SPREAD_RH = 5.0, 0.3  # of the climatology in the free troposphere
+HUMIDITY_MEMORY_H, HUMIDITY_REACH_M = 18.0, 3e5
+"""Relative humidity over Vienna changes by 0.15, 0.3 and 0.3 in 12 hours at 0.1, 2 and 5 km, in a
+day by little more."""
+MOST_HUMIDITY_GROWTH = 9.0  # of its variance: then a reading weighs a tenth, and more is no use
 
-MEMORY_H = 167.0
-"""tau: the variance of temperature grows by 0.3 K2 an hour, 0.95 K in three hours, 2.9 K in a day.
-Sun et al. 2010 (J. Geophys. Res. 115, D23104) find 0.35 K per 3 h in the free troposphere, linear
-up to 6 h: 2.8 K in a day. Two pairs of ascents over Barrow differ by 1.0 to 2.3 K in 12 hours."""
+ROUGHER = 2.0  # across a coast or a ridge a distance counts so many times
 
-METRES_PER_H, MEMORY_M = 1e5 / 3.0, 1.19e6
-"""v: 100 km are as 3 h, 0.95 K (the same paper, which holds for 250 km and from 850 to 200 hPa); L:
-from 500 km on, where the climate changes too."""
+FAR_M = 200e3  # a sounding from farther away is reported
+FAR_SHOWN_M = 3000.0  # height at which its change is stated [m]
 
-LOW_PA, ROUGHER = 85_000.0, 2.0
-"""In the air below 850 hPa, and across a coast or a ridge, a distance counts so many times."""
-
-FAR_M = 200e3  # a sounding from farther away is reported: its temperatures are 1.4 K less certain
-
-MOST_GROWTH = 9.0
-"""A reading whose variance is that many times the climatology's weighs a tenth: after 8 days, or
-1800 km. It is left out."""
+MOST_HOURS, MOST_METRES = 192.0, 1.8e6
+"""From beyond these, or both in part, a source says nothing that the climatology does not."""
 
 UNDATED_SOUNDING_H, UNDATED_REPORT_H, UNPLACED_M = 6.0, 3.0, 100e3
 """Assumed where unknown: soundings are released every twelve hours, stations are near."""
@@ -46,22 +40,16 @@ UNDATED_SOUNDING_H, UNDATED_REPORT_H, UNPLACED_M = 6.0, 3.0, 100e3
 FAR_REPORT_H = 3.0  # a surface report from longer before or after is reported
 
 _EARTH_M = 6.371e6
-_MOST_EXPONENT = 50.0  # exp of it is finite, and far beyond MOST_GROWTH
-
-LATER_LENGTH_M = 4000.0
-"""What age and distance add to the errors of a column (see `variance_growth`) correlates in height
-like departures from the climatology."""
 
 DEPARTURE_STEP_M = 500.0
+DEPARTURE_NEAR_GROUND_M = (0.0, 50.0, 100.0, 200.0, 350.0, 500.0, 750.0, 1000.0, 1250.0)
+"""Knots of a departure: nearer above the lowest level, where the day and inversions change it."""
 
 LEVEL_K, LEVEL_RH = 0.4, 0.04  # independent errors of a level of a sounding
 
 WEATHER_LOG_P_PER_H, WEATHER_LOG_P_PER_M = 5e-4, 1.5e-8  # 0.5 hPa an hour; a wind of 12 m/s
 STATION_K, STATION_RH, STATION_LOG_P = 1.5, 0.06, 5e-4
 """Two metres above the grass is not yet the free air; a station's pressure is good to 0.5 hPa."""
-
-STATION_K2_PER_H = 2.0
-"""Near the ground the day warms the air by some 5 K from dawn to noon, as in `series`."""
 
 THIN_M = 100.0  # levels of a sounding are averaged over this [m']
 
@@ -100,17 +88,6 @@ class TimeAndPlace:
         return 2.0 * _EARTH_M * math.asin(math.sqrt(min(half_chord, 1.0)))
 
 
-def variance_growth(hours: float, metres: float = 0.0) -> float:
-    """1/rho^2 - 1: variance of the change of the air, over that of the climatology.
-
-    >>> [round(SPREAD_K * variance_growth(*d) ** 0.5, 2) for d in ((3.0, 0.0), (0.0, 1e5))]
-    [0.96, 0.96]
-    """
-    of_distance = max(2.0 * metres / (METRES_PER_H * MEMORY_H), (metres / MEMORY_M) ** 2)
-    exponent = 2.0 * hours / MEMORY_H + of_distance
-    return math.expm1(min(exponent, _MOST_EXPONENT))
-
-
 def hours_and_metres(source: Sounding | SurfaceReport, flight: TimeAndPlace) -> tuple[float, float]:
     """Hours and metres between a source and the flight, as assumed where they are not known; twice
     the metres across a coast or a ridge."""
@@ -134,16 +111,13 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
     'it is 278 hours from the flight: the climatology is as accurate'
     """
     hours, metres = hours_and_metres(source, flight)
-    if variance_growth(hours, metres) <= MOST_GROWTH:
+    old, far = hours / MOST_HOURS, (metres / MOST_METRES) ** 2
+    if old + far <= 1.0:
         return None
     metres /= ROUGHER if source.across else 1.0
-    old, far = f"{hours:.0f} hours", f"{metres / 1e3:.0f} km"
-    away = f"{old} and {far}"
-    if variance_growth(hours) > MOST_GROWTH:
-        away = old
-    elif variance_growth(0.0, metres) > MOST_GROWTH:
-        away = far
-    return f"it is {away} from the flight: the climatology is as accurate"
+    parts = [f"{hours:.0f} hours"] if far <= 1.0 or old > 1.0 else []
+    parts += [f"{metres / 1e3:.0f} km"] if old <= 1.0 else []
+    return f"it is {' and '.join(parts)} from the flight: the climatology is as accurate"
 
 
 def distance_notes(
@@ -158,9 +132,10 @@ def distance_notes(
         if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
             yield messages.sounding_unplaced(where=name, km=UNPLACED_M / 1e3)
         if metres > FAR_M:
-            growth = variance_growth(0.0, metres)
-            worth = f"temperatures are {SPREAD_K * math.sqrt(growth):.1f} K less certain for that"
-            worth = worth if growth <= MOST_GROWTH else "it has no information on its air"
+            parts = variation_parts(flight.latitude_rad, SPRING, ground_h_m=0.0)
+            kelvin = sigma_of(changes(parts, 0.0, metres), np.array([FAR_SHOWN_M]))[0]
+            worth = f"temperatures are {kelvin:.1f} K less certain for that"
+            worth = worth if metres <= MOST_METRES else "it has no information on its air"
             yield messages.sounding_far_away(where=name, km=metres / 1e3, worth=worth)
     for report in surface:
         hours = flight.hours_from(report.time_ns)
@@ -174,35 +149,109 @@ def distance_notes(
 
 def sounding_departures(
     soundings: Sequence[Sounding], background: Climatology, flight: TimeAndPlace
-) -> tuple[Drift, ...]:
-    """How the air of each column departs from that of the flight, over its own heights."""
+) -> tuple[Departure, ...]:
+    """How temperatures of each column depart from those of the flight, over its own heights."""
     gravity = background.profile.gravity
-    departures: list[Drift] = []
+    inside = [sounding for sounding in soundings if bool(_inside(sounding, background).any())]
+    names = {id(sounding): departure_name(i) for i, sounding in enumerate(soundings)}
+    departures = []
+    for sounding in inside:
+        levels = gravity.geopotential_height(sounding.h_m)
+        knots = _departure_knots(levels[_inside(sounding, background)])
+        sigma = np.interp(
+            knots, levels, np.broadcast_to(sounding.errors.temperature_k, levels.shape)
+        )
+        errors = np.outer(sigma, sigma) * exponential(knots, sounding.errors.temperature_length_m)
+        h = gravity.height(knots)
+        then = solar_hour(sounding.time_ns, _longitude(sounding, flight))
+        expected_k = -background.warming_since(then, h)
+        if then is None and background.daily is not None and background.hour is not None:
+            of_day = background.daily.by_hour_k(h)
+            errors = errors + np.outer(of_day, of_day)
+        beside = {
+            names[id(other)]: separation(sounding, other, flight)
+            for other in inside
+            if other is not sounding
+        }
+        departures.append(
+            Departure(
+                name=names[id(sounding)],
+                knot=knots,
+                expected_k=expected_k,
+                parts=background.parts_at(then),
+                errors=errors,
+                apart=Separation(*hours_and_metres(sounding, flight)),
+                beside=beside,
+            )
+        )
+    return tuple(departures)
+
+
+def departure_name(number: int) -> str:
+    """Of the sounding with a number among all."""
+    return f"{sensors.SOUNDING_DEPARTURE} {number}"
+
+
+def separation(sounding: Sounding, other: Sounding, flight: TimeAndPlace) -> Separation:
+    """Hours and metres between two soundings; where not known, those from the flight added up."""
+    hours, metres = hours_and_metres(sounding, flight)
+    other_hours, other_metres = hours_and_metres(other, flight)
+    when = TimeAndPlace(sounding.time_ns, sounding.latitude_rad, sounding.longitude_rad)
+    between_h = when.hours_from(other.time_ns)
+    between_m = when.metres_from(other.latitude_rad, other.longitude_rad)
+    between_m *= ROUGHER if sounding.across or other.across else 1.0
+    return Separation(
+        between_h if math.isfinite(between_h) else hours + other_hours,
+        between_m if math.isfinite(between_m) else metres + other_metres,
+    )
+
+
+def humidity_drifts(
+    soundings: Sequence[Sounding], background: Climatology, flight: TimeAndPlace
+) -> tuple[Drift, ...]:
+    """How relative humidities of each column depart from those of the flight."""
+    gravity = background.profile.gravity
+    drifts = []
     for i, sounding in enumerate(soundings):
         inside = _inside(sounding, background)
         if not bool(inside.any()):
             continue
-        errors, levels = sounding.errors, gravity.geopotential_height(sounding.h_m)
+        levels = gravity.geopotential_height(sounding.h_m)
         height = levels[inside]
         knots = np.arange(height[0], height[-1] + DEPARTURE_STEP_M, DEPARTURE_STEP_M)
-        own_k, own_rh = (
-            np.interp(knots, levels, np.broadcast_to(sigma, levels.shape))
-            for sigma in (errors.temperature_k, errors.relative_humidity)
-        )
-        hours, metres = hours_and_metres(sounding, flight)
-        low = background.profile.pressure(gravity.height(knots)) > LOW_PA
-        growth = np.where(
-            low, variance_growth(hours, ROUGHER * metres), variance_growth(hours, metres)
-        )
-        own, later = own_k**2, SPREAD_K**2 * growth
-        share = float(np.mean(own) / np.mean(own + later))
-        length = share * errors.temperature_length_m + (1.0 - share) * LATER_LENGTH_M
-        humid = np.hypot(own_rh, SPREAD_RH * np.sqrt(growth))
-        departures += [
-            Drift(f"{sensors.SOUNDING_DEPARTURE} {i}", knots, np.sqrt(own + later), length),
-            Drift(f"{sensors.SOUNDING_HUMIDITY} {i}", knots, humid, errors.humidity_length_m),
-        ]
-    return tuple(departures)
+        errors = np.broadcast_to(sounding.errors.relative_humidity, levels.shape)
+        usual = background.spread.sigma_relative_humidity(gravity.height(knots))
+        growth = humidity_growth(*hours_and_metres(sounding, flight))
+        sigma = np.hypot(np.interp(knots, levels, errors), usual * math.sqrt(growth))
+        name = f"{sensors.SOUNDING_HUMIDITY} {i}"
+        drifts.append(Drift(name, knots, sigma, sounding.errors.humidity_length_m))
+    return tuple(drifts)
+
+
+def humidity_growth(hours: float, metres: float) -> float:
+    """Variance that an error of relative humidity grows by, over that of the climatology.
+
+    With the correlation rho over the time and distance a reading with an error of variance
+    s^2 (1/rho^2 - 1) has the weight rho^2.
+
+    >>> [round(humidity_growth(hours, 0.0), 2) for hours in (0.0, 3.0, 24.0)]
+    [0.0, 0.4, 9.0]
+    """
+    exponent = 2.0 * (hours / HUMIDITY_MEMORY_H + metres / HUMIDITY_REACH_M)
+    return min(math.expm1(min(exponent, MOST_HUMIDITY_GROWTH)), MOST_HUMIDITY_GROWTH)
+
+
+def _departure_knots(height: Array) -> Array:
+    """Knots [m'] from the lowest to the highest of some heights."""
+    near = height[0] + np.array(DEPARTURE_NEAR_GROUND_M)
+    above = np.arange(near[-1] + DEPARTURE_STEP_M, height[-1] + DEPARTURE_STEP_M, DEPARTURE_STEP_M)
+    return np.concatenate([near, above])
+
+
+def _longitude(source: Sounding, flight: TimeAndPlace) -> float:
+    """That of a sounding, else that of the flight, which it is near to."""
+    own = source.longitude_rad
+    return own if math.isfinite(own) else flight.longitude_rad
 
 
 def _inside(sounding: Sounding, background: Climatology) -> Mask:
@@ -224,7 +273,7 @@ def sounding_readings(
     e, t, p = sounding.vapour_pressure_pa, sounding.temperature_k, sounding.pressure_pa
     rh, name = _relative_humidity(e, t, p), sounding.name
     h, mean_t = _thinned(height[inside], t[inside])
-    departure, sigma = f"{sensors.SOUNDING_DEPARTURE} {number}", np.full(h.size, LEVEL_K)
+    departure, sigma = departure_name(number), np.full(h.size, LEVEL_K)
     readings: list[sensors.Readings] = [sensors.Temperatures(name, h, mean_t, sigma, departure)]
     moist = inside & np.isfinite(rh) & (height < HUMIDITY_BELOW_M)
     if bool(moist.any()):
@@ -245,15 +294,15 @@ def surface_readings(
     """Temperature, pressure and humidity of a station, less certain by its age and distance."""
     height = background.profile.gravity.geopotential_height(np.array([report.h_m]))
     hours, metres = hours_and_metres(report, flight)
-    if float(background.profile.pressure(report.h_m)) > LOW_PA:
-        metres *= ROUGHER
     name, pressure = report.name, report.pressure_pa
     readings: list[sensors.Readings] = []
     if np.isfinite(t := report.temperature_k):
-        of_air = STATION_K**2 + report.sigma_temperature_k**2 + STATION_K2_PER_H * hours
-        of_air += SPREAD_K**2 * variance_growth(0.0, metres)
-        sigma = np.array([np.sqrt(of_air)])
-        readings.append(sensors.Temperatures(name, height, np.array([t]), sigma))
+        here = np.array([report.h_m])
+        instrument = np.hypot(STATION_K, report.sigma_temperature_k)
+        changed = sigma_of(changes(background.spread.parts, hours, metres), here)
+        then = solar_hour(report.time_ns, flight.longitude_rad)
+        now = t + background.warming_since(then, here)
+        readings.append(sensors.Temperatures(name, height, now, np.hypot(instrument, changed)))
     if np.isfinite(pressure):
         instrument = np.hypot(STATION_LOG_P, report.sigma_pressure_pa / pressure)
         weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * report.distance_m)
@@ -263,8 +312,9 @@ def surface_readings(
         pressure = float(background.profile.pressure(report.h_m))
     rh = _relative_humidity(report.vapour_pressure_pa, t, pressure)
     if bool(np.isfinite(rh)):
-        growth = variance_growth(hours, metres)
-        sigma = np.array([np.hypot(STATION_RH, SPREAD_RH * np.sqrt(growth))])
+        usual = background.spread.sigma_relative_humidity(report.h_m)
+        grown = usual * math.sqrt(humidity_growth(hours, metres))
+        sigma = np.atleast_1d(np.hypot(STATION_RH, grown))
         readings.append(sensors.Humidities(name, height, np.atleast_1d(rh), sigma))
     return readings
 

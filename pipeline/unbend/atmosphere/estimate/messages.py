@@ -297,32 +297,27 @@ def held_out_readings_differ(
 AIR_ISOTHERMAL = Code(
     "AIR-ISOTHERMAL",
     means=(
-        "A thermometer reads the same over hundreds of metres of height, or changes more "
-        "between climb and descent than with height, as one indoors does. Over so little "
-        "height the barometer cannot decide."
+        "A thermometer is probably not, or only partly, in the air outside: its temperatures "
+        "change less with height than air does, or with time, as in a bay or a cabin. Over so "
+        "little height the barometer cannot decide."
     ),
-    effect=(
-        "The thermometer is used as if it may be 10 K wrong: it says little, and the "
-        "sigma is nearly the barometer's."
-    ),
+    effect="Both are possible, so the sigma of the air is larger.",
     remedy="Name the thermometer outside, or this one as log.channels.cabin_temperature.",
 )
 
 
-def air_isothermal(*, where: str, extent: float, by_height: float, by_time: float) -> Message:
-    """A thermometer reads the same over hundreds of metres of height, or changes more betwe."""
+def air_isothermal(*, where: str, extent: float, percent: float) -> Message:
+    """A thermometer whose readings over a height are probably those of a bay or a cabin."""
     return warning(
         AIR_ISOTHERMAL,
         (
-            "{where} changes by {by_height:.1f} K over {extent:.0f} m of height, and by "
-            "{by_time:.1f} K between climb and descent: if it is indoors its temperatures are"
-            " not those of the air outside, and over so little height the barometer cannot "
-            "show it. Its error is expected to be that of a circuit board's"
+            "{where} is with a probability of {percent:.0f} % only partly in the air outside, or "
+            "indoors, by its temperatures over {extent:.0f} m of height: the sigma of the air "
+            "holds for both"
         ),
         where=where,
         extent=extent,
-        by_height=by_height,
-        by_time=by_time,
+        percent=percent,
     )
 
 
@@ -515,6 +510,14 @@ def thermometer_not_as_predicted(*, reads: str, departure_k: float, limit_k: flo
     return (
         f"it {reads} {departure_k:+.1f} K against what pressure and GNSS height imply, "
         f"limit {limit_k:.1f} K (log.channels.temperature)"
+    )
+
+
+def thermometer_in_a_bay(*, percent: float) -> str:
+    """Why a thermometer is not outside: all its readings are more probable in a bay."""
+    return (
+        f"it is with a probability of {percent:.1f} % only partly in the air outside, or indoors "
+        "(log.channels.temperature)"
     )
 
 

@@ -13,8 +13,9 @@ import numpy as np
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples, climb_of
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import external_readings, sensors
+from unbend.atmosphere.estimate.hypotheses import RARE_FAULTS, RareFault
 from unbend.atmosphere.estimate.sensors import Readings, SensorCalibration, SensorSettings
-from unbend.atmosphere.estimate.state import TOP_M, Drift, Fault, SensorFault
+from unbend.atmosphere.estimate.state import TOP_M, Departure, Drift, Fault, SensorFault
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.rejection import Reason, Reasons, with_reason
 from unbend.atmosphere.soundings import Sounding
@@ -38,6 +39,8 @@ MOST_BINS = 1000
 SLICE_S, MOST_SLICES = 30.0, 120
 """Readings so far apart in time are never averaged, in a long flight 1/120 of it: a sensor that
 catches up in level flight after a climb determines its lag [s]."""
+
+MOST_DIFFERENT = 0.5  # share of readings that differ, above which a sensor shows no steps
 
 AIR_NOISE_K, AIR_NOISE_LOG_P, AIR_NOISE_RH = 0.15, 3e-5, 0.03
 """Sigma of a bin's mean about the mean air of its height: eddies, the shape of the layer."""
@@ -72,15 +75,19 @@ _OwnReadings = tuple[list[Readings], list[Fault], list[Drift], dict[str, Reasons
 
 @dataclass(frozen=True, eq=False)
 class FlightReadings:
-    """Everything that was measured, from ``low`` to ``high`` [m'], and the faults it may have;
-    ``rejected`` says of each sensor why samples are not used, outliers too."""
+    """Everything that was measured, from ``low`` to ``high`` [m'], and the faults it may have.
+
+    ``rare`` are those that few sensors have; ``rejected`` says of each sensor why samples are not
+    used, outliers too.
+    """
 
     sets: tuple[Readings, ...]
     faults: tuple[Fault, ...]
-    drifts: tuple[Drift, ...]
+    drifts: tuple[Drift | Departure, ...]
     low: float
     high: float
     rejected: Mapping[str, Reasons] = field(default_factory=dict)
+    rare: tuple[RareFault, ...] = ()
 
 
 def collect_readings(
@@ -118,17 +125,34 @@ def collect_readings(
     faults = []
     for fault in expected:
         known = settings.calibration.get(fault.name, SensorCalibration())
-        ordinary = settings.usual_errors_only or known.sigma is not None
-        usual = fault.ordinary if ordinary else fault
         mean = fault.mean if known.mean is None else known.mean
-        faults.append(replace(usual, mean=mean, sigma=known.sigma_or(usual.sigma)))
+        faults.append(replace(fault, mean=mean, sigma=known.sigma_or(fault.sigma)))
     at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
     at_sea_level = sensors.Pressures("climatology", at_sea, log_pressure, level, robust=False)
-    drifts += external_readings.sounding_departures(soundings, background, flight)
+    departures = external_readings.sounding_departures(soundings, background, flight)
+    humid = external_readings.humidity_drifts(soundings, background, flight)
     span = float(heights.min()), float(heights.max())
     every = at_sea_level, *external, *sets
-    return FlightReadings(every, tuple(faults), tuple(drifts), *span, rejected)
+    every_drift: tuple[Drift | Departure, ...] = (*drifts, *departures, *humid)
+    rare = _rare_faults(faults, settings)
+    return FlightReadings(every, tuple(faults), every_drift, *span, rejected, rare)
+
+
+def _rare_faults(faults: Sequence[Fault], settings: SensorSettings) -> tuple[RareFault, ...]:
+    """The rare faults that the sensors of a flight may have.
+
+    None of those whose size is stated, and no bay for a thermometer stated to sit on a board.
+    """
+    if settings.usual_errors_only:
+        return ()
+    possible = {fault.name for fault in faults}
+    for name, known in settings.calibration.items():
+        if known.sigma is not None:
+            possible.discard(name)
+    if settings.board_temperature:
+        possible.discard(SensorFault.BAY_SHARE)
+    return tuple(rare for rare in RARE_FAULTS if rare.faults.keys() <= possible)
 
 
 def _sensor_readings(
@@ -150,7 +174,8 @@ def _sensor_readings(
     if (sensor := instruments.get("pressure")) is not None:
         with np.errstate(invalid="ignore", divide="ignore"):
             departure = np.log(sensor.value) - np.log(profile.pressure(sensor.h_m))
-        bins = binning.bins(sensor, departure, LEAST_SCATTER_LOG_P)
+            step = resolution_of(sensor) / sensor.value
+        bins = binning.bins(sensor, departure, LEAST_SCATTER_LOG_P, step)
         rejected["pressure"] = binning.reasons(sensor, bins)
         value = bins.value + np.log(profile.pressure(profile.gravity.height(bins.height)))
         speed = binning.airspeed_at(bins.seconds, samples.airspeed)
@@ -167,7 +192,7 @@ def _sensor_readings(
         climbing = instruments.get("pressure", sensor)
         rejected["temperature"], warm = _thermometer(sensor, samples, climbing, binning)
         sets.append(warm)
-        board = settings.board_temperature or settings.maybe_indoors
+        board = settings.board_temperature
         bias = replace(sensors.THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
         faults += [bias, *sensors.THERMOMETER_FAULTS[1:]]
         faults += [] if warm.heating is None else [sensors.RECOVERY_FACTOR]
@@ -179,7 +204,7 @@ def _sensor_readings(
         drifts.append(Drift(SensorFault.THERMOMETER_DRIFT, knots, drift, 900.0, sun, scales))
     if (sensor := instruments.get("humidity")) is not None:
         high_bins = replace(binning, width_m=2.0 * binning.width_m)
-        bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH)
+        bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH, resolution_of(sensor))
         fault, sigma = sensors.HYGROMETER_BIAS, np.hypot(bins.sigma, AIR_NOISE_RH)
         sets.append(
             sensors.Humidities(sensor.name, bins.height, bins.value, sigma, fault=fault.name)
@@ -230,11 +255,19 @@ class _Binning:
         width = max(SHALLOW_BIN_M if extent < SHALLOW_M else BIN_M, climbed / MOST_BINS)
         return cls(profile, start_ns, width, max(SLICE_S, duration_s / MOST_SLICES))
 
-    def bins(self, sensor: SensorSamples, departure: Array, floor: float) -> Bins:
-        """Means of a departure from the profile that is averaged about."""
+    def bins(
+        self, sensor: SensorSamples, departure: Array, floor: float, step: Array | float
+    ) -> Bins:
+        """Means of a departure from the profile that is averaged about; ``step`` of the sensor."""
         height = self.profile.gravity.geopotential_height(sensor.h_m)
         rows = _seconds(sensor, self.start_ns), height, departure, _usable(sensor, self.profile)
-        return bin_readings(*rows, width=self.width_m, slice_s=self.slice_s, floor=floor)
+        return bin_readings(
+            *rows,
+            width=self.width_m,
+            slice_s=self.slice_s,
+            floor=floor,
+            digits=Digits(sensor.value, step),
+        )
 
     def reasons(self, sensor: SensorSamples, bins: Bins) -> Reasons:
         """(n,) why samples of a sensor are not in its bins."""
@@ -267,7 +300,8 @@ def _thermometer(
     else:
         takeoffs = (samples.takeoff_ns - start_ns) * 1e-9
         takeoffs = takeoffs if takeoffs.size else np.array([LONG_AGO_S])
-    bins = binning.bins(sensor, sensor.value - profile.temperature(sensor.h_m), LEAST_SCATTER_K)
+    departure = sensor.value - profile.temperature(sensor.h_m)
+    bins = binning.bins(sensor, departure, LEAST_SCATTER_K, resolution_of(sensor))
     h = profile.gravity.height(bins.height)
     value = bins.value + profile.temperature(h)
     speed = binning.airspeed_at(bins.seconds, samples.airspeed)
@@ -277,9 +311,13 @@ def _thermometer(
     last = np.maximum(np.searchsorted(takeoffs, bins.seconds, side="right") - 1, 0)
     since_s = np.maximum(bins.seconds - takeoffs[last], 0.0)
     heating = None if speed is None else sensors.heating_of(speed, profile.pressure(h), value)
+    rise = heights.at(bins.seconds + 5.0) - heights.at(bins.seconds - 5.0)
+    climbing_up = np.where(rise > 10.0 * CLIMBING_M_S, 1.0, 0.0)
     of_bins = bins.height, value, np.hypot(bins.sigma, AIR_NOISE_K), bins.seconds
     reasons = binning.reasons(sensor, bins)
-    return reasons, sensors.Thermometer(sensor.name, *of_bins, since_s, heights, heating)
+    return reasons, sensors.Thermometer(
+        sensor.name, *of_bins, since_s, heights, climbing_up, heating
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,6 +336,27 @@ class Bins:
     rejected: Mask
 
 
+@dataclass(frozen=True, eq=False)
+class Digits:
+    """The readings (n,) as a sensor gave them, and the ``step`` between two that it tells apart.
+
+    The step is in the unit of the departures that are averaged.
+    """
+
+    reading: Array
+    step: Array | float
+
+    def sigma(self, use: Rows, bin_of: Rows) -> Array:
+        """(m,) sigma of a reading for its last digit, in each bin of the rows in ``use``."""
+        of_rows = np.broadcast_to(self.step, self.reading.shape)[use] / np.sqrt(12.0)
+        return np.bincount(bin_of, of_rows) / np.bincount(bin_of)
+
+    def different(self, use: Rows, bin_of: Rows) -> Array:
+        """(m,) how many different readings each bin has."""
+        pairs = np.unique(np.stack([bin_of, self.reading[use]]), axis=1)
+        return np.bincount(pairs[0].astype(np.int64)).astype(np.float64)
+
+
 def bin_readings(
     seconds: Array,
     height: Array,
@@ -307,6 +366,7 @@ def bin_readings(
     width: float,
     slice_s: float,
     floor: float,
+    digits: Digits | None = None,
 ) -> Bins:
     """Means without outliers, of readings alike in height, direction and time.
 
@@ -314,7 +374,8 @@ def bin_readings(
     unit, best as a departure from something that follows the height. ``accepted``: (n,) readings
     to use. ``width``, ``slice_s``: of a bin, in height [m'] and in time [s]. ``floor``: smallest
     scatter that is assumed. Scatter is 1.4826 times the median absolute deviation, that of the
-    sensor or of the bin, whichever is larger.
+    sensor or of the bin, whichever is larger. The last of the ``digits`` that were read is
+    off by as much in all readings that are the same, so that only different ones average it.
     """
     # +1 climbing, 0 level, -1 descending: by the change of height over ten seconds.
     rate = climb_of(seconds, height) / 10.0
@@ -334,7 +395,8 @@ def bin_readings(
     spread = 1.4826 * _medians(bin_of, deviation, size)
     several = size >= 5
     common = max(floor, float(np.median(spread[several])) if several.any() else floor)
-    scatter = np.maximum(spread, common)
+    of_digit = np.zeros(size.size) if digits is None else digits.sigma(use, bin_of)
+    scatter = np.hypot(np.maximum(spread, common), of_digit)
     bad = deviation > OUTLIER_SIGMA * scatter[bin_of]
     rejected[use[bad]] = True
     good = (~bad).astype(np.float64)
@@ -346,8 +408,27 @@ def bin_readings(
     middle = mean(seconds[use])
     lasted = np.sqrt(12.0 * mean((seconds[use] - middle[bin_of]) ** 2))
     independent = np.minimum(count, 1.0 + lasted / CORRELATED_S)
-    sigma, number = scatter / np.sqrt(independent), count.astype(np.int64)
+    sigma = scatter / np.sqrt(independent)
+    if digits is not None:
+        sigma = np.hypot(sigma, of_digit / digits.different(use, bin_of))
+    number = count.astype(np.int64)
     return Bins(middle, mean(height[use]), mean(reading), sigma, number, rejected)
+
+
+def resolution_of(sensor: SensorSamples) -> float:
+    """The smallest step between readings of a sensor that differ, to a hundredth of their unit.
+
+    0 where few of them are the same: the last digit is then noise like other.
+
+    >>> whole = np.array([101_300.0, 101_200.0]).repeat(3)
+    >>> resolution_of(SensorSamples(np.arange(6), np.arange(6.0), whole))
+    100.0
+    """
+    _, value = sensor.used()
+    distinct = np.unique(np.round(value, 2))
+    if distinct.size < 2 or distinct.size > MOST_DIFFERENT * value.size:
+        return 0.0
+    return float(np.diff(distinct).min())
 
 
 def _medians(bin_of: Rows, value: Array, size: Integers) -> Array:

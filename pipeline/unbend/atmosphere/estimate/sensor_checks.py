@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from unbend.atmosphere import air_samples
 from unbend.atmosphere.air_samples import BIN_M, AirSamples, SensorSamples, bin_by_height
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import messages
+from unbend.atmosphere.estimate.hypotheses import IN_A_BAY, LIKELY
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorSettings
 from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate
 from unbend.atmosphere.estimate.state import SensorFault
@@ -21,11 +21,6 @@ from unbend.messages import Kind, Message, Notes
 from unbend.units import HECTOPASCAL, Mask
 
 CLIMB_TO_COMPARE_M = 200.0  # over less height the fall of pressure shows nothing [m]
-
-SHORT_CLIMB_M = 1000.0
-"""Over less height the barometer cannot show that a thermometer is indoors [m]."""
-
-ISOTHERMAL_K = 1.0  # a thermometer that reads the same within this may be indoors [K]
 
 STUCK_M, FEWEST_STUCK = 300.0, 5
 """A sensor with so many equal readings over so much height is stuck [m]."""
@@ -185,34 +180,18 @@ def _indoors(pressure: SensorSamples, what: str) -> Message:
     return messages.air_not_outside(where=pressure.name, what_is_odd=what, extent=extent)
 
 
-def is_maybe_indoors(
-    samples: AirSamples, standard: Profile, settings: SensorSettings
-) -> tuple[bool, Notes]:
-    """Whether nothing in a short climb shows that the thermometer is outside: indoors temperatures
-    change little, and more with time (from climb to descent) than from height to height."""
+def maybe_in_a_bay(made: Estimate, samples: AirSamples) -> Notes:
+    """A warning where a thermometer is more likely in a bay, or indoors, than outside."""
+    chance = made.chances.get(IN_A_BAY.name, 0.0)
     temperature = samples.temperature
-    if temperature is None or samples.pressure is None or settings.board_temperature:
-        return False, ()
-    extent, at = temperature.extent_m, standard.gravity.geopotential_height(temperature.h_m)
-    if not STUCK_M <= extent < SHORT_CLIMB_M:
-        return False, ()
-    climb = air_samples.climb_of((temperature.time_ns - temperature.time_ns[0]) * 1e-9, at)
-    ways = []
-    for way in (climb >= 0.0, climb < 0.0):
-        part = temperature.reject(~way, Reason.LEFT_OUT)
-        h, t = bin_by_height(at, part, BIN_M)
-        ways.append(dict(zip(np.floor(h / BIN_M), t, strict=True)))
-    changes = [abs(t - ways[1][h]) for h, t in ways[0].items() if h in ways[1]]
-    by_time = float(np.median(changes)) if changes else 0.0
-    _, binned = bin_by_height(at, temperature, BIN_M)
-    by_height = float(np.ptp(binned)) if binned.size else 0.0
-    if not binned.size or by_height >= max(ISOTHERMAL_K, by_time):
-        return False, ()
-    return True, (
-        messages.air_isothermal(
-            where=temperature.name, extent=extent, by_height=by_height, by_time=by_time
-        ),
+    if temperature is None or chance < LIKELY:
+        return ()
+    message = messages.air_isothermal(
+        where=temperature.name,
+        extent=temperature.extent_m,
+        percent=100.0 * chance,
     )
+    return (message,)
 
 
 def _stuck(sensor: SensorSamples, name: str) -> Mask:

@@ -11,6 +11,7 @@ from unbend.atmosphere.estimate.state import AirAtKnots, Fault, Layout, SensorFa
 from unbend.atmosphere.hypsometry import hats
 from unbend.units import Array
 
+BAY_K = 294.0  # of a heated bay or cabin [K]
 HEAT_CAPACITY, GAS_CONSTANT_DRY = 1005.0, 287.05  # c_p and R of dry air [J kg-1 K-1]
 SEA_LEVEL_DENSITY = 1.225  # airspeeds of pitot tubes are calibrated for it [kg m-3]
 
@@ -20,6 +21,8 @@ THERMOMETER_FAULTS = (
     # ln of the decay time [s] of the transient
     Fault(SensorFault.TRANSIENT_DECAY, float(np.log(60.0)), 0.4, float(np.log(15.0)), 6.0),
     Fault(SensorFault.THERMOMETER_LAG, 12.0, 10.0, 0.0, 90.0),
+    Fault(SensorFault.BAY_SHARE, 0.0, 0.002),
+    Fault(SensorFault.CLIMB_WARMTH, 0.0, 0.2),
 )
 RECOVERY_FACTOR = Fault(SensorFault.RECOVERY_FACTOR, 0.7, 0.3, 0.0, 1.1)
 BAROMETER_FAULTS = (
@@ -27,8 +30,8 @@ BAROMETER_FAULTS = (
     Fault(SensorFault.GNSS_HEIGHT_OFFSET, 0.0, 2.5),
     # Share of its change that a static pressure loses, or that GNSS heights gain: a quarter of
     # 2.5 hPa over 650 hPa (MS5611, data sheet). Static ports err by dynamic pressure, which 3 km
-    # change by 30 Pa. Of ten one is expected to lose some per cent: a leak, a cabin's air.
-    Fault(SensorFault.PRESSURE_SCALE, 0.0, 0.03, rare=0.1, usual=0.001),
+    # change by 30 Pa.
+    Fault(SensorFault.PRESSURE_SCALE, 0.0, 0.001),
 )
 DYNAMIC_PRESSURE_ERROR = Fault(SensorFault.DYNAMIC_PRESSURE_ERROR, 0.0, 0.03)
 HYGROMETER_BIAS = Fault(SensorFault.HYGROMETER_BIAS, 0.0, 0.03)
@@ -43,6 +46,8 @@ FAULT_TEXTS: Mapping[SensorFault, str] = {
     SensorFault.THERMOMETER_LAG: "thermometer lag [s]",
     SensorFault.RECOVERY_FACTOR: "recovery factor",
     SensorFault.THERMOMETER_DRIFT: "thermometer drift [K]",
+    SensorFault.BAY_SHARE: "share of a bay's air at the thermometer",
+    SensorFault.CLIMB_WARMTH: "thermometer in the climb [K]",
     SensorFault.PRESSURE_OFFSET: "static pressure offset [Pa]",
     SensorFault.PRESSURE_SCALE: "static pressure scale",
     SensorFault.GNSS_HEIGHT_OFFSET: "GNSS height offset [m]",
@@ -80,15 +85,13 @@ class SensorSettings:
 
     ``board_temperature``: the thermometer sits on a circuit board and is used all the same, as the
     air plus an unknown 10 K that wanders. ``usual_errors_only``: no larger drift, no rare fault.
-    ``maybe_indoors``: nothing shows that the thermometer is outside: its errors are expected to be
-    a board's. ``highest``: ln of the pressure [Pa] from which a lost share of change counts, where
+    ``highest``: ln of the pressure [Pa] from which a lost share of change counts, where
     readings are a flight's part.
     """
 
     board_temperature: bool = False
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
     usual_errors_only: bool = False
-    maybe_indoors: bool = False
     highest: float | None = None
 
 
@@ -122,21 +125,24 @@ class FlownHeights:
 
 @dataclass(frozen=True, eq=False)
 class Thermometer(Readings):
-    """Means of a thermometer in bins [K]; ``since_s`` time since take-off [s]; ``heating``
-    V^2/(2 c_p) of the true airspeed [K], or None."""
+    """Means of a thermometer in bins [K]; ``since_s`` time since take-off [s]; ``climbing`` is 1
+    in a climb, else 0; ``heating`` V^2/(2 c_p) of the true airspeed [K], or None."""
 
     quantity = "temperature"
     seconds: Array
     since_s: Array
     flown: FlownHeights
+    climbing: Array
     heating: Array | None = None
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
         """T as a sensor with a memory reads it, with its faults.
 
-        T_read(t) = integral of T(H(t - s)) exp(-s/lag)/lag ds + bias + b_0 exp(-t/tau) +
-        r V^2/(2 c_p) + drift(t). A climb into colder air reads warm, a descent cold; the integral
-        follows the heights really flown, after a long stand or a level run too.
+        T_read(t) = (1 - g) T_felt + g T_bay + bias + b_0 exp(-t/tau) + c (in the climb) +
+        r V^2/(2 c_p) + drift(t), where T_felt(t) is the integral of T(H(t - s)) exp(-s/lag)/lag ds.
+        A climb into colder air reads warm, a descent cold; the integral follows the heights really
+        flown, after a long stand or a level run too. Of a thermometer in a bay a share g of the
+        air is not from outside.
         """
         layout, x = air.layout, air.x
         jacobian = np.zeros((self.value.size, layout.size))
@@ -149,14 +155,20 @@ class Thermometer(Readings):
             before = self.flown.at(then - _STEP_S) + beside
             change = np.interp(before, layout.knot, air.temperature) - felt @ air.temperature
             by_lag += weight * memory * change / _STEP_S
-        reading = jacobian[:, layout.temperature] @ air.temperature
+        felt_k = jacobian[:, layout.temperature] @ air.temperature
+        in_bay = x[layout.fault(SensorFault.BAY_SHARE)]
+        jacobian[:, layout.temperature] *= 1.0 - in_bay
+        reading = felt_k + in_bay * (BAY_K - felt_k)
+        reading += self.climbing * x[layout.fault(SensorFault.CLIMB_WARMTH)]
         decay = np.exp(x[layout.fault(SensorFault.TRANSIENT_DECAY)])
         left = np.exp(-self.since_s / decay)
         transient = x[layout.fault(SensorFault.TAKEOFF_TRANSIENT)]
         reading += x[layout.fault(SensorFault.THERMOMETER_BIAS)] + transient * left
         by_fault = {
             SensorFault.THERMOMETER_BIAS: 1.0,
-            SensorFault.THERMOMETER_LAG: by_lag,
+            SensorFault.THERMOMETER_LAG: (1.0 - in_bay) * by_lag,
+            SensorFault.BAY_SHARE: BAY_K - felt_k,
+            SensorFault.CLIMB_WARMTH: self.climbing,
             SensorFault.TAKEOFF_TRANSIENT: left,
             SensorFault.TRANSIENT_DECAY: transient * left * self.since_s / decay,
         }

@@ -6,7 +6,7 @@ that outliers lose weight, and square for the background.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -14,8 +14,10 @@ from scipy import linalg
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.atmosphere.estimate import hypotheses
 from unbend.atmosphere.estimate import state as states
 from unbend.atmosphere.estimate.external_readings import TimeAndPlace
+from unbend.atmosphere.estimate.hypotheses import Evidence
 from unbend.atmosphere.estimate.readings import FlightReadings, collect_readings
 from unbend.atmosphere.estimate.sensors import Readings, SensorSettings
 from unbend.atmosphere.estimate.state import AirAtKnots, Layout, Prior, SensorFault, air_of
@@ -79,7 +81,8 @@ class Estimate:
 
     ``background_sigma_k`` (k,) prior sigma of temperature at the knots; ``state`` the solution
     itself, and ``converged`` whether temperatures moved by less than 2 mK in the last step;
-    ``drift_scales`` the sigma of each drift over the expected one, by the residuals.
+    ``drift_scales`` the sigma of each drift over the expected one, by the residuals; ``layout``
+    that of the hypothesis that fits best, and ``chances`` how probable each is, by its name.
     """
 
     profile: Profile
@@ -89,13 +92,19 @@ class Estimate:
     fits: tuple[Fit, ...]
     readings: FlightReadings
     state: Array
-    converged: bool = True
-    drift_scales: Mapping[str, float] = field(default_factory=dict)
+    converged: bool
+    drift_scales: Mapping[str, float]
+    layout: Layout
+    chances: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """State, its covariance, and the air of it."""
+    """State, its covariance, and the air of it.
+
+    ``prior`` has the drifts as large as they are; ``weights`` (m,) are those of each set of
+    readings in the last step.
+    """
 
     x: Array
     covariance: Array
@@ -103,6 +112,17 @@ class Solution:
     fits: tuple[Fit, ...]
     converged: bool
     drift_scales: Mapping[str, float]
+    prior: Prior
+    weights: tuple[Array, ...]
+
+    @property
+    def log_inflation(self) -> float:
+        """Sum of ln of the factors by which the sigmas of its readings were multiplied."""
+        return float(sum(fit.count * np.log(fit.sigma_inflation) for fit in self.fits))
+
+    def evidence(self, share: float) -> Evidence:
+        """What it says for its hypothesis, whose ``share`` is its probability beforehand."""
+        return Evidence(share, self.air, self.prior, self.weights, self.log_inflation)
 
     def profile(self, background: Profile) -> tuple[Profile, ProfileCovariance]:
         """The layers of the state, and the covariance of what defines them: T_M, ln p, e/p."""
@@ -155,24 +175,66 @@ def estimate(
     )
     before = {f.fault: f for f in known}
     faults = tuple(
-        replace(fault, mean=f.value, sigma=f.sigma, rare=1.0)
-        if (f := before.get(fault.name))
-        else fault
+        replace(fault, mean=f.value, sigma=f.sigma) if (f := before.get(fault.name)) else fault
         for fault in readings.faults
     )
-    readings = replace(readings, faults=faults)
-    layout = layout_of(readings, background)
-    prior = states.prior_of(layout, background, moisture or background)
-    solution = solve(layout, prior, readings.sets, background.profile)
+    rare = tuple(fault for fault in readings.rare if before.keys().isdisjoint(fault.faults))
+    readings = replace(readings, faults=faults, rare=rare)
+    every = hypotheses.hypotheses_of(layout_of(readings, background), rare)
+    solutions = []
+    for hypothesis in every:
+        prior = states.prior_of(hypothesis.layout, background, moisture or background)
+        solutions.append(solve(hypothesis.layout, prior, readings.sets, background.profile))
+    evidence = [
+        solution.evidence(hypothesis.share)
+        for hypothesis, solution in zip(every, solutions, strict=True)
+    ]
+    chances = hypotheses.probabilities(evidence, readings.sets)
+    fitting = hypotheses.best_fitting(evidence, chances)
+    solution = _mixture(solutions, chances, fitting, background.profile)
+    return Estimate(
+        *solution.profile(background.profile),
+        solution.prior.sigma_temperature,
+        _fault_estimates(solution, hypotheses.prior_sigmas(every)),
+        solution.fits,
+        readings,
+        solution.x,
+        solution.converged,
+        solution.drift_scales,
+        every[fitting].layout,
+        hypotheses.described_chances([hypothesis.name for hypothesis in every], chances),
+    )
+
+
+def _mixture(
+    solutions: Sequence[Solution], chances: Array, fitting: int, background: Profile
+) -> Solution:
+    """The solution of all hypotheses together.
+
+    It is that which fits best, with the mean and covariance of the mixture.
+    """
+    solution = solutions[fitting]
+    if len(solutions) == 1:
+        return solution
+    layout = solution.air.layout
+    x, covariance = hypotheses.mixed_moments(
+        [each.x for each in solutions], [each.covariance for each in solutions], chances
+    )
+    pressure = np.exp(solution.air.log_pressure(layout.knot)[0])
+    air = air_of(layout, x, pressure, background.constant)
+    return replace(solution, x=x, covariance=covariance, air=air)
+
+
+def _fault_estimates(
+    solution: Solution, prior_sigma: Mapping[states.SensorFault, float]
+) -> tuple[FaultEstimate, ...]:
+    """The sensor faults of a solution, with their sigma before the flight."""
+    layout = solution.air.layout
     sigma = np.sqrt(np.diag(solution.covariance))
-    estimated = tuple(
-        FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), fault.prior_sigma)
+    return tuple(
+        FaultEstimate(fault.name, float(solution.x[i]), float(sigma[i]), prior_sigma[fault.name])
         for i, fault in enumerate(layout.faults, layout.level + 1)
     )
-    return Estimate(
-        *solution.profile(background.profile), prior.sigma_temperature, estimated, solution.fits,
-        readings, solution.x, solution.converged, solution.drift_scales,
-    )  # fmt: skip
 
 
 def layout_of(readings: FlightReadings, background: Climatology) -> Layout:
@@ -226,20 +288,15 @@ def solve(
         if converged:
             break
     covariance = np.asarray(np.linalg.inv(normal), np.float64)
-    for i, fault in enumerate(layout.faults, layout.level + 1):
-        if fault.rare < 1.0:
-            own = float(covariance[i, i])
-            value, mixed = fault.mixed(float(x[i]), own)
-            by_fault = covariance[i] / own
-            x = layout.bounded(x + by_fault * (value - x[i]))
-            covariance += np.outer(by_fault, by_fault) * (mixed - own)
     air = air_of(layout, x, pressure, background.constant)
     fits = tuple(
         replace(fit, signal_freedom=float(np.sum(covariance * information)))
-        for fit, information in of_sets
+        for fit, information, _ in of_sets
     )
     scales = zip((drift.name for drift in layout.drifts), np.sqrt(variance), strict=True)
-    return Solution(x, covariance, air, fits, converged, {n: float(s) for n, s in scales})
+    drift_scales = {name: float(scale) for name, scale in scales}
+    weights = tuple(weight for *_, weight in of_sets)
+    return Solution(x, covariance, air, fits, converged, drift_scales, prior, weights)
 
 
 def drift_variances(
@@ -269,8 +326,11 @@ def drift_variances(
 
 def _normal_equations(
     prior: Prior, sets: Sequence[Readings], air: AirAtKnots, inflation: Array, step: int
-) -> tuple[Array, Array, Array, list[tuple[Fit, Array]]]:
-    """Matrix and right side, the inflation of the next step, and of each set fit and share."""
+) -> tuple[Array, Array, Array, list[tuple[Fit, Array, Array]]]:
+    """Matrix and right side, and the inflation of the next step.
+
+    And of each set its fit, its share of the matrix, and its weights.
+    """
     normal, right = prior.precision.copy(), prior.precision @ (prior.mean - air.x)
     after = inflation.copy()
     of_sets = []
@@ -303,5 +363,5 @@ def _normal_equations(
             after[i] = max(1.0, inflation[i] * np.sqrt(square))
         rms = float(np.sqrt(np.mean(np.square(residual / readings.sigma)))) if z.size else 0.0
         fit = Fit(readings.name, readings.quantity, z.size, rms, float(after[i]))
-        of_sets.append((fit, information))
+        of_sets.append((fit, information, weight))
     return normal, right, after, of_sets

@@ -5,11 +5,13 @@ between; relative humidity at coarser knots; ln p at a reference height; one num
 fault; the values of each drift at knots in time or height.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
 
+from unbend.atmosphere.air_variation import Parts
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.hypsometry import column, hats
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
@@ -24,21 +26,7 @@ TOP_M = 32_000.0  # above, the background's own breakpoints suffice [m']
 HUMID_M, HUMID_TOP_M = 250.0, 15_000.0
 """Knots of humidity; above the highest vapour weighs less than 1e-5 of n - 1 [m']."""
 
-ROUGH_K, ROUGH_ALOFT_K = 2.0, 1.2
-ROUGH_BELOW_M, SMOOTH_ABOVE_M = 2000.0, 4000.0
-KINKED_LENGTH_M, SMOOTH_LENGTH_M, BROAD_LENGTH_M = 600.0, 500.0, 5000.0
-KINKED_SHARES, KINKED_BELOW_M = (1.0, 0.55), 300.0
-"""Structure of T about a climatology, from nine real ascents: over 50, 100, 200 and 500 m it
-changes by 0.5, 1.0, 1.7, 2.8 K RMS in the lowest 1.5 km, and by 0.2, 0.3, 0.5, 1.0 K above. So it
-grows in proportion to the distance, as in straight lines, but for inversions, which lie near the
-ground more often: all of it is a process with kinks at the ground, and 0.55 of it from 300 m on.
-(Kinks everywhere: the sigma of R by a barometer over 500 m is 2.3 times its error, now 2.0.)"""
-
-SURFACE_K, SURFACE_M = 1.5, 40.0
-"""Air near the ground is warmer in the sun, or colder at night, than that above it by so much, less
-by 1/e in so much height [m']. In the sun similarity theory (Businger et al. 1971) gives 2 K between
-2 and 50 m, at 200 W/m2 and a friction velocity of 0.3 m/s."""
-
+_LEAST_DEPARTURE_K2 = 1e-4  # keeps the covariance of a sounding over the flight itself regular
 _UNKNOWN_LOG_P = 0.1  # prior sigma of ln p before sea-level pressure and barometer are used
 
 
@@ -51,6 +39,8 @@ class SensorFault(StrEnum):
     THERMOMETER_LAG = "thermometer_lag"
     RECOVERY_FACTOR = "recovery_factor"
     THERMOMETER_DRIFT = "thermometer_drift"
+    BAY_SHARE = "bay_share"
+    CLIMB_WARMTH = "climb_warmth"
     PRESSURE_OFFSET = "pressure_offset"
     PRESSURE_SCALE = "pressure_scale"
     GNSS_HEIGHT_OFFSET = "gnss_height_offset"
@@ -61,54 +51,20 @@ class SensorFault(StrEnum):
 
 @dataclass(frozen=True)
 class Fault:
-    """A sensor fault that is one number: its prior mean, sigma, and its limits.
-
-    Where it is ``rare``, as a share, that a sensor has it at all, the others have one of sigma
-    ``usual``.
-    """
+    """A sensor fault that is one number: its prior mean, sigma, and its limits."""
 
     name: SensorFault
     mean: float
     sigma: float
     low: float = -np.inf
     high: float = np.inf
-    rare: float = 1.0
-    usual: float = 0.0
-
-    @property
-    def prior_sigma(self) -> float:
-        """Of all sensors, those that have the fault and the others."""
-        return float(np.sqrt(self.rare * self.sigma**2 + (1.0 - self.rare) * self.usual**2))
-
-    @property
-    def ordinary(self) -> "Fault":
-        """The same of a sensor that has not what is rare."""
-        return replace(self, sigma=self.usual, rare=1.0) if self.rare < 1.0 else self
-
-    def mixed(self, value: float, variance: float) -> tuple[float, float]:
-        """Mean and variance where the estimate of one that has it is ``value``, ``variance``.
-
-        The posterior of a prior that is a mixture of two normal distributions about ``mean`` is one
-        of two, whose weights are the marginal likelihoods of the estimate.
-        """
-        precision = max(1.0 / variance - 1.0 / self.sigma**2, 1e-12 / self.sigma**2)
-        departure = (value - self.mean) / variance / precision
-        sigmas = np.array([self.sigma, self.usual])
-        spread = sigmas**2 + 1.0 / precision
-        weight = np.array([self.rare, 1.0 - self.rare]) * np.exp(-0.5 * departure**2 / spread)
-        weight /= np.sqrt(spread)
-        weight /= weight.sum()
-        means = departure * sigmas**2 / spread
-        mean = float(weight @ means)
-        own = sigmas**2 / (precision * spread)
-        return self.mean + mean, float(weight @ (own + (means - mean) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
     """A drift along time [s] or height [m']: (k,) knots, sigma there, correlation length.
 
-    ``name`` is a `SensorFault`, or that of a sounding's departure with its number; ``quick`` sigma
+    ``name`` is a `SensorFault`, or that of a sounding's humidity with its number; ``quick`` sigma
     and correlation length of a second process beside the first. ``scales`` are
     the smallest and the largest factor of the sigmas that the flight may show (`solver.solve`).
     """
@@ -129,6 +85,38 @@ class Drift:
         return np.outer(sigma, sigma) * correlation + quick
 
 
+@dataclass(frozen=True)
+class Separation:
+    """How far apart two columns of air are."""
+
+    hours: float
+    metres: float
+
+
+@dataclass(frozen=True, eq=False)
+class Departure:
+    """How temperatures of a source depart from those of the flight, whose air is of another time
+    and place, at knots (k,) [m'].
+
+    ``expected_k`` (k,) is what the hour of the day makes of it, ``parts`` those of the source's
+    air, ``errors`` (k, k) the covariance of its own errors [K2]; ``apart`` from the flight, and
+    ``beside`` each other source that departs, by its name: what two have in common counts once.
+    """
+
+    name: str
+    knot: Array
+    expected_k: Array
+    parts: Parts
+    errors: Array
+    apart: Separation
+    beside: Mapping[str, Separation] = field(default_factory=dict)
+    scales: tuple[float, float] = (1.0, 1.0)
+
+    def covariance(self, background: Climatology) -> Array:
+        """(k, k) covariance of the departure [K2]."""
+        return joint_covariance(background, self.knot, (self,))[self.knot.size :, self.knot.size :]
+
+
 @dataclass(frozen=True, eq=False)
 class Layout:
     """Where in the state each quantity stands."""
@@ -137,7 +125,12 @@ class Layout:
     humid: Array
     reference: float
     faults: tuple[Fault, ...]
-    drifts: tuple[Drift, ...]
+    drifts: tuple[Drift | Departure, ...]
+
+    @property
+    def departures(self) -> tuple[Departure, ...]:
+        """Of the temperatures of each sounding."""
+        return tuple(drift for drift in self.drifts if isinstance(drift, Departure))
 
     @property
     def temperature(self) -> slice:
@@ -160,7 +153,7 @@ class Layout:
         """Index of a fault in the state."""
         return self.level + 1 + [fault.name for fault in self.faults].index(name)
 
-    def drift(self, name: str) -> tuple[Drift, slice]:
+    def drift(self, name: str) -> tuple[Drift | Departure, slice]:
         """A drift, and its place in the state."""
         at = self.level + 1 + len(self.faults)
         for drift in self.drifts:
@@ -230,33 +223,28 @@ class Prior:
 def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> Prior:
     """The background at the knots, and the expected sensor faults.
 
-    The departure of temperature from the climatology has its spread sigma(H) in three parts: of
-    the rough variance sigma_r^2 a share with kinks, exp(-d/600 m), and the rest without, Matern 3/2
-    (1 + q) exp(-q) with q = sqrt(3) d / 500 m; sigma^2 - sigma_r^2 likewise over 5 km. To these
-    comes a layer of air near the lowest height. ``moisture`` gives humidity.
+    The departure of temperature from the climatology, and how those of soundings depart from it,
+    have the covariance of the structure function (`air_variation`). ``moisture`` gives humidity.
     """
     gravity = background.profile.gravity
-    knot, humid = layout.knot, layout.humid
+    humid = layout.humid
     mean, precision = np.zeros(layout.size), np.zeros((layout.size, layout.size))
 
     def put(where: slice, values: Array | float, covariance: Array) -> None:
         mean[where] = values
         precision[where, where] = np.linalg.inv(covariance)
 
-    spread = background.spread.sigma_temperature(gravity.height(knot))
-    above = knot - layout.reference
-    rough = np.interp(above, [ROUGH_BELOW_M, SMOOTH_ABOVE_M], [ROUGH_K, ROUGH_ALOFT_K])
-    rough = np.minimum(rough, 0.7 * spread)
-    kinked = np.interp(above, [0.0, KINKED_BELOW_M], KINKED_SHARES)
-    near_ground = SURFACE_K * np.exp(-np.maximum(above, 0.0) / SURFACE_M)
-    covariance = np.outer(near_ground, near_ground)
-    for variance, correlation in (
-        (kinked * rough**2, exponential(knot, KINKED_LENGTH_M)),
-        ((1.0 - kinked) * rough**2, matern(knot, SMOOTH_LENGTH_M)),
-        (spread**2 - rough**2, matern(knot, BROAD_LENGTH_M)),
-    ):
-        covariance += np.sqrt(np.outer(variance, variance)) * correlation
-    put(layout.temperature, background.profile.temperature(gravity.height(knot)), covariance)
+    knot_h = gravity.height(layout.knot)
+    spread = background.spread.sigma_temperature(knot_h)
+    mean[layout.temperature] = background.profile.temperature(knot_h)
+    where = [np.arange(layout.size)[layout.temperature]]
+    for departure in layout.departures:
+        place = layout.drift(departure.name)[1]
+        mean[place] = departure.expected_k
+        where.append(np.arange(layout.size)[place])
+    of_air = np.concatenate(where)
+    covariance = joint_covariance(background, layout.knot, layout.departures)
+    precision[np.ix_(of_air, of_air)] = np.linalg.inv(covariance)
 
     h = gravity.height(humid)
     expected = np.clip(moisture.relative_humidity(h), 0.0, 1.0)
@@ -270,8 +258,67 @@ def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> 
     for i, fault in enumerate(layout.faults, layout.level + 1):
         mean[i], precision[i, i] = fault.mean, fault.sigma**-2
     for drift in layout.drifts:
-        put(layout.drift(drift.name)[1], 0.0, drift.covariance())
+        if isinstance(drift, Drift):
+            put(layout.drift(drift.name)[1], 0.0, drift.covariance())
     return Prior(mean, precision, spread)
+
+
+def joint_covariance(
+    background: Climatology, knot: Array, departures: Sequence[Departure]
+) -> Array:
+    """Prior covariance [K2] of the flight's temperatures at knots [m'], and of how those of
+    soundings depart from them.
+
+    A departure is the air of a sounding minus that of the flight at its knots, so that of two of
+    them with the air a and b, and the flight's 0, it is cov(a, b) - cov(a, 0) - cov(0, b) +
+    cov(0, 0), with the correlation of each part over the time and distance between.
+    """
+    height = background.profile.gravity.height
+    flight = background.spread.parts
+    columns = [_Column(height(knot), flight)]
+    columns += [_Column(height(other.knot), other.parts, other) for other in departures]
+    blocks = [[_covariance_of_columns(a, b, flight) for b in columns] for a in columns]
+    return np.block(blocks)
+
+
+@dataclass(frozen=True, eq=False)
+class _Column:
+    """Heights [m] of a column of air with its parts; the ``departure`` of one that is not the
+    flight's."""
+
+    h: Array
+    parts: Parts
+    departure: Departure | None = None
+
+    def apart(self, other: "_Column") -> Separation:
+        """Its separation from another column."""
+        if self.departure is other.departure:
+            return Separation(0.0, 0.0)
+        if self.departure is None or other.departure is None:
+            away = self.departure or other.departure
+            assert away is not None  # the one that is not the flight
+            return away.apart
+        return self.departure.beside[other.departure.name]
+
+
+def _covariance_of_columns(a: _Column, b: _Column, flight: Parts) -> Array:
+    """(n, m) covariance [K2] of what two columns stand for in the state: the flight's air, or the
+    departure of another air from it."""
+    between, of_a, of_b = a.apart(b), a.departure, b.departure
+    total = np.zeros((a.h.size, b.h.size))
+    for part_a, part_b, part in zip(a.parts, b.parts, flight, strict=True):
+        total += part_a.covariance(a.h, b.h, part_b) * part.alike(between.hours, between.metres)
+        if of_b is not None:
+            alike = 1.0 if of_a is None else part.alike(of_a.apart.hours, of_a.apart.metres)
+            total -= part_a.covariance(a.h, b.h, part) * alike
+        if of_a is not None:
+            alike = 1.0 if of_b is None else part.alike(of_b.apart.hours, of_b.apart.metres)
+            total -= part.covariance(a.h, b.h, part_b) * alike
+        if of_a is not None and of_b is not None:
+            total += part.covariance(a.h, b.h)
+    if of_a is not None and of_a is of_b:
+        total += of_a.errors + _LEAST_DEPARTURE_K2 * np.eye(a.h.size)
+    return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,9 +381,3 @@ def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> AirAtK
 def exponential(x: Array, length: float) -> Array:
     """(n, n) correlation exp(-|dx| / length)."""
     return np.asarray(np.exp(-np.abs(x[:, None] - x[None, :]) / length))
-
-
-def matern(x: Array, length: float) -> Array:
-    """(n, n) correlation (1 + q) exp(-q), q = sqrt(3) |dx| / length: Matern 3/2, no kinks."""
-    q = np.sqrt(3.0) * np.abs(x[:, None] - x[None, :]) / length
-    return np.asarray((1.0 + q) * np.exp(-q))

@@ -1,5 +1,6 @@
 """Thermometer checks: a thermometer must read what the estimate without it predicts."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -10,10 +11,11 @@ from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import messages
 from unbend.atmosphere.estimate.estimate_checks import MISFIT, PASSED, Check, is_plausible
+from unbend.atmosphere.estimate.hypotheses import IN_A_BAY
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensor_checks import LOST_SIGMAS
-from unbend.atmosphere.estimate.sensors import Barometer, SensorSettings, Thermometer
-from unbend.atmosphere.estimate.solver import Estimate, Solution, estimate, layout_of, solve
+from unbend.atmosphere.estimate.sensors import Barometer, Readings, SensorSettings, Thermometer
+from unbend.atmosphere.estimate.solver import Estimate, Fit, Solution, estimate, layout_of, solve
 from unbend.atmosphere.estimate.state import SensorFault, prior_of
 from unbend.atmosphere.rejection import Reason
 
@@ -24,6 +26,8 @@ too: the sun on its probe comes to 0.9 K."""
 LARGEST_BIAS_K, LARGEST_CHANGE_K, COMPARED_SIGMAS = 8.0, 3.5, 3.5
 """A thermometer against what the barometer implies, in the mean and in its change from the lower to
 the upper half: more, beside so many sigmas of the comparison, is a wrong sensor."""
+
+CERTAIN_CHANCE = 0.99  # of being in a bay or indoors, above which a thermometer is not used
 
 LARGE_DRIFT = 1.25
 """A drift that the residuals make so many times as large as expected may hide a wrong sensor."""
@@ -44,30 +48,32 @@ def thermometer_is_outside(
 ) -> Check:
     """Whether the thermometer of a flight with a barometer (``made``: with both) can be outside.
 
-    Not passed where its readings, in the mean or in their change with height, are not those that
-    the estimate without them predicts, though the barometer is not seen to lose pressure; where
-    within half an hour no air that the barometer allows has them; or where the barometer differs
-    from any air that the thermometer allows, and fits plausible air of its own. All without
-    soundings and stations; the last two with drifts of the expected size, since a large one could
-    hide any contradiction.
+    Not passed where it is surely in a bay. Nor where its readings, in the mean or in their change
+    with height, are not those that the estimate without them predicts, though the barometer fits an
+    air and is not seen to lose pressure; where within half an hour no air that the barometer allows
+    has them; or where the barometer differs from any air that the thermometer allows, and fits
+    plausible air of its own. All without soundings and stations; the last two with drifts of the
+    expected size, since a large one could hide any contradiction.
     """
     temperature, pressure = samples.temperature, samples.pressure
+    chance = made.chances.get(IN_A_BAY.name, 0.0)
+    if temperature is not None and chance > CERTAIN_CHANCE:
+        return Check(messages.thermometer_in_a_bay(percent=100.0 * chance))
     if temperature is None or pressure is None or settings.board_temperature:
         return PASSED
-    indoors, settings = settings.maybe_indoors, replace(settings, maybe_indoors=False)
     flown = collect_readings(samples, background, settings)
-    ordinary = tuple(fault.ordinary for fault in flown.faults)
-    layout = layout_of(replace(flown, faults=ordinary), background)
+    layout = layout_of(flown, background)
     others = [readings for readings in flown.sets if not isinstance(readings, Thermometer)]
     prior = prior_of(layout, background, moisture or background)
     without = solve(layout, prior, others, background.profile)
     warm = (s for s in flown.sets if isinstance(s, Thermometer))
     check = next((check for s in warm if not (check := is_predicted(s, without))), PASSED)
-    if not check and not barometer_loses_pressure(made):
+    barometer_fits = _largest_inflation(others, without.fits, Barometer) <= MISFIT
+    if not check and barometer_fits and not barometer_loses_pressure(made):
         return check
     expected = replace(settings, usual_errors_only=True)
     estimate_of = partial(estimate, background=background, settings=expected, moisture=moisture)
-    drifted = indoors or max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
+    drifted = max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
     if drifted or _inflated_sigma_k(made) > MISFIT_K:
         # The flight until half an hour after its thermometer's first accepted reading.
         until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
@@ -144,5 +150,10 @@ def _inflated_sigma_k(made: Estimate) -> float:
 
 def _sigma_inflation(made: Estimate, kind: type) -> float:
     """The largest sigma inflation factor of a kind of readings."""
-    pairs = zip(made.readings.sets, made.fits, strict=True)
+    return _largest_inflation(made.readings.sets, made.fits, kind)
+
+
+def _largest_inflation(sets: Sequence[Readings], fits: Sequence[Fit], kind: type) -> float:
+    """The largest sigma inflation factor of a kind among readings and their fits."""
+    pairs = zip(sets, fits, strict=True)
     return max((fit.sigma_inflation for s, fit in pairs if isinstance(s, kind)), default=1.0)

@@ -12,6 +12,15 @@ from numpy.typing import ArrayLike
 
 from unbend.atmosphere import messages
 from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.air_variation import (
+    CYCLE_LENGTH_M,
+    SPRING,
+    DailyCycle,
+    Part,
+    Parts,
+    covariance_of,
+    variation_parts,
+)
 from unbend.atmosphere.covariance import ProfileCovariance, plane_rule
 from unbend.atmosphere.estimate.state import exponential
 from unbend.atmosphere.hypsometry import hats
@@ -29,19 +38,42 @@ SLOT_NS = 900 * 10**9  # exposures within a quarter of an hour share the age of 
 _STEPS = 100  # trapezia of the plane integral
 _SLIVER_M = 1.0  # edges of two profiles nearer than this become one [m']
 
-CHANGE_K2_PER_H, CHANGE_LENGTH_M = 2.0, 1500.0
-CHANGE_ALOFT = 0.3
-"""Variance of what the air is from its mean over the flight, at the ground; aloft a third of the
-sigma, with the same scale height as the spread of the climatology. Set by judgement: the boundary
-layer warms by some 5 K from dawn to noon."""
-
-CHANGE_LOG_P_PER_H = 5e-4
+CHANGE_LOG_P_PER_H, CHANGE_LOG_P_PER_M = 5e-4, 1.5e-8
 CHANGE_RH, CHANGE_RH_IN_H = 0.1, 4.0  # of relative humidity, reached after four hours
 
+CHANGE_RH_LENGTH_M = 1500.0  # correlation of that in height [m]
+
+METRES_AS_AN_HOUR = 36e3
+"""Weather changes as much over so much distance as in an hour (`data/air_variation.toml`: 48 h and
+1300 to 2300 km); of two visits to a height the nearer counts."""
+
 FRESH_S = 1800.0
-"""In half an hour the air of a calm day changes by some 0.5 K at the ground: R by 0.2 %."""
+FRESH_M = FRESH_S / 3600.0 * METRES_AS_AN_HOUR
+"""Air sampled within half an hour, and within as much in distance (18 km), counts as that of the
+exposure: at the ground it changes by some 0.6 K in that time."""
+
+CELL_M = 20e3  # exposures of so large a square share the distance of their air [m]
 
 _BIN_M, _MINUTE_NS = 100.0, 60 * 10**9
+_EARTH_M = 6.371e6
+_MIDDLE_LATITUDE_RAD = 0.8  # of a profile without a place
+
+
+@dataclass(frozen=True, eq=False)
+class FlightPath:
+    """Where a flight was (k,), longitudes going on across the 180th meridian."""
+
+    time_ns: Integers
+    latitude_rad: Array
+    longitude_rad: Array
+
+    def metres_at(self, time_ns: Integers) -> Array:
+        """(2, n) metres north and east of the first place at times (n,) [Unix ns]."""
+        seconds = (time_ns - self.time_ns[0]) * 1e-9
+        at = (self.time_ns - self.time_ns[0]) * 1e-9
+        north = np.interp(seconds, at, self.latitude_rad - self.latitude_rad[0])
+        east = np.interp(seconds, at, self.longitude_rad - self.longitude_rad[0])
+        return _EARTH_M * np.stack([north, east * np.cos(self.latitude_rad[0])])
 
 
 class PlaceInTime(NamedTuple):
@@ -55,22 +87,29 @@ class PlaceInTime(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class SampleAges:
     """Hours (n,) that the air of heights (n,) [m] has changed for since, or until, it was sampled:
-    sqrt(t^2 - (1/2 h)^2), nothing within half an hour, and nearly t in the end."""
+    sqrt(t^2 - (1/2 h)^2), nothing within half an hour, and nearly t in the end; and likewise the
+    ``metres`` (n,) to where it was, nothing within 18 km."""
 
     h_m: Array
     hours: Array
+    metres: Array | float = 0.0
 
     @property
     def is_fresh(self) -> bool:
-        """Whether all of it was sampled within half an hour."""
-        return not bool(np.any(self.hours > 0.0))
+        """Whether all of it was sampled within half an hour and 18 km."""
+        return not bool(np.any(self.hours > 0.0) or np.any(np.asarray(self.metres) > 0.0))
 
 
 def sample_ages(
-    samples: AirSamples, time_ns: Sequence[int], h_g: float, h_c: float
+    samples: AirSamples,
+    time_ns: Sequence[int],
+    h_g: float,
+    h_c: float,
+    path: FlightPath | None = None,
 ) -> list[SampleAges]:
     """How old the air between two heights [m above sea level] is at times [Unix ns], by the nearest
-    readings of thermometer or barometer before or after, in bins of 100 m."""
+    readings of thermometer or barometer before or after, in bins of 100 m; and how far away it was
+    sampled from where the flight was then, by its ``path``."""
     visits = [
         (np.floor(s.h_m[s.accepted] / _BIN_M), s.time_ns[s.accepted] // _MINUTE_NS)
         for s in (samples.temperature, samples.pressure)
@@ -83,42 +122,68 @@ def sample_ages(
     inside = (both[0] + 1 >= h_g / _BIN_M) & (both[0] <= h_c / _BIN_M)
     number, minute = both[:, inside] if bool(inside.any()) else both
     bins = np.unique(number)
-    visited = [minute[number == i] for i in bins]
-    fresh = (FRESH_S / 3600.0) ** 2
     ages = []
     for now in time_ns:
-        apart = np.array([np.abs(at - now // _MINUTE_NS).min() / 60.0 for at in visited])
-        hours = np.sqrt(np.maximum(apart**2 - fresh, 0.0))
-        ages.append(SampleAges((bins + 0.5) * _BIN_M, hours))
+        hours = np.abs(minute - now // _MINUTE_NS) / 60.0
+        metres = np.zeros(hours.size)
+        if path is not None:
+            here = path.metres_at(np.array([now]))
+            metres = np.hypot(*(path.metres_at(minute * _MINUTE_NS) - here))
+        apart = hours + metres / METRES_AS_AN_HOUR
+        nearest = [
+            rows[np.argmin(apart[rows])] for rows in (np.flatnonzero(number == i) for i in bins)
+        ]
+        ages.append(
+            SampleAges(
+                (bins + 0.5) * _BIN_M,
+                np.sqrt(np.maximum(hours[nearest] ** 2 - (FRESH_S / 3600.0) ** 2, 0.0)),
+                np.sqrt(np.maximum(metres[nearest] ** 2 - FRESH_M**2, 0.0)),
+            )
+        )
     return ages
 
 
-def change_sigma(above_ground_m: Array, hours: Array | float) -> Array:
-    """One sigma [K] of how temperature changes in hours, at heights above the ground."""
-    near = np.exp(-np.maximum(above_ground_m, 0.0) / CHANGE_LENGTH_M)
-    return np.asarray(np.sqrt(CHANGE_K2_PER_H * hours) * (CHANGE_ALOFT + (1 - CHANGE_ALOFT) * near))
+def change_parts(
+    latitude_rad: float | None, ground_h_m: float, hours: ArrayLike, metres: ArrayLike, h_m: Array
+) -> Parts:
+    """How temperatures over a ground [m] change in hours and metres (n,) for heights (n,) [m].
+
+    To the structure function comes the mean cycle of the day, over hours whose place in the day is
+    not known.
+    """
+    latitude = _MIDDLE_LATITUDE_RAD if latitude_rad is None else latitude_rad
+    parts = variation_parts(latitude, SPRING, ground_h_m)
+    at = parts[0].h_m
+    age, away = (np.interp(at, h_m, np.broadcast_to(x, h_m.shape)) for x in (hours, metres))
+    cycle = DailyCycle(latitude, SPRING, ground_h_m).by_hour_k(at)
+    day = cycle * np.sqrt(1.0 - np.cos(2.0 * np.pi * age / 24.0))
+    return (*(part.change(age, away) for part in parts), Part("day", at, day, CYCLE_LENGTH_M))
 
 
 def covariance_with_ageing(covariance: ProfileCovariance, ages: SampleAges) -> ProfileCovariance:
-    """A covariance with what the air changes in its age added.
+    """A covariance with what the air changes in its age, and over its distance, added.
 
-    Temperatures wander by `change_sigma`, neighbours alike, and carry pressure with them from the
-    height that was sampled last, where ln p itself changes too; so does relative humidity.
+    Temperatures change by `change_parts` and carry pressure with them from the height that was
+    sampled last, where ln p itself changes too; so does relative humidity.
     """
     profile = covariance.profile
     edge = profile.layers.edge
     k = edge.size
     h = profile.gravity.height(edge)
     hours = np.interp(h, ages.h_m, ages.hours)
-    alike = exponential(edge, CHANGE_LENGTH_M)
-    warming = change_sigma(h - ages.h_m[0], hours)
+    metres = np.broadcast_to(ages.metres, ages.h_m.shape)
+    latitude, ground = profile.gravity.latitude_rad, float(ages.h_m[0])
+    parts = change_parts(latitude, ground, ages.hours, metres, ages.h_m)
     matrix = np.zeros_like(covariance.matrix)
     by_state = np.eye(2 * k + 1)
-    matrix[:k, :k] = np.outer(warming, warming) * alike
-    matrix[k, k] = (CHANGE_LOG_P_PER_H * float(hours.min())) ** 2
+    matrix[:k, :k] = covariance_of(parts, h, h)
+    weather = CHANGE_LOG_P_PER_H * ages.hours.min(), CHANGE_LOG_P_PER_M * metres.min()
+    matrix[k, k] = float(np.hypot(*weather)) ** 2
     saturated = saturation_vapour_pressure(profile.temperature(h)) / profile.pressure(h)
-    moistening = CHANGE_RH * np.sqrt(np.minimum(hours / CHANGE_RH_IN_H, 1.0))
+    as_hours = hours + np.interp(h, ages.h_m, metres) / METRES_AS_AN_HOUR
+    moistening = CHANGE_RH * np.sqrt(np.minimum(as_hours / CHANGE_RH_IN_H, 1.0))
     moistening *= np.minimum(saturated, profile.layers.vapour.max())
+    alike = exponential(edge, CHANGE_RH_LENGTH_M)
     matrix[k + 1 :, k + 1 :] = np.outer(moistening, moistening) * alike
     last = ages.h_m[np.flatnonzero(ages.hours == ages.hours.min())[-1:]]
     by_state[k, :k] = -covariance.log_pressure_by_virtual(last)[0]
@@ -251,22 +316,35 @@ def interpolate_series(
 
 
 def add_ageing(
-    series: ProfileSeries, time_ns: Integers, samples: AirSamples, h_c: float, h_g: float
+    series: ProfileSeries,
+    time_ns: Integers,
+    samples: AirSamples,
+    h_c: float,
+    h_g: float,
+    path: FlightPath | None = None,
 ) -> tuple[ProfileSeries, Notes]:
-    """The same air, with the sigmas that it has for exposures long after, or before, its samples.
+    """The same air, with the sigmas that it has for exposures long after, or before, its samples,
+    and far from them.
 
     ``time_ns``: (s,) of the exposures [Unix ns]. ``samples``: what the air was estimated from.
-    ``h_c``, ``h_g``: heights of the highest camera and of the ground [m above sea level]. Exposures
-    are taken together in quarters of an hour; air sampled within half an hour stays as it is.
+    ``h_c``, ``h_g``: heights of the highest camera and of the ground [m above sea level].
+    ``path``: where the flight was; without it only time counts. Exposures are taken together in
+    quarters of an hour and squares of 20 km; air sampled within half an hour and 18 km stays as it
+    is.
     """
     if time_ns.size == 0:
         return series, ()
     start = int(time_ns.min())
     slot = (time_ns - start) // SLOT_NS
-    pairs, group = np.unique(np.stack([series.profile_number, slot]), axis=1, return_inverse=True)
+    keys = np.stack([series.profile_number, slot])
+    if path is not None:
+        cells = np.floor(path.metres_at(time_ns) / CELL_M).astype(np.int64)
+        keys = np.vstack([keys, cells])
+    pairs, group = np.unique(keys, axis=1, return_inverse=True)
+    group = group.ravel()
     since = np.bincount(group, (time_ns - start) * 1e-9) / np.bincount(group)
     middles = [start + round(float(s) * 1e9) for s in since]
-    ages = sample_ages(samples, middles, h_g, h_c)
+    ages = sample_ages(samples, middles, h_g, h_c, path)
     if all(age.is_fresh for age in ages):
         return series, ()
     airs: list[TimedProfile] = []
@@ -280,8 +358,10 @@ def add_ageing(
             airs.append(air if age.is_fresh else replace(air, time_ns=middles[i], ages=age))
         new[i] = place[key]
     oldest = max(ages, key=lambda age: float(age.hours.max()))
+    farthest = max(float(np.max(age.metres)) for age in ages)
     aged = messages.air_aged(
         hours=np.hypot(oldest.hours.max(), FRESH_S / 3600.0),
+        km=np.hypot(farthest, FRESH_M) * 1e-3 if farthest > 0.0 else 0.0,
         height_m=oldest.h_m[int(np.argmax(oldest.hours))],
         count=int(np.isin(new[group], [i for i, air in enumerate(airs) if air.ages]).sum()),
     )

@@ -24,9 +24,9 @@ from unbend.units import VAPOUR_DEFICIT, Array, Integers
 
 LONG_KM, LONG_H = 30.0, 2.0  # in a shorter flight the air of one place and time is that of all
 
-HOURS_PER_KM = 0.015
-"""The air changes over 100 km as in 3 h (Sun et al. 2010, J. Geophys. Res. 115, D23104). Half of
-that variance is left where a model's differences are added: set by judgement."""
+LEFT_BY_MODEL = 0.5
+"""Share of a distance that counts where a model's differences are added: half of the variance that
+the air changes by is left. Set by judgement."""
 
 _CELL_KM, _CELL_NS, _EARTH_KM = 2.0, 600 * 10**9, 6371.0
 _AGE_STEP_KM = 20.0
@@ -48,8 +48,8 @@ def add_model_changes(
     Times and places (s,) of the exposures, NaN where not known, longitudes going on across the
     180th meridian. Profiles of ``series`` have ``sampled_at``, or neighbours that have it. ``h_c``,
     ``h_g``: heights of cameras and of the ground [m above sea level]. Exposures share a profile
-    where R differs by less than 0.05 %. What a model's differences leave ages the air by 1.5 h per
-    100 km from where it was ``measured``; a ray at 45 degrees ends as far away as the camera is
+    where R differs by less than 0.05 %. What a model's differences leave is that of half the
+    distance from where it was ``measured``; a ray at 45 degrees ends as far away as the camera is
     high, so that counts as a distance too (docs/pages/air/weather_model.md).
     """
     known = np.flatnonzero(np.isfinite(latitude_rad + longitude_rad))
@@ -87,7 +87,8 @@ def add_model_changes(
         if key not in place_of:
             place_of[key] = len(airs)
             old = air.ages or SampleAges(np.array([h_g]), np.zeros(1))
-            ages = SampleAges(old.h_m, old.hours + HOURS_PER_KM * away_km)
+            metres = np.broadcast_to(old.metres, old.h_m.shape) + 1e3 * LEFT_BY_MODEL * away_km
+            ages = SampleAges(old.h_m, old.hours, metres)
             airs.append(replace(changed, time_ns=int(time_ns[row[i]]), ages=ages))
         new[i] = place_of[key]
     numbers = series.profile_number.copy()

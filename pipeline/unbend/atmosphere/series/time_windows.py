@@ -12,6 +12,7 @@ import numpy as np
 
 from unbend.atmosphere import messages
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples, part_of
+from unbend.atmosphere.air_variation import Part
 from unbend.atmosphere.climatology import Climatology, Spread
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate.adjusted_profile import Adjustment
@@ -30,6 +31,8 @@ _FAULT_CHANGE = 0.2
 SIGNIFICANT = 1.5
 """Sigmas (RMS over the windows) by which R must depart from the whole flight's: in constant air 16
 flights of four hours came to 1.3 at most."""
+
+OWN_LENGTH_M = 5000.0  # correlation in height of the errors of the whole flight's profile [m]
 
 COUNTED_TWICE = 2.0
 """A window's readings are in its background too, so its covariance is doubled. Without this errors
@@ -171,12 +174,13 @@ def _whole_flight_as_background(
     """The whole flight as what is expected in a part of it; ``spread`` of the climatology."""
     profile = covariance.profile
     h = spread.h_m[(spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)]
-    change = profile_series.change_sigma(h - covariance.anchor_height_m, hours)
+    latitude, ground = profile.gravity.latitude_rad, covariance.anchor_height_m
+    change = profile_series.change_parts(latitude, ground, hours, 0.0, h)
     weather = profile_series.CHANGE_LOG_P_PER_H * hours
     level = float(np.hypot(covariance.sigma_log_pressure(0.0)[0], weather))
-    temperature = np.hypot(covariance.sigma_temperature(h), change)
+    own = Part("flight", h, covariance.sigma_temperature(h), OWN_LENGTH_M)
     humidity = np.minimum(spread.sigma_relative_humidity(h), profile_series.CHANGE_RH)
-    of_flight = Spread(h, temperature, humidity, spread.humidity_correlation_m, level)
+    of_flight = Spread((*change, own), h, humidity, spread.humidity_correlation_m, level)
     return Climatology(profile, of_flight, "the whole flight", True)
 
 

@@ -495,6 +495,6 @@ def _another_source_agrees(
         if not is_receiver(channel) and channel.name not in spare_barometers:
             continue
         inside = (channel.time_ns >= begin_ns) & (channel.time_ns <= end_ns)
-        if inside.any() and bool((difference.off_m[inside] < difference.limit_m).all()):
+        if inside.any() and bool((difference.off_m < difference.limit_m)[inside].all()):
             return True
     return False

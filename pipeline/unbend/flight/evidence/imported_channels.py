@@ -122,7 +122,7 @@ def _departures_from_log(
     difference = source_difference(log, with_steps, quantity, velocity)
     is_suspect = covered(suspect_in_log, channel.time_ns)
     off_m = np.where(is_suspect, 0.0, np.nan_to_num(difference.off_m))
-    limit_m = max(difference.limit_m, LEAST_M[quantity])
+    limit_m = np.maximum(difference.limit_m, LEAST_M[quantity])
     stretches: list[Stretch] = []
     for run in runs(channel.time_ns, off_m > 0.5 * limit_m, off_m > limit_m):
         farthest_m = float(off_m[run.rows].max())

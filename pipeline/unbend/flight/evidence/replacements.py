@@ -129,7 +129,9 @@ def _agreed_offset(difference: Difference, stretch: Stretch) -> Array | None:
     rows &= np.isfinite(difference.off_m)
     if np.count_nonzero(rows) < _FEWEST_BESIDE:
         return None
-    if np.percentile(difference.off_m[rows], _MOST_AGREE) >= difference.limit_m:
+    share_of_limit = difference.off_m / difference.limit_m
+    largest_share = np.percentile(share_of_limit[rows], _MOST_AGREE)
+    if largest_share >= 1.0:
         return None
     offset_m: Array = np.median(difference.apart_m[rows], axis=0)
     return offset_m
@@ -154,7 +156,8 @@ def attitude_drifts(
     off_m = np.where(may_drift, np.nan_to_num(difference.off_m), 0.0)
     worst = int(np.argmax(off_m))
     after_s = (int(time_ns[worst]) - stretch.begin_ns) / SECOND
-    least_m = max(difference.limit_m, LARGEST_DRIFT_M_S2 * after_s**2)
+    noise_m = float(difference.limit_m[worst])
+    least_m = max(noise_m, LARGEST_DRIFT_M_S2 * after_s**2)
     if off_m[worst] < least_m:
         return []
     reason = (

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from unbend.flight.channels import Channel
+from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.evidence.sources import (
     SEVERAL,
     SOURCE_GAP_S,
@@ -16,7 +16,7 @@ from unbend.flight.evidence.sources import (
 )
 from unbend.flight.evidence.stretches import HEIGHT, POSITION, Run, runs
 from unbend.flight.trajectory import interpolate
-from unbend.units import Array, Mask, Rows
+from unbend.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
 # Beyond lag and offset, two sources differ by as much through noise [m].
 NOISE_MISFIT_M = {POSITION: 2.0, HEIGHT: 4.0}
@@ -37,6 +37,14 @@ _FEWEST_PRESSURES = 30
 _SPAN_OF_PARABOLA_M = 300.0  # of a flight: over less, noise would bend it
 _LEAST_SCATTER_M = 1.0
 
+_HOUR_NS = 3600 * NANOSECONDS_PER_SECOND
+
+# What weather changes between the height of a pressure and that of a receiver: 0.5 hPa an hour.
+WEATHER_M_PER_H = 4.2
+# An inversion makes the relation of height and ln p none of a parabola: 9 K in 250 m leave 15 m of
+# 2 km. Beside hours of level flight the climb has no share in the scatter.
+STRUCTURE_SHARE = 0.002
+
 
 @dataclass(frozen=True, eq=False)
 class Difference:
@@ -48,7 +56,7 @@ class Difference:
         and its constant lag are taken out.
     off_m : (n,) distance of ``apart_m`` from its usual value.
     lag_s : by how much the other is behind the source.
-    limit_m : the largest ``off_m`` that is noise.
+    limit_m : (n,) the largest ``off_m`` that is noise, or weather.
     scatter_m : standard deviation of ``off_m`` on the samples that show its usual value.
     """
 
@@ -56,7 +64,7 @@ class Difference:
     apart_m: Array
     off_m: Array
     lag_s: float
-    limit_m: float
+    limit_m: Array
     scatter_m: float
 
     @property
@@ -86,7 +94,9 @@ def source_difference(
 
     * Positions, and heights of two receivers, agree where they differ by less than noise.
     * Other heights may have any offset. They agree before ``steady_until_ns``, when ``source``
-      first stepped and did not return; nowhere if it never did.
+      first stepped and did not return; nowhere if it never did. One of these follows a pressure, so
+      that the air moves it: the limit grows with time and height from where the usual offset was
+      (`air_change_m`).
     """
     noise_m = NOISE_MISFIT_M[quantity]
     are_receivers = is_receiver(source) and is_receiver(other.channel)
@@ -110,14 +120,35 @@ def source_difference(
     scatter_m = 0.0
     if misfit.settled.any():
         scatter_m = _SIGMA_OF_MEDIAN * float(np.median(misfit.off_m[misfit.settled]))
+    limit_m = np.full(known.size, max(noise_m, SEVERAL * scatter_m))
+    if not agree_near_zero:
+        height_m = places_of(other.channel, quantity)[:, 0]
+        of_air_m = air_change_m(other.channel.time_ns, height_m, misfit.settled)
+        limit_m += SEVERAL * of_air_m
     return Difference(
         other=other,
         apart_m=apart_m,
         off_m=misfit.off_m,
         lag_s=lag.seconds,
-        limit_m=max(noise_m, SEVERAL * scatter_m),
+        limit_m=limit_m,
         scatter_m=scatter_m,
     )
+
+
+def air_change_m(time_ns: TimeArray, height_m: Array, settled: Mask) -> Array:
+    """(n,) metres by which the air moves heights of a pressure from the ``settled`` samples on.
+
+    Those samples show the usual height; their median time and height count. It is one sigma.
+    """
+    if not settled.any():
+        return np.zeros(time_ns.shape)
+    middle_ns = int(np.median(time_ns[settled]))
+    middle_m = float(np.median(height_m[settled]))
+    apart_ns = np.abs(time_ns - middle_ns)
+    hours = apart_ns / _HOUR_NS
+    by_weather_m = WEATHER_M_PER_H * hours
+    by_structure_m = STRUCTURE_SHARE * np.abs(height_m - middle_m)
+    return np.asarray(np.hypot(by_weather_m, by_structure_m))
 
 
 def _apart_with_lag(source: Channel, other: SourcePath, quantity: str) -> Array:
@@ -248,7 +279,8 @@ def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
     if np.count_nonzero(usable) < _FEWEST_PRESSURES:
         return None
     of_pressure_m = _height_by_log_p(log_p, height_m, usable)
-    usable &= _is_near(height_m, of_pressure_m)
+    of_air_m = air_change_m(barometer.time_ns, of_pressure_m, usable)
+    usable &= _is_near(height_m, of_pressure_m, of_air_m)
     of_pressure_m = _height_by_log_p(log_p, height_m, usable)
     return replace(barometer, columns={"h_msl_m": of_pressure_m}, roles=(), labels={})
 
@@ -265,8 +297,12 @@ def _height_by_log_p(log_p: Array, height_m: Array, usable: Mask) -> Array:
     return at_unit_pressure_m + _SLOPE_M * log_p
 
 
-def _is_near(height_m: Array, of_pressure_m: Array) -> Mask:
-    """(n,) which heights are within three sigma, or 1 m, of those of the pressure."""
+def _is_near(height_m: Array, of_pressure_m: Array, of_air_m: Array) -> Mask:
+    """(n,) which heights are within three sigma, or 1 m, of those of the pressure.
+
+    The air adds three of its own sigma ``of_air_m``.
+    """
     off_m = np.abs(height_m - of_pressure_m)
     three_sigma_m = 3.0 * _SIGMA_OF_MEDIAN * float(np.nanmedian(off_m))
-    return np.asarray(off_m < max(three_sigma_m, _LEAST_SCATTER_M))
+    limit_m = max(three_sigma_m, _LEAST_SCATTER_M) + 3.0 * of_air_m
+    return np.asarray(off_m < limit_m)

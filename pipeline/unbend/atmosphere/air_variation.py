@@ -1,0 +1,276 @@
+"""How far the air departs from its climatology, and how it changes: one structure function.
+
+The departure of temperature is a sum of independent parts, normal and about zero. Part k has an
+amplitude a_k(z), a correlation r_k in height, a memory tau_k and a reach L_k, so that departures at
+two heights, two times and two places have the covariance
+
+    sum of a_k(z) a_k(z') r_k(|z - z'|) exp(-t/tau_k - d/L_k).
+
+The parts: ``waves`` of weather, whose amplitude changes its sign at the tropopause (warm air below
+goes with cold air above); ``layers`` of air of other origin; ``climate``, what a place has beside
+its climatology for weeks; ``ground``, air in the sun or over a cold field; and the fine structure,
+``kinked`` as inversions are and ``smooth``. `benchmarks/fit_air.py` fits them to public ascents.
+
+Heights are reduced: above the ground, and from 3 km on stretched so that the tropopause is 11.5 km
+above the ground.
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from unbend.atmosphere.climate_tables import season
+from unbend.units import DEGREE, Array
+
+NOMINAL_TROPOPAUSE_M = 11_500.0  # reduced height of the tropopause [m]
+STRETCHED_ABOVE_M = 3000.0  # below, a reduced height is the height above the ground [m]
+LOWEST_TROPOPAUSE_M = 6000.0  # above the ground, over the highest plateaus [m]
+
+CYCLE_LENGTH_M = 5000.0  # correlation in height of the day's cycle, its hour unknown [m]
+CYCLE_MEMORY_H = 6.0  # the same in time: a quarter of a day
+SPRING = 4.0  # a month between the seasons, where none is known
+WARMEST_HOUR = 15.0  # mean local time when the lowest air is warmest [h]
+
+_WEATHER_DEG, _WEATHER = (15.0, 35.0, 50.0, 60.0), (0.6, 1.0, 1.0, 1.4)
+"""Amplitude of weather at latitudes over that in middle ones: 16 ascents over Darwin and the
+Atlantic depart by 1 to 1.5 K within a season, where others do by 3 to 5 K, and 16 north of 52
+degrees by half as much again."""
+
+_TROPOPAUSE_DEG = (20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
+_TROPOPAUSE_M = (16_500.0, 14_500.0, 12_500.0, 11_200.0, 10_000.0, 9_200.0)
+_HIGHER_IN_SUMMER_M = (0.0, 800.0, 1000.0, 700.0, 600.0, 400.0)  # than the mean of the year
+
+_STEP_M, _TOP_M = 250.0, 30_000.0
+_NEAR_GROUND_M = (15.0, 30.0, 50.0, 80.0, 120.0, 180.0, 300.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One part of what the air departs by.
+
+    ``sigma_k`` (k,): its amplitude [K] at heights ``h_m`` (k,) above sea level, linear between and
+    constant beyond; where it has another sign, departures are opposite. ``length_m``: of its
+    correlation in height, exponential where it is ``kinked``, else Matern 3/2. ``memory_h``,
+    ``reach_m``: time and distance in which it falls to 1/e.
+    """
+
+    name: str
+    h_m: Array
+    sigma_k: Array
+    length_m: float
+    kinked: bool = False
+    memory_h: float = math.inf
+    reach_m: float = math.inf
+
+    def alike(self, hours: Array | float, metres: Array | float) -> Array:
+        """Correlation of the part over hours and metres."""
+        return np.asarray(
+            np.exp(-np.divide(hours, self.memory_h) - np.divide(metres, self.reach_m))
+        )
+
+    def covariance(self, h: Array, other_h: Array, other: "Part | None" = None) -> Array:
+        """(n, m) covariance [K2] at heights (n,) and (m,) [m above sea level]; of the air of the
+        second heights the part has the amplitude of the ``other``, at another hour."""
+        other = other or self
+        here = np.interp(h, self.h_m, self.sigma_k)
+        there = np.interp(other_h, other.h_m, other.sigma_k)
+        apart = np.abs(h[:, None] - other_h)
+        return np.outer(here, there) * correlation(apart, self.length_m, kinked=self.kinked)
+
+    def change(self, hours: Array | float, metres: Array | float = 0.0) -> "Part":
+        """How the part changes in hours and over metres, which may be (k,) at its heights."""
+        growth = np.sqrt(2.0 * (1.0 - self.alike(hours, metres)))
+        return replace(self, sigma_k=self.sigma_k * growth)
+
+
+Parts = tuple[Part, ...]
+
+
+def larger_part(part: Part, other: Part) -> Part:
+    """A part with the amplitude of another at the heights where that is larger; the heights are
+    those of the first."""
+    other_k = np.interp(part.h_m, other.h_m, other.sigma_k)
+    is_larger = np.abs(other_k) > np.abs(part.sigma_k)
+    return replace(part, sigma_k=np.where(is_larger, other_k, part.sigma_k))
+
+
+def covariance_of(parts: Parts, h: Array, other_h: Array) -> Array:
+    """(n, m) covariance [K2] of the sum of parts at heights (n,), (m,) [m above sea level]."""
+    total = np.zeros((h.size, other_h.size))
+    for part in parts:
+        total += part.covariance(h, other_h)
+    return total
+
+
+def sigma_of(parts: Parts, h: Array) -> Array:
+    """One sigma [K] of the sum of parts at heights (n,) [m above sea level]."""
+    squares = [np.interp(h, part.h_m, part.sigma_k) ** 2 for part in parts]
+    return np.asarray(np.sqrt(np.sum(squares, axis=0)))
+
+
+def changes(parts: Parts, hours: float, metres: float = 0.0) -> Parts:
+    """How the air changes in hours and over metres.
+
+    >>> parts = variation_parts(0.8, 4.0, ground_h_m=0.0)
+    >>> sigma_of(changes(parts, 12.0), np.array([1000.0, 5000.0])).round(0).tolist()
+    [3.0, 3.0]
+    """
+    return tuple(part.change(hours, metres) for part in parts)
+
+
+def correlation(apart_m: Array, length_m: float, *, kinked: bool) -> Array:
+    """Exponential where ``kinked``, else Matern 3/2: (1 + q) exp(-q), q = sqrt(3) d / length."""
+    if kinked:
+        return np.asarray(np.exp(-apart_m / length_m))
+    q = math.sqrt(3.0) * apart_m / length_m
+    return np.asarray((1.0 + q) * np.exp(-q))
+
+
+def variation_parts(
+    latitude_rad: float, month: float, ground_h_m: float, hour: float | None = None
+) -> Parts:
+    """The parts at a latitude, season and mean local time [h] over a ground [m above sea level]."""
+    h = np.arange(ground_h_m - 1000.0, _TOP_M, _STEP_M)
+    h = np.union1d(h, ground_h_m + np.array([0.0, *_NEAR_GROUND_M]))
+    reduced = reduced_height(h, ground_h_m, tropopause_m(latitude_rad, month))
+    weather = weather_share(latitude_rad)
+    mixed = mixed_share(latitude_rad, month, hour)
+    parts = []
+    for name, table in _tables()["parts"].items():
+        stable_k, mixed_k = (
+            np.interp(reduced, table["height_m"], table[key])
+            for key in ("sigma_k", "mixed_sigma_k")
+        )
+        sigma = (1.0 - mixed) * stable_k + mixed * mixed_k
+        if name == "climate":  # aloft the tables depart from the tropics as from other latitudes
+            sigma = sigma * np.interp(reduced, [1000.0, 4000.0], [weather, max(weather, 1.0)])
+        else:
+            sigma = sigma * weather
+        parts.append(
+            Part(
+                name=name,
+                h_m=h,
+                sigma_k=sigma,
+                length_m=table["length_m"],
+                kinked=table["shape"] == "kinked",
+                memory_h=table["memory_h"],
+                reach_m=1000.0 * table["reach_km"],
+            )
+        )
+    return tuple(parts)
+
+
+def reduced_height(h_m: Array, ground_h_m: float, tropopause_h_m: float) -> Array:
+    """Height above the ground, stretched above 3 km so that the tropopause is at 11.5 km.
+
+    >>> reduced_height(np.array([1500.0, 4500.0, 9500.0]), 500.0, 9500.0).tolist()
+    [1000.0, 4416.666666666667, 11500.0]
+    """
+    above = np.asarray(h_m - ground_h_m)
+    tropopause = max(tropopause_h_m - ground_h_m, LOWEST_TROPOPAUSE_M)
+    stretch = (NOMINAL_TROPOPAUSE_M - STRETCHED_ABOVE_M) / (tropopause - STRETCHED_ABOVE_M)
+    return np.where(
+        above < STRETCHED_ABOVE_M, above, STRETCHED_ABOVE_M + (above - STRETCHED_ABOVE_M) * stretch
+    )
+
+
+def tropopause_m(latitude_rad: float, month: float) -> float:
+    """The usual height of the tropopause above sea level [m], to some 500 m.
+
+    >>> round(tropopause_m(0.8, 7.0))
+    12566
+    """
+    degrees = abs(latitude_rad) / DEGREE
+    mean = float(np.interp(degrees, _TROPOPAUSE_DEG, _TROPOPAUSE_M))
+    summer = -season(latitude_rad, month)
+    return mean + summer * float(np.interp(degrees, _TROPOPAUSE_DEG, _HIGHER_IN_SUMMER_M))
+
+
+def weather_share(latitude_rad: float) -> float:
+    """Amplitude of the weather at a latitude over that in middle latitudes."""
+    return float(np.interp(abs(latitude_rad) / DEGREE, _WEATHER_DEG, _WEATHER))
+
+
+def share_of_day(latitude_rad: float) -> float:
+    """How much of the day's cycle a latitude has: that of land between 30 and 50 degrees is 1; the
+    tropics that are known here are sea and coast, and farther north there is snow."""
+    degrees = abs(latitude_rad) / DEGREE
+    return float(np.interp(degrees, [15.0, 30.0, 50.0, 60.0, 75.0], [0.0, 1.0, 1.0, 0.5, 0.4]))
+
+
+def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
+    """How far the sun has mixed the lowest air: 1 on a summer's afternoon.
+
+    0 at night, in winter, and where the mean local time [h] is not known.
+
+    >>> [round(mixed_share(0.8, 7.0, hour), 2) for hour in (3.0, 10.0, 15.0)]
+    [0.0, 0.26, 1.0]
+    """
+    if hour is None:
+        return 0.0
+    warm = 0.5 - 0.5 * season(latitude_rad, month)
+    snowless = float(np.interp(abs(latitude_rad) / DEGREE, [50.0, 60.0], [1.0, 0.3]))
+    sunny = max(0.0, math.cos(2.0 * math.pi * (hour - WARMEST_HOUR) / 24.0))
+    return warm * snowless * sunny
+
+
+@dataclass(frozen=True)
+class DailyCycle:
+    """The lowest 3 km of a place and season beside the Supplements 1966, and how the hour of the
+    day changes them."""
+
+    latitude_rad: float
+    month: float
+    ground_h_m: float = 0.0
+
+    def mean_k(self, h_m: Array) -> Array:
+        """What the mean of day and night has beside the Supplements [K], at heights (n,) [m]."""
+        return self._between("winter_k", "summer_k", h_m)
+
+    def by_hour_k(self, h_m: Array) -> Array:
+        """Amplitude of the day's cycle [K] at heights (n,) [m above sea level]."""
+        return self._between("by_hour_winter_k", "by_hour_summer_k", h_m)
+
+    def of_hour_k(self, h_m: Array, solar_hour: float | None) -> Array:
+        """What a mean local time [h] adds to the mean of day and night [K]; None adds nothing.
+
+        >>> cycle = DailyCycle(0.8, 7.0)
+        >>> bool(cycle.of_hour_k(np.zeros(1), 14.0)[0] > 4.0)
+        True
+        """
+        if solar_hour is None:
+            return np.zeros(np.shape(h_m))
+        phase = 2.0 * math.pi * (solar_hour - WARMEST_HOUR) / 24.0
+        return self.by_hour_k(h_m) * math.cos(phase)
+
+    def _between(self, winter: str, summer: str, h_m: Array) -> Array:
+        """A table between those of mid-winter and mid-summer, times the share of the latitude."""
+        table = _tables()["daily"]
+        of_winter = 0.5 + 0.5 * season(self.latitude_rad, self.month)
+        values = of_winter * np.array(table[winter]) + (1.0 - of_winter) * np.array(table[summer])
+        share = share_of_day(self.latitude_rad)
+        return np.asarray(share * np.interp(h_m - self.ground_h_m, table["height_m"], values))
+
+
+def solar_hour(time_ns: int | None, longitude_rad: float) -> float | None:
+    """Mean local time [h] of a time [Unix ns] at a longitude; None where either is not known.
+
+    >>> solar_hour(0, math.pi)
+    12.0
+    """
+    if time_ns is None or not math.isfinite(longitude_rad):
+        return None
+    return (time_ns / 3.6e12 + longitude_rad / DEGREE / 15.0) % 24.0
+
+
+@lru_cache(maxsize=1)
+def _tables() -> Mapping[str, Any]:
+    """The fitted numbers."""
+    text = resources.files("unbend.atmosphere").joinpath("data/air_variation.toml")
+    return tomllib.loads(text.read_text(encoding="ascii"))

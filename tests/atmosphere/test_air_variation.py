@@ -1,0 +1,60 @@
+"""What the fitted structure function has of what public ascents show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from unbend.atmosphere.air_variation import (
+    changes,
+    covariance_of,
+    larger_part,
+    sigma_of,
+    variation_parts,
+)
+
+VIENNA_RAD = np.radians(48.2)
+JANUARY, JULY = 1.0, 7.0
+
+
+def correlation_of_changes(hours: float, low_m: float, high_m: float) -> float:
+    h = np.array([low_m, high_m])
+    covariance = covariance_of(changes(variation_parts(VIENNA_RAD, JANUARY, 0.0), hours), h, h)
+    return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
+
+
+def test_warm_air_below_the_tropopause_goes_with_cold_air_above():
+    """Changes over Vienna at 5 km and above 11 km are anti-correlated, -0.4 to -0.8."""
+    for hours in (12.0, 48.0):
+        assert -0.9 < correlation_of_changes(hours, 5000.0, 12_000.0) < -0.3
+        assert correlation_of_changes(hours, 3000.0, 6000.0) > 0.2
+
+
+def test_the_air_is_mixed_by_a_summers_day_alone():
+    low = np.array([300.0])
+
+    def sigma_k(month: float, hour: float | None) -> float:
+        return float(sigma_of(variation_parts(VIENNA_RAD, month, 0.0, hour), low)[0])
+
+    assert sigma_k(JULY, 3.0) > 1.02 * sigma_k(JULY, 15.0)
+    assert sigma_k(JULY, None) == sigma_k(JULY, 3.0)
+    assert sigma_k(JANUARY, 15.0) == pytest.approx(sigma_k(JANUARY, 3.0), rel=5e-3)
+
+
+def test_changes_grow_with_time_and_distance_to_twice_the_variance():
+    parts = variation_parts(VIENNA_RAD, JULY, 0.0)
+    h = np.array([0.0, 1000.0, 5000.0])
+    grown = [sigma_of(changes(parts, *apart), h) for apart in ((0, 0), (6, 0), (6, 1e5), (48, 1e6))]
+    assert np.all(grown[0] == 0.0)
+    assert np.all(np.diff(grown, axis=0) > 0.1)
+    for_ever = sigma_of(changes(parts, 1e6, 1e9), h)
+    assert for_ever == pytest.approx(np.sqrt(2.0) * sigma_of(parts, h))
+
+
+def test_of_two_parts_the_larger_amplitude_keeps_its_sign():
+    waves = variation_parts(VIENNA_RAD, JULY, 0.0)[0]
+    other = variation_parts(VIENNA_RAD, JANUARY, 0.0)[0]
+    larger = larger_part(waves, other)
+    there = np.interp(waves.h_m, other.h_m, other.sigma_k)
+    assert np.all(np.abs(larger.sigma_k) == np.maximum(np.abs(waves.sigma_k), np.abs(there)))
+    assert larger.sigma_k.min() < -2.0
