@@ -18,7 +18,7 @@ from unbend.ingest.dataflash.record_definitions import HEADER
 from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS
 from unbend.ingest.field_maps import MAPS, MessageMap, extract, is_number, message_maps
 from unbend.ingest.limits import SeriesLimit
-from unbend.ingest.message_tables import PLACE, Table, rows_by_value
+from unbend.ingest.message_tables import PLACE, Table
 from unbend.ingest.timelines import Stamps, Timeline, microseconds, nanoseconds, report_timeline
 from unbend.ingest.utc_evidence import Witness
 from unbend.ingest.utc_readings import UtcReadings, rows_of
@@ -267,13 +267,12 @@ def _rows_of_message(
     del table[PLACE]
     values = extract(table, spec.columns, copy_rows, used_up=table)  # fields are freed one by one
     del table  # with the fields that no column is made of
-    distinct_instances = np.unique(instance)
+    distinct_instances, counts = np.unique(instance, return_counts=True)
+    rows_of = dict(zip(distinct_instances.tolist(), counts.tolist(), strict=True))
     if not is_named and not spec.event:  # a name or an exposure may rightly come once
         distinct_instances = _without_stray_instances(message, instance, ledger)
-    rows_of = dict(rows_by_value(instance))
     for number in distinct_instances.tolist():
-        chosen_rows = rows_of[number]
-        if not limit.admits(chosen_rows.size):
+        if not limit.admits(rows_of[number]):
             continue
         has_label = is_named or number >= 0  # -1 is of messages without instances
         label = str(number) if has_label else None
@@ -286,9 +285,7 @@ def _rows_of_message(
             boot=times.boot,
             columns=values,
         )
-        is_chosen = np.zeros(instance.shape, np.bool_)
-        is_chosen[chosen_rows] = True
-        yield _chosen(rows, is_chosen & times.good)
+        yield _chosen(rows, (instance == number) & times.good)
 
 
 def _text_rows(
