@@ -122,14 +122,15 @@ def collect_readings(
         usual = fault.ordinary if ordinary else fault
         mean = fault.mean if known.mean is None else known.mean
         faults.append(replace(usual, mean=mean, sigma=known.sigma_or(usual.sigma)))
-    at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
+    at_sea = np.zeros(1)
+    level = np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
     at_sea_level = sensors.Pressures("climatology", at_sea, log_pressure, level, robust=False)
     departures = external_readings.sounding_departures(soundings, background, flight)
-    humid = external_readings.humidity_drifts(soundings, background, flight)
+    drifts += external_readings.humidity_drifts(soundings, background, flight)
     span = float(heights.min()), float(heights.max())
     every = at_sea_level, *external, *sets
-    return FlightReadings(every, tuple(faults), (*drifts, *departures, *humid), *span, rejected)
+    return FlightReadings(every, tuple(faults), (*drifts, *departures), *span, rejected)
 
 
 def _sensor_readings(
