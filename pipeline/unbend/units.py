@@ -61,7 +61,8 @@ def whole_numbers(values: NDArray[Any], lowest: int, highest: int) -> Integers:
     [7, 9]
     """
     if values.dtype.kind == "u":
-        return np.minimum(values, np.uint64(highest)).astype(np.int64).clip(lowest)
+        unsigned: Integers = np.minimum(values, np.uint64(highest)).astype(np.int64)
+        return np.maximum(unsigned, lowest)
     if values.dtype.kind in "bi":
         return values.astype(np.int64).clip(lowest, highest)
     with np.errstate(invalid="ignore"):  # signalling NaNs

@@ -273,11 +273,11 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     0 where one of both is unknown (NaN).
     """
     known = np.isfinite(week) & np.isfinite(seconds)
-    week = whole_numbers(np.where(known, week, 0), -_MOST_WEEKS, _MOST_WEEKS)
+    whole_weeks = whole_numbers(np.where(known, week, 0), -_MOST_WEEKS, _MOST_WEEKS)
     seconds = np.where(known, seconds, 0.0).clip(-_MOST_SECONDS, _MOST_SECONDS)
     if system == "gpst":
-        return np.where(known, utc_of_gps(week, seconds), 0)
-    start = UNIX_NS_OF_GPS_EPOCH + week * _WEEK_NS
+        return np.where(known, utc_of_gps(whole_weeks, seconds), 0)
+    start = UNIX_NS_OF_GPS_EPOCH + whole_weeks * _WEEK_NS
     return np.where(known, start + np.rint(seconds * 1e9).astype(np.int64), 0)
 
 
