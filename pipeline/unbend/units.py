@@ -61,10 +61,10 @@ def whole_numbers(values: NDArray[Any], lowest: int, highest: int) -> Integers:
     [7, 9]
     """
     if values.dtype.kind == "u":
-        cut = np.minimum(values, np.uint64(highest)).astype(np.int64)
-        return np.asarray(np.maximum(cut, lowest))
+        unsigned: Integers = np.minimum(values, np.uint64(highest)).astype(np.int64)
+        return np.maximum(unsigned, lowest)
     if values.dtype.kind in "bi":
-        return np.asarray(values.astype(np.int64).clip(lowest, highest))
+        return values.astype(np.int64).clip(lowest, highest)
     with np.errstate(invalid="ignore"):  # signalling NaNs
         numbers = np.asarray(values, np.float64)
     known = np.where(np.isnan(numbers), lowest, numbers)

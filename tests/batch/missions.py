@@ -10,6 +10,7 @@ import json
 import os
 import signal
 import sys
+import threading
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -70,8 +71,17 @@ def one(mission, *, progress=None):
     return Outcome(name, output, manifest, 3, False)
 
 
+def lose_patience(folder):
+    """Wait less long for answers once a worker was stopped: before, a busy machine may be slow."""
+    from unbend.batch import dask_answers
+
+    while not (folder / "frozen").exists():
+        time.sleep(0.1)
+    dask_answers.ANSWER_S = 15.0
+
+
 def main():
-    from unbend.batch import dask_answers, dask_executor
+    from unbend.batch import dask_executor
     from unbend.batch.dask_executor import DaskExecutor
     from unbend.batch.processes import Processes
 
@@ -79,8 +89,8 @@ def main():
     where, folder, *names = sys.argv[1:]
     if "--impatient" in names:
         names.remove("--impatient")
-        dask_answers.ANSWER_S = 3.0
         dask_executor._LOOK_S = 1.0
+        threading.Thread(target=lose_patience, args=(Path(folder),), daemon=True).start()
     executor = Processes(int(where)) if where.isdecimal() else DaskExecutor(where)
     missions = [Unread(Path(folder) / f"{name}.yaml") for name in names]
     for mission, end in run_many(one, missions, executor):

@@ -238,6 +238,7 @@ def test_a_worker_that_is_stopped_costs_no_mission(machines, tmp_path, monkeypat
     wait_until(lambda: len(begun(folder)) >= 2)
     frozen = machines.workers[0]
     frozen.send_signal(signal.SIGSTOP)
+    (folder / "frozen").touch()
     try:
         ends = ends_of(process)
         monkeypatch.setattr(dask_executor, "_CHECK_S", 3.0)
@@ -257,6 +258,7 @@ def test_the_only_worker_that_is_stopped_is_named(machines, tmp_path):
     process = started(machines, folder, "m0", "m1", "--impatient", pace=600.0)
     wait_until(lambda: begun(folder))
     machines.workers[0].send_signal(signal.SIGSTOP)
+    (folder / "frozen").touch()
     try:
         out, err = process.communicate(timeout=LIMIT_S)
     finally:

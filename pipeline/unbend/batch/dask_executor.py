@@ -139,19 +139,23 @@ class DaskExecutor:
                 waiting[future.key] = _Submitted(mission, future, times)
                 future.add_done_callback(ended_futures.put)
 
+            def replace_lost() -> None:
+                """Hand the missions of silent workers to others, or let them end as lost."""
+                for lost in lost_tasks(client, list(waiting)):
+                    mission, future, times = waiting.pop(lost.key)
+                    future.cancel()
+                    if lost.others and times < _SUBMISSIONS:
+                        submit(mission, times + 1, lost.others)
+                    else:
+                        ends.put((mission, Lost(lost.how)))
+
             for mission in tasks:
                 submit(mission, 1)
             while waiting:
                 try:
                     ended = ended_futures.get(timeout=_LOOK_S)
                 except Empty:
-                    for lost in lost_tasks(client, waiting):
-                        mission, future, times = waiting.pop(lost.key)
-                        future.cancel()
-                        if lost.others and times < _SUBMISSIONS:
-                            submit(mission, times + 1, lost.others)
-                        else:
-                            ends.put((mission, Lost(lost.how)))
+                    replace_lost()
                     continue
                 if ended is None:
                     return

@@ -273,12 +273,12 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     0 where one of both is unknown (NaN).
     """
     known = np.isfinite(week) & np.isfinite(seconds)
-    known_week = whole_numbers(np.where(known, week, 0), -_MOST_WEEKS, _MOST_WEEKS)
-    known_s = np.where(known, seconds, 0.0).clip(-_MOST_SECONDS, _MOST_SECONDS)
+    whole_weeks = whole_numbers(np.where(known, week, 0), -_MOST_WEEKS, _MOST_WEEKS)
+    seconds = np.where(known, seconds, 0.0).clip(-_MOST_SECONDS, _MOST_SECONDS)
     if system == "gpst":
-        return np.where(known, utc_of_gps(known_week, known_s), 0)
-    start = UNIX_NS_OF_GPS_EPOCH + known_week * _WEEK_NS
-    return np.where(known, start + np.rint(known_s * 1e9).astype(np.int64), 0)
+        return np.where(known, utc_of_gps(whole_weeks, seconds), 0)
+    start = UNIX_NS_OF_GPS_EPOCH + whole_weeks * _WEEK_NS
+    return np.where(known, start + np.rint(seconds * 1e9).astype(np.int64), 0)
 
 
 def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeArray, Mask]:
