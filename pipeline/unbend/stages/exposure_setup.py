@@ -94,8 +94,9 @@ def exposures_of(
             aircraft = stations.aircraft_quaternion[rows]
             normal[rows] = window_normals(window, rotation[rows], aircraft)
         if lens is not None:
-            index = index_of_rows(profile, rows)
-            principal_change_px[rows] = lens_change(lens, air.pressure_pa, air.temperature_k, index)
+            principal_change_px[rows] = lens_change(
+                lens, air.pressure_pa, air.temperature_k, index_of_rows(profile, rows)
+            )
             report_change(
                 name,
                 lens,

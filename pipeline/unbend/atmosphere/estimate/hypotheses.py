@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from unbend.atmosphere.estimate.sensors import Readings
 from unbend.atmosphere.estimate.state import (
     AirAtKnots,
+    Departure,
     Drift,
     Fault,
     Layout,
@@ -82,12 +83,7 @@ def hypotheses_of(layout: Layout, rare_faults: Sequence[RareFault]) -> list[Hypo
     hypotheses = [Hypothesis(USUAL, usual_share, layout)]
     for rare in rare_faults:
         faults = tuple(_fault_as_rare(fault, rare) for fault in layout.faults)
-        drifts = tuple(
-            replace(drift, sigma=rare.drifts[drift.name], scales=(1.0, 1.0))
-            if isinstance(drift, Drift) and drift.name in rare.drifts
-            else drift
-            for drift in layout.drifts
-        )
+        drifts = tuple(_drift_as_rare(drift, rare) for drift in layout.drifts)
         with_fault = replace(layout, faults=faults, drifts=drifts)
         hypotheses.append(Hypothesis(rare.name, rare.share, with_fault))
     return hypotheses
@@ -99,6 +95,13 @@ def _fault_as_rare(fault: Fault, rare: RareFault) -> Fault:
         return fault
     beyond, sigma = rare.faults[fault.name]
     return replace(fault, mean=fault.mean + beyond, sigma=sigma)
+
+
+def _drift_as_rare(drift: Drift | Departure, rare: RareFault) -> Drift | Departure:
+    """A drift as expected of a sensor that has what is rare: alike at all heights."""
+    if not isinstance(drift, Drift) or drift.name not in rare.drifts:
+        return drift
+    return replace(drift, sigma=rare.drifts[drift.name], scales=(1.0, 1.0))
 
 
 def prior_sigmas(hypotheses: Sequence[Hypothesis]) -> dict[SensorFault, float]:
@@ -180,12 +183,12 @@ def mixed_moments(
     states: Sequence[Array], covariances: Sequence[Array], chances: Array
 ) -> tuple[Array, Array]:
     """Mean and covariance of a mixture of normal distributions."""
-    mean = np.asarray(sum(chance * x for chance, x in zip(chances, states, strict=True)))
-    covariance = np.zeros_like(covariances[0])
-    for chance, x, own in zip(chances, states, covariances, strict=True):
-        away = x - mean
-        covariance += chance * (own + np.outer(away, away))
-    return mean, covariance
+    mean = np.average(states, axis=0, weights=chances)
+    mixed = np.zeros_like(covariances[0])
+    for chance, state, covariance in zip(chances, states, covariances, strict=True):
+        away = state - mean
+        mixed += chance * (covariance + np.outer(away, away))
+    return mean, mixed
 
 
 def described_chances(names: Sequence[str], chances: Array) -> Mapping[str, float]:
