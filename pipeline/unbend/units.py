@@ -60,15 +60,19 @@ def whole_numbers(values: NDArray[Any], lowest: int, highest: int) -> Integers:
     >>> whole_numbers(np.array([7, 2**64 - 1], np.uint64), 0, 9).tolist()
     [7, 9]
     """
-    if values.dtype.kind == "u":
-        unsigned: Integers = np.minimum(values, np.uint64(highest)).astype(np.int64)
-        return np.maximum(unsigned, lowest)
-    if values.dtype.kind in "bi":
-        return values.astype(np.int64).clip(lowest, highest)
-    with np.errstate(invalid="ignore"):  # signalling NaNs
-        numbers = np.asarray(values, np.float64)
-    known = np.where(np.isnan(numbers), lowest, numbers)
-    return known.clip(lowest, highest).astype(np.int64)
+    kind = values.dtype.kind
+    if kind == "u":
+        below = np.minimum(values, np.uint64(highest))
+        whole = below.astype(np.int64)
+    elif kind in "bi":
+        whole = values.astype(np.int64)
+    else:
+        with np.errstate(invalid="ignore"):  # signalling NaNs
+            numbers = np.asarray(values, np.float64)
+        known = np.where(np.isnan(numbers), lowest, numbers)
+        within = known.clip(lowest, highest)
+        whole = within.astype(np.int64)
+    return np.asarray(whole.clip(lowest, highest))
 
 
 def evenly_spaced(count: int, most: int) -> Integers:

@@ -40,6 +40,7 @@ FORMULAS = (
     "refraction/published/",
     "atmosphere/refractive_index.py",
     "atmosphere/standard.py",
+    "atmosphere/estimate/hypotheses.py",
     "geodesy.py",
 )
 """Modules of kernels and published formulas, which may be denser."""

@@ -5,6 +5,7 @@ a receiver cannot show that it is stuck itself.
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,37 +30,72 @@ MOST_ROWS = 20_000  # of a long channel, evenly taken
 _ANGLES = ("roll", "pitch", "yaw")
 
 
+class _Motion(NamedTuple):
+    """How far a flight moved, by each kind of sensor; 0 where no sensor shows it."""
+
+    climb_m: float  # span of the heights
+    way_m: float  # extent over the ground
+    drop_pa: float  # span of the pressures
+
+    @property
+    def climb(self) -> str:
+        """The climb in words."""
+        return f"the heights span {self.climb_m:.0f} m"
+
+    @property
+    def way(self) -> str:
+        """The way over the ground in words."""
+        return f"the flight spans {self.way_m:.0f} m"
+
+    @property
+    def drop(self) -> str:
+        """The change of the pressure in words."""
+        return f"the pressure changes by {self.drop_pa:.0f} Pa"
+
+
 def constant_sensors(roles: Mapping[str, Channel]) -> Notes:
     """A finding for each role whose values are all equal in a flight that moved.
 
     ``roles``: the channel of each, with plausible samples only.
     """
     height = roles.get("height")
-    height_column = None if height is None else height.height_column
-    climb_m = _span(roles, "height", height_column or "")
-    way_m = _way(roles.get("position"))
-    drop_pa = _span(roles, "pressure", "pressure_pa")
-    climb = f"the heights span {climb_m:.0f} m"
-    way = f"the flight spans {way_m:.0f} m"
-    drop = f"the pressure changes by {drop_pa:.0f} Pa"
-
+    height_column = "" if height is None else height.height_column or ""
+    motion = _Motion(
+        climb_m=_span(roles, "height", height_column),
+        way_m=_way(roles.get("position")),
+        drop_pa=_span(roles, "pressure", "pressure_pa"),
+    )
     notes: list[Message] = []
-    if climb_m >= LEAST_CLIMB_M:
-        notes += _constant_column(roles, "pressure", "pressure_pa", climb)
-    if climb_m >= LEAST_CLIMB_OF_AIR_M:
-        notes += _constant_column(roles, "temperature", "temperature_k", climb)
-    if drop_pa >= LEAST_PRESSURE_PA and height_column is not None:
-        notes += _constant_column(roles, "height", height_column, drop)
-    for column in ("lat_rad", "lon_rad"):
-        if way_m >= LEAST_WAY_M:  # then the other one changes
-            notes += _constant_column(roles, "position", column, way)
-        elif climb_m >= LEAST_CLIMB_M or drop_pa >= LEAST_PRESSURE_PA:
-            notes += _constant_column(
-                roles, "position", column, climb if climb_m >= LEAST_CLIMB_M else drop
-            )
-    if way_m >= LEAST_WAY_M or climb_m >= LEAST_CLIMB_M:
-        notes += _constant_attitude(roles.get("attitude"), way if way_m >= LEAST_WAY_M else climb)
+    if motion.climb_m >= LEAST_CLIMB_M:
+        notes += _constant_column(roles, "pressure", "pressure_pa", motion.climb)
+    if motion.climb_m >= LEAST_CLIMB_OF_AIR_M:
+        notes += _constant_column(roles, "temperature", "temperature_k", motion.climb)
+    if motion.drop_pa >= LEAST_PRESSURE_PA:
+        notes += _constant_column(roles, "height", height_column, motion.drop)
+    notes += _constant_position(roles, motion)
+    if motion.way_m >= LEAST_WAY_M:
+        notes += _constant_attitude(roles.get("attitude"), motion.way)
+    elif motion.climb_m >= LEAST_CLIMB_M:
+        notes += _constant_attitude(roles.get("attitude"), motion.climb)
     return tuple(notes)
+
+
+def _constant_position(roles: Mapping[str, Channel], motion: _Motion) -> Notes:
+    """A finding if latitude or longitude never changes, and the other one or a climb shows motion.
+
+    A flight along a meridian changes its longitude in the last digits, too.
+    """
+    if motion.way_m >= LEAST_WAY_M:
+        moved = motion.way
+    elif motion.climb_m >= LEAST_CLIMB_M:
+        moved = motion.climb
+    elif motion.drop_pa >= LEAST_PRESSURE_PA:
+        moved = motion.drop
+    else:
+        return ()
+    latitude = _constant_column(roles, "position", "lat_rad", moved)
+    longitude = _constant_column(roles, "position", "lon_rad", moved)
+    return (*latitude, *longitude)
 
 
 def _constant_column(roles: Mapping[str, Channel], role: str, column: str, moved: str) -> Notes:
@@ -94,7 +130,10 @@ def _constant_attitude(attitude: Channel | None, moved: str) -> Notes:
 def _angles_of(attitude: Channel) -> Array:
     """(m, 3) roll, pitch and yaw [rad] of known attitudes, of a long channel evenly chosen ones."""
     step = -(-len(attitude) // MOST_ROWS)
-    w, x, y, z = (attitude[f"q_{axis}"][::step] for axis in "wxyz")
+    w = attitude["q_w"][::step]
+    x = attitude["q_x"][::step]
+    y = attitude["q_y"][::step]
+    z = attitude["q_z"][::step]
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x**2 + y**2))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2))

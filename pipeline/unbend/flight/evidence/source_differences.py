@@ -190,12 +190,14 @@ def _constant_lag(
     is_fast = known & (square_speed > max(_SLOWEST_M_S**2, _FAST_SHARE * usual_square))
     if np.count_nonzero(is_fast) < _FEWEST_FAST:
         return _Lag(0.0, known)
-    lags = np.sum(apart_m * velocity, axis=1)[is_fast] / square_speed[is_fast]
+    along = np.sum(apart_m * velocity, axis=1)
+    lags = along[is_fast] / square_speed[is_fast]
     median_s = float(np.median(lags))
     scatter_s = np.median(np.abs(lags - median_s))
     scatter_m = scatter_s * np.sqrt(np.median(square_speed))
     if may_part and scatter_m > noise_m:
-        return _Lag(_lag_of_a_part(lags, apart_m[is_fast], velocity[is_fast]), is_fast)
+        lag_s = _lag_of_a_part(lags, apart_m[is_fast], velocity[is_fast])
+        return _Lag(lag_s, is_fast)
     return _Lag(median_s, is_fast)
 
 
