@@ -9,41 +9,47 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 ANSWER_S = 60.0
 """How long a worker, or a scheduler, may take to answer a question that costs nothing."""
 
 
-def within(seconds: float, question: Callable[[], Any]) -> Any:
+Client = Any  # of `distributed`, which has no types
+
+Answer = TypeVar("Answer")
+
+
+def within(seconds: float, question: Callable[[], Answer]) -> Answer:
     """What a question returns or raises; TimeoutError where it takes longer."""
-    answers: SimpleQueue[tuple[Any, BaseException | None]] = SimpleQueue()
+    answers: SimpleQueue[Answer] = SimpleQueue()
+    errors: SimpleQueue[BaseException] = SimpleQueue()
+    has_ended = threading.Event()
 
     def ask() -> None:
         try:
-            answers.put((question(), None))
-        except BaseException as error:  # raised in the thread that waits
-            answers.put((None, error))
+            answers.put(question())
+        except BaseException as error:
+            errors.put(error)
+        has_ended.set()
 
     threading.Thread(target=ask, daemon=True).start()
-    try:
-        answer, error = answers.get(timeout=seconds)
-    except Empty:
-        raise TimeoutError(f"no answer within {seconds:.0f} s") from None
-    if error is not None:
-        raise error
-    return answer
+    if not has_ended.wait(seconds):
+        raise TimeoutError(f"no answer within {seconds:.0f} s")
+    if not errors.empty():
+        raise errors.get()
+    return answers.get()
 
 
 def answers_of_workers(
-    client: Any, workers: Sequence[str], seconds: float, function: Callable[..., Any], *words: Any
+    client: Client, workers: Sequence[str], seconds: float, question: Callable[[], Any]
 ) -> dict[str, Any]:
-    """What a function returns on each worker, or its error; without those that do not answer."""
+    """What a question returns on each worker, or its error; without those that do not answer."""
     answers: SimpleQueue[tuple[str, Any]] = SimpleQueue()
 
     def ask(worker: str) -> None:
         try:
-            answer = client.run(function, *words, workers=[worker], on_error="return")[worker]
+            answer = client.run(question, workers=[worker], on_error="return")[worker]
         except Exception as error:
             answer = error
         answers.put((worker, answer))
@@ -51,14 +57,14 @@ def answers_of_workers(
     for worker in workers:
         threading.Thread(target=ask, args=(worker,), daemon=True).start()
     limit = time.monotonic() + seconds
-    found: dict[str, Any] = {}
-    while len(found) < len(workers):
+    answer_of_worker: dict[str, Any] = {}
+    while len(answer_of_worker) < len(workers):
         try:
             worker, answer = answers.get(timeout=max(limit - time.monotonic(), 0.0))
         except Empty:
             break
-        found[worker] = answer
-    return found
+        answer_of_worker[worker] = answer
+    return answer_of_worker
 
 
 def is_there() -> bool:
@@ -74,7 +80,7 @@ class ClusterState(NamedTuple):
     worker_of: dict[str, str]
 
 
-def state_of_cluster(client: Any) -> ClusterState:
+def state_of_cluster(client: Client) -> ClusterState:
     """Which workers answer, and what each of them has; TimeoutError if the scheduler is silent."""
     workers = sorted(within(ANSWER_S, client.nthreads))
     processing = within(ANSWER_S, client.processing)

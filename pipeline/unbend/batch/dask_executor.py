@@ -18,6 +18,7 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
 from unbend.batch import dask_answers, messages
-from unbend.batch.dask_answers import answers_of_workers, state_of_cluster, within
+from unbend.batch.dask_answers import Client, answers_of_workers, state_of_cluster, within
 from unbend.batch.executors import Bug, Ends, Lost, Task, TaskEnd
 from unbend.batch.fingerprint import all_versions, version
 from unbend.batch.processes import MissionProcess, stop_all
@@ -125,50 +126,84 @@ class DaskExecutor:
             import distributed
         except ImportError as error:
             raise messages.dask_missing(error=str(error)) from None
-        versions = versions_here()
         command = uuid.uuid4().hex
         with connected(self._scheduler, command) as client:
+            versions = versions_here()
             check_workers(client, command, versions, [mission.path for mission in tasks])
-            waiting: dict[str, _Submitted] = {}
+            handout = _Handout(
+                client=client,
+                make_task=lambda mission: pickle.dumps(partial(run_here, versions, tasks[mission])),
+                command=command,
+                ends=ends,
+                ended_futures=ended_futures,
+                worker_died=distributed.KilledWorker,
+            )
+            handout.serve(list(tasks))
 
-            def submit(
-                mission: MissionRef, times: int, workers: Sequence[str] | None = None
-            ) -> None:
-                task = pickle.dumps(partial(run_here, versions, tasks[mission]))
-                future = client.submit(run_apart, command, task, pure=False, workers=workers)
-                waiting[future.key] = _Submitted(mission, future, times)
-                future.add_done_callback(ended_futures.put)
 
-            def replace_lost() -> None:
-                """Hand the missions of silent workers to others, or let them end as lost."""
-                for lost in lost_tasks(client, list(waiting)):
-                    mission, future, times = waiting.pop(lost.key)
-                    future.cancel()
-                    if lost.others and times < _SUBMISSIONS:
-                        submit(mission, times + 1, lost.others)
-                    else:
-                        ends.put((mission, Lost(lost.how)))
+@dataclass
+class _Handout:
+    """The missions of a command that the workers of a scheduler have.
 
-            for mission in tasks:
-                submit(mission, 1)
-            while waiting:
-                try:
-                    ended = ended_futures.get(timeout=_LOOK_S)
-                except Empty:
-                    replace_lost()
-                    continue
-                if ended is None:
-                    return
-                if ended.key not in waiting:  # it was lost, and cancelled
-                    continue
-                mission, future, times = waiting.pop(ended.key)
-                try:
-                    ends.put((mission, future.result()))
-                except distributed.KilledWorker as error:
-                    if times < _SUBMISSIONS:
-                        submit(mission, times + 1)
-                    else:
-                        ends.put((mission, Lost(str(error))))
+    make_task : the pickled task of a mission.
+    ends : into which it is put how each mission ended.
+    ended_futures : into which Dask puts futures that ended; None in it ends the service.
+    worker_died : the error of a future whose workers died.
+    waiting : by its key, each mission that has not ended.
+    """
+
+    client: Any
+    make_task: Callable[[MissionRef], bytes]
+    command: str
+    ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception]
+    ended_futures: SimpleQueue[Any]
+    worker_died: type[Exception]
+    waiting: dict[str, _Submitted] = field(default_factory=dict)
+
+    def serve(self, missions: Sequence[MissionRef]) -> None:
+        """Hand out all missions, and wait for their ends."""
+        for mission in missions:
+            self._submit(mission, times=1)
+        while self.waiting:
+            try:
+                ended = self.ended_futures.get(timeout=_LOOK_S)
+            except Empty:
+                self._replace_lost()
+                continue
+            if ended is None:
+                return
+            if ended.key in self.waiting:  # else it was lost, and cancelled
+                self._put_end(ended.key)
+
+    def _submit(
+        self, mission: MissionRef, times: int, workers: Sequence[str] | None = None
+    ) -> None:
+        """Hand out a mission for the ``times``-th time, to some workers or to any."""
+        task = self.make_task(mission)
+        future = self.client.submit(run_apart, self.command, task, pure=False, workers=workers)
+        self.waiting[future.key] = _Submitted(mission, future, times)
+        future.add_done_callback(self.ended_futures.put)
+
+    def _put_end(self, key: str) -> None:
+        """Put how a mission ended; one whose worker died is handed out again, a few times."""
+        mission, future, times = self.waiting.pop(key)
+        try:
+            self.ends.put((mission, future.result()))
+        except self.worker_died as error:
+            if times < _SUBMISSIONS:
+                self._submit(mission, times + 1)
+            else:
+                self.ends.put((mission, Lost(str(error))))
+
+    def _replace_lost(self) -> None:
+        """Hand the missions of silent workers to others, or let them end as lost."""
+        for lost in lost_tasks(self.client, list(self.waiting)):
+            mission, future, times = self.waiting.pop(lost.key)
+            future.cancel()
+            if lost.others and times < _SUBMISSIONS:
+                self._submit(mission, times + 1, lost.others)
+            else:
+                self.ends.put((mission, Lost(lost.how)))
 
 
 class _LostTask(NamedTuple):
@@ -179,7 +214,7 @@ class _LostTask(NamedTuple):
     others: tuple[str, ...]
 
 
-def lost_tasks(client: Any, keys: Iterable[str]) -> list[_LostTask]:
+def lost_tasks(client: Client, keys: Iterable[str]) -> list[_LostTask]:
     """Which tasks have a worker that does not answer, or none because all are silent or gone."""
     state = state_of_cluster(client)
     lost = []
@@ -260,7 +295,7 @@ def connected(scheduler: str, command: str) -> Iterator[Any]:
     finally:
         with suppress(Exception):  # where the scheduler has gone there is nobody to tell
             workers = list(within(_STOP_S, client.nthreads))
-            answers_of_workers(client, workers, _STOP_S, stop_command, command)
+            answers_of_workers(client, workers, _STOP_S, partial(stop_command, command))
         with suppress(Exception):
             within(2.0 * _STOP_S, partial(client.close, timeout=_STOP_S))
 
@@ -277,7 +312,8 @@ def check_workers(
     workers = sorted(within(_CHECK_S, client.nthreads))
     if not workers:
         raise messages.no_workers(address=client.scheduler_info()["address"])
-    reports = answers_of_workers(client, workers, _CHECK_S, run_beside, command, question)
+    ask = partial(run_beside, command, question)
+    reports = answers_of_workers(client, workers, _CHECK_S, ask)
     for worker in workers:
         if worker not in reports:
             raise messages.worker_silent(worker=worker, seconds=_CHECK_S)
