@@ -81,4 +81,6 @@ def evenly_spaced(count: int, most: int) -> Integers:
     >>> evenly_spaced(9, 3).tolist(), evenly_spaced(2, 3).tolist(), evenly_spaced(0, 3).tolist()
     ([0, 4, 8], [0, 1], [])
     """
-    return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).round().astype(np.int64))
+    last = max(count - 1, 0)
+    evenly = np.linspace(0, last, min(count, most))
+    return np.unique(evenly.round().astype(np.int64))

@@ -144,7 +144,8 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
     if spec.floor is not None:
         unknown |= value < spec.floor
     if spec.unit in FLAGS:
-        bits = whole_numbers(np.where(unknown, 0.0, value), 0, MOST_FLAGS)
+        known = np.where(unknown, 0.0, value)
+        bits = whole_numbers(known, 0, MOST_FLAGS)
         flags = _translated_flags(bits, FLAGS[spec.unit])
         return np.where(unknown, np.nan, flags.astype(np.float64))
     divisor, factor, offset = UNITS[spec.unit]

@@ -73,7 +73,10 @@ def _fit_64_bits(values: list[int]) -> bool:
     """Whether int64 or uint64 holds all of these integers."""
     low = min(values)
     high = max(values)
-    return (low >= -_WORD // 2 and high < _WORD // 2) or (low >= 0 and high < _WORD)
+    half = _WORD // 2
+    fit_signed = low >= -half and high < half
+    fit_unsigned = low >= 0 and high < _WORD
+    return fit_signed or fit_unsigned
 
 
 def _integers(values: list[int]) -> NDArray[Any]:
@@ -109,12 +112,12 @@ def rows_by_value(column: NDArray[Any]) -> Iterator[tuple[Any, Rows]]:
     """
     order = np.argsort(column, kind="stable")
     sorted_values = column[order]
-    is_first = np.append(True, sorted_values[1:] != sorted_values[:-1])[: column.shape[0]]
-    starts = np.flatnonzero(is_first)
-    stops = np.append(starts, column.shape[0])[1:]
-    values = sorted_values[starts].tolist()
-    for value, start, stop in zip(values, starts.tolist(), stops.tolist(), strict=True):
-        yield value, order[start:stop]
+    is_new = sorted_values[1:] != sorted_values[:-1]
+    ends_before = np.flatnonzero(is_new) + 1
+    for rows in np.split(order, ends_before):
+        if rows.size:  # a column without values has no rows
+            (value,) = column[rows[:1]].tolist()
+            yield value, rows
 
 
 def in_order(tables: Sequence[Table]) -> Table:
@@ -134,7 +137,9 @@ def _joined(tables: Sequence[Table]) -> Table:
     """Tables end to end; takes their columns out of them one by one, so that memory is freed."""
     names = dict.fromkeys(name for table in tables for name in table)
     counts = [table[PLACE].shape[0] for table in tables]
-    filled = sum(len(table) * count for table, count in zip(tables, counts, strict=True))
+    filled = 0
+    for table, count in zip(tables, counts, strict=True):
+        filled += len(table) * count
     check_cells(len(names), sum(counts), filled)
     whole: Table = {}
     for name in names:
@@ -185,8 +190,11 @@ def _joined_without_loss(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any] |
 
 def _width(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> int:
     """The bytes that pieces of texts take as one column of str."""
-    rows = sum(piece if isinstance(piece, int) else piece.shape[0] for piece in pieces)
-    return rows * max(array.dtype.itemsize for array in arrays)
+    rows = 0
+    for piece in pieces:
+        rows += piece if isinstance(piece, int) else piece.shape[0]
+    bytes_of_text = max(array.dtype.itemsize for array in arrays)
+    return rows * bytes_of_text
 
 
 def _has_floats(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> bool:

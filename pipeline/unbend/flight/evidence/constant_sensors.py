@@ -120,11 +120,13 @@ def _constant_attitude(attitude: Channel | None, moved: str) -> Notes:
         return ()
     stuck = []
     for name, angle_rad in zip(_ANGLES, angles.T, strict=True):
-        if bool(np.all(np.abs(wrapped(angle_rad - angle_rad[0])) < EQUAL_RAD)):
+        from_first_rad = np.abs(wrapped(angle_rad - angle_rad[0]))
+        if bool(np.all(from_first_rad < EQUAL_RAD)):
             stuck.append(f"{name} = {np.degrees(angle_rad[0]):.2f}°")
     if not stuck:
         return ()
-    return (_finding(attitude, "attitude", ", ".join(stuck), len(attitude), moved),)
+    what = ", ".join(stuck)
+    return (_finding(attitude, "attitude", what, len(attitude), moved),)
 
 
 def _angles_of(attitude: Channel) -> Array:
@@ -134,9 +136,15 @@ def _angles_of(attitude: Channel) -> Array:
     x = attitude["q_x"][::step]
     y = attitude["q_y"][::step]
     z = attitude["q_z"][::step]
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x**2 + y**2))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2))
+    # The elements of the rotation matrix that the angles follow from.
+    r_32 = 2.0 * (w * x + y * z)
+    r_33 = 1.0 - 2.0 * (x**2 + y**2)
+    r_31 = 2.0 * (z * x - w * y)
+    r_21 = 2.0 * (w * z + x * y)
+    r_11 = 1.0 - 2.0 * (y**2 + z**2)
+    roll = np.arctan2(r_32, r_33)
+    pitch = np.arcsin(np.clip(-r_31, -1.0, 1.0))
+    yaw = np.arctan2(r_21, r_11)
     angles = np.stack([roll, pitch, yaw], axis=1)
     return np.asarray(angles[np.abs(pitch) < MOST_PITCH_RAD])
 
@@ -179,8 +187,12 @@ def _way(position: Channel | None) -> float:
     known = np.isfinite(lat_rad + lon_rad)
     if not known.any():
         return 0.0
-    meridian_m, prime_vertical_m = principal_radii(float(np.median(lat_rad[known])))
-    north_m = _spread(lat_rad[known]) * meridian_m
-    from_first_rad = wrapped(lon_rad[known] - lon_rad[known][0])
-    east_m = _spread(from_first_rad) * prime_vertical_m * np.cos(np.median(lat_rad[known]))
+    known_lat_rad = lat_rad[known]
+    known_lon_rad = lon_rad[known]
+    latitude_rad = float(np.median(known_lat_rad))
+    meridian_m, prime_vertical_m = principal_radii(latitude_rad)
+    north_m = _spread(known_lat_rad) * meridian_m
+    from_first_rad = wrapped(known_lon_rad - known_lon_rad[0])
+    parallel_m = prime_vertical_m * np.cos(latitude_rad)
+    east_m = _spread(from_first_rad) * parallel_m
     return max(float(north_m), float(east_m))

@@ -447,6 +447,7 @@ def _begins_of_stretches(channel: Channel, rows: Rows, step: _Step) -> Integers:
     begins = [np.zeros(1, np.intp)]
     for begin in range(0, rows.size - 1, _BLOCK):
         block = rows[begin : begin + _BLOCK + 1]
-        far = np.flatnonzero(_is_far(channel, block[:-1], block[1:], step))
+        is_far = _is_far(channel, block[:-1], block[1:], step)
+        far = np.flatnonzero(is_far)
         begins.append(far + begin + 1)
     return np.concatenate(begins)

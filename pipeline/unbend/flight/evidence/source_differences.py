@@ -157,7 +157,8 @@ def _apart_with_lag(source: Channel, other: SourcePath, quantity: str) -> Array:
     They hold at the times of the other source; its lag is still in them.
     """
     # A height gives one column, a position two.
-    columns = dict(zip("xy", places_of(source, quantity).T, strict=False))
+    components_of_places = places_of(source, quantity).T
+    columns = dict(zip("xy", components_of_places, strict=False))
     placed = replace(source, columns=columns, labels={})
     gap_s = source.gap_limit_s(SOURCE_GAP_S)
     time_ns = other.channel.time_ns

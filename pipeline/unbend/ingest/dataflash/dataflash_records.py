@@ -233,7 +233,9 @@ class RecordWalker(DamagedBytes):
         numbers = np.concatenate([run.numbers for run in self.runs])
         self.runs = []
         if keep:
-            self.runs.append(_RecordRun(places[-keep:].copy(), numbers[-keep:].copy()))
+            kept_places = places[-keep:].copy()
+            kept_numbers = numbers[-keep:].copy()
+            self.runs.append(_RecordRun(kept_places, kept_numbers))
             places = places[:-keep]
             numbers = numbers[:-keep]
         # A block is read in one piece: a long stretch of damage divides the records.
@@ -315,7 +317,8 @@ class RecordWalker(DamagedBytes):
         while place < self.size:
             end = min(place + reach, self.size)
             raw = self.data.array(place, end + 1)  # with the second byte of a magic at the end
-            rows = np.flatnonzero((raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1]))
+            is_magic = (raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1])
+            rows = np.flatnonzero(is_magic)
             for candidate in (rows + place).tolist():
                 if self._chain(candidate):
                     return int(candidate)

@@ -453,15 +453,15 @@ def _skip_numbers(cursors: _Cursors, run: NumberRun, count: Integers) -> None:
     phases = np.arange(ALIGN)
     sizes = [_layout(run, frozenset(), phase, big=False).size for phase in phases.tolist()]
     bytes_at_phase = np.minimum(sizes, MAX_COUNT)  # no message is that long
-    at = cursors.at
+    place = cursors.at
     left = count
     while left.any():
         is_odd = left % 2 == 1
-        at = np.where(is_odd, at + bytes_at_phase[at % ALIGN], at)
+        place = np.where(is_odd, place + bytes_at_phase[place % ALIGN], place)
         twice = bytes_at_phase + bytes_at_phase[(phases + bytes_at_phase) % ALIGN]
         bytes_at_phase = np.minimum(twice, MAX_COUNT)
         left = left // 2
-    cursors.at = at
+    cursors.at = place
     cursors.only(cursors.at <= cursors.length)
 
 

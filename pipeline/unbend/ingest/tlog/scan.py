@@ -227,7 +227,9 @@ class Scan(DamagedBytes):
         """
         if self.is_hopeless(self._data.size):  # what lies between good frames is not searched
             self.drop(begin, stop)
-            return headers(_padded(self._data.array(begin, begin)), np.empty(0, np.int64), 0)
+            nothing = _padded(self._data.array(begin, begin))
+            nowhere = np.empty(0, np.int64)
+            return headers(nothing, nowhere, 0)
         places, end = self._frames_in_a_row(begin, stop)
         if end < stop and self._ends_in_frame(end, stop, places):
             self.cut_bytes += stop - end
@@ -286,7 +288,9 @@ class Scan(DamagedBytes):
 
     def _count_rejected(self, frames: Frames) -> None:
         """Count frames that are not accepted: of an unknown id, or else with a failed checksum."""
-        columns = (frames.message_id.tolist(), frames.at.tolist(), frames.total.tolist())
+        message_ids = frames.message_id.tolist()
+        places = frames.at.tolist()
+        columns = (message_ids, places, frames.total.tolist())
         for number, place, length in zip(*columns, strict=True):
             if number in self._extras:
                 rejected = self.failed.setdefault(number, RejectedFrames())

@@ -283,7 +283,8 @@ class ULogMessages(DamagedBytes):
         kind = raw[place + _KIND_PLACE]
         content = raw[place + HEAD.size : place + length]
         if kind == MessageKind.DATA:
-            self._places[int.from_bytes(content[:_NUMBER], "little")].append(place)
+            number = int.from_bytes(content[:_NUMBER], "little")
+            self._places[number].append(place)
         elif kind == MessageKind.FORMAT:  # a format among the data is not valid
             return self._defining and self.definitions.add_format(content)
         elif kind == MessageKind.SUBSCRIPTION:
@@ -320,7 +321,8 @@ class ULogMessages(DamagedBytes):
         """Keep a text of the vehicle with its time."""
         if len(content) >= _TIME:
             time_us = int.from_bytes(content[:_TIME], "little")
-            self.texts.append(Text(time_us, content[_TIME:].decode("utf-8", "replace")))
+            words = content[_TIME:].decode("utf-8", "replace")
+            self.texts.append(Text(time_us, words))
 
     def _take_value(self, kind: int, content: bytes) -> None:
         """Check the length of a value with a key, and keep a number of the kinds that are used.
