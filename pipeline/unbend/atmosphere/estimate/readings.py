@@ -143,15 +143,17 @@ def collect_readings(
 def _rare_faults(faults: Sequence[Fault], settings: SensorSettings) -> tuple[RareFault, ...]:
     """The rare faults that the sensors of a flight may have.
 
-    None of those whose size is stated, and no bay for a thermometer stated to sit on a board.
+    None of those whose size is stated. No bay for a thermometer stated to sit on a board, nor
+    without a barometer: the climatology alone does not tell a bay from unusual air.
     """
     if settings.usual_errors_only:
         return ()
     possible = {fault.name for fault in faults}
+    has_barometer = SensorFault.PRESSURE_OFFSET in possible
     for name, known in settings.calibration.items():
         if known.sigma is not None:
             possible.discard(name)
-    if settings.board_temperature:
+    if settings.board_temperature or not has_barometer:
         possible.discard(SensorFault.BAY_SHARE)
     return tuple(rare for rare in RARE_FAULTS if rare.faults.keys() <= possible)
 
