@@ -26,7 +26,7 @@ from unbend.flight.heights import (
     to_geodetic,
 )
 from unbend.flight.mount import Mount
-from unbend.flight.station_builder import build_stations
+from unbend.flight.station_builder import ClockSigmas, build_stations
 from unbend.flight.stations import append_unmatched_images, unusable_station_notes
 from unbend.flight.triggers import trigger_notes
 from unbend.geodesy import GeoidGrid
@@ -447,3 +447,32 @@ def test_each_sigma_is_its_own_channels() -> None:
     # Saturation pressure 12.28 hPa at 10 and 23.39 hPa at 20 degC, some 0.4 % more in air.
     assert station.vapour_pressure_pa[0] == pytest.approx(0.5 * 1228.0, rel=0.006)
     assert station.cabin_vapour_pressure_pa[0] == pytest.approx(2339.0, rel=0.006)
+
+
+@pytest.mark.parametrize(
+    ("clocks", "horizontal_m", "height_m"),
+    [
+        (ClockSigmas(0.0, 0.0, 0.0), 0.3, 0.6),
+        # At 40 m/s 0.1 s are 4 m along the track: half of the variance counts on either level axis.
+        (ClockSigmas(0.1, 0.0, 0.0), float(np.hypot(0.3, 4.0 / np.sqrt(2.0))), 0.6),
+        # At a climb of 3 m/s 0.2 s are 0.6 m.
+        (ClockSigmas(0.0, 0.2, 0.0), 0.3, float(np.hypot(0.6, 0.6))),
+    ],
+    ids=["one clock", "another clock of the positions", "another clock of the heights"],
+)
+def test_an_uncertain_clock_moves_the_stations_along_the_flight(
+    clocks: ClockSigmas, horizontal_m: float, height_m: float
+) -> None:
+    seconds = np.arange(0.0, 10.0, 0.1)
+    meridian_m = 6_367_000.0  # radius of curvature at 47 degrees, to 0.1 %
+    place = {"lat_rad": LATITUDE + 40.0 * seconds / meridian_m, "lon_rad": LONGITUDE}
+    climbing_m = 1000.0 + 3.0 * seconds
+    flown = roles() | {
+        "position": channel("POS", seconds, **place, sigma_h_m=0.3, sigma_v_m=0.4),
+        "height": channel(
+            "GPS", seconds, **place, h_msl_m=climbing_m, sigma_h_m=0.5, sigma_v_m=0.6
+        ),
+    }
+    station = build_stations(events(5.0), flown, Mount(), HeightSystem(), 1.0, clocks=clocks)
+    assert station.sigma_horizontal_m[0] == pytest.approx(horizontal_m, rel=0.01)
+    assert station.sigma_height_m[0] == pytest.approx(height_m, rel=0.01)
