@@ -41,7 +41,9 @@ class Work:
     def __call__(self, frame: FrameType, event: str, _: Any) -> None:
         if event == "return":
             rows = 0
-            for value in frame.f_locals.values():
+            # numpy's own functions may search in an array without a pass over it
+            is_own = frame.f_globals.get("__name__", "").startswith("unbend")
+            for value in frame.f_locals.values() if is_own else ():
                 # the bytes of a file, and the items that overlap in them, are only looked at
                 if isinstance(value, np.ndarray) and value.dtype.kind != "V" and value.itemsize > 1:
                     rows += value.size

@@ -54,7 +54,9 @@ def with_angles(roll: float | None, pitch: float | None, yaw: float | None) -> C
 
 
 def findings(roles: dict[str, Channel]) -> list[tuple[str, str]]:
-    return [(note.kind, f"{note.where}: {note.what}") for note in constant_sensors(roles)]
+    notes = constant_sensors(roles)
+    assert {note.code for note in notes} <= {"SENSOR-CONSTANT"}
+    return [(note.kind, f"{note.where}: {note.what}") for note in notes]
 
 
 def test_a_sound_flight_has_none() -> None:
