@@ -32,6 +32,7 @@ from unbend.atmosphere.air_variation import (
     correlation,
     mixed_share,
     reduced_height,
+    share_of_day,
     tropopause_m,
     weather_share,
 )
@@ -139,8 +140,6 @@ def daily_tables(departures: Departures, share: np.ndarray) -> np.ndarray:
 
 def land_share(ascents: list[Ascent]) -> np.ndarray:
     """As `air_variation.share_of_day`, for the fit."""
-    from unbend.atmosphere.air_variation import share_of_day
-
     return np.array([share_of_day(ascent.latitude_rad) for ascent in ascents])
 
 

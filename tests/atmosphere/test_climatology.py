@@ -212,8 +212,9 @@ def test_spread_follows_latitude_and_season():
     def ground(degrees, month):
         return float(expected_spread(math.radians(degrees), month).sigma_temperature(0.0))
 
-    # Sixteen ascents over warm seas depart by 1 to 1.5 K near the ground, others by 4 to 8 K.
-    assert 1.0 < ground(0.0, 1.0) < 3.0
+    # Sixteen ascents over warm seas depart by 1 to 1.5 K near the ground, others by 4 to 8 K; over
+    # tropical land two of flights depart by 3 K.
+    assert 1.0 < ground(0.0, 1.0) < 4.0
     assert 4.0 < ground(45.0, 7.0) < 8.0
     assert ground(60.0, 1.0) > 1.1 * ground(45.0, 1.0)
     assert ground(-60.0, 7.0) == pytest.approx(ground(60.0, 1.0))

@@ -37,17 +37,53 @@ CYCLE_MEMORY_H = 6.0  # the same in time: a quarter of a day
 SPRING = 4.0  # a month between the seasons, where none is known
 WARMEST_HOUR = 15.0  # mean local time when the lowest air is warmest [h]
 
-_WEATHER_DEG, _WEATHER = (15.0, 35.0, 50.0, 60.0), (0.6, 1.0, 1.0, 1.4)
-"""Amplitude of weather at latitudes over that in middle ones: 16 ascents over Darwin and the
-Atlantic depart by 1 to 1.5 K within a season, where others do by 3 to 5 K, and 16 north of 52
-degrees by half as much again."""
+_WEATHER_BY_DEGREES = {
+    15.0: 0.6,
+    35.0: 1.0,
+    50.0: 1.0,
+    60.0: 1.4,
+}
+"""Amplitude of weather at latitudes over that in middle ones. North of 52 degrees 16 ascents depart
+by half as much again; 16 over Darwin and the Atlantic are right to 1 sigma with this share."""
 
-_TROPOPAUSE_DEG = (20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
-_TROPOPAUSE_M = (16_500.0, 14_500.0, 12_500.0, 11_200.0, 10_000.0, 9_200.0)
-_HIGHER_IN_SUMMER_M = (0.0, 800.0, 1000.0, 700.0, 600.0, 400.0)  # than the mean of the year
+_DAY_BY_DEGREES = {
+    15.0: 0.0,  # sea and coast, which are all of the tropics that is known here
+    30.0: 1.0,
+    50.0: 1.0,
+    60.0: 0.5,  # snow
+    75.0: 0.4,
+}
+"""Amplitude of the day's cycle at latitudes over that of land between 30 and 50 degrees."""
 
-_STEP_M, _TOP_M = 250.0, 30_000.0
-_NEAR_GROUND_M = (15.0, 30.0, 50.0, 80.0, 120.0, 180.0, 300.0)
+_MIXED_BY_DEGREES = {
+    50.0: 1.0,
+    60.0: 0.3,  # snow
+}
+"""How far a summer's afternoon mixes the lowest air."""
+
+_TROPOPAUSE_BY_DEGREES = {
+    20.0: 16_500.0,
+    30.0: 14_500.0,
+    40.0: 12_500.0,
+    50.0: 11_200.0,
+    60.0: 10_000.0,
+    75.0: 9_200.0,
+}
+"""Usual height of the tropopause above sea level [m], the mean of the year."""
+
+_HIGHER_IN_SUMMER_BY_DEGREES = {
+    20.0: 0.0,
+    30.0: 800.0,
+    40.0: 1000.0,
+    50.0: 700.0,
+    60.0: 600.0,
+    75.0: 400.0,
+}
+"""By how much the tropopause is higher in mid-summer than in the mean [m]."""
+
+_STEP_M = 250.0  # between the heights of a part's amplitudes
+_TOP_M = 30_000.0
+_NEAR_GROUND_M = (0.0, 15.0, 30.0, 50.0, 80.0, 120.0, 180.0, 300.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +106,15 @@ class Part:
 
     def alike(self, hours: Array | float, metres: Array | float) -> Array:
         """Correlation of the part over hours and metres."""
-        return np.asarray(
-            np.exp(-np.divide(hours, self.memory_h) - np.divide(metres, self.reach_m))
-        )
+        in_time = np.divide(hours, self.memory_h)
+        in_distance = np.divide(metres, self.reach_m)
+        return np.asarray(np.exp(-in_time - in_distance))
 
     def covariance(self, h: Array, other_h: Array, other: "Part | None" = None) -> Array:
-        """(n, m) covariance [K2] at heights (n,) and (m,) [m above sea level]; of the air of the
-        second heights the part has the amplitude of the ``other``, at another hour."""
+        """(n, m) covariance [K2] at heights (n,) and (m,) [m above sea level].
+
+        At the second heights the part has the amplitude of the ``other``, at another hour.
+        """
         other = other or self
         here = np.interp(h, self.h_m, self.sigma_k)
         there = np.interp(other_h, other.h_m, other.sigma_k)
@@ -93,8 +131,7 @@ Parts = tuple[Part, ...]
 
 
 def larger_part(part: Part, other: Part) -> Part:
-    """A part with the amplitude of another at the heights where that is larger; the heights are
-    those of the first."""
+    """A part with the amplitude of another where that is larger, at the heights of the first."""
     other_k = np.interp(part.h_m, other.h_m, other.sigma_k)
     is_larger = np.abs(other_k) > np.abs(part.sigma_k)
     return replace(part, sigma_k=np.where(is_larger, other_k, part.sigma_k))
@@ -136,33 +173,30 @@ def variation_parts(
     latitude_rad: float, month: float, ground_h_m: float, hour: float | None = None
 ) -> Parts:
     """The parts at a latitude, season and mean local time [h] over a ground [m above sea level]."""
-    h = np.arange(ground_h_m - 1000.0, _TOP_M, _STEP_M)
-    h = np.union1d(h, ground_h_m + np.array([0.0, *_NEAR_GROUND_M]))
-    reduced = reduced_height(h, ground_h_m, tropopause_m(latitude_rad, month))
-    weather = weather_share(latitude_rad)
+    regular_m = np.arange(-1000.0, _TOP_M - ground_h_m, _STEP_M)
+    above_ground_m = np.union1d(regular_m, _NEAR_GROUND_M)
+    h_m = ground_h_m + above_ground_m
+    reduced_m = reduced_height(h_m, ground_h_m, tropopause_m(latitude_rad, month))
     mixed = mixed_share(latitude_rad, month, hour)
+    weather = weather_share(latitude_rad)
+    # Aloft the tables depart from the tropics as from other latitudes.
+    of_climate = np.interp(reduced_m, [1000.0, 4000.0], [weather, max(weather, 1.0)])
     parts = []
     for name, table in _tables()["parts"].items():
-        stable_k, mixed_k = (
-            np.interp(reduced, table["height_m"], table[key])
-            for key in ("sigma_k", "mixed_sigma_k")
+        stable_k = np.interp(reduced_m, table["height_m"], table["sigma_k"])
+        mixed_k = np.interp(reduced_m, table["height_m"], table["mixed_sigma_k"])
+        sigma_k = (1.0 - mixed) * stable_k + mixed * mixed_k
+        share = of_climate if name == "climate" else weather
+        part = Part(
+            name=name,
+            h_m=h_m,
+            sigma_k=sigma_k * share,
+            length_m=table["length_m"],
+            kinked=table["shape"] == "kinked",
+            memory_h=table["memory_h"],
+            reach_m=1000.0 * table["reach_km"],
         )
-        sigma = (1.0 - mixed) * stable_k + mixed * mixed_k
-        if name == "climate":  # aloft the tables depart from the tropics as from other latitudes
-            sigma = sigma * np.interp(reduced, [1000.0, 4000.0], [weather, max(weather, 1.0)])
-        else:
-            sigma = sigma * weather
-        parts.append(
-            Part(
-                name=name,
-                h_m=h,
-                sigma_k=sigma,
-                length_m=table["length_m"],
-                kinked=table["shape"] == "kinked",
-                memory_h=table["memory_h"],
-                reach_m=1000.0 * table["reach_km"],
-            )
-        )
+        parts.append(part)
     return tuple(parts)
 
 
@@ -172,12 +206,11 @@ def reduced_height(h_m: Array, ground_h_m: float, tropopause_h_m: float) -> Arra
     >>> reduced_height(np.array([1500.0, 4500.0, 9500.0]), 500.0, 9500.0).tolist()
     [1000.0, 4416.666666666667, 11500.0]
     """
-    above = np.asarray(h_m - ground_h_m)
-    tropopause = max(tropopause_h_m - ground_h_m, LOWEST_TROPOPAUSE_M)
-    stretch = (NOMINAL_TROPOPAUSE_M - STRETCHED_ABOVE_M) / (tropopause - STRETCHED_ABOVE_M)
-    return np.where(
-        above < STRETCHED_ABOVE_M, above, STRETCHED_ABOVE_M + (above - STRETCHED_ABOVE_M) * stretch
-    )
+    above_m = np.asarray(h_m - ground_h_m)
+    highest_m = max(tropopause_h_m - ground_h_m, LOWEST_TROPOPAUSE_M)
+    stretch = (NOMINAL_TROPOPAUSE_M - STRETCHED_ABOVE_M) / (highest_m - STRETCHED_ABOVE_M)
+    stretched_m = STRETCHED_ABOVE_M + (above_m - STRETCHED_ABOVE_M) * stretch
+    return np.where(above_m < STRETCHED_ABOVE_M, above_m, stretched_m)
 
 
 def tropopause_m(latitude_rad: float, month: float) -> float:
@@ -186,22 +219,25 @@ def tropopause_m(latitude_rad: float, month: float) -> float:
     >>> round(tropopause_m(0.8, 7.0))
     12566
     """
-    degrees = abs(latitude_rad) / DEGREE
-    mean = float(np.interp(degrees, _TROPOPAUSE_DEG, _TROPOPAUSE_M))
+    mean_m = _at_latitude(_TROPOPAUSE_BY_DEGREES, latitude_rad)
     summer = -season(latitude_rad, month)
-    return mean + summer * float(np.interp(degrees, _TROPOPAUSE_DEG, _HIGHER_IN_SUMMER_M))
+    return mean_m + summer * _at_latitude(_HIGHER_IN_SUMMER_BY_DEGREES, latitude_rad)
 
 
 def weather_share(latitude_rad: float) -> float:
     """Amplitude of the weather at a latitude over that in middle latitudes."""
-    return float(np.interp(abs(latitude_rad) / DEGREE, _WEATHER_DEG, _WEATHER))
+    return _at_latitude(_WEATHER_BY_DEGREES, latitude_rad)
 
 
 def share_of_day(latitude_rad: float) -> float:
-    """How much of the day's cycle a latitude has: that of land between 30 and 50 degrees is 1; the
-    tropics that are known here are sea and coast, and farther north there is snow."""
+    """Amplitude of the day's cycle at a latitude over that of land in middle latitudes."""
+    return _at_latitude(_DAY_BY_DEGREES, latitude_rad)
+
+
+def _at_latitude(by_degrees: Mapping[float, float], latitude_rad: float) -> float:
+    """A value at a latitude of either hemisphere, linear between those of a table."""
     degrees = abs(latitude_rad) / DEGREE
-    return float(np.interp(degrees, [15.0, 30.0, 50.0, 60.0, 75.0], [0.0, 1.0, 1.0, 0.5, 0.4]))
+    return float(np.interp(degrees, list(by_degrees), list(by_degrees.values())))
 
 
 def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
@@ -215,15 +251,13 @@ def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
     if hour is None:
         return 0.0
     warm = 0.5 - 0.5 * season(latitude_rad, month)
-    snowless = float(np.interp(abs(latitude_rad) / DEGREE, [50.0, 60.0], [1.0, 0.3]))
     sunny = max(0.0, math.cos(2.0 * math.pi * (hour - WARMEST_HOUR) / 24.0))
-    return warm * snowless * sunny
+    return warm * sunny * _at_latitude(_MIXED_BY_DEGREES, latitude_rad)
 
 
 @dataclass(frozen=True)
 class DailyCycle:
-    """The lowest 3 km of a place and season beside the Supplements 1966, and how the hour of the
-    day changes them."""
+    """The lowest 3 km of a place and season beside the Supplements 1966, by the hour of the day."""
 
     latitude_rad: float
     month: float
@@ -252,10 +286,13 @@ class DailyCycle:
     def _between(self, winter: str, summer: str, h_m: Array) -> Array:
         """A table between those of mid-winter and mid-summer, times the share of the latitude."""
         table = _tables()["daily"]
+        winter_k = np.array(table[winter])
+        summer_k = np.array(table[summer])
         of_winter = 0.5 + 0.5 * season(self.latitude_rad, self.month)
-        values = of_winter * np.array(table[winter]) + (1.0 - of_winter) * np.array(table[summer])
+        values_k = of_winter * winter_k + (1.0 - of_winter) * summer_k
+        above_ground_m = h_m - self.ground_h_m
         share = share_of_day(self.latitude_rad)
-        return np.asarray(share * np.interp(h_m - self.ground_h_m, table["height_m"], values))
+        return np.asarray(share * np.interp(above_ground_m, table["height_m"], values_k))
 
 
 def solar_hour(time_ns: int | None, longitude_rad: float) -> float | None:

@@ -1,5 +1,8 @@
-"""What the air is like without any measurement, one of `standard.ATMOSPHERES`, and how far from
-that it may be: one model for all, and how far each departs from the climatology by default."""
+"""What the air is like without any measurement, one of `standard.ATMOSPHERES`.
+
+And how far from that it may be: one model for all, and how far each departs from the climatology by
+default.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +34,11 @@ from unbend.units import DEGREE, Array
 HUMIDITY_CORRELATION_M = 1000.0
 
 _EXTREME_MONTHS = (1.0, 7.0)
-_SPREAD_TOP_M, _SPREAD_STEP_M = 30_000.0, 250.0
+_SPREAD_TOP_M = 30_000.0
+_SPREAD_STEP_M = 250.0
 _DRY_ABOVE_M = 12_000.0  # above, all humidities weigh less than 1e-4 of n - 1
-_DAILY_TO_M, _DAILY_STEP_M = 3000.0, 50.0  # heights above the ground that the day warms [m]
+_DAILY_TO_M = 3000.0  # above the ground, which the day warms [m]
+_DAILY_STEP_M = 50.0
 _OTHER_TABLE_LENGTH_M = 5000.0  # correlation in height of what one table has beside another [m]
 
 
@@ -96,15 +101,19 @@ class Climatology:
     hour: float | None = None
 
     def warming_since(self, hour: float | None, h: Array) -> Array:
-        """What the day warms the air by [K] from another mean local time [h] to that of the
-        profile, at heights (n,) [m above sea level]; nothing where either is not known."""
+        """What the day warms the air by [K] from another mean local time [h] to the profile's.
+
+        At heights (n,) [m above sea level]; nothing where either time is not known.
+        """
         if self.daily is None or self.hour is None or hour is None:
             return np.zeros(h.shape)
         return self.daily.of_hour_k(h, self.hour) - self.daily.of_hour_k(h, hour)
 
     def parts_at(self, hour: float | None) -> Parts:
-        """The parts of the spread with the amplitudes of another mean local time [h]; those of the
-        profile's where either is not known."""
+        """The parts of the spread with the amplitudes of another mean local time [h].
+
+        Those of the profile's where either time is not known.
+        """
         if self.daily is None or self.hour is None or hour is None:
             return self.spread.parts
         daily = self.daily
@@ -147,7 +156,7 @@ def climatology(
 
     >>> air = climatology(latitude_rad=0.8, month=7.0)
     >>> [round(float(t), 1) for t in (air.profile.temperature(0), air.spread.sigma_temperature(0))]
-    [300.4, 8.3]
+    [297.8, 6.7]
     """
     model = ATMOSPHERES.get(name)
     if model is None:
@@ -163,18 +172,29 @@ def climatology(
     else:
         spread = expected_spread(latitude_rad, month, ground_h_m, hour)
     if model is ATMOSPHERES[SUPPLEMENTS]:
+        profile = expected
         origin = f"{model.origin}; the lowest 3 km by the hour of the day, from public ascents"
-        return Climatology(expected, spread, origin, model.has_humidity, daily, hour)
-    profile = model.profile(place, index)
-    about = spread.about(profile, expected)
-    return Climatology(profile, about, model.origin, model.has_humidity, daily, hour)
+    else:
+        profile = model.profile(place, index)
+        spread = spread.about(profile, expected)
+        origin = model.origin
+    return Climatology(
+        profile=profile,
+        spread=spread,
+        origin=origin,
+        has_humidity=model.has_humidity,
+        daily=daily,
+        hour=hour,
+    )
 
 
 def _expected_profile(
     place: SeasonAndPlace, daily: DailyCycle, hour: float | None, index: IndexModel
 ) -> Profile:
-    """The Supplements 1966 with what the lowest 3 km of public ascents have beside them; vapour
-    and the pressure at the ground are those of the tables."""
+    """The Supplements 1966 with what the lowest 3 km of public ascents have beside them.
+
+    Vapour and the pressure at the ground are those of the tables.
+    """
     profile = ATMOSPHERES[SUPPLEMENTS].profile(place, index)
     gravity = profile.gravity
     above_ground = np.arange(0.0, _DAILY_TO_M + 1.0, _DAILY_STEP_M)

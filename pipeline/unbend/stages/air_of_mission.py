@@ -144,7 +144,9 @@ def profiles_in_time(
         if windows:
             series = series_between(windows, times_ns, levels)
         if adjustment.samples is not None:
-            series = with_ageing(series, adjustment.samples, times_ns, levels, path, ledger)
+            series = with_ageing(
+                series, adjustment.samples, times_ns, levels, path=path, ledger=ledger
+            )
         if model is not None:
             is_measured = adjustment.time_ns is not None
             series = with_model_changes(
@@ -189,6 +191,7 @@ def with_ageing(
     samples: AirSamples,
     times_ns: Integers,
     levels: Levels,
+    *,
     path: FlightPath | None,
     ledger: Ledger,
 ) -> ProfileSeries:
@@ -196,8 +199,15 @@ def with_ageing(
 
     With a ``path`` also at the places of the exposures, which may be far from the samples.
     """
-    highest_m = max(levels.cameras_m)
-    return ledger.take(add_ageing(series, times_ns, samples, highest_m, levels.ground_m, path))
+    aged = add_ageing(
+        series,
+        times_ns,
+        samples,
+        max(levels.cameras_m),
+        levels.ground_m,
+        path=path,
+    )
+    return ledger.take(aged)
 
 
 def with_model_changes(

@@ -149,7 +149,7 @@ def column_agrees(
 ) -> Check:
     """Whether temperatures of a column are, in the mean over the heights that both know, those that
     the flight's ``own`` sensors give, within the uncertainty of these, its age and distance."""
-    gravity, edge = background.profile.gravity, own.profile.layers.edge
+    gravity = background.profile.gravity
     levels = gravity.geopotential_height(column.h_m)
     low, high = max(own.readings.low, levels[0]), min(own.readings.high, levels[-1])
     departures = external_readings.sounding_departures((column,), background, flight)
@@ -157,8 +157,10 @@ def column_agrees(
         return PASSED
     h = np.linspace(low, high, 30)
     measured = np.interp(h, levels, column.temperature_k)
-    expected = np.interp(h, departures[0].knot, departures[0].expected_k)
-    mean = float(np.mean(measured - expected - own.profile.temperature(gravity.height(h))))
+    in_flight = own.profile.temperature(gravity.height(h))
+    in_flight += np.interp(h, departures[0].knot, departures[0].expected_k)
+    mean = float(np.mean(measured - in_flight))
+    edge = own.profile.layers.edge
     # The variance of the mean of T(h); that of T_M stands for it.
     parts = (
         (hats(edge, h).mean(axis=0), own.covariance.matrix[: edge.size, : edge.size]),

@@ -6,7 +6,7 @@ covariance, with the air itself and with other soundings, is part of the prior (
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,8 @@ from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.messages import Message
 from unbend.units import Array, Mask
 
-HUMIDITY_MEMORY_H, HUMIDITY_REACH_M = 18.0, 3e5
+HUMIDITY_MEMORY_H = 18.0
+HUMIDITY_REACH_M = 3e5
 """Relative humidity over Vienna changes by 0.15, 0.3 and 0.3 in 12 hours at 0.1, 2 and 5 km, in a
 day by little more."""
 MOST_HUMIDITY_GROWTH = 9.0  # of its variance: then a reading weighs a tenth, and more is no use
@@ -31,10 +32,13 @@ ROUGHER = 2.0  # across a coast or a ridge a distance counts so many times
 FAR_M = 200e3  # a sounding from farther away is reported
 FAR_SHOWN_M = 3000.0  # height at which its change is stated [m]
 
-MOST_HOURS, MOST_METRES = 192.0, 1.8e6
+MOST_HOURS = 192.0
+MOST_METRES = 1.8e6
 """From beyond these, or both in part, a source says nothing that the climatology does not."""
 
-UNDATED_SOUNDING_H, UNDATED_REPORT_H, UNPLACED_M = 6.0, 3.0, 100e3
+UNDATED_SOUNDING_H = 6.0
+UNDATED_REPORT_H = 3.0
+UNPLACED_M = 100e3
 """Assumed where unknown: soundings are released every twelve hours, stations are near."""
 
 FAR_REPORT_H = 3.0  # a surface report from longer before or after is reported
@@ -45,10 +49,14 @@ DEPARTURE_STEP_M = 500.0
 DEPARTURE_NEAR_GROUND_M = (0.0, 50.0, 100.0, 200.0, 350.0, 500.0, 750.0, 1000.0, 1250.0)
 """Knots of a departure: nearer above the lowest level, where the day and inversions change it."""
 
-LEVEL_K, LEVEL_RH = 0.4, 0.04  # independent errors of a level of a sounding
+LEVEL_K = 0.4  # independent errors of a level of a sounding
+LEVEL_RH = 0.04
 
-WEATHER_LOG_P_PER_H, WEATHER_LOG_P_PER_M = 5e-4, 1.5e-8  # 0.5 hPa an hour; a wind of 12 m/s
-STATION_K, STATION_RH, STATION_LOG_P = 1.5, 0.06, 5e-4
+WEATHER_LOG_P_PER_H = 5e-4  # 0.5 hPa an hour
+WEATHER_LOG_P_PER_M = 1.5e-8  # a wind of 12 m/s
+STATION_K = 1.5
+STATION_RH = 0.06
+STATION_LOG_P = 5e-4
 """Two metres above the grass is not yet the free air; a station's pressure is good to 0.5 hPa."""
 
 THIN_M = 100.0  # levels of a sounding are averaged over this [m']
@@ -111,13 +119,17 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
     'it is 278 hours from the flight: the climatology is as accurate'
     """
     hours, metres = hours_and_metres(source, flight)
-    old, far = hours / MOST_HOURS, (metres / MOST_METRES) ** 2
-    if old + far <= 1.0:
+    too_old = hours / MOST_HOURS
+    too_far = (metres / MOST_METRES) ** 2
+    if too_old + too_far <= 1.0:
         return None
     metres /= ROUGHER if source.across else 1.0
-    parts = [f"{hours:.0f} hours"] if far <= 1.0 or old > 1.0 else []
-    parts += [f"{metres / 1e3:.0f} km"] if old <= 1.0 else []
-    return f"it is {' and '.join(parts)} from the flight: the climatology is as accurate"
+    away = f"{hours:.0f} hours and {metres / 1e3:.0f} km"
+    if too_old > 1.0:
+        away = f"{hours:.0f} hours"
+    elif too_far > 1.0:
+        away = f"{metres / 1e3:.0f} km"
+    return f"it is {away} from the flight: the climatology is as accurate"
 
 
 def distance_notes(
@@ -151,40 +163,61 @@ def sounding_departures(
     soundings: Sequence[Sounding], background: Climatology, flight: TimeAndPlace
 ) -> tuple[Departure, ...]:
     """How temperatures of each column depart from those of the flight, over its own heights."""
-    gravity = background.profile.gravity
-    inside = [sounding for sounding in soundings if bool(_inside(sounding, background).any())]
-    names = {id(sounding): departure_name(i) for i, sounding in enumerate(soundings)}
+    used = {}
+    for number, sounding in enumerate(soundings):
+        if bool(_inside(sounding, background).any()):
+            used[departure_name(number)] = sounding
     departures = []
-    for sounding in inside:
-        levels = gravity.geopotential_height(sounding.h_m)
-        knots = _departure_knots(levels[_inside(sounding, background)])
-        sigma = np.interp(
-            knots, levels, np.broadcast_to(sounding.errors.temperature_k, levels.shape)
-        )
-        errors = np.outer(sigma, sigma) * exponential(knots, sounding.errors.temperature_length_m)
-        h = gravity.height(knots)
-        then = solar_hour(sounding.time_ns, _longitude(sounding, flight))
-        expected_k = -background.warming_since(then, h)
-        if then is None and background.daily is not None and background.hour is not None:
-            of_day = background.daily.by_hour_k(h)
-            errors = errors + np.outer(of_day, of_day)
-        beside = {
-            names[id(other)]: separation(sounding, other, flight)
-            for other in inside
-            if other is not sounding
-        }
-        departures.append(
-            Departure(
-                name=names[id(sounding)],
-                knot=knots,
-                expected_k=expected_k,
-                parts=background.parts_at(then),
-                errors=errors,
-                apart=Separation(*hours_and_metres(sounding, flight)),
-                beside=beside,
-            )
-        )
+    for name, sounding in used.items():
+        beside = {}
+        for other_name, other in used.items():
+            if other_name != name:
+                beside[other_name] = separation(sounding, other, flight)
+        departures.append(departure_of(sounding, name, background, flight, beside=beside))
     return tuple(departures)
+
+
+def departure_of(
+    sounding: Sounding,
+    name: str,
+    background: Climatology,
+    flight: TimeAndPlace,
+    *,
+    beside: Mapping[str, Separation],
+) -> Departure:
+    """How temperatures of a column depart from those of the flight.
+
+    ``beside``: the separations of the other columns from it, by their names.
+    """
+    gravity = background.profile.gravity
+    levels = gravity.geopotential_height(sounding.h_m)
+    knots = _departure_knots(levels[_inside(sounding, background)])
+    h = gravity.height(knots)
+    then = solar_hour(sounding.time_ns, _longitude(sounding, flight))
+    of_levels_k = np.broadcast_to(sounding.errors.temperature_k, levels.shape)
+    sigma_k = np.interp(knots, levels, of_levels_k)
+    correlation = exponential(knots, sounding.errors.temperature_length_m)
+    of_hour_k = unknown_hour_k(background, then, h)
+    return Departure(
+        name=name,
+        knot=knots,
+        expected_k=-background.warming_since(then, h),
+        parts=background.parts_at(then),
+        errors=np.outer(sigma_k, sigma_k) * correlation + np.outer(of_hour_k, of_hour_k),
+        apart=Separation(*hours_and_metres(sounding, flight)),
+        beside=beside,
+    )
+
+
+def unknown_hour_k(background: Climatology, then: float | None, h: Array) -> Array:
+    """One sigma [K] at heights (n,) [m] of the day's cycle between the flight and a source.
+
+    0 where the mean local time ``then`` of the source is known; where that of the flight is not,
+    the cycle is a part of the air's spread.
+    """
+    if then is not None or background.daily is None or background.hour is None:
+        return np.zeros(h.shape)
+    return background.daily.by_hour_k(h)
 
 
 def departure_name(number: int) -> str:
@@ -270,21 +303,24 @@ def sounding_readings(
     inside = _inside(sounding, background)
     if not bool(inside.any()):
         return []
-    e, t, p = sounding.vapour_pressure_pa, sounding.temperature_k, sounding.pressure_pa
-    rh, name = _relative_humidity(e, t, p), sounding.name
-    h, mean_t = _thinned(height[inside], t[inside])
-    departure, sigma = departure_name(number), np.full(h.size, LEVEL_K)
-    readings: list[sensors.Readings] = [sensors.Temperatures(name, h, mean_t, sigma, departure)]
+    name = sounding.name
+    pressure_pa = sounding.pressure_pa
+    rh = _relative_humidity(sounding.vapour_pressure_pa, sounding.temperature_k, pressure_pa)
+    h, mean_k = _thinned(height[inside], sounding.temperature_k[inside])
+    sigma_k = np.full(h.size, LEVEL_K)
+    readings: list[sensors.Readings] = []
+    readings.append(sensors.Temperatures(name, h, mean_k, sigma_k, departure_name(number)))
     moist = inside & np.isfinite(rh) & (height < HUMIDITY_BELOW_M)
     if bool(moist.any()):
-        h, u = _thinned(height[moist], rh[moist])
-        departure = f"{sensors.SOUNDING_HUMIDITY} {number}"
-        readings.append(sensors.Humidities(name, h, u, np.full(h.size, LEVEL_RH), drift=departure))
+        h, mean_rh = _thinned(height[moist], rh[moist])
+        drift = f"{sensors.SOUNDING_HUMIDITY} {number}"
+        sigma_rh = np.full(h.size, LEVEL_RH)
+        readings.append(sensors.Humidities(name, h, mean_rh, sigma_rh, drift=drift))
     lowest = np.flatnonzero(inside)[:1]
     hours, metres = hours_and_metres(sounding, flight)
     weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * metres)
     sigma = np.array([float(np.hypot(sounding.errors.log_pressure, weather))])
-    readings.append(sensors.Pressures(name, height[lowest], np.log(p[lowest]), sigma))
+    readings.append(sensors.Pressures(name, height[lowest], np.log(pressure_pa[lowest]), sigma))
     return readings
 
 
@@ -294,29 +330,39 @@ def surface_readings(
     """Temperature, pressure and humidity of a station, less certain by its age and distance."""
     height = background.profile.gravity.geopotential_height(np.array([report.h_m]))
     hours, metres = hours_and_metres(report, flight)
-    name, pressure = report.name, report.pressure_pa
+    name = report.name
     readings: list[sensors.Readings] = []
-    if np.isfinite(t := report.temperature_k):
-        here = np.array([report.h_m])
-        instrument = np.hypot(STATION_K, report.sigma_temperature_k)
-        changed = sigma_of(changes(background.spread.parts, hours, metres), here)
-        then = solar_hour(report.time_ns, flight.longitude_rad)
-        now = t + background.warming_since(then, here)
-        readings.append(sensors.Temperatures(name, height, now, np.hypot(instrument, changed)))
-    if np.isfinite(pressure):
-        instrument = np.hypot(STATION_LOG_P, report.sigma_pressure_pa / pressure)
+    if np.isfinite(report.temperature_k):
+        readings.append(surface_temperature(report, background, flight))
+    pressure_pa = report.pressure_pa
+    if np.isfinite(pressure_pa):
+        instrument = np.hypot(STATION_LOG_P, report.sigma_pressure_pa / pressure_pa)
         weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * report.distance_m)
         sigma = np.array([np.hypot(instrument, weather)])
-        readings.append(sensors.Pressures(name, height, np.log([pressure]), sigma))
+        readings.append(sensors.Pressures(name, height, np.log([pressure_pa]), sigma))
     else:
-        pressure = float(background.profile.pressure(report.h_m))
-    rh = _relative_humidity(report.vapour_pressure_pa, t, pressure)
+        pressure_pa = float(background.profile.pressure(report.h_m))
+    rh = _relative_humidity(report.vapour_pressure_pa, report.temperature_k, pressure_pa)
     if bool(np.isfinite(rh)):
         usual = background.spread.sigma_relative_humidity(report.h_m)
         grown = usual * math.sqrt(humidity_growth(hours, metres))
         sigma = np.atleast_1d(np.hypot(STATION_RH, grown))
         readings.append(sensors.Humidities(name, height, np.atleast_1d(rh), sigma))
     return readings
+
+
+def surface_temperature(
+    report: SurfaceReport, background: Climatology, flight: TimeAndPlace
+) -> sensors.Temperatures:
+    """The temperature of a station, moved to the hour of the flight."""
+    h = np.array([report.h_m])
+    then = solar_hour(report.time_ns, flight.longitude_rad)
+    now_k = report.temperature_k + background.warming_since(then, h)
+    change = changes(background.spread.parts, *hours_and_metres(report, flight))
+    instrument_k = np.hypot(STATION_K, report.sigma_temperature_k)
+    changed_k = np.hypot(sigma_of(change, h), unknown_hour_k(background, then, h))
+    height = background.profile.gravity.geopotential_height(h)
+    return sensors.Temperatures(report.name, height, now_k, np.hypot(instrument_k, changed_k))
 
 
 def _relative_humidity(e: Array | float, t: Array | float, p: Array | float) -> Array:

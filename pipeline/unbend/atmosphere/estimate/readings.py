@@ -127,14 +127,15 @@ def collect_readings(
         known = settings.calibration.get(fault.name, SensorCalibration())
         mean = fault.mean if known.mean is None else known.mean
         faults.append(replace(fault, mean=mean, sigma=known.sigma_or(fault.sigma)))
-    at_sea, level = np.zeros(1), np.array([background.spread.pressure_ratio])
+    at_sea = np.zeros(1)
+    level = np.array([background.spread.pressure_ratio])
     log_pressure = np.log(background.profile.pressure(at_sea))
     at_sea_level = sensors.Pressures("climatology", at_sea, log_pressure, level, robust=False)
     departures = external_readings.sounding_departures(soundings, background, flight)
-    humid = external_readings.humidity_drifts(soundings, background, flight)
+    drifts += external_readings.humidity_drifts(soundings, background, flight)
     span = float(heights.min()), float(heights.max())
     every = at_sea_level, *external, *sets
-    every_drift: tuple[Drift | Departure, ...] = (*drifts, *departures, *humid)
+    every_drift: tuple[Drift | Departure, ...] = (*drifts, *departures)
     rare = _rare_faults(faults, settings)
     return FlightReadings(every, tuple(faults), every_drift, *span, rejected, rare)
 

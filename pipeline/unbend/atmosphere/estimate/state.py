@@ -11,7 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from unbend.atmosphere.air_variation import Parts
+from unbend.atmosphere.air_variation import Part, Parts
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.hypsometry import column, hats
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
@@ -93,14 +93,17 @@ class Separation:
     metres: float
 
 
+HERE = Separation(hours=0.0, metres=0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """How temperatures of a source depart from those of the flight, whose air is of another time
-    and place, at knots (k,) [m'].
+    """How temperatures of a source at knots (k,) [m'] depart from those of the flight.
 
-    ``expected_k`` (k,) is what the hour of the day makes of it, ``parts`` those of the source's
-    air, ``errors`` (k, k) the covariance of its own errors [K2]; ``apart`` from the flight, and
-    ``beside`` each other source that departs, by its name: what two have in common counts once.
+    Its air is of another time and place. ``expected_k`` (k,) is what the hour of the day makes of
+    it, ``parts`` those of the source's air, ``errors`` (k, k) the covariance of its own errors
+    [K2]; ``apart`` from the flight, and ``beside`` each other source that departs, by its name:
+    what two have in common counts once.
     """
 
     name: str
@@ -266,12 +269,12 @@ def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> 
 def joint_covariance(
     background: Climatology, knot: Array, departures: Sequence[Departure]
 ) -> Array:
-    """Prior covariance [K2] of the flight's temperatures at knots [m'], and of how those of
-    soundings depart from them.
+    """Prior covariance [K2] of the flight's temperatures, and of departures from them.
 
-    A departure is the air of a sounding minus that of the flight at its knots, so that of two of
-    them with the air a and b, and the flight's 0, it is cov(a, b) - cov(a, 0) - cov(0, b) +
-    cov(0, 0), with the correlation of each part over the time and distance between.
+    Those at knots (k,) [m'], then the departures of soundings, each at its own knots. A departure
+    is the air of a sounding minus that of the flight, so that of two of them with the air a and b,
+    and the flight's 0, it is cov(a, b) - cov(a, 0) - cov(0, b) + cov(0, 0), with the correlation of
+    each part over the time and distance between.
     """
     height = background.profile.gravity.height
     flight = background.spread.parts
@@ -283,42 +286,54 @@ def joint_covariance(
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """Heights [m] of a column of air with its parts; the ``departure`` of one that is not the
-    flight's."""
+    """Heights [m] of a column of air with its parts; the ``departure`` of one not the flight's."""
 
     h: Array
     parts: Parts
     departure: Departure | None = None
 
+    @property
+    def from_flight(self) -> Separation:
+        """Its separation from the flight's own column."""
+        return HERE if self.departure is None else self.departure.apart
+
     def apart(self, other: "_Column") -> Separation:
         """Its separation from another column."""
         if self.departure is other.departure:
-            return Separation(0.0, 0.0)
-        if self.departure is None or other.departure is None:
-            away = self.departure or other.departure
-            assert away is not None  # the one that is not the flight
-            return away.apart
+            return HERE
+        if self.departure is None:
+            return other.from_flight
+        if other.departure is None:
+            return self.from_flight
         return self.departure.beside[other.departure.name]
+
+    def is_departure(self) -> bool:
+        """Whether it stands for how the air departs from the flight's."""
+        return self.departure is not None
 
 
 def _covariance_of_columns(a: _Column, b: _Column, flight: Parts) -> Array:
-    """(n, m) covariance [K2] of what two columns stand for in the state: the flight's air, or the
-    departure of another air from it."""
-    between, of_a, of_b = a.apart(b), a.departure, b.departure
+    """(n, m) covariance [K2] of what two columns stand for in the state.
+
+    That is the flight's air, or the departure of another air from it.
+    """
     total = np.zeros((a.h.size, b.h.size))
     for part_a, part_b, part in zip(a.parts, b.parts, flight, strict=True):
-        total += part_a.covariance(a.h, b.h, part_b) * part.alike(between.hours, between.metres)
-        if of_b is not None:
-            alike = 1.0 if of_a is None else part.alike(of_a.apart.hours, of_a.apart.metres)
-            total -= part_a.covariance(a.h, b.h, part) * alike
-        if of_a is not None:
-            alike = 1.0 if of_b is None else part.alike(of_b.apart.hours, of_b.apart.metres)
-            total -= part.covariance(a.h, b.h, part_b) * alike
-        if of_a is not None and of_b is not None:
+        total += part_a.covariance(a.h, b.h, part_b) * _alike(part, a.apart(b))
+        if b.is_departure():
+            total -= part_a.covariance(a.h, b.h, part) * _alike(part, a.from_flight)
+        if a.is_departure():
+            total -= part.covariance(a.h, b.h, part_b) * _alike(part, b.from_flight)
+        if a.is_departure() and b.is_departure():
             total += part.covariance(a.h, b.h)
-    if of_a is not None and of_a is of_b:
-        total += of_a.errors + _LEAST_DEPARTURE_K2 * np.eye(a.h.size)
+    if a.departure is not None and a.departure is b.departure:
+        total += a.departure.errors + _LEAST_DEPARTURE_K2 * np.eye(a.h.size)
     return total
+
+
+def _alike(part: Part, apart: Separation) -> Array:
+    """Correlation of a part between two columns of air."""
+    return part.alike(apart.hours, apart.metres)
 
 
 @dataclass(frozen=True, eq=False)

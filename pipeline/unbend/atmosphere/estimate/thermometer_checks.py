@@ -66,8 +66,10 @@ def thermometer_is_outside(
     others = [readings for readings in flown.sets if not isinstance(readings, Thermometer)]
     prior = prior_of(layout, background, moisture or background)
     without = solve(layout, prior, others, background.profile)
-    warm = (s for s in flown.sets if isinstance(s, Thermometer))
-    check = next((check for s in warm if not (check := is_predicted(s, without))), PASSED)
+    check = PASSED
+    for readings in flown.sets:
+        if check and isinstance(readings, Thermometer):
+            check = is_predicted(readings, without)
     barometer_fits = _largest_inflation(others, without.fits, Barometer) <= MISFIT
     if not check and barometer_fits and not barometer_loses_pressure(made):
         return check
@@ -155,5 +157,8 @@ def _sigma_inflation(made: Estimate, kind: type) -> float:
 
 def _largest_inflation(sets: Sequence[Readings], fits: Sequence[Fit], kind: type) -> float:
     """The largest sigma inflation factor of a kind among readings and their fits."""
-    pairs = zip(sets, fits, strict=True)
-    return max((fit.sigma_inflation for s, fit in pairs if isinstance(s, kind)), default=1.0)
+    largest = 1.0
+    for readings, fit in zip(sets, fits, strict=True):
+        if isinstance(readings, kind):
+            largest = max(largest, fit.sigma_inflation)
+    return largest

@@ -27,7 +27,7 @@ from unbend.atmosphere.hypsometry import hats
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel, saturation_vapour_pressure
-from unbend.messages import Notes
+from unbend.messages import Message, Notes
 from unbend.units import Array, Integers
 
 FINEST_CHANGE = 5e-4
@@ -38,7 +38,8 @@ SLOT_NS = 900 * 10**9  # exposures within a quarter of an hour share the age of 
 _STEPS = 100  # trapezia of the plane integral
 _SLIVER_M = 1.0  # edges of two profiles nearer than this become one [m']
 
-CHANGE_LOG_P_PER_H, CHANGE_LOG_P_PER_M = 5e-4, 1.5e-8
+CHANGE_LOG_P_PER_H = 5e-4
+CHANGE_LOG_P_PER_M = 1.5e-8
 CHANGE_RH, CHANGE_RH_IN_H = 0.1, 4.0  # of relative humidity, reached after four hours
 
 CHANGE_RH_LENGTH_M = 1500.0  # correlation of that in height [m]
@@ -69,11 +70,17 @@ class FlightPath:
 
     def metres_at(self, time_ns: Integers) -> Array:
         """(2, n) metres north and east of the first place at times (n,) [Unix ns]."""
-        seconds = (time_ns - self.time_ns[0]) * 1e-9
-        at = (self.time_ns - self.time_ns[0]) * 1e-9
-        north = np.interp(seconds, at, self.latitude_rad - self.latitude_rad[0])
-        east = np.interp(seconds, at, self.longitude_rad - self.longitude_rad[0])
+        first_ns = self.time_ns[0]
+        seconds = (time_ns - first_ns) * 1e-9
+        known_s = (self.time_ns - first_ns) * 1e-9
+        north = np.interp(seconds, known_s, self.latitude_rad - self.latitude_rad[0])
+        east = np.interp(seconds, known_s, self.longitude_rad - self.longitude_rad[0])
         return _EARTH_M * np.stack([north, east * np.cos(self.latitude_rad[0])])
+
+    def metres_between(self, time_ns: Integers, now_ns: int) -> Array:
+        """(n,) distance [m] between the places at times (n,) and that at another time [Unix ns]."""
+        here = self.metres_at(np.array([now_ns]))
+        return np.asarray(np.hypot(*(self.metres_at(time_ns) - here)))
 
 
 class PlaceInTime(NamedTuple):
@@ -86,9 +93,12 @@ class PlaceInTime(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SampleAges:
-    """Hours (n,) that the air of heights (n,) [m] has changed for since, or until, it was sampled:
-    sqrt(t^2 - (1/2 h)^2), nothing within half an hour, and nearly t in the end; and likewise the
-    ``metres`` (n,) to where it was, nothing within 18 km."""
+    """How old, and how far away, the air of heights (n,) [m] is that was sampled.
+
+    ``hours`` (n,) that it has changed for since, or until, it was sampled: sqrt(t^2 - (1/2 h)^2),
+    nothing within half an hour, and nearly t in the end. ``metres`` (n,) likewise to where it was,
+    nothing within 18 km.
+    """
 
     h_m: Array
     hours: Array
@@ -100,6 +110,33 @@ class SampleAges:
         return not bool(np.any(self.hours > 0.0) or np.any(np.asarray(self.metres) > 0.0))
 
 
+class Visits(NamedTuple):
+    """Bins of height (n,) in which a sensor was read, and the minutes (n,) of Unix time."""
+
+    bin_number: Integers
+    minute: Integers
+
+    def between(self, h_g: float, h_c: float) -> Visits:
+        """Those between two heights [m]; all where there are none."""
+        is_above = self.bin_number + 1 >= h_g / _BIN_M
+        inside = is_above & (self.bin_number <= h_c / _BIN_M)
+        if not bool(inside.any()):
+            return self
+        return Visits(self.bin_number[inside], self.minute[inside])
+
+
+def visits_of(samples: AirSamples) -> Visits:
+    """The visits of thermometer and barometer to bins of 100 m, each bin once a minute."""
+    both = []
+    for sensor in (samples.temperature, samples.pressure):
+        if sensor is not None:
+            bins = np.floor(sensor.h_m[sensor.accepted] / _BIN_M).astype(np.int64)
+            both.append(np.stack([bins, sensor.time_ns[sensor.accepted] // _MINUTE_NS]))
+    if not both:
+        return Visits(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    return Visits(*np.unique(np.hstack(both), axis=1))
+
+
 def sample_ages(
     samples: AirSamples,
     time_ns: Sequence[int],
@@ -107,40 +144,42 @@ def sample_ages(
     h_c: float,
     path: FlightPath | None = None,
 ) -> list[SampleAges]:
-    """How old the air between two heights [m above sea level] is at times [Unix ns], by the nearest
-    readings of thermometer or barometer before or after, in bins of 100 m; and how far away it was
-    sampled from where the flight was then, by its ``path``."""
-    visits = [
-        (np.floor(s.h_m[s.accepted] / _BIN_M), s.time_ns[s.accepted] // _MINUTE_NS)
-        for s in (samples.temperature, samples.pressure)
-        if s is not None
-    ]
-    if not any(bins.size for bins, _ in visits):
+    """How old the air between two heights [m above sea level] is at times [Unix ns].
+
+    By the nearest readings of thermometer or barometer before or after, in bins of 100 m; and how
+    far away it was sampled from where the flight was then, by its ``path``.
+    """
+    visits = visits_of(samples)
+    if visits.minute.size == 0:
         return [SampleAges(np.zeros(1), np.zeros(1)) for _ in time_ns]
-    both = np.hstack([np.stack([bins.astype(np.int64), at]) for bins, at in visits])
-    both = np.unique(both, axis=1)
-    inside = (both[0] + 1 >= h_g / _BIN_M) & (both[0] <= h_c / _BIN_M)
-    number, minute = both[:, inside] if bool(inside.any()) else both
-    bins = np.unique(number)
-    ages = []
-    for now in time_ns:
-        hours = np.abs(minute - now // _MINUTE_NS) / 60.0
-        metres = np.zeros(hours.size)
-        if path is not None:
-            here = path.metres_at(np.array([now]))
-            metres = np.hypot(*(path.metres_at(minute * _MINUTE_NS) - here))
-        apart = hours + metres / METRES_AS_AN_HOUR
-        nearest = [
-            rows[np.argmin(apart[rows])] for rows in (np.flatnonzero(number == i) for i in bins)
-        ]
-        ages.append(
-            SampleAges(
-                (bins + 0.5) * _BIN_M,
-                np.sqrt(np.maximum(hours[nearest] ** 2 - (FRESH_S / 3600.0) ** 2, 0.0)),
-                np.sqrt(np.maximum(metres[nearest] ** 2 - FRESH_M**2, 0.0)),
-            )
-        )
-    return ages
+    visits = visits.between(h_g, h_c)
+    return [ages_at(now_ns, visits, path) for now_ns in time_ns]
+
+
+def ages_at(now_ns: int, visits: Visits, path: FlightPath | None) -> SampleAges:
+    """How old and how far away the air of each bin is at a time [Unix ns], by its nearest visit."""
+    hours = np.abs(visits.minute - now_ns // _MINUTE_NS) / 60.0
+    metres = np.zeros(hours.size)
+    if path is not None:
+        metres = path.metres_between(visits.minute * _MINUTE_NS, now_ns)
+    apart = hours + metres / METRES_AS_AN_HOUR
+    nearest_first = np.lexsort([apart, visits.bin_number])
+    bins, first = np.unique(visits.bin_number[nearest_first], return_index=True)
+    nearest = nearest_first[first]
+    return SampleAges(
+        h_m=np.asarray((bins + 0.5) * _BIN_M, np.float64),
+        hours=beyond(hours[nearest], FRESH_S / 3600.0),
+        metres=beyond(metres[nearest], FRESH_M),
+    )
+
+
+def beyond(values: Array, fresh: float) -> Array:
+    """sqrt(v^2 - fresh^2) of values (n,), 0 of those that are smaller.
+
+    >>> beyond(np.array([0.3, 0.5, 1.3]), 0.5).round(6).tolist()
+    [0.0, 0.0, 1.2]
+    """
+    return np.asarray(np.sqrt(np.maximum(values**2 - fresh**2, 0.0)))
 
 
 def change_parts(
@@ -153,11 +192,13 @@ def change_parts(
     """
     latitude = _MIDDLE_LATITUDE_RAD if latitude_rad is None else latitude_rad
     parts = variation_parts(latitude, SPRING, ground_h_m)
-    at = parts[0].h_m
-    age, away = (np.interp(at, h_m, np.broadcast_to(x, h_m.shape)) for x in (hours, metres))
-    cycle = DailyCycle(latitude, SPRING, ground_h_m).by_hour_k(at)
-    day = cycle * np.sqrt(1.0 - np.cos(2.0 * np.pi * age / 24.0))
-    return (*(part.change(age, away) for part in parts), Part("day", at, day, CYCLE_LENGTH_M))
+    nodes_m = parts[0].h_m
+    hours_there = np.interp(nodes_m, h_m, np.broadcast_to(hours, h_m.shape))
+    metres_there = np.interp(nodes_m, h_m, np.broadcast_to(metres, h_m.shape))
+    cycle_k = DailyCycle(latitude, SPRING, ground_h_m).by_hour_k(nodes_m)
+    change_k = cycle_k * np.sqrt(1.0 - np.cos(2.0 * np.pi * hours_there / 24.0))
+    of_day = Part("day", nodes_m, change_k, CYCLE_LENGTH_M)
+    return (*(part.change(hours_there, metres_there) for part in parts), of_day)
 
 
 def covariance_with_ageing(covariance: ProfileCovariance, ages: SampleAges) -> ProfileCovariance:
@@ -170,25 +211,33 @@ def covariance_with_ageing(covariance: ProfileCovariance, ages: SampleAges) -> P
     edge = profile.layers.edge
     k = edge.size
     h = profile.gravity.height(edge)
-    hours = np.interp(h, ages.h_m, ages.hours)
     metres = np.broadcast_to(ages.metres, ages.h_m.shape)
-    latitude, ground = profile.gravity.latitude_rad, float(ages.h_m[0])
-    parts = change_parts(latitude, ground, ages.hours, metres, ages.h_m)
+    ground_m = float(ages.h_m[0])
+    latitude_rad = profile.gravity.latitude_rad
+    parts = change_parts(latitude_rad, ground_m, ages.hours, metres, ages.h_m)
+    of_time = CHANGE_LOG_P_PER_H * ages.hours.min()
+    of_distance = CHANGE_LOG_P_PER_M * metres.min()
+    moistening = change_of_vapour(profile, ages)
+
     matrix = np.zeros_like(covariance.matrix)
-    by_state = np.eye(2 * k + 1)
     matrix[:k, :k] = covariance_of(parts, h, h)
-    weather = CHANGE_LOG_P_PER_H * ages.hours.min(), CHANGE_LOG_P_PER_M * metres.min()
-    matrix[k, k] = float(np.hypot(*weather)) ** 2
+    matrix[k, k] = float(np.hypot(of_time, of_distance)) ** 2
+    correlation = exponential(edge, CHANGE_RH_LENGTH_M)
+    matrix[k + 1 :, k + 1 :] = np.outer(moistening, moistening) * correlation
+    by_state = np.eye(2 * k + 1)
+    last_m = ages.h_m[np.flatnonzero(ages.hours == ages.hours.min())[-1:]]
+    by_state[k, :k] = -covariance.log_pressure_by_virtual(last_m)[0]
+    return replace(covariance, matrix=covariance.matrix + by_state @ matrix @ by_state.T)
+
+
+def change_of_vapour(profile: Profile, ages: SampleAges) -> Array:
+    """One sigma (k,) of what e/p at the edges of a profile has changed by in its age."""
+    h = profile.gravity.height(profile.layers.edge)
+    as_hours = ages.hours + np.broadcast_to(ages.metres, ages.h_m.shape) / METRES_AS_AN_HOUR
+    age_h = np.interp(h, ages.h_m, as_hours)
+    change_rh = CHANGE_RH * np.sqrt(np.minimum(age_h / CHANGE_RH_IN_H, 1.0))
     saturated = saturation_vapour_pressure(profile.temperature(h)) / profile.pressure(h)
-    as_hours = hours + np.interp(h, ages.h_m, metres) / METRES_AS_AN_HOUR
-    moistening = CHANGE_RH * np.sqrt(np.minimum(as_hours / CHANGE_RH_IN_H, 1.0))
-    moistening *= np.minimum(saturated, profile.layers.vapour.max())
-    alike = exponential(edge, CHANGE_RH_LENGTH_M)
-    matrix[k + 1 :, k + 1 :] = np.outer(moistening, moistening) * alike
-    last = ages.h_m[np.flatnonzero(ages.hours == ages.hours.min())[-1:]]
-    by_state[k, :k] = -covariance.log_pressure_by_virtual(last)[0]
-    added = by_state @ matrix @ by_state.T
-    return replace(covariance, matrix=covariance.matrix + added)
+    return np.asarray(change_rh * np.minimum(saturated, profile.layers.vapour.max()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,38 +383,68 @@ def add_ageing(
     """
     if time_ns.size == 0:
         return series, ()
-    start = int(time_ns.min())
-    slot = (time_ns - start) // SLOT_NS
-    keys = np.stack([series.profile_number, slot])
-    if path is not None:
-        cells = np.floor(path.metres_at(time_ns) / CELL_M).astype(np.int64)
-        keys = np.vstack([keys, cells])
-    pairs, group = np.unique(keys, axis=1, return_inverse=True)
-    group = group.ravel()
-    since = np.bincount(group, (time_ns - start) * 1e-9) / np.bincount(group)
-    middles = [start + round(float(s) * 1e9) for s in since]
-    ages = sample_ages(samples, middles, h_g, h_c, path)
+    groups = group_exposures(series, time_ns, path)
+    ages = sample_ages(samples, groups.middle_ns, h_g, h_c, path)
     if all(age.is_fresh for age in ages):
         return series, ()
     airs: list[TimedProfile] = []
-    place: dict[tuple[int, int], int] = {}
+    place_of_fresh: dict[int, int] = {}
     new = np.zeros(len(ages), np.int64)
-    for i, (number, age) in enumerate(zip(pairs[0], ages, strict=True)):
-        key = (int(number), -1 if age.is_fresh else i)
-        if key not in place:
-            place[key] = len(airs)
-            air = series.timed_profiles[key[0]]
-            airs.append(air if age.is_fresh else replace(air, time_ns=middles[i], ages=age))
-        new[i] = place[key]
+    for i, age in enumerate(ages):
+        number = int(groups.profile_number[i])
+        air = series.timed_profiles[number]
+        if not age.is_fresh:
+            air = replace(air, time_ns=groups.middle_ns[i], ages=age)
+        elif number in place_of_fresh:
+            new[i] = place_of_fresh[number]
+            continue
+        else:
+            place_of_fresh[number] = len(airs)
+        new[i] = len(airs)
+        airs.append(air)
+    is_old = np.array([not age.is_fresh for age in ages])
+    aged = aged_note(ages, count=int(np.count_nonzero(is_old[groups.group])))
+    return ProfileSeries(tuple(airs), new[groups.group]), (aged,)
+
+
+class ExposureGroups(NamedTuple):
+    """Exposures that share the age of their air.
+
+    ``group`` (s,) of each exposure; of each of the (g,) groups the number of its profile and the
+    mean of its times [Unix ns].
+    """
+
+    group: Integers
+    profile_number: Integers
+    middle_ns: list[int]
+
+
+def group_exposures(
+    series: ProfileSeries, time_ns: Integers, path: FlightPath | None
+) -> ExposureGroups:
+    """Exposures of one profile, quarter of an hour and square of 20 km together."""
+    start_ns = int(time_ns.min())
+    keys = np.stack([series.profile_number, (time_ns - start_ns) // SLOT_NS])
+    if path is not None:
+        cells = np.floor(path.metres_at(time_ns) / CELL_M).astype(np.int64)
+        keys = np.vstack([keys, cells])
+    keys_of_groups, group = np.unique(keys, axis=1, return_inverse=True)
+    group = group.ravel()
+    since_s = np.bincount(group, (time_ns - start_ns) * 1e-9) / np.bincount(group)
+    middle_ns = [start_ns + round(float(seconds) * 1e9) for seconds in since_s]
+    return ExposureGroups(group, keys_of_groups[0], middle_ns)
+
+
+def aged_note(ages: Sequence[SampleAges], *, count: int) -> Message:
+    """That the air of so many exposures is old or from far away, and how much at the most."""
     oldest = max(ages, key=lambda age: float(age.hours.max()))
-    farthest = max(float(np.max(age.metres)) for age in ages)
-    aged = messages.air_aged(
+    farthest_m = max(float(np.max(age.metres)) for age in ages)
+    return messages.air_aged(
         hours=np.hypot(oldest.hours.max(), FRESH_S / 3600.0),
-        km=np.hypot(farthest, FRESH_M) * 1e-3 if farthest > 0.0 else 0.0,
+        km=np.hypot(farthest_m, FRESH_M) * 1e-3 if farthest_m > 0.0 else 0.0,
         height_m=oldest.h_m[int(np.argmax(oldest.hours))],
-        count=int(np.isin(new[group], [i for i, air in enumerate(airs) if air.ages]).sum()),
+        count=count,
     )
-    return ProfileSeries(tuple(airs), new[group]), (aged,)
 
 
 def interpolate_profiles(a: TimedProfile, b: TimedProfile, share: float) -> TimedProfile:

@@ -87,7 +87,8 @@ def add_model_changes(
         if key not in place_of:
             place_of[key] = len(airs)
             old = air.ages or SampleAges(np.array([h_g]), np.zeros(1))
-            metres = np.broadcast_to(old.metres, old.h_m.shape) + 1e3 * LEFT_BY_MODEL * away_km
+            left_m = 1e3 * LEFT_BY_MODEL * away_km
+            metres = np.broadcast_to(old.metres + left_m, old.h_m.shape)
             ages = SampleAges(old.h_m, old.hours, metres)
             airs.append(replace(changed, time_ns=int(time_ns[row[i]]), ages=ages))
         new[i] = place_of[key]

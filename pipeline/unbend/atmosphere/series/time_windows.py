@@ -174,13 +174,18 @@ def _whole_flight_as_background(
     """The whole flight as what is expected in a part of it; ``spread`` of the climatology."""
     profile = covariance.profile
     h = spread.h_m[(spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)]
-    latitude, ground = profile.gravity.latitude_rad, covariance.anchor_height_m
-    change = profile_series.change_parts(latitude, ground, hours, 0.0, h)
+    change = profile_series.change_parts(
+        profile.gravity.latitude_rad,
+        covariance.anchor_height_m,
+        hours,
+        metres=0.0,
+        h_m=h,
+    )
     weather = profile_series.CHANGE_LOG_P_PER_H * hours
     level = float(np.hypot(covariance.sigma_log_pressure(0.0)[0], weather))
-    own = Part("flight", h, covariance.sigma_temperature(h), OWN_LENGTH_M)
+    of_errors = Part("flight", h, covariance.sigma_temperature(h), OWN_LENGTH_M)
     humidity = np.minimum(spread.sigma_relative_humidity(h), profile_series.CHANGE_RH)
-    of_flight = Spread((*change, own), h, humidity, spread.humidity_correlation_m, level)
+    of_flight = Spread((*change, of_errors), h, humidity, spread.humidity_correlation_m, level)
     return Climatology(profile, of_flight, "the whole flight", True)
 
 
