@@ -5,6 +5,7 @@ a receiver cannot show that it is stuck itself.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,43 +30,77 @@ MOST_ROWS = 20_000  # of a long channel, evenly taken
 _ANGLES = ("roll", "pitch", "yaw")
 
 
+@dataclass(frozen=True)
+class _Motion:
+    """How far a flight went over the ground, how high, and by how much its pressure changed.
+
+    The functions say so in words; they are empty where that is too little.
+    """
+
+    way_m: float
+    climb_m: float
+    drop_pa: float
+
+    @classmethod
+    def of(cls, roles: Mapping[str, Channel]) -> "_Motion":
+        """The motion that the channels of a flight show."""
+        return cls(
+            way_m=_way(roles.get("position")),
+            climb_m=_spread(_known(roles, "height", _height_column(roles))),
+            drop_pa=_spread(_known(roles, "pressure", "pressure_pa")),
+        )
+
+    def way(self) -> str:
+        """The way over the ground."""
+        if self.way_m < LEAST_WAY_M:
+            return ""
+        return f"the flight spans {self.way_m:.0f} m"
+
+    def climb(self, least_m: float) -> str:
+        """The climb, if it is at least so large."""
+        if self.climb_m < least_m:
+            return ""
+        return f"the heights span {self.climb_m:.0f} m"
+
+    def drop(self) -> str:
+        """The change of pressure."""
+        if self.drop_pa < LEAST_PRESSURE_PA:
+            return ""
+        return f"the pressure changes by {self.drop_pa:.0f} Pa"
+
+
 def constant_sensors(roles: Mapping[str, Channel]) -> Notes:
     """A finding for each role whose values are all equal in a flight that moved.
 
     ``roles``: the channel of each, with plausible samples only.
     """
-    height = roles.get("height")
-    height_column = None if height is None else height.height_column
-    climb_m = _span(roles, "height", height_column or "")
-    way_m = _way(roles.get("position"))
-    drop_pa = _span(roles, "pressure", "pressure_pa")
-    climb = f"the heights span {climb_m:.0f} m"
-    way = f"the flight spans {way_m:.0f} m"
-    drop = f"the pressure changes by {drop_pa:.0f} Pa"
+    motion = _Motion.of(roles)
+    climb = motion.climb(LEAST_CLIMB_M)
+    climb_of_air = motion.climb(LEAST_CLIMB_OF_AIR_M)
+    drop = motion.drop()
+    moved = motion.way() or climb  # where the way is long, one of latitude and longitude changes
+    return (
+        *_constant_column(roles, "pressure", "pressure_pa", climb),
+        *_constant_column(roles, "temperature", "temperature_k", climb_of_air),
+        *_constant_column(roles, "height", _height_column(roles), drop),
+        *_constant_column(roles, "position", "lat_rad", moved or drop),
+        *_constant_column(roles, "position", "lon_rad", moved or drop),
+        *_constant_attitude(roles.get("attitude"), moved),
+    )
 
-    notes: list[Message] = []
-    if climb_m >= LEAST_CLIMB_M:
-        notes += _constant_column(roles, "pressure", "pressure_pa", climb)
-    if climb_m >= LEAST_CLIMB_OF_AIR_M:
-        notes += _constant_column(roles, "temperature", "temperature_k", climb)
-    if drop_pa >= LEAST_PRESSURE_PA and height_column is not None:
-        notes += _constant_column(roles, "height", height_column, drop)
-    for column in ("lat_rad", "lon_rad"):
-        if way_m >= LEAST_WAY_M:  # then the other one changes
-            notes += _constant_column(roles, "position", column, way)
-        elif climb_m >= LEAST_CLIMB_M or drop_pa >= LEAST_PRESSURE_PA:
-            notes += _constant_column(
-                roles, "position", column, climb if climb_m >= LEAST_CLIMB_M else drop
-            )
-    if way_m >= LEAST_WAY_M or climb_m >= LEAST_CLIMB_M:
-        notes += _constant_attitude(roles.get("attitude"), way if way_m >= LEAST_WAY_M else climb)
-    return tuple(notes)
+
+def _height_column(roles: Mapping[str, Channel]) -> str:
+    """The column with the heights of a flight; empty without any."""
+    height = roles.get("height")
+    if height is None:
+        return ""
+    return height.height_column or ""
 
 
 def _constant_column(roles: Mapping[str, Channel], role: str, column: str, moved: str) -> Notes:
     """A finding if all known values of a role's column are equal to the last digit."""
     known = _known(roles, role, column)
-    if known.size < FEWEST_SAMPLES or not bool(np.all(known == known[0])):
+    if not moved or known.size < FEWEST_SAMPLES or not bool(np.all(known == known[0])):
         return ()
     value = float(known[0])
     if column.endswith("_rad"):
@@ -77,7 +112,7 @@ def _constant_column(roles: Mapping[str, Channel], role: str, column: str, moved
 
 def _constant_attitude(attitude: Channel | None, moved: str) -> Notes:
     """A finding if an angle of the aircraft never changes. A gimbal may hold an angle."""
-    if attitude is None or is_of_gimbal(attitude.source.message):
+    if not moved or attitude is None or is_of_gimbal(attitude.source.message):
         return ()
     angles = _angles_of(attitude)
     if angles.shape[0] < FEWEST_SAMPLES:
@@ -94,7 +129,10 @@ def _constant_attitude(attitude: Channel | None, moved: str) -> Notes:
 def _angles_of(attitude: Channel) -> Array:
     """(m, 3) roll, pitch and yaw [rad] of known attitudes, of a long channel evenly chosen ones."""
     step = -(-len(attitude) // MOST_ROWS)
-    w, x, y, z = (attitude[f"q_{axis}"][::step] for axis in "wxyz")
+    w = attitude["q_w"][::step]
+    x = attitude["q_x"][::step]
+    y = attitude["q_y"][::step]
+    z = attitude["q_z"][::step]
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x**2 + y**2))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2))
@@ -116,11 +154,6 @@ def _known(roles: Mapping[str, Channel], role: str, column: str) -> Array:
         return np.empty(0)
     values = channel[column]
     return np.asarray(values[np.isfinite(values)])
-
-
-def _span(roles: Mapping[str, Channel], role: str, column: str) -> float:
-    """The highest minus the lowest value of a column of a role's channel; 0 without any."""
-    return _spread(_known(roles, role, column))
 
 
 def _spread(values: Array) -> float:

@@ -212,7 +212,7 @@ def channels_of(
     channels = []
     limit = SeriesLimit()
     for message, spec in MESSAGES.items():
-        for rows in _rows_of_message(message, spec, tables, clock, ledger, limit):
+        for rows in _rows_of_message(message, spec, tables, clock, ledger, limit=limit):
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
@@ -242,6 +242,7 @@ def _rows_of_message(
     tables: dict[str, Table],
     clock: BootClock,
     ledger: Ledger,
+    *,
     limit: SeriesLimit,
 ) -> Iterator[DecodedRows]:
     """The rows of each instance of a message, as channels are built from them.
@@ -267,13 +268,10 @@ def _rows_of_message(
     del table[PLACE]
     values = extract(table, spec.columns, copy_rows, used_up=table)  # fields are freed one by one
     del table  # with the fields that no column is made of
-    distinct_instances, counts = np.unique(instance, return_counts=True)
-    rows_of = dict(zip(distinct_instances.tolist(), counts.tolist(), strict=True))
+    distinct_instances = np.unique(instance)
     if not is_named and not spec.event:  # a name or an exposure may rightly come once
         distinct_instances = _without_stray_instances(message, instance, ledger)
-    for number in distinct_instances.tolist():
-        if not limit.admits(rows_of[number]):
-            continue
+    for number in limit.admitted(distinct_instances.tolist(), instance):
         has_label = is_named or number >= 0  # -1 is of messages without instances
         label = str(number) if has_label else None
         name = f"{message}[{label}]" if has_label else message

@@ -174,9 +174,10 @@ def _series_of_message(
     field = message_of_name()[message_of_key(keys[0])].instance_field
     for sender, instance, rows in _rows_by_group(store, field):
         group = (sender, instance)
-        if group not in series_of_group:
-            if not limit.admits(rows.shape[0]):
-                continue
+        is_new = group not in series_of_group
+        if is_new and not limit.admits(rows.shape[0]):
+            continue
+        if is_new:
             label = None if instance is None else label_of(instance)
             series_of_group[group] = [_Series(key, sender, label) for key in keys]
         for series in series_of_group[group]:
