@@ -5,7 +5,12 @@ holds: docs/pages/limits.md states the budget. What is beyond a limit is refused
 loss (LOG-TOO-LARGE).
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from unbend.ingest import messages
 from unbend.messages import Ledger
@@ -45,6 +50,14 @@ class SeriesLimit:
             return True
         self.dropped += rows
         return False
+
+    def admitted(self, values: Sequence[Any], column: NDArray[Any]) -> Iterator[Any]:
+        """The values of a column, each of which is a series, that may be read."""
+        distinct, counts = np.unique(column, return_counts=True)
+        rows_of_value = dict(zip(distinct.tolist(), counts.tolist(), strict=True))
+        for value in values:
+            if self.admits(rows_of_value[value]):
+                yield value
 
     def report(self, ledger: Ledger, file: str) -> None:
         """Enter the messages of series that are not read."""

@@ -5,7 +5,7 @@ a receiver cannot show that it is stuck itself.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,26 +30,42 @@ MOST_ROWS = 20_000  # of a long channel, evenly taken
 _ANGLES = ("roll", "pitch", "yaw")
 
 
-class _Motion(NamedTuple):
-    """How far a flight moved, by each kind of sensor; 0 where no sensor shows it."""
+@dataclass(frozen=True)
+class _Motion:
+    """How far a flight went over the ground, how high, and by how much its pressure changed.
 
-    climb_m: float  # span of the heights
-    way_m: float  # extent over the ground
-    drop_pa: float  # span of the pressures
+    The functions say so in words; they are empty where that is too little.
+    """
 
-    @property
-    def climb(self) -> str:
-        """The climb in words."""
-        return f"the heights span {self.climb_m:.0f} m"
+    way_m: float
+    climb_m: float
+    drop_pa: float
 
-    @property
+    @classmethod
+    def of(cls, roles: Mapping[str, Channel]) -> "_Motion":
+        """The motion that the channels of a flight show."""
+        return cls(
+            way_m=_way(roles.get("position")),
+            climb_m=_spread(_known(roles, "height", _height_column(roles))),
+            drop_pa=_spread(_known(roles, "pressure", "pressure_pa")),
+        )
+
     def way(self) -> str:
-        """The way over the ground in words."""
+        """The way over the ground."""
+        if self.way_m < LEAST_WAY_M:
+            return ""
         return f"the flight spans {self.way_m:.0f} m"
 
-    @property
+    def climb(self, least_m: float) -> str:
+        """The climb, if it is at least so large."""
+        if self.climb_m < least_m:
+            return ""
+        return f"the heights span {self.climb_m:.0f} m"
+
     def drop(self) -> str:
-        """The change of the pressure in words."""
+        """The change of pressure."""
+        if self.drop_pa < LEAST_PRESSURE_PA:
+            return ""
         return f"the pressure changes by {self.drop_pa:.0f} Pa"
 
 
@@ -58,50 +74,33 @@ def constant_sensors(roles: Mapping[str, Channel]) -> Notes:
 
     ``roles``: the channel of each, with plausible samples only.
     """
-    height = roles.get("height")
-    height_column = "" if height is None else height.height_column or ""
-    motion = _Motion(
-        climb_m=_span(roles, "height", height_column),
-        way_m=_way(roles.get("position")),
-        drop_pa=_span(roles, "pressure", "pressure_pa"),
+    motion = _Motion.of(roles)
+    climb = motion.climb(LEAST_CLIMB_M)
+    climb_of_air = motion.climb(LEAST_CLIMB_OF_AIR_M)
+    drop = motion.drop()
+    moved = motion.way() or climb  # where the way is long, one of latitude and longitude changes
+    return (
+        *_constant_column(roles, "pressure", "pressure_pa", climb),
+        *_constant_column(roles, "temperature", "temperature_k", climb_of_air),
+        *_constant_column(roles, "height", _height_column(roles), drop),
+        *_constant_column(roles, "position", "lat_rad", moved or drop),
+        *_constant_column(roles, "position", "lon_rad", moved or drop),
+        *_constant_attitude(roles.get("attitude"), moved),
     )
-    notes: list[Message] = []
-    if motion.climb_m >= LEAST_CLIMB_M:
-        notes += _constant_column(roles, "pressure", "pressure_pa", motion.climb)
-    if motion.climb_m >= LEAST_CLIMB_OF_AIR_M:
-        notes += _constant_column(roles, "temperature", "temperature_k", motion.climb)
-    if motion.drop_pa >= LEAST_PRESSURE_PA:
-        notes += _constant_column(roles, "height", height_column, motion.drop)
-    notes += _constant_position(roles, motion)
-    if motion.way_m >= LEAST_WAY_M:
-        notes += _constant_attitude(roles.get("attitude"), motion.way)
-    elif motion.climb_m >= LEAST_CLIMB_M:
-        notes += _constant_attitude(roles.get("attitude"), motion.climb)
-    return tuple(notes)
 
 
-def _constant_position(roles: Mapping[str, Channel], motion: _Motion) -> Notes:
-    """A finding if latitude or longitude never changes, and the other one or a climb shows motion.
-
-    A flight along a meridian changes its longitude in the last digits, too.
-    """
-    if motion.way_m >= LEAST_WAY_M:
-        moved = motion.way
-    elif motion.climb_m >= LEAST_CLIMB_M:
-        moved = motion.climb
-    elif motion.drop_pa >= LEAST_PRESSURE_PA:
-        moved = motion.drop
-    else:
-        return ()
-    latitude = _constant_column(roles, "position", "lat_rad", moved)
-    longitude = _constant_column(roles, "position", "lon_rad", moved)
-    return (*latitude, *longitude)
+def _height_column(roles: Mapping[str, Channel]) -> str:
+    """The column with the heights of a flight; empty without any."""
+    height = roles.get("height")
+    if height is None:
+        return ""
+    return height.height_column or ""
 
 
 def _constant_column(roles: Mapping[str, Channel], role: str, column: str, moved: str) -> Notes:
     """A finding if all known values of a role's column are equal to the last digit."""
     known = _known(roles, role, column)
-    if known.size < FEWEST_SAMPLES or not bool(np.all(known == known[0])):
+    if not moved or known.size < FEWEST_SAMPLES or not bool(np.all(known == known[0])):
         return ()
     value = float(known[0])
     if column.endswith("_rad"):
@@ -113,20 +112,18 @@ def _constant_column(roles: Mapping[str, Channel], role: str, column: str, moved
 
 def _constant_attitude(attitude: Channel | None, moved: str) -> Notes:
     """A finding if an angle of the aircraft never changes. A gimbal may hold an angle."""
-    if attitude is None or is_of_gimbal(attitude.source.message):
+    if not moved or attitude is None or is_of_gimbal(attitude.source.message):
         return ()
     angles = _angles_of(attitude)
     if angles.shape[0] < FEWEST_SAMPLES:
         return ()
     stuck = []
     for name, angle_rad in zip(_ANGLES, angles.T, strict=True):
-        from_first_rad = np.abs(wrapped(angle_rad - angle_rad[0]))
-        if bool(np.all(from_first_rad < EQUAL_RAD)):
+        if bool(np.all(np.abs(wrapped(angle_rad - angle_rad[0])) < EQUAL_RAD)):
             stuck.append(f"{name} = {np.degrees(angle_rad[0]):.2f}°")
     if not stuck:
         return ()
-    what = ", ".join(stuck)
-    return (_finding(attitude, "attitude", what, len(attitude), moved),)
+    return (_finding(attitude, "attitude", ", ".join(stuck), len(attitude), moved),)
 
 
 def _angles_of(attitude: Channel) -> Array:
@@ -136,15 +133,9 @@ def _angles_of(attitude: Channel) -> Array:
     x = attitude["q_x"][::step]
     y = attitude["q_y"][::step]
     z = attitude["q_z"][::step]
-    # The elements of the rotation matrix that the angles follow from.
-    r_32 = 2.0 * (w * x + y * z)
-    r_33 = 1.0 - 2.0 * (x**2 + y**2)
-    r_31 = 2.0 * (z * x - w * y)
-    r_21 = 2.0 * (w * z + x * y)
-    r_11 = 1.0 - 2.0 * (y**2 + z**2)
-    roll = np.arctan2(r_32, r_33)
-    pitch = np.arcsin(np.clip(-r_31, -1.0, 1.0))
-    yaw = np.arctan2(r_21, r_11)
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x**2 + y**2))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2))
     angles = np.stack([roll, pitch, yaw], axis=1)
     return np.asarray(angles[np.abs(pitch) < MOST_PITCH_RAD])
 
@@ -165,11 +156,6 @@ def _known(roles: Mapping[str, Channel], role: str, column: str) -> Array:
     return np.asarray(values[np.isfinite(values)])
 
 
-def _span(roles: Mapping[str, Channel], role: str, column: str) -> float:
-    """The highest minus the lowest value of a column of a role's channel; 0 without any."""
-    return _spread(_known(roles, role, column))
-
-
 def _spread(values: Array) -> float:
     """The highest minus the lowest of values, without single wrong ones; 0 without any."""
     if not values.size:
@@ -187,12 +173,8 @@ def _way(position: Channel | None) -> float:
     known = np.isfinite(lat_rad + lon_rad)
     if not known.any():
         return 0.0
-    known_lat_rad = lat_rad[known]
-    known_lon_rad = lon_rad[known]
-    latitude_rad = float(np.median(known_lat_rad))
-    meridian_m, prime_vertical_m = principal_radii(latitude_rad)
-    north_m = _spread(known_lat_rad) * meridian_m
-    from_first_rad = wrapped(known_lon_rad - known_lon_rad[0])
-    parallel_m = prime_vertical_m * np.cos(latitude_rad)
-    east_m = _spread(from_first_rad) * parallel_m
+    meridian_m, prime_vertical_m = principal_radii(float(np.median(lat_rad[known])))
+    north_m = _spread(lat_rad[known]) * meridian_m
+    from_first_rad = wrapped(lon_rad[known] - lon_rad[known][0])
+    east_m = _spread(from_first_rad) * prime_vertical_m * np.cos(np.median(lat_rad[known]))
     return max(float(north_m), float(east_m))

@@ -212,7 +212,7 @@ def channels_of(
     channels = []
     limit = SeriesLimit()
     for message, spec in MESSAGES.items():
-        for rows in _rows_of_message(message, spec, tables, clock, ledger=ledger, limit=limit):
+        for rows in _rows_of_message(message, spec, tables, clock, ledger, limit=limit):
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
@@ -233,8 +233,7 @@ def _row_times(table: Table, clock: BootClock) -> _RowTimes:
     places = table[PLACE]
     utc_ns = clock.utc(places, nanoseconds(table["TimeUS"]))
     boot = clock.line.boot_of(places)
-    good = clock.line.good(places)
-    return _RowTimes(copy_rows(utc_ns), copy_rows(boot), good)
+    return _RowTimes(copy_rows(utc_ns), copy_rows(boot), clock.line.good(places))
 
 
 def _rows_of_message(
@@ -242,8 +241,8 @@ def _rows_of_message(
     spec: MessageMap,
     tables: dict[str, Table],
     clock: BootClock,
-    *,
     ledger: Ledger,
+    *,
     limit: SeriesLimit,
 ) -> Iterator[DecodedRows]:
     """The rows of each instance of a message, as channels are built from them.
@@ -272,7 +271,7 @@ def _rows_of_message(
     distinct_instances = np.unique(instance)
     if not is_named and not spec.event:  # a name or an exposure may rightly come once
         distinct_instances = _without_stray_instances(message, instance, ledger)
-    for number in _admitted(distinct_instances, instance, limit):
+    for number in limit.admitted(distinct_instances.tolist(), instance):
         has_label = is_named or number >= 0  # -1 is of messages without instances
         label = str(number) if has_label else None
         name = f"{message}[{label}]" if has_label else message
@@ -285,13 +284,6 @@ def _rows_of_message(
             columns=values,
         )
         yield _chosen(rows, (instance == number) & times.good)
-
-
-def _admitted(numbers: NDArray[Any], instance: NDArray[Any], limit: SeriesLimit) -> list[Any]:
-    """Those of some instances that may be read, by their numbers of rows."""
-    distinct, counts = np.unique(instance, return_counts=True)
-    count_of = dict(zip(distinct.tolist(), counts.tolist(), strict=True))
-    return [number for number in numbers.tolist() if limit.admits(count_of[number])]
 
 
 def _text_rows(
