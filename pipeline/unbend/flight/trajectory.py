@@ -86,20 +86,32 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
     return Bracket(before, after, fraction, coverage)
 
 
+def nearest_rows(time_ns: TimeArray, stamps: TimeArray) -> Rows:
+    """(m,) rows of the stamps nearest to instants; of equally near ones the later.
+
+    ``stamps`` are one or more, in order.
+
+    >>> nearest_rows(np.array([1, 8, 30]), np.array([5, 10])).tolist()
+    [0, 1, 1]
+    """
+    last_row = stamps.size - 1
+    rows_after = np.searchsorted(stamps, time_ns)
+    after = np.minimum(rows_after, last_row)
+    before = np.maximum(rows_after - 1, 0)
+    to_before = time_ns - stamps[before]
+    to_after = stamps[after] - time_ns
+    return np.asarray(np.where(to_before < to_after, before, after))
+
+
 def ns_to_nearest(time_ns: TimeArray, stamps: TimeArray) -> TimeArray:
     """(m,) nanoseconds from instants to the nearest of stamps, one or more, which are in order.
 
     >>> ns_to_nearest(np.array([1, 8, 30]), np.array([5, 10])).tolist()
     [4, 2, 20]
     """
-    last = stamps.size - 1
-    after = np.searchsorted(stamps, time_ns)
-    after = np.minimum(after, last)
-    before = np.maximum(after - 1, 0)
-    since_before = time_ns - stamps[before]
-    until_after = stamps[after] - time_ns
-    nearest = np.minimum(np.abs(since_before), np.abs(until_after))
-    return np.asarray(nearest)
+    rows = nearest_rows(time_ns, stamps)
+    apart_ns = time_ns - stamps[rows]
+    return np.asarray(np.abs(apart_ns))
 
 
 def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float) -> Array:

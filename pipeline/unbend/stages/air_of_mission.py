@@ -25,7 +25,7 @@ from unbend.atmosphere.series.profile_series import (
 from unbend.atmosphere.series.profiles_by_place import add_model_changes
 from unbend.atmosphere.series.time_windows import TimeWindow, estimate_windows
 from unbend.config import Mission
-from unbend.flight.stations import NO_TIME, Stations
+from unbend.flight.stations import NO_TIME, Stations, middle_time_ns
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.refraction.effect import FlightAir, effects_on_r
@@ -35,7 +35,6 @@ from unbend.stages.air_sources import (
     ModelAir,
     constant_ground_m,
     index_of,
-    middle_exposure_ns,
 )
 from unbend.units import Integers
 
@@ -137,7 +136,7 @@ def profiles_in_time(
         sampled_at=None if model is None else model.place,
     )
     series = constant_series(whole_flight, len(stations))
-    middle_ns = middle_exposure_ns(stations)
+    middle_ns = middle_time_ns(stations.time_ns)
     if middle_ns is not None:
         is_timed = stations.ok & (stations.time_ns != NO_TIME)
         times_ns = np.where(is_timed, stations.time_ns, middle_ns)

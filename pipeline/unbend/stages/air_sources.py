@@ -22,7 +22,7 @@ from unbend.atmosphere.soundings.model_field import ModelField, model_column
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection, SurfaceSection
-from unbend.flight.stations import NO_TIME, Stations, middle_time_ns
+from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.stages import messages
@@ -473,11 +473,6 @@ def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:
         if heights.size:
             lowest.append(float(heights.min()))
     return min(lowest, default=home_h_msl_m or 0.0)
-
-
-def middle_exposure_ns(stations: Stations) -> int | None:
-    """The time of the middle exposure [Unix ns]; None where no exposure has a time."""
-    return middle_time_ns(stations.time_ns)
 
 
 def index_of(section: AtmosphereSection) -> IndexModel:

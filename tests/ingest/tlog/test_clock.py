@@ -12,7 +12,7 @@ import pytest
 from tests.logs import LOGS, at_hand
 from unbend.ingest import Log, open_log
 from unbend.ingest.tlog.clock_samples import Sampler
-from unbend.ingest.tlog.sender_clocks import NEAR_NS, ROUND_US, unrolled
+from unbend.ingest.tlog.sender_clocks import NEAR_NS, WRAP_OF_US_NS, unrolled
 
 SECOND = 10**9
 START_US = 1_700_000_000_000_000
@@ -292,17 +292,17 @@ def test_signed_messages(tmp_path: Path, flip: bool) -> None:
 @pytest.mark.parametrize("ahead_s", [-59, -1, 0, 1, 59])
 def test_a_wrapped_stamp_is_completed_near_the_senders_clock(turns: int, ahead_s: int) -> None:
     """A count of microseconds of 32 bits wraps after 4294.967296 s."""
-    assert ROUND_US == 4_294_967_296_000
-    clock_ns = np.array([turns * ROUND_US + 100 * 10**9])
+    assert WRAP_OF_US_NS == 4_294_967_296_000
+    clock_ns = np.array([turns * WRAP_OF_US_NS + 100 * 10**9])
     stamp_ns = np.array([(100 + ahead_s) * 10**9])
-    expected = stamp_ns + turns * ROUND_US
-    np.testing.assert_array_equal(unrolled(stamp_ns, clock_ns, ROUND_US), expected)
+    expected = stamp_ns + turns * WRAP_OF_US_NS
+    np.testing.assert_array_equal(unrolled(stamp_ns, clock_ns, WRAP_OF_US_NS), expected)
 
 
 def test_a_stamp_far_from_the_senders_clock_is_left() -> None:
-    clock_ns = np.array([ROUND_US + 100 * 10**9])
+    clock_ns = np.array([WRAP_OF_US_NS + 100 * 10**9])
     stamp_ns = np.array([100 * 10**9 + NEAR_NS + 1])
-    assert unrolled(stamp_ns, clock_ns, ROUND_US).tolist() == stamp_ns.tolist()
+    assert unrolled(stamp_ns, clock_ns, WRAP_OF_US_NS).tolist() == stamp_ns.tolist()
 
 
 REPOSITORY = Path(__file__).resolve().parents[3]

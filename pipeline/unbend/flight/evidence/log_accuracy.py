@@ -8,8 +8,15 @@ import numpy as np
 
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.mount import is_of_gimbal
-from unbend.flight.trajectory import RATES, VELOCITY, interpolate, ns_to_nearest, with_slopes
-from unbend.units import NANOSECONDS_PER_SECOND, Array, Rows
+from unbend.flight.trajectory import (
+    RATES,
+    VELOCITY,
+    interpolate,
+    nearest_rows,
+    ns_to_nearest,
+    with_slopes,
+)
+from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 # An innovation whose ratio to its gate is 1 is five sigmas (EK3_POS_I_GATE 500 and its like) of
 # what ArduPilot's filter takes for the noise of a measurement by default: EK3_POSNE_M_NSE,
@@ -174,7 +181,7 @@ def _reported_variances(source: Channel, time_ns: TimeArray) -> _PositionVarianc
 
     More than `USUAL_INTERVAL_S` away from that sample a filter has drifted.
     """
-    row = _nearest_row(source, time_ns)
+    row = nearest_rows(time_ns, source.time_ns)
     away_s = _seconds_to_nearest(source, time_ns)
     drift_m = DRIFT_M_S * np.maximum(away_s - USUAL_INTERVAL_S, 0.0)
     horizontal_m = _reported_sigma(source, "sigma_h_m", HORIZONTAL_RANGES)
@@ -214,17 +221,6 @@ def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Arr
     by_hdop = ranges_per_hdop * RANGE_ERROR_M * source.get("hdop")
     sigma = source.get(column)
     return np.where(np.isfinite(sigma), sigma, by_hdop)
-
-
-def _nearest_row(channel: Channel, time_ns: TimeArray) -> Rows:
-    """(m,) rows of the samples nearest to instants; of equally near ones the later."""
-    last_row = len(channel) - 1
-    rows_after = np.searchsorted(channel.time_ns, time_ns)
-    after = np.minimum(rows_after, last_row)
-    before = np.maximum(rows_after - 1, 0)
-    to_before = time_ns - channel.time_ns[before]
-    to_after = channel.time_ns[after] - time_ns
-    return np.asarray(np.where(to_before < to_after, before, after))
 
 
 class _Scatter(NamedTuple):

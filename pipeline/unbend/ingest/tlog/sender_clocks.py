@@ -33,7 +33,7 @@ from unbend.messages import Ledger
 from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows
 
 WRAP_OF_MS_NS = (1 << 32) * MILLISECOND  # [ns] 49.7 days: a 32-bit count of milliseconds runs over
-ROUND_US = (1 << 32) * MICROSECOND  # [ns] 71.6 minutes: one of microseconds
+WRAP_OF_US_NS = (1 << 32) * MICROSECOND  # [ns] 71.6 minutes: one of microseconds
 
 
 class ClockField(NamedTuple):
@@ -45,7 +45,7 @@ class ClockField(NamedTuple):
 
 CLOCK_FIELDS: Mapping[str, ClockField] = {
     "time_boot_ms": ClockField(MILLISECOND, WRAP_OF_MS_NS),
-    "time_usec": ClockField(MICROSECOND, ROUND_US),
+    "time_usec": ClockField(MICROSECOND, WRAP_OF_US_NS),
 }
 
 # Largest difference of a stamp that wrapped from the sender's clock: exposures are reported up to
@@ -194,7 +194,8 @@ def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn_ns: int) -> TimeArray
 
     Turns are added where the result is within `NEAR_NS` of the sender's clock, ``near_ns``.
 
-    >>> unrolled(np.array([5 * 10**9]), np.array([ROUND_US + 4 * 10**9]), ROUND_US) - ROUND_US
+    >>> clock_ns = np.array([WRAP_OF_US_NS + 4 * 10**9])
+    >>> unrolled(np.array([5 * 10**9]), clock_ns, WRAP_OF_US_NS) - WRAP_OF_US_NS
     array([5000000000])
     """
     behind_ns = near_ns - stamp_ns
