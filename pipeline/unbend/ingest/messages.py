@@ -361,9 +361,9 @@ def too_many_fields(*, count: int, most: int) -> LogError:
     """The formats of a PX4 log nest more fields than any message has bytes."""
     return LogError(
         LOG_TOO_LARGE,
-        "its formats have {count} fields or more; at most {most} are read",
+        "its formats have {fields} or more; at most {most} are read",
         remedy="copy the log again",
-        count=count,
+        fields=Counted(count, "field"),
         most=most,
     )
 

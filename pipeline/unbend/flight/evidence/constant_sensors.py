@@ -13,7 +13,7 @@ from unbend.flight.channels import Channel
 from unbend.flight.evidence import messages
 from unbend.flight.mount import is_of_gimbal
 from unbend.geodesy import principal_radii, wrapped
-from unbend.messages import Message, Notes
+from unbend.messages import Notes
 from unbend.units import Array
 
 FEWEST_SAMPLES = 20  # fewer may be equal by chance
@@ -102,12 +102,22 @@ def _constant_column(roles: Mapping[str, Channel], role: str, column: str, moved
     known = _known(roles, role, column)
     if not moved or known.size < FEWEST_SAMPLES or not bool(np.all(known == known[0])):
         return ()
-    value = float(known[0])
+    finding = messages.sensor_constant(
+        channel=roles[role].name,
+        role=role,
+        what=_value_in_words(column, float(known[0])),
+        count=known.size,
+        moved=moved,
+    )
+    return (finding,)
+
+
+def _value_in_words(column: str, value: float) -> str:
+    """A value as a message quotes it: angles in degrees, the rest in the column's unit."""
     if column.endswith("_rad"):
-        what = f"{column.removesuffix('_rad')} = {np.degrees(value):.7f}°"
-    else:
-        what = f"{column} = {value:.8g}"
-    return (_finding(roles[role], role, what, known.size, moved),)
+        angle = column.removesuffix("_rad")
+        return f"{angle} = {np.degrees(value):.7f}°"
+    return f"{column} = {value:.8g}"
 
 
 def _constant_attitude(attitude: Channel | None, moved: str) -> Notes:
@@ -119,11 +129,20 @@ def _constant_attitude(attitude: Channel | None, moved: str) -> Notes:
         return ()
     stuck = []
     for name, angle_rad in zip(_ANGLES, angles.T, strict=True):
-        if bool(np.all(np.abs(wrapped(angle_rad - angle_rad[0])) < EQUAL_RAD)):
-            stuck.append(f"{name} = {np.degrees(angle_rad[0]):.2f}°")
+        from_first_rad = wrapped(angle_rad - angle_rad[0])
+        if np.abs(from_first_rad).max() < EQUAL_RAD:
+            first_deg = np.degrees(angle_rad[0])
+            stuck.append(f"{name} = {first_deg:.2f}°")
     if not stuck:
         return ()
-    return (_finding(attitude, "attitude", ", ".join(stuck), len(attitude), moved),)
+    finding = messages.sensor_constant(
+        channel=attitude.name,
+        role="attitude",
+        what=", ".join(stuck),
+        count=len(attitude),
+        moved=moved,
+    )
+    return (finding,)
 
 
 def _angles_of(attitude: Channel) -> Array:
@@ -138,13 +157,6 @@ def _angles_of(attitude: Channel) -> Array:
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2))
     angles = np.stack([roll, pitch, yaw], axis=1)
     return np.asarray(angles[np.abs(pitch) < MOST_PITCH_RAD])
-
-
-def _finding(channel: Channel, role: str, what: str, count: int, moved: str) -> Message:
-    """The finding of a channel in a role."""
-    return messages.sensor_constant(
-        channel=channel.name, role=role, what=what, count=count, moved=moved
-    )
 
 
 def _known(roles: Mapping[str, Channel], role: str, column: str) -> Array:

@@ -42,9 +42,7 @@ def channels_of(
 
     The messages are removed from ``sent``, so that memory does not hold them twice.
     """
-    keys_of_message: dict[str, list[str]] = {}
-    for key in MESSAGES:
-        keys_of_message.setdefault(message_of_key(key), []).append(key)
+    keys_of_message = _keys_of_messages()
     channels = []
     limit = SeriesLimit()
     for message, keys in keys_of_message.items():
@@ -62,6 +60,14 @@ def channels_of(
         systems = _systems_with_height(channels)
         parameters = _last_values(sent[PARAM_VALUE].whole(), systems)
     return with_both_heights(channels, parameters, ledger, PARAM_VALUE), parameters
+
+
+def _keys_of_messages() -> dict[str, list[str]]:
+    """The keys of MESSAGES that read each message."""
+    keys_of_message: dict[str, list[str]] = {}
+    for key in MESSAGES:
+        keys_of_message.setdefault(message_of_key(key), []).append(key)
+    return keys_of_message
 
 
 def _rows_of_series(series: "_Series", ledger: Ledger) -> DecodedRows:
@@ -170,18 +176,7 @@ def _series_of_message(
     keys: list[str], store: ColumnStore, clocks: Clocks, limit: SeriesLimit
 ) -> list[_Series]:
     """The series of one message, for each key, sender and instance; the store is emptied."""
-    series_of_group: dict[tuple[Sender, Any], list[_Series]] = {}  # the instance as sent, or None
-    field = message_of_name()[message_of_key(keys[0])].instance_field
-    for sender, instance, rows in _rows_by_group(store, field):
-        group = (sender, instance)
-        is_new = group not in series_of_group
-        if is_new and not limit.admits(rows.shape[0]):
-            continue
-        if is_new:
-            label = None if instance is None else label_of(instance)
-            series_of_group[group] = [_Series(key, sender, label) for key in keys]
-        for series in series_of_group[group]:
-            series.add(rows, clocks)
+    series_of_group = _series_by_group(keys, store, clocks, limit)
     all_series: list[_Series] = []
     for group in sorted(series_of_group):
         all_series += series_of_group[group]
@@ -189,6 +184,27 @@ def _series_of_message(
     if len(senders) > 1:
         _add_senders_to_names(all_series)
     return all_series
+
+
+def _series_by_group(
+    keys: list[str], store: ColumnStore, clocks: Clocks, limit: SeriesLimit
+) -> dict[tuple[Sender, Any], list[_Series]]:
+    """The series of each sender and instance; the instance is as sent, or None.
+
+    Groups beyond the limit have none.
+    """
+    series_of_group: dict[tuple[Sender, Any], list[_Series]] = {}
+    field = message_of_name()[message_of_key(keys[0])].instance_field
+    for sender, instance, rows in _rows_by_group(store, field):
+        group = (sender, instance)
+        if group not in series_of_group:
+            if not limit.admits(rows.shape[0]):
+                continue
+            label = None if instance is None else label_of(instance)
+            series_of_group[group] = [_Series(key, sender, label) for key in keys]
+        for series in series_of_group[group]:
+            series.add(rows, clocks)
+    return series_of_group
 
 
 def _add_senders_to_names(all_series: list[_Series]) -> None:
