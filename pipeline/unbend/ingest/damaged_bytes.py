@@ -14,7 +14,7 @@ class DamagedBytes:
     bad_bytes : how many lie between messages.
     first_bad : the place of the first of these, -1 without any.
     cut_bytes : those of a last message that the end of the file cuts off.
-    places : at how many places bytes were dropped.
+    places : at how many places the next message had to be searched.
     unread_from : the place from which on the file is not read; -1 where all of it is.
     """
 
@@ -27,9 +27,13 @@ class DamagedBytes:
     def drop(self, begin: int, end: int) -> None:
         """Count the bytes of the file from ``begin`` to ``end``, which belong to no message."""
         self.bad_bytes += end - begin
-        self.places += 1
         if self.first_bad < 0:
             self.first_bad = begin
+
+    def drop_searched(self, begin: int, end: int) -> None:
+        """Count bytes behind which the next message was found by a search, which takes time."""
+        self.drop(begin, end)
+        self.places += 1
 
     def is_hopeless(self, size: int) -> bool:
         """Whether a file of so many bytes is damaged at more places than are searched."""

@@ -280,7 +280,7 @@ class RecordWalker(DamagedBytes):
             return self.size
         if includes_last_record:
             self._drop_last_record()
-        self.drop(begin, resumed)
+        self.drop_searched(begin, resumed)
         return resumed
 
     def _record_before_is_damaged(self, at: int) -> bool:

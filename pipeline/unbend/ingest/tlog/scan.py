@@ -237,7 +237,7 @@ class Scan(DamagedBytes):
             if places:
                 # The length of the last frame may be damaged: it counts to the bytes of no message.
                 end = places.pop()
-            self.drop(end, stop)
+            self.drop_searched(end, stop)
         window = _padded(self._data.array(begin, end))
         frames = headers(window, np.array(places, np.int64) - begin, end - begin).moved(begin)
         self._count_rejected(frames)

@@ -358,11 +358,11 @@ class ULogMessages(DamagedBytes):
             return resumed
         resumed = self._next_linked(begin + 1)
         if resumed < self._data.size:
-            self.drop(begin, resumed)
+            self.drop_searched(begin, resumed)
         elif self._is_cut_message(begin):
             self.cut_bytes = self._data.size - begin
         else:
-            self.drop(begin, self._data.size)
+            self.drop_searched(begin, self._data.size)
         return resumed
 
     def _next_linked(self, begin: int) -> int:
