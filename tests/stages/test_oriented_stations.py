@@ -652,7 +652,7 @@ def test_intersected_heights_are_compared_with_those_given(crossing):
 
 @pytest.mark.parametrize(
     ("change", "code"),
-    [({"latitude": 0.0, "longitude": 0.0}, "ORIENTATION-FAR"),
+    [({"latitude": 1.0, "longitude": 0.0}, "ORIENTATION-FAR"),
      ({"height": 34_990.0}, "ORIENTATION-HEIGHT")],
 )  # fmt: skip
 def test_a_single_image_that_is_elsewhere_is_a_loss(crossing, change, code):
@@ -662,3 +662,12 @@ def test_a_single_image_that_is_elsewhere_is_a_loss(crossing, change, code):
     assert (told[code].kind, told[code].count) == ("loss", 1)
     assert table["image"][3] in told[code].what
     assert told["ORIENTATION-TIES"].kind == "note"
+
+
+def test_an_image_at_zero_zero_has_no_position(crossing):
+    """Latitude and longitude are both 0 where a camera had no fix."""
+    table = columns_of(crossing[2])
+    table.loc[3, ["latitude", "longitude"]] = 0.0
+    told = ledger_of(crossing, table)
+    assert (told["STATIONS-FLAGGED"].kind, told["STATIONS-FLAGGED"].count) == ("loss", 1)
+    assert table["image"][3] in told["STATIONS-FLAGGED"].what

@@ -374,8 +374,12 @@ def test_the_manifest_has_the_numbers_of_the_figures(baseline):
         size = np.hypot(*shift)
         bins = sizes["histogram_px"]
         assert sum(bins["counts"]) == sum(sizes["histogram_m"]["counts"]) == len(of)
-        counted = np.histogram(size, bins["step"] * np.arange(len(bins["counts"]) + 1))[0]
-        assert np.abs(counted - bins["counts"]).sum() <= 2  # a bin's edge is good to 0.25 %
+        in_steps = size / bins["step"]
+        counted = np.histogram(in_steps, np.arange(len(bins["counts"]) + 1))[0]
+        # Edges are good to 0.25 %: a size that is nearer to one may be counted in either bin.
+        at_an_edge = np.abs(in_steps - np.round(in_steps)) < 0.0025 * in_steps
+        assert np.abs(counted - bins["counts"]).sum() <= 2 * at_an_edge.sum()
+        assert at_an_edge.mean() < 0.3
         budget = manifest["sigma_budget"][name]
         together = np.zeros(len(of))
         for part in ("air", "station", "cabin"):

@@ -366,6 +366,7 @@ def outside_facts(camera, x_px, *, direction="remove", normal=(0.0, 0.0, 1.0)):
     )  # fmt: skip
     mission = SimpleNamespace(
         cameras={"nadir": SimpleNamespace(model=None, metric=None)},
+        windows={"nadir": SimpleNamespace(section="window")},
         refraction=SimpleNamespace(direction=direction),
     )
     rows = SimpleNamespace(

@@ -110,8 +110,10 @@ def test_without_sensors_the_air_is_the_models(modelled):
     assert air.is_measured
     assert air.reason == NAME
     right = true_factor(450.0, 2950.0)
-    assert factor(air.profile, 450.0, 2950.0) == pytest.approx(right, rel=0.02)
-    assert 0.015 < air.covariance.relative_sigma(2950.0, 450.0) < 0.06
+    relative_sigma = air.covariance.relative_sigma(2950.0, 450.0)
+    assert 0.015 < relative_sigma < 0.05
+    # An analysis is good to 2 K near the ground: the climatology draws it 1.8 K to its own side.
+    assert factor(air.profile, 450.0, 2950.0) == pytest.approx(right, rel=relative_sigma)
 
 
 def test_one_of_another_day_is_refused(modelled, fields):
