@@ -147,7 +147,8 @@ class DaskExecutor:
                     if lost.others and times < _SUBMISSIONS:
                         submit(mission, times + 1, lost.others)
                     else:
-                        ends.put((mission, Lost(lost.how)))
+                        path = str(mission.path)
+                        ends.put((mission, messages.no_answer(path=path, how=lost.how)))
 
             for mission in tasks:
                 submit(mission, 1)
