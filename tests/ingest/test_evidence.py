@@ -228,9 +228,15 @@ def test_long_texts_of_telemetry_are_joined(tmp_path: Path) -> None:
     assert len(first) == 50
     sender, frames = library.MAVLink(None, 1, 1), []
     texts = (
-        (first.encode(), 7, 0), (b"AHRS: DCM active", 0, 0), (b" its fix", 7, 1),
-        (b", and the baro", 7, 2), (b"GPS Glitch", 0, 0), (b"tail of a text", 8, 1), (b"a" * 50, 9, 0), (b"c" * 9, 9, 2),
-    )  # fmt: skip
+        (first.encode(), 7, 0),
+        (b"AHRS: DCM active", 0, 0),
+        (b" its fix", 7, 1),
+        (b", and the baro", 7, 2),
+        (b"GPS Glitch", 0, 0),
+        (b"tail of a text", 8, 1),
+        (b"a" * 50, 9, 0),
+        (b"c" * 9, 9, 2),
+    )
     for k, (text, number, chunk) in enumerate(texts):
         for message in (
             library.MAVLink_attitude_message(60_000 + 1000 * k, 0, 0, 0, 0, 0, 0),
@@ -243,6 +249,9 @@ def test_long_texts_of_telemetry_are_joined(tmp_path: Path) -> None:
     path.write_bytes(b"".join(frames))
     said = open_log(path).channel("STATUSTEXT").labels["text"]
     assert said == (
-        f"{first} its fix, and the baro", "AHRS: DCM active", "GPS Glitch", "...tail of a text",
+        f"{first} its fix, and the baro",
+        "AHRS: DCM active",
+        "GPS Glitch",
+        "...tail of a text",
         "a" * 50 + "..." + "c" * 9,
-    )  # fmt: skip
+    )
