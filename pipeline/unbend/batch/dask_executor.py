@@ -203,7 +203,8 @@ class _Handout:
             if lost.others and times < _SUBMISSIONS:
                 self._submit(mission, times + 1, lost.others)
             else:
-                self.ends.put((mission, Lost(lost.how)))
+                path = str(mission.path)
+                self.ends.put((mission, messages.no_answer(path=path, how=lost.how)))
 
 
 class _LostTask(NamedTuple):

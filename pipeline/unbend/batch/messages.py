@@ -259,7 +259,7 @@ RUN_SHARD = Code(
 )
 WORKER_LOST = Code(
     "WORKER-LOST",
-    means="The process that ran the mission died twice.",
+    means="The process that ran the mission died twice, or its worker no longer answers.",
     effect="The mission is refused, with the command that repeats it; the others are done.",
     remedy="Repeat it alone. The machine may be short of memory: lower output.batch_rows.",
 )
@@ -305,6 +305,17 @@ def worker_lost(*, path: str, first: str, second: str, replay: str) -> MissionEr
         first=first,
         second=second,
         replay=replay,
+    )
+
+
+def no_answer(*, path: str, how: str) -> MissionError:
+    """The worker of a mission is silent, and no other one can run it; it is not tried again."""
+    return MissionError(
+        WORKER_LOST,
+        "this mission did not end: {how}, and no other worker can run it",
+        where=path,
+        remedy="let the worker go on, or stop it and start another one, then run again",
+        how=how,
     )
 
 
