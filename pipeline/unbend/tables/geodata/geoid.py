@@ -52,7 +52,7 @@ def read_geoid(path: Path) -> GeoidGrid:
             grid = _grid_of_raster(path)
     except (OSError, ValueError) as error:
         raise messages.geoid_unreadable(where=path, error=str(error)) from None
-    known = grid.values_m[np.isfinite(grid.values_m)]
+    known = grid.values_m[~np.isnan(grid.values_m)]
     if known.size == 0:
         raise messages.geoid_without_values(where=path)
     lowest, highest = float(known.min()), float(known.max())
@@ -65,7 +65,9 @@ def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
     if len(content) < _GTX.size:
         raise messages.geoid_header(where=path)
     south, west, d_lat, d_lon, rows, columns = _GTX.unpack_from(content)
-    if not (0 < rows <= 100_000 and 0 < columns <= 100_000 and d_lat > 0.0 and d_lon > 0.0):
+    has_size = 0 < rows <= 100_000 and 0 < columns <= 100_000
+    has_steps = 0.0 < d_lat <= 180.0 and 0.0 < d_lon <= 360.0
+    if not (has_size and has_steps and abs(south) <= 90.0 and abs(west) <= 360.0):
         raise messages.geoid_header(where=path)
     if len(content) != _GTX.size + 4 * rows * columns:
         raise messages.geoid_size(where=path, size=len(content), rows=rows, columns=columns)
