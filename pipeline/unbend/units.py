@@ -35,7 +35,9 @@ VAPOUR_DEFICIT = 0.378
 WGS84_A = 6_378_137.0  # [m]
 WGS84_F = 1.0 / 298.257223563
 
-LARGEST_NUMBER = 1e12  # of a field of any table, in any unit: nothing measured in a survey is larger
+LARGEST_NUMBER = (
+    1e12  # of a field of any table, in any unit: nothing measured in a survey is larger
+)
 LARGEST_COORDINATE_M = 1e8  # eastings with the number of their zone have 3e7, feet three times that
 LARGEST_HEIGHT_M = 100_000.0  # no aircraft is as high; 2**32 - 1 stands for an unknown height
 LARGEST_EXACT = 2.0**53  # of the whole numbers that a float64 holds without a gap

@@ -1,4 +1,4 @@
-"""Inputs beside the log, by kind: how one is written with fields at their limits, and its reader."""
+"""Inputs beside the log by kind: how one is written with fields at their limits, its reader."""
 
 from __future__ import annotations
 
@@ -6,17 +6,26 @@ import random
 import struct
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
+from decimal import Decimal
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pyproj
+import yaml
+from pydantic import BaseModel
+from scipy.io import netcdf_file
 
+from tests.config import test_mission_file as missions
 from tests.dbat_project import write_project
 from tests.faults.extreme_inputs import (
+    WORDS,
     Reader,
+    extreme_fields,
     extreme_number,
     extreme_numbers,
     of_texts,
@@ -24,6 +33,9 @@ from tests.faults.extreme_inputs import (
 )
 from tests.small_block import SmallBlock
 from unbend.atmosphere.surface_report import parse_metar
+from unbend.config import load_mission
+from unbend.config.campaign import open_configs
+from unbend.errors import UnbendError
 from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.geodata.object_points import read_object_points
@@ -41,6 +53,7 @@ from unbend.tables.imports.user_tables import (
 )
 from unbend.tables.observations import open_observations
 from unbend.tables.soundings import read_sounding
+from unbend.tables.weather_files import FlightArea, contents_of, read_model_field
 
 SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "sounding_files"
 ROWS = range(8)
@@ -72,8 +85,6 @@ def trajectory(
     text = table(head, row)
 
     def read(folder: Path) -> object:
-        from dataclasses import replace
-
         own_stated = replace(stated, columns=own)
         return with_ledger(
             lambda ledger: read_trajectory_csv(folder / "flight.csv", own_stated, ledger)
@@ -211,15 +222,15 @@ ORIENTATIONS = {
             "image,lat,lon,h,o,p,k,t,sh,st",
             lambda k: f"IMG_{k}.JPG,{place(k)},1.0,-2.0,9{k}.5,{DAY}T12:00:0{k}.5Z,0.05,0.01",
         ),
-        PLACE_COLUMNS
-        | OPK
-        | {"time_utc": "t", "sigma_height_m": "sh", "sigma_tilt": "st"},
+        PLACE_COLUMNS | OPK | {"time_utc": "t", "sigma_height_m": "sh", "sigma_tilt": "st"},
     ),
     "orientations by weeks": orientation(
         table(
             "image,x,y,z,q_w,q_x,q_y,q_z,w,s",
-            lambda k: f"IMG_{k}.JPG,{465000.5 + k},{5238000.5},{1500 + k}.5,0.8,0.6,0,0,{WEEK},"
-            f"{TOW + k}.5",
+            lambda k: (
+                f"IMG_{k}.JPG,{465000.5 + k},{5238000.5},{1500 + k}.5,0.8,0.6,0,0,{WEEK},"
+                f"{TOW + k}.5"
+            ),
         ),
         {name: name for name in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")}
         | {"gps_week": "w", "gps_seconds": "s"},
@@ -259,9 +270,7 @@ EVENTS = {
     ),
     "known positions": of_texts(
         {"table.csv": table("i,lat,lon,h", lambda k: f"IMG_{k},{place(k)}")},
-        lambda folder: read_known_positions(
-            folder / "table.csv", {"image": "i", **PLACE_COLUMNS}
-        ),
+        lambda folder: read_known_positions(folder / "table.csv", {"image": "i", **PLACE_COLUMNS}),
     ),
     "object points": of_texts(
         {"table.csv": table("p,x,y,h", lambda k: f"{k},{465000.5 + k},{5238000.5},{500 + k}.5")},
@@ -309,8 +318,6 @@ def extreme_column(kind: pa.DataType, count: int, draw: random.Random) -> pa.Arr
     if pa.types.is_decimal(kind):
         digits = kind.precision
         values = [draw.choice((0, -1, 10**digits - 1, 1 - 10**digits, None)) for _ in range(count)]
-        from decimal import Decimal
-
         return pa.array([None if v is None else Decimal(v) for v in values], kind)
     if pa.types.is_floating(kind):
         dtype = kind.to_pandas_dtype()
@@ -377,7 +384,7 @@ def read_block(path: Path, program: str) -> object:
         makers = reader.read_cameras(path)
         for maker in makers.values():
             maker()
-        points = reader.read_points(path)[1]
+    points = blocks.read_block_points(path, program)[1]
     images = blocks.read_block_images(path, program)
     places = [known.position for known in blocks.read_block_places(path, program)]
     for _ in blocks.block_rows(path, program):
@@ -388,8 +395,9 @@ def read_block(path: Path, program: str) -> object:
 def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
     """By kind: the path in the folder that is given to the reader, and the files of a block."""
     block = SmallBlock.make()
-    block.names, block.lat, block.lon, block.h = block.names[:3], *(
-        values[:3] for values in (block.lat, block.lon, block.h)
+    block.names, block.lat, block.lon, block.h = (
+        block.names[:3],
+        *(values[:3] for values in (block.lat, block.lon, block.h)),
     )
     block.cam_from_enu = block.cam_from_enu[:3]
     block.observations = block.observed().groupby("image").head(4)
@@ -403,7 +411,7 @@ def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
         block.write_opensfm(folder / "opensfm")
         block.write_metashape(
             folder / "metashape" / "doc.xml",
-            reference="EPSG::4326",
+            reference=pyproj.CRS.from_epsg(4326).to_wkt("WKT1_GDAL"),
             known=known[:, [1, 0, 2]],
         )
         block.write_pix4d(folder / "pix4d", 32632, offset=np.array([465000.0, 5238000.0, 0.0]))
@@ -439,7 +447,11 @@ def block_kinds() -> dict[str, Reader]:
 def write_colmap_binary(folder: Path, draw: random.Random) -> None:
     """A model of one camera, two images and two points; one of its numbers is at its limits."""
     parts = {
-        "cameras.bin": [("Q", [1]), ("iiQQ", [1, 1, 4000, 3000]), ("4d", [3000.0, 3000, 2000, 1500])],
+        "cameras.bin": [
+            ("Q", [1]),
+            ("iiQQ", [1, 1, 4000, 3000]),
+            ("4d", [3000.0, 3000.0, 2000.0, 1500.0]),
+        ],
         "images.bin": [("Q", [2])],
         "points3D.bin": [("Q", [2])],
     }  # fmt: skip
@@ -485,6 +497,7 @@ def expanded(form: str) -> str:
             count = 1
     return letters
 
+
 # Tags of images
 
 TAG_ROWS = {
@@ -494,7 +507,7 @@ TAG_ROWS = {
         "GimbalRollDegree,GimbalPitchDegree,GimbalYawDegree",
         lambda k: (
             f"a/IMG_{k}.JPG,2026:05:06 12:00:0{k},{k}5,+02:00,2026:05:06,10:00:0{k},"
-            f'47 deg 18\' {k}.50" N,8 deg 30\' 0.50" E,{1500 + k}.5 m,0,100.0 mm,0.1,-90.0,+{k}2.5'
+            f"47 deg 18' {k}.50\" N,8 deg 30' 0.50\" E,{1500 + k}.5 m,0,100.0 mm,0.1,-90.0,+{k}2.5"
         ),
     ),
     "tags with weeks": table(
@@ -518,8 +531,6 @@ TAG_ROWS = {
 
 def read_all_tags(path: Path) -> object:
     """Times and positions, and gimbal angles, each of which may be refused."""
-    from unbend.errors import UnbendError
-
     times = with_ledger(lambda ledger: read_image_times(path, "", ledger))
     try:
         angles = with_ledger(lambda ledger: read_gimbal_orientations(path, GPST, ledger))
@@ -602,17 +613,11 @@ def write_images(folder: Path, draw: random.Random) -> None:
         tiff = b"II*\0" + struct.pack("<I", 8) + struct.pack("<H", 2) + pointers + bytes(4)
         body = b"Exif\0\0" + tiff + of_exif + of_gps
         packet = b"http://ns.adobe.com/xap/1.0/\0"
-        packet += extreme_fields_of_xmp(draw).encode()[: 60_000]
+        packet += extreme_fields(XMP, draw).encode()[:60_000]
         segments = b""
         for segment in (body, packet):
             segments += b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment
         (folder / f"IMG_{k}.JPG").write_bytes(b"\xff\xd8" + segments + b"\xff\xda\0\2\xff\xd9")
-
-
-def extreme_fields_of_xmp(draw: random.Random) -> str:
-    from tests.faults.extreme_inputs import extreme_fields
-
-    return extreme_fields(XMP, draw)
 
 
 TAGS = {
@@ -653,8 +658,12 @@ def sounding_of(text: str, format_name: str = "auto") -> Reader:
     def read(folder: Path) -> object:
         return with_ledger(
             lambda ledger: read_sounding(
-                folder / "s.txt", ledger, format_name=format_name, time_ns=NOON_NS,
-                latitude_rad=0.8, station_h_m=100.0,
+                folder / "s.txt",
+                ledger,
+                format_name=format_name,
+                time_ns=NOON_NS,
+                latitude_rad=0.8,
+                station_h_m=100.0,
             )  # fmt: skip
         )
 
@@ -668,8 +677,6 @@ def head_of(name: str, lines: int = 30) -> str:
 
 def write_arm(folder: Path, draw: random.Random) -> None:
     """The netCDF of a radiosonde, one of whose variables is at its limits."""
-    from scipy.io import netcdf_file
-
     size = RISE.size
     columns = {
         "base_time": np.array(UNIX_S, "i4"),
@@ -709,8 +716,6 @@ TIME_UNITS = (
 
 def write_model(folder: Path, draw: random.Random) -> None:
     """The netCDF of a weather model, two of whose variables are at their limits."""
-    from scipy.io import netcdf_file
-
     levels = np.array([1000.0, 925.0, 850.0, 700.0, 500.0, 300.0])
     height = 44330.0 * (1.0 - (levels / 1013.25) ** 0.19)
     shape = (3, levels.size, 3, 3)
@@ -745,8 +750,6 @@ def write_model(folder: Path, draw: random.Random) -> None:
 
 
 def read_model(folder: Path) -> object:
-    from unbend.tables.weather_files import FlightArea, contents_of, read_model_field
-
     path = folder / "model.nc"
     area = FlightArea(
         np.radians([47.2, 47.3]), np.radians([8.4, 8.6]), np.array([NOON_NS, NOON_NS + 10**9])
@@ -831,8 +834,6 @@ def write_smrmsg(folder: Path, draw: random.Random) -> None:
 
 
 def read_sbet_of(folder: Path, accuracy: str = "") -> object:
-    from dataclasses import replace
-
     stated = replace(GPST, accuracy=folder / accuracy) if accuracy else GPST
     return with_ledger(lambda ledger: read_sbet(folder / "sbet.out", stated, ledger))
 
@@ -844,6 +845,119 @@ BINARY = {
     "geoid": Reader(write_gtx, read_gtx),
     "SBET": Reader(write_doubles("sbet.out", 17, sbet_row), read_sbet_of),
     "smrmsg": Reader(write_smrmsg, lambda folder: read_sbet_of(folder, "sigmas.out")),
+}
+
+# Mission files
+
+YAML_WORDS = (
+    ".inf", "-.inf", ".nan", "1e400", "-1e400", "0x10", "1_000", "~", "!!bool x", "!!int x",
+    "!!float x", "!!timestamp x", "!!timestamp 0001-01-01T00:00:00+23:59", "!!binary x", "!!set x",
+    "!!omap [1]", "!!python/object:os.system x", "&loop [*loop]", "&loop {a: *loop}",
+    "&loop {<<: *loop}", "*unknown", "[[[[[[]]]]]]", "[" * 3000, "{a: {a: {a: 1}}}", "9" * 5000,
+    "[1.0e+308, -1.0e+308, 1.0e+308]", "[0.0, 0.0, 0.0]", "[0.0, 0.0]", "[-1.0, -1.0]",
+    "- 1", "true", "2026-05-14", '"\\0"',
+    "&a [&b [&c [&d [x, x, x], *d, *d, *d], *c, *c, *c], *b, *b, *b]",
+)  # fmt: skip
+
+
+@cache
+def mission_texts() -> dict[str, str]:
+    """Mission files of all kinds, written one key a line."""
+    kinds = {
+        "full": missions.FULL,
+        "events": missions.with_csv_events(),
+        "oriented": missions.ORIENTED,
+        "projected": missions.oriented(missions.PROJECTED),
+        "topocentric": missions.oriented(missions.TOPOCENTRIC),
+    }
+    for number, values in enumerate(missions.with_imports()):
+        kinds[f"imports {number}"] = values
+    return {
+        name: yaml.dump(values, Dumper=_without_aliases(), sort_keys=False, width=10_000)
+        for name, values in kinds.items()
+    }
+
+
+def _without_aliases() -> Any:
+    class Dumper(yaml.SafeDumper):
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
+    return Dumper
+
+
+def extreme_mission(text: str, draw: random.Random) -> str:
+    """A mission file one to three of whose values are at their limits."""
+    lines = text.splitlines()
+    for _ in range(draw.choice((1, 1, 1, 3))):
+        row = draw.randrange(len(lines))
+        key, colon, value = lines[row].partition(": ")
+        if colon and value:
+            word = draw.choice((*YAML_WORDS, *WORDS))
+            if word in WORDS and draw.random() < 0.3:
+                word = f'"{word}"'
+            lines[row] = f"{key}: {word}"
+        elif lines[row].lstrip().startswith("- "):
+            indent = lines[row].partition("- ")[0]
+            lines[row] = f"{indent}- {draw.choice((*YAML_WORDS, *WORDS))}"
+    return "\n".join(lines) + "\n"
+
+
+def write_mission(folder: Path, draw: random.Random) -> None:
+    texts = mission_texts()
+    text = texts[draw.choice(list(texts))]
+    (folder / "mission.yaml").write_text(extreme_mission(text, draw), encoding="utf-8")
+
+
+def write_campaign(folder: Path, draw: random.Random) -> None:
+    """A campaign with defaults and a mission that stands in its file."""
+    texts = mission_texts()
+    text = extreme_mission(texts["full"], draw)
+    inside = "\n".join(f"    {line}" for line in text.splitlines())
+    name = draw.choice((*YAML_WORDS, *WORDS, "*.yaml", "a.yaml"))
+    content = f"campaign: c\ndefaults:\n{inside}\nmissions:\n- mission: {{name: a}}\n- {name}\n"
+    (folder / "campaign.yaml").write_text(content, encoding="utf-8")
+
+
+def derived_values(section: object) -> None:
+    """Ask a section, and those in it, for all that follows from its values."""
+    if isinstance(section, dict):
+        for inner in section.values():
+            derived_values(inner)
+    elif isinstance(section, list | tuple):
+        for inner in section:
+            derived_values(inner)
+    elif isinstance(section, BaseModel):
+        for name in vars(type(section)):
+            kind = vars(type(section))[name]
+            if not name.startswith("_") and isinstance(kind, property | cached_property):
+                ask(section, name)
+        for name in type(section).model_fields:
+            derived_values(getattr(section, name))
+
+
+def ask(section: object, name: str) -> None:
+    """Compute a property; that of a camera in a file, which is not there, cannot be."""
+    try:
+        getattr(section, name)
+    except ValueError as error:
+        if "has not been read" not in str(error):
+            raise
+
+
+def read_mission(folder: Path) -> None:
+    derived_values(load_mission(folder / "mission.yaml"))
+
+
+def read_campaign(folder: Path) -> None:
+    missions, _ = open_configs([folder / "campaign.yaml"])
+    for mission in missions:
+        derived_values(mission.load())
+
+
+MISSIONS = {
+    "mission file": Reader(write_mission, read_mission),
+    "campaign file": Reader(write_campaign, read_campaign),
 }
 
 READERS: dict[str, Reader] = {
@@ -858,4 +972,5 @@ READERS: dict[str, Reader] = {
     **TAGS,
     **WEATHER,
     **BINARY,
+    **MISSIONS,
 }

@@ -81,7 +81,14 @@ def fields_without_number(
 
 
 def numbers_beyond(
-    *, code: Code, path: Path | str, line: int, column: str, count: int, first: float, largest: float
+    *,
+    code: Code,
+    path: Path | str,
+    line: int,
+    column: str,
+    count: int,
+    first: float,
+    largest: float,
 ) -> InputError:
     """Numbers of a column are larger than any that it can hold; the first stands in a line."""
     return InputError(

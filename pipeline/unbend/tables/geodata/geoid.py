@@ -17,6 +17,7 @@ _GTX = struct.Struct(">4d2i")
 float32 from the south-west corner, row by row to the north. -88.8888 has no value."""
 
 _GTX_MISSING = np.float32(-88.8888)
+_LEAST_STEP_DEG = 1e-5  # a metre; geoids have steps of a kilometre
 _LOWEST_UNDULATION_M = -120.0  # EGM96 has -107 to 86 m
 _HIGHEST_UNDULATION_M = 100.0
 
@@ -66,7 +67,7 @@ def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
         raise messages.geoid_header(where=path)
     south, west, d_lat, d_lon, rows, columns = _GTX.unpack_from(content)
     has_size = 0 < rows <= 100_000 and 0 < columns <= 100_000
-    has_steps = 0.0 < d_lat <= 180.0 and 0.0 < d_lon <= 360.0
+    has_steps = _LEAST_STEP_DEG <= d_lat <= 180.0 and _LEAST_STEP_DEG <= d_lon <= 360.0
     if not (has_size and has_steps and abs(south) <= 90.0 and abs(west) <= 360.0):
         raise messages.geoid_header(where=path)
     if len(content) != _GTX.size + 4 * rows * columns:

@@ -24,6 +24,7 @@ from unbend.tables.imports.stated import (
     without_impossible,
 )
 from unbend.tables.text_columns import (
+    LARGEST_OF_QUANTITIES,
     angles_in_radians,
     degrees_of,
     numbers,
@@ -31,7 +32,6 @@ from unbend.tables.text_columns import (
     require_names,
     text_of_frame,
     text_table,
-    LARGEST_OF_QUANTITIES,
     unrepeated_table,
     utc_of_columns,
     utc_of_dates,
@@ -39,7 +39,6 @@ from unbend.tables.text_columns import (
 )
 from unbend.units import (
     DEGREE,
-    LARGEST_HEIGHT_M,
     LARGEST_NUMBER,
     RADIANS,
     Array,
