@@ -21,7 +21,8 @@ WORDS = (
     "0", "-1", str(2**31), str(2**32), str(2**63 - 1), str(2**63), str(2**64), str(-(2**63) - 1),
     "1e18", "1e19", "1e308", "-1e308", "1e400", "-1e400", "5e-324", "-0.0", "nan", "-nan", "inf",
     "-inf", "1_0", "٣", "0x7", "9" * 1000, "-" + "9" * 1000, "1e" + "9" * 30, "1" + "0" * 308,
-    "", " ", "x", "\0", "a" * LONG, "9" * LONG, f"1{' ' * LONG}x", "<" * LONG, "²", "0000-01-01T00:00:00", "0001-01-01T00:00:00Z",
+    "", " ", "x", "\0", "a" * LONG, "9" * LONG, f"1{' ' * LONG}x", "<" * LONG, "²",
+    "0000-01-01T00:00:00", "0001-01-01T00:00:00Z",
     "9999-12-31T23:59:59.999999999Z", "10000-01-01T00:00:00Z", "-0001-01-01T00:00:00Z",
     "1677-09-21T00:12:43", "2262-04-11T23:47:17Z", "0001-01-01T00:00:00+23:59",
     "9999-12-31T23:59:59-23:59", "2016-12-31T23:59:60Z", "2026-02-30T00:00:00Z", "2026-05-14",
@@ -105,7 +106,7 @@ NUMBERS = (
 
 
 def extreme_numbers(values: np.ndarray, draw: random.Random) -> np.ndarray:
-    """Numbers some of which are at the limits of their type: one, a column of the last axis, all."""
+    """Numbers some of which are at the limits of their type: one, or those of a column, or all."""
     changed = values.copy()
     flat = changed.reshape(-1, changed.shape[-1] if changed.ndim else 1)
     rows = slice(None) if draw.random() < 0.4 else draw.randrange(flat.shape[0])

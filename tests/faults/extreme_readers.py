@@ -392,6 +392,7 @@ def read_block(path: Path, program: str) -> object:
     return points, images.position, images.angles, places
 
 
+@cache
 def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
     """By kind: the path in the folder that is given to the reader, and the files of a block."""
     block = SmallBlock.make()
@@ -664,7 +665,7 @@ def sounding_of(text: str, format_name: str = "auto") -> Reader:
                 time_ns=NOON_NS,
                 latitude_rad=0.8,
                 station_h_m=100.0,
-            )  # fmt: skip
+            )
         )
 
     return of_texts({"s.txt": text}, read)

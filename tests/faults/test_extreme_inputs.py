@@ -6,27 +6,47 @@ Never another exception or a warning, never a result that no measurement can be.
 from __future__ import annotations
 
 import random
+import struct
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
+from tests.conftest import MissionFolder
 from tests.faults.extreme_inputs import impossible_values
-from tests.faults.extreme_readers import GPST, MRK_TEXT, READERS, TOW, UTC
+from tests.faults.extreme_readers import (
+    GPST,
+    MRK_TEXT,
+    NOON_NS,
+    PLAIN_SOUNDING,
+    READERS,
+    REPORT,
+    TOW,
+    UTC,
+    head_of,
+    read_block,
+    small_blocks,
+)
 from tests.faults.extreme_readers import UNIX_S as START_S
 from unbend.atmosphere.hypsometry import fall_of_pressure
+from unbend.atmosphere.surface_report import parse_metar
 from unbend.config import load_mission
 from unbend.config.campaign import open_configs
 from unbend.errors import ConfigError, InputError, UnbendError, rendered
 from unbend.messages import Ledger
+from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.imports.camera_events import read_mrk
 from unbend.tables.imports.exif import parse_time
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import read_orientation, read_trajectory_csv
+from unbend.tables.soundings import read_sounding
 from unbend.tables.text_columns import numbers
+from unbend.tables.weather_files import possible_steps, possible_times
 from unbend.units import exact_integers, measured
 
 LONGEST_UNITS = 100.0  # of work, for an input of some kilobytes, or of one field of 140
@@ -39,7 +59,7 @@ def test_fields_at_their_limits(
 ) -> None:
     limit_s = LONGEST_UNITS * mutate.work_unit_s()
     reader = READERS[kind]
-    count = max(mutation_count // 100, 5)
+    count = max(mutation_count // 250, 5)
     first_seed = mutation_seed if mutation_count > 2000 else 0  # `make test` has the same each day
     for seed in range(first_seed, first_seed + count):
         print(f"READERS[{kind!r}], random.Random('{kind} {seed}')")
@@ -57,6 +77,32 @@ def test_fields_at_their_limits(
         assert refusal.where
         assert refusal.remedy
         assert len(str(refusal)) < LONGEST_REFUSAL
+
+
+@pytest.mark.slow
+def test_a_run_flags_measurements_at_their_limits(mission: MissionFolder) -> None:
+    """Each is flagged, without a corrected pixel; the rows of others do not change."""
+    sound = mission.measurements().to_pandas()
+    mission.observe(pa.Table.from_pandas(sound, preserve_index=False))
+    assert mission.run().code == 0
+    before = mission.results().to_pandas()
+    extremes = [np.nan, np.inf, -np.inf, 1e308, -1e308, 2.0**64, -(2.0**63), 1e19]
+    spoilt = sound.copy()
+    rows = []
+    for column in ("x_px", "y_px", "h_g_m"):
+        for value in extremes:
+            row = len(rows)
+            spoilt.loc[row, column] = value
+            rows.append(row)
+    mission.observe(pa.Table.from_pandas(spoilt, preserve_index=False))
+    ended = mission.run()
+    assert (ended.code, "Traceback" in ended.text) == (3, False)
+    after = mission.results().to_pandas()
+    assert "ok" not in set(after["status"][rows])
+    corrected = ["x_corrected_px", "y_corrected_px"]
+    assert after.loc[rows, corrected].isna().all().all()
+    rest = before.index.difference(rows)
+    pd.testing.assert_frame_equal(after.loc[rest, corrected], before.loc[rest, corrected])
 
 
 # What is read of single fields
@@ -81,8 +127,9 @@ def sound_rows(extra: str = "") -> list[str]:
 
 @pytest.mark.parametrize(
     ("place", "word"),
-    [(0, "1e308"), (0, "9" * 400), (1, "inf"), (1, "4_7.3"), (2, "1e400"), (2, "400.0"), (2, str(2**64)),
-     (3, "1e308"), (3, "2147483647"), (3, "nan"), (0, "-1"), (0, "9999-12-31T23:59:59Z")],
+    [(0, "1e308"), (0, "9" * 400), (1, "inf"), (1, "4_7.3"), (2, "1e400"), (2, "400.0"),
+     (2, str(2**64)), (3, "1e308"), (3, "2147483647"), (3, "nan"), (0, "-1"),
+     (0, "9999-12-31T23:59:59Z")],
 )  # fmt: skip
 def test_a_row_without_a_place_or_a_time_is_lost(tmp_path: Path, place: int, word: str) -> None:
     rows = sound_rows()
@@ -90,9 +137,8 @@ def test_a_row_without_a_place_or_a_time_is_lost(tmp_path: Path, place: int, wor
     fields[place] = word
     rows[2] = ",".join(fields)
     channel, losses = trajectory_of(tmp_path, ["t,lat,lon,h", *rows], PLACES)
-    assert channel.time_ns.tolist() == [
-        START_S * 10**9 + k * 10**9 + 5 * 10**8 for k in (0, 1, 3, 4)
-    ]
+    seconds = (channel.time_ns / 1e9 - START_S).tolist()
+    assert seconds == [0.5, 1.5, 3.5, 4.5]
     assert losses["IMPORT-ROWS"].count == 1
     assert "row 3" in losses["IMPORT-ROWS"].what
 
@@ -185,6 +231,117 @@ def test_heights_that_are_the_same_imply_no_temperature(height: list[float]) -> 
         assert fall.implied_k is None
 
 
+# Blocks, weather, grids
+
+
+def write_small_model(folder: Path) -> None:
+    for name, content in small_blocks()["colmap"][1].items():
+        (folder / name).write_text(content)
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "word", "text"),
+    [("images.txt", 5, "1e308", "has a coordinate of"), ("points3D.txt", 1, "1e308", "'1' has a"),
+     ("points3D.txt", 1, "inf", "'1' has a coordinate of inf"),
+     ("cameras.txt", 2, "1e400", "not as that program writes it"),
+     ("cameras.txt", 2, str(2**64), "is no camera"), ("cameras.txt", 4, "1e308", "is no camera"),
+     ("cameras.txt", 4, "-3000", "is no camera")],
+)  # fmt: skip
+def test_a_number_of_a_block_that_cannot_be_is_refused(
+    tmp_path: Path, name: str, field: int, word: str, text: str
+) -> None:
+    write_small_model(tmp_path)
+    lines = (tmp_path / name).read_text().splitlines()
+    row = next(k for k, line in enumerate(lines) if line and not line.startswith("#"))
+    fields = lines[row].split(" ")
+    fields[field] = word
+    lines[row] = " ".join(fields)
+    (tmp_path / name).write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError) as caught:
+        read_block(tmp_path, "colmap")
+    assert text in caught.value.what
+    assert str(tmp_path) in caught.value.where
+
+
+@pytest.mark.parametrize("point", ["1e308", "inf", "nan", "0.5", str(2**63)])
+def test_an_image_point_of_no_whole_number_names_its_line(tmp_path: Path, point: str) -> None:
+    write_small_model(tmp_path)
+    path = tmp_path / "images.txt"
+    lines = path.read_text().splitlines()
+    row = 1 + next(k for k, line in enumerate(lines) if line and not line.startswith("#"))
+    lines[row] = " ".join([*lines[row].split(" ")[:2], point])
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="IMPORT-FORMAT") as caught:
+        read_block(tmp_path, "colmap")
+    assert f"{row + 1}" in str(caught.value)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "ns", "D"])
+@pytest.mark.parametrize("year", ["9999", "2300", "1700", "NaT"])
+def test_times_of_a_model_beyond_the_calendar_are_refused(unit: str, year: str) -> None:
+    """Nanoseconds do not hold them: numpy makes any other time of them."""
+    if unit == "ns" and year == "9999":
+        pytest.skip("nanoseconds cannot state it")
+    text = year if year == "NaT" else f"{year}-01-01"
+    stamps = np.array(["2026-05-06", text], f"datetime64[{unit}]")
+    assert stamps.dtype == f"datetime64[{unit}]"
+    with pytest.raises(InputError, match="MODEL-TIME"):
+        possible_times(stamps, "model.nc")
+    sound = possible_times(stamps[:1], "model.nc")
+    assert sound.astype(np.int64).tolist() == [1_778_025_600 * 10**9]
+
+
+def test_a_lead_time_of_no_forecast_is_refused() -> None:
+    steps = np.array([6, 2**40], "timedelta64[s]")
+    with pytest.raises(InputError, match="MODEL-TIME"):
+        possible_steps(steps, "model.nc")
+    assert possible_steps(steps[:1], "model.nc") == np.timedelta64(6, "s")
+
+
+@pytest.mark.parametrize(
+    ("place", "value"), [(0, np.nan), (0, 1e18), (1, np.inf), (2, 5e-324), (3, np.inf), (2, np.nan)]
+)
+def test_a_geoid_whose_head_is_no_grid_is_refused(tmp_path: Path, place: int, value: float) -> None:
+    head = [46.0, 7.0, 0.25, 0.25]
+    head[place] = value
+    path = tmp_path / "g.gtx"
+    values = np.full((2, 2), 47.5, ">f4")
+    path.write_bytes(struct.pack(">4d2i", *head, 2, 2) + values.tobytes())
+    with pytest.raises(InputError, match="the header is not that of a GTX"):
+        read_geoid(path)
+
+
+def test_an_hour_that_no_day_has_is_no_time_of_a_sounding(tmp_path: Path) -> None:
+    path = tmp_path / "s.txt"
+    text = head_of("igra2_USM*")
+    assert text.startswith("#USM00070026 2010 06 01 00 2303")
+    path.write_text(text.replace("2010 06 01 00 2303", "2010 06 01 50 9999", 1))
+    with pytest.raises(InputError, match="SOUNDING-TIME"):
+        read_sounding(path, Ledger())
+
+
+@pytest.mark.parametrize("word", ["_", "<" * 150_000, "x" * 150_000])
+def test_a_field_of_a_sounding_that_is_no_number_is_missing_or_refused(
+    tmp_path: Path, word: str
+) -> None:
+    path = tmp_path / "s.txt"
+    text = PLAIN_SOUNDING.replace("15.00,", f"1{word}5.00,", 1)
+    path.write_text(text)
+    try:
+        first_m = read_sounding(path, Ledger()).h_m[0]
+    except InputError as error:
+        refusal = error.code
+    else:
+        refusal = ""
+        assert first_m > 400.0
+    assert refusal in ("", "SOUNDING-FORMAT")
+
+
+def test_a_report_of_a_hundred_thousand_characters_is_none() -> None:
+    with pytest.raises(InputError, match="it has 100"):
+        parse_metar(f"{REPORT} {'A' * 100_000}", 183.0, Ledger(), flight_ns=NOON_NS)
+
+
 # Mission files
 
 
@@ -198,13 +355,16 @@ def mission_refused(folder: Path, text: str) -> ConfigError:
     return caught.value
 
 
+EXPLOSION = "a: &a [x, x, x, x, x, x, x, x, x, x]\n"
+for _inner, _outer in pairwise("abcdefghij"):
+    EXPLOSION += f"{_outer}: &{_outer} [{', '.join([f'*{_inner}'] * 10)}]\n"
+
+
 @pytest.mark.parametrize(
     ("text", "what"),
     [("mission: {name: a, undulation_m: " + "9" * 5000 + "}", "a number has too many digits"),
      ("mission: &m {name: *m}", "inside the section or list that it repeats"),
-     ("a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
-         f"{chr(98 + k)}: &{chr(98 + k)} [{', '.join(['*' + chr(97 + k)] * 10)}]\n" for k in range(9)),
-      "more than 1000000 values"),
+     (EXPLOSION, "more than 1000000 values"),
      ("mission: {name: !!bool x}", "the text is no YAML"),
      ("mission: {name: !!timestamp x}", "tags (!) are not taken"),
      ("mission: {name: !!timestamp 2026-05-14}", "tags (!) are not taken"),
@@ -231,10 +391,12 @@ output: {path: out}
 
 @pytest.mark.parametrize(
     ("before", "after", "key"),
-    [("47.5", "1e400", "mission.undulation_m"), ("roll_deg: 1.5", "roll_deg: 1e9", "mount.nadir.roll_deg"),
+    [("47.5", "1e400", "mission.undulation_m"),
+     ("roll_deg: 1.5", "roll_deg: 1e9", "mount.nadir.roll_deg"),
      ("max_sigma_height_m: 2.5", "max_sigma_height_m: 1e308", "stations.max_sigma_height_m"),
      ("max_sigma_height_m: 2.5", "max_sigma_height_m: " + "9" * 400, "stations.max_sigma_height_m"),
-     ("200.0, ref", ".nan, ref", "ground.height"), ("width_px: 100", f"width_px: {2**64}", "width_px"),
+     ("200.0, ref", ".nan, ref", "ground.height"),
+     ("width_px: 100", f"width_px: {2**64}", "width_px"),
      ("2026-05-14T10:20:00Z", "9999-12-31T23:59:59Z", "time_utc: is no time"),
      ("2026-05-14T10:20:00Z", "0001-01-01T00:00:00+23:59", "time_utc: is no time"),
      ("path: o.csv", "path: " + "o" * 300 + ".csv", "observations.path: is longer than any path")],

@@ -42,13 +42,11 @@ def fall_of_pressure(height: Array, log_pressure: Array) -> Fall:
     273.31
     """
     rise = height - height.mean()
-    # With full=True numpy returns the rank, and does not warn where heights are too few for it.
-    line, _, rank, _, _ = np.polyfit(rise, log_pressure, 1, full=True)
+    # With full=True numpy does not warn of heights that are the same: their slope is 0.
+    slope = float(np.polyfit(rise, log_pressure, 1, full=True)[0][0])
     parabola = np.polyfit(rise, log_pressure, 2, full=True)[0]
-    slope = float(line[0])
     rest = log_pressure - np.polyval(parabola, rise)
-    has_slope = rank == 2 and slope < 0.0  # heights that are all the same have none
-    implied = -HYDROSTATIC_CONSTANT / slope if has_slope else None
+    implied = None if slope >= 0.0 else -HYDROSTATIC_CONSTANT / slope
     return Fall(implied, float(np.sqrt(np.mean(rest**2))))
 
 

@@ -212,20 +212,20 @@ def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
     stamps = np.empty(0) if name is None else np.atleast_1d(field[name].values)
     if stamps.dtype.kind != "M" or stamps.size != (1 if dim is None else field.sizes[dim]):
         raise messages.model_without_time(where=where)
-    stamps = _possible_times(stamps, where)
+    stamps = possible_times(stamps, where)
     lead = np.zeros(stamps.size)
     if "step" in field.coords and field["step"].dtype.kind == "m":
-        step = _possible_steps(np.atleast_1d(field["step"].values), where)
+        step = possible_steps(np.atleast_1d(field["step"].values), where)
         lead = lead + step / np.timedelta64(1, "h")
         if "valid_time" not in field.coords:  # these times are those of the run
             stamps = stamps + step
     for run in (name for name in _RUNS if name in field.coords):
-        begin = _possible_times(np.atleast_1d(field[run].values), where)
+        begin = possible_times(np.atleast_1d(field[run].values), where)
         lead = (stamps - begin) / np.timedelta64(1, "h")
     return dim, stamps.ravel().astype(np.int64), lead
 
 
-def _possible_times(stamps: NDArray[Any], where: str) -> NDArray[Any]:
+def possible_times(stamps: NDArray[Any], where: str) -> NDArray[Any]:
     """Times in nanoseconds; refuses those that no model has, and none at all (NaT).
 
     Compared in their own unit: numpy turns what nanoseconds do not hold into any other time.
@@ -240,7 +240,7 @@ def _possible_times(stamps: NDArray[Any], where: str) -> NDArray[Any]:
     return stamps.astype("datetime64[ns]")
 
 
-def _possible_steps(steps: NDArray[Any], where: str) -> NDArray[Any]:
+def possible_steps(steps: NDArray[Any], where: str) -> NDArray[Any]:
     """Times since a run began in nanoseconds; refuses those of no forecast."""
     longest = LONGEST_LEAD.astype(steps.dtype)
     if not bool(((steps >= -longest) & (steps <= longest)).all()):
