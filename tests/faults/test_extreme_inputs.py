@@ -127,8 +127,8 @@ def sound_rows(extra: str = "") -> list[str]:
 
 @pytest.mark.parametrize(
     ("place", "word"),
-    [(0, "1e308"), (0, "9" * 400), (1, "inf"), (1, "4_7.3"), (2, "1e400"), (2, "400.0"),
-     (2, str(2**64)), (3, "1e308"), (3, "2147483647"), (3, "nan"), (0, "-1"),
+    [(0, "1e308"), (0, "9" * 400), (1, "inf"), (2, "1e308"), (2, "400.0"), (2, str(2**64)),
+     (3, "1e308"), (3, "2147483647"), (3, "nan"), (0, "-1"),
      (0, "9999-12-31T23:59:59Z")],
 )  # fmt: skip
 def test_a_row_without_a_place_or_a_time_is_lost(tmp_path: Path, place: int, word: str) -> None:
@@ -192,7 +192,8 @@ def test_an_event_that_is_nowhere_on_earth_is_lost(tmp_path: Path, before: str, 
 @pytest.mark.parametrize(
     ("column", "word", "text"),
     [("h", "1e9", "beyond 100000: 1e+09"), ("h", "1e308", "is not a number: '1e308'"),
-     ("lat", "inf", "is not a number"), ("o", "1_0", "is not a number: '1_0'")],
+     ("lat", "1e400", "is not a number"), ("lon", "4_7", "is not a number"),
+     ("o", "1_0", "is not a number: '1_0'")],
 )  # fmt: skip
 def test_an_orientation_that_cannot_be_is_refused_with_its_line(
     tmp_path: Path, column: str, word: str, text: str
@@ -334,7 +335,7 @@ def test_a_field_of_a_sounding_that_is_no_number_is_missing_or_refused(
     else:
         refusal = ""
         assert first_m > 400.0
-    assert refusal in ("", "SOUNDING-FORMAT")
+    assert refusal in ("", "SOUNDING-FORMAT", "SOUNDING-EMPTY")
 
 
 def test_a_report_of_a_hundred_thousand_characters_is_none() -> None:

@@ -29,7 +29,7 @@ from unbend.tables.text_columns import (
     refuse_other_pixels,
     require_columns,
 )
-from unbend.units import Array
+from unbend.units import LARGEST_NUMBER, Array, measured
 
 _SCANNED_ROWS = 1 << 20  # read at a time for the names of images
 
@@ -481,6 +481,11 @@ def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
 
 
 def _as_float(column: pa.Array) -> Array:
+    """float64 with NaN for null, for what is no number, and for numbers beyond all measures."""
+    return measured(_as_stated(column))
+
+
+def _as_stated(column: pa.Array) -> Array:
     """float64 with NaN for null and for text that is no number, with point or comma."""
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
         values = numbers_in_text(column.to_pandas())
@@ -491,9 +496,9 @@ def _as_float(column: pa.Array) -> Array:
 
 def _at_least_zero(column: pa.Array, *, above: bool = False) -> tuple[Array, int]:
     """Finite values from 0 on (``above``: greater), else NaN; how many but for nulls are not."""
-    values = _as_float(column)
+    values = _as_stated(column)
     with np.errstate(invalid="ignore"):
-        sound = np.isfinite(values) & ((values > 0.0) if above else (values >= 0.0))
+        sound = (values <= LARGEST_NUMBER) & ((values > 0.0) if above else (values >= 0.0))
     absent = column.is_null().to_numpy(zero_copy_only=False)
     if not is_text(column.type):
         absent = absent | np.isnan(values)

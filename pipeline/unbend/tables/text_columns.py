@@ -313,11 +313,12 @@ def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray
 def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     """(n,) Unix nanoseconds of weeks since 1980-01-06 and their seconds, in GPS time or UTC.
 
-    0 where one of both is unknown (NaN).
+    0 where one of both is unknown (NaN), negative or beyond all dates, or the week not whole.
     """
-    known = np.isfinite(week) & np.isfinite(seconds)
-    whole_weeks = whole_numbers(np.where(known, week, 0), -_MOST_WEEKS, _MOST_WEEKS)
-    seconds = np.where(known, seconds, 0.0).clip(-_MOST_SECONDS, _MOST_SECONDS)
+    is_week = (week == np.floor(week)) & (week >= 0) & (week <= _MOST_WEEKS)
+    known = is_week & (seconds >= 0.0) & (seconds <= _MOST_SECONDS)
+    whole_weeks = whole_numbers(np.where(known, week, 0), 0, _MOST_WEEKS)
+    seconds = np.where(known, seconds, 0.0)
     if system == "gpst":
         return np.where(known, utc_of_gps(whole_weeks, seconds), 0)
     start = UNIX_NS_OF_GPS_EPOCH + whole_weeks * _WEEK_NS

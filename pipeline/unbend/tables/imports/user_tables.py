@@ -193,6 +193,7 @@ def _utc(
     if system == "gpst":
         since_1980 = np.where(readable, seconds, 0.0)
         return utc_of_weeks(*np.divmod(since_1980, SECONDS_PER_WEEK), system), readable
+    readable = readable & (seconds >= 0.0)  # -1 stands for an unknown time
     time_us = np.rint(np.where(readable, seconds, 0.0) * 1e6)
     return whole_numbers(time_us, -_LAST_US, _LAST_US) * 1000, readable
 
