@@ -80,7 +80,7 @@ def test_fields_at_their_limits(
 
 
 @pytest.mark.slow
-def test_a_run_flags_measurements_at_their_limits(mission: MissionFolder) -> None:
+def test_a_run_flags_measurements_beyond_all_limits(mission: MissionFolder) -> None:
     """Each is flagged, without a corrected pixel; the rows of others do not change."""
     sound = mission.measurements().to_pandas()
     mission.observe(pa.Table.from_pandas(sound, preserve_index=False))

@@ -97,7 +97,21 @@ def damage_refused(
     path: Path | str,
     program: str,
 ) -> Iterator[None]:
-    """Raise what a library says of a damaged file as InputError (IMPORT-FORMAT)."""
+    """Raise what a library says of a damaged file as InputError (IMPORT-FORMAT).
+
+    So are numbers whose quotients and products are none: a size of 0, a length of 1e308.
+    """
+    strict = np.errstate(divide="raise", over="raise", invalid="raise")
+    with refusals_of_libraries(path, program), strict:
+        yield
+
+
+@contextmanager
+def refusals_of_libraries(
+    path: Path | str,
+    program: str,
+) -> Iterator[None]:
+    """As `damage_refused`, around what yields: the state of numpy would be that of its caller."""
     try:
         yield
     except PhysicsError as error:
@@ -254,5 +268,5 @@ def block_rows(
     program: str,
 ) -> Iterator[pa.RecordBatch]:
     """The image points of a block, image by image; refuses a damaged file where it is damaged."""
-    with damage_refused(path, program):
+    with refusals_of_libraries(path, program):
         yield from block_reader(program).read_rows(path)
