@@ -164,7 +164,7 @@ def _to_wgs84(
 def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array, Array]:
     """x, y [m] and the azimuth of grid north [rad] of (n,) places, without a shift of datum.
 
-    ValueError where PROJ knows no such projection.
+    NaN where the projection does not reach; ValueError where PROJ knows no such projection.
     """
     from pyproj import CRS, Proj
     from pyproj.exceptions import ProjError
@@ -176,7 +176,8 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
     x, y = projection(lon_deg, lat_deg)
     # Places count from Greenwich in the projection, and from its own meridian in the factors.
     factors = projection.get_factors(lon_deg - meridian_deg, lat_deg)
-    return np.asarray(x), np.asarray(y), np.radians(factors.meridian_convergence)
+    convergence_rad = np.radians(measured(np.asarray(factors.meridian_convergence)))
+    return measured(np.asarray(x)), measured(np.asarray(y)), convergence_rad
 
 
 def _meridian_deg(system: Any) -> float:
