@@ -267,7 +267,8 @@ class Observations:
             if pa.types.is_dictionary(column.type):
                 column = column.cast(column.type.value_type)
             arrays[name] = column.combine_chunks()
-        x, y = (
+        x = measured_floats(arrays[self.columns["x_px"]])
+        y = measured_floats(arrays[self.columns["y_px"]])
             measured_floats(arrays[self.columns["x_px"]]),
             measured_floats(arrays[self.columns["y_px"]]),
         )
