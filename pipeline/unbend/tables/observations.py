@@ -269,9 +269,6 @@ class Observations:
             arrays[name] = column.combine_chunks()
         x = measured_floats(arrays[self.columns["x_px"]])
         y = measured_floats(arrays[self.columns["y_px"]])
-            measured_floats(arrays[self.columns["x_px"]]),
-            measured_floats(arrays[self.columns["y_px"]]),
-        )
         unread = pa.nulls(table.num_rows)
         names = (arrays.get(self.columns[n], unread) for n in ("image", "point"))
         image, point = (column.cast(pa.string()) for column in names)
