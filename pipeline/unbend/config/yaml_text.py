@@ -71,7 +71,7 @@ class MissionLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _whole_number(loader: MissionLoader, node: yaml.ScalarNode) -> int:
+def _whole_number(loader: MissionLoader, node: yaml.Node) -> int:
     """A whole number; Python takes none of more than 4300 digits."""
     try:
         return int(node.value)

@@ -203,7 +203,13 @@ def channel_of_rows(
     the poles.
     """
     columns = without_impossible(path, columns, ledger)
-    readable = readable & can_be_flown(time_ns) & _has_place(columns)
+    readable = readable & can_be_flown(time_ns)
+    # First: in another unit than stated all places are none.
+    latitudes = np.abs(columns["lat_rad"][readable])
+    worst = float(np.fmax.reduce(latitudes, initial=0.0))
+    if worst > np.pi / 2.0:
+        raise messages.latitude_beyond_poles(where=path, worst_deg=float(np.degrees(worst)))
+    readable = readable & _has_place(columns)
     rows = np.argsort(time_ns, kind="stable")
     rows = rows[readable[rows]]
     again = np.diff(time_ns[rows], prepend=-1) == 0
@@ -219,9 +225,6 @@ def channel_of_rows(
     rows = rows[~again]
     if rows.size == 0:
         raise messages.no_row_readable(where=path)
-    worst = float(np.fmax.reduce(np.abs(columns["lat_rad"][rows]), initial=0.0))
-    if worst > np.pi / 2.0:
-        raise messages.latitude_beyond_poles(where=path, worst_deg=float(np.degrees(worst)))
     values = {name: column[rows] for name, column in columns.items()}
     words = {n: tuple(np.array(v, dtype=object)[rows]) for n, v in (labels or {}).items()}
     return Channel(path.name, time_ns[rows], values, Source(kind), labels=words)
