@@ -1,6 +1,6 @@
 """What all sections of a mission file are made of."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from typing import Annotated, Any, Self
 
 from pydantic import (
@@ -52,6 +52,15 @@ def is_block(value: object) -> bool:
     return isinstance(value, str) and value in BLOCKS
 
 
+def _numbers_in(value: object) -> Iterator[float]:
+    """The numbers that a value is or lists, those of inner lists included."""
+    if isinstance(value, int | float):
+        yield value
+    elif isinstance(value, list):
+        for item in value:
+            yield from _numbers_in(item)
+
+
 class Section(BaseModel):
     """A part of the mission file: strict types, no unknown keys, no NaN."""
 
@@ -63,10 +72,8 @@ class Section(BaseModel):
     @classmethod
     def _check_numbers(cls, value: Any) -> Any:
         """Refuse numbers that are larger than anything which is measured: they overflow."""
-        items = value if isinstance(value, list) else [value]
-        for item in items:
-            if isinstance(item, int | float) and abs(item) > LARGEST_NUMBER:
-                raise SectionError(f"holds a number beyond {LARGEST_NUMBER:g}")
+        if any(abs(number) > LARGEST_NUMBER for number in _numbers_in(value)):
+            raise SectionError(f"holds a number beyond {LARGEST_NUMBER:g}")
         return value
 
     def __copy__(self) -> Self:

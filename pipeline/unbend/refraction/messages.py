@@ -129,7 +129,7 @@ def camera_numbers(*, model: str, size: str, distances: str, point: str) -> Phys
         CAMERA_MODEL,
         "{model} of {size} px with principal distances of {distances} px and a principal point at "
         "{point} px is no camera",
-        remedy="give images of 1 to 1000000 px, and principal distances of 10 to 1000000 px",
+        remedy="give images of 1 to 1000000 and principal distances of 10 to 1000000 pixels",
         model=model,
         size=size,
         distances=distances,
