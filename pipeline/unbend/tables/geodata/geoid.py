@@ -88,7 +88,9 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
             if not (plain and raster.crs and raster.crs.is_geographic):
                 raise messages.geoid_bands(where=path)
             a = raster.transform
-            if a.b or a.d or a.a <= 0.0 or a.e >= 0.0:
+            is_finite = bool(np.isfinite([a.a, a.c, a.e, a.f]).all())
+            is_upright = a.b == a.d == 0.0 and a.a > 0.0 > a.e
+            if not (is_finite and is_upright):
                 raise messages.geoid_turned(where=path)
             values = raster.read(1, masked=True).astype(np.float32).filled(np.nan)[::-1]
             values = values * np.float32(raster.scales[0]) + np.float32(raster.offsets[0])
