@@ -64,7 +64,7 @@ docs: $(EVERYTHING)
 
 # 100,000 mutated logs of each format, half an hour; `make test` does 500. 4,000 logs of each format
 # with values at their limits; `make test` does 20. 400 of each kind of other input (tables, tags,
-# weather, blocks, grids, mission files) with fields at their limits; `make test` does 5. 1,000 flights drawn for
+# weather, blocks, grids, mission files) with fields at their limits; `make test` does 2. 1,000 flights drawn for
 # the assignment of events to images; `make test` does 200. 208 faults drawn into two flights; `make
 # test` does 104. All mistakes of survey engineers; `make test` does 6. All cases of what tie points
 # find in simulated blocks; `make test` does some. Every cell of the large logs; `make test` reads
