@@ -63,15 +63,16 @@ docs: $(EVERYTHING)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --config-file docs/mkdocs.yml
 
 # 100,000 mutated logs of each format, half an hour; `make test` does 500. 4,000 logs of each format
-# with values at their limits; `make test` does 20. 1,000 flights drawn for
-# the assignment of events to images; `make test` does 200. 208 faults drawn into two flights; `make
-# test` does 104. All mistakes of survey engineers; `make test` does 6. All cases of what tie points
-# find in simulated blocks; `make test` does some. Every cell of the large logs; `make test` reads
-# their first megabytes. 30 adjusted blocks for each flying height and all airs of docs/when.md;
-# `make test` does one. 1,600 flights with thermometers that work; `make test` does 24. Memory of all
-# five block exports; `make test` does two. 200 races of two writers in each object store, Azure's
-# emulator among them where there is npm; `make test` does 4 in each of two. 20 runs on a cluster
-# of which six workers are killed each; `make test` does one with two.
+# with values at their limits; `make test` does 20. 400 of each kind of other input (tables, tags,
+# weather, blocks, grids, mission files) with fields at their limits; `make test` does 2. 1,000
+# flights drawn for the assignment of events to images; `make test` does 200. 208 faults drawn into
+# two flights; `make test` does 104. All mistakes of survey engineers; `make test` does 6. All cases
+# of what tie points find in simulated blocks; `make test` does some. Every cell of the large logs;
+# `make test` reads their first megabytes. 30 adjusted blocks for each flying height and all airs of
+# docs/when.md; `make test` does one. 1,600 flights with thermometers that work; `make test` does
+# 24. Memory of all five block exports; `make test` does two. 200 races of two writers in each
+# object store, Azure's emulator among them where there is npm; `make test` does 4 in each of two.
+# 20 runs on a cluster of which six workers are killed each; `make test` does one with two.
 AZURITE := $(abspath $(VENV))/azurite
 faults: $(EVERYTHING)
 	command -v npm > /dev/null && npm install --silent --no-fund --no-audit --prefix $(AZURITE) azurite || true

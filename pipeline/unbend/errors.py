@@ -3,6 +3,7 @@
 Each has a stable code and an exit code. A refusal is for the user; all else that escapes is a bug.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -53,13 +54,21 @@ class Code:
     remedy: str
 
 
+LONGEST_WORD = 1000  # characters without a blank: a path may have them, a damaged field has more
+SHOWN_OF_WORD = 60  # characters of the beginning of a longer one
+_LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD},}}|\s{{{LONGEST_WORD},}}")
+
+
 def rendered(text: str, values: Mapping[str, Value]) -> str:
     """A text with the values filled in for the names in its braces; values stay as they are.
+
+    Of a word of more than `LONGEST_WORD` characters, as a damaged file may have, the begin is left.
 
     >>> rendered("{count} images of {name!r}", {"count": 2, "name": "strip {1}"})
     "2 images of 'strip {1}'"
     """
-    return text.format_map(values)
+    filled = text.format_map(values)
+    return _LONG_WORD.sub(lambda word: f"{word[0][:SHOWN_OF_WORD]}...", filled)
 
 
 Refusal = TypeVar("Refusal", bound="UnbendError")

@@ -35,6 +35,12 @@ VAPOUR_DEFICIT = 0.378
 WGS84_A = 6_378_137.0  # [m]
 WGS84_F = 1.0 / 298.257223563
 
+LARGEST_NUMBER = (
+    1e12  # of a field of any table, in any unit: nothing measured in a survey is larger
+)
+LARGEST_COORDINATE_M = 1e8  # eastings with the number of their zone have 3e7, feet three times that
+LARGEST_HEIGHT_M = 100_000.0  # no aircraft is as high; 2**32 - 1 stands for an unknown height
+LARGEST_EXACT = 2.0**53  # of the whole numbers that a float64 holds without a gap
 MOST_FLAGS = (1 << 32) - 1  # of a field: it has 32 bits at most
 UNIX_NS_OF_GPS_EPOCH = 315_964_800 * NANOSECONDS_PER_SECOND  # 1980-01-06T00:00:00Z
 
@@ -73,6 +79,29 @@ def whole_numbers(values: NDArray[Any], lowest: int, highest: int) -> Integers:
         within = known.clip(lowest, highest)
         whole = within.astype(np.int64)
     return np.asarray(whole.clip(lowest, highest))
+
+
+def measured(values: Array, largest: float = LARGEST_NUMBER) -> Array:
+    """Numbers as they are, NaN where one is infinite or larger than anything that is measured.
+
+    What is larger overflows where it is squared, or stands for a value that was not known.
+
+    >>> measured(np.array([1.5, np.inf, -1e308])).tolist()
+    [1.5, nan, nan]
+    """
+    return np.where(np.abs(values) <= largest, values, np.nan)
+
+
+def exact_integers(values: Array) -> Integers:
+    """Whole numbers as int64; raises ValueError where one has a fraction, or is beyond 2**53.
+
+    >>> exact_integers(np.array([7.0, -1.0])).tolist()
+    [7, -1]
+    """
+    is_exact = (np.abs(values) <= LARGEST_EXACT) & (values == np.floor(values))
+    if not bool(is_exact.all()):
+        raise ValueError(f"{values[~is_exact][0]} is not a whole number")
+    return values.astype(np.int64)
 
 
 def evenly_spaced(count: int, most: int) -> Integers:

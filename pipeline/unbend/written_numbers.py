@@ -41,6 +41,7 @@ _WITH_HEMISPHERE = re.compile(
 _HEMISPHERE_FIRST = re.compile(r"(?P<hemisphere>[NSEW])\s*(?P<angle>\d.*)", re.IGNORECASE)
 _DEGREES_OR_MINUTES = re.compile(r"\d+,[0-5]?\d")  # 46,30N of XMP, or a decimal comma
 
+LONGEST_TEXT = 200  # characters of a number or an angle; patterns take long on a hundred thousand
 LETTERS_OF_AXIS = {"latitude": "NS", "longitude": "EW"}
 NUMBERS_TAKEN = "a number like -89.9, -89,9 or 2.3e-05"
 ANGLES_TAKEN = (
@@ -84,6 +85,7 @@ def number_of(text: str) -> float:
     >>> number_of("-89,9"), number_of("2.3e-05"), number_of("300034/100"), number_of("undef")
     (-89.9, 2.3e-05, 3000.34, nan)
     """
+    _refuse_long(text)
     plain = text.strip()
     if plain.lower() in _UNKNOWN:
         return math.nan
@@ -92,7 +94,10 @@ def number_of(text: str) -> float:
     fraction = _FRACTION.fullmatch(plain)
     if fraction is not None:
         below = _value(fraction["below"])
-        return _value(fraction["above"]) / below if below else math.nan
+        quotient = _value(fraction["above"]) / below if below else math.nan
+        if math.isinf(quotient):
+            raise ValueError(f"{text!r} is not {NUMBERS_TAKEN}")
+        return quotient
     if not is_number(plain):
         raise ValueError(f"{text!r} is not {NUMBERS_TAKEN}")
     return _value(plain)
@@ -104,6 +109,7 @@ def height_of(text: str) -> float:
     >>> height_of("3000.3 m Above Sea Level"), height_of("12 m Below Sea Level"), height_of("+5,2")
     (3000.3, -12.0, 5.2)
     """
+    _refuse_long(text)
     plain = text.strip().lower()
     number = re.sub(r"\s*(?:m|metres|meters)?\s*(?:(?:above|below) sea level)?$", "", plain)
     height = number_of(number)
@@ -122,6 +128,7 @@ def angle_of(text: str, hemisphere: str = "", letters: str = "NSEW") -> float:
     >>> round(angle_of("46,56.676N"), 9), angle_of("2.3e-05")
     (46.9446, 2.3e-05)
     """
+    _refuse_long(text)
     plain = text.strip()
     of_its_own = ""
     written = _WITH_HEMISPHERE.fullmatch(plain) or _HEMISPHERE_FIRST.fullmatch(plain)
@@ -181,6 +188,15 @@ def _sum_of_parts(degrees: str, minutes: str, seconds: str | None) -> float:
     return math.copysign(size, -1.0 if degrees.startswith("-") else 1.0)
 
 
+def _refuse_long(text: str) -> None:
+    """Raise ValueError for a text that is longer than any number or angle."""
+    if len(text) > LONGEST_TEXT:
+        raise ValueError(f"{text[:20]!r}... has {len(text)} characters; it is not {NUMBERS_TAKEN}")
+
+
 def _value(number: str) -> float:
-    """A number that matches `_NUMBER`."""
-    return float(number.replace(",", "."))
+    """A number that matches `_NUMBER`; ValueError for one that no float64 holds, as 1e400."""
+    value = float(number.replace(",", "."))
+    if math.isinf(value):
+        raise ValueError(f"{number!r} is not {NUMBERS_TAKEN}")
+    return value

@@ -12,6 +12,7 @@ ADIABATIC_K_PER_M = 9.8e-3
 COLDEST_K, WARMEST_K = 180.0, 335.0
 """Temperatures that air has; what pressure implies outside them is not the air outside [K]."""
 
+LEAST_RISE_M = 1.0  # less tells nothing of the fall of pressure
 _SERIES_BELOW = 0.05  # of dT/T: the closed form of the moment loses 1e-16/x of its digits
 _ORDER = np.arange(12)
 _SERIES = (-1.0) ** _ORDER * (_ORDER + 1.0) / (_ORDER + 2.0)
@@ -41,9 +42,13 @@ def fall_of_pressure(height: Array, log_pressure: Array) -> Fall:
     >>> round(fall_of_pressure(h, -h / 8000.0).implied_k, 2)
     273.31
     """
+    if float(np.ptp(height)) < LEAST_RISE_M:
+        return Fall(None, float(np.std(log_pressure)))
     rise = height - height.mean()
-    slope = float(np.polyfit(rise, log_pressure, 1)[0])
-    rest = log_pressure - np.polyval(np.polyfit(rise, log_pressure, 2), rise)
+    # With full=True numpy does not warn of two heights, through which many parabolas lead.
+    slope = float(np.polyfit(rise, log_pressure, 1, full=True)[0][0])
+    parabola = np.polyfit(rise, log_pressure, 2, full=True)[0]
+    rest = log_pressure - np.polyval(parabola, rise)
     implied = None if slope >= 0.0 else -HYDROSTATIC_CONSTANT / slope
     return Fall(implied, float(np.sqrt(np.mean(rest**2))))
 

@@ -21,6 +21,7 @@ MOST_OF_ROUNDING_C = 1.0
 MOST_BETWEEN_SETTINGS_PA = 200.0
 """Between altimeter settings in hPa and in inches: both are rounded down, by 1.0 and 0.3 hPa."""
 FARTHEST_FROM_DATE = np.timedelta64(36, "h")  # from its noon: a day, either way
+LONGEST_TEXT = 2000  # characters of a report with all that archives write around it
 EXCERPT = 80  # characters of a report that a refusal shows
 
 _STATION_AND_TIME = re.compile(r"(?<!\S)([A-Z][A-Z0-9]{3}) (?:COR )?(\d{6})(?=Z(?!\S))")
@@ -79,6 +80,9 @@ def decode_metar(text: str, where: str) -> Metar:
     >>> decode_metar("EDDF 221150Z 24011KT M05/M10 Q1013", "here").temperature_c
     -5.0
     """
+    if len(text) > LONGEST_TEXT:
+        why = f"it has {len(text)} characters"
+        raise messages.metar_parse(where=f"{where}: {text[:EXCERPT]!r}", why=why)
     written = " ".join(text.split())
     flat = " ".join(re.split(r"[\s=;]+", written.upper())).strip()
     place = f"{where}: {written[:EXCERPT]!r}"
@@ -163,7 +167,7 @@ def _checked_groups(body: str, place: str) -> tuple[tuple[str, ...], str]:
         try:
             # Month and year only keep it from guessing; January has every day.
             report = LibraryReport(_with_signs(body), month=1, year=2000, strict=False)
-        except (ParserError, ValueError, TypeError) as error:
+        except (ParserError, ValueError, TypeError, ArithmeticError, LookupError) as error:
             why = f"the report does not parse: {error}"
             raise messages.metar_parse(where=place, why=why) from None
     if report.station_id is None:

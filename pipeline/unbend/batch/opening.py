@@ -228,8 +228,7 @@ def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints |
     if mission.ground.height != "block" or section is None:
         return None
     path = paths["orientation"]
-    with blocks.damage_refused(path, section.format):
-        name, position = blocks.block_reader(section.format).read_points(path)
+    name, position = blocks.read_block_points(path, section.format)
     rows = partial(blocks.block_rows, path, section.format)
     return opened_inputs.BlockPoints(name, position, rows)
 

@@ -1,17 +1,17 @@
 """The sections of a mission file on the air: standard, climatology, other sources, sensors."""
 
 import math
-from datetime import UTC, datetime
 from typing import Annotated, Literal, NamedTuple, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from unbend.atmosphere import standard_names
 from unbend.atmosphere.estimate.sensors import SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.standard import known_names
+from unbend.config.dates import StatedTime, nanoseconds_of_time
 from unbend.config.section import PathText, Section, SectionError, one_of
-from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
+from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 
 class SoundingSection(Section):
@@ -120,22 +120,11 @@ class SurfaceSection(Section):
         ),
         examples=[True],
     )
-    time_utc: str | None = Field(
+    time_utc: StatedTime | None = Field(
         None,
         description="UTC time of the report, as 2026-05-14T10:20:00Z",
         examples=["2026-05-14T10:20:00Z"],
     )
-
-    @field_validator("time_utc")
-    @classmethod
-    def _check_time(cls, value: str | None) -> str | None:
-        if value is None:
-            return None
-        try:
-            datetime.fromisoformat(value)
-        except ValueError:
-            raise SectionError("is no time like 2026-05-14T10:20:00Z") from None
-        return value
 
     @model_validator(mode="after")
     def _check_metar_or_numbers(self) -> Self:
@@ -168,12 +157,7 @@ class SurfaceSection(Section):
     @property
     def time_ns(self) -> int | None:
         """The time of the report [Unix ns]; without an offset it is UTC."""
-        if self.time_utc is None:
-            return None
-        time = datetime.fromisoformat(self.time_utc)
-        if time.tzinfo is None:
-            time = time.replace(tzinfo=UTC)
-        return round(time.timestamp()) * NANOSECONDS_PER_SECOND
+        return None if self.time_utc is None else nanoseconds_of_time(self.time_utc)
 
 
 class ThermometerSection(Section):

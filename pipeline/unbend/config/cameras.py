@@ -25,7 +25,9 @@ from unbend.config.windows import OpeningSection, WindowSection
 from unbend.errors import PhysicsError
 from unbend.refraction import BrownConrady, Camera, Window
 from unbend.refraction.calibration import (
+    LONGEST_DISTANCE_PX,
     MODELS,
+    SHORTEST_DISTANCE_PX,
     camera_of_model,
     model_of_camera,
     refuse_impossible,
@@ -33,9 +35,6 @@ from unbend.refraction.calibration import (
 from unbend.refraction.lens_air import AnyLens
 from unbend.tables.imports.blocks import BLOCKS, read_camera
 from unbend.tables.pixels import ImageFrame, PixelOrigin, PixelSystem
-
-SHORTEST_DISTANCE_PX = 10  # a focal length in millimetres is shorter than its image has pixels
-LONGEST_DISTANCE_PX = 1e6
 
 PrincipalDistance = Annotated[float, Field(ge=SHORTEST_DISTANCE_PX, le=LONGEST_DISTANCE_PX)]
 Wavelength = Annotated[float, Field(ge=0.3e-6, le=1.7e-6)]

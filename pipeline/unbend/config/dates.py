@@ -26,8 +26,35 @@ def checked_date(value: str) -> str:
     return value
 
 
+def checked_time(value: str) -> str:
+    """A time as stated; raises `SectionError` for any other text, and for one of no survey."""
+    mistake = SectionError("is no time like 2026-05-14T10:20:00Z")
+    try:
+        day = datetime.fromisoformat(value).date()
+    except ValueError:
+        raise mistake from None
+    if day < EARLIEST_DATE or _nanoseconds_of_text(value) > latest_ns():
+        raise mistake
+    return value
+
+
 StatedDate = Annotated[str, AfterValidator(checked_date)]
 """A value of a mission file that `checked_date` accepts."""
+
+StatedTime = Annotated[str, AfterValidator(checked_time)]
+"""A value of a mission file that `checked_time` accepts."""
+
+
+def nanoseconds_of_time(value: str) -> int:
+    """A stated time [Unix ns], UTC where it has no offset.
+
+    >>> nanoseconds_of_time("1970-01-01T01:00:00+00:30")
+    1800000000000
+    """
+    time = datetime.fromisoformat(value)
+    if time.tzinfo is None:
+        time = time.replace(tzinfo=UTC)
+    return round(time.timestamp()) * NANOSECONDS_PER_SECOND
 
 
 def is_day_alone(value: str) -> bool:
@@ -50,9 +77,4 @@ def nanoseconds_of_date(value: str | None) -> int | None:
 
 def _nanoseconds_of_text(value: str) -> int:
     """A date, as `nanoseconds_of_date` takes it [Unix ns]."""
-    time = datetime.fromisoformat(value)
-    if is_day_alone(value):
-        time = time.replace(hour=12)
-    if time.tzinfo is None:
-        time = time.replace(tzinfo=UTC)
-    return round(time.timestamp()) * NANOSECONDS_PER_SECOND
+    return nanoseconds_of_time(f"{value}T12:00" if is_day_alone(value) else value)

@@ -23,6 +23,7 @@ from unbend.tables.pixels import ImageFrame, PixelSystem
 from unbend.units import Array
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Lengths = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=2, max_length=2)]
 Sense = Literal["correction", "distortion"]
 Axes = Literal[
     "right up",
@@ -159,12 +160,12 @@ class MetricSection(Section):
         examples=[153.743],
         json_schema_extra={"unit": "mm"},
     )
-    pixel_um: Pair = Field(
+    pixel_um: Lengths = Field(
         description="size of a pixel, [across, down]",
         examples=[[20.0, 20.0]],
         json_schema_extra={"unit": "um"},
     )
-    format_mm: Pair = Field(
+    format_mm: Lengths = Field(
         description="width and height of the image, to check pixel_um",
         examples=[[230.0, 230.0]],
         json_schema_extra={"unit": "mm"},

@@ -36,6 +36,8 @@ class MountSection(Section):
     )
     roll_deg: float = Field(
         0.0,
+        ge=-360,
+        le=360,
         description=(
             "turn about the body's forward axis: positive lowers the right wing, and a camera that "
             "looked down looks to the left; -45 looks to the right"
@@ -45,6 +47,8 @@ class MountSection(Section):
     )
     pitch_deg: float = Field(
         0.0,
+        ge=-360,
+        le=360,
         description=(
             "turn about the body's right axis: positive raises the nose, and a camera that looked "
             "down looks forward"
@@ -54,6 +58,8 @@ class MountSection(Section):
     )
     yaw_deg: float = Field(
         0.0,
+        ge=-360,
+        le=360,
         description="turn about the body's vertical axis, clockwise seen from above",
         examples=[0.0],
         json_schema_extra={"unit": "deg"},

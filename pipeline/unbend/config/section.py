@@ -1,18 +1,33 @@
 """What all sections of a mission file are made of."""
 
-from collections.abc import Callable, Collection
-from typing import Annotated, Self
+from collections.abc import Callable, Collection, Iterator
+from typing import Annotated, Any, Self
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
+    field_validator,
 )
 
 from unbend.tables.imports.blocks import BLOCKS
+from unbend.units import LARGEST_NUMBER
 
-PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")]
+LONGEST_PATH = 4096  # bytes that systems take
+LONGEST_FILE_NAME = 255  # bytes; a longer name is no file's, and looking for it is an error
+
+
+def _checked_path(value: str) -> str:
+    """A path that a system can look for, or a URL."""
+    parts = [] if "://" in value else value.split("/")
+    longest = max((len(part.encode()) for part in parts), default=0)
+    if len(value.encode()) > LONGEST_PATH or longest > LONGEST_FILE_NAME:
+        raise SectionError("is longer than any path")
+    return value
+
+
+PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$"), AfterValidator(_checked_path)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 LeverArm = Annotated[
     list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)
@@ -37,12 +52,29 @@ def is_block(value: object) -> bool:
     return isinstance(value, str) and value in BLOCKS
 
 
+def _numbers_in(value: object) -> Iterator[float]:
+    """The numbers that a value is or lists, those of inner lists included."""
+    if isinstance(value, int | float):
+        yield value
+    elif isinstance(value, list):
+        for item in value:
+            yield from _numbers_in(item)
+
+
 class Section(BaseModel):
     """A part of the mission file: strict types, no unknown keys, no NaN."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
     )
+
+    @field_validator("*")
+    @classmethod
+    def _check_numbers(cls, value: Any) -> Any:
+        """Refuse numbers that are larger than anything which is measured: they overflow."""
+        if any(abs(number) > LARGEST_NUMBER for number in _numbers_in(value)):
+            raise SectionError(f"holds a number beyond {LARGEST_NUMBER:g}")
+        return value
 
     def __copy__(self) -> Self:
         """A copy without cached properties: `model_copy` may change the keys that they follow."""

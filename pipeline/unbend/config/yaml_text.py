@@ -33,8 +33,23 @@ PROBLEMS = {
 }
 """Beginnings of what the YAML parser says, and the same in plain words."""
 
+MOST_VALUES = 1_000_000
+"""Values of a file with its aliases written out: a campaign of thousands of missions has fewer."""
+
 _REPLACED_TYPES = ("bool", "int", "float", "timestamp")
 """Scalars that YAML 1.1 reads otherwise than a mission file means them; dates stay words."""
+
+
+_OF_YAML = (
+    yaml.YAMLError,
+    ValueError,
+    RecursionError,  # brackets in brackets, and an alias that holds itself
+    LookupError,  # these are of tags (!!bool x, !!timestamp x)
+    AttributeError,
+    TypeError,
+    ArithmeticError,
+)
+"""What reading a text as YAML raises."""
 
 
 class MissionLoader(yaml.SafeLoader):
@@ -56,6 +71,19 @@ class MissionLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+def _whole_number(loader: MissionLoader, node: yaml.Node) -> int:
+    """A whole number; Python takes none of more than 4300 digits."""
+    try:
+        return int(node.value)
+    except ValueError:
+        raise yaml.constructor.ConstructorError(
+            problem="a number has too many digits, or is none", problem_mark=node.start_mark
+        ) from None
+
+
+MissionLoader.add_constructor("tag:yaml.org,2002:int", _whole_number)
+for _name in ("timestamp", "binary", "set", "omap", "pairs"):  # tags of what no key takes
+    MissionLoader.add_constructor(f"tag:yaml.org,2002:{_name}", yaml.SafeLoader.construct_undefined)
 MissionLoader.yaml_implicit_resolvers = {
     first: [(tag, rule) for tag, rule in rules if tag.rsplit(":", 1)[1] not in _REPLACED_TYPES]
     for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -79,7 +107,12 @@ MissionLoader.add_implicit_resolver(
 
 def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
     """The sections of a file, and its nodes, which know their lines; refuses what is not YAML."""
-    if path.exists() and not (path.is_file() or path.is_dir()):  # reading might never end
+    try:
+        # Reading a pipe might never end; a name that is too long raises here.
+        is_other = path.exists() and not (path.is_file() or path.is_dir())
+    except OSError as error:
+        raise messages.config_unreadable(path=path, problem=str(error.strerror)) from None
+    if is_other:
         problem = "it is a pipe or a device, not a file"
         raise messages.config_unreadable(path=path, problem=problem)
     try:
@@ -91,8 +124,10 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
     try:
         loader = MissionLoader(text)
         node = loader.get_single_node()
+        if node is not None:
+            _expanded_size(node, {}, set())
         values = None if node is None else loader.construct_document(node)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except _OF_YAML as error:
         mark = getattr(error, "problem_mark", None)
         where = str(path) if mark is None else f"{path}:{mark.line + 1}"
         raise messages.config_yaml(where=where, problem=problem_of(error)) from None
@@ -102,10 +137,41 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
     return values, node
 
 
+def _expanded_size(node: yaml.Node, sizes: dict[int, int], around: set[int]) -> int:
+    """How many values a node holds where each alias (*) is written out.
+
+    Raises ConstructorError for an alias inside what it stands for, and for more values than
+    `MOST_VALUES`. ``sizes`` are those known by the ids of nodes, ``around`` the nodes around it.
+    """
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if id(node) in sizes:
+        return sizes[id(node)]
+    if id(node) in around:
+        raise yaml.constructor.ConstructorError(
+            problem="an alias (*) stands inside the section or list that it repeats",
+            problem_mark=node.start_mark,
+        )
+    around.add(id(node))
+    total = 1
+    for inner in node.value:
+        parts = inner if isinstance(node, yaml.MappingNode) else [inner]
+        for part in parts:
+            total += _expanded_size(part, sizes, around)
+    around.discard(id(node))
+    if total > MOST_VALUES:
+        raise yaml.constructor.ConstructorError(
+            problem=f"aliases (*) repeat their sections to more than {MOST_VALUES} values",
+            problem_mark=node.start_mark,
+        )
+    sizes[id(node)] = total
+    return total
+
+
 def problem_of(error: Exception) -> str:
     """What the parser found, in plain words."""
     problem = str(getattr(error, "problem", None) or error)
-    if problem.startswith(("the key ", "a key ")):
+    if problem.startswith(("the key ", "a key ", "a number ", "an alias ", "aliases ")):
         return problem  # in the words of `MissionLoader`
     for beginning, words in PROBLEMS.items():
         if problem.startswith(beginning):

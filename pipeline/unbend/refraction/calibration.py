@@ -40,6 +40,11 @@ MODELS: Mapping[str, tuple[_Distortion, tuple[str, ...]]] = {
 """By name: the distortion, and the names of the parameters in COLMAP's order."""
 
 
+SHORTEST_DISTANCE_PX = 10.0  # a focal length in millimetres is shorter than its image has pixels
+LONGEST_DISTANCE_PX = 1e6
+LARGEST_SIDE_PX = 1_000_000  # of an image, and the farthest that a principal point lies from it
+
+
 def camera_of_model(
     model: str, width_px: int, height_px: int, parameters: Sequence[float]
 ) -> Camera:
@@ -69,6 +74,7 @@ def camera_of_model(
         fy = value_of.pop("fy")
     cx = value_of.pop("cx")
     cy = value_of.pop("cy")
+    _refuse_other_numbers(model, (width_px, height_px), (fx, fy), (cx, cy))
     return Camera(
         width_px=width_px,
         height_px=height_px,
@@ -78,6 +84,24 @@ def camera_of_model(
         cy_px=cy,
         distortion=distortion(**value_of),
     )
+
+
+def _refuse_other_numbers(
+    model: str, size: tuple[int, int], distances: tuple[float, float], point: tuple[float, float]
+) -> None:
+    """Refuse a size, principal distances or a principal point [px] that no camera has."""
+    has_size = all(1 <= side <= LARGEST_SIDE_PX for side in size)
+    has_distances = all(
+        SHORTEST_DISTANCE_PX <= distance <= LONGEST_DISTANCE_PX for distance in distances
+    )
+    has_point = all(abs(coordinate) <= LARGEST_SIDE_PX for coordinate in point)
+    if not (has_size and has_distances and has_point):
+        raise messages.camera_numbers(
+            model=model,
+            size=f"{size[0]:.6g} x {size[1]:.6g}",
+            distances=f"{distances[0]:.6g} and {distances[1]:.6g}",
+            point=f"{point[0]:.6g}, {point[1]:.6g}",
+        )
 
 
 def model_of_camera(camera: Camera) -> tuple[str, list[float]]:

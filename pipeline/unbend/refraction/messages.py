@@ -103,7 +103,8 @@ def camera_format(
 
 CAMERA_MODEL = Code(
     "CAMERA-MODEL",
-    means="The camera model is not known, or has another number of parameters.",
+    means="The camera model is not known, has another number of parameters, or numbers that no "
+    "camera has.",
     effect="The mission is refused.",
     remedy="Take a model that the refusal lists, with its parameters in COLMAP's order.",
 )
@@ -119,6 +120,20 @@ def camera_parameters(*, model: str, count: int, names: str, given: str) -> Phys
         parameters=Counted(count, "parameter"),
         names=names,
         given=given,
+    )
+
+
+def camera_numbers(*, model: str, size: str, distances: str, point: str) -> PhysicsError:
+    """A camera model has a size, a principal distance or a principal point that no camera has."""
+    return PhysicsError(
+        CAMERA_MODEL,
+        "{model} of {size} px with principal distances of {distances} px and a principal point at "
+        "{point} px is no camera",
+        remedy="give images of 1 to 1000000 and principal distances of 10 to 1000000 pixels",
+        model=model,
+        size=size,
+        distances=distances,
+        point=point,
     )
 
 

@@ -80,6 +80,30 @@ def fields_without_number(
     )
 
 
+def numbers_beyond(
+    *,
+    code: Code,
+    path: Path | str,
+    line: int,
+    column: str,
+    count: int,
+    first: float,
+    largest: float,
+) -> InputError:
+    """Numbers of a column are larger than any that it can hold; the first stands in a line."""
+    return InputError(
+        code,
+        "{count} numbers of column {column} are beyond {largest:g}, the first {first:g}",
+        one="1 number of column {column} is beyond {largest:g}: {first:g}",
+        where=f"{path}, line {line}",
+        count=count,
+        remedy="correct the number; leave what is unknown empty",
+        column=column,
+        first=first,
+        largest=largest,
+    )
+
+
 def angles_beyond_turn(
     *,
     code: Code,
@@ -322,6 +346,17 @@ def model_unreadable(*, where: Path | str, why: str) -> InputError:
         where=where,
         remedy="download it again",
         why=why,
+    )
+
+
+def model_axis(*, where: Path | str, axis: str) -> InputError:
+    """A latitude, longitude or level of the grid is none, or stands there twice."""
+    return InputError(
+        MODEL_UNREADABLE,
+        "the values of its axis {axis} are not those of a grid",
+        where=where,
+        remedy="download it again",
+        axis=axis,
     )
 
 

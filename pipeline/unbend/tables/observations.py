@@ -18,14 +18,13 @@ from unbend.tables.delimited import scan_csv
 from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.blocks import BLOCKS
 from unbend.tables.imports.blocks.image_points import of_points
+from unbend.tables.measured_columns import at_least_zero, measured_floats
 from unbend.tables.observation_files import OpenedTable, Records, csv_records, in_memory, open_file
 from unbend.tables.pixels import COLMAP, ImageFrame, PixelSystem
 from unbend.tables.refraction_mark import Direction, refuse_done
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from unbend.tables.text_columns import (
     hashes_of,
-    is_text,
-    numbers_in_text,
     refuse_other_pixels,
     require_columns,
 )
@@ -268,20 +267,21 @@ class Observations:
             if pa.types.is_dictionary(column.type):
                 column = column.cast(column.type.value_type)
             arrays[name] = column.combine_chunks()
-        x, y = _as_float(arrays[self.columns["x_px"]]), _as_float(arrays[self.columns["y_px"]])
+        x = measured_floats(arrays[self.columns["x_px"]])
+        y = measured_floats(arrays[self.columns["y_px"]])
         unread = pa.nulls(table.num_rows)
         names = (arrays.get(self.columns[n], unread) for n in ("image", "point"))
         image, point = (column.cast(pa.string()) for column in names)
         optional: dict[str, Any] = {}
-        ground = None if self.ground_column is None else _as_float(arrays[self.ground_column])
+        ground = None if self.ground_column is None else measured_floats(arrays[self.ground_column])
         if self.points is not None:
             ground, row = self.points.heights(point, image)
             optional["no_point"] = int(((row < 0) & np.isnan(ground)).sum())
         if "distance_m" in self.columns:
-            found = _at_least_zero(arrays[self.columns["distance_m"]], above=True)
+            found = at_least_zero(arrays[self.columns["distance_m"]], above=True)
             optional["distance_m"], optional["no_distance"] = found
         if self.sigma_column is not None:
-            found = _at_least_zero(arrays[self.sigma_column])
+            found = at_least_zero(arrays[self.sigma_column])
             optional["ground_sigma"], optional["no_sigma"] = found
         own = {name: arrays[source] for name, source in users.items()}
         x_px, y_px = self.pixels.to_colmap(x), self.pixels.to_colmap(y)
@@ -478,23 +478,3 @@ def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
                 waiting, count = [], 0
     if waiting:
         yield pa.Table.from_batches(waiting)
-
-
-def _as_float(column: pa.Array) -> Array:
-    """float64 with NaN for null and for text that is no number, with point or comma."""
-    if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
-        values = numbers_in_text(column.to_pandas())
-    else:
-        values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-    return np.asarray(values, np.float64)
-
-
-def _at_least_zero(column: pa.Array, *, above: bool = False) -> tuple[Array, int]:
-    """Finite values from 0 on (``above``: greater), else NaN; how many but for nulls are not."""
-    values = _as_float(column)
-    with np.errstate(invalid="ignore"):
-        sound = np.isfinite(values) & ((values > 0.0) if above else (values >= 0.0))
-    absent = column.is_null().to_numpy(zero_copy_only=False)
-    if not is_text(column.type):
-        absent = absent | np.isnan(values)
-    return np.where(sound, values, np.nan), int(np.count_nonzero(~sound & ~absent))

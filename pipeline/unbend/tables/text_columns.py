@@ -19,7 +19,18 @@ from unbend.flight.survey_dates import can_be_flown
 from unbend.tables import messages
 from unbend.tables.delimited import text_file
 from unbend.tables.refraction_mark import Direction
-from unbend.units import RADIANS, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask, whole_numbers
+from unbend.units import (
+    LARGEST_COORDINATE_M,
+    LARGEST_HEIGHT_M,
+    LARGEST_NUMBER,
+    RADIANS,
+    UNIX_NS_OF_GPS_EPOCH,
+    AngleUnit,
+    Array,
+    Mask,
+    measured,
+    whole_numbers,
+)
 from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, number_of
 from unbend.written_tables import BLANKS, columns_in_words, with_decimal_points
 
@@ -33,6 +44,14 @@ LINE_OF_FIRST_ROW = 2  # of a table in memory, as though its first line were its
 _PUNCTUATION = re.compile(r"[^a-z0-9]")
 _ENDINGS_OF_HEMISPHERE = ("ref", "hemisphere", "hemi", "dir")
 _QUANTITIES_OF_NAMES = ("image", "camera", "point")  # whose columns hold text
+LARGEST_OF_QUANTITIES = {
+    "latitude": 90.0,
+    "longitude": 360.0,
+    "height": LARGEST_HEIGHT_M,
+    "x": LARGEST_COORDINATE_M,
+    "y": LARGEST_COORDINATE_M,
+    "z": LARGEST_COORDINATE_M,
+}
 _MOST_WEEKS = 10_000  # until 2171: 64 bits of nanoseconds hold it
 _MOST_SECONDS = 1e9  # within a week, or since 1980 by a table that counts on
 _WEEK_NS = SECONDS_PER_WEEK * 10**9
@@ -142,11 +161,19 @@ def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> p
 
 
 def numbers(text: "pd.Series[str]") -> Array:
-    """(n,) numbers of fields, NaN where one is none; -0 keeps its sign."""
+    """(n,) numbers of fields, NaN where one is none or beyond `LARGEST_NUMBER`; -0 keeps its sign.
+
+    Python would read 4_7 as 47; in a table that is no number.
+    """
+    fields = text.to_numpy(object)
+    has_underscore = any("_" in field for field in fields)
     try:
-        return text.to_numpy(object).astype(np.float64)
+        if has_underscore:
+            raise ValueError
+        values = fields.astype(np.float64)
     except ValueError:
-        return pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
+        values = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
+    return measured(values)
 
 
 def numbers_in_text(text: "pd.Series[str]") -> Array:
@@ -155,7 +182,7 @@ def numbers_in_text(text: "pd.Series[str]") -> Array:
     for row in np.flatnonzero(text.str.contains(",", regex=False, na=False)).tolist():
         with suppress(ValueError):
             values[row] = number_of(text.iloc[row])
-    return values
+    return measured(values)
 
 
 def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code, *, quantity: str) -> Array:
@@ -208,9 +235,25 @@ def _hemispheres_of(table: pd.DataFrame, name: str, quantity: str) -> "pd.Series
     return pd.Series("", index=table.index, dtype=str)
 
 
-def numbers_of(table: pd.DataFrame, name: str, path: Path, code: Code) -> Array:
-    """(n,) a column as numbers, NaN where a field is empty; refuses (``code``) any other text."""
+def numbers_of(
+    table: pd.DataFrame, name: str, path: Path, code: Code, largest: float = LARGEST_NUMBER
+) -> Array:
+    """(n,) a column as numbers, NaN where a field is empty.
+
+    Refuses (``code``) any other text, and numbers beyond the ``largest``.
+    """
     values = numbers(table[name])
+    beyond = np.flatnonzero(np.abs(values) > largest)
+    if beyond.size:
+        raise messages.numbers_beyond(
+            code=code,
+            path=path,
+            line=int(table.index[beyond[0]]),
+            column=name,
+            count=beyond.size,
+            first=float(values[beyond[0]]),
+            largest=largest,
+        )
     wrong = np.flatnonzero(~np.isfinite(values) & (table[name].str.strip() != "").to_numpy())
     if wrong.size:
         raise messages.fields_without_number(
@@ -270,11 +313,12 @@ def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray
 def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     """(n,) Unix nanoseconds of weeks since 1980-01-06 and their seconds, in GPS time or UTC.
 
-    0 where one of both is unknown (NaN).
+    0 where one of both is unknown (NaN), negative or beyond all dates, or the week not whole.
     """
-    known = np.isfinite(week) & np.isfinite(seconds)
-    whole_weeks = whole_numbers(np.where(known, week, 0), -_MOST_WEEKS, _MOST_WEEKS)
-    seconds = np.where(known, seconds, 0.0).clip(-_MOST_SECONDS, _MOST_SECONDS)
+    is_week = (week == np.floor(week)) & (week >= 0) & (week <= _MOST_WEEKS)
+    known = is_week & (seconds >= 0.0) & (seconds <= _MOST_SECONDS)
+    whole_weeks = whole_numbers(np.where(known, week, 0), 0, _MOST_WEEKS)
+    seconds = np.where(known, seconds, 0.0)
     if system == "gpst":
         return np.where(known, utc_of_gps(whole_weeks, seconds), 0)
     start = UNIX_NS_OF_GPS_EPOCH + whole_weeks * _WEEK_NS

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unbend.atmosphere.soundings import model_field
 from unbend.atmosphere.soundings.level_checks import FEWEST_LEVELS
@@ -20,8 +21,10 @@ from unbend.errors import InputError
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.tables import messages
-from unbend.units import DEGREE, HECTOPASCAL, STANDARD_GRAVITY, Array, Integers
+from unbend.units import DEGREE, HECTOPASCAL, STANDARD_GRAVITY, Array, Integers, measured
 
+FARTHEST_LONGITUDE_DEG = 540.0  # grids count from -180 or from 0, and some once around again
+LARGEST_LEVEL = 1e8  # a pressure [Pa] with the unit of hectopascals twice
 FARTHEST_H = 6.0  # farther from every time of the file a flight is refused [h]
 
 _ENGINES = {b"CDF\x01": "scipy", b"CDF\x02": "scipy", b"\x89HDF": "h5netcdf", b"GRIB": "cfgrib"}
@@ -188,8 +191,17 @@ def _find(datasets: Sequence[Any], quantity: str) -> Any | None:
     return max(upper)[2] if upper else None
 
 
+# Models reach back to 1806 at most, and nanoseconds since 1970 end in 2262.
+EARLIEST_TIME = np.datetime64("1800-01-01")
+LATEST_TIME = np.datetime64("2200-01-01")
+LONGEST_LEAD = np.timedelta64(3650, "D")  # of a forecast: those of seasons take months
+
+
 def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
-    """The dimension of time, the times (t,) [Unix ns], and hours (t,) since each run began."""
+    """The dimension of time, the times (t,) [Unix ns], and hours (t,) since each run began.
+
+    Refuses (MODEL-TIME) fields without a time that can be read, and times that no model has.
+    """
     dims = [str(d) for d in field.dims if d in field.coords and field[d].dtype.kind in "mM"]
     dims = [d for d in dims if field.sizes[d] > 1]
     if len(dims) > 1:
@@ -200,14 +212,57 @@ def times_of(field: Any, where: str) -> tuple[str | None, Integers, Array]:
     stamps = np.empty(0) if name is None else np.atleast_1d(field[name].values)
     if stamps.dtype.kind != "M" or stamps.size != (1 if dim is None else field.sizes[dim]):
         raise messages.model_without_time(where=where)
+    stamps = possible_times(stamps, where)
     lead = np.zeros(stamps.size)
     if "step" in field.coords and field["step"].dtype.kind == "m":
-        lead = lead + np.atleast_1d(field["step"].values) / np.timedelta64(1, "h")
+        step = possible_steps(np.atleast_1d(field["step"].values), where)
+        lead = lead + step / np.timedelta64(1, "h")
         if "valid_time" not in field.coords:  # these times are those of the run
-            stamps = stamps + np.atleast_1d(field["step"].values)
+            stamps = stamps + step
     for run in (name for name in _RUNS if name in field.coords):
-        lead = (stamps - np.atleast_1d(field[run].values)) / np.timedelta64(1, "h")
-    return dim, stamps.ravel().astype("datetime64[ns]").astype(np.int64), lead
+        begin = possible_times(np.atleast_1d(field[run].values), where)
+        lead = (stamps - begin) / np.timedelta64(1, "h")
+    return dim, stamps.ravel().astype(np.int64), lead
+
+
+def possible_times(stamps: NDArray[Any], where: str) -> NDArray[Any]:
+    """Times in nanoseconds; refuses those that no model has, and none at all (NaT).
+
+    Compared in their own unit: numpy turns what nanoseconds do not hold into any other time.
+    """
+    is_time = stamps.dtype.kind == "M"
+    if is_time:
+        earliest = EARLIEST_TIME.astype(stamps.dtype)
+        latest = LATEST_TIME.astype(stamps.dtype)
+        is_time = bool(((stamps >= earliest) & (stamps <= latest)).all())
+    if not is_time:
+        raise messages.model_without_time(where=where)
+    return stamps.astype("datetime64[ns]")
+
+
+def possible_steps(steps: NDArray[Any], where: str) -> NDArray[Any]:
+    """Times since a run began in nanoseconds; refuses those of no forecast."""
+    longest = LONGEST_LEAD.astype(steps.dtype)
+    if not bool(((steps >= -longest) & (steps <= longest)).all()):
+        raise messages.model_without_time(where=where)
+    return steps.astype("timedelta64[ns]")
+
+
+def _possible_places(field: Any, axis: str, where: str) -> Array:
+    """Latitudes or longitudes [deg] of an axis; refuses others than places on earth."""
+    degrees = np.asarray(field[axis].values, np.float64)
+    farthest = FARTHEST_LONGITUDE_DEG if axis.lower() in _LONGITUDE else 90.0
+    if not bool((np.abs(degrees) <= farthest).all()):
+        raise messages.model_axis(where=where, axis=axis)
+    return degrees
+
+
+def _refuse_other_levels(levels: "_Levels", where: str) -> None:
+    """Refuse levels that are no pressures and no numbers of levels, or stand there twice."""
+    values = levels.values
+    is_possible = bool(((values > 0.0) & (values <= LARGEST_LEVEL)).all())
+    if not is_possible or np.unique(values).size < values.size:
+        raise messages.model_axis(where=where, axis=levels.name)
 
 
 def _minutes(time_ns: Integers) -> Any:
@@ -290,6 +345,8 @@ def read_model_field(
         levels = None if t is None else _levels(t)
         if levels is not None and levels.values.size < FEWEST_LEVELS and not levels.of_model:
             raise model_field.too_few_levels(levels.values, where, "in all")
+        if levels is not None:
+            _refuse_other_levels(levels, where)
         found = {name: _find(datasets, name) for name in _NAMES}
         surface, log_surface = found["surface geopotential"], found["log surface pressure"]
         specific, humidity = found["specific humidity"], found["relative humidity"]
@@ -374,7 +431,7 @@ class _Part:
         places = (area.latitude_rad, longitudes_near(area.longitude_rad, middle))
         for names, place in zip((_LATITUDE, _LONGITUDE), places, strict=True):
             axis = str(_dimension(field, names))  # a grid without it was refused
-            node = np.asarray(field[axis].values, np.float64) * DEGREE
+            node = _possible_places(field, axis, where) * DEGREE
             if names is _LONGITUDE:
                 node = longitudes_near(node, middle)
             node, rows = np.unique(np.round(node, 12), return_index=True)
@@ -414,6 +471,7 @@ class _Part:
             raise messages.model_variable_elsewhere(where=self.where, name=field.name, apart=apart)
         single = {d: 0 for d in taken.dims if d not in order}
         values = np.asarray(taken.isel(single, drop=True).transpose(*order).values, np.float64)
+        values = measured(values)  # fill values that the file does not state, and infinite ones
         if version is not None:  # ERA5 and its preliminary months: each where the other is not
             values = reduce(lambda a, b: np.where(np.isnan(a), b, a), values)
         if time is None:

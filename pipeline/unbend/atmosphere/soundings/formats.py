@@ -135,7 +135,9 @@ def _igra_time_ns(header: str, at: str) -> int | None:
     midnight = stated_time_ns(f"{header[13:23].replace(' ', '-')}T00:00", at)
     hour = int(header[24:26])
     release, seconds = number(header[27:31]), 3600 * hour
-    if release // 100 < 24 and release % 100 < 60:
+    if hour not in (*range(24), _NO_HOUR):
+        raise messages.sounding_time(where=at, time=header[13:26])
+    if 0 <= release // 100 < 24 and release % 100 < 60:
         seconds = 3600 * int(release // 100) + 60 * int(release % 100)
         if hour != _NO_HOUR:
             seconds += _DAY_S * round((3600 * hour - seconds) / _DAY_S)

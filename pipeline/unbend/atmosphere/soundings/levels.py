@@ -129,6 +129,8 @@ def number(text: str) -> float:
     >>> number(" 12.5"), number("-9999"), number("///")
     (12.5, nan, nan)
     """
+    if "_" in text:  # Python would read 1_0 as 10
+        return math.nan
     try:
         value = float(text)
     except ValueError:
@@ -151,13 +153,13 @@ def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
         raise messages.sounding_without_lines(where=where)
     try:
         form = form_of([filled[0].lstrip("\ufeff"), *filled[1:]])
+        rows = split_rows(filled[form.line_of_first_row - 1 :], form.separator)
     except ValueError as error:
         raise messages.sounding_no_table(where=where, error=str(error)) from None
     names = [name.strip() for name in form.names]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise messages.sounding_column_twice(where=where, column=twice[0])
-    rows = split_rows(filled[form.line_of_first_row - 1 :], form.separator)
     columns = {}
     for column, name in enumerate(names):
         fields = []
@@ -236,6 +238,8 @@ def _stated_degrees(text: str) -> float:
     text = text.strip()
     if text.lower() in _NOT_STATED:
         return math.nan
+    if "_" in text:
+        return math.inf
     try:
         value = float(text)
     except ValueError:

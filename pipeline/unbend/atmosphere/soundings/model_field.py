@@ -222,7 +222,8 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     """
     notes: Notes = ()
     t, q = field.temperature_k, field.humidity
-    if not bool(np.isfinite(t + q).any()):
+    has_heights = field.on_model_levels or bool(np.isfinite(field.height).any())
+    if not has_heights or not bool(np.isfinite(t + q).any()):
         raise messages.model_without_values(where=where)
     low, high = float(np.nanmin(t)), float(np.nanmax(t))
     if not level_checks.COLDEST_K <= low <= high <= level_checks.WARMEST_K:

@@ -28,7 +28,7 @@ from unbend.units import NANOSECONDS_PER_SECOND
 _WIDTH = 7
 _TITLES = re.compile(r"^\s*PRES\s+HGHT\s+TEMP\s+DWPT", re.MULTILINE)
 _INLINE = re.compile(r"PRES\s+hPa,\s*HGHT\s+m,\s*TEMP\s+C,\s*DWPT\s+C")
-_TAG = re.compile(r"<[^>]+>")
+_TAG = re.compile(r"<[^<>]+>")
 _MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
 # The heading of an ascent: "12Z 22 May 2011" until 2024, "12 UTC 22 May 2011" since.
 _DATE = re.compile(

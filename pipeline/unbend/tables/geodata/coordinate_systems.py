@@ -19,7 +19,7 @@ from unbend.geodesy import GeoidGrid, ecef_of_geodetic
 from unbend.messages import Message, Notes
 from unbend.tables.geodata import messages
 from unbend.tables.geodata.geoid import package_geoid
-from unbend.units import WGS84_A, Array
+from unbend.units import WGS84_A, Array, measured
 
 _GOOD_M = 1.0  # a transformation that is no better than this is a warning
 _MARGIN_DEG = 2.0  # so far outside its area of use a coordinate system is still meant
@@ -164,7 +164,7 @@ def _to_wgs84(
 def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array, Array]:
     """x, y [m] and the azimuth of grid north [rad] of (n,) places, without a shift of datum.
 
-    ValueError where PROJ knows no such projection.
+    NaN where the projection does not reach; ValueError where PROJ knows no such projection.
     """
     from pyproj import CRS, Proj
     from pyproj.exceptions import ProjError
@@ -176,7 +176,8 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
     x, y = projection(lon_deg, lat_deg)
     # Places count from Greenwich in the projection, and from its own meridian in the factors.
     factors = projection.get_factors(lon_deg - meridian_deg, lat_deg)
-    return np.asarray(x), np.asarray(y), np.radians(factors.meridian_convergence)
+    convergence_rad = np.radians(measured(np.asarray(factors.meridian_convergence)))
+    return measured(np.asarray(x)), measured(np.asarray(y)), convergence_rad
 
 
 def _meridian_deg(system: Any) -> float:
@@ -233,7 +234,8 @@ def kind_of_system(crs: str) -> str | None:
 def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:
     """(n,) latitudes and longitudes on WGS 84 [rad] of x and y in a system, or lon and lat [deg].
 
-    To some metres, for comparisons; None where PROJ does not know the system.
+    To some metres, for comparisons; NaN where the system does not reach, None where PROJ does not
+    know it.
     """
     from pyproj import CRS, Transformer
     from pyproj.exceptions import CRSError, ProjError
@@ -243,7 +245,7 @@ def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:
         lon, lat = Transformer.from_crs(system, "EPSG:4326", always_xy=True).transform(x, y)
     except (CRSError, ProjError):
         return None
-    return np.radians(lat), np.radians(lon)
+    return np.radians(measured(lat)), np.radians(measured(lon))
 
 
 CUBE_M = 1000.0  # half an edge of the cube whose corners tell how a datum lies to another

@@ -177,7 +177,8 @@ class _Raster:
         self.path, self._open = path, open_raster
         source = open_raster(path)
         affine, self.crs = source.transform, source.crs.to_wkt() if source.crs else ""
-        upright = affine.b == affine.d == 0.0 and affine.a > 0.0 > affine.e
+        is_finite = bool(np.isfinite([affine.a, affine.c, affine.e, affine.f]).all())
+        upright = is_finite and affine.b == affine.d == 0.0 and affine.a > 0.0 > affine.e
         if source.count != 1 or not upright or source.driver in NAME_OTHERS:
             raise messages.dem_raster(
                 where=path,

@@ -17,6 +17,7 @@ _GTX = struct.Struct(">4d2i")
 float32 from the south-west corner, row by row to the north. -88.8888 has no value."""
 
 _GTX_MISSING = np.float32(-88.8888)
+_LEAST_STEP_DEG = 1e-5  # a metre; geoids have steps of a kilometre
 _LOWEST_UNDULATION_M = -120.0  # EGM96 has -107 to 86 m
 _HIGHEST_UNDULATION_M = 100.0
 
@@ -52,7 +53,7 @@ def read_geoid(path: Path) -> GeoidGrid:
             grid = _grid_of_raster(path)
     except (OSError, ValueError) as error:
         raise messages.geoid_unreadable(where=path, error=str(error)) from None
-    known = grid.values_m[np.isfinite(grid.values_m)]
+    known = grid.values_m[~np.isnan(grid.values_m)]
     if known.size == 0:
         raise messages.geoid_without_values(where=path)
     lowest, highest = float(known.min()), float(known.max())
@@ -65,7 +66,9 @@ def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
     if len(content) < _GTX.size:
         raise messages.geoid_header(where=path)
     south, west, d_lat, d_lon, rows, columns = _GTX.unpack_from(content)
-    if not (0 < rows <= 100_000 and 0 < columns <= 100_000 and d_lat > 0.0 and d_lon > 0.0):
+    has_size = 0 < rows <= 100_000 and 0 < columns <= 100_000
+    has_steps = _LEAST_STEP_DEG <= d_lat <= 180.0 and _LEAST_STEP_DEG <= d_lon <= 360.0
+    if not (has_size and has_steps and abs(south) <= 90.0 and abs(west) <= 360.0):
         raise messages.geoid_header(where=path)
     if len(content) != _GTX.size + 4 * rows * columns:
         raise messages.geoid_size(where=path, size=len(content), rows=rows, columns=columns)
@@ -85,7 +88,9 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
             if not (plain and raster.crs and raster.crs.is_geographic):
                 raise messages.geoid_bands(where=path)
             a = raster.transform
-            if a.b or a.d or a.a <= 0.0 or a.e >= 0.0:
+            is_finite = bool(np.isfinite([a.a, a.c, a.e, a.f]).all())
+            is_upright = a.b == a.d == 0.0 and a.a > 0.0 > a.e
+            if not (is_finite and is_upright):
                 raise messages.geoid_turned(where=path)
             values = raster.read(1, masked=True).astype(np.float32).filled(np.nan)[::-1]
             values = values * np.float32(raster.scales[0]) + np.float32(raster.offsets[0])

@@ -9,9 +9,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from unbend.tables import messages as table_messages
 from unbend.tables.geodata import messages
-from unbend.tables.text_columns import degrees_of, numbers_of, require_names, text_table
-from unbend.units import Array, Integers
+from unbend.tables.text_columns import (
+    LARGEST_OF_QUANTITIES,
+    LINE_OF_FIRST_ROW,
+    degrees_of,
+    numbers_of,
+    require_names,
+    text_table,
+)
+from unbend.units import LARGEST_NUMBER, Array, Integers
 
 _CODES = (messages.POINTS_TABLE, messages.POINTS_COLUMN)
 
@@ -86,6 +94,7 @@ def read_object_points(
             raise messages.points_table(where=path, error=str(error)) from None
     else:
         given, values = _points_of_text(path, columns, key)
+    _refuse_beyond(path, columns, values)
     names = given.value_counts()
     twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
     if len(names) == 0:
@@ -93,6 +102,23 @@ def read_object_points(
     if len(twice):
         raise messages.points_repeated(where=path, count=len(twice), first=repr(twice[0].as_py()))
     return given, values
+
+
+def _refuse_beyond(path: Path, columns: Mapping[str, str], values: Mapping[str, Array]) -> None:
+    """Refuse heights, places and other numbers of points that are none; NaN is unknown."""
+    for quantity, numbers in values.items():
+        largest = LARGEST_OF_QUANTITIES.get(quantity, LARGEST_NUMBER)
+        beyond = np.flatnonzero(np.abs(numbers) > largest)
+        if beyond.size:
+            raise table_messages.numbers_beyond(
+                code=_CODES[0],
+                path=path,
+                line=int(beyond[0]) + LINE_OF_FIRST_ROW,
+                column=columns[quantity],
+                count=beyond.size,
+                first=float(numbers[beyond[0]]),
+                largest=largest,
+            )
 
 
 def _points_of_text(
@@ -106,5 +132,6 @@ def _points_of_text(
         if quantity in ("latitude", "longitude"):
             values[quantity] = degrees_of(text, name, path, code, quantity=quantity)
         elif quantity != "point":
-            values[quantity] = numbers_of(text, name, path, code)
+            largest = LARGEST_OF_QUANTITIES.get(quantity, LARGEST_NUMBER)
+            values[quantity] = numbers_of(text, name, path, code, largest)
     return pa.array(text[columns["point"]].str.strip(), pa.string()), values

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from unbend.flight import rotations
-from unbend.flight.clock import utc_of_gps
+from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
 from unbend.flight.image_names import composed
 from unbend.flight.stations import NO_TIME
 from unbend.flight.survey_dates import can_be_flown
@@ -29,14 +29,13 @@ from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.imports.xmp import dji_tags
 from unbend.tables.text_columns import FIRST_WEEK_OF_SURVEYS, whole_table
-from unbend.units import Integers, Names
+from unbend.units import LARGEST_HEIGHT_M, Integers, Names
 from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, height_of
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
 
 _MOST_EXAMPLES = 3  # of images that a message names
 LARGEST_WEEK = 9_999  # of GPS, in 2171: a larger number is no week, and would not fit into 64 bits
-LARGEST_HEIGHT_M = 100_000.0  # no aircraft is as high; 2**32 - 1 stands for an unknown height
 _STAMP = re.compile(
     r"(\d{4})[:/-](\d\d)[:/-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
 )
@@ -88,7 +87,10 @@ def parse_time(text: str, zone: str = "") -> Stamp | None:
         return None
     signed = re.fullmatch(r"([+-])(\d\d):?(\d\d)", offset)
     if signed is not None:
-        seconds -= int(signed[1] + "1") * (int(signed[2]) * 3600 + int(signed[3]) * 60)
+        ahead_s = int(signed[2]) * 3600 + int(signed[3]) * 60
+        if ahead_s > _FARTHEST_ZONE_S or int(signed[3]) >= 60:
+            return None
+        seconds -= int(signed[1] + "1") * ahead_s
     decimals = decimals[:9]
     time_ns = seconds * 10**9 + int(decimals.ljust(9, "0"))
     if not bool(can_be_flown(np.array([time_ns]))[0]):
@@ -375,7 +377,7 @@ def _time_of_day(rationals: Sequence[object]) -> str:
         if not isinstance(numerator, int | float) or not denominator:
             return ""
         parts.append(float(numerator) / float(denominator))
-    if len(parts) != 3:
+    if len(parts) != 3 or not np.isfinite(parts).all():
         return ""
     hour, minute, second = parts
     text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
@@ -401,9 +403,10 @@ def _height_of_tags(reader: TagReader, file: str, tags: Mapping[str, str]) -> fl
 
 def _stamp_of_week(week: str, seconds: str) -> Stamp | None:
     """The time of a GPS week and its seconds; None where no survey can have it."""
-    if not week.isdigit() or not re.fullmatch(r"\d{1,6}(\.\d*)?", seconds):
+    is_week = re.fullmatch(r"\d{1,5}", week) is not None
+    if not is_week or not re.fullmatch(r"\d{1,6}(\.\d*)?", seconds):
         return None
-    if int(week) < FIRST_WEEK_OF_SURVEYS:
+    if int(week) < FIRST_WEEK_OF_SURVEYS or float(seconds) > SECONDS_PER_WEEK:
         return None
     step_s = 10.0 ** -len(seconds.partition(".")[2])
     time_ns = utc_of_gps(min(int(week), LARGEST_WEEK), float(seconds)).reshape(1)

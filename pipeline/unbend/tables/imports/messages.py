@@ -717,6 +717,15 @@ def not_on_earth(*, where: Path | str, radius: float) -> InputError:
     )
 
 
+IMPORT_VALUES = Code(
+    "IMPORT-VALUES",
+    means="Single values of rows are no numbers, or none that a flight has: negative standard "
+    "deviations, more than 1000 m/s, quaternions of another length than 1.",
+    effect="They are taken as unknown; the rest of their rows is used.",
+    remedy="Correct the file if they matter.",
+)
+
+
 IMPORT_ROWS = Code(
     "IMPORT-ROWS",
     means="Rows cannot be read, have a place or time that no survey can have (0, 0; the future; a "
@@ -735,6 +744,43 @@ def rows_unreadable(*, where: str, count: int, total: int, first: int) -> Messag
         where=where,
         count=count,
         total=Counted(total, "row"),
+        first=first,
+    )
+
+
+def values_impossible(*, where: str, column: str, count: int, row: int, first: float) -> Message:
+    """Single values of rows are none that a flight has; ``row`` counts from 1."""
+    return loss(
+        IMPORT_VALUES,
+        (
+            "{count} values of {column} are impossible and are taken as unknown, the first is "
+            "{first:g} in row {row}"
+        ),
+        one="1 value of {column} is impossible and is taken as unknown: {first:g} in row {row}",
+        where=where,
+        count=count,
+        column=column,
+        row=row,
+        first=first,
+    )
+
+
+def fields_unreadable(*, where: str, column: str, count: int, line: int, first: str) -> Message:
+    """Fields of a column of a trajectory hold no number."""
+    return loss(
+        IMPORT_VALUES,
+        (
+            "{count} fields of column {column} are not numbers and are taken as unknown, the first "
+            "is {first!r} in line {line}"
+        ),
+        one=(
+            "1 field of column {column} is not a number and is taken as unknown: {first!r} in line "
+            "{line}"
+        ),
+        where=where,
+        count=count,
+        column=column,
+        line=line,
         first=first,
     )
 

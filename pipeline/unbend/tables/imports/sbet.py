@@ -18,7 +18,7 @@ from unbend.geodesy import principal_radii, wrapped
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated, channel_of_rows
-from unbend.units import ARCSEC, Array
+from unbend.units import ARCSEC, Array, measured
 
 FASTEST_M_S = 700.0  # no aircraft that takes pictures flies faster
 _ROW, _SIGMA_ROW = 17, 10
@@ -90,11 +90,10 @@ def _refusal_of(path: Path, rows: Array) -> InputError | None:
     """The refusal of rows that cannot be of an SBET; None where they can."""
     if len(rows) < _FEWEST_ROWS:
         return messages.sbet_too_short(where=path, rows=len(rows))
-    if not bool(np.isfinite(rows).all()):
+    if not bool(np.isfinite(measured(rows)).all()):
         return messages.sbet_not_numbers(where=path)
     time, height, largest = rows[:, 0], rows[:, 3], np.abs(rows).max(axis=0)
-    with np.errstate(over="ignore"):
-        back = np.count_nonzero(np.diff(time) <= 0.0)
+    back = np.count_nonzero(np.diff(time) <= 0.0)
     if time.min() < 0.0 or time.max() > 3 * 604_800.0 or back > 0.01 * time.size:
         return messages.sbet_without_time(where=path)
     if largest[1] > np.pi / 2.0 or largest[2] > 2.0 * np.pi:
@@ -113,7 +112,7 @@ def _refusal_of(path: Path, rows: Array) -> InputError | None:
 
 def _are_sigmas(rows: Array) -> bool:
     """Whether rows of ten can be those of a smrmsg file: increasing seconds, small sigmas."""
-    if len(rows) < _FEWEST_ROWS or not bool(np.isfinite(rows).all()):
+    if len(rows) < _FEWEST_ROWS or not bool(np.isfinite(measured(rows)).all()):
         return False
     increase, sigmas = np.median(np.diff(rows[:, 0])), rows[:, 1:]
     in_week = rows[:, 0].min() >= 0.0 and rows[:, 0].max() < 3 * 604_800.0

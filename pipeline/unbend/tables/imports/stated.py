@@ -18,7 +18,14 @@ from unbend.geodesy import GeoidGrid
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
 from unbend.tables.text_columns import utc_of_weeks
-from unbend.units import NANOSECONDS_PER_SECOND, UNIX_NS_OF_GPS_EPOCH, AngleUnit, Array, Mask
+from unbend.units import (
+    LARGEST_HEIGHT_M,
+    NANOSECONDS_PER_SECOND,
+    UNIX_NS_OF_GPS_EPOCH,
+    AngleUnit,
+    Array,
+    Mask,
+)
 
 
 def as_written(angles: Array) -> Array:
@@ -114,10 +121,68 @@ def read_text(path: Path) -> list[str]:
 
 
 def _has_place(columns: Mapping[str, Array]) -> Mask:
-    """(n,) False where the place is 0, 0: that stands for an unknown one."""
+    """(n,) False where the place is 0, 0, which stands for an unknown one, or none on earth."""
     is_at_equator = columns["lat_rad"] == 0.0
     is_at_greenwich = columns["lon_rad"] == 0.0
-    return np.asarray(~(is_at_equator & is_at_greenwich))
+    is_near = np.abs(columns["lon_rad"]) <= LARGEST_LONGITUDE_RAD
+    for name in HEIGHT_COLUMNS & columns.keys():
+        is_near &= np.abs(columns[name]) <= LARGEST_HEIGHT_M
+    is_unknown = np.isnan(columns["lat_rad"])
+    return np.asarray(is_unknown | (is_near & ~(is_at_equator & is_at_greenwich)))
+
+
+LARGEST_LONGITUDE_RAD = 2.0 * np.pi
+HEIGHT_COLUMNS = {"h_ellipsoid_m", "h_msl_m"}
+LARGEST_SIGMA = 1e6  # metres or radians: a larger one stands for an unknown place
+FASTEST_M_S = 1000.0  # no aircraft that takes images is as fast
+LONGEST_ARM_M = 1000.0  # from an antenna to a camera
+LONGEST_NORM_ERROR = 1e-3  # of quaternions, which are written with a few digits
+_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+
+
+def _possible(name: str, values: Array) -> Mask:
+    """(n,) which values of a column a flight can have; those of places are judged with the row."""
+    if name.startswith("sigma_"):
+        return np.asarray((values >= 0.0) & (values <= LARGEST_SIGMA))
+    if name.startswith("v_"):
+        return np.asarray(np.abs(values) <= FASTEST_M_S)
+    if name.startswith("offset_"):
+        return np.asarray(np.abs(values) <= LONGEST_ARM_M)
+    return np.ones(values.shape, np.bool_)
+
+
+def without_impossible(
+    path: Path, columns: Mapping[str, Array], ledger: Ledger
+) -> dict[str, Array]:
+    """Columns whose impossible values are unknown; those of each column are a loss.
+
+    Impossible are negative sigmas, velocities of no aircraft, and quaternions of another length
+    than 1.
+    """
+    result = dict(columns)
+    wrong_rows = {}
+    for name, values in columns.items():
+        wrong_rows[name] = ~np.isnan(values) & ~_possible(name, values)
+    if columns.keys() >= set(_QUATERNION):
+        length = np.linalg.norm([columns[name] for name in _QUATERNION], axis=0)
+        is_other = np.abs(length - 1.0) > LONGEST_NORM_ERROR
+        for name in _QUATERNION:
+            wrong_rows[name] = is_other
+    for name, is_wrong in wrong_rows.items():
+        if not bool(is_wrong.any()):
+            continue
+        result[name] = np.where(is_wrong, np.nan, columns[name])
+        first = int(np.argmax(is_wrong))
+        ledger.add(
+            messages.values_impossible(
+                where=path.name,
+                column=name,
+                count=int(is_wrong.sum()),
+                row=first + 1,
+                first=float(columns[name][first]),
+            )
+        )
+    return result
 
 
 def channel_of_rows(
@@ -133,10 +198,18 @@ def channel_of_rows(
     """A channel called like the file, in the order of time, without rows that cannot be read.
 
     ``readable`` (n,) False where a row is damaged; these rows, those whose time no survey can
-    have, those whose place is 0, 0 because it was not known, and those that repeat a time, are a
-    loss. Refuses latitudes beyond the poles.
+    have, those whose place is 0, 0 because it was not known, or none on earth, and those that
+    repeat a time, are a loss. So are single values that are impossible. Refuses latitudes beyond
+    the poles.
     """
-    readable = readable & can_be_flown(time_ns) & _has_place(columns)
+    columns = without_impossible(path, columns, ledger)
+    readable = readable & can_be_flown(time_ns)
+    # First: in another unit than stated all places are none.
+    latitudes = np.abs(columns["lat_rad"][readable])
+    worst = float(np.fmax.reduce(latitudes, initial=0.0))
+    if worst > np.pi / 2.0:
+        raise messages.latitude_beyond_poles(where=path, worst_deg=float(np.degrees(worst)))
+    readable = readable & _has_place(columns)
     rows = np.argsort(time_ns, kind="stable")
     rows = rows[readable[rows]]
     again = np.diff(time_ns[rows], prepend=-1) == 0
@@ -152,9 +225,6 @@ def channel_of_rows(
     rows = rows[~again]
     if rows.size == 0:
         raise messages.no_row_readable(where=path)
-    worst = float(np.fmax.reduce(np.abs(columns["lat_rad"][rows]), initial=0.0))
-    if worst > np.pi / 2.0:
-        raise messages.latitude_beyond_poles(where=path, worst_deg=float(np.degrees(worst)))
     values = {name: column[rows] for name, column in columns.items()}
     words = {n: tuple(np.array(v, dtype=object)[rows]) for n, v in (labels or {}).items()}
     return Channel(path.name, time_ns[rows], values, Source(kind), labels=words)

@@ -17,8 +17,14 @@ from unbend.geodesy import geodetic_of_ecef
 from unbend.messages import Ledger, Notes
 from unbend.tables.geodata.coordinate_systems import GeocentricDatum, places_of
 from unbend.tables.imports import messages
-from unbend.tables.imports.stated import Stated, channel_of_rows
+from unbend.tables.imports.stated import (
+    LONGEST_NORM_ERROR,
+    Stated,
+    channel_of_rows,
+    without_impossible,
+)
 from unbend.tables.text_columns import (
+    LARGEST_OF_QUANTITIES,
     angles_in_radians,
     degrees_of,
     numbers,
@@ -31,10 +37,20 @@ from unbend.tables.text_columns import (
     utc_of_dates,
     utc_of_weeks,
 )
-from unbend.units import DEGREE, RADIANS, Array, Integers, Mask, Names, whole_numbers
+from unbend.units import (
+    DEGREE,
+    LARGEST_NUMBER,
+    RADIANS,
+    Array,
+    Integers,
+    Mask,
+    Names,
+    whole_numbers,
+)
 
 _LAST_US = 9 * 10**15  # since 1970: 2255, in nanoseconds within 64 bits
 _SINCE_EPOCH_S = 1e8  # seconds beyond this count from an epoch, not from the beginning of a week
+_OF_EACH_ROW = ("time", "week", "latitude", "longitude", "height", "x", "y", "z")
 _AS_THEY_ARE = (
     "v_north_m_s", "v_east_m_s", "v_down_m_s", "sigma_h_m", "sigma_v_m", "q_w", "q_x", "q_y", "q_z",
 )  # fmt: skip
@@ -54,6 +70,7 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     table = text_table(path, stated.columns, codes=(messages.IMPORT_FORMAT, messages.IMPORT_COLUMN),
                        key="stations.trajectory.columns")  # fmt: skip
     value = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
+    _report_unreadable(table, value, path, stated, ledger)
     if stated.position_unit == "deg":
         for quantity in value.keys() & _LIMITS_DEG.keys():
             name = stated.columns[quantity]
@@ -78,7 +95,11 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     elif "x" in value:
         lat, lon, height = geodetic_of_ecef(value["x"], value["y"], value["z"])
         surface = stated.height_column(path, ledger, "ellipsoid")
-        radius = float(np.nanmedian(np.linalg.norm([value[axis] for axis in "xyz"], axis=0)))
+        radii = np.linalg.norm([value[axis] for axis in "xyz"], axis=0)
+        known_radii = radii[np.isfinite(radii)]
+        if known_radii.size == 0:
+            raise messages.no_row_readable(where=path)
+        radius = float(np.median(known_radii))
         if not 6.3e6 < radius < 6.5e6:
             raise messages.not_on_earth(where=path, radius=radius)
     else:
@@ -102,11 +123,40 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         q = np.full((known.size, 4), np.nan)
         q[known] = Rotation.from_euler(stated.angle_order, in_order).as_quat(canonical=True)
         columns |= {f"q_{axis}": q[:, k] for k, axis in enumerate("xyzw")}
+    columns = without_impossible(path, columns, ledger)
     if grid_north is not None:
         columns = from_grid_north(columns, grid_north)
     time_ns, readable = _utc(path, table[stated.columns["time"]].str.strip(), value, stated, ledger)
     readable = readable & np.isfinite([lat, lon, height]).all(axis=0)
     return channel_of_rows(path, "CSV", time_ns, columns, ledger, readable=readable)
+
+
+# Words for a value that is not known, as programs write them.
+_UNKNOWN_WORDS = ("", "nan", "none", "null", "n/a", "-")
+
+
+def _report_unreadable(
+    table: pd.DataFrame, value: Mapping[str, Array], path: Path, stated: Stated, ledger: Ledger
+) -> None:
+    """A loss for each column beside time and place with fields that are no numbers.
+
+    Rows whose time or place cannot be read are lost as a whole (see `channel_of_rows`).
+    """
+    for quantity, name in stated.columns.items():
+        if quantity in _OF_EACH_ROW:
+            continue
+        is_stated = ~table[name].str.strip().str.lower().isin(_UNKNOWN_WORDS).to_numpy(np.bool_)
+        unread = np.flatnonzero(is_stated & np.isnan(value[quantity]))
+        if unread.size:
+            ledger.add(
+                messages.fields_unreadable(
+                    where=path.name,
+                    column=name,
+                    count=unread.size,
+                    line=int(table.index[unread[0]]),
+                    first=table[name].iloc[unread[0]],
+                )
+            )
 
 
 def from_grid_north(columns: dict[str, Array], convergence_rad: Array) -> dict[str, Array]:
@@ -141,7 +191,9 @@ def _utc(
     if float(np.nanmedian(seconds)) < _SINCE_EPOCH_S:
         return stated.utc_of_week_seconds(path, seconds, system), readable
     if system == "gpst":
-        return utc_of_weeks(*np.divmod(seconds, SECONDS_PER_WEEK), system), readable
+        since_1980 = np.where(readable, seconds, 0.0)
+        return utc_of_weeks(*np.divmod(since_1980, SECONDS_PER_WEEK), system), readable
+    readable = readable & (seconds >= 0.0)  # -1 stands for an unknown time
     time_us = np.rint(np.where(readable, seconds, 0.0) * 1e6)
     return whole_numbers(time_us, -_LAST_US, _LAST_US) * 1000, readable
 
@@ -151,7 +203,6 @@ _ANGLES = {
 }  # fmt: skip
 _CODES_OF_ORIENTATION = (messages.ORIENTATION_CSV, messages.ORIENTATION_COLUMN)
 _LIMITS_DEG = {"latitude": 90.0, "longitude": 360.0}
-_LONGEST_NORM_ERROR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +356,7 @@ def _unit_quaternions(quaternion: Array, table: pd.DataFrame, path: Path) -> Arr
     """(n, 4) quaternions of length 1; refuses those whose length is another."""
     length = np.linalg.norm(quaternion, axis=1)
     error = np.abs(length - 1.0)
-    wrong = error > _LONGEST_NORM_ERROR
+    wrong = error > LONGEST_NORM_ERROR
     if wrong.any():
         worst = int(np.nanargmax(error))
         raise messages.orientation_quaternion(
@@ -358,7 +409,8 @@ def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[
                 table, column, path, messages.ORIENTATION_NUMBER, quantity=quantity
             )
         elif quantity not in ("image", "camera", "time_utc"):
-            value[quantity] = numbers_of(table, column, path, messages.ORIENTATION_NUMBER)
+            largest = LARGEST_OF_QUANTITIES.get(quantity, LARGEST_NUMBER)
+            value[quantity] = numbers_of(table, column, path, messages.ORIENTATION_NUMBER, largest)
     return value
 
 

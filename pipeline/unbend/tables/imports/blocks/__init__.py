@@ -12,7 +12,7 @@ import sqlite3
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +26,7 @@ from unbend.errors import InputError, PhysicsError, UnbendError
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.imports import Registry, format_of
 from unbend.tables.imports.blocks import messages
-from unbend.units import Array
+from unbend.units import LARGEST_NUMBER, Array, Names, measured
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -81,6 +81,8 @@ _OF_LIBRARIES = (
     ValueError,
     TypeError,
     AttributeError,
+    ArithmeticError,  # a number that no float or integer of 64 bits holds
+    RecursionError,  # JSON of 100,000 brackets
     EOFError,
     OSError,
     SyntaxError,
@@ -95,7 +97,21 @@ def damage_refused(
     path: Path | str,
     program: str,
 ) -> Iterator[None]:
-    """Raise what a library says of a damaged file as InputError (IMPORT-FORMAT)."""
+    """Raise what a library says of a damaged file as InputError (IMPORT-FORMAT).
+
+    So are numbers whose quotients and products are none: a size of 0, a length of 1e308.
+    """
+    strict = np.errstate(divide="raise", over="raise", invalid="raise")
+    with refusals_of_libraries(path, program), strict:
+        yield
+
+
+@contextmanager
+def refusals_of_libraries(
+    path: Path | str,
+    program: str,
+) -> Iterator[None]:
+    """As `damage_refused`, around what yields: the state of numpy would be that of its caller."""
     try:
         yield
     except PhysicsError as error:
@@ -197,7 +213,8 @@ def read_block_images(
         )
     if len(table.image) == 0:
         raise messages.no_orientation(where=path)
-    length = np.linalg.norm(table.angles, axis=1)
+    _refuse_beyond(path, table.image, table.position)
+    length = np.linalg.norm(measured(table.angles), axis=1)
     wrong = np.abs(length - 1.0) > _LONGEST_NORM_ERROR
     if wrong.any():
         raise messages.no_rotation(
@@ -207,13 +224,43 @@ def read_block_images(
     return replace(table, angles=table.angles / length[:, None])
 
 
+def _refuse_beyond(
+    path: Path,
+    name: Sequence[str] | Names,
+    position: Array,
+) -> None:
+    """Refuse positions (n, 3) that no frame of a block has; NaN where one is unknown."""
+    beyond = (np.abs(position) > LARGEST_NUMBER).any(axis=1)
+    if beyond.any():
+        first = int(np.argmax(beyond))
+        raise messages.position_beyond(
+            where=path,
+            item=str(name[first]),
+            largest=float(np.nanmax(np.abs(position[first]))),
+        )
+
+
+def read_block_points(
+    path: Path,
+    program: str,
+) -> tuple[pa.StringArray, Array]:
+    """The object points of a block: names, and (p, 3) positions in the frame of its images."""
+    with damage_refused(path, program):
+        names, position = block_reader(program).read_points(path)
+    _refuse_beyond(path, names, position)
+    return names, position
+
+
 def read_block_places(
     path: Path,
     program: str,
 ) -> tuple[KnownPlaces, ...]:
     """Where the files of a block say that its images were, beside their orientations."""
     with damage_refused(path, program):
-        return block_reader(program).read_places(path)
+        places = block_reader(program).read_places(path)
+    for source in places:
+        _refuse_beyond(path, source.image, source.position)
+    return places
 
 
 def block_rows(
@@ -221,5 +268,5 @@ def block_rows(
     program: str,
 ) -> Iterator[pa.RecordBatch]:
     """The image points of a block, image by image; refuses a damaged file where it is damaged."""
-    with damage_refused(path, program):
+    with refusals_of_libraries(path, program):
         yield from block_reader(program).read_rows(path)

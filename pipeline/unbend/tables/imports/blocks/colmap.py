@@ -33,7 +33,7 @@ from unbend.tables.imports.blocks.image_points import (
     rows_of_image,
 )
 from unbend.tables.imports.user_tables import OrientationTable
-from unbend.units import Array, Integers
+from unbend.units import Array, Integers, exact_integers
 
 _MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
@@ -205,7 +205,7 @@ def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
                     )
                 pose, count = np.array(numbers, np.float64).reshape(7), count + 1
                 points = np.array(next(rows, "").split(), np.float64).reshape(-1, 3)
-                yield name, camera, pose, points[:, :2], points[:, 2].astype(np.int64)
+                yield name, camera, pose, points[:, :2], exact_integers(points[:, 2])
     refuse_missing_records(file, count)
 
 

@@ -142,6 +142,12 @@ def no_rotation(*, where: Path | str, image: str) -> InputError:
     return _damaged(where, "the orientation of {image!r} is not a rotation", image=image)
 
 
+def position_beyond(*, where: Path | str, item: str, largest: float) -> InputError:
+    """A position is infinite or farther away than anything on earth, in any unit."""
+    text = "the position of {item!r} has a coordinate of {largest:g}"
+    return _damaged(where, text, item=item, largest=largest)
+
+
 # COLMAP
 
 

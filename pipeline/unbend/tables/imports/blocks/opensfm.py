@@ -35,7 +35,7 @@ from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_ima
 from unbend.tables.imports.messages import IMPORT_FORMAT
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.text_columns import LINE_OF_FIRST_ROW, numbers_of
-from unbend.units import Array
+from unbend.units import Array, exact_integers
 
 _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "perspective": ("BROWN", ("k1", "k2", "-", "-", "-")),
@@ -198,14 +198,15 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
         version = stream.readline().strip()
     if version != _VERSION:
         raise messages.tracks_version(where=file, first_line=version[:40], expected=_VERSION)
-    kinds = dict.fromkeys(_COLUMNS, "float64") | {"image": "str", "track": "int64",
-                                                  "keypoint": "int64"}  # fmt: skip
+    kinds = dict.fromkeys(_COLUMNS, "float64") | {"image": "str"}
     read: Callable[..., Any] = partial(
         pd.read_csv, file, sep="\t", skiprows=1, header=None, names=_COLUMNS, quoting=3,
         keep_default_na=False, na_values=[""], index_col=False,
     )  # fmt: skip
     try:
         table = read(dtype=kinds)
+        for name in ("track", "keypoint"):
+            table[name] = exact_integers(table[name].to_numpy())
     except (ValueError, OverflowError):
         text = read(dtype="str").fillna("")
         text.index = text.index + LINE_OF_FIRST_ROW

@@ -1,0 +1,445 @@
+"""Tables, tags, weather and missions with fields at their limits: read, or refused by name.
+
+Never another exception or a warning, never a result that no measurement can be.
+"""
+
+from __future__ import annotations
+
+import random
+import struct
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+
+from tests.conftest import MissionFolder
+from tests.faults.extreme_inputs import impossible_values
+from tests.faults.extreme_readers import (
+    GPST,
+    MRK_TEXT,
+    NOON_NS,
+    PLAIN_SOUNDING,
+    READERS,
+    REPORT,
+    TOW,
+    UTC,
+    head_of,
+    read_block,
+    small_blocks,
+)
+from tests.faults.extreme_readers import UNIX_S as START_S
+from unbend.atmosphere.hypsometry import fall_of_pressure
+from unbend.atmosphere.surface_report import parse_metar
+from unbend.config import load_mission
+from unbend.config.campaign import open_configs
+from unbend.errors import ConfigError, InputError, UnbendError, rendered
+from unbend.messages import Ledger
+from unbend.tables.geodata.geoid import read_geoid
+from unbend.tables.imports.camera_events import read_mrk
+from unbend.tables.imports.exif import parse_time
+from unbend.tables.imports.stated import Stated
+from unbend.tables.imports.user_tables import read_orientation, read_trajectory_csv
+from unbend.tables.soundings import read_sounding
+from unbend.tables.text_columns import numbers
+from unbend.tables.weather_files import possible_steps, possible_times
+from unbend.units import exact_integers, measured
+
+LONGEST_UNITS = 100.0  # of work, for an input of some kilobytes, or of one field of 140
+LONGEST_REFUSAL = 8000  # characters: a field of 140,000 is not repeated
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_fields_at_their_limits(
+    tmp_path: Path, mutate: ModuleType, mutation_count: int, mutation_seed: int, kind: str
+) -> None:
+    limit_s = LONGEST_UNITS * mutate.work_unit_s()
+    reader = READERS[kind]
+    count = max(mutation_count // 250, 1)
+    first_seed = mutation_seed if mutation_count > 2000 else 0  # `make test` has the same each day
+    for seed in range(first_seed, first_seed + count):
+        print(f"READERS[{kind!r}], random.Random('{kind} {seed}')")
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        reader.write(folder, random.Random(f"{kind} {seed}"))
+        with mutate.limited(limit_s):
+            try:
+                result = reader.read(folder)
+            except UnbendError as error:
+                refusal = error
+            else:
+                assert not [*impossible_values(result)]
+                continue
+        assert refusal.where
+        assert refusal.remedy
+        assert len(str(refusal)) < LONGEST_REFUSAL
+
+
+@pytest.mark.slow
+def test_a_run_flags_measurements_beyond_all_limits(mission: MissionFolder) -> None:
+    """Each is flagged, without a corrected pixel; the rows of others do not change."""
+    sound = mission.measurements().to_pandas()
+    mission.observe(pa.Table.from_pandas(sound, preserve_index=False))
+    assert mission.run().code == 0
+    before = mission.results().to_pandas()
+    extremes = [np.nan, np.inf, -np.inf, 1e308, -1e308, 2.0**64, -(2.0**63), 1e19]
+    spoilt = sound.copy()
+    rows = []
+    for column in ("x_px", "y_px", "h_g_m"):
+        for value in extremes:
+            row = len(rows)
+            spoilt.loc[row, column] = value
+            rows.append(row)
+    mission.observe(pa.Table.from_pandas(spoilt, preserve_index=False))
+    ended = mission.run()
+    assert (ended.code, "Traceback" in ended.text) == (3, False)
+    after = mission.results().to_pandas()
+    assert "ok" not in set(after["status"][rows])
+    corrected = ["x_corrected_px", "y_corrected_px"]
+    assert after.loc[rows, corrected].isna().all().all()
+    rest = before.index.difference(rows)
+    pd.testing.assert_frame_equal(after.loc[rest, corrected], before.loc[rest, corrected])
+
+
+# What is read of single fields
+
+
+def trajectory_of(folder: Path, rows: list[str], columns: dict[str, str], stated=UTC):
+    """The channel of a table that begins with sound rows, and the losses of reading it."""
+    path = folder / "flight.csv"
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    ledger = Ledger()
+    own = replace(stated, columns={"time": "t", **columns})
+    channel = read_trajectory_csv(path, own, ledger)
+    return channel, {entry.code: entry for entry in ledger if entry.kind == "loss"}
+
+
+PLACES = {"latitude": "lat", "longitude": "lon", "height": "h"}
+
+
+def sound_rows(extra: str = "") -> list[str]:
+    return [f"{START_S + k}.5,47.3,{8.5 + 1e-4 * k:.4f},1500.5{extra}" for k in range(5)]
+
+
+@pytest.mark.parametrize(
+    ("place", "word"),
+    [(0, "1e308"), (0, "9" * 400), (1, "inf"), (2, "1e308"), (2, "400.0"), (2, str(2**64)),
+     (3, "1e308"), (3, "2147483647"), (3, "nan"), (0, "-1"),
+     (0, "9999-12-31T23:59:59Z")],
+)  # fmt: skip
+def test_a_row_without_a_place_or_a_time_is_lost(tmp_path: Path, place: int, word: str) -> None:
+    rows = sound_rows()
+    fields = rows[2].split(",")
+    fields[place] = word
+    rows[2] = ",".join(fields)
+    channel, losses = trajectory_of(tmp_path, ["t,lat,lon,h", *rows], PLACES)
+    seconds = (channel.time_ns / 1e9 - START_S).tolist()
+    assert seconds == [0.5, 1.5, 3.5, 4.5]
+    assert losses["IMPORT-ROWS"].count == 1
+    assert "row 3" in losses["IMPORT-ROWS"].what
+
+
+@pytest.mark.parametrize(
+    ("column", "word"),
+    [("sigma_h_m", "-0.5"), ("sigma_h_m", "1e308"), ("sigma_h_m", "x"), ("v_north_m_s", "1e9"),
+     ("v_north_m_s", "inf"), ("v_north_m_s", "1_0")],
+)  # fmt: skip
+def test_a_value_that_no_flight_has_is_unknown_and_counted(
+    tmp_path: Path, column: str, word: str
+) -> None:
+    rows = sound_rows(",0.25")
+    rows[2] = rows[2].replace(",0.25", f",{word}")
+    channel, losses = trajectory_of(tmp_path, ["t,lat,lon,h,c", *rows], PLACES | {column: "c"})
+    assert len(channel) == 5
+    assert np.flatnonzero(np.isnan(channel[column])).tolist() == [2]
+    assert losses["IMPORT-VALUES"].count == 1
+
+
+@pytest.mark.parametrize("first", ["0", "2", "0.9", "1e308"])
+def test_a_quaternion_of_another_length_is_no_attitude(tmp_path: Path, first: str) -> None:
+    rows = [f"{row},1,0,0,0" for row in sound_rows()]
+    rows[2] = rows[2].replace(",1,0,0,0", f",{first},0,0,0")
+    names = {f"q_{axis}": axis for axis in "wxyz"}
+    channel, losses = trajectory_of(tmp_path, ["t,lat,lon,h,w,x,y,z", *rows], PLACES | names)
+    assert np.flatnonzero(np.isnan(channel["q_x"]) | np.isnan(channel["q_w"])).tolist() == [2]
+    assert losses["IMPORT-VALUES"].count == 1
+
+
+def test_the_seconds_of_the_week_go_on_over_a_damaged_one(tmp_path: Path) -> None:
+    rows = [f"{TOW + k},47.3,{8.5 + 1e-4 * k:.4f},1500.5" for k in range(5)]
+    rows[1] = rows[1].replace(str(TOW + 1), "1e400")
+    channel, losses = trajectory_of(tmp_path, ["t,lat,lon,h", *rows], PLACES, GPST)
+    assert (np.diff(channel.time_ns) / 1e9).tolist() == [2.0, 1.0, 1.0]
+    assert losses["IMPORT-ROWS"].count == 1
+
+
+@pytest.mark.parametrize(
+    ("before", "word"), [("1500.000,Ellh", "1e308,Ellh"), ("8.50000000,Lon", "1e18,Lon")]
+)
+def test_an_event_that_is_nowhere_on_earth_is_lost(tmp_path: Path, before: str, word: str) -> None:
+    path = tmp_path / "flight.MRK"
+    path.write_text(MRK_TEXT.replace(before, word, 1), encoding="utf-8")
+    ledger = Ledger()
+    channel = read_mrk(path, GPST, ledger)
+    assert channel["event_index"].tolist() == [float(k) for k in range(2, 9)]
+    assert [(entry.code, entry.count) for entry in ledger] == [("IMPORT-ROWS", 1)]
+
+
+@pytest.mark.parametrize(
+    ("column", "word", "text"),
+    [("h", "1e9", "beyond 100000: 1e+09"), ("h", "1e308", "is not a number: '1e308'"),
+     ("lat", "1e400", "is not a number"), ("lon", "4_7", "is not a number"),
+     ("o", "1_0", "is not a number: '1_0'")],
+)  # fmt: skip
+def test_an_orientation_that_cannot_be_is_refused_with_its_line(
+    tmp_path: Path, column: str, word: str, text: str
+) -> None:
+    row = {"image": "a", "lat": "47.3", "lon": "8.5", "h": "1500", "o": "1", "p": "2", "k": "3"}
+    lines = [
+        ",".join(row),
+        ",".join(row.values()),
+        ",".join((row | {"image": "b", column: word}).values()),
+    ]
+    path = tmp_path / "block.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    columns = {"image": "image", **PLACES, "omega": "o", "phi": "p", "kappa": "k"}
+    with pytest.raises(InputError, match="ORIENTATION-NUMBER") as caught:
+        read_orientation(path, Stated(columns=columns), Ledger())
+    assert text in caught.value.what
+    assert caught.value.where == f"{path}, line 3"
+
+
+@pytest.mark.parametrize(
+    ("text", "zone"),
+    [("2026:05:06 12:00:00+99:99", ""), ("2026:05:06 12:00:00", "+14:01"),
+     ("2026:05:06 12:00:00", "-23:59"), ("9999:12:31 23:59:59", "Z"), ("0001:01:01 00:00:00", "Z")],
+)  # fmt: skip
+def test_a_time_of_an_image_that_cannot_be_is_none(text: str, zone: str) -> None:
+    assert parse_time(text, zone) is None
+
+
+@pytest.mark.parametrize("height", [[500.0] * 6, [0.0, 1000.0] * 3, [1e-300 * k for k in range(6)]])
+def test_heights_that_are_the_same_imply_no_temperature(height: list[float]) -> None:
+    """A degenerate sounding: numpy warned of its rank."""
+    log_pressure = np.linspace(11.5, 11.0, 6)
+    fall = fall_of_pressure(np.array(height), log_pressure)
+    assert np.isfinite(fall.unexplained)
+    if len(set(height)) == 1:
+        assert fall.implied_k is None
+
+
+# Blocks, weather, grids
+
+
+def write_small_model(folder: Path) -> None:
+    for name, content in small_blocks()["colmap"][1].items():
+        (folder / name).write_text(content)
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "word", "text"),
+    [("images.txt", 5, "1e308", "has a coordinate of"), ("points3D.txt", 1, "1e308", "'1' has a"),
+     ("points3D.txt", 1, "inf", "'1' has a coordinate of inf"),
+     ("cameras.txt", 2, "1e400", "not as that program writes it"),
+     ("cameras.txt", 2, str(2**64), "is no camera"), ("cameras.txt", 4, "1e308", "is no camera"),
+     ("cameras.txt", 4, "-3000", "is no camera")],
+)  # fmt: skip
+def test_a_number_of_a_block_that_cannot_be_is_refused(
+    tmp_path: Path, name: str, field: int, word: str, text: str
+) -> None:
+    write_small_model(tmp_path)
+    lines = (tmp_path / name).read_text().splitlines()
+    row = next(k for k, line in enumerate(lines) if line and not line.startswith("#"))
+    fields = lines[row].split(" ")
+    fields[field] = word
+    lines[row] = " ".join(fields)
+    (tmp_path / name).write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError) as caught:
+        read_block(tmp_path, "colmap")
+    assert text in caught.value.what
+    assert str(tmp_path) in caught.value.where
+
+
+@pytest.mark.parametrize("point", ["1e308", "inf", "nan", "0.5", str(2**63)])
+def test_an_image_point_of_no_whole_number_names_its_line(tmp_path: Path, point: str) -> None:
+    write_small_model(tmp_path)
+    path = tmp_path / "images.txt"
+    lines = path.read_text().splitlines()
+    row = 1 + next(k for k, line in enumerate(lines) if line and not line.startswith("#"))
+    lines[row] = " ".join([*lines[row].split(" ")[:2], point])
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="IMPORT-FORMAT") as caught:
+        read_block(tmp_path, "colmap")
+    assert f"{row + 1}" in str(caught.value)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "ns", "D"])
+@pytest.mark.parametrize("year", ["9999", "2300", "1700", "NaT"])
+def test_times_of_a_model_beyond_the_calendar_are_refused(unit: str, year: str) -> None:
+    """Nanoseconds do not hold them: numpy makes any other time of them."""
+    if unit == "ns" and year == "9999":
+        pytest.skip("nanoseconds cannot state it")
+    text = year if year == "NaT" else f"{year}-01-01"
+    stamps = np.array(["2026-05-06", text], f"datetime64[{unit}]")
+    assert stamps.dtype == f"datetime64[{unit}]"
+    with pytest.raises(InputError, match="MODEL-TIME"):
+        possible_times(stamps, "model.nc")
+    sound = possible_times(stamps[:1], "model.nc")
+    assert sound.astype(np.int64).tolist() == [1_778_025_600 * 10**9]
+
+
+def test_a_lead_time_of_no_forecast_is_refused() -> None:
+    steps = np.array([6, 2**40], "timedelta64[s]")
+    with pytest.raises(InputError, match="MODEL-TIME"):
+        possible_steps(steps, "model.nc")
+    assert possible_steps(steps[:1], "model.nc") == np.timedelta64(6, "s")
+
+
+@pytest.mark.parametrize(
+    ("place", "value"), [(0, np.nan), (0, 1e18), (1, np.inf), (2, 5e-324), (3, np.inf), (2, np.nan)]
+)
+def test_a_geoid_whose_head_is_no_grid_is_refused(tmp_path: Path, place: int, value: float) -> None:
+    head = [46.0, 7.0, 0.25, 0.25]
+    head[place] = value
+    path = tmp_path / "g.gtx"
+    values = np.full((2, 2), 47.5, ">f4")
+    path.write_bytes(struct.pack(">4d2i", *head, 2, 2) + values.tobytes())
+    with pytest.raises(InputError, match="the header is not that of a GTX"):
+        read_geoid(path)
+
+
+def test_an_hour_that_no_day_has_is_no_time_of_a_sounding(tmp_path: Path) -> None:
+    path = tmp_path / "s.txt"
+    text = head_of("igra2_USM*")
+    assert text.startswith("#USM00070026 2010 06 01 00 2303")
+    path.write_text(text.replace("2010 06 01 00 2303", "2010 06 01 50 9999", 1))
+    with pytest.raises(InputError, match="SOUNDING-TIME"):
+        read_sounding(path, Ledger())
+
+
+@pytest.mark.parametrize("word", ["_", "<" * 150_000, "x" * 150_000])
+def test_a_field_of_a_sounding_that_is_no_number_is_missing_or_refused(
+    tmp_path: Path, word: str
+) -> None:
+    path = tmp_path / "s.txt"
+    text = PLAIN_SOUNDING.replace("15.00,", f"1{word}5.00,", 1)
+    path.write_text(text)
+    try:
+        first_m = read_sounding(path, Ledger()).h_m[0]
+    except InputError as error:
+        refusal = error.code
+    else:
+        refusal = ""
+        assert first_m > 400.0
+    assert refusal in ("", "SOUNDING-FORMAT", "SOUNDING-EMPTY")
+
+
+def test_a_report_of_a_hundred_thousand_characters_is_none() -> None:
+    with pytest.raises(InputError, match="it has 100"):
+        parse_metar(f"{REPORT} {'A' * 100_000}", 183.0, Ledger(), flight_ns=NOON_NS)
+
+
+# Mission files
+
+
+def mission_refused(folder: Path, text: str) -> ConfigError:
+    path = folder / "mission.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_mission(path)
+    assert caught.value.remedy
+    assert str(path) in caught.value.where
+    return caught.value
+
+
+EXPLOSION = "a: &a [x, x, x, x, x, x, x, x, x, x]\n"
+for _inner, _outer in pairwise("abcdefghij"):
+    EXPLOSION += f"{_outer}: &{_outer} [{', '.join([f'*{_inner}'] * 10)}]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [("mission: {name: a, undulation_m: " + "9" * 5000 + "}", "a number has too many digits"),
+     ("mission: &m {name: *m}", "inside the section or list that it repeats"),
+     (EXPLOSION, "more than 1000000 values"),
+     ("mission: {name: !!bool x}", "the text is no YAML"),
+     ("mission: {name: !!timestamp x}", "tags (!) are not taken"),
+     ("mission: {name: !!timestamp 2026-05-14}", "tags (!) are not taken"),
+     ("mission: " + "[" * 5000, "the text is no YAML")],
+    ids=["digits", "loop", "explosion", "bool", "timestamp", "date", "depth"],
+)  # fmt: skip
+def test_a_text_that_yaml_cannot_hold_is_refused(tmp_path: Path, text: str, what: str) -> None:
+    assert what in mission_refused(tmp_path, text).what
+
+
+MISSION = """mission: {name: a, undulation_m: 47.5}
+log: {path: a.bin}
+observations: {path: o.csv}
+cameras: {nadir: {width_px: 100, height_px: 100, f_px: 200.0, cx_px: 50.0, cy_px: 50.0,
+  calibration: laboratory}}
+mount: {nadir: {roll_deg: 1.5}}
+events: {log: {nadir: {image: "{index}"}}}
+ground: {height: 200.0, reference: msl}
+atmosphere: {surface: [{h_msl_m: 500.0, temperature_c: 15.0, time_utc: 2026-05-14T10:20:00Z}]}
+stations: {max_sigma_height_m: 2.5}
+output: {path: out}
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "key"),
+    [("47.5", "1e400", "mission.undulation_m"),
+     ("roll_deg: 1.5", "roll_deg: 1e9", "mount.nadir.roll_deg"),
+     ("max_sigma_height_m: 2.5", "max_sigma_height_m: 1e308", "stations.max_sigma_height_m"),
+     ("max_sigma_height_m: 2.5", "max_sigma_height_m: " + "9" * 400, "stations.max_sigma_height_m"),
+     ("200.0, ref", ".nan, ref", "ground.height"),
+     ("width_px: 100", f"width_px: {2**64}", "width_px"),
+     ("2026-05-14T10:20:00Z", "9999-12-31T23:59:59Z", "time_utc: is no time"),
+     ("2026-05-14T10:20:00Z", "0001-01-01T00:00:00+23:59", "time_utc: is no time"),
+     ("path: o.csv", "path: " + "o" * 300 + ".csv", "observations.path: is longer than any path")],
+)  # fmt: skip
+def test_a_number_that_no_key_takes_is_refused(
+    tmp_path: Path, before: str, after: str, key: str
+) -> None:
+    (tmp_path / "sound.yaml").write_text(MISSION, encoding="utf-8")
+    load_mission(tmp_path / "sound.yaml")
+    assert MISSION.count(before) == 1
+    refusal = mission_refused(tmp_path, MISSION.replace(before, after))
+    assert key in refusal.what
+    assert "line " in refusal.what
+
+
+def test_a_campaign_with_a_loop_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "campaign.yaml"
+    path.write_text("campaign: c\nmissions:\n- &m {mission: {name: a}, log: *m}\n")
+    missions, campaigns = open_configs([path])
+    assert not campaigns
+    with pytest.raises(ConfigError, match="inside the section or list"):
+        missions[0].load()
+
+
+# The shared guards
+
+
+def test_numbers_beyond_all_measures_are_none() -> None:
+    fields = pd.Series(["1.5", "-0", "1e13", "inf", "9" * 400, "1_0", "x", "", "-1e12"])
+    read = numbers(fields)
+    assert read[[0, 1, 8]].tolist() == [1.5, 0.0, -1e12]
+    assert np.isnan(read[2:8]).all()
+    assert measured(np.array([3.0, np.nan]), largest=2.0).tolist()[0] != 3.0
+
+
+@pytest.mark.parametrize("value", [0.5, np.nan, np.inf, 1e300, 2.0**60])
+def test_what_is_no_whole_number_is_none(value: float) -> None:
+    with pytest.raises(ValueError, match="is not a whole number"):
+        exact_integers(np.array([1.0, value]))
+
+
+def test_a_sentence_does_not_repeat_a_damaged_field() -> None:
+    path = "/" + "f" * 400
+    assert rendered("{path}: {field!r}", {"path": path, "field": "x" * 5000}).startswith(path)
+    assert len(rendered("{field!r}", {"field": "x" * 5000})) < 100
