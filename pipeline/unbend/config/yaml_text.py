@@ -81,9 +81,14 @@ def _whole_number(loader: MissionLoader, node: yaml.Node) -> int:
         ) from None
 
 
+def _refused_tag(loader: MissionLoader, node: yaml.Node) -> None:
+    """The refusal of a value with a tag of YAML that no key takes."""
+    loader.construct_undefined(node)
+
+
 MissionLoader.add_constructor("tag:yaml.org,2002:int", _whole_number)
-for _name in ("timestamp", "binary", "set", "omap", "pairs"):  # tags of what no key takes
-    MissionLoader.add_constructor(f"tag:yaml.org,2002:{_name}", yaml.SafeLoader.construct_undefined)
+for _name in ("timestamp", "binary", "set", "omap", "pairs"):
+    MissionLoader.add_constructor(f"tag:yaml.org,2002:{_name}", _refused_tag)
 MissionLoader.yaml_implicit_resolvers = {
     first: [(tag, rule) for tag, rule in rules if tag.rsplit(":", 1)[1] not in _REPLACED_TYPES]
     for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
