@@ -68,7 +68,10 @@ class State:
 
     def rows(self, chosen: slice) -> State:
         """Some of the times."""
-        return State(**{name: value[chosen] for name, value in vars(self).items()})
+        values = {}
+        for name, value in vars(self).items():
+            values[name] = value[chosen]
+        return State(**values)
 
 
 @dataclass(frozen=True)
@@ -83,14 +86,28 @@ class _Wander:
         """The angle (n,) [rad]."""
         waves = []
         for number, period_s in enumerate(self.periods_s, start=1):
-            waves.append(np.sin(2.0 * np.pi * time_s / period_s + self.phase * number))
-        size = np.radians(self.size_deg)
-        return np.asarray(size * np.sum(waves, axis=0) / np.sqrt(len(self.periods_s)))
+            phase = self.phase * number
+            waves.append(np.sin(2.0 * np.pi * time_s / period_s + phase))
+        size_rad = np.radians(self.size_deg)
+        together = np.sum(waves, axis=0)
+        return np.asarray(size_rad * together / np.sqrt(len(waves)))
 
 
-ROLL_WANDER = _Wander(size_deg=0.8, periods_s=(7.3, 11.9, 29.0), phase=0.4)
-PITCH_WANDER = _Wander(size_deg=0.6, periods_s=(6.1, 13.7, 41.0), phase=1.3)
-YAW_WANDER = _Wander(size_deg=0.7, periods_s=(9.7, 17.3, 37.0), phase=2.6)
+ROLL_WANDER = _Wander(
+    size_deg=0.8,
+    periods_s=(7.3, 11.9, 29.0),
+    phase=0.4,
+)
+PITCH_WANDER = _Wander(
+    size_deg=0.6,
+    periods_s=(6.1, 13.7, 41.0),
+    phase=1.3,
+)
+YAW_WANDER = _Wander(
+    size_deg=0.7,
+    periods_s=(9.7, 17.3, 37.0),
+    phase=2.6,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +166,8 @@ def terrain_m(east_m: Array, north_m: Array) -> Array:
         + 80.0 * np.sin(east_m / 1900.0 + 0.6) * np.cos(north_m / 2300.0)
         + 45.0 * np.sin((east_m - 1.7 * north_m) / 1100.0 + 1.1)
     )
-    away = 1.0 - np.exp(-((np.hypot(east_m, north_m) / 4000.0) ** 4))
+    from_field_m = np.hypot(east_m, north_m)
+    away = 1.0 - np.exp(-((from_field_m / 4000.0) ** 4))
     return np.asarray(FIELD_HEIGHT_M + away * hills)
 
 
@@ -219,7 +237,8 @@ def _route(lines: int, line_m: float, climb_m: float) -> _Route:
         line_starts_m.append(_length_m(legs))
         legs.append(_Leg(line_m))
         if line < lines - 1:
-            legs.append(_turn(TURN_RADIUS_M, np.pi if line % 2 else -np.pi))
+            half_turn = np.pi if line % 2 else -np.pi
+            legs.append(_turn(TURN_RADIUS_M, half_turn))
     legs.append(_Leg(RUN_OUT_M))
     descent_start_m = _length_m(legs)
     to_left = lines % 2 == 0
@@ -248,8 +267,12 @@ def _way_back(legs: list[_Leg], side: float) -> list[_Leg]:
     straight = np.sqrt(distance**2 - radius**2)
     to_field = np.arctan2(-centre_east, -centre_north)
     heading = to_field + side * np.arctan2(radius, straight)
-    angle = float((side * (heading - place.heading_rad)) % (2.0 * np.pi))
-    return [_turn(radius, side * angle), _Leg(float(straight))]
+    turn = side * (heading - place.heading_rad)
+    angle = float(turn % (2.0 * np.pi))
+    return [
+        _turn(radius, side * angle),
+        _Leg(float(straight)),
+    ]
 
 
 def fly(height_above_ground_m: float, lines: int, exposures_per_line: int) -> Flight:
@@ -261,23 +284,29 @@ def fly(height_above_ground_m: float, lines: int, exposures_per_line: int) -> Fl
     duration_s = STAND_S + 2.0 * RAMP_S + cruise_s + AFTER_S
     time = np.arange(0.0, duration_s + STEP_S, STEP_S)
 
-    taken_off = _smoothstep((time - STAND_S) / RAMP_S)
-    landing_s = STAND_S + RAMP_S + cruise_s
-    landed = _smoothstep((time - landing_s) / RAMP_S)
-    airborne = taken_off - landed
+    airborne = _airborne(time, cruise_s)
     speed = airborne * SPEED_M_S
     distance = _integral(speed)
     heading = EAST_RAD + _integral(_turn_rate(route, distance, airborne))
     east = _integral(speed * np.sin(heading))
     north = _integral(speed * np.cos(heading))
     up = _height_profile(route, height_above_ground_m, distance, time)
+    position = np.stack([east, north, up], axis=-1)
     return Flight(
         duration_s=float(time[-1]),
         exposure_s=_exposure_times(route, exposures_per_line, distance, time),
-        path=make_interp_spline(time, np.stack([east, north, up], axis=-1), k=5),
+        path=make_interp_spline(time, position, k=5),
         heading=make_interp_spline(time, heading, k=5),
         airborne=make_interp_spline(time, airborne, k=3),
     )
+
+
+def _airborne(time: Array, cruise_s: float) -> Array:
+    """From 0 to 1 while taking off, and back while landing."""
+    landing_s = STAND_S + RAMP_S + cruise_s
+    taken_off = _smoothstep((time - STAND_S) / RAMP_S)
+    landed = _smoothstep((time - landing_s) / RAMP_S)
+    return taken_off - landed
 
 
 def _height_profile(
@@ -298,10 +327,16 @@ def _turn_rate(route: _Route, distance: Array, airborne: Array) -> Array:
     leg_edges = np.concatenate([[0.0], np.cumsum(route.lengths_m)])
     leg = np.searchsorted(leg_edges, distance, side="right") - 1
     leg = np.clip(leg, 0, len(route.legs) - 1)
-    return np.asarray(gaussian_filter1d(curvature[leg] * airborne * SPEED_M_S, TURN_SMOOTH))
+    turn_rate = curvature[leg] * airborne * SPEED_M_S
+    return np.asarray(gaussian_filter1d(turn_rate, TURN_SMOOTH))
 
 
-def _exposure_times(route: _Route, exposures_per_line: int, distance: Array, time: Array) -> Array:
+def _exposure_times(
+    route: _Route,
+    exposures_per_line: int,
+    distance: Array,
+    time: Array,
+) -> Array:
     """Times [s] of the exposures, equally spaced along each line.
 
     The camera's clock ticks in whole microseconds, and never in step with the other sensors.
@@ -311,7 +346,7 @@ def _exposure_times(route: _Route, exposures_per_line: int, distance: Array, tim
     shots = np.add.outer(first_of_line, along_line).ravel()
     exposure = np.interp(shots, distance, time)
     out_of_step = 0.043 * np.sin(7.0 * np.arange(len(shots)))
-    return np.round(exposure + out_of_step, 6)
+    return np.asarray(np.round(exposure + out_of_step, 6))
 
 
 def _smoothstep(x: Array) -> Array:
@@ -328,8 +363,8 @@ def _integral(values: Array) -> Array:
 
 def _share(time: Array, distance: Array, start_m: float, end_m: float) -> Array:
     """A rate [1/s] whose integral is one, spread over a stretch of the path, with soft ends."""
-    inside = ((distance >= start_m) & (distance <= end_m)).astype(np.float64)
-    soft = gaussian_filter1d(inside, CLIMB_SMOOTH)
+    inside = (distance >= start_m) & (distance <= end_m)
+    soft = gaussian_filter1d(inside.astype(np.float64), CLIMB_SMOOTH)
     step_s = time[1] - time[0]
     return np.asarray(soft / (soft.sum() * step_s))
 
@@ -351,8 +386,10 @@ def cabin_air(air: TrueAir, h_msl_m: Array, time_s: Array) -> AirState:
     held = float(air.pressure_pa(np.array(CABIN_HOLD_M)))
     over_held = (ambient - held) / VALVE_PA
     closed = 1.0 / (1.0 + np.exp(np.clip(over_held, -60.0, 60.0)))
-    wave = 220.0 * np.sin(2.0 * np.pi * time_s / 310.0) + 90.0 * np.sin(time_s / 14.0)
-    pressure = held + VALVE_PA * np.logaddexp(0.0, over_held) + closed * wave
+    slow_swing = 220.0 * np.sin(2.0 * np.pi * time_s / 310.0)
+    fast_swing = 90.0 * np.sin(time_s / 14.0)
+    swing = slow_swing + fast_swing
+    pressure = held + VALVE_PA * np.logaddexp(0.0, over_held) + closed * swing
     slow_wave = 1.6 * np.sin(2.0 * np.pi * time_s / 830.0 + 0.7)
     fast_wave = 0.4 * np.sin(2.0 * np.pi * time_s / 121.0)
     temperature = 295.0 + slow_wave + fast_wave
