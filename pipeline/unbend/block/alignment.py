@@ -29,9 +29,7 @@ LOG_RATIO_NEEDED = float(np.log(1000.0))
 # Prices, as natural logarithms of probabilities.
 IMAGES_OUTSIDE = np.log(0.1)  # a run of images before or after all events ...
 EACH_OUTSIDE = np.log(0.7)  # ... and each image of it
-EVENTS_OUTSIDE = np.log(
-    0.5
-)  # a run of events beside all images: test shots, images not handed over
+EVENTS_OUTSIDE = np.log(0.5)  # a run of events beside all images, of test shots for example
 REPEAT = -3.0  # a repeat instead of its pulse
 
 REACHES_S = (1.0, 0.7, 0.5, 0.35, 0.25, 0.0)  # of residuals that count in robust fits
@@ -139,7 +137,8 @@ class Axis:
         """(c, k) the nearest event of each image within reach, -1 for none; no event twice."""
         predicted = self.predicted(clocks)
         nearest = nearest_events(self.events, predicted)
-        misfit = np.abs(self.events[nearest] - predicted) / self.sigma
+        apart = np.abs(self.events[nearest] - predicted)
+        misfit = apart / self.sigma
         partners = np.full(nearest.shape, -1, np.int64)
         for events, misfits, partner in zip(nearest, misfit, partners, strict=True):
             order = np.lexsort((misfits, events))
@@ -306,7 +305,8 @@ class Axis:
         In a flight of constant intervals an assignment with one pair more also has one more place
         where both are missing: it is not more likely.
         """
-        intervals = np.diff(self.events[self.is_pulse]) / self.interval
+        pulses = self.events[self.is_pulse]
+        intervals = np.diff(pulses) / self.interval
         is_odd = np.abs(intervals - np.rint(intervals)) > CONSTANT
         if is_odd.sum() > FEW_ODD * is_odd.size:  # the pauses of a survey are its turns
             return np.zeros(partners.shape[0])
@@ -320,7 +320,9 @@ class Axis:
             lonely = predicted[k][is_lonely(partner)]
             exposed = np.sort(np.concatenate([self.events, lonely]))
             pauses[k] = np.count_nonzero(np.diff(exposed) > longest)
-        price = np.log(shares.images) + np.log(shares.events) - 0.5
+        price_of_image = np.log(shares.images)
+        price_of_event = np.log(shares.events)
+        price = price_of_image + price_of_event - 0.5
         return np.asarray(price * pauses)
 
     def aligned(self, clock: Array, shares: Shares) -> tuple[Integers, Mask]:
@@ -341,7 +343,8 @@ class Axis:
 
         likely = log_p >= highest[:, None] - LOG_RATIO_NEEDED
         first = np.argmax(same_pulse & likely, axis=1)
-        taken_before = np.append(False, np.diff(low + first) == 0)
+        is_same_event = np.diff(low + first) == 0
+        taken_before = np.append(False, is_same_event)
         event = low + np.where(taken_before, best, first)
         event = np.where(paired & ~ambiguous, event, -1)
         event[1:][np.diff(event) == 0] = -1

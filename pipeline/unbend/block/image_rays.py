@@ -150,8 +150,8 @@ class RayMisses:
 
     sigma: Array  # (r,) of the rays [rad]
     miss: Array  # (r, 2)
-    by_point: Array  # (r, 2, 3) derivatives by the position of the point [m]
-    by_station: Array  # (r, 2, 6) by the errors of the station, in units of their sigmas
+    point_derivatives: Array  # (r, 2, 3) derivatives by the position of the point [m]
+    station_derivatives: Array  # (r, 2, 6) by the errors of the station, in units of their sigmas
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,13 +221,20 @@ class SortedRays:
         curved = np.sum(variance * along, axis=1) * np.sum(variance * (1.0 - along), axis=1)
         sigma = np.hypot(self.sigma, np.sqrt(curved / 8.0))
         weight = np.where(good, 1.0 / sigma, 0.0)[:, None, None]
-        by_point = weight * self.across / distance[:, None, None]
+        point_derivatives = weight * self.across / distance[:, None, None]
         turned = -np.cross(self.across, toward_point[:, None, :])  # across @ [toward_point]x
         to_enu = np.swapaxes(enu_from_ecef_of_ray, 1, 2)
-        by_station = np.concatenate([-by_point @ to_enu, (weight * turned) @ to_enu], axis=2)
-        by_station *= sigma_of_station[:, None, :]
+        station_derivatives = np.concatenate(
+            [-point_derivatives @ to_enu, (weight * turned) @ to_enu], axis=2
+        )
+        station_derivatives *= sigma_of_station[:, None, :]
         miss = -np.einsum("rij,rj->ri", weight * self.across, toward_point)
-        return RayMisses(sigma=sigma, miss=miss, by_point=by_point, by_station=by_station)
+        return RayMisses(
+            sigma=sigma,
+            miss=miss,
+            point_derivatives=point_derivatives,
+            station_derivatives=station_derivatives,
+        )
 
 
 def axes_across(direction: Array) -> Array:

@@ -412,8 +412,8 @@ def points_with_stations(
     """One step of least squares from the positions that pixels alone give."""
     position = by_point.positions(good)
     misses = by_point.misses(orientations, position, good)
-    A = misses.by_point
-    J = misses.by_station
+    A = misses.point_derivatives
+    J = misses.station_derivatives
     weight = np.linalg.inv(np.eye(2) + J @ np.swapaxes(J, 1, 2))
     A_weighted = np.swapaxes(A, 1, 2) @ weight
     normal = with_ridge(by_point.sums(A_weighted @ A))

@@ -92,7 +92,7 @@ class HeightMisses:
     """How far given heights of points are above them, in sigmas; zeros where none counts."""
 
     miss: Array  # (p,)
-    by_point: Array  # (p, 3) derivatives by the position of the point [m]
+    point_derivatives: Array  # (p, 3) derivatives by the position of the point [m]
 
 
 def height_misses(by_point: SortedRays, position: Array, good: Mask) -> HeightMisses:
@@ -102,7 +102,7 @@ def height_misses(by_point: SortedRays, position: Array, good: Mask) -> HeightMi
     above = (by_point.height - h_m) / by_point.sigma_height
     return HeightMisses(
         miss=np.where(counts, above, 0.0),
-        by_point=np.where(counts[:, None], up / by_point.sigma_height, 0.0),
+        point_derivatives=np.where(counts[:, None], up / by_point.sigma_height, 0.0),
     )
 
 
@@ -115,7 +115,9 @@ def linearised(
     heights = height_misses(by_point, position, good)
     half_inverse = half_inverses(by_point, rays, heights)
     Y = orthogonal_rows(by_point, rays, heights, half_inverse)
-    J = block_matrix(rays.by_station, by_point.image, orientations.camera.size, empty=points)
+    J = block_matrix(
+        rays.station_derivatives, by_point.image, orientations.camera.size, empty=points
+    )
     y = np.append(rays.miss.ravel(), heights.miss)
     Y_t = Y.T.tocsr()  # matrices of one format are not converted again
     J_t = J.T.tocsr()
@@ -146,8 +148,8 @@ def linearised(
 
 def half_inverses(by_point: SortedRays, rays: RayMisses, heights: HeightMisses) -> Array:
     """(p, 3, 3) L^-1 of the points' normal equations L L'."""
-    A = rays.by_point
-    up = heights.by_point
+    A = rays.point_derivatives
+    up = heights.point_derivatives
     normal = by_point.sums(np.swapaxes(A, 1, 2) @ A) + up[:, :, None] * up[:, None, :]
     return np.asarray(np.linalg.inv(np.linalg.cholesky(with_ridge(normal))), np.float64)
 
@@ -158,7 +160,7 @@ def orthogonal_rows(
     """Y = A L'^-1: the derivatives by the points, whose columns are orthonormal."""
     points = by_point.start.size
     half = np.swapaxes(half_inverse, 1, 2)
-    of_rays = (rays.by_point @ half[by_point.index]).reshape(-1, 1, 3)
-    of_heights = heights.by_point[:, None, :] @ half
+    of_rays = (rays.point_derivatives @ half[by_point.index]).reshape(-1, 1, 3)
+    of_heights = heights.point_derivatives[:, None, :] @ half
     point_of_row = np.append(np.repeat(by_point.index, 2), np.arange(points))
     return block_matrix(np.concatenate([of_rays, of_heights]), point_of_row, points)
