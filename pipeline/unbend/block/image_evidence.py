@@ -107,7 +107,9 @@ class ImageEvidence:
     @property
     def number_or_row(self) -> Integers:
         """(k,) the numbers of the names, or the order in which images are given."""
-        return np.arange(self.count) if self.number is None else self.number
+        if self.number is None:
+            return np.arange(self.count)
+        return self.number
 
     def axis_of_times(self, events: CameraEvents, time_s: Array) -> Axis:
         """Events by the time of the log, images by that of their camera; without those of none."""
@@ -161,7 +163,9 @@ class ImageEvidence:
 
     def names_speak(self, events: CameraEvents) -> bool:
         """Whether names say which event is whose: counted ones only where the counts are equal."""
-        if self.number is None or self.numbering == "sequence" or self.count == 0:
+        if self.number is None or self.count == 0:
+            return False
+        if self.numbering == "sequence":
             return False
         if self.numbering == "index":
             return events.index is not None
@@ -207,21 +211,21 @@ class ImageEvidence:
         """
         if self.time_s is None:
             return 0.0
-        timed = np.flatnonzero((rows >= 0) & np.isfinite(self.time_s))
+        has_both = (rows >= 0) & np.isfinite(self.time_s)
+        timed = np.flatnonzero(has_both)
         if timed.size == 0:
             return 0.0
         camera_s = self.time_s[timed]
-        sigma = np.broadcast_to(self.sigma_s, self.time_s.shape)[timed]
-        sigma = np.maximum(sigma, sigma_s)
+        sigma = np.broadcast_to(self.sigma_s, self.time_s.shape)
+        sigma = np.maximum(sigma[timed], sigma_s)
         apart_s = events.time_s[rows[timed]] - camera_s
         offset_s = float(np.median(apart_s))
-        late_s = apart_s - offset_s
-        near = np.abs(late_s) < WINDOW_SIGMAS * sigma
-        since_middle = (camera_s - np.median(camera_s)) / sigma
-        right = since_middle * late_s / sigma
-        normal = np.sum(since_middle[near] ** 2) + self.drift_sigma**-2.0
-        drift = np.sum(right[near]) / normal
-        misfit = late_s / sigma - drift * since_middle
+        misfit = misfits_of_drift(
+            camera_s,
+            late_s=apart_s - offset_s,
+            sigma=sigma,
+            drift_sigma=self.drift_sigma,
+        )
         misfit_of_clock = (offset_s - self.clock_offset_s) / self.clock_sigma_s
         cost = np.minimum(misfit**2, WINDOW_SIGMAS**2)
         total = cost.sum() + misfit_of_clock**2
@@ -239,3 +243,22 @@ class ImageEvidence:
         assigned = np.sum(has_event, axis=1)
         most_agree = agreeing > 0.5 * assigned
         return np.where(most_agree, 0.0, WRONG_NAMES)
+
+
+def misfits_of_drift(
+    camera_s: Array,
+    late_s: Array,
+    sigma: Array,
+    drift_sigma: float,
+) -> Array:
+    """(k,) what remains in sigmas of how late events are, with the likeliest drift of the camera.
+
+    Times that are six sigmas off say nothing of the drift.
+    """
+    near = np.abs(late_s) < WINDOW_SIGMAS * sigma
+    since_middle = (camera_s - np.median(camera_s)) / sigma
+    right = since_middle * late_s / sigma
+    normal = np.sum(since_middle[near] ** 2) + drift_sigma**-2.0
+    drift = np.sum(right[near]) / normal
+    drifted = drift * since_middle
+    return np.asarray(late_s / sigma - drifted)

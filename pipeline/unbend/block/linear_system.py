@@ -42,9 +42,9 @@ class ReducedSystem:
     @cached_property
     def remaining(self) -> Array:
         """The residuals that remain with the most probable errors of the stations."""
-        return np.asarray(
-            self.residual - self.J @ self.errors + self.Y @ (self.Z @ self.errors), np.float64
-        )
+        by_stations = self.J @ self.errors
+        by_points = self.Y @ (self.Z @ self.errors)  # which move with the stations
+        return np.asarray(self.residual - by_stations + by_points, np.float64)
 
     @property
     def residual_rad(self) -> Array:
@@ -53,19 +53,28 @@ class ReducedSystem:
 
     def of_rays(self, residual: Array) -> Array:
         """(r, 2) those of the residuals that are of rays, not of given heights."""
-        return residual[: 2 * self.sigma.size].reshape(-1, 2)
+        rows = 2 * self.sigma.size
+        return residual[:rows].reshape(-1, 2)
 
 
 def block_matrix(
-    values: Array, column: Integers, columns: int, *, empty: int = 0
+    values: Array,
+    column: Integers,
+    columns: int,
+    *,
+    empty: int = 0,
 ) -> sparse.csr_matrix:
     """Sparse matrix of blocks (n, rows, width), one in each row of blocks, above empty rows."""
     count, rows, width = values.shape
-    total = count * rows + empty
-    indices = np.repeat(column[:, None] * width + np.arange(width), rows, axis=0)
-    start = np.minimum(np.arange(total + 1), count * rows) * width
-    shape = (total, columns * width)
-    return sparse.csr_matrix((values.ravel(), indices.ravel(), start), shape=shape)
+    filled = count * rows
+    total = filled + empty
+    column_of_block = column[:, None] * width + np.arange(width)
+    indices = np.repeat(column_of_block, rows, axis=0)
+    start = np.minimum(np.arange(total + 1), filled) * width
+    return sparse.csr_matrix(
+        (values.ravel(), indices.ravel(), start),
+        shape=(total, columns * width),
+    )
 
 
 @lru_cache(1)  # as large as the last one
@@ -97,7 +106,8 @@ class HeightMisses:
 
 def height_misses(by_point: SortedRays, position: Array, good: Mask) -> HeightMisses:
     """The given heights of points that two good rays see or more."""
-    counts = np.isfinite(by_point.height) & (by_point.sums(good * 1) >= 2)
+    seen_twice = by_point.sums(good * 1) >= 2
+    counts = np.isfinite(by_point.height) & seen_twice
     h_m, up = heights_and_verticals(position + by_point.origin)
     above = (by_point.height - h_m) / by_point.sigma_height
     return HeightMisses(
@@ -125,8 +135,9 @@ def linearised(
     JJ = J_t @ J
     M = JJ - Z.T.tocsr() @ Z  # J'QJ
     residual = y - Y @ (Y_t @ y)
+    reduced_normal = identity(M.shape[0]) + M
     factor = splu(
-        (identity(M.shape[0]) + M).tocsc(),
+        reduced_normal.tocsc(),
         permc_spec="MMD_AT_PLUS_A",
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
@@ -150,8 +161,10 @@ def half_inverses(by_point: SortedRays, rays: RayMisses, heights: HeightMisses) 
     """(p, 3, 3) L^-1 of the points' normal equations L L'."""
     A = rays.point_derivatives
     up = heights.point_derivatives
-    normal = by_point.sums(np.swapaxes(A, 1, 2) @ A) + up[:, :, None] * up[:, None, :]
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(with_ridge(normal))), np.float64)
+    of_rays = by_point.sums(np.swapaxes(A, 1, 2) @ A)
+    of_heights = up[:, :, None] * up[:, None, :]
+    half = np.linalg.cholesky(with_ridge(of_rays + of_heights))
+    return np.asarray(np.linalg.inv(half), np.float64)
 
 
 def orthogonal_rows(
@@ -160,7 +173,9 @@ def orthogonal_rows(
     """Y = A L'^-1: the derivatives by the points, whose columns are orthonormal."""
     points = by_point.start.size
     half = np.swapaxes(half_inverse, 1, 2)
-    of_rays = (rays.point_derivatives @ half[by_point.index]).reshape(-1, 1, 3)
+    of_rays = rays.point_derivatives @ half[by_point.index]
     of_heights = heights.point_derivatives[:, None, :] @ half
-    point_of_row = np.append(np.repeat(by_point.index, 2), np.arange(points))
-    return block_matrix(np.concatenate([of_rays, of_heights]), point_of_row, points)
+    rows = np.concatenate([of_rays.reshape(-1, 1, 3), of_heights])
+    point_of_ray_row = np.repeat(by_point.index, 2)
+    point_of_row = np.append(point_of_ray_row, np.arange(points))
+    return block_matrix(rows, point_of_row, points)
