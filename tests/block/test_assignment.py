@@ -9,13 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unbend.block.assignment import (
-    LOG_RATIO_NEEDED,
-    Assignment,
-    CameraEvents,
-    ImageEvidence,
-    assign,
-)
+from unbend.block.alignment import LOG_RATIO_NEEDED
+from unbend.block.assignment import Assignment, assign
+from unbend.block.image_evidence import CameraEvents, ImageEvidence
 
 
 def lines(seed: int = 1, count: int = 4, each: int = 15) -> np.ndarray:

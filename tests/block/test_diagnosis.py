@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 from tests.draws import SEED
-from unbend.block.diagnosis import StatedMission, diagnosis, with_other_axes
+from unbend.block.calibration_mistakes import OffsetAxes, with_other_axes
+from unbend.block.diagnosis import diagnosis
+from unbend.block.hypotheses import StatedMission
 from unbend.block.image_rays import ImageRays, Orientations, straightened
 from unbend.flight.mount import Mount
 from unbend.refraction.camera.brown_conrady import BrownConrady
@@ -201,7 +203,7 @@ def exchanged_axes(camera: Camera) -> Camera:
 def test_a_principal_point_along_other_axes(axes, cx, cy):
     """10 px right of the centre of 100 x 80 px, and 10 px above it."""
     camera = Camera(100, 80, 50.0, 50.0, 60.0, 30.0)
-    other = with_other_axes(camera, *axes)
+    other = with_other_axes(camera, OffsetAxes(*axes))
     assert (other.cx_px, other.cy_px) == (cx, cy)
 
 

@@ -23,7 +23,10 @@ FULL = ("f", "cx", "cy", "b1", "skew_x", "k1", "k2", "k3", "p1", "p2", "px", "py
 CORRECTIONS = ("c", "x0", "y0", "k1", "k2", "k3", "p1", "p2", "b1", "b2")
 """The unknowns of `correction_change`; ``c`` and k1 are `FEW` of them."""
 
-_STEP, _ROUNDS = 1e-6, 3  # a change is 1e-4: linear to 1e-8, of which the second round leaves none
+STEP = 1e-6  # for derivatives of pixels by parameters
+ROUNDS = 3  # a change is 1e-4: linear to 1e-8, of which the second round leaves none
+SMALLEST_SINGULAR = 1e-10  # of the largest: unknowns that are all but the same share what they do
+Y_UP = np.array([1.0, -1.0])  # from y down to y up, and back
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,29 +59,38 @@ def changed_camera(camera: Camera, rays: SeenRays, names: Sequence[str] = FULL) 
     >>> round(changed_camera(Camera(1000, 800, 1e3, 1e3, 500.0, 400.0), seen, FEW).fx_px, 9)
     1000.05
     """
-    known = {"f", "cx", "cy", "b1", *camera.distortion._fields}
-    names = [name for name in names if name in known]
+    possible = {"f", "cx", "cy", "b1", *camera.distortion._fields}
+    free = [name for name in names if name in possible]
+    values = np.zeros(len(free))
+    weight = np.repeat(np.sqrt(rays.weight), 2)
+    for _ in range(ROUNDS):
+        now = rays.left_px(moved_camera(camera, free, values)).ravel()
+        slopes = []
+        for unit in np.eye(len(free)):
+            nearby = moved_camera(camera, free, values + STEP * unit)
+            slopes.append((rays.left_px(nearby).ravel() - now) / STEP)
+        values = values - least_squares(np.stack(slopes, axis=1), now, weight)
+    return moved_camera(camera, free, values)
 
-    def moved(values: Array) -> Camera:
-        of = dict(zip(names, values.tolist(), strict=True))
-        f, b1 = 1.0 + of.pop("f", 0.0), 1.0 + of.pop("b1", 0.0)
-        cx, cy = (start + camera.fx_px * of.pop(name, 0.0)
-                  for name, start in (("cx", camera.cx_px), ("cy", camera.cy_px)))  # fmt: skip
-        lens = {name: getattr(camera.distortion, name) + value for name, value in of.items()}
-        return replace(
-            camera, fx_px=camera.fx_px * f * b1, fy_px=camera.fy_px * f, cx_px=cx, cy_px=cy,
-            distortion=camera.distortion._replace(**lens),
-        )  # fmt: skip
 
-    values, weight = np.zeros(len(names)), np.repeat(np.sqrt(rays.weight), 2)
-    for _ in range(_ROUNDS):
-        now = rays.left_px(moved(values)).ravel()
-        slopes = [
-            (rays.left_px(moved(values + _STEP * unit)).ravel() - now) / _STEP
-            for unit in np.eye(len(names))
-        ]
-        values = values - _least_squares(np.stack(slopes, axis=1), now, weight)
-    return moved(values)
+def moved_camera(camera: Camera, names: Sequence[str], values: Array) -> Camera:
+    """A camera whose named parameters are changed by values: f by a share, cx and cy by f."""
+    changes = dict(zip(names, values.tolist(), strict=True))
+    scale = 1.0 + changes.pop("f", 0.0)
+    aspect = 1.0 + changes.pop("b1", 0.0)
+    cx_px = camera.cx_px + camera.fx_px * changes.pop("cx", 0.0)
+    cy_px = camera.cy_px + camera.fx_px * changes.pop("cy", 0.0)
+    coefficients = {}
+    for name, change in changes.items():
+        coefficients[name] = getattr(camera.distortion, name) + change
+    return replace(
+        camera,
+        fx_px=camera.fx_px * scale * aspect,
+        fy_px=camera.fy_px * scale,
+        cx_px=cx_px,
+        cy_px=cy_px,
+        distortion=camera.distortion._replace(**coefficients),
+    )
 
 
 @dataclass(frozen=True)
@@ -120,25 +132,48 @@ def correction_change(
     is 1 + c times the tangents of the straight rays. Holds for whatever the lens itself does.
     """
     u, v, _ = camera.rays(*rays.measured_px.T)
-    frame = np.array([camera.fx_px, camera.fy_px])
-    x, y = ((rays.measured_px - [camera.cx_px, camera.cy_px]) / frame * [1.0, -1.0]).T
-    straight = rays.straight * [1.0, -1.0]
-    r2, zero, one = x * x + y * y, np.zeros(x.size), np.ones(x.size)
-    terms = {
-        "c": (-straight[:, 0], -straight[:, 1]), "x0": (-one, zero), "y0": (zero, -one),
-        "k1": (x * r2, y * r2), "k2": (x * r2**2, y * r2**2), "k3": (x * r2**3, y * r2**3),
-        "p1": (r2 + 2.0 * x * x, 2.0 * x * y), "p2": (2.0 * x * y, r2 + 2.0 * y * y),
-        "b1": (x, zero), "b2": (y, zero),
-    }  # fmt: skip
-    design = np.stack([np.stack(terms[name], axis=1).ravel() for name in names], axis=1)
+    focal_px = np.array([camera.fx_px, camera.fy_px])
+    centre_px = np.array([camera.cx_px, camera.cy_px])
+    measured = (rays.measured_px - centre_px) / focal_px * Y_UP
+    straight = rays.straight * Y_UP
+    terms = terms_of_correction(measured, straight)
+    design = np.stack([terms[name].ravel() for name in names], axis=1)
     wanted = (straight - np.stack([u, -v], axis=1)).ravel()
-    values = _least_squares(design, wanted, np.repeat(np.sqrt(rays.weight), 2))
-    left = (design @ values - wanted).reshape(-1, 2) * frame * [1.0, -1.0]
-    return CorrectionChange(**dict(zip(names, values.tolist(), strict=True))), left
+    values = least_squares(design, wanted, np.repeat(np.sqrt(rays.weight), 2))
+    left_px = (design @ values - wanted).reshape(-1, 2) * focal_px * Y_UP
+    change = CorrectionChange(**dict(zip(names, values.tolist(), strict=True)))
+    return change, left_px
 
 
-def _least_squares(design: Array, wanted: Array, weight: Array) -> Array:
+def terms_of_correction(measured: Array, straight: Array) -> dict[str, Array]:
+    """(n, 2) what a unit of each unknown of `CORRECTIONS` adds to x and y, y up."""
+    x, y = measured.T
+    zero = np.zeros(x.size)
+    unit = np.ones(x.size)
+    r2 = x * x + y * y
+    xy = 2.0 * x * y
+    return {
+        "c": -straight,
+        "x0": columns(-unit, zero),
+        "y0": columns(zero, -unit),
+        "k1": columns(x * r2, y * r2),
+        "k2": columns(x * r2**2, y * r2**2),
+        "k3": columns(x * r2**3, y * r2**3),
+        "p1": columns(r2 + 2.0 * x * x, xy),
+        "p2": columns(xy, r2 + 2.0 * y * y),
+        "b1": columns(x, zero),
+        "b2": columns(y, zero),
+    }
+
+
+def columns(x: Array, y: Array) -> Array:
+    """(n, 2) of both."""
+    return np.stack([x, y], axis=1)
+
+
+def least_squares(design: Array, wanted: Array, weight: Array) -> Array:
     """(k,) unknowns; those that are all but the same for these rows share what they explain."""
-    scale = np.linalg.norm(design * weight[:, None], axis=0)
-    scaled = design * weight[:, None] / scale
-    return np.asarray(np.linalg.lstsq(scaled, wanted * weight, rcond=1e-10)[0] / scale)
+    weighted = design * weight[:, None]
+    scale = np.linalg.norm(weighted, axis=0)
+    scaled_values = np.linalg.lstsq(weighted / scale, wanted * weight, rcond=SMALLEST_SINGULAR)[0]
+    return np.asarray(scaled_values / scale)

@@ -6,7 +6,7 @@ points (least squares of the angles across the rays), and derivatives of what th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere import Profile, standard_atmosphere
 from unbend.flight.stations import Stations
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
 from unbend.refraction import refraction_angle
@@ -23,12 +23,16 @@ from unbend.units import Array, Integers, Mask, Names
 MINIMUM_ANGLE_RAD = float(np.radians(3.0))
 """Least angle between two rays of a point that is used."""
 
-_LOWEST_GROUND_M = -600.0
-_standard_atmosphere = lru_cache(1)(standard_atmosphere)
+LOWEST_GROUND_M = -600.0  # below every shore: rays that meet deeper are not straightened
+SMALLEST_COSINE = 0.05  # of the nadir angle of rays that are straightened: up to 87 degrees
 
 UNKNOWN_SIGMAS = (3.0, 3.0, 6.0, np.radians(1.0), np.radians(1.0), np.radians(3.0))
 """East, north, up [m], tilts and yaw [rad] of a station that does not say: judgement."""
-_LEAST_SIGMAS = (1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6)
+LEAST_SIGMAS = (1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6)
+"""The same of a station that states 0."""
+
+NEAREST_M = 1e-3  # added to distances: no point is divided by zero
+RIDGE = 1e-12  # of the trace, added to normal equations of points: rays may be parallel
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +51,20 @@ class Orientations:
 
     def assigned(self, row: Integers) -> Orientations:
         """Orientations of images (k,), each that of a row, or none for -1: a hypothesis."""
-        camera, centre, *rest = (getattr(self, field.name)[row] for field in fields(self))
-        return Orientations(camera, np.where(row[:, None] >= 0, centre, np.nan), *rest)
+        centre = np.where(row[:, None] >= 0, self.centre_m[row], np.nan)
+        return Orientations(
+            camera=self.camera[row],
+            centre_m=centre,
+            camera_from_ecef=self.camera_from_ecef[row],
+            enu_from_ecef=self.enu_from_ecef[row],
+            sigma=self.sigma[row],
+        )
 
     def turned(self, rotation: Array, camera: str) -> Orientations:
         """With one camera turned by a rotation vector [rad] in its own frame (mount angles)."""
         turn = Rotation.from_rotvec(rotation).as_matrix()
-        own = (self.camera == camera)[:, None, None]
-        turned = np.where(own, turn @ self.camera_from_ecef, self.camera_from_ecef)
+        of_camera = (self.camera == camera)[:, None, None]
+        turned = np.where(of_camera, turn @ self.camera_from_ecef, self.camera_from_ecef)
         return replace(self, camera_from_ecef=turned)
 
     def turns_of(self, camera: str) -> Array:
@@ -73,20 +83,31 @@ def orientations_of(
     One that is stated as 0 is 1 mm or 1 microradian: residuals are counted in units of it. Heights
     count from mean sea level where only that is known: rays meet as well.
     """
-    lat, lon, h = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
-    centre = ecef_of_geodetic(lat, lon, np.where(np.isfinite(h), h, stations.h_msl_m))
-    axes = enu_from_ecef(np.nan_to_num(lat), np.nan_to_num(lon))
+    h_ellipsoid_m = stations.h_ellipsoid_m
+    h_m = np.where(np.isfinite(h_ellipsoid_m), h_ellipsoid_m, stations.h_msl_m)
+    centre_m = ecef_of_geodetic(stations.lat_rad, stations.lon_rad, h_m)
+    lat_rad = np.nan_to_num(stations.lat_rad)
+    lon_rad = np.nan_to_num(stations.lon_rad)
+    axes = enu_from_ecef(lat_rad, lon_rad)
     usable = stations.ok & np.all(np.isfinite(stations.quaternion), axis=1)
-    q = np.where(usable[:, None], stations.quaternion, [1.0, 0.0, 0.0, 0.0])
-    tilt, horizontal = stations.sigma_tilt_rad, stations.sigma_horizontal_m
-    level = [horizontal, horizontal, stations.sigma_height_m]
-    sigma = np.stack([*level, tilt, tilt, stations.sigma_yaw_rad], axis=1)
+    w_x_y_z = np.where(usable[:, None], stations.quaternion, [1.0, 0.0, 0.0, 0.0])
+    camera_from_enu = Rotation.from_quat(w_x_y_z[:, [1, 2, 3, 0]]).as_matrix()
+    sigma_of_axes = [
+        stations.sigma_horizontal_m,
+        stations.sigma_horizontal_m,
+        stations.sigma_height_m,
+        stations.sigma_tilt_rad,
+        stations.sigma_tilt_rad,
+        stations.sigma_yaw_rad,
+    ]
+    sigma = np.stack(sigma_of_axes, axis=1)
+    sigma = np.where(np.isfinite(sigma), sigma, unknown_sigmas)
     return Orientations(
         camera=stations.camera,
-        centre_m=np.where(usable[:, None], centre, np.nan),
-        camera_from_ecef=Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix() @ axes,
+        centre_m=np.where(usable[:, None], centre_m, np.nan),
+        camera_from_ecef=camera_from_enu @ axes,
         enu_from_ecef=axes,
-        sigma=np.maximum(np.where(np.isfinite(sigma), sigma, unknown_sigmas), _LEAST_SIGMAS),
+        sigma=np.maximum(sigma, LEAST_SIGMAS),
     )
 
 
@@ -109,10 +130,28 @@ class ImageRays:
     def of_points(self, points: Integers) -> ImageRays:
         """The rays of some points."""
         keep = np.isin(self.point, points)
-        image, point = self.image[keep], self.point[keep]
-        sigma = np.broadcast_to(self.sigma_rad, keep.shape)[keep]
-        height = None if self.height_m is None else self.height_m[keep]
-        return ImageRays(image, point, self.direction[keep], sigma, height, self.sigma_height_m)
+        height_m = None if self.height_m is None else self.height_m[keep]
+        return ImageRays(
+            image=self.image[keep],
+            point=self.point[keep],
+            direction=self.direction[keep],
+            sigma_rad=np.broadcast_to(self.sigma_rad, keep.shape)[keep],
+            height_m=height_m,
+            sigma_height_m=self.sigma_height_m,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class RayMisses:
+    """What rays miss points by, in sigmas of their pixels, and what changes it.
+
+    Rays that are not good have zeros.
+    """
+
+    sigma: Array  # (r,) of the rays [rad]
+    miss: Array  # (r, 2)
+    point_derivatives: Array  # (r, 2, 3) derivatives by the position of the point [m]
+    station_derivatives: Array  # (r, 2, 6) by the errors of the station, in units of their sigmas
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,53 +183,58 @@ class SortedRays:
 
     def positions(self, good: Mask) -> Array:
         """(p, 3) points by least squares of the angles across their good rays."""
-        distance, (square, moment) = np.ones(self.sigma.shape), self.squares
-        few = self.sums(good * 1.0) < 2
-        for _ in range(3):
+        square, moment = self.squares
+        too_few = self.sums(good * 1.0) < 2
+        distance = np.ones(self.sigma.shape)
+        for _ in range(3):  # the weights follow from the distances
             weight = np.where(good, (self.sigma * distance) ** -2.0, 0.0)
             normal = self.sums(weight[:, None, None] * square)
-            size = np.trace(normal, axis1=1, axis2=2) + few
-            normal += 1e-12 * size[:, None, None] * np.eye(3)
+            size = np.trace(normal, axis1=1, axis2=2) + too_few
+            normal += RIDGE * size[:, None, None] * np.eye(3)
             right = self.sums(weight[:, None] * moment)
             position = np.linalg.solve(normal, right[..., None])[..., 0]
-            distance = np.linalg.norm(position[self.index] - self.centre, axis=1) + 1e-3
+            distance = np.linalg.norm(position[self.index] - self.centre, axis=1) + NEAREST_M
         return np.asarray(position, np.float64)
 
     def angles(self, good: Mask) -> Array:
         """(p,) largest angle [rad] between two good rays, by going twice to the farthest."""
+        no_ray = 2.0  # larger than any cosine
         reference = self.direction[self.start[self.index]]
         for _ in range(2):
-            cosine = np.where(good, np.sum(reference * self.direction, axis=1), 2.0)
+            cosine = np.where(good, np.sum(reference * self.direction, axis=1), no_ray)
             least = np.minimum.reduceat(cosine, self.start)
             farthest = np.flatnonzero(cosine == least[self.index])
-            ray = farthest[np.searchsorted(self.index[farthest], np.arange(self.start.size))]
-            reference = self.direction[ray][self.index]
-        return np.where(least < 2.0, np.arccos(np.clip(least, -1.0, 1.0)), 0.0)
+            first = np.searchsorted(self.index[farthest], np.arange(self.start.size))
+            reference = self.direction[farthest[first]][self.index]
+        return np.where(least < no_ray, np.arccos(np.clip(least, -1.0, 1.0)), 0.0)
 
-    def derivatives(
-        self, o: Orientations, position: Array, good: Mask
-    ) -> tuple[Array, Array, Array, Array]:
-        """What good rays miss points by, in sigmas of their pixels, and what changes it.
-
-        Returns the sigmas (r,) [rad], and the derivatives by the point (r, 2, 3) [m] and by the
-        errors of the station (r, 2, 6) in units of their sigmas, and the misses (r, 2).
-        """
+    def misses(self, orientations: Orientations, position: Array, good: Mask) -> RayMisses:
+        """What good rays miss points (p, 3) by, and what changes it."""
         line = position[self.index] - self.centre
-        distance = np.linalg.norm(line, axis=1) + 1e-3
-        u = line / distance[:, None]
+        distance = np.linalg.norm(line, axis=1) + NEAREST_M
+        toward_point = line / distance[:, None]
+        enu_from_ecef_of_ray = orientations.enu_from_ecef[self.image]
+        sigma_of_station = orientations.sigma[self.image]
         # A rotation is linear up to the square of its angle, which is added to the pixel's sigma.
-        enu, angles = o.enu_from_ecef[self.image], o.sigma[self.image, 3:] ** 2
-        along = np.einsum("rij,rj->ri", enu, u) ** 2
-        curved = np.sum(angles * along, axis=1) * np.sum(angles * (1.0 - along), axis=1)
-        curved = np.sqrt(curved / 8.0)
-        sigma = np.hypot(self.sigma, curved)
+        variance = sigma_of_station[:, 3:] ** 2
+        along = np.einsum("rij,rj->ri", enu_from_ecef_of_ray, toward_point) ** 2
+        curved = np.sum(variance * along, axis=1) * np.sum(variance * (1.0 - along), axis=1)
+        sigma = np.hypot(self.sigma, np.sqrt(curved / 8.0))
         weight = np.where(good, 1.0 / sigma, 0.0)[:, None, None]
-        A = weight * self.across / distance[:, None, None]
-        turned = -np.cross(self.across, u[:, None, :])  # across @ [u]x
-        to_enu = np.swapaxes(enu, 1, 2)
-        J = np.concatenate([-A @ to_enu, (weight * turned) @ to_enu], axis=2)
-        J *= o.sigma[self.image, None, :]
-        return sigma, A, J, -np.einsum("rij,rj->ri", weight * self.across, u)
+        point_derivatives = weight * self.across / distance[:, None, None]
+        turned = -np.cross(self.across, toward_point[:, None, :])  # across @ [toward_point]x
+        to_enu = np.swapaxes(enu_from_ecef_of_ray, 1, 2)
+        station_derivatives = np.concatenate(
+            [-point_derivatives @ to_enu, (weight * turned) @ to_enu], axis=2
+        )
+        station_derivatives *= sigma_of_station[:, None, :]
+        miss = -np.einsum("rij,rj->ri", weight * self.across, toward_point)
+        return RayMisses(
+            sigma=sigma,
+            miss=miss,
+            point_derivatives=point_derivatives,
+            station_derivatives=station_derivatives,
+        )
 
 
 def axes_across(direction: Array) -> Array:
@@ -200,49 +244,79 @@ def axes_across(direction: Array) -> Array:
     return np.stack([x, np.cross(direction, x)], axis=1)
 
 
-def sorted_rays(o: Orientations, rays: ImageRays) -> SortedRays:
+def sorted_rays(orientations: Orientations, rays: ImageRays) -> SortedRays:
     """Rays by their points, under some orientations."""
     order = np.lexsort((rays.image, rays.point))
-    image, d = rays.image[order], np.nan_to_num(rays.direction[order])
-    oriented = np.all(np.isfinite(o.centre_m[image]), axis=1) & np.any(d != 0.0, axis=1)
+    image = rays.image[order]
+    in_camera = np.nan_to_num(rays.direction[order])
+    centre_m = orientations.centre_m[image]
+    has_centre = np.all(np.isfinite(centre_m), axis=1)
+    oriented = has_centre & np.any(in_camera != 0.0, axis=1)
+    origin = np.zeros(3)
+    if np.any(oriented):
+        origin = centre_m[oriented].mean(axis=0)
     _, start, index = np.unique(rays.point[order], return_index=True, return_inverse=True)
-    rotation = o.camera_from_ecef[image]
-    origin = o.centre_m[image][oriented].mean(axis=0) if np.any(oriented) else np.zeros(3)
     height = np.full(start.size, np.nan)
     if rays.height_m is not None:
         height = rays.height_m[order][start]
+    camera_from_ecef = orientations.camera_from_ecef[image]
     return SortedRays(
-        order, image, index, start, oriented=oriented,
+        order=order,
+        image=image,
+        index=index,
+        start=start,
         sigma=np.broadcast_to(rays.sigma_rad, image.shape)[order].astype(np.float64),
-        centre=np.where(oriented[:, None], o.centre_m[image] - origin, 0.0),
-        direction=np.einsum("rji,rj->ri", rotation, d),
-        across=axes_across(d) @ rotation,
-        origin=origin, height=height, sigma_height=rays.sigma_height_m,
-    )  # fmt: skip
+        oriented=oriented,
+        centre=np.where(oriented[:, None], centre_m - origin, 0.0),
+        direction=np.einsum("rji,rj->ri", camera_from_ecef, in_camera),
+        across=axes_across(in_camera) @ camera_from_ecef,
+        origin=origin,
+        height=height,
+        sigma_height=rays.sigma_height_m,
+    )
 
 
-def straightened(o: Orientations, rays: ImageRays) -> ImageRays:
+@lru_cache(1)
+def usual_air() -> Profile:
+    """us1976 as one object, which is tabulated once."""
+    return standard_atmosphere("us1976")
+
+
+def straightened(orientations: Orientations, rays: ImageRays) -> ImageRays:
     """Apparent rays as the straight chords that they bend about, under some orientations.
 
     Refraction of us1976 (spherical, radius 6,371 km) between the heights of camera and point is
     removed: given heights, else those at which the apparent rays meet. That of a day differs by
     some 1e-5 rad at 45 degrees. What has no orientation, or no ground below it, stays.
     """
-    r = sorted_rays(o, rays)
-    h_c = geodetic_of_ecef(*(r.centre + r.origin).T)[2]
-    height = geodetic_of_ecef(*(r.positions(r.oriented) + r.origin).T)[2]
-    h_g = np.where(np.isfinite(r.height), r.height, height)[r.index]
-    down = -o.enu_from_ecef[r.image, 2]
-    cosine = np.sum(down * r.direction, axis=1)
-    able = r.oriented & (h_g > _LOWEST_GROUND_M) & (h_g < h_c) & (cosine > 0.05)
-    bend, size = np.zeros(cosine.shape), np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
-    air = _standard_atmosphere("us1976")  # one object, which is tabulated once
-    angle = np.arccos(np.clip(cosine[able], -1.0, 1.0))
-    bend[able] = np.nan_to_num(refraction_angle(air, h_c[able], h_g[able], angle))
-    toward = (down - cosine[:, None] * r.direction) / size[:, None]
-    straight = r.direction * np.cos(bend)[:, None] + toward * np.sin(bend)[:, None]
-    direction = np.empty(rays.direction.shape)
-    direction[r.order] = np.einsum("rij,rj->ri", o.camera_from_ecef[r.image], straight)
-    kept = np.zeros(able.shape, np.bool_)
-    kept[r.order] = able
-    return replace(rays, direction=np.where(kept[:, None], direction, rays.direction))
+    by_point = sorted_rays(orientations, rays)
+    h_c = ellipsoidal_heights(by_point.centre + by_point.origin)
+    met = ellipsoidal_heights(by_point.positions(by_point.oriented) + by_point.origin)
+    h_g = np.where(np.isfinite(by_point.height), by_point.height, met)[by_point.index]
+    down = -orientations.enu_from_ecef[by_point.image, 2]
+    cosine = np.sum(down * by_point.direction, axis=1)
+    ground_below = (h_g > LOWEST_GROUND_M) & (h_g < h_c)
+    bends = by_point.oriented & ground_below & (cosine > SMALLEST_COSINE)
+    zeta_c = np.arccos(np.clip(cosine[bends], -1.0, 1.0))
+    r_c = np.zeros(cosine.shape)
+    r_c[bends] = np.nan_to_num(refraction_angle(usual_air(), h_c[bends], h_g[bends], zeta_c))
+    straight = turned_toward(by_point.direction, down, cosine, r_c)
+
+    camera_from_ecef = orientations.camera_from_ecef[by_point.image]
+    as_given = np.argsort(by_point.order)
+    direction = np.einsum("rij,rj->ri", camera_from_ecef, straight)[as_given]
+    changed = bends[as_given]
+    return replace(rays, direction=np.where(changed[:, None], direction, rays.direction))
+
+
+def turned_toward(direction: Array, axis: Array, cosine: Array, angle_rad: Array) -> Array:
+    """(n, 3) unit vectors turned toward an axis (n, 3), to which they have a cosine (n,)."""
+    sine = np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
+    across = (axis - cosine[:, None] * direction) / sine[:, None]
+    return direction * np.cos(angle_rad)[:, None] + across * np.sin(angle_rad)[:, None]
+
+
+def ellipsoidal_heights(ecef_m: Array) -> Array:
+    """(n,) heights above the ellipsoid [m] of earth-centred positions (n, 3)."""
+    _, _, h_m = geodetic_of_ecef(*ecef_m.T)
+    return h_m

@@ -21,12 +21,9 @@ of I + J'Q J (the reduced normal equations, by which a bundle adjustment would s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
-from typing import Any
+from functools import cached_property
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.special import chdtri
 
 from unbend.block.image_rays import (
@@ -37,14 +34,21 @@ from unbend.block.image_rays import (
     axes_across,
     sorted_rays,
 )
-from unbend.geodesy import enu_from_ecef, geodetic_of_ecef
+from unbend.block.linear_system import (
+    ReducedSystem,
+    block_matrix,
+    heights_and_verticals,
+    linearised,
+    with_ridge,
+)
+from unbend.geodesy import geodetic_of_ecef
 from unbend.units import Array, Integers, Mask
 
-# A bad tie point is anywhere within half a radian, and one in fifty is bad.
-_LOG_BAD, _WIDTH_OF_BAD_RAD = np.log(0.02), 0.5
-_NEAREST_SIGMAS = 3.0
-_ROUNDS = 4  # of finding bad ones
-_identity = lru_cache(1)(partial(sparse.identity, format="csr"))  # as large as the last one
+LOG_BAD = np.log(0.02)  # one tie point in fifty is bad ...
+WIDTH_OF_BAD_RAD = 0.5  # ... and anywhere within half a radian
+NEAREST_SIGMAS = 3.0  # of a station's place: no point is nearer
+MAX_SEARCHES = 3  # for bad rays: without one, others stand out
+MIN_SHARE_LEFT = 1e-9  # of a change: less than this beside others is what those do already
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +75,7 @@ class Intersection:
     redundancy: int
     log_likelihood: float
     misfit: float
-    system: _System
+    system: ReducedSystem
 
     @property
     def sigma_factor(self) -> float:
@@ -81,25 +85,34 @@ class Intersection:
     @property
     def most_bad(self) -> float:
         """Share of the bad rays of the camera with most."""
-        camera = self.orientations.camera[self.system.image].astype(str)
-        _, of = np.unique(camera, return_inverse=True)
-        return float(np.max(np.bincount(of, self.bad[self.system.order]) / np.bincount(of)))
+        camera_of_ray = self.orientations.camera[self.system.image].astype(str)
+        _, camera = np.unique(camera_of_ray, return_inverse=True)
+        bad_rays = np.bincount(camera, self.bad[self.system.order])
+        return float(np.max(bad_rays / np.bincount(camera)))
 
     @property
     def geodetic(self) -> tuple[Array, Array, Array]:
         """(p,) latitude, longitude [rad] and ellipsoidal height [m] of the points."""
         return geodetic_of_ecef(*self.position_m.T)
 
+    @property
+    def flying_height_m(self) -> float:
+        """Median height of the stations above the points [m]; mirrored rays meet above them."""
+        if not self.used.any():
+            return np.inf
+        line = self.orientations.centre_m - self.position_m[self.used].mean(axis=0)
+        up = self.orientations.enu_from_ecef[:, 2]
+        return float(np.nanmedian(np.sum(line * up, axis=1)))
+
     @cached_property
     def sigma_height_m(self) -> Array:
         """(p,) what the sigmas of stations and pixels predict for the heights of the points."""
-        system = self.system
-        up = enu_from_ecef(*self.geodetic[:2])[:, 2]
-        step = np.einsum("pij,pj->pi", system.half_inverse, np.nan_to_num(up))
-        along = _blocks(step[:, None, :], np.arange(self.point.size), self.point.size)
-        by_stations = along @ system.Z
-        variance = np.asarray(by_stations.multiply(by_stations).sum(1))[:, 0]
-        variance = np.sum(step**2, axis=1) + variance
+        _, up = heights_and_verticals(self.position_m)
+        step = np.einsum("pij,pj->pi", self.system.half_inverse, np.nan_to_num(up))
+        points = self.point.size
+        by_stations = block_matrix(step[:, None, :], np.arange(points), points) @ self.system.Z
+        station_variance = np.asarray(by_stations.multiply(by_stations).sum(1))[:, 0]
+        variance = np.sum(step**2, axis=1) + station_variance
         return np.where(self.used, np.sqrt(variance), np.nan)
 
     def shared_errors(self, change: Array) -> tuple[Array, Array]:
@@ -109,10 +122,10 @@ class Intersection:
         `Orientations.sigma`; the single errors of the stations are beside them. The covariance is
         that of the sigmas stated; of what nothing shows both are zero.
         """
-        scaled = (change / self.orientations.sigma[:, :, None]).reshape(-1, change.shape[2])
+        scaled = self.in_sigmas(change)
         normal = scaled.T @ (scaled - self.system.factor.solve(scaled))
-        inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
-        return inverse @ (scaled.T @ self.system.errors), inverse
+        covariance = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+        return covariance @ (scaled.T @ self.system.errors), covariance
 
     def likely_amounts(self, changes: Array, beside: Array) -> tuple[Array, Array]:
         """What the log likelihood gains (k,) by each change alone, and its amount: least squares.
@@ -120,35 +133,53 @@ class Intersection:
         ``changes`` (r, 2, k) [rad] is what a unit of each adds to `misses`; ``beside`` (s, 6, b)
         are errors that stations share (`shared_errors`), estimated with each. Linear.
         """
-        s, count = self.system, changes.shape[2]
-        scaled = (beside / self.orientations.sigma[:, :, None]).reshape(s.J.shape[1], -1)
-        own = (changes[s.order] / s.sigma[:, None, None]).reshape(2 * s.order.size, count)
-        heights = np.zeros((s.Y.shape[0] - own.shape[0], count))
-        D = np.concatenate([np.concatenate([own, heights]), s.J @ scaled], axis=1)
-        free = D - s.Y @ (s.Y.T @ D)
-        shared = s.J.T @ free
-        normal = D.T @ free - shared.T @ s.factor.solve(shared)
-        right = D.T @ s.residual - shared.T @ s.errors
+        system = self.system
+        count = changes.shape[2]
+        design = np.concatenate(
+            [self.of_changes(changes), system.J @ self.in_sigmas(beside)], axis=1
+        )
+        # Normal equations with the points and the single errors of stations taken out.
+        free = design - system.Y @ (system.Y.T @ design)
+        by_stations = system.J.T @ free
+        normal = design.T @ free - by_stations.T @ system.factor.solve(by_stations)
+        right = design.T @ system.residual - by_stations.T @ system.errors
+
+        # Each change alone, with the shared errors taken out as well.
         cross = normal[:count, count:]
-        of_beside = cross @ np.linalg.pinv(normal[count:, count:], hermitian=True)
+        to_shared = cross @ np.linalg.pinv(normal[count:, count:], hermitian=True)
         whole = np.diag(normal)[:count]
-        square = whole - np.sum(of_beside * cross, axis=1)
-        right = right[:count] - of_beside @ right[count:]
-        square = np.where(square > 1e-9 * whole, square, np.inf)
+        square = whole - np.sum(to_shared * cross, axis=1)
+        square = np.where(square > MIN_SHARE_LEFT * whole, square, np.inf)
+        right = right[:count] - to_shared @ right[count:]
         return self.gain_of(right**2 / square), -right / square
+
+    def of_changes(self, changes: Array) -> Array:
+        """Changes (r, 2, k) [rad] of misses in the rows of the system, in sigmas."""
+        system = self.system
+        count = changes.shape[2]
+        in_sigmas = changes[system.order] / system.sigma[:, None, None]
+        of_rays = in_sigmas.reshape(2 * system.order.size, count)
+        of_heights = np.zeros((system.Y.shape[0] - of_rays.shape[0], count))
+        return np.concatenate([of_rays, of_heights])
+
+    def in_sigmas(self, change: Array) -> Array:
+        """Changes (s, 6, k) of stations as columns (6 s, k), in units of their sigmas."""
+        in_sigmas = change / self.orientations.sigma[:, :, None]
+        return np.asarray(in_sigmas.reshape(self.orientations.sigma.size, change.shape[2]))
 
     def gain_of(self, decrease: Array) -> Array:
         """What the log likelihood gains where chi-square decreases by a little."""
         return np.asarray(0.5 * decrease / np.fmax(1.0, self.sigma_factor) ** 2)
 
-    def misses(self, o: Orientations, rays: ImageRays) -> Array:
+    def misses(self, orientations: Orientations, rays: ImageRays) -> Array:
         """(r, 2) what its points are missed by under other orientations or rays [rad]; 0 of bad."""
         good = np.isfinite(self.residual_rad[:, 0])
-        line = self.position_m[np.searchsorted(self.point, rays.point)] - o.centre_m[rays.image]
+        point_m = self.position_m[np.searchsorted(self.point, rays.point)]
+        line = point_m - orientations.centre_m[rays.image]
         line /= np.linalg.norm(line, axis=1, keepdims=True)
-        seen = np.einsum("rij,rj->ri", o.camera_from_ecef[rays.image], line)
-        across = axes_across(rays.direction)
-        return np.where(good[:, None], -np.einsum("rij,rj->ri", across, seen), 0.0)
+        in_camera = np.einsum("rij,rj->ri", orientations.camera_from_ecef[rays.image], line)
+        miss = -np.einsum("rij,rj->ri", axes_across(rays.direction), in_camera)
+        return np.where(good[:, None], miss, 0.0)
 
     def camera_rotation(self, camera: str) -> tuple[Array, Array]:
         """By what rotation vector [rad] a camera would have to be turned (`Orientations.turned`).
@@ -159,61 +190,17 @@ class Intersection:
 
 
 @dataclass(frozen=True, eq=False)
-class _System:
-    """The residuals and their derivatives in units of the pixels' sigmas, rays sorted by point.
+class PointFit:
+    """Points at the best positions for some good rays, and the system there.
 
-    Rows are two for each ray, then one for each point's given height.
+    ``good`` (r,) leaves out the rays of points that are not fitted; ``count`` (p,) are the others.
     """
 
-    order: Integers  # (r,) where the sorted rays stood
-    image: Integers  # (r,)
-    sigma: Array  # (r,) of the sorted rays [rad]
-    half_inverse: Array  # (p, 3, 3) L^-1 of the points' normal equations L L'
-    Y: sparse.csr_matrix  # A L'^-1: Q = I - Y Y'
-    J: sparse.csr_matrix  # by the stations' errors in units of their sigmas
-    JJ: sparse.csr_matrix  # J'J
-    Z: sparse.csr_matrix  # Y'J
-    M: sparse.csr_matrix  # J'QJ
-    residual: Array  # Q y
-    factor: Any  # of I + M
-    errors: Array  # of the stations at their most probable, in units of their sigmas
-
-
-def _blocks(values: Array, column: Integers, columns: int, empty: int = 0) -> sparse.csr_matrix:
-    """Sparse matrix of blocks (n, rows, width), one in each row of blocks, above empty rows."""
-    count, rows, width = values.shape
-    indices = np.repeat(column[:, None] * width + np.arange(width), rows, axis=0)
-    start = np.minimum(np.arange(count * rows + empty + 1), count * rows) * width
-    return sparse.csr_matrix(
-        (values.ravel(), indices.ravel(), start), shape=(count * rows + empty, columns * width)
-    )
-
-
-def linearised(r: SortedRays, o: Orientations, position: Array, good: Mask) -> _System:
-    """The system at some positions, of the good rays."""
-    points = r.start.size
-    sigma, A, J_rays, y = r.derivatives(o, position, good)
-    lat, lon, h = geodetic_of_ecef(*(position + r.origin).T)
-    known = np.isfinite(r.height) & (r.sums(good * 1) >= 2)
-    up = np.where(known[:, None], enu_from_ecef(lat, lon)[:, 2] / r.sigma_height, 0.0)
-    above = np.where(known, (r.height - h) / r.sigma_height, 0.0)
-    normal = r.sums(np.swapaxes(A, 1, 2) @ A) + up[:, :, None] * up[:, None, :]
-    trace = np.trace(normal, axis1=1, axis2=2)
-    normal += (1e-12 * trace + (trace == 0.0))[:, None, None] * np.eye(3)
-    half_inverse = np.linalg.inv(np.linalg.cholesky(normal))
-    half = np.swapaxes(half_inverse, 1, 2)
-    rows = [(A @ half[r.index]).reshape(-1, 1, 3), up[:, None, :] @ half]
-    Y = _blocks(np.concatenate(rows), np.append(np.repeat(r.index, 2), np.arange(points)), points)
-    J = _blocks(J_rays, r.image, o.camera.size, empty=points)
-    y = np.append(y.ravel(), above)
-    Y_t, J_t = Y.T.tocsr(), J.T.tocsr()  # matrices of one format are not converted again
-    Z, JJ = Y_t @ J, J_t @ J
-    M = JJ - Z.T.tocsr() @ Z
-    residual = y - Y @ (Y_t @ y)
-    factor = splu((_identity(M.shape[0]) + M).tocsc(), permc_spec="MMD_AT_PLUS_A",
-                  diag_pivot_thresh=0.0, options={"SymmetricMode": True})  # fmt: skip
-    errors = factor.solve(J_t @ residual)
-    return _System(r.order, r.image, sigma, half_inverse, Y, J, JJ, Z, M, residual, factor, errors)
+    position: Array  # (p, 3) from the origin of the sorted rays
+    angle: Array  # (p,) largest between two rays [rad]
+    good: Mask
+    count: Integers
+    system: ReducedSystem
 
 
 def intersect(
@@ -227,55 +214,120 @@ def intersect(
     Linear in the errors of stations: where their attitude is not known to a degree, the square of
     its sigma is added to the pixel's.
     """
-    o = orientations
-    r = sorted_rays(o, rays)
-    given = r.sums(np.ones(r.sigma.size, np.int64))
-    bad, contradictions = np.zeros(r.sigma.shape, np.bool_), 0
-    for last in range(_ROUNDS - 1, -1, -1):
-        good = r.oriented & ~bad
-        position = r.positions(good)
-        line = position[r.index] - r.centre
-        angle = r.angles(good)
-        # Behind a camera, or nearer than its place is known, there is no point.
-        near = np.sum(line * r.direction, axis=1) <= _NEAREST_SIGMAS * o.sigma[r.image, 0]
-        meet = (angle >= minimum_angle_rad) & (r.sums(good & near) == 0)
-        good &= meet[r.index] & (r.sums(good * 1) >= 2)[r.index]
-        system = linearised(r, o, position, good)
-        count = r.sums(good * 1)
-        e = system.residual - system.J @ system.errors + system.Y @ (system.Z @ system.errors)
-        e_rays = e[: 2 * r.sigma.size].reshape(-1, 2)
-        of_point, freedom = r.sums(np.sum(e_rays**2, axis=1)), np.maximum(2 * count - 3, 1)
-        usual = of_point[count >= 2] / chdtri(freedom[count >= 2], 0.5)  # the median
-        factor = max(1.0, float(np.median(usual))) if usual.size else 1.0
-        # What chi-square loses without a ray, or a pair, against what bad ones are improbable by.
-        half = system.Y.data[: 6 * r.sigma.size].reshape(-1, 2, 3)
-        free = (1.0 + 1e-9) * np.eye(2) - half @ np.swapaxes(half, 1, 2)
-        gain = np.sum(e_rays * np.linalg.solve(free, e_rays[..., None])[..., 0], axis=1)
-        gain = np.where(count[r.index] > 2, gain, of_point[r.index]) / factor
-        lost = np.where(count > 2, 2, 1)[r.index]
-        price = 2.0 * (lost * np.log(_WIDTH_OF_BAD_RAD / np.median(r.sigma)) - _LOG_BAD)
-        wrong = good & (gain > price) & (gain == np.maximum.reduceat(gain, r.start)[r.index])
-        if last == 0 or not np.any(wrong):
+    by_point = sorted_rays(orientations, rays)
+    bad = np.zeros(by_point.sigma.shape, np.bool_)
+    contradictions = 0
+    fit = fitted_points(by_point, orientations, by_point.oriented, minimum_angle_rad)
+    for _ in range(MAX_SEARCHES):
+        contradicting = contradicting_rays(by_point, fit)
+        if not np.any(contradicting):
             break
-        contradictions += int(np.sum(r.sums(wrong * 1) > 0))
-        bad |= wrong
-    used, heights = count >= 2, np.isfinite(r.height)
-    redundancy = int(np.sum((2 * count - 3 + heights)[used]))
-    possible = int(np.sum((2 * given - 3 + heights)[given >= 2]))
-    chi_square = float(e @ e + system.errors @ system.errors)
-    excess = redundancy * np.log(max(1.0, chi_square / max(1, redundancy)))
-    own = system.JJ.tobsr((6, 6)).data + np.eye(6)
-    width = np.log(_WIDTH_OF_BAD_RAD / np.median(r.sigma)) if r.sigma.size else 0.0
-    misfit = 0.5 * (min(chi_square, redundancy) + excess)
-    misfit += (possible - redundancy) * width - contradictions * _LOG_BAD
-    back = np.argsort(r.order)
-    held = system.residual[: 2 * r.sigma.size].reshape(-1, 2) * system.sigma[:, None]
+        contradictions += int(np.sum(by_point.sums(contradicting * 1) > 0))
+        bad |= contradicting
+        fit = fitted_points(by_point, orientations, by_point.oriented & ~bad, minimum_angle_rad)
+
+    system = fit.system
+    has_height = np.isfinite(by_point.height)
+    redundancy = redundancy_of(fit.count, has_height)
+    chi_square = float(system.remaining @ system.remaining + system.errors @ system.errors)
+    misfit = misfit_of(chi_square, redundancy)
+    given = by_point.sums(np.ones(by_point.sigma.size, np.int64))
+    lost = redundancy_of(given, has_height) - redundancy
+    misfit += lost * log_width_of_bad(by_point) - contradictions * LOG_BAD
+    as_given = np.argsort(by_point.order)
+    used = fit.count >= 2
     return Intersection(
-        o, np.unique(rays.point), np.where(used[:, None], position + r.origin, np.nan), angle, used,
-        residual_rad=np.where(good[:, None], held, np.nan)[back], bad=bad[back],
-        chi_square=chi_square, redundancy=redundancy, misfit=float(misfit),
-        log_likelihood=float(-misfit - 0.5 * np.linalg.slogdet(own)[1].sum()), system=system,
-    )  # fmt: skip
+        orientations=orientations,
+        point=np.unique(rays.point),
+        position_m=np.where(used[:, None], fit.position + by_point.origin, np.nan),
+        angle_rad=fit.angle,
+        used=used,
+        residual_rad=np.where(fit.good[:, None], system.residual_rad, np.nan)[as_given],
+        bad=bad[as_given],
+        chi_square=chi_square,
+        redundancy=redundancy,
+        log_likelihood=float(-misfit - 0.5 * log_determinant_of_images(system)),
+        misfit=float(misfit),
+        system=system,
+    )
+
+
+def redundancy_of(count: Integers, has_height: Mask) -> int:
+    """Degrees of freedom of points with a number of rays (p,), of which two determine one."""
+    of_points = 2 * count - 3 + has_height
+    return int(np.sum(of_points[count >= 2]))
+
+
+def misfit_of(chi_square: float, redundancy: int) -> float:
+    """By how much exact rays are more likely; all sigmas may have a factor of 1 or more."""
+    factor_squared = max(1.0, chi_square / max(1, redundancy))
+    excess = redundancy * np.log(factor_squared)
+    return float(0.5 * (min(chi_square, redundancy) + excess))
+
+
+def log_determinant_of_images(system: ReducedSystem) -> float:
+    """Sum over the images of log det (I + J'J), each by itself."""
+    blocks = system.JJ.tobsr((6, 6)).data + np.eye(6)
+    _, log_determinant = np.linalg.slogdet(blocks)
+    return float(log_determinant.sum())
+
+
+def fitted_points(
+    by_point: SortedRays, orientations: Orientations, good: Mask, minimum_angle_rad: float
+) -> PointFit:
+    """Points where good rays meet best.
+
+    Not of rays that are all within the minimum angle, nor of those that meet behind a camera or
+    nearer to it than its place is known.
+    """
+    position = by_point.positions(good)
+    angle = by_point.angles(good)
+    line = position[by_point.index] - by_point.centre
+    ahead = np.sum(line * by_point.direction, axis=1)
+    too_near = ahead <= NEAREST_SIGMAS * orientations.sigma[by_point.image, 0]
+    meet = (angle >= minimum_angle_rad) & (by_point.sums(good & too_near) == 0)
+    meet &= by_point.sums(good * 1) >= 2
+    good = good & meet[by_point.index]
+    return PointFit(
+        position=position,
+        angle=angle,
+        good=good,
+        count=by_point.sums(good * 1),
+        system=linearised(by_point, orientations, position, good),
+    )
+
+
+def contradicting_rays(by_point: SortedRays, fit: PointFit) -> Mask:
+    """(r,) of each point the ray that contradicts the others most, if it is a bad one.
+
+    It is, if chi-square loses more without it than a bad one is improbable by; of two rays both
+    are.
+    """
+    of_point = by_point.index
+    remaining = fit.system.of_rays(fit.system.remaining)
+    square_of_point = by_point.sums(np.sum(remaining**2, axis=1))
+    enough = fit.count >= 2
+    freedom = np.maximum(2 * fit.count - 3, 1)
+    over_median = square_of_point[enough] / chdtri(freedom[enough], 0.5)
+    usual = max(1.0, float(np.median(over_median))) if over_median.size else 1.0
+
+    half = fit.system.Y.data[: 6 * by_point.sigma.size].reshape(-1, 2, 3)
+    free = (1.0 + 1e-9) * np.eye(2) - half @ np.swapaxes(half, 1, 2)
+    without_ray = np.linalg.solve(free, remaining[..., None])[..., 0]
+    loss = np.sum(remaining * without_ray, axis=1)
+    has_others = fit.count > 2
+    loss = np.where(has_others[of_point], loss, square_of_point[of_point]) / usual
+    freedom_lost = np.where(has_others, 2, 1)[of_point]
+    price = 2.0 * (freedom_lost * log_width_of_bad(by_point) - LOG_BAD)
+    largest_of_point = np.maximum.reduceat(loss, by_point.start)[of_point]
+    return np.asarray(fit.good & (loss > price) & (loss == largest_of_point), np.bool_)
+
+
+def log_width_of_bad(by_point: SortedRays) -> float:
+    """How much wider than its sigma a bad ray may lie, as a natural logarithm."""
+    if by_point.sigma.size == 0:
+        return 0.0
+    return float(np.log(WIDTH_OF_BAD_RAD / np.median(by_point.sigma)))
 
 
 LARGEST_MISS = 6.0
@@ -309,32 +361,64 @@ def point_heights(
     another image. ``sigma_m`` is what these sigmas give the height, enlarged where the rays miss by
     more than they say. The time goes with the number of rays.
     """
-    r, points = sorted_rays(orientations, rays), np.unique(rays.point)
-    good, position = r.oriented, r.positions(r.oriented)
-    count, angle = r.sums(good * 1), r.angles(good)
-    _, A, J, y = r.derivatives(orientations, position, good)
-    weight = np.linalg.inv(np.eye(2) + J @ np.swapaxes(J, 1, 2))
-    right = np.swapaxes(A, 1, 2) @ weight
-    normal = r.sums(right @ A)
-    trace = np.trace(normal, axis1=1, axis2=2)
-    normal += (1e-12 * trace + (trace == 0.0))[:, None, None] * np.eye(3)
-    step = np.linalg.solve(normal, r.sums(right @ y[..., None]))[..., 0]
-    position = position + step
-    miss = y - np.einsum("rij,rj->ri", A, step[r.index])
-    square = r.sums(np.einsum("ri,rij,rj->r", miss, weight, miss))
-    factor = np.sqrt(square / np.maximum(2 * count - 3, 1))
-    lat, lon, h = geodetic_of_ecef(*(position + r.origin).T)
-    up = enu_from_ecef(lat, lon)[:, 2]
-    variance = np.sum(up * np.linalg.solve(normal, up[..., None])[..., 0], axis=1)
-    line = position[r.index] - r.centre
-    behind = r.sums(good & (np.sum(line * r.direction, axis=1) <= 0.0)) > 0
+    by_point = sorted_rays(orientations, rays)
+    good = by_point.oriented
+    count = by_point.sums(good * 1)
+    best = points_with_stations(by_point, orientations, good)
+    position_m = best.position + by_point.origin
+    h_m, up = heights_and_verticals(position_m)
+    factor = np.sqrt(best.chi_square / np.maximum(2 * count - 3, 1))
     few = count < 2
-    narrow = ~few & ((angle < minimum_angle_rad) | behind)
+    is_narrow = by_point.angles(good) < minimum_angle_rad
+    narrow = ~few & (is_narrow | meet_behind(by_point, best.position, good))
     apart = ~few & ~narrow & (factor > LARGEST_MISS)
     unknown = few | narrow | apart
+    sigma_m = np.sqrt(best.variance_along(up)) * np.maximum(1.0, factor)
     return PointHeights(
-        h_m=np.where(unknown, np.nan, h),
-        sigma_m=np.where(unknown, np.nan, np.sqrt(variance) * np.maximum(1.0, factor)),
-        position_m=np.where(unknown[:, None], np.nan, position + r.origin),
-        index=np.searchsorted(points, rays.point), few=few, narrow=narrow, apart=apart,
-    )  # fmt: skip
+        h_m=np.where(unknown, np.nan, h_m),
+        sigma_m=np.where(unknown, np.nan, sigma_m),
+        position_m=np.where(unknown[:, None], np.nan, position_m),
+        index=np.searchsorted(np.unique(rays.point), rays.point),
+        few=few,
+        narrow=narrow,
+        apart=apart,
+    )
+
+
+def meet_behind(by_point: SortedRays, position: Array, good: Mask) -> Mask:
+    """(p,) points behind the camera of a good ray."""
+    line = position[by_point.index] - by_point.centre
+    is_behind = np.sum(line * by_point.direction, axis=1) <= 0.0
+    return np.asarray(by_point.sums(good & is_behind) > 0, np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedPoints:
+    """Points (p,) by rays weighted with the errors of pixels and stations together."""
+
+    position: Array  # (p, 3) from the origin of the sorted rays
+    normal: Array  # (p, 3, 3) inverse covariance
+    chi_square: Array
+
+    def variance_along(self, axis: Array) -> Array:
+        """(p,) variances along unit vectors (p, 3)."""
+        spread = np.linalg.solve(self.normal, axis[..., None])[..., 0]
+        return np.asarray(np.sum(axis * spread, axis=1), np.float64)
+
+
+def points_with_stations(
+    by_point: SortedRays, orientations: Orientations, good: Mask
+) -> WeightedPoints:
+    """One step of least squares from the positions that pixels alone give."""
+    position = by_point.positions(good)
+    misses = by_point.misses(orientations, position, good)
+    A = misses.point_derivatives
+    J = misses.station_derivatives
+    weight = np.linalg.inv(np.eye(2) + J @ np.swapaxes(J, 1, 2))
+    A_weighted = np.swapaxes(A, 1, 2) @ weight
+    normal = with_ridge(by_point.sums(A_weighted @ A))
+    right = by_point.sums(A_weighted @ misses.miss[..., None])
+    step = np.linalg.solve(normal, right)[..., 0]
+    miss = misses.miss - np.einsum("rij,rj->ri", A, step[by_point.index])
+    chi_square = by_point.sums(np.einsum("ri,rij,rj->r", miss, weight, miss))
+    return WeightedPoints(position=position + step, normal=normal, chi_square=chi_square)

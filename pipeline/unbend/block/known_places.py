@@ -150,10 +150,10 @@ def compared_places(
     usable = np.isfinite(known[:, :2]).all(axis=1) & np.isfinite(position).all(axis=1)
     if not usable.any():
         return None
-    block, other, has_height = in_one_plane(position[usable], known[usable])
-    apart = other - block
+    block_enu, known_enu, has_height = in_one_plane(position[usable], known[usable])
+    apart = known_enu - block_enu
     middle = np.median(apart, axis=0)
-    extent = float(np.linalg.norm(np.ptp(other[:, :2], axis=0)))
+    extent = float(np.linalg.norm(np.ptp(known_enu[:, :2], axis=0)))
     heights = apart[has_height, 2]
     comparison = PlaceComparison(
         count=int(usable.sum()),
@@ -162,9 +162,9 @@ def compared_places(
         height_m=float(np.median(heights)) if heights.size else np.nan,
         residual_m=float(np.sqrt(np.mean(np.sum((apart - middle)[:, :2] ** 2, axis=1)))),
     )
-    if comparison.count < FEWEST_FOR_A_TURN or extent == 0.0 or not np.ptp(block[:, 0]):
+    if comparison.count < FEWEST_FOR_A_TURN or extent == 0.0 or not np.ptp(block_enu[:, 0]):
         return comparison
-    return with_turn(comparison, block, other, has_height)
+    return with_turn(comparison, block_enu, known_enu, has_height)
 
 
 def in_one_plane(
@@ -177,23 +177,25 @@ def in_one_plane(
     """
     has_height = np.isfinite(known[:, 2])
     height = np.where(has_height, known[:, 2], position[:, 2])
-    block = ecef_of_geodetic(*position.T)
-    other = ecef_of_geodetic(known[:, 0], known[:, 1], height)
+    block_ecef = ecef_of_geodetic(*position.T)
+    known_ecef = ecef_of_geodetic(known[:, 0], known[:, 1], height)
     middle = np.median(known, axis=0)
     to_enu = enu_from_ecef(middle[:1], middle[1:2])[0]
-    origin = np.median(other, axis=0)
-    return (block - origin) @ to_enu.T, (other - origin) @ to_enu.T, has_height
+    origin = np.median(known_ecef, axis=0)
+    block_enu = (block_ecef - origin) @ to_enu.T
+    known_enu = (known_ecef - origin) @ to_enu.T
+    return block_enu, known_enu, has_height
 
 
 def with_turn(
     comparison: PlaceComparison,
-    block: Array,
-    other: Array,
+    block_enu: Array,
+    known_enu: Array,
     has_height: Mask,
 ) -> PlaceComparison:
     """The comparison with turn, scale and tilt, by lines through all but outliers."""
-    z = block[:, 0] + 1j * block[:, 1]
-    w = other[:, 0] + 1j * other[:, 1]
+    z = block_enu[:, 0] + 1j * block_enu[:, 1]
+    w = known_enu[:, 0] + 1j * known_enu[:, 1]
     keep = np.ones(z.size, np.bool_)
     for _ in range(3):  # outliers move the first fits
         factor, miss = plane_similarity(z, w, keep)
@@ -204,7 +206,7 @@ def with_turn(
     tilt = None
     tilt_rows = keep & has_height
     if int(tilt_rows.sum()) >= FEWEST_FOR_A_TURN:
-        tilt = tilt_of(block[tilt_rows], other[tilt_rows])
+        tilt = tilt_of(block_enu[tilt_rows], known_enu[tilt_rows])
     turned = replace(
         comparison,
         turn_rad=float(-np.angle(factor)),
@@ -251,18 +253,18 @@ def within_usual(distance: Array) -> Mask:
 
 
 def tilt_of(
-    block: Array,
-    other: Array,
+    block_enu: Array,
+    known_enu: Array,
 ) -> Tilt | None:
     """The tilt of a plane through the differences of heights.
 
     None for images on a line, which do not tell the tilt across it.
     """
-    flat = other[:, :2] - other[:, :2].mean(axis=0)
+    flat = known_enu[:, :2] - known_enu[:, :2].mean(axis=0)
     length, width = np.linalg.svd(flat, compute_uv=False)
     if width < LINE_WIDTH * length:
         return None
-    rise = other[:, 2] - block[:, 2]
+    rise = known_enu[:, 2] - block_enu[:, 2]
     keep = np.ones(rise.size, np.bool_)
     design = np.column_stack([flat, np.ones(rise.size)])
     for _ in range(3):

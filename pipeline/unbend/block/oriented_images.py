@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,16 +23,24 @@ from unbend.flight.stations import (
 )
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef, offset_geodetic
 from unbend.messages import Kind, Notes
-from unbend.units import Array, Integers, Mask, Names
+from unbend.units import Array, Integers, Mask, Names, Rows
 
-# A vertical that known positions determine no better than this is none (1 deg is 5 % of R).
-LARGEST_FIT_TILT_RAD = np.radians(1.0)
-# Residuals in parts of the extent of the known positions above which a fit is none; the largest
-# one, in parts of it and in sigmas, above which it is reported; and in residuals of the others.
-LARGEST_FIT_RESIDUAL, USUAL_FIT_RESIDUAL, USUAL_FIT_SIGMAS, FIT_OUTLIER = 0.02, 0.003, 5.0, 4.0
-# An image beyond both, the latter in median distances from the middle, is elsewhere.
-FAR_M, FAR_FACTOR = 10_000.0, 20.0
+LARGEST_FIT_TILT_RAD = np.radians(1.0)  # sigma of a fitted vertical: 5 % of R
+LARGEST_FIT_RESIDUAL = 0.02  # rms, in parts of the extent of the known positions
+USUAL_FIT_RESIDUAL = 0.003  # of one position, in parts of the extent ...
+USUAL_FIT_SIGMAS = 5.0  # ... and in sigmas: one beyond both is reported
+FIT_OUTLIER = 4.0  # of the residuals of the others: one beyond contradicts them
+SUSPECTS_OF_FIT = 5  # positions that fit worst, which are tried alone: one error moves the others
+FAR_M = 10_000.0  # from the middle of all images ...
+FAR_FACTOR = 20.0  # ... and in median distances from it: an image beyond both is elsewhere
 FEW_LOOK_UP = 0.1  # of so few images above the horizon each is flagged; more have another cause
+USUAL_STEP = 2.0  # median steps from image to image: a longer one is a turn to another line
+MIN_STEPS = 10  # fewer do not tell the sense of angles
+SAME_SENSE = 0.5  # resultant length of the angles to the track: more means that they agree
+OTHER_SENSE = 0.8  # the same of angles with the other sign
+
+ORIENTATION = "stations.orientation"  # key of the mission file
+KNOWN_POSITIONS = "stations.orientation.known_positions"
 
 SIGMAS_OF_BLOCK = (0.3, 0.3, 0.5, *np.radians([0.02, 0.02, 0.05]))
 """East, north, up [m], tilts and yaw [rad] of adjusted stations without sigmas: judgement."""
@@ -52,7 +60,8 @@ class CartesianFrame:
 
     def geodetic(self, xyz: Array) -> tuple[Array, Array, Array]:
         """Latitude, longitude [rad] and ellipsoidal height [m] of (n, 3) positions."""
-        return geodetic_of_ecef(*(self.origin_m + self.scale * xyz @ self.ecef_from_frame.T).T)
+        ecef_m = self.origin_m + self.scale * xyz @ self.ecef_from_frame.T
+        return geodetic_of_ecef(*ecef_m.T)
 
     def local(self, geodetic: Array) -> Array:
         """(n, 3) x, y, z of latitudes, longitudes [rad] and ellipsoidal heights [m]."""
@@ -70,14 +79,21 @@ ECEF = CartesianFrame(np.eye(3), np.zeros(3))
 
 def topocentric(origin: GeodeticOrigin) -> CartesianFrame:
     """The frame whose x, y, z are east, north and up at one place."""
-    place = (np.array([origin.lat_rad]), np.array([origin.lon_rad]))
-    height = np.array([origin.h_ellipsoid_m])
-    return CartesianFrame(enu_from_ecef(*place)[0].T, ecef_of_geodetic(*place, height)[0])
+    lat_rad = np.array([origin.lat_rad])
+    lon_rad = np.array([origin.lon_rad])
+    h_m = np.array([origin.h_ellipsoid_m])
+    ecef_from_enu = enu_from_ecef(lat_rad, lon_rad)[0].T
+    return CartesianFrame(ecef_from_enu, ecef_of_geodetic(lat_rad, lon_rad, h_m)[0])
 
 
 def fitted_frame(
-    image: Names, xyz: Array, known_image: Names, known: Array, *, sigma_m: float = 1.0,
-) -> tuple[CartesianFrame, Notes]:  # fmt: skip
+    image: Names,
+    xyz: Array,
+    known_image: Names,
+    known: Array,
+    *,
+    sigma_m: float = 1.0,
+) -> tuple[CartesianFrame, Notes]:
     """The frame of a model, by a similarity of seven parameters through known positions.
 
     Parameters
@@ -92,30 +108,11 @@ def fitted_frame(
     positions; a residual above 5 sigmas and 0.3 % of the extent, and a position that contradicts
     the others, are losses.
     """
-    where = "stations.orientation.known_positions"
-    names, model, earth = _positions_of_both(image, xyz, known_image, known)
-    middle = model.mean(axis=0)
-    spread = np.linalg.svd(model - middle, compute_uv=False)
-    extent = float(np.linalg.norm(np.ptp(earth, axis=0)))
-    tilt, sigma, fit = np.inf, sigma_m, ""
-    if spread[1] >= 1e-6 * spread[0]:
-        frame, miss = _similarity(model, earth, np.ones(names.size, np.bool_))
-        residual = np.linalg.norm(miss, axis=1)
-        sigma = max(sigma_m, np.sqrt(np.sum(residual**2) / (3 * names.size - 7)))
-        tilt, rms = float(sigma / (frame.scale * spread[1])), np.sqrt(np.mean(residual**2))
-        worst = names[np.argmax(residual)]
-        fit = (f"residuals of {rms:.2f} m (rms) over {extent:.0f} m, the largest "
-               f"{residual.max():.2f} m at {worst}")  # fmt: skip
-        if rms > LARGEST_FIT_RESIDUAL * extent:
-            raise messages.orientation_fit(where=where, size=names.size, fit=fit)
-    if tilt > LARGEST_FIT_TILT_RAD:
-        raise messages.orientation_line(
-            where=where, size=names.size, sigma=sigma, tilt=np.degrees(tilt)
-        )
-    contradictions = _contradictions_of_fit(names, model, earth, residual, sigma_m)
-    frame = replace(frame, tilt_rad=tilt)
+    positions = positions_of_both(image, xyz, known_image, known)
+    fit = similarity_fit(positions, sigma_m)
+    contradictions = contradictions_of_fit(positions, fit, sigma_m)
     kind = Kind.LOSS if contradictions else Kind.NOTE
-    if names.size == 3:
+    if positions.count == 3:
         kind = Kind.LOSS if contradictions else Kind.WARNING
         contradictions.append(
             "nothing checks three positions: an error of one height leaves no residual, and the "
@@ -123,71 +120,155 @@ def fitted_frame(
         )
     made = messages.orientation_fitted(
         kind=kind,
-        where=where,
-        count=names.size,
-        scale=frame.scale,
-        fit=fit,
-        tilt_deg=np.degrees(tilt),
-        sigma_m=sigma,
+        where=KNOWN_POSITIONS,
+        count=positions.count,
+        scale=fit.frame.scale,
+        fit=fit.text,
+        tilt_deg=np.degrees(fit.frame.tilt_rad),
+        sigma_m=fit.sigma_m,
         contradictions="".join(f"; {text}" for text in contradictions),
     )
-    return frame, (made,)
+    return fit.frame, (made,)
 
 
-def _positions_of_both(
+@dataclass(frozen=True, eq=False)
+class PositionsOfBoth:
+    """Images that model and known positions share, and both positions (k, 3) [m]."""
+
+    name: Names
+    model: Array
+    earth: Array
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return self.name.size
+
+    @property
+    def extent_m(self) -> float:
+        """Diagonal of the box around the known positions."""
+        return float(np.linalg.norm(np.ptp(self.earth, axis=0)))
+
+
+@dataclass(frozen=True, eq=False)
+class SimilarityFit:
+    """A frame through known positions, with residuals (k,) and the sigma of one of them."""
+
+    frame: CartesianFrame
+    residual_m: Array
+    sigma_m: float
+    text: str
+
+
+def positions_of_both(
     image: Names, xyz: Array, known_image: Names, known: Array
-) -> tuple[Names, Array, Array]:
-    """Names of the images that model and known positions share, and both positions (k, 3) [m]."""
-    row = {}
-    for number, name in enumerate(image.tolist()):
-        row[composed(name)] = number
-    pairs = []
-    for k, name in enumerate(known_image.tolist()):
-        if composed(name) in row:
-            pairs.append((row[composed(name)], k))
-    usable = [(i, k) for i, k in pairs if np.isfinite(xyz[i]).all() and np.isfinite(known[k]).all()]
-    if len(usable) < 3:
-        where = "stations.orientation.known_positions"
-        raise messages.orientation_known(where=where, usable=len(usable), known=known_image.size)
-    of_model, of_earth = np.array(usable).T
-    return image[of_model], xyz[of_model], ecef_of_geodetic(*known[of_earth].T)
+) -> PositionsOfBoth:
+    """Images that model and known positions share; refuses fewer than three."""
+    row_of_name = {}
+    for row, name in enumerate(image.tolist()):
+        row_of_name[composed(name)] = row
+    model_rows = []
+    known_rows = []
+    for known_row, name in enumerate(known_image.tolist()):
+        row = row_of_name.get(composed(name), -1)
+        if row < 0:
+            continue
+        if np.isfinite(xyz[row]).all() and np.isfinite(known[known_row]).all():
+            model_rows.append(row)
+            known_rows.append(known_row)
+    if len(model_rows) < 3:
+        raise messages.orientation_known(
+            where=KNOWN_POSITIONS, usable=len(model_rows), known=known_image.size
+        )
+    earth = ecef_of_geodetic(*known[known_rows].T)
+    return PositionsOfBoth(image[model_rows], xyz[model_rows], earth)
 
 
-def _contradictions_of_fit(
-    names: Names, model: Array, earth: Array, residual: Array, sigma_m: float
+def similarity_fit(positions: PositionsOfBoth, sigma_m: float) -> SimilarityFit:
+    """The frame through all positions; refuses a line, and what does not fit."""
+    count = positions.count
+    model = positions.model
+    length, width, _ = np.linalg.svd(model - model.mean(axis=0), compute_uv=False)
+    if width < 1e-6 * length:
+        raise messages.orientation_line(
+            where=KNOWN_POSITIONS, size=count, sigma=sigma_m, tilt=np.inf
+        )
+    frame, miss = similarity(positions, np.ones(count, np.bool_))
+    residual = np.linalg.norm(miss, axis=1)
+    variance = np.sum(residual**2) / (3 * count - 7)
+    sigma = max(sigma_m, np.sqrt(variance))
+    rms = np.sqrt(np.mean(residual**2))
+    worst = positions.name[np.argmax(residual)]
+    text = (
+        f"residuals of {rms:.2f} m (rms) over {positions.extent_m:.0f} m, the largest "
+        f"{residual.max():.2f} m at {worst}"
+    )
+    if rms > LARGEST_FIT_RESIDUAL * positions.extent_m:
+        raise messages.orientation_fit(where=KNOWN_POSITIONS, size=count, fit=text)
+    tilt = float(sigma / (frame.scale * width))
+    if tilt > LARGEST_FIT_TILT_RAD:
+        raise messages.orientation_line(
+            where=KNOWN_POSITIONS, size=count, sigma=sigma, tilt=np.degrees(tilt)
+        )
+    return SimilarityFit(replace(frame, tilt_rad=tilt), residual, sigma, text)
+
+
+def contradictions_of_fit(
+    positions: PositionsOfBoth, fit: SimilarityFit, sigma_m: float
 ) -> list[str]:
     """What speaks against a fit that its residuals allow."""
-    contradictions, count = [], names.size
-    usual, extent = USUAL_FIT_SIGMAS * sigma_m, float(np.linalg.norm(np.ptp(earth, axis=0)))
-    if residual.max() > max(usual, USUAL_FIT_RESIDUAL * extent):
+    contradictions = []
+    usual_m = USUAL_FIT_SIGMAS * sigma_m
+    residual = fit.residual_m
+    if residual.max() > max(usual_m, USUAL_FIT_RESIDUAL * positions.extent_m):
         contradictions.append(
-            f"{names[np.argmax(residual)]} misses by more than known positions should: a wrong "
-            "position, or the name of another image"
+            f"{positions.name[np.argmax(residual)]} misses by more than known positions should: a "
+            "wrong position, or the name of another image"
         )
-    alone = []
-    # Of the five that fit worst: one error moves the others. Four without one leave three.
-    for k in np.argsort(-residual)[:5] if count > 4 else ():
-        others = np.arange(count) != k
-        miss = np.linalg.norm(_similarity(model, earth, others)[1], axis=1)
-        alone.append((float(np.sqrt(np.mean(miss[others] ** 2))), float(miss[k]), int(k)))
-    for rest, off, k in sorted(alone)[:1]:
-        if off > max(usual, FIT_OUTLIER * rest):
-            contradictions.append(
-                f"without {names[k]} the others fit to {rest:.2f} m (rms), and it is "
-                f"{off:.1f} m off: another image, or a wrong position"
-            )
+    if positions.count <= 4:  # without one of four, three are left: they fit whatever they are
+        return contradictions
+    fits_of_others = []
+    for row in np.argsort(-residual)[:SUSPECTS_OF_FIT]:
+        fits_of_others.append(fit_without(positions, int(row)))
+    best = min(fits_of_others)
+    if best.off_m > max(usual_m, FIT_OUTLIER * best.rms_m):
+        contradictions.append(
+            f"without {positions.name[best.row]} the others fit to {best.rms_m:.2f} m (rms), and "
+            f"it is {best.off_m:.1f} m off: another image, or a wrong position"
+        )
     return contradictions
 
 
-def _similarity(model: Array, earth: Array, use: Mask) -> tuple[CartesianFrame, Array]:
+class FitWithout(NamedTuple):
+    """Residuals of all positions but one, and what that one is off by; least residuals first."""
+
+    rms_m: float
+    off_m: float
+    row: int
+
+
+def fit_without(positions: PositionsOfBoth, row: int) -> FitWithout:
+    """The fit of all positions but one."""
+    is_other = np.arange(positions.count) != row
+    _, miss = similarity(positions, is_other)
+    miss_m = np.linalg.norm(miss, axis=1)
+    rms_m = float(np.sqrt(np.mean(miss_m[is_other] ** 2)))
+    return FitWithout(rms_m, float(miss_m[row]), row)
+
+
+def similarity(positions: PositionsOfBoth, use: Mask) -> tuple[CartesianFrame, Array]:
     """The frame through some of the positions, and what all of them (n, 3) miss it by [m]."""
-    middle, centre = model[use].mean(axis=0), earth[use].mean(axis=0)
-    rotation, _ = Rotation.align_vectors(earth[use] - centre, model[use] - middle)
-    turned = rotation.apply(model - middle)
-    scale = float(np.sum(turned[use] * (earth - centre)[use]) / np.sum(turned[use] ** 2))
-    matrix = rotation.as_matrix()
-    frame = CartesianFrame(matrix, centre - scale * matrix @ middle, scale)
-    return frame, earth - centre - scale * turned
+    model_middle = positions.model[use].mean(axis=0)
+    earth_middle = positions.earth[use].mean(axis=0)
+    model = positions.model - model_middle
+    earth = positions.earth - earth_middle
+    rotation, _ = Rotation.align_vectors(earth[use], model[use])
+    turned = rotation.apply(model)
+    product = np.sum(turned[use] * earth[use])
+    scale = float(product / np.sum(turned[use] ** 2))
+    ecef_from_frame = rotation.as_matrix()
+    origin = earth_middle - scale * ecef_from_frame @ model_middle
+    return CartesianFrame(ecef_from_frame, origin, scale), earth - scale * turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,21 +296,24 @@ def stations_of_images(
     images: OrientedImages, mounts: Mapping[str, Mount], heights: HeightSystem
 ) -> Stations:
     """Stations of oriented images; what one lacks, its height above the sea too, is its status."""
-    lat, lon, h = images.lat_rad.copy(), images.lon_rad.copy(), images.h_m.copy()
-    camera_quaternion, body_quaternion = images.quaternion.copy(), images.quaternion.copy()
+    lat = images.lat_rad.copy()
+    lon = images.lon_rad.copy()
+    h = images.h_m.copy()
+    camera_quaternion = images.quaternion.copy()
+    body_quaternion = images.quaternion.copy()
     for camera, mount in mounts.items():
         rows = images.camera == camera
-        given, camera_from_body = matrices_of(images.quaternion[rows]), mount.camera_from_body
+        attitude = matrices_of(images.quaternion[rows])
         if not images.of_body:
-            body_quaternion[rows] = quaternions_of(camera_from_body.T @ given)
+            body_quaternion[rows] = quaternions_of(mount.camera_from_body.T @ attitude)
             continue
-        camera_quaternion[rows] = quaternions_of(camera_from_body @ given)
-        step = np.nan_to_num(np.einsum("nji,j->ni", given, np.array(mount.lever_arm_m)))
+        camera_quaternion[rows] = quaternions_of(mount.camera_from_body @ attitude)
+        arm_enu = np.einsum("nji,j->ni", attitude, np.array(mount.lever_arm_m))
+        step = np.nan_to_num(arm_enu)
         lat[rows], lon[rows], h[rows] = offset_geodetic(lat[rows], lon[rows], h[rows], step)
     undulation = heights.undulation(lat, lon)
-    stations = empty_stations(images.image, images.camera, STATION_OK)
     stations = replace(
-        stations,
+        empty_stations(images.image, images.camera, STATION_OK),
         time_ns=images.time_ns,
         lat_rad=lat,
         lon_rad=np.mod(lon + np.pi, 2.0 * np.pi) - np.pi,
@@ -241,8 +325,8 @@ def stations_of_images(
     )
     stations = stations.with_status(np.asarray(np.isnan(lat + lon + h)), NO_POSITION)
     stations = stations.with_status(np.isnan(stations.h_msl_m), HEIGHT_REFERENCE_UNKNOWN)
-    unknown = np.asarray(np.isnan(camera_quaternion).any(axis=1))
-    return stations.with_status(unknown, NO_ATTITUDE)
+    no_attitude = np.asarray(np.isnan(camera_quaternion).any(axis=1))
+    return stations.with_status(no_attitude, NO_ATTITUDE)
 
 
 def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
@@ -254,36 +338,47 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
     if count == 0:
         return stations, ()
     first = str(stations.image[np.argmax(up)])
-    where = "stations.orientation"
     if count > FEW_LOOK_UP * total:
-        raise messages.cameras_look_up(where=where, count=count, total=total, first=first)
+        raise messages.cameras_look_up(
+            where=ORIENTATION,
+            count=count,
+            total=total,
+            first=first,
+        )
     reason = np.where(up, "looks above the horizon", stations.suspect_reason)
     stations = replace(stations, suspect_reason=reason).with_status(up, SUSPECT)
-    suspect = messages.some_cameras_look_up(where=where, count=count, total=total, first=first)
-    return stations, (suspect,)
+    loss = messages.some_cameras_look_up(
+        where=ORIENTATION,
+        count=count,
+        total=total,
+        first=first,
+    )
+    return stations, (loss,)
 
 
 def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
     """Mark images far from all others as suspect: a position of zero, or of another flight."""
+    ok = stations.ok
     place = ecef_of_geodetic(stations.lat_rad, stations.lon_rad, np.zeros(stations.image.size))
-    if not bool(stations.ok.any()):
+    if not bool(ok.any()):
         return stations, ()
-    distance = np.linalg.norm(place - np.median(place[stations.ok], axis=0), axis=1)
-    limit = max(FAR_M, FAR_FACTOR * float(np.median(distance[stations.ok])))
+    middle = np.median(place[ok], axis=0)
+    distance = np.linalg.norm(place - middle, axis=1)
+    limit = max(FAR_M, FAR_FACTOR * float(np.median(distance[ok])))
     with np.errstate(invalid="ignore"):
-        far = stations.ok & (distance > limit)
-    if not bool(far.any()):
+        is_far = ok & (distance > limit)
+    if not bool(is_far.any()):
         return stations, ()
-    first = int(np.argmax(far))
-    entry = messages.orientation_far(
-        where="stations.orientation",
-        count=int(far.sum()),
-        total=int(stations.ok.sum()),
+    first = int(np.argmax(is_far))
+    loss = messages.orientation_far(
+        where=ORIENTATION,
+        count=int(is_far.sum()),
+        total=int(ok.sum()),
         first=stations.image[first],
         limit_km=limit / 1000.0,
         away_km=distance[first] / 1000.0,
     )
-    return stations.as_suspect(far, "far from all others", distance, use=use), (entry,)
+    return stations.as_suspect(is_far, "far from all others", distance, use=use), (loss,)
 
 
 def refuse_turned_images(stations: Stations) -> None:
@@ -293,26 +388,43 @@ def refuse_turned_images(stations: Stations) -> None:
     same in all lines but for quarter turns. Where instead the sum of the two azimuths is the same,
     the sense of kappa or yaw is the other one, or the rotation is the inverse.
     """
-    differences, sums = [], []
+    differences = []  # by camera
+    sums = []
     for camera in set(stations.camera[stations.ok].tolist()):
         rows = np.flatnonzero(stations.ok & (stations.camera == camera))
-        if (stations.time_ns[rows] > 0).all():
-            rows = rows[np.argsort(stations.time_ns[rows], kind="stable")]
-        lat, lon = stations.lat_rad[rows], np.unwrap(stations.lon_rad[rows])
-        north, east = np.diff(lat), np.diff(lon) * np.cos(lat[:-1])
-        step = np.hypot(north, east)
-        along = step < 2.0 * np.median(step) if step.size else np.zeros(0, bool)
-        track = np.arctan2(east, north)[along]
-        top = -matrices_of(stations.quaternion[rows])[:-1, 1][along]
-        azimuth = np.arctan2(top[:, 0], top[:, 1])
+        azimuth, track = azimuths_along_lines(stations, rows)
         differences.append(azimuth - track)
         sums.append(azimuth + track)
-    if sum(part.size for part in sums) < 10:
+    if sum(angles.size for angles in sums) < MIN_STEPS:
         return
-    # Four times the angle, in which quarter turns are none; of each camera about its own mean.
-    same, against = (
-        sum(abs(np.exp(4j * part).sum()) for part in parts) / sum(part.size for part in parts)
-        for parts in (differences, sums)
-    )
-    if against > 0.8 and same < 0.5:
-        raise messages.orientation_turns(where="stations.orientation")
+    if agreement(sums) > OTHER_SENSE and agreement(differences) < SAME_SENSE:
+        raise messages.orientation_turns(where=ORIENTATION)
+
+
+def azimuths_along_lines(stations: Stations, rows: Rows) -> tuple[Array, Array]:
+    """Azimuths [rad] of the tops of images and of the track to the next one, within lines.
+
+    In the order of their times, where all have one.
+    """
+    if (stations.time_ns[rows] > 0).all():
+        rows = rows[np.argsort(stations.time_ns[rows], kind="stable")]
+    lat = stations.lat_rad[rows]
+    lon = np.unwrap(stations.lon_rad[rows])
+    north = np.diff(lat)
+    east = np.diff(lon) * np.cos(lat[:-1])
+    step = np.hypot(north, east)
+    within_line = np.zeros(0, bool)
+    if step.size:
+        within_line = step < USUAL_STEP * np.median(step)
+    track = np.arctan2(east, north)[within_line]
+    top = -matrices_of(stations.quaternion[rows])[:-1, 1][within_line]
+    return np.arctan2(top[:, 0], top[:, 1]), track
+
+
+def agreement(angles_of_cameras: list[Array]) -> float:
+    """Resultant length (0 to 1) of four times the angles, of each camera about its own mean.
+
+    In four times an angle quarter turns are none.
+    """
+    resultants = [abs(np.exp(4j * angles).sum()) for angles in angles_of_cameras]
+    return float(sum(resultants) / sum(angles.size for angles in angles_of_cameras))

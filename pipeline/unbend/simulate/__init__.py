@@ -8,5 +8,13 @@ from unbend.simulate.mission import Simulated, SimulationOptions, mission_yaml, 
 from unbend.simulate.optics import shoot
 from unbend.simulate.true_air import TrueAir, edlen_index, true_air
 
-__all__ = ["Simulated", "SimulationOptions", "TrueAir", "edlen_index", "mission_yaml", "shoot"]
-__all__ += ["simulate", "true_air"]
+__all__ = [
+    "Simulated",
+    "SimulationOptions",
+    "TrueAir",
+    "edlen_index",
+    "mission_yaml",
+    "shoot",
+    "simulate",
+    "true_air",
+]

@@ -8,14 +8,38 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from unbend.simulate import flight as plan
-from unbend.simulate import messages, optics
-from unbend.simulate.flight import UNDULATION_M, AirState, Flight
+from unbend.simulate import messages
+from unbend.simulate.flight import (
+    UNDULATION_M,
+    AirState,
+    Flight,
+    cabin_air,
+    geographic,
+    terrain_m,
+)
+from unbend.simulate.optics import (
+    NED_FROM_ENU,
+    SimulatedCamera,
+    body_rotation,
+    enu_axes,
+    height_and_up,
+    quaternion,
+    shoot,
+    through_window,
+    to_ecef,
+    unit,
+)
 from unbend.simulate.sensors import unix_ns
 from unbend.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
-from unbend.units import Array, Integers
+from unbend.units import Array, Integers, Mask
 
 FEWEST_IMAGES = 2  # a point seen once measures nothing
+REACH = 3.0  # flying heights around the lines, in which there are points
+JITTER = 0.45  # of the spacing of points, each way
+OVERSUPPLY = 1.6  # points in a footprint for each that an image takes: some find no second image
+LAST_HEIGHT_DIGIT = 3  # millimetres, of heights of the ground
+TRUE_PIXELS = ("x_px", "y_px", "x_true_px", "y_true_px")
+TRUE_ANGLES = ("zeta_c_rad", "r_c_rad", "r_cc_rad")
 
 CONVENTIONS = {
     "pixels": "the centre of the upper left pixel is (0.5, 0.5)",
@@ -75,61 +99,97 @@ class TrueObservations:
     miss_m: Array
 
 
-def stations(
-    flight: Flight, air: TrueAir, cameras: tuple[optics.SimulatedCamera, ...]
-) -> TrueStations:
+def stations(flight: Flight, air: TrueAir, cameras: tuple[SimulatedCamera, ...]) -> TrueStations:
     """Where each camera was at each exposure: the reference point plus the lever arm."""
-    truth = flight.at(flight.exposure_s)
-    reference = optics.to_ecef(truth.lat_rad, truth.lon_rad, truth.h_msl_m + UNDULATION_M)
-    axes = optics.enu_axes(truth.lat_rad, truth.lon_rad)
-    angles = zip(truth.roll_rad, truth.pitch_rad, truth.yaw_rad, strict=True)
-    turns = [optics.NED_FROM_ENU.T @ optics.body_rotation(*rotation) for rotation in angles]
-    enu_from_body = np.stack(turns)
-    ecef, rotations = [], []
-    for camera in cameras:
-        offset = enu_from_body @ np.array(camera.lever_arm_m)
-        ecef.append(reference + np.einsum("nij,ni->nj", axes, offset))
-        # The axes of the horizon turn by 1e-7 rad over a lever arm: attitude is the camera's own.
-        rotations.append(camera.from_body() @ np.swapaxes(enu_from_body, 1, 2))
-    positions, rotation = np.concatenate(ecef), np.concatenate(rotations)
-    height, up = optics.height_and_up(positions)
-    msl = height - UNDULATION_M
+    exposures = len(flight.exposure_s)
     time_s = np.tile(flight.exposure_s, len(cameras))
-    count = len(flight.exposure_s)
-    vapour, humidity = vapour_pressure_pa(msl), relative_humidity(msl)
-    outside = AirState(air.pressure_pa(msl), temperature_k(msl), vapour, humidity, air.n(msl))
-    names = tuple(f"{c.name}_{i:05d}" for c in cameras for i in range(1, count + 1))
-    shots = names, np.repeat(np.arange(len(cameras)), count), unix_ns(time_s)
-    place = positions, np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0]), height
-    attitude = rotation, np.stack([optics.quaternion(r) for r in rotation])
-    return TrueStations(*shots, *place, *attitude, outside, plan.cabin_air(air, msl, time_s))
+    position, camera_from_enu = camera_poses(flight, cameras)
+    height, up = height_and_up(position)
+    h_msl = height - UNDULATION_M
+    names = []
+    for camera in cameras:
+        names += [f"{camera.name}_{number:05d}" for number in range(1, exposures + 1)]
+    return TrueStations(
+        image=tuple(names),
+        camera=np.repeat(np.arange(len(cameras)), exposures),
+        time_ns=unix_ns(time_s),
+        ecef_m=position,
+        lat_rad=np.arcsin(up[:, 2]),
+        lon_rad=np.arctan2(up[:, 1], up[:, 0]),
+        h_ellipsoid_m=height,
+        camera_from_enu=camera_from_enu,
+        quaternion=np.stack([quaternion(rotation) for rotation in camera_from_enu]),
+        outside=outside_air(air, h_msl),
+        cabin=cabin_air(air, h_msl, time_s),
+    )
+
+
+def camera_poses(flight: Flight, cameras: tuple[SimulatedCamera, ...]) -> tuple[Array, Array]:
+    """Earth-centred positions (n, 3) [m] and attitudes (n, 3, 3), camera by camera."""
+    truth = flight.at(flight.exposure_s)
+    reference = to_ecef(truth.lat_rad, truth.lon_rad, truth.h_msl_m + UNDULATION_M)
+    enu_from_ecef = enu_axes(truth.lat_rad, truth.lon_rad)
+    turns = []
+    for angles in zip(truth.roll_rad, truth.pitch_rad, truth.yaw_rad, strict=True):
+        turns.append(NED_FROM_ENU.T @ body_rotation(*angles))
+    enu_from_body = np.stack(turns)
+    body_from_enu = np.swapaxes(enu_from_body, 1, 2)
+    positions = []
+    attitudes = []
+    for camera in cameras:
+        lever_arm = enu_from_body @ np.array(camera.lever_arm_m)
+        positions.append(reference + np.einsum("nij,ni->nj", enu_from_ecef, lever_arm))
+        # The axes of the horizon turn by 1e-7 rad over a lever arm: attitude is the camera's own.
+        attitudes.append(camera.from_body() @ body_from_enu)
+    return np.concatenate(positions), np.concatenate(attitudes)
+
+
+def outside_air(air: TrueAir, h_msl_m: Array) -> AirState:
+    """The true air outside at heights above sea level [m]."""
+    return AirState(
+        pressure_pa=air.pressure_pa(h_msl_m),
+        temperature_k=temperature_k(h_msl_m),
+        vapour_pressure_pa=vapour_pressure_pa(h_msl_m),
+        humidity=relative_humidity(h_msl_m),
+        n=air.n(h_msl_m),
+    )
 
 
 def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> GroundPoints:
     """A jittered grid of points on the terrain around the lines, in random order."""
     path = flight.path(flight.exposure_s)
-    reach = 3.0 * float(path[:, 2].max())
-    low, high = path.min(axis=0) - reach, path.max(axis=0) + reach
-    grid = np.meshgrid(np.arange(low[0], high[0], spacing_m), np.arange(low[1], high[1], spacing_m))
+    reach = REACH * float(path[:, 2].max())
+    low = path.min(axis=0) - reach
+    high = path.max(axis=0) + reach
+    grid = np.meshgrid(
+        np.arange(low[0], high[0], spacing_m),
+        np.arange(low[1], high[1], spacing_m),
+    )
     place = np.stack([axis.ravel() for axis in grid], axis=-1)
-    place += rng.uniform(-0.45, 0.45, place.shape) * spacing_m
-    place = place[rng.permutation(len(place))]
-    lat, lon = plan.geographic(place[:, 0], place[:, 1])
-    h_msl = np.round(plan.terrain_m(place[:, 0], place[:, 1]), 3)
-    return GroundPoints((), lat, lon, h_msl, optics.to_ecef(lat, lon, h_msl + UNDULATION_M))
+    place += rng.uniform(-JITTER, JITTER, place.shape) * spacing_m
+    east, north = place[rng.permutation(len(place))].T
+    lat, lon = geographic(east, north)
+    h_msl = np.round(terrain_m(east, north), LAST_HEIGHT_DIGIT)
+    return GroundPoints(
+        name=(),
+        lat_rad=lat,
+        lon_rad=lon,
+        h_msl_m=h_msl,
+        ecef_m=to_ecef(lat, lon, h_msl + UNDULATION_M),
+    )
 
 
-def _in_camera(stations_: TrueStations, station: Integers, direction: Array) -> Array:
+def _in_camera(block: TrueStations, station: Integers, direction: Array) -> Array:
     """Unit vectors (n, 3) along ECEF axes, in the axes of the cameras of those stations."""
-    axes = optics.enu_axes(stations_.lat_rad[station], stations_.lon_rad[station])
-    rotation = stations_.camera_from_enu[station] @ axes
-    return np.asarray(np.einsum("nij,nj->ni", rotation, direction))
+    enu_from_ecef = enu_axes(block.lat_rad[station], block.lon_rad[station])
+    camera_from_ecef = block.camera_from_enu[station] @ enu_from_ecef
+    return np.asarray(np.einsum("nij,nj->ni", camera_from_ecef, direction))
 
 
 def choose_points(
     flight: Flight,
     block: TrueStations,
-    cameras: tuple[optics.SimulatedCamera, ...],
+    cameras: tuple[SimulatedCamera, ...],
     points_per_image: int,
     rng: np.random.Generator,
 ) -> tuple[GroundPoints, Integers, Integers]:
@@ -137,60 +197,89 @@ def choose_points(
 
     Points are taken in random order into every image that sees them and is not full.
     """
-    height = float(np.max(flight.path(flight.exposure_s)[:, 2]))
-    footprint = height**2 * cameras[0].width_px * cameras[0].height_px / cameras[0].focal_px ** 2
-    spacing = float(np.sqrt(footprint / (1.6 * points_per_image)))
+    spacing = _point_spacing_m(flight, cameras[0], points_per_image)
     pool = _candidates(spacing, flight, rng)
-    count = len(block.image)
-    seen = np.zeros((len(pool.lat_rad), count), bool)
-    for k in range(count):
-        chord = optics.unit(pool.ecef_m - block.ecef_m[k])
-        rays = _in_camera(block, np.full(len(chord), k), chord)
-        seen[:, k] = cameras[block.camera[k]].sees(rays)
-    room = np.full(count, points_per_image)
-    pairs: list[tuple[int, int]] = []
+    seen = _seen_by_images(pool, block, cameras)
+
+    room = np.full(len(block.image), points_per_image)
     kept: list[int] = []
+    pairs: list[tuple[int, int]] = []  # station, point
     for candidate in np.flatnonzero(seen.sum(axis=1) >= FEWEST_IMAGES).tolist():
         images = np.flatnonzero(seen[candidate] & (room > 0))
         if len(images) >= FEWEST_IMAGES:
-            pairs += [(int(k), len(kept)) for k in images]
+            pairs += [(int(image), len(kept)) for image in images]
             kept.append(candidate)
             room[images] -= 1
     if not pairs:
-        raise messages.sim_points(fewest=FEWEST_IMAGES, number=count)
+        raise messages.sim_points(fewest=FEWEST_IMAGES, number=len(block.image))
     pairs.sort()
     station, point = np.array(pairs, np.int64).T
-    names = tuple(f"p{i:05d}" for i in range(1, len(kept) + 1))
     points = GroundPoints(
-        names, pool.lat_rad[kept], pool.lon_rad[kept], pool.h_msl_m[kept], pool.ecef_m[kept]
+        name=tuple(f"p{number:05d}" for number in range(1, len(kept) + 1)),
+        lat_rad=pool.lat_rad[kept],
+        lon_rad=pool.lon_rad[kept],
+        h_msl_m=pool.h_msl_m[kept],
+        ecef_m=pool.ecef_m[kept],
     )
     return points, station, point
+
+
+def _point_spacing_m(flight: Flight, camera: SimulatedCamera, points_per_image: int) -> float:
+    """The spacing at which an image of flat ground has more points than it takes."""
+    height = float(np.max(flight.path(flight.exposure_s)[:, 2]))
+    footprint = height**2 * camera.width_px * camera.height_px / camera.focal_px**2
+    return float(np.sqrt(footprint / (OVERSUPPLY * points_per_image)))
+
+
+def _seen_by_images(
+    points: GroundPoints, block: TrueStations, cameras: tuple[SimulatedCamera, ...]
+) -> Mask:
+    """(n, k) which of n points fall on the sensors of k images."""
+    images = len(block.image)
+    seen = np.zeros((len(points.lat_rad), images), bool)
+    for image in range(images):
+        chord = unit(points.ecef_m - block.ecef_m[image])
+        rays = _in_camera(block, np.full(len(chord), image), chord)
+        seen[:, image] = cameras[block.camera[image]].sees(rays)
+    return seen
 
 
 def observe(
     air: TrueAir,
     block: TrueStations,
     points: GroundPoints,
-    cameras: tuple[optics.SimulatedCamera, ...],
+    cameras: tuple[SimulatedCamera, ...],
     *,
     station: Integers,
     point: Integers,
 ) -> TrueObservations:
     """Bend every ray, send it through the window and the lens; beside it the straight chord."""
-    rays = optics.shoot(air, block.ecef_m[station], points.ecef_m[point], UNDULATION_M)
-    apparent = _in_camera(block, station, rays.apparent)
+    rays = shoot(air, block.ecef_m[station], points.ecef_m[point], UNDULATION_M)
+    outside = _in_camera(block, station, rays.apparent)
     straight = _in_camera(block, station, rays.straight)
-    inside, r_cc = optics.through_window(apparent, block.outside.n[station], block.cabin.n[station])
-    measured, true = np.empty((2, len(station))), np.empty((2, len(station)))
+    inside, r_cc = through_window(outside, block.outside.n[station], block.cabin.n[station])
+    measured = np.empty((2, len(station)))
+    true = np.empty((2, len(station)))
     for index, camera in enumerate(cameras):
         rows = block.camera[station] == index
         measured[:, rows] = camera.project(inside[rows])
         true[:, rows] = camera.project(straight[rows])
-    up = optics.height_and_up(block.ecef_m)[1][station]
-    down = -np.sum(rays.apparent * up, axis=-1)
-    zeta = np.arctan2(np.linalg.norm(np.cross(rays.apparent, up), axis=-1), down)
-    (x, y), (x_true, y_true), r_c = measured, true, rays.r_c_rad
-    return TrueObservations(station, point, x, y, x_true, y_true, zeta, r_c, r_cc, rays.miss_m)
+    _, up_of_station = height_and_up(block.ecef_m)
+    up = up_of_station[station]
+    cosine = -np.sum(rays.apparent * up, axis=-1)
+    sine = np.linalg.norm(np.cross(rays.apparent, up), axis=-1)
+    return TrueObservations(
+        station=station,
+        point=point,
+        x_px=measured[0],
+        y_px=measured[1],
+        x_true_px=true[0],
+        y_true_px=true[1],
+        zeta_c_rad=np.arctan2(sine, cosine),
+        r_c_rad=rays.r_c_rad,
+        r_cc_rad=r_cc,
+        miss_m=rays.miss_m,
+    )
 
 
 def write_table(path: Path, columns: dict[str, object]) -> None:
@@ -207,7 +296,7 @@ def write_tables(
     points: GroundPoints,
     seen: TrueObservations,
     *,
-    cameras: tuple[optics.SimulatedCamera, ...],
+    cameras: tuple[SimulatedCamera, ...],
     noise_px: float,
     rng: np.random.Generator,
 ) -> None:
@@ -218,35 +307,54 @@ def write_tables(
     write_table(out / "observations.parquet", measured)
     write_table(truth / "observations.parquet", true)
     write_table(truth / "stations.parquet", station_columns(block, cameras))
-    # -100 m to 30 km, 5 m apart up to 5 km and 50 m above.
-    h = np.concatenate([np.arange(-100.0, 5000.0, 5.0), np.arange(5000.0, 30_001.0, 50.0)])
-    of_air = {"temperature_k": temperature_k(h), "pressure_pa": air.pressure_pa(h)}
-    of_air |= {"vapour_pressure_pa": vapour_pressure_pa(h), "refractivity": air.n(h) - 1.0}
-    write_table(truth / "profile.parquet", {"h_m": h, **of_air})
-    place = {"lat_deg": np.degrees(points.lat_rad), "lon_deg": np.degrees(points.lon_rad)}
-    place |= {"h_msl_m": points.h_msl_m, "h_ellipsoid_m": points.h_msl_m + UNDULATION_M}
-    write_table(truth / "points.parquet", {"point": list(points.name), **place})
+    write_table(truth / "profile.parquet", profile_columns(air))
+    write_table(truth / "points.parquet", point_columns(points))
+
+
+def profile_columns(air: TrueAir) -> dict[str, object]:
+    """truth/profile.parquet: -100 m to 30 km, 5 m apart up to 5 km and 50 m above."""
+    h_m = np.concatenate([np.arange(-100.0, 5000.0, 5.0), np.arange(5000.0, 30_001.0, 50.0)])
+    return {
+        "h_m": h_m,
+        "temperature_k": temperature_k(h_m),
+        "pressure_pa": air.pressure_pa(h_m),
+        "vapour_pressure_pa": vapour_pressure_pa(h_m),
+        "refractivity": air.n(h_m) - 1.0,
+    }
+
+
+def point_columns(points: GroundPoints) -> dict[str, object]:
+    """truth/points.parquet: one row a point."""
+    return {
+        "point": list(points.name),
+        "lat_deg": np.degrees(points.lat_rad),
+        "lon_deg": np.degrees(points.lon_rad),
+        "h_msl_m": points.h_msl_m,
+        "h_ellipsoid_m": points.h_msl_m + UNDULATION_M,
+    }
 
 
 def station_columns(
-    stations: TrueStations, cameras: tuple[optics.SimulatedCamera, ...]
+    stations: TrueStations, cameras: tuple[SimulatedCamera, ...]
 ) -> dict[str, object]:
     """truth/stations.parquet: one row an image."""
-    q = stations.quaternion
     columns = {
         "image": list(stations.image),
-        "camera": [cameras[k].name for k in stations.camera],
+        "camera": [cameras[row].name for row in stations.camera],
         "time_utc": pa.array(stations.time_ns, pa.timestamp("ns", tz="UTC")),
         "lat_deg": np.degrees(stations.lat_rad),
         "lon_deg": np.degrees(stations.lon_rad),
         "h_msl_m": stations.h_msl_m,
         "h_ellipsoid_m": stations.h_ellipsoid_m,
-        **{name: q[:, i].copy() for i, name in enumerate(("q_w", "q_x", "q_y", "q_z"))},
     }
+    for column, name in enumerate(("q_w", "q_x", "q_y", "q_z")):
+        columns[name] = stations.quaternion[:, column].copy()
     for prefix, air in (("", stations.outside), ("cabin_", stations.cabin)):
         for name in ("pressure_pa", "temperature_k", "vapour_pressure_pa"):
             columns[prefix + name] = getattr(air, name)
-    return columns | {"n_outside": stations.outside.n, "n_cabin": stations.cabin.n}
+    columns["n_outside"] = stations.outside.n
+    columns["n_cabin"] = stations.cabin.n
+    return columns
 
 
 def observation_columns(
@@ -257,13 +365,20 @@ def observation_columns(
     rng: np.random.Generator,
 ) -> tuple[dict[str, object], dict[str, object]]:
     """observations.parquet, as a photogrammetrist has it, and truth/observations.parquet."""
-    images, named = [stations.image[k] for k in seen.station], [points.name[k] for k in seen.point]
-    names: dict[str, object] = {"image": images, "point": named}
-    quality = rng.integers(1, 6, len(seen.station)).astype(np.int32)
-    x, y = noise_px * rng.standard_normal((2, len(seen.station)))
-    h_g = points.h_msl_m[seen.point]
-    measured = {**names, "x_px": seen.x_px + x, "y_px": seen.y_px + y, "h_g_m": h_g}
-    measured["quality"] = quality
-    known = "x_px", "y_px", "x_true_px", "y_true_px", "zeta_c_rad", "r_c_rad", "r_cc_rad"
-    truth: dict[str, object] = {**names, **{n: getattr(seen, n) for n in known}, "h_g_m": h_g}
-    return measured, truth
+    names: dict[str, object] = {
+        "image": [stations.image[row] for row in seen.station],
+        "point": [points.name[row] for row in seen.point],
+    }
+    count = len(seen.station)
+    quality = rng.integers(1, 6, count).astype(np.int32)
+    x_error, y_error = noise_px * rng.standard_normal((2, count))
+    h_g_m = points.h_msl_m[seen.point]
+    measured = {
+        **names,
+        "x_px": seen.x_px + x_error,
+        "y_px": seen.y_px + y_error,
+        "h_g_m": h_g_m,
+        "quality": quality,
+    }
+    true_values = {name: getattr(seen, name) for name in (*TRUE_PIXELS, *TRUE_ANGLES)}
+    return measured, {**names, **true_values, "h_g_m": h_g_m}

@@ -28,10 +28,20 @@ EXPOSURE_SPACING_M = 620.0  # 60 % forward overlap of the nadir camera
 LINE_MARGIN_M = 400.0  # wings level before the first exposure of a line
 STAND_S = 60.0  # engines running before take-off
 RAMP_S = 40.0  # take-off and landing roll
+ROLL_M = 0.5 * SPEED_M_S * RAMP_S
 AFTER_S = 12.0
 CLIMB_RATE_M_S = 9.0
 CABIN_HOLD_M = 1800.0
-_STEP_S = 0.05
+STEP_S = 0.05  # of the integration
+FIRST_LEG_M = 4000.0  # from the field eastwards, before the climb in circles
+RUN_OUT_M = 700.0  # from the last line on, before the way back; as far before the first, level
+LAST_LEG_M = 1500.0  # after the circles down
+EAST_RAD = 0.5 * np.pi
+TURN_SMOOTH = 40.0  # steps over which a roll into a turn is smooth
+CLIMB_SMOOTH = 60.0  # the same of a climb
+SLOWEST_M_S = 30.0  # on the ground no climb angle is steep
+ANGLE_OF_ATTACK_RAD = np.radians(1.5)
+VALVE_PA = 150.0  # the cabin's valve closes gradually, so that the truth has no kink
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +61,53 @@ class State:
 
     def between(self, time_s: Array) -> State:
         """At other times (n,), linear between these."""
-        rows = {name: np.interp(time_s, self.time_s, row) for name, row in vars(self).items()}
-        return State(**rows)
+        values = {}
+        for name, value in vars(self).items():
+            values[name] = np.interp(time_s, self.time_s, value)
+        return State(**values)
 
-    def rows(self, which: slice) -> State:
+    def rows(self, chosen: slice) -> State:
         """Some of the times."""
-        return State(*(row[which] for row in vars(self).values()))
+        values = {}
+        for name, value in vars(self).items():
+            values[name] = value[chosen]
+        return State(**values)
+
+
+@dataclass(frozen=True)
+class _Wander:
+    """A smooth sum of sines, about so large from peak to mean."""
+
+    size_deg: float
+    periods_s: tuple[float, ...]
+    phase: float
+
+    def at(self, time_s: Array) -> Array:
+        """The angle (n,) [rad]."""
+        waves = []
+        for number, period_s in enumerate(self.periods_s, start=1):
+            phase = self.phase * number
+            waves.append(np.sin(2.0 * np.pi * time_s / period_s + phase))
+        size_rad = np.radians(self.size_deg)
+        together = np.sum(waves, axis=0)
+        return np.asarray(size_rad * together / np.sqrt(len(waves)))
+
+
+ROLL_WANDER = _Wander(
+    size_deg=0.8,
+    periods_s=(7.3, 11.9, 29.0),
+    phase=0.4,
+)
+PITCH_WANDER = _Wander(
+    size_deg=0.6,
+    periods_s=(6.1, 13.7, 41.0),
+    phase=1.3,
+)
+YAW_WANDER = _Wander(
+    size_deg=0.7,
+    periods_s=(9.7, 17.3, 37.0),
+    phase=2.6,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,26 +122,27 @@ class Flight:
 
     def at(self, time_s: Array) -> State:
         """The true state at times (n,) [s]."""
-        east, north, up = np.moveaxis(self.path(time_s), -1, 0)
-        velocity = np.moveaxis(self.path.derivative()(time_s), -1, 0)
+        east, north, up = self.path(time_s).T
         lat, lon = geographic(east, north)
-        ground_speed = np.hypot(velocity[0], velocity[1])
+        velocity_east, velocity_north, climb = self.path.derivative()(time_s).T
+        speed = np.hypot(velocity_east, velocity_north)
+        climb_angle = np.arctan2(climb, np.maximum(speed, SLOWEST_M_S))
         heading = self.heading(time_s)
-        rate = self.heading.derivative()(time_s)
-        gate = self.airborne(time_s)
-        climb = np.arctan2(velocity[2], np.maximum(ground_speed, 30.0))
-        roll = np.arctan(ground_speed * rate / STANDARD_GRAVITY)
-        roll += gate * _wander(time_s, 0.8, (7.3, 11.9, 29.0), 0.4)
-        pitch = climb + np.radians(1.5) + gate * _wander(time_s, 0.6, (6.1, 13.7, 41.0), 1.3)
-        yaw = heading + gate * _wander(time_s, 0.7, (9.7, 17.3, 37.0), 2.6)
-        place = lat, lon, FIELD_HEIGHT_M + up
-        return State(time_s, *place, roll, pitch, yaw, ground_speed, velocity[2], heading)
-
-
-def _wander(time_s: Array, size_deg: float, periods_s: tuple[float, ...], phase: float) -> Array:
-    """A smooth sum of sines (n,) [rad], about size_deg from peak to mean."""
-    waves = [np.sin(2.0 * np.pi * time_s / p + phase * (i + 1)) for i, p in enumerate(periods_s)]
-    return np.asarray(np.radians(size_deg) * np.sum(waves, axis=0) / np.sqrt(len(periods_s)))
+        turn_rate = self.heading.derivative()(time_s)
+        bank = np.arctan(speed * turn_rate / STANDARD_GRAVITY)
+        airborne = self.airborne(time_s)
+        return State(
+            time_s=time_s,
+            lat_rad=lat,
+            lon_rad=lon,
+            h_msl_m=FIELD_HEIGHT_M + up,
+            roll_rad=bank + airborne * ROLL_WANDER.at(time_s),
+            pitch_rad=climb_angle + ANGLE_OF_ATTACK_RAD + airborne * PITCH_WANDER.at(time_s),
+            yaw_rad=heading + airborne * YAW_WANDER.at(time_s),
+            speed_m_s=speed,
+            climb_m_s=climb,
+            course_rad=heading,
+        )
 
 
 def geographic(east_m: Array, north_m: Array) -> tuple[Array, Array]:
@@ -102,7 +154,9 @@ def geographic(east_m: Array, north_m: Array) -> tuple[Array, Array]:
     w = 1.0 - e2 * np.sin(FIELD_LAT_RAD) ** 2
     meridian = WGS84_A * (1.0 - e2) / w**1.5 + FIELD_HEIGHT_M
     parallel = (WGS84_A / np.sqrt(w) + FIELD_HEIGHT_M) * np.cos(FIELD_LAT_RAD)
-    return FIELD_LAT_RAD + north_m / meridian, FIELD_LON_RAD + east_m / parallel
+    lat_rad = FIELD_LAT_RAD + north_m / meridian
+    lon_rad = FIELD_LON_RAD + east_m / parallel
+    return lat_rad, lon_rad
 
 
 def terrain_m(east_m: Array, north_m: Array) -> Array:
@@ -112,7 +166,8 @@ def terrain_m(east_m: Array, north_m: Array) -> Array:
         + 80.0 * np.sin(east_m / 1900.0 + 0.6) * np.cos(north_m / 2300.0)
         + 45.0 * np.sin((east_m - 1.7 * north_m) / 1100.0 + 1.1)
     )
-    away = 1.0 - np.exp(-((np.hypot(east_m, north_m) / 4000.0) ** 4))
+    from_field_m = np.hypot(east_m, north_m)
+    away = 1.0 - np.exp(-((from_field_m / 4000.0) ** 4))
     return np.asarray(FIELD_HEIGHT_M + away * hills)
 
 
@@ -128,100 +183,190 @@ def _turn(radius_m: float, angle_rad: float) -> _Leg:
     return _Leg(radius_m * abs(angle_rad), angle_rad)
 
 
-def _legs(
-    lines: int, line_m: float, climb_m: float
-) -> tuple[list[_Leg], float, float, list[float]]:
-    """The whole path, where the climb ends and the descent begins [m], and where lines begin."""
+@dataclass(frozen=True)
+class _Route:
+    """All legs, and how far along them what begins or ends [m]."""
+
+    legs: list[_Leg]
+    climb_end_m: float
+    descent_start_m: float
+    line_starts_m: list[float]
+
+    @property
+    def lengths_m(self) -> Array:
+        return np.array([leg.length_m for leg in self.legs])
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the aircraft is on the map [m], and where it goes, clockwise from north."""
+
+    east_m: float
+    north_m: float
+    heading_rad: float
+
+    def after(self, leg: _Leg) -> _Place:
+        """The place at the end of a leg."""
+        heading = self.heading_rad
+        if not leg.turn_rad:
+            east = self.east_m + leg.length_m * np.sin(heading)
+            north = self.north_m + leg.length_m * np.cos(heading)
+            return _Place(east, north, heading)
+        radius = leg.length_m / leg.turn_rad
+        turned = heading + leg.turn_rad
+        to_east = radius * (np.cos(heading) - np.cos(turned))
+        to_north = radius * (np.sin(turned) - np.sin(heading))
+        return _Place(self.east_m + to_east, self.north_m + to_north, turned)
+
+
+def _length_m(legs: list[_Leg]) -> float:
+    return sum(leg.length_m for leg in legs)
+
+
+def _route(lines: int, line_m: float, climb_m: float) -> _Route:
+    """From the field up in circles, the lines, and back down."""
     circle = _turn(CIRCLE_RADIUS_M, -2.0 * np.pi)
-    circles = max(0, round((climb_m * SPEED_M_S / CLIMB_RATE_M_S - LEAD_IN_M) / circle.length_m))
-    legs = [_Leg(4000.0), *[circle] * circles, _Leg(LEAD_IN_M)]
-    climb_end = sum(leg.length_m for leg in legs) - 700.0
-    starts = []
+    climb_path_m = climb_m * SPEED_M_S / CLIMB_RATE_M_S
+    circles = max(0, round((climb_path_m - LEAD_IN_M) / circle.length_m))
+    legs = [_Leg(FIRST_LEG_M)]
+    legs += [circle] * circles
+    legs.append(_Leg(LEAD_IN_M))
+    climb_end_m = _length_m(legs) - RUN_OUT_M
+    line_starts_m = []
     for line in range(lines):
-        starts.append(sum(leg.length_m for leg in legs))
+        line_starts_m.append(_length_m(legs))
         legs.append(_Leg(line_m))
         if line < lines - 1:
-            legs.append(_turn(TURN_RADIUS_M, np.pi if line % 2 else -np.pi))
-    legs.append(_Leg(700.0))
-    descent_start = sum(leg.length_m for leg in legs)
+            half_turn = np.pi if line % 2 else -np.pi
+            legs.append(_turn(TURN_RADIUS_M, half_turn))
+    legs.append(_Leg(RUN_OUT_M))
+    descent_start_m = _length_m(legs)
+    to_left = lines % 2 == 0
+    legs += _way_back(legs, -1.0 if to_left else 1.0)
+    legs += [circle] * circles
+    legs.append(_Leg(LAST_LEG_M))
+    return _Route(
+        legs=legs,
+        climb_end_m=climb_end_m,
+        descent_start_m=descent_start_m,
+        line_starts_m=line_starts_m,
+    )
 
-    # Back to the field, by a turn about a centre and a straight that touches its circle.
-    x, y, psi = 0.0, 0.0, 0.5 * np.pi  # east, north and heading; the legs begin eastwards
+
+def _way_back(legs: list[_Leg], side: float) -> list[_Leg]:
+    """Back to the field: a turn to the left (-1) or right (1) and the tangent of its circle."""
+    place = _Place(0.0, 0.0, EAST_RAD)
     for leg in legs:
-        if leg.turn_rad:
-            radius = leg.length_m / leg.turn_rad
-            x += radius * (np.cos(psi) - np.cos(psi + leg.turn_rad))
-            y += radius * (np.sin(psi + leg.turn_rad) - np.sin(psi))
-            psi += leg.turn_rad
-        else:
-            x, y = x + leg.length_m * np.sin(psi), y + leg.length_m * np.cos(psi)
-    side = -1.0 if lines % 2 == 0 else 1.0  # to the left after an even number of lines
+        place = place.after(leg)
     radius = CIRCLE_RADIUS_M
-    centre = np.array([x + side * radius * np.cos(psi), y - side * radius * np.sin(psi)])
-    distance = float(np.hypot(*centre))
+    centre_east = place.east_m + side * radius * np.cos(place.heading_rad)
+    centre_north = place.north_m - side * radius * np.sin(place.heading_rad)
+    distance = float(np.hypot(centre_east, centre_north))
     if distance <= radius:
         raise messages.path_too_near(distance_m=distance)
     straight = np.sqrt(distance**2 - radius**2)
-    heading = np.arctan2(-centre[0], -centre[1]) + side * np.arctan2(radius, straight)
-    angle = float((side * (heading - psi)) % (2.0 * np.pi))
-    legs += [_turn(radius, side * angle), _Leg(float(straight)), *[circle] * circles, _Leg(1500.0)]
-    return legs, climb_end, descent_start, starts
+    to_field = np.arctan2(-centre_east, -centre_north)
+    heading = to_field + side * np.arctan2(radius, straight)
+    turn = side * (heading - place.heading_rad)
+    angle = float(turn % (2.0 * np.pi))
+    return [
+        _turn(radius, side * angle),
+        _Leg(float(straight)),
+    ]
 
 
 def fly(height_above_ground_m: float, lines: int, exposures_per_line: int) -> Flight:
     """Plan and integrate a survey: climb from the field, lines, descent, landing."""
     line_m = EXPOSURE_SPACING_M * max(exposures_per_line - 1, 1) + 2.0 * LINE_MARGIN_M
-    legs, climb_end, descent_start, starts = _legs(lines, line_m, height_above_ground_m)
-    lengths = np.array([leg.length_m for leg in legs])
-    total_m = float(lengths.sum())
-    roll_m = 0.5 * SPEED_M_S * RAMP_S
-    cruise_s = (total_m - 2.0 * roll_m) / SPEED_M_S
-    duration = STAND_S + 2.0 * RAMP_S + cruise_s + AFTER_S
-    time = np.arange(0.0, duration + _STEP_S, _STEP_S)
+    route = _route(lines, line_m, height_above_ground_m)
+    total_m = float(route.lengths_m.sum())
+    cruise_s = (total_m - 2.0 * ROLL_M) / SPEED_M_S
+    duration_s = STAND_S + 2.0 * RAMP_S + cruise_s + AFTER_S
+    time = np.arange(0.0, duration_s + STEP_S, STEP_S)
 
-    landing = STAND_S + RAMP_S + cruise_s
-    gate = _smoothstep((time - STAND_S) / RAMP_S) - _smoothstep((time - landing) / RAMP_S)
-    distance = _integral(gate * SPEED_M_S)
-    edges = np.concatenate([[0.0], np.cumsum(lengths)])
-    curvature = np.array([leg.turn_rad / leg.length_m for leg in legs])
-    leg = np.clip(np.searchsorted(edges, distance, side="right") - 1, 0, len(legs) - 1)
-    heading = 0.5 * np.pi + _integral(gaussian_filter1d(curvature[leg] * gate * SPEED_M_S, 40.0))
-
-    rate = _share(time, distance, 1.3 * roll_m, climb_end) - _share(
-        time, distance, descent_start, total_m - roll_m - 500.0
-    )
-    up = height_above_ground_m * _integral(rate)
-    up += 4.0 * np.sin(2.0 * np.pi * time / 53.0) * _smoothstep(up / 200.0)
-    east = _integral(gate * SPEED_M_S * np.sin(heading))
-    north = _integral(gate * SPEED_M_S * np.cos(heading))
-    along = EXPOSURE_SPACING_M * np.arange(exposures_per_line)
-    shots = np.add.outer(np.array(starts) + LINE_MARGIN_M, along).ravel()
-    # The camera's clock ticks in whole microseconds, and never in step with the other sensors.
-    exposure = np.interp(shots, distance, time) + 0.043 * np.sin(7.0 * np.arange(len(shots)))
+    airborne = _airborne(time, cruise_s)
+    speed = airborne * SPEED_M_S
+    distance = _integral(speed)
+    heading = EAST_RAD + _integral(_turn_rate(route, distance, airborne))
+    east = _integral(speed * np.sin(heading))
+    north = _integral(speed * np.cos(heading))
+    up = _height_profile(route, height_above_ground_m, distance, time)
+    position = np.stack([east, north, up], axis=-1)
     return Flight(
-        float(time[-1]),
-        np.round(exposure, 6),
-        make_interp_spline(time, np.stack([east, north, up], axis=-1), k=5),
-        make_interp_spline(time, heading, k=5),
-        make_interp_spline(time, gate, k=3),
+        duration_s=float(time[-1]),
+        exposure_s=_exposure_times(route, exposures_per_line, distance, time),
+        path=make_interp_spline(time, position, k=5),
+        heading=make_interp_spline(time, heading, k=5),
+        airborne=make_interp_spline(time, airborne, k=3),
     )
+
+
+def _airborne(time: Array, cruise_s: float) -> Array:
+    """From 0 to 1 while taking off, and back while landing."""
+    landing_s = STAND_S + RAMP_S + cruise_s
+    taken_off = _smoothstep((time - STAND_S) / RAMP_S)
+    landed = _smoothstep((time - landing_s) / RAMP_S)
+    return taken_off - landed
+
+
+def _height_profile(
+    route: _Route, height_above_ground_m: float, distance: Array, time: Array
+) -> Array:
+    """Heights above the field [m]: climb, level within some metres, descent."""
+    climb_rate = _share(time, distance, 1.3 * ROLL_M, route.climb_end_m)
+    descent_end_m = float(route.lengths_m.sum()) - ROLL_M - 500.0
+    descent_rate = _share(time, distance, route.descent_start_m, descent_end_m)
+    up = height_above_ground_m * _integral(climb_rate - descent_rate)
+    waves = 4.0 * np.sin(2.0 * np.pi * time / 53.0)
+    return np.asarray(up + waves * _smoothstep(up / 200.0))
+
+
+def _turn_rate(route: _Route, distance: Array, airborne: Array) -> Array:
+    """Turn rates [rad/s] at distances along the route [m], smooth in time."""
+    curvature = np.array([leg.turn_rad / leg.length_m for leg in route.legs])
+    leg_edges = np.concatenate([[0.0], np.cumsum(route.lengths_m)])
+    leg = np.searchsorted(leg_edges, distance, side="right") - 1
+    leg = np.clip(leg, 0, len(route.legs) - 1)
+    turn_rate = curvature[leg] * airborne * SPEED_M_S
+    return np.asarray(gaussian_filter1d(turn_rate, TURN_SMOOTH))
+
+
+def _exposure_times(
+    route: _Route,
+    exposures_per_line: int,
+    distance: Array,
+    time: Array,
+) -> Array:
+    """Times [s] of the exposures, equally spaced along each line.
+
+    The camera's clock ticks in whole microseconds, and never in step with the other sensors.
+    """
+    along_line = EXPOSURE_SPACING_M * np.arange(exposures_per_line)
+    first_of_line = np.array(route.line_starts_m) + LINE_MARGIN_M
+    shots = np.add.outer(first_of_line, along_line).ravel()
+    exposure = np.interp(shots, distance, time)
+    out_of_step = 0.043 * np.sin(7.0 * np.arange(len(shots)))
+    return np.asarray(np.round(exposure + out_of_step, 6))
 
 
 def _smoothstep(x: Array) -> Array:
+    """From 0 at 0 to 1 at 1, with two continuous derivatives."""
     x = np.clip(x, 0.0, 1.0)
     return np.asarray(x * x * x * (10.0 + x * (6.0 * x - 15.0)))
 
 
 def _integral(values: Array) -> Array:
-    steps = 0.5 * _STEP_S * (values[1:] + values[:-1])
+    """Integral over time from the first value, by the trapezoidal rule."""
+    steps = 0.5 * STEP_S * (values[1:] + values[:-1])
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _share(time: Array, distance: Array, start_m: float, end_m: float) -> Array:
     """A rate [1/s] whose integral is one, spread over a stretch of the path, with soft ends."""
-    inside = ((distance >= start_m) & (distance <= end_m)).astype(np.float64)
-    soft = gaussian_filter1d(inside, 60.0)
-    return np.asarray(soft / (soft.sum() * (time[1] - time[0])))
+    inside = (distance >= start_m) & (distance <= end_m)
+    soft = gaussian_filter1d(inside.astype(np.float64), CLIMB_SMOOTH)
+    step_s = time[1] - time[0]
+    return np.asarray(soft / (soft.sum() * step_s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,14 +384,21 @@ def cabin_air(air: TrueAir, h_msl_m: Array, time_s: Array) -> AirState:
     """The true air of the cabin: ambient up to 1800 m, held there above, never quite constant."""
     ambient = air.pressure_pa(h_msl_m)
     held = float(air.pressure_pa(np.array(CABIN_HOLD_M)))
-    soft = 150.0  # [Pa]: the valve closes gradually, so that the truth has no kink
-    pressure = held + soft * np.logaddexp(0.0, (ambient - held) / soft)
-    closed = 1.0 / (1.0 + np.exp(np.clip((ambient - held) / soft, -60.0, 60.0)))
-    wave = 220.0 * np.sin(2.0 * np.pi * time_s / 310.0) + 90.0 * np.sin(time_s / 14.0)
-    pressure = pressure + closed * wave
-    temperature = 295.0 + 1.6 * np.sin(2.0 * np.pi * time_s / 830.0 + 0.7)
-    temperature = temperature + 0.4 * np.sin(2.0 * np.pi * time_s / 121.0)
+    over_held = (ambient - held) / VALVE_PA
+    closed = 1.0 / (1.0 + np.exp(np.clip(over_held, -60.0, 60.0)))
+    slow_swing = 220.0 * np.sin(2.0 * np.pi * time_s / 310.0)
+    fast_swing = 90.0 * np.sin(time_s / 14.0)
+    swing = slow_swing + fast_swing
+    pressure = held + VALVE_PA * np.logaddexp(0.0, over_held) + closed * swing
+    slow_wave = 1.6 * np.sin(2.0 * np.pi * time_s / 830.0 + 0.7)
+    fast_wave = 0.4 * np.sin(2.0 * np.pi * time_s / 121.0)
+    temperature = 295.0 + slow_wave + fast_wave
     humidity = 0.30 + 0.03 * np.sin(2.0 * np.pi * time_s / 540.0)
     vapour = humidity * saturation_pressure_pa(temperature)
-    n = edlen_index(pressure, temperature, vapour)
-    return AirState(pressure, temperature, vapour, humidity, n)
+    return AirState(
+        pressure_pa=pressure,
+        temperature_k=temperature,
+        vapour_pressure_pa=vapour,
+        humidity=humidity,
+        n=edlen_index(pressure, temperature, vapour),
+    )

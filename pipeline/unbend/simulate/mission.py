@@ -12,10 +12,19 @@ from jinja2 import Template
 
 from unbend.errors import storage_errors
 from unbend.simulate import messages, sensors
-from unbend.simulate.block import CONVENTIONS, choose_points, observe, stations, write_tables
-from unbend.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, fly
+from unbend.simulate.block import (
+    CONVENTIONS,
+    GroundPoints,
+    TrueObservations,
+    TrueStations,
+    choose_points,
+    observe,
+    stations,
+    write_tables,
+)
+from unbend.simulate.flight import FIELD_LAT_RAD, UNDULATION_M, Flight, fly
 from unbend.simulate.optics import SimulatedCamera, cameras
-from unbend.simulate.true_air import FIELD_HEIGHT_M, WAVELENGTH_UM, true_air
+from unbend.simulate.true_air import FIELD_HEIGHT_M, WAVELENGTH_UM, TrueAir, true_air
 from unbend.simulate.write_dataflash import write_dataflash
 from unbend.simulate.write_mcap import write_mcap
 from unbend.simulate.write_tlog import write_tlog
@@ -79,46 +88,87 @@ def simulate(
     bytes. Takes a few seconds.
     """
     chosen = options or SimulationOptions()
-    steps, done = 4 + len(KINDS), count()
+    steps = 4 + len(KINDS)
+    done = count()
 
     def begin(stage: str) -> None:
         if progress is not None:
             progress(stage, next(done), steps)
 
-    begin("air and flight")
-    air = true_air(FIELD_LAT_RAD)
-    pair = cameras(chosen.focal_px)
-    flight = fly(chosen.height_above_ground_m, chosen.lines, chosen.exposures_per_line)
-    of_points, of_image = (np.random.default_rng([chosen.seed, branch]) for branch in (0, 1))
-
-    begin("rays")
-    block = stations(flight, air, pair)
-    points, station, point = choose_points(flight, block, pair, chosen.points_per_image, of_points)
-    seen = observe(air, block, points, pair, station=station, point=point)
-
+    survey = _fly_survey(chosen, begin)
     begin("tables")
-    truth = out / "truth"
     logs = {kind: out / f"flight.{kind}" for kind in KINDS}
     missions = {kind: out / f"mission_{kind}.yaml" for kind in KINDS}
-    messages: dict[str, int] = {}
+    truth = out / "truth"
     with storage_errors(out):
         write_tables(
-            out, air, block, points, seen,
-            cameras=pair, noise_px=chosen.image_noise_px, rng=of_image,
-        )  # fmt: skip
-        samples = sensors.sample(flight, air, chosen.seed, tuple(c.name for c in pair))
-        for kind, path in logs.items():
-            begin(path.name)
-            messages[kind] = _WRITERS[kind](path, samples, chosen.seed)
+            out,
+            survey.air,
+            survey.block,
+            survey.points,
+            survey.seen,
+            cameras=survey.cameras,
+            noise_px=chosen.image_noise_px,
+            rng=np.random.default_rng([chosen.seed, 1]),
+        )
+        messages_of_log = _write_logs(logs, survey, chosen.seed, begin)
         begin("mission files")
         for kind, path in missions.items():
-            path.write_bytes(mission_yaml(kind, pair).encode())
-        text = truth_json(chosen, pair, flight.duration_s)
+            path.write_bytes(mission_yaml(kind, survey.cameras).encode())
+        text = truth_json(chosen, survey.cameras, survey.flight.duration_s)
         (truth / "truth.json").write_bytes(text.encode())
     begin("done")
-    files = out, logs, missions, out / "observations.parquet", truth
-    counts = len(block.image), len(points.name), len(seen.station), messages
-    return Simulated(*files, *counts, flight.duration_s)
+    return Simulated(
+        folder=out,
+        logs=logs,
+        missions=missions,
+        observations=out / "observations.parquet",
+        truth=truth,
+        images=len(survey.block.image),
+        points=len(survey.points.name),
+        observation_count=len(survey.seen.station),
+        messages=messages_of_log,
+        duration_s=survey.flight.duration_s,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Survey:
+    """The true survey, before anything is written."""
+
+    air: TrueAir
+    cameras: tuple[SimulatedCamera, ...]
+    flight: Flight
+    block: TrueStations
+    points: GroundPoints
+    seen: TrueObservations
+
+
+def _fly_survey(options: SimulationOptions, begin: Callable[[str], None]) -> _Survey:
+    """The air, the flight, and the rays of all observations."""
+    begin("air and flight")
+    air = true_air(FIELD_LAT_RAD)
+    pair = cameras(options.focal_px)
+    flight = fly(options.height_above_ground_m, options.lines, options.exposures_per_line)
+    begin("rays")
+    block = stations(flight, air, pair)
+    rng = np.random.default_rng([options.seed, 0])
+    points, station, point = choose_points(flight, block, pair, options.points_per_image, rng)
+    seen = observe(air, block, points, pair, station=station, point=point)
+    return _Survey(air=air, cameras=pair, flight=flight, block=block, points=points, seen=seen)
+
+
+def _write_logs(
+    logs: dict[str, Path], survey: _Survey, seed: int, begin: Callable[[str], None]
+) -> dict[str, int]:
+    """Write the same samples in every format; returns the numbers of messages."""
+    camera_names = tuple(camera.name for camera in survey.cameras)
+    samples = sensors.sample(survey.flight, survey.air, seed, camera_names)
+    messages_of_log = {}
+    for kind, path in logs.items():
+        begin(path.name)
+        messages_of_log[kind] = _WRITERS[kind](path, samples, seed)
+    return messages_of_log
 
 
 _WRITERS: dict[str, Callable[[Path, sensors.LoggedSamples, int], int]] = {
@@ -129,9 +179,16 @@ _WRITERS: dict[str, Callable[[Path, sensors.LoggedSamples, int], int]] = {
 
 
 _SENSORS = (
-    "gnss_horizontal_m", "gnss_vertical_m", "tilt_deg", "heading_deg", "barometer_pa",
-    "thermometer_k", "thermometer_bias_k", "humidity", "board_heat_k",
-)  # fmt: skip
+    "gnss_horizontal_m",
+    "gnss_vertical_m",
+    "tilt_deg",
+    "heading_deg",
+    "barometer_pa",
+    "thermometer_k",
+    "thermometer_bias_k",
+    "humidity",
+    "board_heat_k",
+)
 
 
 def truth_json(
@@ -159,8 +216,13 @@ def mission_yaml(
 
     ``inputs`` and ``results`` are the folders of both, relative to the mission file.
     """
-    template = files("unbend.simulate").joinpath("data/mission.yaml.j2").read_text("utf-8")
-    rendered: str = Template(template, keep_trailing_newline=True).render(
-        kind=kind, cameras=pair, undulation_m=UNDULATION_M, inputs=inputs, results=results
+    text = files("unbend.simulate").joinpath("data/mission.yaml.j2").read_text("utf-8")
+    template = Template(text, keep_trailing_newline=True)
+    rendered: str = template.render(
+        kind=kind,
+        cameras=pair,
+        undulation_m=UNDULATION_M,
+        inputs=inputs,
+        results=results,
     )
     return rendered

@@ -17,21 +17,43 @@ from scipy.integrate import solve_ivp
 from unbend.simulate import messages
 from unbend.units import WGS84_A, WGS84_F, Array, Mask
 
-_E2 = WGS84_F * (2.0 - WGS84_F)
-_B = WGS84_A * (1.0 - WGS84_F)
-_EP2 = _E2 / (1.0 - _E2)
+_E2 = WGS84_F * (2.0 - WGS84_F)  # first eccentricity, squared
+_B = WGS84_A * (1.0 - WGS84_F)  # semi-minor axis [m]
+_EP2 = _E2 / (1.0 - _E2)  # second eccentricity, squared
+
+RAY_TOLERANCE = 1e-12  # relative, of the integration
+OFFSET_TOLERANCE_M = 1e-9
+DIRECTION_TOLERANCE = 1e-15
+AIM_TOLERANCE_M = 1e-8  # a better aim than this is not looked for
+MAX_AIMS = 6  # each gains five digits
 
 # A camera at rest in the mount looks down, image top towards the nose (body: forward, right, down).
-CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+CAMERA_FROM_BODY = np.array(
+    [
+        [0.0, 1.0, 0.0],
+        [-1.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0],
+    ]
+)
+NED_FROM_ENU = np.array(
+    [
+        [0.0, 1.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, -1.0],
+    ]
+)
 
 
 class Medium(Protocol):
     """Anything with an index and its slope over height above sea level [m]."""
 
-    def n(self, h_m: Array) -> Array: ...
+    def n(self, h_m: Array) -> Array:
+        """The index at heights."""
+        ...
 
-    def dn_dh(self, h_m: Array) -> Array: ...
+    def dn_dh(self, h_m: Array) -> Array:
+        """Its slope at heights [1/m]."""
+        ...
 
 
 def to_ecef(lat_rad: Array, lon_rad: Array, h_ellipsoid_m: Array) -> Array:
@@ -47,7 +69,9 @@ def height_and_up(ecef_m: Array) -> tuple[Array, Array]:
 
     Bowring (1976) with one repetition: 1e-15 rad in latitude below 30 km, 2e-9 m in height.
     """
-    x, y, z = ecef_m[..., 0], ecef_m[..., 1], ecef_m[..., 2]
+    x = ecef_m[..., 0]
+    y = ecef_m[..., 1]
+    z = ecef_m[..., 2]
     p = np.hypot(x, y)
     tan_beta = z * WGS84_A / (p * _B)
     for _ in range(2):
@@ -57,16 +81,21 @@ def height_and_up(ecef_m: Array) -> tuple[Array, Array]:
         tan_beta = (1.0 - WGS84_F) * tan_lat
     cos_lat = 1.0 / np.sqrt(1.0 + tan_lat**2)
     sin_lat = tan_lat * cos_lat
-    height = p * cos_lat + z * sin_lat - WGS84_A * np.sqrt(1.0 - _E2 * sin_lat**2)
+    tangent_plane = WGS84_A * np.sqrt(1.0 - _E2 * sin_lat**2)  # from the centre of the earth
+    height = p * cos_lat + z * sin_lat - tangent_plane
     return height, np.stack([cos_lat * x / p, cos_lat * y / p, sin_lat], axis=-1)
 
 
 def enu_axes(lat_rad: Array, lon_rad: Array) -> Array:
     """Rows east, north, up (..., 3, 3) of the local frame: v_enu = axes @ v_ecef."""
-    slat, clat, slon, clon = np.sin(lat_rad), np.cos(lat_rad), np.sin(lon_rad), np.cos(lon_rad)
-    east = np.stack([-slon, clon, np.zeros_like(slon)], axis=-1)
-    north = np.stack([-slat * clon, -slat * slon, clat], axis=-1)
-    return np.stack([east, north, np.stack([clat * clon, clat * slon, slat], axis=-1)], axis=-2)
+    sin_lat = np.sin(lat_rad)
+    cos_lat = np.cos(lat_rad)
+    sin_lon = np.sin(lon_rad)
+    cos_lon = np.cos(lon_rad)
+    east = np.stack([-sin_lon, cos_lon, np.zeros_like(sin_lon)], axis=-1)
+    north = np.stack([-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat], axis=-1)
+    up = np.stack([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat], axis=-1)
+    return np.stack([east, north, up], axis=-2)
 
 
 def unit(vectors: Array) -> Array:
@@ -83,22 +112,31 @@ def ray_ends(
     are one system over the scaled arc sigma = s / length; DOP853, rtol 1e-12, about 1e-11 rad.
     """
     count = start_m.shape[0]
-    n_start = air.n(height_and_up(start_m)[0] - undulation_m)
+    start_height, _ = height_and_up(start_m)
+    n_start = air.n(start_height - undulation_m)
 
     def slope(_: float, state: Array) -> Array:
         offset, ray = state.reshape(2, count, 3)
         height, up = height_and_up(start_m + offset)
-        msl = height - undulation_m
-        dr = ray * (length_m / air.n(msl))[:, None]
-        dv = up * (air.dn_dh(msl) * length_m)[:, None]
-        return np.concatenate([dr.ravel(), dv.ravel()])
+        h_msl = height - undulation_m
+        offset_slope = ray * (length_m / air.n(h_msl))[:, None]
+        ray_slope = up * (air.dn_dh(h_msl) * length_m)[:, None]
+        return np.concatenate([offset_slope.ravel(), ray_slope.ravel()])
 
-    first = np.concatenate([np.zeros(3 * count), (direction * n_start[:, None]).ravel()])
-    floor = np.repeat([1e-9, 1e-15], 3 * count)
-    solution = solve_ivp(slope, (0.0, 1.0), first, "DOP853", [1.0], rtol=1e-12, atol=floor)
+    ray = direction * n_start[:, None]
+    solution = solve_ivp(
+        slope,
+        (0.0, 1.0),
+        np.concatenate([np.zeros(3 * count), ray.ravel()]),
+        method="DOP853",
+        t_eval=[1.0],
+        rtol=RAY_TOLERANCE,
+        atol=np.repeat([OFFSET_TOLERANCE_M, DIRECTION_TOLERANCE], 3 * count),
+    )
     if not solution.success:
         raise messages.not_integrated(what="rays", answer=solution.message)
-    return np.asarray(solution.y[: 3 * count, -1].reshape(count, 3))
+    offset = solution.y[: 3 * count, -1]
+    return np.asarray(offset.reshape(count, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,19 +158,22 @@ def shoot(air: Medium, camera_m: Array, ground_m: Array, undulation_m: float) ->
     chord = ground_m - camera_m
     aim = chord.copy()
     miss = np.full(len(chord), np.inf)
-    for _ in range(6):
+    for _ in range(MAX_AIMS):
         length = np.linalg.norm(aim, axis=-1)
         error = chord - ray_ends(air, camera_m, unit(aim), length, undulation_m)
         miss = np.linalg.norm(error, axis=-1)
-        if float(miss.max(initial=0.0)) < 1e-8:
+        if float(miss.max(initial=0.0)) < AIM_TOLERANCE_M:
             break
         aim = aim + error
-    apparent, straight = unit(aim), unit(chord)
-    cross = np.linalg.norm(np.cross(apparent, straight), axis=-1)
-    angle = np.arctan2(cross, np.sum(apparent * straight, axis=-1))
-    up = height_and_up(camera_m)[1]
+    apparent = unit(aim)
+    straight = unit(chord)
+    sine = np.linalg.norm(np.cross(apparent, straight), axis=-1)
+    cosine = np.sum(apparent * straight, axis=-1)
+    angle = np.arctan2(sine, cosine)
+    _, up = height_and_up(camera_m)
     lifted = np.sum((apparent - straight) * up, axis=-1) >= 0.0
-    return TracedRays(apparent, straight, np.where(lifted, angle, -angle), miss)
+    r_c = np.where(lifted, angle, -angle)
+    return TracedRays(apparent=apparent, straight=straight, r_c_rad=r_c, miss_m=miss)
 
 
 @dataclass(frozen=True)
@@ -167,12 +208,15 @@ class SimulatedCamera:
         Brown (1971); OpenCV, Camera Calibration and 3D Reconstruction.
         """
         k1, k2, p1, p2, k3 = self.distortion
-        x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
+        x = rays[..., 0] / rays[..., 2]
+        y = rays[..., 1] / rays[..., 2]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-        yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-        return self.focal_px * xd + self.cx_px, self.focal_px * yd + self.cy_px
+        x_distorted = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        y_distorted = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        x_px = self.focal_px * x_distorted + self.cx_px
+        y_px = self.focal_px * y_distorted + self.cy_px
+        return x_px, y_px
 
     def sees(self, rays: Array, margin_px: float = 80.0) -> Mask:
         """Which rays (n, 3) fall on the sensor, a margin inside its edge."""
@@ -180,19 +224,38 @@ class SimulatedCamera:
         reach = 0.6 * np.array([self.width_px, self.height_px]) / self.focal_px
         near = np.all(np.abs(rays[..., :2]) < reach * rays[..., 2:], axis=-1)
         ahead = near & (rays[..., 2] > 0.0)
-        safe = np.where(ahead[..., None], rays, [0.0, 0.0, 1.0])
-        x, y = self.project(safe)
-        inside_x = np.abs(x - 0.5 * self.width_px) < 0.5 * self.width_px - margin_px
-        inside_y = np.abs(y - 0.5 * self.height_px) < 0.5 * self.height_px - margin_px
+        straight_ahead = np.array([0.0, 0.0, 1.0])
+        x_px, y_px = self.project(np.where(ahead[..., None], rays, straight_ahead))
+        half_width = 0.5 * self.width_px
+        half_height = 0.5 * self.height_px
+        inside_x = np.abs(x_px - half_width) < half_width - margin_px
+        inside_y = np.abs(y_px - half_height) < half_height - margin_px
         return np.asarray(ahead & inside_x & inside_y)
 
 
 def cameras(focal_px: float) -> tuple[SimulatedCamera, SimulatedCamera]:
     """The nadir camera and the one turned 45 deg to the right."""
-    lens, arm = (-0.018, 0.009, 1.5e-4, -1.0e-4, -0.002), (0.35, 0.10, 0.60)
-    nadir = SimulatedCamera("nadir", 0, focal_px, 7012.4, 5291.7, lens, 0.0, arm)
-    lens, arm = (-0.015, 0.007, -1.2e-4, 0.8e-4, -0.001), (0.20, 0.28, 0.55)
-    return nadir, SimulatedCamera("oblique", 1, focal_px, 6989.2, 5308.1, lens, -45.0, arm)
+    nadir = SimulatedCamera(
+        name="nadir",
+        instance=0,
+        focal_px=focal_px,
+        cx_px=7012.4,
+        cy_px=5291.7,
+        distortion=(-0.018, 0.009, 1.5e-4, -1.0e-4, -0.002),
+        roll_deg=0.0,
+        lever_arm_m=(0.35, 0.10, 0.60),
+    )
+    oblique = SimulatedCamera(
+        name="oblique",
+        instance=1,
+        focal_px=focal_px,
+        cx_px=6989.2,
+        cy_px=5308.1,
+        distortion=(-0.015, 0.007, -1.2e-4, 0.8e-4, -0.001),
+        roll_deg=-45.0,
+        lever_arm_m=(0.20, 0.28, 0.55),
+    )
+    return nadir, oblique
 
 
 def body_rotation(roll: float, pitch: float, yaw: float) -> Array:
@@ -201,11 +264,16 @@ def body_rotation(roll: float, pitch: float, yaw: float) -> Array:
     >>> (body_rotation(-np.pi / 4, 0.0, 0.0) @ [0.0, 0.0, 1.0]).round(4).tolist()
     [0.0, 0.7071, 0.7071]
     """
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    cy, sy = np.cos(yaw), np.sin(yaw)
+    cr = np.cos(roll)
+    sr = np.sin(roll)
+    cp = np.cos(pitch)
+    sp = np.sin(pitch)
+    cy = np.cos(yaw)
+    sy = np.sin(yaw)
     north = [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr]
     east = [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr]
-    return np.array([north, east, [-sp, cp * sr, cp * cr]])
+    down = [-sp, cp * sr, cp * cr]
+    return np.array([north, east, down])
 
 
 def quaternion(rotation: Array) -> Array:
@@ -221,7 +289,8 @@ def quaternion(rotation: Array) -> Array:
         q = np.array([1.0 + trace, skew[2, 1], skew[0, 2], skew[1, 0]])
     else:
         i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
+        j = (i + 1) % 3
+        k = (i + 2) % 3
         q = np.empty(4)
         q[0] = rotation[k, j] - rotation[j, k]
         q[1 + i] = 1.0 + rotation[i, i] - rotation[j, j] - rotation[k, k]

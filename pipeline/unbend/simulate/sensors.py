@@ -13,14 +13,32 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
-import unbend.units as units
 from unbend.simulate.flight import UNDULATION_M, Flight, State, cabin_air
 from unbend.simulate.true_air import TrueAir, relative_humidity, temperature_k
-from unbend.units import Array, Integers
+from unbend.units import (
+    NANOSECONDS_PER_SECOND,
+    UNIX_NS_OF_GPS_EPOCH,
+    WGS84_A,
+    ZERO_CELSIUS_K,
+    Array,
+    Integers,
+)
 
-LOG_BEGINS_UNIX_NS = 1_749_720_600 * units.NANOSECONDS_PER_SECOND  # 2025-06-12T09:30:00Z
+LOG_BEGINS_UNIX_NS = 1_749_720_600 * NANOSECONDS_PER_SECOND  # 2025-06-12T09:30:00Z
 LOG_BEGINS_BOOT_US = 25_000_000
 LEAP_SECONDS = 18  # GPS minus UTC since 2017
+
+SECONDS_PER_WEEK = 604_800
+
+GNSS_PERIOD_S = 0.2
+NAVIGATION_PERIOD_S = 0.05
+PRESSURE_PERIOD_S = 0.1
+AIR_PERIOD_S = 0.4  # thermometer and hygrometer
+
+# Slow noise is smooth over so many samples.
+GNSS_SMOOTH = 100.0
+NAVIGATION_SMOOTH = 400.0
+HEADING_SMOOTH = 600.0
 
 GNSS_HORIZONTAL_M = 0.03
 GNSS_VERTICAL_M = 0.05
@@ -51,7 +69,7 @@ class GnssSamples(State):
     @classmethod
     def draw(cls, flight: Flight, rng: np.random.Generator) -> GnssSamples:
         """The samples of a flight, with noise."""
-        fixes = _displaced(flight.at(_grid(flight, 0.2, 0.0)), rng, 100.0)
+        fixes = _displaced(flight.at(_grid(flight, GNSS_PERIOD_S, 0.0)), rng, GNSS_SMOOTH)
         # A time-tagged receiver: the row is written within milliseconds, and now and then late.
         delay = np.minimum(0.0005 + rng.exponential(0.0015, len(fixes.time_s)), 0.05)
         return cls(**vars(fixes), log_delay_s=np.asarray(np.round(delay, 6), np.float64))
@@ -59,13 +77,16 @@ class GnssSamples(State):
 
 def navigation_samples(flight: Flight, rng: np.random.Generator) -> State:
     """The autopilot's position and attitude, 20 Hz, with noise."""
-    state = _displaced(flight.at(_grid(flight, 0.05, 0.003)), rng, 400.0)
-    count, tilt = len(state.time_s), np.radians(TILT_DEG)
+    state = flight.at(_grid(flight, NAVIGATION_PERIOD_S, 0.003))
+    state = _displaced(state, rng, NAVIGATION_SMOOTH)
+    count = len(state.time_s)
+    tilt = np.radians(TILT_DEG)
+    heading = float(np.radians(HEADING_DEG))
     return replace(
         state,
-        roll_rad=state.roll_rad + _noise(rng, count, tilt, 400.0),
-        pitch_rad=state.pitch_rad + _noise(rng, count, tilt, 400.0),
-        yaw_rad=state.yaw_rad + _noise(rng, count, float(np.radians(HEADING_DEG)), 600.0),
+        roll_rad=state.roll_rad + _noise(rng, count, tilt, NAVIGATION_SMOOTH),
+        pitch_rad=state.pitch_rad + _noise(rng, count, tilt, NAVIGATION_SMOOTH),
+        yaw_rad=state.yaw_rad + _noise(rng, count, heading, HEADING_SMOOTH),
     )
 
 
@@ -83,26 +104,50 @@ class BoxSamples:
     @classmethod
     def outside(cls, flight: Flight, air: TrueAir, rng: np.random.Generator) -> BoxSamples:
         """The samples of the box outside, with noise and the bias of its thermometer."""
-        fast, slow = _grid(flight, 0.1, 0.017), _grid(flight, 0.4, 0.041)
-        h_fast, h_slow = flight.at(fast).h_msl_m, flight.at(slow).h_msl_m
-        warmer = THERMOMETER_BIAS_K + THERMOMETER_K * rng.standard_normal(len(slow))
-        humidity = relative_humidity(h_slow) + HUMIDITY * rng.standard_normal(len(slow))
-        pressure = air.pressure_pa(h_fast) + BAROMETER_PA * rng.standard_normal(len(fast))
-        board = temperature_k(h_fast) + BOARD_HEAT_K
-        temperature = temperature_k(h_slow) + warmer
-        return _read_out((fast, pressure, board), (slow, temperature, humidity))
+        fast_s = _grid(flight, PRESSURE_PERIOD_S, 0.017)
+        slow_s = _grid(flight, AIR_PERIOD_S, 0.041)
+        h_fast = flight.at(fast_s).h_msl_m
+        h_slow = flight.at(slow_s).h_msl_m
+        warmer = THERMOMETER_BIAS_K + THERMOMETER_K * rng.standard_normal(len(slow_s))
+        humidity = relative_humidity(h_slow) + HUMIDITY * rng.standard_normal(len(slow_s))
+        pressure = air.pressure_pa(h_fast) + BAROMETER_PA * rng.standard_normal(len(fast_s))
+        return cls(
+            pressure_time_s=fast_s,
+            pressure_pa=pressure,
+            board_k=temperature_k(h_fast) + BOARD_HEAT_K,
+            time_s=slow_s,
+            temperature_k=temperature_k(h_slow) + warmer,
+            humidity=humidity,
+        ).read_out()
 
     @classmethod
     def cabin(cls, flight: Flight, air: TrueAir, rng: np.random.Generator) -> BoxSamples:
         """The samples of the box in the cabin, with noise."""
-        fast, slow = _grid(flight, 0.1, 0.053), _grid(flight, 0.4, 0.087)
-        at_fast = cabin_air(air, flight.at(fast).h_msl_m, fast)
-        at_slow = cabin_air(air, flight.at(slow).h_msl_m, slow)
-        humidity = at_slow.humidity + HUMIDITY * rng.standard_normal(len(slow))
-        pressure = at_fast.pressure_pa + BAROMETER_PA * rng.standard_normal(len(fast))
-        temperature = at_slow.temperature_k + THERMOMETER_K * rng.standard_normal(len(slow))
-        board = at_fast.temperature_k + BOARD_HEAT_K
-        return _read_out((fast, pressure, board), (slow, temperature, humidity))
+        fast_s = _grid(flight, PRESSURE_PERIOD_S, 0.053)
+        slow_s = _grid(flight, AIR_PERIOD_S, 0.087)
+        fast = cabin_air(air, flight.at(fast_s).h_msl_m, fast_s)
+        slow = cabin_air(air, flight.at(slow_s).h_msl_m, slow_s)
+        humidity = slow.humidity + HUMIDITY * rng.standard_normal(len(slow_s))
+        pressure = fast.pressure_pa + BAROMETER_PA * rng.standard_normal(len(fast_s))
+        temperature = slow.temperature_k + THERMOMETER_K * rng.standard_normal(len(slow_s))
+        return cls(
+            pressure_time_s=fast_s,
+            pressure_pa=pressure,
+            board_k=fast.temperature_k + BOARD_HEAT_K,
+            time_s=slow_s,
+            temperature_k=temperature,
+            humidity=humidity,
+        ).read_out()
+
+    def read_out(self) -> BoxSamples:
+        """The samples to the last digit of each sensor."""
+        return replace(
+            self,
+            pressure_pa=_digits(self.pressure_pa, PRESSURE_DIGIT_PA),
+            board_k=_celsius_digits(self.board_k),
+            temperature_k=_celsius_digits(self.temperature_k),
+            humidity=np.clip(_digits(self.humidity, HUMIDITY_DIGIT), 0.0, 1.0),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,26 +174,32 @@ def unix_ns(time_s: Array) -> Integers:
 
 def gps_week_ms(time_s: Array) -> tuple[Integers, Integers]:
     """GPS week and milliseconds of the week (n,) of times since the log began [s]."""
-    second = units.NANOSECONDS_PER_SECOND
-    gps_ns = unix_ns(time_s) - units.UNIX_NS_OF_GPS_EPOCH + LEAP_SECONDS * second
-    week, rest = np.divmod(gps_ns, 604_800 * second)
-    return week, rest // 1_000_000
+    second = NANOSECONDS_PER_SECOND
+    gps_ns = unix_ns(time_s) - UNIX_NS_OF_GPS_EPOCH + LEAP_SECONDS * second
+    week, ns_of_week = np.divmod(gps_ns, SECONDS_PER_WEEK * second)
+    return week, ns_of_week // 1_000_000
 
 
 def rows_of(time_us: Integers, *columns: ArrayLike) -> Iterator[tuple[Any, ...]]:
     """Rows of (n,) times and columns, which are (n,) or one value for all."""
-    values = (np.broadcast_to(column, time_us.shape).tolist() for column in (time_us, *columns))
+    values = [time_us.tolist()]
+    for column in columns:
+        values.append(np.broadcast_to(column, time_us.shape).tolist())
     return zip(*values, strict=True)
 
 
 def sample(flight: Flight, air: TrueAir, seed: int, camera_names: tuple[str, ...]) -> LoggedSamples:
     """Draw every sensor's samples; the same seed gives the same numbers."""
-    gnss, navigation, outside, cabin = (
-        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)
+    streams = np.random.SeedSequence(seed).spawn(4)
+    generators = [np.random.default_rng(stream) for stream in streams]
+    return LoggedSamples(
+        gnss=GnssSamples.draw(flight, generators[0]),
+        navigation=navigation_samples(flight, generators[1]),
+        outside=BoxSamples.outside(flight, air, generators[2]),
+        cabin=BoxSamples.cabin(flight, air, generators[3]),
+        exposure_s=flight.exposure_s,
+        camera_names=camera_names,
     )
-    places = GnssSamples.draw(flight, gnss), navigation_samples(flight, navigation)
-    boxes = BoxSamples.outside(flight, air, outside), BoxSamples.cabin(flight, air, cabin)
-    return LoggedSamples(*places, *boxes, flight.exposure_s, camera_names)
 
 
 def _grid(flight: Flight, period_s: float, first_s: float) -> Array:
@@ -167,30 +218,24 @@ def _noise(rng: np.random.Generator, count: int, sigma: float, samples: float) -
 
 def _displaced(truth: State, rng: np.random.Generator, samples: float) -> State:
     """A true state with the noise of a receiver's place and height."""
-    lat, count = truth.lat_rad, len(truth.time_s)
+    lat = truth.lat_rad
+    count = len(truth.time_s)
     north = _noise(rng, count, GNSS_HORIZONTAL_M, samples)
     east = _noise(rng, count, GNSS_HORIZONTAL_M, samples)
     return replace(
         truth,
-        lat_rad=lat + north / units.WGS84_A,
-        lon_rad=truth.lon_rad + east / (units.WGS84_A * np.cos(lat)),
+        lat_rad=lat + north / WGS84_A,
+        lon_rad=truth.lon_rad + east / (WGS84_A * np.cos(lat)),
         h_msl_m=truth.h_msl_m + _noise(rng, count, GNSS_VERTICAL_M, samples),
     )
 
 
-def _read_out(fast: tuple[Array, Array, Array], slow: tuple[Array, Array, Array]) -> BoxSamples:
-    """Readings to the last digit of each sensor: time, pressure, board; time, air, humidity."""
-    fast_s, pressure_pa, board_k = fast
-    slow_s, air_k, humidity = slow
-    return BoxSamples(
-        fast_s,
-        _digits(pressure_pa, PRESSURE_DIGIT_PA),
-        units.ZERO_CELSIUS_K + _digits(board_k - units.ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
-        slow_s,
-        units.ZERO_CELSIUS_K + _digits(air_k - units.ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K),
-        np.clip(_digits(humidity, HUMIDITY_DIGIT), 0.0, 1.0),
-    )
+def _celsius_digits(temperature: Array) -> Array:
+    """Temperatures [K] to the last digit that a sensor has of them in degrees Celsius."""
+    celsius = _digits(temperature - ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K)
+    return ZERO_CELSIUS_K + celsius
 
 
 def _digits(values: Array, digit: float) -> Array:
+    """Values in whole numbers of a digit."""
     return np.asarray(digit * np.rint(values / digit))

@@ -10,13 +10,22 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline, make_interp_spline
 
-import unbend.units as units
 from unbend.simulate import messages
-from unbend.units import Array
+from unbend.units import (
+    GAS_CONSTANT_1976,
+    MOLAR_MASS_AIR,
+    VAPOUR_DEFICIT,
+    WGS84_A,
+    WGS84_F,
+    ZERO_CELSIUS_K,
+    Array,
+)
 
 WAVELENGTH_UM = 0.55
 LOWEST_M = -300.0
 HIGHEST_M = 31_000.0
+KNOT_STEP_M = 10.0
+SPLINE_DEGREE = 7
 FIELD_HEIGHT_M = 450.0
 FIELD_PRESSURE_PA = 96_850.0
 
@@ -48,9 +57,9 @@ def relative_humidity(h_m: Array) -> Array:
     >>> float(relative_humidity(np.array(450.0)).round(3))
     0.65
     """
-    drying = 0.5 * (1.0 + np.tanh((h_m - 1400.0) / 120.0))
-    aloft = 0.5 * (1.0 + np.tanh((h_m - 7000.0) / 1500.0))
-    return np.asarray(0.65 - 0.40 * drying - 0.20 * aloft)
+    above_1400_m = 0.5 * (1.0 + np.tanh((h_m - 1400.0) / 120.0))
+    above_7000_m = 0.5 * (1.0 + np.tanh((h_m - 7000.0) / 1500.0))
+    return np.asarray(0.65 - 0.40 * above_1400_m - 0.20 * above_7000_m)
 
 
 def saturation_pressure_pa(temperature: Array) -> Array:
@@ -81,11 +90,11 @@ def normal_gravity(lat_rad: float, h_m: float) -> float:
     9.806198
     """
     s2 = float(np.sin(lat_rad)) ** 2
-    eccentricity2 = units.WGS84_F * (2.0 - units.WGS84_F)
+    eccentricity2 = WGS84_F * (2.0 - WGS84_F)
     at_ellipsoid = 9.7803253359 * (1.0 + 0.00193185265241 * s2) / (1.0 - eccentricity2 * s2) ** 0.5
     m = 0.00344978650684
-    first = 2.0 / units.WGS84_A * (1.0 + units.WGS84_F + m - 2.0 * units.WGS84_F * s2) * h_m
-    return float(at_ellipsoid * (1.0 - first + 3.0 * h_m**2 / units.WGS84_A**2))
+    first = 2.0 / WGS84_A * (1.0 + WGS84_F + m - 2.0 * WGS84_F * s2) * h_m
+    return float(at_ellipsoid * (1.0 - first + 3.0 * h_m**2 / WGS84_A**2))
 
 
 def edlen_index(
@@ -102,7 +111,7 @@ def edlen_index(
     >>> f"{float(n - 1.0):.4e}"
     '2.7180e-04'
     """
-    t = temperature - units.ZERO_CELSIUS_K
+    t = temperature - ZERO_CELSIUS_K
     s = 1.0 / wavelength_um**2
     standard = 1e-8 * (8342.54 + 2_406_147.0 / (130.0 - s) + 15_998.0 / (38.9 - s))
     x = (1.0 + 1e-8 * (0.601 - 0.00972 * t) * pressure_pa) / (1.0 + 0.003661 * t)
@@ -145,24 +154,38 @@ def true_air(lat_rad: float) -> TrueAir:
 
     def slope(h: float, log_p: Array) -> Array:
         height = np.array(h)
-        moist = 1.0 - units.VAPOUR_DEFICIT * vapour_pressure_pa(height) / np.exp(log_p)
-        molar_weight = units.MOLAR_MASS_AIR * normal_gravity(lat_rad, h)
-        return np.asarray(-molar_weight * moist / (units.GAS_CONSTANT_1976 * temperature_k(height)))
+        moist = 1.0 - VAPOUR_DEFICIT * vapour_pressure_pa(height) / np.exp(log_p)
+        molar_weight = MOLAR_MASS_AIR * normal_gravity(lat_rad, h)
+        return np.asarray(-molar_weight * moist / (GAS_CONSTANT_1976 * temperature_k(height)))
 
-    knots = np.arange(LOWEST_M, HIGHEST_M + 1.0, 10.0)
-    log_p = np.empty_like(knots)
-    for side, end in ((knots <= FIELD_HEIGHT_M, LOWEST_M), (knots >= FIELD_HEIGHT_M, HIGHEST_M)):
-        heights = knots[side] if end > FIELD_HEIGHT_M else knots[side][::-1]
+    def log_pressure_from_field(heights: Array, end_m: float) -> Array:
         # Steps of 100 m keep the interpolant between them as good as the steps: 1e-13 in ln p.
-        span, first = (FIELD_HEIGHT_M, end), [np.log(FIELD_PRESSURE_PA)]
         solution = solve_ivp(
-            slope, span, first, "DOP853", heights, rtol=1e-12, atol=1e-14, max_step=100.0
+            slope,
+            (FIELD_HEIGHT_M, end_m),
+            [np.log(FIELD_PRESSURE_PA)],
+            method="DOP853",
+            t_eval=heights,
+            rtol=1e-12,
+            atol=1e-14,
+            max_step=100.0,
         )
         if not solution.success:
             raise messages.not_integrated(what="air", answer=solution.message)
-        log_p[side] = solution.y[0] if end > FIELD_HEIGHT_M else solution.y[0][::-1]
+        log_p: Array = solution.y[0]
+        return log_p
+
+    knots = np.arange(LOWEST_M, HIGHEST_M + 1.0, KNOT_STEP_M)
+    below = knots <= FIELD_HEIGHT_M
+    above = knots >= FIELD_HEIGHT_M
+    log_p = np.empty_like(knots)
+    log_p[below] = log_pressure_from_field(knots[below][::-1], LOWEST_M)[::-1]
+    log_p[above] = log_pressure_from_field(knots[above], HIGHEST_M)
     n = edlen_index(np.exp(log_p), temperature_k(knots), vapour_pressure_pa(knots))
     # The 1 is left out while fitting: n - 1 keeps twelve digits where n would keep eight of slope.
-    spline = make_interp_spline(knots, n - 1.0, k=7)
-    index = BSpline(spline.t, spline.c + 1.0, 7)
-    return TrueAir(make_interp_spline(knots, log_p, k=7), index, spline.derivative())
+    excess = make_interp_spline(knots, n - 1.0, k=SPLINE_DEGREE)
+    return TrueAir(
+        log_pressure=make_interp_spline(knots, log_p, k=SPLINE_DEGREE),
+        index=BSpline(excess.t, excess.c + 1.0, SPLINE_DEGREE),
+        index_slope=excess.derivative(),
+    )

@@ -20,10 +20,26 @@ Row = tuple[int, bytes]
 _MAGIC = b"\xa3\x95"
 # Characters of a format string: how a value is packed, and the scale of fixed-point ones.
 _PACK = {
-    "b": "b", "B": "B", "h": "h", "H": "H", "i": "i", "I": "I", "q": "q", "Q": "Q", "f": "f",
-    "d": "d", "n": "4s", "N": "16s", "Z": "64s", "M": "B",
-    "c": "h", "C": "H", "e": "i", "E": "I", "L": "i",
-}  # fmt: skip
+    "b": "b",
+    "B": "B",
+    "h": "h",
+    "H": "H",
+    "i": "i",
+    "I": "I",
+    "q": "q",
+    "Q": "Q",
+    "f": "f",
+    "d": "d",
+    "n": "4s",
+    "N": "16s",
+    "Z": "64s",
+    "M": "B",
+    "c": "h",
+    "C": "H",
+    "e": "i",
+    "E": "I",
+    "L": "i",
+}
 _SCALE = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
 
 
@@ -40,117 +56,256 @@ class _Format:
 
     @cached_property
     def struct(self) -> struct.Struct:
-        return struct.Struct("<" + "".join(_PACK[c] for c in self.format))
+        """How the columns of a record are packed."""
+        return struct.Struct("<" + "".join(_PACK[character] for character in self.format))
+
+    @property
+    def record_bytes(self) -> int:
+        """Length of a record, with the three bytes before its columns."""
+        return self.struct.size + 3
 
     def pack(self, *values: float | int | bytes) -> bytes:
         """One record; fixed-point columns are rounded to their last digit."""
-        body = [
-            round(v * _SCALE[c]) if c in _SCALE and not isinstance(v, bytes) else v
-            for c, v in zip(self.format, values, strict=True)
-        ]
-        return _MAGIC + bytes([self.type_id]) + self.struct.pack(*body)
+        packed: list[float | int | bytes] = []
+        for character, value in zip(self.format, values, strict=True):
+            if character in _SCALE and not isinstance(value, bytes):
+                packed.append(round(value * _SCALE[character]))
+            else:
+                packed.append(value)
+        return _MAGIC + bytes([self.type_id]) + self.struct.pack(*packed)
 
-    def rows(self, time_us: Integers, *columns: ArrayLike) -> list[Row]:
-        """A record for each of (n,) times; columns are (n,), or one value for all."""
-        return [(row[0], self.pack(*row)) for row in sensors.rows_of(time_us, *columns)]
+    def rows(self, time_us: Integers, **columns: ArrayLike) -> list[Row]:
+        """A record for each of (n,) times; columns, by name, are (n,), or one value for all."""
+        _, *names = self.columns.split(",")  # the first is TimeUS
+        values = [columns.pop(name) for name in names]
+        if columns:
+            raise TypeError(f"{self.name} has no {', '.join(columns)}")
+        return [(row[0], self.pack(*row)) for row in sensors.rows_of(time_us, *values)]
 
 
 _DATA = files("unbend.simulate").joinpath("data/dataflash.toml")
 _ANNOUNCED = tomllib.loads(_DATA.read_text("utf-8"))
-FORMATS = {k: _Format(v[0], k, *v[1:]) for k, v in _ANNOUNCED["formats"].items()}
-_SHUTTER_LAG_US = 85_000
+FORMATS: dict[str, _Format] = {}
+for _name, (_type_id, *_texts) in _ANNOUNCED["formats"].items():
+    FORMATS[_name] = _Format(_type_id, _name, *_texts)
+
+HEAD_BEFORE_US = 500_000  # before the log begins
+SHUTTER_LAG_US = 85_000  # from the command to the shutter
+SEA_LEVEL_PA = 101_325.0
+DRY_AIR_J_KG_K = 287.05
+STANDARD_DENSITY_KG_M3 = 1.225  # of indicated airspeed
 
 
 def write_dataflash(path: Path, samples: sensors.LoggedSamples) -> int:
     """Write the log; returns the number of messages, announcements included."""
-    # FMT, UNIT, MULT, FMTU, PARM, VER and MSG stand at the start of every log.
-    begin = sensors.LOG_BEGINS_BOOT_US - 500_000
-    fmt, fmtu = FORMATS["FMT"], FORMATS["FMTU"]
-    unit, scale, parameter = FORMATS["UNIT"], FORMATS["MULT"], FORMATS["PARM"]
-    head = [
-        fmt.pack(f.type_id, f.struct.size + 3, f.name.encode(), f.format.encode(),
-                 f.columns.encode())
-        for f in FORMATS.values()
-    ]  # fmt: skip
-    head += [unit.pack(begin, ord(k), v.encode()) for k, v in _ANNOUNCED["units"].items()]
-    head += [scale.pack(begin, ord(k), v) for k, v in _ANNOUNCED["multipliers"].items()]
-    head += [
-        fmtu.pack(begin, f.type_id, f.units.encode(), f.multipliers.encode())
-        for f in FORMATS.values()
-    ]
-    head += [parameter.pack(begin, k.encode(), v, v) for k, v in _ANNOUNCED["parameters"].items()]
-    firmware = b"ArduPlane V4.7.0-dev (simulated by unbend)"
-    head.append(FORMATS["VER"].pack(begin, 3, 65535, 4, 7, 0, 0, 0, firmware, 0, 3, 2))
-    head.append(FORMATS["MSG"].pack(begin, firmware))
+    head = _announcements()
     rows = [*_position_rows(samples), *_air_rows(samples), *_camera_rows(samples)]
     rows.sort(key=lambda row: row[0])
-    path.write_bytes(b"".join([*head, *(record for _, record in rows)]))
+    records = [record for _, record in rows]
+    path.write_bytes(b"".join([*head, *records]))
     return len(head) + len(rows)
+
+
+def _announcements() -> list[bytes]:
+    """FMT, UNIT, MULT, FMTU, PARM, VER and MSG, which stand at the start of every log."""
+    begin_us = sensors.LOG_BEGINS_BOOT_US - HEAD_BEFORE_US
+    head = []
+    for form in FORMATS.values():
+        texts = (form.name.encode(), form.format.encode(), form.columns.encode())
+        head.append(FORMATS["FMT"].pack(form.type_id, form.record_bytes, *texts))
+    for character, unit in _ANNOUNCED["units"].items():
+        head.append(FORMATS["UNIT"].pack(begin_us, ord(character), unit.encode()))
+    for character, multiplier in _ANNOUNCED["multipliers"].items():
+        head.append(FORMATS["MULT"].pack(begin_us, ord(character), multiplier))
+    for form in FORMATS.values():
+        units = form.units.encode()
+        multipliers = form.multipliers.encode()
+        head.append(FORMATS["FMTU"].pack(begin_us, form.type_id, units, multipliers))
+    for name, value in _ANNOUNCED["parameters"].items():
+        head.append(FORMATS["PARM"].pack(begin_us, name.encode(), value, value))
+    firmware = b"ArduPlane V4.7.0-dev (simulated by unbend)"
+    board = (3, 65535)
+    version = (4, 7, 0, 0)
+    build = (0, firmware, 0, 3, 2)
+    head.append(FORMATS["VER"].pack(begin_us, *board, *version, *build))
+    head.append(FORMATS["MSG"].pack(begin_us, firmware))
+    return head
 
 
 def _position_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """GPS and GPA of the receiver; ATT and POS at 10 Hz, half the rate of the autopilot."""
-    g, nav = samples.gnss, samples.navigation.rows(slice(None, None, 2))
-    week, ms = sensors.gps_week_ms(g.time_s)
-    written, taken_ms = sensors.boot_us(g.time_s + g.log_delay_s), sensors.boot_us(g.time_s) // 1000
-    lat, lon, course = np.degrees([g.lat_rad, g.lon_rad, g.course_rad])
+    gnss = samples.gnss
+    measured_us = sensors.boot_us(gnss.time_s)
+    written_us = sensors.boot_us(gnss.time_s + gnss.log_delay_s)
+    week, ms_of_week = sensors.gps_week_ms(gnss.time_s)
     rows = FORMATS["GPS"].rows(
-        written, 0, 6, ms, week, 18, 0.71, lat, lon, g.h_msl_m, g.speed_m_s, course % 360.0,
-        -g.climb_m_s, 0.0, 1,
-    )  # fmt: skip
+        written_us,
+        I=0,
+        Status=6,
+        GMS=ms_of_week,
+        GWk=week,
+        NSats=18,
+        HDop=0.71,
+        Lat=np.degrees(gnss.lat_rad),
+        Lng=np.degrees(gnss.lon_rad),
+        Alt=gnss.h_msl_m,
+        Spd=gnss.speed_m_s,
+        GCrs=np.degrees(gnss.course_rad) % 360.0,
+        VZ=-gnss.climb_m_s,
+        Yaw=0.0,
+        U=1,
+    )
     rows += FORMATS["GPA"].rows(
-        written, 0, 1.1, sensors.GNSS_HORIZONTAL_M, sensors.GNSS_VERTICAL_M, 0.05, 0.0, 1, taken_ms,
-        200, g.h_ellipsoid_m, 0, 0,
-    )  # fmt: skip
-    lat, lon, roll, pitch, yaw = _degrees(nav)
-    times, above = sensors.boot_us(nav.time_s), nav.h_msl_m - FIELD_HEIGHT_M
-    rows += FORMATS["ATT"].rows(times, roll, roll, pitch, pitch, yaw, yaw, 0.0, 0.0, 3)
-    return rows + FORMATS["POS"].rows(times, lat, lon, nav.h_msl_m, above, above)
+        written_us,
+        I=0,
+        VDop=1.1,
+        HAcc=sensors.GNSS_HORIZONTAL_M,
+        VAcc=sensors.GNSS_VERTICAL_M,
+        SAcc=0.05,
+        YAcc=0.0,
+        VV=1,
+        SMS=measured_us // 1000,
+        Delta=200,
+        AEl=gnss.h_ellipsoid_m,
+        RTCMFU=0,
+        RTCMFD=0,
+    )
+    nav = samples.navigation.rows(slice(None, None, 2))
+    nav_us = sensors.boot_us(nav.time_s)
+    angles = _degrees(nav)
+    rows += FORMATS["ATT"].rows(
+        nav_us,
+        DesRoll=angles.roll,
+        Roll=angles.roll,
+        DesPitch=angles.pitch,
+        Pitch=angles.pitch,
+        DesYaw=angles.yaw,
+        Yaw=angles.yaw,
+        ErrRP=0.0,
+        ErrYaw=0.0,
+        AEKF=3,
+    )
+    above_field = nav.h_msl_m - FIELD_HEIGHT_M
+    rows += FORMATS["POS"].rows(
+        nav_us,
+        Lat=angles.lat,
+        Lng=angles.lon,
+        Alt=nav.h_msl_m,
+        RelHomeAlt=above_field,
+        RelOriginAlt=above_field,
+    )
+    return rows
 
 
-def _degrees(at: State) -> tuple[Array, ...]:
-    """Latitude, longitude, roll, pitch; yaw in [0, 360) after rounding to the last digit."""
-    angles = [at.lat_rad, at.lon_rad, at.roll_rad, at.pitch_rad, at.yaw_rad]
-    lat, lon, roll, pitch, yaw = np.degrees(angles)
-    return lat, lon, roll, pitch, np.round(yaw % 360.0, 2) % 360.0
+@dataclass(frozen=True, eq=False)
+class _Degrees:
+    """Place and attitude (n,) [deg]; yaw in [0, 360) after rounding to the last digit."""
+
+    lat: Array
+    lon: Array
+    roll: Array
+    pitch: Array
+    yaw: Array
+
+
+def _degrees(state: State) -> _Degrees:
+    yaw = np.degrees(state.yaw_rad)
+    return _Degrees(
+        lat=np.degrees(state.lat_rad),
+        lon=np.degrees(state.lon_rad),
+        roll=np.degrees(state.roll_rad),
+        pitch=np.degrees(state.pitch_rad),
+        yaw=np.round(yaw % 360.0, 2) % 360.0,
+    )
 
 
 def _air_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """BARO and HYGR of both boxes, ARSP of a pitot with the outside thermometer in it."""
     rows: list[Row] = []
     for instance, box in enumerate((samples.outside, samples.cabin)):
-        board, celsius = box.board_k - ZERO_CELSIUS_K, box.temperature_k - ZERO_CELSIUS_K
-        # ArduPilot's Alt is a height in the standard atmosphere against the pressure at boot.
-        height = 44_330.8 * (1.0 - (box.pressure_pa / 101_325.0) ** 0.190263)
-        above, times = height - height[0], sensors.boot_us(box.pressure_time_s)
-        rows += FORMATS["BARO"].rows(
-            times, instance, above, above + FIELD_HEIGHT_M, box.pressure_pa, board, 0.0,
-            times // 1000, 0.0, board[0], 1,
-        )  # fmt: skip
-        humidity = 100.0 * box.humidity
-        rows += FORMATS["HYGR"].rows(sensors.boot_us(box.time_s), instance, humidity, celsius)
-    box, nav = samples.outside, samples.navigation
-    speed = np.interp(box.time_s, nav.time_s, nav.speed_m_s)
+        rows += _barometer_rows(instance, box)
+        rows += FORMATS["HYGR"].rows(
+            sensors.boot_us(box.time_s),
+            Id=instance,
+            Humidity=100.0 * box.humidity,
+            Temp=box.temperature_k - ZERO_CELSIUS_K,
+        )
+    return rows + _pitot_rows(samples.outside, samples.navigation)
+
+
+def _barometer_rows(instance: int, box: sensors.BoxSamples) -> list[Row]:
+    """BARO: Alt is ArduPilot's, in the standard atmosphere against the pressure at boot."""
+    time_us = sensors.boot_us(box.pressure_time_s)
+    height = 44_330.8 * (1.0 - (box.pressure_pa / SEA_LEVEL_PA) ** 0.190263)
+    above_boot = height - height[0]
+    board_celsius = box.board_k - ZERO_CELSIUS_K
+    return FORMATS["BARO"].rows(
+        time_us,
+        I=instance,
+        Alt=above_boot,
+        AltAMSL=above_boot + FIELD_HEIGHT_M,
+        Press=box.pressure_pa,
+        Temp=board_celsius,
+        CRt=0.0,
+        SMS=time_us // 1000,
+        Offset=0.0,
+        GndTemp=board_celsius[0],
+        Health=1,
+    )
+
+
+def _pitot_rows(box: sensors.BoxSamples, navigation: State) -> list[Row]:
+    """ARSP: the dynamic pressure of the true speed in the true air."""
+    speed = np.interp(box.time_s, navigation.time_s, navigation.speed_m_s)
     pressure = np.interp(box.time_s, box.pressure_time_s, box.pressure_pa)
-    dynamic = 0.5 * pressure / (287.05 * box.temperature_k) * speed**2
-    indicated, celsius = np.sqrt(2.0 * dynamic / 1.225), box.temperature_k - ZERO_CELSIUS_K
-    return rows + FORMATS["ARSP"].rows(
-        sensors.boot_us(box.time_s), 0, indicated, dynamic, celsius, dynamic, 0.0, 1, 1, 1.0, 0.0, 0
+    dynamic_pressure = 0.5 * pressure / (DRY_AIR_J_KG_K * box.temperature_k) * speed**2
+    return FORMATS["ARSP"].rows(
+        sensors.boot_us(box.time_s),
+        I=0,
+        Airspeed=np.sqrt(2.0 * dynamic_pressure / STANDARD_DENSITY_KG_M3),
+        DiffPress=dynamic_pressure,
+        Temp=box.temperature_k - ZERO_CELSIUS_K,
+        RawPress=dynamic_pressure,
+        Offset=0.0,
+        U=1,
+        H=1,
+        Hp=1.0,
+        TR=0.0,
+        Pri=0,
     )
 
 
 def _camera_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """TRIG at the command and CAM at the shutter, one of each for every camera."""
-    gnss, shutter, rows = samples.gnss, sensors.boot_us(samples.exposure_s), list[Row]()
-    for message, times_us in (("TRIG", shutter - _SHUTTER_LAG_US), ("CAM", shutter)):
-        at = np.asarray((times_us - sensors.LOG_BEGINS_BOOT_US) * 1e-6, np.float64)
-        shot = samples.navigation.between(at)
-        lat, lon, roll, pitch, yaw = _degrees(shot)
-        last_fix = np.searchsorted(gnss.time_s + gnss.log_delay_s, at, side="right") - 1
-        week, ms = sensors.gps_week_ms(gnss.time_s[last_fix])
-        for instance in range(len(samples.camera_names)):
-            rows += FORMATS[message].rows(
-                times_us, instance, np.arange(at.size) + 1, ms, week, lat, lon, shot.h_msl_m,
-                shot.h_msl_m - FIELD_HEIGHT_M, gnss.h_msl_m[last_fix], roll, pitch, yaw,
-            )  # fmt: skip
+    shutter_us = sensors.boot_us(samples.exposure_s)
+    rows = _exposure_rows("TRIG", samples, shutter_us - SHUTTER_LAG_US)
+    return rows + _exposure_rows("CAM", samples, shutter_us)
+
+
+def _exposure_rows(message: str, samples: sensors.LoggedSamples, time_us: Integers) -> list[Row]:
+    """One row an exposure and camera, with the place at that time and the last fix before it."""
+    time_s = np.asarray((time_us - sensors.LOG_BEGINS_BOOT_US) * 1e-6, np.float64)
+    gnss = samples.gnss
+    written_s = gnss.time_s + gnss.log_delay_s
+    last_fix = np.searchsorted(written_s, time_s, side="right") - 1
+    week, ms_of_week = sensors.gps_week_ms(gnss.time_s[last_fix])
+    shot = samples.navigation.between(time_s)
+    angles = _degrees(shot)
+    rows: list[Row] = []
+    for instance in range(len(samples.camera_names)):
+        rows += FORMATS[message].rows(
+            time_us,
+            I=instance,
+            Img=np.arange(time_s.size) + 1,
+            GPSTime=ms_of_week,
+            GPSWeek=week,
+            Lat=angles.lat,
+            Lng=angles.lon,
+            Alt=shot.h_msl_m,
+            RelAlt=shot.h_msl_m - FIELD_HEIGHT_M,
+            GPSAlt=gnss.h_msl_m[last_fix],
+            R=angles.roll,
+            P=angles.pitch,
+            Y=angles.yaw,
+        )
     return rows

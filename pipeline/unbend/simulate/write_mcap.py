@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -10,14 +11,37 @@ import numpy as np
 from mcap_ros2.writer import Writer
 
 from unbend.simulate import sensors
+from unbend.simulate.flight import State
 from unbend.simulate.optics import NED_FROM_ENU, body_rotation, quaternion
 from unbend.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 
 _FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])
 _CHUNK_BYTES = 1024 * 1024
 
-# header.stamp [ns], topic, schema, the fields beside the header.
-Row = tuple[int, str, str, Mapping[str, Any]]
+SHORTEST_DELAY_NS = 2e6  # from a sensor's stamp to the recorder
+LONGEST_DELAY_NS = 15e6
+NO_ESTIMATE = [-1.0] + [0.0] * 8  # sensor_msgs/Imu: covariance of what is not estimated
+ZERO_VECTOR = {"x": 0.0, "y": 0.0, "z": 0.0}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A message: its header.stamp, and the fields beside the header."""
+
+    stamp_ns: int
+    topic: str
+    schema: str
+    fields: Mapping[str, Any]
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """All fields; the frame is named by the first part of the topic."""
+        sec, nanosec = divmod(self.stamp_ns, NANOSECONDS_PER_SECOND)
+        header = {
+            "stamp": {"sec": sec, "nanosec": nanosec},
+            "frame_id": self.topic.split("/")[1],
+        }
+        return {"header": header, **self.fields}
 
 
 def write_mcap(path: Path, samples: sensors.LoggedSamples, seed: int) -> int:
@@ -26,89 +50,124 @@ def write_mcap(path: Path, samples: sensors.LoggedSamples, seed: int) -> int:
     header.stamp is when a sensor measured; log_time, when the recorder got it, is 2-15 ms later.
     """
     rows = [
-        *_position_rows(samples),
+        *_fix_rows(samples.gnss),
+        *_attitude_rows(samples.navigation),
         *_air_rows("outside", samples.outside),
         *_air_rows("cabin", samples.cabin),
-        # Image topics whose pictures were left out of the recording: the stamp is the shutter.
-        *[
-            (stamp, f"/camera/{name}/image/compressed", "sensor_msgs/msg/CompressedImage",
-             {"format": "jpeg", "data": b""})
-            for name in samples.camera_names
-            for stamp in sensors.unix_ns(samples.exposure_s).tolist()
-        ],
-    ]  # fmt: skip
-    late = np.random.default_rng([seed, 3]).uniform(2e6, 15e6, len(rows)).astype(np.int64)
-    arrival = np.array([row[0] for row in rows]) + late
-    order = np.argsort(arrival, kind="stable")
-    sequence = dict.fromkeys((row[1] for row in rows), 0)
+        *_image_rows(samples),
+    ]
+    stamps_ns = np.array([row.stamp_ns for row in rows])
+    rng = np.random.default_rng([seed, 3])
+    delay_ns = rng.uniform(SHORTEST_DELAY_NS, LONGEST_DELAY_NS, len(rows))
+    arrival_ns = stamps_ns + delay_ns.astype(np.int64)
+    sequence = dict.fromkeys((row.topic for row in rows), 0)
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=_CHUNK_BYTES)
-        texts = files("unbend.simulate").joinpath("data/ros2.toml").read_text("utf-8")
-        definitions = tomllib.loads(texts).items()
-        schemas = {name: writer.register_msgdef(name, text) for name, text in definitions}
-        for i in order.tolist():
-            stamp, topic, schema, fields = rows[i]
-            sec, nanosec = divmod(stamp, NANOSECONDS_PER_SECOND)
-            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": topic.split("/")[1]}
+        schemas = _register_schemas(writer)
+        for number in np.argsort(arrival_ns, kind="stable").tolist():
+            row = rows[number]
             writer.write_message(
-                topic, schemas[schema], {"header": header, **fields},
-                log_time=int(arrival[i]), publish_time=int(arrival[i]),
-                sequence=sequence[topic],
-            )  # fmt: skip
-            sequence[topic] += 1
+                row.topic,
+                schemas[row.schema],
+                row.content,
+                log_time=int(arrival_ns[number]),
+                publish_time=int(arrival_ns[number]),
+                sequence=sequence[row.topic],
+            )
+            sequence[row.topic] += 1
         writer.finish()
     return len(rows)
 
 
-def _position_rows(samples: sensors.LoggedSamples) -> list[Row]:
-    """/fix at 5 Hz: NavSatFix.altitude is the height above the ellipsoid; /imu/data at 20 Hz:
-    orientation of forward-left-up axes in east-north-up (REP 103)."""
-    g, nav = samples.gnss, samples.navigation
-    lat, lon = np.degrees(g.lat_rad).tolist(), np.degrees(g.lon_rad).tolist()
-    height = g.h_ellipsoid_m.tolist()
-    variances = [sensors.GNSS_HORIZONTAL_M**2] * 2 + [sensors.GNSS_VERTICAL_M**2]
-    covariance = np.diag(variances).ravel().tolist()
-    rows: list[Row] = [
-        (stamp, "/fix", "sensor_msgs/msg/NavSatFix", {
-            "status": {"status": 2, "service": 9}, "latitude": lat[i], "longitude": lon[i],
-            "altitude": height[i], "position_covariance": covariance,
+def _register_schemas(writer: Writer) -> dict[str, Any]:
+    text = files("unbend.simulate").joinpath("data/ros2.toml").read_text("utf-8")
+    schemas = {}
+    for name, definition in tomllib.loads(text).items():
+        schemas[name] = writer.register_msgdef(name, definition)
+    return schemas
+
+
+def _fix_rows(gnss: sensors.GnssSamples) -> list[Row]:
+    """/fix at 5 Hz: NavSatFix.altitude is the height above the ellipsoid."""
+    stamps = sensors.unix_ns(gnss.time_s).tolist()
+    lat_deg = np.degrees(gnss.lat_rad).tolist()
+    lon_deg = np.degrees(gnss.lon_rad).tolist()
+    height_m = gnss.h_ellipsoid_m.tolist()
+    horizontal = sensors.GNSS_HORIZONTAL_M**2
+    vertical = sensors.GNSS_VERTICAL_M**2
+    covariance = _diagonal(horizontal, horizontal, vertical)
+    rows = []
+    for i, stamp in enumerate(stamps):
+        fields = {
+            "status": {"status": 2, "service": 9},
+            "latitude": lat_deg[i],
+            "longitude": lon_deg[i],
+            "altitude": height_m[i],
+            "position_covariance": covariance,
             "position_covariance_type": 2,
-        })
-        for i, stamp in enumerate(sensors.unix_ns(g.time_s).tolist())
-    ]  # fmt: skip
-    tilt, heading = np.radians(sensors.TILT_DEG), np.radians(sensors.HEADING_DEG)
-    covariance = np.diag([tilt**2, tilt**2, heading**2]).ravel().tolist()
-    unknown = [-1.0] + [0.0] * 8  # sensor_msgs/Imu: no estimate of this element
-    zero = {"x": 0.0, "y": 0.0, "z": 0.0}
-    for i, stamp in enumerate(sensors.unix_ns(nav.time_s).tolist()):
-        ned = body_rotation(nav.roll_rad[i], nav.pitch_rad[i], nav.yaw_rad[i])
-        w, x, y, z = quaternion(NED_FROM_ENU.T @ ned @ _FLU_FROM_FRD).tolist()
-        rows.append((stamp, "/imu/data", "sensor_msgs/msg/Imu", {
-            "orientation": {"x": x, "y": y, "z": z, "w": w},
-            "orientation_covariance": covariance,
-            "angular_velocity": zero, "angular_velocity_covariance": unknown,
-            "linear_acceleration": zero, "linear_acceleration_covariance": unknown,
-        }))  # fmt: skip
+        }
+        rows.append(Row(stamp, "/fix", "sensor_msgs/msg/NavSatFix", fields))
     return rows
+
+
+def _attitude_rows(navigation: State) -> list[Row]:
+    """/imu/data at 20 Hz: orientation of forward-left-up axes in east-north-up (REP 103)."""
+    tilt = np.radians(sensors.TILT_DEG)
+    heading = np.radians(sensors.HEADING_DEG)
+    covariance = _diagonal(tilt**2, tilt**2, heading**2)
+    rows = []
+    for i, stamp in enumerate(sensors.unix_ns(navigation.time_s).tolist()):
+        ned_from_body = body_rotation(
+            navigation.roll_rad[i], navigation.pitch_rad[i], navigation.yaw_rad[i]
+        )
+        enu_from_flu = NED_FROM_ENU.T @ ned_from_body @ _FLU_FROM_FRD
+        orientation = dict(zip("wxyz", quaternion(enu_from_flu).tolist(), strict=True))
+        fields = {
+            "orientation": orientation,
+            "orientation_covariance": covariance,
+            "angular_velocity": ZERO_VECTOR,
+            "angular_velocity_covariance": NO_ESTIMATE,
+            "linear_acceleration": ZERO_VECTOR,
+            "linear_acceleration_covariance": NO_ESTIMATE,
+        }
+        rows.append(Row(stamp, "/imu/data", "sensor_msgs/msg/Imu", fields))
+    return rows
+
+
+def _diagonal(*variances: float) -> list[float]:
+    """A covariance matrix, row by row."""
+    matrix: list[float] = np.diag(variances).ravel().tolist()
+    return matrix
 
 
 def _air_rows(place: str, box: sensors.BoxSamples) -> list[Row]:
     """Pressure of one place at 5 Hz, temperature and humidity at 2.5 Hz."""
-    rows: list[Row] = [
-        (stamp, f"/{place}/pressure", "sensor_msgs/msg/FluidPressure",
-         {"fluid_pressure": value, "variance": sensors.BAROMETER_PA**2})
-        for stamp, value in zip(
-            sensors.unix_ns(box.pressure_time_s)[::2].tolist(), box.pressure_pa[::2].tolist(),
-            strict=True,
-        )
-    ]  # fmt: skip
+    rows = []
+    stamps = sensors.unix_ns(box.pressure_time_s)[::2].tolist()
+    pressures = box.pressure_pa[::2].tolist()
+    for stamp, pressure in zip(stamps, pressures, strict=True):
+        fields = {"fluid_pressure": pressure, "variance": sensors.BAROMETER_PA**2}
+        topic = f"/{place}/pressure"
+        rows.append(Row(stamp, topic, "sensor_msgs/msg/FluidPressure", fields))
     # Rounded to what the sensors read: the digits of a subtraction in binary are not theirs.
     celsius = np.round(box.temperature_k - ZERO_CELSIUS_K, 2).tolist()
     humidity = np.round(box.humidity, 4).tolist()
-    thermal, moist = sensors.THERMOMETER_K**2, sensors.HUMIDITY**2
     for i, stamp in enumerate(sensors.unix_ns(box.time_s).tolist()):
-        rows.append((stamp, f"/{place}/temperature", "sensor_msgs/msg/Temperature",
-                     {"temperature": celsius[i], "variance": thermal}))  # fmt: skip
-        rows.append((stamp, f"/{place}/humidity", "sensor_msgs/msg/RelativeHumidity",
-                     {"relative_humidity": humidity[i], "variance": moist}))  # fmt: skip
+        topic = f"/{place}/temperature"
+        fields = {"temperature": celsius[i], "variance": sensors.THERMOMETER_K**2}
+        rows.append(Row(stamp, topic, "sensor_msgs/msg/Temperature", fields))
+        topic = f"/{place}/humidity"
+        fields = {"relative_humidity": humidity[i], "variance": sensors.HUMIDITY**2}
+        rows.append(Row(stamp, topic, "sensor_msgs/msg/RelativeHumidity", fields))
+    return rows
+
+
+def _image_rows(samples: sensors.LoggedSamples) -> list[Row]:
+    """Image topics whose pictures were left out of the recording: the stamp is the shutter."""
+    schema = "sensor_msgs/msg/CompressedImage"
+    no_picture = {"format": "jpeg", "data": b""}
+    rows = []
+    for name in samples.camera_names:
+        for stamp in sensors.unix_ns(samples.exposure_s).tolist():
+            rows.append(Row(stamp, f"/camera/{name}/image/compressed", schema, no_picture))
     return rows

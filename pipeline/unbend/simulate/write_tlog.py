@@ -7,14 +7,35 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20.ardupilotmega import (
+    CAMERA_FEEDBACK_PHOTO,
+    MAV_AUTOPILOT_ARDUPILOTMEGA,
+    MAV_MODE_FLAG_SAFETY_ARMED,
+    MAV_STATE_ACTIVE,
+    MAV_TYPE_FIXED_WING,
+    MAVLink,
+    MAVLink_attitude_message,
+    MAVLink_camera_feedback_message,
+    MAVLink_global_position_int_message,
+    MAVLink_gps_raw_int_message,
+    MAVLink_heartbeat_message,
+    MAVLink_hygrometer_sensor_message,
+    MAVLink_scaled_pressure2_message,
+    MAVLink_scaled_pressure_message,
+    MAVLink_system_time_message,
+    MAVLink_vfr_hud_message,
+)
 
 from unbend.simulate import sensors
+from unbend.simulate.flight import State
 from unbend.simulate.true_air import FIELD_HEIGHT_M
-from unbend.units import ZERO_CELSIUS_K, Array, Integers
+from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers
 
 HOST_AHEAD_S = 1.26
 HOST_JITTER_S = 0.05
+FEEDBACK_US = 20_000  # from the shutter to the message of the first camera ...
+FEEDBACK_STEP_US = 1000  # ... and from camera to camera
+LINK_BITS = 3  # the two lowest bits of a stamp carry MAVProxy's link number; this is link 0
 
 # When a message is sent [boot us], and the message.
 Row = tuple[int, Any]
@@ -26,99 +47,218 @@ def write_tlog(path: Path, samples: sensors.LoggedSamples, seed: int) -> int:
     The host's clock is 1.26 s ahead and stamps a frame up to 50 ms late, in the order in which
     frames arrive.
     """
-    # HEARTBEAT and SYSTEM_TIME at 1 Hz.
-    times = np.arange(0.25, samples.navigation.time_s[-1], 1.0)
-    sent = sensors.boot_us(times)
-    rows = _messages(
-        mavlink.MAVLink_heartbeat_message, sent, mavlink.MAV_TYPE_FIXED_WING,
-        mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_MODE_FLAG_SAFETY_ARMED, 10,
-        mavlink.MAV_STATE_ACTIVE, 3,
-    )  # fmt: skip
-    unix_us = sensors.unix_ns(times) // 1000
-    rows += _messages(mavlink.MAVLink_system_time_message, sent, unix_us, sent // 1000)
-    rows += [*_position_rows(samples), *_air_rows(samples), *_camera_rows(samples)]
+    rows = [
+        *_system_rows(samples),
+        *_gnss_rows(samples.gnss),
+        *_navigation_rows(samples.navigation),
+        *_air_rows(samples),
+        *_camera_rows(samples),
+    ]
     rows.sort(key=lambda row: row[0])
-    sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    late = np.random.default_rng([seed, 2]).uniform(0.0, HOST_JITTER_S, len(rows))
-    since = np.array([row[0] for row in rows]) - sensors.LOG_BEGINS_BOOT_US
-    stamp = since + np.rint((HOST_AHEAD_S + late) * 1e6).astype(np.int64)
-    stamp = np.maximum.accumulate(stamp) + sensors.LOG_BEGINS_UNIX_NS // 1000
+    stamps_us = _stamps_us([sent_us for sent_us, _ in rows], seed)
+    sender = MAVLink(None, srcSystem=1, srcComponent=1)
     out = bytearray()
-    for (_, message), microseconds in zip(rows, stamp.tolist(), strict=True):
-        # The two lowest bits of a stamp carry MAVProxy's link number; this is link 0.
-        out += struct.pack(">Q", microseconds & ~3) + message.pack(sender)
+    for (_, message), stamp_us in zip(rows, stamps_us.tolist(), strict=True):
+        out += struct.pack(">Q", stamp_us & ~LINK_BITS) + message.pack(sender)
         sender.seq = (sender.seq + 1) % 256
     path.write_bytes(out)
     return len(rows)
 
 
-def _messages(kind: Callable[..., Any], sent: Integers, *columns: ArrayLike) -> list[Row]:
-    return [(time, kind(*row)) for time, *row in sensors.rows_of(sent, *columns)]
+def _stamps_us(sent_us: list[int], seed: int) -> Integers:
+    """Unix times [us] at which the host gets frames: in their order, by its own clock."""
+    late_s = np.random.default_rng([seed, 2]).uniform(0.0, HOST_JITTER_S, len(sent_us))
+    off_us = np.rint((HOST_AHEAD_S + late_s) * 1e6).astype(np.int64)
+    since_beginning_us = np.array(sent_us) - sensors.LOG_BEGINS_BOOT_US
+    arrival_us = np.maximum.accumulate(since_beginning_us + off_us)
+    return np.asarray(arrival_us + sensors.LOG_BEGINS_UNIX_NS // 1000, np.int64)
+
+
+def _messages(kind: Callable[..., Any], sent_us: Integers, **columns: ArrayLike) -> list[Row]:
+    """A message for each of (n,) times; columns, by name, are (n,), or one value for all."""
+    rows: list[Row] = []
+    for time_us, *values in sensors.rows_of(sent_us, *columns.values()):
+        rows.append((time_us, kind(**dict(zip(columns, values, strict=True)))))
+    return rows
 
 
 def _whole(values: Array) -> Integers:
     return np.rint(values).astype(np.int64)
 
 
-def _position_rows(samples: sensors.LoggedSamples) -> list[Row]:
-    """GPS_RAW_INT at 5 Hz, its time_usec since boot, as ArduPilot fills it; ATTITUDE at 10 Hz,
-    GLOBAL_POSITION_INT at 5 Hz, VFR_HUD at 1 Hz."""
-    g, nav = samples.gnss, samples.navigation
+def _degrees_e7(angle_rad: Array) -> Integers:
+    return _whole(np.degrees(angle_rad) * 1e7)
+
+
+def _millimetres(height_m: Array) -> Integers:
+    return _whole(height_m * 1e3)
+
+
+def _system_rows(samples: sensors.LoggedSamples) -> list[Row]:
+    """HEARTBEAT and SYSTEM_TIME at 1 Hz."""
+    time_s = np.arange(0.25, samples.navigation.time_s[-1], 1.0)
+    sent_us = sensors.boot_us(time_s)
     rows = _messages(
-        mavlink.MAVLink_gps_raw_int_message, sensors.boot_us(g.time_s + g.log_delay_s),
-        sensors.boot_us(g.time_s), 6, _whole(np.degrees(g.lat_rad) * 1e7),
-        _whole(np.degrees(g.lon_rad) * 1e7), _whole(g.h_msl_m * 1e3), 71, 110,
-        _whole(g.speed_m_s * 100.0), _whole(np.degrees(g.course_rad) % 360.0 * 100.0) % 36_000, 18,
-        _whole(g.h_ellipsoid_m * 1e3), round(sensors.GNSS_HORIZONTAL_M * 1e3),
-        round(sensors.GNSS_VERTICAL_M * 1e3), 50,
-    )  # fmt: skip
-    angles = nav.roll_rad, nav.pitch_rad, np.remainder(nav.yaw_rad + np.pi, 2.0 * np.pi) - np.pi
-    rates = [np.gradient(a, nav.time_s) for a in (nav.roll_rad, nav.pitch_rad, nav.yaw_rad)]
-    often = [values[::2] for values in (*angles, *rates)]
-    times = sensors.boot_us(nav.time_s)
-    rows += _messages(mavlink.MAVLink_attitude_message, times[::2], times[::2] // 1000, *often)
-    at, times = nav.rows(slice(None, None, 4)), times[::4]
-    heading, speed = np.degrees(at.yaw_rad) % 360.0, 100.0 * at.speed_m_s
+        MAVLink_heartbeat_message,
+        sent_us,
+        type=MAV_TYPE_FIXED_WING,
+        autopilot=MAV_AUTOPILOT_ARDUPILOTMEGA,
+        base_mode=MAV_MODE_FLAG_SAFETY_ARMED,
+        custom_mode=10,
+        system_status=MAV_STATE_ACTIVE,
+        mavlink_version=3,
+    )
     rows += _messages(
-        mavlink.MAVLink_global_position_int_message, times, times // 1000,
-        _whole(np.degrees(at.lat_rad) * 1e7), _whole(np.degrees(at.lon_rad) * 1e7),
-        _whole(at.h_msl_m * 1e3), _whole((at.h_msl_m - FIELD_HEIGHT_M) * 1e3),
-        _whole(speed * np.cos(at.yaw_rad)), _whole(speed * np.sin(at.yaw_rad)),
-        _whole(-at.climb_m_s * 100.0), _whole(heading * 100.0) % 36_000,
-    )  # fmt: skip
-    at, whole_deg = nav.rows(slice(None, None, 20)), _whole(heading[::5]) % 360
-    return rows + _messages(
-        mavlink.MAVLink_vfr_hud_message, times[::5], at.speed_m_s, at.speed_m_s, whole_deg, 60,
-        at.h_msl_m, at.climb_m_s,
-    )  # fmt: skip
+        MAVLink_system_time_message,
+        sent_us,
+        time_unix_usec=sensors.unix_ns(time_s) // 1000,
+        time_boot_ms=sent_us // 1000,
+    )
+    return rows
+
+
+def _gnss_rows(gnss: sensors.GnssSamples) -> list[Row]:
+    """GPS_RAW_INT at 5 Hz, its time_usec since boot, as ArduPilot fills it."""
+    course_cdeg = _whole(np.degrees(gnss.course_rad) % 360.0 * 100.0) % 36_000
+    return _messages(
+        MAVLink_gps_raw_int_message,
+        sensors.boot_us(gnss.time_s + gnss.log_delay_s),
+        time_usec=sensors.boot_us(gnss.time_s),
+        fix_type=6,
+        lat=_degrees_e7(gnss.lat_rad),
+        lon=_degrees_e7(gnss.lon_rad),
+        alt=_millimetres(gnss.h_msl_m),
+        eph=71,
+        epv=110,
+        vel=_whole(gnss.speed_m_s * 100.0),
+        cog=course_cdeg,
+        satellites_visible=18,
+        alt_ellipsoid=_millimetres(gnss.h_ellipsoid_m),
+        h_acc=round(sensors.GNSS_HORIZONTAL_M * 1e3),
+        v_acc=round(sensors.GNSS_VERTICAL_M * 1e3),
+        vel_acc=50,
+    )
+
+
+def _navigation_rows(navigation: State) -> list[Row]:
+    """ATTITUDE at 10 Hz, GLOBAL_POSITION_INT at 5 Hz, VFR_HUD at 1 Hz."""
+    return [
+        *_attitude_rows(navigation),
+        *_position_rows(navigation.rows(slice(None, None, 4))),
+        *_display_rows(navigation.rows(slice(None, None, 20))),
+    ]
+
+
+def _attitude_rows(navigation: State) -> list[Row]:
+    """ATTITUDE of every second state, with the rates between all of them."""
+    time_us = sensors.boot_us(navigation.time_s)[::2]
+    yaw = np.remainder(navigation.yaw_rad + np.pi, 2.0 * np.pi) - np.pi
+    roll_rate = np.gradient(navigation.roll_rad, navigation.time_s)
+    pitch_rate = np.gradient(navigation.pitch_rad, navigation.time_s)
+    yaw_rate = np.gradient(navigation.yaw_rad, navigation.time_s)
+    return _messages(
+        MAVLink_attitude_message,
+        time_us,
+        time_boot_ms=time_us // 1000,
+        roll=navigation.roll_rad[::2],
+        pitch=navigation.pitch_rad[::2],
+        yaw=yaw[::2],
+        rollspeed=roll_rate[::2],
+        pitchspeed=pitch_rate[::2],
+        yawspeed=yaw_rate[::2],
+    )
+
+
+def _position_rows(state: State) -> list[Row]:
+    """GLOBAL_POSITION_INT: velocities are those of an aircraft that flies where it points."""
+    time_us = sensors.boot_us(state.time_s)
+    speed_cm_s = 100.0 * state.speed_m_s
+    return _messages(
+        MAVLink_global_position_int_message,
+        time_us,
+        time_boot_ms=time_us // 1000,
+        lat=_degrees_e7(state.lat_rad),
+        lon=_degrees_e7(state.lon_rad),
+        alt=_millimetres(state.h_msl_m),
+        relative_alt=_millimetres(state.h_msl_m - FIELD_HEIGHT_M),
+        vx=_whole(speed_cm_s * np.cos(state.yaw_rad)),
+        vy=_whole(speed_cm_s * np.sin(state.yaw_rad)),
+        vz=_whole(-state.climb_m_s * 100.0),
+        hdg=_whole(np.degrees(state.yaw_rad) % 360.0 * 100.0) % 36_000,
+    )
+
+
+def _display_rows(state: State) -> list[Row]:
+    """VFR_HUD, what a head-up display shows."""
+    return _messages(
+        MAVLink_vfr_hud_message,
+        sensors.boot_us(state.time_s),
+        airspeed=state.speed_m_s,
+        groundspeed=state.speed_m_s,
+        heading=_whole(np.degrees(state.yaw_rad) % 360.0) % 360,
+        throttle=60,
+        alt=state.h_msl_m,
+        climb=state.climb_m_s,
+    )
 
 
 def _air_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """SCALED_PRESSURE (outside), SCALED_PRESSURE2 (cabin) at 5 Hz; HYGROMETER_SENSOR at 2.5 Hz."""
-    rows: list[Row] = []
-    messages = (mavlink.MAVLink_scaled_pressure_message, mavlink.MAVLink_scaled_pressure2_message)
-    for instance, box in enumerate((samples.outside, samples.cabin)):
-        times = sensors.boot_us(box.pressure_time_s)[::2]
-        board = _whole(100.0 * (box.board_k - ZERO_CELSIUS_K))[::2]
-        pressure = box.pressure_pa[::2] / 100.0
-        rows += _messages(messages[instance], times, times // 1000, pressure, 0.0, board)
-        celsius, percent = 100.0 * (box.temperature_k - ZERO_CELSIUS_K), 1e4 * box.humidity
-        times, message = sensors.boot_us(box.time_s), mavlink.MAVLink_hygrometer_sensor_message
-        rows += _messages(message, times, instance, _whole(celsius), _whole(percent))
-    return rows
+    return [
+        *_pressure_rows(MAVLink_scaled_pressure_message, samples.outside),
+        *_hygrometer_rows(0, samples.outside),
+        *_pressure_rows(MAVLink_scaled_pressure2_message, samples.cabin),
+        *_hygrometer_rows(1, samples.cabin),
+    ]
+
+
+def _pressure_rows(kind: Callable[..., Any], box: sensors.BoxSamples) -> list[Row]:
+    """The pressures of a box, every second one, with the temperature of its board."""
+    time_us = sensors.boot_us(box.pressure_time_s)[::2]
+    return _messages(
+        kind,
+        time_us,
+        time_boot_ms=time_us // 1000,
+        press_abs=box.pressure_pa[::2] / HECTOPASCAL,
+        press_diff=0.0,
+        temperature=_whole(100.0 * (box.board_k - ZERO_CELSIUS_K))[::2],
+    )
+
+
+def _hygrometer_rows(instance: int, box: sensors.BoxSamples) -> list[Row]:
+    """Temperature and humidity of a box, in hundredths of a degree and of a per cent."""
+    return _messages(
+        MAVLink_hygrometer_sensor_message,
+        sensors.boot_us(box.time_s),
+        id=instance,
+        temperature=_whole(100.0 * (box.temperature_k - ZERO_CELSIUS_K)),
+        humidity=_whole(1e4 * box.humidity),
+    )
 
 
 def _camera_rows(samples: sensors.LoggedSamples) -> list[Row]:
     """CAMERA_FEEDBACK of every exposure and camera; time_usec since boot (feedback pin)."""
-    at, rows = samples.exposure_s, list[Row]()
-    shot, shutter = samples.navigation.between(at), sensors.boot_us(at)
-    roll, pitch, yaw = np.degrees([shot.roll_rad, shot.pitch_rad, shot.yaw_rad])
-    number = np.arange(shutter.size) + 1
+    shutter_us = sensors.boot_us(samples.exposure_s)
+    shot = samples.navigation.between(samples.exposure_s)
+    number = np.arange(shutter_us.size) + 1
+    rows: list[Row] = []
     for instance in range(len(samples.camera_names)):
         rows += _messages(
-            mavlink.MAVLink_camera_feedback_message, shutter + 20_000 + 1000 * instance, shutter, 1,
-            instance, number, _whole(np.degrees(shot.lat_rad) * 1e7),
-            _whole(np.degrees(shot.lon_rad) * 1e7), shot.h_msl_m, shot.h_msl_m - FIELD_HEIGHT_M,
-            roll, pitch, yaw % 360.0, 0.0, mavlink.CAMERA_FEEDBACK_PHOTO, number,
-        )  # fmt: skip
+            MAVLink_camera_feedback_message,
+            shutter_us + FEEDBACK_US + FEEDBACK_STEP_US * instance,
+            time_usec=shutter_us,
+            target_system=1,
+            cam_idx=instance,
+            img_idx=number,
+            lat=_degrees_e7(shot.lat_rad),
+            lng=_degrees_e7(shot.lon_rad),
+            alt_msl=shot.h_msl_m,
+            alt_rel=shot.h_msl_m - FIELD_HEIGHT_M,
+            roll=np.degrees(shot.roll_rad),
+            pitch=np.degrees(shot.pitch_rad),
+            yaw=np.degrees(shot.yaw_rad) % 360.0,
+            foc_len=0.0,
+            flags=CAMERA_FEEDBACK_PHOTO,
+            completed_captures=number,
+        )
     return rows

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from unbend.block.alignment import LOG_RATIO_NEEDED
-from unbend.block.assignment import Assignment, CameraEvents, ImageEvidence, assign
+from unbend.block.assignment import Assignment, assign
+from unbend.block.image_evidence import CameraEvents, ImageEvidence
 from unbend.config import Mission
 from unbend.config.event_sources import EventsSection, FirstImage
 from unbend.flight.exposures import Events, refuse_repeated_images

@@ -9,7 +9,9 @@ from itertools import product
 
 import numpy as np
 
-from unbend.block.diagnosis import Finding, StatedMission, diagnosis, scatter_of
+from unbend.block.diagnosis import Finding, diagnosis
+from unbend.block.given_heights import scatter_of
+from unbend.block.hypotheses import StatedMission
 from unbend.block.image_rays import MINIMUM_ANGLE_RAD, ImageRays, Orientations, straightened
 from unbend.block.intersection import Intersection, point_heights
 from unbend.config import Mission

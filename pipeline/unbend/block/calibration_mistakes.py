@@ -1,0 +1,150 @@
+"""Interior orientations as they are after a mistake, and what the right ones would be.
+
+Each mistake is undone: coordinates of the principal point that count along other axes, coefficients
+of distortion with the other sign, and calibrations of two cameras that were exchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
+from itertools import combinations, product
+from typing import NamedTuple
+
+from unbend.refraction.camera.camera import Camera
+
+LEAST_MOVE_PX = 1.0  # of a principal point: less than this changes nothing
+SIGNED_COEFFICIENTS = "kpq"  # first letters of the coefficients that change with the sign
+
+
+class OffsetAxes(NamedTuple):
+    """Along which axes a principal point's offset from the centre of the image counts."""
+
+    exchanged: bool
+    sign_x: int
+    sign_y: int
+
+
+OTHER_AXES = (
+    OffsetAxes(exchanged=False, sign_x=1, sign_y=-1),
+    OffsetAxes(exchanged=False, sign_x=-1, sign_y=1),
+    OffsetAxes(exchanged=False, sign_x=-1, sign_y=-1),
+    OffsetAxes(exchanged=True, sign_x=1, sign_y=1),
+    OffsetAxes(exchanged=True, sign_x=1, sign_y=-1),
+    OffsetAxes(exchanged=True, sign_x=-1, sign_y=1),
+    OffsetAxes(exchanged=True, sign_x=-1, sign_y=-1),
+)
+"""All axes but those of the package."""
+
+Mistake = tuple[str, dict[str, Camera]]
+"""What is wrong with calibrations, in words, and the right ones by name of the camera."""
+
+
+def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[Mistake]:
+    """Mistakes in the calibration of each camera alone, of all or of two."""
+    groups = each_and_all(cameras)
+    for group, axes in product(groups, OTHER_AXES):
+        cameras_of_group = {name: cameras[name] for name in group}
+        yield from moved_principal_points(cameras_of_group, axes)
+    for group in groups:
+        cameras_of_group = {name: cameras[name] for name in group}
+        yield from distortions_of_other_sign(cameras_of_group)
+    for first, second in combinations(cameras, 2):
+        yield from exchanged_calibrations(cameras, first, second)
+
+
+def moved_principal_points(cameras: Mapping[str, Camera], axes: OffsetAxes) -> Iterator[Mistake]:
+    """The principal points of cameras along other axes; nothing where one of them hardly moves."""
+    corrected = {}
+    for name, camera in cameras.items():
+        moved = with_other_axes(camera, axes)
+        x_px = abs(moved.cx_px - camera.cx_px)
+        y_px = abs(moved.cy_px - camera.cy_px)
+        if max(x_px, y_px) <= LEAST_MOVE_PX:
+            return
+        corrected[name] = moved
+    places = [f"{c.cx_px:.1f}, {c.cy_px:.1f} px in {name}" for name, c in corrected.items()]
+    principal_points = f"the principal point is at {' and '.join(places)}"
+    yield f"{principal_points}: what is stated counts along other axes", corrected
+
+
+def distortions_of_other_sign(
+    cameras: Mapping[str, Camera],
+) -> Iterator[Mistake]:
+    """The distortions of cameras with the other sign; nothing where one of them has none."""
+    corrected = {}
+    for name, camera in cameras.items():
+        lens = camera.distortion
+        negative = {}
+        for key, value in lens._asdict().items():
+            if value and key[0] in SIGNED_COEFFICIENTS:
+                negative[key] = -value
+        corrected[name] = replace(camera, distortion=lens._replace(**negative))
+        if corrected[name] == camera:
+            return
+    coefficients = f"the coefficients of distortion of {' and '.join(cameras)}"
+    yield f"{coefficients} have the other sign: those of corrections, or the reverse", corrected
+
+
+def exchanged_calibrations(
+    cameras: Mapping[str, Camera], first: str, second: str
+) -> Iterator[Mistake]:
+    """The calibrations of two cameras exchanged; the sizes of their images stay.
+
+    Nothing where they are the same, or those of different models of distortion.
+    """
+    camera_of_first = cameras[first]
+    camera_of_second = cameras[second]
+    corrected = {
+        first: with_image_size(camera_of_second, camera_of_first),
+        second: with_image_size(camera_of_first, camera_of_second),
+    }
+    same_model = type(camera_of_first.distortion) is type(camera_of_second.distortion)
+    if same_model and corrected[first] != camera_of_first:
+        yield f"the calibrations of {first} and {second} are each other's", corrected
+
+
+def with_image_size(camera: Camera, sized: Camera) -> Camera:
+    """A camera with the size of another one's images."""
+    return replace(camera, width_px=sized.width_px, height_px=sized.height_px)
+
+
+def with_other_axes(camera: Camera, axes: OffsetAxes) -> Camera:
+    """The principal point with its offset from the centre of the image along other axes."""
+    middle_x = 0.5 * camera.width_px
+    middle_y = 0.5 * camera.height_px
+    x = camera.cx_px - middle_x
+    y = camera.cy_px - middle_y
+    if axes.exchanged:
+        x, y = y, x
+    return replace(
+        camera,
+        cx_px=middle_x + axes.sign_x * x,
+        cy_px=middle_y + axes.sign_y * y,
+    )
+
+
+def between(camera: Camera, other: Camera, share: float) -> Camera:
+    """A calibration that is 0 of the way to another, or 1, or anywhere on or beyond it."""
+    mixed = {}
+    for name in ("fx_px", "fy_px", "cx_px", "cy_px"):
+        start = getattr(camera, name)
+        end = getattr(other, name)
+        mixed[name] = (1.0 - share) * start + share * end
+    coefficients = []
+    for start, end in zip(camera.distortion, other.distortion, strict=True):
+        coefficients.append(start + share * (end - start))
+    lens = type(camera.distortion)(*coefficients)
+    return replace(camera, **mixed, distortion=lens)
+
+
+def each_and_all(names: Collection[str]) -> list[tuple[str, ...]]:
+    """Each camera alone, and all together where there are several.
+
+    >>> each_and_all(["nadir", "oblique"])
+    [('nadir',), ('oblique',), ('nadir', 'oblique')]
+    """
+    groups: list[tuple[str, ...]] = [(name,) for name in names]
+    if len(groups) > 1:
+        groups.append(tuple(names))
+    return groups

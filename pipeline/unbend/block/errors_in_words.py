@@ -1,0 +1,183 @@
+"""What an estimated mistake of a mission file amounts to, in one sentence with number and sigma.
+
+A sentence is empty where the sigmas that are stated explain the amount, or where it matters to
+nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from unbend.block.hypotheses import (
+    EXPLAINED_SIGMAS,
+    Hypothesis,
+    StatedMission,
+    first_coefficients,
+)
+from unbend.block.image_rays import Orientations
+from unbend.block.intersection import Intersection
+from unbend.flight.rotations import CAMERA_AT_REST
+from unbend.units import Array
+
+# What matters to nobody.
+SMALLEST_TURN_RAD = np.radians(0.3)
+SMALLEST_FOCAL = 0.01  # as a share
+SMALLEST_HEIGHT = 0.01  # as a share of the flying height
+SMALLEST_TIME_S = 0.1
+SMALLEST_DISTORTION = 0.0015  # as a share, in the corners of the image
+
+SLOWEST_M_S = 0.1  # of stations: hovering gives a time no sigma without end
+SAME_HEIGHT = 0.05  # of a height: a named one that is nearer is the likely one
+LEAP_SECONDS = (17.0, 19.0)  # between which a delay is that of GPS time against UTC
+
+
+def error_in_words(
+    mission: StatedMission, hypothesis: Hypothesis, intersection: Intersection, sigma: float
+) -> str:
+    """What a hypothesis estimates; ``sigma`` is that of its amount."""
+    code = hypothesis.code
+    if code == "TIES-MOUNT":
+        return turn_in_words(mission, hypothesis, intersection)
+    if code == "TIES-FOCAL":
+        return focal_in_words(mission, hypothesis, intersection, sigma)
+    if code == "TIES-CALIBRATION":
+        return distortion_in_words(mission, hypothesis, sigma)
+    if code == "TIES-HEIGHT":
+        return height_in_words(mission, hypothesis, intersection, sigma)
+    if code == "TIES-TIME" and mission.shifted is not None:
+        return time_in_words(mission.shifted, hypothesis, intersection, sigma)
+    if code == "TIES-PIXELS":
+        axes = "x and y are exchanged" if hypothesis.label == "exchanged" else "y counts upward"
+        return f"in the pixels of {hypothesis.camera} {axes}"
+    return f"the images of {hypothesis.label} are each other's"
+
+
+def turn_in_words(
+    mission: StatedMission, hypothesis: Hypothesis, intersection: Intersection
+) -> str:
+    """The turn of a mount; the attitudes of its stations explain some of it."""
+    camera = hypothesis.camera
+    _, covariance = intersection.camera_rotation(camera)
+    covariance = max(1.0, intersection.sigma_factor) ** 2 * covariance
+    explained = stated_covariance(intersection.orientations, camera) + covariance
+    turn = hypothesis.reading.turns[camera]
+    vector = Rotation.from_matrix(turn).as_rotvec()
+    angle = float(np.linalg.norm(vector))
+    chi_square = vector @ np.linalg.solve(explained, vector)
+    if angle < SMALLEST_TURN_RAD or chi_square < EXPLAINED_SIGMAS**2:
+        return ""
+    angle_deg = np.degrees(angle)
+    sigma_deg = float(np.degrees(np.sqrt(np.diag(covariance).max())))
+    text = f"{camera} is turned by {angle_deg:.2f} deg +- {sigma_deg:.2g} against that stated"
+    if mission.mounts:
+        body = (CAMERA_AT_REST.T @ turn @ mission.camera_from_body(camera)).T
+        yaw, pitch, roll = Rotation.from_matrix(body).as_euler("ZYX", degrees=True)
+        text += f": its mount is roll_deg {roll:.2f}, pitch_deg {pitch:.2f}, yaw_deg {yaw:.2f}"
+    if hypothesis.label:
+        text += f", as {hypothesis.label.format('roll', 'pitch', 'yaw')}"
+    return text
+
+
+def stated_covariance(orientations: Orientations, camera: str) -> Array:
+    """(3, 3) what the stated sigmas of attitudes let all images of a camera be turned by."""
+    of_camera = (orientations.camera == camera) & np.isfinite(orientations.centre_m[:, 0])
+    ecef_from_enu = np.swapaxes(orientations.enu_from_ecef[of_camera], 1, 2)
+    camera_from_enu = orientations.camera_from_ecef[of_camera] @ ecef_from_enu
+    spread = camera_from_enu * orientations.sigma[of_camera, None, 3:]
+    return np.asarray(np.mean(spread @ np.swapaxes(spread, 1, 2), axis=0))
+
+
+def focal_in_words(
+    mission: StatedMission, hypothesis: Hypothesis, intersection: Intersection, sigma: float
+) -> str:
+    """Other principal distances; heights that are off together explain some of it."""
+    cameras = hypothesis.reading.cameras
+    stated_px = np.array([mission.cameras[name].fx_px for name in hypothesis.cameras])
+    estimated_px = np.array([cameras[name].fx_px for name in hypothesis.cameras])
+    sigma_of_heights = shared_height_sigma_m(mission, intersection) / intersection.flying_height_m
+    explained = EXPLAINED_SIGMAS * float(np.hypot(sigma, sigma_of_heights))
+    change = np.abs(np.log(estimated_px / stated_px)).max()
+    if not change > max(SMALLEST_FOCAL, explained):
+        return ""
+    text = (
+        f"the principal distance of {' and '.join(hypothesis.cameras)} is "
+        f"{listed(estimated_px, '.0f')} px +- {estimated_px[0] * sigma:.2g}, "
+        f"not {listed(stated_px, 'g')}"
+    )
+    return f"{text}: it is {hypothesis.label}" if hypothesis.label else text
+
+
+def distortion_in_words(mission: StatedMission, hypothesis: Hypothesis, sigma: float) -> str:
+    """Another radial distortion, if it matters in the corners of the image."""
+    names = hypothesis.cameras
+    stated_k1 = first_coefficients(mission.cameras, names)
+    estimated_k1 = first_coefficients(hypothesis.reading.cameras, names)
+    diagonals = []  # of the images, as tangents
+    for name in names:
+        camera = mission.cameras[name]
+        diagonals.append(np.hypot(camera.width_px / camera.fx_px, camera.height_px / camera.fy_px))
+    corner = 0.5 * max(diagonals)
+    change = np.abs(estimated_k1 - stated_k1).max()
+    if not change > max(SMALLEST_DISTORTION / corner**2, EXPLAINED_SIGMAS * sigma):
+        return ""
+    return (
+        f"the radial distortion k1 of {' and '.join(names)} is "
+        f"{listed(estimated_k1, '.4f')} +- {sigma:.2g}, not {listed(stated_k1, 'g')}"
+    )
+
+
+def height_in_words(
+    mission: StatedMission, hypothesis: Hypothesis, intersection: Intersection, sigma: float
+) -> str:
+    """Stations too low or too high, and what is known to make them so."""
+    up_m = hypothesis.reading.up_m
+    shared_sigma_m = shared_height_sigma_m(mission, intersection)
+    explained_m = EXPLAINED_SIGMAS * float(np.hypot(sigma, shared_sigma_m))
+    if not abs(up_m) > max(SMALLEST_HEIGHT * intersection.flying_height_m, explained_m):
+        return ""
+    direction = "low" if up_m > 0 else "high"
+    text = (
+        f"the stations lie {abs(up_m):.1f} m +- {sigma:.2g} too {direction} above the given "
+        "heights of the ground"
+    )
+    apart_m = {name: abs(named_m - up_m) for name, named_m in mission.other_heights_m.items()}
+    nearest = min(apart_m, key=lambda name: apart_m[name], default="")
+    if nearest and apart_m[nearest] < max(SAME_HEIGHT * abs(up_m), explained_m):
+        text += f", as if {nearest}"
+    return text
+
+
+def time_in_words(
+    shifted: Callable[[float], Orientations],
+    hypothesis: Hypothesis,
+    intersection: Intersection,
+    sigma: float,
+) -> str:
+    """Exposures at other times; positions along the flight explain some of it."""
+    moved_m = shifted(0.5).centre_m - shifted(-0.5).centre_m  # in a second
+    speed_m_s = max(float(np.nanmedian(np.linalg.norm(moved_m, axis=1))), SLOWEST_M_S)
+    position_sigma_m = float(np.nanmedian(intersection.orientations.sigma[:, 0]))
+    explained_s = EXPLAINED_SIGMAS * float(np.hypot(sigma, position_sigma_m / speed_m_s))
+    time_s = hypothesis.reading.time_s
+    if not abs(time_s) > max(SMALLEST_TIME_S, explained_s):
+        return ""
+    direction = "later" if time_s > 0 else "earlier"
+    text = f"the exposures are {abs(time_s):.2f} s +- {sigma:.2g} {direction} than stated"
+    shortest_s, longest_s = LEAP_SECONDS
+    if shortest_s < abs(time_s) < longest_s:
+        text += ", as GPS time and UTC are apart"
+    return text
+
+
+def shared_height_sigma_m(mission: StatedMission, intersection: Intersection) -> float:
+    """What heights of the ground and of all stations may be off together."""
+    station_sigma_m = np.nanmedian(intersection.orientations.sigma[:, 2])
+    return float(np.hypot(mission.sigma_heights_m, station_sigma_m))
+
+
+def listed(values: Iterable[float], form: str) -> str:
+    """Numbers in one form, joined by "and"."""
+    return " and ".join(format(value, form) for value in values)

@@ -1,0 +1,88 @@
+"""Given heights of tie points against the heights at which their rays meet."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from unbend.block.hypotheses import EXPLAINED_SIGMAS, StatedMission
+from unbend.block.image_rays import ImageRays
+from unbend.block.intersection import Intersection
+from unbend.units import Array
+
+MIN_GIVEN_HEIGHTS = 10  # fewer cannot tell a wrong zero from wrong points
+SIGMA_OF_MAD = 1.4826  # sigmas of a normal distribution in its median absolute deviation
+WILD_SIGMAS = 6.0  # a height farther from the middle of all does not count
+LARGEST_SCATTER = 0.03  # of the flying height, which no height may be off without a doubt
+WORSE_THAN_FLAT = 1.1  # of the relief: more than this is left than by one height for all
+FLAT = 0.002  # of the flying height: less left than this is not judged
+FAR_SHARE = 0.9  # quantile: a tenth of the points is farther
+
+
+def with_usable_heights(mission: StatedMission, intersection: Intersection) -> StatedMission:
+    """Given heights that are not wild beside the others, and the scatter of all about the rays."""
+    rays = mission.rays(mission.cameras, {})
+    if rays.height_m is None:
+        return mission
+    off_m = heights_of_points(rays, rays.height_m) - intersection.geodetic[2]
+    if np.isfinite(off_m).sum() < MIN_GIVEN_HEIGHTS:
+        return mission
+    from_middle_m = np.abs(off_m - np.nanmedian(off_m))
+    scatter_m = SIGMA_OF_MAD * float(np.nanmedian(from_middle_m))
+    sigma_m = max(mission.sigma_height_m, scatter_m)
+    usable = from_middle_m <= WILD_SIGMAS * np.hypot(sigma_m, intersection.sigma_height_m)
+    points = intersection.point[usable].tolist()
+    return replace(mission, sigma_height_m=sigma_m, heights_of=tuple(points))
+
+
+def scattered_heights(
+    mission: StatedMission, intersection: Intersection, sigma_factor: float
+) -> str:
+    """Why given heights of single points are none of theirs; empty where stated sigmas explain it.
+
+    A tenth of them is then farther from where the rays meet than 3 % of the flying height, and than
+    sigmas explain, times the ``sigma_factor`` of the rays' own residuals; or they leave more of the
+    points' relief than one height for all does, as those of another place do.
+    """
+    rays = mission.rays(mission.cameras, {})
+    if rays.height_m is None or mission.one_height or not intersection.used.any():
+        return ""
+    met_m = intersection.geodetic[2]
+    off_m = heights_of_points(rays, rays.height_m) - met_m
+    has_height = np.isfinite(off_m)
+    off_m = off_m[has_height]
+    if off_m.size < MIN_GIVEN_HEIGHTS:
+        return ""
+    flying_height_m = intersection.flying_height_m
+    station_sigma_m = np.nanmedian(intersection.orientations.sigma[:, 2])
+    shared_sigma_m = np.hypot(mission.sigma_heights_m, station_sigma_m)
+    sigma_m = float(shared_sigma_m + np.nanmedian(intersection.sigma_height_m))
+    explained_m = max(1.0, sigma_factor) * (EXPLAINED_SIGMAS * sigma_m)
+    allowed_m = max(LARGEST_SCATTER * flying_height_m, explained_m)
+    far_m = float(np.quantile(np.abs(off_m), FAR_SHARE))
+    far = (
+        f"given heights of a tenth of {off_m.size} points are {far_m:.0f} m or more from where "
+        "their rays meet, expected "
+    )
+    likely = ": no heights, holes that hold a number, or heights of other points or another place"
+    if far_m > allowed_m:
+        return f"{far}within {allowed_m:.0f} m{likely}"
+    relief_m = scatter_of(met_m[has_height])
+    if scatter_of(off_m) > max(WORSE_THAN_FLAT * relief_m, FLAT * flying_height_m):
+        return f"{far}nearer than one height for all, which is within {relief_m:.0f} m{likely}"
+    return ""
+
+
+def heights_of_points(rays: ImageRays, height_m: Array) -> Array:
+    """(p,) the heights that are given with the first ray of each point."""
+    _, first_ray = np.unique(rays.point, return_index=True)
+    return height_m[first_ray]
+
+
+def scatter_of(values: Array) -> float:
+    """What a tenth of the known values is away from their median at least; infinite of few."""
+    values = values[np.isfinite(values)]
+    if values.size < MIN_GIVEN_HEIGHTS:
+        return np.inf
+    return float(np.quantile(np.abs(values - np.median(values)), FAR_SHARE))
