@@ -25,6 +25,7 @@ from unbend.tables.exports.format import (
     pixel_mm,
     write_csv_stream,
 )
+from unbend.tables.exports.frames import ExportFrame, PixelFrame
 
 _LONGEST = 15
 
@@ -80,9 +81,18 @@ def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) 
     return int(block.point.size)
 
 
+_AXES_BY_TURNS = (("right", "up"), ("up", "left"), ("left", "down"), ("down", "right"))
+
+
+def frame_of_points(_: FinishedRun, values: Values) -> ExportFrame:
+    """Image points alone, in millimetres from the image's centre."""
+    axes = _AXES_BY_TURNS[values["quarter_turns"]]
+    return ExportFrame(pixels=PixelFrame("centre of the image", axes, "mm"))
+
+
 FORMATS = (
     ExportFormat(
-        "bingo", "a block for BINGO: a folder with image.dat", "", write_bingo,
+        "bingo", "a block for BINGO: a folder with image.dat", "", write_bingo, frame_of_points,
         (
             PIXEL_UM,
             Option("quarter_turns", int, 0, "quarter turns, counter-clockwise, of the axes of "

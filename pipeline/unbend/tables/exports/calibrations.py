@@ -33,6 +33,7 @@ from unbend.tables.exports.format import (
     FinishedRun,
     Option,
     Values,
+    frame_of_corrections,
     pixel_mm,
 )
 from unbend.tables.exports.opensfm_project import opensfm_camera
@@ -299,6 +300,7 @@ def write_cameras(found: Sequence[FittedCalibration], path: Path) -> None:
 FORMATS = (
     ExportFormat(
         "calibration", "cameras that stand for refraction, a folder", "", write_calibrations,
+        frame_of_corrections,
         (
             Option("same_height", float, 10.0, "largest difference of heights above ground that "
                    "share a calibration", "%", 0.1, 50.0),

@@ -1,0 +1,351 @@
+"""Results in a stated coordinate system: coordinates, heights, and how its grid lies on the ground.
+
+The way back of `coordinate_systems`: from WGS 84 by PROJ, without ballpark transformations. Heights
+are never left to PROJ, which returns them unchanged, and says nothing, where it lacks a grid.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from unbend.flight.heights import LARGEST_GEOID_M
+from unbend.geodesy import GeoidGrid, offset_geodetic
+from unbend.messages import Notes
+from unbend.tables.geodata import messages
+from unbend.tables.geodata.coordinate_systems import MARGIN_DEG, SEA_LEVELS, best_operation
+from unbend.tables.geodata.geoid import package_geoid
+from unbend.units import WGS84_A, Array
+
+STEP_M = 100.0
+"""Half the distance over which the axes of a grid are differenced: PROJ's rounding makes 1e-11 of
+it, and the curvature of a projection 1e-10."""
+
+LARGEST_SCALE_ERROR = 0.01
+"""Of a grid that is flown in: those of surveys are within 0.003 in their area of use. Beyond, as in
+Web Mercator, heights and horizontal distances belong to different scales."""
+
+LARGEST_DISTORTION = 1e-5
+"""Of the scales in two directions: 3 cm at 3 km. Conformal projections have none."""
+
+ELLIPSOID = "ellipsoid"
+SEA_LEVEL = "sea level"
+STATED_GEOID = "stated geoid"
+
+_UNITS = {"metre": "m", "US survey foot": "us_ft", "foot": "ft", "degree": "deg"}
+"""What stands behind the names of columns."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of coordinates: its name, what stands behind the names of columns, and its size.
+
+    ``size`` is in metres, or in radians.
+    """
+
+    name: str
+    suffix: str
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class HeightReference:
+    """What heights count from.
+
+    ``kind`` is `ELLIPSOID` (of WGS 84), `SEA_LEVEL` (as the run has it) or `STATED_GEOID` (of the
+    grid ``geoid``); ``name`` is that of the datum. ``is_down`` : depths, positive downwards.
+    """
+
+    kind: str
+    name: str
+    unit: Unit
+    is_down: bool = False
+    geoid: GeoidGrid | None = None
+
+    def heights(self, lat_rad: Array, lon_rad: Array, h_msl: Array, h_ellipsoid: Array) -> Array:
+        """(n,) heights in the unit of the reference; NaN where they are unknown.
+
+        ``h_msl``, ``h_ellipsoid`` are heights [m] above sea level and above the ellipsoid.
+        """
+        if self.kind == SEA_LEVEL:
+            height_m = h_msl
+        elif self.geoid is not None:
+            height_m = h_ellipsoid - self.geoid.undulation(lat_rad, lon_rad)
+        else:
+            height_m = h_ellipsoid
+        upwards = -1.0 if self.is_down else 1.0
+        return np.asarray(upwards * height_m / self.unit.size)
+
+
+@dataclass(frozen=True, eq=False)
+class GridAxes:
+    """How a grid lies at (n,) places.
+
+    ``convergence_rad`` is the azimuth of the second axis, that is of grid north; ``scale`` the
+    length in the grid of a metre on the ellipsoid [m], the mean of all directions; ``distortion``
+    by how much the scales of two directions differ from each other.
+    """
+
+    convergence_rad: Array
+    scale: Array
+    distortion: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MapGrid:
+    """A coordinate system that results are written in, opened about the places of a block.
+
+    ``identifier`` : as EPSG:25832, "" for a system without. ``wkt``, ``wkt1`` : of the whole
+    system, as ISO 19162 and as OGC 01-009 (empty where it has none). ``axes`` : the directions in
+    which the first and second coordinate grow, as they are written; ``axis_order`` : those of the
+    definition. ``operation`` : how PROJ comes there from WGS 84.
+    """
+
+    identifier: str
+    name: str
+    wkt: str
+    wkt1: str
+    is_geographic: bool
+    axes: tuple[str, str]
+    axis_order: tuple[str, ...]
+    unit: Unit
+    height: HeightReference
+    operation: str
+    transformer: Any
+
+    def coordinates(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
+        """(n,) x and y of places; of a geographic system longitude and latitude [deg].
+
+        NaN where the transformation has no value.
+        """
+        x, y = self.transformer.transform(
+            np.degrees(lon_rad), np.degrees(lat_rad), direction="INVERSE", errcheck=False
+        )
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        known = np.isfinite(x) & np.isfinite(y)
+        return np.where(known, x, np.nan), np.where(known, y, np.nan)
+
+    def axes_at(self, lat_rad: Array, lon_rad: Array) -> GridAxes:
+        """The axes of the grid at places on the ellipsoid, from differences over 200 m."""
+        ends = []
+        for east, north in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
+            step = np.tile([STEP_M * east, STEP_M * north, 0.0], (lat_rad.size, 1))
+            lat, lon, _ = offset_geodetic(lat_rad, lon_rad, np.zeros(lat_rad.size), step)
+            ends.append(np.stack(self.coordinates(lat, lon), axis=1))
+        metres = self.unit.size / (2.0 * STEP_M)
+        of_east = (ends[0] - ends[1]) * metres
+        of_north = (ends[2] - ends[3]) * metres
+        # The rotation and the similarity that are nearest to the derivatives.
+        cosine = of_east[:, 0] + of_north[:, 1]
+        sine = of_north[:, 0] - of_east[:, 1]
+        shear = np.hypot(of_east[:, 0] - of_north[:, 1], of_north[:, 0] + of_east[:, 1])
+        return GridAxes(-np.arctan2(sine, cosine), 0.5 * np.hypot(sine, cosine), shear)
+
+
+def open_grid(
+    crs: str, lat_rad: Array, lon_rad: Array, *, geoid: GeoidGrid | None, needs_angles: bool
+) -> tuple[MapGrid, Notes]:
+    """The coordinate system of an export, about (n,) places of its stations on WGS 84.
+
+    ``crs`` as PROJ knows it, EPSG:25832 or EPSG:25832+7837. ``geoid`` is the user's grid that
+    belongs to its vertical part. Refuses (ConfigError EXPORT-CRS) what is no such system, or cannot
+    be reached; where it ``needs_angles`` also a geographic one.
+    """
+    horizontal, vertical, whole = parts_of(crs)
+    refuse_kind(horizontal, crs, needs_angles=needs_angles)
+    known = np.isfinite(lat_rad) & np.isfinite(lon_rad)
+    if not known.any():
+        raise messages.grid_without_places(crs=crs)
+    lon_lat = np.degrees(np.stack([lon_rad[known], lat_rad[known]]))
+    outside = places_outside(horizontal, lon_lat, 0.0)
+    area = horizontal.area_of_use.name if horizontal.area_of_use else "the earth"
+    if places_outside(horizontal, lon_lat, MARGIN_DEG):
+        raise messages.grid_elsewhere(crs=crs, name=horizontal.name, area=area)
+    best = best_operation(horizontal.to_2d(), lon_lat, "EPSG:4326")
+    if best is None:
+        raise messages.grid_ballpark(crs=crs, name=horizontal.name)
+    first_axis = horizontal.axis_info[0]
+    unit = unit_of(first_axis)
+    authority = whole.to_authority(min_confidence=100)
+    grid = MapGrid(
+        identifier=identifier_of(crs, authority),
+        name=whole.name,
+        wkt=whole.to_wkt(),
+        wkt1=wkt1_of(whole),
+        is_geographic=horizontal.is_geographic,
+        axes=written_axes(horizontal),
+        axis_order=tuple(axis.direction for axis in whole.axis_info),
+        unit=unit,
+        height=height_reference(
+            crs, horizontal, vertical, geoid, (lat_rad[known], lon_rad[known]), is_3d(whole)
+        ),
+        operation=best.by,
+        transformer=best.transformer,
+    )
+    notes = [
+        messages.grid_reached(
+            count=int(known.sum()), crs=crs, name=whole.name, operation=best.by,
+            is_good=best.is_good,
+        )
+    ]  # fmt: skip
+    if outside:
+        notes.append(messages.grid_beyond_area(count=outside, name=horizontal.name, area=area))
+    if not grid.is_geographic:
+        refuse_left_handed(grid, crs, lat_rad[known][:1], lon_rad[known][:1])
+    return grid, tuple(notes)
+
+
+def parts_of(crs: str) -> tuple[Any, Any, Any]:
+    """The horizontal part of a system, its vertical part or None, and the whole."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        whole = CRS.from_user_input(crs)
+    except CRSError as error:
+        raise messages.grid_unknown(crs=crs, error=str(error)) from None
+    if not whole.is_compound:
+        return whole, None, whole
+    horizontal, *vertical = whole.sub_crs_list
+    return horizontal, vertical[0], whole
+
+
+def refuse_kind(horizontal: Any, crs: str, *, needs_angles: bool) -> None:
+    """Refuse a system that has no map coordinates, or has no grid where angles need one."""
+    is_known = horizontal.is_projected or horizontal.is_geographic
+    if not is_known or horizontal.is_geocentric:
+        raise messages.grid_of_other_kind(crs=crs, name=horizontal.name, kind=horizontal.type_name)
+    if needs_angles and horizontal.is_geographic:
+        raise messages.grid_geographic(crs=crs, name=horizontal.name)
+
+
+def places_outside(horizontal: Any, lon_lat: Array, margin_deg: float) -> int:
+    """How many of (2, n) places lie outside a system's area of use and a margin."""
+    area = horizontal.area_of_use
+    if area is None:
+        return 0
+    west, east = area.west - margin_deg, area.east + margin_deg
+    if area.west > area.east:
+        east += 360.0  # over the 180th meridian
+    width = min(east - west, 360.0)
+    inside = (lon_lat[0] - west) % 360.0 <= width
+    inside &= (lon_lat[1] >= area.south - margin_deg) & (lon_lat[1] <= area.north + margin_deg)
+    return int(np.sum(~inside))
+
+
+def identifier_of(crs: str, authority: tuple[str, str] | None) -> str:
+    """EPSG:25832 of a system that has a code; of a compound one of two codes what was given.
+
+    >>> identifier_of("epsg:25832+5773", None), identifier_of("+proj=utm +zone=32", None)
+    ('EPSG:25832+5773', '')
+    """
+    if authority is not None:
+        return ":".join(authority)
+    stated = crs.strip().upper()
+    return stated if re.fullmatch(r"EPSG:\d+\+\d+", stated) else ""
+
+
+def is_3d(whole: Any) -> bool:
+    """Whether a system that is not compound has ellipsoidal heights of its own."""
+    return not whole.is_compound and len(whole.axis_info) == 3
+
+
+def wkt1_of(whole: Any) -> str:
+    """The system as OGC 01-009, which older programs read; "" where it cannot be said so."""
+    from pyproj.exceptions import CRSError
+
+    try:
+        text = whole.to_wkt("WKT1_GDAL")
+    except CRSError:
+        return ""
+    return text or ""
+
+
+def unit_of(axis: Any) -> Unit:
+    """The unit of an axis."""
+    suffix = _UNITS.get(axis.unit_name, axis.unit_name.lower().replace(" ", "_"))
+    return Unit(axis.unit_name, suffix, axis.unit_conversion_factor)
+
+
+def written_axes(horizontal: Any) -> tuple[str, str]:
+    """The directions of the first and the second coordinate as PROJ's always_xy orders them."""
+    first, second = (axis.direction for axis in horizontal.axis_info[:2])
+    return (second, first) if (first, second) == ("north", "east") else (first, second)
+
+
+def height_reference(
+    crs: str,
+    horizontal: Any,
+    vertical: Any,
+    geoid: GeoidGrid | None,
+    places: tuple[Array, Array],
+    is_three_dimensional: bool,
+) -> HeightReference:
+    """What the heights of an export count from, by the vertical part of its system.
+
+    Without one they count from the ellipsoid of WGS 84, in the unit of a projected system. Refuses
+    (ConfigError EXPORT-CRS) a datum whose grid is not there, and ellipsoids of past surveys.
+    """
+    metre = Unit("metre", "m", 1.0)
+    if vertical is None:
+        if geoid is not None:
+            raise messages.grid_geoid_unused(crs=crs)
+        other_ellipsoid = abs(horizontal.ellipsoid.semi_major_metre - WGS84_A) > 1.0
+        if is_three_dimensional and other_ellipsoid:
+            raise messages.grid_ellipsoid(crs=crs, ellipsoid=horizontal.ellipsoid.name)
+        unit = metre if horizontal.is_geographic else unit_of(horizontal.axis_info[0])
+        return HeightReference(ELLIPSOID, "ellipsoid of WGS 84", unit)
+    axis = vertical.axis_info[0]
+    unit = unit_of(axis)
+    is_down = axis.direction == "down"
+    if vertical.name in SEA_LEVELS:
+        if geoid is not None:
+            raise messages.grid_geoid_unused(crs=crs)
+        return HeightReference(SEA_LEVEL, vertical.name, unit, is_down)
+    if geoid is None:
+        raise messages.grid_needs_geoid(crs=crs, vertical=vertical.name)
+    off = geoid.undulation(*places) - package_geoid().undulation(*places)
+    known = off[np.isfinite(off)]
+    if known.size == 0:
+        raise messages.grid_geoid_elsewhere(geoid=geoid.name)
+    off_m = float(np.median(known))
+    if abs(off_m) > LARGEST_GEOID_M:
+        raise messages.grid_other_geoid(geoid=geoid.name, off_m=off_m, vertical=vertical.name)
+    name = f"{vertical.name}, by {geoid.name}"
+    return HeightReference(STATED_GEOID, name, unit, is_down, geoid)
+
+
+def refuse_left_handed(grid: MapGrid, crs: str, lat_rad: Array, lon_rad: Array) -> None:
+    """Refuse axes of which the second is not counter-clockwise of the first, seen from above."""
+    east = np.array([[STEP_M, 0.0, 0.0]])
+    north = np.array([[0.0, STEP_M, 0.0]])
+    height = np.zeros(1)
+    middle = np.array(grid.coordinates(lat_rad, lon_rad))
+    to_east = np.array(grid.coordinates(*offset_geodetic(lat_rad, lon_rad, height, east)[:2]))
+    to_north = np.array(grid.coordinates(*offset_geodetic(lat_rad, lon_rad, height, north)[:2]))
+    sides = np.stack([to_east - middle, to_north - middle])[:, :, 0]
+    if np.linalg.det(sides) < 0.0:
+        raise messages.grid_left_handed(crs=crs, name=grid.name, axes=" and ".join(grid.axes))
+
+
+def check_grid_axes(axes: GridAxes, *, crs: str, name: str) -> Notes:
+    """What angles in a grid have to say of it: convergence, scale, and distortion where it matters.
+
+    Refuses (ConfigError EXPORT-CRS) a grid whose scale is beyond that of any survey.
+    """
+    lowest, highest = float(np.nanmin(axes.scale)), float(np.nanmax(axes.scale))
+    if max(abs(lowest - 1.0), abs(highest - 1.0)) > LARGEST_SCALE_ERROR:
+        raise messages.grid_scale_unfit(crs=crs, name=name, lowest=lowest, highest=highest)
+    convergence = np.degrees(axes.convergence_rad)
+    notes = [
+        messages.grid_axes(
+            count=axes.scale.size,
+            convergence=(float(np.nanmin(convergence)), float(np.nanmax(convergence))),
+            scale=(lowest, highest),
+        )
+    ]
+    distortion = float(np.nanmax(axes.distortion))
+    if distortion > LARGEST_DISTORTION:
+        notes.append(messages.grid_distorted(name=name, distortion=distortion))
+    return tuple(notes)
