@@ -17,6 +17,7 @@ from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import TILE
 from unbend.tables.exports.footprints import ground_corners
 from unbend.tables.geodata.elevation import ElevationModel
+from unbend.tables.geodata.map_grids import MapGrid, utm_grid
 from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, evenly_spaced
 
 Track = tuple[Integers, Array, Array, Array]
@@ -46,10 +47,11 @@ class Flown:
     """What the map, the heights and the air of a page show; thinned, longitudes without a jump.
 
     ``exposures`` and ``track`` are columns (n,) and (m,): time_ns, lat_deg, lon_deg, h_msl_m; of
-    the exposures also image, status, ground_m, and ``shown_as`` ok, suspect or unusable, of all of
+    the exposures also image, camera, status, ground_m, and ``shown_as`` ok, suspect or unusable, of all of
     which ``counts`` has the numbers. ``footprints`` (k, 4, 2) longitude, latitude [deg] by camera,
     of ``seen`` that could be drawn; ``limits_deg`` those of all places. ``relief`` : limits and
-    light (rows, columns) from -1 to 1, NaN where unknown. ``air`` : see `air_curves`.
+    light (rows, columns) from -1 to 1, NaN where unknown. ``air`` : see `air_curves`. ``grid`` :
+    the metric grid of the map.
     """
 
     exposures: Mapping[str, Any]
@@ -61,6 +63,7 @@ class Flown:
     relief: tuple[Limits, Array] | None
     air: Mapping[str, Any]
     from_boot: bool = False  # whether times count from a boot, without UTC
+    grid: MapGrid | None = None
 
     @cached_property
     def time(self) -> dict[str, Any]:
@@ -131,7 +134,7 @@ def flown_of(
         limits = low[0], high[0], low[1], high[1]
     heights = np.concatenate([stations.h_msl_m, ground_m])
     shown = {
-            "image": stations.image[rows], "time_ns": stations.time_ns[rows],
+            "image": stations.image[rows], "camera": stations.camera[rows], "time_ns": stations.time_ns[rows],
             "lat_deg": stations.lat_rad[rows] / DEGREE, "lon_deg": lon_deg[rows],
             "h_msl_m": stations.h_msl_m[rows], "ground_m": ground_m[rows],
             "status": stations.status[rows], "shown_as": shown_as[rows],
@@ -147,6 +150,7 @@ def flown_of(
         None if terrain is None or limits is None else relief_of(terrain, limits),
         air_curves(air, samples, heights[np.isfinite(heights)]),
         from_boot=bool(stations.from_boot.any()),
+        grid=None if limits is None else utm_grid(limits),
     )  # fmt: skip
 
 

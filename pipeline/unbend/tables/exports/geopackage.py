@@ -124,7 +124,8 @@ def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) 
         "sigma_horizontal_m": "REAL",
         "sigma_height_m": "REAL",
     }
-    values = {name: plain(columns[name][rows]) for name in types if name != "time_utc"}
+    words = {name for name, kind in types.items() if kind != "DATETIME"}
+    values = {name: plain(np.asarray(columns[name])[rows]) for name in words}
     values["time_utc"] = [time_text(time) for time in columns["time_utc"][rows]]
     geometry = geometries(points_wkb(x[rows], y[rows], height[rows]), number)
     columns_in_order = [geometry, *(values[name] for name in types)]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from unbend.flight.heights import LARGEST_GEOID_M
+from unbend.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
 from unbend.geodesy import GeoidGrid, offset_geodetic
 from unbend.messages import Notes
 from unbend.tables.geodata import messages
@@ -28,6 +28,9 @@ Web Mercator, heights and horizontal distances belong to different scales."""
 
 LARGEST_DISTORTION = 1e-5
 """Of the scales in two directions: 3 cm at 3 km. Conformal projections have none."""
+
+SOUTHERN_END_OF_UTM_DEG = -80.0
+NORTHERN_END_OF_UTM_DEG = 84.0
 
 ELLIPSOID = "ellipsoid"
 SEA_LEVEL = "sea level"
@@ -126,6 +129,11 @@ class MapGrid:
         known = np.isfinite(x) & np.isfinite(y)
         return np.where(known, x, np.nan), np.where(known, y, np.nan)
 
+    def places(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """(n,) longitude and latitude [deg] of coordinates; the reverse of `coordinates`."""
+        lon, lat = self.transformer.transform(x, y, errcheck=False)
+        return np.asarray(lon, np.float64), np.asarray(lat, np.float64)
+
     def axes_at(self, lat_rad: Array, lon_rad: Array) -> GridAxes:
         """The axes of the grid at places on the ellipsoid, from differences over 200 m."""
         ends = []
@@ -165,8 +173,8 @@ def open_grid(
     best = best_operation(horizontal.to_2d(), lon_lat, "EPSG:4326")
     if best is None:
         raise messages.grid_ballpark(crs=crs, name=horizontal.name)
-    first_axis = horizontal.axis_info[0]
-    unit = unit_of(first_axis)
+    places = lat_rad[known], lon_rad[known]
+    height, height_notes = height_reference(crs, horizontal, vertical, geoid, places, is_3d(whole))
     authority = whole.to_authority(min_confidence=100)
     grid = MapGrid(
         identifier=identifier_of(crs, authority),
@@ -176,24 +184,51 @@ def open_grid(
         is_geographic=horizontal.is_geographic,
         axes=written_axes(horizontal),
         axis_order=tuple(axis.direction for axis in whole.axis_info),
-        unit=unit,
-        height=height_reference(
-            crs, horizontal, vertical, geoid, (lat_rad[known], lon_rad[known]), is_3d(whole)
-        ),
+        unit=unit_of(horizontal.axis_info[0]),
+        height=height,
         operation=best.by,
         transformer=best.transformer,
     )
     notes = [
         messages.grid_reached(
-            count=int(known.sum()), crs=crs, name=whole.name, operation=best.by,
+            count=lon_lat.shape[1],
+            crs=crs,
+            name=whole.name,
+            operation=best.by,
             is_good=best.is_good,
-        )
-    ]  # fmt: skip
+        ),
+        *height_notes,
+    ]
     if outside:
         notes.append(messages.grid_beyond_area(count=outside, name=horizontal.name, area=area))
     if not grid.is_geographic:
-        refuse_left_handed(grid, crs, lat_rad[known][:1], lon_rad[known][:1])
+        refuse_left_handed(grid, crs, places[0][:1], places[1][:1])
     return grid, tuple(notes)
+
+
+def utm_zone(lat_deg: float, lon_deg: float) -> str | None:
+    """The code of the UTM zone of a place on WGS 84; None nearer to a pole than they reach.
+
+    >>> utm_zone(47.4, 8.6), utm_zone(-33.9, 18.4), utm_zone(85.0, 0.0)
+    ('EPSG:32632', 'EPSG:32734', None)
+    """
+    if not SOUTHERN_END_OF_UTM_DEG <= lat_deg <= NORTHERN_END_OF_UTM_DEG:
+        return None
+    zone = int((lon_deg + 180.0) % 360.0 // 6.0) + 1
+    northern, southern = 32600, 32700
+    return f"EPSG:{(northern if lat_deg >= 0.0 else southern) + zone}"
+
+
+def utm_grid(limits_deg: tuple[float, float, float, float]) -> MapGrid | None:
+    """The UTM zone of the middle of west, east, south, north; None where there is none."""
+    west, east, south, north = limits_deg
+    middle_deg = 0.5 * (south + north), 0.5 * (west + east)
+    code = utm_zone(*middle_deg)
+    if code is None:
+        return None
+    lat_rad, lon_rad = np.radians(middle_deg[:1]), np.radians(middle_deg[1:])
+    grid, _ = open_grid(code, lat_rad, lon_rad, geoid=None, needs_angles=False)
+    return grid
 
 
 def parts_of(crs: str) -> tuple[Any, Any, Any]:
@@ -281,7 +316,7 @@ def height_reference(
     geoid: GeoidGrid | None,
     places: tuple[Array, Array],
     is_three_dimensional: bool,
-) -> HeightReference:
+) -> tuple[HeightReference, Notes]:
     """What the heights of an export count from, by the vertical part of its system.
 
     Without one they count from the ellipsoid of WGS 84, in the unit of a projected system. Refuses
@@ -295,14 +330,14 @@ def height_reference(
         if is_three_dimensional and other_ellipsoid:
             raise messages.grid_ellipsoid(crs=crs, ellipsoid=horizontal.ellipsoid.name)
         unit = metre if horizontal.is_geographic else unit_of(horizontal.axis_info[0])
-        return HeightReference(ELLIPSOID, "ellipsoid of WGS 84", unit)
+        return HeightReference(ELLIPSOID, "ellipsoid of WGS 84", unit), ()
     axis = vertical.axis_info[0]
     unit = unit_of(axis)
     is_down = axis.direction == "down"
     if vertical.name in SEA_LEVELS:
         if geoid is not None:
             raise messages.grid_geoid_unused(crs=crs)
-        return HeightReference(SEA_LEVEL, vertical.name, unit, is_down)
+        return HeightReference(SEA_LEVEL, vertical.name, unit, is_down), ()
     if geoid is None:
         raise messages.grid_needs_geoid(crs=crs, vertical=vertical.name)
     off = geoid.undulation(*places) - package_geoid().undulation(*places)
@@ -312,8 +347,16 @@ def height_reference(
     off_m = float(np.median(known))
     if abs(off_m) > LARGEST_GEOID_M:
         raise messages.grid_other_geoid(geoid=geoid.name, off_m=off_m, vertical=vertical.name)
+    note = messages.heights_by_grid(
+        where="--geoid",
+        count=known.size,
+        datum=vertical.name,
+        grid=geoid.name,
+        off_m=off_m,
+        is_usual=abs(off_m) <= USUAL_GEOID_M,
+    )
     name = f"{vertical.name}, by {geoid.name}"
-    return HeightReference(STATED_GEOID, name, unit, is_down, geoid)
+    return HeightReference(STATED_GEOID, name, unit, is_down, geoid), (note,)
 
 
 def refuse_left_handed(grid: MapGrid, crs: str, lat_rad: Array, lon_rad: Array) -> None:
