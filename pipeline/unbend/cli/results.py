@@ -127,6 +127,37 @@ def export(
     answer.end(content, written.ledger)
 
 
+@command(epilog="Example: unbend report results/survey --pdf")
+def report(
+    answer: Answer,
+    run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
+    out: Annotated[
+        Path | None, Option(help="the file to write; by default NAME-report.html or .pdf, here")
+    ] = None,
+    *,
+    pdf: Annotated[bool, Option("--pdf", help="print it with Chromium or Chrome")] = False,
+    browser: Annotated[
+        str | None, Option(help="the browser that prints, a name or a path", metavar="PROGRAM")
+    ] = None,
+    timeout: Annotated[
+        float, Option(min=1.0, max=3600.0, help="seconds that the browser may take")
+    ] = 120.0,
+    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
+) -> None:
+    """Write the report of a run as a file to hand over, with the date of processing.
+
+    Title, client, operator, remarks and time zone are keys of `mission` in the mission file.
+    """
+    with answer.progress(f"writing the report of {run}"):
+        from unbend.batch.finished_run.delivered_report import deliver_report
+        from unbend.batch.plan import located
+
+        written, ledger = deliver_report(
+            located(run), out, pdf=pdf, browser=browser, timeout_s=timeout, force=force
+        )
+    answer.end({"out": str(written)}, ledger, written)
+
+
 @command(epilog="Example: unbend verify results/survey")
 def verify(
     answer: Answer,

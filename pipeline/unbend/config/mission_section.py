@@ -23,7 +23,9 @@ def known_time_zone(name: str) -> str:
 TimeZone = Annotated[str, Field(min_length=1, max_length=60), AfterValidator(known_time_zone)]
 """A time zone by its name in the IANA database."""
 
-Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*\S[^\x00-\x1f\x7f]*$")]
+Line = Annotated[
+    str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*\S[^\x00-\x1f\x7f]*$")
+]
 """A line of text, in any letters."""
 
 

@@ -47,8 +47,8 @@ class Flown:
     """What the map, the heights and the air of a page show; thinned, longitudes without a jump.
 
     ``exposures`` and ``track`` are columns (n,) and (m,): time_ns, lat_deg, lon_deg, h_msl_m; of
-    the exposures also image, camera, status, ground_m, and ``shown_as`` ok, suspect or unusable, of all of
-    which ``counts`` has the numbers. ``footprints`` (k, 4, 2) longitude, latitude [deg] by camera,
+    the exposures also image, camera, status, ground_m, and ``shown_as`` ok, suspect or unusable, of
+    all of which ``counts`` has the numbers. ``footprints`` (k, 4, 2) longitude, latitude [deg] by camera,
     of ``seen`` that could be drawn; ``limits_deg`` those of all places. ``relief`` : limits and
     light (rows, columns) from -1 to 1, NaN where unknown. ``air`` : see `air_curves`. ``grid`` :
     the metric grid of the map.
@@ -93,6 +93,38 @@ class Flown:
         }  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class CameraTrack:
+    """The exposures of a camera in the order of their times: (n,) columns, NaN between strips."""
+
+    lon_deg: Array
+    lat_deg: Array
+    h_msl_m: Array
+    time: Array  # as `Flown.time` has it
+
+
+_LONGEST_GAP = 5.0  # of the usual time between two exposures, within a strip
+
+
+def track_of_camera(flown: Flown, camera: str) -> CameraTrack:
+    """The usable exposures of a camera as a line, with a gap after each strip."""
+    exposures = flown.exposures
+    is_shown = (exposures["camera"] == camera) & (exposures["shown_as"] != "unusable")
+    rows = np.flatnonzero(is_shown & np.isfinite(exposures["lat_deg"]))
+    rows = rows[np.argsort(exposures["time_ns"][rows], kind="stable")]
+    gaps = np.diff(exposures["time_ns"][rows]).astype(np.float64)
+    ends = np.flatnonzero(gaps > _LONGEST_GAP * np.median(gaps)) + 1 if gaps.size else gaps[:0]
+    ends = ends.astype(np.int64)
+    columns = (
+        *(exposures[name] for name in ("lon_deg", "lat_deg", "h_msl_m")),
+        flown.time["of_exposures"],
+    )
+    lon, lat, h, time = (
+        np.insert(column[rows].astype(np.float64), ends, np.nan) for column in columns
+    )
+    return CameraTrack(lon, lat, h, time)
+
+
 def flown_of(
     stations: Stations,
     air: FlightAir,
@@ -134,7 +166,8 @@ def flown_of(
         limits = low[0], high[0], low[1], high[1]
     heights = np.concatenate([stations.h_msl_m, ground_m])
     shown = {
-            "image": stations.image[rows], "camera": stations.camera[rows], "time_ns": stations.time_ns[rows],
+            "image": stations.image[rows], "camera": stations.camera[rows],
+            "time_ns": stations.time_ns[rows],
             "lat_deg": stations.lat_rad[rows] / DEGREE, "lon_deg": lon_deg[rows],
             "h_msl_m": stations.h_msl_m[rows], "ground_m": ground_m[rows],
             "status": stations.status[rows], "shown_as": shown_as[rows],

@@ -10,7 +10,7 @@ from unbend.units import Array, round_step
 
 Range = tuple[float, float]
 
-FEWEST_PARTS = 4  # of the longer side of the map, between the lines
+MOST_PARTS = 6  # of the longer side of the map, between the lines: their numbers fit on a phone
 _PLACES = 161  # of a line, so that it ends within a part in 160 of the frame
 
 
@@ -27,21 +27,24 @@ class GridLine:
     lon_deg: Array
     lat_deg: Array
 
+    @property
+    def end_deg(self) -> tuple[float, float]:
+        """Longitude and latitude of its northern or eastern end on the map."""
+        last = int(np.flatnonzero(np.isfinite(self.lon_deg))[-1])
+        return float(self.lon_deg[last]), float(self.lat_deg[last])
+
 
 def grid_lines(grid: MapGrid, lon_deg: Range, lat_deg: Range) -> list[GridLine]:
     """The lines of a grid on a map within limits [deg].
 
-    The distance of the lines is 1, 2 or 5 times a power of ten, and at most a quarter of the longer
-    side of the map.
+    The distance of the lines is 1, 2 or 5 times a power of ten.
     """
     lon, lat = border(lon_deg, lat_deg)
     x, y = grid.coordinates(np.radians(lat), np.radians(lon))
     limits_x = float(np.nanmin(x)), float(np.nanmax(x))
     limits_y = float(np.nanmin(y)), float(np.nanmax(y))
     longest = max(limits_x[1] - limits_x[0], limits_y[1] - limits_y[0])
-    step = round_step(longest / FEWEST_PARTS / 2.0)
-    if longest / step > 2 * FEWEST_PARTS:
-        step = round_step(1.01 * step)
+    step = round_step(longest / MOST_PARTS)
 
     def inside(x: Array, y: Array) -> tuple[Array, Array]:
         """Places of coordinates, NaN outside the map."""
