@@ -29,7 +29,11 @@ CHANNELS = {
 }  # fmt: skip
 
 FULL: dict[str, Any] = {
-    "mission": {"name": "survey", "undulation_m": 47.5, "geoid": "egm96"},
+    "mission": {
+        "name": "survey", "undulation_m": 47.5, "geoid": "egm96", "title": "Zürich, Los 3",
+        "client": "Amt", "operator": "Luftbild GmbH", "remarks": "one\n\ntwo",
+        "time_zone": "Europe/Zurich",
+    },
     "log": {
         "path": "a.bin",
         "channels": CHANNELS,

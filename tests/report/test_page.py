@@ -103,6 +103,7 @@ def flown(air) -> Flown:
     seconds = np.array([0.0, 300.0, 600.0, 900.0])
     exposures = {
         "image": np.array(["b1", "b2", "t<1>", "t2"], dtype=object),
+        "camera": np.array(["belly", "belly", "tail", "tail"], dtype=object),
         "time_ns": BEGIN_NS + (1e9 * (seconds + 60.0)).astype(np.int64),
         "lat_deg": np.array([-47.401, -47.412, -47.424, -47.435]),
         "lon_deg": np.array([8.611, 8.623, 8.634, 8.646]),
@@ -257,6 +258,8 @@ def test_every_sentence_between_the_tables(page):
         "How to use the results in the adjustment", "Provenance",
     ]  # fmt: skip
     assert [text for tag, text in texts if tag == "dd"] == [
+        "2025-06-12, 09:38:17 to 09:44:19 UTC",
+        "WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid",
         "95 exposures, 2025-06-12, 09:38:17 to 09:44:19 UTC",
         "47.4233° S, 8.6624° E (WGS 84, middle of the exposures)",
         "3445 to 3454 m above mean sea level, by GPS[0]",
