@@ -49,9 +49,9 @@ class Flown:
     ``exposures`` and ``track`` are columns (n,) and (m,): time_ns, lat_deg, lon_deg, h_msl_m; of
     the exposures also image, camera, status, ground_m, and ``shown_as`` ok, suspect or unusable, of
     all of which ``counts`` has the numbers. ``footprints`` (k, 4, 2) longitude, latitude [deg] by
-    camera, of ``seen`` that could be drawn; ``limits_deg`` those of all places. ``relief`` : limits and
-    light (rows, columns) from -1 to 1, NaN where unknown. ``air`` : see `air_curves`. ``grid`` :
-    the metric grid of the map.
+    camera, of ``seen`` that could be drawn; ``limits_deg`` those of all places. ``relief`` : limits
+    and light (rows, columns) from -1 to 1, NaN where unknown. ``air`` : see `air_curves`. ``grid``
+    : the metric grid of the map.
     """
 
     exposures: Mapping[str, Any]
