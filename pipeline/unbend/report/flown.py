@@ -113,16 +113,20 @@ def track_of_camera(flown: Flown, camera: str) -> CameraTrack:
     rows = np.flatnonzero(is_shown & np.isfinite(exposures["lat_deg"]))
     rows = rows[np.argsort(exposures["time_ns"][rows], kind="stable")]
     gaps = np.diff(exposures["time_ns"][rows]).astype(np.float64)
-    ends = np.flatnonzero(gaps > _LONGEST_GAP * np.median(gaps)) + 1 if gaps.size else gaps[:0]
-    ends = ends.astype(np.int64)
-    columns = (
-        *(exposures[name] for name in ("lon_deg", "lat_deg", "h_msl_m")),
-        flown.time["of_exposures"],
+    first_of_strips = np.zeros(0, np.int64)
+    if gaps.size:
+        first_of_strips = np.flatnonzero(gaps > _LONGEST_GAP * np.median(gaps)) + 1
+
+    def in_strips(column: Array) -> Array:
+        """Values of the exposures, with NaN before each strip but the first."""
+        return np.insert(column[rows].astype(np.float64), first_of_strips, np.nan)
+
+    return CameraTrack(
+        lon_deg=in_strips(exposures["lon_deg"]),
+        lat_deg=in_strips(exposures["lat_deg"]),
+        h_msl_m=in_strips(exposures["h_msl_m"]),
+        time=in_strips(flown.time["of_exposures"]),
     )
-    lon, lat, h, time = (
-        np.insert(column[rows].astype(np.float64), ends, np.nan) for column in columns
-    )
-    return CameraTrack(lon, lat, h, time)
 
 
 def flown_of(

@@ -33,8 +33,9 @@ def sidecar_text(files: Mapping[str, Path], about: Mapping[str, Any]) -> str:
     Without files it is no mark.
     """
     hashes = [{"name": name, "sha256": _sha256(path)} for name, path in files.items()]
-    mark = {REFRACTION_KEY.decode(): REFRACTION_REMOVED.decode()} if files else {}
-    content: dict[str, Any] = {**mark, "files": hashes, **about}
+    content: dict[str, Any] = {"files": hashes, **about}
+    if files:
+        content = {REFRACTION_KEY.decode(): REFRACTION_REMOVED.decode(), **content}
     return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 

@@ -27,8 +27,15 @@ from unbend.report.cover import PROCESSED, time_of_processing
 
 REPORT = "report.html"
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome",
-            "microsoft-edge", "msedge")  # fmt: skip
+BROWSERS = (
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+    "chrome",
+    "microsoft-edge",
+    "msedge",
+)
 """Programs that print pages as Chromium does, by their names on the path."""
 
 _OF_OTHER_SYSTEMS = (
@@ -90,9 +97,9 @@ def find_browser(named: str | None) -> str:
     """The path of a browser; refuses (REPORT-BROWSER) where there is none."""
     candidates = (named,) if named else (*BROWSERS, *_OF_OTHER_SYSTEMS)
     for candidate in candidates:
-        found = shutil.which(candidate)
-        if found is not None:
-            return found
+        program = shutil.which(candidate)
+        if program is not None:
+            return program
     if named:
         raise messages.browser_not_there(name=named)
     raise messages.no_browser(names=", ".join(BROWSERS[:3]))
@@ -105,9 +112,9 @@ def print_pdf(page: str, out: Path, browser: str, timeout_s: float) -> None:
         target = Path(folder) / "report.pdf"
         source.write_text(page, encoding="utf-8")
         command = print_command(browser, source, target, Path(folder) / "profile")
-        said = run_within(command, timeout_s)
+        printed = run_within(command, timeout_s)
         if not is_whole_pdf(target):
-            last_lines = " ".join(said.split())[-300:]
+            last_lines = " ".join(printed.split())[-300:]
             raise messages.print_failed(browser=browser, said=last_lines or "it said nothing")
         shutil.copyfile(target, out)
 
@@ -134,11 +141,11 @@ def print_command(browser: str, source: Path, target: Path, profile: Path) -> li
 def version_of(browser: str) -> int:
     """The main version of a browser; 0 where it does not say."""
     try:
-        said = run_within([browser, "--version"], timeout_s=20.0)
+        version = run_within([browser, "--version"], timeout_s=20.0)
     except ConfigError:
         return 0
-    found = re.search(r"(\d+)\.\d+\.\d+", said)
-    return int(found[1]) if found else 0
+    numbers = re.search(r"(\d+)\.\d+\.\d+", version)
+    return int(numbers[1]) if numbers else 0
 
 
 def run_within(command: Sequence[str], timeout_s: float) -> str:
@@ -158,13 +165,13 @@ def run_within(command: Sequence[str], timeout_s: float) -> str:
     except OSError as error:
         raise messages.print_failed(browser=command[0], said=str(error)) from None
     try:
-        said, _ = process.communicate(timeout=timeout_s)
+        printed, _ = process.communicate(timeout=timeout_s)
     except subprocess.TimeoutExpired:
         raise messages.print_too_long(browser=command[0], seconds=timeout_s) from None
     finally:
         if process.poll() is None:
             end_process(process, is_group=is_posix)
-    return said.decode("utf-8", "replace")
+    return printed.decode("utf-8", "replace")
 
 
 def end_process(process: subprocess.Popen[bytes], *, is_group: bool) -> None:

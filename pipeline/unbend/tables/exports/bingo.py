@@ -90,17 +90,27 @@ def frame_of_points(_: FinishedRun, values: Values) -> ExportFrame:
     return ExportFrame(pixels=PixelFrame("centre of the image", axes, "mm"))
 
 
+QUARTER_TURNS = Option(
+    "quarter_turns",
+    int,
+    default=0,
+    help="quarter turns, counter-clockwise, of the axes of BINGO's image against x to the right, "
+    "y up",
+    minimum=0,
+    maximum=3,
+)
+
 FORMATS = (
     ExportFormat(
-        "bingo", "a block for BINGO: a folder with image.dat", "", write_bingo, frame_of_points,
-        (
-            PIXEL_UM,
-            Option("quarter_turns", int, 0, "quarter turns, counter-clockwise, of the axes of "
-                   "BINGO's image against x to the right, y up", "", 0, 3),
-        ),
+        "bingo",
+        "a block for BINGO: a folder with image.dat",
+        "",
+        write_bingo,
+        frame_of_points,
+        options=(PIXEL_UM, QUARTER_TURNS),
         use="in BINGO, and in Inpho where it reads these files, switch the corrections of "
         "refraction and earth curvature off, and adjust in a Cartesian frame; positions and "
         "angles in one: --format opk-enu",
         marked=("image.dat",),
     ),
-)  # fmt: skip
+)

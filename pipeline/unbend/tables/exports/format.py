@@ -222,8 +222,8 @@ def parquet_and_csv(
             contents,
             ending,
             partial(write, writer),
-            frame_of_corrections,
-            options,
+            frame=frame_of_corrections,
+            options=options,
             use=CORRECTIONS_USE,
         )
         for form, ending, writer in kinds

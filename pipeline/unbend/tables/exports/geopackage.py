@@ -19,6 +19,7 @@ from string import Template
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unbend.flight.stations import station_columns
 from unbend.messages import Ledger
@@ -102,10 +103,36 @@ def srs_number(grid: MapGrid) -> int:
 # ---------------------------------------------------------------------- layers
 
 
+STATION_COLUMNS = {
+    "image": "TEXT",
+    "camera": "TEXT",
+    "status": "TEXT",
+    "suspect_reason": "TEXT",
+    "time_utc": "DATETIME",
+    "h_msl_m": "REAL",
+    "h_ellipsoid_m": "REAL",
+    "sigma_horizontal_m": "REAL",
+    "sigma_height_m": "REAL",
+}
+
+FOOTPRINT_COLUMNS = {"image": "TEXT", "camera": "TEXT", "h_g_m": "REAL"}
+
+POINT_COLUMNS = {
+    "image": "TEXT",
+    "point": "TEXT",
+    "status": "TEXT",
+    "h_g_m": "REAL",
+    "dx_px": "REAL",
+    "dy_px": "REAL",
+    "shift_x_m": "REAL",
+    "shift_y_m": "REAL",
+    "shift_m": "REAL",
+}
+
+
 def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) -> Layer:
     """A point for each station with a position, usable or not."""
     stations = run.stations
-    columns = station_columns(stations)
     x, y = grid.coordinates(stations.lat_rad, stations.lon_rad)
     rows = placed_stations(run, np.isfinite(x) & np.isfinite(y), "position", ledger)
     height = grid.height.heights(
@@ -113,24 +140,20 @@ def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) 
     )
     extent = Extent()
     extent.include(x[rows], y[rows])
-    types = {
-        "image": "TEXT",
-        "camera": "TEXT",
-        "status": "TEXT",
-        "suspect_reason": "TEXT",
-        "time_utc": "DATETIME",
-        "h_msl_m": "REAL",
-        "h_ellipsoid_m": "REAL",
-        "sigma_horizontal_m": "REAL",
-        "sigma_height_m": "REAL",
-    }
-    words = {name for name, kind in types.items() if kind != "DATETIME"}
-    values = {name: plain(np.asarray(columns[name])[rows]) for name in words}
-    values["time_utc"] = [time_text(time) for time in columns["time_utc"][rows]]
-    geometry = geometries(points_wkb(x[rows], y[rows], height[rows]), number)
-    columns_in_order = [geometry, *(values[name] for name in types)]
-    about = "where the images were taken"
-    return Layer("stations", "POINT", 2, about, types, zip(*columns_in_order, strict=True), extent)
+    columns = [geometries(points_wkb(x[rows], y[rows], height[rows]), number)]
+    columns_of_all = station_columns(stations)
+    for name in STATION_COLUMNS:
+        values = np.asarray(columns_of_all[name])[rows]
+        columns.append(times(values) if name == "time_utc" else plain(values))
+    return Layer(
+        "stations",
+        "POINT",
+        has_z=2,
+        about="where the images were taken",
+        columns=STATION_COLUMNS,
+        rows=zip(*columns, strict=True),
+        extent=extent,
+    )
 
 
 def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) -> Layer:
@@ -142,42 +165,63 @@ def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger
     closed = np.concatenate([rings, rings[:, :1]], axis=1)[rows]
     extent = Extent()
     extent.include(closed[:, :, 0].ravel(), closed[:, :, 1].ravel())
-    types = {"image": "TEXT", "camera": "TEXT", "h_g_m": "REAL"}
-    values = [
+    columns = [
         geometries([polygon_wkb(ring) for ring in closed], number),
         plain(run.stations.image[rows]),
         plain(run.stations.camera[rows]),
         plain(run.ground_m[rows]),
     ]
-    about = "what the images show of the ground, by straight lines through their corners"
-    return Layer("footprints", "POLYGON", 0, about, types, zip(*values, strict=True), extent)
+    return Layer(
+        "footprints",
+        "POLYGON",
+        has_z=0,
+        about="what the images show of the ground, by straight lines through their corners",
+        columns=FOOTPRINT_COLUMNS,
+        rows=zip(*columns, strict=True),
+        extent=extent,
+    )
 
 
 def point_layer(
     run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger, shifts: list[Array]
 ) -> Layer:
     """A point for each corrected observation; lengths of shifts [m] are added to ``shifts``."""
-    types = dict.fromkeys(("image", "point", "status"), "TEXT")
-    types |= dict.fromkeys(("h_g_m", "dx_px", "dy_px", "shift_x_m", "shift_y_m", "shift_m"), "REAL")
     extent = Extent()
 
     def rows() -> Iterator[Row]:
         for points in ground_points(run, grid, ledger):
             extent.include(points.x, points.y)
             shifts.append(points.shift_m[np.isfinite(points.shift_m)])
-            texts = [column.to_pylist() for column in (points.image, points.point, points.status)]
-            attributes = attributes_of(points)
-            measures = [plain(attributes[name]) for name in types if name in attributes]
-            geometry = geometries(points_wkb(points.x, points.y, points.height), number)
-            yield from zip(geometry, *texts, *measures, strict=True)
+            columns = [geometries(points_wkb(points.x, points.y, points.height), number)]
+            for text in (points.image, points.point, points.status):
+                columns.append(text.to_pylist())
+            for values in attributes_of(points).values():
+                columns.append(plain(values))
+            yield from zip(*columns, strict=True)
 
-    about = "observations where their corrected rays reach the ground, with their shift there"
-    return Layer("points", "POINT", 2, about, types, rows(), extent)
+    return Layer(
+        "points",
+        "POINT",
+        has_z=2,
+        about="observations where their corrected rays reach the ground, with their shift there",
+        columns=POINT_COLUMNS,
+        rows=rows(),
+        extent=extent,
+    )
 
 
-def plain(values: Any) -> list[object]:
+Column = list[object]
+"""The values of a column as SQLite takes them."""
+
+
+def plain(values: NDArray[Any]) -> Column:
     """Values as SQLite takes them; NaN as null."""
     return [None if value != value else value for value in values.tolist()]
+
+
+def times(values: NDArray[np.datetime64]) -> Column:
+    """Times as GeoPackage has them, to the millisecond; NaT as null."""
+    return [time_text(time) for time in values]
 
 
 def time_text(time: np.datetime64) -> str | None:
@@ -185,7 +229,7 @@ def time_text(time: np.datetime64) -> str | None:
     return None if np.isnat(time) else f"{np.datetime_as_string(time, unit='ms')}Z"
 
 
-def geometries(shapes: Sequence[bytes | None], number: int) -> list[bytes | None]:
+def geometries(shapes: Sequence[bytes | None], number: int) -> Column:
     """Geometries of the file, from WKB."""
     header = _HEADER.pack(b"GP", 0, _LITTLE_ENDIAN, number)
     return [None if shape is None else header + shape for shape in shapes]
@@ -232,9 +276,9 @@ def add_layer(database: sqlite3.Connection, layer: Layer, number: int) -> int:
     places = ", ".join("?" * (1 + len(layer.columns)))
     insert = f'INSERT INTO "{layer.name}" (geom{names}) VALUES ({places})'
     count = database.executemany(insert, layer.rows).rowcount
-    low, high = layer.extent.low, layer.extent.high
-    is_empty = low[0] > high[0]
-    box = [None] * 4 if is_empty else [*low, *high]
+    low = layer.extent.low
+    high = layer.extent.high
+    box = (None, None, None, None) if low[0] > high[0] else (*low, *high)
     database.execute(
         "INSERT INTO gpkg_contents VALUES (?, 'features', ?, ?, ?, ?, ?, ?, ?, ?)",
         (layer.name, layer.name, layer.about, now_text(), *box, number),

@@ -157,9 +157,9 @@ def landings(
     for name, camera in run.cameras.items():
         rows = np.flatnonzero(is_seen & (run.stations.camera[station] == name))
         rays = rays_of_pixels(camera.camera, xy_px[0][rows], xy_px[1][rows])
-        found = land(run, station[rows], rays, h_g_m[rows], is_far[rows])
-        lat[rows] = found.lat_rad
-        lon[rows] = found.lon_rad
+        landed = land(run, station[rows], rays, h_g_m[rows], is_far[rows])
+        lat[rows] = landed.lat_rad
+        lon[rows] = landed.lon_rad
     return Landings(lat, lon)
 
 
@@ -173,7 +173,8 @@ def rays_of_pixels(camera: Camera, x_px: Array, y_px: Array) -> Array:
 def land(run: FinishedRun, station: Integers, rays: Array, h_g_m: Array, is_far: Mask) -> Landings:
     """Where rays (n, 3) of the cameras of stations (n,) reach heights above sea level."""
     stations = run.stations
-    lat, lon = stations.lat_rad[station], stations.lon_rad[station]
+    lat = stations.lat_rad[station]
+    lon = stations.lon_rad[station]
     h_msl = stations.h_msl_m[station]
     h_ellipsoid = stations.h_ellipsoid_m[station]
     enu = np.einsum("nji,nj->ni", matrices_of(stations.quaternion[station]), rays)

@@ -58,7 +58,7 @@ _PROPERTIES = (
 def write_at_stations(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """Angles against each station's own horizon, or against the grid that is asked for."""
     rows = placed_rows(run, ledger)
-    found = columns_of_stations(run, rows)
+    columns_written = columns_of_stations(run, rows)
     attitude = run.stations.quaternion[rows]
     names = [*_WORDS, *_PLACES, *_ANGLES, *_SIGMAS]
     if run.grid is not None:
@@ -67,28 +67,28 @@ def write_at_stations(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -
             check_grid_axes(in_grid.axes, crs=run.grid.identifier or "--crs", name=run.grid.name)
         )
         attitude = in_grid.quaternion
-        columns = grid_columns(run.grid, in_grid)
-        found |= columns
-        names += columns
-    found |= angle_columns(attitude)
-    return write_station_table(run, path, found, names)
+        of_grid = grid_columns(run.grid, in_grid)
+        columns_written |= of_grid
+        names += of_grid
+    columns_written |= angle_columns(attitude)
+    return write_station_table(run, path, columns_written, names)
 
 
 def write_in_one_frame(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """Positions and angles in one frame, east, north, up at the middle of the block."""
     rows = placed_rows(run, ledger)
-    found = columns_of_stations(run, rows)
+    columns_written = columns_of_stations(run, rows)
     attitude = run.stations.quaternion[rows]
     if rows.size:
         frame = stations_in_one_frame(run, rows)
         attitude = frame.quaternion
-        found |= dict(zip(_AXES, frame.position_m.T, strict=True))
+        columns_written |= dict(zip(_AXES, frame.position_m.T, strict=True))
         for name, value in zip(_PLACES, frame.origin_deg, strict=True):
-            found[f"origin_{name}"] = np.full(rows.size, value)
-    found |= angle_columns(attitude)
+            columns_written[f"origin_{name}"] = np.full(rows.size, value)
+    columns_written |= angle_columns(attitude)
     names = [*_WORDS, *_PLACES, *_ANGLES, *_SIGMAS, *_AXES]
     names += [f"origin_{name}" for name in _PLACES]
-    return write_station_table(run, path, found, names)
+    return write_station_table(run, path, columns_written, names)
 
 
 def placed_rows(run: FinishedRun, ledger: Ledger) -> Integers:
@@ -118,13 +118,13 @@ def angle_columns(quaternion: Array) -> dict[str, object]:
 
 
 def write_station_table(
-    run: FinishedRun, path: Path, found: Mapping[str, object], names: Sequence[str]
+    run: FinishedRun, path: Path, columns: Mapping[str, object], names: Sequence[str]
 ) -> int:
     """Write columns of stations as CSV, in the order of ``names``; the number of rows."""
     texts = dict.fromkeys(_WORDS, pa.string()) | {"time_utc": pa.timestamp("ns", "UTC")}
     kinds = {name: (texts.get(name, pa.float64()), "", "") for name in names}
     schema = schema_of(kinds, run.metadata)
-    return write_csv_stream(path, schema, [table_of(found, schema)])
+    return write_csv_stream(path, schema, [table_of(columns, schema)])
 
 
 def frame_at_stations(run: FinishedRun, _: Values) -> ExportFrame:

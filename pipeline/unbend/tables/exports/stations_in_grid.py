@@ -32,7 +32,8 @@ class StationsInGrid:
 
 def stations_in_grid(stations: Stations, rows: Integers, grid: MapGrid) -> StationsInGrid:
     """Some stations in a grid, all with a position that its transformation reaches."""
-    lat, lon = stations.lat_rad[rows], stations.lon_rad[rows]
+    lat = stations.lat_rad[rows]
+    lon = stations.lon_rad[rows]
     x, y = grid.coordinates(lat, lon)
     height = grid.height.heights(lat, lon, stations.h_msl_m[rows], stations.h_ellipsoid_m[rows])
     axes = grid.axes_at(lat, lon)

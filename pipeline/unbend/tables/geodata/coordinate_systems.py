@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,6 +20,9 @@ from unbend.messages import Message, Notes
 from unbend.tables.geodata import messages
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.units import WGS84_A, Array
+
+if TYPE_CHECKING:
+    from pyproj import CRS, Transformer
 
 _GOOD_M = 1.0  # a transformation that is no better than this is a warning
 MARGIN_DEG = 2.0  # so far outside its area of use a coordinate system is still meant
@@ -140,12 +143,12 @@ class BestOperation:
     be good to 1 m.
     """
 
-    transformer: Any
+    transformer: "Transformer"
     by: str
     is_good: bool
 
 
-def best_operation(source: Any, lon_lat: Array, target: str) -> BestOperation | None:
+def best_operation(source: "CRS", lon_lat: Array, target: str) -> BestOperation | None:
     """The transformation that is best about (2, n) places, with the grids that are here.
 
     No other takes its place where its grid ends. None where PROJ has only a ballpark one.

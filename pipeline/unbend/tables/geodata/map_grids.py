@@ -4,9 +4,11 @@ The way back of `coordinate_systems`: from WGS 84 by PROJ, without ballpark tran
 are never left to PROJ, which returns them unchanged, and says nothing, where it lacks a grid.
 """
 
+from __future__ import annotations
+
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +19,10 @@ from unbend.tables.geodata import messages
 from unbend.tables.geodata.coordinate_systems import MARGIN_DEG, SEA_LEVELS, best_operation
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.units import WGS84_A, Array
+
+if TYPE_CHECKING:
+    from pyproj import CRS, Transformer
+    from pyproj._crs import Axis
 
 STEP_M = 100.0
 """Half the distance over which the axes of a grid are differenced: PROJ's rounding makes 1e-11 of
@@ -115,7 +121,7 @@ class MapGrid:
     unit: Unit
     height: HeightReference
     operation: str
-    transformer: Any
+    transformer: Transformer
 
     def coordinates(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
         """(n,) x and y of places; of a geographic system longitude and latitude [deg].
@@ -125,7 +131,6 @@ class MapGrid:
         x, y = self.transformer.transform(
             np.degrees(lon_rad), np.degrees(lat_rad), direction="INVERSE", errcheck=False
         )
-        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         known = np.isfinite(x) & np.isfinite(y)
         return np.where(known, x, np.nan), np.where(known, y, np.nan)
 
@@ -160,30 +165,29 @@ def open_grid(
     belongs to its vertical part. Refuses (ConfigError EXPORT-CRS) what is no such system, or cannot
     be reached; where it ``needs_angles`` also a geographic one.
     """
-    horizontal, vertical, whole = parts_of(crs)
+    parts = parts_of(crs)
+    horizontal = parts.horizontal
     refuse_kind(horizontal, crs, needs_angles=needs_angles)
     known = np.isfinite(lat_rad) & np.isfinite(lon_rad)
     if not known.any():
         raise messages.grid_without_places(crs=crs)
-    lon_lat = np.degrees(np.stack([lon_rad[known], lat_rad[known]]))
-    outside = places_outside(horizontal, lon_lat, 0.0)
+    places = np.stack([lon_rad[known], lat_rad[known]])
+    lon_lat = np.degrees(places)
     area = horizontal.area_of_use.name if horizontal.area_of_use else "the earth"
     if places_outside(horizontal, lon_lat, MARGIN_DEG):
         raise messages.grid_elsewhere(crs=crs, name=horizontal.name, area=area)
     best = best_operation(horizontal.to_2d(), lon_lat, "EPSG:4326")
     if best is None:
         raise messages.grid_ballpark(crs=crs, name=horizontal.name)
-    places = lat_rad[known], lon_rad[known]
-    height, height_notes = height_reference(crs, horizontal, vertical, geoid, places, is_3d(whole))
-    authority = whole.to_authority(min_confidence=100)
+    height, height_notes = height_reference(crs, parts, geoid, places)
     grid = MapGrid(
-        identifier=identifier_of(crs, authority),
-        name=whole.name,
-        wkt=whole.to_wkt(),
-        wkt1=wkt1_of(whole),
+        identifier=identifier_of(crs, parts.whole.to_authority(min_confidence=100)),
+        name=parts.whole.name,
+        wkt=parts.whole.to_wkt(),
+        wkt1=wkt1_of(parts.whole),
         is_geographic=horizontal.is_geographic,
         axes=written_axes(horizontal),
-        axis_order=tuple(axis.direction for axis in whole.axis_info),
+        axis_order=tuple(axis.direction for axis in parts.whole.axis_info),
         unit=unit_of(horizontal.axis_info[0]),
         height=height,
         operation=best.by,
@@ -193,16 +197,17 @@ def open_grid(
         messages.grid_reached(
             count=lon_lat.shape[1],
             crs=crs,
-            name=whole.name,
+            name=grid.name,
             operation=best.by,
             is_good=best.is_good,
         ),
         *height_notes,
     ]
+    outside = places_outside(horizontal, lon_lat, 0.0)
     if outside:
         notes.append(messages.grid_beyond_area(count=outside, name=horizontal.name, area=area))
     if not grid.is_geographic:
-        refuse_left_handed(grid, crs, places[0][:1], places[1][:1])
+        refuse_left_handed(grid, crs, lat_rad[known][:1], lon_rad[known][:1])
     return grid, tuple(notes)
 
 
@@ -231,8 +236,22 @@ def utm_grid(limits_deg: tuple[float, float, float, float]) -> MapGrid | None:
     return grid
 
 
-def parts_of(crs: str) -> tuple[Any, Any, Any]:
-    """The horizontal part of a system, its vertical part or None, and the whole."""
+@dataclass(frozen=True)
+class SystemParts:
+    """A coordinate system: its horizontal part, its vertical part or None, and the whole."""
+
+    horizontal: CRS
+    vertical: CRS | None
+    whole: CRS
+
+    @property
+    def is_3d(self) -> bool:
+        """Whether it is not compound, and has ellipsoidal heights of its own."""
+        return not self.whole.is_compound and len(self.whole.axis_info) == 3
+
+
+def parts_of(crs: str) -> SystemParts:
+    """A coordinate system in its parts; refuses (EXPORT-CRS) what PROJ does not know."""
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
@@ -241,12 +260,12 @@ def parts_of(crs: str) -> tuple[Any, Any, Any]:
     except CRSError as error:
         raise messages.grid_unknown(crs=crs, error=str(error)) from None
     if not whole.is_compound:
-        return whole, None, whole
-    horizontal, *vertical = whole.sub_crs_list
-    return horizontal, vertical[0], whole
+        return SystemParts(whole, None, whole)
+    horizontal, vertical = whole.sub_crs_list
+    return SystemParts(horizontal, vertical, whole)
 
 
-def refuse_kind(horizontal: Any, crs: str, *, needs_angles: bool) -> None:
+def refuse_kind(horizontal: CRS, crs: str, *, needs_angles: bool) -> None:
     """Refuse a system that has no map coordinates, or has no grid where angles need one."""
     is_known = horizontal.is_projected or horizontal.is_geographic
     if not is_known or horizontal.is_geocentric:
@@ -255,17 +274,18 @@ def refuse_kind(horizontal: Any, crs: str, *, needs_angles: bool) -> None:
         raise messages.grid_geographic(crs=crs, name=horizontal.name)
 
 
-def places_outside(horizontal: Any, lon_lat: Array, margin_deg: float) -> int:
+def places_outside(horizontal: CRS, lon_lat: Array, margin_deg: float) -> int:
     """How many of (2, n) places lie outside a system's area of use and a margin."""
     area = horizontal.area_of_use
     if area is None:
         return 0
-    west, east = area.west - margin_deg, area.east + margin_deg
+    west = area.west - margin_deg
+    width = area.east - area.west + 2.0 * margin_deg
     if area.west > area.east:
-        east += 360.0  # over the 180th meridian
-    width = min(east - west, 360.0)
-    inside = (lon_lat[0] - west) % 360.0 <= width
-    inside &= (lon_lat[1] >= area.south - margin_deg) & (lon_lat[1] <= area.north + margin_deg)
+        width += 360.0  # over the 180th meridian
+    lon, lat = lon_lat
+    inside = (lon - west) % 360.0 <= min(width, 360.0)
+    inside &= (lat >= area.south - margin_deg) & (lat <= area.north + margin_deg)
     return int(np.sum(~inside))
 
 
@@ -281,12 +301,7 @@ def identifier_of(crs: str, authority: tuple[str, str] | None) -> str:
     return stated if re.fullmatch(r"EPSG:\d+\+\d+", stated) else ""
 
 
-def is_3d(whole: Any) -> bool:
-    """Whether a system that is not compound has ellipsoidal heights of its own."""
-    return not whole.is_compound and len(whole.axis_info) == 3
-
-
-def wkt1_of(whole: Any) -> str:
+def wkt1_of(whole: CRS) -> str:
     """The system as OGC 01-009, which older programs read; "" where it cannot be said so."""
     from pyproj.exceptions import CRSError
 
@@ -297,50 +312,41 @@ def wkt1_of(whole: Any) -> str:
     return text or ""
 
 
-def unit_of(axis: Any) -> Unit:
+def unit_of(axis: Axis) -> Unit:
     """The unit of an axis."""
     suffix = _UNITS.get(axis.unit_name, axis.unit_name.lower().replace(" ", "_"))
     return Unit(axis.unit_name, suffix, axis.unit_conversion_factor)
 
 
-def written_axes(horizontal: Any) -> tuple[str, str]:
+def written_axes(horizontal: CRS) -> tuple[str, str]:
     """The directions of the first and the second coordinate as PROJ's always_xy orders them."""
     first, second = (axis.direction for axis in horizontal.axis_info[:2])
     return (second, first) if (first, second) == ("north", "east") else (first, second)
 
 
 def height_reference(
-    crs: str,
-    horizontal: Any,
-    vertical: Any,
-    geoid: GeoidGrid | None,
-    places: tuple[Array, Array],
-    is_three_dimensional: bool,
+    crs: str, parts: SystemParts, geoid: GeoidGrid | None, lon_lat_rad: Array
 ) -> tuple[HeightReference, Notes]:
     """What the heights of an export count from, by the vertical part of its system.
 
-    Without one they count from the ellipsoid of WGS 84, in the unit of a projected system. Refuses
-    (ConfigError EXPORT-CRS) a datum whose grid is not there, and ellipsoids of past surveys.
+    Without one they count from the ellipsoid of WGS 84, in the unit of a projected system. `geoid`
+    is the user's grid; ``lon_lat_rad`` (2, n) are places of the flight. Refuses (ConfigError
+    EXPORT-CRS) a datum whose grid is not there, and ellipsoids of past surveys.
     """
-    metre = Unit("metre", "m", 1.0)
+    vertical = parts.vertical
+    if geoid is not None and (vertical is None or vertical.name in SEA_LEVELS):
+        raise messages.grid_geoid_unused(crs=crs)
     if vertical is None:
-        if geoid is not None:
-            raise messages.grid_geoid_unused(crs=crs)
-        other_ellipsoid = abs(horizontal.ellipsoid.semi_major_metre - WGS84_A) > 1.0
-        if is_three_dimensional and other_ellipsoid:
-            raise messages.grid_ellipsoid(crs=crs, ellipsoid=horizontal.ellipsoid.name)
-        unit = metre if horizontal.is_geographic else unit_of(horizontal.axis_info[0])
-        return HeightReference(ELLIPSOID, "ellipsoid of WGS 84", unit), ()
+        return ellipsoidal_heights(crs, parts), ()
     axis = vertical.axis_info[0]
     unit = unit_of(axis)
     is_down = axis.direction == "down"
     if vertical.name in SEA_LEVELS:
-        if geoid is not None:
-            raise messages.grid_geoid_unused(crs=crs)
         return HeightReference(SEA_LEVEL, vertical.name, unit, is_down), ()
     if geoid is None:
         raise messages.grid_needs_geoid(crs=crs, vertical=vertical.name)
-    off = geoid.undulation(*places) - package_geoid().undulation(*places)
+    lon, lat = lon_lat_rad
+    off = geoid.undulation(lat, lon) - package_geoid().undulation(lat, lon)
     known = off[np.isfinite(off)]
     if known.size == 0:
         raise messages.grid_geoid_elsewhere(geoid=geoid.name)
@@ -357,6 +363,19 @@ def height_reference(
     )
     name = f"{vertical.name}, by {geoid.name}"
     return HeightReference(STATED_GEOID, name, unit, is_down, geoid), (note,)
+
+
+def ellipsoidal_heights(crs: str, parts: SystemParts) -> HeightReference:
+    """Heights above the ellipsoid of WGS 84, of a system without a vertical part."""
+    ellipsoid = parts.horizontal.ellipsoid
+    is_wgs84 = ellipsoid is not None and abs(ellipsoid.semi_major_metre - WGS84_A) <= 1.0
+    if parts.is_3d and not is_wgs84:
+        name = ellipsoid.name if ellipsoid is not None else "unknown"
+        raise messages.grid_ellipsoid(crs=crs, ellipsoid=name)
+    unit = unit_of(parts.horizontal.axis_info[0])
+    if parts.horizontal.is_geographic:
+        unit = Unit("metre", "m", 1.0)
+    return HeightReference(ELLIPSOID, "ellipsoid of WGS 84", unit)
 
 
 def refuse_left_handed(grid: MapGrid, crs: str, lat_rad: Array, lon_rad: Array) -> None:
@@ -377,7 +396,8 @@ def check_grid_axes(axes: GridAxes, *, crs: str, name: str) -> Notes:
 
     Refuses (ConfigError EXPORT-CRS) a grid whose scale is beyond that of any survey.
     """
-    lowest, highest = float(np.nanmin(axes.scale)), float(np.nanmax(axes.scale))
+    lowest = float(np.nanmin(axes.scale))
+    highest = float(np.nanmax(axes.scale))
     if max(abs(lowest - 1.0), abs(highest - 1.0)) > LARGEST_SCALE_ERROR:
         raise messages.grid_scale_unfit(crs=crs, name=name, lowest=lowest, highest=highest)
     convergence = np.degrees(axes.convergence_rad)
