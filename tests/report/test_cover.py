@@ -13,10 +13,9 @@ import pyproj
 import pytest
 
 from unbend.report.cover import PROCESSED, cover_rows, css_text, time_of_processing
-from unbend.report.flown import track_of_camera
+from unbend.report.flown import metric_grid, track_of_camera
 from unbend.report.html import report_page
 from unbend.report.map_grid_lines import grid_lines
-from unbend.tables.geodata.map_grids import utm_grid
 
 from .manifests import manifest_of
 from .test_every_number import air as air  # the fixture
@@ -96,7 +95,7 @@ PLACES = {
 @pytest.mark.parametrize("place", PLACES)
 def test_the_lines_of_the_grid_are_where_proj_has_them(place):
     lon, lat, code = PLACES[place]
-    grid = utm_grid((*lon, *lat))
+    grid = metric_grid((*lon, *lat))
     assert grid.identifier == code
     lines = grid_lines(grid, lon, lat)
     assert {line.is_easting for line in lines} == {True, False}
@@ -116,13 +115,13 @@ def test_the_lines_of_the_grid_are_where_proj_has_them(place):
 
 
 def test_nearer_to_a_pole_there_is_no_grid(flown):
-    assert utm_grid((10.0, 11.0, 84.5, 84.9)) is None
+    assert metric_grid((10.0, 11.0, 84.5, 84.9)) is None
     without = report_page(manifest_of(whole_manifest()), replace(flown, grid=None))
     assert 'class="metric"' not in without
 
 
 def test_the_map_has_the_grid_beside_degrees(flown):
-    with_grid = replace(flown, grid=utm_grid(flown.limits_deg))
+    with_grid = replace(flown, grid=metric_grid(flown.limits_deg))
     page = Page(report_page(manifest_of(whole_manifest()), with_grid))
     for screen in ("wide", "narrow"):
         drawing = page.drawings["map", screen]

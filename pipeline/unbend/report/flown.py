@@ -187,8 +187,15 @@ def flown_of(
         None if terrain is None or limits is None else relief_of(terrain, limits),
         air_curves(air, samples, heights[np.isfinite(heights)]),
         from_boot=bool(stations.from_boot.any()),
-        grid=None if limits is None else utm_grid(limits),
+        grid=None if limits is None else metric_grid(limits),
     )  # fmt: skip
+
+
+def metric_grid(limits_deg: Limits) -> MapGrid | None:
+    """The UTM zone of the middle of a map; None near the poles."""
+    lon_deg = 0.5 * sum(limits_deg[:2])
+    lat_deg = 0.5 * sum(limits_deg[2:])
+    return utm_grid(lat_deg, (lon_deg + 180.0) % 360.0 - 180.0)
 
 
 def relief_of(terrain: ElevationModel, limits_deg: Limits) -> tuple[Limits, Array] | None:

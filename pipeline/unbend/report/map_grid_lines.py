@@ -29,10 +29,18 @@ class GridLine:
     lat_deg: Array
 
     @property
+    def is_on_map(self) -> bool:
+        """Whether a part of it is on the map."""
+        return int(np.isfinite(self.lon_deg).sum()) > 1
+
+    @property
     def end_deg(self) -> tuple[float, float]:
         """Longitude and latitude of its northern or eastern end on the map."""
-        last = int(np.flatnonzero(np.isfinite(self.lon_deg))[-1])
-        return float(self.lon_deg[last]), float(self.lat_deg[last])
+        on_map = np.flatnonzero(np.isfinite(self.lon_deg))
+        last = int(on_map[-1])
+        lon = float(self.lon_deg[last])
+        lat = float(self.lat_deg[last])
+        return lon, lat
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,20 +55,31 @@ class MapFrame:
         """x and y of places all over the map."""
         lon = np.linspace(*self.lon_deg, _FRAME_PLACES)
         lat = np.linspace(*self.lat_deg, _FRAME_PLACES)
-        lon_of_all, lat_of_all = np.meshgrid(lon, lat)
-        return self.grid.coordinates(np.radians(lat_of_all.ravel()), np.radians(lon_of_all.ravel()))
+        all_lon, all_lat = np.meshgrid(lon, lat)
+        lat_rad = np.radians(all_lat.ravel())
+        lon_rad = np.radians(all_lon.ravel())
+        return self.grid.coordinates(lat_rad, lon_rad)
 
     def line(self, x: Array, y: Array, value: float, *, is_easting: bool) -> GridLine:
         """A line through coordinates (n,), of which one has a ``value`` everywhere."""
+        west, east = self.lon_deg
+        south, north = self.lat_deg
         lon, lat = self.grid.places(x, y)
-        middle = 0.5 * sum(self.lon_deg)
-        lon = lon + 360.0 * np.round((middle - lon) / 360.0)  # on across the 180th meridian
-        is_inside = (self.lon_deg[0] <= lon) & (lon <= self.lon_deg[1])
-        is_inside &= (self.lat_deg[0] <= lat) & (lat <= self.lat_deg[1])
-        label = f"{value:,.0f}".replace(",", "\u202f")
-        lon_inside = np.where(is_inside, lon, np.nan)
-        lat_inside = np.where(is_inside, lat, np.nan)
-        return GridLine(label, is_easting, lon_inside, lat_inside)
+        middle = 0.5 * (west + east)
+        turns = np.round((middle - lon) / 360.0)
+        lon += 360.0 * turns  # on across the 180th meridian
+        is_inside = lon >= west
+        is_inside &= lon <= east
+        is_inside &= lat >= south
+        is_inside &= lat <= north
+        lon[~is_inside] = np.nan
+        lat[~is_inside] = np.nan
+        return GridLine(
+            label=f"{value:,.0f}".replace(",", "\u202f"),
+            is_easting=is_easting,
+            lon_deg=lon,
+            lat_deg=lat,
+        )
 
 
 def grid_lines(grid: MapGrid, lon_deg: Range, lat_deg: Range) -> list[GridLine]:
@@ -72,13 +91,19 @@ def grid_lines(grid: MapGrid, lon_deg: Range, lat_deg: Range) -> list[GridLine]:
     x, y = frame.coordinates()
     along_x = np.linspace(np.nanmin(x), np.nanmax(x), _PLACES)
     along_y = np.linspace(np.nanmin(y), np.nanmax(y), _PLACES)
-    step = round_step(float(max(np.ptp(along_x), np.ptp(along_y))) / MOST_PARTS)
+    width = float(np.ptp(along_x))
+    depth = float(np.ptp(along_y))
+    step = round_step(max(width, depth) / MOST_PARTS)
     lines = []
-    for value in multiples(along_x, step):
-        lines.append(frame.line(np.full(_PLACES, value), along_y, value, is_easting=True))
-    for value in multiples(along_y, step):
-        lines.append(frame.line(along_x, np.full(_PLACES, value), value, is_easting=False))
-    return [line for line in lines if np.isfinite(line.lon_deg).sum() > 1]
+    for easting in multiples(along_x, step):
+        x = np.full(_PLACES, easting)
+        line = frame.line(x, along_y, easting, is_easting=True)
+        lines.append(line)
+    for northing in multiples(along_y, step):
+        y = np.full(_PLACES, northing)
+        line = frame.line(along_x, y, northing, is_easting=False)
+        lines.append(line)
+    return [line for line in lines if line.is_on_map]
 
 
 def multiples(values: Array, step: float) -> Iterator[float]:

@@ -35,6 +35,7 @@ from unbend.tables.exports.frames import (
 from unbend.tables.exports.stations_in_grid import place_columns
 from unbend.tables.geodata.map_grids import MapGrid
 from unbend.tables.schemas import schema_of
+from unbend.tables.writing import table_of
 from unbend.units import Array, Integers, Mask
 
 _COLUMNS = [
@@ -223,19 +224,28 @@ def write_points(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int
     places = place_columns(grid, empty, empty, empty)
     words = ("image", "point")
     attributes = ("h_g_m", "dx_px", "dy_px", *SHIFTS)
-    kinds = {name: (pa.string(), "", "") for name in words}
-    kinds |= {name: (pa.float64(), "", "") for name in (*places, *attributes)}
-    kinds["status"] = (pa.string(), "", "")
+    text = (pa.string(), "", "")
+    number = (pa.float64(), "", "")
+    kinds = dict.fromkeys(words, text)
+    kinds |= dict.fromkeys((*places, *attributes), number)
+    kinds["status"] = text
     schema = schema_of(kinds, run.metadata)
 
     def tables() -> Iterator[pa.Table]:
         for points in ground_points(run, grid, ledger):
-            texts = {name: getattr(points, name).cast(pa.string()) for name in (*words, "status")}
             columns = point_columns(grid, points)
-            arrays = {name: pa.array(column, from_pandas=True) for name, column in columns.items()}
-            yield pa.table({name: (texts | arrays)[name] for name in kinds}, schema=schema)
+            columns["image"] = texts_of(points.image)
+            columns["point"] = texts_of(points.point)
+            columns["status"] = texts_of(points.status)
+            yield table_of(columns, schema)
 
     return write_csv_stream(path, schema, tables())
+
+
+def texts_of(column: pa.ChunkedArray) -> pa.Array:
+    """A column of texts, of which one may be coded as numbers, in one piece."""
+    texts = column.cast(pa.string())
+    return texts.combine_chunks()
 
 
 def frame_of_points(run: FinishedRun, _: Values) -> ExportFrame:

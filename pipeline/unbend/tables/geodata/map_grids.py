@@ -37,6 +37,8 @@ LARGEST_DISTORTION = 1e-5
 
 SOUTHERN_END_OF_UTM_DEG = -80.0
 NORTHERN_END_OF_UTM_DEG = 84.0
+CODES_OF_NORTHERN_ZONES = 32600  # of EPSG, before the number of the zone
+CODES_OF_SOUTHERN_ZONES = 32700
 
 ELLIPSOID = "ellipsoid"
 SEA_LEVEL = "sea level"
@@ -137,23 +139,36 @@ class MapGrid:
     def places(self, x: Array, y: Array) -> tuple[Array, Array]:
         """(n,) longitude and latitude [deg] of coordinates; the reverse of `coordinates`."""
         lon, lat = self.transformer.transform(x, y, errcheck=False)
-        return np.asarray(lon, np.float64), np.asarray(lat, np.float64)
+        lon_deg = np.array(lon, dtype=np.float64)
+        lat_deg = np.array(lat, dtype=np.float64)
+        return lon_deg, lat_deg
 
     def axes_at(self, lat_rad: Array, lon_rad: Array) -> GridAxes:
         """The axes of the grid at places on the ellipsoid, from differences over 200 m."""
-        ends = []
-        for east, north in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)):
-            step = np.tile([STEP_M * east, STEP_M * north, 0.0], (lat_rad.size, 1))
-            lat, lon, _ = offset_geodetic(lat_rad, lon_rad, np.zeros(lat_rad.size), step)
-            ends.append(np.stack(self.coordinates(lat, lon), axis=1))
+        east = self.at_step(lat_rad, lon_rad, east_m=STEP_M)
+        west = self.at_step(lat_rad, lon_rad, east_m=-STEP_M)
+        north = self.at_step(lat_rad, lon_rad, north_m=STEP_M)
+        south = self.at_step(lat_rad, lon_rad, north_m=-STEP_M)
         metres = self.unit.size / (2.0 * STEP_M)
-        of_east = (ends[0] - ends[1]) * metres
-        of_north = (ends[2] - ends[3]) * metres
+        x_of_east, y_of_east = metres * (east - west)
+        x_of_north, y_of_north = metres * (north - south)
         # The rotation and the similarity that are nearest to the derivatives.
-        cosine = of_east[:, 0] + of_north[:, 1]
-        sine = of_north[:, 0] - of_east[:, 1]
-        shear = np.hypot(of_east[:, 0] - of_north[:, 1], of_north[:, 0] + of_east[:, 1])
-        return GridAxes(-np.arctan2(sine, cosine), 0.5 * np.hypot(sine, cosine), shear)
+        cosine = x_of_east + y_of_north
+        sine = x_of_north - y_of_east
+        return GridAxes(
+            convergence_rad=-np.arctan2(sine, cosine),
+            scale=0.5 * np.hypot(sine, cosine),
+            distortion=np.hypot(x_of_east - y_of_north, x_of_north + y_of_east),
+        )
+
+    def at_step(
+        self, lat_rad: Array, lon_rad: Array, *, east_m: float = 0.0, north_m: float = 0.0
+    ) -> Array:
+        """(2, n) x and y of places that are a step away from (n,) places on the ellipsoid."""
+        step = np.tile([east_m, north_m, 0.0], (lat_rad.size, 1))
+        height = np.zeros(lat_rad.size)
+        lat, lon, _ = offset_geodetic(lat_rad, lon_rad, height, step)
+        return np.stack(self.coordinates(lat, lon))
 
 
 def open_grid(
@@ -220,18 +235,17 @@ def utm_zone(lat_deg: float, lon_deg: float) -> str | None:
     if not SOUTHERN_END_OF_UTM_DEG <= lat_deg <= NORTHERN_END_OF_UTM_DEG:
         return None
     zone = int((lon_deg + 180.0) % 360.0 // 6.0) + 1
-    northern, southern = 32600, 32700
-    return f"EPSG:{(northern if lat_deg >= 0.0 else southern) + zone}"
+    codes = CODES_OF_NORTHERN_ZONES if lat_deg >= 0.0 else CODES_OF_SOUTHERN_ZONES
+    return f"EPSG:{codes + zone}"
 
 
-def utm_grid(limits_deg: tuple[float, float, float, float]) -> MapGrid | None:
-    """The UTM zone of the middle of west, east, south, north; None where there is none."""
-    west, east, south, north = limits_deg
-    middle_deg = 0.5 * (south + north), 0.5 * (west + east)
-    code = utm_zone(*middle_deg)
+def utm_grid(lat_deg: float, lon_deg: float) -> MapGrid | None:
+    """The UTM zone of a place on WGS 84, opened there; None nearer to a pole than they reach."""
+    code = utm_zone(lat_deg, lon_deg)
     if code is None:
         return None
-    lat_rad, lon_rad = np.radians(middle_deg[:1]), np.radians(middle_deg[1:])
+    lat_rad = np.radians([lat_deg])
+    lon_rad = np.radians([lon_deg])
     grid, _ = open_grid(code, lat_rad, lon_rad, geoid=None, needs_angles=False)
     return grid
 
@@ -380,13 +394,10 @@ def ellipsoidal_heights(crs: str, parts: SystemParts) -> HeightReference:
 
 def refuse_left_handed(grid: MapGrid, crs: str, lat_rad: Array, lon_rad: Array) -> None:
     """Refuse axes of which the second is not counter-clockwise of the first, seen from above."""
-    east = np.array([[STEP_M, 0.0, 0.0]])
-    north = np.array([[0.0, STEP_M, 0.0]])
-    height = np.zeros(1)
-    middle = np.array(grid.coordinates(lat_rad, lon_rad))
-    to_east = np.array(grid.coordinates(*offset_geodetic(lat_rad, lon_rad, height, east)[:2]))
-    to_north = np.array(grid.coordinates(*offset_geodetic(lat_rad, lon_rad, height, north)[:2]))
-    sides = np.stack([to_east - middle, to_north - middle])[:, :, 0]
+    middle = grid.at_step(lat_rad, lon_rad)
+    to_east = grid.at_step(lat_rad, lon_rad, east_m=STEP_M) - middle
+    to_north = grid.at_step(lat_rad, lon_rad, north_m=STEP_M) - middle
+    sides = np.hstack([to_east, to_north])
     if np.linalg.det(sides) < 0.0:
         raise messages.grid_left_handed(crs=crs, name=grid.name, axes=" and ".join(grid.axes))
 
