@@ -116,6 +116,7 @@ def test_the_lines_of_the_grid_are_where_proj_has_them(place):
 
 def test_nearer_to_a_pole_there_is_no_grid(flown):
     assert metric_grid((10.0, 11.0, 84.5, 84.9)) is None
+    assert metric_grid((10.0, 70.0, 40.0, 41.0)) is None, "a place that is far off the flight"
     without = report_page(manifest_of(whole_manifest()), replace(flown, grid=None))
     assert 'class="metric"' not in without
 

@@ -103,6 +103,7 @@ class CameraTrack:
     time: Array  # as `Flown.time` has it
 
 
+_WIDEST_GRID_DEG = 6.0  # of a map with a metric grid: the width of a UTM zone
 _LONGEST_GAP = 5.0  # of the usual time between two exposures, within a strip
 
 
@@ -192,7 +193,11 @@ def flown_of(
 
 
 def metric_grid(limits_deg: Limits) -> MapGrid | None:
-    """The UTM zone of the middle of a map; None near the poles."""
+    """The UTM zone of the middle of a map; None near the poles, and on a map of several zones."""
+    west, east = limits_deg[:2]
+    south, north = limits_deg[2:]
+    if max(east - west, north - south) > _WIDEST_GRID_DEG:
+        return None
     lon_deg = 0.5 * sum(limits_deg[:2])
     lat_deg = 0.5 * sum(limits_deg[2:])
     return utm_grid(lat_deg, (lon_deg + 180.0) % 360.0 - 180.0)

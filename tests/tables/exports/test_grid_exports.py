@@ -364,6 +364,11 @@ def test_the_command_writes_the_frame_beside_the_file(unbend, baseline, tmp_path
     assert "unbend.refraction" not in beside
     use = [entry["what"] for entry in answer["ledger"] if entry["code"] == "EXPORT-USE"]
     assert "map projection" in use[0]
+    unbend("export", baseline.output, "--format", "opk", "--out", tmp_path / "p.csv")
+    head = (tmp_path / "p.csv").read_text(encoding="utf-8").partition("\n")[0].split(",")
+    beside = json.loads((tmp_path / "p.csv.unbend.json").read_text(encoding="utf-8"))
+    assert head.index("lat_deg") < head.index("lon_deg")
+    assert beside["frame"]["positions"]["axes"] == ["latitude", "longitude", "height"]
     for name in ("points", "geopackage"):
         file = tmp_path / f"x{FORMATS[name].ending}"
         ended = unbend("export", baseline.output, "--format", name, "--out", file)

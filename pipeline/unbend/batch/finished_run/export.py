@@ -131,13 +131,14 @@ def grid_of_export(
     if not wanted:
         return None, ()
     is_usable = run.stations.ok
-    return open_grid(
+    grid, notes = open_grid(
         wanted,
         run.stations.lat_rad[is_usable],
         run.stations.lon_rad[is_usable],
         geoid=None if geoid is None else read_geoid(geoid),
         needs_angles=form.grid.needs_angles,
     )
+    return grid, notes if crs else ()
 
 
 def write_sidecar(

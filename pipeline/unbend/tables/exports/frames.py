@@ -23,6 +23,7 @@ SEA_LEVEL_OF_RUN = "mean sea level, as the run has it"
 
 EAST_NORTH_UP = ("east", "north", "up")
 LONGITUDE_LATITUDE_HEIGHT = ("longitude", "latitude", "height")
+LATITUDE_LONGITUDE_HEIGHT = ("latitude", "longitude", "height")
 
 PHOTOGRAMMETRIC = ("right", "up", "backward")
 """The axes of a camera in photogrammetry, in the image and across it."""
@@ -136,16 +137,18 @@ def pixels_of_run(pixels: PixelSystem) -> PixelFrame:
     return CENTRE_PIXELS if pixels.origin == "centre" else CORNER_PIXELS
 
 
-def geographic_frame(height_reference: str) -> PositionFrame:
-    """Longitude, latitude and height on WGS 84, as GeoJSON and KML have them."""
+def geographic_frame(
+    height_reference: str, axes: tuple[str, str, str] = LONGITUDE_LATITUDE_HEIGHT
+) -> PositionFrame:
+    """Longitude, latitude and height on WGS 84 in the order of ``axes``, as they are written."""
     return PositionFrame(
         kind="geographic",
-        axes=LONGITUDE_LATITUDE_HEIGHT,
+        axes=axes,
         units=("deg", "deg", "m"),
         height_reference=height_reference,
         crs=WGS84_3D if height_reference == ELLIPSOID_OF_WGS84 else WGS84_2D,
         crs_name="WGS 84",
-        axis_order_of_crs=("latitude", "longitude", "height"),
+        axis_order_of_crs=LATITUDE_LONGITUDE_HEIGHT,
     )
 
 

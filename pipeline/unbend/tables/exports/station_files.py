@@ -29,6 +29,7 @@ from unbend.tables.exports.format import (
 from unbend.tables.exports.frames import (
     EAST_NORTH_UP,
     ELLIPSOID_OF_WGS84,
+    LATITUDE_LONGITUDE_HEIGHT,
     SEA_LEVEL_OF_RUN,
     ExportFrame,
     angles_of_photogrammetry,
@@ -131,7 +132,7 @@ def frame_at_stations(run: FinishedRun, _: Values) -> ExportFrame:
     """Angles against the horizon of each station, or against the grid there."""
     if run.grid is None:
         return ExportFrame(
-            positions=geographic_frame(ELLIPSOID_OF_WGS84),
+            positions=geographic_frame(ELLIPSOID_OF_WGS84, LATITUDE_LONGITUDE_HEIGHT),
             angles=angles_of_photogrammetry(EAST_NORTH_UP, "each station"),
         )
     rows = np.flatnonzero(can_be_placed(run.stations))
