@@ -6,12 +6,14 @@ import json
 import os
 import stat
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from unbend.batch.finished_run import delivered_report
 from unbend.batch.finished_run.delivered_report import find_browser, print_command, run_within
+from unbend.batch.remote import Place
 from unbend.errors import ConfigError
 from unbend.report.cover import PROCESSED
 
@@ -53,6 +55,21 @@ def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypa
     assert (ended.code, "EXPORT-INSIDE-RUN" in ended.err) == (2, True)
     ended = unbend("report", baseline.output, "--pdf", "--out", "x.html", "--browser", "sh")
     assert (ended.code, "REPORT-ENDING" in ended.err) == (2, True)
+
+
+def test_of_results_at_a_url_the_time_is_that_of_the_object(monkeypatch):
+    """The manifest of the copy here is as old as the copy."""
+    written = datetime(2026, 7, 1, 10, 0, tzinfo=UTC)
+    asked = []
+
+    def head(place: Place) -> dict[str, datetime]:
+        asked.append(str(place))
+        return {"last_modified": written}
+
+    monkeypatch.setattr(Place, "head", head)
+    time_s = delivered_report.processed_at(Place.of("s3://bucket/results/survey"))
+    assert time_s == written.timestamp()
+    assert asked == ["s3://bucket/results/survey/manifest.json"]
 
 
 def test_a_pdf_is_what_the_browser_printed(unbend, baseline, tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from datetime import datetime
 from html import escape
 from pathlib import Path
 
@@ -79,11 +80,10 @@ def deliver_report(
         raise messages.report_ending(path=str(out), ending=ending)
     refuse_output(folder, out, force=force)
     ledger = Ledger()
-    processed_s = (folder / MANIFEST).stat().st_mtime
     text = (folder / REPORT).read_text(encoding="utf-8")
     if PROCESSED not in text:
         ledger.add(messages.report_without_date(path=str(folder / REPORT)))
-    words = time_of_processing(processed_s, manifest.sections.mission.time_zone)
+    words = time_of_processing(processed_at(run), manifest.sections.mission.time_zone)
     page = text.replace(PROCESSED, f"<dt>Processed</dt><dd>{escape(words)}</dd>")
     with store.atomic_write(out) as draft:
         if pdf:
@@ -91,6 +91,17 @@ def deliver_report(
         else:
             draft.write_text(page, encoding="utf-8")
     return out, ledger
+
+
+def processed_at(run: Path | Place) -> float:
+    """When a run was processed [Unix s]: the time of its manifest, which it wrote last.
+
+    In object storage that is the time of the object, not of the copy here.
+    """
+    if isinstance(run, Place):
+        written: datetime = (run / MANIFEST).head()["last_modified"]
+        return written.timestamp()
+    return (run / MANIFEST).stat().st_mtime
 
 
 def find_browser(named: str | None) -> str:
