@@ -144,9 +144,10 @@ def report(
     ] = 120.0,
     force: Annotated[bool, Option(help="replace the file if it is there")] = False,
 ) -> None:
-    """Write the report of a run as a file to hand over, with the date of processing.
+    """Write the report of a run as a page or PDF to hand over.
 
-    Title, client, operator, remarks and time zone are keys of `mission` in the mission file.
+    It states when the run was processed. Title, client, operator, remarks and time zone are keys
+    of `mission` in the mission file.
     """
     with answer.progress(f"writing the report of {run}"):
         from unbend.batch.finished_run.delivered_report import deliver_report

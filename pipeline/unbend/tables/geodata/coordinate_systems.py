@@ -148,7 +148,9 @@ class BestOperation:
     is_good: bool
 
 
-def best_operation(source: "CRS", lon_lat: Array, target: str) -> BestOperation | None:
+def best_operation(
+    source: "CRS | str", lon_lat: Array, target: "CRS | str"
+) -> BestOperation | None:
     """The transformation that is best about (2, n) places, with the grids that are here.
 
     No other takes its place where its grid ends. None where PROJ has only a ballpark one.

@@ -130,15 +130,13 @@ class MapGrid:
 
         NaN where the transformation has no value.
         """
-        x, y = self.transformer.transform(
-            np.degrees(lon_rad), np.degrees(lat_rad), direction="INVERSE", errcheck=False
-        )
+        x, y = self.transformer.transform(np.degrees(lon_rad), np.degrees(lat_rad), errcheck=False)
         known = np.isfinite(x) & np.isfinite(y)
         return np.where(known, x, np.nan), np.where(known, y, np.nan)
 
     def places(self, x: Array, y: Array) -> tuple[Array, Array]:
         """(n,) longitude and latitude [deg] of coordinates; the reverse of `coordinates`."""
-        lon, lat = self.transformer.transform(x, y, errcheck=False)
+        lon, lat = self.transformer.transform(x, y, direction="INVERSE", errcheck=False)
         lon_deg = np.array(lon, dtype=np.float64)
         lat_deg = np.array(lat, dtype=np.float64)
         return lon_deg, lat_deg
@@ -191,7 +189,7 @@ def open_grid(
     area = horizontal.area_of_use.name if horizontal.area_of_use else "the earth"
     if places_outside(horizontal, lon_lat, MARGIN_DEG):
         raise messages.grid_elsewhere(crs=crs, name=horizontal.name, area=area)
-    best = best_operation(horizontal.to_2d(), lon_lat, "EPSG:4326")
+    best = best_operation("EPSG:4326", lon_lat, horizontal.to_2d())
     if best is None:
         raise messages.grid_ballpark(crs=crs, name=horizontal.name)
     height, height_notes = height_reference(crs, parts, geoid, places)
