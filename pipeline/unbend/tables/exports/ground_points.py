@@ -200,12 +200,12 @@ def shifts(
     return east * (prime_vertical + h_g_m), north * (meridian + h_g_m)
 
 
-def point_columns(grid: MapGrid, points: GroundPoints) -> dict[str, object]:
+def point_columns(grid: MapGrid, points: GroundPoints) -> dict[str, Array]:
     """What is written of points, beside image, point and status."""
     return place_columns(grid, points.x, points.y, points.height) | attributes_of(points)
 
 
-def attributes_of(points: GroundPoints) -> dict[str, object]:
+def attributes_of(points: GroundPoints) -> dict[str, Array]:
     """Ground height, correction in the image, and shift on the ground."""
     return {
         "h_g_m": points.h_g_m,
@@ -233,7 +233,7 @@ def write_points(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int
 
     def tables() -> Iterator[pa.Table]:
         for points in ground_points(run, grid, ledger):
-            columns = point_columns(grid, points)
+            columns: dict[str, object] = {**point_columns(grid, points)}
             columns["image"] = texts_of(points.image)
             columns["point"] = texts_of(points.point)
             columns["status"] = texts_of(points.status)

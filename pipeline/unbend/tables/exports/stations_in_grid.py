@@ -41,7 +41,7 @@ def stations_in_grid(stations: Stations, rows: Integers, grid: MapGrid) -> Stati
     return StationsInGrid(x, y, height, turned, axes)
 
 
-def grid_columns(grid: MapGrid, stations: StationsInGrid) -> dict[str, object]:
+def grid_columns(grid: MapGrid, stations: StationsInGrid) -> dict[str, Array]:
     """Columns of coordinates, convergence and scale, with their units in their names."""
     return place_columns(grid, stations.x, stations.y, stations.height) | {
         "convergence_deg": np.degrees(stations.axes.convergence_rad),
@@ -49,7 +49,7 @@ def grid_columns(grid: MapGrid, stations: StationsInGrid) -> dict[str, object]:
     }
 
 
-def place_columns(grid: MapGrid, x: Array, y: Array, height: Array) -> dict[str, object]:
+def place_columns(grid: MapGrid, x: Array, y: Array, height: Array) -> dict[str, Array]:
     """Columns of coordinates, with their units in their names."""
     first, second = ("lon", "lat") if grid.is_geographic else ("x", "y")
     third = "depth" if grid.height.is_down else "z"
