@@ -246,6 +246,13 @@ def test_points_in_degrees_have_the_shift_to_the_east_and_north(block, tmp_path)
         assert shift == pytest.approx(SHIFT_EN[station], abs=1e-3)
 
 
+def test_the_scale_of_a_grid_is_not_in_the_shift(block, tmp_path):
+    """Web Mercator is half as long again at 47 degrees; a state plane counts in feet."""
+    path, _, _ = written(in_grid(block, "EPSG:3857", "points"), "points", tmp_path)
+    lengths = [float(row["shift_m"]) for row in rows_of(path)]
+    assert lengths == pytest.approx(np.hypot(*SHIFT_EN.T), rel=1e-3)
+
+
 def test_a_geopackage_read_by_gdal(block, tmp_path):
     path, count, _ = written(in_grid(block, "EPSG:25832+5773", "geopackage"), "geopackage",
                              tmp_path)  # fmt: skip

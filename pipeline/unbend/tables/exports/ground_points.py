@@ -190,14 +190,23 @@ def land(run: FinishedRun, station: Integers, rays: Array, h_g_m: Array, is_far:
 def shifts(
     grid: MapGrid, apparent: Landings, true: Landings, xy: tuple[Array, Array], h_g_m: Array
 ) -> tuple[Array, Array]:
-    """(n,) shifts [m] along the axes of the grid, of a geographic system to the east and north."""
-    if not grid.is_geographic:
-        x, y = grid.coordinates(apparent.lat_rad, apparent.lon_rad)
-        return (xy[0] - x) * grid.unit.size, (xy[1] - y) * grid.unit.size
+    """(n,) shifts [m on the ground] along the axes of the grid, or to the east and north.
+
+    ``xy`` are the coordinates of ``true``. The scale of the grid is not in them.
+    """
     meridian, prime_vertical = principal_radii(true.lat_rad)
-    east = wrapped(true.lon_rad - apparent.lon_rad) * np.cos(true.lat_rad)
-    north = true.lat_rad - apparent.lat_rad
-    return east * (prime_vertical + h_g_m), north * (meridian + h_g_m)
+    lon_difference = wrapped(true.lon_rad - apparent.lon_rad)
+    east = lon_difference * np.cos(true.lat_rad) * (prime_vertical + h_g_m)
+    north = (true.lat_rad - apparent.lat_rad) * (meridian + h_g_m)
+    if grid.is_geographic:
+        return east, north
+    x, y = grid.coordinates(apparent.lat_rad, apparent.lon_rad)
+    along_x = xy[0] - x
+    along_y = xy[1] - y
+    in_grid = np.hypot(along_x, along_y)
+    is_moved = in_grid > 0.0
+    metres = np.hypot(east, north) / np.where(is_moved, in_grid, 1.0)
+    return metres * along_x, metres * along_y
 
 
 def point_columns(grid: MapGrid, points: GroundPoints) -> dict[str, Array]:

@@ -637,7 +637,7 @@ def grid_of_other_kind(*, crs: str, name: str, kind: str) -> ConfigError:
     """The system has neither map coordinates nor latitudes."""
     return ConfigError(
         EXPORT_CRS,
-        "{name} ({crs}) is a {kind}: it has no map coordinates",
+        "{name} ({crs}) has no map coordinates: it is of the kind {kind}",
         where="--crs",
         crs=crs,
         name=name,
