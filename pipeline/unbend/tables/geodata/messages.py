@@ -694,7 +694,7 @@ def grid_ballpark(*, crs: str, name: str) -> ConfigError:
         crs=crs,
         name=name,
         remedy=(
-            "export in a system on WGS 84 or ETRS89, and transform that with the program of your "
+            "export in a system on WGS 84 or ETRS89, and transform that with a program of the "
             "survey office; or install the grid of the transformation in PROJ's folder"
         ),
     )
