@@ -27,7 +27,7 @@ from unbend.flight.stations import empty_stations
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import FORMATS, FinishedRun
-from unbend.tables.exports.frames import frame_record
+from unbend.tables.exports.export_frames import frame_record
 from unbend.tables.geodata.map_grids import open_grid
 
 from .test_station_exports import run as run  # the fixture

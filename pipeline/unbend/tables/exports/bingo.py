@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from unbend.messages import Ledger
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_frames import ExportFrame, PixelFrame
 from unbend.tables.exports.exported_block import block_of
 from unbend.tables.exports.format import (
     PIXEL_UM,
@@ -25,7 +26,6 @@ from unbend.tables.exports.format import (
     pixel_mm,
     write_csv_stream,
 )
-from unbend.tables.exports.frames import ExportFrame, PixelFrame
 
 _LONGEST = 15
 

@@ -16,15 +16,15 @@ import numpy as np
 from unbend.messages import Ledger
 from unbend.refraction.camera import model_of
 from unbend.tables.exports import messages
-from unbend.tables.exports.exported_block import block_of, ideal_coordinates, refuse_names
-from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
-from unbend.tables.exports.frames import (
+from unbend.tables.exports.export_frames import (
     PHOTOGRAMMETRIC,
     ExportFrame,
     PixelFrame,
     angles_of_block,
     block_positions,
 )
+from unbend.tables.exports.exported_block import block_of, ideal_coordinates, refuse_names
+from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 
 
 def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:

@@ -34,15 +34,15 @@ from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports import messages
 from unbend.tables.exports.colmap_rigs import CAMERA_SENSOR, rig_tables
-from unbend.tables.exports.exported_block import ExportedBlock, block_of
-from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
-from unbend.tables.exports.frames import (
+from unbend.tables.exports.export_frames import (
     CORNER_PIXELS,
     OF_COMPUTER_VISION,
     ExportFrame,
     angles_of_block,
     block_positions,
 )
+from unbend.tables.exports.exported_block import ExportedBlock, block_of
+from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from unbend.tables.imports.blocks import damage_refused
 from unbend.tables.imports.blocks.colmap import POINT2D, opened
 from unbend.tables.imports.blocks.messages import matches_cut

@@ -19,9 +19,9 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_frames import can_be_placed
 from unbend.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
 from unbend.tables.exports.format import FinishedRun
-from unbend.tables.exports.frames import can_be_placed
 from unbend.units import Array, Integers, Mask, Names
 
 _COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]

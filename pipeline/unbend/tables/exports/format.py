@@ -19,7 +19,7 @@ from unbend.refraction.image import Exposures
 from unbend.refraction.ray import PublishedRays
 from unbend.refraction.ray_table import RayTable
 from unbend.tables.exports import messages
-from unbend.tables.exports.frames import SEA_LEVEL_OF_RUN, ExportFrame, pixels_of_run
+from unbend.tables.exports.export_frames import SEA_LEVEL_OF_RUN, ExportFrame, pixels_of_run
 from unbend.tables.geodata.map_grids import MapGrid
 from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.pixels import PixelSystem

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from unbend.flight.stations import station_columns
 from unbend.messages import Ledger
+from unbend.tables.exports.export_frames import WGS84_2D
 from unbend.tables.exports.footprints import footprints, placed_stations
 from unbend.tables.exports.format import ExportFormat, FinishedRun, GridUse, Values
-from unbend.tables.exports.frames import WGS84_2D
 from unbend.tables.exports.ground_points import attributes_of, frame_of_points, ground_points
 from unbend.tables.geodata.map_grids import MapGrid
 from unbend.tables.writing import points_wkb
@@ -44,7 +44,7 @@ Row = tuple[object, ...]
 
 
 @dataclass
-class Extent:
+class BoundingBox:
     """The smallest box about what was written, of which nothing is known at first."""
 
     low: tuple[float, float] = (np.inf, np.inf)
@@ -59,7 +59,7 @@ class Extent:
 
 
 @dataclass(frozen=True)
-class Layer:
+class FeatureLayer:
     """A table of features.
 
     ``columns`` : SQL types by their names, without id and geometry. ``rows`` yields the geometry
@@ -72,7 +72,7 @@ class Layer:
     about: str
     columns: Mapping[str, str]
     rows: Iterable[Row]
-    extent: Extent
+    extent: BoundingBox
 
 
 def write_geopackage(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
@@ -130,7 +130,7 @@ POINT_COLUMNS = {
 }
 
 
-def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) -> Layer:
+def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) -> FeatureLayer:
     """A point for each station with a position, usable or not."""
     stations = run.stations
     x, y = grid.coordinates(stations.lat_rad, stations.lon_rad)
@@ -138,14 +138,14 @@ def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) 
     height = grid.height.heights(
         stations.lat_rad, stations.lon_rad, stations.h_msl_m, stations.h_ellipsoid_m
     )
-    extent = Extent()
+    extent = BoundingBox()
     extent.include(x[rows], y[rows])
     columns = [geometries(points_wkb(x[rows], y[rows], height[rows]), number)]
     columns_of_all = station_columns(stations)
     for name in STATION_COLUMNS:
         values = np.asarray(columns_of_all[name])[rows]
         columns.append(times(values) if name == "time_utc" else plain(values))
-    return Layer(
+    return FeatureLayer(
         "stations",
         "POINT",
         has_z=2,
@@ -156,14 +156,14 @@ def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) 
     )
 
 
-def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) -> Layer:
+def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) -> FeatureLayer:
     """A polygon for each image that shows the ground."""
     corners = np.radians(footprints(run, ledger))
     x, y = grid.coordinates(corners[:, :, 1].ravel(), corners[:, :, 0].ravel())
     rings = np.stack([x, y], axis=1).reshape(-1, 4, 2)
     rows = np.flatnonzero(np.isfinite(rings).all(axis=(1, 2)))
     closed = np.concatenate([rings, rings[:, :1]], axis=1)[rows]
-    extent = Extent()
+    extent = BoundingBox()
     extent.include(closed[:, :, 0].ravel(), closed[:, :, 1].ravel())
     columns = [
         geometries([polygon_wkb(ring) for ring in closed], number),
@@ -171,7 +171,7 @@ def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger
         plain(run.stations.camera[rows]),
         plain(run.ground_m[rows]),
     ]
-    return Layer(
+    return FeatureLayer(
         "footprints",
         "POLYGON",
         has_z=0,
@@ -184,9 +184,9 @@ def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger
 
 def point_layer(
     run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger, shifts: list[Array]
-) -> Layer:
+) -> FeatureLayer:
     """A point for each corrected observation; lengths of shifts [m] are added to ``shifts``."""
-    extent = Extent()
+    extent = BoundingBox()
 
     def rows() -> Iterator[Row]:
         for points in ground_points(run, grid, ledger):
@@ -199,7 +199,7 @@ def point_layer(
                 columns.append(plain(values))
             yield from zip(*columns, strict=True)
 
-    return Layer(
+    return FeatureLayer(
         "points",
         "POINT",
         has_z=2,
@@ -265,7 +265,7 @@ def sql_of(name: str) -> str:
     return files("unbend.tables").joinpath(f"data/{name}").read_text("utf-8").strip()
 
 
-def add_layer(database: sqlite3.Connection, layer: Layer, number: int) -> int:
+def add_layer(database: sqlite3.Connection, layer: FeatureLayer, number: int) -> int:
     """Write a layer; the number of its features."""
     types = "".join(f', "{name}" {kind}' for name, kind in layer.columns.items())
     database.execute(

@@ -17,6 +17,13 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_frames import (
+    SEA_LEVEL_OF_RUN,
+    WGS84_2D,
+    ExportFrame,
+    grid_frame,
+    pixels_of_run,
+)
 from unbend.tables.exports.exported_block import ideal_coordinates
 from unbend.tables.exports.format import (
     ExportFormat,
@@ -24,13 +31,6 @@ from unbend.tables.exports.format import (
     GridUse,
     Values,
     write_csv_stream,
-)
-from unbend.tables.exports.frames import (
-    SEA_LEVEL_OF_RUN,
-    WGS84_2D,
-    ExportFrame,
-    grid_frame,
-    pixels_of_run,
 )
 from unbend.tables.exports.stations_in_grid import place_columns
 from unbend.tables.geodata.map_grids import MapGrid
@@ -55,7 +55,7 @@ SHIFTS = ("shift_x_m", "shift_y_m", "shift_m")
 
 
 @dataclass(frozen=True, eq=False)
-class Landings:
+class RayLandings:
     """Where straight rays reach a height: (n,) latitude, longitude [rad], NaN where they do not."""
 
     lat_rad: Array
@@ -147,7 +147,7 @@ def numbers(table: pa.Table, name: str) -> Array:
 
 def landings(
     run: FinishedRun, station: Integers, xy_px: list[Array], h_g_m: Array, is_far: Mask
-) -> Landings:
+) -> RayLandings:
     """Where the straight rays through image points (n,) reach the heights of the ground.
 
     ``station`` (n,) is -1 for an image without one; ``is_far`` : at the second crossing.
@@ -161,7 +161,7 @@ def landings(
         landed = land(run, station[rows], rays, h_g_m[rows], is_far[rows])
         lat[rows] = landed.lat_rad
         lon[rows] = landed.lon_rad
-    return Landings(lat, lon)
+    return RayLandings(lat, lon)
 
 
 def rays_of_pixels(camera: Camera, x_px: Array, y_px: Array) -> Array:
@@ -171,7 +171,9 @@ def rays_of_pixels(camera: Camera, x_px: Array, y_px: Array) -> Array:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def land(run: FinishedRun, station: Integers, rays: Array, h_g_m: Array, is_far: Mask) -> Landings:
+def land(
+    run: FinishedRun, station: Integers, rays: Array, h_g_m: Array, is_far: Mask
+) -> RayLandings:
     """Where rays (n, 3) of the cameras of stations (n,) reach heights above sea level."""
     stations = run.stations
     lat = stations.lat_rad[station]
@@ -184,11 +186,11 @@ def land(run: FinishedRun, station: Integers, rays: Array, h_g_m: Array, is_far:
     reach = straight_reach(h_msl, h_g_m, -enu[:, 2], radius=radius, far=is_far)
     height = np.where(np.isfinite(h_ellipsoid), h_ellipsoid, h_msl)
     at_lat, at_lon, _ = offset_geodetic(lat, lon, height, enu * reach[:, None])
-    return Landings(at_lat, at_lon)
+    return RayLandings(at_lat, at_lon)
 
 
 def shifts(
-    grid: MapGrid, apparent: Landings, true: Landings, xy: tuple[Array, Array], h_g_m: Array
+    grid: MapGrid, apparent: RayLandings, true: RayLandings, xy: tuple[Array, Array], h_g_m: Array
 ) -> tuple[Array, Array]:
     """(n,) shifts [m on the ground] along the axes of the grid, or to the east and north.
 

@@ -15,15 +15,15 @@ from unbend.flight.rotations import opk_of_quaternion
 from unbend.messages import Ledger
 from unbend.tables.exports import messages
 from unbend.tables.exports.blocks_exchange_xml import plain_coefficients
-from unbend.tables.exports.exported_block import ExportedBlock, block_of, refuse_names
-from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
-from unbend.tables.exports.frames import (
+from unbend.tables.exports.export_frames import (
     CORNER_PIXELS,
     EAST_NORTH_UP,
     ExportFrame,
     angles_of_photogrammetry,
     block_positions,
 )
+from unbend.tables.exports.exported_block import ExportedBlock, block_of, refuse_names
+from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 
 _HEAD = (
     "fileName imageWidth imageHeight \n"

@@ -18,15 +18,7 @@ import pyarrow as pa
 from unbend.flight.rotations import opk_of_quaternion
 from unbend.flight.stations import station_columns
 from unbend.messages import Ledger
-from unbend.tables.exports.footprints import footprints, placed_stations, stations_in_one_frame
-from unbend.tables.exports.format import (
-    ExportFormat,
-    FinishedRun,
-    GridUse,
-    Values,
-    write_csv_stream,
-)
-from unbend.tables.exports.frames import (
+from unbend.tables.exports.export_frames import (
     EAST_NORTH_UP,
     ELLIPSOID_OF_WGS84,
     LATITUDE_LONGITUDE_HEIGHT,
@@ -38,6 +30,14 @@ from unbend.tables.exports.frames import (
     geographic_frame,
     grid_frame,
     scale_of_grid,
+)
+from unbend.tables.exports.footprints import footprints, placed_stations, stations_in_one_frame
+from unbend.tables.exports.format import (
+    ExportFormat,
+    FinishedRun,
+    GridUse,
+    Values,
+    write_csv_stream,
 )
 from unbend.tables.exports.stations_in_grid import grid_angles, grid_columns, stations_in_grid
 from unbend.tables.geodata.map_grids import check_grid_axes

@@ -10,7 +10,7 @@ import numpy as np
 
 from unbend.flight.rotations import enu_from_grid, in_turned_frame
 from unbend.flight.stations import Stations
-from unbend.tables.exports.frames import PHOTOGRAMMETRIC, AngleFrame
+from unbend.tables.exports.export_frames import PHOTOGRAMMETRIC, AngleFrame
 from unbend.tables.geodata.map_grids import GridAxes, MapGrid
 from unbend.units import Array, Integers
 

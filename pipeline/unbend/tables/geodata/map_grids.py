@@ -297,7 +297,8 @@ def places_outside(horizontal: CRS, lon_lat: Array, margin_deg: float) -> int:
         width += 360.0  # over the 180th meridian
     lon, lat = lon_lat
     inside = (lon - west) % 360.0 <= min(width, 360.0)
-    inside &= (lat >= area.south - margin_deg) & (lat <= area.north + margin_deg)
+    inside &= lat >= area.south - margin_deg
+    inside &= lat <= area.north + margin_deg
     return int(np.sum(~inside))
 
 
