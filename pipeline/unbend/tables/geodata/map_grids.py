@@ -311,7 +311,9 @@ def identifier_of(crs: str, authority: tuple[str, str] | None) -> str:
     if authority is not None:
         return ":".join(authority)
     stated = crs.strip().upper()
-    return stated if re.fullmatch(r"EPSG:\d+\+\d+", stated) else ""
+    if re.fullmatch(r"EPSG:\d+\+\d+", stated):
+        return stated
+    return ""
 
 
 def wkt1_of(whole: CRS) -> str:
@@ -334,7 +336,9 @@ def unit_of(axis: Axis) -> Unit:
 def written_axes(horizontal: CRS) -> tuple[str, str]:
     """The directions of the first and the second coordinate as PROJ's always_xy orders them."""
     first, second = (axis.direction for axis in horizontal.axis_info[:2])
-    return (second, first) if (first, second) == ("north", "east") else (first, second)
+    if (first, second) == ("north", "east"):
+        return second, first
+    return first, second
 
 
 def height_reference(
