@@ -63,7 +63,7 @@ class RayLandings:
 
 
 @dataclass(frozen=True, eq=False)
-class GroundPoints:
+class PointsOnGround:
     """Observations (n,) on the ground, in the order of the run.
 
     ``x``, ``y`` in the unit of the grid, ``height`` in that of its heights; ``shift_x_m``,
@@ -89,7 +89,7 @@ class GroundPoints:
         return np.hypot(self.shift_x_m, self.shift_y_m)
 
 
-def ground_points(run: FinishedRun, grid: MapGrid, ledger: Ledger) -> Iterator[GroundPoints]:
+def ground_points(run: FinishedRun, grid: MapGrid, ledger: Ledger) -> Iterator[PointsOnGround]:
     """The observations of a run on the ground, part by part.
 
     Those without a correction or a usable station are left out, as a loss.
@@ -109,7 +109,7 @@ def ground_points(run: FinishedRun, grid: MapGrid, ledger: Ledger) -> Iterator[G
 
 def points_of_part(
     run: FinishedRun, grid: MapGrid, station: Integers, table: pa.Table
-) -> GroundPoints:
+) -> PointsOnGround:
     """The rows of a part of the observations that have a place on the ground."""
     measured = [run.pixels.to_colmap(numbers(table, name)) for name in ("x_px", "y_px")]
     corrected = [
@@ -125,7 +125,7 @@ def points_of_part(
     height = grid.height.heights(true.lat_rad, true.lon_rad, h_g_m, h_g_m + undulation)
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     kept = table.take(pa.array(rows))
-    return GroundPoints(
+    return PointsOnGround(
         image=kept["image"],
         point=kept["point"],
         status=kept["status"],
@@ -211,12 +211,12 @@ def shifts(
     return metres * along_x, metres * along_y
 
 
-def point_columns(grid: MapGrid, points: GroundPoints) -> dict[str, Array]:
+def point_columns(grid: MapGrid, points: PointsOnGround) -> dict[str, Array]:
     """What is written of points, beside image, point and status."""
     return place_columns(grid, points.x, points.y, points.height) | attributes_of(points)
 
 
-def attributes_of(points: GroundPoints) -> dict[str, Array]:
+def attributes_of(points: PointsOnGround) -> dict[str, Array]:
     """Ground height, correction in the image, and shift on the ground."""
     return {
         "h_g_m": points.h_g_m,
