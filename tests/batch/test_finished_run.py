@@ -365,7 +365,8 @@ def test_a_file_that_is_there_already(baseline, export):
     _, forced = export(baseline.output, "lattice", "--columns", 2, "--rows", 2, "--force")
     assert forced.code == 0
     assert out.read_bytes() == before
-    assert [p.name for p in out.parent.iterdir()] == [out.name]
+    # Only the file and its frame: no draft is left.
+    assert sorted(p.name for p in out.parent.iterdir()) == [out.name, f"{out.name}.unbend.json"]
 
 
 def test_a_folder_in_the_place_of_the_file(baseline, unbend, tmp_path):

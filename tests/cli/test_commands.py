@@ -21,8 +21,8 @@ from unbend.refraction import angle
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
 COMMANDS = (
-    "init", "check", "run", "export", "status", "verify", "stations", "inspect", "profile",
-    "angle", "tables", "simulate", "help", "schema", "warm",
+    "init", "check", "run", "export", "status", "report", "verify", "stations", "inspect",
+    "profile", "angle", "tables", "simulate", "help", "schema", "warm",
 )  # fmt: skip
 
 

@@ -29,7 +29,11 @@ CHANNELS = {
 }  # fmt: skip
 
 FULL: dict[str, Any] = {
-    "mission": {"name": "survey", "undulation_m": 47.5, "geoid": "egm96"},
+    "mission": {
+        "name": "survey", "undulation_m": 47.5, "geoid": "egm96", "title": "Zürich, Los 3",
+        "client": "Amt", "operator": "Luftbild GmbH", "remarks": "one\n\ntwo",
+        "time_zone": "Europe/Zurich",
+    },
     "log": {
         "path": "a.bin",
         "channels": CHANNELS,
@@ -717,3 +721,26 @@ def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
     channels = accepted(content).log.channels
     assert channels.empty == ("temperature",)
     assert list(channels.named()) == ["pressure"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("time_zone", "Europe/Zuerich", "not a time zone"),
+        ("time_zone", "../etc/passwd", "not a time zone"),
+        ("time_zone", "MEZ+1", "not a time zone"),
+        ("title", "two\nlines", "a line of text"),
+        ("client", "  ", "a line of text"),
+        ("operator", "x" * 201, "200"),
+        ("remarks", "", "remarks"),
+    ],
+)
+def test_what_the_report_cannot_state_is_refused(refused, key, value, said):
+    error = refused(FULL | {"mission": {"name": "survey", key: value}})
+    assert said in str(error)
+
+
+def test_the_title_is_in_any_letters_and_the_name_a_plain_word(accepted, refused):
+    mission = accepted(FULL | {"mission": {"name": "los-3", "title": "Zürich «Nord» 航空写真"}})
+    assert mission.mission.title == "Zürich «Nord» 航空写真"
+    assert "CONFIG" in refused(FULL | {"mission": {"name": "Zürich Nord"}}).code

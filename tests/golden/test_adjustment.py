@@ -121,7 +121,7 @@ def test_colmap_maps_the_database_that_comes_out(
     write_source(tmp_path / "source.db", given, lenses)
     observations = {"path": str(tmp_path / "source.db"), "format": "colmap"}
     run = run_sample("bin", tmp_path / "run", observations=observations, ground={"height": 450.0})
-    _, ledger = export_run(run.output, "colmap-database", tmp_path / "with.db", {})
+    ledger = export_run(run.output, "colmap-database", tmp_path / "with.db", {}).ledger
     assert "EXPORT-USE" in {message.code for message in ledger}
     notes = json.loads((tmp_path / "with.db.unbend.json").read_text(encoding="utf-8"))["notes"]
     place = re.search(r"from (\S+) N, (\S+) E, (\S+) m above", " ".join(notes))

@@ -302,7 +302,7 @@ def test_a_calibration_that_has_refraction_in_would_count_twice(nadir, tmp_path)
     config["cameras"]["nadir"]["calibration"] = "in_flight_uncorrected"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     run = run_mission(path).output
-    _, ledger = export_run(run, "calibration", tmp_path / "out", {})
+    ledger = export_run(run, "calibration", tmp_path / "out", {}).ledger
     assert [e.code for e in ledger if e.kind == "loss"] == ["EXPORT-CALIBRATION"]
 
 
@@ -320,7 +320,7 @@ def test_a_lens_that_no_program_holds_is_written_as_near_as_it_can(nadir, tmp_pa
     }  # fmt: skip
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     run = run_mission(path).output
-    _, ledger = export_run(run, "calibration", tmp_path / "out", {})
+    ledger = export_run(run, "calibration", tmp_path / "out", {}).ledger
     assert "EXPORT-MODEL" in {e.code for e in ledger if e.kind == "loss"}
     report = (tmp_path / "out" / "calibration.txt").read_text(encoding="utf-8")
     c = change_in(report, nadir.names[0], "mm")  # the report's own size of a pixel

@@ -237,6 +237,33 @@ def test_on_paper_no_head_is_left_alone_and_nothing_is_cut(runs, browser, tmp_pa
     page.close()
 
 
+# Margin boxes of all pages: the page's selector, the box and its content.
+HEADS = """() => [...document.styleSheets].flatMap(sheet => [...sheet.cssRules])
+  .filter(rule => rule.constructor.name === "CSSPageRule")
+  .flatMap(page => [...(page.cssRules || [])]
+    .map(box => [page.selectorText, box.name, box.style.content]))
+  .filter(box => box[2])"""
+
+
+def test_heads_and_page_numbers_on_paper(browser, mission_factory, unbend, tmp_path):
+    """A title with all that could end a style sheet is a head as it is; not on the first page."""
+    named = mission_factory(tmp_path / "named")
+    named.config["mission"] |= {"title": 'Los "3" </style> \\2', "client": "Amt für Geo"}
+    output = ran(named, 0)
+    page = browser.new_page()
+    page.goto((output / "report.html").resolve().as_uri())
+    heads = {(selector, name): content for selector, name, content in page.evaluate(HEADS)}
+    assert json.loads(heads["", "top-left"]) == 'Los "3" </style> \\2'
+    assert heads["", "top-right"] == '"Amt für Geo"'
+    assert 'counter(page) " of " counter(pages)' in heads["", "bottom-right"]
+    assert heads[":first", "top-left"] == "none"
+    page.close()
+    ended = unbend("report", output, "--pdf", "--out", tmp_path / "r.pdf", "--timeout", "300")
+    assert ended.code == 0, ended.text
+    content = (tmp_path / "r.pdf").read_bytes()
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", content)) <= 20
+
+
 @pytest.mark.parametrize("name", ["sample", "small", "model", "no log"])
 def test_the_page_says_what_the_manifest_says(runs, browser, name):
     """Cell by cell, as a reader sees them."""

@@ -103,6 +103,7 @@ def flown(air) -> Flown:
     seconds = np.array([0.0, 300.0, 600.0, 900.0])
     exposures = {
         "image": np.array(["b1", "b2", "t<1>", "t2"], dtype=object),
+        "camera": np.array(["belly", "belly", "tail", "tail"], dtype=object),
         "time_ns": BEGIN_NS + (1e9 * (seconds + 60.0)).astype(np.int64),
         "lat_deg": np.array([-47.401, -47.412, -47.424, -47.435]),
         "lon_deg": np.array([8.611, 8.623, 8.634, 8.646]),
@@ -257,6 +258,8 @@ def test_every_sentence_between_the_tables(page):
         "How to use the results in the adjustment", "Provenance",
     ]  # fmt: skip
     assert [text for tag, text in texts if tag == "dd"] == [
+        "2025-06-12, 09:38:17 to 09:44:19 UTC",
+        "WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid",
         "95 exposures, 2025-06-12, 09:38:17 to 09:44:19 UTC",
         "47.4233° S, 8.6624° E (WGS 84, middle of the exposures)",
         "3445 to 3454 m above mean sea level, by GPS[0]",
@@ -332,7 +335,7 @@ def test_the_map_shows_every_place(page, flown, screen):
     x, y = scale(drawing, "x"), scale(drawing, "y")
     for css, columns, rows in (
         ("line track", flown.track, [0, 1, 2, 3]),
-        ("dots ok", flown.exposures, [0, 1]),
+        ("dots small", flown.exposures, [0, 1]),
     ):
         at = points(path_of(drawing, css))
         assert x(at[:, 0]) == pytest.approx(columns["lon_deg"][rows], abs=2e-4)
@@ -341,7 +344,7 @@ def test_the_map_shows_every_place(page, flown, screen):
         ((a, b),) = points(path_of(drawing, css))
         assert x(a) == pytest.approx(flown.exposures["lon_deg"][row], abs=2e-4)
         assert y(b) == pytest.approx(flown.exposures["lat_deg"][row], abs=2e-4)
-    for css, name in (("area c1", "belly"), ("area c2", "tail")):
+    for css, name in (("area c1 s1", "belly"), ("area c2 s2", "tail")):
         at = points(path_of(drawing, css))
         corners = flown.footprints[name][0]
         assert np.stack([x(at[:, 0]), y(at[:, 1])], axis=1) == pytest.approx(corners, abs=2e-4)
@@ -367,7 +370,7 @@ def test_heights_against_time(page, flown, screen):
     track = points(path_of(drawing, "line track"))
     assert x(track[:, 0]) == pytest.approx([570.0, 575.0, 580.0, 585.0], abs=0.05)
     assert y(track[:, 1]) == pytest.approx(flown.track["h_msl_m"], abs=10.0)
-    good = points(path_of(drawing, "dots ok"))
+    good = points(path_of(drawing, "dots small"))
     assert x(good[:, 0]) == pytest.approx([571.0, 576.0], abs=0.05)
     ground = points(path_of(drawing, "dots small ground"))
     assert y(ground[:, 1]) == pytest.approx([501.0, 512.0, 523.0], abs=10.0)

@@ -33,13 +33,20 @@ if TYPE_CHECKING:
 
 GROUPS = {
     "From a log to files for adjustment": ("init", "check", "run", "export"),
-    "Look at missions, logs and results": ("status", "verify", "stations", "inspect", "profile"),
+    "Look at missions, logs and results": (
+        "status",
+        "report",
+        "verify",
+        "stations",
+        "inspect",
+        "profile",
+    ),
     "Compute": ("angle", "tables", "simulate"),
     "Help and preparation": ("help", "schema", "warm"),
 }
 """The commands as the help lists them: the four steps first."""
 
-_TAKE_URLS = {"run", "export", "verify"}
+_TAKE_URLS = {"run", "export", "report", "verify"}
 """Commands whose arguments may be URLs."""
 
 

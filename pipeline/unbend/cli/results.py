@@ -87,21 +87,76 @@ def export(
         float | None,
         Option(help="metres above sea level; by default the median of each image's observations"),
     ] = None,
+    crs: Annotated[
+        str,
+        Option(
+            metavar="EPSG:CODE",
+            help="coordinate system of opk, points and geopackage: EPSG:25832, or with heights "
+            "EPSG:25832+5773",
+        ),
+    ] = "",
+    geoid: Annotated[
+        Path | None,
+        Option(help="grid of the heights in the vertical part of --crs, .gtx or GeoTIFF"),
+    ] = None,
     *,
     force: Annotated[bool, Option(help="replace the file if it is there")] = False,
 ) -> None:
-    """Write the results of a run for other programs."""
+    """Write the results of a run for other programs.
+
+    Beside the file, NAME.unbend.json states its frame: coordinate system, axes, angles, heights.
+    """
     options = {name: value for name, value in ctx.obj.items() if value is not None}
     name = options.pop("format_name")
     with answer.progress(f"exporting {run}"):
         from unbend.batch.finished_run.export import export_run
         from unbend.batch.plan import located
 
-        written, ledger = export_run(
-            located(run), name, out, options, ground_height_m=ground_height, force=force
+        written = export_run(
+            located(run),
+            name,
+            out,
+            options,
+            crs=crs,
+            geoid=geoid,
+            ground_height_m=ground_height,
+            force=force,
         )
-    answer.print_paths([f"{out}: {count(written, 'row')}"])
-    answer.end({"out": str(out), "format": name, "rows": written}, ledger)
+    answer.print_paths([f"{out}: {count(written.rows, 'row')}"])
+    content = {"out": str(out), "format": name, "rows": written.rows, "frame": written.frame}
+    answer.end(content, written.ledger)
+
+
+@command(epilog="Example: unbend report results/survey --pdf")
+def report(
+    answer: Answer,
+    run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
+    out: Annotated[
+        Path | None, Option(help="the file to write; by default NAME-report.html or .pdf, here")
+    ] = None,
+    *,
+    pdf: Annotated[bool, Option("--pdf", help="print it with Chromium or Chrome")] = False,
+    browser: Annotated[
+        str | None, Option(help="the browser that prints, a name or a path", metavar="PROGRAM")
+    ] = None,
+    timeout: Annotated[
+        float, Option(min=1.0, max=3600.0, help="seconds that the browser may take")
+    ] = 120.0,
+    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
+) -> None:
+    """Write the report of a run as a page or PDF to hand over.
+
+    It states when the run was processed. Title, client, operator, remarks and time zone are keys
+    of `mission` in the mission file.
+    """
+    with answer.progress(f"writing the report of {run}"):
+        from unbend.batch.finished_run.delivered_report import deliver_report
+        from unbend.batch.plan import located
+
+        written, ledger = deliver_report(
+            located(run), out, pdf=pdf, browser=browser, timeout_s=timeout, force=force
+        )
+    answer.end({"out": str(written)}, ledger, written)
 
 
 @command(epilog="Example: unbend verify results/survey")

@@ -1,11 +1,32 @@
 """The section of a mission file with the name of the mission, and what its log does not hold."""
 
-from typing import Literal
+from typing import Annotated, Literal
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from unbend.config.dates import StatedDate, nanoseconds_of_date
-from unbend.config.section import PathText, Section
+from unbend.config.section import PathText, Section, SectionError
+
+
+def known_time_zone(name: str) -> str:
+    """A time zone that the system knows; refuses another."""
+    try:
+        ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise SectionError(
+            f"{name!r} is not a time zone; give a name such as Europe/Zurich or UTC"
+        ) from None
+    return name
+
+
+TimeZone = Annotated[str, Field(min_length=1, max_length=60), AfterValidator(known_time_zone)]
+"""A time zone by its name in the IANA database."""
+
+Line = Annotated[
+    str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*\S[^\x00-\x1f\x7f]*$")
+]
+"""A line of text, in any letters."""
 
 
 class MissionSection(Section):
@@ -18,6 +39,38 @@ class MissionSection(Section):
         json_schema_extra={
             "patternErrorMessage": "letters, digits, dots, dashes and underscores, at most 100"
         },
+    )
+    title: Line | None = Field(
+        None,
+        description="title of the report, in any letters; by default the name",
+        examples=["Zürich Nord, Schrägaufnahmen"],
+        json_schema_extra={"patternErrorMessage": "a line of text, at most 200 characters"},
+    )
+    client: Line | None = Field(
+        None,
+        description="for whom the work is done, as the report states it",
+        examples=["Amt für Geoinformation"],
+        json_schema_extra={"patternErrorMessage": "a line of text, at most 200 characters"},
+    )
+    operator: Line | None = Field(
+        None,
+        description="who flew or processed it, as the report states it",
+        examples=["Luftbild GmbH, J. Muster"],
+        json_schema_extra={"patternErrorMessage": "a line of text, at most 200 characters"},
+    )
+    remarks: str | None = Field(
+        None,
+        min_length=1,
+        max_length=5000,
+        description="free text for the first page of the report; an empty line parts paragraphs",
+        examples=["Second flight: the first was broken off above clouds."],
+    )
+    time_zone: TimeZone | None = Field(
+        None,
+        description=(
+            "time zone of the report's dates and times, by its IANA name; UTC stands beside them"
+        ),
+        examples=["Europe/Zurich"],
     )
     undulation_m: float | None = Field(
         None,

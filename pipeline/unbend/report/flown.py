@@ -17,6 +17,7 @@ from unbend.refraction.effect import FlightAir
 from unbend.refraction.kernels.columns import TILE
 from unbend.tables.exports.footprints import ground_corners
 from unbend.tables.geodata.elevation import ElevationModel
+from unbend.tables.geodata.map_grids import MapGrid, utm_grid
 from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, evenly_spaced
 
 Track = tuple[Integers, Array, Array, Array]
@@ -46,10 +47,11 @@ class Flown:
     """What the map, the heights and the air of a page show; thinned, longitudes without a jump.
 
     ``exposures`` and ``track`` are columns (n,) and (m,): time_ns, lat_deg, lon_deg, h_msl_m; of
-    the exposures also image, status, ground_m, and ``shown_as`` ok, suspect or unusable, of all of
-    which ``counts`` has the numbers. ``footprints`` (k, 4, 2) longitude, latitude [deg] by camera,
-    of ``seen`` that could be drawn; ``limits_deg`` those of all places. ``relief`` : limits and
-    light (rows, columns) from -1 to 1, NaN where unknown. ``air`` : see `air_curves`.
+    the exposures also image, camera, status, ground_m, and ``shown_as`` ok, suspect or unusable, of
+    all of which ``counts`` has the numbers. ``footprints`` (k, 4, 2) longitude, latitude [deg] by
+    camera, of ``seen`` that could be drawn; ``limits_deg`` those of all places. ``relief`` : limits
+    and light (rows, columns) from -1 to 1, NaN where unknown. ``air`` : see `air_curves`. ``grid``
+    : the metric grid of the map.
     """
 
     exposures: Mapping[str, Any]
@@ -61,6 +63,7 @@ class Flown:
     relief: tuple[Limits, Array] | None
     air: Mapping[str, Any]
     from_boot: bool = False  # whether times count from a boot, without UTC
+    grid: MapGrid | None = None
 
     @cached_property
     def time(self) -> dict[str, Any]:
@@ -88,6 +91,43 @@ class Flown:
             if heights.size
             else None,
         }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class CameraTrack:
+    """The exposures of a camera in the order of their times: (n,) columns, NaN between strips."""
+
+    lon_deg: Array
+    lat_deg: Array
+    h_msl_m: Array
+    time: Array  # as `Flown.time` has it
+
+
+_WIDEST_GRID_DEG = 6.0  # of a map with a metric grid: the width of a UTM zone
+_LONGEST_GAP = 5.0  # of the usual time between two exposures, within a strip
+
+
+def track_of_camera(flown: Flown, camera: str) -> CameraTrack:
+    """The usable exposures of a camera as a line, with a gap after each strip."""
+    exposures = flown.exposures
+    is_shown = (exposures["camera"] == camera) & (exposures["shown_as"] != "unusable")
+    rows = np.flatnonzero(is_shown & np.isfinite(exposures["lat_deg"]))
+    rows = rows[np.argsort(exposures["time_ns"][rows], kind="stable")]
+    gaps = np.diff(exposures["time_ns"][rows]).astype(np.float64)
+    first_of_strips = np.zeros(0, np.int64)
+    if gaps.size:
+        first_of_strips = np.flatnonzero(gaps > _LONGEST_GAP * np.median(gaps)) + 1
+
+    def in_strips(column: Array) -> Array:
+        """Values of the exposures, with NaN before each strip but the first."""
+        return np.insert(column[rows].astype(np.float64), first_of_strips, np.nan)
+
+    return CameraTrack(
+        lon_deg=in_strips(exposures["lon_deg"]),
+        lat_deg=in_strips(exposures["lat_deg"]),
+        h_msl_m=in_strips(exposures["h_msl_m"]),
+        time=in_strips(flown.time["of_exposures"]),
+    )
 
 
 def flown_of(
@@ -131,7 +171,8 @@ def flown_of(
         limits = low[0], high[0], low[1], high[1]
     heights = np.concatenate([stations.h_msl_m, ground_m])
     shown = {
-            "image": stations.image[rows], "time_ns": stations.time_ns[rows],
+            "image": stations.image[rows], "camera": stations.camera[rows],
+            "time_ns": stations.time_ns[rows],
             "lat_deg": stations.lat_rad[rows] / DEGREE, "lon_deg": lon_deg[rows],
             "h_msl_m": stations.h_msl_m[rows], "ground_m": ground_m[rows],
             "status": stations.status[rows], "shown_as": shown_as[rows],
@@ -147,7 +188,19 @@ def flown_of(
         None if terrain is None or limits is None else relief_of(terrain, limits),
         air_curves(air, samples, heights[np.isfinite(heights)]),
         from_boot=bool(stations.from_boot.any()),
+        grid=None if limits is None else metric_grid(limits),
     )  # fmt: skip
+
+
+def metric_grid(limits_deg: Limits) -> MapGrid | None:
+    """The UTM zone of the middle of a map; None near the poles, and on a map of several zones."""
+    west, east = limits_deg[:2]
+    south, north = limits_deg[2:]
+    if max(east - west, north - south) > _WIDEST_GRID_DEG:
+        return None
+    lon_deg = 0.5 * sum(limits_deg[:2])
+    lat_deg = 0.5 * sum(limits_deg[2:])
+    return utm_grid(lat_deg, (lon_deg + 180.0) % 360.0 - 180.0)
 
 
 def relief_of(terrain: ElevationModel, limits_deg: Limits) -> tuple[Limits, Array] | None:

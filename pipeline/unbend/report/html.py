@@ -20,8 +20,9 @@ from markupsafe import Markup, escape
 from numpy.typing import ArrayLike
 
 from unbend.caches import parsed_templates
-from unbend.report import summary, words
-from unbend.report.flown import QUANTITIES, Flown, utc
+from unbend.report import cover, summary, words
+from unbend.report.flown import QUANTITIES, Flown, track_of_camera, utc
+from unbend.report.map_grid_lines import grid_lines
 from unbend.report.summary import is_applied, next_steps, remarks, verdict
 from unbend.tables.manifest.results import CameraShifts, Quantiles, ShiftField, SigmaRecord
 from unbend.tables.manifest.whole import Manifest
@@ -197,6 +198,11 @@ def report_page(manifest: Manifest, flown: Flown) -> str:
         run=manifest.run,
         results=results,
         config=manifest.run.config,
+        title=cover.title_of(manifest),
+        cover_rows=cover.cover_rows(manifest, flown),
+        cover_remarks=cover.paragraphs(manifest.sections.mission.remarks),
+        processed=Markup(cover.PROCESSED),
+        client=manifest.sections.mission.client or "",
         flown=flown,
         few={name: camera for name, camera in cameras.items() if camera.shift_px.count},
         budget=budget,
@@ -245,9 +251,11 @@ def environment() -> Environment:
     made.filters |= {
         "size": len, "code": _code, "metres": words.length, "pixels": words.pixels,
         "shortened": words.shortened, "utc": utc, "with_sigma": words.with_sigma,
+        "css_text": lambda text: Markup(cover.css_text(words.visible(text))),
     }  # fmt: skip
     made.globals |= {
         "Axes": Axes, "arrows": arrows, "field_arrows": field_arrows, "map_axes": map_axes,
+        "grid_lines": grid_lines, "track_of_camera": track_of_camera,
         "count": words.count, "round_step": round_step, "quantities": QUANTITIES,
         "summary": summary, "is_applied": is_applied, "verdict": verdict, "remarks": remarks,
         "next_steps": next_steps,

@@ -1,7 +1,8 @@
 """The mark of observations from which refraction was removed, so that nothing removes it twice.
 
 Parquet keeps it in its metadata, a database in a table of its own. Beside any other file stands a
-sidecar ``<file>.unbend.json`` with the SHA-256 of each file that holds such observations.
+sidecar ``<file>.unbend.json`` with the SHA-256 of each file that holds such observations. Every
+export has a sidecar, for its frame; one without such observations names no file in it.
 """
 
 import hashlib
@@ -27,9 +28,14 @@ _SQLITE = b"SQLite format 3\0"
 
 
 def sidecar_text(files: Mapping[str, Path], about: Mapping[str, Any]) -> str:
-    """The sidecar of files by the names they get; ``about`` is for whoever reads it."""
+    """The sidecar of files by the names they get; ``about`` is for whoever reads it.
+
+    Without files it is no mark.
+    """
     hashes = [{"name": name, "sha256": _sha256(path)} for name, path in files.items()]
-    content = {REFRACTION_KEY.decode(): REFRACTION_REMOVED.decode(), "files": hashes} | dict(about)
+    content: dict[str, Any] = {"files": hashes, **about}
+    if files:
+        content = {REFRACTION_KEY.decode(): REFRACTION_REMOVED.decode(), **content}
     return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 

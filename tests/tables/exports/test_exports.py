@@ -24,6 +24,7 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
 from unbend.tables.exports import FORMATS, ExportCamera, ExportFormat, FinishedRun, Option
+from unbend.tables.exports.export_frames import ExportFrame
 from unbend.tables.pixels import PixelSystem
 
 NADIR = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0)
@@ -224,7 +225,9 @@ def test_an_option_of_another_format():
 
 def test_limits_belong_to_the_range_and_units_to_the_remedy():
     option = Option("largest_angle", float, 80.0, "largest nadir angle", "deg", 1.0, 89.0)
-    form = ExportFormat("x", "", ".csv", lambda *_: 0, (option,))
+    form = ExportFormat(
+        "x", "", ".csv", lambda *_: 0, lambda *_: ExportFrame(), options=(option,)
+    )  # fmt: skip
     assert form.values({"largest_angle": 89.0}) == {"largest_angle": 89.0}
     with pytest.raises(ConfigError) as refusal:
         form.values({"largest_angle": 90.0})

@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,12 +27,16 @@ from unbend.config import Mission
 from unbend.errors import InputError
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from unbend.ingest.flight_log import hash_file
-from unbend.messages import Ledger
+from unbend.messages import Ledger, Notes
 from unbend.refraction.image import correct_observations
 from unbend.refraction.ray import rays_by
 from unbend.stages import exposure_setup
 from unbend.stages.light import air_by_camera
-from unbend.tables.exports import ExportCamera, FinishedRun, find_format
+from unbend.tables.exports import FORMATS, ExportCamera, ExportFormat, FinishedRun, find_format
+from unbend.tables.exports.export_frames import frame_record
+from unbend.tables.exports.messages import geoid_without_grid, grid_not_taken
+from unbend.tables.geodata.geoid import read_geoid
+from unbend.tables.geodata.map_grids import MapGrid, open_grid
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.refraction_mark import SIDECAR, sidecar_text
 from unbend.units import Array, Integers
@@ -46,53 +51,106 @@ _CHECKED = [*_CHECKED_NUMBERS, "status"]
 """Columns of the observations that are compared."""
 
 
+@dataclass(frozen=True)
+class WrittenExport:
+    """What an export wrote: its number of rows, the frame of them, and notes on what was left out.
+
+    ``frame`` : see `unbend.tables.exports.export_frames`.
+    """
+
+    rows: int
+    frame: Mapping[str, Any]
+    ledger: Ledger
+
+
 def export_run(
     path: Path | Place,
     name: str,
     out: Path,
     options: Mapping[str, Any],
     *,
+    crs: str = "",
+    geoid: Path | None = None,
     ground_height_m: float | None = None,
     force: bool = False,
-) -> tuple[int, Ledger]:
+) -> WrittenExport:
     """Write a finished run to ``out`` in the format of a ``name``, with the format's options.
 
-    ``ground_height_m`` [m above sea level] replaces the run's ground heights. ``force`` replaces a
-    file at ``out``, never a folder. Returns the number of rows written, and notes on what was left
-    out.
+    ``crs`` is the coordinate system that it is wanted in, as EPSG:25832; ``geoid`` the grid of the
+    heights in its vertical part. ``ground_height_m`` [m above sea level] replaces the run's ground
+    heights. ``force`` replaces a file at ``out``, never a folder. Beside the file, or in the
+    folder, a sidecar has the frame as JSON.
     """
     form = find_format(name, out)
     is_folder = not form.ending  # a format with an ending is one file
     values = form.values(options)
+    refuse_grid(form, crs, geoid)
     folder = copy_of_run(path) if isinstance(path, Place) else path
     refuse_output(folder, out, force=force and not is_folder)
     ledger = Ledger()
     run = rebuild_run(folder, verify_run(folder), ground_height_m, ledger)
+    run = replace(run, grid=ledger.take(grid_of_export(run, form, crs, geoid)))
     with store.atomic_write(out) as draft:
         if is_folder:
             draft.mkdir(parents=True)
         rows = form.write(run, values, draft, ledger)
-        if form.use:
-            ledger.add(messages.use_of_export(use=form.use, name=name))
+        frame = frame_record(form.frame(run, values))
+        use = form.use
+        if form.grid is not None and crs:
+            use = form.grid.use
+        if use:
+            ledger.add(messages.use_of_export(use=use, name=name))
         # The mark appears before the file: points without it might be corrected again.
-        if form.marked and is_folder:
-            beside = draft / form.marked[0]
+        about = {"mission": run.mission, "format": name, "frame": frame}
+        if is_folder:
+            beside = draft / (form.marked[0] if form.marked else name)
             files = {file: draft / file for file in form.marked}
-            write_mark(beside, files, run.mission, ledger)
-        elif form.marked:
-            files = {out.name: draft}
-            write_mark(out, files, run.mission, ledger)
-    return rows, ledger
+        else:
+            beside = out
+            files = {out.name: draft} if form.marked else {}
+        write_sidecar(beside, files, about, ledger)
+    return WrittenExport(rows, frame, ledger)
 
 
-def write_mark(beside: Path, files: Mapping[str, Path], mission: str, ledger: Ledger) -> None:
-    """Write a sidecar file: that refraction is removed from the points in ``files``.
+def refuse_grid(form: ExportFormat, crs: str, geoid: Path | None) -> None:
+    """Refuse (EXPORT-OPTION) a coordinate system that the format does not take."""
+    if crs and form.grid is None:
+        takers = [other.name for other in FORMATS.values() if other.grid is not None]
+        raise grid_not_taken(name=form.name, takers=", ".join(takers))
+    if geoid is not None and not crs:
+        raise geoid_without_grid()
 
-    Its path is ``beside`` with another ending. ``files`` are paths by the names they will have.
+
+def grid_of_export(
+    run: FinishedRun, form: ExportFormat, crs: str, geoid: Path | None
+) -> tuple[MapGrid | None, Notes]:
+    """The coordinate system that is asked for, or the format's own, or None; and its notes."""
+    if form.grid is None:
+        return None, ()
+    wanted = crs or form.grid.default
+    if not wanted:
+        return None, ()
+    is_usable = run.stations.ok
+    grid, notes = open_grid(
+        wanted,
+        run.stations.lat_rad[is_usable],
+        run.stations.lon_rad[is_usable],
+        geoid=None if geoid is None else read_geoid(geoid),
+        needs_angles=form.grid.needs_angles,
+    )
+    return grid, notes if crs else ()
+
+
+def write_sidecar(
+    beside: Path, files: Mapping[str, Path], about: Mapping[str, Any], ledger: Ledger
+) -> None:
+    """Write the JSON of an export: its frame, and whether refraction is removed from ``files``.
+
+    Its path is ``beside`` with another ending. ``files`` are paths by the names they will have, of
+    the files with points from which refraction is removed; there may be none.
     """
     notes = [message.what for message in ledger]
-    about = {"mission": mission, "notes": notes}
-    text = sidecar_text(files, about)
+    text = sidecar_text(files, {**about, "notes": notes})
     path = beside.with_name(beside.name + SIDECAR)
     with store.atomic_write(path) as draft:
         draft.write_text(text, encoding="utf-8")

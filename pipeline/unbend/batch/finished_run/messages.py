@@ -141,3 +141,99 @@ def not_reproduced(*, path: str, largest_px: float) -> MissionError:
 def use_of_export(*, use: str, name: str) -> Message:
     """How the program that reads a format is to be used."""
     return note(EXPORT_USE, "{use}", where=f"--format {name}", use=use)
+
+
+REPORT_BROWSER = Code(
+    "REPORT-BROWSER",
+    means=(
+        "A PDF of the report is printed by Chromium or Chrome: there is none, or it did not print "
+        "in time."
+    ),
+    effect="No PDF is written.",
+    remedy="Install chromium, or open report.html in any browser and print it there.",
+)
+
+
+def no_browser(*, names: str) -> ConfigError:
+    """There is no browser that prints."""
+    return ConfigError(
+        REPORT_BROWSER,
+        "a PDF is printed by a browser, and none of {names} is installed",
+        where="--pdf",
+        remedy=(
+            "install chromium (Debian: apt-get install chromium), or name a browser: --browser "
+            "PATH; or open report.html in any browser and print it as PDF"
+        ),
+        names=names,
+    )
+
+
+def browser_not_there(*, name: str) -> ConfigError:
+    """The browser that was named is not there."""
+    return ConfigError(
+        REPORT_BROWSER,
+        "there is no program {name!r}",
+        where="--browser",
+        remedy="give the path of Chromium, Chrome or Edge, or leave it out",
+        name=name,
+    )
+
+
+def print_failed(*, browser: str, said: str) -> ConfigError:
+    """The browser ended without a whole PDF."""
+    return ConfigError(
+        REPORT_BROWSER,
+        "{browser} wrote no whole PDF: {said}",
+        where="--pdf",
+        remedy="try another browser: --browser PATH; or open report.html and print it there",
+        browser=browser,
+        said=said,
+    )
+
+
+def print_too_long(*, browser: str, seconds: float) -> ConfigError:
+    """The browser did not end in time, and was ended."""
+    return ConfigError(
+        REPORT_BROWSER,
+        "{browser} did not end within {seconds:g} s, and was ended",
+        where="--timeout",
+        remedy="give it longer: --timeout 600; or open report.html and print it there",
+        browser=browser,
+        seconds=seconds,
+    )
+
+
+REPORT_ENDING = Code(
+    "REPORT-ENDING",
+    means="The name of the file does not have the ending of what is written: .html or .pdf.",
+    effect="Nothing is written.",
+    remedy="Rename it, or give --pdf.",
+)
+
+
+def report_ending(*, path: str, ending: str) -> ConfigError:
+    """The file has another ending than what is written to it."""
+    return ConfigError(
+        REPORT_ENDING,
+        "the report is written to a file that ends in {ending}",
+        where=path,
+        remedy="rename it; --pdf writes a PDF, without it a page is written",
+        ending=ending,
+    )
+
+
+REPORT_DATE = Code(
+    "REPORT-DATE",
+    means="The report was written by an older version, and has no place for the date.",
+    effect="The date of processing is not stated.",
+    remedy="Run the mission again with this version, where the date is wanted.",
+)
+
+
+def report_without_date(*, path: str) -> Message:
+    """A page without a place for the date of processing."""
+    return fallback(
+        REPORT_DATE,
+        "the report is of an older version: it does not state the date of processing",
+        where=path,
+    )

@@ -15,6 +15,8 @@ from unbend.tables.exports import (
     calibrations,
     colmap_files,
     correction_tables,
+    geopackage,
+    ground_points,
     messages,
     opensfm_project,
     pix4d_parameters,
@@ -23,9 +25,18 @@ from unbend.tables.exports import (
 from unbend.tables.exports.format import ExportCamera, ExportFormat, FinishedRun, Option
 
 MODULES = (
-    correction_tables, calibrations, station_files, colmap_files, bundler, opensfm_project, bingo,
-    blocks_exchange_xml, pix4d_parameters,
-)  # fmt: skip
+    correction_tables,
+    calibrations,
+    station_files,
+    geopackage,
+    ground_points,
+    colmap_files,
+    bundler,
+    opensfm_project,
+    bingo,
+    blocks_exchange_xml,
+    pix4d_parameters,
+)
 
 FORMATS: Mapping[str, ExportFormat] = {
     form.name: form for module in MODULES for form in module.FORMATS

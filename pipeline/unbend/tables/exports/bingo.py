@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from unbend.messages import Ledger
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_frames import ExportFrame, PixelFrame
 from unbend.tables.exports.exported_block import block_of
 from unbend.tables.exports.format import (
     PIXEL_UM,
@@ -80,17 +81,36 @@ def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) 
     return int(block.point.size)
 
 
+_AXES_BY_TURNS = (("right", "up"), ("up", "left"), ("left", "down"), ("down", "right"))
+
+
+def frame_of_points(_: FinishedRun, values: Values) -> ExportFrame:
+    """Image points alone, in millimetres from the image's centre."""
+    axes = _AXES_BY_TURNS[values["quarter_turns"]]
+    return ExportFrame(pixels=PixelFrame("centre of the image", axes, "mm"))
+
+
+QUARTER_TURNS = Option(
+    "quarter_turns",
+    int,
+    default=0,
+    help="quarter turns, counter-clockwise, of the axes of BINGO's image against x to the right, "
+    "y up",
+    minimum=0,
+    maximum=3,
+)
+
 FORMATS = (
     ExportFormat(
-        "bingo", "a block for BINGO: a folder with image.dat", "", write_bingo,
-        (
-            PIXEL_UM,
-            Option("quarter_turns", int, 0, "quarter turns, counter-clockwise, of the axes of "
-                   "BINGO's image against x to the right, y up", "", 0, 3),
-        ),
+        "bingo",
+        "a block for BINGO: a folder with image.dat",
+        "",
+        write_bingo,
+        frame_of_points,
+        options=(PIXEL_UM, QUARTER_TURNS),
         use="in BINGO, and in Inpho where it reads these files, switch the corrections of "
         "refraction and earth curvature off, and adjust in a Cartesian frame; positions and "
         "angles in one: --format opk-enu",
         marked=("image.dat",),
     ),
-)  # fmt: skip
+)

@@ -18,6 +18,13 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports import messages
 from unbend.tables.exports.colmap_files import opencv_coefficients
+from unbend.tables.exports.export_frames import (
+    CENTRE_PIXELS,
+    OF_COMPUTER_VISION,
+    ExportFrame,
+    angles_of_block,
+    block_positions,
+)
 from unbend.tables.exports.exported_block import ExportedBlock, block_of
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 from unbend.units import Array
@@ -122,12 +129,22 @@ def coordinates(place_m: Array, origin_height_m: float) -> str:
     return f"<x>{x!r}</x><y>{y!r}</y><z>{z + origin_height_m!r}</z>"
 
 
+def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
+    """East, north, up at the origin, rotation matrices, pixels from the centre of the first."""
+    return ExportFrame(
+        positions=block_positions(run.stations),
+        angles=angles_of_block("rotation_matrix", OF_COMPUTER_VISION),
+        pixels=CENTRE_PIXELS,
+    )
+
+
 FORMATS = (
     ExportFormat(
         "blocksexchange",
         "a block as BlocksExchange XML, for ContextCapture and iTwin",
         ".xml",
         write_blocks_exchange,
+        frame_of_block,
         marked=("",),
         use="ContextCapture knows neither refraction nor earth curvature: nothing is to be "
         "switched off in it; keep the optical properties of the photogroups",

@@ -16,6 +16,13 @@ import numpy as np
 from unbend.messages import Ledger
 from unbend.refraction.camera import model_of
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_frames import (
+    PHOTOGRAMMETRIC,
+    ExportFrame,
+    PixelFrame,
+    angles_of_block,
+    block_positions,
+)
 from unbend.tables.exports.exported_block import block_of, ideal_coordinates, refuse_names
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 
@@ -69,10 +76,19 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     return int(block.point.size) - missing
 
 
+def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
+    """East, north, up at the origin, rotation matrices, pixels from the image's centre."""
+    return ExportFrame(
+        positions=block_positions(run.stations),
+        angles=angles_of_block("rotation_matrix", PHOTOGRAMMETRIC),
+        pixels=PixelFrame("centre of the image", ("right", "up"), "px"),
+    )
+
+
 FORMATS = (
     ExportFormat(
         "bundler", "a block for Metashape: Bundler's folder, undistorted and centred", "",
-        write_bundler, marked=("bundle.out",),
+        write_bundler, frame_of_block, marked=("bundle.out",),
         use="Metashape has no switch for refraction; adjust there with f fixed and k1, k2 and all "
         "other coefficients at zero, and give the images their own calibration (calibration.json) "
         "after that",

@@ -33,6 +33,7 @@ from unbend.tables.exports.format import (
     FinishedRun,
     Option,
     Values,
+    frame_of_corrections,
     pixel_mm,
 )
 from unbend.tables.exports.opensfm_project import opensfm_camera
@@ -296,14 +297,24 @@ def write_cameras(found: Sequence[FittedCalibration], path: Path) -> None:
     (path / "camera_models.json").write_text(json.dumps(opensfm, indent=4), encoding="utf-8")
 
 
+SAME_HEIGHT = Option(
+    "same_height",
+    float,
+    default=10.0,
+    help="largest difference of heights above ground that share a calibration",
+    unit="%",
+    minimum=0.1,
+    maximum=50.0,
+)
+
 FORMATS = (
     ExportFormat(
-        "calibration", "cameras that stand for refraction, a folder", "", write_calibrations,
-        (
-            Option("same_height", float, 10.0, "largest difference of heights above ground that "
-                   "share a calibration", "%", 0.1, 50.0),
-            PIXEL_UM,
-        ),
+        "calibration",
+        "cameras that stand for refraction, a folder",
+        "",
+        write_calibrations,
+        frame_of_corrections,
+        options=(SAME_HEIGHT, PIXEL_UM),
         use=CORRECTIONS_USE,
     ),
-)  # fmt: skip
+)

@@ -34,6 +34,13 @@ from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports import messages
 from unbend.tables.exports.colmap_rigs import CAMERA_SENSOR, rig_tables
+from unbend.tables.exports.export_frames import (
+    CORNER_PIXELS,
+    OF_COMPUTER_VISION,
+    ExportFrame,
+    angles_of_block,
+    block_positions,
+)
 from unbend.tables.exports.exported_block import ExportedBlock, block_of
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from unbend.tables.imports.blocks import damage_refused
@@ -268,13 +275,28 @@ def match_rows(block: ExportedBlock) -> Iterator[tuple[Any, ...]]:
             yield "two_view_geometries", pair, high - low, both.tobytes(), _CALIBRATED
 
 
+def frame_of_model(run: FinishedRun, _: Values) -> ExportFrame:
+    """East, north, up at the origin, quaternions, pixels from the corner."""
+    return ExportFrame(
+        positions=block_positions(run.stations),
+        angles=angles_of_block("quaternion_wxyz", OF_COMPUTER_VISION),
+        pixels=CORNER_PIXELS,
+    )
+
+
+def frame_of_database(run: FinishedRun, _: Values) -> ExportFrame:
+    """Pose priors east, north, up at the origin, and pixels from the corner; no attitudes."""
+    return ExportFrame(positions=block_positions(run.stations), pixels=CORNER_PIXELS)
+
+
 FORMATS = (
     ExportFormat(
-        "colmap", "a block for COLMAP: a folder with its sparse model", "", write_model, use=_USE,
+        "colmap", "a block for COLMAP: a folder with its sparse model", "", write_model,
+        frame_of_model, use=_USE,
         marked=("images.bin",),
     ),
     ExportFormat(
         "colmap-database", "a block for COLMAP: database with matches and pose priors", ".db",
-        write_database, use=_USE, marked=("",),
+        write_database, frame_of_database, use=_USE, marked=("",),
     ),
 )  # fmt: skip

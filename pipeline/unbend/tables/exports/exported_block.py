@@ -19,6 +19,7 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_frames import can_be_placed
 from unbend.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
 from unbend.tables.exports.format import FinishedRun
 from unbend.units import Array, Integers, Mask, Names
@@ -98,9 +99,7 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
     does not define (EXPORT-CAMERA).
     """
     stations, what = run.stations, "usable position, attitude and ellipsoidal height"
-    place = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
-    known = stations.ok & np.isfinite([*stations.quaternion.T, *place]).all(axis=0)
-    rows = placed_stations(run, known, what, ledger)
+    rows = placed_stations(run, can_be_placed(stations), what, ledger)
     if rows.size == 0:
         raise messages.no_station_placed(where="stations.parquet", lacking=what)
     for camera in sorted(set(stations.camera[rows]) - run.cameras.keys()):

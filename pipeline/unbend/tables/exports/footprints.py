@@ -12,6 +12,7 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_frames import origin_of
 from unbend.tables.exports.format import FinishedRun
 from unbend.units import Array, Integers, Mask
 
@@ -51,12 +52,8 @@ def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
     """
     stations = run.stations
     lat, lon, h = stations.lat_rad[rows], stations.lon_rad[rows], stations.h_ellipsoid_m[rows]
-    near = geodesy.longitudes_near(lon, lon[0])
-    origin_deg = [
-        round(0.5 * (float(values.min()) + float(values.max())), digits)
-        for values, digits in ((np.degrees(lat), 5), (np.degrees(near), 5), (h, 0))
-    ]
-    origin = [np.radians(origin_deg[:1]), np.radians(origin_deg[1:2]), np.array(origin_deg[2:])]
+    origin_deg = origin_of(lat, lon, h)
+    origin = [np.radians(origin_deg[:1]), np.radians(origin_deg[1:2]), origin_deg[2:]]
     to_origin = geodesy.enu_from_ecef(*origin[:2])[0]
     axes = geodesy.enu_from_ecef(lat, lon) @ to_origin.T  # from the frame to the station's own
     horizontal = stations.sigma_horizontal_m[rows]
@@ -64,7 +61,7 @@ def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
     moved = geodesy.ecef_of_geodetic(lat, lon, h) - geodesy.ecef_of_geodetic(*origin)
     turned = in_turned_frame(stations.quaternion[rows], axes)
     covariance = np.swapaxes(axes, 1, 2) @ (sigma[:, :, None] ** 2 * axes)
-    return OneFrame(np.array(origin_deg), to_origin, moved @ to_origin.T, turned, covariance)
+    return OneFrame(origin_deg, to_origin, moved @ to_origin.T, turned, covariance)
 
 
 def footprints(run: FinishedRun, ledger: Ledger) -> Array:

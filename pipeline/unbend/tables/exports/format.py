@@ -19,6 +19,8 @@ from unbend.refraction.image import Exposures
 from unbend.refraction.ray import PublishedRays
 from unbend.refraction.ray_table import RayTable
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_frames import SEA_LEVEL_OF_RUN, ExportFrame, pixels_of_run
+from unbend.tables.geodata.map_grids import MapGrid
 from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.pixels import PixelSystem
 from unbend.tables.writing import parquet_settings
@@ -47,6 +49,7 @@ class FinishedRun:
     in order, with coordinates in the system ``pixels``; ``metadata`` goes into every file that is
     written. ``rays`` are those of ``air``'s profiles. ``find_ground`` reads heights of all
     observations; ``database`` finds COLMAP's, of which they are the keypoints, and reads all of it.
+    ``grid`` is the coordinate system that results are asked for in.
     """
 
     mission: str
@@ -61,11 +64,18 @@ class FinishedRun:
     parts: tuple[Path, ...]
     metadata: Mapping[str, str]
     database: Callable[[], Path | None] = lambda: None
+    grid: MapGrid | None = None
 
     def rows_of(self, camera: str) -> Integers:
         """(n,) the stations of a camera that can be used, in the order of the table."""
         usable = (self.stations.camera == camera) & self.exposures.usable
         return np.flatnonzero(usable).astype(np.int64)
+
+    @property
+    def required_grid(self) -> MapGrid:
+        """The coordinate system, of a format that always has one."""
+        assert self.grid is not None
+        return self.grid
 
     @cached_property
     def ground_m(self) -> Array:
@@ -121,6 +131,19 @@ def pixel_mm(run: FinishedRun, camera: str, values: Values) -> float:
 
 
 @dataclass(frozen=True)
+class GridUse:
+    """How a format takes a coordinate system.
+
+    ``default`` : the system where none is asked for, "" for none. ``needs_angles`` : it has angles
+    against the grid. ``use`` : what is said of the export in place of the format's own ``use``.
+    """
+
+    default: str = ""
+    needs_angles: bool = False
+    use: str = ""
+
+
+@dataclass(frozen=True)
 class ExportFormat:
     """A format: its name, what it holds in words, the ending of its file, its writer, its options.
 
@@ -128,16 +151,19 @@ class ExportFormat:
     is there where the ending is "", and returns the number of rows; what is left out is entered in
     the ledger. ``use`` says in which frame it is, and what is to be switched off in the program
     that reads it. ``marked`` are the names of the files that hold observations without refraction
-    and cannot say so, of a format of one file "".
+    and cannot say so, of a format of one file "". ``frame(run, values)`` is the frame of what is
+    written; ``grid`` how a coordinate system is taken, None where there is one that fits alone.
     """
 
     name: str
     contents: str
     ending: str
     write: Callable[[FinishedRun, Values, Path, Ledger], int]
+    frame: Callable[[FinishedRun, Values], ExportFrame]
     options: tuple[Option, ...] = ()
     use: str = ""
     marked: tuple[str, ...] = ()
+    grid: GridUse | None = None
 
     def values(self, given: Values) -> dict[str, Any]:
         """The value of every option, given or by default.
@@ -191,9 +217,22 @@ def parquet_and_csv(
 
     kinds = (name, ".parquet", write_parquet_stream), (f"{name}-csv", ".csv", write_csv_stream)
     return tuple(
-        ExportFormat(form, contents, ending, partial(write, writer), options, use=CORRECTIONS_USE)
+        ExportFormat(
+            form,
+            contents,
+            ending,
+            partial(write, writer),
+            frame=frame_of_corrections,
+            options=options,
+            use=CORRECTIONS_USE,
+        )
         for form, ending, writer in kinds
     )
+
+
+def frame_of_corrections(run: FinishedRun, _: Values) -> ExportFrame:
+    """Image coordinates as the run has them, and heights above sea level."""
+    return ExportFrame(pixels=pixels_of_run(run.pixels), ground_heights=SEA_LEVEL_OF_RUN)
 
 
 def write_parquet_stream(path: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:

@@ -240,6 +240,20 @@ def points_left_out(*, where: str, count: int) -> Message:
     )
 
 
+def points_without_place(*, where: str, count: int, total: int) -> Message:
+    """Observations that have no place on the ground."""
+    return loss(
+        EXPORT_LEFT_OUT,
+        "{count} of {total} are left out: without a correction, a usable station or a place in "
+        "the coordinate system",
+        one="1 of {total} is left out: without a correction, a usable station or a place in the "
+        "coordinate system",
+        where=where,
+        count=count,
+        total=Counted(total, "observation"),
+    )
+
+
 def images_without_lattice(*, where: str, count: int, first: str) -> Message:
     """Images without a usable station, in a lattice."""
     return loss(
@@ -487,6 +501,28 @@ def option_unknown(*, where: str, name: str, options: str) -> ConfigError:
         remedy="its options are {options}",
         name=name,
         options=options,
+    )
+
+
+def grid_not_taken(*, name: str, takers: str) -> ConfigError:
+    """A format has a frame of its own, and takes no coordinate system."""
+    return ConfigError(
+        EXPORT_OPTION,
+        "{name} has a frame of its own and takes no --crs",
+        where="--crs",
+        remedy="leave it out, or choose a format that takes it: {takers}",
+        name=name,
+        takers=takers,
+    )
+
+
+def geoid_without_grid() -> ConfigError:
+    """A geoid is of the vertical part of a coordinate system."""
+    return ConfigError(
+        EXPORT_OPTION,
+        "--geoid belongs to the vertical part of --crs, which is not given",
+        where="--geoid",
+        remedy="give both, as --crs EPSG:25832+7837 --geoid FILE",
     )
 
 

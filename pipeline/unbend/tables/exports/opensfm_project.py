@@ -18,6 +18,13 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports.colmap_files import opencv_coefficients, point_ids
+from unbend.tables.exports.export_frames import (
+    OF_COMPUTER_VISION,
+    ExportFrame,
+    PixelFrame,
+    angles_of_block,
+    block_positions,
+)
 from unbend.tables.exports.exported_block import block_of, refuse_names
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 
@@ -83,10 +90,19 @@ def write_project(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     return int(block.point.size)
 
 
+def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
+    """East, north, up at reference_lla, rotation vectors, lengths of the image's longer side."""
+    return ExportFrame(
+        positions=block_positions(run.stations),
+        angles=angles_of_block("rotation_vector", OF_COMPUTER_VISION),
+        pixels=PixelFrame("centre of the image", ("right", "down"), "longer side of the image"),
+    )
+
+
 FORMATS = (
     ExportFormat(
         "opensfm", "a block for OpenSfM or ODM: a folder with tracks and reconstruction", "",
-        write_project, marked=("tracks.csv",),
+        write_project, frame_of_block, marked=("tracks.csv",),
         use="OpenSfM and ODM know neither refraction nor earth curvature: nothing is to be "
         "switched off in them; hold the calibration (optimize_camera_parameters: no, ODM: "
         "--use-fixed-camera-params)",

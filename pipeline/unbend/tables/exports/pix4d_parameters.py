@@ -15,6 +15,13 @@ from unbend.flight.rotations import opk_of_quaternion
 from unbend.messages import Ledger
 from unbend.tables.exports import messages
 from unbend.tables.exports.blocks_exchange_xml import plain_coefficients
+from unbend.tables.exports.export_frames import (
+    CORNER_PIXELS,
+    EAST_NORTH_UP,
+    ExportFrame,
+    angles_of_photogrammetry,
+    block_positions,
+)
 from unbend.tables.exports.exported_block import ExportedBlock, block_of, refuse_names
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 
@@ -90,12 +97,22 @@ def write_external(block: ExportedBlock, path: Path) -> None:
             file.write(f"{name} {place} {angles}\n")
 
 
+def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
+    """East, north, up at the origin, omega, phi, kappa there, pixels from the corner."""
+    return ExportFrame(
+        positions=block_positions(run.stations),
+        angles=angles_of_photogrammetry(EAST_NORTH_UP, "origin"),
+        pixels=CORNER_PIXELS,
+    )
+
+
 FORMATS = (
     ExportFormat(
         "pix4d",
         "a block as Pix4D's calibrated parameters: a folder with tie points",
         "",
         write_pix4d,
+        frame_of_block,
         marked=(f"{_PREFIX}tp_pix4d.txt",),
         use="Pix4D knows neither refraction nor earth curvature: nothing is to be switched off in "
         "it; its coordinate system is a local one, in metres",

@@ -1,13 +1,13 @@
 """Stations for other programs: tables of omega, phi, kappa; maps as GeoJSON (RFC 7946) and KML 2.2.
 
 M = Rx(omega) Ry(phi) Rz(kappa) turns from the camera of photogrammetry (x right, y up, z backward)
-to each station's own horizon, or to one frame; see `unbend.flight.rotations`. The vertical turns
-324 arcsec in 10 km: angles of the two formats differ by that.
+to each station's own horizon, to one frame, or to the axes of a map's grid at each station; see
+`unbend.flight.rotations`. The vertical turns 324 arcsec in 10 km: angles of the first two differ by
+that. Those in a grid differ from the first by the convergence, which is applied.
 """
 
 import json
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -18,11 +18,32 @@ import pyarrow as pa
 from unbend.flight.rotations import opk_of_quaternion
 from unbend.flight.stations import station_columns
 from unbend.messages import Ledger
+from unbend.tables.exports.export_frames import (
+    EAST_NORTH_UP,
+    ELLIPSOID_OF_WGS84,
+    LATITUDE_LONGITUDE_HEIGHT,
+    SEA_LEVEL_OF_RUN,
+    ExportFrame,
+    angles_of_photogrammetry,
+    block_positions,
+    can_be_placed,
+    geographic_frame,
+    grid_frame,
+    scale_of_grid,
+)
 from unbend.tables.exports.footprints import footprints, placed_stations, stations_in_one_frame
-from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
+from unbend.tables.exports.format import (
+    ExportFormat,
+    FinishedRun,
+    GridUse,
+    Values,
+    write_csv_stream,
+)
+from unbend.tables.exports.stations_in_grid import grid_angles, grid_columns, stations_in_grid
+from unbend.tables.geodata.map_grids import check_grid_axes
 from unbend.tables.schemas import schema_of
 from unbend.tables.writing import table_of
-from unbend.units import Mask
+from unbend.units import Array, Integers, Mask
 
 _PLACES = ("lat_deg", "lon_deg", "h_ellipsoid_m")
 _ANGLES = ("omega_deg", "phi_deg", "kappa_deg")
@@ -35,28 +56,112 @@ _PROPERTIES = (
 )  # fmt: skip
 
 
-def _write(topocentric: bool, run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
-    """A row for each usable station with a height above the ellipsoid."""
-    stations, columns = run.stations, station_columns(run.stations)
-    known = stations.ok & np.isfinite([*stations.quaternion.T, *map(columns.get, _PLACES)]).all(0)
-    rows = placed_stations(run, known, "usable position, attitude and ellipsoidal height", ledger)
-    attitude = stations.quaternion[rows]
-    found: dict[str, object] = {n: columns[n][rows] for n in (*_WORDS, *_PLACES, *_SIGMAS)}
-    if topocentric and rows.size:
+def write_at_stations(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
+    """Angles against each station's own horizon, or against the grid that is asked for."""
+    rows = placed_rows(run, ledger)
+    columns_written = columns_of_stations(run, rows)
+    attitude = run.stations.quaternion[rows]
+    names = [*_WORDS, *_PLACES, *_ANGLES, *_SIGMAS]
+    if run.grid is not None:
+        in_grid = stations_in_grid(run.stations, rows, run.grid)
+        ledger.extend(
+            check_grid_axes(in_grid.axes, crs=run.grid.identifier or "--crs", name=run.grid.name)
+        )
+        attitude = in_grid.quaternion
+        of_grid = grid_columns(run.grid, in_grid)
+        columns_written |= of_grid
+        names += of_grid
+    columns_written |= angle_columns(attitude)
+    return write_station_table(run, path, columns_written, names)
+
+
+def write_in_one_frame(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
+    """Positions and angles in one frame, east, north, up at the middle of the block."""
+    rows = placed_rows(run, ledger)
+    columns_written = columns_of_stations(run, rows)
+    attitude = run.stations.quaternion[rows]
+    if rows.size:
         frame = stations_in_one_frame(run, rows)
         attitude = frame.quaternion
-        found |= dict(zip(_AXES, frame.position_m.T, strict=True))
-        origin = zip(_PLACES, frame.origin_deg, strict=True)
-        found |= {f"origin_{name}": np.full(rows.size, value) for name, value in origin}
-    angles = np.degrees(opk_of_quaternion(attitude))
-    found |= dict(zip(_ANGLES, angles.T, strict=True))
-    names = [*_WORDS, *_PLACES, *_ANGLES, *_SIGMAS]
-    if topocentric:
-        names += [*_AXES, *(f"origin_{name}" for name in _PLACES)]
+        columns_written |= dict(zip(_AXES, frame.position_m.T, strict=True))
+        for name, value in zip(_PLACES, frame.origin_deg, strict=True):
+            columns_written[f"origin_{name}"] = np.full(rows.size, value)
+    columns_written |= angle_columns(attitude)
+    names = [*_WORDS, *_PLACES, *_ANGLES, *_SIGMAS, *_AXES]
+    names += [f"origin_{name}" for name in _PLACES]
+    return write_station_table(run, path, columns_written, names)
+
+
+def placed_rows(run: FinishedRun, ledger: Ledger) -> Integers:
+    """The stations with all that a table of orientations needs; the others are a loss.
+
+    With a grid also those that its transformation reaches.
+    """
+    what = "usable position, attitude and ellipsoidal height"
+    known = can_be_placed(run.stations)
+    if run.grid is not None:
+        x, y = run.grid.coordinates(run.stations.lat_rad, run.stations.lon_rad)
+        known &= np.isfinite(x) & np.isfinite(y)
+        what = f"{what} within the transformation to {run.grid.name}"
+    return placed_stations(run, known, what, ledger)
+
+
+def columns_of_stations(run: FinishedRun, rows: Integers) -> dict[str, object]:
+    """Names, times, places and sigmas of some stations."""
+    columns = station_columns(run.stations)
+    return {name: columns[name][rows] for name in (*_WORDS, *_PLACES, *_SIGMAS)}
+
+
+def angle_columns(quaternion: Array) -> dict[str, object]:
+    """Omega, phi, kappa [deg] of attitudes."""
+    angles = np.degrees(opk_of_quaternion(quaternion))
+    return dict(zip(_ANGLES, angles.T, strict=True))
+
+
+def write_station_table(
+    run: FinishedRun, path: Path, columns: Mapping[str, object], names: Sequence[str]
+) -> int:
+    """Write columns of stations as CSV, in the order of ``names``; the number of rows."""
     texts = dict.fromkeys(_WORDS, pa.string()) | {"time_utc": pa.timestamp("ns", "UTC")}
     kinds = {name: (texts.get(name, pa.float64()), "", "") for name in names}
     schema = schema_of(kinds, run.metadata)
-    return write_csv_stream(path, schema, [table_of(found, schema)])
+    return write_csv_stream(path, schema, [table_of(columns, schema)])
+
+
+def frame_at_stations(run: FinishedRun, _: Values) -> ExportFrame:
+    """Angles against the horizon of each station, or against the grid there."""
+    if run.grid is None:
+        return ExportFrame(
+            positions=geographic_frame(ELLIPSOID_OF_WGS84, LATITUDE_LONGITUDE_HEIGHT),
+            angles=angles_of_photogrammetry(EAST_NORTH_UP, "each station"),
+        )
+    rows = np.flatnonzero(can_be_placed(run.stations))
+    axes = run.grid.axes_at(run.stations.lat_rad[rows], run.stations.lon_rad[rows])
+    return ExportFrame(
+        positions=grid_frame(run.grid),
+        angles=grid_angles(run.grid, axes),
+        scale=scale_of_grid(axes),
+    )
+
+
+def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
+    """Positions and angles in one frame."""
+    return ExportFrame(
+        positions=block_positions(run.stations),
+        angles=angles_of_photogrammetry(EAST_NORTH_UP, "origin"),
+    )
+
+
+def frame_of_geojson(_run: FinishedRun, _: Values) -> ExportFrame:
+    """Places on WGS 84, heights above its ellipsoid."""
+    return ExportFrame(
+        positions=geographic_frame(ELLIPSOID_OF_WGS84), ground_heights=SEA_LEVEL_OF_RUN
+    )
+
+
+def frame_of_kml(_run: FinishedRun, _: Values) -> ExportFrame:
+    """Places on WGS 84, heights above sea level: so KML defines it."""
+    return ExportFrame(positions=geographic_frame(SEA_LEVEL_OF_RUN))
 
 
 def _rings(
@@ -136,11 +241,30 @@ _USE = (
     "Cartesian frame, with the program's own corrections of refraction and earth curvature off"
 )
 
+_USE_IN_GRID = (
+    "positions are in a map projection, and angles against its axes and each station's vertical: "
+    "leave the program's corrections of earth curvature and of the scale of the projection on, "
+    "and switch that of refraction off"
+)
+
 FORMATS = (
-    ExportFormat("opk", "omega, phi, kappa against each station's east, north, up", ".csv",
-                 partial(_write, False), use=_USE),
-    ExportFormat("opk-enu", "omega, phi, kappa and x, y, z in one frame: east, north, up", ".csv",
-                 partial(_write, True), use=_USE),
-    ExportFormat("geojson", "stations and footprints", ".geojson", write_geojson),
-    ExportFormat("kml", "stations and footprints", ".kml", write_kml),
-)  # fmt: skip
+    ExportFormat(
+        "opk",
+        "omega, phi, kappa against each station's east, north, up, or a grid (--crs)",
+        ".csv",
+        write_at_stations,
+        frame_at_stations,
+        use=_USE,
+        grid=GridUse(needs_angles=True, use=_USE_IN_GRID),
+    ),
+    ExportFormat(
+        "opk-enu",
+        "omega, phi, kappa and x, y, z in one frame: east, north, up",
+        ".csv",
+        write_in_one_frame,
+        frame_of_block,
+        use=_USE,
+    ),
+    ExportFormat("geojson", "stations and footprints", ".geojson", write_geojson, frame_of_geojson),
+    ExportFormat("kml", "stations and footprints", ".kml", write_kml, frame_of_kml),
+)

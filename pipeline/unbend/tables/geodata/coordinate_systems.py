@@ -1,4 +1,4 @@
-"""Positions in a stated coordinate system, brought to WGS 84; the only module that uses pyproj.
+"""Positions in a stated coordinate system, brought to WGS 84, by pyproj.
 
 Horizontally by PROJ without ballpark transformations. Heights stay what they are, by the name of
 their datum: PROJ returns them unchanged, and says nothing, where it lacks a grid.
@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,9 +21,12 @@ from unbend.tables.geodata import messages
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.units import WGS84_A, Array, measured
 
+if TYPE_CHECKING:
+    from pyproj import CRS, Transformer
+
 _GOOD_M = 1.0  # a transformation that is no better than this is a warning
-_MARGIN_DEG = 2.0  # so far outside its area of use a coordinate system is still meant
-_SEA_LEVELS = ("EGM96 height", "MSL height")  # vertical datums that are mean sea level here
+MARGIN_DEG = 2.0  # so far outside its area of use a coordinate system is still meant
+SEA_LEVELS = ("EGM96 height", "MSL height")  # vertical datums that are mean sea level here
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +94,7 @@ def places_of(
     if vertical is not None:
         axis = vertical.axis_info[0]
         h = h * axis.unit_conversion_factor * (-1.0 if axis.direction == "down" else 1.0)
-        if vertical.name not in _SEA_LEVELS:
+        if vertical.name not in SEA_LEVELS:
             if geoid is None:
                 raise messages.crs_vertical_grid(
                     where=where,
@@ -132,11 +135,25 @@ def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
     return lon_lat
 
 
-def _to_wgs84(
-    horizontal: Any, lon_lat: Array, where: str, key: str, *, target: str = "EPSG:4326"
-) -> tuple[Any, str, bool]:
-    """The one transformation that is best about (2, n) places with the grids that are here, what it
-    is, and whether it is good to 1 m. No other takes its place where its grid ends.
+@dataclass(frozen=True, eq=False)
+class BestOperation:
+    """The best transformation between two systems that PROJ can do here.
+
+    ``transformer`` is PROJ's; ``by`` says in words what it is; ``is_good`` whether it is known to
+    be good to 1 m.
+    """
+
+    transformer: "Transformer"
+    by: str
+    is_good: bool
+
+
+def best_operation(
+    source: "CRS | str", lon_lat: Array, target: "CRS | str"
+) -> BestOperation | None:
+    """The transformation that is best about (2, n) places, with the grids that are here.
+
+    No other takes its place where its grid ends. None where PROJ has only a ballpark one.
     """
     from pyproj.aoi import AreaOfInterest
     from pyproj.network import set_network_enabled
@@ -147,18 +164,31 @@ def _to_wgs84(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the words say it
         group = TransformerGroup(
-            horizontal, target, always_xy=True, allow_ballpark=False,
+            source,
+            target,
+            always_xy=True,
+            allow_ballpark=False,
             area_of_interest=AreaOfInterest(*corners),
-        )  # fmt: skip
+        )
     if not group.transformers:
-        raise messages.crs_ballpark(where=where, name=horizontal.name, named=key)
+        return None
     best = group.transformers[0]
     by = f"{best.description or 'an unnamed operation'}"
     by += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"
     if not group.best_available and (missing := group.unavailable_operations[:1]):
         grids = ", ".join(grid.short_name for grid in missing[0].grids)
         by += f"; {missing[0].name} to {missing[0].accuracy:g} m needs {grids} in PROJ's folder"
-    return best, by, 0.0 <= best.accuracy <= _GOOD_M
+    return BestOperation(best, by, 0.0 <= best.accuracy <= _GOOD_M)
+
+
+def _to_wgs84(
+    horizontal: Any, lon_lat: Array, where: str, key: str, *, target: str = "EPSG:4326"
+) -> tuple[Any, str, bool]:
+    """The best transformation to WGS 84 about (2, n) places, what it is, and whether to 1 m."""
+    best = best_operation(horizontal, lon_lat, target)
+    if best is None:
+        raise messages.crs_ballpark(where=where, name=horizontal.name, named=key)
+    return best.transformer, best.by, best.is_good
 
 
 def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array, Array]:
@@ -359,7 +389,7 @@ def grid_system(
     if vertical is None:
         return system
     name, unit_m = vertical.name, vertical.axis_info[0].unit_conversion_factor
-    return replace(system, vertical=name, is_sea_level=name in _SEA_LEVELS, unit_m=unit_m)
+    return replace(system, vertical=name, is_sea_level=name in SEA_LEVELS, unit_m=unit_m)
 
 
 def is_on_wgs84(crs: str) -> bool:
@@ -415,10 +445,10 @@ def _inside(
     lon_lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan)
     inside = np.isfinite(lon_lat).all(axis=0)
     if area is not None:
-        west, east = area.west - _MARGIN_DEG, area.east + _MARGIN_DEG
+        west, east = area.west - MARGIN_DEG, area.east + MARGIN_DEG
         width = (east - west) % 360.0 if east - west < 360.0 else 360.0
         inside &= (lon_lat[0] - west) % 360.0 <= width
-        south, north = area.south - _MARGIN_DEG, area.north + _MARGIN_DEG
+        south, north = area.south - MARGIN_DEG, area.north + MARGIN_DEG
         inside &= (lon_lat[1] >= south) & (lon_lat[1] <= north)
     count = int((known & ~inside).sum())
     if count == 0 and known.any():

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from unbend.errors import Code, Counted, InputError
+from unbend.errors import Code, ConfigError, Counted, InputError
 from unbend.messages import Message, loss, note, warning
 
 CRS_AREA = Code(
@@ -607,4 +607,259 @@ def points_table(*, where: Path | str, error: str) -> InputError:
         where=where,
         error=error,
         remedy="write a Parquet file with names as text and numbers as float64",
+    )
+
+
+EXPORT_CRS = Code(
+    "EXPORT-CRS",
+    means=(
+        "The coordinate system of --crs cannot hold this export: unknown, without a grid for "
+        "angles, far from the flight, or with heights whose grid is not there."
+    ),
+    effect="The export is refused.",
+    remedy="Choose another system, as the refusal says; a UTM zone on WGS 84 or ETRS89 always is.",
+)
+
+
+def grid_unknown(*, crs: str, error: str) -> ConfigError:
+    """PROJ knows no such system."""
+    return ConfigError(
+        EXPORT_CRS,
+        "{crs!r} is not a coordinate system that PROJ knows: {error}",
+        where="--crs",
+        crs=crs,
+        error=error,
+        remedy="give a code, as EPSG:25832, or with a vertical part, EPSG:25832+5773",
+    )
+
+
+def grid_of_other_kind(*, crs: str, name: str, kind: str) -> ConfigError:
+    """The system has neither map coordinates nor latitudes."""
+    return ConfigError(
+        EXPORT_CRS,
+        "{name} ({crs}) has no map coordinates: it is of the kind {kind}",
+        where="--crs",
+        crs=crs,
+        name=name,
+        kind=kind,
+        remedy="give a projected system, for example the UTM zone of the flight",
+    )
+
+
+def grid_geographic(*, crs: str, name: str) -> ConfigError:
+    """Angles against a grid need a projected system."""
+    return ConfigError(
+        EXPORT_CRS,
+        "{name} ({crs}) has latitudes and longitudes: it has no grid for omega, phi, kappa",
+        where="--crs",
+        crs=crs,
+        name=name,
+        remedy=(
+            "give a projected system, for example the UTM zone of the flight; without --crs the "
+            "angles are against east, north, up at each station"
+        ),
+    )
+
+
+def grid_without_places(*, crs: str) -> ConfigError:
+    """No station has a position that could be projected."""
+    return ConfigError(
+        EXPORT_CRS,
+        "no station has a position: nothing can be brought to {crs}",
+        where="--crs",
+        crs=crs,
+        remedy="check the stations of the run",
+    )
+
+
+def grid_elsewhere(*, crs: str, name: str, area: str) -> ConfigError:
+    """The block lies far outside the system's area of use."""
+    return ConfigError(
+        EXPORT_CRS,
+        "the flight lies more than 2° outside the area of {name} ({crs}): {area}",
+        where="--crs",
+        crs=crs,
+        name=name,
+        area=area,
+        remedy="give a system of the place that was flown, for example its UTM zone",
+    )
+
+
+def grid_ballpark(*, crs: str, name: str) -> ConfigError:
+    """PROJ has only a transformation without known accuracy."""
+    return ConfigError(
+        EXPORT_CRS,
+        "{name} ({crs}) has no transformation from WGS 84 with a known accuracy",
+        where="--crs",
+        crs=crs,
+        name=name,
+        remedy=(
+            "export in a system on WGS 84 or ETRS89, and transform that with a program of the "
+            "survey office; or install the grid of the transformation in PROJ's folder"
+        ),
+    )
+
+
+def grid_left_handed(*, crs: str, name: str, axes: str) -> ConfigError:
+    """The axes of the system are mirrored against east and north."""
+    return ConfigError(
+        EXPORT_CRS,
+        "the axes of {name} ({crs}) count to {axes}: angles and vectors would be mirrored in it",
+        where="--crs",
+        crs=crs,
+        name=name,
+        axes=axes,
+        remedy="give the system with axes to the east and north, as EPSG:5514 for EPSG:5513",
+    )
+
+
+def grid_scale_unfit(*, crs: str, name: str, lowest: float, highest: float) -> ConfigError:
+    """The scale of the grid is far from one."""
+    return ConfigError(
+        EXPORT_CRS,
+        (
+            "the scale of {name} ({crs}) is {lowest:.4f} to {highest:.4f} here: horizontal "
+            "distances and heights do not fit together in it"
+        ),
+        where="--crs",
+        crs=crs,
+        name=name,
+        lowest=lowest,
+        highest=highest,
+        remedy="give a system for surveys, for example the UTM zone of the flight",
+    )
+
+
+def grid_needs_geoid(*, crs: str, vertical: str) -> ConfigError:
+    """The vertical datum needs the grid that belongs to it."""
+    return ConfigError(
+        EXPORT_CRS,
+        "heights in {vertical} ({crs}) need the grid that belongs to it",
+        where="--crs",
+        crs=crs,
+        vertical=vertical,
+        remedy=(
+            "give it: --geoid FILE (GTX or GeoTIFF, ellipsoidal minus orthometric height); or "
+            "export without the vertical part, with heights above the ellipsoid"
+        ),
+    )
+
+
+def grid_geoid_unused(*, crs: str) -> ConfigError:
+    """A grid was given for a system without a vertical part that needs one."""
+    return ConfigError(
+        EXPORT_CRS,
+        "{crs} has no vertical part that needs a grid",
+        where="--geoid",
+        crs=crs,
+        remedy="leave it out, or state the vertical part: --crs EPSG:25832+7837",
+    )
+
+
+def grid_ellipsoid(*, crs: str, ellipsoid: str) -> ConfigError:
+    """Heights above an ellipsoid of a past survey."""
+    return ConfigError(
+        EXPORT_CRS,
+        "heights of {crs} count from the ellipsoid {ellipsoid}, which is not that of WGS 84",
+        where="--crs",
+        crs=crs,
+        ellipsoid=ellipsoid,
+        remedy="give the two-dimensional system: heights then count from the ellipsoid of WGS 84",
+    )
+
+
+def grid_geoid_elsewhere(*, geoid: str) -> ConfigError:
+    """The grid of the vertical datum has no values where the flight is."""
+    return ConfigError(
+        EXPORT_CRS,
+        "{geoid} has no value where the flight is",
+        where="--geoid",
+        geoid=geoid,
+        remedy="give the grid of the country that was flown",
+    )
+
+
+def grid_other_geoid(*, geoid: str, off_m: float, vertical: str) -> ConfigError:
+    """The grid is so far from EGM96 that it cannot be one of undulations here."""
+    return ConfigError(
+        EXPORT_CRS,
+        "{geoid} differs from EGM96 by {off_m:.1f} m here: it is not the grid of {vertical}",
+        where="--geoid",
+        geoid=geoid,
+        off_m=off_m,
+        vertical=vertical,
+        remedy="give the grid of ellipsoidal minus orthometric heights that belongs to it",
+    )
+
+
+EXPORT_GRID = Code(
+    "EXPORT-GRID",
+    means="How the export lies in its coordinate system: transformation, convergence, scale.",
+    effect=(
+        "A note; a warning where the transformation is not known to be good to 1 m, the flight "
+        "lies outside the area of the system, or angles are distorted in it."
+    ),
+    remedy="Where it is a warning, choose another system, or install the grid that is named.",
+)
+
+
+def grid_reached(*, count: int, crs: str, name: str, operation: str, is_good: bool) -> Message:
+    """By which transformation an export comes to its system."""
+    send = note if is_good else warning
+    return send(
+        EXPORT_GRID,
+        "{count} positions brought from WGS 84 to {name} ({crs}) by {operation}",
+        one="1 position brought from WGS 84 to {name} ({crs}) by {operation}",
+        where="--crs",
+        count=count,
+        crs=crs,
+        name=name,
+        operation=operation,
+    )
+
+
+def grid_beyond_area(*, count: int, name: str, area: str) -> Message:
+    """Positions lie a little outside the area of use."""
+    return warning(
+        EXPORT_GRID,
+        "{count} positions lie outside the area of {name}: {area}",
+        one="1 position lies outside the area of {name}: {area}",
+        where="--crs",
+        count=count,
+        name=name,
+        area=area,
+    )
+
+
+def grid_axes(
+    *, count: int, convergence: tuple[float, float], scale: tuple[float, float]
+) -> Message:
+    """Convergence [deg] and scale of a grid at the stations, lowest and highest."""
+    return note(
+        EXPORT_GRID,
+        (
+            "angles are against grid north: the convergence of {lowest_deg:.4f}° to "
+            "{highest_deg:.4f}° is applied; the scale of {lowest:.6f} to {highest:.6f} is in x "
+            "and y, and not in the heights"
+        ),
+        where="--crs",
+        count=count,
+        lowest_deg=convergence[0],
+        highest_deg=convergence[1],
+        lowest=scale[0],
+        highest=scale[1],
+    )
+
+
+def grid_distorted(*, name: str, distortion: float) -> Message:
+    """The projection is not conformal."""
+    return warning(
+        EXPORT_GRID,
+        (
+            "{name} is not conformal: the scales of two directions differ by up to {percent:.3f} "
+            "% here, and images do not fit to it by one rotation; a UTM zone has no such difference"
+        ),
+        where="--crs",
+        name=name,
+        percent=100.0 * distortion,
     )

@@ -5,7 +5,7 @@ with keys that are no longer known: here are only the keys that somebody reads.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 
@@ -53,9 +53,21 @@ class StationsKeys:
 
 
 @dataclass(frozen=True)
+class MissionKeys:
+    """What a mission file says for the first page of the report; older ones say nothing."""
+
+    title: str | None = None
+    client: str | None = None
+    operator: str | None = None
+    remarks: str | None = None
+    time_zone: str | None = None
+
+
+@dataclass(frozen=True)
 class MissionSections:
     """What reports say of a mission file: parts of the sections that `unbend.config` describes."""
 
     refraction: RefractionKeys
     cameras: Mapping[str, CameraKeys]
     stations: StationsKeys
+    mission: MissionKeys = field(default_factory=MissionKeys)

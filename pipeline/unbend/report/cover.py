@@ -1,0 +1,102 @@
+"""The first lines of a report: for whom, by whom, when flown, and in which coordinate system."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from zoneinfo import ZoneInfo
+
+from unbend.report.flown import Flown
+from unbend.tables.manifest.whole import Manifest
+
+PROCESSED = "<!-- processed -->"
+"""Where `unbend report` states when the run was processed: the page of a run has no clock."""
+
+
+def title_of(manifest: Manifest) -> str:
+    """The title of the report: as the mission file states it, else the name of the mission."""
+    return manifest.sections.mission.title or manifest.run.mission
+
+
+def cover_rows(manifest: Manifest, flown: Flown) -> Mapping[str, str]:
+    """What the first lines state, by their names."""
+    stated = manifest.sections.mission
+    rows = {
+        "Client": stated.client,
+        "Operator": stated.operator,
+        "Mission": manifest.run.mission if stated.title else None,
+        "Flown": flown_on(manifest),
+        "Coordinates": coordinate_systems(flown),
+    }
+    return {name: text for name, text in rows.items() if text}
+
+
+def flown_on(manifest: Manifest) -> str:
+    """The day and the times of the first and last exposure, in the stated time zone and in UTC."""
+    flight = manifest.results.flight
+    if not flight.begin_utc or not flight.end_utc:
+        return "unknown: the exposures have no UTC"
+    begin = datetime.fromisoformat(flight.begin_utc)
+    end = datetime.fromisoformat(flight.end_utc)
+    zone = manifest.sections.mission.time_zone
+    in_utc = f"{span(begin, end)} UTC"
+    if zone is None or zone == "UTC":
+        return in_utc
+    local = ZoneInfo(zone)
+    return f"{span(begin.astimezone(local), end.astimezone(local))} {zone} ({in_utc})"
+
+
+def span(begin: datetime, end: datetime) -> str:
+    """A day with two times, or two days with their times.
+
+    >>> span(datetime(2025, 6, 12, 23, 50), datetime(2025, 6, 13, 0, 10))
+    '2025-06-12, 23:50:00 to 2025-06-13, 00:10:00'
+    """
+    first = begin.strftime("%Y-%m-%d, %H:%M:%S")
+    last = end.strftime("%H:%M:%S" if begin.date() == end.date() else "%Y-%m-%d, %H:%M:%S")
+    return f"{first} to {last}"
+
+
+def coordinate_systems(flown: Flown) -> str:
+    """What the coordinates of the results and of the map are in."""
+    text = "WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid"
+    if flown.grid is not None:
+        text += f"; map grid {flown.grid.name.removeprefix('WGS 84 / ')} ({flown.grid.identifier})"
+    return text
+
+
+def paragraphs(text: str | None) -> list[str]:
+    """The paragraphs of a free text, which empty lines part.
+
+    >>> paragraphs("First flight.\\n\\nThe second\\nwas better.")
+    ['First flight.', 'The second was better.']
+    """
+    parts: list[str] = []
+    for block in (text or "").replace("\r\n", "\n").split("\n\n"):
+        words = " ".join(block.split())
+        if words:
+            parts.append(words)
+    return parts
+
+
+def time_of_processing(time_s: float, zone: str | None) -> str:
+    """A time [Unix s] as the report states it, in a time zone.
+
+    >>> time_of_processing(0.0, None), time_of_processing(0.0, "Europe/Zurich")
+    ('1970-01-01 00:00 UTC', '1970-01-01 01:00 Europe/Zurich')
+    """
+    time = datetime.fromtimestamp(time_s, UTC)
+    if zone is not None:
+        time = time.astimezone(ZoneInfo(zone))
+    return f"{time:%Y-%m-%d %H:%M} {zone or 'UTC'}"
+
+
+def css_text(text: str) -> str:
+    """A text as a string of CSS in a page of HTML: every character that could end it is escaped.
+
+    >>> print(css_text('A "B" </style> é'))
+    "A \\22 B\\22  \\3c /style\\3e  é"
+    """
+    shown = ""
+    for character in text:
+        is_plain = character.isalnum() or character in " .,;:-_()/+"
+        shown += character if is_plain else f"\\{ord(character):x} "
+    return f'"{shown}"'

@@ -1,0 +1,79 @@
+"""Stations in the grid of a map: coordinates, attitudes against its axes, convergence and scale.
+
+The vertical of each station stays its own, as in a map it must: x and y are the axes of the grid
+there, which the convergence turns against east and north.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from unbend.flight.rotations import enu_from_grid, in_turned_frame
+from unbend.flight.stations import Stations
+from unbend.tables.exports.export_frames import PHOTOGRAMMETRIC, AngleFrame
+from unbend.tables.geodata.map_grids import GridAxes, MapGrid
+from unbend.units import Array, Integers
+
+
+@dataclass(frozen=True, eq=False)
+class StationsInGrid:
+    """Stations (n,) in the grid of a map.
+
+    ``x``, ``y`` in the unit of the grid, ``height`` in that of its heights. ``quaternion`` (n, 4)
+    as of stations, against the axes of the grid and up.
+    """
+
+    x: Array
+    y: Array
+    height: Array
+    quaternion: Array
+    axes: GridAxes
+
+
+def stations_in_grid(stations: Stations, rows: Integers, grid: MapGrid) -> StationsInGrid:
+    """Some stations in a grid, all with a position that its transformation reaches."""
+    lat = stations.lat_rad[rows]
+    lon = stations.lon_rad[rows]
+    x, y = grid.coordinates(lat, lon)
+    height = grid.height.heights(lat, lon, stations.h_msl_m[rows], stations.h_ellipsoid_m[rows])
+    axes = grid.axes_at(lat, lon)
+    turned = in_turned_frame(stations.quaternion[rows], enu_from_grid(axes.convergence_rad))
+    return StationsInGrid(x, y, height, turned, axes)
+
+
+def grid_columns(grid: MapGrid, stations: StationsInGrid) -> dict[str, Array]:
+    """Columns of coordinates, convergence and scale, with their units in their names."""
+    return place_columns(grid, stations.x, stations.y, stations.height) | {
+        "convergence_deg": np.degrees(stations.axes.convergence_rad),
+        "scale_factor": stations.axes.scale,
+    }
+
+
+def place_columns(grid: MapGrid, x: Array, y: Array, height: Array) -> dict[str, Array]:
+    """Columns of coordinates, with their units in their names."""
+    first, second = ("lon", "lat") if grid.is_geographic else ("x", "y")
+    third = "depth" if grid.height.is_down else "z"
+    return {
+        f"{first}_{grid.unit.suffix}": x,
+        f"{second}_{grid.unit.suffix}": y,
+        f"{third}_{grid.height.unit.suffix}": height,
+    }
+
+
+def grid_angles(grid: MapGrid, axes: GridAxes) -> AngleFrame:
+    """What omega, phi, kappa against a grid mean; ``axes`` are those of the grid at stations."""
+    convergence = None
+    if axes.convergence_rad.size:
+        degrees = np.degrees(axes.convergence_rad)
+        convergence = (float(degrees.min()), float(degrees.max()))
+    return AngleFrame(
+        written_as="omega_phi_kappa",
+        turns="camera to frame",
+        product="Rx(omega) Ry(phi) Rz(kappa)",
+        camera_axes=PHOTOGRAMMETRIC,
+        frame_axes=(f"grid {grid.axes[0]}", f"grid {grid.axes[1]}", "up"),
+        frame_at="each station",
+        unit="deg",
+        is_convergence_applied=True,
+        convergence_deg=convergence,
+    )

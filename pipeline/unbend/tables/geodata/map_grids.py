@@ -1,0 +1,428 @@
+"""Results in a stated coordinate system: coordinates, heights, and how its grid lies on the ground.
+
+The way back of `coordinate_systems`: from WGS 84 by PROJ, without ballpark transformations. Heights
+are never left to PROJ, which returns them unchanged, and says nothing, where it lacks a grid.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from unbend.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
+from unbend.geodesy import GeoidGrid, offset_geodetic
+from unbend.messages import Notes
+from unbend.tables.geodata import messages
+from unbend.tables.geodata.coordinate_systems import MARGIN_DEG, SEA_LEVELS, best_operation
+from unbend.tables.geodata.geoid import package_geoid
+from unbend.units import WGS84_A, Array
+
+if TYPE_CHECKING:
+    from pyproj import CRS, Transformer
+    from pyproj._crs import Axis
+
+STEP_M = 100.0
+"""Half the distance over which the axes of a grid are differenced: PROJ's rounding makes 1e-11 of
+it, and the curvature of a projection 1e-10."""
+
+LARGEST_SCALE_ERROR = 0.01
+"""Of a grid that is flown in: those of surveys are within 0.003 in their area of use. Beyond, as in
+Web Mercator, heights and horizontal distances belong to different scales."""
+
+LARGEST_DISTORTION = 1e-5
+"""Of the scales in two directions: 3 cm at 3 km. Conformal projections have none."""
+
+SOUTHERN_END_OF_UTM_DEG = -80.0
+NORTHERN_END_OF_UTM_DEG = 84.0
+CODES_OF_NORTHERN_ZONES = 32600  # of EPSG, before the number of the zone
+CODES_OF_SOUTHERN_ZONES = 32700
+
+ELLIPSOID = "ellipsoid"
+SEA_LEVEL = "sea level"
+STATED_GEOID = "stated geoid"
+
+_UNITS = {"metre": "m", "US survey foot": "us_ft", "foot": "ft", "degree": "deg"}
+"""What stands behind the names of columns."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of coordinates: its name, what stands behind the names of columns, and its size.
+
+    ``size`` is in metres, or in radians.
+    """
+
+    name: str
+    suffix: str
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class HeightReference:
+    """What heights count from.
+
+    ``kind`` is `ELLIPSOID` (of WGS 84), `SEA_LEVEL` (as the run has it) or `STATED_GEOID` (of the
+    grid ``geoid``); ``name`` is that of the datum. ``is_down`` : depths, positive downwards.
+    """
+
+    kind: str
+    name: str
+    unit: Unit
+    is_down: bool = False
+    geoid: GeoidGrid | None = None
+
+    def heights(self, lat_rad: Array, lon_rad: Array, h_msl: Array, h_ellipsoid: Array) -> Array:
+        """(n,) heights in the unit of the reference; NaN where they are unknown.
+
+        ``h_msl``, ``h_ellipsoid`` are heights [m] above sea level and above the ellipsoid.
+        """
+        if self.kind == SEA_LEVEL:
+            height_m = h_msl
+        elif self.geoid is not None:
+            height_m = h_ellipsoid - self.geoid.undulation(lat_rad, lon_rad)
+        else:
+            height_m = h_ellipsoid
+        upwards = -1.0 if self.is_down else 1.0
+        return np.asarray(upwards * height_m / self.unit.size)
+
+
+@dataclass(frozen=True, eq=False)
+class GridAxes:
+    """How a grid lies at (n,) places.
+
+    ``convergence_rad`` is the azimuth of the second axis, that is of grid north; ``scale`` the
+    length in the grid of a metre on the ellipsoid [m], the mean of all directions; ``distortion``
+    by how much the scales of two directions differ from each other.
+    """
+
+    convergence_rad: Array
+    scale: Array
+    distortion: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MapGrid:
+    """A coordinate system that results are written in, opened about the places of a block.
+
+    ``identifier`` : as EPSG:25832, "" for a system without. ``wkt``, ``wkt1`` : of the whole
+    system, as ISO 19162 and as OGC 01-009 (empty where it has none). ``axes`` : the directions in
+    which the first and second coordinate grow, as they are written; ``axis_order`` : those of the
+    definition. ``operation`` : how PROJ comes there from WGS 84.
+    """
+
+    identifier: str
+    name: str
+    wkt: str
+    wkt1: str
+    is_geographic: bool
+    axes: tuple[str, str]
+    axis_order: tuple[str, ...]
+    unit: Unit
+    height: HeightReference
+    operation: str
+    transformer: Transformer
+
+    def coordinates(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
+        """(n,) x and y of places; of a geographic system longitude and latitude [deg].
+
+        NaN where the transformation has no value.
+        """
+        x, y = self.transformer.transform(np.degrees(lon_rad), np.degrees(lat_rad), errcheck=False)
+        known = np.isfinite(x) & np.isfinite(y)
+        return np.where(known, x, np.nan), np.where(known, y, np.nan)
+
+    def places(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """(n,) longitude and latitude [deg] of coordinates; the reverse of `coordinates`."""
+        lon, lat = self.transformer.transform(x, y, direction="INVERSE", errcheck=False)
+        lon_deg = np.array(lon, dtype=np.float64)
+        lat_deg = np.array(lat, dtype=np.float64)
+        return lon_deg, lat_deg
+
+    def axes_at(self, lat_rad: Array, lon_rad: Array) -> GridAxes:
+        """The axes of the grid at places on the ellipsoid, from differences over 200 m."""
+        east = self.at_step(lat_rad, lon_rad, east_m=STEP_M)
+        west = self.at_step(lat_rad, lon_rad, east_m=-STEP_M)
+        north = self.at_step(lat_rad, lon_rad, north_m=STEP_M)
+        south = self.at_step(lat_rad, lon_rad, north_m=-STEP_M)
+        metres = self.unit.size / (2.0 * STEP_M)
+        x_of_east, y_of_east = metres * (east - west)
+        x_of_north, y_of_north = metres * (north - south)
+        # The rotation and the similarity that are nearest to the derivatives.
+        cosine = x_of_east + y_of_north
+        sine = x_of_north - y_of_east
+        return GridAxes(
+            convergence_rad=-np.arctan2(sine, cosine),
+            scale=0.5 * np.hypot(sine, cosine),
+            distortion=np.hypot(x_of_east - y_of_north, x_of_north + y_of_east),
+        )
+
+    def at_step(
+        self, lat_rad: Array, lon_rad: Array, *, east_m: float = 0.0, north_m: float = 0.0
+    ) -> Array:
+        """(2, n) x and y of places that are a step away from (n,) places on the ellipsoid."""
+        step = np.tile([east_m, north_m, 0.0], (lat_rad.size, 1))
+        height = np.zeros(lat_rad.size)
+        lat, lon, _ = offset_geodetic(lat_rad, lon_rad, height, step)
+        return np.stack(self.coordinates(lat, lon))
+
+
+def open_grid(
+    crs: str, lat_rad: Array, lon_rad: Array, *, geoid: GeoidGrid | None, needs_angles: bool
+) -> tuple[MapGrid, Notes]:
+    """The coordinate system of an export, about (n,) places of its stations on WGS 84.
+
+    ``crs`` as PROJ knows it, EPSG:25832 or EPSG:25832+7837. ``geoid`` is the user's grid that
+    belongs to its vertical part. Refuses (ConfigError EXPORT-CRS) what is no such system, or cannot
+    be reached; where it ``needs_angles`` also a geographic one.
+    """
+    parts = parts_of(crs)
+    horizontal = parts.horizontal
+    refuse_kind(horizontal, crs, needs_angles=needs_angles)
+    known = np.isfinite(lat_rad) & np.isfinite(lon_rad)
+    if not known.any():
+        raise messages.grid_without_places(crs=crs)
+    places = np.stack([lon_rad[known], lat_rad[known]])
+    lon_lat = np.degrees(places)
+    area = horizontal.area_of_use.name if horizontal.area_of_use else "the earth"
+    if places_outside(horizontal, lon_lat, MARGIN_DEG):
+        raise messages.grid_elsewhere(crs=crs, name=horizontal.name, area=area)
+    best = best_operation("EPSG:4326", lon_lat, horizontal.to_2d())
+    if best is None:
+        raise messages.grid_ballpark(crs=crs, name=horizontal.name)
+    height, height_notes = height_reference(crs, parts, geoid, places)
+    grid = MapGrid(
+        identifier=identifier_of(crs, parts.whole.to_authority(min_confidence=100)),
+        name=parts.whole.name,
+        wkt=parts.whole.to_wkt(),
+        wkt1=wkt1_of(parts.whole),
+        is_geographic=horizontal.is_geographic,
+        axes=written_axes(horizontal),
+        axis_order=tuple(axis.direction for axis in parts.whole.axis_info),
+        unit=unit_of(horizontal.axis_info[0]),
+        height=height,
+        operation=best.by,
+        transformer=best.transformer,
+    )
+    notes = [
+        messages.grid_reached(
+            count=lon_lat.shape[1],
+            crs=crs,
+            name=grid.name,
+            operation=best.by,
+            is_good=best.is_good,
+        ),
+        *height_notes,
+    ]
+    outside = places_outside(horizontal, lon_lat, 0.0)
+    if outside:
+        notes.append(messages.grid_beyond_area(count=outside, name=horizontal.name, area=area))
+    if not grid.is_geographic:
+        refuse_left_handed(grid, crs, lat_rad[known][:1], lon_rad[known][:1])
+    return grid, tuple(notes)
+
+
+def utm_zone(lat_deg: float, lon_deg: float) -> str | None:
+    """The code of the UTM zone of a place on WGS 84; None nearer to a pole than they reach.
+
+    >>> utm_zone(47.4, 8.6), utm_zone(-33.9, 18.4), utm_zone(85.0, 0.0)
+    ('EPSG:32632', 'EPSG:32734', None)
+    """
+    if not SOUTHERN_END_OF_UTM_DEG <= lat_deg <= NORTHERN_END_OF_UTM_DEG:
+        return None
+    zone = int((lon_deg + 180.0) % 360.0 // 6.0) + 1
+    codes = CODES_OF_NORTHERN_ZONES if lat_deg >= 0.0 else CODES_OF_SOUTHERN_ZONES
+    return f"EPSG:{codes + zone}"
+
+
+def utm_grid(lat_deg: float, lon_deg: float) -> MapGrid | None:
+    """The UTM zone of a place on WGS 84, opened there; None nearer to a pole than they reach."""
+    code = utm_zone(lat_deg, lon_deg)
+    if code is None:
+        return None
+    lat_rad = np.radians([lat_deg])
+    lon_rad = np.radians([lon_deg])
+    grid, _ = open_grid(code, lat_rad, lon_rad, geoid=None, needs_angles=False)
+    return grid
+
+
+@dataclass(frozen=True)
+class SystemParts:
+    """A coordinate system: its horizontal part, its vertical part or None, and the whole."""
+
+    horizontal: CRS
+    vertical: CRS | None
+    whole: CRS
+
+    @property
+    def is_3d(self) -> bool:
+        """Whether it is not compound, and has ellipsoidal heights of its own."""
+        return not self.whole.is_compound and len(self.whole.axis_info) == 3
+
+
+def parts_of(crs: str) -> SystemParts:
+    """A coordinate system in its parts; refuses (EXPORT-CRS) what PROJ does not know."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        whole = CRS.from_user_input(crs)
+    except CRSError as error:
+        raise messages.grid_unknown(crs=crs, error=str(error)) from None
+    if not whole.is_compound:
+        return SystemParts(whole, None, whole)
+    horizontal, vertical = whole.sub_crs_list
+    return SystemParts(horizontal, vertical, whole)
+
+
+def refuse_kind(horizontal: CRS, crs: str, *, needs_angles: bool) -> None:
+    """Refuse a system that has no map coordinates, or has no grid where angles need one."""
+    is_known = horizontal.is_projected or horizontal.is_geographic
+    if not is_known or horizontal.is_geocentric:
+        raise messages.grid_of_other_kind(crs=crs, name=horizontal.name, kind=horizontal.type_name)
+    if needs_angles and horizontal.is_geographic:
+        raise messages.grid_geographic(crs=crs, name=horizontal.name)
+
+
+def places_outside(horizontal: CRS, lon_lat: Array, margin_deg: float) -> int:
+    """How many of (2, n) places lie outside a system's area of use and a margin."""
+    area = horizontal.area_of_use
+    if area is None:
+        return 0
+    west = area.west - margin_deg
+    width = area.east - area.west + 2.0 * margin_deg
+    if area.west > area.east:
+        width += 360.0  # over the 180th meridian
+    lon, lat = lon_lat
+    inside = (lon - west) % 360.0 <= min(width, 360.0)
+    inside &= lat >= area.south - margin_deg
+    inside &= lat <= area.north + margin_deg
+    return int(np.sum(~inside))
+
+
+def identifier_of(crs: str, authority: tuple[str, str] | None) -> str:
+    """EPSG:25832 of a system that has a code; of a compound one of two codes what was given.
+
+    >>> identifier_of("epsg:25832+5773", None), identifier_of("+proj=utm +zone=32", None)
+    ('EPSG:25832+5773', '')
+    """
+    if authority is not None:
+        return ":".join(authority)
+    stated = crs.strip().upper()
+    if re.fullmatch(r"EPSG:\d+\+\d+", stated):
+        return stated
+    return ""
+
+
+def wkt1_of(whole: CRS) -> str:
+    """The system as OGC 01-009, which older programs read; "" where it cannot be said so."""
+    from pyproj.exceptions import CRSError
+
+    try:
+        text = whole.to_wkt("WKT1_GDAL")
+    except CRSError:
+        return ""
+    return text or ""
+
+
+def unit_of(axis: Axis) -> Unit:
+    """The unit of an axis."""
+    suffix = _UNITS.get(axis.unit_name, axis.unit_name.lower().replace(" ", "_"))
+    return Unit(axis.unit_name, suffix, axis.unit_conversion_factor)
+
+
+def written_axes(horizontal: CRS) -> tuple[str, str]:
+    """The directions of the first and the second coordinate as PROJ's always_xy orders them."""
+    first, second = (axis.direction for axis in horizontal.axis_info[:2])
+    if (first, second) == ("north", "east"):
+        return second, first
+    return first, second
+
+
+def height_reference(
+    crs: str, parts: SystemParts, geoid: GeoidGrid | None, lon_lat_rad: Array
+) -> tuple[HeightReference, Notes]:
+    """What the heights of an export count from, by the vertical part of its system.
+
+    Without one they count from the ellipsoid of WGS 84, in the unit of a projected system. `geoid`
+    is the user's grid; ``lon_lat_rad`` (2, n) are places of the flight. Refuses (ConfigError
+    EXPORT-CRS) a datum whose grid is not there, and ellipsoids of past surveys.
+    """
+    vertical = parts.vertical
+    if geoid is not None and (vertical is None or vertical.name in SEA_LEVELS):
+        raise messages.grid_geoid_unused(crs=crs)
+    if vertical is None:
+        return ellipsoidal_heights(crs, parts), ()
+    axis = vertical.axis_info[0]
+    unit = unit_of(axis)
+    is_down = axis.direction == "down"
+    if vertical.name in SEA_LEVELS:
+        return HeightReference(SEA_LEVEL, vertical.name, unit, is_down), ()
+    if geoid is None:
+        raise messages.grid_needs_geoid(crs=crs, vertical=vertical.name)
+    lon, lat = lon_lat_rad
+    off = geoid.undulation(lat, lon) - package_geoid().undulation(lat, lon)
+    known = off[np.isfinite(off)]
+    if known.size == 0:
+        raise messages.grid_geoid_elsewhere(geoid=geoid.name)
+    off_m = float(np.median(known))
+    if abs(off_m) > LARGEST_GEOID_M:
+        raise messages.grid_other_geoid(geoid=geoid.name, off_m=off_m, vertical=vertical.name)
+    note = messages.heights_by_grid(
+        where="--geoid",
+        count=known.size,
+        datum=vertical.name,
+        grid=geoid.name,
+        off_m=off_m,
+        is_usual=abs(off_m) <= USUAL_GEOID_M,
+    )
+    name = f"{vertical.name}, by {geoid.name}"
+    return HeightReference(STATED_GEOID, name, unit, is_down, geoid), (note,)
+
+
+def ellipsoidal_heights(crs: str, parts: SystemParts) -> HeightReference:
+    """Heights above the ellipsoid of WGS 84, of a system without a vertical part."""
+    ellipsoid = parts.horizontal.ellipsoid
+    is_wgs84 = ellipsoid is not None and abs(ellipsoid.semi_major_metre - WGS84_A) <= 1.0
+    if parts.is_3d and not is_wgs84:
+        name = ellipsoid.name if ellipsoid is not None else "unknown"
+        raise messages.grid_ellipsoid(crs=crs, ellipsoid=name)
+    unit = unit_of(parts.horizontal.axis_info[0])
+    if parts.horizontal.is_geographic:
+        unit = Unit("metre", "m", 1.0)
+    return HeightReference(ELLIPSOID, "ellipsoid of WGS 84", unit)
+
+
+def refuse_left_handed(grid: MapGrid, crs: str, lat_rad: Array, lon_rad: Array) -> None:
+    """Refuse axes of which the second is not counter-clockwise of the first, seen from above."""
+    middle = grid.at_step(lat_rad, lon_rad)
+    to_east = grid.at_step(lat_rad, lon_rad, east_m=STEP_M) - middle
+    to_north = grid.at_step(lat_rad, lon_rad, north_m=STEP_M) - middle
+    sides = np.hstack([to_east, to_north])
+    if np.linalg.det(sides) < 0.0:
+        raise messages.grid_left_handed(crs=crs, name=grid.name, axes=" and ".join(grid.axes))
+
+
+def check_grid_axes(axes: GridAxes, *, crs: str, name: str) -> Notes:
+    """What angles in a grid have to say of it: convergence, scale, and distortion where it matters.
+
+    Refuses (ConfigError EXPORT-CRS) a grid whose scale is beyond that of any survey.
+    """
+    lowest = float(np.nanmin(axes.scale))
+    highest = float(np.nanmax(axes.scale))
+    if max(abs(lowest - 1.0), abs(highest - 1.0)) > LARGEST_SCALE_ERROR:
+        raise messages.grid_scale_unfit(crs=crs, name=name, lowest=lowest, highest=highest)
+    convergence = np.degrees(axes.convergence_rad)
+    notes = [
+        messages.grid_axes(
+            count=axes.scale.size,
+            convergence=(float(np.nanmin(convergence)), float(np.nanmax(convergence))),
+            scale=(lowest, highest),
+        )
+    ]
+    distortion = float(np.nanmax(axes.distortion))
+    if distortion > LARGEST_DISTORTION:
+        notes.append(messages.grid_distorted(name=name, distortion=distortion))
+    return tuple(notes)

@@ -1,0 +1,151 @@
+"""The report as a file to hand over. Browsers are small programs that do what real ones may do."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from unbend.batch.finished_run import delivered_report
+from unbend.batch.finished_run.delivered_report import find_browser, print_command, run_within
+from unbend.batch.remote import Place
+from unbend.errors import ConfigError
+from unbend.report.cover import PROCESSED
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="the browsers here are shell scripts")
+
+PRINTS = """
+case "$1" in --version) echo "Chromium $VERSION.0.1.2"; exit 0;; esac
+for word in "$@"; do
+  case "$word" in --print-to-pdf=*) out="${word#--print-to-pdf=}";; file://*) page="$word";; esac
+done
+printf '%%PDF-1.4\\n' > "$out"; cat "${page#file://}" >> "$out"; printf '\\n%%%%EOF\\n' >> "$out"
+"""
+
+
+def browser(folder: Path, script: str) -> str:
+    path = folder / "browser"
+    path.write_text("#!/bin/sh\n" + script, encoding="utf-8")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return str(path)
+
+
+def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypatch):
+    """The time of the manifest; the results stay as they are."""
+    monkeypatch.chdir(tmp_path)
+    ended = unbend("report", baseline.output)
+    assert ended.code == 0, ended.text
+    name = json.loads((baseline.output / "manifest.json").read_text())["mission"]
+    page = (tmp_path / f"{name}-report.html").read_text(encoding="utf-8")
+    own = (baseline.output / "report.html").read_text(encoding="utf-8")
+    when = time.gmtime((baseline.output / "manifest.json").stat().st_mtime)
+    said = f"<dt>Processed</dt><dd>{time.strftime('%Y-%m-%d %H:%M', when)} UTC</dd>"
+    assert page == own.replace(PROCESSED, said)
+    assert said not in own
+    assert unbend("verify", baseline.output).code == 0
+    ended = unbend("report", baseline.output)
+    assert (ended.code, "EXPORT-EXISTS" in ended.err) == (2, True)
+    assert unbend("report", baseline.output, "--force").code == 0
+    ended = unbend("report", baseline.output, "--out", baseline.output / "x.html")
+    assert (ended.code, "EXPORT-INSIDE-RUN" in ended.err) == (2, True)
+    ended = unbend("report", baseline.output, "--pdf", "--out", "x.html", "--browser", "sh")
+    assert (ended.code, "REPORT-ENDING" in ended.err) == (2, True)
+
+
+def test_of_results_at_a_url_the_time_is_that_of_the_object(monkeypatch):
+    """The manifest of the copy here is as old as the copy."""
+    written = datetime(2026, 7, 1, 10, 0, tzinfo=UTC)
+    asked = []
+
+    def head(place: Place) -> dict[str, datetime]:
+        asked.append(str(place))
+        return {"last_modified": written}
+
+    monkeypatch.setattr(Place, "head", head)
+    time_s = delivered_report.processed_at(Place.of("s3://bucket/results/survey"))
+    assert time_s == written.timestamp()
+    assert asked == ["s3://bucket/results/survey/manifest.json"]
+
+
+def test_a_pdf_is_what_the_browser_printed(unbend, baseline, tmp_path, monkeypatch):
+    monkeypatch.setenv("VERSION", "156")
+    out = tmp_path / "r.pdf"
+    ended = unbend("report", baseline.output, "--pdf", "--out", out, "--browser",
+                   browser(tmp_path, PRINTS), "--json")  # fmt: skip
+    assert ended.code == 0, ended.text
+    assert json.loads(ended.out)["out"] == str(out)
+    content = out.read_bytes()
+    assert content.startswith(b"%PDF")
+    assert b"<dt>Processed</dt>" in content
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("echo no display >&2; exit 1", "no display"),
+        ("case $1 in --version) exit 0;; esac; sleep 600 & sleep 600", "did not end within 1 s"),
+        (PRINTS.replace("printf '\\n%%%%EOF\\n' >> \"$out\"", "kill -9 $$"), "no whole PDF"),
+    ],
+)
+def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path, script, said):
+    out = tmp_path / "out" / "r.pdf"
+    out.parent.mkdir()
+    begin = time.monotonic()
+    ended = unbend("report", baseline.output, "--pdf", "--timeout", "1", "--out", out,
+                   "--browser", browser(tmp_path, script))  # fmt: skip
+    assert time.monotonic() - begin < 60.0
+    assert (ended.code, "REPORT-BROWSER" in ended.err) == (2, True), ended.text
+    assert said in " ".join(ended.err.split())
+    assert not list(out.parent.iterdir())
+
+
+def test_no_browser_is_said_with_what_to_do(unbend, baseline, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(delivered_report, "_OF_OTHER_SYSTEMS", ())
+    ended = unbend("report", baseline.output, "--pdf", "--out", tmp_path / "r.pdf")
+    assert (ended.code, "REPORT-BROWSER" in ended.err) == (2, True)
+    for words in ("chromium", "--browser", "report.html"):
+        assert words in ended.err
+    with pytest.raises(ConfigError, match="no program 'nonesuch'"):
+        find_browser("nonesuch")
+
+
+def test_what_a_browser_started_is_ended_with_it(tmp_path):
+    script = f"sleep 600 & echo $! > {tmp_path}/child; sleep 600"
+    with pytest.raises(ConfigError, match="did not end"):
+        run_within([browser(tmp_path, script)], 1.0)
+    child = int((tmp_path / "child").read_text())
+    for _ in range(50):
+        try:
+            state = Path(f"/proc/{child}/stat").read_text().split()[2]
+        except (OSError, IndexError):
+            return
+        if state == "Z":
+            return
+        time.sleep(0.1)
+    pytest.fail("the child runs on")
+
+
+@pytest.mark.parametrize(("version", "own_heads"), [("130", False), ("131", True), ("x", False)])
+def test_an_older_browser_prints_heads_of_its_own(tmp_path, monkeypatch, version, own_heads):
+    monkeypatch.setenv("VERSION", version)
+    program = browser(tmp_path, PRINTS)
+    command = print_command(program, tmp_path / "a.html", tmp_path / "a.pdf", tmp_path / "p")
+    assert ("--no-pdf-header-footer" in command) == own_heads
+    assert command[-1] == (tmp_path / "a.html").as_uri()
+
+
+def test_a_report_of_an_older_version_is_delivered_without_a_date(
+    unbend, mission_factory, tmp_path, plain_report
+):
+    """Its page has no place for the date: that is said."""
+    done = mission_factory(tmp_path / "m")
+    assert done.run().code == 0
+    ended = unbend("report", done.output, "--out", tmp_path / "r.html", "--json")
+    answer = json.loads(ended.out)
+    assert (ended.code, [entry["code"] for entry in answer["ledger"]]) == (0, ["REPORT-DATE"])
