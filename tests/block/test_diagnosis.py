@@ -11,13 +11,14 @@ import random
 import re
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.draws import SEED
 from unbend.block.calibration_mistakes import OffsetAxes, with_other_axes
-from unbend.block.diagnosis import diagnosis
+from unbend.block.diagnosis import diagnosis, finding_of
 from unbend.block.hypotheses import StatedMission
 from unbend.block.image_rays import ImageRays, Orientations, straightened
 from unbend.flight.mount import Mount
@@ -343,3 +344,12 @@ def test_what_tie_points_hardly_tell_apart_is_named_together(make):
     assert len(both) == 2
     assert both[0].startswith("the principal distance of camera0 is 100")
     assert "too low above the given heights of the ground" in both[1]
+
+
+def test_a_camera_may_be_called_like_a_mount(make):
+    """Where orientations are stated and no mounts, a focal length still belongs to its camera."""
+    mission = replace(make(3), mounts={})
+    hypothesis = SimpleNamespace(code="TIES-FOCAL", camera="wing-mount", subject=("", ""))
+    reading = SimpleNamespace(intersected=lambda _: SimpleNamespace(sigma_factor=1.0))
+    best = SimpleNamespace(hypothesis=hypothesis, reading=reading, gain=50.0, text="it is so")
+    assert finding_of(mission, [best]).key == "cameras.wing-mount"

@@ -139,7 +139,7 @@ def finding_of(mission: StatedMission, explanations: list[Explanation]) -> Findi
             also[explanation.hypothesis.subject] = explanation.text
     also.pop(hypothesis.subject, None)
     key = KEYS[hypothesis.code].format(hypothesis.camera).rstrip(".")
-    if "mount" in key and not mission.mounts:
+    if hypothesis.code == "TIES-MOUNT" and not mission.mounts:  # orientations are stated
         key = "stations.orientation"
     return Finding(
         code=hypothesis.code,
