@@ -35,10 +35,7 @@ VAPOUR_DEFICIT = 0.378
 WGS84_A = 6_378_137.0  # [m]
 WGS84_F = 1.0 / 298.257223563
 
-LARGEST_NUMBER = (
-    1e12  # of a field of any table, in any unit: nothing measured in a survey is larger
-)
-LARGEST_COORDINATE_M = 1e8  # eastings with the number of their zone have 3e7, feet three times that
+LARGEST_NUMBER = 1e12  # of what is measured, in any unit; times and identifiers may be larger
 LARGEST_HEIGHT_M = 100_000.0  # no aircraft is as high; 2**32 - 1 stands for an unknown height
 LARGEST_EXACT = 2.0**53  # of the whole numbers that a float64 holds without a gap
 MOST_FLAGS = (1 << 32) - 1  # of a field: it has 32 bits at most
@@ -89,7 +86,8 @@ def measured(values: Array, largest: float = LARGEST_NUMBER) -> Array:
     >>> measured(np.array([1.5, np.inf, -1e308])).tolist()
     [1.5, nan, nan]
     """
-    return np.where(np.abs(values) <= largest, values, np.nan)
+    is_measured = np.abs(values) <= largest
+    return np.where(is_measured, values, np.nan)
 
 
 def exact_integers(values: Array) -> Integers:
@@ -98,9 +96,11 @@ def exact_integers(values: Array) -> Integers:
     >>> exact_integers(np.array([7.0, -1.0])).tolist()
     [7, -1]
     """
-    is_exact = (np.abs(values) <= LARGEST_EXACT) & (values == np.floor(values))
+    is_whole = values == np.floor(values)
+    is_exact = is_whole & (np.abs(values) <= LARGEST_EXACT)
     if not bool(is_exact.all()):
-        raise ValueError(f"{values[~is_exact][0]} is not a whole number")
+        first = values[~is_exact][0]
+        raise ValueError(f"{first} is not a whole number")
     return values.astype(np.int64)
 
 

@@ -85,8 +85,8 @@ def number_of(text: str) -> float:
     >>> number_of("-89,9"), number_of("2.3e-05"), number_of("300034/100"), number_of("undef")
     (-89.9, 2.3e-05, 3000.34, nan)
     """
-    _refuse_long(text)
     plain = text.strip()
+    _refuse_long(plain)
     if plain.lower() in _UNKNOWN:
         return math.nan
     if may_be_thousands(plain):
@@ -109,8 +109,8 @@ def height_of(text: str) -> float:
     >>> height_of("3000.3 m Above Sea Level"), height_of("12 m Below Sea Level"), height_of("+5,2")
     (3000.3, -12.0, 5.2)
     """
-    _refuse_long(text)
     plain = text.strip().lower()
+    _refuse_long(plain)
     number = re.sub(r"\s*(?:m|metres|meters)?\s*(?:(?:above|below) sea level)?$", "", plain)
     height = number_of(number)
     return -abs(height) if plain.endswith("below sea level") else height
@@ -128,8 +128,8 @@ def angle_of(text: str, hemisphere: str = "", letters: str = "NSEW") -> float:
     >>> round(angle_of("46,56.676N"), 9), angle_of("2.3e-05")
     (46.9446, 2.3e-05)
     """
-    _refuse_long(text)
     plain = text.strip()
+    _refuse_long(plain)
     of_its_own = ""
     written = _WITH_HEMISPHERE.fullmatch(plain) or _HEMISPHERE_FIRST.fullmatch(plain)
     if written is not None:

@@ -16,6 +16,8 @@ from unbend.config.section import (
 from unbend.flight.mount import Mount
 from unbend.units import DEGREE
 
+MOST_TURN_DEG = 720.0  # two turns: an angle may be the sum of several; more is a typing mistake
+
 
 class MountSection(Section):
     """How a camera sits in the aircraft (body frame: x forward, y right, z down).
@@ -36,8 +38,8 @@ class MountSection(Section):
     )
     roll_deg: float = Field(
         0.0,
-        ge=-360,
-        le=360,
+        ge=-MOST_TURN_DEG,
+        le=MOST_TURN_DEG,
         description=(
             "turn about the body's forward axis: positive lowers the right wing, and a camera that "
             "looked down looks to the left; -45 looks to the right"
@@ -47,8 +49,8 @@ class MountSection(Section):
     )
     pitch_deg: float = Field(
         0.0,
-        ge=-360,
-        le=360,
+        ge=-MOST_TURN_DEG,
+        le=MOST_TURN_DEG,
         description=(
             "turn about the body's right axis: positive raises the nose, and a camera that looked "
             "down looks forward"
@@ -58,8 +60,8 @@ class MountSection(Section):
     )
     yaw_deg: float = Field(
         0.0,
-        ge=-360,
-        le=360,
+        ge=-MOST_TURN_DEG,
+        le=MOST_TURN_DEG,
         description="turn about the body's vertical axis, clockwise seen from above",
         examples=[0.0],
         json_schema_extra={"unit": "deg"},

@@ -1,7 +1,8 @@
 """What all sections of a mission file are made of."""
 
+import re
 from collections.abc import Callable, Collection, Iterator
-from typing import Annotated, Any, Self
+from typing import Annotated, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -17,12 +18,16 @@ from unbend.units import LARGEST_NUMBER
 LONGEST_PATH = 4096  # bytes that systems take
 LONGEST_FILE_NAME = 255  # bytes; a longer name is no file's, and looking for it is an error
 
+Value = TypeVar("Value")
+
 
 def _checked_path(value: str) -> str:
-    """A path that a system can look for, or a URL."""
-    parts = [] if "://" in value else value.split("/")
-    longest = max((len(part.encode()) for part in parts), default=0)
-    if len(value.encode()) > LONGEST_PATH or longest > LONGEST_FILE_NAME:
+    """A path that a system can look for, or a URL, which may be longer."""
+    if "://" in value:
+        return value
+    names = re.split(r"[/\\]", value)  # Windows writes both
+    longest_name = max(len(name.encode()) for name in names)
+    if len(value.encode()) > LONGEST_PATH or longest_name > LONGEST_FILE_NAME:
         raise SectionError("is longer than any path")
     return value
 
@@ -70,10 +75,11 @@ class Section(BaseModel):
 
     @field_validator("*")
     @classmethod
-    def _check_numbers(cls, value: Any) -> Any:
+    def _check_numbers(cls, value: Value) -> Value:
         """Refuse numbers that are larger than anything which is measured: they overflow."""
-        if any(abs(number) > LARGEST_NUMBER for number in _numbers_in(value)):
-            raise SectionError(f"holds a number beyond {LARGEST_NUMBER:g}")
+        for number in _numbers_in(value):
+            if abs(number) > LARGEST_NUMBER:
+                raise SectionError(f"holds a number beyond {LARGEST_NUMBER:g}")
         return value
 
     def __copy__(self) -> Self:

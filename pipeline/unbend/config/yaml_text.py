@@ -1,7 +1,7 @@
 """The text of a mission file: YAML of plain values, and the lines of its keys."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,8 @@ PROBLEMS = {
 }
 """Beginnings of what the YAML parser says, and the same in plain words."""
 
+MOST_BRACKETS = 50  # a mission file has five within each other at most
+
 MOST_VALUES = 1_000_000
 """Values of a file with its aliases written out: a campaign of thousands of missions has fewer."""
 
@@ -40,7 +42,10 @@ _REPLACED_TYPES = ("bool", "int", "float", "timestamp")
 """Scalars that YAML 1.1 reads otherwise than a mission file means them; dates stay words."""
 
 
-_OF_YAML = (
+_OWN_WORDS = ("the key ", "a key ", "a number ", "an alias ", "aliases ", "brackets ")
+"""Beginnings of the problems that `MissionLoader` and `_expanded_size` state."""
+
+_YAML_ERRORS = (
     yaml.YAMLError,
     ValueError,
     RecursionError,  # brackets in brackets, and an alias that holds itself
@@ -54,6 +59,14 @@ _OF_YAML = (
 
 class MissionLoader(yaml.SafeLoader):
     """YAML 1.2 scalars (1e-6 is a number, no, on and 1:30 are words) and no repeated keys."""
+
+    def fetch_flow_collection_start(self, kind: type[yaml.Token]) -> None:
+        """Refuse brackets within many others: the time to read them grows with their square."""
+        if self.flow_level >= MOST_BRACKETS:
+            raise yaml.scanner.ScannerError(
+                problem="brackets stand within too many others", problem_mark=self.get_mark()
+            )
+        super().fetch_flow_collection_start(kind)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """A mapping whose keys are words, each once."""
@@ -74,8 +87,8 @@ class MissionLoader(yaml.SafeLoader):
 def _whole_number(loader: MissionLoader, node: yaml.Node) -> int:
     """A whole number; Python takes none of more than 4300 digits."""
     try:
-        return int(node.value)
-    except ValueError:
+        return int(loader.construct_yaml_int(node))
+    except (ValueError, LookupError):
         raise yaml.constructor.ConstructorError(
             problem="a number has too many digits, or is none", problem_mark=node.start_mark
         ) from None
@@ -112,6 +125,25 @@ MissionLoader.add_implicit_resolver(
 
 def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
     """The sections of a file, and its nodes, which know their lines; refuses what is not YAML."""
+    text = _text_of(path)
+    try:
+        loader = MissionLoader(text)
+        node = loader.get_single_node()
+        if node is not None:
+            _expanded_size(node, {}, set())
+        values = None if node is None else loader.construct_document(node)
+    except _YAML_ERRORS as error:
+        mark = getattr(error, "problem_mark", None)
+        where = str(path) if mark is None else f"{path}:{mark.line + 1}"
+        raise messages.config_yaml(where=where, problem=problem_of(error)) from None
+    if node is None or not isinstance(values, dict):
+        required = [name for name, field in Mission.model_fields.items() if field.is_required()]
+        raise messages.config_empty(path=path, required=", ".join(required))
+    return values, node
+
+
+def _text_of(path: Path) -> str:
+    """The text of a mission file; refuses what is no file, or no text."""
     try:
         # Reading a pipe might never end; a name that is too long raises here.
         is_other = path.exists() and not (path.is_file() or path.is_dir())
@@ -121,25 +153,11 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
         problem = "it is a pipe or a device, not a file"
         raise messages.config_unreadable(path=path, problem=problem)
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise messages.config_missing(path=path) from None
     except (OSError, UnicodeDecodeError) as error:
         raise messages.config_unreadable(path=path, problem=str(error)) from None
-    try:
-        loader = MissionLoader(text)
-        node = loader.get_single_node()
-        if node is not None:
-            _expanded_size(node, {}, set())
-        values = None if node is None else loader.construct_document(node)
-    except _OF_YAML as error:
-        mark = getattr(error, "problem_mark", None)
-        where = str(path) if mark is None else f"{path}:{mark.line + 1}"
-        raise messages.config_yaml(where=where, problem=problem_of(error)) from None
-    if node is None or not isinstance(values, dict):
-        required = [name for name, field in Mission.model_fields.items() if field.is_required()]
-        raise messages.config_empty(path=path, required=", ".join(required))
-    return values, node
 
 
 def _expanded_size(node: yaml.Node, sizes: dict[int, int], around: set[int]) -> int:
@@ -159,10 +177,8 @@ def _expanded_size(node: yaml.Node, sizes: dict[int, int], around: set[int]) -> 
         )
     around.add(id(node))
     total = 1
-    for inner in node.value:
-        parts = inner if isinstance(node, yaml.MappingNode) else [inner]
-        for part in parts:
-            total += _expanded_size(part, sizes, around)
+    for inner in _nodes_in(node):
+        total += _expanded_size(inner, sizes, around)
     around.discard(id(node))
     if total > MOST_VALUES:
         raise yaml.constructor.ConstructorError(
@@ -173,10 +189,20 @@ def _expanded_size(node: yaml.Node, sizes: dict[int, int], around: set[int]) -> 
     return total
 
 
+def _nodes_in(node: yaml.Node) -> Iterator[yaml.Node]:
+    """The keys and values of a section, or the items of a list."""
+    if isinstance(node, yaml.SequenceNode):
+        yield from node.value
+    elif isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            yield key
+            yield value
+
+
 def problem_of(error: Exception) -> str:
     """What the parser found, in plain words."""
     problem = str(getattr(error, "problem", None) or error)
-    if problem.startswith(("the key ", "a key ", "a number ", "an alias ", "aliases ")):
+    if problem.startswith(_OWN_WORDS):
         return problem  # in the words of `MissionLoader`
     for beginning, words in PROBLEMS.items():
         if problem.startswith(beginning):

@@ -20,13 +20,13 @@ from unbend.tables import messages
 from unbend.tables.delimited import text_file
 from unbend.tables.refraction_mark import Direction
 from unbend.units import (
-    LARGEST_COORDINATE_M,
     LARGEST_HEIGHT_M,
     LARGEST_NUMBER,
     RADIANS,
     UNIX_NS_OF_GPS_EPOCH,
     AngleUnit,
     Array,
+    Integers,
     Mask,
     measured,
     whole_numbers,
@@ -48,10 +48,9 @@ LARGEST_OF_QUANTITIES = {
     "latitude": 90.0,
     "longitude": 360.0,
     "height": LARGEST_HEIGHT_M,
-    "x": LARGEST_COORDINATE_M,
-    "y": LARGEST_COORDINATE_M,
-    "z": LARGEST_COORDINATE_M,
 }
+"""What the numbers of a column are at most, where that is less than `LARGEST_NUMBER`."""
+
 _MOST_WEEKS = 10_000  # until 2171: 64 bits of nanoseconds hold it
 _MOST_SECONDS = 1e9  # within a week, or since 1980 by a table that counts on
 _WEEK_NS = SECONDS_PER_WEEK * 10**9
@@ -160,20 +159,22 @@ def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> p
     return pd.DataFrame(fields, columns=list(names), dtype=str)
 
 
-def numbers(text: "pd.Series[str]") -> Array:
-    """(n,) numbers of fields, NaN where one is none or beyond `LARGEST_NUMBER`; -0 keeps its sign.
+def numbers(text: "pd.Series[str]", largest: float = LARGEST_NUMBER) -> Array:
+    """(n,) numbers of fields, NaN where one is none or beyond the ``largest``."""
+    return measured(stated_numbers(text), largest)
+
+
+def stated_numbers(text: "pd.Series[str]") -> Array:
+    """(n,) numbers of fields of any size, NaN where one is none; -0 keeps its sign.
 
     Python would read 4_7 as 47; in a table that is no number.
     """
     fields = text.to_numpy(object)
     has_underscore = any("_" in field for field in fields)
-    try:
-        if has_underscore:
-            raise ValueError
-        values = fields.astype(np.float64)
-    except ValueError:
-        values = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
-    return measured(values)
+    if not has_underscore:
+        with suppress(ValueError):
+            return fields.astype(np.float64)
+    return pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
 
 
 def numbers_in_text(text: "pd.Series[str]") -> Array:
@@ -242,19 +243,9 @@ def numbers_of(
 
     Refuses (``code``) any other text, and numbers beyond the ``largest``.
     """
-    values = numbers(table[name])
-    beyond = np.flatnonzero(np.abs(values) > largest)
-    if beyond.size:
-        raise messages.numbers_beyond(
-            code=code,
-            path=path,
-            line=int(table.index[beyond[0]]),
-            column=name,
-            count=beyond.size,
-            first=float(values[beyond[0]]),
-            largest=largest,
-        )
-    wrong = np.flatnonzero(~np.isfinite(values) & (table[name].str.strip() != "").to_numpy())
+    values = stated_numbers(table[name])
+    is_stated = (table[name].str.strip() != "").to_numpy()
+    wrong = np.flatnonzero(is_stated & ~np.isfinite(values))
     if wrong.size:
         raise messages.fields_without_number(
             code=code,
@@ -264,7 +255,36 @@ def numbers_of(
             count=wrong.size,
             first=table[name].iloc[wrong[0]],
         )
+    lines = table.index.to_numpy()
+    refuse_beyond(values, largest, path, code, column=name, lines=lines)
     return values
+
+
+def largest_of(quantity: str) -> float:
+    """What the numbers of a column of a quantity are at most."""
+    return LARGEST_OF_QUANTITIES.get(quantity, LARGEST_NUMBER)
+
+
+def refuse_beyond(
+    values: Array, largest: float, path: Path, code: Code, *, column: str, lines: Integers
+) -> None:
+    """Refuse (``code``) numbers (n,) beyond the ``largest``; ``lines`` (n,) are those of the rows.
+
+    NaN is unknown.
+    """
+    beyond = np.flatnonzero(np.abs(values) > largest)
+    if beyond.size == 0:
+        return
+    first = int(beyond[0])
+    raise messages.numbers_beyond(
+        code=code,
+        path=path,
+        line=int(lines[first]),
+        column=column,
+        count=beyond.size,
+        first=float(values[first]),
+        largest=largest,
+    )
 
 
 def angles_in_radians(
@@ -315,7 +335,8 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
 
     0 where one of both is unknown (NaN), negative or beyond all dates, or the week not whole.
     """
-    is_week = (week == np.floor(week)) & (week >= 0) & (week <= _MOST_WEEKS)
+    is_whole = week == np.floor(week)
+    is_week = is_whole & (week >= 0) & (week <= _MOST_WEEKS)
     known = is_week & (seconds >= 0.0) & (seconds <= _MOST_SECONDS)
     whole_weeks = whole_numbers(np.where(known, week, 0), 0, _MOST_WEEKS)
     seconds = np.where(known, seconds, 0.0)

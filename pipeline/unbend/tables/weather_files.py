@@ -248,13 +248,11 @@ def possible_steps(steps: NDArray[Any], where: str) -> NDArray[Any]:
     return steps.astype("timedelta64[ns]")
 
 
-def _possible_places(field: Any, axis: str, where: str) -> Array:
-    """Latitudes or longitudes [deg] of an axis; refuses others than places on earth."""
-    degrees = np.asarray(field[axis].values, np.float64)
+def _refuse_other_places(degrees: Array, axis: str, where: str) -> None:
+    """Refuse latitudes or longitudes [deg] of an axis that are no places on earth."""
     farthest = FARTHEST_LONGITUDE_DEG if axis.lower() in _LONGITUDE else 90.0
     if not bool((np.abs(degrees) <= farthest).all()):
         raise messages.model_axis(where=where, axis=axis)
-    return degrees
 
 
 def _refuse_other_levels(levels: "_Levels", where: str) -> None:
@@ -431,7 +429,9 @@ class _Part:
         places = (area.latitude_rad, longitudes_near(area.longitude_rad, middle))
         for names, place in zip((_LATITUDE, _LONGITUDE), places, strict=True):
             axis = str(_dimension(field, names))  # a grid without it was refused
-            node = _possible_places(field, axis, where) * DEGREE
+            degrees = np.asarray(field[axis].values, np.float64)
+            _refuse_other_places(degrees, axis, where)
+            node = degrees * DEGREE
             if names is _LONGITUDE:
                 node = longitudes_near(node, middle)
             node, rows = np.unique(np.round(node, 12), return_index=True)

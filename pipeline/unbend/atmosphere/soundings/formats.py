@@ -45,6 +45,7 @@ from unbend.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 _HEADER = re.compile(r"#[A-Z0-9]{11} \d{4} \d\d \d\d \d\d ")
 _NO_HOUR = 99
+LAST_HOUR = 23
 _DAY_S = 86_400
 
 
@@ -134,16 +135,29 @@ def _igra_time_ns(header: str, at: str) -> int | None:
     the sounding of 00 UTC is the evening before."""
     midnight = stated_time_ns(f"{header[13:23].replace(' ', '-')}T00:00", at)
     hour = int(header[24:26])
-    release, seconds = number(header[27:31]), 3600 * hour
-    if hour not in (*range(24), _NO_HOUR):
+    if hour > LAST_HOUR and hour != _NO_HOUR:
         raise messages.sounding_time(where=at, time=header[13:26])
-    if 0 <= release // 100 < 24 and release % 100 < 60:
-        seconds = 3600 * int(release // 100) + 60 * int(release % 100)
-        if hour != _NO_HOUR:
-            seconds += _DAY_S * round((3600 * hour - seconds) / _DAY_S)
-    elif hour == _NO_HOUR:
+    nominal_s = 3600 * hour
+    release_s = _seconds_of_release(number(header[27:31]))
+    if release_s is None and hour == _NO_HOUR:
         return None
+    if release_s is None:
+        seconds = nominal_s
+    elif hour == _NO_HOUR:
+        seconds = release_s
+    else:
+        days = round((nominal_s - release_s) / _DAY_S)
+        seconds = release_s + _DAY_S * days
     return None if midnight is None else midnight + seconds * NANOSECONDS_PER_SECOND
+
+
+def _seconds_of_release(hhmm: float) -> int | None:
+    """Seconds of the day of a time written as 2303; None where it is none (NaN, 9999)."""
+    hour = hhmm // 100
+    minute = hhmm % 100
+    if not (0 <= hour <= LAST_HOUR and minute < 60):
+        return None
+    return 3600 * int(hour) + 60 * int(minute)
 
 
 # Name of a column -> quantity, unit.

@@ -213,6 +213,15 @@ def level_heights(half: Array, virtual: Array, surface: Array) -> Array:
     return np.asarray(surface[:, None] + below + alpha * virtual / HYDROSTATIC_CONSTANT)
 
 
+def _has_values(field: ModelField) -> bool:
+    """Whether a field has air at one place at least, and heights where these are not computed."""
+    has_air = np.isfinite(field.temperature_k + field.humidity)
+    if field.on_model_levels:
+        return bool(has_air.any())
+    has_height = np.isfinite(field.height)
+    return bool(has_air.any() and has_height.any())
+
+
 def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     """A field whose units are what its numbers can only be; repairs are noted.
 
@@ -222,10 +231,10 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     """
     notes: Notes = ()
     t, q = field.temperature_k, field.humidity
-    has_heights = field.on_model_levels or bool(np.isfinite(field.height).any())
-    if not has_heights or not bool(np.isfinite(t + q).any()):
+    if not _has_values(field):
         raise messages.model_without_values(where=where)
-    low, high = float(np.nanmin(t)), float(np.nanmax(t))
+    low = float(np.nanmin(t))
+    high = float(np.nanmax(t))
     if not level_checks.COLDEST_K <= low <= high <= level_checks.WARMEST_K:
         raise messages.model_temperatures(where=where, coldest_k=low, warmest_k=high)
     if field.relative and np.nanmax(q) > _MOST_FRACTION:

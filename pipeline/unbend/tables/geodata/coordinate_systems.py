@@ -200,14 +200,17 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
     from pyproj.exceptions import ProjError
 
     try:
-        projection, meridian_deg = Proj(crs), _meridian_deg(CRS.from_user_input(crs))
+        projection = Proj(crs)
+        meridian_deg = _meridian_deg(CRS.from_user_input(crs))
     except ProjError as error:
         raise ValueError(str(error)) from None
     x, y = projection(lon_deg, lat_deg)
     # Places count from Greenwich in the projection, and from its own meridian in the factors.
     factors = projection.get_factors(lon_deg - meridian_deg, lat_deg)
-    convergence_rad = np.radians(measured(np.asarray(factors.meridian_convergence)))
-    return measured(np.asarray(x)), measured(np.asarray(y)), convergence_rad
+    convergence_deg = np.asarray(factors.meridian_convergence)
+    x = measured(np.asarray(x))
+    y = measured(np.asarray(y))
+    return x, y, np.radians(measured(convergence_deg))
 
 
 def _meridian_deg(system: Any) -> float:
@@ -272,10 +275,13 @@ def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:
 
     try:
         system = CRS.from_user_input(crs)
-        lon, lat = Transformer.from_crs(system, "EPSG:4326", always_xy=True).transform(x, y)
+        to_wgs84 = Transformer.from_crs(system, "EPSG:4326", always_xy=True)
+        lon_deg, lat_deg = to_wgs84.transform(x, y)
     except (CRSError, ProjError):
         return None
-    return np.radians(measured(lat)), np.radians(measured(lon))
+    lat_rad = np.radians(measured(lat_deg))
+    lon_rad = np.radians(measured(lon_deg))
+    return lat_rad, lon_rad
 
 
 CUBE_M = 1000.0  # half an edge of the cube whose corners tell how a datum lies to another

@@ -13,7 +13,7 @@ from unbend.messages import Notes
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from unbend.tables.geodata import messages
 from unbend.tables.geodata.coordinate_systems import GridSystem, grid_system
-from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS
+from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS, is_upright
 from unbend.units import Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100  # of 1 MB
@@ -176,10 +176,9 @@ class _Raster:
 
         self.path, self._open = path, open_raster
         source = open_raster(path)
-        affine, self.crs = source.transform, source.crs.to_wkt() if source.crs else ""
-        is_finite = bool(np.isfinite([affine.a, affine.c, affine.e, affine.f]).all())
-        upright = is_finite and affine.b == affine.d == 0.0 and affine.a > 0.0 > affine.e
-        if source.count != 1 or not upright or source.driver in NAME_OTHERS:
+        affine = source.transform
+        self.crs = source.crs.to_wkt() if source.crs else ""
+        if source.count != 1 or not is_upright(affine) or source.driver in NAME_OTHERS:
             raise messages.dem_raster(
                 where=path,
                 driver=source.driver,

@@ -1,8 +1,10 @@
 """What GDAL reads for a raster, and how: the same on every machine."""
 
+import math
 import os
 import re
 import time
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -21,6 +23,26 @@ NAME_OTHERS = "GTI", "STACIT", "STACTA", "TIL", "VRT", "WCS", "WMS", "WMTS"
 # Endings of files that GDAL does not read beside a raster: a mission's may be called like it.
 _OTHERS = re.compile(r"csv|err|html|log|mcap|out|parquet|tlog|toml|ulg|ya?ml")
 _SETTLED_NS = 2_000_000_000  # a folder changed within this time may change again unseen
+
+
+def is_upright(transform: Sequence[float]) -> bool:
+    """Whether the rows of a raster run to the east and its columns to the south, by finite steps.
+
+    ``transform`` : of a raster, as rasterio has it.
+
+    >>> is_upright((0.25, 0.0, 7.0, 0.0, -0.25, 46.0))
+    True
+    >>> is_upright((0.25, 0.0, 7.0, 0.0, 0.25, 46.0))
+    False
+    """
+    step_east, turn, west = transform[:3]
+    other_turn, step_north, north = transform[3:6]
+    if not all(math.isfinite(number) for number in (step_east, west, step_north, north)):
+        return False
+    runs_east = step_east > 0.0
+    runs_south = step_north < 0.0
+    is_turned = turn != 0.0 or other_turn != 0.0
+    return runs_east and runs_south and not is_turned
 
 
 def raster_files(path: Path) -> tuple[Path, ...]:

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from unbend.geodesy import GeoidGrid
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS
+from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS, is_upright
 
 _GTX = struct.Struct(">4d2i")
 """South edge, west edge, steps of latitude and longitude [deg], rows, columns: big-endian, then
@@ -68,7 +68,8 @@ def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
     south, west, d_lat, d_lon, rows, columns = _GTX.unpack_from(content)
     has_size = 0 < rows <= 100_000 and 0 < columns <= 100_000
     has_steps = _LEAST_STEP_DEG <= d_lat <= 180.0 and _LEAST_STEP_DEG <= d_lon <= 360.0
-    if not (has_size and has_steps and abs(south) <= 90.0 and abs(west) <= 360.0):
+    has_corner = abs(south) <= 90.0 and abs(west) <= 360.0
+    if not (has_size and has_steps and has_corner):
         raise messages.geoid_header(where=path)
     if len(content) != _GTX.size + 4 * rows * columns:
         raise messages.geoid_size(where=path, size=len(content), rows=rows, columns=columns)
@@ -87,15 +88,15 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
             plain = raster.count == 1 and raster.driver not in NAME_OTHERS
             if not (plain and raster.crs and raster.crs.is_geographic):
                 raise messages.geoid_bands(where=path)
-            a = raster.transform
-            is_finite = bool(np.isfinite([a.a, a.c, a.e, a.f]).all())
-            is_upright = a.b == a.d == 0.0 and a.a > 0.0 > a.e
-            if not (is_finite and is_upright):
+            affine = raster.transform
+            if not is_upright(affine):
                 raise messages.geoid_turned(where=path)
             values = raster.read(1, masked=True).astype(np.float32).filled(np.nan)[::-1]
             values = values * np.float32(raster.scales[0]) + np.float32(raster.offsets[0])
     except rasterio.errors.RasterioError as error:
         raise messages.geoid_unreadable(where=path, error=str(error)) from None
     # Values belong to the centres of the cells.
-    south = a.f + a.e * (values.shape[0] - 0.5)
-    return GeoidGrid(path.name, np.ascontiguousarray(values), south, a.c + 0.5 * a.a, -a.e, a.a)
+    south = affine.f + affine.e * (values.shape[0] - 0.5)
+    west = affine.c + 0.5 * affine.a
+    values = np.ascontiguousarray(values)
+    return GeoidGrid(path.name, values, south, west, -affine.e, affine.a)

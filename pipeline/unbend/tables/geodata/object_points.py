@@ -9,17 +9,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from unbend.tables import messages as table_messages
 from unbend.tables.geodata import messages
 from unbend.tables.text_columns import (
-    LARGEST_OF_QUANTITIES,
     LINE_OF_FIRST_ROW,
     degrees_of,
+    largest_of,
     numbers_of,
+    refuse_beyond,
     require_names,
     text_table,
 )
-from unbend.units import LARGEST_NUMBER, Array, Integers
+from unbend.units import Array, Integers
 
 _CODES = (messages.POINTS_TABLE, messages.POINTS_COLUMN)
 
@@ -79,22 +79,10 @@ def read_object_points(
     of the mission file which names them. Refuses
     (InputError) a column that is not there or holds no numbers, and names that stand there twice.
     """
-    numbers = {quantity: name for quantity, name in columns.items() if quantity != "point"}
     if path.suffix.lower() in (".parquet", ".pq"):
-        try:
-            wanted = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
-            require_names(_CODES[1], path, pq.read_schema(path).names, wanted)
-            table = pq.read_table(path, columns=list(columns.values()))
-            given = table[columns["point"]].cast(pa.string()).combine_chunks()
-            values = {
-                quantity: table[name].cast(pa.float64(), safe=False).to_numpy()
-                for quantity, name in numbers.items()
-            }
-        except (pa.ArrowException, OSError) as error:
-            raise messages.points_table(where=path, error=str(error)) from None
+        given, values = _points_of_parquet(path, columns, key)
     else:
         given, values = _points_of_text(path, columns, key)
-    _refuse_beyond(path, columns, values)
     names = given.value_counts()
     twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
     if len(names) == 0:
@@ -104,21 +92,27 @@ def read_object_points(
     return given, values
 
 
-def _refuse_beyond(path: Path, columns: Mapping[str, str], values: Mapping[str, Array]) -> None:
-    """Refuse heights, places and other numbers of points that are none; NaN is unknown."""
+def _points_of_parquet(
+    path: Path, columns: Mapping[str, str], key: str
+) -> tuple[pa.StringArray, dict[str, Array]]:
+    """Names (p,), and the other columns as numbers, of a Parquet table."""
+    try:
+        wanted = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
+        require_names(_CODES[1], path, pq.read_schema(path).names, wanted)
+        table = pq.read_table(path, columns=list(columns.values()))
+        given = table[columns["point"]].cast(pa.string()).combine_chunks()
+        values = {}
+        for quantity, name in columns.items():
+            if quantity != "point":
+                values[quantity] = table[name].cast(pa.float64(), safe=False).to_numpy()
+    except (pa.ArrowException, OSError) as error:
+        raise messages.points_table(where=path, error=str(error)) from None
+    rows = np.arange(len(given)) + LINE_OF_FIRST_ROW
     for quantity, numbers in values.items():
-        largest = LARGEST_OF_QUANTITIES.get(quantity, LARGEST_NUMBER)
-        beyond = np.flatnonzero(np.abs(numbers) > largest)
-        if beyond.size:
-            raise table_messages.numbers_beyond(
-                code=_CODES[0],
-                path=path,
-                line=int(beyond[0]) + LINE_OF_FIRST_ROW,
-                column=columns[quantity],
-                count=beyond.size,
-                first=float(numbers[beyond[0]]),
-                largest=largest,
-            )
+        name = columns[quantity]
+        largest = largest_of(quantity)
+        refuse_beyond(numbers, largest, path, messages.POINTS_TABLE, column=name, lines=rows)
+    return given, values
 
 
 def _points_of_text(
@@ -130,8 +124,10 @@ def _points_of_text(
     code = _CODES[0]
     for quantity, name in columns.items():
         if quantity in ("latitude", "longitude"):
-            values[quantity] = degrees_of(text, name, path, code, quantity=quantity)
+            degrees = degrees_of(text, name, path, code, quantity=quantity)
+            lines = text.index.to_numpy()
+            refuse_beyond(degrees, largest_of(quantity), path, code, column=name, lines=lines)
+            values[quantity] = degrees
         elif quantity != "point":
-            largest = LARGEST_OF_QUANTITIES.get(quantity, LARGEST_NUMBER)
-            values[quantity] = numbers_of(text, name, path, code, largest)
+            values[quantity] = numbers_of(text, name, path, code, largest_of(quantity))
     return pa.array(text[columns["point"]].str.strip(), pa.string()), values

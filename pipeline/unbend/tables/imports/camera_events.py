@@ -25,7 +25,7 @@ from unbend.tables.imports import messages
 from unbend.tables.imports.eo_head import EoHead, head_of_eo
 from unbend.tables.imports.stated import Stated, channel_of_rows, read_text
 from unbend.tables.text_columns import numbers, split_lines, utc_of_weeks
-from unbend.units import Array
+from unbend.units import LARGEST_EXACT, Array
 
 _MILLIMETRE = 1e-3
 _LINE = r"\[.*\].*,N.*,E.*,V.*,Lat.*,Lon.*,Ellh.*,.*,.*,Q"
@@ -46,6 +46,7 @@ def read_mrk(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         raise messages.mrk_without_lines(where=path)
     table = split_lines(lines, _NAMES, r"\s*(?:\[|\]|,[A-Za-z]*|\s)\s*")
     value = {name: numbers(table[name]) for name in _NAMES}
+    value["index"] = numbers(table["index"], LARGEST_EXACT)
     readable = of_mrk & np.isfinite(list(value.values())).all(axis=0)
     time_ns = utc_of_weeks(value["week"], value["seconds"], stated.system_of(path, ledger, "gpst"))
     lost = (value["Q"] == 0) | ((value["Lat"] == 0.0) & (value["Lon"] == 0.0))
@@ -102,6 +103,8 @@ def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     rows = [line for line in lines[at + 1 :] if re.match(r"\s*\S+\s+\S*[0-9]", line)]
     table = split_lines(rows, titles, r"\s+")
     value = {name: numbers(table[name]) for name in titles}
+    if "EVENT" in titles:
+        value["EVENT"] = numbers(table["EVENT"], LARGEST_EXACT)
     needed = np.stack([value[name] for name in ("TIME", "LAT", "LONG", above)])
     readable = np.asarray(np.isfinite(needed).all(axis=0))
     count = np.arange(1.0, len(rows) + 1.0)

@@ -85,17 +85,35 @@ def parse_time(text: str, zone: str = "") -> Stamp | None:
         offset = stamp[8] or zone.strip()
     else:
         return None
-    signed = re.fullmatch(r"([+-])(\d\d):?(\d\d)", offset)
-    if signed is not None:
-        ahead_s = int(signed[2]) * 3600 + int(signed[3]) * 60
-        if ahead_s > _FARTHEST_ZONE_S or int(signed[3]) >= 60:
-            return None
-        seconds -= int(signed[1] + "1") * ahead_s
+    ahead_s = _seconds_of_zone(offset)
+    if ahead_s is None and _ZONE.fullmatch(offset):
+        return None
+    seconds -= ahead_s or 0
     decimals = decimals[:9]
     time_ns = seconds * 10**9 + int(decimals.ljust(9, "0"))
     if not bool(can_be_flown(np.array([time_ns]))[0]):
         return None
-    return Stamp(time_ns, 10.0 ** -len(decimals), signed is not None or offset in ("Z", "UTC"))
+    is_utc = ahead_s is not None or offset in ("Z", "UTC")
+    return Stamp(time_ns, 10.0 ** -len(decimals), is_utc)
+
+
+_ZONE = re.compile(r"(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d)")
+
+
+def _seconds_of_zone(offset: str) -> int | None:
+    """How far a zone written as +05:30 is ahead of UTC [s]; None for what no zone on earth is.
+
+    >>> _seconds_of_zone("-0330"), _seconds_of_zone("+14:00"), _seconds_of_zone("+23:59")
+    (-12600, 50400, None)
+    """
+    zone = _ZONE.fullmatch(offset)
+    if zone is None:
+        return None
+    minutes = int(zone["minutes"])
+    ahead_s = int(zone["hours"]) * 3600 + minutes * 60
+    if ahead_s > _FARTHEST_ZONE_S or minutes >= 60:
+        return None
+    return -ahead_s if zone["sign"] == "-" else ahead_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,7 +395,8 @@ def _time_of_day(rationals: Sequence[object]) -> str:
         if not isinstance(numerator, int | float) or not denominator:
             return ""
         parts.append(float(numerator) / float(denominator))
-    if len(parts) != 3 or not np.isfinite(parts).all():
+    is_time = len(parts) == 3 and bool(np.isfinite(parts).all())
+    if not is_time:
         return ""
     hour, minute, second = parts
     text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
@@ -404,7 +423,8 @@ def _height_of_tags(reader: TagReader, file: str, tags: Mapping[str, str]) -> fl
 def _stamp_of_week(week: str, seconds: str) -> Stamp | None:
     """The time of a GPS week and its seconds; None where no survey can have it."""
     is_week = re.fullmatch(r"\d{1,5}", week) is not None
-    if not is_week or not re.fullmatch(r"\d{1,6}(\.\d*)?", seconds):
+    is_seconds = re.fullmatch(r"\d{1,6}(\.\d*)?", seconds) is not None
+    if not (is_week and is_seconds):
         return None
     if int(week) < FIRST_WEEK_OF_SURVEYS or float(seconds) > SECONDS_PER_WEEK:
         return None

@@ -86,13 +86,20 @@ def _sbet_rows(path: Path, ledger: Ledger) -> Array:
     return rows
 
 
+def _are_measured(rows: Array) -> bool:
+    """Whether all numbers are finite, and none beyond anything that is measured."""
+    return bool(np.isfinite(measured(rows)).all())
+
+
 def _refusal_of(path: Path, rows: Array) -> InputError | None:
     """The refusal of rows that cannot be of an SBET; None where they can."""
     if len(rows) < _FEWEST_ROWS:
         return messages.sbet_too_short(where=path, rows=len(rows))
-    if not bool(np.isfinite(measured(rows)).all()):
+    if not _are_measured(rows):
         return messages.sbet_not_numbers(where=path)
-    time, height, largest = rows[:, 0], rows[:, 3], np.abs(rows).max(axis=0)
+    time = rows[:, 0]
+    height = rows[:, 3]
+    largest = np.abs(rows).max(axis=0)
     back = np.count_nonzero(np.diff(time) <= 0.0)
     if time.min() < 0.0 or time.max() > 3 * 604_800.0 or back > 0.01 * time.size:
         return messages.sbet_without_time(where=path)
@@ -112,10 +119,12 @@ def _refusal_of(path: Path, rows: Array) -> InputError | None:
 
 def _are_sigmas(rows: Array) -> bool:
     """Whether rows of ten can be those of a smrmsg file: increasing seconds, small sigmas."""
-    if len(rows) < _FEWEST_ROWS or not bool(np.isfinite(measured(rows)).all()):
+    if len(rows) < _FEWEST_ROWS or not _are_measured(rows):
         return False
-    increase, sigmas = np.median(np.diff(rows[:, 0])), rows[:, 1:]
-    in_week = rows[:, 0].min() >= 0.0 and rows[:, 0].max() < 3 * 604_800.0
+    time = rows[:, 0]
+    sigmas = rows[:, 1:]
+    increase = np.median(np.diff(time))
+    in_week = time.min() >= 0.0 and time.max() < 3 * 604_800.0
     return bool(in_week and increase > 0.0 and sigmas.min() >= 0.0 and sigmas.max() < 1e5)
 
 

@@ -24,8 +24,17 @@ from unbend.units import (
     UNIX_NS_OF_GPS_EPOCH,
     AngleUnit,
     Array,
+    Integers,
     Mask,
 )
+
+LARGEST_LONGITUDE_RAD = 2.0 * np.pi
+HEIGHT_COLUMNS = {"h_ellipsoid_m", "h_msl_m"}
+LARGEST_SIGMA = 1e6  # metres or radians: a larger one stands for an unknown place
+FASTEST_M_S = 1000.0  # no aircraft that takes images is as fast
+LONGEST_ARM_M = 1000.0  # from an antenna to a camera
+LONGEST_NORM_ERROR = 0.0101  # of quaternions: four numbers of two decimals err by 0.01
+_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 
 def as_written(angles: Array) -> Array:
@@ -121,34 +130,32 @@ def read_text(path: Path) -> list[str]:
 
 
 def _has_place(columns: Mapping[str, Array]) -> Mask:
-    """(n,) False where the place is 0, 0, which stands for an unknown one, or none on earth."""
+    """(n,) False where the place is 0, 0, which stands for an unknown one, or none on earth.
+
+    Unknown (NaN) is no reason: a row without a position is kept for what else it has.
+    """
     is_at_equator = columns["lat_rad"] == 0.0
     is_at_greenwich = columns["lon_rad"] == 0.0
-    is_near = np.abs(columns["lon_rad"]) <= LARGEST_LONGITUDE_RAD
+    is_nowhere = is_at_equator & is_at_greenwich
+    is_nowhere |= np.abs(columns["lon_rad"]) > LARGEST_LONGITUDE_RAD
     for name in HEIGHT_COLUMNS & columns.keys():
-        is_near &= np.abs(columns[name]) <= LARGEST_HEIGHT_M
-    is_unknown = np.isnan(columns["lat_rad"])
-    return np.asarray(is_unknown | (is_near & ~(is_at_equator & is_at_greenwich)))
+        is_nowhere |= np.abs(columns[name]) > LARGEST_HEIGHT_M
+    return np.asarray(~is_nowhere)
 
 
-LARGEST_LONGITUDE_RAD = 2.0 * np.pi
-HEIGHT_COLUMNS = {"h_ellipsoid_m", "h_msl_m"}
-LARGEST_SIGMA = 1e6  # metres or radians: a larger one stands for an unknown place
-FASTEST_M_S = 1000.0  # no aircraft that takes images is as fast
-LONGEST_ARM_M = 1000.0  # from an antenna to a camera
-LONGEST_NORM_ERROR = 1e-3  # of quaternions, which are written with a few digits
-_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
-
-
-def _possible(name: str, values: Array) -> Mask:
-    """(n,) which values of a column a flight can have; those of places are judged with the row."""
+def _impossible(name: str, columns: Mapping[str, Array]) -> Mask:
+    """(n,) which values of a column no flight has; those of places are judged with the row."""
+    values = columns[name]
     if name.startswith("sigma_"):
-        return np.asarray((values >= 0.0) & (values <= LARGEST_SIGMA))
+        return np.asarray((values < 0.0) | (values > LARGEST_SIGMA))
     if name.startswith("v_"):
-        return np.asarray(np.abs(values) <= FASTEST_M_S)
+        return np.asarray(np.abs(values) > FASTEST_M_S)
     if name.startswith("offset_"):
-        return np.asarray(np.abs(values) <= LONGEST_ARM_M)
-    return np.ones(values.shape, np.bool_)
+        return np.asarray(np.abs(values) > LONGEST_ARM_M)
+    if name in _QUATERNION and columns.keys() >= set(_QUATERNION):
+        length = np.linalg.norm([columns[part] for part in _QUATERNION], axis=0)
+        return np.asarray(np.abs(length - 1.0) > LONGEST_NORM_ERROR)
+    return np.zeros(values.shape, np.bool_)
 
 
 def without_impossible(
@@ -160,18 +167,11 @@ def without_impossible(
     than 1.
     """
     result = dict(columns)
-    wrong_rows = {}
     for name, values in columns.items():
-        wrong_rows[name] = ~np.isnan(values) & ~_possible(name, values)
-    if columns.keys() >= set(_QUATERNION):
-        length = np.linalg.norm([columns[name] for name in _QUATERNION], axis=0)
-        is_other = np.abs(length - 1.0) > LONGEST_NORM_ERROR
-        for name in _QUATERNION:
-            wrong_rows[name] = is_other
-    for name, is_wrong in wrong_rows.items():
+        is_wrong = _impossible(name, columns)
         if not bool(is_wrong.any()):
             continue
-        result[name] = np.where(is_wrong, np.nan, columns[name])
+        result[name] = np.where(is_wrong, np.nan, values)
         first = int(np.argmax(is_wrong))
         ledger.add(
             messages.values_impossible(
@@ -179,10 +179,40 @@ def without_impossible(
                 column=name,
                 count=int(is_wrong.sum()),
                 row=first + 1,
-                first=float(columns[name][first]),
+                first=float(values[first]),
             )
         )
     return result
+
+
+def _refuse_beyond_poles(path: Path, lat_rad: Array) -> None:
+    """Refuse latitudes beyond the poles."""
+    worst_rad = float(np.fmax.reduce(np.abs(lat_rad), initial=0.0))
+    if worst_rad > np.pi / 2.0:
+        worst_deg = float(np.degrees(worst_rad))
+        raise messages.latitude_beyond_poles(where=path, worst_deg=worst_deg)
+
+
+def _rows_in_time(path: Path, time_ns: TimeArray, readable: Mask, ledger: Ledger) -> Integers:
+    """The readable rows in the order of time, the first of those with one time; the rest is lost.
+
+    Refuses a file without any.
+    """
+    rows = np.argsort(time_ns, kind="stable")
+    rows = rows[readable[rows]]
+    is_repeated = np.diff(time_ns[rows], prepend=-1) == 0
+    unreadable = np.flatnonzero(~readable)
+    repeated = np.sort(rows[is_repeated])
+    for bad, lost in (
+        (unreadable, messages.rows_unreadable),
+        (repeated, messages.rows_repeat_time),
+    ):
+        if bad.size:
+            first = int(bad[0]) + 1
+            ledger.add(lost(where=path.name, count=bad.size, total=time_ns.size, first=first))
+    if bool(is_repeated.all()):
+        raise messages.no_row_readable(where=path)
+    return np.asarray(rows[~is_repeated])
 
 
 def channel_of_rows(
@@ -205,26 +235,9 @@ def channel_of_rows(
     columns = without_impossible(path, columns, ledger)
     readable = readable & can_be_flown(time_ns)
     # First: in another unit than stated all places are none.
-    latitudes = np.abs(columns["lat_rad"][readable])
-    worst = float(np.fmax.reduce(latitudes, initial=0.0))
-    if worst > np.pi / 2.0:
-        raise messages.latitude_beyond_poles(where=path, worst_deg=float(np.degrees(worst)))
+    _refuse_beyond_poles(path, columns["lat_rad"][readable])
     readable = readable & _has_place(columns)
-    rows = np.argsort(time_ns, kind="stable")
-    rows = rows[readable[rows]]
-    again = np.diff(time_ns[rows], prepend=-1) == 0
-    unreadable = np.flatnonzero(~readable)
-    repeated = np.sort(rows[again])
-    for bad, lost in (
-        (unreadable, messages.rows_unreadable),
-        (repeated, messages.rows_repeat_time),
-    ):
-        if bad.size:
-            first = int(bad[0]) + 1
-            ledger.add(lost(where=path.name, count=bad.size, total=time_ns.size, first=first))
-    rows = rows[~again]
-    if rows.size == 0:
-        raise messages.no_row_readable(where=path)
+    rows = _rows_in_time(path, time_ns, readable, ledger)
     values = {name: column[rows] for name, column in columns.items()}
     words = {n: tuple(np.array(v, dtype=object)[rows]) for n, v in (labels or {}).items()}
     return Channel(path.name, time_ns[rows], values, Source(kind), labels=words)

@@ -17,16 +17,11 @@ from unbend.geodesy import geodetic_of_ecef
 from unbend.messages import Ledger, Notes
 from unbend.tables.geodata.coordinate_systems import GeocentricDatum, places_of
 from unbend.tables.imports import messages
-from unbend.tables.imports.stated import (
-    LONGEST_NORM_ERROR,
-    Stated,
-    channel_of_rows,
-    without_impossible,
-)
+from unbend.tables.imports.stated import Stated, channel_of_rows, without_impossible
 from unbend.tables.text_columns import (
-    LARGEST_OF_QUANTITIES,
     angles_in_radians,
     degrees_of,
+    largest_of,
     numbers,
     numbers_of,
     require_names,
@@ -37,16 +32,7 @@ from unbend.tables.text_columns import (
     utc_of_dates,
     utc_of_weeks,
 )
-from unbend.units import (
-    DEGREE,
-    LARGEST_NUMBER,
-    RADIANS,
-    Array,
-    Integers,
-    Mask,
-    Names,
-    whole_numbers,
-)
+from unbend.units import DEGREE, RADIANS, Array, Integers, Mask, Names, whole_numbers
 
 _LAST_US = 9 * 10**15  # since 1970: 2255, in nanoseconds within 64 bits
 _SINCE_EPOCH_S = 1e8  # seconds beyond this count from an epoch, not from the beginning of a week
@@ -95,34 +81,14 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     elif "x" in value:
         lat, lon, height = geodetic_of_ecef(value["x"], value["y"], value["z"])
         surface = stated.height_column(path, ledger, "ellipsoid")
-        radii = np.linalg.norm([value[axis] for axis in "xyz"], axis=0)
-        known_radii = radii[np.isfinite(radii)]
-        if known_radii.size == 0:
-            raise messages.no_row_readable(where=path)
-        radius = float(np.median(known_radii))
-        if not 6.3e6 < radius < 6.5e6:
-            raise messages.not_on_earth(where=path, radius=radius)
+        _refuse_elsewhere_than_earth(path, value)
     else:
         unit = RADIANS[stated.position_unit]
         lat, lon, height = value["latitude"] * unit, value["longitude"] * unit, value["height"]
         surface = stated.height_column(path, ledger)
     columns |= {"lat_rad": lat, "lon_rad": lon, surface: height}
     if "yaw" in value:
-        angles = np.stack([value[name] for name in ("roll", "pitch", "yaw")], axis=1)
-        angles = angles_in_radians(
-            angles,
-            stated.angle_unit,
-            path,
-            messages.IMPORT_ANGLES,
-            key="stations.trajectory.angle_unit",
-            lines=table.index,
-        )
-        angles = stated.angles_meant(angles)
-        known = np.isfinite(angles).all(axis=1)
-        in_order = angles[known][:, ["XYZ".index(axis) for axis in stated.angle_order]]
-        q = np.full((known.size, 4), np.nan)
-        q[known] = Rotation.from_euler(stated.angle_order, in_order).as_quat(canonical=True)
-        columns |= {f"q_{axis}": q[:, k] for k, axis in enumerate("xyzw")}
+        columns |= _quaternion_columns(path, value, stated, table.index)
     columns = without_impossible(path, columns, ledger)
     if grid_north is not None:
         columns = from_grid_north(columns, grid_north)
@@ -131,8 +97,41 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     return channel_of_rows(path, "CSV", time_ns, columns, ledger, readable=readable)
 
 
+def _refuse_elsewhere_than_earth(path: Path, value: Mapping[str, Array]) -> None:
+    """Refuse earth-centred x, y and z that are not near the earth's surface in the median."""
+    radii_m = np.linalg.norm([value[axis] for axis in "xyz"], axis=0)
+    known_m = radii_m[np.isfinite(radii_m)]
+    if known_m.size == 0:
+        raise messages.no_row_readable(where=path)
+    radius_m = float(np.median(known_m))
+    if not 6.3e6 < radius_m < 6.5e6:
+        raise messages.not_on_earth(where=path, radius=radius_m)
+
+
+def _quaternion_columns(
+    path: Path, value: Mapping[str, Array], stated: Stated, lines: "pd.Index[Any]"
+) -> dict[str, Array]:
+    """The columns q_x to q_w of roll, pitch and yaw; NaN where one of these is unknown."""
+    given = np.stack([value[name] for name in ("roll", "pitch", "yaw")], axis=1)
+    angles_rad = angles_in_radians(
+        given,
+        stated.angle_unit,
+        path,
+        messages.IMPORT_ANGLES,
+        key="stations.trajectory.angle_unit",
+        lines=lines,
+    )
+    angles_rad = stated.angles_meant(angles_rad)
+    known = np.isfinite(angles_rad).all(axis=1)
+    axes = ["XYZ".index(axis) for axis in stated.angle_order]
+    turn = Rotation.from_euler(stated.angle_order, angles_rad[known][:, axes])
+    q = np.full((known.size, 4), np.nan)
+    q[known] = turn.as_quat(canonical=True)
+    return {f"q_{axis}": q[:, k] for k, axis in enumerate("xyzw")}
+
+
 # Words for a value that is not known, as programs write them.
-_UNKNOWN_WORDS = ("", "nan", "none", "null", "n/a", "-")
+_UNKNOWN_WORDS = ("", "nan", "none", "null", "n/a", "-", "--")
 
 
 def _report_unreadable(
@@ -145,7 +144,8 @@ def _report_unreadable(
     for quantity, name in stated.columns.items():
         if quantity in _OF_EACH_ROW:
             continue
-        is_stated = ~table[name].str.strip().str.lower().isin(_UNKNOWN_WORDS).to_numpy(np.bool_)
+        words = table[name].str.strip().str.lower()
+        is_stated = ~words.isin(_UNKNOWN_WORDS).to_numpy(np.bool_)
         unread = np.flatnonzero(is_stated & np.isnan(value[quantity]))
         if unread.size:
             ledger.add(
@@ -203,6 +203,7 @@ _ANGLES = {
 }  # fmt: skip
 _CODES_OF_ORIENTATION = (messages.ORIENTATION_CSV, messages.ORIENTATION_COLUMN)
 _LIMITS_DEG = {"latitude": 90.0, "longitude": 360.0}
+_LONGEST_NORM_ERROR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +357,7 @@ def _unit_quaternions(quaternion: Array, table: pd.DataFrame, path: Path) -> Arr
     """(n, 4) quaternions of length 1; refuses those whose length is another."""
     length = np.linalg.norm(quaternion, axis=1)
     error = np.abs(length - 1.0)
-    wrong = error > LONGEST_NORM_ERROR
+    wrong = error > _LONGEST_NORM_ERROR
     if wrong.any():
         worst = int(np.nanargmax(error))
         raise messages.orientation_quaternion(
@@ -409,8 +410,8 @@ def _numbers(table: pd.DataFrame, names: Mapping[str, str], path: Path) -> dict[
                 table, column, path, messages.ORIENTATION_NUMBER, quantity=quantity
             )
         elif quantity not in ("image", "camera", "time_utc"):
-            largest = LARGEST_OF_QUANTITIES.get(quantity, LARGEST_NUMBER)
-            value[quantity] = numbers_of(table, column, path, messages.ORIENTATION_NUMBER, largest)
+            code = messages.ORIENTATION_NUMBER
+            value[quantity] = numbers_of(table, column, path, code, largest_of(quantity))
     return value
 
 

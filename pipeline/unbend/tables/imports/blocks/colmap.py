@@ -205,8 +205,16 @@ def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
                     )
                 pose, count = np.array(numbers, np.float64).reshape(7), count + 1
                 points = np.array(next(rows, "").split(), np.float64).reshape(-1, 3)
-                yield name, camera, pose, points[:, :2], exact_integers(points[:, 2])
+                yield name, camera, pose, points[:, :2], _object_points(points[:, 2])
     refuse_missing_records(file, count)
+
+
+UNSET_POINT = 2.0**64  # COLMAP's 2**64 - 1 for none, as scripts write it that read it unsigned
+
+
+def _object_points(numbers: Array) -> Integers:
+    """The numbers of object points in a text, -1 for none; ValueError for what is no number."""
+    return exact_integers(np.where(numbers == UNSET_POINT, -1.0, numbers))
 
 
 def _text_rows(file: Path, *, words: int, least: int) -> Iterator[list[Any]]:

@@ -35,7 +35,7 @@ from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_ima
 from unbend.tables.imports.messages import IMPORT_FORMAT
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.text_columns import LINE_OF_FIRST_ROW, numbers_of
-from unbend.units import Array, exact_integers
+from unbend.units import Array, measured
 
 _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "perspective": ("BROWN", ("k1", "k2", "-", "-", "-")),
@@ -198,29 +198,37 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
         version = stream.readline().strip()
     if version != _VERSION:
         raise messages.tracks_version(where=file, first_line=version[:40], expected=_VERSION)
-    kinds = dict.fromkeys(_COLUMNS, "float64") | {"image": "str"}
+    table = _tracks_of(file)
+    others = [name for name in _COLUMNS[5:] if table[name].notna().all()]
+    for image, rows in table.groupby("image", sort=False):
+        shot = content["shots"].get(image)
+        size = np.array(only if shot is None else sizes[shot["camera"]], np.float64)
+        xy = measured(rows[["x", "y"]].to_numpy()) * size.max() + 0.5 * size
+        more = {name: pa.array(rows[name].to_numpy()) for name in others}
+        yield rows_of_image(str(image), xy, rows["track"].to_numpy(), keypoint=rows["keypoint"],
+                            more=more)  # fmt: skip
+
+
+def _tracks_of(file: Path) -> "pd.DataFrame":
+    """The columns of tracks.csv; refuses text for numbers with its line."""
+    kinds = dict.fromkeys(_COLUMNS, "float64")
+    kinds["image"] = "str"
+    kinds["track"] = "int64"
+    kinds["keypoint"] = "int64"
     read: Callable[..., Any] = partial(
         pd.read_csv, file, sep="\t", skiprows=1, header=None, names=_COLUMNS, quoting=3,
         keep_default_na=False, na_values=[""], index_col=False,
     )  # fmt: skip
     try:
-        table = read(dtype=kinds)
-        for name in ("track", "keypoint"):
-            table[name] = exact_integers(table[name].to_numpy())
+        with np.errstate(invalid="ignore"):  # pandas casts 1e308, and then sees that it was none
+            table: pd.DataFrame = read(dtype=kinds)
     except (ValueError, OverflowError):
         text = read(dtype="str").fillna("")
         text.index = text.index + LINE_OF_FIRST_ROW
         for column in _COLUMNS[1:]:
-            numbers_of(text, column, file, IMPORT_FORMAT)
+            numbers_of(text, column, file, IMPORT_FORMAT, largest=np.inf)
         raise
-    others = [name for name in _COLUMNS[5:] if table[name].notna().all()]
-    for image, rows in table.groupby("image", sort=False):
-        shot = content["shots"].get(image)
-        size = np.array(only if shot is None else sizes[shot["camera"]], np.float64)
-        xy = rows[["x", "y"]].to_numpy() * size.max() + 0.5 * size
-        more = {name: pa.array(rows[name].to_numpy()) for name in others}
-        yield rows_of_image(str(image), xy, rows["track"].to_numpy(), keypoint=rows["keypoint"],
-                            more=more)  # fmt: skip
+    return table
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
