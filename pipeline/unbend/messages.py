@@ -14,7 +14,7 @@ from enum import StrEnum
 from functools import partial
 from typing import TypeVar
 
-from unbend.errors import Code, Value, rendered
+from unbend.errors import Code, ConfigError, Value, rendered
 
 
 class Kind(StrEnum):
@@ -221,3 +221,20 @@ class Ledger:
     def rows(self) -> list[dict[str, object]]:
         """The messages as plain values, sorted."""
         return [message.row() for message in self.sorted()]
+
+
+PLOT_MATPLOTLIB = Code(
+    "PLOT-MATPLOTLIB",
+    means="A plot was asked for, and matplotlib is not installed.",
+    effect="Nothing is drawn.",
+    remedy="pip install matplotlib.",
+)
+
+
+def matplotlib_missing() -> ConfigError:
+    """A plot is asked for, and matplotlib cannot be imported."""
+    return ConfigError(
+        PLOT_MATPLOTLIB,
+        "plots are drawn with matplotlib, which is not installed",
+        remedy="pip install matplotlib",
+    )

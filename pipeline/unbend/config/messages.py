@@ -21,6 +21,13 @@ CONFIG_UNREADABLE = Code(
     remedy="Check permissions, and save it as UTF-8.",
 )
 
+CONFIG_OTHER_FILE = Code(
+    "CONFIG-OTHER-FILE",
+    means="A log, a table, a folder or another file was given in the place of a mission file.",
+    effect="The command is refused.",
+    remedy="Name a mission file; `unbend init LOG OBSERVATIONS` writes one.",
+)
+
 CONFIG_YAML = Code(
     "CONFIG-YAML",
     means="The mission file is no YAML, or a key stands there twice.",
@@ -129,6 +136,18 @@ def config_unreadable(*, path: Path, problem: str) -> ConfigError:
         where=path,
         remedy="a mission file is YAML in UTF-8",
         problem=problem,
+    )
+
+
+def config_other_file(*, path: Path, what: str, remedy: str) -> ConfigError:
+    """A file of another kind stands in the place of a mission file; ``what`` it is."""
+    return ConfigError(
+        CONFIG_OTHER_FILE,
+        "is {what}, not a mission file",
+        where=path,
+        remedy="{advice}",
+        what=what,
+        advice=remedy,
     )
 
 

@@ -2,13 +2,16 @@
 
 import re
 from collections.abc import Collection
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from unbend.config import messages
+from unbend.config.likely_meant import comma_in_words
 from unbend.config.mission_file import Mission
+from unbend.config.other_files import MISSION_ENDINGS, other_file
 
 Place = tuple[str | int, ...]
 """What leads to a value: keys of mappings, and for lists the numbers of their items, from 0."""
@@ -28,10 +31,26 @@ PROBLEMS = {
     "expected <block end>": "the indentation differs from that of the lines above",
     "expected ',' or": "a bracket or a brace is not closed, or a comma is missing",
     "could not determine a constructor": "tags (!) are not taken",
-    "found undefined alias": "an alias (*) has no anchor (&)",
+    "found undefined alias": "an alias (*) has no anchor (&); put quotes around a text with *",
+    "expected alphabetic or numeric character": "put quotes around a text that begins with * or &",
+    "found unknown escape character": (
+        "in double quotes a backslash begins an escape: write / or single quotes"
+    ),
+    "found character": "put quotes around a text that begins with this character",
     "expected a single document": ("there are several documents (---); a mission file is one"),
 }
 """Beginnings of what the YAML parser says, and the same in plain words."""
+
+_BEFORE_QUOTES = (
+    "expected ',' or",
+    "expected <block end>",
+    "mapping values are not allowed here",
+)
+"""What the parser says, among others, of a text with brackets that has no quotes."""
+
+_WITH_BRACKETS = re.compile(
+    r"""(?P<before>[^\s,:{}\[\]"']*)[\[{][^\s,{}\[\]"']*[\]}](?P<behind>[^\s,:{}\[\]"']*)"""
+)
 
 _REPLACED_TYPES = ("bool", "int", "float", "timestamp")
 """Scalars that YAML 1.1 reads otherwise than a mission file means them; dates stay words."""
@@ -42,6 +61,7 @@ class MissionLoader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """A mapping whose keys are words, each once."""
+        _refuse_decimal_comma(node)
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
@@ -77,11 +97,30 @@ MissionLoader.add_implicit_resolver(
 )
 
 
+def _refuse_decimal_comma(node: yaml.MappingNode) -> None:
+    """Refuse a number with a decimal comma in braces, where a comma parts keys: {k1: -0,018}."""
+    for (key, value), (next_key, next_value) in pairwise(node.value):
+        if not all(
+            isinstance(part, yaml.ScalarNode) for part in (key, value, next_key, next_value)
+        ):
+            continue
+        is_without_value = next_value.value == "" and next_value.style is None
+        touches = next_key.start_mark.index == value.end_mark.index + 1  # no blank after the comma
+        if not (is_without_value and touches):
+            continue
+        comma = comma_in_words(f"{value.value},{next_key.value}")
+        if comma:
+            raise yaml.constructor.ConstructorError(
+                problem=f"the key {key.value!r}: {comma}", problem_mark=key.start_mark
+            )
+
+
 def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
     """The sections of a file, and its nodes, which know their lines; refuses what is not YAML."""
     if path.exists() and not (path.is_file() or path.is_dir()):  # reading might never end
         problem = "it is a pipe or a device, not a file"
         raise messages.config_unreadable(path=path, problem=problem)
+    refuse_other_file(path)
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -95,22 +134,52 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         where = str(path) if mark is None else f"{path}:{mark.line + 1}"
-        raise messages.config_yaml(where=where, problem=problem_of(error)) from None
+        line = "" if mark is None else text.splitlines()[mark.line]
+        raise messages.config_yaml(where=where, problem=problem_of(error, line)) from None
     if node is None or not isinstance(values, dict):
         required = [name for name, field in Mission.model_fields.items() if field.is_required()]
         raise messages.config_empty(path=path, required=", ".join(required))
     return values, node
 
 
-def problem_of(error: Exception) -> str:
-    """What the parser found, in plain words."""
+def refuse_other_file(path: Path) -> None:
+    """Refuse (CONFIG-OTHER-FILE) a log, a table, a folder: what is surely no mission file.
+
+    Files with the endings of mission files are not looked at.
+    """
+    if path.suffix.lower() in MISSION_ENDINGS and path.is_file():
+        return
+    other = other_file(path)
+    if other is not None:
+        raise messages.config_other_file(path=path, what=other.what, remedy=other.remedy)
+
+
+def problem_of(error: Exception, line: str) -> str:
+    """What the parser found, in plain words; ``line`` is the text where it stopped."""
     problem = str(getattr(error, "problem", None) or error)
     if problem.startswith(("the key ", "a key ")):
         return problem  # in the words of `MissionLoader`
+    unquoted = text_without_quotes(line)
+    if unquoted and problem.startswith(_BEFORE_QUOTES):
+        return f'put quotes around a text with brackets or braces: "{unquoted}"'
     for beginning, words in PROBLEMS.items():
         if problem.startswith(beginning):
             return words
     return "here the text is no YAML"  # a problem that has no words of ours
+
+
+def text_without_quotes(line: str) -> str:
+    """The first text of a line that has brackets or braces in it, and no quotes; "" without one.
+
+    >>> text_without_quotes("nadir: {channel: CAM[0], image: x}")
+    'CAM[0]'
+    >>> text_without_quotes("image: {index:05d}.jpg"), text_without_quotes("at: [0, 1]")
+    ('{index:05d}.jpg', '')
+    """
+    for found in _WITH_BRACKETS.finditer(line.partition(" #")[0]):
+        if found["before"] or found["behind"]:
+            return found[0]
+    return ""
 
 
 def open_questions(values: object) -> list[Place]:

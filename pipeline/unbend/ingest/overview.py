@@ -11,6 +11,7 @@ from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.evidence.sources import is_receiver
 from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, LoggedPath, takeoff_of
+from unbend.flight.heights import height_system
 from unbend.flight.roles import assign_roles, follows_height
 from unbend.flight.trajectory import interpolate
 from unbend.flight.vehicles import Vehicles, median_distance_m
@@ -23,18 +24,23 @@ _CABIN = ("cabin_pressure", "cabin_temperature", "cabin_humidity")
 
 MAX_HEIGHT_GAP_S = 5.0  # that heights are interpolated across, at the times of positions
 HEIGHT_PERCENTILES = (0.1, 99.9)  # the lowest and the highest without single wrong samples
-_HEIGHT_REFERENCES = {"h_msl_m": "sea level", "h_ellipsoid_m": "ellipsoid"}
+SEA_LEVEL = "sea level"
+_HEIGHT_REFERENCES = {"h_msl_m": SEA_LEVEL, "h_ellipsoid_m": "ellipsoid"}
 
 
 def flight_of(
-    position: Channel, height: Channel, evidence: GroundEvidence = NOTHING_SAID
+    position: Channel,
+    height: Channel,
+    evidence: GroundEvidence = NOTHING_SAID,
+    home_m: float | None = None,
 ) -> dict[str, Any]:
     """Place, day and heights of a flight, from its channels of position and height.
 
     Latitude and longitude where the log begins, to 0.001 degrees (100 m). Heights [m] above
-    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where the log begins standing
-    still, and not in a hover by the ``evidence`` of the log. What is unknown is None; without any
-    position the result is empty.
+    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` above ``take_off_reference``: that
+    is ``home_m``, the log's own take-off height above sea level, if there is one; else where the
+    log begins standing still, and not in a hover by the ``evidence`` of the log. What is unknown is
+    None; without any position the result is empty.
     """
     lat_rad = position["lat_rad"]
     lon_rad = position["lon_rad"]
@@ -57,7 +63,11 @@ def flight_of(
         longitude_rad=lon_rad,
         h_msl_m=heights_m,
     )
-    take_off = takeoff_of(path, None, evidence)
+    begin = takeoff_of(path, None, evidence)
+    reference = _HEIGHT_REFERENCES.get(str(column))
+    take_off_m = home_m
+    if home_m is None and begin is not None:
+        take_off_m = begin.h_msl_m
     first = int(np.argmax(has_place))
     start_ns = int(position.time_ns[first])
     duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9
@@ -66,10 +76,12 @@ def flight_of(
         "lon_deg": round(float(np.degrees(lon_rad[first])), 3),
         "date_utc": date_text(start_ns) if is_utc_time(start_ns) else None,
         "duration_s": round(duration_s, 3),
-        "height_reference": _HEIGHT_REFERENCES.get(str(column)),
+        "height_reference": reference,
         "lowest_m": lowest_m,
         "highest_m": highest_m,
-        "take_off_m": None if take_off is None else round(take_off.h_msl_m, 1),
+        "take_off_m": None if take_off_m is None else round(take_off_m, 1),
+        "take_off_reference": reference if home_m is None else SEA_LEVEL,
+        "take_off_by": "begin of the log" if home_m is None else "home of the autopilot",
     }
 
 
@@ -92,8 +104,20 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
             rows.append(_row(role, able, remark_on(channel, role, height), channel))
     flight = {}
     if position is not None and height is not None:
-        flight = flight_of(position, height, GroundEvidence.of(channels))
+        system, _ = height_system({"position": _plausible(position, "position")}, None)
+        flight = flight_of(
+            position, height, GroundEvidence.of(channels), home_m=system.home_h_msl_m
+        )
     return flight, rows
+
+
+def _plausible(channel: Channel, role: str) -> Channel:
+    """The plausible samples of a channel; all of them where the unit is of another quantity."""
+    try:
+        kept, _ = plausible_samples(channel, role)
+    except MissionError:
+        return channel
+    return kept
 
 
 def vehicles_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:

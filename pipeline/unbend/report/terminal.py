@@ -176,7 +176,8 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     if reference and flight["lowest_m"] is not None:
         heights = f"{flight['lowest_m']:.0f} to {flight['highest_m']:.0f} m above {reference}"
     if flight.get("take_off_m") is not None:
-        take_off = f"{flight['take_off_m']:.0f} m above {reference}, where the log begins"
+        surface = flight.get("take_off_reference", reference)
+        take_off = f"{flight['take_off_m']:.0f} m above {surface}, {take_off_by(flight)}"
     elif flight:
         take_off = "unknown: the log does not begin standing still"
     place = f"{flight['lat_deg']:.3f}°, {flight['lon_deg']:.3f}°" if flight else "unknown"
@@ -212,6 +213,13 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     print_indented(console, table)
     console.print()
     print_ledger(console, [MessageRecord(**entry) for entry in log["ledger"]])
+
+
+def take_off_by(flight: Mapping[str, Any]) -> str:
+    """What the height of the take-off comes from, in words."""
+    if flight.get("take_off_by") == "home of the autopilot":
+        return "by the autopilot's heights above its home"
+    return "where the log begins"
 
 
 def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
