@@ -8,7 +8,7 @@ report and the terminal render them. Nothing decides by the words.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from functools import partial
@@ -185,6 +185,13 @@ class Ledger:
         result, notes = outcome
         self.extend(notes)
         return result
+
+    def remove(self, which: Callable[[Message], bool]) -> Notes:
+        """Take messages out; returns those that were taken out."""
+        removed = tuple(message for message in self._messages if which(message))
+        self._messages = [message for message in self._messages if not which(message)]
+        self._known = {_identity(message) for message in self._messages}
+        return removed
 
     def accept(self, reasons: Mapping[str, str]) -> tuple[str, ...]:
         """Make warnings of the findings of some codes; returns the codes that no finding has.

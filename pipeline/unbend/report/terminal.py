@@ -81,7 +81,7 @@ def in_short(manifest: Manifest) -> str:
     rows = count(manifest.results.observations.rows, "observation")
     said = [f"{shift.count:,} of {rows}"]
     if shift.count:
-        said.append(f"median {shift.median:.3g} px, at most {shift.maximum:.3g} px")
+        said.append(f"median {shift.median:.3g} px, 95 % below {shift.p95:.3g} px")
     for kind, many in (("loss", "losses"), ("finding", ""), ("warning", "")):
         if number := kinds.count(kind):
             said.append(f"[{_COLOURS[kind]}]{count(number, kind, many)}[/]")

@@ -53,9 +53,17 @@ class StationsKeys:
 
 
 @dataclass(frozen=True)
+class AtmosphereKeys:
+    """Whether the air is estimated from what measured it; else the standard is kept."""
+
+    adjust: bool = True
+
+
+@dataclass(frozen=True)
 class MissionSections:
     """What reports say of a mission file: parts of the sections that `unbend.config` describes."""
 
     refraction: RefractionKeys
     cameras: Mapping[str, CameraKeys]
     stations: StationsKeys
+    atmosphere: AtmosphereKeys = AtmosphereKeys()
