@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv as csv_module
 import json
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, wraps
@@ -24,12 +25,14 @@ import unbend
 from unbend.errors import UnbendError, storage_errors
 from unbend.exit_codes import exit_code_of
 from unbend.report.progress import DelayedProgressBar
-from unbend.report.words import visible
+from unbend.report.words import hanging, visible
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from unbend.messages import Ledger, MessageRecord
+
+WIDEST_HELP = 1000  # columns of a terminal
 
 GROUPS = {
     "From a log to files for adjustment": ("init", "check", "run", "export"),
@@ -87,7 +90,8 @@ app = typer.Typer(
     "aircraft measured.",
     epilog=__doc__.split("\n\n", 1)[1],
     no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    # Help is as wide as the terminal: typer's own limit is 80 columns.
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST_HELP},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -179,9 +183,15 @@ def command(
 
 
 def print_error(error: UnbendError, subject: str = "") -> None:
-    """Write a refusal to standard error; ``subject`` is the mission file if there are several."""
-    text = f"{subject}: {error}" if subject else str(error)
-    print(visible(text, keep="\n"), file=sys.stderr)
+    """Write a refusal to standard error; ``subject`` is the mission file if there are several.
+
+    In a terminal its lines are wrapped, the further ones behind the first.
+    """
+    text = visible(f"{subject}: {error}" if subject else str(error), keep="\n")
+    if sys.stderr.isatty():
+        width = shutil.get_terminal_size().columns
+        text = "\n".join(hanging(line, width) for line in text.splitlines())
+    print(text, file=sys.stderr)
 
 
 def print_bug(text: str, subject: str = "") -> None:

@@ -201,7 +201,13 @@ def end_of_command(answer: Answer, entries: Sequence[Mapping[str, Any]]) -> NoRe
 
 
 @command(epilog="Example: unbend check mission.yaml")
-def check(answer: Answer, configs: Configs, names: Names = None) -> None:
+def check(
+    answer: Answer,
+    configs: Configs,
+    names: Names = None,
+    *,
+    verbose: Annotated[bool, Option("--verbose", "-v", help="the notes of the ledger too")] = False,
+) -> None:
     """Rehearse `run` on a sample: all it would say, and its exit code.
 
     Writes nothing.
@@ -225,7 +231,7 @@ def check(answer: Answer, configs: Configs, names: Names = None) -> None:
             entries.append(print_refused(ref.label, error))
             continue
         results = checked.manifest.results
-        print_check(answer.console, ref.label, lines, results)
+        print_check(answer.console, ref.label, lines, results, verbose=verbose)
         entry = {
             "config": ref.label,
             "exit_code": results.exit_code,

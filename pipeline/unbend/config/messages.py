@@ -16,16 +16,11 @@ CONFIG_MISSING = Code(
 
 CONFIG_UNREADABLE = Code(
     "CONFIG-UNREADABLE",
-    means="The mission file cannot be read, or is no UTF-8 text.",
+    means="The mission file cannot be read, is no UTF-8 text, or is a log, a table, a folder or "
+    "another file.",
     effect="The mission is refused.",
-    remedy="Check permissions, and save it as UTF-8.",
-)
-
-CONFIG_OTHER_FILE = Code(
-    "CONFIG-OTHER-FILE",
-    means="A log, a table, a folder or another file was given in the place of a mission file.",
-    effect="The command is refused.",
-    remedy="Name a mission file; `unbend init LOG OBSERVATIONS` writes one.",
+    remedy="Name a mission file; `unbend init LOG OBSERVATIONS` writes one. Check permissions, and "
+    "save it as UTF-8.",
 )
 
 CONFIG_YAML = Code(
@@ -142,7 +137,7 @@ def config_unreadable(*, path: Path, problem: str) -> ConfigError:
 def config_other_file(*, path: Path, what: str, remedy: str) -> ConfigError:
     """A file of another kind stands in the place of a mission file; ``what`` it is."""
     return ConfigError(
-        CONFIG_OTHER_FILE,
+        CONFIG_UNREADABLE,
         "is {what}, not a mission file",
         where=path,
         remedy="{advice}",

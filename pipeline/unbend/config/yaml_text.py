@@ -143,7 +143,7 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
 
 
 def refuse_other_file(path: Path) -> None:
-    """Refuse (CONFIG-OTHER-FILE) a log, a table, a folder: what is surely no mission file.
+    """Refuse (CONFIG-UNREADABLE) a log, a table, a folder: what is surely no mission file.
 
     Files with the endings of mission files are not looked at.
     """

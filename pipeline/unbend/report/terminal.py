@@ -17,6 +17,7 @@ from unbend.report.console import (
     cells_of,
     columns_of,
     plain_table,
+    print_hanging,
     print_indented,
     print_labelled,
     print_rows,
@@ -59,7 +60,7 @@ def print_run(
     profile = manifest.results.profile
     effects = summary.effect_lines(profile.effect, profile.standard)
     for line in (summary.air_sentences(manifest), *effects):
-        print_indented(console, shown(line))
+        print_hanging(console, shown(line))
     if sentence := summary.control_sentence(manifest):
         print_indented(console, shown(sentence))
         rows = summary.control_rows(manifest, _MOST_CONTROL)
@@ -100,26 +101,39 @@ def print_unchanged(console: Console, names: Sequence[str], total: int) -> None:
 
 
 def print_ledger(console: Console, entries: Sequence[MessageRecord]) -> None:
+    """Each entry of a ledger, the gravest first."""
     for kind, code, what in summary.ledger_rows(entries):
-        print_indented(console, f"[{_COLOURS[kind]}]{kind}[/] {shown(code)}: {shown(what)}")
+        print_hanging(console, f"[{_COLOURS[kind]}]{kind}[/] {shown(code)}: {shown(what)}")
 
 
 def print_check(
-    console: Console, name: str, lines: Sequence[tuple[str, str]], results: ResultsRecord
+    console: Console,
+    name: str,
+    lines: Sequence[tuple[str, str]],
+    results: ResultsRecord,
+    *,
+    verbose: bool,
 ) -> None:
-    """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold."""
+    """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold.
+
+    Notes of the ledger are only counted, unless ``verbose``.
+    """
     verdict = "a run would end with code 3" if results.exit_code else "can be run"
     console.print(f"[bold]{shown(name)}[/bold] {verdict}")
     if lens := summary.lens_left_in(results):
         print_indented(console, shown(lens))
     print_labelled(console, lines)
-    print_ledger(console, results.ledger)
+    entries = [entry for entry in results.ledger if verbose or entry.kind != Kind.NOTE]
+    print_ledger(console, entries)
+    hidden = len(results.ledger) - len(entries)
+    if hidden:
+        print_indented(console, f"{count(hidden, 'note')}: all of them with -v")
 
 
 def print_status(console: Console, name: str, reasons: Sequence[str]) -> None:
     console.print(f"[bold]{shown(name)}[/bold] {'would run' if reasons else 'unchanged'}")
     for reason in reasons[:_MOST_REASONS]:
-        print_indented(console, shown(reason))
+        print_hanging(console, shown(reason))
     if len(reasons) > _MOST_REASONS:
         print_indented(console, f"and {count(len(reasons) - _MOST_REASONS, 'more reason')}")
 

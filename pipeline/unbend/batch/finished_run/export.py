@@ -32,6 +32,7 @@ from unbend.refraction.ray import rays_by
 from unbend.stages import exposure_setup
 from unbend.stages.light import air_by_camera
 from unbend.tables.exports import ExportCamera, FinishedRun, find_format
+from unbend.tables.exports.format import NO_PROGRESS, Progress
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.refraction_mark import SIDECAR, sidecar_text
 from unbend.units import Array, Integers
@@ -54,6 +55,7 @@ def export_run(
     *,
     ground_height_m: float | None = None,
     force: bool = False,
+    progress: Progress = NO_PROGRESS,
 ) -> tuple[int, Ledger]:
     """Write a finished run to ``out`` in the format of a ``name``, with the format's options.
 
@@ -67,7 +69,9 @@ def export_run(
     folder = copy_of_run(path) if isinstance(path, Place) else path
     refuse_output(folder, out, force=force and not is_folder)
     ledger = Ledger()
-    run = rebuild_run(folder, verify_run(folder), ground_height_m, ledger)
+    progress.start("checking the results")
+    manifest = verify_run(folder)
+    run = rebuild_run(folder, manifest, ground_height_m, ledger, progress)
     with store.atomic_write(out) as draft:
         if is_folder:
             draft.mkdir(parents=True)
@@ -135,7 +139,11 @@ def copy_of_run(place: Place) -> Path:
 
 
 def rebuild_run(
-    path: Path, manifest: Manifest, ground_height_m: float | None, ledger: Ledger
+    path: Path,
+    manifest: Manifest,
+    ground_height_m: float | None,
+    ledger: Ledger,
+    progress: Progress = NO_PROGRESS,
 ) -> FinishedRun:
     """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights.
 
@@ -175,6 +183,7 @@ def rebuild_run(
             "unbend.wavelength_m": wavelengths,
         },
         database=partial(database_of, mission, manifest, path),
+        progress=progress,
     )
     check_reproduced(run, path)
     return run
