@@ -33,6 +33,7 @@ _COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "c
 _MOST_CONTROL = 12
 _MOST_UNCHANGED = 12
 _MOST_REASONS = 6
+_MOST_REPORTS = 12
 
 
 def print_run(
@@ -318,6 +319,63 @@ def print_model(console: Console, contents: Mapping[str, Any], name: str) -> Non
         gap=2,
         left=(1, 3),
     )
+
+
+def print_sounding(console: Console, reading: Mapping[str, Any], name: str) -> None:
+    """What ``unbend inspect`` prints of a sounding: how its first ascent is read."""
+    console.print(f"[bold]{shown(name)}[/bold]: sounding, read as {reading['format']}")
+    when = "not stated: atmosphere.soundings needs time_utc"
+    if reading["first_utc"] is not None:
+        ends = dict.fromkeys([reading["first_utc"], reading["last_utc"]])
+        when = f"{' to '.join(ends).replace('T', ' ')} UTC"
+    place = "not stated"
+    if reading["latitude_deg"] is not None:
+        place = f"{reading['latitude_deg']:.3f}°, {reading['longitude_deg']:.3f}°"
+    used = f"{reading['levels']:,} of {count(reading['levels_in_file'], 'level')}"
+    lines = [
+        ("ascents", f"{reading['ascents']:,}; below is the first"),
+        ("station", reading["station"] or "not stated"),
+        ("time", when),
+        ("place", place),
+        ("levels", f"{used} used; heights in the file are {reading['heights']}"),
+        ("height", span_text(reading["h_m"], "m above sea level")),
+        ("pressure", span_text(reading["pressure_hpa"], "hPa")),
+        ("temperature", span_text(reading["temperature_c"], "°C")),
+    ]
+    humidity = "none: the air is taken as dry, or from other sources"
+    if reading["humidity"] is not None:
+        vapour = span_text(reading["vapour_pressure_hpa"], "hPa of vapour")
+        humidity = f"{vapour}, from {reading['humidity']}"
+    lines.append(("humidity", humidity))
+    for quantity, column in reading["columns"].items():
+        lines.append((f"{quantity} from", f"column {column}"))
+    lines += [("note", text) for text in reading["notes"]]
+    lines.append(("mission file", f"atmosphere: {{soundings: [{{path: {name}}}]}}"))
+    print_labelled(console, lines)
+
+
+def span_text(limits: Sequence[float] | None, unit: str) -> str:
+    """Lowest to highest value, with a unit."""
+    return "unknown" if limits is None else f"{limits[0]:g} to {limits[1]:g} {unit}"
+
+
+def print_metars(console: Console, reports: Sequence[Mapping[str, Any]], name: str) -> None:
+    """What ``unbend inspect`` prints of a text of METARs: what each report states."""
+    console.print(f"[bold]{shown(name)}[/bold]: {count(len(reports), 'METAR')}")
+    rows = []
+    for report in reports[:_MOST_REPORTS]:
+        numbers = (report["temperature_c"], report["dew_point_c"], report["qnh_hpa"])
+        cells = ["" if value is None else f"{value:.1f}" for value in numbers]
+        when = " ".join(text for text in (report["date"], report["stamp"]) if text)
+        rows.append((report["station"], when, *cells, "; ".join(report["notes"])))
+    heads = ("station", "time", "T [°C]", "dew point [°C]", "QNH [hPa]", "not understood")
+    print_rows(console, heads, rows, gap=2, left=(1, 5))
+    hidden = len(reports) - len(rows)
+    if hidden:
+        print_indented(console, f"{hidden:,} more: --json shows all")
+    text = reports[0]["text"]
+    line = f'atmosphere: {{surface: [{{h_msl_m: HEIGHT_OF_STATION, metar: "{text}"}}]}}'
+    print_labelled(console, [("mission file", line)])
 
 
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
