@@ -35,7 +35,7 @@ def visible(text: str, *, keep: str = "") -> str:
 NARROWEST = 40
 """Columns of a terminal that texts are wrapped for at least."""
 
-HANG = 4
+HANG = 2
 """Blanks by which the further lines of an entry stand behind its first."""
 
 
@@ -44,7 +44,7 @@ def hanging(line: str, width: int) -> str:
 
     >>> print(hanging("  loss A-B: two images have no exposure in this log", 40))
       loss A-B: two images have no exposure
-          in this log
+        in this log
     >>> hanging("short", 40)
     'short'
     """
