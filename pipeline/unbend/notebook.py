@@ -32,9 +32,9 @@ def new_axes(count: int) -> list[Axes]:
     They share the vertical axis.
     """
     try:
-        import matplotlib.pyplot as plt
+        from matplotlib.pyplot import subplots
     except ImportError:
         raise matplotlib_missing() from None
     size = (WIDTH_OF_AXES * count, HEIGHT_OF_AXES)
-    _, axes = plt.subplots(1, count, sharey=True, squeeze=False, figsize=size, layout="constrained")
+    _, axes = subplots(1, count, sharey=True, squeeze=False, figsize=size, layout="constrained")
     return list(axes.ravel())

@@ -33,11 +33,14 @@ def manifest_of_run(output: Path | Place) -> Manifest:
     manifest = read_manifest(output)
     if manifest is not None:
         return manifest
+    path = str(output)
     if isinstance(output, Path) and output.is_file():
         folder = run_of(output)
-        shown = "" if folder is None else str(folder)
-        raise messages.file_instead_of_run(path=str(output), folder=shown)
-    raise messages.no_manifest(path=str(output))
+        raise messages.file_instead_of_run(
+            path=path,
+            folder="" if folder is None else str(folder),
+        )
+    raise messages.no_manifest(path=path)
 
 
 def verify_run(output: Path | Place) -> Manifest:

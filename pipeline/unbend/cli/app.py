@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
 
 import typer
 from typer import Option
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from unbend.messages import Ledger, MessageRecord
 
 WIDEST_HELP = 1000  # columns of a terminal
+
+HelpFormatter: TypeAlias = Any
+"""What writes a help: of click, or of the copy of click in newer versions of typer."""
 
 GROUPS = {
     "From a log to files for adjustment": ("init", "check", "run", "export"),
@@ -187,10 +190,12 @@ def print_error(error: UnbendError, subject: str = "") -> None:
 
     In a terminal its lines are wrapped, the further ones behind the first.
     """
-    text = visible(f"{subject}: {error}" if subject else str(error), keep="\n")
+    text = f"{subject}: {error}" if subject else str(error)
+    text = visible(text, keep="\n")
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns
-        text = "\n".join(hanging(line, width) for line in text.splitlines())
+        lines = [hanging(line, width) for line in text.splitlines()]
+        text = "\n".join(lines)
     print(text, file=sys.stderr)
 
 

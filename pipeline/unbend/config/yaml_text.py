@@ -1,7 +1,7 @@
 """The text of a mission file: YAML of plain values, and the lines of its keys."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from unbend.config import messages
 from unbend.config.likely_meant import comma_in_words
 from unbend.config.mission_file import Mission
 from unbend.config.other_files import MISSION_ENDINGS, other_file
+from unbend.errors import ConfigError
 
 Place = tuple[str | int, ...]
 """What leads to a value: keys of mappings, and for lists the numbers of their items, from 0."""
@@ -132,10 +133,7 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
         node = loader.get_single_node()
         values = None if node is None else loader.construct_document(node)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = str(path) if mark is None else f"{path}:{mark.line + 1}"
-        line = "" if mark is None else text.splitlines()[mark.line]
-        raise messages.config_yaml(where=where, problem=problem_of(error, line)) from None
+        raise refusal_of_text(error, path, text.splitlines()) from None
     if node is None or not isinstance(values, dict):
         required = [name for name, field in Mission.model_fields.items() if field.is_required()]
         raise messages.config_empty(path=path, required=", ".join(required))
@@ -152,6 +150,17 @@ def refuse_other_file(path: Path) -> None:
     other = other_file(path)
     if other is not None:
         raise messages.config_other_file(path=path, what=other.what, remedy=other.remedy)
+
+
+def refusal_of_text(error: Exception, path: Path, lines: Sequence[str]) -> ConfigError:
+    """The refusal of a text that the parser does not take, with its line where that is known."""
+    mark = getattr(error, "problem_mark", None)
+    if mark is None:
+        return messages.config_yaml(where=str(path), problem=problem_of(error, ""))
+    # The parser may stop behind the last line, or behind a last line that is empty.
+    line = lines[mark.line] if mark.line < len(lines) else ""
+    where = f"{path}:{mark.line + 1}"
+    return messages.config_yaml(where=where, problem=problem_of(error, line))
 
 
 def problem_of(error: Exception, line: str) -> str:
@@ -176,9 +185,9 @@ def text_without_quotes(line: str) -> str:
     >>> text_without_quotes("image: {index:05d}.jpg"), text_without_quotes("at: [0, 1]")
     ('{index:05d}.jpg', '')
     """
-    for found in _WITH_BRACKETS.finditer(line.partition(" #")[0]):
-        if found["before"] or found["behind"]:
-            return found[0]
+    for text in _WITH_BRACKETS.finditer(line.partition(" #")[0]):
+        if text["before"] or text["behind"]:
+            return text[0]
     return ""
 
 

@@ -17,7 +17,7 @@ from unbend.flight.trajectory import interpolate
 from unbend.flight.vehicles import Vehicles, median_distance_m
 from unbend.ingest.utc_evidence import date_text, is_utc_time
 from unbend.messages import Notes
-from unbend.units import NANOSECONDS_PER_SECOND
+from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 _ROLES = ("position", "height", "attitude", "pressure", "temperature", "humidity", "airspeed")
 _CABIN = ("cabin_pressure", "cabin_temperature", "cabin_humidity")
@@ -51,12 +51,7 @@ def flight_of(
     heights_m = np.full(len(position), np.nan)
     if column is not None:
         heights_m = interpolate(height, column, position.time_ns, max_gap_s=MAX_HEIGHT_GAP_S)
-    known_heights_m = heights_m[np.isfinite(heights_m)]
-    lowest_m = None
-    highest_m = None
-    if known_heights_m.size:
-        limits_m = np.percentile(known_heights_m, HEIGHT_PERCENTILES).round(1)
-        lowest_m, highest_m = limits_m.tolist()
+    lowest_m, highest_m = _limits_of_heights(heights_m)
     path = LoggedPath(
         time_ns=position.time_ns,
         latitude_rad=lat_rad,
@@ -83,6 +78,15 @@ def flight_of(
         "take_off_reference": reference if home_m is None else SEA_LEVEL,
         "take_off_by": "begin of the log" if home_m is None else "home of the autopilot",
     }
+
+
+def _limits_of_heights(heights_m: Array) -> list[float | None]:
+    """The lowest and the highest of the known heights, without single wrong samples."""
+    known_m = heights_m[np.isfinite(heights_m)]
+    if not known_m.size:
+        return [None, None]
+    limits_m: list[float | None] = np.percentile(known_m, HEIGHT_PERCENTILES).round(1).tolist()
+    return limits_m
 
 
 def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str, Any]]]:

@@ -76,11 +76,13 @@ def print_indented(console: Console, content: str | Table) -> None:
 
 def print_hanging(console: Console, content: str) -> None:
     """Print markup two columns to the right, its further lines `HANG` columns behind the first."""
+    width = console.width - INDENT - HANG
+    width = max(NARROWEST, width)
+    indent = INDENT
     text = console.render_str(content)
-    lines = text.wrap(console, max(NARROWEST, console.width - INDENT - HANG))
-    for number, line in enumerate(lines):
-        left = INDENT if number == 0 else INDENT + HANG
-        console.print(Padding(line, (0, 0, 0, left), expand=False))
+    for line in text.wrap(console, width):
+        console.print(Padding.indent(line, indent))
+        indent = INDENT + HANG
 
 
 def plain_table(heads: Sequence[str], *, gap: int) -> Table:

@@ -85,10 +85,10 @@ TABLES = {
 
 
 def explain(word: str) -> list[str]:
-    """Lines that explain a key (whole or its last part), a code, an exit code, a status, a column
-    of results, or a word of the field.
+    """Lines that explain a key, a code, an exit code, a status, a column or a word of the field.
 
-    Of several keys 8 are explained. Refuses (ConfigError HELP-WORD) a word that is none of these.
+    A key is named whole or by its last part; a column is one of the results. Of several keys 8 are
+    explained. Refuses (ConfigError HELP-WORD) a word that is none of these.
 
     >>> explain("4")[0]
     'exit code 4'
@@ -115,9 +115,9 @@ def explain(word: str) -> list[str]:
 def _status_lines(word: str) -> list[str]:
     """What an exit code or a status means."""
     lines = []
-    for of, text in _NUMBERS_AND_STATUSES.items():
-        if word in meanings()[of]:
-            lines += [text.format(word), *meanings()[of][word].lines()]
+    for kind, title in _NUMBERS_AND_STATUSES.items():
+        if word in meanings()[kind]:
+            lines += [title.format(word), *meanings()[kind][word].lines()]
     return lines
 
 
@@ -150,9 +150,9 @@ def _word_lines(word: str) -> list[str]:
 def _key_lines(word: str) -> list[str]:
     """What a key takes; of several with this name, the first 8, and the names of the others."""
     keys = [*mission_keys(), *campaign_keys()]
-    found = _keys_called(word, keys)
+    called = _keys_called(word, keys)
     lines: list[str] = []
-    for key in found[:_MOST_LISTED]:
+    for key in called[:_MOST_LISTED]:
         if lines:
             lines.append("")
         lines += [key.path, f"  {key.text}", f"  takes: {key.allowed}", f"  default: {key.default}"]
@@ -161,7 +161,7 @@ def _key_lines(word: str) -> list[str]:
         names = _names_within(key, keys)
         if names:
             lines.append(f"  within it: {', '.join(names)}")
-    more = [key.path for key in found[_MOST_LISTED:]]
+    more = [key.path for key in called[_MOST_LISTED:]]
     if more:
         lines += ["", f"and: {', '.join(more)}"]
     return lines
@@ -170,14 +170,14 @@ def _key_lines(word: str) -> list[str]:
 def _keys_called(word: str, keys: Sequence[MissionKey]) -> list[MissionKey]:
     """The keys of a name; ``*`` of a key stands for any name. Whole names go before last parts."""
     parts = word.strip(".").split(".")
-    found = []
+    called = []
     for key in keys:
         tail = key.path.split(".")[-len(parts) :]
         is_same = len(tail) == len(parts) and tail[-1] == parts[-1]
         if is_same and all(a in ("*", b) for a, b in zip(tail, parts, strict=True)):
-            found.append(key)
-    whole = [key for key in found if len(key.path.split(".")) == len(parts)]
-    return whole or found
+            called.append(key)
+    whole = [key for key in called if len(key.path.split(".")) == len(parts)]
+    return whole or called
 
 
 def _names_within(key: MissionKey, keys: Sequence[MissionKey]) -> list[str]:
@@ -195,8 +195,8 @@ def _near(word: str) -> list[str]:
     """Codes, keys, statuses, columns and words that are like a word."""
     near = difflib.get_close_matches(word.upper(), meanings()["codes"], 3, 0.7)
     names = {key.path.rpartition(".")[2]: key.path for key in (*mission_keys(), *campaign_keys())}
-    for of in _NUMBERS_AND_STATUSES:
-        names |= {status: status for status in meanings()[of]}
+    for kind in _NUMBERS_AND_STATUSES:
+        names |= {status: status for status in meanings()[kind]}
     for table in TABLES:
         names |= {column: column for column in columns_of(table)}
     for entry in glossary():

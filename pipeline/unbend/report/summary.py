@@ -9,6 +9,7 @@ from typing import Any
 
 from unbend.messages import MessageRecord
 from unbend.refraction.window import SIGMA_BAROMETER_PA, SIGMA_THERMOMETER_K
+from unbend.report.concerns import concerns_of
 from unbend.report.words import count, length, pixels, shortened, significant, with_sigma
 from unbend.tables.manifest.results import (
     CameraAirRecord,
@@ -33,15 +34,6 @@ SMALLEST_MEASURABLE_PX = 0.05
 """A correction that stays below it everywhere cannot be seen in image measurements."""
 
 _NEARLY_ALL = 0.9
-_OF_ROWS = (
-    "IMAGES-UNMATCHED", "OBS-FLAGGED", "OBS-GROUND-RANGE", "POINTS-MISSING", "STATIONS-FLAGGED"
-)  # fmt: skip
-"""Losses of single rows, which have no corrected coordinates: counted apart."""
-
-_OF_SUSPECTS = ("STATIONS-SUSPECT", "STATIONS-HEIGHT", "ORIENTATION-FAR", "ORIENTATION-UP")
-_OF_INCOMPLETE_LOGS = ("LOG-GAP", "LOG-LINK-LOSS")
-"""Findings that messages are missing between the rest of a log, which is no mistake."""
-
 _OF_USUAL_CABINS = ("CABIN-BOARD", "CABIN-TEMPERATURE")
 _UNMEASURED = {"climatology": "a climatology stands for it", "standard": "a standard stands for it"}
 
@@ -106,7 +98,7 @@ def outcome(manifest: Manifest) -> str:
     done = correction.shift_px.count
     applied = is_applied(manifest)
     verb = "displaced" if applied else "corrected"
-    concerns = "; ".join(what for what, _ in _concerns(manifest))
+    concerns = "; ".join(what for what, _ in concerns_of(manifest))
     if not done:
         look = f"; look at {concerns}" if concerns else ""
         return f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}{look}."
@@ -168,7 +160,7 @@ def distance(components_m: Sequence[float]) -> float:
 
 def next_steps(manifest: Manifest) -> list[str]:
     """What to do with the results of a run, one step each."""
-    steps = [step for _, step in _concerns(manifest)]
+    steps = [step for _, step in concerns_of(manifest)]
     adjust = "Then adjust" if steps else "Adjust"
     rows = manifest.results.observations.rows
     done = manifest.results.correction.shift_px.count
@@ -221,43 +213,6 @@ def is_tiny(manifest: Manifest) -> bool:
     return is_nearly_all and shift.maximum is not None and shift.maximum < SMALLEST_MEASURABLE_PX
 
 
-def _concerns(manifest: Manifest) -> list[tuple[str, str]]:
-    """What has to be looked at before the results are used, and how; the gravest first."""
-    concerns = []
-    codes: dict[str, list[str]] = {"finding": [], "loss": []}
-    for entry in manifest.results.ledger:
-        known = codes.get(entry.kind)
-        if known is not None and entry.code not in (*_OF_ROWS, *_OF_SUSPECTS, *known):
-            known.append(entry.code)
-    mistakes = sorted(set(codes["finding"]) - set(_OF_INCOMPLETE_LOGS))
-    incomplete = sorted(set(codes["finding"]) & set(_OF_INCOMPLETE_LOGS))
-    if mistakes:
-        names = ", ".join(mistakes)
-        step = f"Correct what {names} says and run again, or accept it with the reason (accept)."
-        concerns.append((f"{count(len(mistakes), 'likely mistake')} ({names})", step))
-    if incomplete:
-        names = ", ".join(incomplete)
-        step = f"Use a complete log, as that of the vehicle's card, or accept {names} (accept)."
-        concerns.append((f"an incomplete log ({names})", step))
-    if number := manifest.results.stations.get("suspect", 0):
-        some = count(number, "suspect station")
-        reasons = [e.what for e in manifest.results.ledger if e.code in _OF_SUSPECTS]
-        more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-        used = manifest.sections.stations.use_suspect
-        left = "" if used else ", whose observations have no corrected coordinates"
-        step = f"Look at the {some} (unbend stations MISSION --plot FILE): {reasons[0]}{more}."
-        concerns.append((f"{some}{left}", step))
-    if codes["loss"]:
-        names = ", ".join(sorted(codes["loss"]))
-        step = f"Read what was lost ({names}), and give the whole file where there is one."
-        concerns.append((f"{count(len(codes['loss']), 'loss', 'losses')} ({names})", step))
-    method = manifest.sections.refraction.method
-    if method != "spherical":
-        step = "Run again without refraction.method: the published methods are not for work."
-        concerns.append((f"the method {method}, published for comparison", step))
-    return concerns
-
-
 def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     """What limits the accuracy, and what would help: air that was not measured, and the cabin."""
     limits = []
@@ -266,12 +221,7 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     sigma = "" if air is None else f" ± {100.0 * air.scale_sigma:.2g} %"
     if basis in _UNMEASURED:
         known = f", the refraction R is known to{sigma}" if sigma else ""
-        step = "To correct better, give the air: a thermometer, soundings or METARs."
-        if not manifest.sections.atmosphere.adjust:
-            step = (
-                "To correct better, remove atmosphere.adjust: false; with it no measured air and "
-                "no climatology is used."
-            )
+        step = step_to_better_air(manifest)
         limits.append((f"The air was not measured: {_UNMEASURED[basis]}{known}.", step))
     cabin = manifest.results.cabin_sigma_share.median
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
@@ -285,6 +235,16 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
             text += " only" if cabin > air.scale_sigma else ""
         limits.append((f"{text}.", cabin_step(manifest)))
     return limits
+
+
+def step_to_better_air(manifest: Manifest) -> str:
+    """What to do for air that is measured; with adjust: false no measurement would be used."""
+    if manifest.sections.atmosphere.adjust:
+        return "To correct better, give the air: a thermometer, soundings or METARs."
+    return (
+        "To correct better, remove atmosphere.adjust: false; with it no measured air and no "
+        "climatology is used."
+    )
 
 
 def cabin_step(manifest: Manifest) -> str:
@@ -451,7 +411,7 @@ def effect_lines(effects: Sequence[EffectRecord], standard: str) -> list[str]:
 
     The first line says what R is.
     """
-    lines = []
+    lines: list[str] = []
     for effect in effects:
         name = "R" if lines else "refraction R"
         ours = with_sigma(effect.r_c_arcsec, effect.sigma_arcsec)

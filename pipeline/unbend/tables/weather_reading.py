@@ -34,7 +34,7 @@ def reading_of_sounding(ascents: Sequence[RawLevels]) -> dict[str, Any]:
     first = next((raw for raw in ascents if raw.pressure_pa.size), ascents[0])
     times_ns = [raw.time_ns for raw in ascents if raw.time_ns is not None]
     sounding, notes = check_levels(first)
-    has_vapour = bool(np.isfinite(sounding.vapour_pressure_pa).any())
+    vapour_pressure_hpa = limits_of(sounding.vapour_pressure_pa / HECTOPASCAL)
     return {
         "kind": "sounding",
         "format": sounding.origin,
@@ -50,8 +50,8 @@ def reading_of_sounding(ascents: Sequence[RawLevels]) -> dict[str, Any]:
         "heights": "geopotential" if first.geopotential else "geometric",
         "pressure_hpa": limits_of(sounding.pressure_pa / HECTOPASCAL),
         "temperature_c": limits_of(sounding.temperature_k - ZERO_CELSIUS_K),
-        "vapour_pressure_hpa": limits_of(sounding.vapour_pressure_pa / HECTOPASCAL),
-        "humidity": quantity_of_humidity(first) if has_vapour else None,
+        "vapour_pressure_hpa": vapour_pressure_hpa,
+        "humidity": None if vapour_pressure_hpa is None else quantity_of_humidity(first),
         "columns": dict(first.column_of),
         "notes": [note.what for note in notes],
     }
