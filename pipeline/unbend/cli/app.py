@@ -191,12 +191,12 @@ def print_error(error: UnbendError, subject: str = "") -> None:
     In a terminal its lines are wrapped, the further ones behind the first.
     """
     text = f"{subject}: {error}" if subject else str(error)
-    text = visible(text, keep="\n")
+    shown = visible(text, keep="\n")
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns
-        lines = [hanging(line, width) for line in text.splitlines()]
-        text = "\n".join(lines)
-    print(text, file=sys.stderr)
+        lines = [hanging(line, width) for line in shown.splitlines()]
+        shown = "\n".join(lines)
+    print(shown, file=sys.stderr)
 
 
 def print_bug(text: str, subject: str = "") -> None:

@@ -32,7 +32,7 @@ from unbend.refraction.ray import rays_by
 from unbend.stages import exposure_setup
 from unbend.stages.light import air_by_camera
 from unbend.tables.exports import ExportCamera, FinishedRun, find_format
-from unbend.tables.exports.format import NO_PROGRESS, Progress
+from unbend.tables.exports.format import NO_PROGRESS, ExportProgress
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.refraction_mark import SIDECAR, sidecar_text
 from unbend.units import Array, Integers
@@ -55,7 +55,7 @@ def export_run(
     *,
     ground_height_m: float | None = None,
     force: bool = False,
-    progress: Progress = NO_PROGRESS,
+    progress: ExportProgress = NO_PROGRESS,
 ) -> tuple[int, Ledger]:
     """Write a finished run to ``out`` in the format of a ``name``, with the format's options.
 
@@ -143,7 +143,7 @@ def rebuild_run(
     manifest: Manifest,
     ground_height_m: float | None,
     ledger: Ledger,
-    progress: Progress = NO_PROGRESS,
+    progress: ExportProgress = NO_PROGRESS,
 ) -> FinishedRun:
     """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights.
 

@@ -20,7 +20,7 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
 from unbend.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
-from unbend.tables.exports.format import NO_PROGRESS, FinishedRun, Progress
+from unbend.tables.exports.format import NO_PROGRESS, ExportProgress, FinishedRun
 from unbend.units import Array, Integers, Mask, Names
 
 _COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
@@ -50,7 +50,7 @@ class ExportedBlock:
     name: pa.StringArray
     count: Integers
     point_m: Array
-    progress: Progress = NO_PROGRESS
+    progress: ExportProgress = NO_PROGRESS
 
     def images(self) -> Iterator[tuple[int, Camera, slice]]:
         """Number, camera and image points of each image."""

@@ -25,7 +25,7 @@ from unbend.tables.writing import parquet_settings
 from unbend.units import Array, Integers
 
 
-class Progress(Protocol):
+class ExportProgress(Protocol):
     """What an export reports while it is written, for a bar with a share."""
 
     def start(self, step: str, total: int | None = None) -> None:
@@ -36,7 +36,7 @@ class Progress(Protocol):
 
 
 class NoProgress:
-    """Progress that nobody looks at."""
+    """ExportProgress that nobody looks at."""
 
     def start(self, step: str, total: int | None = None) -> None:
         """Discard the step."""
@@ -85,7 +85,7 @@ class FinishedRun:
     parts: tuple[Path, ...]
     metadata: Mapping[str, str]
     database: Callable[[], Path | None] = lambda: None
-    progress: Progress = NO_PROGRESS
+    progress: ExportProgress = NO_PROGRESS
 
     def rows_of(self, camera: str) -> Integers:
         """(n,) the stations of a camera that can be used, in the order of the table."""
