@@ -87,7 +87,7 @@ def test_how_far_points_were_moved_is_said_by_median_and_95_percent():
     shift = DistributionRecord(count=9, median=0.11, p95=0.42, maximum=12.5)
     ground = DistributionRecord(count=9, median=0.031, p95=0.093, maximum=2.7)
     text = size_of_shift(SimpleNamespace(shift_px=shift, shift_ground_m=ground))
-    assert text == "3.1 cm on the ground, 0.11 px in the image (median; 95 %: 9.3 cm, 0.42 px)"
+    assert text == "31 mm on the ground, 0.11 px in the image (median; 95 %: 93 mm, 0.42 px)"
     unknown = DistributionRecord(count=0, median=None, p95=None, maximum=None)
     text = size_of_shift(SimpleNamespace(shift_px=shift, shift_ground_m=unknown))
     assert text == "0.11 px in the image (median; 95 %: 0.42 px)"
