@@ -361,11 +361,11 @@ class Statistics:
         )
 
     def report_flagged(
-        self, ledger: Ledger, causes: Mapping[str, str], *, told: Collection[str] = ()
+        self, ledger: Ledger, causes: Mapping[str, str], *, explained: Collection[str] = ()
     ) -> None:
         """A ledger entry for each reason why rows were not corrected; ``causes`` by status.
 
-        ``told`` : statuses that follow from losses of the ledger; their entries are notes.
+        ``explained`` : statuses that follow from losses of the ledger; their entries are notes.
         """
         if self.no_distance:
             where = "observations.columns.distance_m"
@@ -388,7 +388,7 @@ class Statistics:
         for status, count in self.status.items():
             if status != "ok" and count:
                 message = self.flagged(status, count, causes.get(status, ""))
-                if status in told:
+                if status in explained:
                     message = replace(message, kind=Kind.NOTE)
                 ledger.add(message)
 

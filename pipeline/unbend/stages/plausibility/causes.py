@@ -47,7 +47,7 @@ def causes_of_statuses(facts: Facts) -> dict[str, str]:
     return causes
 
 
-def statuses_told(facts: Facts, ledger: Ledger) -> frozenset[str]:
+def statuses_explained(facts: Facts, ledger: Ledger) -> frozenset[str]:
     """Statuses of rows that follow from losses which the ledger has already.
 
     Rows without a station do, if there is a loss for each reason why images have no station. They

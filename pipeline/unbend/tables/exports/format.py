@@ -70,7 +70,7 @@ class FinishedRun:
     in order, with coordinates in the system ``pixels``; ``metadata`` goes into every file that is
     written. ``rays`` are those of ``air``'s profiles. ``find_ground`` reads heights of all
     observations; ``database`` finds COLMAP's, of which they are the keypoints, and reads all of it.
-    ``progress`` is told of every pass over observations and images.
+    ``progress`` gets every pass over observations and images.
     """
 
     mission: str
