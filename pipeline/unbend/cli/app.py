@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 
 WIDEST_HELP = 1000  # columns of a terminal
 
+HelpContext: TypeAlias = Any
 HelpFormatter: TypeAlias = Any
-"""What writes a help: of click, or of the copy of click in newer versions of typer."""
+"""Of what, and what writes a help: of click, or of the copy of click in newer versions of typer."""
 
 GROUPS = {
     "From a log to files for adjustment": ("init", "check", "run", "export"),

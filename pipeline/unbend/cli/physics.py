@@ -5,11 +5,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
-from typer import Argument, Context, Option
+from typer import Argument, Option
 from typer.core import TyperCommand
 
 from unbend.cli import messages
-from unbend.cli.app import Answer, HelpFormatter, command, write_rows_csv
+from unbend.cli.app import Answer, HelpContext, HelpFormatter, command, write_rows_csv
 
 if TYPE_CHECKING:
     from unbend.report.accuracy import Accuracy
@@ -34,7 +34,7 @@ def _atmospheres() -> list[str]:
 class _AngleCommand(TyperCommand):
     """`unbend angle`: its help lists all methods, which are imported when it is shown."""
 
-    def format_options(self, ctx: Context, formatter: HelpFormatter) -> None:
+    def format_options(self, ctx: HelpContext, formatter: HelpFormatter) -> None:
         """The options, and below them the names that --method takes."""
         super().format_options(ctx, formatter)
         with formatter.section("Methods"):

@@ -14,7 +14,7 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperCommand
 
-from unbend.cli.app import Answer, HelpFormatter, command
+from unbend.cli.app import Answer, HelpContext, HelpFormatter, command
 from unbend.report.words import count
 
 
@@ -67,7 +67,7 @@ class _ExportCommand(TyperCommand):
             _format_parameters()
         return [*params[:own], *_format_parameters(), *params[own:]]
 
-    def format_options(self, ctx: typer.Context, formatter: HelpFormatter) -> None:
+    def format_options(self, ctx: HelpContext, formatter: HelpFormatter) -> None:
         """The options, and below them the formats with what each writes."""
         from unbend.tables.exports import FORMATS
 
