@@ -105,8 +105,9 @@ def correct(
     sections : other sections of a mission file, as ``ground={"height": 120.0}``.
 
     Returns a table of the kind of ``observations`` with the columns of a run, the same to the last
-    bit. ``uncertainty``, ``cabin_air`` and ``ledger`` of the manifest are in ``attrs`` of a
-    DataFrame, and as JSON in the metadata of an Arrow table.
+    bit, its rows in the order of ``observations``; a DataFrame has their index. ``uncertainty``,
+    ``cabin_air`` and ``ledger`` of the manifest are in ``attrs`` of a DataFrame, and as JSON in the
+    metadata of an Arrow table.
 
     Refuses what a run refuses, with the same codes (`UnbendError`). Each loss or finding, which
     would end a run with code 3, is a UserWarning. Raises TypeError for what is no table, and
@@ -138,6 +139,7 @@ def correct(
     facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
     if isinstance(observations, pd.DataFrame):
         corrected: pd.DataFrame = table.to_pandas()
+        corrected.index = observations.index
         corrected.attrs |= facts
         return corrected
     texts = {f"unbend.{name}": json.dumps(value) for name, value in facts.items()}

@@ -8,13 +8,13 @@ report and the terminal render them. Nothing decides by the words.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from typing import TypeVar
 
-from unbend.errors import Code, Value, rendered
+from unbend.errors import Code, ConfigError, Value, rendered
 
 
 class Kind(StrEnum):
@@ -186,6 +186,13 @@ class Ledger:
         self.extend(notes)
         return result
 
+    def remove(self, which: Callable[[Message], bool]) -> Notes:
+        """Take messages out; returns those that were taken out."""
+        removed = tuple(message for message in self._messages if which(message))
+        self._messages = [message for message in self._messages if not which(message)]
+        self._known = {_identity(message) for message in self._messages}
+        return removed
+
     def accept(self, reasons: Mapping[str, str]) -> tuple[str, ...]:
         """Make warnings of the findings of some codes; returns the codes that no finding has.
 
@@ -221,3 +228,20 @@ class Ledger:
     def rows(self) -> list[dict[str, object]]:
         """The messages as plain values, sorted."""
         return [message.row() for message in self.sorted()]
+
+
+PLOT_MATPLOTLIB = Code(
+    "PLOT-MATPLOTLIB",
+    means="A plot was asked for, and matplotlib is not installed.",
+    effect="Nothing is drawn.",
+    remedy="pip install matplotlib.",
+)
+
+
+def matplotlib_missing() -> ConfigError:
+    """A plot is asked for, and matplotlib cannot be imported."""
+    return ConfigError(
+        PLOT_MATPLOTLIB,
+        "plots are drawn with matplotlib, which is not installed",
+        remedy="pip install matplotlib",
+    )

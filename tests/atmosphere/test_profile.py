@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from itertools import pairwise
 
 import mpmath as mp
@@ -22,7 +23,7 @@ from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.atmosphere.layers import Layers, stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.errors import PhysicsError
+from unbend.errors import ConfigError, PhysicsError
 from unbend.geodesy import lambert_gravity, normal_gravity
 from unbend.messages import Ledger
 
@@ -369,3 +370,39 @@ def test_layers_solve_the_hydrostatic_equation_exactly(degrees):
         h, log_p = float(top), float(solved.y[0, -1])
         # Reached: 1e-11.
         assert abs(math.log(profile.pressure(h).item()) - log_p) < 1e-10
+
+
+def test_a_profile_says_its_name_heights_and_the_air_at_sea_level():
+    """US 1976, Table I: 288.15 K and 1013.25 hPa at sea level."""
+    profile = standard_atmosphere("us1976")
+    text = repr(profile)
+    assert text.startswith("<Profile us1976: ")
+    assert "at 0 m 288.15 K, 1013.25 hPa" in text
+    assert len(text) < 120
+    page = profile._repr_html_()
+    assert page.count("<tr") == 1 + len(profile.break_heights_m)
+    assert "us1976" in page
+    assert "refractivity" in page
+
+
+def test_a_profile_is_plotted_over_height_and_beside_another():
+    profile = standard_atmosphere("us1976")
+    heights = np.array([0.0, 5000.0, 11_000.0])
+    axes = profile.plot(heights)
+    assert len(axes) == 4
+    standard_atmosphere("icao").plot(heights, axes)
+    for axis in axes:
+        assert len(axis.lines) == 2
+        np.testing.assert_array_equal(axis.lines[0].get_ydata(), heights)
+    # Table I: 255.676 K and 540.48 hPa at 5 km.
+    assert axes[0].lines[0].get_xdata()[1] == pytest.approx(255.676, abs=1e-3)
+    assert axes[1].lines[0].get_xdata()[1] == pytest.approx(540.48, abs=0.01)
+    usual = profile.plot()[0].lines[0].get_ydata()
+    assert (usual.min(), usual.max()) == (profile.bottom_m, 12_000.0)
+
+
+def test_a_plot_without_matplotlib_is_refused_with_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+    with pytest.raises(ConfigError, match="PLOT-MATPLOTLIB") as caught:
+        standard_atmosphere("us1976").plot()
+    assert caught.value.remedy == "pip install matplotlib"

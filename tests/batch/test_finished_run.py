@@ -16,9 +16,13 @@ import pytest
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.batch.finished_run.export import export_run, rebuild_run
 from unbend.batch.finished_run.read_back import profile_of, stations_of
+from unbend.batch.results import read_manifest
 from unbend.batch.runs import read_mission
 from unbend.flight.stations import NO_TIME, Stations
+from unbend.messages import Ledger
+from unbend.tables.exports import FORMATS
 from unbend.tables.exports.format import write_csv_stream
 from unbend.tables.writing import PROFILE_ID, table_of_profile, table_of_stations
 
@@ -500,3 +504,49 @@ def test_names_with_commas_and_quotes_survive_csv(tmp_path):
         assert float(found[1][1]) == 0.1
     assert found[2][1] == ""
     assert float(found[3][1]) == 1e-17
+
+
+class Steps:
+    """Progress that keeps its steps: name, total, and what was finished of it."""
+
+    def __init__(self) -> None:
+        self.done: list[list] = []
+
+    def start(self, step: str, total: int | None = None) -> None:
+        self.done.append([step, total, 0])
+
+    def advance(self, count: int) -> None:
+        self.done[-1][2] += count
+
+
+@pytest.mark.parametrize("form", sorted(set(FORMATS) - {"colmap-database"}))
+def test_every_export_has_a_share_that_reaches_the_end(form, baseline, tmp_path):
+    """Each pass over observations or images says how much there is, and comes to its end."""
+    steps = Steps()
+    out = tmp_path / f"out{FORMATS[form].ending}"
+    needed = {"pixel_um": 4.0}  # some programs count in millimetres
+    names = {option.name for option in FORMATS[form].options}
+    options = {name: value for name, value in needed.items() if name in names}
+    export_run(baseline.output, form, out, options, progress=steps)
+    shares = [finished / total for _, total, finished in steps.done if total]
+    assert shares
+    assert all(0.9 <= share <= 1.2 for share in shares), steps.done
+
+
+def test_a_share_counts_the_rows_that_a_sample_stands_for(baseline):
+    steps = Steps()
+    run = rebuild_run(baseline.output, read_manifest(baseline.output), None, Ledger(), steps)
+    list(run.observations(["h_g_m"], 20))
+    name, total, finished = steps.done[-1]
+    assert (name, total) == ("reading observations", 59)
+    assert 59 <= finished < 59 + 3  # every third row of 59
+
+
+def test_a_file_in_the_place_of_a_run_is_named(unbend, baseline, tmp_path):
+    for file, folder in (("manifest.json", baseline.output), ("report.html", baseline.output)):
+        ended = unbend("verify", baseline.output / file)
+        assert ended.code == 5
+        assert f"name the folder of the results: {folder}" in ended.err
+    ended = unbend("export", baseline.file, "--format", "opk", "--out", tmp_path / "opk.csv")
+    assert ended.code == 5
+    assert "output.path of the mission file" in ended.err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 
@@ -60,6 +61,9 @@ def test_a_pipe_gets_whole_lines_without_colours(unbend, baseline, flown, monkey
         assert "\x1b" not in ended.out
         assert not [line for line in ended.out.splitlines() if line != line.rstrip()]
     lines = unbend("check", baseline.file).out.splitlines()
+    assert not any(line.startswith("  note ") for line in lines)
+    assert re.fullmatch(r"  \d+ notes: all of them with -v", lines[-1])
+    lines = unbend("check", baseline.file, "-v").out.splitlines()
     assert any(line.startswith("  note STATIONS-SIGMA") and "deg" in line for line in lines)
 
 

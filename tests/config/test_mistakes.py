@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -193,3 +194,151 @@ def test_what_a_window_refuses_is_said_of_its_key(window, key, tmp_path):
     assert error is not None
     line = 1 + next(i for i, t in enumerate(text.splitlines()) if t.startswith(f"      {key}:"))
     assert error.what.startswith(f"line {line}: cameras.nadir.window.{key}: ")
+
+
+def test_a_decimal_comma_is_named_wherever_a_number_is_expected(tmp_path):
+    """In braces YAML takes the comma for the end of the number: the text is looked at."""
+    text = (ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "mission.yaml"
+    for before, after, says in (
+        ("k1: -0.018000", "k1: -0,018", "'-0,018' has a decimal comma: write -0.018"),
+        ("p2: -0.000100}", "p2: -0,0001}", "'-0,0001' has a decimal comma: write -0.0001"),
+        ("undulation_m: 47.6", "undulation_m: 47,6", "'47,6' has a decimal comma: write 47.6"),
+        ("roll_deg: 0.0", "roll_deg: -0,5", "'-0,5' has a decimal comma: write -0.5"),
+        ("fx_px: 20000.0", "fx_px: 20.000,5", "'20.000,5' has a decimal comma: write 20000.5"),
+        ("fx_px: 20000.0", "fx_px: 20,000", "'20,000' has a comma: write 20.000 or 20000"),
+        ("[0.35, 0.1, 0.6]", "[0,35, 0,1, 0,6]", "numbers have a decimal point, not a comma"),
+    ):
+        assert before in text
+        path.write_text(text.replace(before, after, 1), encoding="utf-8")
+        with pytest.raises(ConfigError) as caught:
+            load_mission(path)
+        assert says in caught.value.what, after
+        line = next(n for n, t in enumerate(text.splitlines(), 1) if before in t)
+        assert f"{line}" in f"{caught.value.where} {caught.value.what}"
+
+
+@pytest.mark.parametrize(
+    ("key", "says"),
+    [
+        ("f_mm", "metric.focal_mm"),
+        ("focal_length_mm", "metric.focal_mm"),
+        ("focal_length", "metric.focal_mm"),
+        ("pixel_size_um", "metric.pixel_um"),
+        ("pixel_pitch", "metric.pixel_um"),
+        ("sensor_width_mm", "metric.format_mm"),
+        ("cx_mm", "metric.ppa_mm"),
+    ],
+)
+def test_a_camera_in_millimetres_is_led_to_its_section(key, says, tmp_path):
+    error = refusal(spoilt(("cameras", "nadir", key), 80.0), tmp_path / "mission.yaml")
+    assert error is not None
+    assert error.code == "CONFIG-UNKNOWN-KEY"
+    assert says in error.what
+
+
+@pytest.mark.parametrize(
+    ("place", "says"),
+    [
+        ("mount.nadir.roll_rad", "perhaps 'roll_deg', in degrees?"),
+        ("mount.nadir.lever_arm_mm", "perhaps 'lever_arm_m', in metres?"),
+        ("mission.undulation_ft", "perhaps 'undulation_m', in metres?"),
+        ("cameras.nadir.fx_pix", "perhaps 'fx_px'?"),
+    ],
+)
+def test_a_key_in_another_unit_is_led_to_the_key_and_its_unit(place, says, tmp_path):
+    error = refusal(spoilt(tuple(place.split(".")), 1.0), tmp_path / "mission.yaml")
+    assert error is not None
+    assert says in error.what
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("    nadir: {channel: CAM[0], image: x}", 'put quotes around a text with brackets or '
+         'braces: "CAM[0]"'),
+        ("    nadir: {channel: CAM, image: n_{index:05d}}", '"n_{index:05d}"'),
+        ("    image: {index:05d}.jpg", '"{index:05d}.jpg"'),
+        ("    image: @x", "put quotes around a text that begins with this character"),
+        ("    image: *.jpg", "put quotes around a text that begins with * or &"),
+        ('    path: "..\\logs\\flight.bin"', "write / or single quotes"),
+    ],
+)  # fmt: skip
+def test_a_text_that_needs_quotes_is_shown_with_them(line, says, tmp_path):
+    path = tmp_path / "mission.yaml"
+    path.write_text(f"events:\n  log:\n{line}\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match="CONFIG-YAML") as caught:
+        load_mission(path)
+    assert says in caught.value.what
+    assert caught.value.where == f"{path}:3"
+
+
+def test_a_text_in_braces_alone_is_shown_with_quotes(tmp_path):
+    error = refusal(spoilt(("mission", "name"), {"index:05d": None}), tmp_path / "mission.yaml")
+    assert error is not None
+    assert 'put quotes around a text with braces: "{index:05d}"' in error.what
+
+
+@pytest.mark.parametrize("name", ["x.csv", "results/survey.Parquet", "report.html", "a.yaml"])
+def test_results_go_to_a_folder_that_is_not_named_as_a_file(name, tmp_path):
+    error = refusal(spoilt(("output", "path"), name), tmp_path / "mission.yaml")
+    assert error is not None
+    assert f"{name!r} is the name of a file, and a run writes a folder" in error.what
+    assert f"write {name.rpartition('.')[0]!r}" in error.what
+    for folder in ("results/survey.v2", "results/2026-05.12", "s3://bucket/season.x"):
+        tree = spoilt(("output", "path"), folder)
+        assert Mission.model_validate(tree).output.path == folder
+
+
+def test_another_file_in_the_place_of_a_mission_file_is_named(tmp_path):
+    files = {
+        "t.parquet": (b"PAR1 and more\x00", "a Parquet table"),
+        "t.csv": (b"image,point,x,y\n1,2,3,4\n", "a table of text"),
+        "a.jpg": (b"\xff\xd8\xff\xe0\x00", "an image (JPEG)"),
+        "a.db": (b"SQLite format 3\x00", "a database"),
+        "a.dat": (bytes(range(256)), "no text in UTF-8"),
+        "a.html": (b"<!DOCTYPE html><html></html>", "a web page"),
+        "a.xml": (b"<?xml version='1.0'?><document/>", "XML"),
+        "mission.schema.json": (b'{"$schema": "x", "properties": {}}', "the JSON schema"),
+        "flight.bin": ((ROOT / "sample_logs" / "flight.bin").read_bytes()[:70_000],
+                       "a flight log: ArduPilot DataFlash"),
+    }  # fmt: skip
+    for name, (content, says) in files.items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match="CONFIG-UNREADABLE") as caught:
+            load_mission(path)
+        assert f"is {says}" in caught.value.what, name
+        assert caught.value.remedy
+    assert "unbend init" in caught.value.remedy  # of the log, the last one
+    with pytest.raises(ConfigError, match=r"is a folder, not a mission file") as caught:
+        load_mission(tmp_path)
+    assert "unbend init" in caught.value.remedy
+    (tmp_path / "m.yaml").write_text("mission: {name: a}\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match="is a folder") as caught:
+        load_mission(tmp_path)
+    assert caught.value.remedy == f"name its mission files: {tmp_path}/*.yaml"
+
+
+def test_results_in_the_place_of_a_mission_file_are_named(tmp_path):
+    run = tmp_path / "results"
+    run.mkdir()
+    (run / "manifest.json").write_text('{"manifest_version": 1}', encoding="utf-8")
+    (run / "report.html").write_text("<html>", encoding="utf-8")
+    for path, what in (
+        (run, "the folder of the results of a run"),
+        (run / "manifest.json", "a file of the results of a run"),
+        (run / "report.html", "a file of the results of a run"),
+    ):
+        with pytest.raises(ConfigError, match=f"is {what}") as caught:
+            load_mission(path)
+        assert f"unbend verify {run}" in caught.value.remedy
+
+
+def test_a_mission_file_of_another_ending_is_read(tmp_path):
+    """JSON is YAML; and no ending is wrong."""
+    tree = json.dumps(BASE)
+    for name in ("mission.json", "mission.txt.yaml", "mission"):
+        path = tmp_path / name
+        path.write_text(tree, encoding="utf-8")
+        assert load_mission(path).mission.name == BASE["mission"]["name"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
 from unbend.flight.ground_times import (
     GroundEvidence,
@@ -13,8 +14,38 @@ from unbend.flight.ground_times import (
     takeoff_of,
     times_on_the_ground,
 )
+from unbend.flight.heights import height_system, known_home_m, with_begin_of_log
 
 SECOND_NS = 1_000_000_000
+
+
+def test_a_log_without_one_home_proposes_where_it_begins():
+    """A minute at 400 m; the home of the autopilot jumps by 30 m in the air: it is not used."""
+    seconds = np.arange(600)
+    h_msl_m = 400.0 + np.clip(seconds - 60, 0, 100)
+    home_m = np.where(seconds < 300, 400.0, 430.0)
+    columns = {
+        "lat_rad": np.full(600, 0.8),
+        "lon_rad": np.full(600, 0.15),
+        "h_msl_m": h_msl_m,
+        "h_home_m": h_msl_m - home_m,
+    }
+    channel = Channel("GPS", seconds * SECOND_NS, columns, Source("GPS"))
+    roles = {"position": channel, "height": channel}
+    system, notes = height_system(roles, None)
+    assert system.home_h_msl_m is None
+    assert [note.code for note in notes] == ["HEIGHT-HOME"]
+    begun = with_begin_of_log(system, roles, GroundEvidence(), 2.0)
+    assert begun.begin_h_msl_m == pytest.approx(400.0)
+    with pytest.raises(MissionError, match="HEIGHT-REFERENCE") as caught:
+        known_home_m(begun)
+    assert "write ground.home_h_msl_m: 400.0" in caught.value.remedy
+    with pytest.raises(MissionError) as caught:
+        known_home_m(system)
+    assert "ground.home_h_msl_m" in caught.value.remedy
+    assert "400" not in caught.value.remedy
+    steady, _ = height_system(roles, None, stated_home_m=410.0)
+    assert with_begin_of_log(steady, roles, GroundEvidence(), 2.0) == steady
 
 
 def test_a_longitude_that_is_unknown_hides_no_landing():

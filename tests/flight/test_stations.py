@@ -161,3 +161,28 @@ def test_a_suspect_station_does_not_move_the_middle_of_the_flight():
     )
     assert flown.mean_latitude_rad == pytest.approx(0.84)
     assert flown.median_longitude_rad == pytest.approx(0.28)
+
+
+def test_stations_say_how_many_there_are_of_what_and_when():
+    two = replace(
+        stations(3),
+        camera=np.array(["nadir", "nadir", "oblique"], object),
+        status=np.array(["ok", "in_gap", "ok"], object),
+        time_ns=np.array([1_500_000_000, 1_500_000_060, 1_500_000_002]) * 10**9,
+        lon_rad=np.full(3, 0.1),
+    )
+    assert repr(two) == (
+        "<Stations: 2 nadir, 1 oblique; 2 ok, 1 in_gap; "
+        "2017-07-14T02:40:00 to 2017-07-14T02:41:00 UTC>"
+    )
+    assert repr(stations(1)) == "<Stations: 1 cam; 1 ok; no UTC>"
+    page = two._repr_html_()
+    assert page.count("<tr") == 4
+    assert "image_2" in page
+    axis = two.plot()
+    drawn = {line.get_label(): line.get_xdata().tolist() for line in axis.lines}
+    assert drawn["nadir"] == pytest.approx([np.degrees(0.1)])
+    assert {label: len(x) for label, x in drawn.items()} == {
+        "nadir": 1, "oblique": 1, "not usable": 1
+    }  # fmt: skip
+    assert two.plot(axis) is axis

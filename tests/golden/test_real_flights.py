@@ -89,9 +89,11 @@ def test_copter_with_a_gap_in_the_log(tmp_path: Path) -> None:
     corrected = (observations["status"] == "ok").sum()
     assert corrected > 20
     text = verdict(outcome.manifest)
-    assert text.startswith(f"{corrected} of 300 observations were corrected by up to ")
+    assert text.startswith(f"{corrected} of 300 observations were corrected by ")
     (air,) = remarks(outcome.manifest)
-    assert air.startswith("The air was not measured: a climatology stands for it, R is known to ± ")
+    assert air.startswith(
+        "The air was not measured: a climatology stands for it, the refraction R is known to ± "
+    )
     assert "can be adjusted" not in text
 
 

@@ -173,3 +173,17 @@ def test_hash_is_that_of_the_library(tmp_path: Path) -> None:
     path = tmp_path / "blob"
     path.write_bytes(b"x" * 3_000_001)
     assert hash_file(path) == hashlib.sha256(b"x" * 3_000_001).hexdigest()
+
+
+def test_a_log_and_a_channel_say_what_they_are(flown):
+    """The counts of messages are those of the summary."""
+    log = open_log(flown.logs["bin"])
+    text = repr(log)
+    count = sum(log.messages.values())
+    assert text.startswith(f"<Log {log.path.name}: dataflash, {log.duration_s:.1f} s, from 20")
+    assert f"{len(log.channels)} channels, {count:,} messages of {len(log.messages)} types" in text
+    assert text.endswith("0 bad bytes, 0 losses and findings>")
+    assert log._repr_html_().count("<tr") == 1 + min(len(log.channels), 11)
+    channel = log.channel("GPS[0]")
+    assert repr(channel).startswith(f"<Channel GPS[0]: {len(channel)} samples, ")
+    assert "lat_rad" in repr(channel)

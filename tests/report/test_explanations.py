@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -13,7 +14,8 @@ from unbend.config.keys import mission_keys
 from unbend.config.schema import mission_schema
 from unbend.errors import ConfigError
 from unbend.refraction.status_codes import STATUS_NAMES
-from unbend.report.explanations import explain, meanings
+from unbend.report.explanations import TABLES, explain, glossary, meanings
+from unbend.tables.schemas import columns_of
 
 
 @pytest.mark.parametrize("word", ["f_px", "cameras.*.f_px", "cameras.nadir.f_px", "F_PX"])
@@ -76,3 +78,57 @@ def test_the_commands(tmp_path):
     done = unbend("help", "nothing-like-it")
     assert done.returncode == 2
     assert "HELP-WORD" in done.stderr
+
+
+def test_columns_of_results_are_explained_table_by_table():
+    lines = explain("r_c_rad")
+    assert lines[0] == "r_c_rad (column of observations)"
+    assert lines[1].endswith("[rad]")
+    assert "observations/part-*.parquet" in lines[2]
+    for table in TABLES:
+        for column in columns_of(table):
+            assert f"{column} (column of {table})" in explain(column)
+    assert "x_displaced_px (column of observations)" in explain("x_displaced_px")
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [
+        ("GCP", "known. Give such points under control"),
+        ("control points", "known. Give such points under control"),
+        ("boresight", "roll_deg, pitch_deg, yaw_deg under mount"),
+        ("lever arm", "mount.<camera>.lever_arm_m"),
+        ("lever-arm", "mount.<camera>.lever_arm_m"),
+        ("focal length", "f_px"),
+        ("R", "r_c_rad"),
+    ],
+)
+def test_words_of_the_field_are_explained(word, says):
+    assert says in " ".join(explain(word))
+
+
+def test_words_name_keys_that_there_are_and_each_name_is_of_one_word():
+    names = [name for word in glossary() for name in (word.name, *word.also)]
+    assert len(names) == len(set(names))
+    assert names == [name.lower() for name in names]
+    last = {key.path.rpartition(".")[2] for key in mission_keys()}
+    columns = {column for table in TABLES for column in columns_of(table)}
+    for word in glossary():
+        for key in re.findall(r"\b[a-z]+(?:_[a-z0-9]+)+\b", word.means):
+            assert key in last | columns, (word.name, key)
+
+
+def test_what_is_a_key_and_a_word_is_explained_as_both():
+    lines = explain("mount")
+    assert lines[0] == "mount"
+    assert "  takes: a section for each name" in lines
+    assert lines.count("mount") == 2
+
+
+def test_words_of_several_parts_and_commands_through_the_command_line(unbend):
+    ended = unbend("help", "lever", "arm")
+    assert ended.code == 0
+    assert ended.out.startswith("lever arm\n")
+    assert unbend("help", "run").out == "run (command)\n  explained by: unbend run --help\n"
+    assert "unbend profile --help" in unbend("help", "profile").out
+    assert unbend("help", "nothing", "like", "it").code == 2

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from unbend.report.summary import not_included
+from unbend.report.campaign import row_of
+from unbend.report.summary import not_included, size_of_shift
+from unbend.tables.manifest.results import DistributionRecord
 from unbend.tables.manifest.whole import Manifest
 
 from .manifests import manifest_of
@@ -70,3 +73,21 @@ def test_the_report_of_a_run_holds_these_lines(baseline):
     for line in lines:
         assert f"<li>{line}</li>" in page
     assert "What is not removed" in page
+
+
+def test_a_campaign_counts_images_and_those_that_were_exposed():
+    values = {"config": {"refraction": {"direction": "remove", "method": "spherical"}},
+              "stations": {"ok": 5, "in_gap": 1, "unmatched": 2}}  # fmt: skip
+    row = row_of(manifest_of(values))
+    assert (row["images"], row["exposures"]) == (8, 6)
+
+
+def test_how_far_points_were_moved_is_said_by_median_and_95_percent():
+    """One steep turn makes the maximum: 2.7 m, where 95 % are within 9 cm."""
+    shift = DistributionRecord(count=9, median=0.11, p95=0.42, maximum=12.5)
+    ground = DistributionRecord(count=9, median=0.031, p95=0.093, maximum=2.7)
+    text = size_of_shift(SimpleNamespace(shift_px=shift, shift_ground_m=ground))
+    assert text == "31 mm on the ground, 0.11 px in the image (median; 95 %: 93 mm, 0.42 px)"
+    unknown = DistributionRecord(count=0, median=None, p95=None, maximum=None)
+    text = size_of_shift(SimpleNamespace(shift_px=shift, shift_ground_m=unknown))
+    assert text == "0.11 px in the image (median; 95 %: 0.42 px)"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 
 import numpy as np
 import pyarrow as pa
@@ -13,7 +14,7 @@ from unbend.report.summary import next_steps, outcome, remarks
 
 from .manifests import manifest_of
 
-READY = " in the image, and can be adjusted"
+READY = "), and can be adjusted"
 LOOK = ", but not to be used before a look at "
 
 
@@ -43,17 +44,20 @@ def with_heights(mission, heights) -> None:
 
 
 def test_all_corrected(baseline):
-    """Size by the results themselves: 1 m of 2.5 km, seen at 45 degrees."""
+    """Size by the results themselves, in the median and for 95 % of them."""
     manifest = values_of(baseline)
     rows = baseline.results().to_pandas()
     moved = np.hypot(rows["x_corrected_px"] - rows["x_px"], rows["y_corrected_px"] - rows["y_px"])
     text = outcome(manifest_of(manifest))
-    assert text.startswith("All 59 observations were corrected by up to ")
-    assert f" on the ground, {moved.max():.2g} px in the image, " in text
-    centimetres = float(text.split("up to ")[1].split(" cm on")[0])
-    assert centimetres / 100.0 == pytest.approx(
-        manifest["correction"]["shift_ground_m"]["maximum"], rel=0.05
-    )
+    assert text.startswith("All 59 observations were corrected by ")
+    words = re.search(r"by (\S+) cm on the ground, (\S+) px in the image \(median; 95 %: "
+                      r"(\S+) cm, (\S+) px\)", text)  # fmt: skip
+    ground = manifest["correction"]["shift_ground_m"]
+    sizes = [float(word) for word in words.groups()]
+    assert sizes[1] == pytest.approx(np.median(moved), rel=0.1)
+    assert sizes[3] == pytest.approx(np.percentile(moved, 95.0), rel=0.1)
+    assert sizes[0] / 100.0 == pytest.approx(ground["median"], rel=0.05)
+    assert sizes[2] / 100.0 == pytest.approx(ground["p95"], rel=0.05)
     assert text.endswith(f"{READY}.")
     steps = next_steps(manifest_of(manifest))
     assert steps[-1] == (
@@ -70,7 +74,7 @@ def test_some_flagged_and_none_corrected(mission, plain_report):
 
     with_heights(mission, no_first_two)
     _, text, steps = ran(mission, 3)
-    assert text.startswith("57 of 59 observations were corrected by up to ")
+    assert text.startswith("57 of 59 observations were corrected by ")
     assert text.endswith(f"{READY} without the other 2 rows.")
     assert steps.startswith("Leave out 2 rows without new coordinates (2 no_ground);")
     with_heights(mission, lambda h: h + np.nan)
@@ -102,12 +106,16 @@ def test_air_that_was_not_measured(mission, baseline, plain_report):
     manifest, text, steps = ran(mission, 0)
     assert remarks(manifest_of(manifest)) == ["The air was not measured: a standard stands for it."]
     assert text.endswith(f"{READY}.")
-    assert "To correct better, give the air" in steps
+    assert "To correct better, remove atmosphere.adjust: false" in steps
+    assert "thermometer" not in steps
     manifest = copy.deepcopy(values_of(baseline))
     manifest["profile"]["basis"] = "climatology"
     manifest["uncertainty"]["scale_sigma"] = 0.0412
+    steps = " ".join(next_steps(manifest_of(manifest)))
+    assert "To correct better, give the air: a thermometer" in steps
     assert (
-        "a climatology stands for it, R is known to ± 4.1 %." in remarks(manifest_of(manifest))[0]
+        "a climatology stands for it, the refraction R is known to ± 4.1 %."
+        in remarks(manifest_of(manifest))[0]
     )
 
 
@@ -117,7 +125,7 @@ def test_a_correction_too_small_to_matter(baseline):
     for of in (manifest["correction"]["shift_px"], manifest["correction"]["shift_ground_m"]):
         of["maximum"] /= 30.0
     assert outcome(manifest_of(manifest)).endswith(
-        " in the image, less than can be measured there: not needed here."
+        "), less than can be measured there: not needed here."
     )
     assert any("it makes no difference" in step for step in next_steps(manifest_of(manifest)))
     manifest["correction"]["shift_px"]["count"] = 40
@@ -127,9 +135,9 @@ def test_a_correction_too_small_to_matter(baseline):
 @pytest.mark.parametrize(
     ("cabin", "air", "end"),
     [
-        (0.05, 0.012, "by 5 % of R in the median, the air outside by 1.2 % only."),
-        (0.021, 0.13, "by 2.1 % of R in the median, the air outside by 13 %."),
-        (0.03, None, "by 3 % of R in the median."),
+        (0.05, 0.012, "by 5 % of the refraction R in the median, the air outside by 1.2 % only."),
+        (0.021, 0.13, "by 2.1 % of the refraction R in the median, the air outside by 13 %."),
+        (0.03, None, "by 3 % of the refraction R in the median."),
         (0.02, 0.01, None),
         (None, 0.01, None),
     ],
@@ -185,6 +193,17 @@ def test_nothing_that_ended_with_three_is_ready(baseline, kind):
     assert READY not in text
     noun = {"loss": "1 loss", "finding": "1 likely mistake"}[kind]
     assert text.endswith(f"{LOOK}{noun} (LOG-BAD-BYTES).")
+
+
+def test_an_incomplete_log_is_no_mistake(baseline):
+    """Messages that the link lost: another concern than a mistake, and one that can be accepted."""
+    manifest = copy.deepcopy(values_of(baseline))
+    lost = {"kind": "finding", "code": "LOG-LINK-LOSS", "what": "the log is incomplete: 9 messages"}
+    manifest["ledger"] += [lost, {**lost, "code": "LOG-GAP"}]
+    text = outcome(manifest_of(manifest))
+    assert text.endswith(f"{LOOK}an incomplete log (LOG-GAP, LOG-LINK-LOSS).")
+    assert "mistake" not in text
+    assert any("accept LOG-GAP, LOG-LINK-LOSS" in s for s in next_steps(manifest_of(manifest)))
 
 
 def test_a_published_method_is_not_for_work(baseline):

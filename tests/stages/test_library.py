@@ -15,6 +15,7 @@ import unbend
 from unbend import correct, standard_atmosphere
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.batch.runs import plan_of
 from unbend.errors import UnbendError
 
 from .test_oriented_stations import columns_of
@@ -181,7 +182,9 @@ def test_what_ends_a_run_with_code_3_is_a_warning(flight):
     _, stations, profile, config, _ = flight
     with pytest.warns(UserWarning, match="no exposure|no_station") as told:
         found = correct(frame, stations, profile, config["cameras"], mount=config["mount"])
-    assert {str(w.message).split(":")[0] for w in told} == {"IMAGES-UNMATCHED", "OBS-FLAGGED"}
+    assert {str(w.message).split(":")[0] for w in told} == {"IMAGES-UNMATCHED"}  # one loss
+    flagged = [e for e in found.attrs["ledger"] if e["code"] == "OBS-FLAGGED"]
+    assert [(entry["kind"], entry["count"]) for entry in flagged] == [("note", 1)]
     assert all(w.filename == __file__ for w in told)
     assert found["status"].tolist()[:2] == ["no_station", "ok"]
     assert found["x_corrected_px"].isna().tolist()[:2] == [True, False]
@@ -239,3 +242,45 @@ def test_what_is_no_table_and_no_air(flight):
     )])  # fmt: skip
     with pytest.raises(ValueError, match="need the stations of their run"):
         quiet(flight, profile=two)
+
+
+def names_of_rows(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.set_index(pd.Index([f"row {number}" for number in range(len(frame))]))
+
+
+def rows_of_two_levels(frame: pd.DataFrame) -> pd.DataFrame:
+    levels = [np.arange(len(frame)) // 7, np.arange(len(frame)) % 7]
+    return frame.set_index(pd.MultiIndex.from_arrays(levels, names=["strip", "number"]))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda frame: frame[::-1], names_of_rows, rows_of_two_levels],
+    ids=["reversed", "names", "two levels"],
+)
+def test_a_frame_comes_back_with_its_index(flight, change):
+    """The everyday filter, then a column of the result beside the filtered frame."""
+    frame = flight[0].to_pandas()
+    good = change(frame[frame["x_px"] > frame["x_px"].median()])
+    found = quiet(flight, observations=good)
+    assert found.index.equals(good.index)
+    assert found.index.names == good.index.names
+    beside = good.assign(xc=found["x_corrected_px"])
+    np.testing.assert_array_equal(beside["xc"], found["x_corrected_px"])
+    assert beside["point"].tolist() == found["point"].tolist()
+
+
+def test_a_loaded_mission_is_run_from_the_folder_of_its_file(baseline, tmp_path, monkeypatch):
+    """Relative paths count from there, wherever the program runs; a changed copy is another run."""
+    monkeypatch.chdir(tmp_path)
+    mission = unbend.load_mission(baseline.file)
+    plan = plan_of(mission)
+    assert plan.output == baseline.output
+    assert plan.fingerprint == plan_of(baseline.file).fingerprint
+    outcome = unbend.run_mission(mission)
+    assert (outcome.repeated, outcome.exit_code) == (True, 0)
+    assert repr(outcome) == (f"<Outcome {outcome.name}: exit code 0, repeated, {baseline.output}>")
+    refraction = mission.refraction.model_copy(update={"radius_m": 6_380_000.0})
+    changed = mission.model_copy(update={"refraction": refraction})
+    assert plan_of(changed).inputs == plan.inputs
+    assert plan_of(changed).fingerprint != plan.fingerprint

@@ -16,14 +16,18 @@ from unbend.atmosphere.estimate.candidates import SourceUse
 from unbend.atmosphere.estimate.solver import Fit
 from unbend.batch.rehearsal import camera_text
 from unbend.batch.runs import check_mission
+from unbend.errors import Code
+from unbend.messages import Kind, Ledger, message
 from unbend.refraction import BrownConrady, Camera, Exposures
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.refraction.effect import Effect
 from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 from unbend.simulate.write_dataflash import FORMATS
+from unbend.stages.multi_image.messages import ties_contradict
 from unbend.stages.plausibility.causes import cause_of_outside
 from unbend.stages.plausibility.facts import Facts
+from unbend.stages.plausibility.findings import hold_back_ties
 from unbend.stages.plausibility.rules import RULES, air_of_flight, distortion, field_of_view
 
 pytestmark = pytest.mark.usefixtures("plain_report")
@@ -400,3 +404,84 @@ CURVED = Camera(1000, 1000, 300.0, 300.0, 500.0, 500.0, BrownConrady(k1=-0.2))
 def test_the_cause_of_a_pixel_outside_the_camera(camera, x_px, given, cause):
     facts, outside = outside_facts(camera, [x_px], **given)
     assert cause_of_outside(facts, outside) == cause
+
+
+def told(*codes_and_kinds):
+    """A ledger with messages of these codes and kinds; ``where`` is the code in small letters."""
+    ledger = Ledger()
+    for name, kind in codes_and_kinds:
+        code = Code(name, means="...", effect="...", remedy="...")
+        ledger.add(message(kind, code, f"said of {name}", where=name.lower()))
+    return ledger
+
+
+@pytest.mark.parametrize(
+    ("cause", "held"),
+    [
+        ("PLAUSIBLE-VIEW", {"TIES-MOUNT", "TIES-HEIGHT", "TIES-RESIDUALS"}),
+        ("PLAUSIBLE-ANGLE", {"TIES-MOUNT", "TIES-HEIGHT", "TIES-RESIDUALS"}),
+        ("PLAUSIBLE-GROUND", {"TIES-HEIGHT"}),
+        ("PLAUSIBLE-AIR", set()),
+        ("PLAUSIBLE-WINDOW", set()),
+    ],
+)
+def test_what_tie_points_find_is_held_back_while_its_cause_stands(cause, held):
+    """One cause, one message: a wrong focal length turns every mount by tie points."""
+    ties = ["TIES-MOUNT", "TIES-HEIGHT", "TIES-RESIDUALS"]
+    ledger = told((cause, Kind.FINDING), *((code, Kind.FINDING) for code in ties))
+    hold_back_ties(ledger)
+    left = {entry.code for entry in ledger if entry.kind is Kind.FINDING}
+    assert left == {cause, *ties} - held
+    notes = [entry.what for entry in ledger if entry.code == "TIES-HELD-BACK"]
+    assert len(notes) == bool(held)
+    for note in notes:
+        assert cause in note
+        assert all(code in note and code.lower() in note for code in held)
+
+
+def test_nothing_is_held_back_by_what_is_accepted_or_of_what_is_a_note():
+    """What the mission file states is right is no cause; notes only say how well rays meet."""
+    ledger = told(("PLAUSIBLE-VIEW", Kind.WARNING), ("TIES-MOUNT", Kind.FINDING))
+    hold_back_ties(ledger)
+    assert [entry.code for entry in ledger] == ["PLAUSIBLE-VIEW", "TIES-MOUNT"]
+    ledger = told(("PLAUSIBLE-VIEW", Kind.FINDING), ("TIES-RESIDUALS", Kind.NOTE))
+    hold_back_ties(ledger)
+    assert len(ledger) == 2
+
+
+def test_an_image_that_the_log_does_not_know_is_one_loss(mission):
+    """Its rows are a note; rows without ground stay a loss of their own."""
+    table = mission.measurements().to_pandas()
+    table.loc[0, "image"] = "nadir_09999"
+    table.loc[5, "h_g_m"] = np.nan
+    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
+    manifest = check_mission(mission.save()).manifest.values
+    kinds = {
+        (entry["code"], entry["values"].get("status"), entry["kind"])
+        for entry in manifest["ledger"]
+        if entry["code"] in ("IMAGES-UNMATCHED", "OBS-FLAGGED")
+    }
+    assert kinds == {
+        ("IMAGES-UNMATCHED", None, "loss"),
+        ("OBS-FLAGGED", "no_station", "note"),
+        ("OBS-FLAGGED", "no_ground", "loss"),
+    }
+    assert manifest["exit_code"] == 3
+
+
+@pytest.mark.parametrize(
+    ("decades", "says"),
+    [
+        (3.4, "this is 10^3 times as likely as what is stated"),
+        (6.0, "this is 10^6 times as likely as what is stated"),
+        (499.0, "this is practically certain"),
+        (math.inf, "by 12 tie points; change"),
+    ],
+)
+def test_odds_beyond_a_million_are_practically_certain(decades, says):
+    found = ties_contradict(
+        code="TIES-MOUNT", where="mount.nadir", count=12, mistake="roll is 1 deg off",
+        decades=decades, change="mount.nadir", residual=None,
+    )  # fmt: skip
+    assert says in found.what
+    assert ("10^" in found.what) == (decades <= 6.0)

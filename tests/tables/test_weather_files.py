@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import subprocess
 import sys
@@ -159,3 +160,44 @@ def test_real_files(name, kind, levels, members):
     contents = contents_of(SHARED / name)
     assert (contents["level_kind"], len(contents["levels"])) == (kind, levels)
     assert len(contents["members"]) == members
+
+
+SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "sounding_files"
+
+
+def test_inspect_shows_how_a_sounding_is_read():
+    """Oklahoma, 22 May 2023: 977 hPa at 345 m, by the file's first line."""
+    ended = run_command("inspect", SOUNDINGS / "wyoming_csv_OUN_20230522_12Z.csv")
+    assert ended.code == 0, ended.text
+    text = " ".join(ended.out.split())
+    for words in ("read as University of Wyoming CSV", "2023-05-22 11:04 UTC", "35.180°, -97.440°",
+                  "41 of 41 levels", "678 to 977 hPa", "dew point from column dew point",
+                  "atmosphere: {soundings: [{path: wyoming_csv_OUN"):  # fmt: skip
+        assert words in text, words
+    ended = run_command("inspect", SOUNDINGS / "igra2_USM00070026_Barrow.txt", "--json")
+    reading = json.loads(ended.out)
+    assert (reading["kind"], reading["format"], reading["ascents"]) == ("sounding", "IGRA v2", 3)
+    assert reading["station"] == "USM00070026"
+    assert (reading["levels_in_file"], reading["levels"]) == (26, 24)
+    arm = run_command("inspect", SOUNDINGS / "sgpsondewnpnC1.b1.20190101.053200.cdf")
+    assert "read as ARM radiosonde netCDF" in arm.out
+
+
+def test_inspect_shows_what_a_metar_states(tmp_path):
+    path = tmp_path / "metar.txt"
+    path.write_text(
+        "METAR LSZH 141020Z 24008KT CAVOK 18/07 Q1016\n\n"
+        "LSZH 141050Z 24008KT 9999 FEW030 M02/M06 Q1015 NOSIG\n",
+        encoding="utf-8",
+    )
+    ended = run_command("inspect", path)
+    assert ended.code == 0, ended.text
+    lines = [line.split() for line in ended.out.splitlines()]
+    assert lines[0] == ["metar.txt:", "2", "METARs"]
+    assert ["LSZH", "day", "14,", "10:20", "UTC", "18.0", "7.0", "1016.5"] in lines
+    assert ["LSZH", "day", "14,", "10:50", "UTC", "-2.0", "-6.0", "1015.5"] in lines
+    assert 'metar: "METAR LSZH 141020Z 24008KT CAVOK 18/07 Q1016"' in ended.out
+    reports = json.loads(run_command("inspect", path, "--json").out)["reports"]
+    assert [report["temperature_c"] for report in reports] == [18.0, -2.0]
+    path.write_text("image,point,x_px\n", encoding="utf-8")
+    assert run_command("inspect", path).code == 6  # no log either

@@ -71,6 +71,17 @@ class _Parts:
     remarks: str
 
 
+def has_report(line: str) -> bool:
+    """Whether a line has the station and the time of a report, which is no forecast.
+
+    >>> has_report("METAR LSZH 141020Z 24008KT CAVOK 18/07 Q1016"), has_report("image,x,y")
+    (True, False)
+    """
+    flat = " ".join(re.split(r"[\s=;,\"]+", line.upper()))
+    is_other = any(re.search(rf"(?<!\S){word}(?!\S)", flat) for word in _OTHER_REPORTS)
+    return _STATION_AND_TIME.search(flat) is not None and not is_other
+
+
 def decode_metar(text: str, where: str) -> Metar:
     """What the only report of a text states; ``where`` it stands, for refusals.
 

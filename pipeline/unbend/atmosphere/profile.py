@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,13 @@ from unbend.atmosphere import messages
 from unbend.atmosphere.layers import MEASURED, Layers, log_pressure_fall, stack_layers
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.geodesy import Gravity
-from unbend.units import HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT, Array, Rows
+from unbend.notebook import html_table, new_axes
+from unbend.units import HECTOPASCAL, HYDROSTATIC_CONSTANT, VAPOUR_DEFICIT, Array, Rows
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+HIGHEST_PLOTTED_M = 12_000.0  # of a plot without heights: most cameras are below
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +36,29 @@ class Profile:
     index: IndexModel = field(default_factory=IndexModel)
     name: str = "adjusted"
     constant: float = HYDROSTATIC_CONSTANT
+
+    def __repr__(self) -> str:
+        """Its name, heights and layers, and the air at sea level, or where it begins above that.
+
+        >>> from unbend.atmosphere import standard_atmosphere
+        >>> standard_atmosphere("icao")
+        <Profile icao: -5000 to 80000 m, 8 layers; at 0 m 288.15 K, 1013.25 hPa, n - 1 = 277.8e-6>
+        """
+        h_m = max(0.0, self.bottom_m)
+        temperature_k = float(self.temperature(h_m))
+        pressure_hpa = float(self.pressure(h_m)) / HECTOPASCAL
+        refractivity = 1e6 * float(self.refractivity(h_m))
+        return (
+            f"<Profile {self.name}: {self.bottom_m:.0f} to {self.top_m:.0f} m, "
+            f"{self.layers.edge.size - 1} layers; at {h_m:.0f} m {temperature_k:.2f} K, "
+            f"{pressure_hpa:.2f} hPa, n - 1 = {refractivity:.1f}e-6>"
+        )
+
+    def _repr_html_(self) -> str:
+        """The profile at the edges of its layers, as a notebook shows it."""
+        table = profile_table(self)
+        names = ("h_m", "temperature_k", "pressure_pa", "vapour_pressure_pa", "refractivity")
+        return html_table(repr(self), {name: table[name] for name in (*names, "source")})
 
     @property
     def extent(self) -> str:
@@ -121,6 +151,31 @@ class Profile:
         import pandas as pd
 
         return pd.DataFrame(profile_table(self, h))
+
+    def plot(self, h: ArrayLike | None = None, axes: Sequence[Axes] | None = None) -> list[Axes]:
+        """Draw temperature, pressure, vapour pressure and refractivity over height.
+
+        ``h`` : (n,) heights [m above sea level]; by default from the bottom to 12 km. ``axes`` :
+        four axes that another profile was drawn on; by default those of a new figure.
+        Refuses (ConfigError PLOT-MATPLOTLIB) where matplotlib is not installed.
+        """
+        if axes is None:
+            axes = new_axes(4)
+        if h is None:
+            h = np.linspace(self.bottom_m, min(self.top_m, HIGHEST_PLOTTED_M), 500)
+        heights = np.asarray(h, np.float64)
+        curves = {
+            "temperature [K]": self.temperature(heights),
+            "pressure [hPa]": self.pressure(heights) / HECTOPASCAL,
+            "vapour pressure [hPa]": self.vapour_pressure(heights) / HECTOPASCAL,
+            "(n - 1) 10^6": self.refractivity(heights) * 1e6,
+        }
+        for axis, (label, values) in zip(axes, curves.items(), strict=True):
+            axis.plot(values, heights, label=self.name)
+            axis.set_xlabel(label)
+        axes[0].set_ylabel("height above sea level [m]")
+        axes[0].legend()
+        return list(axes)
 
 
 def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any]:

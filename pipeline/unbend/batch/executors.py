@@ -36,6 +36,11 @@ class Outcome:
     repeated: bool
     fingerprint: str = ""
 
+    def __repr__(self) -> str:
+        """Name, exit code and folder of the mission; the manifest has too much for a line."""
+        again = ", repeated" if self.repeated else ""
+        return f"<Outcome {self.name}: exit code {self.exit_code}{again}, {self.output}>"
+
     def receipt(self) -> Outcome:
         """The outcome without its manifest, whose fingerprint stays."""
         return Outcome(

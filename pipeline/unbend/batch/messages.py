@@ -231,6 +231,20 @@ def no_manifest(*, path: str) -> StorageError:
     )
 
 
+def file_instead_of_run(*, path: str, folder: str) -> StorageError:
+    """A file is given where the folder of a run is wanted; ``folder`` is that folder, if known."""
+    remedy = "name the folder of the results: output.path of the mission file, seen from that file"
+    if folder:
+        remedy = "name the folder of the results: {folder}"
+    return StorageError(
+        VERIFY_NO_MANIFEST,
+        "is a file, and the folder of a run's results is wanted",
+        where=path,
+        remedy=remedy,
+        folder=folder,
+    )
+
+
 def results_damaged(*, path: str, damage: Sequence[str]) -> StorageError:
     """Results are missing or changed; ``damage`` has a line for each."""
     return StorageError(

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from unbend.batch import messages, remote, store
 from unbend.batch.remote import Place
+from unbend.config.other_files import run_of
 from unbend.tables.manifest.whole import Manifest
 
 
@@ -30,9 +31,16 @@ def find_damage(output: Path | Place, manifest: Manifest, *, read: bool = True) 
 def manifest_of_run(output: Path | Place) -> Manifest:
     """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
     manifest = read_manifest(output)
-    if manifest is None:
-        raise messages.no_manifest(path=str(output))
-    return manifest
+    if manifest is not None:
+        return manifest
+    path = str(output)
+    if isinstance(output, Path) and output.is_file():
+        folder = run_of(output)
+        raise messages.file_instead_of_run(
+            path=path,
+            folder="" if folder is None else str(folder),
+        )
+    raise messages.no_manifest(path=path)
 
 
 def verify_run(output: Path | Place) -> Manifest:

@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
@@ -21,7 +22,9 @@ from unbend.batch.remote import Place
 from unbend.batch.results import read_manifest
 from unbend.batch.run_files import PartsOfRun, correct_into, write_tables
 from unbend.batch.unchanged import load
+from unbend.config import Mission
 from unbend.config.campaign import MissionRef
+from unbend.config.reading import folder_of
 from unbend.errors import StorageError, storage_errors
 from unbend.messages import Ledger, MessageRecord
 from unbend.refraction.effect import FlightAir
@@ -36,9 +39,12 @@ from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
 from unbend.tables.manifest.whole import Manifest
 
+AnyMission: TypeAlias = MissionRef | Mission | Path | str
+"""A mission by its file or its place in a campaign, or as `load_mission` gives it."""
+
 
 def run_mission(
-    mission: MissionRef | Path | str,
+    mission: AnyMission,
     *,
     force: bool = False,
     verify_inputs: bool = False,
@@ -46,6 +52,7 @@ def run_mission(
 ) -> Outcome:
     """Run one mission, unless an earlier run has made the results that it would make.
 
+    ``mission`` is a mission file, or what `load_mission` gives, which may have been changed since.
     ``force`` runs the mission in any case. With ``verify_inputs`` an input is read and hashed even
     if its size and time are those that it had in the earlier run.
     """
@@ -59,8 +66,10 @@ def run_mission(
         return outcome_of(plan, manifest, repeated=is_repeated)
 
 
-def plan_of(mission: MissionRef | Path | str, *, verify: bool = False) -> Plan:
-    """A mission file as understood, with its inputs hashed."""
+def plan_of(mission: AnyMission, *, verify: bool = False) -> Plan:
+    """A mission as understood, with its inputs hashed."""
+    if isinstance(mission, Mission):
+        return make_plan(mission, folder_of(mission), verify=verify)
     ref = MissionRef.of(mission)
     loaded = load(ref)
     return make_plan(loaded.mission, ref.folder, verify=verify, text_sha256=loaded.text_sha256)
@@ -228,9 +237,7 @@ class CheckedMission:
     manifest: Manifest
 
 
-def check_mission(
-    mission: MissionRef | Path | str, *, progress: Progress | None = None
-) -> CheckedMission:
+def check_mission(mission: AnyMission, *, progress: Progress | None = None) -> CheckedMission:
     """Rehearse a mission: all that `run_mission` does, on `SAMPLED_ROWS` rows; writes nothing."""
     progress = progress or Progress()
     plan = plan_of(mission)
@@ -251,7 +258,7 @@ def check_mission(
     return CheckedMission(plan, corrected, manifest_of(plan, corrected))
 
 
-def mission_status(mission: MissionRef | Path | str) -> tuple[Plan, list[str]]:
+def mission_status(mission: AnyMission) -> tuple[Plan, list[str]]:
     """Why `run_mission` would run a mission now, one reason each; nothing is locked or written."""
     plan = plan_of(mission)
     manifest = read_manifest(plan.output, damaged=True)
@@ -290,7 +297,7 @@ def finish_run(plan: Plan, folder: store.RunFolder, manifest: Manifest, flown: F
     return manifest_with_outputs
 
 
-def read_mission(mission: MissionRef | Path) -> PreparedMission:
+def read_mission(mission: AnyMission) -> PreparedMission:
     """A mission with everything read, its stations built and its air estimated."""
     return prepare(plan_of(mission), Progress())
 

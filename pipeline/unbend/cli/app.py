@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import csv as csv_module
 import json
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
 
 import typer
 from typer import Option
@@ -24,12 +25,18 @@ import unbend
 from unbend.errors import UnbendError, storage_errors
 from unbend.exit_codes import exit_code_of
 from unbend.report.progress import DelayedProgressBar
-from unbend.report.words import visible
+from unbend.report.words import hanging, visible
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from unbend.messages import Ledger, MessageRecord
+
+WIDEST_HELP = 1000  # columns of a terminal
+
+HelpContext: TypeAlias = Any
+HelpFormatter: TypeAlias = Any
+"""Of what, and what writes a help: of click, or of the copy of click in newer versions of typer."""
 
 GROUPS = {
     "From a log to files for adjustment": ("init", "check", "run", "export"),
@@ -94,7 +101,8 @@ app = typer.Typer(
     "aircraft measured.",
     epilog=__doc__.split("\n\n", 1)[1],
     no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    # Help is as wide as the terminal: typer's own limit is 80 columns.
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST_HELP},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -186,9 +194,17 @@ def command(
 
 
 def print_error(error: UnbendError, subject: str = "") -> None:
-    """Write a refusal to standard error; ``subject`` is the mission file if there are several."""
+    """Write a refusal to standard error; ``subject`` is the mission file if there are several.
+
+    In a terminal its lines are wrapped, the further ones behind the first.
+    """
     text = f"{subject}: {error}" if subject else str(error)
-    print(visible(text, keep="\n"), file=sys.stderr)
+    shown = visible(text, keep="\n")
+    if sys.stderr.isatty():
+        width = shutil.get_terminal_size().columns
+        lines = [hanging(line, width) for line in shown.splitlines()]
+        shown = "\n".join(lines)
+    print(shown, file=sys.stderr)
 
 
 def print_bug(text: str, subject: str = "") -> None:

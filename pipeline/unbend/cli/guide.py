@@ -1,7 +1,6 @@
 """Commands beside missions: the way in, and what a word means."""
 
 import json
-import textwrap
 from pathlib import Path
 from typing import Annotated
 
@@ -9,9 +8,9 @@ from typer import Argument, Option
 
 from unbend.caches import compiled_code
 from unbend.cli import messages
-from unbend.cli.app import Answer, command
-from unbend.errors import storage_errors
-from unbend.report.words import count
+from unbend.cli.app import GROUPS, Answer, command
+from unbend.errors import UnbendError, storage_errors
+from unbend.report.words import count, hanging
 
 
 @command(epilog="Example: unbend schema --out mission.schema.json")
@@ -38,30 +37,43 @@ def schema(
         print(text)
 
 
-@command("help", epilog="Example: unbend help f_px; unbend help EVENTS-AMBIGUOUS; unbend help 3")
+@command("help", epilog="Example: unbend help f_px; unbend help EVENTS-AMBIGUOUS; unbend help gcp")
 def explain_word(
     answer: Answer,
-    word: Annotated[str, Argument(help="a key, a code, an exit code or a status", metavar="WORD")],
+    words: Annotated[
+        list[str],
+        Argument(
+            help="a key, a code, an exit code, a status, a column of results, or a word of the "
+            "field such as gcp, boresight or lever arm",
+            metavar="WORD",
+        ),
+    ],
 ) -> None:
-    """What a key, a code, an exit code or a status means."""
+    """What a key, a code, a column of results or a word of the field means."""
+    word = " ".join(words)
     with answer.progress("looking it up"):
-        from unbend.report.explanations import explain
-
-        lines = explain(word)
+        lines = lines_on(word)
     answer.print_json({"word": word, "lines": lines})
-    width = max(40, answer.console.width)
     if answer.is_silent:
         return
     for line in lines:
-        indent = " " * (len(line) - len(line.lstrip()))
-        text = textwrap.fill(
-            line,
-            width,
-            subsequent_indent=f"{indent}  " if indent else "",
-            break_on_hyphens=False,
-            break_long_words=False,
-        )
-        print(text)
+        print(hanging(line, answer.console.width))
+
+
+def lines_on(word: str) -> list[str]:
+    """Lines that explain a word; a command is explained by its own --help."""
+    from unbend.report.explanations import explain
+
+    of_command = []
+    if any(word in names for names in GROUPS.values()):
+        of_command = [f"{word} (command)", f"  explained by: unbend {word} --help"]
+    try:
+        lines = explain(word)
+    except UnbendError:
+        if not of_command:
+            raise
+        return of_command
+    return [*lines, "", *of_command] if of_command else lines
 
 
 @command(epilog="Example: unbend init flight.bin observations.csv")

@@ -201,7 +201,13 @@ def end_of_command(answer: Answer, entries: Sequence[Mapping[str, Any]]) -> NoRe
 
 
 @command(epilog="Example: unbend check mission.yaml")
-def check(answer: Answer, configs: Configs, names: Names = None) -> None:
+def check(
+    answer: Answer,
+    configs: Configs,
+    names: Names = None,
+    *,
+    verbose: Annotated[bool, Option("--verbose", "-v", help="the notes of the ledger too")] = False,
+) -> None:
     """Rehearse `run` on a sample: all it would say, and its exit code.
 
     Writes nothing.
@@ -225,7 +231,7 @@ def check(answer: Answer, configs: Configs, names: Names = None) -> None:
             entries.append(print_refused(ref.label, error))
             continue
         results = checked.manifest.results
-        print_check(answer.console, ref.label, lines, results)
+        print_check(answer.console, ref.label, lines, results, verbose=verbose)
         entry = {
             "config": ref.label,
             "exit_code": results.exit_code,
@@ -319,19 +325,25 @@ def inspect(
     answer: Answer,
     log: Annotated[
         Path,
-        Argument(help="a flight log, or a file of a weather model (netCDF, GRIB)", metavar="LOG"),
+        Argument(
+            help="a flight log, a file of a weather model (netCDF, GRIB), a sounding, or a text of "
+            "METARs",
+            metavar="LOG",
+        ),
     ],
     kind: Annotated[str | None, Option("--type", help="all messages of one type or topic")] = None,
     instance: Annotated[str | None, Option(help="with --type: only this instance")] = None,
     as_csv: Annotated[bool, Option("--csv", help="with --type: every row, as CSV")] = False,
 ) -> None:
-    """What a log or weather model holds, in words of a mission file."""
+    """What a log, a weather model, a sounding or METARs hold, and how they are read."""
     if (kind is None and (as_csv or instance is not None)) or (as_csv and answer.as_json):
         raise messages.inspect_options()
     with answer.progress(f"reading {log.name}"):
         from unbend.ingest import open_log
         from unbend.tables.weather_files import contents_of, is_model_file
 
+        if kind is None and print_weather(answer, log):
+            raise typer.Exit(EXIT_DONE)
         if kind is None and is_model_file(log):
             contents = contents_of(log)
             if answer.as_json:
@@ -361,6 +373,26 @@ def inspect(
 
         print_log(answer.console, opened.to_json_dict(), log.name)
     raise typer.Exit(exit_code_of(has_losses=opened.ledger.has_losses))
+
+
+def print_weather(answer: Answer, path: Path) -> bool:
+    """Print how a sounding or a text of METARs is read; False for a file that is neither."""
+    from unbend.ingest.registry import is_log
+    from unbend.tables.weather_reading import reading_of_weather
+
+    reading = None if is_log(path) else reading_of_weather(path)
+    if reading is None:
+        return False
+    if answer.as_json:
+        answer.print_json(reading)
+    elif not answer.quiet:
+        from unbend.report.terminal import print_metars, print_sounding
+
+        if reading["kind"] == "sounding":
+            print_sounding(answer.console, reading, path.name)
+        else:
+            print_metars(answer.console, reading["reports"], path.name)
+    return True
 
 
 @command(epilog="Example: unbend simulate flown --height 3000")

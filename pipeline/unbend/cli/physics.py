@@ -3,13 +3,13 @@
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 from typer import Argument, Option
 from typer.core import TyperCommand
 
 from unbend.cli import messages
-from unbend.cli.app import Answer, command, write_rows_csv
+from unbend.cli.app import Answer, HelpContext, HelpFormatter, command, write_rows_csv
 
 if TYPE_CHECKING:
     from unbend.report.accuracy import Accuracy
@@ -32,14 +32,13 @@ def _atmospheres() -> list[str]:
 
 
 class _AngleCommand(TyperCommand):
-    """`unbend angle`: --method lists all methods, which are imported when the command is used."""
+    """`unbend angle`: its help lists all methods, which are imported when it is shown."""
 
-    def get_params(self, ctx: Any) -> list[Any]:
-        params: list[Any] = super().get_params(ctx)
-        for parameter in params:
-            if parameter.name == "method":
-                parameter.help = ", ".join(_methods())
-        return params
+    def format_options(self, ctx: HelpContext, formatter: HelpFormatter) -> None:
+        """The options, and below them the names that --method takes."""
+        super().format_options(ctx, formatter)
+        with formatter.section("Methods"):
+            formatter.write_text(", ".join(_methods()))
 
 
 @command(
@@ -66,7 +65,9 @@ def angle(
             help="name of a standard atmosphere, by default us1976", autocompletion=_atmospheres
         ),
     ] = None,
-    method: Annotated[str, Option(autocompletion=_methods)] = DEFAULT_METHOD,
+    method: Annotated[
+        str, Option(help="how the ray is computed, see below", autocompletion=_methods)
+    ] = DEFAULT_METHOD,
     index: Annotated[str, Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
     wavelength: Annotated[
         float | None, Option(help="of the light in vacuum, metres, by default 0.55e-6")

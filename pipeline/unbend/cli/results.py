@@ -14,7 +14,7 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperCommand
 
-from unbend.cli.app import Answer, command
+from unbend.cli.app import Answer, HelpContext, HelpFormatter, command
 from unbend.report.words import count
 
 
@@ -23,14 +23,13 @@ def _format_parameters() -> tuple[Any, ...]:
     """Parameters of ``unbend export`` that the formats declare: --format, and their options."""
     from unbend.tables.exports import FORMATS
 
-    names: dict[str, list[str]] = {}
     options = {}
     for form in FORMATS.values():
-        names.setdefault(form.contents, []).append(form.name)
         for option in form.options:
             options[option.name] = option
-    listed = "; ".join(f"{', '.join(of)}: {contents}" for contents, of in names.items())
-    format_option = Option("--format", help=listed, autocompletion=lambda: list(FORMATS))
+    format_option = Option(
+        "--format", help="name of a format, see below", autocompletion=lambda: list(FORMATS)
+    )
     hints: dict[str, Any] = {"format_name": Annotated[str, format_option]}
     parameters = [Parameter("format_name", Parameter.KEYWORD_ONLY)]
     for option in options.values():
@@ -67,6 +66,18 @@ class _ExportCommand(TyperCommand):
         with Answer(quiet=quiet, as_json="--json" in sys.argv).progress("loading"):
             _format_parameters()
         return [*params[:own], *_format_parameters(), *params[own:]]
+
+    def format_options(self, ctx: HelpContext, formatter: HelpFormatter) -> None:
+        """The options, and below them the formats with what each writes."""
+        from unbend.tables.exports import FORMATS
+
+        super().format_options(ctx, formatter)
+        names: dict[str, list[str]] = {}  # a table has two, as Parquet and as CSV
+        for form in FORMATS.values():
+            names.setdefault(form.contents, []).append(form.name)
+        rows = [(", ".join(of), contents) for contents, of in names.items()]
+        with formatter.section("Formats"):
+            formatter.write_dl(rows)
 
     def invoke(self, ctx: Any) -> Any:
         """Hand the function of the command what the formats declare as one mapping."""
@@ -108,7 +119,7 @@ def export(
     """
     options = {name: value for name, value in ctx.obj.items() if value is not None}
     name = options.pop("format_name")
-    with answer.progress(f"exporting {run}"):
+    with answer.progress(f"exporting {run}") as bar:
         from unbend.batch.finished_run.export import export_run
         from unbend.batch.plan import located
 
@@ -121,6 +132,7 @@ def export(
             geoid=geoid,
             ground_height_m=ground_height,
             force=force,
+            progress=bar,
         )
     answer.print_paths([f"{out}: {count(written.rows, 'row')}"])
     content = {"out": str(out), "format": name, "rows": written.rows, "frame": written.frame}

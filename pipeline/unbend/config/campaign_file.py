@@ -7,6 +7,7 @@ from pydantic import (
 )
 
 from unbend.config.section import (
+    FolderOfResults,
     PathText,
     Section,
 )
@@ -23,7 +24,7 @@ class CampaignSection(Section):
             "patternErrorMessage": "letters, digits, dots, dashes and underscores, at most 100"
         },
     )
-    output: PathText = Field(
+    output: FolderOfResults = Field(
         description=(
             "folder of campaign.html and campaign.parquet, and by default of a folder for each "
             "mission"

@@ -16,9 +16,11 @@ CONFIG_MISSING = Code(
 
 CONFIG_UNREADABLE = Code(
     "CONFIG-UNREADABLE",
-    means="The mission file cannot be read, or is no UTF-8 text.",
+    means="The mission file cannot be read, is no UTF-8 text, or is a log, a table, a folder or "
+    "another file.",
     effect="The mission is refused.",
-    remedy="Check permissions, and save it as UTF-8.",
+    remedy="Name a mission file; `unbend init LOG OBSERVATIONS` writes one. Check permissions, and "
+    "save it as UTF-8.",
 )
 
 CONFIG_YAML = Code(
@@ -129,6 +131,18 @@ def config_unreadable(*, path: Path, problem: str) -> ConfigError:
         where=path,
         remedy="a mission file is YAML in UTF-8",
         problem=problem,
+    )
+
+
+def config_other_file(*, path: Path, what: str, remedy: str) -> ConfigError:
+    """A file of another kind stands in the place of a mission file; ``what`` it is."""
+    return ConfigError(
+        CONFIG_UNREADABLE,
+        "is {what}, not a mission file",
+        where=path,
+        remedy="{advice}",
+        what=what,
+        advice=remedy,
     )
 
 

@@ -2,14 +2,11 @@
 
 import difflib
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import (
-    Field,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from unbend.atmosphere.refractive_index import INDEX_OF_ONE_LIGHT
 from unbend.config.atmosphere import AtmosphereSection
@@ -23,7 +20,7 @@ from unbend.config.mission_section import MissionSection
 from unbend.config.mounts import MountSection
 from unbend.config.observation_table import ObservationsSection
 from unbend.config.section import (
-    PathText,
+    FolderOfResults,
     Section,
     SectionError,
     is_block,
@@ -68,7 +65,7 @@ class RefractionSection(Section):
 class OutputSection(Section):
     """Where the results go."""
 
-    path: PathText = Field(
+    path: FolderOfResults = Field(
         description="folder of this mission's results, or a URL of object storage",
         examples=["results/survey-2026-05"],
     )
@@ -101,7 +98,9 @@ class AcceptedFinding(Section):
 
 
 class Mission(Section):
-    """A mission file as understood."""
+    """A mission file as understood; its relative paths count from ``_folder``."""
+
+    _folder: Path = PrivateAttr(default=Path())  # of the file, once it is read from one
 
     mission: MissionSection = Field(
         description="name of the mission, and what its log does not hold",

@@ -8,6 +8,12 @@ from typing import Any
 import yaml
 
 from unbend.config.keys import as_written, in_words
+from unbend.config.likely_meant import (
+    camera_in_millimetres,
+    comma_in_words,
+    same_in_other_unit,
+    unit_of,
+)
 from unbend.config.schema import Node, alternatives, campaign_schema, nodes_at
 from unbend.config.section import SectionError
 from unbend.config.yaml_text import Place, has_place, line_of, open_questions
@@ -128,7 +134,30 @@ def _what(refused: Refused, values: dict[str, Any]) -> str:
     allowed = allowed_at(refused.place)
     if refused.value is None:
         return f"is empty; use {allowed}"
+    meant = _likely_meant(refused)
+    if meant:
+        return meant
     return f"{_shown(refused.value)} is not allowed; use {allowed}"
+
+
+def _likely_meant(refused: Refused) -> str:
+    """What a value was probably meant to be: a number, numbers, or a text; "" if that is unknown.
+
+    A comma in a number parts the items of a list, and a text in braces is a section of one key.
+    """
+    arms = [arm for node in nodes_at(refused.place) for arm in alternatives(node)]
+    types = {arm.get("type") for arm in arms}
+    match refused.value:
+        case str() if not types.isdisjoint({"number", "integer"}):
+            return comma_in_words(refused.value)
+        case list() if any(len(refused.value) == 2 * arm.get("maxItems", -1) for arm in arms):
+            allowed = allowed_at(refused.place)
+            number = len(refused.value)
+            return f"a list of {number}: numbers have a decimal point, not a comma; use {allowed}"
+        case dict() if "string" in types and set(refused.value.values()) == {None}:
+            keys = ", ".join(map(str, refused.value))
+            return f'put quotes around a text with braces: "{{{keys}}}"'
+    return ""
 
 
 def _unknown_key(place: Place, *, is_campaign: bool) -> str:
@@ -141,7 +170,16 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
     for node in nodes:
         for arm in alternatives(node):
             known.update(arm.get("properties", {}))
-    near = difflib.get_close_matches(str(place[-1]), sorted(known), n=1, cutoff=LEAST_SIMILARITY)
+    key = str(place[-1])
+    metric = camera_in_millimetres(key)
+    if len(section) == 2 and section[0] == "cameras" and metric:
+        return (
+            f"unknown key; lengths of a camera in millimetres are in its section metric: {metric}"
+        )
+    other_unit = same_in_other_unit(key, known)
+    if other_unit:
+        return f"unknown key; perhaps {other_unit!r}, in {unit_of(other_unit)}?"
+    near = difflib.get_close_matches(key, sorted(known), n=1, cutoff=LEAST_SIMILARITY)
     if near:
         return f"unknown key; perhaps {near[0]!r}?"
     return f"unknown key; allowed: {', '.join(sorted(known))}"

@@ -19,7 +19,18 @@ def load_mission(path: Path | str) -> Mission:
     """Read and check a mission file; refuses with every mistake, its line and the nearest key."""
     path = Path(path)
     values, node = read_yaml(path)
-    return mission_of(values, node, str(path))
+    mission = mission_of(values, node, str(path))
+    mission._folder = path.parent
+    return mission
+
+
+def folder_of(mission: Mission) -> Path:
+    """Where the relative paths of a mission count from.
+
+    That is the folder of the file that `load_mission` read; for a mission that was made in memory
+    the working directory.
+    """
+    return mission._folder
 
 
 def mission_of(

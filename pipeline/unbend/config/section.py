@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Collection, Iterator
+from pathlib import PurePath
 from typing import Annotated, Self, TypeVar
 
 from pydantic import (
@@ -99,3 +100,37 @@ class SectionError(ValueError):
     def __init__(self, text: str, *, key: str = "") -> None:
         super().__init__(text)
         self.key = key
+
+
+ENDINGS_OF_FILES = (
+    ".csv",
+    ".tsv",
+    ".txt",
+    ".parquet",
+    ".json",
+    ".geojson",
+    ".gpkg",
+    ".html",
+    ".xml",
+    ".yaml",
+    ".yml",
+    ".xlsx",
+    ".zip",
+    ".pdf",
+)
+"""Endings that the name of a folder of results does not have."""
+
+
+def folder_of_results(path: str) -> str:
+    """The path of a folder; refuses (SectionError) one that is named as a file."""
+    ending = PurePath(path).suffix
+    if ending.lower() in ENDINGS_OF_FILES:
+        folder = path.rstrip("/").removesuffix(ending)
+        raise SectionError(
+            f"{path!r} is the name of a file, and a run writes a folder of tables and a report: "
+            f"write {folder!r}; `unbend export` then writes single files"
+        )
+    return path
+
+
+FolderOfResults = Annotated[PathText, AfterValidator(folder_of_results)]

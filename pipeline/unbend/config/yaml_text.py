@@ -1,14 +1,18 @@
 """The text of a mission file: YAML of plain values, and the lines of its keys."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from unbend.config import messages
+from unbend.config.likely_meant import comma_in_words
 from unbend.config.mission_file import Mission
+from unbend.config.other_files import MISSION_ENDINGS, other_file
+from unbend.errors import ConfigError
 
 Place = tuple[str | int, ...]
 """What leads to a value: keys of mappings, and for lists the numbers of their items, from 0."""
@@ -28,7 +32,12 @@ PROBLEMS = {
     "expected <block end>": "the indentation differs from that of the lines above",
     "expected ',' or": "a bracket or a brace is not closed, or a comma is missing",
     "could not determine a constructor": "tags (!) are not taken",
-    "found undefined alias": "an alias (*) has no anchor (&)",
+    "found undefined alias": "an alias (*) has no anchor (&); put quotes around a text with *",
+    "expected alphabetic or numeric character": "put quotes around a text that begins with * or &",
+    "found unknown escape character": (
+        "in double quotes a backslash begins an escape: write / or single quotes"
+    ),
+    "found character": "put quotes around a text that begins with this character",
     "expected a single document": ("there are several documents (---); a mission file is one"),
 }
 """Beginnings of what the YAML parser says, and the same in plain words."""
@@ -37,6 +46,17 @@ MOST_BRACKETS = 50  # a mission file has five within each other at most
 
 MOST_VALUES = 1_000_000
 """Values of a file with its aliases written out: a campaign of thousands of missions has fewer."""
+
+_BEFORE_QUOTES = (
+    "expected ',' or",
+    "expected <block end>",
+    "mapping values are not allowed here",
+)
+"""What the parser says, among others, of a text with brackets that has no quotes."""
+
+_WITH_BRACKETS = re.compile(
+    r"""(?P<before>[^\s,:{}\[\]"']*)[\[{][^\s,{}\[\]"']*[\]}](?P<behind>[^\s,:{}\[\]"']*)"""
+)
 
 _REPLACED_TYPES = ("bool", "int", "float", "timestamp")
 """Scalars that YAML 1.1 reads otherwise than a mission file means them; dates stay words."""
@@ -70,6 +90,7 @@ class MissionLoader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """A mapping whose keys are words, each once."""
+        _refuse_decimal_comma(node)
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
@@ -84,7 +105,7 @@ class MissionLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _whole_number(loader: MissionLoader, node: yaml.Node) -> int:
+def _whole_number(loader: MissionLoader, node: yaml.ScalarNode) -> int:
     """A whole number; Python takes none of more than 4300 digits."""
     try:
         return int(loader.construct_yaml_int(node))
@@ -123,6 +144,24 @@ MissionLoader.add_implicit_resolver(
 )
 
 
+def _refuse_decimal_comma(node: yaml.MappingNode) -> None:
+    """Refuse a number with a decimal comma in braces, where a comma parts keys: {k1: -0,018}."""
+    for (key, value), (next_key, next_value) in pairwise(node.value):
+        if not all(
+            isinstance(part, yaml.ScalarNode) for part in (key, value, next_key, next_value)
+        ):
+            continue
+        is_without_value = next_value.value == "" and next_value.style is None
+        touches = next_key.start_mark.index == value.end_mark.index + 1  # no blank after the comma
+        if not (is_without_value and touches):
+            continue
+        comma = comma_in_words(f"{value.value},{next_key.value}")
+        if comma:
+            raise yaml.constructor.ConstructorError(
+                problem=f"the key {key.value!r}: {comma}", problem_mark=key.start_mark
+            )
+
+
 def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
     """The sections of a file, and its nodes, which know their lines; refuses what is not YAML."""
     text = _text_of(path)
@@ -133,9 +172,7 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
             _expanded_size(node, {}, set())
         values = None if node is None else loader.construct_document(node)
     except _YAML_ERRORS as error:
-        mark = getattr(error, "problem_mark", None)
-        where = str(path) if mark is None else f"{path}:{mark.line + 1}"
-        raise messages.config_yaml(where=where, problem=problem_of(error)) from None
+        raise refusal_of_text(error, path, text.splitlines()) from None
     if node is None or not isinstance(values, dict):
         required = [name for name, field in Mission.model_fields.items() if field.is_required()]
         raise messages.config_empty(path=path, required=", ".join(required))
@@ -143,7 +180,7 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
 
 
 def _text_of(path: Path) -> str:
-    """The text of a mission file; refuses what is no file, or no text."""
+    """The text of a mission file; refuses what is no file, no mission file, or no text."""
     try:
         # Reading a pipe might never end; a name that is too long raises here.
         is_other = path.exists() and not (path.is_file() or path.is_dir())
@@ -152,12 +189,25 @@ def _text_of(path: Path) -> str:
     if is_other:
         problem = "it is a pipe or a device, not a file"
         raise messages.config_unreadable(path=path, problem=problem)
+    refuse_other_file(path)
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise messages.config_missing(path=path) from None
     except (OSError, UnicodeDecodeError) as error:
         raise messages.config_unreadable(path=path, problem=str(error)) from None
+
+
+def refuse_other_file(path: Path) -> None:
+    """Refuse (CONFIG-UNREADABLE) a log, a table, a folder: what is surely no mission file.
+
+    Files with the endings of mission files are not looked at.
+    """
+    if path.suffix.lower() in MISSION_ENDINGS and path.is_file():
+        return
+    other = other_file(path)
+    if other is not None:
+        raise messages.config_other_file(path=path, what=other.what, remedy=other.remedy)
 
 
 def _expanded_size(node: yaml.Node, sizes: dict[int, int], around: set[int]) -> int:
@@ -199,15 +249,43 @@ def _nodes_in(node: yaml.Node) -> Iterator[yaml.Node]:
             yield value
 
 
-def problem_of(error: Exception) -> str:
-    """What the parser found, in plain words."""
+def refusal_of_text(error: Exception, path: Path, lines: Sequence[str]) -> ConfigError:
+    """The refusal of a text that the parser does not take, with its line where that is known."""
+    mark = getattr(error, "problem_mark", None)
+    if mark is None:
+        return messages.config_yaml(where=str(path), problem=problem_of(error, ""))
+    # The parser may stop behind the last line, or behind a last line that is empty.
+    line = lines[mark.line] if mark.line < len(lines) else ""
+    where = f"{path}:{mark.line + 1}"
+    return messages.config_yaml(where=where, problem=problem_of(error, line))
+
+
+def problem_of(error: Exception, line: str) -> str:
+    """What the parser found, in plain words; ``line`` is the text where it stopped."""
     problem = str(getattr(error, "problem", None) or error)
     if problem.startswith(_OWN_WORDS):
         return problem  # in the words of `MissionLoader`
+    unquoted = text_without_quotes(line)
+    if unquoted and problem.startswith(_BEFORE_QUOTES):
+        return f'put quotes around a text with brackets or braces: "{unquoted}"'
     for beginning, words in PROBLEMS.items():
         if problem.startswith(beginning):
             return words
     return "here the text is no YAML"  # a problem that has no words of ours
+
+
+def text_without_quotes(line: str) -> str:
+    """The first text of a line that has brackets or braces in it, and no quotes; "" without one.
+
+    >>> text_without_quotes("nadir: {channel: CAM[0], image: x}")
+    'CAM[0]'
+    >>> text_without_quotes("image: {index:05d}.jpg"), text_without_quotes("at: [0, 1]")
+    ('{index:05d}.jpg', '')
+    """
+    for text in _WITH_BRACKETS.finditer(line.partition(" #")[0]):
+        if text["before"] or text["behind"]:
+            return text[0]
+    return ""
 
 
 def open_questions(values: object) -> list[Place]:

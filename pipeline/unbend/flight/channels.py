@@ -145,6 +145,11 @@ class Channel:
     def __len__(self) -> int:
         return int(self.time_ns.shape[0])
 
+    def __repr__(self) -> str:
+        """Name, size and rate of the channel, and its columns."""
+        columns = ", ".join(sorted(self.columns))
+        return f"<Channel {self.name}: {len(self)} samples, {self.rate_hz:.3g} Hz; {columns}>"
+
     def __getitem__(self, column: str) -> Array:
         return self.columns[column]
 

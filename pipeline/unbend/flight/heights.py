@@ -10,7 +10,7 @@ import numpy as np
 
 from unbend.flight import messages
 from unbend.flight.channels import Channel
-from unbend.flight.ground_times import home_is_set
+from unbend.flight.ground_times import GroundEvidence, LoggedPath, home_is_set, takeoff_of
 from unbend.flight.stations import Stations
 from unbend.flight.trajectory import interpolate
 from unbend.geodesy import GeoidGrid, offset_geodetic
@@ -42,6 +42,8 @@ class HeightSystem:
     source : where the undulation comes from.
     one_height : the log's height above the ellipsoid is a copy of the other and not used.
     by_log : the undulation is that of two heights of the log.
+    begin_h_msl_m : where a log without one take-off height begins, if the aircraft stands there;
+        no height counts from it, a refusal proposes it.
     """
 
     undulation_m: float | None = None
@@ -51,6 +53,7 @@ class HeightSystem:
     source: str = ""
     one_height: bool = False
     by_log: bool = False
+    begin_h_msl_m: float | None = None
 
     def undulation(self, lat_rad: Array, lon_rad: Array) -> Array:
         """(n,) undulation [m] at (n,) places; NaN where unknown, and outside the grid."""
@@ -309,7 +312,24 @@ def known_home_m(heights: HeightSystem) -> float:
     """The height of the take-off point; refuses (MissionError) heights relative to an unknown."""
     if heights.home_h_msl_m is not None:
         return heights.home_h_msl_m
-    raise messages.home_unknown()
+    raise messages.home_unknown(begin_m=heights.begin_h_msl_m)
+
+
+def with_begin_of_log(
+    heights: HeightSystem,
+    roles: Mapping[str, Channel],
+    evidence: GroundEvidence,
+    max_gap_s: float,
+) -> HeightSystem:
+    """The height system with the height at which a log without one take-off height begins."""
+    position = roles.get("position")
+    height = roles.get("height")
+    if heights.home_h_msl_m is not None or position is None or height is None:
+        return heights
+    h_msl_m, _ = heights_at(height, position.time_ns, heights, max_gap_s)
+    path = LoggedPath(position.time_ns, position["lat_rad"], position["lon_rad"], h_msl_m)
+    begin = takeoff_of(path, None, evidence)
+    return replace(heights, begin_h_msl_m=None if begin is None else begin.h_msl_m)
 
 
 @dataclass(frozen=True)

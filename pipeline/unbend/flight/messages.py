@@ -1,5 +1,6 @@
 """What the flight room says: its codes, and one function for each message and refusal."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -533,14 +534,24 @@ def undulation_unknown() -> MissionError:
     )
 
 
-def home_unknown() -> MissionError:
-    """Ground heights relative to the take-off point, whose height is not known."""
+def home_unknown(*, begin_m: float | None) -> MissionError:
+    """Ground heights relative to the take-off point, whose height is not known.
+
+    ``begin_m`` is the height above sea level at which the log begins, if the aircraft stands there.
+    """
+    remedy = "give the height of the take-off above sea level: ground.home_h_msl_m"
+    if begin_m is not None:
+        remedy = (
+            "the log begins standing still at {begin_m:.1f} m above sea level: if the heights "
+            "count from there, write ground.home_h_msl_m: {begin_m:.1f}"
+        )
     return MissionError(
         HEIGHT_REFERENCE,
         "ground heights are relative to the take-off point, of which the log gives no height, or "
         "more than one",
         where="ground.reference",
-        remedy="give ground.home_h_msl_m",
+        remedy=remedy,
+        begin_m=math.nan if begin_m is None else begin_m,
     )
 
 

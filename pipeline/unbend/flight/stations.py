@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,11 @@ from unbend.flight import messages
 from unbend.flight.image_names import proposal
 from unbend.geodesy import longitudes_near, offset_geodetic
 from unbend.messages import Message, Notes
+from unbend.notebook import html_table, new_axes
 from unbend.units import DEGREE, HECTOPASCAL, Array, Integers, Mask, Names
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 STATION_OK = "ok"
 OUTSIDE_LOG = "outside_log"
@@ -90,6 +95,31 @@ class Stations:
 
     def __len__(self) -> int:
         return int(self.image.shape[0])
+
+    def __repr__(self) -> str:
+        """How many stations each camera has and how many have each status, and when they were."""
+        of_cameras = counts_in_words(self.camera)
+        of_status = counts_in_words(self.status)
+        known_ns = self.utc_ns[self.utc_ns != NO_TIME]
+        when = "no UTC"
+        if known_ns.size:
+            first, last = np.array([known_ns.min(), known_ns.max()]).astype("datetime64[ns]")
+            when = f"{first.astype('datetime64[s]')} to {last.astype('datetime64[s]')} UTC"
+        return f"<Stations: {of_cameras}; {of_status}; {when}>"
+
+    def _repr_html_(self) -> str:
+        """Places, heights and status, as a notebook shows them."""
+        columns = {
+            "image": self.image,
+            "camera": self.camera,
+            "time_utc": _utc(self.utc_ns),
+            "lat_deg": np.degrees(self.lat_rad),
+            "lon_deg": np.degrees(self.lon_rad),
+            "h_msl_m": self.h_msl_m,
+            "h_ellipsoid_m": self.h_ellipsoid_m,
+            "status": self.status,
+        }
+        return html_table(repr(self), columns)
 
     @property
     def ok(self) -> Mask:
@@ -183,6 +213,41 @@ class Stations:
         import pandas as pd
 
         return pd.DataFrame(station_columns(self))
+
+    def plot(self, axis: Axes | None = None) -> Axes:
+        """Draw the stations from above, camera by camera, and crosses where one cannot be used.
+
+        ``axis`` : axes to draw on; by default those of a new figure. Refuses (ConfigError
+        PLOT-MATPLOTLIB) where matplotlib is not installed.
+        """
+        if axis is None:
+            (axis,) = new_axes(1)
+        latitude_deg = np.degrees(self.lat_rad)
+        middle_rad = self.median_longitude_rad
+        longitude_deg = np.degrees(longitudes_near(self.lon_rad, middle_rad))
+        for camera in sorted(set(self.camera.tolist())):
+            rows = self.ok & (self.camera == camera)
+            axis.plot(longitude_deg[rows], latitude_deg[rows], ".", label=camera or "no camera")
+        unusable = ~self.ok & np.isfinite(latitude_deg + longitude_deg)
+        if unusable.any():
+            axis.plot(longitude_deg[unusable], latitude_deg[unusable], "rx", label="not usable")
+        # A degree of longitude is shorter than one of latitude.
+        axis.set_aspect(1.0 / math.cos(self.mean_latitude_rad), adjustable="datalim")
+        axis.ticklabel_format(useOffset=False)
+        axis.set_xlabel("longitude [deg]")
+        axis.set_ylabel("latitude [deg]")
+        axis.legend()
+        return axis
+
+
+def counts_in_words(words: Names) -> str:
+    """How often each word is there, the most frequent first.
+
+    >>> counts_in_words(np.array(["ok", "in_gap", "ok"], dtype=object))
+    '2 ok, 1 in_gap'
+    """
+    counts = Counter(words.tolist()).most_common()
+    return ", ".join(f"{number} {word or 'without a camera'}" for word, number in counts) or "none"
 
 
 def empty_stations(image: Names, camera: Names, status: str) -> Stations:

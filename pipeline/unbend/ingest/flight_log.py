@@ -13,7 +13,8 @@ from unbend.flight.channels import Channel
 from unbend.ingest import messages
 from unbend.ingest.message_tables import Table
 from unbend.ingest.utc_evidence import ClockAssessment, Witness, is_utc_time
-from unbend.messages import Ledger
+from unbend.messages import LOSSES, Ledger
+from unbend.notebook import html_table
 
 SIMILAR_NAMES = 3  # that a refusal lists first, of an unknown name
 LEAST_SIMILARITY = 0.5  # of these, as difflib counts it: half of the letters
@@ -75,6 +76,28 @@ class Log(Contents):
     start_ns: int
     end_ns: int
     ledger: Ledger
+
+    def __repr__(self) -> str:
+        """Name, format and time of the log, and how much is in it."""
+        begin = utc_or_none(self.start_ns)
+        since = "UTC unknown" if begin is None else f"from {begin[:19].replace('T', ' ')} UTC"
+        count = sum(self.messages.values())
+        losses = sum(message.kind in LOSSES for message in self.ledger)
+        return (
+            f"<Log {self.path.name}: {self.format}, {self.duration_s:.1f} s, {since}; "
+            f"{len(self.channels)} channels, {count:,} messages of {len(self.messages)} types, "
+            f"{self.bad_bytes:,} bad bytes, {losses} losses and findings>"
+        )
+
+    def _repr_html_(self) -> str:
+        """The channels, as a notebook shows them."""
+        columns = {
+            "channel": [channel.name for channel in self.channels],
+            "samples": [len(channel) for channel in self.channels],
+            "rate_hz": [round(channel.rate_hz, 2) for channel in self.channels],
+            "columns": [", ".join(sorted(channel.columns)) for channel in self.channels],
+        }
+        return html_table(repr(self), columns)
 
     @property
     def has_utc(self) -> bool:

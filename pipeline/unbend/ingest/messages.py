@@ -405,10 +405,11 @@ LOG_CRC = Code(
 
 LOG_LINK_LOSS = Code(
     "LOG-LINK-LOSS",
-    means="Messages are missing by their sequence numbers: the radio link or the recorder lost "
-    "them.",
-    effect="Stations and air are interpolated between the rest.",
-    remedy="Use the log from the vehicle's card instead.",
+    means="The log is incomplete: messages are missing by their sequence numbers. The radio link "
+    "or the recorder lost them.",
+    effect="Stations and air are interpolated between the rest. A run ends with 3 until it is "
+    "accepted.",
+    remedy="Use the log from the vehicle's card instead, or accept it with the reason.",
 )
 
 LOG_FIELDS = Code(
@@ -465,9 +466,9 @@ def pulses_and_commands(*, channel: str, pulses: int, sent: str, commands: int) 
 LOG_GAP = Code(
     "LOG-GAP",
     means="Nothing was logged for more than a second (of a radio link three).",
-    effect="Exposures there may have no station (in_gap). A loss where the vehicle's clock "
-    "advanced meanwhile.",
-    remedy="Check the card or the link.",
+    effect="Exposures there may have no station (in_gap). Where the vehicle's clock advanced "
+    "meanwhile, the log is incomplete, and a run ends with 3 until that is accepted.",
+    remedy="Check the card or the link; use another log, or accept it with the reason.",
 )
 
 

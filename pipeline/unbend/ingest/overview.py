@@ -11,30 +11,36 @@ from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.evidence.sources import is_receiver
 from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, LoggedPath, takeoff_of
+from unbend.flight.heights import height_system
 from unbend.flight.roles import assign_roles, follows_height
 from unbend.flight.trajectory import interpolate
 from unbend.flight.vehicles import Vehicles, median_distance_m
 from unbend.ingest.utc_evidence import date_text, is_utc_time
 from unbend.messages import Notes
-from unbend.units import NANOSECONDS_PER_SECOND
+from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 _ROLES = ("position", "height", "attitude", "pressure", "temperature", "humidity", "airspeed")
 _CABIN = ("cabin_pressure", "cabin_temperature", "cabin_humidity")
 
 MAX_HEIGHT_GAP_S = 5.0  # that heights are interpolated across, at the times of positions
 HEIGHT_PERCENTILES = (0.1, 99.9)  # the lowest and the highest without single wrong samples
-_HEIGHT_REFERENCES = {"h_msl_m": "sea level", "h_ellipsoid_m": "ellipsoid"}
+SEA_LEVEL = "sea level"
+_HEIGHT_REFERENCES = {"h_msl_m": SEA_LEVEL, "h_ellipsoid_m": "ellipsoid"}
 
 
 def flight_of(
-    position: Channel, height: Channel, evidence: GroundEvidence = NOTHING_SAID
+    position: Channel,
+    height: Channel,
+    evidence: GroundEvidence = NOTHING_SAID,
+    home_m: float | None = None,
 ) -> dict[str, Any]:
     """Place, day and heights of a flight, from its channels of position and height.
 
     Latitude and longitude where the log begins, to 0.001 degrees (100 m). Heights [m] above
-    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` where the log begins standing
-    still, and not in a hover by the ``evidence`` of the log. What is unknown is None; without any
-    position the result is empty.
+    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` above ``take_off_reference``: that
+    is ``home_m``, the log's own take-off height above sea level, if there is one; else where the
+    log begins standing still, and not in a hover by the ``evidence`` of the log. What is unknown is
+    None; without any position the result is empty.
     """
     lat_rad = position["lat_rad"]
     lon_rad = position["lon_rad"]
@@ -45,19 +51,18 @@ def flight_of(
     heights_m = np.full(len(position), np.nan)
     if column is not None:
         heights_m = interpolate(height, column, position.time_ns, max_gap_s=MAX_HEIGHT_GAP_S)
-    known_heights_m = heights_m[np.isfinite(heights_m)]
-    lowest_m = None
-    highest_m = None
-    if known_heights_m.size:
-        limits_m = np.percentile(known_heights_m, HEIGHT_PERCENTILES).round(1)
-        lowest_m, highest_m = limits_m.tolist()
+    lowest_m, highest_m = _limits_of_heights(heights_m)
     path = LoggedPath(
         time_ns=position.time_ns,
         latitude_rad=lat_rad,
         longitude_rad=lon_rad,
         h_msl_m=heights_m,
     )
-    take_off = takeoff_of(path, None, evidence)
+    begin = takeoff_of(path, None, evidence)
+    reference = _HEIGHT_REFERENCES.get(str(column))
+    take_off_m = home_m
+    if home_m is None and begin is not None:
+        take_off_m = begin.h_msl_m
     first = int(np.argmax(has_place))
     start_ns = int(position.time_ns[first])
     duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9
@@ -66,11 +71,22 @@ def flight_of(
         "lon_deg": round(float(np.degrees(lon_rad[first])), 3),
         "date_utc": date_text(start_ns) if is_utc_time(start_ns) else None,
         "duration_s": round(duration_s, 3),
-        "height_reference": _HEIGHT_REFERENCES.get(str(column)),
+        "height_reference": reference,
         "lowest_m": lowest_m,
         "highest_m": highest_m,
-        "take_off_m": None if take_off is None else round(take_off.h_msl_m, 1),
+        "take_off_m": None if take_off_m is None else round(take_off_m, 1),
+        "take_off_reference": reference if home_m is None else SEA_LEVEL,
+        "take_off_by": "begin of the log" if home_m is None else "home of the autopilot",
     }
+
+
+def _limits_of_heights(heights_m: Array) -> list[float | None]:
+    """The lowest and the highest of the known heights, without single wrong samples."""
+    known_m = heights_m[np.isfinite(heights_m)]
+    if not known_m.size:
+        return [None, None]
+    limits_m: list[float | None] = np.percentile(known_m, HEIGHT_PERCENTILES).round(1).tolist()
+    return limits_m
 
 
 def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -92,8 +108,20 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
             rows.append(_row(role, able, remark_on(channel, role, height), channel))
     flight = {}
     if position is not None and height is not None:
-        flight = flight_of(position, height, GroundEvidence.of(channels))
+        system, _ = height_system({"position": _plausible(position, "position")}, None)
+        flight = flight_of(
+            position, height, GroundEvidence.of(channels), home_m=system.home_h_msl_m
+        )
     return flight, rows
+
+
+def _plausible(channel: Channel, role: str) -> Channel:
+    """The plausible samples of a channel; all of them where the unit is of another quantity."""
+    try:
+        kept, _ = plausible_samples(channel, role)
+    except MissionError:
+        return channel
+    return kept
 
 
 def vehicles_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:

@@ -102,6 +102,18 @@ def open_log(
     )
 
 
+def is_log(path: Path) -> bool:
+    """Whether the first bytes of a file are those of a log; False if it cannot be read."""
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as stream:
+            head = stream.read(HEAD_BYTES)
+    except OSError:
+        return False
+    return any(form.matches(head) for form in FORMATS)
+
+
 def _check_file(path: Path) -> None:
     """Refuse a path that is not that of a file."""
     if path.is_file():

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from unbend.flight.stations import UNMATCHED
 from unbend.report.summary import verdict
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.schemas import columns_of, schema_of
@@ -28,6 +29,7 @@ def row_of(manifest: Manifest) -> dict[str, Any]:
     results = manifest.results
     flight = results.flight
     kinds = Counter(entry.kind for entry in results.ledger)
+    images = sum(results.stations.values())
     row = dict.fromkeys(COLUMNS) | {
         "mission": run.mission,
         "state": WITH_LOSSES if run.exit_code else DONE,
@@ -38,7 +40,8 @@ def row_of(manifest: Manifest) -> dict[str, Any]:
         "lat_deg": middle_of(flight.latitude_deg),
         "lon_deg": middle_of(flight.longitude_deg),
         "h_msl_m": middle_of(flight.h_msl_m),
-        "exposures": sum(results.stations.values()),
+        "images": images,
+        "exposures": images - results.stations.get(UNMATCHED, 0),
         "observations": results.observations.rows,
         "corrected": results.correction.shift_px.count,
         "fingerprint": run.fingerprint,

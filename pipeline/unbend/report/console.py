@@ -18,7 +18,9 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from unbend.report.words import visible
+from unbend.report.words import HANG, NARROWEST, visible
+
+INDENT = 2  # columns by which what belongs to a mission stands to the right
 
 _WIDE = 100_000  # columns of what is not a terminal: no line is broken
 _BLANKS_AT_END = re.compile(r"[ \t]+(?=\n)")
@@ -70,6 +72,17 @@ def shown(text: str) -> str:
 def print_indented(console: Console, content: str | Table) -> None:
     """Print markup or a table two columns to the right."""
     console.print(Padding(content, (0, 0, 0, 2), expand=False))
+
+
+def print_hanging(console: Console, content: str) -> None:
+    """Print markup two columns to the right, its further lines `HANG` columns behind the first."""
+    width = console.width - INDENT - HANG
+    width = max(NARROWEST, width)
+    indent = INDENT
+    text = console.render_str(content)
+    for line in text.wrap(console, width):
+        console.print(Padding.indent(line, indent))
+        indent = INDENT + HANG
 
 
 def plain_table(heads: Sequence[str], *, gap: int) -> Table:

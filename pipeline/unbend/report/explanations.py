@@ -1,17 +1,19 @@
-"""What a key, a code or an exit code means: the words of `unbend help`."""
+"""What a key, a code, a column or a word means: the words of `unbend help`."""
 
 import difflib
 import importlib
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
-from unbend.config.keys import campaign_keys, mission_keys
+from unbend.config.keys import MissionKey, campaign_keys, mission_keys
 from unbend.errors import STORAGE_WRITE, Code
 from unbend.report import messages
+from unbend.tables.schemas import DISPLACED_COLUMNS, columns_of
 
 _MOST_LISTED = 8
 _NUMBERS_AND_STATUSES = {"exit": "exit code {}", "observations": "{} (status of observations)",
@@ -54,49 +56,151 @@ def codes() -> Iterator[Code]:
         yield from (value for value in vars(room).values() if isinstance(value, Code))
 
 
-def explain(word: str) -> list[str]:
-    """Lines that explain a key (whole or its last part), a code, an exit code or a status.
+@dataclass(frozen=True)
+class Word:
+    """A word of the field: its name, what it means, and other names in small letters."""
 
-    Of several keys 8 are explained. Refuses (ConfigError HELP-WORD) a word that is none.
+    name: str
+    means: str
+    also: tuple[str, ...]
+
+
+@cache
+def glossary() -> tuple[Word, ...]:
+    """The words of ``glossary.toml``."""
+    text = resources.files(__package__).joinpath("glossary.toml").read_text("utf-8")
+    entries = tomllib.loads(text).items()
+    return tuple(Word(name, entry["means"], tuple(entry["also"])) for name, entry in entries)
+
+
+TABLES = {
+    "observations": "observations/part-*.parquet",
+    "stations": "stations.parquet",
+    "profile": "profile.parquet",
+    "campaign": "campaign.parquet",
+    "lattice": "unbend export --format lattice",
+    "radial": "unbend export --format radial",
+}
+"""Tables whose columns are explained, and where they are."""
+
+
+def explain(word: str) -> list[str]:
+    """Lines that explain a key, a code, an exit code, a status, a column or a word of the field.
+
+    A key is named whole or by its last part; a column is one of the results. Of several keys 8 are
+    explained. Refuses (ConfigError HELP-WORD) a word that is none of these.
 
     >>> explain("4")[0]
     'exit code 4'
     >>> explain("f_px")[:2]
     ['cameras.*.f_px', '  principal distance, where it is the same along x and y']
+    >>> explain("r_c_rad")[0], explain("GCP")[0]
+    ('r_c_rad (column of observations)', 'gcp')
     """
-    small, code, known = word.lower(), word.upper().strip(":"), meanings()["codes"]
-    of_word = [
-        line for of, text in _NUMBERS_AND_STATUSES.items() if small in meanings()[of]
-        for line in (text.format(small), *meanings()[of][small].lines())
-    ]  # fmt: skip
-    if of_word:
-        return of_word
-    if code in known:
+    small = word.strip().lower()
+    code = small.upper().strip(":")
+    known = meanings()["codes"]
+    lines = _status_lines(small)
+    if not lines and code in known:
         return [code, *known[code].lines()]
-    keys = [*mission_keys(), *campaign_keys()]
-    parts = word.strip(".").lower().split(".")
-    tails = [(key, key.path.split(".")[-len(parts) :]) for key in keys]
-    found = [  # * of a key stands for any name
-        key for key, tail in tails
-        if len(tail) == len(parts) and tail[-1] == parts[-1]
-        and all(a in ("*", b) for a, b in zip(tail, parts, strict=True))
-    ]  # fmt: skip
-    whole = [key for key in found if len(key.path.split(".")) == len(parts)]
-    found = whole or found
-    if not found:
-        last = {key.path.rpartition(".")[2]: key.path for key in keys}
-        near = difflib.get_close_matches(code, known, 3, 0.7)
-        last |= {status: status for of in _NUMBERS_AND_STATUSES for status in meanings()[of]}
-        near += difflib.get_close_matches(parts[-1], last, 3, 0.6)
-        raise messages.help_word(word=word, near=", ".join(near))
+    for more in (_key_lines(small) if not lines else [], _column_lines(small), _word_lines(small)):
+        if lines and more:
+            lines.append("")
+        lines += more
+    if lines:
+        return lines
+    raise messages.help_word(word=word, near=", ".join(_near(small)))
+
+
+def _status_lines(word: str) -> list[str]:
+    """What an exit code or a status means."""
     lines = []
-    for key in found[:_MOST_LISTED]:
+    for kind, title in _NUMBERS_AND_STATUSES.items():
+        if word in meanings()[kind]:
+            lines += [title.format(word), *meanings()[kind][word].lines()]
+    return lines
+
+
+def _column_lines(word: str) -> list[str]:
+    """What a column of results holds, table by table."""
+    lines = []
+    for table in TABLES:
+        columns = columns_of(table)
+        if table == "observations":
+            columns = {**DISPLACED_COLUMNS, **columns}
+        if word in columns:
+            _, unit, meaning = columns[word]
+            shown_unit = f" [{unit}]" if unit not in ("", "1") else ""
+            lines.append(f"{word} (column of {table})")
+            lines.append(f"  {meaning or 'see the column before it'}{shown_unit}")
+            lines.append(f"  in {TABLES[table]}")
+    return lines
+
+
+def _word_lines(word: str) -> list[str]:
+    """What a word of the field means."""
+    plain = word.replace("_", " ").replace("-", " ")
+    for entry in glossary():
+        names = (entry.name, *entry.also)
+        if word in names or plain in [name.replace("-", " ") for name in names]:
+            return [entry.name, f"  {entry.means}"]
+    return []
+
+
+def _key_lines(word: str) -> list[str]:
+    """What a key takes; of several with this name, the first 8, and the names of the others."""
+    keys = [*mission_keys(), *campaign_keys()]
+    called = _keys_called(word, keys)
+    lines: list[str] = []
+    for key in called[:_MOST_LISTED]:
+        if lines:
+            lines.append("")
         lines += [key.path, f"  {key.text}", f"  takes: {key.allowed}", f"  default: {key.default}"]
-        lines += [f"  example: {key.example}"] if key.example else []
-        within = [k.path.removeprefix(key.path).removeprefix(".*") for k in keys
-                  if k.path.startswith(f"{key.path}.")]  # fmt: skip
-        names = [path[1:] for path in dict.fromkeys(within) if path.count(".") == 1]
-        lines += [f"  within it: {', '.join(names)}"] if names else []
-        lines.append("")
-    more = [key.path for key in found[_MOST_LISTED:]]
-    return lines[:-1] + ([f"and: {', '.join(more)}"] if more else [])
+        if key.example:
+            lines.append(f"  example: {key.example}")
+        names = _names_within(key, keys)
+        if names:
+            lines.append(f"  within it: {', '.join(names)}")
+    more = [key.path for key in called[_MOST_LISTED:]]
+    if more:
+        lines += ["", f"and: {', '.join(more)}"]
+    return lines
+
+
+def _keys_called(word: str, keys: Sequence[MissionKey]) -> list[MissionKey]:
+    """The keys of a name; ``*`` of a key stands for any name. Whole names go before last parts."""
+    parts = word.strip(".").split(".")
+    called = []
+    for key in keys:
+        tail = key.path.split(".")[-len(parts) :]
+        is_same = len(tail) == len(parts) and tail[-1] == parts[-1]
+        if is_same and all(a in ("*", b) for a, b in zip(tail, parts, strict=True)):
+            called.append(key)
+    whole = [key for key in called if len(key.path.split(".")) == len(parts)]
+    return whole or called
+
+
+def _names_within(key: MissionKey, keys: Sequence[MissionKey]) -> list[str]:
+    """The names of the keys right below a key."""
+    names: dict[str, None] = {}  # each once, in their order
+    for other in keys:
+        if other.path.startswith(f"{key.path}."):
+            below = other.path.removeprefix(key.path).removeprefix(".*")
+            if below.count(".") == 1:
+                names[below[1:]] = None
+    return list(names)
+
+
+def _near(word: str) -> list[str]:
+    """Codes, keys, statuses, columns and words that are like a word."""
+    near = difflib.get_close_matches(word.upper(), meanings()["codes"], 3, 0.7)
+    names = {key.path.rpartition(".")[2]: key.path for key in (*mission_keys(), *campaign_keys())}
+    for kind in _NUMBERS_AND_STATUSES:
+        names |= {status: status for status in meanings()[kind]}
+    for table in TABLES:
+        names |= {column: column for column in columns_of(table)}
+    for entry in glossary():
+        names |= dict.fromkeys((entry.name, *entry.also), entry.name)
+    last = word.rpartition(".")[2]
+    near += [names[name] for name in difflib.get_close_matches(last, names, 3, 0.6)]
+    return list(dict.fromkeys(near))

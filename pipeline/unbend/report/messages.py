@@ -4,7 +4,8 @@ from unbend.errors import Code, ConfigError
 
 HELP_WORD = Code(
     "HELP-WORD",
-    means="`unbend help` was asked for a word that is no key, code or exit code.",
+    means="`unbend help` was asked for a word that is no key, code, exit code, status, column of "
+    "results or word of the field.",
     effect="Nothing is printed.",
     remedy="Take one of the nearest words that the refusal names.",
 )
@@ -17,7 +18,8 @@ def help_word(*, word: str, near: str) -> ConfigError:
         remedy = "perhaps {near}?"
     return ConfigError(
         HELP_WORD,
-        "{word!r} is no key of a mission file, no code, no exit code and no status",
+        "{word!r} is no key of a mission file, no code, exit code or status, no column of results "
+        "and no word of the field",
         remedy=remedy,
         word=word,
         near=near,

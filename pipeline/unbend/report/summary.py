@@ -9,6 +9,7 @@ from typing import Any
 
 from unbend.messages import MessageRecord
 from unbend.refraction.window import SIGMA_BAROMETER_PA, SIGMA_THERMOMETER_K
+from unbend.report.concerns import concerns_of
 from unbend.report.words import count, length, pixels, shortened, significant, with_sigma
 from unbend.tables.manifest.results import (
     CameraAirRecord,
@@ -33,12 +34,6 @@ SMALLEST_MEASURABLE_PX = 0.05
 """A correction that stays below it everywhere cannot be seen in image measurements."""
 
 _NEARLY_ALL = 0.9
-_OF_ROWS = (
-    "IMAGES-UNMATCHED", "OBS-FLAGGED", "OBS-GROUND-RANGE", "POINTS-MISSING", "STATIONS-FLAGGED"
-)  # fmt: skip
-"""Losses of single rows, which have no corrected coordinates: counted apart."""
-
-_OF_SUSPECTS = ("STATIONS-SUSPECT", "STATIONS-HEIGHT", "ORIENTATION-FAR", "ORIENTATION-UP")
 _OF_USUAL_CABINS = ("CABIN-BOARD", "CABIN-TEMPERATURE")
 _UNMEASURED = {"climatology": "a climatology stands for it", "standard": "a standard stands for it"}
 
@@ -94,17 +89,16 @@ def uncorrected_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
 def outcome(manifest: Manifest) -> str:
     """One sentence: how many observations were corrected, how far, and whether they can be used.
 
+    How far is the median, and what 95 % stay below: the maximum may be that of one steep ray.
     Never says that results can be adjusted where the run ended with code 3 for anything but rows
     that have no corrected coordinates.
     """
     correction = manifest.results.correction
     rows = manifest.results.observations.rows
     done = correction.shift_px.count
-    shift = correction.shift_px.maximum
-    metres = correction.shift_ground_m.maximum
     applied = is_applied(manifest)
     verb = "displaced" if applied else "corrected"
-    concerns = "; ".join(what for what, _ in _concerns(manifest))
+    concerns = "; ".join(what for what, _ in concerns_of(manifest))
     if not done:
         look = f"; look at {concerns}" if concerns else ""
         return f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}{look}."
@@ -112,7 +106,6 @@ def outcome(manifest: Manifest) -> str:
         start = f"{done:,} of {rows:,} observations were"
     else:
         start = "The observation was" if rows == 1 else f"All {rows:,} observations were"
-    shown = pixels(shift) if metres is None else f"{length(metres)} on the ground, {pixels(shift)}"
     if concerns:
         end = f", but not to be used before a look at {concerns}"
     elif is_tiny(manifest):
@@ -122,7 +115,22 @@ def outcome(manifest: Manifest) -> str:
     else:
         left = "" if done == rows else f" without the other {count(rows - done, 'row')}"
         end = f", and can be adjusted{left}"
-    return f"{start} {verb} by up to {shown} in the image{end}."
+    return f"{start} {verb} by {size_of_shift(correction)}{end}."
+
+
+def size_of_shift(correction: CorrectionRecord) -> str:
+    """How far observations were moved, in the median and for 95 % of them.
+
+    Metres on the ground are left out where none is known.
+    """
+    shift = correction.shift_px
+    ground = correction.shift_ground_m
+    if ground.median is None:
+        return f"{pixels(shift.median)} in the image (median; 95 %: {pixels(shift.p95)})"
+    return (
+        f"{length(ground.median)} on the ground, {pixels(shift.median)} in the image "
+        f"(median; 95 %: {length(ground.p95)}, {pixels(shift.p95)})"
+    )
 
 
 def condition_of_frame(manifest: Manifest) -> str:
@@ -152,7 +160,7 @@ def distance(components_m: Sequence[float]) -> float:
 
 def next_steps(manifest: Manifest) -> list[str]:
     """What to do with the results of a run, one step each."""
-    steps = [step for _, step in _concerns(manifest)]
+    steps = [step for _, step in concerns_of(manifest)]
     adjust = "Then adjust" if steps else "Adjust"
     rows = manifest.results.observations.rows
     done = manifest.results.correction.shift_px.count
@@ -205,37 +213,6 @@ def is_tiny(manifest: Manifest) -> bool:
     return is_nearly_all and shift.maximum is not None and shift.maximum < SMALLEST_MEASURABLE_PX
 
 
-def _concerns(manifest: Manifest) -> list[tuple[str, str]]:
-    """What has to be looked at before the results are used, and how; the gravest first."""
-    concerns = []
-    codes: dict[str, list[str]] = {"finding": [], "loss": []}
-    for entry in manifest.results.ledger:
-        known = codes.get(entry.kind)
-        if known is not None and entry.code not in (*_OF_ROWS, *_OF_SUSPECTS, *known):
-            known.append(entry.code)
-    if codes["finding"]:
-        names = ", ".join(sorted(codes["finding"]))
-        step = f"Correct what {names} says and run again, or accept it with the reason (accept)."
-        concerns.append((f"{count(len(codes['finding']), 'likely mistake')} ({names})", step))
-    if number := manifest.results.stations.get("suspect", 0):
-        some = count(number, "suspect station")
-        reasons = [e.what for e in manifest.results.ledger if e.code in _OF_SUSPECTS]
-        more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-        used = manifest.sections.stations.use_suspect
-        left = "" if used else ", whose observations have no corrected coordinates"
-        step = f"Look at the {some} (unbend stations MISSION --plot FILE): {reasons[0]}{more}."
-        concerns.append((f"{some}{left}", step))
-    if codes["loss"]:
-        names = ", ".join(sorted(codes["loss"]))
-        step = f"Read what was lost ({names}), and give the whole file where there is one."
-        concerns.append((f"{count(len(codes['loss']), 'loss', 'losses')} ({names})", step))
-    method = manifest.sections.refraction.method
-    if method != "spherical":
-        step = "Run again without refraction.method: the published methods are not for work."
-        concerns.append((f"the method {method}, published for comparison", step))
-    return concerns
-
-
 def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     """What limits the accuracy, and what would help: air that was not measured, and the cabin."""
     limits = []
@@ -243,20 +220,31 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     basis = manifest.results.profile.basis
     sigma = "" if air is None else f" ± {100.0 * air.scale_sigma:.2g} %"
     if basis in _UNMEASURED:
-        known = f", R is known to{sigma}" if sigma else ""
-        step = "To correct better, give the air: a thermometer, soundings or METARs."
+        known = f", the refraction R is known to{sigma}" if sigma else ""
+        step = step_to_better_air(manifest)
         limits.append((f"The air was not measured: {_UNMEASURED[basis]}{known}.", step))
     cabin = manifest.results.cabin_sigma_share.median
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
         place = "in the cabin"
         if all(camera.window is None for camera in manifest.sections.cameras.values()):
             place = "before the lens"
-        text = f"The air {place} is uncertain by {100.0 * cabin:.2g} % of R in the median"
+        percent = 100.0 * cabin
+        text = f"The air {place} is uncertain by {percent:.2g} % of the refraction R in the median"
         if air is not None:
             text += f", the air outside by{sigma.replace(' ±', '')}"
             text += " only" if cabin > air.scale_sigma else ""
         limits.append((f"{text}.", cabin_step(manifest)))
     return limits
+
+
+def step_to_better_air(manifest: Manifest) -> str:
+    """What to do for air that is measured; with adjust: false no measurement would be used."""
+    if manifest.sections.atmosphere.adjust:
+        return "To correct better, give the air: a thermometer, soundings or METARs."
+    return (
+        "To correct better, remove atmosphere.adjust: false; with it no measured air and no "
+        "climatology is used."
+    )
 
 
 def cabin_step(manifest: Manifest) -> str:
@@ -419,14 +407,18 @@ def change_of(window: TimeWindowRecord) -> str:
 
 
 def effect_lines(effects: Sequence[EffectRecord], standard: str) -> list[str]:
-    """R in the air of the flight beside that in the standard, a line for each nadir angle."""
-    lines = []
+    """R in the air of the flight beside that in the standard, a line for each nadir angle.
+
+    The first line says what R is.
+    """
+    lines: list[str] = []
     for effect in effects:
+        name = "R" if lines else "refraction R"
         ours = with_sigma(effect.r_c_arcsec, effect.sigma_arcsec)
         sigma = None if effect.sigma_factor is None else 100.0 * effect.sigma_factor
         more = with_sigma(100.0 * (effect.factor - 1.0), sigma, "%", signed=True)
         lines.append(
-            f"R at {effect.nadir_angle_deg:.0f}° from {effect.h_c_m:.0f} m to "
+            f"{name} at {effect.nadir_angle_deg:.0f}° from {effect.h_c_m:.0f} m to "
             f"{effect.h_g_m:.0f} m: {ours} arcsec, {effect.standard_arcsec:.3f} in {standard}: "
             f"{more}"
         )

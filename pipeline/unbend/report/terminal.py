@@ -17,6 +17,7 @@ from unbend.report.console import (
     cells_of,
     columns_of,
     plain_table,
+    print_hanging,
     print_indented,
     print_labelled,
     print_rows,
@@ -32,6 +33,7 @@ _COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "c
 _MOST_CONTROL = 12
 _MOST_UNCHANGED = 12
 _MOST_REASONS = 6
+_MOST_REPORTS = 12
 
 
 def print_run(
@@ -59,7 +61,7 @@ def print_run(
     profile = manifest.results.profile
     effects = summary.effect_lines(profile.effect, profile.standard)
     for line in (summary.air_sentences(manifest), *effects):
-        print_indented(console, shown(line))
+        print_hanging(console, shown(line))
     if sentence := summary.control_sentence(manifest):
         print_indented(console, shown(sentence))
         rows = summary.control_rows(manifest, _MOST_CONTROL)
@@ -81,7 +83,7 @@ def in_short(manifest: Manifest) -> str:
     rows = count(manifest.results.observations.rows, "observation")
     said = [f"{shift.count:,} of {rows}"]
     if shift.count:
-        said.append(f"median {shift.median:.3g} px, at most {shift.maximum:.3g} px")
+        said.append(f"median {shift.median:.3g} px, 95 % below {shift.p95:.3g} px")
     for kind, many in (("loss", "losses"), ("finding", ""), ("warning", "")):
         if number := kinds.count(kind):
             said.append(f"[{_COLOURS[kind]}]{count(number, kind, many)}[/]")
@@ -100,26 +102,39 @@ def print_unchanged(console: Console, names: Sequence[str], total: int) -> None:
 
 
 def print_ledger(console: Console, entries: Sequence[MessageRecord]) -> None:
+    """Each entry of a ledger, the gravest first."""
     for kind, code, what in summary.ledger_rows(entries):
-        print_indented(console, f"[{_COLOURS[kind]}]{kind}[/] {shown(code)}: {shown(what)}")
+        print_hanging(console, f"[{_COLOURS[kind]}]{kind}[/] {shown(code)}: {shown(what)}")
 
 
 def print_check(
-    console: Console, name: str, lines: Sequence[tuple[str, str]], results: ResultsRecord
+    console: Console,
+    name: str,
+    lines: Sequence[tuple[str, str]],
+    results: ResultsRecord,
+    *,
+    verbose: bool,
 ) -> None:
-    """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold."""
+    """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold.
+
+    Notes of the ledger are only counted, unless ``verbose``.
+    """
     verdict = "a run would end with code 3" if results.exit_code else "can be run"
     console.print(f"[bold]{shown(name)}[/bold] {verdict}")
     if lens := summary.lens_left_in(results):
         print_indented(console, shown(lens))
     print_labelled(console, lines)
-    print_ledger(console, results.ledger)
+    entries = [entry for entry in results.ledger if verbose or entry.kind != Kind.NOTE]
+    print_ledger(console, entries)
+    hidden = len(results.ledger) - len(entries)
+    if hidden:
+        print_indented(console, f"{count(hidden, 'note')}: all of them with -v")
 
 
 def print_status(console: Console, name: str, reasons: Sequence[str]) -> None:
     console.print(f"[bold]{shown(name)}[/bold] {'would run' if reasons else 'unchanged'}")
     for reason in reasons[:_MOST_REASONS]:
-        print_indented(console, shown(reason))
+        print_hanging(console, shown(reason))
     if len(reasons) > _MOST_REASONS:
         print_indented(console, f"and {count(len(reasons) - _MOST_REASONS, 'more reason')}")
 
@@ -176,7 +191,8 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     if reference and flight["lowest_m"] is not None:
         heights = f"{flight['lowest_m']:.0f} to {flight['highest_m']:.0f} m above {reference}"
     if flight.get("take_off_m") is not None:
-        take_off = f"{flight['take_off_m']:.0f} m above {reference}, where the log begins"
+        surface = flight.get("take_off_reference", reference)
+        take_off = f"{flight['take_off_m']:.0f} m above {surface}, {take_off_by(flight)}"
     elif flight:
         take_off = "unknown: the log does not begin standing still"
     place = f"{flight['lat_deg']:.3f}°, {flight['lon_deg']:.3f}°" if flight else "unknown"
@@ -212,6 +228,13 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
     print_indented(console, table)
     console.print()
     print_ledger(console, [MessageRecord(**entry) for entry in log["ledger"]])
+
+
+def take_off_by(flight: Mapping[str, Any]) -> str:
+    """What the height of the take-off comes from, in words."""
+    if flight.get("take_off_by") == "home of the autopilot":
+        return "by the autopilot's heights above its home"
+    return "where the log begins"
 
 
 def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
@@ -296,6 +319,63 @@ def print_model(console: Console, contents: Mapping[str, Any], name: str) -> Non
         gap=2,
         left=(1, 3),
     )
+
+
+def print_sounding(console: Console, reading: Mapping[str, Any], name: str) -> None:
+    """What ``unbend inspect`` prints of a sounding: how its first ascent is read."""
+    console.print(f"[bold]{shown(name)}[/bold]: sounding, read as {reading['format']}")
+    when = "not stated: atmosphere.soundings needs time_utc"
+    if reading["first_utc"] is not None:
+        ends = dict.fromkeys([reading["first_utc"], reading["last_utc"]])
+        when = f"{' to '.join(ends).replace('T', ' ')} UTC"
+    place = "not stated"
+    if reading["latitude_deg"] is not None:
+        place = f"{reading['latitude_deg']:.3f}°, {reading['longitude_deg']:.3f}°"
+    used = f"{reading['levels']:,} of {count(reading['levels_in_file'], 'level')}"
+    lines = [
+        ("ascents", f"{reading['ascents']:,}; below is the first"),
+        ("station", reading["station"] or "not stated"),
+        ("time", when),
+        ("place", place),
+        ("levels", f"{used} used; heights in the file are {reading['heights']}"),
+        ("height", span_text(reading["h_m"], "m above sea level")),
+        ("pressure", span_text(reading["pressure_hpa"], "hPa")),
+        ("temperature", span_text(reading["temperature_c"], "°C")),
+    ]
+    humidity = "none: the air is taken as dry, or from other sources"
+    if reading["humidity"] is not None:
+        vapour = span_text(reading["vapour_pressure_hpa"], "hPa of vapour")
+        humidity = f"{vapour}, from {reading['humidity']}"
+    lines.append(("humidity", humidity))
+    for quantity, column in reading["columns"].items():
+        lines.append((f"{quantity} from", f"column {column}"))
+    lines += [("note", text) for text in reading["notes"]]
+    lines.append(("mission file", f"atmosphere: {{soundings: [{{path: {name}}}]}}"))
+    print_labelled(console, lines)
+
+
+def span_text(limits: Sequence[float] | None, unit: str) -> str:
+    """Lowest to highest value, with a unit."""
+    return "unknown" if limits is None else f"{limits[0]:g} to {limits[1]:g} {unit}"
+
+
+def print_metars(console: Console, reports: Sequence[Mapping[str, Any]], name: str) -> None:
+    """What ``unbend inspect`` prints of a text of METARs: what each report states."""
+    console.print(f"[bold]{shown(name)}[/bold]: {count(len(reports), 'METAR')}")
+    rows = []
+    for report in reports[:_MOST_REPORTS]:
+        numbers = (report["temperature_c"], report["dew_point_c"], report["qnh_hpa"])
+        cells = ["" if value is None else f"{value:.1f}" for value in numbers]
+        when = " ".join(text for text in (report["date"], report["stamp"]) if text)
+        rows.append((report["station"], when, *cells, "; ".join(report["notes"])))
+    heads = ("station", "time", "T [°C]", "dew point [°C]", "QNH [hPa]", "not understood")
+    print_rows(console, heads, rows, gap=2, left=(1, 5))
+    hidden = len(reports) - len(rows)
+    if hidden:
+        print_indented(console, f"{hidden:,} more: --json shows all")
+    text = reports[0]["text"]
+    line = f'atmosphere: {{surface: [{{h_msl_m: HEIGHT_OF_STATION, metar: "{text}"}}]}}'
+    print_labelled(console, [("mission file", line)])
 
 
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:

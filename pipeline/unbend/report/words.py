@@ -2,6 +2,7 @@
 
 import math
 import re
+import textwrap
 
 # C0 and C1 (colours, cursor, line breaks), line separators, lone surrogates, what is invisible or
 # turns the direction of writing. Joiners (200c, 200d) stay: scripts and emoji need them.
@@ -29,6 +30,32 @@ def visible(text: str, *, keep: str = "") -> str:
         return mark if mark in keep else mark.encode("unicode_escape").decode()
 
     return _UNSEEN.sub(written, text)
+
+
+NARROWEST = 40
+"""Columns of a terminal that texts are wrapped for at least."""
+
+HANG = 2
+"""Blanks by which the further lines of an entry stand behind its first."""
+
+
+def hanging(line: str, width: int) -> str:
+    """A line wrapped to a width, its further lines behind the first; words stay whole.
+
+    >>> print(hanging("  loss A-B: two images have no exposure in this log", 40))
+      loss A-B: two images have no exposure
+        in this log
+    >>> hanging("short", 40)
+    'short'
+    """
+    indent = " " * (len(line) - len(line.lstrip()))
+    return textwrap.fill(
+        line,
+        max(NARROWEST, width),
+        subsequent_indent=indent + " " * HANG,
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
 
 
 def shortened(name: str, most: int = _LONGEST_NAME) -> str:

@@ -16,7 +16,12 @@ from unbend.flight.evidence.log_accuracy import LogAccuracy, with_accuracy
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.evidence.stretches import Stretch
 from unbend.flight.ground_times import GroundEvidence
-from unbend.flight.heights import HeightSystem, height_system, to_geodetic
+from unbend.flight.heights import (
+    HeightSystem,
+    height_system,
+    to_geodetic,
+    with_begin_of_log,
+)
 from unbend.flight.mount import Mount, gimbal_notes, is_of_gimbal, with_payload_attitude
 from unbend.flight.roles import assign_roles
 from unbend.flight.spares import with_spares
@@ -154,6 +159,8 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
         roles = with_trajectory(own, trajectory, replaced, ledger)
     ledger.extend(constant_sensors(roles))
     roles, accuracy = with_accuracy(roles, channels)
+    evidence = GroundEvidence.of(channels)
+    heights = with_begin_of_log(heights, roles, evidence, mission.max_gap_s)
     return FlightLog(
         log=log,
         channels=channels,

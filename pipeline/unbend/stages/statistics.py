@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
-from unbend.messages import Ledger, Message
+from unbend.messages import Kind, Ledger, Message
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import OK, STATUS_NAMES
@@ -360,8 +360,13 @@ class Statistics:
             histogram=GroundHistogram(round(first * step, 6), step, counts.tolist()),
         )
 
-    def report_flagged(self, ledger: Ledger, causes: Mapping[str, str]) -> None:
-        """A ledger entry for each reason why rows were not corrected; ``causes`` by status."""
+    def report_flagged(
+        self, ledger: Ledger, causes: Mapping[str, str], *, explained: Collection[str] = ()
+    ) -> None:
+        """A ledger entry for each reason why rows were not corrected; ``causes`` by status.
+
+        ``explained`` : statuses that follow from losses of the ledger; their entries are notes.
+        """
         if self.no_distance:
             where = "observations.columns.distance_m"
             ledger.add(messages.slant_ranges_invalid(where=where, count=self.no_distance))
@@ -382,7 +387,10 @@ class Statistics:
             )
         for status, count in self.status.items():
             if status != "ok" and count:
-                ledger.add(self.flagged(status, count, causes.get(status, "")))
+                message = self.flagged(status, count, causes.get(status, ""))
+                if status in explained:
+                    message = replace(message, kind=Kind.NOTE)
+                ledger.add(message)
 
     def flagged(self, status: str, count: int, cause: str) -> Message:
         """The message that ``count`` rows have a status that is not ok, with its likely cause."""

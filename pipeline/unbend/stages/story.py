@@ -29,7 +29,7 @@ from unbend.stages.multi_image.point_heights import (
     with_object_points,
 )
 from unbend.stages.opened_inputs import OpenedInputs
-from unbend.stages.plausibility.causes import causes_of_statuses
+from unbend.stages.plausibility.causes import causes_of_statuses, statuses_explained
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.findings import report_findings
 from unbend.stages.results import results_of_mission
@@ -183,7 +183,7 @@ def correct_mission(
     # What is to be said of the results.
     facts = facts_of(prepared, stations, setup, statistics)
     causes = causes_of_statuses(facts)
-    statistics.report_flagged(ledger, causes)
+    statistics.report_flagged(ledger, causes, explained=statuses_explained(facts, ledger))
     report_findings(facts, ledger)
     air = replace(air, effects=facts.effects)
     results = results_of_mission(

@@ -68,6 +68,39 @@ def read_sounding(
     return sounding if sounding.station else replace(sounding, station=path.name)
 
 
+def ascents_in(path: Path) -> list[soundings.RawLevels]:
+    """All ascents of a file as they are in it, unchecked; empty where it is no sounding.
+
+    Refuses (InputError) a file that is a sounding and cannot be read as one.
+    """
+    try:
+        if path.stat().st_size > LARGEST_BYTES:
+            return []
+        data = path.read_bytes()
+    except OSError:
+        return []
+    if data.startswith(_ZIP):
+        data = _unpacked(data, path)
+    if data.startswith(_NETCDF3):
+        return [_netcdf(data, path)] if _has_names_of_arm(data) else []
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return []
+    return soundings.ascents_of_text(text, path.name)
+
+
+def _has_names_of_arm(data: bytes) -> bool:
+    """Whether a classic netCDF file has the variables of a radiosonde of ARM."""
+    from scipy.io import netcdf_file
+
+    try:
+        with netcdf_file(BytesIO(data), "r", mmap=False) as file:
+            return _VARIABLES.keys() <= file.variables.keys()
+    except (OSError, TypeError, ValueError, IndexError, AttributeError):
+        return False
+
+
 def _unpacked(data: bytes, path: Path) -> bytes:
     """The only file of a ZIP archive, as archives distribute their station files.
 

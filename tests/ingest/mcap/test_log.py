@@ -371,7 +371,7 @@ def test_messages_that_a_recorder_missed_show_by_their_numbers(
     writer.finish()
     log = opened(tmp_path, file.getvalue())
     assert log.lost_messages == 10
-    assert [(e.kind, e.count) for e in entries(log, "LOG-LINK-LOSS")] == [("loss", 10)]
+    assert [(e.kind, e.count) for e in entries(log, "LOG-LINK-LOSS")] == [("finding", 10)]
     assert bool(entries(log, "LOG-NO-STATISTICS")) is not statistics
 
 

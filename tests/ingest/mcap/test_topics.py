@@ -275,7 +275,7 @@ def test_chunks_in_another_order_lose_nothing(tmp_path: Path) -> None:
     messages = [(1, times(300)[k], cdr(times(300)[k], 9e4 + k, 0.0)) for k in missing]
     log = written(tmp_path / "log.mcap", channels, messages, lambda k: missing[k])
     assert log.lost_messages == 7
-    assert entries(log, "LOG-LINK-LOSS") == [("loss", "/p", 7)]
+    assert entries(log, "LOG-LINK-LOSS") == [("finding", "/p", 7)]
 
 
 def test_a_recorder_that_counts_anew_hides_no_gap(tmp_path: Path) -> None:

@@ -356,7 +356,7 @@ def test_messages_lost_by_the_link_are_counted_by_sequence(tmp_path: Path) -> No
         del writer.frames[k]
     log = opened(tmp_path, writer.data)
     assert log.lost_messages == 8
-    assert entries(log, "LOG-LINK-LOSS")[0].kind == "loss"
+    assert entries(log, "LOG-LINK-LOSS")[0].kind == "finding"
     extras = {key: found.crc_extra for key, found in writer.dialect.mavlink_map.items()}
     assert Scan(view_of_bytes(writer.data), extras, {}).lost[(255, 190)] == 0
 
@@ -374,7 +374,7 @@ def test_a_hole_is_a_gap_and_its_messages_are_counted_at_least(
     log = opened(tmp_path, writer.data)
     (gap,) = entries(log, "LOG-GAP") if missing > 60 else [None]
     if gap is not None:
-        assert (gap.kind, gap.count) == ("loss", 1)
+        assert (gap.kind, gap.count) == ("finding", 1)
         assert "system 1, component 1 " in gap.what
         assert place <= int(gap.where.rpartition(" ")[2]) <= place + 2000 * 60
     assert log.lost_messages == told

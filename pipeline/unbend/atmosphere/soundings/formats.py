@@ -294,6 +294,27 @@ FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str], list[RawLev
 recognises it reads it."""
 
 
+def format_of(text: str) -> str:
+    """The first format that recognises a text; "" where none does.
+
+    >>> format_of("h_m,pressure_hpa,temperature_c"), format_of("image,x,y")
+    ('csv', '')
+    """
+    for name, (recognises, _) in FORMATS.items():
+        if recognises(text):
+            return name
+    return ""
+
+
+def ascents_of_text(text: str, where: str) -> list[RawLevels]:
+    """All ascents of a text, unchecked; empty where no format recognises it."""
+    name = format_of(text)
+    if not name:
+        return []
+    _, parse = FORMATS[name]
+    return parse(text, where)
+
+
 def parse_sounding(
     text: str,
     ledger: Ledger,
@@ -323,7 +344,7 @@ def parse_sounding(
     """
     name = format_name
     if name == "auto":
-        name = next((name for name, (is_it, _) in FORMATS.items() if is_it(text)), "")
+        name = format_of(text)
         if not name:
             begins = text.lstrip()[:60].splitlines()
             raise messages.sounding_format(where=where, begins=begins[0] if begins else "")

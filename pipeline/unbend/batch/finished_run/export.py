@@ -34,6 +34,7 @@ from unbend.stages import exposure_setup
 from unbend.stages.light import air_by_camera
 from unbend.tables.exports import FORMATS, ExportCamera, ExportFormat, FinishedRun, find_format
 from unbend.tables.exports.export_frames import frame_record
+from unbend.tables.exports.format import NO_PROGRESS, ExportProgress
 from unbend.tables.exports.messages import geoid_without_grid, grid_not_taken
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.geodata.map_grids import MapGrid, open_grid
@@ -73,6 +74,7 @@ def export_run(
     geoid: Path | None = None,
     ground_height_m: float | None = None,
     force: bool = False,
+    progress: ExportProgress = NO_PROGRESS,
 ) -> WrittenExport:
     """Write a finished run to ``out`` in the format of a ``name``, with the format's options.
 
@@ -88,7 +90,9 @@ def export_run(
     folder = copy_of_run(path) if isinstance(path, Place) else path
     refuse_output(folder, out, force=force and not is_folder)
     ledger = Ledger()
-    run = rebuild_run(folder, verify_run(folder), ground_height_m, ledger)
+    progress.start("checking the results")
+    manifest = verify_run(folder)
+    run = rebuild_run(folder, manifest, ground_height_m, ledger, progress)
     run = replace(run, grid=ledger.take(grid_of_export(run, form, crs, geoid)))
     with store.atomic_write(out) as draft:
         if is_folder:
@@ -193,7 +197,11 @@ def copy_of_run(place: Place) -> Path:
 
 
 def rebuild_run(
-    path: Path, manifest: Manifest, ground_height_m: float | None, ledger: Ledger
+    path: Path,
+    manifest: Manifest,
+    ground_height_m: float | None,
+    ledger: Ledger,
+    progress: ExportProgress = NO_PROGRESS,
 ) -> FinishedRun:
     """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights.
 
@@ -233,6 +241,7 @@ def rebuild_run(
             "unbend.wavelength_m": wavelengths,
         },
         database=partial(database_of, mission, manifest, path),
+        progress=progress,
     )
     check_reproduced(run, path)
     return run

@@ -19,8 +19,7 @@ from unbend.flight.triggers import trigger_notes
 from unbend.geodesy import longitudes_near, wrapped
 from unbend.ingest import Log, open_log
 from unbend.ingest.flight_log import utc_text
-from unbend.ingest.overview import flight_of
-from unbend.tables.geodata.geoid import package_geoid
+from unbend.ingest.overview import SEA_LEVEL, flight_of
 
 OPEN_ROLES = ("ROLE-AMBIGUOUS", "CHANNEL-MISSING")
 """Codes of notes on roles that a log leaves open."""
@@ -142,15 +141,14 @@ def takeoff_remark(roles: Mapping[str, Channel], evidence: GroundEvidence) -> st
     position = roles.get("position")
     if height is None or height.height_column is None:
         return ""
-    system, _ = height_system(roles, None, package_geoid())
-    if system.home_h_msl_m is not None:
-        return f"take-off {system.home_h_msl_m:.0f} m above the sea"
-    takeoff_m = None
-    if position is not None:
-        takeoff_m = flight_of(position, height, evidence).get("take_off_m")
-    if takeoff_m is None:
+    if position is None:
         return ""
-    return f"take-off {takeoff_m:.0f} m above {surface_of_heights(height)}"
+    system, _ = height_system({"position": position}, None)
+    flight = flight_of(position, height, evidence, home_m=system.home_h_msl_m)
+    if flight.get("take_off_m") is None:
+        return ""
+    surface = "the sea" if flight["take_off_reference"] == SEA_LEVEL else "the ellipsoid"
+    return f"take-off {flight['take_off_m']:.0f} m above {surface}"
 
 
 def surface_of_heights(height: Channel) -> str:

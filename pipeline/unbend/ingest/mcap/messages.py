@@ -13,7 +13,7 @@ from unbend.ingest.messages import (
     LOG_TRUNCATED,
     TIME_NO_UTC,
 )
-from unbend.messages import Message, fallback, loss, note
+from unbend.messages import Message, fallback, finding, loss, note
 
 # Damage of the file; the count is in bytes.
 
@@ -380,12 +380,12 @@ def no_channel_of_messages(*, file: str, count: int) -> Message:
 
 def lost_by_recorder(*, topic: str, count: int) -> Message:
     """The sequence numbers of a topic have gaps."""
-    return loss(
+    return finding(
         LOG_LINK_LOSS,
-        "{count} messages are missing by their sequence numbers: the recorder did not get them, or "
-        "they are damaged",
-        one="1 message is missing by its sequence number: the recorder did not get it, or "
-        "it is damaged",
+        "the log is incomplete: {count} messages are missing by their sequence numbers: the "
+        "recorder did not get them, or they are damaged",
+        one="the log is incomplete: 1 message is missing by its sequence number: the recorder did "
+        "not get it, or it is damaged",
         where=topic,
         count=count,
     )

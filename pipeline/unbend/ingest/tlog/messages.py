@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from unbend.errors import Code, Counted
 from unbend.flight.messages import EVENTS_TRIGGER_TIME
 from unbend.ingest.messages import LOG_CRC, LOG_GAP, LOG_LINK_LOSS, TIME_STRAY
-from unbend.messages import Message, fallback, loss, note, warning
+from unbend.messages import Message, fallback, finding, loss, note, warning
 
 # Messages that are not read, or missing.
 
@@ -66,12 +66,12 @@ def another_dialect(*, file: str, first: int, count: int, name: str) -> Message:
 
 def lost_by_radio(*, file: str, count: int, system: int, component: int) -> Message:
     """The sequence numbers of a sender have gaps."""
-    return loss(
+    return finding(
         LOG_LINK_LOSS,
-        "at least {messages} of system {system}, component {component} are missing by their "
-        "sequence numbers, which begin again after 256: the radio link lost them",
-        one="at least {messages} of system {system}, component {component} is missing by its "
-        "sequence number, which begins again after 256: the radio link lost it",
+        "the log is incomplete: at least {messages} of system {system}, component {component} are "
+        "missing by their sequence numbers, which begin again after 256: the radio link lost them",
+        one="the log is incomplete: at least {messages} of system {system}, component {component} "
+        "is missing by its sequence number, which begins again after 256: the radio link lost it",
         where=file,
         count=count,
         messages=Counted(count, "message"),
@@ -91,11 +91,11 @@ def sender_silent(
     seconds: float,
 ) -> Message:
     """A sender's clock advances while nothing of it is recorded."""
-    return loss(
+    return finding(
         LOG_GAP,
-        "nothing of system {system}, component {component} was recorded {times} for more than "
-        "{least_s:.0f} s, {seconds:.1f} s together, while its clock advanced: the link was down, "
-        "or bytes are missing",
+        "the log is incomplete: nothing of system {system}, component {component} was recorded "
+        "{times} for more than {least_s:.0f} s, {seconds:.1f} s together, while its clock "
+        "advanced: the link was down, or bytes are missing",
         where=f"{file}, first before byte {byte}",
         count=count,
         system=system,

@@ -2,7 +2,7 @@
 
 from unbend.errors import Code, Counted, LogError
 from unbend.ingest.messages import LOG_DROPOUT, LOG_GAP
-from unbend.messages import Message, loss, warning
+from unbend.messages import Message, finding, loss, warning
 
 LOG_ULOG = Code(
     "LOG-ULOG",
@@ -72,10 +72,10 @@ def messages_cut_out(
     *, file: str, after_boot_s: float, count: int, seconds: float, missing: int
 ) -> Message:
     """No topic has a message for a while."""
-    return loss(
+    return finding(
         LOG_GAP,
-        "{times} nothing was logged, {seconds:.3f} s together, about {missing}: they were cut out, "
-        "or the logger stopped",
+        "the log is incomplete: {times} nothing was logged, {seconds:.3f} s together, about "
+        "{missing}: they were cut out, or the logger stopped",
         where=f"{file}, first {after_boot_s:.3f} s after boot",
         count=count,
         times=Counted(count, "time"),

@@ -468,6 +468,9 @@ def describe_assignment(assignment: Assignment, images: CameraImages, exposed: E
     if assignment.runner_up.size:
         decades = assignment.log_ratio / np.log(10)
         noun = "event" if abs(assignment.shift) == 1 else "events"
-        text += f"; the next best assignment ({assignment.shift:+d} {noun}) is "
-        text += f"10^{decades:.0f} times less likely"
+        rival = f"the next best assignment ({assignment.shift:+d} {noun})"
+        if decades > messages.CERTAIN_DECADES:
+            text += f"; practically certain: {rival} is far less likely"
+        else:
+            text += f"; {rival} is 10^{decades:.0f} times less likely"
     return text

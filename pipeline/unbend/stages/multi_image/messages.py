@@ -1,5 +1,7 @@
 """Messages about several images: events, orientations, tie points, object and control points."""
 
+import math
+
 from unbend.errors import Code, Counted, InputError, MissionError
 from unbend.flight.messages import IMAGES_OTHER
 from unbend.messages import Kind, Message, finding, loss, message, note, warning
@@ -860,6 +862,10 @@ ORIENTATION_TIES = Code(
 )
 
 
+CERTAIN_DECADES = 6.0
+"""What is 10^6 times as likely as its rival is practically certain: beyond it the number says more
+of the model of errors than of the flight."""
+
 CONTRADICTIONS = {
     code.name: code
     for code in (
@@ -891,7 +897,9 @@ def ties_contradict(
     is compared. ``residual`` : what rays still miss by, over what sigmas explain; None if little.
     """
     text = "{mistake}: by {points}"
-    if decades != float("inf"):
+    if CERTAIN_DECADES < decades < math.inf:
+        text += " this is practically certain"
+    elif decades != math.inf:
         text += " this is 10^{decades:.0f} times as likely as what is stated"
     text += "; change {change}"
     if residual is not None:

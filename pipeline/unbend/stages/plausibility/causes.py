@@ -4,6 +4,8 @@ from collections import Counter
 
 import numpy as np
 
+from unbend.flight.stations import UNMATCHED
+from unbend.messages import Kind, Ledger
 from unbend.refraction.image import Exposures
 from unbend.refraction.status_codes import MISSES_GROUND, OUTSIDE_CAMERA
 from unbend.refraction.window import refract_at_window
@@ -43,6 +45,19 @@ def causes_of_statuses(facts: Facts) -> dict[str, str]:
     if bool(outside.any()):
         causes["outside_camera"] = cause_of_outside(facts, outside)
     return causes
+
+
+def statuses_explained(facts: Facts, ledger: Ledger) -> frozenset[str]:
+    """Statuses of rows that follow from losses which the ledger has already.
+
+    Rows without a station do, if there is a loss for each reason why images have no station. They
+    are one loss then, not two.
+    """
+    needed = set()
+    for status in facts.stations.status[~facts.stations.ok]:
+        needed.add("IMAGES-UNMATCHED" if status == UNMATCHED else "STATIONS-FLAGGED")
+    losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
+    return frozenset({"no_station"}) if needed and needed <= losses else frozenset()
 
 
 def cause_of_missing_stations(facts: Facts) -> str:

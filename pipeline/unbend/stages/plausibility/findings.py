@@ -15,10 +15,44 @@ VERIFYING = ("TIES-RESIDUALS", "ORIENTATION-TIES")
 """Codes of the comparison with tie points, which compares an elevation model with them too."""
 
 
+CAUSES_OF_ALL = frozenset(
+    {
+        "PLAUSIBLE-VIEW",
+        "PLAUSIBLE-PRINCIPAL-POINT",
+        "PLAUSIBLE-DISTORTION",
+        "PLAUSIBLE-EXTENT",
+        "PLAUSIBLE-DIRECTION",
+        "PLAUSIBLE-ANGLE",
+        "PLAUSIBLE-LEVER-ARM",
+        "PLAUSIBLE-DELAY",
+    }
+)
+"""Codes of mistakes with which the rays of tie points do not meet, whatever else is wrong."""
+
+CAUSES_OF_HEIGHTS = frozenset({"PLAUSIBLE-GROUND", "PLAUSIBLE-TERRAIN"})
+"""Codes of mistakes with which the rays meet, at other heights than those of the ground."""
+
+OF_HEIGHTS = frozenset({"TIES-HEIGHT"})
+OF_TIES = OF_HEIGHTS | frozenset(
+    {
+        "TIES-CALIBRATION",
+        "TIES-CAMERAS",
+        "TIES-FOCAL",
+        "TIES-MOUNT",
+        "TIES-PIXELS",
+        "TIES-TIME",
+        "TIES-RESIDUALS",
+        "ORIENTATION-TIES",
+    }
+)
+"""Codes of what the comparison with tie points finds."""
+
+
 def report_findings(facts: Facts, ledger: Ledger) -> None:
     """Add the findings of all rules to the ledger, and accept those that the mission file accepts.
 
-    Adds a warning (DEM-UNVERIFIED) if nothing in the mission could contradict its elevation model.
+    What tie points find is held back where a finding of a rule may be its cause. Adds a warning
+    (DEM-UNVERIFIED) if nothing in the mission could contradict its elevation model.
     """
     for rule in RULES:
         ledger.extend(rule(facts))
@@ -26,6 +60,30 @@ def report_findings(facts: Facts, ledger: Ledger) -> None:
     if has_model and not is_verified(facts, ledger):
         ledger.add(messages.model_unverified(where="ground.height.dem"))
     accept_findings(facts.mission.accept, ledger)
+    hold_back_ties(ledger)
+
+
+def hold_back_ties(ledger: Ledger) -> None:
+    """Take out of the ledger what tie points find, where another finding may be its cause.
+
+    A note (TIES-HELD-BACK) names what was taken out. Accepted findings are no causes: what the
+    mission file states is right.
+    """
+    codes = {entry.code for entry in ledger if entry.kind is Kind.FINDING}
+    of_all = codes & CAUSES_OF_ALL
+    of_heights = codes & CAUSES_OF_HEIGHTS
+    consequences = OF_TIES if of_all else frozenset[str]()
+    if of_heights:
+        consequences |= OF_HEIGHTS
+    held = ledger.remove(lambda entry: entry.kind is Kind.FINDING and entry.code in consequences)
+    if held:
+        ledger.add(
+            messages.ties_held_back(
+                codes=[entry.code for entry in held],
+                keys=[entry.where for entry in held],
+                causes=sorted(of_all | of_heights),
+            )
+        )
 
 
 def accept_findings(accepted: Iterable[AcceptedFinding], ledger: Ledger) -> None:

@@ -1,9 +1,10 @@
 """Messages about what looks like a mistake in a mission file."""
 
 import math
+from collections.abc import Sequence
 
 from unbend.errors import Code, MissionError
-from unbend.messages import Message, finding, warning
+from unbend.messages import Message, finding, note, warning
 
 PLAUSIBLE_GROUND = Code(
     "PLAUSIBLE-GROUND",
@@ -485,6 +486,35 @@ def model_unverified(*, where: str) -> Message:
             "upside down, would look the same: compare it with known heights"
         ),
         where=where,
+    )
+
+
+TIES_HELD_BACK = Code(
+    "TIES-HELD-BACK",
+    means=(
+        "Tie points contradict the mission file, and so does a PLAUSIBLE- finding that may be the "
+        "cause. Only the cause is listed."
+    ),
+    effect="None of its own: the cause makes the run end with 3.",
+    remedy="Correct or accept the cause, and run again: what tie points still contradict is listed "
+    "then.",
+)
+
+
+def ties_held_back(*, codes: Sequence[str], keys: Sequence[str], causes: Sequence[str]) -> Message:
+    """Findings of tie points that a finding of another kind may cause are not listed.
+
+    ``codes`` and ``keys`` are those of the findings; ``causes`` are codes.
+    """
+    return note(
+        TIES_HELD_BACK,
+        "tie points contradict {listed_keys} too ({listed_codes}): this may follow from {causes}, "
+        "and is listed once that is corrected or accepted",
+        where="stations",
+        count=len(codes),
+        listed_keys=", ".join(dict.fromkeys(keys)),
+        listed_codes=", ".join(dict.fromkeys(codes)),
+        causes=", ".join(dict.fromkeys(causes)),
     )
 
 

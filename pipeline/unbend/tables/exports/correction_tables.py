@@ -39,6 +39,8 @@ def lattice_tables(run: FinishedRun, values: Values, ledger: Ledger) -> Tables:
 
     def tables() -> Iterator[pa.Table]:
         """Camera by camera, in each the images in their order, in tables of `_MOST_ROWS`."""
+        images = int(usable.sum())
+        run.progress.start("computing corrections", images)
         for name, camera in run.cameras.items():
             x, y = lattice_nodes(camera.camera, columns, rows)
             for part, corrections in lattice_parts(run, name, run.rows_of(name), (x, y)):
@@ -52,6 +54,7 @@ def lattice_tables(run: FinishedRun, values: Values, ledger: Ledger) -> Tables:
                     "status": pa.array(STATUS_NAMES).take(pa.array(corrections.status)),
                 }
                 yield table_of(columns_of_table, schema)
+                run.progress.advance(part.size)
 
     return schema, tables()
 

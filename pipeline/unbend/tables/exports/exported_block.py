@@ -21,7 +21,7 @@ from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
 from unbend.tables.exports.export_frames import can_be_placed
 from unbend.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
-from unbend.tables.exports.format import FinishedRun
+from unbend.tables.exports.format import NO_PROGRESS, ExportProgress, FinishedRun
 from unbend.units import Array, Integers, Mask, Names
 
 _COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
@@ -51,12 +51,16 @@ class ExportedBlock:
     name: pa.StringArray
     count: Integers
     point_m: Array
+    progress: ExportProgress = NO_PROGRESS
 
     def images(self) -> Iterator[tuple[int, Camera, slice]]:
         """Number, camera and image points of each image."""
-        cameras, first = [*self.cameras.values()], self.first.tolist()
+        cameras = [*self.cameras.values()]
+        first = self.first.tolist()
+        self.progress.start("images of the block", self.camera.size)
         for i, number in enumerate(self.camera.tolist()):
             yield i, cameras[number], slice(first[i], first[i + 1])
+            self.progress.advance(1)
 
     def of_points(self) -> tuple[Integers, Integers, Integers]:
         """Image points by their points (r,), where each begins (p + 1,), and their images (r,)."""
@@ -123,6 +127,7 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
         name=names.take(pa.array(order)),
         count=count[order],
         point_m=np.empty((int(np.sum(count > 1)) if intersect else 0, 3)),
+        progress=run.progress,
     )
     if intersect:
         up = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])[:, 2]

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -25,6 +25,29 @@ from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.pixels import PixelSystem
 from unbend.tables.writing import parquet_settings
 from unbend.units import Array, Integers
+
+
+class ExportProgress(Protocol):
+    """What an export reports while it is written, for a bar with a share."""
+
+    def start(self, step: str, total: int | None = None) -> None:
+        """Begin a step of ``total`` units."""
+
+    def advance(self, count: int) -> None:
+        """Add ``count`` finished units to the step."""
+
+
+class NoProgress:
+    """ExportProgress that nobody looks at."""
+
+    def start(self, step: str, total: int | None = None) -> None:
+        """Discard the step."""
+
+    def advance(self, count: int) -> None:
+        """Discard the units."""
+
+
+NO_PROGRESS = NoProgress()
 
 
 @dataclass(frozen=True)
@@ -49,7 +72,8 @@ class FinishedRun:
     in order, with coordinates in the system ``pixels``; ``metadata`` goes into every file that is
     written. ``rays`` are those of ``air``'s profiles. ``find_ground`` reads heights of all
     observations; ``database`` finds COLMAP's, of which they are the keypoints, and reads all of it.
-    ``grid`` is the coordinate system that results are asked for in.
+    ``grid`` is the coordinate system that results are asked for in, ``progress`` gets every pass
+    over observations and images.
     """
 
     mission: str
@@ -65,6 +89,7 @@ class FinishedRun:
     metadata: Mapping[str, str]
     database: Callable[[], Path | None] = lambda: None
     grid: MapGrid | None = None
+    progress: ExportProgress = NO_PROGRESS
 
     def rows_of(self, camera: str) -> Integers:
         """(n,) the stations of a camera that can be used, in the order of the table."""
@@ -86,13 +111,17 @@ class FinishedRun:
         self, columns: Sequence[str], most_rows: int | None = None
     ) -> Iterator[tuple[Integers, pa.Table]]:
         """Stations (n,), -1 for none, and columns of all observations or ``most_rows``: parts."""
-        names, every = pa.array(self.stations.image, pa.string()), 1
+        names = pa.array(self.stations.image, pa.string())
+        rows = sum(pq.read_metadata(part).num_rows for part in self.parts)
+        every = 1
         if most_rows is not None:
-            every += sum(pq.read_metadata(part).num_rows for part in self.parts) // most_rows
+            every += rows // most_rows
+        self.progress.start("reading observations", rows)
         for part in self.parts:
             with pq.ParquetFile(part, read_dictionary=["image", "status"]) as file:
                 table = file.read(["image", *columns], use_threads=False)[::every]
             yield matching_rows(table["image"].combine_chunks(), names), table.select(columns)
+            self.progress.advance(table.num_rows * every)
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,13 @@ class MissionKeys:
 
 
 @dataclass(frozen=True)
+class AtmosphereKeys:
+    """Whether the air is estimated from what measured it; else the standard is kept."""
+
+    adjust: bool = True
+
+
+@dataclass(frozen=True)
 class MissionSections:
     """What reports say of a mission file: parts of the sections that `unbend.config` describes."""
 
@@ -71,3 +78,4 @@ class MissionSections:
     cameras: Mapping[str, CameraKeys]
     stations: StationsKeys
     mission: MissionKeys = field(default_factory=MissionKeys)
+    atmosphere: AtmosphereKeys = AtmosphereKeys()

@@ -1,0 +1,160 @@
+"""What a file is that was given in the place of a mission file, and what to do with it."""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+MANIFEST = "manifest.json"
+REPORT = "report.html"
+MISSION_ENDINGS = (".yaml", ".yml")
+
+_HEAD_BYTES = 1 << 16
+
+
+class OtherFile(NamedTuple):
+    """What a file is, and what to do instead of giving it as a mission file."""
+
+    what: str
+    remedy: str
+
+
+class _Mark(NamedTuple):
+    """Files that begin with some bytes."""
+
+    mark: bytes
+    what: str
+
+
+_MARKS = (
+    _Mark(b"PAR1", "a Parquet table"),
+    _Mark(b"SQLite format 3", "a database"),
+    _Mark(b"\x89HDF", "a netCDF or HDF5 file"),
+    _Mark(b"CDF", "a netCDF file"),
+    _Mark(b"GRIB", "a GRIB file"),
+    _Mark(b"\xff\xd8\xff", "an image (JPEG)"),
+    _Mark(b"\x89PNG", "an image (PNG)"),
+    _Mark(b"II*\x00", "an image (TIFF)"),
+    _Mark(b"MM\x00*", "an image (TIFF)"),
+    _Mark(b"PK\x03\x04", "a ZIP archive"),
+    _Mark(b"\x1f\x8b", "a file compressed with gzip"),
+    _Mark(b"%PDF", "a PDF"),
+)
+_NAMED_IN_MISSION = "name it in a mission file; `unbend init LOG OBSERVATIONS` writes one"
+_TABLES = (".csv", ".tsv", ".txt", ".pos", ".dat")
+
+
+def other_file(path: Path) -> OtherFile | None:
+    """What a path is, if it is surely no mission file; None where only its text can tell."""
+    if path.is_dir():
+        return _folder(path)
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except OSError:
+        return None
+    run = run_of(path)
+    if run is not None and path.suffix in (".json", ".html", ".parquet"):
+        return _results(run)
+    return _flight_log(path, head) or _by_mark(head) or _text_file(path, head)
+
+
+def run_of(path: Path) -> Path | None:
+    """The folder of the results that a path is or is in; None for any other path."""
+    for folder in (path, path.parent):
+        if (folder / MANIFEST).is_file() and (folder / REPORT).is_file():
+            return folder
+    return None
+
+
+def _folder(path: Path) -> OtherFile:
+    """What a folder is."""
+    run = run_of(path)
+    if run == path:
+        return _results(path, "the folder of the results of a run")
+    if _has_mission_files(path):
+        return OtherFile("a folder", f"name its mission files: {path}/*.yaml")
+    return OtherFile("a folder", "name a mission file; `unbend init LOG OBSERVATIONS` writes one")
+
+
+def _has_mission_files(path: Path) -> bool:
+    """Whether there are YAML files in a folder."""
+    return any(any(path.glob(f"*{ending}")) for ending in MISSION_ENDINGS)
+
+
+def _results(folder: Path, what: str = "a file of the results of a run") -> OtherFile:
+    """What to do with a folder of results, or with a file in it."""
+    return OtherFile(
+        what,
+        f"name the mission file that the results are of; `unbend verify {folder}` checks them, "
+        f"`unbend export {folder}` writes them for other programs",
+    )
+
+
+def _flight_log(path: Path, head: bytes) -> OtherFile | None:
+    """A flight log of a known format, by its content; or by its ending, if it is no text."""
+    from unbend.ingest.registry import FORMATS  # takes a while, and only where something is wrong
+
+    by_content = [form for form in FORMATS if form.matches(head)]
+    by_ending = [form for form in FORMATS if path.suffix.lower() in form.extensions]
+    known = by_content
+    if not known and not _is_text(head):
+        known = by_ending
+    if not known:
+        return None
+    return OtherFile(
+        f"a flight log: {known[0].title}",
+        f"write a mission file first: `unbend init {path} OBSERVATIONS`, then run that; "
+        f"`unbend inspect {path}` shows what the log holds",
+    )
+
+
+def _by_mark(head: bytes) -> OtherFile | None:
+    """A file of a known kind by its first bytes, or any that is no text."""
+    for mark, what in _MARKS:
+        if head.startswith(mark):
+            return OtherFile(what, _NAMED_IN_MISSION)
+    if not _is_text(head):
+        return OtherFile("no text in UTF-8", "a mission file is YAML in UTF-8")
+    return None
+
+
+def _text_file(path: Path, head: bytes) -> OtherFile | None:
+    """A page, a manifest, a schema, XML or a table."""
+    text = head.decode("utf-8", errors="ignore").lstrip("\ufeff \r\n\t")
+    ending = path.suffix.lower()
+    if text[:15].lower().startswith(("<!doctype html", "<html")):
+        return OtherFile("a web page", "name a mission file")
+    if text.startswith("<"):
+        return OtherFile("XML", _NAMED_IN_MISSION)
+    if text.startswith("{") and ending in (".json", ".geojson"):
+        return _json_file(path)
+    if ending in _TABLES:
+        return OtherFile("a table of text", _NAMED_IN_MISSION)
+    return None
+
+
+def _json_file(path: Path) -> OtherFile | None:
+    """A manifest or a schema; None for other JSON, which may be a mission file, as YAML is."""
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if "manifest_version" in values:
+        return _results(path.parent)
+    if "$schema" in values and "properties" in values:
+        return OtherFile("the JSON schema of mission files, for editors", "name a mission file")
+    if "features" in values:
+        return OtherFile("GeoJSON", _NAMED_IN_MISSION)
+    return None
+
+
+def _is_text(head: bytes) -> bool:
+    """Whether the beginning of a file is UTF-8 text."""
+    if b"\x00" in head:
+        return False
+    try:
+        head.decode("utf-8")
+    except UnicodeDecodeError as error:
+        # The head may end in the middle of a character.
+        return len(head) == _HEAD_BYTES and error.start > len(head) - 4
+    return True
