@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: files outside docs/pages, generated parts, equations."""
+"""Hooks of mkdocs: files outside docs/pages, generated parts and pages, notebooks, equations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from mkdocs.structure.pages import Page
 
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent))  # mkdocs loads hooks by their file
-from docs.reference import with_generated  # noqa: E402
+from docs.notebooks import pictures_of, text_of_page  # noqa: E402
+from docs.reference import families, family_page, with_generated  # noqa: E402
 
 PAGES = DOCS / "pages"
 LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
@@ -38,7 +39,29 @@ def elsewhere() -> dict[Path, str]:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path, place in elsewhere().items():
         files.append(File.generated(config, place, abs_src_path=str(path)))
+    for notebook in sorted(PAGES.rglob("*.ipynb")):
+        page = notebook.relative_to(PAGES).with_suffix(".md")
+        files.append(File.generated(config, page.as_posix(), abs_src_path=str(notebook)))
+        for name, picture in pictures_of(notebook).items():
+            files.append(File.generated(config, f"{page.parent}/{name}", content=picture))
+    for family in families():
+        text = f"# {family}\n\n<!-- generated: codes {family} -->\n"
+        files.append(File.generated(config, family_page(family), content=text))
+    add_families(config)
     return files
+
+
+def add_families(config: MkDocsConfig) -> None:
+    """Put a page for each family of codes into the navigation, below the page of all codes."""
+    for entry in config.nav or []:
+        if isinstance(entry, dict) and "Codes" in entry:
+            entry["Codes"] = ["codes.md", *(family_page(family) for family in families())]
+
+
+def on_page_read_source(page: Page, **_: Any) -> str | None:
+    """A notebook as the Markdown of its page; other pages are read as they are."""
+    source = str(page.file.abs_src_path)
+    return text_of_page(Path(source)) if source.endswith(".ipynb") else None
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:

@@ -1,0 +1,79 @@
+"""Docstrings of the package as Markdown, for the API reference.
+
+They are plain text with three habits: `name, name : what it is` describes an argument, lines that
+begin with `>>>` are an example, and a name in single backticks is another name of the reference.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from functools import cache
+from typing import Any
+
+import griffe
+
+DESCRIBED = ("unbend", "unbend.atmosphere", "unbend.refraction", "unbend.ingest")
+"""Modules with a page: each lists its public names in `__all__`."""
+
+ARGUMENT = re.compile(r"^(?P<names>\*{0,2}\w+(?:, \w+)*) : (?P<text>.*)$")
+UNDERLINE = re.compile(r"^-{3,}$")
+NAME = re.compile(r"(?<![`\[])`(?P<name>\w+)`(?!`)")
+
+
+class PlainDocstrings(griffe.Extension):
+    """Rewrites each docstring before mkdocstrings renders it."""
+
+    def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
+        if obj.docstring is not None:
+            obj.docstring.value = as_markdown(obj.docstring.value)
+
+
+def as_markdown(docstring: str) -> str:
+    """A docstring with its arguments as a list and its examples as code.
+
+    >>> print(as_markdown("An angle.\\n\\nh : height [m],\\n    above the sea.\\n\\n>>> 1 + 1\\n2"))
+    An angle.
+    <BLANKLINE>
+    * **h**: height [m],
+        above the sea.
+    <BLANKLINE>
+    ```pycon
+    >>> 1 + 1
+    2
+    ```
+    """
+    paragraphs = docstring.strip().split("\n\n")
+    return "\n\n".join(paragraph_as_markdown(text) for text in paragraphs)
+
+
+def paragraph_as_markdown(text: str) -> str:
+    """One paragraph: an example, a list of arguments, or sentences."""
+    if text.startswith(">>> "):
+        return f"```pycon\n{text}\n```"
+    lines = []
+    for line in text.splitlines():
+        argument = ARGUMENT.match(line)
+        if UNDERLINE.match(line):
+            lines[-1] = f"**{lines[-1]}**\n"
+        elif argument:
+            lines.append(f"* **{argument['names']}**: {argument['text']}")
+        else:
+            lines.append(line)
+    return NAME.sub(link, "\n".join(lines))
+
+
+def link(found: re.Match[str]) -> str:
+    """A name in backticks, with a link if the reference has it."""
+    place = places().get(found["name"])
+    return f"[`{found['name']}`][{place}]" if place else found[0]
+
+
+@cache
+def places() -> dict[str, str]:
+    """The public names of the described modules, and the module that each is described in."""
+    found: dict[str, str] = {}
+    for name_of_module in DESCRIBED:
+        for name in importlib.import_module(name_of_module).__all__:
+            found[name] = f"{name_of_module}.{name}"
+    return found
