@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterator
 
-from docs.snippets import printed_by
+from docs.snippets import DOCS, printed_by
 from unbend.config.keys import MissionKey, campaign_keys, mission_keys
 from unbend.report import explanations
 from unbend.tables import schemas
@@ -117,7 +118,23 @@ def code_lines(code: str) -> Iterator[str]:
     yield f"Effect: {escaped(entry.effect)} To do: {escaped(entry.remedy)}\n{{ .facts }}"
 
 
+def project_urls() -> dict[str, str]:
+    """The addresses that a maintainer fills into pyproject.toml: Repository and Issues, or none."""
+    text = (DOCS.parent / "pyproject.toml").read_text(encoding="utf-8")
+    urls: dict[str, str] = tomllib.loads(text)["project"].get("urls", {})
+    return urls
+
+
+def address_of(label: str) -> str:
+    """A link to an address of the project, or what to do while there is none."""
+    address = project_urls().get(label)
+    if address is None:
+        return "the maintainer of your copy (this one names no address yet: `[project.urls]` in `pyproject.toml`)"
+    return f"<{address}>"
+
+
 PARTS: dict[str, Callable[[str], str]] = {
+    "address": address_of,
     "codes": codes_of,
     "help": help_of,
     "keys": keys_of,

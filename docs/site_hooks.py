@@ -17,7 +17,12 @@ from mkdocs.structure.pages import Page
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent))  # mkdocs loads hooks by their file
 from docs.notebooks import pictures_of, text_of_page  # noqa: E402
-from docs.reference import families, family_page, with_generated  # noqa: E402
+from docs.reference import (  # noqa: E402
+    families,
+    family_page,
+    project_urls,
+    with_generated,
+)
 
 PAGES = DOCS / "pages"
 LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
@@ -34,6 +39,12 @@ def elsewhere() -> dict[Path, str]:
     return {path: path.name for path in files} | {
         DOCS.parent / "CONTRIBUTING.md": "contributing.md"
     }
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """The address of the repository, if pyproject.toml has one, stands in the head of each page."""
+    config.repo_url = project_urls().get("Repository")
+    return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
