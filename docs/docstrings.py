@@ -71,9 +71,12 @@ def link(found: re.Match[str]) -> str:
 
 @cache
 def places() -> dict[str, str]:
-    """The public names of the described modules, and the module that each is described in."""
+    """The public functions and classes of these modules, each with the place of its definition."""
     found: dict[str, str] = {}
     for name_of_module in DESCRIBED:
-        for name in importlib.import_module(name_of_module).__all__:
-            found[name] = f"{name_of_module}.{name}"
+        module = importlib.import_module(name_of_module)
+        for name in module.__all__:
+            home = getattr(getattr(module, name), "__module__", None)
+            if home is not None:  # constants have none, and are described only with a docstring
+                found[name] = f"{home}.{name}"
     return found
