@@ -86,6 +86,8 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
         place = places.get(target)
         if place is None and target.is_relative_to(PAGES):
             place = target.relative_to(PAGES).as_posix()
+            if target.suffix == ".ipynb" and target != source:  # its own page offers the file
+                place = place.removesuffix(".ipynb") + ".md"
         return link[0] if place is None else f"{link[1]}{posixpath.relpath(place, here)}{link[3]}"
 
     return LINK.sub(as_in_the_site, with_generated(markdown))
