@@ -129,7 +129,8 @@ def address_of(label: str) -> str:
     """A link to an address of the project, or what to do while there is none."""
     address = project_urls().get(label)
     if address is None:
-        return "the maintainer of your copy (this one names no address yet: `[project.urls]` in `pyproject.toml`)"
+        missing = "this one names no address yet: `[project.urls]` in `pyproject.toml`"
+        return f"the maintainer of your copy ({missing})"
     return f"<{address}>"
 
 

@@ -210,7 +210,7 @@ def test_the_search_finds_a_word_on_its_page(word, page, site_folder):
     found = {
         entry["location"].partition("#")[0]
         for entry in entries_of_the_search(site_folder)
-        if re.search(rf"\b{word}", f"{entry['title']} {entry['text']}", flags=re.IGNORECASE)
+        if re.search(rf"\b{word}\b", f"{entry['title']} {entry['text']}", flags=re.IGNORECASE)
     }
     assert page in found
 
