@@ -16,7 +16,7 @@ import griffe
 DESCRIBED = ("unbend", "unbend.atmosphere", "unbend.refraction", "unbend.ingest")
 """Modules with a page: each lists its public names in `__all__`."""
 
-ARGUMENT = re.compile(r"^(?P<names>\*{0,2}\w+(?:, \w+)*) : (?P<text>.*)$")
+ARGUMENT = re.compile(r"^(?P<names>\w+(?:, \w+)*) : (?P<text>.*)$")
 UNDERLINE = re.compile(r"^-{3,}$")
 NAME = re.compile(r"(?<![`\[])`(?P<name>\w+)`(?!`)")
 
@@ -32,16 +32,11 @@ class PlainDocstrings(griffe.Extension):
 def as_markdown(docstring: str) -> str:
     """A docstring with its arguments as a list and its examples as code.
 
-    >>> print(as_markdown("An angle.\\n\\nh : height [m],\\n    above the sea.\\n\\n>>> 1 + 1\\n2"))
+    >>> print(as_markdown("An angle.\\n\\nh : height [m],\\n    above the sea."))
     An angle.
     <BLANKLINE>
     * **h**: height [m],
         above the sea.
-    <BLANKLINE>
-    ```pycon
-    >>> 1 + 1
-    2
-    ```
     """
     paragraphs = docstring.strip().split("\n\n")
     return "\n\n".join(paragraph_as_markdown(text) for text in paragraphs)
