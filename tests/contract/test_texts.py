@@ -136,6 +136,7 @@ NOT_OF_HAND = ("changelog.md", "changelog_details.md", "decisions.md", "accuracy
 """Pages as they were at their time, or that the program writes."""
 FENCED = re.compile(r"^( *)```(\w*)[^\n]*\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 WRITTEN_PAGES = [
+    ROOT / "CONTRIBUTING.md",
     ROOT / "README.md",
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if page.name not in NOT_OF_HAND),
 ]
