@@ -79,18 +79,20 @@ The adjustments differ:
 * *Control*: nine points are fixed at their true places.
 * *Self-calibration*: f, k1, k2 of each camera are unknown.
 
-Errors are root mean squares of the heights of all points except the control points. *Corrected* uses
-the air that `unbend` determines from the flight's own sensors. These are biased, lag and drift.
+Errors are root mean squares of the heights of all points except the control points. *Corrected*
+uses the air that `unbend` determines from the flight's own sensors. These are biased, lag and
+drift.
 """
 OTHER_BLOCKS = """
 Another layout of a block gives other numbers, and real adjustments have other errors too. At 120 m
 above ground, refraction is 0.3 arcsec at a nadir angle of 45°: in the middle of an oblique image
 0.006 px with f = 4,000 px, and 0.03 px with f = 20,000 px.
 
-The simulated lens is not affected by the air in it. The principal distance of a real lens, calibrated
-in a laboratory, is wrong by 130 to 310 ppm at 6 km. That is 0.8 to 1.9 m of height if nothing absorbs
-it, more than the refraction in this table. `unbend` removes it if the mission file states
-[the air of the calibration](pages/guide/lens.md). Self-calibration and control absorb it too.
+The simulated lens is not affected by the air in it. The principal distance of a real lens,
+calibrated in a laboratory, is wrong by 130 to 310 ppm at 6 km. That is 0.8 to 1.9 m of height if
+nothing absorbs it, more than the refraction in this table. `unbend` removes it if the mission file
+states [the air of the calibration](pages/guide/lens.md). Self-calibration and control absorb it
+too.
 """
 TWICE = """
 In the last two rows the calibration was estimated from uncorrected images (control, GNSS), so it
@@ -167,8 +169,8 @@ def summary(
          a["nadir both calibrated"], "absorbed: not needed"),
         ("nadir, control alone", b["nadir control"], a["nadir control"],
          "mostly absorbed"),
-        ("nadir, orientations fixed", f"{b['nadir held']} ± {b['nadir less mean']}", a["nadir held"],
-         "a constant: one number corrects it, or this program"),
+        ("nadir, orientations fixed", f"{b['nadir held']} ± {b['nadir less mean']}",
+         a["nadir held"], "a constant: one number corrects it, or this program"),
         ("nadir, GNSS", b["nadir gnss"], a["nadir gnss"], "needed"),
         ("five heads (45°), GNSS", b["heads gnss"], a["heads gnss"], "needed"),
         ("five heads, GNSS and self-calibration", b["heads gnss calibrated"],
