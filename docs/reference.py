@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterator
 
-from docs.snippets import printed_by
+from docs.snippets import DOCS, printed_by
 from unbend.config.keys import MissionKey, campaign_keys, mission_keys
 from unbend.report import explanations
 from unbend.tables import schemas
@@ -69,24 +70,72 @@ def escaped(text: str) -> str:
 
 
 def codes_of(table: str) -> str:
-    """The codes of the exit, or of refusals and the ledger by their first word."""
+    """The exit codes, the list of all families, or the codes of one family."""
     if table == "exit":
-        rows = [
-            f"| {code} | {escaped(e.means)} | {escaped(e.effect)} | {escaped(e.remedy)} |"
-            for code, e in explanations.meanings()["exit"].items()
-        ]
-        return "\n".join(["| code | means | the results | to do |", "|---|---|---|---|", *rows])
-    lines: list[str] = []
-    for code, entry in sorted(explanations.meanings()["codes"].items()):
-        word = code.split("-")[0]
-        if f"## {word}" not in lines:
-            lines.append(f"## {word}")
-        facts = f"Effect: {escaped(entry.effect)} To do: {escaped(entry.remedy)}"
-        lines += [f"### {code}", escaped(entry.means), f"{facts}\n{{ .facts }}"]
-    return "\n\n".join(lines)
+        return exit_codes()
+    if table == "families":
+        return list_of_families()
+    return "\n\n".join(lines for code in families()[table] for lines in code_lines(code))
+
+
+def exit_codes() -> str:
+    """A table of the exit codes."""
+    rows = [
+        f"| {code} | {escaped(e.means)} | {escaped(e.effect)} | {escaped(e.remedy)} |"
+        for code, e in explanations.meanings()["exit"].items()
+    ]
+    return "\n".join(["| code | means | the results | to do |", "|---|---|---|---|", *rows])
+
+
+def families() -> dict[str, list[str]]:
+    """The codes of each family, which is called by the first word of its codes."""
+    codes_of_family: dict[str, list[str]] = {}
+    for code in sorted(explanations.meanings()["codes"]):
+        codes_of_family.setdefault(code.split("-")[0], []).append(code)
+    return codes_of_family
+
+
+def family_page(family: str) -> str:
+    """The place of a family's page in the site."""
+    return f"codes/{family.lower()}.md"
+
+
+def list_of_families() -> str:
+    """A table of all codes, one row a family, each with a link to its explanation."""
+    rows = ["| family | codes |", "|---|---|"]
+    for family, codes in families().items():
+        page = family_page(family)
+        links = [f"[{code}]({page}#{code.lower()})" for code in codes]
+        rows.append(f"| [{family}]({page}) | {', '.join(links)} |")
+    return "\n".join(rows)
+
+
+def code_lines(code: str) -> Iterator[str]:
+    """A code: its heading, what it means, what it does to the result and what to do."""
+    entry = explanations.meanings()["codes"][code]
+    yield f"## {code}"
+    yield escaped(entry.means)
+    yield f"Effect: {escaped(entry.effect)} To do: {escaped(entry.remedy)}\n{{ .facts }}"
+
+
+def project_urls() -> dict[str, str]:
+    """The addresses that a maintainer fills into pyproject.toml: Repository and Issues, or none."""
+    text = (DOCS.parent / "pyproject.toml").read_text(encoding="utf-8")
+    urls: dict[str, str] = tomllib.loads(text)["project"].get("urls", {})
+    return urls
+
+
+def address_of(label: str) -> str:
+    """A link to an address of the project, or what to do while there is none."""
+    address = project_urls().get(label)
+    if address is None:
+        missing = "this one names no address yet: `[project.urls]` in `pyproject.toml`"
+        return f"the maintainer of your copy ({missing})"
+    return f"<{address}>"
 
 
 PARTS: dict[str, Callable[[str], str]] = {
+    "address": address_of,
     "codes": codes_of,
     "help": help_of,
     "keys": keys_of,

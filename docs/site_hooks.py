@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: files outside docs/pages, generated parts, equations."""
+"""Hooks of mkdocs: files outside docs/pages, generated parts and pages, notebooks, equations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ from mkdocs.structure.pages import Page
 
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent))  # mkdocs loads hooks by their file
-from docs.reference import with_generated  # noqa: E402
+from docs.notebooks import pictures_of, text_of_page  # noqa: E402
+from docs.reference import (  # noqa: E402
+    families,
+    family_page,
+    project_urls,
+    with_generated,
+)
 
 PAGES = DOCS / "pages"
 LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
@@ -35,10 +41,38 @@ def elsewhere() -> dict[Path, str]:
     }
 
 
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """The address of the repository, if pyproject.toml has one, stands in the head of each page."""
+    config.repo_url = project_urls().get("Repository")
+    return config
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path, place in elsewhere().items():
         files.append(File.generated(config, place, abs_src_path=str(path)))
+    for notebook in sorted(PAGES.rglob("*.ipynb")):
+        page = notebook.relative_to(PAGES).with_suffix(".md")
+        files.append(File.generated(config, page.as_posix(), abs_src_path=str(notebook)))
+        for name, picture in pictures_of(notebook).items():
+            files.append(File.generated(config, f"{page.parent}/{name}", content=picture))
+    for family in families():
+        text = f"# {family}\n\n<!-- generated: codes {family} -->\n"
+        files.append(File.generated(config, family_page(family), content=text))
+    add_families(config)
     return files
+
+
+def add_families(config: MkDocsConfig) -> None:
+    """Put a page for each family of codes into the navigation, below the page of all codes."""
+    for entry in config.nav or []:
+        if isinstance(entry, dict) and "Codes" in entry:
+            entry["Codes"] = ["codes.md", *(family_page(family) for family in families())]
+
+
+def on_page_read_source(page: Page, **_: Any) -> str | None:
+    """A notebook as the Markdown of its page; other pages are read as they are."""
+    source = str(page.file.abs_src_path)
+    return text_of_page(Path(source)) if source.endswith(".ipynb") else None
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
@@ -52,6 +86,8 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
         place = places.get(target)
         if place is None and target.is_relative_to(PAGES):
             place = target.relative_to(PAGES).as_posix()
+            if target.suffix == ".ipynb" and target != source:  # its own page offers the file
+                place = place.removesuffix(".ipynb") + ".md"
         return link[0] if place is None else f"{link[1]}{posixpath.relpath(place, here)}{link[3]}"
 
     return LINK.sub(as_in_the_site, with_generated(markdown))

@@ -28,23 +28,23 @@ DOCUMENT = Path(__file__).with_name("when.md")
 HEIGHT = 6000.0
 
 CASES = {
-    "nadir held": "nadir, orientations held",
-    "nadir less mean": "the same, less its mean",
+    "nadir held": "nadir, orientations fixed",
+    "nadir less mean": "the same, without its mean",
     "nadir control": "nadir, 9 control points",
     "nadir control calibrated": "nadir, 9 control points, self-calibration",
     "nadir gnss": "nadir, GNSS",
     "nadir gnss calibrated": "nadir, GNSS, self-calibration",
     "nadir both": "nadir, 9 control points, GNSS",
     "nadir both calibrated": "nadir, 9 control points, GNSS, self-calibration",
-    "heads held": "five heads, orientations held",
+    "heads held": "five heads, orientations fixed",
     "heads control": "five heads, 9 control points",
     "heads control calibrated": "five heads, 9 control points, self-calibration",
     "heads gnss": "five heads, GNSS",
     "heads gnss calibrated": "five heads, GNSS, self-calibration",
     "heads both": "five heads, 9 control points, GNSS",
     "heads both calibrated": "five heads, 9 control points, GNSS, self-calibration",
-    "carried": "nadir held, calibrated in flight at 3 km without correction, used at 6 km",
-    "calibrated here": "nadir held, calibrated in flight at 6 km without correction",
+    "carried": "nadir fixed, calibrated in flight at 3 km without correction, used at 6 km",
+    "calibrated here": "nadir fixed, calibrated in flight at 6 km without correction",
 }
 """What is adjusted, and what the document calls it."""
 
@@ -57,34 +57,46 @@ AIRS = {
         ("adjusted", "left by the adjusted air [%]"),
     )
 }
-"""Height error of nadir blocks with orientations held, and what two airs leave of it."""
+"""Height error of nadir blocks with orientations fixed, and what two airs leave of it."""
 
 INTRODUCTION = """\
 # Who needs a correction of refraction
 
-Written by `python -m docs.when`; not to be edited.
+Written by `python -m docs.when`. Do not edit this page.
 
-Simulated blocks with known truth, 6 km above ground, f = 20,000 px, 60 and 30 % overlap, 300 points
-0 to 300 m high: 20 nadir images, or five heads (nadir and four at 45°) that see the points from all
-sides. The rays are an ODE through the air of nine real soundings, the adjustment is pycolmap's, and
-nothing but refraction is wrong: no noise, true positions. *Held*: only points are adjusted. *GNSS*:
-positions are priors of 3 and 5 cm against 0.3 px, attitudes free. *Control*: nine points held at
-their places. *Self-calibration*: f, k1, k2 of each camera. Errors are root mean squares of the
-heights of all points that are no control. *Corrected* is with the air that `unbend` makes of a
-flight's own sensors, which are biased, lag and drift.
+The table compares simulated blocks with known truth:
+
+* 6 km above ground, f = 20,000 px, 60 and 30 % overlap, 300 points 0 to 300 m high;
+* 20 nadir images, or five heads (nadir and four at 45°) that see the points from all sides;
+* rays from an ODE through nine atmospheres from real soundings;
+* adjusted with pycolmap;
+* no error except refraction: no noise, true positions.
+
+The adjustments differ:
+
+* *Fixed*: only points are adjusted.
+* *GNSS*: positions are priors of 3 and 5 cm against 0.3 px, attitudes are free.
+* *Control*: nine points are fixed at their true places.
+* *Self-calibration*: f, k1, k2 of each camera are unknown.
+
+Errors are root mean squares of the heights of all points except the control points. *Corrected*
+uses the air that `unbend` determines from the flight's own sensors. These are biased, lag and
+drift.
 """
 OTHER_BLOCKS = """
-Another layout of a block gives other numbers, real adjustments have other errors beside this one,
-and at 120 m above ground all of it is 0.006 px.
+Another layout of a block gives other numbers, and real adjustments have other errors too. At 120 m
+above ground, refraction is 0.3 arcsec at a nadir angle of 45°: in the middle of an oblique image
+0.006 px with f = 4,000 px, and 0.03 px with f = 20,000 px.
 
-The lens of these cameras does not know of the air in it. A real one, calibrated in a laboratory, is
-off by 130 to 310 ppm of its principal distance at 6 km: 0.8 to 1.9 m of height where nothing
-absorbs it, more than the refraction of this table. It is removed where the mission file states
-[the air of the calibration](pages/guide/lens.md); self-calibration and control absorb it too.
+The simulated lens is not affected by the air in it. The principal distance of a real lens,
+calibrated in a laboratory, is wrong by 130 to 310 ppm at 6 km. That is 0.8 to 1.9 m of height if
+nothing absorbs it, more than the refraction in this table. `unbend` removes it if the mission file
+states [the air of the calibration](pages/guide/lens.md). Self-calibration and control absorb it
+too.
 """
 TWICE = """
-In the last two rows the calibration comes from uncorrected images (control, GNSS) and holds
-refraction; corrected images then have it twice.
+In the last two rows the calibration was estimated from uncorrected images (control, GNSS), so it
+contains refraction. Corrected images then have it twice.
 """
 
 Numbers = dict[str, float]
@@ -156,9 +168,9 @@ def summary(
         ("nadir, control, GNSS and self-calibration", b["nadir both calibrated"],
          a["nadir both calibrated"], "absorbed: not needed"),
         ("nadir, control alone", b["nadir control"], a["nadir control"],
-         "absorbed for the most part"),
-        ("nadir, orientations held", f"{b['nadir held']} ± {b['nadir less mean']}", a["nadir held"],
-         "a constant: one number repairs it, or this"),
+         "mostly absorbed"),
+        ("nadir, orientations fixed", f"{b['nadir held']} ± {b['nadir less mean']}",
+         a["nadir held"], "a constant: one number corrects it, or this program"),
         ("nadir, GNSS", b["nadir gnss"], a["nadir gnss"], "needed"),
         ("five heads (45°), GNSS", b["heads gnss"], a["heads gnss"], "needed"),
         ("five heads, GNSS and self-calibration", b["heads gnss calibrated"],
@@ -171,11 +183,11 @@ def summary(
          "never correct on top of it"),
     ]  # fmt: skip
     return "\n".join([
-        "| block at 6 km | height error [m] | corrected [m] | so it is |",
+        "| block at 6 km | height error [m] | corrected [m] | conclusion |",
         "| :-- | --: | --: | :-- |",
         *(f"| {' | '.join(row)} |" for row in rows),
         "",
-        f"US 1976 leaves {percent(left['standard'])} % of it at 3 to 9 km,"
+        f"US 1976 leaves {percent(left['standard'])} % of the error at 3 to 9 km,"
         f" the air that the aircraft measured {percent(left['adjusted'])} %.",
     ])  # fmt: skip
 
@@ -196,17 +208,17 @@ def document(names: list[str], columns: list[tuple[Numbers, Numbers, Numbers]]) 
     }
     lines = [
         INTRODUCTION,
-        "## In ten lines",
+        "## Main results",
         "",
         summary(before, after, airs),
         OTHER_BLOCKS,
-        "## Median and range over nine airs",
+        "## Median and range over nine atmospheres",
         "",
         "| 6 km above ground | uncorrected [m] | corrected [m] |",
         "| :-- | --: | --: |",
         *cells.values(),
         TWICE,
-        "## Air by air",
+        "## Each atmosphere",
         "",
         *(f"{number}. {name}" for number, name in enumerate(names, start=1)),
         "",
@@ -214,7 +226,7 @@ def document(names: list[str], columns: list[tuple[Numbers, Numbers, Numbers]]) 
     for title, cases, table, digits in (
         ("Uncorrected [m]", CASES, before, 3),
         ("Corrected [m]", CASES, after, 4),
-        ("What an air leaves, nadir, orientations held", AIRS, airs, 3),
+        ("Errors that remain, nadir, orientations fixed", AIRS, airs, 3),
     ):
         lines += [
             f"### {title}",

@@ -324,6 +324,7 @@ DRAWN = (
     "cli/test_interrupts.py",
     "config/test_mission_file.py",
     "contract/test_imports.py::test_importing_warns_of_nothing",
+    "contract/test_notebooks.py::test_a_notebook_prints_what_it_shows",
     "faults/test_mcap.py::test_bombs_are_skipped_at_once",
     "flight/test_injected_faults.py",
     "golden/test_block_heights.py",

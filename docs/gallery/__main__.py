@@ -17,8 +17,9 @@ PAGE, TEXTS = FOLDER / "index.md", Path(__file__).with_name("texts.toml")
 HEAD = """\
 # Gallery
 
-Pictures made by scripts, and the numbers behind them. The scripts stand in `docs/gallery`;
-`python -m docs.gallery` runs them and writes this page, tests compute numbers again.
+Scripts make these pictures, and each picture is followed by its numbers. The scripts are in
+`docs/gallery`. `python -m docs.gallery` runs them and writes this page. Tests compute the numbers
+again.
 """
 
 

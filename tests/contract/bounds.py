@@ -31,7 +31,7 @@ SAMPLES = ("sample_bin", "sample_tlog", "sample_mcap")
 # What the extras of the program bring, by the names they are imported under.
 IMPORTS = (
     "rasterio, pycolmap, pymsis, xarray, h5netcdf, h5py, cfgrib, eccodes, obstore, distributed, "
-    "material, latex2mathml"
+    "material, mkdocstrings_handlers.python, latex2mathml"
 )
 # Of the extra `test`, what the tests that are run here import.
 TOOLS = {"hypothesis", "mpmath", "pytest", "pytest-xdist"}

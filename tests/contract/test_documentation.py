@@ -5,6 +5,8 @@ After a change of what is printed: python -m docs.snippets --write
 
 from __future__ import annotations
 
+import html
+import json
 import os
 import re
 import shlex
@@ -16,6 +18,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+import yaml
 
 from docs import snippets
 from tests.conftest import run_command
@@ -69,6 +72,7 @@ def help_text(command: str) -> str:
 )
 def test_every_command_in_a_sentence_exists(page):
     text = re.sub(r"^( *)```.*?^\1```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    text = re.sub(r"\\\n *", "", text)  # a line that goes on in the next
     shown = re.findall(r"`unbend ([^`]+)`", text) + re.findall(r"^ {4}unbend ([^#\n]+)", text, re.M)
     for line in shown:
         name, *words = shlex.split(line.replace("|", " "))
@@ -92,9 +96,10 @@ def test_the_readme_has_a_mission_in_twenty_lines():
 
 def test_the_angle_is_what_it_says(unbend):
     text = (ROOT / "docs" / "pages" / "guide" / "exact.md").read_text(encoding="utf-8")
-    found = re.search(r"    unbend (angle .*)\n\s*\ngives ([0-9.]+) arcsec", text)
+    found = re.search(r"    unbend (angle .*\\\n.*)\n\s*\ngives ([0-9.]+) arcsec", text)
     assert found is not None
-    assert f"{found[2]} arcsec" in unbend(*found[1].split()).out
+    words = found[1].replace("\\\n", " ").split()
+    assert f"{found[2]} arcsec" in unbend(*words).out
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ids=str)
@@ -125,8 +130,8 @@ class Links(HTMLParser):
 
 
 @pytest.fixture(scope="session")
-def site(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Links]:
-    """The links of every page of the site, built as `make docs` does, in strict mode."""
+def site_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built as `make docs` does, in strict mode."""
     folder = tmp_path_factory.mktemp("site")
     config = ROOT / "docs" / "mkdocs.yml"
     done = subprocess.run(
@@ -135,8 +140,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Links]:
         capture_output=True, text=True, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
+def site(site_folder: Path) -> dict[Path, Links]:
+    """The links of every page of the site."""
     found = {}
-    for page in folder.rglob("*.html"):
+    for page in site_folder.rglob("*.html"):
         found[page] = Links()
         found[page].feed(page.read_text(encoding="utf-8"))
     return found
@@ -160,11 +171,10 @@ def test_links_and_anchors_of_the_site_exist(site):
     assert not broken, "\n".join(sorted(set(broken)))
 
 
-def test_the_site_loads_nothing_from_a_network(site):
+def test_the_site_loads_nothing_from_a_network(site, site_folder):
     loaded = {link for links in site.values() for link in links.loaded}
     assert not [link for link in loaded if urlsplit(link).scheme or link.startswith("//")]
-    folder = min(site, key=lambda page: len(page.parts)).parent
-    for sheet in folder.rglob("*.css"):
+    for sheet in site_folder.rglob("*.css"):
         assert not re.search(r"url\(['\"]?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet
 
 
@@ -173,3 +183,75 @@ def test_equations_are_mathml(site):
     for page in site:
         text = page.read_text(encoding="utf-8")
         assert 'class="arithmatex"' not in text, page.name
+
+
+def entries_of_the_search(site_folder: Path) -> list[dict[str, str]]:
+    """What the search of the site looks through: a place, a title and a text each."""
+    index = json.loads((site_folder / "search" / "search_index.json").read_text(encoding="utf-8"))
+    entries: list[dict[str, str]] = index["docs"]
+    return entries
+
+
+@pytest.mark.parametrize(
+    ("word", "page"),
+    [
+        ("GCP", "guide/control.html"),
+        ("Agisoft", "formats/metashape_in.html"),
+        ("Metashape", "formats/metashape_in.html"),
+        ("conda", "install.html"),
+        ("docker", "install.html"),
+        ("notebook", "notebooks/arrays.html"),
+        ("Jupyter", "notebooks/block.html"),
+        ("EXIF", "formats/camera_events.html"),
+        ("EVENTS-AMBIGUOUS", "codes/events.html"),
+        ("refraction_angle", "api/index.html"),
+        ("pyproject", "install.html"),
+    ],
+)
+def test_the_search_finds_a_word_on_its_page(word, page, site_folder):
+    found = {
+        entry["location"].partition("#")[0]
+        for entry in entries_of_the_search(site_folder)
+        if re.search(rf"\b{word}\b", f"{entry['title']} {entry['text']}", flags=re.IGNORECASE)
+    }
+    assert page in found
+
+
+def test_the_glossary_names_things_as_other_programs_do(site_folder):
+    glossary = " ".join(
+        entry["text"]
+        for entry in entries_of_the_search(site_folder)
+        if entry["location"].startswith("glossary.html")
+    )
+    for word in ("GCP", "Agisoft", "EXIF", "conda", "notebook", "Jupyter", "EPSG", "DEM", "PPK"):
+        assert word in glossary, word
+
+
+def test_no_page_of_codes_is_long(site_folder):
+    """One page a family: none has more than a tenth of all codes."""
+    counts = {
+        page.stem: page.read_text(encoding="utf-8").count("<h2 id=")
+        for page in (site_folder / "codes").glob("*.html")
+    }
+    assert len(counts) > 50
+    assert max(counts.values()) <= sum(counts.values()) / 10
+
+
+def test_the_first_level_of_the_navigation_has_what_is_looked_for():
+    class Loader(yaml.SafeLoader):
+        """mkdocs' own tags do not matter here."""
+
+    text = (ROOT / "docs" / "mkdocs.yml").read_text(encoding="utf-8")
+    entries = yaml.load(text, Loader)["nav"]
+    first = {name for entry in entries if isinstance(entry, dict) for name in entry}
+    assert first >= {"Limits", "Verification", "Glossary", "Codes", "Cost and accuracy", "Python"}
+
+
+def test_the_reference_shows_signatures_and_docstrings(site_folder):
+    text = (site_folder / "api" / "index.html").read_text(encoding="utf-8")
+    plain = html.unescape(re.sub(r"<[^>]+>", "", text))
+    assert re.search(r"open_log\(\s*path: Path \| str,", plain)
+    assert "Read a flight log of any format" in plain
+    assert '<div class="language-pycon' in text
+    refusals = (site_folder / "api" / "errors.html").read_text(encoding="utf-8")
+    assert 'id="unbend.errors.LogError"' in refusals

@@ -102,3 +102,125 @@ def test_texts_have_no_first_or_second_person():
 )
 def test_persons_are_noticed(text, words):
     assert persons_in(text) == words
+
+
+HABITS = {
+    "X is no Y": r"(?<!there )\b(?:is|are|was|were) no\b(?! (?:longer|more|less|better)\b)",
+    "is none": r"\b(?:is|are|was|were) none\b",
+    "stands": r"\b(?:stands?|stood|standing)\b",
+    "holds": r"\b(?:holds?|held(?!-out)|holding)\b",
+    "says": r"\b(?:says?|said|saying|tells?|told)\b",
+    "beside": r"\bbesides?\b",
+    "of which": r"\b(?:of|by|from|with|through|about) which\b(?! image| event)",
+    "whose": r"\bwhose\b",
+    "lies": r"\b(?:lies?|lay|lying)\b",
+    "mend": r"\bmend(?:s|ed|ing)?\b",
+    "airs": r"\bairs\b",
+    "drawn": r"\b(?:draws?|drew|drawn|drawings?)\b",
+    "room": r"\brooms?\b",
+    "as ever": r"\bas ever\b",
+    "by itself": r"\bfound by (?:itself|themselves)\b",
+    "Refused are": r"\b(?:Refused|Rejected|Reported|Taken) (?:is|are)\b",
+    "whoever": r"\bwhoever\b",
+}
+"""Habits of style that a reader with English as a second language stumbles over: name -> pattern.
+
+In their place: is not, is in, contains, gives (a file, a value), next to, a second sentence, is
+(at a place), correct, atmospheres, random, module, as usual, detected automatically.
+"""
+WHAT = re.compile(r"(?:^|(?<=[.;:!] ))What [^?.;]*[.;]")
+"""A sentence with "What ..." as its subject, where the field has a noun; questions are none."""
+MOST_WORDS = 100  # of a paragraph, or an item of a list
+WIDEST_CODE = 80  # columns: a phone turned sideways, half a screen
+NOT_OF_HAND = ("changelog.md", "changelog_details.md", "decisions.md", "accuracy.md", "codes.md")
+"""Pages as they were at their time, or that the program writes."""
+FENCED = re.compile(r"^( *)```(\w*)[^\n]*\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
+WRITTEN_PAGES = [
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "README.md",
+    *(page for page in sorted((ROOT / "docs").rglob("*.md")) if page.name not in NOT_OF_HAND),
+]
+
+
+def prose_of(page: str) -> str:
+    """A page without code, codes of messages, comments and the targets of links."""
+    text = FENCED.sub("\n", page)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r"`[^`]*`", "`code`", text)
+    text = re.sub(r"\b[A-Z]+(?:-[A-Z]+)+\b", "CODE", text)
+    return re.sub(r"\]\([^)]*\)", "]", text)
+
+
+def paragraphs_of(page: str) -> list[str]:
+    """The paragraphs and items of lists of a page, each in one line; no headings, no tables."""
+    paragraphs = []
+    for block in re.split(r"\n\s*\n", prose_of(page)):
+        if block.lstrip().startswith(("#", "|")):
+            continue
+        items = re.split(r"\n(?= *(?:[*+-]|\d+\.) )", block)
+        paragraphs += [" ".join(item.split()).removeprefix("* ") for item in items]
+    return paragraphs
+
+
+def habits_in(page: str) -> list[str]:
+    """The habits of a page, each with the words around it."""
+    text = " ".join(prose_of(page).split())
+    found = [
+        f"{name}: ...{text[max(0, hit.start() - 50) : hit.end() + 30]}..."
+        for name, pattern in HABITS.items()
+        for hit in re.finditer(pattern, text, re.IGNORECASE)
+    ]
+    subjects = [hit for line in paragraphs_of(page) for hit in WHAT.findall(line)]
+    return found + [f"What as a subject: {sentence}" for sentence in subjects]
+
+
+@pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
+def test_a_page_has_plain_words(page):
+    assert not habits_in(page.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
+def test_paragraphs_of_a_page_are_short(page):
+    paragraphs = paragraphs_of(page.read_text(encoding="utf-8"))
+    assert not [text for text in paragraphs if len(text.split()) > MOST_WORDS]
+
+
+@pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
+def test_code_of_a_page_fits_a_small_screen(page):
+    """What the program printed (`console`) has the width that it was printed with."""
+    text = page.read_text(encoding="utf-8")
+    fenced = [body for _, kind, body in FENCED.findall(text) if kind != "console"]
+    indented = re.findall(r"^ {4}(?! *[|*]).*$", FENCED.sub("\n", text), re.MULTILINE)
+    lines = [line for body in fenced for line in body.splitlines()] + indented
+    assert not [line for line in lines if len(line) > WIDEST_CODE]
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("It is no noise.", "X is no Y"),
+        ("The causes stand in the ledger.", "stands"),
+        ("A file that holds several\ncameras.", "holds"),
+        ("The manifest says so.", "says"),
+        ("The sidecar lies beside it.", "beside"),
+        ("the sensor of which nothing is known", "of which"),
+        ("nine real airs", "airs"),
+        ("* What is left stays in.", "What as a subject"),
+    ],
+)
+def test_habits_are_noticed(text, name):
+    assert any(found.startswith(name) for found in habits_in(text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "There is no key, and it is no longer there.",
+        "## What `unbend export` writes\n\nFiles.",
+        "**Is it gone? What then?** No.",
+        "`beside` [the page](says.md#whose-airs)",
+        "```console\n$ unbend check\nwhat it says\n```",
+    ],
+)
+def test_other_words_are_no_habits(text):
+    assert not habits_in(text)

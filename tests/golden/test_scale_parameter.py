@@ -231,7 +231,7 @@ def test_where_it_can_be_told(
 ) -> None:
     """Below a third of its prior at 75 degrees, above half elsewhere; as the page says."""
     _, sigma, prior = adjusted(kind, free=free)
-    (shown,) = re.findall(rf"\| {kind}[^|]*\| {'free' if free else 'held'} \| ([0-9.]+) \|", PAGE)
+    (shown,) = re.findall(rf"\| {kind}[^|]*\| {'free' if free else 'fixed'} \| ([0-9.]+) \|", PAGE)
     with capsys.disabled():
         print(f"\nsigma of s over its prior of {prior:.4f}: {kind}, free {free}: {sigma:.2f}")
     assert abs(sigma - float(shown)) <= 0.02

@@ -208,13 +208,26 @@ def print_error(error: UnbendError, subject: str = "") -> None:
 
 
 def print_bug(text: str, subject: str = "") -> None:
-    """Write a traceback to standard error, with the request to report it."""
+    """Write a traceback to standard error, with the request to report it and where."""
     where = f"{subject}: " if subject else ""
     text = visible(text, keep="\n")
-    print(
-        f"{text}\n{visible(where)}this is a bug in unbend: please report the lines above",
-        file=sys.stderr,
-    )
+    request = f"please report the lines above {receiver_of_reports()}"
+    print(f"{text}\n{visible(where)}this is a bug in unbend: {request}", file=sys.stderr)
+
+
+def receiver_of_reports() -> str:
+    """Where bugs are reported: the address `Issues` of pyproject.toml, if it was filled in."""
+    from importlib.metadata import PackageNotFoundError, metadata
+
+    try:
+        addresses = metadata("unbend").get_all("Project-URL") or []
+    except PackageNotFoundError:  # it is on the path, but not installed
+        addresses = []
+    for entry in addresses:
+        label, _, address = entry.partition(", ")
+        if label == "Issues":
+            return f"at {address}"
+    return "to the maintainer of this copy (the package names no address)"
 
 
 def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:

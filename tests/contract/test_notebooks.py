@@ -1,0 +1,91 @@
+"""The notebooks print what they show; a reader gets no path of a machine, no warning, no number."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from docs import notebooks
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = [path.stem for path in notebooks.notebooks()]
+PATHS = {path.stem: path for path in notebooks.notebooks()}
+MACHINE = re.compile(r"/(?:tmp|home|root|Users|usr|opt|work)/|[A-Z]:\\|site-packages")
+
+
+def test_there_are_two():
+    assert NAMES == ["arrays", "block"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("nbclient") is None, reason="nbclient is missing")
+@pytest.mark.skipif(importlib.util.find_spec("ipykernel") is None, reason="ipykernel is missing")
+@pytest.mark.parametrize("name", NAMES)
+def test_a_notebook_prints_what_it_shows(name):
+    paths = [str(ROOT / "pipeline"), os.environ.get("PYTHONPATH", "")]
+    done = subprocess.run(
+        [sys.executable, "-m", "docs.notebooks", PATHS[name]],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_notebook_is_kept_without_what_belongs_to_a_machine(name):
+    notebook = json.loads(PATHS[name].read_text(encoding="utf-8"))
+    assert set(notebook["metadata"]) == {"kernelspec", "language_info"}
+    for cell in notebook["cells"]:
+        assert not MACHINE.search("".join(cell["source"]))
+        assert set(cell["metadata"]) <= {"alt"}
+        if cell["cell_type"] == "code":
+            assert cell["execution_count"] is None
+        for output in notebooks.outputs_of(cell):
+            assert not MACHINE.search(output.text)
+            assert "Warning" not in output.text
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_page_of_a_notebook_has_its_outputs_and_can_be_downloaded(name):
+    page = notebooks.text_of_page(PATHS[name])
+    assert page.startswith("# ")
+    assert f"]({name}.ipynb)" in page
+    pictures = notebooks.pictures_of(PATHS[name])
+    assert len(pictures) >= 2
+    for file, picture in pictures.items():
+        assert picture.startswith(b"\x89PNG")
+        assert re.search(rf"!\[[^\]]{{20,}}\]\({file}\)", page), "a picture has words in its place"
+
+
+def cell(**outputs):
+    """A cell as nbclient leaves it, with one output."""
+    return {
+        "cell_type": "code", "id": "a", "source": "print(1)", "execution_count": 7,
+        "metadata": {"execution": {"shell.execute_reply": "2026-01-01"}}, "outputs": [outputs],
+    }  # fmt: skip
+
+
+def test_another_output_is_noticed(tmp_path):
+    shown = {"cells": [notebooks.kept(cell(output_type="stream", name="stdout", text="1\n"))]}
+    file = tmp_path / "a.ipynb"
+    file.write_text(json.dumps(shown), encoding="utf-8")
+    assert notebooks.differences(file, shown) == []
+    now = {"cells": [notebooks.kept(cell(output_type="stream", name="stdout", text="2\n"))]}
+    (difference,) = notebooks.differences(file, now)
+    assert "print(1)" in difference
+    assert "2026" not in json.dumps(now)
+
+
+def test_a_result_without_print_is_text():
+    data = {"text/plain": "3.0", "text/html": "<b>3</b>"}
+    kept = notebooks.kept(cell(output_type="execute_result", data=data))
+    assert notebooks.outputs_of(kept) == [notebooks.Output("3.0\n", "")]

@@ -1,0 +1,84 @@
+"""The page of costs and accuracy has the figures of the pages and tests that it takes them from."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from unbend import refraction_angle, standard_atmosphere
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = (DOCS / "pages" / "guide" / "exact.md").read_text(encoding="utf-8")
+WHEN = (DOCS / "when.md").read_text(encoding="utf-8")
+
+
+def row(text: str, label: str) -> list[str]:
+    """The cells of the one row of a table that begins with a label."""
+    (line,) = [line for line in text.splitlines() if line.startswith(f"| {label}")]
+    return [cell.strip() for cell in line.strip("|").split("|")][1:]
+
+
+@pytest.mark.parametrize(
+    ("label", "factor"),
+    [
+        ("$R$ at 45°, US 1976 [arcsec]", np.degrees(1.0) * 3600.0),
+        ("the same in pixels, f = 4,000 px", 4_000.0),
+        ("the same, f = 20,000 px", 20_000.0),
+    ],
+)
+def test_the_size_of_refraction(label, factor):
+    air = standard_atmosphere("us1976")
+    heights = np.array([120.0, 3000.0, 6000.0, 9000.0])
+    values = refraction_angle(air, heights, 0.0, np.pi / 4) * factor
+    for shown, value in zip(row(PAGE, label), values, strict=True):
+        digits = len(shown.partition(".")[2])
+        assert float(shown) == pytest.approx(value, abs=0.51 * 10.0**-digits)
+
+
+def range_of(label: str) -> tuple[float, float]:
+    """The smallest and the largest figure of a row over nine atmospheres."""
+    values = [float(cell) for cell in row(WHEN, label)]
+    return min(values), max(values)
+
+
+def test_the_height_errors_of_a_nadir_block():
+    shown = row(PAGE, "height error of a nadir block")[1:]
+    for cell, km in zip(shown, (3, 6, 9), strict=True):
+        least, most = range_of(f"uncorrected [m], {km} km")
+        low, high = map(float, cell.split(" to "))
+        assert low == pytest.approx(least, abs=0.006)
+        assert high == pytest.approx(most, abs=0.006)
+
+
+def test_what_us_1976_leaves():
+    """0.3 to 21 % over all heights, and the range of each height beside it."""
+    ranges = [range_of(f"left by US 1976 [%], {km} km") for km in (3, 6, 9)]
+    (figure,) = re.findall(r"^\| ([\d.]+) to (\d+) % \| height error", PAGE, flags=re.MULTILINE)
+    assert float(figure[0]) == round(min(least for least, _ in ranges), 1)
+    assert float(figure[1]) == round(max(most for _, most in ranges))
+    (each,) = re.findall(r"3, 6 and 9 km: ([^|]+) \|", PAGE)
+    for (least, most), (low, high) in zip(
+        ranges, re.findall(r"([\d.]+) to (\d+) %", each), strict=True
+    ):
+        assert float(low) == pytest.approx(least, abs=0.5)
+        assert float(high) == round(most)
+
+
+@pytest.mark.parametrize(
+    ("label", "page", "label_there", "columns"),
+    [
+        ("[US 1976]", "theory/air.md", "US 1976", (0, 1, 2)),
+        ("thermometer and barometer, climb alone", "theory/air.md",
+         "thermometer and barometer with bias", (0, 1, 2)),
+        ("thermometer and barometer, climb and descent", "theory/air.md",
+         "the same, climb and descent", (0, 1, 2)),
+        ("[climatology]", "air/climatology.md", "`auto`", (1, 3, 4)),
+    ],
+)  # fmt: skip
+def test_the_errors_of_each_source_are_those_of_its_page(label, page, label_there, columns):
+    there = row((DOCS / "pages" / page).read_text(encoding="utf-8"), label_there)
+    expected = [there[column].removesuffix(" %") for column in columns]
+    assert row(PAGE, label)[:3] == expected
