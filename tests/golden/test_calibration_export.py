@@ -46,8 +46,9 @@ class Exported:
         outcome = run_mission(write_mission(block, folder))
         assert outcome.exit_code == 0
         self.run = outcome.output
-        rows, self.ledger = export_run(self.run, "calibration", self.folder, options)
-        assert rows == len(block.image)
+        written = export_run(self.run, "calibration", self.folder, options)
+        self.ledger = written.ledger
+        assert written.rows == len(block.image)
         self.report = (self.folder / "calibration.txt").read_text(encoding="utf-8")
         images = pd.read_csv(self.folder / "images.csv").set_index("image")["calibration"]
         self.names = list(dict.fromkeys(images))

@@ -120,7 +120,7 @@ def export(
     options = {name: value for name, value in ctx.obj.items() if value is not None}
     name = options.pop("format_name")
     with answer.progress(f"exporting {run}") as bar:
-        from unbend.batch.finished_run.export import export_run
+        from unbend.batch.finished_run.export import ExportSystem, export_run
         from unbend.batch.plan import located
 
         written = export_run(
@@ -128,8 +128,7 @@ def export(
             name,
             out,
             options,
-            crs=crs,
-            geoid=geoid,
+            system=ExportSystem(crs, geoid),
             ground_height_m=ground_height,
             force=force,
             progress=bar,

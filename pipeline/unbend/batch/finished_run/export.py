@@ -53,6 +53,20 @@ _CHECKED = [*_CHECKED_NUMBERS, "status"]
 
 
 @dataclass(frozen=True)
+class ExportSystem:
+    """The coordinate system that is asked for, as EPSG:25832; empty: that of the format.
+
+    ``geoid`` is the grid of the heights in its vertical part.
+    """
+
+    crs: str = ""
+    geoid: Path | None = None
+
+
+OWN_SYSTEM = ExportSystem()
+
+
+@dataclass(frozen=True)
 class WrittenExport:
     """What an export wrote: its number of rows, the frame of them, and notes on what was left out.
 
@@ -70,37 +84,35 @@ def export_run(
     out: Path,
     options: Mapping[str, Any],
     *,
-    crs: str = "",
-    geoid: Path | None = None,
+    system: ExportSystem = OWN_SYSTEM,
     ground_height_m: float | None = None,
     force: bool = False,
     progress: ExportProgress = NO_PROGRESS,
 ) -> WrittenExport:
     """Write a finished run to ``out`` in the format of a ``name``, with the format's options.
 
-    ``crs`` is the coordinate system that it is wanted in, as EPSG:25832; ``geoid`` the grid of the
-    heights in its vertical part. ``ground_height_m`` [m above sea level] replaces the run's ground
-    heights. ``force`` replaces a file at ``out``, never a folder. Beside the file, or in the
-    folder, a sidecar has the frame as JSON.
+    ``system`` is the coordinate system that is asked for. ``ground_height_m`` [m above sea level]
+    replaces the run's ground heights. ``force`` replaces a file at ``out``, never a folder. Beside
+    the file, or in the folder, a sidecar has the frame as JSON.
     """
     form = find_format(name, out)
     is_folder = not form.ending  # a format with an ending is one file
     values = form.values(options)
-    refuse_grid(form, crs, geoid)
+    refuse_system(form, system)
     folder = copy_of_run(path) if isinstance(path, Place) else path
     refuse_output(folder, out, force=force and not is_folder)
     ledger = Ledger()
     progress.start("checking the results")
     manifest = verify_run(folder)
     run = rebuild_run(folder, manifest, ground_height_m, ledger, progress)
-    run = replace(run, grid=ledger.take(grid_of_export(run, form, crs, geoid)))
+    run = replace(run, grid=ledger.take(grid_of_export(run, form, system)))
     with store.atomic_write(out) as draft:
         if is_folder:
             draft.mkdir(parents=True)
         rows = form.write(run, values, draft, ledger)
         frame = frame_record(form.frame(run, values))
         use = form.use
-        if form.grid is not None and crs:
+        if form.grid is not None and system.crs:
             use = form.grid.use
         if use:
             ledger.add(messages.use_of_export(use=use, name=name))
@@ -116,22 +128,22 @@ def export_run(
     return WrittenExport(rows, frame, ledger)
 
 
-def refuse_grid(form: ExportFormat, crs: str, geoid: Path | None) -> None:
+def refuse_system(form: ExportFormat, system: ExportSystem) -> None:
     """Refuse (EXPORT-OPTION) a coordinate system that the format does not take."""
-    if crs and form.grid is None:
+    if system.crs and form.grid is None:
         takers = [other.name for other in FORMATS.values() if other.grid is not None]
         raise grid_not_taken(name=form.name, takers=", ".join(takers))
-    if geoid is not None and not crs:
+    if system.geoid is not None and not system.crs:
         raise geoid_without_grid()
 
 
 def grid_of_export(
-    run: FinishedRun, form: ExportFormat, crs: str, geoid: Path | None
+    run: FinishedRun, form: ExportFormat, system: ExportSystem
 ) -> tuple[MapGrid | None, Notes]:
     """The coordinate system that is asked for, or the format's own, or None; and its notes."""
     if form.grid is None:
         return None, ()
-    wanted = crs or form.grid.default
+    wanted = system.crs or form.grid.default
     if not wanted:
         return None, ()
     is_usable = run.stations.ok
@@ -139,10 +151,10 @@ def grid_of_export(
         wanted,
         run.stations.lat_rad[is_usable],
         run.stations.lon_rad[is_usable],
-        geoid=None if geoid is None else read_geoid(geoid),
+        geoid=None if system.geoid is None else read_geoid(system.geoid),
         needs_angles=form.grid.needs_angles,
     )
-    return grid, notes if crs else ()
+    return grid, notes if system.crs else ()
 
 
 def write_sidecar(
