@@ -35,9 +35,10 @@ ARCTIC, DESERT, MONSOON, TRADES, NIGHT = range(5)
 
 @dataclass(frozen=True, eq=False)
 class OneNumber:
-    """A reading of one number."""
+    """A reading of one number, a temperature or not."""
 
     value: np.ndarray
+    quantity: str = "temperature"
 
     def predict(self, air):
         return air.x.copy(), np.eye(1)
@@ -88,6 +89,26 @@ def test_a_misfit_is_not_excused_by_larger_sigmas():
         Evidence(0.5, StateOnly(prior[1].mean), prior[1], (np.array([1.0]),), 0.0),
     ]
     assert probabilities(solved, [OneNumber(np.array([5.0]))])[1] > 0.999
+
+
+@pytest.mark.parametrize("quantity", ["temperature", "pressure"])
+def test_the_climatology_alone_makes_no_fault_likely(quantity):
+    """Without a temperature a fault has a chance of 0.25 at most; the chance of less is as it is."""
+    prior = [Prior(np.array([mean]), np.eye(1) * 1e6, np.empty(0)) for mean in (0.0, 5.0)]
+    solved = [
+        Evidence(share, StateOnly(each.mean), each, (np.array([1.0]),), 0.0)
+        for share, each in zip((0.9, 0.1), prior, strict=True)
+    ]
+    # A reading of 2.5 + g / 5 speaks by exp(g) for the second.
+    for gain in (8.0, -1.0):
+        reading = OneNumber(np.array([2.5 + gain / 5.0]), quantity)
+        odds = np.exp(gain) / 9.0
+        expected = odds / (1.0 + odds)
+        if quantity == "pressure":
+            expected = min(expected, 0.25)
+        chances = probabilities(solved, [reading])
+        assert chances[1] == pytest.approx(expected, rel=1e-3)
+        assert chances.sum() == pytest.approx(1.0)
 
 
 def test_hypotheses_share_the_probability_and_give_the_sigma_before_the_flight():

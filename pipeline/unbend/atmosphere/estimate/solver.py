@@ -181,10 +181,11 @@ def estimate(
     rare = tuple(fault for fault in readings.rare if before.keys().isdisjoint(fault.faults))
     readings = replace(readings, faults=faults, rare=rare)
     every = hypotheses.hypotheses_of(layout_of(readings, background), rare)
-    solutions = []
+    solutions = list[Solution]()
     for hypothesis in every:
+        start = solutions[0].x if hypothesis.is_linear else None
         prior = states.prior_of(hypothesis.layout, background, moisture or background)
-        solutions.append(solve(hypothesis.layout, prior, readings.sets, background.profile))
+        solutions.append(solve(hypothesis.layout, prior, readings.sets, background.profile, start))
     evidence = [
         solution.evidence(hypothesis.share)
         for hypothesis, solution in zip(every, solutions, strict=True)
@@ -220,8 +221,7 @@ def _mixture(
     x, covariance = hypotheses.mixed_moments(
         [each.x for each in solutions], [each.covariance for each in solutions], chances
     )
-    pressure = np.exp(solution.air.log_pressure(layout.knot)[0])
-    air = air_of(layout, x, pressure, background.constant)
+    air = air_of(layout, x, solution.air.pressure_at_knots(), background.constant)
     return replace(solution, x=x, covariance=covariance, air=air)
 
 
@@ -276,7 +276,7 @@ def solve(
         share = max(0.5 * share, _LEAST_SHARE) if back else min(gain * share, 1.0)
         before, x = warming, layout.bounded(x + share * change)
         air = air_of(layout, x, pressure, background.constant)
-        pressure = np.exp(air.log_pressure(layout.knot)[0])
+        pressure = air.pressure_at_knots()
         moved = float(np.abs(warming).max()) * (share if back else 1.0)
         settled = bool(np.all(np.abs(after / inflation - 1.0) < _SETTLED))
         inflation = after
@@ -346,7 +346,9 @@ def _normal_equations(
         else:
             loss = (FREEDOM + 1.0) / (FREEDOM + z * z)
         weight = loss / sigma**2
-        information = (jacobian.T * weight) @ jacobian
+        # A matrix times its own transpose costs half of a product of two.
+        weighted = jacobian * np.sqrt(weight)[:, None]
+        information = weighted.T @ weighted
         normal += information
         right += jacobian.T @ (weight * residual)
         if readings.robust and step > _HUBER_STEPS and z.size >= 5:
