@@ -231,8 +231,7 @@ def without_drifts(flight: Flight, ledger: Ledger) -> AirSamples:
         pressure.time_ns,
         ("height", "position"),
         lat_rad=np.full(seconds.size, flight.truth.latitude),
-        lon_rad=flight.truth.longitude
-        + east_m / METRES_PER_RAD / np.cos(flight.truth.latitude),
+        lon_rad=flight.truth.longitude + east_m / METRES_PER_RAD / np.cos(flight.truth.latitude),
         h_msl_m=pressure.h_m,
         v_north_m_s=np.zeros(seconds.size),
         v_east_m_s=np.full(seconds.size, 30.0),

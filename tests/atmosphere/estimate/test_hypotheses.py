@@ -93,7 +93,7 @@ def test_a_misfit_is_not_excused_by_larger_sigmas():
 
 @pytest.mark.parametrize("quantity", ["temperature", "pressure"])
 def test_the_climatology_alone_makes_no_fault_likely(quantity):
-    """Without a temperature a fault has a chance of 0.25 at most; the chance of less is as it is."""
+    """Without a temperature a fault has 0.25 at most, and less where it has less."""
     prior = [Prior(np.array([mean]), np.eye(1) * 1e6, np.empty(0)) for mean in (0.0, 5.0)]
     solved = [
         Evidence(share, StateOnly(each.mean), each, (np.array([1.0]),), 0.0)
