@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,12 +11,14 @@ import pytest
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import climatology, month_of
+from unbend.atmosphere.estimate import solver
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.atmosphere.estimate.hypotheses import (
     IN_A_BAY,
     RARE_FAULTS,
     WARM_CLIMB,
     Evidence,
+    Hypothesis,
     hypotheses_of,
     mixed_moments,
     prior_sigmas,
@@ -124,6 +127,29 @@ def test_hypotheses_share_the_probability_and_give_the_sigma_before_the_flight()
     sigma = prior_sigmas(every)
     assert sigma[SensorFault.BAY_SHARE] == pytest.approx(np.sqrt(0.2 * (0.3**2 + 0.5**2)), 1e-3)
     assert sigma[SensorFault.THERMOMETER_BIAS] == pytest.approx(np.sqrt(0.8 * 9.0 + 0.2 * 36.0))
+
+
+@pytest.mark.parametrize(("first", "second", "kept"), [(50.0, 1.0, 1.0), (50.0, 60.0, 50.0)])
+def test_a_second_minimum_is_left_from_where_another_hypothesis_ended(
+    monkeypatch, first, second, kept
+):
+    """What misfits by far is solved again from the state that fits best, and kept if it helps."""
+    starts = []
+
+    def solved(layout, prior, sets, profile, start=None):
+        starts.append((layout, start))
+        if layout == "usual" and start is not None:
+            return SimpleNamespace(x="again", log_inflation=second)
+        return SimpleNamespace(x=f"of {layout}", log_inflation=first if layout == "usual" else 0.0)
+
+    monkeypatch.setattr(solver, "solve", solved)
+    monkeypatch.setattr(solver.states, "prior_of", lambda *_: None)
+    every = [Hypothesis("usual", 0.9, "usual"), Hypothesis("bay", 0.1, "bay")]
+    air = SimpleNamespace(profile=None)
+    usual, bay = solver._solved(every, (), air, air)
+    assert starts == [("usual", None), ("bay", None), ("usual", "of bay")]
+    assert usual.log_inflation == kept
+    assert bay.x == "of bay"
 
 
 # What it says of flights

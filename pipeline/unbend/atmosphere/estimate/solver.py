@@ -17,7 +17,7 @@ from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate import hypotheses
 from unbend.atmosphere.estimate import state as states
 from unbend.atmosphere.estimate.external_readings import TimeAndPlace
-from unbend.atmosphere.estimate.hypotheses import Evidence
+from unbend.atmosphere.estimate.hypotheses import Evidence, Hypothesis
 from unbend.atmosphere.estimate.readings import FlightReadings, collect_readings
 from unbend.atmosphere.estimate.sensors import Readings, SensorSettings
 from unbend.atmosphere.estimate.state import AirAtKnots, Layout, Prior, SensorFault, air_of
@@ -38,6 +38,7 @@ _LEAST_SHARE = 1.0 / 64.0  # of a step, halved whenever it turns back
 _REGAINED, _LATE, _REGAINED_LATE = 1.5, 20, 1.1  # by each that does not: slowly in the end
 _EXPECTED_SQUARE = 0.786  # of a normal residual under Student's weights
 _MOST_CORRELATED = 0.8  # the few bins of a flight do not determine more
+_MISFIT_OF_A_MINIMUM = 5.0  # ln of a likelihood, by which a second minimum may be worse
 _CORRELATED = 0.2  # neighbouring residuals that correlate more than this are not independent
 
 
@@ -181,11 +182,7 @@ def estimate(
     rare = tuple(fault for fault in readings.rare if before.keys().isdisjoint(fault.faults))
     readings = replace(readings, faults=faults, rare=rare)
     every = hypotheses.hypotheses_of(layout_of(readings, background), rare)
-    solutions = list[Solution]()
-    for hypothesis in every:
-        start = solutions[0].x if hypothesis.is_linear else None
-        prior = states.prior_of(hypothesis.layout, background, moisture or background)
-        solutions.append(solve(hypothesis.layout, prior, readings.sets, background.profile, start))
+    solutions = _solved(every, readings.sets, background, moisture or background)
     evidence = [
         solution.evidence(hypothesis.share)
         for hypothesis, solution in zip(every, solutions, strict=True)
@@ -205,6 +202,35 @@ def estimate(
         every[fitting].layout,
         hypotheses.described_chances([hypothesis.name for hypothesis in every], chances),
     )
+
+
+def _solved(
+    every: Sequence[Hypothesis],
+    sets: Sequence[Readings],
+    background: Climatology,
+    moisture: Climatology,
+) -> list[Solution]:
+    """The solution of each hypothesis, the first of which is that of usual sensors.
+
+    One that misfits by much more than another may be at a second minimum: it is solved again from
+    where the other ended, and kept where that fits better.
+    """
+    profile = background.profile
+    solutions = list[Solution]()
+    priors = list[Prior]()
+    for hypothesis in every:
+        start = solutions[0].x if hypothesis.is_linear else None
+        prior = states.prior_of(hypothesis.layout, background, moisture)
+        priors.append(prior)
+        solutions.append(solve(hypothesis.layout, prior, sets, profile, start))
+    best = min(solutions, key=lambda solution: solution.log_inflation)
+    for number, solution in enumerate(solutions):
+        if solution.log_inflation < best.log_inflation + _MISFIT_OF_A_MINIMUM:
+            continue
+        again = solve(every[number].layout, priors[number], sets, profile, best.x)
+        if again.log_inflation < solution.log_inflation:
+            solutions[number] = again
+    return solutions
 
 
 def _mixture(
