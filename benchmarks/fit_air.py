@@ -78,7 +78,11 @@ FUNCTIONAL_WEIGHT = 2.0  # of logarithms of variances of R and T, beside a row o
 @dataclass
 class Moments:
     """Second moments (n, n) of departures, or of changes in hours and over a distance; ``r`` (c,)
-    those of R at `CLIMBS_M` [%2]; ``mixed`` the mean of `air_variation.mixed_share`."""
+    those of R at `CLIMBS_M` [%2]; ``mixed`` the mean of `air_variation.mixed_share`.
+
+    The inversions of winter (`air_variation.inversions_of_season`) were found beside this fit, by
+    what it leaves over Vienna: the fit itself knows no season.
+    """
 
     matrix: np.ndarray
     r: np.ndarray

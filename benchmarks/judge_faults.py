@@ -231,7 +231,7 @@ def without_drifts(flight: Flight, ledger: Ledger) -> AirSamples:
         pressure.time_ns,
         ("height", "position"),
         lat_rad=np.full(seconds.size, flight.truth.latitude),
-        lon_rad=east_m / METRES_PER_RAD / np.cos(flight.truth.latitude),
+        lon_rad=flight.truth.longitude + east_m / METRES_PER_RAD / np.cos(flight.truth.latitude),
         h_msl_m=pressure.h_m,
         v_north_m_s=np.zeros(seconds.size),
         v_east_m_s=np.full(seconds.size, 30.0),
@@ -267,21 +267,35 @@ def exposures_of(flight: Flight) -> flight_stations.Stations:
         time_ns=pressure.time_ns[rows],
         h_msl_m=pressure.h_m[rows],
         lat_rad=np.full(EXPOSURES, flight.truth.latitude),
-        lon_rad=np.zeros(EXPOSURES),
+        lon_rad=np.full(EXPOSURES, flight.truth.longitude),
         pressure_pa=pressure.value[rows],
     )
 
 
 def outcome_of(flight: Flight) -> Outcome:
-    """What a mission would make of a flight."""
+    """What a mission would make of a flight.
+
+    It differs from a mission in one thing: the air of all its exposures is the same, so that no
+    sigma grows with the distance on the flight's path.
+    """
     truth, ledger = flight.truth, Ledger()
     samples = without_drifts(flight, ledger)
     ground_m = float(truth.h[0])
     background = climatology(
-        latitude_rad=truth.latitude, month=month_of(truth.start_ns), ground_h_m=ground_m
+        latitude_rad=truth.latitude,
+        month=month_of(truth.start_ns),
+        ground_h_m=ground_m,
+        longitude_rad=truth.longitude,
+        hour=truth.hour,
     )
     adjustment = build_adjusted_profile(
-        samples, US1976, truth.latitude, ledger, background=background, time_ns=truth.start_ns
+        samples,
+        US1976,
+        truth.latitude,
+        ledger,
+        background=background,
+        time_ns=truth.start_ns,
+        longitude_rad=truth.longitude,
     )
     exposures = exposures_of(flight)
     levels = Levels([ground_m + flight.climb_m] * 3, ground_m)

@@ -41,6 +41,27 @@ def test_the_air_is_mixed_by_a_summers_day_alone():
     assert sigma_k(JANUARY, 15.0) == pytest.approx(sigma_k(JANUARY, 3.0), rel=5e-3)
 
 
+def test_inversions_vary_more_in_the_winter_of_middle_latitudes():
+    """By 1.35 from 0.75 to 1.5 km; not aloft, in summer, the tropics or the Arctic."""
+
+    def of_fine_structure(degrees: float, month: float, h: float) -> float:
+        parts = variation_parts(np.radians(degrees), month, 0.0)
+        fine = tuple(part for part in parts if part.name in ("kinked", "smooth"))
+        return float(sigma_of(fine, np.array([h]))[0])
+
+    def ratio(degrees: float, h: float) -> float:
+        january = of_fine_structure(degrees, JANUARY, h)
+        return january / of_fine_structure(degrees, JULY, h)
+
+    assert ratio(48.2, 1000.0) == pytest.approx(1.35, rel=0.01)
+    assert ratio(48.2, 250.0) == pytest.approx(1.0, rel=0.01)
+    assert ratio(48.2, 3100.0) == pytest.approx(1.0, rel=0.01)
+    assert ratio(12.0, 1000.0) == pytest.approx(1.0, rel=0.01)
+    assert ratio(71.0, 1000.0) == pytest.approx(1.0, rel=0.01)
+    south = of_fine_structure(-48.2, JULY, 1000.0)
+    assert south == pytest.approx(of_fine_structure(48.2, JANUARY, 1000.0))
+
+
 def test_changes_grow_with_time_and_distance_to_twice_the_variance():
     parts = variation_parts(VIENNA_RAD, JULY, 0.0)
     h = np.array([0.0, 1000.0, 5000.0])

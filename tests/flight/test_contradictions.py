@@ -213,6 +213,8 @@ def test_a_barometer_that_winds_up_leaves_the_stations_and_its_pressure_is_not_u
     assert [(e.code, e.where, e.kind) for e in notes] == [("BARO-DRIFT", "BARO[0]", "warning")]
     gone = np.setdiff1d(wound.time_ns, examined["pressure"].time_ns)
     assert ((gone - START) / SECOND > 80.0).all()
+    # Of 600 in the minute, those that are off by more than the weather and an inversion make of a
+    # climb, some 17 m: that limit is a little larger than the scatter of the climb alone.
     assert gone.size > 380
     removed = examined["pressure"].removed
     assert removed.time_ns.tolist() == gone.tolist()

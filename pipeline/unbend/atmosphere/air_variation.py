@@ -61,6 +61,26 @@ _MIXED_BY_DEGREES = {
 }
 """How far a summer's afternoon mixes the lowest air."""
 
+_INVERSIONS_OF_WINTER = {
+    250.0: 1.0,
+    750.0: 1.35,
+    1500.0: 1.35,
+    3000.0: 1.0,
+}
+"""Amplitude of layers and of the fine structure in mid-winter over that in spring and summer, at
+reduced heights [m]: inversions are lifted then. Over Vienna 65 pairs of ascents 12 hours apart err
+in R over 1 km by 1.24 sigma without it, 4.6 % of them by more than 3, and by 1.03 with it, 1.5 %;
+from April to June by 0.8."""
+_LOW_PARTS = ("layers", "kinked", "smooth")
+
+_WINTER_BY_DEGREES = {
+    25.0: 0.0,  # no winter
+    40.0: 1.0,
+    52.0: 1.0,
+    60.0: 0.0,  # the weather's amplitude, half as large again, is that of inversions too
+}
+"""How far the inversions of winter are those of Vienna."""
+
 _TROPOPAUSE_BY_DEGREES = {
     20.0: 16_500.0,
     30.0: 14_500.0,
@@ -179,6 +199,7 @@ def variation_parts(
     reduced_m = reduced_height(h_m, ground_h_m, tropopause_m(latitude_rad, month))
     mixed = mixed_share(latitude_rad, month, hour)
     weather = weather_share(latitude_rad)
+    inverted = inversions_of_season(reduced_m, latitude_rad, month)
     # Aloft the tables depart from the tropics as from other latitudes.
     of_climate = np.interp(reduced_m, [1000.0, 4000.0], [weather, max(weather, 1.0)])
     parts = []
@@ -186,6 +207,8 @@ def variation_parts(
         stable_k = np.interp(reduced_m, table["height_m"], table["sigma_k"])
         mixed_k = np.interp(reduced_m, table["height_m"], table["mixed_sigma_k"])
         sigma_k = (1.0 - mixed) * stable_k + mixed * mixed_k
+        if name in _LOW_PARTS:
+            sigma_k = sigma_k * inverted
         share = of_climate if name == "climate" else weather
         part = Part(
             name=name,
@@ -253,6 +276,19 @@ def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
     warm = 0.5 - 0.5 * season(latitude_rad, month)
     sunny = max(0.0, math.cos(2.0 * math.pi * (hour - WARMEST_HOUR) / 24.0))
     return warm * sunny * _at_latitude(_MIXED_BY_DEGREES, latitude_rad)
+
+
+def inversions_of_season(reduced_m: Array, latitude_rad: float, month: float) -> Array:
+    """Amplitude of inversions at reduced heights (n,) [m] over that in spring and summer.
+
+    >>> inversions_of_season(np.array([1000.0, 3000.0]), 0.8, 1.0).round(2).tolist()
+    [1.35, 1.0]
+    """
+    cold = max(0.0, season(latitude_rad, month))
+    cold *= _at_latitude(_WINTER_BY_DEGREES, latitude_rad)
+    heights_m = list(_INVERSIONS_OF_WINTER)
+    in_winter = np.interp(reduced_m, heights_m, list(_INVERSIONS_OF_WINTER.values()))
+    return np.asarray(1.0 + cold * (in_winter - 1.0))
 
 
 @dataclass(frozen=True)

@@ -48,15 +48,18 @@ def test_the_last_digit_does_not_average_in_level_flight_but_over_different_read
 
 @pytest.mark.parametrize("climb", [1000.0, 2000.0])
 def test_a_barometer_of_whole_hectopascals_is_in_the_sigma(flights, climb):
-    """Alone and beside a thermometer; one erred by 4.4 sigma with exit 0."""
-    arctic, desert, monsoon, _, night = flights.extremes()
-    airs = [flights.Truth(balloon) for balloon in (arctic, desert, monsoon, night)]
-    found = []
-    for number, truth in enumerate(airs):
+    """Alone and beside a thermometer; one erred by 4.4 sigma with exit 0.
+
+    The trade wind's inversion, 6 K in 250 m, is beyond what any barometer alone resolves: over
+    2 km one without digits errs by 2.4 sigma, this one by 3.2; the others stay within 3.
+    """
+    found = {}
+    for number, balloon in enumerate(flights.extremes()):
+        truth = flights.Truth(balloon)
         rng = np.random.default_rng(number)
         samples = flights.fly(
             truth, climb, flights.surveyed(rng), rng,
-            thermometer=number % 2 == 0, humidity="none", rate=3.0,
+            thermometer=number in (0, 2), humidity="none", rate=3.0,
         )  # fmt: skip
         pressure = samples.pressure
         whole = replace(pressure, value=100.0 * np.round(pressure.value / 100.0))
@@ -70,5 +73,6 @@ def test_a_barometer_of_whole_hectopascals_is_in_the_sigma(flights, climb):
         )  # fmt: skip
         assert not any(entry.kind in LOSSES for entry in ledger)
         sigma = air.covariance.relative_sigma(truth.h[0] + climb, truth.h[0])
-        found.append(truth.error(air.profile, climb) / sigma)
-    assert np.abs(found).max() < 3.0
+        found[truth.name] = abs(truth.error(air.profile, climb)) / sigma
+    for name, sigmas in found.items():
+        assert sigmas < (3.5 if name.startswith("trade wind") else 3.0), name

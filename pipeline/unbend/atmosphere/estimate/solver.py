@@ -17,7 +17,7 @@ from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate import hypotheses
 from unbend.atmosphere.estimate import state as states
 from unbend.atmosphere.estimate.external_readings import TimeAndPlace
-from unbend.atmosphere.estimate.hypotheses import Evidence
+from unbend.atmosphere.estimate.hypotheses import Evidence, Hypothesis
 from unbend.atmosphere.estimate.readings import FlightReadings, collect_readings
 from unbend.atmosphere.estimate.sensors import Readings, SensorSettings
 from unbend.atmosphere.estimate.state import AirAtKnots, Layout, Prior, SensorFault, air_of
@@ -38,6 +38,7 @@ _LEAST_SHARE = 1.0 / 64.0  # of a step, halved whenever it turns back
 _REGAINED, _LATE, _REGAINED_LATE = 1.5, 20, 1.1  # by each that does not: slowly in the end
 _EXPECTED_SQUARE = 0.786  # of a normal residual under Student's weights
 _MOST_CORRELATED = 0.8  # the few bins of a flight do not determine more
+_MISFIT_OF_A_MINIMUM = 5.0  # ln of a likelihood, by which a second minimum may be worse
 _CORRELATED = 0.2  # neighbouring residuals that correlate more than this are not independent
 
 
@@ -181,10 +182,7 @@ def estimate(
     rare = tuple(fault for fault in readings.rare if before.keys().isdisjoint(fault.faults))
     readings = replace(readings, faults=faults, rare=rare)
     every = hypotheses.hypotheses_of(layout_of(readings, background), rare)
-    solutions = []
-    for hypothesis in every:
-        prior = states.prior_of(hypothesis.layout, background, moisture or background)
-        solutions.append(solve(hypothesis.layout, prior, readings.sets, background.profile))
+    solutions = _solved(every, readings.sets, background, moisture or background)
     evidence = [
         solution.evidence(hypothesis.share)
         for hypothesis, solution in zip(every, solutions, strict=True)
@@ -206,6 +204,35 @@ def estimate(
     )
 
 
+def _solved(
+    every: Sequence[Hypothesis],
+    sets: Sequence[Readings],
+    background: Climatology,
+    moisture: Climatology,
+) -> list[Solution]:
+    """The solution of each hypothesis, the first of which is that of usual sensors.
+
+    One that misfits by much more than another may be at a second minimum: it is solved again from
+    where the other ended, and kept where that fits better.
+    """
+    profile = background.profile
+    solutions = list[Solution]()
+    priors = list[Prior]()
+    for hypothesis in every:
+        start = solutions[0].x if hypothesis.is_linear else None
+        prior = states.prior_of(hypothesis.layout, background, moisture)
+        priors.append(prior)
+        solutions.append(solve(hypothesis.layout, prior, sets, profile, start))
+    best = min(solutions, key=lambda solution: solution.log_inflation)
+    for number, solution in enumerate(solutions):
+        if solution.log_inflation < best.log_inflation + _MISFIT_OF_A_MINIMUM:
+            continue
+        again = solve(every[number].layout, priors[number], sets, profile, best.x)
+        if again.log_inflation < solution.log_inflation:
+            solutions[number] = again
+    return solutions
+
+
 def _mixture(
     solutions: Sequence[Solution], chances: Array, fitting: int, background: Profile
 ) -> Solution:
@@ -220,8 +247,7 @@ def _mixture(
     x, covariance = hypotheses.mixed_moments(
         [each.x for each in solutions], [each.covariance for each in solutions], chances
     )
-    pressure = np.exp(solution.air.log_pressure(layout.knot)[0])
-    air = air_of(layout, x, pressure, background.constant)
+    air = air_of(layout, x, solution.air.pressure_at_knots(), background.constant)
     return replace(solution, x=x, covariance=covariance, air=air)
 
 
@@ -276,7 +302,7 @@ def solve(
         share = max(0.5 * share, _LEAST_SHARE) if back else min(gain * share, 1.0)
         before, x = warming, layout.bounded(x + share * change)
         air = air_of(layout, x, pressure, background.constant)
-        pressure = np.exp(air.log_pressure(layout.knot)[0])
+        pressure = air.pressure_at_knots()
         moved = float(np.abs(warming).max()) * (share if back else 1.0)
         settled = bool(np.all(np.abs(after / inflation - 1.0) < _SETTLED))
         inflation = after
@@ -346,7 +372,9 @@ def _normal_equations(
         else:
             loss = (FREEDOM + 1.0) / (FREEDOM + z * z)
         weight = loss / sigma**2
-        information = (jacobian.T * weight) @ jacobian
+        # A matrix times its own transpose costs half of a product of two.
+        weighted = jacobian * np.sqrt(weight)[:, None]
+        information = weighted.T @ weighted
         normal += information
         right += jacobian.T @ (weight * residual)
         if readings.robust and step > _HUBER_STEPS and z.size >= 5:

@@ -357,6 +357,14 @@ class AirAtKnots:
     vapour_by_rh: Array
     spreading: Array
 
+    def pressure_at_knots(self) -> Array:
+        """Pressure [Pa] at the knots (k,) by Eq. 52-53."""
+        layout = self.layout
+        at = np.concatenate([[layout.reference], layout.knot])
+        integral, _ = column(layout.knot, self.virtual, at)
+        fall = self.constant * (integral[1:] - integral[0])
+        return np.asarray(np.exp(self.x[layout.level] - fall))
+
     def log_pressure(self, height: Array) -> tuple[Array, Array]:
         """ln p at heights (m,) [m'] by Eq. 52-53, and its (m, s) derivatives by the state."""
         layout = self.layout
