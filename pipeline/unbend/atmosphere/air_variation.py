@@ -71,7 +71,6 @@ _INVERSIONS_OF_WINTER = {
 reduced heights [m]: inversions are lifted then. Over Vienna 65 pairs of ascents 12 hours apart err
 in R over 1 km by 1.24 sigma without it, 4.6 % of them by more than 3, and by 1.03 with it, 1.5 %;
 from April to June by 0.8."""
-_LOW_PARTS = ("layers", "kinked", "smooth")
 
 _WINTER_BY_DEGREES = {
     25.0: 0.0,  # no winter
@@ -194,26 +193,19 @@ def variation_parts(
 ) -> Parts:
     """The parts at a latitude, season and mean local time [h] over a ground [m above sea level]."""
     regular_m = np.arange(-1000.0, _TOP_M - ground_h_m, _STEP_M)
-    above_ground_m = np.union1d(regular_m, _NEAR_GROUND_M)
-    h_m = ground_h_m + above_ground_m
+    h_m = ground_h_m + np.union1d(regular_m, _NEAR_GROUND_M)
     reduced_m = reduced_height(h_m, ground_h_m, tropopause_m(latitude_rad, month))
     mixed = mixed_share(latitude_rad, month, hour)
-    weather = weather_share(latitude_rad)
-    inverted = inversions_of_season(reduced_m, latitude_rad, month)
-    # Aloft the tables depart from the tropics as from other latitudes.
-    of_climate = np.interp(reduced_m, [1000.0, 4000.0], [weather, max(weather, 1.0)])
+    shares = _shares_of_place(reduced_m, latitude_rad, month)
     parts = []
     for name, table in _tables()["parts"].items():
         stable_k = np.interp(reduced_m, table["height_m"], table["sigma_k"])
         mixed_k = np.interp(reduced_m, table["height_m"], table["mixed_sigma_k"])
         sigma_k = (1.0 - mixed) * stable_k + mixed * mixed_k
-        if name in _LOW_PARTS:
-            sigma_k = sigma_k * inverted
-        share = of_climate if name == "climate" else weather
         part = Part(
             name=name,
             h_m=h_m,
-            sigma_k=sigma_k * share,
+            sigma_k=sigma_k * shares[name],
             length_m=table["length_m"],
             kinked=table["shape"] == "kinked",
             memory_h=table["memory_h"],
@@ -221,6 +213,23 @@ def variation_parts(
         )
         parts.append(part)
     return tuple(parts)
+
+
+def _shares_of_place(reduced_m: Array, latitude_rad: float, month: float) -> dict[str, Array]:
+    """Amplitude of each part, by its name, over that of the tables, at reduced heights (n,) [m]."""
+    weather = np.full(reduced_m.shape, weather_share(latitude_rad))
+    inverted = weather * inversions_of_season(reduced_m, latitude_rad, month)
+    # Aloft the tables depart from the tropics as from other latitudes.
+    aloft = np.clip((reduced_m - 1000.0) / 3000.0, 0.0, 1.0)
+    of_climate = weather + aloft * (np.maximum(weather, 1.0) - weather)
+    return {
+        "waves": weather,
+        "layers": inverted,
+        "climate": of_climate,
+        "ground": weather,
+        "kinked": inverted,
+        "smooth": inverted,
+    }
 
 
 def reduced_height(h_m: Array, ground_h_m: float, tropopause_h_m: float) -> Array:

@@ -360,22 +360,25 @@ class AirAtKnots:
     def pressure_at_knots(self) -> Array:
         """Pressure [Pa] at the knots (k,) by Eq. 52-53."""
         layout = self.layout
-        at = np.concatenate([[layout.reference], layout.knot])
-        integral, _ = column(layout.knot, self.virtual, at)
+        heights = np.concatenate([[layout.reference], layout.knot])
+        integral, _ = column(layout.knot, self.virtual, heights)
         fall = self.constant * (integral[1:] - integral[0])
-        return np.asarray(np.exp(self.x[layout.level] - fall))
+        level = self.x[layout.level]
+        return np.asarray(np.exp(level - fall))
 
     def log_pressure(self, height: Array) -> tuple[Array, Array]:
         """ln p at heights (m,) [m'] by Eq. 52-53, and its (m, s) derivatives by the state."""
         layout = self.layout
-        at = np.concatenate([[layout.reference], height])
-        integral, gradient = column(layout.knot, self.virtual, at)
+        heights = np.concatenate([[layout.reference], height])
+        integral, gradient = column(layout.knot, self.virtual, heights)
+        fall = self.constant * (integral[1:] - integral[0])
         by_virtual = -self.constant * (gradient[1:] - gradient[0])
         jacobian = np.zeros((height.size, layout.size))
         jacobian[:, layout.temperature] = by_virtual * self.virtual_by_t
         jacobian[:, layout.humidity] = (by_virtual * self.virtual_by_rh) @ self.spreading
         jacobian[:, layout.level] = 1.0
-        return self.x[layout.level] - self.constant * (integral[1:] - integral[0]), jacobian
+        level = self.x[layout.level]
+        return level - fall, jacobian
 
 
 def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> AirAtKnots:
@@ -395,10 +398,18 @@ def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> AirAtK
     dryness = 1.0 - VAPOUR_DEFICIT * vapour
     steep = t * VAPOUR_DEFICIT / dryness**2
     return AirAtKnots(
-        layout, x, constant, t, t / dryness, vapour,
-        1.0 / dryness + steep * vapour * relative, steep * saturated,
-        vapour * relative, saturated, spreading,
-    )  # fmt: skip
+        layout=layout,
+        x=x,
+        constant=constant,
+        temperature=t,
+        virtual=t / dryness,
+        vapour=vapour,
+        virtual_by_t=1.0 / dryness + steep * vapour * relative,
+        virtual_by_rh=steep * saturated,
+        vapour_by_t=vapour * relative,
+        vapour_by_rh=saturated,
+        spreading=spreading,
+    )
 
 
 def exponential(x: Array, length: float) -> Array:
