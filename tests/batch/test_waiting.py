@@ -22,7 +22,9 @@ from unbend.batch.executors import Bug, Lost, Outcome
 from unbend.batch.other_processes import holder_of, is_stopped
 from unbend.batch.processes import MissionProcess, Processes, stop_all
 from unbend.batch.store import open_folder, read_manifest, rehearse_folder
+from unbend.batch.unchanged import find_unchanged
 from unbend.batch.waiting import within
+from unbend.config.campaign import MissionRef
 from unbend.errors import OutputInUseError, StorageError
 
 linux = pytest.mark.skipif(
@@ -161,6 +163,7 @@ def test_a_pipe_among_results_is_not_read(tmp_path: Path) -> None:
     assert read_manifest(tmp_path, damaged=True) is None
     assert head_of(tmp_path / "campaign.html") == ""
     assert not is_page_ours(tmp_path, ["campaign.parquet"])
+    assert find_unchanged(MissionRef.of(tmp_path / "manifest.json")) is None  # as a mission file
 
 
 # ---- questions

@@ -63,10 +63,11 @@ def impatient(monkeypatch):
 
 
 @pytest.mark.parametrize("scheme", ["s3", "az"])
-def test_a_store_that_accepts_and_says_nothing(use, impatient, scheme, tmp_path):
+def test_a_store_that_accepts_and_says_nothing(use, impatient, scheme, tmp_path, monkeypatch):
     file = tmp_path / "stations.parquet"
     file.write_bytes(b"x" * 1000)
     with accepting() as url:
+        asked = count_requests(monkeypatch)
         use(S3 | {"AWS_ENDPOINT_URL": url} if scheme == "s3" else
             {"AZURE_STORAGE_USE_EMULATOR": "true", "AZURITE_BLOB_STORAGE_URL": url})  # fmt: skip
         place = Place.of(f"{scheme}://season/a")
@@ -85,6 +86,21 @@ def test_a_store_that_accepts_and_says_nothing(use, impatient, scheme, tmp_path)
                 host = url.removeprefix("http://")
                 assert error.what == f"{host} has not answered: waited 0 s to {verb} it"
                 assert error.where.startswith(str(place))
+        assert asked.count("head") == 2
+        assert asked.count("get") == 1, "who hears nothing is not asked again in another way"
+
+
+def count_requests(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The functions of obstore that are called from now on."""
+    asked: list[str] = []
+    original = object_store.request
+
+    def request(verb: str, place: Place, function: str, *arguments: object, **options: object):
+        asked.append(function)
+        return original(verb, place, function, *arguments, **options)
+
+    monkeypatch.setattr(object_store, "request", request)
+    return asked
 
 
 def silence(call: Callable[[], object]) -> StorageError:
