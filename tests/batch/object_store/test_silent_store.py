@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import threading
@@ -82,9 +83,10 @@ def test_a_store_that_accepts_and_says_nothing(use, impatient, scheme, tmp_path,
             for call in several:
                 began_s = time.monotonic()
                 error = silence(call)
-                assert time.monotonic() - began_s < 2.0
+                assert time.monotonic() - began_s < 30.0, "it waits for 60 s where it may"
                 host = url.removeprefix("http://")
-                assert error.what == f"{host} has not answered: waited 0 s to {verb} it"
+                said = rf"{host} has not answered: waited \d+ s to {verb} it"
+                assert re.fullmatch(said, error.what)
                 assert error.where.startswith(str(place))
         assert asked.count("head") == 2
         assert asked.count("get") == 1, "who hears nothing is not asked again in another way"
@@ -118,7 +120,7 @@ def test_a_store_that_says_half_and_stops(use, impatient, tmp_path):
         found = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
         calls = (place.read, place.objects, partial(fetch, found), partial(read_manifest, place))
         for call in calls:
-            assert "waited 0 s" in silence(call).what
+            assert "has not answered: waited" in silence(call).what
         assert not found.copy.exists()
 
 
@@ -131,7 +133,7 @@ def test_ctrl_c_is_heard_while_a_store_is_silent(use):
         began_s = time.monotonic()
         with pytest.raises(KeyboardInterrupt):
             Place.of("s3://season/a").read()
-        assert time.monotonic() - began_s < 5.0
+        assert time.monotonic() - began_s < 30.0
 
 
 def test_clearing_away_has_a_limit(use, monkeypatch):
@@ -141,7 +143,7 @@ def test_clearing_away_has_a_limit(use, monkeypatch):
         place = Place.of("s3://season/a")
         began_s = time.monotonic()
         remote.clear_away(lambda: place.remove(["b"]))
-        assert time.monotonic() - began_s < 5.0
+        assert time.monotonic() - began_s < 30.0
 
 
 @pytest.mark.slow
