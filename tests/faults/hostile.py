@@ -166,6 +166,15 @@ def minimal_values(n: int) -> bytes:
     return mcap(AIR + b"".join(chunks))
 
 
+def tiny_chunks(n: int) -> bytes:
+    """n chunks with a message each, and as many without any."""
+    parts = []
+    for k in range(n):
+        row = message(1, k, b"\0\1\0\0" + stamped(k) + struct.pack("<d", 9e4 - k))
+        parts += [chunk(row), chunk(b"")]
+    return mcap(AIR + b"".join(parts))
+
+
 def many_channels(n: int) -> bytes:
     """n topics with a message each."""
     parts = [PRESSURE]
@@ -386,6 +395,23 @@ def many_senders(n: int) -> bytes:
     return telemetry(frames)
 
 
+def unknown_ids(n: int) -> bytes:
+    """n messages, and behind each a frame of another id that no dialect has."""
+    parts = []
+    known = telemetry(
+        (1, 1, HOST_US + 1000 * k, pressure_fields(5000 + k), "scaled_pressure") for k in range(n)
+    )
+    place = 0
+    for k in range(n):
+        end = place + 8 + known[place + 9] + 12  # stamp, payload; header and checksum
+        parts.append(known[place:end])
+        place = end
+        unknown_id = (50_000 + k).to_bytes(3, "little")
+        head = struct.pack(">QBBBBBBB", HOST_US + 1000 * k + 1, 0xFD, 4, 0, 0, k % 256, 1, 1)
+        parts.append(head + unknown_id + b"\1\2\3\4" + b"\5\6")
+    return b"".join(parts)
+
+
 def named_values(n: int) -> bytes:
     """n names of values with a row each."""
     frames = []
@@ -403,6 +429,7 @@ GROWING = {
     "mcap long names": Hostile(".mcap", long_names, 8000, 500),
     "mcap minimal messages": Hostile(".mcap", minimal_messages, 3_400_000, 50_000, TOO_LARGE),
     "mcap minimal values": Hostile(".mcap", minimal_values, 2_000_000, 50_000, TOO_LARGE),
+    "mcap tiny chunks": Hostile(".mcap", tiny_chunks, 3000, 250),
     "mcap channels": Hostile(".mcap", many_channels, 60_000, 200, TOO_LARGE),
     "text redefined": Hostile(".log", redefined_lines, 26_000, 40, TOO_LARGE),
     "text defined": Hostile(".log", defined_in_turns, 20_000, 500),
@@ -415,5 +442,6 @@ GROWING = {
     "ulog topics": Hostile(".ulg", many_topics, 20_000, 100),
     "tlog boots": Hostile(".tlog", boots_of_telemetry, 1500, 100),
     "tlog senders": Hostile(".tlog", many_senders, 5000, 100, TOO_LARGE),
+    "tlog unknown ids": Hostile(".tlog", unknown_ids, 10_000, 500),
     "tlog names": Hostile(".tlog", named_values, 5000, 200, TOO_LARGE),
 }

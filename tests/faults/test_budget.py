@@ -19,6 +19,7 @@ import pytest
 from tests.faults.hostile import GROWING, Hostile
 from unbend.errors import LogError
 from unbend.ingest import open_log
+from unbend.ingest.limits import check_boots, check_senders
 
 MOST_GROWTH = 2.3  # of time and memory, where the structure doubles
 ROWS_OF_CALL = 200  # that numpy works off in the time of a call of Python
@@ -113,3 +114,15 @@ def test_what_took_minutes_is_within_the_budget(
         found = read(path)
     assert hostile.said in found
     assert memory_of_reading(path) < FIXED_MEMORY + MEMORY_OF_INPUT * size
+
+
+def test_large_logs_may_have_more_boots_and_senders(tmp_path: Path) -> None:
+    """A season that was joined, and a swarm, are right inputs: the limits grow with the records."""
+    check_boots(1200, records=1_200_000)
+    check_senders(1020, readings=255_000)
+    with pytest.raises(LogError, match="at most 1090 power-ups"):
+        check_boots(6000, records=90_000)
+    with pytest.raises(LogError, match="at most 32000 power-ups"):
+        check_boots(40_000, records=10**9)
+    with pytest.raises(LogError, match="at most 500"):
+        check_senders(501, readings=99)

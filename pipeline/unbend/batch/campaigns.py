@@ -21,7 +21,7 @@ from unbend.batch.results import read_manifest
 from unbend.batch.store import atomic_write
 from unbend.batch.unchanged import find_unchanged
 from unbend.config.campaign import Campaign, MissionRef, open_configs, refuse_twins
-from unbend.errors import UnbendError, storage_errors
+from unbend.errors import StorageError, UnbendError, storage_errors
 from unbend.exit_codes import EXIT_BUG
 from unbend.report.campaign import Row, campaign_page, campaign_table, row_of, row_without
 from unbend.tables.manifest.whole import Manifest
@@ -214,6 +214,8 @@ def is_page_ours(output: Path, present: Sequence[str]) -> bool:
     # Only the table is there: the page was removed, or a run ended after it wrote the table.
     from pyarrow.parquet import read_schema
 
+    if not (output / TABLE).is_file():  # reading a pipe might never end
+        return False
     try:
         return b"unbend.campaign" in (read_schema(output / TABLE).metadata or {})
     except (OSError, ValueError):  # ValueError: no Parquet
@@ -237,6 +239,8 @@ def write_pages(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> It
 
 def head_of(page: Path) -> str:
     """The beginning of a page, with its mark and digest; "" of a page that cannot be read."""
+    if not page.is_file():  # reading a pipe might never end
+        return ""
     try:
         with page.open(encoding="utf-8") as file:
             return file.read(_HEAD_CHARACTERS)
@@ -271,7 +275,12 @@ def page_row(chosen: Selection, ref: MissionRef, end: MissionEnd | None, page_fo
     row = row_of_end(chosen, ref, end, name, output)
     if output is None:
         return row
-    return {**row, "results": link_to(output, page_folder)}
+    if isinstance(end, StorageError) and isinstance(output, Place):
+        return {**row, "results": str(output)}  # a store that hangs is not asked again
+    link = str(output)
+    with suppress(StorageError):
+        link = link_to(output, page_folder)
+    return {**row, "results": link}
 
 
 def row_of_end(
@@ -296,7 +305,10 @@ def row_of_end(
         return row_without(name, EXIT_BUG, "", "a bug in unbend")
     manifest = None if end is None else end.manifest
     if manifest is None and output is not None:
-        manifest = read_manifest(output, damaged=True)
+        try:
+            manifest = read_manifest(output, damaged=True)
+        except StorageError as error:  # in object storage that does not answer
+            return row_without(name, None, error.code, error.what)
     return row_of_manifest(name, manifest)
 
 

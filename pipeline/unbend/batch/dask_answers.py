@@ -9,36 +9,15 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
+
+from unbend.batch.waiting import within
 
 ANSWER_S = 60.0
 """How long a worker, or a scheduler, may take to answer a question that costs nothing."""
 
 
 Client = Any  # of `distributed`, which has no types
-
-Answer = TypeVar("Answer")
-
-
-def within(seconds: float, question: Callable[[], Answer]) -> Answer:
-    """What a question returns or raises; TimeoutError where it takes longer."""
-    answers: SimpleQueue[Answer] = SimpleQueue()
-    errors: SimpleQueue[BaseException] = SimpleQueue()
-    has_ended = threading.Event()
-
-    def ask() -> None:
-        try:
-            answers.put(question())
-        except BaseException as error:
-            errors.put(error)
-        has_ended.set()
-
-    threading.Thread(target=ask, daemon=True).start()
-    if not has_ended.wait(seconds):
-        raise TimeoutError(f"no answer within {seconds:.0f} s")
-    if not errors.empty():
-        raise errors.get()
-    return answers.get()
 
 
 def answers_of_workers(

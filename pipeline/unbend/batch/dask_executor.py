@@ -26,10 +26,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
 from unbend.batch import dask_answers, messages
-from unbend.batch.dask_answers import Client, answers_of_workers, state_of_cluster, within
+from unbend.batch.dask_answers import Client, answers_of_workers, state_of_cluster
 from unbend.batch.executors import Bug, Ends, Lost, Task, TaskEnd
 from unbend.batch.fingerprint import all_versions, version
 from unbend.batch.processes import MissionProcess, stop_all
+from unbend.batch.waiting import within
 from unbend.errors import OutputInUseError
 from unbend.interrupts import held_back
 from unbend.refraction.kernels.threads import usable_cpus

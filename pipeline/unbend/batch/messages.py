@@ -121,13 +121,15 @@ VERIFY_DAMAGED = Code(
 )
 
 
-def output_in_use(*, path: str) -> OutputInUseError:
-    """Another process holds the lock of a folder of results."""
+def output_in_use(*, path: str, lock: str, holder: str) -> OutputInUseError:
+    """Another process holds the lock of a folder of results; ``holder`` says which, in words."""
     return OutputInUseError(
         OUTPUT_IN_USE,
-        "another process is writing to this folder",
+        "another process is writing to this folder: {holder} holds {lock}",
         where=path,
-        remedy="wait for it, or choose another output.path",
+        remedy="wait for it or end it, or choose another output.path",
+        lock=lock,
+        holder=holder,
     )
 
 
@@ -533,6 +535,15 @@ CLOUD_FAILED = Code(
     effect="What was published before stays; results that were made are kept in the user's cache.",
     remedy="Look at the network, then run again: only what is missing is done.",
 )
+CLOUD_SILENT = Code(
+    "CLOUD-SILENT",
+    means="Object storage was reached or looked for, and has not answered within a minute, or has "
+    "not taken a file within five: a network that was cut, a proxy, or a store that hangs.",
+    effect="The mission is not run or not published (exit code 5), and the others go on. What was "
+    "published before stays; results that were made are kept in the user's cache.",
+    remedy="Look at the network and at AWS_ENDPOINT_URL, then run again: only what is missing is "
+    "done.",
+)
 CLOUD_UNCONDITIONAL = Code(
     "CLOUD-UNCONDITIONAL",
     means="The store has no conditional writes: of two runs that publish at once both would seem "
@@ -654,6 +665,19 @@ def request_failed(*, url: str, verb: str, answer: str) -> StorageError:
         remedy="look at the network and at AWS_ENDPOINT_URL if that is set, then run again",
         verb=verb,
         answer=answer,
+    )
+
+
+def store_silent(*, url: str, verb: str, host: str, seconds: float) -> StorageError:
+    """The store did not answer; ``host`` is empty where it is not known."""
+    return StorageError(
+        CLOUD_SILENT,
+        "{host} has not answered: waited {seconds:.0f} s to {verb} it",
+        where=url,
+        remedy="look at the network and at AWS_ENDPOINT_URL if that is set, then run again",
+        host=host or "the store",
+        seconds=seconds,
+        verb=verb,
     )
 
 

@@ -8,14 +8,17 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import timedelta
 from errno import ENOENT
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from unbend.batch import messages
+from unbend.batch.waiting import within
 from unbend.errors import InputError, StorageError
 
 _STORES = {"s3": "S3Store", "az": "AzureStore", "gs": "GCSStore"}
@@ -24,6 +27,12 @@ _STORES = {"s3": "S3Store", "az": "AzureStore", "gs": "GCSStore"}
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9._-]{1,62}")
 
 _BLOCK_BYTES = 32 << 20  # of an object that is read; no more of it is in memory at once
+
+# Stores that are cut off accept a connection and then say nothing.
+CONNECT_S = 10.0
+SILENCE_S = 60.0  # without a byte of an answer
+REQUEST_S = 300.0  # for a request as a whole: 32 MiB that are read, 5 MB that are written
+RETRY_S = 60.0  # after which a request that failed is not repeated
 
 _PLAIN_HTTP = ("AWS_ALLOW_HTTP", "AZURE_ALLOW_HTTP", "AZURE_STORAGE_USE_EMULATOR")
 """Variables of the environment that allow a store without encryption, such as one on this host."""
@@ -49,6 +58,11 @@ _OTHER_REGION = re.compile("incorrectly configured region")
 _NO_CREDENTIALS = re.compile(
     r"169\.254\.169\.254|latest/api/token|token request|Account must be specified"
 )
+
+_SILENT = re.compile(r"kind: Timeout|\bTimedOut\b")
+
+_HOST = re.compile(r"https?://(?:[^/\s@]*@)?(\[[0-9a-fA-F:]+\](?::\d+)?|[\w.-]+(?::\d+)?)")
+"""The host in a URL of HTTP; of such a URL nothing else may be printed."""
 
 # Words of Azure's error beside its code, which is that of wrong credentials.
 _OLD_DATE = re.compile("[Rr]equest date header too old")
@@ -134,7 +148,9 @@ class Place:
         """Size, version and time of an object; raises FileNotFoundError without an object."""
         try:
             return dict(request("read", self, "head"))
-        except (FileNotFoundError, StorageError):
+        except (FileNotFoundError, StorageError) as error:
+            if is_silent(error):  # GET would wait as long
+                raise
             # A refusal of HEAD has no text that says why; one of GET has.
             return dict(request("read", self, "get").meta)
 
@@ -194,14 +210,23 @@ def _mistake_of(url: str, bucket: str, key: str) -> str:
 
 
 @lru_cache(maxsize=64)
-def open_store(scheme: str, bucket: str) -> Any:
-    """The store of a bucket; credentials and region are those of the environment."""
+def open_store(scheme: str, bucket: str, *, uploads: bool = False) -> Any:
+    """The store of a bucket; credentials and region are those of the environment.
+
+    One that ``uploads`` files waits longer: it hears nothing while it sends.
+    """
     from obstore import store
 
     # Where options are given, those of the environment are not looked at.
     plain = any(os.environ.get(name, "").lower() == "true" for name in _PLAIN_HTTP)
-    options = {"timeout": "300s", "connect_timeout": "10s", "allow_http": plain}
-    retries = {"max_retries": 5, "retry_timeout": timedelta(seconds=60)}
+    options = {
+        "timeout": timedelta(seconds=REQUEST_S),
+        "connect_timeout": timedelta(seconds=CONNECT_S),
+        "allow_http": plain,
+    }
+    if not uploads:
+        options["read_timeout"] = timedelta(seconds=SILENCE_S)
+    retries = {"max_retries": 5, "retry_timeout": timedelta(seconds=RETRY_S)}
     return getattr(store, _STORES[scheme])(bucket, client_options=options, retry_config=retries)
 
 
@@ -215,7 +240,8 @@ def request(verb: str, place: Place, function: str, *arguments: Any, **options: 
     def call() -> Any:
         import obstore
 
-        store = open_store(place.scheme, place.bucket)
+        uploads = any(isinstance(argument, Path) for argument in arguments)
+        store = open_store(place.scheme, place.bucket, uploads=uploads)
         return getattr(obstore, function)(store, place.key, *arguments, **options)
 
     return answered(verb, place, call)
@@ -227,17 +253,34 @@ def answered(verb: str, place: Place, call: Callable[[], Any]) -> Any:
         from obstore import exceptions
     except ImportError:
         raise messages.obstore_missing(url=str(place)) from None
+    began_s = time.monotonic()
     try:
-        return call()
+        return within(None, call)  # the limits of time are those of the store
     except (exceptions.AlreadyExistsError, exceptions.PreconditionError):
         return None
     except (exceptions.BaseError, FileNotFoundError, ValueError) as error:
-        refusal = refusal_of(str(error), verb, place)
+        text = str(error)
+        refusal = refusal_of(text, verb, place, time.monotonic() - began_s)
         if refusal is None and isinstance(error, FileNotFoundError):
             raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(place)) from None
-        answer = answer_in(str(error))
+        answer = answer_in(text)
     # Raised here, and not while obstore's error is handled: its text would be printed as the cause.
     raise refusal or messages.request_failed(url=str(place), verb=verb, answer=answer)
+
+
+def is_silent(error: Exception) -> bool:
+    """Whether a refusal says that a store does not answer."""
+    return isinstance(error, StorageError) and error.code == messages.CLOUD_SILENT.name
+
+
+def host_in(text: str) -> str:
+    """The host of the first URL in what obstore says of an error; empty without one.
+
+    >>> host_in("Error performing GET http://127.0.0.1:9000/season/a?X-Signature=1 in 60 s")
+    '127.0.0.1:9000'
+    """
+    match = _HOST.search(text)
+    return "" if match is None else match[1]
 
 
 def answer_in(text: str) -> str:
@@ -252,8 +295,11 @@ def answer_in(text: str) -> str:
     return match[1] if match else "nothing"
 
 
-def refusal_of(text: str, verb: str, place: Place) -> StorageError | None:
-    """The refusal for the text of obstore's error; None for an error of an unknown kind."""
+def refusal_of(text: str, verb: str, place: Place, waited_s: float) -> StorageError | None:
+    """The refusal for the text of obstore's error; None for an error of an unknown kind.
+
+    ``waited_s`` : how long the call took, with all that was tried.
+    """
     url = str(place)
     answer = answer_in(text)
     has_code = "<Code>" in text
@@ -263,6 +309,8 @@ def refusal_of(text: str, verb: str, place: Place) -> StorageError | None:
         return messages.no_bucket(url=url, answer=answer)
     if not has_code and _NO_CREDENTIALS.search(text):
         return messages.no_credentials(url=url, scheme=place.scheme)
+    if not has_code and _SILENT.search(text):
+        return messages.store_silent(url=url, verb=verb, host=host_in(text), seconds=waited_s)
     if _WRONG_CLOCK.fullmatch(answer):
         return messages.wrong_clock(url=url, answer=answer)
     if _NO_BUCKET.fullmatch(answer):

@@ -12,15 +12,16 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import TYPE_CHECKING
 
 from unbend.batch.executors import Bug, Ends, Lost, Outcome, Task, TaskEnd, end_of
+from unbend.batch.other_processes import is_stopped
 from unbend.exit_codes import EXIT_INTERRUPTED
 from unbend.interrupts import held_back
 from unbend.refraction.kernels.threads import usable_cpus
@@ -31,6 +32,13 @@ if TYPE_CHECKING:
 GRACE_S = 3.0
 """How long a process that was asked to stop may clean up before it is killed: 5 s are promised."""
 
+LOOK_S = 5.0
+"""How often it is looked whether the processes of missions are stopped."""
+
+MOST_LOOKS = 12
+"""At so many looks, one minute, a process must be stopped to be killed. Looks are counted and not
+time: Ctrl-Z stops the command too, and then nobody looks."""
+
 
 class MissionProcess:
     """A process that runs one mission at a time; it is replaced when one has killed it."""
@@ -39,6 +47,8 @@ class MissionProcess:
         self._threads = threads
         self._pool: ProcessPoolExecutor | None = None
         self._process: BaseProcess | None = None
+        self._looks_stopped = 0  # how often in turn it was found stopped
+        self._was_stopped = False  # for so long that it was killed
 
     def submit(self, task: Callable[[], TaskEnd]) -> Future[TaskEnd]:
         """Begin a task; `end` says how it ended."""
@@ -65,18 +75,32 @@ class MissionProcess:
             started = set(multiprocessing.active_children()) - before
         if started:
             self._process = started.pop()
+            self._looks_stopped = 0
+            self._was_stopped = False
         return future
 
     def end(self, future: Future[TaskEnd]) -> TaskEnd:
-        """How a task ended, whose ``future`` is done; Lost where its process died."""
+        """How a task ended, which is waited for; Lost where its process died or was stopped."""
+        while not wait([future], timeout=LOOK_S).done:
+            self.kill_if_stopped()
         try:
             return future.result()
         except BrokenProcessPool:
             self._close()  # waits for the process, which has an exit code then
             code = None if self._process is None else self._process.exitcode
-            return Lost(way_of_death(code))
+            return Lost(way_of_death(code, was_stopped=self._was_stopped))
         except Exception as error:  # the task, or what it returned, cannot be pickled
             return Bug(f"{type(error).__name__}: {error}")
+
+    def kill_if_stopped(self) -> None:
+        """Look whether the process is stopped (SIGSTOP); kill it if it was at all looks of late."""
+        if self._process is None or not is_stopped(self._process.pid):
+            self._looks_stopped = 0
+            return
+        self._looks_stopped += 1
+        if self._looks_stopped >= MOST_LOOKS:
+            self._was_stopped = True
+            self._process.kill()
 
     def ask_to_stop(self) -> None:
         """Let the mission under way end as after SIGTERM."""
@@ -165,12 +189,15 @@ def run_task(task: Callable[[], TaskEnd]) -> TaskEnd:
     return end.receipt() if isinstance(end, Outcome) else end
 
 
-def way_of_death(code: int | None) -> str:
+def way_of_death(code: int | None, *, was_stopped: bool = False) -> str:
     """What an exit code of a process says, in words.
 
     >>> way_of_death(-9), way_of_death(3), way_of_death(0xC0000005)
     ('killed by SIGKILL', 'exit code 3', 'exit code 0xC0000005')
     """
+    if was_stopped:
+        seconds = MOST_LOOKS * LOOK_S
+        return f"stopped (SIGSTOP) for {seconds:.0f} s, so it was killed"
     if code is None:
         return "it ended, and left no exit code"
     if code < 0:
@@ -178,6 +205,20 @@ def way_of_death(code: int | None) -> str:
     if code < 256:
         return f"exit code {code}"
     return f"exit code 0x{code:08X}"
+
+
+Done = tuple[MissionProcess, "MissionRef", Future[TaskEnd]]
+"""A task that has ended: its process, its mission, and how it ended."""
+
+
+def next_done(done: SimpleQueue[Done], processes: Iterable[MissionProcess]) -> Done:
+    """Wait for the next task that ends, and kill processes that stay stopped meanwhile."""
+    while True:
+        try:
+            return done.get(timeout=LOOK_S)
+        except Empty:
+            for process in processes:
+                process.kill_if_stopped()
 
 
 class Processes:
@@ -196,7 +237,7 @@ class Processes:
         processes = [MissionProcess(threads) for _ in range(jobs)]
         waiting = iter(tasks.items())
         # The main thread waits for this queue alone: a signal interrupts it without a lock held.
-        done: SimpleQueue[tuple[MissionProcess, MissionRef, Future[TaskEnd]]] = SimpleQueue()
+        done: SimpleQueue[Done] = SimpleQueue()
 
         def begin_next(process: MissionProcess) -> None:
             """Let a free process begin the next mission that waits, if one does."""
@@ -212,7 +253,7 @@ class Processes:
                 for process in processes:
                     begin_next(process)
             for _ in tasks:
-                process, mission, future = done.get()
+                process, mission, future = next_done(done, processes)
                 with held_back():
                     end = process.end(future)
                     begin_next(process)

@@ -20,12 +20,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from errno import ENOENT
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from unbend.batch import messages
 from unbend.batch.manifest import MANIFEST, damage_of, manifest_text, parse_manifest
 from unbend.batch.object_store import Place, is_url
+from unbend.batch.waiting import within
 from unbend.caches import forget_oldest, user_cache
 from unbend.errors import UnbendError, storage_errors
 from unbend.tables.manifest.whole import Manifest
@@ -143,6 +145,9 @@ def refuse_changed(remote: RemoteInput, *, role: str) -> None:
 _WAIT_S = 10.0
 """How long a writer waits for a faster writer of the same run to publish it."""
 
+_CLEARING_S = 4.0
+"""How long a run that failed clears away: who interrupts it is promised an end within 5 s."""
+
 _CLOCK_TOLERANCE = timedelta(minutes=15)  # beyond it stores take no signature
 
 _IF_ABSENT = None  # the condition of a write: that there is no object yet
@@ -214,10 +219,19 @@ def rehearse(place: Place, *, writes: bool = False) -> None:
             place.remove([name])
         if not heeds_conditions:
             raise messages.writes_unconditional(url=str(place))
-    except UnbendError:
-        with suppress(UnbendError):
-            place.remove([name])  # also a probe that the store should not have written
+    except BaseException:
+        # Also a probe that the store should not have written.
+        clear_away(partial(place.remove, [name]))
         raise
+
+
+def clear_away(remove: Callable[[], None]) -> None:
+    """Remove what a run that failed has written, as far as that can be done in four seconds.
+
+    `remove_leftovers` finds what is left.
+    """
+    with suppress(UnbendError, TimeoutError):
+        within(_CLEARING_S, remove)
 
 
 class Publication:
@@ -252,8 +266,7 @@ class Publication:
             if not is_first:
                 by_another = self._published_by_another_writer()
         except BaseException:
-            with suppress(UnbendError):
-                self._remove(attempt)
+            clear_away(partial(self._remove, attempt))
             raise
         published = by_another
         if by_another is None:

@@ -22,6 +22,7 @@ from filelock import FileLock, Timeout
 
 from unbend.batch import messages
 from unbend.batch.manifest import MANIFEST, damage_of, manifest_text, parse_manifest
+from unbend.batch.other_processes import holder_in_words
 from unbend.batch.receipts import packed, unpacked
 from unbend.errors import StorageError, storage_errors
 from unbend.ingest import hash_file
@@ -315,7 +316,10 @@ def lock_folder(path: Path) -> FileLock:
     try:
         lock.acquire()
     except Timeout:
-        raise messages.output_in_use(path=str(path)) from None
+        file = path / _LOCK
+        raise messages.output_in_use(
+            path=str(path), lock=str(file), holder=holder_in_words(file)
+        ) from None
     except (OSError, NotImplementedError) as error:
         if getattr(error, "errno", None) in (EACCES, EPERM, EROFS):
             with storage_errors(path):  # a refusal to write, in its words
@@ -388,6 +392,8 @@ def read_manifest(path: Path, *, damaged: bool = False) -> Manifest | None:
     """
     file = path / MANIFEST
     try:
+        if file.exists() and not file.is_file():  # reading a pipe might never end
+            raise messages.manifest_unreadable(path=str(file), error="it is not a file")
         try:
             content = file.read_bytes()
         except (FileNotFoundError, NotADirectoryError):

@@ -10,6 +10,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from errno import ENOENT
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +71,12 @@ def text_hash(ref: MissionRef) -> str:
 
 
 def text_of(ref: MissionRef) -> bytes:
-    """The text of a mission, which may stand in a campaign file."""
-    return ref.own.encode() if ref.own else ref.path.read_bytes()
+    """The text of a mission, which may stand in a campaign file; OSError if it cannot be read."""
+    if ref.own:
+        return ref.own.encode()
+    if not ref.path.is_file():  # reading a pipe might never end
+        raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(ref.path))
+    return ref.path.read_bytes()
 
 
 def hash_of_text(ref: MissionRef, text: bytes) -> str:

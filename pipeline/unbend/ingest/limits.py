@@ -15,10 +15,15 @@ from numpy.typing import NDArray
 from unbend.ingest import messages
 from unbend.messages import Ledger
 
-# Times are compared boot by boot: each one costs a pass over the rows. Usual logs have 1 to 10.
-MAX_BOOTS = 1000
-# Each sender of a telemetry log has a clock of its own. Usual are 2 to 10, of a swarm some hundred.
-MAX_SENDERS = 500
+# Times are compared boot by boot: each one costs a pass over the rows. Usual logs have 1 to 10,
+# those of a season joined may have thousands, each of thousands of records.
+FREE_BOOTS = 1000
+RECORDS_OF_BOOT = 1000  # ... and one more for so many records with a time
+MAX_BOOTS = 32_000  # their numbers are int16
+# Each sender of a telemetry log has a clock of its own: 1.5 ms. Usual are 2 to 10; a swarm of 255
+# systems with four components each has a thousand, each of hundreds of times.
+FREE_SENDERS = 500
+READINGS_OF_SENDER = 100  # ... and one more for so many times of senders
 # Ways in which a DataFlash log may define one message: all of them become one table. Usual are 1,
 # and in a log of two versions of the firmware 2.
 MAX_DEFINITIONS_OF_ONE = 32
@@ -65,16 +70,18 @@ class SeriesLimit:
             ledger.add(messages.too_many_series(file=file, count=self.dropped, most=MAX_SERIES))
 
 
-def check_boots(boots: int) -> None:
-    """Refuse a log whose time begins anew too often."""
-    if boots > MAX_BOOTS:
-        raise messages.too_many_boots(count=boots, most=MAX_BOOTS)
+def check_boots(boots: int, records: int) -> None:
+    """Refuse a log whose time begins anew too often for its records with a time."""
+    most = min(FREE_BOOTS + records // RECORDS_OF_BOOT, MAX_BOOTS)
+    if boots > most:
+        raise messages.too_many_boots(count=boots, most=most)
 
 
-def check_senders(count: int) -> None:
-    """Refuse a telemetry log with too many senders."""
-    if count > MAX_SENDERS:
-        raise messages.too_many_senders(count=count, most=MAX_SENDERS)
+def check_senders(count: int, readings: int) -> None:
+    """Refuse a telemetry log with too many senders for all the times that they sent."""
+    most = FREE_SENDERS + readings // READINGS_OF_SENDER
+    if count > most:
+        raise messages.too_many_senders(count=count, most=most)
 
 
 def check_fields(fields: int) -> None:

@@ -175,7 +175,7 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
         length,
     )
     boots = _boots(begin, end, stray)
-    check_boots(int(boots.max(initial=0)) + 1)
+    check_boots(int(boots.max(initial=0)) + 1, records=int(length.sum()))
     return Timeline(
         first=np.array([stretch.first for stretch in stretches], np.int64),
         begin=begin,

@@ -108,8 +108,10 @@ class ChunkReader:
 
         ``at``: where the chunk begins in the file. Damage is entered, and passed over.
         """
-        raw = raw_of(view)
         size = int(view.shape[0])
+        if not size:
+            return
+        raw = raw_of(view)
         runs = _message_runs(view)
         starts: list[Integers] = []
         place = 0

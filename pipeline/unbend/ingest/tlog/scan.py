@@ -145,9 +145,9 @@ class Scan(DamagedBytes):
         for begin in range(0, data.size, STRETCH):
             self._scan_stretch(begin, min(begin + STRETCH, data.size))
         if self._end < data.size:
-            frames_at_end = self._examine_gap(self._end, data.size)
-            if len(frames_at_end):
-                self._count_lost(frames_at_end)
+            places = self._examine_gap(self._end, data.size)
+            if places:
+                self._count_lost(self._rejected_at(places, data.size))
 
     def _scan_stretch(self, begin: int, stop: int) -> None:
         """Scan the frames that begin in a stretch, behind the last accepted frame."""
@@ -209,27 +209,34 @@ class Scan(DamagedBytes):
         self._host_us = int(frames.host_us[-1])
 
     def _frames_between(self, frames: Frames) -> list[Frames]:
-        """Examine the gaps before accepted frames; returns the frames in each that has any."""
-        rejected: list[Frames] = []
+        """Examine the gaps before accepted frames; returns the frames in them, if there are any."""
+        places: list[int] = []
         previous_end = np.concatenate([[self._end], frames.end[:-1]])
         for row in np.flatnonzero(previous_end != frames.at).tolist():
-            frames_in_gap = self._examine_gap(int(previous_end[row]), int(frames.at[row]))
-            if len(frames_in_gap):
-                rejected.append(frames_in_gap)
-        return rejected
+            places += self._examine_gap(int(previous_end[row]), int(frames.at[row]))
+        if not places:
+            return []
+        return [self._rejected_at(places, int(frames.at[-1]))]
 
-    def _examine_gap(self, begin: int, stop: int) -> Frames:
+    def _rejected_at(self, places: list[int], stop: int) -> Frames:
+        """The frames at these places, which end before ``stop``; they are counted as rejected."""
+        begin = places[0]
+        window = self._data.array(begin, stop)
+        offsets = np.array(places, np.int64) - begin
+        frames = headers(_padded(window), offsets, window.shape[0]).moved(begin)
+        self._count_rejected(frames)
+        return frames
+
+    def _examine_gap(self, begin: int, stop: int) -> list[int]:
         """Count the bytes from ``begin`` to ``stop``, which lie between two accepted frames.
 
-        From the begin on they may be frames that are not accepted, one behind the other; these are
-        returned, because their messages are not lost, though their content is not used. What
-        follows is a frame that the end of the file cuts off, or bytes of no message.
+        From the begin on they may be frames that are not accepted, one behind the other; the places
+        of these are returned, because their messages are not lost, though their content is not
+        used. What follows is a frame that the end of the file cuts off, or bytes of no message.
         """
         if self.is_hopeless(self._data.size):  # what lies between good frames is not searched
             self.drop(begin, stop)
-            nothing = _padded(self._data.array(begin, begin))
-            nowhere = np.empty(0, np.int64)
-            return headers(nothing, nowhere, 0)
+            return []
         places, end = self._frames_in_a_row(begin, stop)
         if end < stop and self._ends_in_frame(end, stop, places):
             self.cut_bytes += stop - end
@@ -238,10 +245,7 @@ class Scan(DamagedBytes):
                 # The length of the last frame may be damaged: it counts to the bytes of no message.
                 end = places.pop()
             self.drop_searched(end, stop)
-        window = _padded(self._data.array(begin, end))
-        frames = headers(window, np.array(places, np.int64) - begin, end - begin).moved(begin)
-        self._count_rejected(frames)
-        return frames
+        return places
 
     def _frames_in_a_row(self, begin: int, stop: int) -> tuple[list[int], int]:
         """The places of frames that follow each other from a byte, and where the last ends.

@@ -18,6 +18,7 @@ from unbend.flight.clock import BOOT_STEP_NS, clock_map, stray_times
 from unbend.flight.survey_dates import DAY_NS
 from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.limits import check_senders
+from unbend.ingest.message_tables import rows_by_value
 from unbend.ingest.timelines import timeline
 from unbend.ingest.tlog import messages
 from unbend.ingest.tlog.clock_samples import MICROSECOND, MILLISECOND, Readings
@@ -229,8 +230,9 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
             description="ground station clock",
         )
     numbers, counts = np.unique(readings["source"], return_counts=True)
-    check_senders(numbers.shape[0])
+    check_senders(numbers.shape[0], readings=readings.size)
     busiest_first = numbers[np.argsort(-counts, kind="stable")].tolist()
+    rows_of_sender = dict(rows_by_value(readings["source"]))
     vehicle = Sender.of_number(busiest_first[0])
     clocks: dict[Sender, SenderClock] = {}
     for number in busiest_first:
@@ -238,7 +240,9 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
         lead = _HOST_CLOCK
         if sender.system == vehicle.system:
             lead = clocks.get(vehicle, _HOST_CLOCK)
-        readings_of_sender = _selected(readings, readings["source"] == number)
+        rows = rows_of_sender[number]
+        # not copied where these are all: memory has its peak here
+        readings_of_sender = readings if rows.size == readings.size else readings[rows]
         clocks[sender] = fit_sender(readings_of_sender, lead, sender, ledger, dates)
     clock = clocks[vehicle].clock
     assessments: list[ClockAssessment] = []

@@ -1,0 +1,45 @@
+"""What the system says of other processes: which is stopped, and which holds a lock. Linux does."""
+
+import os
+from pathlib import Path
+
+LOCKS = Path("/proc/locks")
+
+
+def is_stopped(process: int | None) -> bool:
+    """Whether a process is stopped (SIGSTOP), by its number; False where the system does not say.
+
+    A stopped process neither works nor ends until somebody lets it go on.
+    """
+    try:
+        status = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    # number (name) state ...: the name may hold blanks and parentheses
+    return status.rpartition(")")[2].split()[0] == "T"
+
+
+def holder_of(lock: Path) -> int | None:
+    """The process of this machine that holds the lock of a file; None where none is known."""
+    try:
+        stat = os.stat(lock)
+        lines = LOCKS.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return None
+    file = f"{os.major(stat.st_dev):02x}:{os.minor(stat.st_dev):02x}:{stat.st_ino}"
+    for line in lines:
+        # 1: FLOCK ADVISORY WRITE 19362 fe:00:3334716 0 EOF
+        words = line.split()
+        if words[1] == "FLOCK" and words[5] == file:
+            return int(words[4])
+    return None
+
+
+def holder_in_words(lock: Path) -> str:
+    """Who holds the lock of a file, for a message."""
+    process = holder_of(lock)
+    if process is None:
+        return "a process that is not known here, maybe of another machine,"
+    if is_stopped(process):
+        return f"process {process}, which is stopped,"
+    return f"process {process}"

@@ -1,0 +1,192 @@
+"""Nothing waits for ever: stopped processes, held locks, pipes in the place of results."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from unbend.batch import other_processes, processes
+from unbend.batch.campaigns import head_of, is_page_ours
+from unbend.batch.execute import run_many
+from unbend.batch.executors import Bug, Lost, Outcome
+from unbend.batch.other_processes import holder_of, is_stopped
+from unbend.batch.processes import MissionProcess, Processes, stop_all
+from unbend.batch.store import open_folder, read_manifest, rehearse_folder
+from unbend.batch.unchanged import find_unchanged
+from unbend.batch.waiting import within
+from unbend.config.campaign import MissionRef
+from unbend.errors import OutputInUseError, StorageError
+
+linux = pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="the system does not say which process is stopped"
+)
+pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no named pipes")
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Looks often, and gives up after a tenth of a second."""
+    monkeypatch.setattr(processes, "LOOK_S", 0.05)
+    monkeypatch.setattr(processes, "MOST_LOOKS", 2)
+
+
+def stop_once(mark: Path) -> Outcome:
+    """A mission whose process is stopped when it runs for the first time."""
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGSTOP)
+    return Outcome(mark.name, mark, None, 0, False)
+
+
+def stop_always() -> Outcome:
+    os.kill(os.getpid(), signal.SIGSTOP)
+    raise AssertionError
+
+
+@linux
+def test_a_stopped_process_costs_its_mission_one_attempt(tmp_path: Path, impatient: None) -> None:
+    """Others go on meanwhile; `run_many` runs it again, as any that is lost."""
+    tasks: dict[Any, Any] = {
+        "stopped": partial(stop_once, tmp_path / "stopped"),
+        "other": partial(stop_once, tmp_path),  # which is there: it is not stopped
+    }
+    ends = dict(Processes(2).run(tasks))
+    assert isinstance(ends["other"], Outcome)
+    lost = ends["stopped"]
+    assert isinstance(lost, Lost)
+    assert lost.how == "stopped (SIGSTOP) for 0 s, so it was killed"
+
+
+@linux
+def test_a_process_that_goes_on_in_time_is_not_killed(impatient: None) -> None:
+    process = MissionProcess(1)
+    future = process.submit(partial(time.sleep, 0))  # type: ignore[arg-type]
+    assert process.end(future) is None
+    assert process._process is not None
+    number = process._process.pid
+    assert number is not None
+    for _ in range(3):
+        os.kill(number, signal.SIGSTOP)
+        wait_until_stopped(number)
+        process.kill_if_stopped()
+        os.kill(number, signal.SIGCONT)
+        process.kill_if_stopped()
+    assert process.end(process.submit(partial(time.sleep, 0))) is None  # type: ignore[arg-type]
+    stop_all([process])
+
+
+@linux
+def test_a_worker_of_dask_does_not_wait_for_its_stopped_process(impatient: None) -> None:
+    """It waits for a process by `MissionProcess.end` alone."""
+    process = MissionProcess(1)
+    end = process.end(process.submit(stop_always))
+    stop_all([process])
+    assert isinstance(end, Lost)
+    assert not isinstance(end, Bug)
+    assert "SIGSTOP" in end.how
+
+
+def wait_until_stopped(number: int) -> None:
+    limit = time.monotonic() + 60.0
+    while not is_stopped(number):
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+
+
+# ---- locks
+
+
+@pytest.fixture
+def holder(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another process that holds the lock of a folder of results."""
+    code = (
+        "import sys, time; from pathlib import Path\n"
+        "from unbend.batch.store import open_folder\n"
+        "with open_folder(Path(sys.argv[1])): print('held', flush=True); time.sleep(600)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.communicate()
+
+
+@linux
+def test_a_lock_is_refused_at_once_and_names_who_holds_it(
+    tmp_path: Path, holder: subprocess.Popen[str]
+) -> None:
+    for is_to_stop in (False, True):
+        if is_to_stop:
+            holder.send_signal(signal.SIGSTOP)
+            wait_until_stopped(holder.pid)
+        for attempt in (partial(rehearse_folder, tmp_path), open_folder(tmp_path).__enter__):
+            began_s = time.monotonic()
+            with pytest.raises(OutputInUseError) as refused:
+                attempt()
+            assert time.monotonic() - began_s < 30.0
+            who = f"process {holder.pid}, which is stopped," if is_to_stop else f"{holder.pid} "
+            assert who in refused.value.what
+            assert str(tmp_path / ".lock") in refused.value.what
+
+
+def test_where_no_holder_is_known_the_lock_is_named(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(other_processes, "LOCKS", tmp_path / "nothing")
+    results = tmp_path / "results"
+    with open_folder(results), pytest.raises(OutputInUseError, match="maybe of another machine"):
+        open_folder(results).__enter__()
+    assert holder_of(tmp_path / "not there") is None
+    assert is_stopped(None) is False
+
+
+# ---- pipes
+
+
+@pipes
+def test_a_pipe_among_results_is_not_read(tmp_path: Path) -> None:
+    for name in ("manifest.json", "campaign.html", "campaign.parquet"):
+        os.mkfifo(tmp_path / name)
+    with pytest.raises(StorageError, match=r"MANIFEST-UNREADABLE: .*it is not a file"):
+        read_manifest(tmp_path)
+    assert read_manifest(tmp_path, damaged=True) is None
+    assert head_of(tmp_path / "campaign.html") == ""
+    assert not is_page_ours(tmp_path, ["campaign.parquet"])
+    assert find_unchanged(MissionRef.of(tmp_path / "manifest.json")) is None  # as a mission file
+
+
+# ---- questions
+
+
+def test_a_question_has_a_limit_and_its_errors_are_raised() -> None:
+    blocked = threading.Event()
+    with pytest.raises(TimeoutError, match="no answer within 0 s"):
+        within(0.05, blocked.wait)
+    blocked.set()
+    assert within(None, blocked.wait) is True
+    with pytest.raises(ZeroDivisionError):
+        within(60.0, lambda: 1 // 0)  # type: ignore[arg-type]
+
+
+def test_a_stopped_mission_that_stops_again_is_refused_with_the_reason() -> None:
+    class Stopping:
+        def run(self, tasks: Any, *, alone: bool = False) -> Iterator[Any]:
+            for mission in tasks:
+                yield mission, Lost(processes.way_of_death(-9, was_stopped=True))
+
+    class Mission:
+        path, words = Path("m.yaml"), ("m.yaml",)
+
+    ((_, end),) = run_many(print, [Mission()], Stopping())  # type: ignore[arg-type, list-item]
+    assert str(end).count("stopped (SIGSTOP) for 60 s, so it was killed") == 2
