@@ -19,8 +19,8 @@ import pytest
 from tests.draws import SEED
 from unbend.block.calibration_mistakes import OffsetAxes, with_other_axes
 from unbend.block.diagnosis import diagnosis, finding_of
-from unbend.block.hypotheses import StatedMission
 from unbend.block.image_rays import ImageRays, Orientations, straightened
+from unbend.block.mistakes import StatedMission
 from unbend.flight.mount import Mount
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera

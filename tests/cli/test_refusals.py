@@ -63,7 +63,7 @@ def test_log_that_is_a_folder_or_has_no_possible_name(mission):
     mission.config["log"]["path"] = "folder.bin"
     refused(mission.run(), "INPUT-MISSING")
     mission.config["log"]["path"] = "x" * 300 + ".bin"
-    refused(mission.run(), "INPUT-UNREADABLE")
+    refused(mission.run(), "CONFIG-INVALID", 2)
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
@@ -334,8 +334,6 @@ def test_a_file_in_the_place_of_the_output_folder(mission):
     (mission.folder / "results").write_text("a file")
     refused(mission.run(), "STORAGE-WRITE", 5)
     mission.config["output"]["path"] = "results/deeper"
-    refused(mission.run(), "STORAGE-WRITE", 5)
-    mission.config["output"]["path"] = "y" * 300
     refused(mission.run(), "STORAGE-WRITE", 5)
 
 

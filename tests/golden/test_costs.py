@@ -40,7 +40,7 @@ class ToyFormat:
     def matches(self, head):
         return head.startswith(b"toy")
 
-    def read(self, path, ledger):
+    def read(self, path, ledger, witnesses=()):
         rows = np.loadtxt(path, skiprows=1, delimiter=",", ndmin=2)
         time_ns = rows[:, 0].astype(np.int64)
         channel = Channel("TOY", time_ns, {"pressure_pa": rows[:, 1]}, Source("TOY"))
@@ -128,6 +128,7 @@ assert (np.hypot(corrected.dx_px, corrected.dy_px) > 1e-4).all()
 EXPORT = '''
 """A toy: the names of the usable images, each some times."""
 
+from unbend.tables.exports.export_frames import ExportFrame
 from unbend.tables.exports.format import ExportFormat, Option
 
 
@@ -138,7 +139,11 @@ def write(run, values, path, ledger):
 
 
 TIMES = Option("times", int, 1, "how often each name is written", minimum=1, maximum=9)
-FORMATS = (ExportFormat("toy", "names of the images", ".txt", write, (TIMES,)),)
+FORMATS = (
+    ExportFormat(
+        "toy", "names of the images", ".txt", write, lambda run, values: ExportFrame(), (TIMES,)
+    ),
+)
 '''
 
 IMPORT = '''
@@ -259,7 +264,7 @@ THINGS = {
         {
             "pipeline/unbend/tables/exports/__init__.py": (
                 ("    station_files,\n)", "    station_files,\n    toy,\n)"),
-                ("opensfm_project, bingo,", "opensfm_project, bingo, toy,"),
+                ("opensfm_project,\n    bingo,", "opensfm_project,\n    bingo,\n    toy,"),
             )
         },
     ),

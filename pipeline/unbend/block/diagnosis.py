@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.block.errors_in_words import error_in_words
 from unbend.block.given_heights import scattered_heights, with_usable_heights
-from unbend.block.hypotheses import (
-    Hypothesis,
+from unbend.block.intersection import Intersection
+from unbend.block.mistakes import (
     LinearEstimate,
+    PossibleMistake,
     Reading,
     StatedMission,
     large_mistakes,
@@ -24,7 +25,6 @@ from unbend.block.hypotheses import (
     other_calibrations,
     small_errors,
 )
-from unbend.block.intersection import Intersection
 from unbend.units import Integers
 
 RANKING_POINTS = 200  # enough to order the large mistakes; all points decide among the best
@@ -75,7 +75,7 @@ class Explanation:
     ``text`` is empty where stated sigmas explain it.
     """
 
-    hypothesis: Hypothesis
+    hypothesis: PossibleMistake
     reading: Reading
     intersection: Intersection
     gain: float
@@ -186,7 +186,7 @@ def likely_explanations(
 
 def best_large_mistakes(
     mission: StatedMission, current: Reading, points: Integers
-) -> list[Hypothesis]:
+) -> list[PossibleMistake]:
     """The large mistakes that are the most likely by some points."""
     hypotheses = list(large_mistakes(mission, current))
     hypotheses.sort(key=lambda hypothesis: -likelihood(mission, hypothesis.reading, points))
@@ -247,8 +247,8 @@ def calibration_estimates(
 
 
 def refined(
-    mission: StatedMission, hypothesis: Hypothesis, points: Integers | None
-) -> tuple[Hypothesis, float]:
+    mission: StatedMission, hypothesis: PossibleMistake, points: Integers | None
+) -> tuple[PossibleMistake, float]:
     """A hypothesis at its most likely amount by some points or all, with the sigma of that."""
     if hypothesis.code == "TIES-MOUNT":
         return refined_mount(mission, hypothesis, points), 0.0
@@ -256,8 +256,8 @@ def refined(
 
 
 def refined_mount(
-    mission: StatedMission, hypothesis: Hypothesis, points: Integers | None
-) -> Hypothesis:
+    mission: StatedMission, hypothesis: PossibleMistake, points: Integers | None
+) -> PossibleMistake:
     """A mount turned to where the rays meet best; far from a mistake it loses its name."""
     camera = hypothesis.camera
     reading = hypothesis.reading
@@ -275,8 +275,8 @@ def refined_mount(
 
 
 def refined_amount(
-    mission: StatedMission, hypothesis: Hypothesis, points: Integers | None
-) -> tuple[Hypothesis, float]:
+    mission: StatedMission, hypothesis: PossibleMistake, points: Integers | None
+) -> tuple[PossibleMistake, float]:
     """An amount at the top of parabolas through three log likelihoods, with the sigma they show."""
     amount = hypothesis.amount
     step = hypothesis.step

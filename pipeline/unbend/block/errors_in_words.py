@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from unbend.block.hypotheses import (
+from unbend.block.image_rays import Orientations
+from unbend.block.intersection import Intersection
+from unbend.block.mistakes import (
     EXPLAINED_SIGMAS,
-    Hypothesis,
+    PossibleMistake,
     StatedMission,
     first_coefficients,
 )
-from unbend.block.image_rays import Orientations
-from unbend.block.intersection import Intersection
 from unbend.flight.rotations import CAMERA_AT_REST
 from unbend.units import Array
 
@@ -35,7 +35,7 @@ LEAP_SECONDS = (17.0, 19.0)  # between which a delay is that of GPS time against
 
 
 def error_in_words(
-    mission: StatedMission, hypothesis: Hypothesis, intersection: Intersection, sigma: float
+    mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection, sigma: float
 ) -> str:
     """What a hypothesis estimates; ``sigma`` is that of its amount."""
     code = hypothesis.code
@@ -56,7 +56,7 @@ def error_in_words(
 
 
 def turn_in_words(
-    mission: StatedMission, hypothesis: Hypothesis, intersection: Intersection
+    mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection
 ) -> str:
     """The turn of a mount; the attitudes of its stations explain some of it."""
     camera = hypothesis.camera
@@ -91,7 +91,7 @@ def stated_covariance(orientations: Orientations, camera: str) -> Array:
 
 
 def focal_in_words(
-    mission: StatedMission, hypothesis: Hypothesis, intersection: Intersection, sigma: float
+    mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection, sigma: float
 ) -> str:
     """Other principal distances; heights that are off together explain some of it."""
     cameras = hypothesis.reading.cameras
@@ -110,7 +110,7 @@ def focal_in_words(
     return f"{text}: it is {hypothesis.label}" if hypothesis.label else text
 
 
-def distortion_in_words(mission: StatedMission, hypothesis: Hypothesis, sigma: float) -> str:
+def distortion_in_words(mission: StatedMission, hypothesis: PossibleMistake, sigma: float) -> str:
     """Another radial distortion, if it matters in the corners of the image."""
     names = hypothesis.cameras
     stated_k1 = first_coefficients(mission.cameras, names)
@@ -130,7 +130,7 @@ def distortion_in_words(mission: StatedMission, hypothesis: Hypothesis, sigma: f
 
 
 def height_in_words(
-    mission: StatedMission, hypothesis: Hypothesis, intersection: Intersection, sigma: float
+    mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection, sigma: float
 ) -> str:
     """Stations too low or too high, and what is known to make them so."""
     up_m = hypothesis.reading.up_m
@@ -152,7 +152,7 @@ def height_in_words(
 
 def time_in_words(
     shifted: Callable[[float], Orientations],
-    hypothesis: Hypothesis,
+    hypothesis: PossibleMistake,
     intersection: Intersection,
     sigma: float,
 ) -> str:

@@ -147,7 +147,8 @@ def _split_boots(line: Timeline, source: UtcReadings, is_decided: Mask) -> Timel
     silence_places = line.first[undecided.after]
     boot = line.boot.copy()
     steps = _offset_steps(line, source)
-    check_boots(line.boots + len(steps), records=int(line.length.sum()))
+    records = int(line.length.sum())
+    check_boots(line.boots + len(steps), records)
     for before, after in steps:
         # the longest silence between the two rows is where the vehicle was restarted
         begin, end = np.searchsorted(silence_places, [before, after], side="right")

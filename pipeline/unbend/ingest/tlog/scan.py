@@ -213,7 +213,9 @@ class Scan(DamagedBytes):
         places: list[int] = []
         previous_end = np.concatenate([[self._end], frames.end[:-1]])
         for row in np.flatnonzero(previous_end != frames.at).tolist():
-            places += self._examine_gap(int(previous_end[row]), int(frames.at[row]))
+            begin = int(previous_end[row])
+            stop = int(frames.at[row])
+            places += self._examine_gap(begin, stop)
         if not places:
             return []
         return [self._rejected_at(places, int(frames.at[-1]))]

@@ -240,9 +240,10 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
         lead = _HOST_CLOCK
         if sender.system == vehicle.system:
             lead = clocks.get(vehicle, _HOST_CLOCK)
+        readings_of_sender = readings
         rows = rows_of_sender[number]
-        # not copied where these are all: memory has its peak here
-        readings_of_sender = readings if rows.size == readings.size else readings[rows]
+        if rows.size < readings.size:  # else not copied: memory has its peak here
+            readings_of_sender = readings[rows]
         clocks[sender] = fit_sender(readings_of_sender, lead, sender, ledger, dates)
     clock = clocks[vehicle].clock
     assessments: list[ClockAssessment] = []

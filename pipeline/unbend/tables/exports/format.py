@@ -99,7 +99,8 @@ class FinishedRun:
     @property
     def required_grid(self) -> MapGrid:
         """The coordinate system, of a format that always has one."""
-        assert self.grid is not None
+        if self.grid is None:
+            raise TypeError("this run was opened for a format without a coordinate system")
         return self.grid
 
     @cached_property

@@ -152,7 +152,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Hypothesis:
+class PossibleMistake:
     """A change by an amount of what is stated; ``step`` is 0 where it has no amount.
 
     ``reading_by`` gives the reading for an amount; ``cameras`` are those that are changed.
@@ -203,7 +203,7 @@ class Hypothesis:
 class LinearEstimate:
     """The most likely amount of a hypothesis, and what the log likelihood gains by it."""
 
-    hypothesis: Hypothesis
+    hypothesis: PossibleMistake
     amount: float
     gain: float
 
@@ -212,7 +212,7 @@ def linear_estimates(
     mission: StatedMission,
     current: Reading,
     intersection: Intersection,
-    hypotheses: Sequence[Hypothesis],
+    hypotheses: Sequence[PossibleMistake],
     beside: Array,
 ) -> list[LinearEstimate]:
     """The estimate of each hypothesis alone, with errors of stations ``beside`` it.
@@ -237,19 +237,19 @@ def linear_estimates(
 # ---------------------------------------------------------------------- single mistakes
 
 
-def turned_mount(reading: Reading, camera: str, turn: Array, label: str = "") -> Hypothesis:
+def turned_mount(reading: Reading, camera: str, turn: Array, label: str = "") -> PossibleMistake:
     """A mount that is turned by a matrix; it has no amount."""
     turned = reading.turned(camera, turn)
-    return Hypothesis("TIES-MOUNT", label, (camera,), lambda _: turned)
+    return PossibleMistake("TIES-MOUNT", label, (camera,), lambda _: turned)
 
 
-def raised_stations(reading: Reading) -> Hypothesis:
+def raised_stations(reading: Reading) -> PossibleMistake:
     """All stations higher, by metres."""
 
     def raised(metres: float) -> Reading:
         return replace(reading, up_m=reading.up_m + metres)
 
-    return Hypothesis(
+    return PossibleMistake(
         "TIES-HEIGHT",
         label="",
         cameras=(),
@@ -258,13 +258,13 @@ def raised_stations(reading: Reading) -> Hypothesis:
     )
 
 
-def later_exposures(reading: Reading, seconds: float) -> Hypothesis:
+def later_exposures(reading: Reading, seconds: float) -> PossibleMistake:
     """All exposures later, by seconds."""
 
     def later(more_seconds: float) -> Reading:
         return replace(reading, time_s=reading.time_s + more_seconds)
 
-    return Hypothesis(
+    return PossibleMistake(
         "TIES-TIME",
         label="",
         cameras=(),
@@ -276,7 +276,7 @@ def later_exposures(reading: Reading, seconds: float) -> Hypothesis:
 
 def scaled_focal(
     reading: Reading, cameras: tuple[str, ...], factor: float, label: str = ""
-) -> Hypothesis:
+) -> PossibleMistake:
     """Longer principal distances of some cameras, by the natural logarithm of their ratio."""
 
     def scaled(log_scale: float) -> Reading:
@@ -291,7 +291,7 @@ def scaled_focal(
             )
         return reading.with_cameras(longer)
 
-    return Hypothesis(
+    return PossibleMistake(
         "TIES-FOCAL",
         label=label,
         cameras=cameras,
@@ -301,7 +301,7 @@ def scaled_focal(
     )
 
 
-def radial_distortion(reading: Reading, cameras: tuple[str, ...]) -> Hypothesis:
+def radial_distortion(reading: Reading, cameras: tuple[str, ...]) -> PossibleMistake:
     """More radial distortion of some cameras, by what is added to k1."""
     k1_of_cameras = first_coefficients(reading.cameras, cameras).tolist()
 
@@ -313,7 +313,7 @@ def radial_distortion(reading: Reading, cameras: tuple[str, ...]) -> Hypothesis:
             changed[name] = replace(camera, distortion=lens)
         return reading.with_cameras(changed)
 
-    return Hypothesis(
+    return PossibleMistake(
         "TIES-CALIBRATION",
         label="",
         cameras=cameras,
@@ -333,7 +333,7 @@ def first_coefficients(cameras: Mapping[str, Camera], names: Iterable[str]) -> A
 
 def other_calibration(
     reading: Reading, corrected: Mapping[str, Camera], mistake: str
-) -> Hypothesis:
+) -> PossibleMistake:
     """Calibrations without a mistake, at 1; of one that is a little off another amount is best."""
 
     def partly(share: float) -> Reading:
@@ -342,7 +342,7 @@ def other_calibration(
             mixed[name] = between(reading.cameras[name], camera, share)
         return reading.with_cameras(mixed)
 
-    return Hypothesis(
+    return PossibleMistake(
         "TIES-CALIBRATION",
         label=mistake,
         cameras=tuple(corrected),
@@ -355,7 +355,7 @@ def other_calibration(
 # ---------------------------------------------------------------------- all mistakes of a kind
 
 
-def other_calibrations(reading: Reading) -> list[Hypothesis]:
+def other_calibrations(reading: Reading) -> list[PossibleMistake]:
     """Mistaken calibrations, each without its mistake."""
     hypotheses = []
     for mistake, corrected in mistaken_calibrations(reading.cameras):
@@ -365,7 +365,7 @@ def other_calibrations(reading: Reading) -> list[Hypothesis]:
 
 def small_errors(
     mission: StatedMission, reading: Reading, intersection: Intersection, least_gain: float
-) -> Iterator[Hypothesis]:
+) -> Iterator[PossibleMistake]:
     """Errors that all stations share, by which the log likelihood gains ``least_gain`` or more.
 
     ``intersection`` is that of the ``reading``.
@@ -393,7 +393,7 @@ def small_errors(
             yield with_linear_amount(estimate)
 
 
-def with_linear_amount(estimate: LinearEstimate) -> Hypothesis:
+def with_linear_amount(estimate: LinearEstimate) -> PossibleMistake:
     """A hypothesis at its estimated amount, if what it changes is as good as linear in it."""
     hypothesis = estimate.hypothesis
     if hypothesis.code in ("TIES-HEIGHT", "TIES-CALIBRATION"):
@@ -401,7 +401,7 @@ def with_linear_amount(estimate: LinearEstimate) -> Hypothesis:
     return hypothesis
 
 
-def large_mistakes(mission: StatedMission, reading: Reading) -> Iterator[Hypothesis]:
+def large_mistakes(mission: StatedMission, reading: Reading) -> Iterator[PossibleMistake]:
     """Large mistakes that users make, each as far as it changes anything."""
     for name in reading.cameras:
         yield from mistaken_mounts(mission, reading, name)
@@ -416,7 +416,9 @@ def large_mistakes(mission: StatedMission, reading: Reading) -> Iterator[Hypothe
             yield later_exposures(reading, -seconds)
 
 
-def mistaken_mounts(mission: StatedMission, reading: Reading, camera: str) -> Iterator[Hypothesis]:
+def mistaken_mounts(
+    mission: StatedMission, reading: Reading, camera: str
+) -> Iterator[PossibleMistake]:
     """A mount with angles of other units, signs or order, or quarter and half turns more."""
     mount = mission.mounts.get(camera, Mount())
     angles = np.array([mount.roll_rad, mount.pitch_rad, mount.yaw_rad])
@@ -433,7 +435,7 @@ def mistaken_mounts(mission: StatedMission, reading: Reading, camera: str) -> It
             yield turned_mount(reading, camera, turn, label)
 
 
-def mistaken_focals(reading: Reading, name: str) -> Iterator[Hypothesis]:
+def mistaken_focals(reading: Reading, name: str) -> Iterator[PossibleMistake]:
     """A principal distance of images of another size, or in millimetres, of one camera and all."""
     camera = reading.cameras[name]
     groups: list[tuple[str, ...]] = [(name,)]
@@ -448,15 +450,15 @@ def mistaken_focals(reading: Reading, name: str) -> Iterator[Hypothesis]:
                 yield scaled_focal(reading, group, px_per_mm, "in millimetres, not pixels")
 
 
-def other_pixel_axes(reading: Reading, camera: str, axes: str) -> Hypothesis:
+def other_pixel_axes(reading: Reading, camera: str, axes: str) -> PossibleMistake:
     """Pixels of a camera along other axes; it has no amount."""
     changed = replace(reading, axes={**reading.axes, camera: axes})
-    return Hypothesis("TIES-PIXELS", axes, (camera,), lambda _: changed)
+    return PossibleMistake("TIES-PIXELS", axes, (camera,), lambda _: changed)
 
 
 def exchanged_cameras(
     mission: StatedMission, reading: Reading, first: str, second: str
-) -> Hypothesis:
+) -> PossibleMistake:
     """The images of two cameras exchanged; it has no amount."""
     cameras = {
         first: reading.cameras[second],
@@ -466,7 +468,7 @@ def exchanged_cameras(
     changed = reading.with_cameras(cameras)
     changed = changed.turned(first, turn)
     changed = changed.turned(second, turn.T)
-    return Hypothesis(
+    return PossibleMistake(
         "TIES-CAMERAS",
         label=f"{first} and {second}",
         cameras=(first, second),
