@@ -20,7 +20,7 @@ from tests.draws import SEED
 from unbend.block.calibration_mistakes import OffsetAxes, with_other_axes
 from unbend.block.diagnosis import diagnosis, finding_of
 from unbend.block.image_rays import ImageRays, Orientations, straightened
-from unbend.block.mistakes import StatedMission
+from unbend.block.possible_mistakes import StatedMission
 from unbend.flight.mount import Mount
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera

@@ -15,7 +15,7 @@ from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.block.errors_in_words import error_in_words
 from unbend.block.given_heights import scattered_heights, with_usable_heights
 from unbend.block.intersection import Intersection
-from unbend.block.mistakes import (
+from unbend.block.possible_mistakes import (
     LinearEstimate,
     PossibleMistake,
     Reading,

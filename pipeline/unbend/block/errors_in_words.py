@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from unbend.block.image_rays import Orientations
 from unbend.block.intersection import Intersection
-from unbend.block.mistakes import (
+from unbend.block.possible_mistakes import (
     EXPLAINED_SIGMAS,
     PossibleMistake,
     StatedMission,

@@ -8,7 +8,7 @@ import numpy as np
 
 from unbend.block.image_rays import ImageRays
 from unbend.block.intersection import Intersection
-from unbend.block.mistakes import EXPLAINED_SIGMAS, StatedMission
+from unbend.block.possible_mistakes import EXPLAINED_SIGMAS, StatedMission
 from unbend.units import Array
 
 MIN_GIVEN_HEIGHTS = 10  # fewer cannot tell a wrong zero from wrong points

@@ -13,7 +13,7 @@ from unbend.block.diagnosis import Finding, diagnosis
 from unbend.block.given_heights import scatter_of
 from unbend.block.image_rays import MINIMUM_ANGLE_RAD, ImageRays, Orientations, straightened
 from unbend.block.intersection import Intersection, point_heights
-from unbend.block.mistakes import StatedMission
+from unbend.block.possible_mistakes import StatedMission
 from unbend.config import Mission
 from unbend.flight.heights import HeightSystem, ground_offsets
 from unbend.flight.stations import Stations
