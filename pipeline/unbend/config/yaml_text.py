@@ -84,7 +84,7 @@ class MissionLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _whole_number(loader: MissionLoader, node: yaml.Node) -> int:
+def _whole_number(loader: MissionLoader, node: yaml.ScalarNode) -> int:
     """A whole number; Python takes none of more than 4300 digits."""
     try:
         return int(loader.construct_yaml_int(node))
