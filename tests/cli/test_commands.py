@@ -305,7 +305,7 @@ def test_summary_of_a_run(baseline):
     assert ended.err == ""
     assert "All 59 observations were corrected" in ended.out
     text = " ".join(ended.out.split())
-    for words in ("cm on the ground, ", "px in the image, ", "[px]", "[arcsec]", "results"):
+    for words in ("cm on the ground, ", "px in the image (median; ", "[px]", "[arcsec]", "results"):
         assert words in text
     paths = [line for line in ended.out.splitlines() if str(baseline.folder) in line]
     assert len(paths) == 2  # in one piece

@@ -73,7 +73,8 @@ def test_intersected_heights_are_above_mean_sea_level_and_may_say_so(load):
 def test_a_mission_is_understood_again_from_the_manifest_of_its_run(load, height):
     """`unbend export` reads it there; defaults that were filled in are then stated."""
     mission = load(ground={"height": height})
-    assert Mission.model_validate_json(mission.model_dump_json()) == mission
+    again = Mission.model_validate_json(mission.model_dump_json())
+    assert again.model_dump() == mission.model_dump()
 
 
 def test_heights_from_distances_need_the_column(load):
@@ -112,4 +113,5 @@ def test_the_direction(load):
 
 def test_the_mission_survives_its_manifest(load):
     mission = load(refraction={"direction": "apply"})
-    assert Mission.model_validate_json(mission.model_dump_json()) == mission
+    again = Mission.model_validate_json(mission.model_dump_json())
+    assert again.model_dump() == mission.model_dump()

@@ -316,7 +316,7 @@ def test_a_mission_is_told_of_its_gimbal(mission, unbend) -> None:
     assert "GIMBAL-FRAME" not in said
     mission.config["log"]["channels"]["attitude"] = "MNT[0]"
     mission.config["mount"]["nadir"] = {"pitch_deg": 90.0}
-    said = unbend("check", mission.save()).text
+    said = unbend("check", "-v", mission.save()).text
     assert "GIMBAL-IGNORED" not in said
     assert said.count("note GIMBAL-FRAME") == 1  # nadir
     assert said.count("warning GIMBAL-FRAME") == 1  # oblique has the mount of an aircraft

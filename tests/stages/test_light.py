@@ -139,7 +139,7 @@ def test_the_library_refuses_a_band_in_air_of_one_light(runs):
 
 
 def test_a_check_of_a_rig_says_the_lights(runs, unbend):
-    ended = unbend("check", runs["bands"].file)
+    ended = unbend("check", "-v", runs["bands"].file)
     assert ended.code == 0, ended.text
     assert "CAMERA-LIGHT" in ended.text
 

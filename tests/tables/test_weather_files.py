@@ -196,7 +196,8 @@ def test_inspect_shows_what_a_metar_states(tmp_path):
     assert lines[0] == ["metar.txt:", "2", "METARs"]
     assert ["LSZH", "day", "14,", "10:20", "UTC", "18.0", "7.0", "1016.5"] in lines
     assert ["LSZH", "day", "14,", "10:50", "UTC", "-2.0", "-6.0", "1015.5"] in lines
-    assert 'metar: "METAR LSZH 141020Z 24008KT CAVOK 18/07 Q1016"' in ended.out
+    text = " ".join(ended.out.split())
+    assert 'metar: "METAR LSZH 141020Z 24008KT CAVOK 18/07 Q1016"' in text
     reports = json.loads(run_command("inspect", path, "--json").out)["reports"]
     assert [report["temperature_c"] for report in reports] == [18.0, -2.0]
     path.write_text("image,point,x_px\n", encoding="utf-8")

@@ -42,7 +42,7 @@ class Profile:
 
         >>> from unbend.atmosphere import standard_atmosphere
         >>> standard_atmosphere("icao")
-        <Profile icao: -5000 to 80000 m, 8 layers; at 0 m 288.15 K, 1013.25 hPa, n - 1 = 277.8e-6>
+        <Profile icao: -4996 to 81020 m, 8 layers; at 0 m 288.15 K, 1013.25 hPa, n - 1 = 277.8e-6>
         """
         h_m = max(0.0, self.bottom_m)
         temperature_k = float(self.temperature(h_m))

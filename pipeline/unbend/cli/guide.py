@@ -49,7 +49,7 @@ def explain_word(
         ),
     ],
 ) -> None:
-    """What a key, a code, a column of results or a word of the field means."""
+    """What a key, a code, a column or a word of the field means."""
     word = " ".join(words)
     with answer.progress("looking it up"):
         lines = lines_on(word)

@@ -335,7 +335,7 @@ def inspect(
     instance: Annotated[str | None, Option(help="with --type: only this instance")] = None,
     as_csv: Annotated[bool, Option("--csv", help="with --type: every row, as CSV")] = False,
 ) -> None:
-    """What a log, a weather model, a sounding or METARs hold, and how they are read."""
+    """How a log, a sounding, METARs or a weather model are read."""
     if (kind is None and (as_csv or instance is not None)) or (as_csv and answer.as_json):
         raise messages.inspect_options()
     with answer.progress(f"reading {log.name}"):

@@ -1,6 +1,5 @@
 """What the flight room says: its codes, and one function for each message and refusal."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -542,8 +541,8 @@ def home_unknown(*, begin_m: float | None) -> MissionError:
     remedy = "give the height of the take-off above sea level: ground.home_h_msl_m"
     if begin_m is not None:
         remedy = (
-            "the log begins standing still at {begin_m:.1f} m above sea level: if the heights "
-            "count from there, write ground.home_h_msl_m: {begin_m:.1f}"
+            "the log begins standing still at {height} m above sea level: if the heights count "
+            "from there, write ground.home_h_msl_m: {height}"
         )
     return MissionError(
         HEIGHT_REFERENCE,
@@ -551,7 +550,7 @@ def home_unknown(*, begin_m: float | None) -> MissionError:
         "more than one",
         where="ground.reference",
         remedy=remedy,
-        begin_m=math.nan if begin_m is None else begin_m,
+        height="" if begin_m is None else f"{begin_m:.1f}",
     )
 
 

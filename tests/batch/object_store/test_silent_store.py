@@ -126,6 +126,8 @@ def test_a_store_that_says_half_and_stops(use, impatient, tmp_path):
 
 def test_ctrl_c_is_heard_while_a_store_is_silent(use):
     """A request waits in Rust, where Python hears no signal."""
+    # A shell that starts the tests in the background leaves SIGINT ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with accepting() as url:
         use(S3 | {"AWS_ENDPOINT_URL": url})
         pressed = threading.Timer(0.3, os.kill, [os.getpid(), signal.SIGINT])

@@ -245,7 +245,7 @@ def test_from_the_command_line(unbend, baseline, tmp_path):
         assert ended.code == 0, ended.text
         assert out.stat().st_size > 500
     help_text = " ".join(unbend("export", "--help").out.split())
-    assert "geojson, kml: stations and footprints" in help_text
+    assert "geojson, kml stations and footprints" in help_text
 
 
 @pytest.mark.usefixtures("plain_report")
