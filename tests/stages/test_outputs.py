@@ -148,6 +148,11 @@ def test_same_inputs_elsewhere_give_the_same_bytes(
 ):
     other = mission_factory(tmp_path / "quite" / "another place")
     assert other.run().code == 0
+    manifests = [
+        json.loads((folder.output / "manifest.json").read_text(encoding="utf-8"))
+        for folder in (other, baseline)
+    ]
+    assert manifests[0] == manifests[1]
     assert tree(other.output) == tree(baseline.output)
 
 
