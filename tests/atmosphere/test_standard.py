@@ -173,9 +173,10 @@ def test_an_atmosphere_costs_one_function_and_a_line(monkeypatch, unbend):
     made = climatology("isothermal260", latitude_rad=0.8, month=7.0)
     assert (made.origin, made.has_humidity) == ("a test", False)
     # Its distance from the Supplements (293.8 K at the sea) is part of its spread.
-    usual = climatology(latitude_rad=0.8, month=7.0).spread.sigma_temperature(0.0)
-    other = made.spread.sigma_temperature(0.0)
-    assert other == pytest.approx(math.hypot(usual, 33.8), abs=1.0)
+    usual = climatology(latitude_rad=0.8, month=7.0)
+    difference_k = float(usual.profile.temperature(0.0)) - 260.0
+    expected_k = math.hypot(usual.spread.sigma_temperature(0.0), difference_k)
+    assert made.spread.sigma_temperature(0.0) == pytest.approx(expected_k, abs=0.5)
     section = AtmosphereSection(standard="isothermal260", climatology="isothermal260")
     assert section.standard == "isothermal260"
     shown = unbend("profile", "--atmosphere", "isothermal260", "--step", "10000")

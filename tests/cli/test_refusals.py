@@ -64,6 +64,9 @@ def test_log_that_is_a_folder_or_has_no_possible_name(mission):
     refused(mission.run(), "INPUT-MISSING")
     mission.config["log"]["path"] = "x" * 300 + ".bin"
     refused(mission.run(), "CONFIG-INVALID", 2)
+    # Within the limits of a name and a path, and beyond them with the folder of the mission.
+    mission.config["log"]["path"] = "a/" * 2045 + "f.bin"
+    refused(mission.run(), "INPUT-UNREADABLE")
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])

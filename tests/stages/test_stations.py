@@ -71,9 +71,10 @@ def test_a_gimbal_whose_yaw_counts_from_the_nose(mission_factory, tmp_path):
     ended = mission.run()
     # What was observed was not seen by cameras that point straight down, and tie points say so.
     assert ended.code == 3, ended.text
-    assert "TIES-MOUNT" in ended.text or "TIES-HELD-BACK" in ended.text
     manifest = json.loads((mission.output / "manifest.json").read_text(encoding="utf-8"))
-    assert "GIMBAL-YAW" in {entry["code"] for entry in manifest["ledger"]}
+    codes = {entry["code"] for entry in manifest["ledger"]}
+    assert "GIMBAL-YAW" in codes
+    assert "TIES-HELD-BACK" in codes
     table = mission.stations().to_pandas().query("status == 'ok'")
     assert len(table) >= 4
     w, x, y, z = (table[f"q_{axis}"].to_numpy() for axis in "wxyz")
