@@ -100,7 +100,7 @@ def exact_integers(values: Array) -> Integers:
     is_exact = is_whole & (np.abs(values) <= LARGEST_EXACT)
     if not bool(is_exact.all()):
         first = values[~is_exact][0]
-        raise ValueError(f"{first} is not a whole number")
+        raise ValueError(f"{first} is not a whole number of at most 2**53")
     return values.astype(np.int64)
 
 

@@ -35,7 +35,7 @@ class Fall:
 def fall_of_pressure(height: Array, log_pressure: Array) -> Fall:
     """The mean virtual temperature that the fall of pressure with height implies.
 
-    ``height`` (n,) heights [m'], or [m]: 0.5 % apart; ``log_pressure`` (n,) ln p there; n > 2. By
+    ``height`` (n,) heights [m'], or [m] within 0.5 %; ``log_pressure`` (n,) ln p there; n > 2. By
     the slope of a straight line (Gyer 1996, Eq. 53); 1000 m of height give it to about 2 K.
 
     >>> h = np.array([0.0, 1000.0, 2000.0])
@@ -45,7 +45,7 @@ def fall_of_pressure(height: Array, log_pressure: Array) -> Fall:
     if float(np.ptp(height)) < LEAST_RISE_M:
         return Fall(None, float(np.std(log_pressure)))
     rise = height - height.mean()
-    # With full=True numpy does not warn of two heights, through which many parabolas lead.
+    # full=True: no warning where only two heights differ, and the parabola is not unique.
     slope = float(np.polyfit(rise, log_pressure, 1, full=True)[0][0])
     parabola = np.polyfit(rise, log_pressure, 2, full=True)[0]
     rest = log_pressure - np.polyval(parabola, rise)

@@ -26,12 +26,15 @@ def holder_of(lock: Path) -> int | None:
         lines = LOCKS.read_text(encoding="utf-8").splitlines()
     except OSError:
         return None
-    file = f"{os.major(stat.st_dev):02x}:{os.minor(stat.st_dev):02x}:{stat.st_ino}"
+    locked_inode = f"{os.major(stat.st_dev):02x}:{os.minor(stat.st_dev):02x}:{stat.st_ino}"
     for line in lines:
-        # 1: FLOCK ADVISORY WRITE 19362 fe:00:3334716 0 EOF
-        words = line.split()
-        if words[1] == "FLOCK" and words[5] == file:
-            return int(words[4])
+        # "1: FLOCK ADVISORY WRITE 19362 fe:00:3334716 0 EOF"; of one that waits "1: -> FLOCK ..."
+        fields = line.split()
+        kind = fields[1]
+        process = fields[4]
+        inode = fields[5]
+        if kind == "FLOCK" and inode == locked_inode:
+            return int(process)
     return None
 
 

@@ -152,10 +152,10 @@ def print_table_of_angles(
     radius: float,
     csv: Path | None,
 ) -> NoReturn:
-    """Refraction by nadir angle for some flying heights, printed or written."""
+    """Print refraction by nadir angle for some flying heights, or write it to ``csv``; then exit."""
     if config is None and atmosphere is None:
         atmosphere = DEFAULT_ATMOSPHERE
-    require_one_atmosphere(config, atmosphere)
+    require_one_atmosphere(config, atmosphere)  # refuses both
     if camera is not None and config is None:
         raise messages.angle_options(options="--camera", other="a mission file (--config)")
     with answer.progress("estimating the air"):

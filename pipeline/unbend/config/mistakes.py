@@ -141,9 +141,9 @@ def _what(refused: Refused, values: dict[str, Any]) -> str:
 
 
 def _likely_meant(refused: Refused) -> str:
-    """What a value was probably meant to be: a number, numbers, or a text; "" if that is unknown.
+    """What to write in the place of a value that YAML read as another type; "" if unknown.
 
-    A comma in a number parts the items of a list, and a text in braces is a section of one key.
+    YAML reads [0,5, 1,2] as four numbers, and {camera} without quotes as a section of empty keys.
     """
     arms = [arm for node in nodes_at(refused.place) for arm in alternatives(node)]
     types = {arm.get("type") for arm in arms}

@@ -220,7 +220,7 @@ def _degrees(state: State) -> _Degrees:
 
 
 def _air_rows(samples: sensors.LoggedSamples) -> list[Row]:
-    """BARO and HYGR of both boxes, ARSP of a pitot with the outside thermometer in it."""
+    """BARO and HYGR of the boxes outside (0) and in the cabin (1), ARSP with the outside Temp."""
     rows: list[Row] = []
     for instance, box in enumerate((samples.outside, samples.cabin)):
         rows += _barometer_rows(instance, box)

@@ -23,6 +23,7 @@ from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.units import Array, Integers, Mask, Rows
 
 CLIMBING_M_S = 0.5  # slower than this an aircraft flies level; lag has a sign only above it [m/s]
+CLIMB_WINDOW_S = 10.0  # over which the rate of a climb is taken, about a reading [s]
 
 OUTLIER_SIGMA = 4.5
 """Readings farther from the median of their bin are outliers: 7 in a million of normal errors."""
@@ -192,8 +193,8 @@ def _sensor_readings(
         faults += [] if dynamic is None else [sensors.DYNAMIC_PRESSURE_ERROR]
         drifts.append(Drift(SensorFault.BAROMETER_DRIFT, knots, 1.0, 1200.0, scales=scales))
     if (sensor := instruments.get("temperature")) is not None:
-        climbing = instruments.get("pressure", sensor)
-        rejected["temperature"], warm = _thermometer(sensor, samples, climbing, binning)
+        height_source = instruments.get("pressure", sensor)
+        rejected["temperature"], warm = _thermometer(sensor, samples, height_source, binning)
         sets.append(warm)
         board = settings.board_temperature
         bias = replace(sensors.THERMOMETER_FAULTS[0], sigma=BOARD_BIAS_K if board else USUAL_BIAS_K)
@@ -288,21 +289,23 @@ class _Binning:
 
 
 def _thermometer(
-    sensor: SensorSamples, samples: AirSamples, climbing: SensorSamples, binning: _Binning
+    sensor: SensorSamples, samples: AirSamples, height_source: SensorSamples, binning: _Binning
 ) -> tuple[Reasons, sensors.Thermometer]:
     """Readings of a thermometer, and why samples are in none of them.
 
-    Where the take-off is not known, it is when ``climbing`` first left the lowest 20 m.
+    Where the take-off is not known, it is when ``height_source``, which knows heights best, first
+    left the lowest 20 m.
     """
     profile, start_ns = binning.profile, binning.start_ns
     if samples.takeoff_ns is None:
         with np.errstate(invalid="ignore"):
-            up = climbing.h_m > np.nanmin(climbing.h_m) + _GROUND_RISE_M
+            up = height_source.h_m > np.nanmin(height_source.h_m) + _GROUND_RISE_M
         first = max(int(np.argmax(up)) - 1, 0) if bool(up.any()) else 0
-        takeoffs = np.array([(int(climbing.time_ns[first]) - start_ns) * 1e-9])
+        takeoffs = np.array([(int(height_source.time_ns[first]) - start_ns) * 1e-9])
+    elif samples.takeoff_ns.size == 0:  # in the air from the beginning
+        takeoffs = np.array([LONG_AGO_S])
     else:
         takeoffs = (samples.takeoff_ns - start_ns) * 1e-9
-        takeoffs = takeoffs if takeoffs.size else np.array([LONG_AGO_S])
     departure = sensor.value - profile.temperature(sensor.h_m)
     bins = binning.bins(sensor, departure, LEAST_SCATTER_K, resolution_of(sensor))
     h = profile.gravity.height(bins.height)
@@ -314,8 +317,9 @@ def _thermometer(
     last = np.maximum(np.searchsorted(takeoffs, bins.seconds, side="right") - 1, 0)
     since_s = np.maximum(bins.seconds - takeoffs[last], 0.0)
     heating = None if speed is None else sensors.heating_of(speed, profile.pressure(h), value)
-    rise = heights.at(bins.seconds + 5.0) - heights.at(bins.seconds - 5.0)
-    climbing_up = np.where(rise > 10.0 * CLIMBING_M_S, 1.0, 0.0)
+    half_s = 0.5 * CLIMB_WINDOW_S
+    rise_m = heights.at(bins.seconds + half_s) - heights.at(bins.seconds - half_s)
+    climbing_up = np.where(rise_m > CLIMB_WINDOW_S * CLIMBING_M_S, 1.0, 0.0)
     of_bins = bins.height, value, np.hypot(bins.sigma, AIR_NOISE_K), bins.seconds
     reasons = binning.reasons(sensor, bins)
     return reasons, sensors.Thermometer(

@@ -88,13 +88,13 @@ def sender_silent(
     system: int,
     component: int,
     least_s: float,
-    seconds: float,
+    total_s: float,
 ) -> Message:
     """A sender's clock advances while nothing of it is recorded."""
     return finding(
         LOG_GAP,
         "the log is incomplete: nothing of system {system}, component {component} was recorded "
-        "{times} for more than {least_s:.0f} s, {seconds:.1f} s together, while its clock "
+        "{times} for more than {least_s:.0f} s, {total_s:.1f} s in total, while its clock "
         "advanced: the link was down, or bytes are missing",
         where=f"{file}, first before byte {byte}",
         count=count,
@@ -102,7 +102,7 @@ def sender_silent(
         component=component,
         times=Counted(count, "time"),
         least_s=least_s,
-        seconds=seconds,
+        total_s=total_s,
     )
 
 

@@ -171,7 +171,7 @@ def _report_link(
             system=sender.system,
             component=sender.component,
             least_s=SILENT_US / 1e6,
-            seconds=sum(silence.seconds for silence in silences),
+            total_s=sum(silence.seconds for silence in silences),
         )
         ledger.add(silent_message)
     return lost.total()

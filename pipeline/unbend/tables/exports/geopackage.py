@@ -68,7 +68,7 @@ class FeatureLayer:
 
     name: str
     geometry: str
-    has_z: int
+    has_z: int  # as in GeoPackage: 0 prohibited, 1 mandatory, 2 optional
     about: str
     columns: Mapping[str, str]
     rows: Iterable[Row]
@@ -158,8 +158,10 @@ def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) 
 
 def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) -> FeatureLayer:
     """A polygon for each image that shows the ground."""
-    corners = np.radians(footprints(run, ledger))
-    x, y = grid.coordinates(corners[:, :, 1].ravel(), corners[:, :, 0].ravel())
+    corners_rad = np.radians(footprints(run, ledger))
+    longitude_rad = corners_rad[:, :, 0].ravel()
+    latitude_rad = corners_rad[:, :, 1].ravel()
+    x, y = grid.coordinates(latitude_rad, longitude_rad)
     rings = np.stack([x, y], axis=1).reshape(-1, 4, 2)
     rows = np.flatnonzero(np.isfinite(rings).all(axis=(1, 2)))
     closed = np.concatenate([rings, rings[:, :1]], axis=1)[rows]
