@@ -152,7 +152,7 @@ def print_table_of_angles(
     radius: float,
     csv: Path | None,
 ) -> NoReturn:
-    """Print refraction by nadir angle for some flying heights, or write it to ``csv``; then exit."""
+    """Print refraction by nadir angle and flying height, or write it to ``csv``; then exit."""
     if config is None and atmosphere is None:
         atmosphere = DEFAULT_ATMOSPHERE
     require_one_atmosphere(config, atmosphere)  # refuses both
