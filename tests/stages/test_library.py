@@ -15,6 +15,7 @@ import unbend
 from unbend import correct, standard_atmosphere
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.batch.results import read_manifest
 from unbend.batch.runs import plan_of
 from unbend.errors import UnbendError
 
@@ -272,17 +273,20 @@ def test_a_frame_comes_back_with_its_index(flight, change):
     assert beside["point"].tolist() == found["point"].tolist()
 
 
-def test_a_loaded_mission_is_run_from_the_folder_of_its_file(baseline, tmp_path, monkeypatch):
+def test_a_loaded_mission_is_run_from_the_folder_of_its_file(mission, tmp_path, monkeypatch):
     """Relative paths count from there, wherever the program runs; a changed copy is another run."""
+    assert mission.run().code == 0
+    text_sha256 = read_manifest(mission.output).run.mission_file_sha256
     monkeypatch.chdir(tmp_path)
-    mission = unbend.load_mission(baseline.file)
-    plan = plan_of(mission)
-    assert plan.output == baseline.output
-    assert plan.fingerprint == plan_of(baseline.file).fingerprint
-    outcome = unbend.run_mission(mission)
+    loaded = unbend.load_mission(mission.file)
+    plan = plan_of(loaded)
+    assert plan.output == mission.output
+    assert plan.fingerprint == plan_of(mission.file).fingerprint
+    outcome = unbend.run_mission(loaded)
     assert (outcome.repeated, outcome.exit_code) == (True, 0)
-    assert repr(outcome) == (f"<Outcome {outcome.name}: exit code 0, repeated, {baseline.output}>")
-    refraction = mission.refraction.model_copy(update={"radius_m": 6_380_000.0})
-    changed = mission.model_copy(update={"refraction": refraction})
+    assert read_manifest(mission.output).run.mission_file_sha256 == text_sha256
+    assert repr(outcome) == (f"<Outcome {outcome.name}: exit code 0, repeated, {mission.output}>")
+    refraction = loaded.refraction.model_copy(update={"radius_m": 6_380_000.0})
+    changed = loaded.model_copy(update={"refraction": refraction})
     assert plan_of(changed).inputs == plan.inputs
     assert plan_of(changed).fingerprint != plan.fingerprint

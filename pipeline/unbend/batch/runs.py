@@ -216,11 +216,13 @@ def renewed(plan: Plan, folder: store.RunFolder, manifest: Manifest) -> Manifest
     """
     now = plan.identity()
     before = manifest.run
-    if before.inputs == now.inputs and before.mission_file_sha256 == now.mission_file_sha256:
+    # A mission that was loaded before does not know the text of its file: what is known stays.
+    file_sha256 = now.mission_file_sha256 or before.mission_file_sha256
+    if before.inputs == now.inputs and before.mission_file_sha256 == file_sha256:
         return manifest
     values_now = {
         "inputs": [asdict(record) for record in now.inputs],
-        "mission_file_sha256": now.mission_file_sha256,
+        "mission_file_sha256": file_sha256,
     }
     manifest_now = manifest.with_values(values_now)
     with suppress(StorageError):
