@@ -179,8 +179,8 @@ def test_a_disk_that_refuses_leaves_what_is_finished(stream, untouched, tmp_path
                 run(stream, out)
             except StorageError as error:
                 refused = error
-        if not disk.failed:  # threads met at a folder: this run took fewer steps than was counted
-            assert steps - MOST_THREADS <= disk.steps < step, (step, SEED)
+        if not disk.failed:  # threads met at folders: this run took fewer steps than was counted
+            assert steps - 2 * MOST_THREADS <= disk.steps < step, (step, SEED)
             continue
         if refused is None:  # while it cleaned up: then all was done
             assert {*tree(out)} >= {*whole}, (step, SEED)
