@@ -8,9 +8,6 @@ from unbend.batch import messages
 from unbend.tables.manifest.messages import manifest_not_ours
 from unbend.tables.manifest.whole import Manifest
 
-MANIFEST = "manifest.json"
-"""Written last: it exists only when all that it names does."""
-
 _ATTEMPT = re.compile("[0-9a-f]{32}")
 
 

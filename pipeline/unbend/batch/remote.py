@@ -25,11 +25,12 @@ from pathlib import Path
 from typing import Any
 
 from unbend.batch import messages
-from unbend.batch.manifest import MANIFEST, damage_of, manifest_text, parse_manifest
+from unbend.batch.manifest import damage_of, manifest_text, parse_manifest
 from unbend.batch.object_store import Place, is_url
 from unbend.batch.waiting import within
 from unbend.caches import forget_oldest, user_cache
 from unbend.errors import UnbendError, storage_errors
+from unbend.tables.manifest.file_names import MANIFEST
 from unbend.tables.manifest.whole import Manifest
 
 __all__ = ["Place", "is_url"]

@@ -37,6 +37,7 @@ from unbend.stages.light import in_light, require_wavelengths
 from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
+from unbend.tables.manifest.file_names import REPORT
 from unbend.tables.manifest.whole import Manifest
 
 AnyMission: TypeAlias = MissionRef | Mission | Path | str
@@ -288,10 +289,10 @@ def drawing_of(corrected: CorrectedMission) -> Flown:
 
 def finish_run(plan: Plan, folder: store.RunFolder, manifest: Manifest, flown: Flown) -> Manifest:
     """Write the report, and last the manifest with the outputs: with it the run is finished."""
-    report = folder.place("report.html")
+    report = folder.place(REPORT)
     with storage_errors(report):
         write_report(report, manifest, flown)
-    folder.seal("report.html")
+    folder.seal(REPORT)
     plan.check_unchanged()
     outputs = [asdict(output) for output in folder.outputs()]
     manifest_with_outputs = manifest.with_values({"outputs": outputs})

@@ -21,11 +21,12 @@ from uuid import uuid4
 from filelock import FileLock, Timeout
 
 from unbend.batch import messages
-from unbend.batch.manifest import MANIFEST, damage_of, manifest_text, parse_manifest
+from unbend.batch.manifest import damage_of, manifest_text, parse_manifest
 from unbend.batch.other_processes import holder_in_words
 from unbend.batch.receipts import packed, unpacked
 from unbend.errors import StorageError, storage_errors
 from unbend.ingest import hash_file
+from unbend.tables.manifest.file_names import MANIFEST, REPORT
 from unbend.tables.manifest.run import OutputRecord
 from unbend.tables.manifest.whole import Manifest
 
@@ -38,7 +39,7 @@ _RECEIPTS = "receipts"
 RECEIPT_VALUES = 2  # the seal of a part, and what is known of it
 _PARTS = "observations"
 _PART = re.compile(r"part-[0-9]{5,}\.parquet")
-_RESULTS = (_PARTS, "stations.parquet", "profile.parquet", "report.html")
+_RESULTS = (_PARTS, "stations.parquet", "profile.parquet", REPORT)
 
 # Windows refuses to replace a file that a virus scanner or a viewer has open; most let go soon.
 _REPLACE_ATTEMPTS = 20 if os.name == "nt" else 1

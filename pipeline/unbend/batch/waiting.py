@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable
-from queue import SimpleQueue
+from concurrent.futures import Future, wait
 from typing import TypeVar
 
 Answer = TypeVar("Answer")
@@ -17,20 +17,15 @@ def within(seconds: float | None, question: Callable[[], Answer]) -> Answer:
     >>> within(5.0, "answer".upper)
     'ANSWER'
     """
-    answers: SimpleQueue[Answer] = SimpleQueue()
-    errors: SimpleQueue[BaseException] = SimpleQueue()
-    has_ended = threading.Event()
+    asked: Future[Answer] = Future()
 
     def ask() -> None:
         try:
-            answers.put(question())
+            asked.set_result(question())
         except BaseException as error:
-            errors.put(error)
-        has_ended.set()
+            asked.set_exception(error)
 
     threading.Thread(target=ask, daemon=True).start()
-    if not has_ended.wait(seconds):
+    if not wait([asked], timeout=seconds).done:
         raise TimeoutError(f"no answer within {seconds:.0f} s")
-    if not errors.empty():
-        raise errors.get()
-    return answers.get()
+    return asked.result()

@@ -14,13 +14,8 @@ EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error
 
 def checked_date(value: str) -> str:
     """A day, or a day and a time, as stated; raises `SectionError` for any other text."""
-    mistake = SectionError("is no date like 2026-05-14 or 2026-05-14T10:20")
-    try:
-        day = datetime.fromisoformat(value).date()
-    except ValueError:
-        raise mistake from None
-    if day < EARLIEST_DATE:
-        raise mistake
+    if not _is_of_a_survey(value):
+        raise SectionError("is no date like 2026-05-14 or 2026-05-14T10:20")
     if _nanoseconds_of_text(value) > latest_ns():
         raise SectionError("is in the future")
     return value
@@ -28,14 +23,18 @@ def checked_date(value: str) -> str:
 
 def checked_time(value: str) -> str:
     """A time as stated; raises `SectionError` for any other text, and for one of no survey."""
-    mistake = SectionError("is no time like 2026-05-14T10:20:00Z")
+    if not _is_of_a_survey(value) or _nanoseconds_of_text(value) > latest_ns():
+        raise SectionError("is no time like 2026-05-14T10:20:00Z")
+    return value
+
+
+def _is_of_a_survey(value: str) -> bool:
+    """Whether a text is a date, with or without a time, and not before all surveys."""
     try:
         day = datetime.fromisoformat(value).date()
     except ValueError:
-        raise mistake from None
-    if day < EARLIEST_DATE or _nanoseconds_of_text(value) > latest_ns():
-        raise mistake
-    return value
+        return False
+    return day >= EARLIEST_DATE
 
 
 StatedDate = Annotated[str, AfterValidator(checked_date)]

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 from typing import NamedTuple
 
-MANIFEST = "manifest.json"
-REPORT = "report.html"
+from unbend.tables.manifest.file_names import MANIFEST, REPORT
+
 MISSION_ENDINGS = (".yaml", ".yml")
 
 _HEAD_BYTES = 1 << 16
@@ -92,17 +92,17 @@ def _results(folder: Path, what: str = "a file of the results of a run") -> Othe
 
 def _flight_log(path: Path, head: bytes) -> OtherFile | None:
     """A flight log of a known format, by its content; or by its ending, if it is no text."""
-    from unbend.ingest.registry import FORMATS  # takes a while, and only where something is wrong
+    # takes a while, and only where something is wrong
+    from unbend.ingest.registry import FORMATS, format_of_head
 
-    by_content = [form for form in FORMATS if form.matches(head)]
-    by_ending = [form for form in FORMATS if path.suffix.lower() in form.extensions]
-    known = by_content
-    if not known and not _is_text(head):
-        known = by_ending
-    if not known:
+    form = format_of_head(head)
+    if form is None and not _is_text(head):
+        ending = path.suffix.lower()
+        form = next((form for form in FORMATS if ending in form.extensions), None)
+    if form is None:
         return None
     return OtherFile(
-        f"a flight log: {known[0].title}",
+        f"a flight log: {form.title}",
         f"write a mission file first: `unbend init {path} OBSERVATIONS`, then run that; "
         f"`unbend inspect {path}` shows what the log holds",
     )

@@ -111,7 +111,12 @@ def is_log(path: Path) -> bool:
             head = stream.read(HEAD_BYTES)
     except OSError:
         return False
-    return any(form.matches(head) for form in FORMATS)
+    return format_of_head(head) is not None
+
+
+def format_of_head(head: bytes) -> LogFormat | None:
+    """The format that the first bytes of a file are of; None without one."""
+    return next((form for form in FORMATS if form.matches(head)), None)
 
 
 def _check_file(path: Path) -> None:
@@ -135,7 +140,7 @@ def _format_of(path: Path, head: bytes) -> LogFormat:
     """
     extension = path.suffix.lower()
     by_extension = next((form for form in FORMATS if extension in form.extensions), None)
-    by_content = next((form for form in FORMATS if form.matches(head)), None)
+    by_content = format_of_head(head)
     if by_content is not None and by_content is not by_extension:
         raise messages.wrong_extension(
             path=str(path),

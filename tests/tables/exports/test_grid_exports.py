@@ -402,3 +402,14 @@ def test_what_does_not_fit_is_refused(unbend, baseline, tmp_path, options, code,
     assert code in ended.err
     assert said in " ".join(ended.err.split())
     assert not list(tmp_path.iterdir())
+
+
+def test_a_station_that_the_grid_does_not_reach_is_not_in_its_frame(block):
+    """It is left out of the table, and says nothing of convergence and scale of the others."""
+    near = in_grid(block, "EPSG:32632", "opk")
+    lon_rad = block.stations.lon_rad.copy()
+    lon_rad[2] = np.radians(99.0)  # 90 degrees from the meridian of the zone
+    stations = replace(near.stations, lat_rad=near.stations.lat_rad * [1, 1, 0], lon_rad=lon_rad)
+    frame = FORMATS["opk"].frame(replace(near, stations=stations), {})
+    assert np.isfinite(frame.angles.convergence_deg).all()
+    assert 0.999 < frame.scale.lowest <= frame.scale.highest < 1.001

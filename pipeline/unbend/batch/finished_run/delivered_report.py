@@ -19,14 +19,12 @@ from pathlib import Path
 from unbend.batch import store
 from unbend.batch.finished_run import messages
 from unbend.batch.finished_run.export import copy_of_run, refuse_output
-from unbend.batch.manifest import MANIFEST
 from unbend.batch.remote import Place
 from unbend.batch.results import verify_run
 from unbend.errors import ConfigError
 from unbend.messages import Ledger
 from unbend.report.cover import PROCESSED, time_of_processing
-
-REPORT = "report.html"
+from unbend.tables.manifest.file_names import MANIFEST, REPORT
 
 BROWSERS = (
     "chromium",

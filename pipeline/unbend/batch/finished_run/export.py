@@ -19,7 +19,7 @@ from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.batch import remote, store
 from unbend.batch.finished_run import messages
 from unbend.batch.finished_run.read_back import air_of, mission_of, stations_of
-from unbend.batch.manifest import MANIFEST, manifest_text
+from unbend.batch.manifest import manifest_text
 from unbend.batch.messages import input_changed, url_for_export
 from unbend.batch.remote import Place, is_url
 from unbend.batch.results import find_damage, manifest_of_run, verify_run
@@ -38,6 +38,7 @@ from unbend.tables.exports.format import NO_PROGRESS, ExportProgress
 from unbend.tables.exports.messages import geoid_without_grid, grid_not_taken
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.geodata.map_grids import MapGrid, open_grid
+from unbend.tables.manifest.file_names import MANIFEST
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.refraction_mark import SIDECAR, sidecar_text
 from unbend.units import Array, Integers

@@ -15,10 +15,10 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from unbend.batch.finished_run import messages
-from unbend.batch.manifest import MANIFEST
 from unbend.config import Mission
 from unbend.flight.stations import NO_TIME, SUSPECT, Stations
 from unbend.geodesy import Gravity
+from unbend.tables.manifest.file_names import MANIFEST
 from unbend.tables.manifest.whole import Manifest
 from unbend.units import Array, Names
 
@@ -27,7 +27,8 @@ def mission_of(manifest: Manifest, path: Path) -> Mission:
     """The mission file as the run understood it, from its manifest."""
     try:
         # As text, because strict models take from JSON what they gave to it.
-        return Mission.model_validate_json(json.dumps(manifest.run.config))
+        config = json.dumps(manifest.run.config)
+        return Mission.model_validate_json(config)
     except ValidationError as error:
         raise messages.config_not_understood(
             path=str(path / MANIFEST), mistakes=error.error_count()

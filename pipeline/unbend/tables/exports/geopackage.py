@@ -26,7 +26,12 @@ from unbend.messages import Ledger
 from unbend.tables.exports.export_frames import WGS84_2D
 from unbend.tables.exports.footprints import footprints, placed_stations
 from unbend.tables.exports.format import ExportFormat, FinishedRun, GridUse, Values
-from unbend.tables.exports.ground_points import attributes_of, frame_of_points, ground_points
+from unbend.tables.exports.ground_points import (
+    ATTRIBUTES,
+    attributes_of,
+    frame_of_points,
+    ground_points,
+)
 from unbend.tables.geodata.map_grids import MapGrid
 from unbend.tables.writing import points_wkb
 from unbend.units import Array
@@ -121,12 +126,7 @@ POINT_COLUMNS = {
     "image": "TEXT",
     "point": "TEXT",
     "status": "TEXT",
-    "h_g_m": "REAL",
-    "dx_px": "REAL",
-    "dy_px": "REAL",
-    "shift_x_m": "REAL",
-    "shift_y_m": "REAL",
-    "shift_m": "REAL",
+    **dict.fromkeys(ATTRIBUTES, "REAL"),
 }
 
 

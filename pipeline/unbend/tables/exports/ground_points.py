@@ -50,8 +50,9 @@ _COLUMNS = [
 ]
 _FAR = "far_branch"  # the status of an observation at the second crossing of its height
 
-SHIFTS = ("shift_x_m", "shift_y_m", "shift_m")
-"""Columns of the shift on the ground, along the axes of the coordinate system."""
+ATTRIBUTES = ("h_g_m", "dx_px", "dy_px", "shift_x_m", "shift_y_m", "shift_m")
+"""Columns of points: ground height, correction in the image, and shift on the ground, which is
+along the axes of the coordinate system. They are fields of `PointsOnGround`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,15 +218,8 @@ def point_columns(grid: MapGrid, points: PointsOnGround) -> dict[str, Array]:
 
 
 def attributes_of(points: PointsOnGround) -> dict[str, Array]:
-    """Ground height, correction in the image, and shift on the ground."""
-    return {
-        "h_g_m": points.h_g_m,
-        "dx_px": points.dx_px,
-        "dy_px": points.dy_px,
-        "shift_x_m": points.shift_x_m,
-        "shift_y_m": points.shift_y_m,
-        "shift_m": points.shift_m,
-    }
+    """The values of `ATTRIBUTES`."""
+    return {name: getattr(points, name) for name in ATTRIBUTES}
 
 
 def write_points(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
@@ -234,11 +228,10 @@ def write_points(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int
     empty = np.empty(0)
     places = place_columns(grid, empty, empty, empty)
     words = ("image", "point")
-    attributes = ("h_g_m", "dx_px", "dy_px", *SHIFTS)
     text = (pa.string(), "", "")
     number = (pa.float64(), "", "")
     kinds = dict.fromkeys(words, text)
-    kinds |= dict.fromkeys((*places, *attributes), number)
+    kinds |= dict.fromkeys((*places, *ATTRIBUTES), number)
     kinds["status"] = text
     schema = schema_of(kinds, run.metadata)
 

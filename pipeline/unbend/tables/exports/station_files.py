@@ -93,17 +93,24 @@ def write_in_one_frame(run: FinishedRun, _: Values, path: Path, ledger: Ledger) 
 
 
 def placed_rows(run: FinishedRun, ledger: Ledger) -> Integers:
-    """The stations with all that a table of orientations needs; the others are a loss.
-
-    With a grid also those that its transformation reaches.
-    """
+    """The stations with all that a table of orientations needs; the others are a loss."""
     what = "usable position, attitude and ellipsoidal height"
-    known = can_be_placed(run.stations)
     if run.grid is not None:
-        x, y = run.grid.coordinates(run.stations.lat_rad, run.stations.lon_rad)
-        known &= np.isfinite(x) & np.isfinite(y)
         what = f"{what} within the transformation to {run.grid.name}"
-    return placed_stations(run, known, what, ledger)
+    return placed_stations(run, has_orientation(run), what, ledger)
+
+
+def has_orientation(run: FinishedRun) -> Mask:
+    """(s,) which stations have all that a table of orientations needs.
+
+    With a grid only those that its transformation reaches.
+    """
+    stations = run.stations
+    known = can_be_placed(stations)
+    if run.grid is not None:
+        x, y = run.grid.coordinates(stations.lat_rad, stations.lon_rad)
+        known &= np.isfinite(x) & np.isfinite(y)
+    return known
 
 
 def columns_of_stations(run: FinishedRun, rows: Integers) -> dict[str, object]:
@@ -135,7 +142,7 @@ def frame_at_stations(run: FinishedRun, _: Values) -> ExportFrame:
             positions=geographic_frame(ELLIPSOID_OF_WGS84, LATITUDE_LONGITUDE_HEIGHT),
             angles=angles_of_photogrammetry(EAST_NORTH_UP, "each station"),
         )
-    rows = np.flatnonzero(can_be_placed(run.stations))
+    rows = np.flatnonzero(has_orientation(run))
     axes = run.grid.axes_at(run.stations.lat_rad[rows], run.stations.lon_rad[rows])
     return ExportFrame(
         positions=grid_frame(run.grid),

@@ -4,13 +4,13 @@ The vertical of each station stays its own, as in a map it must: x and y are the
 there, which the convergence turns against east and north.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from unbend.flight.rotations import enu_from_grid, in_turned_frame
 from unbend.flight.stations import Stations
-from unbend.tables.exports.export_frames import PHOTOGRAMMETRIC, AngleFrame
+from unbend.tables.exports.export_frames import AngleFrame, angles_of_photogrammetry
 from unbend.tables.geodata.map_grids import GridAxes, MapGrid
 from unbend.units import Array, Integers
 
@@ -37,7 +37,8 @@ def stations_in_grid(stations: Stations, rows: Integers, grid: MapGrid) -> Stati
     x, y = grid.coordinates(lat, lon)
     height = grid.height.heights(lat, lon, stations.h_msl_m[rows], stations.h_ellipsoid_m[rows])
     axes = grid.axes_at(lat, lon)
-    turned = in_turned_frame(stations.quaternion[rows], enu_from_grid(axes.convergence_rad))
+    to_enu = enu_from_grid(axes.convergence_rad)
+    turned = in_turned_frame(stations.quaternion[rows], to_enu)
     return StationsInGrid(x, y, height, turned, axes)
 
 
@@ -66,14 +67,9 @@ def grid_angles(grid: MapGrid, axes: GridAxes) -> AngleFrame:
     if axes.convergence_rad.size:
         degrees = np.degrees(axes.convergence_rad)
         convergence = (float(degrees.min()), float(degrees.max()))
-    return AngleFrame(
-        written_as="omega_phi_kappa",
-        turns="camera to frame",
-        product="Rx(omega) Ry(phi) Rz(kappa)",
-        camera_axes=PHOTOGRAMMETRIC,
-        frame_axes=(f"grid {grid.axes[0]}", f"grid {grid.axes[1]}", "up"),
-        frame_at="each station",
-        unit="deg",
+    frame_axes = (f"grid {grid.axes[0]}", f"grid {grid.axes[1]}", "up")
+    return replace(
+        angles_of_photogrammetry(frame_axes, "each station"),
         is_convergence_applied=True,
         convergence_deg=convergence,
     )

@@ -19,7 +19,7 @@ from unbend.geodesy import GeoidGrid, ecef_of_geodetic
 from unbend.messages import Message, Notes
 from unbend.tables.geodata import messages
 from unbend.tables.geodata.geoid import package_geoid
-from unbend.units import WGS84_A, Array, measured
+from unbend.units import WGS84_A, Array, Mask, measured
 
 if TYPE_CHECKING:
     from pyproj import CRS, Transformer
@@ -443,19 +443,33 @@ def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
     return horizontal.to_2d(), vertical[0] if vertical else None
 
 
+def is_in_area(system: "CRS", lon_lat: Array, margin_deg: float) -> Mask:
+    """(n,) whether (2, n) longitudes and latitudes [deg] are in a system's area of use.
+
+    A margin around the area counts too. All places are, of a system that states no area.
+    """
+    area = system.area_of_use
+    if area is None:
+        return np.ones(lon_lat.shape[1], np.bool_)
+    width_deg = area.east - area.west
+    if area.west > area.east:
+        width_deg += 360.0  # over the 180th meridian
+    west_deg = area.west - margin_deg
+    width_deg = min(width_deg + 2.0 * margin_deg, 360.0)
+    lon, lat = lon_lat
+    is_inside = (lon - west_deg) % 360.0 <= width_deg
+    is_inside &= lat >= area.south - margin_deg
+    is_inside &= lat <= area.north + margin_deg
+    return np.asarray(is_inside)
+
+
 def _inside(
     lon_lat: Array, horizontal: Any, where: str, key: str, given: tuple[Array, Array]
 ) -> tuple[Array, list[Message]]:
     """(2, n) places with NaN outside the system's area of use; refuses where most are outside."""
     area, known = horizontal.area_of_use, np.isfinite(given).all(axis=0)
     lon_lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan)
-    inside = np.isfinite(lon_lat).all(axis=0)
-    if area is not None:
-        west, east = area.west - MARGIN_DEG, area.east + MARGIN_DEG
-        width = (east - west) % 360.0 if east - west < 360.0 else 360.0
-        inside &= (lon_lat[0] - west) % 360.0 <= width
-        south, north = area.south - MARGIN_DEG, area.north + MARGIN_DEG
-        inside &= (lon_lat[1] >= south) & (lon_lat[1] <= north)
+    inside = np.isfinite(lon_lat).all(axis=0) & is_in_area(horizontal, lon_lat, MARGIN_DEG)
     count = int((known & ~inside).sum())
     if count == 0 and known.any():
         return lon_lat, []

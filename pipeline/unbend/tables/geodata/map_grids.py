@@ -16,7 +16,12 @@ from unbend.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
 from unbend.geodesy import GeoidGrid, offset_geodetic
 from unbend.messages import Notes
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.coordinate_systems import MARGIN_DEG, SEA_LEVELS, best_operation
+from unbend.tables.geodata.coordinate_systems import (
+    MARGIN_DEG,
+    SEA_LEVELS,
+    best_operation,
+    is_in_area,
+)
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.units import WGS84_A, Array
 
@@ -187,7 +192,7 @@ def open_grid(
     places = np.stack([lon_rad[known], lat_rad[known]])
     lon_lat = np.degrees(places)
     area = horizontal.area_of_use.name if horizontal.area_of_use else "the earth"
-    if places_outside(horizontal, lon_lat, MARGIN_DEG):
+    if not is_in_area(horizontal, lon_lat, MARGIN_DEG).all():
         raise messages.grid_elsewhere(crs=crs, name=horizontal.name, area=area)
     best = best_operation("EPSG:4326", lon_lat, horizontal.to_2d())
     if best is None:
@@ -216,7 +221,7 @@ def open_grid(
         ),
         *height_notes,
     ]
-    outside = places_outside(horizontal, lon_lat, 0.0)
+    outside = int(np.sum(~is_in_area(horizontal, lon_lat, margin_deg=0.0)))
     if outside:
         notes.append(messages.grid_beyond_area(count=outside, name=horizontal.name, area=area))
     if not grid.is_geographic:
@@ -284,22 +289,6 @@ def refuse_kind(horizontal: CRS, crs: str, *, needs_angles: bool) -> None:
         raise messages.grid_of_other_kind(crs=crs, name=horizontal.name, kind=horizontal.type_name)
     if needs_angles and horizontal.is_geographic:
         raise messages.grid_geographic(crs=crs, name=horizontal.name)
-
-
-def places_outside(horizontal: CRS, lon_lat: Array, margin_deg: float) -> int:
-    """How many of (2, n) places lie outside a system's area of use and a margin."""
-    area = horizontal.area_of_use
-    if area is None:
-        return 0
-    west = area.west - margin_deg
-    width = area.east - area.west + 2.0 * margin_deg
-    if area.west > area.east:
-        width += 360.0  # over the 180th meridian
-    lon, lat = lon_lat
-    inside = (lon - west) % 360.0 <= min(width, 360.0)
-    inside &= lat >= area.south - margin_deg
-    inside &= lat <= area.north + margin_deg
-    return int(np.sum(~inside))
 
 
 def identifier_of(crs: str, authority: tuple[str, str] | None) -> str:
