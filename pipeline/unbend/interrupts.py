@@ -1,7 +1,11 @@
-"""Ctrl-C and SIGTERM are kept back while threads are waited for.
+"""Ctrl-C and SIGTERM end a command by an exception, which must neither block nor get lost.
 
 A signal handler that raises may do so between taking a lock and entering its ``with`` block: the
-lock is never released, and the threads that need it wait for ever.
+lock is never released, and the threads that need it wait for ever. So signals are kept back while
+threads are waited for.
+
+The exception may also be raised inside a library that makes an error of its own of it, as pydantic
+does where it builds a schema. So the signal is remembered.
 """
 
 import signal
@@ -9,9 +13,31 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """Signals by which a person or a batch system ends a command."""
+
+_exit_codes_of_signals: list[int] = []
+
+
+def end_process(exit_code: int) -> NoReturn:
+    """Called by a signal handler: raise SystemExit, and remember it; further signals do nothing."""
+    ignore_further_signals()
+    _exit_codes_of_signals.append(exit_code)
+    raise SystemExit(exit_code)
+
+
+def ignore_further_signals() -> None:
+    """Let the shutdown finish. SIG_IGN would print a warning if a signal is already pending."""
+    for number in SIGNALS:
+        signal.signal(number, lambda *_: None)
+
+
+def raise_if_ended_by_signal() -> None:
+    """Raise the SystemExit of a signal again, where an error may be what a library made of it."""
+    if _exit_codes_of_signals:
+        raise SystemExit(_exit_codes_of_signals[0]) from None
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -13,6 +14,8 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
+
+from tests.draws import SEED
 
 # A child of nohup, or of a command in the background of a script, is born with Ctrl-C ignored.
 HEARING = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -97,6 +100,21 @@ try:
 finally:
     print("hit" if len(taken) == turn else "missed")
 """
+
+
+RUN = """
+import sys
+from unbend.cli import main
+sys.argv = ["unbend", "run", sys.argv[1]]
+print("stalled", flush=True)
+main()
+"""
+
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -signal.SIGKILL}
+"""Exit code of a process that each signal ends."""
+
+SIGNALS = int(os.environ.get("UNBEND_SIGNALS", "4"))
+LONGEST_RUN_S = 6.0  # of the simulated mission on a machine that has nothing else to do
 
 
 def visible(folder) -> dict[str, str]:
@@ -305,6 +323,49 @@ def test_kill_and_rerun_give_what_an_untouched_run_gives(mission, baseline, unbe
     assert visible(mission.output) == visible(baseline.output)
     assert {p.name for p in mission.output.iterdir()} >= {".lock", "manifest.json"}
     assert not (mission.output / ".staging").exists()
+
+
+# A library that makes an error of its own of whatever is raised in it, as pydantic does.
+WRAPPED = """
+import signal, sys
+from unbend.batch import runs
+number = int(sys.argv[1])
+def wrapped(*args, **kwargs):
+    try:
+        signal.raise_signal(number)
+    except BaseException as error:
+        raise ValueError("building failed: " + repr(error)) from None
+runs.write_report = wrapped
+sys.argv = ["unbend", "run", *sys.argv[2:]]
+from unbend.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_a_library_wraps_is_no_bug(mission, mission_factory, tmp_path, number):
+    other = mission_factory(tmp_path / "other")
+    words = [str(int(number)), str(mission.save()), str(other.save())]
+    done = subprocess.run(
+        [sys.executable, "-c", HEARING + WRAPPED, *words], capture_output=True, text=True
+    )
+    assert done.returncode == CODES[number], done.stderr
+    assert "bug in unbend" not in done.stdout + done.stderr
+    assert not (other.output / "manifest.json").exists()
+
+
+@pytest.mark.parametrize("draw", range(SIGNALS))
+def test_a_signal_at_any_time_leaves_what_a_rerun_completes(mission, baseline, draw):
+    chance = random.Random(f"{SEED} {draw}")
+    number = chance.choice([signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+    process = started(RUN, str(mission.save()))
+    time.sleep(chance.uniform(0.0, LONGEST_RUN_S))
+    process.send_signal(number)
+    code, text = ended(process)
+    assert code in {0, CODES[number]}, text
+    assert "Traceback" not in text, text
+    assert mission.run().code == 0
+    assert visible(mission.output) == visible(baseline.output)
 
 
 def test_a_bug_is_owned_up_to(mission):

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from unbend.errors import UnbendError
+from unbend.interrupts import raise_if_ended_by_signal
 
 if TYPE_CHECKING:
     from unbend.batch.object_store import Place
@@ -91,8 +92,10 @@ def end_of(task: Callable[[], TaskEnd]) -> TaskEnd:
     try:
         return task()
     except UnbendError as error:
+        raise_if_ended_by_signal()
         return error
     except Exception:
+        raise_if_ended_by_signal()
         # The one broad except: a bug in one mission must not cost the user the others.
         return Bug(traceback.format_exc())
 

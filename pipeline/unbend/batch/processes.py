@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from unbend.batch.executors import Bug, Ends, Lost, Outcome, Task, TaskEnd, end_of
 from unbend.batch.other_processes import is_stopped
 from unbend.exit_codes import EXIT_INTERRUPTED
-from unbend.interrupts import held_back
+from unbend.interrupts import end_process, held_back
 from unbend.refraction.kernels.threads import usable_cpus
 
 if TYPE_CHECKING:
@@ -168,8 +168,7 @@ def prepare_process(threads: int) -> None:
 
 def stop_at_signal(_: int, __: FrameType | None) -> None:
     """End the mission under way; a second signal must not stop the cleaning up."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    raise SystemExit(EXIT_INTERRUPTED)
+    end_process(EXIT_INTERRUPTED)
 
 
 def end_with_parent() -> None:

@@ -12,7 +12,12 @@ from unbend.cli import guide, missions, physics, results
 from unbend.cli.app import app, print_bug, print_error
 from unbend.errors import UnbendError
 from unbend.exit_codes import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED
-from unbend.interrupts import SIGNALS
+from unbend.interrupts import (
+    SIGNALS,
+    end_process,
+    ignore_further_signals,
+    raise_if_ended_by_signal,
+)
 from unbend.report.words import visible
 
 # The import of these modules registers their commands.
@@ -23,27 +28,25 @@ _COMMANDS = (guide, missions, physics, results)
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
-def _ignore_further_signals() -> None:
-    """Let the shutdown finish. SIG_IGN would print a warning if a signal is already pending."""
-    for number in SIGNALS:
-        signal.signal(number, lambda *_: None)
-
-
 def _install_signal_handlers() -> None:
     """Exit with 130 at the first Ctrl-C, unless ignored (``nohup``), and with 143 at SIGTERM."""
-
-    def exit_with(code: int) -> None:
-        # SystemExit, not KeyboardInterrupt: where the latter passes through an exec(), as in the
-        # import of a dataclass, Python ends the process by the signal, whatever its exit code.
-        _ignore_further_signals()
-        raise SystemExit(code)
-
+    # SystemExit, not KeyboardInterrupt: where the latter passes through an exec(), as in the import
+    # of a dataclass, Python ends the process by the signal, whatever its exit code.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, lambda *_: exit_with(EXIT_INTERRUPTED))
-    signal.signal(signal.SIGTERM, lambda *_: exit_with(EXIT_TERMINATED))
+        signal.signal(signal.SIGINT, lambda *_: end_process(EXIT_INTERRUPTED))
+    signal.signal(signal.SIGTERM, lambda *_: end_process(EXIT_TERMINATED))
 
 
 def run_command(arguments: list[str]) -> int:
+    """Run one command and return its exit code; a signal ends it by SystemExit."""
+    try:
+        return invoke_command(arguments)
+    except Exception:
+        raise_if_ended_by_signal()
+        raise
+
+
+def invoke_command(arguments: list[str]) -> int:
     """Run one command and return its exit code; typer's main() would give bugs codes of its own."""
     command = typer.main.get_command(app)
     if instruction := os.environ.get("_UNBEND_COMPLETE"):  # the shell asks for completions
@@ -91,7 +94,7 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_INTERRUPTED)
     finally:
-        _ignore_further_signals()
+        ignore_further_signals()
         for number in SIGNALS:  # Python's shutdown replaces a handler by the default action
             signal.signal(number, signal.SIG_IGN)
     if code == EXIT_INTERRUPTED:

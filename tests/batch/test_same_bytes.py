@@ -1,0 +1,74 @@
+"""The same inputs give the same bytes, whatever the machine, its settings and the day.
+
+Each case is a run in a process of its own. Two run in `make test`; with UNBEND_MACHINES=all each does
+(RELIABILITY.md, F15).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import MissionFolder
+
+MACHINES: dict[str, dict[str, str]] = {
+    "hash seed 1, New York": {"PYTHONHASHSEED": "1", "TZ": "America/New_York"},
+    "hash seed 2, Kathmandu": {"PYTHONHASHSEED": "2", "TZ": "Asia/Kathmandu"},
+    "hash seed 3, Turkish": {"PYTHONHASHSEED": "3", "LC_ALL": "tr_TR.UTF-8", "LANG": "tr_TR.UTF-8"},
+    "one thread": {"OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+    "numpy without AVX2": {"NPY_DISABLE_CPU_FEATURES": "X86_V3"},
+    "kernels without AVX2": {"NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": ""},
+}
+"""Environments that a result must not show, each with what is set in it."""
+
+MACHINES_OF_EACH_TEST_RUN = ("hash seed 1, New York", "numpy without AVX2")
+ALL = os.environ.get("UNBEND_MACHINES") == "all"
+TRIED = list(MACHINES) if ALL else list(MACHINES_OF_EACH_TEST_RUN)
+
+
+def hashes_of_results(folder: Path) -> dict[str, str]:
+    """SHA-256 of each table of a run, by its name."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*.parquet"))
+    }
+
+
+def run_in_process(mission: MissionFolder, *options: str, **environment: str) -> None:
+    """Run a mission in a process of its own, with variables of its environment."""
+    done = subprocess.run(
+        [sys.executable, "-m", "unbend", "run", mission.save(), *options],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("machine", TRIED)
+def test_another_machine_gives_the_same_bytes(machine, mission, baseline):
+    run_in_process(mission, **MACHINES[machine])
+    assert hashes_of_results(mission.output) == hashes_of_results(baseline.output)
+
+
+def test_another_place_gives_the_same_bytes(mission_factory, baseline, tmp_path):
+    elsewhere = mission_factory(tmp_path / "Données Ω" / "a longer path")
+    assert elsewhere.run().code == 0
+    assert hashes_of_results(elsewhere.output) == hashes_of_results(baseline.output)
+
+
+@pytest.mark.skipif(not ALL, reason="UNBEND_MACHINES=all runs it")
+@pytest.mark.parametrize("processes", [2, 8])
+def test_processes_side_by_side_give_the_same_bytes(mission_factory, baseline, tmp_path, processes):
+    missions = [mission_factory(tmp_path / str(number)) for number in range(processes)]
+    files = [str(mission.save()) for mission in missions]
+    first = missions[0]
+    run_in_process(first, *files[1:], "--jobs", str(processes))
+    for mission in missions:
+        assert hashes_of_results(mission.output) == hashes_of_results(baseline.output)
