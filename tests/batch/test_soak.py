@@ -1,4 +1,4 @@
-"""Many missions one after the other in one process: nothing stays open, nothing is left, nothing grows.
+"""Many missions one after the other in one process: nothing stays open or is left, nothing grows.
 
 10 missions in `make test`; UNBEND_SOAK states another number (RELIABILITY.md, F22).
 """
