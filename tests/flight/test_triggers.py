@@ -9,7 +9,7 @@ import pytest
 
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
-from unbend.flight.triggers import lag_from_feedback, trigger_notes
+from unbend.flight.triggers import lag_from_feedback, shutter_finding, trigger_notes
 
 SECOND = 1_000_000_000
 NUMBER = np.arange(1.0, 13.0)
@@ -28,6 +28,9 @@ CAPTURE_AT_TRIGGER = events("camera_capture", "camera_capture", 0.0)
 CAPTURE = events("camera_capture", "camera_capture", LAG_S)
 COMMANDS = events("camera_trigger.sent", "camera_trigger", 0.0, feedback=0.0)
 PULSES = events("camera_trigger", "camera_trigger", LAG_S, feedback=1.0)
+CAM = replace(events("CAM[0]", "CAM", LAG_S), source=Source("CAM", "0"))
+CAM_OF_ANOTHER = replace(CAM, name="CAM[1]", source=Source("CAM", "1"))
+TRIG = replace(events("TRIG[0]", "TRIG", 0.0), source=Source("TRIG", "0"))
 UNSAID = events("camera_trigger", "camera_trigger", 0.0)
 
 
@@ -74,3 +77,23 @@ def test_commands_without_a_pulse_are_lost_exposures() -> None:
     fewer = PULSES.rows(NUMBER != 5.0)
     (entry,) = trigger_notes((fewer, COMMANDS), fewer, {})
     assert (entry.code, entry.kind, entry.count) == ("EVENTS-LOST", "loss", 1)
+
+
+@pytest.mark.parametrize(
+    ("channels", "chosen", "lag_ms"),
+    [
+        pytest.param([PULSES, COMMANDS], COMMANDS, 120.0, id="pulses are logged"),
+        pytest.param([PULSES, COMMANDS], PULSES, None, id="the pulses are chosen"),
+        pytest.param([COMMANDS], COMMANDS, None, id="no pulses"),
+        pytest.param([PULSES.rows(NUMBER < 0.0), COMMANDS], COMMANDS, None, id="an empty channel"),
+        pytest.param([CAM, TRIG], TRIG, 120.0, id="ArduPilot"),
+        pytest.param([CAM_OF_ANOTHER, TRIG], TRIG, None, id="the shutter of another camera"),
+    ],
+)
+def test_commands_are_not_taken_for_exposures_where_pulses_are_logged(
+    channels: list[Channel], chosen: Channel, lag_ms: float | None
+) -> None:
+    found = list(shutter_finding(tuple(channels), chosen, "cam"))
+    expected = [] if lag_ms is None else [("EVENTS-NOT-SHUTTER", "finding")]
+    assert [(entry.code, entry.kind) for entry in found] == expected
+    assert [entry.values["lag_ms"] for entry in found] == pytest.approx([lag_ms] * len(expected))

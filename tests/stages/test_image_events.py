@@ -376,3 +376,16 @@ def boot_time(log: Path) -> float:
     finally:
         file.close()
     raise AssertionError("no GPS time")
+
+
+@pytest.mark.parametrize(
+    ("delay", "kinds"),
+    [
+        pytest.param({}, ["finding"], id="without a delay"),
+        pytest.param({"delay_s": 0.08}, [], id="as measured"),
+    ],
+)
+def test_commands_of_a_trigger_beside_its_pulses_need_a_delay(mission, delay, kinds):
+    mission.config["events"]["log"]["nadir"].update({"channel": "TRIG[0]"} | delay)
+    prepared = read_mission(mission.save())
+    assert [entry.kind for entry in entries(prepared, "EVENTS-NOT-SHUTTER")] == kinds

@@ -827,8 +827,7 @@ def most_events_beyond_flight(events: BeyondFlight) -> MissionError:
 EVENTS_TRIGGER_TIME = Code(
     "EVENTS-TRIGGER-TIME",
     means=(
-        "The log has the times of the trigger commands, not of the shutter, for want of a "
-        "feedback pin."
+        "The events of a camera are the commands of its trigger, not the pulses of its shutter."
     ),
     effect="Exposures are 70 to 160 ms early unless delay_s says so: metres along the track.",
     remedy="Measure the delay and state events.log.<camera>.delay_s.",
@@ -839,11 +838,37 @@ def trigger_times(*, channel: str, events: int) -> Message:
     """The events of a camera are the commands of its trigger."""
     return note(
         EVENTS_TRIGGER_TIME,
-        "{where} has the times of the trigger commands, for want of a feedback pin: the shutter "
-        "opens later (70 to 160 ms were measured), which events.log.<camera>.delay_s takes into "
-        "account",
+        "{where} has the times of the trigger commands: the shutter opens later (70 to 160 ms were "
+        "measured), which events.log.<camera>.delay_s takes into account",
         where=channel,
         count=events,
+    )
+
+
+EVENTS_NOT_SHUTTER = Code(
+    "EVENTS-NOT-SHUTTER",
+    means=(
+        "The mission file takes the commands of a trigger for the exposures, without a delay, and "
+        "the log has the pulses of the shutter too."
+    ),
+    effect="Stations are metres too early along the track.",
+    remedy=(
+        "Name the channel of the pulses under events.log.<camera>.channel, or write delay_s: "
+        "from_feedback."
+    ),
+)
+
+
+def shutter_not_used(*, camera: str, trigger: str, shutters: str, lag_ms: float) -> Message:
+    """Commands of a trigger are the exposures, although the pulses of the shutter are logged."""
+    return finding(
+        EVENTS_NOT_SHUTTER,
+        "{where} names {trigger}, the commands of the trigger; the log has the pulses of the "
+        "shutter in {shutters}, {lag_ms:.0f} ms later in the median",
+        where=f"events.log.{camera}.channel",
+        trigger=trigger,
+        shutters=shutters,
+        lag_ms=lag_ms,
     )
 
 

@@ -51,6 +51,24 @@ def lag_from_feedback(
     return ExposureDelay(float(middle), sigma_s=sigma_s), (message,)
 
 
+def shutter_finding(
+    channels: tuple[Channel, ...], chosen: Channel, camera: str
+) -> Iterator[Message]:
+    """Report commands of a trigger that are taken for exposures although pulses are logged."""
+    if not is_trigger(chosen):
+        return
+    shutters = [channel for channel in _shutters_of(chosen, channels) if len(channel)]
+    lags = [_lags_of_pairs(chosen, shutter) for shutter in shutters]
+    lag_s = np.concatenate([np.empty(0), *lags])
+    if lag_s.size:
+        yield messages.shutter_not_used(
+            camera=camera,
+            trigger=chosen.name,
+            shutters=", ".join(shutter.name for shutter in shutters),
+            lag_ms=1e3 * float(np.median(lag_s)),
+        )
+
+
 def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
     """(k,) seconds from each trigger to the pulse of the same number and power-up."""
     trigger_number = trigger["event_index"] + _NUMBERS_PER_BOOT * trigger.boot

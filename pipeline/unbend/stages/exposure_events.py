@@ -18,7 +18,7 @@ from unbend.flight.exposures import (
 )
 from unbend.flight.image_names import renamed
 from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
-from unbend.flight.triggers import lag_from_feedback, trigger_notes
+from unbend.flight.triggers import lag_from_feedback, shutter_finding, trigger_notes
 from unbend.messages import Ledger
 from unbend.stages import messages
 from unbend.stages.flight_log import FlightLog, time_range
@@ -152,6 +152,8 @@ def events_of_log(section: EventsSection, flight: FlightLog, ledger: Ledger) -> 
             delay = ledger.take(lag_from_feedback(channels, channel, camera))
         else:
             delay = ExposureDelay(source.delay_s)
+            if source.delay_s == 0.0:
+                ledger.extend(shutter_finding(channels, channel, camera))
         exposed = events_of_channel(channel, camera, source.image, delay)
         events.append(ledger.take(exposed))
     return events
