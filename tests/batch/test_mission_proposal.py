@@ -293,6 +293,22 @@ def test_every_kind_of_beginning(kind, unbend, tmp_path):
     }
 
 
+@pytest.mark.parametrize("name", ["2025-06-12_flight", "0012", "null", "Flug 7"])
+def test_results_get_a_folder_of_the_name_of_the_mission(mission, unbend, tmp_path, name):
+    log = tmp_path / f"{name}.bin"
+    log.write_bytes(mission.log.read_bytes())
+    tree = yaml.safe_load(unbend("init", log, "--out", "-").out)
+    assert tree["output"] == {"path": f"results/{tree['mission']['name']}"}
+
+
+@pytest.mark.parametrize("column", ["ground_m", "terrain_h", "Höhe", "z", "msl_m"])
+def test_columns_of_heights_are_known_by_their_names(mission, unbend, column):
+    seen = mission.measurements().to_pandas().rename(columns={"h_g_m": column})
+    seen.to_csv(mission.folder / "o.csv", index=False)
+    tree = yaml.safe_load(unbend("init", mission.log, mission.folder / "o.csv", "--out", "-").out)
+    assert tree["ground"]["height"] == {"column": column}
+
+
 def test_names_of_files_do_not_break_the_yaml(mission, unbend, tmp_path):
     odd = tmp_path / "a: b #c, {d}.bin"
     odd.write_bytes(mission.log.read_bytes())

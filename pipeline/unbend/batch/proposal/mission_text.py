@@ -51,8 +51,10 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
     has_reference = False
     if observations is not None:
         has_reference = (observations / "reference_lla.json").is_file()
+    name = mission_name(log)
     return mission_template().render(
-        mission=yaml_text(mission_name(log)),
+        mission=yaml_text(name),
+        results=yaml_text(f"results/{name}"),
         file=out.name,
         log=path_text(log, out),
         found=log_facts,

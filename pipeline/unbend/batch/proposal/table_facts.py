@@ -25,7 +25,10 @@ BATCH_ROWS = 250_000
 MOST_BATCHES = 4  # a million rows show how large the images are
 MOST_BYTES_OF_HEAD = 4000  # of an XML file, in which it says which program wrote it
 
-NAME_OF_HEIGHT = re.compile(r"^(h|z)(_.*)?$|height|elev|^alt", re.IGNORECASE)
+NAME_OF_HEIGHT = re.compile(
+    r"^(h|z|ground|terrain)(_.*)?$|height|elev|^alt|ellips|msl|^h(oe|ö)he",
+    re.IGNORECASE,
+)
 """Columns whose names say that they may hold heights."""
 
 FILES_OF_BLOCKS = {"cameras.bin": "colmap", "cameras.txt": "colmap", OPENSFM_FILE: "opensfm"}
