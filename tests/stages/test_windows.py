@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -46,6 +47,25 @@ def test_a_dome_a_schedule_and_a_lens(mission):
     nadir = (table["image"].map(camera) == "nadir").to_numpy()
     assert (table["r_cc_rad"][nadir] == 0.0).all()
     assert np.isfinite(table["r_cc_rad"]).all()
+
+
+def miss_px(mission) -> float:
+    """How far the rays of tie points miss each other, as the ledger states it [px]."""
+    ledger = said(ran(mission))
+    (text,) = [what for (code, _), what in ledger.items() if code == "TIES-RESIDUALS"]
+    return float(re.search(r"by ([0-9.]+) px", text)[1])
+
+
+def test_misses_of_rays_are_in_pixels_behind_a_window_too(mission):
+    """A window with the air of outside bends nothing: with it the rays miss by as many pixels."""
+    for role in ("cabin_pressure", "cabin_temperature", "cabin_humidity"):
+        mission.config["log"]["channels"].pop(role)
+    for camera in mission.config["cameras"].values():
+        camera.pop("window")
+    without_window = miss_px(mission)
+    for camera in mission.config["cameras"].values():
+        camera["opening"] = {"warmer_k": 0.0}
+    assert miss_px(mission) == pytest.approx(without_window, rel=0.05)
 
 
 def test_an_absurd_lens_refuses_the_mission(mission):

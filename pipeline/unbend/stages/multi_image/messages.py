@@ -856,8 +856,14 @@ TIES_RESIDUALS = Code(
 
 ORIENTATION_TIES = Code(
     "ORIENTATION-TIES",
-    means="The rays of tie points do not meet with these orientations, in any reading.",
-    effect="The corrections stand on wrong stations or cameras; the run ends with 3.",
+    means=(
+        "How far the rays of tie points miss each other with the orientations of the table. If they "
+        "do not meet in any reading of the table, it is a finding."
+    ),
+    effect=(
+        "A note has none. After a finding the run ends with 3: the corrections use wrong stations "
+        "or cameras."
+    ),
     remedy="Check that orientations, images and cameras are of one block.",
 )
 

@@ -113,6 +113,16 @@ class TieEvidence:
             height_m=given_m + (self.offset_m + self.undulation_m)[rays.image],
         )
 
+    def pixel_rad(self, rays: ImageRays) -> float:
+        """The angle of a pixel [rad], the median of rays.
+
+        It is not their sigma, which is larger behind a window.
+        """
+        cameras = self.mission.interior_orientations
+        names = self.stations.camera[rays.image]
+        focal_px = np.array([cameras[name].fx_px for name in names])
+        return float(1.0 / np.median(focal_px))
+
     def on_terrain(self, model: ElevationModel) -> tuple[TieEvidence, str]:
         """The evidence with the model's heights at the points where rays meet as stated heights.
 
@@ -237,6 +247,7 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
         intersection,
         rays,
         ledger,
+        pixel_rad=evidence.pixel_rad(rays),
         oriented=evidence.mission.stations.orientation is not None,
         explained=is_explained,
         nearest=nearest,
@@ -297,6 +308,7 @@ def report_misses(
     rays: ImageRays,
     ledger: Ledger,
     *,
+    pixel_rad: float,
     oriented: bool,
     explained: bool,
     nearest: str,
@@ -308,7 +320,7 @@ def report_misses(
     * Else a finding, with the worst cameras and images.
 
     ``nearest`` lists in words what was found, and is empty if that is nothing. ``oriented`` says
-    whether the stations are those of a table.
+    whether the stations are those of a table. ``pixel_rad`` is the angle of a pixel.
     """
     point_of_ray = np.searchsorted(intersection.point, rays.point)
     miss_rad = np.sqrt(np.mean(intersection.residual_rad**2, axis=1))
@@ -318,7 +330,7 @@ def report_misses(
     is_judged[point_of_ray[intersection.bad]] = True
     where = "stations.orientation.path" if oriented else "stations"
     count = intersection.point.size
-    misses = describe_misses(intersection, rays, miss_rad)
+    misses = describe_misses(intersection, miss_rad, pixel_rad)
     most_meet = intersection.used.sum() >= MOST_MEET * is_judged.sum()
     is_poor = intersection.sigma_factor > POOR_FACTOR  # False for NaN: nothing checks the rays
     meets = most_meet and not is_poor
@@ -374,7 +386,7 @@ class RaysMissed:
         return text
 
 
-def describe_misses(intersection: Intersection, rays: ImageRays, miss_rad: Array) -> str:
+def describe_misses(intersection: Intersection, miss_rad: Array, pixel_rad: float) -> str:
     """How far the rays of tie points miss each other, in words."""
     points = int(intersection.used.sum())
     count = intersection.point.size
@@ -382,10 +394,10 @@ def describe_misses(intersection: Intersection, rays: ImageRays, miss_rad: Array
         return f"no rays of {count} tie points meet at an angle that checks anything"
     if np.isnan(miss_rad).all():
         return f"the rays of {points} of {count} tie points meet nowhere"
-    pixels = np.sqrt(np.nanmean(miss_rad**2)) / float(np.median(rays.sigma_rad))
+    pixels = np.sqrt(np.nanmean(miss_rad**2)) / pixel_rad
     return (
-        f"the rays of {points} of {count} tie points miss each other by {pixels:.1f} px "
-        "(rms) before adjustment, without the refraction of us1976, with that of windows"
+        f"the rays of {points} of {count} tie points miss each other by {pixels:.1f} px (rms). The "
+        "orientations are not adjusted; the refraction of us1976 is removed, that of windows is not"
     )
 
 
