@@ -473,6 +473,18 @@ def test_check_copes_without_a_log(block, unbend):
     assert ended.code == 0, ended.text
 
 
+def test_check_shows_the_stated_date_and_the_keys_of_missing_sigmas(block, unbend):
+    write(block, columns_of(block.table).drop(columns=["time"]))
+    orientation = block.config["stations"]["orientation"]
+    del orientation["columns"]["time_utc"]
+    orientation["date"] = "2026-07-15T09:40:00Z"
+    ended = unbend("check", "-v", block.save())
+    text = " ".join(ended.out.split())
+    assert "time 2026-07-15T09:40:00Z, as the mission file states" in text
+    assert "(stations.orientation.sigma_tilt_deg)" in text
+    assert "(stations.orientation.sigma_height_m)" in text
+
+
 def test_a_table_that_is_not_there(block):
     assert "stations.orientation.path" in refused(block, "INPUT-MISSING")
 

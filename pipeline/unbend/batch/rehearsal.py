@@ -19,6 +19,7 @@ from unbend.refraction.ray import rays_by
 from unbend.report.summary import control_sentence, effect_lines
 from unbend.stages.correction import correct_batch
 from unbend.stages.correction_setup import CorrectionSetup, GroundHeights
+from unbend.stages.flight_date import stated_date
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.results import utc_second
 from unbend.stages.story import CorrectedMission
@@ -213,6 +214,9 @@ def times_text(corrected: CorrectedMission) -> str:
             first = utc_second(int(values.min())).removesuffix("Z").replace("T", " ")
             _, last_clock = utc_second(int(values.max())).removesuffix("Z").split("T")
             parts.append(f"{label} {first} to {last_clock} UTC")
+    stated = stated_date(corrected.prepared.mission)
+    if not parts and stated is not None:
+        return f"{stated}, as the mission file states"
     return "; ".join(parts) or "unknown"
 
 

@@ -184,13 +184,17 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
         yield "the air (its profile has no covariance)"
     unknown = stations.ok & np.isnan(station_sigmas(mission, stations).tilt_rad)
     for name in sorted(set(stations.camera[unknown].tolist())):
-        yield f"the attitude (mount.{name}.sigma_tilt_deg)"
+        section = f"mount.{name}" if mission.stations.orientation is None else "stations.orientation"
+        yield f"the attitude ({section}.sigma_tilt_deg)"
     if mission.ground.sigma_m is None and mission.ground.sigma_column is None:
         yield "the ground (ground.sigma_m or ground.sigma_column)"
     without_height_sigma = int((stations.ok & ~np.isfinite(stations.sigma_height_m)).sum())
     if without_height_sigma:
         counted = Counted(without_height_sigma, "station")
-        yield f"the height of {counted} (not in the log; it does not count)"
+        source = "not in the log"
+        if mission.stations.orientation is not None:
+            source = "stations.orientation.sigma_height_m"
+        yield f"the height of {counted} ({source})"
     yield from missing_sigmas_of_cabins(mission, stations)
 
 
