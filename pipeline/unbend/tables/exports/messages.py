@@ -549,7 +549,7 @@ def pixel_size_unknown(*, where: Path | str, name: str) -> ConfigError:
         "the size of the pixels of camera {name} is unknown, or they are not square",
         where=where,
         name=name,
-        remedy="give their size in micrometres: --pixel-um 4",
+        remedy="give the size of a pixel of this camera in micrometres: --pixel-um SIZE",
     )
 
 
