@@ -79,6 +79,7 @@ _REPLACED_SECTIONS = {"log", "stations", "events", "atmosphere", "output"}
 
 def correct(
     observations: Table,
+    /,
     stations: pd.DataFrame | pa.Table,
     profile: Air,
     cameras: Mapping[str, Mapping[str, Any]],
@@ -91,18 +92,24 @@ def correct(
     Parameters
     ----------
     observations : image, point, x_px, y_px [px], h_g_m [m above sea level]; others pass through.
-    stations : image, camera (where there are several), position and attitude of each image:
-        latitude, longitude [deg] (or lat_deg, lon_deg) and a height, named h_msl_m or
-        h_ellipsoid_m [m]; omega, phi, kappa, or roll, pitch, yaw, or q_w to q_z, the angles in
-        degrees (omega_deg too) against east, north and up at the station. Or the whole
-        ``stations.parquet`` of a run, which is then taken as it is.
+        Points that two images show check the orientations: without names of points, as with
+        row numbers, a wrong sense of the angles is not noticed.
+    stations : one row for each image: image, camera (where there are several), position and
+        attitude. The position is latitude, longitude [deg] (or lat_deg, lon_deg) and a height,
+        named h_msl_m or h_ellipsoid_m [m]. The attitude is omega, phi, kappa [deg] (omega_deg
+        too) of the camera against east, north and up at the station; or roll, pitch, yaw [deg] of
+        the aircraft; or the quaternion q_w to q_z that turns from east, north, up to the camera
+        (x right, y down, z forward). Or the whole ``stations.parquet`` of a run, which is then
+        taken as it is.
     profile : a `Profile`; with a covariance a `TimedProfile`; the `ProfileSeries` or the
         ``profile.parquet`` of a run with its stations; the name of a standard atmosphere; or the
         section ``atmosphere`` of a mission file, from which the air is estimated.
     cameras : the section of that name of a mission file.
     orientation : further keys of ``stations.orientation``, for what the names of columns do not
-        say: frame, heights, unit, columns, date, sigmas.
-    sections : other sections of a mission file, as ``ground={"height": 120.0}``.
+        say: angles (``quaternion_to_frame`` for the inverse), frame, heights, unit, columns, date,
+        sigmas.
+    sections : other sections of a mission file, as ``ground={"height": 120.0}``, or
+        ``observations={"pixel_origin": "centre"}`` where pixels count from the centre of the first.
 
     Returns a table of the kind of ``observations`` with the columns of a run, the same to the last
     bit, its rows in the order of ``observations``; a DataFrame has their index. ``uncertainty``,

@@ -148,6 +148,21 @@ def test_a_table_is_answered_by_its_kind(flight):
     pd.testing.assert_frame_equal(arrow.to_pandas(), without_index, check_exact=True)
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")  # pinholes do not fit the points
+def test_pixels_may_count_from_the_centre_of_the_first(flight):
+    """The same places in the image, counted from its corner and from the centre of a pixel."""
+    camera = CAMERA | {"pixel_origin": "corner"}  # of the principal point, the same in both
+    cameras = {"nadir": camera, "oblique": camera}
+    frame = flight[0].to_pandas()
+    given = {"orientation": {"heights": "msl"}}
+    from_corner = correct(frame, opk(flight), "us1976", cameras, **given)
+    frame[["x_px", "y_px"]] -= 0.5
+    given["observations"] = {"pixel_origin": "centre"}
+    from_centre = correct(frame, opk(flight), "us1976", cameras, **given)
+    corrected = ["x_corrected_px", "y_corrected_px"]
+    np.testing.assert_allclose(from_centre[corrected] + 0.5, from_corner[corrected], atol=1e-9)
+
+
 def test_one_height_and_another_method(flight):
     frame = flight[0].to_pandas().drop(columns="h_g_m")
     low, high = (quiet(flight, observations=frame, ground={"height": h, "reference": "msl"})
