@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pyproj
 import pytest
@@ -473,6 +474,18 @@ def test_check_copes_without_a_log(block, unbend):
     assert ended.code == 0, ended.text
 
 
+@pytest.mark.parametrize("are_named", [True, False])
+def test_angles_that_no_tie_point_checks_are_told(block, are_named):
+    if not are_named:
+        measured = block.measurements()
+        numbers = pa.array([f"{row}" for row in range(measured.num_rows)])
+        place = measured.schema.get_field_index("point")
+        block.observe(measured.set_column(place, "point", numbers))
+    write(block, columns_of(block.table))
+    kinds = [e["kind"] for e in ran(block)["ledger"] if e["code"] == "ORIENTATION-UNCHECKED"]
+    assert kinds == ([] if are_named else ["warning"])
+
+
 def test_check_shows_the_stated_date_and_the_keys_of_missing_sigmas(block, unbend):
     write(block, columns_of(block.table).drop(columns=["time"]))
     orientation = block.config["stations"]["orientation"]
@@ -530,9 +543,10 @@ def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factor
     left = np.hypot(result["x_corrected_px"] - truth["x_true_px"].to_numpy(),
                     result["y_corrected_px"] - truth["y_true_px"].to_numpy())  # fmt: skip
     assert size.max() > 0.05
-    # What is left is the cabin's: its pressure is not the same at each exposure, as stated here.
+    # What is left is the cabin's, whose pressure is not the same at each exposure, as stated here,
+    # and the air's: a balloon is believed to 1.2 K, so that its R is 0.9 % from the true one.
     assert left.max() < 0.02 * size.max()
-    assert np.sqrt(np.mean(left**2)) < 0.012 * np.sqrt(np.mean(size**2))
+    assert np.sqrt(np.mean(left**2)) < 0.02 * np.sqrt(np.mean(size**2))
 
 
 # --- the user's own tie points decide between readings ---------------------------------------

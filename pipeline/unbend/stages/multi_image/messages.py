@@ -868,6 +868,34 @@ ORIENTATION_TIES = Code(
 )
 
 
+ORIENTATION_UNCHECKED = Code(
+    "ORIENTATION-UNCHECKED",
+    means=(
+        "Nothing checks the angles of a table of orientations: fewer than ten points are measured "
+        "in two images or more."
+    ),
+    effect=(
+        "Angles of another sense, order or unit would give wrong corrections without a message."
+    ),
+    remedy=(
+        "Give a point the same name in all images that show it; or compare a few points on the "
+        "ground (export --format points)."
+    ),
+)
+
+
+def orientation_unchecked(*, where: str, count: int, needed: int) -> Message:
+    """Too few tie points to check orientations."""
+    return warning(
+        ORIENTATION_UNCHECKED,
+        "{count} points are measured in two images or more, {needed} are needed to check the angles",
+        one="1 point is measured in two images or more, {needed} are needed to check the angles",
+        where=where,
+        count=count,
+        needed=needed,
+    )
+
+
 CERTAIN_DECADES = 6.0
 """What is 10^6 times as likely as its rival is practically certain: beyond it the number says more
 of the model of errors than of the flight."""

@@ -93,9 +93,16 @@ def oriented_stations(
     stations = ledger.take(oriented_images.flag_far_images(stations, use=use_suspect))
     stations = check_height_above_ground(mission, flight, stations, observations, ledger)
     rays = tie_rays(ties, stations.image, stations.camera, mission.interior_orientations)
-    if np.unique(rays.point).size >= FEWEST_TIE_POINTS:
-        readings = other_readings(section, table, reader)
-        refuse_other_reading(stations, readings, rays, where=section.path)
+    tie_points = np.unique(rays.point).size
+    if tie_points < FEWEST_TIE_POINTS:
+        ledger.add(
+            messages.orientation_unchecked(
+                where=str(section.path), count=tie_points, needed=FEWEST_TIE_POINTS
+            )
+        )
+        return stations
+    readings = other_readings(section, table, reader)
+    refuse_other_reading(stations, readings, rays, where=section.path)
     return stations
 
 
