@@ -15,13 +15,13 @@ AIR_AGED = Code(
 
 
 def air_aged(*, hours: float, height_m: float, count: int, km: float = 0.0) -> Message:
-    """Some exposures were made hours after the air at their heights was sampled, or far away from that place."""
+    """Some exposures were made hours after the air at their heights was sampled, or far away."""
     far = f", and up to {km:.0f} km from that place" if km > 0.0 else ""
     return note(
         AIR_AGED,
         (
-            "some exposures are {hours:.1f} h from when the air at {height_m:.0f} m was "
-            f"sampled{far}: the sigmas of the air grow with that"
+            "some exposures were made {hours:.1f} h before or after the air at {height_m:.0f} m "
+            f"was sampled{far}: the sigmas of the air grow with this time"
         ),
         hours=hours,
         height_m=height_m,
@@ -239,7 +239,9 @@ def unknown_climatology(*, name: str, names: str) -> PhysicsError:
 METAR_CONTRADICTION = Code(
     "METAR-CONTRADICTION",
     means="Two groups of the METAR contradict each other.",
-    effect="The mission is refused, because the program would have to guess which of them is right.",
+    effect=(
+        "The mission is refused, because the program would have to guess which of them is right."
+    ),
     remedy=(
         "Compare the report with its source. Look for a wrong sign, a wrong digit, or groups of "
         "two reports."

@@ -456,7 +456,9 @@ def sounding_choice_same_time(*, where: object, total: int) -> InputError:
         "{total} soundings of the file have the time that is nearest to the flight",
         where=where,
         total=total,
-        remedy="keep the sounding of the nearest station, or put each sounding into a separate file",
+        remedy=(
+            "keep the sounding of the nearest station, or put each sounding into a separate file"
+        ),
     )
 
 
@@ -516,7 +518,7 @@ def sounding_quantity_twice(*, where: str, column: str, other: str, quantity: st
 
 
 def sounding_column_wyoming(*, where: object, missing: str) -> InputError:
-    """A column of the sounding is missing or occurs twice, or two columns give the same quantity."""
+    """A column of the sounding is missing or occurs twice, or two give the same quantity."""
     return InputError(
         SOUNDING_COLUMN,
         "the Wyoming CSV has no column {missing!r}",
@@ -527,7 +529,7 @@ def sounding_column_wyoming(*, where: object, missing: str) -> InputError:
 
 
 def sounding_column(*, where: object, needed: str, present: str, names: str) -> InputError:
-    """A column of the sounding is missing or occurs twice, or two columns give the same quantity."""
+    """A column of the sounding is missing or occurs twice, or two give the same quantity."""
     return InputError(
         SOUNDING_COLUMN,
         "no column gives the {needed} with its unit; there are {present}",
