@@ -565,8 +565,8 @@ CLOUD_SILENT = Code(
         "minutes. The network was cut, a proxy blocks it, or the store does not respond."
     ),
     effect=(
-        "The mission is not run or not published (exit code 5), and the others go on. Results that "
-        "were published before stay. New results are kept in the user's cache."
+        "The mission is not run or not published (exit code 5). The other missions go on. Results "
+        "that were published before stay. New results are kept in the user's cache."
     ),
     remedy=(
         "Check the network and AWS_ENDPOINT_URL, then run again. Only the missing steps are done."
