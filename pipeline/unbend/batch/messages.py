@@ -112,13 +112,13 @@ STORAGE_SYMLINK = Code(
 VERIFY_NO_MANIFEST = Code(
     "VERIFY-NO-MANIFEST",
     means="There is no manifest: no run has finished in this folder.",
-    effect="`verify` ends with 5.",
+    effect="`verify` ends with exit code 5.",
     remedy="Run the mission.",
 )
 VERIFY_DAMAGED = Code(
     "VERIFY-DAMAGED",
     means="Results are incomplete, or were changed.",
-    effect="`verify` ends with 5.",
+    effect="`verify` ends with exit code 5.",
     remedy="Run the mission again.",
 )
 
@@ -127,7 +127,7 @@ def output_in_use(*, path: str, lock: str, holder: str) -> OutputInUseError:
     """Another process holds the lock of a folder of results; ``holder`` says which, in words."""
     return OutputInUseError(
         OUTPUT_IN_USE,
-        "another process is writing to this folder: {holder} holds {lock}",
+        "another process is writing to this folder: {holder} has locked {lock}",
         where=path,
         remedy="wait for it or end it, or choose another output.path",
         lock=lock,

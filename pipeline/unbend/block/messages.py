@@ -6,7 +6,7 @@ from unbend.messages import Kind, Message, finding, loss, message, note, warning
 ORIENTATION_FAR = Code(
     "ORIENTATION-FAR",
     means="Images are far from the centre of all images.",
-    effect="They are suspect and have no corrected values. The run ends with 3.",
+    effect="They are suspect and have no corrected values. The run ends with exit code 3.",
     remedy="Check their coordinates: they may be exchanged, or of another zone.",
 )
 
@@ -176,7 +176,8 @@ def cameras_look_up(*, where: str, count: int, total: int, first: str) -> Missio
         remedy=(
             "check unit (grad?), angles, columns (omega, phi, kappa; roll, pitch, yaw; q_w to q_z) "
             "and frame there, and the axes of the camera: x right, y down, z forward for a "
-            "quaternion; roll, pitch and yaw of 0 look straight down unless mount says otherwise"
+            "quaternion; a camera with roll, pitch and yaw of 0 looks straight down, unless mount "
+            "states something else"
         ),
     )
 
@@ -199,7 +200,7 @@ FRAME_PLACES = Code(
         "The same files, or the log, have positions of the images. The stated frame of the block "
         "gives other positions: turned, tilted, or in another unit, scale or datum."
     ),
-    effect="The stations are in the stated frame. The run ends with 3.",
+    effect="The stations are in the stated frame. The run ends with exit code 3.",
     remedy=(
         "Correct stations.orientation.frame, or give frame: unknown with known_positions. If the "
         "known positions are wrong, accept the finding."

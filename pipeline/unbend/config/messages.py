@@ -1,6 +1,6 @@
 """What is refused about mission files, campaign files and the files of cameras.
 
-What is wrong with single values is said beside the check of each, in the sections.
+The texts for single values are next to the check of each value, in the sections.
 """
 
 from pathlib import Path
@@ -139,7 +139,7 @@ def config_unreadable(*, path: Path, problem: str) -> ConfigError:
 
 
 def config_other_file(*, path: Path, what: str, remedy: str) -> ConfigError:
-    """A file of another kind stands in the place of a mission file; ``what`` it is."""
+    """A file of another kind is given instead of a mission file; ``what`` it is."""
     return ConfigError(
         CONFIG_UNREADABLE,
         "is {what}, not a mission file",
@@ -151,7 +151,7 @@ def config_other_file(*, path: Path, what: str, remedy: str) -> ConfigError:
 
 
 def config_yaml(*, where: str, problem: str) -> ConfigError:
-    """The text of the file is not YAML, or a key stands there twice."""
+    """The text of the file is not YAML, or a key occurs twice."""
     return ConfigError(
         CONFIG_YAML, "{problem}", where=where, remedy="correct the YAML", problem=problem
     )
@@ -169,7 +169,7 @@ def config_empty(*, path: Path, required: str) -> ConfigError:
 
 
 def config_campaign(*, where: str) -> ConfigError:
-    """A campaign file stands where a mission file is wanted."""
+    """A campaign file is given, but a mission file is needed."""
     return ConfigError(
         CONFIG_CAMPAIGN,
         "is a campaign file with several missions; the command needs one mission",
@@ -275,7 +275,7 @@ def camera_size(
 
 
 def camera_file(*, path: Path, problem: str) -> InputError:
-    """The camera of a calibration file is none that can be."""
+    """The camera of a calibration file is impossible."""
     return InputError(
         CAMERA_FILE,
         "{problem}",

@@ -1055,7 +1055,7 @@ STATIONS_FLAGGED = Code(
         "Exposures have no usable station. The entry gives the status: outside_log, in_gap, "
         "no_position, no_attitude or another."
     ),
-    effect="Their observations have no corrected values. The run ends with 3.",
+    effect="Their observations have no corrected values. The run ends with exit code 3.",
     remedy="Check times and gaps of the log, or give a trajectory.",
 )
 
@@ -1100,7 +1100,7 @@ STATIONS_SIGMA = Code(
         "The median sigmas of the stations. As a loss: stations with larger sigmas than the "
         "mission allows."
     ),
-    effect="If it is a loss, the run ends with 3.",
+    effect="If it is a loss, the run ends with exit code 3.",
     remedy="Give a better trajectory, or increase the largest sigmas under stations.",
 )
 

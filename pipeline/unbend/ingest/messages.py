@@ -424,8 +424,8 @@ LOG_LINK_LOSS = Code(
         "link or the recorder lost them."
     ),
     effect=(
-        "Stations and air are interpolated between the other messages. A run ends with 3 until it "
-        "is accepted."
+        "Stations and air are interpolated between the other messages. A run ends with exit code 3 "
+        "until it is accepted."
     ),
     remedy="Use the log from the vehicle's card instead, or accept it with the reason.",
 )
@@ -489,7 +489,8 @@ LOG_GAP = Code(
     means="Nothing was logged for more than 1 s (for a radio link: 3 s).",
     effect=(
         "Exposures in this time may have no station (in_gap). If the vehicle's clock advanced in "
-        "the meantime, the log is incomplete. A run then ends with 3 until that is accepted."
+        "the meantime, the log is incomplete. A run then ends with exit code 3 until that is "
+        "accepted."
     ),
     remedy="Check the card or the link; use another log, or accept it with the reason.",
 )

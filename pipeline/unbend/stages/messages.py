@@ -140,7 +140,7 @@ def vehicle_chosen(*, vehicle: str, vehicles: Sequence[str], channel: str) -> Me
 LOG_VEHICLES_MIXED = Code(
     "LOG-VEHICLES-MIXED",
     means="A named channel is of another vehicle than the events.",
-    effect="It is used as stated. The run ends with 3.",
+    effect="It is used as stated. The run ends with exit code 3.",
     remedy=(
         "Name the channel of the vehicle with the events in use. Or accept the finding with the "
         "reason."
@@ -571,7 +571,7 @@ CABIN_IMPLAUSIBLE = Code(
         "The air in the cabin is outside the range for people and electronics. Or the mission file "
         "states the pressure outside for the cabin, and a barometer contradicts that."
     ),
-    effect="It was used as stated. If it is a finding, the run ends with 3.",
+    effect="It was used as stated. If it is a finding, the run ends with exit code 3.",
     remedy="Check the channel, its unit, and cameras.<name>.window.cabin.pressure.",
 )
 
@@ -789,7 +789,7 @@ def lens_change_absurd(
 
 LENS_IN_AIR = Code(
     "LENS-IN-AIR",
-    means="The amount by which the air in the lens changes the principal distance.",
+    means="The air in the lens changes the principal distance. The entry gives the amount.",
     effect="It is removed.",
     remedy="Nothing.",
 )
@@ -1139,7 +1139,7 @@ OBS_FLAGGED = Code(
     means=(
         "Observations have a status other than ok. The entry gives the status and the likely cause."
     ),
-    effect="Their corrected values are null. The run ends with 3.",
+    effect="Their corrected values are null. The run ends with exit code 3.",
     remedy="Correct the cause that the entry names.",
 )
 
@@ -1163,7 +1163,7 @@ def observations_flagged(
 OBS_BEYOND_GRAZING = Code(
     "OBS-BEYOND-GRAZING",
     means="Rays cross the height of their point twice. The near crossing was used.",
-    effect="Corrected, with status beyond_grazing. The run ends with 3.",
+    effect="Corrected, with status beyond_grazing. The run ends with exit code 3.",
     remedy=(
         "Give slant ranges (observations.columns.distance_m). They decide between the two "
         "crossings."

@@ -92,7 +92,8 @@ AIR_CALIBRATION = Code(
     "AIR-CALIBRATION",
     means="The flight contradicts the stated calibration of a sensor by 4 sigma or more.",
     effect=(
-        "The stated value was used. The air may be wrong by the difference. The run ends with 3."
+        "The stated value was used. The air may be wrong by the difference. The run ends with exit "
+        "code 3."
     ),
     remedy=(
         "Check atmosphere.sensors: the sign (reading minus air), the unit, and whether it is this "
@@ -156,7 +157,7 @@ AIR_CONTRADICTED = Code(
     ),
     effect=(
         "Robust weights give more influence to the other sources. One of these may be the flight's "
-        "own sensor. The run ends with 3."
+        "own sensor. The run ends with exit code 3."
     ),
     remedy=(
         "Check its height, unit and time. Check the barometer, its calibration and the heights of "
@@ -207,7 +208,9 @@ AIR_HYGROMETER = Code(
         "above the climatology. The sensor is stuck, wet, or next to a warm board. Or it never "
         "reads more than 1.1 %."
     ),
-    effect="It is not used. The humidity of the climatology is used. The run ends with 3.",
+    effect=(
+        "It is not used. The humidity of the climatology is used. The run ends with exit code 3."
+    ),
     remedy="Check the sensor and its unit (log.channels.humidity).",
 )
 
@@ -503,7 +506,7 @@ AIR_THERMOMETER = Code(
         "the mean, or by 3.5 K in its change with height, and by 3.5 sigma of the comparison; or "
         "no physical air fits both. So it does not measure the air outside."
     ),
-    effect="It is not used; the run ends with 3.",
+    effect="It is not used; the run ends with exit code 3.",
     remedy="Name the thermometer outside under log.channels.temperature, or check its unit.",
 )
 
@@ -695,7 +698,7 @@ AIR_SOURCE_REFUSED = Code(
         "temperatures by 4 sigma), the flight's own sensors (by 4.5 sigma and 2 K), or the "
         "other sources."
     ),
-    effect="It is not used; the run ends with 3.",
+    effect="It is not used; the run ends with exit code 3.",
     remedy=(
         "Check its units, heights above sea level, time and place; and the sensors of the flight."
     ),

@@ -709,8 +709,8 @@ def sounding_format(*, where: object, begins: str) -> InputError:
         where=where,
         begins=begins,
         remedy=(
-            "give IGRA v2, a University of Wyoming list or CSV, or a CSV whose columns "
-            "are named like h_m, pressure_hpa, temperature_c, dew_point_c"
+            "give IGRA v2, a University of Wyoming list or CSV, or a CSV with column names like "
+            "h_m, pressure_hpa, temperature_c, dew_point_c"
         ),
     )
 

@@ -296,7 +296,7 @@ EVENTS_ELSEWHERE = Code(
     means=(
         "The log has a place, height or attitude of each exposure, and the station contradicts it."
     ),
-    effect="The stations are not changed. The run ends with 3.",
+    effect="The stations are not changed. The run ends with exit code 3.",
     remedy=(
         "Check the channel of the events, their vehicle, their clock and delay_s. Or accept the "
         "finding with the reason."

@@ -645,7 +645,7 @@ CONTROL_READING = Code(
         "The control points fit far better if they are read in another way: feet, another zero of "
         "heights, exchanged coordinates."
     ),
-    effect="No result changes. The run ends with 3.",
+    effect="No result changes. The run ends with exit code 3.",
     remedy="Correct control.crs, control.reference or control.columns as the entry states.",
 )
 
@@ -677,7 +677,7 @@ CONTROL_FAR = Code(
         "The rays of control points intersect far from the points. No other reading of the "
         "coordinates fits."
     ),
-    effect="No result changes. The run ends with 3.",
+    effect="No result changes. The run ends with exit code 3.",
     remedy="Check names, control.crs and control.reference, and the stations.",
 )
 
@@ -706,7 +706,7 @@ def control_far(*, where: str, count: int, stated: float, sigma: float) -> Messa
 CONTROL_OUTLIER = Code(
     "CONTROL-OUTLIER",
     means="The residuals of single control points are far larger than those of the others.",
-    effect="No result changes. The run ends with 3.",
+    effect="No result changes. The run ends with exit code 3.",
     remedy="Check the name, the measurement and the survey of these points.",
 )
 
@@ -764,7 +764,7 @@ def control_noise(*, where: str, count: int, of: str, noise: float, effect: floa
 CONTROL_WORSE = Code(
     "CONTROL-WORSE",
     means="With the correction, the rays are farther from the control points.",
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy=(
         "Check whether the calibration, the stations or the control points were adjusted to images "
         "that contain refraction, or whether refraction was removed before."
@@ -798,21 +798,21 @@ def control_worse(*, where: str, count: int, was: float, now: float) -> Message:
 TIES_HEIGHT = Code(
     "TIES-HEIGHT",
     means="Tie points show that the stations, or the points, are at other heights than stated.",
-    effect="R changes with the height. The run ends with 3.",
+    effect="R changes with the height. The run ends with exit code 3.",
     remedy="Check ground.height, ground.reference and the heights of the stations.",
 )
 
 TIES_TIME = Code(
     "TIES-TIME",
     means="Tie points show that the exposures were earlier or later than stated.",
-    effect="Stations are wrong along the track. The run ends with 3.",
+    effect="Stations are wrong along the track. The run ends with exit code 3.",
     remedy=("Check delay_s, the time system (GPS time is 18 s ahead of UTC) and the time zone."),
 )
 
 TIES_FOCAL = Code(
     "TIES-FOCAL",
     means="Tie points show that a principal distance differs from the stated one.",
-    effect="The correction scales with it. The run ends with 3.",
+    effect="The correction scales with it. The run ends with exit code 3.",
     remedy="Check cameras.<name>: f in pixels, of these images.",
 )
 
@@ -822,7 +822,7 @@ TIES_CALIBRATION = Code(
         "Tie points show that a principal point or distortion has another sign or other axes than "
         "stated, or belongs to another camera."
     ),
-    effect="Rays leave the camera in wrong directions. The run ends with 3.",
+    effect="Rays leave the camera in wrong directions. The run ends with exit code 3.",
     remedy=(
         "Check cameras.<name>: cx_px and cy_px are measured from the upper left corner, x to the "
         "right, y down; coefficients are of the distortion, not of the correction. Check whether "
@@ -833,14 +833,14 @@ TIES_CALIBRATION = Code(
 TIES_PIXELS = Code(
     "TIES-PIXELS",
     means="Tie points show that x and y are exchanged, or that y is measured upward.",
-    effect="The corrections have a wrong direction. The run ends with 3.",
+    effect="The corrections have a wrong direction. The run ends with exit code 3.",
     remedy="Check observations.columns.",
 )
 
 TIES_CAMERAS = Code(
     "TIES-CAMERAS",
     means="Tie points show that the images of two cameras are exchanged.",
-    effect="The corrections are computed with the wrong cameras. The run ends with 3.",
+    effect="The corrections are computed with the wrong cameras. The run ends with exit code 3.",
     remedy="Exchange them under cameras, mount or events.",
 )
 
@@ -850,7 +850,7 @@ TIES_MOUNT = Code(
         "Tie points show that the angles of a mount differ from the stated ones. The entry gives "
         "the angles that fit."
     ),
-    effect="Nadir angles are wrong by the difference. The run ends with 3.",
+    effect="Nadir angles are wrong by the difference. The run ends with exit code 3.",
     remedy="Check mount.<camera>: degrees, signs, order.",
 )
 
@@ -874,7 +874,10 @@ ORIENTATION_TIES = Code(
         "The rays of tie points do not intersect with these orientations, however the angles are "
         "read."
     ),
-    effect="The corrections are computed with wrong stations or cameras. The run ends with 3.",
+    effect=(
+        "The corrections are computed with wrong stations or cameras. The run ends with exit code "
+        "3."
+    ),
     remedy="Check whether orientations, images and cameras belong to the same block.",
 )
 
@@ -956,6 +959,8 @@ def ties_do_not_meet(
         "convention, log.path of another flight), or a name of a point is used for different points"
     )
     if nearest:
-        text += "; the best explanation, with which the rays still do not intersect: {nearest}"
+        text += (
+            "; the best explanation, although the rays still do not intersect with it: {nearest}"
+        )
     code = ORIENTATION_TIES if oriented else TIES_RESIDUALS
     return finding(code, text, where=where, count=count, misses=misses, nearest=nearest)

@@ -9,7 +9,7 @@ from unbend.messages import Message, finding, note, warning
 PLAUSIBLE_GROUND = Code(
     "PLAUSIBLE-GROUND",
     means="The ground is far above or below the take-off.",
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy=(
         "Check ground.height and ground.reference: heights in feet, or another zero. Or accept the "
         "finding with the reason."
@@ -22,14 +22,14 @@ PLAUSIBLE_TERRAIN = Code(
         "The ground heights contradict the terrain that the autopilot logged, or the elevation "
         "model at the take-off."
     ),
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check ground.height and ground.reference.",
 )
 
 PLAUSIBLE_VIEW = Code(
     "PLAUSIBLE-VIEW",
     means="The field of view or the pixels of a camera are implausible.",
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Give f in pixels, of the images that were measured.",
 )
 
@@ -82,7 +82,7 @@ def pixels_not_square(*, where: str, name: str, fx_px: float, fy_px: float) -> M
 PLAUSIBLE_PRINCIPAL_POINT = Code(
     "PLAUSIBLE-PRINCIPAL-POINT",
     means="The principal point is more than a tenth of the image from its centre.",
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Give pixels from the upper left corner, not an offset or millimetres.",
 )
 
@@ -112,7 +112,7 @@ PLAUSIBLE_DISTORTION = Code(
         "The distortion moves the corners of the image by an impossibly large or small amount. Or "
         "its coefficients are in another order."
     ),
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check units (of tangents, not pixels) and the order k1, k2, p1, p2, k3.",
 )
 
@@ -152,7 +152,7 @@ PLAUSIBLE_EXTENT = Code(
         "The observations do not fill the image, or are outside it. They belong to images of "
         "another size."
     ),
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy=("Check width_px and height_px, and whether points were measured in reduced images."),
 )
 
@@ -192,7 +192,7 @@ def extent_of_observations(
 PLAUSIBLE_DIRECTION = Code(
     "PLAUSIBLE-DIRECTION",
     means="The viewing direction of a camera contradicts its name, or is above the horizon.",
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check the mount: degrees, signs, exchanged cameras.",
 )
 
@@ -215,7 +215,7 @@ def camera_direction(*, where: str, name: str, axis: float, expected: str) -> Me
 PLAUSIBLE_ANGLE = Code(
     "PLAUSIBLE-ANGLE",
     means="A mount angle is a multiple of 15 degrees when it is read in radians.",
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="State mount angles in degrees.",
 )
 
@@ -239,7 +239,7 @@ def angle_in_radians(*, where: str, angle: str, name: str, value: float, deg: fl
 PLAUSIBLE_LEVER_ARM = Code(
     "PLAUSIBLE-LEVER-ARM",
     means=("A lever arm is longer than 10 m, or puts a camera that looks down above the antenna."),
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Give metres, forward, right, down (down is positive).",
 )
 
@@ -277,7 +277,7 @@ def lever_arm_above(*, where: str, name: str, up: float, most: float) -> Message
 PLAUSIBLE_SIGMA = Code(
     "PLAUSIBLE-SIGMA",
     means="The sigma of the ground is more than 50 m.",
-    effect="The sigmas follow it; the run ends with 3.",
+    effect="The sigmas follow it; the run ends with exit code 3.",
     remedy="Give the sigma in metres, not the height.",
 )
 
@@ -298,7 +298,7 @@ def ground_sigma_large(*, where: str, sigma: float) -> Message:
 PLAUSIBLE_DELAY = Code(
     "PLAUSIBLE-DELAY",
     means="delay_s is more than a second.",
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Give seconds, not milliseconds. Do not state the offset of a clock here.",
 )
 
@@ -323,7 +323,7 @@ PLAUSIBLE_WINDOW = Code(
         "The log has the air of a cabin, but no camera has a window. Or a window is tilted by more "
         "than 35 degrees from the optical axis."
     ),
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check window.normal and window.frame, or leave the channels of the cabin out.",
 )
 
@@ -357,7 +357,7 @@ def window_leans(*, where: str, name: str, tilt: float) -> Message:
 PLAUSIBLE_DISTANCE = Code(
     "PLAUSIBLE-DISTANCE",
     means="Slant ranges do not fit the heights of camera and ground.",
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check their unit (metres), and ground.height.",
 )
 
@@ -378,7 +378,7 @@ def slant_ranges_off(*, where: str, ratio: float) -> Message:
 PLAUSIBLE_FLAGGED = Code(
     "PLAUSIBLE-FLAGGED",
     means="More than a fifth of the rows are flagged for the same cause.",
-    effect="These rows have no corrected values. The run ends with 3.",
+    effect="These rows have no corrected values. The run ends with exit code 3.",
     remedy="Follow the cause that the entry names.",
 )
 
@@ -402,7 +402,7 @@ PLAUSIBLE_AIR = Code(
         "R differs from that of the standard atmosphere by more than in any of 479 radiosonde "
         "ascents, and by more than its own sigma explains."
     ),
-    effect="The correction is kept. The run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy=(
         "Check the sources of the air that the entry names. They may be of another place or time, "
         "or have another unit or zero."
@@ -446,7 +446,7 @@ PLAUSIBLE_APPLY = Code(
         "direction is apply, and the stations are from a log. Measured observations would then "
         "contain refraction twice."
     ),
-    effect="The run ends with 3.",
+    effect="The run ends with exit code 3.",
     remedy="Set refraction.direction: remove. If the mission is a plan, accept the finding.",
 )
 
@@ -500,7 +500,7 @@ TIES_HELD_BACK = Code(
         "Tie points contradict the mission file. A PLAUSIBLE- finding contradicts it too and may "
         "be the cause. Only the cause is listed."
     ),
-    effect="No further effect: the cause makes the run end with 3.",
+    effect="No further effect: the cause makes the run end with exit code 3.",
     remedy=(
         "Correct or accept the cause, and run again. Then the contradictions that remain are "
         "listed."

@@ -39,7 +39,7 @@ EXPORT_CALIBRATION = Code(
         "The camera was calibrated on images that contain refraction. The change of the "
         "calibration would count refraction twice."
     ),
-    effect="The export is written. The command ends with 3.",
+    effect="The export is written. The command ends with exit code 3.",
     remedy="Use a laboratory calibration.",
 )
 
@@ -206,7 +206,7 @@ EXPORT_LEFT_OUT = Code(
         "Observations or images are left out of the export. They are not ok, have no station, are "
         "repeated, or have the cause in the entry."
     ),
-    effect="They are not in the export. The command ends with 3.",
+    effect="They are not in the export. The command ends with exit code 3.",
     remedy="Check their status in the results of the run.",
 )
 
