@@ -24,8 +24,8 @@ def image_frame_of(
         frame = camera.image_frame(observations.pixel_origin, unit_mm)
         if frame is None:
             raise SectionError(
-                f"observations.unit: {observations.unit} needs cameras.{name}.metric, which says "
-                "where millimetres count from, along which axes, and how large a pixel is"
+                f"observations.unit: {observations.unit} needs cameras.{name}.metric, which states "
+                "the origin and the axes of the millimetres, and the size of a pixel"
             )
         frames.add(frame)
     if len(frames) > 1:

@@ -40,7 +40,7 @@ class RefractionSection(Section):
         "remove",
         description=(
             "remove: from measured observations to the straight chord; apply: from ideal "
-            "observations to what a camera in this air would measure, for planning"
+            "observations to the coordinates that a camera in this air would measure, for planning"
         ),
         examples=["remove"],
     )
@@ -73,7 +73,7 @@ class OutputSection(Section):
         250_000,
         ge=1_000,
         le=2_000_000,
-        description="rows of observations that are held in memory at a time",
+        description="number of rows of observations that are in memory at the same time",
         examples=[250000],
         json_schema_extra={"unit": "1"},
     )
@@ -92,23 +92,26 @@ class AcceptedFinding(Section):
     )
     reason: str = Field(
         min_length=3,
-        description="why it is right all the same; it stands in the report",
+        description=(
+            "why the inputs are right although they contradict the check; the report contains this "
+            "reason"
+        ),
         examples=["flown from a pass 1200 m above the valley"],
     )
 
 
 class Mission(Section):
-    """A mission file as understood; its relative paths count from ``_folder``."""
+    """A mission file as it was understood; its relative paths are relative to ``_folder``."""
 
     _folder: Path = PrivateAttr(default=Path())  # of the file, once it is read from one
 
     mission: MissionSection = Field(
-        description="name of the mission, and what its log does not hold",
+        description="name of the mission, and facts that its log does not contain",
     )
     log: LogSection | None = Field(
         None,
         description=(
-            "the flight log. May be left out where stations.orientation, or stations.trajectory "
+            "the flight log. May be left out if stations.orientation, or stations.trajectory "
             "with attitudes and events with times, give the stations"
         ),
     )
@@ -117,13 +120,13 @@ class Mission(Section):
     )
     cameras: dict[str, CameraSection] = Field(
         min_length=1,
-        description="interior orientation of each camera, by a name of choice",
+        description="interior orientation of each camera; the names of the cameras are free",
     )
     mount: dict[str, MountSection] = Field(
         {},
         description=(
-            "how each camera sits in the aircraft, by the camera's name; with stations.orientation "
-            "only where one is not at rest"
+            "how each camera is mounted in the aircraft, by the camera's name; with "
+            "stations.orientation only if a camera is not in its default position"
         ),
     )
     events: EventsSection | None = Field(
@@ -135,16 +138,17 @@ class Mission(Section):
     )
     stations: StationsSection = Field(
         StationsSection(),
-        description=(
-            "stations that come from elsewhere than the log, and which stations may be used"
-        ),
+        description=("stations that do not come from the log, and which stations may be used"),
     )
     ground: GroundSection = Field(
         description="heights of the observed points. There is no default",
     )
     atmosphere: AtmosphereSection = Field(
         AtmosphereSection(),
-        description="the air: what it is estimated from, and what it is shown beside",
+        description=(
+            "the air: the sources of its estimate, and the standard atmosphere that it is compared "
+            "with"
+        ),
     )
     refraction: RefractionSection = Field(
         RefractionSection(),
@@ -153,8 +157,8 @@ class Mission(Section):
     control: ControlSection | None = Field(
         None,
         description=(
-            "a path, or {path, columns, crs, reference}: control points, which stand in the report "
-            "before and after; they change no result"
+            "a path, or {path, columns, crs, reference}: control points; the report compares them "
+            "before and after the correction; they change no result"
         ),
         examples=["control.csv"],
     )
@@ -164,8 +168,8 @@ class Mission(Section):
     accept: list[AcceptedFinding] = Field(
         [],
         description=(
-            "findings that are right all the same: each with its code and the reason. Losses "
-            "cannot be accepted"
+            "findings of this mission that are no mistakes: each with its code and the reason. "
+            "Losses cannot be accepted"
         ),
     )
 
@@ -370,8 +374,8 @@ class Mission(Section):
         names_channel = self.log is not None and self.log.channels.temperature is not None
         if self.atmosphere.board_temperature and not names_channel:
             raise SectionError(
-                "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
-                "board is meant, as BARO[0]"
+                "atmosphere.board_temperature needs log.channels.temperature, the channel of the "
+                "board, as BARO[0]"
             )
         return self
 

@@ -104,7 +104,7 @@ def _flight_log(path: Path, head: bytes) -> OtherFile | None:
     return OtherFile(
         f"a flight log: {form.title}",
         f"write a mission file first: `unbend init {path} OBSERVATIONS`, then run that; "
-        f"`unbend inspect {path}` shows what the log holds",
+        f"`unbend inspect {path}` shows the content of the log",
     )
 
 

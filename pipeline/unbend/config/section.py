@@ -80,7 +80,7 @@ class Section(BaseModel):
         """Refuse numbers that are larger than anything which is measured: they overflow."""
         for number in _numbers_in(value):
             if abs(number) > LARGEST_NUMBER:
-                raise SectionError(f"holds a number beyond {LARGEST_NUMBER:g}")
+                raise SectionError(f"contains a number beyond {LARGEST_NUMBER:g}")
         return value
 
     def __copy__(self) -> Self:

@@ -18,7 +18,7 @@ class ImportTime(Section):
 
     system: Literal["gpst", "utc"] | None = Field(
         None,
-        description="time system of the file, where the file does not say it: SBET, EO text, CSV",
+        description="time system of the file, if the file does not state it: SBET, EO text, CSV",
         examples=["gpst"],
     )
     week: int | None = Field(
