@@ -297,7 +297,7 @@ def series_of_stations(profile: Air, placed: pa.Table, count: int) -> ProfileSer
             )
         return profile
     raise TypeError(
-        f"a profile is none of {type(profile).__name__}: a Profile, TimedProfile, "
+        f"a profile cannot be a {type(profile).__name__}; it must be a Profile, TimedProfile, "
         "ProfileSeries, the Arrow table of profile.parquet, a name, or a section"
     )
 

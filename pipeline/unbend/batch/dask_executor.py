@@ -236,7 +236,7 @@ def scheduler_address(scheduler: str) -> str:
     if "://" in scheduler:
         return scheduler
     if Path(scheduler).exists() and not Path(scheduler).is_file():  # reading might never end
-        raise messages.scheduler_file_invalid(path=scheduler, error="it is no file")
+        raise messages.scheduler_file_invalid(path=scheduler, error="it is not a file")
     try:
         return str(json.loads(Path(scheduler).read_text(encoding="utf-8"))["address"])
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -320,11 +320,11 @@ def why_refused(
     placed = int(np.count_nonzero(assignment.event >= 0)) + ambiguous
     if contradiction > LOG_RATIO_NEEDED:
         pair = "the image and its event that were stated"
-        return f"{pair} contradict the rest by e^{contradiction:.0f}"
+        return f"{pair} contradict the other evidence by e^{contradiction:.0f}"
     if placed < 0.5 * images.count:
-        return f"only {placed} of {images.count} images find an event"
+        return f"only {placed} of {images.count} images could be assigned to an event"
     if ambiguous > FEW_AMBIGUOUS * images.count:
-        return f"{ambiguous} of {images.count} images lie between two events"
+        return f"{ambiguous} of {images.count} images are between two events"
     if axis.is_time and assignment.sigma_s > LARGEST_SIGMA * axis.interval:
         sizes = f"residuals of {assignment.sigma_s:.2g} s, events {axis.interval:.2g} s apart"
         return f"the times fit no better than by chance: {sizes}"

@@ -140,7 +140,7 @@ def height_in_words(
         return ""
     direction = "low" if up_m > 0 else "high"
     text = (
-        f"the stations lie {abs(up_m):.1f} m +- {sigma:.2g} too {direction} above the given "
+        f"the stations are {abs(up_m):.1f} m +- {sigma:.2g} too {direction} above the given "
         "heights of the ground"
     )
     apart_m = {name: abs(named_m - up_m) for name, named_m in mission.other_heights_m.items()}

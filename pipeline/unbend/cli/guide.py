@@ -17,7 +17,7 @@ from unbend.report.words import count, hanging
 def schema(
     answer: Answer,
     out: Annotated[Path | None, Option(help="the file to write")] = None,
-    campaign: Annotated[bool, Option("--campaign", help="that of a campaign file")] = False,
+    campaign: Annotated[bool, Option("--campaign", help="the schema of a campaign file")] = False,
 ) -> None:
     """The JSON schema of a mission file, for editors.
 
@@ -43,13 +43,15 @@ def explain_word(
     words: Annotated[
         list[str],
         Argument(
-            help="a key, a code, an exit code, a status, a column of results, or a word of the "
-            "field such as gcp, boresight or lever arm",
+            help=(
+                "a key, a code, an exit code, a status, a column of results, or a technical term "
+                "such as gcp, boresight or lever arm"
+            ),
             metavar="WORD",
         ),
     ],
 ) -> None:
-    """What a key, a code, a column or a word of the field means."""
+    """Explain a key, a code, a column or a technical term."""
     word = " ".join(words)
     with answer.progress("looking it up"):
         lines = lines_on(word)
@@ -79,7 +81,7 @@ def lines_on(word: str) -> list[str]:
 @command(epilog="Example: unbend init flight.bin observations.csv")
 def init(
     answer: Answer,
-    log: Annotated[Path, Argument(help="a flight log, or a block alone", metavar="LOG")],
+    log: Annotated[Path, Argument(help="a flight log, or only a block", metavar="LOG")],
     observations: Annotated[
         Path | None,
         Argument(help="a table, or a block of another program", metavar="[OBSERVATIONS]"),
@@ -89,9 +91,9 @@ def init(
     ] = None,
     out: Annotated[Path, Option(help="the file to write; - prints it")] = Path("mission.yaml"),
     *,
-    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
+    force: Annotated[bool, Option(help="replace the file if it exists")] = False,
 ) -> None:
-    """Write a mission file from what a log and observations hold.
+    """Write a mission file from the content of a log and of observations.
 
     What is open is TODO; `unbend check` lists it. Beside the file stands mission.schema.json, by
     which editors complete and check.

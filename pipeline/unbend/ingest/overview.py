@@ -237,5 +237,5 @@ def remark_on(channel: Channel, role: str, height: Channel | None) -> str:
     if role == "pressure" and height is not None:
         if follows_height(channel, height):
             return "follows the height"
-        return "too little height to tell if it is outside"
+        return "the range of heights is too small to decide if it is outside"
     return "plausible"

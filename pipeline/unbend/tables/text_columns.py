@@ -81,7 +81,7 @@ def unrepeated_table(path: Path, code: Code, of_names: Collection[str]) -> pd.Da
     """As `whole_table`; refuses (``code``) a table with two columns of one name, too."""
     table = whole_table(path, code, of_names)
     if repeated := _repeated(table.columns.tolist()):
-        why = f"the columns {repeated} stand there twice"
+        why = f"the columns {repeated} occur twice"
         raise messages.csv_unreadable(code=code, where=path, error=why)
     return table
 

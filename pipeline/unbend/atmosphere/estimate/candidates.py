@@ -227,7 +227,7 @@ def source_usage(
     name = background.profile.name
     uses.append(SourceUse(f"{name} ({background.origin})" if name != standard else name))
     if name != standard:
-        uses.append(SourceUse(standard, "only shown beside the air"))
+        uses.append(SourceUse(standard, "only shown for comparison"))
     return tuple(uses)
 
 

@@ -164,7 +164,7 @@ class _Flattener:
                 continue
             match = _FIELD.match(text)
             if not match:
-                raise SchemaError(f"{text[:_SHOWN]!r} of {name} is no field")
+                raise SchemaError(f"{text[:_SHOWN]!r} of {name} is not a field")
             fields.append(_Declared(match["kind"], match["array"] or "", match["name"]))
         return fields or [_OF_EMPTY_MESSAGE]
 

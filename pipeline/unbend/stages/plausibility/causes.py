@@ -81,8 +81,7 @@ def cause_of_misses(facts: Facts) -> str:
         too_high_m = ground_above_camera_m[~ground_is_below]
         most_m = np.max(too_high_m)
         causes.append(
-            f"the ground lies up to {most_m:.0f} m above the camera (ground.height, "
-            "ground.reference)"
+            f"the ground is up to {most_m:.0f} m above the camera (ground.height, ground.reference)"
         )
     if ground_is_below.any():
         # From the centre of a sphere through the ground.
@@ -90,7 +89,7 @@ def cause_of_misses(facts: Facts) -> str:
         dip_of_horizon_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)
         beyond_deg = np.degrees(nadir_angle_rad[ground_is_below] + dip_of_horizon_rad) - 90.0
         causes.append(
-            f"rays pass up to {np.nanmax(beyond_deg):.1f} deg beyond the horizon (angles of mount, "
+            f"rays point up to {np.nanmax(beyond_deg):.1f} deg above the horizon (angles of mount, "
             "f_px of the camera)"
         )
     return "; ".join(causes)
