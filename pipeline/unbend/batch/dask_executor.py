@@ -226,7 +226,7 @@ def lost_tasks(client: Client, keys: Iterable[str]) -> list[_LostTask]:
             how = f"its worker {worker} has not answered for {dask_answers.ANSWER_S:.0f} s"
             lost.append(_LostTask(key, how, state.answering))
         elif worker is None and not state.answering:
-            how = "no worker of the scheduler is left that answers"
+            how = "no worker of the scheduler answers any more"
             lost.append(_LostTask(key, how, ()))
     return lost
 

@@ -330,12 +330,12 @@ def why_refused(
         return f"the times fit no better than by chance: {sizes}"
     only_times = axis.is_time and len(assignment.evidence) == 1
     if only_times and placed < 3 and np.isinf(axis.offset_sigma):
-        return f"{placed} images have no rhythm"
+        return f"{placed} images have no pattern of intervals"
     if assignment.log_ratio >= LOG_RATIO_NEEDED:
         return ""
     if assignment.evidence[-1] == "names (counted)" and not images.names_speak(events):
         counts = f"counted up to {int(np.max(axis.images))} and {events.time_s.size} events"
-        why = "numbers alone do not decide which image has which event"
+        why = "numbers alone do not decide the assignment of images to events"
         return f"{images.count} images {counts}: {why}"
     times = f"{np.exp(max(0.0, assignment.log_ratio)):.3g} times less likely"
     return f"shifted by {assignment.shift:+d} events it is only {times}"

@@ -73,7 +73,9 @@ def scattered_heights(
         return f"{far}within {allowed_m:.0f} m{likely}"
     relief_m = scatter_of(met_m[has_height])
     if scatter_of(off_m) > max(WORSE_THAN_FLAT * relief_m, FLAT * flying_height_m):
-        return f"{far}nearer than one height for all, which is within {relief_m:.0f} m{likely}"
+        return (
+            f"{far}nearer than one height for all points, which is within {relief_m:.0f} m{likely}"
+        )
     return ""
 
 

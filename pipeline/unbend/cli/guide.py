@@ -1,4 +1,4 @@
-"""Commands beside missions: the way in, and what a word means."""
+"""Commands that need no mission: the first mission file, the schema, and help on words."""
 
 import json
 from pathlib import Path
@@ -95,8 +95,8 @@ def init(
 ) -> None:
     """Write a mission file from the content of a log and of observations.
 
-    What is open is TODO; `unbend check` lists it. Beside the file stands mission.schema.json, by
-    which editors complete and check.
+    Open questions are TODO; `unbend check` lists them. mission.schema.json is written next to
+    the file. Editors use it to complete and check keys.
     """
     printed = str(out) == "-"
     if not printed and out.exists() and not force:
@@ -127,10 +127,11 @@ def init(
 
 @command(epilog="Example: unbend warm --json")
 def warm(answer: Answer) -> None:
-    """Compile ahead what runs need: some ten seconds, once.
+    """Compile the code that runs need, in advance: about ten seconds, once.
 
-    For images of containers and for many machines: the code goes where NUMBA_CACHE_DIR says, or to
-    the user's cache, and serves this version of the program on processors of this kind.
+    For container images and for many machines. The code is stored in the folder
+    NUMBA_CACHE_DIR, or in the user's cache. It is valid for this version of the program and
+    this kind of processor.
     """
     with answer.progress("compiling"):
         from unbend.library import correct_one_image

@@ -249,7 +249,7 @@ def print_accuracy_of_methods(
 
 
 def write_comparison(accuracy: "Accuracy", path: Path) -> None:
-    """Write the comparison of the methods as a page, and its picture beside it."""
+    """Write the comparison of the methods as a page, with its picture in the same folder."""
     from unbend.batch.store import atomic_write
     from unbend.report.accuracy import accuracy_page, accuracy_png, text_hash
 

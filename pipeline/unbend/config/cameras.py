@@ -258,11 +258,13 @@ class CameraSection(Section):
             ways.append("f_px, cx_px, distortion")
         if len(ways) > 1:
             given = ", ".join(ways)
-            raise SectionError(f"{given}: each gives the interior orientation; keep one")
+            raise SectionError(
+                f"{given}: each of them gives the interior orientation; keep only one"
+            )
         format_without_file = self.file is None and self.format is not None
         origin_with_file = self.file is not None and self.pixel_origin is not None
         if format_without_file or origin_with_file:
-            raise SectionError("format goes with file, and pixel_origin does not")
+            raise SectionError("format needs file, and pixel_origin cannot be combined with file")
         if self.file is None and self._states_numbers:
             self._check_principal_distances()
         return self
@@ -283,7 +285,7 @@ class CameraSection(Section):
             camera = self.interior_orientation
             shorter, longer = sorted((camera.fx_px, camera.fy_px))
             if shorter < SHORTEST_DISTANCE_PX or longer > LONGEST_DISTANCE_PX:
-                raise SectionError("the principal distance is 10 to 1000000 pixels")
+                raise SectionError("the principal distance must be 10 to 1000000 pixels")
             refuse_impossible(camera)
         except PhysicsError as error:
             raise SectionError(f"{error.code}: {error.what}; {error.remedy}") from None
@@ -292,13 +294,15 @@ class CameraSection(Section):
     @model_validator(mode="after")
     def _check_lens_air(self) -> Self:
         if self.opening is not None and self.window is not None:
-            raise SectionError("window and opening: the camera looks through one of them; keep it")
+            raise SectionError(
+                "window and opening: the camera looks through only one of them; remove the other"
+            )
         if self.principal_distance is None or self.window is None:
             return self
         if self.window.cabin is None:
             raise SectionError(
-                "principal_distance needs the air in the lens, and behind a window that is the "
-                "cabin's: give window.cabin"
+                "principal_distance needs the air in the lens; behind a window this is the air of "
+                "the cabin: give window.cabin"
             )
         return self
 

@@ -105,9 +105,7 @@ class CsvEvents(Section):
         0.0,
         ge=-86_400,
         le=86_400,
-        description=(
-            "true time minus the table's time: the amount by which the camera's clock is slow"
-        ),
+        description=("true time minus the table's time: positive if the camera's clock is slow"),
         examples=[0.0],
         json_schema_extra={"unit": "s"},
     )
@@ -187,7 +185,7 @@ class PositionEvents(Section):
     @model_validator(mode="after")
     def _check_delay(self) -> Self:
         if self.delay_s and not self.times_only:
-            raise SectionError("its positions are of its times: delay_s needs times_only: true")
+            raise SectionError("its positions belong to its times: delay_s needs times_only: true")
         return self
 
 
@@ -285,12 +283,13 @@ class EventsSection(Section):
             is_by_event = re.search("{index|{name", pattern)
             if camera in self.first_image and is_by_event:
                 raise SectionError(
-                    f"the image {pattern} of {camera} has the number or name of its event: leave "
-                    "first_image out, or count the images by {n} or name them by *"
+                    f"the image {pattern} of {camera} gives the event by its number or name: leave "
+                    f"first_image out, or count the images by {{n}} or name them by *"
                 )
             if pattern == "*" and len(self.patterns) > 1:
                 raise SectionError(
-                    f"the image of {camera} must state which images are this camera's, as in left/*"
+                    f"the image of {camera} must state which images belong to this camera, as in "
+                    "left/*"
                 )
         return self
 

@@ -290,6 +290,6 @@ class GroundSection(Section):
         states_sigma = self.sigma_m is not None or self.sigma_column is not None
         if self.height == "intersected" and states_sigma:
             raise SectionError(
-                "height: intersected has sigmas of its own; leave sigma_m and sigma_column out"
+                "height: intersected computes its own sigmas; leave sigma_m and sigma_column out"
             )
         return self

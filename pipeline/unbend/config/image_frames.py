@@ -31,8 +31,8 @@ def image_frame_of(
     if len(frames) > 1:
         raise SectionError(
             f"observations.unit: {observations.unit} needs one frame for all cameras (the same "
-            "size, pixel_um, origin and axes under metric); give the observations of the others "
-            "in pixels, or in a mission of their own"
+            "size, pixel_um, origin and axes under metric); give the observations of the other "
+            "cameras in pixels, or in separate missions"
         )
     (frame_of_all,) = frames
     return frame_of_all

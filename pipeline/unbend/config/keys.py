@@ -118,7 +118,7 @@ def _default_in_words(value: Node, *, is_required: bool) -> str:
         return "must be given" if is_required else "must be given, unless other keys state it"
     default = value["default"]
     if isinstance(default, dict):
-        return "as its own keys" if default else "none"  # the defaults of the keys of a section
+        return "as its keys" if default else "none"  # the defaults of the keys of a section
     return as_written(default)
 
 

@@ -168,7 +168,7 @@ class Mission(Section):
     accept: list[AcceptedFinding] = Field(
         [],
         description=(
-            "findings of this mission that are no mistakes: each with its code and the reason. "
+            "findings that are not mistakes in this mission: each with its code and the reason. "
             "Losses cannot be accepted"
         ),
     )
@@ -225,7 +225,7 @@ class Mission(Section):
                 needed = {"attitude"}  # the exposures have position and height
             if not needed <= set(trajectory.replaces):
                 raise SectionError(
-                    "there is no log, so the trajectory gives all that it has: remove the key "
+                    "there is no log, so all values of the trajectory are used: remove the key "
                     "stations.trajectory.replaces"
                 )
         if orientation is None and self.events is None:
@@ -258,7 +258,7 @@ class Mission(Section):
         of_block = is_block(self.observations.format) or (orientation and orientation.of_block)
         for camera in self.cameras.values():
             if camera.camera is not None and not camera.file and not of_block:
-                raise SectionError("cameras.<name>.camera goes with file, or with a block")
+                raise SectionError("cameras.<name>.camera needs file, or a block")
         return self
 
     @model_validator(mode="after")
@@ -271,7 +271,9 @@ class Mission(Section):
             raise SectionError("known_positions: log needs log and events")
         camera = orientation.camera
         if camera is not None and camera not in self.cameras:
-            raise SectionError(f"stations.orientation names camera {camera!r}, which is not there")
+            raise SectionError(
+                f"stations.orientation names camera {camera!r}, which is not under cameras"
+            )
         return self
 
     @cached_property
@@ -362,9 +364,9 @@ class Mission(Section):
             x, y, z = self.mounts[name].camera_from_body @ np.array(window.normal)
             if z <= 0.0:
                 raise SectionError(
-                    f"the {window.section} of camera {name!r} looks away from what the camera "
-                    f"sees: with this mount its normal is [{x:.3f}, {y:.3f}, {z:.3f}] in the "
-                    "camera frame, where forward is positive"
+                    f"the {window.section} of camera {name!r} has a normal away from the viewing "
+                    f"direction: with this mount it is [{x:.3f}, {y:.3f}, {z:.3f}] in the camera "
+                    "frame, where forward is positive"
                 )
         return self
 
@@ -386,7 +388,7 @@ class Mission(Section):
             name = next(iter(self.wavelengths_m))
             raise SectionError(
                 f"cameras.{name}.wavelength_m has no effect with atmosphere.index: "
-                f"{self.atmosphere.index}, which is for 0.589 um alone: take ciddor"
+                f"{self.atmosphere.index}, which is only for 0.589 um: use ciddor"
             )
         return self
 
@@ -415,7 +417,7 @@ class Mission(Section):
         """Control points are compared with what removes refraction, not with what applies it."""
         if self.control is not None and self.refraction.direction == "apply":
             raise SectionError(
-                "control shows what removing refraction does: leave it out with "
+                "control compares before and after the removal of refraction: leave it out with "
                 "refraction.direction: apply"
             )
         return self
@@ -444,7 +446,7 @@ class Mission(Section):
             return self
         if trajectory.point == "camera" and len(self.cameras) > 1:
             raise SectionError(
-                "stations.trajectory.point: camera is that of one camera, not of "
+                "stations.trajectory.point: camera is possible for one camera, not for "
                 f"{', '.join(self.cameras)}"
             )
         if self._has_placed_events:

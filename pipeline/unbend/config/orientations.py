@@ -341,8 +341,8 @@ class OrientationSection(Section):
             raise SectionError("format: dji has angles: roll_pitch_yaw, of the gimbal")
         if of_body and not self.is_level:
             raise SectionError(
-                "roll, pitch and yaw are those of north, east and down at the station: frame is "
-                "geographic, or projected"
+                "roll, pitch and yaw are relative to north, east and down at the station: frame "
+                "must be geographic or projected"
             )
         return self
 
@@ -374,11 +374,12 @@ class OrientationSection(Section):
         states_heights = self.heights is not None
         if has_heights == states_heights:
             return self
-        mistake = (
-            "give heights, msl or ellipsoid, where there is a column of heights, and only there"
-        )
+        mistake = "give heights (msl or ellipsoid) if there is a column of heights, and only then"
         if self.of_block:
-            mistake += " (a block without frame has those that its program was given)"
+            mistake += (
+                " (for a block without frame: the reference of the heights that its program was "
+                "given)"
+            )
         raise SectionError(mistake)
 
     @model_validator(mode="after")
@@ -388,8 +389,8 @@ class OrientationSection(Section):
         says_columns = self.camera is not None or self.columns != OrientationColumns()
         if says_columns or self.frame == "geographic" or self.angles != "quaternion":
             raise SectionError(
-                f"format: {self.format} has angles, columns and cameras itself, and a frame of "
-                "x, y, z: projected, ecef, enu or unknown"
+                f"format: {self.format} has its own angles, columns and cameras, and a frame of x, "
+                "y, z: projected, ecef, enu or unknown"
             )
         return self
 

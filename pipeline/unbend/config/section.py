@@ -29,7 +29,7 @@ def _checked_path(value: str) -> str:
     names = re.split(r"[/\\]", value)  # Windows writes both
     longest_name = max(len(name.encode()) for name in names)
     if len(value.encode()) > LONGEST_PATH or longest_name > LONGEST_FILE_NAME:
-        raise SectionError("is longer than any path")
+        raise SectionError("is longer than a path can be")
     return value
 
 

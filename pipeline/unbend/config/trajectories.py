@@ -184,12 +184,14 @@ class TrajectorySection(Section):
     @model_validator(mode="after")
     def _check_point(self) -> Self:
         if self.crs is not None and not self._is_csv:
-            raise SectionError("crs is that of a CSV; the positions of other formats are WGS 84")
+            raise SectionError("crs is only for a CSV; the positions of other formats are WGS 84")
         if self.lever_arm_m == "from_events" and self.point != "antenna":
-            raise SectionError("lever_arm_m: from_events leads from the antenna: point: antenna")
+            raise SectionError(
+                "lever_arm_m: from_events begins at the antenna: give point: antenna"
+            )
         has_lever_arm = self.lever_arm_m != NO_LEVER_ARM
         if self.point == "camera" and has_lever_arm:
-            raise SectionError("point: camera has no lever arm")
+            raise SectionError("with point: camera there is no lever arm")
         # A lever arm moves position and height together; so does a change of the point.
         replaces_one = False
         if self.replaces is not None:

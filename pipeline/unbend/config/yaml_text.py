@@ -31,14 +31,16 @@ PROBLEMS = {
     "could not find expected ':'": "here or above, there is a key without a colon",
     "expected <block end>": "the indentation differs from that of the lines above",
     "expected ',' or": "a bracket or a brace is not closed, or a comma is missing",
-    "could not determine a constructor": "tags (!) are not taken",
+    "could not determine a constructor": "tags (!) are not allowed",
     "found undefined alias": "an alias (*) has no anchor (&); put quotes around a text with *",
     "expected alphabetic or numeric character": "put quotes around a text that begins with * or &",
     "found unknown escape character": (
         "in double quotes a backslash begins an escape: write / or single quotes"
     ),
     "found character": "put quotes around a text that begins with this character",
-    "expected a single document": ("there are several documents (---); a mission file is one"),
+    "expected a single document": (
+        "there are several documents (---); a mission file must have one"
+    ),
 }
 """Beginnings of what the YAML parser says, and the same in plain words."""
 

@@ -107,7 +107,7 @@ def whole_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFra
         ).fillna("")
         if len(form.names) != rows.shape[1]:
             raise ValueError(
-                f"it names {len(form.names)} columns, and its rows have {rows.shape[1]}"
+                f"it names {len(form.names)} columns, but its rows have {rows.shape[1]}"
             )
     except (OSError, ValueError) as error:
         raise messages.csv_unreadable(code=code, where=path, error=str(error).strip()) from None

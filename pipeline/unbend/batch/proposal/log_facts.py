@@ -191,11 +191,11 @@ def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str
         remark = f"no channel of the log has the {role}; null if stations.trajectory gives it"
         return [Proposed(role, TODO, remark)]
     choices = " or ".join(channel.name + range_text(channel, role) for channel in candidates)
-    outside = Proposed(role, TODO, f"{choices}: the one outside; null to use none")
+    outside = Proposed(role, TODO, f"{choices}: the sensor outside; null to use none")
     may_be_of_cabin = any(f"cabin_{role}" in channel.roles for channel in candidates)
     if not compartment or not may_be_of_cabin:
         return [outside]
-    remark = f"{choices}: the one in the compartment of {compartment}; null if it has no sensor"
+    remark = f"{choices}: the sensor in the compartment of {compartment}; null if it has no sensor"
     return [outside, Proposed(f"cabin_{role}", TODO, remark)]
 
 
