@@ -235,7 +235,7 @@ def test_calibrations_that_are_each_others(make):
     cameras = {a: CAMERAS[b], b: CAMERAS[a]}
     finding = diagnosis(replace(make(30), cameras=cameras))[1][0]
     assert (finding.code, finding.key) == ("TIES-CALIBRATION", "cameras")
-    assert finding.what == "the calibrations of camera0 and camera1 are each other's"
+    assert finding.what == "the calibrations of camera0 and camera1 are exchanged"
 
 
 BARREL, WIDE = (

@@ -129,7 +129,7 @@ def test_no_offset_is_named_that_brings_nothing():
 def test_events_that_begin_before_the_log_are_told_with_eighteen_seconds():
     (entry,) = span_notes(events(0.0, -18.0), flown(), "events")
     assert (entry.kind, entry.count) == ("warning", 1)
-    assert "+18 s would bring all of them into it" in entry.what
+    assert "+18 s would bring all of them into the flight" in entry.what
     assert span_notes(events(0.0, 0.0), flown(), "events") == ()
 
 

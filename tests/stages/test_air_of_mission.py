@@ -405,7 +405,7 @@ def test_the_manifest_tells_the_scale_of_r_and_the_sensors(baseline):
     for words in (
         "R at 75° from",
         "thermometer bias [K]",
-        "only shown beside the air",
+        "only shown for comparison",
         "sigma inflation",
         "degrees of freedom for signal",
     ):
@@ -573,7 +573,7 @@ def test_the_profile_command_writes_every_profile(changed, unbend, tmp_path):
     assert unbend("profile", mission.file, "--plot", plot).code == 0
     assert plot.read_bytes().startswith(b"\x89PNG")
     shown = " ".join(unbend("profile", mission.file).out.split())
-    assert "profiles follow the air" in shown
+    assert "profiles, because the air changes" in shown
     assert "R at 45° from" in shown
 
 

@@ -207,9 +207,9 @@ def test_names_that_match_nothing(surveyed):
 
 
 @pytest.mark.parametrize(("spoil", "words"), [
-    (lambda t: t.assign(h_ellipsoid_m=t["h_msl_m"]), "above sea level taken for those above the "),
+    (lambda t: t.assign(h_ellipsoid_m=t["h_msl_m"]), "above sea level read as heights above the "),
     (lambda t: t.assign(h_ellipsoid_m=t["h_ellipsoid_m"] + UNDULATION_M),
-     "above the ellipsoid taken for those above sea level"),
+     "above the ellipsoid read as heights above sea level"),
     (lambda t: t.assign(h_ellipsoid_m=t["h_ellipsoid_m"] / 0.3048), "feet taken for metres"),
     (lambda t: t.assign(lat_deg=t["lon_deg"], lon_deg=t["lat_deg"]), "longitude exchanged"),
 ], ids=["msl", "twice", "feet", "exchanged"])  # fmt: skip

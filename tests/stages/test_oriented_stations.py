@@ -468,7 +468,7 @@ def test_check_copes_without_a_log(block, unbend):
     write(block, columns_of(block.table))
     ended = unbend("check", block.save())
     assert ended.code == 0, ended.text
-    assert "none: the stations come from elsewhere" in " ".join(ended.out.split())
+    assert "none: the stations come from another source" in " ".join(ended.out.split())
     ended = unbend("stations", block.save())
     assert ended.code == 0, ended.text
 

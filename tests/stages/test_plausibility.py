@@ -111,7 +111,10 @@ FOUND = {
     "radians": (config(mount__oblique__roll_deg=-0.7853982), "PLAUSIBLE-ANGLE",
                 "mount.oblique.roll_deg", "which is -45 deg in radians"),
     "oblique by name": (config(mount__oblique__roll_deg=-0.7), "PLAUSIBLE-DIRECTION",
-                        "mount.oblique", "more than 10 deg off by the name of oblique"),
+                        "mount.oblique", (
+                            "more than 10 deg from the nadir, because of the "
+                            "name of oblique"
+                        )),
     "lever arm in cm": (config(mount__oblique__lever_arm_m=[20.0, 28.0, 55.0]),
                         "PLAUSIBLE-LEVER-ARM", "mount.oblique.lever_arm_m", "is 65 m long"),
     "lever arm upward": (config(mount__oblique__lever_arm_m=[0.2, 0.28, -0.55]),
@@ -128,7 +131,7 @@ FOUND = {
     "no heights": (rows(lambda table: table.__setitem__("h_g_m", np.nan)), "PLAUSIBLE-FLAGGED",
                    "ground.height", "100 % of the observations are no_ground"),
     "ground above": (config(ground__height=4000.0), "PLAUSIBLE-FLAGGED", "ground.height",
-                     r"the ground lies up to 1\d{3} m above the camera"),
+                     r"the ground is up to 1\d{3} m above the camera"),
     "apply": (config(refraction={"direction": "apply"}), "PLAUSIBLE-APPLY",
               "refraction.direction", "expected remove"),
 }  # fmt: skip
@@ -394,12 +397,12 @@ CURVED = Camera(1000, 1000, 300.0, 300.0, 500.0, 500.0, BrownConrady(k1=-0.2))
     ("camera", "x_px", "given", "cause"),
     [
         (PLAIN, -5.0, {}, "outside 1000 x 1000 px (cameras.nadir.width_px; observations.columns)"),
-        (CURVED, 990.0, {}, "beyond where the distortion of nadir can be inverted "
+        (CURVED, 990.0, {}, "beyond the radius at which the distortion of nadir can be inverted "
                             "(cameras.nadir.distortion)"),
         (PLAIN, 990.0, {"normal": (-0.9, 0.0, np.sqrt(0.19))},
          "their rays do not pass the window of nadir (cameras.nadir.window.normal)"),
         (PLAIN, 999.99, {"direction": "apply"},
-         "refraction displaces them out of the image of nadir (refraction.direction)"),
+         "refraction moves them out of the image of nadir (refraction.direction)"),
     ],
 )  # fmt: skip
 def test_the_cause_of_a_pixel_outside_the_camera(camera, x_px, given, cause):

@@ -102,6 +102,6 @@ def _published_method(manifest: Manifest) -> Iterator[Concern]:
     method = manifest.sections.refraction.method
     if method != "spherical":
         yield Concern(
-            f"the method {method}, published for comparison",
+            f"the method {method} (published, for comparison)",
             "Run again without refraction.method: the published methods are only for comparison.",
         )

@@ -120,7 +120,7 @@ def outcome(manifest: Manifest) -> str:
         end = ", for simulations and tests: they now contain refraction"
     else:
         left = "" if done == rows else f" without the other {count(rows - done, 'row')}"
-        end = f", and ready for bundle adjustment{left}"
+        end = f". Ready for bundle adjustment{left}"
     return f"{start} {verb} by {size_of_shift(correction)}{end}."
 
 

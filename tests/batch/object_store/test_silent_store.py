@@ -85,7 +85,7 @@ def test_a_store_that_accepts_and_says_nothing(use, impatient, scheme, tmp_path,
                 error = silence(call)
                 assert time.monotonic() - began_s < 30.0, "it waits for 60 s where it may"
                 host = url.removeprefix("http://")
-                said = rf"{host} has not answered: waited \d+ s to {verb} it"
+                said = rf"{host} has not answered within \d+ s: request to {verb} it"
                 assert re.fullmatch(said, error.what)
                 assert error.where.startswith(str(place))
         assert asked.count("head") == 2

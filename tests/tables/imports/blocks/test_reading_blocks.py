@@ -227,7 +227,7 @@ def test_an_image_of_a_camera_that_a_text_has_not(model):
     row = next(k for k, line in enumerate(lines) if line.endswith("strip 2/of 1.jpg"))
     lines[row] = " ".join([*lines[row].split(" ")[:8], "9", "strip 2/of 1.jpg"])
     file.write_text("\n".join(lines) + "\n")
-    expected = f"in line {row + 1} 'strip 2/of 1.jpg' is of camera 9, which cameras.txt has not"
+    expected = f"in line {row + 1} 'strip 2/of 1.jpg' has camera 9, which is not in cameras.txt"
     assert expected in refusal(folder / "txt", "colmap")
 
 
@@ -242,7 +242,7 @@ def test_poses_that_are_no_rotations_and_images_that_stand_twice(model):
     file.write_text("\n".join([*lines[:row], " ".join(fields), *lines[row + 1 :]]) + "\n")
     assert "'strip 2/of 1.jpg' is not a rotation" in refusal(folder / "txt", "colmap")
     file.write_text(text.replace("strip 2/of 1.jpg", "strip 2/of 2.jpg"))
-    assert "'strip 2/of 2.jpg' stands there twice" in refusal(folder / "txt", "colmap")
+    assert "'strip 2/of 2.jpg' occurs twice" in refusal(folder / "txt", "colmap")
     fields[1] = "one"
     file.write_text("\n".join([*lines[:row], " ".join(fields), *lines[row + 1 :]]) + "\n")
     assert f"line {row + 1} is not" in refusal(folder / "txt", "colmap")
@@ -430,7 +430,7 @@ def test_markers_of_metashape(tmp_path):
         (('class="adjusted"', 'class="initial"'), "no adjusted calibration"),
         (("1 0 0 10 0", "1 0 ten 10 0"), "not as that program writes it"),
         (("<cx>1</cx>", "<p3>0.1</p3>"), "p3 of a frame calibration"),
-        (("a.jpg", "b.jpg"), "'b.jpg' stands there twice"),
+        (("a.jpg", "b.jpg"), "'b.jpg' occurs twice"),
     ],
 )
 def test_what_of_metashape_cannot_be_read(tmp_path, change, words):
