@@ -224,7 +224,7 @@ def test_calibrations_of_other_signs_or_axes(make, read, names):
     ][0]
     key = "cameras" if len(names) == 2 else "cameras.camera1"
     assert (finding.code, finding.key) == ("TIES-CALIBRATION", key)
-    assert ("have the other sign" in finding.what) == (read is other_sign)
+    assert ("have the opposite sign" in finding.what) == (read is other_sign)
     if read is not other_sign:
         for name in names:
             assert f"{CAMERAS[name].cx_px}, {CAMERAS[name].cy_px} px in {name}" in finding.what

@@ -124,7 +124,7 @@ def test_the_missions_that_are_spoilt_are_sound(tmp_path):
         ({"observations": {"path": "m", "format": "colmap", "columns": {"x_px": "x"}}},
          "observations: format: colmap names its columns itself; leave columns out"),
         ({"observations": {"path": "m", "format": "colmap", "pixel_origin": "centre"}},
-         "observations: format: colmap says itself where pixels count from"),
+         "observations: format: colmap states the pixel origin itself"),
     ],
 )  # fmt: skip
 def test_combinations_of_a_mission_by_its_log(changes, text, refusal):
@@ -134,9 +134,9 @@ def test_combinations_of_a_mission_by_its_log(changes, text, refusal):
 @pytest.mark.parametrize(
     ("trajectory", "changes", "text"),
     [
-        (TRAJECTORY | {"crs": "EPSG:25832"}, {}, "crs is that of a CSV"),
+        (TRAJECTORY | {"crs": "EPSG:25832"}, {}, "crs is only for a CSV"),
         (TRAJECTORY | {"point": "imu", "lever_arm_m": "from_events"}, {},
-         "lever_arm_m: from_events leads from the antenna"),
+         "lever_arm_m: from_events begins at the antenna"),
         (TRAJECTORY | {"point": "camera", "lever_arm_m": [0.0, 0.0, 1.0]}, {},
          "with point: camera there is no lever arm"),
         (TRAJECTORY | {"lever_arm_m": [0.0, 0.0, 1.0], "replaces": ["height"]}, {},

@@ -156,7 +156,7 @@ def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(tmp
     [
         ("mission: {name: a", "a bracket or a brace is not closed"),
         ("\tmission: 1", "there is a tab"),
-        ("mission: name: a", "a colon where none can stand"),
+        ("mission: name: a", "a colon at a place where it is not allowed"),
         ("a: *x", "an alias (*) has no anchor"),
         ("a: !!python/name:os.system", "tags (!) are not allowed"),
         ("a: 1\na: 2", "the key 'a' occurs twice"),

@@ -358,11 +358,11 @@ for _inner, _outer in pairwise("abcdefghij"):
     [("mission: {name: a, undulation_m: " + "9" * 5000 + "}", "a number has too many digits"),
      ("mission: &m {name: *m}", "inside the section or list that it repeats"),
      (EXPLOSION, "more than 1000000 values"),
-     ("mission: {name: !!bool x}", "the text is no YAML"),
+     ("mission: {name: !!bool x}", "the text is not YAML"),
      ("mission: {name: !!timestamp x}", "tags (!) are not allowed"),
      ("mission: {name: !!timestamp 2026-05-14}", "tags (!) are not allowed"),
      ("mission: " + "[" * 5000, "too many brackets are inside each other"),
-     ("mission: " + "- " * 5000, "the text is no YAML")],
+     ("mission: " + "- " * 5000, "the text is not YAML")],
     ids=["digits", "loop", "explosion", "bool", "timestamp", "date", "brackets", "depth"],
 )  # fmt: skip
 def test_a_text_that_yaml_cannot_hold_is_refused(tmp_path: Path, text: str, what: str) -> None:

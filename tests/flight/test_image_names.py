@@ -122,7 +122,7 @@ def test_no_offset_is_named_that_brings_nothing():
     names = np.array([f"i{k}" for k in range(100)], object)
     long = [Events("cam", names, T0 + np.rint(time * 1e9).astype(np.int64))]
     (entry,) = span_notes(long, flown(), "events")
-    assert "nor a week would bring all of them into it, and a common begin brings no" in entry.what
+    assert "nor a week would bring all of them into the flight" in entry.what
     assert " +0 s" not in entry.what
 
 

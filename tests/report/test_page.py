@@ -536,7 +536,7 @@ def test_the_page_of_twenty_thousand_exposures_is_small(air):
 @pytest.mark.parametrize(
     ("height", "drawn", "said"),
     [
-        ({"dem": "d.tif"}, False, "The relief is not drawn: "),
+        ({"dem": "d.tif"}, False, "The relief is not shown: "),
         ({"dem": "d.tif"}, True, "The relief is that of the elevation model"),
         ({"column": "h_g_m"}, False, ""),
         ("intersected", False, ""),

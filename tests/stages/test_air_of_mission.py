@@ -286,7 +286,10 @@ def test_values_that_no_ground_has(mission, report, code, words):
         ({"surface": [{"h_msl_m": 450, "metar": METAR, "temperature_c": 12.0}]}, "either metar"),
         ({"surface": [{"h_msl_m": 450, "relative_humidity": 0.5}]}, "needs temperature_c"),
         ({"surface": [{"h_msl_m": 450, "temperature_f": 64.0}]}, "temperature_c"),
-        ({"surface": [{"h_msl_m": 450, "temperature_c": 1.0, "time_utc": "noon"}]}, "no time like"),
+        (
+            {"surface": [{"h_msl_m": 450, "temperature_c": 1.0, "time_utc": "noon"}]},
+            "not a time like",
+        ),
         ({"surface": [{"temperature_c": 12.0}]}, "h_msl_m"),
         ({"soundings": [{"path": "a.csv", "format": "bufr"}]}, "wyoming_csv"),
         ({"climatology": "tropics"}, "supplements1966"),

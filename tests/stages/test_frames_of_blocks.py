@@ -171,7 +171,7 @@ def test_known_positions_are_compared_with_a_stated_frame(tmp_path):
     _, messages = run(tmp_path, mission)
     entry = messages["FRAME-UNVERIFIED"]
     assert entry["kind"] == "warning"
-    assert "12 images lie within 11 m" in entry["what"]
+    assert "12 images are within 11 m" in entry["what"]
     known.to_csv(tmp_path / "known.csv", index=False)
     mission["stations"]["orientation"]["known_positions"] = {"path": "known.csv"}
     _, messages = run(tmp_path, mission, 3)

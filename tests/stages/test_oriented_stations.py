@@ -617,7 +617,7 @@ def test_an_orientation_that_fits_in_no_reading_is_told(crossing):
     table["omega"] += draw.normal(0.0, 1.0, len(table))
     ties = told_of(crossing, table)
     assert ties.kind == "finding"
-    assert "not what they should be" in ties.what
+    assert "the orientations are wrong" in ties.what
     rays = {name: int(n) for name, n in re.findall(r"(\w+): (\d+) of \d+ rays", ties.what)}
     assert set(rays) == {"nadir", "oblique"}
 

@@ -92,7 +92,7 @@ FOUND = {
     "offset of c": (config(**{NADIR + "cx_px": 12.4}), "PLAUSIBLE-PRINCIPAL-POINT",
                     "cameras.nadir.cx_px", "is 50 % of the image from its centre"),
     "k1 of pixels": (config(**{NADIR + "distortion": {"k1": -4.5e-11}}), "PLAUSIBLE-DISTORTION",
-                     "cameras.nadir.distortion", "coefficients of pixels"),
+                     "cameras.nadir.distortion", "coefficients for pixels"),
     "order of k": (config(**{NADIR + "distortion": {"k1": -0.018, "k2": 0.009, "k3": 0.00015,
                                                    "p1": -0.0001, "p2": -0.002}}),
                    "PLAUSIBLE-DISTORTION", "cameras.nadir.distortion.k3", "in another order"),
@@ -119,7 +119,7 @@ FOUND = {
                         "PLAUSIBLE-LEVER-ARM", "mount.oblique.lever_arm_m", "is 65 m long"),
     "lever arm upward": (config(mount__oblique__lever_arm_m=[0.2, 0.28, -0.55]),
                          "PLAUSIBLE-LEVER-ARM", "mount.oblique.lever_arm_m",
-                         "0.55 m above the point whose position is known"),
+                         "0.55 m above the point with the known position"),
     "sigma in mm": (config(ground__sigma_m=150.0), "PLAUSIBLE-SIGMA", "ground.sigma_m", "150 m"),
     "delay of a clock": (config(events__log__nadir__delay_s=3.0), "PLAUSIBLE-DELAY", "delay_s",
                          "delay_s of nadir is 3 s"),
@@ -356,7 +356,7 @@ def test_rays_beyond_the_horizon_are_told_by_how_much(mission):
     checked = check_mission(mission.save())
     (entry,) = [e for e in checked.manifest.values["ledger"]
                 if e["code"] == "OBS-FLAGGED" and "misses_ground" in e["what"]]  # fmt: skip
-    degrees = float(re.search(r"up to ([\d.]+) deg beyond the horizon", entry["what"])[1])
+    degrees = float(re.search(r"up to ([\d.]+) deg above the horizon", entry["what"])[1])
     facts = checked.corrected.facts
     angle = np.degrees(np.nanmax(facts.nadir_angle_rad[facts.camera == "nadir"]))
     # Geometry by hand: the horizon of a sphere of 6371 km from the height above the ground.
