@@ -173,7 +173,8 @@ def with_wrong_level(fields, dimension, level, kelvin):
 MODEL_LEVELS_REFUSED = {
     "91 levels": (lambda f: f.assign_coords(hybrid=f.hybrid - 46.0), "MODEL-LEVELS",
                   "are 14 to 91, 78 in total: the lowest level of ERA5 is 137"),
-    "one is missing": (lambda f: f.drop_sel(hybrid=100.0), "MODEL-LEVELS", "60 to 137, 77 in total"),
+    "one is missing": (lambda f: f.drop_sel(hybrid=100.0), "MODEL-LEVELS",
+                       "60 to 137, 77 in total"),
     "no lnsp": (lambda f: f.drop_vars("lnsp"), "MODEL-VARIABLE", "no lnsp"),
     "surface pressure in the place of its logarithm": (lambda f: f.assign(
         lnsp=np.exp(f.lnsp)), "MODEL-UNITS", "z or lnsp has another unit"),
