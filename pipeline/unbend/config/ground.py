@@ -71,7 +71,7 @@ class PointColumns(NamedColumns):
 
 
 class PointTable(Section):
-    """Ground heights by the names of points, in a table of their own."""
+    """Ground heights by the names of points, in a separate table."""
 
     points: PathText = Field(
         description="the table: CSV or Parquet, one row a point",

@@ -32,7 +32,7 @@ class ImportTime(Section):
 
 
 class NamedColumns(Section):
-    """What the columns of a table are called, by quantity."""
+    """Names of the columns of a table, by quantity."""
 
     @property
     def named(self) -> dict[str, str]:

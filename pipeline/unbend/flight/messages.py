@@ -232,7 +232,7 @@ def role_empty(*, role: str, channels: Sequence[str]) -> Message:
     """No channel of the log can play a role that every mission needs."""
     return loss(
         CHANNEL_MISSING,
-        "no channel of the log can be taken for the {role}; it has {there}",
+        "no channel of the log can have the role {role}; it has {there}",
         where=f"log.channels.{role}",
         role=role,
         there=", ".join(channels) or "no channel at all",

@@ -9,7 +9,7 @@ from unbend.messages import Message, fallback, loss, note
 LOG_BAD_FORMAT = Code(
     "LOG-BAD-FORMAT",
     means="A record that defines a message type is not valid.",
-    effect="Messages of that type are not read. If there are none, it is a note.",
+    effect="Messages of that type are not read. Without such messages it is a note.",
     remedy="Copy the log again.",
 )
 

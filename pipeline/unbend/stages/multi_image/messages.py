@@ -69,7 +69,7 @@ def numbers_contradicted(*, where: str, found: str, of: str, evidence: str) -> M
         found=found,
         of=of,
         remedy=(
-            "check {of}.channel (of which camera?), {of}.image (which numbers?) and "
+            "check {of}.channel (which camera?), {of}.image (which numbers?) and "
             "observations.path (of this flight?); count the images by {{n}} or name them by *; "
             "then the evidence decides"
         ),

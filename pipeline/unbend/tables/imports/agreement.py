@@ -40,9 +40,9 @@ _Change = Callable[[Array, Array], tuple[Array, Array]]
 _OF_PLACE: Mapping[str, _Change] = {
     "with latitude and longitude exchanged": lambda lat, lon: (lon, lat),
     "with the opposite sign of the longitude": lambda lat, lon: (lat, -lon),
-    "taken for radians": lambda lat, lon: (lat / RADIANS["deg"], lon / RADIANS["deg"]),
-    "taken for degrees": lambda lat, lon: (lat * RADIANS["deg"], lon * RADIANS["deg"]),
-    "taken for grads": lambda lat, lon: (lat * 0.9, lon * 0.9),
+    "read as radians": lambda lat, lon: (lat / RADIANS["deg"], lon / RADIANS["deg"]),
+    "read as degrees": lambda lat, lon: (lat * RADIANS["deg"], lon * RADIANS["deg"]),
+    "read as grads": lambda lat, lon: (lat * 0.9, lon * 0.9),
 }
 """Mistakes about the columns of positions, and what undoes them."""
 
