@@ -403,7 +403,7 @@ def require_names(
     unbend.errors.InputError: A-B: there is no column 'x_px' for the x; perhaps 'x_pix'?; there \
 is image, x_pix
       where: o.csv
-      to do: say what it is called: k
+      to do: state the name of the column: k
     """
     for quantity, name, key in wanted:
         if name not in there:
