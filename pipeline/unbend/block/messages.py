@@ -218,7 +218,7 @@ def frame_contradicts_places(
             "{source} of {count} images, {extent:.0f} m across, contradict the frame of the block: "
             "{contradictions} (residuals {residual:.1f} m)"
         ),
-        one="{source} of 1 image contradicts the frame of the block: {contradictions}",
+        one="{source} of 1 image contradict the frame of the block: {contradictions}",
         where=where,
         count=count,
         source=source,

@@ -453,7 +453,7 @@ def report_effect(
     source = "the control points scatter"
     if comparison.sigma_stated:
         noise_m = sigma_m
-        source = "the sigmas of stations and pixels explain residuals of control points"
+        source = "the sigmas of stations and pixels move control points"
     if noise_m > effect_m:
         ledger.add(
             messages.control_noise(
