@@ -160,14 +160,8 @@ STEPS = [
     "Check which data was lost (AA-LOSS, ZZ-LOSS). If there is a complete file, use it.",
     "Leave out 4,980 rows without new coordinates (13 no_ground, 21 misses_ground); the ledger "
     "names the causes.",
-    (
-        "Then adjust x_corrected_px, y_corrected_px, or export them for another program: unbend "
-        "export."
-    ),
-    (
-        "If the adjustment program has a refraction correction, switch it off: refraction must not "
-        "be corrected twice."
-    ),
+    "Then adjust x_corrected_px, y_corrected_px, or export them: unbend export.",
+    "Switch off the refraction correction of the adjustment program: never correct twice.",
 ]
 CORRECTION = [
     ["", "median", "95 %", "maximum"],

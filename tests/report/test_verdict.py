@@ -61,8 +61,7 @@ def test_all_corrected(baseline):
     assert text.endswith(f"{READY}.")
     steps = next_steps(manifest_of(manifest))
     assert steps[-1] == (
-        "If the adjustment program has a refraction correction, switch it off: refraction must "
-        "not be corrected twice."
+        "Switch off the refraction correction of the adjustment program: never correct twice."
     )
     assert not any("suspect" in step or "Leave out" in step for step in steps)
 
@@ -81,7 +80,7 @@ def test_some_flagged_and_none_corrected(mission, plain_report):
     _, text, steps = ran(mission, 3)
     assert text.startswith("None of 59 observations could be corrected: 59 no_ground")
     assert "djust" not in steps
-    assert "correct the mission file, and run again" in steps
+    assert "correct the mission file, run again" in steps
 
 
 def test_a_likely_mistake_is_not_ready(mission, plain_report):
@@ -113,7 +112,7 @@ def test_air_that_was_not_measured(mission, baseline, plain_report):
     manifest["profile"]["basis"] = "climatology"
     manifest["uncertainty"]["scale_sigma"] = 0.0412
     steps = " ".join(next_steps(manifest_of(manifest)))
-    assert "For a better correction, give measurements of the air: a thermometer" in steps
+    assert "For a better correction, give a thermometer" in steps
     assert (
         "a climatology is used instead, the refraction R is known to ± 4.1 %."
         in remarks(manifest_of(manifest))[0]
@@ -125,10 +124,8 @@ def test_a_correction_too_small_to_matter(baseline):
     manifest = copy.deepcopy(values_of(baseline))
     for of in (manifest["correction"]["shift_px"], manifest["correction"]["shift_ground_m"]):
         of["maximum"] /= 30.0
-    assert outcome(manifest_of(manifest)).endswith(
-        "), which is too small to measure: a correction is not needed here."
-    )
-    assert any("no measurable difference" in step for step in next_steps(manifest_of(manifest)))
+    assert outcome(manifest_of(manifest)).endswith("), too small to measure: not needed here.")
+    assert any("difference is not measurable" in step for step in next_steps(manifest_of(manifest)))
     manifest["correction"]["shift_px"]["count"] = 40
     assert "not needed" not in outcome(manifest_of(manifest))
 

@@ -112,10 +112,7 @@ def outcome(manifest: Manifest) -> str:
     if concerns:
         end = f". Check {concerns} before use"
     elif is_tiny(manifest):
-        end = (
-            ", which is too small to measure: a correction is not needed "
-            f"here{condition_of_frame(manifest)}"
-        )
+        end = f", too small to measure: not needed here{condition_of_frame(manifest)}"
     elif applied:
         end = ", for simulations and tests: they now contain refraction"
     else:
@@ -172,10 +169,7 @@ def next_steps(manifest: Manifest) -> list[str]:
     done = manifest.results.correction.shift_px.count
     applied = is_applied(manifest)
     if not done:
-        return [
-            *steps,
-            ("Find the cause in the list of losses, correct the mission file, and run again."),
-        ]
+        return [*steps, "Find the cause in the losses, correct the mission file, run again."]
     if done < rows:
         steps.append(
             f"Leave out {count(rows - done, 'row')} without new coordinates "
@@ -189,24 +183,13 @@ def next_steps(manifest: Manifest) -> list[str]:
             f"principal_distance: {{reference: {{pressure_hpa, temperature_c}}}} ({keys})."
         )
     if is_tiny(manifest):
-        steps.append(
-            "Use the results or the original measurements: there is no measurable difference."
-        )
+        steps.append("Use the results or the measurements: the difference is not measurable.")
     if applied:
-        steps.append(
-            "Use x_displaced_px, y_displaced_px as measurements with known refraction. They are "
-            "not corrected observations."
-        )
+        steps.append("Use x_displaced_px, y_displaced_px as measurements with known refraction.")
     else:
         steps += [
-            (
-                f"{adjust} x_corrected_px, y_corrected_px, or export them for another program: "
-                "unbend export."
-            ),
-            (
-                "If the adjustment program has a refraction correction, switch it off: refraction "
-                "must not be corrected twice."
-            ),
+            f"{adjust} x_corrected_px, y_corrected_px, or export them: unbend export.",
+            "Switch off the refraction correction of the adjustment program: never correct twice.",
         ]
     return steps
 
@@ -259,10 +242,7 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
 def step_to_better_air(manifest: Manifest) -> str:
     """What to do for air that is measured; with adjust: false no measurement would be used."""
     if manifest.sections.atmosphere.adjust:
-        return (
-            "For a better correction, give measurements of the air: a thermometer, soundings or "
-            "METARs."
-        )
+        return "For a better correction, give a thermometer, soundings or METARs."
     return (
         "For a better correction, remove atmosphere.adjust: false. With it, neither measured air "
         "nor a climatology is used."
