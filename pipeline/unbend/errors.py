@@ -190,6 +190,6 @@ def storage_errors(path: object) -> Iterator[None]:
             STORAGE_WRITE,
             "{answer}",
             where=error.filename or path,
-            remedy="free space or mend permissions, then run again: finished missions are kept",
+            remedy="free space or correct permissions, then run again: finished missions are kept",
             answer=error.strerror or str(error),
         ) from None

@@ -122,7 +122,7 @@ def correct(
     """
     replaced = sorted(_REPLACED_SECTIONS & sections.keys())
     if replaced:
-        raise TypeError(f"{', '.join(replaced)}: tables in memory take the place of these sections")
+        raise TypeError(f"{', '.join(replaced)}: tables in memory replace these sections")
     measured = _arrow_table(observations, "observations")
     placed: pa.Table = _arrow_table(stations, "stations")
     frame = placed.to_pandas().rename(columns=_QUANTITY_OF_COLUMN)
@@ -190,7 +190,7 @@ def _arrow_table(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
         return pa.Table.from_pandas(table, preserve_index=False)
     if not isinstance(table, pa.Table):
         kind = type(table).__name__
-        raise TypeError(f"{name} is a pandas DataFrame or a pyarrow Table, no {kind}")
+        raise TypeError(f"{name} must be a pandas DataFrame or a pyarrow Table, not a {kind}")
     return table
 
 
@@ -299,12 +299,10 @@ def series_of_stations(profile: Air, placed: pa.Table, count: int) -> ProfileSer
         size = profile.profile_number.size
         given = placed.num_rows
         if size != given:
-            raise ValueError(
-                f"the profiles are those of {size} stations, not of the {given} that are given"
-            )
+            raise ValueError(f"the profiles are those of {size} stations, but {given} are given")
         return profile
     raise TypeError(
-        f"a profile is none of {type(profile).__name__}: a Profile, TimedProfile, "
+        f"a profile cannot be a {type(profile).__name__}; it must be a Profile, TimedProfile, "
         "ProfileSeries, the Arrow table of profile.parquet, a name, or a section"
     )
 

@@ -233,7 +233,7 @@ class Ledger:
 PLOT_MATPLOTLIB = Code(
     "PLOT-MATPLOTLIB",
     means="A plot was asked for, and matplotlib is not installed.",
-    effect="Nothing is drawn.",
+    effect="No plot is made.",
     remedy="pip install matplotlib.",
 )
 
@@ -242,6 +242,6 @@ def matplotlib_missing() -> ConfigError:
     """A plot is asked for, and matplotlib cannot be imported."""
     return ConfigError(
         PLOT_MATPLOTLIB,
-        "plots are drawn with matplotlib, which is not installed",
+        "plots need matplotlib, which is not installed",
         remedy="pip install matplotlib",
     )

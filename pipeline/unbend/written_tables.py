@@ -60,10 +60,10 @@ def columns_in_words(names: Sequence[str]) -> str:
     """The names of columns, or that a table has no head.
 
     >>> columns_in_words(["image", "x"]), columns_in_words(["1", "2"])
-    ('image, x', 'no head: its columns are called 1 to 2')
+    ('image, x', 'no header: its columns are named 1 to 2')
     """
     if list(names) == [str(number) for number in range(1, len(names) + 1)]:
-        return f"no head: its columns are called 1 to {len(names)}"
+        return f"no header: its columns are named 1 to {len(names)}"
     return ", ".join(names)
 
 

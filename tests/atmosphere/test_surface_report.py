@@ -257,9 +257,9 @@ def test_a_date_before_a_report_is_its_date(before, time):
         ("TAF LOWW 121115Z 1212/1318 33009KT CAVOK TX14/1214Z Q1026", "forecast"),
         ("LOWW 121150Z 06/02 Q1026\nTAF LOWW 1212/1318 33009KT CAVOK", "forecast"),
         ("AAXX 12121 11035 42565 83309 10058 20022 39996 40260", "SYNOP"),
-        ("LOWW 1150Z 33009KT CAVOK 06/02 Q1026", "1150Z is no day"),
-        ("March 12, 2015 LOWW 121150Z 33009KT CAVOK 06/02 Q1026", "is no date"),
-        ("2015-13-12 LOWW 121150Z 33009KT CAVOK 06/02 Q1026", "is no date"),
+        ("LOWW 1150Z 33009KT CAVOK 06/02 Q1026", "1150Z is not a day"),
+        ("March 12, 2015 LOWW 121150Z 33009KT CAVOK 06/02 Q1026", "is not a date"),
+        ("2015-13-12 LOWW 121150Z 33009KT CAVOK 06/02 Q1026", "is not a date"),
         ("33009KT 06/02 Q1026", "no station"),
     ],
 )

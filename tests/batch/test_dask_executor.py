@@ -150,7 +150,7 @@ def test_workers_that_differ_are_refused_before_any_work(machines, tmp_path, mon
         assert refusal(file).startswith("SCHEDULER-WORKERS: ")
     machines.need_workers(1)
     said = refusal(file, tmp_path / "nowhere.yaml")
-    assert said.startswith("WORKER-FILES: 1 file of missions is not")
+    assert said.startswith("WORKER-FILES: this worker does not find 1 mission file")
     assert "nowhere.yaml" in said
     own = dask_executor.versions_here()
     monkeypatch.setattr(dask_executor, "versions_here", lambda: own | {"numpy": "1.0", "more": "2"})

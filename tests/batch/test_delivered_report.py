@@ -89,7 +89,10 @@ def test_a_pdf_is_what_the_browser_printed(unbend, baseline, tmp_path, monkeypat
     [
         ("echo no display >&2; exit 1", "no display"),
         ("case $1 in --version) exit 0;; esac; sleep 600 & sleep 600", "did not end within 1 s"),
-        (PRINTS.replace("printf '\\n%%%%EOF\\n' >> \"$out\"", "kill -9 $$"), "no whole PDF"),
+        (
+            PRINTS.replace("printf '\\n%%%%EOF\\n' >> \"$out\"", "kill -9 $$"),
+            "not write a complete PDF",
+        ),
     ],
 )
 def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path, script, said):

@@ -249,7 +249,7 @@ def test_choices_stand_with_what_the_sensors_read(unbend, flown):
             rows = csv.DictReader(io.StringIO(unbend("inspect", flown.logs["bin"], *words).out))
             read = [float(row[field]) for row in rows]
             said.append(f"HYGR[{instance}] ({min(read):.0f} to {max(read):.0f} {unit})")
-        assert f"    {key}: TODO  # {' or '.join(said)}: the one outside" in text
+        assert f"    {key}: TODO  # {' or '.join(said)}: the sensor outside" in text
 
 
 @pytest.mark.parametrize("kind", ["ulg", "opensfm", "reconstruction.json", "photographs", "folder"])

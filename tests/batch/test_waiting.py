@@ -145,7 +145,7 @@ def test_a_lock_is_refused_at_once_and_names_who_holds_it(
 def test_where_no_holder_is_known_the_lock_is_named(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(other_processes, "LOCKS", tmp_path / "nothing")
     results = tmp_path / "results"
-    with open_folder(results), pytest.raises(OutputInUseError, match="maybe of another machine"):
+    with open_folder(results), pytest.raises(OutputInUseError, match="perhaps of another machine"):
         open_folder(results).__enter__()
     assert holder_of(tmp_path / "not there") is None
     assert is_stopped(None) is False

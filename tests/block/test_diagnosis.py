@@ -224,7 +224,7 @@ def test_calibrations_of_other_signs_or_axes(make, read, names):
     ][0]
     key = "cameras" if len(names) == 2 else "cameras.camera1"
     assert (finding.code, finding.key) == ("TIES-CALIBRATION", key)
-    assert ("have the other sign" in finding.what) == (read is other_sign)
+    assert ("have the opposite sign" in finding.what) == (read is other_sign)
     if read is not other_sign:
         for name in names:
             assert f"{CAMERAS[name].cx_px}, {CAMERAS[name].cy_px} px in {name}" in finding.what
@@ -235,7 +235,7 @@ def test_calibrations_that_are_each_others(make):
     cameras = {a: CAMERAS[b], b: CAMERAS[a]}
     finding = diagnosis(replace(make(30), cameras=cameras))[1][0]
     assert (finding.code, finding.key) == ("TIES-CALIBRATION", "cameras")
-    assert finding.what == "the calibrations of camera0 and camera1 are each other's"
+    assert finding.what == "the calibrations of camera0 and camera1 are exchanged"
 
 
 BARREL, WIDE = (

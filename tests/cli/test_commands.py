@@ -129,7 +129,7 @@ def test_an_angle_over_the_horizon_has_no_metres(unbend):
     assert "nan" not in plain.out.lower()
     assert "None" not in plain.out
     said = " ".join(plain.out.split())
-    assert "no metres on the ground: the straight ray in the apparent direction passes over" in said
+    assert "no metres on the ground: the straight ray in the apparent direction is above" in said
     assert longest(plain.out) <= 80
     near = strict(unbend(*words_of(10_000, 0, 86.79), "--json").out)
     assert near["ground_m"] > 0.0

@@ -91,10 +91,10 @@ def test_the_missions_that_are_spoilt_are_sound(tmp_path):
         ({"atmosphere.surface": [{"h_msl_m": 4.0, "relative_humidity": 0.5}]},
          "atmosphere.surface[0]: relative_humidity needs temperature_c"),
         ({"atmosphere.surface": [{"h_msl_m": 4.0, "temperature_c": 5.0, "time_utc": "noon"}]},
-         "atmosphere.surface[0].time_utc: is no time like 2026-05-14T10:20:00Z"),
+         "atmosphere.surface[0].time_utc: is not a time like 2026-05-14T10:20:00Z"),
         ({"cameras.nadir.format": "colmap"},
-         "cameras.nadir: format goes with file, and pixel_origin does not"),
-        ({"cameras.nadir.camera": 1}, "cameras.<name>.camera goes with file, or with a block"),
+         "cameras.nadir: format needs file, and pixel_origin cannot be combined with file"),
+        ({"cameras.nadir.camera": 1}, "cameras.<name>.camera needs file, or a block"),
         ({"cameras.nadir": {"width_px": 11500, "height_px": 11500, "calibration": "laboratory",
                             "metric": METRIC | {"table": {
                                 "sense": "distortion", "by": "field_angle_deg",
@@ -107,14 +107,14 @@ def test_the_missions_that_are_spoilt_are_sound(tmp_path):
          "a spherical window has no frame and no normal"),
         ({"events": {"log": {}}}, "events: log needs at least one camera"),
         ({"events": {"positions": {"nadir": POSITIONS | {"delay_s": 1.0}}}},
-         "its positions are of its times: delay_s needs times_only: true"),
+         "its positions belong to its times: delay_s needs times_only: true"),
         ({"ground.height": {"points": "p.csv", "crs": "EPSG:4326",
                             "columns": {"latitude": "lat", "y": "y"}}},
          "columns: give either latitude and longitude, or x and y"),
         ({"ground.height": {"dem": "dem.tif"}, "ground.reference": "relative"},
          "leave home_h_msl_m out"),
         ({"ground": {"height": "intersected", "sigma_m": 1.0}},
-         "height: intersected has sigmas of its own; leave sigma_m and sigma_column out"),
+         "height: intersected computes its own sigmas; leave sigma_m and sigma_column out"),
         ({"ground": {"height": "block"}}, "give it a format of colmap"),
         ({"control": {"path": "c.csv", "crs": "EPSG:4326"}},
          "control: give columns, crs and reference together"),
@@ -124,7 +124,7 @@ def test_the_missions_that_are_spoilt_are_sound(tmp_path):
         ({"observations": {"path": "m", "format": "colmap", "columns": {"x_px": "x"}}},
          "observations: format: colmap names its columns itself; leave columns out"),
         ({"observations": {"path": "m", "format": "colmap", "pixel_origin": "centre"}},
-         "observations: format: colmap says itself where pixels count from"),
+         "observations: format: colmap states the pixel origin itself"),
     ],
 )  # fmt: skip
 def test_combinations_of_a_mission_by_its_log(changes, text, refusal):
@@ -134,11 +134,11 @@ def test_combinations_of_a_mission_by_its_log(changes, text, refusal):
 @pytest.mark.parametrize(
     ("trajectory", "changes", "text"),
     [
-        (TRAJECTORY | {"crs": "EPSG:25832"}, {}, "crs is that of a CSV"),
+        (TRAJECTORY | {"crs": "EPSG:25832"}, {}, "crs is only for a CSV"),
         (TRAJECTORY | {"point": "imu", "lever_arm_m": "from_events"}, {},
-         "lever_arm_m: from_events leads from the antenna"),
+         "lever_arm_m: from_events begins at the antenna"),
         (TRAJECTORY | {"point": "camera", "lever_arm_m": [0.0, 0.0, 1.0]}, {},
-         "point: camera has no lever arm"),
+         "with point: camera there is no lever arm"),
         (TRAJECTORY | {"lever_arm_m": [0.0, 0.0, 1.0], "replaces": ["height"]}, {},
          "a lever arm or point: camera needs both position and height replaced"),
         (TRAJECTORY | {"point": "camera"}, TWO_CAMERAS, "is that of one camera, not of nadir, obl"),
@@ -167,8 +167,10 @@ def test_combinations_with_a_trajectory(trajectory, changes, text, refusal):
          "leave stations.trajectory and events.positions out"),
         ({"stations": {"trajectory": TRAJECTORY | {"replaces": ["position"]}},
           "events": {"csv": {"path": "e.csv"}}, "mount": {"nadir": {}}},
-         "there is no log, so the trajectory gives all that it has: remove the key "
-         "stations.trajectory.replaces"),
+         (
+             "there is no log, so all values of the trajectory are used: remove the key "
+             "stations.trajectory.replaces"
+         )),
         ({"stations.orientation.format": "dji"},
          "stations.orientation: format: dji has angles: roll_pitch_yaw, of the gimbal"),
         ({"stations.orientation": {"path": "m", "format": "colmap", "frame": "ecef",

@@ -534,13 +534,13 @@ def test_a_value_out_of_range_is_refused(refused, keys, value):
 @pytest.mark.parametrize(
     ("events", "why"),
     [
-        (CSV_EVENTS | {"images": {"path": "images"}}, "a csv gives each image a time of its own"),
-        (CSV_EVENTS | {"first_image": {"nadir": "n1"}}, "a csv gives each image a time of its own"),
+        (CSV_EVENTS | {"images": {"path": "images"}}, "a csv gives each image its time"),
+        (CSV_EVENTS | {"first_image": {"nadir": "n1"}}, "a csv gives each image its time"),
         (FULL["events"] | {"first_image": {"left": "n1"}}, "which has no pulses"),
         (FULL["events"] | {"first_image": {"nadir": "n1"}}, "leave first_image out"),
         (
             FULL["events"] | {"log": {"nadir": {}, "window": {"image": "w{n}.tif"}}},
-            "the image of nadir must state which images are this camera's",
+            "the image of nadir must state which images belong to this camera",
         ),
     ],
 )
@@ -679,17 +679,17 @@ def test_aliases_cannot_swell(refused):
     [
         ({"frame": None}, "orientation.frame"),
         ({"angles": None}, "orientation.angles"),
-        ({"heights": None}, "give heights, msl or ellipsoid"),
-        ({"frame": "ecef"}, "frame is geographic"),
+        ({"heights": None}, "give heights (msl or ellipsoid)"),
+        ({"frame": "ecef"}, "frame must be geographic"),
         ({"frame": "ecef", "angles": "quaternion", "convergence_deg": 0.0, "columns": {}},
-         "only there"),
+         "only then"),
         ({"frame": "unknown", "angles": "quaternion", "convergence_deg": 0.0, "columns": {},
           "heights": None}, "no vertical, no north and no scale"),
         ({"frame": "unknown", "angles": "quaternion", "known_positions": "log"},
          "not columns.latitude"),
         ({"angles": "quaternion", "frame": "ecef"}, "convergence_deg is for frame: geographic"),
         ({"frame": "projected"}, "projected needs crs"),
-        ({"date": "14.5.2026"}, "no date like"),
+        ({"date": "14.5.2026"}, "not a date like"),
         ({"columns": {"time_utc": "t"}}, "either date, or the columns of time"),
         ({"columns": {"gps_week": "t"}}, "both gps_week and gps_seconds"),
         ({"camera": "forward"}, "names camera 'forward'"),

@@ -156,11 +156,11 @@ def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(tmp
     [
         ("mission: {name: a", "a bracket or a brace is not closed"),
         ("\tmission: 1", "there is a tab"),
-        ("mission: name: a", "a colon where none can stand"),
+        ("mission: name: a", "a colon at a place where it is not allowed"),
         ("a: *x", "an alias (*) has no anchor"),
-        ("a: !!python/name:os.system", "tags (!) are not taken"),
-        ("a: 1\na: 2", "the key 'a' stands here twice"),
-        ("a: '\x01'", "here the text is no YAML"),
+        ("a: !!python/name:os.system", "tags (!) are not allowed"),
+        ("a: 1\na: 2", "the key 'a' occurs twice"),
+        ("a: '\x01'", "here the text is not YAML"),
     ],
 )
 def test_text_that_is_no_yaml_is_refused_in_plain_words(text, says, tmp_path):

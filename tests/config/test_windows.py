@@ -99,7 +99,7 @@ def test_a_normal_becomes_a_unit_vector(load):
         ({"cabin": SCHEDULE, "normal": [0.0, 1.0]}, "use a list of 3"),
         ({"cabin": SCHEDULE, "normal": [0.0, 1.0, 0.0]}, "third component is positive"),
         ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0]}, "third component is positive"),
-        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0], "frame": "body"}, "looks away"),
+        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0], "frame": "body"}, "a normal away"),
         ({"shape": "spherical", "normal": [0.0, 0.1, 1.0]}, "has no normal"),
         ({"shape": "spherical", "frame": "body"}, "has no frame"),
     ],
@@ -111,7 +111,7 @@ def test_windows_that_cannot_be(load, window, word):
 def test_a_window_of_the_aircraft_and_how_the_camera_sits_behind_it(load):
     content = config({"cabin": SCHEDULE, "frame": "body", "normal": [1.0, 0.0, 0.0]})
     # A camera that looks down does not see through a window in the nose ...
-    assert "looks away from what the camera sees" in refusal(load, content)
+    assert "has a normal away from the viewing direction" in refusal(load, content)
     # ... one that looks ahead does, and which is moved by a stabilised mount only the log knows.
     content["mount"]["nadir"] = {"pitch_deg": 45.0}
     mission = load(content)
@@ -155,8 +155,8 @@ def test_the_lens_in_si(load):
     ("key", "word"),
     [
         ("reference", "principal_distance.reference: is missing"),
-        ("dc_dp_px_per_hpa", "give both dc_dp_px_per_hpa and dc_dt_px_per_k, or neither"),
-        ("dc_dt_px_per_k", "give both dc_dp_px_per_hpa and dc_dt_px_per_k, or neither"),
+        ("dc_dp_px_per_hpa", "give both dc_dp_px_per_hpa and dc_dt_px_per_k, or none"),
+        ("dc_dt_px_per_k", "give both dc_dp_px_per_hpa and dc_dt_px_per_k, or none"),
     ],
 )
 def test_a_lens_is_described_whole(load, key, word):
@@ -192,11 +192,11 @@ def test_an_opening_in_si(load):
         ({"opening": {"warmer_k": 5.0, "normal": [0.0, 0.0, -1.0]}}, "third component"),
         (
             {"opening": {"warmer_k": 5.0, "frame": "body", "normal": [1.0, 0.0, 0.0]}},
-            "the opening of camera 'nadir' looks away",
+            "the opening of camera 'nadir' a normal away",
         ),
         (
             {"opening": {"warmer_k": 5.0}, "window": {"cabin": SCHEDULE}},
-            "window and opening: the camera looks through one of them",
+            "window and opening: the camera looks through only one of them",
         ),
     ],
 )

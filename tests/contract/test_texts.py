@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -172,6 +173,123 @@ def habits_in(page: str) -> list[str]:
     ]
     subjects = [hit for line in paragraphs_of(page) for hit in WHAT.findall(line)]
     return found + [f"What as a subject: {sentence}" for sentence in subjects]
+
+
+PROGRAM_HABITS = HABITS | {
+    "own": r"\bof (?:its|their|one's) own\b",
+    "anew": r"\banew\b",
+    "for want of": r"\bfor want of\b",
+    "taken for": r"\btaken (?:for|as)\b",
+    "called like": r"\bcalled like\b",
+    "as it does": r"\ball the same\b",
+}
+"""More habits that the texts of the program had: a different one, again, because there is no,
+treated as, has a name like, still.
+"""
+JINJA = re.compile(r"\{%.*?%\}|\{\{.*?\}\}|\{#.*?#\}", re.DOTALL)
+CODE_WORDS = re.compile(r"`[^`]*`|\{[^{}]*\}|\b\w+(?:[._]\w+)+\b|\b[A-Z]+(?:-[A-Z]+)+\b")
+"""Keys, columns, codes and placeholders in a text: their names stay."""
+NOT_SHOWN = ("ingest/data/field_maps.toml", "atmosphere/data/air_variation.toml")
+"""Tables for the program: no person sees their words."""
+
+
+def strings_of_toml(value: object) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for entry in value.values():
+            yield from strings_of_toml(entry)
+    elif isinstance(value, list):
+        for entry in value:
+            yield from strings_of_toml(entry)
+
+
+def texts_of_the_program() -> Iterator[tuple[str, str]]:
+    """Place and text of all that a person may read: messages, keys, help, columns, words, report.
+
+    Messages, labels and the reasons in them are strings with a space in the modules. The docstring
+    of a command is its help, that of a section of the mission file is in the schema.
+    """
+    for path in sorted(PACKAGE.rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        place = path.relative_to(PACKAGE).as_posix()
+        for line, text in texts(tree):
+            yield f"{place}:{line}", text
+        for node in ast.walk(tree):
+            is_command = isinstance(node, ast.FunctionDef) and node.decorator_list
+            is_section = (
+                isinstance(node, ast.ClassDef) and node.bases and place.startswith("config/")
+            )
+            if is_section or (is_command and place.startswith("cli/")):
+                yield f"{place}:{node.lineno}", ast.get_docstring(node) or ""
+    for path in sorted(PACKAGE.rglob("*.toml")):
+        place = path.relative_to(PACKAGE).as_posix()
+        if place not in NOT_SHOWN:
+            for text in strings_of_toml(tomllib.loads(path.read_text(encoding="utf-8"))):
+                yield place, text
+    for path in sorted(PACKAGE.rglob("*.j2")):
+        yield path.name, JINJA.sub(" ", path.read_text(encoding="utf-8"))
+
+
+def habits_of_a_text(text: str) -> list[str]:
+    """The habits in a text of the program, whose names of keys and values are left out."""
+    words = " ".join(CODE_WORDS.sub("X", text).split())
+    return [
+        f"{name}: ...{words[max(0, hit.start() - 40) : hit.end() + 30]}..."
+        for name, pattern in PROGRAM_HABITS.items()
+        for hit in re.finditer(pattern, words, re.IGNORECASE)
+    ]
+
+
+def test_texts_of_the_program_have_plain_words():
+    wrong = [
+        f"{place}: {habit}"
+        for place, text in texts_of_the_program()
+        for habit in habits_of_a_text(text)
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("the columns {columns} stand there twice", "stands"),
+        ("is no IGRA file: it begins with {begins!r}", "X is no Y"),
+        ("{count} points lie outside the area of {system}", "lies"),
+        ("give each mission a folder of its own", "own"),
+        ("levels are taken as saturated", "taken for"),
+    ],
+)
+def test_habits_of_the_program_are_noticed(text, name):
+    assert any(found.startswith(name) for found in habits_of_a_text(text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{mend}state {said} and {held}",
+        "give cameras.<name>.window.holds",
+        "PLAUSIBLE-LIES is not a code",
+    ],
+)
+def test_names_in_texts_of_the_program_stay(text):
+    assert not habits_of_a_text(text)
+
+
+def test_all_kinds_of_texts_of_the_program_are_read():
+    """The messages, the keys, the help, the columns, the words and the report."""
+    read = " ".join(text for _, text in texts_of_the_program())
+    for text in (
+        "check the path of the log",
+        "standard deviation of the heights of all points",
+        "Correct missions. A refused mission",
+        "print only refusals",
+        "apparent nadir angle outside the window",
+        "Ground control point",
+        "How to use the results in the adjustment",
+        "Ready for bundle adjustment",
+    ):
+        assert text in read
 
 
 @pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)

@@ -284,7 +284,7 @@ def test_what_the_autopilot_says_holds_until_it_says_that_it_is_over():
         (10.0, "Mission: 2 WP"), (50.0, "AHRS: DCM active"), (80.0, "AHRS: EKF3 active")
     )
     assert (position.quantity, attitude.quantity) == ("position", "attitude")
-    assert position.reason == 'the autopilot says "AHRS: DCM active"'
+    assert position.reason == 'the autopilot reports "AHRS: DCM active"'
     assert [(s - START) / SECOND for s in (position.begin_ns, position.end_ns)] == [49.5, 80.0]
     (never_over,) = told((50.0, "GPS Glitch"), (90.0, "Mission: 3 WP"))
     assert (never_over.end_ns - START) / SECOND > 90.0

@@ -122,14 +122,14 @@ def test_no_offset_is_named_that_brings_nothing():
     names = np.array([f"i{k}" for k in range(100)], object)
     long = [Events("cam", names, T0 + np.rint(time * 1e9).astype(np.int64))]
     (entry,) = span_notes(long, flown(), "events")
-    assert "nor a week would bring all of them into it, and a common begin brings no" in entry.what
+    assert "nor a week would bring all of them into the flight" in entry.what
     assert " +0 s" not in entry.what
 
 
 def test_events_that_begin_before_the_log_are_told_with_eighteen_seconds():
     (entry,) = span_notes(events(0.0, -18.0), flown(), "events")
     assert (entry.kind, entry.count) == ("warning", 1)
-    assert "+18 s would bring all of them into it" in entry.what
+    assert "+18 s would bring all of them into the flight" in entry.what
     assert span_notes(events(0.0, 0.0), flown(), "events") == ()
 
 

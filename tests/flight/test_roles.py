@@ -68,7 +68,7 @@ def test_a_role_that_is_stated_as_null_is_played_by_no_channel(role: str) -> Non
     roles, notes = assign_roles(channels, {}, needs_cabin=True, empty=(role,))
     assert role not in roles
     (left_empty,) = [note.what for note in notes if "null" in note.what]
-    assert left_empty.endswith(f"none, as log.channels.{role} is null")
+    assert left_empty.endswith(f"none, because log.channels.{role} is null")
 
 
 def test_barometers_are_told_apart_by_what_they_measure() -> None:

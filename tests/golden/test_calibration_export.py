@@ -250,7 +250,7 @@ def test_every_file_is_the_same_camera(five):
 
 def test_the_report_says_what_is_left_and_what_to_do(nadir, five):
     for done in (nadir, five):
-        for words in ("holds the calibration fixed", "0.16 m a head", "flying height", "px", " m"):
+        for words in ("must keep all parameters", "0.16 m for each", "flying height", "px", " m"):
             assert words in done.report
     effect, left = (
         [float(n) for n in re.search(rf"{label} +{NUMBER} px +{NUMBER} m", nadir.report).groups()]

@@ -92,7 +92,7 @@ def test_copter_with_a_gap_in_the_log(tmp_path: Path) -> None:
     assert text.startswith(f"{corrected} of 300 observations were corrected by ")
     (air,) = remarks(outcome.manifest)
     assert air.startswith(
-        "The air was not measured: a climatology stands for it, the refraction R is known to ± "
+        "The air was not measured: a climatology is used instead, the refraction R is known to ± "
     )
     assert "can be adjusted" not in text
 

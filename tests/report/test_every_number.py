@@ -154,15 +154,14 @@ MANIFEST: dict[str, Any] = {
 
 VERDICT = (
     "41 of 5,021 observations were corrected by 3.1 m on the ground, 3 px in the image (median; "
-    "95 %: 3.1 m, 3 px), but not to be used before a look at 2 losses (AA-LOSS, ZZ-LOSS)."
+    "95 %: 3.1 m, 3 px). Check 2 losses (AA-LOSS, ZZ-LOSS) before use."
 )
 STEPS = [
-    "Read what was lost (AA-LOSS, ZZ-LOSS), and give the whole file where there is one.",
+    "Check which data was lost (AA-LOSS, ZZ-LOSS). If there is a complete file, use it.",
     "Leave out 4,980 rows without new coordinates (13 no_ground, 21 misses_ground); the ledger "
     "names the causes.",
-    "Then adjust x_corrected_px, y_corrected_px, or write them for a program: unbend export.",
-    "Switch the refraction correction off in the adjustment program, where it has one: nothing may "
-    "be corrected twice.",
+    "Then adjust x_corrected_px, y_corrected_px, or export them: unbend export.",
+    "Switch off the refraction correction of the adjustment program: never correct twice.",
 ]
 CORRECTION = [
     ["", "median", "95 %", "maximum"],
@@ -176,10 +175,9 @@ CORRECTION = [
     ["refraction of the window, tail [arcsec]", "22.1", "22.2", "22.3"],
 ]
 AIR = (
-    "Temperatures of HYGR[0] over 2345 m of height. At the height of the cameras the air is "
-    "-6.72 ± 0.43 K against us1962. The air changes: R by -1.23 ± 0.41 to +3.45 ± 0.52 % of that "
-    "of the whole flight; 11 profiles "
-    "follow it."
+    "Temperatures of HYGR[0] over 2345 m of height. At the height of the cameras, the air differs "
+    "by -6.72 ± 0.43 K from us1962. The air changes: R changes by -1.23 ± 0.41 to +3.45 ± 0.52 % "
+    "of R of the whole flight; there are 11 profiles."
 )
 EFFECTS = [
     "refraction R at 45° from 3456 m to 789 m: 6.694 ± 0.022 arcsec, 6.864 in us1962: "
@@ -492,7 +490,7 @@ def test_every_line_of_the_air(air):
     assert " ".join(" ".join(lines).split()) == (
         f"{EFFECTS[0]} {EFFECTS[1]} BARO[0]: used "
         f"BARO[0], pressure: 1203 of 1234 samples used; not used: 31 (no value) "
-        f"{text}: -1.23 ± 0.68 4 profiles follow the air"
+        f"{text}: -1.23 ± 0.68 4 profiles, because the air changes"
     )
 
 

@@ -94,8 +94,8 @@ def test_columns_of_results_are_explained_table_by_table():
 @pytest.mark.parametrize(
     ("word", "says"),
     [
-        ("GCP", "known. Give such points under control"),
-        ("control points", "known. Give such points under control"),
+        ("GCP", "Give such points under control"),
+        ("control points", "Give such points under control"),
         ("boresight", "roll_deg, pitch_deg, yaw_deg under mount"),
         ("lever arm", "mount.<camera>.lever_arm_m"),
         ("lever-arm", "mount.<camera>.lever_arm_m"),

@@ -209,13 +209,13 @@ def test_every_cell_of_the_tables(page):
         ["the shift itself", "1 px", "1 px", "1.1 m", "1.1 m"],
         ["sigma: air outside", "0.011 px", "0.022 px", "3.3 mm", "7.7 mm"],
         ["sigma: station", "0.023 px", "0.046 px", "6.9 mm", "16 mm"],
-        ["sigma: all together", "0.031 px", "0.062 px", "9.3 mm", "22 mm"],
+        ["sigma: all parts", "0.031 px", "0.062 px", "9.3 mm", "22 mm"],
         ["tail"],
         ["the shift itself", "2 px", "2 px", "2.1 m", "2.1 m"],
         ["sigma: air outside", "0.0051 px", "0.01 px", "1.5 mm", "3.6 mm"],
         ["sigma: ground height", "0.0071 px", "0.014 px", "2.1 mm", "5 mm"],
         ["sigma: air in cabin", "0.0083 px", "0.017 px", "2.5 mm", "5.8 mm"],
-        ["sigma: all together", "0.0097 px", "0.019 px", "2.9 mm", "6.8 mm"],
+        ["sigma: all parts", "0.0097 px", "0.019 px", "2.9 mm", "6.8 mm"],
     ]
     assert page.tables["Ground heights used"] == [[
         ["", "from [m]", "to [m]", "observations"], ["ground", "350", "450", "7"],
@@ -279,7 +279,7 @@ def test_every_sentence_between_the_tables(page):
     assert [text for tag, text in texts if tag == "h3"] == [
         "Lost or damaged (2)",
         "Warnings (1)",
-        "Replaced by something else (1)",
+        "Replaced by a substitute (1)",
         "Notes (1)",
     ]
     assert (
@@ -289,7 +289,7 @@ def test_every_sentence_between_the_tables(page):
     (over,) = (t for tag, t in texts if tag == "figcaption" and t.startswith("Mean correction"))
     assert "The arrows are the correction: corrected minus measured coordinates." in over
     (seen,) = (t for tag, t in texts if tag == "figcaption" and t.startswith("Map of the flight"))
-    assert "4 of 7 exposures are drawn. 2 of 4 footprints are drawn." in seen
+    assert "4 of 7 exposures are shown. 2 of 4 footprints are shown." in seen
     assert "samples: temperature hygr[0], 1 of 3 used; pressure baro[0], 2 of 2 used" in (
         page.text.lower()
     )
@@ -486,9 +486,9 @@ def test_the_budget_is_drawn_in_its_rows(page):
     drawing = page.drawings["budget", "wide"]
     names = [t.text for t in drawing.iter("text") if t.get("text-anchor") == "end"]
     assert names == [
-        "the shift itself", "sigma: air outside", "sigma: station", "sigma: all together",
+        "the shift itself", "sigma: air outside", "sigma: station", "sigma: all parts",
         "the shift itself", "sigma: air outside", "sigma: ground height", "sigma: air in cabin",
-        "sigma: all together",
+        "sigma: all parts",
     ]  # fmt: skip
     ticks = [t for t in drawing.iter("text") if re.fullmatch(r"[\d.]+", t.text or "")]
     slope, offset = np.polyfit([float(t.get("x", "")) for t in ticks],
@@ -530,13 +530,13 @@ def test_the_page_of_twenty_thousand_exposures_is_small(air):
     assert (west, east) == pytest.approx((179.85, 180.15), abs=0.06)  # across the 180th meridian
     text = report_page(manifest_of(whole_manifest()), flown)
     assert len(text.encode()) < 1_500_000
-    assert "1500 of 20000 exposures are drawn. 250 of 20000 footprints are drawn." in text
+    assert "1500 of 20000 exposures are shown. 250 of 20000 footprints are shown." in text
 
 
 @pytest.mark.parametrize(
     ("height", "drawn", "said"),
     [
-        ({"dem": "d.tif"}, False, "The relief is not drawn: "),
+        ({"dem": "d.tif"}, False, "The relief is not shown: "),
         ({"dem": "d.tif"}, True, "The relief is that of the elevation model"),
         ({"column": "h_g_m"}, False, ""),
         ("intersected", False, ""),

@@ -44,7 +44,7 @@ def test_cameras_whose_lens_is_not_corrected_are_named():
 )
 def test_glass_is_told_of_where_the_calibration_lacks_it(window, told):
     text = " ".join(not_included(manifest(belly={"window": window, "principal_distance": LENS})))
-    assert ("The glass before belly" in text) == told
+    assert ("The glass in front of belly" in text) == told
     assert "Earth curvature" in text
 
 

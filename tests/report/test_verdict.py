@@ -14,8 +14,8 @@ from unbend.report.summary import next_steps, outcome, remarks
 
 from .manifests import manifest_of
 
-READY = "), and can be adjusted"
-LOOK = ", but not to be used before a look at "
+READY = "). Ready for bundle adjustment"
+LOOK = "). Check "
 
 
 def values_of(mission) -> dict:
@@ -61,8 +61,7 @@ def test_all_corrected(baseline):
     assert text.endswith(f"{READY}.")
     steps = next_steps(manifest_of(manifest))
     assert steps[-1] == (
-        "Switch the refraction correction off in the adjustment program, where it has one: "
-        "nothing may be corrected twice."
+        "Switch off the refraction correction of the adjustment program: never correct twice."
     )
     assert not any("suspect" in step or "Leave out" in step for step in steps)
 
@@ -92,8 +91,8 @@ def test_a_likely_mistake_is_not_ready(mission, plain_report):
     found = [e["code"] for e in manifest["ledger"] if e["kind"] == "finding"]
     assert "PLAUSIBLE-GROUND" in found
     assert READY not in text
-    assert text.endswith(f"{LOOK}1 likely mistake (PLAUSIBLE-GROUND).")
-    assert steps.startswith("Correct what PLAUSIBLE-GROUND")
+    assert text.endswith(f"{LOOK}1 likely mistake (PLAUSIBLE-GROUND) before use.")
+    assert steps.startswith("Correct the cause of PLAUSIBLE-GROUND")
 
 
 def test_air_that_was_not_measured(mission, baseline, plain_report):
@@ -104,17 +103,18 @@ def test_air_that_was_not_measured(mission, baseline, plain_report):
     for role in ("pressure", "temperature", "humidity"):
         mission.config["log"]["channels"].pop(f"cabin_{role}")
     manifest, text, steps = ran(mission, 0)
-    assert remarks(manifest_of(manifest)) == ["The air was not measured: a standard stands for it."]
+    (remark,) = remarks(manifest_of(manifest))
+    assert remark == "The air was not measured: a standard atmosphere is used instead."
     assert text.endswith(f"{READY}.")
-    assert "To correct better, remove atmosphere.adjust: false" in steps
+    assert "For a better correction, remove atmosphere.adjust: false" in steps
     assert "thermometer" not in steps
     manifest = copy.deepcopy(values_of(baseline))
     manifest["profile"]["basis"] = "climatology"
     manifest["uncertainty"]["scale_sigma"] = 0.0412
     steps = " ".join(next_steps(manifest_of(manifest)))
-    assert "To correct better, give the air: a thermometer" in steps
+    assert "For a better correction, give a thermometer" in steps
     assert (
-        "a climatology stands for it, the refraction R is known to ± 4.1 %."
+        "a climatology is used instead, the refraction R is known to ± 4.1 %."
         in remarks(manifest_of(manifest))[0]
     )
 
@@ -124,10 +124,8 @@ def test_a_correction_too_small_to_matter(baseline):
     manifest = copy.deepcopy(values_of(baseline))
     for of in (manifest["correction"]["shift_px"], manifest["correction"]["shift_ground_m"]):
         of["maximum"] /= 30.0
-    assert outcome(manifest_of(manifest)).endswith(
-        "), less than can be measured there: not needed here."
-    )
-    assert any("it makes no difference" in step for step in next_steps(manifest_of(manifest)))
+    assert outcome(manifest_of(manifest)).endswith("), too small to measure: not needed here.")
+    assert any("difference is not measurable" in step for step in next_steps(manifest_of(manifest)))
     manifest["correction"]["shift_px"]["count"] = 40
     assert "not needed" not in outcome(manifest_of(manifest))
 
@@ -135,9 +133,9 @@ def test_a_correction_too_small_to_matter(baseline):
 @pytest.mark.parametrize(
     ("cabin", "air", "end"),
     [
-        (0.05, 0.012, "by 5 % of the refraction R in the median, the air outside by 1.2 % only."),
-        (0.021, 0.13, "by 2.1 % of the refraction R in the median, the air outside by 13 %."),
-        (0.03, None, "by 3 % of the refraction R in the median."),
+        (0.05, 0.012, "5 % of the refraction R, the air outside of 1.2 % only."),
+        (0.021, 0.13, "2.1 % of the refraction R, the air outside of 13 %."),
+        (0.03, None, "3 % of the refraction R."),
         (0.02, 0.01, None),
         (None, 0.01, None),
     ],
@@ -150,10 +148,11 @@ def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
     if end is None:
         assert remarks(manifest_of(manifest)) == []
     else:
-        assert remarks(manifest_of(manifest)) == [f"The air in the cabin is uncertain {end}"]
+        text = f"The air in the cabin causes a median uncertainty of {end}"
+        assert remarks(manifest_of(manifest)) == [text]
         assert (
-            "The cabin's sensors are assumed to be good to 3 hPa, 1 K: if they are "
-            "better, give sigma_pressure_hpa, sigma_temperature_k (cameras.nadir.window.cabin, "
+            "The sigma of the sensors in the cabin is assumed to be 3 hPa, 1 K. If it is "
+            "smaller, give sigma_pressure_hpa, sigma_temperature_k (cameras.nadir.window.cabin, "
             "cameras.oblique.window.cabin)."
         ) in next_steps(manifest_of(manifest))
 
@@ -175,10 +174,10 @@ def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
         "sigma_pressure_hpa": 1.0, "sigma_temperature_k": None,
     }  # fmt: skip
     windows["oblique"]["shape"] = "spherical"
-    assert step().startswith("The cabin's sensors are assumed to be good to 1 K: ")
+    assert step().startswith("The sigma of the sensors in the cabin is assumed to be 1 K. ")
     assert step().endswith("give sigma_temperature_k (cameras.nadir.window.cabin).")
     stated["sigma_temperature_k"] = 0.5
-    assert "better than stated" in step()
+    assert "more accurately than stated" in step()
     missing = {"kind": "fallback", "code": "CABIN-TEMPERATURE", "what": "", "where": "camera nadir"}
     manifest["ledger"].append(missing)
     assert step() == asked
@@ -192,7 +191,7 @@ def test_nothing_that_ended_with_three_is_ready(baseline, kind):
     text = outcome(manifest_of(manifest))
     assert READY not in text
     noun = {"loss": "1 loss", "finding": "1 likely mistake"}[kind]
-    assert text.endswith(f"{LOOK}{noun} (LOG-BAD-BYTES).")
+    assert text.endswith(f"{LOOK}{noun} (LOG-BAD-BYTES) before use.")
 
 
 def test_an_incomplete_log_is_no_mistake(baseline):
@@ -201,7 +200,7 @@ def test_an_incomplete_log_is_no_mistake(baseline):
     lost = {"kind": "finding", "code": "LOG-LINK-LOSS", "what": "the log is incomplete: 9 messages"}
     manifest["ledger"] += [lost, {**lost, "code": "LOG-GAP"}]
     text = outcome(manifest_of(manifest))
-    assert text.endswith(f"{LOOK}an incomplete log (LOG-GAP, LOG-LINK-LOSS).")
+    assert text.endswith(f"{LOOK}an incomplete log (LOG-GAP, LOG-LINK-LOSS) before use.")
     assert "mistake" not in text
     assert any("accept LOG-GAP, LOG-LINK-LOSS" in s for s in next_steps(manifest_of(manifest)))
 
@@ -209,4 +208,6 @@ def test_an_incomplete_log_is_no_mistake(baseline):
 def test_a_published_method_is_not_for_work(baseline):
     manifest = copy.deepcopy(values_of(baseline))
     manifest["config"]["refraction"]["method"] = "gyer1996"
-    assert outcome(manifest_of(manifest)).endswith("the method gyer1996, published for comparison.")
+    assert outcome(manifest_of(manifest)).endswith(
+        "the method gyer1996 (published, for comparison) before use."
+    )

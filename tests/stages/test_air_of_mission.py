@@ -286,7 +286,10 @@ def test_values_that_no_ground_has(mission, report, code, words):
         ({"surface": [{"h_msl_m": 450, "metar": METAR, "temperature_c": 12.0}]}, "either metar"),
         ({"surface": [{"h_msl_m": 450, "relative_humidity": 0.5}]}, "needs temperature_c"),
         ({"surface": [{"h_msl_m": 450, "temperature_f": 64.0}]}, "temperature_c"),
-        ({"surface": [{"h_msl_m": 450, "temperature_c": 1.0, "time_utc": "noon"}]}, "no time like"),
+        (
+            {"surface": [{"h_msl_m": 450, "temperature_c": 1.0, "time_utc": "noon"}]},
+            "not a time like",
+        ),
         ({"surface": [{"temperature_c": 12.0}]}, "h_msl_m"),
         ({"soundings": [{"path": "a.csv", "format": "bufr"}]}, "wyoming_csv"),
         ({"climatology": "tropics"}, "supplements1966"),
@@ -405,7 +408,7 @@ def test_the_manifest_tells_the_scale_of_r_and_the_sensors(baseline):
     for words in (
         "R at 75° from",
         "thermometer bias [K]",
-        "only shown beside the air",
+        "only shown for comparison",
         "sigma inflation",
         "degrees of freedom for signal",
     ):
@@ -573,7 +576,7 @@ def test_the_profile_command_writes_every_profile(changed, unbend, tmp_path):
     assert unbend("profile", mission.file, "--plot", plot).code == 0
     assert plot.read_bytes().startswith(b"\x89PNG")
     shown = " ".join(unbend("profile", mission.file).out.split())
-    assert "profiles follow the air" in shown
+    assert "profiles, because the air changes" in shown
     assert "R at 45° from" in shown
 
 

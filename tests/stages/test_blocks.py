@@ -253,7 +253,7 @@ def test_what_a_block_does_not_say_is_asked_for(block, by_log, points):
     block.config["stations"]["orientation"] = {"heights": "msl"}
     refused(block, "CONFIG-INVALID", "stations.orientation.frame: is missing")
     block.config["stations"]["orientation"] = {"frame": "ecef"}
-    refused(block, "ORIENTATION-FRAME", "m above sea level", "a local frame is no ecef")
+    refused(block, "ORIENTATION-FRAME", "m above sea level", "a local frame is not ecef")
     block.config["stations"]["orientation"] = {"frame": enu(ORIGIN)}
     del block.config["cameras"]["oblique"]
     refused(block, "BLOCK-CAMERA", "3 images, the first oblique_00001, are of camera '2'")

@@ -188,7 +188,7 @@ def test_a_cabin_that_is_said_to_be_ambient_and_is_not(inside_pa, doubtful):
     warnings = [entry for entry in notes if entry.code == "CABIN-IMPLAUSIBLE"]
     assert len(warnings) == doubtful
     if doubtful:
-        assert "BARO[1] has 147 hPa more" in warnings[0].what
+        assert "BARO[1] measures 147 hPa more" in warnings[0].what
 
 
 @pytest.mark.parametrize(

@@ -277,9 +277,9 @@ def test_every_run_says_what_a_kelvin_before_the_lens_does(runs):
     assert record["before_lens"] == "outside"
     assert record["kelvin_share"] == pytest.approx(share, rel=0.02)
     lines = " ".join(not_included(manifest_of(manifest)))
-    assert f"each kelvin more is {100.0 * record['kelvin_share']:.2g} % of" in lines
+    assert f"each additional kelvin is {100.0 * record['kelvin_share']:.2g} % of" in lines
     hatch = " ".join(not_included(manifest_of(runs["hatch"][1])))
-    assert "each kelvin" not in hatch
+    assert "each additional kelvin" not in hatch
 
 
 @pytest.mark.usefixtures("plain_report")

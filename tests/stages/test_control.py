@@ -160,11 +160,11 @@ def test_the_terminal_and_a_rehearsal_show_it(surveyed):
     assert ended.code == 0
     assert "control" in ended.out
     rehearsed = " ".join(ended.out.split())
-    assert "control points, intersected with the stations held" in rehearsed
+    assert "control points, intersected with fixed stations" in rehearsed
     ended = surveyed.run()
     printed = " ".join(ended.out.split())
     assert "27 control points: RMS distance 35 cm as measured, 0 mm corrected." in printed
-    for words in ("RMS of east/north/up", "100.0 % of what they missed", "p14", "rms of",
+    for words in ("RMS of east/north/up", "100.0 % of their mean square residual", "p14", "rms of",
                   "more: manifest.json", "dU corr."):  # fmt: skip
         assert words in printed, printed
     line = next(line for line in ended.out.splitlines() if "rms of" in line)
@@ -207,10 +207,10 @@ def test_names_that_match_nothing(surveyed):
 
 
 @pytest.mark.parametrize(("spoil", "words"), [
-    (lambda t: t.assign(h_ellipsoid_m=t["h_msl_m"]), "above sea level taken for those above the "),
+    (lambda t: t.assign(h_ellipsoid_m=t["h_msl_m"]), "above sea level read as heights above the "),
     (lambda t: t.assign(h_ellipsoid_m=t["h_ellipsoid_m"] + UNDULATION_M),
-     "above the ellipsoid taken for those above sea level"),
-    (lambda t: t.assign(h_ellipsoid_m=t["h_ellipsoid_m"] / 0.3048), "feet taken for metres"),
+     "above the ellipsoid read as heights above sea level"),
+    (lambda t: t.assign(h_ellipsoid_m=t["h_ellipsoid_m"] / 0.3048), "feet read as metres"),
     (lambda t: t.assign(lat_deg=t["lon_deg"], lon_deg=t["lat_deg"]), "longitude exchanged"),
 ], ids=["msl", "twice", "feet", "exchanged"])  # fmt: skip
 def test_another_reading_of_the_table_fits(surveyed, spoil, words):

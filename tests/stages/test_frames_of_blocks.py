@@ -171,7 +171,7 @@ def test_known_positions_are_compared_with_a_stated_frame(tmp_path):
     _, messages = run(tmp_path, mission)
     entry = messages["FRAME-UNVERIFIED"]
     assert entry["kind"] == "warning"
-    assert "12 images lie within 11 m" in entry["what"]
+    assert "12 images are within 11 m" in entry["what"]
     known.to_csv(tmp_path / "known.csv", index=False)
     mission["stations"]["orientation"]["known_positions"] = {"path": "known.csv"}
     _, messages = run(tmp_path, mission, 3)
@@ -186,7 +186,7 @@ def test_the_verdict_rests_on_a_frame_that_nothing_confirms(tmp_path):
     block.write_colmap(tmp_path / "sparse", scale=0.01)
     run(tmp_path, config("sparse", "colmap", frame=ORIGIN))
     said = verdict(read_manifest(tmp_path / "results"))
-    assert "not needed here, if the frame of the block is right, which nothing confirms" in said
+    assert "not needed here, if the frame of the block is right (nothing confirms it)" in said
 
 
 def test_inputs_hold_what_a_frame_rests_on(odm):

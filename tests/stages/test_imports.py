@@ -180,7 +180,7 @@ def test_heights_of_the_trajectory_are_named_where_the_log_has_none(own, told):
     assert roles["position"].name == "flight.pos"
     assert roles["height"].name == ("GPS" if own else "flight.pos")
     (entry,) = ledger
-    assert entry.what == f"flight.pos gives {told}, which the log has not"
+    assert entry.what == f"flight.pos gives {told}, which the log does not have"
 
 
 def test_attitude_alone_leaves_the_positions_of_the_log(mission, files, truth):
@@ -403,7 +403,9 @@ def test_positions_of_an_mrk_are_those_of_the_camera(mission, files, truth):
     prepared = prepare(mission)
     assert np.abs(offsets(prepared, truth)).max() < 0.002
     told = [entry.what for entry in entries(prepared, "EVENTS-POSITIONS")]
-    assert "nadir.MRK says when nadir was exposed, and where the camera was then" in told
+    assert (
+        "nadir.MRK has the times of the exposures of nadir, and the positions of the camera" in told
+    )
     assert prepared.stations.image[prepared.stations.ok][0] == "nadir_00001"
 
 
@@ -484,7 +486,7 @@ def test_counted_images_are_not_shifted_by_a_lost_number(mission, files):
     with pytest.raises(MissionError) as caught:
         with_a_lost_number(mission, files, "nadir_{n:05d}")
     assert caught.value.code == "EVENTS-AMBIGUOUS"
-    assert "some were lost" in caught.value.what
+    assert "some events were lost" in caught.value.what
 
 
 @pytest.mark.parametrize("kind", ["pos", "mrk"])
@@ -506,7 +508,7 @@ def test_rows_counted_anew_after_a_loss_are_no_numbers_of_images(mission, files,
     with pytest.raises(MissionError) as caught:
         prepare(mission)
     assert caught.value.code == "EVENTS-AMBIGUOUS"
-    assert "some were lost" in caught.value.what
+    assert "some events were lost" in caught.value.what
 
 
 def test_rows_against_the_order_of_time_are_refused_or_told(mission, files):

@@ -246,9 +246,9 @@ def test_what_was_corrected_is_refused(flight):
 
 def test_what_is_no_table_and_no_air(flight):
     profile = flight[2]
-    with pytest.raises(TypeError, match="observations is a pandas DataFrame"):
+    with pytest.raises(TypeError, match="observations must be a pandas DataFrame"):
         simple(flight, observations={"image": ["a"]})
-    with pytest.raises(TypeError, match="atmosphere: tables in memory take the place"):
+    with pytest.raises(TypeError, match="atmosphere: tables in memory replace"):
         simple(flight, atmosphere={"standard": "icao"})
     with pytest.raises(TypeError, match="none of DataFrame"):
         quiet(flight, profile=profile.to_pandas())

@@ -131,7 +131,7 @@ def test_the_library_refuses_a_band_in_air_of_one_light(runs):
     measured = mission.results().select(["image", "point", "x_px", "y_px", "h_g_m"])
     measured = measured.replace_schema_metadata(None)
     air = standard_atmosphere("us1976", index="gyer")
-    with pytest.raises(UnbendError, match="one wavelength alone") as refused:
+    with pytest.raises(UnbendError, match="one fixed wavelength") as refused:
         correct(pa.table(measured), mission.stations(), air, mission.config["cameras"],
                 mount=mission.config["mount"])  # fmt: skip
     assert refused.value.code == "WAVELENGTH-FORMULA"

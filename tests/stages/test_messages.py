@@ -44,7 +44,7 @@ def test_images_of_which_the_evidence_disagrees_are_a_loss():
     assert [message.code for message in told] == ["EVENTS-ASSIGNED", "EVENTS-UNDECIDED"]
     assert told[1].kind is Kind.LOSS
     assert told[1].values == {"images": "b"}
-    assert told[1].what.startswith("1 image is of one event by some of the evidence")
+    assert told[1].what.startswith("the evidence gives different events for 1 image")
 
 
 def test_the_ledger_has_the_values_of_its_messages(baseline):

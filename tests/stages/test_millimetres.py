@@ -109,7 +109,7 @@ def test_millimetres_that_are_taken_for_pixels_are_named(tmp_path, size, likely)
     table = opened(tmp_path, stated, FRAMES["right up"](spread(0.9)) * size)
     with pytest.raises(InputError, match="OBS-UNIT") as refusal:
         refuse_other_unit(stated, table)
-    assert f"perhaps {likely} from its middle" in refusal.value.what
+    assert f"perhaps {likely} from its centre" in refusal.value.what
     assert f"observations.unit: {likely}" in refusal.value.remedy
 
 

@@ -140,9 +140,9 @@ def test_mistakes_in_a_table_of_points(surveyed):
     state(mission, table, crs="EPSG:99999")
     assert "ground.height.crs" in refused(mission, "CRS-UNKNOWN")
     state(mission, table, "h_ellipsoid_m", crs="EPSG:4979")
-    assert "stated are msl" in refused(mission, "CRS-VERTICAL")
+    assert "but msl are stated" in refused(mission, "CRS-VERTICAL")
     state(mission, pd.concat([table, table.head(2)]))
-    assert "2 points stand there more than once" in refused(mission, "POINTS-REPEATED")
+    assert "2 points occur more than once" in refused(mission, "POINTS-REPEATED")
     state(mission, table.head(0))
     refused(mission, "POINTS-EMPTY")
     for name in ("points.csv", "points.parquet"):

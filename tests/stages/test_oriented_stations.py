@@ -469,7 +469,7 @@ def test_check_copes_without_a_log(block, unbend):
     write(block, columns_of(block.table))
     ended = unbend("check", block.save())
     assert ended.code == 0, ended.text
-    assert "none: the stations come from elsewhere" in " ".join(ended.out.split())
+    assert "none: the stations come from another source" in " ".join(ended.out.split())
     ended = unbend("stations", block.save())
     assert ended.code == 0, ended.text
 
@@ -643,7 +643,7 @@ def test_an_orientation_that_fits_in_no_reading_is_told(crossing):
     table["omega"] += draw.normal(0.0, 1.0, len(table))
     ties = told_of(crossing, table)
     assert ties.kind == "finding"
-    assert "not what they should be" in ties.what
+    assert "the orientations are wrong" in ties.what
     rays = {name: int(n) for name, n in re.findall(r"(\w+): (\d+) of \d+ rays", ties.what)}
     assert set(rays) == {"nadir", "oblique"}
 

@@ -92,7 +92,7 @@ FOUND = {
     "offset of c": (config(**{NADIR + "cx_px": 12.4}), "PLAUSIBLE-PRINCIPAL-POINT",
                     "cameras.nadir.cx_px", "is 50 % of the image from its centre"),
     "k1 of pixels": (config(**{NADIR + "distortion": {"k1": -4.5e-11}}), "PLAUSIBLE-DISTORTION",
-                     "cameras.nadir.distortion", "coefficients of pixels"),
+                     "cameras.nadir.distortion", "coefficients for pixels"),
     "order of k": (config(**{NADIR + "distortion": {"k1": -0.018, "k2": 0.009, "k3": 0.00015,
                                                    "p1": -0.0001, "p2": -0.002}}),
                    "PLAUSIBLE-DISTORTION", "cameras.nadir.distortion.k3", "in another order"),
@@ -111,12 +111,15 @@ FOUND = {
     "radians": (config(mount__oblique__roll_deg=-0.7853982), "PLAUSIBLE-ANGLE",
                 "mount.oblique.roll_deg", "which is -45 deg in radians"),
     "oblique by name": (config(mount__oblique__roll_deg=-0.7), "PLAUSIBLE-DIRECTION",
-                        "mount.oblique", "more than 10 deg off by the name of oblique"),
+                        "mount.oblique", (
+                            "more than 10 deg from the nadir, because of the "
+                            "name of oblique"
+                        )),
     "lever arm in cm": (config(mount__oblique__lever_arm_m=[20.0, 28.0, 55.0]),
                         "PLAUSIBLE-LEVER-ARM", "mount.oblique.lever_arm_m", "is 65 m long"),
     "lever arm upward": (config(mount__oblique__lever_arm_m=[0.2, 0.28, -0.55]),
                          "PLAUSIBLE-LEVER-ARM", "mount.oblique.lever_arm_m",
-                         "0.55 m above the point whose position is known"),
+                         "0.55 m above the point with the known position"),
     "sigma in mm": (config(ground__sigma_m=150.0), "PLAUSIBLE-SIGMA", "ground.sigma_m", "150 m"),
     "delay of a clock": (config(events__log__nadir__delay_s=3.0), "PLAUSIBLE-DELAY", "delay_s",
                          "delay_s of nadir is 3 s"),
@@ -128,7 +131,7 @@ FOUND = {
     "no heights": (rows(lambda table: table.__setitem__("h_g_m", np.nan)), "PLAUSIBLE-FLAGGED",
                    "ground.height", "100 % of the observations are no_ground"),
     "ground above": (config(ground__height=4000.0), "PLAUSIBLE-FLAGGED", "ground.height",
-                     r"the ground lies up to 1\d{3} m above the camera"),
+                     r"the ground is up to 1\d{3} m above the camera"),
     "apply": (config(refraction={"direction": "apply"}), "PLAUSIBLE-APPLY",
               "refraction.direction", "expected remove"),
 }  # fmt: skip
@@ -353,7 +356,7 @@ def test_rays_beyond_the_horizon_are_told_by_how_much(mission):
     checked = check_mission(mission.save())
     (entry,) = [e for e in checked.manifest.values["ledger"]
                 if e["code"] == "OBS-FLAGGED" and "misses_ground" in e["what"]]  # fmt: skip
-    degrees = float(re.search(r"up to ([\d.]+) deg beyond the horizon", entry["what"])[1])
+    degrees = float(re.search(r"up to ([\d.]+) deg above the horizon", entry["what"])[1])
     facts = checked.corrected.facts
     angle = np.degrees(np.nanmax(facts.nadir_angle_rad[facts.camera == "nadir"]))
     # Geometry by hand: the horizon of a sphere of 6371 km from the height above the ground.
@@ -394,12 +397,12 @@ CURVED = Camera(1000, 1000, 300.0, 300.0, 500.0, 500.0, BrownConrady(k1=-0.2))
     ("camera", "x_px", "given", "cause"),
     [
         (PLAIN, -5.0, {}, "outside 1000 x 1000 px (cameras.nadir.width_px; observations.columns)"),
-        (CURVED, 990.0, {}, "beyond where the distortion of nadir can be inverted "
+        (CURVED, 990.0, {}, "beyond the radius at which the distortion of nadir can be inverted "
                             "(cameras.nadir.distortion)"),
         (PLAIN, 990.0, {"normal": (-0.9, 0.0, np.sqrt(0.19))},
          "their rays do not pass the window of nadir (cameras.nadir.window.normal)"),
         (PLAIN, 999.99, {"direction": "apply"},
-         "refraction displaces them out of the image of nadir (refraction.direction)"),
+         "refraction moves them out of the image of nadir (refraction.direction)"),
     ],
 )  # fmt: skip
 def test_the_cause_of_a_pixel_outside_the_camera(camera, x_px, given, cause):

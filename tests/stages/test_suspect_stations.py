@@ -73,7 +73,7 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
     ended = glitch.run()
     assert ended.code == 3, ended.text
     printed = " ".join(ended.out.split())
-    assert "2 suspect stations, whose observations have no corrected coordinates." in printed
+    assert "2 suspect stations, without corrected coordinates for the observations." in printed
     assert (
         "Look at the 2 suspect stations (unbend stations MISSION --plot FILE): 1 exposure "
         in printed

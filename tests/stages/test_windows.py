@@ -83,7 +83,7 @@ def test_a_window_that_looks_away_refuses_the_file(mission):
     }  # fmt: skip
     ended = mission.run()
     assert ended.code == 2, ended.text
-    assert "'oblique' looks away" in ended.text
+    assert "'oblique' has a normal away" in ended.text
 
 
 def test_an_aircraft_attitude_that_the_log_does_not_have(mission):

@@ -385,7 +385,7 @@ def test_semicolons_and_tabs_separate_too(tmp_path, mark):
 def test_a_column_that_nearly_has_the_name(tmp_path):
     with pytest.raises(InputError, match="perhaps 'tme'") as refusal:
         events(tmp_path, "image,tme\na,2025-06-12T10:00:00Z\n")
-    assert refusal.value.remedy == "say what it is called: events.csv.columns.time_utc"
+    assert refusal.value.remedy == "state the name of the column: events.csv.columns.time_utc"
 
 
 PLAIN = "image,point,x_px,y_px,h_g_m,own\nA 1.jpg,p,1.5,-2.25,300.125,7\nB.jpg,q,2,3.5,,8\n"
@@ -440,7 +440,7 @@ def test_a_decimal_point_among_decimal_commas_changes_no_other_number(tmp_path):
     [
         ("image,point,x_px,y_px,h_g_m\nFl\u00e4che,p,1,2,3\n".encode("latin-1"), "is not UTF-8"),
         ('image,point,x_px,y_px,h_g_m\na,p,"1,234","2,345",\n', "thousands or a decimal comma"),
-        ("a b 1 2 3\nc d 4 5 6\n", "no head: its columns are called 1 to 5"),
+        ("a b 1 2 3\nc d 4 5 6\n", "no header: its columns are named 1 to 5"),
         ("image;point;x_px;y_px\na;p;1,5;2;3;4\n", "by semicolons its first row has 4 fields"),
     ],
 )

@@ -172,8 +172,9 @@ def with_wrong_level(fields, dimension, level, kelvin):
 
 MODEL_LEVELS_REFUSED = {
     "91 levels": (lambda f: f.assign_coords(hybrid=f.hybrid - 46.0), "MODEL-LEVELS",
-                  "run from 14 to 91, 78 in all: the lowest of ERA5 is 137"),
-    "one is missing": (lambda f: f.drop_sel(hybrid=100.0), "MODEL-LEVELS", "60 to 137, 77 in all"),
+                  "are 14 to 91, 78 in total: the lowest level of ERA5 is 137"),
+    "one is missing": (lambda f: f.drop_sel(hybrid=100.0), "MODEL-LEVELS",
+                       "60 to 137, 77 in total"),
     "no lnsp": (lambda f: f.drop_vars("lnsp"), "MODEL-VARIABLE", "no lnsp"),
     "surface pressure in the place of its logarithm": (lambda f: f.assign(
         lnsp=np.exp(f.lnsp)), "MODEL-UNITS", "z or lnsp has another unit"),
@@ -280,7 +281,7 @@ REFUSED = {
         pole=((), 0, {"grid_mapping_name": "rotated_latitude_longitude"})),
                 "MODEL-GRID", "its grid is rotated_latitude_longitude"),
     "Celsius": (lambda f: spoiled(f, "t", lambda t: t - 273.15), "MODEL-UNITS", "temperatures"),
-    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "8.79.*: not kg"),
+    "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "8.79.*: neither kg"),
     "humidity missing as -9999": (lambda f: spoiled(f, "q", lambda q: q.where(
         q.pressure_level != 700.0, -9999.0)), "MODEL-UNITS", "humidity from -9999 up to"),
     "a mixing ratio called r": (lambda f: f.rename(q="r"), "MODEL-UNITS", "relative humidity from"),
@@ -413,7 +414,7 @@ def test_levels_with_missing_values_and_under_the_ground_are_left_out_and_counte
 @pytest.mark.parametrize("hpa", [950, 850, 700, 500, 350])
 def test_a_single_wrong_level_is_refused_with_its_number(fields, tmp_path, hpa, kelvin):
     wrong = with_wrong_level(fields, "pressure_level", hpa, kelvin)
-    with pytest.raises(InputError, match=f"K on {hpa} hPa.*no air does so") as refused:
+    with pytest.raises(InputError, match=f"K on {hpa} hPa.*this does not occur in air") as refused:
         read(netcdf(tmp_path / "wrong.nc", wrong))
     assert refused.value.code == "MODEL-LEVELS"
 

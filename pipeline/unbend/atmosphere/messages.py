@@ -5,7 +5,10 @@ from unbend.messages import Message, fallback, note, warning
 
 AIR_AGED = Code(
     "AIR-AGED",
-    means="Some exposures were made hours after the air at their heights was sampled, or far away.",
+    means=(
+        "Some exposures were made hours after the air at their heights was sampled, or far away "
+        "from that place."
+    ),
     effect="The sigmas of the air of these exposures grow with that time and distance.",
     remedy="Climb or descend through the air more often, or add a sounding of the time and place.",
 )
@@ -13,12 +16,12 @@ AIR_AGED = Code(
 
 def air_aged(*, hours: float, height_m: float, count: int, km: float = 0.0) -> Message:
     """Some exposures were made hours after the air at their heights was sampled, or far away."""
-    far = f", and up to {km:.0f} km from where it was" if km > 0.0 else ""
+    far = f", and up to {km:.0f} km from that place" if km > 0.0 else ""
     return note(
         AIR_AGED,
         (
-            "some exposures are {hours:.1f} h from when the air at {height_m:.0f} m was "
-            f"sampled{far}: the sigmas of the air grow with that"
+            "some exposures were made {hours:.1f} h before or after the air at {height_m:.0f} m "
+            f"was sampled{far}: the sigmas of the air grow with this time"
         ),
         hours=hours,
         height_m=height_m,
@@ -31,8 +34,8 @@ AIR_BY_PLACE = Code(
     "AIR-BY-PLACE",
     means="The flight is long, and the weather model's air differs along it.",
     effect=(
-        "Each exposure has the profile of its place and time: what was measured, plus the"
-        " model's change from there."
+        "Each exposure has the profile of its place and time: the measured profile, plus the "
+        "change that the model gives between the two places and times."
     ),
     remedy="Nothing.",
 )
@@ -59,7 +62,7 @@ def air_by_place(*, count: int, length_km: float, hours: float, percent: float) 
 
 AIR_INDEX = Code(
     "AIR-INDEX",
-    means="The name of a refractive index is not known.",
+    means="The name of a refractive index is unknown.",
     effect="The call is refused.",
     remedy="Take ciddor or gyer.",
 )
@@ -88,7 +91,7 @@ def wavelength_outside_range(*, wavelength_m: float) -> PhysicsError:
     """The formula of the refractive index does not hold for this wavelength."""
     return PhysicsError(
         AIR_WAVELENGTH,
-        "a wavelength of {wavelength_m:g} m lies outside 0.23e-6 to 2.0e-6 m",
+        "a wavelength of {wavelength_m:g} m is outside 0.23e-6 to 2.0e-6 m",
         remedy="give the wavelength of vacuum in metres, for example 0.55e-6",
         wavelength_m=wavelength_m,
     )
@@ -96,8 +99,8 @@ def wavelength_outside_range(*, wavelength_m: float) -> PhysicsError:
 
 AIR_WINDOW = Code(
     "AIR-WINDOW",
-    means="One part of the flight had too little information for air of its own.",
-    effect="The air of the whole flight is taken there.",
+    means="One part of the flight had too little information for a separate estimate of the air.",
+    effect="The air of the whole flight is used there.",
     remedy="Nothing.",
 )
 
@@ -105,7 +108,10 @@ AIR_WINDOW = Code(
 def air_window(*, when: str, reason: str) -> Message:
     """A part of the flight that has no air of its own."""
     return fallback(
-        AIR_WINDOW, "about {when} the whole flight's air: {reason}", when=when, reason=reason
+        AIR_WINDOW,
+        "the air of the whole flight is used about {when}: {reason}",
+        when=when,
+        reason=reason,
     )
 
 
@@ -114,7 +120,10 @@ AIR_WINDOWS = Code(
     means=(
         "Whether the air changed during the flight was tested by estimating it in windows of time."
     ),
-    effect="Where it changed, each exposure gets the air of its time; else one profile holds.",
+    effect=(
+        "If the air changed, each exposure gets the air of its time. If not, one profile is used "
+        "for all exposures."
+    ),
     remedy="Nothing.",
 )
 
@@ -164,7 +173,7 @@ def air_windows_one(*, hours: float, total: int, sigmas: float, largest: float) 
 
 ATMOSPHERE_LATITUDE = Code(
     "ATMOSPHERE-LATITUDE",
-    means="A latitude lies beyond the pole.",
+    means="A latitude is beyond the pole.",
     effect="The call is refused.",
     remedy="Give latitudes in radians there.",
 )
@@ -174,7 +183,7 @@ def latitude_beyond_pole(*, latitude_rad: float) -> PhysicsError:
     """Degrees where radians are meant."""
     return PhysicsError(
         ATMOSPHERE_LATITUDE,
-        "a latitude of {latitude_rad:g} rad lies beyond the pole",
+        "a latitude of {latitude_rad:g} rad is beyond the pole",
         remedy="give it in radians",
         latitude_rad=latitude_rad,
     )
@@ -230,8 +239,13 @@ def unknown_climatology(*, name: str, names: str) -> PhysicsError:
 METAR_CONTRADICTION = Code(
     "METAR-CONTRADICTION",
     means="Two groups of the METAR contradict each other.",
-    effect="The mission is refused: which of them is right would be a guess.",
-    remedy="Compare the report with its source: a sign, a digit, or groups of two reports.",
+    effect=(
+        "The mission is refused, because the program would have to guess which of them is right."
+    ),
+    remedy=(
+        "Compare the report with its source. Look for a wrong sign, a wrong digit, or groups of "
+        "two reports."
+    ),
 )
 
 
@@ -244,25 +258,28 @@ def metar_contradiction(*, where: object, quantity: str, body: str, other: str) 
         quantity=quantity,
         body=body,
         other=other,
-        remedy="compare the report with its source: a sign, a digit, or groups of two reports",
+        remedy=(
+            "compare the report with its source: look for a wrong sign, a wrong digit, or groups "
+            "of two reports"
+        ),
     )
 
 
 METAR_DEW_POINT = Code(
     "METAR-DEW-POINT",
-    means="The dew point of the METAR lies above its temperature.",
-    effect="The air is taken as saturated.",
+    means="The dew point of the METAR is above its temperature.",
+    effect="The air is assumed to be saturated.",
     remedy="Check the report for a wrong digit.",
 )
 
 
 def metar_dew_point(*, where: str, count: int, dew_c: float, celsius: float) -> Message:
-    """The dew point of the METAR lies above its temperature."""
+    """The dew point of the METAR is above its temperature."""
     return warning(
         METAR_DEW_POINT,
         (
-            "the dew point {dew_c:.1f} C lies above the temperature {celsius:.1f} C: taken as"
-            " saturated"
+            "the dew point {dew_c:.1f} C is above the temperature {celsius:.1f} C: the air is "
+            "assumed to be saturated"
         ),
         where=where,
         count=count,
@@ -298,7 +315,7 @@ def metar_missing(
     """Quantities that a METAR does not give."""
     text = "no {quantities} can be read in {report!r}"
     if dew_point_alone:
-        text += "; the dew point alone gives no humidity without the temperature"
+        text += "; without the temperature, the dew point gives no humidity"
     return fallback(
         METAR_MISSING, text, where=where, count=count, quantities=quantities, report=report
     )
@@ -306,14 +323,14 @@ def metar_missing(
 
 METAR_PARSE = Code(
     "METAR-PARSE",
-    means="The text is no METAR.",
+    means="The text is not a METAR.",
     effect="The mission is refused.",
     remedy="Give it as the station sent it.",
 )
 
 
 def metar_parse(*, where: object, why: str) -> InputError:
-    """The text is no METAR."""
+    """The text is not a METAR."""
     return InputError(
         METAR_PARSE,
         "{why}",
@@ -327,7 +344,7 @@ def metar_several(*, where: object, total: int) -> InputError:
     """A text holds several reports."""
     return InputError(
         METAR_PARSE,
-        "the text holds {total} reports: which of them is meant?",
+        "the text contains {total} reports: which of them is meant?",
         where=where,
         total=total,
         remedy="give one report for each entry of atmosphere.surface",
@@ -357,7 +374,7 @@ def metar_range(*, where: object, quantity: str, number: float, unit: str) -> In
 
 PROFILE_RANGE = Code(
     "PROFILE-RANGE",
-    means="Heights leave the profile.",
+    means="Heights are outside the profile.",
     effect="The call is refused.",
     remedy="Ask for heights inside it.",
 )
@@ -367,7 +384,7 @@ def reference_height_outside_profile(*, height_m: float, where: str) -> PhysicsE
     """Pressure is referred to a height that the profile does not reach."""
     return PhysicsError(
         PROFILE_RANGE,
-        "a reference height of {height_m:g} m leaves the profile",
+        "a reference height of {height_m:g} m is outside the profile",
         where=where,
         remedy="refer pressure to a height inside it",
         height_m=height_m,
@@ -378,7 +395,7 @@ def heights_outside_profile(*, lowest_m: float, highest_m: float, where: str) ->
     """The profile is asked for heights that it does not reach."""
     return PhysicsError(
         PROFILE_RANGE,
-        "heights of {lowest_m:.0f} to {highest_m:.0f} m leave the profile",
+        "heights of {lowest_m:.0f} to {highest_m:.0f} m are outside the profile",
         where=where,
         remedy="ask for heights inside it",
         lowest_m=lowest_m,
@@ -446,7 +463,10 @@ SURFACE_PRESSURE = Code(
     "SURFACE-PRESSURE",
     means="The pressure is impossible at that height.",
     effect="The mission is refused.",
-    remedy="pressure_hpa is what the barometer shows there, in hPa, not reduced to sea level.",
+    remedy=(
+        "pressure_hpa is the reading of the barometer at that height, in hPa, not reduced to sea "
+        "level."
+    ),
 )
 
 
@@ -462,7 +482,10 @@ def surface_pressure(
         height_m=height_m,
         ratio=ratio,
         usual_hpa=usual_hpa,
-        remedy="pressure_hpa is what the barometer shows there, in hPa, not reduced to sea level",
+        remedy=(
+            "pressure_hpa is the reading of the barometer at that height, in hPa, not reduced to "
+            "sea level"
+        ),
     )
 
 
@@ -478,7 +501,7 @@ def surface_temperature(*, where: object, kelvin: float, celsius: float) -> Inpu
     """The temperature does not occur at the ground."""
     return InputError(
         SURFACE_TEMPERATURE,
-        "{kelvin:.2f} K ({celsius:.2f} C) is no temperature of air at the ground",
+        "{kelvin:.2f} K ({celsius:.2f} C) is not a temperature of air at the ground",
         where=where,
         kelvin=kelvin,
         celsius=celsius,

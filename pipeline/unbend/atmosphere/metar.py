@@ -99,7 +99,7 @@ def decode_metar(text: str, where: str) -> Metar:
     place = f"{where}: {written[:EXCERPT]!r}"
     for word, kind in _OTHER_REPORTS.items():
         if re.search(rf"(?<!\S){word}(?!\S)", flat):
-            raise messages.metar_parse(where=place, why=f"the text holds {kind}")
+            raise messages.metar_parse(where=place, why=f"the text contains {kind}")
     _refuse_several(flat, where)
     parts = _parts_of(flat)
     complaints, station = _checked_groups(parts.body, place)
@@ -265,13 +265,13 @@ def _stamp_of(body: str, place: str) -> tuple[int, int, int] | None:
         other = _NO_STAMP.search(body)
         if other is None:
             return None
-        raise messages.metar_parse(where=place, why=f"{other[0]} is no day, hour and minute")
+        raise messages.metar_parse(where=place, why=f"{other[0]} is not a day, hour and minute")
     digits = head[2]
     day = int(digits[:2])
     hour = int(digits[2:4])
     minute = int(digits[4:])
     if not (1 <= day <= 31 and hour < 24 and minute < 60):
-        raise messages.metar_parse(where=place, why=f"{digits}Z is no day, hour and minute")
+        raise messages.metar_parse(where=place, why=f"{digits}Z is not a day, hour and minute")
     return day, hour, minute
 
 
@@ -291,7 +291,7 @@ def _date_before(before: str, place: str) -> np.datetime64 | None:
             return np.datetime64(f"{date['year']}-{date['month']}-{date['day']}", "D")
     except ValueError:  # the thirteenth month
         pass
-    why = f"{before.strip()!r} before the report is no date like 2026-05-14"
+    why = f"{before.strip()!r} before the report is not a date like 2026-05-14"
     raise messages.metar_parse(where=place, why=why)
 
 

@@ -45,7 +45,7 @@ class Reason(IntEnum):
 _TEXTS = {
     Reason.USED: "used",
     Reason.NO_VALUE: "no value",
-    Reason.OUT_OF_RANGE: "outside the range of what is possible",
+    Reason.OUT_OF_RANGE: "outside the possible range",
     Reason.JUMP: "jumps faster than the air or a vehicle can change",
     Reason.BAROMETER_DRIFT: "the barometer drifts away from the GNSS height",
     Reason.NO_HEIGHT: "no height at its time",
@@ -55,7 +55,7 @@ _TEXTS = {
     Reason.STUCK: "stays the same while the height changes",
     Reason.SENSOR_NOT_USED: "the whole sensor is not used",
     Reason.OUTSIDE_CLIMATOLOGY: "above or below the heights of the climatology",
-    Reason.OUTLIER: "far from the other readings of its height",
+    Reason.OUTLIER: "far from the other readings at its height",
     Reason.LEFT_OUT: "left out of a comparison",
 }
 

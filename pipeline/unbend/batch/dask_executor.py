@@ -226,7 +226,7 @@ def lost_tasks(client: Client, keys: Iterable[str]) -> list[_LostTask]:
             how = f"its worker {worker} has not answered for {dask_answers.ANSWER_S:.0f} s"
             lost.append(_LostTask(key, how, state.answering))
         elif worker is None and not state.answering:
-            how = "no worker of the scheduler is left that answers"
+            how = "no worker of the scheduler answers any more"
             lost.append(_LostTask(key, how, ()))
     return lost
 
@@ -236,7 +236,7 @@ def scheduler_address(scheduler: str) -> str:
     if "://" in scheduler:
         return scheduler
     if Path(scheduler).exists() and not Path(scheduler).is_file():  # reading might never end
-        raise messages.scheduler_file_invalid(path=scheduler, error="it is no file")
+        raise messages.scheduler_file_invalid(path=scheduler, error="it is not a file")
     try:
         return str(json.loads(Path(scheduler).read_text(encoding="utf-8"))["address"])
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -25,9 +25,9 @@ INPUT_UNREADABLE = Code(
 )
 INPUT_CHANGED = Code(
     "INPUT-CHANGED",
-    means="An input file was written to or replaced during the run.",
+    means="Another program changed or replaced an input file during the run.",
     effect="The results are not kept.",
-    remedy="Run again when nothing writes to it.",
+    remedy="Run again when no program writes to it.",
 )
 
 
@@ -54,9 +54,9 @@ def input_changed(*, role: str, path: str) -> InputError:
     """An input is not what it was when the run began."""
     return InputError(
         INPUT_CHANGED,
-        "the {role} file was written to or replaced during the run",
+        "another program changed or replaced the {role} file during the run",
         where=path,
-        remedy="run again when nothing writes to it",
+        remedy="run again when no program writes to it",
         role=role,
     )
 
@@ -65,16 +65,18 @@ def input_changed(*, role: str, path: str) -> InputError:
 
 OUTPUT_IN_USE = Code(
     "OUTPUT-IN-USE",
-    means="Another process is writing to the output folder, or has published another run in "
-    "object storage meanwhile.",
+    means=(
+        "Another process is writing to the output folder. Or it has published another run in "
+        "object storage in the meantime."
+    ),
     effect="The mission is not run (exit code 4).",
     remedy="Wait for it, or choose another output.path.",
 )
 OUTPUT_OTHER = Code(
     "OUTPUT-OTHER",
-    means="The output folder holds the results of another mission.",
+    means="The output folder contains the results of another mission.",
     effect="The mission is refused.",
-    remedy="Give each mission an output.path of its own.",
+    remedy="Give each mission a different output.path.",
 )
 OUTPUT_OVER_INPUT = Code(
     "OUTPUT-OVER-INPUT",
@@ -86,7 +88,7 @@ OUTPUT_SHARED = Code(
     "OUTPUT-SHARED",
     means="Two missions write to one folder.",
     effect="The second is refused.",
-    remedy="Give each mission a folder of its own.",
+    remedy="Give each mission a different folder.",
 )
 STORAGE_LOCK = Code(
     "STORAGE-LOCK",
@@ -99,7 +101,7 @@ STORAGE_NOT_OURS = Code(
     means="Files in the output folder would be replaced, and no manifest shows that unbend wrote "
     "them.",
     effect="The mission is not run (exit code 5).",
-    remedy="Choose an output.path of its own, or remove these files.",
+    remedy="Choose another output.path, or remove these files.",
 )
 STORAGE_SYMLINK = Code(
     "STORAGE-SYMLINK",
@@ -109,14 +111,14 @@ STORAGE_SYMLINK = Code(
 )
 VERIFY_NO_MANIFEST = Code(
     "VERIFY-NO-MANIFEST",
-    means="There is no manifest: no run ever finished in this folder.",
-    effect="`verify` ends with 5.",
+    means="There is no manifest: no run has finished in this folder.",
+    effect="`verify` ends with exit code 5.",
     remedy="Run the mission.",
 )
 VERIFY_DAMAGED = Code(
     "VERIFY-DAMAGED",
-    means="Results are not whole, or were changed.",
-    effect="`verify` ends with 5.",
+    means="Results are incomplete, or were changed.",
+    effect="`verify` ends with exit code 5.",
     remedy="Run the mission again.",
 )
 
@@ -125,7 +127,7 @@ def output_in_use(*, path: str, lock: str, holder: str) -> OutputInUseError:
     """Another process holds the lock of a folder of results; ``holder`` says which, in words."""
     return OutputInUseError(
         OUTPUT_IN_USE,
-        "another process is writing to this folder: {holder} holds {lock}",
+        "another process is writing to this folder: {holder} has locked {lock}",
         where=path,
         remedy="wait for it or end it, or choose another output.path",
         lock=lock,
@@ -137,9 +139,9 @@ def published_meanwhile(*, url: str) -> OutputInUseError:
     """Another run was published at a URL after this one began."""
     return OutputInUseError(
         OUTPUT_IN_USE,
-        "another run was published there meanwhile; this one was not",
+        "another run was published there in the meantime; this run was not published",
         where=url,
-        remedy="see which of the two is wanted, and run that again",
+        remedy="decide which of the two runs is needed, and run it again",
     )
 
 
@@ -147,9 +149,9 @@ def output_of_other_mission(*, path: str, other: str, name: str) -> ConfigError:
     """The manifest in the output folder is that of a mission of another name."""
     return ConfigError(
         OUTPUT_OTHER,
-        "the folder holds the results of mission {other}, and {name} would replace them",
+        "the folder contains the results of mission {other}, and {name} would replace them",
         where=path,
-        remedy="give each mission an output.path of its own, or remove the other results",
+        remedy="give each mission a different output.path, or remove the other results",
         other=other,
         name=name,
     )
@@ -173,7 +175,7 @@ def output_shared(*, first: str) -> ConfigError:
         OUTPUT_SHARED,
         "writes to the same folder as {first}",
         where="output.path",
-        remedy="give each mission a folder of its own",
+        remedy="give each mission a different folder",
         first=first,
     )
 
@@ -193,10 +195,12 @@ def files_not_ours(*, path: str, results: Sequence[str]) -> StorageError:
     """Files are named like results, and nothing says that unbend wrote them."""
     return StorageError(
         STORAGE_NOT_OURS,
-        "{results} would be replaced, but there is no manifest.json that says that unbend wrote "
-        "them",
+        (
+            "{results} would be replaced, but there is no manifest.json that shows that unbend "
+            "wrote them"
+        ),
         where=path,
-        remedy="choose an output.path of its own for the results, or remove these",
+        remedy="choose another output.path for the results, or remove these files",
         results=", ".join(results),
     )
 
@@ -227,7 +231,7 @@ def no_manifest(*, path: str) -> StorageError:
     """A finished run is wanted, and the folder has no manifest."""
     return StorageError(
         VERIFY_NO_MANIFEST,
-        "there is no manifest: the run never finished here",
+        "there is no manifest: no run has finished here",
         where=path,
         remedy="run the mission",
     )
@@ -235,12 +239,14 @@ def no_manifest(*, path: str) -> StorageError:
 
 def file_instead_of_run(*, path: str, folder: str) -> StorageError:
     """A file is given where the folder of a run is wanted; ``folder`` is that folder, if known."""
-    remedy = "name the folder of the results: output.path of the mission file, seen from that file"
+    remedy = (
+        "name the folder of the results: output.path of the mission file, relative to that file"
+    )
     if folder:
         remedy = "name the folder of the results: {folder}"
     return StorageError(
         VERIFY_NO_MANIFEST,
-        "is a file, and the folder of a run's results is wanted",
+        "is a file; the folder of the results of a run is needed",
         where=path,
         remedy=remedy,
         folder=folder,
@@ -254,7 +260,7 @@ def results_damaged(*, path: str, damage: Sequence[str]) -> StorageError:
         "results are damaged: {count}\n    {lines}",
         where=path,
         count=len(damage),
-        remedy="run the mission again; finished results are made anew",
+        remedy="run the mission again; the results are written again",
         lines="\n    ".join(damage),
     )
 
@@ -265,11 +271,11 @@ CAMPAIGN_MISSION = Code(
     "CAMPAIGN-MISSION",
     means="The option --mission names a mission that the campaign does not have.",
     effect="The command is refused; nothing was run.",
-    remedy="Give the name that stands in mission.name.",
+    remedy="Give the name that is under mission.name.",
 )
 RUN_SHARD = Code(
     "RUN-SHARD",
-    means="The part of the missions asked for does not exist.",
+    means="The requested part of the missions does not exist.",
     effect="Nothing is run.",
     remedy="Count from 0: --shard 0/8 to --shard 7/8.",
 )
@@ -281,8 +287,10 @@ WORKER_LOST = Code(
 )
 RESULTS_ELSEWHERE = Code(
     "RESULTS-ELSEWHERE",
-    means="A mission was run on another machine, and its results are not in the folder here.",
-    effect="The mission is refused here; the results are where that machine put them.",
+    means=(
+        "A mission was run on another machine. Its results are not in the folder on this machine."
+    ),
+    effect="The mission is refused here. The results are in the folder of the other machine.",
     remedy="Give all machines the same folders under the same paths.",
 )
 
@@ -293,7 +301,7 @@ def no_such_mission(*, name: str, known: Sequence[str]) -> ConfigError:
         CAMPAIGN_MISSION,
         "no mission is called {name!r}; there is {known}",
         where="--mission",
-        remedy="give --mission a name as mission.name has it",
+        remedy="give --mission the name that is under mission.name",
         name=name,
         known=", ".join(known),
     )
@@ -303,7 +311,7 @@ def no_such_shard(*, shard: str) -> ConfigError:
     """--shard is not K/N with K below N."""
     return ConfigError(
         RUN_SHARD,
-        "{shard} is no part of the missions",
+        "{shard} is not a part of the missions",
         where="--shard",
         remedy="give --shard 0/8 to --shard 7/8 for eight parts, counted from 0",
         shard=shard,
@@ -316,8 +324,10 @@ def worker_lost(*, path: str, first: str, second: str, replay: str) -> MissionEr
         WORKER_LOST,
         "the process that ran this mission died ({first}), and so did a second one ({second})",
         where=path,
-        remedy="repeat it alone: {replay}; where memory is short, lower output.batch_rows or take "
-        "a larger machine",
+        remedy=(
+            "repeat it alone: {replay}; if memory is short, lower output.batch_rows or use a "
+            "larger machine"
+        ),
         first=first,
         second=second,
         replay=replay,
@@ -357,9 +367,9 @@ SCHEDULER_EXTRA = Code(
 )
 SCHEDULER_FILE = Code(
     "SCHEDULER-FILE",
-    means="The file of the scheduler is not there, or is no such file.",
+    means="The scheduler file does not exist, or is not a scheduler file.",
     effect="Nothing is run.",
-    remedy="Give the file that dask scheduler --scheduler-file wrote, or an address.",
+    remedy="Give an address, or the file that dask scheduler --scheduler-file wrote.",
 )
 SCHEDULER_LOST = Code(
     "SCHEDULER-LOST",
@@ -377,7 +387,7 @@ SCHEDULER_WORKERS = Code(
     "SCHEDULER-WORKERS",
     means="The scheduler has no workers, or one of them does not answer.",
     effect="Nothing is run.",
-    remedy="Start some: dask worker ADDRESS. A worker that was stopped must go on or end.",
+    remedy="Start workers: dask worker ADDRESS. Resume or end a worker that was stopped.",
 )
 WORKER_FILES = Code(
     "WORKER-FILES",
@@ -387,8 +397,8 @@ WORKER_FILES = Code(
 )
 WORKER_VERSION = Code(
     "WORKER-VERSION",
-    means="A worker has other versions of the program, Python or a library.",
-    effect="Nothing is run; a worker that comes later refuses its missions.",
+    means="A worker has another version of the program, of Python or of a library.",
+    effect="Nothing is run. A worker that connects later refuses its missions.",
     remedy="Give all machines one environment, or one image.",
 )
 
@@ -443,7 +453,7 @@ def no_workers(*, address: str) -> ConfigError:
         SCHEDULER_WORKERS,
         "the scheduler has no workers",
         where=address,
-        remedy="start some: dask worker ADDRESS --nthreads 1",
+        remedy="start workers: dask worker ADDRESS --nthreads 1",
     )
 
 
@@ -453,7 +463,7 @@ def worker_silent(*, worker: str, seconds: float) -> ConfigError:
         SCHEDULER_WORKERS,
         "this worker has not answered for {seconds:.0f} s",
         where=worker,
-        remedy="let it go on or stop it for good, then run again",
+        remedy="resume it or end it, then run again",
         seconds=seconds,
     )
 
@@ -462,8 +472,8 @@ def files_not_seen(*, worker: str, first: str, count: int) -> ConfigError:
     """A worker looks for mission files that are not in its folders."""
     return ConfigError(
         WORKER_FILES,
-        "{count} files of missions are not where this worker looks; the first is {first}",
-        one="1 file of missions is not where this worker looks: {first}",
+        "this worker does not find {count} mission files; the first is {first}",
+        one="this worker does not find 1 mission file: {first}",
         where=worker,
         count=count,
         remedy="give all machines the same folders under the same paths (a shared file system)",
@@ -475,7 +485,7 @@ def other_versions(*, worker: str, other: Sequence[str]) -> ConfigError:
     """A worker would compute with other versions."""
     return ConfigError(
         WORKER_VERSION,
-        "a worker has other versions, and would give other numbers: {other}",
+        "a worker has other versions, and would give different numbers: {other}",
         where=worker,
         remedy="give all machines one environment, or one image",
         other=", ".join(other),
@@ -497,59 +507,79 @@ def worker_unable(*, worker: str, error: str) -> ConfigError:
 
 CLOUD_BUCKET = Code(
     "CLOUD-BUCKET",
-    means="The bucket or container of a URL is not there, or lies in another region.",
+    means="The bucket or container of a URL does not exist, or is in another region.",
     effect="Nothing is read or written.",
     remedy="Make it, or correct the URL, AWS_REGION or AZURE_STORAGE_ACCOUNT_NAME.",
 )
 CLOUD_CLOCK = Code(
     "CLOUD-CLOCK",
-    means="The clock of this machine and that of the store differ by more than 15 minutes: the "
-    "store takes no signature.",
+    means=(
+        "The clocks of this machine and of the store differ by more than 15 minutes. So the store "
+        "rejects all signatures."
+    ),
     effect="Nothing is computed.",
     remedy="Set the clock.",
 )
 CLOUD_CREDENTIALS = Code(
     "CLOUD-CREDENTIALS",
-    means="There are no credentials for a URL, or the store does not know them. They are those of "
-    "the environment: AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AZURE_STORAGE_ACCOUNT_NAME "
-    "and AZURE_STORAGE_ACCOUNT_KEY (or AZURE_STORAGE_SAS_KEY), or the role of the machine.",
+    means=(
+        "There are no credentials for a URL, or the store does not know them. Credentials are read "
+        "from the environment: AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or "
+        "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY (or AZURE_STORAGE_SAS_KEY), or "
+        "the role of the machine."
+    ),
     effect="Nothing is computed.",
     remedy="Set them; never write them into a mission file.",
 )
 CLOUD_DENIED = Code(
     "CLOUD-DENIED",
-    means="The credentials are known and may not do this: read, list, write or delete.",
+    means=(
+        "The store knows the credentials, but they do not have the permission: read, list, write "
+        "or delete."
+    ),
     effect="Nothing is computed.",
-    remedy="Ask for the right; results need all four, inputs reading and listing.",
+    remedy="Ask for the permission. Results need all four; inputs need read and list.",
 )
 CLOUD_EXTRA = Code(
     "CLOUD-EXTRA",
-    means="A URL is named, and obstore, which reads and writes object storage, is not installed.",
+    means=(
+        "A URL is given, but the package obstore, which reads and writes object storage, is not "
+        "installed."
+    ),
     effect="The mission is refused.",
     remedy='pip install "unbend[cloud]", or name files here.',
 )
 CLOUD_FAILED = Code(
     "CLOUD-FAILED",
-    means="A request to object storage failed after some tries: no network, a wrong endpoint, or "
-    "an answer that is not known.",
-    effect="What was published before stays; results that were made are kept in the user's cache.",
-    remedy="Look at the network, then run again: only what is missing is done.",
+    means=(
+        "A request to object storage failed after several tries: no network, a wrong endpoint, or "
+        "an unknown answer."
+    ),
+    effect="Results that were published before stay. New results are kept in the user's cache.",
+    remedy="Check the network, then run again. Only the missing steps are done.",
 )
 CLOUD_SILENT = Code(
     "CLOUD-SILENT",
-    means="Object storage was reached or looked for, and has not answered within a minute, or has "
-    "not taken a file within five: a network that was cut, a proxy, or a store that hangs.",
-    effect="The mission is not run or not published (exit code 5), and the others go on. What was "
-    "published before stays; results that were made are kept in the user's cache.",
-    remedy="Look at the network and at AWS_ENDPOINT_URL, then run again: only what is missing is "
-    "done.",
+    means=(
+        "Object storage has not answered within one minute, or has not accepted a file within five "
+        "minutes. The network was cut, a proxy blocks it, or the store does not respond."
+    ),
+    effect=(
+        "The mission is not run or not published (exit code 5). The other missions go on. Results "
+        "that were published before stay. New results are kept in the user's cache."
+    ),
+    remedy=(
+        "Check the network and AWS_ENDPOINT_URL, then run again. Only the missing steps are done."
+    ),
 )
 CLOUD_UNCONDITIONAL = Code(
     "CLOUD-UNCONDITIONAL",
-    means="The store has no conditional writes: of two runs that publish at once both would seem "
-    "to win.",
+    means=(
+        "The store has no conditional writes. If two runs publish at the same time, both would "
+        "seem to succeed."
+    ),
     effect="Nothing is computed.",
-    remedy="Take another store, or an output folder.",
+    remedy="Use another store, or an output folder.",
 )
 
 
@@ -557,7 +587,7 @@ def url_invalid(*, url: str, why: str) -> ConfigError:
     """A URL names no object; ``url`` is what of it may be repeated."""
     return ConfigError(
         URL_INVALID,
-        "this is no URL of object storage: {why}",
+        "this is not a URL of object storage: {why}",
         where=url,
         remedy="write s3://bucket/key or az://container/key, with the credentials in the "
         "environment",
@@ -603,8 +633,10 @@ def no_bucket(*, url: str, answer: str) -> StorageError:
         CLOUD_BUCKET,
         "the bucket or container is not there, or in another region ({answer})",
         where=url,
-        remedy="make it first, or correct the URL; the region is that of AWS_REGION, the account "
-        "that of AZURE_STORAGE_ACCOUNT_NAME",
+        remedy=(
+            "create it first, or correct the URL; AWS_REGION states the region, "
+            "AZURE_STORAGE_ACCOUNT_NAME the account"
+        ),
         answer=answer,
     )
 
@@ -613,9 +645,9 @@ def wrong_clock(*, url: str, answer: str) -> StorageError:
     """The store takes no signature of a clock that is off."""
     return StorageError(
         CLOUD_CLOCK,
-        "the clock here is wrong for this store ({answer})",
+        "the clock of this machine differs too much from the clock of the store ({answer})",
         where=url,
-        remedy="set the clock of this machine; stores refuse more than 15 minutes",
+        remedy="set the clock of this machine; stores refuse a difference of more than 15 minutes",
         answer=answer,
     )
 
@@ -626,8 +658,10 @@ def wrong_credentials(*, url: str, answer: str) -> StorageError:
         CLOUD_CREDENTIALS,
         "the store does not know these credentials ({answer})",
         where=url,
-        remedy="look at the variables of the environment that begin with AWS_ or AZURE_; `unbend "
-        "help CLOUD-CREDENTIALS` names them",
+        remedy=(
+            "check the environment variables that begin with AWS_ or AZURE_; `unbend help "
+            "CLOUD-CREDENTIALS` names them"
+        ),
         answer=answer,
     )
 
@@ -648,9 +682,9 @@ def not_allowed(*, url: str, verb: str, answer: str) -> StorageError:
     """The credentials may not read, list, write or delete there."""
     return StorageError(
         CLOUD_DENIED,
-        "these credentials may not {verb} there ({answer})",
+        "these credentials have no permission to {verb} there ({answer})",
         where=url,
-        remedy="inputs need reading and listing; results need writing and deleting too",
+        remedy="inputs need the permissions to read and list; results also need write and delete",
         verb=verb,
         answer=answer,
     )
@@ -662,7 +696,7 @@ def request_failed(*, url: str, verb: str, answer: str) -> StorageError:
         CLOUD_FAILED,
         "the store could not {verb} it; its answer: {answer}",
         where=url,
-        remedy="look at the network and at AWS_ENDPOINT_URL if that is set, then run again",
+        remedy="check the network, and AWS_ENDPOINT_URL if it is set, then run again",
         verb=verb,
         answer=answer,
     )
@@ -672,9 +706,9 @@ def store_silent(*, url: str, verb: str, host: str, seconds: float) -> StorageEr
     """The store did not answer; ``host`` is empty where it is not known."""
     return StorageError(
         CLOUD_SILENT,
-        "{host} has not answered: waited {seconds:.0f} s to {verb} it",
+        "{host} has not answered within {seconds:.0f} s: request to {verb} it",
         where=url,
-        remedy="look at the network and at AWS_ENDPOINT_URL if that is set, then run again",
+        remedy="check the network, and AWS_ENDPOINT_URL if it is set, then run again",
         host=host or "the store",
         seconds=seconds,
         verb=verb,
@@ -685,10 +719,12 @@ def writes_unconditional(*, url: str) -> StorageError:
     """The store does not look at the condition of a write."""
     return StorageError(
         CLOUD_UNCONDITIONAL,
-        "the store overwrites what it was asked to write only if nothing is there",
+        "the store overwrites an object that it was asked to write only if it does not exist",
         where=url,
-        remedy="results need a store with conditional writes (If-None-Match and If-Match); take "
-        "another, or a folder",
+        remedy=(
+            "results need a store with conditional writes (If-None-Match and If-Match); use "
+            "another store, or a folder"
+        ),
     )
 
 
@@ -696,7 +732,7 @@ def folder_is_no_block(*, where: object, files: str) -> InputError:
     """`unbend init` is given a folder that no program wrote."""
     return InputError(
         INPUT_MISSING,
-        "the folder is no block: it has none of {files}",
+        "the folder is not a block: it has none of {files}",
         where=where,
         remedy=(
             "name a log or a block: sparse/0 of COLMAP, the project of OpenSfM, a .psz or .xml of "
@@ -710,7 +746,10 @@ def other_images(*, where: object, absent: str, present: str) -> InputError:
     """`unbend init` is given the images of another flight."""
     return InputError(
         IMAGES_OTHER,
-        "none of the images of the observations is there: {absent} is not, but {present} is",
+        (
+            "none of the images of the observations is in the folder: it does not have {absent}, "
+            "but it has {present}"
+        ),
         where=where,
         remedy="give the images of this flight",
         absent=absent,
@@ -720,7 +759,7 @@ def other_images(*, where: object, absent: str, present: str) -> InputError:
 
 ANGLE_CAMERA = Code(
     "ANGLE-CAMERA",
-    means="The mission has no camera of the name that `unbend angle --camera` gives.",
+    means="The mission has no camera with the name that `unbend angle --camera` gives.",
     effect="The command is refused.",
     remedy="Give the name of a camera of the mission file.",
 )
@@ -734,5 +773,5 @@ def no_such_camera(*, where: str, name: str, names: str) -> ConfigError:
         where=where,
         name=name,
         names=names,
-        remedy="give one of these",
+        remedy="give one of these names",
     )

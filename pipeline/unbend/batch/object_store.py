@@ -202,10 +202,13 @@ def _mistake_of(url: str, bucket: str, key: str) -> str:
     if "@" in bucket or re.search("[?#]", url):
         return "it has a user, a password, a query or a fragment"
     if not _BUCKET.fullmatch(bucket):
-        return "its bucket or container is not named by 2 to 63 of a-z, 0-9, '.', '-' and '_'"
+        return (
+            "the name of its bucket or container must have 2 to 63 characters of a-z, 0-9, '.', "
+            "'-' and '_'"
+        )
     parts = set(key.split("/"))
     if key and (parts & {"", ".", ".."} or "\\" in key or not key.isprintable()):
-        return "between slashes stands nothing, '.', '..' or a backslash"
+        return "a part between slashes is empty, '.' or '..', or has a backslash"
     return ""
 
 

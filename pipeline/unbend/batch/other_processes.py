@@ -42,7 +42,7 @@ def holder_in_words(lock: Path) -> str:
     """Who holds the lock of a file, for a message."""
     process = holder_of(lock)
     if process is None:
-        return "a process that is not known here, maybe of another machine,"
+        return "a process that is unknown on this machine, perhaps of another machine,"
     if is_stopped(process):
         return f"process {process}, which is stopped,"
     return f"process {process}"

@@ -198,7 +198,7 @@ def way_of_death(code: int | None, *, was_stopped: bool = False) -> str:
         seconds = MOST_LOOKS * LOOK_S
         return f"stopped (SIGSTOP) for {seconds:.0f} s, so it was killed"
     if code is None:
-        return "it ended, and left no exit code"
+        return "it ended without an exit code"
     if code < 0:
         return f"killed by {signal.Signals(-code).name}"
     if code < 256:

@@ -75,11 +75,11 @@ class _PlainUnpickler(pickle.Unpickler):
             plain = super().find_class(module, name)
             if isinstance(plain, type) and (issubclass(plain, tuple | Enum) or is_dataclass(plain)):
                 return plain
-        raise pickle.UnpicklingError(f"{module}.{name} is no plain value")
+        raise pickle.UnpicklingError(f"{module}.{name} is not a plain value")
 
 
 def member_of(enumeration: Any, name: str) -> Any:
     """A member of an enumeration, which Python before 3.11.4 writes as its attribute."""
     if isinstance(enumeration, EnumType) and name in enumeration.__members__:
         return enumeration[name]
-    raise pickle.UnpicklingError(f"{name} is no member of an enumeration")
+    raise pickle.UnpicklingError(f"{name} is not a member of an enumeration")

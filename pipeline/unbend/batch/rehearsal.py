@@ -51,7 +51,7 @@ def input_lines(checked: CheckedMission) -> list[Line]:
     stations = checked.corrected.stations
     prepared = checked.corrected.prepared
     flight = prepared.flight
-    log = "none: the stations come from elsewhere, and so does the air"
+    log = "none: the stations and the air come from other sources"
     if flight.log is not None:
         log = f"{checked.plan.input('log').name}: {flight.log.format}"
     channels = []
@@ -146,7 +146,7 @@ def air_text(facts: Facts) -> str:
     """What the air does to a ray, against the standard atmosphere."""
     effects = [EffectRecord.of(effect) for effect in facts.effects[:1]]
     lines = effect_lines(effects, facts.adjustment.standard.name)
-    return "; ".join(lines) or "no ray looks down"
+    return "; ".join(lines) or "no ray points down"
 
 
 def spans_by_camera(facts: Facts, values: Array, digits: int) -> str:

@@ -320,22 +320,22 @@ def why_refused(
     placed = int(np.count_nonzero(assignment.event >= 0)) + ambiguous
     if contradiction > LOG_RATIO_NEEDED:
         pair = "the image and its event that were stated"
-        return f"{pair} contradict the rest by e^{contradiction:.0f}"
+        return f"{pair} contradict the other evidence by e^{contradiction:.0f}"
     if placed < 0.5 * images.count:
-        return f"only {placed} of {images.count} images find an event"
+        return f"only {placed} of {images.count} images could be assigned to an event"
     if ambiguous > FEW_AMBIGUOUS * images.count:
-        return f"{ambiguous} of {images.count} images lie between two events"
+        return f"{ambiguous} of {images.count} images are between two events"
     if axis.is_time and assignment.sigma_s > LARGEST_SIGMA * axis.interval:
         sizes = f"residuals of {assignment.sigma_s:.2g} s, events {axis.interval:.2g} s apart"
         return f"the times fit no better than by chance: {sizes}"
     only_times = axis.is_time and len(assignment.evidence) == 1
     if only_times and placed < 3 and np.isinf(axis.offset_sigma):
-        return f"{placed} images have no rhythm"
+        return f"{placed} images have no pattern of intervals"
     if assignment.log_ratio >= LOG_RATIO_NEEDED:
         return ""
     if assignment.evidence[-1] == "names (counted)" and not images.names_speak(events):
         counts = f"counted up to {int(np.max(axis.images))} and {events.time_s.size} events"
-        why = "numbers alone do not decide which image has which event"
+        why = "numbers alone do not decide the assignment of images to events"
         return f"{images.count} images {counts}: {why}"
     times = f"{np.exp(max(0.0, assignment.log_ratio)):.3g} times less likely"
     return f"shifted by {assignment.shift:+d} events it is only {times}"

@@ -65,7 +65,7 @@ def moved_principal_points(cameras: Mapping[str, Camera], axes: OffsetAxes) -> I
         corrected[name] = moved
     places = [f"{c.cx_px:.1f}, {c.cy_px:.1f} px in {name}" for name, c in corrected.items()]
     principal_points = f"the principal point is at {' and '.join(places)}"
-    yield f"{principal_points}: what is stated counts along other axes", corrected
+    yield f"{principal_points}: the stated ones are measured along other axes", corrected
 
 
 def distortions_of_other_sign(
@@ -83,7 +83,13 @@ def distortions_of_other_sign(
         if corrected[name] == camera:
             return
     coefficients = f"the coefficients of distortion of {' and '.join(cameras)}"
-    yield f"{coefficients} have the other sign: those of corrections, or the reverse", corrected
+    yield (
+        (
+            f"{coefficients} have the opposite sign: those of the correction instead of the "
+            "distortion, or the reverse"
+        ),
+        corrected,
+    )
 
 
 def exchanged_calibrations(
@@ -101,7 +107,7 @@ def exchanged_calibrations(
     }
     same_model = type(camera_of_first.distortion) is type(camera_of_second.distortion)
     if same_model and corrected[first] != camera_of_first:
-        yield f"the calibrations of {first} and {second} are each other's", corrected
+        yield f"the calibrations of {first} and {second} are exchanged", corrected
 
 
 def with_image_size(camera: Camera, sized: Camera) -> Camera:

@@ -52,7 +52,7 @@ def error_in_words(
     if code == "TIES-PIXELS":
         axes = "x and y are exchanged" if hypothesis.label == "exchanged" else "y counts upward"
         return f"in the pixels of {hypothesis.camera} {axes}"
-    return f"the images of {hypothesis.label} are each other's"
+    return f"the images of {hypothesis.label} are exchanged"
 
 
 def turn_in_words(
@@ -71,7 +71,7 @@ def turn_in_words(
         return ""
     angle_deg = np.degrees(angle)
     sigma_deg = float(np.degrees(np.sqrt(np.diag(covariance).max())))
-    text = f"{camera} is turned by {angle_deg:.2f} deg +- {sigma_deg:.2g} against that stated"
+    text = f"{camera} is turned by {angle_deg:.2f} deg +- {sigma_deg:.2g} against the stated angles"
     if mission.mounts:
         body = (CAMERA_AT_REST.T @ turn @ mission.camera_from_body(camera)).T
         yaw, pitch, roll = Rotation.from_matrix(body).as_euler("ZYX", degrees=True)
@@ -140,7 +140,7 @@ def height_in_words(
         return ""
     direction = "low" if up_m > 0 else "high"
     text = (
-        f"the stations lie {abs(up_m):.1f} m +- {sigma:.2g} too {direction} above the given "
+        f"the stations are {abs(up_m):.1f} m +- {sigma:.2g} too {direction} above the given "
         "heights of the ground"
     )
     apart_m = {name: abs(named_m - up_m) for name, named_m in mission.other_heights_m.items()}
@@ -168,7 +168,7 @@ def time_in_words(
     text = f"the exposures are {abs(time_s):.2f} s +- {sigma:.2g} {direction} than stated"
     shortest_s, longest_s = LEAP_SECONDS
     if shortest_s < abs(time_s) < longest_s:
-        text += ", as GPS time and UTC are apart"
+        text += ", the difference between GPS time and UTC"
     return text
 
 

@@ -62,15 +62,20 @@ def scattered_heights(
     allowed_m = max(LARGEST_SCATTER * flying_height_m, explained_m)
     far_m = float(np.quantile(np.abs(off_m), FAR_SHARE))
     far = (
-        f"given heights of a tenth of {off_m.size} points are {far_m:.0f} m or more from where "
-        "their rays meet, expected "
+        f"given heights of a tenth of {off_m.size} points are {far_m:.0f} m or more from the "
+        "intersection of their rays, expected "
     )
-    likely = ": no heights, holes that hold a number, or heights of other points or another place"
+    likely = (
+        ": these are not heights, holes in the data are filled with a number, or the heights are "
+        "of other points or another place"
+    )
     if far_m > allowed_m:
         return f"{far}within {allowed_m:.0f} m{likely}"
     relief_m = scatter_of(met_m[has_height])
     if scatter_of(off_m) > max(WORSE_THAN_FLAT * relief_m, FLAT * flying_height_m):
-        return f"{far}nearer than one height for all, which is within {relief_m:.0f} m{likely}"
+        return (
+            f"{far}nearer than one height for all points, which is within {relief_m:.0f} m{likely}"
+        )
     return ""
 
 

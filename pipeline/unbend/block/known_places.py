@@ -112,7 +112,7 @@ class PlaceComparison:
         stretch = abs(self.scale - 1.0)
         smallest_stretch = max(SMALLEST_SCALE, noise * self.scale)
         if stretch > smallest_stretch and stretch * half_m > tolerated_m:
-            texts.append(f"its lengths are to be multiplied by {self.scale:.4g}")
+            texts.append(f"its lengths must be multiplied by {self.scale:.4g}")
         return texts
 
     @property
@@ -126,7 +126,7 @@ class PlaceComparison:
     @property
     def tested(self) -> str:
         """What agrees, with its sigmas, in words."""
-        parts = [f"{self.offset_m:.1f} m apart in the middle"]
+        parts = [f"{self.offset_m:.1f} m apart at the centre"]
         if np.isfinite(self.turn_rad):
             degrees = np.degrees(abs(self.turn_rad))
             sigma = np.degrees(self.sigma_turn)

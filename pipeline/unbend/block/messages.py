@@ -5,21 +5,21 @@ from unbend.messages import Kind, Message, finding, loss, message, note, warning
 
 ORIENTATION_FAR = Code(
     "ORIENTATION-FAR",
-    means="Images are far from the middle of all others.",
-    effect="They are suspect, without corrected values; the run ends with 3.",
-    remedy="Check their coordinates: exchanged, or of another zone.",
+    means="Images are far from the centre of all images.",
+    effect="They are suspect and have no corrected values. The run ends with exit code 3.",
+    remedy="Check their coordinates: they may be exchanged, or of another zone.",
 )
 
 
 def orientation_far(
     *, where: str, count: int, total: int, first: int, limit_km: float, away_km: float
 ) -> Message:
-    """Images are far from the middle of all others."""
+    """Images are far from the centre of all images."""
     return loss(
         ORIENTATION_FAR,
         (
-            "{count} of {total} images are more than {limit_km:.0f} km from the middle of "
-            "all: suspect; the first is {first}, {away_km:.0f} km away"
+            "{count} of {total} images are more than {limit_km:.0f} km from the centre of all "
+            "images: suspect; the first is {first}, {away_km:.0f} km away"
         ),
         where=where,
         count=count,
@@ -33,8 +33,8 @@ def orientation_far(
 ORIENTATION_FIT = Code(
     "ORIENTATION-FIT",
     means="How the model fits the known positions: residuals and the sigma of its vertical.",
-    effect="A note or a warning; refused where it does not fit.",
-    remedy="Check names and coordinates of the known positions; give more than three.",
+    effect="A note or a warning. Refused if the model does not fit.",
+    remedy="Check names and coordinates of the known positions. Give more than three.",
 )
 
 
@@ -53,8 +53,11 @@ def orientation_fitted(
     return message(
         kind,
         ORIENTATION_FIT,
-        "the model was fitted to {positions}: scale {scale:.6g}, {fit}; its vertical is good to "
-        "{tilt_deg:.2g} deg, with {sigma_m:.2g} m of sigma{contradictions}",
+        (
+            "the model was fitted to {positions}: scale {scale:.6g}, {fit}; its vertical has a "
+            "sigma of {tilt_deg:.2g} deg for positions with a sigma of {sigma_m:.2g} "
+            "m{contradictions}"
+        ),
         positions=Counted(count, "known position"),
         where=where,
         count=count,
@@ -75,8 +78,8 @@ def orientation_fit(*, where: object, size: int, fit: str) -> MissionError:
         size=size,
         fit=fit,
         remedy=(
-            "are latitude and longitude swapped, are the names those of other images, are"
-            " x, y and z right-handed?"
+            "are latitude and longitude exchanged? do the names belong to other images? are x, y "
+            "and z right-handed?"
         ),
     )
 
@@ -94,9 +97,9 @@ def orientation_known(*, where: object, usable: int, known: int) -> MissionError
     return MissionError(
         ORIENTATION_KNOWN,
         (
-            "{usable} of {known} known positions belong to an image of the orientation and "
-            "are complete: a model in an unknown frame has no vertical, no north and no "
-            "scale, and needs at least three"
+            "{usable} of {known} known positions are complete and belong to an image of the "
+            "orientation: a model in an unknown frame has no vertical, no north and no scale, and "
+            "needs at least three known positions"
         ),
         where=where,
         usable=usable,
@@ -110,9 +113,9 @@ def orientation_known(*, where: object, usable: int, known: int) -> MissionError
 
 ORIENTATION_LINE = Code(
     "ORIENTATION-LINE",
-    means="The known positions lie on a line: the model could roll about it.",
+    means="The known positions are on one line. The model could roll about this line.",
     effect="The mission is refused.",
-    remedy="Give positions of images away from that line.",
+    remedy="Give positions of images that are not on this line.",
 )
 
 
@@ -121,8 +124,8 @@ def orientation_line(*, where: object, size: int, sigma: float, tilt: float) -> 
     return MissionError(
         ORIENTATION_LINE,
         (
-            "{size} known positions lie on a line, or nearly so: with {sigma:.2g} m of sigma "
-            "they leave the model free to roll about it by {tilt:.2g} deg (one sigma)"
+            "{size} known positions are on one line, or nearly so: with a sigma of {sigma:.2g} m, "
+            "the model can roll about this line by {tilt:.2g} deg (one sigma)"
         ),
         where=where,
         size=size,
@@ -134,10 +137,7 @@ def orientation_line(*, where: object, size: int, sigma: float, tilt: float) -> 
 
 ORIENTATION_TURNS = Code(
     "ORIENTATION-TURNS",
-    means=(
-        "The images turn against the flight: the sense of yaw or of the quaternion is the"
-        " other one."
-    ),
+    means=("The images turn against the flight. Yaw or the quaternion has the opposite sense."),
     effect="The mission is refused.",
     remedy="Yaw counts clockwise from north, kappa counter-clockwise; choose the other sense.",
 )
@@ -147,11 +147,11 @@ def orientation_turns(*, where: object) -> MissionError:
     """The images turn against the flight."""
     return MissionError(
         ORIENTATION_TURNS,
-        "the images turn against the flight: where the track turns right, they turn left",
+        "the images turn against the flight: they turn left when the track turns right",
         where=where,
         remedy=(
-            "yaw counts clockwise from north, kappa counter-clockwise; a quaternion may "
-            "be the inverse one: choose the other sense of stations.orientation.angles"
+            "yaw counts clockwise from north, kappa counter-clockwise; a quaternion may be the "
+            "inverse of the needed one: choose the other sense of stations.orientation.angles"
         ),
     )
 
@@ -159,8 +159,8 @@ def orientation_turns(*, where: object) -> MissionError:
 ORIENTATION_UP = Code(
     "ORIENTATION-UP",
     means="Cameras look above the horizon.",
-    effect="They are suspect; refused where many do.",
-    remedy="Check unit, names of the angles, frame, and the mount.",
+    effect="They are suspect. Refused if many cameras do so.",
+    remedy="Check the unit, the names of the angles, the frame, and the mount.",
 )
 
 
@@ -176,7 +176,8 @@ def cameras_look_up(*, where: str, count: int, total: int, first: str) -> Missio
         remedy=(
             "check unit (grad?), angles, columns (omega, phi, kappa; roll, pitch, yaw; q_w to q_z) "
             "and frame there, and the axes of the camera: x right, y down, z forward for a "
-            "quaternion; roll, pitch and yaw of 0 look straight down unless mount says otherwise"
+            "quaternion; a camera with roll, pitch and yaw of 0 looks straight down, unless mount "
+            "states something else"
         ),
     )
 
@@ -196,13 +197,13 @@ def some_cameras_look_up(*, where: str, count: int, total: int, first: str) -> M
 FRAME_PLACES = Code(
     "FRAME-PLACES",
     means=(
-        "The same files, or the log, know where the images were, and the stated frame of the block "
-        "puts them elsewhere: turned, tilted, in another unit, scale or datum."
+        "The same files, or the log, have positions of the images. The stated frame of the block "
+        "gives other positions: turned, tilted, or in another unit, scale or datum."
     ),
-    effect="The stations follow the stated frame; the run ends with 3.",
+    effect="The stations are in the stated frame. The run ends with exit code 3.",
     remedy=(
-        "Correct stations.orientation.frame, or give frame: unknown with known_positions; accept "
-        "the finding if the known positions are wrong."
+        "Correct stations.orientation.frame, or give frame: unknown with known_positions. If the "
+        "known positions are wrong, accept the finding."
     ),
 )
 
@@ -213,9 +214,11 @@ def frame_contradicts_places(
     """Known positions of images contradict the frame of a block."""
     return finding(
         FRAME_PLACES,
-        "by {source} of {count} images, {extent:.0f} m across, the frame of the block is wrong: "
-        "{contradictions} (residuals {residual:.1f} m)",
-        one="by {source} of 1 image the frame of the block is wrong: {contradictions}",
+        (
+            "{source} of {count} images, {extent:.0f} m across, contradict the frame of the block: "
+            "{contradictions} (residuals {residual:.1f} m)"
+        ),
+        one="{source} of 1 image contradict the frame of the block: {contradictions}",
         where=where,
         count=count,
         source=source,
@@ -227,7 +230,10 @@ def frame_contradicts_places(
 
 FRAME_CONFIRMED = Code(
     "FRAME-CONFIRMED",
-    means="Known positions of the images agree with the frame of the block, as far as they tell.",
+    means=(
+        "Known positions of the images agree with the frame of the block in all properties that "
+        "they can test."
+    ),
     effect="None.",
     remedy="Nothing.",
 )
@@ -254,11 +260,11 @@ FRAME_UNVERIFIED = Code(
     "FRAME-UNVERIFIED",
     means="Nothing in the files of the mission can confirm the frame of the block.",
     effect=(
-        "None; were the model without scale, in feet, tilted, turned or of another datum, no check "
-        "would say so, and every number of the run would be wrong."
+        "None. If the model has no scale, is in feet, is tilted, turned or of another datum, no "
+        "check reports it, and every number of the run is wrong."
     ),
     remedy=(
-        "Compare extent and heights with the flight; give stations.orientation.known_positions, "
+        "Compare extent and heights with the flight. Give stations.orientation.known_positions, "
         "events.images with positions in EXIF, control, or the database with pose priors."
     ),
 )
@@ -271,12 +277,16 @@ def frame_unverified(*, where: str, count: int, extent: float, low: float, high:
     """Nothing confirms the frame of a block."""
     return warning(
         FRAME_UNVERIFIED,
-        "nothing in this mission can verify the frame of the block: no file has positions of four "
-        "images or more; a model without scale, in feet, tilted, turned or of another datum would "
-        "look the same: compare with the flight that the {count} images lie within {extent} m, "
-        "{low:.0f} to {high:.0f} m above sea level",
-        one="nothing in this mission can verify the frame of the block of 1 image: no file has "
-        "positions; compare with the flight that it is {high:.0f} m above sea level",
+        (
+            "nothing in this mission can verify the frame of the block: no file has positions of "
+            "four images or more; a model without scale, in feet, tilted, turned or of another "
+            "datum would look the same: the {count} images are within {extent} m, {low:.0f} to "
+            "{high:.0f} m above sea level; compare this with the flight"
+        ),
+        one=(
+            "nothing in this mission can verify the frame of the block of 1 image: no file has "
+            "positions; the image is {high:.0f} m above sea level; compare this with the flight"
+        ),
         where=where,
         count=count,
         extent=f"{extent:,.0f}" if extent >= SMALL_BLOCK_M else f"{extent:.2g}",

@@ -115,8 +115,8 @@ def fitted_frame(
     if positions.count == 3:
         kind = Kind.LOSS if contradictions else Kind.WARNING
         contradictions.append(
-            "nothing checks three positions: an error of one height leaves no residual, and the "
-            "vertical is only as good as they are; give more"
+            "three positions cannot be checked: an error in one height causes no residual, and the "
+            "vertical is only as accurate as the positions; give more"
         )
     made = messages.orientation_fitted(
         kind=kind,
@@ -222,8 +222,8 @@ def contradictions_of_fit(
     residual = fit.residual_m
     if residual.max() > max(usual_m, USUAL_FIT_RESIDUAL * positions.extent_m):
         contradictions.append(
-            f"{positions.name[np.argmax(residual)]} misses by more than known positions should: a "
-            "wrong position, or the name of another image"
+            f"{positions.name[np.argmax(residual)]} has a larger residual than a known position "
+            "should have: a wrong position, or the name of another image"
         )
     if positions.count <= 4:  # without one of four, three are left: they fit whatever they are
         return contradictions
@@ -233,8 +233,8 @@ def contradictions_of_fit(
     best = min(fits_of_others)
     if best.off_m > max(usual_m, FIT_OUTLIER * best.rms_m):
         contradictions.append(
-            f"without {positions.name[best.row]} the others fit to {best.rms_m:.2f} m (rms), and "
-            f"it is {best.off_m:.1f} m off: another image, or a wrong position"
+            f"without {positions.name[best.row]} the others fit within {best.rms_m:.2f} m (rms), "
+            f"and it is {best.off_m:.1f} m off: another image, or a wrong position"
         )
     return contradictions
 

@@ -40,7 +40,7 @@ HelpFormatter: TypeAlias = Any
 
 GROUPS = {
     "From a log to files for adjustment": ("init", "check", "run", "export"),
-    "Look at missions, logs and results": (
+    "Show missions, logs and results": (
         "status",
         "report",
         "verify",
@@ -108,7 +108,7 @@ app = typer.Typer(
 )
 
 
-Quiet = Annotated[bool, Option("--quiet", "-q", help="print nothing but refusals")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="print only refusals")]
 AsJson = Annotated[bool, Option("--json", help="print the answer as JSON")]
 
 

@@ -1,4 +1,4 @@
-"""Commands beside missions: the way in, and what a word means."""
+"""Commands that need no mission: the first mission file, the schema, and help on words."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ from unbend.report.words import count, hanging
 def schema(
     answer: Answer,
     out: Annotated[Path | None, Option(help="the file to write")] = None,
-    campaign: Annotated[bool, Option("--campaign", help="that of a campaign file")] = False,
+    campaign: Annotated[bool, Option("--campaign", help="the schema of a campaign file")] = False,
 ) -> None:
     """The JSON schema of a mission file, for editors.
 
@@ -43,13 +43,15 @@ def explain_word(
     words: Annotated[
         list[str],
         Argument(
-            help="a key, a code, an exit code, a status, a column of results, or a word of the "
-            "field such as gcp, boresight or lever arm",
+            help=(
+                "a key, a code, an exit code, a status, a column of results, or a technical term "
+                "such as gcp, boresight or lever arm"
+            ),
             metavar="WORD",
         ),
     ],
 ) -> None:
-    """What a key, a code, a column or a word of the field means."""
+    """Explain a key, a code, a column or a technical term."""
     word = " ".join(words)
     with answer.progress("looking it up"):
         lines = lines_on(word)
@@ -79,7 +81,7 @@ def lines_on(word: str) -> list[str]:
 @command(epilog="Example: unbend init flight.bin observations.csv")
 def init(
     answer: Answer,
-    log: Annotated[Path, Argument(help="a flight log, or a block alone", metavar="LOG")],
+    log: Annotated[Path, Argument(help="a flight log, or only a block", metavar="LOG")],
     observations: Annotated[
         Path | None,
         Argument(help="a table, or a block of another program", metavar="[OBSERVATIONS]"),
@@ -89,12 +91,12 @@ def init(
     ] = None,
     out: Annotated[Path, Option(help="the file to write; - prints it")] = Path("mission.yaml"),
     *,
-    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
+    force: Annotated[bool, Option(help="replace the file if it exists")] = False,
 ) -> None:
-    """Write a mission file from what a log and observations hold.
+    """Write a mission file from the content of a log and of observations.
 
-    What is open is TODO; `unbend check` lists it. Beside the file stands mission.schema.json, by
-    which editors complete and check.
+    Open questions are TODO; `unbend check` lists them. mission.schema.json is written next to
+    the file. Editors use it to complete and check keys.
     """
     printed = str(out) == "-"
     if not printed and out.exists() and not force:
@@ -125,10 +127,11 @@ def init(
 
 @command(epilog="Example: unbend warm --json")
 def warm(answer: Answer) -> None:
-    """Compile ahead what runs need: some ten seconds, once.
+    """Compile the code that runs need, in advance: about ten seconds, once.
 
-    For images of containers and for many machines: the code goes where NUMBA_CACHE_DIR says, or to
-    the user's cache, and serves this version of the program on processors of this kind.
+    For container images and for many machines. The code is stored in the folder
+    NUMBA_CACHE_DIR, or in the user's cache. It is valid for this version of the program and
+    this kind of processor.
     """
     with answer.progress("compiling"):
         from unbend.library import correct_one_image

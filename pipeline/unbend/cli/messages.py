@@ -4,21 +4,24 @@ from unbend.errors import Code, ConfigError, StorageError
 
 RUN_ARGUMENTS = Code(
     "RUN-ARGUMENTS",
-    means="Options of `run` that do not go together.",
+    means="Options of `run` that cannot be combined.",
     effect="Nothing is run.",
     remedy="Leave one of them out.",
 )
 INSPECT_ARGUMENTS = Code(
     "INSPECT-ARGUMENTS",
-    means="The options of `unbend inspect` do not go together.",
+    means="The options of `unbend inspect` cannot be combined.",
     effect="The command is refused.",
     remedy="For example: unbend inspect flight.bin --type BARO --csv.",
 )
 ANGLE_ARGUMENTS = Code(
     "ANGLE-ARGUMENTS",
-    means="One angle is asked for with options of the table of angles, or the other way round.",
+    means=(
+        "One angle is requested with options of the table of angles, or a table with options of "
+        "one angle."
+    ),
     effect="The command is refused.",
-    remedy="Give --nadir-angle for one angle; leave it out for a table.",
+    remedy="Give --nadir-angle for one angle. Leave it out for a table.",
 )
 PROFILE_ARGUMENTS = Code(
     "PROFILE-ARGUMENTS",
@@ -34,7 +37,7 @@ PAGE_FORMAT = Code(
 )
 INIT_EXISTS = Code(
     "INIT-EXISTS",
-    means="`unbend init` would write over a file that is there already.",
+    means="`unbend init` would overwrite a file that exists already.",
     effect="Nothing was written.",
     remedy="Choose another name with --out, or replace the file with --force.",
 )
@@ -44,8 +47,10 @@ def jobs_and_scheduler() -> ConfigError:
     """`run` is given processes of this machine, and a scheduler of others."""
     return ConfigError(
         RUN_ARGUMENTS,
-        "--jobs and --scheduler do not go together",
-        remedy="the workers of the scheduler say how many missions run at the same time",
+        "--jobs and --scheduler cannot be combined",
+        remedy=(
+            "the number of workers of the scheduler states how many missions run at the same time"
+        ),
     )
 
 
@@ -53,7 +58,7 @@ def inspect_options() -> ConfigError:
     """`inspect` is given options of one type of messages without a type, or CSV as JSON."""
     return ConfigError(
         INSPECT_ARGUMENTS,
-        "--csv and --instance go with --type, and --csv not with --json",
+        "--csv and --instance need --type; --csv cannot be combined with --json",
         remedy="for example: unbend inspect flight.bin --type BARO --csv",
     )
 
@@ -83,9 +88,9 @@ def page_not_markdown(*, path: str, suffix: str) -> ConfigError:
     """The page of the comparison of methods is not called .md."""
     return ConfigError(
         PAGE_FORMAT,
-        "the page is Markdown and ends in .md, not in {suffix}",
+        "the page is Markdown: its name must end in .md, not in {suffix}",
         where=path,
-        remedy="its picture gets the same name with .png",
+        remedy="the picture of the page gets the same name with .png",
         suffix=suffix or "nothing",
     )
 
@@ -94,7 +99,7 @@ def file_exists(*, path: str) -> ConfigError:
     """The mission file that `init` would write is there."""
     return ConfigError(
         INIT_EXISTS,
-        "the file is there already",
+        "the file exists already",
         where=path,
         remedy="choose another name with --out, or replace it: --force",
     )
@@ -104,7 +109,7 @@ def no_place_for_compiled_code(*, path: str) -> StorageError:
     """Nothing can be compiled ahead, because no folder keeps it."""
     return StorageError(
         "STORAGE-WRITE",
-        "compiled code cannot be kept there",
+        "compiled code cannot be stored there",
         where=path,
         remedy="correct its permissions, or name another folder in NUMBA_CACHE_DIR",
     )

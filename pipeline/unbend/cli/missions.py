@@ -38,18 +38,23 @@ Names = Annotated[
 def run(
     answer: Answer,
     configs: Configs,
-    jobs: Annotated[int, Option(min=1, help="processes: so many missions at the same time")] = 1,
-    force: Annotated[bool, Option(help="run even where nothing has changed")] = False,
+    jobs: Annotated[
+        int, Option(min=1, help="number of processes, that is, of missions at the same time")
+    ] = 1,
+    force: Annotated[bool, Option(help="run even if nothing has changed")] = False,
     names: Names = None,
     *,
     verify_inputs: Annotated[
-        bool, Option(help="read and hash inputs whose size and time did not change too")
+        bool, Option(help="also read and hash inputs with unchanged size and time")
     ] = False,
     shard: Annotated[
         str | None,
         Option(
             metavar="K/N",
-            help="only part K of N of the missions, counted from 0: 0/8 to 7/8 in an array of jobs",
+            help=(
+                "only part K of N of the missions, counted from 0: 0/8 to 7/8 for an array of "
+                "eight jobs"
+            ),
         ),
     ] = None,
     scheduler: Annotated[
@@ -59,9 +64,10 @@ def run(
         ),
     ] = None,
 ) -> None:
-    """Correct missions; one that is refused does not stop the rest.
+    """Correct missions. A refused mission does not stop the others.
 
-    Of a campaign, campaign.html and campaign.parquet show all its missions; a shard leaves them.
+    For a campaign, campaign.html and campaign.parquet show all its missions. With --shard they
+    are not written.
     """
     if scheduler is not None and jobs > 1:
         raise messages.jobs_and_scheduler()
@@ -206,9 +212,11 @@ def check(
     configs: Configs,
     names: Names = None,
     *,
-    verbose: Annotated[bool, Option("--verbose", "-v", help="the notes of the ledger too")] = False,
+    verbose: Annotated[
+        bool, Option("--verbose", "-v", help="show the notes of the ledger too")
+    ] = False,
 ) -> None:
-    """Rehearse `run` on a sample: all it would say, and its exit code.
+    """Rehearse `run` on a sample: all its messages, and its exit code.
 
     Writes nothing.
     """
@@ -244,7 +252,7 @@ def check(
 
 @command(epilog="Example: unbend status configs/*.yaml")
 def status(answer: Answer, configs: Configs, names: Names = None) -> None:
-    """What `run` would run now, and why.
+    """List the missions that `run` would run now, and why.
 
     Names the inputs, keys, libraries and results that changed since the last run.
     """
@@ -292,10 +300,10 @@ def stations(
     config: Annotated[Path, Argument(help="a mission file", metavar="CONFIG")],
     csv: Annotated[Path | None, Option(help="write all stations as CSV")] = None,
     plot: Annotated[
-        Path | None, Option(help="draw the flight with its stations, .png or .svg")
+        Path | None, Option(help="plot of the flight with its stations, .png or .svg")
     ] = None,
 ) -> None:
-    """Stations of a mission, how events became images, and a drawing."""
+    """Stations of a mission, the assignment of events to images, and a plot."""
     with answer.progress(f"reading {config.name}"):
         from unbend.batch.runs import read_mission
         from unbend.report.terminal import print_stations
@@ -335,7 +343,7 @@ def inspect(
     instance: Annotated[str | None, Option(help="with --type: only this instance")] = None,
     as_csv: Annotated[bool, Option("--csv", help="with --type: every row, as CSV")] = False,
 ) -> None:
-    """How a log, a sounding, METARs or a weather model are read."""
+    """Show how a log, a sounding, METARs or a weather model is read."""
     if (kind is None and (as_csv or instance is not None)) or (as_csv and answer.as_json):
         raise messages.inspect_options()
     with answer.progress(f"reading {log.name}"):
@@ -400,8 +408,8 @@ def simulate(
     answer: Answer,
     out: Annotated[Path, Argument(help="folder to write to", metavar="OUT")],
     height: Annotated[float, Option(help="metres above ground")] = 3000.0,
-    seed: Annotated[int, Option(help="of the sensor noise")] = 7,
-    noise: Annotated[float, Option(help="of the image measurements, pixels")] = 0.0,
+    seed: Annotated[int, Option(help="seed of the sensor noise")] = 7,
+    noise: Annotated[float, Option(help="noise of the image measurements, pixels")] = 0.0,
 ) -> None:
     """Fly a survey with known truth: logs, observations, missions.
 

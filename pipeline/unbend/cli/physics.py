@@ -53,7 +53,8 @@ def angle(
     answer: Answer,
     *,
     camera_height: Annotated[
-        list[float], Option(help="metres above sea level; for a table perhaps several times")
+        list[float],
+        Option(help=("metres above sea level; for a table it can be given several times")),
     ],
     ground_height: Annotated[float, Option(help="metres above sea level")],
     nadir_angle: Annotated[
@@ -75,13 +76,13 @@ def angle(
     radius: Annotated[float, Option(help="radius of the earth, metres")] = 6_371_000.0,
     distance: Annotated[
         float | None,
-        Option(help="slant range, metres: which of two crossings is meant (spherical)"),
+        Option(help="slant range, metres: it decides between two crossings (spherical)"),
     ] = None,
     config: Annotated[
-        Path | None, Option(help="of a table: a mission file, for the air it flew in")
+        Path | None, Option(help="of a table: a mission file, for the air of its flight")
     ] = None,
     camera: Annotated[
-        str | None, Option(help="with --config: the camera in whose light, by its name")
+        str | None, Option(help="with --config: the name of the camera that gives the wavelength")
     ] = None,
     focal_px: Annotated[float | None, Option(help="of a table: principal distance, pixels")] = None,
     max_angle: Annotated[float, Option(help="of a table: largest nadir angle, degrees")] = 60.0,
@@ -90,10 +91,10 @@ def angle(
 ) -> None:
     """One refraction angle, or a table of them by nadir angle.
 
-    One angle: arcsec, microradians, ground metres, to five digits (all of them with --json). A
-    table has K, which is R at 45 degrees, and beside it what the Manual of Photogrammetry's formula
-    gives. It has no metres on the ground where only the bent ray lands and the straight one passes
-    over the horizon.
+    One angle: arcsec, microradians, ground metres, with five digits (with --json: all digits).
+    A table has K, which is R at 45 degrees, and next to it K of the Manual of Photogrammetry's
+    formula. It has no metres on the ground if only the bent ray reaches the ground and the
+    straight one is above the horizon.
     """
     if nadir_angle is None:
         if method != DEFAULT_METHOD or index != "ciddor" or distance is not None:
@@ -200,13 +201,18 @@ def tables(
     ] = DEFAULT_ATMOSPHERE,
     out: Annotated[
         Path | None,
-        Option(help="of accuracy: write the page as Markdown, its picture beside it as .png"),
+        Option(
+            help=(
+                "of accuracy: write the page as Markdown, with its picture "
+                "as .png in the same folder"
+            )
+        ),
     ] = None,
 ) -> None:
     """Recompute a paper's tables: as printed, as published, and exact.
 
-    `accuracy` says how far each published method can be trusted: by flying height, to which nadir
-    angle it stays within 0.1 and 1 arcsec of the spherical ray.
+    `accuracy` shows the accuracy of each published method: for each flying height, the nadir
+    angle up to which its error stays below 0.1 and 1 arcsec of the spherical ray.
     """
     if paper == ACCURACY:
         print_accuracy_of_methods(answer, atmosphere, csv, out)
@@ -243,7 +249,7 @@ def print_accuracy_of_methods(
 
 
 def write_comparison(accuracy: "Accuracy", path: Path) -> None:
-    """Write the comparison of the methods as a page, and its picture beside it."""
+    """Write the comparison of the methods as a page, with its picture in the same folder."""
     from unbend.batch.store import atomic_write
     from unbend.report.accuracy import accuracy_page, accuracy_png, text_hash
 
@@ -266,7 +272,7 @@ def profile(
     config: Annotated[Path | None, Argument(help="a mission file", metavar="[CONFIG]")] = None,
     atmosphere: Annotated[str | None, Option(help="name of a standard atmosphere")] = None,
     csv: Annotated[Path | None, Option(help="write the profile as CSV")] = None,
-    plot: Annotated[Path | None, Option(help="draw it, .png or .svg")] = None,
+    plot: Annotated[Path | None, Option(help="plot of it, .png or .svg")] = None,
     *,
     step: Annotated[
         float | None,

@@ -93,7 +93,7 @@ def export(
     answer: Answer,
     ctx: typer.Context,
     run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
-    out: Annotated[Path, Option(help="the file to write, or the folder that several go to")],
+    out: Annotated[Path, Option(help="the file to write, or the folder for several files")],
     ground_height: Annotated[
         float | None,
         Option(help="metres above sea level; by default the median of each image's observations"),
@@ -111,11 +111,11 @@ def export(
         Option(help="grid of the heights in the vertical part of --crs, .gtx or GeoTIFF"),
     ] = None,
     *,
-    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
+    force: Annotated[bool, Option(help="replace the file if it exists")] = False,
 ) -> None:
     """Write the results of a run for other programs.
 
-    Beside the file, NAME.unbend.json states its frame: coordinate system, axes, angles, heights.
+    The file NAME.unbend.json next to it states its frame: coordinate system, axes, angles, heights.
     """
     options = {name: value for name, value in ctx.obj.items() if value is not None}
     name = options.pop("format_name")
@@ -148,12 +148,12 @@ def report(
     *,
     pdf: Annotated[bool, Option("--pdf", help="print it with Chromium or Chrome")] = False,
     browser: Annotated[
-        str | None, Option(help="the browser that prints, a name or a path", metavar="PROGRAM")
+        str | None, Option(help="the browser for printing, a name or a path", metavar="PROGRAM")
     ] = None,
     timeout: Annotated[
-        float, Option(min=1.0, max=3600.0, help="seconds that the browser may take")
+        float, Option(min=1.0, max=3600.0, help="largest time for the browser, seconds")
     ] = 120.0,
-    force: Annotated[bool, Option(help="replace the file if it is there")] = False,
+    force: Annotated[bool, Option(help="replace the file if it exists")] = False,
 ) -> None:
     """Write the report of a run as a page or PDF to hand over.
 
@@ -176,16 +176,19 @@ def verify(
     run: Annotated[str, Argument(help="a folder of results, or their URL", metavar="RUN")],
     *,
     remove_leftovers: Annotated[
-        bool, Option("--remove-leftovers", help="of a URL: remove what interrupted runs left there")
+        bool,
+        Option(
+            "--remove-leftovers", help="of a URL: remove the files that interrupted runs left there"
+        ),
     ] = False,
     recent: Annotated[
-        bool, Option("--recent", help="with it: uploads of the last hour too, if no run goes on")
+        bool, Option("--recent", help="with it: also uploads of the last hour, if no run is active")
     ] = False,
 ) -> None:
-    """Whether the results of a run are whole and unchanged.
+    """Check whether the results of a run are complete and unchanged.
 
-    With --remove-leftovers the URL may be that of many results: what is below it is looked at too,
-    and no run need have finished there. No result is touched.
+    With --remove-leftovers, the URL may contain many results. All folders below it are checked
+    too, also without a finished run. Results are not changed.
     """
     content: dict[str, Any] = {}
     with answer.progress(f"hashing {run}"):
@@ -218,6 +221,6 @@ def print_leftovers(answer: Answer, removed: Sequence[str], young: int) -> None:
     answer.print_paths(f"removed {name}" for name in removed)
     if young:
         uploads = count(young, "upload")
-        answer.console.print(f"{uploads} of the last hour kept: --recent removes them too")
+        answer.console.print(f"{uploads} of the last hour kept: --recent also removes them")
     elif not removed:
         answer.console.print("nothing is left of interrupted runs")

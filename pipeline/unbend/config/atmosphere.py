@@ -33,15 +33,15 @@ class SoundingSection(Section):
         None,
         ge=-500,
         le=6000,
-        description="height of the station above sea level, where the file has no heights",
+        description="height of the station above sea level, if the file has no heights",
         examples=[491.0],
         json_schema_extra={"unit": "m"},
     )
     across_coast_or_ridge: bool = Field(
         default=False,
         description=(
-            "whether a coast or a ridge lies between the sounding and the flight: its distance "
-            "then counts twice"
+            "whether a coast or a ridge is between the sounding and the flight: its distance then "
+            "counts twice"
         ),
         examples=[True],
     )
@@ -53,14 +53,14 @@ class WeatherModelSection(Section):
     path: PathText = Field(
         description=(
             "ERA5 or GFS on pressure levels, or ERA5 on model levels, as netCDF or GRIB (extra "
-            "nwp); unbend inspect shows what is in it"
+            "nwp); unbend inspect shows its content"
         ),
         examples=["era5.nc"],
     )
     member: int | None = Field(
         None,
         ge=0,
-        description="number of the member, of an ensemble",
+        description="number of the member, if the file is an ensemble",
         examples=[0],
         json_schema_extra={"unit": "1"},
     )
@@ -106,8 +106,8 @@ class SurfaceSection(Section):
         ge=0,
         le=2000,
         description=(
-            "distance of the station from the flight, 100 km where it is not stated; the air "
-            "changes over 100 km as in 3 h, over the lowest kilometres twice as much"
+            "distance of the station from the flight, 100 km if it is not stated; over 100 km the "
+            "air changes as much as in 3 h, and twice as much over the first kilometres"
         ),
         examples=[12.0],
         json_schema_extra={"unit": "km"},
@@ -115,7 +115,7 @@ class SurfaceSection(Section):
     across_coast_or_ridge: bool = Field(
         default=False,
         description=(
-            "whether a coast or a ridge lies between the station and the flight: its distance then "
+            "whether a coast or a ridge is between the station and the flight: its distance then "
             "counts twice"
         ),
         examples=[True],
@@ -200,8 +200,8 @@ class ThermometerSection(Section):
         ge=-30,
         le=30,
         description=(
-            "what the ground left in the thermometer at take-off, reading minus air; fades in a "
-            "minute"
+            "error of the thermometer at take-off from the heat of the ground, reading minus air; "
+            "it decays within a minute"
         ),
         examples=[0.0],
         json_schema_extra={"unit": "K"},
@@ -264,8 +264,8 @@ class BarometerSection(Section):
         ge=1e-5,
         le=0.1,
         description=(
-            "standard deviation of the share of its change with height that the static pressure "
-            "loses; by default 0.001, and 0.03 for one sensor of ten"
+            "standard deviation of the part of the change with height that the static pressure "
+            "does not show; by default 0.001, and 0.03 for one sensor in ten"
         ),
         examples=[0.0005],
         json_schema_extra={"unit": "1"},
@@ -381,26 +381,27 @@ class AtmosphereSection(Section):
     standard: Annotated[str, one_of(standard_names)] = Field(
         "us1976",
         description=(
-            "standard atmosphere that the air is shown beside: us1976, us1962, icao, ican, ardc1959"
+            "standard atmosphere that the results show next to the air of the flight: us1976, "
+            "us1962, icao, ican, ardc1959"
         ),
         examples=["us1976"],
     )
     adjust: bool = Field(
         default=True,
-        description="false keeps the standard atmosphere as it is",
+        description="false: the standard atmosphere is used without a change",
         examples=[True],
     )
     climatology: Annotated[str, one_of(known_names)] = Field(
         "auto",
         description=(
-            "air that is expected where nothing was measured: auto (US Supplements 1966 by "
-            "latitude and season), or a name; a wrong name prints them all"
+            "expected air where nothing was measured: auto (US Supplements 1966 by latitude and "
+            "season), or a name; a wrong name lists all names"
         ),
         examples=["auto"],
     )
     soundings: list[SoundingSection] = Field(
         [],
-        description="balloon soundings near the flight; they weigh by age and distance",
+        description="balloon soundings near the flight; their weight depends on age and distance",
     )
     surface: list[SurfaceSection] = Field(
         [],
@@ -409,24 +410,24 @@ class AtmosphereSection(Section):
     model: WeatherModelSection | None = Field(
         None,
         description=(
-            "fields of a weather model around the flight: its column is a source like a sounding, "
-            "and in flights longer than 30 km or two hours the air changes along them as the "
-            "model's does"
+            "fields of a weather model around the flight: its column is a source like a sounding; "
+            "in flights longer than 30 km or two hours, the air changes along the flight as in the "
+            "model"
         ),
     )
     board_temperature: bool = Field(
         default=False,
         description=(
-            "true takes the temperature of a circuit board, named under log.channels.temperature, "
-            "as the air plus an unknown 10 K that wanders"
+            "true: the temperature of a circuit board, named under log.channels.temperature, is "
+            "used as air temperature plus an unknown, drifting offset of about 10 K"
         ),
         examples=[False],
     )
     sensors: SensorsSection = Field(
         SensorsSection(),
         description=(
-            "known errors of the sensors, from their calibration; what is not given has its "
-            "default sigma"
+            "known errors of the sensors, from their calibration; errors that are not given have "
+            "their default sigma"
         ),
     )
     index: Literal["ciddor", "gyer"] = Field(
@@ -438,7 +439,7 @@ class AtmosphereSection(Section):
         0.55e-6,
         ge=0.3e-6,
         le=1.7e-6,
-        description="wavelength of the light in vacuum, of cameras that state none of their own",
+        description="wavelength of the light in vacuum, for cameras without their own wavelength",
         examples=[5.5e-07],
         json_schema_extra={"unit": "m"},
     )
@@ -446,7 +447,7 @@ class AtmosphereSection(Section):
         450.0,
         ge=0,
         le=2000,
-        description="carbon dioxide of the air",
+        description="carbon dioxide content of the air",
         examples=[450.0],
         json_schema_extra={"unit": "ppm"},
     )

@@ -86,19 +86,21 @@ class CameraSection(Section):
     file: PathText | None = Field(
         None,
         description=(
-            "calibration file of COLMAP, OpenSfM or ODM, Metashape or DBAT; then no numbers stand "
-            "here. By default the block of the observations, where that is one"
+            "calibration file of COLMAP, OpenSfM or ODM, Metashape or DBAT; then this section "
+            "contains no numbers. By default the block of the observations, if they are a block"
         ),
         examples=["cameras.txt"],
     )
     format: Literal[tuple(BLOCKS)] | None = Field(  # type: ignore[valid-type]
         None,
-        description="program that wrote file, where its ending does not say it",
+        description="program that wrote file, if its ending does not show it",
         examples=["colmap"],
     )
     camera: str | int | None = Field(
         None,
-        description="name or number of the camera in file or in the block, where that has several",
+        description=(
+            "name or number of the camera in file or in the block, if it has several cameras"
+        ),
         examples=["1"],
     )
     model: Literal[tuple(MODELS)] | None = Field(  # type: ignore[valid-type]
@@ -139,7 +141,7 @@ class CameraSection(Section):
     )
     f_px: PrincipalDistance | None = Field(
         None,
-        description="principal distance, where it is the same along x and y",
+        description="principal distance, if it is the same along x and y",
         examples=[20000.0],
         json_schema_extra={"unit": "px"},
     )
@@ -176,16 +178,14 @@ class CameraSection(Section):
     pixel_origin: PixelOrigin | None = Field(
         None,
         description=(
-            "where the principal point counts its pixels from; by default as the observations do, "
-            "and corner for params"
+            "pixel origin of the principal point; by default that of the observations, and corner "
+            "for params"
         ),
         examples=["corner"],
     )
     distortion: DistortionSection | None = Field(
         None,
-        description=(
-            "coefficients of the lens as OpenCV defines them; without them the lens has none"
-        ),
+        description=("coefficients of the lens as OpenCV defines them; by default no distortion"),
     )
     calibration: Literal["laboratory", "in_flight_uncorrected", "in_flight_corrected"] = Field(
         description=(
@@ -197,28 +197,28 @@ class CameraSection(Section):
     wavelength_m: Wavelength | None = Field(
         None,
         description=(
-            "wavelength in vacuum of the light that this camera sees; by default that of "
-            "atmosphere.wavelength_m. A multispectral rig has a camera for each band"
+            "wavelength in vacuum of the light that this camera records; by default "
+            "atmosphere.wavelength_m. A multispectral rig has one camera for each band"
         ),
         examples=[8.5e-07],
         json_schema_extra={"unit": "m"},
     )
     window: WindowSection | None = Field(
         None,
-        description="the window that the camera looks through; leave it out where there is none",
+        description="the window that the camera looks through; leave it out if there is no window",
     )
     opening: OpeningSection | None = Field(
         None,
         description=(
-            "an open hatch, or a lens in the skin: how the air before the lens differs from that "
-            "outside; leave it out where it does not"
+            "an open hatch, or a lens in the skin: the difference of the air in front of the lens "
+            "from the air outside; leave it out if there is no difference"
         ),
     )
     principal_distance: LensSection | None = Field(
         None,
         description=(
-            "the air in the lens during the calibration, from which the principal distance in "
-            "flight follows; without it that change is not removed"
+            "the air in the lens during the calibration; the principal distance in flight is "
+            "computed from it. Without it, that change is not removed"
         ),
     )
 
@@ -238,7 +238,7 @@ class CameraSection(Section):
 
     @property
     def _states_numbers(self) -> bool:
-        """Whether any number of the interior orientation stands in the section itself."""
+        """Whether any number of the interior orientation is in the section itself."""
         numbers = (self.f_px, self.fx_px, self.fy_px, self.cx_px, self.cy_px, self.distortion)
         return any(number is not None for number in numbers)
 
@@ -246,7 +246,7 @@ class CameraSection(Section):
     def _check_one_way(self) -> Self:
         """One way to give the interior orientation, completely."""
         if (self.model is None) != (self.params is None):
-            raise SectionError("give model and params together, as they stand in cameras.txt")
+            raise SectionError("give model and params together, as they are in cameras.txt")
         ways = []
         if self.file is not None:
             ways.append("file")
@@ -258,11 +258,13 @@ class CameraSection(Section):
             ways.append("f_px, cx_px, distortion")
         if len(ways) > 1:
             given = ", ".join(ways)
-            raise SectionError(f"{given}: each gives the interior orientation; keep one")
+            raise SectionError(
+                f"{given}: each of them gives the interior orientation; keep only one"
+            )
         format_without_file = self.file is None and self.format is not None
         origin_with_file = self.file is not None and self.pixel_origin is not None
         if format_without_file or origin_with_file:
-            raise SectionError("format goes with file, and pixel_origin does not")
+            raise SectionError("format needs file, and pixel_origin cannot be combined with file")
         if self.file is None and self._states_numbers:
             self._check_principal_distances()
         return self
@@ -283,7 +285,7 @@ class CameraSection(Section):
             camera = self.interior_orientation
             shorter, longer = sorted((camera.fx_px, camera.fy_px))
             if shorter < SHORTEST_DISTANCE_PX or longer > LONGEST_DISTANCE_PX:
-                raise SectionError("the principal distance is 10 to 1000000 pixels")
+                raise SectionError("the principal distance must be 10 to 1000000 pixels")
             refuse_impossible(camera)
         except PhysicsError as error:
             raise SectionError(f"{error.code}: {error.what}; {error.remedy}") from None
@@ -292,13 +294,15 @@ class CameraSection(Section):
     @model_validator(mode="after")
     def _check_lens_air(self) -> Self:
         if self.opening is not None and self.window is not None:
-            raise SectionError("window and opening: the camera looks through one of them; keep it")
+            raise SectionError(
+                "window and opening: the camera looks through only one of them; remove the other"
+            )
         if self.principal_distance is None or self.window is None:
             return self
         if self.window.cabin is None:
             raise SectionError(
-                "principal_distance needs the air in the lens, and behind a window that is the "
-                "cabin's: give window.cabin"
+                "principal_distance needs the air in the lens; behind a window this is the air of "
+                "the cabin: give window.cabin"
             )
         return self
 
@@ -414,4 +418,4 @@ def _problem_of_file(error: ValidationError) -> str:
     first = error.errors()[0]
     if first["type"] == "value_error":
         return str(first["ctx"]["error"])
-    return f"its {first['loc'][0]} is none that a camera can have"
+    return f"its {first['loc'][0]} is impossible for a camera"

@@ -14,7 +14,7 @@ from unbend.config.section import (
 
 
 class CampaignSection(Section):
-    """Name of a campaign, and where its page and table go."""
+    """Name of a campaign, and the folder of its page and table."""
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$",
@@ -34,18 +34,18 @@ class CampaignSection(Section):
 
 
 class CampaignFile(Section):
-    """A campaign file: what its missions share, and which they are."""
+    """A campaign file: its missions, and the keys that they share."""
 
     campaign: CampaignSection = Field(
-        description="of a campaign file: its name, and where its page and table go",
+        description="of a campaign file: its name, and the folder of its page and table",
     )
     defaults: dict[str, Any] = Field(
         {},
         description=(
-            "of a campaign file: sections of a mission file that stand where a mission has none of "
-            "its own; values that belong together, as a camera or a mount, are taken whole. Paths "
-            "are relative to the campaign file; {mission} in output.path is the mission's name; "
-            "null in a mission takes a default away"
+            "of a campaign file: sections of a mission file, for missions that do not have them; "
+            "values that belong together, as a camera or a mount, are used as a whole. Paths are "
+            "relative to the campaign file; {mission} in output.path is the mission's name; null "
+            "in a mission removes a default"
         ),
     )
     missions: list[PathText | dict[str, Any]] = Field(

@@ -15,7 +15,7 @@ EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error
 def checked_date(value: str) -> str:
     """A day, or a day and a time, as stated; raises `SectionError` for any other text."""
     if not _is_of_a_survey(value):
-        raise SectionError("is no date like 2026-05-14 or 2026-05-14T10:20")
+        raise SectionError("is not a date like 2026-05-14 or 2026-05-14T10:20")
     if _nanoseconds_of_text(value) > latest_ns():
         raise SectionError("is in the future")
     return value
@@ -24,7 +24,7 @@ def checked_date(value: str) -> str:
 def checked_time(value: str) -> str:
     """A time as stated; raises `SectionError` for any other text, and for one of no survey."""
     if not _is_of_a_survey(value) or _nanoseconds_of_text(value) > latest_ns():
-        raise SectionError("is no time like 2026-05-14T10:20:00Z")
+        raise SectionError("is not a time like 2026-05-14T10:20:00Z")
     return value
 
 

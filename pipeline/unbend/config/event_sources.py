@@ -57,17 +57,18 @@ class LogEvents(Section):
     image: ImagePattern = Field(
         "*",
         description=(
-            "name of the image: {index} is the log's number, {n} counts from 1; format codes as in "
-            "Python, for example IMG_{index:05d}.tif. With * for any characters, as in left/* or "
-            "DJI_*_{n:04d}.JPG, the names are those of the observations and of events.images"
+            "name of the image: {index} is the number in the log, {n} counts from 1; format codes "
+            "as in Python, for example IMG_{index:05d}.tif. * means any characters, as in left/* "
+            "or DJI_*_{n:04d}.JPG; then the names are taken from the observations and from "
+            "events.images"
         ),
         examples=["IMG_{index:05d}.tif"],
     )
     delay_s: Annotated[float, Field(ge=-10, le=10)] | Literal["from_feedback"] = Field(
         0.0,
         description=(
-            "shutter time minus event time; from_feedback takes the median of the triggers of this "
-            "camera whose shutter pulse was logged too"
+            "shutter time minus event time; from_feedback: the median of the triggers of this "
+            "camera that have a logged shutter pulse"
         ),
         examples=[0.1],
         json_schema_extra={"unit": "s"},
@@ -104,7 +105,7 @@ class CsvEvents(Section):
         0.0,
         ge=-86_400,
         le=86_400,
-        description="true time minus the table's: what the camera's clock is slow",
+        description=("true time minus the table's time: positive if the camera's clock is slow"),
         examples=[0.0],
         json_schema_extra={"unit": "s"},
     )
@@ -148,28 +149,27 @@ class PositionEvents(Section):
     point: Literal["antenna", "camera"] | None = Field(
         None,
         description=(
-            "point whose positions the file has; by default the camera's, of .pos the antenna's"
+            "the point of the positions in the file; by default the camera, for .pos the antenna"
         ),
         examples=["antenna"],
     )
     heights: Literal["msl", "ellipsoid"] | None = Field(
         None,
-        description="what its heights count from, where the file does not say it",
+        description="reference of its heights, if the file does not state it",
         examples=["ellipsoid"],
     )
     grid: str | None = Field(
         None,
         pattern=r"^EPSG:\d{4,6}$",
         description=(
-            "projection in whose axes omega, phi, kappa of an EO text count, where its head names "
-            "no UTM zone"
+            "projection for omega, phi, kappa of an EO text, if its header names no UTM zone"
         ),
         examples=["EPSG:32632"],
         json_schema_extra={"patternErrorMessage": "a code as EPSG:32632"},
     )
     time: ImportTime = Field(
         ImportTime(),
-        description="the time system of the file, where the file does not say it",
+        description="time system of the file, if the file does not state it",
     )
 
     @property
@@ -179,22 +179,22 @@ class PositionEvents(Section):
 
     @property
     def reference_point(self) -> str:
-        """The point whose positions the file has: antenna or camera."""
+        """The point of the positions in the file: antenna or camera."""
         return self.point or ("antenna" if self.format_name == "rtklib" else "camera")
 
     @model_validator(mode="after")
     def _check_delay(self) -> Self:
         if self.delay_s and not self.times_only:
-            raise SectionError("its positions are of its times: delay_s needs times_only: true")
+            raise SectionError("its positions belong to its times: delay_s needs times_only: true")
         return self
 
 
 class ImageFiles(Section):
-    """The images that exist, beside the pulses of events.log or events.positions."""
+    """The existing images, in addition to the pulses of events.log or events.positions."""
 
     path: PathText = Field(
         description=(
-            "folder of the images, whose EXIF has their times, or a table that exiftool -csv -r "
+            "folder of the images with their times in EXIF, or a table that exiftool -csv -r "
             "FOLDER wrote"
         ),
         examples=["images"],
@@ -203,8 +203,8 @@ class ImageFiles(Section):
         "",
         pattern=r"^(|UTC|[+-](0[0-9]|1[0-4]):[0-5][0-9])$",
         description=(
-            "time zone of the camera's clock, where the images do not state it: UTC, or an offset "
-            "as +02:00"
+            "time zone of the camera's clock, if the images do not state it: UTC, or an offset as "
+            "+02:00"
         ),
         examples=["+02:00"],
         json_schema_extra={"patternErrorMessage": "UTC, or an offset as +02:00"},
@@ -245,14 +245,14 @@ class EventsSection(Section):
     images: ImageFiles | None = Field(
         None,
         description=(
-            "the images themselves, whose EXIF times help to assign the pulses of log or positions"
+            "the images themselves; their EXIF times help to assign the pulses of log or positions"
         ),
     )
     first_image: dict[str, str | FirstImage] = Field(
         {},
         description=(
-            "by camera, where the evidence does not decide: the image of the first event, or "
-            "{image: NAME, event: 6} that of the sixth"
+            "by camera, if the evidence does not decide: the image of the first event, or "
+            "{image: NAME, event: 6} for the image of the sixth event"
         ),
         examples=[{"nadir": "IMG_00001.tif"}],
     )
@@ -267,8 +267,8 @@ class EventsSection(Section):
             raise SectionError(f"{source} needs at least one camera")
         if self.csv is not None and (self.images or self.first_image):
             raise SectionError(
-                "images and first_image say which pulse an image belongs to; a csv gives each "
-                "image a time of its own"
+                "images and first_image assign an image to a pulse; a csv gives each image its "
+                "time, so they cannot be combined"
             )
         return self
 
@@ -283,12 +283,13 @@ class EventsSection(Section):
             is_by_event = re.search("{index|{name", pattern)
             if camera in self.first_image and is_by_event:
                 raise SectionError(
-                    f"the image {pattern} of {camera} has the number or name of its event: leave "
-                    "first_image out, or count the images by {n} or name them by *"
+                    f"the image {pattern} of {camera} gives the event by its number or name: leave "
+                    f"first_image out, or count the images by {{n}} or name them by *"
                 )
             if pattern == "*" and len(self.patterns) > 1:
                 raise SectionError(
-                    f"the image of {camera} must state which images are this camera's, as in left/*"
+                    f"the image of {camera} must state which images belong to this camera, as in "
+                    "left/*"
                 )
         return self
 
@@ -303,7 +304,7 @@ class EventsSection(Section):
 
     @property
     def time_key(self) -> str:
-        """The key of the mission file that says by which clock the exposures are timed."""
+        """The key of the mission file that states the clock of the exposures."""
         if self.csv is None:
             return "events.log" if self.log is not None else "events.positions"
         column = "gps_week" if self.csv.columns.time_utc is None else "time_utc"

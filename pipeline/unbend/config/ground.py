@@ -23,7 +23,7 @@ class GroundColumn(Section):
     """Ground heights in a column of the observations."""
 
     column: str = Field(
-        description="column of the observations that holds the height of each point [m]",
+        description="column of the observations with the height of each point [m]",
         examples=["h_g_m"],
     )
 
@@ -71,7 +71,7 @@ class PointColumns(NamedColumns):
 
 
 class PointTable(Section):
-    """Ground heights by the names of points, in a table of their own."""
+    """Ground heights by the names of points, in a separate table."""
 
     points: PathText = Field(
         description="the table: CSV or Parquet, one row a point",
@@ -110,7 +110,7 @@ class ControlSection(Section):
     )
     reference: Literal["msl", "ellipsoid", "relative"] = Field(
         "ellipsoid",
-        description="what the heights count from, as under ground",
+        description="reference of the heights, as under ground",
         examples=["ellipsoid"],
     )
 
@@ -128,13 +128,14 @@ class GroundModel(Section):
 
     dem: PathText | list[PathText] = Field(
         description=(
-            "raster of heights, or tiles of one: what GDAL reads, as GeoTIFF; a path or several"
+            "raster of heights, or its tiles, in a format that GDAL reads, for example GeoTIFF; "
+            "one path or several"
         ),
         examples=["dem.tif"],
     )
     crs: str | None = Field(
         None,
-        description="coordinate system of the raster, where the file has none",
+        description="coordinate system of the raster, if the file has none",
         examples=["EPSG:25832"],
     )
 
@@ -184,17 +185,16 @@ class GroundSection(Section):
         description=(
             "heights of the points: metres, or {column: NAME}; {points: PATH, columns, crs}: a "
             "table of object points; {dem: PATH}: where the rays meet an elevation model; "
-            "from_distance: where the slant range ends; intersected: where the rays of the point "
-            "meet, with the stations as they are; block: of the points of stations.orientation, "
-            "and their median in the image for others"
+            "from_distance: at the end of the slant range; intersected: where the rays of the "
+            "point intersect, with fixed stations; block: heights of the points of "
+            "stations.orientation, and their median in the image for other points"
         ),
         examples=[412.5],
         json_schema_extra={"unit": "m"},
     )
     reference: Literal["msl", "ellipsoid", "relative"] = Field(
         description=(
-            "what the heights count from: msl, mean sea level; ellipsoid; relative, the take-off "
-            "point"
+            "reference of the heights: msl, mean sea level; ellipsoid; relative, the take-off point"
         ),
         examples=["msl"],
     )
@@ -202,7 +202,7 @@ class GroundSection(Section):
         None,
         ge=LOWEST_GROUND_M,
         le=HIGHEST_GROUND_M,
-        description="height of the take-off point, where the log does not hold it",
+        description="height of the take-off point, if the log does not contain it",
         examples=[405.0],
         json_schema_extra={"unit": "m"},
     )
@@ -268,7 +268,7 @@ class GroundSection(Section):
     @classmethod
     def _check_height_range(cls, value: GroundHeight) -> GroundHeight:
         if isinstance(value, float) and not LOWEST_GROUND_M <= value <= HIGHEST_GROUND_M:
-            raise SectionError("is no ground height in metres (-600 to 10000)")
+            raise SectionError("is not a ground height in metres (-600 to 10000)")
         return value
 
     @model_validator(mode="after")
@@ -290,6 +290,6 @@ class GroundSection(Section):
         states_sigma = self.sigma_m is not None or self.sigma_column is not None
         if self.height == "intersected" and states_sigma:
             raise SectionError(
-                "height: intersected has sigmas of its own; leave sigma_m and sigma_column out"
+                "height: intersected computes its own sigmas; leave sigma_m and sigma_column out"
             )
         return self

@@ -24,15 +24,15 @@ def image_frame_of(
         frame = camera.image_frame(observations.pixel_origin, unit_mm)
         if frame is None:
             raise SectionError(
-                f"observations.unit: {observations.unit} needs cameras.{name}.metric, which says "
-                "where millimetres count from, along which axes, and how large a pixel is"
+                f"observations.unit: {observations.unit} needs cameras.{name}.metric, which states "
+                "the origin and the axes of the millimetres, and the size of a pixel"
             )
         frames.add(frame)
     if len(frames) > 1:
         raise SectionError(
             f"observations.unit: {observations.unit} needs one frame for all cameras (the same "
-            "size, pixel_um, origin and axes under metric); give the observations of the others "
-            "in pixels, or in a mission of their own"
+            "size, pixel_um, origin and axes under metric); give the observations of the other "
+            "cameras in pixels, or in separate missions"
         )
     (frame_of_all,) = frames
     return frame_of_all

@@ -115,10 +115,10 @@ def mission_keys(node: Node | None = None, above: str = "") -> Iterator[MissionK
 def _default_in_words(value: Node, *, is_required: bool) -> str:
     """What holds where a key is not given; for a key without a default, whether it must be."""
     if "default" not in value:
-        return "must be given" if is_required else "must be given, unless other keys say it"
+        return "must be given" if is_required else "must be given, unless other keys state it"
     default = value["default"]
     if isinstance(default, dict):
-        return "as its own keys" if default else "none"  # the defaults of the keys of a section
+        return "as its keys" if default else "none"  # the defaults of the keys of a section
     return as_written(default)
 
 

@@ -71,7 +71,7 @@ class LensSection(Section):
     def _check_derivatives(self) -> Self:
         if (self.dc_dp_px_per_hpa is None) != (self.dc_dt_px_per_k is None):
             raise SectionError(
-                "give both dc_dp_px_per_hpa and dc_dt_px_per_k, or neither for a typical lens"
+                "give both dc_dp_px_per_hpa and dc_dt_px_per_k, or none of them for a typical lens"
             )
         return self
 

@@ -12,7 +12,7 @@ from unbend.units import DEGREE
 
 
 class LocalOrigin(Section):
-    """Where the origin of local (east, north, up) positions lies."""
+    """Place of the origin of local (east, north, up) positions."""
 
     lat_deg: float = Field(
         ge=-90,
@@ -45,5 +45,5 @@ class EnuFrame(Section):
     """One topocentric frame for all stations."""
 
     enu: LocalOrigin = Field(
-        description="the place whose east, north, up is the frame of all stations",
+        description="the place that defines east, north, up for all stations",
     )

@@ -16,7 +16,7 @@ USUAL_MAX_GAP_S = 2.0  # autopilots log attitude and position ten times a second
 
 
 class NamedChannel(Section):
-    """A channel by its name, with the unit it is really in."""
+    """A channel by its name, with its true unit."""
 
     name: str = Field(
         description="name of the channel, as `unbend inspect` prints it",
@@ -24,15 +24,15 @@ class NamedChannel(Section):
     )
     unit: Literal["Pa", "hPa", "kPa", "K", "degC", "fraction", "percent", "m/s"] | None = Field(
         None,
-        description="unit that the channel's values are really in, where the log says another one",
+        description="true unit of the channel's values, if the log states another unit",
         examples=["hPa"],
     )
 
 
 class ChannelsSection(Section):
-    """Which channel plays which role; names as ``unbend inspect`` prints them.
+    """The channel of each role; names as ``unbend inspect`` prints them.
 
-    null: no channel plays it. A key that is not there leaves the choice to the program.
+    null: no channel is used for the role. Without a key the program chooses.
     """
 
     position: str | NamedChannel | None = Field(
@@ -54,15 +54,15 @@ class ChannelsSection(Section):
     attitude: str | NamedChannel | None = Field(
         None,
         description=(
-            "channel of the attitude to which the cameras are mounted: the aircraft's, or that of "
-            "a stabilised mount; a name as `unbend inspect` prints it"
+            "channel of the attitude that the cameras are mounted to: of the aircraft, or of a "
+            "stabilised mount; a name as `unbend inspect` prints it"
         ),
         examples=["ATT"],
     )
     aircraft_attitude: str | NamedChannel | None = Field(
         None,
         description=(
-            "channel of the attitude of the aircraft itself, where attitude is that of a "
+            "channel of the attitude of the aircraft itself, if attitude is the attitude of a "
             "stabilised mount; only needed for window.frame: body"
         ),
         examples=["ATT"],
@@ -94,8 +94,8 @@ class ChannelsSection(Section):
     airspeed: str | NamedChannel | None = Field(
         None,
         description=(
-            "channel of the airspeed, by which a thermometer is heated; a name as `unbend inspect` "
-            "prints it"
+            "channel of the airspeed, which heats a thermometer; a name as `unbend inspect` prints "
+            "it"
         ),
         examples=["ARSP[0]"],
     )
@@ -157,20 +157,20 @@ class LogSection(Section):
     )
     channels: ChannelsSection = Field(
         ChannelsSection(),
-        description="which channel plays which role; only what is not found without it",
+        description="the channel of each role; only the roles that are not detected automatically",
     )
     max_gap_s: float = Field(
         USUAL_MAX_GAP_S,
         gt=0,
         le=60,
         description=(
-            "longest interval between two positions or attitudes that is no gap: an exposure in a "
-            "longer one is in a gap (in_gap)"
+            "longest allowed interval between two positions or attitudes: an exposure in a longer "
+            "interval is in a gap (in_gap)"
         ),
         examples=[2.0],
         json_schema_extra={"unit": "s"},
     )
     local_origin: LocalOrigin | None = Field(
         None,
-        description="where the origin of local positions (motion capture) lies",
+        description="place of the origin of local positions (motion capture)",
     )

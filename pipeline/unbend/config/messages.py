@@ -1,6 +1,6 @@
 """What is refused about mission files, campaign files and the files of cameras.
 
-What is wrong with single values is said beside the check of each, in the sections.
+The texts for single values are next to the check of each value, in the sections.
 """
 
 from pathlib import Path
@@ -16,30 +16,34 @@ CONFIG_MISSING = Code(
 
 CONFIG_UNREADABLE = Code(
     "CONFIG-UNREADABLE",
-    means="The mission file cannot be read, is no UTF-8 text, or is a log, a table, a folder or "
-    "another file.",
+    means=(
+        "The mission file cannot be read, is not UTF-8 text, or is a log, a table, a folder or "
+        "another file."
+    ),
     effect="The mission is refused.",
-    remedy="Name a mission file; `unbend init LOG OBSERVATIONS` writes one. Check permissions, and "
-    "save it as UTF-8.",
+    remedy=(
+        "Name a mission file; `unbend init LOG OBSERVATIONS` writes one. Check its permissions, "
+        "and save it as UTF-8."
+    ),
 )
 
 CONFIG_YAML = Code(
     "CONFIG-YAML",
-    means="The mission file is no YAML, or a key stands there twice.",
+    means="The mission file is not valid YAML, or a key occurs twice.",
     effect="The mission is refused.",
-    remedy="Correct the line that is named: indentation, brackets, quotes.",
+    remedy="Correct the named line: indentation, brackets, quotes.",
 )
 
 CONFIG_EMPTY = Code(
     "CONFIG-EMPTY",
-    means="The mission file holds no sections.",
+    means="The mission file has no sections.",
     effect="The mission is refused.",
     remedy="Write it with `unbend init LOG OBSERVATIONS`.",
 )
 
 CONFIG_CAMPAIGN = Code(
     "CONFIG-CAMPAIGN",
-    means="A campaign file was given where one mission is wanted.",
+    means="A campaign file was given, but the command needs one mission.",
     effect="The command is refused.",
     remedy="Name one of its mission files; run, check and status take campaigns.",
 )
@@ -47,16 +51,16 @@ CONFIG_CAMPAIGN = Code(
 CONFIG_INVALID = Code(
     "CONFIG-INVALID",
     means=(
-        "Values of the mission file are none that their keys take. Each mistake is listed with "
-        "its line."
+        "The mission file has values that its keys do not allow. Each mistake is listed with its "
+        "line."
     ),
     effect="The mission is refused.",
-    remedy="Correct the lines; `unbend help KEY` says what a key takes.",
+    remedy="Correct the lines; `unbend help KEY` shows the allowed values of a key.",
 )
 
 CONFIG_UNKNOWN_KEY = Code(
     "CONFIG-UNKNOWN-KEY",
-    means="The mission file has keys that are not known; the nearest known key is named.",
+    means="The mission file has unknown keys. The most similar known key is named.",
     effect="The mission is refused.",
     remedy="Correct the key, or move it to its section; `unbend help KEY` finds keys.",
 )
@@ -64,8 +68,8 @@ CONFIG_UNKNOWN_KEY = Code(
 CONFIG_TODO = Code(
     "CONFIG-TODO",
     means=(
-        "The mission file still has open questions: values that are TODO. Each is listed with "
-        "its line and what it takes."
+        "The mission file still has open questions: values that are TODO. Each is listed with its "
+        "line and its allowed values."
     ),
     effect="The mission is refused.",
     remedy="Write the values; `unbend help KEY` explains a key.",
@@ -73,7 +77,7 @@ CONFIG_TODO = Code(
 
 CAMPAIGN_NO_MATCH = Code(
     "CAMPAIGN-NO-MATCH",
-    means="No file is called like a pattern of a campaign's missions.",
+    means="No file matches a pattern under the missions of a campaign.",
     effect="The command is refused; nothing was run.",
     remedy="Correct the pattern; it is relative to the campaign file.",
 )
@@ -82,22 +86,22 @@ CAMPAIGN_SAME_NAME = Code(
     "CAMPAIGN-SAME-NAME",
     means="Two missions of a campaign have one name.",
     effect="The command is refused; nothing was run.",
-    remedy="Give each mission.name of its own, in its file and not in defaults.",
+    remedy="Give each mission a different mission.name, in its file and not in defaults.",
 )
 
 CAMPAIGN_SAME_OUTPUT = Code(
     "CAMPAIGN-SAME-OUTPUT",
     means="Two missions of a campaign write to one folder.",
     effect="The command is refused; nothing was run.",
-    remedy="Give each output.path of its own, or leave it out.",
+    remedy="Give each mission a different output.path, or leave it out.",
 )
 
 URL_INVALID = Code(
     "URL-INVALID",
     means=(
-        "A path looks like a URL, and names no object in a bucket or container, or stands where "
-        "only files of this machine are taken. URLs with a user, a password, a query or a "
-        "fragment are refused, since they may hold a secret."
+        "A path looks like a URL, but does not name an object in a bucket or container. Or it is "
+        "given for a key that allows only files of this machine. URLs with a user, a password, a "
+        "query or a fragment are refused, because they may contain a secret."
     ),
     effect="The mission is refused.",
     remedy="Write s3://bucket/key or az://container/key, and put credentials into the environment.",
@@ -105,14 +109,14 @@ URL_INVALID = Code(
 
 CAMERA_SIZE = Code(
     "CAMERA-SIZE",
-    means="The images of the calibration file have another size than the mission file says.",
+    means="The images of the calibration file have another size than the mission file states.",
     effect="The mission is refused.",
     remedy="Check width_px and height_px, or choose the camera of these images.",
 )
 
 CAMERA_FILE = Code(
     "CAMERA-FILE",
-    means="The calibration in a file is none that a camera can have.",
+    means="The calibration in a file is impossible for a camera.",
     effect="The mission is refused.",
     remedy="Check the file, or give another one.",
 )
@@ -135,7 +139,7 @@ def config_unreadable(*, path: Path, problem: str) -> ConfigError:
 
 
 def config_other_file(*, path: Path, what: str, remedy: str) -> ConfigError:
-    """A file of another kind stands in the place of a mission file; ``what`` it is."""
+    """A file of another kind is given instead of a mission file; ``what`` it is."""
     return ConfigError(
         CONFIG_UNREADABLE,
         "is {what}, not a mission file",
@@ -147,7 +151,7 @@ def config_other_file(*, path: Path, what: str, remedy: str) -> ConfigError:
 
 
 def config_yaml(*, where: str, problem: str) -> ConfigError:
-    """The text of the file is not YAML, or a key stands there twice."""
+    """The text of the file is not YAML, or a key occurs twice."""
     return ConfigError(
         CONFIG_YAML, "{problem}", where=where, remedy="correct the YAML", problem=problem
     )
@@ -157,7 +161,7 @@ def config_empty(*, path: Path, required: str) -> ConfigError:
     """The file has no keys."""
     return ConfigError(
         CONFIG_EMPTY,
-        "holds no sections",
+        "has no sections",
         where=path,
         remedy="it needs {required}",
         required=required,
@@ -165,10 +169,10 @@ def config_empty(*, path: Path, required: str) -> ConfigError:
 
 
 def config_campaign(*, where: str) -> ConfigError:
-    """A campaign file stands where a mission file is wanted."""
+    """A campaign file is given, but a mission file is needed."""
     return ConfigError(
         CONFIG_CAMPAIGN,
-        "is a campaign file, of several missions, and one mission is wanted",
+        "is a campaign file with several missions; the command needs one mission",
         where=where,
         remedy="name one of its mission files; run, check and status take campaigns",
     )
@@ -195,11 +199,14 @@ def campaign_output_is_url(*, path: Path) -> ConfigError:
     """The page of a campaign is to go to object storage."""
     return ConfigError(
         URL_INVALID,
-        "the page of a campaign goes to a folder here, and campaign.output is a URL",
+        (
+            "the page of a campaign is written to a folder of this machine, but campaign.output is "
+            "a URL"
+        ),
         where=path,
         remedy=(
-            "name a folder; output.path under defaults may be a URL, with the name of the mission "
-            "in it: s3://bucket/season/{{mission}}"
+            "name a folder; output.path under defaults may be a URL that contains the name of the "
+            "mission: s3://bucket/season/{{mission}}"
         ),
     )
 
@@ -208,9 +215,9 @@ def campaign_no_match(*, path: Path, pattern: str) -> ConfigError:
     """A pattern of mission files matches none."""
     return ConfigError(
         CAMPAIGN_NO_MATCH,
-        "missions: no file is called like {pattern!r}",
+        "missions: no file matches {pattern!r}",
         where=path,
-        remedy="patterns are relative to the campaign file; ** stands for any folders",
+        remedy="patterns are relative to the campaign file; ** matches any folders",
         pattern=pattern,
     )
 
@@ -222,7 +229,8 @@ def campaign_same_name(*, path: Path, name: str, first: Path, second: Path) -> C
         "two missions are called {name}: {first} and {second}",
         where=path,
         remedy=(
-            "give each mission.name of its own, in its file and not in defaults; nothing was run"
+            "give each mission a different mission.name, in its file and not in defaults; nothing "
+            "was run"
         ),
         name=name,
         first=str(first),
@@ -237,9 +245,9 @@ def campaign_same_output(*, path: Path, first: str, second: str, output: str) ->
         "missions {first} and {second} both write to {output}",
         where=path,
         remedy=(
-            "give each output.path of its own, or leave it out: the folder is then that of the "
-            "campaign and the mission's name; {{mission}} in that of defaults is the name; "
-            "nothing was run"
+            "give each mission a different output.path, or leave it out: the default is a folder "
+            "with the mission's name in the folder of the campaign; {{mission}} in the output.path "
+            "of defaults is replaced by the name; nothing was run"
         ),
         first=first,
         second=second,
@@ -253,8 +261,10 @@ def camera_size(
     """A calibration file is of images of another size."""
     return InputError(
         CAMERA_SIZE,
-        "it is of {width} x {height} px, and the mission file says {stated_width} x "
-        "{stated_height}",
+        (
+            "it is of {width} x {height} px, but the mission file states {stated_width} x "
+            "{stated_height}"
+        ),
         where=path,
         remedy="check width_px and height_px, or choose the camera of these images",
         width=width,
@@ -265,7 +275,7 @@ def camera_size(
 
 
 def camera_file(*, path: Path, problem: str) -> InputError:
-    """The camera of a calibration file is none that can be."""
+    """The camera of a calibration file is impossible."""
     return InputError(
         CAMERA_FILE,
         "{problem}",

@@ -45,8 +45,9 @@ class MetricDistortion(Section):
 
     sense: Sense = Field(
         description=(
-            "correction: the coefficients are what is added to measured coordinates (reports of "
-            "the USGS); distortion: what the lens does to ideal ones"
+            "correction: the coefficients describe the correction that is added to measured "
+            "coordinates (reports of the USGS); distortion: they describe the displacement of "
+            "ideal coordinates by the lens"
         ),
         examples=["correction"],
     )
@@ -115,13 +116,13 @@ class MetricTable(Section):
 
     sense: Sense = Field(
         description=(
-            "distortion: the rows are what the lens does, positive away from the point of "
-            "symmetry; correction: what is added to measured coordinates"
+            "distortion: the rows are the displacement by the lens, positive away from the point "
+            "of symmetry; correction: the correction that is added to measured coordinates"
         ),
         examples=["distortion"],
     )
     by: Literal["radius_mm", "field_angle_deg"] = Field(
-        description="what the first number of each row is",
+        description="the meaning of the first number of each row",
         examples=["field_angle_deg"],
     )
     rows: list[Pair] = Field(
@@ -207,8 +208,8 @@ class MetricSection(Section):
     table: MetricTable | None = Field(
         None,
         description=(
-            "tabulated radial distortion of the report; alone it becomes a polynomial, beside "
-            "coefficients it checks them"
+            "tabulated radial distortion of the report. Without coefficients it becomes a "
+            "polynomial; with coefficients it checks them"
         ),
     )
 

@@ -40,7 +40,7 @@ class RefractionSection(Section):
         "remove",
         description=(
             "remove: from measured observations to the straight chord; apply: from ideal "
-            "observations to what a camera in this air would measure, for planning"
+            "observations to the coordinates that a camera in this air would measure, for planning"
         ),
         examples=["remove"],
     )
@@ -73,7 +73,7 @@ class OutputSection(Section):
         250_000,
         ge=1_000,
         le=2_000_000,
-        description="rows of observations that are held in memory at a time",
+        description="number of rows of observations that are in memory at the same time",
         examples=[250000],
         json_schema_extra={"unit": "1"},
     )
@@ -92,23 +92,26 @@ class AcceptedFinding(Section):
     )
     reason: str = Field(
         min_length=3,
-        description="why it is right all the same; it stands in the report",
+        description=(
+            "why the inputs are right although they contradict the check; the report contains this "
+            "reason"
+        ),
         examples=["flown from a pass 1200 m above the valley"],
     )
 
 
 class Mission(Section):
-    """A mission file as understood; its relative paths count from ``_folder``."""
+    """A mission file as it was understood; its relative paths are relative to ``_folder``."""
 
     _folder: Path = PrivateAttr(default=Path())  # of the file, once it is read from one
 
     mission: MissionSection = Field(
-        description="name of the mission, and what its log does not hold",
+        description="name of the mission, and facts that its log does not contain",
     )
     log: LogSection | None = Field(
         None,
         description=(
-            "the flight log. May be left out where stations.orientation, or stations.trajectory "
+            "the flight log. May be left out if stations.orientation, or stations.trajectory "
             "with attitudes and events with times, give the stations"
         ),
     )
@@ -117,13 +120,13 @@ class Mission(Section):
     )
     cameras: dict[str, CameraSection] = Field(
         min_length=1,
-        description="interior orientation of each camera, by a name of choice",
+        description="interior orientation of each camera; the names of the cameras are free",
     )
     mount: dict[str, MountSection] = Field(
         {},
         description=(
-            "how each camera sits in the aircraft, by the camera's name; with stations.orientation "
-            "only where one is not at rest"
+            "how each camera is mounted in the aircraft, by the camera's name; with "
+            "stations.orientation only if a camera is not in its default position"
         ),
     )
     events: EventsSection | None = Field(
@@ -135,16 +138,17 @@ class Mission(Section):
     )
     stations: StationsSection = Field(
         StationsSection(),
-        description=(
-            "stations that come from elsewhere than the log, and which stations may be used"
-        ),
+        description=("stations that do not come from the log, and which stations may be used"),
     )
     ground: GroundSection = Field(
         description="heights of the observed points. There is no default",
     )
     atmosphere: AtmosphereSection = Field(
         AtmosphereSection(),
-        description="the air: what it is estimated from, and what it is shown beside",
+        description=(
+            "the air: the sources of its estimate, and the standard atmosphere that it is compared "
+            "with"
+        ),
     )
     refraction: RefractionSection = Field(
         RefractionSection(),
@@ -153,8 +157,8 @@ class Mission(Section):
     control: ControlSection | None = Field(
         None,
         description=(
-            "a path, or {path, columns, crs, reference}: control points, which stand in the report "
-            "before and after; they change no result"
+            "a path, or {path, columns, crs, reference}: control points; the report compares them "
+            "before and after the correction; they change no result"
         ),
         examples=["control.csv"],
     )
@@ -164,8 +168,8 @@ class Mission(Section):
     accept: list[AcceptedFinding] = Field(
         [],
         description=(
-            "findings that are right all the same: each with its code and the reason. Losses "
-            "cannot be accepted"
+            "findings that are not mistakes in this mission: each with its code and the reason. "
+            "Losses cannot be accepted"
         ),
     )
 
@@ -221,7 +225,7 @@ class Mission(Section):
                 needed = {"attitude"}  # the exposures have position and height
             if not needed <= set(trajectory.replaces):
                 raise SectionError(
-                    "there is no log, so the trajectory gives all that it has: remove the key "
+                    "there is no log, so all values of the trajectory are used: remove the key "
                     "stations.trajectory.replaces"
                 )
         if orientation is None and self.events is None:
@@ -254,7 +258,7 @@ class Mission(Section):
         of_block = is_block(self.observations.format) or (orientation and orientation.of_block)
         for camera in self.cameras.values():
             if camera.camera is not None and not camera.file and not of_block:
-                raise SectionError("cameras.<name>.camera goes with file, or with a block")
+                raise SectionError("cameras.<name>.camera needs file, or a block")
         return self
 
     @model_validator(mode="after")
@@ -267,7 +271,9 @@ class Mission(Section):
             raise SectionError("known_positions: log needs log and events")
         camera = orientation.camera
         if camera is not None and camera not in self.cameras:
-            raise SectionError(f"stations.orientation names camera {camera!r}, which is not there")
+            raise SectionError(
+                f"stations.orientation names camera {camera!r}, which is not under cameras"
+            )
         return self
 
     @cached_property
@@ -358,9 +364,9 @@ class Mission(Section):
             x, y, z = self.mounts[name].camera_from_body @ np.array(window.normal)
             if z <= 0.0:
                 raise SectionError(
-                    f"the {window.section} of camera {name!r} looks away from what the camera "
-                    f"sees: with this mount its normal is [{x:.3f}, {y:.3f}, {z:.3f}] in the "
-                    "camera frame, where forward is positive"
+                    f"the {window.section} of camera {name!r} has a normal away from the viewing "
+                    f"direction: with this mount it is [{x:.3f}, {y:.3f}, {z:.3f}] in the camera "
+                    "frame, where forward is positive"
                 )
         return self
 
@@ -370,8 +376,8 @@ class Mission(Section):
         names_channel = self.log is not None and self.log.channels.temperature is not None
         if self.atmosphere.board_temperature and not names_channel:
             raise SectionError(
-                "atmosphere.board_temperature needs log.channels.temperature, the channel whose "
-                "board is meant, as BARO[0]"
+                "atmosphere.board_temperature needs log.channels.temperature, the channel of the "
+                "board, as BARO[0]"
             )
         return self
 
@@ -382,7 +388,7 @@ class Mission(Section):
             name = next(iter(self.wavelengths_m))
             raise SectionError(
                 f"cameras.{name}.wavelength_m has no effect with atmosphere.index: "
-                f"{self.atmosphere.index}, which is for 0.589 um alone: take ciddor"
+                f"{self.atmosphere.index}, which is only for 0.589 um: use ciddor"
             )
         return self
 
@@ -411,7 +417,7 @@ class Mission(Section):
         """Control points are compared with what removes refraction, not with what applies it."""
         if self.control is not None and self.refraction.direction == "apply":
             raise SectionError(
-                "control shows what removing refraction does: leave it out with "
+                "control compares before and after the removal of refraction: leave it out with "
                 "refraction.direction: apply"
             )
         return self
@@ -440,7 +446,7 @@ class Mission(Section):
             return self
         if trajectory.point == "camera" and len(self.cameras) > 1:
             raise SectionError(
-                "stations.trajectory.point: camera is that of one camera, not of "
+                "stations.trajectory.point: camera is possible for one camera, not for "
                 f"{', '.join(self.cameras)}"
             )
         if self._has_placed_events:

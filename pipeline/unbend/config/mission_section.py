@@ -1,4 +1,4 @@
-"""The section of a mission file with the name of the mission, and what its log does not hold."""
+"""The section of a mission file with its name, and facts that the log does not contain."""
 
 from typing import Annotated, Literal
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -30,7 +30,7 @@ Line = Annotated[
 
 
 class MissionSection(Section):
-    """Name of the mission, and what its log does not hold."""
+    """Name of the mission, and facts that its log does not contain."""
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$",
@@ -48,13 +48,13 @@ class MissionSection(Section):
     )
     client: Line | None = Field(
         None,
-        description="for whom the work is done, as the report states it",
+        description="client of the work, for the report",
         examples=["Amt für Geoinformation"],
         json_schema_extra={"patternErrorMessage": "a line of text, at most 200 characters"},
     )
     operator: Line | None = Field(
         None,
-        description="who flew or processed it, as the report states it",
+        description="person or company that flew or processed it, for the report",
         examples=["Luftbild GmbH, J. Muster"],
         json_schema_extra={"patternErrorMessage": "a line of text, at most 200 characters"},
     )
@@ -62,13 +62,16 @@ class MissionSection(Section):
         None,
         min_length=1,
         max_length=5000,
-        description="free text for the first page of the report; an empty line parts paragraphs",
+        description=(
+            "free text for the first page of the report; an empty line separates paragraphs"
+        ),
         examples=["Second flight: the first was broken off above clouds."],
     )
     time_zone: TimeZone | None = Field(
         None,
         description=(
-            "time zone of the report's dates and times, by its IANA name; UTC stands beside them"
+            "time zone of the dates and times in the report, by its IANA name; the report gives "
+            "UTC too"
         ),
         examples=["Europe/Zurich"],
     )
@@ -77,8 +80,8 @@ class MissionSection(Section):
         ge=-120,
         le=100,
         description=(
-            "ellipsoidal height minus height above mean sea level, where the log does not carry "
-            "both; by default that of the geoid"
+            "ellipsoidal height minus height above mean sea level, if the log does not have both; "
+            "by default the undulation of the geoid"
         ),
         examples=[47.6],
         json_schema_extra={"unit": "m"},
@@ -86,18 +89,18 @@ class MissionSection(Section):
     geoid: Literal["egm96"] | PathText = Field(
         "egm96",
         description=(
-            "geoid of the undulations that neither the log nor undulation_m gives: egm96 (in the "
-            "package), or the path of a .gtx or a GeoTIFF of ellipsoidal minus orthometric heights "
-            "[m]"
+            "geoid for undulations that neither the log nor undulation_m gives: egm96 (in the "
+            "package), or the path of a .gtx or a GeoTIFF with ellipsoidal minus orthometric "
+            "heights [m]"
         ),
         examples=["egm96"],
     )
     date: StatedDate | None = Field(
         None,
         description=(
-            "UTC day of the flight, as 2026-05-14, or day and time, where the log has no UTC or a "
-            "wrong one: season of the climatology, how far soundings and surface reports are away, "
-            "and evidence on the clocks of the log"
+            "UTC day of the flight, as 2026-05-14, or day and time, if the log has no UTC or a "
+            "wrong one. It gives the season of the climatology, the age of soundings and surface "
+            "reports, and evidence on the clocks of the log"
         ),
         examples=["2026-05-14"],
     )

@@ -77,7 +77,7 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
     """The open questions of a file, and what the models refuse of it for other reasons."""
     questions = open_questions(values)
     for place in questions:
-        yield Mistake(place, f"still TODO: it takes {allowed_at(place)}")
+        yield Mistake(place, f"still TODO: allowed are {allowed_at(place)}")
     all_refused = [_refused(values, item) for item in items]
     for refused in all_refused:
         # TODO is refused as a value too, and so may be the section around it.

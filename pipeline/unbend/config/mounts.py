@@ -20,18 +20,20 @@ MOST_TURN_DEG = 720.0  # two turns: an angle may be the sum of several; more is 
 
 
 class MountSection(Section):
-    """How a camera sits in the aircraft (body frame: x forward, y right, z down).
+    """How a camera is mounted in the aircraft (body frame: x forward, y right, z down).
 
     With all angles zero it looks straight down, the top of the image towards the nose; yaw, pitch
-    and roll then turn it about the body's axes, in that order (intrinsic z-y-x). Composed are the
-    attitude of the aircraft, the angles of a gimbal that plays the attitude, and these (boresight):
-    v_ned = R(aircraft) R(gimbal) R(mount) v_camera, where a gimbal that is level to the horizon
-    takes of the aircraft its yaw alone, and one whose yaw counts from north takes nothing."""
+    and roll then turn it about the body's axes, in that order (intrinsic z-y-x). These angles
+    (boresight) are composed with the attitude of the aircraft and the angles of a gimbal, if a
+    gimbal is the attitude: v_ned = R(aircraft) R(gimbal) R(mount) v_camera. For a gimbal that is
+    level to the horizon, only the yaw of the aircraft is used. For a gimbal with a yaw from north,
+    the attitude of the aircraft is not used.
+    """
 
     attitude: str | None = Field(
         None,
         description=(
-            "channel of the camera's own gimbal or head, where each camera has one; by default "
+            "channel of the gimbal or head of this camera, if each camera has one; by default "
             "log.channels.attitude"
         ),
         examples=["MNT[0]"],
@@ -69,8 +71,8 @@ class MountSection(Section):
     lever_arm_m: LeverArm = Field(
         default_factory=lambda: [0.0, 0.0, 0.0],
         description=(
-            "projection centre minus the point whose position the log gives (horizontally the "
-            "filter's, in height the GNSS antenna's), in the body frame"
+            "projection centre minus the point of the positions in the log (horizontally the point "
+            "of the filter, in height the GNSS antenna), in the body frame"
         ),
         examples=[[0.2, 0.28, 0.55]],
         json_schema_extra={"unit": "m"},
@@ -80,8 +82,8 @@ class MountSection(Section):
         ge=0,
         le=45,
         description=(
-            "standard deviation of the attitude about each of the body's two level axes, in place "
-            "of what the log gives; what the time between samples adds is added to it"
+            "standard deviation of the attitude about each of the two level axes of the body, "
+            "instead of the one of the log; the part from the time between samples is added to it"
         ),
         examples=[0.1],
         json_schema_extra={"unit": "deg"},
@@ -101,7 +103,7 @@ class MountSection(Section):
     @model_validator(mode="after")
     def _check_sigmas(self) -> Self:
         if self.sigma_yaw_deg is not None and self.sigma_tilt_deg is None:
-            raise SectionError("sigma_yaw_deg needs sigma_tilt_deg beside it")
+            raise SectionError("sigma_yaw_deg also needs sigma_tilt_deg")
         return self
 
     @cached_property

@@ -22,7 +22,7 @@ MILLIMETRES_OF_UNIT = {"mm": 1.0, "um": 1e-3}
 
 
 class ObservationColumnNames(Section):
-    """What the columns of the table are called."""
+    """Names of the columns of the table."""
 
     image: str = Field(
         "image",
@@ -36,19 +36,19 @@ class ObservationColumnNames(Section):
     )
     x_px: str = Field(
         "x_px",
-        description="column of the measured x, in pixels to the right, or as unit says",
+        description="column of the measured x, in pixels to the right, or as stated by unit",
         examples=["x_px"],
     )
     y_px: str = Field(
         "y_px",
-        description="column of the measured y, in pixels down, or as unit says",
+        description="column of the measured y, in pixels down, or as stated by unit",
         examples=["y_px"],
     )
     distance_m: str | None = Field(
         None,
         description=(
-            "column of slant ranges to the points [m], where they are known. They tell the near "
-            "from the far crossing of a ray that meets the point's height twice"
+            "column of slant ranges to the points [m], if they are known. If a ray crosses the "
+            "height of the point twice, they decide between the near and the far crossing"
         ),
         examples=["distance_m"],
     )
@@ -67,7 +67,7 @@ class ObservationsSection(Section):
     format: Literal["csv", "parquet", *BLOCKS] | None = Field(  # type: ignore[valid-type]
         None,
         description=(
-            "csv or parquet, where the ending does not say it; or the block of another program, "
+            "csv or parquet, if the ending does not show it; or the block of another program, "
             "with its cameras and orientations: colmap, a model's folder or a database; opensfm, a "
             "project's folder; metashape, a .psz or .xml; dbat, a script"
         ),
@@ -75,12 +75,12 @@ class ObservationsSection(Section):
     )
     columns: ObservationColumnNames = Field(
         ObservationColumnNames(),
-        description="names of the table's columns, where they are called otherwise",
+        description="names of the table's columns, if they differ from the default",
     )
     pixel_origin: PixelOrigin = Field(
         "corner",
         description=(
-            "where the table counts its pixels from. corner: the centre of the upper left pixel is "
+            "pixel origin of the table. corner: the centre of the upper left pixel is "
             "(0.5, 0.5), as in COLMAP; centre: it is (0, 0), as in OpenCV"
         ),
         examples=["corner"],
@@ -97,7 +97,7 @@ class ObservationsSection(Section):
     match_names: list[Difference] = Field(
         [],
         description=(
-            "in what the images may be called otherwise than their exposures: case, extension, "
+            "allowed differences between the names of images and exposures: case, extension, "
             "folder, digits (DSC1 for DSC_0001)"
         ),
         examples=[["case", "digits"]],
@@ -105,8 +105,8 @@ class ObservationsSection(Section):
     refraction: Literal["none", "removed_by_other"] = Field(
         "none",
         description=(
-            "what was done to the observations before: none, as measured; removed_by_other: "
-            "another program has removed refraction, and they are refused"
+            "earlier processing of the observations: none, as measured; removed_by_other: another "
+            "program has removed refraction, and they are refused"
         ),
         examples=["none"],
     )
@@ -129,8 +129,8 @@ class ObservationsSection(Section):
             raise SectionError(f"format: {self.format} names its columns itself; leave columns out")
         if self.pixel_origin != "corner":
             raise SectionError(
-                f"format: {self.format} says itself where pixels count from, and they are written "
-                "with pixel_origin: corner; leave it out"
+                f"format: {self.format} states the pixel origin itself, and the results are "
+                "written with pixel_origin: corner; leave it out"
             )
         if self.unit != "px":
             raise SectionError(f"format: {self.format} has pixels; leave unit out")

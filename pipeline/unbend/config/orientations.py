@@ -38,7 +38,7 @@ _CLOCK = ("time_utc", "gps_week", "gps_seconds")
 
 
 class OrientationColumns(ClockColumns, PoseColumns):
-    """What the columns are called; those of the position and the angles by default as here."""
+    """Names of the columns; columns of the position and the angles have these names by default."""
 
     omega: str | None = Field(
         None,
@@ -78,7 +78,7 @@ class OrientationColumns(ClockColumns, PoseColumns):
 
 
 class KnownPositions(Section):
-    """Positions of three images or more, to which a frame is fitted, or compared with it."""
+    """Positions of three images or more. A frame is fitted to them, or compared with them."""
 
     path: PathText = Field(
         description="a CSV of images with latitude and longitude [deg] and height [m]",
@@ -101,7 +101,7 @@ class KnownPositions(Section):
     )
     height: str = Field(
         "height",
-        description="column of heights [m], above what stations.orientation.heights says",
+        description="column of heights [m], with the reference of stations.orientation.heights",
         examples=["height"],
     )
     sigma_m: float = Field(
@@ -138,9 +138,8 @@ class OrientationSection(Section):
     ] = Field(
         description=(
             "omega, phi and kappa of the camera, the primary rotation first; roll, pitch and yaw "
-            "of the aircraft, to which the camera is mounted as under mount; or the quaternion q_w "
-            "to q_z, which turns from the frame to the camera (x right, y down, z forward), or "
-            "back"
+            "of the aircraft, with the camera mounted as under mount; or the quaternion q_w to "
+            "q_z, which rotates from the frame to the camera (x right, y down, z forward), or back"
         ),
         examples=["omega_phi_kappa"],
     )
@@ -154,20 +153,20 @@ class OrientationSection(Section):
         validate_default=True,
         description=(
             "frame of the angles, and of x, y, z. geographic: east, north, up (roll_pitch_yaw: "
-            "north, east, down) at each station; projected: x, y of crs, whose grid north the "
-            "angles count from, and z, the height; ecef: earth-centred; {enu: {lat_deg, lon_deg, "
-            "h_ellipsoid_m}}: east, north, up at this one place; unknown: fitted to "
-            "known_positions. By default what the block says: OpenSfM's reference_lla, the "
-            "coordinate system of Metashape, Pix4D or BlocksExchange"
+            "north, east, down) at each station; projected: x, y of crs, with angles from its grid "
+            "north, and z, the height; ecef: earth-centred; {enu: "
+            "{lat_deg, lon_deg, h_ellipsoid_m}}: east, north, up at this one place; unknown: "
+            "fitted to known_positions. By default the frame that the block states: OpenSfM's "
+            "reference_lla, the coordinate system of Metashape, Pix4D or BlocksExchange"
         ),
         examples=["geographic"],
     )
     heights: Literal["msl", "ellipsoid"] | None = Field(
         None,
         description=(
-            "what the height column counts from: mean sea level or the ellipsoid (in a frame that "
-            "is unknown, that of known_positions; of a block that says its frame, the altitudes "
-            "that its program was given)"
+            "reference of the height column: mean sea level or the ellipsoid (if the frame is "
+            "unknown: reference of known_positions; if a block states its frame: reference of the "
+            "altitudes that its program was given)"
         ),
         examples=["ellipsoid"],
     )
@@ -184,15 +183,15 @@ class OrientationSection(Section):
         ge=-30,
         le=30,
         description=(
-            "convergence of the grid from whose north kappa or yaw is counted: true minus grid "
-            "azimuth, positive where grid north lies east of true north"
+            "convergence of the grid, if kappa or yaw is relative to grid north: true minus grid "
+            "azimuth, positive if grid north is east of true north"
         ),
         examples=[1.2],
         json_schema_extra={"unit": "deg"},
     )
     columns: OrientationColumns = Field(
         OrientationColumns(),
-        description="names of the table's columns, where they are called otherwise",
+        description="names of the table's columns, if they differ from the default",
     )
     camera: str | None = Field(
         None,
@@ -202,16 +201,16 @@ class OrientationSection(Section):
     date: StatedDate | None = Field(
         None,
         description=(
-            "UTC day, as 2026-05-14, or day and time, where no column has the time: season of the "
-            "climatology, and how far soundings and surface reports are away"
+            "UTC day, as 2026-05-14, or day and time, if no column has the time. It gives the "
+            "season of the climatology, and the age of soundings and surface reports"
         ),
         examples=["2026-05-14"],
     )
     known_positions: KnownPositions | Literal["log"] | None = Field(
         None,
         description=(
-            "positions of at least three images, to which an unknown frame is fitted, and with "
-            "which another one is compared: a CSV, or log: the exposures of the log"
+            "positions of at least three images. An unknown frame is fitted to them; another frame "
+            "is compared with them: a CSV, or log: the exposures of the log"
         ),
         examples=["log"],
     )
@@ -342,8 +341,8 @@ class OrientationSection(Section):
             raise SectionError("format: dji has angles: roll_pitch_yaw, of the gimbal")
         if of_body and not self.is_level:
             raise SectionError(
-                "roll, pitch and yaw are those of north, east and down at the station: frame is "
-                "geographic, or projected"
+                "roll, pitch and yaw are relative to north, east and down at the station: frame "
+                "must be geographic or projected"
             )
         return self
 
@@ -363,8 +362,8 @@ class OrientationSection(Section):
             raise SectionError("an unknown frame has x, y and z, not columns.latitude")
         if self.known_positions is None:
             raise SectionError(
-                "an unknown frame has no vertical, no north and no scale: give known_positions, of "
-                "at least three images that do not lie on one line"
+                "an unknown frame has no vertical, no north and no scale: give known_positions of "
+                "at least three images that are not on one line"
             )
 
     @model_validator(mode="after")
@@ -375,11 +374,12 @@ class OrientationSection(Section):
         states_heights = self.heights is not None
         if has_heights == states_heights:
             return self
-        mistake = (
-            "give heights, msl or ellipsoid, where there is a column of heights, and only there"
-        )
+        mistake = "give heights (msl or ellipsoid) if there is a column of heights, and only then"
         if self.of_block:
-            mistake += " (a block without frame has those that its program was given)"
+            mistake += (
+                " (for a block without frame: the reference of the heights that its program was "
+                "given)"
+            )
         raise SectionError(mistake)
 
     @model_validator(mode="after")
@@ -389,8 +389,8 @@ class OrientationSection(Section):
         says_columns = self.camera is not None or self.columns != OrientationColumns()
         if says_columns or self.frame == "geographic" or self.angles != "quaternion":
             raise SectionError(
-                f"format: {self.format} has angles, columns and cameras itself, and a frame of "
-                "x, y, z: projected, ecef, enu or unknown"
+                f"format: {self.format} has its own angles, columns and cameras, and a frame of x, "
+                "y, z: projected, ecef, enu or unknown"
             )
         return self
 

@@ -85,7 +85,7 @@ def _results(folder: Path, what: str = "a file of the results of a run") -> Othe
     """What to do with a folder of results, or with a file in it."""
     return OtherFile(
         what,
-        f"name the mission file that the results are of; `unbend verify {folder}` checks them, "
+        f"name the mission file of these results; `unbend verify {folder}` checks them, "
         f"`unbend export {folder}` writes them for other programs",
     )
 
@@ -104,7 +104,7 @@ def _flight_log(path: Path, head: bytes) -> OtherFile | None:
     return OtherFile(
         f"a flight log: {form.title}",
         f"write a mission file first: `unbend init {path} OBSERVATIONS`, then run that; "
-        f"`unbend inspect {path}` shows what the log holds",
+        f"`unbend inspect {path}` shows the content of the log",
     )
 
 
@@ -114,7 +114,7 @@ def _by_mark(head: bytes) -> OtherFile | None:
         if head.startswith(mark):
             return OtherFile(what, _NAMED_IN_MISSION)
     if not _is_text(head):
-        return OtherFile("no text in UTF-8", "a mission file is YAML in UTF-8")
+        return OtherFile("not text in UTF-8", "a mission file is YAML in UTF-8")
     return None
 
 

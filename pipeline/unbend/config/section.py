@@ -29,7 +29,7 @@ def _checked_path(value: str) -> str:
     names = re.split(r"[/\\]", value)  # Windows writes both
     longest_name = max(len(name.encode()) for name in names)
     if len(value.encode()) > LONGEST_PATH or longest_name > LONGEST_FILE_NAME:
-        raise SectionError("is longer than any path")
+        raise SectionError("is longer than a path can be")
     return value
 
 
@@ -80,7 +80,7 @@ class Section(BaseModel):
         """Refuse numbers that are larger than anything which is measured: they overflow."""
         for number in _numbers_in(value):
             if abs(number) > LARGEST_NUMBER:
-                raise SectionError(f"holds a number beyond {LARGEST_NUMBER:g}")
+                raise SectionError(f"contains a number beyond {LARGEST_NUMBER:g}")
         return value
 
     def __copy__(self) -> Self:

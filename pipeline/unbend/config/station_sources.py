@@ -12,7 +12,7 @@ from unbend.config.trajectories import TrajectorySection
 
 
 class StationsSection(Section):
-    """Stations from elsewhere, and which stations may be used."""
+    """Stations that do not come from the log, and which stations may be used."""
 
     orientation: OrientationSection | None = Field(
         None,
@@ -21,28 +21,29 @@ class StationsSection(Section):
     trajectory: TrajectorySection | None = Field(
         None,
         description=(
-            "a trajectory of another program, in place of the log's positions, heights or attitudes"
+            "a trajectory of another program, instead of the positions, heights or attitudes of "
+            "the log"
         ),
     )
     use_suspect: bool = Field(
         default=False,
         description=(
-            "true corrects the observations of stations that contradict other evidence of the log "
-            "(status suspect) too; the run ends with code 3 all the same"
+            "true: observations of stations that contradict other evidence of the log (status "
+            "suspect) are corrected too; the run still ends with code 3"
         ),
         examples=[False],
     )
     max_sigma_horizontal_m: float | None = Field(
         None,
         gt=0,
-        description="largest sigma of a position, per axis, that serves the mission",
+        description="largest allowed sigma of a position, per axis",
         examples=[0.5],
         json_schema_extra={"unit": "m"},
     )
     max_sigma_height_m: float | None = Field(
         None,
         gt=0,
-        description="largest sigma of a height that serves the mission",
+        description="largest allowed sigma of a height",
         examples=[0.5],
         json_schema_extra={"unit": "m"},
     )
@@ -50,7 +51,7 @@ class StationsSection(Section):
         None,
         gt=0,
         le=45,
-        description="largest sigma of the attitude about a level axis that serves the mission",
+        description="largest allowed sigma of the attitude about a level axis",
         examples=[0.1],
         json_schema_extra={"unit": "deg"},
     )

@@ -18,7 +18,7 @@ class ImportTime(Section):
 
     system: Literal["gpst", "utc"] | None = Field(
         None,
-        description="time system of the file, where the file does not say it: SBET, EO text, CSV",
+        description="time system of the file, if the file does not state it: SBET, EO text, CSV",
         examples=["gpst"],
     )
     week: int | None = Field(
@@ -32,7 +32,7 @@ class ImportTime(Section):
 
 
 class NamedColumns(Section):
-    """What the columns of a table are called, by quantity."""
+    """Names of the columns of a table, by quantity."""
 
     @property
     def named(self) -> dict[str, str]:

@@ -37,7 +37,7 @@ class TrajectoryColumns(PoseColumns):
     )
     week: str | None = Field(
         None,
-        description="column of GPS weeks, beside seconds of the week",
+        description="column of GPS weeks, together with seconds of the week",
         examples=["week"],
     )
     v_north_m_s: str | None = Field(
@@ -105,40 +105,41 @@ class TrajectorySection(Section):
         None,
         min_length=1,
         description=(
-            "what it replaces of the log: position, height, attitude; by default all that the file "
-            "has"
+            "the values of the log that it replaces: position, height, attitude; by default all "
+            "that the file has"
         ),
         examples=[["position", "height"]],
     )
     point: Literal["imu", "antenna", "camera"] = Field(
-        description="point whose positions the file has; with camera, the mount has no lever arm",
+        description=(
+            "the point of the positions in the file; with camera, the mount has no lever arm"
+        ),
         examples=["antenna"],
     )
     lever_arm_m: LeverArm | Literal["from_events"] = Field(
         default_factory=lambda: [0.0, 0.0, 0.0],
         description=(
-            "point from which mount.<camera>.lever_arm_m counts, minus the file's point: forward, "
-            "right, down; from_events: from the antenna to the camera as in the .MRK of "
-            "events.positions"
+            "origin of mount.<camera>.lever_arm_m minus the point of the file: forward, right, "
+            "down; from_events: from the antenna to the camera, as in the .MRK of events.positions"
         ),
         examples=[[0.0, 0.0, 0.9]],
         json_schema_extra={"unit": "m"},
     )
     heights: Literal["msl", "ellipsoid"] | None = Field(
         None,
-        description="what the heights count from; needed for SBET and for latitudes in a CSV",
+        description="reference of the heights; needed for SBET and for latitudes in a CSV",
         examples=["ellipsoid"],
     )
     time: ImportTime = Field(
         ImportTime(),
-        description="the time system of the file, where the file does not say it",
+        description="time system of the file, if the file does not state it",
     )
     crs: str | None = Field(
         None,
         description=(
             "projection of a CSV's x and y (z is then the height), or the datum of latitude and "
-            "longitude that are not WGS 84. In a projection attitudes and velocities count from "
-            "grid north"
+            "longitude that are not WGS 84. In a projection, attitudes and velocities are relative "
+            "to grid north"
         ),
         examples=["EPSG:25832"],
     )
@@ -183,12 +184,14 @@ class TrajectorySection(Section):
     @model_validator(mode="after")
     def _check_point(self) -> Self:
         if self.crs is not None and not self._is_csv:
-            raise SectionError("crs is that of a CSV; the positions of other formats are WGS 84")
+            raise SectionError("crs is only for a CSV; the positions of other formats are WGS 84")
         if self.lever_arm_m == "from_events" and self.point != "antenna":
-            raise SectionError("lever_arm_m: from_events leads from the antenna: point: antenna")
+            raise SectionError(
+                "lever_arm_m: from_events begins at the antenna: give point: antenna"
+            )
         has_lever_arm = self.lever_arm_m != NO_LEVER_ARM
         if self.point == "camera" and has_lever_arm:
-            raise SectionError("point: camera has no lever arm")
+            raise SectionError("with point: camera there is no lever arm")
         # A lever arm moves position and height together; so does a change of the point.
         replaces_one = False
         if self.replaces is not None:

@@ -30,8 +30,8 @@ class CabinSection(Section):
     pressure: Literal["log", "ambient"] | Hectopascal | None = Field(
         None,
         description=(
-            "pressure in the compartment: log, as logged; ambient, not pressurised, as outside; or "
-            "a constant"
+            "pressure in the compartment: log, as logged; ambient, as outside (not pressurised); "
+            "or a constant"
         ),
         examples=["log"],
         json_schema_extra={"unit": "hPa"},
@@ -46,8 +46,8 @@ class CabinSection(Section):
     temperature_c: Literal["log"] | Celsius | None = Field(
         None,
         description=(
-            "temperature in the compartment: log, or a constant. Without it the log's, where it "
-            "has one, else 21 degC: +- 5 K where the cabin is pressurised, +- 10 K where it is not"
+            "temperature in the compartment: log, or a constant. By default that of the log, if it "
+            "has one; if not, 21 degC: +- 5 K if the cabin is pressurised, +- 10 K if it is not"
         ),
         examples=[21.0],
         json_schema_extra={"unit": "degC"},
@@ -57,8 +57,8 @@ class CabinSection(Section):
         ge=0,
         le=1,
         description=(
-            "relative humidity in the compartment, 0 to 1; without it the log's, else dry air "
-            "(ambient: as outside)"
+            "relative humidity in the compartment, 0 to 1; by default that of the log, if not, dry "
+            "air (ambient: as outside)"
         ),
         examples=[0.3],
         json_schema_extra={"unit": "1"},
@@ -68,7 +68,7 @@ class CabinSection(Section):
         ge=0,
         le=300,
         description=(
-            "standard deviation of the cabin's pressure; without it 3 hPa where it is logged or "
+            "standard deviation of the cabin's pressure; by default 3 hPa if it is logged or "
             "ambient"
         ),
         examples=[3.0],
@@ -79,7 +79,7 @@ class CabinSection(Section):
         ge=0,
         le=50,
         description=(
-            "standard deviation of the cabin's temperature; without it 1 K where a thermometer is "
+            "standard deviation of the cabin's temperature; by default 1 K if a thermometer is "
             "logged"
         ),
         examples=[1.0],
@@ -152,7 +152,9 @@ class WindowSection(Section):
 
     shape: Literal["plane", "spherical"] = Field(
         "plane",
-        description="plane; or spherical: a dome about the projection centre, which bends nothing",
+        description=(
+            "plane; or spherical: a dome around the projection centre, which does not bend rays"
+        ),
         examples=["plane"],
     )
     cabin: Literal["log", "standard_schedule"] | CabinSection | None = Field(
@@ -175,8 +177,8 @@ class WindowSection(Section):
     normal: Vector = Field(
         default_factory=lambda: [0.0, 0.0, 1.0],
         description=(
-            "direction out of the window; [0, 0, 1] is square to the optical axis in the camera "
-            "frame, a window in the belly in the body frame"
+            "direction out of the window; [0, 0, 1] is a window perpendicular to the optical axis "
+            "in the camera frame, a window in the belly in the body frame"
         ),
         examples=[[0.0, 0.0, 1.0]],
         json_schema_extra={"unit": "1"},
@@ -184,8 +186,8 @@ class WindowSection(Section):
     in_calibration: Literal["none", "glass"] = Field(
         "none",
         description=(
-            "glass: the camera was calibrated through the window. The glass displaces rays, which "
-            "is never modelled"
+            "glass: the camera was calibrated through the window. The displacement of rays by the "
+            "glass is never modelled"
         ),
         examples=["none"],
     )
@@ -234,15 +236,17 @@ class WindowSection(Section):
 
 
 class OpeningSection(Section):
-    """An opening without glass, such as a hatch: the air before the lens is not that outside.
+    """An opening without glass, such as a hatch: its air differs from the air outside.
 
-    It bends rays as a plane window does. A lens in the skin of the aircraft is the same: the air
-    there is warmed by friction, and under another pressure than the air that is flown through."""
+    The air in front of the lens bends rays as a plane window does. A lens in the skin of the
+    aircraft is the same case. Friction warms the air there, and its pressure differs from the air
+    around the aircraft.
+    """
 
     warmer_k: float = Field(
         ge=-30,
         le=60,
-        description="how much warmer the air before the lens is than that outside",
+        description="temperature of the air in front of the lens minus temperature outside",
         examples=[10.0],
         json_schema_extra={"unit": "K"},
     )
@@ -250,7 +254,10 @@ class OpeningSection(Section):
         0.0,
         ge=-100,
         le=100,
-        description="how much more pressure it has than the air outside; on a fuselage less",
+        description=(
+            "pressure of the air in front of the lens minus pressure outside; negative on a "
+            "fuselage"
+        ),
         examples=[-3.0],
         json_schema_extra={"unit": "hPa"},
     )
@@ -258,7 +265,7 @@ class OpeningSection(Section):
         None,
         ge=0,
         le=50,
-        description="standard deviation of warmer_k; without it half of that",
+        description="standard deviation of warmer_k; by default half of warmer_k",
         examples=[5.0],
         json_schema_extra={"unit": "K"},
     )
@@ -266,7 +273,9 @@ class OpeningSection(Section):
         None,
         ge=0,
         le=100,
-        description="standard deviation of pressure_excess_hpa; without it half of that",
+        description=(
+            "standard deviation of pressure_excess_hpa; by default half of pressure_excess_hpa"
+        ),
         examples=[1.0],
         json_schema_extra={"unit": "hPa"},
     )

@@ -22,23 +22,25 @@ TODO = "TODO"
 
 PROBLEMS = {
     "mapping values are not allowed here": (
-        "there is a colon where none can stand: put quotes around the text, or check the "
-        "indentation"
+        "there is a colon at a place where it is not allowed: put quotes around the text, or check "
+        "the indentation"
     ),
     "found character '\\t' that cannot start any token": (
         "there is a tab: YAML is indented by spaces"
     ),
-    "could not find expected ':'": "a key without a colon stands here or above",
+    "could not find expected ':'": "here or above, there is a key without a colon",
     "expected <block end>": "the indentation differs from that of the lines above",
     "expected ',' or": "a bracket or a brace is not closed, or a comma is missing",
-    "could not determine a constructor": "tags (!) are not taken",
+    "could not determine a constructor": "tags (!) are not allowed",
     "found undefined alias": "an alias (*) has no anchor (&); put quotes around a text with *",
     "expected alphabetic or numeric character": "put quotes around a text that begins with * or &",
     "found unknown escape character": (
         "in double quotes a backslash begins an escape: write / or single quotes"
     ),
     "found character": "put quotes around a text that begins with this character",
-    "expected a single document": ("there are several documents (---); a mission file is one"),
+    "expected a single document": (
+        "there are several documents (---); a mission file must have one"
+    ),
 }
 """Beginnings of what the YAML parser says, and the same in plain words."""
 
@@ -84,7 +86,7 @@ class MissionLoader(yaml.SafeLoader):
         """Refuse brackets within many others: the time to read them grows with their square."""
         if self.flow_level >= MOST_BRACKETS:
             raise yaml.scanner.ScannerError(
-                problem="brackets stand within too many others", problem_mark=self.get_mark()
+                problem="too many brackets are inside each other", problem_mark=self.get_mark()
             )
         super().fetch_flow_collection_start(kind)
 
@@ -99,7 +101,7 @@ class MissionLoader(yaml.SafeLoader):
                 )
             if key.value in seen:
                 raise yaml.constructor.ConstructorError(
-                    problem=f"the key {key.value!r} stands here twice", problem_mark=key.start_mark
+                    problem=f"the key {key.value!r} occurs twice", problem_mark=key.start_mark
                 )
             seen.add(key.value)
         return super().construct_mapping(node, deep)
@@ -111,7 +113,7 @@ def _whole_number(loader: MissionLoader, node: yaml.ScalarNode) -> int:
         return int(loader.construct_yaml_int(node))
     except (ValueError, LookupError):
         raise yaml.constructor.ConstructorError(
-            problem="a number has too many digits, or is none", problem_mark=node.start_mark
+            problem="a number has too many digits, or is not a number", problem_mark=node.start_mark
         ) from None
 
 
@@ -222,7 +224,7 @@ def _expanded_size(node: yaml.Node, sizes: dict[int, int], around: set[int]) -> 
         return sizes[id(node)]
     if id(node) in around:
         raise yaml.constructor.ConstructorError(
-            problem="an alias (*) stands inside the section or list that it repeats",
+            problem="an alias (*) is inside the section or list that it repeats",
             problem_mark=node.start_mark,
         )
     around.add(id(node))
@@ -271,7 +273,7 @@ def problem_of(error: Exception, line: str) -> str:
     for beginning, words in PROBLEMS.items():
         if problem.startswith(beginning):
             return words
-    return "here the text is no YAML"  # a problem that has no words of ours
+    return "here the text is not YAML"  # a problem that has no words of ours
 
 
 def text_without_quotes(line: str) -> str:

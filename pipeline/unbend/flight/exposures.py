@@ -234,11 +234,11 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
     still_beyond = span_of_flight.count_outside(time_ns + shift_ns)
     if still_beyond < beyond:
         brought = f"{time_ns.size - still_beyond}" if still_beyond else "all"
-        fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them into it"
+        fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them into the flight"
     else:
         fitting = (
-            "neither leap seconds, a time zone, a day nor a week would bring all of them into it, "
-            "and a common begin brings no more of them"
+            "neither leap seconds, a time zone, a day nor a week would bring all of them into the "
+            "flight, and a common begin does not bring more of them"
         )
     events_beyond = messages.BeyondFlight(
         key=key,

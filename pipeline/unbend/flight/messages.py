@@ -10,10 +10,12 @@ from unbend.messages import Message, fallback, finding, loss, note, warning
 
 TIME_FIT = Code(
     "TIME-FIT",
-    means="How UTC follows from the log's clock, with the residuals.",
-    effect="A note; a warning where the stamps scatter; a loss where one of the two clocks stepped "
-    "and stayed so.",
-    remedy="Check exposures near the step, if it is a loss.",
+    means="How UTC is derived from the clock of the log, with the residuals.",
+    effect=(
+        "A note; a warning if the stamps scatter; a loss if one of the two clocks stepped and "
+        "stayed there."
+    ),
+    remedy="If it is a loss, check the exposures near the step.",
 )
 
 
@@ -43,12 +45,16 @@ def time_fit_but_for(
     """Few of the stamps that tie a vehicle's clock to UTC are late or wrong."""
     return note(
         TIME_FIT,
-        "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
-        "{largest_ms:.0f} ms off: {count} are off by more than {limit_ms:.0f} ms, because they "
-        "came late or are wrong, and the median does not follow them",
-        one="UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
-        "{largest_ms:.0f} ms off: 1 is off by more than {limit_ms:.0f} ms, because it came late or "
-        "is wrong, and the median does not follow it",
+        (
+            "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+            "{largest_ms:.0f} ms off: {count} are off by more than {limit_ms:.0f} ms, because they "
+            "came late or are wrong; the median is not affected"
+        ),
+        one=(
+            "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+            "{largest_ms:.0f} ms off: 1 is off by more than {limit_ms:.0f} ms, because it came "
+            "late or is wrong; the median is not affected"
+        ),
         where=where,
         count=far,
         source=source,
@@ -70,9 +76,11 @@ def clock_scatters(
     """The stamps that tie a vehicle's clock to UTC scatter, without a step."""
     return warning(
         TIME_FIT,
-        "UTC from {source}, which scatter by {spread_ms:.0f} ms (p5 to p95), the farthest is "
-        "{largest_ms:.0f} ms off: UTC is good to {sigma_ms:.0f} ms (1 sigma), which goes into the "
-        "stations of exposures by UTC",
+        (
+            "UTC from {source}, which scatter by {spread_ms:.0f} ms (p5 to p95), the farthest is "
+            "{largest_ms:.0f} ms off: UTC is accurate to {sigma_ms:.0f} ms (1 sigma); the sigmas "
+            "of stations of exposures by UTC include it"
+        ),
         where=where,
         count=rows,
         source=source,
@@ -94,12 +102,16 @@ def clock_stepped(
     """The vehicle's clock or the receiver's stepped."""
     return loss(
         TIME_FIT,
-        "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
-        "{largest_ms:.0f} ms off, {count} are off by more than {limit_ms:.0f} ms: one of the two "
-        "clocks stepped, and exposures by UTC may be that far off",
-        one="UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
-        "{largest_ms:.0f} ms off, 1 is off by more than {limit_ms:.0f} ms: one of the two "
-        "clocks stepped, and exposures by UTC may be that far off",
+        (
+            "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+            "{largest_ms:.0f} ms off, {count} are off by more than {limit_ms:.0f} ms: one of the "
+            "two clocks stepped, and exposures by UTC may be off by the same time"
+        ),
+        one=(
+            "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
+            "{largest_ms:.0f} ms off, 1 is off by more than {limit_ms:.0f} ms: one of the two "
+            "clocks stepped, and exposures by UTC may be off by the same time"
+        ),
         where=where,
         count=far,
         source=source,
@@ -115,7 +127,7 @@ ROLE = Code(
     "ROLE",
     means="Which channel of the log plays which role.",
     effect="As stated.",
-    remedy="Name another under log.channels, if it is the wrong one.",
+    remedy="If it is the wrong channel, name another under log.channels.",
 )
 
 
@@ -126,9 +138,11 @@ def role_filled(*, role: str, channel: str) -> Message:
 
 ROLE_SPARE = Code(
     "ROLE-SPARE",
-    means="The channel of a role falls silent, and a spare of its kind goes on.",
-    effect="The spare plays the role where the first gives nothing, with its own accuracy.",
-    remedy="Name the better channel under log.channels, if it is to play the role all the time.",
+    means="The channel of a role has no more values, and a spare channel of the same kind goes on.",
+    effect=(
+        "The spare channel is used where the first channel has no values, with its own accuracy."
+    ),
+    remedy="To use one channel all the time, name it under log.channels.",
 )
 
 
@@ -136,7 +150,7 @@ def spare_plays_role(*, role: str, channel: str, spare: str, seconds: float) -> 
     """A channel ends, or begins late, and a spare gives its samples."""
     return fallback(
         ROLE_SPARE,
-        "{shown}: {spare} for {seconds:.1f} s, in which {channel} gives nothing",
+        "{shown}: {spare} for {seconds:.1f} s, because {channel} has no values there",
         where=role,
         shown=_shown(role),
         spare=spare,
@@ -149,7 +163,10 @@ def spare_plays_all(*, role: str, channel: str, spare: str, seconds: float) -> M
     """A sensor ends before the flight does, and a spare plays its role for the whole flight."""
     return fallback(
         ROLE_SPARE,
-        "{shown}: {spare}, as {channel} gives nothing for the last {seconds:.1f} s of the flight",
+        (
+            "{shown}: {spare}, because {channel} has no values in the last {seconds:.1f} s of the "
+            "flight"
+        ),
         where=role,
         shown=_shown(role),
         spare=spare,
@@ -162,7 +179,7 @@ def role_left_empty(*, role: str) -> Message:
     """The mission file says that no channel plays a role."""
     return note(
         ROLE,
-        "{shown}: none, as log.channels.{role} is null",
+        "{shown}: none, because log.channels.{role} is null",
         where=role,
         shown=_shown(role),
         role=role,
@@ -172,8 +189,8 @@ def role_left_empty(*, role: str) -> Message:
 ROLE_AMBIGUOUS = Code(
     "ROLE-AMBIGUOUS",
     means="Several channels could play a role, and none of them is used.",
-    effect="The role stays empty, or another kind of sensor plays it.",
-    remedy="Name one under log.channels.<role>.",
+    effect="The role stays empty, or another kind of sensor is used.",
+    remedy="Name one of them under log.channels.<role>.",
 )
 
 
@@ -203,11 +220,11 @@ def outside_or_cabin(*, role: str, candidates: Sequence[str]) -> Message:
 CHANNEL_MISSING = Code(
     "CHANNEL-MISSING",
     means=(
-        "A channel that is named is not in the log or lacks the columns of its role; or a role "
-        "that is needed has no channel at all."
+        "A named channel is not in the log, or lacks the columns of its role. Or a needed role has "
+        "no channel."
     ),
-    effect="A refusal where the role is needed, else a loss: the role stays empty.",
-    remedy="Name a channel as `unbend inspect` prints it.",
+    effect="A refusal if the role is needed. If not, a loss: the role stays empty.",
+    remedy="Name a channel that `unbend inspect` lists.",
 )
 
 
@@ -215,7 +232,7 @@ def role_empty(*, role: str, channels: Sequence[str]) -> Message:
     """No channel of the log can play a role that every mission needs."""
     return loss(
         CHANNEL_MISSING,
-        "no channel of the log can be taken for the {role}; it has {there}",
+        "no channel of the log can have the role {role}; it has {there}",
         where=f"log.channels.{role}",
         role=role,
         there=", ".join(channels) or "no channel at all",
@@ -235,11 +252,14 @@ def why_channel_is_missing(
 
 def _could_play(able: Sequence[str], *, board: bool) -> str:
     """Which other channels could play a role, and whether a board's temperature could."""
-    others = "nothing else could play it"
+    others = "no other channel can have this role"
     if able:
-        others = f"could play this role: {', '.join(able)}"
+        others = f"channels for this role: {', '.join(able)}"
     if board:
-        others += "; atmosphere.board_temperature: true takes its board's, less some 10 K"
+        others += (
+            "; atmosphere.board_temperature: true uses the temperature of its circuit board, minus "
+            "about 10 K"
+        )
     return others
 
 
@@ -260,7 +280,7 @@ def required_channel_missing(*, role: str, why: str, able: Sequence[str]) -> Mis
         CHANNEL_MISSING,
         "{why}; {others}",
         where=f"log.channels.{role}",
-        remedy="name a channel as `unbend inspect` prints it",
+        remedy="name a channel that `unbend inspect` lists",
         why=why,
         others=_could_play(able, board=False),
     )
@@ -268,9 +288,9 @@ def required_channel_missing(*, role: str, why: str, able: Sequence[str]) -> Mis
 
 CHANNEL_TWICE = Code(
     "CHANNEL-TWICE",
-    means="One sensor is named for the air outside and for the cabin.",
+    means="The same sensor is named for the air outside and for the cabin.",
     effect="The mission is refused.",
-    remedy="Name two sensors, or leave the window away where there is no cabin.",
+    remedy="Name two sensors. If there is no cabin, leave the window out.",
 )
 
 
@@ -280,7 +300,7 @@ def channel_twice(*, name: str, role: str) -> MissionError:
         CHANNEL_TWICE,
         "{name} is named for the {role} outside and in the cabin",
         where=f"log.channels.{role}, log.channels.cabin_{role}",
-        remedy="name two sensors, or leave the window away where there is no cabin",
+        remedy="name two sensors; if there is no cabin, leave the window out",
         name=name,
         role=role,
     )
@@ -289,11 +309,11 @@ def channel_twice(*, name: str, role: str) -> MissionError:
 BARO_NOT_OUTSIDE = Code(
     "BARO-NOT-OUTSIDE",
     means=(
-        "A barometer does not follow GNSS height as outside air does: it is in a closed "
+        "A barometer does not follow GNSS height as outside air does. It is in a closed "
         "compartment."
     ),
-    effect="It is not taken for the pressure outside; it may be the cabin's.",
-    remedy="Nothing; name it as log.channels.cabin_pressure if the camera is in that compartment.",
+    effect="It is not used for the pressure outside. It may measure the pressure of the cabin.",
+    remedy="Nothing. If the camera is in that compartment, name it as log.channels.cabin_pressure.",
 )
 
 
@@ -301,8 +321,10 @@ def barometer_not_outside(*, channel: str) -> Message:
     """A barometer whose pressure does not follow height as that of free air."""
     return note(
         BARO_NOT_OUTSIDE,
-        "{where} does not follow the GNSS height as outside air does: it is taken for a barometer "
-        "in a closed compartment",
+        (
+            "{where} does not follow the GNSS height as outside air does: it is probably a "
+            "barometer in a closed compartment"
+        ),
         where=channel,
     )
 
@@ -312,10 +334,10 @@ def barometer_not_outside(*, channel: str) -> Message:
 GIMBAL_FRAME = Code(
     "GIMBAL-FRAME",
     means=(
-        "The attitude is that of a gimbal: the mount counts in the frame of its payload. The "
-        "entry says where each camera looks."
+        "The attitude is the attitude of a gimbal, so the mount angles are in the frame of its "
+        "payload. The entry gives the viewing direction of each camera."
     ),
-    effect="A note; a warning where the camera looks far away from the payload's forward axis.",
+    effect="A note; a warning if the camera looks far away from the payload's forward axis.",
     remedy="A camera that looks along the payload's forward axis has pitch_deg: 90.",
 )
 
@@ -327,10 +349,12 @@ def gimbal_frame(
     send = warning if far else note
     return send(
         GIMBAL_FRAME,
-        "{attitude} is the attitude: that of a gimbal's payload (forward, right, down), along "
-        "whose forward axis a camera with pitch_deg: 90 looks. By its mount {camera} looks "
-        "{from_forward_deg:.0f} deg away from that axis, and in the median {from_nadir_deg:.0f} "
-        "deg from straight down",
+        (
+            "{attitude} is the attitude: it belongs to the payload of a gimbal (forward, right, "
+            "down). A camera with pitch_deg: 90 looks along the forward axis of the payload. With "
+            "its mount, {camera} looks {from_forward_deg:.0f} deg away from that axis, and in the "
+            "median {from_nadir_deg:.0f} deg from straight down"
+        ),
         where=f"mount.{camera}",
         camera=camera,
         attitude=attitude,
@@ -341,8 +365,8 @@ def gimbal_frame(
 
 GIMBAL_IGNORED = Code(
     "GIMBAL-IGNORED",
-    means="The log has a gimbal's messages, and no camera follows it.",
-    effect="Cameras are taken as fixed to the aircraft.",
+    means="The log has messages of a gimbal, but no camera uses its attitude.",
+    effect="Cameras are treated as fixed to the aircraft.",
     remedy="Name the gimbal's channel under log.channels.attitude or mount.<camera>.attitude.",
 )
 
@@ -351,16 +375,18 @@ def gimbal_ignored(*, listed: str) -> Message:
     """The log has messages of a gimbal, and no camera follows it."""
     return warning(
         GIMBAL_IGNORED,
-        "the log has {listed} of a gimbal: no camera follows it unless its channel is named as "
-        "attitude; each is taken as fixed to the aircraft by its mount",
+        (
+            "the log has {listed} of a gimbal: a camera uses its attitude only if its channel is "
+            "named as attitude; each camera is treated as fixed to the aircraft by its mount"
+        ),
         listed=listed,
     )
 
 
 GIMBAL_YAW = Code(
     "GIMBAL-YAW",
-    means="The yaw of the gimbal counts from the nose in some rows.",
-    effect="The yaw of the aircraft is added there.",
+    means="In some rows, the yaw of the gimbal is relative to the nose.",
+    effect="The yaw of the aircraft is added in these rows.",
     remedy="Nothing.",
 )
 
@@ -369,8 +395,10 @@ def gimbal_yaw_added(*, gimbal: str, rows: int, total: int, aircraft: str) -> Me
     """The yaw of the aircraft is added to the angles of a gimbal."""
     return note(
         GIMBAL_YAW,
-        "the yaw of {where} counts from the nose in {count} of {total_rows}: that of {aircraft} "
-        "is added",
+        (
+            "the yaw of {where} is relative to the nose in {count} of {total_rows}: the yaw of "
+            "{aircraft} is added"
+        ),
         where=gimbal,
         count=rows,
         total_rows=Counted(total, "row"),
@@ -382,8 +410,10 @@ def gimbal_counters_motion(*, gimbal: str, rows: int, total: int, aircraft: str)
     """The angles of a gimbal are those of its servos, which counter the aircraft's motion."""
     return note(
         GIMBAL_YAW,
-        "the yaw of {where} counts from the nose in {count} of {total_rows}: its angles counter "
-        "the motion of {aircraft} and are added to its attitude",
+        (
+            "the yaw of {where} is relative to the nose in {count} of {total_rows}: its angles "
+            "compensate the motion of {aircraft} and are added to its attitude"
+        ),
         where=gimbal,
         count=rows,
         total_rows=Counted(total, "row"),
@@ -395,8 +425,8 @@ def gimbal_counters_motion(*, gimbal: str, rows: int, total: int, aircraft: str)
 
 HEIGHT_GEOID = Code(
     "HEIGHT-GEOID",
-    means="The undulation that is used is 3 m or more from EGM96; above 10 m it is a finding.",
-    effect="Heights above sea level are off by as much, if it is wrong.",
+    means="The undulation in use differs by 3 m or more from EGM96. Above 10 m it is a finding.",
+    effect="If it is wrong, heights above sea level are wrong by the same amount.",
     remedy="Check mission.undulation_m: its sign is ellipsoid minus sea level.",
 )
 
@@ -408,8 +438,10 @@ def stated_undulation_off(
     send = finding if grave else warning
     return send(
         HEIGHT_GEOID,
-        "mission.undulation_m is {stated_m:.1f} m, the two heights of {where} are {own_m:.1f} m "
-        "apart: those of the log are used where it has both",
+        (
+            "mission.undulation_m is {stated_m:.1f} m, but the two heights of {where} differ by "
+            "{own_m:.1f} m: where the log has both heights, they are used"
+        ),
         where=channel,
         count=rows,
         stated_m=stated_m,
@@ -437,7 +469,7 @@ def undulation_off(
     send = finding if grave else warning
     return send(
         HEIGHT_GEOID,
-        "{used}, is {off_m:+.1f} m from EGM96, which has {egm96_m:.1f} m here{other_sign}",
+        "{used}, differs by {off_m:+.1f} m from EGM96, which has {egm96_m:.1f} m here{other_sign}",
         where=where,
         count=stations,
         used=used,
@@ -449,7 +481,7 @@ def undulation_off(
 
 HEIGHT_UNDULATION = Code(
     "HEIGHT-UNDULATION",
-    means="The undulation at the stations, and where it comes from.",
+    means="The undulation at the stations, and its source.",
     effect="It relates heights above sea level and ellipsoid.",
     remedy="Nothing.",
 )
@@ -462,9 +494,9 @@ def undulation_used(*, where: str, stations: int, used: str) -> Message:
 
 GEOID_OUTSIDE = Code(
     "GEOID-OUTSIDE",
-    means="Stations lie outside the geoid's grid, or in its holes.",
+    means="Stations are outside the grid of the geoid, or where it has no values.",
     effect="Their other height is unknown.",
-    remedy="Give mission.undulation_m, or a grid that reaches as far.",
+    remedy="Give mission.undulation_m, or a grid that covers the flight.",
 )
 
 
@@ -472,8 +504,8 @@ def stations_outside_geoid(*, where: str, count: int, total: int, grid: str) -> 
     """Stations without an undulation."""
     return loss(
         GEOID_OUTSIDE,
-        "{count} of {total_stations} lie outside {grid}, or in its holes",
-        one="1 of {total_stations} lies outside {grid}, or in its holes",
+        "{count} of {total_stations} are outside {grid}, or where it has no values",
+        one="1 of {total_stations} is outside {grid}, or where it has no values",
         where=where,
         count=count,
         total_stations=Counted(total, "station"),
@@ -483,9 +515,9 @@ def stations_outside_geoid(*, where: str, count: int, total: int, grid: str) -> 
 
 HEIGHT_HOME = Code(
     "HEIGHT-HOME",
-    means="The height of the take-off point, by the log.",
-    effect="Ground heights relative to it use it, where it is steady.",
-    remedy="Where it changes, state ground.home_h_msl_m.",
+    means="The height of the take-off point, from the log.",
+    effect="Ground heights relative to take-off use it, if it is steady.",
+    remedy="If it changes, state ground.home_h_msl_m.",
 )
 
 
@@ -514,8 +546,8 @@ def home_height_changes(*, channel: str, low_m: float, high_m: float) -> Message
 HEIGHT_REFERENCE = Code(
     "HEIGHT-REFERENCE",
     means=(
-        "Ground heights count from a surface whose height is not known: the take-off point or "
-        "the ellipsoid."
+        "Ground heights are relative to a surface of unknown height: the take-off point or the "
+        "ellipsoid."
     ),
     effect="The mission is refused.",
     remedy="Give ground.home_h_msl_m, mission.undulation_m or a mission.geoid.",
@@ -528,8 +560,10 @@ def undulation_unknown() -> MissionError:
         HEIGHT_REFERENCE,
         "ground heights are above the ellipsoid, and no undulation is known at any station",
         where="ground.reference",
-        remedy="give mission.undulation_m (ellipsoidal minus mean sea level), or a mission.geoid "
-        "that reaches as far",
+        remedy=(
+            "give mission.undulation_m (ellipsoidal minus mean sea level), or a mission.geoid that "
+            "covers the flight"
+        ),
     )
 
 
@@ -541,13 +575,15 @@ def home_unknown(*, begin_m: float | None) -> MissionError:
     remedy = "give the height of the take-off above sea level: ground.home_h_msl_m"
     if begin_m is not None:
         remedy = (
-            "the log begins standing still at {height} m above sea level: if the heights count "
-            "from there, write ground.home_h_msl_m: {height}"
+            "the aircraft is at rest at {height} m above sea level when the log begins: if the "
+            "heights are relative to that place, write ground.home_h_msl_m: {height}"
         )
     return MissionError(
         HEIGHT_REFERENCE,
-        "ground heights are relative to the take-off point, of which the log gives no height, or "
-        "more than one",
+        (
+            "ground heights are relative to the take-off point, but the log gives no height of it, "
+            "or more than one"
+        ),
         where="ground.reference",
         remedy=remedy,
         height="" if begin_m is None else f"{begin_m:.1f}",
@@ -556,8 +592,11 @@ def home_unknown(*, begin_m: float | None) -> MissionError:
 
 HEIGHT_SAME = Code(
     "HEIGHT-SAME",
-    means="Both heights of the log are one number: one is a copy of the other.",
-    effect="They are taken as above the sea; if they are not, stations are off by the undulation.",
+    means="Both heights of the log are equal. One is a copy of the other.",
+    effect=(
+        "They are treated as heights above the sea. If they are not, the stations are wrong by the "
+        "undulation."
+    ),
     remedy="Name another log.channels.height, or state the undulation.",
 )
 
@@ -567,10 +606,13 @@ def heights_are_one(*, channel: str, rows: int, source: str, undulation_m: float
     size = "" if undulation_m is None else f" of {undulation_m:.1f} m"
     return warning(
         HEIGHT_SAME,
-        "both heights of {where} are equal to the last digit in {in_rows}: one is a copy of "
-        "the other, and which of them is meant is unknown; they are taken as above mean sea "
-        "level, and the others follow by {source}: if they are above the ellipsoid, the stations "
-        "are off by the undulation{size}, and log.channels.height must name another channel",
+        (
+            "both heights of {where} are equal to the last digit in {in_rows}: one is a copy of "
+            "the other, and the log does not show which one; they are treated as heights above "
+            "mean sea level, and ellipsoidal heights are computed by {source}: if they are above "
+            "the ellipsoid, the stations are wrong by the undulation{size}, and "
+            "log.channels.height must name another channel"
+        ),
         where=channel,
         count=rows,
         in_rows=Counted(rows, "row"),
@@ -583,7 +625,7 @@ def heights_are_one(*, channel: str, rows: int, source: str, undulation_m: float
 
 EVENTS_CHANNEL = Code(
     "EVENTS-CHANNEL",
-    means="The log has no event channel of this name, or several of which none is named.",
+    means="The log has no event channel with this name. Or it has several, and none is named.",
     effect="The mission is refused.",
     remedy="Name one under events.log.<camera>.channel, or give the times in events.csv.",
 )
@@ -591,7 +633,7 @@ EVENTS_CHANNEL = Code(
 
 def event_channel_unknown(*, name: str | None, channels: Sequence[str]) -> MissionError:
     """No event channel has the name, or several could be a camera's."""
-    question = "which events are this camera's?"
+    question = "which events belong to this camera?"
     if name:
         question = f"the log has no event channel {name!r}"
     return MissionError(
@@ -607,8 +649,8 @@ def event_channel_unknown(*, name: str | None, channels: Sequence[str]) -> Missi
 EVENTS_FEEDBACK = Code(
     "EVENTS-FEEDBACK",
     means=(
-        "Fewer than ten triggers have a logged shutter pulse: the lag cannot be taken from the "
-        "feedback."
+        "Fewer than ten triggers have a logged shutter pulse. So the lag cannot be computed from "
+        "the feedback."
     ),
     effect="The mission is refused.",
     remedy="Give delay_s in seconds, or name the channel of the triggers (TRIG).",
@@ -619,8 +661,10 @@ def too_few_feedback_pairs(*, camera: str, channel: str, pairs: int, needed: int
     """Too few triggers have a logged pulse of their shutter."""
     return MissionError(
         EVENTS_FEEDBACK,
-        "{channel} has {triggers} whose shutter pulse was logged too; {needed} are needed "
-        "to measure the lag",
+        (
+            "{channel} has {triggers} with a logged shutter pulse; {needed} are needed to measure "
+            "the lag"
+        ),
         where=f"events.log.{camera}.delay_s",
         remedy="give the lag in seconds; or name the channel of the triggers (TRIG) of a camera "
         "with a feedback pin",
@@ -632,7 +676,7 @@ def too_few_feedback_pairs(*, camera: str, channel: str, pairs: int, needed: int
 
 EVENTS_SHUTTER_LAG = Code(
     "EVENTS-SHUTTER-LAG",
-    means="The lag of the shutter behind its trigger, by triggers whose pulse was logged too.",
+    means="The lag of the shutter after its trigger, from triggers with a logged shutter pulse.",
     effect="It is added to the times of all exposures of the camera.",
     remedy="Nothing.",
 )
@@ -645,9 +689,11 @@ def shutter_lag(
     return note(
         EVENTS_SHUTTER_LAG,
         "the shutter of {camera} opens {lag_ms:.0f} ms after its trigger, with a scatter of "
-        "{scatter_ms:.0f} ms, by {count} triggers whose shutter pulse was logged too",
-        one="the shutter of {camera} opens {lag_ms:.0f} ms after its trigger, by 1 trigger whose "
-        "shutter pulse was logged too",
+        "{scatter_ms:.0f} ms, from {count} triggers with a logged shutter pulse",
+        one=(
+            "the shutter of {camera} opens {lag_ms:.0f} ms after its trigger, from 1 trigger with "
+            "a logged shutter pulse"
+        ),
         where=channel,
         count=pairs,
         camera=camera,
@@ -660,7 +706,7 @@ EVENTS_LOST = Code(
     "EVENTS-LOST",
     means="Numbers of exposures have no event, or triggers have no shutter pulse.",
     effect="Their images have no station.",
-    remedy="Take their times from elsewhere (events.csv), or leave them out.",
+    remedy="Take their times from another source (events.csv), or leave them out.",
 )
 
 
@@ -697,12 +743,12 @@ def triggers_without_pulse(*, shutters: str, trigger: str, sent: int, events: in
 
 EVENTS_ON_GROUND = Code(
     "EVENTS-ON-GROUND",
-    means="Exposures were made while the aircraft stood on the ground: test shots.",
+    means="Exposures were made while the aircraft was on the ground: test shots.",
     effect=(
-        "A note; a warning where they are in the observations, a loss where they are more than "
-        "half of all."
+        "A note; a warning if they are in the observations; a loss if they are more than half of "
+        "all exposures."
     ),
-    remedy="Check the times of the events if it is a loss.",
+    remedy="If it is a loss, check the times of the events.",
 )
 
 
@@ -720,9 +766,11 @@ def exposures_on_ground(*, names: Sequence[str], measured: int, most: bool) -> M
         in_observations = f"; {measured} of them are in the observations"
     return send(
         EVENTS_ON_GROUND,
-        "{count} exposures were made while the aircraft stood on the ground: "
-        "{listed}{in_observations}",
-        one="1 exposure was made while the aircraft stood on the ground: {listed}{in_observations}",
+        (
+            "{count} exposures were made while the aircraft was on the ground: "
+            "{listed}{in_observations}"
+        ),
+        one="1 exposure was made while the aircraft was on the ground: {listed}{in_observations}",
         where="events",
         count=len(names),
         listed=first_names(names, 5),
@@ -734,7 +782,7 @@ EVENTS_REPEATED = Code(
     "EVENTS-REPEATED",
     means="Several exposures would have the same image name.",
     effect="The mission is refused.",
-    remedy="Give each camera a pattern of its own, or one row an image in events.csv.",
+    remedy="Give each camera a different pattern, or one row for each image in events.csv.",
 )
 
 
@@ -742,12 +790,14 @@ def image_names_repeated(*, total: int, example: str) -> MissionError:
     """Several exposures have one name."""
     return MissionError(
         EVENTS_REPEATED,
-        "{total} image names stand for more than one exposure, for example '{example}'",
-        one="1 image name stands for more than one exposure, for example '{example}'",
+        "{total} image names belong to more than one exposure, for example '{example}'",
+        one="1 image name belongs to more than one exposure, for example '{example}'",
         where="events",
         count=total,
-        remedy="give each exposure a name of its own: a pattern for each camera, or one row an "
-        "image in events.csv",
+        remedy=(
+            "give each exposure a different name: a pattern for each camera, or one row for each "
+            "image in events.csv"
+        ),
         total=total,
         example=example,
     )
@@ -756,23 +806,24 @@ def image_names_repeated(*, total: int, example: str) -> MissionError:
 EVENTS_SPAN = Code(
     "EVENTS-SPAN",
     means=(
-        "Events lie beyond the time of the flight; the entry gives a shift that would bring more "
-        "of them into it, if leap seconds, a time zone, a day, a week or a common begin does."
+        "Events are outside the time of the flight. The entry gives a time shift that would bring "
+        "more of them into the flight, if leap seconds, a time zone, a day, a week or a common "
+        "begin gives one."
     ),
-    effect="A warning; refused where more than half lie beyond it.",
+    effect="A warning. Refused if more than half of them are outside the flight.",
     remedy=(
-        "Check the time system: GPS time is 18 s ahead of UTC, local time by its zone; or name "
-        "the log of this flight."
+        "Check the time system: GPS time is 18 s ahead of UTC, local time by its zone. Or name the "
+        "log of this flight."
     ),
 )
 
 
 _BEYOND_FLIGHT = (
-    "{count} of {total_events} lie beyond the flight: events {of_events}, "
+    "{count} of {total_events} are outside the flight: events {of_events}, "
     "{channel} {of_flight}; {fitting}"
 )
 _ONE_BEYOND_FLIGHT = (
-    "1 of {total_events} lies beyond the flight: events {of_events}, "
+    "1 of {total_events} is outside the flight: events {of_events}, "
     "{channel} {of_flight}; {fitting}"
 )
 
@@ -829,7 +880,9 @@ EVENTS_TRIGGER_TIME = Code(
     means=(
         "The events of a camera are the commands of its trigger, not the pulses of its shutter."
     ),
-    effect="Exposures are 70 to 160 ms early unless delay_s says so: metres along the track.",
+    effect=(
+        "Without delay_s, the exposures are 70 to 160 ms too early. That is metres along the track."
+    ),
     remedy="Measure the delay and state events.log.<camera>.delay_s.",
 )
 
@@ -876,8 +929,11 @@ def perhaps_trigger_times(*, channel: str, events: int, parameter: str) -> Messa
     """The log does not say whether captures have the times of triggers or of the shutter."""
     return note(
         EVENTS_TRIGGER_TIME,
-        "{where} has the times of the trigger commands if {parameter} was 0, which is not logged: "
-        "the shutter opens later then, which events.log.<camera>.delay_s takes into account",
+        (
+            "{where} has the times of the trigger commands if {parameter} was 0, which is not "
+            "logged: in this case the shutter opens later; state this delay as "
+            "events.log.<camera>.delay_s"
+        ),
         where=channel,
         count=events,
         parameter=parameter,
@@ -889,11 +945,12 @@ def perhaps_trigger_times(*, channel: str, events: int, parameter: str) -> Messa
 IMAGES_OTHER = Code(
     "IMAGES-OTHER",
     means=(
-        "None of the images of the observations is one of the exposures or files: their names "
-        "differ."
+        "None of the images of the observations matches an exposure or a file. Their names differ."
     ),
     effect="The mission is refused.",
-    remedy="State observations.match_names, or mend the pattern under events.log.<camera>.image.",
+    remedy=(
+        "State observations.match_names, or correct the pattern under events.log.<camera>.image."
+    ),
 )
 
 
@@ -907,7 +964,7 @@ def no_image_of_camera(
     proposal: str,
 ) -> MissionError:
     """None of the exposures of a camera is an image of the observations."""
-    called = "" if example is None else f", which are called like {name_in_bytes(example)}"
+    called = "" if example is None else f", which have names like {name_in_bytes(example)}"
     more = f"; {proposal}" if proposal else ""
     return MissionError(
         IMAGES_OTHER,
@@ -928,12 +985,12 @@ def no_image_of_camera(
 def difference_in_names(*, matched: int, differences: Sequence[str], name: str, image: str) -> str:
     """How many images would have an exposure if names might differ so, for other messages."""
     key = f"observations.match_names: [{', '.join(differences)}]"
-    return f"{matched} of them would have one with {key}, as {image!r} that of {name!r}"
+    return f"{matched} of them would match with {key}, for example {image!r} with {name!r}"
 
 
 IMAGES_RENAMED = Code(
     "IMAGES-RENAMED",
-    means="Exposures are called as the observations call them, by observations.match_names.",
+    means="Exposures get the image names of the observations, because of observations.match_names.",
     effect="As stated.",
     remedy="Check the example in the entry.",
 )
@@ -945,10 +1002,14 @@ def images_renamed(
     """Exposures take the names that the observations have."""
     return note(
         IMAGES_RENAMED,
-        "{count} names are those of images of the observations but for {differences}: {name} is "
-        "{image}",
-        one="1 name is that of an image of the observations but for {differences}: {name} is "
-        "{image}",
+        (
+            "{count} names differ from the images of the observations only in {differences}: "
+            "{name} is {image}"
+        ),
+        one=(
+            "1 name differs from the image of the observations only in {differences}: {name} is "
+            "{image}"
+        ),
         where=where,
         count=count,
         differences=" and ".join(differences) or "composed characters (Unicode NFC and NFD)",
@@ -960,8 +1021,8 @@ def images_renamed(
 IMAGES_UNMATCHED = Code(
     "IMAGES-UNMATCHED",
     means="Images of the observations have no exposure.",
-    effect="Their rows have the status no_station, without corrected values.",
-    remedy="Check the pattern or the names; lost pulses cannot be repaired.",
+    effect="Their rows have the status no_station, and no corrected values.",
+    remedy="Check the pattern or the names. Lost pulses cannot be repaired.",
 )
 
 
@@ -973,7 +1034,7 @@ def images_unmatched(
     if unused:
         hint = f"; exposures without observations: {first_names(names_in_bytes(unused), 3)}"
     elif like is not None:
-        hint = f"; exposures are called like {name_in_bytes(like)}"
+        hint = f"; exposures have names like {name_in_bytes(like)}"
     if proposal:
         hint += f"; {proposal}"
     return loss(
@@ -994,8 +1055,8 @@ STATIONS_UNUSED = Code(
     means="Exposures have no observations.",
     effect="None.",
     remedy=(
-        "None, unless IMAGES-UNMATCHED names images: their names may be mistyped, and these be "
-        "their exposures."
+        "None, unless IMAGES-UNMATCHED names images: their names may be mistyped, and these "
+        "exposures may belong to them."
     ),
 )
 
@@ -1014,10 +1075,10 @@ def exposures_unused(*, images: Sequence[str]) -> Message:
 STATIONS_FLAGGED = Code(
     "STATIONS-FLAGGED",
     means=(
-        "Exposures have no usable station; the entry gives the status: outside_log, in_gap, "
+        "Exposures have no usable station. The entry gives the status: outside_log, in_gap, "
         "no_position, no_attitude or another."
     ),
-    effect="Their observations have no corrected values; the run ends with 3.",
+    effect="Their observations have no corrected values. The run ends with exit code 3.",
     remedy="Check times and gaps of the log, or give a trajectory.",
 )
 
@@ -1037,8 +1098,8 @@ def stations_flagged(*, status: str, images: Sequence[str]) -> Message:
 STATIONS_HEIGHT = Code(
     "STATIONS-HEIGHT",
     means="Barometer and GNSS height contradict each other at stations.",
-    effect="They are suspect, without corrected values unless stations.use_suspect.",
-    remedy="Check the log there; a trajectory may replace the heights.",
+    effect="They are suspect, and have no corrected values unless stations.use_suspect is true.",
+    remedy="Check the log at these times. A trajectory can replace the heights.",
 )
 
 
@@ -1059,11 +1120,11 @@ def station_heights_suspect(*, count: int, worst_hpa: float, first: str) -> Mess
 STATIONS_SIGMA = Code(
     "STATIONS-SIGMA",
     means=(
-        "The sigmas of the stations, in the median; as a loss, stations that are known worse "
-        "than the mission needs."
+        "The median sigmas of the stations. As a loss: stations with larger sigmas than the "
+        "mission allows."
     ),
-    effect="The run ends with 3 where it is a loss.",
-    remedy="Give a better trajectory, or relax the largest sigmas under stations.",
+    effect="If it is a loss, the run ends with exit code 3.",
+    remedy="Give a better trajectory, or increase the largest sigmas under stations.",
 )
 
 
@@ -1081,10 +1142,14 @@ def stations_worse_than_needed(
     size = "an unknown sigma" if sigma is None else f"{sigma:.2f} {unit}"
     return loss(
         STATIONS_SIGMA,
-        "{count} of {total_stations} are known worse than the mission needs: {quantity} {limit:g} "
-        "{unit}, the worst is {worst} with {size}",
-        one="1 of {total_stations} is known worse than the mission needs: {quantity} {limit:g} "
-        "{unit}, it is {worst} with {size}",
+        (
+            "{count} of {total_stations} have larger sigmas than the mission allows: {quantity} "
+            "{limit:g} {unit}, the worst is {worst} with {size}"
+        ),
+        one=(
+            "1 of {total_stations} has a larger sigma than the mission allows: {quantity} "
+            "{limit:g} {unit}, it is {worst} with {size}"
+        ),
         where="stations",
         count=count,
         total_stations=Counted(total, "station"),
@@ -1100,7 +1165,7 @@ def station_sigmas(*, stations: int, medians: Sequence[str]) -> Message:
     """How well the stations are known, in the median."""
     return note(
         STATIONS_SIGMA,
-        "sigmas of the stations, in the median: {medians}",
+        "median sigmas of the stations: {medians}",
         where="stations",
         count=stations,
         medians=", ".join(medians),
@@ -1110,10 +1175,10 @@ def station_sigmas(*, stations: int, medians: Sequence[str]) -> Message:
 AIRCRAFT_ATTITUDE_MISSING = Code(
     "AIRCRAFT-ATTITUDE-MISSING",
     means=(
-        "A window is fixed to the aircraft (frame: body), and for some exposures the attitude "
-        "of the aircraft itself is not known."
+        "A window is fixed to the aircraft (frame: body), but the attitude of the aircraft is not "
+        "known for some exposures."
     ),
-    effect="These stations are suspect: their observations have no corrected values.",
+    effect="These stations are suspect. Their observations have no corrected values.",
     remedy="Name log.channels.aircraft_attitude.",
 )
 
@@ -1135,8 +1200,8 @@ def aircraft_attitude_missing(*, camera: str, count: int, reason: str) -> Messag
 AIR_GROUND_SOAK = Code(
     "AIR-GROUND-SOAK",
     means=(
-        "Readings of thermometer and hygrometer on the ground and shortly after take-off show "
-        "the airfield, not the air."
+        "Readings of thermometer and hygrometer on the ground and shortly after take-off show the "
+        "airfield, not the free air."
     ),
     effect="These readings are not used.",
     remedy="Nothing.",
@@ -1157,12 +1222,12 @@ def ground_soak(*, channel: str, count: int, seconds: float) -> Message:
 
 AIR_HEIGHT_FUSED = Code(
     "AIR-HEIGHT-FUSED",
-    means="The only height in the log is one that the autopilot fused with its barometer.",
+    means="The only height in the log is a height that the autopilot fused with its barometer.",
     effect=(
-        "The barometer gives the level of pressure, and nothing on temperatures: its height is "
-        "not a second measure."
+        "The barometer gives the level of the pressure, but no temperatures, because the height is "
+        "not an independent measurement."
     ),
-    remedy="Log the receiver (GPS), or give stations.trajectory.",
+    remedy="Log the messages of the receiver (GPS), or give stations.trajectory.",
 )
 
 
@@ -1170,9 +1235,11 @@ def height_is_fused(*, channel: str, level_m: float) -> Message:
     """The only height of a log follows its barometer."""
     return warning(
         AIR_HEIGHT_FUSED,
-        "{where} is a position that the autopilot fused with its barometer, and no receiver gives "
-        "a height: pressures say nothing on temperatures, only those of the lowest {level_m:.0f} m "
-        "are used, for the level",
+        (
+            "{where} is a position that the autopilot fused with its barometer, and no receiver "
+            "gives a height: pressures give no temperatures; only the pressures of the lowest "
+            "{level_m:.0f} m are used, for the level"
+        ),
         where=channel,
         level_m=level_m,
     )
@@ -1180,9 +1247,9 @@ def height_is_fused(*, channel: str, level_m: float) -> Message:
 
 AIR_SUSPECT_HEIGHT = Code(
     "AIR-SUSPECT-HEIGHT",
-    means="Readings were taken where other evidence contradicts the heights of the log.",
+    means="Readings were taken at times when other evidence contradicts the heights of the log.",
     effect="They are not used.",
-    remedy="See the entries SENSOR- and STATIONS-SUSPECT on these heights.",
+    remedy="See the entries SENSOR-* and STATIONS-SUSPECT about these heights.",
 )
 
 

@@ -54,9 +54,9 @@ def _degrees_for_radians(a: Array, b: Array, c: Array) -> _ThreeAngles:
 
 
 UNIT_MISTAKES: dict[str, Callable[..., _ThreeAngles]] = {
-    "taken for grads": _grads_for_degrees,
-    "taken for radians": _radians_for_degrees,
-    "taken for degrees": _degrees_for_radians,
+    "read as grads": _grads_for_degrees,
+    "read as radians": _radians_for_degrees,
+    "read as degrees": _degrees_for_radians,
 }
 """What undoes mistakes about the unit of three angles [rad], by the words for the mistake.
 

@@ -286,8 +286,8 @@ def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float)
 
 
 NO_AIRCRAFT_ATTITUDE = (
-    "no attitude of the aircraft (log.channels.aircraft_attitude): the direction of its window, "
-    "seen from the camera, is not known"
+    "no attitude of the aircraft (log.channels.aircraft_attitude): the direction of the window "
+    "relative to the camera is not known"
 )
 
 

@@ -326,7 +326,7 @@ def _without_utc(place: str) -> BootUtc:
         utc=None,
         apart_s=None,
         sigma_s=None,
-        why="no clock of the log tells its UTC",
+        why="no clock of the log gives its UTC",
     )
     return BootUtc(None, is_known=False, sigma_s=float("nan"), assessments=(assessment,))
 

@@ -88,9 +88,12 @@ def log_changed(*, path: str, size: int, end: int) -> LogError:
 
 LOG_FORMAT = Code(
     "LOG-FORMAT",
-    means="The file is no log of a known format, or of another one than its ending says.",
+    means="The file is not a log of a known format, or has another format than its ending states.",
     effect="The log is refused.",
-    remedy="Give a .bin, .log, .tlog, .mcap or .ulg; rename or convert as the refusal says.",
+    remedy=(
+        "Give a .bin, .log, .tlog, .mcap or .ulg. The refusal states how to rename or convert the "
+        "file."
+    ),
 )
 
 
@@ -116,7 +119,7 @@ def unknown_format(*, path: str, extension: str, known: str) -> LogError:
     """Neither content nor extension is one of a known format."""
     return LogError(
         LOG_FORMAT,
-        "neither content nor extension ({extension}) is one of a known format",
+        "neither content nor extension ({extension}) belongs to a known format",
         where=path,
         remedy="give one of {known}",
         extension=extension or "none",
@@ -131,9 +134,9 @@ def no_whole_message(
     listed = "".join(f"; {message.what} ({message.where})" for message in damage)
     return LogError(
         LOG_FORMAT,
-        "no whole message of {title} in {size}{damage}",
+        "no complete message of {title} in {size}{damage}",
         where=path,
-        remedy="check that it is the whole log; known are {known}",
+        remedy="check that the log is complete; known formats are {known}",
         title=title,
         size=Counted(size, "byte"),
         damage=listed,
@@ -145,7 +148,7 @@ LOG_NO_MESSAGES = Code(
     "LOG-NO-MESSAGES",
     means="The log has messages, but none with positions, attitudes, air data or camera events.",
     effect="The log is refused.",
-    remedy="Check what the vehicle logs.",
+    remedy="Check which messages the vehicle logs.",
 )
 
 
@@ -167,8 +170,10 @@ def no_wanted_messages(
         LOG_NO_MESSAGES,
         "{total}, but none with a position, an attitude, air data or camera events",
         where=path,
-        remedy="check what the vehicle logs; this log has {kinds}, which `unbend inspect --type` "
-        "shows",
+        remedy=(
+            "check which messages the vehicle logs; this log has {kinds}, which `unbend inspect "
+            "--type` shows"
+        ),
         total=Counted(total, "message"),
         kinds=", ".join(kinds),
     )
@@ -218,9 +223,9 @@ def no_message_type(*, path: str, name: str, available: str) -> LogError:
 
 LOG_NO_TABLE = Code(
     "LOG-NO-TABLE",
-    means="A message type has no rows that can be laid out in columns.",
+    means="A message type has no rows that can be written as a table.",
     effect="The command is refused.",
-    remedy="Choose another type of `unbend inspect`.",
+    remedy="Choose another type that `unbend inspect` lists.",
 )
 
 
@@ -229,9 +234,9 @@ def no_table(*, path: str, name: str, instance: str | None) -> LogError:
     selected = name if instance is None else f"{name}, instance {instance},"
     return LogError(
         LOG_NO_TABLE,
-        "{selected} has no rows that can be laid out in columns",
+        "{selected} has no rows that can be written as a table",
         where=path,
-        remedy="choose another type or instance of `unbend inspect`",
+        remedy="choose another type or instance that `unbend inspect` lists",
         selected=selected,
     )
 
@@ -240,7 +245,7 @@ def not_a_unit_of_role(*, role: str, unit: str, columns: Sequence[str]) -> Missi
     """The mission file states a unit of another quantity."""
     return MissionError(
         CHANNEL_UNIT,
-        "{unit} is no unit of {quantity}",
+        "{unit} is not a unit of {quantity}",
         where=f"log.channels.{role}",
         remedy="its column is {columns}",
         unit=unit,
@@ -274,7 +279,7 @@ def bad_bytes(*, file: str, first: int, count: int, unit: str) -> Message:
 LOG_TRUNCATED = Code(
     "LOG-TRUNCATED",
     means="The last message or record is cut off, as when the power is lost.",
-    effect="Every whole one before it was read.",
+    effect="All complete messages before it were read.",
     remedy="Nothing, if the flight was over.",
 )
 
@@ -283,10 +288,14 @@ def cut_off(*, file: str, count: int, unit: str) -> Message:
     """The end of a file lies in a message; ``unit`` is the format's word for one."""
     return loss(
         LOG_TRUNCATED,
-        "the last {unit} is cut off after {count} bytes, as when the power is lost: this format "
-        "has no end mark; every whole one before it was read",
-        one="the last {unit} is cut off after 1 byte, as when the power is lost: this format "
-        "has no end mark; every whole one before it was read",
+        (
+            "the last {unit} is cut off after {count} bytes, as when the power is lost: this "
+            "format has no end mark; all complete ones before it were read"
+        ),
+        one=(
+            "the last {unit} is cut off after 1 byte, as when the power is lost: this format has "
+            "no end mark; all complete ones before it were read"
+        ),
         where=file,
         count=count,
         unit=unit,
@@ -295,9 +304,11 @@ def cut_off(*, file: str, count: int, unit: str) -> Message:
 
 LOG_TOO_LARGE = Code(
     "LOG-TOO-LARGE",
-    means="A part of the log (a chunk, a number of names, definitions, power-ups, senders) is "
-    "beyond all reason: damage, or a bomb.",
-    effect="That part is not read; if nothing can be read without it, the log is refused.",
+    means=(
+        "A part of the log (a chunk, a number of names, definitions, power-ups, senders) is "
+        "impossibly large. The log is damaged, or was made to exhaust the memory."
+    ),
+    effect="This part is not read. If nothing can be read without it, the log is refused.",
     remedy="Copy the log again. `docs/pages/limits.md` has the limits.",
 )
 
@@ -306,7 +317,7 @@ def too_much_damage(*, file: str, first: int, places: int) -> Message:
     """A log is damaged at so many places that the rest of it is not searched for messages."""
     return loss(
         LOG_TOO_LARGE,
-        "it is damaged at {places} places: what follows byte {first} is not read",
+        "it is damaged at {places} places: the part after byte {first} is not read",
         where=file,
         places=places,
         first=first,
@@ -317,7 +328,7 @@ def too_many_boots(*, count: int, most: int) -> LogError:
     """The time since boot of a log begins anew more often than a vehicle is switched on."""
     return LogError(
         LOG_TOO_LARGE,
-        "its time since boot begins anew {count} times or more; at most {most} power-ups are read",
+        "its time since boot begins again {count} times or more; at most {most} power-ups are read",
         remedy="copy the log again, or cut it at a power-up",
         count=count,
         most=most,
@@ -328,7 +339,7 @@ def too_many_definitions(*, name: str, most: int) -> LogError:
     """A log defines a message anew more often than firmware ever changed it."""
     return LogError(
         LOG_TOO_LARGE,
-        "{name} is defined in more than {most} ways",
+        "{name} is defined in more than {most} different ways",
         remedy="copy the log again",
         name=name,
         most=most,
@@ -339,7 +350,10 @@ def too_many_redefinitions(*, name: str, most: int) -> LogError:
     """A type of record of a binary log is defined in turns."""
     return LogError(
         LOG_TOO_LARGE,
-        "types of records, {name} the last of them, get another definition more than {most} times",
+        (
+            "types of records change their definition more than {most} times; the last of them is "
+            "{name}"
+        ),
         remedy="copy the log again",
         name=name,
         most=most,
@@ -405,16 +419,20 @@ LOG_CRC = Code(
 
 LOG_LINK_LOSS = Code(
     "LOG-LINK-LOSS",
-    means="The log is incomplete: messages are missing by their sequence numbers. The radio link "
-    "or the recorder lost them.",
-    effect="Stations and air are interpolated between the rest. A run ends with 3 until it is "
-    "accepted.",
+    means=(
+        "The log is incomplete. The sequence numbers show that messages are missing. The radio "
+        "link or the recorder lost them."
+    ),
+    effect=(
+        "Stations and air are interpolated between the other messages. A run ends with exit code 3 "
+        "until it is accepted."
+    ),
     remedy="Use the log from the vehicle's card instead, or accept it with the reason.",
 )
 
 LOG_FIELDS = Code(
     "LOG-FIELDS",
-    means="The log defines no field for what a message needs, such as the time or a position.",
+    means="The log does not define a field that a message needs, such as the time or a position.",
     effect="Its rows are not used.",
     remedy="Update the firmware, or use another message.",
 )
@@ -442,9 +460,12 @@ LOG_DROPOUT = Code(
 
 EVENTS_BOTH = Code(
     "EVENTS-BOTH",
-    means="A topic has commands of the trigger and pulses of the shutter.",
-    effect="They are two channels: the pulses keep the name, the commands are named .sent.",
-    remedy="Name the one with the pulses.",
+    means="One topic has commands of the trigger and pulses of the shutter.",
+    effect=(
+        "They become two channels. The pulses keep the name. The name of the commands ends in "
+        ".sent."
+    ),
+    remedy="Name the channel with the pulses.",
 )
 
 
@@ -465,9 +486,12 @@ def pulses_and_commands(*, channel: str, pulses: int, sent: str, commands: int) 
 
 LOG_GAP = Code(
     "LOG-GAP",
-    means="Nothing was logged for more than a second (of a radio link three).",
-    effect="Exposures there may have no station (in_gap). Where the vehicle's clock advanced "
-    "meanwhile, the log is incomplete, and a run ends with 3 until that is accepted.",
+    means="Nothing was logged for more than 1 s (for a radio link: 3 s).",
+    effect=(
+        "Exposures in this time may have no station (in_gap). If the vehicle's clock advanced in "
+        "the meantime, the log is incomplete. A run then ends with exit code 3 until that is "
+        "accepted."
+    ),
     remedy="Check the card or the link; use another log, or accept it with the reason.",
 )
 
@@ -489,7 +513,7 @@ def nothing_logged(*, byte: int, count: int, seconds: float) -> Message:
 
 TIME_STRAY = Code(
     "TIME-STRAY",
-    means="Rows carry a time that fits none of their neighbours: damage.",
+    means="Rows have a time that does not fit their neighbours: damage.",
     effect="They are not used.",
     remedy="Copy the log again.",
 )
@@ -499,8 +523,8 @@ def stray_records(*, byte: int, count: int) -> Message:
     """The times of records jump and return."""
     return loss(
         TIME_STRAY,
-        "{count} records carry a time that fits none of their neighbours",
-        one="1 record carries a time that fits none of its neighbours",
+        "{count} records have a time that does not fit their neighbours",
+        one="1 record has a time that does not fit its neighbours",
         where=f"first at byte {byte}",
         count=count,
     )
@@ -510,9 +534,8 @@ def stray_rows(*, channel: str, first: int, count: int, total: int) -> Message:
     """The times of rows of a channel jump and return."""
     return loss(
         TIME_STRAY,
-        "{count} of {total} rows carry a time that fits none of their neighbours: they are not "
-        "used",
-        one="1 of {total} rows carries a time that fits none of its neighbours: it is not used",
+        "{count} of {total} rows have a time that does not fit their neighbours: they are not used",
+        one="1 of {total} rows has a time that does not fit its neighbours: it is not used",
         where=f"{channel}, first at row {first}",
         count=count,
         total=total,
@@ -522,7 +545,7 @@ def stray_rows(*, channel: str, first: int, count: int, total: int) -> Message:
 TIME_REPEAT = Code(
     "TIME-REPEAT",
     means="Rows repeat the time of a row before.",
-    effect="They are not used; a loss where they are exposures.",
+    effect="They are not used. It is a loss if they are exposures.",
     remedy="Nothing, unless exposures are lost.",
 )
 
@@ -588,7 +611,7 @@ def clock_set_back(*, channel: str, count: int) -> Message:
 TIME_REBOOT = Code(
     "TIME-REBOOT",
     means="The vehicle was restarted during the log.",
-    effect="Each part has a clock of its own; nothing is interpolated across.",
+    effect="Each part has a separate clock. Values are not interpolated between the parts.",
     remedy="Nothing.",
 )
 
@@ -597,8 +620,10 @@ def restarted(*, where: str, count: int) -> Message:
     """The difference of UTC and time since boot steps at a silence."""
     return warning(
         TIME_REBOOT,
-        "{times} UTC and the time since boot disagree before and after a silence: the vehicle was "
-        "restarted, though its time is later",
+        (
+            "{times} UTC and the time since boot disagree before and after a gap: the vehicle was "
+            "restarted, although its time is later"
+        ),
         where=where,
         count=count,
         times=Counted(count, "time"),
@@ -607,8 +632,8 @@ def restarted(*, where: str, count: int) -> Message:
 
 TIME_NO_UTC = Code(
     "TIME-NO-UTC",
-    means="The log has no UTC; time counts from boot or from zero.",
-    effect="Events in this log can be used; matching by UTC is impossible.",
+    means="The log has no UTC. Its time counts from boot or from zero.",
+    effect="Events in this log can be used. Matching by UTC is impossible.",
     remedy="Take the exposures from the log itself.",
 )
 
@@ -617,7 +642,7 @@ def no_utc(*, where: str, utc_of: str) -> Message:
     """Nothing ties the time since boot to UTC; ``utc_of``: what does in this format."""
     return fallback(
         TIME_NO_UTC,
-        "no {utc_of}: time counts from boot, as if in 1970; events in this log can be used, "
+        "no {utc_of}: time counts from boot and is shown as 1970; events in this log can be used, "
         "matching by UTC is impossible",
         where=where,
         utc_of=utc_of,
@@ -636,8 +661,11 @@ def sources_disagree(*, where: str, rows: int, source: str, apart_s: float, used
     """A source of UTC differs from the one in use by more than 1 s."""
     return loss(
         TIME_SOURCES,
-        "{source} give a UTC {apart_s:+.3f} s from that of {used}, which are used",
-        one="{source} gives a UTC {apart_s:+.3f} s from that of {used}, which are used",
+        "{source} give a UTC that differs by {apart_s:+.3f} s from that of {used}, which are used",
+        one=(
+            "{source} gives a UTC that differs by {apart_s:+.3f} s from that of {used}, which are "
+            "used"
+        ),
         where=where,
         count=rows,
         source=source,
@@ -650,7 +678,10 @@ def recorder_disagrees(*, where: str, recorder: str, apart_s: float, used: str) 
     """The clock of the ground station or the recorder is more than a minute from UTC."""
     return warning(
         TIME_SOURCES,
-        "by the {recorder} it would be {apart_s:+.0f} s from the UTC of {used}, which are used",
+        (
+            "the time of the {recorder} differs by {apart_s:+.0f} s from the UTC of {used}, which "
+            "are used"
+        ),
         where=where,
         recorder=recorder,
         apart_s=apart_s,
@@ -660,10 +691,14 @@ def recorder_disagrees(*, where: str, recorder: str, apart_s: float, used: str) 
 
 TIME_WEEK_ROLLOVER = Code(
     "TIME-WEEK-ROLLOVER",
-    means="A receiver counts weeks modulo 1024: its date is 19.6 years off, or a multiple of it.",
-    effect="The date is moved by that, by the other clocks of the log or because no other date is "
-    "possible.",
-    remedy="Check the date in the report; update the receiver's firmware.",
+    means=(
+        "A receiver counts weeks modulo 1024. Its date is wrong by 19.6 years or a multiple of it."
+    ),
+    effect=(
+        "The date is corrected by this amount, because the other clocks of the log agree with it "
+        "or no other date is possible."
+    ),
+    remedy="Check the date in the report. Update the receiver's firmware.",
 )
 
 
@@ -680,8 +715,10 @@ def week_rollover(
     """The date of a source of UTC is off by rollovers of the GPS week."""
     return warning(
         TIME_WEEK_ROLLOVER,
-        "UTC of {source} is of {stated}: the receiver counts weeks modulo 1024, and {weeks} weeks "
-        "more are of {moved}, {evidence}",
+        (
+            "UTC of {source} is {stated}: the receiver counts weeks modulo 1024; {weeks} weeks "
+            "later is {moved}, {evidence}"
+        ),
         where=where,
         count=count,
         source=source,
@@ -700,10 +737,12 @@ def _agrees_with(clocks: Sequence[Witness]) -> str:
 
 TIME_IMPOSSIBLE = Code(
     "TIME-IMPOSSIBLE",
-    means="A clock of the log states a date that no log can have, or one that no receiver has set "
-    "and that the other clocks contradict.",
-    effect="It is not used: UTC comes from the other clocks, or is unknown.",
-    remedy="State mission.date, if nothing else has the date.",
+    means=(
+        "A clock of the log states an impossible date. Or no receiver has set the clock, and the "
+        "other clocks contradict it."
+    ),
+    effect="It is not used. UTC is taken from the other clocks, or is unknown.",
+    remedy="If no other clock has the date, state mission.date.",
 )
 
 
@@ -712,12 +751,14 @@ def utc_not_accepted(*, where: str, source: str, stated: str, clocks: Sequence[W
     others = [f"{clock.name} of {date_text(clock.time_ns)}" for clock in clocks]
     return warning(
         TIME_IMPOSSIBLE,
-        "UTC of {source} is of {stated}, which is impossible or contradicted ({others}): it is not "
-        "used",
+        (
+            "UTC of {source} is {stated}, which is impossible or contradicted ({others}): it is "
+            "not used"
+        ),
         where=where,
         source=source,
         stated=stated,
-        others=", ".join(others) or "no other clock tells the date",
+        others=", ".join(others) or "no other clock gives the date",
     )
 
 
@@ -741,7 +782,9 @@ def fix_delay(
     *, receiver: str, fixes: int, utc_sigma_s: float | None, delay_s: float, origin: str
 ) -> Message:
     """How late fixes are stamped, where UTC is not the receiver's."""
-    accuracy = "is unknown" if utc_sigma_s is None else f"is good to {utc_sigma_s:.1f} s (1 sigma)"
+    accuracy = (
+        "is unknown" if utc_sigma_s is None else f"is accurate to {utc_sigma_s:.1f} s (1 sigma)"
+    )
     return note(
         TIME_FIT,
         "UTC {accuracy}; fixes are stamped {delay_ms:.0f} ms after their epoch, {origin}",
@@ -778,7 +821,9 @@ def rows_without_fix(*, channel: str, count: int, total: int) -> Message:
 HEIGHT_ELLIPSOID = Code(
     "HEIGHT-ELLIPSOID",
     means="A parameter of the autopilot selects GNSS heights above the ellipsoid.",
-    effect="All heights of the log are taken so, and reduced by the undulation.",
+    effect=(
+        "All heights of the log are treated as ellipsoidal heights, and reduced by the undulation."
+    ),
     remedy="Nothing.",
 )
 
@@ -787,8 +832,10 @@ def heights_above_ellipsoid(*, where: str, parameter: str) -> Message:
     """The autopilot was set to use the receiver's height above the ellipsoid."""
     return note(
         HEIGHT_ELLIPSOID,
-        "the parameter {parameter} selects GNSS heights above the ellipsoid: all heights of this "
-        "log are, except those that are computed with the undulation",
+        (
+            "the parameter {parameter} selects GNSS heights above the ellipsoid: all heights of "
+            "this log are ellipsoidal, except those that are computed with the undulation"
+        ),
         where=where,
         parameter=parameter,
     )
@@ -817,7 +864,7 @@ def failed_exposures(*, channel: str, count: int, total: int) -> Message:
 EVENT_NO_INDEX = Code(
     "EVENT-NO-INDEX",
     means="All exposures of the log have the image index 0.",
-    effect="They are numbered from 0 in their order.",
+    effect="They are numbered from 0 in the order of time.",
     remedy="Check the pattern under events.log.<camera>.image.",
 )
 

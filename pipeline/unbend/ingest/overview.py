@@ -170,7 +170,7 @@ def _why_of_receiver(channel: Channel, chosen: Mapping[str, Channel]) -> str:
     sigma_m = channel.get("sigma_h_m")
     hdop = channel.get("hdop")
     if np.isfinite(sigma_m).any():
-        reasons.append(f"± {np.nanmedian(sigma_m):.2g} m by its own report")
+        reasons.append(f"± {np.nanmedian(sigma_m):.2g} m, as reported")
     elif np.isfinite(hdop).any():
         reasons.append(f"HDOP {np.nanmedian(hdop):.2g}")
     else:
@@ -213,7 +213,7 @@ def _why_none(role: str, able: Sequence[str], notes: Notes) -> str:
     if role == "events":
         return "named for each camera: events.log"
     if role in _CABIN:
-        return "only where a camera has a window"
+        return "only if a camera has a window"
     key = f"log.channels.{role}"
     if any(note.where == key for note in notes):
         return f"several are equal: name one ({key})"
@@ -237,5 +237,5 @@ def remark_on(channel: Channel, role: str, height: Channel | None) -> str:
     if role == "pressure" and height is not None:
         if follows_height(channel, height):
             return "follows the height"
-        return "too little height to tell if it is outside"
+        return "the range of heights is too small to decide if it is outside"
     return "plausible"

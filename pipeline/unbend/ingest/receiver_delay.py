@@ -188,7 +188,7 @@ def stated_delay(
             delay_s = _DELAY_OF_LATER_S if is_later else _DELAY_OF_OTHERS_S
             origin = f"by the receiver's driver ({name} is 0)"
             return ReceiverDelay(delay_s, STATED_SIGMA_S, origin)
-    origin = "for want of a setting or of positions of a filter to compare them with"
+    origin = "because there is neither a setting nor positions of a filter to compare with"
     return ReceiverDelay(0.0, UNKNOWN_SIGMA_S, origin)
 
 

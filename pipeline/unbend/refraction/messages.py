@@ -4,17 +4,17 @@ from unbend.errors import Code, Counted, PhysicsError
 
 ANGLE_DISTANCE = Code(
     "ANGLE-DISTANCE",
-    means="The slant range of `unbend angle` is no distance.",
+    means="The slant range of `unbend angle` is not a valid distance.",
     effect="The command is refused.",
     remedy="Give metres from camera to target, or leave --distance out.",
 )
 
 
 def angle_distance(*, distance: float) -> PhysicsError:
-    """The slant range of `unbend angle` is no distance."""
+    """The slant range of `unbend angle` is not a valid distance."""
     return PhysicsError(
         ANGLE_DISTANCE,
-        "a slant range of {distance:g} m is none",
+        "invalid slant range: {distance:g} m",
         distance=distance,
         remedy="give the straight distance from camera to target in metres, or leave it out",
     )
@@ -22,7 +22,10 @@ def angle_distance(*, distance: float) -> PhysicsError:
 
 ANGLE_WAVELENGTH = Code(
     "ANGLE-WAVELENGTH",
-    means="A wavelength is asked for with a formula of the refractive index for one light alone.",
+    means=(
+        "A wavelength is given, but the formula of the refractive index is for one fixed "
+        "wavelength."
+    ),
     effect="The command is refused.",
     remedy="Leave --wavelength out, or --index.",
 )
@@ -32,15 +35,15 @@ def angle_wavelength(*, index: str) -> PhysicsError:
     """A wavelength that the formula of the refractive index does not know."""
     return PhysicsError(
         ANGLE_WAVELENGTH,
-        "the index {index!r} is for one wavelength alone",
+        "the index {index!r} is for one fixed wavelength",
         index=index,
-        remedy="leave the wavelength out, or take the index ciddor",
+        remedy="leave the wavelength out, or use the index ciddor",
     )
 
 
 CAMERA_FIELD = Code(
     "CAMERA-FIELD",
-    means="With this principal distance the camera would see more than 150 degrees.",
+    means="With this principal distance, the field of view would be more than 150 degrees.",
     effect="The mission is refused.",
     remedy=(
         "Give the principal distance in pixels: millimetres divided by the size of a "
@@ -50,12 +53,12 @@ CAMERA_FIELD = Code(
 
 
 def camera_field(*, fx_px: float, width_px: int, height_px: int, seen_deg: float) -> PhysicsError:
-    """With this principal distance the camera would see more than 150 degrees."""
+    """With this principal distance, the field of view would be more than 150 degrees."""
     return PhysicsError(
         CAMERA_FIELD,
         (
-            "with a principal distance of {fx_px:g} px an image of {width_px} x"
-            " {height_px} px sees {seen_deg:.0f} degrees"
+            "with a principal distance of {fx_px:g} px, an image of {width_px} x {height_px} px "
+            "has a field of view of {seen_deg:.0f} degrees"
         ),
         fx_px=fx_px,
         width_px=width_px,
@@ -63,8 +66,7 @@ def camera_field(*, fx_px: float, width_px: int, height_px: int, seen_deg: float
         seen_deg=seen_deg,
         remedy=(
             "give the principal distance (f_px, or fx_px and fy_px) in pixels "
-            "(millimetres divided by the size of a pixel in millimetres), or the model of"
-            " a fisheye"
+            "(millimetres divided by the size of a pixel in millimetres), or use a fisheye model"
         ),
     )
 
@@ -73,7 +75,7 @@ CAMERA_FORMAT = Code(
     "CAMERA-FORMAT",
     means="The pixels of a metric camera do not fill the format of its report.",
     effect="The mission is refused.",
-    remedy="Check pixel_um and format_mm, and that width and height are not exchanged.",
+    remedy="Check pixel_um and format_mm. Check whether width and height are exchanged.",
 )
 
 
@@ -91,7 +93,7 @@ def camera_format(
         CAMERA_FORMAT,
         "{width_px} x {height_px} pixels of {pixel_x_um:g} x {pixel_y_um:g} um fill "
         "{part_of_width:.3f} of the width and {part_of_height:.3f} of the height of the format",
-        remedy="check pixel_um, format_mm, and that width and height are not exchanged",
+        remedy="check pixel_um and format_mm, and whether width and height are exchanged",
         width_px=width_px,
         height_px=height_px,
         pixel_x_um=pixel_x_um,
@@ -103,8 +105,9 @@ def camera_format(
 
 CAMERA_MODEL = Code(
     "CAMERA-MODEL",
-    means="The camera model is not known, has another number of parameters, or numbers that no "
-    "camera has.",
+    means=(
+        "The camera model is unknown, has another number of parameters, or has impossible values."
+    ),
     effect="The mission is refused.",
     remedy="Take a model that the refusal lists, with its parameters in COLMAP's order.",
 )
@@ -114,7 +117,7 @@ def camera_parameters(*, model: str, count: int, names: str, given: str) -> Phys
     """A camera model is given too few, too many or infinite parameters."""
     return PhysicsError(
         CAMERA_MODEL,
-        "{model} has {parameters}, {names}; given are {given}",
+        "{model} has {parameters}, {names}; {given} are given",
         remedy="give them in the order in which COLMAP writes them into cameras.txt",
         model=model,
         parameters=Counted(count, "parameter"),
@@ -127,8 +130,10 @@ def camera_numbers(*, model: str, size: str, distances: str, point: str) -> Phys
     """A camera model has a size, a principal distance or a principal point that no camera has."""
     return PhysicsError(
         CAMERA_MODEL,
-        "{model} of {size} px with principal distances of {distances} px and a principal point at "
-        "{point} px is no camera",
+        (
+            "{model} of {size} px with principal distances of {distances} px and a principal point "
+            "at {point} px is not a possible camera"
+        ),
         remedy="give images of 1 to 1000000 and principal distances of 10 to 1000000 pixels",
         model=model,
         size=size,
@@ -141,21 +146,21 @@ def camera_model(*, model: str, models: str) -> PhysicsError:
     """The camera model is not known, or has another number of parameters."""
     return PhysicsError(
         CAMERA_MODEL,
-        "{model!r} is no camera model that can be corrected",
+        "{model!r} is not a supported camera model",
         model=model,
         models=models,
-        remedy="models are {models}; convert the calibration to one of them",
+        remedy="supported models are {models}; convert the calibration to one of them",
     )
 
 
 CAMERA_PRINCIPAL_POINT = Code(
     "CAMERA-PRINCIPAL-POINT",
     means=(
-        "The principal point of a calibration report lies more than a quarter of the "
-        "format from the centre."
+        "The principal point of a calibration report is more than a quarter of the format from the "
+        "centre."
     ),
     effect="The mission is refused.",
-    remedy="ppa_mm counts from origin along axes, in millimetres; check the three.",
+    remedy="ppa_mm is measured from origin along axes, in millimetres. Check these three keys.",
 )
 
 
@@ -163,11 +168,14 @@ def camera_principal_point(*, percent: float) -> PhysicsError:
     """The principal point of a calibration report lies more than a quarter of the format fr."""
     return PhysicsError(
         CAMERA_PRINCIPAL_POINT,
-        "the principal point lies {percent:.0f} % of the format from its centre",
+        (
+            "the distance of the principal point from the centre of the format is {percent:.0f} % "
+            "of the format"
+        ),
         percent=percent,
         remedy=(
-            "ppa_mm counts from origin along axes, in millimetres; give the pixel of the "
-            "corner as origin where it counts from there"
+            "ppa_mm is measured from origin along axes, in millimetres; if it is measured from a "
+            "corner, give the pixel of the corner as origin"
         ),
     )
 
@@ -178,7 +186,7 @@ CAMERA_REPORT = Code(
         "The table and the coefficients of a calibration report differ by more than 2 micrometres."
     ),
     effect="The mission is refused.",
-    remedy="Check sense of both, powers of ten and units.",
+    remedy="Check the sense of both, the powers of ten and the units.",
 )
 
 
@@ -191,27 +199,27 @@ def camera_report(*, fit: str, apart_um: float, radius_mm: float) -> PhysicsErro
         apart_um=apart_um,
         radius_mm=radius_mm,
         remedy=(
-            "check distortion.sense and table.sense (reports of the USGS have "
-            "coefficients that correct and a table of the distortion), powers of ten, "
-            "units, and that both are for one principal distance"
+            "check distortion.sense and table.sense (reports of the USGS have coefficients of the "
+            "correction and a table of the distortion), powers of ten, units, and whether both are "
+            "for the same principal distance"
         ),
     )
 
 
 CAMERA_TURNS = Code(
     "CAMERA-TURNS",
-    means="The distortion turns back inside the image, or is a correction of more than 30 %.",
+    means="The distortion is not monotonic inside the image, or is a correction of more than 30 %.",
     effect="The mission is refused.",
     remedy="Check signs, order and units of the coefficients.",
 )
 
 
 def camera_turns(*, off_axis_deg: float, x: float, y: float) -> PhysicsError:
-    """The distortion turns back inside the image, or is a correction of more than 30 %."""
+    """The distortion is not monotonic inside the image, or is a correction of more than 30 %."""
     return PhysicsError(
         CAMERA_TURNS,
         (
-            "the distortion turns back inside the image (or is a correction of more than 30 "
+            "the distortion is not monotonic inside the image (or is a correction of more than 30 "
             "%), {off_axis_deg:.1f} degrees off the axis at ({x:.0f}, {y:.0f}) px"
         ),
         off_axis_deg=off_axis_deg,
@@ -323,7 +331,7 @@ def radial_angle_angles_to(*, largest_deg: float, step_deg: float) -> PhysicsErr
     """A radial table goes from the nadir to less than 90 degrees."""
     return PhysicsError(
         RADIAL_ANGLE,
-        "nadir angles to {largest_deg:g} degrees in steps of {step_deg:g} make no table",
+        "nadir angles up to {largest_deg:g} degrees in steps of {step_deg:g} are not possible",
         largest_deg=largest_deg,
         step_deg=step_deg,
         remedy="choose a largest nadir angle of more than 0 and less than 90 degrees",
@@ -332,7 +340,7 @@ def radial_angle_angles_to(*, largest_deg: float, step_deg: float) -> PhysicsErr
 
 RADIAL_FOCAL = Code(
     "RADIAL-FOCAL",
-    means="The principal distance is none.",
+    means="The principal distance is not valid.",
     effect="The command is refused.",
     remedy="Give it in pixels.",
 )
@@ -363,7 +371,7 @@ def radial_heights(*, h_c: float, h_g: float) -> PhysicsError:
         "a camera at {h_c:g} m is not above a ground at {h_g:g} m",
         h_c=h_c,
         h_g=h_g,
-        remedy="give both in metres above sea level, the camera's the greater",
+        remedy="give both in metres above sea level; the camera must be the higher one",
     )
 
 
@@ -379,23 +387,23 @@ def window_without_air() -> PhysicsError:
     """A plane window is given without the air behind it."""
     return PhysicsError(
         WINDOW_AIR,
-        "the air behind the window is missing: a plane window bends by it",
+        "the air behind the window is missing: the bending of rays by a plane window depends on it",
         remedy="give the cabin's air",
     )
 
 
 WINDOW_NORMAL = Code(
     "WINDOW-NORMAL",
-    means="The normal of a window is no unit vector, or points into the compartment.",
+    means="The normal of a window is not a unit vector, or points into the compartment.",
     effect="The mission is refused.",
     remedy=(
-        "Give the direction out of the window; in the camera frame its third number is positive."
+        "Give the direction out of the window. In the camera frame its third number is positive."
     ),
 )
 
 
 def window_normal(*, length: float) -> PhysicsError:
-    """The normal of a window is no unit vector, or points into the compartment."""
+    """The normal of a window is not a unit vector, or points into the compartment."""
     return PhysicsError(
         WINDOW_NORMAL,
         "the normal of a window has the length {length:.9g}",
@@ -405,7 +413,7 @@ def window_normal(*, length: float) -> PhysicsError:
 
 
 def window_normal_inwards() -> PhysicsError:
-    """The normal of a window is no unit vector, or points into the compartment."""
+    """The normal of a window is not a unit vector, or points into the compartment."""
     return PhysicsError(
         WINDOW_NORMAL,
         "the normal of a window points into the compartment",
@@ -415,7 +423,7 @@ def window_normal_inwards() -> PhysicsError:
 
 RAY_BAD_MEASUREMENT = Code(
     "RAY-BAD-MEASUREMENT",
-    means="Heights or the nadir angle of one ray are no numbers.",
+    means="Heights or the nadir angle of a ray are not numbers.",
     effect="The call is refused.",
     remedy="Give heights in metres and the angle in radians (0 to pi).",
 )

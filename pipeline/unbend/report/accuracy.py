@@ -153,7 +153,7 @@ def print_accuracy(console: Console, accuracy: Accuracy) -> None:
         for row in rows:
             table.add_row(row[0].strip("`").replace("saastamoinen1974", "s1974"), *row[1:])
         console.print(Padding(table, (0, 0, 1, 0)))
-    console.print("s1974 stands for saastamoinen1974; by height of the camera above sea level")
+    console.print("s1974 means saastamoinen1974; heights of the camera are above sea level")
 
 
 def comparison_rows(accuracy: Accuracy) -> list[dict[str, Any]]:

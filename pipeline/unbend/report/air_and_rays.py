@@ -101,7 +101,7 @@ def print_air(console: Console, air: FlightAir) -> None:
         stated = fault.in_units()
         lines.append(f"{FAULT_TEXTS[stated.fault]}: {with_sigma(stated.value, stated.sigma)}")
     if air.windows:
-        lines.append(f"{len(air.series.timed_profiles)} profiles follow the air")
+        lines.append(f"{len(air.series.timed_profiles)} profiles, because the air changes")
     for line in lines:
         print_indented(console, shown(line))
 
@@ -122,7 +122,7 @@ def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
 def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
     for table in tables:
         manual = (
-            "where the Manual's formula has no value"
+            "the Manual's formula has no value"
             if math.isnan(table.k_manual_rad)
             else f"the Manual's formula {table.k_manual_rad / MICRORADIAN:.2f}"
         )

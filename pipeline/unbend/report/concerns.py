@@ -54,7 +54,7 @@ def _mistakes(manifest: Manifest) -> Iterator[Concern]:
         names = ", ".join(codes)
         yield Concern(
             f"{count(len(codes), 'likely mistake')} ({names})",
-            f"Correct what {names} says and run again, or accept it with the reason (accept).",
+            f"Correct the cause of {names} and run again, or accept it with the reason (accept).",
         )
 
 
@@ -65,7 +65,7 @@ def _incomplete_log(manifest: Manifest) -> Iterator[Concern]:
     if names:
         yield Concern(
             f"an incomplete log ({names})",
-            f"Use a complete log, as that of the vehicle's card, or accept {names} (accept).",
+            f"Use a complete log, for example from the vehicle's card, or accept {names} (accept).",
         )
 
 
@@ -79,10 +79,10 @@ def _suspect_stations(manifest: Manifest) -> Iterator[Concern]:
     more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
     left_out = ""
     if not manifest.sections.stations.use_suspect:
-        left_out = ", whose observations have no corrected coordinates"
+        left_out = " (without corrected coordinates)"
     yield Concern(
         f"{stations}{left_out}",
-        f"Look at the {stations} (unbend stations MISSION --plot FILE): {reasons[0]}{more}.",
+        f"Check the {stations} (unbend stations MISSION --plot FILE): {reasons[0]}{more}.",
     )
 
 
@@ -93,7 +93,7 @@ def _losses(manifest: Manifest) -> Iterator[Concern]:
         names = ", ".join(codes)
         yield Concern(
             f"{count(len(codes), 'loss', 'losses')} ({names})",
-            f"Read what was lost ({names}), and give the whole file where there is one.",
+            f"Check which data was lost ({names}). If there is a complete file, use it.",
         )
 
 
@@ -102,6 +102,6 @@ def _published_method(manifest: Manifest) -> Iterator[Concern]:
     method = manifest.sections.refraction.method
     if method != "spherical":
         yield Concern(
-            f"the method {method}, published for comparison",
-            "Run again without refraction.method: the published methods are not for work.",
+            f"the method {method} (published, for comparison)",
+            "Run again without refraction.method: the published methods are only for comparison.",
         )

@@ -93,7 +93,7 @@ def explain(word: str) -> list[str]:
     >>> explain("4")[0]
     'exit code 4'
     >>> explain("f_px")[:2]
-    ['cameras.*.f_px', '  principal distance, where it is the same along x and y']
+    ['cameras.*.f_px', '  principal distance, if it is the same along x and y']
     >>> explain("r_c_rad")[0], explain("GCP")[0]
     ('r_c_rad (column of observations)', 'gcp')
     """

@@ -4,22 +4,26 @@ from unbend.errors import Code, ConfigError
 
 HELP_WORD = Code(
     "HELP-WORD",
-    means="`unbend help` was asked for a word that is no key, code, exit code, status, column of "
-    "results or word of the field.",
+    means=(
+        "`unbend help` does not know the word: it is not a key, code, exit code, status, column of "
+        "results or technical term."
+    ),
     effect="Nothing is printed.",
-    remedy="Take one of the nearest words that the refusal names.",
+    remedy="Use one of the similar words that the refusal names.",
 )
 
 
 def help_word(*, word: str, near: str) -> ConfigError:
     """A word that is explained nowhere; ``near`` are words like it, or none."""
-    remedy = "`unbend schema` has all keys; codes are what the ledger and refusals begin with"
+    remedy = "`unbend schema` has all keys; messages and refusals begin with their code"
     if near:
         remedy = "perhaps {near}?"
     return ConfigError(
         HELP_WORD,
-        "{word!r} is no key of a mission file, no code, exit code or status, no column of results "
-        "and no word of the field",
+        (
+            "{word!r} is not a key of a mission file, a code, an exit code, a status, a column of "
+            "the results or a technical term"
+        ),
         remedy=remedy,
         word=word,
         near=near,

@@ -35,7 +35,10 @@ SMALLEST_MEASURABLE_PX = 0.05
 
 _NEARLY_ALL = 0.9
 _OF_USUAL_CABINS = ("CABIN-BOARD", "CABIN-TEMPERATURE")
-_UNMEASURED = {"climatology": "a climatology stands for it", "standard": "a standard stands for it"}
+_UNMEASURED = {
+    "climatology": "a climatology is used instead",
+    "standard": "a standard atmosphere is used instead",
+}
 
 
 def is_applied(manifest: Manifest) -> bool:
@@ -100,21 +103,21 @@ def outcome(manifest: Manifest) -> str:
     verb = "displaced" if applied else "corrected"
     concerns = "; ".join(what for what, _ in concerns_of(manifest))
     if not done:
-        look = f"; look at {concerns}" if concerns else ""
+        look = f"; check {concerns}" if concerns else ""
         return f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}{look}."
     if done < rows:
         start = f"{done:,} of {rows:,} observations were"
     else:
         start = "The observation was" if rows == 1 else f"All {rows:,} observations were"
     if concerns:
-        end = f", but not to be used before a look at {concerns}"
+        end = f". Check {concerns} before use"
     elif is_tiny(manifest):
-        end = f", less than can be measured there: not needed here{condition_of_frame(manifest)}"
+        end = f", too small to measure: not needed here{condition_of_frame(manifest)}"
     elif applied:
         end = ", for simulations and tests: they now contain refraction"
     else:
         left = "" if done == rows else f" without the other {count(rows - done, 'row')}"
-        end = f", and can be adjusted{left}"
+        end = f". Ready for bundle adjustment{left}"
     return f"{start} {verb} by {size_of_shift(correction)}{end}."
 
 
@@ -136,7 +139,7 @@ def size_of_shift(correction: CorrectionRecord) -> str:
 def condition_of_frame(manifest: Manifest) -> str:
     """What a verdict rests on, if nothing confirms the frame of a block."""
     if any(entry.code == "FRAME-UNVERIFIED" for entry in manifest.results.ledger):
-        return ", if the frame of the block is right, which nothing confirms"
+        return ", if the frame of the block is right (nothing confirms it)"
     return ""
 
 
@@ -166,7 +169,7 @@ def next_steps(manifest: Manifest) -> list[str]:
     done = manifest.results.correction.shift_px.count
     applied = is_applied(manifest)
     if not done:
-        return [*steps, "Find the cause among the losses, correct the mission file, run again."]
+        return [*steps, "Find the cause in the losses, correct the mission file, run again."]
     if done < rows:
         steps.append(
             f"Leave out {count(rows - done, 'row')} without new coordinates "
@@ -176,18 +179,17 @@ def next_steps(manifest: Manifest) -> list[str]:
     if left := uncorrected_lenses(manifest.results):
         keys = ", ".join(f"cameras.{name}" for name in left)
         steps.append(
-            "State the air of the calibration, and the air in the lens is removed: "
+            "State the air of the calibration, to remove the effect of the air in the lens: "
             f"principal_distance: {{reference: {{pressure_hpa, temperature_c}}}} ({keys})."
         )
     if is_tiny(manifest):
-        steps.append("Use the results or the measurements as they were: it makes no difference.")
+        steps.append("Use the results or the measurements: the difference is not measurable.")
     if applied:
         steps.append("Use x_displaced_px, y_displaced_px as measurements with known refraction.")
     else:
         steps += [
-            f"{adjust} x_corrected_px, y_corrected_px, or write them for a program: unbend export.",
-            "Switch the refraction correction off in the adjustment program, where it has one: "
-            "nothing may be corrected twice.",
+            f"{adjust} x_corrected_px, y_corrected_px, or export them: unbend export.",
+            "Switch off the refraction correction of the adjustment program: never correct twice.",
         ]
     return steps
 
@@ -227,11 +229,11 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
         place = "in the cabin"
         if all(camera.window is None for camera in manifest.sections.cameras.values()):
-            place = "before the lens"
+            place = "in front of the lens"
         percent = 100.0 * cabin
-        text = f"The air {place} is uncertain by {percent:.2g} % of the refraction R in the median"
+        text = f"The air {place} causes a median uncertainty of {percent:.2g} % of the refraction R"
         if air is not None:
-            text += f", the air outside by{sigma.replace(' ±', '')}"
+            text += f", the air outside of{sigma.replace(' ±', '')}"
             text += " only" if cabin > air.scale_sigma else ""
         limits.append((f"{text}.", cabin_step(manifest)))
     return limits
@@ -240,10 +242,10 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
 def step_to_better_air(manifest: Manifest) -> str:
     """What to do for air that is measured; with adjust: false no measurement would be used."""
     if manifest.sections.atmosphere.adjust:
-        return "To correct better, give the air: a thermometer, soundings or METARs."
+        return "For a better correction, give a thermometer, soundings or METARs."
     return (
-        "To correct better, remove atmosphere.adjust: false; with it no measured air and no "
-        "climatology is used."
+        "For a better correction, remove atmosphere.adjust: false. With it, neither measured air "
+        "nor a climatology is used."
     )
 
 
@@ -257,7 +259,7 @@ def cabin_step(manifest: Manifest) -> str:
         if camera.window is not None and camera.window.shape == "plane":
             cabins[name] = camera.window.cabin
     if not cabins and openings:
-        return f"Measure the air before the lens, and state it: {', '.join(openings)}."
+        return f"Measure the air in front of the lens, and state it: {', '.join(openings)}."
     ledger = manifest.results.ledger
     of_usual = [entry.where for entry in ledger if entry.code in _OF_USUAL_CABINS]
     usual = [n for n, c in cabins.items() if c == "standard_schedule" or f"camera {n}" in of_usual]
@@ -270,10 +272,13 @@ def cabin_step(manifest: Manifest) -> str:
     if any(is_temperature_sigma_assumed(cabin) for cabin in cabins.values()):
         assumed["sigma_temperature_k"] = f"{SIGMA_THERMOMETER_K:g} K"
     if not assumed:
-        return f"To correct better, know the air in the cabin better than stated: {keys}."
+        return (
+            "For a better correction, measure the air in the cabin more accurately than stated: "
+            f"{keys}."
+        )
     return (
-        f"The cabin's sensors are assumed to be good to {', '.join(assumed.values())}: if they are "
-        f"better, give {', '.join(assumed)} ({keys})."
+        f"The sigma of the sensors in the cabin is assumed to be {', '.join(assumed.values())}. If "
+        f"it is smaller, give {', '.join(assumed)} ({keys})."
     )
 
 
@@ -304,10 +309,14 @@ def control_sentence(manifest: Manifest) -> str:
     share = control.part_explained
     sigma = control.sigma_u_m
     return (
-        f"{control.used} control points, intersected with the stations held: RMS of east/north/"
+        f"{control.used} control points, intersected with fixed stations: RMS of east/north/"
         f"up {before} m as measured, {after} m corrected; refraction moves them by {moved} m"
-        + (f", {100.0 * share:.1f} % of what they missed (mean square)" if share > 0.0 else "")
-        + (f". Stations and pixels let a height miss by {significant(sigma)} m." if sigma else ".")
+        + (f", {100.0 * share:.1f} % of their mean square residual" if share > 0.0 else "")
+        + (
+            (f". The sigma of a height from stations and pixels is {significant(sigma)} m.")
+            if sigma
+            else "."
+        )
     )
 
 
@@ -389,14 +398,15 @@ def air_sentences(manifest: Manifest) -> str:
     if profile.basis != "standard" and departure_k is not None and sigma_k is not None:
         departure = with_sigma(departure_k, sigma_k, "K", signed=True)
         sentence += (
-            f" At the height of the cameras the air is {departure} against {profile.standard}."
+            f" At the height of the cameras, the air differs by {departure} from "
+            f"{profile.standard}."
         )
     if profile.windows:
         least = min(profile.windows, key=lambda window: window.change)
         most = max(profile.windows, key=lambda window: window.change)
         sentence += (
-            f" The air changes: R by {change_of(least)} to {change_of(most)} % of that of the "
-            f"whole flight; {profile.profiles} profiles follow it."
+            f" The air changes: R changes by {change_of(least)} to {change_of(most)} % of R of the "
+            f"whole flight; there are {profile.profiles} profiles."
         )
     return sentence
 
@@ -462,7 +472,7 @@ def not_included(manifest: Manifest) -> list[str]:
 
 
 def lines_on_air(results: ResultsRecord, remains: str) -> list[str]:
-    """What the air in and before the lens of each camera leaves; ``remains`` says "not removed"."""
+    """Remaining effects of the air in and in front of each lens; ``remains``: "not removed"."""
     texts = report_texts()["left"]
     lines = []
     for name, camera in results.air_at_cameras.items():

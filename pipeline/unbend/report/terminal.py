@@ -55,7 +55,9 @@ def print_run(
         return
     console.print(f"[bold]{shown(name)}[/bold]")
     if repeated:
-        console.print("  nothing to do: mission file, inputs and code are those of the last run")
+        console.print(
+            "  nothing to do: mission file, inputs and code did not change since the last run"
+        )
     print_indented(console, shown(" ".join([verdict(manifest), *remarks(manifest)])))
     print_rows(console, summary.CORRECTION_HEAD, summary.correction_rows(manifest), gap=2)
     profile = manifest.results.profile
@@ -92,7 +94,7 @@ def in_short(manifest: Manifest) -> str:
 
 def print_unchanged(console: Console, names: Sequence[str], total: int) -> None:
     """Which of several missions needed no run; of many only how many."""
-    what = "nothing to do: mission file, inputs and code are those of the last run"
+    what = "nothing to do: mission file, inputs and code did not change since the last run"
     for name in names if len(names) <= _MOST_UNCHANGED else ():
         console.print(f"[bold]{shown(name)}[/bold]")
         console.print(f"  {what}")
@@ -194,7 +196,7 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
         surface = flight.get("take_off_reference", reference)
         take_off = f"{flight['take_off_m']:.0f} m above {surface}, {take_off_by(flight)}"
     elif flight:
-        take_off = "unknown: the log does not begin standing still"
+        take_off = "unknown: the aircraft is not at rest when the log begins"
     place = f"{flight['lat_deg']:.3f}°, {flight['lon_deg']:.3f}°" if flight else "unknown"
     print_labelled(
         console,
@@ -342,7 +344,7 @@ def print_sounding(console: Console, reading: Mapping[str, Any], name: str) -> N
         ("pressure", span_text(reading["pressure_hpa"], "hPa")),
         ("temperature", span_text(reading["temperature_c"], "°C")),
     ]
-    humidity = "none: the air is taken as dry, or from other sources"
+    humidity = "none: dry air is assumed, or other sources are used"
     if reading["humidity"] is not None:
         vapour = span_text(reading["vapour_pressure_hpa"], "hPa of vapour")
         humidity = f"{vapour}, from {reading['humidity']}"

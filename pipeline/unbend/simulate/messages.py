@@ -12,14 +12,16 @@ SIM_ODE = Code(
 
 def not_integrated(*, what: str, answer: str) -> PhysicsError:
     """The integrator gave up."""
-    return PhysicsError(SIM_ODE, "the {what} did not integrate: {answer}", what=what, answer=answer)
+    return PhysicsError(
+        SIM_ODE, "the integration of the {what} failed: {answer}", what=what, answer=answer
+    )
 
 
 SIM_OPTION = Code(
     "SIM-OPTION",
     means="An option of the simulation is out of range.",
     effect="The command is refused.",
-    remedy="Choose a value in the range that is named.",
+    remedy="Choose a value in the named range.",
 )
 
 
@@ -48,7 +50,9 @@ SIM_PATH = Code(
 def path_too_near(*, distance_m: float) -> PhysicsError:
     """The simulated lines end where no circle leads back to the field."""
     return PhysicsError(
-        SIM_PATH, "the lines end {distance_m:.0f} m from the field: too near", distance_m=distance_m
+        SIM_PATH,
+        "the lines end {distance_m:.0f} m from the airfield: too near",
+        distance_m=distance_m,
     )
 
 
@@ -56,7 +60,7 @@ SIM_POINTS = Code(
     "SIM-POINTS",
     means="No simulated ground point is seen by enough images.",
     effect="The simulation stops.",
-    remedy="Fly more exposures a line, or lower the focal length.",
+    remedy="Use more exposures per line, or a shorter focal length.",
 )
 
 
@@ -67,5 +71,5 @@ def sim_points(*, fewest: int, number: int) -> MissionError:
         "no ground point is seen by {fewest} of the {number} images",
         fewest=fewest,
         number=number,
-        remedy="fly more exposures a line, or lower the focal length",
+        remedy="use more exposures per line, or a shorter focal length",
     )

@@ -59,7 +59,7 @@ def read_positions(
         elif mission.log is None and "attitude" not in flight.roles:
             # Without a log the roles are those of a trajectory, if there is one.
             raise messages.stations_without_attitude(where=where)
-        places = "" if source.times_only else f", and where the {source.reference_point} was then"
+        places = "" if source.times_only else f", and the positions of the {source.reference_point}"
         ledger.add(
             messages.events_positions(
                 where=where, count=len(channel), name=channel.name, camera=camera, places=places

@@ -396,7 +396,7 @@ def with_trajectory(
             where="stations.trajectory",
             name=trajectory.name,
             roles=", ".join(played),
-            former=f"in place of {former}" if former else "which the log has not",
+            former=f"instead of {former}" if former else "which the log does not have",
         )
     )
     return roles

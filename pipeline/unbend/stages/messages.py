@@ -9,9 +9,12 @@ from unbend.tables.messages import MODEL_TIME
 
 STATIONS_ATTITUDE = Code(
     "STATIONS-ATTITUDE",
-    means=("There is no log, and the file has no attitudes: nothing says where the cameras look."),
+    means=(
+        "There is no log, and the file has no attitudes. So the viewing directions of the cameras "
+        "are unknown."
+    ),
     effect="The mission is refused.",
-    remedy="Give log, or a trajectory with roll, pitch and yaw.",
+    remedy="Give a log, or a trajectory with roll, pitch and yaw.",
 )
 
 
@@ -19,9 +22,12 @@ def stations_without_attitude(*, where: str) -> MissionError:
     """There is no log, and the file of positions has no attitudes."""
     return MissionError(
         STATIONS_ATTITUDE,
-        "there is no log, and the file has no attitudes: nothing says where the cameras look",
+        (
+            "there is no log, and the file has no attitudes: the viewing directions of the cameras "
+            "are unknown"
+        ),
         where=where,
-        remedy="give log, or a stations.trajectory with roll, pitch and yaw",
+        remedy="give a log, or a stations.trajectory with roll, pitch and yaw",
     )
 
 
@@ -39,9 +45,11 @@ def attitude_channel_missing(*, where: str, name: str, there: str) -> MissionErr
 
 TRAJECTORY_REPLACES = Code(
     "TRAJECTORY-REPLACES",
-    means="What the trajectory replaces of the log; refused where it lacks that.",
-    effect="Stations follow from it.",
-    remedy="Leave out of replaces what the file does not have.",
+    means=(
+        "The values of the log that the trajectory replaces. Refused if the trajectory lacks them."
+    ),
+    effect="Stations are computed from it.",
+    remedy="Remove the values that the file does not have from replaces.",
 )
 
 
@@ -72,8 +80,8 @@ def trajectory_lacks_role(*, where: str, role: str, columns: str, able: str) -> 
 
 EVENTS_POSITIONS = Code(
     "EVENTS-POSITIONS",
-    means="A file says when a camera was exposed, and where it was then.",
-    effect="Its times, and its positions unless times_only, are used.",
+    means="A file has the times and positions of the exposures of a camera.",
+    effect="Its times are used, and its positions unless times_only is true.",
     remedy="Nothing.",
 )
 
@@ -82,7 +90,7 @@ def events_positions(*, where: str, count: int, name: str, camera: str, places: 
     """A file gives the exposures of a camera."""
     return note(
         EVENTS_POSITIONS,
-        "{name} says when {camera} was exposed{places}",
+        "{name} has the times of the exposures of {camera}{places}",
         where=where,
         count=count,
         name=name,
@@ -95,16 +103,16 @@ LOG_VEHICLES = Code(
     "LOG-VEHICLES",
     means="The log has the messages of several vehicles.",
     effect=(
-        "Roles are taken from the vehicle whose events are used, or whose channels are named; "
-        "refused where neither says which vehicle flew the mission."
+        "The channels are taken from the vehicle with the events in use, or with the named "
+        "channels. Refused if neither shows which vehicle flew the mission."
     ),
-    remedy="Name the events of one vehicle, or its log.channels.position.",
+    remedy="Name the events of one vehicle, or log.channels.position of this vehicle.",
 )
 
 
 def vehicles_ambiguous(*, vehicles: Sequence[str], reason: str) -> MissionError:
     """Neither events nor named channels say which vehicle flew the mission."""
-    contradiction = f"; {reason} are named of several" if reason else ""
+    contradiction = f"; {reason} of several vehicles are named" if reason else ""
     return MissionError(
         LOG_VEHICLES,
         "the log has several vehicles: {listed}{contradiction}",
@@ -120,7 +128,7 @@ def vehicle_chosen(*, vehicle: str, vehicles: Sequence[str], channel: str) -> Me
     """Of several vehicles of a log one flew the mission."""
     return note(
         LOG_VEHICLES,
-        "of {listed} the roles are those of {vehicle}, as {channel} is used",
+        "of {listed}, the channels of {vehicle} are used, because {channel} is used",
         where="log",
         count=len(vehicles),
         listed=", ".join(vehicles),
@@ -131,9 +139,12 @@ def vehicle_chosen(*, vehicle: str, vehicles: Sequence[str], channel: str) -> Me
 
 LOG_VEHICLES_MIXED = Code(
     "LOG-VEHICLES-MIXED",
-    means="A channel that is named is of another vehicle than the events.",
-    effect="It is used as stated; the run ends with 3.",
-    remedy="Name the channel of the vehicle whose events are used; or accept it with the reason.",
+    means="A named channel is of another vehicle than the events.",
+    effect="It is used as stated. The run ends with exit code 3.",
+    remedy=(
+        "Name the channel of the vehicle with the events in use. Or accept the finding with the "
+        "reason."
+    ),
 )
 
 
@@ -170,11 +181,15 @@ def no_events(*, where: str, what: str) -> MissionError:
 
 EVENTS_CAMERA = Code(
     "EVENTS-CAMERA",
-    means="A table of exposures or orientations names a camera that the mission file does not "
-    "define, or nothing says which of several cameras its rows are of.",
+    means=(
+        "A table of exposures or orientations names a camera that the mission file does not "
+        "define. Or there are several cameras, and the camera of its rows is not stated."
+    ),
     effect="The mission is refused.",
-    remedy="Mend the name in the table, define the camera under cameras, or name the column of "
-    "cameras.",
+    remedy=(
+        "Correct the name in the table, define the camera under cameras, or name the column of "
+        "cameras."
+    ),
 )
 
 
@@ -182,7 +197,7 @@ def camera_unstated(*, where: str, cameras: str) -> MissionError:
     """Nothing says which of several cameras the rows of a table are of."""
     return MissionError(
         EVENTS_CAMERA,
-        "nothing says which camera the rows of the table are of; the mission file has {cameras}",
+        "the camera of the rows of the table is not stated; the mission file has {cameras}",
         where=where,
         cameras=cameras,
         remedy="give stations.orientation.columns.camera, or stations.orientation.camera if all "
@@ -223,7 +238,8 @@ def events_without_names(*, where: str) -> MissionError:
 EVENTS_OFFSETS = Code(
     "EVENTS-OFFSETS",
     means=(
-        "lever_arm_m is from_events, and the file of events has no offsets: only .MRK files have."
+        "lever_arm_m is from_events, but the file of events has no offsets: only .MRK files have "
+        "them."
     ),
     effect="The mission is refused.",
     remedy="Give stations.trajectory.lever_arm_m in metres.",
@@ -234,7 +250,7 @@ def events_without_offsets(*, where: str) -> MissionError:
     """A file has no offsets from the antenna to the camera."""
     return MissionError(
         EVENTS_OFFSETS,
-        "it has no offsets from the antenna to the camera: only .MRK files have",
+        "it has no offsets from the antenna to the camera: only .MRK files have them",
         where=where,
         remedy="give stations.trajectory.lever_arm_m in metres",
     )
@@ -242,9 +258,9 @@ def events_without_offsets(*, where: str) -> MissionError:
 
 EVENTS_ORDER = Code(
     "EVENTS-ORDER",
-    means="The numbers of a file of exposures fall as time goes on.",
-    effect="A refusal where images are named by them, else a warning.",
-    remedy="Put the rows in the order of their time, or name the images by {n}.",
+    means="The numbers in a file of exposures decrease with time.",
+    effect="A refusal if images are named by these numbers. If not, a warning.",
+    remedy="Sort the rows by time, or name the images by {n}.",
 )
 
 
@@ -253,19 +269,16 @@ def numbers_fall(*, where: str, count: int) -> MissionError:
     return MissionError(
         EVENTS_ORDER,
         (
-            "{count} of its numbers fall as time goes on: the images that are named by them would "
-            "be in another order than their exposures"
+            "{count} of its numbers decrease with time: the images that are named by them would be "
+            "in another order than their exposures"
         ),
         one=(
-            "1 of its numbers falls as time goes on: the images that are named by them would be "
-            "in another order than their exposures"
+            "1 of its numbers decreases with time: the images that are named by them would be in "
+            "another order than their exposures"
         ),
         where=where,
         count=count,
-        remedy=(
-            "put the rows in the order of their time; or name the images by {{n}}, counted in the "
-            "order of time"
-        ),
+        remedy=("sort the rows by time; or name the images by {{n}}, counted in the order of time"),
     )
 
 
@@ -274,12 +287,12 @@ def most_numbers_fall(*, where: str, count: int, total: int) -> Message:
     return warning(
         EVENTS_ORDER,
         (
-            "{count} of {total} numbers or names fall as time goes on: images may be in the other "
+            "{count} of {total} numbers or names decrease with time: images may be in another "
             "order than their exposures"
         ),
         one=(
-            "1 of {total} numbers or names falls as time goes on: images may be in the other "
-            "order than their exposures"
+            "1 of {total} numbers or names decreases with time: images may be in another order "
+            "than their exposures"
         ),
         where=where,
         count=count,
@@ -291,7 +304,7 @@ AIR_NOT_ADJUSTED = Code(
     "AIR-NOT-ADJUSTED",
     means="atmosphere.adjust is false: the standard atmosphere was kept as it is.",
     effect="No measurement of the air was used.",
-    remedy="Remove adjust: false to use what was measured.",
+    remedy="To use the measurements, remove adjust: false.",
 )
 
 
@@ -331,16 +344,16 @@ def flight_without_time(*, where: str) -> InputError:
     """No station has a time and a place to take a weather model at."""
     return InputError(
         MODEL_TIME,
-        "no station has a UTC and a place to take the weather model at",
+        "no station has a UTC and a place, so the weather model cannot be evaluated",
         where=where,
-        remedy="give the day and hour: stations.orientation.date; a log has to have UTC",
+        remedy="give the day and hour: stations.orientation.date; a log must have UTC",
     )
 
 
 FLIGHT_UNDATED = Code(
     "FLIGHT-UNDATED",
-    means="Neither the log nor the mission file says when the flight was.",
-    effect="No season is assumed: the climatology has the spread of the whole year.",
+    means="Neither the log nor the mission file states the date of the flight.",
+    effect="No season is assumed. The climatology has the spread of the whole year.",
     remedy="State mission.date.",
 )
 
@@ -358,8 +371,10 @@ def sources_of_undated_flight(*, where: str) -> InputError:
     """Soundings or reports are named, and the day of the flight is not known."""
     return InputError(
         FLIGHT_UNDATED,
-        "the flight has neither UTC nor a stated date: how old the soundings and surface reports "
-        "are is unknown",
+        (
+            "the flight has neither UTC nor a stated date: the age of the soundings and surface "
+            "reports is unknown"
+        ),
         where=where,
         remedy="state mission.date, as 2026-05-14 or 2026-05-14T10:20",
     )
@@ -367,8 +382,8 @@ def sources_of_undated_flight(*, where: str) -> InputError:
 
 DATE_CONTRADICTED = Code(
     "DATE-CONTRADICTED",
-    means="The date that the mission file states is not that of the exposures.",
-    effect="The exposures count.",
+    means="The date that the mission file states is not the date of the exposures.",
+    effect="The date of the exposures is used.",
     remedy="Correct mission.date or stations.orientation.date, or check the clock of the log.",
 )
 
@@ -377,7 +392,7 @@ def date_contradicted(*, stated: str, flown: str) -> Message:
     """A stated date is more than a day and a half from the exposures."""
     return warning(
         DATE_CONTRADICTED,
-        "the mission file states {stated}, and the exposures are of {flown}, which counts",
+        "the mission file states {stated}, but the exposures are of {flown}, which is used",
         where="mission.date",
         stated=stated,
         flown=flown,
@@ -387,10 +402,10 @@ def date_contradicted(*, stated: str, flown: str) -> Message:
 MODEL_COLUMN = Code(
     "MODEL-COLUMN",
     means=(
-        "The column of a weather model was taken at the place and time where the flight met its "
-        "air."
+        "The column of a weather model was taken at the place and time at which the flight was in "
+        "its air."
     ),
-    effect="It is a source of the air, beside the flight's own sensors.",
+    effect="It is a source for the air, in addition to the flight's own sensors.",
     remedy="Nothing.",
 )
 
@@ -422,11 +437,11 @@ def model_column(
 SURFACE_CLIMATE = Code(
     "SURFACE-CLIMATE",
     means=(
-        "The temperature of a weather station is not one of this place and season, as of "
-        "Fahrenheit taken for Celsius."
+        "The temperature of a weather station does not fit this place and season. It may be in "
+        "Fahrenheit instead of Celsius."
     ),
     effect="The mission is refused.",
-    remedy="Give temperature_c in Celsius; check station and date.",
+    remedy="Give temperature_c in Celsius. Check the station and the date.",
 )
 
 
@@ -437,8 +452,8 @@ def surface_temperature_unlikely(
     return InputError(
         SURFACE_CLIMATE,
         (
-            "{celsius:.1f} C at {height_m:.0f} m is {sigmas:.1f} sigma from the {expected_c:.0f} "
-            "C of the climatology{rather}"
+            "{celsius:.1f} C at {height_m:.0f} m differs by {sigmas:.1f} sigma from the "
+            "{expected_c:.0f} C of the climatology{rather}"
         ),
         where=where,
         celsius=celsius,
@@ -448,15 +463,15 @@ def surface_temperature_unlikely(
         rather=rather,
         remedy=(
             "temperature_c is in Celsius: convert Fahrenheit by (F - 32) / 1.8, Kelvin by K - "
-            "273.15; or the station or the date is another; a METAR is taken as it is"
+            "273.15; or the station or the date is wrong; a METAR can be given as it is"
         ),
     )
 
 
 SURFACE_UNPLACED = Code(
     "SURFACE-UNPLACED",
-    means="How far the weather station is from the flight is not stated.",
-    effect="It is taken as 100 km from the flight, and weighs accordingly.",
+    means="The distance of the weather station from the flight is not stated.",
+    effect="A distance of 100 km is assumed, which gives the report less weight.",
     remedy="Add distance_km.",
 )
 
@@ -465,7 +480,7 @@ def surface_unplaced(*, where: str, km: float) -> Message:
     """The distance of a weather station is not stated."""
     return fallback(
         SURFACE_UNPLACED,
-        "the station's distance_km is not stated: it is taken as {km:.0f} km from the flight",
+        "the station's distance_km is not stated: {km:.0f} km from the flight are assumed",
         where=where,
         km=km,
     )
@@ -474,11 +489,10 @@ def surface_unplaced(*, where: str, km: float) -> Message:
 SURFACE_LEVEL = Code(
     "SURFACE-LEVEL",
     means=(
-        "The pressure of a station does not belong to its height: it may have been reduced to sea "
-        "level."
+        "The pressure of a station does not fit its height. It may have been reduced to sea level."
     ),
     effect="The mission is refused.",
-    remedy="pressure_hpa is what the barometer shows there; give QNH as a metar.",
+    remedy="pressure_hpa is the reading of the barometer at the station. Give QNH as a metar.",
 )
 
 
@@ -489,8 +503,8 @@ def surface_pressure_unlikely(
     return InputError(
         SURFACE_LEVEL,
         (
-            "{hpa:.1f} hPa at {height_m:.0f} m is {sigmas:.1f} sigma from the {expected_hpa:.0f} "
-            "hPa of the climatology{rather}"
+            "{hpa:.1f} hPa at {height_m:.0f} m differs by {sigmas:.1f} sigma from the "
+            "{expected_hpa:.0f} hPa of the climatology{rather}"
         ),
         where=where,
         hpa=hpa,
@@ -499,15 +513,18 @@ def surface_pressure_unlikely(
         expected_hpa=expected_hpa,
         rather=rather,
         remedy=(
-            "pressure_hpa is what the barometer shows at h_msl_m, not reduced to sea level; give "
-            "QNH as a metar, or correct h_msl_m"
+            "pressure_hpa is the reading of the barometer at h_msl_m, not reduced to sea level; "
+            "give QNH as a metar, or correct h_msl_m"
         ),
     )
 
 
 CABIN_BOARD = Code(
     "CABIN-BOARD",
-    means="The temperature in the cabin is that of a barometer's circuit board, less 10 K.",
+    means=(
+        "The temperature in the cabin is derived from the circuit board of a barometer: its "
+        "temperature minus 10 K."
+    ),
     effect="Allowed substitute, with a sigma of 6 K.",
     remedy="Name a thermometer as log.channels.cabin_temperature, or state temperature_c.",
 )
@@ -518,8 +535,8 @@ def cabin_board(*, where: str, count: int, name: str, warmer: float, sigma: floa
     return fallback(
         CABIN_BOARD,
         (
-            "the temperature of the cabin is that of the board of {name}, less {warmer:.0f} +- "
-            "{sigma:.0f} K"
+            "the temperature of the cabin is the temperature of the board of {name}, minus "
+            "{warmer:.0f} +- {sigma:.0f} K"
         ),
         where=where,
         count=count,
@@ -531,9 +548,9 @@ def cabin_board(*, where: str, count: int, name: str, warmer: float, sigma: floa
 
 CABIN_DRY = Code(
     "CABIN-DRY",
-    means="The cabin has no humidity.",
-    effect="Its air is taken as dry; vapour changes its refractivity by up to 0.4 %.",
-    remedy="State relative_humidity under window.cabin, if it is known.",
+    means="The humidity of the cabin is not known.",
+    effect="Its air is treated as dry. Vapour changes its refractivity by up to 0.4 %.",
+    remedy="If it is known, state relative_humidity under window.cabin.",
 )
 
 
@@ -541,8 +558,8 @@ def cabin_dry(*, where: str, count: int) -> Message:
     """The air of a cabin is taken as dry."""
     return fallback(
         CABIN_DRY,
-        "no humidity in the cabin for {count} exposures: its air is taken as dry",
-        one="no humidity in the cabin for 1 exposure: its air is taken as dry",
+        "no humidity in the cabin for {count} exposures: its air is treated as dry",
+        one="no humidity in the cabin for 1 exposure: its air is treated as dry",
         where=where,
         count=count,
     )
@@ -551,10 +568,10 @@ def cabin_dry(*, where: str, count: int) -> Message:
 CABIN_IMPLAUSIBLE = Code(
     "CABIN-IMPLAUSIBLE",
     means=(
-        "The air in the cabin is outside what people and electronics fly in; or the mission file "
-        "gives it the pressure outside, and a barometer contradicts that."
+        "The air in the cabin is outside the range for people and electronics. Or the mission file "
+        "states the pressure outside for the cabin, and a barometer contradicts that."
     ),
-    effect="It was used as stated; as a finding the run ends with 3.",
+    effect="It was used as stated. If it is a finding, the run ends with exit code 3.",
     remedy="Check the channel, its unit, and cameras.<name>.window.cabin.pressure.",
 )
 
@@ -587,9 +604,9 @@ def cabin_pressurised(*, where: str, count: int, camera: str, name: str, hpa: fl
     return finding(
         CABIN_IMPLAUSIBLE,
         (
-            "the cabin of {camera} is said to have the pressure of the air outside, but {name} "
-            "has {hpa:.0f} hPa more than that at the exposures: if it is in the cabin, give "
-            "pressure: log"
+            "the mission file states the pressure of the air outside for the cabin of {camera}, "
+            "but {name} measures {hpa:.0f} hPa more at the exposures: if this barometer is in the "
+            "cabin, give pressure: log"
         ),
         where=where,
         count=count,
@@ -602,7 +619,7 @@ def cabin_pressurised(*, where: str, count: int, camera: str, name: str, hpa: fl
 CABIN_MISSING = Code(
     "CABIN-MISSING",
     means="Exposures of a camera behind a plane window have no cabin pressure.",
-    effect="These stations are suspect: the window cannot be corrected.",
+    effect="These stations are suspect. The window cannot be corrected.",
     remedy=(
         "Name log.channels.cabin_pressure, or state the pressure under cameras.<name>.window.cabin."
     ),
@@ -611,11 +628,11 @@ CABIN_MISSING = Code(
 CABIN_SCHEDULE = Code(
     "CABIN-SCHEDULE",
     means=(
-        "The cabin's air is Gyer's usual schedule, not measured: as outside to 3 km, then 701.2 "
-        "hPa."
+        "The air of the cabin was not measured. It follows Gyer's usual schedule: the pressure "
+        "outside up to 3 km, then 701.2 hPa."
     ),
-    effect="R_cc follows from it; dry air of 21.1 degC.",
-    remedy="Nothing; log or state the cabin's pressure for better.",
+    effect="R_cc is computed from it, with dry air of 21.1 degC.",
+    remedy="Nothing. For a better result, log or state the pressure of the cabin.",
 )
 
 
@@ -624,8 +641,8 @@ def cabin_schedule(*, where: str) -> Message:
     return note(
         CABIN_SCHEDULE,
         (
-            "the cabin's air is Gyer's schedule, dry and not measured: as outside to 3 km "
-            "pressure altitude, then 701.2 hPa; 21.1 degC"
+            "the cabin's air was not measured and follows Gyer's schedule: the pressure outside up "
+            "to 3 km pressure altitude, then 701.2 hPa; dry, 21.1 degC"
         ),
         where=where,
     )
@@ -633,8 +650,8 @@ def cabin_schedule(*, where: str) -> Message:
 
 CABIN_SCHEDULE_HIGH = Code(
     "CABIN-SCHEDULE-HIGH",
-    means="Exposures lie above 10 km, where the schedule of the cabin's pressure ends.",
-    effect="701.2 hPa are taken there too.",
+    means="Exposures are above 10 km, where the schedule of the cabin's pressure ends.",
+    effect="701.2 hPa are used there too.",
     remedy="State the pressure under cameras.<name>.window.cabin.",
 )
 
@@ -644,12 +661,12 @@ def cabin_schedule_high(*, where: str, count: int) -> Message:
     return warning(
         CABIN_SCHEDULE_HIGH,
         (
-            "{count} exposures lie above 10 km, where the schedule of the cabin's pressure ends; "
-            "701.2 hPa are taken there too"
+            "{count} exposures are above 10 km, where the schedule of the cabin's pressure ends; "
+            "701.2 hPa are used there too"
         ),
         one=(
-            "1 exposure lies above 10 km, where the schedule of the cabin's pressure ends; 701.2 "
-            "hPa are taken there too"
+            "1 exposure is above 10 km, where the schedule of the cabin's pressure ends; 701.2 hPa "
+            "are used there too"
         ),
         where=where,
         count=count,
@@ -660,8 +677,8 @@ CABIN_TEMPERATURE = Code(
     "CABIN-TEMPERATURE",
     means="Exposures have no temperature in the cabin.",
     effect=(
-        "21 degC are taken, with a sigma of 5 K (10 K where the cabin is not pressurised). A loss "
-        "where temperature_c is log."
+        "21 degC are assumed, with a sigma of 5 K (10 K if the cabin is not pressurised). It is a "
+        "loss if temperature_c is log."
     ),
     remedy="Name log.channels.cabin_temperature, or state temperature_c.",
 )
@@ -669,10 +686,10 @@ CABIN_TEMPERATURE = Code(
 CALIBRATION_IN_FLIGHT = Code(
     "CALIBRATION-IN-FLIGHT",
     means=(
-        "The camera was calibrated in flight on images with refraction in. Its principal distance "
-        "and k1 already contain the nadir refraction of that height."
+        "The camera was calibrated in flight on images that contain refraction. Its principal "
+        "distance and k1 already contain the nadir refraction of that height."
     ),
-    effect="The correction counts it twice in nadir images.",
+    effect="In nadir images, the correction removes it twice.",
     remedy="Use a laboratory calibration, or calibrate on corrected observations.",
 )
 
@@ -684,7 +701,7 @@ def calibration_in_flight(*, where: str, name: str) -> Message:
         (
             "camera {name} was calibrated in flight on uncorrected images: its principal distance "
             "and k1 already contain the nadir refraction of that height, and this correction "
-            "counts it twice"
+            "removes it twice"
         ),
         where=where,
         name=name,
@@ -693,9 +710,12 @@ def calibration_in_flight(*, where: str, name: str) -> Message:
 
 WAVELENGTH_FORMULA = Code(
     "WAVELENGTH-FORMULA",
-    means="A camera states its wavelength, and the formula of the index is for one light alone.",
+    means=(
+        "A wavelength is stated for a camera, but the formula of the refractive index is for one "
+        "fixed wavelength."
+    ),
     effect="The mission is refused.",
-    remedy="Take the index ciddor, or leave cameras.<name>.wavelength_m out.",
+    remedy="Use the index ciddor, or leave cameras.<name>.wavelength_m out.",
 )
 
 
@@ -703,7 +723,7 @@ def wavelength_of_formula(*, where: str, index: str) -> MissionError:
     """A wavelength that the formula of the refractive index does not know."""
     return MissionError(
         WAVELENGTH_FORMULA,
-        "the air has the index {index!r}, which is for one wavelength alone",
+        "the air has the index {index!r}, which is for one fixed wavelength",
         where=where,
         index=index,
         remedy="give air with the index ciddor, or leave the wavelength out",
@@ -712,8 +732,11 @@ def wavelength_of_formula(*, where: str, index: str) -> MissionError:
 
 CAMERA_LIGHT = Code(
     "CAMERA-LIGHT",
-    means="The wavelengths of cameras that state their own.",
-    effect="Their refraction is that of this light; all else is at atmosphere.wavelength_m.",
+    means="The wavelengths of cameras for which a wavelength is stated.",
+    effect=(
+        "Their refraction is computed for this wavelength. Everything else is computed for "
+        "atmosphere.wavelength_m."
+    ),
     remedy="Nothing.",
 )
 
@@ -722,7 +745,7 @@ def camera_light(*, where: str, count: int, lights: str, common_um: float) -> Me
     """Cameras with wavelengths of their own."""
     return note(
         CAMERA_LIGHT,
-        ("R of {lights}; profile.parquet and what is said of the air are at {common_um:g} um"),
+        ("R of {lights}; profile.parquet and all other values of the air are for {common_um:g} um"),
         where=where,
         count=count,
         lights=lights,
@@ -733,8 +756,8 @@ def camera_light(*, where: str, count: int, lights: str, common_um: float) -> Me
 LENS_CHANGE = Code(
     "LENS-CHANGE",
     means=(
-        "The air in the lens would change the principal distance by more than 1 %, which no air "
-        "does."
+        "The air in the lens would change the principal distance by more than 1 %. This is "
+        "impossible."
     ),
     effect="The mission is refused.",
     remedy="Check the unit of dc_dp_px_per_hpa and dc_dt_px_per_k: pixels, not millimetres.",
@@ -749,7 +772,8 @@ def lens_change_absurd(
         LENS_CHANGE,
         (
             "the air in the lens would change the principal distance of {name} by {change:.1f} px "
-            "of {principal_distance_px:.1f} at {hpa:.0f} hPa; more than 1 % is no effect of air"
+            "of {principal_distance_px:.1f} at {hpa:.0f} hPa; air cannot have an effect of more "
+            "than 1 %"
         ),
         where=where,
         name=name,
@@ -765,7 +789,7 @@ def lens_change_absurd(
 
 LENS_IN_AIR = Code(
     "LENS-IN-AIR",
-    means="By how much the air in the lens changes the principal distance.",
+    means="The air in the lens changes the principal distance. The entry gives the amount.",
     effect="It is removed.",
     remedy="Nothing.",
 )
@@ -793,11 +817,11 @@ def lens_in_air(
 LENS_TYPICAL = Code(
     "LENS-TYPICAL",
     means=(
-        "The air of the calibration is stated, and not how the lens follows it: it is taken for a "
-        "typical lens, whose principal distance changes by 2.0 +- 0.5 of the change of n."
+        "The air of the calibration is stated, but not the effect of the air on the lens. A "
+        "typical lens is assumed. Its principal distance changes by 2.0 +- 0.5 of the change of n."
     ),
-    effect="The change is removed; a quarter of it may remain, which sigma_cabin_* contain.",
-    remedy="State dc_dp_px_per_hpa and dc_dt_px_per_k where the lens was measured.",
+    effect="The change is removed. A quarter of it may remain, and sigma_cabin_* contain this.",
+    remedy="If the lens was measured, state dc_dp_px_per_hpa and dc_dt_px_per_k.",
 )
 
 
@@ -806,7 +830,7 @@ def lens_typical(*, where: str, name: str, rate: float, sigma: float) -> Message
     return fallback(
         LENS_TYPICAL,
         (
-            "the lens of {name} follows the air in it as a typical one: its principal distance by "
+            "the lens of {name} is treated as a typical lens: its principal distance changes by "
             "{rate:g} +- {sigma:g} of the change of n since the calibration"
         ),
         where=where,
@@ -823,7 +847,7 @@ LENS_NOT_REMOVED = Code(
         "air of the calibration is not stated: 130 to 310 ppm at 6 km on a 153 mm lens, about in "
         "proportion to the height."
     ),
-    effect="It stays in the coordinates: heights are wrong by that part of the flying height.",
+    effect="It stays in the coordinates. Heights are wrong by this part of the flying height.",
     remedy=(
         "State the air of the calibration: cameras.<name>.principal_distance: {reference: "
         "{pressure_hpa: 1013.25, temperature_c: 20}}."
@@ -861,8 +885,8 @@ def lens_left_in(*, where: str, count: int, names: str, ppm: float, sigma_ppm: f
 
 OPENING_AIR = Code(
     "OPENING-AIR",
-    means="The air before the lens in an opening differs from that outside as stated.",
-    effect="It bends the rays as behind a plane window; that is removed.",
+    means="The air in front of the lens, in an opening, differs from the air outside, as stated.",
+    effect="It bends the rays as behind a plane window. This effect is removed.",
     remedy="Nothing.",
 )
 
@@ -872,8 +896,8 @@ def opening_air(*, where: str, name: str, warmer: float, sigma: float, excess: f
     return note(
         OPENING_AIR,
         (
-            "the air before {name} is {warmer:+g} +- {sigma:g} K and {excess:+g} hPa against that "
-            "outside"
+            "the air in front of {name} differs by {warmer:+g} +- {sigma:g} K and {excess:+g} hPa "
+            "from the air outside"
         ),
         where=where,
         name=name,
@@ -885,8 +909,8 @@ def opening_air(*, where: str, name: str, warmer: float, sigma: float, excess: f
 
 WINDOW_SPHERICAL = Code(
     "WINDOW-SPHERICAL",
-    means="The window is a sphere about the projection centre.",
-    effect="It bends nothing.",
+    means="The window is a sphere around the projection centre.",
+    effect="It does not bend rays.",
     remedy="Nothing.",
 )
 
@@ -895,7 +919,7 @@ def window_spherical(*, where: str, name: str) -> Message:
     """A window that bends nothing."""
     return note(
         WINDOW_SPHERICAL,
-        "the window of {name} is a sphere about the projection centre: it bends nothing",
+        "the window of {name} is a sphere around the projection centre: it does not bend rays",
         where=where,
         name=name,
     )
@@ -904,11 +928,11 @@ def window_spherical(*, where: str, name: str) -> Message:
 WINDOW_GLASS = Code(
     "WINDOW-GLASS",
     means=(
-        "Whether the calibration contains the displacement of rays by the window glass: 7 mm for "
-        "20 mm of glass at 45 degrees."
+        "The entry states whether the calibration contains the displacement of rays by the window "
+        "glass: 7 mm for 20 mm of glass at 45 degrees."
     ),
-    effect="What is not in the calibration stays in the coordinates.",
-    remedy="State in_calibration: glass, if the camera was calibrated through the window.",
+    effect="If the displacement is not in the calibration, it stays in the coordinates.",
+    remedy="If the camera was calibrated through the window, state in_calibration: glass.",
 )
 
 
@@ -937,9 +961,9 @@ def window_glass_not_removed(*, where: str, name: str) -> Message:
 
 DEM_OUTSIDE = Code(
     "DEM-OUTSIDE",
-    means="Stations lie outside the elevation model.",
-    effect="A refusal where all do, else a loss.",
-    remedy="Check ground.height.dem, and its crs.",
+    means="Stations are outside the elevation model.",
+    effect="A refusal if all stations are outside. If not, a loss.",
+    remedy="Check ground.height.dem and its crs.",
 )
 
 
@@ -958,12 +982,12 @@ def no_station_on_model(
     return MissionError(
         DEM_OUTSIDE,
         (
-            "{count} of {count} stations lie outside the elevation model, which has {rows} rows "
+            "{count} of {count} stations are outside the elevation model, which has {rows} rows "
             "and {columns} columns: the first, at {north:.4f}, {east:.4f}, would be in row "
             "{row:.0f}, column {column:.0f}"
         ),
         one=(
-            "the only station lies outside the elevation model, which has {rows} rows and "
+            "the only station is outside the elevation model, which has {rows} rows and "
             "{columns} columns: at {north:.4f}, {east:.4f}, it would be in row {row:.0f}, column "
             "{column:.0f}"
         ),
@@ -975,7 +999,9 @@ def no_station_on_model(
         east=east,
         row=row,
         column=column,
-        remedy="check ground.height.dem, and ground.height.crs where the file has none",
+        remedy=(
+            "check ground.height.dem, and ground.height.crs if the file has no coordinate system"
+        ),
     )
 
 
@@ -983,8 +1009,8 @@ def stations_off_model(*, where: str, count: int, total: int) -> Message:
     """Some stations lie outside the elevation model."""
     return loss(
         DEM_OUTSIDE,
-        "{count} of {total} stations lie outside the elevation model",
-        one="1 of {total} stations lies outside the elevation model",
+        "{count} of {total} stations are outside the elevation model",
+        one="1 of {total} stations is outside the elevation model",
         where=where,
         count=count,
         total=total,
@@ -994,7 +1020,7 @@ def stations_off_model(*, where: str, count: int, total: int) -> Message:
 SIGMA_UNKNOWN = Code(
     "SIGMA-UNKNOWN",
     means="Standard deviations of some causes are not known.",
-    effect="What they do to the corrections is not in the sigma columns.",
+    effect="The sigma columns do not contain their effect on the corrections.",
     remedy="State them in the mission file.",
 )
 
@@ -1015,9 +1041,9 @@ def sigmas_unknown(*, where: str, count: int, missing: str) -> Message:
 
 OBS_DISTANCE = Code(
     "OBS-DISTANCE",
-    means="Slant ranges are zero, negative, infinite or no number.",
-    effect="They are taken as absent.",
-    remedy="Mend the column, if they matter.",
+    means="Slant ranges are zero, negative, infinite or not a number.",
+    effect="They are treated as missing.",
+    remedy="If they are needed, correct the column.",
 )
 
 
@@ -1025,7 +1051,10 @@ def slant_ranges_invalid(*, where: str, count: int) -> Message:
     """Slant ranges that are none."""
     return warning(
         OBS_DISTANCE,
-        "slant ranges that are zero, negative, infinite or no number: {count}, taken as absent",
+        (
+            "slant ranges that are zero, negative, infinite or not a number: {count}, treated as "
+            "missing"
+        ),
         where=where,
         count=count,
     )
@@ -1033,9 +1062,9 @@ def slant_ranges_invalid(*, where: str, count: int) -> Message:
 
 OBS_SIGMA = Code(
     "OBS-SIGMA",
-    means="Standard deviations of ground heights are negative, infinite or no number.",
-    effect="They are taken as unknown.",
-    remedy="Mend the column.",
+    means="Standard deviations of ground heights are negative, infinite or not a number.",
+    effect="They are treated as unknown.",
+    remedy="Correct the column.",
 )
 
 
@@ -1044,12 +1073,12 @@ def ground_sigmas_invalid(*, where: str, count: int) -> Message:
     return warning(
         OBS_SIGMA,
         (
-            "{count} standard deviations of ground heights are negative, infinite or no number: "
-            "taken as unknown"
+            "{count} standard deviations of ground heights are negative, infinite or not a number: "
+            "treated as unknown"
         ),
         one=(
-            "1 standard deviation of a ground height is negative, infinite or no number: taken as "
-            "unknown"
+            "1 standard deviation of a ground height is negative, infinite or not a number: "
+            "treated as unknown"
         ),
         where=where,
         count=count,
@@ -1059,7 +1088,7 @@ def ground_sigmas_invalid(*, where: str, count: int) -> Message:
 OBS_GROUND_RANGE = Code(
     "OBS-GROUND-RANGE",
     means="Heights of points are below -600 or above 10000 m.",
-    effect="They are taken as unknown; these rows are no_ground.",
+    effect="They are treated as unknown. These rows have the status no_ground.",
     remedy="Check the unit and the column of ground.height.",
 )
 
@@ -1069,8 +1098,8 @@ def ground_heights_invalid(*, where: str, count: int, low: float, high: float) -
     return loss(
         OBS_GROUND_RANGE,
         (
-            "heights of points below {low:.0f} or above {high:.0f} m, where no ground is: "
-            "{count}, taken as unknown, their points are no_ground"
+            "heights of points below {low:.0f} or above {high:.0f} m, where there is no ground: "
+            "{count}, treated as unknown; their status is no_ground"
         ),
         where=where,
         count=count,
@@ -1081,8 +1110,8 @@ def ground_heights_invalid(*, where: str, count: int, low: float, high: float) -
 
 POINTS_MISSING = Code(
     "POINTS-MISSING",
-    means="Observations are of points that the table does not have.",
-    effect="These rows are no_ground; refused where none is there.",
+    means="Observations are of points that are not in the table.",
+    effect="These rows have the status no_ground. Refused if no point is in the table.",
     remedy="Write the names as in the observations, or name their column.",
 )
 
@@ -1107,9 +1136,11 @@ def points_missing(*, where: str, count: int, rows: int) -> Message:
 
 OBS_FLAGGED = Code(
     "OBS-FLAGGED",
-    means=("Observations have a status other than ok; the entry names it, and the likely cause."),
-    effect="Their corrected values are null; the run ends with 3.",
-    remedy="Follow the cause that the entry names.",
+    means=(
+        "Observations have a status other than ok. The entry gives the status and the likely cause."
+    ),
+    effect="Their corrected values are null. The run ends with exit code 3.",
+    remedy="Correct the cause that the entry names.",
 )
 
 
@@ -1131,9 +1162,12 @@ def observations_flagged(
 
 OBS_BEYOND_GRAZING = Code(
     "OBS-BEYOND-GRAZING",
-    means="Rays pass the height of their point twice, and the near crossing was used.",
-    effect="Corrected, with status beyond_grazing; the run ends with 3.",
-    remedy="Give slant ranges (observations.columns.distance_m) to decide.",
+    means="Rays cross the height of their point twice. The near crossing was used.",
+    effect="Corrected, with status beyond_grazing. The run ends with exit code 3.",
+    remedy=(
+        "Give slant ranges (observations.columns.distance_m). They decide between the two "
+        "crossings."
+    ),
 )
 
 
@@ -1155,7 +1189,7 @@ def observations_beyond_grazing(
 
 OBS_FAR_BRANCH = Code(
     "OBS-FAR-BRANCH",
-    means="Rays meet their point at the far crossing, by its slant range.",
+    means="Rays reach their point at the far crossing, because of its slant range.",
     effect="Corrected, with status far_branch.",
     remedy="Nothing.",
 )
@@ -1167,8 +1201,11 @@ def observations_on_far_branch(
     """Observations on the far branch by their slant range."""
     return note(
         OBS_FAR_BRANCH,
-        "{count} of {total} observations are {status}{cause}{examples}, by their slant range",
-        one="1 of {total} observations is {status}{cause}{examples}, by their slant range",
+        (
+            "{count} of {total} observations are {status}{cause}{examples}, because of their slant "
+            "range"
+        ),
+        one="1 of {total} observations is {status}{cause}{examples}, because of its slant range",
         count=count,
         total=total,
         status=status,
@@ -1180,11 +1217,11 @@ def observations_on_far_branch(
 OBS_SEVERAL_CROSSINGS = Code(
     "OBS-SEVERAL-CROSSINGS",
     means=(
-        "Rays would leave the ground again behind a ridge; the first place where they meet it was "
-        "used."
+        "Rays would leave the ground again behind a ridge. The first place where they meet the "
+        "ground was used."
     ),
     effect="Corrected, with status several_crossings.",
-    remedy="Check points behind ridges; an error of the model's heights may change them.",
+    remedy="Check points behind ridges. An error in the heights of the model can change them.",
 )
 
 
@@ -1196,13 +1233,13 @@ def several_crossings(
         OBS_SEVERAL_CROSSINGS,
         (
             "{count} of {total} observations are {status}{cause}{examples}: behind a ridge they "
-            "would leave the ground again; the first place where they meet it was used, which an "
-            "error of the model's heights may change"
+            "would leave the ground again; the first place where they meet the ground was used; an "
+            "error in the heights of the model can change it"
         ),
         one=(
-            "1 of {total} observations is {status}{cause}{examples}: behind a ridge it would "
-            "leave the ground again; the first place where it meets it was used, which an error "
-            "of the model's heights may change"
+            "1 of {total} observations is {status}{cause}{examples}: behind a ridge it would leave "
+            "the ground again; the first place where it meets the ground was used; an error in the "
+            "heights of the model can change it"
         ),
         where=where,
         count=count,
@@ -1231,12 +1268,12 @@ def cabin_temperature_assumed(*, kind: Kind, where: str, count: int, able: str) 
         kind,
         CABIN_TEMPERATURE,
         (
-            "{count} exposures have no cabin temperature: 21 degC are taken, +- 5 K where the "
-            "cabin is pressurised, +- 10 K where it is not; {able}"
+            "{count} exposures have no cabin temperature: 21 degC are assumed, +- 5 K if the cabin "
+            "is pressurised, +- 10 K if it is not; {able}"
         ),
         one=(
-            "1 exposure has no cabin temperature: 21 degC are taken, +- 5 K where the cabin is "
-            "pressurised, +- 10 K where it is not; {able}"
+            "1 exposure has no cabin temperature: 21 degC are assumed, +- 5 K if the cabin is "
+            "pressurised, +- 10 K if it is not; {able}"
         ),
         where=where,
         count=count,
@@ -1247,14 +1284,14 @@ def cabin_temperature_assumed(*, kind: Kind, where: str, count: int, able: str) 
 OBS_UNIT = Code(
     "OBS-UNIT",
     means=(
-        "The coordinates of the observations are not in the unit that the mission file states: "
-        "pixels count from a corner of the image and are not negative, millimetres lie within the "
-        "format of the camera."
+        "The coordinates of the observations are not in the unit that the mission file states. "
+        "Pixels are measured from a corner of the image and are not negative. Millimetres are "
+        "within the format of the camera."
     ),
     effect="The mission is refused.",
     remedy=(
-        "State observations.unit: mm or um, with the metric report of the camera, which says where "
-        "they count from and along which axes; or name the columns that have pixels."
+        "State observations.unit: mm or um, with the metric report of the camera. The report gives "
+        "the origin and the axes of the coordinates. Or name the columns that have pixels."
     ),
 )
 
@@ -1266,9 +1303,9 @@ def coordinates_without_pixels(
     return InputError(
         OBS_UNIT,
         (
-            "x and y are negative in {percent:.0f} % of the observations or more, and {largest:.6g}"
-            " at most: these are not pixels from a corner of the image, but perhaps {likely} from "
-            "its middle"
+            "x and y are negative in {percent:.0f} % of the observations or more, and "
+            "{largest:.6g} at most: these are not pixels from a corner of the image, but perhaps "
+            "{likely} from its centre"
         ),
         where=where,
         percent=percent,
@@ -1285,7 +1322,7 @@ def coordinates_beyond_frame(*, where: str, unit: str, percent: float) -> InputE
     """Coordinates in a stated unit lie outside the image."""
     return InputError(
         OBS_UNIT,
-        "taken for {unit}, {percent:.0f} % of the observations lie outside the image",
+        "read in {unit}, {percent:.0f} % of the observations are outside the image",
         where=where,
         unit=unit,
         percent=percent,

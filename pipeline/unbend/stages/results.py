@@ -53,11 +53,11 @@ from unbend.tables.refraction_mark import REFRACTION_APPLIED, REFRACTION_KEY, RE
 from unbend.units import ARCSEC, Array
 
 AIR_PARAMETER = (
-    "scale_sigma: standard deviation, for the prior, of the one parameter s of the leading mode of "
-    "the air's covariance; the coordinates in the air of s are the corrected ones plus s dx_ds_px, "
-    "s dy_ds_px, behind a plane window too. variance_share: of what the air does to these "
-    "coordinates (sigma_air) it holds so much. Where there are several profiles, s moves each "
-    "along its own leading mode"
+    "scale_sigma: prior standard deviation of the one parameter s of the leading mode of the air's "
+    "covariance. For a value of s, the coordinates are the corrected ones plus s dx_ds_px, s "
+    "dy_ds_px, also behind a plane window. variance_share: the part of the variance of these "
+    "coordinates by the air (sigma_air) that this mode has. If there are several profiles, s moves "
+    "each of them along its own leading mode"
 )
 
 IN_VIEW = 0.05  # least cosine of the nadir angle of an axis that may have the nadir in its image

@@ -16,8 +16,9 @@ def csv_unreadable(*, code: Code, where: Path | str, error: str) -> InputError:
         "cannot be read as CSV: {error}",
         where=where,
         remedy=(
-            "a table is text in UTF-8, its first line the names of its columns, and has as many "
-            "fields in every row, parted by commas, semicolons, tabs or blanks"
+            "a table must be text in UTF-8; the first line has the names of the columns, every row "
+            "has the same number of fields, and fields are separated by commas, semicolons, tabs "
+            "or blanks"
         ),
         error=error,
     )
@@ -27,9 +28,9 @@ def frame_columns_repeated(*, code: Code, where: str, columns: str) -> InputErro
     """Two columns of a table in memory have one name."""
     return InputError(
         code,
-        "the columns {columns} stand there twice",
+        "the columns {columns} occur twice",
         where=where,
-        remedy="give each column a name of its own",
+        remedy="give each column a different name",
         columns=columns,
     )
 
@@ -45,17 +46,17 @@ def column_missing(
     key: str,
 ) -> InputError:
     """A table lacks a column; ``similar`` is the name it has that is most like it, or empty."""
-    text = "there is no column {column!r} for the {quantity}; there is {present}"
+    text = "there is no column {column!r} for the {quantity}; the columns are {present}"
     if similar:
         text = (
-            "there is no column {column!r} for the {quantity}; perhaps {similar!r}?; "
-            "there is {present}"
+            "there is no column {column!r} for the {quantity}; perhaps {similar!r}?; the columns "
+            "are {present}"
         )
     return InputError(
         code,
         text,
         where=where,
-        remedy="say what it is called: {key}",
+        remedy="state the name of the column: {key}",
         quantity=quantity,
         column=column,
         similar=similar,
@@ -74,7 +75,7 @@ def fields_without_number(
         one="1 field of column {column} is not a number: {first!r}",
         where=f"{path}, line {line}",
         count=count,
-        remedy="write decimal numbers with a point, and leave what is unknown empty",
+        remedy="write decimal numbers with a point, and leave unknown values empty",
         column=column,
         first=first,
     )
@@ -97,7 +98,7 @@ def numbers_beyond(
         one="1 number of column {column} is beyond {largest:g}: {first:g}",
         where=f"{path}, line {line}",
         count=count,
-        remedy="correct the number; leave what is unknown empty",
+        remedy="correct the number; leave unknown values empty",
         column=column,
         first=first,
         largest=largest,
@@ -117,8 +118,8 @@ def angles_beyond_turn(
     key: str,
 ) -> InputError:
     """Angles are more than a turn in their unit; ``likely`` is the one in which they are not."""
-    text = "{count} rows have an angle of more than a turn ({turn:g} {unit}), up to {largest:g}"
-    one = "1 row has an angle of more than a turn ({turn:g} {unit}): {largest:g}"
+    text = "{count} rows have an angle of more than one turn ({turn:g} {unit}), up to {largest:g}"
+    one = "1 row has an angle of more than one turn ({turn:g} {unit}): {largest:g}"
     if likely:
         text += "; is the unit {likely}?"
         one += "; is the unit {likely}?"
@@ -160,9 +161,12 @@ def model_format(*, where: Path | str, head: str) -> InputError:
 
 MODEL_GRID = Code(
     "MODEL-GRID",
-    means="The fields of a weather model are on a projected or reduced grid, as those of HRRR.",
+    means=(
+        "The fields of a weather model are on a projected or reduced grid, for example those of "
+        "HRRR."
+    ),
     effect="The mission is refused.",
-    remedy="Take ERA5 or GFS on a latitude-longitude grid, or regrid the file: cdo remapbil.",
+    remedy="Use ERA5 or GFS on a latitude-longitude grid, or regrid the file: cdo remapbil.",
 )
 
 
@@ -173,7 +177,7 @@ def model_grid(*, where: Path | str, grid: str) -> InputError:
         "its grid is {grid}: only latitude-longitude grids are read",
         where=where,
         grid=grid,
-        remedy="take ERA5 or GFS, or regrid it: cdo remapbil,r1440x720 in.grb out.nc",
+        remedy="use ERA5 or GFS, or regrid it: cdo remapbil,r1440x720 in.grb out.nc",
     )
 
 
@@ -184,8 +188,8 @@ def model_levels_incomplete(
     return InputError(
         MODEL_LEVELS,
         (
-            "its model levels run from {first:g} to {last:g}, {total} in all: the lowest of ERA5"
-            " is 137, and none may be missing above it"
+            "its model levels are {first:g} to {last:g}, {total} in total: the lowest level of "
+            "ERA5 is 137, and no level above it may be missing"
         ),
         where=where,
         remedy="request all levels down to 137, as 60/to/137",
@@ -197,7 +201,9 @@ def model_levels_incomplete(
 
 MODEL_MEMBER = Code(
     "MODEL-MEMBER",
-    means="The file holds an ensemble, and none or no existing member is chosen.",
+    means=(
+        "The file contains an ensemble. No member is chosen, or the chosen member does not exist."
+    ),
     effect="The mission is refused.",
     remedy="Name the member: atmosphere.model.member.",
 )
@@ -207,12 +213,12 @@ def model_member_unknown(*, where: Path | str, low: int, high: int, member: int)
     """The member of the ensemble that the mission names is not in the file."""
     return InputError(
         MODEL_MEMBER,
-        "it has members {low} to {high}, and member {member} is not among them",
+        "it has members {low} to {high}, but member {member} is chosen",
         where=where,
         low=low,
         high=high,
         member=member,
-        remedy="name one that it has: atmosphere.model.member",
+        remedy="name one of its members: atmosphere.model.member",
     )
 
 
@@ -220,7 +226,7 @@ def model_no_members(*, where: Path | str, member: int) -> InputError:
     """The mission names a member, and the file is no ensemble."""
     return InputError(
         MODEL_MEMBER,
-        "it has no members, and member {member} is asked for",
+        "it has no members, but member {member} is chosen",
         where=where,
         member=member,
         remedy="leave atmosphere.model.member out",
@@ -261,11 +267,11 @@ def model_package(*, where: Path | str, error: str) -> InputError:
 MODEL_TIME = Code(
     "MODEL-TIME",
     means=(
-        "The fields of a weather model are of another time than the flight, have no time "
-        "that can be read, or are those of several runs of a forecast."
+        "The fields of a weather model are of another time than the flight, have no readable time, "
+        "or belong to several runs of a forecast."
     ),
     effect="The mission is refused, or the file is not read.",
-    remedy="Download the hours before, during and after the flight, of one run.",
+    remedy="Download the hours before, during and after the flight, from one run.",
 )
 
 
@@ -284,7 +290,7 @@ def model_without_time(*, where: Path | str) -> InputError:
     """The fields carry no time that can be decoded."""
     return InputError(
         MODEL_TIME,
-        "its fields have no time that can be read",
+        "its fields have no readable time",
         where=where,
         remedy="download the file again",
     )
@@ -305,9 +311,9 @@ def model_time(*, where: Path | str, begin: str, end: str, hours: float) -> Inpu
 
 MODEL_TRUNCATED = Code(
     "MODEL-TRUNCATED",
-    means="A message of a GRIB file does not end where its header says.",
+    means="A message of a GRIB file does not end where its header states.",
     effect="The file is not read.",
-    remedy="The download was cut off: fetch the file again.",
+    remedy="The download was cut off. Fetch the file again.",
 )
 
 
@@ -318,7 +324,7 @@ def model_truncated(
     return InputError(
         MODEL_TRUNCATED,
         (
-            "message {number} at byte {start} has {length} bytes by its header, and no end "
+            "message {number} at byte {start} has {length} bytes by its header, but does not end "
             "there; the file has {size} bytes"
         ),
         where=where,
@@ -353,7 +359,7 @@ def model_axis(*, where: Path | str, axis: str) -> InputError:
     """A latitude, longitude or level of the grid is none, or stands there twice."""
     return InputError(
         MODEL_UNREADABLE,
-        "the values of its axis {axis} are not those of a grid",
+        "the values of its axis {axis} do not form a grid",
         where=where,
         remedy="download it again",
         axis=axis,
@@ -381,7 +387,7 @@ MODEL_VARIABLE = Code(
         "The file has no temperature, humidity or geopotential on levels, or they are of "
         "other areas and times."
     ),
-    effect="The mission is refused; what is there is listed.",
+    effect="The mission is refused. The variables of the file are listed.",
     remedy="Request all variables for the same levels, area and times.",
 )
 
@@ -390,7 +396,7 @@ def model_variable_missing(*, where: Path | str, lacking: str, held: str) -> Inp
     """A quantity that is needed is not in the file."""
     return InputError(
         MODEL_VARIABLE,
-        "it has no {lacking}; it holds {held}",
+        "it has no {lacking}; it contains {held}",
         where=where,
         lacking=lacking,
         held=held,
@@ -402,12 +408,12 @@ def model_dimension_unknown(*, where: Path | str, dimensions: str) -> InputError
     """The temperature has a dimension that is neither time, level, place nor member."""
     return InputError(
         MODEL_VARIABLE,
-        "its temperature has a dimension that is not known: {dimensions}",
+        "its temperature has an unknown dimension: {dimensions}",
         where=where,
         dimensions=dimensions,
         remedy=(
-            "choose one of it: cdo, or xarray's isel; times, levels, latitude, longitude "
-            "and members are known"
+            "select one value of this dimension, for example with cdo or xarray's isel; times, "
+            "levels, latitude, longitude and members are known dimensions"
         ),
     )
 
@@ -416,7 +422,7 @@ def model_variable_elsewhere(*, where: Path | str, name: str, apart: str) -> Inp
     """A field is of another area or other times than the temperature."""
     return InputError(
         MODEL_VARIABLE,
-        "{name} and the temperature differ in their {apart}",
+        "{name} and the temperature have different {apart}",
         where=where,
         name=name,
         apart=apart,
@@ -428,9 +434,9 @@ def model_variable_elsewhere(*, where: Path | str, name: str, apart: str) -> Inp
 
 OBS_ALREADY_CORRECTED = Code(
     "OBS-ALREADY-CORRECTED",
-    means="Refraction was removed from these observations before.",
-    effect="The mission is refused: it would count twice.",
-    remedy="Give the measurements as they came from the images.",
+    means="Refraction was already removed from these observations.",
+    effect="The mission is refused, because refraction would count twice.",
+    remedy="Give the original measurements from the images.",
 )
 
 
@@ -439,24 +445,24 @@ def _already_corrected(*, where: Path | str, why: str, name: str = "") -> InputE
         OBS_ALREADY_CORRECTED,
         f"refraction was removed already: {why}; correcting it again would count it twice",
         where=where,
-        remedy="give the measurements as they came from the images",
+        remedy="give the original measurements from the images",
         name=name,
     )
 
 
 def corrected_by_sidecar(*, where: Path | str, sidecar: str) -> InputError:
     """A sidecar has the hash of the file: refraction was removed from it."""
-    return _already_corrected(where=where, why="{name} names its content", name=sidecar)
+    return _already_corrected(where=where, why="{name} names the content of the file", name=sidecar)
 
 
 def corrected_by_database(*, where: Path | str, table: str) -> InputError:
     """A table of the database says that refraction was removed."""
-    return _already_corrected(where=where, why="its table {name} says so", name=table)
+    return _already_corrected(where=where, why="its table {name} states it", name=table)
 
 
 def corrected_by_mark(*, where: Path | str, mark: str) -> InputError:
     """The metadata of the table say that refraction was removed."""
-    why = 'the table carries the mark "refraction {name}"'
+    why = 'the table has the mark "refraction {name}"'
     return _already_corrected(where=where, why=why, name=mark)
 
 
@@ -468,8 +474,8 @@ def corrected_by_column(*, where: Path | str, column: str) -> InputError:
 
 OBS_ALREADY_DISPLACED = Code(
     "OBS-ALREADY-DISPLACED",
-    means="Refraction was applied to these observations before.",
-    effect="The mission is refused: it would count twice.",
+    means="Refraction was already applied to these observations.",
+    effect="The mission is refused, because refraction would count twice.",
     remedy="Give ideal observations, free of refraction.",
 )
 
@@ -478,7 +484,7 @@ def displaced_by_mark(*, where: Path | str, mark: str) -> InputError:
     """The metadata of the table say that refraction was applied."""
     return InputError(
         OBS_ALREADY_DISPLACED,
-        'the table carries the mark "refraction {mark}"; displacing it again would count it twice',
+        'the table has the mark "refraction {mark}"; applying it again would count it twice',
         where=where,
         remedy="give ideal observations, free of refraction",
         mark=mark,
@@ -491,7 +497,7 @@ def displaced_by_column(*, where: Path | str, column: str) -> InputError:
         OBS_ALREADY_DISPLACED,
         (
             "the table has a column {column}, which is written when refraction is applied; "
-            "displacing it again would count it twice"
+            "applying it again would count it twice"
         ),
         where=where,
         remedy="give ideal observations, free of refraction",
@@ -501,8 +507,10 @@ def displaced_by_column(*, where: Path | str, column: str) -> InputError:
 
 OBS_CODES = Code(
     "OBS-CODES",
-    means="A column is written as text, because some of its digits are not a plain number.",
-    effect="None on the correction.",
+    means=(
+        "A column is written as text, because some of its values with digits are not plain numbers."
+    ),
+    effect="No effect on the correction.",
     remedy="Nothing.",
 )
 
@@ -511,14 +519,16 @@ def column_as_text(*, column: str) -> Message:
     """A column of a CSV keeps its digits as text."""
     return note(
         OBS_CODES,
-        "column {column} is written as text: some of its digits are not a plain number",
+        "column {column} is written as text: some of its values with digits are not plain numbers",
         column=column,
     )
 
 
 OBS_COLUMN = Code(
     "OBS-COLUMN",
-    means="The table of observations lacks a column, or one column is named for two quantities.",
+    means=(
+        "The table of observations lacks a column. Or the same column is named for two quantities."
+    ),
     effect="The mission is refused.",
     remedy="Name its columns under observations.columns.",
 )
@@ -540,8 +550,8 @@ OBS_CSV = Code(
     means="The table of observations cannot be read as CSV.",
     effect="The mission is refused.",
     remedy=(
-        "Write it as text in UTF-8, with the names of the columns in the first line and as many "
-        "fields in every row."
+        "Write it as text in UTF-8, with the names of the columns in the first line and the same "
+        "number of fields in every row."
     ),
 )
 
@@ -553,8 +563,9 @@ def observations_csv_unreadable(*, where: Path | str, error: str) -> InputError:
         "cannot be read as CSV: {error}",
         where=where,
         remedy=(
-            "a table is text in UTF-8, its first line the names of its columns, and has as many "
-            "fields in every row, parted by commas, semicolons, tabs or blanks"
+            "a table must be text in UTF-8; the first line has the names of the columns, every row "
+            "has the same number of fields, and fields are separated by commas, semicolons, tabs "
+            "or blanks"
         ),
         error=error,
     )
@@ -606,7 +617,7 @@ def observations_format(*, where: Path | str, ending: str, blocks: str) -> Input
     """Neither the ending nor the mission file says the format of the table."""
     return InputError(
         OBS_FORMAT,
-        "a table of observations is .csv or .parquet, not {ending}",
+        "a table of observations must be .csv or .parquet, not {ending}",
         where=where,
         ending=ending,
         blocks=blocks,
@@ -617,14 +628,14 @@ def observations_format(*, where: Path | str, ending: str, blocks: str) -> Input
 OBS_MARK_CHANGED = Code(
     "OBS-MARK-CHANGED",
     means=(
-        "A sidecar says that refraction was removed from this file, and its content has "
-        "changed since."
+        "A sidecar file states that refraction was removed from this file. Its content has changed "
+        "since then."
     ),
     effect="The mission is refused.",
     remedy=(
-        "A model that another program adjusted from an export is still corrected: do not "
-        "use it. If the file holds measurements as they came from the images, move the "
-        "sidecar away."
+        "A model that another program adjusted from an export is still corrected: do not use it. "
+        "If the file contains the original measurements from the images, move the sidecar to "
+        "another folder."
     ),
 )
 
@@ -633,22 +644,22 @@ def marked_file_changed(*, where: Path | str, name: str) -> InputError:
     """A sidecar names the file, but with another content."""
     return InputError(
         OBS_MARK_CHANGED,
-        "refraction was removed from it, says {name}, but its content has changed since",
+        "{name} states that refraction was removed from it, but its content has changed since then",
         where=where,
         name=name,
         remedy=(
-            "a model that another program adjusted from an export is still corrected: do "
-            "not use it; if it holds measurements as they came from the images, move the "
-            "sidecar away"
+            "a model that another program adjusted from an export is still corrected: do not use "
+            "it; if it contains the original measurements from the images, move the sidecar to "
+            "another folder"
         ),
     )
 
 
 OBS_MARK_UNREADABLE = Code(
     "OBS-MARK-UNREADABLE",
-    means="The sidecar beside the observations cannot be read.",
-    effect="The mission is refused: refraction may have been removed.",
-    remedy="Restore it, or move it away if the files hold measurements.",
+    means="The sidecar file next to the observations cannot be read.",
+    effect="The mission is refused, because refraction may have been removed.",
+    remedy="Restore it. If the files contain measurements, move it to another folder.",
 )
 
 
@@ -656,29 +667,26 @@ def sidecar_unreadable(*, where: Path | str, name: str) -> InputError:
     """A sidecar beside the observations is damaged."""
     return InputError(
         OBS_MARK_UNREADABLE,
-        (
-            "the sidecar cannot be read ({name}): it may name a file from which refraction "
-            "was removed"
-        ),
+        ("the sidecar cannot be read ({name}): it may state that refraction was removed"),
         where=where,
         name=name,
         remedy=(
-            "restore it, or move it away if the files beside it hold measurements as they"
-            " came from the images"
+            "restore it; if the files next to it contain the original measurements from the "
+            "images, move it to another folder"
         ),
     )
 
 
 OBS_MISSING = Code(
     "OBS-MISSING",
-    means="The table of observations is not there.",
+    means="The table of observations does not exist.",
     effect="The mission is refused.",
     remedy="Check observations.path.",
 )
 
 
 def observations_missing(*, where: Path | str) -> InputError:
-    """The table of observations is not there."""
+    """The table of observations does not exist."""
     return InputError(
         OBS_MISSING,
         "there is no such file",
@@ -689,9 +697,9 @@ def observations_missing(*, where: Path | str) -> InputError:
 
 OBS_OTHER_PIXELS = Code(
     "OBS-OTHER-PIXELS",
-    means="The table has measured and corrected pixels, and the wrong ones are named.",
+    means="The table has measured and corrected pixels. The wrong columns are named.",
     effect="The mission is refused.",
-    remedy="Name the right ones under observations.columns.",
+    remedy="Name the correct columns under observations.columns.",
 )
 
 
@@ -702,15 +710,15 @@ def other_pixels(
     return InputError(
         OBS_OTHER_PIXELS,
         (
-            "the column {role} beside {right} holds pixels {content}, which is not what "
-            "refraction.direction: {direction} starts from"
+            "the column {role} has pixels {content}; refraction.direction: {direction} needs the "
+            "pixels of the column {right}"
         ),
         where=where,
         role=role,
         right=right,
         content=content,
         direction=direction,
-        remedy="say observations.columns.{role}: {right}",
+        remedy="state observations.columns.{role}: {right}",
     )
 
 
@@ -735,7 +743,10 @@ def parquet_unreadable(*, where: Path | str, error: str) -> InputError:
 
 OBS_RENAMED = Code(
     "OBS-RENAMED",
-    means="A column of the user's has the name of a result and is written with _input.",
+    means=(
+        "A column of the input has the name of a result column. It is written with the ending "
+        "_input."
+    ),
     effect="None.",
     remedy="Nothing.",
 )
@@ -745,7 +756,7 @@ def column_renamed(*, column: str, written: str) -> Message:
     """A column of the user's leaves under another name."""
     return note(
         OBS_RENAMED,
-        "column {column} is written as {written}: a column of the results has its name",
+        "column {column} is written as {written}: a column of the results has the same name",
         column=column,
         written=written,
     )
@@ -753,31 +764,31 @@ def column_renamed(*, column: str, written: str) -> Message:
 
 OBS_REPEATED_COLUMN = Code(
     "OBS-REPEATED-COLUMN",
-    means="Two columns of the table have one name.",
+    means="Two columns of the table have the same name.",
     effect="The mission is refused.",
-    remedy="Rename one of each.",
+    remedy="Rename one column of each pair.",
 )
 
 
 def columns_repeated(*, where: Path | str, twice: str) -> InputError:
-    """Two columns of the table have one name."""
+    """Two columns of the table have the same name."""
     return InputError(
         OBS_REPEATED_COLUMN,
-        "the columns {twice} stand there twice",
+        "the columns {twice} occur twice",
         where=where,
         twice=twice,
-        remedy="rename one of each",
+        remedy="rename one column of each pair",
     )
 
 
 OBS_REPEATED_POINT = Code(
     "OBS-REPEATED-POINT",
     means=(
-        "Points stand twice in an image. Of a table of more than 200,000 rows only some "
-        "points are looked at."
+        "Points occur twice in an image. If a table has more than 200,000 rows, only some points "
+        "are checked."
     ),
     effect="Both rows are corrected; at most one is the measurement.",
-    remedy="Correct the table or block, which may have been joined with itself.",
+    remedy="Correct the table or block. It may have been joined with itself.",
 )
 
 
@@ -786,10 +797,13 @@ def points_repeated(*, where: str, count: int, first: str) -> Message:
     return loss(
         OBS_REPEATED_POINT,
         (
-            "{count} points stand twice in an image, first {first}: at most one of both is "
-            "the measurement"
+            "{count} points occur twice in an image, the first is {first}: at most one of the two "
+            "rows is the measurement"
         ),
-        one=("1 point stands twice in an image, {first}: at most one of both is the measurement"),
+        one=(
+            "1 point occurs twice in an image, {first}: at most one of the two rows is the "
+            "measurement"
+        ),
         where=where,
         count=count,
         first=first,
@@ -798,7 +812,7 @@ def points_repeated(*, where: str, count: int, first: str) -> Message:
 
 OBS_TYPE = Code(
     "OBS-TYPE",
-    means="A column holds neither text nor numbers, or not what it must.",
+    means="The type of a column is neither text nor a number, or is not the needed type.",
     effect="The mission is refused.",
     remedy="Write names as text and numbers as float64.",
 )
@@ -808,7 +822,7 @@ def column_of_other_type(*, where: Path | str, column: str, kind: str) -> InputE
     """A column that must hold numbers holds neither these nor text, by its type in Arrow."""
     return InputError(
         OBS_TYPE,
-        "the column {column} holds {kind}, not numbers",
+        "the column {column} contains {kind}, not numbers",
         where=where,
         remedy="write it as float64",
         column=column,
@@ -820,7 +834,7 @@ def names_of_other_type(*, where: Path | str, column: str, kind: str) -> InputEr
     """A column that must hold names holds neither text nor numbers, by its type in Arrow."""
     return InputError(
         OBS_TYPE,
-        "the column {column} holds {kind}, not names",
+        "the column {column} contains {kind}, not names",
         where=where,
         remedy="write it as text",
         column=column,
@@ -866,9 +880,9 @@ def sounding_damaged(*, where: Path | str, error: str) -> InputError:
 
 SOUNDING_ZIP = Code(
     "SOUNDING-ZIP",
-    means="The sounding is a ZIP archive that does not hold one readable file.",
+    means="The sounding is a ZIP archive that does not contain exactly one readable file.",
     effect="The mission is refused.",
-    remedy="Unpack it, and give the sounding itself.",
+    remedy="Unpack it, and give the unpacked file of the sounding.",
 )
 
 
@@ -879,15 +893,15 @@ def sounding_archive(*, where: Path | str, why: str) -> InputError:
         "the archive cannot be used: {why}",
         where=where,
         why=why,
-        remedy="unpack it, and give the sounding itself",
+        remedy="unpack it, and give the unpacked file of the sounding",
     )
 
 
 SOUNDING_SIZE = Code(
     "SOUNDING-SIZE",
-    means="The file is larger than the longest record of soundings.",
+    means="The file is larger than the longest possible record of soundings.",
     effect="The mission is refused.",
-    remedy="Cut it down to the days around the flight.",
+    remedy="Keep only the days around the flight.",
 )
 
 
@@ -899,7 +913,7 @@ def sounding_size(*, where: Path | str, size: int, largest_bytes: int) -> InputE
         where=where,
         size=size,
         largest_bytes=largest_bytes,
-        remedy="cut it down to the days around the flight",
+        remedy="keep only the days around the flight",
     )
 
 

@@ -112,7 +112,7 @@ def _unpacked(data: bytes, path: Path) -> bytes:
             members = [member for member in archive.infolist() if not member.is_dir()]
             if len(members) != 1:
                 raise messages.sounding_archive(
-                    where=path, why=f"it holds {Counted(len(members), 'file')}"
+                    where=path, why=f"it contains {Counted(len(members), 'file')}"
                 )
             if members[0].file_size > LARGEST_BYTES:
                 raise messages.sounding_size(

@@ -81,7 +81,7 @@ def unrepeated_table(path: Path, code: Code, of_names: Collection[str]) -> pd.Da
     """As `whole_table`; refuses (``code``) a table with two columns of one name, too."""
     table = whole_table(path, code, of_names)
     if repeated := _repeated(table.columns.tolist()):
-        why = f"the columns {repeated} stand there twice"
+        why = f"the columns {repeated} occur twice"
         raise messages.csv_unreadable(code=code, where=path, error=why)
     return table
 
@@ -107,7 +107,7 @@ def whole_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFra
         ).fillna("")
         if len(form.names) != rows.shape[1]:
             raise ValueError(
-                f"it names {len(form.names)} columns, and its rows have {rows.shape[1]}"
+                f"it names {len(form.names)} columns, but its rows have {rows.shape[1]}"
             )
     except (OSError, ValueError) as error:
         raise messages.csv_unreadable(code=code, where=path, error=str(error).strip()) from None
@@ -403,7 +403,7 @@ def require_names(
     unbend.errors.InputError: A-B: there is no column 'x_px' for the x; perhaps 'x_pix'?; there \
 is image, x_pix
       where: o.csv
-      to do: say what it is called: k
+      to do: state the name of the column: k
     """
     for quantity, name, key in wanted:
         if name not in there:

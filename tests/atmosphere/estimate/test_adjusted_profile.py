@@ -296,7 +296,7 @@ def test_a_log_without_any_sensor():
     adjusted, ledger = adjust(AirSamples())
     assert (adjusted.basis, adjusted.time_ns) == ("standard", None)
     assert codes(ledger) == ["AIR-STANDARD"]
-    assert "no thermometer and no barometer" in adjusted.reason
+    assert "no usable thermometer or barometer" in adjusted.reason
 
 
 @pytest.mark.parametrize("empty", ["none accepted", "no samples", "heights unknown"])

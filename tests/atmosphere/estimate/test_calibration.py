@@ -133,7 +133,7 @@ def test_a_flight_that_contradicts_the_calibration_says_so(flights, truth):
     _, ledger = flown(flights, truth, sensors, {BIAS: SensorCalibration(0.0, 0.1), **SCALE})
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
     assert FAULT_TEXTS[BIAS] in entry.what
-    assert "0 ± 0.1 by the mission file" in entry.what
+    assert "0 ± 0.1 in the mission file" in entry.what
     alone = float(entry.what.split(", ")[1].split()[0])
     assert alone == pytest.approx(4.0, abs=0.8)
     _, ledger = flown(flights, truth, sensors, {BIAS: SensorCalibration(4.0, 0.1)})
@@ -148,7 +148,7 @@ def test_no_rare_fault_of_the_barometer_explains_a_wrong_calibration(flights, tr
     _, ledger = flown(flights, truth, flights.REALISTIC, given)
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
     assert entry.kind is Kind.FINDING
-    assert f"{stated:.3g} ± 0.1 by the mission file" in entry.what
+    assert f"{stated:.3g} ± 0.1 in the mission file" in entry.what
 
 
 def test_a_calibration_that_is_right_is_seldom_contradicted(flights, truth):
@@ -213,4 +213,4 @@ def test_only_the_worst_is_accused(flights, truth):
     }
     _, ledger = flown(flights, truth, flights.Sensors(lag_s=12.0), given, descent=True)
     (entry,) = [e for e in ledger if e.code == "AIR-CALIBRATION"]
-    assert entry.what.startswith(f"{FAULT_TEXTS[LAG]}: 8 ± 0.5 by the mission file, 1")
+    assert entry.what.startswith(f"{FAULT_TEXTS[LAG]}: 8 ± 0.5 in the mission file, 1")

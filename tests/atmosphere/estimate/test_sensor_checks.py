@@ -170,7 +170,7 @@ def test_a_hygrometer_stuck_at_saturation_through_a_desert(flights, airs, thermo
     assert (entry.kind, entry.where) == (Kind.LOSS, "hygrometer")
     assert "97 % and more" in entry.what
     # Of saturated air at 309 K and 940 hPa 3.1, at 286 K and 700 hPa 4.3 K/km, worked by hand.
-    limit = float(re.search(r"saturated air overturns at ([\d.]+) K/km", entry.what)[1])
+    limit = float(re.search(r"saturated air is unstable from ([\d.]+) K/km", entry.what)[1])
     assert limit == pytest.approx(3.7, abs=0.3)
     (use,) = [use for use in adjusted.sources if use.source == "hygrometer hygrometer"]
     assert "K/km" in use.why_not
@@ -201,7 +201,7 @@ def test_a_dew_point_above_that_of_any_air(flights, airs):
     assert hygrometer_is_outside(made, background(airs[DESERT])) == PASSED
     check = hygrometer_is_outside(made, background(airs[ARCTIC]))
     assert not check
-    limit = float(re.search(r"no air there has more than ([\d.-]+) C", check.reason)[1])
+    limit = float(re.search(r"do not exceed ([\d.-]+) C", check.reason)[1])
     # Expected -33 C, sigma of T 10.5 K and of RH 0.15 in 0.8: 10.8 K.
     assert limit == pytest.approx(-33.0 + 4.0 * 10.8, abs=6.0)
 
@@ -368,7 +368,7 @@ def test_ground_in_the_sun_is_air(flights, airs):
         samples = flown(flights, hot, 2000.0, descent=True, gate_s=0.0)
         check = is_plausible(estimate(samples, background(truth)), background(truth))
         assert bool(check) is not overturns, check.reason
-        assert not overturns or "air overturns at 9.8 K/km" in check.reason
+        assert not overturns or "air is unstable from 9.8 K/km" in check.reason
 
 
 # Whether an estimate looks like air

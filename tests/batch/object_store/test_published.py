@@ -153,7 +153,7 @@ def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend):
     everything = set(s3_place.objects())
     ended = unbend("verify", s3_place, "--remove-leftovers")
     assert ended.code == 0, ended.text
-    assert ended.out == "1 upload of the last hour kept: --recent removes them too\n"
+    assert ended.out == "1 upload of the last hour kept: --recent also removes them\n"
     assert set(s3_place.objects()) == everything
 
     class Later(remote.datetime):

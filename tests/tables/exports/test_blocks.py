@@ -593,7 +593,7 @@ def test_bingo_counts_millimetres_from_the_centre(spaced, tmp_path):
         for _, point, x, y, *_ in block.of_image[names[("image", image)]]:
             expected = (x - 0.5 * own.width_px) * 0.004, (0.5 * own.height_px - y) * 0.004
             assert points[point] == pytest.approx(expected, abs=6e-8)
-    assert "switch the corrections of refraction" in FORMATS["bingo"].use
+    assert "switch off the corrections of refraction" in FORMATS["bingo"].use
     assert origin_of(ledger)
 
 

@@ -135,7 +135,7 @@ def test_the_published_example_of_an_eo_text(exposures):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda text: text.replace("\tLAT\tLONG", ""), "grid alone"),
+        (lambda text: text.replace("\tLAT\tLONG", ""), "only in a grid"),
         (lambda text: text.replace("lat, long in Deg", "lat, long in Rad"), "in Deg"),
         (lambda text: text.replace("TIME (s)", "WHEN"), "names the columns"),
         (lambda text: text[: text.index("img_000")], "none of its rows"),

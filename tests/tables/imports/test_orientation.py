@@ -128,7 +128,7 @@ def test_columns_of_a_table_without_a_head_have_numbers(tmp_path):
     assert table.image.tolist() == ["a", "b"]
     assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
     error = refused(tmp_path, "a 8.5 47.5 1\nb 8.6 47.5 2\n", "ORIENTATION-COLUMN")
-    assert "no head: its columns are called 1 to 4" in error.what
+    assert "no header: its columns are named 1 to 4" in error.what
 
 
 def test_the_table_of_opendronemap_has_the_names_of_its_manual(tmp_path):

@@ -180,7 +180,7 @@ def test_a_pos_file_without_its_header_and_one_whose_header_is_wrong(flight):
     channel = read_pos(path, Stated(time_system="utc", heights="msl"), ledger)
     told = entries(ledger, "IMPORT-CONTRADICTED")
     assert [entry.kind for entry in told] == ["warning", "warning"]
-    assert "time.system is gpst, by the mission file utc" in told[0].what
+    assert "time.system is gpst in its header and utc in the mission file" in told[0].what
     assert np.abs(channel.time_ns - flight.utc_ns - 18 * 10**9).max() < 2e6
     assert channel["h_msl_m"] == pytest.approx(flight.height, abs=1e-3)
 

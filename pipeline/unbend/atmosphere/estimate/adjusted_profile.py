@@ -43,7 +43,7 @@ WIDEST_GAP_M = 400.0
 """Between two measured heights farther apart than this the layers are called relaxed [m']."""
 
 FEWEST_TO_INFLATE = 5  # the estimator never inflates the sigmas of fewer readings
-_NO_AIR_FITS = "with it no air fits what the flight measured"
+_NO_AIR_FITS = "with it, no air fits the measurements of the flight"
 UNMEASURED, UNADJUSTED = "climatology", "standard"  # bases of a profile without any measurement
 
 

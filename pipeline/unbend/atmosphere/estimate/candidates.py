@@ -144,7 +144,7 @@ def reason_unadjusted(samples: AirSamples, faults: Sequence[str], kept: str) -> 
     elif samples.pressure is not None:
         why = "the barometer has no reading at a known height"
     else:
-        why = "no thermometer and no barometer outside that can be used"
+        why = "there is no usable thermometer or barometer outside"
     return f"{why}: {kept} is kept unchanged"
 
 
@@ -190,11 +190,11 @@ class UsedSamples:
         if given is None:
             return "none outside in the log"
         if not bool(given.accepted.any()):
-            return "no reading at a known height passes the gates"
+            return "no reading at a known height passes the checks"
         if name in self.refused:
             return self.refused[name]
         if getattr(self.usable, name) is None:
-            return "contradicted by the others: see the ledger"
+            return "contradicted by the other sources: see the ledger"
         if self.used is None:
             was_tried = any(getattr(samples, name) is not None for samples in self.tried)
             return NO_ESTIMATE if was_tried else f"{given.extent_m:.0f} m of height are too few"
@@ -227,7 +227,7 @@ def source_usage(
     name = background.profile.name
     uses.append(SourceUse(f"{name} ({background.origin})" if name != standard else name))
     if name != standard:
-        uses.append(SourceUse(standard, "only shown beside the air"))
+        uses.append(SourceUse(standard, "only shown for comparison"))
     return tuple(uses)
 
 

@@ -146,7 +146,7 @@ def distance_notes(
         if metres > FAR_M:
             parts = variation_parts(flight.latitude_rad, SPRING, ground_h_m=0.0)
             kelvin = sigma_of(changes(parts, 0.0, metres), np.array([FAR_SHOWN_M]))[0]
-            worth = f"temperatures are {kelvin:.1f} K less certain for that"
+            worth = f"temperatures are {kelvin:.1f} K less certain because of this"
             worth = worth if metres <= MOST_METRES else "it has no information on its air"
             yield messages.sounding_far_away(where=name, km=metres / 1e3, worth=worth)
     for report in surface:

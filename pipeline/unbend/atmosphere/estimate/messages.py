@@ -11,8 +11,8 @@ AIR_ANCHOR = Code(
         "climatology."
     ),
     effect=(
-        "A note; from 5 sigma a warning, from 10 sigma a loss: then the barometer or its "
-        "unit is wrong, and so is the air."
+        "A note; from 5 sigma a warning, from 10 sigma a loss. From 10 sigma on, the barometer or "
+        "its unit is wrong, and the air is wrong too."
     ),
     remedy="If it is a loss, check log.channels.pressure and its unit.",
 )
@@ -53,10 +53,10 @@ def air_anchor(
 AIR_BAROMETRIC = Code(
     "AIR-BAROMETRIC",
     means=(
-        "No thermometer outside could be used. Temperatures follow from the fall of "
-        "pressure with GNSS height."
+        "No thermometer outside could be used. Temperatures are derived from the fall of pressure "
+        "with GNSS height."
     ),
-    effect="Allowed substitute; the air is less certain than with a thermometer, see its sigmas.",
+    effect="Allowed substitute. The air is less certain than with a thermometer: see its sigmas.",
     remedy="Name a thermometer outside under log.channels.temperature, or add a sounding.",
 )
 
@@ -69,10 +69,10 @@ def air_barometric(*, where: str, sources: str) -> Message:
 AIR_CALIBRATED = Code(
     "AIR-CALIBRATED",
     means=(
-        "Known errors of sensors, stated under atmosphere.sensors, were subtracted from "
-        "the readings."
+        "The errors of sensors that are stated under atmosphere.sensors were subtracted from the "
+        "readings."
     ),
-    effect="The sensor errors in the report are what remains after that.",
+    effect="The report lists the sensor errors that remain after this subtraction.",
     remedy="Nothing.",
 )
 
@@ -81,7 +81,7 @@ def air_calibrated(*, where: str, count: int, biases: str) -> Message:
     """Known errors of sensors, stated under atmosphere.sensors, were subtracted from the re."""
     return note(
         AIR_CALIBRATED,
-        "subtracted from the readings by the mission file: {biases}",
+        "subtracted from the readings, as the mission file states: {biases}",
         where=where,
         count=count,
         biases=biases,
@@ -90,13 +90,14 @@ def air_calibrated(*, where: str, count: int, biases: str) -> Message:
 
 AIR_CALIBRATION = Code(
     "AIR-CALIBRATION",
-    means="The flight contradicts a stated calibration of a sensor by four sigmas or more.",
+    means="The flight contradicts the stated calibration of a sensor by 4 sigma or more.",
     effect=(
-        "The stated value was used; the air may be wrong by the difference; the run ends with 3."
+        "The stated value was used. The air may be wrong by the difference. The run ends with exit "
+        "code 3."
     ),
     remedy=(
-        "Check atmosphere.sensors: the sign (reading minus air), the unit, and that it is"
-        " this sensor; and the other sensors."
+        "Check atmosphere.sensors: the sign (reading minus air), the unit, and whether it is this "
+        "sensor. Check the other sensors too."
     ),
 )
 
@@ -111,13 +112,13 @@ def air_calibration(
     flown: float,
     sigma: float,
 ) -> Message:
-    """The flight contradicts a stated calibration of a sensor by four sigmas or more."""
+    """The flight contradicts the stated calibration of a sensor by 4 sigma or more."""
     return finding(
         AIR_CALIBRATION,
         (
-            "{fault}: {stated:.3g} ± {prior:.2g} by the mission file, {flown:.3g} ± "
-            "{sigma:.2g} by the flight alone, {sigmas:.0f} sigma away: one of the two is "
-            "wrong, or another sensor"
+            "{fault}: {stated:.3g} ± {prior:.2g} in the mission file, {flown:.3g} ± {sigma:.2g} "
+            "from the flight alone, {sigmas:.0f} sigma apart: one of the two is wrong, or another "
+            "sensor is"
         ),
         where=where,
         fault=fault,
@@ -131,9 +132,9 @@ def air_calibration(
 
 AIR_CALIBRATION_UNUSED = Code(
     "AIR-CALIBRATION-UNUSED",
-    means="A calibration is stated for an error that no sensor in use has.",
+    means="A calibration is stated for an error, and no sensor in use has such an error.",
     effect="It was not used.",
-    remedy="Remove it, or check which sensors were used and why others were not.",
+    remedy="Remove it, or check which sensors were used, and why the other sensors were not used.",
 )
 
 
@@ -151,16 +152,16 @@ def calibration_unused(*, where: str, count: int, faults: str) -> Message:
 AIR_CONTRADICTED = Code(
     "AIR-CONTRADICTED",
     means=(
-        "A surface report, or the lowest pressure of a sounding or model column, is five "
-        "sigmas or more from what the other sources give."
+        "A surface report, or the lowest pressure of a sounding or model column, differs by 5 "
+        "sigma or more from the other sources."
     ),
     effect=(
-        "Robust weights let the others prevail, which may be the flight's own sensor; the"
-        " run ends with 3."
+        "Robust weights give more influence to the other sources. One of these may be the flight's "
+        "own sensor. The run ends with exit code 3."
     ),
     remedy=(
-        "Check its height, unit and time, and the barometer, its calibration and the "
-        "heights of the log; leave out what is wrong."
+        "Check its height, unit and time. Check the barometer, its calibration and the heights of "
+        "the log. Leave out the source that is wrong."
     ),
 )
 
@@ -170,9 +171,9 @@ def air_contradicted(*, where: str, count: int, quantity: str, rms: float) -> Me
     return finding(
         AIR_CONTRADICTED,
         (
-            "{where} ({quantity}) is {rms:.1f} sigma from what the other sources "
-            "give, and robust weights let them prevail: it is wrong, or the flight's own "
-            "sensor or heights are"
+            "{where} ({quantity}) differs by {rms:.1f} sigma from the other sources, and robust "
+            "weights reduce its influence: it is wrong, or the flight's own sensor or heights are "
+            "wrong"
         ),
         where=where,
         count=count,
@@ -184,7 +185,10 @@ def air_contradicted(*, where: str, count: int, quantity: str, rms: float) -> Me
 AIR_HUMIDITY_EXPECTED = Code(
     "AIR-HUMIDITY-EXPECTED",
     means="No humidity was measured outside.",
-    effect="The climatology's humidity is taken; its share of R is small, and in the sigmas.",
+    effect=(
+        "The humidity of the climatology is used. Its effect on R is small, and the sigmas include "
+        "it."
+    ),
     remedy="Name a hygrometer under log.channels.humidity, or add a sounding.",
 )
 
@@ -193,18 +197,20 @@ def air_humidity_expected() -> Message:
     """No humidity was measured outside."""
     return fallback(
         AIR_HUMIDITY_EXPECTED,
-        "no humidity measured outside: that of the climatology is taken",
+        "no humidity measured outside: the humidity of the climatology is used",
     )
 
 
 AIR_HYGROMETER = Code(
     "AIR-HYGROMETER",
     means=(
-        "A hygrometer reads air that is more humid than any: a dew point above 35 C, or 4"
-        " sigma above the climatology's. It is stuck, wet, or beside a warm board; or it "
-        "reads 1.1 % at most."
+        "A hygrometer reads a humidity that does not occur: a dew point above 35 C, or 4 sigma "
+        "above the climatology. The sensor is stuck, wet, or next to a warm board. Or it never "
+        "reads more than 1.1 %."
     ),
-    effect="It is not used, the climatology's humidity is taken; the run ends with 3.",
+    effect=(
+        "It is not used. The humidity of the climatology is used. The run ends with exit code 3."
+    ),
     remedy="Check the sensor and its unit (log.channels.humidity).",
 )
 
@@ -217,16 +223,16 @@ def hygrometer_not_used(*, name: str, reason: str) -> Message:
 def hygrometer_too_dry(*, percent: float) -> str:
     """Why a hygrometer is not used: it reads dry air throughout."""
     return (
-        f"it reads {percent:.1f} % of relative humidity at most: no air near the ground is so dry; "
-        "it is dead, or its fractions are taken for per cent"
+        f"its highest reading is {percent:.1f} % relative humidity: air near the ground is never "
+        "so dry; the sensor is dead, or its fractions are read as per cent"
     )
 
 
 def hygrometer_too_wet(*, percent: float, height_m: float, dew_c: float, limit_c: float) -> str:
     """Why a hygrometer is not used: no air has such a dew point."""
     return (
-        f"{percent:.0f} % of relative humidity at {height_m:.0f} m is a dew point of "
-        f"{dew_c:.1f} C, and no air there has more than {limit_c:.1f} C"
+        f"{percent:.0f} % relative humidity at {height_m:.0f} m is a dew point of {dew_c:.1f} C; "
+        f"dew points there do not exceed {limit_c:.1f} C"
     )
 
 
@@ -235,19 +241,19 @@ def hygrometer_in_no_cloud(
 ) -> str:
     """Why a hygrometer is not used: saturated air would overturn."""
     return (
-        f"{percent:.0f} % and more from {low_m:.0f} to {high_m:.0f} m, where temperature falls by "
-        f"{lapse:.1f} K/km: saturated air overturns at {adiabat:.1f} K/km"
+        f"{percent:.0f} % and more from {low_m:.0f} to {high_m:.0f} m, although temperature falls "
+        f"by {lapse:.1f} K/km: saturated air is unstable from {adiabat:.1f} K/km on"
     )
 
 
 AIR_IMPLAUSIBLE = Code(
     "AIR-IMPLAUSIBLE",
     means=(
-        "Air that was estimated from a source is no air, or is farther from plausible "
-        "than the climatology."
+        "The air that was estimated from a source is not physical, or is less plausible than the "
+        "climatology."
     ),
-    effect="That source is not used; the next best is taken.",
-    remedy="Check the unit and the place of the sensor that is named; see the reason in the entry.",
+    effect="That source is not used. The next best source is used.",
+    remedy="Check the unit and the place of the named sensor. The entry gives the reason.",
 )
 
 
@@ -275,13 +281,14 @@ def far_from_climatology(*, kelvin: float, height_m: float, sigmas: float) -> st
 def air_overturns(*, lapse: float, height_m: float) -> str:
     """Why air is implausible: it would overturn."""
     return (
-        f"temperature falls by {lapse:.1f} K/km above {height_m:.0f} m: air overturns at 9.8 K/km"
+        f"temperature falls by {lapse:.1f} K/km above {height_m:.0f} m: air is unstable from 9.8 "
+        "K/km on"
     )
 
 
 def no_information(*, percent: float) -> str:
     """Why a barometer's air is not used: R is as uncertain as before."""
-    return f"it has no information on temperature: {percent:.0f} % of the sigma of R are left"
+    return f"it has no information on temperature: {percent:.0f} % of the sigma of R remain"
 
 
 def held_out_readings_differ(
@@ -289,19 +296,19 @@ def held_out_readings_differ(
 ) -> str:
     """Why air is implausible: it predicts readings worse than the climatology does."""
     return (
-        f"readings of {sensor} that were held out differ by {by_estimate:.2f} {unit} from the "
-        f"estimate and by {by_background:.2f} {unit} from {name}"
+        f"readings of {sensor} that were not used in the estimate differ by {by_estimate:.2f} "
+        f"{unit} from the estimate and by {by_background:.2f} {unit} from {name}"
     )
 
 
 AIR_ISOTHERMAL = Code(
     "AIR-ISOTHERMAL",
     means=(
-        "A thermometer is probably not, or only partly, in the air outside: its temperatures "
-        "change less with height than air does, or with time, as in a bay or a cabin. Over so "
-        "little height the barometer cannot decide."
+        "A thermometer is probably not, or only partly, in the air outside. Its temperatures "
+        "change less with height than the air does, or they change with time, as in a bay or a "
+        "cabin. The range of heights is too small for the barometer to decide."
     ),
-    effect="Both are possible, so the sigma of the air is larger.",
+    effect="Both cases are possible, so the sigma of the air is larger.",
     remedy="Name the thermometer outside, or this one as log.channels.cabin_temperature.",
 )
 
@@ -311,9 +318,9 @@ def air_isothermal(*, where: str, extent: float, percent: float) -> Message:
     return warning(
         AIR_ISOTHERMAL,
         (
-            "{where} is with a probability of {percent:.0f} % only partly in the air outside, or "
-            "indoors, by its temperatures over {extent:.0f} m of height: the sigma of the air "
-            "holds for both"
+            "{where} is only partly in the air outside, or indoors, with a probability of "
+            "{percent:.0f} % (from its temperatures over {extent:.0f} m of height): the sigma of "
+            "the air covers both cases"
         ),
         where=where,
         extent=extent,
@@ -324,8 +331,8 @@ def air_isothermal(*, where: str, extent: float, percent: float) -> Message:
 AIR_MISFIT = Code(
     "AIR-MISFIT",
     means="The residuals of a source are larger than its errors explain.",
-    effect="Its sigma is inflated; the estimate stands.",
-    remedy="Compare the source with the others in the report; leave it out if it is wrong.",
+    effect="Its sigma is inflated. The estimate is kept.",
+    remedy="Compare the source with the others in the report. Leave it out if it is wrong.",
 )
 
 
@@ -334,8 +341,8 @@ def air_misfit(*, where: str, count: int, quantity: str, rms: float, inflation: 
     return warning(
         AIR_MISFIT,
         (
-            "residuals of {where} ({quantity}) are {rms:.1f} times what its errors "
-            "explain: sigma inflation factor {inflation:.0f}"
+            "residuals of {where} ({quantity}) are {rms:.1f} times larger than its errors explain: "
+            "sigma inflation factor {inflation:.0f}"
         ),
         where=where,
         count=count,
@@ -347,19 +354,21 @@ def air_misfit(*, where: str, count: int, quantity: str, rms: float, inflation: 
 
 AIR_NO_BAROMETER = Code(
     "AIR-NO-BAROMETER",
-    means="The log has no static pressure outside that can be used.",
-    effect="The level of pressure is that of a sounding, a weather station or the climatology.",
+    means="The log has no usable static pressure outside.",
+    effect=(
+        "The level of the pressure is taken from a sounding, a weather station or the climatology."
+    ),
     remedy="Name a barometer under log.channels.pressure, or add a surface report.",
 )
 
 
 def air_no_barometer() -> Message:
-    """The log has no static pressure outside that can be used."""
+    """The log has no usable static pressure outside."""
     return fallback(
         AIR_NO_BAROMETER,
         (
-            "no static pressure outside: its level is that of a sounding, a station or the "
-            "climatology"
+            "no static pressure outside: the level of the pressure is taken from a sounding, a "
+            "station or the climatology"
         ),
     )
 
@@ -380,8 +389,8 @@ def air_not_outside(*, where: str, what_is_odd: str, extent: float) -> Message:
     return loss(
         AIR_NOT_OUTSIDE,
         (
-            "the pressure of {where} {what_is_odd} over {extent:.0f} m of GNSS height: it is "
-            "not that of the air outside and is not used"
+            "the pressure of {where} {what_is_odd} over {extent:.0f} m of GNSS height: it is not "
+            "the pressure of the air outside, and is not used"
         ),
         where=where,
         what_is_odd=what_is_odd,
@@ -418,14 +427,13 @@ AIR_SENSORS = Code(
         "gives each with its sigma."
     ),
     effect=(
-        "These errors were removed in the estimate. A warning where one is larger than a "
-        "working sensor's (two expected sigmas; a static pressure that loses 1 % of its "
-        "change, by three of its sigmas): then that sensor is wrong, or the source that "
-        "shows it."
+        "These errors were removed in the estimate. A warning if an error is larger than that of a "
+        "working sensor (two expected sigmas; a static pressure that loses 1 % of its change, by "
+        "three of its sigmas). Then this sensor is wrong, or the source that shows the error."
     ),
     remedy=(
-        "Nothing for a note. Of a warning: calibrate the sensor; check the static port "
-        "and its tubes for leaks, and the heights."
+        "Nothing for a note. For a warning, calibrate the sensor. Check the static port and its "
+        "tubes for leaks, and check the heights."
     ),
 )
 
@@ -439,7 +447,7 @@ def air_sensors_large(*, count: int, faults: str) -> Message:
     """The flight determined errors of its sensors, such as bias or lag."""
     return warning(
         AIR_SENSORS,
-        "{faults}: larger than a working sensor's, or another source is wrong",
+        "{faults}: larger than that of a working sensor, or another source is wrong",
         count=count,
         faults=faults,
     )
@@ -448,13 +456,16 @@ def air_sensors_large(*, count: int, faults: str) -> Message:
 AIR_STANDARD = Code(
     "AIR-STANDARD",
     means=(
-        "No measurement of the air could be used: the climatology or the standard "
-        "atmosphere was kept."
+        "No measurement of the air could be used. The climatology or the standard atmosphere was "
+        "kept."
     ),
-    effect="Allowed substitute: a standard leaves 0.3 to 21 % of the shift, see its sigma.",
+    effect=(
+        "Allowed substitute. With a standard atmosphere, 0.3 to 21 % of the shift remain: see its "
+        "sigma."
+    ),
     remedy=(
-        "Add a barometer and a thermometer outside, a sounding or a surface report; the "
-        "entry says why each source failed."
+        "Add a barometer and a thermometer outside, a sounding or a surface report. The entry "
+        "gives the reason why each source was not used."
     ),
 )
 
@@ -491,11 +502,11 @@ def air_stuck(*, where: str, count: int, value: float, extent: float, total: int
 AIR_THERMOMETER = Code(
     "AIR-THERMOMETER",
     means=(
-        "A thermometer contradicts what barometer and GNSS height imply (8 K in the mean,"
-        " or 3.5 K in its change with height, beside 3.5 sigma of the comparison; or no "
-        "physical air fits both): so it does not measure the air outside."
+        "A thermometer contradicts the temperature that barometer and GNSS height imply: by 8 K in "
+        "the mean, or by 3.5 K in its change with height, and by 3.5 sigma of the comparison; or "
+        "no physical air fits both. So it does not measure the air outside."
     ),
-    effect="It is not used; the run ends with 3.",
+    effect="It is not used; the run ends with exit code 3.",
     remedy="Name the thermometer outside under log.channels.temperature, or check its unit.",
 )
 
@@ -508,15 +519,15 @@ def thermometer_not_used(*, name: str, reason: str) -> Message:
 def thermometer_not_as_predicted(*, reads: str, departure_k: float, limit_k: float) -> str:
     """Why a thermometer is not used: an estimate without it predicts others."""
     return (
-        f"it {reads} {departure_k:+.1f} K against what pressure and GNSS height imply, "
-        f"limit {limit_k:.1f} K (log.channels.temperature)"
+        f"it {reads} {departure_k:+.1f} K against the temperature that pressure and GNSS height "
+        f"imply, limit {limit_k:.1f} K (log.channels.temperature)"
     )
 
 
 def thermometer_in_a_bay(*, percent: float) -> str:
     """Why a thermometer is not outside: all its readings are more probable in a bay."""
     return (
-        f"it is with a probability of {percent:.1f} % only partly in the air outside, or indoors "
+        f"it is only partly in the air outside, or indoors, with a probability of {percent:.1f} % "
         "(log.channels.temperature)"
     )
 
@@ -526,8 +537,8 @@ def thermometer_contradicts_barometer(
 ) -> str:
     """Why a thermometer is not used: within a short time no air has its readings."""
     return (
-        f"its readings within {minutes:.0f} minutes, beside {barometer} against GNSS height, fit "
-        f"physical air only with errors of {kelvin:.1f} K, limit {limit_k:.1f} K"
+        f"its readings within {minutes:.0f} minutes, together with {barometer} against GNSS "
+        f"height, fit physical air only with errors of {kelvin:.1f} K, limit {limit_k:.1f} K"
     )
 
 
@@ -542,7 +553,7 @@ def barometer_fits_other_temperatures(*, barometer: str, inflation: float, limit
 AIR_UNSETTLED = Code(
     "AIR-UNSETTLED",
     means="The estimate of the air had not converged when it was stopped.",
-    effect="It is used; its last step still moved.",
+    effect="It is used, although its last step was still large.",
     remedy="Report the log to the authors, and compare the profile with a sounding.",
 )
 
@@ -551,15 +562,15 @@ def air_unsettled() -> Message:
     """The estimate of the air had not converged when it was stopped."""
     return warning(
         AIR_UNSETTLED,
-        "the estimate did not converge: its last step still moved",
+        "the estimate did not converge: its last step was still large",
     )
 
 
 METAR_FAR_IN_TIME = Code(
     "METAR-FAR-IN-TIME",
     means="The METAR is hours away from the flight.",
-    effect="It weighs less for that.",
-    remedy="Give one of the time of the flight.",
+    effect="It has less weight for this reason.",
+    remedy="Give a report of the time of the flight.",
 )
 
 
@@ -576,7 +587,7 @@ def metar_far_in_time(*, where: str, hours: float) -> Message:
 SOUNDING_FAR_AWAY = Code(
     "SOUNDING-FAR-AWAY",
     means="The sounding is far from the flight.",
-    effect="It weighs less for that.",
+    effect="It has less weight for this reason.",
     remedy="Give a nearer one, if there is one.",
 )
 
@@ -595,7 +606,7 @@ def sounding_far_away(*, where: str, km: float, worth: str) -> Message:
 SOUNDING_UNDATED = Code(
     "SOUNDING-UNDATED",
     means="The sounding has no time.",
-    effect="It is taken as some hours from the flight, and weighs accordingly.",
+    effect="It is assumed to be some hours from the flight, and has less weight.",
     remedy="Add time_utc.",
 )
 
@@ -604,7 +615,7 @@ def sounding_undated(*, where: str, hours: float) -> Message:
     """The sounding has no time."""
     return fallback(
         SOUNDING_UNDATED,
-        "the sounding has no time: it is taken as {hours:.0f} hours from the flight",
+        "the sounding has no time: it is assumed to be {hours:.0f} hours from the flight",
         where=where,
         hours=hours,
     )
@@ -613,7 +624,7 @@ def sounding_undated(*, where: str, hours: float) -> Message:
 SOUNDING_UNPLACED = Code(
     "SOUNDING-UNPLACED",
     means="The sounding has no position.",
-    effect="It is taken as 100 km from the flight.",
+    effect="It is assumed to be 100 km from the flight.",
     remedy="Add latitude_deg and longitude_deg.",
 )
 
@@ -622,7 +633,7 @@ def sounding_unplaced(*, where: str, km: float) -> Message:
     """The sounding has no position."""
     return fallback(
         SOUNDING_UNPLACED,
-        "the sounding has no position: it is taken as {km:.0f} km from the flight",
+        "the sounding has no position: it is assumed to be {km:.0f} km from the flight",
         where=where,
         km=km,
     )
@@ -631,8 +642,8 @@ def sounding_unplaced(*, where: str, km: float) -> Message:
 SURFACE_FAR_IN_TIME = Code(
     "SURFACE-FAR-IN-TIME",
     means="The report is hours away from the flight.",
-    effect="It weighs less for that.",
-    remedy="Give one of the time of the flight.",
+    effect="It has less weight for this reason.",
+    remedy="Give a report of the time of the flight.",
 )
 
 
@@ -649,7 +660,7 @@ def surface_far_in_time(*, where: str, hours: float) -> Message:
 SURFACE_UNDATED = Code(
     "SURFACE-UNDATED",
     means="The report has no time.",
-    effect="It is taken as some hours from the flight, and weighs accordingly.",
+    effect="It is assumed to be some hours from the flight, and has less weight.",
     remedy="Add time_utc.",
 )
 
@@ -658,7 +669,7 @@ def surface_undated(*, where: str, hours: float) -> Message:
     """The report has no time."""
     return fallback(
         SURFACE_UNDATED,
-        "the report has no time: it is taken as {hours:.0f} hours from the flight",
+        "the report has no time: it is assumed to be {hours:.0f} hours from the flight",
         where=where,
         hours=hours,
     )
@@ -671,7 +682,7 @@ AIR_SOURCE_FAR = Code(
         "flight's air."
     ),
     effect="It is not used.",
-    remedy="Give one of the day and the region.",
+    remedy="Give a report or sounding of the same day and region.",
 )
 
 
@@ -687,7 +698,7 @@ AIR_SOURCE_REFUSED = Code(
         "temperatures by 4 sigma), the flight's own sensors (by 4.5 sigma and 2 K), or the "
         "other sources."
     ),
-    effect="It is not used; the run ends with 3.",
+    effect="It is not used; the run ends with exit code 3.",
     remedy=(
         "Check its units, heights above sea level, time and place; and the sensors of the flight."
     ),
@@ -705,7 +716,7 @@ def level_far_from_climatology(
     """Why a column is refused: its lowest pressure."""
     return (
         f"{hpa:.1f} hPa at {height_m:.0f} m is {sigmas:.1f} sigma from the {expected_hpa:.1f} hPa "
-        "of the climatology: its heights may count from the ground, or be in feet"
+        "of the climatology: its heights may be above the ground, or in feet"
     )
 
 

@@ -132,7 +132,7 @@ def _likely_pressure(pressure_pa: float) -> str:
         return "they look like hPa where Pa is stated"
     if _GROUND_PA[0] <= pressure_pa / HECTOPASCAL <= _GROUND_PA[1]:
         return "they look like Pa where hPa is stated"
-    return "that is no air near the ground"
+    return "this does not occur near the ground"
 
 
 def _likely_temperature(warmest_k: float) -> str:

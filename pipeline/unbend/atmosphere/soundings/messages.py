@@ -5,7 +5,10 @@ from unbend.messages import Message, fallback, loss, note, warning
 
 MODEL_AREA = Code(
     "MODEL-AREA",
-    means="Places of the flight lie outside the fields of the weather model, or in a hole of them.",
+    means=(
+        "Places of the flight are outside the fields of the weather model, or where these have "
+        "missing values."
+    ),
     effect="The mission is refused, with the distance.",
     remedy="Download an area that reaches half a degree beyond the flight on all sides.",
 )
@@ -26,8 +29,8 @@ def model_area(
     return InputError(
         MODEL_AREA,
         (
-            "the flight at {north:.2f}°, {east:.2f}° is {away_km:.0f} km from its nodes, the "
-            "nearest within {south_node:.2f}° to {north_node:.2f}°, {west_node:.2f}° to "
+            "the flight at {north:.2f}°, {east:.2f}° is {away_km:.0f} km from its nodes; the "
+            "nearest nodes are at {south_node:.2f}° to {north_node:.2f}°, {west_node:.2f}° to "
             "{east_node:.2f}°"
         ),
         where=where,
@@ -44,14 +47,17 @@ def model_area(
 
 MODEL_EXTENDED = Code(
     "MODEL-EXTENDED",
-    means="The lowest level of a weather model lies above the true ground.",
-    effect="The column goes on down to it with 6.5 K/km, its sigma growing by 8 K per kilometre.",
-    remedy="Nothing, or give surface values of a valley: atmosphere.surface.",
+    means="The lowest level of a weather model is above the true ground.",
+    effect=(
+        "The column is continued down to the ground with 6.5 K/km. Its sigma grows by 8 K per "
+        "kilometre."
+    ),
+    remedy="Nothing; or give values measured at the ground: atmosphere.surface.",
 )
 
 
 def model_extended(*, where: str, depth: float, ground: float, sigma: float) -> Message:
-    """The lowest level of a weather model lies above the true ground."""
+    """The lowest level of a weather model is above the true ground."""
     return fallback(
         MODEL_EXTENDED,
         (
@@ -68,12 +74,13 @@ def model_extended(*, where: str, depth: float, ground: float, sigma: float) -> 
 MODEL_GROUND = Code(
     "MODEL-GROUND",
     means=(
-        "Neither the mission nor the log has the height of the ground, which says what "
-        "levels lie under it."
+        "Neither the mission nor the log has the height of the ground. So the levels under the "
+        "ground are not known."
     ),
-    effect="The ground of the weather model is taken, or sea level.",
+    effect="The ground of the weather model is used, or sea level.",
     remedy=(
-        "State it: a number as ground.height with ground.reference: msl, or ground.home_h_msl_m."
+        "State it: as a number under ground.height with ground.reference: msl, or as "
+        "ground.home_h_msl_m."
     ),
 )
 
@@ -83,8 +90,8 @@ def model_ground(*, where: str, ground: float) -> Message:
     return fallback(
         MODEL_GROUND,
         (
-            "the height of the ground is not known: {ground:.0f} m is taken, that of the "
-            "model or of the sea"
+            "the height of the ground is not known: {ground:.0f} m is used, the height of the "
+            "model's ground or of the sea"
         ),
         where=where,
         ground=ground,
@@ -94,10 +101,10 @@ def model_ground(*, where: str, ground: float) -> Message:
 MODEL_GROUND_UNIT = Code(
     "MODEL-GROUND-UNIT",
     means=(
-        "The ground of a weather model on model levels has no unit, and its surface "
-        "pressure is that of a ground in metres."
+        "The ground of a weather model on model levels has no unit. Its surface pressure fits a "
+        "ground in metres."
     ),
-    effect="It is taken in metres.",
+    effect="Metres are assumed.",
     remedy="State the unit in the file: ncatted.",
 )
 
@@ -107,12 +114,12 @@ def model_ground_unit(*, where: str, count: int, highest: float) -> Message:
     return fallback(
         MODEL_GROUND_UNIT,
         (
-            "z of its ground has no unit, and as geopotential its surface pressure is no "
-            "weather: taken as metres at {count} nodes, up to {highest:.0f} m"
+            "z of its ground has no unit, and as geopotential it would contradict the surface "
+            "pressure: metres are assumed at {count} nodes, up to {highest:.0f} m"
         ),
         one=(
-            "z of its ground has no unit, and as geopotential its surface pressure is no "
-            "weather: taken as metres at 1 node, up to {highest:.0f} m"
+            "z of its ground has no unit, and as geopotential it would contradict the surface "
+            "pressure: metres are assumed at 1 node, up to {highest:.0f} m"
         ),
         where=where,
         count=count,
@@ -123,12 +130,11 @@ def model_ground_unit(*, where: str, count: int, highest: float) -> Message:
 MODEL_LAYER = Code(
     "MODEL-LAYER",
     means=(
-        "A layer of a weather model is not as thick as its temperatures imply: one of its"
-        " levels is wrong, or it lies under the ground of the model and holds "
-        "extrapolated air."
+        "A layer of a weather model is not as thick as its temperatures imply. One of its levels "
+        "is wrong, or the layer is under the ground of the model and contains extrapolated air."
     ),
     effect="It is used.",
-    remedy="Compare the levels that are named with their neighbours; download the file again.",
+    remedy="Compare the named levels with their neighbours. Download the file again.",
 )
 
 
@@ -155,8 +161,8 @@ def model_layer(
 MODEL_LEVELS = Code(
     "MODEL-LEVELS",
     means=(
-        "The levels of a weather model are too few for a profile, some are missing, or "
-        "the temperature changes from one to the next as in no air."
+        "The levels of a weather model are too few for a profile, some are missing, or the "
+        "temperature changes from one level to the next more than in any air."
     ),
     effect="The mission is refused; the levels are listed.",
     remedy="Request all levels from the ground to the highest camera; leave a wrong level out.",
@@ -178,8 +184,8 @@ def model_levels_jump(
     return InputError(
         MODEL_LEVELS,
         (
-            "temperature changes from {lower_k:.1f} K on {lower} to {upper_k:.1f} K on "
-            "{upper}, {thick:.0f} m higher, at {north:.2f}°, {east:.2f}°: no air does so"
+            "temperature changes from {lower_k:.1f} K on {lower} to {upper_k:.1f} K on {upper}, "
+            "{thick:.0f} m higher, at {north:.2f}°, {east:.2f}°: this does not occur in air"
         ),
         where=where,
         lower=lower,
@@ -229,9 +235,9 @@ def model_missing(*, where: str, count: int, total: int) -> Message:
 MODEL_PRESSURE_UNIT = Code(
     "MODEL-PRESSURE-UNIT",
     means=(
-        "The pressure levels cannot be in the unit that the file states: Pa and hPa are confused."
+        "The pressure levels cannot be in the unit that the file states. Pa and hPa are exchanged."
     ),
-    effect="They are taken in the other unit.",
+    effect="They are read in the other unit.",
     remedy="Check the levels: unbend inspect.",
 )
 
@@ -240,7 +246,7 @@ def model_pressure_unit(*, where: str, lowest: float, factor: float) -> Message:
     """The pressure levels cannot be in the unit that the file states."""
     return fallback(
         MODEL_PRESSURE_UNIT,
-        "pressure levels up to {lowest:.6g} Pa by their unit: taken as {factor:g} times",
+        "pressure levels up to {lowest:.6g} Pa in the stated unit: multiplied by {factor:g}",
         where=where,
         lowest=lowest,
         factor=factor,
@@ -249,7 +255,7 @@ def model_pressure_unit(*, where: str, lowest: float, factor: float) -> Message:
 
 MODEL_UNDERGROUND = Code(
     "MODEL-UNDERGROUND",
-    means="Levels of a weather model lie under the ground: they hold air that was extrapolated.",
+    means="Levels of a weather model are under the ground. They contain extrapolated air.",
     effect="They are left out.",
     remedy="Nothing.",
 )
@@ -259,24 +265,24 @@ def model_underground(*, where: str, count: int, bottom: float) -> Message:
     """Levels of a weather model lie under the ground."""
     return note(
         MODEL_UNDERGROUND,
-        "{count} levels lie under the ground at {bottom:.0f} m: left out",
-        one="1 level lies under the ground at {bottom:.0f} m: left out",
+        "{count} levels are under the ground at {bottom:.0f} m: left out",
+        one="1 level is under the ground at {bottom:.0f} m: left out",
         where=where,
         count=count,
         bottom=bottom,
     )
 
 
-FETCH_MODEL_AGAIN = "download the file again as the model's centre offers it"
+FETCH_MODEL_AGAIN = "download the original file again from the centre that runs the model"
 
 MODEL_UNITS = Code(
     "MODEL-UNITS",
     means=(
-        "Values of a weather model are not what their names say: no temperature of air, "
-        "no humidity, or heights that contradict pressure and temperature."
+        "Values of a weather model do not fit their names: impossible temperatures, impossible "
+        "humidities, or heights that contradict pressure and temperature."
     ),
     effect="The mission is refused.",
-    remedy="Download the file again as the model's centre offers it.",
+    remedy="Download the original file again from the centre that runs the model.",
 )
 
 
@@ -294,7 +300,7 @@ def model_temperatures(*, where: str, coldest_k: float, warmest_k: float) -> Inp
     """Temperatures of a model that no air has."""
     return InputError(
         MODEL_UNITS,
-        "temperatures from {coldest_k:.6g} to {warmest_k:.6g} K: that is no air",
+        "temperatures from {coldest_k:.6g} to {warmest_k:.6g} K do not occur in air",
         remedy=FETCH_MODEL_AGAIN,
         where=where,
         coldest_k=coldest_k,
@@ -306,7 +312,10 @@ def model_humidities(*, where: str, kind: str, driest: float, wettest: float) ->
     """Humidities of a model that are no fractions."""
     return InputError(
         MODEL_UNITS,
-        ("{kind} humidity from {driest:.6g} up to {wettest:.6g}: not kg/kg, and no fraction of 1"),
+        (
+            "{kind} humidity from {driest:.6g} up to {wettest:.6g}: neither kg/kg nor a fraction "
+            "of 1"
+        ),
         remedy=FETCH_MODEL_AGAIN,
         where=where,
         kind=kind,
@@ -330,8 +339,10 @@ def model_surface_pressure(*, where: str, departure: float) -> InputError:
     """Surface pressure and height of the ground contradict each other."""
     return InputError(
         MODEL_UNITS,
-        "ln of surface pressure is up to {departure:.3g} from that of its ground's height: "
-        "z or lnsp has another unit",
+        (
+            "ln of surface pressure differs by up to {departure:.3g} from the value for the height "
+            "of the ground: z or lnsp has another unit"
+        ),
         remedy=FETCH_MODEL_AGAIN,
         where=where,
         departure=departure,
@@ -353,8 +364,10 @@ def model_thickness(*, where: str, ratio: float) -> InputError:
     """Layers of a model are not as thick as their temperatures imply."""
     return InputError(
         MODEL_UNITS,
-        "layers are {ratio:.4g} times as thick as pressure and temperature imply: 1 is "
-        "geopotential metres, 9.807 geopotential",
+        (
+            "layers are {ratio:.4g} times as thick as pressure and temperature imply: a factor of "
+            "1 means geopotential metres, 9.807 means geopotential"
+        ),
         remedy=FETCH_MODEL_AGAIN,
         where=where,
         ratio=ratio,
@@ -368,8 +381,8 @@ def model_units_ground(
     return InputError(
         MODEL_UNITS,
         (
-            "z of its ground has no unit: as geopotential the ground is at {surface:.0f} m, "
-            "in metres at {metres:.0f} m, and that of the mission at {ground:.0f} m"
+            "z of its ground has no unit: as geopotential the ground is at {surface:.0f} m, in "
+            "metres at {metres:.0f} m; the ground of the mission is at {ground:.0f} m"
         ),
         where=where,
         surface=surface,
@@ -381,19 +394,19 @@ def model_units_ground(
 
 SOUNDING_CHOICE = Code(
     "SOUNDING-CHOICE",
-    means="The file holds several soundings, and nothing says which is meant.",
+    means="The file contains several soundings, and none is chosen.",
     effect="The mission is refused.",
-    remedy="Keep the one of the flight in the file, or give times.",
+    remedy="Keep only the sounding of the flight in the file, or give times.",
 )
 
 
 def sounding_choice_rows(*, where: object, hours: float) -> InputError:
-    """The file holds several soundings, and nothing says which is meant."""
+    """The file contains several soundings, and none is chosen."""
     return InputError(
         SOUNDING_CHOICE,
         (
-            "its rows are up to {hours:.1f} hours apart: no ascent takes so long, so it holds"
-            " several"
+            "its rows are up to {hours:.1f} hours apart: one ascent does not take so long, so the "
+            "file contains several"
         ),
         where=where,
         hours=hours,
@@ -402,21 +415,21 @@ def sounding_choice_rows(*, where: object, hours: float) -> InputError:
 
 
 def sounding_choice(*, where: object, total: int) -> InputError:
-    """The file holds several soundings, and nothing says which is meant."""
+    """The file contains several soundings, and none is chosen."""
     return InputError(
         SOUNDING_CHOICE,
-        "the file holds {total} soundings and no time is given to choose by",
+        "the file contains {total} soundings, and no time is given to choose one",
         where=where,
         total=total,
-        remedy="keep the one sounding of the flight in the file",
+        remedy="keep only the sounding of the flight in the file",
     )
 
 
 def sounding_choice_undated(*, where: object, total: int) -> InputError:
-    """The file holds several soundings, and nothing says which is meant."""
+    """The file contains several soundings, and none is chosen."""
     return InputError(
         SOUNDING_CHOICE,
-        "none of the {total} soundings has a date to choose by",
+        "none of the {total} soundings has a date, so none can be chosen",
         where=where,
         total=total,
         remedy="keep one sounding",
@@ -427,8 +440,10 @@ def sounding_choice_begins_again(*, where: object) -> InputError:
     """The rows of a table begin again at the ground."""
     return InputError(
         SOUNDING_CHOICE,
-        "its pressures begin again at the ground: it holds several ascents, and no column parts "
-        "them",
+        (
+            "its pressures begin again at the ground: it contains several ascents, and no column "
+            "separates them"
+        ),
         where=where,
         remedy="keep the rows of one ascent, or state the time of each row (time_utc)",
     )
@@ -441,24 +456,26 @@ def sounding_choice_same_time(*, where: object, total: int) -> InputError:
         "{total} soundings of the file have the time that is nearest to the flight",
         where=where,
         total=total,
-        remedy="keep that of the nearest station, or give each a file of its own",
+        remedy=(
+            "keep the sounding of the nearest station, or put each sounding into a separate file"
+        ),
     )
 
 
 SOUNDING_CHOSEN = Code(
     "SOUNDING-CHOSEN",
-    means="Of several soundings the nearest in time is taken.",
+    means="The file has several soundings. The sounding nearest in time is used.",
     effect="As stated.",
     remedy="Nothing.",
 )
 
 
 def sounding_chosen(*, where: str, count: int, hours: float) -> Message:
-    """Of several soundings the nearest in time is taken."""
+    """The file has several soundings. The sounding nearest in time is used."""
     return note(
         SOUNDING_CHOSEN,
-        "of {count} soundings the one {hours:.1f} hours away is taken",
-        one="of 1 sounding the one {hours:.1f} hours away is taken",
+        "of {count} soundings, the one {hours:.1f} hours away is used",
+        one="of 1 sounding, the one {hours:.1f} hours away is used",
         where=where,
         count=count,
         hours=hours,
@@ -467,7 +484,10 @@ def sounding_chosen(*, where: str, count: int, hours: float) -> Message:
 
 SOUNDING_COLUMN = Code(
     "SOUNDING-COLUMN",
-    means="A column of the sounding is missing, stands there twice, or two give one quantity.",
+    means=(
+        "A column of the sounding is missing or occurs twice, or two columns give the same "
+        "quantity."
+    ),
     effect="The mission is refused.",
     remedy="Name columns like h_m, pressure_hpa, temperature_c, dew_point_c.",
 )
@@ -477,7 +497,7 @@ def sounding_column_twice(*, where: str, column: str) -> InputError:
     """A name stands twice in the head of a table."""
     return InputError(
         SOUNDING_COLUMN,
-        "the column {column!r} stands there twice",
+        "the column {column!r} occurs twice",
         where=where,
         remedy="keep one of them",
         column=column,
@@ -498,7 +518,7 @@ def sounding_quantity_twice(*, where: str, column: str, other: str, quantity: st
 
 
 def sounding_column_wyoming(*, where: object, missing: str) -> InputError:
-    """A column of the sounding is missing, stands there twice, or two give one quantity."""
+    """A column of the sounding is missing or occurs twice, or two give the same quantity."""
     return InputError(
         SOUNDING_COLUMN,
         "the Wyoming CSV has no column {missing!r}",
@@ -509,7 +529,7 @@ def sounding_column_wyoming(*, where: object, missing: str) -> InputError:
 
 
 def sounding_column(*, where: object, needed: str, present: str, names: str) -> InputError:
-    """A column of the sounding is missing, stands there twice, or two give one quantity."""
+    """A column of the sounding is missing or occurs twice, or two give the same quantity."""
     return InputError(
         SOUNDING_COLUMN,
         "no column gives the {needed} with its unit; there are {present}",
@@ -525,7 +545,7 @@ SOUNDING_COLUMNS_UNUSED = Code(
     "SOUNDING-COLUMNS-UNUSED",
     means="Columns of the sounding are not read.",
     effect="None.",
-    remedy="Rename them, if they are needed.",
+    remedy="Rename them if they are needed.",
 )
 
 
@@ -542,7 +562,7 @@ def sounding_columns_unused(*, where: str, count: int, columns: str) -> Message:
 
 SOUNDING_CUT_OFF = Code(
     "SOUNDING-CUT-OFF",
-    means="Soundings have a header and no levels: the file was cut off.",
+    means="Soundings have a header and no levels. The file was cut off.",
     effect="One of them may have been nearer to the flight.",
     remedy="Fetch the file again.",
 )
@@ -577,7 +597,7 @@ def sounding_duplicate(*, where: str, count: int) -> Message:
     return note(
         SOUNDING_DUPLICATE,
         "{count} levels repeat the pressure or the height of another: averaged",
-        one="1 level repeat the pressure or the height of another: averaged",
+        one="1 level repeats the pressure or the height of another: averaged",
         where=where,
         count=count,
     )
@@ -594,7 +614,7 @@ SOUNDING_EMPTY = Code(
 def sounding_without_lines(*, where: str) -> InputError:
     """The file of a sounding has no line."""
     return InputError(
-        SOUNDING_EMPTY, "the sounding has no line", where=where, remedy="fetch the file again"
+        SOUNDING_EMPTY, "the sounding is empty", where=where, remedy="fetch the file again"
     )
 
 
@@ -605,7 +625,10 @@ def sounding_no_table(*, where: str, error: str) -> InputError:
         "the sounding cannot be read as a table: {error}",
         where=where,
         error=error,
-        remedy="write a first line with the names of the columns, and as many fields in every row",
+        remedy=(
+            "write a first line with the names of the columns, and the same number of fields in "
+            "every row"
+        ),
     )
 
 
@@ -613,7 +636,7 @@ def sounding_empty(*, where: object) -> InputError:
     """The sounding has no levels."""
     return InputError(
         SOUNDING_EMPTY,
-        "the file holds no levels",
+        "the file contains no levels",
         where=where,
         remedy="fetch it again",
     )
@@ -639,24 +662,24 @@ def sounding_far_in_time(*, where: str, hours: float) -> Message:
 
 SOUNDING_FORMAT = Code(
     "SOUNDING-FORMAT",
-    means="The file is no sounding of the format that is named or found.",
+    means="The file is not a sounding of the format that is stated or detected.",
     effect="The mission is refused.",
-    remedy="Leave format out, or name the one that the file has.",
+    remedy="Leave format out, or state the format of the file.",
 )
 
 
 def sounding_format_igra(*, where: object) -> InputError:
-    """The file is no sounding of the format that is named or found."""
+    """The file is not a sounding of the format that is stated or detected."""
     return InputError(
         SOUNDING_FORMAT,
-        "is no IGRA file: none of its lines begins with # as the header of a sounding does",
+        "is not an IGRA file: none of its lines begins with #, as the header of a sounding does",
         where=where,
-        remedy="leave out format, or name the one that the file has",
+        remedy="leave format out, or state the format of the file",
     )
 
 
 def sounding_format_name(*, where: object, name: str, names: str) -> InputError:
-    """The file is no sounding of the format that is named or found."""
+    """The file is not a sounding of the format that is stated or detected."""
     return InputError(
         SOUNDING_FORMAT,
         "no format of soundings is called {name!r}",
@@ -668,10 +691,10 @@ def sounding_format_name(*, where: object, name: str, names: str) -> InputError:
 
 
 def sounding_format_header(*, where: object, header: str) -> InputError:
-    """The file is no sounding of the format that is named or found."""
+    """The file is not a sounding of the format that is stated or detected."""
     return InputError(
         SOUNDING_FORMAT,
-        "{header!r} is no header of an IGRA sounding",
+        "{header!r} is not the header of an IGRA sounding",
         where=where,
         header=header,
         remedy="fetch the station's file again",
@@ -679,15 +702,15 @@ def sounding_format_header(*, where: object, header: str) -> InputError:
 
 
 def sounding_format(*, where: object, begins: str) -> InputError:
-    """The file is no sounding of the format that is named or found."""
+    """The file is not a sounding of the format that is stated or detected."""
     return InputError(
         SOUNDING_FORMAT,
-        "is no sounding in a known format: it begins with {begins!r}",
+        "is not a sounding in a known format: it begins with {begins!r}",
         where=where,
         begins=begins,
         remedy=(
-            "give IGRA v2, a University of Wyoming list or CSV, or a CSV whose columns "
-            "are named like h_m, pressure_hpa, temperature_c, dew_point_c"
+            "give IGRA v2, a University of Wyoming list or CSV, or a CSV with column names like "
+            "h_m, pressure_hpa, temperature_c, dew_point_c"
         ),
     )
 
@@ -713,7 +736,7 @@ def sounding_height(*, where: object, total: int) -> InputError:
 
 SOUNDING_HEIGHTS = Code(
     "SOUNDING-HEIGHTS",
-    means="Levels have no height: it is computed from pressure and temperature.",
+    means="Levels have no height. It is computed from pressure and temperature.",
     effect="Allowed substitute.",
     remedy="Nothing.",
 )
@@ -733,7 +756,7 @@ def sounding_heights(*, where: str, count: int) -> Message:
 SOUNDING_HUMIDITY_NEGATIVE = Code(
     "SOUNDING-HUMIDITY-NEGATIVE",
     means="Levels have a humidity below zero.",
-    effect="It is taken as unknown there.",
+    effect="It is treated as unknown there.",
     remedy="Nothing.",
 )
 
@@ -742,8 +765,8 @@ def sounding_humidity_negative(*, where: str, count: int) -> Message:
     """Levels have a humidity below zero."""
     return warning(
         SOUNDING_HUMIDITY_NEGATIVE,
-        "{count} levels have a humidity below zero: taken as unknown",
-        one="1 level has a humidity below zero: taken as unknown",
+        "{count} levels have a humidity below zero: treated as unknown",
+        one="1 level has a humidity below zero: treated as unknown",
         where=where,
         count=count,
     )
@@ -752,7 +775,7 @@ def sounding_humidity_negative(*, where: str, count: int) -> Message:
 SOUNDING_HUMIDITY_OVER = Code(
     "SOUNDING-HUMIDITY-OVER",
     means="Levels have more than 100 % humidity.",
-    effect="They are taken as saturated.",
+    effect="They are treated as saturated.",
     remedy="Nothing.",
 )
 
@@ -763,11 +786,11 @@ def sounding_humidity_over(*, where: str, count: int, percent: float) -> Message
         SOUNDING_HUMIDITY_OVER,
         (
             "{count} levels have a dew point above the temperature or more than 100 % "
-            "humidity, at most {percent:.0f} %: taken as saturated"
+            "humidity, at most {percent:.0f} %: treated as saturated"
         ),
         one=(
             "1 level has a dew point above the temperature or more than 100 % humidity, "
-            "at most {percent:.0f} %: taken as saturated"
+            "at most {percent:.0f} %: treated as saturated"
         ),
         where=where,
         count=count,
@@ -777,21 +800,21 @@ def sounding_humidity_over(*, where: str, count: int, percent: float) -> Message
 
 SOUNDING_HUMIDITY_RANGE = Code(
     "SOUNDING-HUMIDITY-RANGE",
-    means="Levels have a dew point that no air has.",
-    effect="It is taken as unknown there.",
+    means="Levels have an impossible dew point.",
+    effect="It is treated as unknown there.",
     remedy="Check the unit of the dew point.",
 )
 
 
 def sounding_humidity_range(*, where: str, count: int, first: float) -> Message:
-    """Levels have a dew point that no air has."""
+    """Levels have an impossible dew point."""
     return warning(
         SOUNDING_HUMIDITY_RANGE,
         (
-            "{count} levels have a dew point that no air has, the first {first:.1f} K: taken "
-            "as unknown"
+            "{count} levels have an impossible dew point, the first {first:.1f} K: treated as "
+            "unknown"
         ),
-        one="1 level has a dew point that no air has, the first {first:.1f} K: taken as unknown",
+        one="1 level has an impossible dew point of {first:.1f} K: treated as unknown",
         where=where,
         count=count,
         first=first,
@@ -802,7 +825,7 @@ SOUNDING_INCONSISTENT = Code(
     "SOUNDING-INCONSISTENT",
     means="The layers of the sounding are not as thick as their pressures and temperatures imply.",
     effect="The mission is refused.",
-    remedy="Look for heights in feet, temperatures in Fahrenheit, columns mixed up.",
+    remedy="Look for heights in feet, temperatures in Fahrenheit, or exchanged columns.",
 )
 
 
@@ -814,8 +837,8 @@ def sounding_inconsistent(*, where: object, ratio: float) -> InputError:
         where=where,
         ratio=ratio,
         remedy=(
-            "look for heights in feet (3.28 times), temperatures in Fahrenheit, columns "
-            "mixed up, or another file in atmosphere.soundings.path"
+            "look for heights in feet (3.28 times), temperatures in Fahrenheit, exchanged columns, "
+            "or a wrong file in atmosphere.soundings.path"
         ),
     )
 
@@ -823,8 +846,8 @@ def sounding_inconsistent(*, where: object, ratio: float) -> InputError:
 SOUNDING_INDEX_RISES = Code(
     "SOUNDING-INDEX-RISES",
     means=(
-        "The refractive index grows with height by more than over hot ground (4 %, or 0.6 % from "
-        "300 m above it): light bends away from the ground."
+        "The refractive index grows with height by more than it does over hot ground (4 %, or 0.6 "
+        "% from 300 m above it). Light bends away from the ground."
     ),
     effect="The levels are kept.",
     remedy="Compare temperatures and dew points with the levels around them.",
@@ -849,7 +872,10 @@ def sounding_index_rises(*, where: str, percent: float, low_m: float, high_m: fl
 SOUNDING_LATITUDE = Code(
     "SOUNDING-LATITUDE",
     means="The latitude of the sounding is not known.",
-    effect="Its heights are those of 45 degrees: at most 27 m wrong at 10 km.",
+    effect=(
+        "Its heights are computed for a latitude of 45 degrees. At 10 km they are wrong by 27 m at "
+        "most."
+    ),
     remedy="Add latitude_deg.",
 )
 
@@ -859,8 +885,8 @@ def sounding_latitude(*, where: str) -> Message:
     return fallback(
         SOUNDING_LATITUDE,
         (
-            "the sounding's latitude is not known: its heights are those of 45 degrees, at "
-            "most 27 m wrong at 10 km"
+            "the latitude of the sounding is not known: its heights are computed for 45 degrees, "
+            "which is at most 27 m wrong at 10 km"
         ),
         where=where,
     )
@@ -879,7 +905,7 @@ def sounding_levels(*, where: object, count: int, fewest: int) -> InputError:
     return InputError(
         SOUNDING_LEVELS,
         "{count} levels have a pressure and a temperature and are in order; {fewest} are needed",
-        one="1 level has a pressure and a temperature and are in order; {fewest} are needed",
+        one="1 level has a pressure and a temperature and is in order; {fewest} are needed",
         where=where,
         count=count,
         fewest=fewest,
@@ -908,22 +934,22 @@ def sounding_missing(*, where: str, count: int, total: int) -> Message:
 
 SOUNDING_ORDER = Code(
     "SOUNDING-ORDER",
-    means="Levels stand lower than one of higher pressure.",
+    means="Levels are lower than a level with a higher pressure.",
     effect="They are not used.",
     remedy="Nothing, if they are few.",
 )
 
 
 def sounding_order(*, where: str, count: int, height_m: float, hpa: float) -> Message:
-    """Levels stand lower than one of higher pressure."""
+    """Levels are lower than a level with a higher pressure."""
     return warning(
         SOUNDING_ORDER,
         (
-            "{count} levels are lower than one of higher pressure, the first at "
+            "{count} levels are lower than a level with a higher pressure, the first at "
             "{height_m:.0f} m and {hpa:.1f} hPa: not used"
         ),
         one=(
-            "1 level is lower than one of higher pressure, the first at {height_m:.0f} m "
+            "1 level is lower than a level with a higher pressure, the first at {height_m:.0f} m "
             "and {hpa:.1f} hPa: not used"
         ),
         where=where,
@@ -935,18 +961,18 @@ def sounding_order(*, where: str, count: int, height_m: float, hpa: float) -> Me
 
 SOUNDING_RANGE = Code(
     "SOUNDING-RANGE",
-    means="Levels have values that no air has.",
+    means="Levels have impossible values.",
     effect="They are not used.",
     remedy="Check units, or fetch the file again.",
 )
 
 
 def sounding_range(*, where: str, count: int, hpa: float, kelvin: float) -> Message:
-    """Levels have values that no air has."""
+    """Levels have impossible values."""
     return loss(
         SOUNDING_RANGE,
-        "{count} levels have values that no air has, the first {hpa:.1f} hPa and {kelvin:.1f} K",
-        one="1 level has values that no air has, the first {hpa:.1f} hPa and {kelvin:.1f} K",
+        "{count} levels have impossible values, the first {hpa:.1f} hPa and {kelvin:.1f} K",
+        one="1 level has impossible values, the first {hpa:.1f} hPa and {kelvin:.1f} K",
         where=where,
         count=count,
         hpa=hpa,
@@ -957,11 +983,14 @@ def sounding_range(*, where: str, count: int, hpa: float, kelvin: float) -> Mess
 SOUNDING_SUPERADIABATIC = Code(
     "SOUNDING-SUPERADIABATIC",
     means=(
-        "The air cools with height by far more than dry air that rises: by 12 K near the ground, "
-        "or 2 K above it, as sondes do not measure."
+        "The air cools with height far more than rising dry air: by 12 K near the ground, or by 2 "
+        "K above it. Radiosondes do not measure such values."
     ),
     effect="The levels are kept.",
-    remedy="Compare the temperatures with the levels around them: a typing error, a wet sensor.",
+    remedy=(
+        "Compare the temperatures with the levels around them. Look for a typing error or a wet "
+        "sensor."
+    ),
 )
 
 
@@ -970,8 +999,8 @@ def sounding_superadiabatic(*, where: str, excess_k: float, low_m: float, high_m
     return warning(
         SOUNDING_SUPERADIABATIC,
         (
-            "from {low_m:.0f} to {high_m:.0f} m the air cools by {excess_k:.1f} K more than dry "
-            "air that rises, which sondes do not measure: kept"
+            "from {low_m:.0f} to {high_m:.0f} m the air cools by {excess_k:.1f} K more than rising "
+            "dry air, which radiosondes do not measure: kept"
         ),
         where=where,
         excess_k=excess_k,
@@ -983,7 +1012,7 @@ def sounding_superadiabatic(*, where: str, excess_k: float, low_m: float, high_m
 SOUNDING_TIME = Code(
     "SOUNDING-TIME",
     means="The sounding states a time that cannot be read.",
-    effect="The mission is refused: how old the sounding is would be a guess.",
+    effect="The mission is refused, because the age of the sounding would be a guess.",
     remedy="Write it as 2026-05-14T10:20:00Z.",
 )
 
@@ -992,7 +1021,7 @@ def sounding_time(*, where: str, time: str) -> InputError:
     """A sounding states a time that is none."""
     return InputError(
         SOUNDING_TIME,
-        "its time {time!r} is no time like 2026-05-14T10:20:00Z",
+        "its time {time!r} is not written like 2026-05-14T10:20:00Z",
         where=where,
         remedy="write the time of the sounding, in UTC, as 2026-05-14T10:20:00Z",
         time=time,
@@ -1026,7 +1055,7 @@ def sounding_two_times(*, where: str, hours: float) -> InputError:
 SOUNDING_PLACE = Code(
     "SOUNDING-PLACE",
     means="The sounding states a place that cannot be read.",
-    effect="The mission is refused: how far away the sounding is would be a guess.",
+    effect="The mission is refused, because the distance of the sounding would be a guess.",
     remedy="Write latitude_deg from -90 to 90 and longitude_deg from -180 to 360, with points.",
 )
 
@@ -1035,7 +1064,7 @@ def sounding_place(*, where: str, latitude: str, longitude: str) -> InputError:
     """A sounding states a latitude or a longitude that is none."""
     return InputError(
         SOUNDING_PLACE,
-        "its place ({latitude!r}, {longitude!r}) is no latitude and longitude in degrees",
+        "its place ({latitude!r}, {longitude!r}) is not a latitude and a longitude in degrees",
         where=where,
         remedy="write latitude_deg from -90 to 90 and longitude_deg from -180 to 360, with points "
         "for decimals",
@@ -1046,18 +1075,18 @@ def sounding_place(*, where: str, latitude: str, longitude: str) -> InputError:
 
 SOUNDING_TRUNCATED = Code(
     "SOUNDING-TRUNCATED",
-    means="The header announces more levels than there are.",
-    effect="The levels that are there are used.",
+    means="The header states more levels than the file has.",
+    effect="The levels of the file are used.",
     remedy="Fetch the file again.",
 )
 
 
 def sounding_truncated(*, where: str, count: int) -> Message:
-    """The header announces more levels than there are."""
+    """The header states more levels than the file has."""
     return loss(
         SOUNDING_TRUNCATED,
-        "the header announces {count} levels more than there are",
-        one="the header announces 1 level more than there are",
+        "the header states {count} levels more than there are",
+        one="the header states 1 level more than there are",
         where=where,
         count=count,
     )
@@ -1065,7 +1094,7 @@ def sounding_truncated(*, where: str, count: int) -> Message:
 
 SOUNDING_UNITS = Code(
     "SOUNDING-UNITS",
-    means="Values of the sounding look like another unit than their column's name says.",
+    means="Values of the sounding look like another unit than the name of their column states.",
     effect="The mission is refused.",
     remedy="State the unit in the column's name.",
 )
@@ -1078,8 +1107,10 @@ def sounding_too_wet(
     return InputError(
         SOUNDING_UNITS,
         _with_column(
-            "{quantity}: {percent:.0f} % of the levels have more than {limit_percent:.0f} % of "
-            "humidity: dew-point depressions in the place of dew points, or another unit",
+            (
+                "{quantity}: {percent:.0f} % of the levels have more than {limit_percent:.0f} % "
+                "humidity: dew-point depressions instead of dew points, or another unit"
+            ),
             column,
         ),
         where=where,

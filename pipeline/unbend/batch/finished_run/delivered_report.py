@@ -124,7 +124,7 @@ def print_pdf(page: str, out: Path, browser: str, timeout_s: float) -> None:
         printed = run_within(command, timeout_s)
         if not is_whole_pdf(target):
             last_lines = " ".join(printed.split())[-300:]
-            raise messages.print_failed(browser=browser, said=last_lines or "it said nothing")
+            raise messages.print_failed(browser=browser, said=last_lines or "it printed no message")
         shutil.copyfile(target, out)
 
 

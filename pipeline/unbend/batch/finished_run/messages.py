@@ -17,32 +17,34 @@ EXPORT_DIRECTION = Code(
 )
 EXPORT_EXISTS = Code(
     "EXPORT-EXISTS",
-    means="The file or folder is there already.",
+    means="The file or folder exists already.",
     effect="The export is refused.",
     remedy="Choose another name, replace a file with --force, or delete the folder.",
 )
 EXPORT_GROUND = Code(
     "EXPORT-GROUND",
-    means="Images without observations have no ground height: the median of the others is taken; "
-    "or --ground-height is no ground height.",
-    effect="An allowed substitute; a refusal for the option.",
+    means=(
+        "Images without observations have no ground height, so the median of the other images is "
+        "used. Or --ground-height is not a valid ground height."
+    ),
+    effect="For images, an allowed substitute. For the option, a refusal.",
     remedy="Give --ground-height in metres above sea level.",
 )
 EXPORT_INSIDE_RUN = Code(
     "EXPORT-INSIDE-RUN",
-    means="The export would lie among the results of the run.",
+    means="The export would be written into the folder of the results of the run.",
     effect="The export is refused.",
     remedy="Write it to another folder, for example next to that of the run.",
 )
 EXPORT_NOT_REPRODUCED = Code(
     "EXPORT-NOT-REPRODUCED",
-    means="The run's own corrections come out differently when they are computed again.",
+    means="The corrections of the run differ when they are computed again.",
     effect="The export is refused.",
     remedy="Run the mission again with this version, then export.",
 )
 EXPORT_USE = Code(
     "EXPORT-USE",
-    means="How to use the export: what to switch off in the program that reads it.",
+    means="How to use the export, and which correction to switch off in the program that reads it.",
     effect="None.",
     remedy="Follow it, so that refraction is not removed twice.",
 )
@@ -74,7 +76,7 @@ def file_exists(*, path: str) -> ConfigError:
     """The file that an export would write is there."""
     return ConfigError(
         EXPORT_EXISTS,
-        "the file is there already",
+        "the file exists already",
         where=path,
         remedy="choose another name, or replace it: --force",
     )
@@ -94,10 +96,14 @@ def ground_of_others(*, count: int, median: float) -> Message:
     """Images without observations get the median ground height of the others."""
     return fallback(
         EXPORT_GROUND,
-        "{count} images have no observations with a ground height: {median:.1f} m is taken, the "
-        "median of the other images",
-        one="1 image has no observations with a ground height: {median:.1f} m is taken, the "
-        "median of the other images",
+        (
+            "{count} images have no observations with a ground height: {median:.1f} m is used, the "
+            "median of the other images"
+        ),
+        one=(
+            "1 image has no observations with a ground height: {median:.1f} m is used, the median "
+            "of the other images"
+        ),
         where="observations",
         count=count,
         median=median,
@@ -108,7 +114,7 @@ def no_ground_height(*, height: float, lowest: float, highest: float) -> ConfigE
     """--ground-height is below or above all ground."""
     return ConfigError(
         EXPORT_GROUND,
-        "{height:g} m is no ground height ({lowest:g} to {highest:g} m)",
+        "{height:g} m is not a valid ground height ({lowest:g} to {highest:g} m)",
         where="--ground-height",
         remedy="give it in metres above sea level",
         height=height,
@@ -121,9 +127,9 @@ def inside_run(*, path: str) -> ConfigError:
     """The export would lie among the results."""
     return ConfigError(
         EXPORT_INSIDE_RUN,
-        "the file would lie among the results of the run",
+        "the file would be in the folder of the results of the run",
         where=path,
-        remedy="write it beside that folder",
+        remedy="write it to another folder, for example next to that folder",
     )
 
 
@@ -131,9 +137,12 @@ def not_reproduced(*, path: str, largest_px: float) -> MissionError:
     """The corrections computed now are not those of the run."""
     return MissionError(
         EXPORT_NOT_REPRODUCED,
-        "the run's own corrections come out {largest_px:.2g} px different",
+        (
+            "the corrections, computed again, differ from those of the run by up to "
+            "{largest_px:.2g} px"
+        ),
         where=path,
-        remedy="it was made by another version: run the mission again, then export",
+        remedy="the run was made by another version: run the mission again, then export",
         largest_px=largest_px,
     )
 
@@ -146,8 +155,8 @@ def use_of_export(*, use: str, name: str) -> Message:
 REPORT_BROWSER = Code(
     "REPORT-BROWSER",
     means=(
-        "A PDF of the report is printed by Chromium or Chrome: there is none, or it did not print "
-        "in time."
+        "A PDF of the report is printed by Chromium or Chrome. The browser is not installed, or it "
+        "did not print in time."
     ),
     effect="No PDF is written.",
     remedy="Install chromium, or open report.html in any browser and print it there.",
@@ -183,7 +192,7 @@ def print_failed(*, browser: str, said: str) -> ConfigError:
     """The browser ended without a whole PDF."""
     return ConfigError(
         REPORT_BROWSER,
-        "{browser} wrote no whole PDF: {said}",
+        "{browser} did not write a complete PDF: {said}",
         where="--pdf",
         remedy="try another browser: --browser PATH; or open report.html and print it there",
         browser=browser,
@@ -195,9 +204,9 @@ def print_too_long(*, browser: str, seconds: float) -> ConfigError:
     """The browser did not end in time, and was ended."""
     return ConfigError(
         REPORT_BROWSER,
-        "{browser} did not end within {seconds:g} s, and was ended",
+        "{browser} did not end within {seconds:g} s, and was stopped",
         where="--timeout",
-        remedy="give it longer: --timeout 600; or open report.html and print it there",
+        remedy="give it more time: --timeout 600; or open report.html and print it there",
         browser=browser,
         seconds=seconds,
     )
@@ -205,7 +214,7 @@ def print_too_long(*, browser: str, seconds: float) -> ConfigError:
 
 REPORT_ENDING = Code(
     "REPORT-ENDING",
-    means="The name of the file does not have the ending of what is written: .html or .pdf.",
+    means="The name of the file does not have the ending of the output: .html or .pdf.",
     effect="Nothing is written.",
     remedy="Rename it, or give --pdf.",
 )
@@ -217,16 +226,16 @@ def report_ending(*, path: str, ending: str) -> ConfigError:
         REPORT_ENDING,
         "the report is written to a file that ends in {ending}",
         where=path,
-        remedy="rename it; --pdf writes a PDF, without it a page is written",
+        remedy="rename it; with --pdf a PDF is written, without --pdf an HTML page",
         ending=ending,
     )
 
 
 REPORT_DATE = Code(
     "REPORT-DATE",
-    means="The report was written by an older version, and has no place for the date.",
+    means="The report was written by an older version. It has no field for the date.",
     effect="The date of processing is not stated.",
-    remedy="Run the mission again with this version, where the date is wanted.",
+    remedy="If the date is needed, run the mission again with this version.",
 )
 
 
@@ -234,6 +243,6 @@ def report_without_date(*, path: str) -> Message:
     """A page without a place for the date of processing."""
     return fallback(
         REPORT_DATE,
-        "the report is of an older version: it does not state the date of processing",
+        "the report was written by an older version: it does not state the date of processing",
         where=path,
     )

@@ -69,7 +69,7 @@ def facts_of_log(path: Path) -> LogFacts:
     takeoff = takeoff_remark(plausible, GroundEvidence.of(log.channels))
     remarks = [time_remark(log), place_remark(plausible), heights_remark(plausible, takeoff)]
     decided = [f"{role} {roles[role].name}" for role in roles if role not in open_roles]
-    remarks.append(f"found by itself: {', '.join(decided)}")
+    remarks.append(f"detected automatically: {', '.join(decided)}")
     if indoors:
         remarks.append(f"{compartment} is in a closed compartment: it does not follow the height")
     events = best_of([channel for channel in log.channels if channel.fits_role("events")])
@@ -188,14 +188,14 @@ def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str
     able = [channel for channel in channels if role in channel.roles and channel.fits_role(role)]
     candidates = best_of(able)
     if not candidates:
-        remark = f"no channel of the log has the {role}; null where stations.trajectory gives it"
+        remark = f"no channel of the log has the {role}; null if stations.trajectory gives it"
         return [Proposed(role, TODO, remark)]
     choices = " or ".join(channel.name + range_text(channel, role) for channel in candidates)
-    outside = Proposed(role, TODO, f"{choices}: the one outside; null to use none")
+    outside = Proposed(role, TODO, f"{choices}: the sensor outside; null to use none")
     may_be_of_cabin = any(f"cabin_{role}" in channel.roles for channel in candidates)
     if not compartment or not may_be_of_cabin:
         return [outside]
-    remark = f"{choices}: the one in the compartment of {compartment}; null if there is none"
+    remark = f"{choices}: the sensor in the compartment of {compartment}; null if it has no sensor"
     return [outside, Proposed(f"cabin_{role}", TODO, remark)]
 
 

@@ -66,7 +66,9 @@ def proposed_cameras(
             image = image_of_series(all_series[number], event_numbers)
         elif channels:
             channel = channel_of_camera(number, count, event_numbers)
-            remark = "names of its images; {index} is the log's number, as in IMG_{index:04d}.JPG"
+            remark = (
+                "names of its images; {index} is the number in the log, as in IMG_{index:04d}.JPG"
+            )
             image = Proposed("image", TODO, remark)
         block = block_cameras[number] if block_cameras else ""
         cameras.append(ProposedCamera(name, channel, image, block))
@@ -134,7 +136,10 @@ def channel_of_camera(number: int, count: int, event_numbers: EventNumbers) -> P
         return open_channel(channels, event_numbers)
     remark = ""
     if count > 1:
-        remark = "guessed: a camera for each channel; name it by the camera that is fired"
+        remark = (
+            "guessed: one camera for each channel; give it the name of the camera that the channel "
+            "triggers"
+        )
     return Proposed("channel", yaml_text(channels[number]), remark)
 
 
@@ -166,7 +171,7 @@ def channel_of_series(
 def open_channel(channels: Sequence[str], event_numbers: EventNumbers) -> Proposed:
     """The key of a channel with its value left open; the remark lists ``channels``."""
     choices = [f"{channel} ({len(event_numbers[channel])} events)" for channel in channels]
-    return Proposed("channel", TODO, f"{' or '.join(choices)}: which of them fires this camera")
+    return Proposed("channel", TODO, f"{' or '.join(choices)}: which of them triggers this camera")
 
 
 def image_of_series(series: NameSeries, event_numbers: EventNumbers) -> Proposed:

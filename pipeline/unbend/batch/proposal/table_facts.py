@@ -110,7 +110,7 @@ def facts_of_table(path: Path) -> TableFacts:
     guessed = guessed_columns(names)
     keys = proposed_columns(guessed, names)
     if any(key.value == TODO for key in keys):
-        remark = "its images are not known until columns says which column has them"
+        remark = "its images are not known until columns names the column of the images"
         return TableFacts(remark=remark, columns=keys)
     columns: dict[str, str | None] = {}
     for quantity, name in guessed.items():
@@ -211,8 +211,8 @@ def extent_of(observations: Observations) -> Extent:
     x = reach_text([batch.x_given_px for batch in batches])
     y = reach_text([batch.y_given_px for batch in batches])
     pixels = (
-        f"99 % of the observations lie within {x.most} x {y.most} px, "
-        f"all within {x.largest} x {y.largest}"
+        f"99 % of the observations are within {x.most} x {y.most} px, all within {x.largest} x "
+        f"{y.largest}"
     )
     return Extent(pixels, heights_text(batches))
 

@@ -139,7 +139,7 @@ def _stretches(line: _Line, end_ns: int) -> list[Stretch]:
     """What a line makes suspect, up to ``end_ns`` [ns], and for 5 s at least."""
     begin_ns = line.time_ns - _TEXT_DELAY_NS
     last_ns = max(end_ns, begin_ns + _MOMENT_NS)
-    reason = f'the autopilot says "{line.text}"'
+    reason = f'the autopilot reports "{line.text}"'
     suspect = [Stretch(begin_ns, last_ns, POSITION, reason)]
     if _OF_ATTITUDE.search(line.text):
         suspect.append(Stretch(begin_ns, last_ns, ATTITUDE, reason))

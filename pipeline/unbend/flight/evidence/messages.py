@@ -42,10 +42,14 @@ def heights_impossible(
     """Heights out of range, or that jump there and back."""
     return loss(
         SENSOR_RANGE,
-        "{count} of {total_values} of {column} are impossible or jump there and back, the first "
-        "{first_m:.0f} m in row {first_row}; not used",
-        one="1 of {total_values} of {column} is impossible or jumps there and back, {first_m:.0f} "
-        "m in row {first_row}; not used",
+        (
+            "{count} of {total_values} of {column} are impossible, or jump away and back; the "
+            "first is {first_m:.0f} m in row {first_row}; not used"
+        ),
+        one=(
+            "1 of {total_values} of {column} is impossible, or jumps away and back: {first_m:.0f} "
+            "m in row {first_row}; not used"
+        ),
         where=channel,
         count=count,
         total_values=Counted(total, "value"),
@@ -80,9 +84,11 @@ def samples_jump(*, where: str, count: int, total: int, first_s: float) -> Messa
 
 SENSOR_CONSTANT = Code(
     "SENSOR-CONSTANT",
-    means="All values of a sensor are equal to the last digit in a flight that moved: it is stuck, "
-    "or its values were never sent.",
-    effect="They are used; what is computed from them is wrong if the sensor is stuck.",
+    means=(
+        "All values of a sensor are equal to the last digit, although the aircraft moved. The "
+        "sensor is stuck, or its values were never sent."
+    ),
+    effect="They are used. If the sensor is stuck, all results from these values are wrong.",
     remedy="Name another channel for the role, or state under `accept` why the values are right.",
 )
 
@@ -103,7 +109,7 @@ def sensor_constant(*, channel: str, role: str, what: str, count: int, moved: st
 
 SENSOR_NOISE = Code(
     "SENSOR-NOISE",
-    means="Samples jump so often that which of them are wrong cannot be decided.",
+    means="Samples jump so often that the wrong ones cannot be identified.",
     effect="All are used.",
     remedy="Check the sensor, or name another channel.",
 )
@@ -113,8 +119,10 @@ def samples_are_noise(*, where: str, count: int, total: int) -> Message:
     """A series that jumps too often for single samples to be wrong."""
     return warning(
         SENSOR_NOISE,
-        "{count} of {total_samples} are farther from the one before than a vehicle or the air can "
-        "change: which of them are wrong cannot be decided",
+        (
+            "{count} of {total_samples} differ from the sample before by more than a vehicle or "
+            "the air can change: the wrong ones cannot be identified"
+        ),
         where=where,
         count=count,
         total_samples=Counted(total, "sample"),
@@ -124,11 +132,11 @@ def samples_are_noise(*, where: str, count: int, total: int) -> Message:
 SENSOR_ODD = Code(
     "SENSOR-ODD",
     means=(
-        "The median of a column is outside the range of its quantity: another unit, or not of "
-        "air or aircraft."
+        "The median of a column is outside the range of its quantity. It has another unit, or does "
+        "not measure air or aircraft."
     ),
     effect="It is not checked further.",
-    remedy="State its unit under log.channels, if it is used.",
+    remedy="If it is used, state its unit under log.channels.",
 )
 
 
@@ -150,9 +158,9 @@ def median_is_odd(
 
 ATTITUDE_ALIGNED = Code(
     "ATTITUDE-ALIGNED",
-    means="The attitude jumped and stayed, as when the filter is aligned or reset.",
+    means="The attitude jumped and stayed there, as it does when the filter is aligned or reset.",
     effect="The samples of the jump are not used.",
-    remedy="Nothing, unless images were taken there.",
+    remedy="Nothing, unless images were taken at this time.",
 )
 
 
@@ -170,7 +178,7 @@ def attitude_aligned(*, where: str, count: int) -> Message:
 CHANNEL_UNIT = Code(
     "CHANNEL-UNIT",
     means=(
-        "The values of a channel look like another unit, or the stated unit is none of its "
+        "The values of a channel look like another unit, or the stated unit is not a unit of its "
         "quantity."
     ),
     effect="The mission is refused.",
@@ -186,7 +194,9 @@ def unit_looks_wrong(
         CHANNEL_UNIT,
         "the median of {column} is {median:.4g}: that looks like {unit}",
         where=f"channel {channel}, role {role}",
-        remedy="say so in the mission file: log.channels.{role}: {{name: {channel}, unit: {unit}}}",
+        remedy=(
+            "state it in the mission file: log.channels.{role}: {{name: {channel}, unit: {unit}}}"
+        ),
         channel=channel,
         role=role,
         column=column,
@@ -198,10 +208,10 @@ def unit_looks_wrong(
 BARO_DRIFT = Code(
     "BARO-DRIFT",
     means=(
-        "The pressure of the barometer drifts away from the GNSS height in a stretch of the flight."
+        "In a part of the flight, the pressure of the barometer drifts away from the GNSS height."
     ),
     effect="Its pressure is not used there.",
-    remedy="Check the barometer: a blocked port or icing drifts like this.",
+    remedy="Check the barometer: a blocked port or icing causes such a drift.",
 )
 
 
@@ -229,7 +239,7 @@ def spare_barometer_drifts(*, barometer: str, reason: str, when: str) -> Message
 
 STATIONS_STAND_IN = Code(
     "STATIONS-STAND-IN",
-    means="In a part of the flight another source replaces one that is wrong.",
+    means="In a part of the flight, another source replaces a source that is wrong.",
     effect="Its values are used there.",
     remedy="Nothing; see the reason.",
 )
@@ -254,9 +264,12 @@ def another_source_stands_in(
 
 STATIONS_SUSPECT = Code(
     "STATIONS-SUSPECT",
-    means="In a stretch of the flight the log contradicts itself, and nothing can stand in.",
-    effect="These stations are suspect: no corrected values unless stations.use_suspect.",
-    remedy="See the reason; give a trajectory computed afterwards.",
+    means="In a part of the flight the log contradicts itself, and there is no other source.",
+    effect=(
+        "These stations are suspect. They have no corrected values unless stations.use_suspect is "
+        "true."
+    ),
+    remedy="See the reason. Give a post-processed trajectory.",
 )
 
 
@@ -281,12 +294,12 @@ def stations_suspect(
 EVENTS_ELSEWHERE = Code(
     "EVENTS-ELSEWHERE",
     means=(
-        "The log has a place, height or attitude of each exposure, and the station is elsewhere."
+        "The log has a place, height or attitude of each exposure, and the station contradicts it."
     ),
-    effect="The stations stand as they are; the run ends with 3.",
+    effect="The stations are not changed. The run ends with exit code 3.",
     remedy=(
-        "Check the channel of the events, their vehicle, clock and delay_s; or accept it with the "
-        "reason."
+        "Check the channel of the events, their vehicle, their clock and delay_s. Or accept the "
+        "finding with the reason."
     ),
 )
 
@@ -309,8 +322,10 @@ def exposures_elsewhere(
         )
     return finding(
         EVENTS_ELSEWHERE,
-        "{count} of {exposures} have a place of their own in the log that is up to {off_m:.0f} m "
-        "from {position} at that time, expected within {limit_m:.0f} m: {likely}",
+        (
+            "for {count} of {exposures}, the log has a place of the exposure that is up to "
+            "{off_m:.0f} m from {position} at that time, expected within {limit_m:.0f} m: {likely}"
+        ),
         where=channel,
         count=count,
         exposures=Counted(total, "exposure"),
@@ -334,9 +349,11 @@ def exposures_at_other_heights(
     """The heights that a log has of exposures are none of the flight's at that time."""
     return finding(
         EVENTS_ELSEWHERE,
-        "{count} of {exposures} have a height of their own in the log ({column}) that is up to "
-        "{off_m:.0f} m from any of {height} at that time, expected within {limit_m:.0f} m: likely "
-        "the events of another vehicle or time",
+        (
+            "for {count} of {exposures}, the log has a height of the exposure ({column}) that is "
+            "up to {off_m:.0f} m from any of {height} at that time, expected within {limit_m:.0f} "
+            "m: likely the events of another vehicle or time"
+        ),
         where=channel,
         count=count,
         exposures=Counted(total, "exposure"),
@@ -353,9 +370,12 @@ def exposures_tilted_otherwise(
     """The attitudes that a log has of exposures are not the flight's at that time."""
     return finding(
         EVENTS_ELSEWHERE,
-        "{count} of {exposures} have an attitude of their own in the log whose vertical is up to "
-        "{off_deg:.1f} deg from that of {attitude} at that time, expected within {limit_deg:.1f} "
-        "deg: likely the events of another vehicle or time, or a camera on a gimbal",
+        (
+            "for {count} of {exposures}, the log has an attitude of the exposure; its vertical is "
+            "up to {off_deg:.1f} deg from that of {attitude} at that time, expected within "
+            "{limit_deg:.1f} deg: likely the events of another vehicle or time, or a camera on a "
+            "gimbal"
+        ),
         where=channel,
         count=count,
         exposures=Counted(total, "exposure"),

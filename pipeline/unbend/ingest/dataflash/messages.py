@@ -9,7 +9,7 @@ from unbend.messages import Message, fallback, loss, note
 LOG_BAD_FORMAT = Code(
     "LOG-BAD-FORMAT",
     means="A record that defines a message type is not valid.",
-    effect="Messages of that type are not read; a note where there are none.",
+    effect="Messages of that type are not read. Without such messages it is a note.",
     remedy="Copy the log again.",
 )
 
@@ -37,8 +37,8 @@ def unused_bad_definition(*, file: str, definition: str) -> Message:
 
 LOG_REDEFINED = Code(
     "LOG-REDEFINED",
-    means="A field changes between text and numbers within the log.",
-    effect="Its values of the other kind are in no channel.",
+    means="The type of a field changes between text and numbers within the log.",
+    effect="Values of the other type are not in any channel.",
     remedy="Nothing, unless the channel is needed.",
 )
 
@@ -47,10 +47,14 @@ def field_redefined(*, message: str, field: str, count: int, total: int) -> Mess
     """Two definitions of a message give one field as text and as number."""
     return loss(
         LOG_REDEFINED,
-        "{count} of {total} values of {field} are of another kind, text or numbers, than in the "
-        "last definition of the log: they are in its table, in no channel",
-        one="1 of {total} values of {field} is of another kind, text or number, than in the "
-        "last definition of the log: it is in its table, in no channel",
+        (
+            "{count} of {total} values of {field} have another type (text or number) than in the "
+            "last definition of the log: they are in its table, but not in a channel"
+        ),
+        one=(
+            "1 of {total} values of {field} has another type (text or number) than in the last "
+            "definition of the log: it is in its table, but not in a channel"
+        ),
         where=message,
         count=count,
         total=total,
@@ -85,7 +89,7 @@ def no_text_field(*, message: str, field: str) -> Message:
     """What the autopilot says is not defined as text."""
     return loss(
         LOG_FIELDS,
-        "its rows hold no text: the log defines no field {field} for it",
+        "its rows contain no text: the log defines no field {field} for it",
         where=message,
         field=field,
     )
@@ -95,7 +99,7 @@ def fields_not_numbers(*, message: str, count: int, fields: Sequence[str]) -> Me
     """Fields that should be numbers are defined as texts or arrays."""
     return loss(
         LOG_FIELDS,
-        "{fields} of {rows} hold no numbers, by their definition",
+        "{fields} of {rows} are not numbers, by their definition",
         where=message,
         count=count,
         fields=", ".join(fields),
@@ -119,7 +123,7 @@ def dropped_by_logger(*, message: str, count: int) -> Message:
     """The logger counted messages that it could not write."""
     return loss(
         LOG_DROPOUT,
-        "the logger dropped {dropped} by its own count",
+        "the logger counted {dropped} that it dropped",
         where=f"{message}.Dp",
         count=count,
         dropped=Counted(count, "message"),
@@ -128,7 +132,7 @@ def dropped_by_logger(*, message: str, count: int) -> Message:
 
 LOG_INSTANCE = Code(
     "LOG-INSTANCE",
-    means="Single rows have a sensor number that no other row has: damage.",
+    means="Single rows have a sensor number that does not occur in other rows: damage.",
     effect="They are not used.",
     remedy="Copy the log again.",
 )
@@ -140,10 +144,14 @@ def stray_instances(
     """A few rows are of other instances than ``main``, which has ``most``, a hundred times more."""
     return loss(
         LOG_INSTANCE,
-        "{count} rows are of instances ({numbers}) that no other row has, beside {most} of "
-        "instance {main}: damage, they are not used",
-        one="1 row is of an instance ({numbers}) that no other row has, beside {most} of instance "
-        "{main}: damage, it is not used",
+        (
+            "{count} rows are of instances ({numbers}) that do not occur in other rows; {most} are "
+            "of instance {main}: damage, they are not used"
+        ),
+        one=(
+            "1 row is of an instance ({numbers}) that does not occur in other rows; {most} are of "
+            "instance {main}: damage, it is not used"
+        ),
         where=message,
         count=count,
         numbers=", ".join(map(str, numbers)),
@@ -154,10 +162,9 @@ def stray_instances(
 
 EVENTS_FIX_TIME = Code(
     "EVENTS-FIX-TIME",
-    means="Exposures of an old log have no time of their own; it follows from the GNSS fix that "
-    "they name.",
-    effect="Allowed substitute; the time's sigma goes into the stations.",
-    remedy="Nothing; a newer firmware logs the time.",
+    means="Exposures of an old log have no time. It is derived from the GNSS fix that they name.",
+    effect="Allowed substitute. The sigmas of the stations include the sigma of this time.",
+    remedy="Nothing. A newer firmware logs the time.",
 )
 
 
@@ -167,12 +174,16 @@ def exposures_timed_by_fix(
     """Rows of CAM name the last fix instead of their own time."""
     return fallback(
         EVENTS_FIX_TIME,
-        "{count} exposures have no time since boot: {known} get that of the fix that they name "
-        "and half an interval of the receiver ({half_interval_s:.3f} s), with a sigma of "
-        "{sigma_s:.3f} s; {unknown} get the time of the record before them",
-        one="1 exposure has no time since boot: {known} get that of the fix that they name "
-        "and half an interval of the receiver ({half_interval_s:.3f} s), with a sigma of "
-        "{sigma_s:.3f} s; {unknown} get the time of the record before them",
+        (
+            "{count} exposures have no time since boot: {known} get the time of the fix that they "
+            "name, plus half an interval of the receiver ({half_interval_s:.3f} s), with a sigma "
+            "of {sigma_s:.3f} s; {unknown} get the time of the record before them"
+        ),
+        one=(
+            "1 exposure has no time since boot: {known} get the time of the fix that they name, "
+            "plus half an interval of the receiver ({half_interval_s:.3f} s), with a sigma of "
+            "{sigma_s:.3f} s; {unknown} get the time of the record before them"
+        ),
         where="CAM",
         count=count,
         known=known,

@@ -22,7 +22,7 @@ def file_beginning_damaged(*, where: str, count: int) -> Message:
     """The first bytes are not those of an MCAP."""
     return loss(
         LOG_BAD_BYTES,
-        "the file begins as no MCAP does: its first bytes are damaged or lost",
+        "the file does not begin as an MCAP: its first bytes are damaged or lost",
         where=where,
         count=count,
     )
@@ -44,8 +44,8 @@ def not_a_record(*, where: str, count: int) -> Message:
     """Bytes between two records that are proved."""
     return loss(
         LOG_BAD_BYTES,
-        "{count} bytes are no record, or part of one whose length is damaged",
-        one="1 byte is no record, or part of one whose length is damaged",
+        "{count} bytes are not a record, or are part of a record with a damaged length",
+        one="1 byte is not a record, or is part of a record with a damaged length",
         where=where,
         count=count,
     )
@@ -65,14 +65,14 @@ def definition_unreadable(*, where: str, count: int, opcode: int, reason: str) -
 
 def chunk_head_invalid(*, where: str, count: int) -> Message:
     """The lengths in the head of a chunk contradict each other."""
-    return loss(LOG_BAD_BYTES, "a chunk has no valid head", where=where, count=count)
+    return loss(LOG_BAD_BYTES, "a chunk has no valid header", where=where, count=count)
 
 
 def compression_unknown(*, where: str, count: int, compression: str) -> Message:
     """A chunk is compressed in a way that MCAP does not define."""
     return loss(
         LOG_BAD_BYTES,
-        "a chunk is compressed with {compression!r}, which is not known",
+        "a chunk is compressed with {compression!r}, which is unknown",
         where=where,
         count=count,
         compression=compression,
@@ -83,7 +83,7 @@ def chunk_not_inflated(*, where: str, count: int, reason: str) -> Message:
     """The library cannot inflate a chunk."""
     return loss(
         LOG_BAD_BYTES,
-        "a chunk does not inflate ({reason})",
+        "a chunk cannot be decompressed ({reason})",
         where=where,
         count=count,
         reason=reason,
@@ -98,7 +98,7 @@ def chunk_of_another_size(*, where: str, count: int, size: int, stated: int) -> 
     inflated = str(Counted(size, "byte")) if size < stated else "more"
     return loss(
         LOG_BAD_BYTES,
-        "a chunk inflates to {inflated}, its head states {stated}",
+        "a chunk is decompressed to {inflated}, but its header states {stated}",
         where=where,
         count=count,
         inflated=inflated,
@@ -110,8 +110,8 @@ def chunk_not_records(*, where: str, count: int, size: int) -> Message:
     """Bytes inside an inflated chunk are no record."""
     return loss(
         LOG_BAD_BYTES,
-        "{count} of {size} bytes of a chunk are no record",
-        one="1 of {size} bytes of a chunk is no record",
+        "{count} of {size} bytes of a chunk are not a record",
+        one="1 of {size} bytes of a chunk is not a record",
         where=where,
         count=count,
         size=size,
@@ -122,7 +122,7 @@ def chunk_end_not_records(*, where: str, count: int, size: int) -> Message:
     """The end of a large chunk holds no record."""
     return loss(
         LOG_BAD_BYTES,
-        "the last {count} of {size} bytes of a chunk are no record",
+        "the last {count} of {size} bytes of a chunk are not a record",
         where=where,
         count=count,
         size=size,
@@ -138,7 +138,7 @@ def summary_checksum_fails(*, where: str) -> Message:
     """The checksum in the footer is not that of the summary."""
     return loss(
         LOG_CRC,
-        "the summary is not where the footer says, or fails its checksum",
+        "the summary is not at the place that the footer states, or fails its checksum",
         where=where,
     )
 
@@ -150,7 +150,7 @@ def data_checksum_fails(*, where: str) -> Message:
 
 _NO_FOOTER = (
     "without the footer that a closed MCAP has: the recorder died or the copy is incomplete, and "
-    "whatever came after is lost"
+    "all later data is lost"
 )
 
 
@@ -188,8 +188,10 @@ def chunk_too_large(
     """A chunk inflates to more than any recorder writes; limits in bytes and as a ratio."""
     return loss(
         LOG_TOO_LARGE,
-        "a chunk of {packed} would inflate to {size}; the limit is {largest}, and {ratio} times "
-        "its own size beyond {free}: it is skipped",
+        (
+            "a chunk of {packed} would be decompressed to {size}; the limit is {largest}, and "
+            "beyond {free} it is {ratio} times the size of the chunk: it is skipped"
+        ),
         where=where,
         count=count,
         packed=Counted(packed, "byte"),
@@ -206,8 +208,10 @@ def chunks_too_large(
     """All chunks together inflate to more than a file of this size may hold."""
     return loss(
         LOG_TOO_LARGE,
-        "a chunk of {packed} would inflate to {size}, and the chunks before it left {left} of the "
-        "{limit} bytes that all chunks of a file of this size may: it is skipped",
+        (
+            "a chunk of {packed} would be decompressed to {size}; all chunks of a file of this "
+            "size may have {limit} bytes, and {left} of these remain: it is skipped"
+        ),
         where=where,
         count=count,
         packed=Counted(packed, "byte"),
@@ -233,8 +237,10 @@ def too_many_messages(*, where: str, count: int, rows: int, left: int, limit: in
     """The chunks hold more messages than a file of this size may."""
     return loss(
         LOG_TOO_LARGE,
-        "a chunk holds {rows} messages, and those before it left {left} of the {limit} that all "
-        "chunks of a file of this size may hold: they are skipped",
+        (
+            "a chunk contains {rows} messages; all chunks of a file of this size may contain "
+            "{limit}, and {left} of these remain: they are skipped"
+        ),
         where=where,
         count=count,
         rows=rows,
@@ -261,10 +267,14 @@ def too_many_elements(*, file: str, count: int) -> Message:
     """Messages hold more texts, or elements of sequences, than a log of this size may."""
     return loss(
         LOG_TOO_LARGE,
-        "{count} messages are not decoded: they have more elements of sequences, each of which has "
-        "to be passed by itself, than a file of this size may",
-        one="1 message is not decoded: it has more elements of sequences, each of which has to be "
-        "passed by itself, than a file of this size may",
+        (
+            "{count} messages are not decoded: they have more elements of sequences that must be "
+            "read one by one than a file of this size may have"
+        ),
+        one=(
+            "1 message is not decoded: it has more elements of sequences that must be read one by "
+            "one than a file of this size may have"
+        ),
         where=file,
         count=count,
     )
@@ -286,8 +296,8 @@ def too_many_names(*, topic: str, count: int, most: int) -> Message:
 
 LOG_INCONSISTENT = Code(
     "LOG-INCONSISTENT",
-    means="The log's own counts or definitions contradict what it holds.",
-    effect="What was read is used, of definitions the first.",
+    means="The counts or definitions of the log contradict its content.",
+    effect="The data that was read is used. If a definition occurs twice, the first is used.",
     remedy="Copy the log again, or recover it with the mcap tool.",
 )
 
@@ -296,8 +306,10 @@ def summary_elsewhere(*, where: str, stated: int, found: int) -> Message:
     """The summary does not begin where the data end."""
     return loss(
         LOG_INCONSISTENT,
-        "the footer says that the summary begins at byte {stated}, the data end at {found}: a part "
-        "of the file is missing",
+        (
+            "the footer states that the summary begins at byte {stated}, but the data end at "
+            "{found}: a part of the file is missing"
+        ),
         where=where,
         stated=stated,
         found=found,
@@ -308,8 +320,10 @@ def data_end_missing(*, where: str, stated: int) -> Message:
     """The log has a footer, but no record says that the data end."""
     return loss(
         LOG_INCONSISTENT,
-        "the footer says that the summary begins at byte {stated}, but no record ends the data: a "
-        "part of the file is missing",
+        (
+            "the footer states that the summary begins at byte {stated}, but no record ends the "
+            "data: a part of the file is missing"
+        ),
         where=where,
         stated=stated,
     )
@@ -352,7 +366,7 @@ def statistics_differ(*, file: str, read: int, stated: int, topics: Sequence[str
 
 LOG_NO_STATISTICS = Code(
     "LOG-NO-STATISTICS",
-    means="The log has no statistics: whether it is whole cannot be checked.",
+    means="The log has no statistics. So it cannot be checked whether the log is complete.",
     effect="None.",
     remedy="Nothing.",
 )
@@ -362,7 +376,7 @@ def no_statistics(*, file: str) -> Message:
     """An undamaged log does not state how many messages it has."""
     return note(
         LOG_NO_STATISTICS,
-        "the log has no statistics: whether it is whole cannot be checked",
+        "the log has no statistics: it cannot be checked whether the log is complete",
         where=file,
     )
 
@@ -393,8 +407,10 @@ def lost_by_recorder(*, topic: str, count: int) -> Message:
 
 LOG_REORDERED = Code(
     "LOG-REORDERED",
-    means="Messages are elsewhere in the file than their numbers and times say.",
-    effect="They are put in order.",
+    means=(
+        "The order of the messages in the file differs from the order of their numbers and times."
+    ),
+    effect="They are sorted.",
     remedy="Nothing.",
 )
 
@@ -403,8 +419,10 @@ def messages_reordered(*, topic: str, first: int, count: int, total: int) -> Mes
     """The numbers of a topic's messages put its times right."""
     return note(
         LOG_REORDERED,
-        "{count} of {total} messages are elsewhere in the file than their numbers and times say: "
-        "they are put in order",
+        (
+            "{count} of {total} messages are not in the order of their numbers and times: they are "
+            "sorted"
+        ),
         where=f"{topic}, first at row {first}",
         count=count,
         total=total,
@@ -473,7 +491,7 @@ def schema_not_parsed(*, topic: str, schema: str, reason: str) -> Message:
 
 LOG_DECODE = Code(
     "LOG-DECODE",
-    means="Messages of a topic cannot be decoded, or hold no numbers where numbers are wanted.",
+    means="Messages of a topic cannot be decoded, or have other values where numbers are needed.",
     effect="They are missing.",
     remedy="Check the recorder and the schema of the topic.",
 )
@@ -503,8 +521,8 @@ def values_not_numbers(*, topic: str, count: int) -> Message:
     """Values of wanted fields are texts or objects."""
     return loss(
         LOG_DECODE,
-        "{count} values are no numbers where numbers are wanted: they are missing",
-        one="1 value is no number where a number is wanted: it is missing",
+        "{count} values are not numbers, although numbers are needed: they are missing",
+        one="1 value is not a number, although a number is needed: it is missing",
         where=topic,
         count=count,
     )
@@ -514,9 +532,9 @@ def topic_without_table(*, file: str, name: str, reason: str) -> LogError:
     """A topic gives no table, because it cannot be decoded."""
     return LogError(
         LOG_NO_TABLE,
-        "{name} has no rows that can be laid out in columns: {reason}",
+        "{name} has no rows that can be written as a table: {reason}",
         where=file,
-        remedy="choose another topic of `unbend inspect`",
+        remedy="choose another topic that `unbend inspect` lists",
         name=name,
         reason=reason,
     )
@@ -526,8 +544,10 @@ def topic_without_table(*, file: str, name: str, reason: str) -> LogError:
 
 TIME_LOG_TIME = Code(
     "TIME-LOG-TIME",
-    means="Messages have no time stamp of their own, or nothing ties it to UTC: the recorder's "
-    "time is used.",
+    means=(
+        "Messages have no time stamp, or their time stamp has no relation to UTC. The recorder's "
+        "time is used."
+    ),
     effect="Exposures may be late by the delay of the transport.",
     remedy="Record header.stamp, or GNSS messages.",
 )
@@ -537,8 +557,10 @@ def set_by_log_time(*, boot: int, count: int, sigma_s: float) -> Message:
     """No GNSS message of a boot ties the time since boot to UTC."""
     return fallback(
         TIME_LOG_TIME,
-        "time counts from boot, and no GNSS message with a fix ties that to UTC: the clock is set "
-        "by the recorder's time, and UTC is good to {sigma_s:.0f} s (1 sigma)",
+        (
+            "time counts from boot, and no GNSS message with a fix gives its UTC: the clock is set "
+            "by the recorder's time, and UTC is accurate to {sigma_s:.0f} s (1 sigma)"
+        ),
         where=f"boot {boot}",
         count=count,
         sigma_s=sigma_s,
@@ -560,7 +582,9 @@ def stamps_before_2001(*, topic: str) -> Message:
     """Time stamps are neither UTC nor a time since boot."""
     return fallback(
         TIME_NO_UTC,
-        "time stamps before 2001 are no UTC (simulated time?): events in this log can be used, "
-        "matching by UTC is impossible",
+        (
+            "time stamps before 2001 are not UTC (simulated time?): events in this log can be "
+            "used, matching by UTC is impossible"
+        ),
         where=topic,
     )

@@ -146,7 +146,7 @@ class _Flattener:
         ``depth``: how many messages it lies inside of.
         """
         if depth > MAX_DEPTH:
-            raise SchemaError(f"{prefix.rstrip('.')} lies {depth} messages deep")
+            raise SchemaError(f"{prefix.rstrip('.')} is {depth} messages deep")
         if name not in self.parsed:
             self.parsed[name] = self.parse(name)
         package = name.split("/")[0]
@@ -164,7 +164,7 @@ class _Flattener:
                 continue
             match = _FIELD.match(text)
             if not match:
-                raise SchemaError(f"{text[:_SHOWN]!r} of {name} is no field")
+                raise SchemaError(f"{text[:_SHOWN]!r} of {name} is not a field")
             fields.append(_Declared(match["kind"], match["array"] or "", match["name"]))
         return fields or [_OF_EMPTY_MESSAGE]
 
@@ -185,7 +185,7 @@ class _Flattener:
         kind = declared.kind
         size = declared.fixed_size
         if kind == "wstring":
-            raise SchemaError(f"{path} is a wstring, which is not read")
+            raise SchemaError(f"{path} is a wstring, which cannot be read")
         most = MAX_COUNT - 1 if kind in KINDS else MAX_STEPS  # an array of numbers is one step
         if size > most:
             raise SchemaError(f"{path[:_SHOWN]} has {size} elements")

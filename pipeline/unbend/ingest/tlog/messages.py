@@ -11,9 +11,9 @@ from unbend.messages import Message, fallback, finding, loss, note, warning
 
 LOG_UNKNOWN_ID = Code(
     "LOG-UNKNOWN-ID",
-    means="Messages have ids that the dialect does not know.",
+    means="Messages have ids that the MAVLink dialect does not define.",
     effect="They are not checked and not read.",
-    remedy="Nothing, unless they are needed.",
+    remedy="Nothing, unless these messages are needed.",
 )
 
 
@@ -21,8 +21,8 @@ def unknown_ids(*, file: str, first: int, count: int, ids: Sequence[int]) -> Mes
     """Frames of ids outside the dialect lie one behind the other between accepted frames."""
     return warning(
         LOG_UNKNOWN_ID,
-        "{count} messages have ids that the dialect does not know ({ids}): not checked, not read",
-        one="1 message has an id that the dialect does not know ({ids}): not checked, not read",
+        "{count} messages have ids that the dialect does not define ({ids}): not checked, not read",
+        one="1 message has an id that the dialect does not define ({ids}): not checked, not read",
         where=f"{file}, first at byte {first}",
         count=count,
         ids=", ".join(map(str, ids)),
@@ -43,9 +43,11 @@ def checksums_fail(*, file: str, first: int, count: int, name: str) -> Message:
 
 LOG_DIALECT = Code(
     "LOG-DIALECT",
-    means="All messages of a type fail their checksum: another version of the dialect. Also: a "
-    "pymavlink without its dialects.",
-    effect="Nothing here needs these messages.",
+    means=(
+        "All messages of a type fail their checksum. They were written with another version of the "
+        "dialect. Or pymavlink was installed without its dialects."
+    ),
+    effect="None. These messages are not needed.",
     remedy="Nothing.",
 )
 
@@ -54,10 +56,14 @@ def another_dialect(*, file: str, first: int, count: int, name: str) -> Message:
     """All messages of a type that is not needed fail their checksum."""
     return warning(
         LOG_DIALECT,
-        "{count} messages {name} fail their checksum, all there are: another version of the "
-        "dialect; nothing here needs them",
-        one="1 message {name} fails its checksum, all there are: another version of the "
-        "dialect; nothing here needs it",
+        (
+            "{count} messages {name} fail their checksum, all of this type: another version of the "
+            "dialect; they are not needed"
+        ),
+        one=(
+            "1 message {name} fails its checksum, the only one of this type: another version of "
+            "the dialect; it is not needed"
+        ),
         where=f"{file}, first at byte {first}",
         count=count,
         name=name,
@@ -113,10 +119,14 @@ def stray_stamps(*, file: str, first: int, count: int) -> Message:
     """Stamps of the ground station, which no checksum covers, jump and return."""
     return loss(
         TIME_STRAY,
-        "{count} messages carry a stamp of the ground station that fits none of their neighbours: "
-        "the one before is used",
-        one="1 message carries a stamp of the ground station that fits none of its neighbours: "
-        "the one before is used",
+        (
+            "{count} messages have a time stamp of the ground station that does not fit their "
+            "neighbours: the stamp before is used"
+        ),
+        one=(
+            "1 message has a time stamp of the ground station that does not fit its neighbours: "
+            "the stamp before is used"
+        ),
         where=f"{file}, first at byte {first}",
         count=count,
     )
@@ -124,7 +134,7 @@ def stray_stamps(*, file: str, first: int, count: int) -> Message:
 
 TIME_WRAP = Code(
     "TIME-WRAP",
-    means="The 32-bit count of milliseconds since boot wrapped after 49.7 days.",
+    means="The 32-bit count of milliseconds since boot overflowed after 49.7 days.",
     effect="It is continued.",
     remedy="Nothing.",
 )
@@ -134,8 +144,10 @@ def count_wrapped(*, sender: str, count: int) -> Message:
     """A sender was on for more than 49.7 days."""
     return note(
         TIME_WRAP,
-        "the 32-bit count of milliseconds since boot wrapped after 49.7 days, {times}: it is "
-        "continued",
+        (
+            "the 32-bit count of milliseconds since boot overflowed after 49.7 days, {times}: it "
+            "is continued"
+        ),
         where=sender,
         count=count,
         times=Counted(count, "time"),
@@ -144,9 +156,9 @@ def count_wrapped(*, sender: str, count: int) -> Message:
 
 TIME_HOST_CLOCK = Code(
     "TIME-HOST-CLOCK",
-    means="No message carries the vehicle's UTC: the ground station's clock is used.",
-    effect="Times may be seconds off UTC; events of the same log fit all the same.",
-    remedy="Give events of this log, not of another clock.",
+    means="No message has the vehicle's UTC. The ground station's clock is used.",
+    effect="Times may differ by seconds from UTC. Events of the same log still fit.",
+    remedy="Use events of this log, not of another clock.",
 )
 
 
@@ -154,8 +166,10 @@ def no_vehicle_time() -> Message:
     """No message of a log has a time of its own."""
     return fallback(
         TIME_HOST_CLOCK,
-        "no message carries the vehicle's time: the ground station's clock is used, which may be "
-        "seconds off UTC",
+        (
+            "no message has the vehicle's time: the ground station's clock is used, which may "
+            "differ by seconds from UTC"
+        ),
     )
 
 
@@ -165,9 +179,11 @@ def set_by_host_clock(
     """A sender has a time since boot, and nothing that ties it to UTC."""
     return fallback(
         TIME_HOST_CLOCK,
-        "no SYSTEM_TIME with UTC: the clock is set by the stamps of {messages}, which are the "
-        "ground station's: UTC is good to {sigma_s:.0f} s (1 sigma), though they agree within "
-        "{spread_ms:.0f} ms (p5 to p95)",
+        (
+            "no SYSTEM_TIME with UTC: the clock is set by the stamps of {messages}, which come "
+            "from the ground station: UTC is accurate to {sigma_s:.0f} s (1 sigma), although they "
+            "agree within {spread_ms:.0f} ms (p5 to p95)"
+        ),
         where=f"{sender}, boot {boot}",
         count=count,
         messages=Counted(count, "message"),
@@ -181,9 +197,9 @@ def no_clock_of_system(*, sender: str, count: int) -> Message:
     return fallback(
         TIME_HOST_CLOCK,
         "no clock of this system is known: {count} messages have the time at which they were "
-        "received, by a ground station's clock that may be seconds off UTC",
+        "received, by a ground station's clock that may differ by seconds from UTC",
         one="no clock of this system is known: 1 message has the time at which it was "
-        "received, by a ground station's clock that may be seconds off UTC",
+        "received, by a ground station's clock that may differ by seconds from UTC",
         where=sender,
         count=count,
     )
@@ -191,7 +207,7 @@ def no_clock_of_system(*, sender: str, count: int) -> Message:
 
 TIME_OWN_UTC = Code(
     "TIME-OWN-UTC",
-    means="The UTC of a camera component is wrong against its reception.",
+    means="The UTC of a camera component contradicts the time of reception of its messages.",
     effect="Its time since boot is used.",
     remedy="Set the camera's clock.",
 )
@@ -214,9 +230,11 @@ def camera_utc_wrong(*, sender: str, count: int, late_s: float) -> Message:
 
 TIME_BORROWED = Code(
     "TIME-BORROWED",
-    means="A component has no clock of its own: that of another of the vehicle is taken.",
-    effect="A note; a loss where the times do not fit, then exposures may be late by the delay of "
-    "the link.",
+    means="A component has no clock. The clock of another component of the vehicle is used.",
+    effect=(
+        "A note; a loss if the times do not fit. Then exposures may be late by the delay of the "
+        "link."
+    ),
     remedy="Log on the vehicle, or give the times of the images.",
 )
 
@@ -225,10 +243,14 @@ def clock_borrowed(*, sender: str, count: int, lender: int, late_s: float) -> Me
     """The times of a sender fit the clock of another component."""
     return note(
         TIME_BORROWED,
-        "it has no clock of its own: the times of {count} messages are taken as those of component "
-        "{lender}, which fits as they were received {late_s:.1f} s later",
-        one="it has no clock of its own: the time of 1 message is taken as that of component "
-        "{lender}, which fits as it was received {late_s:.1f} s later",
+        (
+            "it has no clock: the times of {count} messages are read with the clock of component "
+            "{lender}; this fits, because they were received {late_s:.1f} s later"
+        ),
+        one=(
+            "it has no clock: the time of 1 message is read with the clock of component {lender}; "
+            "this fits, because it was received {late_s:.1f} s later"
+        ),
         where=sender,
         count=count,
         lender=lender,
@@ -240,12 +262,16 @@ def clock_not_borrowed(*, sender: str, count: int, lender: int, late_s: float) -
     """The times of a sender do not fit the clock of another component."""
     return loss(
         TIME_BORROWED,
-        "the times since boot of {count} messages are not those of component {lender}, by which "
-        "they would be {late_s:.1f} s old when they were received: their clock is set by that, and "
-        "exposures may be late by the delay of the link",
-        one="the time since boot of 1 message is not that of component {lender}, by which "
-        "it would be {late_s:.1f} s old when it was received: its clock is set by that, and "
-        "exposures may be late by the delay of the link",
+        (
+            "the times since boot of {count} messages do not fit the clock of component {lender}: "
+            "with that clock they would be {late_s:.1f} s old when they were received; their clock "
+            "is set by the time of reception, and exposures may be late by the delay of the link"
+        ),
+        one=(
+            "the time since boot of 1 message does not fit the clock of component {lender}: with "
+            "that clock it would be {late_s:.1f} s old when it was received; its clock is set by "
+            "the time of reception, and exposures may be late by the delay of the link"
+        ),
         where=sender,
         count=count,
         lender=lender,
@@ -257,7 +283,7 @@ def clock_not_borrowed(*, sender: str, count: int, lender: int, late_s: float) -
 
 EVENT_EMPTY = Code(
     "EVENT-EMPTY",
-    means="Rows of camera feedback have neither time nor place: no exposure was made.",
+    means="Rows of camera feedback have neither time nor place. No exposure was made.",
     effect="They are not used.",
     remedy="Nothing.",
 )
@@ -277,7 +303,7 @@ def empty_feedback(*, channel: str, count: int, total: int) -> Message:
 
 EVENT_REPEAT = Code(
     "EVENT-REPEAT",
-    means="Rows repeat an exposure, as a ground station logs them twice.",
+    means="Rows repeat an exposure, because a ground station logs them twice.",
     effect="The first of each is used.",
     remedy="Nothing.",
 )
@@ -298,10 +324,12 @@ def repeated_events(*, channel: str, count: int, total: int, what: str) -> Messa
 
 EVENT_NO_PULSE = Code(
     "EVENT-NO-PULSE",
-    means="Image numbers of the log never got a time of their own: the camera was triggered and "
-    "its feedback was lost.",
+    means=(
+        "Image numbers of the log have no time. The camera was triggered, and its feedback was "
+        "lost."
+    ),
     effect="These images have no station.",
-    remedy="Take the times of the images from elsewhere (events.csv) if they matter.",
+    remedy="If these images are needed, take their times from another source (events.csv).",
 )
 
 
@@ -309,10 +337,14 @@ def numbers_without_feedback(*, channel: str, count: int, first: int) -> Message
     """Image numbers stand only in rows that repeat the time of another."""
     return warning(
         EVENT_NO_PULSE,
-        "{count} image numbers never got a time of their own (the first is {first}): the camera "
-        "was triggered and its feedback was lost",
-        one="1 image number never got a time of its own (it is {first}): the camera "
-        "was triggered and its feedback was lost",
+        (
+            "{count} image numbers have no time (the first is {first}): the camera was triggered, "
+            "and its feedback was lost"
+        ),
+        one=(
+            "1 image number has no time (it is {first}): the camera was triggered, and its "
+            "feedback was lost"
+        ),
         where=channel,
         count=count,
         first=first,
@@ -323,12 +355,16 @@ def times_of_triggers(*, channel: str, count: int) -> Message:
     """The feedback of a camera has Unix time: that of the command."""
     return note(
         EVENTS_TRIGGER_TIME,
-        "{count} exposures have Unix time, as autopilots send it without a feedback pin: it is "
-        "that of the trigger command, and the shutter opens later (70 to 160 ms were measured), "
-        "which events.log.<camera>.delay_s takes into account",
-        one="1 exposure has Unix time, as autopilots send it without a feedback pin: it is "
-        "that of the trigger command, and the shutter opens later (70 to 160 ms were measured), "
-        "which events.log.<camera>.delay_s takes into account",
+        (
+            "{count} exposures have Unix time, as autopilots send it without a feedback pin: it is "
+            "the time of the trigger command, and the shutter opens later (70 to 160 ms were "
+            "measured); state this delay as events.log.<camera>.delay_s"
+        ),
+        one=(
+            "1 exposure has Unix time, as autopilots send it without a feedback pin: it is the "
+            "time of the trigger command, and the shutter opens later (70 to 160 ms were "
+            "measured); state this delay as events.log.<camera>.delay_s"
+        ),
         where=channel,
         count=count,
     )

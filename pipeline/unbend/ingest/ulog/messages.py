@@ -6,9 +6,9 @@ from unbend.messages import Message, finding, loss, warning
 
 LOG_ULOG = Code(
     "LOG-ULOG",
-    means="The file is no ULog, or one that needs a newer reader.",
+    means="The file is not a ULog, or needs a newer reader.",
     effect="The log is refused.",
-    remedy="Check that it is the whole log.",
+    remedy="Check that the log is complete.",
 )
 
 
@@ -38,7 +38,7 @@ def unknown_flags(*, path: str, flags: bytes) -> LogError:
 LOG_ULOG_DAMAGE = Code(
     "LOG-ULOG-DAMAGE",
     means="Values of parameters or information do not have the length of their type.",
-    effect="They are not used; how much is lost is unknown.",
+    effect="They are not used. The amount of lost data is unknown.",
     remedy="Copy the log again.",
 )
 
@@ -47,10 +47,14 @@ def damaged_values(*, file: str, count: int) -> Message:
     """Parameters or information of a wrong length."""
     return loss(
         LOG_ULOG_DAMAGE,
-        "{count} values of parameters or of information do not have the length of their type; how "
-        "many messages are lost is unknown",
-        one="1 value of a parameter or of information does not have the length of its type; how "
-        "many messages are lost is unknown",
+        (
+            "{count} values of parameters or of information do not have the length of their type; "
+            "the number of lost messages is unknown"
+        ),
+        one=(
+            "1 value of a parameter or of information does not have the length of its type; the "
+            "number of lost messages is unknown"
+        ),
         where=file,
         count=count,
     )
@@ -88,7 +92,7 @@ LOG_PAUSED = Code(
     "LOG-PAUSED",
     means="For most of its time the log has no message of any topic.",
     effect="Exposures there have no station (in_gap); nothing shows that messages are missing.",
-    remedy="Check when the vehicle logs (SDLOG_MODE), if exposures are in these times.",
+    remedy="If exposures are in these times, check when the vehicle logs (SDLOG_MODE).",
 )
 
 
@@ -98,8 +102,10 @@ def logged_now_and_then(
     """Most of the time nothing was logged: the logger was not running."""
     return warning(
         LOG_PAUSED,
-        "{times} nothing was logged, {seconds:.3f} s together beside {logged_s:.3f} s of log: the "
-        "logger was not running all the time",
+        (
+            "{times} nothing was logged, {seconds:.3f} s in total, compared with {logged_s:.3f} s "
+            "of log: the logger was not running all the time"
+        ),
         where=f"{file}, first {after_boot_s:.3f} s after boot",
         count=count,
         times=Counted(count, "time"),

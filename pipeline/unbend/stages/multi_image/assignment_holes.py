@@ -51,10 +51,13 @@ def hole_between(
     is_event_missing = events_needed > events_count or lost_somewhere
     if is_event_missing and "first_image" not in assignment.evidence:
         if counted:
-            return f"{events_count} events for images counted up to {events_needed}: some were lost"
+            return (
+                f"{events_count} events for images counted up to {events_needed}: some events were "
+                "lost"
+            )
         return (
-            f"{events_count} events for {images_count} images, and nothing shows where the log "
-            "lacks one"
+            f"{events_count} events for {images_count} images, and it is not known where events "
+            "are missing in the log"
         )
     if not likelihoods:
         return ""

@@ -276,10 +276,10 @@ class MeasuredControl:
         in_feet = self.place(h_m - too_high_in_feet_m)
         exchanged = ecef_of_geodetic(self.longitude_rad, self.latitude_rad, h_m)
         return {
-            "heights above the ellipsoid taken for those above sea level": below,
-            "heights above sea level taken for those above the ellipsoid": above,
-            "heights above the take-off taken for those above sea level": above_takeoff,
-            "heights in feet taken for metres": in_feet,
+            "heights above the ellipsoid read as heights above sea level": below,
+            "heights above sea level read as heights above the ellipsoid": above,
+            "heights above the take-off read as heights above sea level": above_takeoff,
+            "heights in feet read as metres": in_feet,
             "latitude and longitude exchanged": exchanged,
         }
 
@@ -453,7 +453,7 @@ def report_effect(
     source = "the control points scatter"
     if comparison.sigma_stated:
         noise_m = sigma_m
-        source = "sigmas of stations and pixels let control points miss"
+        source = "the sigmas of stations and pixels move control points"
     if noise_m > effect_m:
         ledger.add(
             messages.control_noise(

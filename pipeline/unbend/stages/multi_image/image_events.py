@@ -376,7 +376,7 @@ def refuse_hole(
     """Refuse (EVENTS-AMBIGUOUS) where a part of the images may belong to other events."""
     hole = hole_between(assignment, images, exposed, likelihoods)
     if hole:
-        why = f"a part of the images, not all, may be shifted, because {hole}"
+        why = f"a part of the images may be shifted, because {hole}"
         refuse_ambiguity(assignment, why, images, exposed)
 
 
@@ -394,12 +394,12 @@ def beside_the_log(images: CameraImages, exposed: Events) -> tuple[str, str]:
     if not far or not is_only_series:
         return "", ""
     what = (
-        f"{images.name.size} images, {index.size} events: {series.listed(far)} does not fit, the "
-        f"other names may be the log's numbers {index.min()} to {index.max()}; "
+        f"{images.name.size} images, {index.size} events: {series.listed(far)} does not fit; the "
+        f"other names may be the numbers of the log {index.min()} to {index.max()}; "
     )
     to_do = (
         f"write events.log.{exposed.camera}.image: {series.pattern('index')} if these are the "
-        "log's numbers, or correct the name in the observations; or "
+        "numbers of the log, or correct the name in the observations; or "
     )
     return what, to_do
 

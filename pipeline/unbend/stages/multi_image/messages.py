@@ -14,18 +14,21 @@ def images_of_another_flight(*, where: str, absent: str, files: str) -> InputErr
     """No image of the observations is among the files."""
     return InputError(
         IMAGES_OTHER,
-        "none of the images of the observations is there: {absent} is not, but {files} is",
+        (
+            "none of the images of the observations is in the folder: it does not have {absent}, "
+            "but it has {files}"
+        ),
         where=where,
         absent=absent,
         files=files,
-        remedy="check events.images.path; names may differ in their ending only",
+        remedy="check events.images.path; names may differ only in their ending",
     )
 
 
 IMAGES_ABSENT = Code(
     "IMAGES-ABSENT",
     means="Images of the observations are not among the files of events.images.",
-    effect="They have no time of their own.",
+    effect="Their times are unknown.",
     remedy="Check events.images.path.",
 )
 
@@ -34,8 +37,8 @@ def images_absent(*, where: str, count: int, first: str) -> Message:
     """Observed images that are not among the files."""
     return loss(
         IMAGES_ABSENT,
-        "{count} observed images are not there, the first is {first}",
-        one="1 observed image is not there: {first}",
+        "{count} observed images are missing, the first is {first}",
+        one="1 observed image is missing: {first}",
         where=where,
         count=count,
         first=first,
@@ -45,13 +48,13 @@ def images_absent(*, where: str, count: int, first: str) -> Message:
 EVENTS_CONTRADICTED = Code(
     "EVENTS-CONTRADICTED",
     means=(
-        "Tie points, times or positions of the images, or the pair under events.first_image, "
-        "contradict the log's numbers in the names of images."
+        "The numbers of the log in the names of images are contradicted by tie points, by times or "
+        "positions of the images, or by the pair under events.first_image."
     ),
     effect="The mission is refused.",
     remedy=(
-        "Check which camera the channel belongs to; count the images by {n} or name them by *, so "
-        "that the evidence decides."
+        "Check which camera the channel belongs to. Count the images by {n} or name them by *. "
+        "Then the evidence decides."
     ),
 )
 
@@ -60,15 +63,15 @@ def numbers_contradicted(*, where: str, found: str, of: str, evidence: str) -> M
     """Evidence contradicts the log's numbers in the names of images."""
     return MissionError(
         EVENTS_CONTRADICTED,
-        "the log's numbers in the names of images are contradicted by {evidence}: {found}",
+        "{evidence} contradict the numbers of the log in the names of images: {found}",
         where=where,
         evidence=evidence,
         found=found,
         of=of,
         remedy=(
-            "check {of}.channel (of which camera?), {of}.image (which numbers?) and "
-            "observations.path (of this flight?); count the images by {{n}} or name them by *, "
-            "and the evidence decides"
+            "check {of}.channel (which camera?), {of}.image (which numbers?) and "
+            "observations.path (of this flight?); count the images by {{n}} or name them by *; "
+            "then the evidence decides"
         ),
     )
 
@@ -76,15 +79,16 @@ def numbers_contradicted(*, where: str, found: str, of: str, evidence: str) -> M
 EVENTS_AMBIGUOUS = Code(
     "EVENTS-AMBIGUOUS",
     means=(
-        "Which image belongs to which event is not decided: another assignment is nearly as "
+        "The assignment of images to events is not decided. Another assignment is nearly as "
         "likely, or there are more images than events, so that a part of the images may be "
-        "shifted. A mistyped image name in the table is enough for that."
+        "shifted. One mistyped image name in the table can cause this."
     ),
     effect="The mission is refused.",
     remedy=(
-        "Correct the names that the refusal names. If the numbers in the names are the log's, "
-        "write {index} in events.log.<camera>.image, as IMG_{index:04d}.JPG. Else state one pair "
-        "under events.first_image.<camera>, or give the images' times under events.images."
+        "Correct the image names that the refusal lists. If the numbers in the names are the "
+        "numbers of the log, write {index} in events.log.<camera>.image, as IMG_{index:04d}.JPG. "
+        "If not, state one pair under events.first_image.<camera>, or give the times of the images "
+        "under events.images."
     ),
 )
 
@@ -95,7 +99,7 @@ def assignment_ambiguous(
     """It is not decided which image belongs to which event."""
     return MissionError(
         EVENTS_AMBIGUOUS,
-        "{strays}which image belongs to which event is not decided: {why}. {found}",
+        "{strays}the assignment of images to events is not decided: {why}. {found}",
         where=where,
         strays=strays,
         why=why,
@@ -113,11 +117,11 @@ def assignment_ambiguous(
 EVENTS_ASSIGNED = Code(
     "EVENTS-ASSIGNED",
     means=(
-        "How images and events were assigned, by what evidence, with residuals, and how likely "
-        "the next best assignment is."
+        "The assignment of images to events: its evidence, its residuals, and how likely the next "
+        "best assignment is."
     ),
-    effect="The stations follow from it.",
-    remedy="Look at the residuals and the runner-up if points miss.",
+    effect="The stations are computed from it.",
+    remedy="If points do not fit, check the residuals and the next best assignment.",
 )
 
 
@@ -134,9 +138,9 @@ def events_assigned(*, where: str, count: int, description: str) -> Message:
 
 EXIF_CLOCK = Code(
     "EXIF-CLOCK",
-    means="The clock of the camera is more than a day off the log's.",
-    effect="The images were assigned by rhythm and order all the same.",
-    remedy="Check that the images are of this day.",
+    means="The clock of the camera differs by more than a day from the clock of the log.",
+    effect="The images were still assigned, by the pattern of their intervals and their order.",
+    remedy="Check whether the images are of this day.",
 )
 
 
@@ -144,7 +148,7 @@ def camera_clock_off(*, where: str, hours: float) -> Message:
     """The camera's clock is days off."""
     return warning(
         EXIF_CLOCK,
-        "the camera's clock is {hours:+.1f} h off: images of this day?",
+        "the camera's clock is wrong by {hours:+.1f} h: are the images of this day?",
         where=where,
         hours=hours,
     )
@@ -152,7 +156,10 @@ def camera_clock_off(*, where: str, hours: float) -> Message:
 
 EVENTS_UNDECIDED = Code(
     "EVENTS-UNDECIDED",
-    means="Images belong to one event by some of the evidence and to another by the rest.",
+    means=(
+        "For some images, one part of the evidence gives one event, and the other part another "
+        "event."
+    ),
     effect="They have no station.",
     remedy="Check the names and times of these images.",
 )
@@ -162,14 +169,8 @@ def events_undecided(*, where: str, count: int, images: str) -> Message:
     """Images of which the evidence disagrees."""
     return loss(
         EVENTS_UNDECIDED,
-        (
-            "{count} images are of one event by some of the evidence and of another by the rest, "
-            "and have none: {images}"
-        ),
-        one=(
-            "1 image is of one event by some of the evidence and of another by the rest, and has "
-            "none: {images}"
-        ),
+        ("the evidence gives different events for {count} images, which have no event: {images}"),
+        one=("the evidence gives different events for 1 image, which has no event: {images}"),
         where=where,
         count=count,
         images=images,
@@ -198,9 +199,9 @@ def events_unused(*, where: str, count: int, events: str) -> Message:
 
 EVENTS_FIRST_IMAGE = Code(
     "EVENTS-FIRST-IMAGE",
-    means="events.first_image names an image or an event that is not there.",
+    means="events.first_image names an image or an event that does not exist.",
     effect="The mission is refused.",
-    remedy="Name an image of this camera as the observations call it.",
+    remedy="Name an image of this camera with its name in the observations.",
 )
 
 
@@ -219,20 +220,20 @@ def first_image_missing(
         event=event,
         events=events,
         first=first,
-        remedy="name an image of this camera as the observations or the files call it",
+        remedy="name an image of this camera with its name in the observations or the folder",
     )
 
 
 ORIENTATION_READING = Code(
     "ORIENTATION-READING",
     means=(
-        "The rays of tie points meet far better if the angles are read in another way, which the "
-        "entry names."
+        "The rays of tie points intersect far better if the angles are read in another way, which "
+        "the entry names."
     ),
     effect="The mission is refused.",
     remedy=(
-        "State what the file holds: unit, angles or columns under stations.orientation, angle_unit "
-        "or columns under stations.trajectory; or correct the file."
+        "State the content of the file: unit, angles or columns under stations.orientation, "
+        "angle_unit or columns under stations.trajectory. Or correct the file."
     ),
 )
 
@@ -244,7 +245,7 @@ def orientation_reading(
     return InputError(
         ORIENTATION_READING,
         (
-            "the rays of {points} tie points meet far better {likely}: the log likelihood is "
+            "the rays of {points} tie points intersect far better {likely}: the log likelihood is "
             "{better:.0f} higher"
         ),
         where=where,
@@ -294,12 +295,13 @@ def frame_impossible(*, where: str, height_m: float) -> InputError:
     """In the stated frame a block lies at impossible heights."""
     return InputError(
         ORIENTATION_FRAME,
-        "in that frame the points of the block lie {height_m:.0f} m above sea level",
+        "in that frame the points of the block are {height_m:.0f} m above sea level",
         where=where,
         height_m=height_m,
         remedy=(
-            "give stations.orientation.frame as the program has it: a local frame is no ecef; "
-            "{{enu: ...}} needs its origin, a model of images alone is unknown"
+            "give the frame of the program as stations.orientation.frame: a local frame is not "
+            "ecef; {{enu: ...}} needs its origin; the frame of a model made only from images is "
+            "unknown"
         ),
     )
 
@@ -308,7 +310,7 @@ def frame_unstated(*, where: str) -> MissionError:
     """Nothing says what x, y and z of a block are."""
     return MissionError(
         ORIENTATION_FRAME,
-        "the file does not say what its x, y and z are",
+        "the file does not state the frame of its x, y and z",
         where=where,
         remedy=(
             "give stations.orientation.frame: ecef; {{enu: {{lat_deg, lon_deg, h_ellipsoid_m}}}}; "
@@ -321,8 +323,10 @@ def angles_of_one_frame(*, where: str, stated: str, latitude_deg: float) -> Miss
     """Our own table of angles in one frame, stated as angles against the vertical of each image."""
     return MissionError(
         ORIENTATION_FRAME,
-        "its angles count from east, north and up at one place (origin_lat_deg {latitude_deg:.6f}),"
-        " not from those of each image as frame: {stated} says",
+        (
+            "its angles are relative to east, north and up at one place (origin_lat_deg "
+            "{latitude_deg:.6f}), not at each image, as frame: {stated} states"
+        ),
         where=where,
         stated=stated,
         latitude_deg=latitude_deg,
@@ -337,11 +341,11 @@ def angles_of_one_frame(*, where: str, stated: str, latitude_deg: float) -> Miss
 GROUND_BLOCK = Code(
     "GROUND-BLOCK",
     means=(
-        "Ground heights are those of the block's points; image points of none take the median of "
-        "their image."
+        "Ground heights are taken from the points of the block. Image points without a point of "
+        "the block get the median of their image."
     ),
     effect="As stated.",
-    remedy="Nothing, if the relief is small against the flying height.",
+    remedy="Nothing, if the relief is small compared with the flying height.",
 )
 
 
@@ -350,13 +354,14 @@ def ground_of_block(*, where: str, count: int, low: float, high: float, apart: f
     return note(
         GROUND_BLOCK,
         (
-            "{count} points of the block lie {low:.0f} to {high:.0f} m above sea level; image "
-            "points of none take the median of their image, from which its points are {apart:.0f} "
-            "m away in the median"
+            "{count} points of the block are {low:.0f} to {high:.0f} m above sea level; image "
+            "points without a point of the block get the median of their image; the median "
+            "distance of the points from it is {apart:.0f} m"
         ),
         one=(
-            "1 point of the block lies {low:.0f} m above sea level; image points of none take the "
-            "median of their image, from which its points are {apart:.0f} m away in the median"
+            "1 point of the block is {low:.0f} m above sea level; image points without a point of "
+            "the block get the median of their image; the median distance of the points from it is "
+            "{apart:.0f} m"
         ),
         where=where,
         count=count,
@@ -368,11 +373,15 @@ def ground_of_block(*, where: str, count: int, low: float, high: float, apart: f
 
 ORIENTATION_HEIGHT = Code(
     "ORIENTATION-HEIGHT",
-    means="Stations lie below the ground, or far above all others.",
+    means="Stations are below the ground, or far above all others.",
     effect=(
-        "A note or a warning; refused where many lie below, a loss where single ones are far above."
+        "A note or a warning. Refused if many stations are below the ground. A loss if single "
+        "stations are far above."
     ),
-    remedy=("Check the column of heights, its unit, heights (msl or ellipsoid), and the ground's."),
+    remedy=(
+        "Check the column of heights, its unit, heights (msl or ellipsoid), and the same for the "
+        "ground."
+    ),
 )
 
 
@@ -383,11 +392,11 @@ def stations_below_ground(
     return MissionError(
         ORIENTATION_HEIGHT,
         (
-            "{count} of {total} stations lie below the ground: the cameras are {median:.0f} m "
+            "{count} of {total} stations are below the ground: the cameras are {median:.0f} m "
             "above the ground in the median, {low:.0f} to {high:.0f} m"
         ),
         one=(
-            "1 of {total} stations lies below the ground: the cameras are {median:.0f} m above "
+            "1 of {total} stations is below the ground: the cameras are {median:.0f} m above "
             "the ground in the median, {low:.0f} to {high:.0f} m"
         ),
         where=where,
@@ -397,8 +406,8 @@ def stations_below_ground(
         low=low,
         high=high,
         remedy=(
-            "check the column of heights, their unit (metres), heights (msl or ellipsoid), and "
-            "the ground's"
+            "check the column of heights, their unit (metres), heights (msl or ellipsoid), and the "
+            "same for the ground"
         ),
     )
 
@@ -446,7 +455,7 @@ def frame_contradicted(*, where: str, found: str, stated: str) -> Message:
     """A file and the mission file name different frames."""
     return warning(
         IMPORT_CONTRADICTED,
-        "by the file its frame is {found}, by the mission file {stated}, which is used",
+        "the frame is {found} in the file and {stated} in the mission file, which is used",
         where=where,
         found=found,
         stated=stated,
@@ -458,8 +467,8 @@ def no_point_in_table(*, where: str, total: int, point: str, first: str) -> Inpu
     return InputError(
         POINTS_MISSING,
         (
-            "none of the points of {total} observations is in the table: these are {point} ..., "
-            "the table has {first} ..."
+            "none of the points of {total} observations is in the table: the observations have "
+            "{point} ..., the table has {first} ..."
         ),
         where=where,
         total=total,
@@ -474,9 +483,9 @@ def no_point_in_table(*, where: str, total: int, point: str, first: str) -> Inpu
 
 POINTS_FAR = Code(
     "POINTS-FAR",
-    means="The points lie far from the stations.",
-    effect="A loss; refused behind their horizon.",
-    remedy="Name columns and crs of the table; x is east, y north.",
+    means="The points are far from the stations.",
+    effect="A loss. Refused if the points are beyond the horizon of the stations.",
+    remedy="Name the columns and the crs of the table. x is east, y is north.",
 )
 
 
@@ -485,14 +494,14 @@ def points_beyond_horizon(*, where: str, km: float, other: str) -> InputError:
     return InputError(
         POINTS_FAR,
         (
-            "the object points lie {km:.0f} km from the stations that see them, in the "
-            "median{other}: behind their horizon"
+            "the object points are {km:.0f} km from the stations that see them, in the "
+            "median{other}: beyond the horizon"
         ),
         where=where,
         km=km,
         other=other,
         remedy=(
-            "name the columns, and state the system they are in: ground.height.columns, "
+            "name the columns, and state their coordinate system: ground.height.columns, "
             "ground.height.crs"
         ),
     )
@@ -502,7 +511,7 @@ def points_far(*, where: str, count: int, km: float, other: str) -> Message:
     """Object points are very far from the stations that see them."""
     return loss(
         POINTS_FAR,
-        "the object points lie {km:.0f} km from the stations that see them, in the median{other}",
+        "the object points are {km:.0f} km from the stations that see them, in the median{other}",
         where=where,
         count=count,
         km=km,
@@ -513,11 +522,11 @@ def points_far(*, where: str, count: int, km: float, other: str) -> Message:
 GROUND_INTERSECTED = Code(
     "GROUND-INTERSECTED",
     means=(
-        "Ground heights are where the rays of points in several images meet. The entry gives how "
-        "many, and their sigma."
+        "Ground heights are computed by intersection of the rays of points in several images. The "
+        "entry gives their number and their sigma."
     ),
-    effect="A note; a loss where the sigma is poor; refused where no rays meet.",
-    remedy="Give ground.height as a number, a column or a table where rays are too few.",
+    effect="A note; a loss if the sigma is large. Refused if no rays intersect.",
+    remedy="If there are too few rays, give ground.height as a number, a column or a table.",
 )
 
 
@@ -528,9 +537,9 @@ def no_height_intersected(
     return MissionError(
         GROUND_INTERSECTED,
         (
-            "{known} of {points} have a height by the intersection of their rays; fewer "
-            "than two rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do "
-            "not meet: {apart}"
+            "{known} of {points} have a height by the intersection of their rays; fewer than two "
+            "rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do not "
+            "intersect: {apart}"
         ),
         where=where,
         known=known,
@@ -561,14 +570,14 @@ def heights_intersected(
         kind,
         GROUND_INTERSECTED,
         (
-            "{count} of {points} have a height by the intersection of their rays; fewer "
-            "than two rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do "
-            "not meet: {apart}; sigma of a height is {percent:.2g} % of the height above it, "
-            "in the median"
+            "{count} of {points} have a height by the intersection of their rays; fewer than two "
+            "rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do not "
+            "intersect: {apart}; sigma of a height is {percent:.2g} % of the height above it, in "
+            "the median"
         ),
         one=(
-            "1 of {points} has a height by the intersection of its rays; fewer than two "
-            "rays: {few}, only rays within 3 deg of each other: {narrow}, rays that do not meet: "
+            "1 of {points} has a height by the intersection of its rays; fewer than two rays: "
+            "{few}, only rays within 3 deg of each other: {narrow}, rays that do not intersect: "
             "{apart}; sigma of the height is {percent:.2g} % of the height above it"
         ),
         where=where,
@@ -594,8 +603,8 @@ def control_missing(*, where: str, total: int, name: str, first: str) -> InputEr
     return InputError(
         CONTROL_MISSING,
         (
-            "none of {total} control points is measured in an image: these are {name} ..., the "
-            "points of the observations {first} ..."
+            "none of {total} control points is measured in an image: the control points are {name} "
+            "..., the points of the observations are {first} ..."
         ),
         where=where,
         total=total,
@@ -607,8 +616,8 @@ def control_missing(*, where: str, total: int, name: str, first: str) -> InputEr
 
 CONTROL_RAYS = Code(
     "CONTROL-RAYS",
-    means="No control point has rays that meet under 3 degrees or more.",
-    effect="There is no comparison before and after.",
+    means="No control point has rays that intersect at 3 degrees or more.",
+    effect="There is no comparison before and after the correction.",
     remedy="Measure control points in two or more images.",
 )
 
@@ -618,11 +627,11 @@ def control_without_rays(*, where: str, count: int) -> Message:
     return loss(
         CONTROL_RAYS,
         (
-            "of {count} control points none has a height and rays that meet at 3 deg or more: "
+            "none of {count} control points has a height and rays that intersect at 3 deg or more: "
             "there is nothing to compare"
         ),
         one=(
-            "the control point has no height, or no rays that meet at 3 deg or more: there is "
+            "the control point has no height, or no rays that intersect at 3 deg or more: there is "
             "nothing to compare"
         ),
         where=where,
@@ -633,11 +642,11 @@ def control_without_rays(*, where: str, count: int) -> Message:
 CONTROL_READING = Code(
     "CONTROL-READING",
     means=(
-        "The control points fit far better in another reading: feet, another zero of heights, "
-        "exchanged coordinates."
+        "The control points fit far better if they are read in another way: feet, another zero of "
+        "heights, exchanged coordinates."
     ),
-    effect="No result changes; the run ends with 3.",
-    remedy="Change control.crs, control.reference or control.columns to what fits.",
+    effect="No result changes. The run ends with exit code 3.",
+    remedy="Correct control.crs, control.reference or control.columns as the entry states.",
 )
 
 
@@ -646,12 +655,13 @@ def control_reading(*, where: str, count: int, stated: float, off: float, likely
     return finding(
         CONTROL_READING,
         (
-            "the rays of {count} control points meet {stated:.4g} m from them, in the median, "
-            "{off:.2g} m with {likely}: change control.crs, control.reference or control.columns"
+            "the rays of {count} control points intersect {stated:.4g} m from them, in the median, "
+            "but {off:.2g} m with {likely}: change control.crs, control.reference or "
+            "control.columns"
         ),
         one=(
-            "the rays of 1 control point meet {stated:.4g} m from it, {off:.2g} m with {likely}: "
-            "change control.crs, control.reference or control.columns"
+            "the rays of 1 control point intersect {stated:.4g} m from it, but {off:.2g} m with "
+            "{likely}: change control.crs, control.reference or control.columns"
         ),
         where=where,
         count=count,
@@ -664,10 +674,10 @@ def control_reading(*, where: str, count: int, stated: float, off: float, likely
 CONTROL_FAR = Code(
     "CONTROL-FAR",
     means=(
-        "The rays of control points meet far from them, and no other reading of the coordinates "
-        "fits."
+        "The rays of control points intersect far from the points. No other reading of the "
+        "coordinates fits."
     ),
-    effect="No result changes; the run ends with 3.",
+    effect="No result changes. The run ends with exit code 3.",
     remedy="Check names, control.crs and control.reference, and the stations.",
 )
 
@@ -677,14 +687,14 @@ def control_far(*, where: str, count: int, stated: float, sigma: float) -> Messa
     return finding(
         CONTROL_FAR,
         (
-            "the rays of {count} control points meet {stated:.4g} m from them, in the median "
-            "(sigmas of the stations explain {sigma:.2g} m): points of other names, another "
-            "system (control.crs, control.reference), or stations that are off"
+            "the rays of {count} control points intersect {stated:.4g} m from them, in the median "
+            "(sigmas of the stations explain {sigma:.2g} m): wrong names of points, another system "
+            "(control.crs, control.reference), or wrong stations"
         ),
         one=(
-            "the rays of 1 control point meet {stated:.4g} m from it (sigmas of the stations "
-            "explain {sigma:.2g} m): a point of another name, another system (control.crs, "
-            "control.reference), or stations that are off"
+            "the rays of 1 control point intersect {stated:.4g} m from it (sigmas of the stations "
+            "explain {sigma:.2g} m): a wrong name of the point, another system (control.crs, "
+            "control.reference), or wrong stations"
         ),
         where=where,
         count=count,
@@ -695,9 +705,9 @@ def control_far(*, where: str, count: int, stated: float, sigma: float) -> Messa
 
 CONTROL_OUTLIER = Code(
     "CONTROL-OUTLIER",
-    means="Single control points are missed far more than the others.",
-    effect="No result changes; the run ends with 3.",
-    remedy="Check these points: name, measurement, survey.",
+    means="The residuals of single control points are far larger than those of the others.",
+    effect="No result changes. The run ends with exit code 3.",
+    remedy="Check the name, the measurement and the survey of these points.",
 )
 
 
@@ -708,13 +718,12 @@ def control_outlier(
     return finding(
         CONTROL_OUTLIER,
         (
-            "{count} of {total} control points lie up to {most:.2g} m off where the others are "
-            "{median:.2g} m off: {names}; a point of another name, measured wrongly, or surveyed "
-            "wrongly"
+            "{count} of {total} control points have residuals of up to {most:.2g} m, the others "
+            "{median:.2g} m: {names}; the name, the measurement or the survey of a point is wrong"
         ),
         one=(
-            "1 of {total} control points lies {most:.2g} m off where the others are {median:.2g} "
-            "m off: {names}; a point of another name, measured wrongly, or surveyed wrongly"
+            "1 of {total} control points has a residual of {most:.2g} m, the others {median:.2g} "
+            "m: {names}; the name, the measurement or the survey of a point is wrong"
         ),
         where=where,
         count=count,
@@ -728,10 +737,11 @@ def control_outlier(
 CONTROL_NOISE = Code(
     "CONTROL-NOISE",
     means=(
-        "The control points scatter, or the stations are known, worse than refraction moves them."
+        "The scatter of the control points, or the uncertainty of the stations, is larger than the "
+        "effect of refraction."
     ),
-    effect="None; the comparison before and after shows little.",
-    remedy="Use more control, or better stations, to see the effect.",
+    effect="None. The comparison before and after the correction shows little.",
+    remedy="To see the effect, use more control points or better stations.",
 )
 
 
@@ -740,8 +750,8 @@ def control_noise(*, where: str, count: int, of: str, noise: float, effect: floa
     return warning(
         CONTROL_NOISE,
         (
-            "{of} by {noise:.3g} m, and refraction moves them by {effect:.3g} m: no single one "
-            "shows what the correction does"
+            "{of} by {noise:.3g} m, and refraction moves them by {effect:.3g} m: no single point "
+            "shows the effect of the correction"
         ),
         where=where,
         count=count,
@@ -753,11 +763,11 @@ def control_noise(*, where: str, count: int, of: str, noise: float, effect: floa
 
 CONTROL_WORSE = Code(
     "CONTROL-WORSE",
-    means="The correction moves the rays away from the control points.",
-    effect="The correction stands; the run ends with 3.",
+    means="With the correction, the rays are farther from the control points.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy=(
-        "Check whether calibration, stations or control were adjusted to images with refraction "
-        "in, or whether it was removed before."
+        "Check whether the calibration, the stations or the control points were adjusted to images "
+        "that contain refraction, or whether refraction was removed before."
     ),
 )
 
@@ -767,15 +777,15 @@ def control_worse(*, where: str, count: int, was: float, now: float) -> Message:
     return finding(
         CONTROL_WORSE,
         (
-            "{count} control points are missed by {was:.3g} m before and {now:.3g} m after the "
+            "{count} control points have residuals of {was:.3g} m before and {now:.3g} m after the "
             "correction (RMS): their heights, the stations or the calibration were adjusted to "
-            "images with refraction in, or it was removed before (observations.refraction, "
+            "images that contain refraction, or it was removed before (observations.refraction, "
             "cameras.<name>.calibration)"
         ),
         one=(
-            "1 control point is missed by {was:.3g} m before and {now:.3g} m after the "
-            "correction: its height, the stations or the calibration were adjusted to images with "
-            "refraction in, or it was removed before (observations.refraction, "
+            "1 control point has a residual of {was:.3g} m before and {now:.3g} m after the "
+            "correction: its height, the stations or the calibration were adjusted to images that "
+            "contain refraction, or it was removed before (observations.refraction, "
             "cameras.<name>.calibration)"
         ),
         where=where,
@@ -787,71 +797,75 @@ def control_worse(*, where: str, count: int, was: float, now: float) -> Message:
 
 TIES_HEIGHT = Code(
     "TIES-HEIGHT",
-    means="By tie points the stations, or the points, are at other heights than stated.",
-    effect="R changes with the height; the run ends with 3.",
+    means="Tie points show that the stations, or the points, are at other heights than stated.",
+    effect="R changes with the height. The run ends with exit code 3.",
     remedy="Check ground.height, ground.reference and the heights of the stations.",
 )
 
 TIES_TIME = Code(
     "TIES-TIME",
-    means="By tie points the exposures were earlier or later than stated.",
-    effect="Stations are off along the track; the run ends with 3.",
+    means="Tie points show that the exposures were earlier or later than stated.",
+    effect="Stations are wrong along the track. The run ends with exit code 3.",
     remedy=("Check delay_s, the time system (GPS time is 18 s ahead of UTC) and the time zone."),
 )
 
 TIES_FOCAL = Code(
     "TIES-FOCAL",
-    means="By tie points a principal distance is another than stated.",
-    effect="The correction scales with it; the run ends with 3.",
+    means="Tie points show that a principal distance differs from the stated one.",
+    effect="The correction scales with it. The run ends with exit code 3.",
     remedy="Check cameras.<name>: f in pixels, of these images.",
 )
 
 TIES_CALIBRATION = Code(
     "TIES-CALIBRATION",
     means=(
-        "By tie points a principal point or distortion has another sign or other axes than "
-        "stated, or is that of another camera."
+        "Tie points show that a principal point or distortion has another sign or other axes than "
+        "stated, or belongs to another camera."
     ),
-    effect="Rays leave the camera in wrong directions; the run ends with 3.",
+    effect="Rays leave the camera in wrong directions. The run ends with exit code 3.",
     remedy=(
-        "Check cameras.<name>: cx_px and cy_px from the upper left corner, x to the right, y "
-        "down; distortion, not corrections; the certificate of this camera."
+        "Check cameras.<name>: cx_px and cy_px are measured from the upper left corner, x to the "
+        "right, y down; coefficients are of the distortion, not of the correction. Check whether "
+        "the certificate belongs to this camera."
     ),
 )
 
 TIES_PIXELS = Code(
     "TIES-PIXELS",
-    means="By tie points x and y are exchanged, or y counts upward.",
-    effect="The corrections point the wrong way; the run ends with 3.",
+    means="Tie points show that x and y are exchanged, or that y is measured upward.",
+    effect="The corrections have a wrong direction. The run ends with exit code 3.",
     remedy="Check observations.columns.",
 )
 
 TIES_CAMERAS = Code(
     "TIES-CAMERAS",
-    means="By tie points the images of two cameras are exchanged.",
-    effect="The corrections stand on the wrong cameras; the run ends with 3.",
+    means="Tie points show that the images of two cameras are exchanged.",
+    effect="The corrections are computed with the wrong cameras. The run ends with exit code 3.",
     remedy="Exchange them under cameras, mount or events.",
 )
 
 TIES_MOUNT = Code(
     "TIES-MOUNT",
-    means=("By tie points the angles of a mount are others than stated; the entry gives them."),
-    effect="Nadir angles are wrong by as much; the run ends with 3.",
+    means=(
+        "Tie points show that the angles of a mount differ from the stated ones. The entry gives "
+        "the angles that fit."
+    ),
+    effect="Nadir angles are wrong by the difference. The run ends with exit code 3.",
     remedy="Check mount.<camera>: degrees, signs, order.",
 )
 
 TIES_RESIDUALS = Code(
     "TIES-RESIDUALS",
     means=(
-        "How far the rays of tie points miss each other before adjustment; the refraction of "
-        "us1976 is removed, that of windows is not. As a finding: they meet in part only, and no "
-        "single mistake explains it."
+        "The distance between the rays of tie points before adjustment. The refraction of us1976 "
+        "is removed, the refraction of windows is not. As a finding: only a part of the rays "
+        "intersect, and no single mistake explains it."
     ),
     effect=(
-        "None as a note. As a finding stations or cameras are likely wrong, and the run ends with "
-        "3."
+        "As a note: none. As a finding: stations or cameras are probably wrong, and the run ends "
+        "with 3."
     ),
-    remedy=("Nothing for a note; for a finding look at the nearest explanations that it lists."),
+    remedy=("Nothing for a note. For a finding, check the most likely explanations in its list."),
 )
 
 ORIENTATION_TIES = Code(
@@ -864,7 +878,7 @@ ORIENTATION_TIES = Code(
         "A note has none. After a finding the run ends with 3: the corrections use wrong stations "
         "or cameras."
     ),
-    remedy="Check that orientations, images and cameras are of one block.",
+    remedy="Check whether orientations, images and cameras belong to the same block.",
 )
 
 
@@ -938,8 +952,9 @@ def ties_contradict(
     text += "; change {change}"
     if residual is not None:
         text += (
-            "; rays still miss by {residual:.1f} times what the stations' sigmas explain: these "
-            "are too small, or there is another mistake, beside this or in its place"
+            "; the remaining residuals of the rays are {residual:.1f} times larger than the sigmas "
+            "of the stations explain: the sigmas are too small, or there is another mistake, in "
+            "addition to this one or instead of it"
         )
     return finding(
         CONTRADICTIONS[code],
@@ -968,11 +983,12 @@ def ties_do_not_meet(
     ``nearest`` : explanations with which they miss each other less; empty where there is none.
     """
     text = (
-        "{misses}: the orientations are not what they should be (rows of other images or cameras, "
-        "another convention, log.path of another flight), or the name of a point is not that of "
-        "one point in all images"
+        "{misses}: the orientations are wrong (rows of other images or cameras, another "
+        "convention, log.path of another flight), or a name of a point is used for different points"
     )
     if nearest:
-        text += "; nearest comes, though rays still miss then: {nearest}"
+        text += (
+            "; the best explanation, although the rays still do not intersect with it: {nearest}"
+        )
     code = ORIENTATION_TIES if oriented else TIES_RESIDUALS
     return finding(code, text, where=where, count=count, misses=misses, nearest=nearest)

@@ -40,13 +40,15 @@ MOST_MEET = 0.5  # share of the points whose rays meet at least where nothing is
 MOST_WORST_IMAGES = 3  # that a finding names
 
 TO_CHANGE = {
-    "TIES-HEIGHT": "ground.height (its column or unit), ground.reference, mission.undulation_m, or "
-    "what the heights of the stations count from",
-    "TIES-TIME": "delay_s under events, or the clock that the times are of",
+    "TIES-HEIGHT": (
+        "ground.height (its column or unit), ground.reference, mission.undulation_m, or the "
+        "reference of the heights of the stations"
+    ),
+    "TIES-TIME": "delay_s under events, or the clock of the times",
     "TIES-FOCAL": "{}: fx_px and fy_px (f_px, params, metric.focal_mm)",
     "TIES-CALIBRATION": "{}: cx_px, cy_px, distortion (k1 ...; or params, file, metric)",
     "TIES-PIXELS": "{}: x_px, y_px",
-    "TIES-CAMERAS": "image or channel of both under events, or their names under cameras",
+    "TIES-CAMERAS": "image or channel of both cameras under events, or their names under cameras",
 }
 """What to change, by the code of a finding. For other codes that is the key of the finding."""
 
@@ -162,12 +164,12 @@ class TieEvidence:
         home_m = self.heights.home_h_msl_m or 0.0  # 0 explains nothing: so an unknown one counts
         too_much = FEET_IN_METRES_TOO_MUCH
         return {
-            "heights above the ellipsoid were taken for those above sea level": -undulation_m,
-            "heights above sea level were taken for those above the ellipsoid": undulation_m,
-            "heights above sea level were taken for those above the take-off": offset_m,
-            "heights of the ground in feet were taken for metres": too_much * ground_m,
-            "heights of the stations in feet were taken for metres": -too_much * station_m,
-            "heights above the take-off were taken for those above sea level": -home_m,
+            "heights above the ellipsoid were read as heights above sea level": -undulation_m,
+            "heights above sea level were read as heights above the ellipsoid": undulation_m,
+            "heights above sea level were read as heights above the take-off": offset_m,
+            "heights of the ground in feet were read as metres": too_much * ground_m,
+            "heights of the stations in feet were read as metres": -too_much * station_m,
+            "heights above the take-off were read as heights above sea level": -home_m,
         }
 
 
@@ -203,7 +205,7 @@ def model_in_other_order(
     if best_m >= FAR_BETTER * scatter_m:
         return ""
     return (
-        f"the elevation model is off by {scatter_m:.0f} m or more at a tenth of the points, and "
+        f"the elevation model is wrong by {scatter_m:.0f} m or more at a tenth of the points, and "
         f"by {best_m:.0f} m with its rows or columns reversed or exchanged"
     )
 
@@ -377,12 +379,15 @@ class RaysMissed:
         for camera in sorted(set(self.camera.tolist())):
             of_camera = self.camera == camera
             lost = self.is_lost[of_camera].sum()
-            text += f"; {camera}: {lost} of {of_camera.sum()} rays meet no other"
+            text += f"; {camera}: {lost} of {of_camera.sum()} rays intersect no other ray"
             met = of_camera & ~self.is_lost & self.is_judged
             if met.any():
                 metres = np.median(self.miss_rad[met] * self.distance_m[met])
                 degrees = np.degrees(np.median(self.miss_rad[met]))
-                text += f", the others miss by {degrees:.2g} deg, {metres:.2g} m, in the median"
+                text += (
+                    f", the others miss each other by {degrees:.2g} deg, {metres:.2g} m, in the "
+                    "median"
+                )
         return text
 
 
@@ -391,9 +396,11 @@ def describe_misses(intersection: Intersection, miss_rad: Array, pixel_rad: floa
     points = int(intersection.used.sum())
     count = intersection.point.size
     if not points:
-        return f"no rays of {count} tie points meet at an angle that checks anything"
+        return (
+            f"no rays of {count} tie points intersect at an angle that is large enough for a check"
+        )
     if np.isnan(miss_rad).all():
-        return f"the rays of {points} of {count} tie points meet nowhere"
+        return f"the rays of {points} of {count} tie points do not intersect"
     pixels = np.sqrt(np.nanmean(miss_rad**2)) / pixel_rad
     return (
         f"the rays of {points} of {count} tie points miss each other by {pixels:.1f} px (rms). The "

@@ -29,12 +29,12 @@ def causes_of_statuses(facts: Facts) -> dict[str, str]:
     columns = facts.mission.observations.columns
     height = "no height is known"
     if facts.mission.ground.column is not None:
-        height = f"column {facts.mission.ground.column} is empty or no height there"
+        height = f"column {facts.mission.ground.column} is empty or not a height there"
     causes = {
         "no_station": cause_of_missing_stations(facts),
         "no_ground": f"{height} (ground.height)",
         "bad_measurement": (
-            f"{columns.x_px} or {columns.y_px} is empty or no number (observations.columns)"
+            f"{columns.x_px} or {columns.y_px} is empty or not a number (observations.columns)"
         ),
         "outside_profile": "their rays leave the profile of the air (ground.height)",
         "beyond_grazing": "their rays graze the ground (angles of mount)",
@@ -81,8 +81,7 @@ def cause_of_misses(facts: Facts) -> str:
         too_high_m = ground_above_camera_m[~ground_is_below]
         most_m = np.max(too_high_m)
         causes.append(
-            f"the ground lies up to {most_m:.0f} m above the camera (ground.height, "
-            "ground.reference)"
+            f"the ground is up to {most_m:.0f} m above the camera (ground.height, ground.reference)"
         )
     if ground_is_below.any():
         # From the centre of a sphere through the ground.
@@ -90,7 +89,7 @@ def cause_of_misses(facts: Facts) -> str:
         dip_of_horizon_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)
         beyond_deg = np.degrees(nadir_angle_rad[ground_is_below] + dip_of_horizon_rad) - 90.0
         causes.append(
-            f"rays pass up to {np.nanmax(beyond_deg):.1f} deg beyond the horizon (angles of mount, "
+            f"rays point up to {np.nanmax(beyond_deg):.1f} deg above the horizon (angles of mount, "
             "f_px of the camera)"
         )
     return "; ".join(causes)
@@ -128,11 +127,13 @@ def cause_of_outside(facts: Facts, outside: Mask) -> str:
             )
         if is_displaced.any():
             causes.append(
-                f"refraction displaces them out of the image of {name} (refraction.direction)"
+                f"refraction moves them out of the image of {name} (refraction.direction)"
             )
         if not (beyond_format | is_blocked | is_displaced).all():
             key = facts.key_of(name, of_numbers="distortion", of_metric="distortion")
-            causes.append(f"beyond where the distortion of {name} can be inverted ({key})")
+            causes.append(
+                f"beyond the radius at which the distortion of {name} can be inverted ({key})"
+            )
     return "; ".join(causes)
 
 

@@ -8,11 +8,11 @@ from unbend.messages import Message, finding, note, warning
 
 PLAUSIBLE_GROUND = Code(
     "PLAUSIBLE-GROUND",
-    means="The ground lies far above or below the take-off.",
-    effect="The correction stands; the run ends with 3.",
+    means="The ground is far above or below the take-off.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy=(
-        "Check ground.height and ground.reference: feet, another zero; or accept it with the "
-        "reason."
+        "Check ground.height and ground.reference: heights in feet, or another zero. Or accept the "
+        "finding with the reason."
     ),
 )
 
@@ -22,14 +22,14 @@ PLAUSIBLE_TERRAIN = Code(
         "The ground heights contradict the terrain that the autopilot logged, or the elevation "
         "model at the take-off."
     ),
-    effect="The correction stands; the run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check ground.height and ground.reference.",
 )
 
 PLAUSIBLE_VIEW = Code(
     "PLAUSIBLE-VIEW",
     means="The field of view or the pixels of a camera are implausible.",
-    effect="The correction stands; the run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Give f in pixels, of the images that were measured.",
 )
 
@@ -49,9 +49,9 @@ def field_of_view(
     return finding(
         PLAUSIBLE_VIEW,
         (
-            "camera {name} sees {view:.3g} deg over the diagonal of {width_px} x {height_px} px "
-            "with f of {fx_px:g} px, expected {least:g} to {most:g} deg: likely f in millimetres, "
-            "or that of other pixels (f_px, fx_px, params, metric.pixel_um)"
+            "the field of view of camera {name} is {view:.3g} deg over the diagonal of {width_px} "
+            "x {height_px} px with f of {fx_px:g} px, expected {least:g} to {most:g} deg: likely f "
+            "in millimetres, or for another pixel size (f_px, fx_px, params, metric.pixel_um)"
         ),
         where=where,
         name=name,
@@ -82,7 +82,7 @@ def pixels_not_square(*, where: str, name: str, fx_px: float, fy_px: float) -> M
 PLAUSIBLE_PRINCIPAL_POINT = Code(
     "PLAUSIBLE-PRINCIPAL-POINT",
     means="The principal point is more than a tenth of the image from its centre.",
-    effect="The correction stands; the run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Give pixels from the upper left corner, not an offset or millimetres.",
 )
 
@@ -94,8 +94,8 @@ def principal_point_off(
     return finding(
         PLAUSIBLE_PRINCIPAL_POINT,
         (
-            "the principal point of {name} at {cx_px:g}, {cy_px:g} px is {percent:.0f} % of the "
-            "image from its centre, expected up to 10 %: likely an offset from the centre, "
+            "the principal point of {name} is at {cx_px:g}, {cy_px:g} px, which is {percent:.0f} % "
+            "of the image from its centre, expected up to 10 %: likely an offset from the centre, "
             "millimetres, or width_px and height_px exchanged"
         ),
         where=where,
@@ -109,10 +109,10 @@ def principal_point_off(
 PLAUSIBLE_DISTORTION = Code(
     "PLAUSIBLE-DISTORTION",
     means=(
-        "The distortion moves the corners of the image impossibly far, or hardly at all; or its "
-        "coefficients stand in another order."
+        "The distortion moves the corners of the image by an impossibly large or small amount. Or "
+        "its coefficients are in another order."
     ),
-    effect="The correction stands; the run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check units (of tangents, not pixels) and the order k1, k2, p1, p2, k3.",
 )
 
@@ -123,7 +123,7 @@ def distortion_size(*, where: str, name: str, share: float) -> Message:
         PLAUSIBLE_DISTORTION,
         (
             "the distortion of {name} moves the corners of the image by {share:.2g} of their "
-            "radius, expected 1e-6 to 0.3: likely coefficients of pixels or millimetres, not of "
+            "radius, expected 1e-6 to 0.3: likely coefficients for pixels or millimetres, not for "
             "tangents"
         ),
         where=where,
@@ -149,9 +149,10 @@ def distortion_order(*, where: str, name: str, most: float) -> Message:
 PLAUSIBLE_EXTENT = Code(
     "PLAUSIBLE-EXTENT",
     means=(
-        "The observations do not fill the image, or leave it: they are of images of another size."
+        "The observations do not fill the image, or are outside it. They belong to images of "
+        "another size."
     ),
-    effect="The correction stands; the run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy=("Check width_px and height_px, and whether points were measured in reduced images."),
 )
 
@@ -190,8 +191,8 @@ def extent_of_observations(
 
 PLAUSIBLE_DIRECTION = Code(
     "PLAUSIBLE-DIRECTION",
-    means="A camera looks where its name or the horizon does not allow.",
-    effect="The correction stands; the run ends with 3.",
+    means="The viewing direction of a camera contradicts its name, or is above the horizon.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check the mount: degrees, signs, exchanged cameras.",
 )
 
@@ -213,8 +214,8 @@ def camera_direction(*, where: str, name: str, axis: float, expected: str) -> Me
 
 PLAUSIBLE_ANGLE = Code(
     "PLAUSIBLE-ANGLE",
-    means="A mount angle is a multiple of 15 degrees if it is read in radians.",
-    effect="The correction stands; the run ends with 3.",
+    means="A mount angle is a multiple of 15 degrees when it is read in radians.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="State mount angles in degrees.",
 )
 
@@ -238,7 +239,7 @@ def angle_in_radians(*, where: str, angle: str, name: str, value: float, deg: fl
 PLAUSIBLE_LEVER_ARM = Code(
     "PLAUSIBLE-LEVER-ARM",
     means=("A lever arm is longer than 10 m, or puts a camera that looks down above the antenna."),
-    effect="The correction stands; the run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Give metres, forward, right, down (down is positive).",
 )
 
@@ -262,9 +263,9 @@ def lever_arm_above(*, where: str, name: str, up: float, most: float) -> Message
     return finding(
         PLAUSIBLE_LEVER_ARM,
         (
-            "{name} looks down and lies {up:.2g} m above the point whose position is known, "
-            "expected below it or up to {most:g} m above: likely a third number that counts "
-            "upward, here down is positive"
+            "{name} looks down, but its lever arm puts it {up:.2g} m above the point with the "
+            "known position, expected below it or up to {most:g} m above: likely a third number "
+            "that is positive upward; here down is positive"
         ),
         where=where,
         name=name,
@@ -276,8 +277,8 @@ def lever_arm_above(*, where: str, name: str, up: float, most: float) -> Message
 PLAUSIBLE_SIGMA = Code(
     "PLAUSIBLE-SIGMA",
     means="The sigma of the ground is more than 50 m.",
-    effect="The sigmas follow it; the run ends with 3.",
-    remedy="Give metres, and the sigma, not the height.",
+    effect="The sigmas follow it; the run ends with exit code 3.",
+    remedy="Give the sigma in metres, not the height.",
 )
 
 
@@ -297,8 +298,8 @@ def ground_sigma_large(*, where: str, sigma: float) -> Message:
 PLAUSIBLE_DELAY = Code(
     "PLAUSIBLE-DELAY",
     means="delay_s is more than a second.",
-    effect="The correction stands; the run ends with 3.",
-    remedy="Give seconds, not milliseconds; the offset of a clock goes elsewhere.",
+    effect="The correction is kept. The run ends with exit code 3.",
+    remedy="Give seconds, not milliseconds. Do not state the offset of a clock here.",
 )
 
 
@@ -319,11 +320,11 @@ def delay_large(*, where: str, name: str, delay: float) -> Message:
 PLAUSIBLE_WINDOW = Code(
     "PLAUSIBLE-WINDOW",
     means=(
-        "A cabin is logged and no camera has a window, or a window leans more than 35 degrees "
-        "from the optical axis."
+        "The log has the air of a cabin, but no camera has a window. Or a window is tilted by more "
+        "than 35 degrees from the optical axis."
     ),
-    effect="The correction stands; the run ends with 3.",
-    remedy="Check window.normal and window.frame, or leave the cabin's channels out.",
+    effect="The correction is kept. The run ends with exit code 3.",
+    remedy="Check window.normal and window.frame, or leave the channels of the cabin out.",
 )
 
 
@@ -332,7 +333,7 @@ def window_missing(*, where: str) -> Message:
     return finding(
         PLAUSIBLE_WINDOW,
         (
-            "log.channels.cabin_pressure is named, and no camera has a window: expected a window, "
+            "log.channels.cabin_pressure is named, but no camera has a window: expected a window, "
             "or no channel of a cabin"
         ),
         where=where,
@@ -344,8 +345,8 @@ def window_leans(*, where: str, name: str, tilt: float) -> Message:
     return finding(
         PLAUSIBLE_WINDOW,
         (
-            "the window of {name} leans {tilt:.0f} deg from the optical axis, expected less than "
-            "35 deg: likely a normal in the frame of the body (normal, frame)"
+            "the window of {name} is tilted by {tilt:.0f} deg from the optical axis, expected less "
+            "than 35 deg: likely a normal in the frame of the body (normal, frame)"
         ),
         where=where,
         name=name,
@@ -356,7 +357,7 @@ def window_leans(*, where: str, name: str, tilt: float) -> Message:
 PLAUSIBLE_DISTANCE = Code(
     "PLAUSIBLE-DISTANCE",
     means="Slant ranges do not fit the heights of camera and ground.",
-    effect="The correction stands; the run ends with 3.",
+    effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check their unit (metres), and ground.height.",
 )
 
@@ -366,8 +367,8 @@ def slant_ranges_off(*, where: str, ratio: float) -> Message:
     return finding(
         PLAUSIBLE_DISTANCE,
         (
-            "slant ranges are {ratio:.3g} times what the heights of camera and ground give in the "
-            "median, expected 1: likely feet or km, or another ground.height"
+            "the median slant range is {ratio:.3g} times the one from the heights of camera and "
+            "ground, expected 1: likely feet or km, or another ground.height"
         ),
         where=where,
         ratio=ratio,
@@ -376,8 +377,8 @@ def slant_ranges_off(*, where: str, ratio: float) -> Message:
 
 PLAUSIBLE_FLAGGED = Code(
     "PLAUSIBLE-FLAGGED",
-    means="More than a fifth of the rows are flagged for one cause.",
-    effect="These rows have no corrected values; the run ends with 3.",
+    means="More than a fifth of the rows are flagged for the same cause.",
+    effect="These rows have no corrected values. The run ends with exit code 3.",
     remedy="Follow the cause that the entry names.",
 )
 
@@ -398,11 +399,14 @@ def many_flagged(*, where: str, percent: float, name: str, most: float, cause: s
 PLAUSIBLE_AIR = Code(
     "PLAUSIBLE-AIR",
     means=(
-        "R differs from that of the standard atmosphere by more than in any of 479 ascents of "
-        "sondes, and by more than its own sigma explains."
+        "R differs from that of the standard atmosphere by more than in any of 479 radiosonde "
+        "ascents, and by more than its own sigma explains."
     ),
-    effect="The correction stands; the run ends with 3.",
-    remedy="Check the sources of the air that the entry names: another place, time, unit or zero.",
+    effect="The correction is kept. The run ends with exit code 3.",
+    remedy=(
+        "Check the sources of the air that the entry names. They may be of another place or time, "
+        "or have another unit or zero."
+    ),
 )
 
 
@@ -439,11 +443,11 @@ def air_implausible(
 PLAUSIBLE_APPLY = Code(
     "PLAUSIBLE-APPLY",
     means=(
-        "direction is apply, and the stations are those of a log: measured observations would get "
-        "refraction twice."
+        "direction is apply, and the stations are from a log. Measured observations would then "
+        "contain refraction twice."
     ),
-    effect="The run ends with 3.",
-    remedy="Set refraction.direction: remove, or accept the finding for a plan.",
+    effect="The run ends with exit code 3.",
+    remedy="Set refraction.direction: remove. If the mission is a plan, accept the finding.",
 )
 
 
@@ -452,8 +456,8 @@ def refraction_applied_twice(*, where: str) -> Message:
     return finding(
         PLAUSIBLE_APPLY,
         (
-            "direction is apply, and the stations are those of a log: refraction would be put "
-            "twice into observations that were measured; expected remove"
+            "direction is apply, and the stations are from a log: measured observations would then "
+            "contain refraction twice; expected remove"
         ),
         where=where,
     )
@@ -462,15 +466,16 @@ def refraction_applied_twice(*, where: str) -> Message:
 DEM_UNVERIFIED = Code(
     "DEM-UNVERIFIED",
     means=(
-        "Neither tie points nor logged terrain nor the take-off can verify the elevation model."
+        "The elevation model cannot be verified, neither by tie points nor by logged terrain nor "
+        "by the take-off."
     ),
     effect=(
-        "None; were the model of another place, zone or datum, or upside down, no check would say "
-        "so."
+        "None. If the model is of another place, zone or datum, or upside down, no check reports "
+        "it."
     ),
     remedy=(
-        "Compare the model with known heights; give points measured in two or more images, or the "
-        "log from before take-off."
+        "Compare the model with known heights. Give points that are measured in two or more "
+        "images, or a log that begins before take-off."
     ),
 )
 
@@ -480,10 +485,10 @@ def model_unverified(*, where: str) -> Message:
     return warning(
         DEM_UNVERIFIED,
         (
-            "nothing in this mission can verify the elevation model: there are no 10 points in "
-            "two or more images, no terrain that the autopilot logged, and no log that begins on "
-            "the model, standing; heights of another datum, another place or another UTM zone, or "
-            "upside down, would look the same: compare it with known heights"
+            "nothing in this mission can verify the elevation model: there are fewer than 10 "
+            "points in two or more images, no terrain that the autopilot logged, and no log that "
+            "begins at rest on the model; heights of another datum, another place or another UTM "
+            "zone, or upside down, would look the same: compare it with known heights"
         ),
         where=where,
     )
@@ -492,12 +497,14 @@ def model_unverified(*, where: str) -> Message:
 TIES_HELD_BACK = Code(
     "TIES-HELD-BACK",
     means=(
-        "Tie points contradict the mission file, and so does a PLAUSIBLE- finding that may be the "
-        "cause. Only the cause is listed."
+        "Tie points contradict the mission file. A PLAUSIBLE- finding contradicts it too and may "
+        "be the cause. Only the cause is listed."
     ),
-    effect="None of its own: the cause makes the run end with 3.",
-    remedy="Correct or accept the cause, and run again: what tie points still contradict is listed "
-    "then.",
+    effect="No further effect: the cause makes the run end with exit code 3.",
+    remedy=(
+        "Correct or accept the cause, and run again. Then the contradictions that remain are "
+        "listed."
+    ),
 )
 
 
@@ -508,8 +515,10 @@ def ties_held_back(*, codes: Sequence[str], keys: Sequence[str], causes: Sequenc
     """
     return note(
         TIES_HELD_BACK,
-        "tie points contradict {listed_keys} too ({listed_codes}): this may follow from {causes}, "
-        "and is listed once that is corrected or accepted",
+        (
+            "tie points contradict {listed_keys} too ({listed_codes}): {causes} may be the cause; "
+            "when that is corrected or accepted, the contradictions that remain are listed"
+        ),
         where="stations",
         count=len(codes),
         listed_keys=", ".join(dict.fromkeys(keys)),
@@ -521,12 +530,12 @@ def ties_held_back(*, codes: Sequence[str], keys: Sequence[str], causes: Sequenc
 ACCEPT_LOSS = Code(
     "ACCEPT-LOSS",
     means=(
-        "The mission file accepts the code of a loss. Losses are data that is missing or flagged, "
-        "whatever the reason."
+        "The mission file accepts the code of a loss. A loss is data that is missing or flagged; a "
+        "reason does not change that."
     ),
     effect="The mission is refused.",
     remedy=(
-        "Mend what leads to the loss, and leave its code out of accept; only findings can be "
+        "Correct the cause of the loss, and leave its code out of accept. Only findings can be "
         "accepted."
     ),
 )
@@ -536,18 +545,18 @@ def loss_accepted(*, where: str, accepted_code: str) -> MissionError:
     """The mission file accepts the code of a loss."""
     return MissionError(
         ACCEPT_LOSS,
-        "{accepted_code} is a loss: data is missing or flagged whatever the reason is",
+        "{accepted_code} is a loss: data is missing or flagged, and a reason does not change that",
         where=where,
         accepted_code=accepted_code,
-        remedy="mend what leads to it; findings can be accepted, losses cannot",
+        remedy="correct its cause; findings can be accepted, losses cannot",
     )
 
 
 ACCEPT_UNUSED = Code(
     "ACCEPT-UNUSED",
     means="The mission file accepts a finding that this run does not have.",
-    effect="None; the entry under accept does nothing.",
-    remedy="Remove it from accept, so that it does not hide the finding later.",
+    effect="None. The entry under accept has no effect.",
+    remedy="Remove it from accept. If not, it could hide the finding later.",
 )
 
 
@@ -555,14 +564,14 @@ def accepted_code_unused(*, where: str, accepted_code: str) -> Message:
     """The mission file accepts what is not found."""
     return warning(
         ACCEPT_UNUSED,
-        "nothing is found that {accepted_code} accepts",
+        "{accepted_code} is accepted, but this run has no such finding",
         where=where,
         accepted_code=accepted_code,
     )
 
 
 _OFF = (
-    "the ground lies {height_m:.0f} m above sea level in the median, {off_m:+.0f} m from "
+    "the ground is {height_m:.0f} m above sea level in the median, {off_m:+.0f} m from "
     "{reference}: expected within {allowed_m:.0f} m; likely {likely}"
 )
 

@@ -176,7 +176,7 @@ def likely_reading(off_m: float, ground_m: float, takeoff_m: float) -> str:
     best = min(too_high_m, key=lambda reading: abs(too_high_m[reading] - off_m))
     unexplained_m = abs(too_high_m[best] - off_m)
     if ground_m == 0.0 or unexplained_m > LIKELY_SHARE * abs(off_m):
-        return "another height, datum or unit than that of ground.height"
+        return "a wrong height, datum or unit in ground.height"
     return best
 
 
@@ -289,7 +289,7 @@ def extent_of_observations(facts: Facts) -> Findings:
 def likely_extent(x: Array, y: Array, width: int, height: int) -> str:
     """What pixels likely are that lie outside an image of this width and height [px]."""
     if x.min() < BEHIND_CENTRE * width and y.min() < BEHIND_CENTRE * height:
-        return "counted from the centre of the image, not from its upper left corner"
+        return "measured from the centre of the image, not from its upper left corner"
     if x.max() <= height and y.max() <= width:
         return "width and height, or x and y, exchanged"
     return "millimetres, or images of another size"
@@ -307,7 +307,10 @@ def direction_of_cameras(facts: Facts) -> Findings:
         elif axis > LARGEST_TILT_DEG and named_nadir:
             expected = f"within 30 deg of the nadir by the name of {name}"
         elif axis < SMALLEST_OBLIQUE_DEG and "oblique" in name.lower():
-            expected = f"more than 10 deg off by the name of {name}: likely radians, or exchanged"
+            expected = (
+                f"more than 10 deg from the nadir, because of the name of {name}: likely radians, "
+                "or exchanged"
+            )
         if expected:
             key = facts.mission.attitude_key(name)
             yield messages.camera_direction(where=key, name=name, axis=axis, expected=expected)

@@ -108,9 +108,11 @@ FORMATS = (
         write_bingo,
         frame_of_points,
         options=(PIXEL_UM, QUARTER_TURNS),
-        use="in BINGO, and in Inpho where it reads these files, switch the corrections of "
-        "refraction and earth curvature off, and adjust in a Cartesian frame; positions and "
-        "angles in one: --format opk-enu",
+        use=(
+            "in BINGO, and in Inpho if it reads these files, switch off the corrections of "
+            "refraction and earth curvature, and adjust in a Cartesian frame; --format opk-enu "
+            "writes positions and angles in such a frame"
+        ),
         marked=("image.dat",),
     ),
 )

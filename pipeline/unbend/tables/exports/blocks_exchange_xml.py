@@ -72,7 +72,7 @@ def interior(camera: Camera, name: str) -> str:
     """Size and calibration of a camera; refuses one whose pixels are not square."""
     if camera.fx_px != camera.fy_px:
         raise messages.distortion_unknown(
-            where=f"cameras.{name}", name=name, beyond="fy other than fx", program=_PROGRAM
+            where=f"cameras.{name}", name=name, beyond="different fx and fy", program=_PROGRAM
         )
     known = plain_coefficients(camera, name, _PROGRAM)
     coefficients = "".join(
@@ -146,7 +146,9 @@ FORMATS = (
         write_blocks_exchange,
         frame_of_block,
         marked=("",),
-        use="ContextCapture knows neither refraction nor earth curvature: nothing is to be "
-        "switched off in it; keep the optical properties of the photogroups",
+        use=(
+            "ContextCapture corrects neither refraction nor earth curvature: nothing must be "
+            "switched off in it; keep the optical properties of the photogroups"
+        ),
     ),
 )

@@ -310,7 +310,7 @@ SAME_HEIGHT = Option(
 FORMATS = (
     ExportFormat(
         "calibration",
-        "cameras that stand for refraction, a folder",
+        "cameras with calibrations that contain the refraction, a folder",
         "",
         write_calibrations,
         frame_of_corrections,

@@ -50,8 +50,8 @@ from unbend.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION
 from unbend.units import Integers
 
 _USE = (
-    "COLMAP knows neither refraction nor earth curvature: nothing is to be switched off in it; its "
-    "calibration is best held"
+    "COLMAP corrects neither refraction nor earth curvature: nothing must be switched off in it; "
+    "it is best to keep its calibration fixed"
 )
 
 _MODEL_IDS = {"PINHOLE": 1, "OPENCV": 4, "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6}

@@ -170,5 +170,5 @@ _OF_LATTICE = (
 
 FORMATS = (
     *parquet_and_csv("lattice", "dx, dy on a grid over each image", lattice_tables, _OF_LATTICE),
-    *parquet_and_csv("radial", "refraction by nadir angle, per flying height", radial_tables),
+    *parquet_and_csv("radial", "refraction by nadir angle, for each flying height", radial_tables),
 )

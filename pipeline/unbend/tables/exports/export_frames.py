@@ -19,7 +19,7 @@ from unbend.units import Array, Mask
 WGS84_2D = "EPSG:4326"
 WGS84_3D = "EPSG:4979"
 ELLIPSOID_OF_WGS84 = "ellipsoid of WGS 84"
-SEA_LEVEL_OF_RUN = "mean sea level, as the run has it"
+SEA_LEVEL_OF_RUN = "mean sea level, as in the run"
 
 EAST_NORTH_UP = ("east", "north", "up")
 LONGITUDE_LATITUDE_HEIGHT = ("longitude", "latitude", "height")
@@ -177,7 +177,7 @@ def topocentric_frame(origin_deg: Array | None) -> PositionFrame:
         kind="topocentric",
         axes=EAST_NORTH_UP,
         units=("m", "m", "m"),
-        height_reference="origin; the plane is level there, and earth curvature is in none",
+        height_reference="origin; the plane is level there, without earth curvature",
         origin=origin,
     )
 

@@ -221,8 +221,8 @@ class ExportFormat:
 
 
 CORRECTIONS_USE = (
-    "it holds refraction, and neither earth curvature nor a map projection: where it is applied, "
-    "switch the program's own correction of refraction off (BINGO and Inpho have one; COLMAP, "
+    "it contains refraction, but neither earth curvature nor a map projection: if it is applied, "
+    "switch off the program's own correction of refraction (BINGO and Inpho have one; COLMAP, "
     "Metashape, Pix4D and ODM have none)"
 )
 

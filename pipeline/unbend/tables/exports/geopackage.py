@@ -149,7 +149,7 @@ def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) 
         "stations",
         "POINT",
         has_z=2,
-        about="where the images were taken",
+        about="places of the exposures",
         columns=STATION_COLUMNS,
         rows=zip(*columns, strict=True),
         extent=extent,
@@ -177,7 +177,7 @@ def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger
         "footprints",
         "POLYGON",
         has_z=0,
-        about="what the images show of the ground, by straight lines through their corners",
+        about="footprints of the images on the ground, by straight lines through their corners",
         columns=FOOTPRINT_COLUMNS,
         rows=zip(*columns, strict=True),
         extent=extent,
@@ -205,7 +205,10 @@ def point_layer(
         "points",
         "POINT",
         has_z=2,
-        about="observations where their corrected rays reach the ground, with their shift there",
+        about=(
+            "places where the corrected rays of observations reach the ground, with their shift "
+            "there"
+        ),
         columns=POINT_COLUMNS,
         rows=rows(),
         extent=extent,

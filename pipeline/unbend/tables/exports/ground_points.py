@@ -264,7 +264,7 @@ def frame_of_points(run: FinishedRun, _: Values) -> ExportFrame:
 FORMATS = (
     ExportFormat(
         "points",
-        "each observation on the ground, with its shift there (--crs)",
+        "the place of each observation on the ground, with its shift there (--crs)",
         ".csv",
         write_points,
         frame_of_points,

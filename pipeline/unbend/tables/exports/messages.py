@@ -8,7 +8,8 @@ from unbend.messages import Message, fallback, loss, note, warning
 EXPORT_AIR_CHANGES = Code(
     "EXPORT-AIR-CHANGES",
     means=(
-        "The air of the flight changes over several profiles; a radial table holds the middle one."
+        "The air of the flight changes, so there are several profiles. A radial table is made with "
+        "the middle profile."
     ),
     effect="The table is not exact for all images.",
     remedy="Export the lattice, which has the air of each image.",
@@ -20,12 +21,12 @@ def air_changes(*, where: str, count: int) -> Message:
     return warning(
         EXPORT_AIR_CHANGES,
         (
-            "the air of the flight changes over {count} profiles: each radial table holds the"
-            " air of the middle one of its images; the lattice holds that of each"
+            "the air of the flight changes over {count} profiles: each radial table is for the air "
+            "of the middle one of its images; the lattice is for the air of each image"
         ),
         one=(
-            "the air of the flight changes over 1 profile: each radial table holds the "
-            "air of the middle one of its images; the lattice holds that of each"
+            "the air of the flight changes over 1 profile: each radial table is for the air of the "
+            "middle one of its images; the lattice is for the air of each image"
         ),
         where=where,
         count=count,
@@ -35,10 +36,10 @@ def air_changes(*, where: str, count: int) -> Message:
 EXPORT_CALIBRATION = Code(
     "EXPORT-CALIBRATION",
     means=(
-        "The camera was calibrated on images with refraction in: the change of the "
-        "calibration would count it twice."
+        "The camera was calibrated on images that contain refraction. The change of the "
+        "calibration would count refraction twice."
     ),
-    effect="The export is written; the run of the command ends with 3.",
+    effect="The export is written. The command ends with exit code 3.",
     remedy="Use a laboratory calibration.",
 )
 
@@ -48,8 +49,8 @@ def calibration_holds_refraction(*, where: str, name: str) -> Message:
     return loss(
         EXPORT_CALIBRATION,
         (
-            "the calibration of camera {name} was estimated on images with refraction in, and"
-            " holds that of its height: with the change it counts twice"
+            "the calibration of camera {name} was estimated on images that contain refraction, and "
+            "contains the refraction of its height: with the change, refraction counts twice"
         ),
         where=where,
         name=name,
@@ -71,13 +72,13 @@ def camera_uncalibrated(*, where: Path | str, camera: str) -> MissionError:
         "camera {camera!r} has no calibration",
         where=where,
         camera=camera,
-        remedy="give it under cameras.{camera} and run again",
+        remedy="give a calibration under cameras.{camera} and run again",
     )
 
 
 EXPORT_CAMERAS = Code(
     "EXPORT-CAMERAS",
-    means="Which number each camera has in the files of COLMAP.",
+    means="The number of each camera in the files of COLMAP.",
     effect="None.",
     remedy="Nothing.",
 )
@@ -93,8 +94,8 @@ EXPORT_DISTORTION = Code(
     means="The distortion of the camera cannot be written for that program.",
     effect="The export is refused.",
     remedy=(
-        "Export --format bundler, which is free of distortion, or use a model that the "
-        "program knows."
+        "Export --format bundler, which has no distortion. Or use a camera model that the program "
+        "supports."
     ),
 )
 
@@ -109,7 +110,7 @@ def distortion_unknown(*, where: Path | str, name: str, beyond: str, program: st
         beyond=beyond,
         program=program,
         remedy=(
-            "export --format bundler, which is free of distortion, or calibrate the "
+            "export --format bundler, which has no distortion, or calibrate the "
             "camera with OpenCV's coefficients"
         ),
     )
@@ -119,7 +120,7 @@ EXPORT_ENDING = Code(
     "EXPORT-ENDING",
     means="The name of the file does not have the ending of the format.",
     effect="The export is refused.",
-    remedy="Rename it as the refusal says.",
+    remedy="Rename it as the refusal states.",
 )
 
 
@@ -158,7 +159,7 @@ EXPORT_FORMAT = Code(
     "EXPORT-FORMAT",
     means="No export has this name.",
     effect="The export is refused.",
-    remedy="Take one that `unbend export --help` lists.",
+    remedy="Use one that `unbend export --help` lists.",
 )
 
 
@@ -177,9 +178,9 @@ def format_unknown(*, where: Path | str, name: str, similar: str, known: str) ->
 
 EXPORT_FRAME = Code(
     "EXPORT-FRAME",
-    means="The frame of the exported block: east, north, up at the place that is named.",
-    effect="Neither earth curvature nor a map projection is in it.",
-    remedy="Set the program that reads it to a local cartesian system.",
+    means="The frame of the exported block: east, north, up at the named place.",
+    effect="It contains neither earth curvature nor a map projection.",
+    remedy="In the program that reads it, set a local cartesian system.",
 )
 
 
@@ -188,7 +189,7 @@ def block_frame(*, where: str, lat: float, lon: float, h: float) -> Message:
     return note(
         EXPORT_FRAME,
         (
-            "x, y, z count to the east, north and up from {lat:.5f} N, {lon:.5f} E, {h:.0f} m"
+            "x, y, z are metres to the east, north and up from {lat:.5f} N, {lon:.5f} E, {h:.0f} m"
             " above the ellipsoid (WGS84), one frame for the block; neither earth curvature "
             "nor a map projection is applied"
         ),
@@ -202,11 +203,11 @@ def block_frame(*, where: str, lat: float, lon: float, h: float) -> Message:
 EXPORT_LEFT_OUT = Code(
     "EXPORT-LEFT-OUT",
     means=(
-        "Observations or images are left out of the export: not ok, without station, "
-        "repeated, or what the entry says."
+        "Observations or images are left out of the export. They are not ok, have no station, are "
+        "repeated, or have the cause in the entry."
     ),
-    effect="The export lacks them; the command ends with 3.",
-    remedy="See their status in the run.",
+    effect="They are not in the export. The command ends with exit code 3.",
+    remedy="Check their status in the results of the run.",
 )
 
 
@@ -228,12 +229,12 @@ def points_left_out(*, where: str, count: int) -> Message:
     return loss(
         EXPORT_LEFT_OUT,
         (
-            "{count} image points are left out: their points were measured in one image only,"
-            " or they lie beyond the radius to which the distortion of the camera is known"
+            "{count} image points are left out: their points were measured in only one image, or "
+            "they are beyond the radius for which the distortion of the camera is known"
         ),
         one=(
-            "1 image point is left out: its point was measured in one image only, or "
-            "it lies beyond the radius to which the distortion of the camera is known"
+            "1 image point is left out: its point was measured in only one image, or it is beyond "
+            "the radius for which the distortion of the camera is known"
         ),
         where=where,
         count=count,
@@ -258,8 +259,8 @@ def images_without_lattice(*, where: str, count: int, first: str) -> Message:
     """Images without a usable station, in a lattice."""
     return loss(
         EXPORT_LEFT_OUT,
-        "{count} images have no usable station and no lattice, the first {first}",
-        one="1 image has no usable station and no lattice: {first}",
+        "{count} images have no usable station, and so no lattice; the first is {first}",
+        one="1 image has no usable station, and so no lattice: {first}",
         where=where,
         count=count,
         first=first,
@@ -270,8 +271,8 @@ def images_without_ground(*, where: str, count: int) -> Message:
     """Images of a camera without known ground, in radial tables."""
     return loss(
         EXPORT_LEFT_OUT,
-        "left out: {count} images of {where} without known ground below them",
-        one="left out: 1 image of {where} without known ground below it",
+        "left out: {count} images of {where}; the ground below them is not known",
+        one="left out: 1 image of {where}; the ground below it is not known",
         where=where,
         count=count,
     )
@@ -302,11 +303,13 @@ def observations_left_out(
 EXPORT_MODEL = Code(
     "EXPORT-MODEL",
     means=(
-        "The lens is written in a model that differs from its calibration by the pixels "
-        "that are named."
+        "The lens is written in a model that differs from its calibration by the stated pixels."
     ),
-    effect="The program that reads it errs by as much; the change for measured points does not.",
-    remedy="Use the calibration of the run itself where that matters.",
+    effect=(
+        "The program that reads it has an error of this size. The change for measured points does "
+        "not have it."
+    ),
+    remedy="If this matters, use the calibration of the run itself.",
 )
 
 
@@ -328,8 +331,8 @@ def lens_simplified(*, where: str, name: str, misfit: float) -> Message:
 EXPORT_NAMES = Code(
     "EXPORT-NAMES",
     means=(
-        "Names cannot be written for that program: too long to differ, or with a "
-        "character that separates columns."
+        "Names cannot be written for that program. They become equal when they are shortened, or "
+        "contain a character that separates columns."
     ),
     effect="The export is refused.",
     remedy="Rename them, or choose another format.",
@@ -343,8 +346,8 @@ def names_too_long(
     return MissionError(
         EXPORT_NAMES,
         (
-            "{kind}s {first!r} and {other!r} would both be called {short!r}: names have at most "
-            "{longest} characters there"
+            "{kind}s {first!r} and {other!r} would both get the name {short!r}: names have at most "
+            "{longest} characters in that format"
         ),
         where=where,
         remedy="rename them so that the last {longest} characters differ",
@@ -360,7 +363,7 @@ def name_with_separator(*, where: Path | str, name: str, program: str) -> Missio
     """A name has a space, a comma or the like."""
     return MissionError(
         EXPORT_NAMES,
-        "{name!r} has a character that separates columns in files of {program}",
+        "{name!r} contains a character that separates columns in files of {program}",
         where=where,
         name=name,
         program=program,
@@ -370,8 +373,8 @@ def name_with_separator(*, where: Path | str, name: str, program: str) -> Missio
 
 EXPORT_NO_GROUND = Code(
     "EXPORT-NO-GROUND",
-    means="Images have no known ground below them.",
-    effect="They have no footprint or calibration; refused where none has.",
+    means="The height of the ground below images is not known.",
+    effect="They have no footprint or calibration. Refused if no image has one.",
     remedy="Give --ground-height.",
 )
 
@@ -380,7 +383,7 @@ def no_calibration(*, where: Path | str) -> MissionError:
     """There is no image for which a calibration could be fitted."""
     return MissionError(
         EXPORT_NO_GROUND,
-        "no usable image has a known ground below it",
+        "the height of the ground is not known below any usable image",
         where=where,
         remedy="give a height of the ground: --ground-height",
     )
@@ -391,12 +394,12 @@ def lattice_without_ground(*, where: str, count: int) -> Message:
     return loss(
         EXPORT_NO_GROUND,
         (
-            "{count} images have a lattice without corrections: the run knows no ground "
-            "height; --ground-height gives one"
+            "{count} images have a lattice without corrections: the run has no ground height for "
+            "them; give one with --ground-height"
         ),
         one=(
-            "1 image has a lattice without corrections: the run knows no ground height; "
-            "--ground-height gives one"
+            "1 image has a lattice without corrections: the run has no ground height for it; give "
+            "one with --ground-height"
         ),
         where=where,
         count=count,
@@ -408,12 +411,12 @@ def footprints_missing(*, where: str, count: int) -> Message:
     return loss(
         EXPORT_NO_GROUND,
         (
-            "{count} images have no footprint: no ground height is known (--ground-height "
-            "gives one), or a corner shows no ground"
+            "{count} images have no footprint: no ground height is known (give one with "
+            "--ground-height), or a corner of the image does not show the ground"
         ),
         one=(
-            "1 image has no footprint: no ground height is known (--ground-height gives "
-            "one), or a corner shows no ground"
+            "1 image has no footprint: no ground height is known (give one with --ground-height), "
+            "or a corner of the image does not show the ground"
         ),
         where=where,
         count=count,
@@ -423,7 +426,7 @@ def footprints_missing(*, where: str, count: int) -> Message:
 EXPORT_NO_SIGMA = Code(
     "EXPORT-NO-SIGMA",
     means="Stations have no sigma of their position.",
-    effect="Their pose priors have no covariance; COLMAP takes the one it is called with.",
+    effect="Their pose priors have no covariance. COLMAP uses the covariance in its options.",
     remedy="State sigmas of the stations in the mission file.",
 )
 
@@ -434,11 +437,11 @@ def sigmas_missing(*, where: str, count: int) -> Message:
         EXPORT_NO_SIGMA,
         (
             "{count} stations have no sigma of their position: their pose priors have no "
-            "covariance, and COLMAP takes the one it is called with"
+            "covariance, and COLMAP uses the covariance in its options"
         ),
         one=(
-            "1 station has no sigma of its position: its pose prior has no "
-            "covariance, and COLMAP takes the one it is called with"
+            "1 station has no sigma of its position: its pose prior has no covariance, and COLMAP "
+            "uses the covariance in its options"
         ),
         where=where,
         count=count,
@@ -447,14 +450,14 @@ def sigmas_missing(*, where: str, count: int) -> Message:
 
 EXPORT_NO_STATIONS = Code(
     "EXPORT-NO-STATIONS",
-    means="No station has what the export needs.",
+    means="No station has the data that the export needs.",
     effect="The export is refused.",
     remedy="Check the stations of the run: position and attitude.",
 )
 
 
 def no_station_placed(*, where: Path | str, lacking: str) -> MissionError:
-    """No station has what the export needs."""
+    """No station has the data that the export needs."""
     return MissionError(
         EXPORT_NO_STATIONS,
         "no station has a {lacking}",
@@ -466,7 +469,7 @@ def no_station_placed(*, where: Path | str, lacking: str) -> MissionError:
 
 EXPORT_NO_TIES = Code(
     "EXPORT-NO-TIES",
-    means="No point was measured in two images: nothing ties the images together.",
+    means="No point was measured in two images. So nothing connects the images.",
     effect="The database is written without matches.",
     remedy="Measure the points in more than one image.",
 )
@@ -477,8 +480,8 @@ def no_ties(*, where: str) -> Message:
     return loss(
         EXPORT_NO_TIES,
         (
-            "nothing ties the images of the database: no point was measured in two images, "
-            "and no database with matches was read that is still in its place, unchanged"
+            "nothing connects the images of the database: no point was measured in two images, and "
+            "there is no database with matches that was read and is still unchanged at its place"
         ),
         where=where,
     )
@@ -486,9 +489,9 @@ def no_ties(*, where: str) -> Message:
 
 EXPORT_OPTION = Code(
     "EXPORT-OPTION",
-    means="An option of the export is out of range, or one that is needed is missing.",
+    means="An option of the export is out of range, or a needed option is missing.",
     effect="The export is refused.",
-    remedy="Give it as the refusal says.",
+    remedy="Give it as the refusal states.",
 )
 
 
@@ -508,9 +511,9 @@ def grid_not_taken(*, name: str, takers: str) -> ConfigError:
     """A format has a frame of its own, and takes no coordinate system."""
     return ConfigError(
         EXPORT_OPTION,
-        "{name} has a frame of its own and takes no --crs",
+        "{name} has a fixed frame, and --crs is not allowed",
         where="--crs",
-        remedy="leave it out, or choose a format that takes it: {takers}",
+        remedy="leave it out, or choose a format that allows it: {takers}",
         name=name,
         takers=takers,
     )
@@ -520,7 +523,7 @@ def geoid_without_grid() -> ConfigError:
     """A geoid is of the vertical part of a coordinate system."""
     return ConfigError(
         EXPORT_OPTION,
-        "--geoid belongs to the vertical part of --crs, which is not given",
+        "--geoid needs the vertical part of --crs, which is not given",
         where="--geoid",
         remedy="give both, as --crs EPSG:25832+7837 --geoid FILE",
     )
@@ -555,9 +558,9 @@ def pixel_size_unknown(*, where: Path | str, name: str) -> ConfigError:
 
 EXPORT_POINT_HEIGHT = Code(
     "EXPORT-POINT-HEIGHT",
-    means="The rays of points do not meet under 3 degrees or more.",
-    effect="These points lie where their rays reach the ground height of the run.",
-    remedy="Nothing; the adjustment moves them.",
+    means="The rays of points do not intersect at 3 degrees or more.",
+    effect="These points are where their rays reach the ground height of the run.",
+    remedy="Nothing. The adjustment moves them.",
 )
 
 
@@ -566,12 +569,12 @@ def points_on_ground(*, where: str, count: int) -> Message:
     return fallback(
         EXPORT_POINT_HEIGHT,
         (
-            "the rays of {count} points do not meet at 3 degrees or more: these points are "
-            "where the rays reach the height of the ground that the run took for them"
+            "the rays of {count} points do not intersect at 3 degrees or more: these points are "
+            "where the rays reach the ground height that the run used for them"
         ),
         one=(
-            "the rays of 1 point do not meet at 3 degrees or more: it is where they reach the "
-            "height of the ground that the run took for it"
+            "the rays of 1 point do not intersect at 3 degrees or more: the point is where they "
+            "reach the ground height that the run used for it"
         ),
         where=where,
         count=count,
@@ -580,7 +583,7 @@ def points_on_ground(*, where: str, count: int) -> Message:
 
 EXPORT_POINTS = Code(
     "EXPORT-POINTS",
-    means=("What went out: corrected image coordinates, of how many points in how many images."),
+    means=("The exported corrected image coordinates: the number of points and of images."),
     effect="None.",
     remedy="Nothing.",
 )
@@ -601,8 +604,11 @@ def points_written(*, where: str, count: int, points: int, images: int) -> Messa
 
 EXPORT_RESIDUAL = Code(
     "EXPORT-RESIDUAL",
-    means="The fitted calibration leaves a part of the refraction that no calibration can hold.",
-    effect="Above 10 % a loss, above 50 % refused.",
+    means=(
+        "The fitted calibration leaves a part of the refraction. A calibration cannot contain this "
+        "part."
+    ),
+    effect="Above 10 % it is a loss. Above 50 % it is refused.",
     remedy="Export the lattice or corrected points.",
 )
 
@@ -648,11 +654,11 @@ def calibration_impossible(
     """No calibration holds the refraction; left and effect in pixels and metres."""
     return MissionError(
         EXPORT_RESIDUAL,
-        _LEFT_BY_CALIBRATION + ": none stands for these images",
+        _LEFT_BY_CALIBRATION + ": no calibration can replace the correction of these images",
         where=where,
         remedy=(
-            "export the lattice or corrected points; a camera that is tilted otherwise "
-            "from image to image has no calibration that does it"
+            "export the lattice or corrected points; if the tilt of a camera changes from image to "
+            "image, no calibration can contain the refraction"
         ),
         name=name,
         percent=percent,
@@ -665,9 +671,12 @@ def calibration_impossible(
 
 EXPORT_ROUNDED = Code(
     "EXPORT-ROUNDED",
-    means="A COLMAP database keeps 32-bit numbers: the pixels that are named are lost.",
+    means=(
+        "A COLMAP database stores 32-bit numbers. So coordinates are rounded by the stated part of "
+        "a pixel."
+    ),
     effect="As stated.",
-    remedy="Export --format colmap, which loses nothing.",
+    remedy="Export --format colmap, which is not rounded.",
 )
 
 
@@ -676,8 +685,8 @@ def pixels_rounded(*, where: str, rounding: float) -> Message:
     return warning(
         EXPORT_ROUNDED,
         (
-            "keypoints of a database are 32-bit numbers: up to {rounding:.4f} px are lost; "
-            "the model (--format colmap) loses nothing"
+            "keypoints of a database are 32-bit numbers: coordinates are rounded by up to "
+            "{rounding:.4f} px; the model (--format colmap) is not rounded"
         ),
         where=where,
         rounding=rounding,
@@ -686,7 +695,7 @@ def pixels_rounded(*, where: str, rounding: float) -> Message:
 
 EXPORT_SINGLE = Code(
     "EXPORT-SINGLE",
-    means="Points were measured in one image only.",
+    means="Points were measured in only one image.",
     effect="Their image points have no object point.",
     remedy="Nothing.",
 )
@@ -696,8 +705,8 @@ def single_points(*, where: str, count: int) -> Message:
     """Points of one image, in a model."""
     return note(
         EXPORT_SINGLE,
-        "{count} points were measured in one image only: their image points have no object point",
-        one="1 point was measured in one image only: its image point has no object point",
+        "{count} points were measured in only one image: their image points have no object point",
+        one="1 point was measured in only one image: its image point has no object point",
         where=where,
         count=count,
     )
@@ -705,9 +714,9 @@ def single_points(*, where: str, count: int) -> Message:
 
 EXPORT_WINDOW = Code(
     "EXPORT-WINDOW",
-    means="The camera looks through a window; a radial table holds the air outside alone.",
-    effect="The table lacks R_cc.",
-    remedy="Export the lattice, which holds both.",
+    means="The camera looks through a window. A radial table is only for the air outside.",
+    effect="The table does not contain R_cc.",
+    remedy="Export the lattice, which contains both.",
 )
 
 
@@ -716,8 +725,8 @@ def window_not_held(*, where: str, name: str) -> Message:
     return warning(
         EXPORT_WINDOW,
         (
-            "camera {name} looks through a window: the radial tables hold the refraction of "
-            "the air outside alone; the lattice holds both"
+            "camera {name} looks through a window: the radial tables contain only the refraction "
+            "of the air outside; the lattice contains both"
         ),
         where=where,
         name=name,
@@ -727,11 +736,11 @@ def window_not_held(*, where: str, name: str) -> Message:
 EXPORT_RIGS = Code(
     "EXPORT-RIGS",
     means=(
-        "Rigs of several cameras of the database that was read, and their frames, as far as their "
-        "cameras are those of the mission, one for one."
+        "The rigs of several cameras, and their frames, of the database that was read. A rig is "
+        "kept if each of its cameras is one camera of the mission."
     ),
-    effect="A note; a warning where a rig is not kept: its cameras are rigs of their own.",
-    remedy="Give each camera of the rig a camera of the mission.",
+    effect="A note; a warning if a rig is not kept. Then each of its cameras is a separate rig.",
+    remedy="Define one camera of the mission for each camera of the rig.",
 )
 
 
@@ -751,10 +760,14 @@ def rigs_lost(*, where: str, count: int) -> Message:
     """Rigs of several cameras are not kept."""
     return warning(
         EXPORT_RIGS,
-        "{count} rigs of several cameras are not kept: their cameras are not cameras of the "
-        "mission, one for one, with stations",
-        one="1 rig of several cameras is not kept: its cameras are not cameras of the mission, one "
-        "for one, with stations",
+        (
+            "{count} rigs of several cameras are not kept: not every camera of the rig is one "
+            "camera of the mission with stations"
+        ),
+        one=(
+            "1 rig of several cameras is not kept: not every camera of the rig is one camera of "
+            "the mission with stations"
+        ),
         where=where,
         count=count,
     )

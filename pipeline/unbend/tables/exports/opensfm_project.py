@@ -103,8 +103,10 @@ FORMATS = (
     ExportFormat(
         "opensfm", "a block for OpenSfM or ODM: a folder with tracks and reconstruction", "",
         write_project, frame_of_block, marked=("tracks.csv",),
-        use="OpenSfM and ODM know neither refraction nor earth curvature: nothing is to be "
-        "switched off in them; hold the calibration (optimize_camera_parameters: no, ODM: "
-        "--use-fixed-camera-params)",
+        use=(
+            "OpenSfM and ODM correct neither refraction nor earth curvature: nothing must be "
+            "switched off in them; keep the calibration fixed (optimize_camera_parameters: no, "
+            "ODM: --use-fixed-camera-params)"
+        ),
     ),
 )  # fmt: skip

@@ -114,7 +114,9 @@ FORMATS = (
         write_pix4d,
         frame_of_block,
         marked=(f"{_PREFIX}tp_pix4d.txt",),
-        use="Pix4D knows neither refraction nor earth curvature: nothing is to be switched off in "
-        "it; its coordinate system is a local one, in metres",
+        use=(
+            "Pix4D corrects neither refraction nor earth curvature: nothing must be switched off "
+            "in it; use a local coordinate system in metres"
+        ),
     ),
 )

@@ -244,20 +244,21 @@ def _feature(geometry: dict[str, Any], properties: dict[str, Any]) -> dict[str, 
 
 
 _USE = (
-    "neither earth curvature nor a map projection is in these positions and angles: adjust in a "
-    "Cartesian frame, with the program's own corrections of refraction and earth curvature off"
+    "these positions and angles contain neither earth curvature nor a map projection: adjust in a "
+    "Cartesian frame, and switch off the program's own corrections of refraction and earth "
+    "curvature"
 )
 
 _USE_IN_GRID = (
-    "positions are in a map projection, and angles against its axes and each station's vertical: "
-    "leave the program's corrections of earth curvature and of the scale of the projection on, "
-    "and switch that of refraction off"
+    "positions are in a map projection; angles are relative to its axes and to the vertical of "
+    "each station: keep the program's corrections of earth curvature and of the scale of the "
+    "projection on, and switch off its correction of refraction"
 )
 
 FORMATS = (
     ExportFormat(
         "opk",
-        "omega, phi, kappa against each station's east, north, up, or a grid (--crs)",
+        "omega, phi, kappa relative to east, north, up at each station, or to a grid (--crs)",
         ".csv",
         write_at_stations,
         frame_at_stations,

@@ -9,11 +9,11 @@ from unbend.messages import Message, loss, note, warning
 CRS_AREA = Code(
     "CRS-AREA",
     means=(
-        "Positions lie outside the area of their coordinate system, or outside the grid "
-        "of its transformation."
+        "Positions are outside the area of their coordinate system, or outside the grid of its "
+        "transformation."
     ),
-    effect="They are unknown; where half of them or more are, the mission is refused.",
-    remedy="Check the system, and which column is x (east) and which y (north).",
+    effect="They are unknown. If half of them or more are unknown, the mission is refused.",
+    remedy="Check the system, and which column is x (east) and which is y (north).",
 )
 
 
@@ -24,8 +24,8 @@ def positions_none(*, where: Path | str, key: str) -> InputError:
         "there are no positions",
         where=where,
         remedy=(
-            "check {key}, and which column is which: x is east or longitude, y north or "
-            "latitude, whatever the order of the system's axes"
+            "check {key}, and which column is which: x is east or longitude, y is north or "
+            "latitude, for any order of the axes of the system"
         ),
         key=key,
     )
@@ -45,11 +45,14 @@ def positions_outside(
     """Half of the positions or more lie outside the area of use of their system."""
     return InputError(
         CRS_AREA,
-        ("{outside} of {total} lie outside the area of {system} ({area}), the first {x:g}, {y:g}"),
+        (
+            "{outside} of {total} are outside the area of {system} ({area}), the first is {x:g}, "
+            "{y:g}"
+        ),
         where=where,
         remedy=(
-            "check {key}, and which column is which: x is east or longitude, y north or "
-            "latitude, whatever the order of the system's axes"
+            "check {key}, and which column is which: x is east or longitude, y is north or "
+            "latitude, for any order of the axes of the system"
         ),
         key=key,
         outside=outside,
@@ -67,8 +70,8 @@ def some_positions_outside(
     """Some positions, fewer than half, lie outside the area of use of their system."""
     return loss(
         CRS_AREA,
-        ("{count} of {total} lie outside the area of {system} ({area}), the first {x:g}, {y:g}"),
-        one="1 of {total} lies outside the area of {system} ({area}): {x:g}, {y:g}",
+        ("{count} of {total} are outside the area of {system} ({area}), the first is {x:g}, {y:g}"),
+        one="1 of {total} is outside the area of {system} ({area}): {x:g}, {y:g}",
         where=where,
         count=count,
         total=Counted(total, "position"),
@@ -83,8 +86,8 @@ def positions_beyond_grid(*, where: str, count: int, operation: str) -> Message:
     """Positions inside the system's area where the transformation's grid has no value."""
     return loss(
         CRS_AREA,
-        "{count} positions lie outside the grid of {operation}",
-        one="1 position lies outside the grid of {operation}",
+        "{count} positions are outside the grid of {operation}",
+        one="1 position is outside the grid of {operation}",
         where=where,
         count=count,
         operation=operation,
@@ -95,7 +98,7 @@ CRS_BALLPARK = Code(
     "CRS-BALLPARK",
     means="PROJ knows no transformation to WGS 84 of known accuracy for this system.",
     effect="The mission is refused.",
-    remedy="Transform the coordinates to a system on WGS 84 or ETRS89, and state that.",
+    remedy="Transform the coordinates to a system on WGS 84 or ETRS89, and state that system.",
 )
 
 
@@ -107,14 +110,17 @@ def crs_ballpark(*, where: Path | str, name: str, named: str) -> InputError:
         where=where,
         name=name,
         named=named,
-        remedy="transform it to a system on WGS 84 or ETRS89, and state that: {named}",
+        remedy=(
+            "transform the coordinates to a system on WGS 84 or ETRS89, and state that system: "
+            "{named}"
+        ),
     )
 
 
 CRS_DATUM = Code(
     "CRS-DATUM",
-    means="Positions were brought to WGS 84 by the transformation that is named.",
-    effect="A note; a warning where it is not better than 1 m.",
+    means="Positions were transformed to WGS 84 by the named transformation.",
+    effect="A note; a warning if it is not better than 1 m.",
     remedy="If metres matter, install the grid that the entry names.",
 )
 
@@ -126,8 +132,8 @@ def positions_on_wgs84(
     send = note if is_good else warning
     return send(
         CRS_DATUM,
-        "{count} positions in {system} ({crs}) brought to WGS 84 by {operation}",
-        one="1 position in {system} ({crs}) brought to WGS 84 by {operation}",
+        "{count} positions in {system} ({crs}) transformed to WGS 84 by {operation}",
+        one="1 position in {system} ({crs}) transformed to WGS 84 by {operation}",
         where=where,
         count=count,
         system=system,
@@ -138,7 +144,7 @@ def positions_on_wgs84(
 
 CRS_UNKNOWN = Code(
     "CRS-UNKNOWN",
-    means="PROJ knows no coordinate system for positions of this name.",
+    means="PROJ does not know a coordinate system for positions with this name.",
     effect="The mission is refused.",
     remedy="State it as EPSG:25832, EPSG:4326 or EPSG:25832+5773.",
 )
@@ -148,7 +154,7 @@ def crs_unknown(*, where: Path | str, crs: str, error: str, named: str) -> Input
     """PROJ does not know the system, or it is not one of places on the ground."""
     return InputError(
         CRS_UNKNOWN,
-        "PROJ knows no coordinate system for positions called {crs!r}: {error}",
+        "PROJ does not know a coordinate system for positions with the name {crs!r}: {error}",
         where=where,
         crs=crs,
         error=error,
@@ -160,12 +166,12 @@ def crs_unknown(*, where: Path | str, crs: str, error: str, named: str) -> Input
 CRS_VERTICAL = Code(
     "CRS-VERTICAL",
     means=(
-        "Heights count from a vertical datum that is not mean sea level or EGM96, or "
-        "above an ellipsoid other than WGS 84's."
+        "Heights refer to a vertical datum that is not mean sea level or EGM96, or to another "
+        "ellipsoid than that of WGS 84."
     ),
     effect=(
-        "Refused without its grid; with the grid a note, or a warning where it is 3 m or "
-        "more from EGM96."
+        "Refused without the grid of the datum. With the grid it is a note, or a warning if the "
+        "grid differs by 3 m or more from EGM96."
     ),
     remedy="Give the grid of the datum as mission.geoid, or heights above the sea.",
 )
@@ -177,7 +183,7 @@ def crs_vertical_stated(
     """The mission file states another surface of heights than the system has."""
     return InputError(
         CRS_VERTICAL,
-        "the heights of {name} are {these}, stated are {heights}",
+        "the heights of {name} are {these}, but {heights} are stated",
         where=where,
         named=named,
         name=name,
@@ -193,7 +199,7 @@ def crs_vertical_ellipsoid(
     """Heights above the ellipsoid of a past survey."""
     return InputError(
         CRS_VERTICAL,
-        "the ellipsoid of {name} is {ellipsoid}, and receivers give no heights above that",
+        "the ellipsoid of {name} is {ellipsoid}, and receivers do not give heights above it",
         where=where,
         named=named,
         name=name,
@@ -211,15 +217,15 @@ def crs_vertical_grid(
     """The vertical datum is not mean sea level, and its grid of undulations is not given."""
     return InputError(
         CRS_VERTICAL,
-        "its heights are {vertical}, and nothing relates them to others",
+        "its heights are {vertical}, and their relation to other heights is not known",
         where=where,
         named=named,
         vertical=vertical,
         horizontal=horizontal,
         remedy=(
-            "{named}: give mission.geoid, the path of this datum's grid of undulations "
-            "(.gtx or GeoTIFF); or state {horizontal} alone, where some decimetres to a "
-            "metre of difference between sea levels do not matter"
+            "{named}: give mission.geoid, the path of this datum's grid of undulations (.gtx or "
+            "GeoTIFF); or, if a difference of some decimetres to a metre between sea levels does "
+            "not matter, state only {horizontal}"
         ),
     )
 
@@ -231,8 +237,8 @@ def crs_vertical_other_grid(
     return InputError(
         CRS_VERTICAL,
         (
-            "{geoid} is {off_m:+.1f} m from EGM96 at the positions, as no sea level is: it is"
-            " not the grid of {vertical}, or of the other sign"
+            "{geoid} differs by {off_m:+.1f} m from EGM96 at the positions, which is impossible "
+            "for a sea level: it is not the grid of {vertical}, or has the opposite sign"
         ),
         where=where,
         named=named,
@@ -254,8 +260,8 @@ def heights_by_grid(
     return send(
         CRS_VERTICAL,
         (
-            "{datum} taken as {grid} relates it to the ellipsoid, {off_m:+.1f} m from EGM96 "
-            "in the median"
+            "{grid} gives the relation of {datum} to the ellipsoid, {off_m:+.1f} m from EGM96 in "
+            "the median"
         ),
         where=where,
         count=count,
@@ -268,12 +274,13 @@ def heights_by_grid(
 DEM_CRS = Code(
     "DEM-CRS",
     means=(
-        "The rasters of the elevation model have no or several coordinate systems, or "
-        "another than the mission file states."
+        "The rasters of the elevation model have no coordinate system, several, or another one "
+        "than the mission file states."
     ),
     effect="The mission is refused.",
     remedy=(
-        "State ground.height.crs for rasters that have none; warp others to one system (gdalwarp)."
+        "If the rasters have no system, state ground.height.crs. If they have several, warp them "
+        "to one system (gdalwarp)."
     ),
 )
 
@@ -282,12 +289,12 @@ def dem_crs_stated(*, where: Path | str, own: str, other: str, named: str) -> In
     """A raster has a system of its own, and the mission file states another."""
     return InputError(
         DEM_CRS,
-        "the file is in {own}, and {other} is stated",
+        "the file is in {own}, but {other} is stated",
         where=where,
         own=own,
         other=other,
         named=named,
-        remedy="leave {named} out, or give the file its right system",
+        remedy="leave {named} out, or write the correct system into the file",
     )
 
 
@@ -307,7 +314,7 @@ def rasters_of_several_systems(*, where: Path | str) -> InputError:
         DEM_CRS,
         "the rasters have several coordinate systems",
         where=where,
-        remedy="warp them to one system (gdalwarp), and write that into each",
+        remedy="warp them to one system (gdalwarp), and write that system into each file",
     )
 
 
@@ -315,7 +322,7 @@ DEM_RASTER = Code(
     "DEM-RASTER",
     means="The elevation model is not a single band of heights, north up.",
     effect="The mission is refused.",
-    remedy="Write one band, north up (gdalwarp); name the tiles of a VRT instead of it.",
+    remedy="Write one band, north up (gdalwarp). Name the tiles of a VRT instead of the VRT.",
 )
 
 
@@ -332,8 +339,8 @@ def dem_raster(
         ),
         where=where,
         remedy=(
-            "write one band of heights, north up (gdalwarp); in the place of a VRT, an "
-            "index of tiles or a service name the rasters themselves in ground.height.dem"
+            "write one band of heights, north up (gdalwarp); instead of a VRT, an index of tiles "
+            "or a service, name the rasters themselves in ground.height.dem"
         ),
         driver=driver,
         bands=Counted(bands, "band"),
@@ -364,8 +371,10 @@ def dem_rasterio(*, where: Path | str) -> InputError:
 
 DEM_READ = Code(
     "DEM-READ",
-    means="The elevation model was read; the entry has its heights, system and datum.",
-    effect=("A note; a warning where its datum is taken as mean sea level though it is another."),
+    means="The elevation model was read. The entry has its heights, system and datum.",
+    effect=(
+        "A note; a warning if its datum is treated as mean sea level although it is another datum."
+    ),
     remedy="Check the datum if a metre of height matters.",
 )
 
@@ -391,7 +400,7 @@ def elevation_read(
         "heights are {heights}, in units of {unit_m:g} m; to WGS 84 by {operation}"
     )
     if not is_sea_level:
-        text += "; {heights} is taken as mean sea level, from which it may be a metre away"
+        text += "; {heights} is treated as mean sea level, and may differ from it by a metre"
     send = note if is_good and is_sea_level else warning
     return send(
         DEM_READ,
@@ -412,7 +421,7 @@ def elevation_read(
 
 DEM_TILES = Code(
     "DEM-TILES",
-    means="The tiles of the elevation model do not lie on one grid.",
+    means="The tiles of the elevation model are not on the same grid.",
     effect="The mission is refused.",
     remedy="Warp them to one grid (gdalwarp).",
 )
@@ -430,8 +439,8 @@ def dem_tiles(
     return InputError(
         DEM_TILES,
         (
-            "its nodes lie {off:.2g} cells beside those of {first} (cells of {step_x:.9g} by "
-            "{step_y:.9g}, there {first_x:.9g} by {first_y:.9g})"
+            "its nodes are shifted by {off:.2g} cells from those of {first} (cells of {step_x:.9g} "
+            "by {step_y:.9g}, there {first_x:.9g} by {first_y:.9g})"
         ),
         where=where,
         remedy=(
@@ -489,7 +498,8 @@ GEOID_GRID = Code(
     means="The file is not a grid of undulations.",
     effect="The mission is refused.",
     remedy=(
-        "Give a .gtx or GeoTIFF, geographic, of ellipsoidal minus orthometric heights in metres."
+        "Give a .gtx or GeoTIFF in geographic coordinates, with ellipsoidal minus orthometric "
+        "heights in metres."
     ),
 )
 
@@ -535,18 +545,18 @@ def geoid_bands(*, where: Path | str) -> InputError:
 
 def geoid_turned(*, where: Path | str) -> InputError:
     """A raster whose rows are not parallels, or that begins in the south."""
-    return _no_geoid(where, "its rows do not run along parallels, from north to south")
+    return _no_geoid(where, "its rows are not along parallels, from north to south")
 
 
 def geoid_values(*, where: Path | str, lowest: float, highest: float) -> InputError:
     """The values of the grid are too small or too large for undulations."""
-    why = "it holds {lowest:.0f} to {highest:.0f} m; undulations are -107 to 86 m"
+    why = "it contains {lowest:.0f} to {highest:.0f} m; undulations are -107 to 86 m"
     return _no_geoid(where, why, lowest=lowest, highest=highest)
 
 
 def geoid_without_values(*, where: Path | str) -> InputError:
     """The grid has no value at all."""
-    return _no_geoid(where, "it holds no value at all")
+    return _no_geoid(where, "it contains no values")
 
 
 POINTS_COLUMN = Code(
@@ -572,7 +582,7 @@ def points_empty(*, where: Path | str) -> InputError:
 
 POINTS_REPEATED = Code(
     "POINTS-REPEATED",
-    means="Points stand in the table more than once.",
+    means="Points occur in the table more than once.",
     effect="The mission is refused.",
     remedy="Write one row for each point.",
 )
@@ -582,8 +592,8 @@ def points_repeated(*, where: Path | str, count: int, first: str) -> InputError:
     """Points of a table stand there more than once."""
     return InputError(
         POINTS_REPEATED,
-        "{count} points stand there more than once, first {first}",
-        one="1 point stands there more than once: {first}",
+        "{count} points occur more than once, the first is {first}",
+        one="1 point occurs more than once: {first}",
         where=where,
         count=count,
         remedy="write one row for each point",
@@ -613,11 +623,14 @@ def points_table(*, where: Path | str, error: str) -> InputError:
 EXPORT_CRS = Code(
     "EXPORT-CRS",
     means=(
-        "The coordinate system of --crs cannot hold this export: unknown, without a grid for "
-        "angles, far from the flight, or with heights whose grid is not there."
+        "The coordinate system of --crs cannot be used for this export. It is unknown, has no grid "
+        "for angles, is far from the flight, or has heights that need a missing grid."
     ),
     effect="The export is refused.",
-    remedy="Choose another system, as the refusal says; a UTM zone on WGS 84 or ETRS89 always is.",
+    remedy=(
+        "Choose another system, as the refusal states. A UTM zone on WGS 84 or ETRS89 is always "
+        "possible."
+    ),
 )
 
 
@@ -637,7 +650,7 @@ def grid_of_other_kind(*, crs: str, name: str, kind: str) -> ConfigError:
     """The system has neither map coordinates nor latitudes."""
     return ConfigError(
         EXPORT_CRS,
-        "{name} ({crs}) has no map coordinates: it is of the kind {kind}",
+        "{name} ({crs}) has no map coordinates: its type is {kind}",
         where="--crs",
         crs=crs,
         name=name,
@@ -656,7 +669,7 @@ def grid_geographic(*, crs: str, name: str) -> ConfigError:
         name=name,
         remedy=(
             "give a projected system, for example the UTM zone of the flight; without --crs the "
-            "angles are against east, north, up at each station"
+            "angles are relative to east, north, up at each station"
         ),
     )
 
@@ -665,7 +678,7 @@ def grid_without_places(*, crs: str) -> ConfigError:
     """No station has a position that could be projected."""
     return ConfigError(
         EXPORT_CRS,
-        "no station has a position: nothing can be brought to {crs}",
+        "no station has a position: nothing can be transformed to {crs}",
         where="--crs",
         crs=crs,
         remedy="check the stations of the run",
@@ -676,12 +689,12 @@ def grid_elsewhere(*, crs: str, name: str, area: str) -> ConfigError:
     """The block lies far outside the system's area of use."""
     return ConfigError(
         EXPORT_CRS,
-        "the flight lies more than 2° outside the area of {name} ({crs}): {area}",
+        "the flight is more than 2° outside the area of {name} ({crs}): {area}",
         where="--crs",
         crs=crs,
         name=name,
         area=area,
-        remedy="give a system of the place that was flown, for example its UTM zone",
+        remedy="give a system for the place of the flight, for example its UTM zone",
     )
 
 
@@ -694,8 +707,8 @@ def grid_ballpark(*, crs: str, name: str) -> ConfigError:
         crs=crs,
         name=name,
         remedy=(
-            "export in a system on WGS 84 or ETRS89, and transform that with a program of the "
-            "survey office; or install the grid of the transformation in PROJ's folder"
+            "export in a system on WGS 84 or ETRS89, and transform the result with a program of "
+            "the survey office; or install the grid of the transformation in PROJ's folder"
         ),
     )
 
@@ -704,7 +717,7 @@ def grid_left_handed(*, crs: str, name: str, axes: str) -> ConfigError:
     """The axes of the system are mirrored against east and north."""
     return ConfigError(
         EXPORT_CRS,
-        "the axes of {name} ({crs}) count to {axes}: angles and vectors would be mirrored in it",
+        "the axes of {name} ({crs}) point to {axes}: angles and vectors would be mirrored in it",
         where="--crs",
         crs=crs,
         name=name,
@@ -719,7 +732,7 @@ def grid_scale_unfit(*, crs: str, name: str, lowest: float, highest: float) -> C
         EXPORT_CRS,
         (
             "the scale of {name} ({crs}) is {lowest:.4f} to {highest:.4f} here: horizontal "
-            "distances and heights do not fit together in it"
+            "distances and heights have different scales in it"
         ),
         where="--crs",
         crs=crs,
@@ -734,7 +747,7 @@ def grid_needs_geoid(*, crs: str, vertical: str) -> ConfigError:
     """The vertical datum needs the grid that belongs to it."""
     return ConfigError(
         EXPORT_CRS,
-        "heights in {vertical} ({crs}) need the grid that belongs to it",
+        "heights in {vertical} ({crs}) need the grid of this datum",
         where="--crs",
         crs=crs,
         vertical=vertical,
@@ -760,11 +773,11 @@ def grid_ellipsoid(*, crs: str, ellipsoid: str) -> ConfigError:
     """Heights above an ellipsoid of a past survey."""
     return ConfigError(
         EXPORT_CRS,
-        "heights of {crs} count from the ellipsoid {ellipsoid}, which is not that of WGS 84",
+        "heights of {crs} refer to the ellipsoid {ellipsoid}, which is not that of WGS 84",
         where="--crs",
         crs=crs,
         ellipsoid=ellipsoid,
-        remedy="give the two-dimensional system: heights then count from the ellipsoid of WGS 84",
+        remedy="give the two-dimensional system: heights then refer to the ellipsoid of WGS 84",
     )
 
 
@@ -772,10 +785,10 @@ def grid_geoid_elsewhere(*, geoid: str) -> ConfigError:
     """The grid of the vertical datum has no values where the flight is."""
     return ConfigError(
         EXPORT_CRS,
-        "{geoid} has no value where the flight is",
+        "{geoid} has no value at the place of the flight",
         where="--geoid",
         geoid=geoid,
-        remedy="give the grid of the country that was flown",
+        remedy="give a grid that covers the flight",
     )
 
 
@@ -788,18 +801,20 @@ def grid_other_geoid(*, geoid: str, off_m: float, vertical: str) -> ConfigError:
         geoid=geoid,
         off_m=off_m,
         vertical=vertical,
-        remedy="give the grid of ellipsoidal minus orthometric heights that belongs to it",
+        remedy="give the grid of ellipsoidal minus orthometric heights of this datum",
     )
 
 
 EXPORT_GRID = Code(
     "EXPORT-GRID",
-    means="How the export lies in its coordinate system: transformation, convergence, scale.",
-    effect=(
-        "A note; a warning where the transformation is not known to be good to 1 m, the flight "
-        "lies outside the area of the system, or angles are distorted in it."
+    means=(
+        "The relation of the export to its coordinate system: transformation, convergence, scale."
     ),
-    remedy="Where it is a warning, choose another system, or install the grid that is named.",
+    effect=(
+        "A note. A warning if the accuracy of the transformation is not known to be 1 m or better, "
+        "the flight is outside the area of the system, or angles are distorted in it."
+    ),
+    remedy="If it is a warning, choose another system, or install the named grid.",
 )
 
 
@@ -808,8 +823,8 @@ def grid_reached(*, count: int, crs: str, name: str, operation: str, is_good: bo
     send = note if is_good else warning
     return send(
         EXPORT_GRID,
-        "{count} positions brought from WGS 84 to {name} ({crs}) by {operation}",
-        one="1 position brought from WGS 84 to {name} ({crs}) by {operation}",
+        "{count} positions transformed from WGS 84 to {name} ({crs}) by {operation}",
+        one="1 position transformed from WGS 84 to {name} ({crs}) by {operation}",
         where="--crs",
         count=count,
         crs=crs,
@@ -822,8 +837,8 @@ def grid_beyond_area(*, count: int, name: str, area: str) -> Message:
     """Positions lie a little outside the area of use."""
     return warning(
         EXPORT_GRID,
-        "{count} positions lie outside the area of {name}: {area}",
-        one="1 position lies outside the area of {name}: {area}",
+        "{count} positions are outside the area of {name}: {area}",
+        one="1 position is outside the area of {name}: {area}",
         where="--crs",
         count=count,
         name=name,
@@ -838,9 +853,9 @@ def grid_axes(
     return note(
         EXPORT_GRID,
         (
-            "angles are against grid north: the convergence of {lowest_deg:.4f}° to "
-            "{highest_deg:.4f}° is applied; the scale of {lowest:.6f} to {highest:.6f} is in x "
-            "and y, and not in the heights"
+            "angles are relative to grid north: the convergence of {lowest_deg:.4f}° to "
+            "{highest_deg:.4f}° is applied; x and y have the scale of {lowest:.6f} to "
+            "{highest:.6f}, the heights do not have it"
         ),
         where="--crs",
         count=count,
@@ -856,8 +871,9 @@ def grid_distorted(*, name: str, distortion: float) -> Message:
     return warning(
         EXPORT_GRID,
         (
-            "{name} is not conformal: the scales of two directions differ by up to {percent:.3f} "
-            "% here, and images do not fit to it by one rotation; a UTM zone has no such difference"
+            "{name} is not conformal: the scales of two directions differ by up to {percent:.3f} % "
+            "here, so that images do not fit it with one rotation; a UTM zone has no such "
+            "difference"
         ),
         where="--crs",
         name=name,

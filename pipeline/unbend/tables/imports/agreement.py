@@ -39,10 +39,10 @@ _ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
 _Change = Callable[[Array, Array], tuple[Array, Array]]
 _OF_PLACE: Mapping[str, _Change] = {
     "with latitude and longitude exchanged": lambda lat, lon: (lon, lat),
-    "with the other sign of the longitude": lambda lat, lon: (lat, -lon),
-    "taken for radians": lambda lat, lon: (lat / RADIANS["deg"], lon / RADIANS["deg"]),
-    "taken for degrees": lambda lat, lon: (lat * RADIANS["deg"], lon * RADIANS["deg"]),
-    "taken for grads": lambda lat, lon: (lat * 0.9, lon * 0.9),
+    "with the opposite sign of the longitude": lambda lat, lon: (lat, -lon),
+    "read as radians": lambda lat, lon: (lat / RADIANS["deg"], lon / RADIANS["deg"]),
+    "read as degrees": lambda lat, lon: (lat * RADIANS["deg"], lon * RADIANS["deg"]),
+    "read as grads": lambda lat, lon: (lat * 0.9, lon * 0.9),
 }
 """Mistakes about the columns of positions, and what undoes them."""
 
@@ -137,7 +137,7 @@ def _compare_places(imported: Channel, rows: Rows, track: _Track, ledger: Ledger
         for mistake, undone in _OF_PLACE.items():
             other = track.metres(*undone(imported["lat_rad"], imported["lon_rad"]))
             if (away := float(np.nanmedian(np.abs(other)))) < 0.01 * now:
-                hints += f"; {mistake} it is {_metres(away)} from the middle of the flight"
+                hints += f"; {mistake} it is {_metres(away)} from the centre of the flight"
         raise messages.trajectory_place(
             where=imported.name, away=_metres(now), log=track.name, hints=hints
         )

@@ -43,9 +43,11 @@ def events_empty(*, where: Path | str) -> InputError:
 
 EVENTS_TIME = Code(
     "EVENTS-TIME",
-    means="Rows of the table of events have no readable time, or one that no survey can have: in "
-    "the future, or of a clock that was never set (1970-01-01, 1980-01-06, GPS weeks before 1990).",
-    effect="They are not used; their images have no station.",
+    means=(
+        "Rows of the table of events have no readable time, or an impossible one: in the future, "
+        "or of a clock that was never set (1970-01-01, 1980-01-06, GPS weeks before 1990)."
+    ),
+    effect="They are not used. Their images have no station.",
     remedy="Correct these rows.",
 )
 
@@ -54,8 +56,8 @@ def events_without_time(*, where: str, count: int, line: int) -> Message:
     """Rows of a table of exposures whose time cannot be read; ``line`` is that of the first."""
     return loss(
         EVENTS_TIME,
-        "{count} rows have no readable time that a survey can have, the first in line {line}",
-        one="1 row has no readable time that a survey can have: line {line}",
+        "{count} rows have no readable or possible time, the first in line {line}",
+        one="1 row has no readable or possible time: line {line}",
         where=where,
         count=count,
         line=line,
@@ -64,9 +66,9 @@ def events_without_time(*, where: str, count: int, line: int) -> Message:
 
 EXIF_TIME = Code(
     "EXIF-TIME",
-    means="Images have no time of exposure, or none on the same clock as the others.",
+    means="Images have no time of exposure, or not on the same clock as the others.",
     effect="These times are not used.",
-    remedy="Check the images; other evidence still assigns them.",
+    remedy="Check the images. Other evidence can still assign them.",
 )
 
 
@@ -123,17 +125,17 @@ def clock_of_whole_seconds(*, where: str, count: int) -> Message:
 
 EXIF_ZONE = Code(
     "EXIF-ZONE",
-    means="The time zone of the camera's clock follows from the GPS stamps of its images.",
-    effect="Local times become UTC by it.",
+    means="The time zone of the camera's clock was computed from the GPS stamps of its images.",
+    effect="Local times are converted to UTC with it.",
     remedy="Nothing.",
 )
 
 
 def zone_of_camera(*, where: str, count: int, hours: float) -> Message:
-    """The time zone of the camera's clock follows from the GPS stamps of its images."""
+    """The time zone of the camera's clock was computed from the GPS stamps of its images."""
     return note(
         EXIF_ZONE,
-        "the camera's clock is {hours:+g} h from UTC by its images' GPS stamps",
+        "the camera's clock differs by {hours:+g} h from UTC, as the GPS stamps of its images show",
         where=where,
         count=count,
         hours=hours,
@@ -152,7 +154,9 @@ IMAGES_DUPLICATE = Code(
     "IMAGES-DUPLICATE",
     means="An image of the observations may be one of several files in different folders.",
     effect="The mission is refused.",
-    remedy="Write the folder into the names of the observations, or give the folder of one flight.",
+    remedy=(
+        "Add the folder to the image names in the observations, or give the folder of one flight."
+    ),
 )
 
 
@@ -166,8 +170,8 @@ def images_duplicate(*, where: Path | str, image: str, first: str, second: str) 
         first=first,
         second=second,
         remedy=(
-            "write the folder into the names of the observations' images, as in {first}, or"
-            " give the folder of one flight"
+            "add the folder to the image names in the observations, as in {first}, or give the "
+            "folder of one flight"
         ),
     )
 
@@ -193,14 +197,14 @@ def images_no_gimbal(*, where: Path | str, files: int) -> InputError:
 
 IMAGES_TAG = Code(
     "IMAGES-TAG",
-    means="Tags of images are neither numbers nor angles.",
+    means="Tags of images cannot be read as numbers or angles.",
     effect=(
-        "These images have no such value. The mission is refused if no image has one that can be "
-        "read."
+        "These images do not have this value. If no image has a readable value, the mission is "
+        "refused."
     ),
     remedy=(
-        "Write the tags as numbers: exiftool -n -csv -r FOLDER. Taken are numbers like -89.9 or "
-        "-89,9, and degrees, minutes and seconds with marks between them."
+        "Write the tags as numbers: exiftool -n -csv -r FOLDER. Numbers like -89.9 or -89,9 can be "
+        "read, and degrees, minutes and seconds with marks between them."
     ),
 )
 
@@ -236,7 +240,7 @@ IMAGES_NONE = Code(
     "IMAGES-NONE",
     means="There are no images in the folder or table.",
     effect="The mission is refused.",
-    remedy="Give a folder of images, or what exiftool -csv wrote.",
+    remedy="Give a folder of images, or a table that exiftool -csv wrote.",
 )
 
 
@@ -248,15 +252,15 @@ def images_none(*, where: Path | str, endings: str) -> InputError:
         where=where,
         endings=endings,
         remedy=(
-            "path is a folder of images ({endings}) or a table as exiftool -csv writes "
-            "it, with a column SourceFile or FileName"
+            "path must be a folder of images ({endings}), or a table of exiftool -csv with a "
+            "column SourceFile or FileName"
         ),
     )
 
 
 IMPORT_ANGLES = Code(
     "IMPORT-ANGLES",
-    means="The angles of the trajectory are more than a turn: another unit.",
+    means="The angles of the trajectory are larger than one turn. They are in another unit.",
     effect="The mission is refused.",
     remedy="State stations.trajectory.angle_unit.",
 )
@@ -272,8 +276,8 @@ IMPORT_COLUMN = Code(
 
 IMPORT_CONTRADICTED = Code(
     "IMPORT-CONTRADICTED",
-    means="The file's head says something else than the mission file.",
-    effect="What the mission file says holds.",
+    means="The header of the file contradicts the mission file.",
+    effect="The value of the mission file is used.",
     remedy="Check which of the two is right.",
 )
 
@@ -282,7 +286,7 @@ def header_contradicted(*, where: str, key: str, found: str, stated: str) -> Mes
     """The mission file states something else of a file than its header."""
     return warning(
         IMPORT_CONTRADICTED,
-        "by its header {key} is {found}, by the mission file {stated}, which holds",
+        "{key} is {found} in its header and {stated} in the mission file, which is used",
         where=where,
         key=key,
         found=found,
@@ -293,7 +297,7 @@ def header_contradicted(*, where: str, key: str, found: str, stated: str) -> Mes
 IMPORT_CUT = Code(
     "IMPORT-CUT",
     means="The file was cut in the middle of a row.",
-    effect="The whole rows are used.",
+    effect="The complete rows are used.",
     remedy="Copy the file again.",
 )
 
@@ -313,8 +317,8 @@ def file_cut(*, where: str, count: int, row: int, rows: int) -> Message:
 
 IMPORT_EO_ANGLES = Code(
     "IMPORT-EO-ANGLES",
-    means="The head of an EO text does not say the unit or the zone of its angles.",
-    effect="Attitudes are taken from elsewhere.",
+    means="The header of an EO text does not state the unit or the zone of its angles.",
+    effect="Attitudes are taken from another source.",
     remedy="State events.positions.<camera>.grid.",
 )
 
@@ -324,7 +328,7 @@ def eo_angles_unused(*, where: str, missing: str) -> Message:
     return fallback(
         IMPORT_EO_ANGLES,
         (
-            "its head does not say {missing}: attitudes are taken from elsewhere; "
+            "its header does not state {missing}: attitudes are taken from another source; "
             "events.positions.<camera>.grid states the grid"
         ),
         where=where,
@@ -335,23 +339,24 @@ def eo_angles_unused(*, where: str, missing: str) -> Message:
 IMPORT_EO_HEAD = Code(
     "IMPORT-EO-HEAD",
     means=(
-        "The head of an EO text states the order of its rotations, a cardinal rotation of kappa, "
+        "The header of an EO text states the order of its rotations, a cardinal rotation of kappa, "
         "or a shift of its coordinates."
     ),
     effect=(
-        "The angles are read in that order, as those of the image as written, the cardinal "
-        "rotation included. A shift that easting and northing show against latitude and "
-        "longitude is taken from the heights. Other orders of rotations are refused."
+        "The angles are read in that order. They are the angles of the image as it was written, "
+        "including the cardinal rotation. If easting and northing are shifted against latitude and "
+        "longitude, the shift is also subtracted from the heights. Other orders of rotations are "
+        "refused."
     ),
-    remedy="Compare with tie points, or with the program's settings.",
+    remedy="Check this with tie points, or with the settings of the program.",
 )
 
 
 def eo_order(*, where: str, rotations: str) -> Message:
     """The order of the rotations that the head states, or that is taken where it states none."""
-    text = "angles in the order of its head: {rotations}"
+    text = "angles in the order of its header: {rotations}"
     if not rotations:
-        text = "its head states no order of rotations: omega first, then phi and kappa"
+        text = "its header states no order of rotations; omega is assumed first, then phi and kappa"
     return note(IMPORT_EO_HEAD, text, where=where, rotations=rotations)
 
 
@@ -363,7 +368,7 @@ def eo_order_unknown(*, where: Path | str, rotations: str) -> InputError:
         "kappa about z last",
         where=where,
         rotations=rotations,
-        remedy="write the exterior orientation with kappa as the third rotation",
+        remedy="write the exterior orientation with kappa as the last rotation",
     )
 
 
@@ -371,8 +376,11 @@ def eo_cardinal_rotation(*, where: str, turn_deg: float) -> Message:
     """The head states a cardinal rotation of kappa."""
     return warning(
         IMPORT_EO_HEAD,
-        "kappa has a cardinal rotation of {turn_deg:g} deg: the angles are taken for those of the "
-        "images as they were measured; only tie points show whether these are turned against it",
+        (
+            "kappa has a cardinal rotation of {turn_deg:g} deg: the angles are assumed to belong "
+            "to the images as they were measured; only tie points show whether these images are "
+            "turned"
+        ),
         where=where,
         turn_deg=turn_deg,
     )
@@ -382,8 +390,10 @@ def eo_shift_undone(*, where: str, shift: str) -> Message:
     """Easting and northing have the stated shift, latitude and longitude do not."""
     return warning(
         IMPORT_EO_HEAD,
-        "X, Y, Z were shifted by {shift} m, latitude and longitude were not: the shift is taken "
-        "from the heights",
+        (
+            "X, Y, Z were shifted by {shift} m, but latitude and longitude were not: the shift is "
+            "subtracted from the heights"
+        ),
         where=where,
         shift=shift,
     )
@@ -393,7 +403,10 @@ def eo_shift_unknown(*, where: str, shift: str) -> Message:
     """A shift is stated, and latitude and longitude do not show whether they have it."""
     return warning(
         IMPORT_EO_HEAD,
-        "X, Y, Z were shifted by {shift} m; latitude, longitude and height are read as they stand",
+        (
+            "X, Y, Z were shifted by {shift} m; latitude, longitude and height are read without a "
+            "change"
+        ),
         where=where,
         shift=shift,
     )
@@ -401,7 +414,9 @@ def eo_shift_unknown(*, where: str, shift: str) -> Message:
 
 IMPORT_EO_GRID = Code(
     "IMPORT-EO-GRID",
-    means="The grid of the EO text's angles is not that of its positions, or not stated.",
+    means=(
+        "The grid of the angles in the EO text is not stated, or is not the grid of its positions."
+    ),
     effect="The mission is refused.",
     remedy="State events.positions.<camera>.grid, as EPSG:32632.",
 )
@@ -411,7 +426,7 @@ def grid_unknown(*, where: Path | str, grid: str, error: str) -> InputError:
     """PROJ does not know the grid in which omega, phi and kappa count."""
     return InputError(
         IMPORT_EO_GRID,
-        "PROJ knows no grid {grid}: {error}",
+        "PROJ does not know the grid {grid}: {error}",
         where=where,
         remedy="state events.positions.<camera>.grid, as EPSG:32632",
         grid=grid,
@@ -424,8 +439,8 @@ def grid_elsewhere(*, where: Path | str, grid: str, away_m: float) -> InputError
     return InputError(
         IMPORT_EO_GRID,
         (
-            "its eastings and northings lie {away_m:.3g} m from its latitudes and longitudes in "
-            "{grid}: its angles count in another grid"
+            "its eastings and northings are {away_m:.3g} m from its latitudes and longitudes in "
+            "{grid}: its angles refer to another grid"
         ),
         where=where,
         remedy="state events.positions.<camera>.grid, as EPSG:32632",
@@ -436,19 +451,21 @@ def grid_elsewhere(*, where: Path | str, grid: str, away_m: float) -> InputError
 
 IMPORT_FORMAT = Code(
     "IMPORT-FORMAT",
-    means="The file is not of the format that is named, or that its ending says; or it is damaged.",
+    means=(
+        "The file does not have the stated format, or the format of its ending. Or it is damaged."
+    ),
     effect="The mission is refused.",
-    remedy="Name the format, or write the file again.",
+    remedy="State the format, or write the file again.",
 )
 
-NAME_OR_EXPORT = "name the format of the file, or export it again"
+NAME_OR_EXPORT = "state the format of the file, or export it again"
 
 
 def ending_unknown(*, where: Path | str, ending: str, known: str, formats: str) -> InputError:
     """The ending of a file does not say its format, and neither does the mission file."""
     return InputError(
         IMPORT_FORMAT,
-        "its ending {ending} says nothing; known are {known}",
+        "its ending {ending} is unknown; known endings are {known}",
         where=where,
         remedy="give format: {formats}",
         ending=ending,
@@ -461,7 +478,7 @@ def ending_missing(*, where: Path | str, known: str, formats: str) -> InputError
     """A file without an ending, and the mission file does not say its format."""
     return InputError(
         IMPORT_FORMAT,
-        "its ending is missing; known are {known}",
+        "its ending is missing; known endings are {known}",
         where=where,
         remedy="give format: {formats}",
         known=known,
@@ -491,7 +508,7 @@ def columns_unstated(*, where: Path | str) -> InputError:
     """A trajectory as CSV, whose columns the mission file does not name."""
     return InputError(
         IMPORT_FORMAT,
-        "nothing says what its columns are",
+        "its columns have no names",
         where=where,
         remedy="name them under stations.trajectory.columns",
     )
@@ -502,11 +519,11 @@ def pos_without_titles(*, where: Path | str) -> InputError:
     return InputError(
         IMPORT_FORMAT,
         (
-            "no line like '%  GPST  latitude(deg) longitude(deg) height(m) Q ns ...' says what "
-            "its columns and its time system are"
+            "no line like '%  GPST  latitude(deg) longitude(deg) height(m) Q ns ...' states its "
+            "columns and its time system"
         ),
         where=where,
-        remedy="keep the header when exporting, or read it as csv",
+        remedy="export it with its header, or read it as csv",
     )
 
 
@@ -525,8 +542,8 @@ def pos_without_base(*, where: Path | str) -> InputError:
     return InputError(
         IMPORT_FORMAT,
         (
-            "its baselines start at a base whose latitude, longitude and height the header does "
-            "not give ('% ref pos   :')"
+            "its baselines start at a base, but the header does not give latitude, longitude and "
+            "height of the base ('% ref pos   :')"
         ),
         where=where,
         remedy="export latitude, longitude and height",
@@ -560,7 +577,7 @@ def eo_without_places(*, where: Path | str, titles: str) -> InputError:
     """Exterior orientations without latitude, longitude and height."""
     return InputError(
         IMPORT_FORMAT,
-        "its columns are {titles}: positions in a grid alone are not read",
+        "its columns are {titles}: positions only in a grid cannot be read",
         where=where,
         remedy="export it with latitude, longitude (LAT, LONG) and height",
         titles=titles,
@@ -571,7 +588,7 @@ def eo_not_in_degrees(*, where: Path | str) -> InputError:
     """Exterior orientations whose header does not state degrees for their places."""
     return InputError(
         IMPORT_FORMAT,
-        "its header does not say 'lat, long in Deg'",
+        "its header does not contain 'lat, long in Deg'",
         where=where,
         remedy="export latitude and longitude in degrees",
     )
@@ -589,12 +606,14 @@ def _no_sbet(where: Path | str, why: str, **values: Any) -> InputError:
 
 def sbet_big_endian(*, where: Path | str) -> InputError:
     """The numbers make an SBET when their bytes are read in the other order."""
-    return _no_sbet(where, "its numbers are big-endian, those of an SBET are little-endian")
+    return _no_sbet(where, "its numbers are big-endian, but an SBET has little-endian numbers")
 
 
 def sbet_is_smrmsg(*, where: Path | str) -> InputError:
     """The file of standard deviations stands where the SBET belongs."""
-    why = "it is a smrmsg file (10 doubles a row), to be named as accuracy beside the SBET"
+    why = (
+        "it is a smrmsg file (10 doubles in each row); name it as accuracy, together with the SBET"
+    )
     return _no_sbet(where, why)
 
 
@@ -616,8 +635,8 @@ def sbet_without_time(*, where: Path | str) -> InputError:
 def sbet_places(*, where: Path | str, latitude: float, longitude: float) -> InputError:
     """Latitudes or longitudes are too large for radians."""
     why = (
-        "latitude and longitude reach {latitude:.4g} and {longitude:.4g}: degrees, or exchanged, "
-        "not radians, latitude first"
+        "latitude and longitude reach {latitude:.4g} and {longitude:.4g}: they are in degrees or "
+        "exchanged; radians are needed, latitude first"
     )
     return _no_sbet(where, why, latitude=latitude, longitude=longitude)
 
@@ -640,7 +659,7 @@ def not_smrmsg(*, where: Path | str) -> InputError:
         IMPORT_FORMAT,
         "it is not a smrmsg file: rows of 10 doubles, time and sigmas",
         where=where,
-        remedy="give the smrmsg file that was written with the SBET",
+        remedy="give the smrmsg file that was written together with the SBET",
     )
 
 
@@ -655,7 +674,7 @@ def smrmsg_of_other_times(
             "{sbet_begin:.0f} to {sbet_end:.0f}"
         ),
         where=where,
-        remedy="give the smrmsg file that was written with the SBET",
+        remedy="give the smrmsg file that was written together with the SBET",
         begin=begin,
         end=end,
         sbet_begin=sbet_begin,
@@ -686,10 +705,7 @@ def images_without_position(*, where: str, count: int, total: int, first: float)
 
 IMPORT_RANGE = Code(
     "IMPORT-RANGE",
-    means=(
-        "Coordinates are beyond what is possible: a latitude above 90, or a point not "
-        "near the earth."
-    ),
+    means=("Coordinates are impossible: a latitude above 90, or a point far from the earth."),
     effect="The mission is refused.",
     remedy="Check which column is which, and the unit.",
 )
@@ -702,7 +718,7 @@ def latitude_beyond_poles(*, where: Path | str, worst_deg: float) -> InputError:
         "a latitude of {worst_deg:.2f} degrees: it is a longitude, or in another unit",
         where=where,
         worst_deg=worst_deg,
-        remedy="exchange the columns of latitude and longitude, or state the unit that it has",
+        remedy="exchange the columns of latitude and longitude, or state the unit",
     )
 
 
@@ -719,19 +735,23 @@ def not_on_earth(*, where: Path | str, radius: float) -> InputError:
 
 IMPORT_VALUES = Code(
     "IMPORT-VALUES",
-    means="Single values of rows are no numbers, or none that a flight has: negative standard "
-    "deviations, more than 1000 m/s, quaternions of another length than 1.",
-    effect="They are taken as unknown; the rest of their rows is used.",
-    remedy="Correct the file if they matter.",
+    means=(
+        "Single values of rows are not numbers, or are impossible: negative standard deviations, "
+        "more than 1000 m/s, quaternions with another length than 1."
+    ),
+    effect="They are treated as unknown. The other values of their rows are used.",
+    remedy="If they are needed, correct the file.",
 )
 
 
 IMPORT_ROWS = Code(
     "IMPORT-ROWS",
-    means="Rows cannot be read, have a place or time that no survey can have (0, 0; the future; a "
-    "clock that was never set), or repeat the time of another.",
+    means=(
+        "Rows cannot be read, have an impossible place or time (0, 0; the future; a clock that was "
+        "never set), or repeat the time of another row."
+    ),
     effect="They are not used.",
-    remedy="Correct the file if they matter.",
+    remedy="If they are needed, correct the file.",
 )
 
 
@@ -753,10 +773,10 @@ def values_impossible(*, where: str, column: str, count: int, row: int, first: f
     return loss(
         IMPORT_VALUES,
         (
-            "{count} values of {column} are impossible and are taken as unknown, the first is "
+            "{count} values of {column} are impossible and are treated as unknown, the first is "
             "{first:g} in row {row}"
         ),
-        one="1 value of {column} is impossible and is taken as unknown: {first:g} in row {row}",
+        one="1 value of {column} is impossible and is treated as unknown: {first:g} in row {row}",
         where=where,
         count=count,
         column=column,
@@ -770,12 +790,12 @@ def fields_unreadable(*, where: str, column: str, count: int, line: int, first: 
     return loss(
         IMPORT_VALUES,
         (
-            "{count} fields of column {column} are not numbers and are taken as unknown, the first "
-            "is {first!r} in line {line}"
+            "{count} fields of column {column} are not numbers and are treated as unknown, the "
+            "first is {first!r} in line {line}"
         ),
         one=(
-            "1 field of column {column} is not a number and is taken as unknown: {first!r} in line "
-            "{line}"
+            "1 field of column {column} is not a number and is treated as unknown: {first!r} in "
+            "line {line}"
         ),
         where=where,
         count=count,
@@ -803,20 +823,19 @@ def rows_repeat_time(*, where: str, count: int, total: int, first: int) -> Messa
 
 IMPORT_SPEED = Code(
     "IMPORT-SPEED",
-    means="The positions of an SBET move at another speed than its velocities say.",
+    means="The speed between the positions of an SBET contradicts its velocities.",
     effect="The mission is refused.",
     remedy="Export an SBET in radians, latitude before longitude.",
 )
 
 
 def sbet_speed(*, where: Path | str, usual: float, said: float) -> InputError:
-    """The positions of an SBET move at another speed than its velocities say."""
+    """The speed between the positions of an SBET contradicts its velocities."""
     return InputError(
         IMPORT_SPEED,
         (
-            "its positions move at {usual:.3g} m/s, its velocities say {said:.3g} m/s: "
-            "latitude and longitude are not in radians, are exchanged, or the columns are "
-            "others"
+            "its positions move at {usual:.3g} m/s, but its velocities are {said:.3g} m/s: "
+            "latitude and longitude are not in radians, are exchanged, or the columns are different"
         ),
         where=where,
         usual=usual,
@@ -827,7 +846,7 @@ def sbet_speed(*, where: Path | str, usual: float, said: float) -> InputError:
 
 IMPORT_TIME_SYSTEM = Code(
     "IMPORT-TIME-SYSTEM",
-    means="The times have a time zone, which GPS time has not.",
+    means="The times have a time zone, but GPS time has no time zone.",
     effect="The mission is refused.",
     remedy="Give time: {system: utc}.",
 )
@@ -837,7 +856,7 @@ def gps_time_with_zone(*, where: Path | str, time: str) -> InputError:
     """A time in GPS time has the zone of UTC or another."""
     return InputError(
         IMPORT_TIME_SYSTEM,
-        "{time} has a time zone, which GPS time has not",
+        "{time} has a time zone, but GPS time has no time zone",
         where=where,
         time=time,
         remedy="give time: {{system: utc}}",
@@ -847,8 +866,8 @@ def gps_time_with_zone(*, where: Path | str, time: str) -> InputError:
 IMPORT_UNSTATED = Code(
     "IMPORT-UNSTATED",
     means=(
-        "Neither the file nor the mission file says its time system, or what its heights "
-        "count from."
+        "Neither the file nor the mission file states its time system or the reference of its "
+        "heights."
     ),
     effect="The mission is refused.",
     remedy="Give time: {system: gpst} or {system: utc}, and heights: ellipsoid or msl.",
@@ -860,8 +879,8 @@ def unstated(*, where: Path | str, name: str) -> InputError:
     return InputError(
         IMPORT_UNSTATED,
         (
-            "it does not say its {name}: GPS time is 18 s ahead of UTC since 2017, heights "
-            "above ellipsoid and sea are up to 107 m apart"
+            "it does not state its {name}: GPS time is 18 s ahead of UTC since 2017; heights above "
+            "the ellipsoid and above the sea differ by up to 107 m"
         ),
         where=where,
         name=name,
@@ -871,9 +890,9 @@ def unstated(*, where: Path | str, name: str) -> InputError:
 
 IMPORT_VELOCITY = Code(
     "IMPORT-VELOCITY",
-    means="The velocities of the file are those of its positions in no frame.",
+    means="The velocities of the file do not fit its positions in any frame.",
     effect="They are not used.",
-    remedy="Check the export, if the velocities matter.",
+    remedy="If the velocities are needed, check the export.",
 )
 
 
@@ -882,8 +901,8 @@ def sbet_velocity_unused(*, where: str, misfits: float) -> Message:
     return warning(
         IMPORT_VELOCITY,
         (
-            "its velocities are those of its positions in no frame ({misfits:.2f} m/s apart):"
-            " they are not used"
+            "its velocities do not fit its positions in any frame ({misfits:.2f} m/s apart): they "
+            "are not used"
         ),
         where=where,
         misfits=misfits,
@@ -892,9 +911,11 @@ def sbet_velocity_unused(*, where: str, misfits: float) -> Message:
 
 IMPORT_WANDER = Code(
     "IMPORT-WANDER",
-    means="How the heading of the SBET relates to its wander angle, tested by its velocities.",
-    effect="A note; a warning where the test does not decide or the sign is the other one.",
-    remedy="Check the yaw of the stations, if it is a warning.",
+    means=(
+        "The relation of the heading of the SBET to its wander angle, tested with its velocities."
+    ),
+    effect="A note; a warning if the test does not decide or the sign is the opposite one.",
+    remedy="If it is a warning, check the yaw of the stations.",
 )
 
 
@@ -903,8 +924,8 @@ def wander_untested(*, where: str) -> Message:
     return note(
         IMPORT_WANDER,
         (
-            "nothing in the file moves: the true heading is taken as platform heading minus "
-            "wander angle"
+            "nothing in the file moves: platform heading minus wander angle is assumed to be the "
+            "true heading"
         ),
         where=where,
     )
@@ -931,7 +952,7 @@ def wander_sign(
     """
     sign = "minus" if is_minus else "plus"
     evidence = "velocities and positions" if by_velocities else "heading and course"
-    outcome = "differ" if is_decided else "do not decide it, they differ"
+    outcome = "differ" if is_decided else "do not decide; they differ"
     send = note if is_decided and is_minus else warning
     return send(
         IMPORT_WANDER,
@@ -952,17 +973,17 @@ def wander_sign(
 
 IMPORT_WEEK = Code(
     "IMPORT-WEEK",
-    means="Times are seconds of the week, and nothing says of which week.",
+    means="Times are seconds of the week, but the week is not stated.",
     effect="The mission is refused.",
     remedy="Give time: {week: NUMBER}, counted from 1980-01-06.",
 )
 
 
 def week_unknown(*, where: Path | str) -> InputError:
-    """Times are seconds of the week, and nothing says of which week."""
+    """Times are seconds of the week, but the week is not stated."""
     return InputError(
         IMPORT_WEEK,
-        "it has seconds of the week, and nothing says of which week",
+        "it has seconds of the week, but the week is not stated",
         where=where,
         remedy="give time: {{week: NUMBER}}, counted from 1980-01-06",
     )
@@ -973,11 +994,11 @@ def week_unknown(*, where: Path | str) -> InputError:
 ORIENTATION_NAMES = Code(
     "ORIENTATION-NAMES",
     means=(
-        "Columns of orientations that the mission file does not name were found by names that "
-        "programs usually give them."
+        "The mission file does not name some columns of the orientations. They were detected by "
+        "their usual names."
     ),
     effect="They are read.",
-    remedy="If one of them holds something else, name the right one.",
+    remedy="If one of them has other content, name the correct column.",
 )
 
 
@@ -986,7 +1007,7 @@ def columns_by_usual_names(*, where: str, names: Mapping[str, str]) -> Message:
     listed = ", ".join(f"{quantity} from {name}" for quantity, name in names.items())
     return note(
         ORIENTATION_NAMES,
-        "read by usual names: {listed}",
+        "detected by their usual names: {listed}",
         where=where,
         listed=listed,
     )
@@ -1010,15 +1031,15 @@ ORIENTATION_CSV = Code(
 
 ORIENTATION_NUMBER = Code(
     "ORIENTATION-NUMBER",
-    means="A column of the orientations holds text where numbers belong.",
+    means="A column of the orientations contains text instead of numbers.",
     effect="The mission is refused.",
-    remedy="Correct the rows that are named.",
+    remedy="Correct the named rows.",
 )
 
 
 ORIENTATION_UNIT = Code(
     "ORIENTATION-UNIT",
-    means="Angles are more than a turn: another unit.",
+    means="Angles are larger than one turn. They are in another unit.",
     effect="The mission is refused.",
     remedy="State stations.orientation.unit: deg, rad or grad.",
 )
@@ -1027,8 +1048,8 @@ ORIENTATION_UNIT = Code(
 ORIENTATION_FRAME = Code(
     "ORIENTATION-FRAME",
     means=(
-        "Nothing says what x, y and z of the orientations are, or the stated frame puts the "
-        "points off the earth."
+        "The frame of x, y and z of the orientations is not stated. Or in the stated frame the "
+        "points are not on the earth."
     ),
     effect="The mission is refused.",
     remedy=("Give stations.orientation.frame: ecef, {enu: ...}, projected with crs, or unknown."),
@@ -1055,7 +1076,7 @@ def orientations_empty(*, where: Path | str) -> InputError:
 
 ORIENTATION_POSITION = Code(
     "ORIENTATION-POSITION",
-    means="Latitudes or longitudes are beyond their range.",
+    means="Latitudes or longitudes are outside their range.",
     effect="The mission is refused.",
     remedy="Check which column is which, and the unit (degrees).",
 )
@@ -1073,14 +1094,14 @@ def orientation_position(
     key: str,
 ) -> InputError:
     """Latitudes or longitudes beyond their range; ``swapped`` where exchanging them helps."""
-    hint = "; are latitude and longitude swapped?" if swapped else ""
+    hint = "; are latitude and longitude exchanged?" if swapped else ""
     return InputError(
         ORIENTATION_POSITION,
-        "{count} values of {quantity} lie beyond {limit:.0f} deg, the first {first:g}{hint}",
-        one="1 value of {quantity} lies beyond {limit:.0f} deg: {first:g}{hint}",
+        "{count} values of {quantity} are beyond {limit:.0f} deg, the first is {first:g}{hint}",
+        one="1 value of {quantity} is beyond {limit:.0f} deg: {first:g}{hint}",
         where=f"{path}, line {line}",
         count=count,
-        remedy="name the columns under {key}; they hold degrees, not projected coordinates",
+        remedy="name the columns under {key}; they must contain degrees, not projected coordinates",
         limit=limit,
         quantity=quantity,
         first=first,
@@ -1103,7 +1124,7 @@ def orientation_quaternion(*, path: Path | str, line: int, count: int, length: f
     """Quaternions are not of length 1; the line and the length are of the farthest."""
     return InputError(
         ORIENTATION_QUATERNION,
-        "the length of {count} quaternions is not 1, the farthest {length:.6g}",
+        "the length of {count} quaternions is not 1, the worst is {length:.6g}",
         one="the length of 1 quaternion is not 1: {length:.6g}",
         where=f"{path}, line {line}",
         count=count,
@@ -1117,9 +1138,9 @@ def orientation_quaternion(*, path: Path | str, line: int, count: int, length: f
 
 ORIENTATION_REPEATED = Code(
     "ORIENTATION-REPEATED",
-    means="Images stand in the table of orientations more than once.",
+    means="Images occur in the table of orientations more than once.",
     effect="The mission is refused.",
-    remedy="Keep one row an image.",
+    remedy="Keep one row for each image.",
 )
 
 
@@ -1127,11 +1148,11 @@ def orientation_repeated(*, where: Path | str, count: int, image: str, lines: st
     """Images stand in a table more than once; one of them as an example, with its lines."""
     return InputError(
         ORIENTATION_REPEATED,
-        "{count} images stand there more than once, for example {image!r} in lines {lines}",
-        one="1 image stands there more than once: {image!r} in lines {lines}",
+        "{count} images occur more than once, for example {image!r} in lines {lines}",
+        one="1 image occurs more than once: {image!r} in lines {lines}",
         where=where,
         count=count,
-        remedy="keep one row an image",
+        remedy="keep one row for each image",
         image=image,
         lines=lines,
     )
@@ -1139,8 +1160,10 @@ def orientation_repeated(*, where: Path | str, count: int, image: str, lines: st
 
 ORIENTATION_TIME = Code(
     "ORIENTATION-TIME",
-    means="Rows of the orientations have no readable time, or one that no survey can have: in the "
-    "future, or of a clock that was never set (1970-01-01, 1980-01-06, a GPS week before 1990).",
+    means=(
+        "Rows of the orientations have no readable time, or an impossible one: in the future, or "
+        "of a clock that was never set (1970-01-01, 1980-01-06, a GPS week before 1990)."
+    ),
     effect="They get the air of the middle exposure.",
     remedy="Correct these rows.",
 )
@@ -1151,13 +1174,12 @@ def orientations_without_time(*, where: str, count: int, line: int) -> Message:
     return loss(
         ORIENTATION_TIME,
         (
-            "{count} rows have no readable time that a survey can have, the first in line {line}: "
-            "the air of the "
-            "middle exposure is taken for them"
+            "{count} rows have no readable or possible time, the first in line {line}: the air of "
+            "the middle exposure is used for them"
         ),
         one=(
-            "1 row has no readable time that a survey can have, line {line}: the air of the middle "
-            "exposure is taken for them"
+            "1 row has no readable or possible time, line {line}: the air of the middle exposure "
+            "is used for it"
         ),
         where=where,
         count=count,
@@ -1167,9 +1189,11 @@ def orientations_without_time(*, where: str, count: int, line: int) -> Message:
 
 TRAJECTORY_AGREES = Code(
     "TRAJECTORY-AGREES",
-    means="How far the imported positions are from the log's.",
-    effect=("A note; above 5 m a warning, above 20 m a loss (0.15 and 0.75 s for a time offset)."),
-    remedy="Check time, datum and the point of the trajectory.",
+    means="The distance of the imported positions from those of the log.",
+    effect=(
+        "A note; above 5 m a warning, above 20 m a loss (for a time offset: 0.15 s and 0.75 s)."
+    ),
+    remedy="Check the time, the datum and the point of the trajectory.",
 )
 
 
@@ -1204,9 +1228,9 @@ def trajectory_agrees(
 
 TRAJECTORY_ANGLES_AGREE = Code(
     "TRAJECTORY-ANGLES-AGREE",
-    means="How far the imported attitudes are from the log's.",
+    means="The difference of the imported attitudes from those of the log.",
     effect="A note; above 3 deg in tilt or 10 in yaw a warning, above 20 or 30 a loss.",
-    remedy="Mount angles count from the body axes of the imported file.",
+    remedy="Mount angles are relative to the body axes of the imported file.",
 )
 
 
@@ -1219,7 +1243,7 @@ def trajectory_angles_agree(
         TRAJECTORY_ANGLES_AGREE,
         (
             "{tilt_deg:.2f} deg from the attitude of the log in tilt and {yaw_deg:+.2f} deg in "
-            "yaw, in the median: mount angles count from the body axes of this file"
+            "yaw, in the median: mount angles are relative to the body axes of this file"
         ),
         where=where,
         count=count,
@@ -1230,7 +1254,7 @@ def trajectory_angles_agree(
 
 TRAJECTORY_HEIGHT_AGREES = Code(
     "TRAJECTORY-HEIGHT-AGREES",
-    means="How far the imported heights are from the log's.",
+    means="The difference of the imported heights from those of the log.",
     effect="A note; above 10 m a warning, above 30 m a loss.",
     remedy="Check the datum of the heights.",
 )
@@ -1258,7 +1282,7 @@ def trajectory_height_agrees(
 TRAJECTORY_ALONE = Code(
     "TRAJECTORY-ALONE",
     means="The log has no positions to compare the trajectory with.",
-    effect="Its time, place and height stay unchecked.",
+    effect="Its time, place and height are not checked.",
     remedy="Check them by hand.",
 )
 
@@ -1267,17 +1291,14 @@ def trajectory_alone(*, where: str) -> Message:
     """The log has no positions to compare the trajectory with."""
     return warning(
         TRAJECTORY_ALONE,
-        (
-            "there are no positions of the log to compare it with: time, place and height "
-            "stay unchecked"
-        ),
+        ("the log has no positions to compare it with: time, place and height are not checked"),
         where=where,
     )
 
 
 TRAJECTORY_ANGLES = Code(
     "TRAJECTORY-ANGLES",
-    means="The imported attitude fits the log only in another unit, sense or order.",
+    means="The imported attitude fits the log only with another unit, sense or order.",
     effect="The mission is refused.",
     remedy="State angle_unit and angle_order, and which column is which.",
 )
@@ -1323,7 +1344,7 @@ def trajectory_angles(*, where: str, size_deg: float, order: str, left_deg: floa
 TRAJECTORY_ANGLES_ALONE = Code(
     "TRAJECTORY-ANGLES-ALONE",
     means="The log has no attitude to compare the imported one with.",
-    effect="It stays unchecked.",
+    effect="It is not checked.",
     remedy="Check it by hand.",
 )
 
@@ -1339,9 +1360,11 @@ def trajectory_angles_alone(*, where: str) -> Message:
 
 TRAJECTORY_HEIGHT = Code(
     "TRAJECTORY-HEIGHT",
-    means="The imported heights fit the log only above the other surface.",
+    means="The imported heights fit the log only if they are above the other surface.",
     effect="The mission is refused.",
-    remedy="Give heights: msl or ellipsoid, as the refusal says, or correct mission.undulation_m.",
+    remedy=(
+        "Give heights: msl or ellipsoid, as the refusal states, or correct mission.undulation_m."
+    ),
 )
 
 
@@ -1368,7 +1391,7 @@ def trajectory_height(
 TRAJECTORY_HEIGHT_ALONE = Code(
     "TRAJECTORY-HEIGHT-ALONE",
     means="The log has no height above the same surface to compare with.",
-    effect="The heights stay unchecked.",
+    effect="The heights are not checked.",
     remedy="Check them by hand.",
 )
 
@@ -1386,7 +1409,7 @@ TRAJECTORY_OVERLAP = Code(
     "TRAJECTORY-OVERLAP",
     means="The trajectory and the log do not overlap in time.",
     effect="The mission is refused.",
-    remedy="Name the file of this flight, or state week and time system.",
+    remedy="Name the file of this flight, or state the week and the time system.",
 )
 
 
@@ -1404,7 +1427,7 @@ def trajectory_overlap(*, where: Path | str, own: str, log: str) -> MissionError
 
 TRAJECTORY_PLACE = Code(
     "TRAJECTORY-PLACE",
-    means="The trajectory is of another place than the log.",
+    means="The trajectory is at another place than the log.",
     effect="The mission is refused.",
     remedy="Name the file of this flight; state position_unit, and which column is which.",
 )
@@ -1425,8 +1448,8 @@ def trajectory_place(*, where: str, away: str, log: str, hints: str) -> MissionE
 
 TRAJECTORY_QUALITY = Code(
     "TRAJECTORY-QUALITY",
-    means="The qualities of the solutions of the trajectory.",
-    effect="Their sigmas follow.",
+    means="The quality classes of the solutions of the trajectory.",
+    effect="Their sigmas depend on it.",
     remedy="Nothing.",
 )
 
@@ -1438,8 +1461,8 @@ def solution_qualities(*, where: str, count: int, shares: str) -> Message:
 
 TRAJECTORY_SINGLE = Code(
     "TRAJECTORY-SINGLE",
-    means="Solutions are single-point fixes: metres, not centimetres.",
-    effect="They keep their metres as sigma.",
+    means="Solutions are single-point fixes, with errors of metres, not centimetres.",
+    effect="Their sigma remains metres.",
     remedy="Process the trajectory with corrections.",
 )
 
@@ -1448,8 +1471,14 @@ def single_point_images(*, where: str, count: int, total: int) -> Message:
     """Positions of images that DJI's receiver had without corrections."""
     return warning(
         TRAJECTORY_SINGLE,
-        ("{count} of {total} have a single-point position (quality 16): metres, not centimetres"),
-        one="1 of {total} has a single-point position (quality 16): metres, not centimetres",
+        (
+            "{count} of {total} have a single-point position (quality 16), with errors of metres, "
+            "not centimetres"
+        ),
+        one=(
+            "1 of {total} has a single-point position (quality 16), with errors of metres, not "
+            "centimetres"
+        ),
         where=where,
         count=count,
         total=Counted(total, "image"),
@@ -1485,10 +1514,11 @@ _LEAST_ZONE_S = 1700.0  # a zone is half an hour or more
 TRAJECTORY_TIME = Code(
     "TRAJECTORY-TIME",
     means=(
-        "The imported times fit the log only when shifted: GPS time taken for UTC, or a time zone."
+        "The imported times fit the log only with a shift: GPS time was read as UTC, or a time "
+        "zone is missing."
     ),
     effect="The mission is refused.",
-    remedy="State time: {system: gpst} or {system: utc} as the file was written.",
+    remedy="State the time system of the file: time: {system: gpst} or {system: utc}.",
 )
 
 
@@ -1504,13 +1534,13 @@ def trajectory_time(
     return MissionError(
         TRAJECTORY_TIME,
         (
-            "its times are {shift_s:.2f} s {sense}: by that much it fits {log} of the log "
-            "within {best_m:.1f} m, as it is within {now_m:.0f} m{hint}"
+            "its times are {shift_s:.2f} s {sense}: with this shift it fits {log} of the log "
+            "within {best_m:.1f} m, without it within {now_m:.0f} m{hint}"
         ),
         where=where,
         remedy=(
-            "state time: {{system: gpst}} or {{system: utc}} under stations.trajectory or "
-            "events.positions, as it was written; correct other offsets in the file"
+            "state the time system of the file under stations.trajectory or events.positions: "
+            "time: {{system: gpst}} or {{system: utc}}; correct other offsets in the file"
         ),
         shift_s=abs(shift_s),
         sense="late" if shift_s < 0 else "early",

@@ -102,7 +102,7 @@ def properties_of_dji(packet: bytes) -> dict[str, str]:
     try:
         root = ElementTree.fromstring(text[text.find("<") : text.rfind(">") + 1])
     except ElementTree.ParseError as error:
-        raise ValueError(f"its XMP is no XML: {error}") from None
+        raise ValueError(f"its XMP is not XML: {error}") from None
     properties: dict[str, str] = {}
     for element in root.iter():
         for name, value in (*element.attrib.items(), (element.tag, element.text or "")):

@@ -4,7 +4,7 @@ from unbend.errors import Code, StorageError
 
 MANIFEST_UNREADABLE = Code(
     "MANIFEST-UNREADABLE",
-    means="The manifest of the results cannot be read, or is not one that unbend wrote.",
+    means="The manifest of the results cannot be read, or was not written by unbend.",
     effect="The command is refused.",
     remedy="Run the mission again with --force, or choose another folder.",
 )
@@ -14,7 +14,7 @@ def manifest_not_ours(*, path: str) -> StorageError:
     """The manifest is JSON, but lacks what every manifest of unbend has."""
     return StorageError(
         MANIFEST_UNREADABLE,
-        "manifest.json is not one that unbend wrote",
+        "manifest.json was not written by unbend",
         where=path,
-        remedy="choose another folder, or remove that file and the results beside it",
+        remedy="choose another folder, or remove that file and the results next to it",
     )

@@ -227,7 +227,7 @@ def test_an_image_of_a_camera_that_a_text_has_not(model):
     row = next(k for k, line in enumerate(lines) if line.endswith("strip 2/of 1.jpg"))
     lines[row] = " ".join([*lines[row].split(" ")[:8], "9", "strip 2/of 1.jpg"])
     file.write_text("\n".join(lines) + "\n")
-    expected = f"in line {row + 1} 'strip 2/of 1.jpg' is of camera 9, which cameras.txt has not"
+    expected = f"in line {row + 1} 'strip 2/of 1.jpg' has camera 9, which is not in cameras.txt"
     assert expected in refusal(folder / "txt", "colmap")
 
 
@@ -242,7 +242,7 @@ def test_poses_that_are_no_rotations_and_images_that_stand_twice(model):
     file.write_text("\n".join([*lines[:row], " ".join(fields), *lines[row + 1 :]]) + "\n")
     assert "'strip 2/of 1.jpg' is not a rotation" in refusal(folder / "txt", "colmap")
     file.write_text(text.replace("strip 2/of 1.jpg", "strip 2/of 2.jpg"))
-    assert "'strip 2/of 2.jpg' stands there twice" in refusal(folder / "txt", "colmap")
+    assert "'strip 2/of 2.jpg' occurs twice" in refusal(folder / "txt", "colmap")
     fields[1] = "one"
     file.write_text("\n".join([*lines[:row], " ".join(fields), *lines[row + 1 :]]) + "\n")
     assert f"line {row + 1} is not" in refusal(folder / "txt", "colmap")
@@ -281,24 +281,24 @@ def test_a_database(tmp_path):
 
 def test_databases_without_keypoints_or_damaged(tmp_path):
     path = database(tmp_path / "database.db", {})
-    assert "no keypoints, and matches of 0 pairs" in refusal(path, "colmap")
+    assert "no keypoints, but matches of 0 pairs" in refusal(path, "colmap")
     with closing(sqlite3.connect(path)) as content, content:
         content.execute("INSERT INTO matches VALUES (2147483649, 4, 2, NULL)")
-    assert "no keypoints, and matches of 1 pair\n" in refusal(path, "colmap")
+    assert "no keypoints, but matches of 1 pair\n" in refusal(path, "colmap")
     log = tmp_path / "database.db-wal"
     log.write_bytes(b"\1" * 100)
-    assert "database.db-wal beside it has rows" in refusal(path, "colmap")
+    assert "database.db-wal next to it has rows" in refusal(path, "colmap")
     log.unlink()
     whole = database(tmp_path / "whole.db", {"a.jpg": np.ones((4000, 2))})
     with closing(sqlite3.connect(whole)) as content, content:
         content.execute("UPDATE keypoints SET rows = 4001")
-    assert "'a.jpg' are 32000 bytes, and not 4001 rows" in refusal(whole, "colmap")
+    assert "'a.jpg' are 32000 bytes, not 4001 rows" in refusal(whole, "colmap")
     content = database(tmp_path / "cut.db", {"a.jpg": np.ones((40000, 2))}).read_bytes()
     for end in (0, 50, 5000, len(content) // 2, len(content) - 1000):
         (tmp_path / "cut.db").write_bytes(content[:end])
         refusal(tmp_path / "cut.db", "colmap")
     (tmp_path / "other.db").write_bytes(b"SQLite format 3\0" + b"\7" * 5000)
-    assert "not such a database, or a damaged one" in refusal(tmp_path / "other.db", "colmap")
+    assert "not such a database, or it is damaged" in refusal(tmp_path / "other.db", "colmap")
 
 
 # OpenSfM
@@ -430,7 +430,7 @@ def test_markers_of_metashape(tmp_path):
         (('class="adjusted"', 'class="initial"'), "no adjusted calibration"),
         (("1 0 0 10 0", "1 0 ten 10 0"), "not as that program writes it"),
         (("<cx>1</cx>", "<p3>0.1</p3>"), "p3 of a frame calibration"),
-        (("a.jpg", "b.jpg"), "'b.jpg' stands there twice"),
+        (("a.jpg", "b.jpg"), "'b.jpg' occurs twice"),
     ],
 )
 def test_what_of_metashape_cannot_be_read(tmp_path, change, words):
@@ -528,7 +528,7 @@ def test_archive_and_tables_hold_the_same_marks(strasbourg):
         ("markpts.txt", (", 1, ", ", 9, ", 1), "markpts.txt, line 2"),
         ("markpts.txt", (".", ",", 1), "line 2 is not"),
         ("smartpts.txt", (".", ".x", 1), "line 2 is not"),
-        ("report.txt", ("Value:     ", "Value:x    ", 1), "8811.jpg is not whole"),
+        ("report.txt", ("Value:     ", "Value:x    ", 1), "8811.jpg is incomplete"),
     ],
 )
 def test_what_of_dbat_cannot_be_read(script, file, change, words):

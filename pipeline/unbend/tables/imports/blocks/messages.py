@@ -17,7 +17,10 @@ from unbend.tables.messages import OBS_EMPTY
 
 CAMERA_NAME = Code(
     "CAMERA-NAME",
-    means="The calibration file holds several cameras and none is named, or not the named one.",
+    means=(
+        "The calibration file contains several cameras and none is named, or it does not contain "
+        "the named one."
+    ),
     effect="The mission is refused.",
     remedy="Name it under cameras.<name>.camera.",
 )
@@ -27,7 +30,7 @@ def camera_unnamed(*, where: Path | str, cameras: str) -> InputError:
     """A file of several cameras, and the mission file names none; ``cameras`` lists them."""
     return InputError(
         CAMERA_NAME,
-        "it holds {cameras}, and no camera is named",
+        "it contains {cameras}, and no camera is named",
         where=where,
         remedy="name one of them under camera",
         cameras=cameras,
@@ -38,7 +41,7 @@ def camera_not_there(*, where: Path | str, cameras: str, name: str) -> InputErro
     """The camera that the mission file names is not in the file."""
     return InputError(
         CAMERA_NAME,
-        "it holds {cameras}, and no {name!r}",
+        "it contains {cameras}, but no {name!r}",
         where=where,
         remedy="name one of them under camera",
         cameras=cameras,
@@ -80,7 +83,7 @@ def not_xml(*, where: Path | str, program: str, line: int) -> InputError:
 
 def not_database(*, where: Path | str, program: str, error: str) -> InputError:
     """SQLite cannot read a file, or it lacks the program's tables."""
-    text = "as a file of {program}: it is not such a database, or a damaged one ({error})"
+    text = "as a file of {program}: it is not such a database, or it is damaged ({error})"
     return _damaged(where, text, program=program, error=error)
 
 
@@ -112,7 +115,7 @@ def bytes_behind(*, where: Path | str, count: int) -> InputError:
 
 def record_cut(*, where: Path | str, size: int, offset: int, needed: int) -> InputError:
     """A binary file ends before the record that begins at a byte."""
-    text = "it is cut short: it has {size}, and the record from byte {offset} on {needed}"
+    text = "the file was cut off: it has {size}, and the record from byte {offset} on {needed}"
     return _damaged(where, text, size=Counted(size, "byte"), offset=offset, needed=needed)
 
 
@@ -122,7 +125,7 @@ def no_orientation(*, where: Path | str) -> InputError:
         ORIENTATION_EMPTY,
         "no image is oriented",
         where=where,
-        remedy="write it again, one orientation an image",
+        remedy="write it again, with one orientation for each image",
     )
 
 
@@ -130,9 +133,9 @@ def image_repeated(*, where: Path | str, image: str) -> InputError:
     """An image stands twice in a block."""
     return InputError(
         ORIENTATION_REPEATED,
-        "{image!r} stands there twice",
+        "{image!r} occurs twice",
         where=where,
-        remedy="write it again, one orientation an image",
+        remedy="write it again, with one orientation for each image",
         image=image,
     )
 
@@ -157,7 +160,7 @@ def not_a_model(*, where: Path | str) -> InputError:
         where,
         "it is not a model: a database or a file has neither orientations nor object points",
         remedy=(
-            "name the folder of a model, as sparse/0; beside a database as "
+            "name the folder of a model, as sparse/0; with a database, name it as "
             "stations.orientation.path"
         ),
     )
@@ -173,8 +176,8 @@ def database_in_use(*, where: Path | str, log: str) -> InputError:
     """Rows of a database still stand in the write-ahead log beside it."""
     return _damaged(
         where,
-        "{log} beside it has rows that are not in it yet",
-        remedy="close the program that has it open, or open and close it",
+        "{log} next to it has rows that are not yet in the database",
+        remedy="close the program that uses the database, or open and close the database",
         log=log,
     )
 
@@ -183,7 +186,7 @@ def keypoints_cut(
     *, where: Path | str, image: str, size: int, rows: int, columns: int
 ) -> InputError:
     """The keypoints of an image are not as many bytes as their rows and columns need."""
-    text = "the keypoints of {image!r} are {size}, and not {rows} of {columns} float32"
+    text = "the keypoints of {image!r} are {size}, not {rows} of {columns} float32"
     return _damaged(
         where,
         text,
@@ -198,7 +201,7 @@ def matches_cut(*, where: Path | str, table: str, one: str, other: str) -> Input
     """The matches of two images are not as many bytes as their rows need."""
     return _damaged(
         where,
-        "the {table} of {one_image!r} and {other_image!r} are cut short",
+        "the {table} of {one_image!r} and {other_image!r} are cut off",
         remedy="match the images again",
         table=table,
         one_image=one,
@@ -208,18 +211,18 @@ def matches_cut(*, where: Path | str, table: str, one: str, other: str) -> Input
 
 def camera_of_image_unknown(*, where: Path | str, line: int, image: str, camera: str) -> InputError:
     """An image of a model is of a camera that its file of cameras does not have."""
-    text = "in line {line} {image!r} is of camera {camera}, which cameras.txt has not"
+    text = "in line {line}, {image!r} has camera {camera}, which is not in cameras.txt"
     return _damaged(where, text, line=line, image=image, camera=camera)
 
 
 COLMAP_COUNT = Code(
     "COLMAP-COUNT",
     means=(
-        "A text of COLMAP's has another number of records than a comment says, or no end of its "
-        "last line, and nothing is missing by what its records say of each other."
+        "A text file of COLMAP has another number of records than its comment states, or its last "
+        "line has no end. But the references between the records are complete."
     ),
-    effect="The records that are there are used.",
-    remedy="Write the model again if records are missing.",
+    effect="The records in the file are used.",
+    remedy="If records are missing, write the model again.",
 )
 
 
@@ -227,7 +230,7 @@ def count_of_comment(*, where: Path | str, found: int, stated: int) -> Message:
     """The comment of a text counts other records than there are."""
     return warning(
         COLMAP_COUNT,
-        "it has {found}, and by its comment {stated}: those that are there are used",
+        "it has {found}, but its comment states {stated}: the records in the file are used",
         where=str(where),
         found=Counted(found, "record"),
         stated=stated,
@@ -245,7 +248,7 @@ def line_without_end(*, where: Path | str) -> Message:
 
 def records_missing(*, where: Path | str, found: int, total: int) -> InputError:
     """A text of COLMAP's has fewer or more records than its head says, or no end."""
-    text = "it is cut short, behind {found} of {total}"
+    text = "the file was cut off after {found} of {total}"
     return _damaged(where, text, found=found, total=Counted(total, "record"))
 
 
@@ -253,7 +256,7 @@ def keypoints_none(*, where: Path | str, pairs: int) -> InputError:
     """A database of COLMAP's without keypoints."""
     return InputError(
         OBS_EMPTY,
-        "the database has no keypoints, and matches of {pairs}",
+        "the database has no keypoints, but matches of {pairs}",
         where=where,
         remedy="extract features first, or name another file",
         pairs=Counted(pairs, "pair"),
@@ -265,13 +268,13 @@ def keypoints_none(*, where: Path | str, pairs: int) -> InputError:
 
 def is_folder(*, where: Path | str) -> InputError:
     """A folder stands where a file of Metashape's belongs."""
-    remedy = "name a .psz or .psx, or a .xml that was exported"
+    remedy = "name a .psz or .psx, or an exported .xml"
     return _damaged(where, "it is a folder", remedy=remedy)
 
 
 def metashape_version(*, where: Path | str, tag: str, version: str) -> InputError:
     """A document of a version of Metashape's that is not read."""
-    text = "it is a {tag} of version {version}; Metashape's of version 1 and 2 are read"
+    text = "it is a {tag} of version {version}; versions 1 and 2 of Metashape are supported"
     return _damaged(where, text, tag=tag, version=version)
 
 
@@ -279,8 +282,8 @@ def several_chunks(*, where: Path | str, chunks: int, names: str) -> InputError:
     """A document of no chunk, or of several."""
     return _damaged(
         where,
-        "it has {chunks} ({names}), and one is read",
-        remedy="keep the chunk that is meant, or export it alone",
+        "it has {chunks} ({names}); only one can be read",
+        remedy="keep only the needed chunk, or export only this chunk",
         chunks=Counted(chunks, "chunk"),
         names=names,
     )
@@ -288,18 +291,18 @@ def several_chunks(*, where: Path | str, chunks: int, names: str) -> InputError:
 
 def several_frames(*, where: Path | str, frames: int) -> InputError:
     """A chunk of several frames, which are moments."""
-    text = "the chunk has {frames} frames, and one is read"
+    text = "the chunk has {frames} frames; only one can be read"
     return _damaged(where, text, frames=frames)
 
 
 def archive_part_missing(*, where: Path | str, part: str) -> InputError:
     """The document of an archive names a file that the archive does not have."""
-    return _damaged(where, "it has no {part}, which its document names", part=part)
+    return _damaged(where, "it does not contain {part}, which its document names", part=part)
 
 
 def ply_cut(*, where: Path | str, part: str, size: int, records: int, each: int) -> InputError:
     """The points of an archive are not as many bytes as their head says."""
-    text = "{part} is cut short, or of another form: {size} for {records} of {each}"
+    text = "{part} was cut off, or has another format: {size} for {records} of {each}"
     return _damaged(
         where,
         text,
@@ -320,7 +323,7 @@ def calibration_unusable(*, where: Path | str, coefficients: str, kind: str) -> 
     return _damaged(
         where,
         "{coefficients} of a {kind} calibration cannot be used",
-        remedy="adjust the camera without, and export it again",
+        remedy="adjust the camera without these coefficients, and export it again",
         coefficients=coefficients,
         kind=kind,
     )
@@ -344,7 +347,7 @@ def several_reconstructions(*, where: Path | str, found: int) -> InputError:
     """A file of no reconstruction, or of several."""
     return _damaged(
         where,
-        "{found}, each with cameras of its own",
+        "{found}, each with separate cameras",
         remedy="keep one of them",
         found=Counted(found, "reconstruction"),
     )
@@ -359,19 +362,21 @@ def reconstruction_in_utm(*, where: Path | str, evidence: str, name: str) -> Inp
     """ODM's reconstruction is in UTM minus an offset, and the one before is not beside it."""
     return InputError(
         ORIENTATION_FRAME,
-        "by {evidence} of ODM it is in UTM minus an offset, not east, north, up at reference_lla: "
-        "turned by the convergence of the grid",
+        (
+            "{evidence} of ODM shows that it is in UTM minus an offset, not in east, north, up at "
+            "reference_lla: it is turned by the convergence of the grid"
+        ),
         where=where,
         evidence=evidence,
-        remedy="copy ODM's {name} beside it, which is read in its place",
+        remedy="copy ODM's {name} into the same folder; it is then read instead",
         name=name,
     )
 
 
 BLOCK_ODM = Code(
     "BLOCK-ODM",
-    means="The reconstruction is the one that ODM kept before it wrote UTM over the other.",
-    effect="The stations are those of east, north, up at reference_lla.",
+    means="The reconstruction is the one that ODM kept before it overwrote the other one with UTM.",
+    effect="The stations are in east, north, up at reference_lla.",
     remedy="Nothing.",
 )
 
@@ -380,8 +385,10 @@ def reconstruction_before_odm(*, where: Path | str) -> Message:
     """The reconstruction is the one from before ODM wrote UTM over the other."""
     return note(
         BLOCK_ODM,
-        "{name} is read: of a project of ODM's it holds east, north, up at reference_lla, and "
-        "reconstruction.json UTM minus an offset",
+        (
+            "{name} is read: in a project of ODM it is in east, north, up at reference_lla, while "
+            "reconstruction.json is in UTM minus an offset"
+        ),
         where=str(where),
         name=Path(where).name,
     )
@@ -389,9 +396,9 @@ def reconstruction_before_odm(*, where: Path | str) -> Message:
 
 BLOCK_DISABLED = Code(
     "BLOCK-DISABLED",
-    means="Cameras of the project are disabled: they took no part in its adjustment.",
-    effect="These images are left out, with their image points: their poses may be old ones.",
-    remedy="Enable and align them in the project, if they are wanted.",
+    means="Cameras of the project are disabled. They were not part of its adjustment.",
+    effect="These images and their image points are left out, because their poses may be old.",
+    remedy="If they are needed, enable and align them in the project.",
 )
 
 
@@ -414,7 +421,7 @@ def several_of_pix4d(*, where: Path | str, name: str, files: int) -> InputError:
     return _damaged(
         where,
         "it has {files} that end in {name}",
-        remedy="name the file of the project that is meant",
+        remedy="name the needed file of the project",
         files=Counted(files, "file"),
         name=name,
     )
@@ -424,8 +431,8 @@ def offset_missing(*, where: Path | str, name: str) -> InputError:
     """The centres count from a place of a map that no file names."""
     return _damaged(
         where,
-        "its projection centres count from the project's offset, which no file has",
-        remedy="copy the project's ..._{name} beside it, or its external parameters",
+        "its projection centres are relative to the project's offset, which is not in any file",
+        remedy="copy the project's ..._{name} or its external parameters into the same folder",
         name=name,
     )
 
@@ -438,7 +445,7 @@ def files_of_pix4d_differ(
         where,
         "{image!r} is {away_m:.3g} m away and turned by {turned_deg:.3g} deg in the file of "
         "external parameters",
-        remedy="give both files, and the offset, of one and the same calibration",
+        remedy="give both files and the offset of the same calibration",
         image=image,
         away_m=away_m,
         turned_deg=turned_deg,
@@ -450,7 +457,7 @@ def files_of_pix4d_differ(
 
 def is_folder_of_xml(*, where: Path | str) -> InputError:
     """A folder stands where a file of BlocksExchange belongs."""
-    return _damaged(where, "it is a folder", remedy="name the .xml that was exported")
+    return _damaged(where, "it is a folder", remedy="name the exported .xml")
 
 
 def not_blocks_exchange(*, where: Path | str, tag: str) -> InputError:
@@ -462,8 +469,8 @@ def several_blocks(*, where: Path | str, blocks: int, names: str) -> InputError:
     """A file of no block, or of several."""
     return _damaged(
         where,
-        "it has {blocks} ({names}), and one is read",
-        remedy="export the block that is meant alone",
+        "it has {blocks} ({names}); only one can be read",
+        remedy="export only the needed block",
         blocks=Counted(blocks, "block"),
         names=names,
     )
@@ -474,7 +481,7 @@ def system_of_group(*, where: Path | str, name: str) -> InputError:
     return _damaged(
         where,
         "the photogroup {name!r} is in another spatial reference system than its block",
-        remedy="export the block in one",
+        remedy="export the block in one spatial reference system",
         name=name,
     )
 
@@ -483,7 +490,7 @@ def rotation_unreadable(*, where: Path | str, angles: str) -> InputError:
     """A rotation is neither a matrix nor omega, phi, kappa."""
     return _damaged(
         where,
-        "its rotations are {angles}, whose formula the format does not state",
+        "its rotations are {angles}, and the format does not state the formula of these angles",
         remedy="export them as matrices, or as omega, phi, kappa",
         angles=angles,
     )
@@ -491,7 +498,7 @@ def rotation_unreadable(*, where: Path | str, angles: str) -> InputError:
 
 def photo_unknown(*, where: Path | str, point: str, number: str) -> InputError:
     """A measurement is in a photo that the block does not have."""
-    text = "{point!r} is measured in photo {number}, which is not there"
+    text = "{point!r} is measured in photo {number}, which does not exist"
     return _damaged(where, text, point=point, number=number)
 
 
@@ -500,7 +507,7 @@ def photo_unknown(*, where: Path | str, point: str, number: str) -> InputError:
 
 def dbat_version(*, where: Path | str, version: str) -> InputError:
     """A script or a camera of another version of DBAT's."""
-    text = "it is a script of DBAT's version {version}; 1.0 is read"
+    text = "it is a script of DBAT version {version}; only version 1.0 is supported"
     return _damaged(where, text, version=version)
 
 
@@ -508,7 +515,7 @@ def dbat_cameras(*, where: Path | str, cameras: int) -> InputError:
     """A script of no or several cameras, or without the report of an adjustment."""
     return _damaged(
         where,
-        "it has {cameras}; one is read, and the report that it names",
+        "it has {cameras}; only one can be read, with the report that the script names",
         remedy="run DBAT, or give stations.orientation",
         cameras=Counted(cameras, "camera"),
     )
@@ -516,7 +523,7 @@ def dbat_cameras(*, where: Path | str, cameras: int) -> InputError:
 
 def orientation_cut(*, where: Path | str, image: str) -> InputError:
     """The report lacks values of an image's orientation."""
-    return _damaged(where, "the orientation of {image} is not whole", image=image)
+    return _damaged(where, "the orientation of {image} is incomplete", image=image)
 
 
 def image_number_unknown(*, where: Path | str, place: str, number: str) -> InputError:
@@ -531,13 +538,15 @@ def camera_not_plain(*, where: Path | str, name: str, plain: float) -> InputErro
 
 def dbat_model_unknown(*, where: Path | str, model: float) -> InputError:
     """The number of a lens distortion model is not known."""
-    text = "the lens distortion model {model:g} of its camera is not known: 1, 2 and 3 are"
+    text = (
+        "the lens distortion model {model:g} of its camera is unknown; known models are 1, 2 and 3"
+    )
     return _damaged(where, text, model=model)
 
 
 INPUT_MISSING = Code(
     "INPUT-MISSING",
-    means="A file that the mission file names is not there.",
+    means="A file that the mission file names does not exist.",
     effect="The mission is refused.",
     remedy="Check the path; paths are relative to the mission file.",
 )
@@ -560,7 +569,7 @@ def file_of_project_missing(*, where: Path | str, name: str) -> InputError:
         INPUT_MISSING,
         "a project of OpenSfM has a {name}",
         where=where,
-        remedy="name the folder of the project; of ODM that is opensfm",
+        remedy="name the folder of the project; for ODM, the folder opensfm",
         name=name,
     )
 
@@ -573,7 +582,7 @@ def file_of_pix4d_missing(*, where: Path | str, name: str) -> InputError:
         where=where,
         remedy=(
             "name the folder params of the project, or its ..._calibrated_camera_parameters.txt; "
-            "without ..._tp_pix4d.txt give the image points as a table under observations"
+            "if there is no ..._tp_pix4d.txt, give the image points as a table under observations"
         ),
         name=name,
     )
@@ -583,7 +592,7 @@ def folder_of_project_missing(*, where: Path | str, name: str) -> InputError:
     """The folder of a Metashape project, or an archive in it, is not beside the project's file."""
     return InputError(
         INPUT_MISSING,
-        "the project names {name}, which is not there",
+        "the project names {name}, which does not exist",
         where=where,
         remedy=(
             "copy the project's .psx file and its .files folder together, or save it in Metashape "
@@ -599,6 +608,6 @@ def file_of_script_missing(*, where: Path | str, name: str) -> InputError:
         INPUT_MISSING,
         "the script names {name}",
         where=where,
-        remedy="put the file where the script says, or beside it",
+        remedy="put the file at the path in the script, or next to the script",
         name=name,
     )
