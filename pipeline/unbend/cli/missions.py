@@ -349,18 +349,19 @@ def inspect(
             if answer.as_json:
                 answer.print_json(contents)
             elif not answer.quiet:
-                from unbend.report.terminal import print_model
+                from unbend.report.inspected_weather import print_model
 
                 print_model(answer.console, contents, log.name)
             raise typer.Exit(EXIT_DONE)
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
     if as_csv and columns is not None and not answer.quiet:
-        from unbend.report.terminal import write_messages_csv
+        from unbend.report.message_tables import write_messages_csv
 
         write_messages_csv(sys.stdout, columns)
     elif columns is not None and not as_csv:
-        from unbend.report.terminal import field_rows, print_fields
+        from unbend.report.inspected_log import print_fields
+        from unbend.report.message_tables import field_rows
 
         fields = field_rows(columns)
         rows = len(next(iter(columns.values())))
@@ -369,7 +370,7 @@ def inspect(
     elif answer.as_json:
         answer.print_json(opened.to_json_dict())
     elif not answer.quiet:
-        from unbend.report.terminal import print_log
+        from unbend.report.inspected_log import print_log
 
         print_log(answer.console, opened.to_json_dict(), log.name)
     raise typer.Exit(exit_code_of(has_losses=opened.ledger.has_losses))
@@ -386,7 +387,7 @@ def print_weather(answer: Answer, path: Path) -> bool:
     if answer.as_json:
         answer.print_json(reading)
     elif not answer.quiet:
-        from unbend.report.terminal import print_metars, print_sounding
+        from unbend.report.inspected_weather import print_metars, print_sounding
 
         if reading["kind"] == "sounding":
             print_sounding(answer.console, reading, path.name)
