@@ -173,7 +173,8 @@ def draw_rows(
     style: dict[str, Any] = {"marker": marker, "ls": "", "color": color, "ms": 5}
     lon_deg = np.degrees(stations.lon_rad[rows])
     lat_deg = np.degrees(stations.lat_rad[rows])
-    above.plot(lon_deg, lat_deg, **style, label=f"{int(rows.sum()):,} {label}")
+    count = int(rows.sum())
+    above.plot(lon_deg, lat_deg, **style, label=f"{count:,} {label}")
     time = stations.time_ns.astype("datetime64[ns]")
     is_known = np.isfinite(stations.h_msl_m)
     high = rows & is_known
@@ -190,7 +191,8 @@ def label_times(axis: Axes, *, is_utc: bool) -> None:
     locator = AutoDateLocator()
     axis.xaxis.set_major_locator(locator)
     axis.xaxis.set_major_formatter(ConciseDateFormatter(locator))
-    axis.set_xlabel("UTC" if is_utc else "time since boot")
+    label = "UTC" if is_utc else "time since boot"
+    axis.set_xlabel(label)
 
 
 @styled()
@@ -266,6 +268,7 @@ def write_beside(axis: Axes, air: FlightAir, standard_name: str) -> None:
     """What the air does to R, as text in a field of its own."""
     effects = [EffectRecord.of(effect) for effect in air.effects]
     lines = effect_lines(effects, standard_name)
-    text = "\n\n".join(line.replace(": ", ":\n") for line in lines)
+    paragraphs = [line.replace(": ", ":\n") for line in lines]
+    text = "\n\n".join(paragraphs)
     axis.set_axis_off()
     axis.text(0.0, 0.0, text, va="bottom", transform=axis.transAxes)

@@ -181,7 +181,7 @@ def print_station_rows(
 ) -> None:
     """A table of stations, with a gap before the last ones."""
     columns = columns_of("stations")
-    heads = ("image\n", "UTC\n", *(head for head, *_ in columns), "status\n")
+    heads = ("image\n", "UTC\n", *(column.head for column in columns), "status\n")
     table = plain_table(heads, gap=1)
     for column in table.columns[:-1]:
         column.no_wrap = True
