@@ -230,7 +230,7 @@ def comparison_rows(accuracy: Accuracy) -> list[dict[str, Any]]:
                 "h_g_m": comparison.h_g_m,
             }
             for key, angles_deg in angles_by_limit.items():
-                row[key] = known_number(angles_deg[method, height])
+                row[key] = known_number(float(angles_deg[method, height]))
             rows.append(row)
     return rows
 
@@ -239,7 +239,7 @@ def known_number(value: float) -> float | None:
     """A number for JSON, None for NaN."""
     if np.isnan(value):
         return None
-    return float(value)
+    return value
 
 
 def accuracy_png(curves: tuple[Comparison, ...], belongs_to: str) -> bytes:

@@ -83,7 +83,8 @@ class CorrectionSetup:
     @property
     def computes_sigmas(self) -> bool:
         """Whether corrections get standard deviations."""
-        return any(uncertainty is not None for uncertainty in self.uncertainties)
+        known = [uncertainty for uncertainty in self.uncertainties if uncertainty is not None]
+        return len(known) > 0
 
     @cached_property
     def camera_number(self) -> Integers:

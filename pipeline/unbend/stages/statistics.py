@@ -86,9 +86,11 @@ class ShiftStatistics:
             good = slice(None)  # spares the copies
         dx = corrections.dx_px[good]
         dy = corrections.dy_px[good]
-        column = np.clip(x_px[good] / self.width_px * _COLUMNS, 0, _COLUMNS - 1)
-        row = np.clip(y_px[good] / self.height_px * _ROWS, 0, _ROWS - 1)
-        cell = row.astype(np.intp) * _COLUMNS + column.astype(np.intp)
+        across = x_px[good] / self.width_px * _COLUMNS
+        down = y_px[good] / self.height_px * _ROWS
+        column = np.clip(across, 0, _COLUMNS - 1).astype(np.intp)
+        row = np.clip(down, 0, _ROWS - 1).astype(np.intp)
+        cell = row * _COLUMNS + column
         for number, weight in enumerate((dx, dy, np.ones(dx.shape))):
             of_cells = np.bincount(cell, weight, _ROWS * _COLUMNS)
             self.sums[number] += of_cells.reshape(_ROWS, _COLUMNS)
@@ -356,10 +358,12 @@ class Statistics:
         used = np.isfinite(rows.shift_px) & np.isfinite(rows.h_g_m)
         h_g_m = rows.h_g_m[used]
         weight = rows.weight[used]
-        step = round_step(max((high - low) / _GROUND_BINS, _FINEST_GROUND_BIN_M))
+        bin_m = (high - low) / _GROUND_BINS
+        step = round_step(max(bin_m, _FINEST_GROUND_BIN_M))
         first = math.floor(low / step)
         bin_number = np.floor(h_g_m / step).astype(np.int64) - first
-        counts = np.round(np.bincount(bin_number, weight)).astype(np.int64)
+        weights = np.bincount(bin_number, weight)
+        counts = np.round(weights).astype(np.int64)
         return GroundHeightsRecord(
             median_m=weighted_quantile(h_g_m, weight, 0.5),
             lowest_m=round(low, 2),

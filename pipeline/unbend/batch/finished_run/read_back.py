@@ -76,16 +76,17 @@ def stations_of(table: pa.Table) -> Stations:
     """Stations from the table of ``stations.parquet``; the inverse of `table_of_stations`."""
     columns = _Columns(table)
     time_utc = table["time_utc"].cast(pa.int64())
-    time = pc.fill_null(time_utc, int(NO_TIME)).to_numpy()
+    time_ns = pc.fill_null(time_utc, int(NO_TIME))
     status = columns.text("status")
-    has_profile = table["profile_id"].is_valid().to_numpy()  # of suspect ones only those accepted
+    has_profile = table["profile_id"].is_valid()  # of suspect ones only those accepted
+    is_suspect = status == SUSPECT
     derived: dict[str, Any] = {
-        "time_ns": time.astype(np.int64),
+        "time_ns": time_ns.to_numpy().astype(np.int64),
         "quaternion": columns.quaternion("q"),
         "aircraft_quaternion": columns.quaternion("aircraft_q"),
         "status": status,
         "from_boot": np.zeros(0, np.bool_),  # not in the table: `Stations` makes it False for all
-        "accepted": (status == SUSPECT) & has_profile,
+        "accepted": is_suspect & has_profile.to_numpy(),
     }
     for name in ("lat", "lon", "sigma_tilt", "sigma_yaw"):
         derived[f"{name}_rad"] = columns.angle(name)
@@ -118,7 +119,9 @@ def profile_of(table: pa.Table) -> Profile:
     the base values of that layer. The refractivity is that of the run to 1e-15 of itself (6e-16 in
     the sample runs).
     """
-    metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
+    metadata = {}
+    for key, value in table.schema.metadata.items():
+        metadata[key.decode()] = value.decode()
     lower_edges = table.slice(0, table.num_rows - 1)  # without the last row, the top
     base_m = numbers_of(lower_edges, "geopotential_base_m")
     top_m = numbers_of(table, "geopotential_m")[-1]
@@ -136,7 +139,8 @@ def profile_of(table: pa.Table) -> Profile:
     )
     latitude = None
     if metadata["latitude"]:
-        latitude = float(np.radians(float(metadata["latitude"])))
+        latitude_deg = float(metadata["latitude"])
+        latitude = float(np.radians(latitude_deg))
     index = IndexModel(
         metadata["unbend.index"],
         float(metadata["unbend.wavelength_m"]),

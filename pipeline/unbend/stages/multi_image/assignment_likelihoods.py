@@ -95,12 +95,14 @@ class TieLikelihood:
         row = events[:, rays.image] % (event_count + 1)
         # Each assignment has point numbers of its own, so that its rays meet only each other.
         first_point = points.size * np.arange(assignment_count)
-        point = np.searchsorted(points, rays.point) + first_point[:, None]
+        number = np.searchsorted(points, rays.point)
+        point = number + first_point[:, None]
+        sigma_rad = np.broadcast_to(rays.sigma_rad, point.shape)
         stacked = ImageRays(
             image=row.ravel(),
             point=point.ravel(),
             direction=np.tile(rays.direction, (assignment_count, 1)),
-            sigma_rad=np.broadcast_to(rays.sigma_rad, point.shape).ravel(),
+            sigma_rad=sigma_rad.ravel(),
         )
         heights_m = point_heights(orientations, stacked).h_m
         heights_of_assignments = heights_m.reshape(assignment_count, -1)
@@ -130,8 +132,9 @@ class TieLikelihood:
         ray_count = np.bincount(rays.image, minlength=event.size)
         lost_count = np.bincount(rays.image[is_lost], minlength=event.size)
         limit = CONTRADICTED_SHARE * np.maximum(ray_count, FEWEST_RAYS)
+        is_contradicted = lost_count >= limit
         is_placed = np.isfinite(orientations.centre_m[:, 0])
-        return np.flatnonzero((lost_count >= limit) & is_placed)
+        return np.flatnonzero(is_contradicted & is_placed)
 
     def fits(self, event: Integers) -> bool:
         """Whether rays meet under the best assignment.
@@ -160,8 +163,10 @@ def tie_likelihood(
     camera_of_image = np.full(images.name.shape, "camera", object)  # any name: there is only one
     rays = tie_rays(ties, images.name, camera_of_image, {"camera": camera})
     points = np.unique(rays.point)
+    if points.size < FEWEST_POINTS:
+        return None
     needed = max(2.0, USABLE_STATIONS * len(stations))  # a point needs two stations
-    if points.size < FEWEST_POINTS or stations.ok.sum() < needed:
+    if stations.ok.sum() < needed:
         return None
     all_rays = replace(rays, height_m=None)
     deciding_points = evenly_spaced_of(points, TIE_POINTS)
@@ -193,8 +198,10 @@ class PositionLikelihood:
 
     def __call__(self, event: Integers) -> float:
         """The log likelihood of an assignment (k,), at the likeliest common offset and delay."""
-        rows = np.flatnonzero(self.is_written & (event >= 0))
-        rows = rows[np.isfinite(self.flown_m[event[rows], 0])]
+        has_event = event >= 0
+        rows = np.flatnonzero(self.is_written & has_event)
+        north_m = self.flown_m[event[rows], 0]
+        rows = rows[np.isfinite(north_m)]
         # Residuals (2 n,), north and east of one image side by side, in sigmas of a position; and
         # their derivatives (2 n, 3) by the errors that all share, each in sigmas of its own: delay,
         # offset to the north, offset to the east.
@@ -228,9 +235,8 @@ def shared_errors(residual: Array, design: Array) -> Array:
         squares = squares_of_pairs(residual - design @ shared)
         is_near = np.repeat(squares < limit, 2)
         limit = OUTLIER
-        near_design = design[is_near]
-        normal = near_design.T @ near_design + np.eye(3)
-        right_side = near_design.T @ residual[is_near]
+        normal = design[is_near].T @ design[is_near] + np.eye(3)
+        right_side = design[is_near].T @ residual[is_near]
         shared = np.asarray(np.linalg.solve(normal, right_side), np.float64)
     return shared
 
@@ -263,7 +269,8 @@ def position_likelihood(
     latitude = np.median(stations.lat_rad[stations.ok])
     longitude = stations.lon_rad[stations.ok][0]
     meridian, prime_vertical = principal_radii(np.array([latitude]))
-    metres_per_rad = np.array([meridian[0], prime_vertical[0] * np.cos(latitude)])
+    parallel = prime_vertical[0] * np.cos(latitude)
+    metres_per_rad = np.array([meridian[0], parallel])
 
     def local_m(lat_rad: Array, lon_rad: Array) -> Array:
         """(n, 2) metres to the north and east of the origin, also across 180 degrees."""
@@ -278,9 +285,10 @@ def position_likelihood(
     seconds = np.maximum.accumulate(from_first_s)
     with np.errstate(invalid="ignore", divide="ignore"):
         velocity = np.gradient(flown_m, seconds, axis=0)
+    velocity_m_s = np.nan_to_num(velocity, posinf=0.0, neginf=0.0)
     return PositionLikelihood(
         is_written=is_written,
         written_m=local_m(position[:, 0], position[:, 1]),
         flown_m=flown_m,
-        velocity_m_s=np.nan_to_num(velocity, posinf=0.0, neginf=0.0),
+        velocity_m_s=velocity_m_s,
     )

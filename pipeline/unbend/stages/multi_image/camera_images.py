@@ -167,7 +167,5 @@ def count_of_camera(names: Names) -> Integers:
     last_group_first = numbers_of_names.T[::-1]  # a row for each group
     varieties = [np.unique(numbers).size for numbers in last_group_first]
     count = last_group_first[np.argmax(varieties)]  # the first of equals
-    is_rising = (np.diff(count) > 0).all()
-    if is_rising:
-        return count
-    return from_zero
+    is_rising = bool((np.diff(count) > 0).all())
+    return count if is_rising else from_zero
