@@ -256,8 +256,6 @@ def accuracy_png(curves: tuple[Comparison, ...], belongs_to: str) -> bytes:
 def accuracy_figure(curves: tuple[Comparison, ...]) -> Figure:
     """Nadir angle against height, a panel a method: bands of one ground, a line of another."""
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
     comparison, raised = curves
     panels = len(comparison.methods)
@@ -277,6 +275,17 @@ def accuracy_figure(curves: tuple[Comparison, ...]) -> Figure:
         if is_lowest:
             axis.set_xlabel("nadir angle [°]")
             axis.tick_params(labelbottom=True)
+    handles = legend_handles(raised)
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+    figure.suptitle(f"error of each method, ground at {comparison.h_g_m:.0f} m", fontsize=9.5)
+    return figure
+
+
+def legend_handles(raised: Comparison) -> list[Any]:
+    """A patch for each band of the error, and the line of 1 arcsec over raised ground."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
     handles: list[Any] = []
     for size, colour in (BAND_OF_SIZE | {"not defined": "white"}).items():
         patch = Patch(facecolor=colour, edgecolor=LINE, linewidth=0.5, label=size)
@@ -284,9 +293,7 @@ def accuracy_figure(curves: tuple[Comparison, ...]) -> Figure:
     label = f"1 arcsec, ground {raised.h_g_m:.0f} m"
     line = Line2D([], [], color=RAISED, ls="--", lw=1.2, label=label)
     handles.append(line)
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-    figure.suptitle(f"error of each method, ground at {comparison.h_g_m:.0f} m", fontsize=9.5)
-    return figure
+    return handles
 
 
 def draw_method(axis: Axes, comparison: Comparison, raised: Comparison, number: int) -> None:

@@ -83,8 +83,7 @@ class CorrectionSetup:
     @property
     def computes_sigmas(self) -> bool:
         """Whether corrections get standard deviations."""
-        known = [uncertainty for uncertainty in self.uncertainties if uncertainty is not None]
-        return len(known) > 0
+        return any(uncertainty is not None for uncertainty in self.uncertainties)
 
     @cached_property
     def camera_number(self) -> Integers:
@@ -126,7 +125,8 @@ class CorrectionSetup:
         for rows, camera, _ in self.groups(station):
             u, v, _ = camera.rays(x_px[rows], y_px[rows])
             ones = np.ones(u.size)
-            direction[rows] = np.stack([u, v, ones], axis=1)
+            vectors = np.stack([u, v, ones], axis=1)
+            direction[rows] = vectors
             sigma_rad[rows] = 1.0 / camera.fx_px
         length = np.linalg.norm(direction, axis=1)
         unit_vector = direction / length[:, None]

@@ -107,7 +107,8 @@ class ShiftStatistics:
         distributions = {}
         for name, distribution in self.distributions.items():
             distributions[name] = distribution + other.distributions[name]
-        return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, distributions)
+        sums = self.sums + other.sums
+        return ShiftStatistics(self.width_px, self.height_px, sums, distributions)
 
     def summary(self) -> CameraShifts:
         """Counts, medians and maxima, histograms of the shift, and its field, for the manifest."""

@@ -112,6 +112,14 @@ def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
     return ProfileSeries(tuple(profiles), np.asarray(number, dtype=np.int64))
 
 
+def text_metadata(table: pa.Table) -> dict[str, str]:
+    """The metadata of a table."""
+    texts = {}
+    for key, value in table.schema.metadata.items():
+        texts[key.decode()] = value.decode()
+    return texts
+
+
 def profile_of(table: pa.Table) -> Profile:
     """The profile from a table as in ``profile.parquet``; the inverse of `table_of_profile`.
 
@@ -119,22 +127,20 @@ def profile_of(table: pa.Table) -> Profile:
     the base values of that layer. The refractivity is that of the run to 1e-15 of itself (6e-16 in
     the sample runs).
     """
-    metadata = {}
-    for key, value in table.schema.metadata.items():
-        metadata[key.decode()] = value.decode()
+    metadata = text_metadata(table)
     lower_edges = table.slice(0, table.num_rows - 1)  # without the last row, the top
-    base_m = numbers_of(lower_edges, "geopotential_base_m")
     top_m = numbers_of(table, "geopotential_m")[-1]
-    edge_m = np.append(base_m, top_m)
+    edge_m = np.append(numbers_of(lower_edges, "geopotential_base_m"), top_m)
     vapour_pa = numbers_of(table, "vapour_pressure_pa")
     vapour_at_edge = vapour_pa / numbers_of(table, "pressure_pa")
+    vapour_slope = np.diff(vapour_at_edge) / np.diff(edge_m)
     layers = Layers(
         edge=edge_m,
         temperature=numbers_of(lower_edges, "t_base_k"),
         lapse=numbers_of(lower_edges, "lapse_k_per_m"),
         pressure=numbers_of(lower_edges, "p_base_pa"),
         vapour=vapour_at_edge[:-1],
-        vapour_slope=np.diff(vapour_at_edge) / np.diff(edge_m),
+        vapour_slope=vapour_slope,
         source=tuple(lower_edges["source"].to_pylist()),
     )
     latitude = None

@@ -142,8 +142,10 @@ class TieLikelihood:
         If they do not, something else than the assignment is wrong, and tie points decide nothing.
         """
         intersection = self.intersected(event)
-        meets = intersection.used.mean() >= FEWEST_MEET
-        return bool(meets and intersection.sigma_factor < POOREST_FIT)
+        share_met = intersection.used.mean()
+        if share_met < FEWEST_MEET:
+            return False
+        return bool(intersection.sigma_factor < POOREST_FIT)
 
 
 def evenly_spaced_of(values: Integers, most: int) -> Integers:
@@ -209,9 +211,11 @@ class PositionLikelihood:
         difference_m = self.written_m[rows] - self.flown_m[events]
         residual = difference_m.ravel() / POSITION_M
         design = np.zeros((rows.size, 2, 3))
-        design[:, :, 0] = self.velocity_m_s[events] * DELAY_S / POSITION_M
-        design[:, 0, 1] = COMMON_M / POSITION_M
-        design[:, 1, 2] = COMMON_M / POSITION_M
+        moved_m = self.velocity_m_s[events] * DELAY_S
+        design[:, :, 0] = moved_m / POSITION_M
+        common = COMMON_M / POSITION_M
+        design[:, 0, 1] = common
+        design[:, 1, 2] = common
         design = design.reshape(-1, 3)
         shared = shared_errors(residual, design)
         remaining = squares_of_pairs(residual - design @ shared)
@@ -219,7 +223,8 @@ class PositionLikelihood:
         cost_of_shared = np.square(shared).sum()
         # A position whose image has no event, or an event without a place, costs what an outlier
         # costs: otherwise the assignment with the fewest events would be the likeliest.
-        without_event = int(self.is_written.sum()) - rows.size
+        written_count = int(self.is_written.sum())
+        without_event = written_count - rows.size
         cost = cost_of_positions + cost_of_shared + without_event * OUTLIER
         return -0.5 * float(cost)
 
@@ -280,15 +285,18 @@ def position_likelihood(
         return np.asarray(from_origin * metres_per_rad)
 
     flown_m = local_m(stations.lat_rad, stations.lon_rad)
+    written_m = local_m(position[:, 0], position[:, 1])
     # Where times repeat or fall back no time passes, and the velocity counts as zero.
-    from_first_s = (stations.time_ns - stations.time_ns[0]) * 1e-9
-    seconds = np.maximum.accumulate(from_first_s)
+    seconds = np.maximum.accumulate((stations.time_ns - stations.time_ns[0]) * 1e-9)
     with np.errstate(invalid="ignore", divide="ignore"):
         velocity = np.gradient(flown_m, seconds, axis=0)
-    velocity_m_s = np.nan_to_num(velocity, posinf=0.0, neginf=0.0)
     return PositionLikelihood(
         is_written=is_written,
-        written_m=local_m(position[:, 0], position[:, 1]),
+        written_m=written_m,
         flown_m=flown_m,
-        velocity_m_s=velocity_m_s,
+        velocity_m_s=np.nan_to_num(
+            velocity,
+            posinf=0.0,
+            neginf=0.0,
+        ),
     )

@@ -71,8 +71,13 @@ class NamePattern:
                 text += rf"(?P<{field}>\d+)"
             fields.append(field)
         without_ending = re.sub(r"\\\.\w+$", "", text)
-        stem = re.compile(without_ending + r"(\.\w+)?", re.IGNORECASE)
-        return cls(pattern, re.compile(text), stem, tuple(fields))
+        any_ending = r"(\.\w+)?"
+        return cls(
+            pattern,
+            whole=re.compile(text),
+            stem=re.compile(without_ending + any_ending, re.IGNORECASE),
+            fields=tuple(fields),
+        )
 
     def name_of(self, path: str, values: dict[str, str]) -> str:
         """The name of an image that is not observed, by the path of its file.
@@ -102,7 +107,8 @@ def images_of_camera(
     for field, numbering in FIELDS.items():
         if field in name_pattern.fields:
             numbers = [int(image.values[field]) for image in images]
-            return CameraImages(name, np.array(numbers, np.int64), numbering, file)
+            number = np.array(numbers, np.int64)
+            return CameraImages(name, number, numbering, file)
     return CameraImages(name, count_of_camera(name), "sequence", file)
 
 
