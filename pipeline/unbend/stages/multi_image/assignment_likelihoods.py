@@ -47,6 +47,7 @@ def joint_likelihood(likelihoods: Iterable[Likelihood]) -> Likelihood:
     parts = tuple(likelihoods)
 
     def of_assignment(event: Integers) -> float:
+        """The sum of all parts."""
         return sum(likelihood(event) for likelihood in parts)
 
     return of_assignment
@@ -213,9 +214,8 @@ class PositionLikelihood:
         design = np.zeros((rows.size, 2, 3))
         moved_m = self.velocity_m_s[events] * DELAY_S
         design[:, :, 0] = moved_m / POSITION_M
-        common = COMMON_M / POSITION_M
-        design[:, 0, 1] = common
-        design[:, 1, 2] = common
+        design[:, 0, 1] = COMMON_M / POSITION_M
+        design[:, 1, 2] = COMMON_M / POSITION_M
         design = design.reshape(-1, 3)
         shared = shared_errors(residual, design)
         remaining = squares_of_pairs(residual - design @ shared)
@@ -271,11 +271,11 @@ def position_likelihood(
         return None
     if stations.ok.sum() < USABLE_STATIONS * len(stations):
         return None
-    latitude = np.median(stations.lat_rad[stations.ok])
-    longitude = stations.lon_rad[stations.ok][0]
+    is_ok = stations.ok
+    latitude = np.median(stations.lat_rad[is_ok])
+    longitude = stations.lon_rad[is_ok][0]
     meridian, prime_vertical = principal_radii(np.array([latitude]))
-    parallel = prime_vertical[0] * np.cos(latitude)
-    metres_per_rad = np.array([meridian[0], parallel])
+    metres_per_rad = np.array([meridian[0], prime_vertical[0] * np.cos(latitude)])
 
     def local_m(lat_rad: Array, lon_rad: Array) -> Array:
         """(n, 2) metres to the north and east of the origin, also across 180 degrees."""

@@ -133,21 +133,21 @@ def assigned_events(
     all_rows = np.arange(exposed.time_ns.size, dtype=np.int64)
     has_names = bool((exposed.image != "").all())
     if images.name.size == 0 or all_rows.size == 0:
-        return AssignedEvents.of(exposed, all_rows if has_names else all_rows[:0]), ()
+        rows_with_names = all_rows if has_names else all_rows[:0]
+        return AssignedEvents.of(exposed, rows_with_names), ()
 
     counting = counting_of(exposed, images, has_names=has_names)
     if counting.images.numbering == "index" and not counting.by_index:
         # The numbers begin anew, but the names of the events do not repeat.
         return AssignedEvents(exposed, all_rows), ()
-    by_name = events_by_name(
-        exposed, counting.images, by_index=counting.by_index and not counting.has_names
-    )
+    by_name = events_by_name(exposed, counting.images, by_index=counting.needs_index)
     evidence = evidence_of_images(exposed, counting.images, files)
     assignment = likeliest_assignment(exposed, counting.images, evidence, anchor, likelihoods)
     ties = likelihoods.get(TIES)
     if isinstance(ties, TieLikelihood) and not ties.fits(assignment.event):
         # No assignment lets the rays meet: mounts, cameras or times are wrong, not the events.
-        without_ties = {name: f for name, f in likelihoods.items() if name != TIES}
+        without_ties = dict(likelihoods)
+        del without_ties[TIES]
         return assigned_events(exposed, images, files, anchor, without_ties)
     if counting.by_index:
         decision = decided_by_numbers(
@@ -185,6 +185,11 @@ class Counting(NamedTuple):
     images: CameraImages
     by_index: bool
     has_names: bool
+
+    @property
+    def needs_index(self) -> bool:
+        """Whether the log's numbers alone say which event belongs to a name."""
+        return self.by_index and not self.has_names
 
 
 def counting_of(exposed: Events, images: CameraImages, *, has_names: bool) -> Counting:
