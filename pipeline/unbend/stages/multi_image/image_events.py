@@ -28,6 +28,7 @@ from unbend.stages.multi_image.assignment_likelihoods import (
     tie_likelihood,
 )
 from unbend.stages.multi_image.camera_images import CameraImages, images_of_camera
+from unbend.stages.multi_image.image_numbers import counting_of, events_by_name
 from unbend.tables.imports.exif import ImageTimes
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints
@@ -174,34 +175,6 @@ def assigned_events(
     return assigned, tuple(notes)
 
 
-class Counting(NamedTuple):
-    """How the numbers in the names of images count.
-
-    images : with the numbering that holds.
-    by_index : whether the numbers are those that the log gives to its events.
-    has_names : whether the names that the log gives to its events hold.
-    """
-
-    images: CameraImages
-    by_index: bool
-    has_names: bool
-
-    @property
-    def needs_index(self) -> bool:
-        """Whether the log's numbers alone say which event belongs to a name."""
-        return self.by_index and not self.has_names
-
-
-def counting_of(exposed: Events, images: CameraImages, *, has_names: bool) -> Counting:
-    """How numbers count; without the log's numbers they hold only beside names (``has_names``)."""
-    if is_counted(exposed, images):
-        return Counting(replace(images, numbering="counted"), by_index=False, has_names=False)
-    by_index = images.numbering == "index" and exposed.index is not None
-    if images.numbering == "index" and not by_index and not has_names:
-        images = replace(images, numbering="sequence")
-    return Counting(images, by_index, has_names)
-
-
 class Decision(NamedTuple):
     """The assignment that holds, (k,) the event of each image, and (k,) which are undecided."""
 
@@ -274,27 +247,6 @@ def named_events(exposed: Events, images: CameraImages, event: Integers) -> Assi
     return AssignedEvents(
         Events(exposed.camera, images.name[image_rows], exposed.time_ns[rows]), rows
     )
-
-
-def is_counted(exposed: Events, images: CameraImages) -> bool:
-    """Whether numbers that are said to be the log's are counted from its first event."""
-    if images.numbering != "index":
-        return False
-    if exposed.counts == "always":
-        return True
-    return exposed.counts == "maybe" and bool(images.number.max() > exposed.time_ns.size)
-
-
-def events_by_name(exposed: Events, images: CameraImages, *, by_index: bool) -> Integers:
-    """(k,) rows of the events that have the images' names, or numbers; -1 for none."""
-    if by_index and exposed.index is not None:
-        keys = exposed.index.tolist()
-        wanted = images.number.tolist()
-    else:
-        keys = exposed.image.tolist()
-        wanted = images.name.tolist()
-    row_of = {key: row for row, key in enumerate(keys) if key != ""}
-    return np.array([row_of.get(key, -1) for key in wanted], np.int64)
 
 
 def refuse_contradiction(
