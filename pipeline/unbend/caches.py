@@ -16,7 +16,9 @@ _DAY_S = 86_400.0
 
 def user_cache() -> str:
     """The folder: ``unbend`` in XDG_CACHE_HOME or ~/.cache."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    base = os.environ.get("XDG_CACHE_HOME")
+    if not base:
+        base = os.path.expanduser("~/.cache")
     return os.path.join(base, "unbend")
 
 
@@ -35,7 +37,8 @@ def forget_oldest(folder: str, most_bytes: int) -> None:
     paths = [os.path.join(folder, name) for name in os.listdir(folder)]
     excess = sum(map(size_of, paths)) - most_bytes
     for path in sorted(paths, key=os.path.getmtime):
-        if excess > 0 and time.time() - os.path.getmtime(path) > _DAY_S:
+        age_s = time.time() - os.path.getmtime(path)
+        if excess > 0 and age_s > _DAY_S:
             excess -= size_of(path)
             shutil.rmtree(path, ignore_errors=True)
 
@@ -47,5 +50,6 @@ def size_of(path: str) -> int:
     size = 0
     for root, _, names in os.walk(path):
         for name in names:
-            size += os.path.getsize(os.path.join(root, name))
+            inner = os.path.join(root, name)
+            size += os.path.getsize(inner)
     return size

@@ -11,5 +11,5 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 
 def exit_code_of(*, has_losses: bool) -> int:
-    """3 where the ledger has losses: rows, or inputs that look wrong and are not accepted."""
+    """3 where the ledger has losses, or findings that are not accepted (`Ledger.has_losses`)."""
     return EXIT_LOSSES if has_losses else EXIT_DONE

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.dates import date2num
 
+from unbend.flight.ground_times import LoggedPath
 from unbend.flight.stations import NO_TIME, Stations, empty_stations, station_columns
 from unbend.report.figures import flight_figure
 from unbend.report.terminal import print_stations
@@ -83,7 +84,12 @@ def points_of(axis, label: str) -> np.ndarray:
 
 def test_the_drawing():
     stations = flown()
-    track = stations.time_ns[::-1], stations.lat_rad, stations.lon_rad, stations.h_msl_m + 1.0
+    track = LoggedPath(
+        time_ns=stations.time_ns[::-1],
+        latitude_rad=stations.lat_rad,
+        longitude_rad=stations.lon_rad,
+        h_msl_m=stations.h_msl_m + 1.0,
+    )
     stations.time_ns[9] = NO_TIME
     stations.status[9] = "unmatched"
     stretches = [(NINE + 5 * SECOND, NINE + 11 * SECOND), (NINE + 60 * SECOND, NINE + 61 * SECOND)]

@@ -33,7 +33,8 @@ from unbend.report.figures import (
     profile_figure,
     save_figure,
 )
-from unbend.report.terminal import print_log, print_run
+from unbend.report.inspected_log import print_log
+from unbend.report.terminal import print_run
 from unbend.units import ARCSEC
 
 from .manifests import manifest_of

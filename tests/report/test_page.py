@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from unbend.flight.ground_times import LoggedPath
 from unbend.flight.stations import empty_stations
 from unbend.refraction.camera.camera import Camera
-from unbend.report.flown import Flown, air_curves, flown_of
+from unbend.report.air_curves import air_curves
+from unbend.report.flown import Flown, flown_of
 from unbend.report.html import report_page
 
 from .manifests import manifest_of
@@ -517,8 +519,12 @@ def test_the_page_of_twenty_thousand_exposures_is_small(air):
     )  # fmt: skip
     seconds = np.linspace(0.0, 1e4, 100_000)
     lon = np.radians((seconds * 2e-5 + 359.9) % 360.0 - 180.0)
-    track = (BEGIN_NS + (seconds * 1e9).astype(np.int64), np.radians(47.0 + seconds * 1e-5), lon,
-             3000.0 + 0.0 * seconds)  # fmt: skip
+    track = LoggedPath(
+        time_ns=BEGIN_NS + (seconds * 1e9).astype(np.int64),
+        latitude_rad=np.radians(47.0 + seconds * 1e-5),
+        longitude_rad=lon,
+        h_msl_m=np.full(seconds.size, 3000.0),
+    )
     ground = np.where(number % 3 == 0, 500.0, np.nan)
     cameras = {
         name: Camera(2800, 2000, 4567.0, 4567.0, 1400.0, 1000.0) for name in ("belly", "tail")

@@ -23,8 +23,10 @@ def reasons_to_run(plan: Plan, manifest: Manifest) -> list[str]:
         *changed_keys(plan.config, run.config),
         *changed_versions(plan.versions, run.versions),
     ]
-    # No value differs and yet the fingerprint does: the values are put together in another way.
-    return reasons or ["the mission file is read in another way"]
+    if not reasons:
+        # No value differs and yet the fingerprint does: the values are put together differently.
+        reasons = ["the mission file is read in another way"]
+    return reasons
 
 
 def changed_inputs(plan: Plan, records: list[InputRecord]) -> Iterator[str]:
@@ -45,8 +47,12 @@ def changed_keys(config: Mapping[str, Any], of_run: Mapping[str, Any]) -> Iterat
     before = dict(values_by_key(of_run))
     now = dict(values_by_key(config))
     for key in sorted(before.keys() | now.keys()):
-        if key not in NOT_IN_FINGERPRINT and before.get(key) != now.get(key):
-            yield f"{key}: {_shown(before.get(key))} -> {_shown(now.get(key))}"
+        if key in NOT_IN_FINGERPRINT:
+            continue
+        value_before = before.get(key)
+        value_now = now.get(key)
+        if value_before != value_now:
+            yield f"{key}: {_shown(value_before)} -> {_shown(value_now)}"
 
 
 def changed_versions(versions: Mapping[str, str], of_run: Mapping[str, str]) -> Iterator[str]:
@@ -54,12 +60,16 @@ def changed_versions(versions: Mapping[str, str], of_run: Mapping[str, str]) -> 
 
     Version and hash of the program's code are one difference.
     """
+    names = sorted(versions.keys() | of_run.keys())
+    changed = [name for name in names if versions.get(name) != of_run.get(name)]
     of_program = ("unbend", "code_sha256")
-    if any(versions[name] != of_run.get(name) for name in of_program):
+    if any(name in changed for name in of_program):
         yield f"another version of unbend ({of_run.get('unbend')} -> {versions['unbend']})"
-    for name in sorted(versions.keys() | of_run.keys()):
-        if name not in of_program and versions.get(name) != of_run.get(name):
-            yield f"{name} {_shown(of_run.get(name))} -> {_shown(versions.get(name))}"
+    for name in changed:
+        if name not in of_program:
+            version_before = _shown(of_run.get(name))
+            version_now = _shown(versions.get(name))
+            yield f"{name} {version_before} -> {version_now}"
 
 
 def values_by_key(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -72,9 +82,12 @@ def values_by_key(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, values
         return
     for name, value in items:
-        yield from values_by_key(value, f"{key}.{name}" if key else str(name))
+        inner_key = f"{key}.{name}" if key else str(name)
+        yield from values_by_key(value, inner_key)
 
 
 def _shown(value: Any) -> str:
     """A value of a key or a version, in words where there is none."""
-    return "nothing" if value is None else str(value)
+    if value is None:
+        return "nothing"
+    return str(value)

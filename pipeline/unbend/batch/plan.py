@@ -71,11 +71,12 @@ class Plan:
         """The folder that results are made in: the output, or for a URL one in the user's cache."""
         if isinstance(self.output, Path):
             return self.output
-        key = hashlib.sha256(str(self.output).encode()).hexdigest()[:32]
+        url = str(self.output)
+        key = hashlib.sha256(url.encode()).hexdigest()[:32]
         return Path(user_cache()) / "results" / key / "run"
 
     def input(self, role: str) -> Input:
-        """The input of a role: log, observations, events, orientation, or ``sounding 1``."""
+        """The input of a role, as `named_inputs` names it: ``log``, ``sounding 1``, ..."""
         return next(item for item in self.inputs if item.role == role)
 
     def identity(self) -> Identity:
@@ -104,13 +105,17 @@ class Plan:
 
 def located(name: str, folder: Path = Path()) -> Path | Place:
     """Where a path of a mission file leads: from its folder, or a URL to object storage."""
-    return Place.of(name) if is_url(name) else folder / name
+    if is_url(name):
+        return Place.of(name)
+    return folder / name
 
 
 def output_of(mission: Mission, folder: Path) -> Path | Place:
     """Where the results of a mission go."""
     output = located(mission.output.path, folder)
-    return output if isinstance(output, Place) else Path(os.path.normpath(output))
+    if isinstance(output, Place):
+        return output
+    return Path(os.path.normpath(output))
 
 
 def make_plan(
@@ -221,7 +226,8 @@ def remote_input(
         record = known
     else:
         copy = remote.fetch(in_storage, anew=verify)
-        sha256 = hash_input(copy, named.program, files_of(copy, named.program))
+        files = files_of(copy, named.program)
+        sha256 = hash_input(copy, named.program, files)
         record = record.with_hash(sha256)
     return Input(record, in_storage.copy, program=named.program, url=str(in_storage.place))
 
@@ -230,8 +236,8 @@ def with_camera_files(mission: Mission, paths: Mapping[str, Path]) -> Mission:
     """The mission with what the files of its cameras say; ``paths`` are those of all inputs."""
     cameras = {}
     for name, camera in mission.cameras.items():
-        role = f"camera {name}"
-        cameras[name] = camera.with_file(paths[role]) if role in paths else camera
+        path = paths.get(f"camera {name}")
+        cameras[name] = camera if path is None else camera.with_file(path)
     return mission.model_copy(update={"cameras": cameras})
 
 
@@ -291,7 +297,8 @@ def fetch_inputs(plan: Plan) -> None:
 
 def has_planned_hash(item: Input, copy: Path) -> bool:
     """Whether the copy of an input has the hash that the plan states."""
-    return hash_input(copy, item.program, files_of(copy, item.program)) == item.sha256
+    files = files_of(copy, item.program)
+    return hash_input(copy, item.program, files) == item.sha256
 
 
 @contextmanager

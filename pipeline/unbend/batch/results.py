@@ -36,9 +36,10 @@ def manifest_of_run(output: Path | Place) -> Manifest:
     path = str(output)
     if isinstance(output, Path) and output.is_file():
         folder = run_of(output)
+        folder_text = "" if folder is None else str(folder)
         raise messages.file_instead_of_run(
             path=path,
-            folder="" if folder is None else str(folder),
+            folder=folder_text,
         )
     raise messages.no_manifest(path=path)
 
@@ -49,6 +50,8 @@ def verify_run(output: Path | Place) -> Manifest:
     damage = find_damage(output, manifest)
     if not damage:
         return manifest
-    if isinstance(output, Place) and read_manifest(output) != manifest:
-        return verify_run(output)  # another run was published while this one was read
+    if isinstance(output, Place):
+        published_now = read_manifest(output)
+        if published_now != manifest:
+            return verify_run(output)  # another run was published while this one was read
     raise messages.results_damaged(path=str(output), damage=damage)

@@ -1,8 +1,9 @@
 """The command line application, and what its commands share: console, error messages, CSV.
 
 Exit codes: 0 done; 1 a bug; 2 command or mission file; 3 done, but data was lost, damaged or
-flagged, or something the mission file names is absent; 4 output folder in use; 5 storage failure,
-or verify found damage; 6 a mission was refused, the others are done; 130, 143 interrupted.
+flagged, a finding contradicts the inputs, or something the mission file names is absent; 4 output
+folder in use; 5 storage failure, or verify found damage; 6 a mission was refused, the others are
+done; 130, 143 interrupted.
 """
 
 from __future__ import annotations

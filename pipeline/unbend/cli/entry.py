@@ -62,6 +62,7 @@ def invoke_command(arguments: list[str]) -> int:
 
 
 def main() -> None:
+    """Run the command of this process, and end the process with its exit code."""
     # With matrices of some hundred rows, threads are slower and make sums depend on their number.
     # Takes effect if set before numpy is imported.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"

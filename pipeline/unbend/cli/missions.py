@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from unbend.batch.campaigns import Selection
     from unbend.batch.execute import MissionEnd
     from unbend.config.campaign import MissionRef
+    from unbend.report.message_tables import Columns
 
 
 Configs = Annotated[
@@ -348,39 +349,60 @@ def inspect(
         raise messages.inspect_options()
     with answer.progress(f"reading {log.name}"):
         from unbend.ingest import open_log
-        from unbend.tables.weather_files import contents_of, is_model_file
 
-        if kind is None and print_weather(answer, log):
-            raise typer.Exit(EXIT_DONE)
-        if kind is None and is_model_file(log):
-            contents = contents_of(log)
-            if answer.as_json:
-                answer.print_json(contents)
-            elif not answer.quiet:
-                from unbend.report.terminal import print_model
-
-                print_model(answer.console, contents, log.name)
+        if kind is None and (print_weather(answer, log) or print_weather_model(answer, log)):
             raise typer.Exit(EXIT_DONE)
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
-    if as_csv and columns is not None and not answer.quiet:
-        from unbend.report.terminal import write_messages_csv
-
-        write_messages_csv(sys.stdout, columns)
-    elif columns is not None and not as_csv:
-        from unbend.report.terminal import field_rows, print_fields
-
-        fields = field_rows(columns)
-        rows = len(next(iter(columns.values())))
-        answer.print_json({"type": kind, "rows": rows, "fields": fields})
-        print_fields(answer.console, f"{log.name}, {kind}", fields)
+    if columns is not None:
+        print_messages(answer, columns, log=log.name, kind=kind, as_csv=as_csv)
     elif answer.as_json:
         answer.print_json(opened.to_json_dict())
     elif not answer.quiet:
-        from unbend.report.terminal import print_log
+        from unbend.report.inspected_log import print_log
 
         print_log(answer.console, opened.to_json_dict(), log.name)
     raise typer.Exit(exit_code_of(has_losses=opened.ledger.has_losses))
+
+
+def print_messages(
+    answer: Answer,
+    columns: Columns,
+    *,
+    log: str,
+    kind: str | None,
+    as_csv: bool,
+) -> None:
+    """Print the messages of one kind: every row as CSV, or what their fields hold."""
+    if as_csv:
+        if not answer.quiet:
+            from unbend.report.message_tables import write_messages_csv
+
+            write_messages_csv(sys.stdout, columns)
+        return
+    from unbend.report.inspected_log import print_fields
+    from unbend.report.message_tables import field_rows
+
+    fields = field_rows(columns)
+    rows = len(next(iter(columns.values())))
+    answer.print_json({"type": kind, "rows": rows, "fields": fields})
+    print_fields(answer.console, f"{log}, {kind}", fields)
+
+
+def print_weather_model(answer: Answer, path: Path) -> bool:
+    """Print what a file of a weather model contains; False for any other file."""
+    from unbend.tables.weather_files import contents_of, is_model_file
+
+    if not is_model_file(path):
+        return False
+    contents = contents_of(path)
+    if answer.as_json:
+        answer.print_json(contents)
+    elif not answer.quiet:
+        from unbend.report.inspected_weather import print_model
+
+        print_model(answer.console, contents, path.name)
+    return True
 
 
 def print_weather(answer: Answer, path: Path) -> bool:
@@ -394,7 +416,7 @@ def print_weather(answer: Answer, path: Path) -> bool:
     if answer.as_json:
         answer.print_json(reading)
     elif not answer.quiet:
-        from unbend.report.terminal import print_metars, print_sounding
+        from unbend.report.inspected_weather import print_metars, print_sounding
 
         if reading["kind"] == "sounding":
             print_sounding(answer.console, reading, path.name)

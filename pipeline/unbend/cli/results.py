@@ -60,22 +60,23 @@ class _ExportCommand(TyperCommand):
     """`unbend export`, with the options of the formats; they are imported when it is used."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        own = len(self.params)
+        """The command's parameters, with the formats' options before those of every command."""
+        of_command = len(self.params)
         params = super().get_params(ctx)
         quiet = not {"-q", "--quiet"}.isdisjoint(sys.argv)
         with Answer(quiet=quiet, as_json="--json" in sys.argv).progress("loading"):
             _format_parameters()
-        return [*params[:own], *_format_parameters(), *params[own:]]
+        return [*params[:of_command], *_format_parameters(), *params[of_command:]]
 
     def format_options(self, ctx: HelpContext, formatter: HelpFormatter) -> None:
         """The options, and below them the formats with what each writes."""
         from unbend.tables.exports import FORMATS
 
         super().format_options(ctx, formatter)
-        names: dict[str, list[str]] = {}  # a table has two, as Parquet and as CSV
+        names_by_contents: dict[str, list[str]] = {}  # a table has two, as Parquet and as CSV
         for form in FORMATS.values():
-            names.setdefault(form.contents, []).append(form.name)
-        rows = [(", ".join(of), contents) for contents, of in names.items()]
+            names_by_contents.setdefault(form.contents, []).append(form.name)
+        rows = [(", ".join(names), contents) for contents, names in names_by_contents.items()]
         with formatter.section("Formats"):
             formatter.write_dl(rows)
 

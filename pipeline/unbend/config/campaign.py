@@ -46,7 +46,9 @@ class MissionRef:
     @classmethod
     def of(cls, mission: MissionRef | Path | str) -> MissionRef:
         """A reference as it is, or the reference to a mission file without a campaign."""
-        return mission if isinstance(mission, MissionRef) else cls(Path(mission))
+        if isinstance(mission, MissionRef):
+            return mission
+        return cls(Path(mission))
 
     @property
     def folder(self) -> Path:
@@ -56,24 +58,32 @@ class MissionRef:
     @property
     def _own_name(self) -> str:
         """The name of a mission that stands in the campaign file itself."""
-        return str(json.loads(self.own)["mission"]["name"]) if self.own else ""
+        if not self.own:
+            return ""
+        sections = json.loads(self.own)
+        return str(sections["mission"]["name"])
 
     @property
     def label(self) -> str:
         """What messages call the mission: its file; its name too if it stands in a campaign."""
-        return f"{self.path}: {self._own_name}" if self.own else str(self.path)
+        if not self.own:
+            return str(self.path)
+        return f"{self.path}: {self._own_name}"
 
     @property
     def words(self) -> tuple[str, ...]:
         """The arguments of `unbend run` that run this mission alone; the last names the mission."""
         name = self._own_name or str(self.path)
-        return (self.campaign, "--mission", name) if self.campaign else (name,)
+        if not self.campaign:
+            return (name,)
+        return (self.campaign, "--mission", name)
 
     def load(self) -> Mission:
         """Read and check the mission; refuses as `load_mission`."""
         defaults = json.loads(self.defaults) if self.defaults else None
         if self.own:
-            return mission_of(json.loads(self.own), None, self.label, defaults)
+            sections = json.loads(self.own)
+            return mission_of(sections, None, self.label, defaults)
         values, node = read_yaml(self.path)
         return mission_of(values, node, str(self.path), defaults)
 

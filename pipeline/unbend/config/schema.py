@@ -97,7 +97,10 @@ def alternatives(node: Node) -> list[Node]:
         return [_definition(node["$ref"].rpartition("/")[2])]
     arms = node.get("anyOf") or node.get("oneOf")
     if arms is not None:
-        return [alternative for arm in arms for alternative in alternatives(arm)]
+        nodes: list[Node] = []
+        for arm in arms:
+            nodes += alternatives(arm)
+        return nodes
     if node.get("type") == "null":
         return []
     return [node]
@@ -117,8 +120,9 @@ def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
 
     There are several where a value may be of several kinds.
     """
-    of_campaign = bool(keys) and keys[0] in CampaignFile.model_fields
-    nodes = [campaign_schema() if of_campaign else mission_schema()]
+    nodes = [mission_schema()]
+    if keys and keys[0] in CampaignFile.model_fields:
+        nodes = [campaign_schema()]
     for key in keys:
         inner: list[Node] = []
         for node in nodes:

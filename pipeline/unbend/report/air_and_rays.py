@@ -31,15 +31,18 @@ if TYPE_CHECKING:  # scipy: angles need none
 
 
 def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
-    arcsec, urad, ground = (
-        significant(angle[name], 5, smallest=1e-6)
-        for name in ("r_c_arcsec", "r_c_urad", "ground_m")
-    )
+    """One refraction angle in three units, and what it was computed with."""
+    arcsec = significant(angle["r_c_arcsec"], 5, smallest=1e-6)
+    microradians = significant(angle["r_c_urad"], 5, smallest=1e-6)
     texts = summary.report_texts()["angle"]
-    on_ground = texts["over"] if angle["ground_m"] is None else f"{ground} m on the ground"
-    lines = [f"{urad} microradians", on_ground]
-    if angle["status"] in texts:
-        lines.append(f"{angle['status']}: {texts[angle['status']]}")
+    on_ground = texts["over"]
+    if angle["ground_m"] is not None:
+        metres = significant(angle["ground_m"], 5, smallest=1e-6)
+        on_ground = f"{metres} m on the ground"
+    lines = [f"{microradians} microradians", on_ground]
+    status = angle["status"]
+    if status in texts:
+        lines.append(f"{status}: {texts[status]}")
     console.print(f"R_c    {arcsec} arcsec", highlight=False)
     for line in lines:
         console.print(Padding(line, (0, 0, 0, 7), expand=False))
@@ -56,32 +59,37 @@ def print_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequ
     """The tables of a paper: values as printed, as published, and exact."""
     keys = ("table", "quantity", "unit")
     columns = columns_of("paper")
-    for key in dict.fromkeys(tuple(row[name] for name in keys) for row in rows):
-        title = shown(f"Table {key[0]}: {key[1]} [{key[2]}]")
+    rows_of_table: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        key = tuple(row[name] for name in keys)
+        rows_of_table.setdefault(key, []).append(row)
+    for (number, quantity, unit), rows_of_key in rows_of_table.items():
+        title = shown(f"Table {number}: {quantity} [{unit}]")
         table = Table(*_at_right(columns), box=None, title=title, title_justify="left")
-        for row in rows:
-            if tuple(row[name] for name in keys) == key:
-                cells = cells_of(row, columns)
-                table.add_row(*(cell.rstrip("0").rstrip(".") for cell in cells))
+        for row in rows_of_key:
+            cells = cells_of(row, columns)
+            table.add_row(*(cell.rstrip("0").rstrip(".") for cell in cells))
         console.print(table)
     for note in notes:
         print_indented(console, shown(note))
 
 
 def _at_right(columns: Columns) -> list[Column]:
-    return [Column(shown(head), justify="right") for head, *_ in columns]
+    """Columns of numbers."""
+    return [Column(shown(column.head), justify="right") for column in columns]
 
 
 def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
+    """A profile height by height, the standard's values paler."""
     columns = columns_of("profile")
-    table = plain_table((*(head for head, *_ in columns), "source\n"), gap=1)
+    table = plain_table((*(column.head for column in columns), "source\n"), gap=1)
     table.columns[0].justify = "right"
     table.columns[-1].justify = "left"
     for row in rows:
-        cells = [
-            f"[dim]{text}[/dim]" if name.startswith("standard") else text
-            for (_, name, *_), text in zip(columns, cells_of(row, columns), strict=True)
-        ]
+        cells = cells_of(row, columns)
+        for number, column in enumerate(columns):
+            if column.name.startswith("standard"):
+                cells[number] = f"[dim]{cells[number]}[/dim]"
         table.add_row(*cells, row["source"])
     console.print(table)
     console.print(f"N is (n-1)e6; std is {shown(standard)} at the same height", highlight=False)
@@ -112,26 +120,30 @@ def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
 
     rows = []
     for table in tables:
-        columns = {name: np.asarray(v).tolist() for name, v in radial_columns(table).items()}
-        for values in zip(*columns.values(), strict=True):
-            row = zip(columns, values, strict=True)
-            rows.append({name: None if value != value else value for name, value in row})
+        columns = radial_columns(table)
+        lists = [np.asarray(column).tolist() for column in columns.values()]
+        for values in zip(*lists, strict=True):
+            row = dict(zip(columns, values, strict=True))
+            for name, value in row.items():
+                if value != value:  # NaN
+                    row[name] = None
+            rows.append(row)
     return rows
 
 
 def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
+    """Each radial table with a line about its heights, and what holds for all of them."""
     for table in tables:
-        manual = (
-            "the Manual's formula has no value"
-            if math.isnan(table.k_manual_rad)
-            else f"the Manual's formula {table.k_manual_rad / MICRORADIAN:.2f}"
-        )
+        manual = "the Manual's formula has no value"
+        if not math.isnan(table.k_manual_rad):
+            manual = f"the Manual's formula {table.k_manual_rad / MICRORADIAN:.2f}"
         console.print(
             f"[bold]camera {table.h_c_m:g} m, ground {table.h_g_m:g} m[/bold]: R at 45 deg "
             f"{table.k_rad / MICRORADIAN:.2f} urad, {manual}"
         )
-        with_image = bool(np.isfinite(table.radius_px).any())
-        columns = columns_of("radial")[: None if with_image else 4]
+        columns = columns_of("radial")
+        if not np.isfinite(table.radius_px).any():
+            columns = columns[:4]  # without those of an image
         printed = Table(*_at_right(columns), box=None)
         for row in radial_rows([table]):
             cells = cells_of(row, columns)
@@ -139,8 +151,15 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
                 cells[1] = row["status"]
             printed.add_row(*cells)
         console.print(Padding(printed, (0, 0, 1, 0)))
-    if any(bool(np.isnan(t.shift_ground_m[np.isfinite(t.r_c_rad)]).any()) for t in tables):
+    if any(has_rays_over_the_horizon(table) for table in tables):
         over = summary.report_texts()["angle"]["over"]
         console.print(f"{over[:1].upper()}{over[1:]}.")
-    lights = sorted({table.wavelength_m for table in tables})
-    console.print(f"Light of {', '.join(f'{light * 1e6:g}' for light in lights)} um.")
+    wavelengths_m = sorted({table.wavelength_m for table in tables})
+    light = ", ".join(f"{wavelength_m * 1e6:g}" for wavelength_m in wavelengths_m)
+    console.print(f"Light of {light} um.")
+
+
+def has_rays_over_the_horizon(table: RadialTable) -> bool:
+    """Whether a ray has an angle, but its straight line never reaches the ground."""
+    is_defined = np.isfinite(table.r_c_rad)
+    return bool(np.isnan(table.shift_ground_m[is_defined]).any())

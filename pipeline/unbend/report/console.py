@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
-from typing import Any, NoReturn, TextIO
+from typing import Any, NamedTuple, NoReturn, TextIO
 
 from rich.console import Console
 from rich.markup import escape
@@ -23,16 +23,18 @@ from unbend.report.words import HANG, NARROWEST, visible
 INDENT = 2  # columns by which what belongs to a mission stands to the right
 
 _WIDE = 100_000  # columns of what is not a terminal: no line is broken
+_LARGE_SIGMA = 9.995  # from here on a sigma has one decimal
 _BLANKS_AT_END = re.compile(r"[ \t]+(?=\n)")
 
 
 class _Trimmed:
-    """A stream whose lines lose the blanks at their ends; the rest is the stream's own."""
+    """A stream that removes the blanks at the ends of lines, and else is the stream it wraps."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def write(self, text: str) -> int:
+        """Write whole lines; rich gives them."""
         return self._stream.write(_BLANKS_AT_END.sub("", text))
 
     def __getattr__(self, name: str) -> Any:
@@ -43,6 +45,7 @@ class ReportConsole(Console):
     """Console that writes control characters out, and raises BrokenPipeError instead of exiting."""
 
     def on_broken_pipe(self) -> NoReturn:
+        """Called by rich when the reader of the output has gone."""
         raise BrokenPipeError
 
     def render_str(self, text: str, **options: Any) -> Text:
@@ -76,8 +79,7 @@ def print_indented(console: Console, content: str | Table) -> None:
 
 def print_hanging(console: Console, content: str) -> None:
     """Print markup two columns to the right, its further lines `HANG` columns behind the first."""
-    width = console.width - INDENT - HANG
-    width = max(NARROWEST, width)
+    width = max(NARROWEST, console.width - INDENT - HANG)
     indent = INDENT
     text = console.render_str(content)
     for line in text.wrap(console, width):
@@ -87,16 +89,22 @@ def print_hanging(console: Console, content: str) -> None:
 
 def plain_table(heads: Sequence[str], *, gap: int) -> Table:
     """A table without lines, all columns but the first aligned to the right."""
-    table = Table(*(escape(h) for h in heads), box=None, pad_edge=False, padding=(0, gap, 0, 0))
+    table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0))
+    for head in heads:
+        table.add_column(escape(head))
     for column in table.columns[1:]:
         column.justify = "right"
     return table
 
 
 def print_rows(
-    console: Console, heads: Sequence[str], rows: Iterable[Sequence[str]], *, gap: int,
+    console: Console,
+    heads: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    gap: int,
     left: Sequence[int] = (),
-) -> None:  # fmt: skip
+) -> None:
     """Print texts as a table, two columns to the right; ``left`` : columns that begin there."""
     table = plain_table(heads, gap=gap)
     for column in left:
@@ -106,29 +114,48 @@ def print_rows(
     print_indented(console, table)
 
 
-Columns = Sequence[tuple[str, str, float, str]]
-"""Of a table: head, key of a row, what one unit of it is, format; see ``columns.toml``."""
+class TableColumn(NamedTuple):
+    """A column of a printed table; see ``columns.toml``.
+
+    ``name`` is the key of a row, ``unit`` what one unit of the column is in the unit of the row,
+    ``digits`` a format, or ``sigma``: two decimals, one for large values.
+    """
+
+    head: str
+    name: str
+    unit: float
+    digits: str
+
+
+Columns = Sequence[TableColumn]
 
 
 @cache
 def columns_of(name: str) -> Columns:
+    """The columns of a table in ``columns.toml``."""
     text = (files("unbend.report") / "data/columns.toml").read_text("utf-8")
-    return [tuple(column) for column in tomllib.loads(text)[name]]
+    tables = tomllib.loads(text)
+    return [TableColumn(*column) for column in tables[name]]
 
 
 def cells_of(row: Mapping[str, Any], columns: Columns) -> list[str]:
     """The texts of a row; empty where it has no value.
 
-    >>> cells_of({"p": 101325.0, "t": None}, [("p", "p", 100.0, ".1f"), ("T", "t", 1.0, ".0f")])
-    ['1013.2', '']
+    >>> cells_of({"p": 101325.0}, [TableColumn("p", "p", 100.0, ".1f")])
+    ['1013.2']
     """
-    cells = []
-    for _, name, unit, digits in columns:
-        value = None if row[name] is None else row[name] / unit
-        if digits == "sigma":
-            digits = ".1f" if value is not None and value >= 9.995 else ".2f"
-        cells.append("" if value is None else f"{value:{digits}}")
-    return cells
+    return [cell_of(row[column.name], column) for column in columns]
+
+
+def cell_of(value: float | None, column: TableColumn) -> str:
+    """The text of a value in the unit of its column; empty without a value."""
+    if value is None:
+        return ""
+    in_unit = value / column.unit
+    digits = column.digits
+    if digits == "sigma":
+        digits = ".1f" if in_unit >= _LARGE_SIGMA else ".2f"
+    return f"{in_unit:{digits}}"
 
 
 def print_labelled(console: Console, lines: Sequence[tuple[str, str]]) -> None:

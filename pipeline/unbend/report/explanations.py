@@ -15,9 +15,18 @@ from unbend.errors import STORAGE_WRITE, Code
 from unbend.report import messages
 from unbend.tables.schemas import DISPLACED_COLUMNS, columns_of
 
-_MOST_LISTED = 8
-_NUMBERS_AND_STATUSES = {"exit": "exit code {}", "observations": "{} (status of observations)",
-                         "stations": "{} (status of stations)"}  # fmt: skip
+MAX_KEYS = 8  # that are explained
+MAX_NEAR_CODES = 3
+MAX_NEAR_NAMES = 3
+LIKE_A_CODE = 0.7  # similarity by difflib: codes share many letters
+LIKE_A_NAME = 0.6  # difflib's usual value
+
+TITLES = {
+    "exit": "exit code {}",
+    "observations": "{} (status of observations)",
+    "stations": "{} (status of stations)",
+}
+"""How the explanation of an exit code or a status begins."""
 
 
 class Meaning(NamedTuple):
@@ -28,22 +37,24 @@ class Meaning(NamedTuple):
     remedy: str
 
     def lines(self) -> list[str]:
+        """The text below a code."""
         return [
-            f"  {self.means}", f"  effect on the result: {self.effect}", f"  to do: {self.remedy}"
-        ]  # fmt: skip
+            f"  {self.means}",
+            f"  effect on the result: {self.effect}",
+            f"  to do: {self.remedy}",
+        ]
 
 
 @cache
 def meanings() -> Mapping[str, Mapping[str, Meaning]]:
     """Of ``codes`` of refusals and of the ledger, ``exit`` codes, and statuses."""
     text = resources.files(__package__).joinpath("exit_codes_and_statuses.toml").read_text("utf-8")
-    found = {
-        of: {word: Meaning(**entry) for word, entry in entries.items()}
-        for of, entries in tomllib.loads(text).items()
-    }
+    meanings_of: dict[str, dict[str, Meaning]] = {"codes": {}}
+    for kind, entries in tomllib.loads(text).items():
+        meanings_of[kind] = {word: Meaning(**entry) for word, entry in entries.items()}
     for code in codes():
-        found.setdefault("codes", {})[code.name] = Meaning(code.means, code.effect, code.remedy)
-    return found
+        meanings_of["codes"][code.name] = Meaning(code.means, code.effect, code.remedy)
+    return meanings_of
 
 
 def codes() -> Iterator[Code]:
@@ -103,7 +114,9 @@ def explain(word: str) -> list[str]:
     lines = _status_lines(small)
     if not lines and code in known:
         return [code, *known[code].lines()]
-    for more in (_key_lines(small) if not lines else [], _column_lines(small), _word_lines(small)):
+    if not lines:
+        lines += _key_lines(small)
+    for more in (_column_lines(small), _word_lines(small)):
         if lines and more:
             lines.append("")
         lines += more
@@ -115,7 +128,7 @@ def explain(word: str) -> list[str]:
 def _status_lines(word: str) -> list[str]:
     """What an exit code or a status means."""
     lines = []
-    for kind, title in _NUMBERS_AND_STATUSES.items():
+    for kind, title in TITLES.items():
         if word in meanings()[kind]:
             lines += [title.format(word), *meanings()[kind][word].lines()]
     return lines
@@ -152,7 +165,7 @@ def _key_lines(word: str) -> list[str]:
     keys = [*mission_keys(), *campaign_keys()]
     called = _keys_called(word, keys)
     lines: list[str] = []
-    for key in called[:_MOST_LISTED]:
+    for key in called[:MAX_KEYS]:
         if lines:
             lines.append("")
         lines += [key.path, f"  {key.text}", f"  takes: {key.allowed}", f"  default: {key.default}"]
@@ -161,7 +174,7 @@ def _key_lines(word: str) -> list[str]:
         names = _names_within(key, keys)
         if names:
             lines.append(f"  within it: {', '.join(names)}")
-    more = [key.path for key in called[_MOST_LISTED:]]
+    more = [key.path for key in called[MAX_KEYS:]]
     if more:
         lines += ["", f"and: {', '.join(more)}"]
     return lines
@@ -174,7 +187,7 @@ def _keys_called(word: str, keys: Sequence[MissionKey]) -> list[MissionKey]:
     for key in keys:
         tail = key.path.split(".")[-len(parts) :]
         is_same = len(tail) == len(parts) and tail[-1] == parts[-1]
-        if is_same and all(a in ("*", b) for a, b in zip(tail, parts, strict=True)):
+        if is_same and all(in_key in ("*", part) for in_key, part in zip(tail, parts, strict=True)):
             called.append(key)
     whole = [key for key in called if len(key.path.split(".")) == len(parts)]
     return whole or called
@@ -193,14 +206,16 @@ def _names_within(key: MissionKey, keys: Sequence[MissionKey]) -> list[str]:
 
 def _near(word: str) -> list[str]:
     """Codes, keys, statuses, columns and words that are like a word."""
-    near = difflib.get_close_matches(word.upper(), meanings()["codes"], 3, 0.7)
+    codes_of_meanings = meanings()["codes"]
+    near = difflib.get_close_matches(word.upper(), codes_of_meanings, MAX_NEAR_CODES, LIKE_A_CODE)
     names = {key.path.rpartition(".")[2]: key.path for key in (*mission_keys(), *campaign_keys())}
-    for kind in _NUMBERS_AND_STATUSES:
+    for kind in TITLES:
         names |= {status: status for status in meanings()[kind]}
     for table in TABLES:
         names |= {column: column for column in columns_of(table)}
     for entry in glossary():
         names |= dict.fromkeys((entry.name, *entry.also), entry.name)
     last = word.rpartition(".")[2]
-    near += [names[name] for name in difflib.get_close_matches(last, names, 3, 0.6)]
+    for name in difflib.get_close_matches(last, names, MAX_NEAR_NAMES, LIKE_A_NAME):
+        near.append(names[name])
     return list(dict.fromkeys(near))

@@ -5,39 +5,51 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.errors import storage_errors
+from unbend.flight.ground_times import LoggedPath
 from unbend.flight.stations import NO_TIME, SUSPECT, Stations
 from unbend.geodesy import longitudes_near
 from unbend.refraction.effect import FlightAir
 from unbend.report import messages
-from unbend.report.flown import QUANTITIES, air_curves
+from unbend.report.air_curves import AGAINST_STANDARD, QUANTITIES, AirCurves, air_curves
 from unbend.report.summary import effect_lines
 from unbend.tables.manifest.results import EffectRecord
-from unbend.units import Array
+from unbend.units import Array, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MEASURED, REJECTED = "#c2410c", "#fdba74"
+MEASURED = "#c2410c"
+REJECTED = "#fdba74"
 ADJUSTED = "#1d4ed8"
 STANDARD = "#64748b"
-_TIME_WINDOW = "#93c5fd"
+UNUSABLE = "#7c3aed"
+PART_OF_FLIGHT = "#93c5fd"
+
+MAX_TRACK_POINTS = 20_000
+FOOT_OF_AXIS = 0.02  # of its height: of events that have a time and no height
+
+OPTIONS_OF_FORMAT: dict[str, dict[str, Any]] = {
+    ".png": {"dpi": 130, "metadata": {"Software": None}},
+    ".svg": {"metadata": {"Date": None}},
+}
 
 
 @contextmanager
 def styled() -> Iterator[None]:
     """Draw with the style of the report, then restore matplotlib's settings."""
-    import matplotlib as mpl
+    from matplotlib import rc_context
 
-    with mpl.rc_context({"svg.hashsalt": "unbend", "svg.fonttype": "path", "font.size": 9}):
+    with rc_context({"svg.hashsalt": "unbend", "svg.fonttype": "path", "font.size": 9}):
         yield
 
 
@@ -56,83 +68,131 @@ def new_figure(
     return figure, list(axes)
 
 
-_OPTIONS: dict[str, dict[str, Any]] = {
-    ".png": {"dpi": 130, "metadata": {"Software": None}}, ".svg": {"metadata": {"Date": None}},
-}  # fmt: skip
-
-
 @styled()
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as .png or .svg, by the name of the file; the same gives the same bytes."""
     ending = path.suffix.lower()
-    if ending not in _OPTIONS:
+    if ending not in OPTIONS_OF_FORMAT:
         raise messages.plot_format(where=path)
     content = io.BytesIO()
-    figure.savefig(content, format=ending[1:], **_OPTIONS[ending])
+    figure.savefig(content, format=ending[1:], **OPTIONS_OF_FORMAT[ending])
     with storage_errors(path):
         path.write_bytes(content.getvalue())
 
 
 @styled()
 def flight_figure(
-    stations: Stations,
-    track: tuple[NDArray[np.int64], Array, Array, Array],
-    stretches: Sequence[tuple[int, int]] = (),
+    stations: Stations, track: LoggedPath, stretches: Sequence[tuple[int, int]] = ()
 ) -> Figure:
     """A flight from above, and its height over time: stations, suspect ones, and rejected events.
 
-    ``track`` : time [Unix ns], latitude, longitude [rad] and height above sea level [m] as logged;
     ``stretches`` : from when to when [Unix ns] the log contradicts itself.
     """
-    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-
     figure, (above, beside) = new_figure(2, 10.2, 4.6)
-    time_ns, lat, lon, h = track
-    places = np.concatenate([stations.lat_rad, lat]), np.concatenate([stations.lon_rad, lon])
-    middle = [float(np.nanmedian(p)) if np.isfinite(p).any() else 0.0 for p in places]
-    lon_stations, lon = (longitudes_near(x, middle[1]) for x in (stations.lon_rad, lon))
-    every = slice(None, None, max(1, time_ns.size // 20_000))
-    above.plot(np.degrees(lon[every]), np.degrees(lat[every]), color=STANDARD, lw=0.7, label="log")
-    beside.plot(time_ns[every].astype("datetime64[ns]"), h[every], color=STANDARD, lw=0.7)
-    for number, (begin, end) in enumerate(stretches):
-        inside = (time_ns >= begin) & (time_ns <= end)
-        above.plot(np.degrees(lon[inside]), np.degrees(lat[inside]), color=REJECTED, lw=4.0,
-                   alpha=0.7, label="suspect stretch" if number == 0 else None)  # fmt: skip
-        beside.axvspan(*np.array([begin, end]).astype("datetime64[ns]"), color=REJECTED, alpha=0.5)
-    when = stations.time_ns.astype("datetime64[ns]")
-    suspect = stations.status == SUSPECT
-    timed = stations.time_ns != NO_TIME
-    for rows, marker, color, label in (
-        (stations.ok & ~suspect, ".", ADJUSTED, "ok"),
-        (suspect, "x", MEASURED, "suspect"),
-        (timed & ~stations.ok & ~suspect, "|", "#7c3aed", "cannot be used"),
-    ):
-        if not bool(rows.any()):
-            continue
-        style: dict[str, Any] = {"marker": marker, "ls": "", "color": color, "ms": 5}
-        name = f"{int(rows.sum()):,} {label}"
-        above.plot(np.degrees(lon_stations[rows]), np.degrees(stations.lat_rad[rows]), **style,
-                   label=name)  # fmt: skip
-        known = np.isfinite(stations.h_msl_m)
-        beside.plot(when[rows & known], stations.h_msl_m[rows & known], **style)
-        # At the foot of the axis where there is only a time.
-        beside.plot(when[rows & ~known], np.full((rows & ~known).sum(), 0.02), **style,
-                    transform=beside.get_xaxis_transform())  # fmt: skip
-    above.set_aspect(1.0 / max(0.01, float(np.cos(middle[0]))), adjustable="datalim")
+    middle_lat = median_of_known(np.concatenate([stations.lat_rad, track.latitude_rad]))
+    middle_lon = median_of_known(np.concatenate([stations.lon_rad, track.longitude_rad]))
+    continuous_track = track._replace(
+        longitude_rad=longitudes_near(track.longitude_rad, middle_lon)
+    )
+    continuous_stations = replace(stations, lon_rad=longitudes_near(stations.lon_rad, middle_lon))
+    draw_track(above, beside, continuous_track)
+    draw_stretches(above, beside, continuous_track, stretches)
+    draw_stations(above, beside, continuous_stations)
+    above.set_aspect(1.0 / max(0.01, float(np.cos(middle_lat))), adjustable="datalim")
     above.ticklabel_format(useOffset=False)
     above.locator_params(axis="x", nbins=5)
     above.set_xlabel("longitude [deg]")
     above.set_ylabel("latitude [deg]")
-    locator = AutoDateLocator()
-    beside.xaxis.set_major_locator(locator)
-    beside.xaxis.set_major_formatter(ConciseDateFormatter(locator))
-    axis = "UTC"
-    if stations.from_boot.any():
-        axis = "time since boot"
-    beside.set_xlabel(axis)
+    label_times(beside, is_utc=not stations.from_boot.any())
     beside.set_ylabel("height above sea level [m]")
     figure.legend(loc="outside upper center", ncols=4, frameon=False)
     return figure
+
+
+def median_of_known(values: Array) -> float:
+    """The median of an array, 0 where nothing is known."""
+    if not np.isfinite(values).any():
+        return 0.0
+    return float(np.nanmedian(values))
+
+
+def draw_track(above: Axes, beside: Axes, track: LoggedPath) -> None:
+    """The track of a log as a line, seen from above and over time."""
+    every = slice(None, None, max(1, track.time_ns.size // MAX_TRACK_POINTS))
+    lon_deg = np.degrees(track.longitude_rad[every])
+    lat_deg = np.degrees(track.latitude_rad[every])
+    above.plot(lon_deg, lat_deg, color=STANDARD, lw=0.7, label="log")
+    time = track.time_ns[every].astype("datetime64[ns]")
+    beside.plot(time, track.h_msl_m[every], color=STANDARD, lw=0.7)
+
+
+def draw_stretches(
+    above: Axes, beside: Axes, track: LoggedPath, stretches: Sequence[tuple[int, int]]
+) -> None:
+    """Stretches of a log [Unix ns] as thick lines from above, and as bands over time."""
+    label: str | None = "suspect stretch"
+    for begin_ns, end_ns in stretches:
+        is_inside = (track.time_ns >= begin_ns) & (track.time_ns <= end_ns)
+        above.plot(
+            np.degrees(track.longitude_rad[is_inside]),
+            np.degrees(track.latitude_rad[is_inside]),
+            color=REJECTED,
+            lw=4.0,
+            alpha=0.7,
+            label=label,
+        )
+        stretch = np.array([begin_ns, end_ns]).astype("datetime64[ns]")
+        beside.axvspan(*stretch, color=REJECTED, alpha=0.5)
+        label = None  # one entry of the legend
+
+
+def draw_stations(above: Axes, beside: Axes, stations: Stations) -> None:
+    """Stations that are ok, suspect or of no use, each with a mark and a colour."""
+    is_suspect = stations.status == SUSPECT
+    is_ok = stations.ok & ~is_suspect
+    is_unusable = (stations.time_ns != NO_TIME) & ~stations.ok & ~is_suspect
+    draw = partial(draw_rows, above, beside, stations)
+    draw(is_ok, marker=".", color=ADJUSTED, label="ok")
+    draw(is_suspect, marker="x", color=MEASURED, label="suspect")
+    draw(is_unusable, marker="|", color=UNUSABLE, label="cannot be used")
+
+
+def draw_rows(
+    above: Axes,
+    beside: Axes,
+    stations: Stations,
+    rows: Mask,
+    *,
+    marker: str,
+    color: str,
+    label: str,
+) -> None:
+    """Some stations, seen from above and over time; those without a height at the foot."""
+    if not rows.any():
+        return
+    style: dict[str, Any] = {"marker": marker, "ls": "", "color": color, "ms": 5}
+    lon_deg = np.degrees(stations.lon_rad[rows])
+    lat_deg = np.degrees(stations.lat_rad[rows])
+    count = int(rows.sum())
+    above.plot(lon_deg, lat_deg, **style, label=f"{count:,} {label}")
+    time = stations.time_ns.astype("datetime64[ns]")
+    is_known = np.isfinite(stations.h_msl_m)
+    high = rows & is_known
+    beside.plot(time[high], stations.h_msl_m[high], **style)
+    without_height = rows & ~is_known
+    foot = np.full(without_height.sum(), FOOT_OF_AXIS)
+    beside.plot(time[without_height], foot, **style, transform=beside.get_xaxis_transform())
+
+
+def label_times(axis: Axes, *, is_utc: bool) -> None:
+    """Times and dates along the foot of a figure."""
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+    locator = AutoDateLocator()
+    axis.xaxis.set_major_locator(locator)
+    axis.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    label = "UTC" if is_utc else "time since boot"
+    axis.set_xlabel(label)
 
 
 @styled()
@@ -140,34 +200,75 @@ def profile_figure(air: FlightAir, samples: AirSamples) -> Figure:
     """T, p, e, N of the air with one sigma, of samples and the standard, and the effect on R."""
     figure, axes = new_figure(3, 10.2, 6.4, rows=2)
     curves = air_curves(air, samples, np.empty(0))
-    h, ours, sigma = curves["h_m"], curves["ours"], curves["sigma"]
-    for i, axis in enumerate(axes[:5]):
-        for sensor in (s for s in curves["samples"] if s["column"] == i):
-            for used, color in (("used", MEASURED), ("not used", REJECTED)):
-                name = used.replace(" ", "_")
-                axis.plot(sensor[f"values_{name}"], sensor[f"h_{name}"], ".", ms=1.6, alpha=0.5,
-                          color=color, label=f"{sensor['sensor']}, {used}")  # fmt: skip
-        for number, part in enumerate(curves["parts"] if i < 4 else ()):
-            label = "parts of the flight" if number == 0 else None
-            axis.plot(part[i], h, color=_TIME_WINDOW, lw=0.7, label=label)
-        axis.plot(curves["standard"][i], h, color=STANDARD, lw=1.2, label=curves["standard_name"])
-        if ours is not None and sigma is not None:
-            axis.fill_betweenx(h, ours[i] - sigma[i], ours[i] + sigma[i], color=ADJUSTED,
-                               alpha=0.18, lw=0, label="one sigma")  # fmt: skip
-        if ours is not None:
-            axis.plot(ours[i], h, color=ADJUSTED, lw=1.3, label=air.adjustment.profile.name)
-        axis.set_xlabel([*QUANTITIES, f"N against {curves['standard_name']} [%]"][i])
-        axis.set_ylim(h[0], h[-1])
-        if i in (0, 3):
+    labels = [*QUANTITIES, f"N against {curves.standard_name} [%]"]
+    for column, label in enumerate(labels):
+        axis = axes[column]
+        draw_samples(axis, curves, column)
+        draw_curves(axis, curves, column, air.adjustment.profile.name)
+        axis.set_xlabel(label)
+        axis.set_ylim(curves.h_m[0], curves.h_m[-1])
+        is_leftmost = column % 3 == 0
+        if is_leftmost:
             axis.set_ylabel("height above sea level [m]")
         else:
             axis.tick_params(labelleft=False)
-    axes[5].set_axis_off()
-    axes[5].legend(
-        *axes[0].get_legend_handles_labels(), frameon=False, markerscale=5.0, loc="upper left"
-    )
-    effects = [EffectRecord.of(effect) for effect in air.effects]
-    lines = effect_lines(effects, curves["standard_name"])
-    text = "\n\n".join(line.replace(": ", ":\n") for line in lines)
-    axes[5].text(0.0, 0.0, text, va="bottom", transform=axes[5].transAxes)
+    handles, texts = axes[0].get_legend_handles_labels()
+    write_beside(axes[5], air, curves.standard_name)
+    axes[5].legend(handles, texts, frameon=False, markerscale=5.0, loc="upper left")
     return figure
+
+
+def draw_samples(axis: Axes, curves: AirCurves, column: int) -> None:
+    """The readings of a quantity as dots, those that are not used paler."""
+    for sensor in curves.samples:
+        if sensor.column != column:
+            continue
+        style: dict[str, Any] = {"ms": 1.6, "alpha": 0.5}
+        used = f"{sensor.sensor}, used"
+        axis.plot(sensor.values_used, sensor.h_used, ".", color=MEASURED, label=used, **style)
+        not_used = f"{sensor.sensor}, not used"
+        axis.plot(
+            sensor.values_not_used,
+            sensor.h_not_used,
+            ".",
+            color=REJECTED,
+            label=not_used,
+            **style,
+        )
+
+
+def draw_curves(axis: Axes, curves: AirCurves, column: int, name: str) -> None:
+    """The curves of a quantity: parts of the flight, the standard, and the flight ``name``."""
+    h_m = curves.h_m
+    if column != AGAINST_STANDARD:
+        label: str | None = "parts of the flight"
+        for part in curves.parts:
+            axis.plot(part[column], h_m, color=PART_OF_FLIGHT, lw=0.7, label=label)
+            label = None  # one entry of the legend
+    standard = curves.standard[column]
+    axis.plot(standard, h_m, color=STANDARD, lw=1.2, label=curves.standard_name)
+    if curves.flight is None:
+        return
+    of_flight = curves.flight[column]
+    if curves.sigma is not None:
+        sigma = curves.sigma[column]
+        axis.fill_betweenx(
+            h_m,
+            of_flight - sigma,
+            of_flight + sigma,
+            color=ADJUSTED,
+            alpha=0.18,
+            lw=0,
+            label="one sigma",
+        )
+    axis.plot(of_flight, h_m, color=ADJUSTED, lw=1.3, label=name)
+
+
+def write_beside(axis: Axes, air: FlightAir, standard_name: str) -> None:
+    """What the air does to R, as text in a field of its own."""
+    effects = [EffectRecord.of(effect) for effect in air.effects]
+    lines = effect_lines(effects, standard_name)
+    paragraphs = [line.replace(": ", ":\n") for line in lines]
+    text = "\n\n".join(paragraphs)
+    axis.set_axis_off()
+    axis.text(0.0, 0.0, text, va="bottom", transform=axis.transAxes)

@@ -38,8 +38,10 @@ class DelayedProgressBar(Progress):
     """A bar that appears after half a second of work, erased at the end; None: no terminal."""
 
     def __init__(self, console: Console | None, title: str) -> None:
-        self._console, self._title = console, visible(title)
-        self._text, self._completed = self._title, 0
+        self._console = console
+        self._title = visible(title)
+        self._text = self._title
+        self._completed = 0
         self._total: int | None = None
         self._bar: Any = None
         self._task: Any = None
@@ -70,13 +72,17 @@ class DelayedProgressBar(Progress):
         with self._lock:
             if self._ended or self._console is None:
                 return
-            ends = TaskProgressColumn(), TimeRemainingColumn(compact=True)
-            text = TextColumn("{task.description}{task.fields[note]}", markup=False)
             self._bar = Bar(
-                text, BarColumn(bar_width=24), *ends, console=self._console, transient=True,
-                redirect_stdout=False, redirect_stderr=sys.stderr.isatty(),
+                TextColumn("{task.description}{task.fields[note]}", markup=False),
+                BarColumn(bar_width=24),
+                TaskProgressColumn(),
+                TimeRemainingColumn(compact=True),
+                console=self._console,
+                transient=True,
+                redirect_stdout=False,
+                redirect_stderr=sys.stderr.isatty(),
                 disable=self._console.is_dumb_terminal,
-            )  # fmt: skip
+            )
             self._begin_task()
             self._bar.start()
 
@@ -91,12 +97,16 @@ class DelayedProgressBar(Progress):
             self._console.print(f"{self._text} ...", markup=False, highlight=False)
 
     def start(self, step: str, total: int | None = None) -> None:
+        """Begin a step; its bar is empty."""
         with self._lock:
-            self._text, self._completed, self._total = f"{self._title}: {step}", 0, total
+            self._text = f"{self._title}: {step}"
+            self._completed = 0
+            self._total = total
             if self._bar is not None:
                 self._begin_task()
 
     def advance(self, count: int) -> None:
+        """Add finished units to the bar."""
         with self._lock:
             self._completed += count
             if self._bar is not None:
@@ -105,7 +115,8 @@ class DelayedProgressBar(Progress):
     def update(self, step: str, completed: int, total: int) -> None:
         """Set step, finished units and their total (0 if that is not known)."""
         with self._lock:
-            self._text, self._completed = f"{self._title}: {step}", completed
+            self._text = f"{self._title}: {step}"
+            self._completed = completed
             self._total = total or None
             if self._bar is not None:
                 self._bar.update(

@@ -2,13 +2,13 @@
 
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 from unbend.messages import MessageRecord
-from unbend.refraction.window import SIGMA_BAROMETER_PA, SIGMA_THERMOMETER_K
+from unbend.report.cabin_steps import cabin_step
 from unbend.report.concerns import concerns_of
 from unbend.report.words import count, length, pixels, shortened, significant, with_sigma
 from unbend.tables.manifest.results import (
@@ -20,9 +20,7 @@ from unbend.tables.manifest.results import (
     ResultsRecord,
     TimeWindowRecord,
 )
-from unbend.tables.manifest.sections import CabinKeys
 from unbend.tables.manifest.whole import Manifest
-from unbend.units import HECTOPASCAL
 
 Metres = Sequence[float | None]
 """East, north and up [m]; None where one is not known."""
@@ -34,7 +32,6 @@ SMALLEST_MEASURABLE_PX = 0.05
 """A correction that stays below it everywhere cannot be seen in image measurements."""
 
 _NEARLY_ALL = 0.9
-_OF_USUAL_CABINS = ("CABIN-BOARD", "CABIN-TEMPERATURE")
 _UNMEASURED = {
     "climatology": "a climatology is used instead",
     "standard": "a standard atmosphere is used instead",
@@ -249,53 +246,6 @@ def step_to_better_air(manifest: Manifest) -> str:
     )
 
 
-def cabin_step(manifest: Manifest) -> str:
-    """Which air in the cabins to measure, or which of the errors assumed of it to state."""
-    cabins = {}
-    openings = []
-    for name, camera in manifest.sections.cameras.items():
-        if camera.opening is not None:
-            openings.append(f"cameras.{name}.opening")
-        if camera.window is not None and camera.window.shape == "plane":
-            cabins[name] = camera.window.cabin
-    if not cabins and openings:
-        return f"Measure the air in front of the lens, and state it: {', '.join(openings)}."
-    ledger = manifest.results.ledger
-    of_usual = [entry.where for entry in ledger if entry.code in _OF_USUAL_CABINS]
-    usual = [n for n, c in cabins.items() if c == "standard_schedule" or f"camera {n}" in of_usual]
-    keys = ", ".join(f"cameras.{name}.window.cabin" for name in usual or cabins)
-    if usual:
-        return f"Measure the air in the cabin, or state it: {keys}."
-    assumed = {}
-    if any(is_pressure_sigma_assumed(cabin) for cabin in cabins.values()):
-        assumed["sigma_pressure_hpa"] = f"{SIGMA_BAROMETER_PA / HECTOPASCAL:g} hPa"
-    if any(is_temperature_sigma_assumed(cabin) for cabin in cabins.values()):
-        assumed["sigma_temperature_k"] = f"{SIGMA_THERMOMETER_K:g} K"
-    if not assumed:
-        return (
-            "For a better correction, measure the air in the cabin more accurately than stated: "
-            f"{keys}."
-        )
-    return (
-        f"The sigma of the sensors in the cabin is assumed to be {', '.join(assumed.values())}. If "
-        f"it is smaller, give {', '.join(assumed)} ({keys})."
-    )
-
-
-def is_pressure_sigma_assumed(cabin: CabinKeys | str | None) -> bool:
-    """Whether a sensor measures the pressure in a cabin, and its sigma is not stated."""
-    if not isinstance(cabin, CabinKeys):
-        return cabin == "log"
-    return cabin.pressure in ("log", "ambient") and cabin.sigma_pressure_hpa is None
-
-
-def is_temperature_sigma_assumed(cabin: CabinKeys | str | None) -> bool:
-    """Whether a sensor measures the temperature in a cabin, and its sigma is not stated."""
-    if not isinstance(cabin, CabinKeys):
-        return cabin == "log"
-    return cabin.temperature_c in ("log", None) and cabin.sigma_temperature_k is None
-
-
 _GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
 
 
@@ -304,25 +254,39 @@ def control_sentence(manifest: Manifest) -> str:
     control = manifest.results.control
     if control is None:
         return ""
-    rms = (control.rms_before_m, control.rms_after_m, control.rms_refraction_m)
-    before, after, moved = ("/".join(f"{v:.3f}" for v in of) for of in rms)
-    share = control.part_explained
-    sigma = control.sigma_u_m
-    return (
+    before = millimetres_apart(control.rms_before_m)
+    after = millimetres_apart(control.rms_after_m)
+    moved = millimetres_apart(control.rms_refraction_m)
+    text = (
         f"{control.used} control points, intersected with fixed stations: RMS of east/north/"
         f"up {before} m as measured, {after} m corrected; refraction moves them by {moved} m"
-        + (f", {100.0 * share:.1f} % of their mean square residual" if share > 0.0 else "")
-        + (
-            (f". The sigma of a height from stations and pixels is {significant(sigma)} m.")
-            if sigma
-            else "."
-        )
     )
+    if control.part_explained > 0.0:
+        percent = 100.0 * control.part_explained
+        text += f", {percent:.1f} % of their mean square residual"
+    text += "."
+    if control.sigma_u_m:
+        sigma = significant(control.sigma_u_m)
+        text += f" The sigma of a height from stations and pixels is {sigma} m."
+    return text
+
+
+def millimetres_apart(values_m: Iterable[float]) -> str:
+    """East, north and up [m] to a millimetre, with slashes between them."""
+    return "/".join(f"{value:.3f}" for value in values_m)
 
 
 CONTROL_HEAD = (
-    "control point [m]", "rays", "dE", "dN", "dU", "dE corr.", "dN corr.", "dU corr.", "± dU"
-)  # fmt: skip
+    "control point [m]",
+    "rays",
+    "dE",
+    "dN",
+    "dU",
+    "dE corr.",
+    "dN corr.",
+    "dU corr.",
+    "± dU",
+)
 
 
 def control_rows(manifest: Manifest, most: int) -> list[tuple[str, ...]]:
@@ -424,13 +388,13 @@ def effect_lines(effects: Sequence[EffectRecord], standard: str) -> list[str]:
     lines: list[str] = []
     for effect in effects:
         name = "R" if lines else "refraction R"
-        ours = with_sigma(effect.r_c_arcsec, effect.sigma_arcsec)
+        in_flight = with_sigma(effect.r_c_arcsec, effect.sigma_arcsec)
         sigma = None if effect.sigma_factor is None else 100.0 * effect.sigma_factor
         more = with_sigma(100.0 * (effect.factor - 1.0), sigma, "%", signed=True)
         lines.append(
             f"{name} at {effect.nadir_angle_deg:.0f}° from {effect.h_c_m:.0f} m to "
-            f"{effect.h_g_m:.0f} m: {ours} arcsec, {effect.standard_arcsec:.3f} in {standard}: "
-            f"{more}"
+            f"{effect.h_g_m:.0f} m: {in_flight} arcsec, "
+            f"{effect.standard_arcsec:.3f} in {standard}: {more}"
         )
     return lines
 
@@ -494,4 +458,6 @@ def lines_on_air(results: ResultsRecord, remains: str) -> list[str]:
 
 @cache
 def report_texts() -> Mapping[str, Any]:
-    return tomllib.loads((files("unbend.report") / "data/report.toml").read_text("utf-8"))
+    """The texts of ``report.toml``, by what they are about."""
+    text = (files("unbend.report") / "data/report.toml").read_text("utf-8")
+    return tomllib.loads(text)

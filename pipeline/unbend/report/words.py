@@ -114,11 +114,14 @@ def with_sigma(value: float, sigma: float | None, unit: str = "", *, signed: boo
     ('6.86 arcsec', '-0.2', '1.00 ± 0.10')
     """
     if sigma is None or not 0.0 < sigma < math.inf:
-        text, spread = significant(value), ""
+        text = significant(value)
+        spread = ""
     else:
         decimals = 1 - math.floor(math.log10(float(f"{sigma:.1e}")))  # 0.0996 counts as 0.10
-        value, sigma = (round(v, decimals) + 0.0 for v in (value, sigma))
-        text, spread = f"{value:.{max(decimals, 0)}f}", f" ± {sigma:.{max(decimals, 0)}f}"
+        shown = max(decimals, 0)
+        rounded = round(value, decimals) + 0.0  # 0.0 in the place of -0.0
+        text = f"{rounded:.{shown}f}"
+        spread = f" ± {round(sigma, decimals):.{shown}f}"
     if signed and not text.startswith(("-", "<", ">")):
         text = f"+{text}"
     return f"{text}{spread} {unit}".rstrip()

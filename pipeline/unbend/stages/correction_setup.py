@@ -44,8 +44,10 @@ class GroundHeights(NamedTuple):
         """
         if self.status is None:
             return corrections
-        of_ground = np.isin(corrections.status, (OK, NO_GROUND)) & (self.status != OK)
-        status = np.where(of_ground, self.status, corrections.status)
+        before = corrections.status
+        is_replaced = np.isin(before, (OK, NO_GROUND))
+        is_replaced &= self.status != OK
+        status = np.where(is_replaced, self.status, before)
         return replace(corrections, status=status.astype(np.uint8))
 
 
@@ -92,7 +94,8 @@ class CorrectionSetup:
         """
         number_of = {name: number for number, name in enumerate(self.cameras)}
         numbers = [number_of.get(name, -1) for name in self.camera_names]
-        return np.array([*numbers, -1], np.int64)
+        numbers.append(-1)
+        return np.array(numbers, np.int64)
 
     def groups(self, station: Integers) -> Iterator[tuple[Integers, Camera, int]]:
         """The observations (n,) of each camera in each profile: rows, camera, profile number.
@@ -102,13 +105,15 @@ class CorrectionSetup:
         camera_number = self.camera_number[station]
         for number, camera in enumerate(self.cameras.values()):
             rows = np.flatnonzero(camera_number == number)
-            if len(self.rays) == 1:
-                if rows.size:
-                    yield rows, camera, 0
+            if rows.size == 0:
                 continue
-            profile = self.profile_number[station[rows]]
-            for profile_number in np.unique(profile).tolist():
-                yield rows[profile == profile_number], camera, profile_number
+            if len(self.rays) == 1:
+                yield rows, camera, 0
+                continue
+            profile_of_row = self.profile_number[station[rows]]
+            for profile_number in np.unique(profile_of_row).tolist():
+                in_profile = rows[profile_of_row == profile_number]
+                yield in_profile, camera, profile_number
 
     def directions(self, x_px: Array, y_px: Array, station: Integers) -> tuple[Array, Array]:
         """(n, 3) unit vectors of pixels in their cameras, and (n,) the size of a pixel [rad].
@@ -119,6 +124,10 @@ class CorrectionSetup:
         sigma_rad = np.ones(station.size)
         for rows, camera, _ in self.groups(station):
             u, v, _ = camera.rays(x_px[rows], y_px[rows])
-            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
+            ones = np.ones(u.size)
+            vectors = np.stack([u, v, ones], axis=1)
+            direction[rows] = vectors
             sigma_rad[rows] = 1.0 / camera.fx_px
-        return direction / np.linalg.norm(direction, axis=1)[:, None], sigma_rad
+        length = np.linalg.norm(direction, axis=1)
+        unit_vector = direction / length[:, None]
+        return unit_vector, sigma_rad

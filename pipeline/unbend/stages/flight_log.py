@@ -138,25 +138,25 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
     if log is not None:
         report_gimbals(mission, log, logged_roles, heads, ledger)
     heights = heights_of_roles(mission, inputs, logged_roles, ledger)
-    # `own` are the logged roles, in which better sources of the log replace suspect samples.
-    own, own_suspect, notes = examine(channels, logged_roles)
+    # Better sources of the log replace suspect samples.
+    examined_roles, own_suspect, notes = examine(channels, logged_roles)
     ledger.extend(notes)
 
     # What the stations are built from: the log, or the trajectory where it replaces the log.
-    roles = dict(own)
+    roles = dict(examined_roles)
     suspect = own_suspect
     if trajectory is not None:
         suspect = tuple(stretch for stretch in own_suspect if stretch.quantity not in replaced)
-        suspect += contradictions_of_import(trajectory, replaced, own, own_suspect)
+        suspect += contradictions_of_import(trajectory, replaced, examined_roles, own_suspect)
         compare_with_log(
             trajectory,
-            own,
+            examined_roles,
             heights,
             ledger,
             replaces=replaced,
             angle_order=angle_order_of_trajectory(mission),
         )
-        roles = with_trajectory(own, trajectory, replaced, ledger)
+        roles = with_trajectory(examined_roles, trajectory, replaced, ledger)
     ledger.extend(constant_sensors(roles))
     roles, accuracy = with_accuracy(roles, channels)
     evidence = GroundEvidence.of(channels)
@@ -165,7 +165,7 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
         log=log,
         channels=channels,
         roles=roles,
-        own=own,
+        own=examined_roles,
         heights=heights,
         suspect=suspect,
         own_suspect=own_suspect,

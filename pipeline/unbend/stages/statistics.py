@@ -86,8 +86,10 @@ class ShiftStatistics:
             good = slice(None)  # spares the copies
         dx = corrections.dx_px[good]
         dy = corrections.dy_px[good]
-        column = np.clip(x_px[good] / self.width_px * _COLUMNS, 0, _COLUMNS - 1).astype(np.intp)
-        row = np.clip(y_px[good] / self.height_px * _ROWS, 0, _ROWS - 1).astype(np.intp)
+        across = x_px[good] / self.width_px * _COLUMNS
+        down = y_px[good] / self.height_px * _ROWS
+        column = np.clip(across, 0, _COLUMNS - 1).astype(np.intp)
+        row = np.clip(down, 0, _ROWS - 1).astype(np.intp)
         cell = row * _COLUMNS + column
         for number, weight in enumerate((dx, dy, np.ones(dx.shape))):
             of_cells = np.bincount(cell, weight, _ROWS * _COLUMNS)
@@ -105,7 +107,8 @@ class ShiftStatistics:
         distributions = {}
         for name, distribution in self.distributions.items():
             distributions[name] = distribution + other.distributions[name]
-        return ShiftStatistics(self.width_px, self.height_px, self.sums + other.sums, distributions)
+        sums = self.sums + other.sums
+        return ShiftStatistics(self.width_px, self.height_px, sums, distributions)
 
     def summary(self) -> CameraShifts:
         """Counts, medians and maxima, histograms of the shift, and its field, for the manifest."""
@@ -170,7 +173,9 @@ class SampledRows(NamedTuple):
         ``h_g`` and ``station`` (n,) are the ground heights and the stations of the batch.
         """
         rows = evenly_spaced(len(batch), most)
-        weight = np.ones(rows.size) if batch.weight is None else batch.weight[rows]
+        weight = np.ones(rows.size)
+        if batch.weight is not None:
+            weight = batch.weight[rows]
         distance_m = np.full(rows.size, np.nan)
         if batch.distance_m is not None:
             distance_m = batch.distance_m[rows]
@@ -269,8 +274,10 @@ class Statistics:
             first = np.flatnonzero(corrections.status == code)[:MOST_EXAMPLES]
             examples = []
             for row in first.tolist():
-                place = batch.first_row + row if batch.numbers is None else batch.numbers[row]
-                point = batch.point[row].as_py() or f"(row {place})"
+                number = batch.first_row + row
+                if batch.numbers is not None:
+                    number = batch.numbers[row]
+                point = batch.point[row].as_py() or f"(row {number})"
                 examples.append(f"{batch.image[row]} {point}")
             self.examples[STATUS_NAMES[code]] = examples
 
@@ -291,7 +298,8 @@ class Statistics:
         for name, count in other.status.items():
             self.status[name] = self.status.get(name, 0) + count
         for name, texts in other.examples.items():
-            self.examples[name] = (self.examples.get(name, []) + texts)[:MOST_EXAMPLES]
+            examples = self.examples.get(name, []) + texts
+            self.examples[name] = examples[:MOST_EXAMPLES]
         for name, statistics in other.shifts.items():
             self.shifts[name] = self.shifts[name] + statistics
 
@@ -334,8 +342,10 @@ class Statistics:
         """(count,) median ground height [m] of the rows of each station; NaN without any."""
         rows = self.sampled_rows()
         used = (rows.station >= 0) & np.isfinite(rows.h_g_m)
-        medians = pd.Series(rows.h_g_m[used]).groupby(rows.station[used]).median()
-        return np.asarray(medians.reindex(range(count)), np.float64)
+        heights_m = pd.Series(rows.h_g_m[used])
+        medians = heights_m.groupby(rows.station[used]).median()
+        of_all_stations = medians.reindex(range(count))
+        return np.asarray(of_all_stations, np.float64)
 
     def ground_heights(self) -> GroundHeightsRecord | None:
         """Limits of all ground heights [m above the sea], median and histogram of sampled ones.
@@ -349,10 +359,12 @@ class Statistics:
         used = np.isfinite(rows.shift_px) & np.isfinite(rows.h_g_m)
         h_g_m = rows.h_g_m[used]
         weight = rows.weight[used]
-        step = round_step(max((high - low) / _GROUND_BINS, _FINEST_GROUND_BIN_M))
+        bin_m = (high - low) / _GROUND_BINS
+        step = round_step(max(bin_m, _FINEST_GROUND_BIN_M))
         first = math.floor(low / step)
         bin_number = np.floor(h_g_m / step).astype(np.int64) - first
-        counts = np.round(np.bincount(bin_number, weight)).astype(np.int64)
+        weights = np.bincount(bin_number, weight)
+        counts = np.round(weights).astype(np.int64)
         return GroundHeightsRecord(
             median_m=weighted_quantile(h_g_m, weight, 0.5),
             lowest_m=round(low, 2),
@@ -420,7 +432,9 @@ def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
     columns = corrections.sigmas._asdict()
     parts = []
     for name in SIGMA_PARTS:
-        parts.append(np.hypot(columns[f"{name}_dx_px"][rows], columns[f"{name}_dy_px"][rows]))
+        sigma_x = columns[f"{name}_dx_px"][rows]
+        sigma_y = columns[f"{name}_dy_px"][rows]
+        parts.append(np.hypot(sigma_x, sigma_y))
     return np.stack(parts, axis=1).astype(np.float64)
 
 
@@ -448,9 +462,9 @@ def sigma_records(
 
 def median_and_p95(values: Array, weight: Array) -> Quantiles:
     """The median of the finite values, and what 95 % of them do not exceed."""
-    return Quantiles(
-        weighted_quantile(values, weight, 0.5), weighted_quantile(values, weight, 0.95)
-    )
+    median = weighted_quantile(values, weight, 0.5)
+    p95 = weighted_quantile(values, weight, 0.95)
+    return Quantiles(median, p95)
 
 
 def weighted_quantile(values: Array, weight: Array, share: float) -> float | None:

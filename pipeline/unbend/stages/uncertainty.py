@@ -184,7 +184,9 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
         yield "the air (its profile has no covariance)"
     unknown = stations.ok & np.isnan(station_sigmas(mission, stations).tilt_rad)
     for name in sorted(set(stations.camera[unknown].tolist())):
-        section = f"mount.{name}" if mission.stations.orientation is None else "stations.orientation"
+        section = (
+            f"mount.{name}" if mission.stations.orientation is None else "stations.orientation"
+        )
         yield f"the attitude ({section}.sigma_tilt_deg)"
     if mission.ground.sigma_m is None and mission.ground.sigma_column is None:
         yield "the ground (ground.sigma_m or ground.sigma_column)"

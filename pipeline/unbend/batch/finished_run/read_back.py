@@ -31,8 +31,15 @@ def mission_of(manifest: Manifest, path: Path) -> Mission:
         return Mission.model_validate_json(config)
     except ValidationError as error:
         raise messages.config_not_understood(
-            path=str(path / MANIFEST), mistakes=error.error_count()
+            path=str(path / MANIFEST),
+            mistakes=error.error_count(),
         ) from None
+
+
+def numbers_of(table: pa.Table, name: str) -> Array:
+    """(k,) numbers of a column; NaN where it has none."""
+    values = table[name].to_numpy()
+    return np.asarray(values, dtype=np.float64)
 
 
 class _Columns:
@@ -45,7 +52,7 @@ class _Columns:
         """(s,) numbers; NaN where the table has no such column."""
         if name not in self._table.schema.names:
             return np.full(self._table.num_rows, np.nan)
-        return np.asarray(self._table[name].to_numpy(), dtype=np.float64)
+        return numbers_of(self._table, name)
 
     def angle(self, name: str) -> Array:
         """(s,) angles [rad] of a column in degrees."""
@@ -53,30 +60,33 @@ class _Columns:
 
     def quaternion(self, prefix: str) -> Array:
         """(s, 4) quaternions, w first."""
-        return np.stack([self.number(f"{prefix}_{axis}") for axis in "wxyz"], axis=1)
+        components = [self.number(f"{prefix}_{axis}") for axis in "wxyz"]
+        return np.stack(components, axis=1)
 
     def text(self, name: str) -> Names:
         """(s,) texts; empty where there is none."""
-        values: list[str | None] = [None] * self._table.num_rows
-        if name in self._table.schema.names:
-            values = self._table[name].to_pylist()
-        return np.array([value or "" for value in values], dtype=object)
+        if name not in self._table.schema.names:
+            return np.full(self._table.num_rows, "", dtype=object)
+        values = self._table[name].to_pylist()
+        texts = [value or "" for value in values]
+        return np.array(texts, dtype=object)
 
 
 def stations_of(table: pa.Table) -> Stations:
     """Stations from the table of ``stations.parquet``; the inverse of `table_of_stations`."""
     columns = _Columns(table)
     time_utc = table["time_utc"].cast(pa.int64())
-    time = pc.fill_null(time_utc, int(NO_TIME)).to_numpy()
+    time_ns = pc.fill_null(time_utc, int(NO_TIME))
     status = columns.text("status")
-    has_profile = table["profile_id"].is_valid().to_numpy()  # of suspect ones only those accepted
+    has_profile = table["profile_id"].is_valid()  # of suspect ones only those accepted
+    is_suspect = status == SUSPECT
     derived: dict[str, Any] = {
-        "time_ns": time.astype(np.int64),
+        "time_ns": time_ns.to_numpy().astype(np.int64),
         "quaternion": columns.quaternion("q"),
         "aircraft_quaternion": columns.quaternion("aircraft_q"),
         "status": status,
         "from_boot": np.zeros(0, np.bool_),  # not in the table: `Stations` makes it False for all
-        "accepted": (status == SUSPECT) & has_profile,
+        "accepted": is_suspect & has_profile.to_numpy(),
     }
     for name in ("lat", "lon", "sigma_tilt", "sigma_yaw"):
         derived[f"{name}_rad"] = columns.angle(name)
@@ -90,13 +100,24 @@ def stations_of(table: pa.Table) -> Stations:
 
 def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
     """Profiles of ``profile.parquet``, and which is each station's: the first if it has none."""
-    names = pc.unique(table["profile_id"])
+    id_of_row = table["profile_id"]
+    ids = pc.unique(id_of_row)
     profiles = []
-    for name in names:
-        of_profile = table.filter(pc.equal(table["profile_id"], name))
-        profiles.append(TimedProfile(None, profile_of(of_profile)))
-    number = pc.fill_null(pc.index_in(profile_id, value_set=names), 0)
-    return ProfileSeries(tuple(profiles), np.asarray(number.to_numpy(), dtype=np.int64))
+    for each_id in ids:
+        rows = table.filter(pc.equal(id_of_row, each_id))
+        profile = profile_of(rows)
+        profiles.append(TimedProfile(None, profile))
+    number = pc.index_in(profile_id, value_set=ids)
+    number = pc.fill_null(number, 0).to_numpy()
+    return ProfileSeries(tuple(profiles), np.asarray(number, dtype=np.int64))
+
+
+def text_metadata(table: pa.Table) -> dict[str, str]:
+    """The metadata of a table."""
+    texts = {}
+    for key, value in table.schema.metadata.items():
+        texts[key.decode()] = value.decode()
+    return texts
 
 
 def profile_of(table: pa.Table) -> Profile:
@@ -106,34 +127,38 @@ def profile_of(table: pa.Table) -> Profile:
     the base values of that layer. The refractivity is that of the run to 1e-15 of itself (6e-16 in
     the sample runs).
     """
-    metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
-
-    def column(name: str) -> Array:
-        return np.asarray(table[name].to_numpy(), dtype=np.float64)
-
-    lower_edges = slice(None, -1)  # without the last row, the top
-    top_m = column("geopotential_m")[-1]
-    edge_m = np.append(column("geopotential_base_m")[lower_edges], top_m)
-    vapour_at_edge = column("vapour_pressure_pa") / column("pressure_pa")
+    metadata = text_metadata(table)
+    lower_edges = table.slice(0, table.num_rows - 1)  # without the last row, the top
+    top_m = numbers_of(table, "geopotential_m")[-1]
+    edge_m = np.append(numbers_of(lower_edges, "geopotential_base_m"), top_m)
+    vapour_pa = numbers_of(table, "vapour_pressure_pa")
+    vapour_at_edge = vapour_pa / numbers_of(table, "pressure_pa")
+    vapour_slope = np.diff(vapour_at_edge) / np.diff(edge_m)
     layers = Layers(
         edge=edge_m,
-        temperature=column("t_base_k")[lower_edges],
-        lapse=column("lapse_k_per_m")[lower_edges],
-        pressure=column("p_base_pa")[lower_edges],
-        vapour=vapour_at_edge[lower_edges],
-        vapour_slope=np.diff(vapour_at_edge) / np.diff(edge_m),
-        source=tuple(table["source"].to_pylist()[lower_edges]),
+        temperature=numbers_of(lower_edges, "t_base_k"),
+        lapse=numbers_of(lower_edges, "lapse_k_per_m"),
+        pressure=numbers_of(lower_edges, "p_base_pa"),
+        vapour=vapour_at_edge[:-1],
+        vapour_slope=vapour_slope,
+        source=tuple(lower_edges["source"].to_pylist()),
     )
     latitude = None
     if metadata["latitude"]:
-        latitude = float(np.radians(float(metadata["latitude"])))
+        latitude_deg = float(metadata["latitude"])
+        latitude = float(np.radians(latitude_deg))
     index = IndexModel(
         metadata["unbend.index"],
         float(metadata["unbend.wavelength_m"]),
         float(metadata["unbend.co2_ppm"]),
     )
-    gravity = Gravity(float(metadata["g_phi"]), float(metadata["r_phi"]), latitude)
+    gravity = Gravity(
+        g_phi=float(metadata["g_phi"]),
+        r_phi=float(metadata["r_phi"]),
+        latitude_rad=latitude,
+    )
     name = "adjusted"
     if metadata["unbend.basis"] == "standard":
         name = metadata["unbend.standard"]
-    return Profile(layers, gravity, index, name, float(metadata["unbend.constant_k_per_m"]))
+    constant_k_per_m = float(metadata["unbend.constant_k_per_m"])
+    return Profile(layers, gravity, index, name, constant_k_per_m)

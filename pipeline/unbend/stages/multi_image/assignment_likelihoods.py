@@ -47,6 +47,7 @@ def joint_likelihood(likelihoods: Iterable[Likelihood]) -> Likelihood:
     parts = tuple(likelihoods)
 
     def of_assignment(event: Integers) -> float:
+        """The sum of all parts."""
         return sum(likelihood(event) for likelihood in parts)
 
     return of_assignment
@@ -68,7 +69,8 @@ class TieLikelihood:
     def intersected(self, event: Integers) -> Intersection:
         """The points of the rays that decide, under an assignment (k,)."""
         orientations = self.event_orientations.assigned(event)
-        return intersect(orientations, straightened(orientations, self.rays))
+        rays = straightened(orientations, self.rays)
+        return intersect(orientations, rays)
 
     def __call__(self, event: Integers) -> float:
         """The log likelihood of an assignment (k,); 0 without rays."""
@@ -89,25 +91,31 @@ class TieLikelihood:
         event_count = self.event_orientations.camera.size
         # One row of orientations for each event, and a last one without an orientation. An image
         # without an event (-1) takes the last row, by the remainder.
-        orientations = self.event_orientations.assigned(np.append(np.arange(event_count), -1))
+        each_event = np.append(np.arange(event_count), -1)
+        orientations = self.event_orientations.assigned(each_event)
         row = events[:, rays.image] % (event_count + 1)
         # Each assignment has point numbers of its own, so that its rays meet only each other.
         first_point = points.size * np.arange(assignment_count)
-        point = np.searchsorted(points, rays.point) + first_point[:, None]
+        number = np.searchsorted(points, rays.point)
+        point = number + first_point[:, None]
+        sigma_rad = np.broadcast_to(rays.sigma_rad, point.shape)
         stacked = ImageRays(
             image=row.ravel(),
             point=point.ravel(),
             direction=np.tile(rays.direction, (assignment_count, 1)),
-            sigma_rad=np.broadcast_to(rays.sigma_rad, point.shape).ravel(),
+            sigma_rad=sigma_rad.ravel(),
         )
         heights_m = point_heights(orientations, stacked).h_m
-        return np.asarray(np.isfinite(heights_m).reshape(assignment_count, -1).mean(axis=1))
+        heights_of_assignments = heights_m.reshape(assignment_count, -1)
+        return np.asarray(np.isfinite(heights_of_assignments).mean(axis=1))
 
     def across(self, images: Integers) -> TieLikelihood:
         """The likelihood by those tie points that both some ``images`` (rows) and others show."""
         rays = self.all_rays
         is_inside = np.isin(rays.image, images)
-        shared = np.intersect1d(rays.point[is_inside], rays.point[~is_inside])
+        points_inside = rays.point[is_inside]
+        points_outside = rays.point[~is_inside]
+        shared = np.intersect1d(points_inside, points_outside)
         return replace(self, rays=rays.of_points(shared))
 
     def contradicted(self, event: Integers) -> Integers:
@@ -119,13 +127,15 @@ class TieLikelihood:
         orientations = self.event_orientations.assigned(event)
         rays = self.all_rays
         intersection = intersect(orientations, straightened(orientations, rays))
-        point_used = intersection.used[np.searchsorted(intersection.point, rays.point)]
-        is_lost = intersection.bad | ~point_used
+        row_of_point = np.searchsorted(intersection.point, rays.point)
+        is_point_used = intersection.used[row_of_point]
+        is_lost = intersection.bad | ~is_point_used
         ray_count = np.bincount(rays.image, minlength=event.size)
         lost_count = np.bincount(rays.image[is_lost], minlength=event.size)
         limit = CONTRADICTED_SHARE * np.maximum(ray_count, FEWEST_RAYS)
+        is_contradicted = lost_count >= limit
         is_placed = np.isfinite(orientations.centre_m[:, 0])
-        return np.flatnonzero((lost_count >= limit) & is_placed)
+        return np.flatnonzero(is_contradicted & is_placed)
 
     def fits(self, event: Integers) -> bool:
         """Whether rays meet under the best assignment.
@@ -133,13 +143,16 @@ class TieLikelihood:
         If they do not, something else than the assignment is wrong, and tie points decide nothing.
         """
         intersection = self.intersected(event)
-        meets = intersection.used.mean() >= FEWEST_MEET
-        return bool(meets and intersection.sigma_factor < POOREST_FIT)
+        share_met = intersection.used.mean()
+        if share_met < FEWEST_MEET:
+            return False
+        return bool(intersection.sigma_factor < POOREST_FIT)
 
 
 def evenly_spaced_of(values: Integers, most: int) -> Integers:
     """At most ``most`` of some values, evenly spaced among them."""
-    rows = np.unique(np.linspace(0, values.size - 1, most).astype(int))
+    evenly = np.linspace(0, values.size - 1, most)
+    rows = np.unique(evenly.astype(int))
     return np.asarray(values[rows])
 
 
@@ -153,12 +166,18 @@ def tie_likelihood(
     camera_of_image = np.full(images.name.shape, "camera", object)  # any name: there is only one
     rays = tie_rays(ties, images.name, camera_of_image, {"camera": camera})
     points = np.unique(rays.point)
+    if points.size < FEWEST_POINTS:
+        return None
     needed = max(2.0, USABLE_STATIONS * len(stations))  # a point needs two stations
-    if points.size < FEWEST_POINTS or stations.ok.sum() < needed:
+    if stations.ok.sum() < needed:
         return None
     all_rays = replace(rays, height_m=None)
-    deciding_rays = all_rays.of_points(evenly_spaced_of(points, TIE_POINTS))
-    return TieLikelihood(orientations_of(stations), deciding_rays, all_rays)
+    deciding_points = evenly_spaced_of(points, TIE_POINTS)
+    return TieLikelihood(
+        event_orientations=orientations_of(stations),
+        rays=all_rays.of_points(deciding_points),
+        all_rays=all_rays,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,24 +201,31 @@ class PositionLikelihood:
 
     def __call__(self, event: Integers) -> float:
         """The log likelihood of an assignment (k,), at the likeliest common offset and delay."""
-        rows = np.flatnonzero(self.is_written & (event >= 0))
-        rows = rows[np.isfinite(self.flown_m[event[rows], 0])]
+        has_event = event >= 0
+        rows = np.flatnonzero(self.is_written & has_event)
+        north_m = self.flown_m[event[rows], 0]
+        rows = rows[np.isfinite(north_m)]
         # Residuals (2 n,), north and east of one image side by side, in sigmas of a position; and
         # their derivatives (2 n, 3) by the errors that all share, each in sigmas of its own: delay,
         # offset to the north, offset to the east.
-        residual = (self.written_m[rows] - self.flown_m[event[rows]]).ravel() / POSITION_M
+        events = event[rows]
+        difference_m = self.written_m[rows] - self.flown_m[events]
+        residual = difference_m.ravel() / POSITION_M
         design = np.zeros((rows.size, 2, 3))
-        design[:, :, 0] = self.velocity_m_s[event[rows]] * DELAY_S / POSITION_M
+        moved_m = self.velocity_m_s[events] * DELAY_S
+        design[:, :, 0] = moved_m / POSITION_M
         design[:, 0, 1] = COMMON_M / POSITION_M
         design[:, 1, 2] = COMMON_M / POSITION_M
         design = design.reshape(-1, 3)
         shared = shared_errors(residual, design)
         remaining = squares_of_pairs(residual - design @ shared)
-        prior = np.square(shared).sum()  # what the shared errors cost
+        cost_of_positions = np.minimum(remaining, OUTLIER).sum()
+        cost_of_shared = np.square(shared).sum()
         # A position whose image has no event, or an event without a place, costs what an outlier
         # costs: otherwise the assignment with the fewest events would be the likeliest.
-        without_event = int(self.is_written.sum()) - rows.size
-        cost = np.minimum(remaining, OUTLIER).sum() + prior + without_event * OUTLIER
+        written_count = int(self.is_written.sum())
+        without_event = written_count - rows.size
+        cost = cost_of_positions + cost_of_shared + without_event * OUTLIER
         return -0.5 * float(cost)
 
 
@@ -211,16 +237,19 @@ def shared_errors(residual: Array, design: Array) -> Array:
     shared = np.zeros(3)
     limit = 4.0 * OUTLIER  # at first, before anything is fitted
     for _ in range(ITERATIONS):
-        near = np.repeat(squares_of_pairs(residual - design @ shared) < limit, 2)
+        squares = squares_of_pairs(residual - design @ shared)
+        is_near = np.repeat(squares < limit, 2)
         limit = OUTLIER
-        normal = design[near].T @ design[near] + np.eye(3)
-        shared = np.asarray(np.linalg.solve(normal, design[near].T @ residual[near]), np.float64)
+        normal = design[is_near].T @ design[is_near] + np.eye(3)
+        right_side = design[is_near].T @ residual[is_near]
+        shared = np.asarray(np.linalg.solve(normal, right_side), np.float64)
     return shared
 
 
 def squares_of_pairs(values: Array) -> Array:
     """(n,) sums of the squares of pairs (2 n,)."""
-    return np.asarray(np.square(values).reshape(-1, 2).sum(axis=1))
+    pairs = np.square(values).reshape(-1, 2)
+    return np.asarray(pairs.sum(axis=1))
 
 
 def position_likelihood(
@@ -234,30 +263,40 @@ def position_likelihood(
     if files is None or len(stations) < FEWEST_STATIONS:
         return None
     # The last row is for an image without a file, whose row is -1.
-    position = np.append(files.position, [[np.nan] * 3], axis=0)[images.file]
+    position_of_file = np.append(files.position, [[np.nan] * 3], axis=0)
+    position = position_of_file[images.file]
     is_written = np.isfinite(position[:, 0])
-    if is_written.sum() < max(FEWEST_WRITTEN, WRITTEN_SHARE * is_written.size):
+    needed = max(FEWEST_WRITTEN, WRITTEN_SHARE * is_written.size)
+    if is_written.sum() < needed:
         return None
     if stations.ok.sum() < USABLE_STATIONS * len(stations):
         return None
-    latitude = np.median(stations.lat_rad[stations.ok])
-    longitude = stations.lon_rad[stations.ok][0]
+    is_ok = stations.ok
+    latitude = np.median(stations.lat_rad[is_ok])
+    longitude = stations.lon_rad[is_ok][0]
     meridian, prime_vertical = principal_radii(np.array([latitude]))
     metres_per_rad = np.array([meridian[0], prime_vertical[0] * np.cos(latitude)])
 
     def local_m(lat_rad: Array, lon_rad: Array) -> Array:
         """(n, 2) metres to the north and east of the origin, also across 180 degrees."""
-        from_origin = np.stack([lat_rad - latitude, wrapped(lon_rad - longitude)], axis=1)
+        north_rad = lat_rad - latitude
+        east_rad = wrapped(lon_rad - longitude)
+        from_origin = np.stack([north_rad, east_rad], axis=1)
         return np.asarray(from_origin * metres_per_rad)
 
     flown_m = local_m(stations.lat_rad, stations.lon_rad)
+    written_m = local_m(position[:, 0], position[:, 1])
     # Where times repeat or fall back no time passes, and the velocity counts as zero.
     seconds = np.maximum.accumulate((stations.time_ns - stations.time_ns[0]) * 1e-9)
     with np.errstate(invalid="ignore", divide="ignore"):
         velocity = np.gradient(flown_m, seconds, axis=0)
     return PositionLikelihood(
         is_written=is_written,
-        written_m=local_m(position[:, 0], position[:, 1]),
+        written_m=written_m,
         flown_m=flown_m,
-        velocity_m_s=np.nan_to_num(velocity, posinf=0.0, neginf=0.0),
+        velocity_m_s=np.nan_to_num(
+            velocity,
+            posinf=0.0,
+            neginf=0.0,
+        ),
     )

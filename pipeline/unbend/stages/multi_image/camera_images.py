@@ -65,12 +65,19 @@ class NamePattern:
             text += re.escape(literal).replace(re.escape("*"), ".*")
             if field is None:
                 continue
-            # A field that is repeated cannot have its name twice in an expression.
-            text += r"\d+" if field in fields else rf"(?P<{field}>\d+)"
+            if field in fields:
+                text += r"\d+"  # a name cannot stand twice in an expression
+            else:
+                text += rf"(?P<{field}>\d+)"
             fields.append(field)
         without_ending = re.sub(r"\\\.\w+$", "", text)
-        stem = re.compile(without_ending + r"(\.\w+)?", re.IGNORECASE)
-        return cls(pattern, re.compile(text), stem, tuple(fields))
+        any_ending = r"(\.\w+)?"
+        return cls(
+            pattern,
+            whole=re.compile(text),
+            stem=re.compile(without_ending + any_ending, re.IGNORECASE),
+            fields=tuple(fields),
+        )
 
     def name_of(self, path: str, values: dict[str, str]) -> str:
         """The name of an image that is not observed, by the path of its file.
@@ -80,7 +87,8 @@ class NamePattern:
         """
         if "*" in self.pattern or len(set(self.fields)) != 1:
             return path
-        return self.pattern.format(**{key: int(value) for key, value in values.items()})
+        numbers = {field: int(digits) for field, digits in values.items()}
+        return self.pattern.format(**numbers)
 
 
 def images_of_camera(
@@ -98,7 +106,8 @@ def images_of_camera(
     file = np.array([image.row for image in images], np.int64)
     for field, numbering in FIELDS.items():
         if field in name_pattern.fields:
-            number = np.array([int(image.values[field]) for image in images], np.int64)
+            numbers = [int(image.values[field]) for image in images]
+            number = np.array(numbers, np.int64)
             return CameraImages(name, number, numbering, file)
     return CameraImages(name, count_of_camera(name), "sequence", file)
 
@@ -124,15 +133,18 @@ def described_images(
             match = name_pattern.stem.fullmatch(paths[row])
         if match is not None:
             images.append(DescribedImage(name, row, match.groupdict()))
-    unmeasured = set(range(len(paths))) - set(row_of_image.values())
+    all_rows = range(len(paths))
+    unmeasured = set(all_rows) - set(row_of_image.values())
     for row in sorted(unmeasured):
         path = paths[row]
         match = name_pattern.stem.fullmatch(path)
         if match is None:
-            match = name_pattern.stem.fullmatch(path.rpartition("/")[2])
+            last_part = path.rpartition("/")[2]
+            match = name_pattern.stem.fullmatch(last_part)
         if match is not None:
-            name = name_pattern.name_of(path, match.groupdict())
-            images.append(DescribedImage(name, row, match.groupdict()))
+            values = match.groupdict()
+            name = name_pattern.name_of(path, values)
+            images.append(DescribedImage(name, row, values))
     return images
 
 
@@ -142,7 +154,8 @@ def sorting_key(name: str) -> list[str]:
     >>> sorted(["a10", "a9"], key=sorting_key)
     ['a9', 'a10']
     """
-    return [text.zfill(20) for text in re.split(r"(\d+)", name)]
+    parts = re.split(r"(\d+)", name)
+    return [part.zfill(20) for part in parts]
 
 
 def count_of_camera(names: Names) -> Integers:
@@ -156,7 +169,8 @@ def count_of_camera(names: Names) -> Integers:
     group_counts = {len(group) for group in groups}
     if len(group_counts) != 1 or not groups[0]:
         return from_zero
-    last_group_first = np.array(groups).astype(np.int64).T[::-1]  # a row for each group
+    numbers_of_names = np.array(groups).astype(np.int64)
+    last_group_first = numbers_of_names.T[::-1]  # a row for each group
     varieties = [np.unique(numbers).size for numbers in last_group_first]
     count = last_group_first[np.argmax(varieties)]  # the first of equals
     is_rising = bool((np.diff(count) > 0).all())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from unbend.stages.multi_image.assignment_likelihoods import (
     tie_likelihood,
 )
 from unbend.stages.multi_image.camera_images import CameraImages, images_of_camera
+from unbend.stages.multi_image.image_numbers import counting_of, events_by_name
 from unbend.tables.imports.exif import ImageTimes
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints
@@ -132,57 +134,83 @@ def assigned_events(
     all_rows = np.arange(exposed.time_ns.size, dtype=np.int64)
     has_names = bool((exposed.image != "").all())
     if images.name.size == 0 or all_rows.size == 0:
-        return AssignedEvents.of(exposed, all_rows if has_names else all_rows[:0]), ()
+        rows_with_names = all_rows if has_names else all_rows[:0]
+        return AssignedEvents.of(exposed, rows_with_names), ()
 
-    # How the numbers in names count.
-    images_as_given = images
-    if is_counted(exposed, images):
-        images = replace(images, numbering="counted")
-        has_names = False
-    by_index = images.numbering == "index" and exposed.index is not None
-    if images.numbering == "index" and not by_index:
-        if has_names:  # the numbers begin anew, but their names do not repeat
-            return AssignedEvents(exposed, all_rows), ()
-        images = replace(images, numbering="sequence")
-    by_name = events_by_name(exposed, images, by_index=by_index and not has_names)
-
-    # What the evidence says.
-    evidence = evidence_of_images(exposed, images, files)
-    assignment = likeliest_assignment(exposed, images, evidence, anchor, likelihoods)
+    counting = counting_of(exposed, images, has_names=has_names)
+    if counting.images.numbering == "index" and not counting.by_index:
+        # The numbers begin anew, but the names of the events do not repeat.
+        return AssignedEvents(exposed, all_rows), ()
+    by_name = events_by_name(exposed, counting.images, by_index=counting.needs_index)
+    evidence = evidence_of_images(exposed, counting.images, files)
+    assignment = likeliest_assignment(exposed, counting.images, evidence, anchor, likelihoods)
     ties = likelihoods.get(TIES)
     if isinstance(ties, TieLikelihood) and not ties.fits(assignment.event):
         # No assignment lets the rays meet: mounts, cameras or times are wrong, not the events.
-        without_ties = {name: f for name, f in likelihoods.items() if name != TIES}
-        return assigned_events(exposed, images_as_given, files, anchor, without_ties)
-    undecided = assignment.ambiguous
-    event = assignment.event
-    if by_index:
-        undecided = (event >= 0) & (event != by_name)
-        if float(undecided.mean()) > FEW_CONTRADICTED:
-            refuse_contradiction(
-                assignment, by_name, images, exposed, evidence, likelihoods=likelihoods
-            )
-            # Not refused: what is likelier by less than the limit does not count.
-            assignment = stated_assignment(assignment, by_name)
-            undecided = np.zeros(by_name.shape, np.bool_)
-        event = np.where(undecided, -1, by_name)
+        without_ties = dict(likelihoods)
+        del without_ties[TIES]
+        return assigned_events(exposed, images, files, anchor, without_ties)
+    if counting.by_index:
+        decision = decided_by_numbers(
+            assignment,
+            by_name,
+            exposed,
+            images=counting.images,
+            evidence=evidence,
+            likelihoods=likelihoods,
+        )
     else:
-        refuse_ambiguity(assignment, assignment.reason, images, exposed)
-    if exposed.counts == "maybe" or not by_index:
-        refuse_hole(assignment, images, exposed, likelihoods)
-
-    # The events under the names of their images.
-    notes = notes_of_assignment(assignment, event, undecided, images, exposed)
-    if evidence.time_s is not None and abs(assignment.offset_s) > LARGEST_CLOCK_ERROR_S:
-        hours = assignment.offset_s / SECONDS_PER_HOUR
-        notes.append(messages.camera_clock_off(where="events.images", hours=hours))
-    if has_names and np.array_equal(event, by_name):
+        refuse_ambiguity(assignment, assignment.reason, counting.images, exposed)
+        decision = Decision(assignment, assignment.event, assignment.ambiguous)
+    if exposed.counts == "maybe" or not counting.by_index:
+        refuse_hole(decision.assignment, counting.images, exposed, likelihoods)
+    notes = notes_of_assignment(*decision, counting.images, exposed)
+    notes += notes_of_clock(decision.assignment, evidence)
+    if counting.has_names and np.array_equal(decision.event, by_name):
         return AssignedEvents(exposed, all_rows), tuple(notes)
-    assigned = named_events(exposed, images, event)
+    assigned = named_events(exposed, counting.images, decision.event)
     unused = np.setdiff1d(all_rows, assigned.rows)
     if unused.size:
         notes.append(note_of_unused(unused, exposed))
     return assigned, tuple(notes)
+
+
+class Decision(NamedTuple):
+    """The assignment that holds, (k,) the event of each image, and (k,) which are undecided."""
+
+    assignment: Assignment
+    event: Integers
+    undecided: Mask
+
+
+def decided_by_numbers(
+    assignment: Assignment,
+    by_name: Integers,
+    exposed: Events,
+    *,
+    images: CameraImages,
+    evidence: ImageEvidence,
+    likelihoods: Mapping[str, Likelihood],
+) -> Decision:
+    """The events ``by_name`` of images, of which few may be undecided by other evidence."""
+    undecided = (assignment.event >= 0) & (assignment.event != by_name)
+    if float(undecided.mean()) > FEW_CONTRADICTED:
+        refuse_contradiction(
+            assignment, by_name, images, exposed, evidence, likelihoods=likelihoods
+        )
+        # Not refused: what is likelier by less than the limit does not count.
+        assignment = stated_assignment(assignment, by_name)
+        undecided = np.zeros(by_name.shape, np.bool_)
+    event = np.where(undecided, -1, by_name)
+    return Decision(assignment, event, undecided)
+
+
+def notes_of_clock(assignment: Assignment, evidence: ImageEvidence) -> Notes:
+    """A note on the clock of a camera that is far off, if the images have times."""
+    if evidence.time_s is None or abs(assignment.offset_s) <= LARGEST_CLOCK_ERROR_S:
+        return ()
+    hours = assignment.offset_s / SECONDS_PER_HOUR
+    return (messages.camera_clock_off(where="events.images", hours=hours),)
 
 
 def likeliest_assignment(
@@ -219,27 +247,6 @@ def named_events(exposed: Events, images: CameraImages, event: Integers) -> Assi
     return AssignedEvents(
         Events(exposed.camera, images.name[image_rows], exposed.time_ns[rows]), rows
     )
-
-
-def is_counted(exposed: Events, images: CameraImages) -> bool:
-    """Whether numbers that are said to be the log's are counted from its first event."""
-    if images.numbering != "index":
-        return False
-    if exposed.counts == "always":
-        return True
-    return exposed.counts == "maybe" and bool(images.number.max() > exposed.time_ns.size)
-
-
-def events_by_name(exposed: Events, images: CameraImages, *, by_index: bool) -> Integers:
-    """(k,) rows of the events that have the images' names, or numbers; -1 for none."""
-    if by_index and exposed.index is not None:
-        keys = exposed.index.tolist()
-        wanted = images.number.tolist()
-    else:
-        keys = exposed.image.tolist()
-        wanted = images.name.tolist()
-    row_of = {key: row for row, key in enumerate(keys) if key != ""}
-    return np.array([row_of.get(key, -1) for key in wanted], np.int64)
 
 
 def refuse_contradiction(

@@ -66,13 +66,19 @@ class Facts:
     @cached_property
     def usual_factor(self) -> float:
         """R in the usual air over that in the standard, between the same heights; 1 if unknown."""
-        for effect in self.effects[:1]:
-            usual = effects_on_r(
-                self.usual_air, self.adjustment.standard, None, effect.h_c_m, effect.h_g_m
-            )
-            if usual:
-                return usual[0].factor
-        return 1.0
+        if not self.effects:
+            return 1.0
+        effect = self.effects[0]
+        usual = effects_on_r(
+            self.usual_air,
+            self.adjustment.standard,
+            None,
+            effect.h_c_m,
+            effect.h_g_m,
+        )
+        if not usual:
+            return 1.0
+        return usual[0].factor
 
     @cached_property
     def camera(self) -> Names:
@@ -97,7 +103,8 @@ class Facts:
             station = self.rows.station[rows]
             up = self.exposures.rotation[station, :, 2]
             upward = up[:, 0] * u + up[:, 1] * v + up[:, 2]
-            cosine = -upward / np.sqrt(u * u + v * v + 1.0)
+            length = np.sqrt(u * u + v * v + 1.0)
+            cosine = -upward / length
             angle[rows] = np.arccos(np.clip(cosine, -1.0, 1.0))
         return angle
 
