@@ -122,12 +122,12 @@ def _attitude_columns(
         axis=1,
     )
     attitude = Rotation.from_euler("ZYX", angles)
-    q_x, q_y, q_z, q_w = attitude.as_quat(canonical=True).T
+    quaternion = attitude.as_quat(canonical=True)
     columns = {
-        "q_x": q_x,
-        "q_y": q_y,
-        "q_z": q_z,
-        "q_w": q_w,
+        "q_x": quaternion[:, 0],
+        "q_y": quaternion[:, 1],
+        "q_z": quaternion[:, 2],
+        "q_w": quaternion[:, 3],
     }
     turns = (attitude[:-1].inv() * attitude[1:]).as_rotvec()
     steps_s = np.maximum(np.diff(seconds), 1e-4)
