@@ -32,7 +32,7 @@ from unbend.errors import ConfigError, InputError, UnbendError, rendered
 from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.imports.camera_events import read_mrk
-from unbend.tables.imports.exif import parse_time
+from unbend.tables.imports.image_stamps import parse_time
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import read_orientation, read_trajectory_csv
 from unbend.tables.soundings import read_sounding
