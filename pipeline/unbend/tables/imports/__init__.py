@@ -18,7 +18,7 @@ Registry = Mapping[str, tuple[str, tuple[str, ...]]]
 TRAJECTORIES: Registry = {
     "rtklib": ("unbend.tables.imports.rtklib:read_pos", (".pos",)),
     "sbet": ("unbend.tables.imports.sbet:read_sbet", (".sbet", ".out")),
-    "csv": ("unbend.tables.imports.user_tables:read_trajectory_csv", (".csv", ".txt")),
+    "csv": ("unbend.tables.imports.user_trajectories:read_trajectory_csv", (".csv", ".txt")),
 }
 
 CAMERA_EVENTS: Registry = {
