@@ -49,9 +49,10 @@ def parse_time(text: str, zone: str = "") -> Stamp | None:
         decimals = unix[2] or ""
         offset = "Z"
     elif stamp is not None:
-        fields = [int(digits) for digits in stamp.groups()[:6]]
+        year, month, day = (int(stamp[group]) for group in (1, 2, 3))
+        hour, minute, second = (int(stamp[group]) for group in (4, 5, 6))
         try:
-            moment = datetime(*fields, tzinfo=UTC)
+            moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
         except ValueError:  # a 30th of February
             return None
         seconds = int(moment.timestamp())
