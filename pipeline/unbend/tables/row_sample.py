@@ -6,7 +6,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from unbend.units import Array
+from unbend.units import Array, Integers
+
+_SHARE_BITS = 40  # of scattered numbers, below those of the image in a number to sort by
+
+
+def _no_rows() -> Integers:
+    return np.zeros(0, np.int64)
 
 
 @dataclass
@@ -24,9 +30,9 @@ class RowSample:
 
     most: int
     of_each: int = 1 << 62
-    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    number: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    image: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    counts: Integers = field(default_factory=_no_rows)
+    number: Integers = field(default_factory=_no_rows)
+    image: Integers = field(default_factory=_no_rows)
     _codes: dict[str | None, int] = field(default_factory=dict)
 
     def add(self, names: pa.StringArray | pa.DictionaryArray) -> None:
@@ -40,62 +46,71 @@ class RowSample:
         rows = np.bincount(image, minlength=self.counts.size)
         self.counts += rows
         self.of_each = min(self.of_each, self._most_of_each())
-        candidates = self._candidates(image, number, rows)
-        image = np.append(self.image, image[candidates])
-        number = np.append(self.number, number[candidates])
+        chosen = self._candidates(image, number, rows)
+        image = np.append(self.image, image[chosen])
+        number = np.append(self.number, number[chosen])
         kept = self._kept(image, number)
         self.number = number[kept]
         self.image = image[kept]
 
-    def _numbers_of(self, names: pa.StringArray | pa.DictionaryArray) -> NDArray[np.int64]:
+    def _numbers_of(self, names: pa.StringArray | pa.DictionaryArray) -> Integers:
         """(n,) the numbers of images, in the order in which they came first; null is an image."""
         encoded = names.dictionary_encode()
         images = encoded.dictionary.to_pylist()
         if encoded.null_count > 0:
             images.append(None)
-        codes = [self._codes.setdefault(image, len(self._codes)) for image in images]
+        codes = []
+        for image in images:
+            code = self._codes.setdefault(image, len(self._codes))
+            codes.append(code)
         place = encoded.indices.fill_null(len(images) - 1)
-        return np.array(codes, np.int64)[place.to_numpy(zero_copy_only=False)]
+        rows = place.to_numpy(zero_copy_only=False)
+        return np.array(codes, np.int64)[rows]
 
     def _most_of_each(self) -> int:
         """How many rows of each image fit together."""
         counts = np.minimum(self.counts, self.most)
         images_with = np.bincount(counts, minlength=self.most + 1)
         # Images with more than 0, 1, 2 ... rows, and the rows if each has one more at most.
-        images_with_more = images_with[:0:-1].cumsum()[::-1]
+        from_most = images_with[:0:-1]
+        images_with_more = from_most.cumsum()[::-1]
         rows_drawn = images_with_more.cumsum()
         return int(np.searchsorted(rows_drawn, self.most, "right"))
 
     def _candidates(
         self,
-        image: NDArray[np.int64],
-        number: NDArray[np.int64],
-        rows: NDArray[np.int64],
-    ) -> NDArray[np.int64]:
+        image: Integers,
+        number: Integers,
+        rows: Integers,
+    ) -> Integers:
         """The rows (k,) of a part of the table among which those drawn are.
 
         Of an image, which has ``rows`` in this part, three times those that can be drawn are
         sorted, where these have them all.
         """
         drawn = np.minimum(rows, max(self.of_each, 1))
-        share = np.minimum(3.0 * drawn / np.maximum(rows, 1), 1.0) * (1 << 40)
+        part = 3.0 * drawn / np.maximum(rows, 1)
+        share = np.minimum(part, 1.0) * (1 << _SHARE_BITS)
         scattered = _scattered(number)
-        low = np.flatnonzero(scattered <= np.uint64(share.max(initial=0.0)))
+        largest_share = np.uint64(share.max(initial=0.0))
+        low = np.flatnonzero(scattered <= largest_share)
         share_of_row = share.astype(np.uint64)[image[low]]
         low = low[scattered[low] <= share_of_row]
-        has_too_few = np.bincount(image[low], minlength=rows.size) < drawn
+        low_of_image = np.bincount(image[low], minlength=rows.size)
+        has_too_few = low_of_image < drawn
         if has_too_few.any():
-            low = np.union1d(low, np.flatnonzero(has_too_few[image]))
+            all_of_these = np.flatnonzero(has_too_few[image])
+            low = np.union1d(low, all_of_these)
         return low
 
     def _kept(
         self,
-        image: NDArray[np.int64],
-        number: NDArray[np.int64],
-    ) -> NDArray[np.int64]:
+        image: Integers,
+        number: Integers,
+    ) -> Integers:
         """The rows drawn of candidates, in their order: of each image those that are scattered."""
-        by_image = image.astype(np.uint64) << np.uint64(40)
-        order = np.argsort(by_image | _scattered(number))
+        image_bits = image.astype(np.uint64) << np.uint64(_SHARE_BITS)
+        order = np.argsort(image_bits | _scattered(number))
         sorted_image = image[order]
         begin = np.searchsorted(sorted_image, np.arange(self.counts.size))
         rank = np.arange(order.size) - begin[sorted_image]
@@ -116,12 +131,13 @@ class RowSample:
             minlength=self.counts.size,
         )
         weights = self.counts[self.image] / drawn[self.image]
-        return np.asarray(weights * (self.counts.sum() / weights.sum()))
+        factor = self.counts.sum() / weights.sum()
+        return np.asarray(weights * factor)
 
 
-def _scattered(number: NDArray[np.int64]) -> NDArray[np.uint64]:
+def _scattered(number: Integers) -> NDArray[np.uint64]:
     """Multiples of the golden ratio: of consecutive numbers the lowest lie evenly among them."""
     scattered = number.astype(np.uint64)
     scattered *= np.uint64(0x9E3779B97F4A7C15)
-    scattered >>= np.uint64(24)
+    scattered >>= np.uint64(64 - _SHARE_BITS)
     return scattered
