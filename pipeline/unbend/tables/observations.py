@@ -19,16 +19,13 @@ from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.blocks import BLOCKS
 from unbend.tables.imports.blocks.image_points import of_points
 from unbend.tables.measured_columns import at_least_zero, measured_floats
+from unbend.tables.name_hashes import hashes_of
 from unbend.tables.observation_files import OpenedTable, Records, csv_records, in_memory, open_file
 from unbend.tables.pixels import COLMAP, ImageFrame, PixelSystem
 from unbend.tables.refraction_mark import Direction, refuse_done
 from unbend.tables.row_sample import RowSample
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
-from unbend.tables.text_columns import (
-    hashes_of,
-    refuse_other_pixels,
-    require_columns,
-)
+from unbend.tables.text_columns import refuse_other_pixels, require_columns
 from unbend.units import Array
 
 _SCANNED_ROWS = 1 << 20  # read at a time for the names of images

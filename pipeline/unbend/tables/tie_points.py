@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from unbend.block.image_rays import ImageRays
 from unbend.refraction.camera.camera import Camera
+from unbend.tables.name_hashes import hashes_of
 from unbend.tables.observations import Batch, Observations
-from unbend.tables.text_columns import hashes_of
 from unbend.units import Array, Integers
 
 MOST_TIE_POINTS = 2000  # that serve all that is decided by intersection
