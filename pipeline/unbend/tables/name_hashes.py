@@ -20,11 +20,12 @@ def hashes_of(names: pa.StringArray) -> Hashes:
     FNV-1a, letter by letter over all names (100 ns a name), and its bits mixed.
     """
     _, offsets, data = names.buffers()
+    first_offset = 4 * names.offset
     begin = np.frombuffer(
         offsets,
         np.int32,
         len(names) + 1,
-        4 * names.offset,
+        first_offset,
     )
     text = np.frombuffer(data or b"\0", np.uint8)
     length = np.diff(begin)
@@ -33,8 +34,14 @@ def hashes_of(names: pa.StringArray) -> Hashes:
         rows = np.flatnonzero(length > place)
         letter = text[begin[rows] + place]
         bits[rows] = (bits[rows] ^ letter) * _FNV_PRIME
-    bits = (bits ^ (bits >> np.uint64(32))) * _MIXING_FACTOR
-    return np.asarray(bits ^ (bits >> np.uint64(32)))
+    bits = _folded(bits) * _MIXING_FACTOR
+    return _folded(bits)
+
+
+def _folded(bits: Hashes) -> Hashes:
+    """The upper half of the bits mixed into the lower."""
+    upper = bits >> np.uint64(32)
+    return np.asarray(bits ^ upper)
 
 
 def rows_among(hashes: Hashes, wanted: Hashes) -> Integers:
