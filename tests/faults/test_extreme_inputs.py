@@ -38,7 +38,7 @@ from unbend.tables.imports.user_tables import read_orientation
 from unbend.tables.imports.user_trajectories import read_trajectory_csv
 from unbend.tables.soundings import read_sounding
 from unbend.tables.text_columns import numbers
-from unbend.tables.weather_files import possible_steps, possible_times
+from unbend.tables.weather_fields import possible_steps, possible_times
 from unbend.units import exact_integers, measured
 
 READERS = {**TABLES, **BLOCKS, **TAGS, **WEATHER, **GRIDS, **MISSIONS}

@@ -125,12 +125,11 @@ def colmap_camera(camera: Camera, name: str, *, simplest: bool = True) -> tuple[
     last = max(places, default=-1) if simplest else len(_OPENCV) - 1
     if last < 0:
         return "PINHOLE", frame
+    model = "FULL_OPENCV"
+    names: Sequence[str] = _OPENCV
     if last < 4:
         model = "OPENCV"
         names = _OPENCV[:4]
-    else:
-        model = "FULL_OPENCV"
-        names = _OPENCV
     distortion = [coefficients.get(key, 0.0) for key in names]
     return model, [*frame, *distortion]
 

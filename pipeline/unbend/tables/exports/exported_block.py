@@ -110,7 +110,11 @@ def ideal_coordinates(
     return u, v
 
 
-def refuse_names(names: Iterable[str], pattern: str, program: str) -> None:
+def refuse_names(
+    names: Iterable[str],
+    pattern: str,
+    program: str,
+) -> None:
     """Refuse (MissionError EXPORT-NAMES) names in which a regular expression is found."""
     for name in names:
         if re.search(pattern, name) is None:
@@ -346,4 +350,4 @@ def _least_squares(normal: Array, right: Array) -> tuple[Array, Mask]:
     are_apart = np.linalg.eigvalsh(normal)[:, 0] > least
     normal[~are_apart] = np.eye(3)
     solution = np.linalg.solve(normal, right[:, :, None])
-    return solution[:, :, 0], are_apart
+    return np.asarray(solution[:, :, 0]), np.asarray(are_apart)

@@ -147,10 +147,8 @@ def _places_on_ground(
 
     ``direction_enu`` (n, 3) of unit length; longitudes within half a turn of the station's.
     """
-    radius = radius_m
-    if not radius:
-        azimuth = np.arctan2(direction_enu[:, 0], direction_enu[:, 1])
-        radius = euler_radius(stations.lat_rad, azimuth)
+    azimuth = np.arctan2(direction_enu[:, 0], direction_enu[:, 1])
+    radius = radius_m or euler_radius(stations.lat_rad, azimuth)
     reach = straight_reach(
         stations.h_msl_m,
         ground_m,
