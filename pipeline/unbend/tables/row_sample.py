@@ -38,7 +38,8 @@ class RowSample:
     def add(self, names: pa.StringArray | pa.DictionaryArray) -> None:
         """The images of the next rows of the table."""
         image = self._numbers_of(names)
-        number = np.arange(image.size) + self.counts.sum()
+        first_number = self.counts.sum()
+        number = first_number + np.arange(image.size)
         self.counts = np.pad(
             self.counts,
             (0, len(self._codes) - self.counts.size),

@@ -290,7 +290,7 @@ def _geojson_station(columns: Mapping[str, Any], row: int) -> dict[str, Any]:
     properties["kind"] = "station"
     place = [columns["lon_deg"][row], columns["lat_deg"][row]]
     height = columns["h_ellipsoid_m"][row]
-    if np.isfinite(height):
+    if not np.isnan(height):
         place.append(height)
     return _feature({"type": "Point", "coordinates": place}, properties)
 

@@ -11,7 +11,7 @@ import pandas as pd
 from unbend.flight.heights import GeodeticOrigin
 from unbend.flight.stations import NO_TIME
 from unbend.messages import Ledger, Notes
-from unbend.tables.geodata.coordinate_systems import GeocentricDatum
+from unbend.tables.geodata.geocentric_datums import GeocentricDatum
 from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated
 from unbend.tables.text_columns import (

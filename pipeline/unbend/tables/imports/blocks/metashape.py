@@ -27,7 +27,8 @@ from unbend.block.known_places import KnownPlaces
 from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
-from unbend.tables.geodata.coordinate_systems import datum_of, is_on_wgs84, lat_lon_of
+from unbend.tables.geodata.coordinate_systems import is_on_wgs84, lat_lon_of
+from unbend.tables.geodata.geocentric_datums import datum_of
 from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
 from unbend.tables.imports.blocks.metashape_project import (
