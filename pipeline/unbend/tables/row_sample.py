@@ -66,7 +66,8 @@ class RowSample:
             codes.append(code)
         place = encoded.indices.fill_null(len(images) - 1)
         rows = place.to_numpy(zero_copy_only=False)
-        return np.asarray(np.array(codes, np.int64)[rows])
+        number_of_place = np.array(codes, np.int64)
+        return np.asarray(number_of_place[rows])
 
     def _most_of_each(self) -> int:
         """How many rows of each image fit together."""

@@ -144,7 +144,7 @@ def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
     to_own = Transformer.from_crs(horizontal, own, always_xy=True)
     lon_lat = np.array(to_own.transform(x, y, errcheck=False))
     lon_lat *= np.degrees(own.axis_info[0].unit_conversion_factor)  # grads of Paris, for example
-    lon_lat[0] += meridian_deg(own)
+    lon_lat[0] += prime_meridian_deg(own)
     return lon_lat
 
 
@@ -215,7 +215,7 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
 
     try:
         projection = Proj(crs)
-        meridian_deg = meridian_deg(CRS.from_user_input(crs))
+        meridian_deg = prime_meridian_deg(CRS.from_user_input(crs))
     except ProjError as error:
         raise ValueError(str(error)) from None
     x, y = projection(lon_deg, lat_deg)
@@ -227,7 +227,7 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
     return x, y, np.radians(measured(convergence_deg))
 
 
-def meridian_deg(system: Any) -> float:
+def prime_meridian_deg(system: Any) -> float:
     """Longitude of a system's prime meridian from Greenwich [deg]."""
     meridian = system.prime_meridian
     return float(np.degrees(meridian.longitude * meridian.unit_conversion_factor))

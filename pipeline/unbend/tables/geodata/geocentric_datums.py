@@ -10,7 +10,7 @@ from unbend.block.oriented_images import CartesianFrame
 from unbend.geodesy import ecef_of_geodetic
 from unbend.messages import Notes
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.coordinate_systems import meridian_deg, to_wgs84
+from unbend.tables.geodata.coordinate_systems import prime_meridian_deg, to_wgs84
 from unbend.units import Array
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def own_geodetic(datum: GeocentricDatum, xyz: Array) -> Array:
     lon, lat, h = to_geodetic.transform(*xyz.T)
     unit_deg = np.degrees(geodetic.axis_info[0].unit_conversion_factor)
     return np.stack(
-        [(lon - meridian_deg(geodetic)) / unit_deg, lat / unit_deg, h],
+        [(lon - prime_meridian_deg(geodetic)) / unit_deg, lat / unit_deg, h],
         axis=1,
     )
 
@@ -112,5 +112,5 @@ def to_wgs84_with_heights(
 
     system = CRS.from_user_input(datum.crs).geodetic_crs
     unit_deg = np.degrees(system.axis_info[0].unit_conversion_factor)
-    lon_lat = unit_deg * own[:, :2].T + np.array([[meridian_deg(system)], [0.0]])
+    lon_lat = unit_deg * own[:, :2].T + np.array([[prime_meridian_deg(system)], [0.0]])
     return to_wgs84(system.to_3d(), lon_lat, where, key, target="EPSG:4979")
