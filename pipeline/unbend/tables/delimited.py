@@ -128,6 +128,7 @@ _ANY_NUMBER = _whole(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?", _
 
 _NUMBER = _Kind(pa.float64(), _ANY_NUMBER)
 _CODE = _Kind(pa.string(), _ANY_NUMBER)
+_TEXT = _Kind(pa.string(), "")
 _PLAIN_NUMBER = _whole(
     "-?(?:0|[1-9][0-9]{0,14})",
     rf"[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*|\.[0-9]+)(?:{_POWER})?",
@@ -207,15 +208,18 @@ def scan_csv(
                         filled.add(name)
     except (OSError, ValueError) as error:
         raise messages.observations_csv_unreadable(where=path, error=str(error)) from None
-    types = dict.fromkeys(names, pa.string())
-    codes = []
-    for name in names:
-        if name in filled and kinds[name]:
-            kind = kinds[name][0]
-            types[name] = kind.type
-            if kind is _CODE:
-                codes.append(name)
-    return CsvScan(rows, images - {None}, types, tuple(codes))
+    chosen = {name: _chosen_kind(kinds[name], is_filled=name in filled) for name in names}
+    return CsvScan(
+        rows=rows,
+        images=images - {None},
+        types={name: kind.type for name, kind in chosen.items()},
+        codes=tuple(name for name, kind in chosen.items() if kind is _CODE),
+    )
+
+
+def _chosen_kind(kinds: tuple[_Kind, ...], *, is_filled: bool) -> _Kind:
+    """The first of the kinds that hold a column; text where none does, and without a value."""
+    return kinds[0] if is_filled and kinds else _TEXT
 
 
 def _kinds_that_hold(

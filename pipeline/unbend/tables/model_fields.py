@@ -140,45 +140,62 @@ class _Fields:
 def _fields_of(datasets: "Sequence[Dataset]", where: str) -> _Fields:
     """The fields of a file; refuses other grids and levels, and a file that lacks one."""
     temperature = find_field(datasets, "temperature")
-    levels = None
-    if temperature is not None:
-        grid = grid_name(datasets, temperature)
-        if grid != LAT_LON_GRID:
-            raise messages.model_grid(where=where, grid=grid)
-        levels = levels_of(temperature)
-    if levels is not None:
-        _refuse_other_levels(levels, where)
+    levels = _levels_of_temperature(datasets, temperature, where)
     specific = find_field(datasets, "specific humidity")
-    humidity = specific
-    if specific is None:
-        humidity = find_field(datasets, "relative humidity")
+    is_relative = specific is None
+    humidity = find_field(datasets, "relative humidity") if is_relative else specific
     surface = find_field(datasets, "surface geopotential")
-    of_model = levels is not None and levels.of_model
-    log_surface = find_field(datasets, "log surface pressure") if of_model else None
-    height = None if of_model else find_field(datasets, "geopotential")
-    needed = {
-        "temperature on levels": temperature,
-        "specific or relative humidity on levels": humidity,
-        "geopotential on levels": surface if of_model else height,
-        "lnsp (at level 1)": log_surface if of_model else temperature,
-    }
+    if levels is not None and levels.of_model:
+        height = None
+        log_surface = find_field(datasets, "log surface pressure")
+        needed = {"geopotential on levels": surface, "lnsp (at level 1)": log_surface}
+    else:
+        height = find_field(datasets, "geopotential")
+        log_surface = None
+        needed = {"geopotential on levels": height, "lnsp (at level 1)": temperature}
     lacking = [name for name, field in needed.items() if field is None]
+    if humidity is None:
+        lacking.insert(0, "specific or relative humidity on levels")
+    if temperature is None:
+        lacking.insert(0, "temperature on levels")
     if lacking or temperature is None or levels is None or humidity is None:
-        names = {str(name) for dataset in datasets for name in dataset.data_vars}
         raise messages.model_variable_missing(
             where=where,
             lacking=", no ".join(lacking),
-            held=", ".join(sorted(names)) or "nothing",
+            held=_names_in(datasets),
         )
     return _Fields(
         temperature=temperature,
         levels=levels,
         humidity=humidity,
-        is_relative=specific is None,
+        is_relative=is_relative,
         height=height,
         surface=surface,
         log_surface=log_surface,
     )
+
+
+def _levels_of_temperature(
+    datasets: "Sequence[Dataset]",
+    temperature: "DataArray | None",
+    where: str,
+) -> Levels | None:
+    """The levels of a model; refuses another grid, and other levels than make a column."""
+    if temperature is None:
+        return None
+    grid = grid_name(datasets, temperature)
+    if grid != LAT_LON_GRID:
+        raise messages.model_grid(where=where, grid=grid)
+    levels = levels_of(temperature)
+    if levels is not None:
+        _refuse_other_levels(levels, where)
+    return levels
+
+
+def _names_in(datasets: "Sequence[Dataset]") -> str:
+    """The names of all fields of a file."""
+    names = {str(name) for dataset in datasets for name in dataset.data_vars}
+    return ", ".join(sorted(names)) or "nothing"
 
 
 def _refuse_other_levels(levels: Levels, where: str) -> None:
@@ -254,11 +271,7 @@ class _Part:
             values = np.broadcast_to(values, (self.time_ns.size, *values.shape))
         if levels is None or level is None:
             return values.reshape(values.shape[0], -1, *values.shape[-2:])
-        # On other levels than the temperature a field has no value.
-        on_levels = np.full((values.shape[0], level.size, *values.shape[2:]), np.nan)
-        _, to_rows, from_rows = np.intersect1d(level, levels.values, return_indices=True)
-        on_levels[:, to_rows] = values[:, from_rows]
-        return on_levels
+        return _on_levels(values, levels.values, level)
 
     def _time_dimension(self, field: "DataArray") -> str | None:
         """The dimension of a field that has the times, None if it has one time or none."""
@@ -299,6 +312,15 @@ class _Part:
         if not any(name in field.coords for name in TIMES):
             return False
         return np.array_equal(self.time_ns, times_of(field, self.where).time_ns)
+
+
+def _on_levels(values: Array, levels: Array, wanted: Array) -> Array:
+    """Values (t, l, y, x) on other levels than those (l,) of a field, NaN where it has none."""
+    times, _, *nodes = values.shape
+    on_levels = np.full((times, wanted.size, *nodes), np.nan)
+    _, to_rows, from_rows = np.intersect1d(wanted, levels, return_indices=True)
+    on_levels[:, to_rows] = values[:, from_rows]
+    return on_levels
 
 
 def _filled(values: Array, others: Array) -> Array:

@@ -1,7 +1,7 @@
 """Fields of a weather model in xarray's datasets: which is which, their levels, times and grid."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -85,30 +85,42 @@ def find_field(datasets: "Sequence[Dataset]", quantity: str) -> "DataArray | Non
 
     Of several the one with most levels: GRIB has those above 1 hPa apart.
     """
-    on_levels: list[DataArray] = []
-    counts: list[int] = []
-    of_surface: list[DataArray] = []
+    with_most_levels: DataArray | None = None
+    most_levels = 0
+    for field in _fields_called(datasets, QUANTITIES[quantity]):
+        levels = levels_of(field)
+        if "surface" in quantity:
+            of_surface = _at_surface(field, levels)
+            if of_surface is not None:
+                return of_surface
+        elif levels is not None and levels.values.size > most_levels:
+            with_most_levels = field
+            most_levels = levels.values.size
+    return with_most_levels
+
+
+def _fields_called(
+    datasets: "Sequence[Dataset]",
+    names: set[str],
+) -> "Iterator[DataArray]":
+    """The fields that have one of some names."""
     for dataset in datasets:
         for name, field in dataset.data_vars.items():
-            levels = levels_of(field)
-            if not _names_of(field, str(name)) & QUANTITIES[quantity]:
-                continue
-            if levels is not None:
-                on_levels.append(field)
-                counts.append(levels.values.size)
-                if levels.of_model:  # lnsp and z mean something at level 1 only
-                    first = int(np.argmin(levels.values))
-                    of_surface.append(
-                        field.isel(
-                            {levels.name: first},
-                            drop=True,
-                        )
-                    )
-            elif _kind_of_level(field) in ("surface", "hybrid"):
-                of_surface.append(field)
-    if "surface" in quantity:
-        return of_surface[0] if of_surface else None
-    return on_levels[int(np.argmax(counts))] if on_levels else None
+            if _names_of(field, str(name)) & names:
+                yield field
+
+
+def _at_surface(field: "DataArray", levels: Levels | None) -> "DataArray | None":
+    """A field at the surface, None if it is of other levels.
+
+    Of model levels that is the first: lnsp and z mean something there only.
+    """
+    if levels is None:
+        return field if _kind_of_level(field) in ("surface", "hybrid") else None
+    if levels.of_model:
+        first = int(np.argmin(levels.values))
+        return field.isel({levels.name: first}, drop=True)
+    return None
 
 
 def _names_of(field: "DataArray", name: str) -> set[str | None]:

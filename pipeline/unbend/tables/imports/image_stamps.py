@@ -43,33 +43,47 @@ def parse_time(text: str, zone: str = "") -> Stamp | None:
     """
     text = text.strip()
     unix = _UNIX.fullmatch(text)
-    stamp = _STAMP.fullmatch(text)
+    date = _STAMP.fullmatch(text)
     if unix is not None:
-        seconds = int(unix[1])
+        seconds: int | None = int(unix[1])
         decimals = unix[2] or ""
         offset = "Z"
-    elif stamp is not None:
-        year, month, day = (int(stamp[group]) for group in (1, 2, 3))
-        hour, minute, second = (int(stamp[group]) for group in (4, 5, 6))
-        try:
-            moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-        except ValueError:  # a 30th of February
-            return None
-        seconds = int(moment.timestamp())
-        decimals = stamp[7] or ""
-        offset = stamp[8] or zone.strip()
+    elif date is not None:
+        seconds = _seconds_of_date(date)
+        decimals = date[7] or ""
+        offset = date[8] or zone.strip()
     else:
         return None
     ahead_s = _seconds_of_zone(offset)
-    if ahead_s is None and _ZONE.fullmatch(offset):
+    is_no_zone = ahead_s is None and _ZONE.fullmatch(offset) is not None
+    if seconds is None or is_no_zone:
         return None
-    seconds -= ahead_s or 0
     decimals = decimals[:9]
-    time_ns = seconds * 10**9 + int(decimals.ljust(9, "0"))
+    seconds_utc = seconds - (ahead_s or 0)
+    time_ns = seconds_utc * 10**9 + int(decimals.ljust(9, "0"))
     if not bool(can_be_flown(np.array([time_ns]))[0]):
         return None
     is_utc = ahead_s is not None or offset in ("Z", "UTC")
     return Stamp(time_ns, 10.0 ** -len(decimals), is_utc)
+
+
+def _seconds_of_date(date: re.Match[str]) -> int | None:
+    """A date and time of day as seconds since 1970, as though UTC; None for a 30th of February."""
+    year, month, day = (int(date[group]) for group in (1, 2, 3))
+    hour, minute, second = (int(date[group]) for group in (4, 5, 6))
+    try:
+        moment = datetime(
+            year,
+            month,
+            day,
+            hour=hour,
+            minute=minute,
+            second=second,
+            tzinfo=UTC,
+        )
+    except ValueError:
+        return None
+    return int(moment.timestamp())
 
 
 _ZONE = re.compile(r"(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d)")

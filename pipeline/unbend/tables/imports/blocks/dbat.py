@@ -142,16 +142,7 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
 
 def _camera(element: ElementTree.Element, path: Path) -> Camera:
     """The camera of an element of the script, or of a file of cameras."""
-    for name, plain in PLAIN_CAMERA.items():
-        if _numbers(element, name, str(plain))[0] != plain:
-            raise messages.camera_not_plain(
-                where=path,
-                name=name,
-                plain=plain,
-            )
-    model = float(_numbers(element, "model", "3")[0])
-    if model not in MODELS:
-        raise messages.dbat_model_unknown(where=path, model=model)
+    _refuse_not_plain(element, path)
     size_px = _numbers(element, "image", "")
     sensor_mm = _numbers(element, "sensor", "")
     focal = element.findtext("focal", "")
@@ -180,6 +171,20 @@ def _camera(element: ElementTree.Element, path: Path) -> Camera:
         sense="correction",
     )
     return camera_of_report(report, (width, height))
+
+
+def _refuse_not_plain(element: ElementTree.Element, path: Path) -> None:
+    """Refuse a camera with a skew, another aspect than 1, or an unknown model of distortion."""
+    for name, plain in PLAIN_CAMERA.items():
+        if _numbers(element, name, str(plain))[0] != plain:
+            raise messages.camera_not_plain(
+                where=path,
+                name=name,
+                plain=plain,
+            )
+    model = float(_numbers(element, "model", "3")[0])
+    if model not in MODELS:
+        raise messages.dbat_model_unknown(where=path, model=model)
 
 
 def _numbers(
