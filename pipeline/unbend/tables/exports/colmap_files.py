@@ -17,24 +17,21 @@ stands in a table of its own, which COLMAP leaves alone.
 
 import sqlite3
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from importlib import resources
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports import messages
+from unbend.tables.exports.colmap_matches import Row, copied_rows, match_rows
 from unbend.tables.exports.colmap_rigs import CAMERA_SENSOR, rig_tables
 from unbend.tables.exports.export_frames import (
     CORNER_PIXELS,
@@ -45,9 +42,7 @@ from unbend.tables.exports.export_frames import (
 )
 from unbend.tables.exports.exported_block import ExportedBlock, block_of
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
-from unbend.tables.imports.blocks import damage_refused
-from unbend.tables.imports.blocks.colmap import POINT2D, opened
-from unbend.tables.imports.blocks.messages import matches_cut
+from unbend.tables.imports.blocks.colmap import POINT2D
 from unbend.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION_REMOVED
 from unbend.units import Array, Integers
 
@@ -71,14 +66,10 @@ _GREY = (128, 128, 128)  # red, green and blue of every point
 _NO_ERROR = -1.0  # COLMAP's sign that the error of a point is not known yet
 
 _VERSION = 4_020_100
-_MOST_IMAGES = 2_147_483_647  # of pair_id = first * this + second
-_CALIBRATED = 2  # configuration of two views whose cameras are calibrated
 _CARTESIAN = 1  # coordinate system of a pose prior
 _WITH_PRIOR = 1  # the focal length of a camera is known
 _NO_MATRICES = ", NULL" * 7  # columns of a geometry behind its configuration
 _LARGEST_ROUNDING_PX = 0.0005
-
-Row = tuple[Any, ...]  # of a table of the database
 
 
 def opencv_coefficients(
@@ -339,106 +330,6 @@ def _pose_prior(block: ExportedBlock, number: int, camera: int) -> Row:
         unknown_gravity.tobytes(),
         _CARTESIAN,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _CopiedImage:
-    """Number of an image, and where each keypoint of the database that was read stands now.
-
-    ``place`` is -1 for keypoints that were left out, and has one more element, -1, for those beyond
-    the last.
-    """
-
-    number: int
-    place: Integers
-
-
-def copied_rows(block: ExportedBlock, source: Path) -> Iterator[Row]:
-    """Rows of both tables as the database that was read has them, with the keypoints' places here.
-
-    Its keypoints are the points ``image:index``. Matches of those that are left out are left out;
-    of the geometries the configuration is kept, and not the matrices, which are of bent rays.
-    Refuses (InputError IMPORT-FORMAT) a database without these tables, and matches cut short.
-    """
-    copied = _copied_images(block)
-    with damage_refused(source, "colmap"), closing(opened(source)) as database:
-        names = dict(database.execute("SELECT image_id, name FROM images"))
-        for table, column in (("matches", ""), ("two_view_geometries", ", config")):
-            query = f"SELECT pair_id, rows, cols, data{column} FROM {table} WHERE rows > 0"
-            for pair_id, rows, columns, blob, *configuration in database.execute(query):
-                first, second = (names.get(number) for number in divmod(pair_id, _MOST_IMAGES))
-                if columns != 2 or len(blob or b"") != 8 * rows:
-                    raise matches_cut(where=source, table=table, one=str(first), other=str(second))
-                if first not in copied or second not in copied:
-                    continue
-                matches = np.frombuffer(blob, "<u4").reshape(rows, 2)
-                row = _copied_pair(matches, copied[first], copied[second])
-                if row is not None:
-                    yield table, *row, *configuration
-
-
-def _copied_images(block: ExportedBlock) -> dict[str, _CopiedImage]:
-    """The images of a block whose points are called ``image:index``, by their names."""
-    images = {}
-    for i, _camera, here in block.images():
-        image = block.image[i]
-        points = block.name.take(pa.array(block.point[here]))
-        prefix = len(f"{image}:".encode())
-        index = pc.binary_replace_slice(points, 0, prefix, "").cast(pa.int64()).to_numpy()
-        place = np.full(index.max(initial=0) + 2, -1)
-        place[index] = np.arange(index.size)
-        images[image] = _CopiedImage(i + 1, place)
-    return images
-
-
-def _copied_pair(
-    matches: NDArray[np.uint32],
-    first: _CopiedImage,
-    second: _CopiedImage,
-) -> tuple[int, int, bytes] | None:
-    """Pair of images, number and places of the matches (m, 2) that both still have, or None.
-
-    The image of the smaller number comes first, as COLMAP wants it.
-    """
-    first_place = first.place.take(matches[:, 0], mode="clip")
-    second_place = second.place.take(matches[:, 1], mode="clip")
-    places = [first_place, second_place]
-    if second.number < first.number:
-        first, second = second, first
-        places.reverse()
-    both = np.stack(places, axis=1)
-    is_kept = both.min(axis=1) >= 0
-    kept = both[is_kept].astype("<u4")
-    if len(kept) == 0:
-        return None
-    return first.number * _MOST_IMAGES + second.number, len(kept), kept.tobytes()
-
-
-def match_rows(block: ExportedBlock) -> Iterator[Row]:
-    """Rows of both tables: pair of images, number of points in both, places of their keypoints."""
-    order, begin, images = block.of_points()
-    place_in_image = order - block.first[images]
-    for i, _camera, here in block.images():
-        point = block.point[here]
-        count = block.count[point]
-        # All image points of the points of this image, and of these those in later images.
-        place = np.repeat(np.arange(point.size), count)
-        partner = np.repeat(begin[point] - np.cumsum(count) + count, count)
-        partner += np.arange(place.size)
-        later = np.flatnonzero(images[partner] > i)
-        later = later[np.argsort(images[partner[later]], kind="stable")]
-        place = place[later]
-        partner = partner[later]
-        changes = np.flatnonzero(np.diff(images[partner], prepend=-1))
-        edges = np.append(changes, partner.size)
-        for low, high in pairwise(edges.tolist()):
-            partner_place = place_in_image[partner[low:high]]
-            matches = np.stack([place[low:high], partner_place], axis=1).astype("<u4")
-            partner_image = int(images[partner[low]])
-            pair_id = (i + 1) * _MOST_IMAGES + partner_image + 1
-            row = (pair_id, high - low, matches.tobytes())
-            yield "matches", *row
-            yield "two_view_geometries", *row, _CALIBRATED
 
 
 def frame_of_model(run: FinishedRun, _: Values) -> ExportFrame:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from unbend.block.image_rays import MINIMUM_ANGLE_RAD
 from unbend.flight.rotations import matrices_of
+from unbend.flight.stations import Stations
 from unbend.geodesy import enu_from_ecef
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
@@ -161,22 +162,9 @@ def block_of(
         progress=run.progress,
     )
     if intersect:
-        enu_of_station = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])
-        up = enu_of_station[:, 2] @ frame.enu_from_ecef.T
-        h_c = stations.h_msl_m[rows]
-        block.point_m[:], met = intersected(block, up, h_c, points.h_g_m)
-        on_ground = int(np.sum(~met))
-        if on_ground:
-            ledger.add(messages.points_on_ground(where="observations", count=on_ground))
+        _fill_object_points(block, stations.rows(rows), points.h_g_m, ledger)
     lat, lon, h = frame.origin_deg.tolist()
-    ledger.add(
-        messages.block_frame(
-            where="stations.parquet",
-            lat=lat,
-            lon=lon,
-            h=h,
-        )
-    )
+    ledger.add(messages.block_frame(where="stations.parquet", lat=lat, lon=lon, h=h))
     written = messages.points_written(
         where="observations",
         count=points.image.size,
@@ -185,6 +173,21 @@ def block_of(
     )
     ledger.add(written)
     return block
+
+
+def _fill_object_points(
+    block: ExportedBlock,
+    stations: Stations,
+    h_g_m: Array,
+    ledger: Ledger,
+) -> None:
+    """Intersect the points of a block of some stations; those on the ground are reported."""
+    enu_of_station = enu_from_ecef(stations.lat_rad, stations.lon_rad)
+    up = enu_of_station[:, 2] @ block.frame.enu_from_ecef.T
+    block.point_m[:], met = intersected(block, up, stations.h_msl_m, h_g_m)
+    on_ground = int(np.sum(~met))
+    if on_ground:
+        ledger.add(messages.points_on_ground(where="observations", count=on_ground))
 
 
 def _stations_of_block(run: FinishedRun, ledger: Ledger) -> Integers:
@@ -293,44 +296,74 @@ def intersected(
     ``up`` (n, 3) in the frame and ``h_c`` (n,) are those of the images, ``h_g`` (r,) heights of the
     ground, both above sea level [m].
     """
-    tied = len(block.point_m)
-    normal = np.zeros((tied, 3, 3))
-    right = np.zeros((tied, 3))
-    ground = np.zeros((tied, 3))
-    distance = np.zeros((tied, 1))
+    sums = _RaySums.of_points(len(block.point_m))
     for i, camera, rows in block.images():
-        centre = block.frame.position_m[i]
         ray_in_camera = _image_rays(camera, block.x_px[rows], block.y_px[rows])
         ray = ray_in_camera @ block.rotation[i]
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-        cos_zeta = -ray @ up[i]
         reach = straight_reach(
             h_c[i],
             h_g[rows],
-            cos_zeta,
+            -ray @ up[i],
             radius=EARTH_RADIUS_M,
             far=False,
         )
-        is_used = (block.point[rows] < tied) & np.isfinite(reach)
-        # A point is in an image once: no index repeats.
-        point = block.point[rows][is_used]
-        ray = ray[is_used]
-        reach = reach[is_used, None]
-        projection = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-        across = projection / reach[:, :, None] ** 2
-        normal[point] += across
-        right[point] += across @ centre
-        ground[point] += centre + reach * ray
-        distance[point] += reach
-    images_of_point = np.maximum(block.count[:tied, None], 1)
-    ground /= images_of_point
-    distance /= images_of_point
-    position, are_apart = _least_squares(normal, right)
+        sums.add(block.frame.position_m[i], block.point[rows], ray, reach)
+    images_of_point = np.maximum(block.count[: len(block.point_m), None], 1)
+    ground = sums.ground / images_of_point
+    distance = sums.distance / images_of_point
+    position, are_apart = _least_squares(sums.normal, sums.right)
     # Behind a camera it is farther from the ground than that is.
     from_ground = np.linalg.norm(position - ground, axis=1)
     is_before_cameras = from_ground < distance[:, 0]
     met = are_apart & is_before_cameras
     return np.where(met[:, None], position, ground), met
+
+
+@dataclass(frozen=True, eq=False)
+class _RaySums:
+    """Sums over the rays of points (t,).
+
+    ``normal`` (t, 3, 3) and ``right`` (t, 3) are equations of the squares of the angles across the
+    rays; ``ground`` (t, 3) is where these end on the ground, ``distance`` (t, 1) how far away.
+    """
+
+    normal: Array
+    right: Array
+    ground: Array
+    distance: Array
+
+    @classmethod
+    def of_points(cls, points: int) -> "_RaySums":
+        """Sums over no rays."""
+        return cls(
+            normal=np.zeros((points, 3, 3)),
+            right=np.zeros((points, 3)),
+            ground=np.zeros((points, 3)),
+            distance=np.zeros((points, 1)),
+        )
+
+    def add(
+        self,
+        centre: Array,
+        point: Integers,
+        ray: Array,
+        reach: Array,
+    ) -> None:
+        """Add the rays (n, 3) of an image with a ``reach`` (n,) [m], of those of the points (t,).
+
+        ``centre`` (3,) is that of the projection. A point is in an image once: no index repeats.
+        """
+        is_used = (point < len(self.normal)) & np.isfinite(reach)
+        point = point[is_used]
+        ray = ray[is_used]
+        reach = reach[is_used, None]
+        projection = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        across = projection / reach[:, :, None] ** 2
+        self.normal[point] += across
+        self.right[point] += across @ centre
+        self.ground[point] += centre + reach * ray
+        self.distance[point] += reach
 
 
 def _image_rays(camera: Camera, x_px: Array, y_px: Array) -> Array:

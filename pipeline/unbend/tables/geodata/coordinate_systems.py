@@ -93,10 +93,7 @@ def places_of(
         _, _, known_convergence = grid_coordinates(horizontal.to_string(), *known_places)
         convergence[is_known] = known_convergence
     if vertical is not None:
-        axis = vertical.axis_info[0]
-        h = h * axis.unit_conversion_factor
-        if axis.direction == "down":
-            h = -h
+        h = _metres_upwards(vertical, h)
         if vertical.name not in SEA_LEVELS:
             if geoid is None:
                 raise messages.crs_vertical_grid(
@@ -115,18 +112,26 @@ def places_of(
                     off_m=off_m,
                     vertical=vertical.name,
                 )
-            note = messages.heights_by_grid(
-                where=where,
-                count=count,
-                datum=vertical.name,
-                grid=geoid.name,
-                off_m=off_m,
-                is_usual=abs(off_m) <= USUAL_GEOID_M,
+            notes.append(
+                messages.heights_by_grid(
+                    where=where,
+                    count=count,
+                    datum=vertical.name,
+                    grid=geoid.name,
+                    off_m=off_m,
+                    is_usual=abs(off_m) <= USUAL_GEOID_M,
+                )
             )
-            notes.append(note)
             h = h + undulation
             heights = "ellipsoid"
     return Places(lat, lon, h, heights, convergence), tuple(notes)
+
+
+def _metres_upwards(vertical: "CRS", h: Array) -> Array:
+    """Heights [m] of numbers in the unit and the direction of a vertical system."""
+    axis = vertical.axis_info[0]
+    h = h * axis.unit_conversion_factor
+    return -h if axis.direction == "down" else h
 
 
 def _off_from_package(undulation: Array, lat_rad: Array, lon_rad: Array) -> float:

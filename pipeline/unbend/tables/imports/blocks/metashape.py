@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -81,10 +82,7 @@ def read_images(path: Path) -> OrientationTable:
             to_earth = _to_earth(chunk, components[number])
             position[row], quaternion[row] = _exterior_orientation(poses[number], to_earth)
     table = oriented_images(names, names_of_sensors, position, quaternion)
-    left_out = []
-    for camera in all_cameras:
-        if not _is_enabled(camera):
-            left_out.append(name_of_camera[camera.get("id", "")])
+    left_out = [name_of_camera[number] for number in _disabled_cameras(chunk)]
     if left_out:
         note = messages.disabled_cameras(where=path, names=left_out)
         table = replace(table, notes=(note,))
@@ -141,33 +139,42 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     ties = {}
     for projections in frames[0].iterfind("point_cloud/projections"):
         ties[projections.get("camera_id")] = projections.attrib["path"]
-    disabled = set()
-    for camera in chunk.iterfind("cameras//camera"):
-        if not _is_enabled(camera):
-            disabled.add(camera.get("id", ""))
+    disabled = _disabled_cameras(chunk)
     for number, image in _image_names(chunk).items():
         if number in disabled:
             continue
-        rows = marks.get(number, [])
+        points = marks.get(number, [])
         if number in ties:
-            tie_points = vertices(path, ties[number])[["id", "x", "y"]]
-            for tie, x, y in tie_points.tolist():
-                rows.append((f"tie:{tie}", x, y))
-        if rows:
-            names = [name for name, _, _ in rows]
-            pixels = [(x, y) for _, x, y in rows]
+            points += _tie_points(path, ties[number])
+        if points:
+            names = [point.name for point in points]
+            pixels = [(point.x, point.y) for point in points]
             yield rows_of_image(image, pixels, names)
+
+
+class _ImagePoint(NamedTuple):
+    """A point in an image: its name, x and y [px]."""
+
+    name: str
+    x: float
+    y: float
+
+
+def _tie_points(path: Path, file: str) -> list[_ImagePoint]:
+    """The tie points in an image, by the file of the project that has them."""
+    rows = vertices(path, file)[["id", "x", "y"]].tolist()
+    return [_ImagePoint(f"tie:{number}", x, y) for number, x, y in rows]
 
 
 def _marks(
     chunk: ElementTree.Element,
     frame: ElementTree.Element,
-) -> dict[str, list[tuple[str, float, float]]]:
+) -> dict[str, list[_ImagePoint]]:
     """The markers in each image, by the camera's id: label of the marker, x and y."""
     label = {}
     for marker in chunk.iterfind("markers//marker"):
         label[marker.get("id")] = marker.get("label", "")
-    marks: dict[str, list[tuple[str, float, float]]] = {}
+    marks: dict[str, list[_ImagePoint]] = {}
     for marker in frame.iterfind("markers/marker"):
         name = label[marker.get("marker_id")]
         for place in marker.iterfind("location"):
@@ -175,7 +182,8 @@ def _marks(
                 continue
             x = float(place.attrib["x"])
             y = float(place.attrib["y"])
-            marks.setdefault(place.attrib["camera_id"], []).append((name, x, y))
+            mark = _ImagePoint(name, x, y)
+            marks.setdefault(place.attrib["camera_id"], []).append(mark)
     return marks
 
 
@@ -194,6 +202,12 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
     turned = to_earth.scale * places @ to_earth.turn.T
     names = [f"tie:{number}" for number in points["id"].tolist()]
     return pa.array(names, pa.string()), np.asarray(turned + to_earth.step)
+
+
+def _disabled_cameras(chunk: ElementTree.Element) -> list[str]:
+    """The ids of the cameras that took no part in the adjustment."""
+    cameras = chunk.iterfind("cameras//camera")
+    return [camera.get("id", "") for camera in cameras if not _is_enabled(camera)]
 
 
 def _is_enabled(element: ElementTree.Element) -> bool:
