@@ -246,8 +246,13 @@ def parquet_and_csv(
     corrections, which `CORRECTIONS_USE` is about.
     """
 
-    def write(writer: Callable[..., int], run: FinishedRun, values: Values, path: Path,
-              ledger: Ledger) -> int:  # fmt: skip
+    def write(
+        writer: Callable[..., int],
+        run: FinishedRun,
+        values: Values,
+        path: Path,
+        ledger: Ledger,
+    ) -> int:
         return writer(path, *tables(run, values, ledger))
 
     kinds = (name, ".parquet", write_parquet_stream), (f"{name}-csv", ".csv", write_csv_stream)
