@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from unbend.flight import rotations
 from unbend.flight.channels import Channel
@@ -132,38 +133,27 @@ def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     The attitude is that of a body in which the camera is at rest (`CAMERA_AT_REST`). Seconds are
     those of the GPS week, or of UTC, as stated: the file does not say.
     """
-    lines = read_text(path)
-    line_of_titles = _line_of_titles(lines)
-    if line_of_titles is None:
-        raise messages.eo_without_titles(where=path)
-    text_above = "\n".join(lines[:line_of_titles])
-    titles = [name.upper() for name in _TITLES.findall(lines[line_of_titles])]
-    height_title = _title_of_heights(titles)
-    if not height_title or "LAT" not in titles or "LONG" not in titles:
-        raise messages.eo_without_places(where=path, titles=", ".join(titles))
-    if not re.search(r"lat\W+long\w* in deg", text_above, re.IGNORECASE):
-        raise messages.eo_not_in_degrees(where=path)
-    lines_below = lines[line_of_titles + 1 :]
-    rows = [line for line in lines_below if re.match(r"\s*\S+\s+\S*[0-9]", line)]
-    table = split_lines(rows, titles, r"\s+")
-    value = {name: numbers(table[name]) for name in titles}
-    if "EVENT" in titles:
+    text = _read_eo(path)
+    table = text.table
+    value = {name: numbers(table[name]) for name in table.columns}
+    if "EVENT" in table:
         value["EVENT"] = numbers(table["EVENT"], LARGEST_EXACT)
+    height_column = stated.height_column(path, ledger, _SURFACES[text.height_title])
     columns = {
-        "event_index": _event_numbers(value, len(rows)),
+        "event_index": _event_numbers(value, len(table)),
         "lat_rad": np.radians(value["LAT"]),
         "lon_rad": np.radians(value["LONG"]),
-        stated.height_column(path, ledger, _SURFACES[height_title]): value[height_title],
+        height_column: value[text.height_title],
     }
     time_system = stated.system_of(path, ledger)
     time_ns = stated.utc_of_week_seconds(path, value["TIME"], time_system)
-    head = head_of_eo(text_above)
+    head = head_of_eo(text.head)
     grid = stated.grid or head.grid
     if grid is not None and value["LAT"].size and {"EASTING", "NORTHING"} <= value.keys():
         on_grid = places_on_grid(path, grid, value)
         columns |= without_shift(path, columns, head, on_grid, ledger)
     columns |= attitudes_of_eo(path, head, value, stated, ledger)
-    needed = [value["TIME"], value["LAT"], value["LONG"], value[height_title]]
+    needed = [value["TIME"], value["LAT"], value["LONG"], value[text.height_title]]
     return channel_of_rows(
         path,
         "EO",
@@ -171,8 +161,35 @@ def read_eo_text(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         columns,
         ledger,
         readable=np.asarray(np.isfinite(needed).all(axis=0)),
-        labels={"name": tuple(table["ID"])} if "ID" in titles else None,
+        labels={"name": tuple(table["ID"])} if "ID" in table else None,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _EoText:
+    """POSPac's text: what stands above its titles, the fields below them, the title of heights."""
+
+    head: str
+    table: pd.DataFrame
+    height_title: str
+
+
+def _read_eo(path: Path) -> _EoText:
+    """Read POSPac's text; refuses one without titles, without places, or not in degrees."""
+    lines = read_text(path)
+    line_of_titles = _line_of_titles(lines)
+    if line_of_titles is None:
+        raise messages.eo_without_titles(where=path)
+    titles = [name.upper() for name in _TITLES.findall(lines[line_of_titles])]
+    height_title = _title_of_heights(titles)
+    if not height_title or "LAT" not in titles or "LONG" not in titles:
+        raise messages.eo_without_places(where=path, titles=", ".join(titles))
+    head = "\n".join(lines[:line_of_titles])
+    if not re.search(r"lat\W+long\w* in deg", head, re.IGNORECASE):
+        raise messages.eo_not_in_degrees(where=path)
+    lines_below = lines[line_of_titles + 1 :]
+    rows = [line for line in lines_below if re.match(r"\s*\S+\s+\S*[0-9]", line)]
+    return _EoText(head, split_lines(rows, titles, r"\s+"), height_title)
 
 
 def _line_of_titles(lines: Sequence[str]) -> int | None:

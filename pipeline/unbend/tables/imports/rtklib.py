@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from unbend.flight.channels import Channel
+from unbend.flight.channels import Channel, TimeArray
 from unbend.geodesy import enu_from_ecef, geodetic_of_ecef, offset_geodetic
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
@@ -53,13 +54,8 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     table = split_lines(rows, ["day", "time", *names], _SEPARATOR)
     value = {name: numbers(table[name]) for name in names}
     system = stated.system_of(path, ledger, "gpst" if clock == "GPST" else "utc")
-    if "/" in rows[0].split()[0]:
-        time_ns, is_time = utc_of_dates(table["day"] + "T" + table["time"], system)
-    else:
-        week = numbers(table["day"])
-        seconds = numbers(table["time"])
-        time_ns = utc_of_weeks(week, seconds, system)
-        is_time = np.isfinite(week + seconds)
+    has_dates = "/" in rows[0].split()[0]
+    time_ns, is_time = _times(table, system, has_dates=has_dates)
     if clock == "JST" and system == "utc":
         time_ns = time_ns - _JST_NS
     columns = _positions(path, header, value, stated, ledger)
@@ -80,6 +76,20 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     )
     _report_qualities(path, channel, ledger)
     return channel
+
+
+def _times(
+    table: pd.DataFrame,
+    system: str,
+    *,
+    has_dates: bool,
+) -> tuple[TimeArray, Mask]:
+    """UTC of the rows and which have a time: dates with a time of day, or weeks and seconds."""
+    if has_dates:
+        return utc_of_dates(table["day"] + "T" + table["time"], system)
+    week = numbers(table["day"])
+    seconds = numbers(table["time"])
+    return utc_of_weeks(week, seconds, system), np.isfinite(week + seconds)
 
 
 def _titles(path: Path, header: Sequence[str]) -> tuple[str, list[str]]:

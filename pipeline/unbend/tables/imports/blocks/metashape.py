@@ -66,22 +66,9 @@ def read_images(path: Path) -> OrientationTable:
     all_cameras = [*chunk.iterfind("cameras//camera")]
     cameras = [camera for camera in all_cameras if _is_enabled(camera)]
     name_of_camera = _image_names(chunk)
-    sensors = _sensors(chunk)
-    poses = _poses(chunk, all_cameras)  # a master may be disabled, and its slave not
-    components = _components(all_cameras)
-    names = []
-    names_of_sensors = []
-    position = np.full((len(cameras), 3), np.nan)
-    quaternion = np.full((len(cameras), 4), np.nan)
-    for row, camera in enumerate(cameras):
-        number = camera.get("id", "")
-        names.append(name_of_camera[number])
-        sensor = sensors.get(camera.get("sensor_id", ""))
-        names_of_sensors.append("" if sensor is None else sensor.name)
-        if number in poses:
-            to_earth = _to_earth(chunk, components[number])
-            position[row], quaternion[row] = _exterior_orientation(poses[number], to_earth)
-    table = oriented_images(names, names_of_sensors, position, quaternion)
+    names = [name_of_camera[camera.get("id", "")] for camera in cameras]
+    position, quaternion = _exterior_orientations(chunk, cameras)
+    table = oriented_images(names, _names_of_sensors(chunk, cameras), position, quaternion)
     left_out = [name_of_camera[number] for number in _disabled_cameras(chunk)]
     if left_out:
         note = messages.disabled_cameras(where=path, names=left_out)
@@ -90,6 +77,37 @@ def read_images(path: Path) -> OrientationTable:
         return table
     reference = chunk.findtext("reference", "")
     return replace(table, frame="ecef" if is_on_wgs84(reference) else datum_of(reference))
+
+
+def _names_of_sensors(
+    chunk: ElementTree.Element,
+    cameras: list[ElementTree.Element],
+) -> list[str]:
+    """The name of each camera's sensor, empty for one that is not there."""
+    sensors = _sensors(chunk)
+    names = []
+    for camera in cameras:
+        sensor = sensors.get(camera.get("sensor_id", ""))
+        names.append("" if sensor is None else sensor.name)
+    return names
+
+
+def _exterior_orientations(
+    chunk: ElementTree.Element,
+    cameras: list[ElementTree.Element],
+) -> tuple[Array, Array]:
+    """(n, 3) positions and (n, 4) quaternions w, x, y, z of cameras; NaN of those not aligned."""
+    all_cameras = [*chunk.iterfind("cameras//camera")]
+    poses = _poses(chunk, all_cameras)  # a master may be disabled, and its slave not
+    components = _components(all_cameras)
+    position = np.full((len(cameras), 3), np.nan)
+    quaternion = np.full((len(cameras), 4), np.nan)
+    for row, camera in enumerate(cameras):
+        number = camera.get("id", "")
+        if number in poses:
+            to_earth = _to_earth(chunk, components[number])
+            position[row], quaternion[row] = _exterior_orientation(poses[number], to_earth)
+    return position, quaternion
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:
@@ -376,7 +394,7 @@ def _camera(calibration: ElementTree.Element | None, path: Path) -> Camera:
     height = _size_px(calibration, "height")
 
     def number(name: str) -> float:
-        return float(calibration.findtext(name, "0"))
+        return _number(calibration, name)
 
     kind = calibration.get("type") or calibration.findtext("projection") or "frame"
     unused = [name for name in _NOT_MODELLED.get(kind, ()) if number(name) != 0.0]
@@ -386,18 +404,7 @@ def _camera(calibration: ElementTree.Element | None, path: Path) -> Camera:
             coefficients=", ".join(unused),
             kind=kind,
         )
-    if calibration.find("fx") is not None:
-        frame = [
-            number("fx"),
-            number("fy"),
-            number("cx"),
-            number("cy"),
-        ]
-    else:
-        f = number("f")
-        cx = 0.5 * width + number("cx")
-        cy = 0.5 * height + number("cy")
-        frame = [f + number("b1"), f, cx, cy]
+    frame = _frame_of(calibration, width, height)
     k1 = number("k1")
     k2 = number("k2")
     k3 = number("k3")
@@ -444,3 +451,22 @@ def _size_px(calibration: ElementTree.Element, side: str) -> int:
     if resolution is None:
         return int(calibration.findtext(side, "0"))
     return int(resolution.get(side, "0"))
+
+
+def _number(calibration: ElementTree.Element, name: str) -> float:
+    """A number of a calibration, 0 where it has none of that name."""
+    return float(calibration.findtext(name, "0"))
+
+
+def _frame_of(
+    calibration: ElementTree.Element,
+    width: int,
+    height: int,
+) -> list[float]:
+    """fx, fy, cx and cy [px], of which those before version 1.3 stand in the file."""
+    if calibration.find("fx") is not None:
+        return [_number(calibration, name) for name in ("fx", "fy", "cx", "cy")]
+    f = _number(calibration, "f")
+    cx = 0.5 * width + _number(calibration, "cx")
+    cy = 0.5 * height + _number(calibration, "cy")
+    return [f + _number(calibration, "b1"), f, cx, cy]
