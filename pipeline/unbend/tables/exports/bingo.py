@@ -14,9 +14,10 @@ import numpy as np
 import pyarrow as pa
 
 from unbend.messages import Ledger
+from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import messages
 from unbend.tables.exports.export_frames import ExportFrame, PixelFrame
-from unbend.tables.exports.exported_block import block_of
+from unbend.tables.exports.exported_block import ExportedBlock, block_of
 from unbend.tables.exports.format import (
     PIXEL_UM,
     ExportFormat,
@@ -26,6 +27,7 @@ from unbend.tables.exports.format import (
     pixel_mm,
     write_csv_stream,
 )
+from unbend.units import Array
 
 _LONGEST = 15
 
@@ -69,9 +71,7 @@ def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) 
     with (folder / "image.dat").open("w", encoding="utf-8") as file:
         for i, camera, here in block.images():
             number = block.camera[i]
-            right_px = block.x_px[here] - 0.5 * camera.width_px
-            up_px = 0.5 * camera.height_px - block.y_px[here]
-            x_mm, y_mm = turn @ np.stack([right_px, up_px]) * sizes_mm[number]
+            x_mm, y_mm = turn @ _from_middle_px(block, camera, here) * sizes_mm[number]
             file.write(f"{short['image'][i]} {short['camera'][number]}\n")
             for point, x, y in zip(block.point[here], x_mm, y_mm, strict=True):
                 file.write(f"{short['point'][point]} {x:.7f} {y:.7f}\n")
@@ -81,6 +81,17 @@ def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) 
         table = pa.Table.from_pylist(changed)
         write_csv_stream(folder / "names.csv", table.schema, [table])
     return int(block.point.size)
+
+
+def _from_middle_px(
+    block: ExportedBlock,
+    camera: Camera,
+    here: slice,
+) -> Array:
+    """(2, n) x to the right and y up [px] of image points of a camera, from its middle."""
+    right_px = block.x_px[here] - 0.5 * camera.width_px
+    up_px = 0.5 * camera.height_px - block.y_px[here]
+    return np.stack([right_px, up_px])
 
 
 def _changed_names(

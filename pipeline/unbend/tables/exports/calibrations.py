@@ -279,13 +279,12 @@ def fit_calibration(
     height_m = run.exposures.height_m[stations]
     ground_m = run.ground_m[stations]
     above_m = height_m - ground_m
-    name_of_file = re.sub(r"[^0-9A-Za-z._-]", "_", name)
     heights = (
         f"{above_m.min():.0f} to {above_m.max():.0f} m above the ground (cameras "
         f"{np.median(height_m):.0f}, ground {np.median(ground_m):.0f} m above sea level)"
     )
     return FittedCalibration(
-        name=f"{name_of_file}_{np.median(above_m):.4g}m",
+        name=f"{_name_of_file(name)}_{np.median(above_m):.4g}m",
         camera_name=name,
         stations=stations,
         base=base,
@@ -297,6 +296,11 @@ def fit_calibration(
         left_by_camera=left_by_camera,
         left_by_change=seen.rms(left_px),
     )
+
+
+def _name_of_file(name: str) -> str:
+    """A name with underscores for what a name of a file may not have everywhere."""
+    return re.sub(r"[^0-9A-Za-z._-]", "_", name)
 
 
 def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:

@@ -154,8 +154,11 @@ def match_rows(block: ExportedBlock) -> Iterator[Row]:
         partner = partner[later]
         matches = np.stack([place[later], place_in_image[partner]], axis=1).astype("<u4")
         for other, matches_of_pair in _by_image(images[partner], matches):
-            pair_id = (i + 1) * _MOST_IMAGES + other + 1
-            row = (pair_id, len(matches_of_pair), matches_of_pair.tobytes())
+            row = (
+                (i + 1) * _MOST_IMAGES + other + 1,
+                len(matches_of_pair),
+                matches_of_pair.tobytes(),
+            )
             yield "matches", *row
             yield "two_view_geometries", *row, _CALIBRATED
 

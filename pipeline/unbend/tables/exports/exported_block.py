@@ -165,13 +165,14 @@ def block_of(
         _fill_object_points(block, stations.rows(rows), points.h_g_m, ledger)
     lat, lon, h = frame.origin_deg.tolist()
     ledger.add(messages.block_frame(where="stations.parquet", lat=lat, lon=lon, h=h))
-    written = messages.points_written(
-        where="observations",
-        count=points.image.size,
-        points=len(points.name),
-        images=rows.size,
+    ledger.add(
+        messages.points_written(
+            where="observations",
+            count=points.image.size,
+            points=len(points.name),
+            images=rows.size,
+        )
     )
-    ledger.add(written)
     return block
 
 

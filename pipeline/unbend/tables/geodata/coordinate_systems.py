@@ -102,29 +102,53 @@ def places_of(
                     vertical=vertical.name,
                     horizontal=horizontal.to_string(),
                 )
-            undulation = geoid.undulation(lat, lon)
-            off_m = _off_from_package(undulation, lat, lon)
-            if abs(off_m) > LARGEST_GEOID_M:
-                raise messages.crs_vertical_other_grid(
-                    where=where,
-                    named=key,
-                    geoid=geoid.name,
-                    off_m=off_m,
-                    vertical=vertical.name,
-                )
-            notes.append(
-                messages.heights_by_grid(
-                    where=where,
-                    count=count,
-                    datum=vertical.name,
-                    grid=geoid.name,
-                    off_m=off_m,
-                    is_usual=abs(off_m) <= USUAL_GEOID_M,
-                )
+            h, note = _above_ellipsoid(
+                h,
+                vertical,
+                geoid,
+                (lat, lon),
+                count=count,
+                where=where,
+                key=key,
             )
-            h = h + undulation
+            notes.append(note)
             heights = "ellipsoid"
     return Places(lat, lon, h, heights, convergence), tuple(notes)
+
+
+def _above_ellipsoid(
+    h_m: Array,
+    vertical: "CRS",
+    geoid: GeoidGrid,
+    lat_lon: tuple[Array, Array],
+    *,
+    count: int,
+    where: str,
+    key: str,
+) -> tuple[Array, Message]:
+    """Heights [m] above the ellipsoid of those in a vertical datum, by the grid that belongs to it.
+
+    Refuses (CRS-VERTICAL) a grid that lies elsewhere than any geoid.
+    """
+    undulation = geoid.undulation(*lat_lon)
+    off_m = _off_from_package(undulation, *lat_lon)
+    if abs(off_m) > LARGEST_GEOID_M:
+        raise messages.crs_vertical_other_grid(
+            where=where,
+            named=key,
+            geoid=geoid.name,
+            off_m=off_m,
+            vertical=vertical.name,
+        )
+    note = messages.heights_by_grid(
+        where=where,
+        count=count,
+        datum=vertical.name,
+        grid=geoid.name,
+        off_m=off_m,
+        is_usual=abs(off_m) <= USUAL_GEOID_M,
+    )
+    return h_m + undulation, note
 
 
 def _metres_upwards(vertical: "CRS", h: Array) -> Array:
@@ -145,11 +169,13 @@ def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
     """(2, n) longitude and latitude [deg, from Greenwich] in a system's own datum."""
     from pyproj import Transformer
 
-    own = horizontal.geodetic_crs
-    to_own = Transformer.from_crs(horizontal, own, always_xy=True)
-    lon_lat = np.array(to_own.transform(x, y, errcheck=False))
-    lon_lat *= np.degrees(own.axis_info[0].unit_conversion_factor)  # grads of Paris, for example
-    lon_lat[0] += prime_meridian_deg(own)
+    geodetic = horizontal.geodetic_crs
+    to_geodetic = Transformer.from_crs(horizontal, geodetic, always_xy=True)
+    lon_lat = np.array(to_geodetic.transform(x, y, errcheck=False))
+    lon_lat *= np.degrees(
+        geodetic.axis_info[0].unit_conversion_factor
+    )  # grads of Paris, for example
+    lon_lat[0] += prime_meridian_deg(geodetic)
     return lon_lat
 
 

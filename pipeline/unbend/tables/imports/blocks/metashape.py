@@ -154,9 +154,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     if len(frames) > 1:
         raise messages.several_frames(where=path, frames=len(frames))
     marks = _marks(chunk, frames[0])
-    ties = {}
-    for projections in frames[0].iterfind("point_cloud/projections"):
-        ties[projections.get("camera_id")] = projections.attrib["path"]
+    ties = _files_of_tie_points(frames[0])
     disabled = _disabled_cameras(chunk)
     for number, image in _image_names(chunk).items():
         if number in disabled:
@@ -168,6 +166,14 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
             names = [point.name for point in points]
             pixels = [(point.x, point.y) for point in points]
             yield rows_of_image(image, pixels, names)
+
+
+def _files_of_tie_points(frame: ElementTree.Element) -> dict[str, str]:
+    """The file of the project with the tie points in each image, by the camera's id."""
+    files = {}
+    for projections in frame.iterfind("point_cloud/projections"):
+        files[projections.get("camera_id", "")] = projections.attrib["path"]
+    return files
 
 
 class _ImagePoint(NamedTuple):
