@@ -172,9 +172,8 @@ def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
     geodetic = horizontal.geodetic_crs
     to_geodetic = Transformer.from_crs(horizontal, geodetic, always_xy=True)
     lon_lat = np.array(to_geodetic.transform(x, y, errcheck=False))
-    lon_lat *= np.degrees(
-        geodetic.axis_info[0].unit_conversion_factor
-    )  # grads of Paris, for example
+    unit_rad = geodetic.axis_info[0].unit_conversion_factor  # grads of Paris, for example
+    lon_lat *= np.degrees(unit_rad)
     lon_lat[0] += prime_meridian_deg(geodetic)
     return lon_lat
 

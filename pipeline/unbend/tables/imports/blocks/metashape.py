@@ -168,11 +168,11 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
             yield rows_of_image(image, pixels, names)
 
 
-def _files_of_tie_points(frame: ElementTree.Element) -> dict[str, str]:
+def _files_of_tie_points(frame: ElementTree.Element) -> dict[str | None, str]:
     """The file of the project with the tie points in each image, by the camera's id."""
     files = {}
     for projections in frame.iterfind("point_cloud/projections"):
-        files[projections.get("camera_id", "")] = projections.attrib["path"]
+        files[projections.get("camera_id")] = projections.attrib["path"]
     return files
 
 
