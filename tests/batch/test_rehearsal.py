@@ -16,7 +16,8 @@ from unbend.batch import rehearsal
 from unbend.batch.runs import check_mission, run_mission
 from unbend.errors import ConfigError, MissionError, StorageError, UnbendError
 from unbend.messages import Ledger
-from unbend.tables.observations import RowSample, open_observations
+from unbend.tables.observations import open_observations
+from unbend.tables.row_sample import RowSample
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 

@@ -30,8 +30,8 @@ from unbend.tables.imports.user_tables import (
     read_events,
     read_known_positions,
     read_orientation,
-    read_trajectory_csv,
 )
+from unbend.tables.imports.user_trajectories import read_trajectory_csv
 from unbend.tables.observations import open_observations
 
 ROWS = range(8)

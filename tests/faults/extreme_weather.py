@@ -18,8 +18,9 @@ from tests.faults.extreme_inputs import (
 from tests.faults.extreme_tables import DAY, NOON_NS, UNIX_S
 from unbend.atmosphere.surface_report import parse_metar
 from unbend.tables.geodata.geoid import read_geoid
+from unbend.tables.model_fields import FlightArea, read_model_field
 from unbend.tables.soundings import read_sounding
-from unbend.tables.weather_files import FlightArea, contents_of, read_model_field
+from unbend.tables.weather_files import contents_of
 
 SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "sounding_files"
 RISE = np.arange(0.0, 6000.0, 500.0)

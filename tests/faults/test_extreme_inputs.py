@@ -32,12 +32,13 @@ from unbend.errors import ConfigError, InputError, UnbendError, rendered
 from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.imports.camera_events import read_mrk
-from unbend.tables.imports.exif import parse_time
+from unbend.tables.imports.image_stamps import parse_time
 from unbend.tables.imports.stated import Stated
-from unbend.tables.imports.user_tables import read_orientation, read_trajectory_csv
+from unbend.tables.imports.user_tables import read_orientation
+from unbend.tables.imports.user_trajectories import read_trajectory_csv
 from unbend.tables.soundings import read_sounding
 from unbend.tables.text_columns import numbers
-from unbend.tables.weather_files import possible_steps, possible_times
+from unbend.tables.weather_fields import possible_steps, possible_times
 from unbend.units import exact_integers, measured
 
 READERS = {**TABLES, **BLOCKS, **TAGS, **WEATHER, **GRIDS, **MISSIONS}

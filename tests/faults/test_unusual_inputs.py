@@ -24,9 +24,10 @@ from unbend.messages import Ledger
 from unbend.tables.geodata.object_points import read_object_points
 from unbend.tables.imports import blocks
 from unbend.tables.imports.camera_events import read_eo_text, read_mrk
-from unbend.tables.imports.exif import parse_time
+from unbend.tables.imports.image_stamps import parse_time
 from unbend.tables.imports.stated import Stated, channel_of_rows
-from unbend.tables.imports.user_tables import read_events, read_orientation, read_trajectory_csv
+from unbend.tables.imports.user_tables import read_events, read_orientation
+from unbend.tables.imports.user_trajectories import read_trajectory_csv
 from unbend.tables.observations import open_observations
 from unbend.written_numbers import angle_of, number_of
 

@@ -16,7 +16,8 @@ from unbend.errors import InputError
 from unbend.geodesy import normal_gravity
 from unbend.messages import Ledger
 from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
-from unbend.tables.weather_files import FlightArea, open_datasets, read_model_field
+from unbend.tables.model_fields import FlightArea, read_model_field
+from unbend.tables.weather_files import open_datasets
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
 PLACE = (np.radians(47.3), np.radians(8.6))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 
-from unbend.tables.text_columns import hashes_of, rows_among
+from unbend.tables.name_hashes import hashes_of, rows_among
 
 # From the reference of Fowler, Noll and Vo: FNV-1a of 64 bits.
 PUBLISHED = {"": 0xCBF29CE484222325, "a": 0xAF63DC4C8601EC8C, "foobar": 0x85944171F73967E8}

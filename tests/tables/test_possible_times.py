@@ -13,7 +13,7 @@ from unbend.config.dates import checked_date
 from unbend.config.section import SectionError
 from unbend.flight.channels import Channel
 from unbend.messages import Ledger
-from unbend.tables.imports.exif import parse_time
+from unbend.tables.imports.image_stamps import parse_time
 from unbend.tables.imports.stated import channel_of_rows
 from unbend.tables.text_columns import utc_of_columns, utc_of_dates
 from unbend.written_numbers import angle_of

@@ -32,9 +32,9 @@ from unbend.tables.imports.user_tables import (
     read_events,
     read_known_positions,
 )
+from unbend.tables.model_fields import read_model_field
 from unbend.tables.observations import Observations, open_observations
 from unbend.tables.soundings import read_sounding
-from unbend.tables.weather_files import read_model_field
 
 Paths = Mapping[str, Path]
 """Where each input is, by its role."""

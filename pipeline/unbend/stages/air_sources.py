@@ -29,7 +29,7 @@ from unbend.stages import messages
 from unbend.stages.flight_date import flight_date_ns, flight_hour, refuse_dated_sources
 from unbend.stages.flight_log import FlightLog, GroundTrack
 from unbend.stages.opened_inputs import OpenedInputs
-from unbend.tables.weather_files import FlightArea
+from unbend.tables.model_fields import FlightArea
 from unbend.units import (
     DEGREE,
     HECTOPASCAL,

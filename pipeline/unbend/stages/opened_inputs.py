@@ -17,8 +17,8 @@ from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.imports.exif import ImageTimes
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import EventTable, OrientationTable
+from unbend.tables.model_fields import FlightArea
 from unbend.tables.observations import Observations
-from unbend.tables.weather_files import FlightArea
 from unbend.units import Array, Names
 
 ChannelReader = Callable[[Stated, Ledger], Channel]

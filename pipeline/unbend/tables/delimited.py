@@ -128,10 +128,13 @@ _ANY_NUMBER = _whole(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?", _
 
 _NUMBER = _Kind(pa.float64(), _ANY_NUMBER)
 _CODE = _Kind(pa.string(), _ANY_NUMBER)
+_TEXT = _Kind(pa.string(), "")
 _PLAIN_NUMBER = _whole(
-    "-?(?:0|[1-9][0-9]{0,14})", rf"[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*|\.[0-9]+)(?:{_POWER})?",
-    f"[-+]?(?:0|[1-9][0-9]*){_POWER}", _WORDS,
-)  # fmt: skip
+    "-?(?:0|[1-9][0-9]{0,14})",
+    rf"[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*|\.[0-9]+)(?:{_POWER})?",
+    f"[-+]?(?:0|[1-9][0-9]*){_POWER}",
+    _WORDS,
+)
 # In order of preference. The digits are as many as int64 and float64 hold exactly.
 _KINDS = (
     _Kind(pa.int64(), _whole("0", "-?[1-9][0-9]{0,17}", "-?[1-8][0-9]{18}")),
@@ -167,19 +170,25 @@ def csv_names(path: Path) -> list[str]:
 
 
 def scan_csv(
-    path: Path, names: Collection[str], texts: tuple[str, str], numbers: Collection[str],
+    path: Path,
+    names: Collection[str],
+    texts: tuple[str, str],
+    numbers: Collection[str],
     add_names: Callable[[pa.StringArray], None] | None = None,
-) -> CsvScan:  # fmt: skip
+) -> CsvScan:
     """Read a CSV once from end to end, to know the type of each of its columns.
 
     ``texts`` are the columns of images and points, text even where all are digits, ``numbers``
     float64 unless a value is no number. ``add_names`` is called with the images of the next rows.
     """
-    kinds: dict[str, tuple[_Kind, ...]] = {
-        name: (_NUMBER,) if name in numbers else () if name in texts else _KINDS for name in names
-    }
+    kinds: dict[str, tuple[_Kind, ...]] = dict.fromkeys(names, _KINDS)
+    for name in texts:
+        kinds[name] = ()
+    for name in numbers:
+        kinds[name] = (_NUMBER,)
     filled = set(numbers)
-    rows, images = 0, set()
+    rows = 0
+    images = set()
     try:
         decimal_comma = text_file(path).form.decimal_comma
         with open_csv(path, dict.fromkeys(names, pa.string())) as reader:
@@ -188,17 +197,29 @@ def scan_csv(
                 images.update(pc.unique(batch.column(texts[0])).to_pylist())
                 if add_names is not None:
                     add_names(batch.column(texts[0]))
-                for name, left in kinds.items():
+                for name in names:
                     values = batch.column(name)
-                    kinds[name] = _kinds_that_hold(left, values, decimal_comma=decimal_comma)
+                    kinds[name] = _kinds_that_hold(
+                        kinds[name],
+                        values,
+                        decimal_comma=decimal_comma,
+                    )
                     if values.null_count < len(values):
                         filled.add(name)
     except (OSError, ValueError) as error:
         raise messages.observations_csv_unreadable(where=path, error=str(error)) from None
-    chosen = {name: next(iter(left), None) for name, left in kinds.items() if name in filled}
-    types = {name: kind.type if (kind := chosen.get(name)) else pa.string() for name in names}
-    codes = tuple(name for name, kind in chosen.items() if kind is _CODE)
-    return CsvScan(rows, images - {None}, types, codes)
+    chosen = {name: _chosen_kind(kinds[name], is_filled=name in filled) for name in names}
+    return CsvScan(
+        rows=rows,
+        images=images - {None},
+        types={name: kind.type for name, kind in chosen.items()},
+        codes=tuple(name for name, kind in chosen.items() if kind is _CODE),
+    )
+
+
+def _chosen_kind(kinds: tuple[_Kind, ...], *, is_filled: bool) -> _Kind:
+    """The first of the kinds that hold a column; text where none does, and without a value."""
+    return kinds[0] if is_filled and kinds else _TEXT
 
 
 def _kinds_that_hold(
@@ -206,9 +227,11 @@ def _kinds_that_hold(
 ) -> tuple[_Kind, ...]:
     """Those of some kinds that hold values, whose numbers may have a decimal comma."""
     numbers = with_points(values) if decimal_comma else values
-    return tuple(
-        kind for kind in kinds if kind.holds(numbers if kind.type == pa.float64() else values)
-    )
+    holding = []
+    for kind in kinds:
+        if kind.holds(numbers if kind.type == pa.float64() else values):
+            holding.append(kind)
+    return tuple(holding)
 
 
 def with_points(values: pa.StringArray) -> pa.StringArray:
@@ -233,10 +256,13 @@ def open_csv(
         read.encoding = "utf-16"
     separator = "\t" if form.separator == BLANKS else form.separator
     parse = pa_csv.ParseOptions(newlines_in_values=True, delimiter=separator)
-    nulls = {"null_values": [""], "strings_can_be_null": True, "quoted_strings_can_be_null": False}
-    decimal_point = "," if form.decimal_comma else "."
     convert = pa_csv.ConvertOptions(
-        column_types=types, include_columns=only, decimal_point=decimal_point, **nulls
+        column_types=types,
+        include_columns=only,
+        decimal_point="," if form.decimal_comma else ".",
+        null_values=[""],
+        strings_can_be_null=True,
+        quoted_strings_can_be_null=False,
     )
     source = _PartedByTabs(path) if form.separator == BLANKS else path
     return pa_csv.open_csv(source, read, parse, convert)

@@ -19,18 +19,17 @@ from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.blocks import BLOCKS
 from unbend.tables.imports.blocks.image_points import of_points
 from unbend.tables.measured_columns import at_least_zero, measured_floats
+from unbend.tables.name_hashes import hashes_of
 from unbend.tables.observation_files import OpenedTable, Records, csv_records, in_memory, open_file
 from unbend.tables.pixels import COLMAP, ImageFrame, PixelSystem
 from unbend.tables.refraction_mark import Direction, refuse_done
+from unbend.tables.row_sample import RowSample
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
-from unbend.tables.text_columns import (
-    hashes_of,
-    refuse_other_pixels,
-    require_columns,
-)
+from unbend.tables.text_columns import refuse_other_pixels, require_columns
 from unbend.units import Array
 
 _SCANNED_ROWS = 1 << 20  # read at a time for the names of images
+_SELECTED_ROWS = 1 << 18  # read at a time where some of them are selected
 
 # A user's column with one of these names would be taken for a result, in either direction.
 _OURS = OBSERVATION_COLUMNS.keys() | DISPLACED_COLUMNS.keys()
@@ -77,83 +76,18 @@ class Batch:
 
     def taken(self, rows: NDArray[np.int64]) -> "Batch":
         """Some of its rows, without the user's columns."""
-        place = np.arange(len(self)) + self.first_row
-        numbers = place if self.numbers is None else self.numbers
-        of_rows = {
-            name: None if values is None else values[rows]
-            for name, values in vars(self).items()
-            if values is None or isinstance(values, np.ndarray)
-        }
-        names = {"image": self.image.take(rows), "point": self.point.take(rows)}
-        return replace(self, **(of_rows | names | {"users": {}, "numbers": numbers[rows]}))
-
-
-@dataclass
-class RowSample:
-    """At most ``most`` rows of a table, spread over its images, drawn in one pass over their names.
-
-    An image has as many as any other, or all of its own where these are fewer. The same table
-    gives the same rows. ``counts`` are the rows of each image, ``of_each`` the most drawn of one.
-
-    >>> sample = RowSample(4)
-    >>> sample.add(pa.array(["a"] * 7 + ["b", None]))
-    >>> sample.number.tolist(), sample.weights.tolist()
-    ([0, 5, 7, 8], [3.5, 3.5, 1.0, 1.0])
-    """
-
-    most: int
-    of_each: int = 1 << 62
-    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    number: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    image: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    _codes: dict[str | None, int] = field(default_factory=dict)
-
-    def add(self, names: pa.StringArray | pa.DictionaryArray) -> None:
-        """The images of the next rows of the table."""
-        encoded = names.dictionary_encode()
-        known = [*encoded.dictionary.to_pylist(), *[None] * (encoded.null_count > 0)]
-        coded = np.array([self._codes.setdefault(n, len(self._codes)) for n in known], np.int64)
-        image = coded[encoded.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)]
-        number = np.arange(image.size) + self.counts.sum()
-        self.counts = np.pad(self.counts, (0, len(self._codes) - self.counts.size))
-        rows = np.bincount(image, minlength=self.counts.size)
-        self.counts += rows
-        # Images with more than 0, 1, 2 ... rows: so many rows of each image fit together.
-        more = np.bincount(np.minimum(self.counts, self.most), minlength=self.most + 1)
-        more = more[:0:-1].cumsum()[::-1].cumsum()
-        self.of_each = min(self.of_each, int(np.searchsorted(more, self.most, "right")))
-        # Of an image three times the rows that can be drawn are sorted, where these have them all.
-        drawn = np.minimum(rows, max(self.of_each, 1))
-        share = np.minimum(3.0 * drawn / np.maximum(rows, 1), 1.0) * (1 << 40)
-        scattered = _scattered(number)
-        low = np.flatnonzero(scattered <= np.uint64(share.max(initial=0.0)))
-        low = low[scattered[low] <= share.astype(np.uint64)[image[low]]]
-        few = np.bincount(image[low], minlength=rows.size) < drawn
-        low = np.union1d(low, np.flatnonzero(few[image])) if few.any() else low
-        image, number = np.append(self.image, image[low]), np.append(self.number, number[low])
-        order = np.argsort(image.astype(np.uint64) << np.uint64(40) | _scattered(number))
-        begin = np.searchsorted(image[order], np.arange(self.counts.size))
-        rank = np.arange(order.size) - begin[image[order]]
-        kept = order[rank < max(self.of_each, 1)]
-        if self.of_each == 0:  # more images than rows: of some of them one
-            kept = kept[np.argsort(_scattered(image[kept]), kind="stable")[: self.most]]
-        kept = np.sort(kept)
-        self.number, self.image = number[kept], image[kept]
-
-    @property
-    def weights(self) -> Array:
-        """(m,) rows of the table that each row drawn stands for."""
-        drawn = np.bincount(self.image, minlength=self.counts.size)
-        weights = self.counts[self.image] / drawn[self.image]
-        return np.asarray(weights * (self.counts.sum() / weights.sum()))
-
-
-def _scattered(number: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Multiples of the golden ratio: of consecutive numbers the lowest lie evenly among them."""
-    scattered = number.astype(np.uint64)
-    scattered *= np.uint64(0x9E3779B97F4A7C15)
-    scattered >>= np.uint64(24)
-    return scattered
+        numbers = self.numbers
+        if numbers is None:
+            numbers = np.arange(len(self)) + self.first_row
+        columns: dict[str, Any] = {}
+        for name, values in vars(self).items():
+            if isinstance(values, np.ndarray):
+                columns[name] = values[rows]
+        columns["image"] = self.image.take(rows)
+        columns["point"] = self.point.take(rows)
+        columns["users"] = {}
+        columns["numbers"] = numbers[rows]
+        return replace(self, **columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +114,10 @@ class Observations:
     sample: RowSample | None = field(repr=False, default=None)
     _drawn: list[Batch] = field(init=False, repr=False, default_factory=list)
     _sources: Mapping[str, str] = field(repr=False, default_factory=dict)
-    _records: Records = field(repr=False, default=lambda rows, only, first: iter(()))
+    _records: Records = field(
+        repr=False,
+        default=lambda rows, only, first: iter(()),
+    )
 
     def sampled(self, *, points: bool = False) -> Batch:
         """The rows that were drawn when the table was opened, without the user's columns.
@@ -190,18 +127,23 @@ class Observations:
         if self._drawn:
             return self._drawn[0]
         drawn = self.sample or RowSample(0)
-        unread = () if points or self.points is not None else (self.columns["point"],)
+        unread: tuple[str, ...] = ()
+        if not points and self.points is None:
+            unread = (self.columns["point"],)
 
         def of_sample(records: pa.RecordBatch, first: int) -> NDArray[np.int64]:
             begin, end = np.searchsorted(drawn.number, (first, first + len(records)))
             return drawn.number[begin:end] - first
 
         batch = replace(self.selected(of_sample, unread=unread), weight=drawn.weights)
-        self._drawn.extend([batch] if points else [])
+        if points:
+            self._drawn.append(batch)
         return batch
 
     def of_points(
-        self, chosen: Callable[[NDArray[np.uint64]], NDArray[np.int64]], most_rows: int = 1 << 62
+        self,
+        chosen: Callable[[NDArray[np.uint64]], NDArray[np.int64]],
+        most_rows: int = 1 << 62,
     ) -> Batch:
         """The rows whose points' hashes are chosen, of the first ``most_rows``; else as `sampled`.
 
@@ -214,7 +156,9 @@ class Observations:
             if not self.is_block:
                 return chosen(hashes_of(records[point].cast(pa.string())))
             tied = of_points(records, self.columns["image"], point)
-            return tied[chosen(hashes_of(records[point].take(tied)))] if tied.size else tied
+            if tied.size == 0:
+                return tied
+            return tied[chosen(hashes_of(records[point].take(tied)))]
 
         return self.selected(of_hashes, most_rows=most_rows if self.has_points else 0)
 
@@ -226,10 +170,14 @@ class Observations:
         most_rows: int = 1 << 62,
     ) -> Batch:
         """Rows (k,) that are chosen of each part of the table, which begins at a row."""
-        image, first, parts, numbers = self.columns["image"], 0, [], []
+        image = self.columns["image"]
         wanted = {*self.columns.values(), self.ground_column, self.sigma_column}
         wanted -= {None, image, *unread}
-        for records in self._records(1 << 18, [image, *sorted(filter(None, wanted))], 0):
+        names = [image, *sorted(name for name in wanted if name)]
+        first = 0
+        parts = []
+        numbers = []
+        for records in self._records(_SELECTED_ROWS, names, 0):
             rows = chosen(records, first)
             parts.append(records.take(pa.array(rows)))
             numbers.append(rows + first)
@@ -256,40 +204,73 @@ class Observations:
         first_row = first_part * batch_rows
         slices = _slices(self._records(batch_rows, None, first_row), batch_rows)
         for table in islice(slices, None if stop is None else stop - first_part):
-            users = {f.name: self._sources[f.name] for f in self.user_fields}
+            users = {field.name: self._sources[field.name] for field in self.user_fields}
             yield replace(self._batch(table, users), first_row=first_row)
             first_row += table.num_rows
 
-    def _batch(self, table: pa.Table, users: Mapping[str, str]) -> Batch:
+    def _batch(
+        self,
+        table: pa.Table,
+        users: Mapping[str, str],
+    ) -> Batch:
         """A slice of the table; ``users`` names the user's columns of it."""
-        arrays = {}
-        for name, column in zip(table.column_names, table.columns, strict=True):
-            if pa.types.is_dictionary(column.type):
-                column = column.cast(column.type.value_type)
-            arrays[name] = column.combine_chunks()
+        arrays = _plain_arrays(table)
+        image = self._names("image", arrays, table.num_rows)
+        point = self._names("point", arrays, table.num_rows)
         x = measured_floats(arrays[self.columns["x_px"]])
         y = measured_floats(arrays[self.columns["y_px"]])
-        unread = pa.nulls(table.num_rows)
-        names = (arrays.get(self.columns[n], unread) for n in ("image", "point"))
-        image, point = (column.cast(pa.string()) for column in names)
-        optional: dict[str, Any] = {}
-        ground = None if self.ground_column is None else measured_floats(arrays[self.ground_column])
-        if self.points is not None:
-            ground, row = self.points.heights(point, image)
-            optional["no_point"] = int(((row < 0) & np.isnan(ground)).sum())
-        if "distance_m" in self.columns:
-            found = at_least_zero(arrays[self.columns["distance_m"]], above=True)
-            optional["distance_m"], optional["no_distance"] = found
-        if self.sigma_column is not None:
-            found = at_least_zero(arrays[self.sigma_column])
-            optional["ground_sigma"], optional["no_sigma"] = found
-        own = {name: arrays[source] for name, source in users.items()}
-        x_px, y_px = self.pixels.to_colmap(x), self.pixels.to_colmap(y)
-        if self.frame is not None:
+        if self.frame is None:
+            x_px = self.pixels.to_colmap(x)
+            y_px = self.pixels.to_colmap(y)
+        else:
             x_px, y_px = self.frame.to_colmap(x, y)
             x = self.pixels.from_colmap(x_px)
             y = self.pixels.from_colmap(y_px)
-        return Batch(image, point, x_px, y_px, x, y, ground=ground, users=own, **optional)
+        batch = Batch(
+            image=image,
+            point=point,
+            x_px=x_px,
+            y_px=y_px,
+            x_given_px=x,
+            y_given_px=y,
+            ground=None,
+            users={name: arrays[source] for name, source in users.items()},
+        )
+        if self.points is not None:
+            ground, row = self.points.heights(point, image)
+            no_point = int(((row < 0) & np.isnan(ground)).sum())
+            batch = replace(batch, ground=ground, no_point=no_point)
+        elif self.ground_column is not None:
+            batch = replace(batch, ground=measured_floats(arrays[self.ground_column]))
+        if "distance_m" in self.columns:
+            distance_m, no_distance = at_least_zero(arrays[self.columns["distance_m"]], above=True)
+            batch = replace(batch, distance_m=distance_m, no_distance=no_distance)
+        if self.sigma_column is not None:
+            ground_sigma, no_sigma = at_least_zero(arrays[self.sigma_column])
+            batch = replace(batch, ground_sigma=ground_sigma, no_sigma=no_sigma)
+        return batch
+
+    def _names(
+        self,
+        role: str,
+        arrays: Mapping[str, pa.Array],
+        rows: int,
+    ) -> pa.StringArray:
+        """The names of images or points; null in a column that was not read."""
+        column = arrays.get(self.columns[role])
+        if column is None:
+            column = pa.nulls(rows)
+        return column.cast(pa.string())
+
+
+def _plain_arrays(table: pa.Table) -> dict[str, pa.Array]:
+    """The columns of a table by their names, each in one piece and not as a dictionary."""
+    arrays = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if pa.types.is_dictionary(column.type):
+            column = column.cast(column.type.value_type)
+        arrays[name] = column.combine_chunks()
+    return arrays
 
 
 def open_observations(
@@ -353,11 +334,12 @@ def open_observations(
 
     # The user's other columns, beside those that the results replace.
     replaced = set(named.values()) - {named.get("distance_m")}
-    replaced -= set() if frame is None else {named["x_px"], named["y_px"]}
+    if frame is not None:
+        replaced -= {named["x_px"], named["y_px"]}
     if ground_column == "h_g_m" and ground_is_msl:
         replaced.add("h_g_m")
-    own_names = [name for name in scan.schema.names if name not in replaced]
-    sources = _written_names(own_names, ledger)
+    passed_on = [name for name in scan.schema.names if name not in replaced]
+    sources = _written_names(passed_on, ledger)
     user_fields = []
     for written, original in sources.items():
         user_fields.append(pa.field(written, scan.schema.field(original).type))
@@ -400,7 +382,13 @@ def _scan_of_csv(
 ) -> _Scan:
     """Read a CSV once, which says the types of its columns."""
     add = None if sample is None else sample.add
-    scan = scan_csv(path, names, (named["image"], named["point"]), numbers, add)
+    scan = scan_csv(
+        path,
+        names,
+        (named["image"], named["point"]),
+        numbers,
+        add,
+    )
     for name in scan.codes:
         ledger.add(messages.column_as_text(column=name))
     return _Scan(
@@ -428,10 +416,12 @@ def _scan_of_names(
     has_points = not is_block
     for batch in opened.records(_SCANNED_ROWS, only, 0):
         rows += batch.num_rows
-        if is_block and (tied := of_points(batch, *batch.schema.names)).size:
-            point = batch.column(1).take(tied).to_pandas()
-            has_points = True
-            repeated += [f"{p} in {batch.column(0)[0]}" for p in point[point.duplicated()]]
+        if is_block:
+            tied = of_points(batch, named["image"], named["point"])
+            has_points = has_points or tied.size > 0
+            points = batch.column(1).take(tied).to_pandas()
+            for point in points[points.duplicated()]:
+                repeated.append(f"{point} in {batch.column(0)[0]}")
         names = batch.column(0)
         if not pa.types.is_dictionary(names.type):
             names = names.cast(pa.string())
@@ -440,7 +430,13 @@ def _scan_of_names(
             sample.add(names)
     if repeated:
         count = len(repeated)
-        ledger.add(messages.points_repeated(where=path.name, count=count, first=repeated[0]))
+        ledger.add(
+            messages.points_repeated(
+                where=path.name,
+                count=count,
+                first=repeated[0],
+            )
+        )
     return _Scan(
         rows=rows,
         images=images,
@@ -453,13 +449,13 @@ def _scan_of_names(
 def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
     """Names that the user's columns are written with, no result among them -> the own names."""
     sources: dict[str, str] = {}
-    for own in users:
-        name = own
+    for user_name in users:
+        name = user_name
         while name in _OURS or name in sources:
             name += "_input"
-        if name != own:
-            ledger.add(messages.column_renamed(column=own, written=name))
-        sources[name] = own
+        if name != user_name:
+            ledger.add(messages.column_renamed(column=user_name, written=name))
+        sources[name] = user_name
     return sources
 
 
@@ -475,6 +471,7 @@ def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
             batch = batch.slice(part.num_rows)
             if count == rows:
                 yield pa.Table.from_batches(waiting)
-                waiting, count = [], 0
+                waiting = []
+                count = 0
     if waiting:
         yield pa.Table.from_batches(waiting)

@@ -52,27 +52,36 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
     """
     if direction != "remove":
         return
-    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
-    folder = path if path.is_dir() else path.parent
-    sidecars = sorted(p for p in folder.glob(f"*{SIDECAR}") if p.is_file())
-    named = []
-    for sidecar in sidecars:
-        try:
-            items = json.loads(sidecar.read_text(encoding="utf-8"))["files"]
-            named += [(sidecar, str(item["name"]), str(item["sha256"])) for item in items]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            name = type(error).__name__
-            raise messages.sidecar_unreadable(where=sidecar, name=name) from None
-    by_content = {sha256: sidecar for sidecar, _, sha256 in named}
-    by_name = {name: sidecar for sidecar, name, _ in named}
+    folder = path.parent
+    files = [path]
+    if path.is_dir():
+        folder = path
+        files = sorted(file for file in path.iterdir() if file.is_file())
+    by_name, by_content = _marked_files(folder)
     for file in files:
-        digest = _sha256(file) if named else ""
+        digest = _sha256(file) if by_content else ""
         if digest in by_content:
             raise messages.corrected_by_sidecar(where=file, sidecar=by_content[digest].name)
         if _database_is_marked(file):
             raise messages.corrected_by_database(where=file, table=MARK_TABLE)
         if file.name in by_name:
             raise messages.marked_file_changed(where=file, name=by_name[file.name].name)
+
+
+def _marked_files(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
+    """The sidecars in a folder, by the names of the files that they mark, and by their hashes."""
+    by_name = {}
+    by_content = {}
+    sidecars = [file for file in folder.glob(f"*{SIDECAR}") if file.is_file()]
+    for sidecar in sorted(sidecars):
+        try:
+            for item in json.loads(sidecar.read_text(encoding="utf-8"))["files"]:
+                by_name[str(item["name"])] = sidecar
+                by_content[str(item["sha256"])] = sidecar
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            name = type(error).__name__
+            raise messages.sidecar_unreadable(where=sidecar, name=name) from None
+    return by_name, by_content
 
 
 def refuse_done(
@@ -84,16 +93,23 @@ def refuse_done(
     enough, and so is a column of our results without it: a CSV has no metadata. A sidecar may name
     it as any other file; a table in memory (``is_file`` False) has none.
     """
-    removing = direction == "remove"
-    mark = REFRACTION_REMOVED if removing else REFRACTION_APPLIED
-    word = "corrected" if removing else "displaced"
-    ours = [name for name in schema.names if name in (f"x_{word}_px", f"y_{word}_px")]
-    if (schema.metadata or {}).get(REFRACTION_KEY) == mark:
-        by_mark = messages.corrected_by_mark if removing else messages.displaced_by_mark
-        raise by_mark(where=path, mark=mark.decode())
-    if ours:
-        by_column = messages.corrected_by_column if removing else messages.displaced_by_column
-        raise by_column(where=path, column=ours[0])
+    metadata = schema.metadata or {}
+    mark = metadata.get(REFRACTION_KEY)
+    if direction == "remove":
+        done = REFRACTION_REMOVED
+        results = ("x_corrected_px", "y_corrected_px")
+        by_mark = messages.corrected_by_mark
+        by_column = messages.corrected_by_column
+    else:
+        done = REFRACTION_APPLIED
+        results = ("x_displaced_px", "y_displaced_px")
+        by_mark = messages.displaced_by_mark
+        by_column = messages.displaced_by_column
+    if mark == done:
+        raise by_mark(where=path, mark=done.decode())
+    for name in schema.names:
+        if name in results:
+            raise by_column(where=path, column=name)
     if is_file:
         refuse_marked(path, direction)
 
@@ -106,10 +122,10 @@ def _database_is_marked(path: Path) -> bool:
     query = f"SELECT value FROM {MARK_TABLE} WHERE key = ?"
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            found = database.execute(query, (REFRACTION_KEY.decode(),)).fetchone()
+            row = database.execute(query, (REFRACTION_KEY.decode(),)).fetchone()
     except sqlite3.DatabaseError:  # no such table, or damaged: for its reader to say
         return False
-    return bool(found == (REFRACTION_REMOVED.decode(),))
+    return bool(row == (REFRACTION_REMOVED.decode(),))
 
 
 def _sha256(path: Path) -> str:

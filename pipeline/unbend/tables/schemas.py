@@ -14,10 +14,15 @@ Columns = Mapping[str, tuple[pa.DataType, str, str]]
 """Type, unit and meaning of columns by their names, in their order."""
 
 _TYPES = {
-    "float64": pa.float64(), "float32": pa.float32(), "string": pa.string(), "int64": pa.int64(),
-    "int32": pa.int32(), "int16": pa.int16(), "binary": pa.binary(),
+    "float64": pa.float64(),
+    "float32": pa.float32(),
+    "string": pa.string(),
+    "int64": pa.int64(),
+    "int32": pa.int32(),
+    "int16": pa.int16(),
+    "binary": pa.binary(),
     "timestamp": pa.timestamp("ns", "UTC"),
-}  # fmt: skip
+}
 _TEXTS = tomllib.loads(files("unbend.tables").joinpath("data/columns.toml").read_text("utf-8"))
 
 
@@ -27,22 +32,29 @@ def columns_of(table: str) -> Columns:
     >>> columns_of("profile")["h_m"]
     (DataType(double), 'm', 'height above mean sea level')
     """
-    return {
-        name: (_TYPES[kind], unit, meaning.format_map(_TEXTS["notes"]))
-        for name, (kind, unit, meaning) in _TEXTS[table].items()
-    }
+    columns = {}
+    for name, (kind, unit, meaning) in _TEXTS[table].items():
+        text = meaning.format_map(_TEXTS["notes"])
+        columns[name] = (_TYPES[kind], unit, text)
+    return columns
+
+
+def _displaced_columns() -> Columns:
+    columns = dict[str, tuple[pa.DataType, str, str]]()
+    for name, column in OBSERVATION_COLUMNS.items():
+        if name in _TEXTS["displaced"]:
+            new_name, kind, *texts = _TEXTS["displaced"][name]
+            unit, meaning = texts
+            columns[new_name] = (_TYPES[kind], unit, meaning)
+        else:
+            columns[name] = column
+    return columns
 
 
 OBSERVATION_COLUMNS = columns_of("observations")
-STATION_COLUMNS, PROFILE_COLUMNS = columns_of("stations"), columns_of("profile")
-
-_DISPLACED = {
-    name: (new, (_TYPES[kind], unit, meaning))
-    for name, (new, kind, unit, meaning) in _TEXTS["displaced"].items()
-}
-DISPLACED_COLUMNS: Columns = dict(
-    _DISPLACED.get(name, (name, column)) for name, column in OBSERVATION_COLUMNS.items()
-)
+STATION_COLUMNS = columns_of("stations")
+PROFILE_COLUMNS = columns_of("profile")
+DISPLACED_COLUMNS = _displaced_columns()
 """Those of observations that were displaced, of which some have other names and meanings."""
 
 CONVENTIONS: Mapping[str, str] = _TEXTS["conventions"]
@@ -53,10 +65,13 @@ def schema_of(columns: Columns, extra: Mapping[str, str], users: Iterable[Any] =
 
     ``extra`` joins the metadata; ``users`` are the user's own columns, after ours.
     """
-    fields = [
-        pa.field(name, kind, metadata={"unit": unit, "meaning": meaning})
-        for name, (kind, unit, meaning) in columns.items()
-    ]
-    conventions = json.dumps(dict(CONVENTIONS), sort_keys=True)
-    ours = {"unbend.schema": SCHEMA_VERSION, "unbend.conventions": conventions}
-    return pa.schema([*fields, *users], metadata=ours | dict(extra))
+    fields = []
+    for name, (kind, unit, meaning) in columns.items():
+        texts = {"unit": unit, "meaning": meaning}
+        fields.append(pa.field(name, kind, metadata=texts))
+    metadata = {
+        "unbend.schema": SCHEMA_VERSION,
+        "unbend.conventions": json.dumps(dict(CONVENTIONS), sort_keys=True),
+        **extra,
+    }
+    return pa.schema([*fields, *users], metadata=metadata)

@@ -5,7 +5,7 @@ import zlib
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -17,12 +17,16 @@ from unbend.messages import Ledger
 from unbend.tables import messages
 from unbend.units import NANOSECONDS_PER_SECOND, Array
 
+if TYPE_CHECKING:
+    from scipy.io import netcdf_file
+
 # Room for decades of one station; a larger file is of another kind, and would fill memory.
 LARGEST_BYTES = 200_000_000
 _ZIP = b"PK\x03\x04"
 _LATEST_S = 7_258_118_400  # the year 2200
 
-_NETCDF3, _HDF5 = b"CDF", b"\x89HDF"
+_NETCDF3 = b"CDF"
+_HDF5 = b"\x89HDF"
 # Names of ARM's sondewnpn datastream: variable, quantity's unit.
 _VARIABLES = {"pres": "hpa", "tdry": "c", "dp": "c", "rh": "percent", "alt": "m"}
 
@@ -59,12 +63,17 @@ def read_sounding(
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError as error:
-            at = error.start
-            raise messages.sounding_not_utf8(where=path, byte=data[at], offset=at) from None
+            byte = data[error.start]
+            raise messages.sounding_not_utf8(where=path, byte=byte, offset=error.start) from None
         sounding = soundings.parse_sounding(
-            text, ledger, where=path.name, format_name=format_name, time_ns=time_ns,
-            latitude_rad=latitude_rad, station_h_m=station_h_m,
-        )  # fmt: skip
+            text,
+            ledger,
+            where=path.name,
+            format_name=format_name,
+            time_ns=time_ns,
+            latitude_rad=latitude_rad,
+            station_h_m=station_h_m,
+        )
     return sounding if sounding.station else replace(sounding, station=path.name)
 
 
@@ -130,25 +139,25 @@ def _netcdf(data: bytes, path: Path) -> soundings.RawLevels:
 
     try:
         with netcdf_file(BytesIO(data), "r", mmap=False) as file:
-            for missing in (name for name in _VARIABLES if name not in file.variables):
-                raise messages.sounding_variable_missing(where=path, variable=missing)
-            columns = {name: to_si(_column(file, name), unit) for name, unit in _VARIABLES.items()}
-            place = {
-                name: float(_column(file, name)[0]) if name in file.variables else math.nan
-                for name in ("lat", "lon")
-            }
-            start = int(file.variables["base_time"].getValue()) if (
-                "base_time" in file.variables) else None  # fmt: skip
-            offset = float(_column(file, "time_offset")[0]) if (
-                "time_offset" in file.variables) else 0.0  # fmt: skip
+            columns = {}
+            for name, unit in _VARIABLES.items():
+                if name not in file.variables:
+                    raise messages.sounding_variable_missing(where=path, variable=name)
+                columns[name] = to_si(_column(file, name), unit)
+            latitude_deg = _first_value(file, "lat", math.nan)
+            longitude_deg = _first_value(file, "lon", math.nan)
+            start = 0  # a fill value is no time, and none is none
+            if "base_time" in file.variables:
+                start = int(file.variables["base_time"].getValue())
+            offset = _first_value(file, "time_offset", 0.0)
     except (OSError, TypeError, ValueError, IndexError, AttributeError) as error:
         # What scipy raises on a damaged header, by what the damage hit.
         raise messages.sounding_damaged(where=path, error=str(error)) from None
-    release_ns = None  # a fill value is no time
-    if start is not None and 0 < start < _LATEST_S:
+    release_ns = None
+    if 0 < start < _LATEST_S:
         since = offset if math.isfinite(offset) else 0.0
         release_ns = round((start + since) * NANOSECONDS_PER_SECOND)
-    where_released = place_of_numbers(place["lat"], place["lon"])
+    where_released = place_of_numbers(latitude_deg, longitude_deg)
     return soundings.RawLevels(
         h_m=columns["alt"],
         pressure_pa=columns["pres"],
@@ -167,6 +176,16 @@ def _netcdf(data: bytes, path: Path) -> soundings.RawLevels:
     )
 
 
-def _column(file: Any, name: str) -> Array:
-    value = np.array(file.variables[name].data, dtype=np.float64)
-    return np.where(np.isin(value, FILLS) | ~(np.abs(value) <= LARGEST), np.nan, value)
+def _first_value(file: "netcdf_file", name: str, default: float) -> float:
+    """The first value of a variable, ``default`` where the file has none of that name."""
+    if name not in file.variables:
+        return default
+    return float(_column(file, name)[0])
+
+
+def _column(file: "netcdf_file", name: str) -> Array:
+    """The values of a variable; NaN for fill values, and beyond all that is measured."""
+    values = np.array(file.variables[name].data, dtype=np.float64)
+    is_fill = np.isin(values, FILLS)
+    is_possible = np.abs(values) <= LARGEST
+    return np.where(is_possible & ~is_fill, values, np.nan)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from unbend.errors import Code
 from unbend.flight.channels import TimeArray
@@ -34,12 +33,7 @@ from unbend.units import (
 from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, number_of
 from unbend.written_tables import BLANKS, columns_in_words, with_decimal_points
 
-Hashes = NDArray[np.uint64]
-
 _LEAST_SIMILAR = 0.5  # of names, by difflib: x_pix is 0.89 to x_px
-_FNV_BASIS = np.uint64(0xCBF29CE484222325)  # of FNV-1a with 64 bits
-_FNV_PRIME = np.uint64(0x100000001B3)
-_MIXING_FACTOR = np.uint64(0xD6E8FEB86659FD93)  # FNV-1a hardly changes the highest bits
 LINE_OF_FIRST_ROW = 2  # of a table in memory, as though its first line were its header
 _PUNCTUATION = re.compile(r"[^a-z0-9]")
 _ENDINGS_OF_HEMISPHERE = ("ref", "hemisphere", "hemi", "dir")
@@ -71,16 +65,18 @@ def text_table(
     of one name (the first of ``codes``), and one that lacks a column (the second).
     """
     of_names = {name for quantity, name in wanted.items() if quantity in _QUANTITIES_OF_NAMES}
-    table = unrepeated_table(path, codes[0], of_names)
-    stated = ((quantity, name, f"{key}.{quantity}") for quantity, name in wanted.items())
-    require_names(codes[1], path, table.columns.tolist(), stated)
+    table_code, column_code = codes
+    table = unrepeated_table(path, table_code, of_names)
+    stated = [(quantity, name, f"{key}.{quantity}") for quantity, name in wanted.items()]
+    require_names(column_code, path, table.columns.tolist(), stated)
     return table
 
 
 def unrepeated_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFrame:
     """As `whole_table`; refuses (``code``) a table with two columns of one name, too."""
     table = whole_table(path, code, of_names)
-    if repeated := _repeated(table.columns.tolist()):
+    repeated = _repeated(table.columns.tolist())
+    if repeated:
         why = f"the columns {repeated} occur twice"
         raise messages.csv_unreadable(code=code, where=path, error=why)
     return table
@@ -130,22 +126,30 @@ def _comments_between_rows(table: pd.DataFrame) -> Mask:
 
 
 def text_of_frame(
-    frame: pd.DataFrame, wanted: Mapping[str, str], name: str, *, codes: tuple[Code, Code], key: str
+    frame: pd.DataFrame,
+    wanted: Mapping[str, str],
+    name: str,
+    *,
+    codes: tuple[Code, Code],
+    key: str,
 ) -> pd.DataFrame:
     """The fields of a table in memory as `text_table` reads them; numbers keep all their digits."""
     names = [str(column) for column in frame.columns]
-    if repeated := _repeated(names):
-        raise messages.frame_columns_repeated(code=codes[0], where=name, columns=repeated)
-    stated = ((quantity, column, f"{key}.{quantity}") for quantity, column in wanted.items())
-    require_names(codes[1], Path(name), names, stated)
+    table_code, column_code = codes
+    repeated = _repeated(names)
+    if repeated:
+        raise messages.frame_columns_repeated(code=table_code, where=name, columns=repeated)
+    stated = [(quantity, column, f"{key}.{quantity}") for quantity, column in wanted.items()]
+    require_names(column_code, Path(name), names, stated)
     text = frame.astype(object).where(frame.notna(), "").map(str)
     text.index = pd.RangeIndex(len(text)) + LINE_OF_FIRST_ROW
     return text.set_axis(names, axis="columns")
 
 
 def _repeated(names: Sequence[str]) -> str:
-    """The names that stand there twice or more, sorted and with commas between them."""
-    return ", ".join(sorted({name for name in names if names.count(name) > 1}))
+    """The names that occur twice or more, sorted and with commas between them."""
+    repeated = {name for name in names if names.count(name) > 1}
+    return ", ".join(sorted(repeated))
 
 
 def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
@@ -154,9 +158,12 @@ def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> p
     >>> split_lines(["1 2,3", "4"], ["a", "b"], r"[ ,]").values.tolist()
     [['1', '2'], ['4', '']]
     """
-    rows = [re.split(separator, line.strip()) for line in lines]
-    fields = [(row + [""] * len(names))[: len(names)] for row in rows]
-    return pd.DataFrame(fields, columns=list(names), dtype=str)
+    missing = [""] * len(names)
+    rows = []
+    for line in lines:
+        fields = re.split(separator, line.strip()) + missing
+        rows.append(fields[: len(names)])
+    return pd.DataFrame(rows, columns=list(names), dtype=str)
 
 
 def numbers(text: "pd.Series[str]", largest: float = LARGEST_NUMBER) -> Array:
@@ -180,13 +187,21 @@ def stated_numbers(text: "pd.Series[str]") -> Array:
 def numbers_in_text(text: "pd.Series[str]") -> Array:
     """(n,) numbers of fields among which others are text; with decimal points or commas."""
     values = np.array(pd.to_numeric(text, errors="coerce"), np.float64)
-    for row in np.flatnonzero(text.str.contains(",", regex=False, na=False)).tolist():
+    has_comma = text.str.contains(",", regex=False, na=False)
+    for row in np.flatnonzero(has_comma).tolist():
         with suppress(ValueError):
             values[row] = number_of(text.iloc[row])
     return measured(values)
 
 
-def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code, *, quantity: str) -> Array:
+def degrees_of(
+    table: pd.DataFrame,
+    name: str,
+    path: Path,
+    code: Code,
+    *,
+    quantity: str,
+) -> Array:
     """(n,) a column of latitudes or longitudes [deg], as numbers or in degrees and minutes.
 
     A column of hemispheres beside it gives the signs. NaN where a field is empty; refuses
@@ -205,13 +220,14 @@ def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code, *, quanti
         except ValueError:
             unread.append(row)
     if unread:
+        first_row = unread[0]
         raise messages.fields_without_number(
             code=code,
             path=path,
-            line=int(table.index[unread[0]]),
+            line=int(table.index[first_row]),
             column=name,
             count=len(unread),
-            first=fields.iloc[unread[0]],
+            first=fields.iloc[first_row],
         )
     return degrees
 
@@ -222,11 +238,13 @@ def _hemispheres_of(table: pd.DataFrame, name: str, quantity: str) -> "pd.Series
     Its name is that of the angle with "ref", "hemisphere" or "dir" behind it, or N/S, E/W.
     """
     letters = LETTERS_OF_AXIS[quantity]
-    of_angle = _PUNCTUATION.sub("", name.lower())
-    known = {of_angle + ending for ending in _ENDINGS_OF_HEMISPHERE} | {letters.lower()}
+    name_of_angle = _PUNCTUATION.sub("", name.lower())
+    names_of_hemispheres = {letters.lower()}
+    for ending in _ENDINGS_OF_HEMISPHERE:
+        names_of_hemispheres.add(name_of_angle + ending)
     for column in table.columns:
-        called = _PUNCTUATION.sub("", str(column).lower())
-        if called not in known:
+        plain_name = _PUNCTUATION.sub("", str(column).lower())
+        if plain_name not in names_of_hemispheres:
             continue
         values = table[column].str.strip()
         filled = values[values != ""]
@@ -245,15 +263,16 @@ def numbers_of(
     """
     values = stated_numbers(table[name])
     is_stated = (table[name].str.strip() != "").to_numpy()
-    wrong = np.flatnonzero(is_stated & ~np.isfinite(values))
-    if wrong.size:
+    wrong_rows = np.flatnonzero(is_stated & ~np.isfinite(values))
+    if wrong_rows.size:
+        first_row = wrong_rows[0]
         raise messages.fields_without_number(
             code=code,
             path=path,
-            line=int(table.index[wrong[0]]),
+            line=int(table.index[first_row]),
             column=name,
-            count=wrong.size,
-            first=table[name].iloc[wrong[0]],
+            count=wrong_rows.size,
+            first=table[name].iloc[first_row],
         )
     lines = table.index.to_numpy()
     refuse_beyond(values, largest, path, code, column=name, lines=lines)
@@ -295,19 +314,22 @@ def angles_in_radians(
     ``key`` is the mission file's for the unit; ``lines`` (n,) are those of the rows.
     """
     turn = {name: 2.0 * np.pi / size for name, size in RADIANS.items()}
-    beyond = (np.abs(given) > turn[unit] * (1.0 + 1e-6)).any(axis=1)
-    if not bool(beyond.any()):
+    size = np.abs(given)
+    is_beyond = (size > turn[unit] * (1.0 + 1e-6)).any(axis=1)
+    if not bool(is_beyond.any()):
         return given * RADIANS[unit]
-    worst = float(np.nanmax(np.abs(given)))
+    largest = float(np.nanmax(size))
+    likely_units = [name for name in turn if largest <= turn[name]]
+    first_row = int(np.argmax(is_beyond))
     raise messages.angles_beyond_turn(
         code=code,
         path=path,
-        line=int(lines[int(np.argmax(beyond))]),
-        count=int(beyond.sum()),
+        line=int(lines[first_row]),
+        count=int(is_beyond.sum()),
         turn=turn[unit],
         unit=unit,
-        largest=worst,
-        likely=next((other for other in turn if worst <= turn[other]), ""),
+        largest=largest,
+        likely=likely_units[0] if likely_units else "",
         key=key,
     )
 
@@ -325,8 +347,9 @@ def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray
     time_ns = np.where(good, stamps.to_numpy("datetime64[ns]").astype(np.int64), 0)
     good = good & can_be_flown(time_ns)
     if system == "gpst":
-        week, rest = np.divmod(time_ns - UNIX_NS_OF_GPS_EPOCH, _WEEK_NS)
-        time_ns = utc_of_gps(week, rest / 1e9)
+        since_epoch_ns = time_ns - UNIX_NS_OF_GPS_EPOCH
+        week, ns_of_week = np.divmod(since_epoch_ns, _WEEK_NS)
+        time_ns = utc_of_gps(week, ns_of_week / 1e9)
     return time_ns, good
 
 
@@ -337,13 +360,16 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     """
     is_whole = week == np.floor(week)
     is_week = is_whole & (week >= 0) & (week <= _MOST_WEEKS)
-    known = is_week & (seconds >= 0.0) & (seconds <= _MOST_SECONDS)
-    whole_weeks = whole_numbers(np.where(known, week, 0), 0, _MOST_WEEKS)
-    seconds = np.where(known, seconds, 0.0)
+    is_second = (seconds >= 0.0) & (seconds <= _MOST_SECONDS)
+    is_time = is_week & is_second
+    whole_weeks = whole_numbers(np.where(is_time, week, 0), 0, _MOST_WEEKS)
+    seconds = np.where(is_time, seconds, 0.0)
     if system == "gpst":
-        return np.where(known, utc_of_gps(whole_weeks, seconds), 0)
-    start = UNIX_NS_OF_GPS_EPOCH + whole_weeks * _WEEK_NS
-    return np.where(known, start + np.rint(seconds * 1e9).astype(np.int64), 0)
+        time_ns = utc_of_gps(whole_weeks, seconds)
+    else:
+        start_ns = UNIX_NS_OF_GPS_EPOCH + whole_weeks * _WEEK_NS
+        time_ns = start_ns + np.rint(seconds * 1e9).astype(np.int64)
+    return np.where(is_time, time_ns, 0)
 
 
 def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeArray, Mask]:
@@ -353,7 +379,8 @@ def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeA
     """
     if "time_utc" in names:
         return utc_of_dates(table[names["time_utc"]])
-    week, seconds = (numbers(table[names[part]]) for part in ("gps_week", "gps_seconds"))
+    week = numbers(table[names["gps_week"]])
+    seconds = numbers(table[names["gps_seconds"]])
     is_whole = week == np.floor(week)
     good = np.isfinite(week) & np.isfinite(seconds) & is_whole
     good &= week >= FIRST_WEEK_OF_SURVEYS
@@ -364,34 +391,11 @@ def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeA
     return time_ns, good & can_be_flown(time_ns)
 
 
-def hashes_of(names: pa.StringArray) -> Hashes:
-    """(n,) 64 bits of each name, the same for the same name anywhere; null as an empty name.
-
-    FNV-1a, letter by letter over all names (100 ns a name), and its bits mixed.
-    """
-    _, offsets, data = names.buffers()
-    begin = np.frombuffer(offsets, np.int32, len(names) + 1, 4 * names.offset)
-    text = np.frombuffer(data or b"\0", np.uint8)
-    length = np.diff(begin)
-    bits = np.full(len(names), _FNV_BASIS, np.uint64)
-    for k in range(length.max(initial=0)):
-        rows = np.flatnonzero(length > k)
-        letter = text[begin[rows] + k]
-        bits[rows] = (bits[rows] ^ letter) * _FNV_PRIME
-    bits = (bits ^ (bits >> np.uint64(32))) * _MIXING_FACTOR
-    return np.asarray(bits ^ (bits >> np.uint64(32)))
-
-
-def rows_among(hashes: Hashes, wanted: Hashes) -> NDArray[np.int64]:
-    """The rows whose hash is a wanted one; by their last 20 bits first, which leaves few."""
-    maybe, mask = np.zeros(1 << 20, np.bool_), np.uint64((1 << 20) - 1)  # fits into a cache
-    maybe[wanted & mask] = True
-    rows = np.flatnonzero(maybe[hashes & mask])
-    return rows[np.isin(hashes[rows], wanted)]
-
-
 def require_names(
-    code: Code, path: Path, there: Sequence[str], wanted: Iterable[tuple[str, str, str]]
+    code: Code,
+    path: Path,
+    there: Sequence[str],
+    wanted: Iterable[tuple[str, str, str]],
 ) -> None:
     """Refuse a table that lacks a column, with the name it may have been meant to be.
 
@@ -419,16 +423,22 @@ is image, x_pix
             )
 
 
-def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[tuple[str, str, str]]) -> None:
+def require_columns(
+    path: Path,
+    schema: pa.Schema,
+    wanted: Sequence[tuple[str, str, str]],
+) -> None:
     """Refuse a table that lacks a column or has two of one name, and one column for two quantities.
 
     ``wanted`` : quantities, the user's names of their columns, which have to hold text or numbers,
     and the keys of the mission file for these.
     """
-    names = [name for _, name, _ in wanted]
-    if repeated := _repeated(schema.names):
+    repeated = _repeated(schema.names)
+    if repeated:
         raise messages.columns_repeated(where=path, twice=repeated)
-    if shared := sorted({name for name in names if names.count(name) > 1}):
+    names = [name for _, name, _ in wanted]
+    shared = sorted({name for name in names if names.count(name) > 1})
+    if shared:
         raise messages.column_named_twice(where=path, shared=shared[0])
     require_names(messages.OBS_COLUMN, path, schema.names, wanted)
     for quantity, name, _ in wanted:
@@ -448,8 +458,12 @@ def is_text(kind: Any) -> bool:
 def is_number(kind: Any) -> bool:
     """Whether an Arrow type is a number or null throughout, a dictionary of these included."""
     kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-    numbers = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_null)
-    return any(is_such(kind) for is_such in numbers)
+    return bool(
+        pa.types.is_floating(kind)
+        or pa.types.is_integer(kind)
+        or pa.types.is_decimal(kind)
+        or pa.types.is_null(kind)
+    )
 
 
 def refuse_other_pixels(
@@ -459,12 +473,18 @@ def refuse_other_pixels(
 
     ``columns`` : x_px, y_px -> the name of the column that is to be read.
     """
-    due, content = "displaced", "ideal"
+    due = "displaced"
+    content = "ideal"
     if direction == "apply":
-        due, content = "corrected", "as measured"
+        due = "corrected"
+        content = "as measured"
     for role in ("x_px", "y_px"):
         right = f"{role[0]}_{due}_px"
         if right in schema.names and columns[role] == role:
             raise messages.other_pixels(
-                where=path, role=role, right=right, content=content, direction=direction
+                where=path,
+                role=role,
+                right=right,
+                content=content,
+                direction=direction,
             )

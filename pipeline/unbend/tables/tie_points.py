@@ -1,6 +1,6 @@
 """Points that two or more images show, drawn from a table of observations of any size."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from unbend.block.image_rays import ImageRays
 from unbend.refraction.camera.camera import Camera
-from unbend.tables.observations import Observations
-from unbend.tables.text_columns import hashes_of
-from unbend.units import Array
+from unbend.tables.name_hashes import hashes_of
+from unbend.tables.observations import Batch, Observations
+from unbend.units import Array, Integers
 
 MOST_TIE_POINTS = 2000  # that serve all that is decided by intersection
 _MOST_ROWS = 20_000_000  # read in some seconds; the rest of a larger table is not looked at
@@ -43,54 +43,136 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
     The same table gives the same points, whatever the order of its rows. Of more than 200,000 rows
     those of one point in k are kept, by the hash of its name; 20 million rows are read at most.
     """
-    every = np.uint64(max(1, min(observations.rows, _MOST_ROWS) // _ROWS_KEPT))
-    lowest = np.iinfo(np.uint64).max // every
-    batch = observations.of_points(lambda hashes: np.flatnonzero(hashes <= lowest), _MOST_ROWS)
-    given = np.nan if batch.ground is None else batch.ground
-    # Numbers in the order of names: a table of text takes ten times as long to be sorted.
-    image = pd.Index(observations.images).get_indexer(pd.Index(batch.image.to_pandas()))
-    point = hashes_of(batch.point)
-    columns = {"image": image, "point": point, "x": batch.x_px, "y": batch.y_px, "ground": given}
-    table = pd.DataFrame(columns)
-    known = (image >= 0) & batch.point.is_valid().to_numpy(zero_copy_only=False)
-    table = table[known].dropna(subset=["x", "y"])
-    again = table.index[table.duplicated(["image", "point"])]
-    repeated = tuple(f"{batch.point[row]} in {batch.image[row]}" for row in again.tolist())
-    table = table.drop(again)
-    table = table[table.groupby("point")["image"].transform("size") > 1]
-    # In the order of hashes, the first point of an image comes before the second of any.
+    batch = observations.of_points(_hash_filter(observations.rows), _MOST_ROWS)
+    table = _numbered_rows(batch, observations.images)
+    has_point = batch.point.is_valid().to_numpy(zero_copy_only=False)
+    has_image = table["image"] >= 0
+    table = table[has_image & has_point]
+    table = table.dropna(subset=["x", "y"])
+    repeats = table.index[table.duplicated(["image", "point"])]
+    table = table.drop(repeats)
+    table = _spread_points(table, most)
+    table = _few_rays_a_point(table)
+    _, point = np.unique(
+        table["point"].to_numpy(),
+        return_inverse=True,
+    )
+    return TiePoints(
+        images=observations.images,
+        image=table["image"].to_numpy(np.int64),
+        point=point.astype(np.int64),
+        x_px=table["x"].to_numpy(),
+        y_px=table["y"].to_numpy(),
+        ground=table["ground"].to_numpy(),
+        repeated=tuple(f"{batch.point[row]} in {batch.image[row]}" for row in repeats.tolist()),
+    )
+
+
+def _hash_filter(rows: int) -> Callable[[NDArray[np.uint64]], Integers]:
+    """Which hashes of names are kept of a table of so many rows: those below a limit."""
+    rows_read = min(rows, _MOST_ROWS)
+    one_in = np.uint64(max(1, rows_read // _ROWS_KEPT))
+    largest_kept = np.iinfo(np.uint64).max // one_in
+
+    def kept(hashes: NDArray[np.uint64]) -> Integers:
+        return np.flatnonzero(hashes <= largest_kept)
+
+    return kept
+
+
+def _numbered_rows(batch: Batch, images: tuple[str, ...]) -> pd.DataFrame:
+    """Image (row of ``images``, -1 for another), hash of the point, pixels, height of the ground.
+
+    Numbers in the order of names: a table of text takes ten times as long to be sorted.
+    """
+    image_names = pd.Index(batch.image.to_pandas())
+    return pd.DataFrame(
+        {
+            "image": pd.Index(images).get_indexer(image_names),
+            "point": hashes_of(batch.point),
+            "x": batch.x_px,
+            "y": batch.y_px,
+            "ground": np.nan if batch.ground is None else batch.ground,
+        }
+    )
+
+
+def _spread_points(table: pd.DataFrame, most: int) -> pd.DataFrame:
+    """Rows of up to ``most`` points of two images or more, sorted by point and image.
+
+    In the order of hashes, the first point of an image comes before the second of any.
+    """
+    images_of_point = table.groupby("point")["image"].transform("size")
+    table = table[images_of_point > 1]
     table = table.sort_values(["point", "image"])
-    place = table.groupby("image").cumcount()
-    first = place.groupby(table["point"]).min().sort_values(kind="stable").index[:most]
-    table = table[table["point"].isin(first)]
-    drawn = table.sample(frac=1.0, random_state=0).groupby("point").cumcount() < _MOST_RAYS
-    table = table[drawn.reindex(table.index)]
-    number = np.unique(table["point"].to_numpy(), return_inverse=True)[1].astype(np.int64)
-    x, y, height = (table[name].to_numpy() for name in ("x", "y", "ground"))
-    shown = table["image"].to_numpy(np.int64)
-    return TiePoints(observations.images, shown, number, x, y, height, repeated)
+    place_in_image = table.groupby("image").cumcount()
+    place_of_point = place_in_image.groupby(table["point"]).min()
+    first_points = place_of_point.sort_values(kind="stable").index[:most]
+    return table[table["point"].isin(first_points)]
+
+
+def _few_rays_a_point(table: pd.DataFrame) -> pd.DataFrame:
+    """Up to four rows of each point, drawn at random with a fixed seed, in the order they had."""
+    shuffled = table.sample(frac=1.0, random_state=0)
+    is_drawn = shuffled.groupby("point").cumcount() < _MOST_RAYS
+    return table[is_drawn.reindex(table.index)]
 
 
 def tie_rays(
-    ties: TiePoints, image: NDArray[np.object_], camera_of: NDArray[np.object_], cameras:
-    Mapping[str, Camera], axes: Mapping[str, str] | None = None,
-) -> ImageRays:  # fmt: skip
+    ties: TiePoints,
+    image: NDArray[np.object_],
+    camera_of: NDArray[np.object_],
+    cameras: Mapping[str, Camera],
+    axes: Mapping[str, str] | None = None,
+) -> ImageRays:
     """The rays of tie points that two or more of some images show, and their given heights.
 
     ``image`` and ``camera_of`` (k,) name the images, to whose rows the rays refer, and their
     cameras; ``axes`` are those of a camera's pixels, x and y ``exchanged`` or y ``upward``, where
     they are not as stated. The rays are apparent ones (see `straightened`).
     """
-    row_of = {name: row for row, name in enumerate(image.tolist())}
-    row = np.array([row_of.get(name, -1) for name in ties.images], np.int64)[ties.image]
-    direction, sigma = np.full((row.size, 3), np.nan), np.full(row.size, np.nan)
+    row_of_name = {name: row for row, name in enumerate(image.tolist())}
+    row_of_image = [row_of_name.get(name, -1) for name in ties.images]
+    row = np.array(row_of_image, np.int64)[ties.image]
+    direction = np.full((row.size, 3), np.nan)
+    sigma = np.full(row.size, np.nan)
     for name, camera in cameras.items():
-        rows = np.flatnonzero(np.append(camera_of == name, False)[row])
-        x, y, read = ties.x_px[rows], ties.y_px[rows], (axes or {}).get(name)
-        y = camera.height_px - y if read == "upward" else y
-        u, v, _ = camera.rays(*((y, x) if read == "exchanged" else (x, y)))
-        direction[rows], sigma[rows] = np.stack([u, v, np.ones(u.size)], 1), 1.0 / camera.fx_px
+        # The last element, to which -1 points, stands for images that are not among these.
+        is_of_camera = np.append(camera_of == name, False)
+        points_of_camera = np.flatnonzero(is_of_camera[row])
+        direction[points_of_camera] = camera_directions(
+            camera,
+            ties.x_px[points_of_camera],
+            ties.y_px[points_of_camera],
+            axes.get(name) if axes else None,
+        )
+        sigma[points_of_camera] = 1.0 / camera.fx_px
     seen = np.flatnonzero(np.isfinite(sigma))
-    seen = seen[np.bincount(ties.point[seen], minlength=1)[ties.point[seen]] > 1]
-    direction = direction[seen] / np.linalg.norm(direction[seen], axis=1)[:, None]
-    return ImageRays(row[seen], ties.point[seen], direction, sigma[seen], ties.ground[seen])
+    rays_of_point = np.bincount(ties.point[seen], minlength=1)
+    seen = seen[rays_of_point[ties.point[seen]] > 1]
+    length = np.linalg.norm(direction[seen], axis=1)
+    return ImageRays(
+        row[seen],
+        ties.point[seen],
+        direction[seen] / length[:, None],
+        sigma[seen],
+        ties.ground[seen],
+    )
+
+
+def camera_directions(
+    camera: Camera,
+    x_px: Array,
+    y_px: Array,
+    axes: str | None,
+) -> Array:
+    """(n, 3) directions (u, v, 1) of pixels; ``axes`` as `tie_rays` takes them for one camera."""
+    if axes == "upward":
+        y_px = camera.height_px - y_px
+    elif axes == "exchanged":
+        x_px, y_px = y_px, x_px
+    u, v, _ = camera.rays(x_px, y_px)
+    return np.stack(
+        [u, v, np.ones(u.size)],
+        axis=1,
+    )

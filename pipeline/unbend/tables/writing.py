@@ -55,16 +55,18 @@ def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
     rows = len(next(iter(columns.values())))
     arrays = []
     for item in schema:
-        values, gaps = columns.get(item.name), True
+        values = columns.get(item.name)
+        has_gaps = True
         if isinstance(values, np.ndarray) and values.dtype.kind == "f":
             # Most columns have no gap, some nothing else: a look takes less than a bit a row.
-            missing = np.isnan(values)
-            gaps = bool(missing.any())
-            values = None if gaps and bool(missing.all()) else values
+            is_missing = np.isnan(values)
+            has_gaps = bool(is_missing.any())
+            if has_gaps and bool(is_missing.all()):
+                values = None
         if values is None:
             values = pa.nulls(rows, item.type)
         if not isinstance(values, pa.Array):
-            values = pa.array(values, item.type, from_pandas=gaps)
+            values = pa.array(values, item.type, from_pandas=has_gaps)
         arrays.append(values)
     return pa.table(arrays, schema=schema)
 
@@ -75,8 +77,8 @@ def table_of_observations(
     """The output rows of a batch, in the pixel system of the table that it was read from."""
     x = pixels.from_colmap(corrections.x_corrected_px)
     y = pixels.from_colmap(corrections.y_corrected_px)
-    names, sigmas = pa.array(STATUS_NAMES), corrections.sigmas
-    spread = {} if sigmas is None else sigmas.named()
+    names = pa.array(STATUS_NAMES)
+    sigmas = {} if corrections.sigmas is None else corrections.sigmas.named()
     columns = {
         "image": batch.image,
         "point": batch.point,
@@ -92,7 +94,7 @@ def table_of_observations(
         "h_g_m": h_g,
         "status": names.take(pa.array(corrections.status)),
     }
-    return table_of(columns | spread | batch.users, schema)
+    return table_of(columns | sigmas | batch.users, schema)
 
 
 PROFILE_ID = "flight"  # of the one profile of a flight; of several, flight-001 and so on
@@ -101,20 +103,33 @@ PROFILE_ID = "flight"  # of the one profile of a flight; of several, flight-001 
 def profile_ids(series: ProfileSeries) -> list[str]:
     """Names of the profiles along a flight, in the order of time."""
     count = len(series.timed_profiles)
-    return [PROFILE_ID] if count == 1 else [f"{PROFILE_ID}-{i + 1:03d}" for i in range(count)]
+    if count == 1:
+        return [PROFILE_ID]
+    return [f"{PROFILE_ID}-{number:03d}" for number in range(1, count + 1)]
 
 
 def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
     """``stations.parquet``, which is GeoParquet: points in EPSG:4979."""
     columns = station_columns(stations)
-    places = (columns[name] for name in ("lon_deg", "lat_deg", "h_ellipsoid_m"))
-    columns["geometry"] = points_wkb(*places)
+    columns["geometry"] = points_wkb(
+        columns["lon_deg"],
+        columns["lat_deg"],
+        columns["h_ellipsoid_m"],
+    )
     ids = np.array(profile_ids(series), dtype=object)[series.profile_number]
     ids[~stations.ok] = None
     columns["profile_id"] = ids
-    system = json.loads(files("unbend.tables").joinpath("data/wgs84_3d.json").read_text("utf-8"))
-    described = {"encoding": "WKB", "geometry_types": ["Point", "Point Z"], "crs": system}
-    geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": described}}
+    system = files("unbend.tables").joinpath("data/wgs84_3d.json").read_text("utf-8")
+    geometry = {
+        "encoding": "WKB",
+        "geometry_types": ["Point", "Point Z"],
+        "crs": json.loads(system),
+    }
+    geo = {
+        "version": "1.1.0",
+        "primary_column": "geometry",
+        "columns": {"geometry": geometry},
+    }
     return table_of(columns, schema_of(STATION_COLUMNS, {"geo": json.dumps(geo)}))
 
 
@@ -130,8 +145,10 @@ def table_of_profiles(
     adjustment: "Adjustment", series: ProfileSeries, heights: ArrayLike | None = None
 ) -> pa.Table:
     """``profile.parquet``: the profiles along a flight, one after the other."""
-    named = zip(profile_ids(series), series.timed_profiles, strict=True)
-    return pa.concat_tables(table_of_profile(adjustment, n, heights, air) for n, air in named)
+    tables = []
+    for profile_id, air in zip(profile_ids(series), series.timed_profiles, strict=True):
+        tables.append(table_of_profile(adjustment, profile_id, heights, air))
+    return pa.concat_tables(tables)
 
 
 def table_of_profile(
@@ -165,7 +182,8 @@ def table_of_profile(
     if covariance is not None:
         columns["sigma_temperature_k"] = covariance.sigma_temperature(h)
         columns["sigma_refractivity"] = covariance.sigma_refractivity(h)
-    gravity, latitude = profile.gravity, profile.gravity.latitude_rad
+    gravity = profile.gravity
+    latitude = gravity.latitude_rad
     extra = {
         "unbend.basis": adjustment.basis,
         "unbend.reason": adjustment.reason,
@@ -189,7 +207,8 @@ def parquet_settings(schema: pa.Schema) -> dict[str, Any]:
 
     A dictionary of measured numbers is longer than they are, and zstd finds nothing in them.
     """
-    floats = [f.name for f in schema if f.type in (pa.float32(), pa.float64())]
+    float_types = (pa.float32(), pa.float64())
+    floats = [column.name for column in schema if column.type in float_types]
     return {
         "compression": "lz4",
         "use_byte_stream_split": floats,

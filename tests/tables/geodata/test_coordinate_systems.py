@@ -156,11 +156,16 @@ def test_the_network_of_proj_changes_nothing(monkeypatch):
     assert (notes_again, again.lat_rad, again.lon_rad) == (notes, places.lat_rad, places.lon_rad)
 
 
-def test_two_modules_use_pyproj():
-    """One brings places to WGS 84, the other from there."""
+def test_three_modules_use_pyproj():
+    """Two bring places to WGS 84, one of them those of earth-centred axes; the third from there."""
     package = Path(unbend.__file__).parent
     at_start = re.compile(r"^\s*(import|from) pyproj", re.M)
     users = [path.name for path in package.rglob("*.py") if at_start.search(path.read_text())]
     # One lists the files of its grids, another only loads it, before ecCodes.
     assert sorted(users) == [
-        "coordinate_systems.py", "fingerprint.py", "map_grids.py", "weather_files.py"]  # fmt: skip
+        "coordinate_systems.py",
+        "fingerprint.py",
+        "geocentric_datums.py",
+        "map_grids.py",
+        "weather_files.py",
+    ]

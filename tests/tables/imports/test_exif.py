@@ -16,10 +16,10 @@ from unbend.errors import InputError
 from unbend.messages import Ledger
 from unbend.tables.imports.exif import (
     NO_TIME,
-    parse_time,
     read_gimbal_orientations,
     read_image_times,
 )
+from unbend.tables.imports.image_stamps import parse_time
 from unbend.tables.imports.stated import Stated
 
 EXIF, GPS = 0x8769, 0x8825

@@ -13,7 +13,7 @@ from unbend.tables.imports import TRAJECTORIES, format_of
 from unbend.tables.imports.rtklib import read_pos
 from unbend.tables.imports.sbet import read_sbet
 from unbend.tables.imports.stated import Stated
-from unbend.tables.imports.user_tables import read_trajectory_csv
+from unbend.tables.imports.user_trajectories import read_trajectory_csv
 
 GPST = Stated(time_system="gpst", heights="ellipsoid")
 WEEK = 2417

@@ -19,12 +19,8 @@ from unbend.stages.flight_log import FlightLog
 from unbend.stages.messages import no_events
 from unbend.stages.multi_image import messages
 from unbend.stages.opened_inputs import BlockPoints, OpenedInputs
-from unbend.tables.geodata.coordinate_systems import (
-    GeocentricDatum,
-    frame_of_datum,
-    kind_of_system,
-    places_of,
-)
+from unbend.tables.geodata.coordinate_systems import kind_of_system, places_of
+from unbend.tables.geodata.geocentric_datums import GeocentricDatum, frame_of_datum
 from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.exif import ImageTimes
 from unbend.tables.imports.user_tables import OrientationTable

@@ -30,8 +30,8 @@ from unbend.stages.multi_image.block_frames import block_points
 from unbend.stages.opened_inputs import ObjectPointTable, OpenedInputs
 from unbend.tables.geodata.coordinate_systems import places_of
 from unbend.tables.geodata.object_points import ObjectPoints, matching_rows
+from unbend.tables.name_hashes import hashes_of, rows_among
 from unbend.tables.observations import Batch, Observations
-from unbend.tables.text_columns import hashes_of, rows_among
 from unbend.units import WGS84_A, Array, Integers
 
 STEEPEST = 20.0  # flying heights: points farther away are seen at more than 87 deg

@@ -7,16 +7,17 @@ changed. Written as documented; BINGO itself was not there to read it.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
 from unbend.messages import Ledger
+from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import messages
 from unbend.tables.exports.export_frames import ExportFrame, PixelFrame
-from unbend.tables.exports.exported_block import block_of
+from unbend.tables.exports.exported_block import ExportedBlock, block_of
 from unbend.tables.exports.format import (
     PIXEL_UM,
     ExportFormat,
@@ -26,6 +27,7 @@ from unbend.tables.exports.format import (
     pixel_mm,
     write_csv_stream,
 )
+from unbend.units import Array
 
 _LONGEST = 15
 
@@ -55,30 +57,54 @@ def short_names(names: Sequence[str], kind: str) -> list[str]:
 def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) -> int:
     """image.dat, and names.csv where names were changed."""
     block = block_of(run, ledger, intersect=False)
-    given = {"image": [*block.image], "camera": [*block.cameras], "point": block.name.to_pylist()}
-    short = {kind: short_names(names, kind) for kind, names in given.items()}
-    sizes = [pixel_mm(run, name, values) for name in block.cameras]
-    for name in [name for name, size in zip(block.cameras, sizes, strict=True) if np.isnan(size)]:
-        raise messages.pixel_size_unknown(where="--pixel-um", name=name)
+    names = {
+        "image": [*block.image],
+        "camera": [*block.cameras],
+        "point": block.name.to_pylist(),
+    }
+    short = {kind: short_names(names_of_kind, kind) for kind, names_of_kind in names.items()}
+    sizes_mm = [pixel_mm(run, name, values) for name in block.cameras]
+    for name, size_mm in zip(block.cameras, sizes_mm, strict=True):
+        if np.isnan(size_mm):
+            raise messages.pixel_size_unknown(where="--pixel-um", name=name)
     turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), values["quarter_turns"])
     with (folder / "image.dat").open("w", encoding="utf-8") as file:
         for i, camera, here in block.images():
-            x = block.x_px[here] - 0.5 * camera.width_px
-            y = 0.5 * camera.height_px - block.y_px[here]
-            xy = turn @ np.stack([x, y]) * sizes[block.camera[i]]
-            file.write(f"{short['image'][i]} {short['camera'][block.camera[i]]}\n")
-            for p, x, y in zip(block.point[here], *xy, strict=True):
-                file.write(f"{short['point'][p]} {x:.7f} {y:.7f}\n")
+            number = block.camera[i]
+            x_mm, y_mm = turn @ _from_middle_px(block, camera, here) * sizes_mm[number]
+            file.write(f"{short['image'][i]} {short['camera'][number]}\n")
+            for point, x, y in zip(block.point[here], x_mm, y_mm, strict=True):
+                file.write(f"{short['point'][point]} {x:.7f} {y:.7f}\n")
             file.write("-99\n")
-    rows = [
-        {"kind": kind, "written": written, "name": name}
-        for kind, names in given.items()
-        for written, name in zip(short[kind], names, strict=True) if written != name
-    ]  # fmt: skip
-    if rows:
-        table = pa.Table.from_pylist(rows)
+    changed = _changed_names(names, short)
+    if changed:
+        table = pa.Table.from_pylist(changed)
         write_csv_stream(folder / "names.csv", table.schema, [table])
     return int(block.point.size)
+
+
+def _from_middle_px(
+    block: ExportedBlock,
+    camera: Camera,
+    here: slice,
+) -> Array:
+    """(2, n) x to the right and y up [px] of image points of a camera, from its middle."""
+    right_px = block.x_px[here] - 0.5 * camera.width_px
+    up_px = 0.5 * camera.height_px - block.y_px[here]
+    return np.stack([right_px, up_px])
+
+
+def _changed_names(
+    names: Mapping[str, list[str]],
+    short: Mapping[str, list[str]],
+) -> list[dict[str, str]]:
+    """The names that are written otherwise, one row each: kind, as written, and the name."""
+    rows = []
+    for kind, names_of_kind in names.items():
+        for written, name in zip(short[kind], names_of_kind, strict=True):
+            if written != name:
+                rows.append({"kind": kind, "written": written, "name": name})
+    return rows
 
 
 _AXES_BY_TURNS = (("right", "up"), ("up", "left"), ("left", "down"), ("down", "right"))

@@ -9,12 +9,15 @@ of COLMAP's. Points that were measured in one image only are left out.
 """
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from unbend.messages import Ledger
 from unbend.refraction.camera import model_of
+from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import messages
 from unbend.tables.exports.export_frames import (
     PHOTOGRAMMETRIC,
@@ -23,57 +26,97 @@ from unbend.tables.exports.export_frames import (
     angles_of_block,
     block_positions,
 )
-from unbend.tables.exports.exported_block import block_of, ideal_coordinates, refuse_names
+from unbend.tables.exports.exported_block import (
+    ExportedBlock,
+    block_of,
+    ideal_coordinates,
+    refuse_names,
+)
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
+from unbend.units import Array, Integers
 
 
 def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
     """bundle.out (v0.3), list.txt with the images in its order, calibration.json."""
     block = block_of(run, ledger)
     refuse_names(block.image, r"[\s\"]", "Bundler")
-    cameras = list(block.cameras.values())
-    xy = np.full((block.point.size, 2), np.nan)
-    for _i, own, here in block.images():
-        u, v = ideal_coordinates(own, block.x_px[here], block.y_px[here])
-        xy[here] = np.stack([own.fx_px * u, -own.fx_px * v], axis=1)
-    seen = np.isfinite(xy[:, 0])
-    count = np.bincount(block.point[seen], minlength=block.count.size)
-    missing = int(np.sum(~seen | (count[block.point] < 2)))
-    if missing:
-        ledger.add(messages.points_left_out(where="observations", count=missing))
-    to_bundler = np.diag([1.0, -1.0, -1.0])
-    order, begin, images = block.of_points()
-    tied = np.flatnonzero(count > 1)
+    xy = _centred_points(block)
+    is_seen = np.isfinite(xy[:, 0])
+    views_of_point = np.bincount(block.point[is_seen], minlength=block.count.size)
+    is_left_out = ~is_seen | (views_of_point[block.point] < 2)
+    left_out = int(np.sum(is_left_out))
+    if left_out:
+        ledger.add(messages.points_left_out(where="observations", count=left_out))
+    tied = np.flatnonzero(views_of_point > 1)
     with (folder / "bundle.out").open("w", encoding="utf-8") as file:
         file.write(f"# Bundle file v0.3\n{block.image.size} {tied.size}\n")
-        for camera, turn, move in zip(block.camera, block.rotation, block.moved_m, strict=True):
-            rows = [[cameras[camera].fx_px, 0.0, 0.0], *to_bundler @ turn, to_bundler @ move]
-            file.writelines(" ".join(repr(float(n)) for n in row) + "\n" for row in rows)
-        for p in tied:
-            views = [
-                f"{image} {row - block.first[image]} {xy[row, 0]!s} {xy[row, 1]!s}"
-                for row, image in zip(order[begin[p] : begin[p + 1]],
-                                      images[begin[p] : begin[p + 1]], strict=True) if seen[row]
-            ]  # fmt: skip
-            place = " ".join(map(str, block.point_m[p]))
-            file.write(f"{place}\n128 128 128\n{len(views)} {' '.join(views)}\n")
+        file.writelines(_lines_of_cameras(block))
+        file.writelines(_lines_of_points(block, xy, tied))
     (folder / "list.txt").write_text("\n".join(block.image) + "\n", encoding="utf-8")
-    calibrations = {
-        name: {
-            "written": {"f_px": camera.fx_px, "k1": 0.0, "k2": 0.0, "cx_px": 0.0, "cy_px": 0.0},
-            "taken_with": {key: getattr(camera, key) for key in camera.__dataclass_fields__}
-            | {
-                "model": model_of(type(camera.distortion)).__name__.rpartition(".")[2],
-                "distortion": camera.distortion._asdict(),
-                "pixel_origin": "corner",
-            },
-            "images": block.image[block.camera == number].tolist(),
-        }
-        for number, (name, camera) in enumerate(block.cameras.items())
-    }
+    calibrations = {}
+    for number, (name, camera) in enumerate(block.cameras.items()):
+        images = block.image[block.camera == number].tolist()
+        calibrations[name] = _calibration(camera, images)
     text = json.dumps(calibrations, indent=1) + "\n"
     (folder / "calibration.json").write_text(text, encoding="utf-8")
-    return int(block.point.size) - missing
+    return int(block.point.size) - left_out
+
+
+def _centred_points(block: ExportedBlock) -> Array:
+    """(r, 2) ideal image points [px] from the middle of the image, y up; NaN for none."""
+    xy = np.full((block.point.size, 2), np.nan)
+    for _i, camera, here in block.images():
+        u, v = ideal_coordinates(camera, block.x_px[here], block.y_px[here])
+        xy[here] = np.stack([camera.fx_px * u, -camera.fx_px * v], axis=1)
+    return xy
+
+
+def _lines_of_cameras(block: ExportedBlock) -> Iterator[str]:
+    """Five lines for each image: f, k1 and k2, the rotation, the translation."""
+    cameras = list(block.cameras.values())
+    to_bundler = np.diag([1.0, -1.0, -1.0])
+    for number, turn, move in zip(block.camera, block.rotation, block.moved_m, strict=True):
+        rows = [
+            [cameras[number].fx_px, 0.0, 0.0],
+            *to_bundler @ turn,
+            to_bundler @ move,
+        ]
+        for row in rows:
+            yield " ".join(repr(float(value)) for value in row) + "\n"
+
+
+def _lines_of_points(
+    block: ExportedBlock,
+    xy: Array,
+    tied: Integers,
+) -> Iterator[str]:
+    """Three lines for each point: its place, its colour, and its views with their image points."""
+    order, begin, images = block.of_points()
+    place_in_image = order - block.first[images]
+    for point in tied:
+        views = []
+        for k in range(begin[point], begin[point + 1]):
+            x, y = xy[order[k]]
+            if np.isfinite(x):
+                views.append(f"{images[k]} {place_in_image[k]} {x!s} {y!s}")
+        place = " ".join(map(str, block.point_m[point]))
+        yield f"{place}\n128 128 128\n{len(views)} {' '.join(views)}\n"
+
+
+def _calibration(camera: Camera, images: list[str]) -> dict[str, Any]:
+    """The ideal camera that is written, and the one that the images were taken with."""
+    taken_with = {key: getattr(camera, key) for key in camera.__dataclass_fields__}
+    taken_with["model"] = model_of(type(camera.distortion)).__name__.rpartition(".")[2]
+    taken_with["distortion"] = camera.distortion._asdict()
+    taken_with["pixel_origin"] = "corner"
+    written = {
+        "f_px": camera.fx_px,
+        "k1": 0.0,
+        "k2": 0.0,
+        "cx_px": 0.0,
+        "cy_px": 0.0,
+    }
+    return {"written": written, "taken_with": taken_with, "images": images}
 
 
 def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
@@ -87,10 +130,14 @@ def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
 
 FORMATS = (
     ExportFormat(
-        "bundler", "a block for Metashape: Bundler's folder, undistorted and centred", "",
-        write_bundler, frame_of_block, marked=("bundle.out",),
+        "bundler",
+        "a block for Metashape: Bundler's folder, undistorted and centred",
+        "",
+        write_bundler,
+        frame_of_block,
+        marked=("bundle.out",),
         use="Metashape has no switch for refraction; adjust there with f fixed and k1, k2 and all "
         "other coefficients at zero, and give the images their own calibration (calibration.json) "
         "after that",
     ),
-)  # fmt: skip
+)

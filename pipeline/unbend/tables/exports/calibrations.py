@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -39,15 +40,28 @@ from unbend.tables.exports.format import (
 from unbend.tables.exports.opensfm_project import opensfm_camera
 from unbend.units import Array, Integers, Mask
 
-# Parts of the refraction that a calibration may leave, and what no adjustment sees.
-_FLAGGED, _REFUSED, _NOTHING_PX = 0.1, 0.5, 0.02
-# f and k1 do where they leave this part of it, or so many times what all parameters leave.
-_GOOD, _AS_GOOD = 0.05, 1.2
+_FLAGGED = 0.1  # part of the refraction that is left, beyond which a calibration is reported
+_REFUSED = 0.5  # and refused
+_NOTHING_PX = 0.02  # what no adjustment sees
+_GOOD = 0.05  # f and k1 do where they leave this part of the refraction
+_AS_GOOD = 1.2  # or so many times what all parameters leave
 # A lattice over some images holds the calibration where nothing was measured.
-_MOST_IMAGES, _COLUMNS, _ROWS, _NODE_WEIGHT = 60, 15, 11, 0.1
+_MOST_IMAGES = 60
+_COLUMNS = 15
+_ROWS = 11
+_NODE_WEIGHT = 0.1  # of all nodes together, of the observations' 1
 _MOST_ROWS = 200_000
 _LARGEST_ZETA_RAD = np.radians(80.0)
 _LARGEST_MISFIT_PX = 0.02
+_RADII = 25  # of a table of radial corrections
+_PIXELS = ["x_px", "y_px", "x_corrected_px", "y_corrected_px"]
+
+
+class Rms(NamedTuple):
+    """Root mean squares in the image [px], and across the rays at the ground [m]."""
+
+    px: float
+    m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +70,8 @@ class FittedCalibration:
 
     ``stations`` are the rows of its images; ``base`` is the calibrated camera in the model that is
     written, ``camera`` that which stands for refraction, ``change`` the same for measured points.
-    ``effect`` and what both leave are root mean squares in the image [px] and across the rays at
-    the ground [m]; ``pixel_mm`` is NaN where it is not known.
+    ``effect`` is that of refraction; what both calibrations leave of it stands beside it.
+    ``pixel_mm`` is NaN where it is not known.
     """
 
     name: str
@@ -68,54 +82,71 @@ class FittedCalibration:
     change: fit.CorrectionChange
     pixel_mm: float
     heights: str
-    effect: tuple[float, float]
-    left_by_camera: tuple[float, float]
-    left_by_change: tuple[float, float]
+    effect: Rms
+    left_by_camera: Rms
+    left_by_change: Rms
 
     @property
     def part(self) -> float:
         """The largest part of the effect that is left."""
-        return max(self.left_by_camera[0], self.left_by_change[0]) / max(self.effect[0], 1e-12)
+        left_px = max(self.left_by_camera.px, self.left_by_change.px)
+        return left_px / max(self.effect.px, 1e-12)
 
 
 def write_calibrations(run: FinishedRun, values: Values, path: Path, ledger: Ledger) -> int:
     """The files of all calibrations; the number of images they are for."""
     observed = observed_corrections(run)
-    found = [
-        fit_calibration(run, name, stations, observed, values=values, ledger=ledger)
-        for name, stations in flying_heights(run, values["same_height"] / 100.0, ledger)
-    ]
-    if not found:
+    calibrations = []
+    for name, stations in flying_heights(run, values["same_height"] / 100.0, ledger):
+        fitted = fit_calibration(run, name, stations, observed, values=values, ledger=ledger)
+        calibrations.append(fitted)
+    if not calibrations:
         raise messages.no_calibration(where="observations")
-    for fitted in found:
-        where = f"cameras.{fitted.camera_name}"
-        left = max(fitted.left_by_camera, fitted.left_by_change)
-        percent = 100.0 * fitted.part
-        if fitted.part > _REFUSED and left[0] > _NOTHING_PX:
-            raise messages.calibration_impossible(
-                where=where,
-                name=fitted.name,
-                percent=percent,
-                left=left,
-                effect=fitted.effect,
-            )
-        if fitted.part > _FLAGGED:
-            leaves = messages.calibration_leaves(
-                where=where,
-                count=fitted.stations.size,
-                name=fitted.name,
-                percent=percent,
-                left=left,
-                effect=fitted.effect,
-            )
-            ledger.add(leaves)
-    (path / "calibration.txt").write_text(report_of(found), encoding="utf-8")
-    for_images = [(run.stations.image[i], f.camera_name, f.name) for f in found for i in f.stations]
-    images = pd.DataFrame(for_images, columns=["image", "camera", "calibration"])
+    rows = []
+    for fitted in calibrations:
+        _judge(fitted, ledger)
+        for station in fitted.stations:
+            rows.append((run.stations.image[station], fitted.camera_name, fitted.name))
+    (path / "calibration.txt").write_text(report_of(calibrations), encoding="utf-8")
+    images = pd.DataFrame(rows, columns=["image", "camera", "calibration"])
     images.to_csv(path / "images.csv", index=False)
-    pd.concat(map(radial_corrections, found)).to_csv(path / "corrections.csv", index=False)
-    write_cameras(found, path)
-    return len(for_images)
+    corrections = pd.concat([radial_corrections(fitted) for fitted in calibrations])
+    corrections.to_csv(path / "corrections.csv", index=False)
+    write_cameras(calibrations, path)
+    return len(rows)
+
+
+def _judge(fitted: FittedCalibration, ledger: Ledger) -> None:
+    """Report a calibration that leaves a part of the refraction; refuse one that leaves most."""
+    where = f"cameras.{fitted.camera_name}"
+    left = max(fitted.left_by_camera, fitted.left_by_change)
+    percent = 100.0 * fitted.part
+    if fitted.part > _REFUSED and left.px > _NOTHING_PX:
+        raise messages.calibration_impossible(
+            where=where,
+            name=fitted.name,
+            percent=percent,
+            left=left,
+            effect=fitted.effect,
+        )
+    if fitted.part > _FLAGGED:
+        leaves = messages.calibration_leaves(
+            where=where,
+            count=fitted.stations.size,
+            name=fitted.name,
+            percent=percent,
+            left=left,
+            effect=fitted.effect,
+        )
+        ledger.add(leaves)
+
+
+STATION = 0
+MEASURED = slice(1, 3)
+CORRECTED = slice(3, 5)
+NADIR_ANGLE = 5
+GROUND = 6
+"""Rows of `observed_corrections`: x and y in COLMAP's pixels, nadir angle [rad], height [m]."""
 
 
 def observed_corrections(run: FinishedRun) -> Array:
@@ -123,31 +154,88 @@ def observed_corrections(run: FinishedRun) -> Array:
 
     Rows: station, measured x and y, corrected x and y, nadir angle [rad], height of the point [m].
     """
-    pixels = ["x_px", "y_px", "x_corrected_px", "y_corrected_px"]
     parts = [np.empty((7, 0))]
-    columns = [*pixels, "zeta_c_rad", "h_g_m", "status"]
+    columns = [*_PIXELS, "zeta_c_rad", "h_g_m", "status"]
     for station, table in run.observations(columns, _MOST_ROWS):
-        points = [run.pixels.to_colmap(table[name].to_numpy()) for name in pixels]
+        points = [run.pixels.to_colmap(table[name].to_numpy()) for name in _PIXELS]
         rows = np.stack([station, *points, table["zeta_c_rad"], table["h_g_m"]])
-        parts.append(rows[:, pc.equal(table["status"], "ok").to_numpy()])
+        is_ok = pc.equal(table["status"], "ok").to_numpy()
+        parts.append(rows[:, is_ok])
     return np.concatenate(parts, axis=1)
 
 
-def seen_rays(
-    run: FinishedRun, camera: str, stations: Integers, observed: Array
-) -> tuple[fit.SeenRays, Array, Array, Mask]:
+@dataclass(frozen=True, eq=False)
+class SeenCorrections:
     """What some stations of a camera saw, at their observations and at the nodes of a lattice.
 
-    Beside it (n, 2) the correction [px], (n,) the metres of a pixel across the ray at the ground,
-    and which rows are to judge by: observations, or nodes where there is none. Observations
-    together have the weight 1 a row in the mean, nodes a tenth of theirs.
+    ``moved_px`` (n, 2) is the correction, ``pixel_m`` (n,) the size of a pixel across the ray at
+    the ground; ``is_judged`` (n,) are the rows to judge by: observations, or nodes where there is
+    none.
     """
-    given = run.cameras[camera].camera
-    some = np.linspace(0, stations.size - 1, min(stations.size, _MOST_IMAGES)).round()
-    x, y = lattice_nodes(given, _COLUMNS, _ROWS)
+
+    rays: fit.SeenRays
+    moved_px: Array
+    pixel_m: Array
+    is_judged: Mask
+
+    def rms(self, left_px: Array) -> Rms:
+        """Root mean square of (n, 2) what is left in the image."""
+        square = np.sum(left_px**2, axis=1)[self.is_judged]
+        square_m2 = square * self.pixel_m[self.is_judged] ** 2
+        return Rms(
+            px=float(np.sqrt(np.mean(square))),
+            m=float(np.sqrt(np.mean(square_m2))),
+        )
+
+
+def seen_rays(
+    run: FinishedRun,
+    camera: str,
+    stations: Integers,
+    observed: Array,
+) -> SeenCorrections:
+    """What some stations of a camera saw: observations (7, n) of the run, and nodes.
+
+    Observations together have the weight 1 a row in the mean, nodes a tenth of theirs.
+    """
+    calibrated = run.cameras[camera].camera
+    nodes = _lattice_corrections(run, camera, stations)
+    nodes = nodes[:, nodes[NADIR_ANGLE] < _LARGEST_ZETA_RAD]
+    of_stations = observed[:, np.isin(observed[STATION], stations)]
+    rows = np.concatenate([of_stations, nodes], axis=1)
+    is_node = np.arange(rows.shape[1]) >= of_stations.shape[1]
+    u, v, covered = calibrated.rays(*rows[CORRECTED])
+    rows = rows[:, covered]
+    is_node = is_node[covered]
+    node_weight = _NODE_WEIGHT / is_node.sum()
+    observation_weight = 1.0 / max(1, (~is_node).sum())
+    weight = np.where(is_node, node_weight, observation_weight)
+    height_m = run.exposures.height_m[rows[STATION].astype(int)]
+    distance_m = (height_m - rows[GROUND]) / np.cos(rows[NADIR_ANGLE])
+    return SeenCorrections(
+        rays=fit.SeenRays(
+            np.stack([u, v], axis=1)[covered],
+            rows[MEASURED].T,
+            weight * is_node.size,
+        ),
+        moved_px=(rows[CORRECTED] - rows[MEASURED]).T,
+        pixel_m=distance_m / calibrated.fx_px,
+        is_judged=is_node if is_node.all() else ~is_node,
+    )
+
+
+def _lattice_corrections(
+    run: FinishedRun,
+    camera: str,
+    stations: Integers,
+) -> Array:
+    """As `observed_corrections`, at the nodes of a lattice over some images of a camera."""
+    sampled = np.linspace(0, stations.size - 1, min(stations.size, _MOST_IMAGES)).round()
+    sampled_stations = stations[sampled.astype(int)]
+    x, y = lattice_nodes(run.cameras[camera].camera, _COLUMNS, _ROWS)
     parts = []
-    for part, corrections in lattice_parts(run, camera, stations[some.astype(int)], (x, y)):
-        columns = [
+    for part, corrections in lattice_parts(run, camera, sampled_stations, (x, y)):
+        rows = [
             np.repeat(part, x.size),
             np.tile(x, part.size),
             np.tile(y, part.size),
@@ -156,18 +244,8 @@ def seen_rays(
             corrections.zeta_c_rad,
             np.repeat(run.ground_m[part], x.size),
         ]
-        parts.append(np.stack(columns))
-    nodes = np.concatenate(parts, axis=1)
-    nodes = nodes[:, nodes[5] < _LARGEST_ZETA_RAD]
-    rows = np.concatenate([observed[:, np.isin(observed[0], stations)], nodes], axis=1)
-    is_node = np.arange(rows.shape[1]) >= rows.shape[1] - nodes.shape[1]
-    u, v, covered = given.rays(rows[3], rows[4])
-    rows, is_node = rows[:, covered], is_node[covered]
-    weight = np.where(is_node, _NODE_WEIGHT / is_node.sum(), 1.0 / max(1, (~is_node).sum()))
-    rays = fit.SeenRays(np.stack([u, v], axis=1)[covered], rows[1:3].T, weight * is_node.size)
-    height = run.exposures.height_m[rows[0].astype(int)]
-    metres = (height - rows[6]) / np.cos(rows[5]) / given.fx_px
-    return rays, (rows[3:5] - rows[1:3]).T, metres, ~is_node if not is_node.all() else is_node
+        parts.append(np.stack(rows))
+    return np.concatenate(parts, axis=1)
 
 
 def fit_calibration(
@@ -180,34 +258,49 @@ def fit_calibration(
     ledger: Ledger,
 ) -> FittedCalibration:
     """The calibration of some images of a camera, by as few parameters as do."""
-    given = run.cameras[name]
-    if given.has_refraction:
+    calibrated = run.cameras[name]
+    if calibrated.has_refraction:
         ledger.add(
             messages.calibration_holds_refraction(where=f"cameras.{name}.calibration", name=name)
         )
-    rays, moved, metres, judged = seen_rays(run, name, stations, observed)
-
-    def rms(left: Array) -> tuple[float, float]:
-        square = np.sum(left**2, axis=1)[judged]
-        in_metres = float(np.sqrt(np.mean(square * metres[judged] ** 2)))
-        return float(np.sqrt(np.mean(square))), in_metres
-
-    base, effect = as_written(given.camera, name, ledger), rms(moved)
-    few, full = (fit.changed_camera(base, rays, names) for names in (fit.FEW, fit.FULL))
-    of_few, of_full = (rms(rays.left_px(camera)) for camera in (few, full))
-    few_do = of_few[0] <= max(_GOOD * effect[0], _AS_GOOD * of_full[0])
-    free = ("c", "k1") if few_do else fit.CORRECTIONS
-    change, left = fit.correction_change(given.camera, rays, free)
-    height, ground = run.exposures.height_m[stations], run.ground_m[stations]
-    above = height - ground
+    seen = seen_rays(run, name, stations, observed)
+    base = as_written(calibrated.camera, name, ledger)
+    effect = seen.rms(seen.moved_px)
+    camera = fit.changed_camera(base, seen.rays, fit.FEW)
+    full_camera = fit.changed_camera(base, seen.rays, fit.FULL)
+    left_by_camera = seen.rms(seen.rays.left_px(camera))
+    left_by_full = seen.rms(seen.rays.left_px(full_camera))
+    unknowns: Sequence[str] = ("c", "k1")
+    if left_by_camera.px > max(_GOOD * effect.px, _AS_GOOD * left_by_full.px):
+        camera = full_camera
+        left_by_camera = left_by_full
+        unknowns = fit.CORRECTIONS
+    change, left_px = fit.correction_change(calibrated.camera, seen.rays, unknowns)
+    height_m = run.exposures.height_m[stations]
+    ground_m = run.ground_m[stations]
+    above_m = height_m - ground_m
+    heights = (
+        f"{above_m.min():.0f} to {above_m.max():.0f} m above the ground (cameras "
+        f"{np.median(height_m):.0f}, ground {np.median(ground_m):.0f} m above sea level)"
+    )
     return FittedCalibration(
-        f"{re.sub(r'[^0-9A-Za-z._-]', '_', name)}_{np.median(above):.4g}m",
-        name, stations, base, few if few_do else full, change,
-        pixel_mm(run, name, values),
-        f"{above.min():.0f} to {above.max():.0f} m above the ground (cameras "
-        f"{np.median(height):.0f}, ground {np.median(ground):.0f} m above sea level)",
-        effect, of_few if few_do else of_full, rms(left),
-    )  # fmt: skip
+        name=f"{_name_of_file(name)}_{np.median(above_m):.4g}m",
+        camera_name=name,
+        stations=stations,
+        base=base,
+        camera=camera,
+        change=change,
+        pixel_mm=pixel_mm(run, name, values),
+        heights=heights,
+        effect=effect,
+        left_by_camera=left_by_camera,
+        left_by_change=seen.rms(left_px),
+    )
+
+
+def _name_of_file(name: str) -> str:
+    """A name with underscores for what a name of a file may not have everywhere."""
+    return re.sub(r"[^0-9A-Za-z._-]", "_", name)
 
 
 def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
@@ -216,18 +309,21 @@ def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
         return camera
     x, y = lattice_nodes(camera, 2 * _COLUMNS, 2 * _ROWS)
     u, v, covered = camera.rays(x, y)
-    uv, xy = (np.stack(pair, axis=1)[covered] for pair in ((u, v), (x, y)))
-    pixels = fit.SeenRays(uv, xy, np.ones(covered.sum()))
+    rays = fit.SeenRays(
+        np.stack([u, v], axis=1)[covered],
+        np.stack([x, y], axis=1)[covered],
+        np.ones(covered.sum()),
+    )
     lens = camera.distortion
-    plain = replace(camera, distortion=BrownConrady(lens.k1, lens.k2, lens.k3))
-    written = fit.changed_camera(plain, pixels, fit.FULL)
-    misfit = float(np.hypot(*pixels.left_px(written).T).max())
-    if misfit > _LARGEST_MISFIT_PX:
-        ledger.add(messages.lens_simplified(where=f"cameras.{name}", name=name, misfit=misfit))
+    radial = BrownConrady(lens.k1, lens.k2, lens.k3)
+    written = fit.changed_camera(replace(camera, distortion=radial), rays, fit.FULL)
+    misfit_px = float(np.hypot(*rays.left_px(written).T).max())
+    if misfit_px > _LARGEST_MISFIT_PX:
+        ledger.add(messages.lens_simplified(where=f"cameras.{name}", name=name, misfit=misfit_px))
     return written
 
 
-def report_of(found: Sequence[FittedCalibration]) -> str:
+def report_of(calibrations: Sequence[FittedCalibration]) -> str:
     """What the report says: how calibrations are used, and what each holds and leaves."""
     from jinja2 import StrictUndefined, Template  # which no run needs
 
@@ -236,65 +332,114 @@ def report_of(found: Sequence[FittedCalibration]) -> str:
         return zip(names, _numbers(fitted.base), _numbers(fitted.camera), strict=True)
 
     text = files("unbend.tables").joinpath("data/calibrations.txt.j2").read_text("utf-8")
-    made = Template(text, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
-    return str(made.render(found=found, numbers=numbers))
+    template = Template(
+        text,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    return str(template.render(found=calibrations, numbers=numbers))
 
 
 def _numbers(camera: Camera) -> list[float]:
-    frame = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
-    return [float(number) for number in (*frame, *camera.distortion)]
+    """fx, fy, cx, cy [px] and the coefficients of a camera."""
+    numbers = [
+        camera.fx_px,
+        camera.fy_px,
+        camera.cx_px,
+        camera.cy_px,
+        *camera.distortion,
+    ]
+    return [float(number) for number in numbers]
 
 
 def radial_corrections(fitted: FittedCalibration) -> pd.DataFrame:
     """What is added to radii, with the new principal distance and with the calibrated one."""
-    camera, c = fitted.base, fitted.base.fx_px
+    camera = fitted.base
+    c = camera.fx_px
     x, y = lattice_nodes(camera, 2, 2)
-    corner = np.hypot(x - camera.cx_px, y - camera.cy_px).max()
-    r = np.linspace(0.0, np.ceil(corner), 25) / c
+    corner_px = np.hypot(x - camera.cx_px, y - camera.cy_px).max()
+    r = np.linspace(0.0, np.ceil(corner_px), _RADII) / c
     dr = fitted.change.radial(r)
     same_c = (r + dr) / (1.0 + fitted.change.c) - r
     mm = c * fitted.pixel_mm
-    return pd.DataFrame({
-        "calibration": fitted.name, "radius_px": r * c, "dr_px": dr * c, "dr_same_c_px": same_c * c,
-        "radius_mm": r * mm, "dr_um": dr * mm * 1e3, "dr_same_c_um": same_c * mm * 1e3,
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "calibration": fitted.name,
+            "radius_px": r * c,
+            "dr_px": dr * c,
+            "dr_same_c_px": same_c * c,
+            "radius_mm": r * mm,
+            "dr_um": dr * mm * 1e3,
+            "dr_same_c_um": same_c * mm * 1e3,
+        }
+    )
 
 
-def write_cameras(found: Sequence[FittedCalibration], path: Path) -> None:
+def write_cameras(calibrations: Sequence[FittedCalibration], path: Path) -> None:
     """cameras.txt of COLMAP, camera_models.json of OpenSfM; for each an XML and OpenCV's YAML."""
     colmap = ["#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
     opensfm = {}
-    for number, fitted in enumerate(found, 1):
-        camera, lens = fitted.camera, fitted.camera.distortion._asdict()
-        w, h, (fx, fy, cx, cy) = camera.width_px, camera.height_px, _numbers(camera)[:4]
-        fisheye = isinstance(camera.distortion, OpenCVFisheye)
-        model, params = colmap_camera(camera, fitted.camera_name, simplest=False)
-        params = [float(number) for number in params]
-        ordered = params[4 : 8 if fisheye else 9]
-        colmap += [f"# {number}: {fitted.name}",
-                   f"{number} {model} {w} {h} {' '.join(map(repr, params))}"]  # fmt: skip
-        opensfm[fitted.name] = opensfm_camera(camera, fitted.camera_name)
-        # Metashape: x is projected with f + b1, and P1 belongs to x.
-        p1, p2 = lens.pop("p1", 0.0), lens.pop("p2", 0.0)
-        root = ElementTree.Element("calibration")
-        for tag, value in {
-            "projection": "fisheye" if fisheye else "frame", "width": w, "height": h, "f": fy,
-            "cx": cx - 0.5 * w, "cy": cy - 0.5 * h, "b1": fx - fy, **lens, "p1": p2, "p2": p1,
-        }.items():  # fmt: skip
-            ElementTree.SubElement(root, tag).text = str(value)
-        ElementTree.indent(root)
-        tree = ElementTree.ElementTree(root)
-        tree.write(path / f"{fitted.name}.xml", encoding="UTF-8", xml_declaration=True)
-        # OpenCV: the centre of the first pixel is (0, 0).
-        matrix = [fx, 0.0, cx - 0.5, 0.0, fy, cy - 0.5, 0.0, 0.0, 1.0]
-        yaml = f"%YAML:1.0\n---\nimage_width: {w}\nimage_height: {h}\n"
-        for key, rows, values in (("camera_matrix", 3, matrix),
-                                  ("distortion_coefficients", 1, ordered)):  # fmt: skip
-            yaml += f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {len(values) // rows}\n"
-            yaml += f"   dt: d\n   data: [ {', '.join(map(repr, values))} ]\n"
-        (path / f"{fitted.name}.yaml").write_text(yaml, encoding="utf-8")
+    for number, fitted in enumerate(calibrations, start=1):
+        model, parameters = colmap_camera(fitted.camera, fitted.camera_name, simplest=False)
+        parameters = [float(parameter) for parameter in parameters]
+        colmap.append(f"# {number}: {fitted.name}")
+        size = f"{fitted.camera.width_px} {fitted.camera.height_px}"
+        colmap.append(f"{number} {model} {size} {' '.join(map(repr, parameters))}")
+        opensfm[fitted.name] = opensfm_camera(fitted.camera, fitted.camera_name)
+        _write_metashape(fitted.camera, path / f"{fitted.name}.xml")
+        _write_opencv(fitted.camera, parameters, path / f"{fitted.name}.yaml")
     (path / "cameras.txt").write_text("\n".join([*colmap, ""]), encoding="utf-8")
     (path / "camera_models.json").write_text(json.dumps(opensfm, indent=4), encoding="utf-8")
+
+
+def _write_metashape(camera: Camera, path: Path) -> None:
+    """Metashape's XML: x is projected with f + b1, and P1 belongs to x."""
+    coefficients = camera.distortion._asdict()
+    p1 = coefficients.pop("p1", 0.0)
+    p2 = coefficients.pop("p2", 0.0)
+    fx = float(camera.fx_px)
+    fy = float(camera.fy_px)
+    is_fisheye = isinstance(camera.distortion, OpenCVFisheye)
+    values = {
+        "projection": "fisheye" if is_fisheye else "frame",
+        "width": camera.width_px,
+        "height": camera.height_px,
+        "f": fy,
+        "cx": float(camera.cx_px) - 0.5 * camera.width_px,
+        "cy": float(camera.cy_px) - 0.5 * camera.height_px,
+        "b1": fx - fy,
+        **coefficients,
+        "p1": p2,
+        "p2": p1,
+    }
+    root = ElementTree.Element("calibration")
+    for tag, value in values.items():
+        ElementTree.SubElement(root, tag).text = str(value)
+    ElementTree.indent(root)
+    tree = ElementTree.ElementTree(root)
+    tree.write(path, encoding="UTF-8", xml_declaration=True)
+
+
+def _write_opencv(camera: Camera, parameters: Sequence[float], path: Path) -> None:
+    """OpenCV's YAML, of COLMAP's ``parameters``: the centre of the first pixel is (0, 0)."""
+    fx, fy = parameters[:2]
+    cx, cy = parameters[2:4]
+    is_fisheye = isinstance(camera.distortion, OpenCVFisheye)
+    coefficients = parameters[4:8] if is_fisheye else parameters[4:9]
+    matrix = [fx, 0.0, cx - 0.5, 0.0, fy, cy - 0.5, 0.0, 0.0, 1.0]
+    yaml = f"%YAML:1.0\n---\nimage_width: {camera.width_px}\nimage_height: {camera.height_px}\n"
+    yaml += _opencv_matrix("camera_matrix", matrix, rows=3)
+    yaml += _opencv_matrix("distortion_coefficients", coefficients, rows=1)
+    path.write_text(yaml, encoding="utf-8")
+
+
+def _opencv_matrix(name: str, values: Sequence[float], *, rows: int) -> str:
+    """The lines of a matrix in OpenCV's YAML."""
+    return (
+        f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {len(values) // rows}\n"
+        f"   dt: d\n   data: [ {', '.join(map(repr, values))} ]\n"
+    )
 
 
 SAME_HEIGHT = Option(

@@ -17,12 +17,10 @@ stands in a table of its own, which COLMAP leaves alone.
 
 import sqlite3
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from importlib import resources
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -33,6 +31,7 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports import messages
+from unbend.tables.exports.colmap_matches import Row, copied_rows, match_rows
 from unbend.tables.exports.colmap_rigs import CAMERA_SENSOR, rig_tables
 from unbend.tables.exports.export_frames import (
     CORNER_PIXELS,
@@ -43,11 +42,9 @@ from unbend.tables.exports.export_frames import (
 )
 from unbend.tables.exports.exported_block import ExportedBlock, block_of
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
-from unbend.tables.imports.blocks import damage_refused
-from unbend.tables.imports.blocks.colmap import POINT2D, opened
-from unbend.tables.imports.blocks.messages import matches_cut
+from unbend.tables.imports.blocks.colmap import POINT2D
 from unbend.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION_REMOVED
-from unbend.units import Integers
+from unbend.units import Array, Integers
 
 _USE = (
     "COLMAP corrects neither refraction nor earth curvature: nothing must be switched off in it; "
@@ -57,12 +54,21 @@ _USE = (
 _MODEL_IDS = {"PINHOLE": 1, "OPENCV": 4, "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6}
 
 _OPENCV = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_OF_GENERAL_FRAME = {"q1": "k4", "q2": "k5", "q3": "k6", "px": "p2", "py": "p1", "k4": "k4 r^8"}
-_GREY, _NO_ERROR = (128, 128, 128), -1.0
+_OF_GENERAL_FRAME = {
+    "q1": "k4",
+    "q2": "k5",
+    "q3": "k6",
+    "px": "p2",
+    "py": "p1",
+    "k4": "k4 r^8",
+}
+_GREY = (128, 128, 128)  # red, green and blue of every point
+_NO_ERROR = -1.0  # COLMAP's sign that the error of a point is not known yet
 
 _VERSION = 4_020_100
-_MOST_IMAGES = 2_147_483_647  # of pair_id = first * this + second
-_CALIBRATED, _CARTESIAN, _WITH_PRIOR = 2, 1, 1
+_CARTESIAN = 1  # coordinate system of a pose prior
+_WITH_PRIOR = 1  # the focal length of a camera is known
+_NO_MATRICES = ", NULL" * 7  # columns of a geometry behind its configuration
 _LARGEST_ROUNDING_PX = 0.0005
 
 
@@ -74,17 +80,26 @@ def opencv_coefficients(
     Refuses (MissionError EXPORT-DISTORTION) what is not among those that a program ``holds``, and
     what OpenCV has not: Metashape's k4, b1 and b2, and polynomials that correct what was measured.
     """
-    known = camera.distortion._asdict()
+    coefficients = camera.distortion._asdict()
+    renamed: Mapping[str, str] = {}
     if isinstance(camera.distortion, GeneralFrame):
-        known["sense"] -= 1.0
-        del known["limit"], known["steps"]
-        known = {_OF_GENERAL_FRAME.get(key, key): value for key, value in known.items()}
-    known = {key: value for key, value in known.items() if value != 0.0}
-    beyond = [key for key in known if key not in holds]
+        coefficients["sense"] -= 1.0
+        del coefficients["limit"]
+        del coefficients["steps"]
+        renamed = _OF_GENERAL_FRAME
+    in_use = {}
+    for own_name, value in coefficients.items():
+        if value != 0.0:
+            in_use[renamed.get(own_name, own_name)] = value
+    beyond = [key for key in in_use if key not in holds]
     if beyond:
-        where, beyond_it = f"cameras.{name}", ", ".join(beyond)
-        raise messages.distortion_unknown(where=where, name=name, beyond=beyond_it, program=program)
-    return known
+        raise messages.distortion_unknown(
+            where=f"cameras.{name}",
+            name=name,
+            beyond=", ".join(beyond),
+            program=program,
+        )
+    return in_use
 
 
 def colmap_camera(camera: Camera, name: str, *, simplest: bool = True) -> tuple[str, list[float]]:
@@ -96,17 +111,29 @@ def colmap_camera(camera: Camera, name: str, *, simplest: bool = True) -> tuple[
     frame = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]
     if isinstance(camera.distortion, OpenCVFisheye):
         return "OPENCV_FISHEYE", [*frame, *camera.distortion]
-    known = opencv_coefficients(camera, name, "COLMAP", _OPENCV)
-    last = max((_OPENCV.index(key) for key in known), default=-1) if simplest else 7
-    model = "PINHOLE" if last < 0 else "OPENCV" if last < 4 else "FULL_OPENCV"
-    count = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8}[model]
-    return model, [*frame, *(known.get(key, 0.0) for key in _OPENCV[:count])]
+    coefficients = opencv_coefficients(camera, name, "COLMAP", _OPENCV)
+    places = [_OPENCV.index(key) for key in coefficients]
+    last = max(places, default=-1) if simplest else len(_OPENCV) - 1
+    if last < 0:
+        return "PINHOLE", frame
+    model = "FULL_OPENCV"
+    names: Sequence[str] = _OPENCV
+    if last < 4:
+        model = "OPENCV"
+        names = _OPENCV[:4]
+    distortion = [coefficients.get(key, 0.0) for key in names]
+    return model, [*frame, *distortion]
 
 
 def note_cameras(block: ExportedBlock, ledger: Ledger) -> None:
     """Note which number each camera has."""
-    numbers = ", ".join(f"{number} {name}" for number, name in enumerate(block.cameras, 1))
-    ledger.add(messages.camera_numbers(where="cameras", count=len(block.cameras), numbers=numbers))
+    numbers = [f"{number} {name}" for number, name in enumerate(block.cameras, start=1)]
+    note = messages.camera_numbers(
+        where="cameras",
+        count=len(numbers),
+        numbers=", ".join(numbers),
+    )
+    ledger.add(note)
 
 
 def point_ids(block: ExportedBlock, folder: Path) -> Integers:
@@ -125,35 +152,73 @@ def write_model(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> in
     """The three files of a model and, where names are no numbers, points.csv."""
     block = block_of(run, ledger)
     note_cameras(block, ledger)
-    ids, tied, moved = point_ids(block, folder), len(block.point_m), block.moved_m
+    ids = point_ids(block, folder)
+    tied = len(block.point_m)
     ids[tied:] = -1
     if tied < ids.size:
         ledger.add(messages.single_points(where="observations", count=ids.size - tied))
-    with (folder / "cameras.bin").open("wb") as file:
+    _write_cameras(block, folder / "cameras.bin")
+    _write_images(block, ids, folder / "images.bin")
+    _write_points(block, ids, folder / "points3D.bin")
+    return int(block.point.size)
+
+
+def _write_cameras(block: ExportedBlock, path: Path) -> None:
+    with path.open("wb") as file:
         file.write(struct.pack("<Q", len(block.cameras)))
-        for number, (name, camera) in enumerate(block.cameras.items(), 1):
-            model, params = colmap_camera(camera, name)
-            size = camera.width_px, camera.height_px
-            file.write(struct.pack("<iiQQ", number, _MODEL_IDS[model], *size))
-            file.write(np.array(params, "<f8").tobytes())
-    with (folder / "images.bin").open("wb") as file:
+        for number, (name, camera) in enumerate(block.cameras.items(), start=1):
+            model, parameters = colmap_camera(camera, name)
+            head = struct.pack(
+                "<iiQQ",
+                number,
+                _MODEL_IDS[model],
+                camera.width_px,
+                camera.height_px,
+            )
+            file.write(head)
+            file.write(np.array(parameters, "<f8").tobytes())
+
+
+def _write_images(block: ExportedBlock, ids: Integers, path: Path) -> None:
+    """Poses of the images with their image points; ``ids`` (p,) of the points, -1 for none."""
+    moved_m = block.moved_m
+    with path.open("wb") as file:
         file.write(struct.pack("<Q", block.image.size))
         for i, _camera, here in block.images():
-            pose, name = (*block.frame.quaternion[i], *moved[i]), block.image[i].encode()
             points = np.empty(here.stop - here.start, POINT2D)
             points["xy"] = np.stack([block.x_px[here], block.y_px[here]], axis=1)
             points["point"] = ids[block.point[here]]
-            file.write(struct.pack("<i7di", i + 1, *pose, block.camera[i] + 1))
-            file.write(name + b"\0" + struct.pack("<Q", points.size) + points.tobytes())
+            head = struct.pack(
+                "<i7di",
+                i + 1,
+                *block.frame.quaternion[i],
+                *moved_m[i],
+                block.camera[i] + 1,
+            )
+            file.write(head)
+            file.write(block.image[i].encode() + b"\0")
+            file.write(struct.pack("<Q", points.size))
+            file.write(points.tobytes())
+
+
+def _write_points(block: ExportedBlock, ids: Integers, path: Path) -> None:
+    """Object points with their tracks: the images of each, and its place among their points."""
     order, begin, images = block.of_points()
-    tracks = np.stack([images + 1, order - block.first[images]], axis=1).astype("<i4")
-    with (folder / "points3D.bin").open("wb") as file:
-        file.write(struct.pack("<Q", tied))
-        for p, place in enumerate(block.point_m):
-            track = tracks[begin[p] : begin[p + 1]]
-            head = struct.pack("<Q3d3BdQ", ids[p], *place, *_GREY, _NO_ERROR, len(track))
+    place = order - block.first[images]
+    tracks = np.stack([images + 1, place], axis=1).astype("<i4")
+    with path.open("wb") as file:
+        file.write(struct.pack("<Q", len(block.point_m)))
+        for point, position_m in enumerate(block.point_m):
+            track = tracks[begin[point] : begin[point + 1]]
+            head = struct.pack(
+                "<Q3d3BdQ",
+                ids[point],
+                *position_m,
+                *_GREY,
+                _NO_ERROR,
+                len(track),
+            )
             file.write(head + track.tobytes())
-    return int(block.point.size)
 
 
 def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
@@ -165,114 +230,106 @@ def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> i
     unknown = int(np.isnan(block.frame.covariance_m2).any(axis=(1, 2)).sum())
     if unknown:
         ledger.add(messages.sigmas_missing(where="stations.parquet", count=unknown))
-    rounding = max(np.abs(c - c.astype("<f4")).max(initial=0.0) for c in (block.x_px, block.y_px))
+    rounding = max(_rounding_of(block.x_px), _rounding_of(block.y_px))
     if rounding > _LARGEST_ROUNDING_PX:
         ledger.add(messages.pixels_rounded(where="keypoints", rounding=rounding))
-    schema = resources.files("unbend.tables.exports").joinpath("colmap_4_2.sql")
     with closing(sqlite3.connect(path)) as database:
-        # A draft that is interrupted is thrown away: no journal.
-        database.executescript("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")
-        database.execute(f"PRAGMA user_version = {_VERSION}")
-        database.executescript(schema.read_text(encoding="utf-8"))
-        database.execute(f"CREATE TABLE {MARK_TABLE} (key TEXT PRIMARY KEY, value TEXT)")
+        _create_tables(database)
         for table, rows in tables.items():
             marks = ", ".join("?" * len(rows[0]))
             database.executemany(f"INSERT INTO {table} VALUES ({marks})", rows)
-        for i, _camera, here in block.images():
-            xy = np.stack([block.x_px[here], block.y_px[here]], axis=1).astype("<f4")
-            keypoints = i + 1, len(xy), xy.tobytes()
-            database.execute("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoints)
-        tied = 0
-        for table, *row in match_rows(block) if source is None else copied_rows(block, source):
-            marks = "?, ?, 2, ?" if table == "matches" else "?, ?, 2, ?, ?" + ", NULL" * 7
-            database.execute(f"INSERT INTO {table} VALUES ({marks})", row)
-            tied += 1
+        _insert_keypoints(database, block)
+        tied = _insert_matches(database, block, source)
         database.commit()
     if not tied:
         ledger.add(messages.no_ties(where="observations"))
     return int(block.point.size)
 
 
-def rows_of_tables(block: ExportedBlock) -> dict[str, list[tuple[Any, ...]]]:
+def _rounding_of(pixels: Array) -> float:
+    """The most [px] that coordinates lose as numbers of 32 bits."""
+    return float(np.abs(pixels - pixels.astype("<f4")).max(initial=0.0))
+
+
+def _create_tables(database: sqlite3.Connection) -> None:
+    """COLMAP's tables and the one of the mark, all empty."""
+    schema = resources.files("unbend.tables.exports").joinpath("colmap_4_2.sql")
+    # A draft that is interrupted is thrown away: no journal.
+    database.executescript("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")
+    database.execute(f"PRAGMA user_version = {_VERSION}")
+    database.executescript(schema.read_text(encoding="utf-8"))
+    database.execute(f"CREATE TABLE {MARK_TABLE} (key TEXT PRIMARY KEY, value TEXT)")
+
+
+def _insert_keypoints(database: sqlite3.Connection, block: ExportedBlock) -> None:
+    for i, _camera, here in block.images():
+        xy = np.stack([block.x_px[here], block.y_px[here]], axis=1).astype("<f4")
+        keypoints = (i + 1, len(xy), xy.tobytes())
+        database.execute("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoints)
+
+
+def _insert_matches(
+    database: sqlite3.Connection,
+    block: ExportedBlock,
+    source: Path | None,
+) -> int:
+    """Matches and geometries, those of the database that was read or new ones; how many rows."""
+    pairs = match_rows(block) if source is None else copied_rows(block, source)
+    count = 0
+    for table, *row in pairs:
+        marks = "?, ?, 2, ?"
+        if table != "matches":
+            marks += ", ?" + _NO_MATRICES
+        database.execute(f"INSERT INTO {table} VALUES ({marks})", row)
+        count += 1
+    return count
+
+
+def rows_of_tables(block: ExportedBlock) -> dict[str, list[Row]]:
     """Rows of the tables that have one for each camera or image, and the mark."""
-    cameras, frame = list(block.cameras.items()), block.frame
-    sensors = [(n, c + 1, CAMERA_SENSOR) for n, c in enumerate(block.camera.tolist(), 1)]
-    unknown = np.full(3, np.nan).tobytes()
-    models = [(camera, *colmap_camera(camera, name)) for name, camera in cameras]
+    mark = (REFRACTION_KEY.decode(), REFRACTION_REMOVED.decode())
+    images = []
+    priors = []
+    for number, camera in enumerate(block.camera.tolist(), start=1):
+        images.append((number, block.image[number - 1], camera + 1))
+        priors.append(_pose_prior(block, number, camera + 1))
     return {
-        MARK_TABLE: [(REFRACTION_KEY.decode(), REFRACTION_REMOVED.decode())],
-        "cameras": [
-            (n, _MODEL_IDS[model], camera.width_px, camera.height_px,
-             np.array(params, "<f8").tobytes(), _WITH_PRIOR)
-            for n, (camera, model, params) in enumerate(models, 1)
-        ],
-        "images": [(n, block.image[n - 1], camera) for n, camera, _ in sensors],
-        "pose_priors": [
-            (n, n, camera, sensor, frame.position_m[n - 1].tobytes(),
-             frame.covariance_m2[n - 1].tobytes(), unknown, _CARTESIAN)
-            for n, camera, sensor in sensors
-        ],
-    }  # fmt: skip
+        MARK_TABLE: [mark],
+        "cameras": _rows_of_cameras(block),
+        "images": images,
+        "pose_priors": priors,
+    }
 
 
-def copied_rows(block: ExportedBlock, source: Path) -> Iterator[tuple[Any, ...]]:
-    """Rows of both tables as the database that was read has them, with the keypoints' places here.
-
-    Its keypoints are the points ``image:index``. Matches of those that are left out are left out;
-    of the geometries the configuration is kept, and not the matrices, which are of bent rays.
-    Refuses (InputError IMPORT-FORMAT) a database without these tables, and matches cut short.
-    """
-    places = {}
-    for i, _camera, here in block.images():
-        own = block.name.take(pa.array(block.point[here]))
-        index = pc.binary_replace_slice(own, 0, len(f"{block.image[i]}:".encode()), "")
-        index = index.cast(pa.int64()).to_numpy()
-        place = np.full(index.max(initial=0) + 2, -1)  # of the last, and beyond, there is none
-        place[index] = np.arange(index.size)
-        places[block.image[i]] = i + 1, place
-    with damage_refused(source, "colmap"), closing(opened(source)) as database:
-        images = dict(database.execute("SELECT image_id, name FROM images"))
-        for table, more in (("matches", ""), ("two_view_geometries", ", config")):
-            query = f"SELECT pair_id, rows, cols, data{more} FROM {table} WHERE rows > 0"
-            for pair, rows, columns, blob, *config in database.execute(query):
-                names = [images.get(number) for number in divmod(pair, _MOST_IMAGES)]
-                if columns != 2 or len(blob or b"") != 8 * rows:
-                    raise matches_cut(
-                        where=source, table=table, one=str(names[0]), other=str(names[1])
-                    )
-                if not places.keys() >= set(names):
-                    continue
-                given = np.frombuffer(blob, "<u4").reshape(rows, 2)
-                (first, _, low), (second, _, high) = sorted(
-                    (number, k, place.take(given[:, k], mode="clip"))
-                    for k, (number, place) in enumerate(places[name] for name in names)
-                )
-                both = np.array([low, high])
-                both = both[:, both.min(axis=0) >= 0].T.astype("<u4")
-                if len(both):
-                    pair = first * _MOST_IMAGES + second
-                    yield table, pair, len(both), both.tobytes(), *config
+def _rows_of_cameras(block: ExportedBlock) -> list[Row]:
+    rows = []
+    for number, (name, camera) in enumerate(block.cameras.items(), start=1):
+        model, parameters = colmap_camera(camera, name)
+        row = (
+            number,
+            _MODEL_IDS[model],
+            camera.width_px,
+            camera.height_px,
+            np.array(parameters, "<f8").tobytes(),
+            _WITH_PRIOR,
+        )
+        rows.append(row)
+    return rows
 
 
-def match_rows(block: ExportedBlock) -> Iterator[tuple[Any, ...]]:
-    """Rows of both tables: pair of images, number of points in both, places of their keypoints."""
-    order, begin, images = block.of_points()
-    place = order - block.first[images]
-    for i, _camera, here in block.images():
-        point = block.point[here]
-        count = block.count[point]
-        # All image points of the points of this image, and of these those in later images.
-        own = np.repeat(np.arange(point.size), count)
-        other = np.repeat(begin[point] - np.cumsum(count) + count, count) + np.arange(own.size)
-        later = np.flatnonzero(images[other] > i)
-        later = later[np.argsort(images[other[later]], kind="stable")]
-        own, other = own[later], other[later]
-        edges = np.append(np.flatnonzero(np.diff(images[other], prepend=-1)), other.size)
-        for low, high in pairwise(edges.tolist()):
-            both = np.stack([own[low:high], place[other[low:high]]], axis=1).astype("<u4")
-            pair = (i + 1) * _MOST_IMAGES + int(images[other[low]]) + 1
-            yield "matches", pair, high - low, both.tobytes()
-            yield "two_view_geometries", pair, high - low, both.tobytes(), _CALIBRATED
+def _pose_prior(block: ExportedBlock, number: int, camera: int) -> Row:
+    """The row of the pose prior of an image: its position and covariance, gravity unknown."""
+    unknown_gravity = np.full(3, np.nan)
+    return (
+        number,
+        number,
+        camera,
+        CAMERA_SENSOR,
+        block.frame.position_m[number - 1].tobytes(),
+        block.frame.covariance_m2[number - 1].tobytes(),
+        unknown_gravity.tobytes(),
+        _CARTESIAN,
+    )
 
 
 def frame_of_model(run: FinishedRun, _: Values) -> ExportFrame:
@@ -291,12 +348,21 @@ def frame_of_database(run: FinishedRun, _: Values) -> ExportFrame:
 
 FORMATS = (
     ExportFormat(
-        "colmap", "a block for COLMAP: a folder with its sparse model", "", write_model,
-        frame_of_model, use=_USE,
+        "colmap",
+        "a block for COLMAP: a folder with its sparse model",
+        "",
+        write_model,
+        frame_of_model,
+        use=_USE,
         marked=("images.bin",),
     ),
     ExportFormat(
-        "colmap-database", "a block for COLMAP: database with matches and pose priors", ".db",
-        write_database, frame_of_database, use=_USE, marked=("",),
+        "colmap-database",
+        "a block for COLMAP: database with matches and pose priors",
+        ".db",
+        write_database,
+        frame_of_database,
+        use=_USE,
+        marked=("",),
     ),
-)  # fmt: skip
+)

@@ -17,7 +17,8 @@ from unbend.tables.writing import table_of
 from unbend.units import ARCSEC, DEGREE, MICRORADIAN, Array, Integers
 
 _MOST_ROWS = 250_000  # held in memory at a time
-_LARGEST_DEG, _STEP_DEG = 80.0, 1.0
+_LARGEST_DEG = 80.0  # nadir angle of radial tables
+_STEP_DEG = 1.0
 _SAME_HEIGHT = 0.02  # heights above ground within 2 % share a table: R differs by less than 2 %
 
 
@@ -26,16 +27,22 @@ def lattice_tables(run: FinishedRun, values: Values, ledger: Ledger) -> Tables:
     usable = run.exposures.usable
     left_out = run.stations.image[~usable]
     if left_out.size:
-        ledger.add(
-            messages.images_without_lattice(
-                where="stations.parquet", count=left_out.size, first=left_out[0]
-            )
+        lost = messages.images_without_lattice(
+            where="stations.parquet",
+            count=left_out.size,
+            first=left_out[0],
         )
-    if groundless := int(np.sum(usable & ~np.isfinite(run.ground_m))):
-        ledger.add(messages.lattice_without_ground(where="observations", count=groundless))
-    columns, rows = values["columns"], values["rows"]
-    layout = {"unbend.lattice": f"{columns} columns, {rows} rows, row by row"}
-    schema = schema_of(columns_of("lattice"), dict(run.metadata) | layout)
+        ledger.add(lost)
+    without_ground = int(np.sum(usable & ~np.isfinite(run.ground_m)))
+    if without_ground:
+        ledger.add(messages.lattice_without_ground(where="observations", count=without_ground))
+    columns = values["columns"]
+    rows = values["rows"]
+    metadata = {
+        **run.metadata,
+        "unbend.lattice": f"{columns} columns, {rows} rows, row by row",
+    }
+    schema = schema_of(columns_of("lattice"), metadata)
 
     def tables() -> Iterator[pa.Table]:
         """Camera by camera, in each the images in their order, in tables of `_MOST_ROWS`."""
@@ -60,7 +67,10 @@ def lattice_tables(run: FinishedRun, values: Values, ledger: Ledger) -> Tables:
 
 
 def lattice_parts(
-    run: FinishedRun, camera: str, stations: Integers, nodes: tuple[Array, Array]
+    run: FinishedRun,
+    camera: str,
+    stations: Integers,
+    nodes: tuple[Array, Array],
 ) -> Iterator[tuple[Integers, Corrections]]:
     """Corrections of a camera at the same nodes (k,) [px] of some stations, image by image.
 
@@ -68,18 +78,22 @@ def lattice_parts(
     node nothing is approximated; between nodes the bilinear interpolation errs by an eighth of the
     curvature of the shift across a cell.
     """
-    images_of_part = max(1, _MOST_ROWS // nodes[0].size)
+    x_px, y_px = nodes
+    images_of_part = max(1, _MOST_ROWS // x_px.size)
     changes = np.flatnonzero(np.diff(run.air.profile_number[stations])) + 1
     for in_one_air in np.split(stations, changes):
         for first in range(0, in_one_air.size, images_of_part):
             part = in_one_air[first : first + images_of_part]
             rays = run.rays[run.air.profile_number[part[0]]]
-            count = nodes[0].size
             corrections = correct_observations(
-                np.tile(nodes[0], part.size), np.tile(nodes[1], part.size),
-                np.repeat(run.ground_m[part], count), np.repeat(part, count), run.exposures,
-                camera=run.cameras[camera].camera, table=rays,
-            )  # fmt: skip
+                np.tile(x_px, part.size),
+                np.tile(y_px, part.size),
+                np.repeat(run.ground_m[part], x_px.size),
+                np.repeat(part, x_px.size),
+                run.exposures,
+                camera=run.cameras[camera].camera,
+                table=rays,
+            )
             yield part, corrections
 
 
@@ -120,26 +134,39 @@ def radial_tables(run: FinishedRun, _: Values, ledger: Ledger) -> Tables:
         if camera.has_window:
             ledger.add(messages.window_not_held(where=f"cameras.{name}.window", name=name))
     schema = schema_of(columns_of("radial"), run.metadata)
-
-    def table_of_group(name: str, rows: Integers) -> pa.Table:
-        """For the median height, ground and latitude of some stations of a camera."""
-        # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
-        latitude = float(np.median(run.stations.lat_rad[rows]))
-        middle = rows[np.argsort(run.stations.time_ns[rows], kind="stable")[rows.size // 2]]
-        camera = run.cameras[name].camera
-        radius = run.exposures.radius_m or float(euler_radius(latitude, 0.25 * np.pi))
-        h_c, h_g = (float(np.median(h[rows])) for h in (run.exposures.height_m, run.ground_m))
-        table = radial_table(
-            run.air.profiles[run.air.profile_number[middle]], h_c, h_g,
-            angles_to(_LARGEST_DEG, _STEP_DEG), focal_px=0.5 * (camera.fx_px + camera.fy_px),
-            radius=radius, method=run.method,
-        )  # fmt: skip
-        n = table.r_c_rad.size
-        group = {"camera": np.full(n, name, dtype=object), "images": np.full(n, rows.size)}
-        return table_of(group | radial_columns(table), schema)
-
     groups = flying_heights(run, _SAME_HEIGHT, ledger)
-    return schema, (table_of_group(*group) for group in groups)
+    return schema, (_table_of_group(run, name, rows, schema) for name, rows in groups)
+
+
+def _table_of_group(
+    run: FinishedRun,
+    name: str,
+    rows: Integers,
+    schema: pa.Schema,
+) -> pa.Table:
+    """For the median height, ground and latitude of some stations of a camera, at their middle."""
+    by_time = np.argsort(run.stations.time_ns[rows], kind="stable")
+    middle = rows[by_time[rows.size // 2]]
+    latitude = float(np.median(run.stations.lat_rad[rows]))
+    # At 45 degrees of azimuth Euler's radius is the harmonic mean of the two principal ones.
+    radius = run.exposures.radius_m or float(euler_radius(latitude, 0.25 * np.pi))
+    camera = run.cameras[name].camera
+    table = radial_table(
+        run.air.profiles[run.air.profile_number[middle]],
+        float(np.median(run.exposures.height_m[rows])),
+        float(np.median(run.ground_m[rows])),
+        angles_to(_LARGEST_DEG, _STEP_DEG),
+        focal_px=0.5 * (camera.fx_px + camera.fy_px),
+        radius=radius,
+        method=run.method,
+    )
+    angles = table.r_c_rad.size
+    columns = {
+        "camera": np.full(angles, name, dtype=object),
+        "images": np.full(angles, rows.size),
+        **radial_columns(table),
+    }
+    return table_of(columns, schema)
 
 
 def flying_heights(run: FinishedRun, part: float, ledger: Ledger) -> list[tuple[str, Integers]]:
@@ -152,20 +179,38 @@ def flying_heights(run: FinishedRun, part: float, ledger: Ledger) -> list[tuple[
     for name in run.cameras:
         rows = run.rows_of(name)
         above_ground = run.exposures.height_m[rows] - run.ground_m[rows]
-        known = above_ground > 0.0
-        if count := int(np.sum(~known)):
-            ledger.add(messages.images_without_ground(where=f"camera {name}", count=count))
-        rows, above_ground = rows[known], above_ground[known]
+        has_ground = above_ground > 0.0
+        without_ground = int(np.sum(~has_ground))
+        if without_ground:
+            lost = messages.images_without_ground(where=f"camera {name}", count=without_ground)
+            ledger.add(lost)
+        rows = rows[has_ground]
+        above_ground = above_ground[has_ground]
         while rows.size:
-            near = above_ground <= (1.0 + part) * above_ground.min()
-            groups.append((name, rows[near]))
-            rows, above_ground = rows[~near], above_ground[~near]
+            is_near = above_ground <= (1.0 + part) * above_ground.min()
+            groups.append((name, rows[is_near]))
+            rows = rows[~is_near]
+            above_ground = above_ground[~is_near]
     return groups
 
 
 _OF_LATTICE = (
-    Option("columns", int, 21, "nodes of the lattice across an image", "", 2, 1000),
-    Option("rows", int, 15, "nodes of the lattice down an image", "", 2, 1000),
+    Option(
+        "columns",
+        int,
+        21,
+        "nodes of the lattice across an image",
+        minimum=2,
+        maximum=1000,
+    ),
+    Option(
+        "rows",
+        int,
+        15,
+        "nodes of the lattice down an image",
+        minimum=2,
+        maximum=1000,
+    ),
 )
 
 FORMATS = (

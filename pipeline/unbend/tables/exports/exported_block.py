@@ -11,9 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from unbend.block.image_rays import MINIMUM_ANGLE_RAD
 from unbend.flight.rotations import matrices_of
+from unbend.flight.stations import Stations
 from unbend.geodesy import enu_from_ecef
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
@@ -24,7 +26,18 @@ from unbend.tables.exports.footprints import OneFrame, placed_stations, stations
 from unbend.tables.exports.format import NO_PROGRESS, ExportProgress, FinishedRun
 from unbend.units import Array, Integers, Mask, Names
 
-_COLUMNS = ["image", "point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
+EARTH_RADIUS_M = 6.371e6  # only for the distance at which rays are weighted
+
+_COLUMNS = ["point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
+_SCHEMA = pa.schema(
+    {
+        "image": pa.int32(),
+        "point": pa.string(),
+        "x_corrected_px": pa.float64(),
+        "y_corrected_px": pa.float64(),
+        "h_g_m": pa.float64(),
+    }
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +71,17 @@ class ExportedBlock:
         cameras = [*self.cameras.values()]
         first = self.first.tolist()
         self.progress.start("images of the block", self.camera.size)
-        for i, number in enumerate(self.camera.tolist()):
-            yield i, cameras[number], slice(first[i], first[i + 1])
+        for image, number in enumerate(self.camera.tolist()):
+            image_points = slice(first[image], first[image + 1])
+            yield image, cameras[number], image_points
             self.progress.advance(1)
 
     def of_points(self) -> tuple[Integers, Integers, Integers]:
         """Image points by their points (r,), where each begins (p + 1,), and their images (r,)."""
         order = np.argsort(self.point, kind="stable")
+        begin = np.append(0, np.cumsum(self.count))
         image = np.repeat(np.arange(self.image.size), np.diff(self.first))
-        return order, np.append(0, np.cumsum(self.count)), image[order]
+        return order, begin, image[order]
 
     @property
     def moved_m(self) -> Array:
@@ -74,26 +89,46 @@ class ExportedBlock:
         return np.asarray(-np.einsum("nij,nj->ni", self.rotation, self.frame.position_m))
 
 
-def ideal_coordinates(camera: Camera, x_px: Array, y_px: Array) -> tuple[Array, Array]:
+def ideal_coordinates(
+    camera: Camera,
+    x_px: Array,
+    y_px: Array,
+) -> tuple[Array, Array]:
     """Image coordinates (n,) without distortion [principal distances]; NaN beyond the camera's.
 
     Corrected points may lie a little outside the image.
     """
-    w, h = camera.width_px, camera.height_px
-    wider = replace(
-        camera, width_px=3 * w, height_px=3 * h, cx_px=camera.cx_px + w, cy_px=camera.cy_px + h
+    width = camera.width_px
+    height = camera.height_px
+    wider_camera = replace(
+        camera,
+        width_px=3 * width,
+        height_px=3 * height,
+        cx_px=camera.cx_px + width,
+        cy_px=camera.cy_px + height,
     )
-    u, v, _ = wider.rays(x_px + w, y_px + h)
+    u, v, _ = wider_camera.rays(x_px + width, y_px + height)
     return u, v
 
 
-def refuse_names(names: Iterable[str], pattern: str, program: str) -> None:
+def refuse_names(
+    names: Iterable[str],
+    pattern: str,
+    program: str,
+) -> None:
     """Refuse (MissionError EXPORT-NAMES) names in which a regular expression is found."""
-    for name in filter(re.compile(pattern).search, names):
+    for name in names:
+        if re.search(pattern, name) is None:
+            continue
         raise messages.name_with_separator(where="observations", name=name, program=program)
 
 
-def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> ExportedBlock:
+def block_of(
+    run: FinishedRun,
+    ledger: Ledger,
+    *,
+    intersect: bool = True,
+) -> ExportedBlock:
     """The block of a run, in one pass over its parts; memory holds some 70 bytes an observation.
 
     Without object points where the format has none (``intersect``).
@@ -102,120 +137,251 @@ def block_of(run: FinishedRun, ledger: Ledger, *, intersect: bool = True) -> Exp
     (MissionError) a run of which no station is placed (EXPORT-NO-STATIONS), and a camera that it
     does not define (EXPORT-CAMERA).
     """
-    stations, what = run.stations, "usable position, attitude and ellipsoidal height"
-    rows = placed_stations(run, can_be_placed(stations), what, ledger)
-    if rows.size == 0:
-        raise messages.no_station_placed(where="stations.parquet", lacking=what)
-    for camera in sorted(set(stations.camera[rows]) - run.cameras.keys()):
-        raise messages.camera_uncalibrated(where="stations.parquet", camera=camera)
+    rows = _stations_of_block(run, ledger)
+    stations = run.stations
     frame = stations_in_one_frame(run, rows)
-    table, names = read_image_points(run, rows, ledger)
-    image, point, x, y, h_g = (column.to_numpy() for column in table.columns)
-    count = np.bincount(point, minlength=len(names))
-    order = np.argsort(count < 2, kind="stable")
-    cameras = {name: run.cameras[name].camera for name in dict.fromkeys(stations.camera[rows])}
+    points = read_image_points(run, rows, ledger)
+    camera_names = list(dict.fromkeys(stations.camera[rows]))
+    number_of_camera = {name: number for number, name in enumerate(camera_names)}
+    images_of_point = np.bincount(points.point, minlength=len(points.name))
+    tied_first = np.argsort(images_of_point < 2, kind="stable")
+    tied_points = int(np.sum(images_of_point > 1)) if intersect else 0
     block = ExportedBlock(
-        cameras=cameras,
+        cameras={name: run.cameras[name].camera for name in camera_names},
         image=stations.image[rows],
-        camera=np.array([[*cameras].index(name) for name in stations.camera[rows]]),
+        camera=np.array([number_of_camera[name] for name in stations.camera[rows]]),
         frame=frame,
         rotation=matrices_of(frame.quaternion),
-        first=np.searchsorted(image, np.arange(rows.size + 1)),
-        point=np.argsort(order)[point],
-        x_px=run.pixels.to_colmap(x),
-        y_px=run.pixels.to_colmap(y),
-        name=names.take(pa.array(order)),
-        count=count[order],
-        point_m=np.empty((int(np.sum(count > 1)) if intersect else 0, 3)),
+        first=np.searchsorted(points.image, np.arange(rows.size + 1)),
+        point=np.argsort(tied_first)[points.point],
+        x_px=run.pixels.to_colmap(points.x),
+        y_px=run.pixels.to_colmap(points.y),
+        name=points.name.take(pa.array(tied_first)),
+        count=images_of_point[tied_first],
+        point_m=np.empty((tied_points, 3)),
         progress=run.progress,
     )
     if intersect:
-        up = enu_from_ecef(stations.lat_rad[rows], stations.lon_rad[rows])[:, 2]
-        up = up @ frame.enu_from_ecef.T
-        block.point_m[:], met = intersected(block, up, stations.h_msl_m[rows], h_g)
-        if apart := int(np.sum(~met)):
-            ledger.add(messages.points_on_ground(where="observations", count=apart))
+        _fill_object_points(block, stations.rows(rows), points.h_g_m, ledger)
     lat, lon, h = frame.origin_deg.tolist()
     ledger.add(messages.block_frame(where="stations.parquet", lat=lat, lon=lon, h=h))
     ledger.add(
         messages.points_written(
-            where="observations", count=image.size, points=len(names), images=rows.size
+            where="observations",
+            count=points.image.size,
+            points=len(points.name),
+            images=rows.size,
         )
     )
     return block
 
 
-def read_image_points(
-    run: FinishedRun, images: Integers, ledger: Ledger
-) -> tuple[pa.Table, pa.StringArray]:
-    """Number of the image and of the point, x, y and height of the ground, sorted by image.
+def _fill_object_points(
+    block: ExportedBlock,
+    stations: Stations,
+    h_g_m: Array,
+    ledger: Ledger,
+) -> None:
+    """Intersect the points of a block of some stations; those on the ground are reported."""
+    enu_of_station = enu_from_ecef(stations.lat_rad, stations.lon_rad)
+    up = enu_of_station[:, 2] @ block.frame.enu_from_ecef.T
+    block.point_m[:], met = intersected(block, up, stations.h_msl_m, h_g_m)
+    on_ground = int(np.sum(~met))
+    if on_ground:
+        ledger.add(messages.points_on_ground(where="observations", count=on_ground))
 
-    ``images`` are the stations of the images. And the names of the points: of one that is twice in
-    an image the first row is kept.
+
+def _stations_of_block(run: FinishedRun, ledger: Ledger) -> Integers:
+    """(n,) the stations that can be placed, at least one, all of cameras that the run defines."""
+    lacking = "usable position, attitude and ellipsoidal height"
+    rows = placed_stations(run, can_be_placed(run.stations), lacking, ledger)
+    if rows.size == 0:
+        raise messages.no_station_placed(where="stations.parquet", lacking=lacking)
+    undefined = set(run.stations.camera[rows]) - run.cameras.keys()
+    for camera in sorted(undefined):
+        raise messages.camera_uncalibrated(where="stations.parquet", camera=camera)
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class ImagePoints:
+    """Image points (r,) sorted by image: numbers of image and point, pixels, height of the ground.
+
+    ``name`` (p,) are the names of the points. Pixels are those of the run.
     """
-    number, total = np.full(len(run.stations) + 1, -1, np.int32), 0
-    number[images] = np.arange(images.size)
-    kinds = [pa.int32(), pa.string(), *[pa.float64()] * 3]
-    schema = pa.schema(list(zip(_COLUMNS[:5], kinds, strict=True)))
-    tables = [schema.empty_table()]
-    for station, table in run.observations(_COLUMNS[1:]):
-        total += table.num_rows
-        image = pa.array(number[station])
-        good = pc.and_(pc.equal(table["status"], "ok"), table["point"].is_valid())
-        table = table.set_column(4, "image", image).filter(pc.and_(good, pc.greater(image, -1)))
-        tables.append(table.select([4, 0, 1, 2, 3]).cast(schema))
+
+    image: NDArray[np.int32]
+    point: NDArray[np.int32]
+    x: Array
+    y: Array
+    h_g_m: Array
+    name: pa.StringArray
+
+
+def read_image_points(run: FinishedRun, images: Integers, ledger: Ledger) -> ImagePoints:
+    """The image points of some stations' images, numbered in the order of ``images`` (n,).
+
+    Of a point that is twice in an image the first row is kept; what is left out is reported.
+    """
+    number_of_station = np.full(len(run.stations) + 1, -1, np.int32)
+    # The last one, to which -1 points, stays -1: an observation without a station.
+    number_of_station[images] = np.arange(images.size)
+    table, total = _usable_rows(run, number_of_station)
+    coded = table["point"].chunk(0)
+    table = table.set_column(1, "point", coded.indices)
+    image = table["image"].to_numpy()
+    point = table["point"].to_numpy()
+    image_and_point = image * np.int64(len(coded.dictionary)) + point
+    _, kept = np.unique(image_and_point, return_index=True)
+    kept.sort(kind="stable")  # fast where images come one by one
+    if kept.size < total:
+        left_out = messages.observations_left_out(
+            where="observations",
+            count=total - kept.size,
+            total=total,
+            unusable=total - image.size,
+            again=image.size - kept.size,
+        )
+        ledger.add(left_out)
+    by_image = np.argsort(image[kept], kind="stable")
+    table = table.take(kept[by_image])
+    return ImagePoints(
+        image=table["image"].to_numpy(),
+        point=table["point"].to_numpy(),
+        x=table["x_corrected_px"].to_numpy(),
+        y=table["y_corrected_px"].to_numpy(),
+        h_g_m=table["h_g_m"].to_numpy(),
+        name=coded.dictionary,
+    )
+
+
+def _usable_rows(
+    run: FinishedRun,
+    number_of_station: NDArray[np.int32],
+) -> tuple[pa.Table, int]:
+    """Observations that are ok, with a point, of numbered images; and how many rows were read.
+
+    ``number_of_station`` is that of the image, -1 for images that are left out. The table has the
+    columns of `_SCHEMA` in one chunk each, the points as a dictionary.
+    """
+    total = 0
+    tables = [_SCHEMA.empty_table()]
+    for station, part in run.observations(_COLUMNS):
+        total += part.num_rows
+        image = pa.array(number_of_station[station])
+        is_ok = pc.equal(part["status"], "ok")
+        has_point = part["point"].is_valid()
+        has_image = pc.greater(image, -1)
+        is_usable = pc.and_(pc.and_(is_ok, has_point), has_image)
+        columns = part.append_column("image", image).select(_SCHEMA.names)
+        usable = columns.filter(is_usable)
+        tables.append(usable.cast(_SCHEMA))
     pool = pa.default_memory_pool()
     pool.release_unused()  # which it keeps else, as much as the block takes
     table = pa.concat_tables(tables)
     tables.clear()
     table = table.set_column(1, "point", table["point"].dictionary_encode())
     pool.release_unused()
-    table = table.combine_chunks()
-    coded = table["point"].chunk(0)
-    table = table.set_column(1, "point", coded.indices)
-    image, point = table["image"].to_numpy(), table["point"].to_numpy()
-    _, kept = np.unique(image * np.int64(len(coded.dictionary)) + point, return_index=True)
-    kept.sort(kind="stable")  # fast where images come one by one
-    if kept.size < total:
-        ledger.add(
-            messages.observations_left_out(
-                where="observations",
-                count=total - kept.size,
-                total=total,
-                unusable=total - image.size,
-                again=image.size - kept.size,
-            )
-        )
-    return table.take(kept[np.argsort(image[kept], kind="stable")]), coded.dictionary
+    return table.combine_chunks(), total
 
 
-def intersected(block: ExportedBlock, up: Array, h_c: Array, h_g: Array) -> tuple[Array, Mask]:
+def intersected(
+    block: ExportedBlock,
+    up: Array,
+    h_c: Array,
+    h_g: Array,
+) -> tuple[Array, Mask]:
     """(t, 3) points by least squares of the angles across their rays, and whether these meet (t,).
 
     Where they do not meet at 3 degrees or more it is the mean of where they reach the ground.
     ``up`` (n, 3) in the frame and ``h_c`` (n,) are those of the images, ``h_g`` (r,) heights of the
     ground, both above sea level [m].
     """
-    tied = len(block.point_m)
-    normal, right, ground = np.zeros((tied, 3, 3)), np.zeros((tied, 3)), np.zeros((tied, 4))
-    for i, camera, here in block.images():
-        u, v = ideal_coordinates(camera, block.x_px[here], block.y_px[here])
-        ray = np.stack([u, v, np.ones(u.size)], axis=1) @ block.rotation[i]
+    sums = _RaySums.of_points(len(block.point_m))
+    for i, camera, rows in block.images():
+        ray_in_camera = _image_rays(camera, block.x_px[rows], block.y_px[rows])
+        ray = ray_in_camera @ block.rotation[i]
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-        reach = straight_reach(h_c[i], h_g[here], -ray @ up[i], radius=6.371e6, far=False)
-        own = np.flatnonzero((block.point[here] < tied) & np.isfinite(reach))
-        point, ray, reach = block.point[here][own], ray[own], reach[own, None]
-        # A point is in an image once: no index repeats.
-        across = (np.eye(3) - ray[:, :, None] * ray[:, None, :]) / reach[:, :, None] ** 2
-        normal[point] += across
-        right[point] += across @ block.frame.position_m[i]
-        ground[point] += np.append(block.frame.position_m[i] + reach * ray, reach, axis=1)
-    ground /= np.maximum(block.count[:tied, None], 1)
-    # Two rays at an angle a have (1 - cos a) / 4 of the trace as the least eigenvalue.
-    least = 0.25 * (1.0 - np.cos(MINIMUM_ANGLE_RAD)) * np.trace(normal, axis1=1, axis2=2)
-    met = np.linalg.eigvalsh(normal)[:, 0] > least
-    normal[~met] = np.eye(3)
-    position = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+        reach = straight_reach(
+            h_c[i],
+            h_g[rows],
+            -ray @ up[i],
+            radius=EARTH_RADIUS_M,
+            far=False,
+        )
+        sums.add(block.frame.position_m[i], block.point[rows], ray, reach)
+    images_of_point = np.maximum(block.count[: len(block.point_m), None], 1)
+    ground = sums.ground / images_of_point
+    distance = sums.distance / images_of_point
+    position, are_apart = _least_squares(sums.normal, sums.right)
     # Behind a camera it is farther from the ground than that is.
-    met &= np.linalg.norm(position - ground[:, :3], axis=1) < ground[:, 3]
-    return np.where(met[:, None], position, ground[:, :3]), met
+    from_ground = np.linalg.norm(position - ground, axis=1)
+    is_before_cameras = from_ground < distance[:, 0]
+    met = are_apart & is_before_cameras
+    return np.where(met[:, None], position, ground), met
+
+
+@dataclass(frozen=True, eq=False)
+class _RaySums:
+    """Sums over the rays of points (t,).
+
+    ``normal`` (t, 3, 3) and ``right`` (t, 3) are equations of the squares of the angles across the
+    rays; ``ground`` (t, 3) is where these end on the ground, ``distance`` (t, 1) how far away.
+    """
+
+    normal: Array
+    right: Array
+    ground: Array
+    distance: Array
+
+    @classmethod
+    def of_points(cls, points: int) -> "_RaySums":
+        """Sums over no rays."""
+        return cls(
+            normal=np.zeros((points, 3, 3)),
+            right=np.zeros((points, 3)),
+            ground=np.zeros((points, 3)),
+            distance=np.zeros((points, 1)),
+        )
+
+    def add(
+        self,
+        centre: Array,
+        point: Integers,
+        ray: Array,
+        reach: Array,
+    ) -> None:
+        """Add the rays (n, 3) of an image with a ``reach`` (n,) [m], of those of the points (t,).
+
+        ``centre`` (3,) is that of the projection. A point is in an image once: no index repeats.
+        """
+        is_used = (point < len(self.normal)) & np.isfinite(reach)
+        point = point[is_used]
+        ray = ray[is_used]
+        reach = reach[is_used, None]
+        projection = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        across = projection / reach[:, :, None] ** 2
+        self.normal[point] += across
+        self.right[point] += across @ centre
+        self.ground[point] += centre + reach * ray
+        self.distance[point] += reach
+
+
+def _image_rays(camera: Camera, x_px: Array, y_px: Array) -> Array:
+    """(n, 3) directions (u, v, 1) of corrected image points in the frame of the camera."""
+    u, v = ideal_coordinates(camera, x_px, y_px)
+    return np.stack([u, v, np.ones(u.size)], axis=1)
+
+
+def _least_squares(normal: Array, right: Array) -> tuple[Array, Mask]:
+    """(t, 3) solutions of normal equations, and whether two rays are 3 degrees apart (t,).
+
+    Equations of points whose rays are not are overwritten by unit matrices.
+    """
+    # Two rays at an angle a have (1 - cos a) / 4 of the trace as the least eigenvalue.
+    part_of_trace = 0.25 * (1.0 - np.cos(MINIMUM_ANGLE_RAD))
+    least = part_of_trace * np.trace(normal, axis1=1, axis2=2)
+    are_apart = np.linalg.eigvalsh(normal)[:, 0] > least
+    normal[~are_apart] = np.eye(3)
+    solution = np.linalg.solve(normal, right[:, :, None])
+    return np.asarray(solution[:, :, 0]), np.asarray(are_apart)

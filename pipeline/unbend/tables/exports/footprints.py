@@ -5,9 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import unbend.geodesy as geodesy
 from unbend.flight.rotations import in_turned_frame, matrices_of
 from unbend.flight.stations import Stations
+from unbend.geodesy import (
+    ecef_of_geodetic,
+    enu_from_ecef,
+    euler_radius,
+    longitudes_near,
+    offset_geodetic,
+)
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
@@ -51,17 +57,27 @@ def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
     The origin is the middle of their extent, to 1e-5 degrees and one metre.
     """
     stations = run.stations
-    lat, lon, h = stations.lat_rad[rows], stations.lon_rad[rows], stations.h_ellipsoid_m[rows]
+    lat = stations.lat_rad[rows]
+    lon = stations.lon_rad[rows]
+    h = stations.h_ellipsoid_m[rows]
     origin_deg = origin_of(lat, lon, h)
-    origin = [np.radians(origin_deg[:1]), np.radians(origin_deg[1:2]), origin_deg[2:]]
-    to_origin = geodesy.enu_from_ecef(*origin[:2])[0]
-    axes = geodesy.enu_from_ecef(lat, lon) @ to_origin.T  # from the frame to the station's own
+    origin_lat = np.radians(origin_deg[:1])
+    origin_lon = np.radians(origin_deg[1:2])
+    to_origin = enu_from_ecef(origin_lat, origin_lon)[0]
+    axes = enu_from_ecef(lat, lon) @ to_origin.T  # from the frame to the station's own
+    origin_ecef = ecef_of_geodetic(origin_lat, origin_lon, origin_deg[2:])
+    from_origin_ecef = ecef_of_geodetic(lat, lon, h) - origin_ecef
     horizontal = stations.sigma_horizontal_m[rows]
-    sigma = np.stack([horizontal, horizontal, stations.sigma_height_m[rows]], axis=1)
-    moved = geodesy.ecef_of_geodetic(lat, lon, h) - geodesy.ecef_of_geodetic(*origin)
-    turned = in_turned_frame(stations.quaternion[rows], axes)
-    covariance = np.swapaxes(axes, 1, 2) @ (sigma[:, :, None] ** 2 * axes)
-    return OneFrame(origin_deg, to_origin, moved @ to_origin.T, turned, covariance)
+    vertical = stations.sigma_height_m[rows]
+    sigma = np.stack([horizontal, horizontal, vertical], axis=1)
+    variance = sigma[:, :, None] ** 2
+    return OneFrame(
+        origin_deg=origin_deg,
+        enu_from_ecef=to_origin,
+        position_m=from_origin_ecef @ to_origin.T,
+        quaternion=in_turned_frame(stations.quaternion[rows], axes),
+        covariance_m2=np.swapaxes(axes, 1, 2) @ (variance * axes),
+    )
 
 
 def footprints(run: FinishedRun, ledger: Ledger) -> Array:
@@ -81,7 +97,10 @@ def footprints(run: FinishedRun, ledger: Ledger) -> Array:
 
 
 def ground_corners(
-    stations: Stations, cameras: Mapping[str, Camera], ground_m: Array, radius_m: float | None
+    stations: Stations,
+    cameras: Mapping[str, Camera],
+    ground_m: Array,
+    radius_m: float | None,
 ) -> Array:
     """(s, 4, 2) longitude, latitude [deg] of the ground at the corners of each image.
 
@@ -91,25 +110,59 @@ def ground_corners(
     None for the ellipsoid's. NaN for an image without ground, or a corner of which shows none.
     """
     corners = np.full((len(stations), 4, 2), np.nan)
-    turn = matrices_of(stations.quaternion)
-    height = np.where(np.isfinite(stations.h_ellipsoid_m), stations.h_ellipsoid_m, stations.h_msl_m)
+    is_above_ground = ground_m < stations.h_msl_m
     for name, camera in cameras.items():
-        width, depth = camera.width_px, camera.height_px
-        at = np.array([0.0, 0.0, width, width]), np.array([0.0, depth, depth, 0.0])
-        u, v, _ = camera.rays(*at)
-        rays = np.stack([u, v, np.ones(4)], axis=1) / np.sqrt(u * u + v * v + 1.0)[:, None]
-        rows = np.flatnonzero((stations.camera == name) & (ground_m < stations.h_msl_m))
-        for corner, ray in enumerate(rays):
-            enu = np.einsum("nji,j->ni", turn[rows], ray)
-            azimuth = np.arctan2(enu[:, 0], enu[:, 1])
-            radius = radius_m or geodesy.euler_radius(stations.lat_rad[rows], azimuth)
-            reach = straight_reach(
-                stations.h_msl_m[rows], ground_m[rows], -enu[:, 2], radius=radius, far=False
+        rows = np.flatnonzero((stations.camera == name) & is_above_ground)
+        camera_from_enu = matrices_of(stations.quaternion[rows])
+        for corner, ray in enumerate(corner_rays(camera)):
+            corners[rows, corner] = _places_on_ground(
+                stations.rows(rows),
+                np.einsum("nji,j->ni", camera_from_enu, ray),
+                ground_m[rows],
+                radius_m,
             )
-            lat, lon, _ = geodesy.offset_geodetic(
-                stations.lat_rad[rows], stations.lon_rad[rows], height[rows], enu * reach[:, None]
-            )
-            lon = geodesy.longitudes_near(lon, stations.lon_rad[rows])
-            corners[rows, corner] = np.degrees(np.stack([lon, lat], axis=1))
-    corners[np.isnan(corners).any(axis=(1, 2))] = np.nan
+    is_incomplete = np.isnan(corners).any(axis=(1, 2))
+    corners[is_incomplete] = np.nan
     return corners
+
+
+def corner_rays(camera: Camera) -> Array:
+    """(4, 3) unit vectors through the corners of an image, from the upper left downwards."""
+    right = camera.width_px
+    bottom = camera.height_px
+    x_px = np.array([0.0, 0.0, right, right])
+    y_px = np.array([0.0, bottom, bottom, 0.0])
+    u, v, _ = camera.rays(x_px, y_px)
+    length = np.sqrt(u * u + v * v + 1.0)
+    return np.asarray(np.stack([u, v, np.ones(4)], axis=1) / length[:, None])
+
+
+def _places_on_ground(
+    stations: Stations,
+    direction_enu: Array,
+    ground_m: Array,
+    radius_m: float | None,
+) -> Array:
+    """(n, 2) longitude, latitude [deg] where straight rays of stations end on the ground.
+
+    ``direction_enu`` (n, 3) of unit length; longitudes within half a turn of the station's.
+    """
+    azimuth = np.arctan2(direction_enu[:, 0], direction_enu[:, 1])
+    radius = radius_m or euler_radius(stations.lat_rad, azimuth)
+    reach = straight_reach(
+        stations.h_msl_m,
+        ground_m,
+        -direction_enu[:, 2],
+        radius=radius,
+        far=False,
+    )
+    h_ellipsoid = stations.h_ellipsoid_m
+    height = np.where(np.isfinite(h_ellipsoid), h_ellipsoid, stations.h_msl_m)
+    lat, lon, _ = offset_geodetic(
+        stations.lat_rad,
+        stations.lon_rad,
+        height,
+        direction_enu * reach[:, None],
+    )
+    lon = longitudes_near(lon, stations.lon_rad)
+    return np.degrees(np.stack([lon, lat], axis=1))

@@ -150,9 +150,14 @@ Values = Mapping[str, Any]
 """The value of every option of a format, by name."""
 
 PIXEL_UM = Option(
-    "pixel_um", float, 0.0, "size of a pixel for the tables in mm; 0: as in cameras.<name>.metric",
-    "um", 0.0, 200.0,
-)  # fmt: skip
+    "pixel_um",
+    float,
+    default=0.0,
+    help="size of a pixel for the tables in mm; 0: as in cameras.<name>.metric",
+    unit="um",
+    minimum=0.0,
+    maximum=200.0,
+)
 
 
 def pixel_mm(run: FinishedRun, camera: str, values: Values) -> float:
@@ -241,8 +246,13 @@ def parquet_and_csv(
     corrections, which `CORRECTIONS_USE` is about.
     """
 
-    def write(writer: Callable[..., int], run: FinishedRun, values: Values, path: Path,
-              ledger: Ledger) -> int:  # fmt: skip
+    def write(
+        writer: Callable[..., int],
+        run: FinishedRun,
+        values: Values,
+        path: Path,
+        ledger: Ledger,
+    ) -> int:
         return writer(path, *tables(run, values, ledger))
 
     kinds = (name, ".parquet", write_parquet_stream), (f"{name}-csv", ".csv", write_csv_stream)

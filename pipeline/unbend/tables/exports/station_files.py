@@ -51,9 +51,16 @@ _AXES = ("x_m", "y_m", "z_m")
 _WORDS = ("image", "camera", "status", "time_utc")
 _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt_deg", "sigma_yaw_deg")
 _PROPERTIES = (
-    "image", "camera", "h_msl_m", "h_ellipsoid_m", "sigma_horizontal_m", "sigma_height_m",
-    "suspect_reason", "suspect_m", "status",
-)  # fmt: skip
+    "image",
+    "camera",
+    "h_msl_m",
+    "h_ellipsoid_m",
+    "sigma_horizontal_m",
+    "sigma_height_m",
+    "suspect_reason",
+    "suspect_m",
+    "status",
+)
 
 
 def write_at_stations(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
@@ -94,10 +101,10 @@ def write_in_one_frame(run: FinishedRun, _: Values, path: Path, ledger: Ledger) 
 
 def placed_rows(run: FinishedRun, ledger: Ledger) -> Integers:
     """The stations with all that a table of orientations needs; the others are a loss."""
-    what = "usable position, attitude and ellipsoidal height"
+    lacking = "usable position, attitude and ellipsoidal height"
     if run.grid is not None:
-        what = f"{what} within the transformation to {run.grid.name}"
-    return placed_stations(run, has_orientation(run), what, ledger)
+        lacking = f"{lacking} within the transformation to {run.grid.name}"
+    return placed_stations(run, has_orientation(run), lacking, ledger)
 
 
 def has_orientation(run: FinishedRun) -> Mask:
@@ -106,11 +113,11 @@ def has_orientation(run: FinishedRun) -> Mask:
     With a grid only those that its transformation reaches.
     """
     stations = run.stations
-    known = can_be_placed(stations)
+    has_all = can_be_placed(stations)
     if run.grid is not None:
         x, y = run.grid.coordinates(stations.lat_rad, stations.lon_rad)
-        known &= np.isfinite(x) & np.isfinite(y)
-    return known
+        has_all &= np.isfinite(x) & np.isfinite(y)
+    return has_all
 
 
 def columns_of_stations(run: FinishedRun, rows: Integers) -> dict[str, object]:
@@ -129,9 +136,11 @@ def write_station_table(
     run: FinishedRun, path: Path, columns: Mapping[str, object], names: Sequence[str]
 ) -> int:
     """Write columns of stations as CSV, in the order of ``names``; the number of rows."""
-    texts = dict.fromkeys(_WORDS, pa.string()) | {"time_utc": pa.timestamp("ns", "UTC")}
-    kinds = {name: (texts.get(name, pa.float64()), "", "") for name in names}
-    schema = schema_of(kinds, run.metadata)
+    types = dict.fromkeys(names, pa.float64())
+    types |= dict.fromkeys(_WORDS, pa.string())
+    types["time_utc"] = pa.timestamp("ns", "UTC")
+    columns_of_schema = {name: (types[name], "", "") for name in names}
+    schema = schema_of(columns_of_schema, run.metadata)
     return write_csv_stream(path, schema, [table_of(columns, schema)])
 
 
@@ -171,45 +180,74 @@ def frame_of_kml(_run: FinishedRun, _: Values) -> ExportFrame:
     return ExportFrame(positions=geographic_frame(SEA_LEVEL_OF_RUN))
 
 
+Ring = list[list[float]]
+"""Longitude and latitude [deg] of a footprint's corners, the first one again at its end."""
+
+
 def _rings(
-    run: FinishedRun, known: Mask, what: str, ledger: Ledger
-) -> Iterator[tuple[int, list[list[float]]]]:
-    """The stations that are known, and the closed footprint of each, empty where it has none."""
+    run: FinishedRun,
+    is_placed: Mask,
+    lacking: str,
+    ledger: Ledger,
+) -> Iterator[tuple[int, Ring]]:
+    """The stations with a place, and the footprint of each, empty where it has none."""
     corners = footprints(run, ledger)
-    for row in placed_stations(run, known, what, ledger).tolist():
-        whole = bool(np.isfinite(corners[row]).all())
-        yield row, [*corners[row].tolist(), corners[row, 0].tolist()] if whole else []
+    for row in placed_stations(run, is_placed, lacking, ledger).tolist():
+        ring: Ring = []
+        if np.isfinite(corners[row]).all():
+            ring = corners[row].tolist()
+            ring.append(ring[0])
+        yield row, ring
 
 
 def write_kml(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """A placemark for each station with a place and one for each footprint, in two folders."""
-    columns, stations, grounds = station_columns(run.stations), list[str](), list[str]()
-    known = np.isfinite(columns["lat_deg"]) & np.isfinite(columns["h_msl_m"])
-    for row, ring in _rings(run, known, "position above sea level", ledger):
-        lon, lat, h = (float(columns[name][row]) for name in ("lon_deg", "lat_deg", "h_msl_m"))
-        words = [columns[name][row] for name in ("camera", "status", "suspect_reason")]
-        mark = _text("name", columns["image"][row])
-        text = mark + _text("description", ", ".join(word for word in words if word))
-        if not np.isnat(columns["time_utc"][row]):
-            when = np.datetime_as_string(columns["time_utc"][row], unit="ms")
-            text += f"<TimeStamp><when>{when}Z</when></TimeStamp>"
-        # Absolute is above sea level, by definition of KML.
-        text += "<Point><altitudeMode>absolute</altitudeMode>"
-        text += _text("coordinates", f"{lon!r},{lat!r},{h!r}") + "</Point>"
-        stations.append(text)
+    columns = station_columns(run.stations)
+    is_placed = np.isfinite(columns["lat_deg"]) & np.isfinite(columns["h_msl_m"])
+    stations = []
+    grounds = []
+    for row, ring in _rings(run, is_placed, "position above sea level", ledger):
+        stations.append(_kml_station(columns, row))
         if ring:
-            places = _text("coordinates", " ".join(f"{x!r},{y!r}" for x, y in ring))
-            grounds.append(f"{mark}<Polygon><outerBoundaryIs><LinearRing>{places}</LinearRing>"
-                           "</outerBoundaryIs></Polygon>")  # fmt: skip
+            grounds.append(_kml_footprint(columns["image"][row], ring))
     lines = [
         '<?xml version="1.0" encoding="utf-8"?>',
         '<kml xmlns="http://www.opengis.net/kml/2.2"><Document>' + _text("name", run.mission),
+        *_kml_folder("stations", stations),
+        *_kml_folder("footprints", grounds),
+        "</Document></kml>\n",
     ]
-    for name, marks in (("stations", stations), ("footprints", grounds)):
-        placemarks = [f"<Placemark>{mark}</Placemark>" for mark in marks]
-        lines += [f"<Folder><name>{name}</name>", *placemarks, "</Folder>"]
-    path.write_text("\n".join([*lines, "</Document></kml>\n"]), encoding="utf-8")
+    path.write_text("\n".join(lines), encoding="utf-8")
     return len(stations) + len(grounds)
+
+
+def _kml_folder(name: str, marks: Sequence[str]) -> list[str]:
+    """The lines of a folder of placemarks."""
+    placemarks = [f"<Placemark>{mark}</Placemark>" for mark in marks]
+    return [f"<Folder><name>{name}</name>", *placemarks, "</Folder>"]
+
+
+def _kml_station(columns: Mapping[str, Any], row: int) -> str:
+    """What a station's placemark holds: name, description, time, and the place above sea level."""
+    lon, lat, h = (float(columns[name][row]) for name in ("lon_deg", "lat_deg", "h_msl_m"))
+    words = [columns[name][row] for name in ("camera", "status", "suspect_reason")]
+    text = _text("name", columns["image"][row])
+    text += _text("description", ", ".join(word for word in words if word))
+    time = columns["time_utc"][row]
+    if not np.isnat(time):
+        when = np.datetime_as_string(time, unit="ms")
+        text += f"<TimeStamp><when>{when}Z</when></TimeStamp>"
+    # Absolute is above sea level, by definition of KML.
+    text += "<Point><altitudeMode>absolute</altitudeMode>"
+    return text + _text("coordinates", f"{lon!r},{lat!r},{h!r}") + "</Point>"
+
+
+def _kml_footprint(image: str, ring: Ring) -> str:
+    """What a footprint's placemark holds."""
+    places = " ".join(f"{lon!r},{lat!r}" for lon, lat in ring)
+    boundary = f"<LinearRing>{_text('coordinates', places)}</LinearRing>"
+    polygon = f"<Polygon><outerBoundaryIs>{boundary}</outerBoundaryIs></Polygon>"
+    return _text("name", image) + polygon
 
 
 def _text(tag: str, text: str) -> str:
@@ -220,23 +258,41 @@ def _text(tag: str, text: str) -> str:
 
 def write_geojson(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """A point for each station with a position, and a polygon for each footprint."""
-    columns, features = station_columns(run.stations), list[dict[str, Any]]()
-    for row, ring in _rings(run, np.isfinite(columns["lat_deg"]), "position", ledger):
-        values = {name: columns[name][row] for name in _PROPERTIES}
-        properties = {n: None if v != v else v for n, v in values.items()}
-        time = columns["time_utc"][row]
-        properties["time_utc"] = None if np.isnat(time) else f"{time}Z"
-        place = [columns[name][row] for name in ("lon_deg", "lat_deg", "h_ellipsoid_m")]
-        point = {"type": "Point", "coordinates": place if place[2] == place[2] else place[:2]}
-        features.append(_feature(point, properties | {"kind": "station"}))
+    columns = station_columns(run.stations)
+    is_placed = np.isfinite(columns["lat_deg"])
+    features = []
+    for row, ring in _rings(run, is_placed, "position", ledger):
+        features.append(_geojson_station(columns, row))
         if ring:
             polygon = {"type": "Polygon", "coordinates": [ring]}
-            named = {"image": values["image"], "camera": values["camera"], "kind": "footprint"}
-            features.append(_feature(polygon, named | {"h_g_m": float(run.ground_m[row])}))
+            properties = {
+                "image": columns["image"][row],
+                "camera": columns["camera"][row],
+                "kind": "footprint",
+                "h_g_m": float(run.ground_m[row]),
+            }
+            features.append(_feature(polygon, properties))
     collection = {"type": "FeatureCollection", "features": features}
     text = json.dumps(collection, ensure_ascii=False, allow_nan=False, indent=1)
     path.write_text(text + "\n", encoding="utf-8")
     return len(features)
+
+
+def _geojson_station(columns: Mapping[str, Any], row: int) -> dict[str, Any]:
+    """A point with the properties of a station, unknown ones null; without height if unknown."""
+    properties = {}
+    for name in _PROPERTIES:
+        value = columns[name][row]
+        is_unknown = value != value  # NaN
+        properties[name] = None if is_unknown else value
+    time = columns["time_utc"][row]
+    properties["time_utc"] = None if np.isnat(time) else f"{time}Z"
+    properties["kind"] = "station"
+    place = [columns["lon_deg"][row], columns["lat_deg"][row]]
+    height = columns["h_ellipsoid_m"][row]
+    if not np.isnan(height):
+        place.append(height)
+    return _feature({"type": "Point", "coordinates": place}, properties)
 
 
 def _feature(geometry: dict[str, Any], properties: dict[str, Any]) -> dict[str, Any]:

@@ -11,11 +11,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from unbend.block.oriented_images import CartesianFrame
 from unbend.flight.heights import LARGEST_GEOID_M, USUAL_GEOID_M
-from unbend.geodesy import GeoidGrid, ecef_of_geodetic
+from unbend.geodesy import GeoidGrid
 from unbend.messages import Message, Notes
 from unbend.tables.geodata import messages
 from unbend.tables.geodata.geoid import package_geoid
@@ -69,31 +67,33 @@ def places_of(
     horizontal, vertical = _system(crs, heights, where, key)
     x, y, h = xyh
     lon_lat, notes = _inside(_own_places(horizontal, x, y), horizontal, where, key, (x, y))
-    known = np.isfinite(lon_lat).all(axis=0)
-    best, by, good = _to_wgs84(horizontal, lon_lat[:, known], where, key)
-    count = int(known.sum())
-    notes.append(
-        messages.positions_on_wgs84(
-            where=where,
-            count=count,
-            system=horizontal.name,
-            crs=crs,
-            operation=by,
-            is_good=good,
-        )
+    is_known = np.isfinite(lon_lat).all(axis=0)
+    best, by, is_good = to_wgs84(horizontal, lon_lat[:, is_known], where, key)
+    count = int(is_known.sum())
+    note = messages.positions_on_wgs84(
+        where=where,
+        count=count,
+        system=horizontal.name,
+        crs=crs,
+        operation=by,
+        is_good=is_good,
     )
-    lon, lat = np.radians(np.array(best.transform(np.where(known, x, np.nan), y, errcheck=False)))
-    known &= np.isfinite(lat)  # not beyond the grid of the transformation
-    lat[~known] = lon[~known] = np.nan
-    if known.sum() < count:
-        beyond = count - int(known.sum())
+    notes.append(note)
+    x_or_nan = np.where(is_known, x, np.nan)
+    lon, lat = np.radians(np.array(best.transform(x_or_nan, y, errcheck=False)))
+    is_known &= np.isfinite(lat)  # not beyond the grid of the transformation
+    lat[~is_known] = np.nan
+    lon[~is_known] = np.nan
+    beyond = count - int(is_known.sum())
+    if beyond > 0:
         notes.append(messages.positions_beyond_grid(where=where, count=beyond, operation=by))
     convergence = np.zeros(lat.size)
     if horizontal.is_projected:
-        convergence[known] = grid_coordinates(horizontal.to_string(), *lon_lat[:, known])[2]
+        known_places = lon_lat[:, is_known]
+        _, _, known_convergence = grid_coordinates(horizontal.to_string(), *known_places)
+        convergence[is_known] = known_convergence
     if vertical is not None:
-        axis = vertical.axis_info[0]
-        h = h * axis.unit_conversion_factor * (-1.0 if axis.direction == "down" else 1.0)
+        h = _metres_upwards(vertical, h)
         if vertical.name not in SEA_LEVELS:
             if geoid is None:
                 raise messages.crs_vertical_grid(
@@ -102,36 +102,79 @@ def places_of(
                     vertical=vertical.name,
                     horizontal=horizontal.to_string(),
                 )
-            undulation = geoid.undulation(lat, lon)
-            off = undulation - package_geoid().undulation(lat, lon)
-            off_m = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else 0.0
-            if abs(off_m) > LARGEST_GEOID_M:
-                raise messages.crs_vertical_other_grid(
-                    where=where, named=key, geoid=geoid.name, off_m=off_m, vertical=vertical.name
-                )
-            notes.append(
-                messages.heights_by_grid(
-                    where=where,
-                    count=count,
-                    datum=vertical.name,
-                    grid=geoid.name,
-                    off_m=off_m,
-                    is_usual=abs(off_m) <= USUAL_GEOID_M,
-                )
+            h, note = _above_ellipsoid(
+                h,
+                vertical,
+                geoid,
+                (lat, lon),
+                count=count,
+                where=where,
+                key=key,
             )
-            h, heights = h + undulation, "ellipsoid"
+            notes.append(note)
+            heights = "ellipsoid"
     return Places(lat, lon, h, heights, convergence), tuple(notes)
+
+
+def _above_ellipsoid(
+    h_m: Array,
+    vertical: "CRS",
+    geoid: GeoidGrid,
+    lat_lon: tuple[Array, Array],
+    *,
+    count: int,
+    where: str,
+    key: str,
+) -> tuple[Array, Message]:
+    """Heights [m] above the ellipsoid of those in a vertical datum, by the grid that belongs to it.
+
+    Refuses (CRS-VERTICAL) a grid that lies elsewhere than any geoid.
+    """
+    undulation = geoid.undulation(*lat_lon)
+    off_m = _off_from_package(undulation, *lat_lon)
+    if abs(off_m) > LARGEST_GEOID_M:
+        raise messages.crs_vertical_other_grid(
+            where=where,
+            named=key,
+            geoid=geoid.name,
+            off_m=off_m,
+            vertical=vertical.name,
+        )
+    note = messages.heights_by_grid(
+        where=where,
+        count=count,
+        datum=vertical.name,
+        grid=geoid.name,
+        off_m=off_m,
+        is_usual=abs(off_m) <= USUAL_GEOID_M,
+    )
+    return h_m + undulation, note
+
+
+def _metres_upwards(vertical: "CRS", h: Array) -> Array:
+    """Heights [m] of numbers in the unit and the direction of a vertical system."""
+    axis = vertical.axis_info[0]
+    h = h * axis.unit_conversion_factor
+    return -h if axis.direction == "down" else h
+
+
+def _off_from_package(undulation: Array, lat_rad: Array, lon_rad: Array) -> float:
+    """How far undulations [m] are from EGM96 in the median, 0 where none is known."""
+    off = undulation - package_geoid().undulation(lat_rad, lon_rad)
+    known_off = off[np.isfinite(off)]
+    return float(np.median(known_off)) if known_off.size else 0.0
 
 
 def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
     """(2, n) longitude and latitude [deg, from Greenwich] in a system's own datum."""
     from pyproj import Transformer
 
-    own = horizontal.geodetic_crs
-    to_own = Transformer.from_crs(horizontal, own, always_xy=True)
-    lon_lat = np.array(to_own.transform(x, y, errcheck=False))
-    lon_lat *= np.degrees(own.axis_info[0].unit_conversion_factor)  # grads of Paris, for example
-    lon_lat[0] += _meridian_deg(own)
+    geodetic = horizontal.geodetic_crs
+    to_geodetic = Transformer.from_crs(horizontal, geodetic, always_xy=True)
+    lon_lat = np.array(to_geodetic.transform(x, y, errcheck=False))
+    unit_rad = geodetic.axis_info[0].unit_conversion_factor  # grads of Paris, for example
+    lon_lat *= np.degrees(unit_rad)
+    lon_lat[0] += prime_meridian_deg(geodetic)
     return lon_lat
 
 
@@ -175,13 +218,14 @@ def best_operation(
     best = group.transformers[0]
     by = f"{best.description or 'an unnamed operation'}"
     by += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"
-    if not group.best_available and (missing := group.unavailable_operations[:1]):
-        grids = ", ".join(grid.short_name for grid in missing[0].grids)
-        by += f"; {missing[0].name} to {missing[0].accuracy:g} m needs {grids} in PROJ's folder"
+    if not group.best_available and group.unavailable_operations:
+        missing = group.unavailable_operations[0]
+        grids = ", ".join(grid.short_name for grid in missing.grids)
+        by += f"; {missing.name} to {missing.accuracy:g} m needs {grids} in PROJ's folder"
     return BestOperation(best, by, 0.0 <= best.accuracy <= _GOOD_M)
 
 
-def _to_wgs84(
+def to_wgs84(
     horizontal: Any, lon_lat: Array, where: str, key: str, *, target: str = "EPSG:4326"
 ) -> tuple[Any, str, bool]:
     """The best transformation to WGS 84 about (2, n) places, what it is, and whether to 1 m."""
@@ -201,7 +245,7 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
 
     try:
         projection = Proj(crs)
-        meridian_deg = _meridian_deg(CRS.from_user_input(crs))
+        meridian_deg = prime_meridian_deg(CRS.from_user_input(crs))
     except ProjError as error:
         raise ValueError(str(error)) from None
     x, y = projection(lon_deg, lat_deg)
@@ -213,35 +257,10 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
     return x, y, np.radians(measured(convergence_deg))
 
 
-def _meridian_deg(system: Any) -> float:
+def prime_meridian_deg(system: Any) -> float:
     """Longitude of a system's prime meridian from Greenwich [deg]."""
     meridian = system.prime_meridian
     return float(np.degrees(meridian.longitude * meridian.unit_conversion_factor))
-
-
-@dataclass(frozen=True)
-class GeocentricDatum:
-    """Earth-centred axes of the datum of a coordinate system, on its own ellipsoid."""
-
-    crs: str
-    name: str
-
-
-def datum_of(crs: str) -> GeocentricDatum | None:
-    """The datum of a coordinate system, as WKT or EPSG; None where PROJ knows none.
-
-    >>> datum_of("EPSG:2056").name, datum_of("LOCAL_CS[...]")
-    ('CH1903+', None)
-    """
-    from pyproj import CRS
-    from pyproj.exceptions import CRSError
-
-    try:
-        system = CRS.from_user_input(crs)
-    except CRSError:
-        return None
-    geodetic = system.geodetic_crs
-    return None if geodetic is None else GeocentricDatum(crs, geodetic.name)
 
 
 def kind_of_system(crs: str) -> str | None:
@@ -284,77 +303,6 @@ def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:
     return lat_rad, lon_rad
 
 
-CUBE_M = 1000.0  # half an edge of the cube whose corners tell how a datum lies to another
-
-
-def frame_of_datum(
-    datum: GeocentricDatum, xyz: Array, *, keep_heights: bool, where: str, key: str
-) -> tuple[CartesianFrame, Notes]:
-    """The frame of the earth-centred x, y, z of another datum than WGS 84.
-
-    ``xyz`` (n, 3) are positions of a block: about their middle the best transformation that PROJ
-    has is taken as a similarity. ``keep_heights`` : heights above the own ellipsoid stay what they
-    are, numbers above sea level that a program took for them. Refuses (InputError CRS-BALLPARK) a
-    datum of which PROJ knows only the name.
-    """
-    known = np.isfinite(xyz).all(axis=1)
-    middle = np.median(xyz[known], axis=0)
-    corners = CUBE_M * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    places = own_geodetic(datum, middle + corners)
-    transform, by, is_good = to_wgs84_with_heights(datum, places, where, key)
-    lon, lat, h = transform.transform(*places.T)
-    if keep_heights:
-        h = places[:, 2]
-    ecef = ecef_of_geodetic(np.radians(lat), np.radians(lon), h)
-    note = messages.positions_on_wgs84(
-        where=where,
-        count=int(known.sum()),
-        system=f"{datum.name}, earth-centred",
-        crs=datum.name,
-        operation=by,
-        is_good=is_good,
-    )
-    return frame_through(corners, ecef, middle), (note,)
-
-
-def frame_through(corners: Array, ecef: Array, middle: Array) -> CartesianFrame:
-    """The similarity that brings (n, 3) corners about a place to earth-centred positions."""
-    centre = ecef.mean(axis=0)
-    rotation, _ = Rotation.align_vectors(ecef - centre, corners)
-    matrix = rotation.as_matrix()
-    turned = corners @ matrix.T
-    scale = float(np.sum(turned * (ecef - centre)) / np.sum(turned**2))
-    return CartesianFrame(matrix, centre - scale * matrix @ middle, scale)
-
-
-def own_geodetic(datum: GeocentricDatum, xyz: Array) -> Array:
-    """(n, 3) longitude, latitude [units of the datum's system] and height [m] on its ellipsoid."""
-    from pyproj import CRS, Transformer
-
-    geodetic = CRS.from_user_input(datum.crs).geodetic_crs
-    ellipsoid = geodetic.ellipsoid
-    axes = f"+a={ellipsoid.semi_major_metre} +b={ellipsoid.semi_minor_metre}"
-    to_geodetic = Transformer.from_pipeline(
-        f"+proj=pipeline +step +inv +proj=cart {axes} "
-        "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
-    )
-    lon, lat, h = to_geodetic.transform(*xyz.T)
-    unit_deg = np.degrees(geodetic.axis_info[0].unit_conversion_factor)
-    return np.stack([(lon - _meridian_deg(geodetic)) / unit_deg, lat / unit_deg, h], axis=1)
-
-
-def to_wgs84_with_heights(
-    datum: GeocentricDatum, own: Array, where: str, key: str
-) -> tuple[Any, str, bool]:
-    """As `_to_wgs84` for (n, 3) longitudes, latitudes and ellipsoidal heights of a datum."""
-    from pyproj import CRS
-
-    system = CRS.from_user_input(datum.crs).geodetic_crs
-    unit_deg = np.degrees(system.axis_info[0].unit_conversion_factor)
-    lon_lat = unit_deg * own[:, :2].T + np.array([[_meridian_deg(system)], [0.0]])
-    return _to_wgs84(system.to_3d(), lon_lat, where, key, target="EPSG:4979")
-
-
 @dataclass(frozen=True)
 class GridSystem:
     """The coordinate system of a grid.
@@ -389,13 +337,24 @@ def grid_system(
     if not horizontal.equals(other, ignore_axis_order=True):
         raise messages.dem_crs_stated(where=where, own=horizontal.name, other=other.name, named=key)
     places = _own_places(horizontal, *corners)
-    best, by, good = _to_wgs84(horizontal, places[:, np.isfinite(places).all(axis=0)], where, key)
-    there = partial(best.transform, direction="INVERSE")
-    system = GridSystem(horizontal.name, horizontal.is_geographic, there, best.transform, by, good)
+    is_known = np.isfinite(places).all(axis=0)
+    best, by, is_good = to_wgs84(horizontal, places[:, is_known], where, key)
+    system = GridSystem(
+        name=horizontal.name,
+        geographic=horizontal.is_geographic,
+        to_grid=partial(best.transform, direction="INVERSE"),
+        to_places=best.transform,
+        by=by,
+        is_good=is_good,
+    )
     if vertical is None:
         return system
-    name, unit_m = vertical.name, vertical.axis_info[0].unit_conversion_factor
-    return replace(system, vertical=name, is_sea_level=name in SEA_LEVELS, unit_m=unit_m)
+    return replace(
+        system,
+        vertical=vertical.name,
+        is_sea_level=vertical.name in SEA_LEVELS,
+        unit_m=vertical.axis_info[0].unit_conversion_factor,
+    )
 
 
 def is_on_wgs84(crs: str) -> bool:
@@ -429,8 +388,11 @@ def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
             raise CRSError(f"{whole.name} is a {whole.type_name}")
     except CRSError as error:
         raise messages.crs_unknown(where=where, crs=crs, error=str(error), named=key) from None
-    of_system, ellipsoid = "msl" if vertical else heights, horizontal.ellipsoid
-    if not vertical and len(whole.axis_info) == 3:
+    ellipsoid = horizontal.ellipsoid
+    of_system = heights
+    if vertical:
+        of_system = "msl"
+    elif len(whole.axis_info) == 3:
         of_system = "ellipsoid"
     if of_system != heights:
         raise messages.crs_vertical_stated(
@@ -467,30 +429,40 @@ def _inside(
     lon_lat: Array, horizontal: Any, where: str, key: str, given: tuple[Array, Array]
 ) -> tuple[Array, list[Message]]:
     """(2, n) places with NaN outside the system's area of use; refuses where most are outside."""
-    area, known = horizontal.area_of_use, np.isfinite(given).all(axis=0)
-    lon_lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan)
-    inside = np.isfinite(lon_lat).all(axis=0) & is_in_area(horizontal, lon_lat, MARGIN_DEG)
-    count = int((known & ~inside).sum())
-    if count == 0 and known.any():
-        return lon_lat, []
-    if not known.any():
+    area = horizontal.area_of_use
+    area_name = area.name if area else "the earth"
+    is_given = np.isfinite(given).all(axis=0)
+    if not is_given.any():
         raise messages.positions_none(where=where, key=key)
-    total = int(known.sum())
-    first = int(np.argmax(known & ~inside))
-    x, y = float(given[0][first]), float(given[1][first])
-    system, area_name = horizontal.name, area.name if area else "the earth"
+    lon_lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan)
+    is_place = np.isfinite(lon_lat).all(axis=0)
+    is_inside = is_place & is_in_area(horizontal, lon_lat, MARGIN_DEG)
+    is_outside = is_given & ~is_inside
+    count = int(is_outside.sum())
+    if count == 0:
+        return lon_lat, []
+    total = int(is_given.sum())
+    first = int(np.argmax(is_outside))
+    x = float(given[0][first])
+    y = float(given[1][first])
     if 2 * count >= total:
         raise messages.positions_outside(
             where=where,
             key=key,
             outside=count,
             total=total,
-            system=system,
+            system=horizontal.name,
             area=area_name,
             x=x,
             y=y,
         )
     some_outside = messages.some_positions_outside(
-        where=where, count=count, total=total, system=system, area=area_name, x=x, y=y
+        where=where,
+        count=count,
+        total=total,
+        system=horizontal.name,
+        area=area_name,
+        x=x,
+        y=y,
     )
-    return np.where(inside, lon_lat, np.nan), [some_outside]
+    return np.where(is_inside, lon_lat, np.nan), [some_outside]

@@ -17,13 +17,23 @@ from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS, is_upright
 from unbend.units import Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100  # of 1 MB
-
-_LOWEST_M, _HIGHEST_M = -600.0, 9_000.0
+_LOWEST_M = -600.0  # numbers below are no heights: holes that a file does not declare
+_HIGHEST_M = 9_000.0  # and numbers above
+_US_SURVEY_FOOT_M = 1200.0 / 3937.0
 _METRES = {
-    "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0, "ft": 0.3048,
-    "foot": 0.3048, "feet": 0.3048, "us-ft": 1200.0 / 3937.0, "us-survey-foot": 1200.0 / 3937.0,
-}  # fmt: skip
+    "m": 1.0,
+    "metre": 1.0,
+    "meter": 1.0,
+    "metres": 1.0,
+    "meters": 1.0,
+    "ft": 0.3048,
+    "foot": 0.3048,
+    "feet": 0.3048,
+    "us-ft": _US_SURVEY_FOOT_M,
+    "us-survey-foot": _US_SURVEY_FOOT_M,
+}
 _APART = 0.01  # so far nodes of rasters of one model may lie beside each other, in cells
+_UNDULATIONS_A_TILE = 9  # along each side: at every 64th node; between a geoid is even to 1 mm
 
 
 class ElevationModel:
@@ -39,60 +49,69 @@ class ElevationModel:
         system: GridSystem,
         undulation: Callable[[Array, Array], Array] | None,
     ) -> None:
-        first = rasters[0]
-        self._rasters, self._system, self._undulation = rasters, system, undulation
-        self._step = first.step_x, first.step_y
-        self.lock, self._projecting = threading.RLock(), threading.Lock()
+        self._rasters = rasters
+        self._system = system
+        self._undulation = undulation
+        self.lock = threading.RLock()
+        self._projecting = threading.Lock()
         # In nodes from the north-west corner of all.
-        west, north = min(r.west for r in rasters), max(r.north for r in rasters)
-        self._corner = west, north
-        self._places = []
-        for raster in rasters:
-            row, column = (north - raster.north) / first.step_y, (raster.west - west) / first.step_x
-            off = max(
-                abs(row - round(row)), abs(column - round(column)),
-                raster.columns * abs(raster.step_x / first.step_x - 1.0),
-                raster.rows * abs(raster.step_y / first.step_y - 1.0),
-            )  # fmt: skip
-            if off > _APART:
-                raise messages.dem_tiles(
-                    where=raster.path,
-                    off=off,
-                    first=first.path.name,
-                    step=(raster.step_x, raster.step_y),
-                    first_step=(first.step_x, first.step_y),
-                )
-            self._places.append((round(row), round(column)))
-        rows = max(p[0] + r.rows for p, r in zip(self._places, rasters, strict=True))
-        columns = max(p[1] + r.columns for p, r in zip(self._places, rasters, strict=True))
+        self._west = min(raster.west for raster in rasters)
+        self._north = max(raster.north for raster in rasters)
+        self._step_x = rasters[0].step_x
+        self._step_y = rasters[0].step_y
+        self._places = [self._place_of(raster) for raster in rasters]
+        rows = 0
+        columns = 0
+        for raster, (top, left) in zip(rasters, self._places, strict=True):
+            rows = max(rows, top + raster.rows)
+            columns = max(columns, left + raster.columns)
+        self.size = (rows, columns)
         around = 0
-        if system.geographic and columns * first.step_x > 180.0:
-            around = round(360.0 / first.step_x)
-        self.size = rows, columns
-        shape = -(-rows // TILE), -(-(around or columns) // TILE)
-        slots = min(_TILES_IN_MEMORY, shape[0] * shape[1])
-        low, high = np.full((2, *shape), np.nan, np.float32)
-        block_low, block_high = np.empty((2, slots, TILE // BLOCK, TILE // BLOCK), np.float32)
-        tiles = np.empty((slots, TILE + 1, TILE + 1), np.float32)
-        slot = np.full(shape, -1, np.int32)
-        self.grid = TerrainGrid(low, high, slot, tiles, block_low, block_high, around)
+        if system.geographic and columns * self._step_x > 180.0:
+            around = round(360.0 / self._step_x)
+        self.grid = _empty_grid(rows, columns, around)
         self._held: dict[int, int] = {}  # tile -> slot, the longest there first
+
+    def _place_of(self, raster: "_Raster") -> tuple[int, int]:
+        """Row and column of a raster's first node; refuses (DEM-TILES) one on another grid."""
+        row = (self._north - raster.north) / self._step_y
+        column = (raster.west - self._west) / self._step_x
+        off = max(
+            abs(row - round(row)),
+            abs(column - round(column)),
+            raster.columns * abs(raster.step_x / self._step_x - 1.0),
+            raster.rows * abs(raster.step_y / self._step_y - 1.0),
+        )
+        if off > _APART:
+            raise messages.dem_tiles(
+                where=raster.path,
+                off=off,
+                first=self._rasters[0].path.name,
+                step=(raster.step_x, raster.step_y),
+                first_step=(self._step_x, self._step_y),
+            )
+        return round(row), round(column)
 
     def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
         """Row and column of places on WGS 84 [rad], in nodes, which are centres of cells."""
         with self._projecting:
             x, y = self._system.to_grid(np.degrees(lon_rad), np.degrees(lat_rad))
-        (west, north), (step_x, step_y) = self._corner, self._step
         if self._system.geographic:
-            middle = west + 0.5 * self.size[1] * step_x
+            _, columns = self.size
+            middle = self._west + 0.5 * columns * self._step_x
             x = middle + (x - middle + 180.0) % 360.0 - 180.0
-        return (north - y) / step_y - 0.5, (x - west) / step_x - 0.5
+        row = (self._north - y) / self._step_y - 0.5
+        column = (x - self._west) / self._step_x - 0.5
+        return row, column
 
     def covers(self, lat_rad: Array, lon_rad: Array) -> Mask:
         """(n,) which places lie within the rasters' common frame."""
         row, column = self.nodes(lat_rad, lon_rad)
-        inside = (row >= 0.0) & (row <= self.size[0] - 1) & (column <= self.size[1] - 1)
-        return np.asarray(inside & ((column >= 0.0) | (self.grid.around > 0)))
+        rows, columns = self.size
+        is_in_rows = (row >= 0.0) & (row <= rows - 1)
+        goes_round = self.grid.around > 0
+        is_in_columns = (column <= columns - 1) & ((column >= 0.0) | goes_round)
+        return np.asarray(is_in_rows & is_in_columns)
 
     @property
     def name(self) -> str:
@@ -101,18 +120,23 @@ class ElevationModel:
 
     def heights(self, row: Array, column: Array) -> Array:
         """(n,) heights above sea level [m] at places in nodes, bilinear; NaN in holes, outside."""
-        height, i, j = np.full(row.size, np.nan), np.floor(row), np.floor(column)
+        height = np.full(row.size, np.nan)
         tile = np.empty((TILE + 1, TILE + 1), np.float32)
-        tiles, of = np.unique(np.stack([i // TILE, j // TILE]), axis=1, return_inverse=True)
-        for number, (p, q) in enumerate(np.int64(TILE) * tiles.T.astype(np.int64)):
-            at = np.flatnonzero(of == number)
+        tile_of_place = np.stack([np.floor(row) // TILE, np.floor(column) // TILE])
+        tiles, number_of_tile = np.unique(tile_of_place, axis=1, return_inverse=True)
+        for number, (tile_row, tile_column) in enumerate(tiles.T.astype(int).tolist()):
+            first_row = tile_row * TILE
+            first_column = tile_column * TILE
+            places = np.flatnonzero(number_of_tile == number)
             with self.lock:
-                self._read(int(p), int(q), tile)
-            k, m = (i[at] - p).astype(int), (j[at] - q).astype(int)
-            down, right = row[at] - i[at], column[at] - j[at]
-            upper = tile[k, m] * (1.0 - right) + tile[k, m + 1] * right
-            lower = tile[k + 1, m] * (1.0 - right) + tile[k + 1, m + 1] * right
-            height[at] = upper * (1.0 - down) + lower * down
+                self._read(first_row, first_column, tile)
+            height[places] = _bilinear(
+                tile,
+                first_row,
+                first_column,
+                row[places],
+                column[places],
+            )
         return height
 
     def load(self, tiles: Integers) -> None:
@@ -120,52 +144,128 @@ class ElevationModel:
         from unbend.refraction.kernels.terrain import extremes_of_tile
 
         grid = self.grid
-        wanted = sorted(tiles[: grid.tiles.shape[0]].tolist())  # neighbours share blocks of files
+        slots = grid.tiles.shape[0]
+        tile_columns = grid.slot.shape[1]
+        wanted = sorted(tiles[:slots].tolist())  # neighbours share blocks of files
         for tile in wanted:
             slot = len(self._held)
-            if slot == grid.tiles.shape[0]:
-                oldest = next(t for t in self._held if t not in wanted)
+            if slot == slots:
+                oldest = next(held for held in self._held if held not in wanted)
                 slot = self._held.pop(oldest)
-                grid.slot[divmod(oldest, grid.slot.shape[1])] = -1
-            place = divmod(tile, grid.slot.shape[1])
-            self._read(place[0] * TILE, place[1] * TILE, grid.tiles[slot])
-            low, high = grid.block_low[slot], grid.block_high[slot]
+                grid.slot[divmod(oldest, tile_columns)] = -1
+            place = divmod(tile, tile_columns)
+            tile_row, tile_column = place
+            self._read(tile_row * TILE, tile_column * TILE, grid.tiles[slot])
+            low = grid.block_low[slot]
+            high = grid.block_high[slot]
             extremes_of_tile(grid.tiles[slot], low, high)
-            grid.low[place], grid.high[place] = low.min(), high.max()
-            grid.slot[place] = self._held[tile] = slot
+            grid.low[place] = low.min()
+            grid.high[place] = high.max()
+            grid.slot[place] = slot
+            self._held[tile] = slot
 
-    def _read(self, row: int, column: int, tile: NDArray[np.float32]) -> None:
-        """Fill a tile with its nodes [m above sea level], NaN in holes and beside the rasters."""
-        tile[:], fresh = np.nan, True
-        turns = (0,) if self.grid.around == 0 else (-self.grid.around, 0, self.grid.around)
-        for raster, (top, left) in zip(self._rasters, self._places, strict=True):
-            for turn in turns:
-                i_0, i_1 = max(row, top), min(row + TILE + 1, top + raster.rows)
-                j_0 = max(column, left + turn)
-                j_1 = min(column + TILE + 1, left + turn + raster.columns)
-                if i_0 >= i_1 or j_0 >= j_1:
-                    continue
-                part = tile[i_0 - row : i_1 - row, j_0 - column : j_1 - column]
-                read = raster.read(i_0 - top, j_0 - left - turn, *part.shape)
-                read *= np.float32(raster.unit_m or self._system.unit_m)
-                np.copyto(part, read, where=fresh or np.isnan(part))
-                fresh = False
+    def _read(
+        self,
+        row: int,
+        column: int,
+        tile: NDArray[np.float32],
+    ) -> None:
+        """Fill a tile with its nodes [m above sea level], NaN in holes and beside the rasters.
+
+        ``row`` and ``column`` are those of its first node.
+        """
+        self._read_rasters(row, column, tile)
         # Numbers for holes that the file does not declare are no heights either.
         if not (tile.min() > _LOWEST_M and tile.max() < _HIGHEST_M):
-            np.copyto(tile, np.float32(np.nan), where=(tile <= _LOWEST_M) | (tile >= _HIGHEST_M))
+            is_no_height = (tile <= _LOWEST_M) | (tile >= _HIGHEST_M)
+            np.copyto(tile, np.float32(np.nan), where=is_no_height)
         if self._undulation is not None:
-            # At every 64th node; between these a geoid is even to a millimetre.
-            at = np.linspace(0.0, TILE, 9)
-            (west, north), (step_x, step_y) = self._corner, self._step
-            x, y = np.meshgrid(
-                west + (column + at + 0.5) * step_x, north - (row + at + 0.5) * step_y
-            )
-            with self._projecting:
-                lon, lat = self._system.to_places(x.ravel(), y.ravel())
-            above = self._undulation(np.radians(lat), np.radians(lon)).reshape(9, 9)
-            apart = np.abs(np.arange(TILE + 1)[:, None] / 64.0 - np.arange(9))
-            weight = np.maximum(0.0, 1.0 - apart)
-            tile -= (weight @ above @ weight.T).astype(np.float32)
+            tile -= self._undulations(self._undulation, row, column)
+
+    def _read_rasters(
+        self,
+        row: int,
+        column: int,
+        tile: NDArray[np.float32],
+    ) -> None:
+        """Fill a tile with the numbers of the rasters in metres; the first has its way."""
+        tile[:] = np.nan
+        is_empty = True
+        turns = [0]
+        if self.grid.around:
+            turns = [-self.grid.around, 0, self.grid.around]
+        for raster, (top, first_column) in zip(self._rasters, self._places, strict=True):
+            for turn in turns:
+                left = first_column + turn
+                row_begin = max(row, top)
+                row_end = min(row + TILE + 1, top + raster.rows)
+                column_begin = max(column, left)
+                column_end = min(column + TILE + 1, left + raster.columns)
+                if row_begin >= row_end or column_begin >= column_end:
+                    continue
+                rows_of_tile = slice(row_begin - row, row_end - row)
+                columns_of_tile = slice(column_begin - column, column_end - column)
+                part = tile[rows_of_tile, columns_of_tile]
+                heights = raster.read(row_begin - top, column_begin - left, *part.shape)
+                heights *= np.float32(raster.unit_m or self._system.unit_m)
+                np.copyto(part, heights, where=is_empty or np.isnan(part))
+                is_empty = False
+
+    def _undulations(
+        self,
+        undulation: Callable[[Array, Array], Array],
+        row: int,
+        column: int,
+    ) -> NDArray[np.float32]:
+        """Undulations [m] at the nodes of a tile, bilinear between those of every 64th."""
+        node = np.linspace(0.0, TILE, _UNDULATIONS_A_TILE)
+        x_of_column = self._west + (column + node + 0.5) * self._step_x
+        y_of_row = self._north - (row + node + 0.5) * self._step_y
+        x, y = np.meshgrid(x_of_column, y_of_row)
+        with self._projecting:
+            lon, lat = self._system.to_places(x.ravel(), y.ravel())
+        at_nodes = undulation(np.radians(lat), np.radians(lon)).reshape(x.shape)
+        place = np.arange(TILE + 1) / 64.0
+        distance = np.abs(place[:, None] - np.arange(_UNDULATIONS_A_TILE))
+        weight = np.maximum(0.0, 1.0 - distance)
+        return np.asarray((weight @ at_nodes @ weight.T).astype(np.float32))
+
+
+def _empty_grid(rows: int, columns: int, around: int) -> TerrainGrid:
+    """A grid of nodes of which no tile is in memory; ``around`` columns go round the earth."""
+    tile_rows = -(-rows // TILE)
+    tile_columns = -(-(around or columns) // TILE)
+    shape = (tile_rows, tile_columns)
+    slots = min(_TILES_IN_MEMORY, tile_rows * tile_columns)
+    blocks = (slots, TILE // BLOCK, TILE // BLOCK)
+    return TerrainGrid(
+        low=np.full(shape, np.nan, np.float32),
+        high=np.full(shape, np.nan, np.float32),
+        slot=np.full(shape, -1, np.int32),
+        tiles=np.empty((slots, TILE + 1, TILE + 1), np.float32),
+        block_low=np.empty(blocks, np.float32),
+        block_high=np.empty(blocks, np.float32),
+        around=around,
+    )
+
+
+def _bilinear(
+    tile: NDArray[np.float32],
+    first_row: int,
+    first_column: int,
+    row: Array,
+    column: Array,
+) -> Array:
+    """(n,) heights [m] at places in nodes, all within a tile that begins at a row and a column."""
+    node_row = np.floor(row)
+    node_column = np.floor(column)
+    down = row - node_row
+    right = column - node_column
+    i = (node_row - first_row).astype(int)
+    j = (node_column - first_column).astype(int)
+    upper = tile[i, j] * (1.0 - right) + tile[i, j + 1] * right
+    lower = tile[i + 1, j] * (1.0 - right) + tile[i + 1, j + 1] * right
+    return np.asarray(upper * (1.0 - down) + lower * down)
 
 
 class _Raster:
@@ -174,7 +274,8 @@ class _Raster:
     def __init__(self, path: Path, open_raster: Callable[[Path], Any]) -> None:
         from rasterio.enums import MaskFlags
 
-        self.path, self._open = path, open_raster
+        self.path = path
+        self._open = open_raster
         source = open_raster(path)
         affine = source.transform
         self.crs = source.crs.to_wkt() if source.crs else ""
@@ -185,16 +286,35 @@ class _Raster:
                 bands=source.count,
                 affine=(affine.a, affine.b, affine.d, affine.e),
             )
-        self.step_x, self.step_y, self.west, self.north = affine.a, -affine.e, affine.c, affine.f
-        self.rows, self.columns = source.height, source.width
-        unit = source.units[0]
-        if unit and unit.strip().lower().replace(" ", "-") not in _METRES:
-            raise messages.dem_unit(where=path, unit=unit)
-        self.unit_m = _METRES[unit.strip().lower().replace(" ", "-")] if unit else None
-        self.scale, self.offset = source.scales[0], source.offsets[0]
+        self.step_x = affine.a
+        self.step_y = -affine.e
+        self.west = affine.c
+        self.north = affine.f
+        self.rows = source.height
+        self.columns = source.width
+        self.unit_m = _unit_of_heights(path, source.units[0])
+        self.scale = source.scales[0]
+        self.offset = source.offsets[0]
         self.holed = MaskFlags.all_valid not in source.mask_flag_enums[0]
 
-    def read(self, row: int, column: int, rows: int, columns: int) -> NDArray[np.float32]:
+    def corners(self) -> list[tuple[float, float]]:
+        """x and y of its four corners in its coordinate system."""
+        east = self.west + self.columns * self.step_x
+        south = self.north - self.rows * self.step_y
+        return [
+            (self.west, self.north),
+            (self.west, south),
+            (east, self.north),
+            (east, south),
+        ]
+
+    def read(
+        self,
+        row: int,
+        column: int,
+        rows: int,
+        columns: int,
+    ) -> NDArray[np.float32]:
         """A window of the heights [m]; NaN in holes, and for numbers that are no heights."""
         from rasterio import Env
         from rasterio.errors import RasterioError
@@ -204,13 +324,29 @@ class _Raster:
             window = Window(column, row, columns, rows)
             with Env(**GDAL_OPTIONS):
                 source = self._open(self.path)
-                read = source.read(1, window=window, masked=self.holed, out_dtype=np.float32)
+                numbers = source.read(
+                    1,
+                    window=window,
+                    masked=self.holed,
+                    out_dtype=np.float32,
+                )
         except RasterioError as error:
             raise messages.dem_unreadable(where=self.path, error=str(error)) from None
-        height = np.asarray(np.ma.filled(read, np.nan), np.float32)
-        if (self.scale, self.offset) == (1.0, 0.0):
+        height = np.asarray(np.ma.filled(numbers, np.nan), np.float32)
+        if self.scale == 1.0 and self.offset == 0.0:
             return height
-        return np.asarray(height * np.float32(self.scale) + np.float32(self.offset), np.float32)
+        scaled = height * np.float32(self.scale)
+        return np.asarray(scaled + np.float32(self.offset), np.float32)
+
+
+def _unit_of_heights(path: Path, unit: str | None) -> float | None:
+    """The unit [m] that a raster states for its heights, None without one; refuses an unknown."""
+    if not unit:
+        return None
+    name = unit.strip().lower().replace(" ", "-")
+    if name not in _METRES:
+        raise messages.dem_unit(where=path, unit=unit)
+    return _METRES[name]
 
 
 def open_elevation(
@@ -234,27 +370,28 @@ def open_elevation(
         import rasterio
     except ImportError:
         raise messages.dem_rasterio(where="ground.height.dem") from None
-    where, key = str(paths[0]), "ground.height.crs"
+    where = str(paths[0])
     open_raster = lru_cache(maxsize=64)(rasterio.open)
     try:
         with rasterio.Env(**GDAL_OPTIONS):
             rasters = [_Raster(path, open_raster) for path in paths]
     except rasterio.errors.RasterioError as error:
         raise messages.dem_unreadable(where=where, error=str(error)) from None
-    own = sorted({raster.crs for raster in rasters})
-    if len(own) > 1 or not (own[0] or crs):
-        if own[-1]:
-            raise messages.rasters_of_several_systems(where=where)
-        raise messages.rasters_without_system(where=where)
-    corners = [[r.west + i * r.columns * r.step_x, r.north - k * r.rows * r.step_y]
-               for r in rasters for i in (0, 1) for k in (0, 1)]  # fmt: skip
+    corners: list[tuple[float, float]] = []
+    for raster in rasters:
+        corners += raster.corners()
     system = grid_system(
-        own[0] or str(crs), crs, corners=np.transpose(corners), heights=reference, where=where,
-        key=key,
-    )  # fmt: skip
-    model = ElevationModel(rasters, system, undulation if reference == "ellipsoid" else None)
+        _system_of_rasters(rasters, where) or _stated_system(crs, where),
+        crs,
+        corners=np.transpose(corners),
+        heights=reference,
+        where=where,
+        key="ground.height.crs",
+    )
+    is_above_ellipsoid = reference == "ellipsoid"
+    model = ElevationModel(rasters, system, undulation if is_above_ellipsoid else None)
     rows, columns = model.size
-    read = messages.elevation_read(
+    note = messages.elevation_read(
         where=where,
         count=len(rasters),
         columns=columns,
@@ -268,4 +405,19 @@ def open_elevation(
         is_good=system.is_good,
         is_sea_level=system.is_sea_level or not system.vertical,
     )
-    return model, (read,)
+    return model, (note,)
+
+
+def _system_of_rasters(rasters: Sequence[_Raster], where: str) -> str:
+    """The coordinate system of rasters, empty where none has one; refuses several."""
+    systems = {raster.crs for raster in rasters}
+    if len(systems) > 1:
+        raise messages.rasters_of_several_systems(where=where)
+    return rasters[0].crs
+
+
+def _stated_system(crs: str | None, where: str) -> str:
+    """The coordinate system that the mission file states; refuses none."""
+    if not crs:
+        raise messages.rasters_without_system(where=where)
+    return crs

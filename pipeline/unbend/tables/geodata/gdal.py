@@ -9,10 +9,13 @@ from functools import lru_cache
 from pathlib import Path
 
 GDAL_OPTIONS = {
-    "GDAL_CACHEMAX": 96_000_000, "GDAL_NUM_THREADS": "ALL_CPUS",
-    "GDAL_GEOREF_SOURCES": "PAM,INTERNAL,TABFILE,WORLDFILE,XML", "GDAL_PAM_ENABLED": "YES",
-    "GDAL_DISABLE_READDIR_ON_OPEN": "FALSE", "GTIFF_POINT_GEO_IGNORE": "FALSE",
-}  # fmt: skip
+    "GDAL_CACHEMAX": 96_000_000,
+    "GDAL_NUM_THREADS": "ALL_CPUS",
+    "GDAL_GEOREF_SOURCES": "PAM,INTERNAL,TABFILE,WORLDFILE,XML",
+    "GDAL_PAM_ENABLED": "YES",
+    "GDAL_DISABLE_READDIR_ON_OPEN": "FALSE",
+    "GTIFF_POINT_GEO_IGNORE": "FALSE",
+}
 """Bytes for blocks of files, which tiles share at their edges (by default 5 % of the memory). Half
 of the time of a tile is decompression: on all cores. The rest are GDAL's defaults, which variables
 of the environment would change, and with them where a raster lies."""
@@ -55,19 +58,27 @@ def raster_files(path: Path) -> tuple[Path, ...]:
     folder = path.parent
     changed = folder.stat().st_mtime_ns if folder.is_dir() else 0
     settled = changed + _SETTLED_NS < time.time_ns()
-    names = (_by_beginning if settled else _by_beginning.__wrapped__)(folder, changed)
+    names_in_folder = _by_beginning if settled else _by_beginning.__wrapped__
     beginning = "" if path.suffix.lower() == ".adf" else path.stem.lower()
-    beside = [folder / name for name in names.get(beginning, ()) if name != path.name]
-    return path, *(file for file in beside if file.is_file())
+    files = [path]
+    for name in names_in_folder(folder, changed).get(beginning, ()):
+        file = folder / name
+        if name != path.name and file.is_file():
+            files.append(file)
+    return tuple(files)
 
 
 @lru_cache(maxsize=64)
 def _by_beginning(folder: Path, changed: int) -> dict[str, list[str]]:
     """The names in a folder, sorted, by each beginning that ends at a dot; "" is one too."""
-    found: dict[str, list[str]] = {}
-    for name in sorted(os.listdir(folder)) if changed else ():
+    names: dict[str, list[str]] = {}
+    if not changed:  # no such folder
+        return names
+    for name in sorted(os.listdir(folder)):
         words = name.lower().split(".")
-        if not _OTHERS.fullmatch(words[-1]):
-            for count in range(len(words) + 1):
-                found.setdefault(".".join(words[:count]), []).append(name)
-    return found
+        if _OTHERS.fullmatch(words[-1]):
+            continue
+        for count in range(len(words) + 1):
+            beginning = ".".join(words[:count])
+            names.setdefault(beginning, []).append(name)
+    return names

@@ -17,6 +17,8 @@ _GTX = struct.Struct(">4d2i")
 float32 from the south-west corner, row by row to the north. -88.8888 has no value."""
 
 _GTX_MISSING = np.float32(-88.8888)
+_EGM96_ROWS = 721
+_EGM96_COLUMNS = 1440
 _LEAST_STEP_DEG = 1e-5  # a metre; geoids have steps of a kilometre
 _LOWEST_UNDULATION_M = -120.0  # EGM96 has -107 to 86 m
 _HIGHEST_UNDULATION_M = 100.0
@@ -35,9 +37,12 @@ def package_geoid() -> GeoidGrid:
     """
     # Of all values the first bytes, then the second ...: smaller, and read ten times as fast as xz.
     packed = files("unbend.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
-    content = pa.decompress(packed, _GTX.size + 4 * 721 * 1440, "zstd", asbytes=True)
-    planes = np.frombuffer(content, np.uint8, offset=_GTX.size).reshape(4, -1)
-    return _grid_of_gtx(content[: _GTX.size] + planes.T.tobytes(), Path("EGM96, 15 minutes"))
+    size = _GTX.size + 4 * _EGM96_ROWS * _EGM96_COLUMNS
+    content = pa.decompress(packed, size, "zstd", asbytes=True)
+    head = content[: _GTX.size]
+    planes = np.frombuffer(content, np.uint8, offset=_GTX.size)
+    values = planes.reshape(4, -1).T.tobytes()
+    return _grid_of_gtx(head + values, Path("EGM96, 15 minutes"))
 
 
 def read_geoid(path: Path) -> GeoidGrid:
@@ -53,10 +58,11 @@ def read_geoid(path: Path) -> GeoidGrid:
             grid = _grid_of_raster(path)
     except (OSError, ValueError) as error:
         raise messages.geoid_unreadable(where=path, error=str(error)) from None
-    known = grid.values_m[~np.isnan(grid.values_m)]
-    if known.size == 0:
+    is_known = ~np.isnan(grid.values_m)
+    if not is_known.any():
         raise messages.geoid_without_values(where=path)
-    lowest, highest = float(known.min()), float(known.max())
+    lowest = float(grid.values_m[is_known].min())
+    highest = float(grid.values_m[is_known].max())
     if lowest < _LOWEST_UNDULATION_M or highest > _HIGHEST_UNDULATION_M:
         raise messages.geoid_values(where=path, lowest=lowest, highest=highest)
     return grid
@@ -72,10 +78,22 @@ def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
     if not (has_size and has_steps and has_corner):
         raise messages.geoid_header(where=path)
     if len(content) != _GTX.size + 4 * rows * columns:
-        raise messages.geoid_size(where=path, size=len(content), rows=rows, columns=columns)
+        raise messages.geoid_size(
+            where=path,
+            size=len(content),
+            rows=rows,
+            columns=columns,
+        )
     stored = np.frombuffer(content, ">f4", offset=_GTX.size).reshape(rows, columns)
-    values = np.where(stored == _GTX_MISSING, np.nan, stored).astype(np.float32)
-    return GeoidGrid(path.name, values, south, west, d_lat, d_lon)
+    values = np.where(stored == _GTX_MISSING, np.nan, stored)
+    return GeoidGrid(
+        name=path.name,
+        values_m=values.astype(np.float32),
+        south_deg=south,
+        west_deg=west,
+        step_lat_deg=d_lat,
+        step_lon_deg=d_lon,
+    )
 
 
 def _grid_of_raster(path: Path) -> GeoidGrid:
@@ -85,18 +103,27 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
         raise messages.geoid_needs_rasterio(where=path) from None
     try:
         with rasterio.Env(**GDAL_OPTIONS), rasterio.open(path) as raster:
-            plain = raster.count == 1 and raster.driver not in NAME_OTHERS
-            if not (plain and raster.crs and raster.crs.is_geographic):
+            is_plain = raster.count == 1 and raster.driver not in NAME_OTHERS
+            if not (is_plain and raster.crs and raster.crs.is_geographic):
                 raise messages.geoid_bands(where=path)
             affine = raster.transform
             if not is_upright(affine):
                 raise messages.geoid_turned(where=path)
-            values = raster.read(1, masked=True).astype(np.float32).filled(np.nan)[::-1]
-            values = values * np.float32(raster.scales[0]) + np.float32(raster.offsets[0])
+            stored = raster.read(1, masked=True).astype(np.float32)
+            from_south = stored.filled(np.nan)[::-1]
+            scale = np.float32(raster.scales[0])
+            offset = np.float32(raster.offsets[0])
+            values = from_south * scale + offset
     except rasterio.errors.RasterioError as error:
         raise messages.geoid_unreadable(where=path, error=str(error)) from None
     # Values belong to the centres of the cells.
     south = affine.f + affine.e * (values.shape[0] - 0.5)
     west = affine.c + 0.5 * affine.a
-    values = np.ascontiguousarray(values)
-    return GeoidGrid(path.name, values, south, west, -affine.e, affine.a)
+    return GeoidGrid(
+        name=path.name,
+        values_m=np.ascontiguousarray(values),
+        south_deg=south,
+        west_deg=west,
+        step_lat_deg=-affine.e,
+        step_lon_deg=affine.a,
+    )

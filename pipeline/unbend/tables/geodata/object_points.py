@@ -38,7 +38,11 @@ class ObjectPoints:
     h_m: Array
     of_image: tuple[pa.StringArray, Array] | None = None
 
-    def heights(self, point: pa.StringArray, image: pa.StringArray) -> tuple[Array, Integers]:
+    def heights(
+        self,
+        point: pa.StringArray,
+        image: pa.StringArray,
+    ) -> tuple[Array, Integers]:
         """(n,) heights [m] of named points, NaN where unknown; and their rows, -1 without one."""
         row = matching_rows(point, self.name)
         h_m = np.append(self.h_m, np.nan)[row]
@@ -65,9 +69,10 @@ def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Integers:
         known = pc.utf8_normalize(known, form="NFC")
         different = pc.utf8_normalize(different, form="NFC")
     row = pc.fill_null(pc.index_in(different, value_set=known), -1)
-    by_code = np.append(row.to_numpy(zero_copy_only=False).astype(np.int64), -1)
-    codes = pc.fill_null(encoded.indices, len(by_code) - 1).to_numpy(zero_copy_only=False)
-    return np.asarray(by_code[codes])
+    row_of_code = row.to_numpy(zero_copy_only=False).astype(np.int64)
+    row_of_code = np.append(row_of_code, -1)  # the last one: of null
+    codes = pc.fill_null(encoded.indices, len(different))
+    return np.asarray(row_of_code[codes.to_numpy(zero_copy_only=False)])
 
 
 def read_object_points(
@@ -77,18 +82,20 @@ def read_object_points(
 
     ``columns`` : point, height, and x, y or longitude, latitude -> the user's names; ``key`` that
     of the mission file which names them. Refuses
-    (InputError) a column that is not there or holds no numbers, and names that stand there twice.
+    (InputError) a column that is not there or holds no numbers, and names that occur twice.
     """
     if path.suffix.lower() in (".parquet", ".pq"):
         given, values = _points_of_parquet(path, columns, key)
     else:
         given, values = _points_of_text(path, columns, key)
-    names = given.value_counts()
-    twice = names.filter(pc.greater(names.field("counts"), 1)).field("values")
-    if len(names) == 0:
+    counted = given.value_counts()
+    if len(counted) == 0:
         raise messages.points_empty(where=path)
-    if len(twice):
-        raise messages.points_repeated(where=path, count=len(twice), first=repr(twice[0].as_py()))
+    is_repeated = pc.greater(counted.field("counts"), 1)
+    repeated = counted.filter(is_repeated).field("values")
+    if len(repeated):
+        first = repr(repeated[0].as_py())
+        raise messages.points_repeated(where=path, count=len(repeated), first=first)
     return given, values
 
 
@@ -98,7 +105,8 @@ def _points_of_parquet(
     """Names (p,), and the other columns as numbers, of a Parquet table."""
     try:
         wanted = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
-        require_names(_CODES[1], path, pq.read_schema(path).names, wanted)
+        present = pq.read_schema(path).names
+        require_names(messages.POINTS_COLUMN, path, present, wanted)
         table = pq.read_table(path, columns=list(columns.values()))
         given = table[columns["point"]].cast(pa.string()).combine_chunks()
         values = {}
@@ -111,7 +119,14 @@ def _points_of_parquet(
     for quantity, numbers in values.items():
         name = columns[quantity]
         largest = largest_of(quantity)
-        refuse_beyond(numbers, largest, path, messages.POINTS_TABLE, column=name, lines=rows)
+        refuse_beyond(
+            numbers,
+            largest,
+            path,
+            messages.POINTS_TABLE,
+            column=name,
+            lines=rows,
+        )
     return given, values
 
 
@@ -120,14 +135,23 @@ def _points_of_text(
 ) -> tuple[pa.StringArray, dict[str, Array]]:
     """Names, and the other columns by quantity, of a table that is text."""
     text = text_table(path, columns, codes=_CODES, key=key)
+    lines = text.index.to_numpy()
+    code = messages.POINTS_TABLE
     values = {}
-    code = _CODES[0]
     for quantity, name in columns.items():
+        largest = largest_of(quantity)
         if quantity in ("latitude", "longitude"):
             degrees = degrees_of(text, name, path, code, quantity=quantity)
-            lines = text.index.to_numpy()
-            refuse_beyond(degrees, largest_of(quantity), path, code, column=name, lines=lines)
+            refuse_beyond(
+                degrees,
+                largest,
+                path,
+                code,
+                column=name,
+                lines=lines,
+            )
             values[quantity] = degrees
         elif quantity != "point":
-            values[quantity] = numbers_of(text, name, path, code, largest_of(quantity))
-    return pa.array(text[columns["point"]].str.strip(), pa.string()), values
+            values[quantity] = numbers_of(text, name, path, code, largest)
+    points = text[columns["point"]].str.strip()
+    return pa.array(points, pa.string()), values

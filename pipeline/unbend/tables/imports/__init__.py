@@ -18,7 +18,7 @@ Registry = Mapping[str, tuple[str, tuple[str, ...]]]
 TRAJECTORIES: Registry = {
     "rtklib": ("unbend.tables.imports.rtklib:read_pos", (".pos",)),
     "sbet": ("unbend.tables.imports.sbet:read_sbet", (".sbet", ".out")),
-    "csv": ("unbend.tables.imports.user_tables:read_trajectory_csv", (".csv", ".txt")),
+    "csv": ("unbend.tables.imports.user_trajectories:read_trajectory_csv", (".csv", ".txt")),
 }
 
 CAMERA_EVENTS: Registry = {
@@ -41,14 +41,21 @@ def format_of(readers: Registry, path: Path, name: str | None) -> str:
     >>> format_of(CAMERA_EVENTS, Path("100_0001_Timestamp.MRK"), None)
     'mrk'
     """
-    for known, (_, endings) in readers.items():
-        if known == name or (name is None and path.suffix.lower() in endings):
-            return known
-    able = ", ".join(ending for _, endings in readers.values() for ending in endings)
+    all_endings: list[str] = []
+    for format_name, (_, endings) in readers.items():
+        if format_name == name or (name is None and path.suffix.lower() in endings):
+            return format_name
+        all_endings += endings
+    known_endings = ", ".join(all_endings)
     formats = ", ".join(readers)
     if not path.suffix:
-        raise messages.ending_missing(where=path, known=able, formats=formats)
-    raise messages.ending_unknown(where=path, ending=path.suffix, known=able, formats=formats)
+        raise messages.ending_missing(where=path, known=known_endings, formats=formats)
+    raise messages.ending_unknown(
+        where=path,
+        ending=path.suffix,
+        known=known_endings,
+        formats=formats,
+    )
 
 
 def reader_of(readers: Registry, path: Path, name: str | None) -> Any:

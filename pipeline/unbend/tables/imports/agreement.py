@@ -5,7 +5,8 @@ more than autopilots err is a warning or a loss.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +23,29 @@ from unbend.units import RADIANS, Array, Integers, Rows
 
 _MOST_SAMPLES = 3000
 _MAX_GAP_S = 5.0
-_FEWEST = 20
+_FEWEST = 20  # attitudes; fewer, as of some events, do not separate one mistake from another
 
 # Seconds by which clocks are usually set wrong: leap seconds and their like, and time zones.
 _SHIFTS_S = np.concatenate([np.arange(-60.0, 60.1, 0.5), 3600.0 * np.arange(-14.0, 14.1, 0.5)])
 
-# Limits of place and height [m], tilt and yaw [deg] and time [s]: beyond the first a warning,
-# beyond the second a loss. Autopilots are within the first.
-_LIMITS = {
-    "place": (5.0, 20.0), "height": (10.0, 30.0), "tilt": (3.0, 20.0), "yaw": (10.0, 30.0),
-    "time": (0.15, 0.75),
-}  # fmt: skip
-_OTHER_FLIGHT_M, _LARGE_TURN_DEG, _SMALL_TURN_DEG = 100.0, 5.0, 2.0
+
+class _Limits(NamedTuple):
+    """Beyond the first a difference is a warning, beyond the second a loss."""
+
+    warning: float
+    loss: float
+
+
+# Autopilots are within the first limits.
+_PLACE_M = _Limits(5.0, 20.0)
+_HEIGHT_M = _Limits(10.0, 30.0)
+_TILT_DEG = _Limits(3.0, 20.0)
+_YAW_DEG = _Limits(10.0, 30.0)
+_TIME_S = _Limits(0.15, 0.75)
+
+_OTHER_FLIGHT_M = 100.0
+_LARGE_TURN_DEG = 5.0
+_SMALL_TURN_DEG = 2.0
 _ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
 
 _Change = Callable[[Array, Array], tuple[Array, Array]]
@@ -63,18 +75,20 @@ def compare_with_log(
     unit, sense or order (TRAJECTORY-ANGLES), where the log shows it. ``angle_order`` is that by
     which roll, pitch and yaw became its attitude.
     """
-    position, known = own.get("position"), np.flatnonzero(np.isfinite(imported["lat_rad"]))
-    if position is None or len(position) < 2 or known.size == 0:
+    position = own.get("position")
+    with_place = np.flatnonzero(np.isfinite(imported["lat_rad"]))
+    if position is None or len(position) < 2 or with_place.size == 0:
         ledger.add(messages.trajectory_alone(where=imported.name))
         return
-    rows = known[np.unique(np.linspace(0, known.size - 1, _MOST_SAMPLES).astype(int))]
+    sampled = np.linspace(0, with_place.size - 1, _MOST_SAMPLES).astype(int)
+    rows = with_place[np.unique(sampled)]
     _compare_places(imported, rows, _Track(position), ledger)
     if "height" in replaces and "height" in own:
         _compare_heights(imported, rows, own["height"], heights, ledger)
     if "attitude" in replaces and "attitude" in own:
-        theirs = attitude_at(own["attitude"], imported.time_ns[rows], _MAX_GAP_S).quaternion
-        mine = np.stack([imported[f"q_{axis}"][rows] for axis in "wxyz"], axis=1)
-        _compare_attitudes(imported.name, mine, theirs, angle_order, ledger)
+        of_log = attitude_at(own["attitude"], imported.time_ns[rows], _MAX_GAP_S).quaternion
+        of_file = np.stack([imported[f"q_{axis}"][rows] for axis in "wxyz"], axis=1)
+        _compare_attitudes(imported.name, of_file, of_log, angle_order, ledger)
 
 
 class _Track:
@@ -82,171 +96,307 @@ class _Track:
 
     def __init__(self, position: Channel) -> None:
         keep = np.isfinite(position["lat_rad"]) & np.isfinite(position["lon_rad"])
-        lat, lon = position["lat_rad"][keep], position["lon_rad"][keep]
-        self.name, self.time_ns = position.name, position.time_ns[keep]
-        self._origin = float(np.median(lat)), float(lon[lon.size // 2])
+        lat = position["lat_rad"][keep]
+        lon = position["lon_rad"][keep]
+        self.name = position.name
+        self.time_ns = position.time_ns[keep]
+        self._origin_lat = float(np.median(lat))
+        self._origin_lon = float(lon[lon.size // 2])
         self._seconds = (self.time_ns - self.time_ns[0]) * 1e-9
-        self._own = self.metres(lat, lon)
+        self._places = self.metres(lat, lon)
 
     def metres(self, lat: Array, lon: Array) -> NDArray[np.complex128]:
         """North + 1j east from the origin, good to a thousandth within 100 km [m]."""
-        meridian, vertical = principal_radii(self._origin[0])
-        east = wrapped(lon - self._origin[1]) * vertical * np.cos(self._origin[0])
-        return np.asarray((lat - self._origin[0]) * meridian + 1j * east)
+        meridian, vertical = principal_radii(self._origin_lat)
+        north = (lat - self._origin_lat) * meridian
+        east = wrapped(lon - self._origin_lon) * vertical * np.cos(self._origin_lat)
+        return np.asarray(north + 1j * east)
 
-    def distances(self, time_ns: Integers, places: NDArray[np.complex128], shift_s: float) -> Array:
+    def distances(
+        self,
+        time_ns: Integers,
+        places: NDArray[np.complex128],
+        shift_s: float,
+    ) -> Array:
         """From the log's positions ``shift_s`` later; of those the log has, without gaps [m]."""
-        at, seconds = (time_ns - self.time_ns[0]) * 1e-9 + shift_s, self._seconds
-        after = np.clip(np.searchsorted(seconds, at), 1, seconds.size - 1)
-        near = seconds[after] - seconds[after - 1] <= _MAX_GAP_S
-        inside = (at >= seconds[0]) & (at <= seconds[-1]) & near
-        return np.asarray(np.abs(places[inside] - np.interp(at[inside], seconds, self._own)))
+        shifted_s = (time_ns - self.time_ns[0]) * 1e-9 + shift_s
+        log_s = self._seconds
+        after = np.clip(np.searchsorted(log_s, shifted_s), 1, log_s.size - 1)
+        is_in_log = (shifted_s >= log_s[0]) & (shifted_s <= log_s[-1])
+        is_in_gap = log_s[after] - log_s[after - 1] > _MAX_GAP_S
+        is_compared = is_in_log & ~is_in_gap
+        place_of_log = np.interp(shifted_s[is_compared], log_s, self._places)
+        return np.asarray(np.abs(places[is_compared] - place_of_log))
 
 
-def _compare_places(imported: Channel, rows: Rows, track: _Track, ledger: Ledger) -> None:
-    """Position and time offset against the log's positions."""
-    places = track.metres(imported["lat_rad"][rows], imported["lon_rad"][rows])
-    at = [track.distances(imported.time_ns[rows], places, shift) for shift in _SHIFTS_S.tolist()]
-    fewest = max(distance.size for distance in at) / 2
+@dataclass(frozen=True)
+class _BestShift:
+    """The time by which a log is later than a file, at which their places agree best."""
+
+    shift_s: float
+    median_m: float
+
+
+def _best_shift(
+    time_ns: Integers,
+    places: NDArray[np.complex128],
+    track: _Track,
+) -> _BestShift:
+    """The best of the usual shifts, to a millisecond, of those with half of the places or more."""
+    distances = [track.distances(time_ns, places, shift) for shift in _SHIFTS_S.tolist()]
+    most_places = max(distance.size for distance in distances)
+    fewest = max(most_places / 2, 1)
 
     def misfit(distance: Array) -> float:
         """Median [m], where half of the places are within the log."""
-        return float(np.median(distance)) if distance.size >= max(fewest, 1) else 1e9
+        return float(np.median(distance)) if distance.size >= fewest else 1e9
+
+    def misfit_of_shift(shift: float) -> float:
+        return misfit(track.distances(time_ns, places, float(shift)))
 
     from scipy.optimize import minimize_scalar  # a fifth of a second, and few runs need it
 
-    coarse = _SHIFTS_S[np.argmin([misfit(distance) for distance in at])]
+    misfits = [misfit(distance) for distance in distances]
+    coarse = _SHIFTS_S[np.argmin(misfits)]
     fine = minimize_scalar(
-        lambda shift: misfit(track.distances(imported.time_ns[rows], places, float(shift))),
-        bounds=(coarse - 0.5, coarse + 0.5), method="bounded", options={"xatol": 1e-3},
-    )  # fmt: skip
-    shift, best = float(fine.x), float(fine.fun)
-    distance = track.distances(imported.time_ns[rows], places, 0.0)
-    now = float(np.median(distance)) if distance.size else np.inf
-    better = best < 0.5 * now and now - best > 2.0
-    far = now > _LIMITS["place"][0] and abs(shift) > _LIMITS["time"][1]
-    if better and far and best < _OTHER_FLIGHT_M:
+        misfit_of_shift,
+        bounds=(coarse - 0.5, coarse + 0.5),
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    return _BestShift(float(fine.x), float(fine.fun))
+
+
+def _compare_places(
+    imported: Channel,
+    rows: Rows,
+    track: _Track,
+    ledger: Ledger,
+) -> None:
+    """Position and time offset against the log's positions."""
+    time_ns = imported.time_ns[rows]
+    places = track.metres(imported["lat_rad"][rows], imported["lon_rad"][rows])
+    best = _best_shift(time_ns, places, track)
+    distance = track.distances(time_ns, places, 0.0)
+    median_m = float(np.median(distance)) if distance.size else np.inf
+    is_better = best.median_m < 0.5 * median_m and median_m - best.median_m > 2.0
+    is_far = median_m > _PLACE_M.warning and abs(best.shift_s) > _TIME_S.loss
+    if is_better and is_far and best.median_m < _OTHER_FLIGHT_M:
         raise messages.trajectory_time(
-            where=imported.name, shift_s=shift, log=track.name, best_m=best, now_m=now
+            where=imported.name,
+            shift_s=best.shift_s,
+            log=track.name,
+            best_m=best.median_m,
+            now_m=median_m,
         )
     if distance.size == 0:
-        spans = _span(imported.time_ns), _span(track.time_ns)
-        raise messages.trajectory_overlap(where=imported.name, own=spans[0], log=spans[1])
-    if now > _OTHER_FLIGHT_M:
-        hints = ""
-        for mistake, undone in _OF_PLACE.items():
-            other = track.metres(*undone(imported["lat_rad"], imported["lon_rad"]))
-            if (away := float(np.nanmedian(np.abs(other)))) < 0.01 * now:
-                hints += f"; {mistake} it is {_metres(away)} from the centre of the flight"
+        raise messages.trajectory_overlap(
+            where=imported.name,
+            own=_span(imported.time_ns),
+            log=_span(track.time_ns),
+        )
+    if median_m > _OTHER_FLIGHT_M:
         raise messages.trajectory_place(
-            where=imported.name, away=_metres(now), log=track.name, hints=hints
+            where=imported.name,
+            away=_metres(median_m),
+            log=track.name,
+            hints=_place_hints(imported, track, median_m),
         )
     most_m = float(np.percentile(distance, 95.0))
-    sizes = {"place": max(now, most_m), "time": abs(shift) if better else 0.0}
+    shift_s = abs(best.shift_s) if is_better else 0.0
     agrees = messages.trajectory_agrees(
-        kind=_grade(sizes),
+        kind=_worst(
+            _grade(max(median_m, most_m), _PLACE_M),
+            _grade(shift_s, _TIME_S),
+        ),
         where=imported.name,
         count=distance.size,
         log=track.name,
-        median_m=now,
+        median_m=median_m,
         most_m=most_m,
-        shift_s=shift,
-        shifted_m=best,
+        shift_s=best.shift_s,
+        shifted_m=best.median_m,
     )
     ledger.add(agrees)
 
 
+def _place_hints(imported: Channel, track: _Track, median_m: float) -> str:
+    """Mistakes about the columns without which the places would be those of the flight."""
+    hints = ""
+    for mistake, undone in _OF_PLACE.items():
+        lat, lon = undone(imported["lat_rad"], imported["lon_rad"])
+        from_middle = np.abs(track.metres(lat, lon))
+        away_m = float(np.nanmedian(from_middle))
+        if away_m < 0.01 * median_m:
+            hints += f"; {mistake} it is {_metres(away_m)} from the centre of the flight"
+    return hints
+
+
 def _compare_heights(
-    imported: Channel, rows: Rows, own: Channel, heights: HeightSystem, ledger: Ledger
+    imported: Channel,
+    rows: Rows,
+    own: Channel,
+    heights: HeightSystem,
+    ledger: Ledger,
 ) -> None:
     """Heights against the log's, above the same surface and above the other."""
-    column = imported.height_column or "h_msl_m"
-    names = ("msl", "ellipsoid") if column == "h_msl_m" else ("ellipsoid", "msl")
     msl, ellipsoid = heights_at(own, imported.time_ns[rows], heights, _MAX_GAP_S)
-    of_log = (msl, ellipsoid) if column == "h_msl_m" else (ellipsoid, msl)
-    same, other = (imported[column][rows] - h for h in of_log)
-    if not np.isfinite(same).any():
+    column = imported.height_column or "h_msl_m"
+    height = imported[column][rows]
+    if column == "h_msl_m":
+        surface = "msl"
+        other_surface = "ellipsoid"
+        difference = height - msl
+        other_difference = height - ellipsoid
+    else:
+        surface = "ellipsoid"
+        other_surface = "msl"
+        difference = height - ellipsoid
+        other_difference = height - msl
+    if not np.isfinite(difference).any():
         ledger.add(messages.trajectory_height_alone(where=imported.name))
         return
-    apart = float(np.nanmedian(same))
-    by_other = float(np.nanmedian(other)) if np.isfinite(other).any() else np.inf
-    if abs(apart) > _LIMITS["height"][0] and abs(by_other) < abs(apart) / 3.0:
+    apart_m = float(np.nanmedian(difference))
+    by_other_m = np.inf
+    if np.isfinite(other_difference).any():
+        by_other_m = float(np.nanmedian(other_difference))
+    if abs(apart_m) > _HEIGHT_M.warning and abs(by_other_m) < abs(apart_m) / 3.0:
         raise messages.trajectory_height(
             where=imported.name,
-            apart=apart,
+            apart=apart_m,
             own=own.name,
-            same=names[0],
-            by_other=by_other,
-            other=names[1],
+            same=surface,
+            by_other=by_other_m,
+            other=other_surface,
         )
-    spread = float(np.nanpercentile(np.abs(same - apart), 95.0))
+    spread_m = float(np.nanpercentile(np.abs(difference - apart_m), 95.0))
     agrees = messages.trajectory_height_agrees(
-        kind=_grade({"height": max(abs(apart), spread)}),
+        kind=_grade(max(abs(apart_m), spread_m), _HEIGHT_M),
         where=imported.name,
         count=rows.size,
         log=own.name,
-        apart_m=apart,
-        spread_m=spread,
+        apart_m=apart_m,
+        spread_m=spread_m,
     )
     ledger.add(agrees)
 
 
 def _compare_attitudes(
-    name: str, mine: Array, theirs: Array, angle_order: str, ledger: Ledger
+    name: str,
+    of_file: Array,
+    of_log: Array,
+    angle_order: str,
+    ledger: Ledger,
 ) -> None:
     """Attitudes (n, 4) w, x, y, z against the log's, about the body's axes."""
-    known = np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1)
-    if not known.any():
+    in_both = np.isfinite(of_file).all(axis=1) & np.isfinite(of_log).all(axis=1)
+    count = int(in_both.sum())
+    if count == 0:
         ledger.add(messages.trajectory_angles_alone(where=name))
         return
-    own, imported = (Rotation.from_quat(q[known][:, [1, 2, 3, 0]]) for q in (theirs, mine))
-    angles = imported.as_euler("ZYX")
-
-    def apart(attitude: Rotation) -> float:
-        return float(np.degrees(np.percentile((own.inv() * attitude).magnitude(), 90.0)))
-
-    # Few attitudes, as of some events, do not separate one mistake from another.
-    size = apart(imported) if np.count_nonzero(known) >= _FEWEST else 0.0
-    for mistake, undone in (
-        (UNIT_MISTAKES | ANGLE_MISTAKES).items() if size > _LARGE_TURN_DEG else ()
-    ):
-        left = apart(Rotation.from_euler("ZYX", np.stack(undone(*angles.T[::-1])[::-1], axis=1)))
-        if left < min(_LARGE_TURN_DEG, size / 3.0):
-            mistake = mistake.format("roll", "pitch", "yaw")
-            raise messages.trajectory_angles_columns(
-                where=name, size_deg=size, mistake=mistake, left_deg=left
-            )
-    # The angle about each axis, as the file has it, in another order of the rotations.
-    seq: Any = angle_order
-    about = dict(zip(seq, imported.as_euler(seq).T, strict=True))
-    for order in _ORDERS if size > _SMALL_TURN_DEG else ():
-        again = Rotation.from_euler(order, np.stack([about[axis] for axis in order], axis=1))
-        left = apart(again)
-        if order != angle_order and left < min(_LARGE_TURN_DEG, size / 3.0):
-            raise messages.trajectory_angles(where=name, size_deg=size, order=order, left_deg=left)
-    cosine = np.sum(own.as_matrix()[:, 2] * imported.as_matrix()[:, 2], axis=1)
-    tilt = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
-    yaw = float(np.degrees(np.median(wrapped(angles[:, 0] - own.as_euler("ZYX")[:, 0]))))
+    imported = _rotations(of_file[in_both])
+    logged = _rotations(of_log[in_both])
+    if count >= _FEWEST:
+        _refuse_other_columns(name, imported, logged)
+        _refuse_other_order(name, imported, logged, angle_order)
+    down_imported = imported.as_matrix()[:, 2]
+    down_logged = logged.as_matrix()[:, 2]
+    cosine = np.sum(down_logged * down_imported, axis=1)
+    tilt = np.arccos(np.clip(cosine, -1.0, 1.0))
+    tilt_deg = float(np.degrees(np.median(tilt)))
+    turn = imported.as_euler("ZYX")[:, 0] - logged.as_euler("ZYX")[:, 0]
+    yaw_deg = float(np.degrees(np.median(wrapped(turn))))
     agrees = messages.trajectory_angles_agree(
-        kind=_grade({"tilt": tilt, "yaw": abs(yaw)}),
+        kind=_worst(
+            _grade(tilt_deg, _TILT_DEG),
+            _grade(abs(yaw_deg), _YAW_DEG),
+        ),
         where=name,
-        count=int(known.sum()),
-        tilt_deg=tilt,
-        yaw_deg=yaw,
+        count=count,
+        tilt_deg=tilt_deg,
+        yaw_deg=yaw_deg,
     )
     ledger.add(agrees)
 
 
-def _grade(sizes: Mapping[str, float]) -> Kind:
-    """How serious the worst of some differences is, by their names in `_LIMITS`."""
-    level = max(sum(size > limit for limit in _LIMITS[name]) for name, size in sizes.items())
-    return (Kind.NOTE, Kind.WARNING, Kind.LOSS)[level]
+def _rotations(quaternion: Array) -> Rotation:
+    """Rotations by (n, 4) quaternions w, x, y, z."""
+    return Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
+
+
+def _apart_deg(attitude: Rotation, logged: Rotation) -> float:
+    """The angle [deg] within which nine of ten attitudes are the log's."""
+    angles = (logged.inv() * attitude).magnitude()
+    return float(np.degrees(np.percentile(angles, 90.0)))
+
+
+def _refuse_other_columns(name: str, imported: Rotation, logged: Rotation) -> None:
+    """Refuse angles of another unit or sense, if they are the log's without that mistake."""
+    size_deg = _apart_deg(imported, logged)
+    if size_deg <= _LARGE_TURN_DEG:
+        return
+    yaw, pitch, roll = imported.as_euler("ZYX").T
+    for mistake, undone in (UNIT_MISTAKES | ANGLE_MISTAKES).items():
+        roll_pitch_yaw = undone(roll, pitch, yaw)
+        corrected = Rotation.from_euler("ZYX", np.stack(roll_pitch_yaw[::-1], axis=1))
+        left_deg = _apart_deg(corrected, logged)
+        if left_deg < min(_LARGE_TURN_DEG, size_deg / 3.0):
+            raise messages.trajectory_angles_columns(
+                where=name,
+                size_deg=size_deg,
+                mistake=mistake.format("roll", "pitch", "yaw"),
+                left_deg=left_deg,
+            )
+
+
+def _refuse_other_order(
+    name: str,
+    imported: Rotation,
+    logged: Rotation,
+    angle_order: str,
+) -> None:
+    """Refuse angles that are the log's if they turn in another order than ``angle_order``."""
+    size_deg = _apart_deg(imported, logged)
+    if size_deg <= _SMALL_TURN_DEG:
+        return
+    # The angle about each axis, as the file has it.
+    sequence: Any = angle_order
+    angle_about = dict(zip(sequence, imported.as_euler(sequence).T, strict=True))
+    for order in _ORDERS:
+        if order == angle_order:
+            continue
+        angles = np.stack([angle_about[axis] for axis in order], axis=1)
+        left_deg = _apart_deg(Rotation.from_euler(order, angles), logged)
+        if left_deg < min(_LARGE_TURN_DEG, size_deg / 3.0):
+            raise messages.trajectory_angles(
+                where=name,
+                size_deg=size_deg,
+                order=order,
+                left_deg=left_deg,
+            )
+
+
+_GRADES = (Kind.NOTE, Kind.WARNING, Kind.LOSS)
+
+
+def _grade(size: float, limits: _Limits) -> Kind:
+    """How serious a difference is."""
+    exceeded = sum(size > limit for limit in limits)
+    return _GRADES[exceeded]
+
+
+def _worst(*kinds: Kind) -> Kind:
+    """The most serious of some kinds."""
+    return max(kinds, key=_GRADES.index)
 
 
 def _metres(distance: float) -> str:
-    return f"{distance / 1000.0:,.0f} km" if distance > 10_000.0 else f"{distance:.0f} m"
+    if distance > 10_000.0:
+        return f"{distance / 1000.0:,.0f} km"
+    return f"{distance:.0f} m"
 
 
 def _span(time_ns: Integers) -> str:
-    first, last = time_ns[[0, -1]].astype("datetime64[ns]").astype("datetime64[s]")
+    ends = time_ns[[0, -1]].astype("datetime64[ns]")
+    first, last = ends.astype("datetime64[s]")
     return f"{first} to {last} UTC"

@@ -6,10 +6,9 @@ import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import Any
 
 import exifread
 import numpy as np
@@ -19,101 +18,40 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from unbend.flight import rotations
-from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
 from unbend.flight.image_names import composed
 from unbend.flight.stations import NO_TIME
-from unbend.flight.survey_dates import can_be_flown
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
+from unbend.tables.imports.image_stamps import FARTHEST_ZONE_S, Stamp, gps_stamp, time_of_tags
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.imports.xmp import dji_tags
-from unbend.tables.text_columns import FIRST_WEEK_OF_SURVEYS, whole_table
+from unbend.tables.text_columns import whole_table
 from unbend.units import LARGEST_HEIGHT_M, Integers, Names
 from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, height_of
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
 
 _MOST_EXAMPLES = 3  # of images that a message names
-LARGEST_WEEK = 9_999  # of GPS, in 2171: a larger number is no week, and would not fit into 64 bits
-_STAMP = re.compile(
-    r"(\d{4})[:/-](\d\d)[:/-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
-)
-_UNIX = re.compile(r"(\d{9,10})(?:\.(\d+))?")
 _OF_DAMAGE = (
-    ExifError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError,
-    EOFError, OSError, MemoryError, struct.error,
-)  # fmt: skip
+    ExifError,
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+    RuntimeError,
+    EOFError,
+    OSError,
+    MemoryError,
+    struct.error,
+)
 """What exifread raises on damaged files, by 41,000 of them, and what it reads them with."""
 
-# A receiver's stamp may be some seconds old; the zones of the world are quarters of an hour apart.
-_RECEIVER_SIGMA_S, _QUARTER_S, _ZONE_PROOF_S, _FARTHEST_ZONE_S = 2.0, 900, 120.0, 14 * 3600
-
-
-class Stamp(NamedTuple):
-    """A moment [ns], the step in which it counts [s]; whether it is UTC, and a receiver's."""
-
-    time_ns: int
-    step_s: float
-    is_utc: bool
-    by_gps: bool = False
-
-
-def parse_time(text: str, zone: str = "") -> Stamp | None:
-    """A time as EXIF, ISO 8601 or Unix seconds write it; None where it is none of them.
-
-    None also where no survey can have it: in the future, or of a clock that was never set.
-
-    ``zone`` is a UTC offset stated elsewhere, such as OffsetTimeOriginal. Without one the time is
-    local, and counted as though it were UTC.
-
-    >>> parse_time("2026:05:01 10:20:30.25", "+02:00")
-    Stamp(time_ns=1777623630250000000, step_s=0.01, is_utc=True, by_gps=False)
-    >>> parse_time("1777623630.5").is_utc, parse_time("0000:00:00 00:00:00")
-    (True, None)
-    """
-    text = text.strip()
-    if unix := _UNIX.fullmatch(text):
-        seconds, decimals, offset = int(unix[1]), unix[2] or "", "Z"
-    elif stamp := _STAMP.fullmatch(text):
-        year, month, day, hour, minute, second = (int(stamp[i]) for i in range(1, 7))
-        try:
-            moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-        except ValueError:  # a 30th of February
-            return None
-        seconds, decimals = int(moment.timestamp()), stamp[7] or ""
-        offset = stamp[8] or zone.strip()
-    else:
-        return None
-    ahead_s = _seconds_of_zone(offset)
-    if ahead_s is None and _ZONE.fullmatch(offset):
-        return None
-    seconds -= ahead_s or 0
-    decimals = decimals[:9]
-    time_ns = seconds * 10**9 + int(decimals.ljust(9, "0"))
-    if not bool(can_be_flown(np.array([time_ns]))[0]):
-        return None
-    is_utc = ahead_s is not None or offset in ("Z", "UTC")
-    return Stamp(time_ns, 10.0 ** -len(decimals), is_utc)
-
-
-_ZONE = re.compile(r"(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d)")
-
-
-def _seconds_of_zone(offset: str) -> int | None:
-    """How far a zone written as +05:30 is ahead of UTC [s]; None for what no zone on earth is.
-
-    >>> _seconds_of_zone("-0330"), _seconds_of_zone("+14:00"), _seconds_of_zone("+23:59")
-    (-12600, 50400, None)
-    """
-    zone = _ZONE.fullmatch(offset)
-    if zone is None:
-        return None
-    minutes = int(zone["minutes"])
-    ahead_s = int(zone["hours"]) * 3600 + minutes * 60
-    if ahead_s > _FARTHEST_ZONE_S or minutes >= 60:
-        return None
-    return -ahead_s if zone["sign"] == "-" else ahead_s
+_RECEIVER_SIGMA_S = 2.0  # a receiver's stamp may be some seconds old
+_QUARTER_S = 900  # the zones of the world are quarters of an hour apart
+_ZONE_PROOF_S = 120.0  # nearer to a quarter of an hour a difference is that of a zone
+_ZONE_PROOF_PART = 0.9  # of the images, in which it must be
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,25 +78,30 @@ class ImageTimes:
         (InputError IMAGES-DUPLICATE) a name that stands in two folders.
         """
         parts = [_parts(str(file)) for file in self.file]
-        rows: dict[str, list[int]] = defaultdict(list)
-        for row, own in enumerate(parts):
-            rows[own[-1]].append(row)
-        found = {}
+        rows_of_name: dict[str, list[int]] = defaultdict(list)
+        for row, parts_of_row in enumerate(parts):
+            rows_of_name[parts_of_row[-1]].append(row)
+        row_of_image = {}
         for image in images:
-            wanted = _parts(image)[::-1]
-            same = [
-                row
-                for row in rows.get(wanted[0], ())
-                if all(a == b for a, b in zip(parts[row][::-1], wanted, strict=False))
-            ]
-            if len(same) > 1:
-                first, second = self.file[same[:2]]
+            wanted = _parts(image)
+            rows = [row for row in rows_of_name.get(wanted[-1], ()) if _agree(parts[row], wanted)]
+            if len(rows) > 1:
+                first, second = self.file[rows[:2]]
                 raise messages.images_duplicate(
-                    where="events.images", image=image, first=str(first), second=str(second)
+                    where="events.images",
+                    image=image,
+                    first=str(first),
+                    second=str(second),
                 )
-            if same:
-                found[image] = same[0]
-        return found
+            if rows:
+                row_of_image[image] = rows[0]
+        return row_of_image
+
+
+def _agree(path: tuple[str, ...], other: tuple[str, ...]) -> bool:
+    """Whether two paths have the same name, and the same folders as far as both state them."""
+    from_name = zip(reversed(path), reversed(other), strict=False)
+    return all(part == other_part for part, other_part in from_name)
 
 
 def _parts(path: str) -> tuple[str, ...]:
@@ -178,46 +121,108 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
     only where the GPS stamps of the same images prove it. Images without a time are losses.
     """
     tags = read_tags(path, ledger)
-    stamps = {file: stamp for file, of in tags.items() if (stamp := _time_of(of, zone)) is not None}
-    local = [file for file, stamp in stamps.items() if not stamp.is_utc]
-    fixes = {file: fix for file in local if (fix := _gps_stamp(tags[file])) is not None}
-    if fixes:
-        ahead = np.array([stamps[file].time_ns - fix.time_ns for file, fix in fixes.items()]) / 1e9
-        zone_s = int(np.round(np.median(ahead) / _QUARTER_S)) * _QUARTER_S
-        proved = float(np.mean(np.abs(ahead - zone_s) < _ZONE_PROOF_S)) > 0.9
-        if proved and abs(zone_s) <= _FARTHEST_ZONE_S:
-            hours = zone_s / 3600
-            ledger.add(messages.zone_of_camera(where=path.name, count=len(fixes), hours=hours))
-            for file in local:
-                utc_ns = stamps[file].time_ns - zone_s * 10**9
-                stamps[file] = stamps[file]._replace(time_ns=utc_ns, is_utc=True)
+    files = sorted(tags)
+    stamps = {}
+    for file in tags:
+        stamp = time_of_tags(tags[file], zone)
+        if stamp is not None:
+            stamps[file] = stamp
+    stamps |= _stamps_in_utc(path, tags, stamps, ledger)
     # A local time among times in UTC would be hours off: it is no time of the same clock.
     is_utc = 2 * sum(stamp.is_utc for stamp in stamps.values()) > len(stamps)
-    files = sorted(tags)
-    rows = [s if (s := stamps.get(f)) is not None and s.is_utc == is_utc else None for f in files]
-    without = [file for file, stamp in zip(files, rows, strict=True) if stamp is None]
-    if without:
-        examples = ", ".join(without[:_MOST_EXAMPLES])
-        if len(without) > _MOST_EXAMPLES:
-            examples += " ..."
-        lost = messages.images_without_time(
-            where=path.name, count=len(without), total=len(tags), examples=examples
-        )
-        ledger.add(lost)
-    time_ns = np.array([NO_TIME if stamp is None else stamp.time_ns for stamp in rows], np.int64)
-    step = np.array([np.nan if stamp is None else stamp.step_s for stamp in rows])
-    known = time_ns != NO_TIME
-    # Some cameras write 00 for the fraction of every second.
-    if np.count_nonzero(known) > 4 and np.ptp(time_ns[known] % 10**9) == 0:
-        step = np.where(known, 1.0, step)
-    if bool((step >= 1.0).any()):
-        count = int((step >= 1.0).sum())
-        ledger.add(messages.clock_of_whole_seconds(where=path.name, count=count))
-    by_gps = all(stamp.by_gps for stamp in rows if stamp is not None)
-    clock_sigma_s = _RECEIVER_SIGMA_S if by_gps else np.inf
-    sigma_s = np.maximum(step / 2.0, 1e-3)
-    position = positions_of_tags({file: tags[file] for file in files}, path, ledger)
-    return ImageTimes(np.array(files, object), time_ns, sigma_s, is_utc, position, clock_sigma_s)
+    time_ns = np.full(len(files), NO_TIME, np.int64)
+    step_s = np.full(len(files), np.nan)
+    by_gps = True
+    without_time = []
+    for row, file in enumerate(files):
+        stamp = stamps.get(file)
+        if stamp is None or stamp.is_utc != is_utc:
+            without_time.append(file)
+            continue
+        time_ns[row] = stamp.time_ns
+        step_s[row] = stamp.step_s
+        by_gps = by_gps and stamp.by_gps
+    _report_without_time(path, without_time, len(files), ledger)
+    step_s = _steps_of_clock(path, time_ns, step_s, ledger)
+    return ImageTimes(
+        file=np.array(files, object),
+        time_ns=time_ns,
+        sigma_s=np.maximum(step_s / 2.0, 1e-3),
+        is_utc=is_utc,
+        position=positions_of_tags({file: tags[file] for file in files}, path, ledger),
+        clock_sigma_s=_RECEIVER_SIGMA_S if by_gps else np.inf,
+    )
+
+
+def _stamps_in_utc(
+    path: Path,
+    tags: Mapping[str, Mapping[str, str]],
+    stamps: Mapping[str, Stamp],
+    ledger: Ledger,
+) -> dict[str, Stamp]:
+    """The local times of images in UTC, where the receiver's stamps prove the zone; else none."""
+    local = {file: stamp for file, stamp in stamps.items() if not stamp.is_utc}
+    ahead_ns = []
+    for file, stamp in local.items():
+        fix = gps_stamp(tags[file])
+        if fix is not None:
+            ahead_ns.append(stamp.time_ns - fix.time_ns)
+    if not ahead_ns:
+        return {}
+    ahead_s = np.array(ahead_ns) / 1e9
+    quarters = int(np.round(np.median(ahead_s) / _QUARTER_S))
+    zone_s = quarters * _QUARTER_S
+    agreeing = float(np.mean(np.abs(ahead_s - zone_s) < _ZONE_PROOF_S))
+    if agreeing <= _ZONE_PROOF_PART or abs(zone_s) > FARTHEST_ZONE_S:
+        return {}
+    hours = zone_s / 3600
+    ledger.add(messages.zone_of_camera(where=path.name, count=len(ahead_ns), hours=hours))
+    in_utc = {}
+    for file, stamp in local.items():
+        time_ns = stamp.time_ns - zone_s * 10**9
+        in_utc[file] = stamp._replace(time_ns=time_ns, is_utc=True)
+    return in_utc
+
+
+def _report_without_time(
+    path: Path,
+    files: Sequence[str],
+    total: int,
+    ledger: Ledger,
+) -> None:
+    """A loss for images without a time."""
+    if not files:
+        return
+    examples = ", ".join(files[:_MOST_EXAMPLES])
+    if len(files) > _MOST_EXAMPLES:
+        examples += " ..."
+    lost = messages.images_without_time(
+        where=path.name,
+        count=len(files),
+        total=total,
+        examples=examples,
+    )
+    ledger.add(lost)
+
+
+def _steps_of_clock(
+    path: Path,
+    time_ns: Integers,
+    step_s: NDArray[np.float64],
+    ledger: Ledger,
+) -> NDArray[np.float64]:
+    """(m,) steps [s] in which the clock of the images counts; whole seconds are reported.
+
+    Some cameras write 00 for the fraction of every second: then it counts whole ones.
+    """
+    has_time = time_ns != NO_TIME
+    fraction_ns = time_ns[has_time] % 10**9
+    if fraction_ns.size > 4 and np.ptp(fraction_ns) == 0:
+        step_s = np.where(has_time, 1.0, step_s)
+    whole_seconds = int((step_s >= 1.0).sum())
+    if whole_seconds:
+        ledger.add(messages.clock_of_whole_seconds(where=path.name, count=whole_seconds))
+    return step_s
 
 
 _NAMES_OF_FILES = ("SourceFile", "FileName", "image")  # columns that are no numbers
@@ -225,17 +230,26 @@ _NAMES_OF_FILES = ("SourceFile", "FileName", "image")  # columns that are no num
 
 def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
     """By image, its tags without their groups; refuses (InputError IMAGES-NONE) no images."""
-    if path.is_dir():
-        tags = _tags_of_folder(path, ledger)
-    else:
-        table = whole_table(path, messages.IMAGES_CSV, _NAMES_OF_FILES)
-        table.columns = pd.Index([_key(str(name)) for name in table.columns])
-        table = table.loc[:, ~table.columns.duplicated()]
-        column = next((c for c in ("sourcefile", "filename", "image") if c in table), None)
-        rows = table.to_dict("records") if column is not None else []
-        tags = {row[column]: {str(k): v for k, v in row.items()} for row in rows if row[column]}
+    tags = _tags_of_folder(path, ledger) if path.is_dir() else _tags_of_csv(path)
     if not tags:
         raise messages.images_none(where=path, endings=ENDINGS)
+    return tags
+
+
+def _tags_of_csv(path: Path) -> dict[str, dict[str, str]]:
+    """The rows of exiftool's CSV by the image's file; empty without a column that names it."""
+    table = whole_table(path, messages.IMAGES_CSV, _NAMES_OF_FILES)
+    table.columns = pd.Index([_key(str(name)) for name in table.columns])
+    table = table.loc[:, ~table.columns.duplicated()]
+    keys = [_key(name) for name in _NAMES_OF_FILES]
+    file_column = next((key for key in keys if key in table), None)
+    if file_column is None:
+        return {}
+    tags = {}
+    for row in table.to_dict("records"):
+        file = row[file_column]
+        if file:
+            tags[file] = {str(key): text for key, text in row.items()}
     return tags
 
 
@@ -250,7 +264,11 @@ class TagReader:
     unread: dict[str, tuple[str, str, int]] = field(default_factory=dict)
 
     def value(
-        self, file: str, tags: Mapping[str, str], key: str, reader: Callable[[str], float]
+        self,
+        file: str,
+        tags: Mapping[str, str],
+        key: str,
+        reader: Callable[[str], float],
     ) -> float:
         """The value of a tag by a reader that raises ValueError; NaN where none can be read."""
         text = tags.get(key, "")
@@ -282,21 +300,33 @@ def positions_of_tags(
     A tag that can be read in no way is a loss.
     """
     reader = TagReader()
-    rows = []
-    for file, of in tags.items():
-        degrees = {}
-        for axis in ("latitude", "longitude"):
-            stated = of.get(f"gps{axis}ref", "")
-            angle = partial(angle_of, hemisphere=stated, letters=LETTERS_OF_AXIS[axis])
-            degrees[axis] = reader.value(file, of, f"gps{axis}", angle)
-        lat, lon = degrees["latitude"], degrees["longitude"]
+    positions = np.full((len(tags), 3), np.nan)
+    for row, (file, tags_of_file) in enumerate(tags.items()):
+        lat = _angle_of_tags(reader, file, tags_of_file, "latitude")
+        lon = _angle_of_tags(reader, file, tags_of_file, "longitude")
         if np.isnan(lon):
-            lon = reader.value(file, of, "gpslongtitude", angle_of)  # as DJI spelt it
-        height = _height_of_tags(reader, file, of)
-        on_earth = abs(lat) <= 90.0 and abs(lon) <= 360.0 and (lat, lon) != (0.0, 0.0)
-        rows.append((*np.radians([lat, lon]), height) if on_earth else (np.nan,) * 3)
+            lon = reader.value(file, tags_of_file, "gpslongtitude", angle_of)  # as DJI spelt it
+        height = _height_of_tags(reader, file, tags_of_file)
+        is_on_earth = abs(lat) <= 90.0 and abs(lon) <= 360.0
+        if is_on_earth and (lat, lon) != (0.0, 0.0):
+            positions[row] = (np.radians(lat), np.radians(lon), height)
     reader.report(where, ledger)
-    return np.array(rows).reshape(-1, 3)
+    return positions
+
+
+def _angle_of_tags(
+    reader: TagReader,
+    file: str,
+    tags: Mapping[str, str],
+    axis: str,
+) -> float:
+    """The ``latitude`` or ``longitude`` of an image as its tags state it [deg]; NaN if unknown."""
+    angle = partial(
+        angle_of,
+        hemisphere=tags.get(f"gps{axis}ref", ""),
+        letters=LETTERS_OF_AXIS[axis],
+    )
+    return reader.value(file, tags, f"gps{axis}", angle)
 
 
 def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:
@@ -316,69 +346,105 @@ def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> Orie
             key = f"gimbal{name}degree"
             degrees[row, column] = reader.value(file, tags[file], key, angle_of)
     reader.report(path, ledger)
-    given = np.radians(degrees)
-    if not np.isfinite(given).all(axis=1).any():
+    gimbal = np.radians(degrees)
+    if not np.isfinite(gimbal).all(axis=1).any():
         raise messages.images_no_gimbal(where=path, files=len(files))
-    angles = rpy_of_gimbal(given)
-    stamps = [_time_of(tags[file], "") for file in files]
-    utc = [s.time_ns if s is not None and s.is_utc else NO_TIME for s in stamps]
-    position = positions_of_tags({file: tags[file] for file in files}, path, ledger)
-    names = np.array(files, object)
-    return OrientationTable(names, None, np.array(utc, np.int64), position, angles, {})
+    time_ns = np.full(len(files), NO_TIME, np.int64)
+    for row, file in enumerate(files):
+        stamp = time_of_tags(tags[file], "")
+        if stamp is not None and stamp.is_utc:
+            time_ns[row] = stamp.time_ns
+    return OrientationTable(
+        image=np.array(files, object),
+        camera=None,
+        time_ns=time_ns,
+        position=positions_of_tags({file: tags[file] for file in files}, path, ledger),
+        angles=rpy_of_gimbal(gimbal),
+        sigmas={},
+    )
 
 
 _QUARTER = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
 
 
-def rpy_of_gimbal(given: NDArray[np.float64]) -> NDArray[np.float64]:
+def rpy_of_gimbal(gimbal: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n, 3) roll, pitch, yaw [rad] of a body in which the camera looks down, of a gimbal's."""
-    turned = rotations.ned_from_body(given) @ _QUARTER
-    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
-    return rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
+    return _rpy_turned_by(_QUARTER, gimbal)
 
 
 def gimbal_of_rpy(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n, 3) roll, pitch, yaw [rad] of a gimbal; inverse of `rpy_of_gimbal`."""
-    turned = rotations.ned_from_body(angles) @ _QUARTER.T
-    body = rotations.quaternions_of(rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1))
-    return rotations.rpy_of_quaternion(rotations.in_turned_frame(body, rotations.NED_FROM_ENU))
+    return _rpy_turned_by(_QUARTER.T, angles)
+
+
+def _rpy_turned_by(
+    turn: NDArray[np.float64],
+    angles: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(n, 3) roll, pitch, yaw [rad] of bodies that are turned about their own axes (3, 3)."""
+    turned = rotations.ned_from_body(angles) @ turn
+    camera_from_ned = rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1)
+    camera = rotations.quaternions_of(camera_from_ned)
+    against_enu = rotations.in_turned_frame(camera, rotations.NED_FROM_ENU)
+    return rotations.rpy_of_quaternion(against_enu)
 
 
 def image_files(folder: Path) -> list[Path]:
     """The images in a folder and those below it, by their ending, sorted."""
-    known = ENDINGS.split()
-    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in known and p.is_file())
+    endings = ENDINGS.split()
+    files = [path for path in folder.rglob("*") if path.suffix.lower() in endings]
+    return sorted(path for path in files if path.is_file())
 
 
 def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
     """Tags of each image by its path in the folder; of a raw image and its JPEG only one."""
     logging.getLogger("exifread").setLevel(logging.CRITICAL)  # what it finds is a loss below
     tags: dict[str, dict[str, str]] = {}
-    unreadable, seen = [], set()
+    unreadable = []
+    names = set()
     for path in image_files(folder):
         name = path.relative_to(folder).as_posix()
-        if _parts(name) in seen:
+        if _parts(name) in names:
             continue
-        seen.add(_parts(name))
+        names.add(_parts(name))
         tags[name] = {}
         try:
-            with path.open("rb") as file:
-                read = exifread.process_file(file, details=False, extract_thumbnail=False)
+            exif_tags = _read_exif(path)
         except _OF_DAMAGE as error:
             unreadable.append(f"{name} ({type(error).__name__}: {error})")
             continue
-        tags[name] = {_key(key): str(value) for key, value in read.items()}
-        if "GPS GPSTimeStamp" in read:
-            tags[name]["gpstimestamp"] = _time_of_day(read["GPS GPSTimeStamp"].values)
+        tags[name] = _texts_of_exif(exif_tags)
         try:
             tags[name] |= {_key(key): text for key, text in dji_tags(path).items()}
         except (ValueError, OSError) as error:
             unreadable.append(f"{name} ({error})")
     if unreadable:
-        examples = ", ".join(unreadable[:_MOST_EXAMPLES])
-        lost = messages.exif_unreadable(where=folder.name, count=len(unreadable), examples=examples)
+        lost = messages.exif_unreadable(
+            where=folder.name,
+            count=len(unreadable),
+            examples=", ".join(unreadable[:_MOST_EXAMPLES]),
+        )
         ledger.add(lost)
     return tags
+
+
+def _read_exif(path: Path) -> dict[str, Any]:
+    """The tags of an image's EXIF; raises `_OF_DAMAGE` for damaged files."""
+    with path.open("rb") as file:
+        tags: dict[str, Any] = exifread.process_file(
+            file,
+            details=False,
+            extract_thumbnail=False,
+        )
+    return tags
+
+
+def _texts_of_exif(tags: Mapping[str, Any]) -> dict[str, str]:
+    """What the tags of an EXIF say, by their names without their groups."""
+    texts = {_key(key): str(value) for key, value in tags.items()}
+    if "GPS GPSTimeStamp" in tags:
+        texts["gpstimestamp"] = _time_of_day(tags["GPS GPSTimeStamp"].values)
+    return texts
 
 
 def _time_of_day(rationals: Sequence[object]) -> str:
@@ -400,12 +466,15 @@ def _time_of_day(rationals: Sequence[object]) -> str:
         return ""
     hour, minute, second = parts
     text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
-    return text.rstrip("0").rstrip(".") if second % 1 else text[:8]
+    if second % 1:
+        return text.rstrip("0").rstrip(".")
+    return text[:8]
 
 
 def _key(name: str) -> str:
     """A tag's name without its group: of EXIF:DateTimeOriginal, GPS GPSDate or time_utc."""
-    return re.sub(r"[^a-z0-9]", "", re.split(r"[: ]", name)[-1].lower())
+    without_group = re.split(r"[: ]", name)[-1]
+    return re.sub(r"[^a-z0-9]", "", without_group.lower())
 
 
 def _height_of_tags(reader: TagReader, file: str, tags: Mapping[str, str]) -> float:
@@ -418,49 +487,3 @@ def _height_of_tags(reader: TagReader, file: str, tags: Mapping[str, str]) -> fl
         if reference.startswith(("1", "below")):
             height = -abs(height)
     return np.nan if abs(height) > LARGEST_HEIGHT_M else height
-
-
-def _stamp_of_week(week: str, seconds: str) -> Stamp | None:
-    """The time of a GPS week and its seconds; None where no survey can have it."""
-    is_week = re.fullmatch(r"\d{1,5}", week) is not None
-    is_seconds = re.fullmatch(r"\d{1,6}(\.\d*)?", seconds) is not None
-    if not (is_week and is_seconds):
-        return None
-    if int(week) < FIRST_WEEK_OF_SURVEYS or float(seconds) > SECONDS_PER_WEEK:
-        return None
-    step_s = 10.0 ** -len(seconds.partition(".")[2])
-    time_ns = utc_of_gps(min(int(week), LARGEST_WEEK), float(seconds)).reshape(1)
-    if not bool(can_be_flown(time_ns)[0]):
-        return None
-    return Stamp(int(time_ns[0]), step_s, True, True)
-
-
-def _time_of(tags: Mapping[str, str], zone: str) -> Stamp | None:
-    """The time of an exposure, from the best of the tags that state one."""
-    if (dji := parse_time(tags.get("utcatexposure", ""), "UTC")) is not None:
-        return dji._replace(by_gps=True)
-    week = tags.get("gpsweek", "").strip()
-    seconds = tags.get("gpsseconds", "").strip().replace(",", ".")
-    by_week = _stamp_of_week(week, seconds)
-    if by_week is not None:
-        return by_week
-    texts = [
-        (tags.get("timeutc", ""), "UTC"),
-        *((tags.get(n, ""), zone) for n in ("unixtime", "timestamp", "subsecdatetimeoriginal")),
-    ]
-    for kind in ("original", "digitized"):
-        date = tags.get(f"datetime{kind}", "") or tags.get("createdate", "") * (kind != "original")
-        fraction = tags.get(f"subsectime{kind}", "").strip()
-        if fraction.isdigit():
-            date = re.sub(r"^(\S+[ T]\d\d:\d\d:\d\d)(?!\.)", rf"\g<1>.{fraction}", date.strip())
-        offset = tags.get(f"offsettime{kind}", "").strip() or tags.get("offsettime", "").strip()
-        texts.append((date, offset or zone))
-    stamps = (parse_time(text, offset) for text, offset in texts)
-    return next((stamp for stamp in stamps if stamp is not None), None) or _gps_stamp(tags)
-
-
-def _gps_stamp(tags: Mapping[str, str]) -> Stamp | None:
-    """The time of the receiver's fix, in UTC."""
-    date = tags.get("gpsdatestamp", "") or tags.get("gpsdate", "")
-    stamp = parse_time(f"{date} {tags.get('gpstimestamp', '')}", "UTC")
-    return None if stamp is None else stamp._replace(by_gps=True)

@@ -4,28 +4,38 @@ Format: RTKLIB manual 2.4.2, appendix B.1. Columns are found by the names in the
 order and each separator that RTKLIB can write is read.
 """
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from unbend.flight.channels import Channel
+from unbend.flight.channels import Channel, TimeArray
 from unbend.geodesy import enu_from_ecef, geodetic_of_ecef, offset_geodetic
 from unbend.messages import Ledger
 from unbend.tables.imports import messages
 from unbend.tables.imports.stated import Stated, channel_of_rows, read_text
 from unbend.tables.text_columns import numbers, split_lines, utc_of_dates, utc_of_weeks
-from unbend.units import Array
+from unbend.units import Array, Mask
 
-# A single-point fix (Q 5) is not better than this, whatever its formal sigma says.
-SINGLE_SIGMA_H_M, SINGLE_SIGMA_V_M = 2.5, 5.0
+# A single-point fix (Q 5) is not better than these, whatever its formal sigma says.
+SINGLE_SIGMA_H_M = 2.5
+SINGLE_SIGMA_V_M = 5.0
 _SEPARATOR = r"[\s,;]+"
 _MINUTES = "latitude(d'\")"
+_COLUMNS_OF_MINUTES = ["lat_d", "lat_m", "lat_s", "lon_d", "lon_m", "lon_s"]
 _JST_NS = 9 * 3600 * 1_000_000_000
 _SINGLE = 5  # its number among the qualities
-_QUALITY = {1: "fixed", 2: "float", 3: "SBAS", 4: "DGPS", 5: "single", 6: "PPP"}
+_QUALITY = {
+    1: "fixed",
+    2: "float",
+    3: "SBAS",
+    4: "DGPS",
+    5: "single",
+    6: "PPP",
+}
+_SURFACES = {"ellipsoidal": "ellipsoid", "geodetic": "msl"}  # of heights, by RTKLIB's words
 
 
 def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
@@ -38,92 +48,210 @@ def read_pos(path: Path, stated: Stated, ledger: Ledger) -> Channel:
     lines = read_text(path)
     header = [line for line in lines if line[0] == "%"]
     rows = [line for line in lines if line[0] != "%"]
-    titles = [line for line in header if re.search(r"[\s,;]Q[\s,;]", line)]
-    clock, *names = re.split(_SEPARATOR, titles[-1].strip("% \t")) if titles else [""]
-    if clock not in ("GPST", "UTC", "JST"):
-        raise messages.pos_without_titles(where=path)
+    clock, names = _titles(path, header)
     if not rows:
         raise messages.pos_without_solutions(where=path)
-    if _MINUTES in names:
-        names = [f"{axis}_{part}" for axis in ("lat", "lon") for part in "dms"] + names[2:]
     table = split_lines(rows, ["day", "time", *names], _SEPARATOR)
     value = {name: numbers(table[name]) for name in names}
     system = stated.system_of(path, ledger, "gpst" if clock == "GPST" else "utc")
-    if "/" in rows[0].split()[0]:
-        time_ns, readable = utc_of_dates(table["day"] + "T" + table["time"], system)
-    else:
-        week, seconds = numbers(table["day"]), numbers(table["time"])
-        time_ns, readable = utc_of_weeks(week, seconds, system), np.isfinite(week + seconds)
+    has_dates = "/" in rows[0].split()[0]
+    time_ns, is_time = _times(table, system, has_dates=has_dates)
+    if clock == "JST" and system == "utc":
+        time_ns = time_ns - _JST_NS
     columns = _positions(path, header, value, stated, ledger)
-    quality = value["Q"]
-    readable = readable & (quality > 0) & np.isfinite(columns["lat_rad"])
-    columns |= {"solution_quality": quality, "event_index": np.arange(1.0, len(rows) + 1.0)}
-    for name, sign, written in (("north", 1, "vn"), ("east", 1, "ve"), ("down", -1, "vu")):
-        if f"{written}(m/s)" in value and "x-ecef(m)" not in value:
-            columns[f"v_{name}_m_s"] = sign * value[f"{written}(m/s)"]
-    for name, least in (("sigma_h_m", SINGLE_SIGMA_H_M), ("sigma_v_m", SINGLE_SIGMA_V_M)):
-        columns[name] = np.where(quality == _SINGLE, np.fmax(columns[name], least), columns[name])
-    time_ns = time_ns - (_JST_NS if clock == "JST" and system == "utc" else 0)
-    channel = channel_of_rows(path, "RTKLIB", time_ns, columns, ledger, readable=readable)
-    found, counts = np.unique(channel["solution_quality"].astype(int), return_counts=True)
-    shares = ", ".join(
-        f"{100.0 * count / len(channel):.1f} % {_QUALITY.get(int(q), f'Q {q}')}"
-        for q, count in zip(found, counts, strict=True)
+    columns["solution_quality"] = value["Q"]
+    columns["event_index"] = np.arange(1.0, len(rows) + 1.0)
+    columns |= _velocities(value)
+    is_single = value["Q"] == _SINGLE
+    columns["sigma_h_m"] = _at_least(columns["sigma_h_m"], SINGLE_SIGMA_H_M, is_single)
+    columns["sigma_v_m"] = _at_least(columns["sigma_v_m"], SINGLE_SIGMA_V_M, is_single)
+    has_position = (value["Q"] > 0) & np.isfinite(columns["lat_rad"])
+    channel = channel_of_rows(
+        path,
+        "RTKLIB",
+        time_ns,
+        columns,
+        ledger,
+        readable=is_time & has_position,
     )
-    qualities = messages.solution_qualities(where=path.name, count=len(channel), shares=shares)
-    ledger.add(qualities)
-    if single := int(counts[found == _SINGLE].sum()):
-        ledger.add(
-            messages.single_point_solutions(
-                where=path.name,
-                count=single,
-                total=len(channel),
-                sigma_h_m=SINGLE_SIGMA_H_M,
-                sigma_v_m=SINGLE_SIGMA_V_M,
-            )
-        )
+    _report_qualities(path, channel, ledger)
     return channel
 
 
+def _times(
+    table: pd.DataFrame,
+    system: str,
+    *,
+    has_dates: bool,
+) -> tuple[TimeArray, Mask]:
+    """UTC of the rows and which have a time: dates with a time of day, or weeks and seconds."""
+    if has_dates:
+        return utc_of_dates(table["day"] + "T" + table["time"], system)
+    week = numbers(table["day"])
+    seconds = numbers(table["time"])
+    return utc_of_weeks(week, seconds, system), np.isfinite(week + seconds)
+
+
+def _titles(path: Path, header: Sequence[str]) -> tuple[str, list[str]]:
+    """The clock of a solution, GPST, UTC or JST, and the names of its columns behind the time."""
+    titles = [line for line in header if re.search(r"[\s,;]Q[\s,;]", line)]
+    if not titles:
+        raise messages.pos_without_titles(where=path)
+    clock, *names = re.split(_SEPARATOR, titles[-1].strip("% \t"))
+    if clock not in ("GPST", "UTC", "JST"):
+        raise messages.pos_without_titles(where=path)
+    if _MINUTES in names:
+        names = [*_COLUMNS_OF_MINUTES, *names[2:]]
+    return clock, names
+
+
+def _velocities(value: Mapping[str, Array]) -> dict[str, Array]:
+    """Velocities north, east and down [m/s], of those that the file has in these axes."""
+    velocities: dict[str, Array] = {}
+    if "x-ecef(m)" in value:
+        return velocities
+    if "vn(m/s)" in value:
+        velocities["v_north_m_s"] = value["vn(m/s)"]
+    if "ve(m/s)" in value:
+        velocities["v_east_m_s"] = value["ve(m/s)"]
+    if "vu(m/s)" in value:
+        velocities["v_down_m_s"] = -value["vu(m/s)"]
+    return velocities
+
+
+def _at_least(sigma: Array, least: float, is_single: Mask) -> Array:
+    """Sigmas, those of single-point fixes not below ``least``."""
+    return np.where(is_single, np.fmax(sigma, least), sigma)
+
+
+def _report_qualities(path: Path, channel: Channel, ledger: Ledger) -> None:
+    """Report the shares of the qualities of the solutions, and how many are single-point fixes."""
+    qualities = channel["solution_quality"].astype(int)
+    numbers_of_quality, counts = np.unique(qualities, return_counts=True)
+    shares = []
+    for number, count in zip(numbers_of_quality.tolist(), counts, strict=True):
+        percent = 100.0 * count / len(channel)
+        shares.append(f"{percent:.1f} % {_QUALITY.get(number, f'Q {number}')}")
+    note = messages.solution_qualities(
+        where=path.name,
+        count=len(channel),
+        shares=", ".join(shares),
+    )
+    ledger.add(note)
+    single = int(np.sum(qualities == _SINGLE))
+    if single:
+        warning = messages.single_point_solutions(
+            where=path.name,
+            count=single,
+            total=len(channel),
+            sigma_h_m=SINGLE_SIGMA_H_M,
+            sigma_v_m=SINGLE_SIGMA_V_M,
+        )
+        ledger.add(warning)
+
+
 def _positions(
-    path: Path, header: list[str], value: Mapping[str, Array], stated: Stated, ledger: Ledger
+    path: Path,
+    header: list[str],
+    value: Mapping[str, Array],
+    stated: Stated,
+    ledger: Ledger,
 ) -> dict[str, Array]:
     """Positions and their sigmas per axis, whichever coordinates the file has."""
-    nowhere = np.full(value["Q"].shape, np.nan)
-    north, east, up = (value.get(f"sd{axis}(m)", nowhere) for axis in "neu")
-    variance = (north**2 + east**2) / 2.0, up**2
-    above: str | None = "ellipsoid"
+    surface: str | None = "ellipsoid"
+    horizontal, vertical = _variances(value)
     if "x-ecef(m)" in value:
-        lat, lon, height = geodetic_of_ecef(*(value[f"{axis}-ecef(m)"] for axis in "xyz"))
-        # Covariances are written as square roots with the sign of the covariance.
-        pairs = ("x", "xy", "zx"), ("xy", "y", "yz"), ("zx", "yz", "z")
-        root = np.array([[value.get(f"sd{p}(m)", nowhere) for p in row] for row in pairs])
-        axes = enu_from_ecef(np.nan_to_num(lat), np.nan_to_num(lon))
-        local = np.einsum("nij,jkn,nik->ni", axes, np.sign(root) * root**2, axes)
-        variance = (local[:, 0] + local[:, 1]) / 2.0, local[:, 2]
+        lat, lon, height = geodetic_of_ecef(
+            value["x-ecef(m)"],
+            value["y-ecef(m)"],
+            value["z-ecef(m)"],
+        )
+        horizontal, vertical = _variances_of_ecef(value, lat, lon)
     elif "e-baseline(m)" in value:
-        origin = _base(header)
-        if origin is None:
-            raise messages.pos_without_base(where=path)
-        enu = np.stack([value[f"{axis}-baseline(m)"] for axis in "enu"], axis=1)
-        start = np.tile([*np.radians(origin[:2]), origin[2]], (len(enu), 1)).T
-        lat, lon, height = offset_geodetic(start[0], start[1], start[2], enu)
+        lat, lon, height = _ends_of_baselines(path, header, value)
     else:
-        if "lat_d" in value:  # the degrees carry the sign, -0 as well
-            degrees = [
-                np.copysign(abs(value[f"{axis}_d"]) + value[f"{axis}_m"] / 60.0
-                            + value[f"{axis}_s"] / 3600.0, value[f"{axis}_d"])
-                for axis in ("lat", "lon")
-            ]  # fmt: skip
-        else:
-            degrees = [value["latitude(deg)"], value["longitude(deg)"]]
-        lat, lon = np.radians(degrees)
+        lat, lon = _angles(value)
         height = value["height(m)"]
-        said = re.search(r"height=[^/]+/(ellipsoidal|geodetic)", "\n".join(header))
-        above = {"ellipsoidal": "ellipsoid", "geodetic": "msl"}[said[1]] if said else None
-    sigma_h, sigma_v = np.sqrt(np.maximum(variance, 0.0))
-    places = {"lat_rad": lat, "lon_rad": lon, stated.height_column(path, ledger, above): height}
-    return places | {"sigma_h_m": sigma_h, "sigma_v_m": sigma_v}
+        statement = re.search(r"height=[^/]+/(ellipsoidal|geodetic)", "\n".join(header))
+        surface = _SURFACES[statement[1]] if statement else None
+    return {
+        "lat_rad": lat,
+        "lon_rad": lon,
+        stated.height_column(path, ledger, surface): height,
+        "sigma_h_m": np.sqrt(np.maximum(horizontal, 0.0)),
+        "sigma_v_m": np.sqrt(np.maximum(vertical, 0.0)),
+    }
+
+
+def _variances(value: Mapping[str, Array]) -> tuple[Array, Array]:
+    """(n,) mean horizontal variance and vertical variance [m2] by the sigmas north, east and up."""
+    unknown = np.full(value["Q"].shape, np.nan)
+    north = value.get("sdn(m)", unknown)
+    east = value.get("sde(m)", unknown)
+    up = value.get("sdu(m)", unknown)
+    return (north**2 + east**2) / 2.0, up**2
+
+
+def _variances_of_ecef(
+    value: Mapping[str, Array],
+    lat: Array,
+    lon: Array,
+) -> tuple[Array, Array]:
+    """As `_variances`, by the covariances of earth-centred coordinates.
+
+    They are written as square roots with the sign of the covariance.
+    """
+    unknown = np.full(value["Q"].shape, np.nan)
+
+    def root(name: str) -> Array:
+        return value.get(f"sd{name}(m)", unknown)
+
+    roots = np.array(
+        [
+            [root("x"), root("xy"), root("zx")],
+            [root("xy"), root("y"), root("yz")],
+            [root("zx"), root("yz"), root("z")],
+        ]
+    )
+    covariance = np.sign(roots) * roots**2
+    axes = enu_from_ecef(np.nan_to_num(lat), np.nan_to_num(lon))
+    variance_enu = np.einsum("nij,jkn,nik->ni", axes, covariance, axes)
+    horizontal = (variance_enu[:, 0] + variance_enu[:, 1]) / 2.0
+    return horizontal, variance_enu[:, 2]
+
+
+def _ends_of_baselines(
+    path: Path,
+    header: Sequence[str],
+    value: Mapping[str, Array],
+) -> tuple[Array, Array, Array]:
+    """(n,) latitudes, longitudes [rad] and heights [m] where baselines from the base end."""
+    base = _base(header)
+    if base is None:
+        raise messages.pos_without_base(where=path)
+    latitude_deg, longitude_deg, height_m = base
+    enu = np.stack([value[f"{axis}-baseline(m)"] for axis in "enu"], axis=1)
+    return offset_geodetic(
+        np.full(len(enu), np.radians(latitude_deg)),
+        np.full(len(enu), np.radians(longitude_deg)),
+        np.full(len(enu), height_m),
+        enu,
+    )
+
+
+def _angles(value: Mapping[str, Array]) -> tuple[Array, Array]:
+    """(n,) latitudes and longitudes [rad]; of minutes and seconds the degrees carry the sign."""
+    if "lat_d" not in value:
+        return np.radians(value["latitude(deg)"]), np.radians(value["longitude(deg)"])
+    lat_deg = _degrees_of(value["lat_d"], value["lat_m"], value["lat_s"])
+    lon_deg = _degrees_of(value["lon_d"], value["lon_m"], value["lon_s"])
+    return np.radians(lat_deg), np.radians(lon_deg)
+
+
+def _degrees_of(degrees: Array, minutes: Array, seconds: Array) -> Array:
+    """Degrees, minutes and seconds (n,) as degrees; the degrees carry the sign, -0 as well."""
+    size = abs(degrees) + minutes / 60.0 + seconds / 3600.0
+    return np.copysign(size, degrees)
 
 
 _MINUTES_AND_SECONDS = 60.0  # below it each, of an angle in degrees, minutes and seconds
@@ -138,8 +266,12 @@ def _base(header: Sequence[str]) -> tuple[float, float, float] | None:
     >>> _base(["% ref pos   :  47 30 00.0000   -0 30 00.0000   450.0000"])
     (47.5, -0.5, 450.0)
     """
-    line = next((line for line in header if re.match(r"%\s*ref pos\s*:", line)), "")
-    fields = re.split(_SEPARATOR, line.partition(":")[2].strip())
+    fields: list[str] = []
+    for line in header:
+        if re.match(r"%\s*ref pos\s*:", line):
+            _, _, place = line.partition(":")
+            fields = re.split(_SEPARATOR, place.strip())
+            break
     try:
         numbers_of_base = [float(field) for field in fields]
     except ValueError:
@@ -148,18 +280,13 @@ def _base(header: Sequence[str]) -> tuple[float, float, float] | None:
         latitude, longitude, height = numbers_of_base
     elif len(numbers_of_base) == 7:
         *angles, height = numbers_of_base
-        if any(not 0.0 <= part < _MINUTES_AND_SECONDS for part in (*angles[1:3], *angles[4:6])):
+        parts = [*angles[1:3], *angles[4:6]]
+        if any(not 0.0 <= part < _MINUTES_AND_SECONDS for part in parts):
             return None
-        latitude = _degrees_of(angles[:3])
-        longitude = _degrees_of(angles[3:])
+        degrees, minutes, seconds = np.array(angles).reshape(2, 3).T
+        latitude, longitude = _degrees_of(degrees, minutes, seconds).tolist()
     else:
         return None
     if abs(latitude) > 90.0 or abs(longitude) > 360.0:
         return None
     return latitude, longitude, height
-
-
-def _degrees_of(parts: Sequence[float]) -> float:
-    """Degrees, minutes and seconds as degrees; the degrees carry the sign."""
-    degrees, minutes, seconds = parts
-    return math.copysign(abs(degrees) + minutes / 60.0 + seconds / 3600.0, degrees)

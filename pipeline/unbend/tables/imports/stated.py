@@ -84,8 +84,8 @@ class Stated:
 
     def height_column(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
         """The channel's column for heights above ``ellipsoid`` or ``msl``, as found or stated."""
-        known = _settled(path, "heights", found, self.heights, ledger)
-        return "h_ellipsoid_m" if known == "ellipsoid" else "h_msl_m"
+        surface = _settled(path, "heights", found, self.heights, ledger)
+        return "h_ellipsoid_m" if surface == "ellipsoid" else "h_msl_m"
 
     def utc_of_week_seconds(self, path: Path, seconds: Array, system: str) -> TimeArray:
         """UTC of seconds of a week that the file does not name.
@@ -93,18 +93,25 @@ class Stated:
         It is the stated one, or that in which most of the file lies within the log. Seconds that
         begin anew belong to the next week.
         """
-        known = np.asarray(pd.Series(seconds).ffill().bfill().fillna(0.0), np.float64)
-        back = np.diff(known, prepend=known[:1]) < -SECONDS_PER_WEEK / 2
-        seconds = known + SECONDS_PER_WEEK * np.cumsum(back)
+        without_gaps = pd.Series(seconds).ffill().bfill().fillna(0.0)
+        second_of_week = np.asarray(without_gaps, np.float64)
+        steps = np.diff(second_of_week, prepend=second_of_week[:1])
+        begins_anew = steps < -SECONDS_PER_WEEK / 2
+        seconds = second_of_week + SECONDS_PER_WEEK * np.cumsum(begins_anew)
         if self.week is not None:
             return utc_of_weeks(self.week, seconds, system)
         if self.around_ns is None:
             raise messages.week_unknown(where=path)
         first, last = self.around_ns
-        since = (first + last) // 2 - UNIX_NS_OF_GPS_EPOCH
-        week = since // (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
-        able = [utc_of_weeks(near, seconds, system) for near in (week, week - 1, week + 1)]
-        return max(able, key=lambda time_ns: np.sum((time_ns >= first) & (time_ns <= last)))
+
+        def rows_in_log(time_ns: TimeArray) -> int:
+            return int(np.sum((time_ns >= first) & (time_ns <= last)))
+
+        since_epoch_ns = (first + last) // 2 - UNIX_NS_OF_GPS_EPOCH
+        week = since_epoch_ns // (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
+        weeks = (week, week - 1, week + 1)
+        candidates = [utc_of_weeks(candidate, seconds, system) for candidate in weeks]
+        return max(candidates, key=rows_in_log)
 
 
 def _settled(path: Path, key: str, found: str | None, stated: str | None, ledger: Ledger) -> str:
@@ -114,10 +121,10 @@ def _settled(path: Path, key: str, found: str | None, stated: str | None, ledger
             where=path.name, key=key, found=found, stated=str(stated)
         )
         ledger.add(contradicted)
-    known = stated or found
-    if known is None:
+    settled = stated or found
+    if settled is None:
         raise messages.unstated(where=path, name=key)
-    return known
+    return settled
 
 
 def read_text(path: Path) -> list[str]:
@@ -209,7 +216,14 @@ def _rows_in_time(path: Path, time_ns: TimeArray, readable: Mask, ledger: Ledger
     ):
         if bad.size:
             first = int(bad[0]) + 1
-            ledger.add(lost(where=path.name, count=bad.size, total=time_ns.size, first=first))
+            ledger.add(
+                lost(
+                    where=path.name,
+                    count=bad.size,
+                    total=time_ns.size,
+                    first=first,
+                )
+            )
     if bool(is_repeated.all()):
         raise messages.no_row_readable(where=path)
     return np.asarray(rows[~is_repeated])
@@ -239,5 +253,13 @@ def channel_of_rows(
     readable = readable & _has_place(columns)
     rows = _rows_in_time(path, time_ns, readable, ledger)
     values = {name: column[rows] for name, column in columns.items()}
-    words = {n: tuple(np.array(v, dtype=object)[rows]) for n, v in (labels or {}).items()}
-    return Channel(path.name, time_ns[rows], values, Source(kind), labels=words)
+    labels_of_rows = {}
+    for name, words in (labels or {}).items():
+        labels_of_rows[name] = tuple(np.array(words, dtype=object)[rows])
+    return Channel(
+        path.name,
+        time_ns[rows],
+        values,
+        Source(kind),
+        labels=labels_of_rows,
+    )

@@ -10,10 +10,8 @@ short without a word, streamed, and tested against what pycolmap writes.
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -36,12 +34,26 @@ from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array, Integers, exact_integers
 
 _MODELS = (
-    ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8), ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12), ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
-    ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4), ("EUCM", 6),
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
     ("EQUIRECTANGULAR", 2),
-)  # fmt: skip
+)
+"""Name and number of parameters of each camera model, in the order of COLMAP's numbers."""
 _PRIOR_WGS84 = 0  # coordinate_system of a pose prior
 _PRIOR_CARTESIAN = 1
 _PRIOR_SYSTEMS = (_PRIOR_WGS84, _PRIOR_CARTESIAN)  # others are unknown
@@ -60,30 +72,64 @@ def block_files(path: Path) -> tuple[Path, ...]:
     return files
 
 
+@dataclass(frozen=True)
+class _CameraRecord:
+    """A camera as a file has it; ``line`` is that of a text, else None."""
+
+    number: str
+    model: str
+    width: float
+    height: float
+    parameters: Sequence[float]
+    line: int | None = None
+
+    def camera(self) -> Camera:
+        """The camera; a refusal names the line of a text."""
+        try:
+            return camera_of_model(
+                self.model,
+                int(self.width),
+                int(self.height),
+                [*self.parameters],
+            )
+        except PhysicsError as error:
+            if self.line is None:
+                raise
+            raise error.again(PhysicsError, f"line {self.line}") from None
+
+
 def read_cameras(path: Path) -> CameraMakers:
     """The cameras of a model, a cameras.txt or cameras.bin, or a database, by their numbers."""
+    records = _cameras(block_files(path)[0])
+    return {record.number: record.camera for record in records}
 
-    def camera(line: int | None, model: str, width: float, height: float, *p: float) -> Camera:
-        try:
-            return camera_of_model(model, int(width), int(height), [*map(float, p)])
-        except PhysicsError as error:
-            if line is None:
-                raise
-            raise error.again(PhysicsError, f"line {line}") from None
 
-    rows = _cameras(block_files(path)[0])
-    return {str(number): partial(camera, line, *row) for line, number, *row in rows}
+@dataclass(frozen=True, eq=False)
+class _ImageRecord:
+    """An image of a model: its pose (7,), keypoints (n, 2) and their point3D (n,), -1 for none."""
+
+    name: str
+    camera: str
+    pose: Array
+    xy: Array
+    point: Integers
 
 
 def read_images(path: Path) -> OrientationTable:
     """The images of a model; refuses a database, which orients none."""
-    images = [image[:3] for image in _images(path)]
-    names = [name for name, _, _ in images]
-    cameras = [camera for _, camera, _ in images]
-    pose = np.array([pose for _, _, pose in images]).reshape(-1, 7)
-    centre = -np.einsum("nji,nj->ni", matrices_of(pose[:, :4]), pose[:, 4:])
-    table = oriented_images(names, cameras, centre, pose[:, :4])
-    return replace(table, notes=notes_on_texts(_of_model(path), len(images)))
+    names = []
+    cameras = []
+    poses = []
+    for image in _images(path):
+        names.append(image.name)
+        cameras.append(image.camera)
+        poses.append(image.pose)
+    pose = np.array(poses).reshape(-1, 7)
+    quaternion = pose[:, :4]
+    translation = pose[:, 4:]
+    centre = -np.einsum("nji,nj->ni", matrices_of(quaternion), translation)
+    table = oriented_images(names, cameras, centre, quaternion)
+    return replace(table, notes=notes_on_texts(_of_model(path), len(names)))
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:
@@ -126,21 +172,36 @@ def _priors(path: Path) -> dict[int, dict[str, Array]]:
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     """The keypoints of a model or a database."""
-    if path.suffix.lower() != ".db":
-        for name, _, _, xy, point in _images(path):
-            yield rows_of_image(name, xy, point)
-        return
-    query = "SELECT name, rows, cols, data FROM keypoints JOIN images USING (image_id)"
+    if path.suffix.lower() == ".db":
+        yield from _keypoints_of_database(path)
+    else:
+        for image in _images(path):
+            yield rows_of_image(image.name, image.xy, image.point)
+
+
+def _keypoints_of_database(path: Path) -> Iterator[pa.RecordBatch]:
+    """The keypoints of a database; refuses one that has none."""
+    query = (
+        "SELECT name, rows, cols, data FROM keypoints JOIN images USING (image_id) "
+        "ORDER BY image_id"
+    )
     with closing(opened(path)) as database:
         count = 0
-        for name, rows, columns, blob in database.execute(f"{query} ORDER BY image_id"):
+        for name, *shape, blob in database.execute(query):
+            rows, columns = shape
             count += rows
-            if columns < 2 or len(blob or b"") != 4 * rows * columns:
+            size = len(blob or b"")
+            if columns < 2 or size != 4 * rows * columns:
                 raise messages.keypoints_cut(
-                    where=path, image=name, size=len(blob or b""), rows=rows, columns=columns
+                    where=path,
+                    image=name,
+                    size=size,
+                    rows=rows,
+                    columns=columns,
                 )
             if rows:
-                yield rows_of_image(name, np.frombuffer(blob, "<f4").reshape(rows, -1)[:, :2])
+                keypoints = np.frombuffer(blob, "<f4").reshape(rows, -1)
+                yield rows_of_image(name, keypoints[:, :2])
         if count == 0:
             pairs = database.execute("SELECT COUNT(*) FROM matches").fetchone()[0]
             raise messages.keypoints_none(where=path, pairs=pairs)
@@ -149,7 +210,8 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
     """The points3D of a model."""
     file = _of_model(path)[2]
-    numbers, places = [], []
+    numbers = []
+    places = []
     if file.suffix == ".bin":
         with BinaryFile(file) as content:
             for _ in range(content.take("Q")[0]):
@@ -158,54 +220,105 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
                 places.append(place)
                 content.skip(8 * track)
     else:
-        for _, number, x, y, z, *_ in _text_rows(file, words=1, least=8):
-            numbers.append(number)
-            places.append([x, y, z])
-    return pa.array(numbers, pa.string()), np.array(places, np.float64).reshape(-1, 3)
+        for row in _text_rows(file, words=1, least=8):
+            numbers.append(row.words[0])
+            places.append(row.numbers[:3])
+    names = pa.array(numbers, pa.string())
+    return names, np.array(places, np.float64).reshape(-1, 3)
 
 
-def _cameras(file: Path) -> Iterator[Sequence[Any]]:
-    """Line in a text, else None; number, model, width, height and parameters of each camera."""
+def _cameras(file: Path) -> Iterator[_CameraRecord]:
+    """The cameras of a database, or of a binary or text file."""
     if file.suffix.lower() == ".db":
-        query = "SELECT camera_id, model, width, height, params FROM cameras"
-        with closing(opened(file)) as database:
-            for number, code, width, height, blob in database.execute(query):
-                model, _ = _model(code, file)
-                yield None, number, model, width, height, *np.frombuffer(blob, "<f8")
+        yield from _cameras_of_database(file)
     elif file.suffix.lower() == ".bin":
-        with BinaryFile(file) as content:
-            for _ in range(content.take("Q")[0]):
-                number, code, width, height = content.take("iiQQ")
-                model, count = _model(code, file)
-                yield None, number, model, width, height, *content.take(f"{count}d")
+        yield from _cameras_of_binary(file)
     else:
-        yield from _text_rows(file, words=2, least=5)
+        for row in _text_rows(file, words=2, least=5):
+            number, model = row.words
+            width, height, *parameters = row.numbers
+            yield _CameraRecord(
+                number,
+                model,
+                width,
+                height,
+                parameters,
+                line=row.line,
+            )
 
 
-def _images(path: Path) -> Iterator[tuple[str, str, Array, Array, Integers]]:
-    """Name, camera, pose (7,), keypoints (n, 2) and their point3D, -1 for none, of each image."""
+def _cameras_of_database(file: Path) -> Iterator[_CameraRecord]:
+    query = "SELECT camera_id, model, width, height, params FROM cameras"
+    with closing(opened(file)) as database:
+        for number, code, *size, blob in database.execute(query):
+            width, height = size
+            model, _ = _model(code, file)
+            parameters = np.frombuffer(blob, "<f8").tolist()
+            yield _CameraRecord(str(number), model, width, height, parameters)
+
+
+def _cameras_of_binary(file: Path) -> Iterator[_CameraRecord]:
+    with BinaryFile(file) as content:
+        for _ in range(content.take("Q")[0]):
+            number, code, *size = content.take("iiQQ")
+            width, height = size
+            model, count = _model(code, file)
+            parameters = content.take(f"{count}d")
+            yield _CameraRecord(str(number), model, width, height, parameters)
+
+
+def _images(path: Path) -> Iterator[_ImageRecord]:
+    """The images of a model, one after the other."""
     file = _of_model(path)[1]
     if file.suffix == ".bin":
-        with BinaryFile(file) as content:
-            for _ in range(content.take("Q")[0]):
-                _, *numbers, camera = content.take("i7di")
-                name = content.word()
-                record = content.array(POINT2D, content.take("Q")[0])
-                yield name, str(camera), np.array(numbers), record["xy"], record["point"]
-        return
-    count, cameras = 0, {str(number) for _, number, *_ in _cameras(_of_model(path)[0])}
+        yield from _images_of_binary(file)
+    else:
+        yield from _images_of_text(path, file)
+
+
+def _images_of_binary(file: Path) -> Iterator[_ImageRecord]:
+    with BinaryFile(file) as content:
+        for _ in range(content.take("Q")[0]):
+            _, *pose, camera = content.take("i7di")
+            name = content.word()
+            count = content.take("Q")[0]
+            record = content.array(POINT2D, count)
+            yield _ImageRecord(
+                name=name,
+                camera=str(camera),
+                pose=np.array(pose),
+                xy=record["xy"],
+                point=record["point"],
+            )
+
+
+def _images_of_text(path: Path, file: Path) -> Iterator[_ImageRecord]:
+    """The images of a text, which has two lines for each; refuses cameras that are not there."""
+    cameras = {record.number for record in _cameras(_of_model(path)[0])}
+    count = 0
     with TextFile(file) as lines:
         rows = iter(lines)
         for head in rows:
-            if head and not head.startswith("#"):
-                _, *numbers, camera, name = head.split(maxsplit=9)
-                if camera not in cameras:
-                    raise messages.camera_of_image_unknown(
-                        where=file, line=lines.number, image=name, camera=camera
-                    )
-                pose, count = np.array(numbers, np.float64).reshape(7), count + 1
-                points = np.array(next(rows, "").split(), np.float64).reshape(-1, 3)
-                yield name, camera, pose, points[:, :2], _object_points(points[:, 2])
+            if not head or head.startswith("#"):
+                continue
+            _, *pose, camera, name = head.split(maxsplit=9)
+            if camera not in cameras:
+                raise messages.camera_of_image_unknown(
+                    where=file,
+                    line=lines.number,
+                    image=name,
+                    camera=camera,
+                )
+            count += 1
+            pose_of_image = np.array(pose, np.float64).reshape(7)
+            points = np.array(next(rows, "").split(), np.float64).reshape(-1, 3)
+            yield _ImageRecord(
+                name=name,
+                camera=camera,
+                pose=pose_of_image,
+                xy=points[:, :2],
+                point=_object_points(points[:, 2]),
+            )
     refuse_missing_records(file, count)
 
 
@@ -217,15 +330,28 @@ def _object_points(numbers: Array) -> Integers:
     return exact_integers(np.where(numbers == UNSET_POINT, -1.0, numbers))
 
 
-def _text_rows(file: Path, *, words: int, least: int) -> Iterator[list[Any]]:
-    """Number and fields, at least so many, of lines that are no comments: words, then numbers."""
+@dataclass(frozen=True)
+class _TextRow:
+    """A line of a text: its number, the words at its begin, and the numbers behind them."""
+
+    line: int
+    words: list[str]
+    numbers: list[float]
+
+
+def _text_rows(file: Path, *, words: int, least: int) -> Iterator[_TextRow]:
+    """The lines of a text that are no comments, with so many words and ``least`` fields in all."""
     count = 0
     with TextFile(file) as lines:
-        for fields in (line.split() for line in lines if line and not line.startswith("#")):
+        for line in lines:
+            if not line or line.startswith("#"):
+                continue
+            fields = line.split()
             if len(fields) < least:
                 raise ValueError
             count += 1
-            yield [lines.number, *fields[:words], *map(float, fields[words:])]
+            numbers = [float(field) for field in fields[words:]]
+            yield _TextRow(lines.number, fields[:words], numbers)
     refuse_missing_records(file, count)
 
 

@@ -26,6 +26,11 @@ from unbend.tables.imports.stated import read_text
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array
 
+SCRIPT_VERSION = "1.0"
+MODELS = (1, 2, 3)  # of distortion that are read
+PLAIN_CAMERA = {"skew": 0.0, "aspect": 1.0}  # values of a camera that can be corrected
+NUMBERS_OF_PHOTO = 6  # three angles and three coordinates
+
 _PHOTO = re.compile(r"^ +Photo \d+: (.+)$", re.M)
 _VALUE = re.compile(r"^ +(?:Omega|Phi|Kappa|Xc|Yc|Zc):\s+Value: +(\S+)", re.M)
 
@@ -33,35 +38,63 @@ _VALUE = re.compile(r"^ +(?:Omega|Phi|Kappa|Xc|Yc|Zc):\s+Value: +(\S+)", re.M)
 def block_files(path: Path) -> tuple[Path, ...]:
     """The script, and the tables and the report that it names."""
     root = _root(path)
-    named = [element.text or "" for element in root.iterfind("input//file")]
-    named += [element.text or "" for element in root.iterfind("output/files/report/file")]
-    return (path, *(_beside(path, name) for name in dict.fromkeys(named)))
+    elements = [
+        *root.iterfind("input//file"),
+        *root.iterfind("output/files/report/file"),
+    ]
+    names = {element.text or "": None for element in elements}
+    files_named = [_beside(path, name) for name in names]
+    return (path, *files_named)
 
 
 def read_cameras(path: Path) -> image_points.CameraMakers:
     """The camera of the script, or of the file it names, by its id (1 where it has none)."""
     root = _root(path)
-    named = root.findtext("input/cameras/file")
-    cameras = (root if named is None else _root(_beside(path, named))).iter("camera")
-    return {camera.findtext("id", "1").strip(): partial(_camera, camera, path)
-            for camera in cameras}  # fmt: skip
+    camera_file = root.findtext("input/cameras/file")
+    if camera_file is not None:
+        root = _root(_beside(path, camera_file))
+    makers: image_points.CameraMakers = {}
+    for camera in root.iter("camera"):
+        number = camera.findtext("id", "1").strip()
+        makers[number] = partial(_camera, camera, path)
+    return makers
 
 
 def read_images(path: Path) -> OrientationTable:
     """The images with the orientations of the report."""
-    named, cameras = _root(path).findtext("output/files/report/file"), read_cameras(path)
-    if named is None or len(cameras) != 1:
-        raise messages.dbat_cameras(where=path, cameras=len(cameras))
-    report = _beside(path, named)
-    text = "\n".join(read_text(report)).partition("\n   Quality")[0]
-    parts, found = _PHOTO.split(text), {}
-    for name, part in zip(parts[1::2], parts[2::2], strict=True):
-        found[_name_of(name)] = [float(value) for value in _VALUE.findall(part)]
-        if len(found[_name_of(name)]) != 6:
-            raise messages.orientation_cut(where=report, image=name)
-    eo = np.array([*found.values()]).reshape(-1, 6)
-    quaternion = quaternion_of_opk(np.radians(eo[:, :3]), "omega_phi_kappa")
-    return image_points.oriented_images([*found], [*cameras] * len(found), eo[:, 3:], quaternion)
+    report_name = _root(path).findtext("output/files/report/file")
+    cameras = read_cameras(path)
+    if report_name is None or len(cameras) != 1:
+        raise messages.dbat_cameras(
+            where=path,
+            cameras=len(cameras),
+        )
+    numbers = _numbers_of_photos(_beside(path, report_name))
+    orientation = np.array([*numbers.values()])
+    orientation = orientation.reshape(-1, NUMBERS_OF_PHOTO)
+    angles_rad = np.radians(orientation[:, :3])
+    return image_points.oriented_images(
+        image=[*numbers],
+        camera=[*cameras] * len(numbers),
+        position=orientation[:, 3:],
+        quaternion=quaternion_of_opk(angles_rad, "omega_phi_kappa"),
+    )
+
+
+def _numbers_of_photos(report: Path) -> dict[str, list[float]]:
+    """Omega, phi, kappa [deg] and X, Y, Z of each photo of a report, by its name."""
+    content = "\n".join(read_text(report))
+    orientations, _, _ = content.partition("\n   Quality")
+    parts = _PHOTO.split(orientations)
+    photos = parts[1::2]
+    texts = parts[2::2]
+    numbers_of_photo = {}
+    for photo, text in zip(photos, texts, strict=True):
+        numbers = [float(value) for value in _VALUE.findall(text)]
+        if len(numbers) != NUMBERS_OF_PHOTO:
+            raise messages.orientation_cut(where=report, image=photo)
+        numbers_of_photo[_name_of(photo)] = numbers
+    return numbers_of_photo
 
 
 def read_places(_: Path) -> tuple[KnownPlaces, ...]:
@@ -71,78 +104,154 @@ def read_places(_: Path) -> tuple[KnownPlaces, ...]:
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     """The image points of all tables, image by image."""
-    names = {row["id"]: _name_of(row["path"]) for row in _tables(path, "images")}
-    points: dict[str, tuple[list[str], list[Array]]] = {}
-    for row in _tables(path, "image_pts"):
-        if row["im"] not in names:
-            raise messages.image_number_unknown(where=path, place=row["at"], number=row["im"])
-        point, xy = points.setdefault(names[row["im"]], ([], []))
-        point.append(row["id"])
-        xy.append(np.array([row["x"], row["y"]], np.float64))
-    for name, (point, xy) in points.items():
-        yield image_points.rows_of_image(name, xy, point)
+    image_names = {}
+    for _, row in _tables(path, "images"):
+        image_names[row["id"]] = _name_of(row["path"])
+    points: dict[str, list[str]] = {}
+    pixels: dict[str, list[Array]] = {}
+    for place, row in _tables(path, "image_pts"):
+        number = row["im"]
+        if number not in image_names:
+            raise messages.image_number_unknown(
+                where=path,
+                place=place,
+                number=number,
+            )
+        name = image_names[number]
+        points.setdefault(name, []).append(row["id"])
+        coordinates = [row["x"], row["y"]]
+        xy = np.array(coordinates, np.float64)
+        pixels.setdefault(name, []).append(xy)
+    for name, point in points.items():
+        yield image_points.rows_of_image(name, pixels[name], point)
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
     """The control and check points."""
-    rows = (row for kind in ("ctrl_pts", "check_pts") for row in _tables(path, kind))
-    places = {row["id"]: [float(row[axis]) for axis in "xyz"] for row in rows}
-    return pa.array([*places], pa.string()), np.array([*places.values()]).reshape(-1, 3)
+    places = {}
+    for kind in ("ctrl_pts", "check_pts"):
+        for _, row in _tables(path, kind):
+            x = float(row["x"])
+            y = float(row["y"])
+            z = float(row["z"])
+            places[row["id"]] = [x, y, z]
+    names = pa.array([*places], pa.string())
+    coordinates = np.array([*places.values()])
+    return names, coordinates.reshape(-1, 3)
 
 
-def _camera(given: ElementTree.Element, path: Path) -> Camera:
-    def numbers(name: str, default: str) -> Array:
-        text = given.findtext(name, default).strip()
-        return np.array((default if text == "default" else text).split(","), np.float64)
-
-    for name, harmless in {"skew": 0.0, "aspect": 1.0}.items():
-        if numbers(name, str(harmless))[0] != harmless:
-            raise messages.camera_not_plain(where=path, name=name, plain=harmless)
-    model = float(numbers("model", "3")[0])
-    if model not in (1, 2, 3):
-        raise messages.dbat_model_unknown(where=path, model=model)
-    size, sensor = numbers("image", ""), numbers("sensor", "")
-    c, pixel = float(numbers("cc", given.findtext("focal", ""))[0]), sensor / size
-    pp = numbers("pp", "{},{}".format(*sensor / 2.0))
-    known = {f"{letter.lower()}{i}": float(value) for letter in "KP"
-             for i, value in enumerate(numbers(letter, "0"), 1)}  # fmt: skip
-    width, height = map(int, size)
-    if not any(known.values()):
-        return camera_of_model("PINHOLE", width, height, [*c / pixel, *pp / pixel])
+def _camera(element: ElementTree.Element, path: Path) -> Camera:
+    """The camera of an element of the script, or of a file of cameras."""
+    _refuse_not_plain(element, path)
+    size_px = _numbers(element, "image", "")
+    sensor_mm = _numbers(element, "sensor", "")
+    focal = element.findtext("focal", "")
+    c_mm = float(_numbers(element, "cc", focal)[0])
+    pixel_mm = sensor_mm / size_px
+    middle = "{},{}".format(*sensor_mm / 2.0)
+    principal_point_mm = _numbers(element, "pp", middle)
+    coefficients = {
+        **_coefficients(element, "K"),
+        **_coefficients(element, "P"),
+    }
+    width, height = map(int, size_px)
+    if not any(coefficients.values()):
+        parameters = [*c_mm / pixel_mm, *principal_point_mm / pixel_mm]
+        return camera_of_model("PINHOLE", width, height, parameters)
+    upwards_mm = principal_point_mm * [1.0, -1.0]
     report = MetricReport(
-        c, pixel_mm=pixel, format_mm=sensor, origin_px=(0.0, 0.0), axes="right up",
-        ppa_mm=pp * [1.0, -1.0], ppbs_mm=pp * [1.0, -1.0], coefficients=known, sense="correction",
-    )  # fmt: skip
+        c_mm,
+        pixel_mm=pixel_mm,
+        format_mm=sensor_mm,
+        origin_px=(0.0, 0.0),
+        axes="right up",
+        ppa_mm=upwards_mm,
+        ppbs_mm=upwards_mm,
+        coefficients=coefficients,
+        sense="correction",
+    )
     return camera_of_report(report, (width, height))
+
+
+def _refuse_not_plain(element: ElementTree.Element, path: Path) -> None:
+    """Refuse a camera with a skew, another aspect than 1, or an unknown model of distortion."""
+    for name, plain in PLAIN_CAMERA.items():
+        if _numbers(element, name, str(plain))[0] != plain:
+            raise messages.camera_not_plain(
+                where=path,
+                name=name,
+                plain=plain,
+            )
+    model = float(_numbers(element, "model", "3")[0])
+    if model not in MODELS:
+        raise messages.dbat_model_unknown(where=path, model=model)
+
+
+def _numbers(
+    element: ElementTree.Element,
+    name: str,
+    default: str,
+) -> Array:
+    """The numbers of a child of an element, those of ``default`` where it has none."""
+    text = element.findtext(name, default).strip()
+    if text == "default":
+        text = default
+    return np.array(text.split(","), np.float64)
+
+
+def _coefficients(element: ElementTree.Element, letter: str) -> dict[str, float]:
+    """Coefficients ``k1``, ``k2``, ... of the child ``K``, or those of ``P``."""
+    values = _numbers(element, letter, "0")
+    coefficients = {}
+    for number, value in enumerate(values, start=1):
+        coefficients[f"{letter.lower()}{number}"] = float(value)
+    return coefficients
 
 
 def _root(path: Path) -> ElementTree.Element:
     root = ElementTree.fromstring(path.read_bytes())
-    version = root.get("dbat_script_version") or root.get("dbat_camera_version") or "unknown"
-    if version != "1.0":
+    version = root.get("dbat_script_version")
+    version = version or root.get("dbat_camera_version") or "unknown"
+    if version != SCRIPT_VERSION:
         raise messages.dbat_version(where=path, version=version)
     return root
 
 
 def _name_of(path: str) -> str:
+    """The last part of a path of Windows or Unix."""
     return re.split(r"[\\/]", path.strip())[-1]
 
 
 def _beside(path: Path, name: str) -> Path:
-    for file in (path.parent / name.strip(), path.parent / _name_of(name)):
+    """The file that a script names: where it says, or beside the script."""
+    name = name.strip()
+    candidates = (
+        path.parent / name,
+        path.parent / _name_of(name),
+    )
+    for file in candidates:
         if file.is_file():
             return file
-    raise messages.file_of_script_missing(where=path, name=name.strip())
+    raise messages.file_of_script_missing(where=path, name=name)
 
 
-def _tables(path: Path, kind: str) -> Iterator[dict[str, str]]:
-    """The rows of the tables of one kind, by the names of their format, and where each stands."""
+def _tables(path: Path, kind: str) -> Iterator[tuple[str, dict[str, str]]]:
+    """Where each row of the tables of one kind stands, and its fields by their names."""
     for table in _root(path).iterfind(f"input/{kind}/file"):
         names = [name.strip() for name in table.attrib["format"].split(",")]
         with image_points.TextFile(_beside(path, table.text or "")) as lines:
-            for text in (line.partition("#")[0].strip() for line in lines):
-                if text:
-                    fields = map(str.strip, text.split(",", len(names) - 1))
-                    row = dict(zip(names, fields, strict=True))
-                    _ = [float(row[axis]) for axis in {"x", "y", "z"} & {*names}]
-                    yield row | {"at": f"{lines.path.name}, line {lines.number}"}
+            for line in lines:
+                text, _, _ = line.partition("#")
+                if text.strip():
+                    row = _fields(text, names)
+                    yield f"{lines.path.name}, line {lines.number}", row
+
+
+def _fields(text: str, names: list[str]) -> dict[str, str]:
+    """The fields of a row by their names; ValueError for coordinates that are no numbers."""
+    fields = [field.strip() for field in text.split(",", len(names) - 1)]
+    row = dict(zip(names, fields, strict=True))
+    for axis in ("x", "y", "z"):
+        if axis in row:
+            float(row[axis])
+    return row

@@ -40,16 +40,36 @@ def rows_of_image(
     >>> rows_of_image("a.jpg", [[1, 2], [3, 4]], np.array([17, -1]))["point"].to_pylist()
     ['17', 'a.jpg:1']
     """
-    x, y = np.asarray(xy, np.float64).reshape(-1, 2).T
-    index = pa.array(np.arange(x.size) if keypoint is None else np.asarray(keypoint, np.int64))
-    names = pa.repeat(pa.scalar(image, pa.string()), x.size)
+    pixels = np.asarray(xy, np.float64).reshape(-1, 2)
+    rows = len(pixels)
+    if keypoint is None:
+        keypoint = np.arange(rows)
+    index = pa.array(np.asarray(keypoint, np.int64))
     if point is None or isinstance(point, np.ndarray):
-        own = pc.binary_replace_slice(index.cast(pa.string()), 0, 0, f"{image}:")
-        number = pa.array([] if point is None else point, pa.int64())
-        placed = pc.greater_equal(number, 0)
-        point = own if point is None else pc.if_else(placed, number.cast(pa.string()), own)
-    columns = {"image": names, "point": pa.array(point, pa.string()), "x_px": x, "y_px": y}
-    return pa.RecordBatch.from_pydict(columns | {"keypoint": index} | dict(more or {}))
+        point = _names_of_numbers(image, index, point)
+    columns = {
+        "image": pa.repeat(pa.scalar(image, pa.string()), rows),
+        "point": pa.array(point, pa.string()),
+        "x_px": pixels[:, 0],
+        "y_px": pixels[:, 1],
+        "keypoint": index,
+        **(more or {}),
+    }
+    return pa.RecordBatch.from_pydict(columns)
+
+
+def _names_of_numbers(
+    image: str,
+    index: pa.Array,
+    numbers: Integers | None,
+) -> pa.StringArray:
+    """Names of points (n,): their numbers, or ``image:keypoint`` for -1, and without numbers."""
+    own_names = pc.binary_replace_slice(index.cast(pa.string()), 0, 0, f"{image}:")
+    if numbers is None:
+        return own_names
+    number = pa.array(numbers, pa.int64())
+    placed = pc.greater_equal(number, 0)
+    return pc.if_else(placed, number.cast(pa.string()), own_names)
 
 
 def oriented_images(
@@ -60,29 +80,38 @@ def oriented_images(
     frame: Literal["ecef"] | GeodeticOrigin | None = None,
 ) -> OrientationTable:
     """Images with (n, 3) positions, and (n, 4) quaternions from the frame to the camera."""
-    names, cameras = (np.array([*words], object) for words in (image, camera))
-    places = np.asarray(position, np.float64).reshape(-1, 3)
-    turns = np.asarray(quaternion, np.float64).reshape(-1, 4)
-    time_ns = np.full(len(image), NO_TIME, np.int64)
-    return OrientationTable(names, cameras, time_ns, places, turns, {}, frame=frame)
+    return OrientationTable(
+        image=np.array([*image], object),
+        camera=np.array([*camera], object),
+        time_ns=np.full(len(image), NO_TIME, np.int64),
+        position=np.asarray(position, np.float64).reshape(-1, 3),
+        angles=np.asarray(quaternion, np.float64).reshape(-1, 4),
+        sigmas={},
+        frame=frame,
+    )
 
 
 def of_points(rows: pa.RecordBatch, image: str, point: str) -> Integers:
     """(k,) the rows, all of one image, that belong to a point; ``image``, ``point`` are columns."""
+    if len(rows) == 0:
+        return np.empty(0, np.int64)
     names = rows[point].cast(pa.string())
-    own = pc.starts_with(names, f"{rows[image][0]}:") if len(rows) else names.is_null()
-    return np.flatnonzero(~own.to_numpy(zero_copy_only=False))
+    has_own_name = pc.starts_with(names, f"{rows[image][0]}:")
+    return np.flatnonzero(~has_own_name.to_numpy(zero_copy_only=False))
 
 
 class TextFile:
     """The lines of a text, stripped, in a ``with``: a ValueError in it names its last line."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.number = path, 0
+        self.path = path
+        self.number = 0
 
     def __iter__(self) -> Iterator[str]:
+        self.number = 0
         with self.path.open(encoding="utf-8-sig") as stream:
-            for self.number, line in enumerate(stream, 1):
+            for line in stream:
+                self.number += 1
                 yield line.strip()
 
     def __enter__(self) -> "TextFile":
@@ -97,7 +126,8 @@ class BinaryFile:
     """Little-endian records one behind the other, in a ``with``; refuses where they end early."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.at = path, 0
+        self.path = path
+        self.offset = 0
         self.content: Any = b""
         with path.open("rb") as stream:
             if path.stat().st_size:
@@ -107,28 +137,43 @@ class BinaryFile:
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
-        if (rest := len(self.content) - self.at) and error is None:
-            raise messages.bytes_behind(where=self.path, count=rest)
+        bytes_left = len(self.content) - self.offset
+        if bytes_left and error is None:
+            raise messages.bytes_behind(where=self.path, count=bytes_left)
 
     def skip(self, size: int) -> int:
         """Pass ``size`` bytes; returns where they begin."""
-        if self.at + size > len(self.content):
+        begin = self.offset
+        if begin + size > len(self.content):
             raise messages.record_cut(
-                where=self.path, size=len(self.content), offset=self.at, needed=size
+                where=self.path,
+                size=len(self.content),
+                offset=begin,
+                needed=size,
             )
-        self.at += size
-        return self.at - size
+        self.offset += size
+        return begin
 
     def take(self, form: str) -> tuple[Any, ...]:
         """The next numbers, as `struct` writes them."""
-        return struct.unpack_from(f"<{form}", self.content, self.skip(struct.calcsize(f"<{form}")))
+        form = f"<{form}"
+        begin = self.skip(struct.calcsize(form))
+        return struct.unpack_from(form, self.content, begin)
 
-    def array(self, kind: np.dtype[Any], count: int) -> Any:
+    def array(
+        self,
+        kind: np.dtype[Any],
+        count: int,
+    ) -> Any:
         """(count,) the next records of one kind."""
-        return np.frombuffer(self.content, kind, count, self.skip(kind.itemsize * count))
+        begin = self.skip(kind.itemsize * count)
+        return np.frombuffer(self.content, kind, count, begin)
 
     def word(self) -> str:
         """The next text, which ends with a zero."""
-        end = self.content.find(b"\0", self.at)
-        at = self.skip(end + 1 - self.at if end >= 0 else len(self.content) + 1)
-        return bytes(self.content[at:end]).decode("utf-8")
+        end = self.content.find(b"\0", self.offset)
+        size = end + 1 - self.offset
+        if end < 0:
+            size = len(self.content) + 1  # more than there is: `skip` refuses
+        begin = self.skip(size)
+        return bytes(self.content[begin:end]).decode("utf-8")

@@ -25,7 +25,7 @@ _TYPES = {
     "short": "<i2",
     "ushort": "<u2",
     "char": "i1",
-}  # fmt: skip
+}
 _OTHER_FILE = "|"  # between an archive and the name of a file in it, in paths of a project
 
 

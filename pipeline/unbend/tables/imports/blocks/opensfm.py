@@ -10,6 +10,7 @@ ODM writes over ``reconstruction.json``: UTM minus an offset, which ``coords.txt
 there before, east, north, up, it keeps as ``reconstruction.topocentric.json``: that is read.
 """
 
+import csv
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -52,8 +53,9 @@ _COORDS = "odm_georeferencing/coords.txt"  # of ODM, beside the folder of the pr
 _ZONE = re.compile(r"UTM (\d{1,2})([NS])", re.I)
 _ROUNDING_M2 = 1e-6  # of coordinates in the file: positions that agree are not infinitely likely
 _NO_FIX_DOP = 1000.0  # OpenSfM writes 999999 for an image without a position
-_COLUMNS = ("image", "track", "keypoint", "x", "y", "scale", "red", "green", "blue",
-            "segmentation", "instance")  # fmt: skip
+_COLUMNS_NEEDED = ("image", "track", "keypoint", "x", "y")
+_COLUMNS_PASSED_ON = ("scale", "red", "green", "blue", "segmentation", "instance")
+_COLUMNS = _COLUMNS_NEEDED + _COLUMNS_PASSED_ON
 
 
 def block_files(path: Path) -> tuple[Path, ...]:
@@ -78,7 +80,8 @@ def block_files(path: Path) -> tuple[Path, ...]:
     beside = [path / "reference_lla.json"]
     if reconstruction.name != _TOPOCENTRIC:
         beside.append(path.parent / _COORDS)
-    return (*needed, *(file for file in beside if file.is_file()))
+    optional = [file for file in beside if file.is_file()]
+    return (*needed, *optional)
 
 
 def read_cameras(path: Path) -> CameraMakers:
@@ -101,7 +104,13 @@ def read_images(path: Path) -> OrientationTable:
     cameras = [shot["camera"] for shot in shots.values()]
     centres = turn.inv().apply(-_vectors(shots, "translation", path))
     quaternion = turn.as_quat()[:, [3, 0, 1, 2]]
-    table = oriented_images([*shots], cameras, centres, quaternion, _origin(path, content))
+    table = oriented_images(
+        [*shots],
+        cameras,
+        centres,
+        quaternion,
+        _origin(path, content),
+    )
     file = block_files(path)[0]
     if file.name != _TOPOCENTRIC:
         _refuse_utm(path, table)
@@ -114,20 +123,27 @@ def read_places(path: Path) -> tuple[KnownPlaces, ...]:
     if not path.is_dir():
         return ()
     content = _reconstruction(path)
-    places = {}
+    images = []
+    positions = []
     for name, shot in content["shots"].items():
         position = shot.get("gps_position")
         has_fix = float(shot.get("gps_dop", 0.0)) < _NO_FIX_DOP
         if position is not None and len(position) == 3 and has_fix and any(position):
-            places[name] = position
-    if not places:
+            images.append(name)
+            positions.append(position)
+    if not images:
         return ()
-    position = np.array([*places.values()], np.float64)
-    image = np.array([*places], object)
+    places = np.array(positions, np.float64)
     origin = _origin(path, content)
     if origin is not None:
-        position = np.stack(topocentric(origin).geodetic(position), axis=1)
-    return (KnownPlaces("gps_position", image, position, in_frame=origin is None),)
+        places = np.stack(topocentric(origin).geodetic(places), axis=1)
+    gps_positions = KnownPlaces(
+        "gps_position",
+        np.array(images, object),
+        places,
+        in_frame=origin is None,
+    )
+    return (gps_positions,)
 
 
 def _refuse_utm(path: Path, table: OrientationTable) -> None:
@@ -140,17 +156,20 @@ def _refuse_utm(path: Path, table: OrientationTable) -> None:
     origin = table.frame
     if not coords.is_file() or not places or not isinstance(origin, GeodeticOrigin):
         return
-    known = places[0].rows_of(table.image)
-    there = np.isfinite(known).all(axis=1)
-    in_utm = _in_utm_of_odm(coords, known[there])
+    gps_position = places[0].rows_of(table.image)
+    has_position = np.isfinite(gps_position).all(axis=1)
+    gps_position = gps_position[has_position]
+    in_utm = _in_utm_of_odm(coords, gps_position)
     if in_utm is None:
         return
-    in_enu = topocentric(origin).local(known[there])[:, :2]
-    shots = table.position[there, :2]
+    in_enu = topocentric(origin).local(gps_position)[:, :2]
+    shots = table.position[has_position, :2]
     ratio = _mean_square_apart(shots, in_enu) / _mean_square_apart(shots, in_utm)
-    if int(there.sum()) * np.log(ratio) > LOG_RATIO_NEEDED:
+    if len(shots) * np.log(ratio) > LOG_RATIO_NEEDED:
         raise messages.reconstruction_in_utm(
-            where=block_files(path)[0], evidence=coords.name, name=_TOPOCENTRIC
+            where=block_files(path)[0],
+            evidence=coords.name,
+            name=_TOPOCENTRIC,
         )
 
 
@@ -170,7 +189,10 @@ def _in_utm_of_odm(coords: Path, geodetic: Array) -> Array | None:
 def _mean_square_apart(places: Array, others: Array) -> float:
     """Mean square distance of (n, 2) places from others whose middle is theirs [m2]."""
     apart = places - others
-    square = np.sum((apart - apart.mean(axis=0)) ** 2, axis=1)
+    square = np.sum(
+        (apart - apart.mean(axis=0)) ** 2,
+        axis=1,
+    )
     return float(np.mean(square)) + _ROUNDING_M2
 
 
@@ -182,8 +204,13 @@ def _origin(path: Path, content: Mapping[str, Any]) -> GeodeticOrigin | None:
         reference = json.loads(beside.read_text(encoding="utf-8"))
     if reference is None:
         return None
-    lat, lon, h = (float(reference[key]) for key in ("latitude", "longitude", "altitude"))
-    return GeodeticOrigin(np.radians(lat), np.radians(lon), h)
+    latitude_deg = float(reference["latitude"])
+    longitude_deg = float(reference["longitude"])
+    return GeodeticOrigin(
+        np.radians(latitude_deg),
+        np.radians(longitude_deg),
+        float(reference["altitude"]),
+    )
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
@@ -191,34 +218,55 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
 
     Pixels of an image that was not reconstructed are those of the only camera, or unknown.
     """
-    content, file = _reconstruction(path), block_files(path)[1]
-    sizes = {n: (int(c["width"]), int(c["height"])) for n, c in content["cameras"].items()}
-    only = next(iter(sizes.values())) if len(sizes) == 1 else (np.nan, np.nan)
+    content = _reconstruction(path)
+    file = block_files(path)[1]
+    sizes = {}
+    for name, camera in content["cameras"].items():
+        sizes[name] = np.array([int(camera["width"]), int(camera["height"])], np.float64)
+    size_without_shot = np.full(2, np.nan)
+    if len(sizes) == 1:
+        size_without_shot = next(iter(sizes.values()))
     with file.open(encoding="utf-8") as stream:
         version = stream.readline().strip()
     if version != _VERSION:
-        raise messages.tracks_version(where=file, first_line=version[:40], expected=_VERSION)
+        raise messages.tracks_version(
+            where=file,
+            first_line=version[:40],
+            expected=_VERSION,
+        )
     table = _tracks_of(file)
-    others = [name for name in _COLUMNS[5:] if table[name].notna().all()]
+    passed_on = [name for name in _COLUMNS_PASSED_ON if table[name].notna().all()]
     for image, rows in table.groupby("image", sort=False):
         shot = content["shots"].get(image)
-        size = np.array(only if shot is None else sizes[shot["camera"]], np.float64)
+        size = size_without_shot if shot is None else sizes[shot["camera"]]
         xy = measured(rows[["x", "y"]].to_numpy()) * size.max() + 0.5 * size
-        more = {name: pa.array(rows[name].to_numpy()) for name in others}
-        yield rows_of_image(str(image), xy, rows["track"].to_numpy(), keypoint=rows["keypoint"],
-                            more=more)  # fmt: skip
+        yield rows_of_image(
+            str(image),
+            xy,
+            rows["track"].to_numpy(),
+            keypoint=rows["keypoint"],
+            more={name: pa.array(rows[name].to_numpy()) for name in passed_on},
+        )
 
 
-def _tracks_of(file: Path) -> "pd.DataFrame":
+def _tracks_of(file: Path) -> pd.DataFrame:
     """The columns of tracks.csv; refuses text for numbers with its line."""
     kinds = dict.fromkeys(_COLUMNS, "float64")
     kinds["image"] = "str"
     kinds["track"] = "int64"
     kinds["keypoint"] = "int64"
     read: Callable[..., Any] = partial(
-        pd.read_csv, file, sep="\t", skiprows=1, header=None, names=_COLUMNS, quoting=3,
-        keep_default_na=False, na_values=[""], index_col=False,
-    )  # fmt: skip
+        pd.read_csv,
+        file,
+        sep="\t",
+        skiprows=1,
+        header=None,
+        names=_COLUMNS,
+        quoting=csv.QUOTE_NONE,
+        keep_default_na=False,
+        na_values=[""],
+        index_col=False,
+    )
     try:
         with np.errstate(invalid="ignore"):  # pandas casts 1e308, and then sees that it was none
             table: pd.DataFrame = read(dtype=kinds)
@@ -234,7 +282,11 @@ def _tracks_of(file: Path) -> "pd.DataFrame":
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
     """The points of the reconstruction, by their tracks."""
     points = _reconstruction(path)["points"]
-    return pa.array(list(points), pa.string()), _vectors(points, "coordinates", path)
+    return pa.array(list(points), pa.string()), _vectors(
+        points,
+        "coordinates",
+        path,
+    )
 
 
 def _reconstruction(path: Path) -> dict[str, Any]:
@@ -245,22 +297,36 @@ def _reconstruction(path: Path) -> dict[str, Any]:
     return dict(content[0])
 
 
-def _vectors(items: Mapping[str, Any], key: str, path: Path) -> Array:
+def _vectors(
+    items: Mapping[str, Any],
+    key: str,
+    path: Path,
+) -> Array:
     """(n, 3) a vector of each item; refuses one that has none."""
     for name, item in items.items():
-        if len(item.get(key, ())) != 3 or not all(isinstance(v, int | float) for v in item[key]):
-            raise messages.vector_missing(where=path, item=name, key=key)
-    return np.array([item[key] for item in items.values()], np.float64).reshape(-1, 3)
+        vector = item.get(key, ())
+        if len(vector) != 3 or not all(isinstance(part, int | float) for part in vector):
+            raise messages.vector_missing(
+                where=path,
+                item=name,
+                key=key,
+            )
+    vectors = [item[key] for item in items.values()]
+    return np.array(vectors, np.float64).reshape(-1, 3)
 
 
-def _camera(given: Mapping[str, Any]) -> Camera:
-    kind, width, height = given["projection_type"], int(given["width"]), int(given["height"])
+def _camera(camera: Mapping[str, Any]) -> Camera:
+    """The camera of an entry of OpenSfM's cameras."""
+    kind = camera["projection_type"]
+    width = int(camera["width"])
+    height = int(camera["height"])
     # Of another kind nothing is known but its name, which is refused with those that are.
     model, names = _COEFFICIENTS.get(kind, (kind, ()))
     longer = float(max(width, height))
-    focal = float(given["focal"] if "focal" in given else given["focal_x"]) * longer
-    focal_y = float(given.get("focal_y", focal / longer)) * longer
-    cx = 0.5 * width + float(given.get("c_x", 0.0)) * longer
-    cy = 0.5 * height + float(given.get("c_y", 0.0)) * longer
-    coefficients = [float(given.get(name, 0.0)) for name in names]
-    return camera_of_model(model, width, height, [focal, focal_y, cx, cy, *coefficients])
+    focal = float(camera["focal"] if "focal" in camera else camera["focal_x"]) * longer
+    focal_y = float(camera.get("focal_y", focal / longer)) * longer
+    cx = 0.5 * width + float(camera.get("c_x", 0.0)) * longer
+    cy = 0.5 * height + float(camera.get("c_y", 0.0)) * longer
+    coefficients = [float(camera.get(name, 0.0)) for name in names]
+    parameters = [focal, focal_y, cx, cy, *coefficients]
+    return camera_of_model(model, width, height, parameters)

@@ -1,0 +1,253 @@
+"""Fields of a weather model in xarray's datasets: which is which, their levels, times and grid."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unbend.tables import messages
+from unbend.units import HECTOPASCAL, Array, Integers
+
+if TYPE_CHECKING:
+    from xarray import DataArray, Dataset
+
+LATITUDE = ("latitude", "lat")
+LONGITUDE = ("longitude", "lon")
+MEMBERS = ("number", "member", "realization", "ensemble")
+VERSIONS = ("expver",)
+TIMES = ("valid_time", "time")
+LAT_LON_GRID = "latitude-longitude"
+QUANTITIES = {
+    "temperature": {"t", "ta", "tmp", "temperature", "air_temperature"},
+    "specific humidity": {"q", "hus", "spfh", "specific_humidity"},
+    "relative humidity": {"r", "rh", "hur", "relative_humidity"},
+    "geopotential": {"z", "gh", "zg", "hgt", "geopotential", "geopotential_height"},
+    "surface geopotential": {"z", "orog", "surface_geopotential"},
+    "log surface pressure": {"lnsp"},
+}
+"""What fields of a quantity are called."""
+
+_RUNS = ("forecast_reference_time", "reftime")
+_MODEL_LEVELS = ("hybrid", "model_level")
+_OF_MODEL = re.compile("model|hybrid|sigma")
+_LEVELS = ("level", "pressure_level", "plev", "lev", *_MODEL_LEVELS)
+_LEVEL = re.compile(rf"isobaric|({'|'.join(_LEVELS)})$")
+_HECTOPASCALS = ("hpa", "millibars", "millibar", "mbar", "mb")
+_MOST_HECTOPASCALS = 2000.0  # a larger number without a unit is one of pascals
+_LAT_LON_NAMES = (None, "regular_ll", "regular_gg", "latitude_longitude")
+
+# Models reach back to 1806 at most, and nanoseconds since 1970 end in 2262.
+EARLIEST_TIME = np.datetime64("1800-01-01")
+LATEST_TIME = np.datetime64("2200-01-01")
+LONGEST_LEAD = np.timedelta64(3650, "D")  # of a forecast: those of seasons take months
+_HOUR = np.timedelta64(1, "h")
+
+
+def dimension_of(field: "DataArray", names: Sequence[str]) -> str | None:
+    """The dimension of a field that has one of some names."""
+    for dimension in field.dims:
+        if str(dimension).lower() in names:
+            return str(dimension)
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """The levels of a field: its dimension, (l,) numbers or pressures [Pa], and which they are."""
+
+    name: str
+    values: Array
+    of_model: bool
+
+
+def levels_of(field: "DataArray") -> Levels | None:
+    """The levels of a field, None where it is that of one level."""
+    dimensions = [str(name) for name in field.dims if _LEVEL.match(str(name).lower())]
+    if not dimensions or dimensions[0] not in field.coords:
+        return None
+    name = dimensions[0]
+    attributes = {key: str(text).lower() for key, text in field[name].attrs.items()}
+    values = np.asarray(field[name].values, np.float64)
+    words = attributes.get("long_name", "") + attributes.get("standard_name", "")
+    of_model = name.lower() in _MODEL_LEVELS or bool(_OF_MODEL.search(words))
+    usual_unit = "hpa" if values.max() < _MOST_HECTOPASCALS else "pa"
+    unit = attributes.get("units", usual_unit)
+    if not of_model and unit in _HECTOPASCALS:
+        values = values * HECTOPASCAL
+    return Levels(name, values, of_model)
+
+
+def find_field(datasets: "Sequence[Dataset]", quantity: str) -> "DataArray | None":
+    """The field of one of `QUANTITIES`, of the surface or on levels.
+
+    Of several the one with most levels: GRIB has those above 1 hPa apart.
+    """
+    with_most_levels: DataArray | None = None
+    most_levels = 0
+    for field in _fields_called(datasets, QUANTITIES[quantity]):
+        levels = levels_of(field)
+        if "surface" in quantity:
+            of_surface = _at_surface(field, levels)
+            if of_surface is not None:
+                return of_surface
+        elif levels is not None and levels.values.size > most_levels:
+            with_most_levels = field
+            most_levels = levels.values.size
+    return with_most_levels
+
+
+def _fields_called(
+    datasets: "Sequence[Dataset]",
+    names: set[str],
+) -> "Iterator[DataArray]":
+    """The fields that have one of some names."""
+    for dataset in datasets:
+        for name, field in dataset.data_vars.items():
+            if _names_of(field, str(name)) & names:
+                yield field
+
+
+def _at_surface(field: "DataArray", levels: Levels | None) -> "DataArray | None":
+    """A field at the surface, None if it is of other levels.
+
+    Of model levels that is the first: lnsp and z mean something there only.
+    """
+    if levels is None:
+        return field if _kind_of_level(field) in ("surface", "hybrid") else None
+    if levels.of_model:
+        first = int(np.argmin(levels.values))
+        return field.isel({levels.name: first}, drop=True)
+    return None
+
+
+def _names_of(field: "DataArray", name: str) -> set[str | None]:
+    """What a field is called: its name without the kind of level, and the names it states."""
+    short_name = name.lower().split("_isobaric")[0]
+    return {
+        short_name,
+        field.attrs.get("standard_name"),
+        field.attrs.get("GRIB_shortName"),
+    }
+
+
+def _kind_of_level(field: "DataArray") -> str:
+    """The kind of level of a field that has one level, as GRIB calls it."""
+    has_level = any(str(name).lower() in _LEVELS for name in field.coords)
+    return str(field.attrs.get("GRIB_typeOfLevel", "level" if has_level else "surface"))
+
+
+@dataclass(frozen=True, eq=False)
+class FieldTimes:
+    """The dimension of time, the times (t,) [Unix ns], and hours (t,) since each run began."""
+
+    dimension: str | None
+    time_ns: Integers
+    lead_h: Array
+
+
+def times_of(field: "DataArray", where: str) -> FieldTimes:
+    """The times of a field.
+
+    Refuses (MODEL-TIME) fields without a time that can be read, and times that no model has.
+    """
+    dimension = _time_dimension(field, where)
+    stamps = _stamps_of(field, dimension, where)
+    lead_h = np.zeros(stamps.size)
+    if "step" in field.coords and field["step"].dtype.kind == "m":
+        step = possible_steps(np.atleast_1d(field["step"].values), where)
+        lead_h = lead_h + step / _HOUR
+        if "valid_time" not in field.coords:  # these times are those of the run
+            stamps = stamps + step
+    for run in _RUNS:
+        if run in field.coords:
+            begin = possible_times(np.atleast_1d(field[run].values), where)
+            lead_h = (stamps - begin) / _HOUR
+    return FieldTimes(
+        dimension,
+        stamps.ravel().astype(np.int64),
+        lead_h,
+    )
+
+
+def _time_dimension(field: "DataArray", where: str) -> str | None:
+    """The dimension of several times, or of one; refuses runs and steps at once."""
+    several = []
+    for name in field.dims:
+        is_time = name in field.coords and field[name].dtype.kind in "mM"
+        if is_time and field.sizes[name] > 1:
+            several.append(str(name))
+    if len(several) > 1:
+        runs = " and ".join(f"{field.sizes[name]} of {name}" for name in several)
+        raise messages.model_several_runs(where=where, runs=runs)
+    if several:
+        return several[0]
+    for name in TIMES:
+        if name in field.dims:
+            return name
+    return None
+
+
+def _stamps_of(
+    field: "DataArray",
+    dimension: str | None,
+    where: str,
+) -> NDArray[Any]:
+    """The times of a field or, without valid times, of its runs; refuses a field without."""
+    names = [name for name in ("valid_time", dimension, "time") if name in field.coords]
+    stamps = np.atleast_1d(field[names[0]].values) if names else np.empty(0)
+    count = 1 if dimension is None else field.sizes[dimension]
+    if stamps.dtype.kind != "M" or stamps.size != count:
+        raise messages.model_without_time(where=where)
+    return possible_times(stamps, where)
+
+
+def possible_times(stamps: NDArray[Any], where: str) -> NDArray[Any]:
+    """Times in nanoseconds; refuses those that no model has, and none at all (NaT).
+
+    Compared in their own unit: numpy turns what nanoseconds do not hold into any other time.
+    """
+    is_time = stamps.dtype.kind == "M"
+    if is_time:
+        earliest = EARLIEST_TIME.astype(stamps.dtype)
+        latest = LATEST_TIME.astype(stamps.dtype)
+        is_time = bool(((stamps >= earliest) & (stamps <= latest)).all())
+    if not is_time:
+        raise messages.model_without_time(where=where)
+    return stamps.astype("datetime64[ns]")
+
+
+def possible_steps(steps: NDArray[Any], where: str) -> NDArray[Any]:
+    """Times since a run began in nanoseconds; refuses those of no forecast."""
+    longest = LONGEST_LEAD.astype(steps.dtype)
+    is_step = (steps >= -longest) & (steps <= longest)
+    if not bool(is_step.all()):
+        raise messages.model_without_time(where=where)
+    return steps.astype("timedelta64[ns]")
+
+
+def minutes_of(time_ns: Integers) -> NDArray[np.datetime64]:
+    """Times [Unix ns] in minutes, as they are shown."""
+    return time_ns.astype("datetime64[ns]").astype("datetime64[m]")
+
+
+def grid_name(datasets: "Sequence[Dataset]", field: "DataArray") -> str:
+    """Which grid a field is on: latitude-longitude, or as GRIB or CF call another."""
+    stated = field.attrs.get("GRIB_gridType") or _grid_mapping(datasets)
+    has_axes = dimension_of(field, LATITUDE) and dimension_of(field, LONGITUDE)
+    if has_axes and stated in _LAT_LON_NAMES:
+        return LAT_LON_GRID
+    dimensions = ", ".join(map(str, field.dims))
+    return stated or f"unnamed, with dimensions {dimensions}"
+
+
+def _grid_mapping(datasets: "Sequence[Dataset]") -> str | None:
+    """The first grid mapping (CF) that a dataset names."""
+    for dataset in datasets:
+        for variable in dataset.variables.values():
+            name = variable.attrs.get("grid_mapping_name")
+            if name:
+                return str(name)
+    return None
