@@ -57,17 +57,16 @@ def air_jacobian(
     t_m, p, vapour = profile.state(h)
     dryness = 1.0 - VAPOUR_DEFICIT * vapour
     partials = _index_partials(profile.index, t_m * dryness, p, vapour)
-    by_t, by_log_p, by_vapour = partials
-    height = profile.gravity.geopotential_height(h)
-    weights = hats(profile.layers.edge, height)
+    by_t, by_log_p, by_fraction = partials
+    weights = hats(profile.layers.edge, profile.gravity.geopotential_height(h))
     log_pressure = log_pressure_jacobian(profile, h, anchor_height_m)
     through_pressure = by_log_p[:, None] * log_pressure
-    through_temperature = (by_t * dryness)[:, None] * weights
-    by_moisture = by_vapour - VAPOUR_DEFICIT * t_m * by_t
+    by_virtual = through_pressure + (by_t * dryness)[:, None] * weights
+    at_fixed_virtual = by_fraction - VAPOUR_DEFICIT * t_m * by_t
     blocks = [
-        through_pressure + through_temperature,
+        by_virtual,
         by_log_p,
-        by_moisture[:, None] * weights,
+        at_fixed_virtual[:, None] * weights,
     ]
     return np.column_stack(blocks)
 

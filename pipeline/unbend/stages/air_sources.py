@@ -18,7 +18,8 @@ from unbend.atmosphere.refractive_index import IndexModel
 from unbend.atmosphere.series.profile_series import FlightPath, PlaceInTime
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.atmosphere.soundings import Sounding
-from unbend.atmosphere.soundings.model_field import ModelField, model_column
+from unbend.atmosphere.soundings.model_column import model_column
+from unbend.atmosphere.soundings.model_field import ModelField
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection, SurfaceSection
