@@ -15,7 +15,8 @@ from unbend.atmosphere.estimate.external_readings import TimeAndPlace, distance_
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.atmosphere.series.profile_series import FlightPath, PlaceInTime
+from unbend.atmosphere.series.ageing import FlightPath
+from unbend.atmosphere.series.profile_series import PlaceInTime
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.model_column import model_column

@@ -15,11 +15,11 @@ import numpy as np
 
 from unbend.atmosphere import messages
 from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.series.ageing import SampleAges
 from unbend.atmosphere.series.profile_series import (
     FINEST_CHANGE,
     PlaceInTime,
     ProfileSeries,
-    SampleAges,
     TimedProfile,
 )
 from unbend.atmosphere.soundings.model_field import ModelColumns, ModelField
@@ -226,7 +226,7 @@ def _changed_airs(
         exposures.time_ns[cells.first_exposure],
     )
     airs = list(series.timed_profiles)
-    number_of_key: dict[tuple[int, ...], int] = {}
+    number_of_key: dict[tuple[int, ...], int] = {}  # of profile, distance and changes
     air_of_cell = np.zeros(cells.first_exposure.size, np.int64)
     largest = 0.0
     for cell, exposure in enumerate(cells.first_exposure):
@@ -234,17 +234,12 @@ def _changed_airs(
         air = series.timed_profiles[profile_number]
         away_km = (max(h_c) - h_g) * 1e-3
         if measured:
-            for place, weight in _origins(air):
-                offset_km = exposures.km[:, exposure] - exposures.km_of_origin(place)
-                away_km += weight * float(np.hypot(*offset_km))
+            away_km = _add_distances(away_km, air, exposures, exposure)
         changed = changed_air(air, _column(columns, cell), origins, h_g)
         changes = _changes_of_refraction(changed, air, h_c, h_g)
         largest = max([largest, *map(abs, changes)])
-        key = (
-            profile_number,
-            round(away_km / _AGE_STEP_KM),
-            *(round(change / FINEST_CHANGE) for change in changes),
-        )
+        rounded = [round(change / FINEST_CHANGE) for change in changes]
+        key = (profile_number, round(away_km / _AGE_STEP_KM), *rounded)
         if key not in number_of_key:
             number_of_key[key] = len(airs)
             ages = _ages_with_distance(air, h_g, away_km)
@@ -252,6 +247,19 @@ def _changed_airs(
             airs.append(replace(changed, time_ns=time_ns, ages=ages))
         air_of_cell[cell] = number_of_key[key]
     return ChangedAirs(airs, len(number_of_key), air_of_cell, largest)
+
+
+def _add_distances(
+    away_km: float,
+    air: TimedProfile,
+    exposures: PlacedExposures,
+    exposure: int,
+) -> float:
+    """A distance and those of an exposure from where the air was sampled, by their weights."""
+    for place, weight in _origins(air):
+        north, east = exposures.km[:, exposure] - exposures.km_of_origin(place)
+        away_km += weight * float(np.hypot(north, east))
+    return away_km
 
 
 def _changes_of_refraction(
@@ -314,18 +322,17 @@ def changed_air(
     """
     profile = air.profile
     layers = profile.layers
-    gravity = profile.gravity
     edge = layers.edge
-    anchor = float(np.clip(gravity.geopotential_height(h_g), edge[0], edge[-1]))
+    anchor = float(np.clip(profile.gravity.geopotential_height(h_g), edge[0], edge[-1]))
     heights = np.append(edge, anchor)
     change = np.zeros((3, heights.size))
     for place, weight in _origins(air):
         change += weight * _difference(here, origins[place], heights)
 
-    upper_thickness = edge[-1] - edge[-2]
-    top_vapour = layers.vapour[-1] + layers.vapour_slope[-1] * upper_thickness
+    top_vapour = layers.vapour[-1] + layers.vapour_slope[-1] * (edge[-1] - edge[-2])
     vapour = np.append(layers.vapour, top_vapour) + change[1, :-1]
-    pressure = profile.pressure(gravity.height(anchor)) * np.exp(change[2, -1])
+    anchor_pa = profile.pressure(profile.gravity.height(anchor))
+    pressure = anchor_pa * np.exp(change[2, -1])
     changed_layers = stack_layers(
         edge,
         layers.edge_temperature + change[0, :-1],
@@ -335,9 +342,9 @@ def changed_air(
         constant=profile.constant,
     )
     changed = replace(profile, layers=changed_layers)
-    covariance = air.own_covariance
-    if covariance is not None:
-        covariance = replace(covariance, profile=changed)
+    if air.own_covariance is None:
+        return replace(air, profile=changed)
+    covariance = replace(air.own_covariance, profile=changed)
     return replace(air, profile=changed, own_covariance=covariance)
 
 
