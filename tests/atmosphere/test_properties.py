@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from unbend.atmosphere.covariance import ProfileCovariance, plane_rule
-from unbend.atmosphere.estimate.readings import bin_readings
+from unbend.atmosphere.estimate.binning import bin_readings
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
