@@ -80,7 +80,7 @@ mission file states the drift."""
 
 _THERMOMETER_DRIFT_S = 900.0  # correlation time of the drift
 _BAROMETER_DRIFT_S = 1200.0
-_CLIMB_SAMPLE_S = 15.0  # between heights whose differences add up to what a flight climbed
+
 _BELOW_BOTTOM_M = 500.0  # from the lowest height of the background that readings are used
 _BELOW_TOP_M = 2000.0
 _GROUND_RISE_M = 20.0
@@ -142,15 +142,13 @@ def collect_readings(
             instruments[name] = sensor
     start_ns = min((int(sensor.time_ns[0]) for sensor in instruments.values()), default=None)
     flight = flight or external_readings.TimeAndPlace(start_ns)
-    sets: list[Readings] = []
-    for number, sounding in enumerate(soundings):
-        sets += external_readings.sounding_readings(sounding, number, background, flight)
-    for report in surface:
-        sets += external_readings.surface_readings(report, background, flight)
     measured = _OwnReadings()
     if start_ns is not None:
         measured = _sensor_readings(samples, instruments, background.profile, start_ns, settings)
-    sets += measured.sets
+    sets = [
+        *_external_readings(soundings, surface, background, flight),
+        *measured.sets,
+    ]
     heights = [readings.height for readings in sets]
     span = np.concatenate(heights or [np.array(UNMEASURED_M)])
     faults = tuple(_as_calibrated(fault, settings) for fault in measured.faults)
@@ -168,6 +166,21 @@ def collect_readings(
         rejected=measured.rejected,
         rare=_rare_faults(faults, settings),
     )
+
+
+def _external_readings(
+    soundings: Sequence[Sounding],
+    surface: Sequence[SurfaceReport],
+    background: Climatology,
+    flight: external_readings.TimeAndPlace,
+) -> list[Readings]:
+    """The readings of soundings and stations."""
+    sets: list[Readings] = []
+    for number, sounding in enumerate(soundings):
+        sets += external_readings.sounding_readings(sounding, number, background, flight)
+    for report in surface:
+        sets += external_readings.surface_readings(report, background, flight)
+    return sets
 
 
 def _as_calibrated(fault: Fault, settings: SensorSettings) -> Fault:
@@ -221,24 +234,18 @@ def _sensor_readings(
         step_s = ALONE_STEP_S
     steps = min(MOST_DRIFT_STEPS, int(duration_s / step_s))
     knots = np.linspace(0.0, duration_s, 2 + steps)
-
     barometer = instruments.get("pressure")
     if barometer is not None:
         _add_barometer(readings, barometer, samples, binning, settings)
-        scales = _barometer_scales(settings, alone=not has_thermometer)
-        drift = Drift(
-            SensorFault.BAROMETER_DRIFT,
-            knots,
-            sigma=1.0,
-            length=_BAROMETER_DRIFT_S,
-            scales=scales,
-        )
+        drift = _barometer_drift(knots, settings, alone=not has_thermometer)
         readings.drifts.append(drift)
     thermometer = instruments.get("temperature")
     if thermometer is not None:
-        takeoffs = _takeoffs(samples, instruments.get("pressure", thermometer), start_ns)
-        flown = binning.flown_heights(thermometer)
-        conditions = _Conditions(samples.airspeed, takeoffs, flown)
+        conditions = _Conditions(
+            samples.airspeed,
+            _takeoffs(samples, instruments.get("pressure", thermometer), start_ns),
+            binning.flown_heights(thermometer),
+        )
         _add_thermometer(readings, thermometer, conditions, binning, settings)
         readings.drifts.append(_thermometer_drift(knots, settings))
     hygrometer = instruments.get("humidity")
@@ -283,12 +290,20 @@ def _add_barometer(
         readings.faults.append(sensors.DYNAMIC_PRESSURE_ERROR)
 
 
-def _barometer_scales(settings: SensorSettings, *, alone: bool) -> tuple[float, float]:
-    """Smallest and largest factor of the sigma of a barometer's drift."""
+def _barometer_drift(knots: Array, settings: SensorSettings, *, alone: bool) -> Drift:
+    """How a barometer and GNSS heights drift, beside a thermometer or alone."""
     least, most = BAROMETER_SCALES
     if settings.usual_errors_only:
-        return least, 1.0
-    return least if alone else 1.0, most
+        most = 1.0
+    elif not alone:
+        least = 1.0
+    return Drift(
+        SensorFault.BAROMETER_DRIFT,
+        knots,
+        sigma=1.0,
+        length=_BAROMETER_DRIFT_S,
+        scales=(least, most),
+    )
 
 
 def _add_thermometer(
@@ -385,7 +400,7 @@ class _Binning:
     ) -> _Binning:
         """Thin bins in a shallow flight, thicker where many climbs would fill too many."""
         extent_m = max(sensor.extent_m for sensor in instruments.values())
-        climbed_m = max(_climbed_m(sensor) for sensor in instruments.values())
+        climbed_m = max(sensor.climbed_m for sensor in instruments.values())
         width_m = SHALLOW_BIN_M if extent_m < SHALLOW_M else BIN_M
         return cls(
             profile,
@@ -436,17 +451,6 @@ class _Binning:
         height = self.profile.gravity.geopotential_height(sensor.h_m[has_height])
         seconds = _seconds(sensor, self.start_ns)[has_height]
         return sensors.FlownHeights(seconds, height)
-
-
-def _climbed_m(sensor: SensorSamples) -> float:
-    """Climb and descent together [m], from heights a quarter minute apart."""
-    has_height = np.isfinite(sensor.h_m)
-    if has_height.sum() < 2:
-        return 0.0
-    seconds = _seconds(sensor, int(sensor.time_ns[0]))
-    times = np.arange(0.0, seconds[-1], _CLIMB_SAMPLE_S)
-    h = np.interp(times, seconds[has_height], sensor.h_m[has_height])
-    return float(np.abs(np.diff(h)).sum())
 
 
 def _takeoffs(samples: AirSamples, height_source: SensorSamples, start_ns: int) -> Array:
