@@ -7,7 +7,7 @@ from itertools import chain
 
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.climatology import Climatology
-from unbend.atmosphere.estimate.solver import Fit
+from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 

@@ -12,10 +12,11 @@ from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import messages
 from unbend.atmosphere.estimate.estimate_checks import MISFIT, PASSED, Check, is_plausible
 from unbend.atmosphere.estimate.hypotheses import IN_A_BAY
+from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensor_checks import LOST_SIGMAS
 from unbend.atmosphere.estimate.sensors import Barometer, Readings, SensorSettings, Thermometer
-from unbend.atmosphere.estimate.solver import Estimate, Fit, Solution, estimate, layout_of, solve
+from unbend.atmosphere.estimate.solver import Estimate, Solution, estimate, layout_of, solve
 from unbend.atmosphere.estimate.state import SensorFault, prior_of
 from unbend.atmosphere.rejection import Reason
 
