@@ -19,6 +19,11 @@ from unbend.atmosphere.estimate.binning import (
     resolution_of,
 )
 from unbend.atmosphere.estimate.hypotheses import RARE_FAULTS, RareFault
+from unbend.atmosphere.estimate.sensor_drifts import (
+    barometer_drift,
+    drift_knots,
+    thermometer_drift,
+)
 from unbend.atmosphere.estimate.sensors import Readings, SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.state import TOP_M, Departure, Drift, Fault, SensorFault
 from unbend.atmosphere.profile import Profile
@@ -49,37 +54,11 @@ LEAST_SCATTER_K = 0.05
 LEAST_SCATTER_LOG_P = 5e-5
 LEAST_SCATTER_RH = 0.01
 
-DRIFT_STEP_S = 45.0
-ALONE_STEP_S = 15.0
-MOST_DRIFT_STEPS = 60
-"""Knots of drifts; with 300 s the sigma of R over 1 km was 2.3 % and the error 4.1 %. Nearer of a
-barometer alone (a walk between knots 45 s apart is too smooth for a climb of a minute: over 300 m
-errors of 1.35 sigma RMS), and where it judges a thermometer (1 in 100 good ones failed)."""
-
-BAROMETER_SCALES = (0.1, 8.0)
-THERMOMETER_SCALES = (1.0, 3.0)
-"""Smallest and largest factor of the sigma of a drift that the residuals of a flight may give it:
-heights of a survey receiver wander by centimetres, those of an autopilot's by metres. Beside a
-thermometer no drift becomes smaller: its errors hide drifts (R erred by 1.3 sigma, not 1.15)."""
-
 UNMEASURED_M = (0.0, 6000.0)  # where knots are fine if nothing was measured [m']
 LONG_AGO_S = -1e5  # take-off of a log that begins in the air [s]
 
-# A board is so much warmer than the air, and that changes by so much within a quarter hour.
-BOARD_BIAS_K = 10.0
-BOARD_DRIFT_K = 5.0
-
-# The same of a thermometer outside.
-USUAL_BIAS_K = 3.0
-USUAL_DRIFT_K = 0.4
-
-SUN_ON_PROBE_K = 0.2
-SUN_ON_PROBE_S = 60.0
-"""What headings and clouds change of the sun on a probe: sigma and correlation time; none where the
-mission file states the drift."""
-
-_THERMOMETER_DRIFT_S = 900.0  # correlation time of the drift
-_BAROMETER_DRIFT_S = 1200.0
+BOARD_BIAS_K = 10.0  # a board is so much warmer than the air
+USUAL_BIAS_K = 3.0  # the same of a thermometer outside
 
 _BELOW_BOTTOM_M = 500.0  # from the lowest height of the background that readings are used
 _BELOW_TOP_M = 2000.0
@@ -228,16 +207,12 @@ def _sensor_readings(
     end_ns = max(int(sensor.time_ns[-1]) for sensor in instruments.values())
     duration_s = max((end_ns - start_ns) * 1e-9, 1.0)
     binning = _Binning.of_flight(instruments, profile, start_ns, duration_s)
-    has_thermometer = "temperature" in instruments
-    step_s = DRIFT_STEP_S
-    if not has_thermometer or settings.usual_errors_only:
-        step_s = ALONE_STEP_S
-    steps = min(MOST_DRIFT_STEPS, int(duration_s / step_s))
-    knots = np.linspace(0.0, duration_s, 2 + steps)
+    is_alone = "temperature" not in instruments
+    knots = drift_knots(duration_s, settings, alone=is_alone)
     barometer = instruments.get("pressure")
     if barometer is not None:
         _add_barometer(readings, barometer, samples, binning, settings)
-        drift = _barometer_drift(knots, settings, alone=not has_thermometer)
+        drift = barometer_drift(knots, settings, alone=is_alone)
         readings.drifts.append(drift)
     thermometer = instruments.get("temperature")
     if thermometer is not None:
@@ -247,7 +222,7 @@ def _sensor_readings(
             binning.flown_heights(thermometer),
         )
         _add_thermometer(readings, thermometer, conditions, binning, settings)
-        readings.drifts.append(_thermometer_drift(knots, settings))
+        readings.drifts.append(thermometer_drift(knots, settings))
     hygrometer = instruments.get("humidity")
     if hygrometer is not None:
         _add_hygrometer(readings, hygrometer, binning)
@@ -290,22 +265,6 @@ def _add_barometer(
         readings.faults.append(sensors.DYNAMIC_PRESSURE_ERROR)
 
 
-def _barometer_drift(knots: Array, settings: SensorSettings, *, alone: bool) -> Drift:
-    """How a barometer and GNSS heights drift, beside a thermometer or alone."""
-    least, most = BAROMETER_SCALES
-    if settings.usual_errors_only:
-        most = 1.0
-    elif not alone:
-        least = 1.0
-    return Drift(
-        SensorFault.BAROMETER_DRIFT,
-        knots,
-        sigma=1.0,
-        length=_BAROMETER_DRIFT_S,
-        scales=(least, most),
-    )
-
-
 def _add_thermometer(
     readings: _OwnReadings,
     sensor: SensorSamples,
@@ -325,25 +284,6 @@ def _add_thermometer(
     readings.faults += [replace(bias, sigma=bias_k), *other_faults]
     if thermometer.heating is not None:
         readings.faults.append(sensors.RECOVERY_FACTOR)
-
-
-def _thermometer_drift(knots: Array, settings: SensorSettings) -> Drift:
-    """How a thermometer drifts, beside what the sun on it changes."""
-    known = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
-    is_known = known.sigma is not None
-    usual_k = BOARD_DRIFT_K if settings.board_temperature else USUAL_DRIFT_K
-    least, most = THERMOMETER_SCALES
-    if is_known or settings.board_temperature or settings.usual_errors_only:
-        most = least
-    sun_k = 0.0 if is_known else SUN_ON_PROBE_K
-    return Drift(
-        SensorFault.THERMOMETER_DRIFT,
-        knots,
-        sigma=known.sigma_or(usual_k),
-        length=_THERMOMETER_DRIFT_S,
-        quick=(sun_k, SUN_ON_PROBE_S),
-        scales=(least, most),
-    )
 
 
 def _add_hygrometer(readings: _OwnReadings, sensor: SensorSamples, binning: _Binning) -> None:
