@@ -9,7 +9,7 @@ import pytest
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.climatology import climatology
-from unbend.atmosphere.estimate import external_readings, normal_equations, solver
+from unbend.atmosphere.estimate import external_readings, normal_equations
 from unbend.atmosphere.estimate.candidates import SMALLEST_CLIMB_M
 from unbend.atmosphere.estimate.sensors import (
     BAROMETER_FAULTS,

@@ -414,16 +414,26 @@ def nearest_in_time(
         return full[0].noting(*notes)
     if time_ns is None:
         raise messages.sounding_choice(where=where, total=len(full))
-    dated = [(abs(raw.time_ns - time_ns), raw) for raw in full if raw.time_ns is not None]
-    if not dated:
-        raise messages.sounding_choice_undated(where=where, total=len(full))
-    apart, raw = min(dated, key=lambda pair: pair[0])
-    same_time = [other for _, other in dated if other.time_ns == raw.time_ns]
-    if not all(is_same_ascent(raw, other) for other in same_time):
-        raise messages.sounding_choice_same_time(where=where, total=len(same_time))
-    hours = apart / NANOSECONDS_PER_SECOND / 3600.0
+    raw, apart_ns = _nearest_of_dated(full, time_ns, where)
+    hours = apart_ns / NANOSECONDS_PER_SECOND / 3600.0
     if hours > FAR_HOURS:
         notes += (messages.sounding_far_in_time(where=raw.where, hours=hours),)
     if len(full) > 1:
         notes += (messages.sounding_chosen(where=raw.where, count=len(full), hours=hours),)
     return raw.noting(*notes)
+
+
+def _nearest_of_dated(
+    ascents: list[RawLevels],
+    time_ns: int,
+    where: str,
+) -> tuple[RawLevels, int]:
+    """The ascent nearest to a time, and how far it is from it [ns]; refuses two of one hour."""
+    dated = [(abs(raw.time_ns - time_ns), raw) for raw in ascents if raw.time_ns is not None]
+    if not dated:
+        raise messages.sounding_choice_undated(where=where, total=len(ascents))
+    apart_ns, nearest = min(dated, key=lambda pair: pair[0])
+    same_time = [raw for _, raw in dated if raw.time_ns == nearest.time_ns]
+    if not all(is_same_ascent(nearest, raw) for raw in same_time):
+        raise messages.sounding_choice_same_time(where=where, total=len(same_time))
+    return nearest, apart_ns
