@@ -93,24 +93,21 @@ def column(
     whole, by_lower, by_upper = _layer(thickness, virtual[:-1], virtual[1:])
 
     # The part of a height's own layer below it, where T_M is linear between the edges.
-    base = virtual[layer]
     rise = height - edge[layer]
     share = rise / thickness[layer]
-    virtual_there = base + share * (virtual[layer + 1] - base)
-    part, by_base, by_virtual_there = _layer(rise, base, virtual_there)
-
-    integral_to_edge = np.concatenate([[0.0], np.cumsum(whole)])
-    integral = integral_to_edge[layer] + part
+    part, by_base, by_virtual_there = _layer(
+        rise,
+        virtual[layer],
+        virtual[layer] + share * (virtual[layer + 1] - virtual[layer]),
+    )
+    integral = np.concatenate([[0.0], np.cumsum(whole)])[layer] + part
 
     # An edge's temperature is that of the top of a layer and of the base of the next.
     by_top = np.append(0.0, by_upper)
     by_edge = np.append(by_lower, 0.0) + by_top
-    edge_number = np.arange(edge.size)
-    is_below = edge_number < layer[:, None]
-    gradient = np.where(is_below, by_edge, 0.0)
+    gradient = np.where(np.arange(edge.size) < layer[:, None], by_edge, 0.0)
     row = np.arange(height.size)
-    through_virtual_there = (1.0 - share) * by_virtual_there
-    gradient[row, layer] = by_top[layer] + by_base + through_virtual_there
+    gradient[row, layer] = by_top[layer] + by_base + (1.0 - share) * by_virtual_there
     gradient[row, layer + 1] = share * by_virtual_there
     return integral, gradient
 

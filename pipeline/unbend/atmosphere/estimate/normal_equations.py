@@ -88,9 +88,7 @@ def normal_equations(
         z = residual / sigma
         loss = _loss(readings, z, step)
         weight = loss / sigma**2
-        # A matrix times its own transpose costs half of a product of two.
-        weighted = jacobian * np.sqrt(weight)[:, None]
-        information = weighted.T @ weighted
+        information = _information(jacobian, weight)
         normal += information
         right += jacobian.T @ (weight * residual)
         if readings.robust and step > HUBER_STEPS and z.size >= _FEWEST_TO_INFLATE:
@@ -104,6 +102,12 @@ def normal_equations(
         )
         parts.append(SetPart(fit, information, weight))
     return NormalEquations(normal, right, next_inflation, parts)
+
+
+def _information(jacobian: Array, weight: Array) -> Array:
+    """J^T W J: a matrix times its own transpose costs half of a product of two."""
+    weighted = jacobian * np.sqrt(weight)[:, None]
+    return np.asarray(weighted.T @ weighted)
 
 
 def _loss(readings: Readings, z: Array, step: int) -> Array:

@@ -111,9 +111,13 @@ def model_column(
         notes.append(messages.model_ground(where=field.name, ground=ground))
     else:
         _refuse_ground_without_unit(field, model_ground, ground)
-    bottom = ground if math.isnan(model_ground) else max(model_ground, ground)
-    highest = float(gravity.geopotential_height(highest_h_m + _ABOVE_CAMERA_M))
-    ends = Ends(bottom, max(ground + _TOP_M, highest))
+    ends = Ends(
+        bottom=ground if math.isnan(model_ground) else max(model_ground, ground),
+        top=max(
+            ground + _TOP_M,
+            float(gravity.geopotential_height(highest_h_m + _ABOVE_CAMERA_M)),
+        ),
+    )
     levels, left_out = _levels_between(_levels_of(columns, ground), ends, field.name)
     notes += left_out
     if field.height.size:  # which heights of model levels are not
@@ -123,13 +127,14 @@ def model_column(
     if depth > _SMALLEST_EXTENSION_M:
         levels = _extended_down(levels, depth)
     if depth > _USUAL_STEP_M:
-        extended = messages.model_extended(
-            where=field.name,
-            depth=depth,
-            ground=ground,
-            sigma=levels.sigma_k[0],
+        notes.append(
+            messages.model_extended(
+                where=field.name,
+                depth=depth,
+                ground=ground,
+                sigma=levels.sigma_k[0],
+            )
         )
-        notes.append(extended)
     pressure_pa = np.exp(levels.log_p)
     nearest = np.argmin(np.abs(field.time_ns - time_ns))
     column = Sounding(
