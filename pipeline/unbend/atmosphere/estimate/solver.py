@@ -167,7 +167,7 @@ def estimate(
     estimated before, which replace the expected ones.
 
     Cost grows linearly with the number of samples (binning) and with the cube of about 300 states:
-    4 hours of three sensors at 10 Hz, 144,000 samples each, take 2.5 CPU s.
+    4 hours of three sensors at 10 Hz, 144,000 samples each, take about 2 CPU s.
 
     >>> from unbend.atmosphere.climatology import climatology
     >>> made = estimate(AirSamples(), climatology(latitude_rad=0.8, month=7.0))
