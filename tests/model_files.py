@@ -63,7 +63,7 @@ def on_model_levels(
     ground_m: float,
 ) -> xarray.Dataset:
     """Fields on ECMWF's levels 60 to 137 over a ground at one height [m above sea level]."""
-    from unbend.atmosphere.soundings.model_field import half_levels
+    from unbend.atmosphere.soundings.model_levels import half_levels
 
     levels, stamps = np.arange(60, 138), np.array(times, "datetime64[ns]")
     shape = (stamps.size, levels.size, len(latitude_deg), len(longitude_deg))

@@ -9,7 +9,7 @@ import pytest
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.climatology import climatology
-from unbend.atmosphere.estimate import external_readings, solver
+from unbend.atmosphere.estimate import external_readings, normal_equations
 from unbend.atmosphere.estimate.candidates import SMALLEST_CLIMB_M
 from unbend.atmosphere.estimate.sensors import (
     BAROMETER_FAULTS,
@@ -92,7 +92,7 @@ def test_gates_of_the_estimate():
     # 300 m of temperatures halve the error of the standard at 1 km.
     assert SMALLEST_CLIMB_M == 300.0
     # Student's t with 4 degrees of freedom: a bin 5 sigma off weighs (4 + 1)/(4 + 25) of one.
-    assert solver.FREEDOM == 4.0
+    assert normal_equations.FREEDOM == 4.0
     # Radiosondes start every twelve hours: six at most from one; stations report every hour, and
     # one that is not dated may be three old.
     assert external_readings.UNDATED_SOUNDING_H == 6.0

@@ -17,7 +17,8 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from unbend.atmosphere.soundings.model_field import ModelField, model_column
+from unbend.atmosphere.soundings.model_column import model_column
+from unbend.atmosphere.soundings.model_field import ModelField
 from unbend.messages import Ledger
 from unbend.simulate.true_air import saturation_pressure_pa
 

@@ -11,16 +11,12 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from unbend.atmosphere.covariance import ProfileCovariance, plane_rule
-from unbend.atmosphere.estimate.readings import bin_readings
+from unbend.atmosphere.estimate.binning import bin_readings
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.atmosphere.series.profile_series import (
-    SampleAges,
-    TimedProfile,
-    covariance_with_ageing,
-    interpolate_series,
-)
+from unbend.atmosphere.series.ageing import SampleAges, covariance_with_ageing
+from unbend.atmosphere.series.profile_series import TimedProfile, interpolate_series
 from unbend.geodesy import normal_gravity
 
 GAMMA = 9.80665 * 28.9644 / 8314.32  # [K/m']

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from unbend.atmosphere.series import profile_series as course
+from unbend.atmosphere.series import ageing, profile_series
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -19,14 +19,14 @@ SLOT_S = 5
 @pytest.fixture
 def restless(mission, baseline, monkeypatch):
     """The sample mission in air that changes in minutes as much as elsewhere in hours."""
-    monkeypatch.setattr(course, "FRESH_S", 90.0)
-    calm = course.variation_parts
+    monkeypatch.setattr(ageing, "FRESH_S", 90.0)
+    calm = ageing.variation_parts
     monkeypatch.setattr(
-        course,
+        ageing,
         "variation_parts",
         lambda *of: tuple(replace(part, sigma_k=14.0 * part.sigma_k) for part in calm(*of)),
     )
-    monkeypatch.setattr(course, "SLOT_NS", SLOT_S * 10**9)
+    monkeypatch.setattr(profile_series, "SLOT_NS", SLOT_S * 10**9)
     ended = mission.run("--force")
     assert ended.code == 0, ended.text
     return mission

@@ -13,7 +13,7 @@ import pytest
 
 from tests.batch.test_rehearsal import config, rows
 from unbend.atmosphere.estimate.candidates import SourceUse
-from unbend.atmosphere.estimate.solver import Fit
+from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.batch.rehearsal import camera_text
 from unbend.batch.runs import check_mission
 from unbend.errors import Code

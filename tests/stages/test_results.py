@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from unbend.atmosphere.air_samples import SensorUse
 from unbend.atmosphere.estimate.candidates import SourceUse
-from unbend.atmosphere.estimate.solver import Fit
+from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.atmosphere.rejection import Reason
 from unbend.stages.results import record_of_samples, record_of_source
 

@@ -11,7 +11,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.io import netcdf_file
 
 from tests.model_files import dataset, grib, netcdf, on_model_levels
-from unbend.atmosphere.soundings.model_field import model_column
+from unbend.atmosphere.soundings.model_column import model_column
 from unbend.errors import InputError
 from unbend.geodesy import normal_gravity
 from unbend.messages import Ledger

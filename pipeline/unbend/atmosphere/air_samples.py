@@ -23,6 +23,8 @@ Record = TypeVar("Record", bound=Any)
 BIN_M = 50.0  # thickness of the layers where temperature was measured [m']
 
 _FEWEST_IN_BIN = 3
+_VISITED_BIN_M = 100.0  # heights of a bin count as visited together
+_CLIMB_SAMPLE_S = 15.0  # between heights whose differences add up to what a flight climbed
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +77,18 @@ class SensorSamples:
         return float(np.ptp(heights))
 
     @property
+    def climbed_m(self) -> float:
+        """Climb and descent together [m], from heights a quarter minute apart."""
+        has_height = np.isfinite(self.h_m)
+        if has_height.sum() < 2:
+            return 0.0
+        nanoseconds = self.time_ns - int(self.time_ns[0])
+        seconds = nanoseconds.astype(np.float64) * 1e-9
+        times = np.arange(0.0, seconds[-1], _CLIMB_SAMPLE_S)
+        h = np.interp(times, seconds[has_height], self.h_m[has_height])
+        return float(np.abs(np.diff(h)).sum())
+
+    @property
     def middle_ns(self) -> int | None:
         """Middle of the time that the accepted readings span [Unix ns]."""
         used = self.time_ns[self.accepted]
@@ -93,15 +107,20 @@ class SensorSamples:
         used = self.time_ns[self.accepted]
         if used.size == 0:
             return None
-        _, number = np.unique(np.floor(self.h_m[self.accepted] / 100.0), return_inverse=True)
-        mean = np.bincount(number, (used - used[0]) * 1e-9) / np.bincount(number)
-        return int(used[0]) + round(float(mean.mean()) * 1e9)
+        levels = np.floor(self.h_m[self.accepted] / _VISITED_BIN_M)
+        _, bin_of = np.unique(levels, return_inverse=True)
+        seconds = (used - used[0]) * 1e-9
+        mean_s = np.bincount(bin_of, seconds) / np.bincount(bin_of)
+        return int(used[0]) + round(float(mean_s.mean()) * 1e9)
 
 
 @dataclass(frozen=True, eq=False)
 class AirSamples:
-    """What a flight measured of the air outside; ``airspeed`` is indicated [m/s]; ``takeoff_ns``
-    the times [Unix ns] at which the aircraft left the ground. None where not known."""
+    """What a flight measured of the air outside; None where not known.
+
+    ``airspeed`` is indicated [m/s]; ``takeoff_ns`` the times [Unix ns] at which the aircraft left
+    the ground.
+    """
 
     temperature: SensorSamples | None = None
     pressure: SensorSamples | None = None
@@ -112,9 +131,12 @@ class AirSamples:
     @property
     def sensors(self) -> dict[str, SensorSamples]:
         """Those of the air that there are, by their quantity."""
-        every = {"temperature": self.temperature, "pressure": self.pressure}
-        every["humidity"] = self.humidity
-        return {name: sensor for name, sensor in every.items() if sensor is not None}
+        by_quantity = {
+            "temperature": self.temperature,
+            "pressure": self.pressure,
+            "humidity": self.humidity,
+        }
+        return {quantity: sensor for quantity, sensor in by_quantity.items() if sensor is not None}
 
 
 @dataclass(frozen=True)
@@ -164,7 +186,10 @@ def part_of(record: Record, rows: Mask | Rows | slice) -> Record:
 
 
 def bin_by_height(
-    geopotential: Array, samples: SensorSamples, width: float, value: Array | None = None
+    geopotential: Array,
+    samples: SensorSamples,
+    width: float,
+    value: Array | None = None,
 ) -> tuple[Array, Array]:
     """Medians of the accepted readings in bins of height, climb and descent weighing alike.
 
@@ -172,29 +197,41 @@ def bin_by_height(
     Returns mean heights [m'] and values of bins with three readings or more, from the ground up.
     """
     seconds = np.asarray((samples.time_ns - samples.time_ns[:1]) * 1e-9, np.float64)
-    rising = climb_of(seconds, geopotential) >= 0.0
-    reading = samples.value if value is None else value
-    use = samples.accepted & np.isfinite(reading) & np.isfinite(geopotential)
-    height, reading, rising = geopotential[use], reading[use], rising[use]
+    readings = samples.value if value is None else value
+    use = samples.accepted & np.isfinite(readings) & np.isfinite(geopotential)
+    is_rising = (climb_of(seconds, geopotential) >= 0.0)[use]
+    height = geopotential[use]
+    reading = readings[use]
     number = np.floor(height / width).astype(np.int64)
     order = np.argsort(number, kind="stable")
+    starts = np.flatnonzero(np.diff(number[order])) + 1
     bins = []
-    for inside in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+    for inside in np.split(order, starts):
         if inside.size < _FEWEST_IN_BIN:
             continue
-        both = [inside[rising[inside]], inside[~rising[inside]]]
-        parts = [rows for rows in both if rows.size >= _FEWEST_IN_BIN] or [inside]
-        means = [(height[rows].mean(), np.median(reading[rows])) for rows in parts]
+        means = []
+        for rows in _climb_and_descent(inside, is_rising):
+            means.append((height[rows].mean(), np.median(reading[rows])))
         bins.append(np.mean(means, axis=0))
     heights, values = np.array(bins).reshape(-1, 2).T
     return heights, values
 
 
+def _climb_and_descent(rows: Rows, is_rising: Mask) -> list[Rows]:
+    """The readings of a bin in climb and in descent, as far as they are enough; else all."""
+    climb = rows[is_rising[rows]]
+    descent = rows[~is_rising[rows]]
+    parts = [part for part in (climb, descent) if part.size >= _FEWEST_IN_BIN]
+    return parts or [rows]
+
+
 def climb_of(seconds: Array, height: Array) -> Array:
     """Height gained in the ten seconds around each sample, none where fewer than two are known."""
-    known = np.isfinite(height)
-    if known.sum() < 2:
+    has_height = np.isfinite(height)
+    if has_height.sum() < 2:
         return np.zeros(seconds.shape)
-    before = np.interp(seconds - 5.0, seconds[known], height[known])
-    after = np.interp(seconds + 5.0, seconds[known], height[known])
+    known_s = seconds[has_height]
+    known_height = height[has_height]
+    before = np.interp(seconds - 5.0, known_s, known_height)
+    after = np.interp(seconds + 5.0, known_s, known_height)
     return np.asarray(after - before)

@@ -7,10 +7,11 @@ et al. 1986, AFGL Atmospheric Constituent Profiles (0-120 km), AFGL-TR-86-0110, 
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,6 +35,9 @@ LOWEST_GEOPOTENTIAL_M = -5000.0  # as far down as the atmospheres of this packag
 _STEP_M = 500.0
 _DRY_ABOVE_M = 16_000.0
 
+_SAME_HEIGHT_M = 1e-3  # heights nearer than this are one [m']
+_SCALE_HEIGHT_M = 7500.0  # of the pressure that the iteration begins with
+
 
 @dataclass(frozen=True, eq=False)
 class _SupplementsColumn:
@@ -47,6 +51,13 @@ class _SupplementsColumn:
     sea_level_pa: float
 
 
+class _WeightedColumn(NamedTuple):
+    """A column and its share in a mean of several."""
+
+    weight: float
+    column: _SupplementsColumn
+
+
 def climate_names() -> tuple[str, ...]:
     """Names that `climate_profile` takes.
 
@@ -57,7 +68,9 @@ def climate_names() -> tuple[str, ...]:
 
 
 def climate_profile(
-    name: str, index: IndexModel | None = None, gravity: Gravity | None = None
+    name: str,
+    index: IndexModel | None = None,
+    gravity: Gravity | None = None,
 ) -> Profile:
     """One of the tables as a profile, under Lambert's gravity of its own latitude by default.
 
@@ -70,16 +83,22 @@ def climate_profile(
     if name in _supplements():
         column = _supplements()[name]
         gravity = gravity or lambert_gravity(column.latitude_deg * DEGREE)
-        return _mean_of_columns([(1.0, column)], gravity, index, name)
+        return _mean_of_columns([_WeightedColumn(1.0, column)], gravity, index, name)
     rows = read_models(_AFGL_FILE)[name]
     gravity = gravity or lambert_gravity(rows[0]["latitude_deg"] * DEGREE)
-    table = gravity.geopotential_height([row["h_m"] for row in rows])
-    edge = _edges(table)
-    t = np.interp(edge, table, [row["temperature_k"] for row in rows])
-    vapour = np.exp(np.interp(edge, table, np.log([row["water_ppmv"] * 1e-6 for row in rows])))
-    surface_pa = rows[0]["pressure_pa"]
+    heights = gravity.geopotential_height([row["h_m"] for row in rows])
+    temperatures = [row["temperature_k"] for row in rows]
+    log_fractions = np.log([row["water_ppmv"] * 1e-6 for row in rows])
+    edge = _edges(heights)
+    vapour = np.exp(np.interp(edge, heights, log_fractions))
     return hydrostatic_profile(
-        edge, t, lambda _: vapour, surface_pa, gravity, index=index, name=name
+        edge,
+        np.interp(edge, heights, temperatures),
+        lambda _: vapour,
+        rows[0]["pressure_pa"],
+        gravity,
+        index=index,
+        name=name,
     )
 
 
@@ -100,15 +119,21 @@ def supplements_profile(
     """
     degrees = abs(latitude_rad) / DEGREE
     summer = 0.5 - 0.5 * season(latitude_rad, month)
+    share_of_season = {
+        "annual": 1.0,
+        "january": 1.0 - summer,
+        "july": summer,
+    }
     nodes = np.array([15.0, 30.0, 45.0, 60.0, 75.0])
-    share = {"annual": 1.0, "january": 1.0 - summer, "july": summer}
     parts = []
-    for latitude, row in zip(nodes, np.eye(nodes.size), strict=True):
-        weight = float(np.interp(degrees, nodes, row))
+    for latitude, hat in zip(nodes, np.eye(nodes.size), strict=True):
+        weight = float(np.interp(degrees, nodes, hat))
         for column in _supplements().values():
             if column.latitude_deg == latitude and weight > 0.0:
-                parts.append((weight * share[column.season], column))
-    return _mean_of_columns(parts, gravity or lambert_gravity(latitude_rad), index, SUPPLEMENTS)
+                share = share_of_season[column.season]
+                parts.append(_WeightedColumn(weight * share, column))
+    gravity = gravity or lambert_gravity(latitude_rad)
+    return _mean_of_columns(parts, gravity, index, SUPPLEMENTS)
 
 
 def season(latitude_rad: float, month: float) -> float:
@@ -129,19 +154,28 @@ def rows_of(file: str) -> list[dict[str, str]]:
 
 @lru_cache(maxsize=1)
 def _supplements() -> dict[str, _SupplementsColumn]:
-    rows = rows_of("supplements1966.csv")
+    """The columns of the Supplements by name."""
+    levels_by_name: dict[str, list[dict[str, str]]] = {}
+    for row in rows_of("supplements1966.csv"):
+        levels_by_name.setdefault(row["name"], []).append(row)
     columns = {}
-    for name in dict.fromkeys(row["name"] for row in rows):
-        levels = [row for row in rows if row["name"] == name]
-        edge, t, e, p = (
-            np.array([float(row[key]) for row in levels])
-            for key in ("geopotential_m", "temperature_k", "vapour_pressure_pa", "pressure_pa")
-        )
-        latitude, humidity = float(levels[0]["latitude_deg"]), e / saturation_vapour_pressure(t)
+    for name, levels in levels_by_name.items():
+        t = _numbers(levels, "temperature_k")
+        e = _numbers(levels, "vapour_pressure_pa")
         columns[name] = _SupplementsColumn(
-            latitude, levels[0]["season"], edge, t, humidity, float(p[0])
+            latitude_deg=float(levels[0]["latitude_deg"]),
+            season=levels[0]["season"],
+            edge=_numbers(levels, "geopotential_m"),
+            temperature=t,
+            relative_humidity=e / saturation_vapour_pressure(t),
+            sea_level_pa=float(levels[0]["pressure_pa"]),
         )
     return columns
+
+
+def _numbers(rows: Sequence[Mapping[str, str]], name: str) -> Array:
+    """A column of a table as numbers."""
+    return np.array([float(row[name]) for row in rows])
 
 
 @lru_cache
@@ -150,33 +184,46 @@ def read_models(file: str) -> dict[str, list[dict[str, float]]]:
     models: dict[str, list[dict[str, float]]] = {}
     for row in rows_of(file):
         name = row.pop("name")
-        models.setdefault(name, []).append({key: float(value) for key, value in row.items()})
+        level = {key: float(value) for key, value in row.items()}
+        models.setdefault(name, []).append(level)
     return models
 
 
 def _edges(*breaks: Array) -> Array:
     """All breakpoints, and steps where there is water; heights a millimetre apart are one."""
-    top = min(float(b[-1]) for b in breaks)
+    top = min(float(heights[-1]) for heights in breaks)
     steps = np.arange(0.0, _DRY_ABOVE_M + 1.0, _STEP_M)
-    every = np.unique(np.concatenate([steps, *breaks]))
-    every = every[(every >= 0.0) & (every <= top)]
-    return np.asarray(every[np.concatenate([[True], np.diff(every) > 1e-3])])
+    edges = np.unique(np.concatenate([steps, *breaks]))
+    edges = edges[(edges >= 0.0) & (edges <= top)]
+    is_apart = np.diff(edges) > _SAME_HEIGHT_M
+    return np.asarray(edges[np.concatenate([[True], is_apart])])
 
 
 def _mean_of_columns(
-    parts: list[tuple[float, _SupplementsColumn]],
+    parts: Sequence[_WeightedColumn],
     gravity: Gravity,
     index: IndexModel | None,
     name: str,
 ) -> Profile:
     """Weighted mean of columns in temperature, relative humidity and surface pressure."""
     edge = _edges(*(column.edge for _, column in parts))
-    zero = np.zeros(edge.size)
-    t = sum((w * np.interp(edge, c.edge, c.temperature) for w, c in parts), zero)
-    humidity = sum((w * np.interp(edge, c.edge, c.relative_humidity) for w, c in parts), zero)
+    t = np.zeros(edge.size)
+    humidity = np.zeros(edge.size)
+    surface_pa = 0.0
+    for weight, column in parts:
+        t = t + weight * np.interp(edge, column.edge, column.temperature)
+        humidity = humidity + weight * np.interp(edge, column.edge, column.relative_humidity)
+        surface_pa += weight * column.sea_level_pa
     e = humidity * saturation_vapour_pressure(t)
-    surface = sum(w * c.sea_level_pa for w, c in parts)
-    return hydrostatic_profile(edge, t, lambda p: e / p, surface, gravity, index=index, name=name)
+    return hydrostatic_profile(
+        edge,
+        t,
+        lambda p: e / p,
+        surface_pa,
+        gravity,
+        index=index,
+        name=name,
+    )
 
 
 def hydrostatic_profile(
@@ -194,16 +241,22 @@ def hydrostatic_profile(
     Below the lowest edge the lowest layer goes on, isothermal where it is an inversion.
     """
     lapse = min((temperature[1] - temperature[0]) / (edge[1] - edge[0]), 0.0)
-    below = np.append(LOWEST_GEOPOTENTIAL_M, edge)
-    t = np.append(temperature[0] + lapse * (LOWEST_GEOPOTENTIAL_M - edge[0]), temperature)
-    source = (STANDARD,) * (below.size - 1)
-    pressure = surface_pa * np.exp(-edge / 7500.0)
+    lowest_k = temperature[0] + lapse * (LOWEST_GEOPOTENTIAL_M - edge[0])
+    edges = np.append(LOWEST_GEOPOTENTIAL_M, edge)
+    t = np.append(lowest_k, temperature)
+    source = (STANDARD,) * (edges.size - 1)
+    pressure = surface_pa * np.exp(-edge / _SCALE_HEIGHT_M)
     # Pressure depends on humidity by less than 1 %, so each round gains more than two digits.
     for _ in range(6):
         vapour = vapour_of(pressure)
         vapour = np.append(vapour[:1], vapour)
+        virtual = t / (1.0 - VAPOUR_DEFICIT * vapour)
         layers = stack_layers(
-            below, t / (1.0 - VAPOUR_DEFICIT * vapour), vapour, source, anchor=(0.0, surface_pa)
+            edges,
+            virtual,
+            vapour,
+            source,
+            anchor=(0.0, surface_pa),
         )
         profile = Profile(layers, gravity, index or IndexModel(), name)
         pressure = profile.pressure(gravity.height(edge))

@@ -70,24 +70,27 @@ class Spread:
         """The spread about another profile than the expected: their difference is part of it."""
         inside = (self.h_m <= profile.top_m) & (self.h_m <= expected.top_m)
         h = self.h_m[inside]
+        warmer_k = profile.temperature(h) - expected.temperature(h)
+        other_table = Part("other table", h, warmer_k, _OTHER_TABLE_LENGTH_M)
+
         saturated = saturation_vapour_pressure(expected.temperature(h))
-        off = profile.temperature(h) - expected.temperature(h)
-        wet = (profile.vapour_pressure(h) - expected.vapour_pressure(h)) / saturated
-        wet = np.where(h < _DRY_ABOVE_M, wet, 0.0)
-        level = float(np.log(profile.pressure(0.0) / expected.pressure(0.0)))
+        moister_pa = profile.vapour_pressure(h) - expected.vapour_pressure(h)
+        moister_rh = np.where(h < _DRY_ABOVE_M, moister_pa / saturated, 0.0)
+        log_ratio = float(np.log(profile.pressure(0.0) / expected.pressure(0.0)))
         return Spread(
-            parts=(*self.parts, Part("other table", h, off, _OTHER_TABLE_LENGTH_M)),
+            parts=(*self.parts, other_table),
             h_m=h,
-            relative_humidity=np.hypot(self.relative_humidity[inside], wet),
+            relative_humidity=np.hypot(self.relative_humidity[inside], moister_rh),
             humidity_correlation_m=self.humidity_correlation_m,
-            pressure_ratio=math.hypot(self.pressure_ratio, level),
+            pressure_ratio=math.hypot(self.pressure_ratio, log_ratio),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Climatology:
-    """The expected profile, its spread, and in words which tables it comes from; where it has no
-    humidity the profile is dry because the model says nothing of water.
+    """The expected profile, its spread, and in words which tables it comes from.
+
+    Where it has no humidity the profile is dry because the model says nothing of water.
 
     ``daily`` is the cycle of the day there, and ``hour`` the mean local time [h] of the profile,
     None where it is not known.

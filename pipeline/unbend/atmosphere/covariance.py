@@ -27,7 +27,11 @@ _PRESSURE_STEP = 0.05  # of p
 _VAPOUR_STEP = 0.05  # of e/p
 
 
-def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> Array:
+def air_jacobian(
+    profile: Profile,
+    h: ArrayLike,
+    anchor_height_m: float,
+) -> Array:
     """Derivatives of N = n - 1 at heights with respect to what a profile of m layers is made of.
 
     ``h``: (n,) heights [m above sea level]; rows of heights outside the profile are NaN.
@@ -52,15 +56,26 @@ def air_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> Arra
     h = np.asarray(h, dtype=np.float64)
     t_m, p, vapour = profile.state(h)
     dryness = 1.0 - VAPOUR_DEFICIT * vapour
-    by_t, by_log_p, by_vapour = _index_partials(profile.index, t_m * dryness, p, vapour)
+    partials = _index_partials(profile.index, t_m * dryness, p, vapour)
+    by_t, by_log_p, by_fraction = partials
     weights = hats(profile.layers.edge, profile.gravity.geopotential_height(h))
     log_pressure = log_pressure_jacobian(profile, h, anchor_height_m)
-    by_virtual = by_log_p[:, None] * log_pressure + (by_t * dryness)[:, None] * weights
-    by_fraction = (by_vapour - VAPOUR_DEFICIT * t_m * by_t)[:, None] * weights
-    return np.column_stack([by_virtual, by_log_p, by_fraction])
+    through_pressure = by_log_p[:, None] * log_pressure
+    by_virtual = through_pressure + (by_t * dryness)[:, None] * weights
+    at_fixed_virtual = by_fraction - VAPOUR_DEFICIT * t_m * by_t
+    blocks = [
+        by_virtual,
+        by_log_p,
+        at_fixed_virtual[:, None] * weights,
+    ]
+    return np.column_stack(blocks)
 
 
-def log_pressure_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float) -> Array:
+def log_pressure_jacobian(
+    profile: Profile,
+    h: ArrayLike,
+    anchor_height_m: float,
+) -> Array:
     """d ln p / d T_M at the edges of the layers [1/K], (n, m + 1); arguments as `air_jacobian`.
 
     A degree more over the lowest 11 km raises the pressure above them by 0.6 %:
@@ -75,31 +90,48 @@ def log_pressure_jacobian(profile: Profile, h: ArrayLike, anchor_height_m: float
         raise messages.reference_height_outside_profile(
             height_m=anchor_height_m, where=profile.extent
         )
+    is_outside = profile.layer_of(h) < 0
     height = profile.gravity.geopotential_height(h)
-    height = np.where(profile.layer_of(h) < 0, np.nan, height)
-    at = np.append(height, profile.gravity.geopotential_height(anchor_height_m))
-    _, gradient = column(profile.layers.edge, profile.layers.edge_temperature, at)
-    jacobian = profile.constant * (gradient[-1] - gradient[:-1])
+    height = np.where(is_outside, np.nan, height)
+    anchor = profile.gravity.geopotential_height(anchor_height_m)
+    _, gradient = column(
+        profile.layers.edge,
+        profile.layers.edge_temperature,
+        np.append(height, anchor),
+    )
+    from_bottom = gradient[:-1]
+    anchor_from_bottom = gradient[-1]
+    jacobian = profile.constant * (anchor_from_bottom - from_bottom)
     return np.where(np.isnan(height)[:, None], np.nan, jacobian)
 
 
 def _index_partials(
-    index: IndexModel, t: Array, p: Array, vapour: Array
+    index: IndexModel,
+    t: Array,
+    p: Array,
+    vapour: Array,
 ) -> tuple[Array, Array, Array]:
     """dN/dT [1/K], dN/d ln p and dN/d(e/p), each with the other two of T, p and e/p held."""
-
-    def differences(step: float, shifted: Array) -> Array:
-        """``shifted`` (8, n): N at -4 ... -1, 1 ... 4 steps."""
-        return np.asarray(_STENCIL @ (shifted[4:] - shifted[3::-1]) / step)
-
     steps = np.append(np.arange(-4.0, 0.0), np.arange(1.0, 5.0))[:, None]
-    warmer, denser = t * (1.0 + _TEMPERATURE_STEP * steps), p * (1.0 + _PRESSURE_STEP * steps)
-    moister = vapour + _VAPOUR_STEP * steps
+    temperatures = t * (1.0 + _TEMPERATURE_STEP * steps)
+    pressures = p * (1.0 + _PRESSURE_STEP * steps)
+    fractions = vapour + _VAPOUR_STEP * steps
+
+    by_temperature = index.refractivity(temperatures, p, vapour * p)
+    by_pressure = index.refractivity(t, pressures, vapour * pressures)
+    by_fraction = index.refractivity(t, p, fractions * p)
     return (
-        differences(_TEMPERATURE_STEP, index.refractivity(warmer, p, vapour * p)) / t,
-        differences(_PRESSURE_STEP, index.refractivity(t, denser, vapour * denser)),
-        differences(_VAPOUR_STEP, index.refractivity(t, p, moister * p)),
+        _central_difference(by_temperature, _TEMPERATURE_STEP) / t,
+        _central_difference(by_pressure, _PRESSURE_STEP),
+        _central_difference(by_fraction, _VAPOUR_STEP),
     )
+
+
+def _central_difference(values: Array, step: float) -> Array:
+    """(n,) derivatives from ``values`` (8, n) at -4 ... -1, 1 ... 4 steps."""
+    above = values[4:]
+    below = values[3::-1]
+    return np.asarray(_STENCIL @ (above - below) / step)
 
 
 def plane_rule(h_c: float, h_g: float, steps: int) -> tuple[Array, Array]:
@@ -140,29 +172,42 @@ class ProfileCovariance:
 
     def sigma_temperature(self, h: ArrayLike) -> Array:
         """One sigma of temperature [K] at heights ``h`` (n,) [m above sea level]."""
-        height = np.atleast_1d(np.asarray(h, np.float64))
-        weights, (t_m, _, vapour) = self._weights(height), self.profile.state(height)
-        by_t_m, by_vapour = 1.0 - VAPOUR_DEFICIT * vapour, -VAPOUR_DEFICIT * t_m
-        blocks = (by_t_m[:, None] * weights, np.zeros(height.size), by_vapour[:, None] * weights)
+        h = _as_column(h)
+        weights = self._weights(h)
+        t_m, _, vapour = self.profile.state(h)
+        by_t_m = 1.0 - VAPOUR_DEFICIT * vapour
+        by_log_p = np.zeros(h.size)
+        by_vapour = -VAPOUR_DEFICIT * t_m
+        blocks = [
+            by_t_m[:, None] * weights,
+            by_log_p,
+            by_vapour[:, None] * weights,
+        ]
         return self.sigma_of(np.column_stack(blocks))
 
     def sigma_log_pressure(self, h: ArrayLike) -> Array:
         """One sigma of ln p, that is sigma_p/p, at heights ``h`` (n,) [m above sea level]."""
-        by_virtual = self.log_pressure_by_virtual(np.atleast_1d(np.asarray(h, np.float64)))
-        level = np.ones(by_virtual.shape[0])
-        return self.sigma_of(np.column_stack((by_virtual, level, np.zeros(by_virtual.shape))))
+        by_virtual = self.log_pressure_by_virtual(_as_column(h))
+        by_log_p = np.ones(by_virtual.shape[0])
+        by_vapour = np.zeros(by_virtual.shape)
+        blocks = [by_virtual, by_log_p, by_vapour]
+        return self.sigma_of(np.column_stack(blocks))
 
     def sigma_vapour_pressure(self, h: ArrayLike) -> Array:
         """One sigma of vapour pressure [Pa] at heights ``h`` (n,) [m above sea level]."""
-        height = np.atleast_1d(np.asarray(h, np.float64))
-        _, p, vapour = self.profile.state(height)
-        e, by_virtual = vapour * p, self.log_pressure_by_virtual(height)
-        blocks = (e[:, None] * by_virtual, e, p[:, None] * self._weights(height))
+        h = _as_column(h)
+        _, p, vapour = self.profile.state(h)
+        e = vapour * p
+        log_p_by_virtual = self.log_pressure_by_virtual(h)
+        by_virtual = e[:, None] * log_p_by_virtual
+        by_vapour = p[:, None] * self._weights(h)
+        blocks = [by_virtual, e, by_vapour]
         return self.sigma_of(np.column_stack(blocks))
 
     def sigma_refractivity(self, h: ArrayLike) -> Array:
         """One sigma of n - 1 at heights ``h`` (n,) [m above sea level]."""
-        return self.sigma_of(self.refractivity_gradient(np.atleast_1d(np.asarray(h, np.float64))))
+        gradient = self.refractivity_gradient(_as_column(h))
+        return self.sigma_of(gradient)
 
     def refractivity_gradient(self, h: Array) -> Array:
         """(n, 2k + 1) derivatives of n - 1 at heights (n,) [m] by the quantities of ``matrix``."""
@@ -177,11 +222,13 @@ class ProfileCovariance:
         h, weight = plane_rule(h_c, h_g, RAY_STEPS)
         r = float(weight @ self.profile.refractivity(h))
         gradient = weight @ self.refractivity_gradient(h)
-        return float(np.sqrt(gradient @ self.matrix @ gradient)) / abs(r)
+        variance = gradient @ self.matrix @ gradient
+        return float(np.sqrt(variance)) / abs(r)
 
     def _weights(self, h: Array) -> Array:
-        edge = self.profile.layers.edge
-        return hats(edge, self.profile.gravity.geopotential_height(h))
+        """(n, k) weights of the edges at heights (n,) [m] between them."""
+        height = self.profile.gravity.geopotential_height(h)
+        return hats(self.profile.layers.edge, height)
 
     def log_pressure_by_virtual(self, h: Array) -> Array:
         """(n, k) derivatives of ln p at heights (n,) [m] by T_M at the edges [1/K]."""
@@ -189,4 +236,10 @@ class ProfileCovariance:
 
     def sigma_of(self, gradient: Array) -> Array:
         """One sigma of quantities whose derivatives (n, 2k + 1) are in the order of ``matrix``."""
-        return np.asarray(np.sqrt(np.einsum("ij,ij->i", gradient @ self.matrix, gradient)))
+        variance = np.einsum("ij,ij->i", gradient @ self.matrix, gradient)
+        return np.asarray(np.sqrt(variance))
+
+
+def _as_column(h: ArrayLike) -> Array:
+    """Heights (n,), of one height too."""
+    return np.atleast_1d(np.asarray(h, dtype=np.float64))

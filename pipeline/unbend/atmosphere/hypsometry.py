@@ -4,24 +4,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from unbend.units import HYDROSTATIC_CONSTANT, Array
+from unbend.units import HYDROSTATIC_CONSTANT, Array, Rows
 
 ADIABATIC_K_PER_M = 9.8e-3
 """Unsaturated air whose temperature falls faster overturns within minutes [K/m']."""
 
-COLDEST_K, WARMEST_K = 180.0, 335.0
-"""Temperatures that air has; what pressure implies outside them is not the air outside [K]."""
+COLDEST_K = 180.0  # no colder air lies between the ground and the stratosphere [K]
+
+WARMEST_K = 335.0
+"""No air is warmer [K]: pressures that imply more, or less than 180 K, are not those outside."""
 
 LEAST_RISE_M = 1.0  # less tells nothing of the fall of pressure
 _SERIES_BELOW = 0.05  # of dT/T: the closed form of the moment loses 1e-16/x of its digits
 _ORDER = np.arange(12)
-_SERIES = (-1.0) ** _ORDER * (_ORDER + 1.0) / (_ORDER + 2.0)
+_SERIES = (-1.0) ** _ORDER * (_ORDER + 1.0) / (_ORDER + 2.0)  # 1/2 - 2 x/3 + 3 x^2/4 - ...
 
 
 @dataclass(frozen=True)
 class Fall:
-    """How pressure falls with height: the mean virtual temperature [K] that this implies, None
-    where it does not fall, and the RMS of ln p ``unexplained`` by a parabola in height."""
+    """How pressure falls with height.
+
+    ``implied_k`` is the mean virtual temperature [K] that this implies, None where pressure does
+    not fall; ``unexplained`` the RMS of ln p about a parabola in height.
+    """
 
     implied_k: float | None
     unexplained: float
@@ -29,10 +34,15 @@ class Fall:
     @property
     def is_of_air(self) -> bool:
         """Whether air of 180 to 335 K can have it."""
-        return self.implied_k is not None and COLDEST_K < self.implied_k < WARMEST_K
+        if self.implied_k is None:
+            return False
+        return COLDEST_K < self.implied_k < WARMEST_K
 
 
-def fall_of_pressure(height: Array, log_pressure: Array) -> Fall:
+def fall_of_pressure(
+    height: Array,
+    log_pressure: Array,
+) -> Fall:
     """The mean virtual temperature that the fall of pressure with height implies.
 
     ``height`` (n,) heights [m'], or [m] within 0.5 %; ``log_pressure`` (n,) ln p there; n > 2. By
@@ -42,18 +52,27 @@ def fall_of_pressure(height: Array, log_pressure: Array) -> Fall:
     >>> round(fall_of_pressure(h, -h / 8000.0).implied_k, 2)
     273.31
     """
-    if float(np.ptp(height)) < LEAST_RISE_M:
-        return Fall(None, float(np.std(log_pressure)))
+    extent = float(np.ptp(height))
+    if extent < LEAST_RISE_M:
+        return Fall(implied_k=None, unexplained=float(np.std(log_pressure)))
     rise = height - height.mean()
     # full=True: no warning where only two heights differ, and the parabola is not unique.
-    slope = float(np.polyfit(rise, log_pressure, 1, full=True)[0][0])
-    parabola = np.polyfit(rise, log_pressure, 2, full=True)[0]
-    rest = log_pressure - np.polyval(parabola, rise)
-    implied = None if slope >= 0.0 else -HYDROSTATIC_CONSTANT / slope
-    return Fall(implied, float(np.sqrt(np.mean(rest**2))))
+    line, *_ = np.polyfit(rise, log_pressure, 1, full=True)
+    parabola, *_ = np.polyfit(rise, log_pressure, 2, full=True)
+    residual = log_pressure - np.polyval(parabola, rise)
+    mean_square = np.mean(residual**2)
+    unexplained = float(np.sqrt(mean_square))
+    slope = float(line[0])
+    if slope >= 0.0:
+        return Fall(implied_k=None, unexplained=unexplained)
+    return Fall(-HYDROSTATIC_CONSTANT / slope, unexplained)
 
 
-def column(edge: Array, virtual: Array, height: Array) -> tuple[Array, Array]:
+def column(
+    edge: Array,
+    virtual: Array,
+    height: Array,
+) -> tuple[Array, Array]:
     """Integral of dH/T_M from the lowest edge to heights (m,) [m'] within the edges, and gradient.
 
     ``edge``, ``virtual``: (k,) geopotential heights [m'], increasing, and T_M there [K], linear
@@ -69,20 +88,27 @@ def column(edge: Array, virtual: Array, height: Array) -> tuple[Array, Array]:
     >>> integral.tolist(), (gradient * 250.0**2).round(9).tolist()
     ([2.0], [[-375.0, -125.0]])
     """
-    i = np.clip(np.searchsorted(edge, height, side="right") - 1, 0, edge.size - 2)
+    layer = _interval_of(edge, height)
     thickness = np.diff(edge)
     whole, by_lower, by_upper = _layer(thickness, virtual[:-1], virtual[1:])
-    share = (height - edge[i]) / thickness[i]
-    inside = virtual[i] + share * (virtual[i + 1] - virtual[i])
-    part, by_base, by_inside = _layer(height - edge[i], virtual[i], inside)
-    integral = np.concatenate([[0.0], np.cumsum(whole)])[i] + part
 
-    below = np.append(0.0, by_upper)
-    at_edge = np.append(by_lower, 0.0) + below
-    gradient = np.where(np.arange(edge.size) < i[:, None], at_edge, 0.0)
+    # The part of a height's own layer below it, where T_M is linear between the edges.
+    rise = height - edge[layer]
+    share = rise / thickness[layer]
+    part, by_base, by_virtual_there = _layer(
+        rise,
+        virtual[layer],
+        virtual[layer] + share * (virtual[layer + 1] - virtual[layer]),
+    )
+    integral = np.concatenate([[0.0], np.cumsum(whole)])[layer] + part
+
+    # An edge's temperature is that of the top of a layer and of the base of the next.
+    by_top = np.append(0.0, by_upper)
+    by_edge = np.append(by_lower, 0.0) + by_top
+    gradient = np.where(np.arange(edge.size) < layer[:, None], by_edge, 0.0)
     row = np.arange(height.size)
-    gradient[row, i] = below[i] + by_base + (1.0 - share) * by_inside
-    gradient[row, i + 1] = share * by_inside
+    gradient[row, layer] = by_top[layer] + by_base + (1.0 - share) * by_virtual_there
+    gradient[row, layer + 1] = share * by_virtual_there
     return integral, gradient
 
 
@@ -94,23 +120,41 @@ def hats(knot: Array, x: Array) -> Array:
     """
     weights = np.zeros((x.size, knot.size))
     x = np.clip(x, knot[0], knot[-1])
-    i = np.clip(np.searchsorted(knot, x, side="right") - 1, 0, knot.size - 2)
-    share = (x - knot[i]) / (knot[i + 1] - knot[i])
+    lower = _interval_of(knot, x)
+    upper = lower + 1
+    share = (x - knot[lower]) / (knot[upper] - knot[lower])
     row = np.arange(x.size)
-    weights[row, i] = 1.0 - share
-    weights[row, i + 1] = share
+    weights[row, lower] = 1.0 - share
+    weights[row, upper] = share
     return weights
 
 
-def _layer(thickness: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+def _interval_of(knot: Array, x: Array) -> Rows:
+    """(m,) numbers of the knots (k,) below values (m,), from 0 to k - 2."""
+    below = np.searchsorted(knot, x, side="right") - 1
+    return np.clip(below, 0, knot.size - 2)
+
+
+def _layer(
+    thickness: Array,
+    lower: Array,
+    upper: Array,
+) -> tuple[Array, Array, Array]:
     """Integral of dH/T over layers, and its derivatives by the lower and upper temperature."""
     x = upper / lower - 1.0
-    safe = np.where(x == 0.0, 1.0, x)
-    log = np.log1p(safe)
-    mean = np.where(x == 0.0, 1.0, log / safe)
-    thin = np.abs(x) < _SERIES_BELOW
-    series = np.polynomial.polynomial.polyval(np.where(thin, x, 0.0), _SERIES)
-    moment = np.where(thin, series, (log - safe / (1.0 + safe)) / safe**2)
+    is_isothermal = x == 0.0
+    divisor = np.where(is_isothermal, 1.0, x)
+    log = np.log1p(divisor)
+    mean = np.where(is_isothermal, 1.0, log / divisor)
+    integral = thickness * mean / lower
+
+    is_small = np.abs(x) < _SERIES_BELOW
+    small = np.where(is_small, x, 0.0)
+    series = np.polynomial.polynomial.polyval(small, _SERIES)
+    difference = log - divisor / (1.0 + divisor)
+    closed = difference / divisor**2
+    moment = np.where(is_small, series, closed)
     by_upper = -thickness * moment / lower**2
-    by_lower = -thickness / (lower * upper) - by_upper
-    return thickness * mean / lower, by_lower, by_upper
+    by_both = -thickness / (lower * upper)
+    by_lower = by_both - by_upper
+    return integral, by_lower, by_upper

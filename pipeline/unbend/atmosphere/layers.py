@@ -41,8 +41,10 @@ def pressure_gradient_layer(
     22632.06
     """
     lapse = np.asarray(lapse, dtype=np.float64)
-    warming = np.log1p(lapse * np.asarray(rise) / np.asarray(temperature_base))
-    return np.asarray(pressure_base * np.exp(-constant * warming / lapse))
+    rise = np.asarray(rise)
+    temperature_base = np.asarray(temperature_base)
+    log_warming = np.log1p(lapse * rise / temperature_base)
+    return np.asarray(pressure_base * np.exp(-constant * log_warming / lapse))
 
 
 def pressure_isothermal_layer(
@@ -58,9 +60,10 @@ def pressure_isothermal_layer(
     >>> float(pressure_isothermal_layer(22632.06, 216.65, 9000.0).round(1))
     5474.9
     """
-    return np.asarray(
-        pressure_base * np.exp(-constant * np.asarray(rise) / np.asarray(temperature_base))
-    )
+    rise = np.asarray(rise)
+    temperature_base = np.asarray(temperature_base)
+    log_fall = -constant * rise / temperature_base
+    return np.asarray(pressure_base * np.exp(log_fall))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,22 +85,26 @@ class Layers:
 
     def __post_init__(self) -> None:
         m = self.temperature.shape[0]
-        if self.edge.shape != (m + 1,) or not bool(np.all(np.diff(self.edge) > 0.0)):
+        is_increasing = bool(np.all(np.diff(self.edge) > 0.0))
+        if self.edge.shape != (m + 1,) or not is_increasing:
             raise ValueError("layers need one more boundary than layers, increasing")
-        if not bool(np.all(self.temperature > 0.0) and np.all(self.pressure > 0.0)):
+        is_positive = np.all(self.temperature > 0.0) and np.all(self.pressure > 0.0)
+        if not bool(is_positive):
             raise ValueError("temperatures and pressures of layers must be positive")
 
     @property
     def edge_temperature(self) -> Array:
         """(m + 1,) T_M at the edges [K]."""
-        top = self.temperature[-1] + self.lapse[-1] * (self.edge[-1] - self.edge[-2])
+        upper_thickness = self.edge[-1] - self.edge[-2]
+        top = self.temperature[-1] + self.lapse[-1] * upper_thickness
         return np.append(self.temperature, top)
 
     def sources_between(self, edge: Array) -> tuple[str, ...]:
         """Where layers between other edges (k,) [m'] come from: the source at their middles."""
         middle = 0.5 * (edge[1:] + edge[:-1])
-        i = np.searchsorted(self.edge, middle, side="right") - 1
-        return tuple(self.source[j] for j in np.clip(i, 0, len(self.source) - 1))
+        below = np.searchsorted(self.edge, middle, side="right") - 1
+        layers = np.clip(below, 0, len(self.source) - 1)
+        return tuple(self.source[layer] for layer in layers)
 
     @property
     def equation(self) -> NDArray[np.int16]:
@@ -118,23 +125,40 @@ def stack_layers(
 
     ``anchor``: a geopotential height [m'] within the edges and the pressure there [Pa].
     """
-    thickness, warming = np.diff(edge), np.diff(temperature)
+    thickness = np.diff(edge)
+    warming = np.diff(temperature)
     warming[np.abs(warming) < _ISOTHERMAL_K] = 0.0
-    base, lapse = temperature[:-1], warming / thickness
+    lapse = warming / thickness
+    base = temperature[:-1]
     fall = log_pressure_fall(base, lapse, thickness, constant)
     log_p = np.concatenate([[0.0], np.cumsum(fall)])
-    height, pressure = anchor
-    i = int(np.clip(np.searchsorted(edge, height, side="right") - 1, 0, base.size - 1))
-    inside = log_pressure_fall(base[i], lapse[i], np.asarray(height - edge[i]), constant)
-    log_p += np.log(pressure) - (log_p[i] + inside)
+
+    anchor_height, anchor_pa = anchor
+    below = np.searchsorted(edge, anchor_height, side="right") - 1
+    layer = int(np.clip(below, 0, base.size - 1))
+    rise = np.asarray(anchor_height - edge[layer])
+    fall_to_anchor = log_pressure_fall(base[layer], lapse[layer], rise, constant)
+    log_p += np.log(anchor_pa) - (log_p[layer] + fall_to_anchor)
     return Layers(
-        edge, base, lapse, np.exp(log_p[:-1]), vapour[:-1], np.diff(vapour) / thickness, source
+        edge=edge,
+        temperature=base,
+        lapse=lapse,
+        pressure=np.exp(log_p[:-1]),
+        vapour=vapour[:-1],
+        vapour_slope=np.diff(vapour) / thickness,
+        source=source,
     )
 
 
-def log_pressure_fall(base: Array, lapse: Array, rise: Array, constant: float) -> Array:
+def log_pressure_fall(
+    base: Array,
+    lapse: Array,
+    rise: Array,
+    constant: float,
+) -> Array:
     """ln(p / p_b) by Eq. 52 where the lapse rate is not zero, by Eq. 53 where it is."""
-    safe = np.where(lapse != 0.0, lapse, 1.0)
-    by_52 = np.log(pressure_gradient_layer(1.0, base, safe, rise, constant))
+    has_gradient = lapse != 0.0
+    divisor = np.where(has_gradient, lapse, 1.0)
+    by_52 = np.log(pressure_gradient_layer(1.0, base, divisor, rise, constant))
     by_53 = np.log(pressure_isothermal_layer(1.0, base, rise, constant))
-    return np.asarray(np.where(lapse != 0.0, by_52, by_53))
+    return np.asarray(np.where(has_gradient, by_52, by_53))

@@ -21,6 +21,16 @@ if TYPE_CHECKING:
 
 HIGHEST_PLOTTED_M = 12_000.0  # of a plot without heights: most cameras are below
 
+_EDGE_SLACK_M = 1e-7  # a height computed from an edge may miss it by a rounding error [m']
+_SHOWN_IN_NOTEBOOK = (
+    "h_m",
+    "temperature_k",
+    "pressure_pa",
+    "vapour_pressure_pa",
+    "refractivity",
+    "source",
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Profile:
@@ -57,8 +67,10 @@ class Profile:
     def _repr_html_(self) -> str:
         """The profile at the edges of its layers, as a notebook shows it."""
         table = profile_table(self)
-        names = ("h_m", "temperature_k", "pressure_pa", "vapour_pressure_pa", "refractivity")
-        return html_table(repr(self), {name: table[name] for name in (*names, "source")})
+        shown = {}
+        for name in _SHOWN_IN_NOTEBOOK:
+            shown[name] = table[name]
+        return html_table(repr(self), shown)
 
     @property
     def extent(self) -> str:
@@ -67,10 +79,12 @@ class Profile:
 
     @property
     def bottom_m(self) -> float:
+        """Height of the lowest edge [m above sea level]."""
         return float(self.gravity.height(self.layers.edge[0]))
 
     @property
     def top_m(self) -> float:
+        """Height of the highest edge [m above sea level]."""
         return float(self.gravity.height(self.layers.edge[-1]))
 
     @property
@@ -80,21 +94,27 @@ class Profile:
 
     def layer_of(self, h: ArrayLike) -> Rows:
         """Number of the layer at a height, -1 outside the profile."""
-        geopotential, edge = self.gravity.geopotential_height(h), self.layers.edge
-        slack = 1e-7  # a height computed from an edge may miss it by a rounding error
-        i = np.clip(np.searchsorted(edge, geopotential, side="right") - 1, 0, edge.size - 2)
-        inside = (geopotential >= edge[0] - slack) & (geopotential <= edge[-1] + slack)
-        return np.where(inside, i, -1)
+        height = self.gravity.geopotential_height(h)
+        edge = self.layers.edge
+        below = np.searchsorted(edge, height, side="right") - 1
+        layer = np.clip(below, 0, edge.size - 2)
+        is_above_bottom = height >= edge[0] - _EDGE_SLACK_M
+        is_below_top = height <= edge[-1] + _EDGE_SLACK_M
+        return np.where(is_above_bottom & is_below_top, layer, -1)
 
     def state(self, h: ArrayLike) -> tuple[Array, Array, Array]:
         """T_M [K], p [Pa] and e/p at heights ``h`` [m above sea level]; NaN outside."""
-        i = self.layer_of(h)
-        rise = self.gravity.geopotential_height(h) - self.layers.edge[i]
-        rise = np.where(i < 0, np.nan, rise)
-        base, lapse = self.layers.temperature[i], self.layers.lapse[i]
+        layers = self.layers
+        layer = self.layer_of(h)
+        rise = self.gravity.geopotential_height(h) - layers.edge[layer]
+        rise = np.where(layer < 0, np.nan, rise)
+        base = layers.temperature[layer]
+        lapse = layers.lapse[layer]
         log_fall = log_pressure_fall(base, lapse, rise, self.constant)
-        vapour = self.layers.vapour[i] + self.layers.vapour_slope[i] * rise
-        return base + lapse * rise, self.layers.pressure[i] * np.exp(log_fall), vapour
+        t_m = base + lapse * rise
+        p = layers.pressure[layer] * np.exp(log_fall)
+        vapour = layers.vapour[layer] + layers.vapour_slope[layer] * rise
+        return t_m, p, vapour
 
     def virtual_temperature(self, h: ArrayLike) -> Array:
         """T_M [K] at heights ``h`` [m]."""
@@ -137,14 +157,18 @@ class Profile:
         return self.index.refractivity(t, p, vapour * p)
 
     def at_level(self, h: ArrayLike, pressure_pa: ArrayLike) -> Profile:
-        """The profile with its pressure at the level of those measured (n,) at heights (n,) [m
-        above sea level], in the median."""
-        log_ratio = np.log(np.asarray(pressure_pa, np.float64) / self.pressure(h))
-        known = log_ratio[np.isfinite(log_ratio)]
-        if known.size == 0:
+        """The profile with its pressure at the level of measured ones, in the median.
+
+        ``h`` (n,) heights [m above sea level] of the pressures (n,) [Pa].
+        """
+        measured_pa = np.asarray(pressure_pa, np.float64)
+        log_ratio = np.log(measured_pa / self.pressure(h))
+        log_ratio = log_ratio[np.isfinite(log_ratio)]
+        if log_ratio.size == 0:
             return self
-        factor = float(np.exp(np.median(known)))
-        return replace(self, layers=replace(self.layers, pressure=self.layers.pressure * factor))
+        factor = float(np.exp(np.median(log_ratio)))
+        layers = replace(self.layers, pressure=self.layers.pressure * factor)
+        return replace(self, layers=layers)
 
     def to_pandas(self, h: ArrayLike | None = None) -> Any:
         """The profile as a pandas DataFrame, at heights [m] or at its layer boundaries."""
@@ -186,11 +210,11 @@ def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any
     """
     if h is None:  # each layer at its lower edge, and the top of the last
         heights = profile.break_heights_m
-        i = np.minimum(np.arange(heights.size), heights.size - 2)
+        layer = np.minimum(np.arange(heights.size), heights.size - 2)
     else:
         heights = np.asarray(h, dtype=np.float64)
-        i = profile.layer_of(heights)
-    if bool(np.any(i < 0)):
+        layer = profile.layer_of(heights)
+    if bool(np.any(layer < 0)):
         raise messages.heights_outside_profile(
             lowest_m=heights.min(), highest_m=heights.max(), where=profile.extent
         )
@@ -203,14 +227,14 @@ def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any
         "pressure_pa": profile.pressure(heights),
         "vapour_pressure_pa": profile.vapour_pressure(heights),
         "refractivity": profile.refractivity(heights),
-        "layer": i.astype(np.int32),
-        "equation": layers.equation[i],
-        "h_base_m": profile.gravity.height(layers.edge[i]),
-        "geopotential_base_m": layers.edge[i],
-        "t_base_k": layers.temperature[i],
-        "p_base_pa": layers.pressure[i],
-        "lapse_k_per_m": layers.lapse[i],
-        "source": np.array([layers.source[j] for j in i], dtype=object),
+        "layer": layer.astype(np.int32),
+        "equation": layers.equation[layer],
+        "h_base_m": profile.gravity.height(layers.edge[layer]),
+        "geopotential_base_m": layers.edge[layer],
+        "t_base_k": layers.temperature[layer],
+        "p_base_pa": layers.pressure[layer],
+        "lapse_k_per_m": layers.lapse[layer],
+        "source": np.array([layers.source[number] for number in layer], dtype=object),
     }
 
 
@@ -243,10 +267,16 @@ def profile_from_table(
     be mirrors in the sky. ``h`` [m above sea level], (n,), increasing.
     """
     edge = gravity.geopotential_height(h)
-    t, p = np.asarray(temperature_k, np.float64), np.asarray(pressure_pa, np.float64)
-    vapour = np.broadcast_to(np.asarray(vapour_pressure_pa, np.float64), t.shape) / p
-    t_m = t / (1.0 - VAPOUR_DEFICIT * vapour)
-    anchor = (float(edge[0]), float(p[0]))
-    layers = stack_layers(edge, t_m, vapour, (MEASURED,) * (edge.size - 1), anchor=anchor)
+    t = np.asarray(temperature_k, np.float64)
+    p = np.asarray(pressure_pa, np.float64)
+    e = np.asarray(vapour_pressure_pa, np.float64)
+    vapour = np.broadcast_to(e, t.shape) / p
+    layers = stack_layers(
+        edge,
+        t / (1.0 - VAPOUR_DEFICIT * vapour),
+        vapour,
+        (MEASURED,) * (edge.size - 1),
+        anchor=(float(edge[0]), float(p[0])),
+    )
     profile = Profile(layers, gravity, index or IndexModel(), name)
     return profile.at_level(gravity.height(edge), p)

@@ -59,8 +59,9 @@ def dew_point(vapour_pressure_pa: ArrayLike) -> Array:
     """
     t = np.arange(180.0, 373.5, 0.5)
     with np.errstate(divide="ignore", invalid="ignore"):
-        log_e, saturated = np.log(vapour_pressure_pa), np.log(saturation_vapour_pressure(t))
-    return np.asarray(np.interp(log_e, saturated, t))
+        log_e = np.log(vapour_pressure_pa)
+        log_saturated = np.log(saturation_vapour_pressure(t))
+    return np.asarray(np.interp(log_e, log_saturated, t))
 
 
 def saturated_lapse(temperature_k: ArrayLike, pressure_pa: ArrayLike) -> Array:
@@ -69,7 +70,8 @@ def saturated_lapse(temperature_k: ArrayLike, pressure_pa: ArrayLike) -> Array:
     >>> saturated_lapse([293.15, 253.15], [1e5, 5e4]).round(4).tolist()
     [0.0042, 0.0077]
     """
-    t, p = np.asarray(temperature_k, np.float64), np.asarray(pressure_pa, np.float64)
+    t = np.asarray(temperature_k, np.float64)
+    p = np.asarray(pressure_pa, np.float64)
     e = saturation_vapour_pressure(t)
     heat = 2.501e6 * 0.622 * e / (p - e) / t  # of condensation [J kg-1 K-1]
     return np.asarray(
@@ -110,15 +112,23 @@ def virtual_temperature(
     >>> float(virtual_temperature(300.0, 1e5, 3000.0).round(2))
     303.44
     """
-    fraction = np.asarray(vapour_pressure_pa, np.float64) / np.asarray(pressure_pa, np.float64)
-    return np.asarray(np.asarray(temperature_k, np.float64) / (1.0 - VAPOUR_DEFICIT * fraction))
+    t = np.asarray(temperature_k, np.float64)
+    p = np.asarray(pressure_pa, np.float64)
+    fraction = np.asarray(vapour_pressure_pa, np.float64) / p
+    return np.asarray(t / (1.0 - VAPOUR_DEFICIT * fraction))
+
+
+_GAS_CONSTANT = 8.314510  # R [J mol-1 K-1] (Ciddor 1996)
+_M_W = 0.018015  # molar mass of water [kg/mol]
 
 
 def _compressibility(t: Array, p: Array, x_w: Array) -> Array:
     """Z of moist air (Ciddor 1996, Eq. 12; BIPM density equation)."""
-    c, ratio = t - ZERO_CELSIUS_K, p / t
+    c = t - ZERO_CELSIUS_K
+    ratio = p / t
     first = 1.58123e-6 - 2.9331e-8 * c + 1.1043e-10 * c * c
-    water, water_squared = 5.707e-6 - 2.051e-8 * c, 1.9898e-4 - 2.376e-6 * c
+    water = 5.707e-6 - 2.051e-8 * c
+    water_squared = 1.9898e-4 - 2.376e-6 * c
     return np.asarray(
         1.0
         - ratio * (first + water * x_w + water_squared * x_w * x_w)
@@ -144,7 +154,8 @@ def refractivity_ciddor(
     """
     if not 0.23e-6 <= wavelength_m <= 2.0e-6:
         raise messages.wavelength_outside_range(wavelength_m=wavelength_m)
-    t, p = np.asarray(temperature_k, np.float64), np.asarray(pressure_pa, np.float64)
+    t = np.asarray(temperature_k, np.float64)
+    p = np.asarray(pressure_pa, np.float64)
     with np.errstate(invalid="ignore"):
         x_w = np.where(p > 0.0, np.asarray(vapour_pressure_pa, np.float64) / p, 0.0)
 
@@ -155,16 +166,15 @@ def refractivity_ciddor(
         295.235 + 2.6422 * sigma2 - 0.032380 * sigma2**2 + 0.004028 * sigma2**3
     )
 
-    gas_constant, m_w = 8.314510, 0.018015
     m_a = 1e-3 * (28.9635 + 12.011e-6 * (co2_ppm - 400.0))
-    z_air = _compressibility(*map(np.asarray, (288.15, 101325.0, 0.0)))
-    z_vapour = _compressibility(*map(np.asarray, (293.15, 1333.0, 1.0)))
-    density_air_standard = 101325.0 * m_a / (z_air * gas_constant * 288.15)
-    density_vapour_standard = 1333.0 * m_w / (z_vapour * gas_constant * 293.15)
+    z_air = _compressibility(np.asarray(288.15), np.asarray(101325.0), np.asarray(0.0))
+    z_vapour = _compressibility(np.asarray(293.15), np.asarray(1333.0), np.asarray(1.0))
+    density_air_standard = 101325.0 * m_a / (z_air * _GAS_CONSTANT * 288.15)
+    density_vapour_standard = 1333.0 * _M_W / (z_vapour * _GAS_CONSTANT * 293.15)
 
     z = _compressibility(t, p, x_w)
-    density_air = p * m_a * (1.0 - x_w) / (z * gas_constant * t)
-    density_vapour = p * m_w * x_w / (z * gas_constant * t)
+    density_air = p * m_a * (1.0 - x_w) / (z * _GAS_CONSTANT * t)
+    density_vapour = p * _M_W * x_w / (z * _GAS_CONSTANT * t)
     return np.asarray(
         density_air / density_air_standard * carbonic_air
         + density_vapour / density_vapour_standard * standard_vapour
@@ -200,7 +210,10 @@ class IndexModel:
         return GYER_WAVELENGTH_M if self.name in INDEX_OF_ONE_LIGHT else self.wavelength_m
 
     def refractivity(
-        self, temperature_k: ArrayLike, pressure_pa: ArrayLike, vapour_pressure_pa: ArrayLike
+        self,
+        temperature_k: ArrayLike,
+        pressure_pa: ArrayLike,
+        vapour_pressure_pa: ArrayLike,
     ) -> Array:
         """Refractivity n - 1; arguments in K and Pa broadcast."""
         return INDEX_MODELS[self.name](self, temperature_k, pressure_pa, vapour_pressure_pa)

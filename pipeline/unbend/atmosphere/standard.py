@@ -13,8 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from unbend.atmosphere import climate_tables as tables
-from unbend.atmosphere import messages
+from unbend.atmosphere import climate_tables, messages
 from unbend.atmosphere.climate_tables import AFGL_ORIGIN, SUPPLEMENTS, SUPPLEMENTS_ORIGIN
 from unbend.atmosphere.layers import STANDARD, stack_layers
 from unbend.atmosphere.profile import Profile
@@ -25,18 +24,22 @@ from unbend.units import DEGREE, STANDARD_GRAVITY
 SEA_LEVEL_PA = 101325.0
 
 MSIS = "nrlmsis2.1"
-_MSIS_TOP_M, _MSIS_STEP_M = 80_000.0, 500.0
+_MSIS_TOP_M = 80_000.0
+_MSIS_STEP_M = 500.0
 _MSIS_TEMPERATURE = 10  # column of pymsis.Variable.TEMPERATURE
 # Solar flux and geomagnetic index have no effect below 80 km: given, so that nothing is downloaded.
-_SOLAR_FLUX, _GEOMAGNETIC = 150.0, 4.0
+_SOLAR_FLUX = 150.0
+_GEOMAGNETIC = 4.0
 
 AUTO = "auto"
 
 
 @dataclass(frozen=True)
 class SeasonAndPlace:
-    """Where and when a profile is wanted, see `climatology`; ``latitude_rad`` None for a standard
-    on its own."""
+    """Where and when a profile is wanted, see `climatology`.
+
+    ``latitude_rad`` is None for a standard on its own.
+    """
 
     latitude_rad: float | None = None
     month: float = 4.0
@@ -54,8 +57,10 @@ class SeasonAndPlace:
 
 @dataclass(frozen=True)
 class AtmosphereModel:
-    """How an atmosphere becomes a profile, and where its numbers are from; whether it has water
-    vapour at all, and ``needs_place``: a latitude and a season."""
+    """How an atmosphere becomes a profile, and where its numbers are from.
+
+    Also whether it has water vapour at all, and ``needs_place``: a latitude and a season.
+    """
 
     profile: Callable[[SeasonAndPlace, IndexModel], Profile]
     origin: str
@@ -64,36 +69,46 @@ class AtmosphereModel:
 
 
 def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> Profile:
-    """A climate table, or a standard from its breakpoints, dry; without a latitude under the
-    gravity of its own."""
-    if name in tables.climate_names():
-        return tables.climate_profile(name, index, place.gravity)
-    rows = tables.read_models("standard_atmospheres.csv")[name]
+    """A climate table, or a standard from its breakpoints, dry.
+
+    Without a latitude it is under the gravity of its own.
+    """
+    if name in climate_tables.climate_names():
+        return climate_tables.climate_profile(name, index, place.gravity)
+    rows = climate_tables.read_models("standard_atmospheres.csv")[name]
     first = rows[0]
     gravity = place.gravity or Gravity(first["g0_m_s2"], first["r0_m"])
     edge = np.array([row["geopotential_m"] for row in rows])
     temperature = np.array([row["temperature_k"] for row in rows])
     lapse = (temperature[1] - temperature[0]) / (edge[1] - edge[0])
     # The troposphere's lapse rate goes on down, as ISO 2533 tabulates it.
-    if edge[0] > tables.LOWEST_GEOPOTENTIAL_M:
-        down = tables.LOWEST_GEOPOTENTIAL_M - edge[0]
-        edge = np.append(tables.LOWEST_GEOPOTENTIAL_M, edge)
+    if edge[0] > climate_tables.LOWEST_GEOPOTENTIAL_M:
+        down = climate_tables.LOWEST_GEOPOTENTIAL_M - edge[0]
+        edge = np.append(climate_tables.LOWEST_GEOPOTENTIAL_M, edge)
         temperature = np.append(temperature[0] + lapse * down, temperature)
     constant = STANDARD_GRAVITY * first["m0_kg_per_kmol"] / first["r_star_j_per_kmol_k"]
-    dry, source, anchor = np.zeros(edge.size), (STANDARD,) * (edge.size - 1), (0.0, SEA_LEVEL_PA)
-    layers = stack_layers(edge, temperature, dry, source, anchor=anchor, constant=constant)
+    layers = stack_layers(
+        edge,
+        temperature,
+        np.zeros(edge.size),
+        (STANDARD,) * (edge.size - 1),
+        anchor=(0.0, SEA_LEVEL_PA),
+        constant=constant,
+    )
     return Profile(layers, gravity, index, name, constant)
 
 
 def _supplements(place: SeasonAndPlace, index: IndexModel) -> Profile:
-    return tables.supplements_profile(place.latitude_rad or 0.0, place.month, index, place.gravity)
+    """The Supplements at a latitude and season."""
+    latitude_rad = place.latitude_rad or 0.0
+    return climate_tables.supplements_profile(latitude_rad, place.month, index, place.gravity)
 
 
 def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
-    """The dry profile of NRLMSIS 2.1 at noon UTC, to 80 km, with the sea-level pressure of the
-    Supplements.
+    """The dry profile of NRLMSIS 2.1 at noon UTC, to 80 km.
 
-    Source: Emmert et al. 2022, NRLMSIS 2.1, doi:10.1029/2022JA030896.
+    It has the sea-level pressure of the Supplements. Source: Emmert et al. 2022, NRLMSIS 2.1,
+    doi:10.1029/2022JA030896.
     """
     try:
         import pymsis
@@ -101,17 +116,28 @@ def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
         raise messages.msis_not_installed() from None
     latitude = place.latitude_rad or 0.0
     day = math.floor(((place.month - 1.0) % 12.0) / 12.0 * 365.25) + 14
+    noon = np.datetime64("2001-01-01T12:00") + np.timedelta64(day % 365, "D")
     h = np.arange(0.0, _MSIS_TOP_M + 1.0, _MSIS_STEP_M)
     answer = pymsis.calculate(
-        np.datetime64("2001-01-01T12:00") + np.timedelta64(day % 365, "D"),
-        place.longitude_rad / DEGREE, latitude / DEGREE, h / 1000.0, f107s=[_SOLAR_FLUX],
-        f107as=[_SOLAR_FLUX], aps=[[_GEOMAGNETIC] * 7], version=2.1,
-    )  # fmt: skip
-    t = np.asarray(answer, dtype=np.float64).reshape(h.size, -1)[:, _MSIS_TEMPERATURE]
+        noon,
+        place.longitude_rad / DEGREE,
+        latitude / DEGREE,
+        h / 1000.0,
+        f107s=[_SOLAR_FLUX],
+        f107as=[_SOLAR_FLUX],
+        aps=[[_GEOMAGNETIC] * 7],
+        version=2.1,
+    )
+    by_height = np.asarray(answer, dtype=np.float64).reshape(h.size, -1)
     gravity = place.gravity or normal_gravity(latitude)
-    surface = float(_supplements(place, index).pressure(0.0))
-    return tables.hydrostatic_profile(
-        gravity.geopotential_height(h), t, np.zeros_like, surface, gravity, index=index, name=MSIS
+    return climate_tables.hydrostatic_profile(
+        gravity.geopotential_height(h),
+        by_height[:, _MSIS_TEMPERATURE],
+        np.zeros_like,
+        float(_supplements(place, index).pressure(0.0)),
+        gravity,
+        index=index,
+        name=MSIS,
     )
 
 
@@ -126,7 +152,7 @@ ATMOSPHERES: dict[str, AtmosphereModel] = {
             SUPPLEMENTS_ORIGIN if name.startswith(SUPPLEMENTS) else AFGL_ORIGIN,
             has_humidity=True,
         )
-        for name in tables.climate_names()
+        for name in climate_tables.climate_names()
     },
     MSIS: AtmosphereModel(
         _msis, "NRLMSIS 2.1 (Emmert et al. 2022), temperature only", False, needs_place=True
@@ -135,7 +161,7 @@ ATMOSPHERES: dict[str, AtmosphereModel] = {
         name: AtmosphereModel(
             partial(_tabulated_profile, name), f"standard atmosphere {name}", has_humidity=False
         )
-        for name in tables.read_models("standard_atmospheres.csv")
+        for name in climate_tables.read_models("standard_atmospheres.csv")
     },
 }
 """All atmospheres by name; `known_names`, mission files and the command line follow from it."""

@@ -10,13 +10,17 @@ from unbend.messages import Ledger
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K
 
 # The ICAO standard atmosphere, with which altimeter settings are defined (ICAO Doc 7488).
-_SEA_LEVEL_PA, _SEA_LEVEL_K, _LAPSE_K_PER_M, _EXPONENT = 101_325.0, 288.15, 0.0065, 0.190263
+_SEA_LEVEL_PA = 101_325.0
+_SEA_LEVEL_K = 288.15
+_LAPSE_K_PER_M = 0.0065
+_EXPONENT = 0.190263
 
 _QNH_PA = (85_000.0, 110_000.0)
 _GROUND_K = (180.0, 333.0)
 _STATION_M = (-500.0, 6_000.0)
 # Half a step of the report's digits, and what an inspected station's sensor may be off.
-_WHOLE_K, _TENTH_K = 0.5, 0.3
+_WHOLE_K = 0.5
+_TENTH_K = 0.3
 _QNH_SIGMA_PA = 50.0
 ROUNDING_C = 0.5  # of a dew point in whole degrees beside a temperature in tenths
 

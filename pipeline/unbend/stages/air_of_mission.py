@@ -14,8 +14,8 @@ from unbend.atmosphere.estimate.adjusted_profile import (
 )
 from unbend.atmosphere.estimate.candidates import ExternalSources, no_source_used
 from unbend.atmosphere.estimate.sensors import SensorSettings
+from unbend.atmosphere.series.ageing import FlightPath
 from unbend.atmosphere.series.profile_series import (
-    FlightPath,
     ProfileSeries,
     TimedProfile,
     add_ageing,

@@ -15,10 +15,12 @@ from unbend.atmosphere.estimate.external_readings import TimeAndPlace, distance_
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.atmosphere.series.profile_series import FlightPath, PlaceInTime
+from unbend.atmosphere.series.ageing import FlightPath
+from unbend.atmosphere.series.profile_series import PlaceInTime
 from unbend.atmosphere.series.time_windows import TimeWindow
 from unbend.atmosphere.soundings import Sounding
-from unbend.atmosphere.soundings.model_field import ModelField, model_column
+from unbend.atmosphere.soundings.model_column import model_column
+from unbend.atmosphere.soundings.model_field import ModelField
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection, SurfaceSection

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from unbend.atmosphere.estimate.candidates import SourceUse
-from unbend.atmosphere.estimate.solver import Fit
+from unbend.atmosphere.estimate.normal_equations import Fit
 
 FIT = Fit("IMET[0]", "temperature", 41, 1.234, 2.345, 7.891)
 

@@ -11,7 +11,7 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import SensorSamples
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
-from unbend.atmosphere.estimate.readings import Digits, bin_readings, resolution_of
+from unbend.atmosphere.estimate.binning import Digits, bin_readings, resolution_of
 from unbend.messages import LOSSES, Ledger
 
 US1976 = standard_atmosphere("us1976")

@@ -143,7 +143,7 @@ def test_a_second_minimum_is_left_from_where_another_hypothesis_ended(
         return SimpleNamespace(x=f"of {layout}", log_inflation=first if layout == "usual" else 0.0)
 
     monkeypatch.setattr(solver, "solve", solved)
-    monkeypatch.setattr(solver.states, "prior_of", lambda *_: None)
+    monkeypatch.setattr(solver, "prior_of", lambda *_: None)
     every = [Hypothesis("usual", 0.9, "usual"), Hypothesis("bay", 0.1, "bay")]
     air = SimpleNamespace(profile=None)
     usual, bay = solver._solved(every, (), air, air)

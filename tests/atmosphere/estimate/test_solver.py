@@ -14,9 +14,10 @@ from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.climatology import AUTO, climatology
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
+from unbend.atmosphere.estimate.binning import bin_readings
 from unbend.atmosphere.estimate.estimate_checks import is_plausible
 from unbend.atmosphere.estimate.hypotheses import hypotheses_of
-from unbend.atmosphere.estimate.readings import bin_readings, collect_readings
+from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensors import (
     FAULT_TEXTS,
     THERMOMETER_FAULTS,

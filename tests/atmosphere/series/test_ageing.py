@@ -13,7 +13,7 @@ from unbend.atmosphere.air_variation import sigma_of
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
-from unbend.atmosphere.series.profile_series import (
+from unbend.atmosphere.series.ageing import (
     FlightPath,
     SampleAges,
     change_parts,

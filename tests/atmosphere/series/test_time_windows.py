@@ -17,13 +17,13 @@ from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.rejection import Reason, reasons_where
+from unbend.atmosphere.series.ageing import sample_ages
 from unbend.atmosphere.series.profile_series import (
     TimedProfile,
     add_ageing,
     constant_series,
     interpolate_profiles,
     interpolate_series,
-    sample_ages,
 )
 from unbend.atmosphere.series.time_windows import (
     _whole_flight_as_background,

@@ -9,13 +9,9 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from tests.model_files import PRESSURE_LEVELS
-from unbend.atmosphere.soundings.model_field import (
-    ModelField,
-    checked_field,
-    half_levels,
-    level_coefficients,
-    model_column,
-)
+from unbend.atmosphere.soundings.model_column import model_column
+from unbend.atmosphere.soundings.model_field import ModelField, checked_field
+from unbend.atmosphere.soundings.model_levels import half_levels, level_coefficients
 
 # "L137 model level definitions", ECMWF: pressures of the half levels 1 to 137 [hPa] over a surface
 # of 1013.25 hPa.

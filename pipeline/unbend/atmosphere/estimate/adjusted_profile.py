@@ -5,10 +5,9 @@ the result says in words why the profile is what it is. The estimate itself is m
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -23,20 +22,21 @@ from unbend.atmosphere.estimate import (
     messages,
     sensor_checks,
     sensors,
-    thermometer_checks,
 )
 from unbend.atmosphere.estimate.candidates import Candidate, ExternalSources, SourceUse
 from unbend.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
+from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
 from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.estimate.trials import ExpectedAir, Passed, Trials, first_that_passes
 from unbend.atmosphere.layers import BAROMETRIC, MEASURED, RELAXED, STANDARD, stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.rejection import Reason, Reasons, with_reason
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 from unbend.geodesy import normal_gravity
-from unbend.messages import Ledger, Message, Notes
+from unbend.messages import Ledger, Message
 from unbend.units import Array, Mask
 
 WIDEST_GAP_M = 400.0
@@ -44,7 +44,12 @@ WIDEST_GAP_M = 400.0
 
 FEWEST_TO_INFLATE = 5  # the estimator never inflates the sigmas of fewer readings
 _NO_AIR_FITS = "with it, no air fits the measurements of the flight"
-UNMEASURED, UNADJUSTED = "climatology", "standard"  # bases of a profile without any measurement
+
+# Bases of a profile without any measurement.
+UNMEASURED = "climatology"
+UNADJUSTED = "standard"
+
+_LEARNT_SHARE = 0.7  # of the expected sigma, below which a sensor's fault is told
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,87 +138,210 @@ def build_adjusted_profile(
     1.4 / 0.6 % at 3 / 6 km.
     """
     standard = under_gravity(standard, latitude_rad)
-    middle = time_ns
-    if utc_known:
-        middles = (sensor.middle_ns for sensor in samples.sensors.values())
-        middle = next((middle for middle in middles if middle is not None), time_ns)
-    flight = TimeAndPlace(middle, latitude_rad, longitude_rad)
-    expected = partial(
-        climatology,
-        latitude_rad=latitude_rad,
-        month=month_of(middle),
-        hour=solar_hour(middle, longitude_rad),
-    )
-    moisture = expected(index=standard.index)
-    if background is None:
-        background = replace(expected(standard.name), profile=standard)
-    moisture = background if background.has_humidity else moisture
+    middle_ns = _middle_of_samples(samples) if utc_known else None
+    flight = TimeAndPlace(time_ns if middle_ns is None else middle_ns, latitude_rad, longitude_rad)
+    expected = _expected_air(standard, background, flight)
     samples, settings = ledger.take(
         sensor_checks.subtract_known_biases(samples, settings or SensorSettings())
     )
     usable = ledger.take(sensor_checks.usable_sensors(samples, standard))
     external = ExternalSources(tuple(soundings), tuple(surface))
-    whys = {source.name: reason_uninformative(source, flight) for source in external.sources}
-    unused = {name: why for name, why in whys.items() if why is not None}
-    ledger.extend(messages.source_far(name=name, reason=why) for name, why in unused.items())
+    unused = _sources_too_far(external, flight, ledger)
     near = [sounding for sounding in soundings if sounding.name not in unused]
     reports = [report for report in surface if report.name not in unused]
-    make = partial(_estimate_of, background=background, moisture=moisture, flight=flight)
-    try_all = partial(
-        _first_that_passes, make=make, background=background, settings=settings, moisture=moisture
-    )
-    own = try_all(candidates.candidates(usable, (), ()))[0].passed if near else None
-    against = estimate_checks.reasons_against(near, own and own[1], background, flight)
-    ledger.extend(_refused_sources(against))
-    unused |= against
+    contradicting = _contradicting_soundings(near, usable, expected, settings)
+    ledger.extend(_refused_sources(contradicting))
+    unused |= contradicting
     near = [sounding for sounding in near if sounding.name not in unused]
     choices = candidates.candidates(usable, near, reports)
-    trials = ledger.take(try_all(choices))
-    flown = candidates.UsedSamples(samples, usable, trials.tried, refused=trials.refused)
-    usage = partial(
-        candidates.source_usage, external=external, background=background, standard=standard.name
-    )
+    trials = first_that_passes(choices, expected, settings)
+    ledger.extend(trials.notes)
+    sources = _Sources(samples, usable, external, unused)
     if trials.passed is None:
-        is_standard = background.profile.name == standard.name
-        kept = "standard atmosphere" if is_standard else "climatology"
-        kept = f"the {kept} {background.profile.name}"
-        reason = candidates.reason_unadjusted(usable, trials.faults, kept)
-        ledger.add(messages.air_standard(reason=reason))
-        ledger.extend(sensor_checks.unused_calibration(set(settings.calibration)))
-        air = covariance_of_background(background)
-        basis, uses = UNADJUSTED if is_standard else UNMEASURED, usage(flown, (), unused=unused)
-        rejected = _rejected_samples(samples, usable, {})
-        return Adjustment(
-            air.profile, standard, basis, reason, None, air, sources=uses,
-            rejected=rejected, sensor_uses=sensor_uses(samples, rejected), utc_known=utc_known,
-        )  # fmt: skip
-    candidate, made = trials.passed
+        made = _kept_background(trials, sources, expected, settings, ledger)
+    else:
+        made = _adjusted(trials, trials.passed, sources, expected, settings, ledger=ledger)
+    return replace(made, utc_known=utc_known)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sources:
+    """What the air could be made from.
+
+    ``given`` by a log, what of it is ``usable``, soundings and stations, and why some of these are
+    ``unused``, by their names.
+    """
+
+    given: AirSamples
+    usable: AirSamples
+    external: ExternalSources
+    unused: dict[str, str]
+
+
+def _middle_of_samples(samples: AirSamples) -> int | None:
+    """The middle of the samples of the first sensor that has any [Unix ns]."""
+    for sensor in samples.sensors.values():
+        if sensor.middle_ns is not None:
+            return sensor.middle_ns
+    return None
+
+
+def _expected_air(
+    standard: Profile,
+    background: Climatology | None,
+    flight: TimeAndPlace,
+) -> ExpectedAir:
+    """The air expected in a flight: a background, or a standard with the spread about it."""
+    of_season = partial(
+        climatology,
+        latitude_rad=flight.latitude_rad,
+        month=month_of(flight.time_ns),
+        hour=solar_hour(flight.time_ns, flight.longitude_rad),
+    )
+    if background is None:
+        background = replace(of_season(standard.name), profile=standard)
+    moisture = background if background.has_humidity else of_season(index=standard.index)
+    return ExpectedAir(flight, standard, background, moisture)
+
+
+def _sources_too_far(
+    external: ExternalSources,
+    flight: TimeAndPlace,
+    ledger: Ledger,
+) -> dict[str, str]:
+    """Soundings and stations that tell nothing of the flight, by their names, and why."""
+    too_far = {}
+    for source in external.sources:
+        reason = reason_uninformative(source, flight)
+        if reason is not None:
+            too_far[source.name] = reason
+    for name, reason in too_far.items():
+        ledger.add(messages.source_far(name=name, reason=reason))
+    return too_far
+
+
+def _contradicting_soundings(
+    soundings: Sequence[Sounding],
+    usable: AirSamples,
+    expected: ExpectedAir,
+    settings: SensorSettings,
+) -> dict[str, str]:
+    """Soundings that the climatology or the flight's own sensors contradict, and why."""
+    estimate_alone = None
+    if soundings:
+        choices = candidates.candidates(usable, (), ())
+        passed = first_that_passes(choices, expected, settings).passed
+        if passed is not None:
+            estimate_alone = passed.made
+    return estimate_checks.reasons_against(
+        soundings,
+        estimate_alone,
+        expected.background,
+        expected.flight,
+    )
+
+
+def _kept_background(
+    trials: Trials,
+    sources: _Sources,
+    expected: ExpectedAir,
+    settings: SensorSettings,
+    ledger: Ledger,
+) -> Adjustment:
+    """The background as it is, where no estimate passed its checks."""
+    background = expected.background
+    is_standard = background.profile.name == expected.standard.name
+    kind = "standard atmosphere" if is_standard else "climatology"
+    kept = f"the {kind} {background.profile.name}"
+    reason = candidates.reason_unadjusted(sources.usable, trials.faults, kept)
+    ledger.add(messages.air_standard(reason=reason))
+    ledger.extend(sensor_checks.unused_calibration(set(settings.calibration)))
+    covariance = covariance_of_background(background)
+    rejected = _rejected_samples(sources.given, sources.usable, {})
+    return Adjustment(
+        profile=covariance.profile,
+        standard=expected.standard,
+        basis=UNADJUSTED if is_standard else UNMEASURED,
+        reason=reason,
+        covariance=covariance,
+        sources=_usage(trials, sources, expected, None, ()),
+        rejected=rejected,
+        sensor_uses=sensor_uses(sources.given, rejected),
+    )
+
+
+def _adjusted(
+    trials: Trials,
+    passed: Passed,
+    sources: _Sources,
+    expected: ExpectedAir,
+    settings: SensorSettings,
+    *,
+    ledger: Ledger,
+) -> Adjustment:
+    """The profile of an estimate that passed, with what is to be said of it."""
+    candidate, made = passed
     misfits = dict.fromkeys(candidate.external.left_out, _NO_AIR_FITS)
     ledger.extend(_refused_sources(misfits))
-    unused |= misfits
-    profile = replace(made.profile, layers=replace(made.profile.layers, source=_sources(made)))
-    ledger.add(sensor_checks.pressure_level(profile, background, candidate.samples.pressure))
+    sources.unused.update(misfits)
+    layers = replace(made.profile.layers, source=_sources_of_layers(made))
+    profile = replace(made.profile, layers=layers)
+    pressure = candidate.samples.pressure
+    ledger.add(sensor_checks.pressure_level(profile, expected.background, pressure))
     ledger.extend(_notes(candidate, made))
     ledger.extend(sensor_checks.maybe_in_a_bay(made, candidate.samples))
-    ledger.extend(
-        sensor_checks.check_calibration(made, settings, lambda s: make(candidate, settings=s))
-    )
+    estimate_with = partial(expected.estimate_of, candidate)
+    ledger.extend(sensor_checks.check_calibration(made, settings, estimate_with))
     for readings in made.readings.sets:
         if isinstance(readings, sensors.Barometer):  # pressure changes since here, in parts too
             settings = replace(settings, highest=readings.highest)
-    uses = usage(replace(flown, used=candidate.samples), made.fits, unused=unused)
-    rejected = _rejected_samples(samples, usable, made.readings.rejected)
+    rejected = _rejected_samples(sources.given, sources.usable, made.readings.rejected)
     return Adjustment(
-        profile, standard, candidate.basis, candidate.reason,
-        None if candidate.main is None else candidate.main.middle_ns,
-        replace(made.covariance, profile=profile), made.faults, uses,
-        rejected, sensor_uses(samples, rejected),
-        samples=candidate.samples, settings=settings, moisture=moisture, utc_known=utc_known,
-    )  # fmt: skip
+        profile=profile,
+        standard=expected.standard,
+        basis=candidate.basis,
+        reason=candidate.reason,
+        time_ns=None if candidate.main is None else candidate.main.middle_ns,
+        covariance=replace(made.covariance, profile=profile),
+        faults=made.faults,
+        sources=_usage(trials, sources, expected, candidate.samples, made.fits),
+        rejected=rejected,
+        sensor_uses=sensor_uses(sources.given, rejected),
+        samples=candidate.samples,
+        settings=settings,
+        moisture=expected.moisture,
+    )
+
+
+def _usage(
+    trials: Trials,
+    sources: _Sources,
+    expected: ExpectedAir,
+    used: AirSamples | None,
+    fits: Sequence[Fit],
+) -> tuple[SourceUse, ...]:
+    """How each source is used, or why it is not."""
+    flown = candidates.UsedSamples(
+        given=sources.given,
+        usable=sources.usable,
+        tried=trials.tried,
+        used=used,
+        refused=trials.refused,
+    )
+    return candidates.source_usage(
+        flown,
+        fits,
+        external=sources.external,
+        unused=sources.unused,
+        background=expected.background,
+        standard=expected.standard.name,
+    )
 
 
 def _rejected_samples(
-    given: AirSamples, usable: AirSamples, of_estimate: Mapping[str, Reasons]
+    given: AirSamples,
+    usable: AirSamples,
+    of_estimate: Mapping[str, Reasons],
 ) -> dict[str, Reasons]:
     """Why samples of each sensor are not used; of one that the estimate lacks, none is."""
     rejected: dict[str, Reasons] = {}
@@ -222,69 +350,9 @@ def _rejected_samples(
             rejected[quantity] = of_estimate[quantity]
             continue
         checked = usable.sensors.get(quantity, sensor)
-        every = np.ones(checked.rejected.shape, np.bool_)
-        rejected[quantity] = with_reason(checked.rejected, every, Reason.SENSOR_NOT_USED)
+        all_rows = np.ones(checked.rejected.shape, np.bool_)
+        rejected[quantity] = with_reason(checked.rejected, all_rows, Reason.SENSOR_NOT_USED)
     return rejected
-
-
-@dataclass(frozen=True, eq=False)
-class _Trials:
-    """The samples of the estimates that were ``tried``, why they failed, and the one that
-    ``passed``; ``refused`` are the sensors that are not used, by their quantity, and why."""
-
-    tried: Sequence[AirSamples]
-    faults: Sequence[str]
-    refused: Mapping[str, str]
-    passed: tuple[Candidate, Estimate] | None = None
-
-
-def _first_that_passes(
-    choices: Sequence[Candidate],
-    make: Callable[..., Estimate],
-    background: Climatology,
-    settings: SensorSettings,
-    moisture: Climatology,
-) -> tuple[_Trials, Notes]:
-    """The first estimate that passes its checks."""
-    remaining, notes = list(choices), list[Message]()
-    tried, faults, refused = list[AirSamples](), list[str](), dict[str, str]()
-    while remaining:
-        candidate = remaining.pop(0)
-        tried.append(candidate.samples)
-        made = make(candidate, settings=settings)
-        name = candidate.main.name if candidate.main is not None else ""
-        check = thermometer_checks.thermometer_is_outside(
-            candidate.samples, made, background, moisture, settings
-        )
-        if not check and candidate.main is not None:
-            remaining = [other for other in remaining if other.samples.temperature is None]
-            refused["temperature"] = check.reason
-            notes.append(messages.thermometer_not_used(name=name, reason=check.reason))
-        elif not (check := estimate_checks.hygrometer_is_outside(made, moisture)):
-            humidity = candidate.samples.humidity
-            name = humidity.name if humidity is not None else ""
-            refused["humidity"] = check.reason
-            notes.append(messages.hygrometer_not_used(name=name, reason=check.reason))
-            remaining = [
-                replace(other, samples=replace(other.samples, humidity=None))
-                for other in (candidate, *remaining)
-            ]
-            continue
-        elif candidate.basis == "barometer" and not (
-            check := estimate_checks.has_information(made, background, moisture)
-        ):
-            check = estimate_checks.Check(f"{candidate.reason}, but {check.reason}")
-            remaining = [other for other in remaining if other.basis != "barometer"]
-        else:
-            check = estimate_checks.is_plausible(made, background)
-            check = check and estimate_checks.is_better_than_background(made, background, moisture)
-            if check:
-                return _Trials(tried, faults, refused, (candidate, made)), tuple(notes)
-            notes.append(
-                messages.air_implausible(sources=candidate.reason, reason=check.reason, sensor=name)
-            )
-        faults.append(check.reason)
-    return _Trials(tried, faults, refused), tuple(notes)
 
 
 def _refused_sources(reasons: Mapping[str, str]) -> Iterator[Message]:
@@ -295,43 +363,50 @@ def _refused_sources(reasons: Mapping[str, str]) -> Iterator[Message]:
 
 def covariance_of_background(background: Climatology) -> ProfileCovariance:
     """Of the background as it is, in layers fine enough to carry its covariance."""
-    made, profile = estimate(AirSamples(), background), background.profile
+    made = estimate(AirSamples(), background)
     edge = made.profile.layers.edge
+    profile = background.profile
     t_m, _, vapour = profile.state(profile.gravity.height(edge))
     layers = stack_layers(
-        edge, t_m, vapour, (STANDARD,) * (edge.size - 1),
-        anchor=(0.0, float(profile.pressure(0.0))), constant=profile.constant,
-    )  # fmt: skip
+        edge,
+        t_m,
+        vapour,
+        (STANDARD,) * (edge.size - 1),
+        anchor=(0.0, float(profile.pressure(0.0))),
+        constant=profile.constant,
+    )
     return replace(made.covariance, profile=replace(profile, layers=layers))
 
 
-def _estimate_of(candidate: Candidate, **how: Any) -> Estimate:
-    """The estimate from a candidate's samples and sources; ``how`` as `estimate` takes it."""
-    external = candidate.external
-    return estimate(
-        candidate.samples, soundings=external.soundings, surface=external.surface, **how
-    )
-
-
-def _sources(made: Estimate) -> tuple[str, ...]:
+def _sources_of_layers(made: Estimate) -> tuple[str, ...]:
     """Source of each layer: a thermometer's heights, a barometer's, neighbours, or nothing."""
     edge = made.profile.layers.edge
     middle = 0.5 * (edge[1:] + edge[:-1])
-
-    def covered(kinds: tuple[type, ...], widest: float) -> Mask:
-        """Between two readings of some kinds, at most ``widest`` apart."""
-        heights = [s.height for s in made.readings.sets if isinstance(s, kinds)]
-        at: Array = np.sort(np.concatenate([*heights, [-np.inf, np.inf]]))
-        above = np.searchsorted(at, middle)
-        return np.asarray(at[above] - at[above - 1] <= widest)
-
-    warm = covered((sensors.Thermometer, sensors.Temperatures), WIDEST_GAP_M)
-    weighed = covered((sensors.Barometer,), 2.0 * WIDEST_GAP_M)
+    thermometers = (sensors.Thermometer, sensors.Temperatures)
+    has_temperature = _is_between_readings(middle, made, thermometers, WIDEST_GAP_M)
+    has_pressure = _is_between_readings(middle, made, (sensors.Barometer,), 2.0 * WIDEST_GAP_M)
     sigma = made.covariance.sigma_temperature(made.profile.break_heights_m)
-    learnt = sigma < estimate_checks.UNCHANGED * made.background_sigma_k
-    between = np.where(learnt[1:] | learnt[:-1], RELAXED, STANDARD)
-    source = np.where(warm, MEASURED, np.where(weighed, BAROMETRIC, between))
+    is_learnt = sigma < estimate_checks.UNCHANGED * made.background_sigma_k
+    by_neighbours = np.where(is_learnt[1:] | is_learnt[:-1], RELAXED, STANDARD)
+    by_pressure = np.where(has_pressure, BAROMETRIC, by_neighbours)
+    source = np.where(has_temperature, MEASURED, by_pressure)
     return tuple(str(name) for name in source)
+
+
+def _is_between_readings(
+    height: Array,
+    made: Estimate,
+    kinds: tuple[type, ...],
+    widest_m: float,
+) -> Mask:
+    """Which heights lie between two readings of some kinds that are at most so far apart [m']."""
+    read = [np.array([-np.inf, np.inf])]
+    for readings in made.readings.sets:
+        if isinstance(readings, kinds):
+            read.append(readings.height)
+    heights = np.sort(np.concatenate(read))
+    above = np.searchsorted(heights, height)
+    return np.asarray(heights[above] - heights[above - 1] <= widest_m)
 
 
 def under_gravity(standard: Profile, latitude_rad: float) -> Profile:
@@ -353,28 +428,45 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
         yield messages.air_humidity_expected()
     if not made.converged:
         yield messages.air_unsettled()
-    learnt = [f for f in made.faults if f.sigma < 0.7 * f.prior_sigma]
+    learnt = []
+    for fault in made.faults:
+        if fault.sigma < _LEARNT_SHARE * fault.prior_sigma:
+            learnt.append(sensor_checks.described_fault(fault))
     if learnt:
-        faults = "; ".join(sensor_checks.described_fault(fault) for fault in learnt)
-        yield messages.air_sensors(count=len(learnt), faults=faults)
+        yield messages.air_sensors(count=len(learnt), faults="; ".join(learnt))
     for fit in made.fits:
-        few = fit.count < FEWEST_TO_INFLATE
-        if (fit.rms if few else fit.sigma_inflation) <= estimate_checks.MISFIT:
-            continue
-        if few and fit.name in candidate.external.names:
-            yield messages.air_contradicted(
-                where=fit.name, count=fit.count, quantity=fit.quantity, rms=fit.rms
-            )
-        else:
-            yield messages.air_misfit(
-                where=fit.name,
-                count=fit.count,
-                quantity=fit.quantity,
-                rms=fit.rms,
-                inflation=fit.sigma_inflation,
-            )
-    for name, rejected in made.readings.rejected.items():
-        if count := int(np.count_nonzero(rejected == Reason.OUTLIER)):
-            sensor = getattr(candidate.samples, name)
+        yield from _misfit_notes(candidate, fit)
+    yield from _outlier_notes(candidate, made)
+
+
+def _misfit_notes(candidate: Candidate, fit: Fit) -> Iterator[Message]:
+    """That a set of readings does not fit the others, if it does not."""
+    few = fit.count < FEWEST_TO_INFLATE
+    misfit = fit.rms if few else fit.sigma_inflation
+    if misfit <= estimate_checks.MISFIT:
+        return
+    if few and fit.name in candidate.external.names:
+        yield messages.air_contradicted(
+            where=fit.name,
+            count=fit.count,
+            quantity=fit.quantity,
+            rms=fit.rms,
+        )
+    else:
+        yield messages.air_misfit(
+            where=fit.name,
+            count=fit.count,
+            quantity=fit.quantity,
+            rms=fit.rms,
+            inflation=fit.sigma_inflation,
+        )
+
+
+def _outlier_notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
+    """How many readings of each sensor are outliers, if any are."""
+    for quantity, rejected in made.readings.rejected.items():
+        count = int(np.count_nonzero(rejected == Reason.OUTLIER))
+        if count:
+            sensor = candidate.samples.sensors[quantity]
             total = int(sensor.accepted.sum())
             yield messages.air_outliers(where=sensor.name, count=count, total=total)

@@ -1,5 +1,7 @@
-"""What an estimate can use: sensors that span enough height, with which soundings and stations; and
-afterwards how each source was used, or why it was not."""
+"""What an estimate can use: sensors that span enough height, with which soundings and stations.
+
+And afterwards how each source was used, or why it was not.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -7,7 +9,7 @@ from itertools import chain
 
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.climatology import Climatology
-from unbend.atmosphere.estimate.solver import Fit
+from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport
 
@@ -42,7 +44,8 @@ class ExternalSources:
 
     def described(self, reason: str) -> str:
         """A reason with the sources that are used and those that are left out."""
-        names, left_out = ", ".join(self.names), ", ".join(self.left_out)
+        names = ", ".join(self.names)
+        left_out = ", ".join(self.left_out)
         if names:
             reason = f"{reason}; with {names}" if reason else names
         return f"{reason}; without {left_out}" if left_out else reason
@@ -50,8 +53,10 @@ class ExternalSources:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Samples and external sources for one estimate: the word for it, and why; it rests on the
-    ``main`` sensor."""
+    """Samples and external sources for one estimate: the word for it, and why.
+
+    It rests on the ``main`` sensor.
+    """
 
     basis: str
     reason: str
@@ -63,9 +68,11 @@ class Candidate:
 def candidates(
     samples: AirSamples, soundings: Sequence[Sounding], surface: Sequence[SurfaceReport]
 ) -> list[Candidate]:
-    """What an estimate can use, the best first: every choice of the flight's own sensors with all
-    soundings and stations, then without each of them, then without all, as one bad level of a
-    balloon must not cost what the flight saw."""
+    """What an estimate can use, the best first.
+
+    Every choice of the flight's own sensors with all soundings and stations, then without each of
+    them, then without all, as one bad level of a balloon must not cost what the flight saw.
+    """
     everything = ExternalSources(tuple(soundings), tuple(surface))
     choices = [everything]
     if 1 < len(everything.names) <= MOST_LEFT_OUT_ONE_BY_ONE:
@@ -91,9 +98,12 @@ def candidates(
 
 
 def _with_own_sensors(samples: AirSamples, external: ExternalSources) -> list[Candidate]:
-    """Thermometer and barometer, the barometer alone (over any height: the sigma of its estimate
-    says whether it is used), the thermometer alone."""
-    temperature, pressure = samples.temperature, samples.pressure
+    """Thermometer and barometer, the barometer alone, the thermometer alone.
+
+    The barometer alone over any height: the sigma of its estimate says whether it is used.
+    """
+    temperature = samples.temperature
+    pressure = samples.pressure
     warm = _if_tall(temperature, SMALLEST_CLIMB_M)
     high = _if_tall(pressure, 0.0)
     choices: list[Candidate] = []
@@ -106,9 +116,11 @@ def _with_own_sensors(samples: AirSamples, external: ExternalSources) -> list[Ca
         basis = "thermometer"
         reason = f"temperatures of {warm.name} over {warm.extent_m:.0f} m of height"
         if high is not None:
-            h_warm, h_high = warm.used()[0], high.used()[0]
+            h_warm, _ = warm.used()
+            h_high, _ = high.used()
             if max(h_high.max() - h_warm.max(), h_warm.min() - h_high.min()) > BEYOND_M:
-                basis, reason = "both", f"{reason}; above and below them {column}"
+                basis = "both"
+                reason = f"{reason}; above and below them {column}"
         add(basis, reason, samples, warm)
     if high is not None:
         why = "no thermometer outside"
@@ -175,8 +187,11 @@ class SourceUse:
 
 @dataclass(frozen=True, eq=False)
 class UsedSamples:
-    """Samples ``given`` by a log, ``usable`` by the sensor checks, of the estimates that were
-    ``tried``, and of the one ``used``; and why a sensor was ``refused``, by its quantity."""
+    """Samples ``given`` by a log, ``usable`` by the sensor checks, ``tried`` and ``used``.
+
+    These are of the estimates that were tried, and of the one that is used; and why a sensor was
+    ``refused``, by its quantity.
+    """
 
     given: AirSamples
     usable: AirSamples
@@ -211,8 +226,10 @@ def source_usage(
     background: Climatology,
     standard: str,
 ) -> tuple[SourceUse, ...]:
-    """Every source with its fit, or in words why it is not used: ``unused`` are the ``external``
-    ones that were left out, by name, and why."""
+    """Every source with its fit, or in words why it is not used.
+
+    ``unused`` are the ``external`` ones that were left out, by name, and why.
+    """
     uses = [SourceUse(fit.name, fit=fit) for fit in fits]
     for name in INSTRUMENTS:
         why = flown.why_not(name)

@@ -88,7 +88,8 @@ class TimeAndPlace:
         >>> round(TimeAndPlace(None, 0.0, 0.0).metres_from(0.0, 0.1))
         637100
         """
-        north, east = latitude_rad - self.latitude_rad, longitude_rad - self.longitude_rad
+        north = latitude_rad - self.latitude_rad
+        east = longitude_rad - self.longitude_rad
         if not math.isfinite(north + east):
             return math.nan
         squeezed = math.cos(latitude_rad) * math.cos(self.latitude_rad)
@@ -97,19 +98,30 @@ class TimeAndPlace:
 
 
 def hours_and_metres(source: Sounding | SurfaceReport, flight: TimeAndPlace) -> tuple[float, float]:
-    """Hours and metres between a source and the flight, as assumed where they are not known; twice
-    the metres across a coast or a ridge."""
-    hours = flight.hours_from(source.time_ns)
+    """Hours and metres between a source and the flight, as assumed where they are not known.
+
+    Twice the metres across a coast or a ridge.
+    """
     if isinstance(source, Sounding):
         undated_h = UNDATED_SOUNDING_H
-        metres = flight.metres_from(source.latitude_rad, source.longitude_rad)
-        if not math.isfinite(metres):  # a latitude alone tells how far it is at least
-            along_meridian = _EARTH_M * abs(source.latitude_rad - flight.latitude_rad)
-            metres = max(UNPLACED_M, float(np.nan_to_num(along_meridian)))
+        metres = _metres_to_sounding(source, flight)
     else:
-        undated_h, metres = UNDATED_REPORT_H, source.distance_m
+        undated_h = UNDATED_REPORT_H
+        metres = source.distance_m
     metres *= ROUGHER if source.across else 1.0
-    return hours if math.isfinite(hours) else undated_h, metres
+    hours = flight.hours_from(source.time_ns)
+    if not math.isfinite(hours):
+        hours = undated_h
+    return hours, metres
+
+
+def _metres_to_sounding(sounding: Sounding, flight: TimeAndPlace) -> float:
+    """Distance of a sounding [m]; of unknown place 100 km, or more where its latitude tells so."""
+    metres = flight.metres_from(sounding.latitude_rad, sounding.longitude_rad)
+    if math.isfinite(metres):
+        return metres
+    along_meridian = _EARTH_M * abs(sounding.latitude_rad - flight.latitude_rad)
+    return max(UNPLACED_M, float(np.nan_to_num(along_meridian)))
 
 
 def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace) -> str | None:
@@ -133,34 +145,50 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
 
 
 def distance_notes(
-    soundings: Sequence[Sounding], surface: Sequence[SurfaceReport], flight: TimeAndPlace
+    soundings: Sequence[Sounding],
+    surface: Sequence[SurfaceReport],
+    flight: TimeAndPlace,
 ) -> Iterator[Message]:
     """Sources without time or place, soundings from far away and reports hours away."""
     for sounding in soundings:
-        name = sounding.name
-        if sounding.time_ns is None:
-            yield messages.sounding_undated(where=name, hours=UNDATED_SOUNDING_H)
-        metres = flight.metres_from(sounding.latitude_rad, sounding.longitude_rad)
-        if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
-            yield messages.sounding_unplaced(where=name, km=UNPLACED_M / 1e3)
-        if metres > FAR_M:
-            parts = variation_parts(flight.latitude_rad, SPRING, ground_h_m=0.0)
-            kelvin = sigma_of(changes(parts, 0.0, metres), np.array([FAR_SHOWN_M]))[0]
-            worth = f"temperatures are {kelvin:.1f} K less certain because of this"
-            worth = worth if metres <= MOST_METRES else "it has no information on its air"
-            yield messages.sounding_far_away(where=name, km=metres / 1e3, worth=worth)
+        yield from _notes_of_sounding(sounding, flight)
     for report in surface:
-        hours = flight.hours_from(report.time_ns)
-        if report.time_ns is None:
-            yield messages.surface_undated(where=report.name, hours=UNDATED_REPORT_H)
-        if hours > FAR_REPORT_H and report.is_metar:
-            yield messages.metar_far_in_time(where=report.name, hours=hours)
-        elif hours > FAR_REPORT_H:
-            yield messages.surface_far_in_time(where=report.name, hours=hours)
+        yield from _notes_of_report(report, flight)
+
+
+def _notes_of_sounding(sounding: Sounding, flight: TimeAndPlace) -> Iterator[Message]:
+    """That a sounding has no time or place, or is from far away."""
+    name = sounding.name
+    if sounding.time_ns is None:
+        yield messages.sounding_undated(where=name, hours=UNDATED_SOUNDING_H)
+    metres = flight.metres_from(sounding.latitude_rad, sounding.longitude_rad)
+    if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
+        yield messages.sounding_unplaced(where=name, km=UNPLACED_M / 1e3)
+    if metres > FAR_M:
+        worth = "it has no information on its air"
+        if metres <= MOST_METRES:
+            parts = variation_parts(flight.latitude_rad, SPRING, ground_h_m=0.0)
+            change = changes(parts, 0.0, metres)
+            kelvin = sigma_of(change, np.array([FAR_SHOWN_M]))[0]
+            worth = f"temperatures are {kelvin:.1f} K less certain because of this"
+        yield messages.sounding_far_away(where=name, km=metres / 1e3, worth=worth)
+
+
+def _notes_of_report(report: SurfaceReport, flight: TimeAndPlace) -> Iterator[Message]:
+    """That a surface report has no time, or is hours away."""
+    if report.time_ns is None:
+        yield messages.surface_undated(where=report.name, hours=UNDATED_REPORT_H)
+    hours = flight.hours_from(report.time_ns)
+    if hours > FAR_REPORT_H and report.is_metar:
+        yield messages.metar_far_in_time(where=report.name, hours=hours)
+    elif hours > FAR_REPORT_H:
+        yield messages.surface_far_in_time(where=report.name, hours=hours)
 
 
 def sounding_departures(
-    soundings: Sequence[Sounding], background: Climatology, flight: TimeAndPlace
+    soundings: Sequence[Sounding],
+    background: Climatology,
+    flight: TimeAndPlace,
 ) -> tuple[Departure, ...]:
     """How temperatures of each column depart from those of the flight, over its own heights."""
     used = {}
@@ -198,12 +226,13 @@ def departure_of(
     sigma_k = np.interp(knots, levels, of_levels_k)
     correlation = exponential(knots, sounding.errors.temperature_length_m)
     of_hour_k = unknown_hour_k(background, then, h)
+    errors = np.outer(sigma_k, sigma_k) * correlation + np.outer(of_hour_k, of_hour_k)
     return Departure(
         name=name,
         knot=knots,
         expected_k=-background.warming_since(then, h),
         parts=background.parts_at(then),
-        errors=np.outer(sigma_k, sigma_k) * correlation + np.outer(of_hour_k, of_hour_k),
+        errors=errors,
         apart=Separation(*hours_and_metres(sounding, flight)),
         beside=beside,
     )
@@ -232,15 +261,18 @@ def separation(sounding: Sounding, other: Sounding, flight: TimeAndPlace) -> Sep
     when = TimeAndPlace(sounding.time_ns, sounding.latitude_rad, sounding.longitude_rad)
     between_h = when.hours_from(other.time_ns)
     between_m = when.metres_from(other.latitude_rad, other.longitude_rad)
-    between_m *= ROUGHER if sounding.across or other.across else 1.0
+    if sounding.across or other.across:
+        between_m *= ROUGHER
     return Separation(
-        between_h if math.isfinite(between_h) else hours + other_hours,
-        between_m if math.isfinite(between_m) else metres + other_metres,
+        hours=between_h if math.isfinite(between_h) else hours + other_hours,
+        metres=between_m if math.isfinite(between_m) else metres + other_metres,
     )
 
 
 def humidity_drifts(
-    soundings: Sequence[Sounding], background: Climatology, flight: TimeAndPlace
+    soundings: Sequence[Sounding],
+    background: Climatology,
+    flight: TimeAndPlace,
 ) -> tuple[Drift, ...]:
     """How relative humidities of each column depart from those of the flight."""
     gravity = background.profile.gravity
@@ -255,9 +287,15 @@ def humidity_drifts(
         errors = np.broadcast_to(sounding.errors.relative_humidity, levels.shape)
         usual = background.spread.sigma_relative_humidity(gravity.height(knots))
         growth = humidity_growth(*hours_and_metres(sounding, flight))
-        sigma = np.hypot(np.interp(knots, levels, errors), usual * math.sqrt(growth))
-        name = f"{sensors.SOUNDING_HUMIDITY} {i}"
-        drifts.append(Drift(name, knots, sigma, sounding.errors.humidity_length_m))
+        of_errors = np.interp(knots, levels, errors)
+        of_change = usual * math.sqrt(growth)
+        drift = Drift(
+            name=f"{sensors.SOUNDING_HUMIDITY} {i}",
+            knot=knots,
+            sigma=np.hypot(of_errors, of_change),
+            length=sounding.errors.humidity_length_m,
+        )
+        drifts.append(drift)
     return tuple(drifts)
 
 
@@ -271,61 +309,95 @@ def humidity_growth(hours: float, metres: float) -> float:
     [0.0, 0.4, 9.0]
     """
     exponent = 2.0 * (hours / HUMIDITY_MEMORY_H + metres / HUMIDITY_REACH_M)
-    return min(math.expm1(min(exponent, MOST_HUMIDITY_GROWTH)), MOST_HUMIDITY_GROWTH)
+    growth = math.expm1(min(exponent, MOST_HUMIDITY_GROWTH))
+    return min(growth, MOST_HUMIDITY_GROWTH)
 
 
 def _departure_knots(height: Array) -> Array:
     """Knots [m'] from the lowest to the highest of some heights."""
     near = height[0] + np.array(DEPARTURE_NEAR_GROUND_M)
-    above = np.arange(near[-1] + DEPARTURE_STEP_M, height[-1] + DEPARTURE_STEP_M, DEPARTURE_STEP_M)
+    first = near[-1] + DEPARTURE_STEP_M
+    stop = height[-1] + DEPARTURE_STEP_M
+    above = np.arange(first, stop, DEPARTURE_STEP_M)
     return np.concatenate([near, above])
 
 
 def _longitude(source: Sounding, flight: TimeAndPlace) -> float:
     """That of a sounding, else that of the flight, which it is near to."""
-    own = source.longitude_rad
-    return own if math.isfinite(own) else flight.longitude_rad
+    if math.isfinite(source.longitude_rad):
+        return source.longitude_rad
+    return flight.longitude_rad
 
 
 def _inside(sounding: Sounding, background: Climatology) -> Mask:
     """Levels where the background has air: a climatology ends at 30 km, a balloon at 35."""
     profile = background.profile
     top = min(TOP_M, profile.top_m - THIN_M)
-    return np.asarray((sounding.h_m > profile.bottom_m + THIN_M) & (sounding.h_m < top))
+    is_above_bottom = sounding.h_m > profile.bottom_m + THIN_M
+    return np.asarray(is_above_bottom & (sounding.h_m < top))
 
 
 def sounding_readings(
-    sounding: Sounding, number: int, background: Climatology, flight: TimeAndPlace
+    sounding: Sounding,
+    number: int,
+    background: Climatology,
+    flight: TimeAndPlace,
 ) -> list[sensors.Readings]:
-    """Temperatures and humidities of a balloon, and its pressure at the lowest level; ``number`` is
-    its place among the soundings, which names its departure."""
+    """Temperatures and humidities of a balloon, and its pressure at the lowest level.
+
+    ``number`` is its place among the soundings, which names its departure.
+    """
     height = background.profile.gravity.geopotential_height(sounding.h_m)
     inside = _inside(sounding, background)
     if not bool(inside.any()):
         return []
-    name = sounding.name
-    pressure_pa = sounding.pressure_pa
-    rh = _relative_humidity(sounding.vapour_pressure_pa, sounding.temperature_k, pressure_pa)
-    h, mean_k = _thinned(height[inside], sounding.temperature_k[inside])
-    sigma_k = np.full(h.size, LEVEL_K)
-    readings: list[sensors.Readings] = []
-    readings.append(sensors.Temperatures(name, h, mean_k, sigma_k, departure_name(number)))
-    moist = inside & np.isfinite(rh) & (height < HUMIDITY_BELOW_M)
-    if bool(moist.any()):
-        h, mean_rh = _thinned(height[moist], rh[moist])
-        drift = f"{sensors.SOUNDING_HUMIDITY} {number}"
-        sigma_rh = np.full(h.size, LEVEL_RH)
-        readings.append(sensors.Humidities(name, h, mean_rh, sigma_rh, drift=drift))
+    temperature_height, mean_k = _thinned(height[inside], sounding.temperature_k[inside])
+    temperatures = sensors.Temperatures(
+        sounding.name,
+        temperature_height,
+        mean_k,
+        np.full(mean_k.size, LEVEL_K),
+        departure_name(number),
+    )
+    readings: list[sensors.Readings] = [temperatures]
+    rh = _relative_humidity(
+        sounding.vapour_pressure_pa,
+        sounding.temperature_k,
+        sounding.pressure_pa,
+    )
+    is_moist = inside & np.isfinite(rh) & (height < HUMIDITY_BELOW_M)
+    if bool(is_moist.any()):
+        humidity_height, mean_rh = _thinned(height[is_moist], rh[is_moist])
+        humidities = sensors.Humidities(
+            sounding.name,
+            humidity_height,
+            mean_rh,
+            np.full(mean_rh.size, LEVEL_RH),
+            drift=f"{sensors.SOUNDING_HUMIDITY} {number}",
+        )
+        readings.append(humidities)
     lowest = np.flatnonzero(inside)[:1]
-    hours, metres = hours_and_metres(sounding, flight)
-    weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * metres)
-    sigma = np.array([float(np.hypot(sounding.errors.log_pressure, weather))])
-    readings.append(sensors.Pressures(name, height[lowest], np.log(pressure_pa[lowest]), sigma))
+    weather = _weather_log_p(*hours_and_metres(sounding, flight))
+    sigma = float(np.hypot(sounding.errors.log_pressure, weather))
+    pressure = sensors.Pressures(
+        sounding.name,
+        height[lowest],
+        np.log(sounding.pressure_pa[lowest]),
+        np.array([sigma]),
+    )
+    readings.append(pressure)
     return readings
 
 
+def _weather_log_p(hours: float, metres: float) -> float:
+    """One sigma of what ln p changes by in a time and over a distance."""
+    return float(np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * metres))
+
+
 def surface_readings(
-    report: SurfaceReport, background: Climatology, flight: TimeAndPlace
+    report: SurfaceReport,
+    background: Climatology,
+    flight: TimeAndPlace,
 ) -> list[sensors.Readings]:
     """Temperature, pressure and humidity of a station, less certain by its age and distance."""
     height = background.profile.gravity.geopotential_height(np.array([report.h_m]))
@@ -337,9 +409,10 @@ def surface_readings(
     pressure_pa = report.pressure_pa
     if np.isfinite(pressure_pa):
         instrument = np.hypot(STATION_LOG_P, report.sigma_pressure_pa / pressure_pa)
-        weather = np.hypot(WEATHER_LOG_P_PER_H * hours, WEATHER_LOG_P_PER_M * report.distance_m)
+        weather = _weather_log_p(hours, report.distance_m)
         sigma = np.array([np.hypot(instrument, weather)])
-        readings.append(sensors.Pressures(name, height, np.log([pressure_pa]), sigma))
+        log_pressure = np.log([pressure_pa])
+        readings.append(sensors.Pressures(name, height, log_pressure, sigma))
     else:
         pressure_pa = float(background.profile.pressure(report.h_m))
     rh = _relative_humidity(report.vapour_pressure_pa, report.temperature_k, pressure_pa)
@@ -352,7 +425,9 @@ def surface_readings(
 
 
 def surface_temperature(
-    report: SurfaceReport, background: Climatology, flight: TimeAndPlace
+    report: SurfaceReport,
+    background: Climatology,
+    flight: TimeAndPlace,
 ) -> sensors.Temperatures:
     """The temperature of a station, moved to the hour of the flight."""
     h = np.array([report.h_m])
@@ -360,18 +435,26 @@ def surface_temperature(
     now_k = report.temperature_k + background.warming_since(then, h)
     change = changes(background.spread.parts, *hours_and_metres(report, flight))
     instrument_k = np.hypot(STATION_K, report.sigma_temperature_k)
-    changed_k = np.hypot(sigma_of(change, h), unknown_hour_k(background, then, h))
-    height = background.profile.gravity.geopotential_height(h)
-    return sensors.Temperatures(report.name, height, now_k, np.hypot(instrument_k, changed_k))
+    of_hour_k = unknown_hour_k(background, then, h)
+    changed_k = np.hypot(sigma_of(change, h), of_hour_k)
+    return sensors.Temperatures(
+        report.name,
+        background.profile.gravity.geopotential_height(h),
+        now_k,
+        np.hypot(instrument_k, changed_k),
+    )
 
 
 def _relative_humidity(e: Array | float, t: Array | float, p: Array | float) -> Array:
     """Over water, between 0 and 1."""
-    return np.clip(e / (enhancement_factor(t, p) * saturation_vapour_pressure(t)), 0.0, 1.0)
+    saturated = enhancement_factor(t, p) * saturation_vapour_pressure(t)
+    return np.clip(e / saturated, 0.0, 1.0)
 
 
 def _thinned(height: Array, value: Array) -> tuple[Array, Array]:
     """Means of levels in bins of 100 m'."""
-    _, number = np.unique(np.floor(height / THIN_M), return_inverse=True)
-    count = np.bincount(number)
-    return np.bincount(number, height) / count, np.bincount(number, value) / count
+    _, bin_of = np.unique(np.floor(height / THIN_M), return_inverse=True)
+    count = np.bincount(bin_of)
+    mean_height = np.bincount(bin_of, height) / count
+    mean_value = np.bincount(bin_of, value) / count
+    return mean_height, mean_value

@@ -22,17 +22,20 @@ from unbend.units import HECTOPASCAL, Mask
 
 CLIMB_TO_COMPARE_M = 200.0  # over less height the fall of pressure shows nothing [m]
 
-STUCK_M, FEWEST_STUCK = 300.0, 5
-"""A sensor with so many equal readings over so much height is stuck [m]."""
+STUCK_M = 300.0  # equal readings over so much height are of a sensor that is stuck [m]
+FEWEST_STUCK = 5  # if there are so many
 
 SLOWEST = {"temperature": 2e-3, "pressure": 5.0, "humidity": 1e-4}
 """Change a metre that coarse steps may hide: a thermometer that reports whole degrees may read the
 same over 800 m of isothermal air [K/m, Pa/m, 1/m]."""
 
-DRY, MOIST = 0.02, 0.97  # beyond these relative humidities a constant reading is plausible
+# Beyond these relative humidities a constant reading is plausible.
+DRY = 0.02
+MOIST = 0.97
 
-UNLIKELY_SIGMAS, IMPOSSIBLE_SIGMAS = 5.0, 10.0
-"""Departures of pressure at sea level from the climatology, whose sigma is about 1 %."""
+# Departures of pressure at sea level from the climatology, whose sigma is about 1 %.
+UNLIKELY_SIGMAS = 5.0  # about 50 hPa; the deepest lows reach 6
+IMPOSSIBLE_SIGMAS = 10.0  # a tenth of the pressure is no weather
 
 CONTRADICTED = 4.0
 """Sigmas between a calibration and the estimate from the flight, at which one must be wrong."""
@@ -40,8 +43,8 @@ CONTRADICTED = 4.0
 UNEXPECTED = 2.0
 """Expected sigmas, and one of its own, beyond which an error that nobody stated is a warning."""
 
-LOST_SHARE, LOST_SIGMAS = 0.01, 3.0
-"""A static pressure that loses more of its change than this, by so many sigmas, is a warning."""
+LOST_SHARE = 0.01  # a static pressure that loses more of its change is a warning
+LOST_SIGMAS = 3.0  # if it does by so many sigmas
 
 _MISSION_KEY = "atmosphere.sensors"
 _LEARNT = 0.7  # of the usual sigma: an estimate that gained less is no evidence
@@ -53,73 +56,111 @@ _READINGS = {
 
 
 def subtract_known_biases(
-    samples: AirSamples, settings: SensorSettings
+    samples: AirSamples,
+    settings: SensorSettings,
 ) -> tuple[tuple[AirSamples, SensorSettings], Notes]:
-    """Samples without the known biases, before any check, and settings in which these are 0; the
-    report lists what remains, for example 0.3 K after 12.0 K were subtracted."""
-    corrected, rest, texts = {}, dict(settings.calibration), []
-    for fault, sensor in _READINGS.items():
-        known, readings = rest.get(fault), getattr(samples, sensor)
-        if known is None or not known.mean or readings is None:
+    """Samples without the known biases, before any check, and settings in which these are 0.
+
+    The report lists what remains, for example 0.3 K after 12.0 K were subtracted.
+    """
+    corrected: dict[str, Any] = {}
+    calibration = dict(settings.calibration)
+    texts = []
+    for fault, quantity in _READINGS.items():
+        stated = calibration.get(fault)
+        sensor = samples.sensors.get(quantity)
+        if stated is None or not stated.mean or sensor is None:
             continue
-        corrected[sensor] = replace(readings, value=readings.value - known.mean)
-        rest[fault] = replace(known, mean=0.0, subtracted=known.mean)
-        texts.append(f"{FAULT_TEXTS[fault]} of {readings.name} {known.mean:g}")
-    entry = messages.air_calibrated(where=_MISSION_KEY, count=len(texts), biases="; ".join(texts))
-    result = replace(samples, **corrected), replace(settings, calibration=rest)
-    return result, (entry,) if texts else ()
+        corrected[quantity] = replace(sensor, value=sensor.value - stated.mean)
+        calibration[fault] = replace(stated, mean=0.0, subtracted=stated.mean)
+        texts.append(f"{FAULT_TEXTS[fault]} of {sensor.name} {stated.mean:g}")
+    result = (
+        replace(samples, **corrected),
+        replace(settings, calibration=calibration),
+    )
+    if not texts:
+        return result, ()
+    entry = messages.air_calibrated(
+        where=_MISSION_KEY,
+        count=len(texts),
+        biases="; ".join(texts),
+    )
+    return result, (entry,)
 
 
 def check_calibration(
-    made: Estimate, settings: SensorSettings, estimated: Callable[[SensorSettings], Estimate]
+    made: Estimate,
+    settings: SensorSettings,
+    estimate_with: Callable[[SensorSettings], Estimate],
 ) -> Notes:
-    """A stated calibration that the flight contradicts, those that are not used, and errors that
-    nobody stated and no working sensor has.
+    """A stated calibration that the flight contradicts, and those that are not used.
 
-    Each stated value is compared with an estimate without it, in which the other sensors have their
-    usual errors: a rare fault would explain a wrong calibration away. One wrong value makes others
-    seem wrong, so only the worst is named.
+    Also errors that nobody stated and no working sensor has. Each stated value is compared with an
+    estimate without it, in which the other sensors have their usual errors: a rare fault would
+    explain a wrong calibration away. One wrong value makes others seem wrong, so only the worst is
+    named.
     """
     mean = {fault.name: fault.mean for fault in made.readings.faults}
-    worst, notes, large = CONTRADICTED, [], []
+    worst = CONTRADICTED
+    notes: list[Message] = []
+    large = []
     for fault in made.faults:
-        name, known = fault.fault, settings.calibration.get(fault.fault)
-        if known is None:
-            limit = UNEXPECTED * fault.prior_sigma + fault.sigma
-            if name == SensorFault.PRESSURE_SCALE:
-                limit = max(LOST_SHARE, LOST_SIGMAS * fault.sigma)
-            if abs(fault.value - mean[name]) > limit:
+        stated = settings.calibration.get(fault.fault)
+        expected = mean[fault.fault]
+        if stated is None:
+            if _is_unexpected(fault, expected):
                 large.append(described_fault(fault))
             continue
-        others = {n: value for n, value in settings.calibration.items() if n != name}
-        usual = name != SensorFault.PRESSURE_SCALE
-        free = estimated(replace(settings, calibration=others, usual_errors_only=usual))
-        flown = next(other for other in free.faults if other.fault == name)
-        sigmas = abs(flown.value - mean[name]) / math.hypot(flown.sigma, fault.prior_sigma)
-        if flown.sigma < _LEARNT * flown.prior_sigma and sigmas > worst:
+        flown = _estimated_without_statement(fault.fault, settings, estimate_with)
+        departure = abs(flown.value - expected)
+        sigmas = departure / math.hypot(flown.sigma, fault.prior_sigma)
+        is_learnt = flown.sigma < _LEARNT * flown.prior_sigma
+        if is_learnt and sigmas > worst:
             worst = sigmas
-            notes = [
-                messages.air_calibration(
-                    where=known.path,
-                    fault=FAULT_TEXTS[name],
-                    sigmas=sigmas,
-                    stated=mean[name] + known.subtracted,
-                    prior=fault.prior_sigma,
-                    flown=flown.value + known.subtracted,
-                    sigma=flown.sigma,
-                )
-            ]
+            contradicted = messages.air_calibration(
+                where=stated.path,
+                fault=FAULT_TEXTS[fault.fault],
+                sigmas=sigmas,
+                stated=expected + stated.subtracted,
+                prior=fault.prior_sigma,
+                flown=flown.value + stated.subtracted,
+                sigma=flown.sigma,
+            )
+            notes = [contradicted]
     if large:
         notes.append(messages.air_sensors_large(count=len(large), faults="; ".join(large)))
     drifts = {drift.name for drift in made.readings.drifts}
-    return *notes, *unused_calibration(set(settings.calibration) - set(mean) - drifts)
+    unused = set(settings.calibration) - set(mean) - drifts
+    return *notes, *unused_calibration(unused)
+
+
+def _is_unexpected(fault: FaultEstimate, expected: float) -> bool:
+    """Whether a fault that nobody stated is larger than any working sensor has."""
+    limit = UNEXPECTED * fault.prior_sigma + fault.sigma
+    if fault.fault == SensorFault.PRESSURE_SCALE:
+        limit = max(LOST_SHARE, LOST_SIGMAS * fault.sigma)
+    return abs(fault.value - expected) > limit
+
+
+def _estimated_without_statement(
+    name: SensorFault,
+    settings: SensorSettings,
+    estimate_with: Callable[[SensorSettings], Estimate],
+) -> FaultEstimate:
+    """A fault as the flight shows it where its calibration is not stated."""
+    calibration = dict(settings.calibration)
+    del calibration[name]
+    usual = name != SensorFault.PRESSURE_SCALE
+    unstated = replace(settings, calibration=calibration, usual_errors_only=usual)
+    made = estimate_with(unstated)
+    return next(fault for fault in made.faults if fault.fault == name)
 
 
 def described_fault(estimated: FaultEstimate) -> str:
     """A sensor fault with its sigma, for the ledger."""
-    f = estimated.in_units()
-    digits = max(1 - math.floor(math.log10(f.sigma)), 0)
-    return f"{FAULT_TEXTS[f.fault]} {f.value:.{digits}f} ± {f.sigma:.{digits}f}"
+    fault = estimated.in_units()
+    digits = max(1 - math.floor(math.log10(fault.sigma)), 0)
+    return f"{FAULT_TEXTS[fault.fault]} {fault.value:.{digits}f} ± {fault.sigma:.{digits}f}"
 
 
 def unused_calibration(faults: set[SensorFault]) -> Notes:
@@ -128,56 +169,74 @@ def unused_calibration(faults: set[SensorFault]) -> Notes:
         return ()
     names = sorted(FAULT_TEXTS[fault] for fault in faults)
     unused = messages.calibration_unused(
-        where=_MISSION_KEY, count=len(faults), faults=", ".join(names)
+        where=_MISSION_KEY,
+        count=len(faults),
+        faults=", ".join(names),
     )
     return (unused,)
 
 
 def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, Notes]:
-    """The samples without sensors that contradict physics: readings must not stay the same during a
-    climb, and pressure must fall with GNSS height as it does in air of 180 to 335 K."""
+    """The samples without sensors that contradict physics.
+
+    Readings must not stay the same during a climb, and pressure must fall with GNSS height as it
+    does in air of 180 to 335 K.
+    """
     notes: list[Message] = []
-    kept: dict[str, Any] = {}
-    for name, sensor in samples.sensors.items():
-        if not bool((stuck := _stuck(sensor, name)).any()):
+    checked: dict[str, Any] = {}
+    for quantity, sensor in samples.sensors.items():
+        is_stuck = _stuck(sensor, quantity)
+        if not bool(is_stuck.any()):
             continue
-        value, extent = sensor.value[stuck][0], np.ptp(sensor.h_m[stuck])
-        if name == "pressure":
-            kept[name] = None
+        value = sensor.value[is_stuck][0]
+        if quantity == "pressure":
+            checked[quantity] = None
             notes.append(_indoors(sensor, f"stays at {value:.0f} Pa"))
             continue
-        rest = sensor.reject(stuck, Reason.STUCK)
-        kept[name] = rest if bool(rest.accepted.any()) else None
-        notes.append(
-            messages.air_stuck(
-                where=sensor.name,
-                count=int(stuck.sum()),
-                value=value,
-                extent=extent,
-                total=int(sensor.accepted.sum()),
-            )
+        usable = sensor.reject(is_stuck, Reason.STUCK)
+        checked[quantity] = usable if bool(usable.accepted.any()) else None
+        stuck = messages.air_stuck(
+            where=sensor.name,
+            count=int(is_stuck.sum()),
+            value=value,
+            extent=np.ptp(sensor.h_m[is_stuck]),
+            total=int(sensor.accepted.sum()),
         )
-    samples = replace(samples, **kept)
-    pressure, gravity = samples.pressure, standard.gravity
+        notes.append(stuck)
+    samples = replace(samples, **checked)
+    pressure = samples.pressure
     if pressure is None or pressure.extent_m < CLIMB_TO_COMPARE_M:
         return samples, tuple(notes)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        departure = np.log(pressure.value) - np.log(standard.pressure(pressure.h_m))
-    at = gravity.geopotential_height(pressure.h_m)
-    height, middle = bin_by_height(at, pressure, BIN_M, departure)
-    log_p = middle + np.log(standard.pressure(gravity.height(height)))
-    fall = fall_of_pressure(height, log_p) if height.size >= 3 else Fall(None, 0.0)
+    fall = _fall_outside(pressure, standard)
     if not fall.is_of_air:
-        implied = fall.implied_k
-        what = "does not fall with height" if implied is None else f"implies {implied:.0f} K"
-        notes.append(_indoors(pressure, what))
+        oddity = "does not fall with height"
+        if fall.implied_k is not None:
+            oddity = f"implies {fall.implied_k:.0f} K"
+        notes.append(_indoors(pressure, oddity))
         samples = replace(samples, pressure=None)
     return samples, tuple(notes)
 
 
-def _indoors(pressure: SensorSamples, what: str) -> Message:
-    extent = pressure.extent_m
-    return messages.air_not_outside(where=pressure.name, what_is_odd=what, extent=extent)
+def _fall_outside(pressure: SensorSamples, standard: Profile) -> Fall:
+    """How a pressure falls with height, by means about a standard."""
+    gravity = standard.gravity
+    with np.errstate(invalid="ignore", divide="ignore"):
+        departure = np.log(pressure.value) - np.log(standard.pressure(pressure.h_m))
+    heights = gravity.geopotential_height(pressure.h_m)
+    height, mean_departure = bin_by_height(heights, pressure, BIN_M, departure)
+    if height.size < 3:
+        return Fall(None, 0.0)
+    log_p = mean_departure + np.log(standard.pressure(gravity.height(height)))
+    return fall_of_pressure(height, log_p)
+
+
+def _indoors(pressure: SensorSamples, oddity: str) -> Message:
+    """That a pressure is not that outside."""
+    return messages.air_not_outside(
+        where=pressure.name,
+        what_is_odd=oddity,
+        extent=pressure.extent_m,
+    )
 
 
 def maybe_in_a_bay(made: Estimate, samples: AirSamples) -> Notes:
@@ -194,32 +253,37 @@ def maybe_in_a_bay(made: Estimate, samples: AirSamples) -> Notes:
     return (message,)
 
 
-def _stuck(sensor: SensorSamples, name: str) -> Mask:
+def _stuck(sensor: SensorSamples, quantity: str) -> Mask:
     """Which readings belong to a run of equal ones over more height than the steps explain."""
     stuck = np.zeros(sensor.value.size, dtype=bool)
     rows = np.flatnonzero(sensor.accepted)
     h, value = sensor.used()
     if rows.size < FEWEST_STUCK:
         return stuck
-    start = np.concatenate([[0], 1 + np.flatnonzero(value[1:] != value[:-1])])
+    changes = np.flatnonzero(value[1:] != value[:-1])
+    start = np.concatenate([[0], 1 + changes])
     count = np.diff(start, append=rows.size)
     extent = np.maximum.reduceat(h, start) - np.minimum.reduceat(h, start)
-    long = (extent >= STUCK_M) & (count >= FEWEST_STUCK)
-    if name == "humidity":
-        long &= (value[start] > DRY) & (value[start] < MOIST)
-    if bool(long.any()):
-        steps = np.diff(np.unique(value))
-        long &= extent >= STUCK_M + (float(steps.min()) / SLOWEST[name] if steps.size else 0.0)
-    stuck[rows] = np.repeat(long, count)
+    is_long = (extent >= STUCK_M) & (count >= FEWEST_STUCK)
+    if quantity == "humidity":
+        is_long &= (value[start] > DRY) & (value[start] < MOIST)
+    steps = np.diff(np.unique(value))
+    if steps.size:
+        hidden_m = float(steps.min()) / SLOWEST[quantity]
+        is_long &= extent >= STUCK_M + hidden_m
+    stuck[rows] = np.repeat(is_long, count)
     return stuck
 
 
 def pressure_level(
-    profile: Profile, background: Climatology, pressure: SensorSamples | None
+    profile: Profile,
+    background: Climatology,
+    pressure: SensorSamples | None,
 ) -> Message:
-    """The residuals of the measured pressures, and whether their level is plausible: at sea level
-    within 5 sigma of the climatology's (about 50 hPa; the deepest lows reach 6); 10 sigma, a tenth
-    of the pressure, are no weather."""
+    """The residuals of the measured pressures, and whether their level is plausible.
+
+    At sea level it is within 5 sigma of the climatology's; 10 sigma are no weather.
+    """
     if pressure is None or not bool(pressure.accepted.any()):
         return messages.air_no_barometer()
     h, measured = pressure.used()

@@ -12,7 +12,8 @@ from unbend.atmosphere.hypsometry import hats
 from unbend.units import Array
 
 BAY_K = 294.0  # of a heated bay or cabin [K]
-HEAT_CAPACITY, GAS_CONSTANT_DRY = 1005.0, 287.05  # c_p and R of dry air [J kg-1 K-1]
+HEAT_CAPACITY = 1005.0  # c_p of dry air [J kg-1 K-1]
+GAS_CONSTANT_DRY = 287.05  # R of dry air [J kg-1 K-1]
 SEA_LEVEL_DENSITY = 1.225  # airspeeds of pitot tubes are calibrated for it [kg m-3]
 
 THERMOMETER_FAULTS = (
@@ -36,8 +37,9 @@ BAROMETER_FAULTS = (
 DYNAMIC_PRESSURE_ERROR = Fault(SensorFault.DYNAMIC_PRESSURE_ERROR, 0.0, 0.03)
 HYGROMETER_BIAS = Fault(SensorFault.HYGROMETER_BIAS, 0.0, 0.03)
 
-SOUNDING_DEPARTURE, SOUNDING_HUMIDITY = "sounding_temperature", "sounding_humidity"
-"""Drifts: how the air of a sounding departs from that of the flight; with its number."""
+# Drifts: how the air of a sounding departs from that of the flight; with its number.
+SOUNDING_DEPARTURE = "sounding_temperature"
+SOUNDING_HUMIDITY = "sounding_humidity"
 
 FAULT_TEXTS: Mapping[SensorFault, str] = {
     SensorFault.THERMOMETER_BIAS: "thermometer bias [K]",
@@ -57,8 +59,9 @@ FAULT_TEXTS: Mapping[SensorFault, str] = {
 }
 """What the ledger, the manifest and the report print for each fault."""
 
-GNSS_DRIFT_M, PRESSURE_DRIFT_PA = 1.6, 12.0
-"""One sigma of what wanders in GNSS heights and in a static pressure, over half an hour."""
+# One sigma of what wanders in GNSS heights and in a static pressure, over half an hour.
+GNSS_DRIFT_M = 1.6
+PRESSURE_DRIFT_PA = 12.0
 
 # Gauss-Laguerre: the mean over an exponential memory, exact for polynomials of degree 9 in time.
 _MEMORY, _WEIGHT = np.polynomial.laguerre.laggauss(5)
@@ -67,8 +70,11 @@ _STEP_S = 0.5
 
 @dataclass(frozen=True)
 class SensorCalibration:
-    """What a calibration states of a sensor fault, None where it is silent; ``subtracted`` is the
-    part of it that was subtracted from the readings already, ``path`` where it is stated."""
+    """What a calibration states of a sensor fault, None where it is silent.
+
+    ``subtracted`` is the part of it that was subtracted from the readings already, ``path`` where
+    it is stated.
+    """
 
     mean: float | None = None
     sigma: float | None = None
@@ -76,6 +82,7 @@ class SensorCalibration:
     path: str = field(default="atmosphere.sensors", compare=False)
 
     def sigma_or(self, usual: float) -> float:
+        """The stated sigma, else the usual one."""
         return usual if self.sigma is None else self.sigma
 
 
@@ -97,8 +104,10 @@ class SensorSettings:
 
 @dataclass(frozen=True, eq=False)
 class Readings(ABC):
-    """Readings (m,) at heights (m,) [m'], with the sigma (m,) of independent errors; ``robust``
-    ones lose weight where they do not fit."""
+    """Readings (m,) at heights (m,) [m'], with the sigma (m,) of independent errors.
+
+    ``robust`` ones lose weight where they do not fit.
+    """
 
     quantity: ClassVar[str]
     name: str
@@ -120,13 +129,17 @@ class FlownHeights:
     height: Array
 
     def at(self, seconds: Array) -> Array:
+        """Heights (m,) [m'] at times (m,) [s]."""
         return np.interp(seconds, self.seconds, self.height)
 
 
 @dataclass(frozen=True, eq=False)
 class Thermometer(Readings):
-    """Means of a thermometer in bins [K]; ``since_s`` time since take-off [s]; ``climbing`` is 1
-    in a climb, else 0; ``heating`` V^2/(2 c_p) of the true airspeed [K], or None."""
+    """Means of a thermometer in bins [K].
+
+    ``since_s`` time since take-off [s]; ``climbing`` is 1 in a climb, else 0; ``heating``
+    V^2/(2 c_p) of the true airspeed [K], or None.
+    """
 
     quantity = "temperature"
     seconds: Array
@@ -144,25 +157,16 @@ class Thermometer(Readings):
         flown, after a long stand or a level run too. Of a thermometer in a bay a share g of the
         air is not from outside.
         """
-        layout, x = air.layout, air.x
-        jacobian = np.zeros((self.value.size, layout.size))
-        by_lag = np.zeros(self.value.size)
-        beside = self.height - self.flown.at(self.seconds)
-        for memory, weight in zip(_MEMORY, _WEIGHT, strict=True):
-            then = self.seconds - x[layout.fault(SensorFault.THERMOMETER_LAG)] * memory
-            felt = hats(layout.knot, self.flown.at(then) + beside)
-            jacobian[:, layout.temperature] += weight * felt
-            before = self.flown.at(then - _STEP_S) + beside
-            change = np.interp(before, layout.knot, air.temperature) - felt @ air.temperature
-            by_lag += weight * memory * change / _STEP_S
-        felt_k = jacobian[:, layout.temperature] @ air.temperature
+        layout = air.layout
+        x = air.x
+        felt, by_lag = self._felt(air)
+        felt_k = felt @ air.temperature
         in_bay = x[layout.fault(SensorFault.BAY_SHARE)]
-        jacobian[:, layout.temperature] *= 1.0 - in_bay
+        decay_s = np.exp(x[layout.fault(SensorFault.TRANSIENT_DECAY)])
+        left = np.exp(-self.since_s / decay_s)
+        transient = x[layout.fault(SensorFault.TAKEOFF_TRANSIENT)]
         reading = felt_k + in_bay * (BAY_K - felt_k)
         reading += self.climbing * x[layout.fault(SensorFault.CLIMB_WARMTH)]
-        decay = np.exp(x[layout.fault(SensorFault.TRANSIENT_DECAY)])
-        left = np.exp(-self.since_s / decay)
-        transient = x[layout.fault(SensorFault.TAKEOFF_TRANSIENT)]
         reading += x[layout.fault(SensorFault.THERMOMETER_BIAS)] + transient * left
         by_fault = {
             SensorFault.THERMOMETER_BIAS: 1.0,
@@ -170,23 +174,44 @@ class Thermometer(Readings):
             SensorFault.BAY_SHARE: BAY_K - felt_k,
             SensorFault.CLIMB_WARMTH: self.climbing,
             SensorFault.TAKEOFF_TRANSIENT: left,
-            SensorFault.TRANSIENT_DECAY: transient * left * self.since_s / decay,
+            SensorFault.TRANSIENT_DECAY: transient * left * self.since_s / decay_s,
         }
         if self.heating is not None:
             by_fault[SensorFault.RECOVERY_FACTOR] = self.heating
             reading += self.heating * x[layout.fault(SensorFault.RECOVERY_FACTOR)]
+        jacobian = np.zeros((self.value.size, layout.size))
+        jacobian[:, layout.temperature] = felt * (1.0 - in_bay)
         for fault, derivative in by_fault.items():
             jacobian[:, layout.fault(fault)] = derivative
-        drift, where = layout.drift(SensorFault.THERMOMETER_DRIFT)
-        jacobian[:, where] = hats(drift.knot, self.seconds)
-        return reading + jacobian[:, where] @ x[where], jacobian
+        drift, rows = layout.drift(SensorFault.THERMOMETER_DRIFT)
+        jacobian[:, rows] = hats(drift.knot, self.seconds)
+        return reading + jacobian[:, rows] @ x[rows], jacobian
+
+    def _felt(self, air: AirAtKnots) -> tuple[Array, Array]:
+        """(m, k) weights of the knots' temperatures in T_felt, and its derivative by the lag."""
+        knot = air.layout.knot
+        lag_s = air.x[air.layout.fault(SensorFault.THERMOMETER_LAG)]
+        weights = np.zeros((self.value.size, knot.size))
+        by_lag = np.zeros(self.value.size)
+        beside = self.height - self.flown.at(self.seconds)
+        for memory, weight in zip(_MEMORY, _WEIGHT, strict=True):
+            then = self.seconds - lag_s * memory
+            at_knots = hats(knot, self.flown.at(then) + beside)
+            weights += weight * at_knots
+            before = self.flown.at(then - _STEP_S) + beside
+            before_k = np.interp(before, knot, air.temperature)
+            change = before_k - at_knots @ air.temperature
+            by_lag += weight * memory * change / _STEP_S
+        return weights, by_lag
 
 
 @dataclass(frozen=True, eq=False)
 class Barometer(Readings):
-    """Means of ln of a static pressure [Pa] in bins of GNSS height; ``highest`` ln of it, from
-    which a lost share of change counts; ``dynamic`` pressure rho_0 V^2/2 of the indicated airspeed
-    [Pa], or None."""
+    """Means of ln of a static pressure [Pa] in bins of GNSS height.
+
+    ``highest`` ln of it, from which a lost share of change counts; ``dynamic`` pressure
+    rho_0 V^2/2 of the indicated airspeed [Pa], or None.
+    """
 
     quantity = "pressure"
     seconds: Array
@@ -201,7 +226,8 @@ class Barometer(Readings):
         share s of the change since the highest pressure p_0. The drift is a process of unit
         variance times the two drifts, of height and of pressure, as large as they are in ln p.
         """
-        layout, x = air.layout, air.x
+        layout = air.layout
+        x = air.x
         reading, jacobian = air.log_pressure(self.height)
         per_metre = air.constant / np.interp(self.height, layout.knot, air.virtual)
         per_pascal = np.exp(-self.value)
@@ -215,10 +241,10 @@ class Barometer(Readings):
         for fault, derivative in by_fault.items():
             jacobian[:, layout.fault(fault)] = derivative
             reading += derivative * x[layout.fault(fault)]
-        drift, where = layout.drift(SensorFault.BAROMETER_DRIFT)
-        both = np.hypot(GNSS_DRIFT_M * per_metre, PRESSURE_DRIFT_PA * per_pascal)
-        jacobian[:, where] = hats(drift.knot, self.seconds) * both[:, None]
-        return reading + jacobian[:, where] @ x[where], jacobian
+        drift, rows = layout.drift(SensorFault.BAROMETER_DRIFT)
+        sigma = np.hypot(GNSS_DRIFT_M * per_metre, PRESSURE_DRIFT_PA * per_pascal)
+        jacobian[:, rows] = hats(drift.knot, self.seconds) * sigma[:, None]
+        return reading + jacobian[:, rows] @ x[rows], jacobian
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,14 +279,18 @@ class Humidities(Readings):
 
 
 def _at_heights(
-    layout: Layout, height: Array, where: slice, knot: Array, departure: str | None
+    layout: Layout,
+    height: Array,
+    rows: slice,
+    knot: Array,
+    departure: str | None,
 ) -> Array:
     """(m, s) derivatives of what is interpolated at heights between knots, and of its departure."""
     jacobian = np.zeros((height.size, layout.size))
-    jacobian[:, where] = hats(knot, height)
+    jacobian[:, rows] = hats(knot, height)
     if departure is not None:
-        drift, where = layout.drift(departure)
-        jacobian[:, where] = hats(drift.knot, height)
+        drift, rows_of_drift = layout.drift(departure)
+        jacobian[:, rows_of_drift] = hats(drift.knot, height)
     return jacobian
 
 

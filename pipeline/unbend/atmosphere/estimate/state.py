@@ -15,16 +15,24 @@ from unbend.atmosphere.air_variation import Part, Parts
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.hypsometry import column, hats
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
-from unbend.units import VAPOUR_DEFICIT, Array
+from unbend.units import VAPOUR_DEFICIT, Array, Rows
 
-FINEST_M, MOST_FINE = 50.0, 200
+FINEST_M = 50.0
+MOST_FINE = 200
 """Knots where something was sampled: 50 m' apart, or so far that there are no more than these."""
 
 MARGIN_M = 100.0  # fine knots go on so far beyond the samples [m']
-WIDENING, WIDEST_M = 1.25, 750.0  # beyond, each layer is thicker than the last, up to this [m']
+WIDENING = 1.25  # beyond, each layer is so many times thicker than the last
+WIDEST_M = 750.0  # up to this [m']
 TOP_M = 32_000.0  # above, the background's own breakpoints suffice [m']
-HUMID_M, HUMID_TOP_M = 250.0, 15_000.0
-"""Knots of humidity; above the highest vapour weighs less than 1e-5 of n - 1 [m']."""
+
+HUMID_M = 250.0  # between knots of humidity [m']
+HUMID_TOP_M = 15_000.0  # above, vapour weighs less than 1e-5 of n - 1 [m']
+HUMID_BOTTOM_M = -4000.0
+
+_LOWEST_K = 140.0  # of a state; no air is colder, or warmer than 360 K
+_HIGHEST_K = 360.0
+_DRY_RH = 1e-4  # one sigma of relative humidity at the highest knot
 
 _LEAST_DEPARTURE_K2 = 1e-4  # keeps the covariance of a sounding over the flight itself regular
 _UNKNOWN_LOG_P = 0.1  # prior sigma of ln p before sea-level pressure and barometer are used
@@ -81,7 +89,8 @@ class Drift:
         size = self.knot.size
         sigma = np.broadcast_to(self.sigma, size)
         correlation = exponential(self.knot, self.length) + 1e-8 * np.eye(size)
-        quick = self.quick[0] ** 2 * exponential(self.knot, self.quick[1])
+        quick_sigma, quick_length = self.quick
+        quick = quick_sigma**2 * exponential(self.knot, quick_length)
         return np.outer(sigma, sigma) * correlation + quick
 
 
@@ -117,7 +126,9 @@ class Departure:
 
     def covariance(self, background: Climatology) -> Array:
         """(k, k) covariance of the departure [K2]."""
-        return joint_covariance(background, self.knot, (self,))[self.knot.size :, self.knot.size :]
+        k = self.knot.size
+        joint = joint_covariance(background, self.knot, (self,))
+        return joint[k:, k:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +148,13 @@ class Layout:
 
     @property
     def temperature(self) -> slice:
+        """Temperatures at the knots [K]."""
         return slice(0, self.knot.size)
 
     @property
     def humidity(self) -> slice:
-        return slice(self.knot.size, self.knot.size + self.humid.size)
+        """Relative humidities at their knots."""
+        return slice(self.knot.size, self.level)
 
     @property
     def level(self) -> int:
@@ -149,29 +162,42 @@ class Layout:
         return self.knot.size + self.humid.size
 
     @property
+    def first_fault(self) -> int:
+        """Index of the first sensor fault."""
+        return self.level + 1
+
+    @property
+    def first_drift(self) -> int:
+        """Index of the first value of the first drift."""
+        return self.first_fault + len(self.faults)
+
+    @property
     def size(self) -> int:
-        return self.level + 1 + len(self.faults) + sum(d.knot.size for d in self.drifts)
+        """How many numbers the state has."""
+        return self.first_drift + sum(drift.knot.size for drift in self.drifts)
 
     def fault(self, name: SensorFault) -> int:
         """Index of a fault in the state."""
-        return self.level + 1 + [fault.name for fault in self.faults].index(name)
+        names = [fault.name for fault in self.faults]
+        return self.first_fault + names.index(name)
 
     def drift(self, name: str) -> tuple[Drift | Departure, slice]:
         """A drift, and its place in the state."""
-        at = self.level + 1 + len(self.faults)
+        start = self.first_drift
         for drift in self.drifts:
+            stop = start + drift.knot.size
             if drift.name == name:
-                return drift, slice(at, at + drift.knot.size)
-            at += drift.knot.size
+                return drift, slice(start, stop)
+            start = stop
         raise KeyError(name)
 
     def bounded(self, x: Array) -> Array:
         """The state with humidity, temperature and faults clipped to their physical limits."""
         x = x.copy()
         x[self.humidity] = np.clip(x[self.humidity], 0.0, 1.0)
-        x[self.temperature] = np.clip(x[self.temperature], 140.0, 360.0)
-        for i, fault in enumerate(self.faults, self.level + 1):
-            x[i] = min(max(x[i], fault.low), fault.high)
+        x[self.temperature] = np.clip(x[self.temperature], _LOWEST_K, _HIGHEST_K)
+        for place, fault in enumerate(self.faults, self.first_fault):
+            x[place] = min(max(x[place], fault.low), fault.high)
         return x
 
 
@@ -185,24 +211,32 @@ def place_knots(low: float, high: float, edge: Array) -> Array:
     """
     low = max(low - MARGIN_M, edge[0] + MARGIN_M)
     high = min(high + MARGIN_M, edge[-1] - MARGIN_M)
-    step = max(FINEST_M, (high - low) / MOST_FINE)
-    fine = np.linspace(low, high, 1 + max(1, round((high - low) / step)))
+    least_step = max(FINEST_M, (high - low) / MOST_FINE)
+    steps = max(1, round((high - low) / least_step))
+    fine = np.linspace(low, high, 1 + steps)
     step = fine[1] - fine[0]
-    away = np.cumsum(np.minimum(step * WIDENING ** np.arange(1, 100), WIDEST_M))
-    above = high + away[high + away < min(TOP_M, edge[-1] - step)]
-    below = low - away[low - away > edge[0] + step]
-    free = np.concatenate([below[::-1], fine, above])
+
+    thickness = np.minimum(step * WIDENING ** np.arange(1, 100), WIDEST_M)
+    away = np.cumsum(thickness)
+    above = high + away
+    above = above[above < min(TOP_M, edge[-1] - step)]
+    below = low - away
+    below = below[below > edge[0] + step]
+
     # No sliver of a layer beside a breakpoint of the background.
+    free = np.concatenate([below[::-1], fine, above])
     nearest = np.min(np.abs(free[:, None] - edge[None, :]), axis=1)
-    return np.unique(np.concatenate([free[nearest > 0.4 * step], edge]))
+    is_free = nearest > 0.4 * step
+    return np.unique(np.concatenate([free[is_free], edge]))
 
 
 def place_humid_knots(low: float, high: float) -> Array:
     """Knots [m'] of relative humidity, at the last of which there is none."""
-    bottom = max(low - 2.0 * HUMID_M, -4000.0)
-    middle = min(high + 2.0 * HUMID_M, HUMID_TOP_M - 3.0 * HUMID_M)
+    coarse_m = 2.0 * HUMID_M
+    bottom = max(low - coarse_m, HUMID_BOTTOM_M)
+    middle = min(high + coarse_m, HUMID_TOP_M - 3.0 * HUMID_M)
     fine = np.arange(bottom, max(middle, bottom + HUMID_M), HUMID_M)
-    coarse = np.arange(fine[-1] + 2.0 * HUMID_M, HUMID_TOP_M - HUMID_M, 2.0 * HUMID_M)
+    coarse = np.arange(fine[-1] + coarse_m, HUMID_TOP_M - HUMID_M, coarse_m)
     return np.concatenate([fine, coarse, [HUMID_TOP_M]])
 
 
@@ -218,56 +252,79 @@ class Prior:
         """The same with drifts (d,) of so many times the variance."""
         precision = self.precision.copy()
         for drift, times in zip(layout.drifts, variance, strict=True):
-            where = layout.drift(drift.name)[1]
-            precision[where, where] /= times
+            _, rows = layout.drift(drift.name)
+            precision[rows, rows] /= times
         return replace(self, precision=precision)
 
 
-def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> Prior:
+def prior_of(
+    layout: Layout,
+    background: Climatology,
+    moisture: Climatology,
+) -> Prior:
     """The background at the knots, and the expected sensor faults.
 
     The departure of temperature from the climatology, and how those of soundings depart from it,
     have the covariance of the structure function (`air_variation`). ``moisture`` gives humidity.
     """
-    gravity = background.profile.gravity
-    humid = layout.humid
-    mean, precision = np.zeros(layout.size), np.zeros((layout.size, layout.size))
+    profile = background.profile
+    mean = np.zeros(layout.size)
+    precision = np.zeros((layout.size, layout.size))
 
-    def put(where: slice, values: Array | float, covariance: Array) -> None:
-        mean[where] = values
-        precision[where, where] = np.linalg.inv(covariance)
-
-    knot_h = gravity.height(layout.knot)
-    spread = background.spread.sigma_temperature(knot_h)
-    mean[layout.temperature] = background.profile.temperature(knot_h)
-    where = [np.arange(layout.size)[layout.temperature]]
+    knot_h = profile.gravity.height(layout.knot)
+    mean[layout.temperature] = profile.temperature(knot_h)
     for departure in layout.departures:
-        place = layout.drift(departure.name)[1]
-        mean[place] = departure.expected_k
-        where.append(np.arange(layout.size)[place])
-    of_air = np.concatenate(where)
+        _, rows = layout.drift(departure.name)
+        mean[rows] = departure.expected_k
+    air = _rows_of_air(layout)
     covariance = joint_covariance(background, layout.knot, layout.departures)
-    precision[np.ix_(of_air, of_air)] = np.linalg.inv(covariance)
+    precision[np.ix_(air, air)] = np.linalg.inv(covariance)
 
-    h = gravity.height(humid)
-    expected = np.clip(moisture.relative_humidity(h), 0.0, 1.0)
-    expected[-1] = 0.0
-    sigma_rh = np.append(moisture.spread.sigma_relative_humidity(h)[:-1], 1e-4)
-    length = moisture.spread.humidity_correlation_m
-    put(layout.humidity, expected, np.outer(sigma_rh, sigma_rh) * exponential(humid, length))
+    humid_h = profile.gravity.height(layout.humid)
+    humidity = np.clip(moisture.relative_humidity(humid_h), 0.0, 1.0)
+    humidity[-1] = 0.0
+    mean[layout.humidity] = humidity
+    humid_covariance = _humidity_covariance(layout.humid, humid_h, moisture)
+    precision[layout.humidity, layout.humidity] = np.linalg.inv(humid_covariance)
 
-    level = float(np.log(background.profile.pressure(gravity.height(layout.reference))))
-    mean[layout.level], precision[layout.level, layout.level] = level, _UNKNOWN_LOG_P**-2
-    for i, fault in enumerate(layout.faults, layout.level + 1):
-        mean[i], precision[i, i] = fault.mean, fault.sigma**-2
+    reference_pa = profile.pressure(profile.gravity.height(layout.reference))
+    mean[layout.level] = float(np.log(reference_pa))
+    precision[layout.level, layout.level] = _UNKNOWN_LOG_P**-2
+    for place, fault in enumerate(layout.faults, layout.first_fault):
+        mean[place] = fault.mean
+        precision[place, place] = fault.sigma**-2
     for drift in layout.drifts:
         if isinstance(drift, Drift):
-            put(layout.drift(drift.name)[1], 0.0, drift.covariance())
-    return Prior(mean, precision, spread)
+            _, rows = layout.drift(drift.name)
+            precision[rows, rows] = np.linalg.inv(drift.covariance())
+    return Prior(mean, precision, background.spread.sigma_temperature(knot_h))
+
+
+def _rows_of_air(layout: Layout) -> Rows:
+    """Where the flight's temperatures, and the departures of soundings from them, stand."""
+    rows_of_air = [np.arange(layout.knot.size)]
+    for departure in layout.departures:
+        _, rows = layout.drift(departure.name)
+        rows_of_air.append(np.arange(rows.start, rows.stop))
+    return np.concatenate(rows_of_air)
+
+
+def _humidity_covariance(
+    humid: Array,
+    humid_h: Array,
+    moisture: Climatology,
+) -> Array:
+    """(j, j) covariance of relative humidity at its knots [m'], at heights [m]; the last is dry."""
+    sigma_rh = moisture.spread.sigma_relative_humidity(humid_h)
+    sigma_rh = np.append(sigma_rh[:-1], _DRY_RH)
+    correlation = exponential(humid, moisture.spread.humidity_correlation_m)
+    return np.asarray(np.outer(sigma_rh, sigma_rh) * correlation)
 
 
 def joint_covariance(
-    background: Climatology, knot: Array, departures: Sequence[Departure]
+    background: Climatology,
+    knot: Array,
+    departures: Sequence[Departure],
 ) -> Array:
     """Prior covariance [K2] of the flight's temperatures, and of departures from them.
 
@@ -276,11 +333,15 @@ def joint_covariance(
     and the flight's 0, it is cov(a, b) - cov(a, 0) - cov(0, b) + cov(0, 0), with the correlation of
     each part over the time and distance between.
     """
-    height = background.profile.gravity.height
+    gravity = background.profile.gravity
     flight = background.spread.parts
-    columns = [_Column(height(knot), flight)]
-    columns += [_Column(height(other.knot), other.parts, other) for other in departures]
-    blocks = [[_covariance_of_columns(a, b, flight) for b in columns] for a in columns]
+    columns = [_Column(gravity.height(knot), flight)]
+    for departure in departures:
+        h = gravity.height(departure.knot)
+        columns.append(_Column(h, departure.parts, departure))
+    blocks = []
+    for a in columns:
+        blocks.append([_covariance_of_columns(a, b, flight) for b in columns])
     return np.block(blocks)
 
 
@@ -319,11 +380,14 @@ def _covariance_of_columns(a: _Column, b: _Column, flight: Parts) -> Array:
     """
     total = np.zeros((a.h.size, b.h.size))
     for part_a, part_b, part in zip(a.parts, b.parts, flight, strict=True):
-        total += part_a.covariance(a.h, b.h, part_b) * _alike(part, a.apart(b))
+        a_with_b = part_a.covariance(a.h, b.h, part_b)
+        total += a_with_b * _alike(part, a.apart(b))
         if b.is_departure():
-            total -= part_a.covariance(a.h, b.h, part) * _alike(part, a.from_flight)
+            a_with_flight = part_a.covariance(a.h, b.h, part)
+            total -= a_with_flight * _alike(part, a.from_flight)
         if a.is_departure():
-            total -= part.covariance(a.h, b.h, part_b) * _alike(part, b.from_flight)
+            flight_with_b = part.covariance(a.h, b.h, part_b)
+            total -= flight_with_b * _alike(part, b.from_flight)
         if a.is_departure() and b.is_departure():
             total += part.covariance(a.h, b.h)
     if a.departure is not None and a.departure is b.departure:
@@ -381,7 +445,12 @@ class AirAtKnots:
         return level - fall, jacobian
 
 
-def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> AirAtKnots:
+def air_of(
+    layout: Layout,
+    x: Array,
+    pressure: Array,
+    constant: float,
+) -> AirAtKnots:
     """The air of a state; ``pressure`` (k,) at the knots only turns humidity into e/p.
 
     T_M = T/(1 - 0.378 v), v = e/p = RH f(T, p) e_s(T)/p. The derivatives hold p: it changes v by
@@ -414,4 +483,5 @@ def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> AirAtK
 
 def exponential(x: Array, length: float) -> Array:
     """(n, n) correlation exp(-|dx| / length)."""
-    return np.asarray(np.exp(-np.abs(x[:, None] - x[None, :]) / length))
+    distance = np.abs(x[:, None] - x[None, :])
+    return np.asarray(np.exp(-distance / length))

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,20 +12,23 @@ from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import messages
 from unbend.atmosphere.estimate.estimate_checks import MISFIT, PASSED, Check, is_plausible
 from unbend.atmosphere.estimate.hypotheses import IN_A_BAY
+from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensor_checks import LOST_SIGMAS
 from unbend.atmosphere.estimate.sensors import Barometer, Readings, SensorSettings, Thermometer
-from unbend.atmosphere.estimate.solver import Estimate, Fit, Solution, estimate, layout_of, solve
+from unbend.atmosphere.estimate.solver import Estimate, Solution, estimate, layout_of, solve
 from unbend.atmosphere.estimate.state import SensorFault, prior_of
 from unbend.atmosphere.rejection import Reason
+from unbend.units import Array
 
 MISFIT_K = 1.5
 """Readings of a thermometer disagree with the others where their inflated sigma is larger than this
 too: the sun on its probe comes to 0.9 K."""
 
-LARGEST_BIAS_K, LARGEST_CHANGE_K, COMPARED_SIGMAS = 8.0, 3.5, 3.5
-"""A thermometer against what the barometer implies, in the mean and in its change from the lower to
-the upper half: more, beside so many sigmas of the comparison, is a wrong sensor."""
+# A thermometer against what the barometer implies: more is a wrong sensor.
+LARGEST_BIAS_K = 8.0  # in the mean
+LARGEST_CHANGE_K = 3.5  # in its change from the lower to the upper half
+COMPARED_SIGMAS = 3.5  # of the comparison, beside these
 
 CERTAIN_CHANCE = 0.99  # of being in a bay or indoors, above which a thermometer is not used
 
@@ -55,12 +58,56 @@ def thermometer_is_outside(
     plausible air of its own. All without soundings and stations; the last two with drifts of the
     expected size, since a large one could hide any contradiction.
     """
-    temperature, pressure = samples.temperature, samples.pressure
+    temperature = samples.temperature
+    pressure = samples.pressure
     chance = made.chances.get(IN_A_BAY.name, 0.0)
     if temperature is not None and chance > CERTAIN_CHANCE:
         return Check(messages.thermometer_in_a_bay(percent=100.0 * chance))
     if temperature is None or pressure is None or settings.board_temperature:
         return PASSED
+    check = _predicted_without_thermometer(samples, made, background, moisture, settings)
+    if not check:
+        return check
+    expected = replace(settings, usual_errors_only=True)
+    estimate_of = partial(estimate, background=background, settings=expected, moisture=moisture)
+    has_drifted = max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
+    if has_drifted or _inflated_sigma_k(made) > MISFIT_K:
+        first_ns = int(temperature.time_ns[temperature.accepted][0])
+        early = _until(samples, first_ns + round(TOGETHER_S * 1e9))
+        inflated_k = _inflated_sigma_k(estimate_of(early))
+        if inflated_k > MISFIT_K:
+            reason = messages.thermometer_contradicts_barometer(
+                minutes=TOGETHER_S / 60.0,
+                barometer=pressure.name,
+                kelvin=inflated_k,
+                limit_k=MISFIT_K,
+            )
+            return Check(reason)
+    if has_drifted or _sigma_inflation(made, Barometer) > MISFIT:
+        inflation = _sigma_inflation(estimate_of(samples), Barometer)
+        alone = estimate_of(replace(samples, temperature=None))
+        fits_alone = _sigma_inflation(alone, Barometer) <= MISFIT
+        if inflation > MISFIT and fits_alone and is_plausible(alone, background):
+            reason = messages.barometer_fits_other_temperatures(
+                barometer=pressure.name,
+                inflation=inflation,
+                limit=MISFIT,
+            )
+            return Check(reason)
+    return PASSED
+
+
+def _predicted_without_thermometer(
+    samples: AirSamples,
+    made: Estimate,
+    background: Climatology,
+    moisture: Climatology | None,
+    settings: SensorSettings,
+) -> Check:
+    """Whether temperatures are those that the estimate without them predicts.
+
+    Passed too where its barometer fits no air, or is seen to lose pressure (``made``: with both).
+    """
     flown = collect_readings(samples, background, settings)
     layout = layout_of(flown, background)
     others = [readings for readings in flown.sets if not isinstance(readings, Thermometer)]
@@ -73,81 +120,93 @@ def thermometer_is_outside(
     barometer_fits = _largest_inflation(others, without.fits, Barometer) <= MISFIT
     if not check and barometer_fits and not barometer_loses_pressure(made):
         return check
-    expected = replace(settings, usual_errors_only=True)
-    estimate_of = partial(estimate, background=background, settings=expected, moisture=moisture)
-    drifted = max(made.drift_scales.values(), default=1.0) > LARGE_DRIFT
-    if drifted or _inflated_sigma_k(made) > MISFIT_K:
-        # The flight until half an hour after its thermometer's first accepted reading.
-        until = int(temperature.time_ns[temperature.accepted][0]) + round(TOGETHER_S * 1e9)
-        early: dict[str, Any] = {
-            name: sensor.reject(sensor.time_ns > until, Reason.LEFT_OUT)
-            for name, sensor in samples.sensors.items()
-        }
-        inflated_k = _inflated_sigma_k(estimate_of(replace(samples, **early)))
-        if inflated_k > MISFIT_K:
-            reason = messages.thermometer_contradicts_barometer(
-                minutes=TOGETHER_S / 60.0,
-                barometer=pressure.name,
-                kelvin=inflated_k,
-                limit_k=MISFIT_K,
-            )
-            return Check(reason)
-    if drifted or _sigma_inflation(made, Barometer) > MISFIT:
-        inflation = _sigma_inflation(estimate_of(samples), Barometer)
-        alone = estimate_of(replace(samples, temperature=None))
-        fits = _sigma_inflation(alone, Barometer) <= MISFIT and is_plausible(alone, background)
-        if inflation > MISFIT and fits:
-            reason = messages.barometer_fits_other_temperatures(
-                barometer=pressure.name, inflation=inflation, limit=MISFIT
-            )
-            return Check(reason)
     return PASSED
+
+
+def _until(samples: AirSamples, until_ns: int) -> AirSamples:
+    """The samples of a flight until a time [Unix ns]."""
+    early: dict[str, Any] = {}
+    for quantity, sensor in samples.sensors.items():
+        early[quantity] = sensor.reject(sensor.time_ns > until_ns, Reason.LEFT_OUT)
+    return replace(samples, **early)
 
 
 def barometer_loses_pressure(made: Estimate) -> bool:
-    """Whether thermometer and barometer together show a static pressure that loses its change: the
-    air that it implies is too warm, at 6 km twice as much as at the ground. A thermometer's bias
-    does not grow so, and beside one indoors or in the sun the implied air is too cold."""
-    fits = max(_sigma_inflation(made, kind) for kind in (Barometer, Thermometer)) <= MISFIT
-    shares = (f for f in made.faults if f.fault is SensorFault.PRESSURE_SCALE)
-    return fits and any(f.sigma < SHOWN_SHARE and f.value > LOST_SIGMAS * f.sigma for f in shares)
+    """Whether thermometer and barometer together show a static pressure that loses its change.
+
+    The air that it implies is too warm, at 6 km twice as much as at the ground. A thermometer's
+    bias does not grow so, and beside one indoors or in the sun the implied air is too cold.
+    """
+    barometer_fits = _sigma_inflation(made, Barometer) <= MISFIT
+    thermometer_fits = _sigma_inflation(made, Thermometer) <= MISFIT
+    if not (barometer_fits and thermometer_fits):
+        return False
+    for fault in made.faults:
+        if fault.fault is SensorFault.PRESSURE_SCALE and fault.sigma < SHOWN_SHARE:
+            return fault.value > LOST_SIGMAS * fault.sigma
+    return False
+
+
+class _Comparison(NamedTuple):
+    """A mean of readings by ``weights`` (m,), by how much it may differ, and the words for it."""
+
+    weights: Array
+    largest_k: float
+    reads: str
 
 
 def is_predicted(thermometer: Thermometer, without: Solution) -> Check:
-    """Whether temperatures are those that an estimate without them predicts, in the mean over their
-    heights and in the change from the lower to the upper half of these, within the sigma of the
-    prediction and of all faults of a thermometer. Pressure implies virtual temperatures: in air as
-    dry as a desert's, temperatures as high as these."""
-    air, layout, height = without.air, without.air.layout, thermometer.height
-    moist = np.interp(height, layout.knot, air.virtual - air.temperature)
+    """Whether temperatures are those that an estimate without them predicts.
+
+    In the mean over their heights and in the change from the lower to the upper half of these,
+    within the sigma of the prediction and of all faults of a thermometer. Pressure implies virtual
+    temperatures: in air as dry as a desert's, temperatures as high as these.
+    """
+    air = without.air
+    layout = air.layout
+    moist = np.interp(thermometer.height, layout.knot, air.virtual - air.temperature)
     predicted, jacobian = thermometer.predict(air)
-    layer = np.floor((height - height.min()) / LAYER_M).astype(np.int64)
-    weight = 1.0 / np.bincount(layer)[layer]
-    upper = np.where(height >= 0.5 * (height.min() + height.max()), weight, 0.0)
-    lower = weight - upper
-    comparisons = [(weight / weight.sum(), LARGEST_BIAS_K, "reads")]
-    if lower.any() and upper.any():
-        what = f"from the lower to the upper half of {np.ptp(height):.0f} m changes by"
-        comparisons.append((upper / upper.sum() - lower / lower.sum(), LARGEST_CHANGE_K, what))
-    for weights, largest, what in comparisons:
+    for weights, largest_k, reads in _comparisons(thermometer.height):
         by_state = weights @ jacobian
-        by_state[layout.fault(SensorFault.THERMOMETER_BIAS)] = 0.0  # ``largest`` is its limit
+        by_state[layout.fault(SensorFault.THERMOMETER_BIAS)] = 0.0  # ``largest_k`` is its limit
         sigma = float(np.sqrt(by_state @ without.covariance @ by_state))
-        limit = float(np.hypot(largest, COMPARED_SIGMAS * sigma) + abs(weights @ moist))
-        seen = float(weights @ (thermometer.value - predicted))
-        if abs(seen) > limit:
+        limit = float(np.hypot(largest_k, COMPARED_SIGMAS * sigma) + abs(weights @ moist))
+        departure = float(weights @ (thermometer.value - predicted))
+        if abs(departure) > limit:
             reason = messages.thermometer_not_as_predicted(
-                reads=what, departure_k=seen, limit_k=limit
+                reads=reads,
+                departure_k=departure,
+                limit_k=limit,
             )
             return Check(reason)
     return PASSED
+
+
+def _comparisons(height: Array) -> list[_Comparison]:
+    """The mean over heights (m,) [m'] and the change between their halves; layers weigh alike."""
+    layer = np.floor((height - height.min()) / LAYER_M).astype(np.int64)
+    weight = 1.0 / np.bincount(layer)[layer]
+    comparisons = [_Comparison(weight / weight.sum(), LARGEST_BIAS_K, "reads")]
+    middle = 0.5 * (height.min() + height.max())
+    upper = np.where(height >= middle, weight, 0.0)
+    lower = weight - upper
+    if lower.any() and upper.any():
+        change = upper / upper.sum() - lower / lower.sum()
+        reads = f"from the lower to the upper half of {np.ptp(height):.0f} m changes by"
+        comparisons.append(_Comparison(change, LARGEST_CHANGE_K, reads))
+    return comparisons
 
 
 def _inflated_sigma_k(made: Estimate) -> float:
     """Sigma [K] of a thermometer's readings with the inflation factor, 0 where that is small."""
     inflation = _sigma_inflation(made, Thermometer)
-    sigmas = [np.median(s.sigma) for s in made.readings.sets if isinstance(s, Thermometer)]
-    return inflation * float(max(sigmas, default=0.0)) if inflation > MISFIT else 0.0
+    if inflation <= MISFIT:
+        return 0.0
+    sigma_k = 0.0
+    for readings in made.readings.sets:
+        if isinstance(readings, Thermometer):
+            sigma_k = max(sigma_k, float(np.median(readings.sigma)))
+    return inflation * sigma_k
 
 
 def _sigma_inflation(made: Estimate, kind: type) -> float:

@@ -4,32 +4,117 @@ A flight measures the air in its climb. Elsewhere, and at another time, the air 
 the model's column there minus the model's column where and when the climb was.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from unbend.atmosphere import messages
 from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.series.ageing import SampleAges
 from unbend.atmosphere.series.profile_series import (
     FINEST_CHANGE,
     PlaceInTime,
     ProfileSeries,
-    SampleAges,
     TimedProfile,
 )
 from unbend.atmosphere.soundings.model_field import ModelColumns, ModelField
 from unbend.messages import Notes
-from unbend.units import VAPOUR_DEFICIT, Array, Integers
+from unbend.units import VAPOUR_DEFICIT, Array, Integers, Rows
 
-LONG_KM, LONG_H = 30.0, 2.0  # in a shorter flight the air of one place and time is that of all
+# In a shorter flight the air of one place and time is that of all.
+LONG_KM = 30.0
+LONG_H = 2.0
 
 LEFT_BY_MODEL = 0.5
 """Share of a distance that counts where a model's differences are added: half of the variance that
 the air changes by is left. Set by judgement."""
 
-_CELL_KM, _CELL_NS, _EARTH_KM = 2.0, 600 * 10**9, 6371.0
-_AGE_STEP_KM = 20.0
+_CELL_KM = 2.0  # exposures of a square and of ten minutes share a column of the model
+_CELL_NS = 600 * 10**9
+_EARTH_KM = 6371.0
+_AGE_STEP_KM = 20.0  # profiles whose distances round to the same multiple are one
+_LOWEST_CAMERA_M = 1.0  # above the ground; from a lower one there is no refraction to compare
+
+
+class ColumnAir(NamedTuple):
+    """One column of a model from the ground up.
+
+    ``height`` (l,) [m']; ``values`` (3, l): T_M [K], e/p and ln p there.
+    """
+
+    height: Array
+    values: Array
+
+
+class WeightedPlace(NamedTuple):
+    """Where and when air was sampled, and its share in a mixture."""
+
+    place: PlaceInTime
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedExposures:
+    """Exposures (k,) of known place, and the number of the profile of each."""
+
+    time_ns: Integers
+    latitude_rad: Array
+    longitude_rad: Array
+    profile_number: Integers
+
+    @cached_property
+    def km_per_rad(self) -> Array:
+        """(2,) kilometres of a radian of latitude and of longitude."""
+        mean_latitude = self.latitude_rad.mean()
+        return _EARTH_KM * np.array([1.0, np.cos(mean_latitude)])
+
+    @cached_property
+    def km(self) -> Array:
+        """(2, k) kilometres north and east."""
+        places = np.stack([self.latitude_rad, self.longitude_rad])
+        return np.asarray(self.km_per_rad[:, None] * places)
+
+    def km_of_origin(self, place: PlaceInTime) -> Array:
+        """(2,) kilometres north and east of a place where air was sampled."""
+        return np.asarray(self.km_per_rad * place[:2])
+
+    def extent_km(self, origins: Mapping[PlaceInTime, ColumnAir]) -> float:
+        """Diagonal of the area of the exposures and of the places where air was sampled."""
+        km_of_origins = [self.km_of_origin(place) for place in origins]
+        km = np.hstack([self.km, np.array(km_of_origins).T])
+        return float(np.hypot(*np.ptp(km, axis=1)))
+
+    def extent_hours(self, origins: Mapping[PlaceInTime, ColumnAir]) -> float:
+        """Time between the first and the last of exposures and samples."""
+        times_ns = self.time_ns.tolist()
+        for _, _, sampled_ns in origins:
+            times_ns.append(sampled_ns)
+        return float((max(times_ns) - min(times_ns)) / 3.6e12)
+
+
+class ExposureCells(NamedTuple):
+    """Cells (c,) of exposures (k,) that share the model's column at the first of them."""
+
+    profile_number: Integers
+    first_exposure: Rows
+    cell_of_exposure: Rows
+
+
+class ChangedAirs(NamedTuple):
+    """The profiles of a series, those ``added`` by the model's changes, and which each cell has.
+
+    ``largest`` is the largest change of ln R.
+    """
+
+    airs: list[TimedProfile]
+    added: int
+    air_of_cell: Integers
+    largest: float
 
 
 def add_model_changes(
@@ -52,101 +137,225 @@ def add_model_changes(
     distance from where it was ``measured``; a ray at 45 degrees ends as far away as the camera is
     high, so that counts as a distance too (docs/pages/air/weather_model.md).
     """
-    known = np.flatnonzero(np.isfinite(latitude_rad + longitude_rad))
-    if known.size == 0:
+    has_place = np.isfinite(latitude_rad + longitude_rad)
+    if not bool(has_place.any()):
         return series, ()
-    latitude, longitude, time_ns = latitude_rad[known], longitude_rad[known], time_ns[known]
-    scale = _EARTH_KM * np.array([1.0, np.cos(latitude.mean())])
-    km = scale[:, None] * np.stack([latitude, longitude])
-    origins = {place: _column(field.columns(*(np.array([x]) for x in place)), 0)
-               for air in series.timed_profiles for place, _ in _origins(air)}  # fmt: skip
-    ends = np.hstack([km, np.array([scale * place[:2] for place in origins]).T])
-    length_km = float(np.hypot(*np.ptp(ends, axis=1)))
-    times = [*time_ns.tolist(), *(place[2] for place in origins)]
-    hours = (max(times) - min(times)) / 3.6e12
+    exposures = PlacedExposures(
+        time_ns=time_ns[has_place],
+        latitude_rad=latitude_rad[has_place],
+        longitude_rad=longitude_rad[has_place],
+        profile_number=series.profile_number[has_place],
+    )
+    origins = _columns_of_origins(series, field)
+    length_km = exposures.extent_km(origins)
+    hours = exposures.extent_hours(origins)
     if length_km < LONG_KM and hours < LONG_H:
         return series, ()
-    slot = (time_ns - time_ns.min()) // _CELL_NS
-    cell = np.vstack([series.profile_number[known], slot, np.floor(km / _CELL_KM)])
-    cells, row, number = np.unique(cell, axis=1, return_index=True, return_inverse=True)
-    here = field.columns(latitude[row], longitude[row], time_ns[row])
-    reach_km = (max(h_c) - h_g) * 1e-3
-    airs: list[TimedProfile] = list(series.timed_profiles)
-    place_of: dict[tuple[int, ...], int] = {}
-    new, largest = np.zeros(row.size, np.int64), 0.0
-    for i in range(row.size):
-        air = series.timed_profiles[int(cells[0, i])]
-        away_km = reach_km
-        for place, weight in _origins(air):
-            away_km += measured * weight * float(np.hypot(*(km[:, row[i]] - scale * place[:2])))
-        changed = changed_air(air, _column(here, i), origins, h_g)
-        change = [changed.change_from(air, [h], h_g) for h in h_c if h > h_g + 1.0]
-        largest = max(largest, *map(abs, change), 0.0)
-        key = (int(cells[0, i]), round(away_km / _AGE_STEP_KM),
-               *(round(value / FINEST_CHANGE) for value in change))  # fmt: skip
-        if key not in place_of:
-            place_of[key] = len(airs)
-            old = air.ages or SampleAges(np.array([h_g]), np.zeros(1))
-            left_m = 1e3 * LEFT_BY_MODEL * away_km
-            metres = np.broadcast_to(old.metres + left_m, old.h_m.shape)
-            ages = SampleAges(old.h_m, old.hours, metres)
-            airs.append(replace(changed, time_ns=int(time_ns[row[i]]), ages=ages))
-        new[i] = place_of[key]
-    numbers = series.profile_number.copy()
-    numbers[known] = new[number.ravel()]
-    used, numbers = np.unique(numbers, return_inverse=True)
-    entry = messages.air_by_place(
-        count=len(place_of), length_km=length_km, hours=hours, percent=100.0 * largest
+    cells = _cells_of(exposures)
+    changed = _changed_airs(
+        series,
+        field,
+        exposures,
+        cells,
+        origins,
+        h_c=h_c,
+        h_g=h_g,
+        measured=measured,
     )
-    return ProfileSeries(tuple(airs[u] for u in used), numbers.astype(np.int64)), (entry,)
+    numbers = series.profile_number.copy()
+    numbers[has_place] = changed.air_of_cell[cells.cell_of_exposure]
+    used, numbers = np.unique(numbers, return_inverse=True)
+    used_airs = tuple(changed.airs[number] for number in used)
+    entry = messages.air_by_place(
+        count=changed.added,
+        length_km=length_km,
+        hours=hours,
+        percent=100.0 * changed.largest,
+    )
+    return ProfileSeries(used_airs, numbers.astype(np.int64)), (entry,)
 
 
-def _origins(air: TimedProfile) -> list[tuple[PlaceInTime, float]]:
+def _columns_of_origins(
+    series: ProfileSeries,
+    field: ModelField,
+) -> dict[PlaceInTime, ColumnAir]:
+    """The model's columns where and when the air of a series was sampled."""
+    columns: dict[PlaceInTime, ColumnAir] = {}
+    for air in series.timed_profiles:
+        for place, _ in _origins(air):
+            latitude, longitude, time_ns = place
+            there = field.columns(
+                np.array([latitude]),
+                np.array([longitude]),
+                np.array([time_ns]),
+            )
+            columns[place] = _column(there, 0)
+    return columns
+
+
+def _cells_of(exposures: PlacedExposures) -> ExposureCells:
+    """Exposures of one profile, of ten minutes and of a square of 2 km together."""
+    slot = (exposures.time_ns - exposures.time_ns.min()) // _CELL_NS
+    square = np.floor(exposures.km / _CELL_KM)
+    keys = np.vstack([exposures.profile_number, slot, square])
+    keys_of_cells, first_exposure, cell_of_exposure = np.unique(
+        keys,
+        axis=1,
+        return_index=True,
+        return_inverse=True,
+    )
+    profile_number = keys_of_cells[0].astype(np.int64)
+    return ExposureCells(profile_number, first_exposure, cell_of_exposure.ravel())
+
+
+def _changed_airs(
+    series: ProfileSeries,
+    field: ModelField,
+    exposures: PlacedExposures,
+    cells: ExposureCells,
+    origins: Mapping[PlaceInTime, ColumnAir],
+    *,
+    h_c: list[float],
+    h_g: float,
+    measured: bool,
+) -> ChangedAirs:
+    """The air of each cell; cells whose distance and change of ln R round to the same share it."""
+    columns = field.columns(
+        exposures.latitude_rad[cells.first_exposure],
+        exposures.longitude_rad[cells.first_exposure],
+        exposures.time_ns[cells.first_exposure],
+    )
+    airs = list(series.timed_profiles)
+    number_of_key: dict[tuple[int, ...], int] = {}  # of profile, distance and changes
+    air_of_cell = np.zeros(cells.first_exposure.size, np.int64)
+    largest = 0.0
+    for cell, exposure in enumerate(cells.first_exposure):
+        profile_number = int(cells.profile_number[cell])
+        air = series.timed_profiles[profile_number]
+        away_km = (max(h_c) - h_g) * 1e-3
+        if measured:
+            away_km = _add_distances(away_km, air, exposures, exposure)
+        changed = changed_air(air, _column(columns, cell), origins, h_g)
+        changes = _changes_of_refraction(changed, air, h_c, h_g)
+        largest = max([largest, *map(abs, changes)])
+        rounded = [round(change / FINEST_CHANGE) for change in changes]
+        key = (profile_number, round(away_km / _AGE_STEP_KM), *rounded)
+        if key not in number_of_key:
+            number_of_key[key] = len(airs)
+            ages = _ages_with_distance(air, h_g, away_km)
+            time_ns = int(exposures.time_ns[exposure])
+            airs.append(replace(changed, time_ns=time_ns, ages=ages))
+        air_of_cell[cell] = number_of_key[key]
+    return ChangedAirs(airs, len(number_of_key), air_of_cell, largest)
+
+
+def _add_distances(
+    away_km: float,
+    air: TimedProfile,
+    exposures: PlacedExposures,
+    exposure: int,
+) -> float:
+    """A distance and those of an exposure from where the air was sampled, by their weights."""
+    for place, weight in _origins(air):
+        north, east = exposures.km[:, exposure] - exposures.km_of_origin(place)
+        away_km += weight * float(np.hypot(north, east))
+    return away_km
+
+
+def _changes_of_refraction(
+    changed: TimedProfile,
+    air: TimedProfile,
+    h_c: Sequence[float],
+    h_g: float,
+) -> list[float]:
+    """The change of ln R from one air to another, for each camera above the ground."""
+    changes = []
+    for height in h_c:
+        if height > h_g + _LOWEST_CAMERA_M:
+            changes.append(changed.change_from(air, [height], h_g))
+    return changes
+
+
+def _ages_with_distance(air: TimedProfile, h_g: float, away_km: float) -> SampleAges:
+    """The ages of an air's samples, with what counts of a distance added to their own."""
+    ages = air.ages or SampleAges(np.array([h_g]), np.zeros(1))
+    left_m = 1e3 * LEFT_BY_MODEL * away_km
+    metres = np.broadcast_to(ages.metres + left_m, ages.h_m.shape)
+    return SampleAges(ages.h_m, ages.hours, metres)
+
+
+def _origins(air: TimedProfile) -> list[WeightedPlace]:
     """Where and when the air was sampled, with weights that add up to 1."""
     if air.sampled_at is not None:
-        return [(air.sampled_at, 1.0)]
+        return [WeightedPlace(air.sampled_at, 1.0)]
     if air.neighbours is None:
         raise ValueError("air that changes from place to place needs the place that it is of")
-    a, b, share = air.neighbours
-    return [(place, weight * part) for node, part in ((a, 1.0 - share), (b, share))
-            for place, weight in _origins(node)]  # fmt: skip
+    earlier, later, share = air.neighbours
+    origins = []
+    for place, weight in _origins(earlier):
+        origins.append(WeightedPlace(place, weight * (1.0 - share)))
+    for place, weight in _origins(later):
+        origins.append(WeightedPlace(place, weight * share))
+    return origins
 
 
-def _column(columns: ModelColumns, i: int) -> tuple[Array, Array]:
-    """(l,) heights [m'] of one column from the ground up; (3, l) T_M, e/p and ln p there."""
-    virtual = columns.temperature_k[i] / (1.0 - VAPOUR_DEFICIT * columns.vapour[i])
-    values = np.stack([virtual, columns.vapour[i], columns.log_pressure[i]])
-    known = np.flatnonzero(np.isfinite(columns.height[i] + values.sum(axis=0)))[::-1]
-    return columns.height[i, known], values[:, known]
+def _column(columns: ModelColumns, number: int) -> ColumnAir:
+    """One of several columns of a model, at the levels where it has air."""
+    vapour = columns.vapour[number]
+    virtual = columns.temperature_k[number] / (1.0 - VAPOUR_DEFICIT * vapour)
+    values = np.stack([virtual, vapour, columns.log_pressure[number]])
+    height = columns.height[number]
+    has_air = np.isfinite(height + values.sum(axis=0))
+    from_ground_up = np.flatnonzero(has_air)[::-1]
+    return ColumnAir(height[from_ground_up], values[:, from_ground_up])
 
 
 def changed_air(
     air: TimedProfile,
-    here: tuple[Array, Array],
-    origins: Mapping[PlaceInTime, tuple[Array, Array]],
+    here: ColumnAir,
+    origins: Mapping[PlaceInTime, ColumnAir],
     h_g: float,
 ) -> TimedProfile:
-    """The air with the model's change to a column from where the air was sampled, below the lowest
-    and above the highest level of both columns that there."""
+    """The air with the model's change to a column ``here`` from where the air was sampled.
+
+    Below the lowest and above the highest level of both columns the change is that there.
+    """
     profile = air.profile
-    layers, gravity = profile.layers, profile.gravity
+    layers = profile.layers
     edge = layers.edge
-    anchor = float(np.clip(gravity.geopotential_height(h_g), edge[0], edge[-1]))
-    change = np.zeros((3, edge.size + 1))
+    anchor = float(np.clip(profile.gravity.geopotential_height(h_g), edge[0], edge[-1]))
+    heights = np.append(edge, anchor)
+    change = np.zeros((3, heights.size))
     for place, weight in _origins(air):
-        there = origins[place]
-        low, high = max(here[0][0], there[0][0]), min(here[0][-1], there[0][-1])
-        at = np.clip(np.append(edge, anchor), low, high)
-        for j in range(3):
-            difference = np.interp(at, here[0], here[1][j]) - np.interp(at, there[0], there[1][j])
-            change[j] += weight * difference
-    vapour = np.append(layers.vapour, layers.vapour[-1] + layers.vapour_slope[-1] * (
-        edge[-1] - edge[-2]))  # fmt: skip
-    pressure = float(profile.pressure(gravity.height(anchor)) * np.exp(change[2, -1]))
-    layers = stack_layers(
-        edge, layers.edge_temperature + change[0, :-1], np.maximum(vapour + change[1, :-1], 0.0),
-        layers.source, anchor=(anchor, pressure), constant=profile.constant,
-    )  # fmt: skip
-    profile, own = replace(profile, layers=layers), air.own_covariance
-    own = None if own is None else replace(own, profile=profile)
-    return replace(air, profile=profile, own_covariance=own)
+        change += weight * _difference(here, origins[place], heights)
+
+    top_vapour = layers.vapour[-1] + layers.vapour_slope[-1] * (edge[-1] - edge[-2])
+    vapour = np.append(layers.vapour, top_vapour) + change[1, :-1]
+    anchor_pa = profile.pressure(profile.gravity.height(anchor))
+    pressure = anchor_pa * np.exp(change[2, -1])
+    changed_layers = stack_layers(
+        edge,
+        layers.edge_temperature + change[0, :-1],
+        np.maximum(vapour, 0.0),
+        layers.source,
+        anchor=(anchor, float(pressure)),
+        constant=profile.constant,
+    )
+    changed = replace(profile, layers=changed_layers)
+    if air.own_covariance is None:
+        return replace(air, profile=changed)
+    covariance = replace(air.own_covariance, profile=changed)
+    return replace(air, profile=changed, own_covariance=covariance)
+
+
+def _difference(here: ColumnAir, there: ColumnAir, heights: Array) -> Array:
+    """(3, n) T_M, e/p and ln p of one column less those of another at heights (n,) [m']."""
+    lowest = max(here.height[0], there.height[0])
+    highest = min(here.height[-1], there.height[-1])
+    common = np.clip(heights, lowest, highest)
+    differences = []
+    for values_here, values_there in zip(here.values, there.values, strict=True):
+        interpolated_here = np.interp(common, here.height, values_here)
+        interpolated_there = np.interp(common, there.height, values_there)
+        differences.append(interpolated_here - interpolated_there)
+    return np.stack(differences)

@@ -18,9 +18,9 @@ from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate.adjusted_profile import Adjustment
 from unbend.atmosphere.estimate.candidates import SMALLEST_CLIMB_M
 from unbend.atmosphere.estimate.estimate_checks import is_better_than_background, is_plausible
-from unbend.atmosphere.estimate.solver import estimate
-from unbend.atmosphere.series import profile_series
-from unbend.atmosphere.series.profile_series import SampleAges, TimedProfile
+from unbend.atmosphere.estimate.solver import FaultEstimate, estimate
+from unbend.atmosphere.series import ageing
+from unbend.atmosphere.series.profile_series import TimedProfile
 from unbend.messages import Notes
 
 MOST_WINDOWS = 12  # each as long as the air stays fresh, or longer
@@ -41,8 +41,10 @@ of R were 1.1 to 1.6 sigma RMS in six sets of flights."""
 
 @dataclass(frozen=True, eq=False)
 class TimeWindow:
-    """A part of the flight [Unix ns] and its air; ``change`` is ln of its R over the whole's;
-    ``why_not`` says why its own estimate is not used."""
+    """A part of the flight [Unix ns] and its air.
+
+    ``change`` is ln of its R over the whole's; ``why_not`` says why its own estimate is not used.
+    """
 
     start_ns: int
     end_ns: int
@@ -63,21 +65,33 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     sensor = _deciding_sensor(samples)
     if sensor is None or not bool(sensor.accepted.any()):
         return ()
-    time = sensor.time_ns[sensor.accepted]
-    first, last = int(time[0]), int(time[-1]) + 1
-    count = max(1, min(MOST_WINDOWS, int((last - first) * 1e-9 / profile_series.FRESH_S)))
-    edges = [first + (last - first) * i // count for i in range(count + 1)]
+    time_ns = sensor.time_ns[sensor.accepted]
+    start_ns = int(time_ns[0])
+    duration_ns = int(time_ns[-1]) + 1 - start_ns
+    fresh_periods = int(duration_ns * 1e-9 / ageing.FRESH_S)
+    count = max(1, min(MOST_WINDOWS, fresh_periods))
+    edges = [start_ns + duration_ns * i // count for i in range(count + 1)]
     parts = list(pairwise(edges))
     while len(parts) > 1:
         extents = [_part(sensor, *part).extent_m for part in parts]
-        i = int(np.argmin(extents))
-        if extents[i] >= SMALLEST_CLIMB_M:
+        flattest = int(np.argmin(extents))
+        if extents[flattest] >= SMALLEST_CLIMB_M:
             break
-        sides = [j for j in (i - 1, i + 1) if 0 <= j < len(parts)]
-        j = min(sides, key=lambda side: parts[side][1] - parts[side][0])
-        low, high = sorted((i, j))
-        parts[low : high + 1] = [(parts[low][0], parts[high][1])]
+        first = _first_of_pair(parts, flattest)
+        joined = (parts[first][0], parts[first + 1][1])
+        parts[first : first + 2] = [joined]
     return tuple(parts)
+
+
+def _first_of_pair(parts: Sequence[tuple[int, int]], number: int) -> int:
+    """The first of two parts that are joined: one part and the shorter of its neighbours."""
+    if number == 0:
+        return number
+    if number == len(parts) - 1:
+        return number - 1
+    before_ns = parts[number - 1][1] - parts[number - 1][0]
+    after_ns = parts[number + 1][1] - parts[number + 1][0]
+    return number - 1 if before_ns <= after_ns else number
 
 
 def _deciding_sensor(samples: AirSamples) -> SensorSamples | None:
@@ -86,27 +100,36 @@ def _deciding_sensor(samples: AirSamples) -> SensorSamples | None:
 
 
 def _part(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
-    return part_of(sensor, slice(*np.searchsorted(sensor.time_ns, [start_ns, end_ns])))
+    """The samples of a sensor from one time until before another [Unix ns]."""
+    first, last = np.searchsorted(sensor.time_ns, [start_ns, end_ns])
+    return part_of(sensor, slice(first, last))
 
 
 def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSamples:
-    """What a flight measured from one time until before another [Unix ns]. Take-offs stay; where
-    they are not known, a part that begins after the first sample begins in the air."""
-    parts = {
-        name: _part(sensor, start_ns, end_ns)
-        for name in ("temperature", "pressure", "humidity", "airspeed")
-        if (sensor := getattr(samples, name)) is not None
-    }
+    """What a flight measured from one time until before another [Unix ns].
+
+    Take-offs stay; where they are not known, a part that begins after the first sample begins in
+    the air.
+    """
+    parts: dict[str, SensorSamples] = {}
+    for name in ("temperature", "pressure", "humidity", "airspeed"):
+        sensor = getattr(samples, name)
+        if sensor is None:
+            continue
+        part = _part(sensor, start_ns, end_ns)
+        if part.time_ns.size:
+            parts[name] = part
     takeoffs = samples.takeoff_ns
     deciding = _deciding_sensor(samples)
     if takeoffs is None and deciding is not None and start_ns > int(deciding.time_ns[0]):
         takeoffs = np.empty(0, np.int64)
-    parts = {name: sensor for name, sensor in parts.items() if sensor.time_ns.size}
     return AirSamples(**parts, takeoff_ns=takeoffs)
 
 
 def estimate_windows(
-    whole: Adjustment, h_c: Sequence[float], h_g: float
+    whole: Adjustment,
+    h_c: Sequence[float],
+    h_g: float,
 ) -> tuple[tuple[TimeWindow, ...], Notes]:
     """The air of each window of a flight, in the order of time; none where one profile is enough.
 
@@ -116,46 +139,75 @@ def estimate_windows(
     whole flight does, keeps the air of the whole. One profile is enough where R departs from that
     of the whole by less than its own sigma, RMS over the windows.
     """
-    samples, covariance, moisture = whole.samples, whole.covariance, whole.moisture
-    if samples is None or covariance is None or moisture is None:
+    if whole.samples is None or whole.covariance is None or whole.moisture is None:
         return (), ()
-    parts = time_windows(samples)
+    parts = time_windows(whole.samples)
     if len(parts) < 2:
         return (), ()
     hours = (parts[-1][1] - parts[0][0]) / 3.6e12
-    background = _whole_flight_as_background(covariance, moisture.spread, hours)
-    # Where the readings of a window cannot be used: the whole's air, changed as over the flight.
-    anywhere = SampleAges(np.array([covariance.anchor_height_m]), np.array([hours]))
-    aged = profile_series.covariance_with_ageing(covariance, anywhere)
+    background = _whole_flight_as_background(whole.covariance, whole.moisture.spread, hours)
+    anywhere = ageing.SampleAges(
+        h_m=np.array([whole.covariance.anchor_height_m]),
+        hours=np.array([hours]),
+    )
+    aged = ageing.covariance_with_ageing(whole.covariance, anywhere)
     changed = TimedProfile(None, whole.profile, aged)
     windows = []
     for start_ns, end_ns in parts:
-        part = part_of_flight(samples, start_ns, end_ns)
-        deciding = _deciding_sensor(part)
-        visited_ns = deciding.middle_of_heights_ns if deciding is not None else None
-        middle_ns = (start_ns + end_ns) // 2 if visited_ns is None else visited_ns
-        air = replace(changed, time_ns=middle_ns)
-        own, why_not = _own_air(part, air, whole, background)
-        if own is None or own.own_covariance is None:
+        part = part_of_flight(whole.samples, start_ns, end_ns)
+        middle_ns = _middle_of_part(part, start_ns, end_ns)
+        air, why_not = _air_of_part(part, middle_ns, whole, background)
+        if air is None or air.own_covariance is None:
+            # The whole's air, changed as over the flight.
+            air = replace(changed, time_ns=middle_ns)
             windows.append(TimeWindow(start_ns, end_ns, air, why_not=why_not))
             continue
-        change = own.change_from(changed, h_c, h_g)
-        sigma = own.own_covariance.relative_sigma(max(h_c), h_g)
-        windows.append(TimeWindow(start_ns, end_ns, own, change, sigma))
+        change = air.change_from(changed, h_c, h_g)
+        sigma = air.own_covariance.relative_sigma(max(h_c), h_g)
+        windows.append(TimeWindow(start_ns, end_ns, air, change, sigma))
+    return _windows_if_significant(windows, hours, utc_known=whole.utc_known)
+
+
+def _middle_of_part(part: AirSamples, start_ns: int, end_ns: int) -> int:
+    """The middle of its times [Unix ns], that of the visits to its heights where it has any."""
+    deciding = _deciding_sensor(part)
+    if deciding is not None and deciding.middle_of_heights_ns is not None:
+        return deciding.middle_of_heights_ns
+    return (start_ns + end_ns) // 2
+
+
+def _windows_if_significant(
+    windows: Sequence[TimeWindow],
+    hours: float,
+    *,
+    utc_known: bool,
+) -> tuple[tuple[TimeWindow, ...], Notes]:
+    """The windows where their R departs from that of the whole flight, else none; and why."""
     estimated = [window for window in windows if not window.why_not]
     if not estimated:
         return (), (messages.air_windows_none(hours=hours),)
-    departure = float(np.sqrt(np.mean([(w.change / w.sigma) ** 2 for w in estimated])))
-    largest, count = 100.0 * max(abs(w.change) for w in estimated), len(parts)
+    square = np.mean([(window.change / window.sigma) ** 2 for window in estimated])
+    departure = float(np.sqrt(square))
+    largest = 100.0 * max(abs(window.change) for window in estimated)
     if departure < SIGNIFICANT:
-        return (), (
-            messages.air_windows_one(hours=hours, total=count, sigmas=departure, largest=largest),
+        constant = messages.air_windows_one(
+            hours=hours,
+            total=len(windows),
+            sigmas=departure,
+            largest=largest,
         )
-    notes = [messages.air_windows(hours=hours, count=count, sigmas=departure, largest=largest)]
-    for w in windows:
-        if w.why_not:
-            when = _moment(w.air.time_ns, utc_known=whole.utc_known)
-            notes.append(messages.air_window(when=when, reason=w.why_not))
+        return (), (constant,)
+    changing = messages.air_windows(
+        hours=hours,
+        count=len(windows),
+        sigmas=departure,
+        largest=largest,
+    )
+    notes = [changing]
+    for window in windows:
+        if window.why_not:
+            when = _moment(window.air.time_ns, utc_known=utc_known)
+            notes.append(messages.air_window(when=when, reason=window.why_not))
     return tuple(windows), tuple(notes)
 
 
@@ -173,43 +225,58 @@ def _whole_flight_as_background(
 ) -> Climatology:
     """The whole flight as what is expected in a part of it; ``spread`` of the climatology."""
     profile = covariance.profile
-    h = spread.h_m[(spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)]
-    change = profile_series.change_parts(
+    inside = (spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)
+    h = spread.h_m[inside]
+    change = ageing.change_parts(
         profile.gravity.latitude_rad,
         covariance.anchor_height_m,
         hours,
         metres=0.0,
         h_m=h,
     )
-    weather = profile_series.CHANGE_LOG_P_PER_H * hours
+    weather = ageing.CHANGE_LOG_P_PER_H * hours
     level = float(np.hypot(covariance.sigma_log_pressure(0.0)[0], weather))
     of_errors = Part("flight", h, covariance.sigma_temperature(h), OWN_LENGTH_M)
-    humidity = np.minimum(spread.sigma_relative_humidity(h), profile_series.CHANGE_RH)
-    of_flight = Spread((*change, of_errors), h, humidity, spread.humidity_correlation_m, level)
+    humidity = np.minimum(spread.sigma_relative_humidity(h), ageing.CHANGE_RH)
+    of_flight = Spread(
+        (*change, of_errors),
+        h,
+        humidity,
+        spread.humidity_correlation_m,
+        level,
+    )
     return Climatology(profile, of_flight, "the whole flight", True)
 
 
-def _own_air(
-    part: AirSamples, air: TimedProfile, whole: Adjustment, background: Climatology
+def _air_of_part(
+    part: AirSamples,
+    middle_ns: int,
+    whole: Adjustment,
+    background: Climatology,
 ) -> tuple[TimedProfile | None, str]:
     """The air of a window by its own readings, or None and why they cannot be used."""
     if _deciding_sensor(part) is None:
         return None, "nothing was measured then"
-    known = [  # sensor faults, a little less certain in another hour
-        replace(f, sigma=float(np.hypot(f.sigma, _FAULT_CHANGE * f.prior_sigma)))
-        for f in whole.faults
-    ]
-    made = estimate(part, background, settings=whole.settings, known=known)
+    faults = [_less_certain(fault) for fault in whole.faults]
+    made = estimate(part, background, settings=whole.settings, known=faults)
     if not made.converged:
         return None, "its estimate did not converge"
-    if whole.moisture is not None and not (check := is_plausible(made, whole.moisture)):
-        return None, check.reason
-    check = is_better_than_background(made, background, background, name="the whole flight")
-    if not check:
-        return None, check.reason
-    layers = made.profile.layers
-    layers = replace(layers, source=whole.profile.layers.sources_between(layers.edge))
+    if whole.moisture is not None:
+        plausible = is_plausible(made, whole.moisture)
+        if not plausible:
+            return None, plausible.reason
+    better = is_better_than_background(made, background, background, name="the whole flight")
+    if not better:
+        return None, better.reason
+    sources = whole.profile.layers.sources_between(made.profile.layers.edge)
+    layers = replace(made.profile.layers, source=sources)
     profile = replace(made.profile, layers=layers)
     doubled = COUNTED_TWICE * made.covariance.matrix
     covariance = replace(made.covariance, profile=profile, matrix=doubled)
-    return TimedProfile(air.time_ns, profile, covariance), ""
+    return TimedProfile(middle_ns, profile, covariance), ""
+
+
+def _less_certain(fault: FaultEstimate) -> FaultEstimate:
+    """A sensor's fault in another hour of the flight."""
+    change = _FAULT_CHANGE * fault.prior_sigma
+    return replace(fault, sigma=float(np.hypot(fault.sigma, change)))

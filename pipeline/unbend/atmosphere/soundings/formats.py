@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,57 +62,78 @@ def is_igra_derived(text: str) -> bool:
 
 def parse_igra(text: str, where: str) -> list[RawLevels]:
     """The ascents of an IGRA v2 file."""
-    return [
-        RawLevels(
+    ascents = []
+    for block in _igra_blocks(text, where):
+        lines = block.lines
+        temperature_k = _igra_column(lines, 23, 27, 0.1) + ZERO_CELSIUS_K
+        depression_k = _igra_column(lines, 35, 39, 0.1)
+        place = _igra_place(block.header)
+        raw = RawLevels(
             h_m=_igra_column(lines, 17, 21, 1.0),
             pressure_pa=_igra_column(lines, 10, 15, 1.0),
-            temperature_k=(t := _igra_column(lines, 23, 27, 0.1) + ZERO_CELSIUS_K),
-            dew_point_k=t - _igra_column(lines, 35, 39, 0.1),
+            temperature_k=temperature_k,
+            dew_point_k=temperature_k - depression_k,
             relative_humidity=_igra_column(lines, 29, 33, 0.001),
-            time_ns=_igra_time_ns(header, at),
-            station=header[1:12],
-            latitude_rad=_igra_place(header).latitude_rad,
-            longitude_rad=_igra_place(header).longitude_rad,
+            time_ns=_igra_time_ns(block),
+            station=block.station,
+            latitude_rad=place.latitude_rad,
+            longitude_rad=place.longitude_rad,
             origin="IGRA v2",
-            where=at,
-            notes=_igra_lines_missing(header, lines, at),
+            where=block.where,
+            notes=_igra_lines_missing(block),
         )
-        for header, lines, at in _igra_blocks(text, where)
-    ]
+        ascents.append(raw)
+    return ascents
 
 
 def parse_igra_derived(text: str, where: str) -> list[RawLevels]:
     """The ascents of an IGRA v2 file of derived parameters; it knows no position."""
     ascents = []
-    for header, lines, at in _igra_blocks(text, where):
-        reported, computed = _igra_column(lines, 9, 15, 1.0), _igra_column(lines, 17, 23, 1.0)
-        ascents.append(
-            RawLevels(
-                h_m=np.where(np.isfinite(reported), reported, computed),
-                pressure_pa=_igra_column(lines, 1, 7, 1.0),
-                temperature_k=_igra_column(lines, 25, 31, 0.1),
-                vapour_pressure_pa=_igra_column(lines, 73, 79, 0.1),  # thousandths of a hectopascal
-                time_ns=_igra_time_ns(header, at),
-                station=header[1:12],
-                origin="IGRA v2 derived",
-                where=at,
-                notes=_igra_lines_missing(header, lines, at),
-            )
+    for block in _igra_blocks(text, where):
+        lines = block.lines
+        reported = _igra_column(lines, 9, 15, 1.0)
+        computed = _igra_column(lines, 17, 23, 1.0)
+        raw = RawLevels(
+            h_m=np.where(np.isfinite(reported), reported, computed),
+            pressure_pa=_igra_column(lines, 1, 7, 1.0),
+            temperature_k=_igra_column(lines, 25, 31, 0.1),
+            vapour_pressure_pa=_igra_column(lines, 73, 79, 0.1),  # thousandths of a hectopascal
+            time_ns=_igra_time_ns(block),
+            station=block.station,
+            origin="IGRA v2 derived",
+            where=block.where,
+            notes=_igra_lines_missing(block),
         )
+        ascents.append(raw)
     return ascents
 
 
-def _igra_blocks(text: str, where: str) -> Iterator[tuple[str, list[str], str]]:
-    """Header, its level lines, and where the header stands."""
+class _IgraBlock(NamedTuple):
+    """An ascent in a file of IGRA: header, lines of its levels, and where the header stands."""
+
+    header: str
+    lines: list[str]
+    where: str
+
+    @property
+    def station(self) -> str:
+        """Identifier of the station."""
+        return self.header[1:12]
+
+
+def _igra_blocks(text: str, where: str) -> Iterator[_IgraBlock]:
+    """The ascents of a file one by one."""
     lines = text.splitlines()
     heads = [i for i, line in enumerate(lines) if line.startswith("#")]
     if not heads:
         raise messages.sounding_format_igra(where=where)
-    for head, after in pairwise([*heads, len(lines)]):
-        at = f"{where}, line {head + 1}"
-        if not _HEADER.match(lines[head]):
-            raise messages.sounding_format_header(where=at, header=lines[head][:24])
-        yield lines[head], [line for line in lines[head + 1 : after] if line.strip()], at
+    for head, next_head in pairwise([*heads, len(lines)]):
+        header = lines[head]
+        where_header = f"{where}, line {head + 1}"
+        if not _HEADER.match(header):
+            raise messages.sounding_format_header(where=where_header, header=header[:24])
+        levels = [line for line in lines[head + 1 : next_head] if line.strip()]
+        yield _IgraBlock(header, levels, where_header)
 
 
 def _igra_column(lines: list[str], first: int, last: int, scale: float) -> Array:
@@ -119,24 +141,32 @@ def _igra_column(lines: list[str], first: int, last: int, scale: float) -> Array
     return numbers(line[first - 1 : last] for line in lines) * scale
 
 
-def _igra_lines_missing(header: str, lines: list[str], at: str) -> Notes:
+def _igra_lines_missing(block: _IgraBlock) -> Notes:
     """What is reported where the header promises more levels."""
-    missing = number(header[32:36]) - len(lines)
-    return (messages.sounding_truncated(where=at, count=int(missing)),) if missing > 0.0 else ()
+    missing = number(block.header[32:36]) - len(block.lines)
+    if not missing > 0.0:
+        return ()
+    return (messages.sounding_truncated(where=block.where, count=int(missing)),)
 
 
 def _igra_place(header: str) -> PlaceOfSounding:
     """The place of an ascent; unknown of ships, whose fields are filled."""
-    return place_of_numbers(number(header[55:62]) * 1e-4, number(header[63:71]) * 1e-4)
+    latitude_deg = number(header[55:62]) * 1e-4
+    longitude_deg = number(header[63:71]) * 1e-4
+    return place_of_numbers(latitude_deg, longitude_deg)
 
 
-def _igra_time_ns(header: str, at: str) -> int | None:
-    """The release of the balloon, the nominal hour without one. The release has no date: 2303 of
-    the sounding of 00 UTC is the evening before."""
-    midnight = stated_time_ns(f"{header[13:23].replace(' ', '-')}T00:00", at)
+def _igra_time_ns(block: _IgraBlock) -> int | None:
+    """The release of the balloon, the nominal hour without one.
+
+    The release has no date: 2303 of the sounding of 00 UTC is the evening before.
+    """
+    header = block.header
+    date = header[13:23].replace(" ", "-")
+    midnight = stated_time_ns(f"{date}T00:00", block.where)
     hour = int(header[24:26])
     if hour > LAST_HOUR and hour != _NO_HOUR:
-        raise messages.sounding_time(where=at, time=header[13:26])
+        raise messages.sounding_time(where=block.where, time=header[13:26])
     nominal_s = 3600 * hour
     release_s = _seconds_of_release(number(header[27:31]))
     if release_s is None and hour == _NO_HOUR:
@@ -188,15 +218,20 @@ PLACE_COLUMNS = {
 def is_plain(text: str) -> bool:
     """Whether the first line that is no comment names a pressure and a temperature with units."""
     lines = (line for line in text.lstrip("\ufeff").splitlines() if not line.startswith("#"))
-    names = {name.strip().lower() for name in re.split(r"[,;\t|]", next(lines, ""))}
-    return any(n.startswith("pressure") for n in names) and any(
-        n.startswith("temperature") for n in names
-    )
+    has_pressure = False
+    has_temperature = False
+    for field in re.split(r"[,;\t|]", next(lines, "")):
+        name = field.strip().lower()
+        has_pressure |= name.startswith("pressure")
+        has_temperature |= name.startswith("temperature")
+    return has_pressure and has_temperature
 
 
 def parse_plain(text: str, where: str) -> list[RawLevels]:
     """The ascents of a plain CSV; other columns are not read, which is noted."""
-    columns = {name.lower(): fields for name, fields in table(text.splitlines(), where).items()}
+    columns = {}
+    for name, fields in table(text.splitlines(), where).items():
+        columns[name.lower()] = fields
     for name, others in PLACE_COLUMNS.items():
         for other in others:
             if other in columns and name not in columns:
@@ -220,14 +255,20 @@ def _columns_of_quantities(columns: Columns, where: str) -> dict[str, str]:
             continue
         if quantity in column_of:
             raise messages.sounding_quantity_twice(
-                where=where, column=column_of[quantity], other=name, quantity=quantity
+                where=where,
+                column=column_of[quantity],
+                other=name,
+                quantity=quantity,
             )
         column_of[quantity] = name
     for needed in ("pressure", "temperature"):
         if needed not in column_of:
             names = [name for name, (quantity, _) in PLAIN_COLUMNS.items() if quantity == needed]
             raise messages.sounding_column(
-                where=where, needed=needed, present=", ".join(columns), names=" or ".join(names)
+                where=where,
+                needed=needed,
+                present=", ".join(columns),
+                names=" or ".join(names),
             )
     return column_of
 
@@ -253,10 +294,10 @@ def _refuse_other_times(columns: Columns, where: str) -> None:
 
 def _ascent_of_plain(columns: Columns, column_of: Mapping[str, str], where: str) -> RawLevels:
     """The only ascent of some rows of a plain CSV."""
-    values = {
-        quantity: to_si(numbers(columns[name]), PLAIN_COLUMNS[name][1])
-        for quantity, name in column_of.items()
-    }
+    values = {}
+    for quantity, name in column_of.items():
+        _, unit = PLAIN_COLUMNS[name]
+        values[quantity] = to_si(numbers(columns[name]), unit)
     refuse_several(columns.get("time_utc", []), values["pressure"], where)
     stated = {name: first_stated(columns.get(name, [])) for name in PLACE_COLUMNS}
     place = stated_place(stated["latitude_deg"], stated["longitude_deg"], where)
@@ -351,32 +392,48 @@ def parse_sounding(
     if name not in FORMATS:
         names = ", ".join(FORMATS)
         raise messages.sounding_format_name(where=where, name=name, names=names)
-    raw = nearest_in_time(FORMATS[name][1](text, where), time_ns, where)
+    _, parse = FORMATS[name]
+    raw = nearest_in_time(parse(text, where), time_ns, where)
     return ledger.take(check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m))
 
 
-def nearest_in_time(ascents: list[RawLevels], time_ns: int | None, where: str) -> RawLevels:
+def nearest_in_time(
+    ascents: list[RawLevels],
+    time_ns: int | None,
+    where: str,
+) -> RawLevels:
     """Of several ascents the one released nearest to a time; without a time, the only one."""
     full = [raw for raw in ascents if raw.pressure_pa.size]
     if not full:
         raise messages.sounding_empty(where=where)
     notes: Notes = ()
-    if count := len(ascents) - len(full):  # a file that was cut off may end with a header
-        notes = (messages.sounding_cut_off(where=where, count=count),)
+    empty = len(ascents) - len(full)
+    if empty:  # a file that was cut off may end with a header
+        notes = (messages.sounding_cut_off(where=where, count=empty),)
     if len(full) == 1 and (time_ns is None or full[0].time_ns is None):
         return full[0].noting(*notes)
     if time_ns is None:
         raise messages.sounding_choice(where=where, total=len(full))
-    dated = [(abs(raw.time_ns - time_ns), raw) for raw in full if raw.time_ns is not None]
-    if not dated:
-        raise messages.sounding_choice_undated(where=where, total=len(full))
-    apart, raw = min(dated, key=lambda pair: pair[0])
-    same_time = [other for _, other in dated if other.time_ns == raw.time_ns]
-    if not all(is_same_ascent(raw, other) for other in same_time):
-        raise messages.sounding_choice_same_time(where=where, total=len(same_time))
-    hours = apart / NANOSECONDS_PER_SECOND / 3600.0
+    raw, apart_ns = _nearest_of_dated(full, time_ns, where)
+    hours = apart_ns / NANOSECONDS_PER_SECOND / 3600.0
     if hours > FAR_HOURS:
         notes += (messages.sounding_far_in_time(where=raw.where, hours=hours),)
     if len(full) > 1:
         notes += (messages.sounding_chosen(where=raw.where, count=len(full), hours=hours),)
     return raw.noting(*notes)
+
+
+def _nearest_of_dated(
+    ascents: list[RawLevels],
+    time_ns: int,
+    where: str,
+) -> tuple[RawLevels, int]:
+    """The ascent nearest to a time, and how far it is from it [ns]; refuses two of one hour."""
+    dated = [(abs(raw.time_ns - time_ns), raw) for raw in ascents if raw.time_ns is not None]
+    if not dated:
+        raise messages.sounding_choice_undated(where=where, total=len(ascents))
+    apart_ns, nearest = min(dated, key=lambda pair: pair[0])
+    same_time = [raw for _, raw in dated if raw.time_ns == nearest.time_ns]
+    if not all(is_same_ascent(nearest, raw) for raw in same_time):
+        raise messages.sounding_choice_same_time(where=where, total=len(same_time))
+    return nearest, apart_ns

@@ -6,6 +6,7 @@ unusual but physical (steep layers, an index that grows with height) is kept, an
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,16 +18,26 @@ from unbend.atmosphere.soundings.layer_checks import layer_notes
 from unbend.atmosphere.soundings.levels import RawLevels, Sounding
 from unbend.geodesy import normal_gravity
 from unbend.messages import Notes
-from unbend.units import DEGREE, HECTOPASCAL, HYDROSTATIC_CONSTANT, ZERO_CELSIUS_K, Array, Mask
+from unbend.units import (
+    DEGREE,
+    HECTOPASCAL,
+    HYDROSTATIC_CONSTANT,
+    ZERO_CELSIUS_K,
+    Array,
+    Mask,
+    Rows,
+)
 
 FEWEST_LEVELS = 5
 """With fewer a sounding has less information than the climatology and a surface report."""
 
-COLDEST_K, WARMEST_K, HIGHEST_PA = 150.0, 340.0, 110_000.0
-"""What levels of soundings and of weather models have, from the ground to the stratosphere."""
+# What levels of soundings and of weather models have, from the ground to the stratosphere.
+COLDEST_K = 150.0
+WARMEST_K = 340.0
+HIGHEST_PA = 110_000.0
 
-TOO_WET, MOST_TOO_WET = 1.5, 0.2
-"""A relative humidity that no air has, and the share of levels that may have it by mistake."""
+TOO_WET = 1.5  # a relative humidity that no air has
+MOST_TOO_WET = 0.2  # share of levels that may have it by mistake
 
 DRIEST_RH = 0.011  # relative humidities that reach no more are dead, or per cent of per cent
 
@@ -35,12 +46,26 @@ THICKNESS_RATIO = 0.03
 
 _UNKNOWN_LATITUDE_RAD = 45.0 * DEGREE
 
-# No sounding begins above 25 km, nor below the Dead Sea.
-_DEW_POINT_K = (150.0, 333.0)  # of any air, from the stratosphere to the Persian Gulf
-_MAX_VAPOUR_PA = 10_000.0  # 46 C of dew point
-_GROUND_PA = (2_500.0, HIGHEST_PA)
+
+class _Range(NamedTuple):
+    """The lowest and the highest value that a quantity can have."""
+
+    lowest: float
+    highest: float
+
+    def has(self, value: float) -> bool:
+        """Whether a value is possible."""
+        return self.lowest <= value <= self.highest
+
+
+_DEW_POINT_K = _Range(150.0, 333.0)  # of any air, from the stratosphere to the Persian Gulf
+_GROUND_PA = _Range(2_500.0, HIGHEST_PA)  # no sounding begins above 25 km, or below the Dead Sea
 # The warmest level of a sounding: air below -75 C or above 60 C is nowhere near the ground.
-_WARMEST_LEVEL_K = (198.0, 333.0)
+_WARMEST_LEVEL_K = _Range(198.0, 333.0)
+_MAX_VAPOUR_PA = 10_000.0  # 46 C of dew point
+
+_ROUNDED_DEW_POINT = 1.005
+"""A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: not reported."""
 
 _FILLS_C = np.array([-99.0, -99.9, -99.99])  # of files of temperatures, none of which is so cold
 
@@ -65,7 +90,8 @@ def check_levels(
         latitude = _UNKNOWN_LATITUDE_RAD
     gravity = normal_gravity(latitude)
     if not raw.geopotential:
-        raw = replace(raw, h_m=gravity.geopotential_height(raw.h_m), geopotential=True)
+        height = gravity.geopotential_height(raw.h_m)
+        raw = replace(raw, h_m=height, geopotential=True)
     raw = _with_vapour_pressure(_complete_levels(raw))
     raw = _with_heights(raw, float(gravity.geopotential_height(station_h_m)))
     raw = _rising_levels(raw)
@@ -86,38 +112,38 @@ def check_levels(
 def refuse_wrong_units(raw: RawLevels) -> None:
     """Refuse pressures, temperatures or humidities whose largest values no ground has."""
     pressure_pa = _largest(raw.pressure_pa)
-    if pressure_pa is not None and not _GROUND_PA[0] <= pressure_pa <= _GROUND_PA[1]:
+    if pressure_pa is not None and not _GROUND_PA.has(pressure_pa):
         raise messages.sounding_pressure_unit(
             **_where_stated(raw, "pressure"),
             highest_pa=pressure_pa,
             likely=_likely_pressure(pressure_pa),
         )
     temperature_k = _largest(raw.temperature_k)
-    if (
-        temperature_k is not None
-        and not _WARMEST_LEVEL_K[0] <= temperature_k <= _WARMEST_LEVEL_K[1]
-    ):
+    if temperature_k is not None and not _WARMEST_LEVEL_K.has(temperature_k):
         raise messages.sounding_temperature_unit(
             **_where_stated(raw, "temperature"),
             warmest_k=temperature_k,
             likely=_likely_temperature(temperature_k),
         )
-    dew_point_k = None if raw.dew_point_k is None else _largest(raw.dew_point_k)
-    if dew_point_k is not None and not _DEW_POINT_K[0] <= dew_point_k <= _DEW_POINT_K[1]:
+    dew_point_k = _largest(raw.dew_point_k)
+    if dew_point_k is not None and not _DEW_POINT_K.has(dew_point_k):
         raise messages.sounding_dew_point_unit(
-            **_where_stated(raw, "dew point"), highest_k=dew_point_k
+            **_where_stated(raw, "dew point"),
+            highest_k=dew_point_k,
         )
-    humidity = None if raw.relative_humidity is None else _largest(raw.relative_humidity)
+    humidity = _largest(raw.relative_humidity)
     # Sensors read up to 1.1 in cloud. All of a sounding below 1 % does not happen: the lowest
     # kilometre holds more, even over deserts.
     if humidity is not None and (humidity > TOO_WET or humidity <= DRIEST_RH):
         raise messages.sounding_humidity_unit(
-            **_where_stated(raw, "relative humidity"), highest=humidity
+            **_where_stated(raw, "relative humidity"),
+            highest=humidity,
         )
-    vapour_pa = None if raw.vapour_pressure_pa is None else _largest(raw.vapour_pressure_pa)
+    vapour_pa = _largest(raw.vapour_pressure_pa)
     if vapour_pa is not None and vapour_pa > _MAX_VAPOUR_PA:
         raise messages.sounding_vapour_unit(
-            **_where_stated(raw, "vapour pressure"), highest_pa=vapour_pa
+            **_where_stated(raw, "vapour pressure"),
+            highest_pa=vapour_pa,
         )
 
 
@@ -128,9 +154,9 @@ def _where_stated(raw: RawLevels, quantity: str) -> dict[str, str]:
 
 def _likely_pressure(pressure_pa: float) -> str:
     """What a highest pressure that no ground has may be."""
-    if _GROUND_PA[0] <= pressure_pa * HECTOPASCAL <= _GROUND_PA[1]:
+    if _GROUND_PA.has(pressure_pa * HECTOPASCAL):
         return "they look like hPa where Pa is stated"
-    if _GROUND_PA[0] <= pressure_pa / HECTOPASCAL <= _GROUND_PA[1]:
+    if _GROUND_PA.has(pressure_pa / HECTOPASCAL):
         return "they look like Pa where hPa is stated"
     return "this does not occur near the ground"
 
@@ -139,9 +165,9 @@ def _likely_temperature(warmest_k: float) -> str:
     """What a warmest level that no air has may be."""
     if warmest_k < 80.0:
         return "they look like Celsius where Kelvin is stated"
-    if warmest_k > 198.0 + ZERO_CELSIUS_K:
+    if warmest_k > _WARMEST_LEVEL_K.lowest + ZERO_CELSIUS_K:
         return "they look like Kelvin where Celsius is stated"
-    if warmest_k > _WARMEST_LEVEL_K[1]:
+    if warmest_k > _WARMEST_LEVEL_K.highest:
         return "they look like Fahrenheit"
     return "that is too cold for the warmest level of a sounding"
 
@@ -153,22 +179,28 @@ def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
     balloon's heights do not. A single wrong level does not move the median.
     """
     apart = max(1, h.size // 4)
-    far = rise[apart:] - rise[:-apart]
-    thick = far > 10.0
-    if not bool(thick.any()):
+    hypsometric = rise[apart:] - rise[:-apart]
+    stated = h[apart:] - h[:-apart]
+    is_thick = hypsometric > 10.0
+    if not bool(is_thick.any()):
         return
-    ratio = float(np.median((h[apart:] - h[:-apart])[thick] / far[thick]))
+    ratio = float(np.median(stated[is_thick] / hypsometric[is_thick]))
     if abs(ratio - 1.0) > THICKNESS_RATIO:
         raise messages.sounding_inconsistent(where=raw.where, ratio=ratio)
 
 
-def _largest(column: Array) -> float | None:
+def _largest(column: Array | None) -> float | None:
     """The largest value but for one in twenty: an outlier is no matter of units."""
-    known = column[np.isfinite(column)]
-    return float(np.quantile(known, 1.0 - WILD, method="lower")) if known.size else None
+    if column is None:
+        return None
+    values = column[np.isfinite(column)]
+    if not values.size:
+        return None
+    return float(np.quantile(values, 1.0 - WILD, method="lower"))
 
 
 def _refuse_few(raw: RawLevels) -> RawLevels:
+    """Refuse fewer than five levels."""
     count = raw.pressure_pa.size
     if count < FEWEST_LEVELS:
         raise messages.sounding_levels(where=raw.where, count=count, fewest=FEWEST_LEVELS)
@@ -177,138 +209,207 @@ def _refuse_few(raw: RawLevels) -> RawLevels:
 
 def _complete_levels(raw: RawLevels) -> RawLevels:
     """The levels with possible pressure and temperature, by falling pressure."""
-    p, t = raw.pressure_pa, raw.temperature_k
-    has = np.isfinite(p) & np.isfinite(t) & ~_is_fill(t)
-    possible = (p > 0.0) & (p <= HIGHEST_PA) & (t >= COLDEST_K) & (t <= WARMEST_K)
-    if missing := int((~has).sum()):
+    p = raw.pressure_pa
+    t = raw.temperature_k
+    has_both = np.isfinite(p) & np.isfinite(t) & ~_is_fill(t)
+    is_pressure = (p > 0.0) & (p <= HIGHEST_PA)
+    is_temperature = (t >= COLDEST_K) & (t <= WARMEST_K)
+    is_possible = is_pressure & is_temperature
+    missing = int((~has_both).sum())
+    if missing:
         raw = raw.noting(messages.sounding_missing(where=raw.where, count=missing, total=p.size))
-    if (wrong := np.flatnonzero(has & ~possible)).size:
-        hpa, kelvin, count = p[wrong[0]] / HECTOPASCAL, t[wrong[0]], int(wrong.size)
-        raw = raw.noting(
-            messages.sounding_range(where=raw.where, count=count, hpa=hpa, kelvin=kelvin)
+    wrong = np.flatnonzero(has_both & ~is_possible)
+    if wrong.size:
+        first = wrong[0]
+        note = messages.sounding_range(
+            where=raw.where,
+            count=int(wrong.size),
+            hpa=p[first] / HECTOPASCAL,
+            kelvin=t[first],
         )
-    raw = _refuse_few(part_of(raw, has & possible))
-    if up := int((np.diff(raw.pressure_pa) > 0.0).sum()):
+        raw = raw.noting(note)
+    raw = _refuse_few(part_of(raw, has_both & is_possible))
+    rises = int((np.diff(raw.pressure_pa) > 0.0).sum())
+    if rises:
         raw = part_of(raw, np.argsort(-raw.pressure_pa, kind="stable"))
-        raw = raw.noting(messages.sounding_unsorted(where=raw.where, count=up))
+        raw = raw.noting(messages.sounding_unsorted(where=raw.where, count=rises))
     return raw
 
 
 def _is_fill(kelvin: Array) -> Mask:
     """Which temperatures or dew points are -99.9 C and the like: numbers for a missing value."""
-    return np.asarray(np.any(np.abs(kelvin[:, None] - ZERO_CELSIUS_K - _FILLS_C) < 1e-6, axis=1))
+    departure = np.abs(kelvin[:, None] - ZERO_CELSIUS_K - _FILLS_C)
+    return np.asarray(np.any(departure < 1e-6, axis=1))
 
 
 def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
     """Vapour pressure [Pa] from what there is, at most saturation over water; NaN if nothing."""
-    t, p, e, where = raw.temperature_k, raw.pressure_pa, _vapour(raw).copy(), raw.where
+    t = raw.temperature_k
+    p = raw.pressure_pa
+    e = _vapour(raw).copy()
     if raw.dew_point_k is not None:
-        dew = np.where(_is_fill(raw.dew_point_k), np.nan, raw.dew_point_k)
-        impossible = np.isfinite(dew) & ~((dew >= COLDEST_K) & (dew <= WARMEST_K))
-        if count := int(impossible.sum()):
-            first = dew[impossible][0]
-            raw = raw.noting(
-                messages.sounding_humidity_range(where=where, count=count, first=first)
-            )
-        dew = np.where(impossible, np.nan, dew)
-        e = np.where(np.isfinite(e), e, vapour_pressure(1.0, dew, p))
+        raw, dew_point_k = _possible_dew_points(raw, raw.dew_point_k)
+        e = np.where(np.isfinite(e), e, vapour_pressure(1.0, dew_point_k, p))
     if raw.relative_humidity is not None:
         e = np.where(np.isfinite(e), e, vapour_pressure(raw.relative_humidity, t, p))
-    negative = np.isfinite(e) & (e < 0.0)
-    if count := int(negative.sum()):
-        raw = raw.noting(messages.sounding_humidity_negative(where=where, count=count))
-        e[negative] = np.nan
+    is_negative = np.isfinite(e) & (e < 0.0)
+    negative = int(is_negative.sum())
+    if negative:
+        raw = raw.noting(messages.sounding_humidity_negative(where=raw.where, count=negative))
+        e[is_negative] = np.nan
     saturated = vapour_pressure(1.0, t, p)
-    # A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: not reported.
-    over = np.isfinite(e) & (e > saturated * 1.005)
-    if count := int(over.sum()):
-        percent = 100.0 * np.max(e[over] / saturated[over])
-        wet = float(np.mean(e[np.isfinite(e)] > TOO_WET * saturated[np.isfinite(e)]))
-        if wet > MOST_TOO_WET:
-            quantity = "dew point" if raw.dew_point_k is not None else "relative humidity"
-            raise messages.sounding_too_wet(
-                **_where_stated(raw, quantity),
-                quantity=quantity,
-                percent=100.0 * wet,
-                limit_percent=100.0 * TOO_WET,
-            )
-        raw = raw.noting(messages.sounding_humidity_over(where=where, count=count, percent=percent))
+    is_over = np.isfinite(e) & (e > saturated * _ROUNDED_DEW_POINT)
+    over = int(is_over.sum())
+    if over:
+        _refuse_too_wet(raw, e, saturated)
+        wettest = np.max(e[is_over] / saturated[is_over])
+        note = messages.sounding_humidity_over(
+            where=raw.where,
+            count=over,
+            percent=100.0 * wettest,
+        )
+        raw = raw.noting(note)
     return replace(raw, vapour_pressure_pa=np.minimum(e, saturated))
+
+
+def _possible_dew_points(raw: RawLevels, dew_point_k: Array) -> tuple[RawLevels, Array]:
+    """Dew points [K] that air has, else NaN; those that no air has are noted."""
+    dew = np.where(_is_fill(dew_point_k), np.nan, dew_point_k)
+    is_possible = (dew >= COLDEST_K) & (dew <= WARMEST_K)
+    is_wrong = np.isfinite(dew) & ~is_possible
+    wrong = int(is_wrong.sum())
+    if wrong:
+        note = messages.sounding_humidity_range(
+            where=raw.where,
+            count=wrong,
+            first=dew[is_wrong][0],
+        )
+        raw = raw.noting(note)
+    return raw, np.where(is_wrong, np.nan, dew)
+
+
+def _refuse_too_wet(raw: RawLevels, e: Array, saturated: Array) -> None:
+    """Refuse levels of which more than a fifth have a humidity that no air has."""
+    has_humidity = np.isfinite(e)
+    is_too_wet = e[has_humidity] > TOO_WET * saturated[has_humidity]
+    wet = float(np.mean(is_too_wet))
+    if wet <= MOST_TOO_WET:
+        return
+    quantity = "dew point" if raw.dew_point_k is not None else "relative humidity"
+    raise messages.sounding_too_wet(
+        **_where_stated(raw, quantity),
+        quantity=quantity,
+        percent=100.0 * wet,
+        limit_percent=100.0 * TOO_WET,
+    )
 
 
 def _with_heights(raw: RawLevels, start: float) -> RawLevels:
     """Geopotential heights [m'], computed where the file has none; ``start`` of the lowest."""
     h = raw.h_m.copy()
-    # Hypsometric height of each level above the first, by trapezoids in ln p.
-    virtual = refractive_index.virtual_temperature(
-        raw.temperature_k, raw.pressure_pa, np.nan_to_num(_vapour(raw))
-    )
-    fall = -np.diff(np.log(raw.pressure_pa))
-    steps = 0.5 * (virtual[1:] + virtual[:-1]) * fall / HYDROSTATIC_CONSTANT
-    rise = np.concatenate([[0.0], np.cumsum(steps)])
+    rise = _hypsometric_rise(raw)
     if not bool(np.isfinite(h).any()):
         if not math.isfinite(start):
             raise messages.sounding_height(where=raw.where, total=h.size)
         h[0] = start
-    known = np.isfinite(h)
-    refuse_wrong_heights(raw, h[known], rise[known])
-    if count := int((~known).sum()):
-        raw = raw.noting(messages.sounding_heights(where=raw.where, count=count))
+    has_height = np.isfinite(h)
+    refuse_wrong_heights(raw, h[has_height], rise[has_height])
+    missing = int((~has_height).sum())
+    if missing:
+        raw = raw.noting(messages.sounding_heights(where=raw.where, count=missing))
         # The departure of the reported heights from the hypsometric ones, carried to the gaps.
-        h = np.where(known, h, rise + np.interp(rise, rise[known], (h - rise)[known]))
+        departure = (h - rise)[has_height]
+        computed = rise + np.interp(rise, rise[has_height], departure)
+        h = np.where(has_height, h, computed)
     return replace(raw, h_m=h)
 
 
+def _hypsometric_rise(raw: RawLevels) -> Array:
+    """(n,) heights [m'] of the levels above the first, by trapezoids in ln p."""
+    virtual = refractive_index.virtual_temperature(
+        raw.temperature_k,
+        raw.pressure_pa,
+        np.nan_to_num(_vapour(raw)),
+    )
+    fall = -np.diff(np.log(raw.pressure_pa))
+    steps = 0.5 * (virtual[1:] + virtual[:-1]) * fall / HYDROSTATIC_CONSTANT
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
 def _rising_levels(raw: RawLevels) -> RawLevels:
-    """Means of levels of one pressure or one height, without the fewest levels whose removal lets
-    height rise as pressure falls."""
-    before, raw = raw.pressure_pa.size, _mean_of_runs(raw, raw.pressure_pa)
+    """Means of levels of one pressure or one height, of which the fewest are left out.
+
+    Without these, height rises as pressure falls.
+    """
+    levels = raw.pressure_pa.size
+    raw = _mean_of_runs(raw, raw.pressure_pa)
     # Centimetres: rounding in a conversion does not make two heights different.
     raw = _mean_of_runs(raw, np.round(raw.h_m, 2))
-    if merged := before - raw.pressure_pa.size:
+    merged = levels - raw.pressure_pa.size
+    if merged:
         raw = raw.noting(messages.sounding_duplicate(where=raw.where, count=merged))
-    # The longest strictly increasing subsequence of heights, by patience sorting.
-    tails: list[int] = []
-    before_it = np.full(raw.h_m.size, -1, dtype=np.intp)
-    for i, value in enumerate(raw.h_m):
-        place = int(np.searchsorted(raw.h_m[tails], value)) if tails else 0
-        before_it[i] = tails[place - 1] if place else -1
-        tails[place : place + 1] = [i]
-    chain = tails[-1:]
-    while chain and before_it[chain[-1]] >= 0:
-        chain.append(int(before_it[chain[-1]]))
-    keep = np.array(chain[::-1], dtype=np.intp)
-    if (out := np.setdiff1d(np.arange(raw.h_m.size), keep)).size:
-        h, hpa = raw.h_m[out[0]], raw.pressure_pa[out[0]] / HECTOPASCAL
-        raw = raw.noting(
-            messages.sounding_order(where=raw.where, count=out.size, height_m=h, hpa=hpa)
+    rising = _longest_rise(raw.h_m)
+    left_out = np.setdiff1d(np.arange(raw.h_m.size), rising)
+    if left_out.size:
+        first = left_out[0]
+        note = messages.sounding_order(
+            where=raw.where,
+            count=left_out.size,
+            height_m=raw.h_m[first],
+            hpa=raw.pressure_pa[first] / HECTOPASCAL,
         )
-    return _refuse_few(part_of(raw, keep))
+        raw = raw.noting(note)
+    return _refuse_few(part_of(raw, rising))
+
+
+def _longest_rise(h: Array) -> Rows:
+    """The rows of the longest strictly increasing subsequence of heights, by patience sorting.
+
+    >>> _longest_rise(np.array([0.0, 5.0, 3.0, 4.0, 9.0])).tolist()
+    [0, 2, 3, 4]
+    """
+    last_of_length: list[int] = []  # row of the lowest end of a sequence of each length
+    previous = np.full(h.size, -1, dtype=np.intp)
+    for row, height in enumerate(h):
+        length = 0
+        if last_of_length:
+            length = int(np.searchsorted(h[last_of_length], height))
+        if length:
+            previous[row] = last_of_length[length - 1]
+        last_of_length[length : length + 1] = [row]
+    chain = last_of_length[-1:]
+    while chain and previous[chain[-1]] >= 0:
+        chain.append(int(previous[chain[-1]]))
+    return np.array(chain[::-1], dtype=np.intp)
 
 
 def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:
     """Means over runs of equal neighbours; of humidity over the levels that have it."""
-    number = np.concatenate([[0], np.cumsum(np.diff(key) != 0.0)])
-    if number[-1] == key.size - 1:
+    is_next_run = np.diff(key) != 0.0
+    run = np.concatenate([[0], np.cumsum(is_next_run)])
+    if run[-1] == key.size - 1:
         return raw
-
-    def mean(column: Array) -> Array:
-        known = np.isfinite(column)
-        total = np.bincount(number, np.where(known, column, 0.0))
-        count = np.bincount(number, known.astype(np.float64))
-        return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
-
     return replace(
         raw,
-        h_m=mean(raw.h_m),
-        pressure_pa=mean(raw.pressure_pa),
-        temperature_k=mean(raw.temperature_k),
-        vapour_pressure_pa=mean(_vapour(raw)),
+        h_m=_means(raw.h_m, run),
+        pressure_pa=_means(raw.pressure_pa, run),
+        temperature_k=_means(raw.temperature_k, run),
+        vapour_pressure_pa=_means(_vapour(raw), run),
         dew_point_k=None,
         relative_humidity=None,
     )
 
 
+def _means(column: Array, group: Rows) -> Array:
+    """Means of the values of each group, NaN of a group without any."""
+    has_value = np.isfinite(column)
+    total = np.bincount(group, np.where(has_value, column, 0.0))
+    count = np.bincount(group, has_value.astype(np.float64))
+    return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
+
+
 def _vapour(raw: RawLevels) -> Array:
-    e = raw.vapour_pressure_pa
-    return np.full(raw.pressure_pa.shape, np.nan) if e is None else e
+    """Vapour pressure [Pa] of the levels, NaN where there is none."""
+    if raw.vapour_pressure_pa is None:
+        return np.full(raw.pressure_pa.shape, np.nan)
+    return raw.vapour_pressure_pa

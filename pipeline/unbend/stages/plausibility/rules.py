@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from unbend.atmosphere.estimate.solver import Fit
+from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.flight.ground_times import Takeoff
 from unbend.geodesy import wrapped
 from unbend.messages import Message
