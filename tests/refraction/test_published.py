@@ -478,9 +478,10 @@ class TestTrace:
         summed = []
         real = gyer._eq_31
 
-        def counted(integrand, h, width, first, count):
-            summed.append(float(count.max(initial=0.0)))
-            return real(integrand, h, width, first, np.minimum(count, 100.0))
+        def counted(integrand, h, intervals, first):
+            summed.append(float(intervals.count.max(initial=0.0)))
+            few = intervals._replace(count=np.minimum(intervals.count, 100.0))
+            return real(integrand, h, few, first)
 
         monkeypatch.setattr(gyer, "_eq_31", counted)
         r_c, status = PublishedRays(us1962, pub.gyer1996).bend(

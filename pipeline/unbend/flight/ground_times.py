@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from unbend.flight.channels import Channel, TimeArray
-from unbend.flight.trajectory import interpolate
+from unbend.flight.interpolation import interpolate
 from unbend.geodesy import longitudes_near
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask
 

@@ -7,15 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from unbend.flight.channels import Channel, TimeArray
+from unbend.flight.interpolation import interpolate, nearest_rows, ns_to_nearest
 from unbend.flight.mount import is_of_gimbal
-from unbend.flight.trajectory import (
-    RATES,
-    VELOCITY,
-    interpolate,
-    nearest_rows,
-    ns_to_nearest,
-    with_slopes,
-)
+from unbend.flight.trajectory import RATES, VELOCITY, with_slopes
 from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 # An innovation whose ratio to its gate is 1 is five sigmas (EK3_POS_I_GATE 500 and its like) of

@@ -15,7 +15,7 @@ from unbend.flight.evidence.sources import (
     places_of,
 )
 from unbend.flight.evidence.stretches import HEIGHT, POSITION, Run, runs
-from unbend.flight.trajectory import interpolate
+from unbend.flight.interpolation import interpolate
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
 # Beyond lag and offset, two sources differ by as much through noise [m].

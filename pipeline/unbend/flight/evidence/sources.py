@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.evidence.stretches import HEIGHT, POSITION, SECOND
-from unbend.flight.trajectory import interpolate
+from unbend.flight.interpolation import interpolate
 from unbend.geodesy import wrapped
 from unbend.units import Array, Mask, Rows
 

@@ -109,6 +109,13 @@ class _Air(NamedTuple):
     basis: Array  # (6, n, p, j) Chebyshev polynomials
 
 
+class _Chord(NamedTuple):
+    """The chord from the camera to the target of rays (n,)."""
+
+    length: Array  # [m]; 1 where camera and target coincide
+    cos_beta: Array  # of its angle at the target
+
+
 class _Adjoints(NamedTuple):
     """Derivatives of R_c of rays (n,), NaN where they are not valid."""
 
@@ -120,14 +127,21 @@ class _Adjoints(NamedTuple):
 def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
     """The pieces of a profile that heights from ``low`` to ``high`` [m] fall in."""
     edge = cut(profile.break_heights_m, _PIECE_M)
-    first = int(np.clip(np.searchsorted(edge, low, side="left") - 1, 0, edge.size - 2))
-    last = int(np.clip(np.searchsorted(edge, high, side="right"), first + 1, edge.size - 1))
+    edges_below = np.searchsorted(edge, low, side="left")
+    edges_up_to = np.searchsorted(edge, high, side="right")
+    first = int(np.clip(edges_below - 1, 0, edge.size - 2))
+    last = int(np.clip(edges_up_to, first + 1, edge.size - 1))
     edge = edge[first : last + 1]
     half = 0.5 * np.diff(edge)[:, None]
     height = edge[:-1, None] + half * (1.0 + _CHEBYSHEV)
     coefficient = profile.refractivity(height) @ _TO_COEFFICIENTS.T
     slope = np.polynomial.chebyshev.chebder(coefficient, axis=1) / half
-    return Pieces(edge, height, coefficient, np.pad(slope, ((0, 0), (0, 1))))
+    return Pieces(
+        edge_m=edge,
+        height_m=height,
+        coefficient=coefficient,
+        slope=np.pad(slope, ((0, 0), (0, 1))),
+    )
 
 
 def trace_adjoints(pieces: Pieces, rays: Rays) -> _Adjoints:
@@ -136,65 +150,94 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> _Adjoints:
     Not valid are rays that turn between their ends, or come within `LEVEL_GUARD_M` of being level
     on their way; within `_SHORT_GUARD_M` where camera and target have nearly one height.
     """
-    camera, at_camera = _at(pieces, rays.h_c, rays.h_g)
+    camera, at_camera = _piece_at(pieces, rays.h_c, rays.h_g)
     n_c = np.sum(pieces.coefficient[camera] * at_camera, axis=1)
     integrals = _integrals(pieces, rays, n_c)
-    fall = rays.h_c - rays.h_g
-    is_short = np.abs(fall) < _SHORT_M
-    guard_m = np.where(is_short, _SHORT_GUARD_M, LEVEL_GUARD_M)
-    valid = integrals.least_excess > guard_m
-
-    # Length of the chord, one where camera and target coincide, and cos(beta).
+    chord = _chord(rays, integrals.theta)
     r_c = rays.radius + rays.h_c
     r_g = rays.radius + rays.h_g
-    sagitta = 2.0 * np.sin(0.5 * integrals.theta) ** 2
-    chord = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
-    chord[chord == 0.0] = 1.0
-    cos_beta = (fall - r_c * sagitta) / chord
-    by_theta = r_g * cos_beta / chord  # psi'
+    by_theta = r_g * chord.cos_beta / chord.length  # psi'
 
     # psi' s times the integral of m (dN / n - dN_c / n_c).
     scale = by_theta * r_c * np.sin(rays.zeta_c)
     weight = (scale[:, None, None] * integrals.moments) @ _TO_COEFFICIENTS
-    of_camera = scale * integrals.by_s / (1.0 + n_c)
-    weight[np.arange(camera.size), camera] -= of_camera[:, None] * at_camera @ _TO_COEFFICIENTS
+    by_camera = scale * integrals.by_s / (1.0 + n_c)
+    rows = np.arange(camera.size)
+    weight[rows, camera] -= by_camera[:, None] * at_camera @ _TO_COEFFICIENTS
     weight = weight.reshape(camera.size, -1)
-    weight[~valid] = np.nan
 
-    d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * integrals.by_s
     gradient_c = np.sum(pieces.slope[camera] * at_camera, axis=1) / (1.0 + n_c)  # N_c' / n_c
-    tan_c = np.tan(rays.zeta_c)
-    d_h_c = tan_c * (d_zeta_c * (gradient_c + 1.0 / r_c) - gradient_c)
-    d_h_c = d_h_c - np.sin(rays.r_c) / (chord * np.cos(rays.zeta_c))
-    d_h_g = _by_target_height(pieces, rays, n_c, chord, cos_beta)
-    # In the limit of a short ray R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n).
-    half = 0.5 * gradient_c
-    limit = (-tan_c * half, tan_c * half, -(1.0 + tan_c * tan_c) * half * fall)
-    by_place = np.where(is_short, limit, (d_h_c, d_h_g, d_zeta_c))
+    d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * integrals.by_s
+    by_place = (
+        _by_camera_height(rays, gradient_c, d_zeta_c, chord),
+        _by_target_height(pieces, rays, n_c, chord),
+        d_zeta_c,
+    )
+    is_short = np.abs(rays.h_c - rays.h_g) < _SHORT_M
+    guard_m = np.where(is_short, _SHORT_GUARD_M, LEVEL_GUARD_M)
+    valid = integrals.least_excess > guard_m
+    weight[~valid] = np.nan
+    by_place = np.where(is_short, _limit_of_short_rays(rays, gradient_c), by_place)
     by_place = np.where(valid, by_place, np.nan)
     return _Adjoints(weight, by_place.T, valid)
 
 
+def _chord(rays: Rays, theta: Array) -> _Chord:
+    """The chords of rays that subtend ``theta`` (n,) [rad]."""
+    fall = rays.h_c - rays.h_g
+    r_c = rays.radius + rays.h_c
+    r_g = rays.radius + rays.h_g
+    sagitta = 2.0 * np.sin(0.5 * theta) ** 2
+    length = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
+    length[length == 0.0] = 1.0
+    cos_beta = (fall - r_c * sagitta) / length
+    return _Chord(length, cos_beta)
+
+
+def _by_camera_height(rays: Rays, gradient_c: Array, d_zeta_c: Array, chord: _Chord) -> Array:
+    """dR_c/dh_c [rad/m]; ``gradient_c`` is N_c' / n_c, ``d_zeta_c`` is dR_c/dzeta_c."""
+    r_c = rays.radius + rays.h_c
+    tan_c = np.tan(rays.zeta_c)
+    along_ray = tan_c * (d_zeta_c * (gradient_c + 1.0 / r_c) - gradient_c)
+    return along_ray - np.sin(rays.r_c) / (chord.length * np.cos(rays.zeta_c))
+
+
+def _limit_of_short_rays(rays: Rays, gradient_c: Array) -> tuple[Array, Array, Array]:
+    """Derivatives by h_c, h_g and zeta_c of R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n)."""
+    fall = rays.h_c - rays.h_g
+    tan_c = np.tan(rays.zeta_c)
+    half = 0.5 * gradient_c
+    return -tan_c * half, tan_c * half, -(1.0 + tan_c * tan_c) * half * fall
+
+
 def _basis(u: Array) -> Array:
     """(6, ...) Chebyshev polynomials at u."""
-    basis = np.asarray(np.polynomial.chebyshev.chebvander(u, _NODES - 1), np.float64)
+    polynomials = np.polynomial.chebyshev.chebvander(u, _NODES - 1)
+    basis = np.asarray(polynomials, np.float64)
     return np.moveaxis(basis, -1, 0)
 
 
-def _at(pieces: Pieces, h: Array, other: Array) -> tuple[Rows, Array]:
-    """The piece that holds h, on the side of ``other``, and the polynomials (rays, 6) there."""
+def _piece_at(pieces: Pieces, h: Array, other_end: Array) -> tuple[Rows, Array]:
+    """The piece that holds the end ``h`` of a ray, and the polynomials (rays, 6) there.
+
+    Where pieces meet, it is that on the side of the ray's other end.
+    """
     edge = pieces.edge_m
     below = np.searchsorted(edge, h, side="left") - 1
     above = np.searchsorted(edge, h, side="right") - 1
-    i = np.clip(np.where(other < h, below, above), 0, edge.size - 2)
-    u = 2.0 * (h - edge[i]) / (edge[i + 1] - edge[i]) - 1.0
-    return i, _basis(u).T
+    towards_other = np.where(other_end < h, below, above)
+    piece = np.clip(towards_other, 0, edge.size - 2)
+    low = edge[piece]
+    high = edge[piece + 1]
+    u = 2.0 * (h - low) / (high - low) - 1.0
+    return piece, _basis(u).T
 
 
 def _lift(rays: Rays) -> Array:
     """r_c (1 - sin zeta_c) [m]."""
+    r_c = rays.radius + rays.h_c
     cos_c = np.cos(rays.zeta_c)
-    return (rays.radius + rays.h_c) * cos_c * cos_c / (1.0 + np.sin(rays.zeta_c))
+    return r_c * cos_c * cos_c / (1.0 + np.sin(rays.zeta_c))
 
 
 def _air_at(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> _Air:
@@ -211,7 +254,8 @@ def _air_at(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> _Air:
     radius = rays.radius[:, None, None]
     n_c = n_c[:, None, None]
     lift = _lift(rays)[:, None, None]
-    excess = (radius + h) * (refractivity - n_c) / (1.0 + n_c) + (h - h_c) + lift
+    by_air = (radius + h) * (refractivity - n_c) / (1.0 + n_c)
+    excess = by_air + (h - h_c) + lift
     return _Air(excess, refractivity, basis)
 
 
@@ -221,65 +265,86 @@ def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Integrals:
     That undoes the pole of m where the excess is zero: h = h_0 + scale (exp(grading x) - 1), x from
     0 to 1 in each piece, grading the logarithm of the ratio of the excess at its ends.
     """
-    low = np.minimum(rays.h_c, rays.h_g)[:, None]
-    high = np.maximum(rays.h_c, rays.h_g)[:, None]
-    lower_end = np.clip(pieces.edge_m[:-1], low, high)
-    upper_end = np.clip(pieces.edge_m[1:], low, high)
-    ends = np.stack([lower_end, upper_end], axis=2)
+    ends = _ends_in_pieces(pieces, rays)
     width = np.diff(ends)
     is_inside = width > 0.0
-    excess = np.where(is_inside, _air_at(pieces, rays, n_c, ends).excess, np.inf)
-    least = excess.min(axis=(1, 2))
-    turns = (least <= 0.0)[:, None, None]
-    excess[~np.isfinite(excess) | turns] = 1.0
-    grading = np.diff(np.log(excess))
-    grading[np.abs(grading) < _LEAST_GRADING] = _LEAST_GRADING
+    excess_at_ends = np.where(is_inside, _air_at(pieces, rays, n_c, ends).excess, np.inf)
+    least_at_ends = excess_at_ends.min(axis=(1, 2))
+    grading = _grading(excess_at_ends, least_at_ends)
     steepest = np.abs(grading).max(initial=0.0)
     nodes, weights = _COARSE if steepest < _COARSE_GRADING else _FINE
     x = 0.5 + 0.5 * nodes
     w = 0.5 * weights
     scale = width / np.expm1(grading)
-    air = _air_at(pieces, rays, n_c, ends[..., :1] + scale * np.expm1(grading * x))
+    h = ends[..., :1] + scale * np.expm1(grading * x)
     step = scale * grading * np.exp(grading * x) * w  # weight times dh/dx
+
+    air = _air_at(pieces, rays, n_c, h)
     excess_inside = np.where(is_inside, air.excess, np.inf)
-    least = np.minimum(least, excess_inside.min(axis=(1, 2)))
+    least = np.minimum(least_at_ends, excess_inside.min(axis=(1, 2)))
     does_not_turn = (least > 0.0)[:, None, None]
     excess = np.where(is_inside & does_not_turn, air.excess, 1.0)
-
-    s = ((rays.radius + rays.h_c) * np.sin(rays.zeta_c))[:, None, None]
+    r_c = rays.radius + rays.h_c
+    s = (r_c * np.sin(rays.zeta_c))[:, None, None]
     n_c = n_c[:, None, None]
     nu = 1.0 + (air.refractivity - n_c) / (1.0 + n_c)
     root = np.sqrt(excess * (excess + 2.0 * s))  # sqrt(nu^2 r^2 - s^2)
     r = (excess + s) / nu
+    theta_step = step * s / (r * root)
     m_step = step * nu * nu * r / root**3
+    m_over_n = m_step / (1.0 + air.refractivity)
     return _Integrals(
-        theta=np.sum(step * s / (r * root), axis=(1, 2)),
+        theta=np.sum(theta_step, axis=(1, 2)),
         by_s=m_step.sum(axis=(1, 2)),
-        moments=np.einsum("abpj,bpj->bpa", air.basis, m_step / (1.0 + air.refractivity)),
+        moments=np.einsum("abpj,bpj->bpa", air.basis, m_over_n),
         least_excess=least,
     )
 
 
-def _by_target_height(air: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array) -> Array:
+def _ends_in_pieces(pieces: Pieces, rays: Rays) -> Array:
+    """(n, p, 2) heights [m] between which a ray is in each piece; equal where it is not there."""
+    low = np.minimum(rays.h_c, rays.h_g)[:, None]
+    high = np.maximum(rays.h_c, rays.h_g)[:, None]
+    lower_end = np.clip(pieces.edge_m[:-1], low, high)
+    upper_end = np.clip(pieces.edge_m[1:], low, high)
+    return np.stack([lower_end, upper_end], axis=2)
+
+
+def _grading(excess_at_ends: Array, least: Array) -> Array:
+    """(n, p, 1) logarithm of the ratio of the excess at the ends of each piece, never zero.
+
+    ``excess_at_ends`` (n, p, 2), infinite where a ray does not pass; ``least`` (n,) of a ray.
+    """
+    turns = (least <= 0.0)[:, None, None]
+    has_none = ~np.isfinite(excess_at_ends) | turns
+    excess = np.where(has_none, 1.0, excess_at_ends)
+    grading = np.diff(np.log(excess))
+    grading[np.abs(grading) < _LEAST_GRADING] = _LEAST_GRADING
+    return np.asarray(grading)
+
+
+def _by_target_height(pieces: Pieces, rays: Rays, n_c: Array, chord: _Chord) -> Array:
     """dR_c/dh_g [rad/m] = -sin(beta - z_g) / (chord cos z_g).
 
     beta - z_g comes from sin(beta) - sin(z_g), and that without cancellation from
     r_g sin(beta) = r_c sin(zeta_c - R_c) and n_g r_g sin(z_g) = n_c r_c sin(zeta_c).
     """
-    target, at_target = _at(air, rays.h_g, rays.h_c)
-    n_g = np.sum(air.coefficient[target] * at_target, axis=1)
+    target, at_target = _piece_at(pieces, rays.h_g, rays.h_c)
+    n_g = np.sum(pieces.coefficient[target] * at_target, axis=1)
     r_c = rays.radius + rays.h_c
     r_g = rays.radius + rays.h_g
     s = r_c * np.sin(rays.zeta_c)
-    excess = r_g * (n_g - n_c) / (1.0 + n_c) - (rays.h_c - rays.h_g) + _lift(rays)
-    excess = np.maximum(excess, LEVEL_GUARD_M)
+    by_air = r_g * (n_g - n_c) / (1.0 + n_c)
+    fall = rays.h_c - rays.h_g
+    excess = np.maximum(by_air - fall + _lift(rays), LEVEL_GUARD_M)
     down = np.copysign(1.0, np.cos(rays.zeta_c))
     cos_g = down * np.sqrt(excess * (excess + 2.0 * s)) / (excess + s)
     half = 0.5 * rays.r_c
     turned = 2.0 * r_c * np.cos(rays.zeta_c - half) * np.sin(half)
     sine_difference = (s * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
-    beta_less_z_g = 2.0 * np.arctan2(sine_difference * down, (cos_beta + cos_g) * down)
-    return np.asarray(-np.sin(beta_less_z_g) / (chord * cos_g))
+    cosine_sum = chord.cos_beta + cos_g
+    beta_less_z_g = 2.0 * np.arctan2(sine_difference * down, cosine_sum * down)
+    return np.asarray(-np.sin(beta_less_z_g) / (chord.length * cos_g))
 
 
 class RayWeights(NamedTuple):
@@ -348,7 +413,11 @@ def ray_weights(
     >>> (ray.r_c * 1e6).round(4).item(), (one_percent_denser * 1e6).round(4).item()
     (60.6689, 0.6065)
     """
-    weights, _ = _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))
+
+    def each_by_itself(height_m: Array) -> Array:
+        return np.eye(height_m.size)
+
+    weights, _ = _derivatives(profile, (h_c, h_g, zeta_c, radius), each_by_itself)
     return weights
 
 
@@ -408,19 +477,12 @@ def _derivatives(
     ``rays`` are h_c, h_g, zeta_c and the radius, which broadcast. ``air_of`` takes heights (n,) [m]
     to the derivatives of N there by k quantities, (n, k): the ``weight`` returned is (..., k).
     """
-    shape, columns = as_columns(*rays)
-    h_c = columns[0]
-    h_g = columns[1]
-    zeta_c = columns[2]
-    radius = columns[3]
-    safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
+    shape, (h_c, h_g, zeta_c, radius) = as_columns(*rays)
+    is_angle = (zeta_c >= 0.0) & (zeta_c <= np.pi)
+    safe = np.where(is_angle, zeta_c, np.nan)
     r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
     every_ray = Rays(h_c, h_g, zeta_c, radius, r_c)
-    rises_again = (h_g > h_c) & (np.cos(safe) > 0.0)
-    traced = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~rises_again)
-    # The steepest first: blocks of them need fewer nodes.
-    steepness = np.abs(np.cos(zeta_c[traced]))
-    traced = traced[np.argsort(-steepness, kind="stable")]
+    traced = _rays_to_trace(every_ray, status)
     low = profile.bottom_m
     high = profile.bottom_m
     if traced.size:
@@ -433,7 +495,8 @@ def _derivatives(
     gradient = np.full((h_c.size, air.shape[1]), np.nan)
     by_place = np.full((h_c.size, 3), np.nan)
     valid = np.zeros(h_c.size, dtype=bool)
-    nodes_of_ray = height_m.size // _NODES * _FINE[0].size
+    pieces_of_ray = height_m.size // _NODES
+    nodes_of_ray = pieces_of_ray * _FINE[0].size
     rays_at_once = max(1, _BLOCK // nodes_of_ray)
     for first in range(0, traced.size, rays_at_once):
         rows = traced[first : first + rays_at_once]
@@ -449,3 +512,15 @@ def _derivatives(
         valid=valid.reshape(shape),
     )
     return derivatives, by_place.reshape(*shape, 3)
+
+
+def _rays_to_trace(rays: Rays, status: NDArray[np.uint8]) -> Rows:
+    """The rays that have an angle and do not turn on their way.
+
+    The steepest are first: blocks of them need fewer nodes.
+    """
+    has_angle = np.isin(status, (OK, BEYOND_GRAZING))
+    turns = (rays.h_g > rays.h_c) & (np.cos(rays.zeta_c) > 0.0)
+    traced = np.flatnonzero(has_angle & ~turns)
+    steepness = np.abs(np.cos(rays.zeta_c[traced]))
+    return traced[np.argsort(-steepness, kind="stable")]

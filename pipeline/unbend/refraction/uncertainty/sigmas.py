@@ -98,28 +98,40 @@ def air_sigma(
     degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the
     ground may lie anywhere. dR/dzeta to 1 %.
     """
-    root = None if covariance is None else CovarianceRoot.of(covariance)
-    if root is not None:
-        root = root.with_mode_first(mode)
+    root = None
+    mode_sigma = np.nan
+    if covariance is not None:
+        root = CovarianceRoot.of(covariance).with_mode_first(mode)
+    if mode is not None:
+        mode_sigma = mode.sigma
     low, high = camera_heights_m
     top = min(ground_heights_m[1], high)
-    bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
+    lowest_ground = max(ground_heights_m[0], profile.bottom_m)
+    bottom = min(lowest_ground, low - _SHORTEST_M)
     camera = _camera_nodes(profile, low, high)
 
     # Roots of the ways from cameras to targets: fine in the plane, coarse on the sphere.
     first = np.sqrt(max(low - top, _SHORTEST_M))
     last = np.sqrt(high - bottom)
-    fine_steps = 2 + max(0, int(np.ceil((last - first) / _WAY_STEP - 1)))
+    steps_between = np.ceil((last - first) / _WAY_STEP - 1)
+    fine_steps = 2 + max(0, int(steps_between))
     ways = first + _WAY_STEP * np.arange(fine_steps)
     coarse_steps = 2 + int((ways[-1] - first) / _COARSE_STEP)
     coarse = first + _COARSE_STEP * np.arange(coarse_steps)
 
     plane = _in_the_plane(profile, root, camera, ways**2, window_kinds)
-    # Cosine of the largest nadir angle at the lowest ground in sight.
-    sine = np.sin(min(largest_zeta_rad, 0.5 * np.pi)) * (radius + high) / (radius + bottom)
-    least = max(LEVEL_COSINE, float(np.sqrt(max(0.0, 1.0 - sine * sine))))
+    # The largest nadir angle at the lowest ground in sight.
+    zeta = min(largest_zeta_rad, 0.5 * np.pi)
+    sine = np.sin(zeta) * (radius + high) / (radius + bottom)
+    square_cosine = max(0.0, 1.0 - sine * sine)
+    cosine = float(np.sqrt(square_cosine))
     factors = _on_the_sphere(
-        profile, root, (low, high), coarse**2, least_cosine=least, radius=radius
+        profile,
+        root,
+        camera_heights_m,
+        coarse**2,
+        least_cosine=max(LEVEL_COSINE, cosine),
+        radius=radius,
     )
     heights = np.arange(bottom, high + _REFRACTIVITY_STEP_M, _REFRACTIVITY_STEP_M)
     heights = np.minimum(heights, profile.top_m)
@@ -132,21 +144,26 @@ def air_sigma(
         ground_m=bottom,
         spacing_m=_REFRACTIVITY_STEP_M,
         refractivity=profile.refractivity(heights),
-        mode_sigma=np.nan if mode is None else mode.sigma,
-        **plane,
+        mode_sigma=mode_sigma,
+        **plane._asdict(),
     )
 
 
 def _camera_nodes(profile: Profile, low: float, high: float) -> Array:
     """(c,) heights of cameras to tabulate: each layer in eighths, its edges are knots of sigma."""
     breaks = profile.break_heights_m
-    inside = breaks[(breaks > low) & (breaks < high)]
-    edges = np.concatenate([[low], inside, [max(high, low + _FINEST_M)]])
-    layer = np.searchsorted(breaks, edges[:-1], side="right") - 1
-    thickness = np.diff(breaks)[np.clip(layer, 0, None)]
-    finest = max(_FINEST_M, float(edges[-1] - edges[0]) / _AT_MOST_CAMERA_NODES)
+    is_between = (breaks > low) & (breaks < high)
+    highest = max(high, low + _FINEST_M)
+    edges = np.concatenate([[low], breaks[is_between], [highest]])
+    bottoms = edges[:-1]
+    breaks_up_to = np.searchsorted(breaks, bottoms, side="right")
+    layer = np.clip(breaks_up_to - 1, 0, None)
+    thickness = np.diff(breaks)[layer]
+    span = float(edges[-1] - edges[0])
+    finest = max(_FINEST_M, span / _AT_MOST_CAMERA_NODES)
     widest = max(_WIDEST_M, finest)
-    return cut(edges, np.clip(thickness / _PARTS_OF_A_LAYER, finest, widest))
+    spacing = np.clip(thickness / _PARTS_OF_A_LAYER, finest, widest)
+    return cut(edges, spacing)
 
 
 def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
@@ -157,11 +174,13 @@ def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
     """
     if kind != SCHEDULED:
         return np.zeros(h.shape)
-    p = profile.pressure(h)
     refractivity = profile.index.refractivity
-    above = refractivity(SCHEDULE_TEMPERATURE_K, (1.0 + _LOG_PRESSURE_STEP) * p, 0.0)
-    below = refractivity(SCHEDULE_TEMPERATURE_K, (1.0 - _LOG_PRESSURE_STEP) * p, 0.0)
-    return np.asarray((above - below) / (2.0 * _LOG_PRESSURE_STEP))
+    p = profile.pressure(h)
+    higher_p = (1.0 + _LOG_PRESSURE_STEP) * p
+    lower_p = (1.0 - _LOG_PRESSURE_STEP) * p
+    denser = refractivity(SCHEDULE_TEMPERATURE_K, higher_p, 0.0)
+    thinner = refractivity(SCHEDULE_TEMPERATURE_K, lower_p, 0.0)
+    return np.asarray((denser - thinner) / (2.0 * _LOG_PRESSURE_STEP))
 
 
 def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> Integers:
@@ -195,24 +214,32 @@ class CovarianceRoot:
     @classmethod
     def of(cls, covariance: ProfileCovariance) -> CovarianceRoot:
         """By eigenvalues; those that rounding left below zero are zero."""
-        scale = np.sqrt(np.maximum(np.diag(covariance.matrix), 0.0))
-        safe = np.where(scale > 0.0, scale, 1.0)
-        value, vector = np.linalg.eigh(covariance.matrix / np.outer(safe, safe))
-        kept = value > _SMALLEST_EIGENVALUE * value[-1]
-        matrix = scale[:, None] * vector[:, kept] * np.sqrt(value[kept])
+        variance = np.maximum(np.diag(covariance.matrix), 0.0)
+        sigma = np.sqrt(variance)
+        scale = np.where(sigma > 0.0, sigma, 1.0)
+        correlation = covariance.matrix / np.outer(scale, scale)
+        value, vector = np.linalg.eigh(correlation)
+        is_kept = value > _SMALLEST_EIGENVALUE * value[-1]
+        root_of_value = np.sqrt(value[is_kept])
+        matrix = sigma[:, None] * vector[:, is_kept] * root_of_value
         return cls(np.asarray(matrix), covariance.anchor_height_m)
 
     def with_mode_first(self, mode: AirMode | None) -> CovarianceRoot:
         """The same with what one sigma of the leading mode adds as a further, first column."""
-        first = np.zeros(len(self.matrix)) if mode is None else mode.state
-        return replace(self, matrix=np.column_stack([first, self.matrix]))
+        first = np.zeros(len(self.matrix))
+        if mode is not None:
+            first = mode.state
+        with_first = np.column_stack([first, self.matrix])
+        return replace(self, matrix=with_first)
 
 
 def window_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
     """(n, r) rows whose products are the covariances of y at cameras of heights ``h`` (n,) [m]."""
     air = air_jacobian(profile, h, root.anchor_m)
-    outside = (air / (1.0 + profile.refractivity(h))[:, None]) @ root.matrix
-    return np.asarray(outside - _cabin_errors(profile, root, h, kind))
+    n = 1.0 + profile.refractivity(h)
+    outside = (air / n[:, None]) @ root.matrix
+    cabin = _cabin_errors(profile, root, h, kind)
+    return np.asarray(outside - cabin)
 
 
 def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
@@ -221,72 +248,101 @@ def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -
     To that of an opening what they do outside, but for some percent by which it is thinner.
     """
     if kind == FOLLOWING:
-        return np.asarray(air_jacobian(profile, h, root.anchor_m) @ root.matrix)
+        air = air_jacobian(profile, h, root.anchor_m)
+        return np.asarray(air @ root.matrix)
     response = cabin_response(profile, h, kind)[:, None]
-    by_t = log_pressure_jacobian(profile, h, root.anchor_m)
-    edges = by_t.shape[1]
-    return np.asarray(response * (by_t @ root.matrix[:edges] + root.matrix[edges]))
+    by_temperature = log_pressure_jacobian(profile, h, root.anchor_m)
+    edges = by_temperature.shape[1]
+    of_temperatures = by_temperature @ root.matrix[:edges]
+    of_anchor = root.matrix[edges]
+    return np.asarray(response * (of_temperatures + of_anchor))
+
+
+class _PlaneTables(NamedTuple):
+    """The tables of `AirTables` that follow from the plane form."""
+
+    sigma: Array
+    angle: Array
+    behind: Array
+    lean: Array
+    mode: Array
+    mode_lean: Array
+
+    @classmethod
+    def unknown(cls, cameras: int, ways: int, kinds: int) -> _PlaneTables:
+        """For so many cameras, ways and kinds of windows, to be filled."""
+        return cls(
+            sigma=np.full((cameras, ways), np.nan),
+            angle=np.full((cameras, ways), np.nan),
+            behind=np.full((kinds, 2, cameras, ways), np.nan),
+            lean=np.full((kinds, cameras), np.nan),
+            mode=np.full((cameras, ways), np.nan),
+            mode_lean=np.full((kinds, cameras), np.nan),
+        )
 
 
 def _in_the_plane(
-    profile: Profile, root: CovarianceRoot | None, camera: Array, way: Array, kinds: Sequence[int]
-) -> dict[str, Array]:
+    profile: Profile,
+    root: CovarianceRoot | None,
+    camera: Array,
+    way: Array,
+    kinds: Sequence[int],
+) -> _PlaneTables:
     """The tables for ways (w,) [m]; the first column of ``root`` is the leading mode."""
-    lowest, columns_at = columns_of_air(profile, root, camera[0] - way[-1], camera[-1])
-    shape = (camera.size, way.size)
-    sigma = np.full(shape, np.nan)
-    angle = np.empty(shape)
-    mode = np.full(shape, np.nan)
-    behind = np.full((len(kinds), 2, *shape), np.nan)
-    lean = np.full((len(kinds), camera.size), np.nan)
-    mode_lean = np.full((len(kinds), camera.size), np.nan)
-    at_camera, above = columns_at(camera)
+    lowest_target = camera[0] - way[-1]
+    lowest, columns_at = columns_of_air(profile, root, lowest_target, camera[-1])
+    tables = _PlaneTables.unknown(camera.size, way.size, len(kinds))
+    at_camera, integral_above = columns_at(camera)
     cabins = []
     if root is not None:
         cabins = [_cabin_errors(profile, root, camera, kind) for kind in kinds]
     for row, height in enumerate(camera):
-        reach = np.maximum(np.minimum(way, height - lowest), _SHORTEST_M)[:, None]
-        _, integral_below = columns_at(height - reach[:, 0])
-        mean = (above[row] - integral_below) / reach
-        angle[row] = (mean[:, 0] - at_camera[row, 0]) / reach[:, 0]
+        reach = np.minimum(way, height - lowest)
+        reach = np.maximum(reach, _SHORTEST_M)
+        _, integral_below = columns_at(height - reach)
+        mean = (integral_above[row] - integral_below) / reach[:, None]
+        mean_n = mean[:, 0]
+        tables.angle[row] = (mean_n - at_camera[row, 0]) / reach
         if root is None:
             continue
-        own = at_camera[row, 1:]
-        by_air = (mean[:, 1:] - own) / reach
-        mode[row] = by_air[:, 0]
-        sigma[row] = _lengths(by_air[:, 1:])
+        errors_at_camera = at_camera[row, 1:]
+        mean_errors = mean[:, 1:]
+        by_air = (mean_errors - errors_at_camera) / reach[:, None]
+        tables.mode[row] = by_air[:, 0]
+        tables.sigma[row] = _lengths(by_air[:, 1:])
         for k, cabin in enumerate(cabins):
-            x = mean[:, 2:] - cabin[row, 1:]
-            y = (own - cabin[row])[1:]
-            mode_lean[k, row] = own[0] - cabin[row, 0]
-            lean[k, row] = np.linalg.norm(y)
-            behind[k, 0, row] = _lengths(x)
-            behind[k, 1, row] = x @ y / max(lean[k, row], _NOTHING)
-    return {
-        "sigma": sigma,
-        "angle": angle,
-        "behind": behind,
-        "lean": lean,
-        "mode": mode,
-        "mode_lean": mode_lean,
-    }
+            # The first column is the mode's. x and y as in the equations of this module.
+            lean = errors_at_camera - cabin[row]
+            x = mean_errors[:, 1:] - cabin[row, 1:]
+            y = lean[1:]
+            sigma_y = np.linalg.norm(y)
+            tables.mode_lean[k, row] = lean[0]
+            tables.lean[k, row] = sigma_y
+            tables.behind[k, 0, row] = _lengths(x)
+            tables.behind[k, 1, row] = x @ y / max(sigma_y, _NOTHING)
+    return tables
 
 
 def _lengths(rows: Array) -> Array:
     """The length of each row."""
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
+    square = np.einsum("ij,ij->i", rows, rows)
+    return np.asarray(np.sqrt(square))
 
 
 def columns_of_air(
     profile: Profile, root: CovarianceRoot | None, low: float, high: float
 ) -> tuple[float, Callable[[Array], tuple[Array, Array]]]:
-    """The lowest height, and N and its errors (n, 1 + r) at heights (n,), linear between those
-    kept, with their integrals from the lowest."""
+    """The lowest height, and a function of heights (n,).
+
+    That returns N and its errors (n, 1 + r), linear between the heights kept, and their integrals
+    from the lowest.
+    """
     lowest = max(low, profile.bottom_m)
-    breaks = profile.break_heights_m
     even = np.arange(lowest, high + _STEP_M, _STEP_M)
-    inside = breaks[(breaks > lowest) & (breaks < even[-1])]
-    h = np.unique(np.concatenate([even, inside]))
+    breaks = profile.break_heights_m
+    is_between = (breaks > lowest) & (breaks < even[-1])
+    h = np.concatenate([even, breaks[is_between]])
+    h = np.unique(h)
     h = h[h <= profile.top_m]
     value = profile.refractivity(h)[:, None]
     if root is not None:
@@ -295,16 +351,19 @@ def columns_of_air(
     thickness = np.diff(h)[:, None]
     slope = np.diff(value, axis=0) / thickness
     steps = 0.5 * thickness * (value[1:] + value[:-1])
-    integral = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
+    integral = np.zeros(value.shape)
+    integral[1:] = np.cumsum(steps, axis=0)
 
-    def at(height: Array) -> tuple[Array, Array]:
-        i = np.clip(np.searchsorted(h, height, side="right") - 1, 0, h.size - 2)
+    def columns_at(height: Array) -> tuple[Array, Array]:
+        heights_up_to = np.searchsorted(h, height, side="right")
+        i = np.clip(heights_up_to - 1, 0, h.size - 2)
         rise = np.clip(height - h[i], 0.0, None)[:, None]
         value_at = value[i] + slope[i] * rise
-        integral_at = integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
+        mean_value = value[i] + 0.5 * rise * slope[i]
+        integral_at = integral[i] + rise * mean_value
         return value_at, integral_at
 
-    return float(h[0]), at
+    return float(h[0]), columns_at
 
 
 def _on_the_sphere(
@@ -323,28 +382,46 @@ def _on_the_sphere(
     it is 1.02 and at 85 degrees 1.09 in any air, within 0.01 (3 km).
     """
     low, high = camera_heights_m
-    count = 2 + int((least_cosine**-0.5 - 1.0) / _INCIDENCE_STEP)
+    largest_incidence = least_cosine**-0.5
+    count = 2 + int((largest_incidence - 1.0) / _INCIDENCE_STEP)
     cosine = (1.0 + _INCIDENCE_STEP * np.arange(count)) ** -2.0
     most_cameras = 2 + (high - low) / _WIDEST_M * _CAMERAS_PER_WIDEST
-    cameras = int(np.clip(_MOST_RAYS // (count * way.size), 2, most_cameras))
+    rays_of_camera = count * way.size
+    cameras = int(np.clip(_MOST_RAYS // rays_of_camera, 2, most_cameras))
     h_c = np.linspace(low, high, cameras)[:, None, None]
     lowest = max(profile.bottom_m, _LOWEST_TARGET_M)
-    h_g = np.maximum(h_c - np.maximum(way, _SHORTEST_M)[None, :, None], lowest)
+    down = np.maximum(way, _SHORTEST_M)[None, :, None]
+    h_g = np.maximum(h_c - down, lowest)
     h_g = np.minimum(h_g, h_c - _SHORTEST_M)
-    sine = np.sqrt(1.0 - cosine * cosine) * (radius + h_g) / (radius + h_c)
+    sine_at_ground = np.sqrt(1.0 - cosine * cosine)
+    sine = sine_at_ground * (radius + h_g) / (radius + h_c)
     zeta = np.arcsin(np.minimum(sine, 1.0))
     zeta[..., 0] = np.arctan(_STEEPEST)
-    usual = sensitivity(standard_atmosphere("us1976"), h_c, h_g, zeta, radius)
+    us1976 = standard_atmosphere("us1976")
+    usual = sensitivity(us1976, h_c, h_g, zeta, radius)
     slope = usual.d_zeta_c * np.cos(zeta) ** 2
     slope /= slope[..., :1]
     if root is None:
         unknown = np.full(slope.shape, np.nan)
         return np.stack([unknown, slope, unknown], axis=-1)
-    traced = sensitivity(profile, h_c, h_g, zeta, radius, anchor_height_m=root.anchor_m)
-    by_air = (traced.gradient @ root.matrix) / np.tan(zeta)[..., None]
+    traced = sensitivity(
+        profile,
+        h_c,
+        h_g,
+        zeta,
+        radius,
+        anchor_height_m=root.anchor_m,
+    )
+    tangent = np.tan(zeta)[..., None]
+    by_air = (traced.gradient @ root.matrix) / tangent
     sigma = np.linalg.norm(by_air[..., 1:], axis=-1)
     mode = by_air[..., 0] / (h_c - h_g)
-    return np.stack([sigma / sigma[..., :1], slope, mode - mode[..., :1]], axis=-1)
+    columns = [
+        sigma / sigma[..., :1],
+        slope,
+        mode - mode[..., :1],
+    ]
+    return np.stack(columns, axis=-1)
 
 
 Single = NDArray[np.float32]
@@ -371,7 +448,8 @@ class Uncertainty:
         if self.mode is None:
             return self
         tables = self.tables._replace(mode_sigma=sigma)
-        return replace(self, tables=tables, mode=replace(self.mode, sigma=sigma))
+        mode = replace(self.mode, sigma=sigma)
+        return replace(self, tables=tables, mode=mode)
 
 
 class Sigmas(NamedTuple):
@@ -403,12 +481,16 @@ class Sigmas(NamedTuple):
     @classmethod
     def room(cls, n: int) -> Sigmas:
         """For n observations, to be filled."""
-        return cls(np.empty(n), *np.empty((len(cls._fields) - 1, n), np.float32))
+        singles = np.empty((len(cls._fields) - 1, n), np.float32)
+        return cls(np.empty(n), *singles)
 
     @classmethod
     def unknown(cls, n: int) -> Sigmas:
         """Of n observations of which nothing is known."""
-        return cls(np.full(n, np.nan), *np.full((len(cls._fields) - 1, n), np.nan, np.float32))
+        nothing = cls.room(n)
+        for values in nothing:
+            values.fill(np.nan)
+        return nothing
 
     def named(self) -> dict[str, Any]:
         """The arrays by the names of columns of tables."""
