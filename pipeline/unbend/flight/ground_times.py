@@ -264,10 +264,7 @@ def takeoff_of(
     lon_rad = path.longitude_rad[is_at_begin]
     lon_rad = longitudes_near(lon_rad, lon_rad[0])
     height_m = path.h_msl_m[is_at_begin]
-    north_m = float(np.ptp(lat_rad)) * _EARTH_M
-    east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M
-    up_m = float(np.ptp(height_m))
-    moved_m = max(math.hypot(north_m, east_m), up_m)
+    moved_m = _extent_m(lat_rad, lon_rad, height_m)
     flies = bool(evidence.flies(time_ns).any())
     stands = moved_m <= _TAKEOFF_MOVE_M and not flies
     if home_m is None and not stands:
@@ -281,3 +278,11 @@ def takeoff_of(
         h_msl_m=takeoff_m,
         stands=stands and is_at_takeoff_height,
     )
+
+
+def _extent_m(lat_rad: Array, lon_rad: Array, height_m: Array) -> float:
+    """By how much places differ, along or up."""
+    north_m = float(np.ptp(lat_rad)) * _EARTH_M
+    east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M
+    up_m = float(np.ptp(height_m))
+    return max(math.hypot(north_m, east_m), up_m)

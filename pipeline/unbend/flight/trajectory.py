@@ -128,13 +128,7 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
     bend_m = curve.between(samples).bend
 
     straight_lat, straight_lon = _along_normal_vectors(lat, lon, samples)
-    meridian_m, prime_vertical_m = principal_radii(lat[samples.before])
-    parallel_m = prime_vertical_m * np.cos(lat[samples.before])
-    is_off_pole = parallel_m > _LEAST_PARALLEL_M
-    with np.errstate(invalid="ignore", divide="ignore"):
-        lat_bend = bend_m[:, 0] / meridian_m
-        lon_bend = bend_m[:, 1] / parallel_m
-        lon_bend = np.where(is_off_pole, lon_bend, 0.0)
+    lat_bend, lon_bend = _bend_in_radians(bend_m, lat[samples.before])
     bent_lat = straight_lat + lat_bend
     bent_lon = wrapped(straight_lon + lon_bend)
     is_inside = samples.coverage == INSIDE
@@ -145,6 +139,17 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
         sigma_m=curve.sigma(samples),
         coverage=samples.coverage,
     )
+
+
+def _bend_in_radians(bend_m: Array, lat_rad: Array) -> tuple[Array, Array]:
+    """(m,) changes of latitude and longitude [rad] by metres north and east (m, 2)."""
+    meridian_m, prime_vertical_m = principal_radii(lat_rad)
+    parallel_m = prime_vertical_m * np.cos(lat_rad)
+    is_off_pole = parallel_m > _LEAST_PARALLEL_M
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lat_bend = bend_m[:, 0] / meridian_m
+        lon_bend = bend_m[:, 1] / parallel_m
+    return lat_bend, np.where(is_off_pole, lon_bend, 0.0)
 
 
 def _along_normal_vectors(
@@ -255,12 +260,17 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     turned = step * samples.fraction[:, None] + bend
     turn_from_before = _quaternions_of_vectors(turned)
     quaternion = quaternion_products(unit[samples.before], turn_from_before)
-    has_negative_w = quaternion[:, 3:] < 0.0
-    canonical = np.where(has_negative_w, -quaternion, quaternion)
-    attitudes.quaternion[usable] = canonical[:, [3, 0, 1, 2]]  # w, x, y, z
+    attitudes.quaternion[usable] = _canonical(quaternion)
     attitudes.rate_rad_s[usable] = curve.rate(samples)
     attitudes.sigma_rad[usable] = curve.sigma(samples)
     return attitudes
+
+
+def _canonical(quaternion: Array) -> Array:
+    """(m, 4) quaternions w, x, y, z with w >= 0 of quaternions x, y, z, w."""
+    has_negative_w = quaternion[:, 3:] < 0.0
+    canonical = np.where(has_negative_w, -quaternion, quaternion)
+    return canonical[:, [3, 0, 1, 2]]
 
 
 def _unit_quaternions(channel: Channel) -> Array:
@@ -415,16 +425,9 @@ class _Curve:
         Each of the four samples about an instant is predicted from its two neighbours, over twice
         the interval; errors grow with the interval, and from the samples to the middle of it.
         """
-        last = len(self.channel) - 1
-        before = samples.before
-        after = samples.after
-        four_rows = np.stack([before - 1, before, after, after + 1])
-        # The first and the last sample have no neighbours on both sides: those beside them count.
-        first_inner = min(1, last)
-        last_inner = max(last - 1, 0)
-        four_rows = np.clip(four_rows, first_inner, last_inner)
+        four_rows = self._four_rows(samples)
         # Each sample is predicted once, however many instants it is near to.
-        is_used = np.zeros(last + 1, np.bool_)
+        is_used = np.zeros(len(self.channel), np.bool_)
         is_used[four_rows] = True
         squares = self._squared_misfits(np.flatnonzero(is_used))
         number_of_row = np.cumsum(is_used) - 1
@@ -439,6 +442,19 @@ class _Curve:
         u = samples.fraction[:, None]
         # Half the misfit over twice the interval in the middle, nothing at the samples.
         return np.asarray(2.0 * u * (1.0 - u) * misfit)
+
+    def _four_rows(self, samples: Bracket) -> Rows:
+        """(4, m) rows of the two samples before each instant and the two after it.
+
+        The first and the last sample have no neighbours on both sides: those beside them count.
+        """
+        last = len(self.channel) - 1
+        before = samples.before
+        after = samples.after
+        four_rows = np.stack([before - 1, before, after, after + 1])
+        first_inner = min(1, last)
+        last_inner = max(last - 1, 0)
+        return np.clip(four_rows, first_inner, last_inner)
 
     def _squared_misfits(self, rows: Rows) -> Array:
         """(s, k) squared differences of samples from the curve between their neighbours."""

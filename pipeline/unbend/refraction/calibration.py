@@ -16,7 +16,7 @@ from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import LARGEST_ANGLE_RAD, OpenCVFisheye
-from unbend.units import Array
+from unbend.units import Array, Mask
 
 _Distortion = type[BrownConrady] | type[GeneralFrame] | type[OpenCVFisheye]
 
@@ -192,8 +192,7 @@ def refuse_impossible(camera: Camera) -> None:
 def _refuse_turning_distortion(camera: Camera) -> None:
     """Refuse (PhysicsError CAMERA-TURNS) a distortion that turns back inside the image."""
     # Circles about the principal point, to where observations are outside_camera.
-    distortion = camera.distortion
-    limit = float(getattr(distortion, "limit", np.inf))
+    limit = float(getattr(camera.distortion, "limit", np.inf))
     end = min(limit, float(np.tan(LARGEST_ANGLE_RAD)))
     largest_theta = np.arctan(min(end, camera.largest_radius))
     theta = np.linspace(0.0, largest_theta, _CIRCLES)[:, None]
@@ -204,13 +203,10 @@ def _refuse_turning_distortion(camera: Camera) -> None:
     v = radius * np.sin(azimuth)
     with np.errstate(all="ignore"):
         x, y = camera.project(u, v)
-        uu, uv, vv = model_of(type(distortion)).slopes(u, v, distortion)
-        folded = np.asarray(uu * vv - uv * uv) <= 0.0
+        folded = _is_folded(camera, u, v)
     # Where the distortion turns, and nothing limits it earlier, the circle lies outside the image.
     folded[-1] |= camera.largest_radius < end * (1.0 - _ROUNDING)
-    is_in_width = (x >= 0.0) & (x <= camera.width_px)
-    is_in_height = (y >= 0.0) & (y <= camera.height_px)
-    folded &= is_in_width & is_in_height
+    folded &= _is_in_image(camera, x, y)
     if folded.any():
         circle, ray = np.argwhere(folded)[0]
         raise messages.camera_turns(
@@ -218,6 +214,19 @@ def _refuse_turning_distortion(camera: Camera) -> None:
             x=x[circle, ray],
             y=y[circle, ray],
         )
+
+
+def _is_folded(camera: Camera, u: Array, v: Array) -> Mask:
+    """Where the determinant of the distortion's derivatives is not positive."""
+    model = model_of(type(camera.distortion))
+    uu, uv, vv = model.slopes(u, v, camera.distortion)
+    return np.asarray(uu * vv - uv * uv) <= 0.0
+
+
+def _is_in_image(camera: Camera, x: Array, y: Array) -> Mask:
+    is_in_width = (x >= 0.0) & (x <= camera.width_px)
+    is_in_height = (y >= 0.0) & (y <= camera.height_px)
+    return np.asarray(is_in_width & is_in_height)
 
 
 def _azimuths_of_corners(camera: Camera) -> Array:
@@ -353,16 +362,8 @@ def _distortion_of_report(
     """
     sign = SENSES[report.sense]
     focal_mm = report.focal_mm
-    radial = np.array([report.coefficient(name) for name in _COEFFICIENTS])
+    radial, radius_mm = _radial_of_report(report)
     tangential = (report.coefficient("p1"), report.coefficient("p2"))
-    radius_mm = report.radius_mm
-    if report.table is not None:
-        columns, sense = report.table
-        r, dr = np.asarray(columns, np.float64).T
-        # To first order a correction is the distortion with the other sign.
-        dr_of_report = dr * SENSES[sense] * sign
-        radial = _agreed(radial, r, dr_of_report)
-        radius_mm = min(radius_mm, r[-1])
     ppa_from_ppbs = np.subtract(report.ppa_mm, report.ppbs_mm)
     offset = to_image @ ppa_from_ppbs / focal_mm
     limit = radius_mm / focal_mm - np.hypot(*offset)
@@ -385,6 +386,18 @@ def _distortion_of_report(
         limit=float(min(limit, _UNLIMITED)),
         steps=steps,
     )
+
+
+def _radial_of_report(report: MetricReport) -> tuple[Array, float]:
+    """(5,) k0 to k4 of a report, in agreement with its table, and the radius they hold to [mm]."""
+    radial = np.array([report.coefficient(name) for name in _COEFFICIENTS])
+    if report.table is None:
+        return radial, report.radius_mm
+    columns, sense = report.table
+    r, dr = np.asarray(columns, np.float64).T
+    # To first order a correction is the distortion with the other sign.
+    dr_of_report = dr * SENSES[sense] * SENSES[report.sense]
+    return _agreed(radial, r, dr_of_report), min(report.radius_mm, r[-1])
 
 
 def _inversion_steps(

@@ -160,9 +160,11 @@ def as_columns(*values: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
     columns = []
     for array in arrays:
         is_usable = array.flags.c_contiguous and array.flags.writeable
-        if array.shape != shape or not is_usable:
-            array = np.array(np.broadcast_to(array, shape))
-        columns.append(array.reshape(-1))
+        if array.shape == shape and is_usable:
+            columns.append(array.reshape(-1))
+        else:
+            copied = np.array(np.broadcast_to(array, shape))
+            columns.append(copied.reshape(-1))
     return shape, columns
 
 

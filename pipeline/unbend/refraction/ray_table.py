@@ -48,9 +48,10 @@ class RayTable:
         bottom = self.edge_m[piece, None]
         thickness = np.diff(self.edge_m)[piece, None]
         share = (height - bottom) / thickness
+        coefficients = self.coefficient[piece].T
         refractivity = np.polynomial.polynomial.polyval(
             share,
-            self.coefficient[piece].T[..., None],
+            coefficients[..., None],
             tensor=False,
         )
         values = np.asarray(refractivity, np.float64)
@@ -84,7 +85,8 @@ def cut(edge: Array, longest: float | Array) -> Array:
     parts = np.ceil(np.diff(edge) / longest)
     parts = np.maximum(1, parts).astype(int)
     pieces = []
-    for (low, high), count in zip(pairwise(edge), parts, strict=True):
+    intervals = pairwise(edge)
+    for (low, high), count in zip(intervals, parts, strict=True):
         ends = np.linspace(low, high, count, endpoint=False)
         pieces.append(ends)
     return np.concatenate([*pieces, edge[-1:]])
@@ -108,6 +110,7 @@ def _polynomials(nodes: Array, values: Array) -> Array:
 
     ``values`` (m, d + 1) are those of m polynomials.
     """
-    vandermonde = np.vander(nodes, nodes.size, increasing=True)
+    count = nodes.size
+    vandermonde = np.vander(nodes, count, increasing=True)
     coefficients = np.linalg.solve(vandermonde, values.T)
     return np.ascontiguousarray(coefficients.T)

@@ -183,9 +183,8 @@ def terrain_heights(
             if rows.size == 0:
                 continue
             observations = first + rows
-            rays_of_kind = rays[:, rows]
-            paths = _bent_paths(rays_of_kind, air, steep=steep)
-            ways = _ways_over(rays_of_kind, paths, exposure[observations], places, terrain)
+            paths = _bent_paths(rays[:, rows], air, steep=steep)
+            ways = _ways_over(rays[:, rows], paths, exposure[observations], places, terrain)
             landings = _follow(ways, terrain)
             heights.h_m[observations] = landings.h_m
             heights.factor[observations] = landings.factor
@@ -232,15 +231,9 @@ def _ways_over(
     ``exposure`` (n,) are rows of ``places``, latitude and longitude (s,) [rad] of exposures. Each
     exposure has a chart of the grid; a ray ends where the chart does.
     """
-    sine = rays[NADIR_SINE]
-    cosine = rays[NADIR_COSINE]
-    radius = rays[SPHERE_RADIUS]
-    h_c = rays[CAMERA_HEIGHT]
     end_m = paths.knot_m[:, -1].copy()
     status_at_end = paths.status_at_end
-    end_across_m = end_m * sine
-    end_up_m = radius + h_c - end_m * cosine  # from the centre of the earth
-    arc_m = radius * np.arctan2(end_across_m, end_up_m)
+    arc_m = _arcs(rays, end_m)
     latitude, longitude = places
     station, chart = np.unique(exposure, return_inverse=True)
     longest_m = np.zeros(station.size)
@@ -250,24 +243,37 @@ def _ways_over(
     is_short = usable_m < arc_m
     end_m[is_short] *= usable_m[is_short] / arc_m[is_short]
     status_at_end[is_short] = NO_GROUND
-    divisor = np.where(sine > 0, sine, 1)
-    with np.errstate(invalid="ignore"):
-        east, north = rays[DIRECTION : DIRECTION + 2] / divisor
-    r_c_by_distance = paths.r_c_rad / paths.knot_m
+    east, north = _level_directions(rays)
     way = TerrainRays(
-        sin_c=sine,
-        cos_c=cosine,
-        h_c=h_c,
-        r_e=radius,
+        sin_c=rays[NADIR_SINE],
+        cos_c=rays[NADIR_COSINE],
+        h_c=rays[CAMERA_HEIGHT],
+        r_e=rays[SPHERE_RADIUS],
         east=east,
         north=north,
         knot=paths.knot_m,
-        bend=r_c_by_distance,
+        bend=paths.r_c_rad / paths.knot_m,
         chart=chart,
         charts=charts,
         reach=reach_m,
     )
     return _Ways(way, end_m, status_at_end)
+
+
+def _arcs(rays: Array, distance_m: Array) -> Array:
+    """(n,) arcs [m] on the sphere under straight rays to some distance."""
+    radius = rays[SPHERE_RADIUS]
+    across_m = distance_m * rays[NADIR_SINE]
+    from_centre_m = radius + rays[CAMERA_HEIGHT] - distance_m * rays[NADIR_COSINE]
+    return np.asarray(radius * np.arctan2(across_m, from_centre_m))
+
+
+def _level_directions(rays: Array) -> Array:
+    """(2, n) east and north of the unit vector along which a ray goes over the ground."""
+    sine = rays[NADIR_SINE]
+    divisor = np.where(sine > 0, sine, 1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(rays[DIRECTION : DIRECTION + 2] / divisor)
 
 
 def _bent_paths(rays: Array, air: RayTable | None, *, steep: bool) -> _BentPaths:

@@ -103,7 +103,8 @@ class LogAccuracy:
         """
         reported = _reported_variances(channel, time_ns)
         horizontal_m2 = reported.horizontal_m2
-        height_m2 = reported.height_m2 + self._variance_about_fused(channel, time_ns)
+        about_fused_m2 = self._variance_about_fused(channel, time_ns)
+        height_m2 = reported.height_m2 + about_fused_m2
         is_silent = ~np.isfinite(horizontal_m2)  # reports hold both or neither
         has_other_receiver = self.receiver is not None and channel is not self.receiver
         if has_other_receiver and is_silent.any():
@@ -147,7 +148,12 @@ class LogAccuracy:
         scatter = _scatter_about(channel.time_ns, apart_m, time_ns)
         return np.square(scatter.deviation)
 
-    def attitude(self, channel: Channel, time_ns: TimeArray, lat_rad: Array) -> AttitudeSigmas:
+    def attitude(
+        self,
+        channel: Channel,
+        time_ns: TimeArray,
+        lat_rad: Array,
+    ) -> AttitudeSigmas:
         """(m,) sigmas of the attitudes of a channel at instants and latitudes.
 
         They are those that the channel itself reports; else those of a filter:
@@ -256,10 +262,11 @@ def _scatter_about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> _Sca
     mean_departure = (sums[end] - sums[first]) / count
     mean_square = (square_sums[end] - square_sums[first]) / count
     variance = mean_square - mean_departure**2
-    deviation = np.sqrt(np.maximum(variance, 0.0))
     has_values = end > first
-    mean = np.where(has_values, middle + mean_departure, 0.0)
-    return _Scatter(mean, deviation)
+    return _Scatter(
+        mean=np.where(has_values, middle + mean_departure, 0.0),
+        deviation=np.sqrt(np.maximum(variance, 0.0)),
+    )
 
 
 def with_accuracy(

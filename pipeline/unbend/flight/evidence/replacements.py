@@ -194,9 +194,8 @@ def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) 
     time_ns, rows = np.unique(both_ns, return_index=True)
     columns: dict[str, Array] = {}
     for name in (*channel.columns, sigma):  # sigma may be among the columns or not
-        kept = channel.get(name)[outside]
         filled = filling.get(name, unknown)
-        both = np.concatenate([kept, filled])
+        both = np.concatenate([channel.get(name)[outside], filled])
         columns[name] = both[rows]
     both_boots = np.concatenate([channel.boot[outside], other.boot[inside]])
     return replace(

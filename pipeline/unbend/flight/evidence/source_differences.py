@@ -117,11 +117,7 @@ def source_difference(
     else:
         agree = np.zeros(known.shape, np.bool_)
     misfit = _misfit(apart_m, other.part, lag.shown_by, agree, noise_m)
-    scatter_m = 0.0
-    if misfit.settled.any():
-        settled_off_m = misfit.off_m[misfit.settled]
-        scatter_m = _SIGMA_OF_MEDIAN * float(np.median(settled_off_m))
-    least_limit_m = max(noise_m, SEVERAL * scatter_m)
+    least_limit_m = max(noise_m, SEVERAL * misfit.scatter_m)
     limit_m = np.full(known.size, least_limit_m)
     if not agree_near_zero:
         height_m = places_of(other.channel, quantity)[:, 0]
@@ -133,7 +129,7 @@ def source_difference(
         off_m=misfit.off_m,
         lag_s=lag.seconds,
         limit_m=limit_m,
-        scatter_m=scatter_m,
+        scatter_m=misfit.scatter_m,
     )
 
 
@@ -230,6 +226,14 @@ class _Misfit(NamedTuple):
 
     off_m: Array
     settled: Mask
+
+    @property
+    def scatter_m(self) -> float:
+        """Standard deviation of ``off_m`` on the settled samples; 0 without one."""
+        if not self.settled.any():
+            return 0.0
+        settled_off_m = self.off_m[self.settled]
+        return _SIGMA_OF_MEDIAN * float(np.median(settled_off_m))
 
 
 def _misfit(apart_m: Array, part: Rows, known: Mask, agree: Mask, noise_m: float) -> _Misfit:

@@ -176,12 +176,7 @@ def _unexplained_moves(
     """
     seconds = np.diff(channel.time_ns)[:, None] * 1e-9
     speed = moves_of(channel, quantity) / seconds
-    padding = ((_NEIGHBOURS, _NEIGHBOURS), (0, 0))
-    padded_speed = np.pad(speed, padding, mode="edge")
-    windows = sliding_window_view(padded_speed, 2 * _NEIGHBOURS + 1, axis=0)
-    parted = np.partition(windows, _NEIGHBOURS, axis=-1)
-    median_speed = parted[..., _NEIGHBOURS]
-    beyond_neighbours = speed - median_speed
+    beyond_neighbours = speed - _median_of_neighbours(speed)
     velocity = velocity_at(channels, quantity, channel.time_ns)
     mean_velocity = 0.5 * (velocity[1:] + velocity[:-1])
     beyond_velocity = speed - mean_velocity
@@ -193,6 +188,15 @@ def _unexplained_moves(
     is_long = seconds[:, 0] > _LONGEST_STEP_S
     unexplained_m[has_restarted | is_long] = 0.0
     return unexplained_m
+
+
+def _median_of_neighbours(speed: Array) -> Array:
+    """(n, k) median of each speed and three on either side of it."""
+    padding = ((_NEIGHBOURS, _NEIGHBOURS), (0, 0))
+    padded_speed = np.pad(speed, padding, mode="edge")
+    windows = sliding_window_view(padded_speed, 2 * _NEIGHBOURS + 1, axis=0)
+    parted = np.partition(windows, _NEIGHBOURS, axis=-1)
+    return np.asarray(parted[..., _NEIGHBOURS])
 
 
 class _PairedSteps(NamedTuple):

@@ -43,9 +43,10 @@ from unbend.refraction.kernels.columns import (
 )
 from unbend.refraction.ray import DEFAULT_RADIUS_M
 from unbend.refraction.uncertainty import sigmas
+from unbend.refraction.uncertainty.air_tables import air_sigma
 from unbend.refraction.uncertainty.sensitivity import sensitivity
 from unbend.refraction.uncertainty.sigmas import AirMode, Uncertainty
-from unbend.units import Array, Integers, Mask
+from unbend.units import Array, Integers, Mask, Rows
 
 _MOST_EXPOSURES = 24  # whose rays stand for a block
 _ACROSS = 5  # rows and columns of rays in an image
@@ -53,7 +54,12 @@ _LARGEST_ZETA = np.radians(88.0)
 _ZETA_TO_SPARE = np.radians(0.5)  # beyond the borders of images
 
 _SLOPE_STEP_M = 0.5  # below and above, for the slopes of the air
-_BORDER = 9  # points along each side of an image
+
+# Points along the borders of an image, in units of its width and height.
+_SIDE = np.linspace(0.0, 1.0, 9)
+_ENDS = np.repeat([0.0, 1.0], _SIDE.size)
+_BORDER_X = np.concatenate([_SIDE, _SIDE, _ENDS])
+_BORDER_Y = np.concatenate([_ENDS, _SIDE, _SIDE])
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,25 +115,14 @@ def rays_of_exposures(
     ``cameras`` each with the mask (s,) of its exposures, ``kinds`` (s,) of their windows. The
     directions are those before the window, which turns them by less than 1e-3.
     """
-    side = (np.arange(_ACROSS) + 0.5) / _ACROSS
-    grid_x, grid_y = np.meshgrid(side, side)
-    x = grid_x.ravel()
-    y = grid_y.ravel()
-    usable = np.flatnonzero(exposures.usable)
-    count = min(usable.size, _MOST_EXPOSURES)
-    evenly = np.linspace(0, usable.size - 1, count)
-    drawn = usable[evenly.astype(int)]
+    drawn = _drawn_exposures(exposures)
     rows = [np.empty(0, np.int64)]
     directions = [np.empty((0, 3))]
     for camera, is_of_camera in cameras:
-        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
-        ray = np.stack([u, v, np.ones(u.size)], axis=1)
-        ray = ray[covered]
-        length = np.linalg.norm(ray, axis=1)
-        direction = ray / length[:, None]
+        directions_of_image = _directions_of_image(camera)
         exposures_of_camera = drawn[is_of_camera[drawn]]
-        rows.append(np.repeat(exposures_of_camera, len(ray)))
-        directions.append(np.tile(direction, (exposures_of_camera.size, 1)))
+        rows.append(np.repeat(exposures_of_camera, len(directions_of_image)))
+        directions.append(np.tile(directions_of_image, (exposures_of_camera.size, 1)))
     row = np.concatenate(rows)
     direction = np.concatenate(directions)
     down = -exposures.rotation[row, :, 2]
@@ -143,6 +138,27 @@ def rays_of_exposures(
         towards=towards,
         across=across,
     )
+
+
+def _drawn_exposures(exposures: Exposures) -> Rows:
+    """At most 24 exposures, evenly among those that can be used."""
+    usable = np.flatnonzero(exposures.usable)
+    count = min(usable.size, _MOST_EXPOSURES)
+    evenly = np.linspace(0, usable.size - 1, count)
+    return usable[evenly.astype(int)]
+
+
+def _directions_of_image(camera: Camera) -> Array:
+    """(k, 3) unit vectors in the camera frame, evenly over the image where it is calibrated."""
+    side = (np.arange(_ACROSS) + 0.5) / _ACROSS
+    grid_x, grid_y = np.meshgrid(side, side)
+    x = grid_x.ravel() * camera.width_px
+    y = grid_y.ravel() * camera.height_px
+    u, v, covered = camera.rays(x, y)
+    rays = np.stack([u, v, np.ones(u.size)], axis=1)
+    rays = rays[covered]
+    length = np.linalg.norm(rays, axis=1)
+    return np.asarray(rays / length[:, None])
 
 
 def leading_mode(
@@ -200,11 +216,10 @@ def leading_mode(
     sense = np.sign(r @ along @ direction[0]) or 1.0
     u = direction[0] * sense
     sigma = length[0] / np.linalg.norm(r)
-    share = length[0] ** 2 / np.sum(length**2)
     return AirMode(
         state=root.matrix @ u,
         sigma=float(f"{sigma:.6g}"),  # six digits, as in the manifest, which then has it exactly
-        variance_share=float(share),
+        variance_share=float(length[0] ** 2 / np.sum(length**2)),
     )
 
 
@@ -299,7 +314,7 @@ def uncertainty_of(
         usable_exposures = replace(exposures, usable=usable)
         rays = rays_of_exposures(usable_exposures, cameras, kinds)
         mode = leading_mode(profile, covariance, rays, typical_ground_m, radius=radius)
-    camera_m, tables = sigmas.air_sigma(
+    camera_m, tables = air_sigma(
         profile,
         covariance,
         (float(heights.min()), float(heights.max())),
@@ -325,16 +340,14 @@ def _largest_zeta(
     cameras: Sequence[tuple[Camera, Mask]],
 ) -> float:
     """The largest nadir angle [rad] that a border of an image shows, half a degree to spare."""
-    side = np.linspace(0.0, 1.0, _BORDER)
-    ends = np.repeat([0.0, 1.0], _BORDER)
-    x = np.concatenate([side, side, ends])
-    y = np.concatenate([ends, side, side])
     largest = 0.0
     for camera, is_of_camera in cameras:
         down = -exposures.rotation[usable & is_of_camera, :, 2]
         if down.size == 0:
             continue
-        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
+        x = _BORDER_X * camera.width_px
+        y = _BORDER_Y * camera.height_px
+        u, v, covered = camera.rays(x, y)
         length = np.sqrt(u * u + v * v + 1.0)
         directions = np.stack([u, v, np.ones(u.size)]) / length
         least_cosine = 0.0
@@ -360,14 +373,7 @@ def _station_columns(
     n = exposures.refractivity_outside
     is_known = exposures.usable & np.isfinite(n)
     h = np.where(is_known, exposures.height_m, node_m[0])
-    # Slopes over half a metre below and above, within the profile.
-    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
-    high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
-    thickness = high - low
-    rise_of_n = profile.refractivity(high) - profile.refractivity(low)
-    slope = rise_of_n / thickness
-    pressure_ratio = profile.pressure(high) / profile.pressure(low)
-    thinner = np.log(pressure_ratio) / thickness
+    slope, thinner = _slopes_of_air(profile, h)
     nodes_up_to = np.searchsorted(node_m, h, side="right")
     node = np.clip(nodes_up_to - 1, 0, node_m.size - 2)
     above_node = h - node_m[node]
@@ -397,3 +403,16 @@ def _station_columns(
         if kind == sigmas.FOLLOWING:  # the difference of the two airs is that at any height
             table[rows, WINDOW_GRADIENT] = 0.0
     return table
+
+
+def _slopes_of_air(profile: Profile, h: Array) -> tuple[Array, Array]:
+    """(s,) derivatives of N and of ln p with height [1/m] at heights ``h`` (s,) [m].
+
+    Over half a metre below and above, within the profile.
+    """
+    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
+    high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
+    thickness = high - low
+    rise_of_n = profile.refractivity(high) - profile.refractivity(low)
+    pressure_ratio = profile.pressure(high) / profile.pressure(low)
+    return rise_of_n / thickness, np.log(pressure_ratio) / thickness
