@@ -208,7 +208,14 @@ def _in_the_plane(
         tables.mode[row] = by_air[:, 0]
         tables.sigma[row] = _lengths(by_air[:, 1:])
         for kind, cabin in enumerate(cabins):
-            _fill_behind_window(tables, kind, row, mean[:, 1:], errors, cabin[row])
+            _fill_behind_window(
+                tables,
+                kind,
+                row,
+                mean_errors=mean[:, 1:],
+                errors=errors,
+                errors_in_cabin=cabin[row],
+            )
     return tables
 
 
@@ -216,17 +223,18 @@ def _fill_behind_window(
     tables: _PlaneTables,
     kind: int,
     row: int,
+    *,
     mean_errors: Array,
     errors: Array,
-    cabin_errors_of_row: Array,
+    errors_in_cabin: Array,
 ) -> None:
     """Fill what a window of one kind adds at one camera, x and y as in `sigmas`.
 
     Errors of N are those of the mean over each way (w, 1 + r), at the camera and in the cabin
     (1 + r,); their first column is the mode's.
     """
-    lean = errors - cabin_errors_of_row
-    x = mean_errors[:, 1:] - cabin_errors_of_row[1:]
+    lean = errors - errors_in_cabin
+    x = mean_errors[:, 1:] - errors_in_cabin[1:]
     y = lean[1:]
     sigma_y = np.linalg.norm(y)
     tables.mode_lean[kind, row] = lean[0]
@@ -287,11 +295,11 @@ def _on_the_sphere(
     least_cosine: float,
     radius: float,
 ) -> Array:
-    """(f, j, k, 3) factors that take sigma_R / tan(zeta) and dR/dzeta cos^2(zeta) to the sphere,
-    and what it adds to the mode's R / (tan(zeta) way).
+    """(f, j, k, 3) factors that take the plane to the sphere.
 
-    That of dR/dzeta is geometry: it is taken from US 1976, whose R is nowhere zero; at 80 degrees
-    it is 1.02 and at 85 degrees 1.09 in any air, within 0.01 (3 km).
+    Those of sigma_R / tan(zeta) and of dR/dzeta cos^2(zeta), and what the sphere adds to the mode's
+    R / (tan(zeta) way). That of dR/dzeta is geometry: it is taken from US 1976, whose R is nowhere
+    zero; at 80 degrees it is 1.02 and at 85 degrees 1.09 in any air, within 0.01 (3 km).
     """
     largest_incidence = least_cosine**-0.5
     count = 2 + int((largest_incidence - 1.0) / _INCIDENCE_STEP)

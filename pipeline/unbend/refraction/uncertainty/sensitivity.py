@@ -192,18 +192,18 @@ def _bent_rays(profile: Profile, columns: list[Array]) -> tuple[Rays, NDArray[np
 
     ``columns`` are h_c, h_g, zeta_c and the radius (n,).
     """
-    h_c, h_g, zeta_c, radius = columns
-    is_angle = (zeta_c >= 0.0) & (zeta_c <= np.pi)
-    zeta = np.where(is_angle, zeta_c, np.nan)
+    rays = Rays(*columns, r_c=np.full(columns[0].shape, np.nan))
+    is_angle = (rays.zeta_c >= 0.0) & (rays.zeta_c <= np.pi)
+    zeta = np.where(is_angle, rays.zeta_c, np.nan)
     r_c, status = bend(
         ray_table(profile),
-        h_c,
-        h_g,
+        rays.h_c,
+        rays.h_g,
         np.sin(zeta),
         np.cos(zeta),
-        radius=radius,
+        radius=rays.radius,
     )
-    return Rays(h_c, h_g, zeta_c, radius, r_c), status
+    return rays._replace(r_c=r_c), status
 
 
 def _pieces_of_rays(profile: Profile, rays: Rays) -> Pieces:
