@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import mpmath as mp
 import numpy as np
@@ -480,7 +481,7 @@ class TestTrace:
 
         def counted(integrand, h, intervals, first):
             summed.append(float(intervals.count.max(initial=0.0)))
-            few = intervals._replace(count=np.minimum(intervals.count, 100.0))
+            few = replace(intervals, count=np.minimum(intervals.count, 100.0))
             return real(integrand, h, few, first)
 
         monkeypatch.setattr(gyer, "_eq_31", counted)

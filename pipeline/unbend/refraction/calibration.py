@@ -344,7 +344,7 @@ def _refuse_other_format(report: MetricReport, size: Array) -> None:
 
 def _affinity(report: MetricReport, to_image: Array) -> Array:
     """(2, 2) what b1 and b2 of a report make of ideal coordinates, in the axes of the image."""
-    stretch = np.eye(2)
+    stretch: Array = np.eye(2)
     stretch[0, 0] += report.coefficient("b1")
     stretch[0, 1] = report.coefficient("b2")
     if SENSES[report.sense] < 0.0:
@@ -442,9 +442,9 @@ def _fitted(r: Array, dr: Array) -> Array:
     """(5,) k0 to k4 of the polynomial through a table, of fewer terms than the table has radii."""
     powers = r[:, None] ** _RADIAL_POWERS
     largest = r[-1] ** _RADIAL_POWERS
-    terms = np.count_nonzero(r) - 1
-    terms = min(_RADIAL_POWERS.size, max(1, terms))
+    radii = int(np.count_nonzero(r))
+    terms = min(_RADIAL_POWERS.size, max(1, radii - 1))
     scaled_powers = (powers / largest)[:, :terms]
     scaled = np.zeros(_RADIAL_POWERS.size)
     scaled[:terms] = np.linalg.lstsq(scaled_powers, dr, rcond=None)[0]
-    return scaled / largest
+    return np.asarray(scaled / largest)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import partial
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -475,7 +476,7 @@ def paper_tables(paper: str) -> PaperTable:
     return PaperTable(columns, tuple(notes[paper]))
 
 
-def _columns_of(all_figures: list[Figures]) -> dict[str, NDArray[np.generic]]:
+def _columns_of(all_figures: list[Figures]) -> dict[str, NDArray[Any]]:
     """The figures of all quantities one below the other, by the names of the fields."""
     names = [field.name for field in fields(Figures)]
     blocks = []

@@ -7,6 +7,7 @@ the first. Eq. 32 is printed with jumbled indices; it means Eq. 31 over all inte
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -225,7 +226,8 @@ def _eq_11(
         return np.arctan((tangent * excess - sine) / (tangent * sine + excess))
 
 
-class _Intervals(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Intervals:
     """Equal intervals between ground and camera."""
 
     count: Array  # 0 where an end lies outside the profile
@@ -240,7 +242,7 @@ def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> _Interv
     rise = np.where(is_inside, h_c - h_g, np.nan)
     steps = np.ceil(rise / step - _INTERVAL_ROUNDING)
     count = np.maximum(steps, 1.0)
-    return _Intervals(np.nan_to_num(count), np.asarray(rise / count))
+    return _Intervals(count=np.nan_to_num(count), width_m=np.asarray(rise / count))
 
 
 def _n_r(profile: Profile, h: Array, r: Array) -> Array:

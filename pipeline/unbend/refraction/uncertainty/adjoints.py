@@ -170,7 +170,7 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> _Adjoints:
     slope_c = np.sum(pieces.slope[camera.piece] * camera.polynomials, axis=1)
     gradient_c = slope_c / (1.0 + camera.refractivity)  # N_c' / n_c
     d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * integrals.by_s
-    by_place = (
+    traced = (
         _by_camera_height(rays, gradient_c, d_zeta_c, chord),
         _by_target_height(pieces, rays, camera.refractivity, chord),
         d_zeta_c,
@@ -179,7 +179,7 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> _Adjoints:
     guard_m = np.where(is_short, _SHORT_GUARD_M, LEVEL_GUARD_M)
     valid = integrals.least_excess > guard_m
     weight[~valid] = np.nan
-    by_place = np.where(is_short, _limit_of_short_rays(rays, gradient_c), by_place)
+    by_place = np.where(is_short, _limit_of_short_rays(rays, gradient_c), traced)
     by_place = np.where(valid, by_place, np.nan)
     return _Adjoints(weight, by_place.T, valid)
 

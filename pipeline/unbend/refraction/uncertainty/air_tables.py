@@ -236,7 +236,7 @@ def _fill_behind_window(
     lean = errors - errors_in_cabin
     x = mean_errors[:, 1:] - errors_in_cabin[1:]
     y = lean[1:]
-    sigma_y = np.linalg.norm(y)
+    sigma_y = float(np.linalg.norm(y))
     tables.mode_lean[kind, row] = lean[0]
     tables.lean[kind, row] = sigma_y
     tables.behind[kind, 0, row] = _lengths(x)
@@ -303,7 +303,8 @@ def _on_the_sphere(
     """
     largest_incidence = least_cosine**-0.5
     count = 2 + int((largest_incidence - 1.0) / _INCIDENCE_STEP)
-    cosine = (1.0 + _INCIDENCE_STEP * np.arange(count)) ** -2.0
+    incidence = 1.0 + _INCIDENCE_STEP * np.arange(count)
+    cosine = np.asarray(incidence**-2.0, np.float64)
     h_c, h_g, zeta = _rays_on_the_sphere(profile, camera_heights_m, way, cosine, radius)
     usual = sensitivity(standard_atmosphere("us1976"), h_c, h_g, zeta, radius)
     slope = usual.d_zeta_c * np.cos(zeta) ** 2

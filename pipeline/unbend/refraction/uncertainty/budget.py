@@ -145,7 +145,7 @@ def _drawn_exposures(exposures: Exposures) -> Rows:
     usable = np.flatnonzero(exposures.usable)
     count = min(usable.size, _MOST_EXPOSURES)
     evenly = np.linspace(0, usable.size - 1, count)
-    return usable[evenly.astype(int)]
+    return np.asarray(usable[evenly.astype(int)])
 
 
 def _directions_of_image(camera: Camera) -> Array:

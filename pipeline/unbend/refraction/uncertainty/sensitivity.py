@@ -192,7 +192,13 @@ def _bent_rays(profile: Profile, columns: list[Array]) -> tuple[Rays, NDArray[np
 
     ``columns`` are h_c, h_g, zeta_c and the radius (n,).
     """
-    rays = Rays(*columns, r_c=np.full(columns[0].shape, np.nan))
+    rays = Rays(
+        h_c=columns[0],
+        h_g=columns[1],
+        zeta_c=columns[2],
+        radius=columns[3],
+        r_c=np.full(columns[0].shape, np.nan),
+    )
     is_angle = (rays.zeta_c >= 0.0) & (rays.zeta_c <= np.pi)
     zeta = np.where(is_angle, rays.zeta_c, np.nan)
     r_c, status = bend(
