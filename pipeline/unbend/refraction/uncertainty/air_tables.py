@@ -303,8 +303,7 @@ def _on_the_sphere(
     """
     largest_incidence = least_cosine**-0.5
     count = 2 + int((largest_incidence - 1.0) / _INCIDENCE_STEP)
-    incidence = 1.0 + _INCIDENCE_STEP * np.arange(count)
-    cosine = np.asarray(incidence**-2.0, np.float64)
+    cosine = np.asarray((1.0 + _INCIDENCE_STEP * np.arange(count)) ** -2.0, np.float64)
     h_c, h_g, zeta = _rays_on_the_sphere(profile, camera_heights_m, way, cosine, radius)
     usual = sensitivity(standard_atmosphere("us1976"), h_c, h_g, zeta, radius)
     slope = usual.d_zeta_c * np.cos(zeta) ** 2
