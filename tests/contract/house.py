@@ -38,6 +38,7 @@ MAX_UNPACKED = 3  # more values are a type with named fields
 FORMULAS = (
     "refraction/kernels/",
     "refraction/published/",
+    "refraction/uncertainty/adjoints.py",
     "atmosphere/refractive_index.py",
     "atmosphere/standard.py",
     "atmosphere/estimate/hypotheses.py",

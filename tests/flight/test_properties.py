@@ -18,7 +18,8 @@ from unbend.flight.clock import (
     utc_of_gps,
 )
 from unbend.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
-from unbend.flight.trajectory import INSIDE, bracket, interpolate, track_at
+from unbend.flight.interpolation import INSIDE, bracket, interpolate
+from unbend.flight.trajectory import track_at
 
 SECOND = 10**9
 STEPS = st.lists(st.integers(1, 5 * SECOND), min_size=2, max_size=30)

@@ -10,17 +10,14 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from unbend.flight.channels import Channel, Source
 from unbend.flight.ground_times import LoggedPath, takeoff_of
-from unbend.flight.trajectory import (
+from unbend.flight.interpolation import (
     GAP_IN_CHANNEL,
     INSIDE,
     OUTSIDE_CHANNEL,
-    attitude_at,
-    bend_of_heights,
     bracket,
     interpolate,
-    track_at,
-    with_slopes,
 )
+from unbend.flight.trajectory import attitude_at, bend_of_heights, track_at, with_slopes
 
 SECOND = 1_000_000_000
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import mpmath as mp
 import numpy as np
@@ -478,9 +479,10 @@ class TestTrace:
         summed = []
         real = gyer._eq_31
 
-        def counted(integrand, h, width, first, count):
-            summed.append(float(count.max(initial=0.0)))
-            return real(integrand, h, width, first, np.minimum(count, 100.0))
+        def counted(integrand, h, intervals, first):
+            summed.append(float(intervals.count.max(initial=0.0)))
+            few = replace(intervals, count=np.minimum(intervals.count, 100.0))
+            return real(integrand, h, few, first)
 
         monkeypatch.setattr(gyer, "_eq_31", counted)
         r_c, status = PublishedRays(us1962, pub.gyer1996).bend(

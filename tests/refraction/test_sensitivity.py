@@ -19,6 +19,7 @@ from unbend.errors import PhysicsError
 from unbend.geodesy import Gravity
 from unbend.refraction import refraction_angle
 from unbend.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
+from unbend.refraction.uncertainty import adjoints
 from unbend.refraction.uncertainty import sensitivity as weights
 from unbend.refraction.uncertainty.sensitivity import ray_weights, sensitivity
 from unbend.units import DEGREE, HYDROSTATIC_CONSTANT
@@ -258,7 +259,7 @@ def turned(function, which=slice(None)):
         (hypsometry, "_layer", slice(2, 3)),
         (covariance, "_index_partials", slice(0, 1)),
         (covariance, "_index_partials", slice(2, 3)),
-        (weights, "_by_target_height", slice(None)),
+        (adjoints, "_by_target_height", slice(None)),
     ],
 )
 def test_a_sign_turned_over_is_seen(monkeypatch, module, name, which):

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, times_on_the_ground
+from unbend.flight.interpolation import ns_to_nearest
 from unbend.flight.stations import Stations
-from unbend.flight.trajectory import ns_to_nearest
 from unbend.messages import Message, Notes
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Names, whole_numbers
 

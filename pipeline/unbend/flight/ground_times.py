@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from unbend.flight.channels import Channel, TimeArray
-from unbend.flight.trajectory import interpolate
+from unbend.flight.interpolation import interpolate
 from unbend.geodesy import longitudes_near
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask
 
@@ -59,8 +59,10 @@ class GroundEvidence:
         for position in sorted(positions, key=lambda channel: channel.rank):
             above_home_m = _above_home(position, home)
             if np.isfinite(above_home_m).any():
-                columns = dict(position.columns) | {"h_home_m": above_home_m}
-                return cls(tuple(landed), replace(position, columns=columns, labels={}))
+                columns = dict(position.columns)
+                columns["h_home_m"] = above_home_m
+                above_home = replace(position, columns=columns, labels={})
+                return cls(tuple(landed), above_home)
         return cls(tuple(landed))
 
     def landed_at(self, time_ns: TimeArray) -> Array:
@@ -91,13 +93,16 @@ class GroundEvidence:
             gap_s = self.above_home.gap_limit_s(_HOME_GAP_S)
             above_home_m = interpolate(self.above_home, "h_home_m", time_ns, gap_s)
             is_high = above_home_m > FLIES_ABOVE_HOME_M
-        return np.asarray((landed == 0.0) | (is_high & ~(landed == 1.0)))
+        says_landed = landed == 1.0
+        says_flying = landed == 0.0
+        return np.asarray(says_flying | (is_high & ~says_landed))
 
 
 def _last_said(channel: Channel, values: Array, time_ns: TimeArray) -> Array:
     """(n,) the values of a channel last before instants; NaN before the first."""
-    row = np.searchsorted(channel.time_ns, time_ns, side="right") - 1
-    return np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
+    samples_before = np.searchsorted(channel.time_ns, time_ns, side="right")
+    last_row = np.maximum(samples_before - 1, 0)
+    return np.where(samples_before > 0, values[last_row], np.nan)
 
 
 def home_is_set(h_msl_m: Array, above_home_m: Array) -> Mask:
@@ -128,7 +133,8 @@ def _above_home(position: Channel, home: Channel | None) -> Array:
         return np.where(is_set, above_home_m, np.nan)
     if home is None:
         return above_home_m
-    return np.asarray(h_msl_m - _last_said(home, home["home_h_msl_m"], position.time_ns))
+    home_m = _last_said(home, home["home_h_msl_m"], position.time_ns)
+    return np.asarray(h_msl_m - home_m)
 
 
 def _landed_of(channel: Channel) -> Array | None:
@@ -150,16 +156,13 @@ def _landed_by_texts(channel: Channel) -> Array | None:
 
     None if there is no such event.
     """
-    texts = channel.labels.get("text", ())
-    if not any(line in _LANDED_BY_EVENT for text in texts for line in text.splitlines()):
-        return None
     landed = np.full(len(channel), np.nan)
     last_said = np.nan
-    for row, text in enumerate(texts):
+    for row, text in enumerate(channel.labels.get("text", ())):
         for line in text.splitlines():
             last_said = _LANDED_BY_EVENT.get(line, last_said)
         landed[row] = last_said
-    return landed
+    return None if np.isnan(last_said) else landed
 
 
 NOTHING_SAID = GroundEvidence()
@@ -178,12 +181,15 @@ def times_on_the_ground(height: Channel, evidence: GroundEvidence = NOTHING_SAID
     column = height.height_column
     if column is None:
         return np.empty(0, np.int64)
-    known = np.isfinite(height[column] + height["lat_rad"] + height["lon_rad"])
-    if np.count_nonzero(known) < FEWEST_SAMPLES:
+    sum_of_all = height[column] + height["lat_rad"] + height["lon_rad"]
+    is_known = np.isfinite(sum_of_all)
+    if np.count_nonzero(is_known) < FEWEST_SAMPLES:
         return np.empty(0, np.int64)
-    time_ns = height.time_ns[known]
-    height_m = height[column][known]
-    still = _stands_still(time_ns, height_m, height["lat_rad"][known], height["lon_rad"][known])
+    time_ns = height.time_ns[is_known]
+    height_m = height[column][is_known]
+    lat_rad = height["lat_rad"][is_known]
+    lon_rad = height["lon_rad"][is_known]
+    still = _stands_still(time_ns, height_m, lat_rad, lon_rad)
     lowest, highest = np.percentile(height_m, EXTREME_PERCENTILES).tolist()
     is_low = height_m < lowest + GROUND_RISE_M
     if highest < lowest + GROUND_RISE_M:  # the log never rises
@@ -196,9 +202,11 @@ def times_on_the_ground(height: Channel, evidence: GroundEvidence = NOTHING_SAID
 def _stands_still(time_ns: Integers, height_m: Array, lat_rad: Array, lon_rad: Array) -> Mask:
     """(n,) whether an aircraft moves neither along nor up over ten seconds."""
     seconds = (time_ns - time_ns[0]) * 1e-9
-    north_m = lat_rad * _EARTH_M
-    east_m = np.unwrap(lon_rad) * np.cos(lat_rad[0]) * _EARTH_M
-    track = [north_m, east_m, height_m]
+    track = [
+        lat_rad * _EARTH_M,
+        np.unwrap(lon_rad) * np.cos(lat_rad[0]) * _EARTH_M,
+        height_m,
+    ]
     # An aircraft that takes off stood still before; one that has landed stands still afterwards.
     stood_still = _moves_little(track, seconds, -WINDOW_S)
     will_stand_still = _moves_little(track, seconds, WINDOW_S)
@@ -209,9 +217,12 @@ def _moves_little(track: list[Array], seconds: Array, window_s: float) -> Mask:
     """(n,) whether a track moves by less than `STILL_M_S` from each sample to a window away."""
     other = np.clip(seconds + window_s, seconds[0], seconds[-1])
     moved = [np.interp(other, seconds, values) - values for values in track]
-    distance = np.sqrt(np.sum(np.square(moved), axis=0))
+    square = np.sum(np.square(moved), axis=0)
+    distance = np.sqrt(square)
     lasted = np.abs(other - seconds)  # less than the window near the begin or the end of the log
-    return np.asarray((lasted >= SHORTEST_WINDOW_S) & (distance < STILL_M_S * lasted))
+    is_long = lasted >= SHORTEST_WINDOW_S
+    is_slow = distance < STILL_M_S * lasted
+    return np.asarray(is_long & is_slow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,23 +253,36 @@ def takeoff_of(
     if ``home_m`` is unknown and the aircraft moves when the log begins, or flies (as in a hover) by
     the ``evidence`` of the log.
     """
-    known = np.isfinite(path.latitude_rad + path.longitude_rad + path.h_msl_m)
-    if not known.any():
+    sum_of_all = path.latitude_rad + path.longitude_rad + path.h_msl_m
+    is_known = np.isfinite(sum_of_all)
+    if not is_known.any():
         return None
-    begin_ns = path.time_ns[known][0]
-    is_at_begin = known & (path.time_ns <= begin_ns + _TAKEOFF_NS)
+    begin_ns = path.time_ns[is_known][0]
+    is_at_begin = is_known & (path.time_ns <= begin_ns + _TAKEOFF_NS)
+    time_ns = path.time_ns[is_at_begin]
     lat_rad = path.latitude_rad[is_at_begin]
     lon_rad = path.longitude_rad[is_at_begin]
     lon_rad = longitudes_near(lon_rad, lon_rad[0])
     height_m = path.h_msl_m[is_at_begin]
-    north_m = float(np.ptp(lat_rad)) * _EARTH_M
-    east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M
-    moved_m = max(math.hypot(north_m, east_m), float(np.ptp(height_m)))
-    flies = bool(evidence.flies(path.time_ns[is_at_begin]).any())
+    moved_m = _extent_m(lat_rad, lon_rad, height_m)
+    flies = bool(evidence.flies(time_ns).any())
     stands = moved_m <= _TAKEOFF_MOVE_M and not flies
     if home_m is None and not stands:
         return None
     logged_m = float(np.median(height_m))
     takeoff_m = logged_m if home_m is None else home_m
-    stands_at_takeoff = stands and abs(logged_m - takeoff_m) <= _TAKEOFF_MOVE_M
-    return Takeoff(float(lat_rad[0]), float(lon_rad[0]), takeoff_m, stands=stands_at_takeoff)
+    is_at_takeoff_height = abs(logged_m - takeoff_m) <= _TAKEOFF_MOVE_M
+    return Takeoff(
+        lat_rad=float(lat_rad[0]),
+        lon_rad=float(lon_rad[0]),
+        h_msl_m=takeoff_m,
+        stands=stands and is_at_takeoff_height,
+    )
+
+
+def _extent_m(lat_rad: Array, lon_rad: Array, height_m: Array) -> float:
+    """By how much places differ, along or up."""
+    north_m = float(np.ptp(lat_rad)) * _EARTH_M
+    east_m = float(np.ptp(lon_rad)) * math.cos(lat_rad[0]) * _EARTH_M
+    up_m = float(np.ptp(height_m))
+    return max(math.hypot(north_m, east_m), up_m)

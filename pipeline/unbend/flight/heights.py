@@ -11,8 +11,8 @@ import numpy as np
 from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.ground_times import GroundEvidence, LoggedPath, home_is_set, takeoff_of
+from unbend.flight.interpolation import interpolate
 from unbend.flight.stations import Stations
-from unbend.flight.trajectory import interpolate
 from unbend.geodesy import GeoidGrid, offset_geodetic
 from unbend.messages import Message, Notes
 from unbend.units import Array, Integers

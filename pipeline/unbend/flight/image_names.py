@@ -2,8 +2,8 @@
 
 import re
 import unicodedata
-from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -16,6 +16,10 @@ from unbend.units import Names
 
 Difference = Literal["case", "extension", "folder", "digits"]
 DIFFERENCES: tuple[Difference, ...] = ("case", "extension", "folder", "digits")
+
+# The parts of a name: texts, and the groups of digits between them.
+_Texts = tuple[str, ...]
+_Digits = list[str]
 
 
 def composed(name: str) -> str:
@@ -74,20 +78,30 @@ def other_names(
 
 def _by_short_name(names: Collection[str], differences: Collection[str]) -> dict[str, str]:
     """Each name by its form `without_differences`; without names that share that form."""
-    short_names = {name: without_differences(name, differences) for name in sorted(names)}
-    count = Counter(short_names.values())
-    return {short: name for name, short in short_names.items() if count[short] == 1}
+    names_by_short_name: defaultdict[str, list[str]] = defaultdict(list)
+    for name in sorted(names):
+        short_name = without_differences(name, differences)
+        names_by_short_name[short_name].append(name)
+    only_names: dict[str, str] = {}
+    for short_name, names_of_form in names_by_short_name.items():
+        if len(names_of_form) == 1:
+            only_names[short_name] = names_of_form[0]
+    return only_names
 
 
 def renamed(
-    names: Names, images: Iterable[str], differences: Collection[str], where: str
+    names: Names,
+    images: Iterable[str],
+    differences: Collection[str],
+    where: str,
 ) -> tuple[Names, Notes]:
     """Names of exposures, with those that match an observed image replaced by the image's name.
 
     ``images`` are observed; they may differ from ``names`` by the ``differences`` that the mission
     file allows, and in composed characters. A note says how many names were replaced.
     """
-    given = [name for name in names.tolist() if name]
+    all_names = names.tolist()
+    given = [name for name in all_names if name]
     matches = other_names(images, given, differences)
     if not matches:
         return names, ()
@@ -99,7 +113,7 @@ def renamed(
         name=example,
         image=its_image,
     )
-    new_names = [matches.get(name, name) for name in names.tolist()]
+    new_names = [matches.get(name, name) for name in all_names]
     return np.array(new_names, dtype=object), (message,)
 
 
@@ -120,11 +134,17 @@ def proposal(images: Collection[str], known: Collection[str]) -> str:
         return ""
     name, image = next(iter(best.items()))
     return messages.difference_in_names(
-        matched=len(best), differences=best_differences, name=name, image=image
+        matched=len(best),
+        differences=best_differences,
+        name=name,
+        image=image,
     )
 
 
-def refuse_other_names(exposures: Mapping[str, Collection[str]], images: Iterable[str]) -> None:
+def refuse_other_names(
+    exposures: Mapping[str, Collection[str]],
+    images: Iterable[str],
+) -> None:
     """Refuse (MissionError IMAGES-OTHER) a camera of whose exposures none is an observed image.
 
     ``exposures`` : the names of exposures, by camera. Passed over are
@@ -156,7 +176,19 @@ _LISTED = 3
 _STRAYS_IN = 10  # numbers of which one may be far from those of a log
 
 # What cameras call all their images: no name of one camera.
-_OF_ANY_CAMERA = {"dsc", "dscf", "img", "image", "dji", "photo", "p", "pic", "frame", "cap", ""}
+_OF_ANY_CAMERA = {
+    "",
+    "cap",
+    "dji",
+    "dsc",
+    "dscf",
+    "frame",
+    "image",
+    "img",
+    "p",
+    "photo",
+    "pic",
+}
 
 
 @dataclass(frozen=True)
@@ -179,18 +211,20 @@ class NameSeries:
         >>> NameSeries("DSC_", 4, ".tif", (7, 8)).pattern("index")
         'DSC_{index:04d}.tif'
         """
-        number = "*"
-        if field != "*":
-            digits = f":0{self.width}d" if self.width else ""
-            number = f"{{{field}{digits}}}"
-        return _with_doubled_braces(self.before) + number + _with_doubled_braces(self.after)
+        before = _with_doubled_braces(self.before)
+        after = _with_doubled_braces(self.after)
+        if field == "*":
+            return f"{before}*{after}"
+        digits = f":0{self.width}d" if self.width else ""
+        return f"{before}{{{field}{digits}}}{after}"
 
     @property
     def camera(self) -> str:
         """What the names call their camera: the word before the number, or the folder; or empty."""
         *folders, word = re.split(r"[\\/]", self.before)
         for name in (word, *reversed(folders)):
-            plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_").lower()
+            plain = re.sub(r"[^A-Za-z0-9]+", "_", name)
+            plain = plain.strip("_").lower()
             if plain not in _OF_ANY_CAMERA and not plain.isdigit():
                 return plain
         return ""
@@ -201,10 +235,13 @@ class NameSeries:
         own_numbers = set(self.numbers)
         if not self.has_number or not own_numbers:
             return False
-        repeated = len(own_numbers) < len(self.numbers) or len(log_numbers) < len(index)
-        if repeated or not own_numbers <= log_numbers:
+        repeats_own = len(own_numbers) < len(self.numbers)
+        repeats_in_log = len(log_numbers) < len(index)
+        if repeats_own or repeats_in_log or not own_numbers <= log_numbers:
             return False
-        return min(own_numbers) == min(log_numbers) and max(own_numbers) == max(log_numbers)
+        has_first = min(own_numbers) == min(log_numbers)
+        has_last = max(own_numbers) == max(log_numbers)
+        return has_first and has_last
 
     def listed(self, numbers: tuple[int, ...]) -> str:
         """The names of images, the first three of them; ``*`` where other digits differ."""
@@ -231,7 +268,8 @@ class NameSeries:
             else:
                 far.append(number)
         has_too_many = _STRAYS_IN * len(far) > len(self.numbers)
-        if has_too_many or not replace(self, numbers=tuple(near)).counts_as(index):
+        near_images = replace(self, numbers=tuple(near))
+        if has_too_many or not near_images.counts_as(index):
             return ()
         return tuple(far)
 
@@ -245,17 +283,19 @@ def name_series(names: Iterable[str]) -> list[NameSeries]:
     >>> [s.pattern("n") for s in name_series(["cam1/a_01.jpg", "cam1/a_02.jpg", "cam2/a_01.jpg"])]
     ['cam1/a_{n:02d}.jpg', 'cam2/a_{n:02d}.jpg']
     """
-    digits_by_texts: defaultdict[tuple[str, ...], list[list[str]]] = defaultdict(list)
+    digits_by_texts: defaultdict[_Texts, list[_Digits]] = defaultdict(list)
     for name in sorted(set(names)):
         parts = re.split(r"(\d+)", name)  # text, digits, text, ... , text
-        digits_by_texts[tuple(parts[::2])].append(parts[1::2])
+        texts = tuple(parts[::2])
+        digits = parts[1::2]
+        digits_by_texts[texts].append(digits)
     all_series: list[NameSeries] = []
-    for texts, digits in digits_by_texts.items():
-        all_series += _series(texts, digits)
+    for texts, rows in digits_by_texts.items():
+        all_series += _series(texts, rows)
     return sorted(all_series, key=lambda series: (-len(series.numbers), series.before))
 
 
-def _series(texts: tuple[str, ...], rows: list[list[str]]) -> list[NameSeries]:
+def _series(texts: _Texts, rows: list[_Digits]) -> list[NameSeries]:
     """The series of names that have the same texts between their groups of digits.
 
     ``rows``: the groups of digits of each name. One group counts the images; the others that differ
@@ -267,12 +307,14 @@ def _series(texts: tuple[str, ...], rows: list[list[str]]) -> list[NameSeries]:
     columns = range(len(varieties))
     # The digits that differ most count the images; of several such groups the last.
     count_column = max(columns, key=lambda column: (varieties[column], column))
-    other_columns = [
-        column for column in columns if column != count_column and varieties[column] > 1
-    ]
-    groups: defaultdict[tuple[str, ...], list[list[str]]] = defaultdict(list)
+    other_columns: list[int] = []
+    for column in columns:
+        if column != count_column and varieties[column] > 1:
+            other_columns.append(column)
+    groups: defaultdict[tuple[str, ...], list[_Digits]] = defaultdict(list)
     for row in rows:
-        groups[tuple(row[column] for column in other_columns)].append(row)
+        other_digits = tuple(row[column] for column in other_columns)
+        groups[other_digits].append(row)
     groups_have_several = 2 * len(groups) <= len(rows) + 1  # an odd name may be alone
     if other_columns and len(groups) <= _MOST_SERIES and groups_have_several:
         parted: list[NameSeries] = []
@@ -286,36 +328,47 @@ def _name_without_number(name: str) -> NameSeries:
     """The series of a single name without digits, apart at its ending."""
     stem, dot, ending = name.rpartition(".")
     if not dot:
-        return NameSeries(before=name, width=0, after="", numbers=(0,), has_number=False)
-    return NameSeries(before=stem, width=0, after=dot + ending, numbers=(0,), has_number=False)
+        stem = name
+        ending = ""
+    return NameSeries(
+        before=stem,
+        width=0,
+        after=dot + ending,
+        numbers=(0,),
+        has_number=False,
+    )
 
 
 def _one_series(
-    texts: tuple[str, ...], rows: list[list[str]], count_column: int, other_columns: list[int]
+    texts: _Texts,
+    rows: list[_Digits],
+    count_column: int,
+    other_columns: list[int],
 ) -> NameSeries:
     """The series that one column of digits counts; other digits that differ become ``*``."""
     written = list(rows[0])
     for column in other_columns:
         written[column] = "*"
-    before = "".join(_alternating(texts[: count_column + 1], written[:count_column]))
-    after = "".join(_alternating(texts[count_column + 1 :], written[count_column + 1 :]))
-    digits = [row[count_column] for row in rows]
-    widths = {len(number) for number in digits}
+    next_column = count_column + 1
+    counts = [row[count_column] for row in rows]
+    widths = {len(count) for count in counts}
     is_padded = len(widths) == 1 and widths != {1}
+    numbers = [int(count) for count in counts]
     return NameSeries(
-        before=before,
+        before=_joined(texts[:next_column], written[:count_column]),
         width=max(widths) if is_padded else 0,
-        after=after,
-        numbers=tuple(sorted(int(number) for number in digits)),
+        after=_joined(texts[next_column:], written[next_column:]),
+        numbers=tuple(sorted(numbers)),
     )
 
 
-def _alternating(texts: tuple[str, ...], digits: list[str]) -> Iterator[str]:
-    """The parts of a name in their order: text, digits, text, ... , text."""
-    yield texts[0]
-    for text, number in zip(texts[1:], digits, strict=True):
-        yield number
-        yield text
+def _joined(texts: _Texts, digits: _Digits) -> str:
+    """A part of a name from what alternates in it: text, digits, text, ... , text."""
+    parts = [texts[0]]
+    for number, text in zip(digits, texts[1:], strict=True):
+        parts.append(number)
+        parts.append(text)
+    return "".join(parts)
 
 
 def _with_doubled_braces(text: str) -> str:

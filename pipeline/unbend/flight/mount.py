@@ -58,7 +58,8 @@ class Mount:
         """
         from scipy.spatial.transform import Rotation
 
-        turn = Rotation.from_euler("ZYX", [self.yaw_rad, self.pitch_rad, self.roll_rad])
+        angles = [self.yaw_rad, self.pitch_rad, self.roll_rad]
+        turn = Rotation.from_euler("ZYX", angles)
         return np.asarray(CAMERA_AT_REST @ turn.as_matrix().T)
 
 
@@ -83,7 +84,8 @@ def payload_attitude(
         return gimbal, ()
     quaternion = np.stack([gimbal.get(name) for name in _QUATERNION], axis=1)
     is_unknown = np.isnan(quaternion).any(axis=1)
-    only_to_nose = is_unknown & np.isfinite(rotations).all(axis=(1, 2))
+    is_known_to_nose = np.isfinite(rotations).all(axis=(1, 2))
+    only_to_nose = is_unknown & is_known_to_nose
     if not bool(only_to_nose.any()):
         return gimbal, ()
     to_nose = rotations[only_to_nose]
@@ -133,19 +135,24 @@ def _are_angles_of_servos(gimbal: Channel, to_nose: Array, ned_from_aircraft: Ar
     """
     if not is_of_gimbal(gimbal.source.message, "MOUNTSTATUS"):
         return False
-    slope = slope_of(roll_and_pitch(to_nose), roll_and_pitch(ned_from_aircraft))
-    return slope < _COUNTERED
+    angles = roll_and_pitch(to_nose)
+    motion = roll_and_pitch(ned_from_aircraft)
+    return slope_of(angles, motion) < _COUNTERED
 
 
 def _yaw_alone(ned_from_aircraft: Array) -> Array:
     """(n, 3, 3) rotations by the yaw of an aircraft alone, with neither roll nor pitch."""
-    angles = np.zeros((ned_from_aircraft.shape[0], 3))
-    angles[:, 2] = np.arctan2(ned_from_aircraft[:, 1, 0], ned_from_aircraft[:, 0, 0])
+    north = ned_from_aircraft[:, 0, 0]  # of the forward axis
+    east = ned_from_aircraft[:, 1, 0]
+    angles = np.zeros((north.size, 3))
+    angles[:, 2] = np.arctan2(east, north)
     return ned_from_body(angles)
 
 
 def with_payload_attitude(
-    channels: tuple[Channel, ...], named: Mapping[str, str], max_gap_s: float
+    channels: tuple[Channel, ...],
+    named: Mapping[str, str],
+    max_gap_s: float,
 ) -> tuple[tuple[Channel, ...], Notes]:
     """The channels, in which a gimbal that is named for the attitude has its `payload_attitude`.
 
@@ -164,16 +171,18 @@ def with_payload_attitude(
 
 def _aircraft_of_gimbal(channels: tuple[Channel, ...], name: str | None) -> Channel | None:
     """The channel with the attitude of the aircraft: that of this name, else of the best rank."""
-    candidates = [
-        channel
-        for channel in channels
-        if (channel.name == name or "attitude" in channel.roles) and channel.fits_role("attitude")
-    ]
+    candidates: list[Channel] = []
+    for channel in channels:
+        is_offered = channel.name == name or "attitude" in channel.roles
+        if is_offered and channel.fits_role("attitude"):
+            candidates.append(channel)
     return min(candidates, key=lambda channel: (channel.name != name, channel.rank), default=None)
 
 
 def gimbal_notes(
-    logged: Mapping[str, int], roles: Mapping[str, Channel], mounts: Mapping[str, Mount]
+    logged: Mapping[str, int],
+    roles: Mapping[str, Channel],
+    mounts: Mapping[str, Mount],
 ) -> Iterator[Message]:
     """Report how each camera sits on the gimbal that plays the attitude.
 
@@ -182,9 +191,10 @@ def gimbal_notes(
     """
     attitude = roles.get("attitude")
     if attitude is None or not is_of_gimbal(attitude.source.message):
-        listed = [
-            f"{count} {name}" for name, count in logged.items() if count and is_of_gimbal(name)
-        ]
+        listed: list[str] = []
+        for name, count in logged.items():
+            if count and is_of_gimbal(name):
+                listed.append(f"{count} {name}")
         if listed:
             yield messages.gimbal_ignored(listed=", ".join(listed))
         return
@@ -229,18 +239,21 @@ def slope_of(angles: Array, motion: Array) -> float:
     >>> slope_of(np.array([[0.1, 0.0, -0.1]]), np.array([[-0.1, 0.0, 0.1]]))
     -1.0
     """
-    known = np.isfinite(angles).all(axis=0) & np.isfinite(motion).all(axis=0)
-    if not known.any():
+    has_angles = np.isfinite(angles).all(axis=0)
+    has_motion = np.isfinite(motion).all(axis=0)
+    is_known = has_angles & has_motion
+    if not is_known.any():
         return 0.0
-    turned = _about_median(angles[:, known])
-    moved = _about_median(motion[:, known])
+    turned = _about_median(angles[:, is_known])
+    moved = _about_median(motion[:, is_known])
     variation = max(np.sum(moved**2), _LEAST_VARIATION_RAD2)
     return round(float(np.sum(turned * moved) / variation), 3)
 
 
 def _about_median(angles: Array) -> Array:
     """(k, n) angles less the median of each row."""
-    return np.asarray(angles - np.median(angles, axis=1, keepdims=True))
+    median = np.median(angles, axis=1, keepdims=True)
+    return np.asarray(angles - median)
 
 
 def is_of_gimbal(message: str, *names: str) -> bool:

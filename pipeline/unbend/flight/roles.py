@@ -7,7 +7,7 @@ import numpy as np
 
 from unbend.flight import messages
 from unbend.flight.channels import ROLE_COLUMNS, Channel
-from unbend.flight.trajectory import interpolate
+from unbend.flight.interpolation import interpolate
 from unbend.messages import Message, Notes
 from unbend.units import NANOSECONDS_PER_SECOND
 

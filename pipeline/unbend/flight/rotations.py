@@ -21,9 +21,21 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 # From the body (forward, right, down) to a camera that looks down, its top towards the nose.
-CAMERA_AT_REST = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+CAMERA_AT_REST = np.array(
+    [
+        [0.0, 1.0, 0.0],
+        [-1.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0],
+    ]
+)
 # From east, north, up to north, east, down; its own inverse.
-NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+NED_FROM_ENU = np.array(
+    [
+        [0.0, 1.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, -1.0],
+    ]
+)
 
 _FROM_PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
 
@@ -91,8 +103,9 @@ def matrices_of(quaternion: Array) -> Array:
     [1.0, -1.0, -1.0]
     """
 
-    def turned(known: Array) -> Array:
-        return _rotation().from_quat(known, scalar_first=True).as_matrix()
+    def turned(values: Array) -> Array:
+        rotations = _rotation().from_quat(values, scalar_first=True)
+        return rotations.as_matrix()
 
     return _where_known(turned, quaternion, (3, 3))
 
@@ -100,8 +113,9 @@ def matrices_of(quaternion: Array) -> Array:
 def quaternions_of(matrix: Array) -> Array:
     """(n, 4) quaternions w, x, y, z, w >= 0, of (n, 3, 3) rotation matrices."""
 
-    def turned(known: Array) -> Array:
-        return _rotation().from_matrix(known).as_quat(canonical=True, scalar_first=True)
+    def turned(values: Array) -> Array:
+        rotations = _rotation().from_matrix(values)
+        return rotations.as_quat(canonical=True, scalar_first=True)
 
     return _where_known(turned, matrix, (4,))
 
@@ -120,7 +134,8 @@ def quaternion_of_opk(angles: Array, order: str = "omega_phi_kappa") -> Array:
     [[0.0, 1.0, 0.0, 0.0]]
     """
     frame_from_photogrammetric = _euler_matrices(_ORDERS[order], angles)
-    return quaternions_of(_FROM_PHOTOGRAMMETRIC @ frame_from_photogrammetric.transpose(0, 2, 1))
+    photogrammetric_from_frame = _transposed(frame_from_photogrammetric)
+    return quaternions_of(_FROM_PHOTOGRAMMETRIC @ photogrammetric_from_frame)
 
 
 def opk_of_quaternion(quaternion: Array, order: str = "omega_phi_kappa") -> Array:
@@ -129,8 +144,9 @@ def opk_of_quaternion(quaternion: Array, order: str = "omega_phi_kappa") -> Arra
     The first and the last lie in [-pi, pi], the second in [-pi/2, pi/2]. At its ends, where the
     camera looks along the axis of the first, the last is zero and the first holds both.
     """
-    frame_from_camera = matrices_of(quaternion).transpose(0, 2, 1)
-    return _euler_angles(_ORDERS[order], frame_from_camera @ _FROM_PHOTOGRAMMETRIC)
+    frame_from_camera = _transposed(matrices_of(quaternion))
+    frame_from_photogrammetric = frame_from_camera @ _FROM_PHOTOGRAMMETRIC
+    return _euler_angles(_ORDERS[order], frame_from_photogrammetric)
 
 
 def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
@@ -143,19 +159,22 @@ def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -
     >>> quaternion_of_rpy(np.zeros((1, 3))).round(6).tolist()
     [[0.0, 1.0, 0.0, 0.0]]
     """
-    body_from_ned = ned_from_body(angles).transpose(0, 2, 1)
-    return quaternions_of(camera_from_body @ body_from_ned @ NED_FROM_ENU)
+    body_from_ned = _transposed(ned_from_body(angles))
+    camera_from_enu = camera_from_body @ body_from_ned @ NED_FROM_ENU
+    return quaternions_of(camera_from_enu)
 
 
 def ned_from_body(angles: Array) -> Array:
     """(n, 3, 3) rotations Rz(yaw) Ry(pitch) Rx(roll) of (n, 3) roll, pitch, yaw [rad]."""
-    return _euler_matrices("ZYX", angles[:, ::-1])
+    yaw_pitch_roll = angles[:, ::-1]
+    return _euler_matrices("ZYX", yaw_pitch_roll)
 
 
 def rpy_of_quaternion(quaternion: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
     """(n, 3) roll, pitch, yaw [rad]; inverse of `quaternion_of_rpy`, the pitch in [-pi/2, pi/2]."""
-    enu_from_camera = matrices_of(quaternion).transpose(0, 2, 1)
-    yaw_pitch_roll = _euler_angles("ZYX", NED_FROM_ENU @ enu_from_camera @ camera_from_body)
+    enu_from_camera = _transposed(matrices_of(quaternion))
+    ned_from_body_axes = NED_FROM_ENU @ enu_from_camera @ camera_from_body
+    yaw_pitch_roll = _euler_angles("ZYX", ned_from_body_axes)
     return np.asarray(yaw_pitch_roll[:, ::-1])
 
 
@@ -165,7 +184,8 @@ def in_turned_frame(quaternion: Array, frame_from_other: Array) -> Array:
     ``frame_from_other`` is (3, 3) or (n, 3, 3); `geodesy.enu_from_ecef` and `enu_from_grid` give
     its transpose.
     """
-    return quaternions_of(matrices_of(quaternion) @ frame_from_other)
+    camera_from_frame = matrices_of(quaternion)
+    return quaternions_of(camera_from_frame @ frame_from_other)
 
 
 def enu_from_grid(convergence_rad: float | Array) -> Array:
@@ -179,32 +199,32 @@ def enu_from_grid(convergence_rad: float | Array) -> Array:
     """
     up = np.array([0.0, 0.0, 1.0])
     rotation_vector = np.multiply.outer(-convergence_rad, up)
-    return np.asarray(_rotation().from_rotvec(rotation_vector).as_matrix())
+    rotations = _rotation().from_rotvec(rotation_vector)
+    return np.asarray(rotations.as_matrix())
 
 
 def quaternion_products(first: Array, second: Array) -> Array:
     """(m, 4) products of unit quaternions x, y, z, w, in a tenth of the time of scipy's."""
     x1, y1, z1, w1 = first.T
     x2, y2, z2, w2 = second.T
-    product_x = w1 * x2 + w2 * x1 + y1 * z2 - z1 * y2
-    product_y = w1 * y2 + w2 * y1 + z1 * x2 - x1 * z2
-    product_z = w1 * z2 + w2 * z1 + x1 * y2 - y1 * x2
-    product_w = w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2
-    return np.stack([product_x, product_y, product_z, product_w], axis=1)
+    products = [
+        w1 * x2 + w2 * x1 + y1 * z2 - z1 * y2,
+        w1 * y2 + w2 * y1 + z1 * x2 - x1 * z2,
+        w1 * z2 + w2 * z1 + x1 * y2 - y1 * x2,
+        w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+    ]
+    return np.stack(products, axis=1)
 
 
 def down_in_body(channel: Channel) -> Array:
     """(3, n) direction of down about the body's axes, of the attitudes of a channel."""
-    quaternion = np.stack(
-        [
-            channel["q_w"],
-            channel["q_x"],
-            channel["q_y"],
-            channel["q_z"],
-        ],
-        axis=1,
-    )
-    return down_of(quaternion)
+    components = [
+        channel["q_w"],
+        channel["q_x"],
+        channel["q_y"],
+        channel["q_z"],
+    ]
+    return down_of(np.stack(components, axis=1))
 
 
 def down_of(quaternion: Array) -> Array:
@@ -221,7 +241,8 @@ def down_of(quaternion: Array) -> Array:
 
 def lengths(vectors: Array) -> Array:
     """(m,) Euclidean lengths of (m, k) vectors, in a third of the time of numpy's norm."""
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+    square = np.einsum("ij,ij->i", vectors, vectors)
+    return np.asarray(np.sqrt(square))
 
 
 def rotation_vectors(quaternion: Array) -> Array:
@@ -231,15 +252,23 @@ def rotation_vectors(quaternion: Array) -> Array:
     vector = shorter_way * quaternion[:, :3]
     sine = lengths(vector)[:, None]
     half_angle = np.arctan2(sine, np.abs(scalar))
-    angle_over_sine = 2.0 * half_angle / np.maximum(sine, _SMALL_SINE)
-    return vector * np.where(sine > _SMALL_SINE, angle_over_sine, 2.0)
+    divisor = np.maximum(sine, _SMALL_SINE)
+    angle_over_sine = 2.0 * half_angle / divisor
+    is_large = sine > _SMALL_SINE
+    return vector * np.where(is_large, angle_over_sine, 2.0)
+
+
+def _transposed(matrices: Array) -> Array:
+    """(n, 3, 3) inverses of rotation matrices."""
+    return matrices.transpose(0, 2, 1)
 
 
 def _euler_matrices(axes: _Axes, angles: Array) -> Array:
     """(n, 3, 3) matrices of (n, 3) angles [rad] about these axes, each as turned so far."""
 
-    def turned(known: Array) -> Array:
-        return _rotation().from_euler(axes, known).as_matrix()
+    def turned(values: Array) -> Array:
+        rotations = _rotation().from_euler(axes, values)
+        return rotations.as_matrix()
 
     return _where_known(turned, angles, (3, 3))
 
@@ -247,22 +276,26 @@ def _euler_matrices(axes: _Axes, angles: Array) -> Array:
 def _euler_angles(axes: _Axes, matrix: Array) -> Array:
     """(n, 3) angles [rad] about these axes of (n, 3, 3) matrices; inverse of `_euler_matrices`."""
 
-    def angles_of(known: Array) -> Array:
+    def angles_of(values: Array) -> Array:
         with warnings.catch_warnings():
             # Where the first and third axis coincide, one of their angles is taken as zero.
             warnings.simplefilter("ignore", UserWarning)
-            return _rotation().from_matrix(known).as_euler(axes)
+            rotations = _rotation().from_matrix(values)
+            return rotations.as_euler(axes)
 
     return _where_known(angles_of, matrix, (3,))
 
 
 def _where_known(
-    function: Callable[[Array], Array], values: Array, shape: tuple[int, ...]
+    function: Callable[[Array], Array],
+    values: Array,
+    shape: tuple[int, ...],
 ) -> Array:
     """(n, *shape) results of a function for the rows without NaN; NaN for the other rows."""
-    result = np.full((values.shape[0], *shape), np.nan)
+    rows = values.shape[0]
+    result = np.full((rows, *shape), np.nan)
     columns = tuple(range(1, values.ndim))
-    known = np.isfinite(values).all(axis=columns)
-    if bool(known.any()):
-        result[known] = function(values[known])
+    is_known = np.isfinite(values).all(axis=columns)
+    if bool(is_known.any()):
+        result[is_known] = function(values[is_known])
     return result

@@ -14,6 +14,7 @@ from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.evidence.log_accuracy import AttitudeSigmas, LogAccuracy, PositionSigmas
 from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem, heights_at
+from unbend.flight.interpolation import GAP_IN_CHANNEL, INSIDE, interpolate
 from unbend.flight.mount import Mount, is_of_gimbal
 from unbend.flight.rotations import NED_FROM_ENU, quaternion_products
 from unbend.flight.stations import (
@@ -27,14 +28,11 @@ from unbend.flight.stations import (
     empty_stations,
 )
 from unbend.flight.trajectory import (
-    GAP_IN_CHANNEL,
-    INSIDE,
     Attitudes,
     HeightBend,
     Track,
     attitude_at,
     bend_of_heights,
-    interpolate,
     no_bend,
     track_at,
 )

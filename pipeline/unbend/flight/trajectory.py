@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Channel, TimeArray
+from unbend.flight.interpolation import INSIDE, Bracket, bracket, interpolate
 from unbend.flight.rotations import lengths, quaternion_products, rotation_vectors
 from unbend.geodesy import principal_radii, wrapped
-from unbend.units import Array, Mask, Rows
+from unbend.units import Array, Rows
 
 VELOCITY = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
 RATES = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 RATE_LAG_S = 0.1  # gyroscopes are filtered at 20 Hz; with it 10 Hz samples gain nothing in gusts
 
-INSIDE = 0
-OUTSIDE_CHANNEL = 1
-GAP_IN_CHANNEL = 2
-
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])  # signs of the inverse of a rotation x, y, z, w
 _SLOPE_GAP_S = 0.5  # between slopes of another channel, unless that is slower
 _SHORTEST_S = 1e-9  # of an interval: what is divided by is never 0
 _LEAST_PARALLEL_M = 1e4  # radius; nearer to a pole no bend in longitude is added
@@ -36,95 +34,13 @@ class _BendLimits:
 
     def allowed(self, interval_s: Array) -> Array:
         """The largest difference over intervals."""
-        return np.asarray(self.over_interval + self.per_s2 * interval_s**2 / 2.0)
+        by_acceleration = self.per_s2 * interval_s**2 / 2.0
+        return np.asarray(self.over_interval + by_acceleration)
 
 
 # Twice what aircraft of survey do.
 _LIMITS_M = _BendLimits(over_interval=1.0, per_s2=20.0)
 _LIMITS_RAD = _BendLimits(over_interval=0.02, per_s2=20.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Bracket:
-    """Neighbouring samples of instants: (m,) rows before and after, and the fraction between."""
-
-    before: Rows
-    after: Rows
-    fraction: Array
-    coverage: NDArray[np.uint8]  # INSIDE, or else the rest means nothing
-
-    def rows(self, which: Mask) -> Bracket:
-        """The samples on either side of some of the instants."""
-        return Bracket(
-            self.before[which], self.after[which], self.fraction[which], self.coverage[which]
-        )
-
-
-def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
-    """The samples on either side of (m,) instants.
-
-    A gap is an interval longer than ``max_gap_s``, or one in which the vehicle restarted. An
-    instant that a sample hits is never in a gap.
-    """
-    stamps = channel.time_ns
-    if stamps.size == 0:
-        nowhere = np.zeros(time_ns.shape, np.intp)
-        coverage = np.full(time_ns.shape, OUTSIDE_CHANNEL, np.uint8)
-        return Bracket(nowhere, nowhere, np.zeros(time_ns.shape), coverage)
-    after = np.clip(np.searchsorted(stamps, time_ns, side="left"), 0, stamps.size - 1)
-    is_hit = stamps[after] == time_ns
-    before = np.where(is_hit, after, np.maximum(after - 1, 0))
-    interval_ns = stamps[after] - stamps[before]
-    restarted = channel.boot[after] != channel.boot[before]
-    is_gap = (interval_ns > max_gap_s * 1e9) | restarted
-    is_outside = (time_ns < stamps[0]) | (time_ns > stamps[-1])
-    fraction = (time_ns - stamps[before]) / np.maximum(interval_ns, 1)
-    fraction = np.where(is_hit, 0.0, fraction)
-    coverage = np.full(time_ns.shape, INSIDE, np.uint8)
-    coverage[is_gap & ~is_hit] = GAP_IN_CHANNEL
-    coverage[is_outside] = OUTSIDE_CHANNEL  # whatever the interval at the end of the channel is
-    return Bracket(before, after, fraction, coverage)
-
-
-def nearest_rows(time_ns: TimeArray, stamps: TimeArray) -> Rows:
-    """(m,) rows of the stamps nearest to instants; of equally near ones the later.
-
-    ``stamps`` are one or more, in order.
-
-    >>> nearest_rows(np.array([1, 8, 30]), np.array([5, 10])).tolist()
-    [0, 1, 1]
-    """
-    last_row = stamps.size - 1
-    rows_after = np.searchsorted(stamps, time_ns)
-    after = np.minimum(rows_after, last_row)
-    before = np.maximum(rows_after - 1, 0)
-    to_before = time_ns - stamps[before]
-    to_after = stamps[after] - time_ns
-    return np.asarray(np.where(to_before < to_after, before, after))
-
-
-def ns_to_nearest(time_ns: TimeArray, stamps: TimeArray) -> TimeArray:
-    """(m,) nanoseconds from instants to the nearest of stamps, one or more, which are in order.
-
-    >>> ns_to_nearest(np.array([1, 8, 30]), np.array([5, 10])).tolist()
-    [4, 2, 20]
-    """
-    rows = nearest_rows(time_ns, stamps)
-    apart_ns = time_ns - stamps[rows]
-    return np.asarray(np.abs(apart_ns))
-
-
-def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float) -> Array:
-    """A column at (m,) instants, linear in time; NaN outside the channel and in its gaps."""
-    if column not in channel.columns or len(channel) == 0:
-        return np.full(time_ns.shape, np.nan)
-    samples = bracket(channel, time_ns, max_gap_s)
-    values = channel[column]
-    from_before = values[samples.before] * (1.0 - samples.fraction)
-    # where an instant hits a sample, an unknown value behind that does no harm
-    is_between = samples.fraction > 0.0
-    from_after = np.where(is_between, values[samples.after], 0.0) * samples.fraction
-    return np.where(samples.coverage == INSIDE, from_before + from_after, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +72,11 @@ class Attitudes:
     coverage: NDArray[np.uint8]
 
 
-def with_slopes(channel: Channel, donors: Iterable[Channel], names: tuple[str, ...]) -> Channel:
+def with_slopes(
+    channel: Channel,
+    donors: Iterable[Channel],
+    names: tuple[str, ...],
+) -> Channel:
     """The channel with slopes (columns `VELOCITY` or `RATES`) of another channel of its sender.
 
     They are interpolated from the first of ``donors`` of the same sender that has them. A channel
@@ -165,7 +85,8 @@ def with_slopes(channel: Channel, donors: Iterable[Channel], names: tuple[str, .
     if _has_columns(channel, names):
         return channel
     for donor in donors:
-        if donor.source.system == channel.source.system and _has_columns(donor, names):
+        has_same_sender = donor.source.system == channel.source.system
+        if has_same_sender and _has_columns(donor, names):
             gap_s = donor.gap_limit_s(_SLOPE_GAP_S)
             columns = dict(channel.columns)
             for name in names:
@@ -196,42 +117,61 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
     lon = channel["lon_rad"]
 
     def metres(first: Rows, second: Rows) -> Array:
-        north_radius_m, east_radius_m = principal_radii(lat[first])
-        north_m = (lat[second] - lat[first]) * north_radius_m
-        east_m = wrapped(lon[second] - lon[first]) * east_radius_m * np.cos(lat[first])
+        meridian_m, prime_vertical_m = principal_radii(lat[first])
+        north_rad = lat[second] - lat[first]
+        east_rad = wrapped(lon[second] - lon[first])
+        north_m = north_rad * meridian_m
+        east_m = east_rad * prime_vertical_m * np.cos(lat[first])
         return np.stack([north_m, east_m], axis=1)
 
     curve = _Curve(channel, VELOCITY[:2], metres, _LIMITS_M)
     bend_m = curve.between(samples).bend
 
     straight_lat, straight_lon = _along_normal_vectors(lat, lon, samples)
-    meridian_m, prime_vertical_m = principal_radii(lat[samples.before])
-    parallel_m = prime_vertical_m * np.cos(lat[samples.before])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        lat_bend = bend_m[:, 0] / meridian_m
-        lon_bend = np.where(parallel_m > _LEAST_PARALLEL_M, bend_m[:, 1] / parallel_m, 0.0)
+    lat_bend, lon_bend = _bend_in_radians(bend_m, lat[samples.before])
+    bent_lat = straight_lat + lat_bend
+    bent_lon = wrapped(straight_lon + lon_bend)
     is_inside = samples.coverage == INSIDE
     return Track(
-        lat_rad=np.where(is_inside, straight_lat + lat_bend, np.nan),
-        lon_rad=np.where(is_inside, wrapped(straight_lon + lon_bend), np.nan),
+        lat_rad=np.where(is_inside, bent_lat, np.nan),
+        lon_rad=np.where(is_inside, bent_lon, np.nan),
         velocity_m_s=curve.rate(samples),
         sigma_m=curve.sigma(samples),
         coverage=samples.coverage,
     )
 
 
-def _along_normal_vectors(lat: Array, lon: Array, samples: Bracket) -> tuple[Array, Array]:
+def _bend_in_radians(bend_m: Array, lat_rad: Array) -> tuple[Array, Array]:
+    """(m,) changes of latitude and longitude [rad] by metres north and east (m, 2)."""
+    meridian_m, prime_vertical_m = principal_radii(lat_rad)
+    parallel_m = prime_vertical_m * np.cos(lat_rad)
+    is_off_pole = parallel_m > _LEAST_PARALLEL_M
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lat_bend = bend_m[:, 0] / meridian_m
+        lon_bend = bend_m[:, 1] / parallel_m
+    return lat_bend, np.where(is_off_pole, lon_bend, 0.0)
+
+
+def _along_normal_vectors(
+    lat: Array,
+    lon: Array,
+    samples: Bracket,
+) -> tuple[Array, Array]:
     """(m,) latitude and longitude [rad] of normal vectors interpolated between samples."""
 
     def normals(rows: Rows) -> Array:
-        x = np.cos(lat[rows]) * np.cos(lon[rows])
-        y = np.cos(lat[rows]) * np.sin(lon[rows])
-        return np.stack([x, y, np.sin(lat[rows])])
+        level = np.cos(lat[rows])
+        x = level * np.cos(lon[rows])
+        y = level * np.sin(lon[rows])
+        z = np.sin(lat[rows])
+        return np.stack([x, y, z])
 
     from_before = normals(samples.before) * (1.0 - samples.fraction)
     from_after = normals(samples.after) * samples.fraction
     x, y, z = from_before + from_after
-    return np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)
+    latitude = np.arctan2(z, np.hypot(x, y))
+    longitude = np.arctan2(y, x)
+    return latitude, longitude
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +188,11 @@ class HeightBend:
 
 def no_bend(count: int) -> HeightBend:
     """The bend of (count,) heights that are taken as linear, and whose speed is not known."""
-    return HeightBend(np.zeros(count), np.zeros(count), np.zeros(count))
+    return HeightBend(
+        metres_up=np.zeros(count),
+        speed_down_m_s=np.zeros(count),
+        sigma_m=np.zeros(count),
+    )
 
 
 def bend_of_heights(
@@ -259,7 +203,8 @@ def bend_of_heights(
     samples = bracket(channel, time_ns, max_gap_s)
 
     def metres_down(first: Rows, second: Rows) -> Array:
-        return (values[first] - values[second])[:, None]
+        down_m = values[first] - values[second]
+        return down_m[:, None]
 
     curve = _Curve(channel, VELOCITY[2:], metres_down, _LIMITS_M)
     bend_down = curve.between(samples).bend
@@ -285,12 +230,14 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     unit = _unit_quaternions(channel)
     is_known = np.asarray(np.isfinite(unit).all(axis=1))
     between_known = is_known[all_samples.before] & is_known[all_samples.after]
-    usable = (all_samples.coverage == INSIDE) & between_known
+    is_inside = all_samples.coverage == INSIDE
+    usable = is_inside & between_known
     # The rows of usable instants are filled in below.
+    instants = time_ns.size
     attitudes = Attitudes(
-        quaternion=np.full((time_ns.size, 4), np.nan),
-        rate_rad_s=np.full((time_ns.size, 3), np.nan),
-        sigma_rad=np.full((time_ns.size, 3), np.nan),
+        quaternion=np.full((instants, 4), np.nan),
+        rate_rad_s=np.full((instants, 3), np.nan),
+        sigma_rad=np.full((instants, 3), np.nan),
         coverage=all_samples.coverage,
     )
     if not bool(usable.any()):
@@ -298,8 +245,9 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     samples = all_samples.rows(usable)
 
     def turn(first: Rows, second: Rows) -> Array:
-        inverse = unit[first] * [-1.0, -1.0, -1.0, 1.0]  # x, y, z, w
-        return rotation_vectors(quaternion_products(inverse, unit[second]))
+        inverse = unit[first] * _CONJUGATE
+        from_first = quaternion_products(inverse, unit[second])
+        return rotation_vectors(from_first)
 
     curve = _Curve(
         channel,
@@ -310,26 +258,42 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
     )
     step, bend = curve.between(samples)
     turned = step * samples.fraction[:, None] + bend
-    quaternion = quaternion_products(unit[samples.before], _quaternions_of_vectors(turned))
-    canonical = np.where(quaternion[:, 3:] < 0.0, -quaternion, quaternion)
-    attitudes.quaternion[usable] = canonical[:, [3, 0, 1, 2]]  # w, x, y, z
+    turn_from_before = _quaternions_of_vectors(turned)
+    quaternion = quaternion_products(unit[samples.before], turn_from_before)
+    attitudes.quaternion[usable] = _canonical(quaternion)
     attitudes.rate_rad_s[usable] = curve.rate(samples)
     attitudes.sigma_rad[usable] = curve.sigma(samples)
     return attitudes
 
 
+def _canonical(quaternion: Array) -> Array:
+    """(m, 4) quaternions w, x, y, z with w >= 0 of quaternions x, y, z, w."""
+    has_negative_w = quaternion[:, 3:] < 0.0
+    canonical = np.where(has_negative_w, -quaternion, quaternion)
+    return canonical[:, [3, 0, 1, 2]]
+
+
 def _unit_quaternions(channel: Channel) -> Array:
     """(n, 4) attitudes of a channel x, y, z, w of length 1; not finite where there is none."""
-    stored = np.stack([channel[name] for name in ("q_x", "q_y", "q_z", "q_w")], axis=1)
+    components = [
+        channel["q_x"],
+        channel["q_y"],
+        channel["q_z"],
+        channel["q_w"],
+    ]
+    stored = np.stack(components, axis=1)
+    length = lengths(stored)[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(stored / lengths(stored)[:, None])
+        return np.asarray(stored / length)
 
 
 def _quaternions_of_vectors(vectors: Array) -> Array:
     """(m, 4) unit quaternions x, y, z, w of (m, 3) rotation vectors [rad]."""
     angle = lengths(vectors)[:, None]
     half_sine_over_angle = np.sinc(angle / (2.0 * np.pi)) / 2.0
-    return np.concatenate([half_sine_over_angle * vectors, np.cos(angle / 2.0)], axis=1)
+    vector_part = half_sine_over_angle * vectors
+    scalar_part = np.cos(angle / 2.0)
+    return np.concatenate([vector_part, scalar_part], axis=1)
 
 
 class _CurvePieces(NamedTuple):
@@ -359,9 +323,12 @@ class _Curve:
 
     def _seconds(self, first: Rows, second: Rows) -> Array:
         """(m, 1) [s] between rows; NaN where the vehicle restarted."""
-        one_boot = self.channel.boot[first] == self.channel.boot[second]
-        apart_s = (self.channel.time_ns[second] - self.channel.time_ns[first]) * 1e-9
-        return np.where(one_boot, apart_s, np.nan)[:, None]
+        boot = self.channel.boot
+        stamps = self.channel.time_ns
+        is_same_boot = boot[first] == boot[second]
+        apart_s = (stamps[second] - stamps[first]) * 1e-9
+        seconds = np.where(is_same_boot, apart_s, np.nan)
+        return seconds[:, None]
 
     def rate(self, samples: Bracket) -> Array:
         """(m, k) mean slope between the samples about an instant, or beside one that it hits.
@@ -369,10 +336,14 @@ class _Curve:
         0 where that is unknown: between two boots, and of a single sample.
         """
         last = len(self.channel) - 1
-        first = np.clip(samples.before, 0, max(last - 1, 0))
-        second = np.minimum(np.maximum(samples.after, first + 1), last)
+        last_but_one = max(last - 1, 0)
+        first = np.clip(samples.before, 0, last_but_one)
+        later_than_first = np.maximum(samples.after, first + 1)
+        second = np.minimum(later_than_first, last)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.nan_to_num(self.difference(first, second) / self._seconds(first, second))
+            difference = self.difference(first, second)
+            slope = difference / self._seconds(first, second)
+        return np.nan_to_num(slope)
 
     def between(self, samples: Bracket) -> _CurvePieces:
         """The step between the samples about each instant, and the bend of the cubic at it.
@@ -380,35 +351,47 @@ class _Curve:
         The bend is 0 where the slopes contradict the samples.
         """
         step = self.difference(samples.before, samples.after)
-        interval_s = np.maximum(self._seconds(samples.before, samples.after), _SHORTEST_S)
+        apart_s = self._seconds(samples.before, samples.after)
+        interval_s = np.maximum(apart_s, _SHORTEST_S)
         with np.errstate(invalid="ignore", divide="ignore"):
             begin, end = self._end_slopes(samples, step, interval_s)
             is_turn = step.shape[1] == 3  # steps of places have two components, of heights one
             if is_turn:
                 end = _in_frame_of_begin(end, step)
+            begin_beyond = begin - step
+            end_beyond = end - step
             allowed = self.limits.allowed(interval_s[:, 0])
-            is_credible = lengths(begin - step) <= allowed
-            is_credible &= lengths(end - step) <= allowed
+            is_credible = lengths(begin_beyond) <= allowed
+            is_credible &= lengths(end_beyond) <= allowed
             u = samples.fraction[:, None]
             # The cubic of Hermite less its straight line.
-            bend = u * (1.0 - u) * ((1.0 - u) * (begin - step) - u * (end - step))
+            departure = (1.0 - u) * begin_beyond - u * end_beyond
+            bend = u * (1.0 - u) * departure
             # Slopes that lag say less of short intervals.
-            bend *= interval_s**2 / (interval_s**2 + self.lag_s**2)
-        return _CurvePieces(step, np.where(is_credible[:, None], bend, 0.0))
+            square_s2 = interval_s**2
+            bend *= square_s2 / (square_s2 + self.lag_s**2)
+        credible_bend = np.where(is_credible[:, None], bend, 0.0)
+        return _CurvePieces(step, credible_bend)
 
-    def _end_slopes(self, samples: Bracket, step: Array, interval_s: Array) -> tuple[Array, Array]:
+    def _end_slopes(
+        self,
+        samples: Bracket,
+        step: Array,
+        interval_s: Array,
+    ) -> tuple[Array, Array]:
         """(m, k) slopes, over the whole interval, at its begin and at its end.
 
         By columns where the channel has them, else by parabolas.
         """
         before = samples.before
         after = samples.after
-        columns = self.channel.columns
-        if all(name in columns for name in self.slopes):
-            slopes = np.stack([columns[name] for name in self.slopes], axis=1)
+        if _has_columns(self.channel, self.slopes):
+            columns = [self.channel[name] for name in self.slopes]
+            slopes = np.stack(columns, axis=1)
             return slopes[before] * interval_s, slopes[after] * interval_s
+        last = len(self.channel) - 1
         earlier = np.maximum(before - 1, 0)
-        later = np.minimum(after + 1, len(self.channel) - 1)
+        later = np.minimum(after + 1, last)
         begin = self._parabola(step, interval_s, earlier, before)
         end = self._parabola(step, interval_s, after, later)
         return begin, end
@@ -429,9 +412,11 @@ class _Curve:
         step_beside = self.difference(first, second)
         slope_beside = step_beside / beside_s
         slope_inside = step / interval_s
+        # The nearer interval weighs more.
         weighted_sum = slope_beside * interval_s + slope_inside * beside_s
         slope = weighted_sum / (interval_s + beside_s)
-        is_near = (beside_s > 0.0) & (beside_s < _NEAR_INTERVALS * interval_s)
+        farthest_s = _NEAR_INTERVALS * interval_s
+        is_near = (beside_s > 0.0) & (beside_s < farthest_s)
         return np.where(is_near, slope * interval_s, step)
 
     def sigma(self, samples: Bracket) -> Array:
@@ -440,25 +425,36 @@ class _Curve:
         Each of the four samples about an instant is predicted from its two neighbours, over twice
         the interval; errors grow with the interval, and from the samples to the middle of it.
         """
-        last = len(self.channel) - 1
-        before = samples.before
-        after = samples.after
-        four_rows = np.stack([before - 1, before, after, after + 1])
-        # The first and the last sample have no neighbours on both sides: those beside them count.
-        four_rows = np.clip(four_rows, min(1, last), max(last - 1, 0))
+        four_rows = self._four_rows(samples)
         # Each sample is predicted once, however many instants it is near to.
-        is_used = np.zeros(last + 1, np.bool_)
+        is_used = np.zeros(len(self.channel), np.bool_)
         is_used[four_rows] = True
         squares = self._squared_misfits(np.flatnonzero(is_used))
         number_of_row = np.cumsum(is_used) - 1
         four_numbers = number_of_row[four_rows]
-        is_known = np.isfinite(squares.sum(axis=1))[:, None]
-        sum_of_squares = np.where(is_known, squares, 0.0)[four_numbers].sum(axis=0)
+        sums = squares.sum(axis=1)
+        is_known = np.isfinite(sums)[:, None]
+        known_squares = np.where(is_known, squares, 0.0)
+        sum_of_squares = known_squares[four_numbers].sum(axis=0)
         count = is_known[four_numbers].sum(axis=0)
-        misfit = np.sqrt(sum_of_squares / np.maximum(count, 1.0))
+        mean_square = sum_of_squares / np.maximum(count, 1.0)
+        misfit = np.sqrt(mean_square)
         u = samples.fraction[:, None]
         # Half the misfit over twice the interval in the middle, nothing at the samples.
         return np.asarray(2.0 * u * (1.0 - u) * misfit)
+
+    def _four_rows(self, samples: Bracket) -> Rows:
+        """(4, m) rows of the two samples before each instant and the two after it.
+
+        The first and the last sample have no neighbours on both sides: those beside them count.
+        """
+        last = len(self.channel) - 1
+        before = samples.before
+        after = samples.after
+        four_rows = np.stack([before - 1, before, after, after + 1])
+        first_inner = min(1, last)
+        last_inner = max(last - 1, 0)
+        return np.clip(four_rows, first_inner, last_inner)
 
     def _squared_misfits(self, rows: Rows) -> Array:
         """(s, k) squared differences of samples from the curve between their neighbours."""
@@ -467,10 +463,16 @@ class _Curve:
         right = np.minimum(rows + 1, last)
         whole_s = np.maximum(self._seconds(left, right), _SHORTEST_S)
         fraction = self._seconds(left, rows) / whole_s
-        inside = np.full(rows.shape, INSIDE, np.uint8)
-        step, bend = self.between(Bracket(left, right, fraction[:, 0], inside))
+        neighbours = Bracket(
+            before=left,
+            after=right,
+            fraction=fraction[:, 0],
+            coverage=np.full(rows.shape, INSIDE, np.uint8),
+        )
+        step, bend = self.between(neighbours)
         predicted = step * fraction
-        return np.square(self.difference(left, rows) - predicted - bend)
+        measured = self.difference(left, rows)
+        return np.square(measured - predicted - bend)
 
 
 _NEAR_INTERVALS = 3.0  # a neighbour that is farther away, in intervals, is no part of a parabola
@@ -482,4 +484,5 @@ def _in_frame_of_begin(rate: Array, turn: Array) -> Array:
     That is J_r(turn)^-1 rate, to the second order of the turn (Sola et al. 2018, Eq. 144).
     """
     across = np.cross(turn, rate)
-    return np.asarray(rate + across / 2.0 + np.cross(turn, across) / 12.0)
+    across_twice = np.cross(turn, across)
+    return np.asarray(rate + across / 2.0 + across_twice / 12.0)

@@ -7,7 +7,7 @@ import numpy as np
 from unbend.flight import messages
 from unbend.flight.channels import Channel
 from unbend.flight.exposures import ExposureDelay
-from unbend.flight.trajectory import ns_to_nearest
+from unbend.flight.interpolation import ns_to_nearest
 from unbend.messages import Message, Notes
 from unbend.units import Array
 

@@ -10,7 +10,7 @@ import numpy as np
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.sources import metres, places_of
 from unbend.flight.evidence.stretches import ATTITUDE, POSITION
-from unbend.flight.trajectory import interpolate
+from unbend.flight.interpolation import interpolate
 
 APART_M = 10.0  # of two receivers of one vehicle, in the median: antennas and their errors
 

@@ -12,8 +12,8 @@ from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.evidence.sources import is_receiver
 from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, LoggedPath, takeoff_of
 from unbend.flight.heights import height_system
+from unbend.flight.interpolation import interpolate
 from unbend.flight.roles import assign_roles, follows_height
-from unbend.flight.trajectory import interpolate
 from unbend.flight.vehicles import Vehicles, median_distance_m
 from unbend.ingest.utc_evidence import date_text, is_utc_time
 from unbend.messages import Notes

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from unbend.flight.channels import Channel, TimeArray
-from unbend.flight.trajectory import interpolate
+from unbend.flight.interpolation import interpolate
 from unbend.geodesy import principal_radii, wrapped
 from unbend.ingest import messages
 from unbend.ingest.flight_log import Contents

@@ -16,26 +16,32 @@ from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import LARGEST_ANGLE_RAD, OpenCVFisheye
-from unbend.units import Array
+from unbend.units import Array, Mask
 
 _Distortion = type[BrownConrady] | type[GeneralFrame] | type[OpenCVFisheye]
-_FULL_OPENCV = ("fx", "fy", "cx", "cy", "k1", "k2", "py", "px", "k3", "q1", "q2", "q3")
+
+# The parameters of a camera without distortion, with one principal distance and with two.
+_SIMPLE = ("f", "cx", "cy")
+_PINHOLE = ("fx", "fy", "cx", "cy")
 
 MODELS: Mapping[str, tuple[_Distortion, tuple[str, ...]]] = {
-    "SIMPLE_PINHOLE": (BrownConrady, ("f", "cx", "cy")),
-    "PINHOLE": (BrownConrady, ("fx", "fy", "cx", "cy")),
-    "SIMPLE_RADIAL": (BrownConrady, ("f", "cx", "cy", "k1")),
-    "RADIAL": (BrownConrady, ("f", "cx", "cy", "k1", "k2")),
-    "OPENCV": (BrownConrady, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
-    "FULL_OPENCV": (GeneralFrame, _FULL_OPENCV),
-    "SIMPLE_FISHEYE": (OpenCVFisheye, ("f", "cx", "cy")),
-    "FISHEYE": (OpenCVFisheye, ("fx", "fy", "cx", "cy")),
-    "SIMPLE_RADIAL_FISHEYE": (OpenCVFisheye, ("f", "cx", "cy", "k1")),
-    "RADIAL_FISHEYE": (OpenCVFisheye, ("f", "cx", "cy", "k1", "k2")),
-    "OPENCV_FISHEYE": (OpenCVFisheye, ("fx", "fy", "cx", "cy", *OpenCVFisheye._fields)),
+    "SIMPLE_PINHOLE": (BrownConrady, _SIMPLE),
+    "PINHOLE": (BrownConrady, _PINHOLE),
+    "SIMPLE_RADIAL": (BrownConrady, (*_SIMPLE, "k1")),
+    "RADIAL": (BrownConrady, (*_SIMPLE, "k1", "k2")),
+    "OPENCV": (BrownConrady, (*_PINHOLE, "k1", "k2", "p1", "p2")),
+    "FULL_OPENCV": (
+        GeneralFrame,
+        (*_PINHOLE, "k1", "k2", "py", "px", "k3", "q1", "q2", "q3"),
+    ),
+    "SIMPLE_FISHEYE": (OpenCVFisheye, _SIMPLE),
+    "FISHEYE": (OpenCVFisheye, _PINHOLE),
+    "SIMPLE_RADIAL_FISHEYE": (OpenCVFisheye, (*_SIMPLE, "k1")),
+    "RADIAL_FISHEYE": (OpenCVFisheye, (*_SIMPLE, "k1", "k2")),
+    "OPENCV_FISHEYE": (OpenCVFisheye, (*_PINHOLE, *OpenCVFisheye._fields)),
     # Not COLMAP's: what its models lack.
-    "BROWN": (BrownConrady, ("fx", "fy", "cx", "cy", *BrownConrady._fields)),
-    "GENERAL_FRAME": (GeneralFrame, ("fx", "fy", "cx", "cy", *GeneralFrame._fields)),
+    "BROWN": (BrownConrady, (*_PINHOLE, *BrownConrady._fields)),
+    "GENERAL_FRAME": (GeneralFrame, (*_PINHOLE, *GeneralFrame._fields)),
 }
 """By name: the distortion, and the names of the parameters in COLMAP's order."""
 
@@ -60,10 +66,14 @@ def camera_of_model(
     if model not in MODELS:
         raise messages.camera_model(model=model, models=", ".join(MODELS))
     distortion, names = MODELS[model]
-    if len(parameters) != len(names) or not all(map(math.isfinite, parameters)):
-        given = ", ".join(f"{value:g}" for value in parameters) or "none"
+    are_finite = all(map(math.isfinite, parameters))
+    if len(parameters) != len(names) or not are_finite:
+        given = ", ".join(f"{value:g}" for value in parameters)
         raise messages.camera_parameters(
-            model=model, count=len(names), names=", ".join(names), given=given
+            model=model,
+            count=len(names),
+            names=", ".join(names),
+            given=given or "none",
         )
     value_of = dict(zip(names, map(float, parameters), strict=True))
     if "f" in value_of:
@@ -87,7 +97,10 @@ def camera_of_model(
 
 
 def _refuse_other_numbers(
-    model: str, size: tuple[int, int], distances: tuple[float, float], point: tuple[float, float]
+    model: str,
+    size: tuple[int, int],
+    distances: tuple[float, float],
+    point: tuple[float, float],
 ) -> None:
     """Refuse a size, principal distances or a principal point [px] that no camera has."""
     has_size = all(1 <= side <= LARGEST_SIDE_PX for side in size)
@@ -114,12 +127,23 @@ def model_of_camera(camera: Camera) -> tuple[str, list[float]]:
     for model, (distortion, _) in MODELS.items():
         if distortion is type(camera.distortion):
             name = model  # the last of a type has all parameters
-    frame = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
-    return name, [float(value) for value in (*frame, *camera.distortion)]
+    parameters = [
+        camera.fx_px,
+        camera.fy_px,
+        camera.cx_px,
+        camera.cy_px,
+        *camera.distortion,
+    ]
+    return name, [float(value) for value in parameters]
 
 
 LARGEST_FRAME_FIELD_DEG = 150.0
 LARGEST_FISHEYE_FIELD_DEG = 360.0
+
+# Where a distortion is looked at: circles about the principal point, and directions from there.
+_CIRCLES = 200
+_AZIMUTHS = 25  # even ones, both ends counted; beside them those of the corners
+_ROUNDING = 1e-9  # of a radius
 
 
 def is_fisheye(camera: Camera) -> bool:
@@ -136,8 +160,9 @@ def field_of_view(camera: Camera) -> tuple[float, float]:
     """
     size = np.array([camera.width_px, camera.height_px])
     centre = np.array([camera.cx_px, camera.cy_px])
-    tangents = np.array([centre, size - centre]) / [camera.fx_px, camera.fy_px]
-    angles = tangents if is_fisheye(camera) else np.arctan(tangents)
+    distances = [camera.fx_px, camera.fy_px]
+    to_borders = np.array([centre, size - centre]) / distances
+    angles = to_borders if is_fisheye(camera) else np.arctan(to_borders)
     across, down = angles.sum(axis=0)
     return float(across), float(down)
 
@@ -151,7 +176,9 @@ def refuse_impossible(camera: Camera) -> None:
     have the status outside_camera instead.
     """
     seen_deg = np.degrees(max(field_of_view(camera)))
-    largest_deg = LARGEST_FISHEYE_FIELD_DEG if is_fisheye(camera) else LARGEST_FRAME_FIELD_DEG
+    largest_deg = LARGEST_FRAME_FIELD_DEG
+    if is_fisheye(camera):
+        largest_deg = LARGEST_FISHEYE_FIELD_DEG
     if seen_deg > largest_deg:
         raise messages.camera_field(
             fx_px=camera.fx_px,
@@ -159,34 +186,64 @@ def refuse_impossible(camera: Camera) -> None:
             height_px=camera.height_px,
             seen_deg=seen_deg,
         )
+    _refuse_turning_distortion(camera)
+
+
+def _refuse_turning_distortion(camera: Camera) -> None:
+    """Refuse (PhysicsError CAMERA-TURNS) a distortion that turns back inside the image."""
     # Circles about the principal point, to where observations are outside_camera.
     limit = float(getattr(camera.distortion, "limit", np.inf))
     end = min(limit, float(np.tan(LARGEST_ANGLE_RAD)))
-    theta = np.linspace(0.0, np.arctan(min(end, camera.largest_radius)), 200)[:, None]
-    azimuth = np.append(np.linspace(0.0, 2.0 * np.pi, 25), _azimuths_of_corners(camera))
-    u = np.tan(theta) * np.cos(azimuth)
-    v = np.tan(theta) * np.sin(azimuth)
+    largest_theta = np.arctan(min(end, camera.largest_radius))
+    theta = np.linspace(0.0, largest_theta, _CIRCLES)[:, None]
+    evenly = np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS)
+    azimuth = np.append(evenly, _azimuths_of_corners(camera))
+    radius = np.tan(theta)
+    u = radius * np.cos(azimuth)
+    v = radius * np.sin(azimuth)
     with np.errstate(all="ignore"):
         x, y = camera.project(u, v)
-        uu, uv, vv = model_of(type(camera.distortion)).slopes(u, v, camera.distortion)
-        folded = np.asarray(uu * vv - uv * uv) <= 0.0
+        folded = _is_folded(camera, u, v)
     # Where the distortion turns, and nothing limits it earlier, the circle lies outside the image.
-    folded[-1] |= camera.largest_radius < end * (1.0 - 1e-9)
-    folded &= (x >= 0.0) & (x <= camera.width_px) & (y >= 0.0) & (y <= camera.height_px)
+    folded[-1] |= camera.largest_radius < end * (1.0 - _ROUNDING)
+    folded &= _is_in_image(camera, x, y)
     if folded.any():
-        i, k = np.argwhere(folded)[0]
-        off_axis_deg = np.degrees(theta[i, 0])
-        raise messages.camera_turns(off_axis_deg=off_axis_deg, x=x[i, k], y=y[i, k])
+        circle, ray = np.argwhere(folded)[0]
+        raise messages.camera_turns(
+            off_axis_deg=np.degrees(theta[circle, 0]),
+            x=x[circle, ray],
+            y=y[circle, ray],
+        )
+
+
+def _is_folded(camera: Camera, u: Array, v: Array) -> Mask:
+    """Where the determinant of the distortion's derivatives is not positive."""
+    model = model_of(type(camera.distortion))
+    uu, uv, vv = model.slopes(u, v, camera.distortion)
+    return np.asarray(uu * vv - uv * uv) <= 0.0
+
+
+def _is_in_image(camera: Camera, x: Array, y: Array) -> Mask:
+    is_in_width = (x >= 0.0) & (x <= camera.width_px)
+    is_in_height = (y >= 0.0) & (y <= camera.height_px)
+    return np.asarray(is_in_width & is_in_height)
 
 
 def _azimuths_of_corners(camera: Camera) -> Array:
     """(2, 2) angles [rad] at the principal point from the x axis to the corners of the image."""
-    right = (np.array([0, camera.width_px]) - camera.cx_px) / camera.fx_px
-    down = (np.array([[0], [camera.height_px]]) - camera.cy_px) / camera.fy_px
-    return np.asarray(np.arctan2(down, right))
+    x = np.array([0, camera.width_px])
+    y = np.array([0, camera.height_px])
+    right = (x - camera.cx_px) / camera.fx_px
+    down = (y - camera.cy_px) / camera.fy_px
+    return np.asarray(np.arctan2(down[:, None], right))
 
 
-DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "down": (0.0, 1.0), "up": (0.0, -1.0)}
+DIRECTIONS = {
+    "right": (1.0, 0.0),
+    "left": (-1.0, 0.0),
+    "down": (0.0, 1.0),
+    "up": (0.0, -1.0),
+}
 """In the image, x to the right and y down."""
 
 SENSES = {"distortion": 1.0, "correction": -1.0}
@@ -204,6 +261,7 @@ LARGEST_PART = 1.15
 
 _RADIAL_POWERS = np.arange(1, 10, 2)  # of r in dr
 _SLOPE_POWERS = np.arange(0, 10, 2)  # of r in d(dr)/dr, and of the focal length in k0 to k4
+_COEFFICIENTS = ("k0", "k1", "k2", "k3", "k4")  # of these powers
 _TO_CORNER = 0.6  # of the format's diagonal: to a corner, with an offset of the principal point
 _INVERTED_TO = 1e-17  # of a correction: how far its inversion is iterated
 _SMALLEST_SLOPE = 1e-9
@@ -248,7 +306,8 @@ def camera_of_report(report: MetricReport, size_px: tuple[int, int]) -> Camera:
     size = np.array(size_px)
     pixel_mm = np.asarray(report.pixel_mm)
     _refuse_other_format(report, size)
-    to_image = np.array([DIRECTIONS[axis] for axis in report.axes.split()]).T
+    axes = [DIRECTIONS[axis] for axis in report.axes.split()]
+    to_image = np.array(axes).T
     point = np.asarray(report.origin_px) + to_image @ report.ppa_mm / pixel_mm
     off_centre = np.abs(point / size - 0.5).max()
     if off_centre > LARGEST_OFFSET:
@@ -271,7 +330,8 @@ def _refuse_other_format(report: MetricReport, size: Array) -> None:
     """Refuse an image of ``size`` (2,) [px] that does not fill the format of a report."""
     pixel_mm = np.asarray(report.pixel_mm)
     part = size * pixel_mm / report.format_mm
-    if not (part.min() > SMALLEST_PART and part.max() < LARGEST_PART):
+    fills_format = part.min() > SMALLEST_PART and part.max() < LARGEST_PART
+    if not fills_format:
         raise messages.camera_format(
             width_px=int(size[0]),
             height_px=int(size[1]),
@@ -284,9 +344,12 @@ def _refuse_other_format(report: MetricReport, size: Array) -> None:
 
 def _affinity(report: MetricReport, to_image: Array) -> Array:
     """(2, 2) what b1 and b2 of a report make of ideal coordinates, in the axes of the image."""
-    stretch = [[1.0 + report.coefficient("b1"), report.coefficient("b2")], [0.0, 1.0]]
-    distorting = stretch if SENSES[report.sense] > 0.0 else np.linalg.inv(stretch)
-    return np.asarray(to_image @ distorting @ to_image.T)
+    stretch: Array = np.eye(2)
+    stretch[0, 0] += report.coefficient("b1")
+    stretch[0, 1] = report.coefficient("b2")
+    if SENSES[report.sense] < 0.0:
+        stretch = np.linalg.inv(stretch)
+    return np.asarray(to_image @ stretch @ to_image.T)
 
 
 def _distortion_of_report(
@@ -299,16 +362,11 @@ def _distortion_of_report(
     """
     sign = SENSES[report.sense]
     focal_mm = report.focal_mm
-    radial = np.array([report.coefficient(f"k{i}") for i in range(5)])
+    radial, radius_mm = _radial_of_report(report)
     tangential = (report.coefficient("p1"), report.coefficient("p2"))
-    radius_mm = report.radius_mm
-    if report.table is not None:
-        columns, sense = report.table
-        r, dr = np.asarray(columns, np.float64).T
-        # To first order a correction is the distortion with the other sign.
-        radial = _agreed(radial, r, dr * SENSES[sense] * sign)
-        radius_mm = min(radius_mm, r[-1])
-    offset = to_image @ np.subtract(report.ppa_mm, report.ppbs_mm) / focal_mm
+    ppa_from_ppbs = np.subtract(report.ppa_mm, report.ppbs_mm)
+    offset = to_image @ ppa_from_ppbs / focal_mm
+    limit = radius_mm / focal_mm - np.hypot(*offset)
     px, py = to_image @ tangential * focal_mm
     steps = _inversion_steps(radial, tangential, _TO_CORNER * diagonal_mm)
     k = (radial * focal_mm**_SLOPE_POWERS).tolist()
@@ -325,41 +383,68 @@ def _distortion_of_report(
         skew_x=float(affine[0, 1] / affine[0, 0]),
         skew_y=float(affine[1, 0] / affine[1, 1]),
         sense=sign,
-        limit=float(min(radius_mm / focal_mm - np.hypot(*offset), _UNLIMITED)),
+        limit=float(min(limit, _UNLIMITED)),
         steps=steps,
     )
 
 
-def _inversion_steps(radial: Array, tangential: tuple[float, float], corner_mm: float) -> float:
+def _radial_of_report(report: MetricReport) -> tuple[Array, float]:
+    """(5,) k0 to k4 of a report, in agreement with its table, and the radius they hold to [mm]."""
+    radial = np.array([report.coefficient(name) for name in _COEFFICIENTS])
+    if report.table is None:
+        return radial, report.radius_mm
+    columns, sense = report.table
+    r, dr = np.asarray(columns, np.float64).T
+    # To first order a correction is the distortion with the other sign.
+    dr_of_report = dr * SENSES[sense] * SENSES[report.sense]
+    return _agreed(radial, r, dr_of_report), min(report.radius_mm, r[-1])
+
+
+def _inversion_steps(
+    radial: Array,
+    tangential: tuple[float, float],
+    corner_mm: float,
+) -> float:
     """How many steps invert a correction to 1e-17, by its steepest slope out to a radius [mm]."""
-    radius = corner_mm * np.linspace(0.0, 1.0, 50)[:, None]
-    slopes = (radial * _RADIAL_POWERS * radius**_SLOPE_POWERS).sum(axis=1)
-    slope = np.abs(slopes).max()
+    shares = np.linspace(0.0, 1.0, 50)
+    radius = corner_mm * shares[:, None]
+    terms = radial * _RADIAL_POWERS * radius**_SLOPE_POWERS
+    slope = np.abs(terms.sum(axis=1)).max()
     p1, p2 = tangential
     slope += 6.0 * (abs(p1) + abs(p2)) * radius[-1, 0]
     gain = np.clip(slope, _SMALLEST_SLOPE, _LARGEST_SLOPE)
-    return float(np.ceil(np.log(_INVERTED_TO) / np.log(gain)))
+    steps = np.log(_INVERTED_TO) / np.log(gain)
+    return float(np.ceil(steps))
 
 
-def _agreed(radial: Array, r: Array, wanted: Array) -> Array:
+def _agreed(radial: Array, r: Array, dr: Array) -> Array:
     """(5,) k0 to k4 of a report once they agree with its table; fitted to it where all are zero.
 
-    ``r`` and ``wanted`` (n,) are radius and dr [mm] of the table. Refuses (PhysicsError
-    CAMERA-REPORT) a table that differs by more than `LARGEST_DISAGREEMENT_MM`.
+    ``r`` and ``dr`` (n,) [mm] are those of the table. Refuses (PhysicsError CAMERA-REPORT) a table
+    that differs by more than `LARGEST_DISAGREEMENT_MM`.
     """
+    fit = "the coefficients"
+    if not radial.any():
+        fit = "a polynomial"
+        radial = _fitted(r, dr)
     powers = r[:, None] ** _RADIAL_POWERS
-    is_fitted = not radial.any()
-    if is_fitted:
-        terms = min(5, max(1, np.count_nonzero(r) - 1))
-        scale = r[-1] ** _RADIAL_POWERS
-        scaled = np.zeros(5)
-        scaled[:terms] = np.linalg.lstsq((powers / scale)[:, :terms], wanted, rcond=None)[0]
-        radial = scaled / scale
-    apart = np.abs(powers @ radial - wanted)
-    if not apart.max() <= LARGEST_DISAGREEMENT_MM:
+    apart_mm = np.abs(powers @ radial - dr)
+    if not apart_mm.max() <= LARGEST_DISAGREEMENT_MM:
         raise messages.camera_report(
-            fit="a polynomial" if is_fitted else "the coefficients",
-            apart_um=apart.max() * 1000.0,
-            radius_mm=r[apart.argmax()],
+            fit=fit,
+            apart_um=apart_mm.max() * 1000.0,
+            radius_mm=r[apart_mm.argmax()],
         )
     return radial
+
+
+def _fitted(r: Array, dr: Array) -> Array:
+    """(5,) k0 to k4 of the polynomial through a table, of fewer terms than the table has radii."""
+    powers = r[:, None] ** _RADIAL_POWERS
+    largest = r[-1] ** _RADIAL_POWERS
+    radii = int(np.count_nonzero(r))
+    terms = min(_RADIAL_POWERS.size, max(1, radii - 1))
+    scaled_powers = (powers / largest)[:, :terms]
+    scaled = np.zeros(_RADIAL_POWERS.size)
+    scaled[:terms] = np.linalg.lstsq(scaled_powers, dr, rcond=None)[0]
+    return np.asarray(scaled / largest)

@@ -8,7 +8,8 @@ import csv
 import math
 import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -21,21 +22,40 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel, refractivity_gyer
 from unbend.refraction import messages
 from unbend.refraction.published import saastamoinen
+from unbend.refraction.published.column import Method
 from unbend.refraction.published.gyer import STEP_M, gyer1996, plane_first_term, subtended_angle
 from unbend.refraction.ray import bend, refraction_angle
 from unbend.refraction.ray_table import RayTable
 from unbend.refraction.window import SCHEDULE_TEMPERATURE_K, refract_at_window, scheduled_pressure
 from unbend.units import ARCSEC, DEGREE, HECTOPASCAL, MICRORADIAN, Array
 
-GYER_RADIUS_M = BERTRAM_RADIUS_M = 6_378_000.0
+GYER_RADIUS_M = 6_378_000.0
+BERTRAM_RADIUS_M = 6_378_000.0
 
 _DATA = files("unbend.refraction").joinpath("data")
 _DIAGONAL = 45.0 * DEGREE
-_PLACES = ("table", "quantity", "unit", "h_c_m", "h_g_m", "zeta_c_deg")
-_COLUMNS = (*_PLACES, "printed", "as_published", "exact")
+_HALF_ROOT = math.sqrt(0.5)  # sine and cosine of 45 degrees
 
-Figures = tuple[str | ArrayLike, ...]
-"""What `_COLUMNS` holds for one quantity, to be broadcast."""
+_MILLIONTH = 1e-6  # unit of the printed n - 1
+_ABOVE_GROUND_RAD = 1e-12  # less nadir angle, 2e-6 arcsec of R_c, so that rays do not miss it
+
+_SERIES_TERMS = 8  # of exp(step u): 1e-10 over 1 km
+_INDEX_PER_DENSITY = 226e-6  # (n - 1) / rho [m3 kg-1] (Bertram, Eq. 7)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Figures:
+    """The figures of one quantity in a table, by the columns of `PaperTable`; they broadcast."""
+
+    table: str
+    quantity: str
+    unit: str
+    h_c_m: ArrayLike
+    h_g_m: ArrayLike = math.nan
+    zeta_c_deg: ArrayLike = math.nan
+    printed: ArrayLike
+    as_published: ArrayLike
+    exact: ArrayLike = math.nan
 
 
 def printed_table(name: str) -> dict[str, Array]:
@@ -44,8 +64,12 @@ def printed_table(name: str) -> dict[str, Array]:
     >>> printed_table("gyer1996_table7")["r_cc_arcsec"][-1].item()
     19.44
     """
-    rows = list(csv.DictReader(_DATA.joinpath(f"{name}.csv").read_text("ascii").splitlines()))
-    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+    text = _DATA.joinpath(f"{name}.csv").read_text("ascii")
+    rows = list(csv.DictReader(text.splitlines()))
+    columns: dict[str, Array] = {}
+    for key in rows[0]:
+        columns[key] = np.array([float(row[key]) for row in rows])
+    return columns
 
 
 def gyer_air() -> Profile:
@@ -58,65 +82,149 @@ def gyer_air() -> Profile:
     """
     ardc = standard_atmosphere("ardc1959", index="gyer")
     edge = ardc.layers.edge
-    temperature = ardc.virtual_temperature(ardc.break_heights_m)
     layers = stack_layers(
-        edge, temperature, np.zeros(edge.size), ardc.layers.source, anchor=(0.0, 101325.0)
+        edge,
+        ardc.virtual_temperature(ardc.break_heights_m),
+        np.zeros(edge.size),
+        ardc.layers.source,
+        anchor=(0.0, 101325.0),
     )
     return Profile(layers, ardc.gravity, IndexModel("gyer"), "gyer1996")
 
 
-def gyer_rows() -> Iterator[Figures]:
-    table = printed_table("gyer1996_table2")
-    h = table["h_km"] * 1e3
-    ardc = standard_atmosphere("ardc1959", index="gyer")
-    for name, unit, key, value in (
-        ("temperature", "K", "temperature_k", ardc.temperature(h)),
-        ("pressure", "hPa", "pressure_mbar", ardc.pressure(h) / HECTOPASCAL),
-        ("n - 1", "1e-6", "refractivity_n_minus_1_e6", ardc.refractivity(h) * 1e6),
-    ):
-        yield "2", name, unit, h, np.nan, np.nan, table[key], value, np.nan
+def gyer_figures() -> Iterator[Figures]:
+    """The figures of Gyer 1996."""
     air = gyer_air()
-    table = printed_table("gyer1996_tables3_4")
-    at, ray = rays_of(table, air)
-    published, exact = gyer1996(*ray), refraction_angle(*ray)
-    yield "3-4", "R_c", "arcsec", *at, table["r_c_arcsec"], published / ARCSEC, exact / ARCSEC
-    table = printed_table("gyer1996_table5")  # what the plane form lacks
-    at, ray = rays_of(table, air)
-    printed = table["r_spherical_minus_plane_arcsec"]
-    published = gyer1996(*ray) - plane_first_term(*ray, step=STEP_M)
-    exact = refraction_angle(*ray) - plane_first_term(*ray)
-    yield "5", "R_c spherical - plane", "arcsec", *at, printed, published / ARCSEC, exact / ARCSEC
+    yield from table_2()
+    yield from tables_3_4(air)
+    yield from table_5(air)
     yield from table_6(air)
     yield from table_7(air)
 
 
-def rays_of(table: dict[str, Array], air: Profile) -> tuple[Figures, tuple[Any, ...]]:
-    """The places of the figures of a table, and the arguments of a method for them."""
-    at = table["h_c_km"] * 1e3, table["h_g_km"] * 1e3, table["zeta_c_deg"]
-    return at, (air, at[0], at[1], at[2] * DEGREE, GYER_RADIUS_M)
+def table_2() -> Iterator[Figures]:
+    """Table 2, the model atmosphere."""
+    table = printed_table("gyer1996_table2")
+    h = table["h_km"] * 1e3
+    ardc = standard_atmosphere("ardc1959", index="gyer")
+    figures = partial(Figures, table="2", h_c_m=h)
+    yield figures(
+        quantity="temperature",
+        unit="K",
+        printed=table["temperature_k"],
+        as_published=ardc.temperature(h),
+    )
+    yield figures(
+        quantity="pressure",
+        unit="hPa",
+        printed=table["pressure_mbar"],
+        as_published=ardc.pressure(h) / HECTOPASCAL,
+    )
+    yield figures(
+        quantity="n - 1",
+        unit="1e-6",
+        printed=table["refractivity_n_minus_1_e6"],
+        as_published=ardc.refractivity(h) * 1e6,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _TableRays:
+    """The rays of one of Gyer's tables, from its columns."""
+
+    h_c_m: Array
+    h_g_m: Array
+    zeta_c_deg: Array
+
+    @classmethod
+    def of(cls, table: dict[str, Array]) -> "_TableRays":
+        return cls(
+            h_c_m=table["h_c_km"] * 1e3,
+            h_g_m=table["h_g_km"] * 1e3,
+            zeta_c_deg=table["zeta_c_deg"],
+        )
+
+    def angles(self, method: Method, air: Profile, **options: float) -> Array:
+        """Refraction angles [rad] by a method."""
+        zeta_c = self.zeta_c_deg * DEGREE
+        return np.asarray(method(air, self.h_c_m, self.h_g_m, zeta_c, GYER_RADIUS_M, **options))
+
+
+def tables_3_4(air: Profile) -> Iterator[Figures]:
+    """Tables 3 and 4, the refraction angle."""
+    table = printed_table("gyer1996_tables3_4")
+    rays = _TableRays.of(table)
+    yield Figures(
+        table="3-4",
+        quantity="R_c",
+        unit="arcsec",
+        h_c_m=rays.h_c_m,
+        h_g_m=rays.h_g_m,
+        zeta_c_deg=rays.zeta_c_deg,
+        printed=table["r_c_arcsec"],
+        as_published=rays.angles(gyer1996, air) / ARCSEC,
+        exact=rays.angles(refraction_angle, air) / ARCSEC,
+    )
+
+
+def table_5(air: Profile) -> Iterator[Figures]:
+    """Table 5, what the plane form lacks."""
+    table = printed_table("gyer1996_table5")
+    rays = _TableRays.of(table)
+    plane_by_steps = rays.angles(plane_first_term, air, step=STEP_M)
+    published = rays.angles(gyer1996, air) - plane_by_steps
+    exact = rays.angles(refraction_angle, air) - rays.angles(plane_first_term, air)
+    yield Figures(
+        table="5",
+        quantity="R_c spherical - plane",
+        unit="arcsec",
+        h_c_m=rays.h_c_m,
+        h_g_m=rays.h_g_m,
+        zeta_c_deg=rays.zeta_c_deg,
+        printed=table["r_spherical_minus_plane_arcsec"],
+        as_published=published / ARCSEC,
+        exact=exact / ARCSEC,
+    )
 
 
 def table_6(air: Profile) -> Iterator[Figures]:
     """Table 6, rays that are level at the ground."""
     table = printed_table("gyer1996_table6")
-    h_c, h_g = table["h_c_km"] * 1e3, table["h_g_km"] * 1e3
+    h_c = table["h_c_km"] * 1e3
+    h_g = table["h_g_km"] * 1e3
     # Eq. 1 with zeta_g = 90 degrees.
     k = (1.0 + air.refractivity(h_g)) * (GYER_RADIUS_M + h_g)
     zeta_c = np.arcsin(k / ((1.0 + air.refractivity(h_c)) * (GYER_RADIUS_M + h_c)))
+    zeta_c_deg = zeta_c / DEGREE
     published = gyer1996(air, h_c, h_g, zeta_c, GYER_RADIUS_M)
-    # A rounding error above the true angle would already miss the ground; 1e-12 rad is 2e-6 arcsec
-    # of R_c here.
-    exact = np.asarray(refraction_angle(air, h_c, h_g, zeta_c - 1e-12, GYER_RADIUS_M))
+    # A rounding error above the true angle would already miss the ground.
+    above_ground = zeta_c - _ABOVE_GROUND_RAD
+    exact = np.asarray(refraction_angle(air, h_c, h_g, above_ground, GYER_RADIUS_M))
     # His distance is the arc at sea level. It cannot be had from the exact R_c, 1 arcsec of which
     # is 2 km of it.
-    theta = subtended_angle(air, h_c, h_g, zeta_c, np.full(h_c.shape, GYER_RADIUS_M), step=STEP_M)
-    degrees = zeta_c / DEGREE
-    for name, unit, key, first, second in (
-        ("zeta_c", "deg", "zeta_c_deg_for_zeta_g_90", degrees, degrees),
-        ("distance", "km", "distance_km", GYER_RADIUS_M * theta / 1e3, np.nan),
-        ("R_c", "arcsec", "r_c_arcsec", published / ARCSEC, exact / ARCSEC),
-    ):
-        yield "6", name, unit, h_c, h_g, degrees, table[key], first, second
+    radius = np.full(h_c.shape, GYER_RADIUS_M)
+    theta = subtended_angle(air, h_c, h_g, zeta_c, radius, step=STEP_M)
+    figures = partial(Figures, table="6", h_c_m=h_c, h_g_m=h_g, zeta_c_deg=zeta_c_deg)
+    yield figures(
+        quantity="zeta_c",
+        unit="deg",
+        printed=table["zeta_c_deg_for_zeta_g_90"],
+        as_published=zeta_c_deg,
+        exact=zeta_c_deg,
+    )
+    yield figures(
+        quantity="distance",
+        unit="km",
+        printed=table["distance_km"],
+        as_published=GYER_RADIUS_M * theta / 1e3,
+    )
+    yield figures(
+        quantity="R_c",
+        unit="arcsec",
+        printed=table["r_c_arcsec"],
+        as_published=published / ARCSEC,
+        exact=exact / ARCSEC,
+    )
 
 
 def table_7(air: Profile) -> Iterator[Figures]:
@@ -125,52 +233,133 @@ def table_7(air: Profile) -> Iterator[Figures]:
     h_c = table["h_c_km"] * 1e3
     outside = air.refractivity(h_c)
     cabin = refractivity_gyer(SCHEDULE_TEMPERATURE_K, scheduled_pressure(air.pressure(h_c)))
-    ray = np.full((h_c.size, 3), [math.sqrt(0.5), 0.0, math.sqrt(0.5)])
-    bent = (air, h_c, 0.0, _DIAGONAL, GYER_RADIUS_M)
-    r_c, exact = gyer1996(*bent), np.asarray(refraction_angle(*bent))
+    r_c = gyer1996(air, h_c, 0.0, _DIAGONAL, GYER_RADIUS_M)
+    exact_r_c = np.asarray(refraction_angle(air, h_c, 0.0, _DIAGONAL, GYER_RADIUS_M))
     # Eq. 38 with the sign of Eq. 39; tan(zeta_f) = 1.
     r_cc = (cabin - outside) / (1.0 + outside)
-    exact_cc = refract_at_window(ray, cabin, outside)[1]
-    at = h_c, 0.0, 45.0
-    for name, unit, key, size, first, second in (
-        ("n_c - 1", "1e-6", "n_c_minus_1_e6", 1e-6, outside, outside),
-        ("n_cc - 1", "1e-6", "n_cc_minus_1_e6", 1e-6, cabin, cabin),
-        ("R_c", "arcsec", "r_c_arcsec", ARCSEC, r_c, exact),
-        ("R_cc", "arcsec", "r_cc_arcsec", ARCSEC, r_cc, exact_cc),
-        ("R_c - R_cc", "arcsec", "r_c_minus_r_cc_arcsec", ARCSEC, r_c - r_cc, exact - exact_cc),
-    ):
-        yield "7", name, unit, *at, table[key], first / size, second / size
+    ray = np.full((h_c.size, 3), [_HALF_ROOT, 0.0, _HALF_ROOT])
+    exact_r_cc = refract_at_window(ray, cabin, outside)[1]
+    figures = partial(Figures, table="7", h_c_m=h_c, h_g_m=0.0, zeta_c_deg=45.0)
+    yield figures(
+        quantity="n_c - 1",
+        unit="1e-6",
+        printed=table["n_c_minus_1_e6"],
+        as_published=outside / _MILLIONTH,
+        exact=outside / _MILLIONTH,
+    )
+    yield figures(
+        quantity="n_cc - 1",
+        unit="1e-6",
+        printed=table["n_cc_minus_1_e6"],
+        as_published=cabin / _MILLIONTH,
+        exact=cabin / _MILLIONTH,
+    )
+    yield figures(
+        quantity="R_c",
+        unit="arcsec",
+        printed=table["r_c_arcsec"],
+        as_published=r_c / ARCSEC,
+        exact=exact_r_c / ARCSEC,
+    )
+    yield figures(
+        quantity="R_cc",
+        unit="arcsec",
+        printed=table["r_cc_arcsec"],
+        as_published=r_cc / ARCSEC,
+        exact=exact_r_cc / ARCSEC,
+    )
+    yield figures(
+        quantity="R_c - R_cc",
+        unit="arcsec",
+        printed=table["r_c_minus_r_cc_arcsec"],
+        as_published=(r_c - r_cc) / ARCSEC,
+        exact=(exact_r_c - exact_r_cc) / ARCSEC,
+    )
 
 
-def saastamoinen_rows() -> Iterator[Figures]:
-    """The compartment at 6000 m, p. 300 (Eq. 9 after Eq. 3a), and the errors he states, p. 297."""
-    air, h_c = standard_atmosphere("us1962", index="gyer"), 6000.0
+def saastamoinen_figures() -> Iterator[Figures]:
+    """The figures of Saastamoinen 1974, which stand in his text."""
+    air = standard_atmosphere("us1962", index="gyer")
+    yield from compartment_at_6000_m(air)
+    yield largest_error(
+        air,
+        quantity="Eq. 3a, 3b: largest error",
+        method=saastamoinen.saastamoinen1974_ican,
+        highest_m=20_000.0,
+        printed=0.2,
+    )
+    yield largest_error(
+        air,
+        quantity="Eq. 6: largest error",
+        method=saastamoinen.saastamoinen1974_quadratic,
+        highest_m=9_000.0,
+        printed=0.5,
+    )
+
+
+def compartment_at_6000_m(air: Profile) -> Iterator[Figures]:
+    """The compartment at 6000 m, p. 300 (Eq. 9 after Eq. 3a)."""
+    h_c = 6000.0
     # He works in whole microradians.
-    n_h, n_a = round(79.0 * 472.0 / 249.0), round(79.0 * 747.0 / 278.0)
+    n_h = round(79.0 * 472.0 / 249.0)
+    n_a = round(79.0 * 747.0 / 278.0)
     r_ican = saastamoinen.saastamoinen1974_ican(air, h_c, 0.0, _DIAGONAL, 0.0)
     r = round(float(r_ican) / MICRORADIAN)
     exact_h = float(air.refractivity(h_c))
     exact_a = float(refractivity_gyer(278.0, air.pressure(2500.0)))
     exact_r = float(refraction_angle(air, h_c, 0.0, _DIAGONAL))
-    for name, printed, published, exact in (
-        ("n_H - 1", 150.0, n_h, exact_h),
-        ("n_A - 1", 212.0, n_a, exact_a),
-        ("R", 59.0, r, exact_r),
-        ("Delta R", -62.0, n_h - n_a, exact_h - exact_a),
-        ("R + Delta R", -3.0, r + n_h - n_a, exact_r + exact_h - exact_a),
-    ):
-        yield "p. 300", name, "urad", h_c, 0.0, 45.0, printed, published, exact / MICRORADIAN
-    for name, method, top, bound in (
-        ("Eq. 3a, 3b: largest error", saastamoinen.saastamoinen1974_ican, 20_000.0, 0.2),
-        ("Eq. 6: largest error", saastamoinen.saastamoinen1974_quadratic, 9_000.0, 0.5),
-    ):
-        ray = (air, np.arange(1000.0, top + 1.0, 500.0), 0.0, _DIAGONAL)
-        of_method, summed = method(*ray, 0.0), saastamoinen.saastamoinen1974(*ray, 0.0)
-        published, exact = (
-            np.max(np.abs(of_method - other)) / MICRORADIAN
-            for other in (summed, refraction_angle(*ray))
-        )
-        yield "p. 297", name, "urad", np.nan, 0.0, 45.0, bound, published, exact
+    figures = partial(Figures, table="p. 300", unit="urad", h_c_m=h_c, h_g_m=0.0, zeta_c_deg=45.0)
+    yield figures(
+        quantity="n_H - 1",
+        printed=150.0,
+        as_published=n_h,
+        exact=exact_h / MICRORADIAN,
+    )
+    yield figures(
+        quantity="n_A - 1",
+        printed=212.0,
+        as_published=n_a,
+        exact=exact_a / MICRORADIAN,
+    )
+    yield figures(
+        quantity="R",
+        printed=59.0,
+        as_published=r,
+        exact=exact_r / MICRORADIAN,
+    )
+    yield figures(
+        quantity="Delta R",
+        printed=-62.0,
+        as_published=n_h - n_a,
+        exact=(exact_h - exact_a) / MICRORADIAN,
+    )
+    yield figures(
+        quantity="R + Delta R",
+        printed=-3.0,
+        as_published=r + n_h - n_a,
+        exact=(exact_r + exact_h - exact_a) / MICRORADIAN,
+    )
+
+
+def largest_error(
+    air: Profile, *, quantity: str, method: Method, highest_m: float, printed: float
+) -> Figures:
+    """The largest error of a formula up to a height, against Eq. 2 and exact, p. 297."""
+    h_c = np.arange(1000.0, highest_m + 1.0, 500.0)
+    by_method = method(air, h_c, 0.0, _DIAGONAL, 0.0)
+    by_eq_2 = saastamoinen.saastamoinen1974(air, h_c, 0.0, _DIAGONAL, 0.0)
+    by_ray = refraction_angle(air, h_c, 0.0, _DIAGONAL)
+    return Figures(
+        table="p. 297",
+        quantity=quantity,
+        unit="urad",
+        h_c_m=math.nan,
+        h_g_m=0.0,
+        zeta_c_deg=45.0,
+        printed=printed,
+        as_published=np.max(np.abs(by_method - by_eq_2)) / MICRORADIAN,
+        exact=np.max(np.abs(by_method - by_ray)) / MICRORADIAN,
+    )
 
 
 def hand_sum(z: Array, density: Array, carried: float | None = None) -> tuple[Array, Array]:
@@ -187,38 +376,61 @@ def hand_sum(z: Array, density: Array, carried: float | None = None) -> tuple[Ar
     """
     middle = 0.5 * (z[1:] + z[:-1])
     half_product = -0.5 * np.diff(density) * middle
-    interval = z[1] - z[0]
-    first = half_product[0] * middle[0] / interval if carried is None else carried
-    running = first + np.concatenate([[0.0], np.cumsum(half_product[1:] + half_product[:-1])])
-    return middle, 226e-6 * running / middle
+    if carried is None:
+        interval = z[1] - z[0]
+        carried = half_product[0] * middle[0] / interval
+    steps = np.cumsum(half_product[1:] + half_product[:-1])
+    running = carried + np.concatenate([[0.0], steps])
+    return middle, _INDEX_PER_DENSITY * running / middle
 
 
-def bertram_rows() -> Iterator[Figures]:
-    ardc = standard_atmosphere("ardc1959", index="gyer")
-    for number, suffix in enumerate(
-        ("table1", "table2", "table3_arctic_january_75n", "table4_tropical_15n"), 1
-    ):
-        printed = printed_table(f"bertram1966_{suffix}")
-        levels = printed_table(f"bertram1966_{suffix}_density")
+_BERTRAM_TABLES = {
+    "1": "bertram1966_table1",
+    "2": "bertram1966_table2",
+    "3": "bertram1966_table3_arctic_january_75n",
+    "4": "bertram1966_table4_tropical_15n",
+}
+_ARDC_TABLES = ("1", "2")
+
+
+def bertram_figures() -> Iterator[Figures]:
+    """The figures of Bertram 1966."""
+    for table, name in _BERTRAM_TABLES.items():
+        printed = printed_table(name)
+        levels = printed_table(f"{name}_density")
         # Table 2 begins with the sum that Table 1 has reached.
-        carried = printed["running_sum"][0] if number == 2 else None
+        carried = printed["running_sum"][0] if table == "2" else None
         h_c, r = hand_sum(levels["z_m"], levels["density_kg_m3"], carried)
-        if number <= 2:
+        if table in _ARDC_TABLES:
+            ardc = standard_atmosphere("ardc1959", index="gyer")
             exact = np.asarray(refraction_angle(ardc, h_c, 0.0, _DIAGONAL, BERTRAM_RADIUS_M))
         else:
-            # Air whose log density is linear between the heights, and goes on down to sea level.
-            z, logs = levels["z_m"], np.log(levels["density_kg_m3"])
-            if z[0] > 0.0:
-                logs = np.append(logs[0] - (logs[1] - logs[0]) / (z[1] - z[0]) * z[0], logs)
-                z = np.append(0.0, z)
-            # exp(step u) to its eighth term: 1e-10 over 1 km.
-            powers = np.array([1.0 / math.factorial(i) for i in range(8)])
-            polynomial = powers * np.diff(logs)[:, None] ** np.arange(8)
-            air = RayTable(z, 226e-6 * np.exp(logs[:-1, None]) * polynomial)
-            diagonal = math.sqrt(0.5)
-            exact = bend(air, h_c, 0.0, diagonal, diagonal, radius=BERTRAM_RADIUS_M)[0]
-        figures = printed["refraction_urad"], r / MICRORADIAN, exact / MICRORADIAN
-        yield str(number), "refraction", "urad", h_c, 0.0, 45.0, *figures
+            air = air_of_densities(levels["z_m"], levels["density_kg_m3"])
+            exact, _ = bend(air, h_c, 0.0, _HALF_ROOT, _HALF_ROOT, radius=BERTRAM_RADIUS_M)
+        yield Figures(
+            table=table,
+            quantity="refraction",
+            unit="urad",
+            h_c_m=h_c,
+            h_g_m=0.0,
+            zeta_c_deg=45.0,
+            printed=printed["refraction_urad"],
+            as_published=r / MICRORADIAN,
+            exact=exact / MICRORADIAN,
+        )
+
+
+def air_of_densities(z: Array, density: Array) -> RayTable:
+    """Air whose log density is linear between heights ``z`` [m], and goes on to sea level."""
+    logs = np.log(density)
+    if z[0] > 0.0:
+        slope = (logs[1] - logs[0]) / (z[1] - z[0])
+        logs = np.append(logs[0] - slope * z[0], logs)
+        z = np.append(0.0, z)
+    power = np.arange(_SERIES_TERMS)
+    factor = np.array([1.0 / math.factorial(i) for i in range(_SERIES_TERMS)])
+    polynomial = factor * np.diff(logs)[:, None] ** power
+    return RayTable(z, _INDEX_PER_DENSITY * np.exp(logs[:-1, None]) * polynomial)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,11 +447,15 @@ class PaperTable:
 
     def rows(self) -> list[dict[str, str | float | None]]:
         """The figures row by row, None for what is not there."""
-        lists = (column.tolist() for column in self.columns.values())
-        return [
-            {name: None if v != v else v for name, v in zip(self.columns, row, strict=True)}
-            for row in zip(*lists, strict=True)
-        ]
+        columns = [column.tolist() for column in self.columns.values()]
+        rows: list[dict[str, str | float | None]] = []
+        for values in zip(*columns, strict=True):
+            row = dict(zip(self.columns, values, strict=True))
+            for name, value in row.items():
+                if value != value:  # NaN
+                    row[name] = None
+            rows.append(row)
+        return rows
 
 
 def paper_tables(paper: str) -> PaperTable:
@@ -254,15 +470,25 @@ def paper_tables(paper: str) -> PaperTable:
     """
     if paper not in _PAPERS:
         raise messages.paper_name(paper=paper, papers=", ".join(_PAPERS))
-    blocks = [np.broadcast_arrays(*map(np.atleast_1d, figures)) for figures in _PAPERS[paper]()]
-    columns = dict(zip(_COLUMNS, map(np.concatenate, zip(*blocks, strict=True)), strict=True))
+    columns = _columns_of(list(_PAPERS[paper]()))
     columns["difference"] = columns["printed"] - columns["exact"]
     notes = tomllib.loads(_DATA.joinpath("paper_notes.toml").read_text("utf-8"))
     return PaperTable(columns, tuple(notes[paper]))
 
 
+def _columns_of(all_figures: list[Figures]) -> dict[str, NDArray[Any]]:
+    """The figures of all quantities one below the other, by the names of the fields."""
+    names = [field.name for field in fields(Figures)]
+    blocks = []
+    for figures in all_figures:
+        values = [np.atleast_1d(getattr(figures, name)) for name in names]
+        blocks.append(np.broadcast_arrays(*values))
+    columns = [np.concatenate(column) for column in zip(*blocks, strict=True)]
+    return dict(zip(names, columns, strict=True))
+
+
 _PAPERS: dict[str, Callable[[], Iterator[Figures]]] = {
-    "gyer1996": gyer_rows,
-    "saastamoinen1974": saastamoinen_rows,
-    "bertram1966": bertram_rows,
+    "gyer1996": gyer_figures,
+    "saastamoinen1974": saastamoinen_figures,
+    "bertram1966": bertram_figures,
 }

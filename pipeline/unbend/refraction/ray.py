@@ -56,12 +56,19 @@ class PublishedRays:
         good = np.isfinite(h_c) & np.isfinite(h_g) & (radius > 0.0)
         good &= (zeta_c >= 0.0) & (zeta_c <= math.pi)
         r_c = np.full(good.shape, np.nan)
-        r_c[good] = self.method(self.profile, h_c[good], h_g[good], zeta_c[good], radius[good])
+        r_c[good] = self.method(
+            self.profile,
+            h_c[good],
+            h_g[good],
+            zeta_c[good],
+            radius[good],
+        )
         status = np.where(good, OK, BAD_MEASUREMENT).astype(np.uint8)
         lost = np.isnan(r_c) & good
         # Straight down every ray reaches the ground, unless the heights are not covered.
         at_nadir = self.method(self.profile, h_c[lost], h_g[lost], 0.0, radius[lost])
-        status[lost] = np.where(np.isnan(at_nadir), OUTSIDE_PROFILE, MISSES_GROUND)
+        is_covered = ~np.isnan(at_nadir)
+        status[lost] = np.where(is_covered, MISSES_GROUND, OUTSIDE_PROFILE)
         return r_c, status
 
 
@@ -148,15 +155,17 @@ def as_columns(*values: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
 
     A broadcast view is not to be written to, which they ask about: it becomes a copy.
     """
-    arrays = [np.asarray(a, np.float64) for a in values]
-    shape = np.broadcast_shapes(*(a.shape for a in arrays))
-
-    def column(a: Array) -> Array:
-        if a.shape == shape and a.flags.c_contiguous and a.flags.writeable:
-            return a.reshape(-1)
-        return np.array(np.broadcast_to(a, shape)).reshape(-1)
-
-    return shape, [column(a) for a in arrays]
+    arrays = [np.asarray(value, np.float64) for value in values]
+    shape = np.broadcast_shapes(*(array.shape for array in arrays))
+    columns = []
+    for array in arrays:
+        is_usable = array.flags.c_contiguous and array.flags.writeable
+        if array.shape == shape and is_usable:
+            columns.append(array.reshape(-1))
+        else:
+            copied = np.array(np.broadcast_to(array, shape))
+            columns.append(copied.reshape(-1))
+    return shape, columns
 
 
 METHODS: tuple[str, ...] = ("spherical", *PUBLISHED)
@@ -191,7 +200,15 @@ def refraction_angle(
     >>> round(refraction_angle(air, 10000.0, 0.0, 45.0 * DEGREE) / ARCSEC, 6)
     16.378452
     """
-    r_c, _ = angle_and_status(profile, h_c, h_g, zeta_c, radius, method=method, distance=distance)
+    r_c, _ = angle_and_status(
+        profile,
+        h_c,
+        h_g,
+        zeta_c,
+        radius,
+        method=method,
+        distance=distance,
+    )
     return r_c if r_c.ndim else float(r_c)
 
 
@@ -207,8 +224,9 @@ def angle_and_status(
 ) -> tuple[Array, NDArray[np.uint8]]:
     """Angles as `refraction_angle` has them [rad], and which crossing each is for, as a status."""
     zeta = np.asarray(zeta_c, dtype=np.float64)
-    zeta = np.where((zeta >= 0.0) & (zeta <= math.pi), zeta, np.nan)
-    r_c, found = bend(
+    is_angle = (zeta >= 0.0) & (zeta <= math.pi)
+    zeta = np.where(is_angle, zeta, np.nan)
+    r_c, statuses = bend(
         rays_by(profile, method),
         h_c,
         h_g,
@@ -217,9 +235,9 @@ def angle_and_status(
         radius=radius,
         distance=distance,
     )
-    status = int(found) if found.ndim == 0 else OK
+    status = int(statuses) if statuses.ndim == 0 else OK
     if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
-        return r_c, found
+        return r_c, statuses
     where = f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "
     where += f"radius = {radius!r} m"
     if status == OUTSIDE_PROFILE:

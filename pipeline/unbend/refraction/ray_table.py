@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,20 +40,26 @@ class RayTable:
     def fine(self) -> FineTable:
         """The same refractivity in intervals of at most 62.5 m, by polynomials of degree 5."""
         edge = cut(self.edge_m, _FINE_M)
+        lower_end = edge[:-1]
         nodes = _chebyshev_nodes(_FINE_DEGREE)
-        height = edge[:-1, None] + np.diff(edge)[:, None] * nodes
-        piece = np.searchsorted(self.edge_m, edge[:-1], side="right") - 1
+        height = _heights_of_nodes(edge, nodes)
+        edges_below = np.searchsorted(self.edge_m, lower_end, side="right")
+        piece = edges_below - 1
         bottom = self.edge_m[piece, None]
         thickness = np.diff(self.edge_m)[piece, None]
-        coefficients = self.coefficient[piece].T[..., None]
+        share = (height - bottom) / thickness
+        coefficients = self.coefficient[piece].T
         refractivity = np.polynomial.polynomial.polyval(
-            (height - bottom) / thickness, coefficients, tensor=False
+            share,
+            coefficients[..., None],
+            tensor=False,
         )
+        values = np.asarray(refractivity, np.float64)
         marks = np.arange(edge[0], edge[-1], HINT_M)
         interval = np.searchsorted(edge, marks, side="right") - 1
         return FineTable(
             edge=edge,
-            coefficient=_polynomials(nodes, np.asarray(refractivity, np.float64)),
+            coefficient=_polynomials(nodes, values),
             hint=np.clip(interval, 0, edge.size - 2),
         )
 
@@ -62,9 +69,9 @@ def ray_table(profile: Profile) -> RayTable:
     """Tabulate the refractivity of a profile for the ray kernel (agreement 1e-13 of n - 1)."""
     edge = cut(profile.break_heights_m, _PIECE_M)
     nodes = _chebyshev_nodes(_DEGREE)
-    heights = edge[:-1, None] + np.diff(edge)[:, None] * nodes
     # Nodes stay inside their piece, so each is evaluated in its own layer.
-    return RayTable(edge, _polynomials(nodes, profile.refractivity(heights)))
+    refractivity = profile.refractivity(_heights_of_nodes(edge, nodes))
+    return RayTable(edge, _polynomials(nodes, refractivity))
 
 
 def cut(edge: Array, longest: float | Array) -> Array:
@@ -75,17 +82,27 @@ def cut(edge: Array, longest: float | Array) -> Array:
     >>> cut(np.array([0.0, 1.0, 4.0]), 1.5).tolist()
     [0.0, 1.0, 2.5, 4.0]
     """
-    parts = np.maximum(1, np.ceil(np.diff(edge) / longest)).astype(int)
+    parts = np.ceil(np.diff(edge) / longest)
+    parts = np.maximum(1, parts).astype(int)
     pieces = []
-    for low, high, count in zip(edge[:-1], edge[1:], parts, strict=True):
-        pieces.append(np.linspace(low, high, count, endpoint=False))
+    intervals = pairwise(edge)
+    for (low, high), count in zip(intervals, parts, strict=True):
+        ends = np.linspace(low, high, count, endpoint=False)
+        pieces.append(ends)
     return np.concatenate([*pieces, edge[-1:]])
+
+
+def _heights_of_nodes(edge: Array, nodes: Array) -> Array:
+    """(m, d + 1) heights of nodes (d + 1,) between 0 and 1 in each of m pieces between edges."""
+    thickness = np.diff(edge)
+    return edge[:-1, None] + thickness[:, None] * nodes
 
 
 def _chebyshev_nodes(degree: int) -> Array:
     """degree + 1 nodes between 0 and 1: the zeros of a Chebyshev polynomial."""
     count = degree + 1
-    return 0.5 - 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    angles = np.pi * (np.arange(count) + 0.5) / count
+    return 0.5 - 0.5 * np.cos(angles)
 
 
 def _polynomials(nodes: Array, values: Array) -> Array:
@@ -93,5 +110,7 @@ def _polynomials(nodes: Array, values: Array) -> Array:
 
     ``values`` (m, d + 1) are those of m polynomials.
     """
-    vandermonde = np.vander(nodes, nodes.size, increasing=True)
-    return np.ascontiguousarray(np.linalg.solve(vandermonde, values.T).T)
+    count = nodes.size
+    vandermonde = np.vander(nodes, count, increasing=True)
+    coefficients = np.linalg.solve(vandermonde, values.T)
+    return np.ascontiguousarray(coefficients.T)

@@ -54,22 +54,27 @@ _STEEP = 0.17
 _FARTHEST_M = 200_000.0
 
 # Knots of R_c / distance along a ray, as shares of the drop or of the distance.
-_STEEP_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 5) / 4)
-_LEVEL_SHARES = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 9) / 8)
+_STEEP_ANGLES = np.pi * np.arange(1, 5) / 4
+_LEVEL_ANGLES = np.pi * np.arange(1, 9) / 8
+_STEEP_SHARES = 0.5 - 0.5 * np.cos(_STEEP_ANGLES)
+_LEVEL_SHARES = 0.5 - 0.5 * np.cos(_LEVEL_ANGLES)
 
 # Powers of east and north in the terms of polynomials of degree 4, by rising degree.
-_POWERS = [
-    (degree - power, power) for degree in range(CHART_DEGREE + 1) for power in range(degree + 1)
-]
+_POWERS: list[tuple[int, int]] = []
+for _degree in range(CHART_DEGREE + 1):
+    for _power in range(_degree + 1):
+        _POWERS.append((_degree - _power, _power))
 
 
 def _square_of(side: Array) -> Array:
     """(n * n, 2) the points whose east and north are among n values."""
-    return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    east_and_north = np.meshgrid(side, side)
+    return np.stack(east_and_north, axis=-1).reshape(-1, 2)
 
 
 # East and north in units of a chart's reach.
-_NODES = _square_of(np.cos(np.pi * (np.arange(6) + 0.5) / 6))  # that charts are fitted to
+_NODE_ANGLES = np.pi * (np.arange(6) + 0.5) / 6
+_NODES = _square_of(np.cos(_NODE_ANGLES))  # that charts are fitted to
 _CHECKS = _square_of(np.linspace(-0.95, 0.95, 5))  # where their errors are measured
 
 _MOST_HALVINGS = 12  # of the reach of a chart
@@ -164,7 +169,12 @@ def terrain_heights(
     for first in range(0, n, _ROWS_AT_ONCE):
         block = slice(first, min(first + _ROWS_AT_ONCE, n))
         rays = _rays_in_blocks(
-            x_px[block], y_px[block], exposure[block], exposures, camera=camera, ideal=ideal
+            x_px[block],
+            y_px[block],
+            exposure[block],
+            exposures,
+            camera=camera,
+            ideal=ideal,
         )
         is_steep = rays[NADIR_COSINE] > _STEEP
         has_ray = ~np.isnan(rays[NADIR_COSINE])
@@ -172,25 +182,37 @@ def terrain_heights(
             rows = np.flatnonzero((is_steep == steep) & has_ray)
             if rows.size == 0:
                 continue
+            observations = first + rows
             paths = _bent_paths(rays[:, rows], air, steep=steep)
-            ways = _ways_over(rays[:, rows], paths, exposure[first + rows], places, terrain)
+            ways = _ways_over(rays[:, rows], paths, exposure[observations], places, terrain)
             landings = _follow(ways, terrain)
-            heights.h_m[first + rows] = landings.h_m
-            heights.factor[first + rows] = landings.factor
-            heights.distance_m[first + rows] = landings.distance_m
-            heights.status[first + rows] = landings.status
+            heights.h_m[observations] = landings.h_m
+            heights.factor[observations] = landings.factor
+            heights.distance_m[observations] = landings.distance_m
+            heights.status[observations] = landings.status
     return heights
 
 
 def _rays_in_blocks(
-    x: Array, y: Array, exposure: Integers, exposures: Exposures, *, camera: Camera, ideal: bool
+    x: Array,
+    y: Array,
+    exposure: Integers,
+    exposures: Exposures,
+    *,
+    camera: Camera,
+    ideal: bool,
 ) -> Array:
     """The matrix of rays as of `target_rays`, on several cores."""
     rays = np.empty((RAY_ROWS, x.size))
 
     def fill(rows: slice) -> None:
         rays[:, rows] = target_rays(
-            x[rows], y[rows], exposure[rows], exposures, camera=camera, ideal=ideal
+            x[rows],
+            y[rows],
+            exposure[rows],
+            exposures,
+            camera=camera,
+            ideal=ideal,
         )
 
     in_blocks(fill, x.size)
@@ -209,13 +231,9 @@ def _ways_over(
     ``exposure`` (n,) are rows of ``places``, latitude and longitude (s,) [rad] of exposures. Each
     exposure has a chart of the grid; a ray ends where the chart does.
     """
-    sine = rays[NADIR_SINE]
-    cosine = rays[NADIR_COSINE]
-    radius = rays[SPHERE_RADIUS]
-    h_c = rays[CAMERA_HEIGHT]
     end_m = paths.knot_m[:, -1].copy()
     status_at_end = paths.status_at_end
-    arc_m = radius * np.arctan2(end_m * sine, radius + h_c - end_m * cosine)
+    arc_m = _arcs(rays, end_m)
     latitude, longitude = places
     station, chart = np.unique(exposure, return_inverse=True)
     longest_m = np.zeros(station.size)
@@ -225,23 +243,37 @@ def _ways_over(
     is_short = usable_m < arc_m
     end_m[is_short] *= usable_m[is_short] / arc_m[is_short]
     status_at_end[is_short] = NO_GROUND
-    with np.errstate(invalid="ignore"):
-        east, north = rays[DIRECTION : DIRECTION + 2] / np.where(sine > 0, sine, 1)
-    r_c_by_distance = paths.r_c_rad / paths.knot_m
+    east, north = _level_directions(rays)
     way = TerrainRays(
-        sin_c=sine,
-        cos_c=cosine,
-        h_c=h_c,
-        r_e=radius,
+        sin_c=rays[NADIR_SINE],
+        cos_c=rays[NADIR_COSINE],
+        h_c=rays[CAMERA_HEIGHT],
+        r_e=rays[SPHERE_RADIUS],
         east=east,
         north=north,
         knot=paths.knot_m,
-        bend=r_c_by_distance,
+        bend=paths.r_c_rad / paths.knot_m,
         chart=chart,
         charts=charts,
         reach=reach_m,
     )
     return _Ways(way, end_m, status_at_end)
+
+
+def _arcs(rays: Array, distance_m: Array) -> Array:
+    """(n,) arcs [m] on the sphere under straight rays to some distance."""
+    radius = rays[SPHERE_RADIUS]
+    across_m = distance_m * rays[NADIR_SINE]
+    from_centre_m = radius + rays[CAMERA_HEIGHT] - distance_m * rays[NADIR_COSINE]
+    return np.asarray(radius * np.arctan2(across_m, from_centre_m))
+
+
+def _level_directions(rays: Array) -> Array:
+    """(2, n) east and north of the unit vector along which a ray goes over the ground."""
+    sine = rays[NADIR_SINE]
+    divisor = np.where(sine > 0, sine, 1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(rays[DIRECTION : DIRECTION + 2] / divisor)
 
 
 def _bent_paths(rays: Array, air: RayTable | None, *, steep: bool) -> _BentPaths:
@@ -257,7 +289,9 @@ def _bent_paths(rays: Array, air: RayTable | None, *, steep: bool) -> _BentPaths
         r_c_rad=np.zeros((n, count)),
         status_at_end=np.full(n, OUTSIDE_PROFILE, np.uint8),
     )
-    bottom_m = _LOWEST_M if air is None else max(_LOWEST_M, float(air.edge_m[0]))
+    bottom_m = _LOWEST_M
+    if air is not None:
+        bottom_m = max(_LOWEST_M, float(air.edge_m[0]))
 
     def fill(rows: slice) -> None:
         part = _BentPaths._make(column[rows] for column in paths)
@@ -300,8 +334,10 @@ def _fill_level_paths(
     h_c = rays[CAMERA_HEIGHT]
     with np.errstate(invalid="ignore"):
         down = straight_reach(h_c, bottom_m, cosine, radius=radius, far=False)
-        up = np.nan_to_num(straight_reach(h_c, _HIGHEST_M, cosine, radius=radius, far=True))
-        end_m = np.fmin(np.where(cosine > 0.0, down, np.nan), up)
+        down = np.where(cosine > 0.0, down, np.nan)
+        up = straight_reach(h_c, _HIGHEST_M, cosine, radius=radius, far=True)
+        up = np.nan_to_num(up)
+        end_m = np.fmin(down, up)
         paths.status_at_end[:] = np.where(end_m == up, MISSES_GROUND, OUTSIDE_PROFILE)
         paths.status_at_end[end_m > _FARTHEST_M] = NO_GROUND
         end_m = np.clip(end_m, 1.0, _FARTHEST_M)
@@ -313,11 +349,17 @@ def _fill_level_paths(
             h_k, _ = height_at_distance(air, h_c, sine, cosine, t, radius=radius)
             # The law of cosines in the triangle of camera, chord's end and earth's centre.
             square_difference = (h_c - h_k) * (2.0 * radius + h_c + h_k)
-            zeta_chord = np.arccos((t * t + square_difference) / (2.0 * (radius + h_c) * t))
-            paths.r_c_rad[:, k] = np.arctan2(sine, cosine) - zeta_chord
+            cos_chord = (t * t + square_difference) / (2.0 * (radius + h_c) * t)
+            zeta_c = np.arctan2(sine, cosine)
+            paths.r_c_rad[:, k] = zeta_c - np.arccos(cos_chord)
 
 
-def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> tuple[Array, Array]:
+def _charts(
+    lat_rad: Array,
+    lon_rad: Array,
+    needed: Array,
+    terrain: Terrain,
+) -> tuple[Array, Array]:
     """Charts (m, 2, 15) of `TerrainRays` about (m,) places, and how far each is good [m].
 
     Least squares over exact nodes, checked between them; a chart for ``needed`` (m,) that errs by
@@ -330,13 +372,15 @@ def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> 
     for _ in range(_MOST_HALVINGS):
         points = np.concatenate([_NODES, _CHECKS]) * reach[left, None, None]
         lat, lon = _places_about(lat_rad[left], lon_rad[left], points)
-        nodes = np.stack(terrain.nodes(lat, lon), axis=-1).reshape(left.size, -1, 2)
+        row_and_column = np.stack(terrain.nodes(lat, lon), axis=-1)
+        row_and_column = row_and_column.reshape(left.size, -1, 2)
         if terrain.grid.around:
-            turns = (nodes[..., 1] - nodes[:, :1, 1]) / terrain.grid.around
-            nodes[..., 1] -= terrain.grid.around * np.round(turns)
-        charts[left] = np.einsum("tk,mkc->mct", to_coefficients, nodes[:, : len(_NODES)])
+            _unwrap_columns(row_and_column[..., 1], terrain.grid.around)
+        at_nodes = row_and_column[:, : len(_NODES)]
+        at_checks = row_and_column[:, len(_NODES) :]
+        charts[left] = np.einsum("tk,mkc->mct", to_coefficients, at_nodes)
         by_chart = np.einsum("kt,mct->mkc", _terms(_CHECKS), charts[left])
-        error = np.abs(by_chart - nodes[:, len(_NODES) :]).max(axis=(1, 2))
+        error = np.abs(by_chart - at_checks).max(axis=(1, 2))
         left = left[~(error < _LARGEST_ERROR)]
         if left.size == 0:
             break
@@ -344,6 +388,12 @@ def _charts(lat_rad: Array, lon_rad: Array, needed: Array, terrain: Terrain) -> 
     reach[left] = 0.0
     charts[left] = np.nan
     return charts, reach
+
+
+def _unwrap_columns(column: Array, around: float) -> None:
+    """Move columns (m, k) of a grid around the earth by whole turns to the first of their row."""
+    turns = (column - column[:, :1]) / around
+    column -= around * np.round(turns)
 
 
 def _places_about(lat_rad: Array, lon_rad: Array, points: Array) -> tuple[Array, Array]:
@@ -358,15 +408,22 @@ def _places_about(lat_rad: Array, lon_rad: Array, points: Array) -> tuple[Array,
     radius = euler_radius(lat, azimuth)
     angle = np.hypot(east, north) / radius
     across = radius * np.sin(angle)
-    up = -2.0 * radius * np.sin(0.5 * angle) ** 2
-    enu = np.stack([across * np.sin(azimuth), across * np.cos(azimuth), up], axis=-1)
+    chord_enu = [
+        across * np.sin(azimuth),
+        across * np.cos(azimuth),
+        -2.0 * radius * np.sin(0.5 * angle) ** 2,
+    ]
+    enu = np.stack(chord_enu, axis=-1)
     lat, lon, _ = offset_geodetic(lat, lon, np.zeros(lat.size), enu)
     return lat, lon
 
 
 def _terms(points: Array) -> Array:
     """(k, 15) terms of the polynomials at (k, 2) east and north in units of the reach."""
-    return np.stack([points[:, 0] ** i * points[:, 1] ** j for i, j in _POWERS], axis=1)
+    east = points[:, 0]
+    north = points[:, 1]
+    terms = [east**i * north**j for i, j in _POWERS]
+    return np.stack(terms, axis=1)
 
 
 def _follow(ways: _Ways, terrain: Terrain) -> TerrainHeights:
@@ -376,17 +433,17 @@ def _follow(ways: _Ways, terrain: Terrain) -> TerrainHeights:
     rays = ways.rays
     n = ways.end_m.size
     divide_differences(rays.knot, rays.bend)
-    is_usable = np.isfinite(rays.bend).all(axis=1) & np.isfinite(ways.end_m)
+    has_bends = np.isfinite(rays.bend).all(axis=1)
+    is_usable = has_bends & np.isfinite(ways.end_m)
     is_followed = is_usable & (rays.reach[rays.chart] > 0.0)
-    height, distance, factor = np.full((3, n), np.nan)
     state = TerrainState(
         end=ways.end_m,
         t=np.zeros(n),
         side=np.zeros(n, np.int8),
         gap=np.zeros(n, bool),
-        distance=distance,
-        height=height,
-        factor=factor,
+        distance=np.full(n, np.nan),
+        height=np.full(n, np.nan),
+        factor=np.full(n, np.nan),
         wanted=np.full(n, -1),
         result=np.where(is_followed, np.uint8(WAITS), np.uint8(NO_TERRAIN)),
     )
@@ -400,22 +457,33 @@ def _follow(ways: _Ways, terrain: Terrain) -> TerrainHeights:
     status_of[HIDDEN] = MISSES_GROUND
     status_of[NO_TERRAIN] = NO_GROUND
     has_passed = state.result == PASSES
-    status = np.where(has_passed, ways.status_at_end, status_of[state.result]).astype(np.uint8)
+    status_on_way = status_of[state.result]
+    status = np.where(has_passed, ways.status_at_end, status_on_way).astype(np.uint8)
     status[~is_usable] = OUTSIDE_PROFILE
     has_landed = (status == OK) | (status == SEVERAL_CROSSINGS)
-    height[~has_landed] = np.nan
-    distance[~has_landed] = np.nan
-    return TerrainHeights(height, factor, distance, status)
+    state.height[~has_landed] = np.nan
+    state.distance[~has_landed] = np.nan
+    return TerrainHeights(
+        h_m=state.height,
+        factor=state.factor,
+        distance_m=state.distance,
+        status=status,
+    )
 
 
-def _follow_to_end(rays: TerrainRays, which: Rows, state: TerrainState, terrain: Terrain) -> None:
-    """Follow the rays that ``which`` numbers until none waits; read the tiles they wait for.
+def _follow_to_end(
+    rays: TerrainRays,
+    followed: Rows,
+    state: TerrainState,
+    terrain: Terrain,
+) -> None:
+    """Follow the rays of these rows until none waits; read the tiles they wait for.
 
     The tiles that most rays wait for are read first.
     """
     from unbend.refraction.kernels.terrain import follow_rays
 
-    waiting = which[state.result[which] == WAITS]
+    waiting = followed[state.result[followed] == WAITS]
     while waiting.size:
 
         def follow_block(rows: slice, waiting: Rows = waiting) -> None:
@@ -425,4 +493,4 @@ def _follow_to_end(rays: TerrainRays, which: Rows, state: TerrainState, terrain:
         tiles, count = np.unique(state.wanted[waiting], return_counts=True)
         tiles = tiles[np.argsort(-count, kind="stable")]
         terrain.load(tiles[tiles >= 0])
-        waiting = which[state.result[which] == WAITS]
+        waiting = followed[state.result[followed] == WAITS]

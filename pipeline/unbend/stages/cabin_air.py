@@ -14,8 +14,8 @@ from unbend.atmosphere import Profile
 from unbend.atmosphere.refractive_index import IndexModel, vapour_pressure
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.flight.channels import Channel
+from unbend.flight.interpolation import interpolate
 from unbend.flight.stations import Stations
-from unbend.flight.trajectory import interpolate
 from unbend.messages import Kind, Ledger, Message, Notes
 from unbend.refraction.lens_air import (
     CHANGE_PER_INDEX,

@@ -16,9 +16,10 @@ from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.evidence.sources import is_receiver, metres
 from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, Stretch, covered
 from unbend.flight.ground_times import HOME_NOT_SET_M
+from unbend.flight.interpolation import interpolate
 from unbend.flight.mount import is_of_gimbal
 from unbend.flight.rotations import down_in_body, down_of
-from unbend.flight.trajectory import Track, attitude_at, interpolate, track_at
+from unbend.flight.trajectory import Track, attitude_at, track_at
 from unbend.messages import Message
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask
 

@@ -14,8 +14,8 @@ from unbend.flight.evidence.stretches import (
     runs,
     stretch_of_run,
 )
+from unbend.flight.interpolation import interpolate
 from unbend.flight.rotations import down_in_body
-from unbend.flight.trajectory import interpolate
 from unbend.units import MOST_FLAGS, Array, whole_numbers
 
 # A difference of the verticals of two attitudes that is noise, whatever is usual [deg].

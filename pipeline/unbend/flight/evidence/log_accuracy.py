@@ -7,15 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from unbend.flight.channels import Channel, TimeArray
+from unbend.flight.interpolation import interpolate, nearest_rows, ns_to_nearest
 from unbend.flight.mount import is_of_gimbal
-from unbend.flight.trajectory import (
-    RATES,
-    VELOCITY,
-    interpolate,
-    nearest_rows,
-    ns_to_nearest,
-    with_slopes,
-)
+from unbend.flight.trajectory import RATES, VELOCITY, with_slopes
 from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 # An innovation whose ratio to its gate is 1 is five sigmas (EK3_POS_I_GATE 500 and its like) of
@@ -95,7 +89,10 @@ class LogAccuracy:
             variances = self._channel_variances(channel, time_ns)
         else:
             variances = self._filter_variances(time_ns)
-        return PositionSigmas(np.sqrt(variances.horizontal_m2), np.sqrt(variances.height_m2))
+        return PositionSigmas(
+            horizontal_m=np.sqrt(variances.horizontal_m2),
+            height_m=np.sqrt(variances.height_m2),
+        )
 
     def _channel_variances(self, channel: Channel, time_ns: TimeArray) -> _PositionVariances:
         """(m,) variances that a channel reports of its own positions.
@@ -106,7 +103,8 @@ class LogAccuracy:
         """
         reported = _reported_variances(channel, time_ns)
         horizontal_m2 = reported.horizontal_m2
-        height_m2 = reported.height_m2 + self._variance_about_fused(channel, time_ns)
+        about_fused_m2 = self._variance_about_fused(channel, time_ns)
+        height_m2 = reported.height_m2 + about_fused_m2
         is_silent = ~np.isfinite(horizontal_m2)  # reports hold both or neither
         has_other_receiver = self.receiver is not None and channel is not self.receiver
         if has_other_receiver and is_silent.any():
@@ -123,14 +121,18 @@ class LogAccuracy:
         if self.receiver is None:
             unknown = np.full(time_ns.shape, np.nan)
             return _PositionVariances(unknown, unknown)
-        of_receiver = _variances_of_receivers((self.receiver, *self.spare_receivers), time_ns)
-        by_position_m = POSITION_GATE_M * self.innovation("position", time_ns)
-        by_velocity_m = VELOCITY_GATE_M_S * FILTER_TIME_S * self.innovation("velocity", time_ns)
-        by_height_m = HEIGHT_GATE_M * self.innovation("height", time_ns)
-        return _PositionVariances(
-            of_receiver.horizontal_m2 + np.square(by_position_m) + np.square(by_velocity_m),
-            of_receiver.height_m2 + np.square(by_height_m),
-        )
+        receivers = (self.receiver, *self.spare_receivers)
+        of_receivers = _variances_of_receivers(receivers, time_ns)
+        gates_of_position = self.innovation("position", time_ns)
+        gates_of_velocity = self.innovation("velocity", time_ns)
+        gates_of_height = self.innovation("height", time_ns)
+        by_position_m = POSITION_GATE_M * gates_of_position
+        by_velocity_m = VELOCITY_GATE_M_S * FILTER_TIME_S * gates_of_velocity
+        by_height_m = HEIGHT_GATE_M * gates_of_height
+        horizontal_m2 = of_receivers.horizontal_m2 + np.square(by_position_m)
+        horizontal_m2 = horizontal_m2 + np.square(by_velocity_m)
+        height_m2 = of_receivers.height_m2 + np.square(by_height_m)
+        return _PositionVariances(horizontal_m2, height_m2)
 
     def _variance_about_fused(self, channel: Channel, time_ns: TimeArray) -> Array:
         """(m,) variance [m2] of a channel's heights about those of the filter, which drift slowly.
@@ -141,10 +143,17 @@ class LogAccuracy:
         if self.fused is None or name is None or name not in self.fused.columns:
             return np.zeros(time_ns.shape)
         gap_s = self.fused.gap_limit_s()
-        apart_m = channel[name] - interpolate(self.fused, name, channel.time_ns, gap_s)
-        return np.square(_scatter_about(channel.time_ns, apart_m, time_ns).deviation)
+        fused_m = interpolate(self.fused, name, channel.time_ns, gap_s)
+        apart_m = channel[name] - fused_m
+        scatter = _scatter_about(channel.time_ns, apart_m, time_ns)
+        return np.square(scatter.deviation)
 
-    def attitude(self, channel: Channel, time_ns: TimeArray, lat_rad: Array) -> AttitudeSigmas:
+    def attitude(
+        self,
+        channel: Channel,
+        time_ns: TimeArray,
+        lat_rad: Array,
+    ) -> AttitudeSigmas:
         """(m,) sigmas of the attitudes of a channel at instants and latitudes.
 
         They are those that the channel itself reports; else those of a filter:
@@ -163,7 +172,8 @@ class LogAccuracy:
             gates = self.innovation("velocity", time_ns)
         tilt = np.hypot(LEAST_TILT_RAD, GATE_SIGMAS * TILT_RAD * gates)
         latitude = np.abs(np.nan_to_num(lat_rad))
-        dip = np.clip(2.0 * np.tan(latitude), 0.0, STEEPEST_DIP)
+        dipole = 2.0 * np.tan(latitude)
+        dip = np.clip(dipole, 0.0, STEEPEST_DIP)
         yaw = np.hypot(LEAST_YAW_RAD, dip * tilt)
         return AttitudeSigmas(tilt, yaw)
 
@@ -183,12 +193,13 @@ def _reported_variances(source: Channel, time_ns: TimeArray) -> _PositionVarianc
     """
     row = nearest_rows(time_ns, source.time_ns)
     away_s = _seconds_to_nearest(source, time_ns)
-    drift_m = DRIFT_M_S * np.maximum(away_s - USUAL_INTERVAL_S, 0.0)
+    drifts_s = np.maximum(away_s - USUAL_INTERVAL_S, 0.0)
+    drift_m2 = np.square(DRIFT_M_S * drifts_s)
     horizontal_m = _reported_sigma(source, "sigma_h_m", HORIZONTAL_RANGES)
     height_m = _reported_sigma(source, "sigma_v_m", VERTICAL_RANGES)
     return _PositionVariances(
-        np.square(horizontal_m[row]) + np.square(drift_m),
-        np.square(height_m[row]) + np.square(drift_m),
+        np.square(horizontal_m[row]) + drift_m2,
+        np.square(height_m[row]) + drift_m2,
     )
 
 
@@ -203,10 +214,9 @@ def _variances_of_receivers(
         other_away_s = _seconds_to_nearest(receiver, time_ns)
         is_nearer = (away_s > USUAL_INTERVAL_S) & (other_away_s < away_s)
         other = _reported_variances(receiver, time_ns)
-        variances = _PositionVariances(
-            np.where(is_nearer, other.horizontal_m2, variances.horizontal_m2),
-            np.where(is_nearer, other.height_m2, variances.height_m2),
-        )
+        horizontal_m2 = np.where(is_nearer, other.horizontal_m2, variances.horizontal_m2)
+        height_m2 = np.where(is_nearer, other.height_m2, variances.height_m2)
+        variances = _PositionVariances(horizontal_m2, height_m2)
         away_s = np.where(is_nearer, other_away_s, away_s)
     return variances
 
@@ -218,9 +228,11 @@ def _seconds_to_nearest(source: Channel, time_ns: TimeArray) -> Array:
 
 def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Array:
     """(n,) sigma [m] that a source reports in a column; where that is unknown, by its HDOP."""
-    by_hdop = ranges_per_hdop * RANGE_ERROR_M * source.get("hdop")
+    metres_per_hdop = ranges_per_hdop * RANGE_ERROR_M
+    by_hdop = metres_per_hdop * source.get("hdop")
     sigma = source.get(column)
-    return np.where(np.isfinite(sigma), sigma, by_hdop)
+    is_known = np.isfinite(sigma)
+    return np.where(is_known, sigma, by_hdop)
 
 
 class _Scatter(NamedTuple):
@@ -235,10 +247,12 @@ def _scatter_about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> _Sca
 
     ``stamps`` are the times of the values. Mean and deviation are 0 where there is no value.
     """
-    known = np.isfinite(values)
-    known_ns = stamps[known]
-    known_values = values[known]
-    middle = float(np.median(known_values)) if known_values.size else 0.0
+    is_known = np.isfinite(values)
+    known_ns = stamps[is_known]
+    known_values = values[is_known]
+    middle = 0.0
+    if known_values.size:
+        middle = float(np.median(known_values))
     departures = known_values - middle  # so that squares do not cancel
     first = np.searchsorted(known_ns, time_ns - WINDOW_NS)
     end = np.searchsorted(known_ns, time_ns + WINDOW_NS, side="right")
@@ -247,8 +261,12 @@ def _scatter_about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> _Sca
     square_sums = np.append(0.0, np.cumsum(departures**2))
     mean_departure = (sums[end] - sums[first]) / count
     mean_square = (square_sums[end] - square_sums[first]) / count
-    deviation = np.sqrt(np.maximum(mean_square - mean_departure**2, 0.0))
-    return _Scatter(np.where(end > first, middle + mean_departure, 0.0), deviation)
+    variance = mean_square - mean_departure**2
+    has_values = end > first
+    return _Scatter(
+        mean=np.where(has_values, middle + mean_departure, 0.0),
+        deviation=np.sqrt(np.maximum(variance, 0.0)),
+    )
 
 
 def with_accuracy(
@@ -267,16 +285,22 @@ def with_accuracy(
         if channel is not None and not is_of_gimbal(channel.source.message):
             slopes = RATES if "attitude" in role else VELOCITY
             result[role] = with_slopes(channel, by_rank, slopes)
-    system = roles["position"].source.system if "position" in roles else None
-    of_sender = [channel for channel in by_rank if channel.source.system == system and len(channel)]
-    return result, _accuracy_of_sender(of_sender)
+    system = None
+    if "position" in roles:
+        system = roles["position"].source.system
+    channels_of_sender: list[Channel] = []
+    for channel in by_rank:
+        if channel.source.system == system and len(channel):
+            channels_of_sender.append(channel)
+    return result, _accuracy_of_sender(channels_of_sender)
 
 
 def _accuracy_of_sender(channels: list[Channel]) -> LogAccuracy:
     """The best receiver, health and fused heights among the channels of one sender, best first."""
 
     def first(fits: Callable[[Channel], bool]) -> Channel | None:
-        return next((channel for channel in channels if fits(channel)), None)
+        fitting = filter(fits, channels)
+        return next(fitting, None)
 
     def is_receiver_with_accuracy(channel: Channel) -> bool:
         columns = channel.columns

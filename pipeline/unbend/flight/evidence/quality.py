@@ -126,7 +126,10 @@ def _reasons_of_column(channel: Channel, column: str) -> tuple[Reasons, Notes]:
     if missing:
         notes.append(
             messages.samples_not_a_number(
-                channel=channel.name, column=column, count=missing, total=len(channel)
+                channel=channel.name,
+                column=column,
+                count=missing,
+                total=len(channel),
             )
         )
     outside = _outside(values, column)
@@ -147,7 +150,11 @@ def _refuse_wrong_unit(channel: Channel, role: str, column: str) -> None:
     for wrong in _WRONG_UNITS.get(column, ()):
         if wrong.medians.has(median):
             raise messages.unit_looks_wrong(
-                channel=channel.name, role=role, column=column, median=median, unit=wrong.unit
+                channel=channel.name,
+                role=role,
+                column=column,
+                median=median,
+                unit=wrong.unit,
             )
 
 
@@ -247,9 +254,12 @@ def _outside(values: Array, column: str) -> Mask:
         return nowhere
     low, high = RANGES[column]
     with np.errstate(invalid="ignore"):
-        if np.fmin.reduce(values) >= low and np.fmax.reduce(values) <= high:
+        lowest = np.fmin.reduce(values)
+        highest = np.fmax.reduce(values)
+        if lowest >= low and highest <= high:
             return nowhere  # spares two masks of a long channel
-        return np.asarray((values < low) | (values > high), np.bool_)
+        outside = (values < low) | (values > high)
+    return np.asarray(outside, np.bool_)
 
 
 def _out_of_range(channel: Channel, column: str, outside: Mask) -> Message:
@@ -277,7 +287,8 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
         is_jump = np.zeros(len(channel), np.bool_)
         if "lat_rad" in channel.columns:
             known = np.isfinite(height) & ~outside
-            stray, noise_notes = _stray_rows(channel, known, _STEPS[column], channel.name)
+            step = _STEPS[column]
+            stray, noise_notes = _stray_rows(channel, known, step, channel.name)
             is_jump[stray] = True
             notes += noise_notes
         impossible = outside | is_jump
@@ -308,8 +319,9 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
     notes: list[Message] = []
     is_stray = np.zeros(len(channel), np.bool_)
     for name in (role, *ROLE_COLUMNS[role]):  # places and attitudes are compared as a whole
-        if name in _STEPS:
-            rows, noise_notes = _stray_rows(channel, known, _STEPS[name], where)
+        step = _STEPS.get(name)
+        if step is not None:
+            rows, noise_notes = _stray_rows(channel, known, step, where)
             is_stray[rows] = True
             notes += noise_notes
     jumps = np.flatnonzero(is_stray)
@@ -321,13 +333,14 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
         if count:
             notes.append(messages.attitude_aligned(where=where, count=count))
     if unexplained.size:
-        first_s = (channel.time_ns[unexplained[0]] - channel.time_ns[0]) * 1e-9
+        first_ns = channel.time_ns[unexplained[0]]
+        after_begin_ns = first_ns - channel.time_ns[0]
         notes.append(
             messages.samples_jump(
                 where=where,
                 count=unexplained.size,
                 total=len(channel),
-                first_s=float(first_s),
+                first_s=float(after_begin_ns * 1e-9),
             )
         )
     return jumps, tuple(notes)
@@ -346,8 +359,10 @@ def _leads_to_another_attitude(channel: Channel, kept: Mask, jumps: Rows) -> Mas
     before = kept_rows[place[between] - 1]
     after = kept_rows[place[between]]
     lasts_ns = channel.time_ns[after] - channel.time_ns[before]
-    largest_turn = np.maximum(FASTEST_TURN_RAD_S * 1e-9 * lasts_ns, _TURN_NOISE_RAD)
-    aligned[between] = _angle(channel, before, after) > largest_turn
+    possible_turn = FASTEST_TURN_RAD_S * 1e-9 * lasts_ns
+    largest_turn = np.maximum(possible_turn, _TURN_NOISE_RAD)
+    turn = _angle(channel, before, after)
+    aligned[between] = turn > largest_turn
     return np.asarray(aligned)
 
 
@@ -356,15 +371,18 @@ def _metres(channel: Channel, first: Rows, second: Rows) -> Array:
     lat = channel["lat_rad"]
     lon = channel["lon_rad"]
     north = lat[second] - lat[first]
-    east = wrapped(lon[second] - lon[first]) * np.cos(lat[first])
-    return np.asarray(_METRES_PER_RAD * np.hypot(north, east))
+    turned_east = wrapped(lon[second] - lon[first])
+    east = turned_east * np.cos(lat[first])
+    distance = np.hypot(north, east)
+    return np.asarray(_METRES_PER_RAD * distance)
 
 
 def _angle(channel: Channel, first: Rows, second: Rows) -> Array:
     """(m,) angles between the attitudes [rad] of two rows each; 0 for less than what is noise."""
     cosine_of_half = np.zeros(first.shape)
     for name in ROLE_COLUMNS["attitude"]:
-        cosine_of_half += channel[name][first] * channel[name][second]
+        component = channel[name]
+        cosine_of_half += component[first] * component[second]
     cosine_of_half = np.abs(cosine_of_half)  # a quaternion and its negative are one attitude
     angle = np.zeros(cosine_of_half.shape)
     wide = cosine_of_half < np.cos(_TURN_NOISE_RAD / 2.0)
@@ -376,7 +394,8 @@ def _step_of(column: str, rate: float, noise: float) -> _Step:
     """The step whose size is the difference of the values in a column."""
 
     def size(channel: Channel, first: Rows, second: Rows) -> Array:
-        return np.abs(channel[column][second] - channel[column][first])
+        values = channel[column]
+        return np.abs(values[second] - values[first])
 
     return _Step(size, rate, noise)
 
@@ -395,12 +414,19 @@ _STEPS: Mapping[str, _Step] = {
 
 def _is_far(channel: Channel, first: Rows, second: Rows, step: _Step) -> Mask:
     """(m,) whether the step from each first row to its second one is a jump in that time."""
-    seconds = 1e-9 * (channel.time_ns[second] - channel.time_ns[first])
+    stamps = channel.time_ns
+    seconds = 1e-9 * (stamps[second] - stamps[first])
     limit = np.maximum(step.rate * seconds, step.noise)
-    return np.asarray(step.size(channel, first, second) > limit, np.bool_)
+    size = step.size(channel, first, second)
+    return np.asarray(size > limit, np.bool_)
 
 
-def _stray_rows(channel: Channel, known: Mask, step: _Step, where: str) -> tuple[Rows, Notes]:
+def _stray_rows(
+    channel: Channel,
+    known: Mask,
+    step: _Step,
+    where: str,
+) -> tuple[Rows, Notes]:
     """The known rows that lie apart from all others: those of short stretches out of reach.
 
     Jumps divide the known rows into stretches. One of up to `STRAY_ROWS` rows is stray if a jump
@@ -412,7 +438,11 @@ def _stray_rows(channel: Channel, known: Mask, step: _Step, where: str) -> tuple
     if rows.size < _FEWEST_SAMPLES or first.size == 1:
         return rows[:0], ()
     if first.size > _MOST_STRETCHES:
-        noise = messages.samples_are_noise(where=where, count=first.size - 1, total=rows.size)
+        noise = messages.samples_are_noise(
+            where=where,
+            count=first.size - 1,
+            total=rows.size,
+        )
         return rows[:0], (noise,)
     length = np.diff(np.append(first, rows.size))
     begin_row = rows[first]
@@ -446,7 +476,8 @@ def _begins_of_stretches(channel: Channel, rows: Rows, step: _Step) -> Integers:
     """Places in ``rows`` at which a stretch begins: 0, and each place behind a jump."""
     begins = [np.zeros(1, np.intp)]
     for begin in range(0, rows.size - 1, _BLOCK):
-        block = rows[begin : begin + _BLOCK + 1]
+        end = begin + _BLOCK + 1
+        block = rows[begin:end]
         is_far = _is_far(channel, block[:-1], block[1:], step)
         far = np.flatnonzero(is_far)
         begins.append(far + begin + 1)

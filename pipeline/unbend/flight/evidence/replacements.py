@@ -16,6 +16,7 @@ LONGEST_REPLACED_S = 60  # for longer, only a receiver replaces a source [s]
 # Half the acceleration by which a filter drifts whose vertical is 0.25 degrees wrong [m/s2].
 LARGEST_DRIFT_M_S2 = 0.02
 _FEWEST_BESIDE = 5  # samples before, and as many after, in which two sources are compared
+_HEIGHTS = ("h_msl_m", "h_ellipsoid_m", "h_home_m", "h_gnss_m")
 _MOST_AGREE = 90.0  # percent of these samples at least differ by no more than noise
 
 
@@ -56,8 +57,9 @@ class Replacement:
     @property
     def spread_m(self) -> float:
         """Sigma of the replaced places: half the change of the offset, and the usual scatter."""
-        change_m = float(np.linalg.norm(self.after_m - self.before_m))
-        return float(np.hypot(0.5 * change_m, self.difference.scatter_m))
+        change_m = self.after_m - self.before_m
+        half_m = 0.5 * float(np.linalg.norm(change_m))
+        return float(np.hypot(half_m, self.difference.scatter_m))
 
 
 def replacement_for(sources: Sources, stretch: Stretch) -> Replacement | None:
@@ -73,7 +75,8 @@ def replacement_for(sources: Sources, stretch: Stretch) -> Replacement | None:
         begin_ns=stretch.begin_ns - SECOND,
         end_ns=stretch.end_ns + SECOND,
     )
-    paths = [sources.of_role, *(difference.other for difference in sources.differences)]
+    other_paths = [difference.other for difference in sources.differences]
+    paths = [sources.of_role, *other_paths]
     receivers = [path for path in paths if is_receiver(path.channel)]
     if not any(_fails(path, wide) for path in receivers):
         return None
@@ -153,7 +156,8 @@ def attitude_drifts(
     # 0 between two samples of the filter of which neither has stepped away.
     stepped_share = np.interp(time_ns, filter_path.channel.time_ns, has_stepped)
     may_drift = stretch.covers(time_ns) & (stepped_share == 0.0)
-    off_m = np.where(may_drift, np.nan_to_num(difference.off_m), 0.0)
+    known_off_m = np.nan_to_num(difference.off_m)
+    off_m = np.where(may_drift, known_off_m, 0.0)
     worst = int(np.argmax(off_m))
     after_s = (int(time_ns[worst]) - stretch.begin_ns) / SECOND
     noise_m = float(difference.limit_m[worst])
@@ -164,7 +168,13 @@ def attitude_drifts(
         f"{filter_path.channel.name} drifts {off_m[worst]:.0f} m in {after_s:.0f} s, as with a "
         "wrong vertical"
     )
-    return [replace(stretch, quantity=ATTITUDE, reason=reason, off_m=np.nan)]
+    suspect_attitude = replace(
+        stretch,
+        quantity=ATTITUDE,
+        reason=reason,
+        off_m=np.nan,
+    )
+    return [suspect_attitude]
 
 
 def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) -> Channel:
@@ -184,10 +194,18 @@ def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) 
     time_ns, rows = np.unique(both_ns, return_index=True)
     columns: dict[str, Array] = {}
     for name in (*channel.columns, sigma):  # sigma may be among the columns or not
-        both = np.concatenate([channel.get(name)[outside], filling.get(name, unknown)])
+        filled = filling.get(name, unknown)
+        both = np.concatenate([channel.get(name)[outside], filled])
         columns[name] = both[rows]
-    boot = np.concatenate([channel.boot[outside], other.boot[inside]])[rows]
-    return replace(channel, time_ns=time_ns, boot=boot, columns=columns, labels={}, rejected={})
+    both_boots = np.concatenate([channel.boot[outside], other.boot[inside]])
+    return replace(
+        channel,
+        time_ns=time_ns,
+        boot=both_boots[rows],
+        columns=columns,
+        labels={},
+        rejected={},
+    )
 
 
 def _filling_columns(
@@ -215,12 +233,16 @@ def moved(channel: Channel, rows: Mask, by_m: Array, into_column: str | None) ->
     """
     is_height = by_m.size == 1
     if is_height:
-        height = channel[channel.height_column or "h_msl_m"][rows] + by_m[0]
-        unknown = np.full(height.shape, np.nan)
-        columns = dict.fromkeys(("h_msl_m", "h_ellipsoid_m", "h_home_m", "h_gnss_m"), unknown)
-        columns[into_column or "h_msl_m"] = height
+        height = channel[channel.height_column or "h_msl_m"]
+        height_m = height[rows] + by_m[0]
+        unknown = np.full(height_m.shape, np.nan)
+        columns = dict.fromkeys(_HEIGHTS, unknown)
+        columns[into_column or "h_msl_m"] = height_m
         return columns
     lat = channel["lat_rad"][rows]
     lon = channel["lon_rad"][rows]
     north, east = by_m / EARTH_RADIUS_M
-    return {"lat_rad": lat + north, "lon_rad": lon + east / np.cos(lat)}
+    return {
+        "lat_rad": lat + north,
+        "lon_rad": lon + east / np.cos(lat),
+    }

@@ -15,7 +15,7 @@ from unbend.flight.evidence.sources import (
     places_of,
 )
 from unbend.flight.evidence.stretches import HEIGHT, POSITION, Run, runs
-from unbend.flight.trajectory import interpolate
+from unbend.flight.interpolation import interpolate
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
 # Beyond lag and offset, two sources differ by as much through noise [m].
@@ -117,10 +117,8 @@ def source_difference(
     else:
         agree = np.zeros(known.shape, np.bool_)
     misfit = _misfit(apart_m, other.part, lag.shown_by, agree, noise_m)
-    scatter_m = 0.0
-    if misfit.settled.any():
-        scatter_m = _SIGMA_OF_MEDIAN * float(np.median(misfit.off_m[misfit.settled]))
-    limit_m = np.full(known.size, max(noise_m, SEVERAL * scatter_m))
+    least_limit_m = max(noise_m, SEVERAL * misfit.scatter_m)
+    limit_m = np.full(known.size, least_limit_m)
     if not agree_near_zero:
         height_m = places_of(other.channel, quantity)[:, 0]
         of_air_m = air_change_m(other.channel.time_ns, height_m, misfit.settled)
@@ -131,7 +129,7 @@ def source_difference(
         off_m=misfit.off_m,
         lag_s=lag.seconds,
         limit_m=limit_m,
-        scatter_m=scatter_m,
+        scatter_m=misfit.scatter_m,
     )
 
 
@@ -188,7 +186,8 @@ def _constant_lag(
     """
     square_speed = np.sum(velocity**2, axis=1)
     usual_square = float(np.percentile(square_speed, 95.0))
-    is_fast = known & (square_speed > max(_SLOWEST_M_S**2, _FAST_SHARE * usual_square))
+    least_square = max(_SLOWEST_M_S**2, _FAST_SHARE * usual_square)
+    is_fast = known & (square_speed > least_square)
     if np.count_nonzero(is_fast) < _FEWEST_FAST:
         return _Lag(0.0, known)
     along = np.sum(apart_m * velocity, axis=1)
@@ -210,8 +209,9 @@ def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
     """
 
     def distance_of_nearest(lag_s: float) -> float:
-        without_lag_m = np.linalg.norm(apart_m - lag_s * velocity, axis=1)
-        return float(np.percentile(without_lag_m, 100.0 * _PART_OF_FLIGHT))
+        without_lag_m = apart_m - lag_s * velocity
+        distance_m = np.linalg.norm(without_lag_m, axis=1)
+        return float(np.percentile(distance_m, 100.0 * _PART_OF_FLIGHT))
 
     candidates = [float(np.median(lags))]
     for part in np.array_split(lags, _LAG_PARTS):
@@ -226,6 +226,14 @@ class _Misfit(NamedTuple):
 
     off_m: Array
     settled: Mask
+
+    @property
+    def scatter_m(self) -> float:
+        """Standard deviation of ``off_m`` on the settled samples; 0 without one."""
+        if not self.settled.any():
+            return 0.0
+        settled_off_m = self.off_m[self.settled]
+        return _SIGMA_OF_MEDIAN * float(np.median(settled_off_m))
 
 
 def _misfit(apart_m: Array, part: Rows, known: Mask, agree: Mask, noise_m: float) -> _Misfit:
@@ -245,12 +253,18 @@ def _misfit(apart_m: Array, part: Rows, known: Mask, agree: Mask, noise_m: float
         if not usable.any():
             continue
         used, offset_m = _usual_offset(apart_m, usable, agree, noise_m)
-        off_m[in_part] = np.linalg.norm(apart_m[in_part] - offset_m, axis=1)
+        beyond_offset_m = apart_m[in_part] - offset_m
+        off_m[in_part] = np.linalg.norm(beyond_offset_m, axis=1)
         settled |= used & known
     return _Misfit(off_m, settled)
 
 
-def _usual_offset(apart_m: Array, usable: Mask, agree: Mask, noise_m: float) -> tuple[Mask, Array]:
+def _usual_offset(
+    apart_m: Array,
+    usable: Mask,
+    agree: Mask,
+    noise_m: float,
+) -> tuple[Mask, Array]:
     """The rows that show the usual offset of two sources, and their median difference (k,) [m].
 
     These are the usable rows that agree, if they are more than a tenth of the usable ones and their
@@ -285,7 +299,12 @@ def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
     of_air_m = air_change_m(barometer.time_ns, of_pressure_m, usable)
     usable &= _is_near(height_m, of_pressure_m, of_air_m)
     of_pressure_m = _height_by_log_p(log_p, height_m, usable)
-    return replace(barometer, columns={"h_msl_m": of_pressure_m}, roles=(), labels={})
+    return replace(
+        barometer,
+        columns={"h_msl_m": of_pressure_m},
+        roles=(),
+        labels={},
+    )
 
 
 def _height_by_log_p(log_p: Array, height_m: Array, usable: Mask) -> Array:
@@ -296,7 +315,8 @@ def _height_by_log_p(log_p: Array, height_m: Array, usable: Mask) -> Array:
     if float(np.ptp(height_m[usable])) > _SPAN_OF_PARABOLA_M:
         parabola = np.polynomial.Polynomial.fit(log_p[usable], height_m[usable], 2)
         return np.asarray(parabola(log_p))
-    at_unit_pressure_m = float(np.median(height_m[usable] - _SLOPE_M * log_p[usable]))
+    without_slope_m = height_m[usable] - _SLOPE_M * log_p[usable]
+    at_unit_pressure_m = float(np.median(without_slope_m))
     return at_unit_pressure_m + _SLOPE_M * log_p
 
 

@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.evidence.stretches import HEIGHT, POSITION, SECOND
-from unbend.flight.trajectory import interpolate
+from unbend.flight.interpolation import interpolate
 from unbend.geodesy import wrapped
 from unbend.units import Array, Mask, Rows
 
@@ -66,7 +66,9 @@ def places_of(channel: Channel, quantity: str) -> Array:
     """(n, 2) latitude and longitude [rad], unwrapped, or (n, 1) height [m] above any surface."""
     if quantity == HEIGHT:
         return channel[channel.height_column or "h_msl_m"][:, None]
-    return np.stack([channel["lat_rad"], np.unwrap(channel["lon_rad"])], axis=1)
+    latitude = channel["lat_rad"]
+    longitude = np.unwrap(channel["lon_rad"])
+    return np.stack([latitude, longitude], axis=1)
 
 
 def moves_of(channel: Channel, quantity: str) -> Array:
@@ -81,15 +83,18 @@ def moves_of(channel: Channel, quantity: str) -> Array:
 def with_places(channel: Channel, quantity: str) -> Channel:
     """The samples of a channel whose place is known; none where it gives none."""
     if quantity == HEIGHT and channel.height_column is None:
-        return channel.rows(np.zeros(len(channel), np.bool_))
-    known = np.asarray(np.isfinite(places_of(channel, quantity)).all(axis=1))
-    return channel if known.all() else channel.rows(known)
+        nowhere = np.zeros(len(channel), np.bool_)
+        return channel.rows(nowhere)
+    places = places_of(channel, quantity)
+    is_known = np.asarray(np.isfinite(places).all(axis=1))
+    return channel if is_known.all() else channel.rows(is_known)
 
 
 def metres(change: Array, lat_rad: Array) -> Array:
     """(n, 2) metres north and east of (n, 2) changes of latitude and longitude [rad]."""
+    north = change[:, 0]
     east = wrapped(change[:, 1]) * np.cos(lat_rad)
-    return EARTH_RADIUS_M * np.stack([change[:, 0], east], axis=1)
+    return EARTH_RADIUS_M * np.stack([north, east], axis=1)
 
 
 def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) -> Array:
@@ -97,10 +102,14 @@ def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) 
 
     NaN where that has none, or if no channel has any.
     """
-    names = ("v_down_m_s",) if quantity == HEIGHT else ("v_north_m_s", "v_east_m_s")
-    sign = -1.0 if quantity == HEIGHT else 1.0
+    names: tuple[str, ...] = ("v_north_m_s", "v_east_m_s")
+    sign = 1.0
+    if quantity == HEIGHT:
+        names = ("v_down_m_s",)
+        sign = -1.0
     for channel in channels:
-        if len(channel) > 1 and all(name in channel.columns for name in names):
+        has_velocities = all(name in channel.columns for name in names)
+        if has_velocities and len(channel) > 1:
             gap_s = channel.gap_limit_s(SOURCE_GAP_S)
             components = [interpolate(channel, name, time_ns, gap_s) for name in names]
             return np.stack(components, axis=1) * sign
@@ -122,14 +131,16 @@ def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) ->
     seconds = np.diff(time_ns) * 1e-9
     unexplained_m = _unexplained_moves(channel, quantity, channels)
     size_m = np.linalg.norm(unexplained_m, axis=1)
-    noise_m = max(NOISE_STEP_M[quantity], SEVERAL * float(np.percentile(size_m, 95.0)))
+    usual_m = float(np.percentile(size_m, 95.0))
+    noise_m = max(NOISE_STEP_M[quantity], SEVERAL * usual_m)
     limit_m = noise_m + 0.5 * _LIKELY_M_S2 * seconds**2
     before_step = np.flatnonzero(size_m > limit_m)
     if before_step.size > _MOST_STEPS:
         before_step = before_step[:0]
     fastest_m_s = 0.0
     if before_step.size:
-        fastest_m_s = float((size_m[before_step] / seconds[before_step]).max())
+        speed_m_s = size_m[before_step] / seconds[before_step]
+        fastest_m_s = float(speed_m_s.max())
     steps = _paired_steps(channel, unexplained_m, before_step, noise_m)
     has_not_stepped = np.asarray(~steps.stepped_m.any(axis=1))
     return SourcePath(
@@ -153,7 +164,11 @@ def _reports_useful_accuracy(channel: Channel, quantity: str) -> Mask:
     return np.asarray(~(sigma_m > limit_m))
 
 
-def _unexplained_moves(channel: Channel, quantity: str, channels: Iterable[Channel]) -> Array:
+def _unexplained_moves(
+    channel: Channel,
+    quantity: str,
+    channels: Iterable[Channel],
+) -> Array:
     """(n - 1, k) metres from sample to sample that neither velocity nor neighbours explain.
 
     The neighbours' speed counts unless the velocity leaves less unexplained; an unknown velocity
@@ -161,20 +176,27 @@ def _unexplained_moves(channel: Channel, quantity: str, channels: Iterable[Chann
     """
     seconds = np.diff(channel.time_ns)[:, None] * 1e-9
     speed = moves_of(channel, quantity) / seconds
-    padding = ((_NEIGHBOURS, _NEIGHBOURS), (0, 0))
-    padded_speed = np.pad(speed, padding, mode="edge")
-    windows = sliding_window_view(padded_speed, 2 * _NEIGHBOURS + 1, axis=0)
-    median_speed = np.partition(windows, _NEIGHBOURS, axis=-1)[..., _NEIGHBOURS]  # the middle one
-    beyond_neighbours = speed - median_speed
+    beyond_neighbours = speed - _median_of_neighbours(speed)
     velocity = velocity_at(channels, quantity, channel.time_ns)
-    beyond_velocity = speed - 0.5 * (velocity[1:] + velocity[:-1])
+    mean_velocity = 0.5 * (velocity[1:] + velocity[:-1])
+    beyond_velocity = speed - mean_velocity
     size_beyond_velocity = np.linalg.norm(beyond_velocity, axis=1)
     size_beyond_neighbours = np.linalg.norm(beyond_neighbours, axis=1)
     is_by_velocity = (size_beyond_velocity < size_beyond_neighbours)[:, None]
     unexplained_m = seconds * np.where(is_by_velocity, beyond_velocity, beyond_neighbours)
     has_restarted = np.diff(channel.boot) != 0
-    unexplained_m[has_restarted | (seconds[:, 0] > _LONGEST_STEP_S)] = 0.0
+    is_long = seconds[:, 0] > _LONGEST_STEP_S
+    unexplained_m[has_restarted | is_long] = 0.0
     return unexplained_m
+
+
+def _median_of_neighbours(speed: Array) -> Array:
+    """(n, k) median of each speed and three on either side of it."""
+    padding = ((_NEIGHBOURS, _NEIGHBOURS), (0, 0))
+    padded_speed = np.pad(speed, padding, mode="edge")
+    windows = sliding_window_view(padded_speed, 2 * _NEIGHBOURS + 1, axis=0)
+    parted = np.partition(windows, _NEIGHBOURS, axis=-1)
+    return np.asarray(parted[..., _NEIGHBOURS])
 
 
 class _PairedSteps(NamedTuple):
@@ -194,8 +216,11 @@ def _paired_steps(
     median of what steps have carried it by; ``base_m`` is the level that it last had for good.
     """
     carried_m = _carried_by_steps(channel.time_ns, unexplained_m, before_step)
-    edges = [0, *(before_step + 1).tolist(), len(channel)]
-    levels = [np.median(carried_m[begin:end], axis=0) for begin, end in pairwise(edges)]
+    after_steps = (before_step + 1).tolist()
+    edges = [0, *after_steps, len(channel)]
+    levels = []
+    for begin, end in pairwise(edges):
+        levels.append(np.median(carried_m[begin:end], axis=0))
     stepped_m = np.zeros_like(carried_m)
     part = channel.boot.astype(np.intp)
     lasting_rows: list[int] = []
@@ -207,7 +232,8 @@ def _paired_steps(
             level += 1
             continue
         begin = edges[level]
-        return_level = _return_to(base_m, levels, level, noise_m + _RETURNS_WITHIN * step_m)
+        tolerance_m = noise_m + _RETURNS_WITHIN * step_m
+        return_level = _return_to(base_m, levels, level, tolerance_m)
         if return_level is None:  # it has left the base for good
             base_m = levels[level]
             lasting_rows.append(begin)
@@ -226,10 +252,14 @@ def _carried_by_steps(time_ns: TimeArray, unexplained_m: Array, before_step: Row
     A receiver smooths a step: unexplained moves within a second of it belong to it.
     """
     near_step = np.zeros(time_ns.size - 1, np.bool_)
+    end_ns = time_ns[1:]  # of each move
     for row in before_step:
-        near_step |= np.abs(time_ns[1:] - time_ns[row + 1]) <= SECOND
-    carried_m = np.cumsum(np.where(near_step[:, None], unexplained_m, 0.0), axis=0)
-    return np.concatenate([np.zeros((1, carried_m.shape[1])), carried_m])
+        apart_ns = np.abs(end_ns - end_ns[row])
+        near_step |= apart_ns <= SECOND
+    by_steps_m = np.where(near_step[:, None], unexplained_m, 0.0)
+    carried_m = np.zeros((time_ns.size, by_steps_m.shape[1]))
+    carried_m[1:] = np.cumsum(by_steps_m, axis=0)
+    return carried_m
 
 
 def _return_to(

@@ -29,11 +29,10 @@ INTERVAL_M = np.concatenate([np.full(21, 1000.0), np.full(20, 3000.0)])
 def bertram1966(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by the trapezoid on tabulated densities (Bertram 1966, Eq. 6, 8 and 9).
 
-    Arguments as in `unbend.refraction.published`.
-    The sum starts at sea level, in steps of
-    1000 m to 20.5 km, of 3000 m to 80.5 km, and nothing is added above. A raised ground is
-    treated by Eq. 9, as printed. The profile must reach half an interval beyond either end (82 km
-    at most); NaN for a camera at or below sea level and a ground below -1 km.
+    Arguments as in `unbend.refraction.published`. The sum starts at sea level, in steps of 1000 m
+    to 20.5 km, of 3000 m to 80.5 km, and nothing is added above. A raised ground is treated by
+    Eq. 9, as printed. The profile must reach half an interval beyond either end (82 km at most);
+    NaN for a camera at or below sea level and a ground below -1 km.
 
     With h_g = 0 within 1.4 % of the spherical form at 45 degrees up to 20 km, 2.4 % up to 80 km.
     **With h_g > 0 it reads high**: by 12 % for camera and ground at 10 and 1 km, 25 % at 10 and
@@ -46,19 +45,18 @@ def bertram1966(profile: Profile, h_c: Array, h_g: Array) -> Array:
     [80.8, 78.1]
     """
     sea = np.zeros(h_c.shape)
-    usable = (h_c > 0.0) & (h_g >= LOWEST_M)
-    camera = _moment(profile, sea, np.where(usable, h_c, np.nan))
-    ground = _moment(profile, sea, np.where(usable, h_g, np.nan))
-    return INDEX_PER_DENSITY * (camera - ground) / np.where(usable, h_c, 1.0)
+    is_usable = (h_c > 0.0) & (h_g >= LOWEST_M)
+    camera = _moment(profile, sea, np.where(is_usable, h_c, np.nan))
+    ground = _moment(profile, sea, np.where(is_usable, h_g, np.nan))
+    return INDEX_PER_DENSITY * (camera - ground) / np.where(is_usable, h_c, 1.0)
 
 
 @at_45_degrees
 def bertram1966_from_ground(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by Eq. 6 of Bertram 1966 with the sum started at the ground, as it should be.
 
-    Arguments as in `unbend.refraction.published`.
-    Within 1.4 % of the spherical form at
-    45 degrees and up to 20 km, whatever the height of the ground.
+    Arguments as in `unbend.refraction.published`. Within 1.4 % of the spherical form at 45 degrees
+    and up to 20 km, whatever the height of the ground.
 
     >>> from unbend.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("ardc1959")
@@ -67,7 +65,8 @@ def bertram1966_from_ground(profile: Profile, h_c: Array, h_g: Array) -> Array:
     66.0
     """
     rise = np.where(h_c >= h_g, h_c - h_g, np.nan)
-    return INDEX_PER_DENSITY * _moment(profile, h_g, rise) / np.where(rise > 0.0, rise, 1.0)
+    moment = _moment(profile, h_g, rise)
+    return INDEX_PER_DENSITY * moment / np.where(rise > 0.0, rise, 1.0)
 
 
 def bertram1966_curved(
@@ -81,11 +80,11 @@ def bertram1966_curved(
 ) -> Array:
     """R_c [rad] with the term for the curvature of the earth (Bertram 1966, p. 81).
 
-    Arguments as in `unbend.refraction.published`.
-    The sum starts at the ground. The term is tan(zeta_c) / (v Z_0 R) times the sum of
-    (Z_0 - Z) Z dv/dZ; ``as_printed`` takes it with the sign of the paper, which lowers R_c where
-    the curvature raises it. It keeps the first power of X_0 - X and no more: 0.04 arcsec of the 0.7
-    that the curvature adds at 10 km and 75 degrees. It serves comparison only.
+    Arguments as in `unbend.refraction.published`. The sum starts at the ground. The term is
+    tan(zeta_c) / (v Z_0 R) times the sum of (Z_0 - Z) Z dv/dZ; ``as_printed`` takes it with the
+    sign of the paper, which lowers R_c where the curvature raises it. It keeps the first power of
+    X_0 - X and no more: 0.04 arcsec of the 0.7 that the curvature adds at 10 km and 75 degrees. It
+    serves comparison only.
 
     >>> from unbend.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("ardc1959")
@@ -98,8 +97,10 @@ def bertram1966_curved(
     rise = np.where(h_c >= h_g, h_c - h_g, np.nan)
     second = _moment(profile, h_g, rise, curvature=True) / radius
     term = INDEX_PER_DENSITY * second / np.where(rise > 0.0, rise, 1.0)
+    if as_printed:
+        term = -term
     flat = bertram1966_from_ground(profile, h_c, h_g, zeta_c, radius)
-    return flat + times_tangent(-term if as_printed else term, h_c, h_g, zeta_c)
+    return flat + times_tangent(term, h_c, h_g, zeta_c)
 
 
 def _moment(profile: Profile, origin: Array, rise: Array, curvature: bool = False) -> Array:
@@ -109,23 +110,33 @@ def _moment(profile: Profile, origin: Array, rise: Array, curvature: bool = Fals
     his entries. With ``curvature`` each term carries the factor (rise - x).
     """
     total = np.zeros(origin.shape)
-    known = np.isfinite(origin) & np.isfinite(rise)
-    for low, high, interval in zip(NODES_M[:-1], NODES_M[1:], INTERVAL_M.tolist(), strict=True):
-        # Below the origin, one step of the same rule.
-        used = known & ((rise > low) | ((low == 0.0) & (rise < 0.0)))
-        if not used.any():
+    has_heights = np.isfinite(origin) & np.isfinite(rise)
+    steps = zip(NODES_M[:-1], NODES_M[1:], INTERVAL_M.tolist(), strict=True)
+    for low, high, interval in steps:
+        is_reached = rise > low
+        if low == 0.0:
+            is_reached |= rise < 0.0  # below the origin, one step of the same rule
+        rays = has_heights & is_reached
+        if not rays.any():
             break
-        end = np.minimum(rise[used], high)
-        for x in (np.full(end.shape, low), end):
-            if low == 0.0 and x is not end:
-                continue  # the first lever arm is zero
-            # -drho/dz [kg m-4] from the densities half an interval below and above.
-            z, half = origin[used] + x, 0.5 * interval
-            gradient = (density(profile, z - half) - density(profile, z + half)) / interval
+        end = np.minimum(rise[rays], high)
+        ends_of_step = [end]
+        if low > 0.0:  # else the first lever arm is zero
+            ends_of_step.insert(0, np.full(end.shape, low))
+        for x in ends_of_step:
+            gradient = _density_gradient(profile, origin[rays] + x, interval)
             product = x * gradient
-            factor = rise[used] - x if curvature else 1.0
-            total[used] += 0.5 * (end - low) * product * factor
-    return np.where(known, total, np.nan)
+            part = 0.5 * (end - low) * product
+            if curvature:
+                part = part * (rise[rays] - x)
+            total[rays] += part
+    return np.where(has_heights, total, np.nan)
+
+
+def _density_gradient(profile: Profile, z: Array, interval: float) -> Array:
+    """-drho/dz [kg m-4] from the densities half an interval [m] below and above heights ``z``."""
+    half = 0.5 * interval
+    return (density(profile, z - half) - density(profile, z + half)) / interval
 
 
 MANUAL_TOP_M = 80_500.0
@@ -135,8 +146,7 @@ MANUAL_TOP_M = 80_500.0
 def manual(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by 2410 H / (H^2 - 6 H + 250) - (h / H) 2410 h / (h^2 - 6 h + 250) urad.
 
-    Arguments as in `unbend.refraction.published`.
-    ``profile`` is not looked at, H and h are km
+    Arguments as in `unbend.refraction.published`; ``profile`` is not looked at. H and h are km
     above sea level. NaN for a camera at or below sea level or above 80.5 km.
 
     A fit to Bertram's table, good above 6 km: against the spherical form at 45 degrees in ARDC 1959
@@ -147,7 +157,9 @@ def manual(profile: Profile, h_c: Array, h_g: Array) -> Array:
     >>> float((manual(None, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(2))
     57.84
     """
-    usable = (h_c > 0.0) & (h_c <= MANUAL_TOP_M)
-    H, h = np.where(usable, h_c, np.nan) / 1e3, h_g / 1e3
-    r = 2410.0 * H / (H * H - 6.0 * H + 250.0)
-    return np.asarray((r - 2410.0 * h / (h * h - 6.0 * h + 250.0) * (h / H)) * 1e-6)
+    is_usable = (h_c > 0.0) & (h_c <= MANUAL_TOP_M)
+    H = np.where(is_usable, h_c, np.nan) / 1e3
+    h = h_g / 1e3
+    camera = 2410.0 * H / (H * H - 6.0 * H + 250.0)
+    ground = 2410.0 * h / (h * h - 6.0 * h + 250.0)
+    return np.asarray((camera - ground * (h / H)) * 1e-6)

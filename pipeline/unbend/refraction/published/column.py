@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import lru_cache, wraps
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,8 +38,11 @@ def finite(*arguments: ArrayLike) -> tuple[Array, ...]:
 
     NaN goes through every formula in silence; infinity times zero is a warning.
     """
-    numbers = (np.asarray(a, np.float64) for a in arguments)
-    return tuple(np.broadcast_arrays(*(np.where(np.isfinite(a), a, np.nan) for a in numbers)))
+    arrays = []
+    for argument in arguments:
+        numbers = np.asarray(argument, np.float64)
+        arrays.append(np.where(np.isfinite(numbers), numbers, np.nan))
+    return tuple(np.broadcast_arrays(*arrays))
 
 
 def downward(h_c: Array, h_g: Array, zeta_c: Array) -> Mask:
@@ -49,15 +52,19 @@ def downward(h_c: Array, h_g: Array, zeta_c: Array) -> Mask:
 
 def times_tangent(r: Array, h_c: Array, h_g: Array, zeta_c: Array) -> Array:
     """R tan(zeta_c) [rad] of the radians at 45 degrees; NaN where it has no meaning."""
-    usable = downward(h_c, h_g, zeta_c)
-    return np.where(usable, r * np.tan(np.where(usable, zeta_c, 0.0)), np.nan)
+    is_usable = downward(h_c, h_g, zeta_c)
+    tangent = np.tan(np.where(is_usable, zeta_c, 0.0))
+    return np.where(is_usable, r * tangent, np.nan)
 
 
-def at_45_degrees(radians: Callable[..., Array]) -> Method:
-    """The method R_c = R tan(zeta_c) of a function of profile, h_c, h_g (arrays of one shape) and
-    options that returns R [rad at 45 degrees]."""
+def at_45_degrees(plane_form: Callable[..., Array]) -> Method:
+    """Decorator: the method R_c = R tan(zeta_c) of a plane form.
 
-    @wraps(radians)
+    The plane form is a function of profile, h_c, h_g (arrays of one shape) and options that returns
+    R [rad at 45 degrees].
+    """
+
+    @wraps(plane_form)
     def method(
         profile: Profile,
         h_c: ArrayLike,
@@ -67,22 +74,32 @@ def at_45_degrees(radians: Callable[..., Array]) -> Method:
         **options: Any,
     ) -> Array:
         h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
-        return times_tangent(radians(profile, h_c, h_g, **options), h_c, h_g, zeta_c)
+        r = plane_form(profile, h_c, h_g, **options)
+        return times_tangent(r, h_c, h_g, zeta_c)
 
     vars(method).pop("__wrapped__")  # its help shows the arguments of a method
     return method
 
 
+class _Column(NamedTuple):
+    """The integral of a quantity from the lowest height to each of those that divide a profile."""
+
+    edge_m: Array
+    integral: Array
+
+
 @lru_cache(maxsize=64)
-def _column(profile: Profile, quantity: Quantity) -> tuple[Array, Array]:
-    """Heights that divide a profile, and the integral of a quantity from the lowest to each."""
+def _column(profile: Profile, quantity: Quantity) -> _Column:
     edge = cut(profile.break_heights_m, _PIECE_M)
     parts = _gauss(profile, quantity, edge[:-1], edge[1:])
-    return edge, np.concatenate([[0.0], np.cumsum(parts)])
+    integral = np.concatenate([[0.0], np.cumsum(parts)])
+    return _Column(edge, integral)
 
 
 def _gauss(profile: Profile, quantity: Quantity, low: Array, high: Array) -> Array:
-    half, middle = 0.5 * (high - low), 0.5 * (high + low)
+    """Integrals of a quantity from heights ``low`` to ``high`` by the Gauss nodes between."""
+    half = 0.5 * (high - low)
+    middle = 0.5 * (high + low)
     total = np.zeros(half.shape)
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
         total += weight * quantity(profile, middle + half * node)
@@ -95,14 +112,16 @@ def mean(profile: Profile, quantity: Quantity, h_g: Array, h_c: Array) -> Array:
     Heights [m] are of one shape; NaN outside the profile. The integral is exact to 1e-15 of that
     from the profile's bottom.
     """
-    edge, cumulative = _column(profile, quantity)
+    edge, integral = _column(profile, quantity)
 
-    def up_to(h: Array) -> Array:
+    def integral_up_to(h: Array) -> Array:
         inside = np.where(np.isfinite(h), h, edge[0])
-        i = np.clip(np.searchsorted(edge, inside, side="right") - 1, 0, edge.size - 2)
-        return np.asarray(cumulative[i] + _gauss(profile, quantity, edge[i], h))
+        edges_below = np.searchsorted(edge, inside, side="right")
+        piece = np.clip(edges_below - 1, 0, edge.size - 2)
+        return np.asarray(integral[piece] + _gauss(profile, quantity, edge[piece], h))
 
     rise = h_c - h_g
-    thick = rise != 0.0
-    ratio = (up_to(h_c) - up_to(h_g)) / np.where(thick, rise, 1.0)
-    return np.where(thick, ratio, quantity(profile, h_c))
+    is_thick = rise != 0.0
+    thickness = np.where(is_thick, rise, 1.0)
+    mean_of_column = (integral_up_to(h_c) - integral_up_to(h_g)) / thickness
+    return np.where(is_thick, mean_of_column, quantity(profile, h_c))

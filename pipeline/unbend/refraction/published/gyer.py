@@ -7,7 +7,9 @@ the first. Eq. 32 is printed with jumbled indices; it means Eq. 31 over all inte
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,24 +26,43 @@ STEP_M = 1000.0
 # arcsecond; one shell a metre is 0.5 arcsec low, one a kilometre 18 arcsec.
 _SHELLS_PER_INTERVAL = 5000
 _SHELL_INTERVALS = 2
-_RAYS_AT_ONCE = 64
+_RAYS_AT_ONCE = 64  # in shells: 5 MB an array
 
-# By how much of k a ray that grazes the ground may miss it through rounding.
-_ROUNDING = 1e-12
+_ROUNDING = 1e-12  # of k: by so much a ray that grazes the ground may miss it
+_INTERVAL_ROUNDING = 1e-9  # 3000 m that are reached with a rounding error are three intervals
+
+# Shares of a node in the intervals about it (Eq. 31), by the number of an interval less that of the
+# node, which is its lower end. The two outer ones end at the next node.
+_NODE_SHARES = {
+    -2: -1.0 / 24.0,
+    -1: 13.0 / 24.0,
+    0: 13.0 / 24.0,
+    1: -1.0 / 24.0,
+}
 
 
-# (n - 1) / (p / T) of dry air and the loss by e / T [urad K hPa-1]: Gyer 1996, Eq. 13, and the
-# same two numbers for Ciddor 1996 at 0.55 um.
-MOIST_COEFFICIENTS = {"gyer": (78.831, 11.036), "ciddor": (79.026, 11.27)}
+class _MoistCoefficients(NamedTuple):
+    """What dry air and water vapour add to R [urad K hPa-1]."""
+
+    dry: float  # (n - 1) / (p / T)
+    loss: float  # by e / T
 
 
-def _squared(profile: Profile, h: Array, power: int = 1) -> Array:
+MOIST_COEFFICIENTS = {
+    "gyer": _MoistCoefficients(dry=78.831, loss=11.036),  # Gyer 1996, Eq. 13
+    "ciddor": _MoistCoefficients(dry=79.026, loss=11.27),  # Ciddor 1996 at 0.55 um
+}
+"""By the name of the index."""
+
+
+def _n2_less_1(profile: Profile, h: Array, power: int = 1) -> Array:
     """Powers of n^2 - 1."""
     n_less_1 = profile.refractivity(h)
     return np.asarray((n_less_1 * (2.0 + n_less_1)) ** power)
 
 
-_POWERS = (_squared, partial(_squared, power=2), partial(_squared, power=3))
+_SECOND_POWER = partial(_n2_less_1, power=2)
+_THIRD_POWER = partial(_n2_less_1, power=3)
 
 
 @at_45_degrees
@@ -61,18 +82,27 @@ def plane_first_term(
     >>> float((plane_first_term(air, 10000.0, 0.0, 60 * DEGREE, 6378000.0) / ARCSEC).round(2))
     28.33
     """
-    w_c = _squared(profile, h_c)
+    w_c = _n2_less_1(profile, h_c)
     if step is None:
-        excess = column.mean(profile, _squared, h_g, h_c) - w_c
+        excess = column.mean(profile, _n2_less_1, h_g, h_c) - w_c
     else:
-        count, width = _intervals(profile, h_c, h_g, step)
-
-        def above_w_c(h: Array, used: Rows) -> Array:
-            return _squared(profile, h) - w_c.ravel()[used]
-
-        total = _eq_31(above_w_c, h_g, width, np.zeros(h_g.shape), count)
-        excess = np.where(h_c > h_g, total / np.where(h_c > h_g, h_c - h_g, 1.0), 0.0)
+        excess = _stepped_mean_excess(profile, h_c, h_g, step)
     return 0.5 * excess / (1.0 + w_c)
+
+
+def _stepped_mean_excess(profile: Profile, h_c: Array, h_g: Array, step: float) -> Array:
+    """Mean of n^2 - 1 in the column less that at the camera, by the sum of Eq. 31."""
+    intervals = _intervals(profile, h_c, h_g, step)
+    w_c = _n2_less_1(profile, h_c).ravel()
+
+    def above_camera(h: Array, rays: Rows) -> Array:
+        return _n2_less_1(profile, h) - w_c[rays]
+
+    from_ground = np.zeros(h_g.shape)
+    integral = _eq_31(above_camera, h_g, intervals, from_ground)
+    is_thick = h_c > h_g
+    thickness = np.where(is_thick, h_c - h_g, 1.0)
+    return np.where(is_thick, integral / thickness, 0.0)
 
 
 def plane(
@@ -91,14 +121,17 @@ def plane(
     28.31
     """
     h_c, h_g, zeta_c = finite(h_c, h_g, zeta_c)
-    w_c = _squared(profile, h_c)
-    m_1, m_2, m_3 = (column.mean(profile, power, h_g, h_c) for power in _POWERS)
+    w_c = _n2_less_1(profile, h_c)
+    m_1 = column.mean(profile, _n2_less_1, h_g, h_c)
+    m_2 = column.mean(profile, _SECOND_POWER, h_g, h_c)
+    m_3 = column.mean(profile, _THIRD_POWER, h_g, h_c)
     n2_c = 1.0 + w_c
+    # Means of (n^2 - n_c^2), of its square and of its cube, in units of n_c^2 and its powers.
     u_1 = (m_1 - w_c) / n2_c
     u_2 = (m_2 - w_c * (2.0 * m_1 - w_c)) / n2_c**2
     u_3 = (m_3 - w_c * (3.0 * m_2 - w_c * (3.0 * m_1 - w_c))) / n2_c**3
-    usable = downward(h_c, h_g, zeta_c)
-    cos2 = np.cos(np.where(usable, zeta_c, 0.0)) ** 2
+    is_usable = downward(h_c, h_g, zeta_c)
+    cos2 = np.cos(np.where(is_usable, zeta_c, 0.0)) ** 2
     r = 0.5 * u_1 - 0.375 * u_2 / cos2 + 0.3125 * u_3 / cos2**2
     return times_tangent(r, h_c, h_g, zeta_c)
 
@@ -126,13 +159,16 @@ def plane_moist(profile: Profile, h_c: Array, h_g: Array) -> Array:
     58.91
     """
     k, w = MOIST_COEFFICIENTS[profile.index.name]
+    p_g = profile.pressure(h_g)
     p_c = profile.pressure(h_c)
-    rise = profile.gravity.geopotential_height(h_c) - profile.gravity.geopotential_height(h_g)
-    rise = np.where(rise > 0.0, rise, np.nan)
-    dry = (profile.pressure(h_g) - p_c) / (profile.constant * rise)
-    dry = (dry - p_c / profile.virtual_temperature(h_c)) / HECTOPASCAL
+    top = profile.gravity.geopotential_height(h_c)
+    bottom = profile.gravity.geopotential_height(h_g)
+    rise = np.where(top - bottom > 0.0, top - bottom, np.nan)
+    mean_dry = (p_g - p_c) / (profile.constant * rise)
+    dry = (mean_dry - p_c / profile.virtual_temperature(h_c)) / HECTOPASCAL
     wet = column.mean(profile, _wetness, h_g, h_c) - _wetness(profile, h_c)
-    return np.where(h_c == h_g, 0.0, k * dry + (0.378 * k - w) * wet) * 1e-6
+    r = k * dry + (0.378 * k - w) * wet
+    return np.where(h_c == h_g, 0.0, r) * 1e-6
 
 
 def gyer1996(
@@ -163,30 +199,55 @@ def gyer1996(
     61.78
     """
     h_c, h_g, zeta_c, radius = finite(h_c, h_g, zeta_c, radius)
-    usable = downward(h_c, h_g, zeta_c)
-    r_c = np.full(usable.shape, np.nan)
-    rays = h_c[usable], h_g[usable], zeta_c[usable], radius[usable]
-    theta = subtended_angle(profile, *rays, step=step)
-    # Eq. 11 as printed.
-    r_camera, r_ground = radius[usable] + h_c[usable], radius[usable] + h_g[usable]
-    excess, tangent = r_camera / r_ground - np.cos(theta), np.tan(zeta_c[usable])
+    is_usable = downward(h_c, h_g, zeta_c)
+    r_c = np.full(is_usable.shape, np.nan)
+    r_c[is_usable] = _eq_11(
+        profile,
+        h_c[is_usable],
+        h_g[is_usable],
+        zeta_c[is_usable],
+        radius[is_usable],
+        step=step,
+    )
+    return np.where(is_usable & (h_c == h_g), 0.0, r_c)
+
+
+def _eq_11(
+    profile: Profile, h_c: Array, h_g: Array, zeta_c: Array, radius: Array, *, step: float
+) -> Array:
+    """R_c [rad] by Eq. 11 as printed; arguments as for `subtended_angle`."""
+    theta = subtended_angle(profile, h_c, h_g, zeta_c, radius, step=step)
+    r_camera = radius + h_c
+    r_ground = radius + h_g
+    excess = r_camera / r_ground - np.cos(theta)
     sine = np.sin(theta)
+    tangent = np.tan(zeta_c)
     with np.errstate(invalid="ignore", divide="ignore"):
-        r_c[usable] = np.arctan((tangent * excess - sine) / (tangent * sine + excess))
-    return np.where(usable & (h_c == h_g), 0.0, r_c)
+        return np.arctan((tangent * excess - sine) / (tangent * sine + excess))
 
 
-def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> tuple[Array, Array]:
-    """Number and width [m] of the equal intervals, none wider than ``step``.
+@dataclass(frozen=True, eq=False)
+class _Intervals:
+    """Equal intervals between ground and camera."""
 
-    Zero and NaN where an end lies outside the profile.
-    """
+    count: Array  # 0 where an end lies outside the profile
+    width_m: Array  # NaN there
+
+
+def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> _Intervals:
+    """The equal intervals of Eq. 31, none wider than ``step`` [m]."""
     if not step > 0.0:
         raise messages.method_step(step=step)
-    # 3000 m reached with a rounding error are three intervals of 1000 m.
-    rise = np.where((profile.layer_of(h_c) >= 0) & (profile.layer_of(h_g) >= 0), h_c - h_g, np.nan)
-    count = np.maximum(np.ceil(rise / step - 1e-9), 1.0)
-    return np.nan_to_num(count), np.asarray(rise / count)
+    is_inside = (profile.layer_of(h_c) >= 0) & (profile.layer_of(h_g) >= 0)
+    rise = np.where(is_inside, h_c - h_g, np.nan)
+    steps = np.ceil(rise / step - _INTERVAL_ROUNDING)
+    count = np.maximum(steps, 1.0)
+    return _Intervals(count=np.nan_to_num(count), width_m=np.asarray(rise / count))
+
+
+def _n_r(profile: Profile, h: Array, r: Array) -> Array:
+    """n r [m] at heights ``h`` [m], which are ``r`` [m] from the centre of the earth."""
+    return (1.0 + profile.refractivity(h)) * r
 
 
 def subtended_angle(
@@ -197,54 +258,71 @@ def subtended_angle(
     All arguments but ``step`` are (n,); elsewhere as for `gyer1996`. NaN for rays that miss the
     ground.
     """
+    k = _n_r(profile, h_c, radius + h_c) * np.sin(zeta_c)
+    intervals = _intervals(profile, h_c, h_g, step)
+    below = h_g - intervals.width_m
+    misses = _n_r(profile, h_g, radius + h_g) < k * (1.0 - _ROUNDING)
+    is_grazing = _n_r(profile, below, radius + below) <= k
+    lowest = np.minimum(intervals.count, _SHELL_INTERVALS)
+    in_shells = np.where(is_grazing, lowest, 0.0)
 
-    def n_r(h: Array, r: Array) -> Array:
-        return (1.0 + profile.refractivity(h)) * r
-
-    k = n_r(h_c, radius + h_c) * np.sin(zeta_c)
-    count, width = _intervals(profile, h_c, h_g, step)
-    below = h_g - width
-    misses = n_r(h_g, radius + h_g) < k * (1.0 - _ROUNDING)
-    grazing = n_r(below, radius + below) <= k
-    first = np.where(grazing, np.minimum(count, _SHELL_INTERVALS), 0.0)
-
-    def eq_12(h: Array, used: Rows) -> Array:
-        r, k_used = radius[used] + h, k[used]
-        product = n_r(h, r)
+    def eq_12(h: Array, rays: Rows) -> Array:
+        r = radius[rays] + h
+        n_r = _n_r(profile, h, r)
+        k_ray = k[rays]
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(k_used / (r * np.sqrt((product - k_used) * (product + k_used))))
+            return np.asarray(k_ray / (r * np.sqrt((n_r - k_ray) * (n_r + k_ray))))
 
-    theta = _eq_31(eq_12, h_g, width, first, count)
-    count_of_shells = _SHELLS_PER_INTERVAL * _SHELL_INTERVALS
-    shells = np.arange(count_of_shells + 1) / count_of_shells
-    at = np.flatnonzero(grazing & ~misses)
-    for block in np.array_split(at, max(1, math.ceil(at.size / _RAYS_AT_ONCE))):
-        # Thin shells in the lowest intervals, Eq. 33-35; in shell i the index is that of its lower
-        # end, n_i.
-        h = h_g[block, None] + (width[block] * first[block])[:, None] * shells
-        r = radius[block, None] + h
-        k_n = k[block, None] / (1.0 + profile.refractivity(h[:, :-1]))
-        top = np.arccos(np.minimum(k_n / r[:, 1:], 1.0))
-        bottom = np.arccos(np.minimum(k_n / r[:, :-1], 1.0))
-        theta[block] += np.sum(top - bottom, axis=1)
+    theta = _eq_31(eq_12, h_g, intervals, in_shells)
+    shells_m = intervals.width_m * in_shells
+    rays_in_shells = np.flatnonzero(is_grazing & ~misses)
+    blocks = max(1, math.ceil(rays_in_shells.size / _RAYS_AT_ONCE))
+    for rays in np.array_split(rays_in_shells, blocks):
+        theta[rays] += _angle_in_shells(profile, k[rays], h_g[rays], shells_m[rays], radius[rays])
     return np.where(misses, np.nan, theta)
 
 
-def _eq_31(
-    integrand: Callable[[Array, Rows], Array], h_g: Array, width: Array, first: Array, count: Array
+def _angle_in_shells(
+    profile: Profile, k: Array, h_g: Array, shells_m: Array, radius: Array
 ) -> Array:
-    """Sum of Eq. 31 over the intervals ``first`` to ``count``, counted from the ground.
+    """Angle [rad] that rays subtend in thin shells on the ground (Eq. 33-35).
+
+    ``shells_m`` is the thickness of all shells of a ray, ``k`` its n r sin(zeta) [m]. In shell i
+    the index is that of its lower end, n_i.
+    """
+    count = _SHELLS_PER_INTERVAL * _SHELL_INTERVALS
+    share = np.arange(count + 1) / count
+    h = h_g[:, None] + shells_m[:, None] * share
+    r = radius[:, None] + h
+    k_over_n = k[:, None] / (1.0 + profile.refractivity(h[:, :-1]))
+    at_top = np.arccos(np.minimum(k_over_n / r[:, 1:], 1.0))
+    at_bottom = np.arccos(np.minimum(k_over_n / r[:, :-1], 1.0))
+    return np.asarray(np.sum(at_top - at_bottom, axis=1))
+
+
+def _eq_31(
+    integrand: Callable[[Array, Rows], Array],
+    h_g: Array,
+    intervals: _Intervals,
+    first: Array,
+) -> Array:
+    """Sum of Eq. 31 over the intervals of each ray from number ``first``, counted from the ground.
 
     ``integrand`` is given heights and the numbers of the rays they belong to.
     """
-    flat = [a.ravel() for a in (h_g, width, first, count)]
-    total = 0.0 * flat[1]  # NaN where there are no intervals
-    for node in range(-1, int(count.max(initial=0.0)) + 2):
-        # A node is left end, right end or outside point of up to four intervals.
+    ground = h_g.ravel()
+    width = intervals.width_m.ravel()
+    begin = first.ravel()
+    end = intervals.count.ravel()
+    total = 0.0 * width  # NaN where there are no intervals
+    last_node = int(end.max(initial=0.0)) + 1
+    for node in range(-1, last_node + 1):
         weight = np.zeros(total.shape)
-        for interval, share in ((node - 2, -1.0), (node - 1, 13.0), (node, 13.0), (node + 1, -1.0)):
-            weight += np.where((interval >= flat[2]) & (interval < flat[3]), share / 24.0, 0.0)
-        used = np.flatnonzero(weight)
-        value = integrand(flat[0][used] + node * flat[1][used], used)
-        total[used] += weight[used] * flat[1][used] * value
+        for offset, share in _NODE_SHARES.items():
+            interval = node + offset
+            is_summed = (interval >= begin) & (interval < end)
+            weight += np.where(is_summed, share, 0.0)
+        rays = np.flatnonzero(weight)
+        value = integrand(ground[rays] + node * width[rays], rays)
+        total[rays] += weight[rays] * width[rays] * value
     return total.reshape(h_g.shape)

@@ -20,6 +20,7 @@ INDEX_PER_DENSITY = 0.000226
 ICAN_TROPOPAUSE_M = 11_000.0
 ICAN_TOP_M = 30_000.0
 QUADRATIC_TOP_M = 9_000.0
+_SERIES_TOP_KM = 30.0  # above ground
 _SERIES_TERMS = 30
 
 
@@ -27,8 +28,7 @@ _SERIES_TERMS = 30
 def saastamoinen1974(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by the mean density of the column (Saastamoinen 1974, Eq. 2).
 
-    Arguments as in `unbend.refraction.published`.
-    The mean is exact. Below 60 degrees and 10 km
+    Arguments as in `unbend.refraction.published`. The mean is exact. Below 60 degrees and 10 km
     within 0.4 % of the spherical form with the index of 0.589 um, in dry air.
 
     >>> from unbend.atmosphere import standard_atmosphere
@@ -43,23 +43,27 @@ def saastamoinen1974(profile: Profile, h_c: Array, h_g: Array) -> Array:
 def saastamoinen1974_ican(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] in the I.C.A.N. atmosphere (Saastamoinen 1974, Eq. 3a, 3b): heights only.
 
-    Arguments as in `unbend.refraction.published`.
-    ``profile`` is not looked at. Ground up to
-    11 km, camera up to 30 km, NaN beyond. Eq. 3b has a plus before 521 / (H - h). Within 0.2 urad
-    of Eq. 2 in that atmosphere up to 20 km, within 0.25 in US 1962 (worst at 12 km).
+    Arguments as in `unbend.refraction.published`; ``profile`` is not looked at. Ground up to 11 km,
+    camera up to 30 km, NaN beyond. Eq. 3b has a plus before 521 / (H - h). Within 0.2 urad of Eq. 2
+    in that atmosphere up to 20 km, within 0.25 in US 1962 (worst at 12 km).
 
     >>> float((saastamoinen1974_ican(None, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(1))
     58.9
     """
-    usable = (h_c <= ICAN_TOP_M) & (h_g <= ICAN_TROPOPAUSE_M) & (h_c > h_g)
-    H, h = np.where(usable, h_c, 1000.0) / 1e3, np.where(usable, h_g, 0.0) / 1e3
+    is_covered = (h_c <= ICAN_TOP_M) & (h_g <= ICAN_TROPOPAUSE_M)
+    is_usable = is_covered & (h_c > h_g)
+    H = np.where(is_usable, h_c, 1000.0) / 1e3
+    h = np.where(is_usable, h_g, 0.0) / 1e3
     low = np.minimum(H, ICAN_TROPOPAUSE_M / 1e3)
     ground = (1.0 - 0.02257 * h) ** 5.256
-    up_to_11 = 2335.0 / (H - h) * (ground - (1.0 - 0.02257 * low) ** 5.256)
-    up_to_11 = up_to_11 - 277.0 * (1.0 - 0.02257 * low) ** 4.256
-    over_11 = 2335.0 / (H - h) * ground - 0.8540 ** (H - 11.0) * (82.2 + 521.0 / (H - h))
-    r = np.where(h_c <= ICAN_TROPOPAUSE_M, up_to_11, over_11) * 1e-6
-    return np.where(usable, r, np.where(h_c == h_g, 0.0, np.nan))
+    eq_3a = (
+        2335.0 / (H - h) * (ground - (1.0 - 0.02257 * low) ** 5.256)
+        - 277.0 * (1.0 - 0.02257 * low) ** 4.256
+    )
+    eq_3b = 2335.0 / (H - h) * ground - 0.8540 ** (H - 11.0) * (82.2 + 521.0 / (H - h))
+    r = np.where(h_c <= ICAN_TROPOPAUSE_M, eq_3a, eq_3b) * 1e-6
+    not_usable = np.where(h_c == h_g, 0.0, np.nan)
+    return np.where(is_usable, r, not_usable)
 
 
 def _eq_5(c_1: float, c_2: float, h_c: Array, h_g: Array) -> Array:
@@ -72,16 +76,17 @@ def _eq_5(c_1: float, c_2: float, h_c: Array, h_g: Array) -> Array:
 def saastamoinen1974_quadratic(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by 13 (H - h) (1 - 0.02 (2H + h)) (Saastamoinen 1974, Eq. 6): heights only.
 
-    Arguments as in `unbend.refraction.published`.
-    ``profile`` is not looked at. Camera up to
-    9 km, NaN beyond. Within 0.5 urad of Eq. 2 in US 1962, as he states.
+    Arguments as in `unbend.refraction.published`; ``profile`` is not looked at. Camera up to 9 km,
+    NaN beyond. Within 0.5 urad of Eq. 2 in US 1962, as he states.
 
     >>> r = saastamoinen1974_quadratic(None, 6000.0, 0.0, 0.7853981633974483, 0.0)
     >>> float((r * 1e6).round(2))
     59.28
     """
     c_1 = -26e-9  # [m-1]
-    return _eq_5(c_1, -0.03e-3 * c_1, np.where(h_c <= QUADRATIC_TOP_M, h_c, np.nan), h_g)
+    c_2 = -0.03e-3 * c_1  # [m-2]
+    covered_h_c = np.where(h_c <= QUADRATIC_TOP_M, h_c, np.nan)
+    return _eq_5(c_1, c_2, covered_h_c, h_g)
 
 
 def quadratic_coefficients(
@@ -98,11 +103,14 @@ def quadratic_coefficients(
     """
     if not profile.bottom_m <= lowest < highest <= profile.top_m:
         raise messages.method_span(where=profile.extent, lowest=lowest, highest=highest)
+    middle = 0.5 * (highest + lowest)
+    half = 0.5 * (highest - lowest)
     x = np.linspace(-1.0, 1.0, 200)
-    middle, half = 0.5 * (highest + lowest), 0.5 * (highest - lowest)
-    a_2, a_1, _ = np.polyfit(x, profile.refractivity(middle + half * x), 2)
+    refractivity = profile.refractivity(middle + half * x)
+    a_2, a_1, _ = np.polyfit(x, refractivity, 2)
     c_2 = a_2 / half**2
-    return float(a_1 / half - 2.0 * c_2 * middle), float(c_2)
+    c_1 = a_1 / half - 2.0 * c_2 * middle
+    return float(c_1), float(c_2)
 
 
 @at_45_degrees
@@ -111,9 +119,8 @@ def saastamoinen1974_fitted(
 ) -> Array:
     """R_c [rad] by Eq. 5 of Saastamoinen 1974 with coefficients fitted to the profile.
 
-    Arguments as in `unbend.refraction.published`.
-    Fitted from sea level to ``highest`` [m], NaN for cameras above it. For US 1962 within 0.5 urad
-    of Eq. 2.
+    Arguments as in `unbend.refraction.published`. Fitted from sea level to ``highest`` [m], NaN for
+    cameras above it. For US 1962 within 0.5 urad of Eq. 2.
 
     >>> from unbend.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1962", index="gyer")
@@ -121,8 +128,9 @@ def saastamoinen1974_fitted(
     59.1
     """
     c_1, c_2 = quadratic_coefficients(profile, highest=highest)
-    covered = (h_c <= highest) & (h_g >= profile.bottom_m)
-    return np.where(covered, _eq_5(c_1, c_2, h_c, h_g), np.nan)
+    r = _eq_5(c_1, c_2, h_c, h_g)
+    is_covered = (h_c <= highest) & (h_g >= profile.bottom_m)
+    return np.where(is_covered, r, np.nan)
 
 
 def weather_refraction(
@@ -145,9 +153,12 @@ def weather_refraction(
     >>> float((weather_refraction(101325.0, 47200.0, 6000.0, 74700.0, 278.0) * 1e6).round(1))
     -3.4
     """
-    fall = np.asarray(pressure_ground, np.float64) - np.asarray(pressure_camera, np.float64)
-    per_km = fall / HECTOPASCAL / (np.asarray(rise, np.float64) / 1e3)
-    lens = np.asarray(pressure_lens, np.float64) / HECTOPASCAL / np.asarray(temperature_lens)
+    p_g = np.asarray(pressure_ground, np.float64)
+    p_c = np.asarray(pressure_camera, np.float64)
+    rise_km = np.asarray(rise, np.float64) / 1e3
+    per_km = (p_g - p_c) / HECTOPASCAL / rise_km
+    lens_hpa = np.asarray(pressure_lens, np.float64) / HECTOPASCAL
+    lens = lens_hpa / np.asarray(temperature_lens)
     return np.asarray(2.316e-6 * (per_km - 34.11 * lens))
 
 
@@ -155,10 +166,9 @@ def weather_refraction(
 def saastamoinen1974_weather(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] from pressure and temperature at both ends (Saastamoinen 1974, Eq. 7).
 
-    Arguments as in `unbend.refraction.published`.
-    The ground need not lie at sea level (as in
-    his Eq. 10). The temperature is the virtual one, so that it stands for density. NaN where
-    h_c = h_g: the formula has no limit there. For its accuracy see `weather_refraction`.
+    Arguments as in `unbend.refraction.published`. The ground need not lie at sea level (as in his
+    Eq. 10). The temperature is the virtual one, so that it stands for density. NaN where h_c = h_g:
+    the formula has no limit there. For its accuracy see `weather_refraction`.
 
     >>> from unbend.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1962")
@@ -166,21 +176,24 @@ def saastamoinen1974_weather(profile: Profile, h_c: Array, h_g: Array) -> Array:
     59.2
     """
     p_c = profile.pressure(h_c)
-    rise = np.where(h_c > h_g, h_c - h_g, np.nan)
-    t_c = profile.virtual_temperature(h_c)
-    return weather_refraction(profile.pressure(h_g), p_c, rise, p_c, t_c)
+    return weather_refraction(
+        pressure_ground=profile.pressure(h_g),
+        pressure_camera=p_c,
+        rise=np.where(h_c > h_g, h_c - h_g, np.nan),
+        pressure_lens=p_c,
+        temperature_lens=profile.virtual_temperature(h_c),
+    )
 
 
 @at_45_degrees
 def saastamoinen1974_series(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] from ground weather and lapse rate (Saastamoinen 1974, Eq. 8).
 
-    Arguments as in `unbend.refraction.published`.
-    Pressure and virtual temperature are those of
-    the ground, the lapse rate is the mean one up to the camera. The series is summed to
-    30 terms, which suffices up to 30 km above ground; NaN beyond. In air linear in temperature it
-    is within 0.5 % of Eq. 2 (39.6 for 39.5 is 0.25 % of it), free of the cancellation of Eq. 7. One
-    lapse rate across the tropopause costs 2 % at 12 km, 6 % at 20 km.
+    Arguments as in `unbend.refraction.published`. Pressure and virtual temperature are those of the
+    ground, the lapse rate is the mean one up to the camera. The series is summed to 30 terms, which
+    suffices up to 30 km above ground; NaN beyond. In air linear in temperature it is within 0.5 %
+    of Eq. 2 (39.6 for 39.5 is 0.25 % of it), free of the cancellation of Eq. 7. One lapse rate
+    across the tropopause costs 2 % at 12 km, 6 % at 20 km.
 
     >>> from unbend.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1962")
@@ -188,15 +201,16 @@ def saastamoinen1974_series(profile: Profile, h_c: Array, h_g: Array) -> Array:
     59.1
     """
     rise = (h_c - h_g) / 1e3
-    rise = np.where((rise >= 0.0) & (rise <= 30.0), rise, np.nan)
+    rise = np.where((rise >= 0.0) & (rise <= _SERIES_TOP_KM), rise, np.nan)
     t_g = profile.virtual_temperature(h_g)
+    t_c = profile.virtual_temperature(h_c)
     p_g = profile.pressure(h_g) / HECTOPASCAL
-    warming = profile.virtual_temperature(h_c) - t_g
-    beta = warming / np.where(rise > 0.0, rise, 1.0)
+    beta = (t_c - t_g) / np.where(rise > 0.0, rise, 1.0)
     y = rise / t_g
-    # (-1)^n / n! (34.1 + 2 beta) ... (34.1 + (n + 1) beta) y^n
-    total, product = np.ones((2, *y.shape))
+    total = np.ones(y.shape)
+    product = np.ones(y.shape)
     for n in range(1, _SERIES_TERMS + 1):
+        # (-1)^n / n! (34.1 + 2 beta) ... (34.1 + (n + 1) beta) y^n
         product = product * -(34.1 + (n + 1.0) * beta) * y / n
         total += 2.0 / (n + 2.0) * product
     return np.asarray(39.6e-6 * (34.1 + beta) * (p_g / t_g**2) * rise * total)
@@ -211,6 +225,6 @@ def compartment(refractivity_outside: ArrayLike, refractivity_cabin: ArrayLike) 
     >>> round(float(compartment(149.75e-6, 212.28e-6)) * 1e6, 1)
     -62.5
     """
-    return np.asarray(
-        np.asarray(refractivity_outside, np.float64) - np.asarray(refractivity_cabin, np.float64)
-    )
+    n_h = np.asarray(refractivity_outside, np.float64)
+    n_a = np.asarray(refractivity_cabin, np.float64)
+    return np.asarray(n_h - n_a)

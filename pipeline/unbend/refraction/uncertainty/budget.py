@@ -43,9 +43,10 @@ from unbend.refraction.kernels.columns import (
 )
 from unbend.refraction.ray import DEFAULT_RADIUS_M
 from unbend.refraction.uncertainty import sigmas
+from unbend.refraction.uncertainty.air_tables import air_sigma
 from unbend.refraction.uncertainty.sensitivity import sensitivity
 from unbend.refraction.uncertainty.sigmas import AirMode, Uncertainty
-from unbend.units import Array, Integers, Mask
+from unbend.units import Array, Integers, Mask, Rows
 
 _MOST_EXPOSURES = 24  # whose rays stand for a block
 _ACROSS = 5  # rows and columns of rays in an image
@@ -53,7 +54,12 @@ _LARGEST_ZETA = np.radians(88.0)
 _ZETA_TO_SPARE = np.radians(0.5)  # beyond the borders of images
 
 _SLOPE_STEP_M = 0.5  # below and above, for the slopes of the air
-_BORDER = 9  # points along each side of an image
+
+# Points along the borders of an image, in units of its width and height.
+_SIDE = np.linspace(0.0, 1.0, 9)
+_ENDS = np.repeat([0.0, 1.0], _SIDE.size)
+_BORDER_X = np.concatenate([_SIDE, _SIDE, _ENDS])
+_BORDER_Y = np.concatenate([_ENDS, _SIDE, _SIDE])
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,48 +88,77 @@ def window_turn(direction: Array, down: Array, normal: Array) -> tuple[Array, Ar
     >>> [float(side[0].round(12)) for side in window_turn(ray, down, down)]  # tan(zeta)
     [0.75, 0.0]
     """
-    cosine = np.einsum("ij,ij->i", down, direction)
-    sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
-    safe = np.where(sine > 0.0, sine, 1.0)[:, None]
-    to_nadir = (down - cosine[:, None] * direction) / safe
-    out = np.einsum("ij,ij->i", normal, direction)
-    towards = np.einsum("ij,ij->i", normal, to_nadir) / out
-    across = np.einsum("ij,ij->i", normal, np.cross(direction, to_nadir)) / out
+    cosine = _products(down, direction)
+    square_sine = np.maximum(1.0 - cosine * cosine, 0.0)
+    sine = np.sqrt(square_sine)
+    divisor = np.where(sine > 0.0, sine, 1.0)
+    to_nadir = (down - cosine[:, None] * direction) / divisor[:, None]
+    sideways = np.cross(direction, to_nadir)
+    out = _products(normal, direction)
+    towards = _products(normal, to_nadir) / out
+    across = _products(normal, sideways) / out
     return towards, across
 
 
+def _products(first: Array, second: Array) -> Array:
+    """(n,) scalar products of (n, 3) vectors."""
+    return np.asarray(np.einsum("ij,ij->i", first, second))
+
+
 def rays_of_exposures(
-    exposures: Exposures, cameras: Sequence[tuple[Camera, Mask]], kinds: Integers
+    exposures: Exposures,
+    cameras: Sequence[tuple[Camera, Mask]],
+    kinds: Integers,
 ) -> WindowRays:
     """Rays evenly spread over the images of at most 24 exposures; those below the horizon.
 
     ``cameras`` each with the mask (s,) of its exposures, ``kinds`` (s,) of their windows. The
     directions are those before the window, which turns them by less than 1e-3.
     """
-    side = (np.arange(_ACROSS) + 0.5) / _ACROSS
-    grid_x, grid_y = np.meshgrid(side, side)
-    x = grid_x.ravel()
-    y = grid_y.ravel()
-    usable = np.flatnonzero(exposures.usable)
-    evenly = np.linspace(0, usable.size - 1, min(usable.size, _MOST_EXPOSURES))
-    drawn = usable[evenly.astype(int)]
+    drawn = _drawn_exposures(exposures)
     rows = [np.empty(0, np.int64)]
     directions = [np.empty((0, 3))]
-    for camera, exposed in cameras:
-        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
-        ray = np.stack([u, v, np.ones(u.size)], axis=1)[covered]
-        ray = ray / np.linalg.norm(ray, axis=1)[:, None]
-        of_camera = drawn[exposed[drawn]]
-        rows.append(np.repeat(of_camera, len(ray)))
-        directions.append(np.tile(ray, (of_camera.size, 1)))
+    for camera, is_of_camera in cameras:
+        directions_of_image = _directions_of_image(camera)
+        exposures_of_camera = drawn[is_of_camera[drawn]]
+        rows.append(np.repeat(exposures_of_camera, len(directions_of_image)))
+        directions.append(np.tile(directions_of_image, (exposures_of_camera.size, 1)))
     row = np.concatenate(rows)
     direction = np.concatenate(directions)
     down = -exposures.rotation[row, :, 2]
-    zeta = np.arccos(np.clip(np.einsum("ij,ij->i", down, direction), -1.0, 1.0))
-    below = zeta < _LARGEST_ZETA
-    row = row[below]
-    towards, across = window_turn(direction[below], down[below], exposures.normals[row])
-    return WindowRays(exposures.height_m[row], zeta[below], kinds[row], towards, across)
+    cosine = _products(down, direction)
+    zeta = np.arccos(np.clip(cosine, -1.0, 1.0))
+    is_below = zeta < _LARGEST_ZETA
+    row = row[is_below]
+    towards, across = window_turn(direction[is_below], down[is_below], exposures.normals[row])
+    return WindowRays(
+        h_c=exposures.height_m[row],
+        zeta_c=zeta[is_below],
+        kind=kinds[row],
+        towards=towards,
+        across=across,
+    )
+
+
+def _drawn_exposures(exposures: Exposures) -> Rows:
+    """At most 24 exposures, evenly among those that can be used."""
+    usable = np.flatnonzero(exposures.usable)
+    count = min(usable.size, _MOST_EXPOSURES)
+    evenly = np.linspace(0, usable.size - 1, count)
+    return np.asarray(usable[evenly.astype(int)])
+
+
+def _directions_of_image(camera: Camera) -> Array:
+    """(k, 3) unit vectors in the camera frame, evenly over the image where it is calibrated."""
+    side = (np.arange(_ACROSS) + 0.5) / _ACROSS
+    grid_x, grid_y = np.meshgrid(side, side)
+    x = grid_x.ravel() * camera.width_px
+    y = grid_y.ravel() * camera.height_px
+    u, v, covered = camera.rays(x, y)
+    rays = np.stack([u, v, np.ones(u.size)], axis=1)
+    rays = rays[covered]
+    length = np.linalg.norm(rays, axis=1)
+    return np.asarray(rays / length[:, None])
 
 
 def leading_mode(
@@ -156,29 +191,47 @@ def leading_mode(
     0.001
     """
     traced = sensitivity(
-        profile, rays.h_c, h_g, rays.zeta_c, radius, anchor_height_m=covariance.anchor_height_m
+        profile,
+        rays.h_c,
+        h_g,
+        rays.zeta_c,
+        radius,
+        anchor_height_m=covariance.anchor_height_m,
     )
-    good = traced.valid & (np.abs(traced.r_c) > 0.0)
-    if not bool(good.any()):
+    is_refracted = traced.valid & (np.abs(traced.r_c) > 0.0)
+    if not bool(is_refracted.any()):
         return None
     root = sigmas.CovarianceRoot.of(covariance)
-    turns = np.zeros((good.size, root.matrix.shape[1]))
+    turns = _turns_at_windows(profile, root, rays)
+    by_turn = (1.0 - traced.d_zeta_c) * rays.towards
+    along = traced.gradient @ root.matrix + by_turn[:, None] * turns
+    across = rays.across[:, None] * turns
+    along = along[is_refracted]
+    across = across[is_refracted]
+    effects = np.concatenate([along, across])
+    _, length, direction = np.linalg.svd(effects, full_matrices=False)
+    if not np.any(length > 0.0):
+        return None
+    r = traced.r_c[is_refracted]
+    sense = np.sign(r @ along @ direction[0]) or 1.0
+    u = direction[0] * sense
+    sigma = length[0] / np.linalg.norm(r)
+    return AirMode(
+        state=root.matrix @ u,
+        sigma=float(f"{sigma:.6g}"),  # six digits, as in the manifest, which then has it exactly
+        variance_share=float(length[0] ** 2 / np.sum(length**2)),
+    )
+
+
+def _turns_at_windows(profile: Profile, root: sigmas.CovarianceRoot, rays: WindowRays) -> Array:
+    """(n, r) what the columns of a covariance's root do to dN_c - dN_cc; 0 without a window."""
+    turns = np.zeros((rays.kind.size, root.matrix.shape[1]))
     for kind in np.unique(rays.kind):
         if kind != sigmas.OPEN:
             rows = rays.kind == kind
-            turns[rows] = sigmas.window_errors(profile, root, rays.h_c[rows], int(kind))
-    seen_through = ((1.0 - traced.d_zeta_c) * rays.towards)[:, None] * turns
-    along = (traced.gradient @ root.matrix + seen_through)[good]
-    across = (rays.across[:, None] * turns)[good]
-    _, length, direction = np.linalg.svd(np.concatenate([along, across]), full_matrices=False)
-    if not np.any(length > 0.0):
-        return None
-    r = traced.r_c[good]
-    sense = np.sign(r @ along @ direction[0]) or 1.0
-    u = direction[0] * sense
-    # Six digits, as in the manifest, which then has it exactly.
-    sigma = float(f"{length[0] / np.linalg.norm(r):.6g}")
-    return AirMode(root.matrix @ u, sigma, float(length[0] ** 2 / np.sum(length**2)))
+            h_c = rays.h_c[rows]
+            turns[rows] = sigmas.window_errors(profile, root, h_c, int(kind))
+    return turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,71 +302,89 @@ def uncertainty_of(
         return None
     heights = exposures.height_m[usable]
     radius = exposures.radius_m or DEFAULT_RADIUS_M
-    kinds = np.full(usable.shape, sigmas.OPEN) if window_kinds is None else window_kinds
-    kinds = np.where(usable, kinds, sigmas.OPEN)
-    low = max(ground_heights_m[0], profile.bottom_m)
-    high = min(ground_heights_m[1], heights.min())
-    ground_m = 0.5 * (low + high) if typical_ground_m is None else typical_ground_m
+    kinds = np.full(usable.shape, sigmas.OPEN)
+    if window_kinds is not None:
+        kinds[usable] = window_kinds[usable]
+    if typical_ground_m is None:
+        low = max(ground_heights_m[0], profile.bottom_m)
+        high = min(ground_heights_m[1], heights.min())
+        typical_ground_m = 0.5 * (low + high)
     mode = None
     if covariance is not None:
-        seen = rays_of_exposures(replace(exposures, usable=usable), cameras, kinds)
-        mode = leading_mode(profile, covariance, seen, ground_m, radius=radius)
-    camera_m, tables = sigmas.air_sigma(
+        usable_exposures = replace(exposures, usable=usable)
+        rays = rays_of_exposures(usable_exposures, cameras, kinds)
+        mode = leading_mode(profile, covariance, rays, typical_ground_m, radius=radius)
+    camera_m, tables = air_sigma(
         profile,
         covariance,
         (float(heights.min()), float(heights.max())),
         ground_heights_m,
         largest_zeta_rad=_largest_zeta(exposures, usable, cameras),
         radius=radius,
-        window_kinds=np.unique(kinds[kinds != sigmas.OPEN]).tolist(),
+        window_kinds=_kinds_that_turn(kinds),
         mode=mode,
     )
     columns = _station_columns(profile, exposures, stations, kinds, camera_m)
     return Uncertainty(tables, columns, mode)
 
 
+def _kinds_that_turn(kinds: Integers) -> list[int]:
+    """The kinds of windows that turn rays: all but `OPEN`."""
+    kinds_of_windows: list[int] = np.unique(kinds[kinds != sigmas.OPEN]).tolist()
+    return kinds_of_windows
+
+
 def _largest_zeta(
-    exposures: Exposures, usable: Mask, cameras: Sequence[tuple[Camera, Mask]]
+    exposures: Exposures,
+    usable: Mask,
+    cameras: Sequence[tuple[Camera, Mask]],
 ) -> float:
     """The largest nadir angle [rad] that a border of an image shows, half a degree to spare."""
-    side = np.linspace(0.0, 1.0, _BORDER)
-    ends = np.repeat([0.0, 1.0], _BORDER)
-    x = np.concatenate([side, side, ends])
-    y = np.concatenate([ends, side, side])
     largest = 0.0
-    for camera, exposed in cameras:
-        down = -exposures.rotation[usable & exposed, :, 2]
+    for camera, is_of_camera in cameras:
+        down = -exposures.rotation[usable & is_of_camera, :, 2]
         if down.size == 0:
             continue
-        u, v, covered = camera.rays(x * camera.width_px, y * camera.height_px)
-        rays = np.stack([u, v, np.ones(u.size)]) / np.sqrt(u * u + v * v + 1.0)
-        least_cosine = float((down @ rays).min(initial=1.0)) if bool(covered.all()) else 0.0
-        largest = max(largest, float(np.arccos(least_cosine) + _ZETA_TO_SPARE))
+        x = _BORDER_X * camera.width_px
+        y = _BORDER_Y * camera.height_px
+        u, v, covered = camera.rays(x, y)
+        length = np.sqrt(u * u + v * v + 1.0)
+        directions = np.stack([u, v, np.ones(u.size)]) / length
+        least_cosine = 0.0
+        if bool(covered.all()):
+            cosines = down @ directions
+            least_cosine = float(cosines.min(initial=1.0))
+        zeta = float(np.arccos(least_cosine) + _ZETA_TO_SPARE)
+        largest = max(largest, zeta)
     return largest
 
 
 def _station_columns(
-    profile: Profile, exposures: Exposures, stations: StationSigmas, kinds: Integers, at_m: Array
+    profile: Profile,
+    exposures: Exposures,
+    stations: StationSigmas,
+    kinds: Integers,
+    node_m: Array,
 ) -> Array:
     """(s, 19) columns `REFRACTIVITY` to `LENS_SIGMAS` of `kernels.columns`.
 
-    Beside tables for cameras at ``at_m``; ``kinds`` (s,) are those of windows.
+    They belong to tables for cameras at ``node_m`` (c,); ``kinds`` (s,) are those of windows.
     """
     n = exposures.refractivity_outside
-    h = np.where(exposures.usable & np.isfinite(n), exposures.height_m, at_m[0])
-    table = np.full((h.size, STATION_COLUMNS), np.nan)
-    # Slopes over half a metre below and above, within the profile.
-    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
-    high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
-    slope = (profile.refractivity(high) - profile.refractivity(low)) / (high - low)
-    thinner = np.log(profile.pressure(high) / profile.pressure(low)) / (high - low)
-    node = np.clip(np.searchsorted(at_m, h, side="right") - 1, 0, at_m.size - 2)
+    is_known = exposures.usable & np.isfinite(n)
+    h = np.where(is_known, exposures.height_m, node_m[0])
+    slope, thinner = _slopes_of_air(profile, h)
+    nodes_up_to = np.searchsorted(node_m, h, side="right")
+    node = np.clip(nodes_up_to - 1, 0, node_m.size - 2)
+    above_node = h - node_m[node]
+    to_next_node = node_m[node + 1] - node_m[node]
     axis = np.einsum("sji,sj->si", exposures.rotation, stations.yaw_axis)
+    table = np.full((h.size, STATION_COLUMNS), np.nan)
     table[:, REFRACTIVITY] = n
     table[:, RELATIVE_GRADIENT] = slope / (1.0 + n)
     table[:, TABLE_NODE] = node
-    table[:, NODE_SHARE] = (h - at_m[node]) / (at_m[node + 1] - at_m[node])
-    table[:, HEIGHT_SHARE] = (h - at_m[0]) / (at_m[-1] - at_m[0])
+    table[:, NODE_SHARE] = above_node / to_next_node
+    table[:, HEIGHT_SHARE] = (h - node_m[0]) / (node_m[-1] - node_m[0])
     table[:, TILT_VARIANCE] = stations.tilt_rad**2
     table[:, YAW_EXCESS_VARIANCE] = stations.yaw_rad**2 - stations.tilt_rad**2
     table[:, YAW_AXIS_EAST] = axis[:, 0]
@@ -324,11 +395,24 @@ def _station_columns(
     table[:, WINDOW_NORMAL:CABIN_SIGMAS] = exposures.normals
     if stations.cabin is not None:
         table[:, CABIN_SIGMAS:] = stations.cabin
-    for number, kind in enumerate(np.unique(kinds[kinds != sigmas.OPEN]).tolist()):
+    for number, kind in enumerate(_kinds_that_turn(kinds)):
         rows = kinds == kind
-        response = sigmas.cabin_response(profile, h[rows], kind)
+        of_cabin = thinner[rows] * sigmas.cabin_response(profile, h[rows], kind)
         table[rows, WINDOW_KIND] = number
-        table[rows, WINDOW_GRADIENT] = table[rows, RELATIVE_GRADIENT] - thinner[rows] * response
+        table[rows, WINDOW_GRADIENT] = table[rows, RELATIVE_GRADIENT] - of_cabin
         if kind == sigmas.FOLLOWING:  # the difference of the two airs is that at any height
             table[rows, WINDOW_GRADIENT] = 0.0
     return table
+
+
+def _slopes_of_air(profile: Profile, h: Array) -> tuple[Array, Array]:
+    """(s,) derivatives of N and of ln p with height [1/m] at heights ``h`` (s,) [m].
+
+    Over half a metre below and above, within the profile.
+    """
+    low = np.maximum(h - _SLOPE_STEP_M, profile.bottom_m)
+    high = np.minimum(h + _SLOPE_STEP_M, profile.top_m)
+    thickness = high - low
+    rise_of_n = profile.refractivity(high) - profile.refractivity(low)
+    pressure_ratio = profile.pressure(high) / profile.pressure(low)
+    return rise_of_n / thickness, np.log(pressure_ratio) / thickness

@@ -1,31 +1,13 @@
 """Derivatives of the refraction angle by the air and by the places of camera and target.
 
-A small change of the air moves R_c by sum of w_j dN_j: the adjoint of the ray gives the weights w,
-the layers' closed forms dN (`unbend.atmosphere.covariance`). With C the covariance of
-temperatures, ln p and e/p, and g the gradient here, sigma of R_c is sqrt(g^T C g).
-
-With s = r_c sin zeta_c and nu = n / n_c the ray subtends (Gyer 1996, Eq. 1 and 12)
-
-    theta = integral over h of s / (r sqrt(nu^2 r^2 - s^2)),   R_c = zeta_c - psi(theta, r_c, r_g),
-
-psi the nadir angle of the chord (Eq. 10). Only nu enters, so that exactly
-
-    dR_c = psi' s * integral of m(h) [dN(h) / n(h) - dN_c / n_c] dh,
-    m = nu^2 r / (nu^2 r^2 - s^2)^(3/2),   psi' = d psi / d theta = r_g cos(beta) / chord,
-
-beta the chord's angle at the target. The change of R_c with the place of the camera and of the
-target follows from shifts along the ray, which leave it where it is; nothing is differenced:
-
-    dR_c/dzeta_c = 1 - psi' r_c cos(zeta_c) * integral of m dh,
-    dR_c/dh_g = -sin(beta - z_g) / (chord cos z_g),   z_g the ray's angle at the target,
-    dR_c/dh_c = -tan(zeta_c) N_c' / n_c - sin(R_c) / (chord cos zeta_c)
-                + tan(zeta_c) (N_c' / n_c + 1 / r_c) dR_c/dzeta_c.
+The air enters by the adjoint of each ray (`adjoints`) and by the layers' closed forms of dN
+(`unbend.atmosphere.covariance`). With C the covariance of temperatures, ln p and e/p, and g the
+gradient here, sigma of R_c is sqrt(g^T C g).
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -36,250 +18,18 @@ from numpy.typing import ArrayLike, NDArray
 from unbend.atmosphere.covariance import air_jacobian
 from unbend.atmosphere.profile import Profile
 from unbend.refraction.ray import DEFAULT_RADIUS_M, as_columns, bend
-from unbend.refraction.ray_table import cut, ray_table
+from unbend.refraction.ray_table import ray_table
 from unbend.refraction.status_codes import BEYOND_GRAZING, OK
+from unbend.refraction.uncertainty.adjoints import (
+    MOST_STEPS_OF_PIECE,
+    Pieces,
+    Rays,
+    pieces_between,
+    trace_adjoints,
+)
 from unbend.units import Array, Mask, Rows
 
-# Pieces of the profile on which refractivity and its perturbations are polynomials of degree 5 in
-# height: N is reproduced to 1e-13 of itself, to 1e-12 across an inversion of 5 K in 350 m.
-_PIECE_M = 500.0
-_NODES = 6
-
-# (n r - k) / n_c [m], the excess, is a ray's distance from being level. m has a pole where it is
-# zero; down to this excess the derivatives are good to 1e-9.
-LEVEL_GUARD_M = 1e-3
-_COARSE = np.polynomial.legendre.leggauss(4)
-_FINE = np.polynomial.legendre.leggauss(20)
-_COARSE_GRADING = 0.4  # ln of the ratio of the excess at the ends of a piece: up to it 4 nodes do
-_LEAST_GRADING = 1e-9  # no division by zero
-
 _BLOCK = 200_000  # quadrature nodes at a time: 10 MB of polynomials
-# Rays shorter than this in height follow their closed limit: both err by 6e-8 in dR/dh.
-_SHORT_M = 1e-4
-_SHORT_GUARD_M = 1.0  # of the excess of short rays
-
-_ANGLES = math.pi * (np.arange(_NODES) + 0.5) / _NODES
-_CHEBYSHEV = np.cos(_ANGLES)  # nodes on -1 to 1
-# Values at the nodes -> coefficients of Chebyshev polynomials.
-_TO_COEFFICIENTS = (2.0 / _NODES) * np.cos(np.arange(_NODES)[:, None] * _ANGLES)
-_TO_COEFFICIENTS[0] *= 0.5
-
-
-class Pieces(NamedTuple):
-    """A profile cut at its layers and every 500 m, with its refractivity as polynomials.
-
-    ``edge_m`` (p + 1,) heights [m]; ``height_m`` (p, 6) nodes; ``coefficient`` (p, 6) of Chebyshev
-    polynomials of N; ``slope`` (p, 6) those of its derivative with height [1/m].
-    """
-
-    edge_m: Array
-    height_m: Array
-    coefficient: Array
-    slope: Array
-
-
-class Rays(NamedTuple):
-    """Rays (n,)."""
-
-    h_c: Array  # height of the camera [m]
-    h_g: Array  # height of the target [m]
-    zeta_c: Array  # nadir angle at the camera [rad]
-    radius: Array  # of the sphere [m]
-    r_c: Array  # refraction angle [rad]
-
-    def rows(self, which: Rows) -> Rays:
-        """Some of the rays."""
-        return Rays(*(column[which] for column in self))
-
-
-class _Integrals(NamedTuple):
-    """Integrals along rays (n,), m as in the module's equations."""
-
-    theta: Array  # angle subtended at the earth's centre [rad]
-    by_s: Array  # of m dh, which is d(theta)/ds [1/m]
-    moments: Array  # (n, p, 6) of m / n times each Chebyshev polynomial of each piece
-    least_excess: Array  # smallest excess that a node or an end has [m]
-
-
-class _Air(NamedTuple):
-    """The air at heights (n, p, j) in the pieces of a profile."""
-
-    excess: Array  # nu r - s [m]
-    refractivity: Array
-    basis: Array  # (6, n, p, j) Chebyshev polynomials
-
-
-class _Adjoints(NamedTuple):
-    """Derivatives of R_c of rays (n,), NaN where they are not valid."""
-
-    weight: Array  # (n, nodes) by N at the nodes, the share of the camera's N included
-    by_place: Array  # (n, 3) by h_c, h_g [rad/m] and zeta_c
-    valid: Mask
-
-
-def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
-    """The pieces of a profile that heights from ``low`` to ``high`` [m] fall in."""
-    edge = cut(profile.break_heights_m, _PIECE_M)
-    first = int(np.clip(np.searchsorted(edge, low, side="left") - 1, 0, edge.size - 2))
-    last = int(np.clip(np.searchsorted(edge, high, side="right"), first + 1, edge.size - 1))
-    edge = edge[first : last + 1]
-    half = 0.5 * np.diff(edge)[:, None]
-    height = edge[:-1, None] + half * (1.0 + _CHEBYSHEV)
-    coefficient = profile.refractivity(height) @ _TO_COEFFICIENTS.T
-    slope = np.polynomial.chebyshev.chebder(coefficient, axis=1) / half
-    return Pieces(edge, height, coefficient, np.pad(slope, ((0, 0), (0, 1))))
-
-
-def trace_adjoints(pieces: Pieces, rays: Rays) -> _Adjoints:
-    """The adjoint of each ray, by Gauss-Legendre in each piece of the profile.
-
-    Not valid are rays that turn between their ends, or come within `LEVEL_GUARD_M` of being level
-    on their way; within `_SHORT_GUARD_M` where camera and target have nearly one height.
-    """
-    camera, at_camera = _at(pieces, rays.h_c, rays.h_g)
-    n_c = np.sum(pieces.coefficient[camera] * at_camera, axis=1)
-    integrals = _integrals(pieces, rays, n_c)
-    fall = rays.h_c - rays.h_g
-    is_short = np.abs(fall) < _SHORT_M
-    guard_m = np.where(is_short, _SHORT_GUARD_M, LEVEL_GUARD_M)
-    valid = integrals.least_excess > guard_m
-
-    # Length of the chord, one where camera and target coincide, and cos(beta).
-    r_c = rays.radius + rays.h_c
-    r_g = rays.radius + rays.h_g
-    sagitta = 2.0 * np.sin(0.5 * integrals.theta) ** 2
-    chord = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
-    chord[chord == 0.0] = 1.0
-    cos_beta = (fall - r_c * sagitta) / chord
-    by_theta = r_g * cos_beta / chord  # psi'
-
-    # psi' s times the integral of m (dN / n - dN_c / n_c).
-    scale = by_theta * r_c * np.sin(rays.zeta_c)
-    weight = (scale[:, None, None] * integrals.moments) @ _TO_COEFFICIENTS
-    of_camera = scale * integrals.by_s / (1.0 + n_c)
-    weight[np.arange(camera.size), camera] -= of_camera[:, None] * at_camera @ _TO_COEFFICIENTS
-    weight = weight.reshape(camera.size, -1)
-    weight[~valid] = np.nan
-
-    d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * integrals.by_s
-    gradient_c = np.sum(pieces.slope[camera] * at_camera, axis=1) / (1.0 + n_c)  # N_c' / n_c
-    tan_c = np.tan(rays.zeta_c)
-    d_h_c = tan_c * (d_zeta_c * (gradient_c + 1.0 / r_c) - gradient_c)
-    d_h_c = d_h_c - np.sin(rays.r_c) / (chord * np.cos(rays.zeta_c))
-    d_h_g = _by_target_height(pieces, rays, n_c, chord, cos_beta)
-    # In the limit of a short ray R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n).
-    half = 0.5 * gradient_c
-    limit = (-tan_c * half, tan_c * half, -(1.0 + tan_c * tan_c) * half * fall)
-    by_place = np.where(is_short, limit, (d_h_c, d_h_g, d_zeta_c))
-    by_place = np.where(valid, by_place, np.nan)
-    return _Adjoints(weight, by_place.T, valid)
-
-
-def _basis(u: Array) -> Array:
-    """(6, ...) Chebyshev polynomials at u."""
-    basis = np.asarray(np.polynomial.chebyshev.chebvander(u, _NODES - 1), np.float64)
-    return np.moveaxis(basis, -1, 0)
-
-
-def _at(pieces: Pieces, h: Array, other: Array) -> tuple[Rows, Array]:
-    """The piece that holds h, on the side of ``other``, and the polynomials (rays, 6) there."""
-    edge = pieces.edge_m
-    below = np.searchsorted(edge, h, side="left") - 1
-    above = np.searchsorted(edge, h, side="right") - 1
-    i = np.clip(np.where(other < h, below, above), 0, edge.size - 2)
-    u = 2.0 * (h - edge[i]) / (edge[i + 1] - edge[i]) - 1.0
-    return i, _basis(u).T
-
-
-def _lift(rays: Rays) -> Array:
-    """r_c (1 - sin zeta_c) [m]."""
-    cos_c = np.cos(rays.zeta_c)
-    return (rays.radius + rays.h_c) * cos_c * cos_c / (1.0 + np.sin(rays.zeta_c))
-
-
-def _air_at(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> _Air:
-    """The air at heights ``h`` (n, p, j) [m] in each piece, the excess without cancellation.
-
-    nu r - s = r (N - N_c) / n_c + (h - h_c) + r_c (1 - sin zeta_c).
-    """
-    low = pieces.edge_m[:-1, None]
-    high = pieces.edge_m[1:, None]
-    u = np.clip(2.0 * (h - low) / (high - low) - 1.0, -1.0, 1.0)
-    basis = _basis(u)
-    refractivity = np.einsum("pa,abpj->bpj", pieces.coefficient, basis)
-    h_c = rays.h_c[:, None, None]
-    radius = rays.radius[:, None, None]
-    n_c = n_c[:, None, None]
-    lift = _lift(rays)[:, None, None]
-    excess = (radius + h) * (refractivity - n_c) / (1.0 + n_c) + (h - h_c) + lift
-    return _Air(excess, refractivity, basis)
-
-
-def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Integrals:
-    """The `_Integrals` along rays, by nodes at which the excess grows by equal ratios.
-
-    That undoes the pole of m where the excess is zero: h = h_0 + scale (exp(grading x) - 1), x from
-    0 to 1 in each piece, grading the logarithm of the ratio of the excess at its ends.
-    """
-    low = np.minimum(rays.h_c, rays.h_g)[:, None]
-    high = np.maximum(rays.h_c, rays.h_g)[:, None]
-    lower_end = np.clip(pieces.edge_m[:-1], low, high)
-    upper_end = np.clip(pieces.edge_m[1:], low, high)
-    ends = np.stack([lower_end, upper_end], axis=2)
-    width = np.diff(ends)
-    is_inside = width > 0.0
-    excess = np.where(is_inside, _air_at(pieces, rays, n_c, ends).excess, np.inf)
-    least = excess.min(axis=(1, 2))
-    turns = (least <= 0.0)[:, None, None]
-    excess[~np.isfinite(excess) | turns] = 1.0
-    grading = np.diff(np.log(excess))
-    grading[np.abs(grading) < _LEAST_GRADING] = _LEAST_GRADING
-    steepest = np.abs(grading).max(initial=0.0)
-    nodes, weights = _COARSE if steepest < _COARSE_GRADING else _FINE
-    x = 0.5 + 0.5 * nodes
-    w = 0.5 * weights
-    scale = width / np.expm1(grading)
-    air = _air_at(pieces, rays, n_c, ends[..., :1] + scale * np.expm1(grading * x))
-    step = scale * grading * np.exp(grading * x) * w  # weight times dh/dx
-    excess_inside = np.where(is_inside, air.excess, np.inf)
-    least = np.minimum(least, excess_inside.min(axis=(1, 2)))
-    does_not_turn = (least > 0.0)[:, None, None]
-    excess = np.where(is_inside & does_not_turn, air.excess, 1.0)
-
-    s = ((rays.radius + rays.h_c) * np.sin(rays.zeta_c))[:, None, None]
-    n_c = n_c[:, None, None]
-    nu = 1.0 + (air.refractivity - n_c) / (1.0 + n_c)
-    root = np.sqrt(excess * (excess + 2.0 * s))  # sqrt(nu^2 r^2 - s^2)
-    r = (excess + s) / nu
-    m_step = step * nu * nu * r / root**3
-    return _Integrals(
-        theta=np.sum(step * s / (r * root), axis=(1, 2)),
-        by_s=m_step.sum(axis=(1, 2)),
-        moments=np.einsum("abpj,bpj->bpa", air.basis, m_step / (1.0 + air.refractivity)),
-        least_excess=least,
-    )
-
-
-def _by_target_height(air: Pieces, rays: Rays, n_c: Array, chord: Array, cos_beta: Array) -> Array:
-    """dR_c/dh_g [rad/m] = -sin(beta - z_g) / (chord cos z_g).
-
-    beta - z_g comes from sin(beta) - sin(z_g), and that without cancellation from
-    r_g sin(beta) = r_c sin(zeta_c - R_c) and n_g r_g sin(z_g) = n_c r_c sin(zeta_c).
-    """
-    target, at_target = _at(air, rays.h_g, rays.h_c)
-    n_g = np.sum(air.coefficient[target] * at_target, axis=1)
-    r_c = rays.radius + rays.h_c
-    r_g = rays.radius + rays.h_g
-    s = r_c * np.sin(rays.zeta_c)
-    excess = r_g * (n_g - n_c) / (1.0 + n_c) - (rays.h_c - rays.h_g) + _lift(rays)
-    excess = np.maximum(excess, LEVEL_GUARD_M)
-    down = np.copysign(1.0, np.cos(rays.zeta_c))
-    cos_g = down * np.sqrt(excess * (excess + 2.0 * s)) / (excess + s)
-    half = 0.5 * rays.r_c
-    turned = 2.0 * r_c * np.cos(rays.zeta_c - half) * np.sin(half)
-    sine_difference = (s * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
-    beta_less_z_g = 2.0 * np.arctan2(sine_difference * down, (cos_beta + cos_g) * down)
-    return np.asarray(-np.sin(beta_less_z_g) / (chord * cos_g))
 
 
 class RayWeights(NamedTuple):
@@ -348,7 +98,11 @@ def ray_weights(
     >>> (ray.r_c * 1e6).round(4).item(), (one_percent_denser * 1e6).round(4).item()
     (60.6689, 0.6065)
     """
-    weights, _ = _derivatives(profile, (h_c, h_g, zeta_c, radius), lambda h: np.eye(h.size))
+
+    def each_by_itself(height_m: Array) -> Array:
+        return np.eye(height_m.size)
+
+    weights, _ = _derivatives(profile, (h_c, h_g, zeta_c, radius), each_by_itself)
     return weights
 
 
@@ -409,34 +163,16 @@ def _derivatives(
     to the derivatives of N there by k quantities, (n, k): the ``weight`` returned is (..., k).
     """
     shape, columns = as_columns(*rays)
-    h_c = columns[0]
-    h_g = columns[1]
-    zeta_c = columns[2]
-    radius = columns[3]
-    safe = np.where((zeta_c >= 0.0) & (zeta_c <= np.pi), zeta_c, np.nan)
-    r_c, status = bend(ray_table(profile), h_c, h_g, np.sin(safe), np.cos(safe), radius=radius)
-    every_ray = Rays(h_c, h_g, zeta_c, radius, r_c)
-    rises_again = (h_g > h_c) & (np.cos(safe) > 0.0)
-    traced = np.flatnonzero(np.isin(status, (OK, BEYOND_GRAZING)) & ~rises_again)
-    # The steepest first: blocks of them need fewer nodes.
-    steepness = np.abs(np.cos(zeta_c[traced]))
-    traced = traced[np.argsort(-steepness, kind="stable")]
-    low = profile.bottom_m
-    high = profile.bottom_m
-    if traced.size:
-        heights = np.stack([h_c, h_g])[:, traced]
-        low = float(heights.min())
-        high = float(heights.max())
-    pieces = pieces_between(profile, low, high)
+    every_ray, status = _bent_rays(profile, columns)
+    traced = _rays_to_trace(every_ray, status)
+    pieces = _pieces_of_rays(profile, every_ray.rows(traced))
     height_m = pieces.height_m.reshape(-1)
     air = air_of(height_m)
-    gradient = np.full((h_c.size, air.shape[1]), np.nan)
-    by_place = np.full((h_c.size, 3), np.nan)
-    valid = np.zeros(h_c.size, dtype=bool)
-    nodes_of_ray = height_m.size // _NODES * _FINE[0].size
-    rays_at_once = max(1, _BLOCK // nodes_of_ray)
-    for first in range(0, traced.size, rays_at_once):
-        rows = traced[first : first + rays_at_once]
+    count = status.size
+    gradient = np.full((count, air.shape[1]), np.nan)
+    by_place = np.full((count, 3), np.nan)
+    valid = np.zeros(count, dtype=bool)
+    for rows in _blocks(traced, pieces):
         adjoints = trace_adjoints(pieces, every_ray.rows(rows))
         gradient[rows] = adjoints.weight @ air
         by_place[rows] = adjoints.by_place
@@ -444,8 +180,64 @@ def _derivatives(
     derivatives = RayWeights(
         height_m=height_m,
         weight=gradient.reshape(*shape, air.shape[1]),
-        r_c=r_c.reshape(shape),
+        r_c=every_ray.r_c.reshape(shape),
         status=status.reshape(shape),
         valid=valid.reshape(shape),
     )
     return derivatives, by_place.reshape(*shape, 3)
+
+
+def _bent_rays(profile: Profile, columns: list[Array]) -> tuple[Rays, NDArray[np.uint8]]:
+    """Rays with their refraction angles, and the status of each, as `bend` has it.
+
+    ``columns`` are h_c, h_g, zeta_c and the radius (n,).
+    """
+    rays = Rays(
+        h_c=columns[0],
+        h_g=columns[1],
+        zeta_c=columns[2],
+        radius=columns[3],
+        r_c=np.full(columns[0].shape, np.nan),
+    )
+    is_angle = (rays.zeta_c >= 0.0) & (rays.zeta_c <= np.pi)
+    zeta = np.where(is_angle, rays.zeta_c, np.nan)
+    r_c, status = bend(
+        ray_table(profile),
+        rays.h_c,
+        rays.h_g,
+        np.sin(zeta),
+        np.cos(zeta),
+        radius=rays.radius,
+    )
+    return rays._replace(r_c=r_c), status
+
+
+def _pieces_of_rays(profile: Profile, rays: Rays) -> Pieces:
+    """The pieces of the profile that rays pass; the lowest one if there are no rays."""
+    low = profile.bottom_m
+    high = profile.bottom_m
+    if rays.h_c.size:
+        heights = np.stack([rays.h_c, rays.h_g])
+        low = float(heights.min())
+        high = float(heights.max())
+    return pieces_between(profile, low, high)
+
+
+def _blocks(traced: Rows, pieces: Pieces) -> Iterator[Rows]:
+    """Blocks of rays that are traced at a time."""
+    nodes_of_ray = len(pieces.height_m) * MOST_STEPS_OF_PIECE
+    rays_at_once = max(1, _BLOCK // nodes_of_ray)
+    for first in range(0, traced.size, rays_at_once):
+        yield traced[first : first + rays_at_once]
+
+
+def _rays_to_trace(rays: Rays, status: NDArray[np.uint8]) -> Rows:
+    """The rays that have an angle and do not turn on their way.
+
+    The steepest are first: blocks of them need fewer nodes.
+    """
+    has_angle = np.isin(status, (OK, BEYOND_GRAZING))
+    turns = (rays.h_g > rays.h_c) & (np.cos(rays.zeta_c) > 0.0)
+    traced = np.flatnonzero(has_angle & ~turns)
+    steepness = np.abs(np.cos(rays.zeta_c[traced]))
+    return traced[np.argsort(-steepness, kind="stable")]

@@ -1,12 +1,7 @@
-"""Sigma of the refraction angle from the covariance of the air, in tables that rows interpolate.
+"""Standard deviations of corrections, and what errors of the air do to rays behind windows.
 
-In the plane R = tan(zeta) (mean of N over the way - N_c) (Gyer 1996, Eq. 24), so that with the
-state x of the profile, its covariance C and the gradients a = dN/dx
-
-    sigma_R = tan(zeta) sqrt(v^T C v),   v = mean of a over the way - a_c.
-
-That is tabulated finely, because sigma of N_c has the structure of the profile's knots; what the
-sphere adds follows from traced rays (`sensitivity`) and is a smooth factor.
+In the plane R = tan(zeta) (mean of N over the way - N_c) (Gyer 1996, Eq. 24); with the state x of
+the profile a ray errs by tan(zeta) times v = mean of a over the way - a_c, a = dN/dx.
 
 Behind a plane window N_c also turns the ray there, by tan(theta) (dN_cc - dN_c) away from the
 window's normal, theta the ray's angle to it (Gyer 1996, Eq. 36). Where the normal is vertical N_c
@@ -15,16 +10,15 @@ cancels, and what is left is tan(zeta) times
     x = mean of a over the way - a_cc,
 
 a_cc = dN_cc/dx the response of the air in the cabin. Elsewhere y = a_c - a_cc remains by as much as
-the normal leans; the tables hold sigma of x, how x and y go together, and sigma of y. The sphere
-changes x by less than 1 % up to 80 degrees and by 4 % at 85, and is left out there.
+the normal leans; the tables (`air_tables`) hold sigma of x, how x and y go together, and sigma of
+y. The sphere changes x by less than 1 % up to 80 degrees and by 4 % at 85, and is left out there.
 
-Of the leading mode of C (`leading_mode`) they hold v and y themselves, with their signs; the sphere
-adds to v, and a ray turns by R's part and that of y at the window.
+Of the leading mode of the covariance (`leading_mode`) they hold v and y themselves, with their
+signs; the sphere adds to v, and a ray turns by R's part and that of y at the window.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -33,10 +27,7 @@ from numpy.typing import NDArray
 
 from unbend.atmosphere.covariance import ProfileCovariance, air_jacobian, log_pressure_jacobian
 from unbend.atmosphere.profile import Profile
-from unbend.atmosphere.standard import standard_atmosphere
 from unbend.refraction.kernels.columns import AirTables
-from unbend.refraction.ray_table import cut
-from unbend.refraction.uncertainty.sensitivity import sensitivity
 from unbend.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_K
 from unbend.units import Array, Integers, Rows
 
@@ -46,107 +37,8 @@ SEALED = 1  # plane, with air behind it that does not depend on that outside
 SCHEDULED = 2  # with Gyer's schedule where the cabin is as thin as the air outside
 FOLLOWING = 3  # an opening: the air differs from that outside by what does not depend on it
 
-# Heights at which gradients are kept, linear between them: 4e-4 of R over a way of 10 m.
-_STEP_M = 12.5
-# A layer's share between nodes of camera height: sigma of N_c sags by some 15 % between knots that
-# hardly correlate, and a straight line over an eighth errs by 0.3 %.
-_PARTS_OF_A_LAYER = 8
-_FINEST_M = 4.0  # between nodes of camera height
-_WIDEST_M = 50.0
-_AT_MOST_CAMERA_NODES = 600
-
-# Ways are even in their root [m^0.5]: 4 m apart at 50 m, 46 m at 6 km.
-_WAY_STEP = 0.3
-_COARSE_STEP = 10.0
-_SHORTEST_M = 1.0  # the limit of a short way; nearer there is no refraction to speak of
-_INCIDENCE_STEP = 0.2  # of 1 / sqrt(cos z) at the ground
-_STEEPEST = 0.05  # a tangent where the plane and the sphere are one
-LEVEL_COSINE = 0.03
-"""Cosine of the ray's nadir angle at the ground below which no sigma is given: 1.7 degrees."""
-
-_MOST_RAYS = 1500  # traced for the factors: 0.2 s
-
-_REFRACTIVITY_STEP_M = 5.0
-_NOTHING = 1e-30  # in the place of a sigma of zero, by which nothing can be divided
 _LOG_PRESSURE_STEP = 1e-3  # of differences
 _SMALLEST_EIGENVALUE = 1e-12  # of the largest: smaller ones are rounding
-_LOWEST_TARGET_M = -5000.0
-_CAMERAS_PER_WIDEST = 5  # heights of cameras at most, for rays that are traced
-
-
-def air_sigma(
-    profile: Profile,
-    covariance: ProfileCovariance | None,
-    camera_heights_m: tuple[float, float],
-    ground_heights_m: tuple[float, float],
-    *,
-    largest_zeta_rad: float,
-    radius: float,
-    window_kinds: Sequence[int] = (),
-    mode: AirMode | None = None,
-) -> tuple[Array, AirTables]:
-    """Tabulate sigma of R, and what the leading mode does, for the cameras and ground of a block.
-
-    ``covariance`` is None where it is not known, ``mode`` its leading mode. Heights are the lowest
-    and the highest above sea level [m], ``window_kinds`` those but for `OPEN` that are
-    there, ``radius`` that of the sphere [m]. Nothing is seen beyond the nadir angle
-    ``largest_zeta_rad``; beyond 1.7 degrees above level at the ground the tables end anyway.
-
-    Returns the heights of cameras (c,) [m above sea level] that are tabulated, and the tables.
-
-    Against `sensitivity` with the same covariance, cameras within 150 m: 1 % of sigma_R up to 75
-    degrees, 2 % at 80, 3 % at 85, on ways of 100 m and more; 8 % at 85 degrees and 6 km where the
-    ground may lie anywhere. dR/dzeta to 1 %.
-    """
-    root = None if covariance is None else CovarianceRoot.of(covariance)
-    if root is not None:
-        root = root.with_mode_first(mode)
-    low, high = camera_heights_m
-    top = min(ground_heights_m[1], high)
-    bottom = min(max(ground_heights_m[0], profile.bottom_m), low - _SHORTEST_M)
-    camera = _camera_nodes(profile, low, high)
-
-    # Roots of the ways from cameras to targets: fine in the plane, coarse on the sphere.
-    first = np.sqrt(max(low - top, _SHORTEST_M))
-    last = np.sqrt(high - bottom)
-    fine_steps = 2 + max(0, int(np.ceil((last - first) / _WAY_STEP - 1)))
-    ways = first + _WAY_STEP * np.arange(fine_steps)
-    coarse_steps = 2 + int((ways[-1] - first) / _COARSE_STEP)
-    coarse = first + _COARSE_STEP * np.arange(coarse_steps)
-
-    plane = _in_the_plane(profile, root, camera, ways**2, window_kinds)
-    # Cosine of the largest nadir angle at the lowest ground in sight.
-    sine = np.sin(min(largest_zeta_rad, 0.5 * np.pi)) * (radius + high) / (radius + bottom)
-    least = max(LEVEL_COSINE, float(np.sqrt(max(0.0, 1.0 - sine * sine))))
-    factors = _on_the_sphere(
-        profile, root, (low, high), coarse**2, least_cosine=least, radius=radius
-    )
-    heights = np.arange(bottom, high + _REFRACTIVITY_STEP_M, _REFRACTIVITY_STEP_M)
-    heights = np.minimum(heights, profile.top_m)
-    return camera, AirTables(
-        way_first=float(first),
-        way_step=_WAY_STEP,
-        coarse_step=_COARSE_STEP,
-        incidence_step=_INCIDENCE_STEP,
-        factors=factors,
-        ground_m=bottom,
-        spacing_m=_REFRACTIVITY_STEP_M,
-        refractivity=profile.refractivity(heights),
-        mode_sigma=np.nan if mode is None else mode.sigma,
-        **plane,
-    )
-
-
-def _camera_nodes(profile: Profile, low: float, high: float) -> Array:
-    """(c,) heights of cameras to tabulate: each layer in eighths, its edges are knots of sigma."""
-    breaks = profile.break_heights_m
-    inside = breaks[(breaks > low) & (breaks < high)]
-    edges = np.concatenate([[low], inside, [max(high, low + _FINEST_M)]])
-    layer = np.searchsorted(breaks, edges[:-1], side="right") - 1
-    thickness = np.diff(breaks)[np.clip(layer, 0, None)]
-    finest = max(_FINEST_M, float(edges[-1] - edges[0]) / _AT_MOST_CAMERA_NODES)
-    widest = max(_WIDEST_M, finest)
-    return cut(edges, np.clip(thickness / _PARTS_OF_A_LAYER, finest, widest))
 
 
 def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
@@ -157,11 +49,13 @@ def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
     """
     if kind != SCHEDULED:
         return np.zeros(h.shape)
-    p = profile.pressure(h)
     refractivity = profile.index.refractivity
-    above = refractivity(SCHEDULE_TEMPERATURE_K, (1.0 + _LOG_PRESSURE_STEP) * p, 0.0)
-    below = refractivity(SCHEDULE_TEMPERATURE_K, (1.0 - _LOG_PRESSURE_STEP) * p, 0.0)
-    return np.asarray((above - below) / (2.0 * _LOG_PRESSURE_STEP))
+    p = profile.pressure(h)
+    higher_p = (1.0 + _LOG_PRESSURE_STEP) * p
+    lower_p = (1.0 - _LOG_PRESSURE_STEP) * p
+    denser = refractivity(SCHEDULE_TEMPERATURE_K, higher_p, 0.0)
+    thinner = refractivity(SCHEDULE_TEMPERATURE_K, lower_p, 0.0)
+    return np.asarray((denser - thinner) / (2.0 * _LOG_PRESSURE_STEP))
 
 
 def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> Integers:
@@ -195,156 +89,48 @@ class CovarianceRoot:
     @classmethod
     def of(cls, covariance: ProfileCovariance) -> CovarianceRoot:
         """By eigenvalues; those that rounding left below zero are zero."""
-        scale = np.sqrt(np.maximum(np.diag(covariance.matrix), 0.0))
-        safe = np.where(scale > 0.0, scale, 1.0)
-        value, vector = np.linalg.eigh(covariance.matrix / np.outer(safe, safe))
-        kept = value > _SMALLEST_EIGENVALUE * value[-1]
-        matrix = scale[:, None] * vector[:, kept] * np.sqrt(value[kept])
+        variance = np.maximum(np.diag(covariance.matrix), 0.0)
+        sigma = np.sqrt(variance)
+        scale = np.where(sigma > 0.0, sigma, 1.0)
+        correlation = covariance.matrix / np.outer(scale, scale)
+        value, vector = np.linalg.eigh(correlation)
+        is_kept = value > _SMALLEST_EIGENVALUE * value[-1]
+        root_of_value = np.sqrt(value[is_kept])
+        matrix = sigma[:, None] * vector[:, is_kept] * root_of_value
         return cls(np.asarray(matrix), covariance.anchor_height_m)
 
     def with_mode_first(self, mode: AirMode | None) -> CovarianceRoot:
         """The same with what one sigma of the leading mode adds as a further, first column."""
-        first = np.zeros(len(self.matrix)) if mode is None else mode.state
-        return replace(self, matrix=np.column_stack([first, self.matrix]))
+        first = np.zeros(len(self.matrix))
+        if mode is not None:
+            first = mode.state
+        with_first = np.column_stack([first, self.matrix])
+        return replace(self, matrix=with_first)
 
 
 def window_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
     """(n, r) rows whose products are the covariances of y at cameras of heights ``h`` (n,) [m]."""
     air = air_jacobian(profile, h, root.anchor_m)
-    outside = (air / (1.0 + profile.refractivity(h))[:, None]) @ root.matrix
-    return np.asarray(outside - _cabin_errors(profile, root, h, kind))
+    n = 1.0 + profile.refractivity(h)
+    outside = (air / n[:, None]) @ root.matrix
+    cabin = cabin_errors(profile, root, h, kind)
+    return np.asarray(outside - cabin)
 
 
-def _cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
+def cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
     """(n, r) what the errors of the air do to the cabin's N.
 
     To that of an opening what they do outside, but for some percent by which it is thinner.
     """
     if kind == FOLLOWING:
-        return np.asarray(air_jacobian(profile, h, root.anchor_m) @ root.matrix)
+        air = air_jacobian(profile, h, root.anchor_m)
+        return np.asarray(air @ root.matrix)
     response = cabin_response(profile, h, kind)[:, None]
-    by_t = log_pressure_jacobian(profile, h, root.anchor_m)
-    edges = by_t.shape[1]
-    return np.asarray(response * (by_t @ root.matrix[:edges] + root.matrix[edges]))
-
-
-def _in_the_plane(
-    profile: Profile, root: CovarianceRoot | None, camera: Array, way: Array, kinds: Sequence[int]
-) -> dict[str, Array]:
-    """The tables for ways (w,) [m]; the first column of ``root`` is the leading mode."""
-    lowest, columns_at = columns_of_air(profile, root, camera[0] - way[-1], camera[-1])
-    shape = (camera.size, way.size)
-    sigma = np.full(shape, np.nan)
-    angle = np.empty(shape)
-    mode = np.full(shape, np.nan)
-    behind = np.full((len(kinds), 2, *shape), np.nan)
-    lean = np.full((len(kinds), camera.size), np.nan)
-    mode_lean = np.full((len(kinds), camera.size), np.nan)
-    at_camera, above = columns_at(camera)
-    cabins = []
-    if root is not None:
-        cabins = [_cabin_errors(profile, root, camera, kind) for kind in kinds]
-    for row, height in enumerate(camera):
-        reach = np.maximum(np.minimum(way, height - lowest), _SHORTEST_M)[:, None]
-        _, integral_below = columns_at(height - reach[:, 0])
-        mean = (above[row] - integral_below) / reach
-        angle[row] = (mean[:, 0] - at_camera[row, 0]) / reach[:, 0]
-        if root is None:
-            continue
-        own = at_camera[row, 1:]
-        by_air = (mean[:, 1:] - own) / reach
-        mode[row] = by_air[:, 0]
-        sigma[row] = _lengths(by_air[:, 1:])
-        for k, cabin in enumerate(cabins):
-            x = mean[:, 2:] - cabin[row, 1:]
-            y = (own - cabin[row])[1:]
-            mode_lean[k, row] = own[0] - cabin[row, 0]
-            lean[k, row] = np.linalg.norm(y)
-            behind[k, 0, row] = _lengths(x)
-            behind[k, 1, row] = x @ y / max(lean[k, row], _NOTHING)
-    return {
-        "sigma": sigma,
-        "angle": angle,
-        "behind": behind,
-        "lean": lean,
-        "mode": mode,
-        "mode_lean": mode_lean,
-    }
-
-
-def _lengths(rows: Array) -> Array:
-    """The length of each row."""
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
-
-
-def columns_of_air(
-    profile: Profile, root: CovarianceRoot | None, low: float, high: float
-) -> tuple[float, Callable[[Array], tuple[Array, Array]]]:
-    """The lowest height, and N and its errors (n, 1 + r) at heights (n,), linear between those
-    kept, with their integrals from the lowest."""
-    lowest = max(low, profile.bottom_m)
-    breaks = profile.break_heights_m
-    even = np.arange(lowest, high + _STEP_M, _STEP_M)
-    inside = breaks[(breaks > lowest) & (breaks < even[-1])]
-    h = np.unique(np.concatenate([even, inside]))
-    h = h[h <= profile.top_m]
-    value = profile.refractivity(h)[:, None]
-    if root is not None:
-        errors = air_jacobian(profile, h, root.anchor_m) @ root.matrix
-        value = np.column_stack([value, errors])
-    thickness = np.diff(h)[:, None]
-    slope = np.diff(value, axis=0) / thickness
-    steps = 0.5 * thickness * (value[1:] + value[:-1])
-    integral = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
-
-    def at(height: Array) -> tuple[Array, Array]:
-        i = np.clip(np.searchsorted(h, height, side="right") - 1, 0, h.size - 2)
-        rise = np.clip(height - h[i], 0.0, None)[:, None]
-        value_at = value[i] + slope[i] * rise
-        integral_at = integral[i] + rise * (value[i] + 0.5 * rise * slope[i])
-        return value_at, integral_at
-
-    return float(h[0]), at
-
-
-def _on_the_sphere(
-    profile: Profile,
-    root: CovarianceRoot | None,
-    camera_heights_m: tuple[float, float],
-    way: Array,
-    *,
-    least_cosine: float,
-    radius: float,
-) -> Array:
-    """(f, j, k, 3) factors that take sigma_R / tan(zeta) and dR/dzeta cos^2(zeta) to the sphere,
-    and what it adds to the mode's R / (tan(zeta) way).
-
-    That of dR/dzeta is geometry: it is taken from US 1976, whose R is nowhere zero; at 80 degrees
-    it is 1.02 and at 85 degrees 1.09 in any air, within 0.01 (3 km).
-    """
-    low, high = camera_heights_m
-    count = 2 + int((least_cosine**-0.5 - 1.0) / _INCIDENCE_STEP)
-    cosine = (1.0 + _INCIDENCE_STEP * np.arange(count)) ** -2.0
-    most_cameras = 2 + (high - low) / _WIDEST_M * _CAMERAS_PER_WIDEST
-    cameras = int(np.clip(_MOST_RAYS // (count * way.size), 2, most_cameras))
-    h_c = np.linspace(low, high, cameras)[:, None, None]
-    lowest = max(profile.bottom_m, _LOWEST_TARGET_M)
-    h_g = np.maximum(h_c - np.maximum(way, _SHORTEST_M)[None, :, None], lowest)
-    h_g = np.minimum(h_g, h_c - _SHORTEST_M)
-    sine = np.sqrt(1.0 - cosine * cosine) * (radius + h_g) / (radius + h_c)
-    zeta = np.arcsin(np.minimum(sine, 1.0))
-    zeta[..., 0] = np.arctan(_STEEPEST)
-    usual = sensitivity(standard_atmosphere("us1976"), h_c, h_g, zeta, radius)
-    slope = usual.d_zeta_c * np.cos(zeta) ** 2
-    slope /= slope[..., :1]
-    if root is None:
-        unknown = np.full(slope.shape, np.nan)
-        return np.stack([unknown, slope, unknown], axis=-1)
-    traced = sensitivity(profile, h_c, h_g, zeta, radius, anchor_height_m=root.anchor_m)
-    by_air = (traced.gradient @ root.matrix) / np.tan(zeta)[..., None]
-    sigma = np.linalg.norm(by_air[..., 1:], axis=-1)
-    mode = by_air[..., 0] / (h_c - h_g)
-    return np.stack([sigma / sigma[..., :1], slope, mode - mode[..., :1]], axis=-1)
+    by_temperature = log_pressure_jacobian(profile, h, root.anchor_m)
+    edges = by_temperature.shape[1]
+    of_temperatures = by_temperature @ root.matrix[:edges]
+    of_anchor = root.matrix[edges]
+    return np.asarray(response * (of_temperatures + of_anchor))
 
 
 Single = NDArray[np.float32]
@@ -371,7 +157,8 @@ class Uncertainty:
         if self.mode is None:
             return self
         tables = self.tables._replace(mode_sigma=sigma)
-        return replace(self, tables=tables, mode=replace(self.mode, sigma=sigma))
+        mode = replace(self.mode, sigma=sigma)
+        return replace(self, tables=tables, mode=mode)
 
 
 class Sigmas(NamedTuple):
@@ -403,12 +190,16 @@ class Sigmas(NamedTuple):
     @classmethod
     def room(cls, n: int) -> Sigmas:
         """For n observations, to be filled."""
-        return cls(np.empty(n), *np.empty((len(cls._fields) - 1, n), np.float32))
+        singles = np.empty((len(cls._fields) - 1, n), np.float32)
+        return cls(np.empty(n), *singles)
 
     @classmethod
     def unknown(cls, n: int) -> Sigmas:
         """Of n observations of which nothing is known."""
-        return cls(np.full(n, np.nan), *np.full((len(cls._fields) - 1, n), np.nan, np.float32))
+        nothing = cls.room(n)
+        for values in nothing:
+            values.fill(np.nan)
+        return nothing
 
     def named(self) -> dict[str, Any]:
         """The arrays by the names of columns of tables."""
