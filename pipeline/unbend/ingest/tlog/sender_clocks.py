@@ -86,7 +86,8 @@ class SenderClock:
 
     def _row(self, at: Integers) -> Rows:
         """The reading that stands before each place of the file, or the first."""
-        return np.maximum(np.searchsorted(self.at, at, side="right") - 1, 0)
+        before = np.searchsorted(self.at, at, side="right") - 1
+        return np.maximum(before, 0)
 
     def boot_places(self, at: Integers, boot_ns: TimeArray) -> Integers:
         """For each message a place in the file that lies in the boot of its time.
@@ -125,10 +126,12 @@ class SenderClock:
         if not self.at.size:
             return host_ns
         near_ns = np.asarray(self.boot_ns[self._row(at)], np.int64)
-        return self.clock.utc(at, unrolled(boot_ns, near_ns, turn_ns))
+        whole_ns = unrolled(boot_ns, near_ns, turn_ns)
+        return self.clock.utc(at, whole_ns)
 
 
 def _unchanged(host_ns: TimeArray) -> TimeArray:
+    """The map of the ground station's clock to itself."""
     return host_ns
 
 
@@ -161,8 +164,14 @@ class Clocks:
         """The sender whose clock is used: this one, else another component of its system."""
         if sender in self.senders:
             return sender
-        same_system = [key for key in self.senders if key.system == sender.system]
-        return max(same_system, key=lambda key: sum(self.senders[key].counts), default=None)
+        lender = None
+        most_readings = -1
+        for candidate, clock in self.senders.items():
+            readings = sum(clock.counts)
+            if candidate.system == sender.system and readings > most_readings:
+                lender = candidate
+                most_readings = readings
+        return lender
 
     def of(self, sender: Sender) -> SenderClock:
         """The clock of a sender; where none is known, that of the ground station."""
@@ -260,13 +269,13 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
 
 def _description(clock: BootClock) -> str:
     """Where the UTC of the vehicle's clock comes from."""
-    known = clock.utc_known.count(True)
+    with_utc = clock.utc_known.count(True)
     boots = len(clock.utc_known)
-    if known == boots:
+    if with_utc == boots:
         return "vehicle clock, set to UTC by the median of SYSTEM_TIME"
-    if known == 0:
+    if with_utc == 0:
         return "vehicle clock, set by the ground station's clock"
-    return f"vehicle clock, set to UTC by SYSTEM_TIME in {known} of {boots} boots"
+    return f"vehicle clock, set to UTC by SYSTEM_TIME in {with_utc} of {boots} boots"
 
 
 def _selected(readings: Readings, rows: Mask) -> Readings:
@@ -284,12 +293,14 @@ def overtaken(readings: Readings) -> Mask:
     boot_ns = readings["boot_ns"]
     host_ns = readings["host_us"] * MICROSECOND
     newest_ns = np.maximum.accumulate(boot_ns)
-    is_newest = newest_ns == boot_ns
-    row_of_newest = np.maximum.accumulate(np.where(is_newest, np.arange(boot_ns.size), 0))
+    rows = np.arange(boot_ns.size)
+    rows[newest_ns != boot_ns] = 0
+    row_of_newest = np.maximum.accumulate(rows)
     late_ns = newest_ns - boot_ns
+    is_late = (late_ns > BOOT_STEP_NS) & (late_ns < LATEST_NS)
     boot_by_host_ns = host_ns - boot_ns  # when the sender was switched on, by the host's clock
     was_on = boot_by_host_ns < host_ns[row_of_newest] - LATEST_NS
-    return np.asarray((late_ns > BOOT_STEP_NS) & (late_ns < LATEST_NS) & was_on, np.bool_)
+    return np.asarray(is_late & was_on, np.bool_)
 
 
 def fit_sender(
@@ -306,7 +317,8 @@ def fit_sender(
     receiver has set.
     """
     readings = _selected(readings, ~stray_times(readings["boot_ns"]))
-    if bool(np.any(np.diff(readings["boot_ns"]) < -BOOT_STEP_NS)):
+    steps_ns = np.diff(readings["boot_ns"])
+    if bool(np.any(steps_ns < -BOOT_STEP_NS)):
         readings = _selected(readings, ~overtaken(readings))
     places = readings["at"]
     stamped_ns = readings["host_us"] * MICROSECOND
@@ -337,7 +349,8 @@ def fit_sender(
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     _report_host_clock(clock, counts, sender, ledger)
     second = boot_ns // NANOSECONDS_PER_SECOND
-    is_kept = np.append(True, (np.diff(second) != 0) | (np.diff(boot) != 0))  # the first of each
+    is_new = (np.diff(second) != 0) | (np.diff(boot) != 0)
+    is_kept = np.append(True, is_new)  # the first of each second and of each boot
     return SenderClock(
         at=places[is_kept],
         boot_ns=boot_ns[is_kept],
@@ -354,14 +367,14 @@ def _shifts_of_stated(clock: BootClock, stated: UtcReadings) -> tuple[int, ...]:
     A larger shift is of a date that was repaired. The other messages of the sender state UTC by the
     same clock, and need the same shift.
     """
-    stated = stated.usable_rows(clock.line)
-    boots = clock.line.boot_of(stated.places)
+    usable = stated.usable_rows(clock.line)
+    boots = clock.line.boot_of(usable.places)
     shifts_ns = []
     for number, fit in enumerate(clock.fits):
         rows = boots == number
         shift_ns = 0
         if fit is not None and rows.any():
-            offsets_ns = np.sort(stated.utc_ns[rows] - stated.boot_ns[rows])
+            offsets_ns = np.sort(usable.utc_ns[rows] - usable.boot_ns[rows])
             middle = offsets_ns.size // 2
             shift_ns = fit.offset_ns - int(offsets_ns[middle])
         has_other_date = abs(shift_ns) > DAY_NS
