@@ -34,6 +34,7 @@ from unbend.ingest.tlog.tlog_channels import channels_of, label_of, times_of
 from unbend.ingest.utc_evidence import Witness
 from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Ledger
+from unbend.units import Integers
 
 SILENT_NS = SILENT_US * MICROSECOND
 RECEIVER_MESSAGES = ("GPS_RAW_INT", "GPS2_RAW")
@@ -49,14 +50,15 @@ def read_log(
     witnesses: Sequence[Witness] = (),
 ) -> Contents:
     """The contents of a telemetry log; ``witnesses`` are other clocks that tell its date."""
-    wanted = wanted_layouts()
-    late = {number for number in wanted if name_of(number) in _LATE}
-    with open_view(path) as data:
-        scan = Scan(data, crc_extras(), wanted, late)
+    scan = _scan_of(path)
     scan.report_bytes(ledger, path.name, "message")
-    damaged_bytes = _report_rejected(scan, set(wanted), path.name, ledger)
+    damaged_bytes = _report_rejected(scan, path.name, ledger)
     if not scan.steady:  # before the stamps are used: in messages, and in readings of clocks
         _replace_stray_stamps(scan, ledger, path.name)
+    message_counts = {}
+    for number, count in scan.counts.items():
+        if count:
+            message_counts[name_of(number)] = count
     sent = {name_of(number): store for number, store in scan.sent.items()}
     scan.sent.clear()  # `channels_of` frees what ``sent`` holds, message by message
     carried = [store for name, store in sent.items() if name in _CARRIED]
@@ -70,7 +72,7 @@ def read_log(
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(scan, clocks, channels, path.name, ledger)
     return Contents(
-        messages={name_of(number): count for number, count in scan.counts.items() if count},
+        messages=message_counts,
         channels=tuple(channels),
         bad_bytes=scan.bad_bytes + damaged_bytes,
         lost_messages=lost,
@@ -81,6 +83,14 @@ def read_log(
         utc_sigma_s=clocks.utc_sigma_s,
         clocks=clocks.assessments,
     )
+
+
+def _scan_of(path: Path) -> Scan:
+    """The scan of a file, with the messages that channels and clocks are made of."""
+    wanted = wanted_layouts()
+    late = {number for number in wanted if name_of(number) in _LATE}
+    with open_view(path) as data:
+        return Scan(data, crc_extras(), wanted, late)
 
 
 def systems_with_fix(sent: Mapping[str, ColumnStore]) -> frozenset[int]:
@@ -124,16 +134,11 @@ TLOG = LogFormat(
 )
 
 
-def _report_rejected(
-    scan: Scan,
-    wanted: set[int],
-    file: str,
-    ledger: Ledger,
-) -> int:
+def _report_rejected(scan: Scan, file: str, ledger: Ledger) -> int:
     """Report frames that are not accepted; returns how many bytes of them are damage.
 
     A checksum that fails is damage if the log has good messages of that type, or the type is
-    ``wanted``; else the type may have other fields in the dialect of the sender.
+    wanted; else the type may have other fields in the dialect of the sender.
     """
     if scan.unknown:
         ledger.add(
@@ -145,6 +150,7 @@ def _report_rejected(
             )
         )
     damaged_bytes = 0
+    wanted = wanted_layouts()
     for number, rejected in sorted(scan.failed.items()):
         is_damage = scan.counts[number] > 0 or number in wanted
         report = messages.checksums_fail if is_damage else messages.another_dialect
@@ -230,13 +236,22 @@ def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     ledger.add(messages.stray_stamps(file=file, first=first, count=count))
     good_us = host_us[~stray]
     good_before = np.searchsorted(places[~stray], stray_places) - 1
-    replacement_us = good_us[np.maximum(good_before, 0)]  # (count,)
+    replacement_us = good_us[np.maximum(good_before, 0)]
     for store in (*scan.sent.values(), scan.clock.rows):
         for block in store.blocks():
-            not_before = np.searchsorted(stray_places, block["at"])
-            nearest_stray = np.minimum(not_before, count - 1)
-            is_stray = stray_places[nearest_stray] == block["at"]
-            block["host_us"][is_stray] = replacement_us[nearest_stray[is_stray]]
+            _replace_stamps(block, stray_places, replacement_us)
+
+
+def _replace_stamps(
+    block: NDArray[Any],
+    stray_places: Integers,
+    replacement_us: Integers,
+) -> None:
+    """Replace the stamps of messages or readings at (n,) stray places, in place."""
+    not_before = np.searchsorted(stray_places, block["at"])
+    nearest_stray = np.minimum(not_before, stray_places.shape[0] - 1)
+    is_stray = stray_places[nearest_stray] == block["at"]
+    block["host_us"][is_stray] = replacement_us[nearest_stray[is_stray]]
 
 
 def _table(

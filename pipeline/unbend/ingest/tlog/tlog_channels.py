@@ -26,7 +26,13 @@ from unbend.ingest.tlog.dialect import (
     message_of_key,
     message_of_name,
 )
-from unbend.ingest.tlog.sender_clocks import CLOCK_FIELDS, LATEST_NS, Clocks, clock_field
+from unbend.ingest.tlog.sender_clocks import (
+    CLOCK_FIELDS,
+    LATEST_NS,
+    Clocks,
+    SenderClock,
+    clock_field,
+)
 from unbend.ingest.tlog.senders import Sender, by_sender, systems_of
 from unbend.ingest.utc_evidence import FIRST_SET_US
 from unbend.messages import Ledger
@@ -293,10 +299,8 @@ def times_of(
     time_ns = clock.utc_of_boot(boot_places, host_ns, stamp_ns, turn_ns)
     boot = clock.boot(boot_places)
     if field == "time_boot_ms":
-        utc_us = unix_us(rows["records"])
-        if sender not in clocks.wrong_utc and utc_us.any():
-            utc_of_images_ns = clock.utc_of_stated(places, utc_us * MICROSECOND)
-            time_ns = np.where(utc_us > 0, utc_of_images_ns, time_ns)
+        if sender not in clocks.wrong_utc:
+            time_ns = _with_utc_of_images(rows, clock, time_ns)
         return MessageTimes(time_ns, boot)
     is_unix = stamp > FIRST_SET_US
     is_unknown = stamp == 0
@@ -311,6 +315,19 @@ def times_of(
         received_ns = host_ns[is_unknown]
         time_ns[is_unknown] = clock.utc_of_host(places[is_unknown], received_ns)
     return MessageTimes(time_ns, boot)
+
+
+def _with_utc_of_images(
+    rows: NDArray[Any],
+    clock: SenderClock,
+    time_ns: TimeArray,
+) -> TimeArray:
+    """The times of (n,) messages [ns], of images the UTC that they carry, where they carry one."""
+    utc_us = unix_us(rows["records"])
+    if not utc_us.any():
+        return time_ns
+    utc_of_images_ns = clock.utc_of_stated(rows["at"], utc_us * MICROSECOND)
+    return np.where(utc_us > 0, utc_of_images_ns, time_ns)
 
 
 def label_of(value: Any) -> str:
