@@ -24,7 +24,7 @@ STEADY_MS = 1000  # between samples while the delay is constant
 
 READING = np.dtype(
     [
-        ("at", "i8"),  # byte offset of the message
+        ("place", "i8"),  # byte offset of the message
         ("host_us", "i8"),  # the ground station's clock
         ("source", "u2"),  # the number of the sender
         ("boot_ns", "i8"),  # since boot
@@ -51,11 +51,11 @@ class Sampler:
         if not timed:
             return
         readings = np.concatenate([_readings_of(part) for part in timed])
-        order = np.lexsort((readings["at"], readings["source"]))  # by sender, then by place
+        order = np.lexsort((readings["place"], readings["source"]))  # by sender, then by place
         by_sender = readings[order]
         sampled = by_sender[_is_sampled(by_sender)]
         kept = sampled[_is_kept(sampled)]
-        in_file_order = np.argsort(kept["at"], kind="stable")
+        in_file_order = np.argsort(kept["place"], kind="stable")
         self.rows.add(kept[in_file_order])
 
     def readings(self, systems: Set[int]) -> Readings:
@@ -73,7 +73,7 @@ def _readings_of(messages: NDArray[Any]) -> Readings:
     """A reading of the sender's clock from each of the messages of one type."""
     records = messages["records"]
     rows = np.zeros(messages.shape[0], READING)
-    for name in ("at", "host_us", "source"):
+    for name in ("place", "host_us", "source"):
         rows[name] = messages[name]
     rows["boot_ns"] = records["time_boot_ms"].astype(np.int64) * MILLISECOND
     if "time_unix_usec" in (records.dtype.names or ()):

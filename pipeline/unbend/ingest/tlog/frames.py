@@ -64,7 +64,7 @@ _HEAD_V2 = np.dtype(
 class Frames:
     """Frames in the order of the file, (n,) each.
 
-    at : the byte at which the stamp, and with it the frame, begins.
+    place : the byte at which the stamp, and with it the frame, begins.
     total : how many bytes the frame has, with stamp, checksum and signature.
     host_us : the stamp, which is the ground station's clock [us].
     version : of MAVLink, 1 or 2.
@@ -72,7 +72,7 @@ class Frames:
     sequence : the sender's count of its messages, modulo 256.
     """
 
-    at: Integers
+    place: Integers
     total: Integers
     host_us: Integers
     version: NDArray[np.uint8]
@@ -83,18 +83,18 @@ class Frames:
     message_id: NDArray[np.int32]
 
     def __len__(self) -> int:
-        return int(self.at.shape[0])
+        return int(self.place.shape[0])
 
     @property
     def end(self) -> Integers:
         """The byte behind each frame."""
-        return np.asarray(self.at + self.total, np.int64)
+        return np.asarray(self.place + self.total, np.int64)
 
     @property
     def payload(self) -> Integers:
         """The byte offset of the payload."""
         before = np.where(self.version == 2, HEAD, STAMP + V1_BEFORE_PAYLOAD)
-        return np.asarray(self.at + before, np.int64)
+        return np.asarray(self.place + before, np.int64)
 
     @property
     def sender(self) -> NDArray[np.uint16]:
@@ -114,7 +114,7 @@ class Frames:
 
     def moved(self, by: int) -> "Frames":
         """The same frames, whose places in a window become places in the file by adding ``by``."""
-        return replace(self, at=self.at + by)
+        return replace(self, place=self.place + by)
 
 
 def joined(parts: list[Frames]) -> Frames:
@@ -124,11 +124,11 @@ def joined(parts: list[Frames]) -> Frames:
         pieces = [getattr(part, name) for part in parts]
         columns[name] = np.concatenate(pieces)
     whole = Frames(**columns)
-    in_file_order = np.argsort(whole.at, kind="stable")
+    in_file_order = np.argsort(whole.place, kind="stable")
     return whole.take(in_file_order)
 
 
-def frame_length(data: bytes, at: int) -> int:
+def frame_length(data: bytes, begin: int) -> int:
     """How many bytes the frame has whose stamp begins at a byte, by its header; 0 without a frame.
 
     The data may end within the frame.
@@ -136,12 +136,12 @@ def frame_length(data: bytes, at: int) -> int:
     >>> frame_length(bytes([0, 5, 0, 0, 0, 0, 0, 0, 0xFE, 4]) + bytes(20), 0)
     20
     """
-    if at + SHORTEST > len(data):
+    if begin + SHORTEST > len(data):
         return 0
-    has_stamp = data[at] == 0 and data[at + 1] in STAMP_HIGH
+    has_stamp = data[begin] == 0 and data[begin + 1] in STAMP_HIGH
     if not has_stamp:
         return 0
-    packet = at + STAMP
+    packet = begin + STAMP
     magic = data[packet]
     payload_length = data[packet + 1]
     if magic == V1:
@@ -187,7 +187,7 @@ def headers(window: Bytes, places: Integers, room: int) -> Frames:
     total += CHECKSUM + SIGNATURE * is_signed
     id_of_v2 = v2["id_low"] | v2["id_high"].astype(np.int32) << 8
     frames = Frames(
-        at=places,
+        place=places,
         total=total,
         host_us=v2["host_us"].astype(np.int64),
         version=np.where(is_v2, 2, 1).astype(np.uint8),
@@ -269,12 +269,12 @@ def checksums_hold(
     has_extra = ids[nearest_id] == frames.message_id
     extra = extra_of_id[nearest_id]
     for rows, covered in _packets_of_one_length(frames, has_extra):
-        behind_magic = frames.at[rows] + STAMP + 1
-        holds[rows] = _checksums_hold(window, behind_magic, covered, extra[rows])
+        behind_magic = frames.place[rows] + STAMP + 1
+        holds[rows] = _packets_are_intact(window, behind_magic, covered, extra[rows])
     return holds
 
 
-def _checksums_hold(
+def _packets_are_intact(
     window: Bytes,
     first: Integers,
     covered: int,

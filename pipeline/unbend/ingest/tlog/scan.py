@@ -42,14 +42,14 @@ _MOST_IDS = 1 << 16  # MAVLink 2 has 24 bits, and no dialect more than this
 
 @dataclass(frozen=True)
 class Silence:
-    """More than `SILENT_US` without a message of a sender, before the byte ``at``.
+    """More than `SILENT_US` without a message of a sender, before the byte ``place``.
 
     ``backward``: how many messages are missing by a step of the sequence that would be one backward
     without the silence (more than half of `SEQUENCE`); 0 for another step.
     """
 
     source: Sender
-    at: int
+    place: int
     seconds: float
     backward: int
 
@@ -92,7 +92,7 @@ class _SenderMessages(NamedTuple):
 
     sequence: NDArray[np.uint8]
     host_us: Integers
-    at: Integers
+    place: Integers
 
 
 def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
@@ -101,7 +101,7 @@ def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
     packed = np.dtype([(name, layout[name]) for name in names])
     return np.dtype(
         [
-            ("at", "i8"),
+            ("place", "i8"),
             ("host_us", "i8"),
             ("source", "u2"),
             ("records", packed),
@@ -118,8 +118,8 @@ class Scan(DamagedBytes):
 
     counts : how many messages of each id there are; those of an id outside the dialect count if
         frames fill all the bytes between accepted ones.
-    sent : the rows of the wanted messages by id: ``at`` (byte), ``host_us`` (the ground station's
-        clock), ``source`` (the number of the sender) and ``records``.
+    sent : the rows of the wanted messages by id: ``place`` (byte), ``host_us`` (the ground
+        station's clock), ``source`` (the number of the sender) and ``records``.
     unknown, failed : frames outside the dialect, and those whose checksum fails, by id.
     lost : missing messages of each sender, by its sequence numbers.
     steady : whether no stamp lies more than a second before the stamp before it, as a stray stamp
@@ -189,7 +189,7 @@ class Scan(DamagedBytes):
             names = layout.names or ()
             payload = payloads(window, of_type, layout)
             rows = np.empty(chosen.shape, self._row_types[number])
-            rows["at"] = of_type.at + begin
+            rows["place"] = of_type.place + begin
             rows["host_us"] = of_type.host_us
             rows["source"] = of_type.sender
             for name in names:
@@ -227,14 +227,14 @@ class Scan(DamagedBytes):
         """Examine the gaps before accepted frames; returns the frames in them, if there are any."""
         places: list[int] = []
         previous_end = np.concatenate([[self._end], frames.end[:-1]])
-        has_gap_before = previous_end != frames.at
+        has_gap_before = previous_end != frames.place
         for row in np.flatnonzero(has_gap_before).tolist():
             begin = int(previous_end[row])
-            stop = int(frames.at[row])
+            stop = int(frames.place[row])
             places += self._examine_gap(begin, stop)
         if not places:
             return None
-        return self._rejected_at(places, int(frames.at[-1]))
+        return self._rejected_at(places, int(frames.place[-1]))
 
     def _rejected_at(self, places: list[int], stop: int) -> Frames:
         """The frames at these places, which end before ``stop``; they are counted as rejected."""
@@ -288,7 +288,7 @@ class Scan(DamagedBytes):
             place += length
         return places, place
 
-    def _ends_in_frame(self, at: int, stop: int, places: list[int]) -> bool:
+    def _ends_in_frame(self, begin: int, stop: int, places: list[int]) -> bool:
         """Whether the file ends within a frame that begins at a byte, behind frames at ``places``.
 
         The file does if fewer bytes are left than any frame has, or fewer than the header says.
@@ -296,8 +296,8 @@ class Scan(DamagedBytes):
         """
         if stop != self._data.size:
             return False
-        last_bytes = self._data[at : at + LONGEST]  # as far as the file has them
-        has_no_room = stop - at < SHORTEST
+        last_bytes = self._data[begin : begin + LONGEST]  # as far as the file has them
+        has_no_room = stop - begin < SHORTEST
         stated_length = frame_length(last_bytes, 0)  # 0 where no frame begins
         if not has_no_room and stated_length <= len(last_bytes):
             return False
@@ -314,7 +314,7 @@ class Scan(DamagedBytes):
     def _count_rejected(self, frames: Frames) -> None:
         """Count frames that are not accepted: of an unknown id, or else with a failed checksum."""
         message_ids = frames.message_id.tolist()
-        places = frames.at.tolist()
+        places = frames.place.tolist()
         columns = (message_ids, places, frames.total.tolist())
         for number, place, length in zip(*columns, strict=True):
             if number in self._extras:
@@ -330,7 +330,7 @@ class Scan(DamagedBytes):
             sent = _SenderMessages(
                 sequence=frames.sequence[rows],
                 host_us=frames.host_us[rows],
-                at=frames.at[rows],
+                place=frames.place[rows],
             )
             self._count_lost_of_sender(number, sent)
 
@@ -390,7 +390,7 @@ class Scan(DamagedBytes):
         backward = skipped if is_backward else 0
         silence = Silence(
             source=sender,
-            at=int(sent.at[row]),
+            place=int(sent.place[row]),
             seconds=silent_us / 1e6,
             backward=backward,
         )
@@ -412,12 +412,12 @@ def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:
 def _apart(frames: Frames) -> Frames:
     """The frames without those that begin inside another frame: its payload may hold a log."""
     ends = frames.end
-    are_apart = bool(np.all(frames.at[1:] >= ends[:-1]))
+    are_apart = bool(np.all(frames.place[1:] >= ends[:-1]))
     if are_apart:
         return frames
     rows = []
     end_before = 0
-    begin_and_end = zip(frames.at.tolist(), ends.tolist(), strict=True)
+    begin_and_end = zip(frames.place.tolist(), ends.tolist(), strict=True)
     for row, (begin, end) in enumerate(begin_and_end):
         if begin >= end_before:
             rows.append(row)

@@ -62,54 +62,54 @@ LATEST_NS = 10 * NANOSECONDS_PER_SECOND
 class SenderClock:
     """One sender's clock and its boots in UTC.
 
-    ``at``, ``boot_ns`` (n,): readings each second and at each boot, empty where none is known. By
-    boot: ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
+    ``reading_places``, ``boot_ns`` (n,): readings each second and at each boot, empty where none is
+    known. By boot: ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
     """
 
-    at: Integers
+    reading_places: Integers
     boot_ns: TimeArray
     clock: BootClock
     counts: tuple[int, ...]
     maps: tuple[Callable[[TimeArray], TimeArray], ...]
     stated_shift_ns: tuple[int, ...] = ()  # UTC minus the UTC that the sender states, by boot
 
-    def utc_of_stated(self, at: Integers, stated_ns: TimeArray) -> TimeArray:
+    def utc_of_stated(self, places: Integers, stated_ns: TimeArray) -> TimeArray:
         """UTC [ns] of times that the sender states as UTC: its date may be a rollover off."""
         if not any(self.stated_shift_ns):
             return stated_ns
         shift_ns = np.array(self.stated_shift_ns, np.int64)
-        return np.asarray(stated_ns + shift_ns[self.boot(at)], np.int64)
+        return np.asarray(stated_ns + shift_ns[self.boot(places)], np.int64)
 
-    def boot(self, at: Integers) -> NDArray[np.int16]:
+    def boot(self, places: Integers) -> NDArray[np.int16]:
         """The boot of messages at these places of the file."""
-        return self.clock.line.boot_of(at)
+        return self.clock.line.boot_of(places)
 
-    def _row(self, at: Integers) -> Rows:
+    def _row(self, places: Integers) -> Rows:
         """The reading that stands before each place of the file, or the first."""
-        before = np.searchsorted(self.at, at, side="right") - 1
+        before = np.searchsorted(self.reading_places, places, side="right") - 1
         return np.maximum(before, 0)
 
-    def boot_places(self, at: Integers, boot_ns: TimeArray) -> Integers:
+    def boot_places(self, places: Integers, boot_ns: TimeArray) -> Integers:
         """For each message a place in the file that lies in the boot of its time.
 
         That is its own place, unless its time is nearer to the next reading, which is of another
         boot: messages may come before the first reading of their clock.
         """
         if self.clock.line.boots == 1:
-            return at
-        before = self._row(at)
-        after = np.minimum(before + 1, self.at.shape[0] - 1)
+            return places
+        before = self._row(places)
+        after = np.minimum(before + 1, self.reading_places.shape[0] - 1)
         from_before_ns = np.abs(boot_ns - self.boot_ns[before])
         from_after_ns = np.abs(boot_ns - self.boot_ns[after])
         is_of_next = from_after_ns < from_before_ns
-        is_of_next &= self.boot(self.at[after]) != self.boot(at)
-        return np.asarray(np.where(is_of_next, self.at[after], at), np.int64)
+        is_of_next &= self.boot(self.reading_places[after]) != self.boot(places)
+        return np.asarray(np.where(is_of_next, self.reading_places[after], places), np.int64)
 
-    def utc_of_host(self, at: Integers, host_ns: TimeArray) -> TimeArray:
+    def utc_of_host(self, places: Integers, host_ns: TimeArray) -> TimeArray:
         """UTC [ns] of messages without a time of their own."""
-        if not self.at.size:
+        if not self.reading_places.size:
             return host_ns
-        boot = self.boot(at)
+        boot = self.boot(places)
         utc_ns = host_ns.copy()
         for number in np.unique(boot).tolist():
             rows = boot == number
@@ -117,17 +117,21 @@ class SenderClock:
         return utc_ns
 
     def utc_of_boot(
-        self, at: Integers, host_ns: TimeArray, boot_ns: TimeArray, turn_ns: int
+        self,
+        places: Integers,
+        host_ns: TimeArray,
+        boot_ns: TimeArray,
+        turn_ns: int,
     ) -> TimeArray:
         """UTC [ns] of times since boot that wrap after ``turn_ns``.
 
         Without a known clock, the stamps ``host_ns`` of the ground station.
         """
-        if not self.at.size:
+        if not self.reading_places.size:
             return host_ns
-        near_ns = np.asarray(self.boot_ns[self._row(at)], np.int64)
+        near_ns = np.asarray(self.boot_ns[self._row(places)], np.int64)
         whole_ns = unrolled(boot_ns, near_ns, turn_ns)
-        return self.clock.utc(at, whole_ns)
+        return self.clock.utc(places, whole_ns)
 
 
 def _unchanged(host_ns: TimeArray) -> TimeArray:
@@ -136,7 +140,7 @@ def _unchanged(host_ns: TimeArray) -> TimeArray:
 
 
 _HOST_CLOCK = SenderClock(
-    at=np.empty(0, np.int64),
+    reading_places=np.empty(0, np.int64),
     boot_ns=np.empty(0, np.int64),
     clock=BootClock(timeline([]), (None,), (False,)),
     counts=(0,),
@@ -180,18 +184,19 @@ class Clocks:
             return _HOST_CLOCK
         return self.senders[lender]
 
-    def advanced(self, sender: Sender, at: int, least_ns: int) -> bool:
+    def advanced(self, sender: Sender, place: int, least_ns: int) -> bool:
         """Whether a sender's clock advances by ``least_ns`` or more at a place, within a boot.
 
         True also where the clock is not known beside that place.
         """
         clock = self.senders.get(sender, _HOST_CLOCK)
-        row = int(np.searchsorted(clock.at, at))
-        if not 0 < row < clock.at.shape[0]:
+        row = int(np.searchsorted(clock.reading_places, place))
+        if not 0 < row < clock.reading_places.shape[0]:
             return True
-        boot_before, boot_after = clock.boot(clock.at[row - 1 : row + 1]).tolist()
+        boots = clock.boot(clock.reading_places[row - 1 : row + 1])
+        is_one_boot = bool(boots[0] == boots[1])
         step_ns = int(clock.boot_ns[row] - clock.boot_ns[row - 1])
-        return bool(boot_before == boot_after and step_ns >= least_ns)
+        return is_one_boot and step_ns >= least_ns
 
 
 def clock_field(names: Container[str]) -> str:
@@ -320,7 +325,7 @@ def fit_sender(
     steps_ns = np.diff(readings["boot_ns"])
     if bool(np.any(steps_ns < -BOOT_STEP_NS)):
         readings = _selected(readings, ~overtaken(readings))
-    places = readings["at"]
+    places = readings["place"]
     stamped_ns = readings["host_us"] * MICROSECOND
     boot_ns = _continued(readings["boot_ns"], stamped_ns, sender, ledger)
     system_time = UtcReadings(
@@ -352,7 +357,7 @@ def fit_sender(
     is_new = (np.diff(second) != 0) | (np.diff(boot) != 0)
     is_kept = np.append(True, is_new)  # the first of each second and of each boot
     return SenderClock(
-        at=places[is_kept],
+        reading_places=places[is_kept],
         boot_ns=boot_ns[is_kept],
         clock=clock,
         counts=tuple(counts),

@@ -187,7 +187,7 @@ def _report_link(
     silences_of: dict[Sender, list[Silence]] = {}
     for silence in scan.silences:
         sender = silence.source
-        if sender in senders and clocks.advanced(sender, silence.at, SILENT_NS):
+        if sender in senders and clocks.advanced(sender, silence.place, SILENT_NS):
             silences_of.setdefault(sender, []).append(silence)
             # after seconds of silence no message overtakes another: the step is a loss
             lost[sender] += silence.backward
@@ -202,7 +202,7 @@ def _report_link(
     for sender, silences in sorted(silences_of.items()):
         silent_message = messages.sender_silent(
             file=file,
-            byte=silences[0].at,
+            byte=silences[0].place,
             count=len(silences),
             system=sender.system,
             component=sender.component,
@@ -222,7 +222,7 @@ def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     blocks = [block for store in scan.sent.values() for block in store.blocks()]
     if not blocks:
         return
-    places = np.concatenate([block["at"] for block in blocks])
+    places = np.concatenate([block["place"] for block in blocks])
     host_us = np.concatenate([block["host_us"] for block in blocks])
     order = np.argsort(places, kind="stable")
     places = places[order]
@@ -248,9 +248,9 @@ def _replace_stamps(
     replacement_us: Integers,
 ) -> None:
     """Replace the stamps of messages or readings at (n,) stray places, in place."""
-    not_before = np.searchsorted(stray_places, block["at"])
+    not_before = np.searchsorted(stray_places, block["place"])
     nearest_stray = np.minimum(not_before, stray_places.shape[0] - 1)
-    is_stray = stray_places[nearest_stray] == block["at"]
+    is_stray = stray_places[nearest_stray] == block["place"]
     block["host_us"][is_stray] = replacement_us[nearest_stray[is_stray]]
 
 

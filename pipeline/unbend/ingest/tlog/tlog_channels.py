@@ -284,7 +284,7 @@ def times_of(
     - ``time_usec``: Unix time from some senders, time since boot from others. A time of 0 is
       unknown: the time of reception counts.
     """
-    places = rows["at"]
+    places = rows["place"]
     host_ns = rows["host_us"] * MICROSECOND
     clock = clocks.of(sender)
     if not field:
@@ -326,7 +326,7 @@ def _with_utc_of_images(
     utc_us = unix_us(rows["records"])
     if not utc_us.any():
         return time_ns
-    utc_of_images_ns = clock.utc_of_stated(rows["at"], utc_us * MICROSECOND)
+    utc_of_images_ns = clock.utc_of_stated(rows["place"], utc_us * MICROSECOND)
     return np.where(utc_us > 0, utc_of_images_ns, time_ns)
 
 
