@@ -270,17 +270,25 @@ def checksums_hold(
     extra = extra_of_id[nearest_id]
     for rows, covered in _packets_of_one_length(frames, has_extra):
         behind_magic = frames.place[rows] + STAMP + 1
-        holds[rows] = _packets_are_intact(window, behind_magic, covered, extra[rows])
+        sums = checksums(window, behind_magic, covered, extra[rows])
+        holds[rows] = sums.computed == sums.stored
     return holds
 
 
-def _packets_are_intact(
+class Checksums(NamedTuple):
+    """The checksums of (n,) packets: computed from their bytes, and stored behind them."""
+
+    computed: NDArray[np.uint16]
+    stored: NDArray[np.uint16]
+
+
+def checksums(
     window: Bytes,
     first: Integers,
     covered: int,
     extra: NDArray[np.uint16],
-) -> Mask:
-    """Whether the checksums behind (n,) packets of one length are those of their bytes.
+) -> Checksums:
+    """The checksums of (n,) packets of one length.
 
     The ``covered`` bytes begin at ``first`` (n,), behind the magic byte; ``extra`` (n,): CRC_EXTRA.
     """
@@ -299,8 +307,10 @@ def _packets_are_intact(
     for number in range(first_whole_word, stored_word):
         np.bitwise_xor(crc, words[:, number], out=crc)
         crc = _WORDS.take(crc, mode="clip")  # 16 bits are never out of range: no test needed
-    computed = _step(crc, extra)
-    return np.asarray(computed == words[:, stored_word], np.bool_)
+    return Checksums(
+        computed=_step(crc, extra),
+        stored=words[:, stored_word],
+    )
 
 
 def payloads(
