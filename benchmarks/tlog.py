@@ -46,11 +46,11 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
     frames = _frames(source)
     length_us = int(np.ptp(frames.host_us)) + 100_000
     stamps = np.ndarray((room - 7,), ">u8", source, strides=(1,))
-    first = stamps[frames.at]
+    first = stamps[frames.place]
     size = 0
     with out.open("wb") as stream:
         for copy in range(-(-size_bytes // room)):
-            stamps[frames.at] = first + np.uint64(copy * length_us)
+            stamps[frames.place] = first + np.uint64(copy * length_us)
             if copy:
                 _set_clocks_on(source, frames, length_us)
                 _sign(source, frames)
@@ -72,7 +72,7 @@ def _with_whole_clocks(source: np.ndarray) -> np.ndarray:
         if set(dtype.names or ()) & set(CLOCKS):
             rows = (frames.message_id == number) & (frames.length < dtype.itemsize)
             rows &= frames.version == 2
-            parts += [(at, dtype.itemsize) for at in frames.at[rows].tolist()]
+            parts += [(at, dtype.itemsize) for at in frames.place[rows].tolist()]
     data, done, out = source.tobytes(), 0, []
     for at, size in sorted(parts):
         length = data[at + STAMP + 1]
@@ -113,9 +113,10 @@ def _sign(source: np.ndarray, frames: Frames) -> None:
         for version, before in ((1, 5), (2, 9)):
             rows = (frames.length == length) & (frames.version == version)
             rows &= np.isin(frames.message_id, list(dialect()))
-            first = frames.at[rows] + STAMP + 1
+            first = frames.place[rows] + STAMP + 1
             if first.shape[0]:
-                crc, _ = checksums(source, first, before + length, extras[frames.message_id[rows]])
+                extra = extras[frames.message_id[rows]]
+                crc = checksums(source, first, before + length, extra).computed
                 for byte in (0, 1):
                     source[first + before + length + byte] = crc >> 8 * byte & 0xFF
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from unbend.units import MOST_FLAGS, Array, whole_numbers
 
+QUATERNION = ("q_w", "q_x", "q_y", "q_z")  # the columns of an attitude
 BLOCK = 65_536  # rows turned at once: their quaternions fit the cache
 
 # Bits of GIMBAL_DEVICE_FLAGS that say what the yaw of the quaternion counts from.
@@ -26,15 +27,20 @@ def unit_quaternions(q: Array) -> Array:
         length = np.linalg.norm(q, axis=1, keepdims=True)
         usable = (length > 0.0) & np.isfinite(length)
         unit = q / np.where(usable, length, np.nan)
-    return np.where(unit[:, :1] < 0.0, -unit, unit)
+    has_negative_w = unit[:, :1] < 0.0
+    return np.where(has_negative_w, -unit, unit)
 
 
-def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]) -> None:
+def replace_in_blocks(
+    rotation: Callable[[Array], Array],
+    parts: Sequence[Array],
+) -> None:
     """Replace the numbers in four (n,) columns by quaternions, in place and some rows at a time.
 
     ``rotation`` makes (m, 4) quaternions of (m, 4) numbers, a row of the four columns each.
     """
-    for begin in range(0, parts[0].shape[0], BLOCK):
+    count = parts[0].shape[0]
+    for begin in range(0, count, BLOCK):
         block = slice(begin, begin + BLOCK)
         numbers = np.stack([part[block] for part in parts], axis=1)
         quaternion = rotation(numbers)
@@ -42,7 +48,11 @@ def replace_in_blocks(rotation: Callable[[Array], Array], parts: Sequence[Array]
             part[block] = component
 
 
-def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
+def quaternion_of_euler(
+    roll_rad: Array,
+    pitch_rad: Array,
+    yaw_rad: Array,
+) -> Array:
     """(n, 4) quaternions w, x, y, z of (n,) Euler angles [rad] of any range.
 
     Yaw is applied first, then pitch, then roll (Z-Y-X), as in MAVLink ATTITUDE and in ATT.
@@ -56,11 +66,13 @@ def quaternion_of_euler(roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Ar
     sin_pitch = np.sin(pitch_rad / 2.0)
     cos_yaw = np.cos(yaw_rad / 2.0)
     sin_yaw = np.sin(yaw_rad / 2.0)
-    w = cos_roll * cos_pitch * cos_yaw + sin_roll * sin_pitch * sin_yaw
-    x = sin_roll * cos_pitch * cos_yaw - cos_roll * sin_pitch * sin_yaw
-    y = cos_roll * sin_pitch * cos_yaw + sin_roll * cos_pitch * sin_yaw
-    z = cos_roll * cos_pitch * sin_yaw - sin_roll * sin_pitch * cos_yaw
-    return unit_quaternions(np.stack([w, x, y, z], axis=1))
+    components = [
+        cos_roll * cos_pitch * cos_yaw + sin_roll * sin_pitch * sin_yaw,
+        sin_roll * cos_pitch * cos_yaw - cos_roll * sin_pitch * sin_yaw,
+        cos_roll * sin_pitch * cos_yaw + sin_roll * cos_pitch * sin_yaw,
+        cos_roll * cos_pitch * sin_yaw - sin_roll * sin_pitch * cos_yaw,
+    ]
+    return unit_quaternions(np.stack(components, axis=1))
 
 
 def ned_frd_of_enu_flu(q: Array) -> Array:
@@ -73,10 +85,19 @@ def ned_frd_of_enu_flu(q: Array) -> Array:
     >>> ned_frd_of_enu_flu(np.array([[1.0, 0.0, 0.0, 0.0]])).round(4)  # x forward, facing east
     array([[0.7071, 0.    , 0.    , 0.7071]])
     """
-    w, x, y, z = q.T
+    w = q[:, 0]
+    x = q[:, 1]
+    y = q[:, 2]
+    z = q[:, 3]
     with np.errstate(over="ignore"):
-        turned = np.stack([w + z, x + y, x - y, w - z], axis=1)
-        return unit_quaternions(np.sqrt(0.5) * turned)
+        components = [
+            w + z,
+            x + y,
+            x - y,
+            w - z,
+        ]
+        turned = np.sqrt(0.5) * np.stack(components, axis=1)
+        return unit_quaternions(turned)
 
 
 def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
@@ -92,6 +113,7 @@ def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
     in_earth_frame = flags & _YAW_IN_EARTH_FRAME != 0
     from_north = in_earth_frame | (is_locked & ~in_vehicle_frame)
     result = dict(columns)
-    for name in ("q_w", "q_x", "q_y", "q_z"):
-        result[name] = np.where(from_north, columns[name], np.nan)
+    for name in QUATERNION:
+        as_sent = columns[name]
+        result[name] = np.where(from_north, as_sent, np.nan)
     return result

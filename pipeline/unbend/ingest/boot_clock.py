@@ -37,7 +37,8 @@ class BootClock:
 
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
         """UTC [ns] of times since boot at places of the log; of a boot without UTC, these times."""
-        offsets_ns = np.array([fit.offset_ns if fit else 0 for fit in self.fits], np.int64)
+        offset_of_boot_ns = [fit.offset_ns if fit else 0 for fit in self.fits]
+        offsets_ns = np.array(offset_of_boot_ns, np.int64)
         utc_ns = offsets_ns[self.line.boot_of(places)]
         utc_ns += boot_ns  # memory has its peak here
         return utc_ns
@@ -166,8 +167,10 @@ def _offset_steps(line: Timeline, source: UtcReadings) -> list[tuple[int, int]]:
         rows = np.flatnonzero(boot == number)
         places = source.places[rows]
         offset_ns = without_glitches(source.utc_ns[rows] - source.boot_ns[rows])
-        stepped = np.flatnonzero(np.abs(np.diff(offset_ns)) > clock.BOOT_STEP_NS)
-        steps += zip(places[stepped].tolist(), places[stepped + 1].tolist(), strict=True)
+        is_step = np.abs(np.diff(offset_ns)) > clock.BOOT_STEP_NS
+        places_before = places[:-1][is_step].tolist()
+        places_after = places[1:][is_step].tolist()
+        steps += zip(places_before, places_after, strict=True)
     return steps
 
 

@@ -42,7 +42,12 @@ class FileView:
     mapped ends the process.
     """
 
-    def __init__(self, stream: io.FileIO | io.BytesIO, size: int, name: str = "") -> None:
+    def __init__(
+        self,
+        stream: io.FileIO | io.BytesIO,
+        size: int,
+        name: str = "",
+    ) -> None:
         self.size = size
         self.name = name
         self._stream = stream
@@ -65,7 +70,8 @@ class FileView:
         Raises LogError if the file has become shorter.
         """
         usual_length = SPAN + 2 * BEHIND  # some bytes before the place asked for, and behind
-        length = min(max(end - begin, usual_length), self.size - begin)
+        wanted_length = max(end - begin, usual_length)
+        length = min(wanted_length, self.size - begin)
         span = np.empty(length, np.uint8)
         self._stream.seek(begin)
         count = 0
@@ -118,7 +124,12 @@ def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[
     """
     count = max(data.shape[0] - size + 1, 0)
     # an item at every byte, overlapping, without a copy; then one copy of those at the places
-    all_items: NDArray[Any] = np.ndarray((count,), f"V{size}", data, offset=0, strides=(1,))
+    all_items: NDArray[Any] = np.ndarray(
+        shape=(count,),
+        dtype=f"V{size}",
+        buffer=data,
+        strides=(1,),
+    )
     items: NDArray[Any] = all_items[places]
     return items
 
@@ -141,7 +152,8 @@ class Runs:
         first = int(np.searchsorted(self.at, place))
         if first == self.at.shape[0] or self.at[first] != place:
             return slice(first, first)
-        last = int(self._breaks[np.searchsorted(self._breaks, first)])
+        break_behind = np.searchsorted(self._breaks, first)
+        last = int(self._breaks[break_behind])
         return slice(first, last + 1)
 
 
@@ -309,7 +321,8 @@ class ColumnStore:
 
     def _add_block(self) -> None:
         """Append a block of as many bytes as there are so far, within limits."""
-        size = min(max(self._length * self.dtype.itemsize, _SMALLEST_BLOCK), BLOCK)
+        size_so_far = self._length * self.dtype.itemsize
+        size = min(max(size_so_far, _SMALLEST_BLOCK), BLOCK)
         self._room = max(size // self.dtype.itemsize, 1)
         self._blocks.append(allocate(self._room, self.dtype))
 

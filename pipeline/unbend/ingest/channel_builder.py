@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from unbend.flight.channels import Channel, Source, TimeArray
 from unbend.flight.clock import new_readings, rows_in_time_order
 from unbend.ingest import messages
-from unbend.ingest.attitude import quaternion_of_euler, replace_in_blocks, unit_quaternions
+from unbend.ingest.attitude import (
+    QUATERNION,
+    quaternion_of_euler,
+    replace_in_blocks,
+    unit_quaternions,
+)
 from unbend.ingest.buffers import ColumnStore, allocate, copy_rows
 from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.flight_log import utc_text
@@ -18,7 +23,6 @@ from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Kind, Ledger
 from unbend.units import Array, Mask, Rows
 
-_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 SENT = ".sent"  # of a channel with the commands of a trigger, beside that of the shutter's pulses
 _BEHIND_PULSES = 10  # ranks
 _EULER = ("roll_rad", "pitch_rad", "yaw_rad")
@@ -38,19 +42,27 @@ class DecodedRows:
     def __len__(self) -> int:
         return int(self.time_ns.shape[0])
 
+    def time_rises(self) -> bool:
+        """Whether each row is later than the row before it."""
+        return bool(np.all(self.time_ns[1:] > self.time_ns[:-1]))
+
     def take(self, rows: Mask | Rows) -> "DecodedRows":
         """The rows of a mask or an index."""
         index = np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
         kept = np.asarray(index, np.intp)
+        columns = {}
+        for name, column in self.columns.items():
+            columns[name] = copy_rows(column, kept)
         labels = {}
         for name, texts in self.labels.items():
-            labels[name] = tuple(np.asarray(texts, object)[kept].tolist())
+            kept_texts = np.asarray(texts, object)[kept]
+            labels[name] = tuple(kept_texts.tolist())
         return DecodedRows(
             name=self.name,
             source=self.source,
             time_ns=copy_rows(self.time_ns, kept),
             boot=copy_rows(self.boot, kept),
-            columns={name: copy_rows(column, kept) for name, column in self.columns.items()},
+            columns=columns,
             labels=labels,
         )
 
@@ -69,17 +81,23 @@ class ColumnStores:
         for name, column in values.items():
             if name in self.stores:
                 continue
-            if self._keeps_empty or bool(np.isfinite(column).any()):
+            if self._keeps_empty or has_value(column):
                 self.stores[name] = ColumnStore("f8")
                 rows_before = np.broadcast_to(np.nan, self._length)
                 self.stores[name].add(rows_before)
+        without_values = np.broadcast_to(np.nan, count)
         for name, store in self.stores.items():
-            store.add(values.get(name, np.broadcast_to(np.nan, count)))
+            store.add(values.get(name, without_values))
         self._length += count
 
     def whole(self) -> dict[str, Array]:
         """All rows by column; empties the stores."""
         return {name: store.whole() for name, store in self.stores.items()}
+
+
+def has_value(column: Array) -> bool:
+    """Whether a column has a value in any row."""
+    return bool(np.isfinite(column).any())
 
 
 def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel | None:
@@ -92,9 +110,10 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
         return channel_of_texts(rows, spec)
     absent = sorted(_needed_columns(rows, spec) - set(rows.columns))
     if absent:
-        ledger.add(messages.rows_without_field(where=rows.name, count=len(rows), fields=absent))
+        count = len(rows)
+        ledger.add(messages.rows_without_field(where=rows.name, count=count, fields=absent))
         return None
-    if not spec.event and not any(np.isfinite(column).any() for column in rows.columns.values()):
+    if not spec.event and not any(map(has_value, rows.columns.values())):
         return None  # no values: what is dropped of them is not worth an entry
     if spec.position:
         rows = _with_fix(rows, ledger)
@@ -105,14 +124,22 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
     columns = dict(rows.columns)
     if spec.attitude:
         _make_unit_quaternions(columns)
-    with_values = {name: values for name, values in columns.items() if np.isfinite(values).any()}
+    with_values = {name: column for name, column in columns.items() if has_value(column)}
     if len(rows) == 0 or not with_values:
         return None
     return _channel(rows, with_values, spec)
 
 
-def _channel(rows: DecodedRows, columns: Mapping[str, Array], spec: MessageMap) -> Channel:
+def _channel(
+    rows: DecodedRows,
+    columns: Mapping[str, Array],
+    spec: MessageMap,
+) -> Channel:
     """The channel of rows whose columns are ready, with the roles that it can play."""
+    logged_units = {}
+    for column in spec.columns:
+        if column.unit:
+            logged_units[column.name] = column.unit
     channel = Channel(
         name=rows.name,
         time_ns=rows.time_ns,
@@ -121,9 +148,10 @@ def _channel(rows: DecodedRows, columns: Mapping[str, Array], spec: MessageMap) 
         boot=rows.boot,
         rank=_rank(rows, spec),
         labels=rows.labels,
-        logged_units={column.name: column.unit for column in spec.columns if column.unit},
+        logged_units=logged_units,
     )
-    return replace(channel, roles=tuple(role for role in spec.roles if channel.fits_role(role)))
+    roles = filter(channel.fits_role, spec.roles)
+    return replace(channel, roles=tuple(roles))
 
 
 def _needed_columns(rows: DecodedRows, spec: MessageMap) -> set[str]:
@@ -133,7 +161,7 @@ def _needed_columns(rows: DecodedRows, spec: MessageMap) -> set[str]:
         needed |= {"lat_rad", "lon_rad"}
     if spec.attitude:
         has_angles = "roll_rad" in rows.columns
-        needed |= set(_EULER) if has_angles else set(_QUATERNION)
+        needed |= set(_EULER) if has_angles else set(QUATERNION)
     return needed
 
 
@@ -162,7 +190,8 @@ def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     dropped = int(np.count_nonzero(~good))
     if not dropped:
         return rows
-    ledger.add(messages.rows_without_fix(channel=rows.name, count=dropped, total=len(rows)))
+    total = len(rows)
+    ledger.add(messages.rows_without_fix(channel=rows.name, count=dropped, total=total))
     return rows.take(good)
 
 
@@ -178,8 +207,10 @@ def _numbered_exposures(rows: DecodedRows) -> DecodedRows:
     if "event_index" not in columns:
         columns["event_index"] = np.arange(len(rows), dtype=np.float64)
     if "lat_rad" in columns and "lon_rad" in columns:
-        nowhere = (columns["lat_rad"] == 0.0) & (columns["lon_rad"] == 0.0)
-        nowhere |= np.abs(columns["lat_rad"]) > _POLE_RAD
+        lat_rad = columns["lat_rad"]
+        lon_rad = columns["lon_rad"]
+        nowhere = (lat_rad == 0.0) & (lon_rad == 0.0)
+        nowhere |= np.abs(lat_rad) > _POLE_RAD
         for name in ("lat_rad", "lon_rad", "h_msl_m"):
             if name in columns:
                 columns[name] = np.where(nowhere, np.nan, columns[name])
@@ -192,17 +223,18 @@ def _attitudes_of_exposures(columns: Mapping[str, Array]) -> dict[str, Array]:
 
     Angles that are all 0 are those of no attitude.
     """
-    logged = [f"camera_{name}" for name in _QUATERNION]
+    logged = [f"camera_{name}" for name in QUATERNION]
     if all(name in columns for name in logged):
-        quaternions = unit_quaternions(np.stack([columns[name] for name in logged], axis=1))
+        components = [columns[name] for name in logged]
+        quaternions = unit_quaternions(np.stack(components, axis=1))
     elif all(name in columns for name in _EULER):
-        roll_rad, pitch_rad, yaw_rad = (columns[name] for name in _EULER)
-        quaternions = quaternion_of_euler(roll_rad, pitch_rad, yaw_rad)
-        is_known = (roll_rad != 0.0) | (pitch_rad != 0.0) | (yaw_rad != 0.0)
-        quaternions = np.where(is_known[:, None], quaternions, np.nan)
+        angles = [columns[name] for name in _EULER]
+        quaternions = quaternion_of_euler(*angles)
+        is_unknown = np.all(np.equal(angles, 0.0), axis=0)
+        quaternions[is_unknown] = np.nan
     else:
         return {}
-    return dict(zip(_QUATERNION, quaternions.T, strict=True))
+    return dict(zip(QUATERNION, quaternions.T, strict=True))
 
 
 def feedback_apart(rows: DecodedRows, ledger: Ledger) -> list[DecodedRows]:
@@ -231,22 +263,26 @@ def feedback_apart(rows: DecodedRows, ledger: Ledger) -> list[DecodedRows]:
 def _make_unit_quaternions(columns: dict[str, Array]) -> None:
     """Replace Euler angles or quaternions by unit quaternions, in the memory of what was logged."""
     has_angles = "roll_rad" in columns
-    logged = _EULER if has_angles else _QUATERNION
+    logged = _EULER if has_angles else QUATERNION
     parts = [columns[name] for name in logged]
     for name in logged:
         del columns[name]
     if has_angles:
-        fourth_part = allocate(parts[0].shape[0], np.float64)
+        count = parts[0].shape[0]
+        fourth_part = allocate(count, np.float64)
         parts.append(fourth_part)
         replace_in_blocks(_quaternion_of_angles, parts)
     else:
         replace_in_blocks(unit_quaternions, parts)
-    columns.update(zip(_QUATERNION, parts, strict=True))
+    columns.update(zip(QUATERNION, parts, strict=True))
 
 
 def _quaternion_of_angles(numbers: Array) -> Array:
     """(n, 4) roll, pitch, yaw [rad] and a free column -> (n, 4) w, x, y, z."""
-    return quaternion_of_euler(numbers[:, 0], numbers[:, 1], numbers[:, 2])
+    roll_rad = numbers[:, 0]
+    pitch_rad = numbers[:, 1]
+    yaw_rad = numbers[:, 2]
+    return quaternion_of_euler(roll_rad, pitch_rad, yaw_rad)
 
 
 def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
@@ -258,9 +294,12 @@ def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
     time_ns, first_lines = np.unique(rows.time_ns[order], return_index=True)
     if not time_ns.size:
         return None
-    lines = [rows.labels["text"][row].strip() for row in order.tolist()]
+    logged = rows.labels["text"]
+    lines = [logged[row].strip() for row in order.tolist()]
     bounds = [*first_lines.tolist(), len(lines)]
-    texts = tuple("\n".join(lines[begin:end]) for begin, end in pairwise(bounds))
+    texts = []
+    for begin, end in pairwise(bounds):
+        texts.append("\n".join(lines[begin:end]))
     return Channel(
         name=rows.name,
         time_ns=time_ns,
@@ -268,7 +307,7 @@ def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
         source=rows.source,
         boot=rows.boot[order][first_lines],
         rank=spec.rank,
-        labels={"text": texts},
+        labels={"text": tuple(texts)},
     )
 
 
@@ -299,7 +338,8 @@ def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     """
     columns: dict[str, Array] = dict(rows.columns)
     index = columns.get("event_index")
-    if index is not None and index.shape[0] > 1 and not index.any():
+    has_several = index is not None and index.shape[0] > 1
+    if has_several and not np.any(index):
         del columns["event_index"]
         ledger.add(messages.exposures_without_index(channel=rows.name, count=len(rows)))
     result = columns.pop("result", None)
@@ -310,7 +350,8 @@ def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     if not failed.any():
         return captures
     count = int(np.count_nonzero(failed))
-    ledger.add(messages.failed_exposures(channel=rows.name, count=count, total=len(rows)))
+    total = len(rows)
+    ledger.add(messages.failed_exposures(channel=rows.name, count=count, total=total))
     return captures.take(~failed)
 
 
@@ -320,7 +361,7 @@ def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> Decod
     A repeat has the time of the row directly before it, or the time and all values of the first row
     with its time.
     """
-    if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
+    if rows.time_rises():
         return rows  # no two rows have the same time
     repeats = _equal_to_first_of_time(rows) | ~new_readings(rows.time_ns)
     count = int(np.count_nonzero(repeats))
@@ -346,8 +387,9 @@ def _equal_to_first_of_time(rows: DecodedRows) -> Mask:
     first_of_time = first[group]
     is_equal = first_of_time != np.arange(len(rows))
     for column in rows.columns.values():
-        both_unknown = np.isnan(column) & np.isnan(column[first_of_time])
-        is_equal &= (column == column[first_of_time]) | both_unknown
+        value_of_first = column[first_of_time]
+        both_unknown = np.isnan(column) & np.isnan(value_of_first)
+        is_equal &= (column == value_of_first) | both_unknown
     return np.asarray(is_equal, np.bool_)
 
 
@@ -356,11 +398,12 @@ def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
 
     Rows that are lost thereby, and settings of the clock, are reported.
     """
-    if bool(np.all(rows.time_ns[1:] > rows.time_ns[:-1])):
+    if rows.time_rises():
         return rows
     # of each row that is kept: how often the clock was set back before it
     kept, stretch = rows_in_time_order(rows.time_ns)
-    lost = np.setdiff1d(np.arange(len(rows)), kept)
+    all_rows = np.arange(len(rows))
+    lost = np.setdiff1d(all_rows, kept)
     if lost.size:
         first = int(lost[0])
         ledger.add(
@@ -375,11 +418,13 @@ def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     result = rows.take(kept)
     if not stretch.any():
         return result
-    ledger.add(messages.clock_set_back(channel=rows.name, count=int(stretch.max())))
+    settings = int(stretch.max())
+    ledger.add(messages.clock_set_back(channel=rows.name, count=settings))
     # each boot of the vehicle and each stretch in it becomes a boot of its own
     numbers = np.stack([result.boot, stretch])
     _, boot = np.unique(numbers, axis=1, return_inverse=True)
-    return replace(result, boot=boot.reshape(-1).astype(np.int16))
+    boot = boot.reshape(-1)
+    return replace(result, boot=boot.astype(np.int16))
 
 
 # AP_GPS.h, DriverOptions::HeightEllipsoid: the receiver's height goes through the filter as it is.
@@ -389,7 +434,10 @@ _MAX_OPTION = 1 << 15  # a parameter is a float; a damaged one may be anything
 
 
 def with_both_heights(
-    channels: Iterable[Channel], parameters: Mapping[str, float], ledger: Ledger, where: str
+    channels: Iterable[Channel],
+    parameters: Mapping[str, float],
+    ledger: Ledger,
+    where: str,
 ) -> list[Channel]:
     """The channels with heights above sea level and above the ellipsoid, where both are known.
 
@@ -408,7 +456,11 @@ def with_both_heights(
     return result
 
 
-def _with_both_heights(columns: Mapping[str, Array], *, is_ellipsoidal: bool) -> dict[str, Array]:
+def _with_both_heights(
+    columns: Mapping[str, Array],
+    *,
+    is_ellipsoidal: bool,
+) -> dict[str, Array]:
     """The columns of a channel with both heights, as far as they are known, without undulation.
 
     ``is_ellipsoidal``: the height logged as above sea level is above the ellipsoid.

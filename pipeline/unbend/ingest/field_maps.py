@@ -15,7 +15,8 @@ from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.ingest import messages
 from unbend.units import MOST_FLAGS, Array, whole_numbers
 
-MAPS = tomllib.loads(files("unbend.ingest").joinpath("data/field_maps.toml").read_text("utf-8"))
+_FILE = files("unbend.ingest").joinpath("data/field_maps.toml")
+MAPS = tomllib.loads(_FILE.read_text("utf-8"))
 # By unit: divisor, factor and offset to SI.
 UNITS: Mapping[str, tuple[float, float, float]] = MAPS["units"]
 # By kind of flags: the number of a bit in the log, and in the package.
@@ -78,7 +79,10 @@ class MessageMap:
         return {field for column in self.columns for field in column.fields}
 
 
-def parse_columns(lines: Iterable[str], groups: Mapping[str, list[str]]) -> Iterator[FieldColumn]:
+def parse_columns(
+    lines: Iterable[str],
+    groups: Mapping[str, list[str]],
+) -> Iterator[FieldColumn]:
     """Columns as ``data/field_maps.toml`` writes them, the groups in their places.
 
     >>> [*parse_columns(["q_w q_x = q.0 q|old", "@a"], {"a": ["t_k = t [degC] unless 0"]})][1:]
@@ -87,7 +91,8 @@ FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
     """
     for line in lines:
         if line.startswith("@"):
-            yield from parse_columns(groups[line[1:]], groups)
+            group = groups[line[1:]]
+            yield from parse_columns(group, groups)
             continue
         match = _COLUMN.fullmatch(line)
         if match is None:
@@ -121,7 +126,8 @@ def message_maps(section: str) -> dict[str, MessageMap]:
             template = maps[earlier_name]
             template = replace(template, rank=MessageMap.rank, spare_rank=None)
         if "columns" in options:
-            options["columns"] = tuple(parse_columns(options["columns"], MAPS["groups"]))
+            columns = parse_columns(options["columns"], MAPS["groups"])
+            options["columns"] = tuple(columns)
         if "roles" in options:
             options["roles"] = tuple(options["roles"])
         maps[name] = replace(template, **options)
@@ -144,8 +150,8 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
     if spec.floor is not None:
         unknown |= value < spec.floor
     if spec.unit in FLAGS:
-        known = np.where(unknown, 0.0, value)
-        bits = whole_numbers(known, 0, MOST_FLAGS)
+        logged = np.where(unknown, 0.0, value)
+        bits = whole_numbers(logged, 0, MOST_FLAGS)
         flags = _translated_flags(bits, FLAGS[spec.unit])
         return np.where(unknown, np.nan, flags.astype(np.float64))
     divisor, factor, offset = UNITS[spec.unit]
@@ -156,7 +162,10 @@ def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
     return value
 
 
-def _translated_flags(bits: NDArray[np.int64], pairs: list[tuple[int, int]]) -> NDArray[np.int64]:
+def _translated_flags(
+    bits: NDArray[np.int64],
+    pairs: list[tuple[int, int]],
+) -> NDArray[np.int64]:
     """Flags of a log with their bits in the package's order.
 
     ``pairs``: the number of a bit in the log, and in the package; the lowest ten bits are alike.
@@ -188,8 +197,9 @@ def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
         numbers = (channel[column] - log_offset) / log_factor
     if numbers is None:
         return channel
-    in_si = numbers * factor + offset
-    return replace(channel, columns=dict(channel.columns) | {column: in_si})
+    columns = dict(channel.columns)
+    columns[column] = numbers * factor + offset
+    return replace(channel, columns=columns)
 
 
 def is_number(column: NDArray[Any]) -> bool:
@@ -217,7 +227,8 @@ def extract(
         field = _field_of(spec, table)
         if field is None:
             continue
-        result[spec.name] = kept(to_si(table[field], spec))
+        in_si = to_si(table[field], spec)
+        result[spec.name] = kept(in_si)
         if used_up is not None and last_use[field] == spec.name:
             del used_up[field]
     _make_velocity(result, kept)
@@ -232,7 +243,10 @@ def extract(
     return result
 
 
-def _make_velocity(columns: dict[str, Array], kept: Callable[[Array], Array]) -> None:
+def _make_velocity(
+    columns: dict[str, Array],
+    kept: Callable[[Array], Array],
+) -> None:
     """Replace speed and course, in place, by the horizontal velocity.
 
     The vertical velocity becomes NaN in rows that say that they have none.

@@ -1,13 +1,13 @@
 """Tables of messages: columns of any type, joined and put in the order of the log."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.ingest.limits import check_cells
-from unbend.units import Rows
+from unbend.units import Mask, Rows
 
 Table = dict[str, NDArray[Any]]
 """The columns of one message type, all of one length, named and measured as the log has them.
@@ -15,6 +15,9 @@ Table = dict[str, NDArray[Any]]
 Where a format knows them it adds, first and in lower case: ``time_ns`` (int64, UTC; from boot, as
 if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
 """
+
+Piece = NDArray[Any] | int
+"""Some rows of a column; an integer stands for that many rows without a value."""
 
 PLACE = "\0place"  # the column with the places of messages in the log; no field has such a name
 MAX_TEXTS = 16 << 20  # [bytes] of a column of str; a longer one is of objects
@@ -45,7 +48,8 @@ def column_of(values: list[Any]) -> NDArray[Any]:
         return np.array(values, np.bool_)
     if kinds and kinds <= {bool, int} and is_complete and _fit_64_bits(values):
         return _integers(values)
-    if kinds <= {bool, int, float} and all(_is_exact_as_float(value) for value in values):
+    are_numbers = kinds <= {bool, int, float}
+    if are_numbers and all(map(_is_exact_as_float, values)):
         return np.array(_filled_values(values, np.nan), np.float64)
     return _objects(values)
 
@@ -59,7 +63,8 @@ def text_column(texts: NDArray[Any]) -> NDArray[Any]:
     array(['a', 'bcd'], dtype='<U3')
     """
     longest = max(map(len, texts.tolist()), default=0)
-    if longest * texts.shape[0] * _BYTES_OF_LETTER > MAX_TEXTS:
+    size = longest * texts.shape[0] * _BYTES_OF_LETTER
+    if size > MAX_TEXTS:
         return texts
     return texts.astype(np.str_)
 
@@ -113,8 +118,8 @@ def rows_by_value(column: NDArray[Any]) -> Iterator[tuple[Any, Rows]]:
     order = np.argsort(column, kind="stable")
     sorted_values = column[order]
     is_new = sorted_values[1:] != sorted_values[:-1]
-    ends_before = np.flatnonzero(is_new) + 1
-    for rows in np.split(order, ends_before):
+    first_of_each = np.flatnonzero(is_new) + 1  # but of the first value
+    for rows in np.split(order, first_of_each):
         if rows.size:  # a column without values has no rows
             (value,) = column[rows[:1]].tolist()
             yield value, rows
@@ -127,10 +132,20 @@ def in_order(tables: Sequence[Table]) -> Table:
     """
     whole = tables[0] if len(tables) == 1 else _joined(tables)
     places = whole[PLACE]
-    if bool(np.all(places[1:] > places[:-1])):
+    is_in_order = bool(np.all(places[1:] > places[:-1]))
+    if is_in_order:
         return whole
     order = np.argsort(places, kind="stable")
-    return {name: column[order] for name, column in whole.items()}
+    return take_rows(whole, order)
+
+
+def take_rows(table: Mapping[str, NDArray[Any]], rows: Mask | Rows) -> Table:
+    """The table with some of its rows.
+
+    >>> take_rows({"a": np.array([5, 6]), "b": np.array([7, 8])}, np.array([1]))
+    {'a': array([6]), 'b': array([8])}
+    """
+    return {name: column[rows] for name, column in table.items()}
 
 
 def _joined(tables: Sequence[Table]) -> Table:
@@ -143,19 +158,19 @@ def _joined(tables: Sequence[Table]) -> Table:
     check_cells(len(names), sum(counts), filled)
     whole: Table = {}
     for name in names:
-        pieces: list[NDArray[Any] | int] = []
+        pieces: list[Piece] = []
         for table, count in zip(tables, counts, strict=True):
-            piece = table.pop(name, None)
-            pieces.append(count if piece is None else piece)
+            piece = table.pop(name, count)
+            pieces.append(piece)
         whole[name] = join_pieces(pieces)
     return whole
 
 
-def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
+def join_pieces(pieces: Sequence[Piece]) -> NDArray[Any]:
     """The pieces of a column end to end.
 
-    An integer instead of a piece stands for that many rows without a value: NaN, or "" among texts.
-    Pieces that numpy cannot join without altering a value become a column as by `column_of`.
+    Rows without a value become NaN, or "" among texts. Pieces that numpy cannot join without
+    altering a value become a column as by `column_of`.
 
     >>> join_pieces([np.array([1.5]), 1]), join_pieces([np.array(["a"]), np.array([7])])
     (array([1.5, nan]), array(['a', 7], dtype=object))
@@ -165,11 +180,14 @@ def join_pieces(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any]:
         return joined
     values: list[Any] = []
     for piece in pieces:
-        values += [None] * piece if isinstance(piece, int) else piece.tolist()
+        if isinstance(piece, int):
+            values += [None] * piece
+        else:
+            values += piece.tolist()
     return column_of(values)
 
 
-def _joined_without_loss(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any] | None:
+def _joined_without_loss(pieces: Sequence[Piece]) -> NDArray[Any] | None:
     """Pieces as one array of numbers or of texts; None where numpy would alter a value."""
     arrays = [piece for piece in pieces if isinstance(piece, np.ndarray)]
     kinds = {array.dtype.kind for array in arrays}
@@ -178,18 +196,25 @@ def _joined_without_loss(pieces: Sequence[NDArray[Any] | int]) -> NDArray[Any] |
     are_numbers = kinds <= set("biuf")
     if len(shapes) != 1 or not (are_texts or are_numbers):
         return None
-    if kinds == {"U"} and _width(pieces, arrays) > MAX_TEXTS:
+    if are_texts and _size_as_texts(pieces, arrays) > MAX_TEXTS:
         return None
     joined = np.concatenate(_filled(pieces, arrays))
     if joined.dtype.kind != "f":
         return joined  # only floats alter values: large integers that become such
-    if _has_floats(pieces, arrays) and all(_fits_float(array) for array in arrays):
-        return joined
-    return None
+    # Without floats and missing rows, numpy has made floats of integers of different types.
+    rows_are_missing = len(arrays) < len(pieces)
+    if not rows_are_missing and "f" not in kinds:
+        return None
+    if not all(map(_fits_float, arrays)):
+        return None
+    return joined
 
 
-def _width(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> int:
-    """The bytes that pieces of texts take as one column of str."""
+def _size_as_texts(
+    pieces: Sequence[Piece],
+    arrays: Sequence[NDArray[Any]],
+) -> int:
+    """The bytes that pieces of texts, and the ``arrays`` among them, take as one column of str."""
     rows = 0
     for piece in pieces:
         rows += piece if isinstance(piece, int) else piece.shape[0]
@@ -197,16 +222,9 @@ def _width(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]])
     return rows * bytes_of_text
 
 
-def _has_floats(pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]) -> bool:
-    """Whether a column is of floats because of its values: a piece has floats, or rows are missing.
-
-    Else numpy has made floats of integers of different types.
-    """
-    return len(arrays) < len(pieces) or any(array.dtype.kind == "f" for array in arrays)
-
-
 def _filled(
-    pieces: Sequence[NDArray[Any] | int], arrays: Sequence[NDArray[Any]]
+    pieces: Sequence[Piece],
+    arrays: Sequence[NDArray[Any]],
 ) -> list[NDArray[Any]]:
     """The pieces, with NaN or empty texts in the shape of the others for missing rows.
 
@@ -222,7 +240,9 @@ def _filled(
     filled = []
     for piece in pieces:
         if isinstance(piece, int):
-            filled.append(np.full((piece, *row_shape), missing, type_of_missing))
+            shape = (piece, *row_shape)
+            piece_without_values = np.full(shape, missing, type_of_missing)
+            filled.append(piece_without_values)
         else:
             filled.append(piece)
     return filled
@@ -233,6 +253,9 @@ def _fits_float(array: NDArray[Any]) -> bool:
 
     Only integers of 64 bits may be too large for that; those are judged by their range.
     """
-    if array.dtype.kind not in "iu" or array.dtype.itemsize < 8 or not array.size:
+    is_of_64_bits = array.dtype.kind in "iu" and array.dtype.itemsize == 8
+    if not is_of_64_bits or not array.size:
         return True
-    return bool(array.min() >= -EXACT and array.max() <= EXACT)
+    lowest = int(array.min())
+    highest = int(array.max())
+    return lowest >= -EXACT and highest <= EXACT

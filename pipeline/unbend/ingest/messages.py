@@ -731,8 +731,8 @@ def week_rollover(
 
 def _agrees_with(clocks: Sequence[Witness]) -> str:
     """The other clocks of a log with the dates that they state; empty without any."""
-    stated = [f"{clock.name} ({date_text(clock.time_ns)})" for clock in clocks]
-    return f"which agrees with {', '.join(stated)}" if stated else ""
+    dates = [f"{clock.name} ({date_text(clock.time_ns)})" for clock in clocks]
+    return f"which agrees with {', '.join(dates)}" if dates else ""
 
 
 TIME_IMPOSSIBLE = Code(
@@ -748,7 +748,7 @@ TIME_IMPOSSIBLE = Code(
 
 def utc_not_accepted(*, where: str, source: str, stated: str, clocks: Sequence[Witness]) -> Message:
     """The date of a source of UTC is impossible, or contradicted by better clocks."""
-    others = [f"{clock.name} of {date_text(clock.time_ns)}" for clock in clocks]
+    other_clocks = [f"{clock.name} of {date_text(clock.time_ns)}" for clock in clocks]
     return warning(
         TIME_IMPOSSIBLE,
         (
@@ -758,7 +758,7 @@ def utc_not_accepted(*, where: str, source: str, stated: str, clocks: Sequence[W
         where=where,
         source=source,
         stated=stated,
-        others=", ".join(others) or "no other clock gives the date",
+        others=", ".join(other_clocks) or "no other clock gives the date",
     )
 
 

@@ -100,12 +100,12 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
     height = chosen.get("height")
     rows = []
     for role in (*_ROLES, *_CABIN, "events"):
-        able = [channel.name for channel in channels if _can_play(channel, role)]
+        candidates = [channel.name for channel in channels if _can_play(channel, role)]
         channel = chosen.get(role)
         if channel is None:
-            rows.append(_row(role, able, _why_none(role, able, notes)))
+            rows.append(_row(role, candidates, _why_none(role, candidates, notes)))
         else:
-            rows.append(_row(role, able, remark_on(channel, role, height), channel))
+            rows.append(_row(role, candidates, remark_on(channel, role, height), channel))
     flight = {}
     if position is not None and height is not None:
         system, _ = height_system({"position": _plausible(position, "position")}, None)

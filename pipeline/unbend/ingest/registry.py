@@ -124,12 +124,12 @@ def _check_file(path: Path) -> None:
     if path.is_file():
         return
     if not path.exists():
-        what = "there is no such file"
+        reason = "there is no such file"
     elif path.is_dir():
-        what = "it is a folder"
+        reason = "it is a folder"
     else:
-        what = "it is a pipe or a device, not a file"
-    raise messages.log_missing(path=str(path), what=what)
+        reason = "it is a pipe or a device, not a file"
+    raise messages.log_missing(path=str(path), what=reason)
 
 
 def _format_of(path: Path, head: bytes) -> LogFormat:

@@ -96,8 +96,8 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
     True
     """
     if raw.dtype.kind == "f":
-        known = np.where(np.isnan(raw), float(clock.LAST_US), raw.astype(np.float64))
-        return whole_numbers(known, 0, clock.LAST_US)
+        without_nan = np.where(np.isnan(raw), float(clock.LAST_US), raw.astype(np.float64))
+        return whole_numbers(without_nan, 0, clock.LAST_US)
     unsigned = raw.astype(np.uint64, copy=False)  # what is below 0 becomes huge
     last_us = np.uint64(clock.LAST_US)
     cut_us = np.minimum(unsigned, last_us)

@@ -109,10 +109,10 @@ def date_in_name(name: str) -> Witness | None:
     """
     for year, month, day in _DATE_IN_NAME.findall(name):
         try:
-            stated = date(int(year), int(month), int(day))
+            day_in_name = date(int(year), int(month), int(day))
         except ValueError:
             continue
-        noon_ns = (stated - date(1970, 1, 1)).days * DAY_NS + DAY_NS // 2
+        noon_ns = (day_in_name - date(1970, 1, 1)).days * DAY_NS + DAY_NS // 2
         return Witness("the file's name", noon_ns, is_weak=True)
     return None
 

@@ -78,19 +78,19 @@ def test_a_glitch_of_the_clock_is_no_boot(tmp_path: Path, rows: int) -> None:
 
 
 def test_few_samples_of_a_steady_clock_are_kept() -> None:
-    kind = [("at", "i8"), ("host_us", "i8"), ("source", "u2"),
+    kind = [("place", "i8"), ("host_us", "i8"), ("source", "u2"),
             ("records", [("time_boot_ms", "u4")])]  # fmt: skip
     sampler = Sampler()
     draw = np.random.default_rng(1)
     for block in range(10):  # an hour at 50 Hz
         rows = np.zeros(18_000, kind)
-        rows["at"] = np.arange(block * 18_000, (block + 1) * 18_000)
-        rows["records"]["time_boot_ms"] = rows["at"] * 20
-        rows["host_us"] = START_US + rows["at"] * 20_000 + 5_000 + draw.integers(0, 1000, 18_000)
+        rows["place"] = np.arange(block * 18_000, (block + 1) * 18_000)
+        rows["records"]["time_boot_ms"] = rows["place"] * 20
+        rows["host_us"] = START_US + rows["place"] * 20_000 + 5_000 + draw.integers(0, 1000, 18_000)
         rows["source"] = 257
         sampler.take([rows[::2], rows[1::2]])
     kept = sampler.readings({1})
-    assert bool(np.all(np.diff(kept["at"]) > 0))
+    assert bool(np.all(np.diff(kept["place"]) > 0))
     assert 3600 <= kept.size < 10_000
     assert not sampler.readings({1}).size
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from unbend.flight.channels import ROLE_COLUMNS, Channel, Source, TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK, STRAY_ROWS, utc_of_gps
+from unbend.ingest.attitude import QUATERNION
 from unbend.ingest.boot_clock import BootClock, fit_clock
 from unbend.ingest.buffers import FileView, copy_rows, gather
 from unbend.ingest.channel_builder import DecodedRows, channel_of, with_both_heights
@@ -203,7 +204,10 @@ def wanted_fields() -> dict[str, Callable[[str], bool]]:
 
 
 def channels_of(
-    tables: dict[str, Table], parameters: Mapping[str, float], clock: BootClock, ledger: Ledger
+    tables: dict[str, Table],
+    parameters: Mapping[str, float],
+    clock: BootClock,
+    ledger: Ledger,
 ) -> tuple[Channel, ...]:
     """The channels of the messages that the field map knows.
 
@@ -212,7 +216,8 @@ def channels_of(
     channels = []
     limit = SeriesLimit()
     for message, spec in MESSAGES.items():
-        for rows in _rows_of_message(message, spec, tables, clock, ledger, limit=limit):
+        rows_of_message = _rows_of_message(message, spec, tables, clock, ledger, limit=limit)
+        for rows in rows_of_message:
             channel = channel_of(rows, spec, ledger)
             if channel is not None:
                 channels.append(channel)
@@ -233,7 +238,11 @@ def _row_times(table: Table, clock: BootClock) -> _RowTimes:
     places = table[PLACE]
     utc_ns = clock.utc(places, nanoseconds(table["TimeUS"]))
     boot = clock.line.boot_of(places)
-    return _RowTimes(copy_rows(utc_ns), copy_rows(boot), clock.line.good(places))
+    return _RowTimes(
+        time_ns=copy_rows(utc_ns),
+        boot=copy_rows(boot),
+        good=clock.line.good(places),
+    )
 
 
 def _rows_of_message(
@@ -287,7 +296,11 @@ def _rows_of_message(
 
 
 def _text_rows(
-    message: str, spec: MessageMap, table: Table, times: _RowTimes, ledger: Ledger
+    message: str,
+    spec: MessageMap,
+    table: Table,
+    times: _RowTimes,
+    ledger: Ledger,
 ) -> Iterator[DecodedRows]:
     """The rows of a message in which the autopilot reports in words; none without its texts."""
     texts = texts_of(message, spec.text_field, table)
@@ -310,7 +323,11 @@ def _chosen(rows: DecodedRows, chosen: Mask) -> DecodedRows:
     return rows if chosen.all() else rows.take(chosen)
 
 
-def _without_stray_instances(message: str, instance: NDArray[Any], ledger: Ledger) -> NDArray[Any]:
+def _without_stray_instances(
+    message: str,
+    instance: NDArray[Any],
+    ledger: Ledger,
+) -> NDArray[Any]:
     """The numbers of the instances of a message, without those that a flipped bit made.
 
     An instance is such damage if it has a few rows and another one has a hundred times as many.
@@ -361,7 +378,7 @@ def _reported_columns(spec: MessageMap) -> set[str]:
         needed |= set(ROLE_COLUMNS[role])
     needed.discard("event_index")  # `channel_of` numbers exposures itself
     if spec.attitude or spec.position:
-        needed -= {"q_w", "q_x", "q_y", "q_z", "lat_rad", "lon_rad"}
+        needed -= {*QUATERNION, "lat_rad", "lon_rad"}
     if spec.position:
         needed.add("h_msl_m")
     return needed
@@ -431,14 +448,21 @@ def _first_with_each_row(pairs: Integers, rows: Integers) -> Integers:
     return pairs[np.sort(first)]
 
 
-def _neighbours(fixes: _Keyed, accuracies: _Keyed, in_log_order: Integers, *, shift: int) -> _Pairs:
+def _neighbours(
+    fixes: _Keyed,
+    accuracies: _Keyed,
+    in_log_order: Integers,
+    *,
+    shift: int,
+) -> _Pairs:
     """Pair each fix with the accuracy of its key that follows (``shift`` 0) or precedes it (-1).
 
     ``in_log_order``: rows of both tables by key and place; those of the accuracies count on from
     the last fix.
     """
-    is_accuracy = in_log_order >= fixes.key.shape[0]
-    ordered_accuracy_rows = in_log_order[is_accuracy] - fixes.key.shape[0]
+    count_of_fixes = fixes.key.shape[0]
+    is_accuracy = in_log_order >= count_of_fixes
+    ordered_accuracy_rows = in_log_order[is_accuracy] - count_of_fixes
     positions_of_fixes = np.flatnonzero(~is_accuracy)
     # as many accuracies as stand before a fix: that is the index of the first one behind it
     following = np.cumsum(is_accuracy)[positions_of_fixes]
@@ -455,5 +479,7 @@ def _neighbours(fixes: _Keyed, accuracies: _Keyed, in_log_order: Integers, *, sh
 
 def _key(table: Table) -> Integers:
     """The instance and the time of each row as one number; no instance, -1, becomes 0."""
-    instance = (whole_numbers(instance_of(table), -1, _INSTANCE_MASK) + 1) & _INSTANCE_MASK
-    return np.asarray(microseconds(table["TimeUS"]) + (instance << _TIME_BITS), np.int64)
+    instance = whole_numbers(instance_of(table), -1, _INSTANCE_MASK)
+    number_from_0 = (instance + 1) & _INSTANCE_MASK
+    time_us = microseconds(table["TimeUS"])
+    return np.asarray(time_us + (number_from_0 << _TIME_BITS), np.int64)

@@ -21,7 +21,7 @@ from unbend.ingest.dataflash.dataflash_channels import (
 from unbend.ingest.dataflash.record_tables import INSTANCE_FIELDS, without_objects
 from unbend.ingest.field_maps import is_number
 from unbend.ingest.flight_log import Contents
-from unbend.ingest.message_tables import PLACE, Table
+from unbend.ingest.message_tables import PLACE, Table, take_rows
 from unbend.ingest.timelines import Timeline, microseconds, nanoseconds
 from unbend.ingest.utc_evidence import Witness
 from unbend.ingest.utc_readings import LOWEST_FIX
@@ -29,9 +29,19 @@ from unbend.messages import Ledger
 from unbend.units import Integers, whole_numbers
 
 # Fields that are used as they are logged, without a field map that checks that they are numbers.
-_NUMBERS = {"TimeUS", "GMS", "GWk", "Week", "Status", "Value", *INSTANCE_FIELDS, *ACCURACY_FIELDS}
+_NUMBERS = {
+    "TimeUS",
+    "GMS",
+    "GWk",
+    "Week",
+    "Status",
+    "Value",
+    *INSTANCE_FIELDS,
+    *ACCURACY_FIELDS,
+}
 
 _LAST_WEEK = 1 << 13  # GPS weeks, until 2137
+_MS_PER_WEEK = SECONDS_PER_WEEK * 1000
 _NO_COUNT = 1 << 31  # messages: no logger drops as many, a damaged or negative number is as large
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
 
@@ -83,7 +93,10 @@ def contents_of(
 
 
 def _dropped_messages(
-    name: str, tables: Mapping[str, Table], clock: BootClock, ledger: Ledger
+    name: str,
+    tables: Mapping[str, Table],
+    clock: BootClock,
+    ledger: Ledger,
 ) -> int:
     """How many messages a logger dropped by its own count.
 
@@ -119,7 +132,9 @@ def _last_values(rows: Table) -> dict[str, float]:
     """The parameters of an autopilot as last logged."""
     if "Name" not in rows or "Value" not in rows:
         return {}
-    return dict(zip(rows["Name"].tolist(), rows["Value"].tolist(), strict=True))
+    names = rows["Name"].tolist()
+    values = rows["Value"].tolist()
+    return dict(zip(names, values, strict=True))
 
 
 def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
@@ -140,7 +155,8 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
         elif is_old and name in _TIMELESS:
             timeless[name] = table
         else:
-            ledger.add(messages.no_time_field(message=name, count=table[PLACE].size))
+            count = table[PLACE].size
+            ledger.add(messages.no_time_field(message=name, count=count))
     if timeless and timed:  # without any timed row there is no time to take over
         _add_timeless(timed, timeless, ledger)
     return timed
@@ -149,16 +165,19 @@ def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
 def _without_odd_fields(name: str, table: Table, ledger: Ledger) -> Table:
     """The table without fields that should be numbers or names and are not; these are reported."""
     odd_fields = []
+    good_columns = {}
     for field, column in table.items():
         is_no_number = field in _NUMBERS and not is_number(column)
         is_no_name = field == "Name" and column.ndim != 1
         if is_no_number or is_no_name:
             odd_fields.append(field)
-    if not odd_fields:
-        return table
-    count = table[PLACE].size
-    ledger.add(messages.fields_not_numbers(message=name, count=count, fields=odd_fields))
-    return {field: column for field, column in table.items() if field not in odd_fields}
+        else:
+            good_columns[field] = column
+    if odd_fields:
+        count = table[PLACE].size
+        odd = messages.fields_not_numbers(message=name, count=count, fields=odd_fields)
+        ledger.add(odd)
+    return good_columns
 
 
 def _rows_with_time(table: Table) -> Table:
@@ -166,11 +185,14 @@ def _rows_with_time(table: Table) -> Table:
     time = table["TimeUS"]
     if time.dtype.kind != "f":
         return table
-    known = np.isfinite(time)
-    return {field: column[known] for field, column in table.items()}
+    return take_rows(table, np.isfinite(time))
 
 
-def _add_timeless(timed: dict[str, Table], timeless: Mapping[str, Table], ledger: Ledger) -> None:
+def _add_timeless(
+    timed: dict[str, Table],
+    timeless: Mapping[str, Table],
+    ledger: Ledger,
+) -> None:
     """Add the timeless tables to the timed ones; a row gets the time of the record before it.
 
     Rows before all timed records get the time of the first one. Exposures (CAM) get that of the
@@ -179,10 +201,12 @@ def _add_timeless(timed: dict[str, Table], timeless: Mapping[str, Table], ledger
     places = np.concatenate([table[PLACE] for table in timed.values()])
     times_us = np.concatenate([microseconds(table["TimeUS"]) for table in timed.values()])
     order = np.argsort(places, kind="stable")
+    places = places[order]
+    times_us = times_us[order]
     receiver = timed.get("GPS", {})
     for name, table in timeless.items():
-        before = np.searchsorted(places[order], table[PLACE]) - 1
-        time_us = times_us[order][np.maximum(before, 0)]
+        before = np.searchsorted(places, table[PLACE]) - 1
+        time_us = times_us[np.maximum(before, 0)]
         timed[name] = table | {"TimeUS": time_us}
         if name == "CAM":
             timed[name] = exposures_by_last_fix(timed[name], receiver, ledger)
@@ -200,7 +224,8 @@ def with_time(name: str, columns: Table) -> Table:
     if "TimeUS" in columns or time_ms is None or not is_number(time_ms):
         return columns
     columns = dict(columns)
-    columns["TimeUS"] = np.minimum(microseconds(time_ms), LAST_US // 1000) * 1000
+    possible_ms = np.minimum(microseconds(time_ms), LAST_US // 1000)
+    columns["TimeUS"] = possible_ms * 1000
     if is_receiver and "TimeMS" in columns:
         columns["GMS"] = columns["TimeMS"]
     if is_receiver and "Week" in columns:
@@ -228,8 +253,9 @@ def _fixes_of(receiver: Table) -> _Fixes:
         nothing = np.empty(0, np.int64)
         return _Fixes(nothing, nothing)
     has_fix = receiver["Status"] >= LOWEST_FIX
-    gps_ms = _gps_ms(receiver["GWk"][has_fix], receiver["GMS"][has_fix])
-    time_us = microseconds(receiver["TimeUS"][has_fix])
+    rows = take_rows(receiver, has_fix)
+    gps_ms = _gps_ms(rows["GWk"], rows["GMS"])
+    time_us = microseconds(rows["TimeUS"])
     distinct_ms, first_rows = np.unique(gps_ms, return_index=True)
     return _Fixes(distinct_ms, time_us[first_rows])
 
@@ -243,40 +269,52 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
     time_us = exposures["TimeUS"].copy()
     fixes = _fixes_of(receiver)
     interval_s = fixes.interval_s
-    known = np.zeros(time_us.shape, np.bool_)
-    if {"GPSTime", "GPSWeek"} <= exposures.keys() and np.isfinite(interval_s):
+    is_timed = np.zeros(time_us.shape, np.bool_)
+    has_gps_time = {"GPSTime", "GPSWeek"} <= exposures.keys()
+    if has_gps_time and np.isfinite(interval_s):
         last_fix_ms = _gps_ms(exposures["GPSWeek"], exposures["GPSTime"])
-        row = np.minimum(np.searchsorted(fixes.gps_ms, last_fix_ms), fixes.gps_ms.size - 1)
-        known = fixes.gps_ms[row] == last_fix_ms  # the fix itself is in the log
+        not_before = np.searchsorted(fixes.gps_ms, last_fix_ms)
+        row = np.minimum(not_before, fixes.gps_ms.size - 1)
+        is_timed = fixes.gps_ms[row] == last_fix_ms  # the fix itself is in the log
         half_interval_us = round(interval_s / 2.0 * 1e6)
-        time_us[known] = fixes.time_us[row[known]] + half_interval_us
+        time_us[is_timed] = fixes.time_us[row[is_timed]] + half_interval_us
     sigma_s = interval_s / np.sqrt(12.0)  # of a uniform distribution over the interval
     ledger.add(
         messages.exposures_timed_by_fix(
             count=time_us.size,
-            known=int(np.count_nonzero(known)),
-            unknown=int(np.count_nonzero(~known)),
+            known=int(np.count_nonzero(is_timed)),
+            unknown=int(np.count_nonzero(~is_timed)),
             half_interval_s=interval_s / 2.0,
             sigma_s=float(sigma_s),
         )
     )
-    return exposures | {"TimeUS": time_us, "sigma_time_s": np.full(time_us.shape, sigma_s)}
+    return exposures | {
+        "TimeUS": time_us,
+        "sigma_time_s": np.full(time_us.shape, sigma_s),
+    }
 
 
 def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> Integers:
     """(n,) GPS time [ms] since 1980 of weeks and of times within them [ms]."""
-    week_ms = whole_numbers(week, 0, _LAST_WEEK) * (SECONDS_PER_WEEK * 1000)
-    return np.asarray(week_ms + whole_numbers(time_ms, -1, SECONDS_PER_WEEK * 1000), np.int64)
+    week_begin_ms = whole_numbers(week, 0, _LAST_WEEK) * _MS_PER_WEEK
+    within_week_ms = whole_numbers(time_ms, -1, _MS_PER_WEEK)
+    return np.asarray(week_begin_ms + within_week_ms, np.int64)
 
 
-def stamped(name: str, table: Table, clock: BootClock, instance: str | None) -> Table:
+def stamped(
+    name: str,
+    table: Table,
+    clock: BootClock,
+    instance: str | None,
+) -> Table:
     """The table of a message as a user asks for it: UTC and boot before the logged columns.
 
     ``instance``: of which only the rows are wanted; empty where no row is of it.
     """
     places = table[PLACE]
     time_us = with_time(name, table).get("TimeUS")
-    logged = {field: column for field, column in table.items() if field != PLACE}
+    logged = dict(table)
+    del logged[PLACE]
     time_columns: Table = {}
     if time_us is not None and is_number(time_us):
         time_columns["time_ns"] = clock.utc(places, nanoseconds(time_us))
@@ -288,4 +326,4 @@ def stamped(name: str, table: Table, clock: BootClock, instance: str | None) -> 
     rows = instance_of(table).astype(np.str_) == instance
     if not rows.any():
         return {}
-    return {field: column[rows] for field, column in whole.items()}
+    return take_rows(whole, rows)

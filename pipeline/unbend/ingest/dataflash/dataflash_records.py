@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.ingest.buffers import SPAN, FileView, Runs
+from unbend.ingest.buffers import SPAN, Bytes, FileView, Runs
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.dataflash.record_definitions import (
     FMT_LENGTH,
@@ -25,7 +25,7 @@ from unbend.ingest.dataflash.record_definitions import (
 )
 from unbend.ingest.limits import MAX_DEFINITIONS_OF_ONE, MAX_REDEFINITIONS
 from unbend.ingest.messages import too_many_definitions, too_many_redefinitions
-from unbend.units import Integers
+from unbend.units import Integers, Rows
 
 LINKS = 3  # records in a row that confirm a place to continue after damage
 LONGEST = 255  # bytes of a record: its length is one byte
@@ -61,9 +61,20 @@ class _Candidates(Runs):
     begins.
     """
 
-    def __init__(self, places: Integers, types: NDArray[np.uint8], length_of: Integers) -> None:
+    def __init__(
+        self,
+        places: Integers,
+        types: NDArray[np.uint8],
+        length_of: Integers,
+    ) -> None:
         super().__init__(places, places + length_of[types])
         self.types = types
+
+
+def _magic_offsets(raw: Bytes) -> Rows:
+    """Where in some bytes the two bytes stand with which records begin."""
+    is_magic = (raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1])
+    return np.flatnonzero(is_magic)
 
 
 @dataclass
@@ -133,9 +144,9 @@ class RecordWalker(DamagedBytes):
         begin = place
         end = min(place + SPAN, self.size - HEADER + 1)
         raw = self.data.array(begin, end + HEADER - 1)
-        is_header = (raw[:-2] == MAGIC[0]) & (raw[1:-1] == MAGIC[1])  # the type byte follows
-        offsets = np.flatnonzero(is_header)
-        block = _Candidates(offsets + begin, raw[offsets + 2], self.length_of)
+        offsets = _magic_offsets(raw[:-1])  # behind a magic there is the type byte
+        types = raw[offsets + len(MAGIC)]
+        block = _Candidates(offsets + begin, types, self.length_of)
         while place < end:
             run = self._whole_records(block, place)
             if run.start == run.stop:
@@ -262,7 +273,11 @@ class RecordWalker(DamagedBytes):
             return block
         is_wanted = np.array([form.name in self.names for form in self.definitions], np.bool_)
         rows = is_wanted[block.numbers]
-        return RecordBlock(block.base, block.at[rows], block.numbers[rows])
+        return RecordBlock(
+            base=block.base,
+            at=block.at[rows],
+            numbers=block.numbers[rows],
+        )
 
     def _resume(self, at: int) -> int:
         """Skip the damage at a byte where no record begins; returns where records continue.
@@ -317,9 +332,8 @@ class RecordWalker(DamagedBytes):
         while place < self.size:
             end = min(place + reach, self.size)
             raw = self.data.array(place, end + 1)  # with the second byte of a magic at the end
-            is_magic = (raw[:-1] == MAGIC[0]) & (raw[1:] == MAGIC[1])
-            rows = np.flatnonzero(is_magic)
-            for candidate in (rows + place).tolist():
+            candidates = _magic_offsets(raw) + place
+            for candidate in candidates.tolist():
                 if self._chain(candidate):
                     return int(candidate)
             place = end
@@ -331,13 +345,17 @@ class RecordWalker(DamagedBytes):
         header = self.data[at : at + HEADER]
         if not MAGIC.startswith(header[: len(MAGIC)]):
             return False
-        return len(header) < HEADER or self._length(header[2:]) > self.size - at
+        if len(header) < HEADER:
+            return True
+        bytes_left = self.size - at
+        return self._length(header[2:]) > bytes_left
 
     def _drop_last_record(self) -> None:
         """Take back the last record, which is part of the damage."""
         last = self.runs.pop()
         if last.places.shape[0] > 1:
-            self.runs.append(_RecordRun(last.places[:-1], last.numbers[:-1]))
+            remaining = _RecordRun(last.places[:-1], last.numbers[:-1])
+            self.runs.append(remaining)
 
     def _length(self, type_byte: bytes) -> int:
         """The length of the records of a type; 0 if it is not defined, or the byte missing."""

@@ -44,11 +44,18 @@ def read_records(walker: RecordWalker, is_wanted: Mask) -> Iterator[RecordRows]:
             offsets = block.at[rows_by_number[begin:end]]
             begin = end
             form = walker.definitions[number]
-            records = gather(raw, offsets, form.length).view(form.dtype)
-            yield RecordRows(number, records, offsets.astype(np.int64) + block.base)
+            records = gather(raw, offsets, form.length)
+            yield RecordRows(
+                number,
+                rows=records.view(form.dtype),
+                places=offsets.astype(np.int64) + block.base,
+            )
 
 
-def decode(walker: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) -> dict[str, Table]:
+def decode(
+    walker: RecordWalker,
+    wanted: Mapping[str, Callable[[str], bool]],
+) -> dict[str, Table]:
     """The tables of some message types by name, in one pass over the file, with `PLACE`.
 
     ``wanted``: for each type a test whether a field is wanted. Numbers keep their type, but scaled
@@ -69,17 +76,27 @@ def decode(walker: RecordWalker, wanted: Mapping[str, Callable[[str], bool]]) ->
         for field, column in table.items():
             if column.dtype.kind == "S":
                 table[field] = texts(column)
-        tables_of_name.setdefault(walker.definitions[number].name, []).append(table)
-    return {name: merge_tables(several) for name, several in tables_of_name.items()}
+        name = walker.definitions[number].name
+        tables_of_name.setdefault(name, []).append(table)
+    result = {}
+    for name, several in tables_of_name.items():
+        result[name] = merge_tables(several)
+    return result
 
 
-def _empty_table(form: RecordDefinition, is_wanted: Callable[[str], bool], count: int) -> Table:
+def _empty_table(
+    form: RecordDefinition,
+    is_wanted: Callable[[str], bool],
+    count: int,
+) -> Table:
     """A table with memory for the wanted fields of ``count`` records."""
     table = {PLACE: allocate(count, np.int64)}
     for name in form.fields:
         if not is_wanted(name):
             continue
-        kind = np.dtype(np.float64) if name in form.divisors else form.dtype[name]
+        kind = form.dtype[name]
+        if name in form.divisors:
+            kind = np.dtype(np.float64)
         table[name] = allocate(count, (kind.base, kind.shape))
     return table
 
@@ -98,12 +115,13 @@ def _fill(tables: Mapping[int, Table], walker: RecordWalker) -> None:
         filled_rows[number] = end
         divisors = walker.definitions[number].divisors
         for name, column in tables[number].items():
+            block = column[begin:end]
             if name == PLACE:
-                column[begin:end] = places
+                block[:] = places
             elif name in divisors:
-                np.divide(rows[name], divisors[name], out=column[begin:end])
+                np.divide(rows[name], divisors[name], out=block)
             else:
-                column[begin:end] = rows[name]
+                block[:] = rows[name]
 
 
 def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
@@ -115,8 +133,9 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
     if not raw.size:
         return np.empty(0, "U1")
     distinct, number_of_row = np.unique(raw, return_inverse=True)
-    distinct_texts = [_text(value) for value in distinct.tolist()]
-    return np.array(distinct_texts, np.str_)[number_of_row]
+    decoded = [_text(value) for value in distinct.tolist()]
+    distinct_texts = np.array(decoded, np.str_)
+    return distinct_texts[number_of_row]
 
 
 def _text(value: bytes) -> str:
@@ -137,10 +156,12 @@ def merge_tables(several: list[Table]) -> Table:
     if len(several) == 1:
         return several[0]
     for name in INSTANCE_FIELDS:
-        present = [table[name] for table in several if name in table]
-        if present and all(column.dtype.kind in "iu" for column in present):
-            for table in several:
-                table.setdefault(name, np.full(table[PLACE].size, -1))
+        kinds = {table[name].dtype.kind for table in several if name in table}
+        if not kinds or not kinds <= {"i", "u"}:
+            continue
+        for table in several:
+            rows = table[PLACE].size
+            table.setdefault(name, np.full(rows, -1))
     return in_order(several)
 
 
@@ -151,40 +172,49 @@ def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
     """
     columns = dict(table)
     for field, column in table.items():
-        if column.dtype.kind == "O":
-            columns[field] = _of_one_kind(column, field, name, ledger)
+        if column.dtype.kind != "O":
+            continue
+        values = _values_of_one_kind(column)
+        columns[field] = values.column
+        if values.dropped:
+            redefined = messages.field_redefined(
+                message=name,
+                field=field,
+                count=values.dropped,
+                total=values.total,
+            )
+            ledger.add(redefined)
     return columns
 
 
-def _of_one_kind(column: NDArray[Any], field: str, message: str, ledger: Ledger) -> NDArray[Any]:
-    """The texts or the numbers of a column of objects, as its last value is.
+class _ValuesOfOneKind(NamedTuple):
+    """The texts or the numbers among the values of a field, "" or NaN in the other rows.
 
-    Values of the other kind are dropped and reported.
+    ``dropped``: how many of the ``total`` values are of the other kind.
     """
-    values = [value for value in column.tolist() if value is not None]
-    if isinstance(values[-1], str):
-        is_kept = [isinstance(value, str) for value in values]
-        result: NDArray[Any] = _texts_only(column)
+
+    column: NDArray[Any]
+    dropped: int
+    total: int
+
+
+def _values_of_one_kind(objects: NDArray[Any]) -> _ValuesOfOneKind:
+    """The texts or the numbers of a column of objects, as its last value is; None is no value."""
+    values = objects.tolist()
+    is_value = np.array([value is not None for value in values])
+    is_text = np.array([isinstance(value, str) for value in values])
+    is_number = np.array([isinstance(value, int | float) for value in values])
+    last_row = np.flatnonzero(is_value)[-1]
+    if is_text[last_row]:
+        is_kept = is_text
+        texts_only = np.where(is_text, objects, "")
+        column: NDArray[Any] = texts_only.astype(np.str_)
     else:
-        is_kept = [isinstance(value, int | float) for value in values]
-        result = _numbers_only(column)
-    dropped = is_kept.count(False)
-    if dropped:
-        redefined = messages.field_redefined(
-            message=message, field=field, count=dropped, total=len(values)
-        )
-        ledger.add(redefined)
-    return result
-
-
-def _texts_only(column: NDArray[Any]) -> NDArray[np.str_]:
-    """The texts of a column of objects, "" elsewhere."""
-    return np.array([value if isinstance(value, str) else "" for value in column.tolist()], np.str_)
-
-
-def _numbers_only(column: NDArray[Any]) -> NDArray[np.float64]:
-    """The numbers of a column of objects, NaN elsewhere."""
-    is_number = [isinstance(value, int | float) for value in column.tolist()]
-    numbers = np.full(column.shape, np.nan)
-    numbers[is_number] = column[is_number].astype(np.float64)
-    return numbers
+        is_kept = is_number
+        column = np.full(objects.shape, np.nan)
+        column[is_number] = objects[is_number].astype(np.float64)
+    return _ValuesOfOneKind(
+        column=column,
+        dropped=int(np.count_nonzero(is_value & ~is_kept)),
+        total=int(np.count_nonzero(is_value)),
+    )

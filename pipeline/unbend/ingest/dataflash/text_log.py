@@ -38,7 +38,11 @@ _LONGEST_TEXT = {"a": 512}  # by letter: 32 whole numbers as text
 _TIME_UNITS_US = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}  # by name and letter of a first field
 
 
-def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+def read_log(
+    path: Path,
+    ledger: Ledger,
+    witnesses: Sequence[Witness] = (),
+) -> Contents:
     """The contents of a log as text; ``witnesses`` are other clocks that tell its date."""
     reader = _LineReader()
     tables = reader.read(path, set(wanted_fields()))  # then the reader has all counts and times
@@ -65,7 +69,11 @@ def is_text(head: bytes) -> bool:
 
 
 DATAFLASH_TEXT = LogFormat(
-    "dataflash-text", "ArduPilot DataFlash as text", (".log",), is_text, read_log
+    name="dataflash-text",
+    title="ArduPilot DataFlash as text",
+    extensions=(".log",),
+    matches=is_text,
+    read=read_log,
 )
 
 
@@ -86,7 +94,8 @@ class _LineFormat:
     @property
     def time_unit_us(self) -> int:
         """The unit [us] of the time with which lines of this format begin; 0 without one."""
-        return _TIME_UNITS_US.get((self.fields[0], self.letters[0]), 0)
+        first_field = (self.fields[0], self.letters[0])
+        return _TIME_UNITS_US.get(first_field, 0)
 
     def accepts(self, values: list[str]) -> bool:
         """Whether there is a value for each field, and a number for each letter of numbers."""
@@ -99,9 +108,11 @@ class _LineFormat:
 
     def table(self, lines: list[_Line]) -> Table:
         """Places and values of lines as columns."""
-        columns: Table = {PLACE: np.array([line.place for line in lines], np.int64)}
+        places = [line.place for line in lines]
+        columns: Table = {PLACE: np.array(places, np.int64)}
         values_of_fields = zip(*(line.values for line in lines), strict=True)
-        for name, letter, values in zip(self.fields, self.letters, values_of_fields, strict=True):
+        fields = zip(self.fields, self.letters, values_of_fields, strict=True)
+        for name, letter, values in fields:
             columns[name] = _column(letter, values)
         return columns
 
@@ -127,16 +138,21 @@ def _column(letter: str, values: Sequence[str]) -> NDArray[Any]:
     if letter in _DECIMAL:
         return np.array([float(value) for value in values])
     integers = [int(value) for value in values]
-    return np.array(integers, np.uint64 if min(integers) >= 0 else np.int64)
+    kind = np.uint64 if min(integers) >= 0 else np.int64
+    return np.array(integers, kind)
 
 
-_FMT = _LineFormat("BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+_FMT = _LineFormat(
+    letters="BBnNZ",
+    fields=("Type", "Length", "Name", "Format", "Columns"),
+)
 
 
 class _TableBuilder:
     """Lines of the wanted messages, which become columns some thousand at a time."""
 
     def __init__(self) -> None:
+        # The lines of a message and a format that are not columns yet.
         self._pending: dict[tuple[str, _LineFormat], list[_Line]] = {}
         self._tables: dict[str, list[Table]] = {}
 
@@ -147,9 +163,15 @@ class _TableBuilder:
         if len(pending) == ROWS:
             self._make_table(name, form, pending)
 
-    def _make_table(self, name: str, form: _LineFormat, pending: list[_Line]) -> None:
+    def _make_table(
+        self,
+        name: str,
+        form: _LineFormat,
+        pending: list[_Line],
+    ) -> None:
         """Make a table of the pending lines of a message and a format, and empty their list."""
-        self._tables.setdefault(name, []).append(form.table(pending))
+        table = form.table(pending)
+        self._tables.setdefault(name, []).append(table)
         pending.clear()
 
     def tables(self) -> dict[str, Table]:
@@ -157,7 +179,10 @@ class _TableBuilder:
         for (name, form), pending in self._pending.items():
             if pending:
                 self._make_table(name, form, pending)
-        return {name: merge_tables(several) for name, several in self._tables.items()}
+        merged = {}
+        for name, several in self._tables.items():
+            merged[name] = merge_tables(several)
+        return merged
 
 
 @dataclass
@@ -201,17 +226,18 @@ class _LineReader(DamagedBytes):
         self.counts[name] += 1
         unit_us = form.time_unit_us
         if unit_us:
-            self.times.append((line.place, int(line.values[0]) * unit_us))
+            time_us = int(line.values[0]) * unit_us
+            self.times.append((line.place, time_us))
 
     def _parse(self, raw: bytes) -> tuple[str, list[str]]:
         """The message of a line and its values; no name when the line is not valid."""
         text = raw.decode("utf-8", "replace").rstrip("\r\n")
-        name, _, rest = text.partition(",")
+        name, _, values_text = text.partition(",")
         form = self.formats.get(name)
         if form is None:
             return "", []
         commas = len(form.fields) - 1  # further ones are of the last value
-        values = [value.strip() for value in rest.split(",", commas)]
+        values = [value.strip() for value in values_text.split(",", commas)]
         if not form.accepts(values):
             return "", []
         if name == "FMT" and not self._define(values):
@@ -235,10 +261,10 @@ class _LineReader(DamagedBytes):
         if name == "FMT" and len(fields) != len(_FMT.fields):
             return False  # this method could not read further FMT lines
         form = _LineFormat(letters, fields)
-        known = self.definitions_of.setdefault(name, set())
-        known.add(form)
+        definitions = self.definitions_of.setdefault(name, set())
+        definitions.add(form)
         self.formats[name] = form
-        if len(known) > MAX_DEFINITIONS_OF_ONE:
+        if len(definitions) > MAX_DEFINITIONS_OF_ONE:
             raise too_many_definitions(name=name, most=MAX_DEFINITIONS_OF_ONE)
         return True
 
@@ -246,7 +272,11 @@ class _LineReader(DamagedBytes):
         """The times of all lines that begin with one, as a single block."""
         if not self.times:
             return
-        places, times_us = zip(*self.times, strict=True)
-        # Python's integers are of any size; damage makes some that no array holds
-        raw = np.array([min(max(time_us, 0), LAST_US) for time_us in times_us], np.int64)
-        yield np.array(places, np.int64), nanoseconds(raw)
+        places = []
+        possible_us = []
+        for place, time_us in self.times:
+            places.append(place)
+            # Python's integers are of any size; damage makes some that no array holds
+            possible_us.append(min(max(time_us, 0), LAST_US))
+        time_ns = nanoseconds(np.array(possible_us, np.int64))
+        yield np.array(places, np.int64), time_ns

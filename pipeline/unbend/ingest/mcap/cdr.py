@@ -69,16 +69,19 @@ class DecodePlan:
         sequences.
     wanted : paths of the numbers and texts that become columns; the others are passed over.
     counted : whether the number of elements of each sequence becomes a column too.
-    rest : sequences behind all wanted fields, which are counted as far as a message has them.
+    trailing : sequences behind all wanted fields, which are counted as far as a message has them.
     """
 
     steps: tuple[PlanStep, ...]
     wanted: frozenset[str]
     counted: bool = False
-    rest: tuple[SequenceField, ...] = ()
+    trailing: tuple[SequenceField, ...] = ()
 
 
-def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = None) -> DecodePlan:
+def decode_plan(
+    steps: Sequence[MessageField],
+    wanted: frozenset[str] | None = None,
+) -> DecodePlan:
     """The steps to decode the wanted columns of messages with these fields.
 
     ``wanted``: paths, also of single elements of an array, as ``q.0``. None stands for all numbers
@@ -97,8 +100,8 @@ def decode_plan(steps: Sequence[MessageField], wanted: frozenset[str] | None = N
     plan_steps = tuple(_runs(message_fields[:end]))
     if wanted is not None:
         return DecodePlan(plan_steps, chosen_paths)
-    rest = tuple(part for part in message_fields[end:] if isinstance(part, SequenceField))
-    return DecodePlan(plan_steps, chosen_paths, counted=True, rest=rest)
+    trailing = tuple(part for part in message_fields[end:] if isinstance(part, SequenceField))
+    return DecodePlan(plan_steps, chosen_paths, counted=True, trailing=trailing)
 
 
 def _split_array(step: MessageField, wanted: frozenset[str] | None) -> list[MessageField]:
@@ -273,11 +276,11 @@ def decode(
             _read_text(cursors, step, wanted=step.path in plan.wanted)
         else:
             _skip(cursors, step, counted=plan.counted)
-    _count_rest(cursors, plan.rest)
+    _count_trailing(cursors, plan.trailing)
     return DecodedMessages(cursors.row, cursors.columns)
 
 
-def _count_rest(cursors: _Cursors, sequences: Sequence[SequenceField]) -> None:
+def _count_trailing(cursors: _Cursors, sequences: Sequence[SequenceField]) -> None:
     """Count the elements of the last sequences; -1 where a message ends before such a count.
 
     No message is dropped for that: of a large message only the beginning is there. Therefore other
@@ -313,7 +316,8 @@ def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) ->
         size = np.dtype(numbers.kind).itemsize
         end = -(-end // size) * size  # the next multiple of the size
         if numbers.path in wanted:
-            kind = np.dtype(numbers.kind.replace("?", "u1")).newbyteorder(">" if big else "<")
+            kind = np.dtype(numbers.kind.replace("?", "u1"))
+            kind = kind.newbyteorder(">" if big else "<")
             names.append(numbers.path)
             kinds.append((kind, (numbers.count,)) if numbers.array else kind)
             offsets.append(end - phase)
@@ -325,7 +329,11 @@ def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) ->
     return _Layout(np.dtype(layout), length)  # type: ignore[call-overload]
 
 
-def _read_numbers(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]) -> None:
+def _read_numbers(
+    cursors: _Cursors,
+    run: NumberRun,
+    wanted: frozenset[str],
+) -> None:
     """Read the wanted numbers of a run, and move behind it.
 
     A run has the same layout in all messages in which it begins at the same place modulo `ALIGN`
@@ -389,7 +397,8 @@ def _texts(data: Bytes, begin: Integers, length: Integers) -> NDArray[Any]:
     texts = np.full(length.shape, "", object)
     for size in np.unique(length[length > 1]).tolist():  # of length 1 is the NUL alone
         rows = np.flatnonzero(length == size)
-        raw = gather(data, begin[rows], size - 1).view(f"S{size - 1}")
+        letters = size - 1  # without the NUL
+        raw = gather(data, begin[rows], letters).view(f"S{letters}")
         distinct, number_of_row = np.unique(raw, return_inverse=True)
         decoded = [value.decode("utf-8", "backslashreplace") for value in distinct.tolist()]
         texts[rows] = np.array(decoded, object)[number_of_row]

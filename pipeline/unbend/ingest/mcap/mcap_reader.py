@@ -178,12 +178,12 @@ class McapReader:
             self.counts.stated = dict(record.channel_message_counts)
             self.counts.stated_total = int(record.message_count)
             return
-        known = self._schemas if kind is library.Schema else self._channels
-        if record.id in known:
-            if known[record.id] != record:
+        definitions = self._schemas if kind is library.Schema else self._channels
+        if record.id in definitions:
+            if definitions[record.id] != record:
                 self._contradictions.add(f"{kind.__name__.lower()} {record.id}")
             return
-        known[record.id] = record
+        definitions[record.id] = record
         if kind is library.Channel:
             self.names[record.id] = record.topic
             self._subscribe(record)

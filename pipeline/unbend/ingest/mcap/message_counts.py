@@ -31,23 +31,27 @@ class MessageCounts:
         self._single_steps = np.zeros(CHANNEL_NUMBERS, np.int64)
         self._missing_numbers = np.zeros(CHANNEL_NUMBERS, np.int64)
 
-    def take(self, batch: Messages, names: Mapping[int, str]) -> list[int]:
+    def take(
+        self,
+        batch: Messages,
+        names: Mapping[int, str],
+    ) -> list[int]:
         """Count some messages; returns the channels among theirs that ``names`` has.
 
         Messages of other channels, and records too short to be messages, are counted as orphans.
         """
         counts = np.bincount(batch.channel, minlength=CHANNEL_NUMBERS)
-        known = []
+        named = []
         self.orphans += batch.short
         for number in np.flatnonzero(counts).tolist():
             if number in names:
-                known.append(number)
+                named.append(number)
             else:
                 self.orphans += int(counts[number])
-        self.counts[known] += counts[known]
+        self.counts[named] += counts[named]
         if len(batch):
             self._take_sequences(batch)
-        return known
+        return named
 
     def _take_sequences(self, batch: Messages) -> None:
         """Count, for each channel, single steps and gaps of the numbers from message to message."""
@@ -60,26 +64,38 @@ class MessageCounts:
         # the last values of earlier batches are read before those of this one replace them
         number_before = _value_before(number, first_of_channel, self._last_number[channels])
         log_before_ns = _value_before(log_ns, first_of_channel, self._last_ns[channels])
-        last_of_channel = np.append(first_of_channel[1:], channel.shape[0]) - 1
+        end_of_channel = np.append(first_of_channel[1:], channel.shape[0])
+        last_of_channel = end_of_channel - 1
         self._last_number[channels] = number[last_of_channel]
         self._last_ns[channels] = log_ns[last_of_channel]
 
-        step = np.where(number_before < 0, 0, number - number_before)  # 0 of a first message
-        np.add.at(self._single_steps, channel[step == 1], 1)
+        step = number - number_before
+        step[number_before < 0] = 0  # of a first message
+        is_single = step == 1
+        np.add.at(self._single_steps, channel[is_single], 1)
         # Chunks in another order fill gaps that were counted before: in 1 2 5 6 3 4 7 the steps 3,
         # -3 and 3 add 2, -4 and 2 missing numbers. A recorder that counts anew fills no gap.
         fills_gap = (step < 0) & (log_ns < log_before_ns)
         is_gap = (step > 1) | fills_gap
-        np.add.at(self._missing_numbers, channel[is_gap], step[is_gap] - 1)
+        missing = step[is_gap] - 1
+        np.add.at(self._missing_numbers, channel[is_gap], missing)
 
     def by_name(self, names: Mapping[int, str]) -> dict[str, int]:
         """How many messages each topic has; topics without any are left out."""
         result: Counter[str] = Counter()
         for number in np.flatnonzero(self.counts).tolist():
-            result[names[number]] += int(self.counts[number])
+            topic = names[number]
+            result[topic] += int(self.counts[number])
         return result
 
-    def report(self, names: Mapping[int, str], ledger: Ledger, where: str, *, damaged: bool) -> int:
+    def report(
+        self,
+        names: Mapping[int, str],
+        ledger: Ledger,
+        where: str,
+        *,
+        damaged: bool,
+    ) -> int:
         """Report missing messages; returns how many are missing.
 
         Missing are the numbers that are skipped, or, if that is more, what the statistics of the
@@ -87,7 +103,8 @@ class MessageCounts:
         statistics may be among them; only else it is reported that there are none.
         """
         if self.orphans:
-            ledger.add(messages.no_channel_of_messages(file=where, count=self.orphans))
+            orphans = messages.no_channel_of_messages(file=where, count=self.orphans)
+            ledger.add(orphans)
         skipped = self._report_skipped(names, ledger)
         if self.stated_total is None:
             if not damaged:
@@ -99,12 +116,19 @@ class MessageCounts:
             listed = differing[:LISTED_TOPICS]
             topics = [names.get(number, f"channel {number}") for number in listed]
             differ = messages.statistics_differ(
-                file=where, read=read, stated=self.stated_total, topics=topics
+                file=where,
+                read=read,
+                stated=self.stated_total,
+                topics=topics,
             )
             ledger.add(differ)
         return max(self.stated_total - read, skipped)
 
-    def _report_skipped(self, names: Mapping[int, str], ledger: Ledger) -> int:
+    def _report_skipped(
+        self,
+        names: Mapping[int, str],
+        ledger: Ledger,
+    ) -> int:
         """Report the messages that are missing by their numbers; returns how many.
 
         Channels are left out whose numbers do not count the messages: in these, fewer than half of
@@ -114,9 +138,10 @@ class MessageCounts:
         for number in np.flatnonzero(self._missing_numbers > 0).tolist():
             is_numbered = 2 * self._single_steps[number] >= self.counts[number]
             if is_numbered and number in names:
+                topic = names[number]
                 count = int(self._missing_numbers[number])
                 skipped += count
-                ledger.add(messages.lost_by_recorder(topic=names[number], count=count))
+                ledger.add(messages.lost_by_recorder(topic=topic, count=count))
         return skipped
 
     def _differing_channels(self) -> list[int]:
@@ -126,12 +151,17 @@ class MessageCounts:
         with_messages = np.flatnonzero(self.counts).tolist()
         differing = []
         for number in sorted({*self.stated, *with_messages}):
-            if self.stated.get(number, 0) != self.counts[number]:
+            stated_count = self.stated.get(number, 0)
+            if stated_count != self.counts[number]:
                 differing.append(number)
         return differing
 
 
-def _value_before(values: Integers, first_of_channel: Rows, of_last_batches: Integers) -> Integers:
+def _value_before(
+    values: Integers,
+    first_of_channel: Rows,
+    of_last_batches: Integers,
+) -> Integers:
     """(n,) the value of the message before each in its channel, for messages sorted by channel.
 
     ``of_last_batches`` are the values before the first of each channel, from earlier batches.

@@ -122,11 +122,11 @@ def _turn_ros_attitude(columns: dict[str, Array]) -> None:
 def _add_sigmas(columns: dict[str, Array]) -> None:
     """Replace the variances of a NavSatFix by sigmas; NaN where the accuracy is unknown."""
     covariance_type = columns.pop("covariance_type")
-    known = covariance_type > 0.0
+    is_known = covariance_type > 0.0
     variances = []
     for name in ("variance_0", "variance_1", "variance_2"):  # east, north, up
-        variance = columns.pop(name, np.full(known.shape, np.nan))
-        variances.append(np.where(known, np.maximum(variance, 0.0), np.nan))
+        variance = columns.pop(name, np.full(is_known.shape, np.nan))
+        variances.append(np.where(is_known, np.maximum(variance, 0.0), np.nan))
     east, north, up = variances
     columns["sigma_h_m"] = np.sqrt(east / 2.0 + north / 2.0)
     columns["sigma_v_m"] = np.sqrt(up)

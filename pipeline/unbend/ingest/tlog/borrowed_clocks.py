@@ -50,7 +50,7 @@ class _SentTimes:
         rows = (self.readings["utc_ns"] <= 0) & (self.readings["boot_ns"] > 0)
         of_boot = self.readings[rows]
         stamped_ns = clock.utc_of_boot(
-            of_boot["at"],
+            of_boot["place"],
             of_boot["host_us"] * MICROSECOND,
             of_boot["boot_ns"],
             self.turn_ns,
@@ -60,7 +60,7 @@ class _SentTimes:
 
     def _received_ns(self, clock: SenderClock) -> TimeArray:
         """UTC at which the messages were received."""
-        return clock.utc_of_host(self.readings["at"], self.readings["host_us"] * MICROSECOND)
+        return clock.utc_of_host(self.readings["place"], self.readings["host_us"] * MICROSECOND)
 
 
 def with_borrowed_clocks(clocks: Clocks, sent: Sequence[ColumnStore], ledger: Ledger) -> Clocks:
@@ -92,7 +92,7 @@ def _sent_times(rows: NDArray[Any], field: str) -> _SentTimes:
     unit_ns, turn_ns = CLOCK_FIELDS[field]
     raw = microseconds(rows["records"][field])
     readings = np.empty(rows.shape, READING)
-    for name in ("at", "source", "host_us"):
+    for name in ("place", "source", "host_us"):
         readings[name] = rows[name]
     readings["boot_ns"] = np.where(raw < FIRST_SET_US, raw * unit_ns, 0)
     readings["utc_ns"] = unix_us(rows["records"]) * MICROSECOND
@@ -161,7 +161,7 @@ def _with_lent_or_own_clock(
         return clocks
     readings = np.concatenate([part.readings for part in times])
     timed_readings = readings[readings["boot_ns"] > 0]
-    in_file_order = timed_readings[np.argsort(timed_readings["at"], kind="stable")]
+    in_file_order = timed_readings[np.argsort(timed_readings["place"], kind="stable")]
     clock_of_sender = fit_sender(in_file_order, clock, sender, ledger)
     return replace(clocks, senders={**clocks.senders, sender: clock_of_sender})
 

@@ -23,10 +23,15 @@ DELAY_US = 10_000  # a delay of the link that differs by less is constant
 STEADY_MS = 1000  # between samples while the delay is constant
 
 READING = np.dtype(
-    [("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("boot_ns", "i8"), ("utc_ns", "i8")]
+    [
+        ("place", "i8"),  # byte offset of the message
+        ("host_us", "i8"),  # the ground station's clock
+        ("source", "u2"),  # the number of the sender
+        ("boot_ns", "i8"),  # since boot
+        ("utc_ns", "i8"),  # or 0
+    ]
 )
-"""A sample of a sender's clock: ``at`` byte offset; ``host_us`` the ground station's clock;
-``source`` the number of the sender; ``boot_ns`` since boot; ``utc_ns`` or 0."""
+"""A sample of a sender's clock."""
 
 Readings = NDArray[Any]  # (n,) samples of `READING` in the order of the file
 
@@ -46,16 +51,21 @@ class Sampler:
         if not timed:
             return
         readings = np.concatenate([_readings_of(part) for part in timed])
-        by_sender = readings[np.lexsort((readings["at"], readings["source"]))]
+        order = np.lexsort((readings["place"], readings["source"]))  # by sender, then by place
+        by_sender = readings[order]
         sampled = by_sender[_is_sampled(by_sender)]
         kept = sampled[_is_kept(sampled)]
-        self.rows.add(kept[np.argsort(kept["at"], kind="stable")])
+        in_file_order = np.argsort(kept["place"], kind="stable")
+        self.rows.add(kept[in_file_order])
 
     def readings(self, systems: Set[int]) -> Readings:
         """The samples of the senders of these systems; removes all samples."""
         chosen = ColumnStore(READING)
+        sorted_systems = sorted(systems)
         for block in self.rows.drained():
-            chosen.add(block[np.isin(systems_of(block["source"]), sorted(systems))])
+            system = systems_of(block["source"])
+            is_chosen = np.isin(system, sorted_systems)
+            chosen.add(block[is_chosen])
         return chosen.whole()
 
 
@@ -63,7 +73,7 @@ def _readings_of(messages: NDArray[Any]) -> Readings:
     """A reading of the sender's clock from each of the messages of one type."""
     records = messages["records"]
     rows = np.zeros(messages.shape[0], READING)
-    for name in ("at", "host_us", "source"):
+    for name in ("place", "host_us", "source"):
         rows[name] = messages[name]
     rows["boot_ns"] = records["time_boot_ms"].astype(np.int64) * MILLISECOND
     if "time_unix_usec" in (records.dtype.names or ()):
@@ -101,10 +111,13 @@ def _is_kept(rows: Readings) -> Mask:
     jumps = _changes(rows["source"])
     jumps[1:] |= np.abs(np.diff(boot_ms)) > STEADY_MS
     for row in np.flatnonzero(jumps).tolist():  # how many rows follow a jump shows a glitch
-        kept[max(row - STRAY_ROWS - 1, 0) : row + STRAY_ROWS + 1] = True
+        first = max(row - STRAY_ROWS - 1, 0)
+        last = row + STRAY_ROWS
+        kept[first : last + 1] = True
     return kept
 
 
 def _changes(column: NDArray[Any]) -> Mask:
     """Which rows have another value than the row before; the first row counts as changed."""
-    return np.append(True, column[1:] != column[:-1])
+    is_new = column[1:] != column[:-1]
+    return np.append(True, is_new)

@@ -81,8 +81,8 @@ def message_of_name() -> Mapping[str, MessageDefinition]:
 
 def name_of(number: int) -> str:
     """The name of the message with an id; UNKNOWN and the id if the dialect does not have it."""
-    known = dialect().get(number)
-    return f"UNKNOWN_{number}" if known is None else known.name
+    message = dialect().get(number)
+    return f"UNKNOWN_{number}" if message is None else message.name
 
 
 def message_of_key(key: str) -> str:

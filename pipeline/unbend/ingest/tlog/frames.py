@@ -5,14 +5,14 @@ MAVLink 2 (0xFD) packet.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from unbend.ingest.buffers import Bytes, gather
+from unbend.ingest.message_tables import rows_by_value
 from unbend.ingest.tlog.senders import sender_numbers
 from unbend.units import Integers, Mask, Rows
 
@@ -32,24 +32,39 @@ BLOCK = 8192  # rows of one pass of the checksum: they fit the cache
 # The second byte of a stamp between 2001 (1e15 us, 0x00038D...) and 2103; the first one is 0.
 STAMP_HIGH = range(0x03, 0x0F)
 
-# Fields of both versions lie over each other: those with 1 are MAVLink 1's, those with 2, the flags
-# and the two parts of the message id (low, high) MAVLink 2's.
-_HEAD = np.dtype(
-    {
-        "names": ["host", "magic", "length", "flags", "seq1", "sys1", "comp1", "id1",
-                  "seq2", "sys2", "comp2", "low", "high"],
-        "formats": [">u8", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "u1", "<u2"],
-        "offsets": [0, 8, 9, 10, 10, 11, 12, 13, 12, 13, 14, 15, 16],
-        "itemsize": HEAD,
-    }
-)  # fmt: skip
+_HEAD_V1 = np.dtype(
+    [
+        ("host_us", ">u8"),
+        ("magic", "u1"),
+        ("length", "u1"),
+        ("sequence", "u1"),
+        ("system", "u1"),
+        ("component", "u1"),
+        ("message_id", "u1"),
+        ("payload", "V4"),  # as far as it lies in the `HEAD` bytes
+    ]
+)
+_HEAD_V2 = np.dtype(
+    [
+        ("host_us", ">u8"),
+        ("magic", "u1"),
+        ("length", "u1"),
+        ("incompatible", "u1"),
+        ("compatible", "u1"),
+        ("sequence", "u1"),
+        ("system", "u1"),
+        ("component", "u1"),
+        ("id_low", "u1"),  # the message id has 24 bits
+        ("id_high", "<u2"),
+    ]
+)
 
 
 @dataclass(frozen=True)
 class Frames:
     """Frames in the order of the file, (n,) each.
 
-    at : the byte at which the stamp, and with it the frame, begins.
+    place : the byte at which the stamp, and with it the frame, begins.
     total : how many bytes the frame has, with stamp, checksum and signature.
     host_us : the stamp, which is the ground station's clock [us].
     version : of MAVLink, 1 or 2.
@@ -57,7 +72,7 @@ class Frames:
     sequence : the sender's count of its messages, modulo 256.
     """
 
-    at: Integers
+    place: Integers
     total: Integers
     host_us: Integers
     version: NDArray[np.uint8]
@@ -68,18 +83,18 @@ class Frames:
     message_id: NDArray[np.int32]
 
     def __len__(self) -> int:
-        return int(self.at.shape[0])
+        return int(self.place.shape[0])
 
     @property
     def end(self) -> Integers:
         """The byte behind each frame."""
-        return np.asarray(self.at + self.total, np.int64)
+        return np.asarray(self.place + self.total, np.int64)
 
     @property
     def payload(self) -> Integers:
         """The byte offset of the payload."""
         before = np.where(self.version == 2, HEAD, STAMP + V1_BEFORE_PAYLOAD)
-        return np.asarray(self.at + before, np.int64)
+        return np.asarray(self.place + before, np.int64)
 
     @property
     def sender(self) -> NDArray[np.uint16]:
@@ -88,25 +103,32 @@ class Frames:
 
     def take(self, rows: Mask | Rows | slice) -> "Frames":
         """The frames in some rows; the same object if a mask has all of them."""
-        if isinstance(rows, np.ndarray) and rows.dtype == np.bool_ and bool(rows.all()):
-            return self
-        return Frames(**{name: column[rows] for name, column in vars(self).items()})
+        if isinstance(rows, np.ndarray) and rows.dtype == np.bool_:
+            has_all = bool(rows.all())
+            if has_all:
+                return self
+        columns = {}
+        for name, column in vars(self).items():
+            columns[name] = column[rows]
+        return Frames(**columns)
 
     def moved(self, by: int) -> "Frames":
         """The same frames, whose places in a window become places in the file by adding ``by``."""
-        return Frames(**(vars(self) | {"at": self.at + by}))
+        return replace(self, place=self.place + by)
 
 
 def joined(parts: list[Frames]) -> Frames:
     """Several tables of frames as one, in the order of the file."""
     columns = {}
     for name in Frames.__dataclass_fields__:
-        columns[name] = np.concatenate([vars(part)[name] for part in parts])
+        pieces = [getattr(part, name) for part in parts]
+        columns[name] = np.concatenate(pieces)
     whole = Frames(**columns)
-    return whole.take(np.argsort(whole.at, kind="stable"))
+    in_file_order = np.argsort(whole.place, kind="stable")
+    return whole.take(in_file_order)
 
 
-def frame_length(data: bytes, at: int) -> int:
+def frame_length(data: bytes, begin: int) -> int:
     """How many bytes the frame has whose stamp begins at a byte, by its header; 0 without a frame.
 
     The data may end within the frame.
@@ -114,17 +136,23 @@ def frame_length(data: bytes, at: int) -> int:
     >>> frame_length(bytes([0, 5, 0, 0, 0, 0, 0, 0, 0xFE, 4]) + bytes(20), 0)
     20
     """
-    if at + SHORTEST > len(data) or data[at] != 0 or data[at + 1] not in STAMP_HIGH:
+    if begin + SHORTEST > len(data):
         return 0
-    packet = at + STAMP
+    has_stamp = data[begin] == 0 and data[begin + 1] in STAMP_HIGH
+    if not has_stamp:
+        return 0
+    packet = begin + STAMP
     magic = data[packet]
     payload_length = data[packet + 1]
-    if magic == V2:
-        is_signed = data[packet + 2] & SIGNED
-        return HEAD + payload_length + CHECKSUM + (SIGNATURE if is_signed else 0)
     if magic == V1:
         return STAMP + V1_BEFORE_PAYLOAD + payload_length + CHECKSUM
-    return 0
+    if magic != V2:
+        return 0
+    length = HEAD + payload_length + CHECKSUM
+    is_signed = data[packet + 2] & SIGNED
+    if is_signed:
+        length += SIGNATURE
+    return length
 
 
 def candidates(window: Bytes, stop: int) -> Integers:
@@ -149,23 +177,25 @@ def headers(window: Bytes, places: Integers, room: int) -> Frames:
 
     The window must have `HEAD` bytes from the last place on, though its frame may be shorter.
     """
-    head = gather(window, places, HEAD).view(_HEAD)
-    is_v2 = head["magic"] == V2
-    is_signed = is_v2 & (head["flags"] & SIGNED == 1)
-    total = head["length"].astype(np.int64)
+    head = gather(window, places, HEAD)
+    v1 = head.view(_HEAD_V1)
+    v2 = head.view(_HEAD_V2)
+    is_v2 = v2["magic"] == V2
+    is_signed = is_v2 & (v2["incompatible"] & SIGNED == 1)
+    total = v2["length"].astype(np.int64)
     total += np.where(is_v2, HEAD, STAMP + V1_BEFORE_PAYLOAD)
     total += CHECKSUM + SIGNATURE * is_signed
-    id_of_v2 = head["low"] | head["high"].astype(np.int32) << 8
+    id_of_v2 = v2["id_low"] | v2["id_high"].astype(np.int32) << 8
     frames = Frames(
-        at=places,
+        place=places,
         total=total,
-        host_us=head["host"].astype(np.int64),
-        version=np.where(is_v2, np.uint8(2), np.uint8(1)),
-        length=head["length"],
-        sequence=np.where(is_v2, head["seq2"], head["seq1"]),
-        system=np.where(is_v2, head["sys2"], head["sys1"]),
-        component=np.where(is_v2, head["comp2"], head["comp1"]),
-        message_id=np.where(is_v2, id_of_v2, head["id1"]),
+        host_us=v2["host_us"].astype(np.int64),
+        version=np.where(is_v2, 2, 1).astype(np.uint8),
+        length=v2["length"],
+        sequence=np.where(is_v2, v2["sequence"], v1["sequence"]),
+        system=np.where(is_v2, v2["system"], v1["system"]),
+        component=np.where(is_v2, v2["component"], v1["component"]),
+        message_id=np.where(is_v2, id_of_v2, v1["message_id"]),
     )
     return frames.take(frames.end <= room)
 
@@ -175,17 +205,23 @@ _POLYNOMIAL = np.uint16(0x8408)
 _TABLE = np.arange(256, dtype=np.uint16)
 for _ in range(8):
     _odd = _TABLE & 1 != 0
-    _TABLE = np.where(_odd, (_TABLE >> 1) ^ _POLYNOMIAL, _TABLE >> 1).astype(np.uint16)
+    _half = _TABLE >> 1
+    _TABLE = np.where(_odd, _half ^ _POLYNOMIAL, _half)
 
 
-def _step(crc: NDArray[np.uint16], byte: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
+def _step(
+    crc: NDArray[np.uint16],
+    byte: NDArray[np.integer[Any]],
+) -> NDArray[np.uint16]:
     """The checksums after one more byte each."""
-    return np.asarray((crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF], np.uint16)
+    table_row = (crc ^ byte) & 0xFF
+    return np.asarray((crc >> 8) ^ _TABLE[table_row], np.uint16)
 
 
 # What two bytes add at a step: the register has 16 bits, so that 65,536 entries are all there are.
+_REGISTERS = np.arange(1 << 16, dtype=np.uint16)
 _ZERO = np.zeros(1, np.uint16)
-_WORDS = _step(_step(np.arange(1 << 16, dtype=np.uint16), _ZERO), _ZERO)
+_WORDS = _step(_step(_REGISTERS, _ZERO), _ZERO)
 
 
 class _Packets(NamedTuple):
@@ -195,44 +231,64 @@ class _Packets(NamedTuple):
     covered: int
 
 
-def _packets_of_one_length(frames: Frames, known: Mask) -> list[_Packets]:
-    """The known frames by version and length, in pieces of at most `BLOCK` rows."""
-    group = frames.length.astype(np.uint16) * 2 + (frames.version == 2)  # lowest bit: MAVLink 2
-    rows = np.flatnonzero(known)
-    rows = rows[np.argsort(group[rows], kind="stable")]
-    starts = np.flatnonzero(np.diff(group[rows].astype(np.int32), prepend=-1)).tolist()
+def _packets_of_one_length(frames: Frames, has_extra: Mask) -> list[_Packets]:
+    """The frames that have a CRC_EXTRA by version and length, in pieces of at most `BLOCK` rows."""
+    rows = np.flatnonzero(has_extra)
+    group = frames.length[rows].astype(np.uint16) * 2
+    group += frames.version[rows] == 2  # the lowest bit
     packets = []
-    for begin, end in pairwise([*starts, rows.shape[0]]):
-        first_row = rows[begin]
+    for _, places_in_rows in rows_by_value(group):
+        rows_alike = rows[places_in_rows]
+        first_row = rows_alike[0]
         is_v2 = frames.version[first_row] == 2
         before_payload = V2_BEFORE_PAYLOAD if is_v2 else V1_BEFORE_PAYLOAD
         covered = before_payload - 1 + int(frames.length[first_row])  # all but the magic byte
-        for first in range(begin, end, BLOCK):
-            packets.append(_Packets(rows[first : min(first + BLOCK, end)], covered))
+        for begin in range(0, rows_alike.size, BLOCK):
+            piece = rows_alike[begin : begin + BLOCK]
+            packets.append(_Packets(piece, covered))
     return packets
 
 
-def checksums_hold(window: Bytes, frames: Frames, extras: Mapping[int, int]) -> Mask:
-    """Whether the checksum of each of (n,) frames holds; False for ids without a CRC_EXTRA."""
+def checksums_hold(
+    window: Bytes,
+    frames: Frames,
+    extras: Mapping[int, int],
+) -> Mask:
+    """Whether the checksum of each of (n,) frames holds; False for ids without a CRC_EXTRA.
+
+    ``extras``: the CRC_EXTRA of each id.
+    """
     holds = np.zeros(len(frames), np.bool_)
     if not len(frames):
         return holds
-    ids = np.array(sorted(extras), np.int32)
-    extra_of_id = np.array([extras[number] for number in ids.tolist()], np.uint16)
-    nearest_id = np.minimum(np.searchsorted(ids, frames.message_id), ids.shape[0] - 1)
-    known = ids[nearest_id] == frames.message_id
+    sorted_ids = sorted(extras)
+    ids = np.array(sorted_ids, np.int32)
+    extra_of_id = np.array([extras[number] for number in sorted_ids], np.uint16)
+    not_smaller_id = np.searchsorted(ids, frames.message_id)
+    nearest_id = np.minimum(not_smaller_id, ids.shape[0] - 1)
+    has_extra = ids[nearest_id] == frames.message_id
     extra = extra_of_id[nearest_id]
-    for rows, covered in _packets_of_one_length(frames, known):
-        behind_magic = frames.at[rows] + STAMP + 1
-        computed, stored = checksums(window, behind_magic, covered, extra[rows])
-        holds[rows] = computed == stored
+    for rows, covered in _packets_of_one_length(frames, has_extra):
+        behind_magic = frames.place[rows] + STAMP + 1
+        sums = checksums(window, behind_magic, covered, extra[rows])
+        holds[rows] = sums.computed == sums.stored
     return holds
 
 
+class Checksums(NamedTuple):
+    """The checksums of (n,) packets: computed from their bytes, and stored behind them."""
+
+    computed: NDArray[np.uint16]
+    stored: NDArray[np.uint16]
+
+
 def checksums(
-    window: Bytes, first: Integers, covered: int, extra: NDArray[np.uint16]
-) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    """The (n,) computed checksums of packets of one length, and the stored ones behind them.
+    window: Bytes,
+    first: Integers,
+    covered: int,
+    extra: NDArray[np.uint16],
+) -> Checksums:
+    """The checksums of (n,) packets of one length.
 
     The ``covered`` bytes begin at ``first`` (n,), behind the magic byte; ``extra`` (n,): CRC_EXTRA.
     """
@@ -251,10 +307,17 @@ def checksums(
     for number in range(first_whole_word, stored_word):
         np.bitwise_xor(crc, words[:, number], out=crc)
         crc = _WORDS.take(crc, mode="clip")  # 16 bits are never out of range: no test needed
-    return _step(crc, extra), words[:, stored_word]
+    return Checksums(
+        computed=_step(crc, extra),
+        stored=words[:, stored_word],
+    )
 
 
-def payloads(window: Bytes, frames: Frames, dtype: np.dtype[Any]) -> NDArray[Any]:
+def payloads(
+    window: Bytes,
+    frames: Frames,
+    dtype: np.dtype[Any],
+) -> NDArray[Any]:
     """Payloads of frames of one message as a structured array.
 
     What MAVLink 2 does not send, zeros at the end, is filled in. Bytes beyond ``dtype``, of a field
@@ -262,10 +325,12 @@ def payloads(window: Bytes, frames: Frames, dtype: np.dtype[Any]) -> NDArray[Any
     """
     filled = np.zeros((len(frames), dtype.itemsize), np.uint8)
     begin = frames.payload
-    for length in np.flatnonzero(np.bincount(frames.length)).tolist():
+    frames_of_length = np.bincount(frames.length)
+    for length in np.flatnonzero(frames_of_length).tolist():
         used_bytes = min(length, dtype.itemsize)
         if used_bytes:
             rows = np.flatnonzero(frames.length == length)
-            sent = gather(window, begin[rows], used_bytes).view(np.uint8)
-            filled[rows, :used_bytes] = sent.reshape(-1, used_bytes)
+            sent = gather(window, begin[rows], used_bytes)
+            sent_bytes = sent.view(np.uint8).reshape(-1, used_bytes)
+            filled[rows, :used_bytes] = sent_bytes
     return filled.view(dtype).reshape(len(frames))

@@ -8,7 +8,6 @@ is done for all frames of a stretch of the file at once.
 from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from unbend.flight.clock import STRAY_ROWS
 from unbend.ingest.buffers import Bytes, ColumnStore, FileView
 from unbend.ingest.damaged_bytes import DamagedBytes
+from unbend.ingest.message_tables import rows_by_value
 from unbend.ingest.tlog.clock_samples import Sampler
 from unbend.ingest.tlog.frames import (
     HEAD,
@@ -42,14 +42,14 @@ _MOST_IDS = 1 << 16  # MAVLink 2 has 24 bits, and no dialect more than this
 
 @dataclass(frozen=True)
 class Silence:
-    """More than `SILENT_US` without a message of a sender, before the byte ``at``.
+    """More than `SILENT_US` without a message of a sender, before the byte ``place``.
 
     ``backward``: how many messages are missing by a step of the sequence that would be one backward
     without the silence (more than half of `SEQUENCE`); 0 for another step.
     """
 
     source: Sender
-    at: int
+    place: int
     seconds: float
     backward: int
 
@@ -92,13 +92,21 @@ class _SenderMessages(NamedTuple):
 
     sequence: NDArray[np.uint8]
     host_us: Integers
-    at: Integers
+    place: Integers
 
 
 def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
     """Rows of a message: the byte and the clock of the ground station, the sender, the fields."""
-    packed = np.dtype([(name, layout[name]) for name in layout.names or ()])
-    return np.dtype([("at", "i8"), ("host_us", "i8"), ("source", "u2"), ("records", packed)])
+    names = layout.names or ()
+    packed = np.dtype([(name, layout[name]) for name in names])
+    return np.dtype(
+        [
+            ("place", "i8"),
+            ("host_us", "i8"),
+            ("source", "u2"),
+            ("records", packed),
+        ]
+    )
 
 
 class Scan(DamagedBytes):
@@ -110,8 +118,8 @@ class Scan(DamagedBytes):
 
     counts : how many messages of each id there are; those of an id outside the dialect count if
         frames fill all the bytes between accepted ones.
-    sent : the rows of the wanted messages by id: ``at`` (byte), ``host_us`` (the ground station's
-        clock), ``source`` (the number of the sender) and ``records``.
+    sent : the rows of the wanted messages by id: ``place`` (byte), ``host_us`` (the ground
+        station's clock), ``source`` (the number of the sender) and ``records``.
     unknown, failed : frames outside the dialect, and those whose checksum fails, by id.
     lost : missing messages of each sender, by its sequence numbers.
     steady : whether no stamp lies more than a second before the stamp before it, as a stray stamp
@@ -137,13 +145,16 @@ class Scan(DamagedBytes):
         self._data = data
         self._extras = extras
         self._wanted = wanted
-        self._row_types = {number: _row_type(layout) for number, layout in wanted.items()}
         self._late = late
+        self._row_types: dict[int, np.dtype[Any]] = {}
+        for number, layout in wanted.items():
+            self._row_types[number] = _row_type(layout)
         self._end = 0  # of the last accepted frame
         self._host_us = 0  # its stamp; 0 before the first
         self._sequences: dict[int, _SequenceState] = {}
         for begin in range(0, data.size, STRETCH):
-            self._scan_stretch(begin, min(begin + STRETCH, data.size))
+            stop = min(begin + STRETCH, data.size)
+            self._scan_stretch(begin, stop)
         if self._end < data.size:
             places = self._examine_gap(self._end, data.size)
             if places:
@@ -178,12 +189,14 @@ class Scan(DamagedBytes):
             names = layout.names or ()
             payload = payloads(window, of_type, layout)
             rows = np.empty(chosen.shape, self._row_types[number])
-            rows["at"] = of_type.at + begin
+            rows["place"] = of_type.place + begin
             rows["host_us"] = of_type.host_us
             rows["source"] = of_type.sender
             for name in names:
                 rows["records"][name] = payload[name]
-            self.sent.setdefault(number, ColumnStore(rows.dtype)).add(rows)
+            if number not in self.sent:
+                self.sent[number] = ColumnStore(rows.dtype)
+            self.sent[number].add(rows)
             if number not in self._late and "time_boot_ms" in names:
                 timed.append(rows)
         self.clock.take(timed)
@@ -194,10 +207,12 @@ class Scan(DamagedBytes):
         The messages of other frames between these are not lost, though they are not accepted.
         """
         self._check_stamps(frames)
-        sent = [frames, *self._frames_between(frames)]
-        self._count_lost(joined(sent) if len(sent) > 1 else frames)
+        rejected = self._rejected_between(frames)
+        sent = frames if rejected is None else joined([frames, rejected])
+        self._count_lost(sent)
         self._end = int(frames.end[-1])  # only now: the first gap begins at the end before
-        counts = np.bincount(frames.message_id[frames.message_id < _MOST_IDS])
+        usual_ids = frames.message_id[frames.message_id < _MOST_IDS]
+        counts = np.bincount(usual_ids)
         for number in np.flatnonzero(counts).tolist():
             self.counts[number] += int(counts[number])
 
@@ -208,24 +223,26 @@ class Scan(DamagedBytes):
         self.steady &= bool(np.all(step_us >= -STEADY_US))
         self._host_us = int(frames.host_us[-1])
 
-    def _frames_between(self, frames: Frames) -> list[Frames]:
+    def _rejected_between(self, frames: Frames) -> Frames | None:
         """Examine the gaps before accepted frames; returns the frames in them, if there are any."""
         places: list[int] = []
         previous_end = np.concatenate([[self._end], frames.end[:-1]])
-        for row in np.flatnonzero(previous_end != frames.at).tolist():
+        has_gap_before = previous_end != frames.place
+        for row in np.flatnonzero(has_gap_before).tolist():
             begin = int(previous_end[row])
-            stop = int(frames.at[row])
+            stop = int(frames.place[row])
             places += self._examine_gap(begin, stop)
         if not places:
-            return []
-        return [self._rejected_at(places, int(frames.at[-1]))]
+            return None
+        return self._rejected_at(places, int(frames.place[-1]))
 
     def _rejected_at(self, places: list[int], stop: int) -> Frames:
         """The frames at these places, which end before ``stop``; they are counted as rejected."""
         begin = places[0]
         window = self._data.array(begin, stop)
         offsets = np.array(places, np.int64) - begin
-        frames = headers(_padded(window), offsets, window.shape[0]).moved(begin)
+        frames = headers(_padded(window), offsets, window.shape[0])
+        frames = frames.moved(begin)
         self._count_rejected(frames)
         return frames
 
@@ -271,7 +288,7 @@ class Scan(DamagedBytes):
             place += length
         return places, place
 
-    def _ends_in_frame(self, at: int, stop: int, places: list[int]) -> bool:
+    def _ends_in_frame(self, begin: int, stop: int, places: list[int]) -> bool:
         """Whether the file ends within a frame that begins at a byte, behind frames at ``places``.
 
         The file does if fewer bytes are left than any frame has, or fewer than the header says.
@@ -279,8 +296,8 @@ class Scan(DamagedBytes):
         """
         if stop != self._data.size:
             return False
-        last_bytes = self._data[at : at + LONGEST]
-        has_no_room = stop - at < SHORTEST
+        last_bytes = self._data[begin : begin + LONGEST]  # as far as the file has them
+        has_no_room = stop - begin < SHORTEST
         stated_length = frame_length(last_bytes, 0)  # 0 where no frame begins
         if not has_no_room and stated_length <= len(last_bytes):
             return False
@@ -288,14 +305,16 @@ class Scan(DamagedBytes):
             return True
         # The frame before is not accepted. If it is of the dialect, its checksum has failed, and
         # its length may be wrong.
-        head = _padded(self._data.array(places[-1], places[-1] + HEAD))
+        place = places[-1]
+        head = _padded(self._data.array(place, place + HEAD))
         last = headers(head, np.zeros(1, np.int64), LONGEST)
-        return int(last.message_id[0]) not in self._extras
+        message_id = int(last.message_id[0])
+        return message_id not in self._extras
 
     def _count_rejected(self, frames: Frames) -> None:
         """Count frames that are not accepted: of an unknown id, or else with a failed checksum."""
         message_ids = frames.message_id.tolist()
-        places = frames.at.tolist()
+        places = frames.place.tolist()
         columns = (message_ids, places, frames.total.tolist())
         for number, place, length in zip(*columns, strict=True):
             if number in self._extras:
@@ -307,17 +326,13 @@ class Scan(DamagedBytes):
 
     def _count_lost(self, frames: Frames) -> None:
         """Count the messages that each sender numbered, but that are not among these frames."""
-        senders = frames.sender
-        order = np.argsort(senders, kind="stable")
-        starts = np.flatnonzero(np.diff(senders[order].astype(np.int32), prepend=-1)).tolist()
-        for begin, end in pairwise([*starts, order.shape[0]]):
-            rows = order[begin:end]
+        for number, rows in rows_by_value(frames.sender):
             sent = _SenderMessages(
                 sequence=frames.sequence[rows],
                 host_us=frames.host_us[rows],
-                at=frames.at[rows],
+                place=frames.place[rows],
             )
-            self._count_lost_of_sender(int(senders[rows[0]]), sent)
+            self._count_lost_of_sender(number, sent)
 
     def _count_lost_of_sender(self, number: int, sent: _SenderMessages) -> None:
         """Count the numbers that are missing in the next messages of a sender, and its silences.
@@ -329,9 +344,13 @@ class Scan(DamagedBytes):
         sender = Sender.of_number(number)
         state = self._sequences.get(number)
         if state is None:  # nothing is missing before the first message
-            number_before = (int(sent.sequence[0]) - 1) % SEQUENCE
-            state = _SequenceState(last=number_before, heard_us=int(sent.host_us[0]))
-        skipped = np.diff(sent.sequence, prepend=np.uint8(state.last)) - np.uint8(1)  # modulo 256
+            first_number = int(sent.sequence[0])
+            state = _SequenceState(
+                last=(first_number - 1) % SEQUENCE,
+                heard_us=int(sent.host_us[0]),
+            )
+        number_step = np.diff(sent.sequence, prepend=np.uint8(state.last))  # modulo 256
+        skipped = number_step - np.uint8(1)
         is_after_gap = np.diff(sent.host_us, prepend=state.heard_us) > SILENT_US
         for row in np.flatnonzero(is_after_gap).tolist():
             self._add_silence(sender, sent, row, int(skipped[row]), state.heard_us)
@@ -344,14 +363,20 @@ class Scan(DamagedBytes):
         if new_positions.size:
             lost = int(new_positions[-1]) - state.ahead - new_positions.shape[0]
         self.lost[sender] += lost
+        highest = max(state.ahead, int(position.max()))
         self._sequences[number] = _SequenceState(
             last=int(sent.sequence[-1]),
             heard_us=int(sent.host_us[-1]),
-            ahead=max(state.ahead, int(position.max())) - int(position[-1]),
+            ahead=highest - int(position[-1]),
         )
 
     def _add_silence(
-        self, sender: Sender, sent: _SenderMessages, row: int, skipped: int, heard_us: int
+        self,
+        sender: Sender,
+        sent: _SenderMessages,
+        row: int,
+        skipped: int,
+        heard_us: int,
     ) -> None:
         """Add the silence before the message in a row, if it is one: a stray stamp is none.
 
@@ -363,7 +388,13 @@ class Scan(DamagedBytes):
             return
         is_backward = skipped >= SEQUENCE // 2
         backward = skipped if is_backward else 0
-        self.silences.append(Silence(sender, int(sent.at[row]), silent_us / 1e6, backward))
+        silence = Silence(
+            source=sender,
+            place=int(sent.place[row]),
+            seconds=silent_us / 1e6,
+            backward=backward,
+        )
+        self.silences.append(silence)
 
 
 def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:
@@ -380,11 +411,14 @@ def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:
 
 def _apart(frames: Frames) -> Frames:
     """The frames without those that begin inside another frame: its payload may hold a log."""
-    if bool(np.all(frames.at[1:] >= frames.end[:-1])):
+    ends = frames.end
+    are_apart = bool(np.all(frames.place[1:] >= ends[:-1]))
+    if are_apart:
         return frames
     rows = []
     end_before = 0
-    for row, (begin, end) in enumerate(zip(frames.at.tolist(), frames.end.tolist(), strict=True)):
+    begin_and_end = zip(frames.place.tolist(), ends.tolist(), strict=True)
+    for row, (begin, end) in enumerate(begin_and_end):
         if begin >= end_before:
             rows.append(row)
             end_before = end
@@ -393,4 +427,5 @@ def _apart(frames: Frames) -> Frames:
 
 def _padded(window: Bytes) -> Bytes:
     """The bytes, followed by `HEAD` zeros: a header may extend beyond the end."""
-    return np.concatenate([window, np.zeros(HEAD, np.uint8)])
+    zeros = np.zeros(HEAD, np.uint8)
+    return np.concatenate([window, zeros])

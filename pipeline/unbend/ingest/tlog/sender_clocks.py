@@ -62,53 +62,54 @@ LATEST_NS = 10 * NANOSECONDS_PER_SECOND
 class SenderClock:
     """One sender's clock and its boots in UTC.
 
-    ``at``, ``boot_ns`` (n,): readings each second and at each boot, empty where none is known. By
-    boot: ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
+    ``reading_places``, ``boot_ns`` (n,): readings each second and at each boot, empty where none is
+    known. By boot: ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
     """
 
-    at: Integers
+    reading_places: Integers
     boot_ns: TimeArray
     clock: BootClock
     counts: tuple[int, ...]
     maps: tuple[Callable[[TimeArray], TimeArray], ...]
     stated_shift_ns: tuple[int, ...] = ()  # UTC minus the UTC that the sender states, by boot
 
-    def utc_of_stated(self, at: Integers, stated_ns: TimeArray) -> TimeArray:
+    def utc_of_stated(self, places: Integers, stated_ns: TimeArray) -> TimeArray:
         """UTC [ns] of times that the sender states as UTC: its date may be a rollover off."""
         if not any(self.stated_shift_ns):
             return stated_ns
         shift_ns = np.array(self.stated_shift_ns, np.int64)
-        return np.asarray(stated_ns + shift_ns[self.boot(at)], np.int64)
+        return np.asarray(stated_ns + shift_ns[self.boot(places)], np.int64)
 
-    def boot(self, at: Integers) -> NDArray[np.int16]:
+    def boot(self, places: Integers) -> NDArray[np.int16]:
         """The boot of messages at these places of the file."""
-        return self.clock.line.boot_of(at)
+        return self.clock.line.boot_of(places)
 
-    def _row(self, at: Integers) -> Rows:
+    def _row(self, places: Integers) -> Rows:
         """The reading that stands before each place of the file, or the first."""
-        return np.maximum(np.searchsorted(self.at, at, side="right") - 1, 0)
+        before = np.searchsorted(self.reading_places, places, side="right") - 1
+        return np.maximum(before, 0)
 
-    def boot_places(self, at: Integers, boot_ns: TimeArray) -> Integers:
+    def boot_places(self, places: Integers, boot_ns: TimeArray) -> Integers:
         """For each message a place in the file that lies in the boot of its time.
 
         That is its own place, unless its time is nearer to the next reading, which is of another
         boot: messages may come before the first reading of their clock.
         """
         if self.clock.line.boots == 1:
-            return at
-        before = self._row(at)
-        after = np.minimum(before + 1, self.at.shape[0] - 1)
+            return places
+        before = self._row(places)
+        after = np.minimum(before + 1, self.reading_places.shape[0] - 1)
         from_before_ns = np.abs(boot_ns - self.boot_ns[before])
         from_after_ns = np.abs(boot_ns - self.boot_ns[after])
         is_of_next = from_after_ns < from_before_ns
-        is_of_next &= self.boot(self.at[after]) != self.boot(at)
-        return np.asarray(np.where(is_of_next, self.at[after], at), np.int64)
+        is_of_next &= self.boot(self.reading_places[after]) != self.boot(places)
+        return np.asarray(np.where(is_of_next, self.reading_places[after], places), np.int64)
 
-    def utc_of_host(self, at: Integers, host_ns: TimeArray) -> TimeArray:
+    def utc_of_host(self, places: Integers, host_ns: TimeArray) -> TimeArray:
         """UTC [ns] of messages without a time of their own."""
-        if not self.at.size:
+        if not self.reading_places.size:
             return host_ns
-        boot = self.boot(at)
+        boot = self.boot(places)
         utc_ns = host_ns.copy()
         for number in np.unique(boot).tolist():
             rows = boot == number
@@ -116,24 +117,30 @@ class SenderClock:
         return utc_ns
 
     def utc_of_boot(
-        self, at: Integers, host_ns: TimeArray, boot_ns: TimeArray, turn_ns: int
+        self,
+        places: Integers,
+        host_ns: TimeArray,
+        boot_ns: TimeArray,
+        turn_ns: int,
     ) -> TimeArray:
         """UTC [ns] of times since boot that wrap after ``turn_ns``.
 
         Without a known clock, the stamps ``host_ns`` of the ground station.
         """
-        if not self.at.size:
+        if not self.reading_places.size:
             return host_ns
-        near_ns = np.asarray(self.boot_ns[self._row(at)], np.int64)
-        return self.clock.utc(at, unrolled(boot_ns, near_ns, turn_ns))
+        near_ns = np.asarray(self.boot_ns[self._row(places)], np.int64)
+        whole_ns = unrolled(boot_ns, near_ns, turn_ns)
+        return self.clock.utc(places, whole_ns)
 
 
 def _unchanged(host_ns: TimeArray) -> TimeArray:
+    """The map of the ground station's clock to itself."""
     return host_ns
 
 
 _HOST_CLOCK = SenderClock(
-    at=np.empty(0, np.int64),
+    reading_places=np.empty(0, np.int64),
     boot_ns=np.empty(0, np.int64),
     clock=BootClock(timeline([]), (None,), (False,)),
     counts=(0,),
@@ -161,8 +168,14 @@ class Clocks:
         """The sender whose clock is used: this one, else another component of its system."""
         if sender in self.senders:
             return sender
-        same_system = [key for key in self.senders if key.system == sender.system]
-        return max(same_system, key=lambda key: sum(self.senders[key].counts), default=None)
+        lender = None
+        most_readings = -1
+        for candidate, clock in self.senders.items():
+            readings = sum(clock.counts)
+            if candidate.system == sender.system and readings > most_readings:
+                lender = candidate
+                most_readings = readings
+        return lender
 
     def of(self, sender: Sender) -> SenderClock:
         """The clock of a sender; where none is known, that of the ground station."""
@@ -171,18 +184,19 @@ class Clocks:
             return _HOST_CLOCK
         return self.senders[lender]
 
-    def advanced(self, sender: Sender, at: int, least_ns: int) -> bool:
+    def advanced(self, sender: Sender, place: int, least_ns: int) -> bool:
         """Whether a sender's clock advances by ``least_ns`` or more at a place, within a boot.
 
         True also where the clock is not known beside that place.
         """
         clock = self.senders.get(sender, _HOST_CLOCK)
-        row = int(np.searchsorted(clock.at, at))
-        if not 0 < row < clock.at.shape[0]:
+        row = int(np.searchsorted(clock.reading_places, place))
+        if not 0 < row < clock.reading_places.shape[0]:
             return True
-        boot_before, boot_after = clock.boot(clock.at[row - 1 : row + 1]).tolist()
+        boots = clock.boot(clock.reading_places[row - 1 : row + 1])
+        is_one_boot = bool(boots[0] == boots[1])
         step_ns = int(clock.boot_ns[row] - clock.boot_ns[row - 1])
-        return bool(boot_before == boot_after and step_ns >= least_ns)
+        return is_one_boot and step_ns >= least_ns
 
 
 def clock_field(names: Container[str]) -> str:
@@ -260,13 +274,13 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
 
 def _description(clock: BootClock) -> str:
     """Where the UTC of the vehicle's clock comes from."""
-    known = clock.utc_known.count(True)
+    with_utc = clock.utc_known.count(True)
     boots = len(clock.utc_known)
-    if known == boots:
+    if with_utc == boots:
         return "vehicle clock, set to UTC by the median of SYSTEM_TIME"
-    if known == 0:
+    if with_utc == 0:
         return "vehicle clock, set by the ground station's clock"
-    return f"vehicle clock, set to UTC by SYSTEM_TIME in {known} of {boots} boots"
+    return f"vehicle clock, set to UTC by SYSTEM_TIME in {with_utc} of {boots} boots"
 
 
 def _selected(readings: Readings, rows: Mask) -> Readings:
@@ -284,12 +298,14 @@ def overtaken(readings: Readings) -> Mask:
     boot_ns = readings["boot_ns"]
     host_ns = readings["host_us"] * MICROSECOND
     newest_ns = np.maximum.accumulate(boot_ns)
-    is_newest = newest_ns == boot_ns
-    row_of_newest = np.maximum.accumulate(np.where(is_newest, np.arange(boot_ns.size), 0))
+    rows = np.arange(boot_ns.size)
+    rows[newest_ns != boot_ns] = 0
+    row_of_newest = np.maximum.accumulate(rows)
     late_ns = newest_ns - boot_ns
+    is_late = (late_ns > BOOT_STEP_NS) & (late_ns < LATEST_NS)
     boot_by_host_ns = host_ns - boot_ns  # when the sender was switched on, by the host's clock
     was_on = boot_by_host_ns < host_ns[row_of_newest] - LATEST_NS
-    return np.asarray((late_ns > BOOT_STEP_NS) & (late_ns < LATEST_NS) & was_on, np.bool_)
+    return np.asarray(is_late & was_on, np.bool_)
 
 
 def fit_sender(
@@ -306,9 +322,10 @@ def fit_sender(
     receiver has set.
     """
     readings = _selected(readings, ~stray_times(readings["boot_ns"]))
-    if bool(np.any(np.diff(readings["boot_ns"]) < -BOOT_STEP_NS)):
+    steps_ns = np.diff(readings["boot_ns"])
+    if bool(np.any(steps_ns < -BOOT_STEP_NS)):
         readings = _selected(readings, ~overtaken(readings))
-    places = readings["at"]
+    places = readings["place"]
     stamped_ns = readings["host_us"] * MICROSECOND
     boot_ns = _continued(readings["boot_ns"], stamped_ns, sender, ledger)
     system_time = UtcReadings(
@@ -337,9 +354,10 @@ def fit_sender(
     counts = np.bincount(boot, minlength=clock.line.boots).tolist()
     _report_host_clock(clock, counts, sender, ledger)
     second = boot_ns // NANOSECONDS_PER_SECOND
-    is_kept = np.append(True, (np.diff(second) != 0) | (np.diff(boot) != 0))  # the first of each
+    is_new = (np.diff(second) != 0) | (np.diff(boot) != 0)
+    is_kept = np.append(True, is_new)  # the first of each second and of each boot
     return SenderClock(
-        at=places[is_kept],
+        reading_places=places[is_kept],
         boot_ns=boot_ns[is_kept],
         clock=clock,
         counts=tuple(counts),
@@ -354,14 +372,14 @@ def _shifts_of_stated(clock: BootClock, stated: UtcReadings) -> tuple[int, ...]:
     A larger shift is of a date that was repaired. The other messages of the sender state UTC by the
     same clock, and need the same shift.
     """
-    stated = stated.usable_rows(clock.line)
-    boots = clock.line.boot_of(stated.places)
+    usable = stated.usable_rows(clock.line)
+    boots = clock.line.boot_of(usable.places)
     shifts_ns = []
     for number, fit in enumerate(clock.fits):
         rows = boots == number
         shift_ns = 0
         if fit is not None and rows.any():
-            offsets_ns = np.sort(stated.utc_ns[rows] - stated.boot_ns[rows])
+            offsets_ns = np.sort(usable.utc_ns[rows] - usable.boot_ns[rows])
             middle = offsets_ns.size // 2
             shift_ns = fit.offset_ns - int(offsets_ns[middle])
         has_other_date = abs(shift_ns) > DAY_NS

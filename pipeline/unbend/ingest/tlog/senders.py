@@ -36,9 +36,14 @@ class Sender(NamedTuple):
         return f"system {self.system}, component {self.component}"
 
 
-def sender_numbers(system: NDArray[np.uint8], component: NDArray[np.uint8]) -> NDArray[np.uint16]:
+def sender_numbers(
+    system: NDArray[np.uint8],
+    component: NDArray[np.uint8],
+) -> NDArray[np.uint16]:
     """The numbers (`Sender.number`) of (n,) systems and components."""
-    return np.asarray(system.astype(np.uint16) * _COMPONENTS + component, np.uint16)
+    numbers = system.astype(np.uint16) * _COMPONENTS
+    numbers += component
+    return numbers
 
 
 def systems_of(numbers: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -54,8 +59,10 @@ def components_of(numbers: NDArray[np.uint16]) -> NDArray[np.uint16]:
 def by_sender(rows: NDArray[Any]) -> Iterator[tuple[Sender, Rows | slice]]:
     """The senders in the column ``source`` (`Sender.number`) of messages, and the rows of each."""
     numbers = rows["source"]
-    if numbers.size and bool(np.all(numbers == numbers[0])):
-        yield Sender.of_number(int(numbers[0])), slice(None)
+    is_one_sender = numbers.size > 0 and bool(np.all(numbers == numbers[0]))
+    if is_one_sender:
+        sender = Sender.of_number(int(numbers[0]))
+        yield sender, slice(None)
         return
     for number, of_sender in rows_by_value(numbers):
         yield Sender.of_number(number), of_sender

@@ -34,6 +34,7 @@ from unbend.ingest.tlog.tlog_channels import channels_of, label_of, times_of
 from unbend.ingest.utc_evidence import Witness
 from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Ledger
+from unbend.units import Integers
 
 SILENT_NS = SILENT_US * MICROSECOND
 RECEIVER_MESSAGES = ("GPS_RAW_INT", "GPS2_RAW")
@@ -43,16 +44,21 @@ _CARRIED = {message_of_key(key) for key in MESSAGES}
 _LATE = {key for key, spec in MESSAGES.items() if spec.event}
 
 
-def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
+def read_log(
+    path: Path,
+    ledger: Ledger,
+    witnesses: Sequence[Witness] = (),
+) -> Contents:
     """The contents of a telemetry log; ``witnesses`` are other clocks that tell its date."""
-    wanted = wanted_layouts()
-    late = {number for number in wanted if name_of(number) in _LATE}
-    with open_view(path) as data:
-        scan = Scan(data, crc_extras(), wanted, late)
+    scan = _scan_of(path)
     scan.report_bytes(ledger, path.name, "message")
-    damaged_bytes = _report_rejected(scan, set(wanted), path.name, ledger)
+    damaged_bytes = _report_rejected(scan, path.name, ledger)
     if not scan.steady:  # before the stamps are used: in messages, and in readings of clocks
         _replace_stray_stamps(scan, ledger, path.name)
+    message_counts = {}
+    for number, count in scan.counts.items():
+        if count:
+            message_counts[name_of(number)] = count
     sent = {name_of(number): store for number, store in scan.sent.items()}
     scan.sent.clear()  # `channels_of` frees what ``sent`` holds, message by message
     carried = [store for name, store in sent.items() if name in _CARRIED]
@@ -61,11 +67,12 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         systems_with_fix(sent),
         tuple(witnesses),
     )
-    clocks = with_borrowed_clocks(clocks_of(readings, ledger, dates), carried, ledger)
+    clocks = clocks_of(readings, ledger, dates)
+    clocks = with_borrowed_clocks(clocks, carried, ledger)
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(scan, clocks, channels, path.name, ledger)
     return Contents(
-        messages={name_of(number): count for number, count in scan.counts.items() if count},
+        messages=message_counts,
         channels=tuple(channels),
         bad_bytes=scan.bad_bytes + damaged_bytes,
         lost_messages=lost,
@@ -76,6 +83,14 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         utc_sigma_s=clocks.utc_sigma_s,
         clocks=clocks.assessments,
     )
+
+
+def _scan_of(path: Path) -> Scan:
+    """The scan of a file, with the messages that channels and clocks are made of."""
+    wanted = wanted_layouts()
+    late = {number for number in wanted if name_of(number) in _LATE}
+    with open_view(path) as data:
+        return Scan(data, crc_extras(), wanted, late)
 
 
 def systems_with_fix(sent: Mapping[str, ColumnStore]) -> frozenset[int]:
@@ -97,24 +112,33 @@ def _systems(stores: list[ColumnStore]) -> set[int]:
     systems: set[int] = set()
     for store in stores:
         for block in store.blocks():
-            systems |= set(np.unique(systems_of(block["source"])).tolist())
+            senders = np.unique(block["source"])
+            systems |= set(systems_of(senders).tolist())
     return systems
 
 
 def is_tlog(head: bytes) -> bool:
     """Whether a file begins with two frames, or one that is all of it."""
     first = frame_length(head, 0)
-    return first > 0 and (first == len(head) or frame_length(head, first) > 0)
+    if not first:
+        return False
+    return first == len(head) or frame_length(head, first) > 0
 
 
-TLOG = LogFormat("tlog", "MAVLink telemetry", (".tlog", ".rlog"), is_tlog, read_log)
+TLOG = LogFormat(
+    name="tlog",
+    title="MAVLink telemetry",
+    extensions=(".tlog", ".rlog"),
+    matches=is_tlog,
+    read=read_log,
+)
 
 
-def _report_rejected(scan: Scan, wanted: set[int], file: str, ledger: Ledger) -> int:
+def _report_rejected(scan: Scan, file: str, ledger: Ledger) -> int:
     """Report frames that are not accepted; returns how many bytes of them are damage.
 
     A checksum that fails is damage if the log has good messages of that type, or the type is
-    ``wanted``; else the type may have other fields in the dialect of the sender.
+    wanted; else the type may have other fields in the dialect of the sender.
     """
     if scan.unknown:
         ledger.add(
@@ -126,24 +150,36 @@ def _report_rejected(scan: Scan, wanted: set[int], file: str, ledger: Ledger) ->
             )
         )
     damaged_bytes = 0
+    wanted = wanted_layouts()
     for number, rejected in sorted(scan.failed.items()):
         is_damage = scan.counts[number] > 0 or number in wanted
         report = messages.checksums_fail if is_damage else messages.another_dialect
-        name = f"{name_of(number)} (id {number})"
-        ledger.add(report(file=file, first=rejected.first, count=rejected.count, name=name))
+        rejected_frames = report(
+            file=file,
+            first=rejected.first,
+            count=rejected.count,
+            name=f"{name_of(number)} (id {number})",
+        )
+        ledger.add(rejected_frames)
         if is_damage:
             damaged_bytes += rejected.size
     return damaged_bytes
 
 
 def _report_link(
-    scan: Scan, clocks: Clocks, channels: list[Channel], file: str, ledger: Ledger
+    scan: Scan,
+    clocks: Clocks,
+    channels: list[Channel],
+    file: str,
+    ledger: Ledger,
 ) -> int:
     """Report the messages that the link lost, of senders of channels; returns their least number.
 
     Reported are numbers missing in the sequence of a sender, and its silences.
     """
-    senders = {(channel.source.system, channel.source.component) for channel in channels}
+    senders = set()
+    for channel in channels:
+        senders.add((channel.source.system, channel.source.component))
     lost: Counter[Sender] = Counter()
     for sender, count in scan.lost.items():
         if sender in senders:
@@ -151,7 +187,7 @@ def _report_link(
     silences_of: dict[Sender, list[Silence]] = {}
     for silence in scan.silences:
         sender = silence.source
-        if sender in senders and clocks.advanced(sender, silence.at, SILENT_NS):
+        if sender in senders and clocks.advanced(sender, silence.place, SILENT_NS):
             silences_of.setdefault(sender, []).append(silence)
             # after seconds of silence no message overtakes another: the step is a loss
             lost[sender] += silence.backward
@@ -166,7 +202,7 @@ def _report_link(
     for sender, silences in sorted(silences_of.items()):
         silent_message = messages.sender_silent(
             file=file,
-            byte=silences[0].at,
+            byte=silences[0].place,
             count=len(silences),
             system=sender.system,
             component=sender.component,
@@ -186,7 +222,7 @@ def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     blocks = [block for store in scan.sent.values() for block in store.blocks()]
     if not blocks:
         return
-    places = np.concatenate([block["at"] for block in blocks])
+    places = np.concatenate([block["place"] for block in blocks])
     host_us = np.concatenate([block["host_us"] for block in blocks])
     order = np.argsort(places, kind="stable")
     places = places[order]
@@ -196,18 +232,34 @@ def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
     if count == 0 or bool(stray.all()):
         return
     stray_places = places[stray]
-    ledger.add(messages.stray_stamps(file=file, first=int(stray_places[0]), count=count))
+    first = int(stray_places[0])
+    ledger.add(messages.stray_stamps(file=file, first=first, count=count))
     good_us = host_us[~stray]
     good_before = np.searchsorted(places[~stray], stray_places) - 1
-    replacement_us = good_us[np.maximum(good_before, 0)]  # (count,)
+    replacement_us = good_us[np.maximum(good_before, 0)]
     for store in (*scan.sent.values(), scan.clock.rows):
         for block in store.blocks():
-            nearest_stray = np.minimum(np.searchsorted(stray_places, block["at"]), count - 1)
-            is_stray = stray_places[nearest_stray] == block["at"]
-            block["host_us"][is_stray] = replacement_us[nearest_stray[is_stray]]
+            _replace_stamps(block, stray_places, replacement_us)
 
 
-def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table:
+def _replace_stamps(
+    block: NDArray[Any],
+    stray_places: Integers,
+    replacement_us: Integers,
+) -> None:
+    """Replace the stamps of messages or readings at (n,) stray places, in place."""
+    not_before = np.searchsorted(stray_places, block["place"])
+    nearest_stray = np.minimum(not_before, stray_places.shape[0] - 1)
+    is_stray = stray_places[nearest_stray] == block["place"]
+    block["host_us"][is_stray] = replacement_us[nearest_stray[is_stray]]
+
+
+def _table(
+    path: Path,
+    clocks: Clocks,
+    name: str,
+    instance: str | None,
+) -> Table:
     """All messages of one type with their time, their sender and their fields as sent."""
     message = message_of_name().get(name)
     if message is None:
@@ -221,7 +273,9 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
     boot = np.empty(len(rows), np.int16)
     field = clock_field(message.fields)
     for sender, part in by_sender(rows):
-        time_ns[part], boot[part] = times_of(rows[part], field, clocks, sender)
+        times = times_of(rows[part], field, clocks, sender)
+        time_ns[part] = times.utc_ns
+        boot[part] = times.boot
     table: Table = {
         "time_ns": time_ns,
         "boot": boot,
@@ -237,8 +291,9 @@ def _table(path: Path, clocks: Clocks, name: str, instance: str | None) -> Table
 
 def _messages_of_type(path: Path, message: MessageDefinition) -> NDArray[Any]:
     """All messages of one type as they were sent."""
+    wanted = {message.number: message.dtype}
     with open_view(path) as data:
-        scan = Scan(data, crc_extras(), {message.number: message.dtype})
+        scan = Scan(data, crc_extras(), wanted)
     if message.number not in scan.sent:
         return np.empty(0)
     return scan.sent[message.number].whole()
@@ -257,6 +312,9 @@ def _rows_of_instance(
 
 def _texts(raw: NDArray[Any]) -> NDArray[np.str_]:
     """char[] fields as texts: bytes beyond ASCII become U+FFFD, as in the library."""
-    values, places = np.unique(raw, return_inverse=True)
-    texts = [value.split(b"\0", 1)[0].decode("ascii", "replace") for value in values.tolist()]
-    return np.array(texts, np.str_)[places]
+    values, value_of_row = np.unique(raw, return_inverse=True)
+    texts = []
+    for value in values.tolist():
+        letters, _, _ = value.partition(b"\0")
+        texts.append(letters.decode("ascii", "replace"))
+    return np.array(texts, np.str_)[value_of_row]

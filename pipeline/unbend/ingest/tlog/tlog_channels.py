@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,13 @@ from unbend.ingest.tlog.dialect import (
     message_of_key,
     message_of_name,
 )
-from unbend.ingest.tlog.sender_clocks import CLOCK_FIELDS, LATEST_NS, Clocks, clock_field
+from unbend.ingest.tlog.sender_clocks import (
+    CLOCK_FIELDS,
+    LATEST_NS,
+    Clocks,
+    SenderClock,
+    clock_field,
+)
 from unbend.ingest.tlog.senders import Sender, by_sender, systems_of
 from unbend.ingest.utc_evidence import FIRST_SET_US
 from unbend.messages import Ledger
@@ -48,7 +54,8 @@ def channels_of(
     for message, keys in keys_of_message.items():
         if message not in sent:
             continue
-        for series in _series_of_message(keys, sent.pop(message), clocks, limit):
+        store = sent.pop(message)
+        for series in _series_of_message(keys, store, clocks, limit):
             rows = _rows_of_series(series, ledger)
             rows = _in_time_order(rows, is_event=series.spec.event)
             channel = channel_of(rows, series.spec, ledger)
@@ -74,9 +81,11 @@ def _rows_of_series(series: "_Series", ledger: Ledger) -> DecodedRows:
     """The rows of a series; repeated exposures are dropped, and chunks of a text are joined."""
     rows = series.rows()
     if series.key == "CAMERA_FEEDBACK":
-        return rows.take(distinct_exposures(series.records(), rows.name, ledger))
+        exposures = distinct_exposures(series.records(), rows.name, ledger)
+        return rows.take(exposures)
     if series.key == "CAMERA_IMAGE_CAPTURED":
-        return rows.take(captured_images(series.records(), rows.name, ledger))
+        images = captured_images(series.records(), rows.name, ledger)
+        return rows.take(images)
     if series.key == "STATUSTEXT":
         return whole_texts(rows, series.records())
     return rows
@@ -88,13 +97,15 @@ def _in_time_order(rows: DecodedRows, *, is_event: bool) -> DecodedRows:
     Messages overtake each other by up to some seconds: a step back of `LATEST_NS` or more is of the
     clock. Events are put in order in any case, because the link may deliver them much later.
     """
-    if bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1])):
+    is_in_order = bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1]))
+    if is_in_order:
         return rows
     steps_back_ns = np.maximum.accumulate(rows.time_ns) - rows.time_ns
     clock_was_set_back = int(np.max(steps_back_ns)) >= LATEST_NS
     if clock_was_set_back and not is_event:
         return rows
-    return rows.take(np.argsort(rows.time_ns, kind="stable"))
+    order = np.argsort(rows.time_ns, kind="stable")
+    return rows.take(order)
 
 
 def _systems_with_height(channels: Sequence[Channel]) -> list[int]:
@@ -108,9 +119,18 @@ def _systems_with_height(channels: Sequence[Channel]) -> list[int]:
 
 def _last_values(rows: NDArray[Any], systems: Sequence[int]) -> dict[str, float]:
     """The last value of each parameter that these systems sent."""
-    records = rows["records"][np.isin(systems_of(rows["source"]), systems)]
-    names = [text_of(name) for name in records["param_id"].tolist()]
-    return dict(zip(names, records["param_value"].tolist(), strict=True))
+    is_chosen = np.isin(systems_of(rows["source"]), systems)
+    records = rows["records"][is_chosen]
+    names = map(text_of, records["param_id"].tolist())
+    values = records["param_value"].tolist()
+    return dict(zip(names, values, strict=True))
+
+
+class _Group(NamedTuple):
+    """A sender and an instance as sent, None of a message without instances."""
+
+    sender: Sender
+    instance: Any
 
 
 class _Series:
@@ -120,7 +140,12 @@ class _Series:
         self.key = key
         self.spec = MESSAGES[key]
         self.sender = sender
-        self.source = Source(message_of_key(key), label, sender.system, sender.component)
+        self.source = Source(
+            message=message_of_key(key),
+            instance=label,
+            system=sender.system,
+            component=sender.component,
+        )
         self.name = key if label is None else f"{key}[{label}]"
         self.time_ns = ColumnStore("i8")
         self.boot = ColumnStore("i2")
@@ -130,9 +155,10 @@ class _Series:
     def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
         """Add the next messages."""
         records = rows["records"]
-        time_ns, boot = times_of(rows, clock_field(records.dtype.names or ()), clocks, self.sender)
-        self.time_ns.add(time_ns)
-        self.boot.add(boot)
+        field = clock_field(records.dtype.names or ())
+        times = times_of(rows, field, clocks, self.sender)
+        self.time_ns.add(times.utc_ns)
+        self.boot.add(times.boot)
         values = extract(_fields_of(records), self.spec.columns)
         if self.key == "GIMBAL_DEVICE_ATTITUDE_STATUS":
             values = earth_frame_attitude(values)
@@ -149,7 +175,8 @@ class _Series:
         labels = {}
         if self.key in LABELS:
             label = LABELS[self.key]
-            labels[label] = tuple(text_of(text) for text in self.records()[label].tolist())
+            texts = self.records()[label].tolist()
+            labels[label] = tuple(map(text_of, texts))
         return DecodedRows(
             name=self.name,
             source=self.source,
@@ -173,7 +200,10 @@ def _fields_of(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
 
 
 def _series_of_message(
-    keys: list[str], store: ColumnStore, clocks: Clocks, limit: SeriesLimit
+    keys: list[str],
+    store: ColumnStore,
+    clocks: Clocks,
+    limit: SeriesLimit,
 ) -> list[_Series]:
     """The series of one message, for each key, sender and instance; the store is emptied."""
     series_of_group = _series_by_group(keys, store, clocks, limit)
@@ -187,21 +217,24 @@ def _series_of_message(
 
 
 def _series_by_group(
-    keys: list[str], store: ColumnStore, clocks: Clocks, limit: SeriesLimit
-) -> dict[tuple[Sender, Any], list[_Series]]:
-    """The series of each sender and instance; the instance is as sent, or None.
+    keys: list[str],
+    store: ColumnStore,
+    clocks: Clocks,
+    limit: SeriesLimit,
+) -> dict[_Group, list[_Series]]:
+    """The series of each sender and instance.
 
     Groups beyond the limit have none.
     """
-    series_of_group: dict[tuple[Sender, Any], list[_Series]] = {}
-    field = message_of_name()[message_of_key(keys[0])].instance_field
-    for sender, instance, rows in _rows_by_group(store, field):
-        group = (sender, instance)
+    series_of_group: dict[_Group, list[_Series]] = {}
+    message = message_of_key(keys[0])
+    instance_field = message_of_name()[message].instance_field
+    for group, rows in _rows_by_group(store, instance_field):
         if group not in series_of_group:
             if not limit.admits(rows.shape[0]):
                 continue
-            label = None if instance is None else label_of(instance)
-            series_of_group[group] = [_Series(key, sender, label) for key in keys]
+            label = None if group.instance is None else label_of(group.instance)
+            series_of_group[group] = [_Series(key, group.sender, label) for key in keys]
         for series in series_of_group[group]:
             series.add(rows, clocks)
     return series_of_group
@@ -213,26 +246,36 @@ def _add_senders_to_names(all_series: list[_Series]) -> None:
         series.name += f"@{series.sender.system}/{series.sender.component}"
 
 
-def _rows_by_group(store: ColumnStore, field: str) -> Iterator[tuple[Sender, Any, NDArray[Any]]]:
-    """The sender, the instance and the messages of both, block by block; the store is emptied."""
+def _rows_by_group(
+    store: ColumnStore,
+    instance_field: str,
+) -> Iterator[tuple[_Group, NDArray[Any]]]:
+    """The messages of each sender and instance, block by block; the store is emptied."""
     for block in store.drained():
         for sender, rows_of_sender in by_sender(block):
-            for instance, rows in _by_instance(block[rows_of_sender], field):
-                yield sender, instance, rows
+            rows = block[rows_of_sender]
+            if not instance_field:
+                yield _Group(sender, None), rows
+                continue
+            instances = rows["records"][instance_field]
+            for instance, rows_of_instance in rows_by_value(instances):
+                yield _Group(sender, instance), rows[rows_of_instance]
 
 
-def _by_instance(rows: NDArray[Any], field: str) -> list[tuple[Any, NDArray[Any]]]:
-    """Each instance, as sent, with its messages; None with all of them where there is no field."""
-    if not field:
-        return [(None, rows)]
-    instances = rows["records"][field]
-    return [(value, rows[of_value]) for value, of_value in rows_by_value(instances)]
+class MessageTimes(NamedTuple):
+    """UTC [ns] and boot of (n,) messages."""
+
+    utc_ns: TimeArray
+    boot: NDArray[np.int16]
 
 
 def times_of(
-    rows: NDArray[Any], field: str, clocks: Clocks, sender: Sender
-) -> tuple[TimeArray, NDArray[np.int16]]:
-    """UTC [ns] and boot of (n,) messages of a sender.
+    rows: NDArray[Any],
+    field: str,
+    clocks: Clocks,
+    sender: Sender,
+) -> MessageTimes:
+    """UTC and boot of (n,) messages of a sender.
 
     ``field``: the one with the messages' own time. What counts, by field:
 
@@ -241,11 +284,14 @@ def times_of(
     - ``time_usec``: Unix time from some senders, time since boot from others. A time of 0 is
       unknown: the time of reception counts.
     """
-    places = rows["at"]
+    places = rows["place"]
     host_ns = rows["host_us"] * MICROSECOND
     clock = clocks.of(sender)
     if not field:
-        return clock.utc_of_host(places, host_ns), clock.boot(places)
+        return MessageTimes(
+            clock.utc_of_host(places, host_ns),
+            clock.boot(places),
+        )
     unit_ns, turn_ns = CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])  # cut at what no log can last
     stamp_ns = stamp * unit_ns
@@ -253,11 +299,9 @@ def times_of(
     time_ns = clock.utc_of_boot(boot_places, host_ns, stamp_ns, turn_ns)
     boot = clock.boot(boot_places)
     if field == "time_boot_ms":
-        utc_us = unix_us(rows["records"])
-        if sender not in clocks.wrong_utc and utc_us.any():
-            utc_of_images_ns = clock.utc_of_stated(places, utc_us * MICROSECOND)
-            time_ns = np.where(utc_us > 0, utc_of_images_ns, time_ns)
-        return time_ns, boot
+        if sender not in clocks.wrong_utc:
+            time_ns = _with_utc_of_images(rows, clock, time_ns)
+        return MessageTimes(time_ns, boot)
     is_unix = stamp > FIRST_SET_US
     is_unknown = stamp == 0
     time_ns = np.where(
@@ -268,18 +312,35 @@ def times_of(
     not_since_boot = is_unix | is_unknown
     if not_since_boot.any():
         boot[not_since_boot] = clock.boot(places[not_since_boot])
-        time_ns[is_unknown] = clock.utc_of_host(places[is_unknown], host_ns[is_unknown])
-    return time_ns, boot
+        received_ns = host_ns[is_unknown]
+        time_ns[is_unknown] = clock.utc_of_host(places[is_unknown], received_ns)
+    return MessageTimes(time_ns, boot)
+
+
+def _with_utc_of_images(
+    rows: NDArray[Any],
+    clock: SenderClock,
+    time_ns: TimeArray,
+) -> TimeArray:
+    """The times of (n,) messages [ns], of images the UTC that they carry, where they carry one."""
+    utc_us = unix_us(rows["records"])
+    if not utc_us.any():
+        return time_ns
+    utc_of_images_ns = clock.utc_of_stated(rows["place"], utc_us * MICROSECOND)
+    return np.where(utc_us > 0, utc_of_images_ns, time_ns)
 
 
 def label_of(value: Any) -> str:
     """The label of an instance: its number or its name."""
-    return text_of(value) if isinstance(value, bytes) else str(int(value))
+    if isinstance(value, bytes):
+        return text_of(value)
+    return str(int(value))
 
 
 def text_of(value: bytes) -> str:
     """A char[] field: cut at the first NUL."""
-    return value.split(b"\0", 1)[0].decode("ascii", "backslashreplace")
+    letters, _, _ = value.partition(b"\0")
+    return letters.decode("ascii", "backslashreplace")
 
 
 def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
@@ -307,7 +368,8 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
             texts.append(MISSING_CHUNK + text if is_later_chunk else text)
             first_rows.append(row)
         next_chunk[text_id] = chunk + 1
-    return replace(rows.take(np.array(first_rows, np.intp)), labels={"text": tuple(texts)})
+    with_texts = rows.take(np.array(first_rows, np.intp))
+    return replace(with_texts, labels={"text": tuple(texts)})
 
 
 def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
@@ -321,7 +383,8 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     is_empty = (times_us == 0) & (table["lat"] == 0) & (table["lng"] == 0)
     empty_rows = int(np.count_nonzero(is_empty))
     if empty_rows:
-        ledger.add(messages.empty_feedback(channel=name, count=empty_rows, total=table.shape[0]))
+        total = table.shape[0]
+        ledger.add(messages.empty_feedback(channel=name, count=empty_rows, total=total))
     keys = np.where(times_us == 0, indices, times_us)
     first_rows = _first_of_each(keys, ~is_empty, "the time of an exposure", name, ledger)
     with_unix_time = int(np.count_nonzero(times_us[first_rows] > FIRST_SET_US))
@@ -329,9 +392,12 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
         ledger.add(messages.times_of_triggers(channel=name, count=with_unix_time))
     unseen = np.setdiff1d(indices[~is_empty], indices[first_rows])
     if unseen.size:
-        ledger.add(
-            messages.numbers_without_feedback(channel=name, count=unseen.size, first=int(unseen[0]))
+        without_feedback = messages.numbers_without_feedback(
+            channel=name,
+            count=unseen.size,
+            first=int(unseen[0]),
         )
+        ledger.add(without_feedback)
     return first_rows
 
 
@@ -340,7 +406,8 @@ def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     failed = table["capture_result"] == 0
     failures = int(np.count_nonzero(failed))
     if failures:
-        ledger.add(failed_exposures(channel=name, count=failures, total=table.shape[0]))
+        total = table.shape[0]
+        ledger.add(failed_exposures(channel=name, count=failures, total=total))
     # One image has one time and one index: both, of 32 bits each, are one number.
     keys = table["time_boot_ms"].astype(np.int64) << 32
     keys |= table["image_index"].astype(np.int64) & 0xFFFFFFFF
@@ -348,7 +415,11 @@ def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
 
 
 def _first_of_each(
-    keys: NDArray[Any], good: Mask, key_words: str, name: str, ledger: Ledger
+    keys: NDArray[Any],
+    good: Mask,
+    key_words: str,
+    name: str,
+    ledger: Ledger,
 ) -> Rows:
     """The first of the good rows of each key; the repeated rows are reported.
 
@@ -358,7 +429,11 @@ def _first_of_each(
     _, first = np.unique(keys[rows], return_index=True)
     repeats = int(rows.size - first.size)
     if repeats:
-        ledger.add(
-            messages.repeated_events(channel=name, count=repeats, total=keys.size, what=key_words)
+        repeated = messages.repeated_events(
+            channel=name,
+            count=repeats,
+            total=keys.size,
+            what=key_words,
         )
+        ledger.add(repeated)
     return rows[np.sort(first)]

@@ -55,23 +55,23 @@ def flat_fields(
     name: str,
     formats: dict[str, list[Field]],
     depth: int = 0,
-    known: FlatFormats | None = None,
+    flat: FlatFormats | None = None,
 ) -> list[FlatField] | None:
     """Names and types of all numbers of a format, also of formats nested in it, and of padding.
 
-    None if a part of the format is not defined, or if it is longer than a message can be. ``known``
+    None if a part of the format is not defined, or if it is longer than a message can be. ``flat``
     gets the formats that are taken apart on the way. LogError if all of these have more fields than
     any log (LOG-TOO-LARGE).
 
     >>> flat_fields("a", {"a": [Field("b", 2, "x")], "b": [Field("float", 0, "y")]})
     [FlatField(path='x[0].y', dtype='<f4'), FlatField(path='x[1].y', dtype='<f4')]
     """
-    known = FlatFormats() if known is None else known
-    if name in known.fields:
-        return known.fields[name]
+    flat = FlatFormats() if flat is None else flat
+    if name in flat.fields:
+        return flat.fields[name]
     if name not in formats or depth > DEEPEST:
         return None
-    known.fields[name] = None  # also of a format that lies within itself
+    flat.fields[name] = None  # also of a format that lies within itself
     result: list[FlatField] = []
     size = 0
     for part in formats[name]:
@@ -79,16 +79,16 @@ def flat_fields(
         if part.kind in TYPES:
             inner = [FlatField("", TYPES[part.kind])]
         else:
-            inner = flat_fields(part.kind, formats, depth + 1, known)
+            inner = flat_fields(part.kind, formats, depth + 1, flat)
         if not inner:
             return None
         size += max(part.elements, 1) * _size(inner)
         if size > LONGEST_DATA:  # before its elements are made, which may be many
             return None
         result += _elements(part, inner)
-    known.fields[name] = result
-    known.count += len(result)
-    check_fields(known.count)
+    flat.fields[name] = result
+    flat.count += len(result)
+    check_fields(flat.count)
     return result
 
 
@@ -148,7 +148,7 @@ class Definitions:
 
     def _new_sizes(self, name: str) -> tuple[int, int] | None:
         """The sizes of a topic that is taken apart for the first time."""
-        fields = list(flat_fields(name, self.formats, known=self._flattened) or [])
+        fields = list(flat_fields(name, self.formats, flat=self._flattened) or [])
         with_padding = _size(fields)
         while fields and fields[-1].path.startswith(_PADDING):
             fields.pop()

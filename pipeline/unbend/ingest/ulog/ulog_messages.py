@@ -56,7 +56,11 @@ class MessageKind:
 
 
 _KINDS = np.frombuffer(b"BFIMPQLCADSOR", np.uint8)
-_FIXED_SIZES = {MessageKind.SYNC: 8, MessageKind.DROPOUT: 2, MessageKind.REMOVED: 2}
+_FIXED_SIZES = {
+    MessageKind.SYNC: 8,
+    MessageKind.DROPOUT: 2,
+    MessageKind.REMOVED: 2,
+}
 # Bytes before the length of the key.
 _BEFORE_KEY = {
     MessageKind.INFORMATION: 0,
@@ -122,7 +126,8 @@ def _keyed_value(content: bytes, kind: int) -> _KeyedValue:
     length_at = _BEFORE_KEY[kind]
     begin = length_at + 1
     end = begin + content[length_at]
-    return _KeyedValue(_KEY.fullmatch(content[begin:end]), content[end:])
+    key = content[begin:end]
+    return _KeyedValue(_KEY.fullmatch(key), raw=content[end:])
 
 
 class ULogMessages(DamagedBytes):
@@ -153,9 +158,12 @@ class ULogMessages(DamagedBytes):
         """Enter what is damaged. The format does not number messages: lost ones are not counted."""
         self.report_bytes(ledger, file_name, "message")
         for topic in sorted(self.timeless):
-            ledger.add(
-                rows_without_field(where=topic, count=self.counts[topic], fields=["timestamp"])
+            without_time = rows_without_field(
+                where=topic,
+                count=self.counts[topic],
+                fields=["timestamp"],
             )
+            ledger.add(without_time)
         if self.damaged_values:
             ledger.add(messages.damaged_values(file=file_name, count=self.damaged_values))
         if self.dropouts_ms:
@@ -373,8 +381,10 @@ class ULogMessages(DamagedBytes):
             view = _View(data.tobytes(), begin)
             kinds = data[_KIND_PLACE : _KIND_PLACE + reach]
             starts = np.flatnonzero(np.isin(kinds, _KINDS)).tolist()
-            appended = [place - begin for place in self._appended if begin <= place < begin + reach]
-            for start in sorted({*starts, *appended}):
+            for place in self._appended:
+                if begin <= place < begin + reach:
+                    starts.append(place - begin)
+            for start in sorted(set(starts)):
                 if self._linked(view, start):
                     return int(begin + start)
             begin += reach
@@ -383,11 +393,12 @@ class ULogMessages(DamagedBytes):
 
     def _is_cut_message(self, at: int) -> bool:
         """Whether the file ends in a message that begins here."""
-        rest = self._data[at : at + LONGEST]
-        if len(rest) < DATA.size:
+        last_bytes = self._data[at : at + LONGEST]
+        if len(last_bytes) < DATA.size:
             return True
-        size, _ = HEAD.unpack_from(rest)
-        return HEAD.size + size > len(rest) and self._fits(_View(rest, at), 0)
+        size, _ = HEAD.unpack_from(last_bytes)
+        is_cut = HEAD.size + size > len(last_bytes)
+        return is_cut and self._fits(_View(last_bytes, at), 0)
 
     def _linked(self, view: _View, place: int) -> bool:
         """Whether three messages follow each other from here, or fewer up to the file's end.
