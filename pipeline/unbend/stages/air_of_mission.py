@@ -42,7 +42,7 @@ LEAST_HEIGHT_M = 1.0  # of cameras above the ground, for rays that are worth an 
 
 
 @dataclass(frozen=True)
-class Levels:
+class CameraHeights:
     """Low, middle and high camera height, and height of the ground [m above sea level]."""
 
     cameras_m: list[float]
@@ -97,14 +97,14 @@ def kept_standard(
     return replace(unadjusted(under_gravity(standard, latitude_rad), why), sources=unused)
 
 
-def levels_of_mission(mission: Mission, stations: Stations, sources: AirSources) -> Levels:
+def levels_of_mission(mission: Mission, stations: Stations, sources: AirSources) -> CameraHeights:
     """The heights between which the rays of a mission run; without stations all at the ground."""
     level = constant_ground_m(mission)
     h_g = sources.lowest_h_m if level is None else level
     heights = stations.h_msl_m[stations.ok]
     if heights.size == 0:
-        return Levels([h_g], h_g)
-    return Levels(np.percentile(heights, [0, 50, 100]).tolist(), h_g)
+        return CameraHeights([h_g], h_g)
+    return CameraHeights(np.percentile(heights, [0, 50, 100]).tolist(), h_g)
 
 
 def is_used(model: ModelAir, adjustment: Adjustment) -> bool:
@@ -115,7 +115,7 @@ def is_used(model: ModelAir, adjustment: Adjustment) -> bool:
 def profiles_in_time(
     adjustment: Adjustment,
     stations: Stations,
-    levels: Levels,
+    levels: CameraHeights,
     model: ModelAir | None,
     ledger: Ledger,
     *,
@@ -165,7 +165,7 @@ def profiles_in_time(
 
 
 def windows_of_flight(
-    adjustment: Adjustment, levels: Levels, model: ModelAir | None, ledger: Ledger
+    adjustment: Adjustment, levels: CameraHeights, model: ModelAir | None, ledger: Ledger
 ) -> tuple[TimeWindow, ...]:
     """The parts of a flight that are estimated on their own; none where no ray looks down."""
     looks_down = max(levels.cameras_m) > levels.ground_m + LEAST_HEIGHT_M
@@ -178,7 +178,7 @@ def windows_of_flight(
 
 
 def series_between(
-    windows: tuple[TimeWindow, ...], times_ns: Integers, levels: Levels
+    windows: tuple[TimeWindow, ...], times_ns: Integers, levels: CameraHeights
 ) -> ProfileSeries:
     """The profiles at the times (s,) of the exposures, between those of the parts of a flight."""
     airs = [window.air for window in windows]
@@ -189,7 +189,7 @@ def with_ageing(
     series: ProfileSeries,
     samples: AirSamples,
     times_ns: Integers,
-    levels: Levels,
+    levels: CameraHeights,
     *,
     path: FlightPath | None,
     ledger: Ledger,
@@ -214,7 +214,7 @@ def with_model_changes(
     model: ModelAir,
     stations: Stations,
     times_ns: Integers,
-    levels: Levels,
+    levels: CameraHeights,
     *,
     is_measured: bool,
     ledger: Ledger,

@@ -262,7 +262,7 @@ def _rows_by_group(
                 yield _Group(sender, instance), rows[rows_of_instance]
 
 
-class MessageTimes(NamedTuple):
+class FrameTimes(NamedTuple):
     """UTC [ns] and boot of (n,) messages."""
 
     utc_ns: TimeArray
@@ -274,7 +274,7 @@ def times_of(
     field: str,
     clocks: Clocks,
     sender: Sender,
-) -> MessageTimes:
+) -> FrameTimes:
     """UTC and boot of (n,) messages of a sender.
 
     ``field``: the one with the messages' own time. What counts, by field:
@@ -288,7 +288,7 @@ def times_of(
     host_ns = rows["host_us"] * MICROSECOND
     clock = clocks.of(sender)
     if not field:
-        return MessageTimes(
+        return FrameTimes(
             clock.utc_of_host(places, host_ns),
             clock.boot(places),
         )
@@ -301,7 +301,7 @@ def times_of(
     if field == "time_boot_ms":
         if sender not in clocks.wrong_utc:
             time_ns = _with_utc_of_images(rows, clock, time_ns)
-        return MessageTimes(time_ns, boot)
+        return FrameTimes(time_ns, boot)
     is_unix = stamp > FIRST_SET_US
     is_unknown = stamp == 0
     time_ns = np.where(
@@ -314,7 +314,7 @@ def times_of(
         boot[not_since_boot] = clock.boot(places[not_since_boot])
         received_ns = host_ns[is_unknown]
         time_ns[is_unknown] = clock.utc_of_host(places[is_unknown], received_ns)
-    return MessageTimes(time_ns, boot)
+    return FrameTimes(time_ns, boot)
 
 
 def _with_utc_of_images(

@@ -871,8 +871,8 @@ TIES_RESIDUALS = Code(
 ORIENTATION_TIES = Code(
     "ORIENTATION-TIES",
     means=(
-        "How far the rays of tie points miss each other with the orientations of the table. If they "
-        "do not meet in any reading of the table, it is a finding."
+        "How far the rays of tie points miss each other with the orientations of the table. It is "
+        "a finding if they do not intersect, however the table is read."
     ),
     effect=(
         "A note has none. After a finding the run ends with 3: the corrections use wrong stations "
@@ -902,8 +902,8 @@ def orientation_unchecked(*, where: str, count: int, needed: int) -> Message:
     """Too few tie points to check orientations."""
     return warning(
         ORIENTATION_UNCHECKED,
-        "{count} points are measured in two images or more, {needed} are needed to check the angles",
-        one="1 point is measured in two images or more, {needed} are needed to check the angles",
+        "{count} points are measured in two images or more. {needed} are needed to check angles",
+        one="1 point is measured in two images or more. {needed} are needed to check angles",
         where=where,
         count=count,
         needed=needed,
