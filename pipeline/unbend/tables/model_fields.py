@@ -22,8 +22,8 @@ from unbend.tables.weather_fields import (
     MEMBERS,
     TIMES,
     VERSIONS,
+    FieldLevels,
     FieldTimes,
-    Levels,
     dimension_of,
     find_field,
     grid_name,
@@ -114,7 +114,7 @@ class _Fields:
     """
 
     temperature: "DataArray"
-    levels: Levels
+    levels: FieldLevels
     humidity: "DataArray"
     is_relative: bool
     height: "DataArray | None"
@@ -179,7 +179,7 @@ def _levels_of_temperature(
     datasets: "Sequence[Dataset]",
     temperature: "DataArray | None",
     where: str,
-) -> Levels | None:
+) -> FieldLevels | None:
     """The levels of a model; refuses another grid, and other levels than make a column."""
     if temperature is None:
         return None
@@ -198,7 +198,7 @@ def _names_in(datasets: "Sequence[Dataset]") -> str:
     return ", ".join(sorted(names)) or "nothing"
 
 
-def _refuse_other_levels(levels: Levels, where: str) -> None:
+def _refuse_other_levels(levels: FieldLevels, where: str) -> None:
     """Refuse too few pressures, and levels that are neither pressures nor numbers, or repeated."""
     values = levels.values
     if values.size < FEWEST_LEVELS and not levels.of_model:

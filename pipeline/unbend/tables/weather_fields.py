@@ -55,7 +55,7 @@ def dimension_of(field: "DataArray", names: Sequence[str]) -> str | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class FieldLevels:
     """The levels of a field: its dimension, (l,) numbers or pressures [Pa], and which they are."""
 
     name: str
@@ -63,7 +63,7 @@ class Levels:
     of_model: bool
 
 
-def levels_of(field: "DataArray") -> Levels | None:
+def levels_of(field: "DataArray") -> FieldLevels | None:
     """The levels of a field, None where it is that of one level."""
     dimensions = [str(name) for name in field.dims if _LEVEL.match(str(name).lower())]
     if not dimensions or dimensions[0] not in field.coords:
@@ -77,7 +77,7 @@ def levels_of(field: "DataArray") -> Levels | None:
     unit = attributes.get("units", usual_unit)
     if not of_model and unit in _HECTOPASCALS:
         values = values * HECTOPASCAL
-    return Levels(name, values, of_model)
+    return FieldLevels(name, values, of_model)
 
 
 def find_field(datasets: "Sequence[Dataset]", quantity: str) -> "DataArray | None":
@@ -110,7 +110,7 @@ def _fields_called(
                 yield field
 
 
-def _at_surface(field: "DataArray", levels: Levels | None) -> "DataArray | None":
+def _at_surface(field: "DataArray", levels: FieldLevels | None) -> "DataArray | None":
     """A field at the surface, None if it is of other levels.
 
     Of model levels that is the first: lnsp and z mean something there only.
