@@ -6,8 +6,8 @@ import io
 
 import numpy as np
 
-from unbend.report import message_tables
-from unbend.report.message_tables import field_rows, write_messages_csv
+from unbend.report import message_csv
+from unbend.report.message_csv import field_rows, write_messages_csv
 
 COLUMNS = {
     "time_ns": np.array([1_500_000_000_000_000_001, 1_500_000_086_400_000_000, 2], np.int64),
@@ -25,7 +25,7 @@ def test_every_cell_of_the_csv(monkeypatch):
         ",0.1,,6,5\n"  # a time that counts from a boot
     )
     for block in (8192, 2):
-        monkeypatch.setattr(message_tables, "BLOCK", block)
+        monkeypatch.setattr(message_csv, "BLOCK", block)
         stream = io.StringIO()
         write_messages_csv(stream, COLUMNS)
         assert stream.getvalue() == expected

@@ -52,7 +52,7 @@ MIN_EXTENT_DEG = 2e-4  # 22 m: a single place has a map too
 METRES_A_DEGREE = 111_200.0  # of a great circle
 
 
-class Box(NamedTuple):
+class PlotArea(NamedTuple):
     """The rectangle of a figure within its axes [px]."""
 
     left: float
@@ -65,7 +65,7 @@ class Axes:
     """``box`` is left, top, width, height [px]; ``x``, ``y`` limits; ``log_x`` to powers of ten."""
 
     def __init__(self, box: Sequence[float], x: Range, y: Range, *, log_x: bool = False) -> None:
-        self.box = Box(*box)
+        self.box = PlotArea(*box)
         self.log_x = log_x
         if log_x:
             x = whole_decades(x)
@@ -285,7 +285,7 @@ def map_axes(limits_deg: Limits, width: float) -> tuple[Axes, float]:
     map_height = round(map_width * down_deg / across_deg, 1)
     half_lon = 0.5 * across_deg / shrink
     half_lat = 0.5 * down_deg
-    box = Box(left=MAP_LEFT_PX, top=MAP_TOP_PX, width=map_width, height=map_height)
+    box = PlotArea(left=MAP_LEFT_PX, top=MAP_TOP_PX, width=map_width, height=map_height)
     axes = Axes(
         box,
         x=(lon - half_lon, lon + half_lon),
