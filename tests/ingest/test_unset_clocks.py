@@ -7,7 +7,7 @@ import io
 import numpy as np
 
 from unbend.ingest.utc_evidence import ROLLOVER_NS, Witness, missed_rollovers
-from unbend.report.messages_as_rows import write_messages_csv
+from unbend.report.message_csv import write_messages_csv
 
 JUNE_2025_NS = 1_750_000_000 * 10**9
 

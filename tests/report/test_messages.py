@@ -7,7 +7,7 @@ import io
 import numpy as np
 
 from unbend.report import message_tables
-from unbend.report.messages_as_rows import field_rows, write_messages_csv
+from unbend.report.message_csv import field_rows, write_messages_csv
 
 COLUMNS = {
     "time_ns": np.array([1_500_000_000_000_000_001, 1_500_000_086_400_000_000, 2], np.int64),

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from unbend.batch.campaigns import Selection
     from unbend.batch.execute import MissionEnd
     from unbend.config.campaign import MissionRef
-    from unbend.report.messages_as_rows import Columns
+    from unbend.report.message_csv import Columns
 
 
 Configs = Annotated[
@@ -376,12 +376,12 @@ def print_messages(
     """Print the messages of one kind: every row as CSV, or what their fields hold."""
     if as_csv:
         if not answer.quiet:
-            from unbend.report.messages_as_rows import write_messages_csv
+            from unbend.report.message_csv import write_messages_csv
 
             write_messages_csv(sys.stdout, columns)
         return
     from unbend.report.inspected_log import print_fields
-    from unbend.report.messages_as_rows import field_rows
+    from unbend.report.message_csv import field_rows
 
     fields = field_rows(columns)
     rows = len(next(iter(columns.values())))
