@@ -348,7 +348,7 @@ def _affinity(report: MetricReport, to_image: Array) -> Array:
     stretch[0, 0] += report.coefficient("b1")
     stretch[0, 1] = report.coefficient("b2")
     if SENSES[report.sense] < 0.0:
-        stretch = np.linalg.inv(stretch)
+        stretch = np.asarray(np.linalg.inv(stretch), np.float64)
     return np.asarray(to_image @ stretch @ to_image.T)
 
 
