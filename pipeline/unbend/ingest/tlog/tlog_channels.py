@@ -253,13 +253,21 @@ def _rows_by_group(
     """The messages of each sender and instance, block by block; the store is emptied."""
     for block in store.drained():
         for sender, rows_of_sender in by_sender(block):
-            rows = block[rows_of_sender]
-            if not instance_field:
-                yield _Group(sender, None), rows
-                continue
-            instances = rows["records"][instance_field]
-            for instance, rows_of_instance in rows_by_value(instances):
-                yield _Group(sender, instance), rows[rows_of_instance]
+            for instance, rows in _by_instance(block[rows_of_sender], instance_field):
+                yield _Group(sender, instance), rows
+
+
+def _by_instance(
+    rows: NDArray[Any],
+    instance_field: str,
+) -> Iterator[tuple[Any, NDArray[Any]]]:
+    """Each instance, as sent, with its messages; None with all of them where there is no field."""
+    if not instance_field:
+        yield None, rows
+        return
+    instances = rows["records"][instance_field]
+    for instance, rows_of_instance in rows_by_value(instances):
+        yield instance, rows[rows_of_instance]
 
 
 class MessageTimes(NamedTuple):
