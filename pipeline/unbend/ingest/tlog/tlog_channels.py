@@ -270,8 +270,8 @@ def _by_instance(
         yield instance, rows[rows_of_instance]
 
 
-class MessageTimes(NamedTuple):
-    """UTC [ns] and boot of (n,) messages."""
+class SentTimes(NamedTuple):
+    """UTC [ns] and boot of (n,) messages of a sender."""
 
     utc_ns: TimeArray
     boot: NDArray[np.int16]
@@ -282,7 +282,7 @@ def times_of(
     field: str,
     clocks: Clocks,
     sender: Sender,
-) -> MessageTimes:
+) -> SentTimes:
     """UTC and boot of (n,) messages of a sender.
 
     ``field``: the one with the messages' own time. What counts, by field:
@@ -296,7 +296,7 @@ def times_of(
     host_ns = rows["host_us"] * MICROSECOND
     clock = clocks.of(sender)
     if not field:
-        return MessageTimes(
+        return SentTimes(
             clock.utc_of_host(places, host_ns),
             clock.boot(places),
         )
@@ -309,7 +309,7 @@ def times_of(
     if field == "time_boot_ms":
         if sender not in clocks.wrong_utc:
             time_ns = _with_utc_of_images(rows, clock, time_ns)
-        return MessageTimes(time_ns, boot)
+        return SentTimes(time_ns, boot)
     is_unix = stamp > FIRST_SET_US
     is_unknown = stamp == 0
     time_ns = np.where(
@@ -322,7 +322,7 @@ def times_of(
         boot[not_since_boot] = clock.boot(places[not_since_boot])
         received_ns = host_ns[is_unknown]
         time_ns[is_unknown] = clock.utc_of_host(places[is_unknown], received_ns)
-    return MessageTimes(time_ns, boot)
+    return SentTimes(time_ns, boot)
 
 
 def _with_utc_of_images(
