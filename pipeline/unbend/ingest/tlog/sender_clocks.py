@@ -288,6 +288,12 @@ def _selected(readings: Readings, rows: Mask) -> Readings:
     return readings if bool(rows.all()) else readings[rows]
 
 
+def _steps_back(readings: Readings) -> bool:
+    """Whether the clock of a sender steps back by more than messages that overtake each other."""
+    steps_ns = np.diff(readings["boot_ns"])
+    return bool(np.any(steps_ns < -BOOT_STEP_NS))
+
+
 def overtaken(readings: Readings) -> Mask:
     """Which (n,) readings of a sender are of messages that later ones overtook.
 
@@ -322,8 +328,7 @@ def fit_sender(
     receiver has set.
     """
     readings = _selected(readings, ~stray_times(readings["boot_ns"]))
-    steps_ns = np.diff(readings["boot_ns"])
-    if bool(np.any(steps_ns < -BOOT_STEP_NS)):
+    if _steps_back(readings):
         readings = _selected(readings, ~overtaken(readings))
     places = readings["place"]
     stamped_ns = readings["host_us"] * MICROSECOND

@@ -253,17 +253,25 @@ def _rows_by_group(
     """The messages of each sender and instance, block by block; the store is emptied."""
     for block in store.drained():
         for sender, rows_of_sender in by_sender(block):
-            rows = block[rows_of_sender]
-            if not instance_field:
-                yield _Group(sender, None), rows
-                continue
-            instances = rows["records"][instance_field]
-            for instance, rows_of_instance in rows_by_value(instances):
-                yield _Group(sender, instance), rows[rows_of_instance]
+            for instance, rows in _by_instance(block[rows_of_sender], instance_field):
+                yield _Group(sender, instance), rows
 
 
-class FrameTimes(NamedTuple):
-    """UTC [ns] and boot of (n,) messages."""
+def _by_instance(
+    rows: NDArray[Any],
+    instance_field: str,
+) -> Iterator[tuple[Any, NDArray[Any]]]:
+    """Each instance, as sent, with its messages; None with all of them where there is no field."""
+    if not instance_field:
+        yield None, rows
+        return
+    instances = rows["records"][instance_field]
+    for instance, rows_of_instance in rows_by_value(instances):
+        yield instance, rows[rows_of_instance]
+
+
+class SentTimes(NamedTuple):
+    """UTC [ns] and boot of (n,) messages of a sender."""
 
     utc_ns: TimeArray
     boot: NDArray[np.int16]
@@ -274,7 +282,7 @@ def times_of(
     field: str,
     clocks: Clocks,
     sender: Sender,
-) -> FrameTimes:
+) -> SentTimes:
     """UTC and boot of (n,) messages of a sender.
 
     ``field``: the one with the messages' own time. What counts, by field:
@@ -288,7 +296,7 @@ def times_of(
     host_ns = rows["host_us"] * MICROSECOND
     clock = clocks.of(sender)
     if not field:
-        return FrameTimes(
+        return SentTimes(
             clock.utc_of_host(places, host_ns),
             clock.boot(places),
         )
@@ -301,7 +309,7 @@ def times_of(
     if field == "time_boot_ms":
         if sender not in clocks.wrong_utc:
             time_ns = _with_utc_of_images(rows, clock, time_ns)
-        return FrameTimes(time_ns, boot)
+        return SentTimes(time_ns, boot)
     is_unix = stamp > FIRST_SET_US
     is_unknown = stamp == 0
     time_ns = np.where(
@@ -314,7 +322,7 @@ def times_of(
         boot[not_since_boot] = clock.boot(places[not_since_boot])
         received_ns = host_ns[is_unknown]
         time_ns[is_unknown] = clock.utc_of_host(places[is_unknown], received_ns)
-    return FrameTimes(time_ns, boot)
+    return SentTimes(time_ns, boot)
 
 
 def _with_utc_of_images(
