@@ -141,7 +141,8 @@ def test_combinations_of_a_mission_by_its_log(changes, text, refusal):
          "with point: camera there is no lever arm"),
         (TRAJECTORY | {"lever_arm_m": [0.0, 0.0, 1.0], "replaces": ["height"]}, {},
          "a lever arm or point: camera needs both position and height replaced"),
-        (TRAJECTORY | {"point": "camera"}, TWO_CAMERAS, "is that of one camera, not of nadir, obl"),
+        (TRAJECTORY | {"point": "camera"}, TWO_CAMERAS,
+         "is possible for one camera, not for nadir, obl"),
         (TRAJECTORY, {"events": {"positions": {"nadir": POSITIONS}}},
          "times_only: true leaves them to the trajectory"),
         (TRAJECTORY | {"lever_arm_m": "from_events"}, {}, "from_events needs events.positions"),
@@ -175,7 +176,7 @@ def test_combinations_with_a_trajectory(trajectory, changes, text, refusal):
          "stations.orientation: format: dji has angles: roll_pitch_yaw, of the gimbal"),
         ({"stations.orientation": {"path": "m", "format": "colmap", "frame": "ecef",
                                    "angles": "omega_phi_kappa"}},
-         "format: colmap has angles, columns and cameras itself"),
+         "format: colmap has its own angles, columns and cameras"),
     ],
 )  # fmt: skip
 def test_combinations_of_a_mission_by_its_orientations(changes, text, refusal):

@@ -37,5 +37,5 @@ def test_a_pipe_is_no_log_no_table_and_no_file_of_a_scheduler(pipe: Path) -> Non
     for kind in ("csv", "colmap", "metashape"):
         with pytest.raises(UnbendError, match=r"^OBS-MISSING: "):
             open_file(pipe, kind)
-    with pytest.raises(UnbendError, match=r"^SCHEDULER-FILE: .*it is no file"):
+    with pytest.raises(UnbendError, match=r"^SCHEDULER-FILE: .*it is not a file"):
         scheduler_address(str(pipe))

@@ -192,7 +192,7 @@ def test_an_opening_in_si(load):
         ({"opening": {"warmer_k": 5.0, "normal": [0.0, 0.0, -1.0]}}, "third component"),
         (
             {"opening": {"warmer_k": 5.0, "frame": "body", "normal": [1.0, 0.0, 0.0]}},
-            "the opening of camera 'nadir' a normal away",
+            "the opening of camera 'nadir' has a normal away",
         ),
         (
             {"opening": {"warmer_k": 5.0}, "window": {"cabin": SCHEDULE}},

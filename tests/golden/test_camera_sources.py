@@ -80,7 +80,7 @@ def test_a_camera_of_a_report(tmp_path, as_it_is):
     [
         ({"file": "gone.xml"}, "INPUT-MISSING", "cameras.nadir.file"),
         ({"file": "nadir.xml", "width_px": 10600, "height_px": 14000}, "CAMERA-SIZE",
-         "14000 x 10600 px, and the mission file says 10600 x 14000"),
+         "14000 x 10600 px, but the mission file states 10600 x 14000"),
         ({"file": "camera_models.json"}, "CAMERA-NAME", "'v2 oblique', 'v2 other'"),
         ({"file": "camera_models.json", "camera": "v2 other"}, "IMPORT-FORMAT", "focal"),
         ({"file": "wide.txt"}, "CAMERA-FILE", "CAMERA-FIELD"),

@@ -94,7 +94,7 @@ def test_copter_with_a_gap_in_the_log(tmp_path: Path) -> None:
     assert air.startswith(
         "The air was not measured: a climatology is used instead, the refraction R is known to ± "
     )
-    assert "can be adjusted" not in text
+    assert "Ready for bundle adjustment" not in text
 
 
 def test_telemetry_with_five_boots(tmp_path: Path) -> None:

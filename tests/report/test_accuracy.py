@@ -101,5 +101,5 @@ def test_the_tables_of_angles_agree_with_those_of_errors():
 
 def test_no_figure_is_a_minus_zero_or_no_number():
     text = PAGE.read_text(encoding="utf-8")
-    assert "nan" not in text.split("## Good")[1]
+    assert "nan" not in text.split("## Nadir angle up to")[1]
     assert "-0.000 " not in text

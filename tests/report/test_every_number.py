@@ -345,7 +345,7 @@ def test_a_tiny_correction_is_called_tiny(largest, said):
     manifest = manifest_of(MANIFEST | nine | {"correction": small})
     lines = printed(print_run, "a", "b", manifest, repeated=False)
     text = " ".join(" ".join(lines).split())
-    assert ("less than can be measured" in text) == said
+    assert ("too small to measure" in text) == said
     assert "refraction of the window" not in text
 
 

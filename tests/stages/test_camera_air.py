@@ -237,7 +237,7 @@ def test_what_is_taken_for_typical_stands_in_the_ledger_and_nothing_is_left(runs
     whole = manifest_of(manifest)
     assert verdict(whole) == outcome(whole)
     assert not any("principal_distance" in step for step in next_steps(whole))
-    assert "as in a typical lens" in " ".join(not_included(whole))
+    assert "as for a typical lens" in " ".join(not_included(whole))
 
 
 @pytest.mark.usefixtures("plain_report")

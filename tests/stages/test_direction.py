@@ -33,7 +33,7 @@ def test_what_was_removed_is_applied_again(baseline, mission, plain_report):
     printed = " ".join(ended.out.split())
     assert "All 59 observations were displaced by " in printed
     assert "for simulations and tests: they now contain refraction." in printed
-    assert "can be adjusted" not in printed
+    assert "Ready for bundle adjustment" not in printed
     found = mission.results()
     assert found.schema.metadata[b"unbend.refraction"] == b"applied"
     assert "x_corrected_px" not in found.column_names

@@ -101,7 +101,7 @@ FOUND = {
     "x and y": (rows(exchanged), "PLAUSIBLE-EXTENT", "observations.columns.x_px",
                 "width and height, or x and y, exchanged"),
     "from the centre": (many(rows(centred)), "PLAUSIBLE-EXTENT", "cameras.nadir.width_px",
-                        "counted from the centre of the image"),
+                        "measured from the centre of the image"),
     "width and height": (config(**{NADIR + "width_px": 10600, NADIR + "height_px": 14000}),
                          "PLAUSIBLE-EXTENT", "cameras.nadir.width_px", "exchanged"),
     "gimbal": (config(mount__nadir__pitch_deg=-90.0), "PLAUSIBLE-DIRECTION", "mount.nadir",

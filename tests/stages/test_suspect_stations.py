@@ -73,12 +73,11 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
     ended = glitch.run()
     assert ended.code == 3, ended.text
     printed = " ".join(ended.out.split())
-    assert "2 suspect stations, without corrected coordinates for the observations." in printed
+    assert "2 suspect stations (without corrected coordinates) before use." in printed
     assert (
-        "Look at the 2 suspect stations (unbend stations MISSION --plot FILE): 1 exposure "
-        in printed
+        "Check the 2 suspect stations (unbend stations MISSION --plot FILE): 1 exposure " in printed
     )
-    assert "can be adjusted" not in printed
+    assert "Ready for bundle adjustment" not in printed
     stations = glitch.stations().to_pandas()
     suspect = stations["status"] == "suspect"
     assert suspect.sum() == 2

@@ -113,7 +113,7 @@ def test_all_three(mission):
     np.testing.assert_allclose(table["sigma_r_c_rad"], LN_P * table["r_c_rad"], rtol=2e-3)
     scale = manifest["uncertainty"]
     assert scale["profiles"] == 1
-    assert "behind a plane window too" in scale["meaning"]
+    assert "also behind a plane window" in scale["meaning"]
     assert not unknown(manifest)
     meaning = mission.results().schema.field("sigma_air_dx_px").metadata[b"meaning"]
     assert b"never to be added" in meaning

@@ -104,7 +104,7 @@ def test_what_was_done_is_not_done_again(tmp_path, direction, name, code):
         refuse_done(tmp_path, schema, direction)
     other = "apply" if direction == "remove" else "remove"
     refuse_done(tmp_path, schema, other)
-    with pytest.raises(InputError, match=f"say observations.columns.x_px: {name}"):
+    with pytest.raises(InputError, match=f"state observations.columns.x_px: {name}"):
         refuse_other_pixels(tmp_path, schema, other, COLUMNS)
     refuse_other_pixels(tmp_path, schema, direction, COLUMNS)
     refuse_other_pixels(tmp_path, schema, other, COLUMNS | {"x_px": name})

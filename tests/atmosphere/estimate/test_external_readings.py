@@ -504,7 +504,7 @@ def test_a_balloon_that_contradicts_the_flight_is_left_out(flights, ascents, kel
 
 @pytest.mark.parametrize(
     ("metres", "kelvin", "what"),
-    [(0.0, 0.0, None), (-550.0, 0.0, "may count from the ground"), (0.0, -32.0, "climatology")],
+    [(0.0, 0.0, None), (-550.0, 0.0, "may be above the ground"), (0.0, -32.0, "climatology")],
 )
 def test_a_balloon_that_no_climate_has_is_left_out(ascents, metres, kelvin, what):
     """Heights above ground, or air of another season; without any sensor of a flight."""

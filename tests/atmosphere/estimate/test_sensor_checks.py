@@ -187,7 +187,7 @@ def test_a_hygrometer_that_is_dead_or_in_fractions(flights, airs, value):
     samples = flown(flights, airs[DESERT], 800.0, gate_s=0.0)
     _, ledger = adjust(airs[DESERT], stuck_wet(samples, value))
     (entry,) = [e for e in ledger if e.code == "AIR-HYGROMETER"]
-    assert f"it reads {100 * value:.1f} % of relative humidity at most" in entry.what
+    assert f"its highest reading is {100 * value:.1f} % relative humidity" in entry.what
 
 
 def test_a_dew_point_above_that_of_any_air(flights, airs):

@@ -740,7 +740,7 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
         assert s.temperature_k[0] == pytest.approx(celsius + 273.15)
         assert s.h_m.size == 10
         assert counts(ledger)["SOUNDING-CHOSEN"] == 2
-    with pytest.raises(InputError, match=r"SOUNDING-CHOICE.*2 soundings and no time"):
+    with pytest.raises(InputError, match=r"SOUNDING-CHOICE.*2 soundings, and no time"):
         parse_sounding(text, Ledger(), station_h_m=540.0)
 
 

@@ -220,7 +220,7 @@ def test_a_shift_that_latitudes_do_not_have_is_taken_from_the_heights(exposures)
     path = eo_with_head(exposures, head, (12.0, -30.0, 48.5))
     channel = read_eo_text(path, Stated("gpst", WEEK), ledger)
     assert np.abs(channel["h_ellipsoid_m"] - exposures.height).max() < 1e-3
-    assert "taken from the heights" in entries(ledger, "IMPORT-EO-HEAD")[0].what
+    assert "subtracted from the heights" in entries(ledger, "IMPORT-EO-HEAD")[0].what
 
 
 @pytest.mark.parametrize("shift", ["X = 12.0 m, Y = -30.0 m, Z = 48.5 m", "X=0, Y=0, Z=48.5"])
