@@ -460,8 +460,8 @@ def test_bundler_is_undistorted_centred_and_intersects(block, tmp_path):
     assert off < 1e-6, "px of the undistorted"
     assert missed < 1e-3, "m"
     assert len(ideal) == len(block.rows)
-    (left,) = [e.count for e in ledger if e.code == "EXPORT-LEFT-OUT"]
-    assert count == len(block.rows) - left
+    left = [e.count for e in ledger if e.code in ("EXPORT-LEFT-OUT", "EXPORT-SINGLE")]
+    assert count == len(block.rows) - sum(left)
     known = json.loads((path / "calibration.json").read_text())
     assert known["side"]["images"] == [f"{k:03d}.tif" for k in range(1, images, 2)]
     assert known["nadir"]["taken_with"]["distortion"]["k1"] == -0.018
@@ -712,8 +712,10 @@ def test_what_is_not_ok_is_left_out_and_counted(block, tmp_path, name):
     left = 7 + 1 + 2 + of_station
     total = len(good) + 1
     assert losses.pop(f"{left} of {total} observations") == left
-    assert count == total - left - sum(losses.values())
-    assert bool(losses) == (name == "bundler")
+    assert losses == {}
+    not_written = sum(e.count for e in ledger if "not written" in e.what)
+    assert count == total - left - not_written
+    assert bool(not_written) == (name in ("bundler", "blocksexchange"))
     if name == "colmap":
         (image,) = [
             image for image in pycolmap.Reconstruction(out).images.values()
@@ -721,6 +723,19 @@ def test_what_is_not_ok_is_left_out_and_counted(block, tmp_path, name):
         ]  # fmt: skip
         places = [tuple(point.xy) for point in image.points2D]
         assert (1.0, 2.0) not in places, "the second measurement of a point"
+
+
+def test_points_that_cannot_be_undistorted_are_a_loss(block, tmp_path):
+    """The distortion turns back within the image; what is beyond has no ideal coordinates."""
+    run = block.run()
+    turning = replace(NADIR, distortion=BrownConrady(k1=-4.0))
+    cameras = {name: replace(camera, camera=turning) for name, camera in run.cameras.items()}
+    ledger = Ledger()
+    count = FORMATS["bundler"].write(replace(run, cameras=cameras), {}, tmp_path, ledger)
+    (single,) = [e.count for e in ledger if e.code == "EXPORT-SINGLE"]
+    (beyond,) = [e.count for e in ledger if e.code == "EXPORT-LEFT-OUT"]
+    assert count == len(block.rows) - single - beyond
+    assert 0 < beyond < len(block.rows)
 
 
 @pytest.mark.parametrize("name", BLOCKS)

@@ -49,7 +49,7 @@ def write_blocks_exchange(run: FinishedRun, _: Values, path: Path, ledger: Ledge
     block = block_of(run, ledger)
     single = int(np.sum(block.count[block.point] < 2))
     if single:
-        ledger.add(messages.points_left_out(where="observations", count=single))
+        ledger.add(messages.single_points_not_written(where="observations", count=single))
     lat, lon, height = block.frame.origin_deg.tolist()
     with path.open("w", encoding="utf-8") as file:
         file.write(

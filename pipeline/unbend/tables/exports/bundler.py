@@ -43,10 +43,14 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     xy = _centred_points(block)
     is_seen = np.isfinite(xy[:, 0])
     views_of_point = np.bincount(block.point[is_seen], minlength=block.count.size)
-    is_left_out = ~is_seen | (views_of_point[block.point] < 2)
-    left_out = int(np.sum(is_left_out))
-    if left_out:
-        ledger.add(messages.points_left_out(where="observations", count=left_out))
+    is_single = block.count[block.point] < 2
+    is_written = is_seen & (views_of_point[block.point] > 1)
+    single = int(np.sum(is_single))
+    if single:
+        ledger.add(messages.single_points_not_written(where="observations", count=single))
+    beyond = int(np.sum(~is_written & ~is_single))
+    if beyond:
+        ledger.add(messages.points_beyond_distortion(where="observations", count=beyond))
     tied = np.flatnonzero(views_of_point > 1)
     with (folder / "bundle.out").open("w", encoding="utf-8") as file:
         file.write(f"# Bundle file v0.3\n{block.image.size} {tied.size}\n")
@@ -59,7 +63,7 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
         calibrations[name] = _calibration(camera, images)
     text = json.dumps(calibrations, indent=1) + "\n"
     (folder / "calibration.json").write_text(text, encoding="utf-8")
-    return int(block.point.size) - left_out
+    return int(np.sum(is_written))
 
 
 def _centred_points(block: ExportedBlock) -> Array:

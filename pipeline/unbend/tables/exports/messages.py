@@ -224,17 +224,17 @@ def stations_left_out(*, where: str, count: int, lacking: str, first: str) -> Me
     )
 
 
-def points_left_out(*, where: str, count: int) -> Message:
-    """Image points that cannot be written for Bundler."""
+def points_beyond_distortion(*, where: str, count: int) -> Message:
+    """Image points that cannot be undistorted, and those that are alone without them."""
     return loss(
         EXPORT_LEFT_OUT,
         (
-            "{count} image points are left out: their points were measured in only one image, or "
-            "they are beyond the radius for which the distortion of the camera is known"
+            "{count} image points are left out: they, or the other image points of the same object "
+            "point, are beyond the radius for which the distortion of the camera is known"
         ),
         one=(
-            "1 image point is left out: its point was measured in only one image, or it is beyond "
-            "the radius for which the distortion of the camera is known"
+            "1 image point is left out: it, or the other image point of the same object point, is "
+            "beyond the radius for which the distortion of the camera is known"
         ),
         where=where,
         count=count,
@@ -696,7 +696,10 @@ def pixels_rounded(*, where: str, rounding: float) -> Message:
 EXPORT_SINGLE = Code(
     "EXPORT-SINGLE",
     means="Points were measured in only one image.",
-    effect="Their image points have no object point.",
+    effect=(
+        "Their image points have no object point, or the format has no place for them. A bundle "
+        "adjustment does not use them."
+    ),
     remedy="Nothing.",
 )
 
@@ -707,6 +710,17 @@ def single_points(*, where: str, count: int) -> Message:
         EXPORT_SINGLE,
         "{count} points were measured in only one image: their image points have no object point",
         one="1 point was measured in only one image: its image point has no object point",
+        where=where,
+        count=count,
+    )
+
+
+def single_points_not_written(*, where: str, count: int) -> Message:
+    """Points of one image, which a format has no place for."""
+    return note(
+        EXPORT_SINGLE,
+        "{count} image points are not written: each is the only one of its object point",
+        one="1 image point is not written: it is the only one of its object point",
         where=where,
         count=count,
     )
