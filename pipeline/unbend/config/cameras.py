@@ -178,8 +178,8 @@ class CameraSection(Section):
     pixel_origin: PixelOrigin | None = Field(
         None,
         description=(
-            "pixel origin of the principal point; by default that of the observations, and corner "
-            "for params"
+            "what the principal point counts from, the corner or the centre of the first pixel; by "
+            "default the same as the observations, but the corner with params"
         ),
         examples=["corner"],
     )

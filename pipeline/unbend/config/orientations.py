@@ -139,7 +139,8 @@ class OrientationSection(Section):
         description=(
             "omega, phi and kappa of the camera, the primary rotation first; roll, pitch and yaw "
             "of the aircraft, with the camera mounted as under mount; or the quaternion q_w to "
-            "q_z, which rotates from the frame to the camera (x right, y down, z forward), or back"
+            "q_z from the frame to the camera (x right, y down, z forward), or with "
+            "quaternion_to_frame the inverse"
         ),
         examples=["omega_phi_kappa"],
     )
