@@ -36,6 +36,11 @@ MAX_POSITIONAL = 5  # more arguments are passed by name
 MAX_UNPACKED = 3  # more values are a type with named fields
 
 FORMULAS = (
+    "block/alignment.py",
+    "block/calibration_fit.py",
+    "block/image_rays.py",
+    "block/intersection.py",
+    "refraction/camera/",
     "refraction/kernels/",
     "refraction/published/",
     "refraction/uncertainty/adjoints.py",
@@ -43,6 +48,7 @@ FORMULAS = (
     "atmosphere/standard.py",
     "atmosphere/estimate/hypotheses.py",
     "geodesy.py",
+    "simulate/optics.py",
 )
 """Modules of kernels and published formulas, which may be denser."""
 
