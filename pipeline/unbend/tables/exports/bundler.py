@@ -41,17 +41,10 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     block = block_of(run, ledger)
     refuse_names(block.image, r"[\s\"]", "Bundler")
     xy = _centred_points(block)
-    is_seen = np.isfinite(xy[:, 0])
-    views_of_point = np.bincount(block.point[is_seen], minlength=block.count.size)
-    is_single = block.count[block.point] < 2
-    is_written = is_seen & (views_of_point[block.point] > 1)
-    single = int(np.sum(is_single))
-    if single:
-        ledger.add(messages.single_points_not_written(where="observations", count=single))
-    beyond = int(np.sum(~is_written & ~is_single))
-    if beyond:
-        ledger.add(messages.points_beyond_distortion(where="observations", count=beyond))
+    views_of_point = np.bincount(block.point[np.isfinite(xy[:, 0])], minlength=block.count.size)
     tied = np.flatnonzero(views_of_point > 1)
+    written = int(views_of_point[tied].sum())
+    report_unwritten(block, written, ledger)
     with (folder / "bundle.out").open("w", encoding="utf-8") as file:
         file.write(f"# Bundle file v0.3\n{block.image.size} {tied.size}\n")
         file.writelines(_lines_of_cameras(block))
@@ -63,7 +56,17 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
         calibrations[name] = _calibration(camera, images)
     text = json.dumps(calibrations, indent=1) + "\n"
     (folder / "calibration.json").write_text(text, encoding="utf-8")
-    return int(np.sum(is_written))
+    return written
+
+
+def report_unwritten(block: ExportedBlock, written: int, ledger: Ledger) -> None:
+    """Image points that the file lacks: alone of their object point, or not to be undistorted."""
+    single = int(np.sum(block.count[block.point] < 2))
+    if single:
+        ledger.add(messages.single_points_not_written(where="observations", count=single))
+    beyond = int(block.point.size) - single - written
+    if beyond:
+        ledger.add(messages.points_beyond_distortion(where="observations", count=beyond))
 
 
 def _centred_points(block: ExportedBlock) -> Array:
