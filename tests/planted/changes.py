@@ -39,14 +39,18 @@ EXCHANGED_UNITS = {
     "K": "°C", "°C": "K", "rad": "deg", "deg": "rad", "s": "ms", "ms": "s", "us": "ms", "ns": "us",
     "px": "mm", "um": "nm", "nm": "um",
 }  # fmt: skip
-# Arguments whose exchange raises at once, so that it says nothing about the tests.
-NOT_EXCHANGED = {"isinstance", "issubclass", "getattr", "hasattr", "setattr", "partial", "open"}
+# The exchange of arguments changes nothing, or raises at once.
+NOT_EXCHANGED = {
+    "hypot", "min", "max", "minimum", "maximum", "fmin", "fmax", "logical_and", "logical_or",
+    "isclose", "allclose", "array_equal", "intersect1d", "union1d", "isinstance", "issubclass",
+    "getattr", "hasattr", "setattr", "partial", "open",
+}  # fmt: skip
 ONLY_STYLE = {
     "alpha", "color", "dpi", "figsize", "fontsize", "frameon", "labelsize", "linewidth", "loc",
     "lw", "markersize", "ms", "pad", "rasterized", "s", "stacklevel", "width", "zorder", "maxsize",
 }  # fmt: skip
 ONLY_DIVIDES_WORK = re.compile(
-    r"BYTES|BUFFER|CHUNK|BATCH|BLOCK_ROWS|ROWS_AT|THREADS|WORKERS|PATIENCE|TIMEOUT|RETR|WAIT|"
+    r"BYTES|BUFFER|CHUNK|BATCH|BLOCK_ROWS|ROWS_AT|ROWS_OF_A_FILE|TOGETHER|THREADS|WORKERS|PATIENCE|TIMEOUT|RETR|WAIT|"
     r"CACHE|PER_PART|GROUP_ROWS|CAPACITY|UNUSED_FOR|COMPILED_WITHIN"
 )
 LOGGING = {"debug", "info", "warning", "error", "exception", "log", "warn"}
