@@ -51,6 +51,8 @@ def distinct_arguments(maker: Callable[..., Any]) -> dict[str, Any] | None:
             arguments[name] = next(numbers)
         elif kind is float:
             arguments[name] = next(numbers) + 0.25
+        elif kind == tuple[float, float]:
+            arguments[name] = (next(numbers) + 0.25, next(numbers) + 0.25)
         elif kind is Path:
             arguments[name] = Path(f"the {name}")
         elif kind in (str, object, Path | str, str | None):
@@ -86,3 +88,7 @@ def test_a_message_carries_each_value_under_its_own_name(maker: Callable[..., An
             assert str(given) in str(value), name
         elif isinstance(given, int | float) and isinstance(value, int | float):
             assert math.isclose(value, given), name
+        elif isinstance(given, tuple) and name not in carried:
+            # Its two numbers have names of their own, or stand together in a text.
+            numbers = [number for number in carried.values() if number in given]
+            assert numbers in ([], [*given]), name
