@@ -185,3 +185,18 @@ def test_a_receiver_is_silent_for_more_than_two_seconds_while_another_channel_go
     assert [stretch.reason for stretch in found] == ["GPS[0] has no fix for 2 s"] * is_silent
     stops_too = channel("IMU", np.concatenate([before_s, after_s]))
     assert silences(receiver, stops_too, HEIGHT) == []
+
+
+@pytest.mark.parametrize(("agreeing", "offset_m"), [(9, 0.0), (5, 50.0)])
+def test_two_sources_do_not_agree_by_chance_in_a_tenth_of_a_flight(agreeing, offset_m):
+    """They are at one place for 9 or 5 of 60 seconds, and else 50 m apart, reached slowly."""
+    roles = ("height", "position")
+    times_s = np.arange(0.0, 600.0, 10.0)
+    apart_m = np.where(np.arange(60) < agreeing, 0.0, 50.0)
+    first = channel("GPS[0]", times_s, roles, lat_rad=0.8, lon_rad=0.2, h_msl_m=500.0)
+    second = channel(
+        "GPS[1]", times_s, roles, lat_rad=0.8 - apart_m / 6.371e6, lon_rad=0.2, h_msl_m=500.0
+    )
+    path = source_path(second, POSITION, ())
+    difference = source_difference(first, path, POSITION, np.zeros((60, 2)))
+    np.testing.assert_allclose(difference.off_m, np.abs(apart_m - offset_m), atol=1e-3)
