@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import difflib
 import random
 import re
 import sys
@@ -53,6 +52,13 @@ def words_of(text: str) -> frozenset[str]:
     return frozenset(re.findall(r"\w+", text))
 
 
+def likeness(name: str, other: str) -> float:
+    """Share of the words that two names of files have in common, 0 to 1."""
+    words = set(name.split("_"))
+    other_words = set(other.split("_"))
+    return len(words & other_words) / len(words | other_words)
+
+
 def nearest_tests(source: Source, line: int) -> tuple[str, ...]:
     """The module's own examples, then the test files that are likeliest to notice a bug in a line.
 
@@ -71,7 +77,7 @@ def nearest_tests(source: Source, line: int) -> tuple[str, ...]:
     scores = {}
     for name, text in test_texts().items():
         words = words_of(text)
-        score = difflib.SequenceMatcher(None, f"test_{stem}", Path(name).stem).ratio()
+        score = likeness(stem, Path(name).stem.removeprefix("test_"))
         score += 2.0 * bool(imported.search(text))
         score += 2.0 * (Path(name).stem == f"test_{stem}")
         score += 1.5 * (function in words)
