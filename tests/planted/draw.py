@@ -132,14 +132,17 @@ def changes_by_line() -> dict[tuple[Source, int], list[Change]]:
 
 
 def drawn_bugs(number: int, seed: int, rooms: Sequence[str] = ()) -> list[Bug]:
-    """So many bugs by a seed, in all rooms or in some, sorted by file and line."""
+    """So many bugs by a seed, in all rooms or in some, sorted by file and line.
+
+    Fewer where the rooms have fewer lines that can be changed.
+    """
     lines = [
         (source, line)
         for source, line in changes_by_line()
         if not rooms or room_of(source.path) in rooms
     ]
     draw = random.Random(seed)
-    drawn = draw.sample(range(len(lines)), number)
+    drawn = draw.sample(range(len(lines)), min(number, len(lines)))
     bugs = []
     for index, place in enumerate(sorted(drawn), start=1):
         source, line = lines[place]
