@@ -327,3 +327,21 @@ def test_order_is_kept_and_no_event_serves_twice(seed, missing, lost):
     has = found.event[found.event >= 0]
     assert np.all(np.diff(has) > 0)
     assert len(unused_events(found)) == events.size - has.size
+
+
+@pytest.mark.parametrize(("events", "images"), [(0, 3), (3, 0), (0, 0)])
+def test_nothing_is_assigned_where_one_side_is_missing(events: int, images: int) -> None:
+    """No event is given, and no evidence is claimed."""
+    found = of_times(np.arange(float(events)), np.arange(float(images)))
+    assert not found.accepted
+    assert found.reason
+    assert found.event.tolist() == [-1] * images
+    assert found.runner_up.tolist() == [-1] * images
+    assert np.isnan(found.residual_s).all()
+    assert not found.ambiguous.any()
+    assert (found.log_ratio, found.evidence) == (0.0, ())
+
+
+def test_one_event_is_enough_for_one_image() -> None:
+    found = of_times(np.array([5.0]), np.array([5.0]))
+    assert found.event.tolist() == [0]

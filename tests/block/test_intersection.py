@@ -9,7 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unbend.block.image_rays import UNKNOWN_SIGMAS, ImageRays, Orientations, orientations_of
+from unbend.block.image_rays import (
+    UNKNOWN_SIGMAS,
+    ImageRays,
+    Orientations,
+    orientations_of,
+    sorted_rays,
+)
 from unbend.block.intersection import Intersection, intersect, point_heights
 from unbend.flight.stations import STATION_OK, empty_stations
 
@@ -312,3 +318,24 @@ def test_nothing_oriented_is_no_intersection(make) -> None:
     assert not found.used.any()
     assert np.isfinite(found.log_likelihood)
     assert found.log_likelihood < likelihood(orientations, rays)
+
+
+def test_the_square_of_an_attitudes_error_counts_to_the_sigma_of_a_ray(make):
+    """A turn by d moves a ray v to the side by d x v + (d . v) d / 2, besides d^2: of the last
+    term the standard deviation is s^2 / 2 along each axis, for d of s about each axis.
+    """
+    sigma_rad = 0.2
+    pixel_rad = 1e-4
+    turn = np.random.default_rng(3).normal(0.0, sigma_rad, (200_000, 3))
+    ray = np.array([0.0, 0.0, 1.0])
+    to_the_side = 0.5 * (turn @ ray)[:, None] * turn
+    drawn = to_the_side[:, :2].std()
+    _, orientations, rays = make(0, lines=1, each=6, points=20)
+    sigma = orientations.sigma.copy()
+    sigma[:, 3:] = sigma_rad
+    oriented = replace(orientations, sigma=sigma)
+    in_order = sorted_rays(oriented, replace(rays, sigma_rad=pixel_rad))
+    good = np.ones(in_order.sigma.shape, bool)
+    misses = in_order.misses(oriented, in_order.positions(good), good)
+    assert misses.sigma == pytest.approx(np.hypot(pixel_rad, sigma_rad**2 / 2.0), rel=1e-4)
+    assert misses.sigma == pytest.approx(drawn, rel=0.02)

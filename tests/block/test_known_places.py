@@ -12,7 +12,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from unbend.block.known_places import KnownPlaces, compared_places, frame_notes
+from unbend.block.known_places import (
+    KnownPlaces,
+    PlaceComparison,
+    compared_places,
+    frame_notes,
+)
 from unbend.flight.stations import STATION_OK, empty_stations
 
 PLACE = np.radians([47.0, 8.5])
@@ -140,3 +145,52 @@ def test_positions_belong_to_images_by_name():
     rows = places.rows_of(np.array(["a", "c", "b"], object))
     np.testing.assert_array_equal(rows[[0, 2]], [[3, 4, 5], [0, 1, 2]])
     assert np.isnan(rows[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("values", "contradictions"),
+    [
+        ({}, []),
+        # a turn counts beyond 0.3 deg, five sigma, and 2 m or three residuals at the edge
+        ({"turn_rad": np.radians(0.29)}, []),
+        ({"turn_rad": np.radians(-0.31)}, ["it is turned by 0.31 deg about the vertical"]),
+        ({"turn_rad": 0.05, "sigma_turn": 0.0101}, []),
+        ({"turn_rad": 0.05, "sigma_turn": 0.0099}, ["it is turned by 2.86 deg about the vertical"]),
+        ({"turn_rad": 0.01, "extent_m": 590.0, "residual_m": 1.0}, []),
+        (
+            {"turn_rad": 0.01, "extent_m": 610.0, "residual_m": 1.0},
+            ["it is turned by 0.57 deg about the vertical"],
+        ),
+        ({"turn_rad": 0.01, "extent_m": 390.0}, []),
+        ({"turn_rad": 0.01, "extent_m": 410.0}, ["it is turned by 0.57 deg about the vertical"]),
+        ({"scale": 1.0049}, []),
+        ({"scale": 0.9949}, ["its lengths are to be multiplied by 0.9949"]),
+        ({"scale": 1.1, "sigma_turn": 0.019}, []),
+        # a tilt likewise, and 5 m in height
+        ({"tilt_rad": np.radians(0.29)}, []),
+        ({"tilt_rad": 0.01, "extent_m": 990.0}, []),
+        ({"tilt_rad": 0.01, "extent_m": 1010.0}, ["it is tilted by 0.57 deg"]),
+        ({"tilt_rad": 0.01, "sigma_tilt_rad": 0.0021}, []),
+        ({"offset_m": 19.9, "height_m": -149.0}, []),
+        ({"offset_m": 20.1}, ["it is 20 m away"]),
+        ({"height_m": -151.0}, ["its heights differ by -151 m"]),
+        ({"residual_m": 39.0}, []),
+        ({"residual_m": 41.0}, ["no turn, scale and shift leaves less than 41 m"]),
+    ],
+)
+def test_contradictions_are_what_no_noise_and_no_drift_makes(values, contradictions):
+    sound = {
+        "count": 20,
+        "extent_m": 2000.0,
+        "offset_m": 0.0,
+        "height_m": 0.0,
+        "residual_m": 0.1,
+        "turn_rad": 0.0,
+        "scale": 1.0,
+        "sigma_turn": 1e-5,
+        "tilt_rad": 0.0,
+        "sigma_tilt_rad": 1e-5,
+        "rise_residual_m": 0.1,
+    }
+    comparison = PlaceComparison(**(sound | values))
+    assert comparison.contradictions == contradictions

@@ -7,6 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from unbend.config.cameras import CameraSection
+from unbend.config.metric_cameras import MetricTable
 from unbend.refraction.calibration import MODELS
 
 FORMAT = {"width_px": 4000, "height_px": 3000, "calibration": "laboratory"}
@@ -81,3 +82,19 @@ def test_a_camera_of_colmap_may_be_named_by_its_number(tmp_path):
     for name in (7, "7"):
         section = CameraSection(file="cameras.txt", camera=name, calibration="laboratory")
         assert section.with_file(file).interior_orientation.fy_px == 3210.0
+
+
+def test_a_table_by_field_angle_is_by_the_radius_of_its_tangent():
+    """At 30 degrees of a lens of 150 mm the radius is 150 / sqrt(3) = 86.603 mm."""
+    table = MetricTable(
+        sense="distortion",
+        by="field_angle_deg",
+        rows=[[0.0, 0.0], [30.0, -4.0], [45.0, 12.0]],
+    )
+    rows, sense = table.in_mm(150.0)
+    np.testing.assert_allclose(rows, [[0.0, 0.0], [86.60254, -0.004], [150.0, 0.012]], atol=1e-5)
+    assert sense == "distortion"
+    by_radius = MetricTable(
+        sense="correction", by="radius_mm", rows=[[0.0, 0.0], [30.0, -4.0], [45.0, 12.0]]
+    )
+    np.testing.assert_allclose(by_radius.in_mm(150.0)[0][:, 0], [0.0, 30.0, 45.0])

@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 
+from tests.planted.changes import Source, changes_of
+from tests.planted.draw import drawn_bugs
+
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "tests" / "planted").glob("*.toml"))
 CONTENTS = {path.stem: tomllib.loads(path.read_text(encoding="utf-8")) for path in FILES}
@@ -50,3 +53,50 @@ def test_every_room_has_planted_bugs() -> None:
     if rooms - planted:
         pytest.skip(f"no planted bugs yet in {', '.join(sorted(rooms - planted))}")
     assert len(BUGS) >= 120
+
+
+def test_a_seed_draws_bugs_that_can_be_planted() -> None:
+    bugs = drawn_bugs(12, seed=1)
+    assert bugs == drawn_bugs(12, seed=1) != drawn_bugs(12, seed=2)
+    for bug in bugs:
+        text = (ROOT / bug.file).read_text(encoding="utf-8")
+        assert text.count(bug.before) == 1
+        planted = ast.parse(text.replace(bug.before, bug.after))
+        assert ast.dump(planted) != ast.dump(ast.parse(text)), bug
+        assert all((ROOT / name).exists() for name in (*bug.nearest, *bug.tests))
+
+
+def test_changes_are_those_of_code_that_decides(tmp_path: Path) -> None:
+    path = tmp_path / "module.py"
+    path.write_text(
+        '''"""A text: 1 < 2."""
+import numpy as np
+__all__ = ["a", "b"]
+_BUFFER_BYTES = 1024
+
+
+def area(a_m: float, turn: float = 0.5) -> float:
+    """Not 3 either."""
+    if a_m < 0 and not turn:
+        raise ValueError(f"{a_m} of 7")
+    return np.abs(a_m * turn)
+''',
+        encoding="utf-8",
+    )
+    source = Source(path)
+    changes = [
+        (source.content[change.start : change.end].decode(), change.after)
+        for change in changes_of(source)
+    ]
+    numbers = [("0.5", "1.0"), ("0.5", "5.0"), ("0.5", "-0.5"), ("0.5", "1.5"), ("0", "1")]
+    assert sorted(changes) == sorted(
+        [
+            *numbers,
+            ("<", "<="),
+            ("<", ">"),
+            ("and", "or"),
+            ("not turn", "(turn)"),
+            ("np.abs(a_m * turn)", "(a_m * turn)"),
+            ("*", "/"),
+        ]
+    )

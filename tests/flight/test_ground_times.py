@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
+from unbend.flight.exposures import ground_shot_notes
 from unbend.flight.ground_times import (
     GroundEvidence,
     LoggedPath,
@@ -15,6 +18,8 @@ from unbend.flight.ground_times import (
     times_on_the_ground,
 )
 from unbend.flight.heights import height_system, known_home_m, with_begin_of_log
+from unbend.flight.stations import STATION_OK, empty_stations
+from unbend.messages import Kind
 
 SECOND_NS = 1_000_000_000
 
@@ -136,3 +141,61 @@ def test_a_home_that_was_never_set_is_no_home_at_sea_level():
     assert home_is_set(h_msl_m - 495.0, h_msl_m - 495.0).tolist() == [True, True, False]
     assert home_is_set(h_msl_m, h_msl_m - [500.0, 0.0, 0.0]).tolist() == [True, False, False]
     assert home_is_set(np.full(3, np.nan), np.array([1.0, 2.0, 3.0])).all()
+
+
+@pytest.mark.parametrize(("above_home_m", "flies"), [(19.0, False), (21.0, True)])
+def test_it_flies_twenty_metres_above_its_takeoff(above_home_m: float, flies: bool) -> None:
+    position = hover(h_home_m=above_home_m)
+    evidence = GroundEvidence.of([position])
+    assert evidence.flies(position.time_ns[10:12]).tolist() == [flies, flies]
+
+
+@pytest.mark.parametrize(("gap_s", "flies"), [(4.9, True), (5.1, False)])
+def test_a_height_above_home_reaches_over_gaps_of_five_seconds(gap_s: float, flies: bool) -> None:
+    seconds = np.concatenate([np.arange(0.0, 20.1, 0.1), 20.0 + gap_s + np.arange(0.0, 20.0, 0.1)])
+    time_ns = np.round(seconds * SECOND_NS).astype(np.int64)
+    values = {"lat_rad": 0.8, "lon_rad": 0.15, "h_msl_m": 950.0, "h_home_m": 500.0}
+    columns = {name: np.full(seconds.shape, value) for name, value in values.items()}
+    position = Channel("POS", time_ns, columns, Source("POS"), roles=POSITION)
+    inside_ns = np.array([round((20.0 + gap_s / 2.0) * SECOND_NS)])
+    assert GroundEvidence.of([position]).flies(inside_ns).tolist() == [flies]
+
+
+@pytest.mark.parametrize(
+    ("flown", "images", "kind", "words"),
+    [
+        (5, ["g1"], Kind.WARNING, "; 1 of them is in the observations"),
+        (5, ["g1", "g2", "a3"], Kind.WARNING, "; 2 of them are in the observations"),
+        (5, ["a3"], Kind.NOTE, ""),
+        (3, [], Kind.NOTE, ""),  # half of all exposures
+        (2, [], Kind.LOSS, ""),
+    ],
+)
+def test_exposures_on_the_ground_are_counted(
+    flown: int, images: list[str], kind: Kind, words: str
+) -> None:
+    """Three test shots within 60 s on the ground, and one second behind; the others in the air."""
+    seconds = np.arange(0.0, 700.0)
+    height_m = np.interp(seconds, [60.0, 120.0], [450.0, 950.0])
+    position = Channel(
+        "POS",
+        (seconds * SECOND_NS).astype(np.int64),
+        {"lat_rad": np.full(700, 0.8), "lon_rad": np.full(700, 0.15), "h_msl_m": height_m},
+        Source("POS"),
+        roles=("position", "height"),
+    )
+    landed = said("vehicle_land_detected", [0, 60], "landed", 1.0, 0.0)
+    count = 3 + flown
+    stations = replace(
+        empty_stations(
+            np.array(["g1", "g2", "g3", *(f"a{k}" for k in range(flown))], dtype=object),
+            np.full(count, "nadir", dtype=object),
+            STATION_OK,
+        ),
+        time_ns=np.array([5, 20, 40, *range(300, 300 + flown)], np.int64) * SECOND_NS,
+    )
+    evidence = GroundEvidence.of([position, landed])
+    (message,) = ground_shot_notes(stations, {"height": position}, images, evidence)
+    assert (message.kind, message.count, message.where) == (kind, 3, "events")
+    assert message.values["in_observations"] == words
+    assert message.values["listed"] == "g1, g2, g3"

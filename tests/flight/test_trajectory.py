@@ -216,3 +216,24 @@ def test_a_log_that_begins_on_the_180th_meridian_stands_still_there() -> None:
     assert takeoff is not None
     assert takeoff.stands
     assert takeoff.h_msl_m == 12.0
+
+
+def test_the_rates_of_a_coning_body_are_turned_to_the_second_order() -> None:
+    """Sola et al. 2018, Eq. 144: the axis of a turn of 50 deg/s goes round a cone of 1.2 rad.
+
+    Without the term of the second order the error is 0.010 deg, with twice of it 0.019 deg.
+    """
+
+    def attitude(t: np.ndarray) -> Rotation:
+        angles = np.stack([0.9 * t, np.full(t.shape, 1.2), -0.18 * t], axis=1)
+        return Rotation.from_euler("ZYZ", angles)
+
+    seconds = np.arange(0.0, 30.0)
+    rates = (attitude(seconds - 1e-5).inv() * attitude(seconds + 1e-5)).as_rotvec() / 2e-5
+    q = attitude(seconds).as_quat()
+    names = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
+    gyro = channel(list(seconds), **dict(zip(names, rates.T, strict=True)))
+    bare = channel(list(seconds), q_x=q[:, 0], q_y=q[:, 1], q_z=q[:, 2], q_w=q[:, 3])
+    when = np.arange(4.0, 26.0, 0.07)
+    found = attitude_at(with_slopes(bare, [gyro], names), at(*when), 2.0).quaternion
+    assert rms_deg(attitude(when), Rotation.from_quat(found[:, [1, 2, 3, 0]])) < 0.006

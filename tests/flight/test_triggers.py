@@ -97,3 +97,16 @@ def test_commands_are_not_taken_for_exposures_where_pulses_are_logged(
     expected = [] if lag_ms is None else [("EVENTS-NOT-SHUTTER", "finding")]
     assert [(entry.code, entry.kind) for entry in found] == expected
     assert [entry.values["lag_ms"] for entry in found] == pytest.approx([lag_ms] * len(expected))
+
+
+def test_the_scatter_of_the_lag_is_half_of_the_middle_two_thirds() -> None:
+    """Lags of 100, 102, ... 122 ms: their 16th and 84th percentiles are 103.52 and 118.48 ms."""
+    lags_s = 0.1 + 0.002 * (NUMBER - 1.0)
+    time_ns = np.round((NUMBER * 3.0 + lags_s) * SECOND).astype(np.int64)
+    delay, (message,) = lag_from_feedback(
+        (replace(PULSES, time_ns=time_ns), COMMANDS), COMMANDS, "c"
+    )
+    assert delay.seconds == pytest.approx(0.111, abs=1e-8)
+    assert delay.sigma_s == pytest.approx(0.00748, abs=1e-8)
+    assert message.values["lag_ms"] == pytest.approx(111.0)
+    assert message.values["scatter_ms"] == pytest.approx(7.48)

@@ -1,12 +1,15 @@
 """Plant bugs one at a time in a copy of the repository and run the tests of their room.
 
     python tests/planted/run.py [ROOM ...] [--index 3,5-7] [--sample 10 --seed 1] [--jobs 2]
+    python tests/planted/run.py [ROOM ...] --drawn 60 --seed 20261128
 
-A room is the name of a file beside this one, without `.toml`. Each file begins with the tests of
-its room, `tests = ["tests/refraction"]`, and has a table `[[bug]]` for every planted bug: `file`,
-`before` (stands exactly once in the file), `after`, `what`, and optionally `first`, the test file
-that is run before the others. The tests of a room run once without a bug first: if they fail,
-nothing is planted. Exit code 1 if fewer than 95 % of the bugs, or 85 % in any room, are noticed.
+The second form plants bugs that are drawn blindly (`draw.py`), not those of the lists. A room is
+the name of a file beside this one, without `.toml`. Each file begins with the tests of its room,
+`tests = ["tests/refraction"]`, and has a table `[[bug]]` for every planted bug: `file`, `before`
+(stands exactly once in the file), `after`, `what`, and optionally `first`, the test file that is
+run before the others. The tests of a room run once without a bug first: if they fail, nothing is
+planted. Exit code 1 if fewer than 95 % of the bugs, or 85 % in any room, are noticed; of drawn
+bugs, if fewer than 85 %, because some change nothing that a test could see.
 """
 
 from __future__ import annotations
@@ -24,16 +27,21 @@ import sys
 import tempfile
 import threading
 import time
-import tomllib
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.planted.draw import drawn_bugs
+from tests.planted.planted_bug import Bug, read_bugs
+
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 SHARE_OF_ALL = 0.95
 SHARE_OF_ROOM = 0.85
+SHARE_OF_DRAWN = 0.85
 # Tests with a bug may take so much longer than without before they count as hanging.
 PATIENCE = 4.0
 SHORTEST_LIMIT_S = 300.0
@@ -42,20 +50,7 @@ SHORTEST_LIMIT_S = 300.0
 COMPILED = ("pipeline/unbend/refraction/", "pipeline/unbend/geodesy.py", "pipeline/unbend/units.py")
 # pytest's exit codes: tests failed, collection interrupted, a conftest that cannot be imported.
 FAILED = {1, 2, 4}
-
-
-@dataclass(frozen=True)
-class Bug:
-    """One planted bug of a room; `index` counts from 1 in its file."""
-
-    room: str
-    index: int
-    tests: tuple[str, ...]
-    file: str
-    before: str
-    after: str
-    what: str
-    first: str | None = None
+PASSED = {0, 5}  # 5: no test was left to run
 
 
 @dataclass(frozen=True)
@@ -67,13 +62,14 @@ class Ended:
     seconds: float
 
 
-def read_bugs(path: Path) -> list[Bug]:
-    """The planted bugs of a room."""
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
-    tests = tuple(content["tests"])
-    return [
-        Bug(path.stem, index, tests, **entry) for index, entry in enumerate(content["bug"], start=1)
-    ]
+def runs_of(bug: Bug) -> list[tuple[str, ...]]:
+    """Arguments of pytest, from the likeliest tests of a bug to the slowest of its room."""
+    if bug.first:
+        return [(bug.first,), bug.tests]
+    if not bug.nearest:
+        return [bug.tests]
+    others = (*bug.tests, *(f"--ignore={name}" for name in bug.nearest))
+    return [bug.nearest, (*others, "-m", "not slow"), (*others, "-m", "slow")]
 
 
 class Copy:
@@ -122,7 +118,7 @@ class Copy:
                 os.killpg(process.pid, signal.SIGKILL)  # children of the tests too
             process.wait()
         seconds = time.monotonic() - started
-        if process.returncode == 0:
+        if process.returncode in PASSED:
             return Ended(False, "", seconds)
         if process.returncode in FAILED or process.returncode < 0:
             named = re.findall(r"^(?:FAILED|ERROR) (\S+?)(?:\[.*)?(?: - .*)?$", text, re.MULTILINE)
@@ -131,7 +127,7 @@ class Copy:
         return Ended(None, f"pytest ended with {process.returncode}:\n{text[-3000:]}", seconds)
 
     def try_bug(self, bug: Bug, limit_s: float) -> Ended:
-        """Plant a bug, run its first test and then the room's, and take it out again."""
+        """Plant a bug, run the tests that it may concern, and take it out again."""
         path = self.root / bug.file
         text = path.read_bytes().decode("utf-8")
         if text.count(bug.before) != 1:
@@ -141,12 +137,11 @@ class Copy:
         path.write_bytes(text.replace(bug.before, bug.after).encode("utf-8"))
         try:
             seconds = 0.0
-            for tests in ((bug.first,) if bug.first else (), bug.tests):
-                if tests:
-                    ended = self.pytest(tests, limit_s, cache)
-                    seconds += ended.seconds
-                    if ended.noticed is not False:
-                        break
+            for tests in runs_of(bug):
+                ended = self.pytest(tests, limit_s, cache)
+                seconds += ended.seconds
+                if ended.noticed is not False:
+                    break
             return Ended(ended.noticed, ended.by, seconds)
         finally:
             path.write_bytes(text.encode("utf-8"))
@@ -163,7 +158,18 @@ def numbers(text: str) -> set[int]:
 
 
 def chosen(arguments: argparse.Namespace) -> list[Bug]:
-    """The bugs that the command asks for, in the order of the files."""
+    """The bugs that the command asks for: drawn, or of the lists in the order of the files."""
+    if arguments.drawn:
+        bugs = drawn_bugs(arguments.drawn, arguments.seed, arguments.rooms)
+    else:
+        bugs = listed_bugs(arguments)
+    if arguments.index:
+        bugs = [bug for bug in bugs if bug.index in numbers(arguments.index)]
+    return bugs
+
+
+def listed_bugs(arguments: argparse.Namespace) -> list[Bug]:
+    """The bugs of the files, or a sample of them."""
     rooms = arguments.rooms or sorted(path.stem for path in HERE.glob("*.toml"))
     unknown = [room for room in rooms if not (HERE / f"{room}.toml").is_file()]
     if unknown:
@@ -171,8 +177,6 @@ def chosen(arguments: argparse.Namespace) -> list[Bug]:
             f"no planted bugs for {', '.join(unknown)}: tests/planted has no such file"
         )
     bugs = [bug for room in rooms for bug in read_bugs(HERE / f"{room}.toml")]
-    if arguments.index:
-        bugs = [bug for bug in bugs if bug.index in numbers(arguments.index)]
     if arguments.sample is not None and arguments.sample < len(bugs):
         kept = set(random.Random(arguments.seed).sample(range(len(bugs)), arguments.sample))
         bugs = [bug for number, bug in enumerate(bugs) if number in kept]
@@ -187,6 +191,7 @@ def run_baselines(
     def baseline(room: str) -> tuple[str, Ended]:
         of_room = [bug for bug in bugs if bug.room == room]
         firsts = {bug.first for bug in of_room if bug.first}
+        firsts.update(name for bug in of_room for name in bug.nearest)
         outside = sorted(first for first in firsts if not first.startswith(of_room[0].tests))
         copy = copies.get()
         try:
@@ -207,8 +212,10 @@ def run_baselines(
     return seconds
 
 
-def print_table(results: list[tuple[Bug, Ended]]) -> bool:
+def print_table(results: list[tuple[Bug, Ended]], drawn: bool) -> bool:
     """Shares by room; whether they suffice."""
+    least_of_room = 0.0 if drawn else SHARE_OF_ROOM  # of few drawn bugs a share says little
+    least_of_all = SHARE_OF_DRAWN if drawn else SHARE_OF_ALL
     rooms: dict[str, list[bool]] = defaultdict(list)
     for bug, ended in results:
         rooms[bug.room].append(ended.noticed is True)
@@ -216,14 +223,14 @@ def print_table(results: list[tuple[Bug, Ended]]) -> bool:
     sufficient = True
     for room, noticed in sorted(rooms.items()):
         share = sum(noticed) / len(noticed)
-        sufficient &= share >= SHARE_OF_ROOM
-        few = "" if share >= SHARE_OF_ROOM else f"  under {SHARE_OF_ROOM:.0%}"
+        sufficient &= share >= least_of_room
+        few = "" if share >= least_of_room else f"  under {least_of_room:.0%}"
         print(f"{room:<16}{len(noticed):>8}{sum(noticed):>9}{share:>8.0%}{few}")
     every = [was for noticed in rooms.values() for was in noticed]
     share = sum(every) / len(every)
-    few = "" if share >= SHARE_OF_ALL else f"  under {SHARE_OF_ALL:.0%}"
+    few = "" if share >= least_of_all else f"  under {least_of_all:.0%}"
     print(f"{'all':<16}{len(every):>8}{sum(every):>9}{share:>8.1%}{few}")
-    return sufficient and share >= SHARE_OF_ALL
+    return sufficient and share >= least_of_all
 
 
 def main() -> None:
@@ -233,8 +240,9 @@ def main() -> None:
         "rooms", nargs="*", help="files of tests/planted without .toml; all if none"
     )
     parser.add_argument("--index", help="bugs of the room by number, such as 3 or 1,4-6")
-    parser.add_argument("--sample", type=int, help="try only so many, drawn at random")
-    parser.add_argument("--seed", type=int, default=0, help="of the sample")
+    parser.add_argument("--sample", type=int, help="try only so many of them")
+    parser.add_argument("--drawn", type=int, help="draw so many blindly instead of the lists")
+    parser.add_argument("--seed", type=int, default=0, help="of the sample or of the drawn bugs")
     parser.add_argument("--jobs", type=int, default=2, help="copies of the repository at work")
     parser.add_argument(
         "--no-baseline", action="store_true", help="do not run the tests without a bug first"
@@ -270,7 +278,8 @@ def main() -> None:
                           f" ({ended.seconds:.0f} s)", flush=True)  # fmt: skip
 
             list(workers.map(work, range(len(bugs))))
-    sufficient = print_table([(bugs[number], results[number]) for number in sorted(results)])
+    ended_bugs = [(bugs[number], results[number]) for number in sorted(results)]
+    sufficient = print_table(ended_bugs, drawn=arguments.drawn is not None)
     raise SystemExit(0 if sufficient else 1)
 
 

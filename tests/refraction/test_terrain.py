@@ -22,6 +22,7 @@ AIR = standard_atmosphere("us1976")
 TABLE = rays_by(AIR, "spherical")
 CAMERA = Camera(20_000, 20_000, 2_500.0, 2_500.0, 10_000.0, 10_000.0)  # to 76 deg off the axis
 DOWN = np.diag([1.0, -1.0, -1.0])
+TO_THE_EAST = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 TO_GEODETIC = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)
 STEP = 1.0 / 1200.0  # 3 arcsec
@@ -246,8 +247,7 @@ def test_a_ray_that_rises_beside_the_terrain_comes_to_an_end():
     lat = np.full(3, 46.3)
     lon = np.array([7.9, 8.6, 8.2])
     height = np.full(3, 2500.0)
-    to_the_east = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    exposures = exposures_at(lat, height, np.tile(to_the_east, (3, 1, 1)))
+    exposures = exposures_at(lat, height, np.tile(TO_THE_EAST, (3, 1, 1)))
     x = np.full(3, CAMERA.cx_px)
     y = np.full(3, CAMERA.cy_px - CAMERA.fy_px * np.tan(np.radians(5.0)))
     found = terrain_heights(
@@ -262,3 +262,30 @@ def test_a_ray_that_rises_beside_the_terrain_comes_to_an_end():
     )
     assert found.status.tolist() == [NO_GROUND] * 3
     assert np.isnan(found.h_m).all()
+
+
+def test_nearly_level_rays_reach_high_ground_where_an_integrated_ray_does():
+    """From 6500 m onto a plateau at 4000 m, 81 to 87 degrees off the nadir: 16 to 51 km away."""
+    down = np.radians([9.0, 6.0, 3.0])
+    corner = (46.5 + 30 * STEP, 8.0 - 30 * STEP)
+    plateau = ArrayTerrain(np.full((60, 900), 4_000.0, np.float32), *corner, STEP, STEP)
+    lat = np.full(3, 46.5)
+    lon = np.full(3, 8.0)
+    height = np.full(3, 6_500.0)
+    direction = np.stack([np.cos(down), np.zeros(3), -np.sin(down)], axis=1)
+    truth = marched(plateau, lat, lon, height, direction, step=500.0, fine=5)
+    start = np.stack(TO_ECEF.transform(lon, lat, height), axis=1)
+    end = np.stack(TO_ECEF.transform(*truth.T), axis=1)
+    found = terrain_heights(
+        np.full(3, CAMERA.cx_px),
+        CAMERA.cy_px + CAMERA.fy_px * np.tan(down),
+        np.arange(3),
+        exposures_at(lat, height, np.tile(TO_THE_EAST, (3, 1, 1))),
+        (np.radians(lat), np.radians(lon)),
+        camera=CAMERA,
+        table=TABLE,
+        terrain=plateau,
+    )
+    assert (found.status == OK).all()
+    distance_m = np.linalg.norm(end - start, axis=1)
+    np.testing.assert_allclose(found.distance_m, distance_m, rtol=0.0, atol=0.01)

@@ -28,7 +28,13 @@ from unbend.stages.multi_image.messages import ties_contradict
 from unbend.stages.plausibility.causes import cause_of_outside
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.findings import hold_back_ties
-from unbend.stages.plausibility.rules import RULES, air_of_flight, distortion, field_of_view
+from unbend.stages.plausibility.rules import (
+    RULES,
+    air_of_flight,
+    distortion,
+    field_of_view,
+    median_distance_km,
+)
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -489,3 +495,23 @@ def test_odds_beyond_a_million_are_practically_certain(decades, says):
     )  # fmt: skip
     assert says in found.what
     assert ("10^" in found.what) == (decades <= 6.0)
+
+
+@pytest.mark.parametrize(
+    ("lat_deg", "north_deg", "east_deg", "km"),
+    [
+        (60.0, 0.0, 0.1, 5.56),  # a degree of longitude is half as long as on the equator
+        (60.0, 0.1, 0.0, 11.12),
+        (0.0, 0.3, 0.4, 55.6),
+        (60.0, 0.0, -359.9, 5.56),  # across the 180th meridian
+    ],
+)
+def test_the_distance_from_the_takeoff_is_that_over_ground(lat_deg, north_deg, east_deg, km):
+    takeoff = SimpleNamespace(lat_rad=math.radians(lat_deg), lon_rad=3.1)
+    stations = SimpleNamespace(
+        ok=np.array([True, True, False]),
+        lat_rad=takeoff.lat_rad + np.radians([north_deg, north_deg, 20.0]),
+        lon_rad=takeoff.lon_rad + np.radians([east_deg, east_deg, 20.0]),
+    )
+    found_km = median_distance_km(SimpleNamespace(stations=stations), takeoff)
+    assert found_km == pytest.approx(km, rel=0.002)

@@ -16,6 +16,7 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.ageing import (
     FlightPath,
     SampleAges,
+    change_of_vapour,
     change_parts,
     covariance_with_ageing,
     sample_ages,
@@ -160,3 +161,16 @@ def test_what_is_near_in_distance_is_as_fresh_as_half_an_hour():
         samples = AirSamples(temperature=sensor)
         (ages,) = sample_ages(samples, [int(25 * minute)], 500.0, 2400.0, path)
         assert ages.is_fresh is is_fresh
+
+
+def test_humidity_changes_by_a_tenth_within_four_hours_and_then_no_more():
+    """0.1 sqrt(age / 4 h) of e_s/p; 36 km are as an hour. e_s(290 K) is 19.2 hPa (Sonntag 1990)."""
+    moist = certain([0.0, 8000.0]).profile
+    moist = replace(moist, layers=replace(moist.layers, vapour=np.array([0.0, 0.05])))
+    heights = np.array([0.0, 8000.0])
+    share_of_age = {0.0: 0.0, 1.0: 0.5, 2.25: 0.75, 4.0: 1.0, 9.0: 1.0}
+    for hours, share in share_of_age.items():
+        change = change_of_vapour(moist, SampleAges(heights, np.full(2, hours)))
+        assert change[0] == pytest.approx(0.1 * share * 1920.0 / 8e4, rel=0.01)
+    far = change_of_vapour(moist, SampleAges(heights, np.zeros(2), np.full(2, 36e3)))
+    assert far[0] == pytest.approx(0.05 * 1920.0 / 8e4, rel=0.01)

@@ -12,6 +12,7 @@ from tests.model_files import PRESSURE_LEVELS
 from unbend.atmosphere.soundings.model_column import model_column
 from unbend.atmosphere.soundings.model_field import ModelField, checked_field
 from unbend.atmosphere.soundings.model_levels import half_levels, level_coefficients
+from unbend.errors import InputError
 
 # "L137 model level definitions", ECMWF: pressures of the half levels 1 to 137 [hPa] over a surface
 # of 1013.25 hPa.
@@ -121,3 +122,61 @@ def test_real_columns_on_coarse_and_model_levels_are_air(flights):
             _, more = model_column(checked, (0.0, 0.0, 0), ground_h_m=float(lowest))
             assert {entry.code for entry in (*notes, *more)} <= {
                 "MODEL-UNDERGROUND", "MODEL-EXTENDED"}, (balloon.name, kind)  # fmt: skip
+
+
+def field_over(latitude_deg: list[float], longitude_deg: list[float]) -> ModelField:
+    """Fields of one time and level over nodes [deg]; their values do not matter."""
+    shape = (1, 1, len(latitude_deg), len(longitude_deg))
+    return ModelField(
+        "era5.nc",
+        np.zeros(1, np.int64),
+        np.radians(latitude_deg),
+        np.radians(longitude_deg),
+        np.array([85_000.0]),
+        np.full(shape, 280.0),
+        np.full(shape, 0.005),
+    )
+
+
+NODES_DEG = [46.0, 46.25, 46.5, 46.75, 47.0]
+
+
+@pytest.mark.parametrize(
+    ("north", "east", "away_km"),
+    [
+        (47.5, 8.5, 55.6),  # half a degree of 111.19 km
+        (45.5, 8.5, 55.6),
+        (46.5, 10.0, 76.5),  # one degree of longitude, cos(46.5 deg)
+        (46.5, 7.0, 76.5),
+        (47.5, 10.0, 93.4),
+    ],
+)
+def test_places_beside_a_models_nodes_are_refused_with_their_distance(north, east, away_km):
+    field = field_over(NODES_DEG, [8.0, 8.25, 8.5, 8.75, 9.0])
+    inside = np.radians([46.0, 47.0, 46.1]), np.radians([8.0, 9.0, 8.99])
+    field.refuse_outside(*inside)
+    latitude = np.append(inside[0], np.radians(north))
+    longitude = np.append(inside[1], np.radians(east))
+    with pytest.raises(InputError) as refused:
+        field.refuse_outside(latitude, longitude)
+    assert refused.value.values == pytest.approx(
+        {
+            "north": north,
+            "east": east,
+            "away_km": away_km,
+            "south_node": 46.0,
+            "north_node": 47.0,
+            "west_node": 8.0,
+            "east_node": 9.0,
+        },
+        rel=1e-3,
+    )
+
+
+def test_a_hole_between_nodes_is_outside():
+    """The nodes at 46.5 and 46.75 deg are missing: of three steps the middle is no neighbour."""
+    field = field_over([45.75, 46.0, 46.25, 47.0, 47.25], [8.0, 8.25, 8.5])
+    with pytest.raises(InputError) as refused:
+        field.refuse_outside(np.radians([46.5]), np.radians([8.1]))
+    assert refused.value.values["away_km"] == pytest.approx(27.8, rel=1e-3)
+    field_over(NODES_DEG, [8.0, 8.3, 8.6]).refuse_outside(np.radians([46.5]), np.radians([8.1]))

@@ -9,7 +9,7 @@ import random
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
@@ -220,3 +220,48 @@ def test_what_lies_in_an_attempt_and_belongs_to_no_run(s3_place, tmp_path):
         "observations/part-00001.parquet: belongs to no run"
     ]
     assert isinstance(extra, Place)
+
+
+class DatedPlace:
+    """A store in memory: objects with the minutes since they were written."""
+
+    def __init__(self, minutes: dict[str, float]) -> None:
+        self.minutes = minutes
+
+    def __str__(self) -> str:
+        return "s3://bucket"
+
+    def __truediv__(self, name: str) -> DatedPlace:
+        return self
+
+    def read(self) -> tuple[None, None]:
+        """No manifest is published here."""
+        return None, None
+
+    def objects(self) -> dict[str, dict[str, datetime]]:
+        now = datetime.now(UTC)
+        return {
+            name: {"last_modified": now - timedelta(minutes=minutes)}
+            for name, minutes in self.minutes.items()
+        }
+
+    def remove(self, names) -> None:
+        for name in names:
+            del self.minutes[name]
+
+
+def test_leftovers_of_the_last_hour_stay_because_their_run_may_go_on():
+    attempts = [digit * 32 for digit in "abc"]
+    at = DatedPlace(
+        {
+            f"attempts/{attempts[0]}/stations.parquet": 59.0,
+            f"attempts/{attempts[1]}/stations.parquet": 61.0,
+            # the newest object of an attempt counts
+            f"attempts/{attempts[2]}/stations.parquet": 300.0,
+            f"attempts/{attempts[2]}/report.html": 2.0,
+        }
+    )
+    assert remove_leftovers(at) == ([f"s3://bucket/attempts/{attempts[1]}/"], 2)
+    assert len(at.minutes) == 3
+    assert remove_leftovers(at, recent=True)[1] == 0
+    assert at.minutes == {}

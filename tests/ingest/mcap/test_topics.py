@@ -14,7 +14,7 @@ import pytest
 from unbend.errors import LogError
 from unbend.ingest import Log, open_log
 from unbend.ingest.mcap.cdr import decode_plan
-from unbend.ingest.mcap.ros2_definitions import SchemaError, steps_of
+from unbend.ingest.mcap.ros2_definitions import KINDS, SchemaError, steps_of
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND
@@ -318,3 +318,26 @@ def test_stamps_are_compared_with_the_recorders_clock(
 ) -> None:
     log = stamped(tmp_path / "a.mcap", START - early_s * SECOND, START)
     assert [kind for kind, _, _ in entries(log, "TIME-SOURCES")] == expected
+
+
+def test_each_kind_is_read_as_ros_2_stores_it(tmp_path: Path) -> None:
+    """Values of which the size, the sign and the point count: by hand, little endian."""
+    stored = {
+        "bool": ("01", 1),
+        "byte": ("f0", 240),
+        "char": ("f0", -16),
+        "int8": ("f0", -16),
+        "uint8": ("f0", 240),
+        "int16": ("feff", -2),
+        "uint16": ("feff", 65534),
+        "int32": ("feffffff", -2),
+        "uint32": ("feffffff", 4294967294),
+        "int64": ("feffffffffffffff", -2),
+        "uint64": ("feffffffffffffff", 18446744073709551614),
+        "float32": ("0000c0bf", -1.5),
+        "float64": ("000000000000f8bf", -1.5),
+    }
+    assert set(stored) == set(KINDS)
+    for kind, (content, value) in stored.items():
+        (number,) = np.frombuffer(bytes.fromhex(content), np.dtype(KINDS[kind]).newbyteorder("<"))
+        assert number == value, kind

@@ -1,0 +1,94 @@
+"""Each message and refusal carries the values that it is given, each under its own name.
+
+The functions of every `messages.py` are called with values of which no two are equal: one that
+stands under the name of another, or in another unit, is noticed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import unbend
+from unbend.errors import UnbendError
+from unbend.messages import Message
+
+PACKAGE = Path(unbend.__file__).parent
+MODULES = [
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    for path in sorted(PACKAGE.rglob("messages.py"))
+]
+
+
+def makers(module_name: str) -> Iterator[Callable[..., Any]]:
+    """The functions of a module that make messages and refusals."""
+    module = importlib.import_module(module_name)
+    for name, function in vars(module).items():
+        is_defined_there = getattr(function, "__module__", "") == module_name
+        if inspect.isfunction(function) and is_defined_there and not name.startswith("_"):
+            yield function
+
+
+MAKERS = [maker for name in MODULES for maker in makers(name)]
+
+
+def distinct_arguments(maker: Callable[..., Any]) -> dict[str, Any] | None:
+    """A value for each argument by its annotation, no two alike; None where one is an object."""
+    numbers = itertools.count(3)
+    arguments: dict[str, Any] = {}
+    for name, parameter in inspect.signature(maker, eval_str=True).parameters.items():
+        kind = parameter.annotation
+        if kind is bool:
+            arguments[name] = False
+        elif kind is int:
+            arguments[name] = next(numbers)
+        elif kind is float:
+            arguments[name] = next(numbers) + 0.25
+        elif kind == tuple[float, float]:
+            arguments[name] = (next(numbers) + 0.25, next(numbers) + 0.25)
+        elif kind is Path:
+            arguments[name] = Path(f"the {name}")
+        elif kind in (str, object, Path | str, str | None):
+            arguments[name] = f"the {name}"
+        else:
+            return None
+    return arguments
+
+
+def values_of(made: Message | UnbendError) -> Mapping[str, Any]:
+    """What a message carries; its count only where it has one."""
+    counted = {"count": made.count} if made.count else {}
+    return {"where": made.where, **counted, **made.values}
+
+
+def test_most_messages_are_tried_here() -> None:
+    tried = [maker for maker in MAKERS if distinct_arguments(maker) is not None]
+    assert len(tried) > 0.8 * len(MAKERS)
+
+
+@pytest.mark.parametrize("maker", MAKERS, ids=lambda maker: f"{maker.__module__}.{maker.__name__}")
+def test_a_message_carries_each_value_under_its_own_name(maker: Callable[..., Any]) -> None:
+    arguments = distinct_arguments(maker)
+    if arguments is None or maker.__name__ == "ties_contradict":  # it looks up a code
+        return
+    made = maker(**arguments)
+    if not isinstance(made, (Message, UnbendError)):
+        return
+    carried = values_of(made)
+    for name, given in arguments.items():
+        value = carried.get(name)
+        if isinstance(given, str | Path) and name in carried:
+            assert str(given) in str(value), name
+        elif isinstance(given, int | float) and isinstance(value, int | float):
+            assert math.isclose(value, given), name
+        elif isinstance(given, tuple) and name not in carried:
+            # Its two numbers have names of their own, or stand together in a text.
+            numbers = [number for number in carried.values() if number in given]
+            assert numbers in ([], [*given]), name
