@@ -133,7 +133,7 @@ def test_a_frame_that_nothing_confirms_says_so():
     nothing = np.full((24, 3), np.nan)
     told = codes(block(), nothing)
     assert [*told] == ["FRAME-UNVERIFIED"]
-    assert "lie within 968 m, 853 to 853 m" in told["FRAME-UNVERIFIED"]
+    assert "are within 968 m, 853 to 853 m" in told["FRAME-UNVERIFIED"]
     assert codes(block(), nothing, must_be_tested=False) == {}
     few = noisy(block(), 7)
     few[3:] = np.nan
@@ -164,7 +164,7 @@ def test_positions_belong_to_images_by_name():
         ({"turn_rad": 0.01, "extent_m": 390.0}, []),
         ({"turn_rad": 0.01, "extent_m": 410.0}, ["it is turned by 0.57 deg about the vertical"]),
         ({"scale": 1.0049}, []),
-        ({"scale": 0.9949}, ["its lengths are to be multiplied by 0.9949"]),
+        ({"scale": 0.9949}, ["its lengths must be multiplied by 0.9949"]),
         ({"scale": 1.1, "sigma_turn": 0.019}, []),
         # a tilt likewise, and 5 m in height
         ({"tilt_rad": np.radians(0.29)}, []),

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from unbend.report.terminal import print_metars, print_model, print_sounding
+from unbend.report.inspected_weather import print_metars, print_model, print_sounding
 
 MODEL: dict[str, Any] = {
     "format": "netCDF",

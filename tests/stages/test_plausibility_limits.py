@@ -122,9 +122,9 @@ def test_the_elevation_model_lies_near_the_takeoff(model_m, stands, off_m):
         (-449.5, 0.45, 450.0, "km"),
         (-400.0, 35.0, 400.0, "heights above the take-off (ground.reference: relative)"),
         (400.0, 850.0, 400.0, "heights above sea level, not relative ones (ground.reference)"),
-        (400.0, 3000.0, 190.0, "another height, datum or unit than that of ground.height"),
+        (400.0, 3000.0, 190.0, "a wrong height, datum or unit in ground.height"),
         (400.0, 3000.0, 210.0, "heights above sea level, not relative ones (ground.reference)"),
-        (-400.0, 0.0, 400.0, "another height, datum or unit than that of ground.height"),
+        (-400.0, 0.0, 400.0, "a wrong height, datum or unit in ground.height"),
     ],
 )
 def test_the_reading_that_explains_a_difference_best_is_likely(off_m, ground_m, takeoff_m, reading):

@@ -109,7 +109,7 @@ def test_every_source_is_named_with_why_it_is_not_used():
     assert "sounding A" not in used  # its fit says how it is used
     assert used["surface report"] == "none in the mission file"
     assert used["climate (47 N, June)"] == ""
-    assert used["us1976"] == "only shown beside the air"
+    assert used["us1976"] == "only shown for comparison"
     assert [why for name, why in used.items() if "BARO[0]" in name] == ["it leaps"]
     assert not any("IMET[0]" in name for name in used)
 
