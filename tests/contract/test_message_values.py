@@ -18,7 +18,7 @@ import pytest
 
 import unbend
 from unbend.errors import UnbendError
-from unbend.messages import Message
+from unbend.messages import Kind, Message
 
 PACKAGE = Path(unbend.__file__).parent
 MODULES = [
@@ -47,6 +47,8 @@ def distinct_arguments(maker: Callable[..., Any]) -> dict[str, Any] | None:
         kind = parameter.annotation
         if kind is bool:
             arguments[name] = False
+        elif kind is Kind:
+            arguments[name] = Kind.WARNING
         elif kind is int:
             arguments[name] = next(numbers)
         elif kind is float:
@@ -81,6 +83,9 @@ def test_a_message_carries_each_value_under_its_own_name(maker: Callable[..., An
     made = maker(**arguments)
     if not isinstance(made, (Message, UnbendError)):
         return
+    if isinstance(made, Message):
+        assert isinstance(made.kind, Kind)
+        assert Kind.WARNING not in arguments.values() or made.kind is Kind.WARNING
     carried = values_of(made)
     for name, given in arguments.items():
         value = carried.get(name)

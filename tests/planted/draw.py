@@ -30,6 +30,7 @@ ROOT = HERE.parents[1]
 PACKAGE = ROOT / "pipeline" / "unbend"
 TOP_LEVEL = {"library": "library"}  # modules outside rooms; all others belong to `base`
 NEAREST_FILES = 6  # test files that run before the others of the room
+TESTS_OF_MESSAGES = "tests/contract/test_message_values.py"  # of every messages.py
 LIKELY = 1.7  # score of a test file: more than a similar name in the same room
 
 
@@ -82,6 +83,7 @@ def nearest_tests(source: Source, line: int) -> tuple[str, ...]:
         score += 2.0 * (Path(name).stem == f"test_{stem}")
         score += 1.5 * (function in words)
         score += min(1.5, 0.5 * len(words.intersection(offered)))
+        score += 9.0 * (stem == "messages" and name == TESTS_OF_MESSAGES)
         scores[name] = score + 0.5 * name.startswith(f"tests/{room_of(module)}/")
     likeliest = sorted(scores, key=lambda name: -scores[name])
     likely = [name for name in likeliest if scores[name] >= LIKELY]

@@ -65,7 +65,21 @@ def test_a_fisheye_to_85_degrees():
     np.testing.assert_allclose(found[:, inside], direction[:, inside], rtol=0.0, atol=2e-14)
 
 
-@pytest.mark.parametrize("parameters", [case[1] for case in CASES])
+# Every coefficient of a calibration report; a correction, which is inverted, has no denominator.
+REPORT = {
+    "k0": 0.01, "k1": 0.02, "k2": -0.015, "k3": 0.006, "k4": 0.003, "px": 3e-4, "py": -5e-4,
+    "offset_u": 0.002, "offset_v": -0.003,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        *(case[1] for case in CASES),
+        GeneralFrame(**REPORT, q1=0.01, q2=-0.004, q3=0.002),
+        GeneralFrame(**REPORT, sense=-1.0, steps=60.0),
+    ],
+)
 def test_slopes_are_the_derivatives(parameters):
     model = next(m for m in DISTORTION_MODELS.values() if m.Parameters is type(parameters))
     rng, step = np.random.default_rng(4), 1e-6
