@@ -5,10 +5,12 @@ lock is never released, and the threads that need it wait for ever. So signals a
 threads are waited for.
 
 The exception may also be raised inside a library that makes an error of its own of it, as pydantic
-does where it builds a schema. So the signal is remembered.
+does where it builds a schema, or inside a callback or destructor, where Python ignores exceptions.
+So the signal is remembered, and sent again where its exception was ignored.
 """
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +19,9 @@ from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """Signals by which a person or a batch system ends a command."""
+
+AGAIN_S = 0.05
+"""After so many seconds a signal is sent again; the callback that ignored it has returned then."""
 
 _exit_codes_of_signals: list[int] = []
 
@@ -32,6 +37,24 @@ def ignore_further_signals() -> None:
     """Let the shutdown finish. SIG_IGN would print a warning if a signal is already pending."""
     for number in SIGNALS:
         signal.signal(number, lambda *_: None)
+
+
+def send_again_if_ignored(unraisable: "sys.UnraisableHookArgs") -> None:
+    """The hook of Python for exceptions that it ignores: that of a signal is not to be lost."""
+    if not _exit_codes_of_signals or not isinstance(unraisable.exc_value, SystemExit):
+        sys.__unraisablehook__(unraisable)
+        return
+    exit_code = _exit_codes_of_signals[0]
+    signal.signal(signal.SIGTERM, lambda *_: end_process(exit_code))
+    threading.Timer(AGAIN_S, _signal_main_thread).start()
+
+
+def _signal_main_thread() -> None:
+    """Send SIGTERM to the main thread, which may wait outside Python."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+    else:  # Windows
+        signal.raise_signal(signal.SIGTERM)
 
 
 def raise_if_ended_by_signal() -> None:

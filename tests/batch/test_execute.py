@@ -81,7 +81,7 @@ def test_what_is_no_shard_is_refused(unbend, tmp_path):
     for shard in ("3/3", "1", "-1/3", "a/b", "1/0", "0/", "1.0/3", "4/3"):
         ended = unbend("run", tmp_path / "none.yaml", f"--shard={shard}")
         assert ended.code == 2, shard
-        assert f"RUN-SHARD: {shard} is no part" in ended.err
+        assert f"RUN-SHARD: {shard} is not a part" in ended.err
     ended = unbend("run", tmp_path / "none.yaml", "--shard", "1/2", "--json")
     assert (ended.code, ended.out, ended.err) == (0, "[]\n", "")
 

@@ -335,7 +335,7 @@ def test_another_model_and_swapped_coordinates_are_refused():
         fitted_frame(images.image, xyz, images.image, known[::-1])
     with pytest.raises(MissionError, match="ORIENTATION-FIT") as refusal:
         fitted_frame(images.image, xyz, images.image, known[:, [1, 0, 2]])
-    assert "swapped" in refusal.value.remedy
+    assert "latitude and longitude exchanged" in refusal.value.remedy
 
 
 def test_a_topocentric_frame_is_that_of_its_origin():

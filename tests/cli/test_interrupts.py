@@ -354,6 +354,36 @@ def test_a_signal_that_a_library_wraps_is_no_bug(mission, mission_factory, tmp_p
     assert not (other.output / "manifest.json").exists()
 
 
+# A destructor, in which Python ignores every exception.
+IGNORED = """
+import signal, sys, time
+from unbend.batch import runs
+number = int(sys.argv[1])
+class Ignoring:
+    def __del__(self):
+        signal.raise_signal(number)
+def write_report(*args, **kwargs):
+    Ignoring()
+    time.sleep(600)
+runs.write_report = write_report
+sys.argv = ["unbend", "run", sys.argv[2]]
+from unbend.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_whose_exception_is_ignored_is_sent_again(mission, number):
+    done = subprocess.run(
+        [sys.executable, "-c", HEARING + IGNORED, str(int(number)), str(mission.save())],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+    )
+    assert done.returncode == CODES[number], done.stderr
+    assert "Traceback" not in done.stderr
+
+
 @pytest.mark.parametrize("draw", range(SIGNALS))
 def test_a_signal_at_any_time_leaves_what_a_rerun_completes(mission, baseline, draw):
     chance = random.Random(f"{SEED} {draw}")

@@ -94,7 +94,7 @@ def test_the_ground_has_no_default_but_for_distances():
         given = GroundSection.model_validate({"height": height, "reference": "relative"})
         assert given.constant_m == height
     for height in (-600.1, 10_000.1):
-        with pytest.raises(ValueError, match="no ground height"):
+        with pytest.raises(ValueError, match="is not a ground height"):
             GroundSection.model_validate({"height": height, "reference": "msl"})
 
 

@@ -296,7 +296,7 @@ def test_another_file_in_the_place_of_a_mission_file_is_named(tmp_path):
         "t.csv": (b"image,point,x,y\n1,2,3,4\n", "a table of text"),
         "a.jpg": (b"\xff\xd8\xff\xe0\x00", "an image (JPEG)"),
         "a.db": (b"SQLite format 3\x00", "a database"),
-        "a.dat": (bytes(range(256)), "no text in UTF-8"),
+        "a.dat": (bytes(range(256)), "not text in UTF-8"),
         "a.html": (b"<!DOCTYPE html><html></html>", "a web page"),
         "a.xml": (b"<?xml version='1.0'?><document/>", "XML"),
         "mission.schema.json": (b'{"$schema": "x", "properties": {}}', "the JSON schema"),

@@ -37,9 +37,12 @@ def words_of_remedies() -> dict[str, set[str]]:
 
 
 def keys_of_mission_files(schema: object) -> set[str]:
+    """All keys, and the words that are values of keys, such as ``from_feedback``."""
     if isinstance(schema, dict):
         nested = (keys_of_mission_files(value) for value in schema.values())
-        return set(schema.get("properties", {})).union(*nested)
+        values = [*schema.get("enum", []), schema.get("const")]
+        words = {value for value in values if isinstance(value, str)}
+        return words.union(schema.get("properties", {}), *nested)
     if isinstance(schema, list):
         return set().union(*(keys_of_mission_files(value) for value in schema))
     return set()

@@ -238,8 +238,9 @@ def write_small_model(folder: Path) -> None:
     [("images.txt", 5, "1e308", "has a coordinate of"), ("points3D.txt", 1, "1e308", "'1' has a"),
      ("points3D.txt", 1, "inf", "'1' has a coordinate of inf"),
      ("cameras.txt", 2, "1e400", "not as that program writes it"),
-     ("cameras.txt", 2, str(2**64), "is no camera"), ("cameras.txt", 4, "1e308", "is no camera"),
-     ("cameras.txt", 4, "-3000", "is no camera")],
+     ("cameras.txt", 2, str(2**64), "is not a possible camera"),
+     ("cameras.txt", 4, "1e308", "is not a possible camera"),
+     ("cameras.txt", 4, "-3000", "is not a possible camera")],
 )  # fmt: skip
 def test_a_number_of_a_block_that_cannot_be_is_refused(
     tmp_path: Path, name: str, field: int, word: str, text: str
@@ -392,8 +393,8 @@ output: {path: out}
      ("max_sigma_height_m: 2.5", "max_sigma_height_m: " + "9" * 400, "stations.max_sigma_height_m"),
      ("200.0, ref", ".nan, ref", "ground.height"),
      ("width_px: 100", f"width_px: {2**64}", "width_px"),
-     ("2026-05-14T10:20:00Z", "9999-12-31T23:59:59Z", "time_utc: is no time"),
-     ("2026-05-14T10:20:00Z", "0001-01-01T00:00:00+23:59", "time_utc: is no time"),
+     ("2026-05-14T10:20:00Z", "9999-12-31T23:59:59Z", "time_utc: is not a time"),
+     ("2026-05-14T10:20:00Z", "0001-01-01T00:00:00+23:59", "time_utc: is not a time"),
      ("path: o.csv", "path: " + "o" * 300 + ".csv",
       "observations.path: is longer than a path can be")],
 )  # fmt: skip

@@ -145,7 +145,7 @@ def test_a_log_without_a_receiver_is_left_alone() -> None:
 
 @pytest.mark.parametrize(
     ("clock_s", "sigma_s", "words"),
-    [(5.0, 5.0, "good to 5.0 s"), (float("nan"), float("nan"), "UTC is unknown")],
+    [(5.0, 5.0, "accurate to 5.0 s"), (float("nan"), float("nan"), "UTC is unknown")],
 )
 def test_utc_of_another_clock_is_not_as_good_as_the_delay(clock_s, sigma_s, words) -> None:
     ledger = Ledger()

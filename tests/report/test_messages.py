@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 
-from unbend.report import message_tables
+from unbend.report import message_csv
 from unbend.report.message_csv import field_rows, write_messages_csv
 
 COLUMNS = {
@@ -25,7 +25,7 @@ def test_every_cell_of_the_csv(monkeypatch):
         ",0.1,,6,5\n"  # a time that counts from a boot
     )
     for block in (8192, 2):
-        monkeypatch.setattr(message_tables, "BLOCK", block)
+        monkeypatch.setattr(message_csv, "BLOCK", block)
         stream = io.StringIO()
         write_messages_csv(stream, COLUMNS)
         assert stream.getvalue() == expected

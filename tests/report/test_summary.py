@@ -64,7 +64,7 @@ def test_the_report_of_a_run_holds_these_lines(baseline):
     assert heights["deflection"]["north_arcsec"] == pytest.approx(NORTH_ARCSEC, abs=0.2)
     assert heights["deflection"]["east_arcsec"] == pytest.approx(EAST_ARCSEC, abs=0.2)
     size = np.hypot(NORTH_ARCSEC, EAST_ARCSEC)
-    assert f"leans {size:.0f}" in " ".join(lines)
+    assert f"deviates by {size:.0f}" in " ".join(lines)
     assert heights["undulation"] == {
         "source": "mission.undulation_m", "min_m": 47.6, "max_m": 47.6
     }  # fmt: skip

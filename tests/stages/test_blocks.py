@@ -208,7 +208,7 @@ def opensfm(block, by_log, points, *, altitude_m: float) -> None:
 def test_a_project_of_opensfm(block, by_log, points, heights):
     """Its frame is reference_lla's; whether its altitudes are above the sea has to be said."""
     opensfm(block, by_log, points, altitude_m=500.0)
-    refused(block, "CONFIG-INVALID", "give heights, msl or ellipsoid")
+    refused(block, "CONFIG-INVALID", "give heights (msl or ellipsoid)")
     if heights == "msl":  # altitudes above the sea: the same block, as OpenSfM would have it
         lla = block.folder / "opensfm" / "reference_lla.json"
         lla.write_text(lla.read_text().replace("500.0", "452.4"))

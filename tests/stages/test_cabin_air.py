@@ -157,7 +157,7 @@ def test_a_board_is_warmer_than_the_air():
     at = stations(6000.0, cabin_pressure_pa=80_000.0, cabin_temperature_k=315.0)
     at, (entry,) = cabin_from_log(at, "cam", Cabin("log"), (BARO,), {"cabin_temperature": BARO})
     assert (entry.kind, entry.code) == ("fallback", "CABIN-BOARD")
-    assert "BARO[1], less 10 +- 6 K" in entry.what
+    assert "BARO[1], minus 10 +- 6 K" in entry.what
     found, _ = filled(at, Cabin("log"))
     assert (found.cabin_temperature_k[0], found.sigma_cabin_temperature_k[0]) == (305.0, 6.0)
 

@@ -227,7 +227,7 @@ def test_another_reading_of_the_table_fits(surveyed, spoil, words):
 ], ids=["elsewhere", "names"])  # fmt: skip
 def test_control_that_fits_in_no_reading(surveyed, spoil):
     surveyed.state(spoil(surveyed.table))
-    assert "of other names" in surveyed.told("CONTROL-FAR")["what"]
+    assert "wrong names of points" in surveyed.told("CONTROL-FAR")["what"]
 
 
 def test_exchanged_axes_of_a_grid_are_refused(surveyed):

@@ -132,7 +132,6 @@ def test_feet_and_undeclared_holes(mission, modelled, given):
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param(lambda z: z / 0.3048, id="feet that are not declared"),
         pytest.param(lambda z: np.clip(z, 0, 255), id="a hillshade"),
         pytest.param(lambda z: z + 60.0, id="another zero"),
         pytest.param(
@@ -148,6 +147,15 @@ def test_tie_points_contradict_a_model_of_other_heights(mission, modelled, chang
     modelled(change=change)
     manifest, _ = ran(mission, 3)
     assert entry(manifest, "TIES-HEIGHT")["kind"] == "finding"
+
+
+def test_a_model_in_feet_is_too_far_from_the_take_off(mission, modelled):
+    """What tie points find follows from it, and is held back."""
+    modelled(change=lambda z: z / 0.3048)
+    manifest, _ = ran(mission, 3)
+    assert entry(manifest, "PLAUSIBLE-GROUND")["kind"] == "finding"
+    assert "likely feet" in entry(manifest, "PLAUSIBLE-GROUND")["what"]
+    assert "TIES-HEIGHT" in entry(manifest, "TIES-HELD-BACK")["what"]
 
 
 @pytest.mark.parametrize("known", ["nothing", "tie points", "take-off", "no model"])
@@ -313,6 +321,6 @@ def test_a_model_of_another_datum_is_found_at_the_take_off(mission, modelled, mo
     assert len(found) == (add_m > 0.0)
     for each in found:
         assert each["kind"] == "finding"
-        assert "lies 510 m above sea level" in each["what"]
+        assert "is 510 m above sea level" in each["what"]
         assert "by the elevation model where the log begins" in each["what"]
         assert "ground.height" in each["where"]

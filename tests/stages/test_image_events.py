@@ -173,7 +173,8 @@ def test_tie_points_find_the_five_exposures_without_an_image(survey, extension, 
     assert "IMG_0001.tif of event 6" in entry.what
     (entry,) = entries(prepared, "EVENTS-UNUSED")
     assert "5 events have no image: 1, 2, 3, 4, 5" in entry.what
-    assert not prepared.ledger.has_losses
+    losses = {entry.code for entry in prepared.ledger if entry.kind == "loss"}
+    assert losses <= {"LOG-DROPOUT"}  # the logger's own count in one of the logs
 
 
 @pytest.mark.parametrize("pattern", ["IMG_{n:04d}.tif", "*"])

@@ -250,7 +250,7 @@ def test_what_is_no_table_and_no_air(flight):
         simple(flight, observations={"image": ["a"]})
     with pytest.raises(TypeError, match="atmosphere: tables in memory replace"):
         simple(flight, atmosphere={"standard": "icao"})
-    with pytest.raises(TypeError, match="none of DataFrame"):
+    with pytest.raises(TypeError, match="cannot be a DataFrame"):
         quiet(flight, profile=profile.to_pandas())
     series = constant_series(TimedProfile(None, standard_atmosphere("us1976")), 3)
     with pytest.raises(ValueError, match="those of 3 stations"):

@@ -121,7 +121,7 @@ def test_millimetres_of_a_camera_without_report_are_named(tmp_path):
 
 def test_pixels_that_are_taken_for_millimetres_are_named(tmp_path):
     stated = mission("mm")
-    with pytest.raises(InputError, match=r"taken for mm, .* lie outside the image"):
+    with pytest.raises(InputError, match=r"read in mm, .* are outside the image"):
         refuse_other_unit(stated, opened(tmp_path, stated, spread(0.9)))
 
 

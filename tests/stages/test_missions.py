@@ -131,11 +131,11 @@ def test_a_grid_of_the_mission_file_and_its_mistakes(mission_factory, tmp_path):
     assert "other sign" in entry_of(ran(mission, 3), "HEIGHT-GEOID")["what"]
     grid(49.0, 47.5)
     manifest = ran(mission, 3)
-    assert "6 of 6 stations lie outside national.gtx" in entry_of(manifest, "GEOID-OUTSIDE")["what"]
+    assert "6 of 6 stations are outside national.gtx" in entry_of(manifest, "GEOID-OUTSIDE")["what"]
     assert manifest["stations"] == {"height_reference_unknown": 6}
     both = mission_factory(tmp_path / "both", "bin")  # a log with both heights
     both.config["mission"] = {"name": "both", "geoid": str(mission.folder / "national.gtx")}
-    assert "lie outside national.gtx" in entry_of(ran(both, 3), "GEOID-OUTSIDE")["what"]
+    assert "are outside national.gtx" in entry_of(ran(both, 3), "GEOID-OUTSIDE")["what"]
     (mission.folder / "national.gtx").write_bytes(b"not a grid")
     refused_code(mission, "GEOID-GRID")
 

@@ -101,7 +101,7 @@ def test_a_table_joined_with_itself_ends_with_3(mission):
     mission.observe(pa.concat_tables([table, table]))
     ended = mission.run("--force")
     assert ended.code == 3, ended.text
-    assert f"{table.num_rows} points stand twice in an image" in " ".join(ended.text.split())
+    assert f"{table.num_rows} points occur twice in an image" in " ".join(ended.text.split())
 
 
 def test_a_lag_from_feedback_needs_triggers(mission):

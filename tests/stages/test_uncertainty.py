@@ -116,7 +116,7 @@ def test_all_three(mission):
     assert "also behind a plane window" in scale["meaning"]
     assert not unknown(manifest)
     meaning = mission.results().schema.field("sigma_air_dx_px").metadata[b"meaning"]
-    assert b"never to be added" in meaning
+    assert b"never add it to the weights" in meaning
 
 
 @pytest.mark.usefixtures("pressure_in_doubt")

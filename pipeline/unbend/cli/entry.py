@@ -17,6 +17,7 @@ from unbend.interrupts import (
     end_process,
     ignore_further_signals,
     raise_if_ended_by_signal,
+    send_again_if_ignored,
 )
 from unbend.report.words import visible
 
@@ -73,6 +74,7 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     # Python then exits with 1, EXIT_BUG.
     sys.excepthook = lambda *error: print_bug("".join(traceback.format_exception(*error)))
+    sys.unraisablehook = send_again_if_ignored
     _install_signal_handlers()
     code = EXIT_DONE
     try:

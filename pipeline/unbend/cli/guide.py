@@ -93,7 +93,7 @@ def init(
     *,
     force: Annotated[bool, Option(help="replace the file if it exists")] = False,
 ) -> None:
-    """Write a mission file from the content of a log and of observations.
+    """Write a mission file from the content of a log and observations.
 
     Open questions are TODO; `unbend check` lists them. mission.schema.json is written next to
     the file. Editors use it to complete and check keys.
@@ -127,7 +127,7 @@ def init(
 
 @command(epilog="Example: unbend warm --json")
 def warm(answer: Answer) -> None:
-    """Compile the code that runs need, in advance: about ten seconds, once.
+    """Compile the code that runs need: about ten seconds, once.
 
     For container images and for many machines. The code is stored in the folder
     NUMBA_CACHE_DIR, or in the user's cache. It is valid for this version of the program and

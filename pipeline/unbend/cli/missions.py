@@ -304,7 +304,7 @@ def stations(
         Path | None, Option(help="plot of the flight with its stations, .png or .svg")
     ] = None,
 ) -> None:
-    """Stations of a mission, the assignment of events to images, and a plot."""
+    """Stations of a mission, events assigned to images, and a plot."""
     with answer.progress(f"reading {config.name}"):
         from unbend.batch.runs import read_mission
         from unbend.report.terminal import print_stations

@@ -64,7 +64,7 @@ _REPLACED_TYPES = ("bool", "int", "float", "timestamp")
 """Scalars that YAML 1.1 reads otherwise than a mission file means them; dates stay words."""
 
 
-_OWN_WORDS = ("the key ", "a key ", "a number ", "an alias ", "aliases ", "brackets ")
+_OWN_WORDS = ("the key ", "a key ", "a number ", "an alias ", "aliases ", "too many brackets ")
 """Beginnings of the problems that `MissionLoader` and `_expanded_size` state."""
 
 _YAML_ERRORS = (

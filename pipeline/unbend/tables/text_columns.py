@@ -404,8 +404,8 @@ def require_names(
     >>> lacks = Code("A-B", means="...", effect="...", remedy="...")
     >>> require_names(lacks, Path("o.csv"), ["image", "x_pix"], [("x", "x_px", "k")])
     Traceback (most recent call last):
-    unbend.errors.InputError: A-B: there is no column 'x_px' for the x; perhaps 'x_pix'?; there \
-is image, x_pix
+    unbend.errors.InputError: A-B: there is no column 'x_px' for the x; perhaps 'x_pix'?; the \
+columns are image, x_pix
       where: o.csv
       to do: state the name of the column: k
     """

@@ -382,7 +382,7 @@ def test_qnh_taken_for_the_pressure_of_the_station(flights, ascents):
     (told,) = [e for e in ledger if e.code == "AIR-CONTRADICTED"]
     assert told.kind is Kind.FINDING
     assert "(pressure)" in told.what
-    assert "prevail" in told.what
+    assert "robust weights reduce its influence" in told.what
     assert abs(truth.error(made.profile, 3000.0)) < 2.0 * sigma_of_r(made, truth)
 
 

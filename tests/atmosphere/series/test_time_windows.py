@@ -222,9 +222,9 @@ def test_a_window_that_falls_back_is_less_certain(changing):
         assert sigma > 3.0 * of_whole
     told = [e.what for e in ledger if e.code == "AIR-WINDOW"]
     assert len(told) == len(fallen)
-    assert all(what.startswith("about 2020-") for what in told)
+    assert all(what.startswith("the air of the whole flight is used about 2020-") for what in told)
     # What a window is compared with is the whole flight; no climatology was asked.
-    held_out = [what for what in told if "held out" in what]
+    held_out = [what for what in told if "were not used in the estimate" in what]
     assert held_out
     assert all(what.endswith("K from the whole flight") for what in held_out)
     assert not any("climatology" in what for what in told)

@@ -388,7 +388,7 @@ def test_the_command_writes_the_frame_beside_the_file(unbend, baseline, tmp_path
     ("options", "code", "said"),
     [
         (("--format", "kml", "--crs", "EPSG:25832"), "EXPORT-OPTION", "opk, geopackage, points"),
-        (("--format", "colmap", "--crs", "EPSG:25832"), "EXPORT-OPTION", "frame of its own"),
+        (("--format", "colmap", "--crs", "EPSG:25832"), "EXPORT-OPTION", "has a fixed frame"),
         (("--format", "opk", "--geoid", "g.gtx"), "EXPORT-OPTION", "not given"),
         (("--format", "opk", "--crs", "EPSG:4326"), "EXPORT-CRS", "without --crs"),
         (("--format", "opk", "--crs", "EPSG:3857"), "EXPORT-CRS", "UTM zone"),

@@ -231,7 +231,7 @@ def test_a_shift_that_nothing_shows_is_a_warning(exposures, shift):
     assert np.abs(channel["h_ellipsoid_m"] - exposures.height).max() < 1e-3
     told = entries(ledger, "IMPORT-EO-HEAD")
     assert told[0].kind == "warning"
-    assert "as they stand" in told[0].what
+    assert "are read without a change" in told[0].what
 
 
 @pytest.mark.parametrize(

@@ -355,7 +355,7 @@ def test_xmp_of_a_tiff_is_read(tmp_path):
     ("xmp", "why"),
     [
         ('<!DOCTYPE x [<!ENTITY a "1">]>' + AS_ELEMENTS, "document type"),
-        (AS_ELEMENTS.replace("</rdf:RDF>", ""), "is no XML"),
+        (AS_ELEMENTS.replace("</rdf:RDF>", ""), "is not XML"),
         (
             AS_ELEMENTS.replace('xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" ', ""),
             "unbound",

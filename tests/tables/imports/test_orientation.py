@@ -164,10 +164,10 @@ def test_grads_and_columns_of_something_else(tmp_path):
 
 def test_latitude_and_longitude_swapped(tmp_path):
     text = HEAD + ROW.replace("47.5,8.5", "151.2,-33.9")
-    assert "swapped" in refused(tmp_path, text, "ORIENTATION-POSITION").what
+    assert "longitude exchanged?" in refused(tmp_path, text, "ORIENTATION-POSITION").what
     text = HEAD + ROW.replace("47.5,8.5", "5262000.0,612000.0")
     error = refused(tmp_path, text, "ORIENTATION-POSITION")
-    assert "swapped" not in error.what
+    assert "exchanged" not in error.what
     assert "projected" in error.remedy
 
 

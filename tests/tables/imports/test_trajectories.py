@@ -287,7 +287,7 @@ def test_a_cut_sbet_is_a_loss_of_its_last_row(flight):
         (lambda f, rows: np.where(np.arange(17) == 9, np.degrees(rows), rows).tobytes(),
          "IMPORT-FORMAT", "heading"),
         (lambda f, rows: (rows * np.where(np.arange(17) == 1, 1.5, 1.0)).tobytes(), "IMPORT-SPEED",
-         "other"),
+         "columns are different"),
         (lambda f, rows: np.where(np.arange(17) == 3, 1e6, rows).tobytes(), "IMPORT-FORMAT",
          "heights"),
         (lambda f, rows: np.where(np.arange(17) == 0, 7.0, rows).tobytes(), "IMPORT-FORMAT",

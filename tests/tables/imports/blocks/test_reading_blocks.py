@@ -163,7 +163,7 @@ def test_a_model_that_is_cut_anywhere_is_refused(model, name, form):
         except InputError as error:
             text = str(error)
             assert file.name in text or end == 0 or "OBS-EMPTY" in text or "CAMERA-" in text
-            assert re.search(r"cut short|line \d+|model number|OBS-EMPTY|CAMERA-", text), text
+            assert re.search(r"cut off|line \d+|model number|OBS-EMPTY|CAMERA-", text), text
         else:
             if len(names):  # in the last line, of whose end no other file knows
                 assert (name, form) in {("cameras", "txt"), ("images", "txt")}, end
@@ -198,7 +198,7 @@ def test_images_without_their_points_are_missing(model):
     file = folder / "txt" / "images.txt"
     lines = file.read_text().splitlines(keepends=True)
     file.write_text("".join(lines[:-2]))
-    assert "behind 7 of 8 records" in refusal(folder / "txt", "colmap")
+    assert "cut off after 7 of 8 records" in refusal(folder / "txt", "colmap")
 
 
 def test_other_versions_and_models(model):
@@ -227,7 +227,7 @@ def test_an_image_of_a_camera_that_a_text_has_not(model):
     row = next(k for k, line in enumerate(lines) if line.endswith("strip 2/of 1.jpg"))
     lines[row] = " ".join([*lines[row].split(" ")[:8], "9", "strip 2/of 1.jpg"])
     file.write_text("\n".join(lines) + "\n")
-    expected = f"in line {row + 1} 'strip 2/of 1.jpg' has camera 9, which is not in cameras.txt"
+    expected = f"in line {row + 1}, 'strip 2/of 1.jpg' has camera 9, which is not in cameras.txt"
     assert expected in refusal(folder / "txt", "colmap")
 
 
@@ -449,10 +449,10 @@ def test_damaged_archives(tmp_path):
         for name in old.namelist():
             part = old.read(name)
             new.writestr(name, part[:-5] if name == "projections3.ply" else part)
-    assert "projections3.ply is cut short" in refusal(path, "metashape")
+    assert "projections3.ply was cut off" in refusal(path, "metashape")
     with zipfile.ZipFile(source) as old, zipfile.ZipFile(path, "w") as new:
         new.writestr("doc.xml", old.read("doc.xml"))
-    assert "it has no projections0.ply" in refusal(path, "metashape")
+    assert "it does not contain projections0.ply" in refusal(path, "metashape")
 
 
 # DBAT
