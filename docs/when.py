@@ -88,11 +88,12 @@ Another layout of a block gives other numbers, and real adjustments have other e
 above ground, refraction is 0.3 arcsec at a nadir angle of 45°: in the middle of an oblique image
 0.006 px with f = 4,000 px, and 0.03 px with f = 20,000 px.
 
-The simulated lens is not affected by the air in it. The principal distance of a real lens,
-calibrated in a laboratory, is wrong by 130 to 310 ppm at 6 km. That is 0.8 to 1.9 m of height if
-nothing absorbs it, more than the refraction in this table. `unbend` removes it if the mission file
-states [the air of the calibration](pages/guide/lens.md). Self-calibration and control absorb it
-too.
+The simulated lens is not affected by the air in it. A real lens is: Meier computed for one of 153
+mm, calibrated in a laboratory, that its principal distance is wrong at 6 km by 130 ppm behind a
+pressurised window and by up to 310 ppm in the outside air. That is 0.8 to 1.9 m of height if
+nothing absorbs it, more than the refraction in this table. Other lenses differ, and a sealed lens
+may have none. `unbend` removes it if the mission file states
+[the air of the calibration](pages/guide/lens.md). Self-calibration and control absorb it too.
 """
 TWICE = """
 In the last two rows the calibration was estimated from uncorrected images (control, GNSS), so it

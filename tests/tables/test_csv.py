@@ -439,6 +439,7 @@ def test_a_decimal_point_among_decimal_commas_changes_no_other_number(tmp_path):
     ("content", "why"),
     [
         ("image,point,x_px,y_px,h_g_m\nFl\u00e4che,p,1,2,3\n".encode("latin-1"), "is not UTF-8"),
+        (b"PK\x03\x04\x14\x00\x06\x00\x08\x00\xb9\x9c" * 9, "it is a workbook"),
         ('image,point,x_px,y_px,h_g_m\na,p,"1,234","2,345",\n', "thousands or a decimal comma"),
         ("a b 1 2 3\nc d 4 5 6\n", "no header: its columns are named 1 to 5"),
         ("image;point;x_px;y_px\na;p;1,5;2;3;4\n", "by semicolons its first row has 4 fields"),

@@ -173,16 +173,36 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
     key = str(place[-1])
     metric = camera_in_millimetres(key)
     if len(section) == 2 and section[0] == "cameras" and metric:
+        in_pixels = "the principal distance in pixels is f_px; " if "focal" in metric else ""
         return (
-            f"unknown key; lengths of a camera in millimetres are in its section metric: {metric}"
+            f"unknown key; {in_pixels}lengths of a camera in millimetres are in its section metric: "
+            f"{metric}"
         )
     other_unit = same_in_other_unit(key, known)
     if other_unit:
         return f"unknown key; perhaps {other_unit!r}, in {unit_of(other_unit)}?"
+    elsewhere = sections_with_key(key)
+    if len(elsewhere) == 1:
+        return f"unknown key here; it is a key of another section: {elsewhere[0]}.{key}"
     near = difflib.get_close_matches(key, sorted(known), n=1, cutoff=LEAST_SIMILARITY)
     if near:
         return f"unknown key; perhaps {near[0]!r}?"
     return f"unknown key; allowed: {', '.join(sorted(known))}"
+
+
+def sections_with_key(key: str) -> list[str]:
+    """The sections of a mission file that have a key of this name.
+
+    >>> sections_with_key("undulation_m"), sections_with_key("no_such_key")
+    (['mission'], [])
+    """
+    names = []
+    for root in nodes_at(()):
+        for name in root.get("properties", {}):
+            arms = [arm for node in nodes_at((name,)) for arm in alternatives(node)]
+            if any(key in arm.get("properties", {}) for arm in arms):
+                names.append(name)
+    return names
 
 
 def _missing_key(place: Place) -> str:

@@ -22,6 +22,9 @@ from unbend.written_tables import BLANKS, TableForm, form_of
 _BLOCK_BYTES = 4 << 20
 _SHOWN_BYTES = 1 << 18  # of a file, by which its form is known
 
+_WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""First bytes of zip archives, as .xlsx and .ods are, and of old .xls files."""
+
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # spreadsheets write it as "Unicode text"
 
 
@@ -46,6 +49,11 @@ def text_file(path: Path) -> WrittenTable:
     try:
         text = codecs.getincrementaldecoder(encoding)().decode(head, is_whole)
     except UnicodeDecodeError as error:
+        if head.startswith(_WORKBOOKS):
+            raise ValueError(
+                "it is a workbook or another archive, not a text: save it as CSV (in Excel: CSV "
+                "UTF-8)"
+            ) from None
         byte = error.object[error.start]
         raise ValueError(
             f"its text is not UTF-8 (byte 0x{byte:02x} at {error.start}): save it as UTF-8"
