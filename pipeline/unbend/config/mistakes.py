@@ -175,8 +175,8 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
     if len(section) == 2 and section[0] == "cameras" and metric:
         in_pixels = "the principal distance in pixels is f_px; " if "focal" in metric else ""
         return (
-            f"unknown key; {in_pixels}lengths of a camera in millimetres are in its section metric: "
-            f"{metric}"
+            f"unknown key; {in_pixels}lengths of a camera in millimetres are in its section "
+            f"metric: {metric}"
         )
     other_unit = same_in_other_unit(key, known)
     if other_unit:
