@@ -457,7 +457,10 @@ class _Curve:
         return np.clip(four_rows, first_inner, last_inner)
 
     def _squared_misfits(self, rows: Rows) -> Array:
-        """(s, k) squared differences of samples from the curve between their neighbours."""
+        """(s, k) squared differences of samples ``rows`` from the curve between their neighbours.
+
+        k are the components. The first and the last sample are their own neighbour.
+        """
         last = len(self.channel) - 1
         left = np.maximum(rows - 1, 0)
         right = np.minimum(rows + 1, last)
@@ -469,10 +472,10 @@ class _Curve:
             fraction=fraction[:, 0],
             coverage=np.full(rows.shape, INSIDE, np.uint8),
         )
-        step, bend = self.between(neighbours)
-        predicted = step * fraction
-        measured = self.difference(left, rows)
-        return np.square(measured - predicted - bend)
+        chord, bend = self.between(neighbours)
+        along_chord = chord * fraction
+        since_left = self.difference(left, rows)
+        return np.square(since_left - along_chord - bend)
 
 
 _NEAR_INTERVALS = 3.0  # a neighbour that is farther away, in intervals, is no part of a parabola

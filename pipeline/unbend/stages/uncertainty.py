@@ -39,20 +39,21 @@ def with_uncertainties(
     *,
     flight_profile_number: Integers,
 ) -> CorrectionSetup:
-    """The setup with what standard deviations and derivatives are computed from, for each profile.
+    """The setup with what the sigmas of the corrections are computed from, for each profile of air.
 
-    ``air`` has each profile of the flight in each light; ``flight_profile_number`` (s,) is the
-    profile of the flight of each station, by which cameras of several lights share a leading mode.
-    The leading mode of the air is that of rays to the median height of the points of a ``batch``.
-    Each profile has a leading mode of its own, but all modes have one common parameter: the errors
-    of the profiles are taken to change all refractions to the same side. A profile without
-    covariance gets None if stations, ground and windows have no standard deviation either.
+    ``air`` has each profile of the flight once for each light (wavelength) of the cameras;
+    ``flight_profile_number`` (s,) is the profile of the flight of each station, whatever the light.
+    The leading mode of the air's errors, their most effective shape, is computed from all stations
+    of one profile of the flight, so that cameras of several lights share it, and for rays to the
+    median height of the points of a ``batch``. Modes differ between profiles, but have one common
+    parameter: the errors of the profiles change all refractions to the same side. A profile without
+    covariance gets None if stations, ground and windows have no sigma either.
     """
-    cabin = cabin_changes(stations, mission.lenses, air)
-    cabin = with_errors_of_lenses(
-        cabin, stations, mission.lenses, mission.windows, setup.exposures.changes_px
+    cabin_of_air = cabin_changes(stations, mission.lenses, air)
+    cabin_and_lenses = with_errors_of_lenses(
+        cabin_of_air, stations, mission.lenses, mission.windows, setup.exposures.changes_px
     )
-    sigmas = replace(station_sigmas(mission, stations), cabin=cabin)
+    sigmas = replace(station_sigmas(mission, stations), cabin=cabin_and_lenses)
     window_kinds = kinds_of_windows(mission, stations, air)
     any_sigma = has_any_sigma(mission, stations, sigmas, window_kinds)
     typical_ground_m = median_ground_m(setup, batch)
@@ -64,20 +65,21 @@ def with_uncertainties(
         if timed.covariance is None and not any_sigma:
             uncertainties.append(None)
             continue
-        in_this_light = air.profile_number == number
-        in_this_air = np.isin(flight_profile_number, flight_profile_number[in_this_light])
-        usable = setup.exposures.usable & in_this_air
-        uncertainty = uncertainty_of(
-            timed.profile,
-            timed.covariance,
-            replace(setup.exposures, usable=usable),
-            sigmas,
-            stations_of_cameras,
-            window_kinds=window_kinds,
-            ground_heights_m=setup.ground.limits,
-            typical_ground_m=typical_ground_m,
+        of_this_profile = air.profile_number == number
+        in_any_light = np.isin(flight_profile_number, flight_profile_number[of_this_profile])
+        usable = setup.exposures.usable & in_any_light
+        uncertainties.append(
+            uncertainty_of(
+                timed.profile,
+                timed.covariance,
+                replace(setup.exposures, usable=usable),
+                sigmas,
+                stations_of_cameras,
+                window_kinds=window_kinds,
+                ground_heights_m=setup.ground.limits,
+                typical_ground_m=typical_ground_m,
+            )
         )
-        uncertainties.append(uncertainty)
     return replace(setup, uncertainties=with_common_scale(uncertainties))
 
 

@@ -394,18 +394,18 @@ class _Binning:
 
 
 def _takeoffs(samples: AirSamples, height_source: SensorSamples, start_ns: int) -> Array:
-    """Times of the take-offs [s].
+    """Times of the take-offs since ``start_ns`` [s]; long ago if the log begins in the air.
 
-    Where they are not known, it is when ``height_source``, which knows heights best, first left the
-    lowest 20 m.
+    Where they are not known, it is the last sample of ``height_source``, which knows heights best,
+    before it first left the lowest 20 m; its first sample, if it never did.
     """
     if samples.takeoff_ns is None:
         with np.errstate(invalid="ignore"):
             is_up = height_source.h_m > np.nanmin(height_source.h_m) + _GROUND_RISE_M
-        first = 0
+        last_low = 0
         if bool(is_up.any()):
-            first = max(int(np.argmax(is_up)) - 1, 0)
-        takeoff_ns = int(height_source.time_ns[first])
+            last_low = max(int(np.argmax(is_up)) - 1, 0)
+        takeoff_ns = int(height_source.time_ns[last_low])
         return np.array([(takeoff_ns - start_ns) * 1e-9])
     if samples.takeoff_ns.size == 0:  # in the air from the beginning
         return np.array([LONG_AGO_S])

@@ -254,24 +254,27 @@ def maybe_in_a_bay(made: Estimate, samples: AirSamples) -> Notes:
 
 
 def _stuck(sensor: SensorSamples, quantity: str) -> Mask:
-    """Which readings belong to a run of equal ones over more height than the steps explain."""
+    """Which readings are in a run of equal ones over more height than the resolution explains.
+
+    The resolution is the smallest difference between readings. Humidity may stay at its ends.
+    """
     stuck = np.zeros(sensor.value.size, dtype=bool)
     rows = np.flatnonzero(sensor.accepted)
     h, value = sensor.used()
     if rows.size < FEWEST_STUCK:
         return stuck
-    changes = np.flatnonzero(value[1:] != value[:-1])
-    start = np.concatenate([[0], 1 + changes])
+    last_of_run = np.flatnonzero(value[1:] != value[:-1])
+    start = np.concatenate([[0], 1 + last_of_run])
     count = np.diff(start, append=rows.size)
     extent = np.maximum.reduceat(h, start) - np.minimum.reduceat(h, start)
-    is_long = (extent >= STUCK_M) & (count >= FEWEST_STUCK)
+    resolutions = np.diff(np.unique(value))
+    hidden_m = 0.0
+    if resolutions.size:
+        hidden_m = float(resolutions.min()) / SLOWEST[quantity]
+    is_stuck = (extent >= STUCK_M + hidden_m) & (count >= FEWEST_STUCK)
     if quantity == "humidity":
-        is_long &= (value[start] > DRY) & (value[start] < MOIST)
-    steps = np.diff(np.unique(value))
-    if steps.size:
-        hidden_m = float(steps.min()) / SLOWEST[quantity]
-        is_long &= extent >= STUCK_M + hidden_m
-    stuck[rows] = np.repeat(is_long, count)
+        is_stuck &= (value[start] > DRY) & (value[start] < MOIST)
+    stuck[rows] = np.repeat(is_stuck, count)
     return stuck
 
 

@@ -264,13 +264,13 @@ def checksums_hold(
     sorted_ids = sorted(extras)
     ids = np.array(sorted_ids, np.int32)
     extra_of_id = np.array([extras[number] for number in sorted_ids], np.uint16)
-    not_smaller_id = np.searchsorted(ids, frames.message_id)
-    nearest_id = np.minimum(not_smaller_id, ids.shape[0] - 1)
-    has_extra = ids[nearest_id] == frames.message_id
-    extra = extra_of_id[nearest_id]
-    for rows, covered in _packets_of_one_length(frames, has_extra):
+    id_row = np.searchsorted(ids, frames.message_id)
+    id_row = np.minimum(id_row, ids.shape[0] - 1)  # beyond the last id: any row, it is not equal
+    has_extra = ids[id_row] == frames.message_id
+    extra = extra_of_id[id_row]
+    for rows, bytes_covered in _packets_of_one_length(frames, has_extra):
         behind_magic = frames.place[rows] + STAMP + 1
-        sums = checksums(window, behind_magic, covered, extra[rows])
+        sums = checksums(window, behind_magic, bytes_covered, extra[rows])
         holds[rows] = sums.computed == sums.stored
     return holds
 

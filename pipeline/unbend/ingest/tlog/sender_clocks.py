@@ -243,9 +243,9 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
             boots=1,
             description="ground station clock",
         )
-    numbers, counts = np.unique(readings["source"], return_counts=True)
-    check_senders(numbers.shape[0], readings=readings.size)
-    busiest_first = numbers[np.argsort(-counts, kind="stable")].tolist()
+    sender_numbers, counts = np.unique(readings["source"], return_counts=True)
+    check_senders(sender_numbers.shape[0], readings=readings.size)
+    busiest_first = sender_numbers[np.argsort(-counts, kind="stable")].tolist()
     rows_of_sender = dict(rows_by_value(readings["source"]))
     vehicle = Sender.of_number(busiest_first[0])
     clocks: dict[Sender, SenderClock] = {}
@@ -259,15 +259,15 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
         if rows.size < readings.size:  # else not copied: memory has its peak here
             readings_of_sender = readings[rows]
         clocks[sender] = fit_sender(readings_of_sender, lead, sender, ledger, dates)
-    clock = clocks[vehicle].clock
+    vehicle_clock = clocks[vehicle].clock
     assessments: list[ClockAssessment] = []
     for sender_clock in clocks.values():
         assessments += sender_clock.clock.assessments
     return Clocks(
         senders=clocks,
-        boots=clock.line.boots,
-        description=_description(clock),
-        utc_sigma_s=clock.sigma_s,
+        boots=vehicle_clock.line.boots,
+        description=_description(vehicle_clock),
+        utc_sigma_s=vehicle_clock.sigma_s,
         assessments=tuple(assessments),
     )
 

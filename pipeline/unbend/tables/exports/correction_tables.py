@@ -72,18 +72,18 @@ def lattice_parts(
     stations: Integers,
     nodes: tuple[Array, Array],
 ) -> Iterator[tuple[Integers, Corrections]]:
-    """Corrections of a camera at the same nodes (k,) [px] of some stations, image by image.
+    """Corrections of a camera at the same k nodes (x and y, (k,) [px]) of some of its stations.
 
-    In parts of some stations in one air, (s,) rows and (s * k,) corrections, in their order. At a
-    node nothing is approximated; between nodes the bilinear interpolation errs by an eighth of the
-    curvature of the shift across a cell.
+    In parts: each is the (s,) numbers of successive stations in one air, and their (s * k,)
+    corrections, all nodes of the first station first. At a node nothing is approximated; between
+    nodes the bilinear interpolation errs by an eighth of the curvature of the shift across a cell.
     """
     x_px, y_px = nodes
-    images_of_part = max(1, _MOST_ROWS // x_px.size)
-    changes = np.flatnonzero(np.diff(run.air.profile_number[stations])) + 1
-    for in_one_air in np.split(stations, changes):
-        for first in range(0, in_one_air.size, images_of_part):
-            part = in_one_air[first : first + images_of_part]
+    stations_of_part = max(1, _MOST_ROWS // x_px.size)
+    starts_of_airs = np.flatnonzero(np.diff(run.air.profile_number[stations])) + 1
+    for in_one_air in np.split(stations, starts_of_airs):
+        for first in range(0, in_one_air.size, stations_of_part):
+            part = in_one_air[first : first + stations_of_part]
             rays = run.rays[run.air.profile_number[part[0]]]
             corrections = correct_observations(
                 np.tile(x_px, part.size),

@@ -295,21 +295,22 @@ class TagReader:
 def positions_of_tags(
     tags: Mapping[str, Mapping[str, str]], where: Path, ledger: Ledger
 ) -> NDArray[np.float64]:
-    """(m, 3) latitude, longitude [rad] and height as written [m]; a place of 0, 0 is none.
+    """(m, 3) latitude, longitude [rad] and height as written [m] of the images, in their order.
 
-    A tag that can be read in no way is a loss.
+    A row is NaN, its height too, without a place, at 0, 0 or beyond the Earth's angles. A tag that
+    can be read in no way is a loss in the ledger.
     """
     reader = TagReader()
     positions = np.full((len(tags), 3), np.nan)
     for row, (file, tags_of_file) in enumerate(tags.items()):
-        lat = _angle_of_tags(reader, file, tags_of_file, "latitude")
-        lon = _angle_of_tags(reader, file, tags_of_file, "longitude")
-        if np.isnan(lon):
-            lon = reader.value(file, tags_of_file, "gpslongtitude", angle_of)  # as DJI spelt it
+        lat_deg = _angle_of_tags(reader, file, tags_of_file, "latitude")
+        lon_deg = _angle_of_tags(reader, file, tags_of_file, "longitude")
+        if np.isnan(lon_deg):
+            lon_deg = reader.value(file, tags_of_file, "gpslongtitude", angle_of)  # as DJI spelt it
         height = _height_of_tags(reader, file, tags_of_file)
-        is_on_earth = abs(lat) <= 90.0 and abs(lon) <= 360.0
-        if is_on_earth and (lat, lon) != (0.0, 0.0):
-            positions[row] = (np.radians(lat), np.radians(lon), height)
+        is_on_earth = abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0
+        if is_on_earth and (lat_deg, lon_deg) != (0.0, 0.0):
+            positions[row] = (np.radians(lat_deg), np.radians(lon_deg), height)
     reader.report(where, ledger)
     return positions
 

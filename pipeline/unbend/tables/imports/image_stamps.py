@@ -68,7 +68,7 @@ def parse_time(text: str, zone: str = "") -> Stamp | None:
 
 
 def _seconds_of_date(date: re.Match[str]) -> int | None:
-    """A date and time of day as seconds since 1970, as though UTC; None for a 30th of February."""
+    """A date and time of day as seconds since 1970, as though UTC; None if there is none such."""
     year, month, day = (int(date[group]) for group in (1, 2, 3))
     hour, minute, second = (int(date[group]) for group in (4, 5, 6))
     try:
