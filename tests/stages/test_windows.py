@@ -8,6 +8,8 @@ import re
 import numpy as np
 import pytest
 
+from unbend.batch.results import read_manifest
+
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 LENS = {
@@ -66,6 +68,17 @@ def test_misses_of_rays_are_in_pixels_behind_a_window_too(mission):
     for camera in mission.config["cameras"].values():
         camera["opening"] = {"warmer_k": 0.0}
     assert miss_px(mission) == pytest.approx(without_window, rel=0.05)
+
+
+@pytest.mark.parametrize("pressure", [819, 819.5, "log", "ambient"])
+def test_every_pressure_of_a_cabin_comes_back_from_the_manifest(mission, pressure):
+    """What a mission file may state, its manifest and its report must be able to read."""
+    for camera in mission.config["cameras"].values():
+        camera["window"] = {"cabin": {"pressure": pressure, "temperature_c": 21}}
+    ended = mission.run()
+    assert ended.code in (0, 3), ended.text  # an unpressurised cabin contradicts the log
+    sections = read_manifest(mission.output).sections
+    assert sections.cameras["nadir"].window.cabin.pressure == pressure
 
 
 def test_an_absurd_lens_refuses_the_mission(mission):

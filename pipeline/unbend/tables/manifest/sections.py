@@ -13,7 +13,7 @@ from typing import Any
 class CabinKeys:
     """What a mission file states of the air in a cabin."""
 
-    pressure: str | None
+    pressure: float | str | None
     temperature_c: float | str | None
     sigma_pressure_hpa: float | None
     sigma_temperature_k: float | None
