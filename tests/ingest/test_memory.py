@@ -21,8 +21,8 @@ MIB = 1 << 20
 CASES = {
     "bin all": (".bin", "dataflash", 170, 128),
     "bin": (".bin", "dataflash", 170, 96),
-    "tlog": (".tlog", "tlog", 50, 56),
-    "mcap": (".mcap", "ros2_mcap", 30, 30),
+    "tlog": (".tlog", "tlog", 50, 48),
+    "mcap": (".mcap", "ros2_mcap", 30, 24),
 }
 
 _PEAK = """

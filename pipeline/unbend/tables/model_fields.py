@@ -12,6 +12,7 @@ import numpy as np
 from unbend.atmosphere.soundings import model_field
 from unbend.atmosphere.soundings.level_checks import FEWEST_LEVELS
 from unbend.atmosphere.soundings.model_field import ModelField
+from unbend.atmosphere.soundings.model_levels import MODEL_LEVELS
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.tables import messages
@@ -210,7 +211,7 @@ def _refuse_other_levels(levels: FieldLevels, where: str) -> None:
 
 def _refuse_missing_levels(level: Array, where: str) -> None:
     """Refuse model levels (l,), in their order, that do not go down to the lowest."""
-    whole = np.arange(level[0], model_field.MODEL_LEVELS + 1.0)
+    whole = np.arange(level[0], MODEL_LEVELS + 1.0)
     if not np.array_equal(level, whole):
         raise messages.model_levels_incomplete(
             where=where,

@@ -28,8 +28,6 @@ from unbend.units import (
     Rows,
 )
 
-MODEL_LEVELS = model_levels.MODEL_LEVELS  # that a file has at most
-
 EXTENSION_LAPSE = 6.5e-3
 """Below its lowest level a column goes on with 6.5 K/km, as the model's own pressure levels do."""
 

@@ -243,10 +243,12 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
             boots=1,
             description="ground station clock",
         )
-    sender_numbers, counts = np.unique(readings["source"], return_counts=True)
-    check_senders(sender_numbers.shape[0], readings=readings.size)
-    busiest_first = sender_numbers[np.argsort(-counts, kind="stable")].tolist()
-    rows_of_sender = dict(rows_by_value(readings["source"]))
+    # Copied, so that the rows of a sender are freed by themselves: memory has its peak in a fit.
+    rows_of_sender = {number: rows.copy() for number, rows in rows_by_value(readings["source"])}
+    check_senders(len(rows_of_sender), readings=readings.size)
+    busiest_first = sorted(
+        rows_of_sender, key=lambda number: rows_of_sender[number].size, reverse=True
+    )
     vehicle = Sender.of_number(busiest_first[0])
     clocks: dict[Sender, SenderClock] = {}
     for number in busiest_first:
@@ -254,10 +256,7 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
         lead = _HOST_CLOCK
         if sender.system == vehicle.system:
             lead = clocks.get(vehicle, _HOST_CLOCK)
-        readings_of_sender = readings
-        rows = rows_of_sender[number]
-        if rows.size < readings.size:  # else not copied: memory has its peak here
-            readings_of_sender = readings[rows]
+        readings_of_sender = _in_rows(readings, rows_of_sender.pop(number))
         clocks[sender] = fit_sender(readings_of_sender, lead, sender, ledger, dates)
     vehicle_clock = clocks[vehicle].clock
     assessments: list[ClockAssessment] = []
@@ -283,9 +282,14 @@ def _description(clock: BootClock) -> str:
     return f"vehicle clock, set to UTC by SYSTEM_TIME in {with_utc} of {boots} boots"
 
 
-def _selected(readings: Readings, rows: Mask) -> Readings:
-    """The readings in some rows, not copied where these are all: memory has its peak here."""
-    return readings if bool(rows.all()) else readings[rows]
+def _selected(readings: Readings, are_selected: Mask) -> Readings:
+    """The selected readings, not copied where these are all: memory has its peak here."""
+    return readings if bool(are_selected.all()) else readings[are_selected]
+
+
+def _in_rows(readings: Readings, rows: Rows) -> Readings:
+    """The readings in distinct rows, not copied where these are all."""
+    return readings if rows.size == readings.size else readings[rows]
 
 
 def _steps_back(readings: Readings) -> bool:

@@ -62,12 +62,12 @@ def read_log(
     sent = {name_of(number): store for number, store in scan.sent.items()}
     scan.sent.clear()  # `channels_of` frees what ``sent`` holds, message by message
     carried = [store for name, store in sent.items() if name in _CARRIED]
-    readings = scan.clock.readings(_systems(carried))
     dates = KnownDates(
         systems_with_fix(sent),
         tuple(witnesses),
     )
-    clocks = clocks_of(readings, ledger, dates)
+    # Not named: memory has its peak in `channels_of`, and the readings are free before it.
+    clocks = clocks_of(scan.clock.readings(_systems(carried)), ledger, dates)
     clocks = with_borrowed_clocks(clocks, carried, ledger)
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(scan, clocks, channels, path.name, ledger)
