@@ -14,7 +14,8 @@ ROWS = 144_000
 
 def flown(rows: int) -> AirSamples:
     """A thermometer, a barometer and a hygrometer going up and down between 200 and 2700 m."""
-    rng, truth = np.random.default_rng(1), air()
+    rng = np.random.default_rng(1)
+    truth = air()
     seconds = np.arange(rows) * (14_400.0 / rows)
     h = 200.0 + np.abs((seconds / 900.0) % 2.0 - 1.0) * 2500.0
     stamps = np.round(seconds * 1e9).astype(np.int64)
@@ -36,7 +37,8 @@ def test_four_hours_at_ten_hertz(ratios):
     whose number does not depend on that of the readings.
     """
     background = climatology(latitude_rad=0.8, month=7.0)
-    samples, quarter = flown(ROWS), flown(ROWS // 4)
+    samples = flown(ROWS)
+    quarter = flown(ROWS // 4)
     columns = [samples.temperature.value, samples.pressure.value, samples.humidity.value]
 
     def sort() -> None:

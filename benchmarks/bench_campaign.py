@@ -77,7 +77,10 @@ def test_an_unchanged_campaign_beside_the_parsing_of_its_files(ratios, tmp_path,
 
     assert f"{MISSIONS:,} of {MISSIONS:,} missions" in run()  # now the manifests know the files
     parsing = cpu_seconds(lambda: [load_mission(path) for path in files])
-    ratios.check("an unchanged campaign of 1,000, times the parsing of its files",
-                 min(cpu_seconds(run) for _ in range(3)) / parsing, at_most=1.0)  # fmt: skip
+    ratios.check(
+        "an unchanged campaign of 1,000, times the parsing of its files",
+        min(cpu_seconds(run) for _ in range(3)) / parsing,
+        at_most=1.0,
+    )
     os.utime(files[0].parent / "observations.parquet")
     assert f"{MISSIONS:,} of {MISSIONS:,} missions" in run()  # read again, and found the same

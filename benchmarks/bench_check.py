@@ -14,7 +14,8 @@ from unbend.batch.runs import check_mission, run_mission
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SAMPLES = REPOSITORY / "sample_logs"
-ROWS, FEW = 10_000_000, 20_000
+ROWS = 10_000_000
+FEW = 20_000
 
 
 def mission(folder: Path, rows: int, height: object) -> Path:
@@ -52,7 +53,8 @@ def test_ten_million_rows_beside_their_names_and_a_small_run(ratios, tmp_path):
         ({"height": {"column": "h_g_m"}, "reference": "msl"}, 1),
         ({"height": "intersected"}, 3),  # the points of the sample, and all of their rows
     ):
-        large, small = mission(tmp_path, ROWS, height), mission(tmp_path, FEW, height)
+        large = mission(tmp_path, ROWS, height)
+        small = mission(tmp_path, FEW, height)
 
         def allowed(small=small, passes=passes) -> None:
             run_mission(small, force=True)

@@ -18,7 +18,10 @@ from timing import Ratios
 from unbend.batch.finished_run.export import export_run
 from unbend.batch.runs import run_mission
 
-IMAGES, ROWS, FEWER, FEW = 112, 448_000, 44_800, 1_008
+IMAGES = 112
+ROWS = 448_000
+FEWER = 44_800
+FEW = 1_008
 CAMERA = (1, 14000, 10600, [20000.0, 20000.0, 7000.0, 5300.0])  # COLMAP's PINHOLE
 
 _RUN = """
@@ -36,40 +39,64 @@ print(int(status["VmHWM"].split()[0]) * 1024)
 def write_mission(folder: Path, rows: int, kind: str) -> Path:
     """A mission of oriented images over level ground; its observations in a database or a table."""
     folder.mkdir(parents=True)
-    rng, each = np.random.default_rng(3), rows // IMAGES
+    rng = np.random.default_rng(3)
+    each = rows // IMAGES
     names = [f"{i:05d}.tif" for i in range(IMAGES)]
     xy = rng.uniform(0.0, CAMERA[1:3], (IMAGES, each, 2)).astype("<f4")
-    image = {"width_px": CAMERA[1], "height_px": CAMERA[2], "f_px": 20000.0, "cx_px": 7000.0,
-             "cy_px": 5300.0, "calibration": "laboratory"}  # fmt: skip
+    image = {
+        "width_px": CAMERA[1],
+        "height_px": CAMERA[2],
+        "f_px": 20000.0,
+        "cx_px": 7000.0,
+        "cy_px": 5300.0,
+        "calibration": "laboratory",
+    }
     if kind == "colmap":
         image = {"camera": 1, "calibration": "laboratory"}
         write_database(folder / "database.db", names, xy)
         observations = {"path": "database.db", "format": "colmap"}
     else:
         observations = {"path": "observations.parquet"}
-        pd.DataFrame({
-            "image": np.repeat(names, each),
-            "point": [f"{name}:{i}" for name in names for i in range(each)],
-            "x_px": xy[..., 0].ravel().astype(float), "y_px": xy[..., 1].ravel().astype(float),
-        }).to_parquet(folder / "observations.parquet")  # fmt: skip
-    pd.DataFrame({
-        "image": names, "camera": "frame", "latitude": 47.0 + 0.002 * (np.arange(IMAGES) // 14),
-        "longitude": 8.0 + 0.02 * (np.arange(IMAGES) % 14), "height": 6050.0,
-        "omega": rng.normal(0.0, 1.0, IMAGES), "phi": rng.normal(0.0, 1.0, IMAGES), "kappa": 0.0,
-    }).to_csv(folder / "stations.csv", index=False)  # fmt: skip
+        pd.DataFrame(
+            {
+                "image": np.repeat(names, each),
+                "point": [f"{name}:{i}" for name in names for i in range(each)],
+                "x_px": xy[..., 0].ravel().astype(float),
+                "y_px": xy[..., 1].ravel().astype(float),
+            }
+        ).to_parquet(folder / "observations.parquet")
+    pd.DataFrame(
+        {
+            "image": names,
+            "camera": "frame",
+            "latitude": 47.0 + 0.002 * (np.arange(IMAGES) // 14),
+            "longitude": 8.0 + 0.02 * (np.arange(IMAGES) % 14),
+            "height": 6050.0,
+            "omega": rng.normal(0.0, 1.0, IMAGES),
+            "phi": rng.normal(0.0, 1.0, IMAGES),
+            "kappa": 0.0,
+        }
+    ).to_csv(folder / "stations.csv", index=False)
     mission = {
         "mission": {"name": kind, "undulation_m": 50.0},
         "observations": observations,
         "cameras": {"frame": image},
-        "stations": {"orientation": {
-            "path": "stations.csv", "angles": "omega_phi_kappa", "frame": "geographic",
-            "heights": "ellipsoid", "date": "2026-05-14", "columns": {"camera": "camera"},
-            "sigma_horizontal_m": 0.03, "sigma_height_m": 0.05,
-        }},
+        "stations": {
+            "orientation": {
+                "path": "stations.csv",
+                "angles": "omega_phi_kappa",
+                "frame": "geographic",
+                "heights": "ellipsoid",
+                "date": "2026-05-14",
+                "columns": {"camera": "camera"},
+                "sigma_horizontal_m": 0.03,
+                "sigma_height_m": 0.05,
+            }
+        },
         "ground": {"height": 300.0, "reference": "msl"},
         "atmosphere": {"adjust": False},
         "output": {"path": "results"},
-    }  # fmt: skip
+    }
     (folder / "mission.yaml").write_text(yaml.safe_dump(mission), encoding="utf-8")
     return folder
 

@@ -12,33 +12,43 @@ from unbend.refraction import correct_observations, ray_table
 
 # A million a call: columns of 32 MB and more are fetched from the system anew each time, and that
 # would be timed. A run corrects 250,000 at a time.
-POINTS, IMAGES, BY_NUMPY = 1_000_000, 400, 400_000
+POINTS = 1_000_000
+IMAGES = 400
+BY_NUMPY = 400_000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 def undistort(x: Any, y: Any) -> tuple[Any, Any]:
     """Ideal image coordinates by fixed point."""
-    u_d, v_d = (x - CAMERA.cx_px) / CAMERA.fx_px, (y - CAMERA.cy_px) / CAMERA.fy_px
-    u, v = u_d, v_d
+    u_d = (x - CAMERA.cx_px) / CAMERA.fx_px
+    v_d = (y - CAMERA.cy_px) / CAMERA.fy_px
+    u = u_d
+    v = v_d
     k1, k2, k3, _, _ = CAMERA.distortion
     for _ in range(8):
         r2 = u * u + v * v
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u, v = u_d / radial, v_d / radial
+        u = u_d / radial
+        v = v_d / radial
     return u, v
 
 
 def angles(n_of: Any, h_c: Any, h_g: Any, sine: Any, cosine: Any, radius: Any) -> Any:
     """R_c by Gauss-Legendre over the one layer between camera and ground."""
-    n_c, r_c, r_g = n_of(h_c), radius + h_c, radius + h_g
-    index2, b2_c = (1.0 + n_c) ** 2, (r_c * cosine) ** 2
+    n_c = n_of(h_c)
+    r_c = radius + h_c
+    r_g = radius + h_g
+    index2 = (1.0 + n_c) ** 2
+    b2_c = (r_c * cosine) ** 2
     integral = np.zeros_like(h_g)
     for node, weight in zip(NODES, WEIGHTS, strict=True):
         h = h_g + (h_c - h_g) * (0.5 + 0.5 * node)
-        n, r = n_of(h), radius + h
+        n = n_of(h)
+        r = radius + h
         m = (n - n_c) * (2.0 + n + n_c)
         straight2 = index2 * (b2_c - (h_c - h) * (r_c + r))
-        a, b = np.sqrt(straight2 + m * r * r), np.sqrt(straight2)
+        a = np.sqrt(straight2 + m * r * r)
+        b = np.sqrt(straight2)
         integral += 0.5 * weight * (h_c - h_g) * m * r / (a * b * (a + b))
     half = 0.5 * (1.0 + n_c) * r_c * sine * integral
     q = np.sqrt(b2_c - (h_c - h_g) * (r_c + r_g))
@@ -58,14 +68,16 @@ def correct_by_numpy(n_of: Any, x: Any, y: Any, h_g: Any, e: Any, ex: Any) -> tu
     outside[2] = np.sqrt(1.0 - outside[0] ** 2 - outside[1] ** 2)
     turn = ex.rotation[e]
     local = np.einsum("nji,jn->in", turn, outside)
-    sine, cosine = np.hypot(local[0], local[1]), -local[2]
+    sine = np.hypot(local[0], local[1])
+    cosine = -local[2]
     radius = euler_radius(ex.latitude_rad[e], np.arctan2(local[0], local[1]))
     r_c = angles(n_of, ex.height_m[e], h_g, sine, cosine, radius)
     lower = -2.0 * np.sin(0.5 * r_c) ** 2 * local
     lower[:2] -= np.sin(r_c) * cosine / sine * local[:2]
     lower[2] -= np.sin(r_c) * sine
     seen = outside + np.einsum("nij,jn->in", turn, lower)
-    u, v = seen[0] / seen[2], seen[1] / seen[2]
+    u = seen[0] / seen[2]
+    v = seen[1] / seen[2]
     r2 = u * u + v * v
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     return CAMERA.fx_px * u * radial + CAMERA.cx_px, CAMERA.fy_px * v * radial + CAMERA.cy_px
@@ -79,7 +91,8 @@ def replace_in_blocks(n_of: Any, x: Any, y: Any, h_g: Any, e: Any, ex: Any) -> t
 
 
 def test_image_points_beside_numpy(ratios):
-    profile, ex = air(), exposures(IMAGES)
+    profile = air()
+    ex = exposures(IMAGES)
     table = ray_table(profile)
     x, y, h_g = points(POINTS)
     e = np.repeat(np.arange(IMAGES), POINTS // IMAGES)

@@ -145,8 +145,10 @@ def test_memory_is_the_columns_and_a_little(kind: str, request: pytest.FixtureRe
     sample = Path(__file__).resolve().parents[1] / "sample_logs" / f"flight{path.suffix}"
     done = subprocess.run(
         [sys.executable, "-c", PEAK, str(sample), str(path)],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     found = json.loads(done.stdout)
     print(f"{path.name}: {found['more'] / 1e6:.0f} MB for {found['columns'] / 1e6:.0f} MB")
     assert found["more"] < found["columns"] + SPARE
@@ -166,8 +168,10 @@ def test_two_gigabytes_take_one_of_memory(folder: Path, suffix: str, grower: Mod
     sample = Path(__file__).resolve().parents[1] / "sample_logs" / f"flight{suffix}"
     done = subprocess.run(
         [sys.executable, "-c", PRIVATE, str(sample), str(path)],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     path.unlink()
     found = json.loads(done.stdout)
     print(
@@ -188,8 +192,12 @@ def test_inspect_beside_scanning_the_file(ratios, kind: str, request: pytest.Fix
         lambda: new_process("-c", SCAN, str(path)),
         rounds=5,
     )
-    ratios.check(f"inspect of {path.stat().st_size / 1e6:.0f} MB {path.suffix}, times a scan of "
-                 "16 byte values", ratio, at_most=6.0)  # fmt: skip
+    ratios.check(
+        f"inspect of {path.stat().st_size / 1e6:.0f} MB {path.suffix}, times a scan of "
+        "16 byte values",
+        ratio,
+        at_most=6.0,
+    )
 
 
 def new_process(*arguments: str) -> None:

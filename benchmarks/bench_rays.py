@@ -15,8 +15,11 @@ from survey import air
 
 from unbend.refraction import bend, ray_table
 
-RAYS, CAMERAS, BY_QUAD = 2_000_000, 400, 3_000
-RADIUS, H_C = 6_371_000.0, 6000.0
+RAYS = 2_000_000
+CAMERAS = 400
+BY_QUAD = 3_000
+RADIUS = 6_371_000.0
+H_C = 6000.0
 
 
 def refractivity_ciddor() -> Callable[[float], float]:
@@ -45,14 +48,20 @@ def refractivity_ciddor() -> Callable[[float], float]:
 
 def angle_by_quad(refractivity: Callable[[float], float], h_g: float, zeta: float) -> float:
     """R_c by the same difference form, with scipy's adaptive quadrature to 1e-9 arcsec."""
-    n_c, r_c, r_g = refractivity(H_C), RADIUS + H_C, RADIUS + h_g
-    index2, s, b2_c = (1.0 + n_c) ** 2, r_c * math.sin(zeta), (r_c * math.cos(zeta)) ** 2
+    n_c = refractivity(H_C)
+    r_c = RADIUS + H_C
+    r_g = RADIUS + h_g
+    index2 = (1.0 + n_c) ** 2
+    s = r_c * math.sin(zeta)
+    b2_c = (r_c * math.cos(zeta)) ** 2
 
     def integrand(h: float) -> float:
-        n, r = refractivity(h), RADIUS + h
+        n = refractivity(h)
+        r = RADIUS + h
         m = (n - n_c) * (2.0 + n + n_c)
         straight2 = index2 * (b2_c - (H_C - h) * (r_c + r))
-        a, b = math.sqrt(straight2 + m * r * r), math.sqrt(straight2)
+        a = math.sqrt(straight2 + m * r * r)
+        b = math.sqrt(straight2)
         return m * r / (a * b * (a + b))
 
     integral = quad(integrand, h_g, H_C, epsabs=0.0, epsrel=1e-11)[0]
@@ -70,7 +79,8 @@ def test_kernel_beside_quad_over_plain_floats(ratios):
     table = ray_table(air())
     h_g = rng.uniform(0.0, 2000.0, RAYS)
     zeta = rng.uniform(0.0, math.radians(65.0), RAYS)
-    sine, cosine = np.sin(zeta), np.cos(zeta)
+    sine = np.sin(zeta)
+    cosine = np.cos(zeta)
     h_c = np.repeat(H_C + 0.01 * np.arange(CAMERAS), RAYS // CAMERAS)
     rays = list(zip(h_g[:BY_QUAD].tolist(), zeta[:BY_QUAD].tolist(), strict=True))
 

@@ -71,8 +71,7 @@ def taken(code: str, cache: Path) -> float:
 def test_importing_the_package(ratios, tmp_path):
     """`import unbend` offers its names lazily: half the time of numpy at most."""
     taken("import unbend, numpy", tmp_path)
-    pairs = [(taken("import unbend", tmp_path), taken("import numpy", tmp_path))
-             for _ in range(7)]  # fmt: skip
+    pairs = [(taken("import unbend", tmp_path), taken("import numpy", tmp_path)) for _ in range(7)]
     ratio = statistics.median(ours / numpy for ours, numpy in pairs)
     ratios.check("import unbend, times import numpy", ratio, at_most=0.5)
 
@@ -106,9 +105,11 @@ def cpu_seconds(*words: str, cache: Path) -> float:
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     before = os.times()
     subprocess.run(
-        [sys.executable, "-m", "unbend", *words], stdout=subprocess.DEVNULL, check=True,
+        [sys.executable, "-m", "unbend", *words],
+        stdout=subprocess.DEVNULL,
+        check=True,
         env=environment | {"NUMBA_CACHE_DIR": str(cache)},
-    )  # fmt: skip
+    )
     after = os.times()
     used = after.children_user + after.children_system
     return used - before.children_user - before.children_system
@@ -122,8 +123,10 @@ def test_the_first_mission_on_a_machine(ratios, tmp_path):
     words = "run", "--force", "--quiet", str(mission)
     cpu_seconds("warm", cache=tmp_path / "warm")
     cpu_seconds(*words, cache=tmp_path / "warm")
-    pairs = [(cpu_seconds(*words, cache=tmp_path / str(i)),
-              cpu_seconds(*words, cache=tmp_path / "warm")) for i in range(3)]  # fmt: skip
+    pairs = [
+        (cpu_seconds(*words, cache=tmp_path / str(i)), cpu_seconds(*words, cache=tmp_path / "warm"))
+        for i in range(3)
+    ]
     ratio = statistics.median(cold / warm for cold, warm in pairs)
     ratios.check("first mission on a machine, times a further one", ratio, at_most=6.0)
 

@@ -28,14 +28,24 @@ def test_twenty_thousand_stations_beside_the_ingest_of_a_log(ratios, tmp_path):
     pd.DataFrame({"image": ["a"], "point": ["p"], "x_px": [1.0], "y_px": [1.0]}).to_parquet(
         tmp_path / "observations.parquet"
     )
-    camera = {"width_px": 6000, "height_px": 4000, "f_px": 5000.0, "cx_px": 3000.0,
-              "cy_px": 2000.0, "calibration": "laboratory"}  # fmt: skip
+    camera = {
+        "width_px": 6000,
+        "height_px": 4000,
+        "f_px": 5000.0,
+        "cx_px": 3000.0,
+        "cy_px": 2000.0,
+        "calibration": "laboratory",
+    }
     config = {
-        "mission": {"name": "stations"}, "log": {"path": str(LOG)},
-        "observations": {"path": "observations.parquet"}, "cameras": {"c": camera},
-        "mount": {"c": {}}, "events": {"log": {"c": {"channel": "CAM[0]", "image": "{n}"}}},
-        "ground": {"height": 500.0, "reference": "msl"}, "output": {"path": "results"},
-    }  # fmt: skip
+        "mission": {"name": "stations"},
+        "log": {"path": str(LOG)},
+        "observations": {"path": "observations.parquet"},
+        "cameras": {"c": camera},
+        "mount": {"c": {}},
+        "events": {"log": {"c": {"channel": "CAM[0]", "image": "{n}"}}},
+        "ground": {"height": 500.0, "reference": "msl"},
+        "output": {"path": "results"},
+    }
     path = tmp_path / "mission.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     mission = load_mission(path)

@@ -29,13 +29,18 @@ COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 
 def correct(source: Path, out: Path) -> None:
     """What a run does to the observations, sigmas and all, without the log and the air."""
-    names, seen_from = image_names(IMAGES), exposures(IMAGES)
+    names = image_names(IMAGES)
+    seen_from = exposures(IMAGES)
     setup = CorrectionSetup(
-        names, np.full(IMAGES, "nadir", object), seen_from,
-        GivenGround(None, np.zeros(IMAGES), sigma_m=2.0), {"nadir": CAMERA},
-        (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),
+        names,
+        np.full(IMAGES, "nadir", object),
+        seen_from,
+        GivenGround(None, np.zeros(IMAGES), sigma_m=2.0),
+        {"nadir": CAMERA},
+        (rays_by(air(), "spherical"),),
+        np.zeros(IMAGES, np.int64),
         uncertainties=(uncertainty(seen_from),),
-    )  # fmt: skip
+    )
     observations = open_observations(source, COLUMNS, "h_g_m", Ledger())
     with open_folder(out) as folder:
         correct_into(PartsOfRun(folder), observations, setup, batch_rows=BATCH_ROWS, metadata={})
@@ -49,13 +54,15 @@ def copy(source: Path, precomputed: list[pa.Table], out: Path) -> None:
     with pq.ParquetFile(source) as file, ThreadPoolExecutor(2) as pool:
         written = [
             pool.submit(
-                pq.write_table, table, out / f"part-{number:05d}.parquet",
+                pq.write_table,
+                table,
+                out / f"part-{number:05d}.parquet",
                 **parquet_settings(table.schema),
             )
             for number, (_, table) in enumerate(
                 zip(file.iter_batches(batch_size=BATCH_ROWS), precomputed, strict=True)
             )
-        ]  # fmt: skip
+        ]
         for part in written:
             part.result()
 

@@ -20,7 +20,9 @@ from unbend.tables.geodata.elevation import open_elevation
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.observations import open_observations
 
-IMAGES, ROWS, CELLS = 200, 1_000_000, 10_000
+IMAGES = 200
+ROWS = 1_000_000
+CELLS = 10_000
 STEP_DEG = 1.0 / 10_800.0  # 10 m
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 
@@ -29,21 +31,35 @@ def write_model(path: Path) -> None:
     """Hills of 300 m, and of 30 m on them, as a tiled and compressed GeoTIFF."""
     import rasterio
 
-    north, west = np.degrees(0.805) + CELLS / 2 * STEP_DEG, -CELLS / 2 * STEP_DEG
-    row, column = np.arange(CELLS, dtype=np.float32)[:, None], np.arange(CELLS, dtype=np.float32)
+    north = np.degrees(0.805) + CELLS / 2 * STEP_DEG
+    west = -CELLS / 2 * STEP_DEG
+    row = np.arange(CELLS, dtype=np.float32)[:, None]
+    column = np.arange(CELLS, dtype=np.float32)
     z = 500.0 + 300.0 * np.sin(column / 700.0) * np.cos(row / 500.0)
     z += 30.0 * np.sin(column / 40.0) * np.sin(row / 55.0)
     with rasterio.open(
-        path, "w", driver="GTiff", width=CELLS, height=CELLS, count=1, dtype="float32",
-        crs="EPSG:4326", transform=rasterio.Affine(STEP_DEG, 0, west, 0, -STEP_DEG, north),
-        tiled=True, blockxsize=512, blockysize=512, compress="deflate", predictor=3,
-    ) as out:  # fmt: skip
+        path,
+        "w",
+        driver="GTiff",
+        width=CELLS,
+        height=CELLS,
+        count=1,
+        dtype="float32",
+        crs="EPSG:4326",
+        transform=rasterio.Affine(STEP_DEG, 0, west, 0, -STEP_DEG, north),
+        tiled=True,
+        blockxsize=512,
+        blockysize=512,
+        compress="deflate",
+        predictor=3,
+    ) as out:
         out.write(z.astype(np.float32), 1)
 
 
 def flown_places() -> tuple[np.ndarray, np.ndarray]:
     """Latitude and longitude [rad] along ten lines to and fro over nearly all of the model."""
-    lines, each = 10, IMAGES // 10
+    lines = 10
+    each = IMAGES // 10
     along = np.linspace(-0.007, 0.007, each)
     lon = np.concatenate([along if line % 2 == 0 else along[::-1] for line in range(lines)])
     return 0.805 + np.repeat(np.linspace(-0.006, 0.006, lines), each), lon
@@ -58,10 +74,15 @@ def correct(source: Path, out: Path, model: Path | None) -> None:
         elevation, _ = open_elevation([model], None, reference="msl", undulation=np.zeros_like)
         ground = TerrainGround(elevation, (lat, lon), 2.0)
     setup = CorrectionSetup(
-        image_names(IMAGES), np.full(IMAGES, "nadir", object), seen_from, ground,
-        {"nadir": CAMERA}, (rays_by(air(), "spherical"),), np.zeros(IMAGES, np.int64),
+        image_names(IMAGES),
+        np.full(IMAGES, "nadir", object),
+        seen_from,
+        ground,
+        {"nadir": CAMERA},
+        (rays_by(air(), "spherical"),),
+        np.zeros(IMAGES, np.int64),
         uncertainties=(uncertainty(seen_from),),
-    )  # fmt: skip
+    )
     column = "h_g_m" if model is None else None
     observations = open_observations(source, COLUMNS, column, Ledger())
     with open_folder(out) as folder:
@@ -74,7 +95,8 @@ def correct(source: Path, out: Path, model: Path | None) -> None:
 
 
 def test_a_million_rays_to_a_model_beside_given_heights(ratios, tmp_path):
-    source, model = tmp_path / "observations.parquet", tmp_path / "dem.tif"
+    source = tmp_path / "observations.parquet"
+    model = tmp_path / "dem.tif"
     write_observations(source, ROWS, IMAGES)
     write_model(model)
     ratio = ratios.of_times(
@@ -85,8 +107,11 @@ def test_a_million_rays_to_a_model_beside_given_heights(ratios, tmp_path):
     ratios.check("a million rays to a model, times given heights", ratio, at_most=5.0)
     peak = subprocess.run(
         [sys.executable, __file__, str(source), str(tmp_path / "peak"), str(model)],
-        capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parent,
+    )
     ratios.check("memory with a model of 400 MB [GB]", float(peak.stdout) * 1024 / 1e9, at_most=1.0)
 
 

@@ -44,7 +44,8 @@ HEIGHT_M = np.concatenate([LOW_M, HIGH_M])  # reduced heights at which ascents a
 
 NODE_M = np.array([0.0, 1000.0, 3000.0, 5000.0, 7500.0, 9500.0, 11_500.0, 13_500.0, 16_000.0])
 CLIMATE_NODE_M = np.array([0.0, 1000.0, 3000.0, 6000.0, 9000.0, 11_500.0, 15_000.0])
-GROUND_K, GROUND_DEPTH_M = 1.5, 40.0
+GROUND_K = 1.5
+GROUND_DEPTH_M = 40.0
 """Air in the sun, or over a cold field, is off by so much, less by 1/e in so much height:
 similarity theory (Businger et al. 1971) gives 2 K between 2 and 50 m, at 200 W/m2 and a friction
 velocity of 0.3 m/s."""
@@ -54,7 +55,8 @@ LAGS_H = (12, 24, 36, 48, 72, 120, 240)
 DISTANCES_KM = (0, 450, 600, 900, 1300, 2000, 3500)
 MIDDLE_LATITUDES_DEG = 24.0  # from here on the moments are fitted; nearer are 16 ascents
 CLIMATE_MEMORY_H = 1000.0  # what a place has beside its climatology stays for weeks
-STRATOSPHERE_M, STRATOSPHERE_K = (18_000.0, 22_000.0), (3.0, 5.0)
+STRATOSPHERE_M = (18_000.0, 22_000.0)
+STRATOSPHERE_K = (3.0, 5.0)
 """Above the ascents: judgement, it weighs little in R."""
 GROUP_WEIGHT = 30.0  # pairs of one lag or distance share ascents: they count as so many at most
 NEAR_WEIGHT = 6.0  # of the nearest stations, since flights and their sources are nearer still
@@ -104,7 +106,8 @@ class Departures:
     def __post_init__(self) -> None:
         rows = []
         for ascent in self.ascents:
-            ground, latitude = float(ascent.h_m[0]), ascent.latitude_rad
+            ground = float(ascent.h_m[0])
+            latitude = ascent.latitude_rad
             fine = np.arange(ground, ground + 30_000.0, 10.0)
             reduced = reduced_height(fine, ground, tropopause_m(latitude, ascent.month))
             h = np.interp(HEIGHT_M, reduced, fine)
@@ -184,7 +187,8 @@ def moments_of(
 
 def observed(departures: Departures) -> list[Moments]:
     """Departures of the middle latitudes, changes over stations, differences between them."""
-    ascents, kelvin = departures.ascents, departures.kelvin
+    ascents = departures.ascents
+    kelvin = departures.kelvin
     groups = departures.groups
     hours = np.array([ascent.time_ns / 3.6e12 for ascent in ascents])
     by_day = np.array([DAY_HOURS[0] < ascent.solar_hour < DAY_HOURS[1] for ascent in ascents])
@@ -197,7 +201,8 @@ def observed(departures: Departures) -> list[Moments]:
         for at_day in (True, False):
             chosen = middle & (groups == group) & (by_day == at_day)
             if chosen.sum() >= FEWEST:
-                weight, share = GROUP_WEIGHT, float(mixed[chosen].mean())
+                weight = GROUP_WEIGHT
+                share = float(mixed[chosen].mean())
                 moments.append(moments_of(kelvin[chosen], weight, share, is_change=False))
     place = np.array([(a.latitude_rad, a.longitude_rad) for a in ascents])
     pairs: dict[tuple[float, bool, bool], list[tuple[int, int]]] = {}

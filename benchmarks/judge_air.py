@@ -97,7 +97,8 @@ def judged(truth: Ascent, source: str, soundings=(), surface=()) -> Judgement:
         time_ns=truth.time_ns,
         longitude_rad=truth.longitude_rad,
     )
-    errors, sigmas = [], []
+    errors = []
+    sigmas = []
     for climb in CLIMBS_M:
         known = truth.reaches(climb)
         ground = float(truth.h_m[0])
@@ -151,8 +152,10 @@ def print_sigmas(rows: list[Judgement]) -> None:
             cells = ""
             for i in range(len(CLIMBS_M)):
                 known = np.isfinite(ratio[:, i])
-                z, e = ratio[known, i], error[known, i]
-                rms, off = np.sqrt(np.mean(z**2)), np.sqrt(np.mean(e**2))
+                z = ratio[known, i]
+                e = error[known, i]
+                rms = np.sqrt(np.mean(z**2))
+                off = np.sqrt(np.mean(e**2))
                 cells += f"  {rms:5.2f} ({100 * np.mean(np.abs(z) > 3):3.0f} %,{off:4.1f})"
             print(f"{source + ': ' + group:<58}{len(chosen):>5}{cells}")
         codes = [code for row in of_source for code in set(row.codes)]
@@ -172,7 +175,8 @@ def print_by_day(ascents: list[Ascent]) -> None:
                 if ascent.reaches(climb)
             ]
         )
-        rms, mean = np.sqrt(np.mean(rows**2, axis=0)), rows.mean(axis=0)
+        rms = np.sqrt(np.mean(rows**2, axis=0))
+        mean = rows.mean(axis=0)
         ours, standard = (f"{rms[i]:5.1f} ({mean[i]:+5.1f})" for i in (0, 1))
         print(f"{climb / 1e3:>6g} km  {ours}   {standard}")
 

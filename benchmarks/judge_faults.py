@@ -278,7 +278,8 @@ def outcome_of(flight: Flight) -> Outcome:
     It differs from a mission in one thing: the air of all its exposures is the same, so that no
     sigma grows with the distance on the flight's path.
     """
-    truth, ledger = flight.truth, Ledger()
+    truth = flight.truth
+    ledger = Ledger()
     samples = without_drifts(flight, ledger)
     ground_m = float(truth.h[0])
     background = climatology(

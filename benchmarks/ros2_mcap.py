@@ -39,7 +39,8 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
     length = (max(times) - min(times)) // SECOND + 1
     count = 0
     with out.open("wb") as stream:
-        writer, numbers = Writer(stream), {}
+        writer = Writer(stream)
+        numbers = {}
         writer.start(profile="ros2", library="unbend benchmark")
         for copy in itertools.count():
             if stream.tell() >= size_bytes:
@@ -50,7 +51,8 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
                     numbers[channel.id] = writer.register_channel(
                         channel.topic, channel.message_encoding, number
                     )
-                data, at = message.data, message.log_time + copy * length * SECOND
+                data = message.data
+                at = message.log_time + copy * length * SECOND
                 if known_name(schema.name) in SCHEMAS:
                     sec, nanosec = STAMP.unpack_from(data, 4)
                     data = data[:4] + STAMP.pack(sec + copy * length, nanosec) + data[12:]
@@ -84,8 +86,10 @@ def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:
         topics = [channel.name for channel in open_log(log).channels]
         wanted = ours(log)
         size = log.stat().st_size / 1e6
-        print(f"{source.name} grown to {size:.0f} MB, {count:,} messages, {wanted:,} of them in "
-              f"{len(topics)} topics")  # fmt: skip
+        print(
+            f"{source.name} grown to {size:.0f} MB, {count:,} messages, {wanted:,} of them in "
+            f"{len(topics)} topics"
+        )
         rates = []
         for _ in range(pairs):
             begin = time.perf_counter()

@@ -39,24 +39,35 @@ def exposures(count: int) -> Exposures:
     angles = np.stack([rng.uniform(-180, 180, count), *rng.normal(0, 2, (2, count))], axis=1)
     outside = air().refractivity(height)
     return Exposures(
-        np.ones(count, bool), Rotation.from_euler("zxy", angles, degrees=True).as_matrix() @ _DOWN,
-        rng.uniform(0.80, 0.81, count), height, outside, outside + 7e-5,
-    )  # fmt: skip
+        np.ones(count, bool),
+        Rotation.from_euler("zxy", angles, degrees=True).as_matrix() @ _DOWN,
+        rng.uniform(0.80, 0.81, count),
+        height,
+        outside,
+        outside + 7e-5,
+    )
 
 
 def uncertainty(of: Exposures) -> Uncertainty | None:
     """Of exposures in air that is known to half a kelvin, by stations to 0.05 degree and 2 m."""
-    profile, count = air(), of.usable.size
+    profile = air()
+    count = of.usable.size
     size = profile.layers.edge.size
     known = np.concatenate([np.full(size, 0.5), [0.001], np.full(size, 1e-4)])
     stations = StationSigmas(
-        np.full(count, 1e-3), np.full(count, 3e-3), np.tile([0.0, 0.0, 1.0], (count, 1)),
+        np.full(count, 1e-3),
+        np.full(count, 3e-3),
+        np.tile([0.0, 0.0, 1.0], (count, 1)),
         np.full(count, 2.0),
-    )  # fmt: skip
+    )
     return uncertainty_of(
-        profile, ProfileCovariance(profile, 0.0, np.diag(known**2)), of, stations,
-        [(CAMERA, np.ones(count, bool))], ground_heights_m=(-600.0, 10_000.0),
-    )  # fmt: skip
+        profile,
+        ProfileCovariance(profile, 0.0, np.diag(known**2)),
+        of,
+        stations,
+        [(CAMERA, np.ones(count, bool))],
+        ground_heights_m=(-600.0, 10_000.0),
+    )
 
 
 def points(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -66,14 +66,17 @@ def _frames(source: np.ndarray) -> Frames:
 
 def _with_whole_clocks(source: np.ndarray) -> np.ndarray:
     """The log with room for later times: MAVLink 2 has trimmed the zeros of small ones."""
-    frames, parts = _frames(source), []
+    frames = _frames(source)
+    parts = []
     for number in np.unique(frames.message_id).tolist():
         dtype = dialect()[number].dtype
         if set(dtype.names or ()) & set(CLOCKS):
             rows = (frames.message_id == number) & (frames.length < dtype.itemsize)
             rows &= frames.version == 2
             parts += [(at, dtype.itemsize) for at in frames.place[rows].tolist()]
-    data, done, out = source.tobytes(), 0, []
+    data = source.tobytes()
+    done = 0
+    out = []
     for at, size in sorted(parts):
         length = data[at + STAMP + 1]
         end = at + HEAD + length
@@ -81,7 +84,9 @@ def _with_whole_clocks(source: np.ndarray) -> np.ndarray:
         out += [bytes(size - length)]
         done = end
     whole = np.frombuffer(b"".join([*out, data[done:]]), np.uint8).copy()
-    places, at, raw = [], 0, whole.tobytes()
+    places = []
+    at = 0
+    raw = whole.tobytes()
     while at < len(raw) - HEAD and (length := frame_length(raw, at)):
         places.append(at)
         at += length

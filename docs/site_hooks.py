@@ -76,7 +76,8 @@ def on_page_read_source(page: Page, **_: Any) -> str | None:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    source, here = Path(str(page.file.abs_src_path)), posixpath.dirname(page.file.src_uri)
+    source = Path(str(page.file.abs_src_path))
+    here = posixpath.dirname(page.file.src_uri)
     places = elsewhere()
     if page.file.src_uri in UNSEARCHED:
         page.meta["search"] = {"exclude": True}

@@ -105,8 +105,15 @@ def blocks(page: Path) -> Iterator[Block]:
         indent = found["indent"]
         body = re.sub(rf"^{indent}", "", found["body"], flags=re.M)
         before = text[: found.start()].rstrip().rsplit("\n", 1)[-1].strip()
-        yield Block(found["kind"], title[1] if title else "", body, before == "<!-- slow -->",
-                    found.start("body"), found.end("body"), indent)  # fmt: skip
+        yield Block(
+            found["kind"],
+            title[1] if title else "",
+            body,
+            before == "<!-- slow -->",
+            found.start("body"),
+            found.end("body"),
+            indent,
+        )
 
 
 def given(page: Path) -> list[str]:
@@ -117,7 +124,8 @@ def given(page: Path) -> list[str]:
 
 def printed_by(words: list[str]) -> tuple[str, int]:
     """Run `unbend` with these words, in this process: what it prints, and its exit code."""
-    said, kept = io.StringIO(), (sys.argv, sys.excepthook)
+    said = io.StringIO()
+    kept = (sys.argv, sys.excepthook)
     sys.argv, code = ["unbend", *words], 0
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
@@ -138,18 +146,22 @@ def run_line(line: str) -> tuple[str, int]:
         words = [word for words in named for word in words]
         said, code = printed_by(words[1:])
     elif words[0] == "python":
-        out, kept = io.StringIO(), sys.argv
+        out = io.StringIO()
+        kept = sys.argv
         sys.argv = words[1:]
         try:
             with contextlib.redirect_stdout(out):
                 runpy.run_path(words[1], run_name="__main__")
         finally:
             sys.argv = kept
-        said, code = out.getvalue(), 0
+        said = out.getvalue()
+        code = 0
     elif words[0] in SHELL:
-        rest, mark = "", ""
+        rest = ""
+        mark = ""
         done = subprocess.run(line, shell=True, capture_output=True, text=True)
-        said, code = done.stdout + done.stderr, done.returncode
+        said = done.stdout + done.stderr
+        code = done.returncode
     else:
         raise ValueError(f"{line!r} is not run: write it in a block `sh`")
     if mark == "|":
@@ -178,7 +190,8 @@ def run_console(block: Block, differences: list[Difference]) -> None:
     """Run the lines of a block `console`, and note where it shows what is not printed."""
     code = 0
     parts = re.split(r"^(\$ .*(?:\\\n.*)*\n)", block.body, flags=re.M)
-    commands, outputs = parts[1::2], parts[2::2]
+    commands = parts[1::2]
+    outputs = parts[2::2]
     if parts[0].strip():
         raise ValueError(f"a block `console` begins with a line `$ ...`, not {parts[0]!r}")
     at = 0
@@ -328,14 +341,17 @@ def written(text: str, differences: list[tuple[Block, Difference]]) -> str:
 
 def main() -> int:
     words = sys.argv[1:]
-    write, named = "--write" in words, [Path(word).resolve() for word in words if word[0] != "-"]
-    every, bad = os.environ.get("UNBEND_SNIPPETS") == "all", 0
+    write = "--write" in words
+    named = [Path(word).resolve() for word in words if word[0] != "-"]
+    every = os.environ.get("UNBEND_SNIPPETS") == "all"
+    bad = 0
     os.environ["COLUMNS"] = "80"
     ready = Path(tempfile.mkdtemp())
     for page in named or pages():
         if not every and not any(block.runs and not block.slow for block in blocks(page)):
             continue
-        folder, begun = Path(tempfile.mkdtemp()), time.process_time()
+        folder = Path(tempfile.mkdtemp())
+        begun = time.process_time()
         try:
             differences = run_alone(page, ready, folder, every)
         except RuntimeError as error:

@@ -166,31 +166,56 @@ def summary(
         for name in ("standard", "adjusted")
     }
     rows = [
-        ("nadir, control, GNSS and self-calibration", b["nadir both calibrated"],
-         a["nadir both calibrated"], "absorbed: not needed"),
-        ("nadir, control alone", b["nadir control"], a["nadir control"],
-         "mostly absorbed"),
-        ("nadir, orientations fixed", f"{b['nadir held']} ± {b['nadir less mean']}",
-         a["nadir held"], "a constant: one number corrects it, or this program"),
+        (
+            "nadir, control, GNSS and self-calibration",
+            b["nadir both calibrated"],
+            a["nadir both calibrated"],
+            "absorbed: not needed",
+        ),
+        ("nadir, control alone", b["nadir control"], a["nadir control"], "mostly absorbed"),
+        (
+            "nadir, orientations fixed",
+            f"{b['nadir held']} ± {b['nadir less mean']}",
+            a["nadir held"],
+            "a constant: one number corrects it, or this program",
+        ),
         ("nadir, GNSS", b["nadir gnss"], a["nadir gnss"], "needed"),
         ("five heads (45°), GNSS", b["heads gnss"], a["heads gnss"], "needed"),
-        ("five heads, GNSS and self-calibration", b["heads gnss calibrated"],
-         a["heads gnss calibrated"], "needed: self-calibration makes it worse"),
-        ("five heads, control, GNSS and self-calibration", b["heads both calibrated"],
-         a["heads both calibrated"], "needed"),
-        ("nadir, calibrated in flight at 3 km, used at 6 km", b["carried"], a["carried"],
-         "calibrate on corrected images"),
-        ("nadir, calibrated in flight at 6 km", b["calibrated here"], a["calibrated here"],
-         "never correct on top of it"),
-    ]  # fmt: skip
-    return "\n".join([
-        "| block at 6 km | height error [m] | corrected [m] | conclusion |",
-        "| :-- | --: | --: | :-- |",
-        *(f"| {' | '.join(row)} |" for row in rows),
-        "",
-        f"US 1976 leaves {percent(left['standard'])} % of the error at 3 to 9 km,"
-        f" the air that the aircraft measured {percent(left['adjusted'])} %.",
-    ])  # fmt: skip
+        (
+            "five heads, GNSS and self-calibration",
+            b["heads gnss calibrated"],
+            a["heads gnss calibrated"],
+            "needed: self-calibration makes it worse",
+        ),
+        (
+            "five heads, control, GNSS and self-calibration",
+            b["heads both calibrated"],
+            a["heads both calibrated"],
+            "needed",
+        ),
+        (
+            "nadir, calibrated in flight at 3 km, used at 6 km",
+            b["carried"],
+            a["carried"],
+            "calibrate on corrected images",
+        ),
+        (
+            "nadir, calibrated in flight at 6 km",
+            b["calibrated here"],
+            a["calibrated here"],
+            "never correct on top of it",
+        ),
+    ]
+    return "\n".join(
+        [
+            "| block at 6 km | height error [m] | corrected [m] | conclusion |",
+            "| :-- | --: | --: | :-- |",
+            *(f"| {' | '.join(row)} |" for row in rows),
+            "",
+            f"US 1976 leaves {percent(left['standard'])} % of the error at 3 to 9 km,"
+            f" the air that the aircraft measured {percent(left['adjusted'])} %.",
+        ]
+    )
 
 
 def percent(values: list[float]) -> str:

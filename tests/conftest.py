@@ -63,7 +63,8 @@ def run_command(*words: object) -> Ended:
     """`unbend` with these words, in this process."""
     from unbend.cli import main
 
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
+    err = io.StringIO()
     kept = sys.argv, sys.excepthook
     heard = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     sys.argv = ["unbend", *(str(word) for word in words)]
@@ -112,7 +113,8 @@ class MissionFolder:
 
     def measured_often(self, copies: int) -> pa.Table:
         """The measurements over and over, each time of other points."""
-        once, parts = self.measurements(), []
+        once = self.measurements()
+        parts = []
         place = once.schema.get_field_index("point")
         for number in range(copies):
             point = pc.binary_join_element_wise(once["point"].cast(pa.string()), str(number), "-")
@@ -186,8 +188,10 @@ def computed_once() -> Iterator[None]:
     from unbend.stages import air_of_mission
     from unbend.stages.multi_image import tie_point_checks
 
-    diagnose, said = tie_point_checks.diagnosis, {}
-    estimate, found = air_of_mission.build_adjusted_profile, {}
+    diagnose = tie_point_checks.diagnosis
+    said = {}
+    estimate = air_of_mission.build_adjusted_profile
+    found = {}
 
     def diagnosis(stated: Any) -> Any:
         given = {name: value for name, value in vars(stated).items() if not callable(value)}
@@ -434,13 +438,21 @@ COUNTED = ("cells compared", "mutations", "assignments")
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """How much was compared and tried, which tests record as properties of theirs."""
-    reports = [report for name in ("passed", "failed") for report in
-               terminalreporter.stats.get(name, []) if report.when == "call"]  # fmt: skip
+    reports = [
+        report
+        for name in ("passed", "failed")
+        for report in terminalreporter.stats.get(name, [])
+        if report.when == "call"
+    ]
     found = {
-        name: [(report.nodeid, value) for report in reports
-               for key, value in report.user_properties if key == name]
+        name: [
+            (report.nodeid, value)
+            for report in reports
+            for key, value in report.user_properties
+            if key == name
+        ]
         for name in COUNTED
-    }  # fmt: skip
+    }
     if not any(found.values()):
         return
     terminalreporter.section("counted")

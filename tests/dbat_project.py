@@ -93,7 +93,8 @@ def write_project(folder: Path) -> Written:
     control = ["317", "351", "375", "403", "410", "422", "428", "333"]
     control += ["347", "492", "552", "563", "590", "634", "651", "607"]
     names = [*control, *(str(number) for number in range(65_000, 65_500))]
-    low, high = [999_500.0, 112_100.0, 136.0], [1_000_500.0, 112_700.0, 144.0]
+    low = [999_500.0, 112_100.0, 136.0]
+    high = [1_000_500.0, 112_700.0, 144.0]
     places = draw.uniform(low, high, (len(names), 3)).round(3)
     places[0] = [999_690.0, 112_260.0, 139.453]
     marks = seen(names, places, angles_deg, centres)

@@ -14,8 +14,32 @@ import xarray
 
 from unbend.simulate.true_air import normal_gravity
 
-PRESSURE_LEVELS = (1000, 975, 950, 925, 900, 875, 850, 825, 800, 775, 750, 700, 650, 600, 550, 500,
-                   450, 400, 350, 300, 250, 225, 200, 150)  # fmt: skip
+PRESSURE_LEVELS = (
+    1000,
+    975,
+    950,
+    925,
+    900,
+    875,
+    850,
+    825,
+    800,
+    775,
+    750,
+    700,
+    650,
+    600,
+    550,
+    500,
+    450,
+    400,
+    350,
+    300,
+    250,
+    225,
+    200,
+    150,
+)
 
 Column = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Heights above sea level [m], temperature [K], pressure and vapour pressure [Pa] of a column."""
@@ -37,22 +61,32 @@ def dataset(
     """Fields on pressure levels, with the names of the climate data store since 2024."""
     stamps = np.array(times, "datetime64[ns]")
     shape = (stamps.size, len(levels), len(latitude_deg), len(longitude_deg))
-    t, q, z = np.empty(shape), np.empty(shape), np.empty(shape)
+    t = np.empty(shape)
+    q = np.empty(shape)
+    z = np.empty(shape)
     for i, when in enumerate(stamps):
         for j, north in enumerate(latitude_deg):
             for k, east in enumerate(longitude_deg):
                 h, kelvin, p, e = air(np.radians(north), np.radians(east), when)
                 at = np.interp(np.log(100.0 * np.array(levels)), np.log(p[::-1]), h[::-1])
-                kelvin, e = np.interp(at, h, kelvin), np.exp(np.interp(at, h, np.log(e)))
+                kelvin = np.interp(at, h, kelvin)
+                e = np.exp(np.interp(at, h, np.log(e)))
                 t[i, :, j, k], z[i, :, j, k] = kelvin, geopotential(np.radians(north), at)
                 q[i, :, j, k] = 0.622 * e / (100.0 * np.array(levels) - 0.378 * e)
     on = ("valid_time", "pressure_level", "latitude", "longitude")
     return xarray.Dataset(
-        {"t": (on, t, {"units": "K"}), "q": (on, q, {"units": "kg kg**-1"}),
-         "z": (on, z, {"units": "m**2 s**-2"})},
-        {"valid_time": stamps, "pressure_level": (on[1], np.array(levels, float), {"units": "hPa"}),
-         "latitude": list(latitude_deg), "longitude": list(longitude_deg)},
-    )  # fmt: skip
+        {
+            "t": (on, t, {"units": "K"}),
+            "q": (on, q, {"units": "kg kg**-1"}),
+            "z": (on, z, {"units": "m**2 s**-2"}),
+        },
+        {
+            "valid_time": stamps,
+            "pressure_level": (on[1], np.array(levels, float), {"units": "hPa"}),
+            "latitude": list(latitude_deg),
+            "longitude": list(longitude_deg),
+        },
+    )
 
 
 def on_model_levels(
@@ -65,9 +99,13 @@ def on_model_levels(
     """Fields on ECMWF's levels 60 to 137 over a ground at one height [m above sea level]."""
     from unbend.atmosphere.soundings.model_levels import half_levels
 
-    levels, stamps = np.arange(60, 138), np.array(times, "datetime64[ns]")
+    levels = np.arange(60, 138)
+    stamps = np.array(times, "datetime64[ns]")
     shape = (stamps.size, levels.size, len(latitude_deg), len(longitude_deg))
-    t, q, log_p, z = np.empty(shape), np.empty(shape), np.empty(shape)[:, 0], np.empty(shape)[:, 0]
+    t = np.empty(shape)
+    q = np.empty(shape)
+    log_p = np.empty(shape)[:, 0]
+    z = np.empty(shape)[:, 0]
     for i, j, k in np.ndindex(shape[0], *shape[2:]):
         place = np.radians(latitude_deg[j]), np.radians(longitude_deg[k])
         h, kelvin, p, e = air(*place, stamps[i])
@@ -82,9 +120,13 @@ def on_model_levels(
     flat = (on[0], *on[2:])
     return xarray.Dataset(
         {"t": (on, t), "q": (on, q), "lnsp": (flat, log_p), "z": (flat, z)},
-        {"valid_time": stamps, "hybrid": levels.astype(float),
-         "latitude": list(latitude_deg), "longitude": list(longitude_deg)},
-    )  # fmt: skip
+        {
+            "valid_time": stamps,
+            "hybrid": levels.astype(float),
+            "latitude": list(latitude_deg),
+            "longitude": list(longitude_deg),
+        },
+    )
 
 
 def netcdf(path: Path, data: xarray.Dataset) -> Path:
@@ -97,12 +139,16 @@ def grib(path: Path, data: xarray.Dataset, lead_h: int = 0) -> Path:
     """The same fields as GRIB2 from ecCodes' sample, a forecast where it has a lead time."""
     import eccodes
 
-    kind, on = ("isobaricInhPa", "pressure_level")
+    kind = "isobaricInhPa"
+    on = "pressure_level"
     if "hybrid" in data.dims:
-        kind, on = "hybrid", "hybrid"
-    north, east = data.latitude.values, data.longitude.values
+        kind = "hybrid"
+        on = "hybrid"
+    north = data.latitude.values
+    east = data.longitude.values
     grid = {
-        "Ni": east.size, "Nj": north.size,
+        "Ni": east.size,
+        "Nj": north.size,
         "latitudeOfFirstGridPointInDegrees": float(north[0]),
         "latitudeOfLastGridPointInDegrees": float(north[-1]),
         "longitudeOfFirstGridPointInDegrees": float(east[0]) % 360.0,
@@ -110,7 +156,7 @@ def grib(path: Path, data: xarray.Dataset, lead_h: int = 0) -> Path:
         "iDirectionIncrementInDegrees": float(east[1] - east[0]),
         "jDirectionIncrementInDegrees": float(abs(north[1] - north[0])),
         "jScansPositively": int(north[1] > north[0]),
-    }  # fmt: skip
+    }
     with path.open("wb") as file:
         for name, field in data.data_vars.items():
             for when in data.valid_time.values:
@@ -119,10 +165,15 @@ def grib(path: Path, data: xarray.Dataset, lead_h: int = 0) -> Path:
                 for level in data[on].values if on in field.dims else [1]:
                     message = eccodes.codes_grib_new_from_samples("regular_ll_pl_grib2")
                     for key, value in {
-                        **grid, "typeOfLevel": kind, "level": int(level), "shortName": str(name),
-                        "dataDate": int(f"{run:%Y%m%d}"), "dataTime": int(f"{run:%H%M}"),
-                        "stepRange": lead_h, "bitsPerValue": 24,
-                    }.items():  # fmt: skip
+                        **grid,
+                        "typeOfLevel": kind,
+                        "level": int(level),
+                        "shortName": str(name),
+                        "dataDate": int(f"{run:%Y%m%d}"),
+                        "dataTime": int(f"{run:%H%M}"),
+                        "stepRange": lead_h,
+                        "bitsPerValue": 24,
+                    }.items():
                         eccodes.codes_set(message, key, value)
                     values = of_time.sel({on: level}) if on in field.dims else of_time
                     eccodes.codes_set_values(message, values.values.ravel())

@@ -93,8 +93,18 @@ class SmallBlock:
         point_lon = lon0 + draw.uniform(-900, 900, 60) / (degree_m * np.cos(np.radians(lat0)))
         point_h = 500.0 + draw.uniform(0.0, 60.0, 60)
         names = [f"IMG_{k:04d}.JPG" for k in range(1, 13)]
-        block = cls(lat, lon, h, cam_from_enu, point_lat, point_lon, point_h,
-                    pd.DataFrame(), names, (lat0, lon0, 0.0))  # fmt: skip
+        block = cls(
+            lat,
+            lon,
+            h,
+            cam_from_enu,
+            point_lat,
+            point_lon,
+            point_h,
+            pd.DataFrame(),
+            names,
+            (lat0, lon0, 0.0),
+        )
         block.observations = block.observed()
         return block
 
@@ -199,10 +209,15 @@ class SmallBlock:
             rotations = u @ vt
         size = max(WIDTH, HEIGHT)
         camera = {
-            "projection_type": "brown", "width": WIDTH, "height": HEIGHT,
-            "focal_x": FOCAL / size, "focal_y": FOCAL / size,
-            "c_x": (CX - WIDTH / 2) / size, "c_y": (CY - HEIGHT / 2) / size, **DISTORTION,
-        }  # fmt: skip
+            "projection_type": "brown",
+            "width": WIDTH,
+            "height": HEIGHT,
+            "focal_x": FOCAL / size,
+            "focal_y": FOCAL / size,
+            "c_x": (CX - WIDTH / 2) / size,
+            "c_y": (CY - HEIGHT / 2) / size,
+            **DISTORTION,
+        }
         shots = {}
         for k, image in enumerate(self.names):
             shots[image] = {
@@ -227,9 +242,15 @@ class SmallBlock:
         (folder / "tracks.csv").write_text("\n".join(rows) + "\n")
 
     def write_metashape(
-        self, path: Path, *, reference: str, shift=(0.0, 0.0, 0.0), known=None, chunk_scale=23.0,
+        self,
+        path: Path,
+        *,
+        reference: str,
+        shift=(0.0, 0.0, 0.0),
+        known=None,
+        chunk_scale=23.0,
         head: SmallRig | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """An exported document; the chunk is earth-centred, moved by ``shift``, turned and scaled.
 
         Slave cameras of a rig have their place in the master's axes, in the chunk's units.
@@ -319,18 +340,28 @@ class SmallBlock:
         folder.mkdir(parents=True, exist_ok=True)
         d = DISTORTION
         lines = [
-            "fileName imageWidth imageHeight ", "camera matrix K [3x3]", "radial distortion [3x1]",
-            "tangential distortion [2x1]", "camera position t [3x1]", "camera rotation R [3x3]",
-            "camera model m = K [R|-Rt] X", "",
-        ]  # fmt: skip
+            "fileName imageWidth imageHeight ",
+            "camera matrix K [3x3]",
+            "radial distortion [3x1]",
+            "tangential distortion [2x1]",
+            "camera position t [3x1]",
+            "camera rotation R [3x3]",
+            "camera model m = K [R|-Rt] X",
+            "",
+        ]
         external = ["imageName X Y Z Omega Phi Kappa"]
         ties = []
         for name, centre, turn in zip(self.names, centres, rotations, strict=True):
             lines += [
-                f"{name} {WIDTH} {HEIGHT}", f"{FOCAL} 0 {CX}", f"0 {FOCAL} {CY}", "0 0 1",
-                f"{d['k1']} {d['k2']} {d['k3']}", f"{d['p1']} {d['p2']}",
-                text_of(centre - offset), *(text_of(row) for row in turn),
-            ]  # fmt: skip
+                f"{name} {WIDTH} {HEIGHT}",
+                f"{FOCAL} 0 {CX}",
+                f"0 {FOCAL} {CY}",
+                "0 0 1",
+                f"{d['k1']} {d['k2']} {d['k3']}",
+                f"{d['p1']} {d['p2']}",
+                text_of(centre - offset),
+                *(text_of(row) for row in turn),
+            ]
             omega, phi, kappa = textbook_opk(turn)
             x, y, z = centre
             external.append(f"{name} {x:.6f} {y:.6f} {z:.6f} {omega:.9f} {phi:.9f} {kappa:.9f}")
@@ -350,9 +381,15 @@ class SmallBlock:
                 (folder / f"survey_{name}").write_text(text)
 
     def write_blocks_exchange(
-        self, path: Path, system: str, *, orientation: str = "XRightYDown", angles: bool = False,
-        millimetres: bool = False, known=None,
-    ) -> None:  # fmt: skip
+        self,
+        path: Path,
+        system: str,
+        *,
+        orientation: str = "XRightYDown",
+        angles: bool = False,
+        millimetres: bool = False,
+        known=None,
+    ) -> None:
         """A block in ENU at the origin, in longitude and latitude, or in a map projection."""
         if system.startswith("ENU"):
             centres, rotations, points = self.in_enu()
@@ -378,7 +415,8 @@ class SmallBlock:
                 f"<SensorSize>{pixel_mm * WIDTH}</SensorSize>"
                 f"<FocalLength>{pixel_mm * FOCAL}</FocalLength>"
             )
-            right, down = pixel_mm * (CX - WIDTH / 2), pixel_mm * (CY - HEIGHT / 2)
+            right = pixel_mm * (CX - WIDTH / 2)
+            down = pixel_mm * (CY - HEIGHT / 2)
             x, y, _ = (to_stated @ [right, down, 0.0]).tolist()
             principal = f"<xmm>{x!r}</xmm><ymm>{y!r}</ymm>"
         photos = []
@@ -411,7 +449,8 @@ class SmallBlock:
             for r in rows.itertuples():
                 pixel = f"<x>{r.x_px - 0.5!r}</x><y>{r.y_px - 0.5!r}</y>"
                 if millimetres:
-                    right, down = pixel_mm * (r.x_px - CX), pixel_mm * (r.y_px - CY)
+                    right = pixel_mm * (r.x_px - CX)
+                    down = pixel_mm * (r.y_px - CY)
                     x_mm, y_mm, _ = (to_stated @ [right, down, 0.0]).tolist()
                     pixel = f"<xmm>{x_mm!r}</xmm><ymm>{y_mm!r}</ymm>"
                 photo = self.names.index(r.image) + 5

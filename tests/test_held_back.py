@@ -95,7 +95,8 @@ def test_a_handler_that_raises_while_they_are_put_back_swallows_no_other():
         heard.append(number)
 
     signal.signal(signal.SIGTERM, flagged)
-    real, put_back = signal.signal, []
+    real = signal.signal
+    put_back = []
 
     def interrupted(number, handler):
         result = real(number, handler)

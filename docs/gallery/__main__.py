@@ -13,7 +13,8 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that wait for each other
 from docs.gallery.plates import FOLDER, numbers_of, save, table
 
-PAGE, TEXTS = FOLDER / "index.md", Path(__file__).with_name("texts.toml")
+PAGE = FOLDER / "index.md"
+TEXTS = Path(__file__).with_name("texts.toml")
 HEAD = """\
 # Gallery
 
@@ -24,11 +25,13 @@ again.
 
 
 def main(named: list[str]) -> None:
-    page, texts = HEAD, tomllib.loads(TEXTS.read_text(encoding="utf-8"))
+    page = HEAD
+    texts = tomllib.loads(TEXTS.read_text(encoding="utf-8"))
     for name, about in texts.items():
         script = import_module(f"docs.gallery.{name}")
         rows = script.rows() if name in named or not named else numbers_of(name)
-        title, drawn = about["title"], partial(script.draw, table=rows)
+        title = about["title"]
+        drawn = partial(script.draw, table=rows)
         picture = save(name, title, script.SIZE, drawn)
         page += f"\n## {title}\n\n{about['text']}\n{picture}\n"
         page += f'??? note "The numbers (`docs/gallery/{name}.py`)"\n\n'

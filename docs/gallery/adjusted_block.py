@@ -8,7 +8,10 @@ from matplotlib.figure import Figure
 from tests.golden import adjusted_block as blocks
 
 SIZE = (8.2, 4.8)
-AIR, SEED, HEIGHT_M = 4, 5, 6000.0  # Barrow, 2010-06-01
+# Barrow, 2010-06-01
+AIR = 4
+SEED = 5
+HEIGHT_M = 6000.0
 KINDS = ("", ", self-calibration")
 NAMES = tuple(f"{name}{kind}" for kind in KINDS for name in ("uncorrected", "corrected"))
 
@@ -33,7 +36,8 @@ def rows(names: tuple[str, ...] = NAMES) -> list[list[str]]:
     found = [["height error [m]", "RMS", "mean", "smallest", "largest", "horizontal RMS"]]
     for name in names:
         east_north_up = adjusted(name).error
-        up, plane = east_north_up[:, 2], np.sqrt(np.mean(east_north_up[:, :2] ** 2))
+        up = east_north_up[:, 2]
+        plane = np.sqrt(np.mean(east_north_up[:, :2] ** 2))
         numbers = (adjusted(name).z, up.mean(), up.min(), up.max(), plane)
         found.append([name, *(f"{value:.4f}" for value in numbers)])
     return found
@@ -42,7 +46,8 @@ def rows(names: tuple[str, ...] = NAMES) -> list[list[str]]:
 def draw(figure: Figure, table: list[list[str]]) -> None:
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     for axis, name in zip(axes, NAMES[:2], strict=True):
-        error, flown = adjusted(name).error, block()[0]
+        error = adjusted(name).error
+        flown = block()[0]
         places = flown.local(flown.points.ecef_m)[np.unique(flown.seen.point), :2] / 1000.0
         shown = axis.scatter(*places.T, c=error[:, 2], s=14, cmap="coolwarm", vmin=-0.5, vmax=0.5)
         axis.set_title(f"{name}: {1000 * adjusted(name).z:.1f} mm RMS")

@@ -14,7 +14,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 FOLDER = Path(__file__).resolve().parents[1] / "pages" / "gallery"
-BLUE, ORANGE, GREEN, PURPLE, GREY = "#3b8ec9", "#e58a1f", "#3aa678", "#c45ab3", "#8a8a8a"
+BLUE = "#3b8ec9"
+ORANGE = "#e58a1f"
+GREEN = "#3aa678"
+PURPLE = "#c45ab3"
+GREY = "#8a8a8a"
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, "#b8a31d", "#d9534f", "#56b4b4", "#7f6fd0", GREY)
 THEMES = {"light": ("#333333", "#d9d9d9"), "dark": ("#dddddd", "#50566a")}
 """Colours of words and of lines, on the ground of the page."""
@@ -25,14 +29,27 @@ def save(name: str, title: str, size: tuple[float, float], draw: Callable[[Figur
     shown = ""
     for theme, (words, lines) in THEMES.items():
         style = {
-            "text.color": words, "axes.labelcolor": words, "axes.edgecolor": lines,
-            "axes.titlecolor": words, "xtick.color": words, "ytick.color": words,
-            "axes.facecolor": "none", "figure.facecolor": "none", "savefig.facecolor": "none",
-            "grid.color": lines, "axes.grid": True, "grid.linewidth": 0.5, "font.size": 9,
-            "axes.titlesize": 10, "legend.frameon": False, "axes.axisbelow": True,
-            "axes.prop_cycle": mpl.cycler(color=COLOURS), "axes.spines.top": False,
-            "axes.spines.right": False, "axes.unicode_minus": False,
-        }  # fmt: skip
+            "text.color": words,
+            "axes.labelcolor": words,
+            "axes.edgecolor": lines,
+            "axes.titlecolor": words,
+            "xtick.color": words,
+            "ytick.color": words,
+            "axes.facecolor": "none",
+            "figure.facecolor": "none",
+            "savefig.facecolor": "none",
+            "grid.color": lines,
+            "axes.grid": True,
+            "grid.linewidth": 0.5,
+            "font.size": 9,
+            "axes.titlesize": 10,
+            "legend.frameon": False,
+            "axes.axisbelow": True,
+            "axes.prop_cycle": mpl.cycler(color=COLOURS),
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.unicode_minus": False,
+        }
         with mpl.rc_context(style):
             figure = Figure(figsize=size, layout="constrained")
             draw(figure)

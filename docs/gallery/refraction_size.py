@@ -10,8 +10,10 @@ from unbend.refraction import refraction_angle
 from unbend.refraction.image import ground_displacement
 
 SIZE = (8.2, 3.8)
-FOCAL_PX, RADIUS_M = 20_000.0, 6_371_000.0
-HEIGHTS_M, ANGLES_DEG = (120, 500, 1000, 3000, 6000, 10_000), (15, 30, 45, 60, 75)
+FOCAL_PX = 20_000.0
+RADIUS_M = 6_371_000.0
+HEIGHTS_M = (120, 500, 1000, 3000, 6000, 10_000)
+ANGLES_DEG = (15, 30, 45, 60, 75)
 
 
 def effect(h_c: float, degrees: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -31,7 +33,8 @@ def rows() -> list[list[str]]:
 
 
 def draw(figure: Figure, table: list[list[str]]) -> None:
-    angle, height = np.linspace(1.0, 80.0, 160), np.geomspace(50.0, 10_000.0, 80)
+    angle = np.linspace(1.0, 80.0, 160)
+    height = np.geomspace(50.0, 10_000.0, 80)
     pixels, metres = (
         np.array(both) for both in zip(*(effect(h, angle) for h in height), strict=True)
     )

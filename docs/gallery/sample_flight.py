@@ -11,7 +11,9 @@ from docs.gallery.plates import BLUE, GREEN, GREY, ORANGE
 SIZE = (8.2, 3.8)
 RESULTS = Path(__file__).resolve().parents[2] / "results" / "sample_bin"
 HEIGHTS_M = (500, 1000, 1500, 2000, 2500, 3000, 3450)
-CAMERA, SIZE_PX, CELLS = "oblique", (14_000, 10_600), (10, 8)
+CAMERA = "oblique"
+SIZE_PX = (14_000, 10_600)
+CELLS = (10, 8)
 
 
 def curves(results: Path) -> pd.DataFrame:
@@ -46,7 +48,8 @@ def draw(figure: Figure, table: list[list[str]]) -> None:
 
     seen = pd.read_parquet(RESULTS / "observations").query("status == 'ok'")
     seen = seen[seen["image"].str.startswith(CAMERA)]
-    x, y = seen["x_px"], seen["y_px"]
+    x = seen["x_px"]
+    y = seen["y_px"]
     seen = seen.assign(u=seen["x_corrected_px"] - x, v=seen["y_corrected_px"] - y)
     cell = [(a * n // size) for a, n, size in zip((x, y), CELLS, SIZE_PX, strict=True)]
     means = seen.groupby(cell)[["x_px", "y_px", "u", "v"]].mean()

@@ -15,9 +15,10 @@ from unbend.messages import Ledger
 SIZE = (8.2, 3.8)
 CLIMBS = (1000, 3000, 6000)
 FLOWN = {
-    "barometer and GNSS": {"thermometer": False}, "thermometer, climb": {},
+    "barometer and GNSS": {"thermometer": False},
+    "thermometer, climb": {},
     "thermometer, climb and descent": {"descent": True},
-}  # fmt: skip
+}
 SOURCES = ["US 1976", "climatology", "sounding 12 h apart", *FLOWN]
 PAIRS = {5: 4, 4: 5, 7: 6, 6: 7}  # ascents 12 hours apart
 US1976 = standard_atmosphere("us1976")
@@ -26,10 +27,13 @@ AIRS = [flights.Truth(balloon) for balloon in flights.balloons()]
 
 def error(number: int, climb: int, source: str) -> float:
     """Error of R [%] in the air of a sounding, by its number from 0."""
-    truth, rng = AIRS[number], np.random.default_rng(number)
-    month, ground = month_of(truth.start_ns), float(truth.h[0])
+    truth = AIRS[number]
+    rng = np.random.default_rng(number)
+    month = month_of(truth.start_ns)
+    ground = float(truth.h[0])
     usual = climatology(latitude_rad=truth.latitude, month=month, ground_h_m=ground)
-    samples, soundings = AirSamples(), []
+    samples = AirSamples()
+    soundings = []
     if source == "sounding 12 h apart":
         other = AIRS[PAIRS[number]]
         levels = (column[::50] for column in (other.h, other.p, other.t, other.e))
@@ -52,15 +56,22 @@ def rows(numbers: tuple[int, ...] = tuple(range(9))) -> list[list[str]]:
     for number in numbers:
         able = [number in PAIRS or "sounding" not in source for source in SOURCES]
         for climb in CLIMBS:
-            values = (f"{error(number, climb, s):+.2f}" if ok else ""
-                      for s, ok in zip(SOURCES, able, strict=True))  # fmt: skip
+            values = (
+                f"{error(number, climb, s):+.2f}" if ok else ""
+                for s, ok in zip(SOURCES, able, strict=True)
+            )
             found.append([f"{AIRS[number].name[2:]}, {climb // 1000} km", *values])
     return found
 
 
 def draw(figure: Figure, table: list[list[str]]) -> None:
     for i, axis in enumerate(figure.subplots(1, 3, sharey=True)):
-        bars(axis, {name: [row[column] for row in table[1 + i :: 3] if row[column]]
-                    for column, name in enumerate(SOURCES, start=1)})  # fmt: skip
+        bars(
+            axis,
+            {
+                name: [row[column] for row in table[1 + i :: 3] if row[column]]
+                for column, name in enumerate(SOURCES, start=1)
+            },
+        )
         axis.set_title(f"climb to {CLIMBS[i] // 1000} km")
         axis.set_xlabel("error of R [%]")

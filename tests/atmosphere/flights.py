@@ -45,9 +45,15 @@ def from_levels(name: str, degrees: float, p, H, celsius, dew) -> Balloon:
     """Levels in the order of height, one at a height; dew points filled in where they are given."""
     p, H, celsius, dew = (np.asarray(a, float) for a in (p, H, celsius, dew))
     good = np.isfinite(p) & np.isfinite(H) & np.isfinite(celsius)
-    p, H, celsius, dew = p[good], H[good], celsius[good], dew[good]
+    p = p[good]
+    H = H[good]
+    celsius = celsius[good]
+    dew = dew[good]
     rising = np.concatenate([[True], H[1:] > np.maximum.accumulate(H)[:-1] + 1.0])
-    p, H, celsius, dew = p[rising], H[rising], celsius[rising], dew[rising]
+    p = p[rising]
+    H = H[rising]
+    celsius = celsius[rising]
+    dew = dew[rising]
     known = np.isfinite(dew)
     dew = np.interp(H, H[known], dew[known])
     e = saturation_pressure_pa(np.maximum(dew + 273.15, 190.0))
@@ -59,7 +65,8 @@ def extremes() -> list[Balloon]:
 
     def made(name, degrees, month, hour, h, t, rh) -> Balloon:
         H = np.arange(0.0, 11_000.0, 25.0)
-        t_k, u = np.interp(H, h, t), np.interp(H, h, rh)
+        t_k = np.interp(H, h, t)
+        u = np.interp(H, h, rh)
         e = np.maximum(u * saturation_pressure_pa(t_k), 1e-3)
         return Balloon(name, math.radians(degrees), H, t_k, e, 101_000.0, month, hour)
 
@@ -120,7 +127,8 @@ class Truth:
         """The same with its lowest metres in the sun: warmer by 0.5 to 4 K, falling by 1/e in 10 to
         40 m (similarity theory has 1 to 3 K between 2 and 50 m on a sunny day)."""
         hot = copy.copy(self)
-        warmer, depth = rng.uniform(0.5, 4.0), rng.uniform(10.0, 40.0)
+        warmer = rng.uniform(0.5, 4.0)
+        depth = rng.uniform(10.0, 40.0)
         hot.t = self.t + warmer * np.exp(-(self.h - self.h[0]) / depth)
         hot._weigh()
         return hot
@@ -191,11 +199,21 @@ class Sensors:
 
 
 REALISTIC = Sensors(
-    bias_k=3.0, transient_k=5.0, transient_s=60.0, lag_s=20.0, noise_k=0.2, outliers=0.03,
-    pressure_offset_pa=30.0, pressure_drift_pa=10.0, pressure_noise_pa=5.0,
-    gnss_offset_m=2.0, gnss_drift_m=1.5, gnss_noise_m=0.3,
-    humidity_bias=0.03, humidity_noise=0.02,
-)  # fmt: skip
+    bias_k=3.0,
+    transient_k=5.0,
+    transient_s=60.0,
+    lag_s=20.0,
+    noise_k=0.2,
+    outliers=0.03,
+    pressure_offset_pa=30.0,
+    pressure_drift_pa=10.0,
+    pressure_noise_pa=5.0,
+    gnss_offset_m=2.0,
+    gnss_drift_m=1.5,
+    gnss_noise_m=0.3,
+    humidity_bias=0.03,
+    humidity_noise=0.02,
+)
 
 
 def drawn(rng: np.random.Generator) -> Sensors:
@@ -205,12 +223,17 @@ def drawn(rng: np.random.Generator) -> Sensors:
     """
     return replace(
         REALISTIC,
-        bias_k=rng.normal(0.0, 2.0), transient_k=rng.normal(0.0, 4.0),
-        transient_s=60.0 * math.exp(rng.normal(0.0, 0.3)), lag_s=rng.uniform(1.0, 25.0),
-        drift_k=0.3, pressure_offset_pa=rng.normal(0.0, 40.0), pressure_drift_pa=15.0,
-        gnss_offset_m=rng.normal(0.0, 2.0), humidity_bias=rng.normal(0.0, 0.03),
+        bias_k=rng.normal(0.0, 2.0),
+        transient_k=rng.normal(0.0, 4.0),
+        transient_s=60.0 * math.exp(rng.normal(0.0, 0.3)),
+        lag_s=rng.uniform(1.0, 25.0),
+        drift_k=0.3,
+        pressure_offset_pa=rng.normal(0.0, 40.0),
+        pressure_drift_pa=15.0,
+        gnss_offset_m=rng.normal(0.0, 2.0),
+        humidity_bias=rng.normal(0.0, 0.03),
         pressure_scale=rng.spawn(1)[0].normal(0.0, 0.002),
-    )  # fmt: skip
+    )
 
 
 def with_any_static(sensors: Sensors, rng: np.random.Generator) -> Sensors:
@@ -235,10 +258,14 @@ def surveyed(rng: np.random.Generator) -> Sensors:
     a receiver of 2013, 0.4 m, 2.4 m, and 6 m in a quarter of an hour; `drawn` has 0.6, 0.7, 2 m.
     """
     return replace(
-        drawn(rng), pressure_noise_pa=2.0, pressure_drift_pa=4.0,
-        pressure_ramp_pa=rng.normal(0.0, 30.0), gnss_noise_m=0.03, gnss_drift_m=0.05,
+        drawn(rng),
+        pressure_noise_pa=2.0,
+        pressure_drift_pa=4.0,
+        pressure_ramp_pa=rng.normal(0.0, 30.0),
+        gnss_noise_m=0.03,
+        gnss_drift_m=0.05,
         gnss_offset_m=rng.normal(0.0, 0.1),
-    )  # fmt: skip
+    )
 
 
 def walk(rng: np.random.Generator, seconds: np.ndarray, tau: float) -> np.ndarray:
@@ -252,7 +279,8 @@ def walk(rng: np.random.Generator, seconds: np.ndarray, tau: float) -> np.ndarra
 def path(climb: float, rate: float, cruise_s: float, descent: bool, hz: float):
     """Seconds and heights above ground: standing, climbing, cruising, coming down."""
     up = TAKEOFF_S + climb / rate
-    times, heights = [0.0, TAKEOFF_S, up, up + cruise_s], [0.0, 0.0, climb, climb]
+    times = [0.0, TAKEOFF_S, up, up + cruise_s]
+    heights = [0.0, 0.0, climb, climb]
     if descent:
         times.append(times[-1] + climb / rate)
         heights.append(0.0)
@@ -261,11 +289,20 @@ def path(climb: float, rate: float, cruise_s: float, descent: bool, hz: float):
 
 
 def fly(
-    truth: Truth, climb: float, sensors: Sensors, rng: np.random.Generator, *,
-    thermometer: bool = True, barometer: bool = True, humidity: str = "surface",
-    rate: float = 5.0, cruise_s: float = 300.0, descent: bool = False, hz: float = 1.0,
+    truth: Truth,
+    climb: float,
+    sensors: Sensors,
+    rng: np.random.Generator,
+    *,
+    thermometer: bool = True,
+    barometer: bool = True,
+    humidity: str = "surface",
+    rate: float = 5.0,
+    cruise_s: float = 300.0,
+    descent: bool = False,
+    hz: float = 1.0,
     gate_s: float = 120.0,
-) -> AirSamples:  # fmt: skip
+) -> AirSamples:
     """What a flight measures. ``humidity``: none | surface (the lowest 200 m) | profile."""
     s = sensors
     seconds, above = path(climb, rate, cruise_s, descent, hz)
@@ -303,7 +340,8 @@ def sun_on_the_probe(samples: AirSamples, rng: np.random.Generator) -> AirSample
     some headings (circles of 40 to 120 s), and by 0 to 8 K more on the ground."""
     t = samples.temperature
     seconds = (t.time_ns - t.time_ns[0]) * 1e-9
-    most, soak = rng.uniform(0.0, 2.0), rng.uniform(0.0, 8.0)
+    most = rng.uniform(0.0, 2.0)
+    soak = rng.uniform(0.0, 8.0)
     share = 0.8 + 0.2 * np.sign(walk(rng, seconds, 120.0))
     turn = 2.0 * np.pi * (seconds / rng.uniform(40.0, 120.0) + rng.random())
     keep = math.exp(-(seconds[1] - seconds[0]) / 10.0)  # the probe's own 10 s

@@ -14,7 +14,8 @@ from unbend.atmosphere.air_variation import (
 )
 
 VIENNA_RAD = np.radians(48.2)
-JANUARY, JULY = 1.0, 7.0
+JANUARY = 1.0
+JULY = 7.0
 
 
 def correlation_of_changes(hours: float, low_m: float, high_m: float) -> float:

@@ -73,7 +73,8 @@ def test_afgl(name):
     vapour = profile.vapour_pressure(1e3 * h) / profile.pressure(1e3 * h)
     assert vapour == pytest.approx(1e-6 * water, rel=1e-6)
     # The paper's own pressures, which are not exactly hydrostatic. Reached: 0.12 %, 0.45 %.
-    low, high = h <= 10.0, h <= 30.0
+    low = h <= 10.0
+    high = h <= 30.0
     assert profile.pressure(1e3 * h[low]) == pytest.approx(100.0 * p[low], rel=1.5e-3)
     assert profile.pressure(1e3 * h[high]) == pytest.approx(100.0 * p[high], rel=5e-3)
 
@@ -83,7 +84,9 @@ def test_the_refraction_of_dry_and_moist_air_of_july():
     profile = climate_profile("supplements1966_30n_july")
     for climb, per_cent in ((500.0, 3.9), (1000.0, 2.9), (3000.0, 1.3)):
         h = np.linspace(0.0, climb, 601)
-        t, p, e = profile.temperature(h), profile.pressure(h), profile.vapour_pressure(h)
+        t = profile.temperature(h)
+        p = profile.pressure(h)
+        e = profile.vapour_pressure(h)
         moist = profile.index.refractivity(t, p, e)
         # Dry air is heavier than moist air of its temperature, so its pressure falls faster too.
         step = 0.5 * (1.0 / t[1:] + 1.0 / t[:-1]) * np.diff(profile.gravity.geopotential_height(h))
@@ -97,7 +100,8 @@ def test_names_reach_the_command_line():
     assert set(climate_names()) < set(standard_names())
     assert len(climate_names()) == 15
     for name in climate_names():
-        named, own = standard_atmosphere(name, index="gyer"), climate_profile(name)
+        named = standard_atmosphere(name, index="gyer")
+        own = climate_profile(name)
         assert named.name == name
         assert named.index.name == "gyer"
         assert named.pressure(5000.0) == own.pressure(5000.0)
@@ -109,11 +113,19 @@ def test_names_reach_the_command_line():
     assert moved.pressure(10_000.0) != standard_atmosphere("afgl1986_tropical").pressure(10_000.0)
 
 
-@pytest.mark.parametrize(("degrees", "month", "name"), [
-    (15.0, 4.0, "15n_annual"), (-3.0, 1.0, "15n_annual"), (45.0, 1.0, "45n_january"),
-    (45.0, 7.0, "45n_july"), (-45.0, 7.0, "45n_january"), (-60.0, 13.0, "60n_july"),
-    (75.0, 1.0, "75n_january"), (89.0, 7.0, "75n_july"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("degrees", "month", "name"),
+    [
+        (15.0, 4.0, "15n_annual"),
+        (-3.0, 1.0, "15n_annual"),
+        (45.0, 1.0, "45n_january"),
+        (45.0, 7.0, "45n_july"),
+        (-45.0, 7.0, "45n_january"),
+        (-60.0, 13.0, "60n_july"),
+        (75.0, 1.0, "75n_january"),
+        (89.0, 7.0, "75n_july"),
+    ],
+)
 def test_at_the_nodes_it_is_the_table(degrees, month, name):
     profile = supplements_profile(math.radians(degrees), month)
     table = climate_profile(f"supplements1966_{name}", gravity=profile.gravity)
@@ -139,8 +151,9 @@ def test_month_of_a_time():
         )
 
 
-@pytest.mark.parametrize("name", ["auto", "supplements1966_75n_january", "afgl1986_tropical",
-                                  "us1976", "ican"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name", ["auto", "supplements1966_75n_january", "afgl1986_tropical", "us1976", "ican"]
+)
 def test_every_climatology_has_its_spread(name):
     air = climatology(name, latitude_rad=0.8, month=3.0, ground_h_m=400.0)
     h = np.linspace(0.0, 25_000.0, 60)
@@ -178,11 +191,14 @@ ASCENTS = [  # file, latitude, month, hour of the archive
 @pytest.mark.shared("soundings")
 def test_the_spread_contains_real_ascents():
     """Eight ascents of five sites: neither surprised by them, nor ten times too careful."""
-    warm, wet, level = [], [], []
+    warm = []
+    wet = []
+    level = []
     for name, degrees, hour in ASCENTS:
         when = None if hour is None else int(np.datetime64(hour, "ns").astype(np.int64))
-        s = read_sounding(SHARED / "soundings" / name, Ledger(), time_ns=when,
-                          latitude_rad=math.radians(degrees))  # fmt: skip
+        s = read_sounding(
+            SHARED / "soundings" / name, Ledger(), time_ns=when, latitude_rad=math.radians(degrees)
+        )
         assert s.time_ns is not None
         ground = float(s.h_m[0])
         air = climatology(
@@ -198,8 +214,10 @@ def test_the_spread_contains_real_ascents():
         wet.append(
             (relative - air.relative_humidity(low)) / air.spread.sigma_relative_humidity(low)
         )
-        level.append(math.log(s.pressure_pa[0] / air.profile.pressure(ground).item())
-                     / air.spread.pressure_ratio)  # fmt: skip
+        level.append(
+            math.log(s.pressure_pa[0] / air.profile.pressure(ground).item())
+            / air.spread.pressure_ratio
+        )
     z = np.concatenate(warm)
     # Reached: 0.74 of temperature, 0.89 of humidity, 0.72 of pressure, none beyond 2.1.
     assert 0.5 < float(np.sqrt(np.mean(z**2))) < 1.1
@@ -240,7 +258,8 @@ def test_the_lowest_kilometre_follows_the_hour():
 
 def test_without_an_hour_the_day_is_in_the_spread():
     at = {"latitude_rad": math.radians(47.0), "month": 6.0}
-    unknown, noon = climatology(**at), climatology(**at, hour=12.0)
+    unknown = climatology(**at)
+    noon = climatology(**at, hour=12.0)
     ground = 0.0
     gap = unknown.spread.sigma_temperature(ground) - noon.spread.sigma_temperature(ground)
     assert gap > 1.0

@@ -74,8 +74,13 @@ def test_sensors_without_calibration_are_cheap_ones():
         # Capacitive hygrometers: 3 %.
         SensorFault.HYGROMETER_BIAS: (0.0, 0.03),
     }
-    every = (*THERMOMETER_FAULTS, RECOVERY_FACTOR, *BAROMETER_FAULTS, DYNAMIC_PRESSURE_ERROR,
-             HYGROMETER_BIAS)  # fmt: skip
+    every = (
+        *THERMOMETER_FAULTS,
+        RECOVERY_FACTOR,
+        *BAROMETER_FAULTS,
+        DYNAMIC_PRESSURE_ERROR,
+        HYGROMETER_BIAS,
+    )
     assert {fault.name: (fault.mean, fault.sigma) for fault in every} == expected
     # No lag is negative, no decay shorter than 15 s, no recovery above that of a stagnation point.
     limits = {fault.name: (fault.low, fault.high) for fault in every if np.isfinite(fault.low)}

@@ -41,7 +41,8 @@ def extreme(flights):
 
 
 FLIGHTS = int(os.environ.get("UNBEND_AIR_FLIGHTS", "1"))
-AUTO, STANDARD = "auto", "us1976"
+AUTO = "auto"
+STANDARD = "us1976"
 BACKGROUNDS = (AUTO, STANDARD) if FLIGHTS > 1 else (AUTO,)
 """What the air relaxes to: the climatology of place and month, as the program chooses it, or the
 standard atmosphere, as `build_adjusted_profile` does by itself."""
@@ -63,21 +64,26 @@ def adjusted(flights, truth, climb, sensors, rng, name, **how) -> Adjustment:
     settings = SensorSettings(calibration=how.pop("calibration", {}))
     samples = flights.fly(truth, climb, sensors, rng, **how)
     return build_adjusted_profile(
-        samples, US1976, truth.latitude, Ledger(), settings=settings,
+        samples,
+        US1976,
+        truth.latitude,
+        Ledger(),
+        settings=settings,
         background=background_of(truth, name),
-    )  # fmt: skip
+    )
 
 
 def errors(flights, airs, climb, sensors, name, times=1, **how) -> np.ndarray:
     """Errors of R in per cent, ``times`` flights through each air."""
     rng = np.random.default_rng(20)
-    return np.array([
-        100.0 * truth.error(
-            adjusted(flights, truth, climb, sensors, rng, name, **how).profile, climb
-        )
-        for truth in airs
-        for _ in range(times)
-    ])  # fmt: skip
+    return np.array(
+        [
+            100.0
+            * truth.error(adjusted(flights, truth, climb, sensors, rng, name, **how).profile, climb)
+            for truth in airs
+            for _ in range(times)
+        ]
+    )
 
 
 def rms(values: np.ndarray) -> float:
@@ -85,10 +91,14 @@ def rms(values: np.ndarray) -> float:
 
 
 def of_the_standard(airs, climb) -> float:
-    return rms(np.array([
-        100.0 * truth.error(standard_atmosphere("us1976", latitude=truth.latitude), climb)
-        for truth in airs
-    ]))  # fmt: skip
+    return rms(
+        np.array(
+            [
+                100.0 * truth.error(standard_atmosphere("us1976", latitude=truth.latitude), climb)
+                for truth in airs
+            ]
+        )
+    )
 
 
 def test_the_truth_is_the_balloons(real):
@@ -124,9 +134,10 @@ def test_clean_temperatures_of_a_climb(flights, real, climb, humid, dry, name):
 
 
 CLEAN = {
-    BIAS: SensorCalibration(0.0, 0.2), TRANSIENT: SensorCalibration(0.0, 0.2),
+    BIAS: SensorCalibration(0.0, 0.2),
+    TRANSIENT: SensorCalibration(0.0, 0.2),
     LAG: SensorCalibration(0.0, 1.0),
-}  # fmt: skip
+}
 """A thermometer that is known to be good."""
 
 
@@ -214,7 +225,8 @@ def test_the_sigma_decides_about_low_flights_without_a_thermometer(flights, real
     4.8 % with an autopilot's; the median sigma is 1.9 times of it at most. At 500 m sensors
     without any error leave 5 %: the rest is the shape of T(H).
     """
-    departures, worse = [], []
+    departures = []
+    worse = []
     for climb, limits in LOW.items():
         kinds = (flights.surveyed, flights.drawn)
         groups = [low_flights(flights, real + extreme, climb, kind) for kind in kinds]
@@ -261,9 +273,14 @@ def test_a_log_of_a_part_of_the_flight(flights, real, extreme, part, thermometer
     for truth in (real + extreme)[::3]:
         for climb in (800.0, 3000.0):
             samples = flights.fly(
-                truth, climb, flights.drawn(rng), rng, thermometer=thermometer, humidity="none",
+                truth,
+                climb,
+                flights.drawn(rng),
+                rng,
+                thermometer=thermometer,
+                humidity="none",
                 descent=True,
-            )  # fmt: skip
+            )
             time_ns = samples.pressure.time_ns
             begin, end = (time_ns[round(share * (time_ns.size - 1))] for share in PARTS[part])
             log = part_of_flight(samples, int(begin), int(end) + 1)
@@ -274,7 +291,8 @@ def test_a_log_of_a_part_of_the_flight(flights, real, extreme, part, thermometer
             warm = thermometer and log.temperature.extent_m >= 300.0
             assert made.basis in (("thermometer", "both") if warm else ("barometer",))
             # R between the lowest and the highest that were flown, by Gyer's Eq. 24.
-            low, high = round(flown.min() - truth.h[0]) + 5, round(flown.max() - truth.h[0]) - 5
+            low = round(flown.min() - truth.h[0]) + 5
+            high = round(flown.max() - truth.h[0]) - 5
             h = truth.h[low : high + 1]
             right, ours = (
                 float(trapezoid(n - n[-1]))
@@ -358,7 +376,8 @@ def test_thermometers_without_humidity_are_honest(flights, real, extreme):
     errs: 0.9 sigma where nothing is lost, 1.3 where all lose 0.2 %.
     """
     rng = np.random.default_rng(71)
-    airs, times = real + extreme, 1 if FLIGHTS == 1 else 10 * FLIGHTS
+    airs = real + extreme
+    times = 1 if FLIGHTS == 1 else 10 * FLIGHTS
     found = []
     for first, climb in enumerate((3000.0, 6000.0)):
         group = []

@@ -23,13 +23,16 @@ CHANGES = [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.0107, 0.013, 0.03, 0.0499, 0.0501, 0.
 SIGNED = sorted({sign * x for x in CHANGES for sign in (-1.0, 1.0)})
 # Relative; reached: 6e-16 where the derivatives are a series, 2e-15 where they are closed, which
 # may lose 9e-15 where it begins. The series without its last term errs by 9e-15 at 0.0499.
-SERIES, CLOSED = 4e-15, 2e-14
+SERIES = 4e-15
+CLOSED = 2e-14
 AIR = standard_atmosphere("us1976")
 
 
 def layer_of(thickness, lower, upper):
     """Integral of dH/T by quadrature, and its derivatives by the temperatures at both edges."""
-    d, t_0, t_1 = mp.mpf(thickness), mp.mpf(lower), mp.mpf(upper)
+    d = mp.mpf(thickness)
+    t_0 = mp.mpf(lower)
+    t_1 = mp.mpf(upper)
 
     def t(u):
         return t_0 + u * (t_1 - t_0)
@@ -44,7 +47,8 @@ def layer_of(thickness, lower, upper):
 @pytest.mark.parametrize("change", SIGNED)
 @pytest.mark.parametrize("lower", [180.0, 216.65, 300.0])
 def test_a_layer_against_forty_digits(change, lower):
-    thickness, upper = 1234.5, lower * (1.0 + change)
+    thickness = 1234.5
+    upper = lower * (1.0 + change)
     found = _layer(*(np.array([v]) for v in (thickness, lower, upper)))
     with mp.workdps(40):
         expected = layer_of(thickness, lower, upper)
@@ -60,13 +64,16 @@ VIRTUAL = np.array([290.0, 290.0, 290.0 * (1.0 + 1e-6), 300.0, 294.0, 185.0, 296
 
 def column_to(height):
     """The integral of dH/T_M from the lowest edge, and its derivatives by T_M at the edges."""
-    total, slopes = mp.mpf(0), [mp.mpf(0)] * EDGE.size
+    total = mp.mpf(0)
+    slopes = [mp.mpf(0)] * EDGE.size
     for k in range(EDGE.size - 1):
-        low, high = mp.mpf(EDGE[k]), mp.mpf(EDGE[k + 1])
+        low = mp.mpf(EDGE[k])
+        high = mp.mpf(EDGE[k + 1])
         top = min(mp.mpf(height), high)
         if top <= low:
             break
-        t_0, t_1 = mp.mpf(VIRTUAL[k]), mp.mpf(VIRTUAL[k + 1])
+        t_0 = mp.mpf(VIRTUAL[k])
+        t_1 = mp.mpf(VIRTUAL[k + 1])
 
         def share(h, low=low, high=high):
             return (h - low) / (high - low)
@@ -118,7 +125,8 @@ def test_rows_outside_the_profile_are_nothing_at_all():
     out = np.array([True, False, False, True, False, False, True, True])
     k = AIR.layers.edge.size
     covariance = ProfileCovariance(AIR, 0.0, np.eye(2 * k + 1))
-    alone, air = log_pressure_jacobian(AIR, inside, 0.0), air_jacobian(AIR, h, 0.0)
+    alone = log_pressure_jacobian(AIR, inside, 0.0)
+    air = air_jacobian(AIR, h, 0.0)
     assert np.isfinite(alone).all()
     for found in (log_pressure_jacobian(AIR, h, 0.0), covariance.log_pressure_by_virtual(h)):
         assert found.shape == (h.size, k)
@@ -130,7 +138,9 @@ def test_rows_outside_the_profile_are_nothing_at_all():
 
 def test_the_derivative_of_the_pressure_is_that_of_its_column():
     """d ln p / d T_k = G M0/R* (integral of phi_k / T_M^2 from the anchor), by quadrature."""
-    edge, virtual, anchor = AIR.layers.edge, AIR.layers.edge_temperature, 3000.0
+    edge = AIR.layers.edge
+    virtual = AIR.layers.edge_temperature
+    anchor = 3000.0
     heights = [0.0, 9000.0, 25_000.0]
     base, *ends = AIR.gravity.geopotential_height([anchor, *heights]).tolist()
     rows = log_pressure_jacobian(AIR, heights, anchor)
@@ -141,8 +151,9 @@ def test_the_derivative_of_the_pressure_is_that_of_its_column():
             for low, high in pairwise([base, *inner, end]):
                 expected += quad(
                     lambda x, hat=hat: np.interp(x, edge, hat) / np.interp(x, edge, virtual) ** 2,
-                    low, high,
-                )[0]  # fmt: skip
+                    low,
+                    high,
+                )[0]
             # Reached: 2e-15.
             assert row[k] == pytest.approx(HYDROSTATIC_CONSTANT * expected, rel=1e-12, abs=1e-20)
 

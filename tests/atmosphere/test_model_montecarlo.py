@@ -54,10 +54,18 @@ def column(flights, truth, climb, rng):
     e = np.clip(u, 0.005, 1.0) * saturation_pressure_pa(t)
     p = p * np.exp(1e-3 * rng.normal())
     shape = (1, p.size, 1, 1)
-    values = (v[::-1].reshape(shape) for v in (
-        t, 0.622 * e / (p - 0.378 * e), flights.geopotential(truth.latitude, h)))  # fmt: skip
-    field = ModelField("era5.nc", np.array([truth.start_ns]), np.array([truth.latitude]),
-                       np.zeros(1), p[::-1], *values)  # fmt: skip
+    values = (
+        v[::-1].reshape(shape)
+        for v in (t, 0.622 * e / (p - 0.378 * e), flights.geopotential(truth.latitude, h))
+    )
+    field = ModelField(
+        "era5.nc",
+        np.array([truth.start_ns]),
+        np.array([truth.latitude]),
+        np.zeros(1),
+        p[::-1],
+        *values,
+    )
     place = (truth.latitude, 0.0, truth.start_ns)
     ground = float(truth.h[0])
     return model_column(field, place, ground_h_m=ground, highest_h_m=ground + climb)[0]
@@ -66,11 +74,17 @@ def column(flights, truth, climb, rng):
 def estimated(truth, samples, columns):
     month = month_of(truth.start_ns)
     return build_adjusted_profile(
-        samples, US1976, truth.latitude, Ledger(), soundings=columns, time_ns=truth.start_ns,
-        background=climatology(latitude_rad=truth.latitude, month=month,
-                               ground_h_m=float(truth.h[0])),
+        samples,
+        US1976,
+        truth.latitude,
+        Ledger(),
+        soundings=columns,
+        time_ns=truth.start_ns,
+        background=climatology(
+            latitude_rad=truth.latitude, month=month, ground_h_m=float(truth.h[0])
+        ),
         longitude_rad=0.0,
-    )  # fmt: skip
+    )
 
 
 def errors(truth, made, climb) -> tuple[float, float]:
@@ -106,12 +120,15 @@ def test_with_barometer_and_gnss_it_is_better_than_either(flights, real):
     with 6 at 6 km 1.1, 0.8 and 0.6 %."""
     rng = np.random.default_rng(7)
     for climb in (3000.0, 1000.0, 6000.0)[: 1 + 2 * MANY]:
-        alone, flown, both = [], [], []
+        alone = []
+        flown = []
+        both = []
         for truth in real:
             for _ in range(DRAWS):
                 found = column(flights, truth, climb, rng)
-                samples = flights.fly(truth, climb, flights.REALISTIC, rng, thermometer=False,
-                                      humidity="none")  # fmt: skip
+                samples = flights.fly(
+                    truth, climb, flights.REALISTIC, rng, thermometer=False, humidity="none"
+                )
                 alone.append(errors(truth, estimated(truth, AirSamples(), [found]), climb))
                 flown.append(errors(truth, estimated(truth, samples, ()), climb))
                 both.append(errors(truth, estimated(truth, samples, [found]), climb))

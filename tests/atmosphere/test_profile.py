@@ -32,7 +32,10 @@ GMR = 9.80665 * 28.9644 / 8314.32  # [K per geopotential metre]
 
 def somigliana(latitude: float, h: float) -> float:
     """WGS84 normal gravity [m s-2] (NIMA TR8350.2, Eq. 4-1 and 4-3)."""
-    a, f, e2, m = 6_378_137.0, 1.0 / 298.257223563, 6.694379990141e-3, 3.449786506841e-3
+    a = 6_378_137.0
+    f = 1.0 / 298.257223563
+    e2 = 6.694379990141e-3
+    m = 3.449786506841e-3
     s2 = math.sin(latitude) ** 2
     surface = 9.7803253359 * (1.0 + 1.931852652458e-3 * s2) / math.sqrt(1.0 - e2 * s2)
     return surface * (1.0 - 2.0 * (1.0 + f + m - 2.0 * f * s2) * h / a + 3.0 * (h / a) ** 2)
@@ -69,10 +72,12 @@ def test_layers_obey_the_hydrostatic_equation_under_wgs84_gravity(degrees, at_10
         return [-somigliana(latitude, h) * 28.9644 / (8314.32 * temperature(h))]
 
     profile = standard_atmosphere("us1976", latitude=latitude)
-    h, log_p = 0.0, math.log(101_325.0)
+    h = 0.0
+    log_p = math.log(101_325.0)
     for top, bound in ((1e4, at_10_km), (2.5e4, at_25_km)):
         solved = solve_ivp(slope, (h, top), [log_p], "DOP853", rtol=1e-11, atol=1e-13, max_step=500)
-        h, log_p = top, float(solved.y[0, -1])
+        h = top
+        log_p = float(solved.y[0, -1])
         # All of it is Lambert's gravity: 0.06 m of geopotential height are worth 1e-5 of p.
         assert abs(math.log(profile.pressure(top).item()) - log_p) < bound
 
@@ -87,12 +92,14 @@ def test_an_adjusted_moist_profile_obeys_it_too(degrees, at_10_km, at_25_km):
     """
     latitude = math.radians(degrees)
     profile = moist_profile(latitude)
-    h, log_p = 400.0, math.log(profile.pressure(400.0).item())
+    h = 400.0
+    log_p = math.log(profile.pressure(400.0).item())
     for gravity, bounds in (
         (lambda z: somigliana(latitude, z), (at_10_km, at_25_km)),
         (lambda z: lambert(profile.gravity, z), (1e-9, 1e-9)),
     ):
-        at, found = h, log_p
+        at = h
+        found = log_p
         for top, bound in zip((1e4, 2.5e4), bounds, strict=True):
             found = integrated(profile, gravity, at, found, top)
             assert abs(math.log(profile.pressure(top).item()) - found) < bound
@@ -107,13 +114,17 @@ def integrated(profile, gravity, h: float, log_p: float, top: float) -> float:
     """ln p at the top by an integrator that is given T, e and g, and steps from kink to kink."""
     kinks = profile.break_heights_m
     stops = [h, *kinks[(kinks > h) & (kinks < top)], top]
-    low, high = np.array(stops[:-1]), np.array(stops[1:])
+    low = np.array(stops[:-1])
+    high = np.array(stops[1:])
     # Two interior points of each layer: its T_M and e/p are straight lines in geopotential height.
     for a, b in zip(low, high, strict=True):
         z = np.array([a + 1e-6 * (b - a), b - 1e-6 * (b - a)])
         H = profile.gravity.geopotential_height(z)
-        t, e, p = profile.temperature(z), profile.vapour_pressure(z), profile.pressure(z)
-        t_m, v = t / (1.0 - 0.378 * e / p), e / p
+        t = profile.temperature(z)
+        e = profile.vapour_pressure(z)
+        p = profile.pressure(z)
+        t_m = t / (1.0 - 0.378 * e / p)
+        v = e / p
 
         def slope(x, y, H=H, t_m=t_m, v=v):
             share = (float(profile.gravity.geopotential_height(x)) - H[0]) / (H[1] - H[0])
@@ -142,7 +153,9 @@ def test_gravity_counted_twice_would_be_seen():
 @pytest.mark.parametrize("lapse", [-6.5e-3, 3e-3, -1e-5, 1e-9, -1e-13, 1e-18, 1e-300])
 def test_eq_52_against_forty_digits(lapse, rise):
     with mp.workdps(60):
-        t, L, dH = mp.mpf(250), mp.mpf(lapse), mp.mpf(rise)
+        t = mp.mpf(250)
+        L = mp.mpf(lapse)
+        dH = mp.mpf(rise)
         expected = 500 * mp.exp(-mp.mpf(GMR) * mp.log1p(L * dH / t) / L)
     p = pressure_gradient_layer(500.0, 250.0, lapse, rise).item()
     assert p == pytest.approx(float(expected), rel=1e-14)
@@ -164,7 +177,8 @@ def retrace(row: dict[str, float]) -> float:
     lapse rate is small (3e-7 of p at 1e-11 K/m), which is the user's arithmetic, not the table's.
     """
     rise = mp.mpf(row["geopotential_m"]) - mp.mpf(row["geopotential_base_m"])
-    t, lapse = mp.mpf(row["t_base_k"]), mp.mpf(row["lapse_k_per_m"])
+    t = mp.mpf(row["t_base_k"])
+    lapse = mp.mpf(row["lapse_k_per_m"])
     if row["equation"] == 53:
         return float(row["p_base_pa"] * mp.exp(-GMR * rise / t))
     return float(row["p_base_pa"] * (t / (t + lapse * rise)) ** (GMR / lapse))
@@ -226,7 +240,9 @@ def test_every_row_explains_its_temperature_and_index(profile):
         rise = row["geopotential_m"] - row["geopotential_base_m"]
         t_m = row["t_base_k"] + row["lapse_k_per_m"] * rise
         assert row["virtual_temperature_k"] == pytest.approx(t_m, rel=1e-13)
-        e, p, t = row["vapour_pressure_pa"], row["pressure_pa"], row["temperature_k"]
+        e = row["vapour_pressure_pa"]
+        p = row["pressure_pa"]
+        t = row["temperature_k"]
         assert t / (1.0 - 0.378 * e / p) == pytest.approx(t_m, rel=1e-13)
         assert row["refractivity"] == pytest.approx(float(index.refractivity(t, p, e)), rel=1e-13)
 
@@ -335,9 +351,14 @@ def test_impossible_layers_are_refused(edge, temperature, pressure):
     n = len(temperature)
     with pytest.raises(ValueError, match=r"layers|temperatures"):
         Layers(
-            np.array(edge), np.array(temperature), np.zeros(n), np.array(pressure), np.zeros(n),
-            np.zeros(n), ("",) * n,
-        )  # fmt: skip
+            np.array(edge),
+            np.array(temperature),
+            np.zeros(n),
+            np.array(pressure),
+            np.zeros(n),
+            np.zeros(n),
+            ("",) * n,
+        )
 
 
 def test_layers_of_the_moist_profile_are_thin_where_it_was_measured(moist):
@@ -364,10 +385,12 @@ def test_layers_solve_the_hydrostatic_equation_exactly(degrees):
         t = float(np.interp(H, [0.0, 11e3, 20e3, 32e3], [288.15, 216.65, 216.65, 228.65]))
         return [-g * 28.9644 / (8314.32 * t)]
 
-    h, log_p = 0.0, math.log(101_325.0)
+    h = 0.0
+    log_p = math.log(101_325.0)
     for top in [*profile.break_heights_m[(profile.break_heights_m > 0.0)][:2], 25_000.0]:
         solved = solve_ivp(slope, (h, top), [log_p], "DOP853", rtol=1e-12, atol=1e-14, max_step=500)
-        h, log_p = float(top), float(solved.y[0, -1])
+        h = float(top)
+        log_p = float(solved.y[0, -1])
         # Reached: 1e-11.
         assert abs(math.log(profile.pressure(h).item()) - log_p) < 1e-10
 

@@ -48,8 +48,13 @@ def test_pressure_is_the_weight_of_the_air_above(profile, low, high):
     layers = profile.layers
     H = np.sort(profile.gravity.geopotential_height([inside(profile, low), inside(profile, high)]))
     kinks = [float(e) for e in layers.edge if H[0] < e < H[1]] or None
-    weight = quad(lambda h: GAMMA / np.interp(h, layers.edge, layers.edge_temperature), *H,
-                  points=kinks, epsabs=1e-13, limit=200)[0]  # fmt: skip
+    weight = quad(
+        lambda h: GAMMA / np.interp(h, layers.edge, layers.edge_temperature),
+        *H,
+        points=kinks,
+        epsabs=1e-13,
+        limit=200,
+    )[0]
     p = profile.pressure(profile.gravity.height(H))
     assert math.log(p[0] / p[1]) == pytest.approx(weight, abs=1e-9)
 
@@ -58,16 +63,24 @@ def test_pressure_is_the_weight_of_the_air_above(profile, low, high):
 @settings(max_examples=60, deadline=None)
 def test_nothing_jumps_where_layers_meet(profile):
     h = profile.break_heights_m[1:-1]
-    steepest = {"pressure": 0.02, "temperature": 1e-3, "vapour_pressure": 0.02,
-                "refractivity": 1e-9}  # fmt: skip
+    steepest = {
+        "pressure": 0.02,
+        "temperature": 1e-3,
+        "vapour_pressure": 0.02,
+        "refractivity": 1e-9,
+    }
     for name, change in steepest.items():
         below, above = (getattr(profile, name)(h + step) for step in (-1e-4, 1e-4))
         assert np.abs(above - below).max() < change, name
     assert np.all(np.diff(profile.pressure(profile.break_heights_m)) < 0.0)
 
 
-@given(st.floats(200.0, 320.0), st.floats(2e4, 1.1e5), st.floats(0.0, 0.02),
-       st.sampled_from(["ciddor", "gyer"]))  # fmt: skip
+@given(
+    st.floats(200.0, 320.0),
+    st.floats(2e4, 1.1e5),
+    st.floats(0.0, 0.02),
+    st.sampled_from(["ciddor", "gyer"]),
+)
 @settings(max_examples=100, deadline=None)
 def test_air_is_denser_cold_under_pressure_and_dry(t, p, vapour, name):
     index = IndexModel(name)
@@ -98,7 +111,8 @@ def test_a_covariance_is_positive_and_age_never_lowers_it(profile, seed, share, 
     eigenvalues = np.linalg.eigvalsh(old.matrix)
     assert eigenvalues.min() > -1e-9 * eigenvalues.max()
     for name in ("sigma_temperature", "sigma_log_pressure", "sigma_refractivity"):
-        before, after = getattr(fresh, name)(h), getattr(old, name)(h)
+        before = getattr(fresh, name)(h)
+        after = getattr(old, name)(h)
         assert np.all(before > 0.0)
         assert np.all(after >= before * (1.0 - 1e-9))
 
@@ -108,9 +122,12 @@ def test_a_covariance_is_positive_and_age_never_lowers_it(profile, seed, share, 
 def test_a_series_lies_between_its_nodes_and_is_constant_beyond(profile, warmer, seconds):
     layers = profile.layers
     other = stack_layers(
-        layers.edge, layers.edge_temperature + warmer,
-        np.append(layers.vapour, layers.vapour[-1]), layers.source, anchor=(0.0, 1e5),
-    )  # fmt: skip
+        layers.edge,
+        layers.edge_temperature + warmer,
+        np.append(layers.vapour, layers.vapour[-1]),
+        layers.source,
+        anchor=(0.0, 1e5),
+    )
     later = Profile(other, profile.gravity)
     nodes = [TimedProfile(0, profile), TimedProfile(3600 * 10**9, later)]
     h_c = 0.9 * profile.top_m
@@ -136,7 +153,8 @@ def test_bins_keep_every_accepted_reading(count, seed, width):
     rng = np.random.default_rng(seed)
     seconds = np.cumsum(rng.uniform(0.1, 2.0, count))
     height = np.cumsum(rng.normal(3.0, 4.0, count))
-    value, accepted = rng.normal(size=count), rng.random(count) < 0.8
+    value = rng.normal(size=count)
+    accepted = rng.random(count) < 0.8
     bins = bin_readings(seconds, height, value, accepted, width=width, slice_s=30.0, floor=0.1)
     assert bins.count.sum() + bins.rejected.sum() == accepted.sum()
     assert not np.any(bins.rejected & ~accepted)

@@ -47,7 +47,8 @@ def worst_ciddor_miss() -> float:
     """Largest departure from the published check values, in units of 1e-9 of n."""
     misses = []
     for celsius, humidity, kpa, nanometres, published in CIDDOR:
-        t, p = celsius + 273.15, kpa * 1e3
+        t = celsius + 273.15
+        p = kpa * 1e3
         e = air.vapour_pressure(humidity / 100.0, t, p)
         n = air.refractivity_ciddor(t, p, e, wavelength_m=nanometres * 1e-9)
         misses.append(abs(float(n) * 1e9 - published))
@@ -71,7 +72,8 @@ def test_the_check_values_catch_a_wrong_pressure(monkeypatch, factor):
 def test_ciddor_agrees_with_the_modified_edlen_equation():
     # Independent formula (Birch and Downs 1994). Reached: 4.7e-8 in n, at 250 K.
     rng = np.random.default_rng(5)
-    t, p = rng.uniform(250.0, 310.0, 300), rng.uniform(3e4, 1.05e5, 300)
+    t = rng.uniform(250.0, 310.0, 300)
+    p = rng.uniform(3e4, 1.05e5, 300)
     e = rng.uniform(0.0, 0.8, 300) * saturation_pressure_pa(t)
     for micrometres in (0.45, 0.55, 0.65):
         ours = refractivity_ciddor(t, p, e, wavelength_m=micrometres * 1e-6)
@@ -96,9 +98,11 @@ def test_more_carbon_dioxide_refracts_more():
 
 
 def test_vapour_lowers_the_index_in_both_formulas():
-    dry, moist = refractivity_gyer(300.0, 1e5, 0.0), refractivity_gyer(300.0, 1e5, 3000.0)
+    dry = refractivity_gyer(300.0, 1e5, 0.0)
+    moist = refractivity_gyer(300.0, 1e5, 3000.0)
     assert float(dry - moist) == pytest.approx(11.036e-6 * 30.0 / 300.0, rel=1e-9)
-    dry, moist = refractivity_ciddor(300.0, 1e5, 0.0), refractivity_ciddor(300.0, 1e5, 3000.0)
+    dry = refractivity_ciddor(300.0, 1e5, 0.0)
+    moist = refractivity_ciddor(300.0, 1e5, 3000.0)
     assert 0.9e-6 < float(dry - moist) < 1.3e-6
 
 
@@ -134,8 +138,12 @@ def test_humidity_is_a_fraction_of_saturation():
 
 
 def test_virtual_temperature_gives_the_density_of_moist_air():
-    t, p, e = 300.0, 1e5, 3000.0
-    molar_gas_constant, m_dry, m_water = 8.314462618, 28.9644e-3, 18.01528e-3
+    t = 300.0
+    p = 1e5
+    e = 3000.0
+    molar_gas_constant = 8.314462618
+    m_dry = 28.9644e-3
+    m_water = 18.01528e-3
     density = ((p - e) * m_dry + e * m_water) / (molar_gas_constant * t)
     as_dry = p * m_dry / (molar_gas_constant * float(virtual_temperature(t, p, e)))
     assert as_dry == pytest.approx(density, rel=1e-5)

@@ -57,8 +57,10 @@ def test_counts_are_those_of_all_samples_that_are_not_used():
         np.array([0, 3, 0, 12], np.uint8), np.array([True, True, False, True]), Reason.STUCK
     )
     assert count_by_reason([reasons, np.array([3], np.uint8)]) == {
-        Reason.JUMP: 2, Reason.STUCK: 1, Reason.OUTLIER: 1
-    }  # fmt: skip
+        Reason.JUMP: 2,
+        Reason.STUCK: 1,
+        Reason.OUTLIER: 1,
+    }
     assert count_by_reason([]) == {}
 
 

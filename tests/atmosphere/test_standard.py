@@ -162,8 +162,9 @@ def test_an_atmosphere_costs_one_function_and_a_line(monkeypatch, unbend):
 
     def isothermal(place, index):
         edge = np.array([-5000.0, 30_000.0])
-        layers = stack_layers(edge, np.full(2, 260.0), np.zeros(2), ("standard",),
-                              anchor=(0.0, 1e5))  # fmt: skip
+        layers = stack_layers(
+            edge, np.full(2, 260.0), np.zeros(2), ("standard",), anchor=(0.0, 1e5)
+        )
         return Profile(layers, place.gravity or normal_gravity(0.0), index, "isothermal260")
 
     model = AtmosphereModel(isothermal, "a test", has_humidity=False)

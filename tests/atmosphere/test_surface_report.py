@@ -32,9 +32,11 @@ def test_station_pressure_is_that_of_the_tables():
 
 def test_tenths_of_the_remarks_and_inches():
     report = parse_metar(
-        "METAR KOUN 221153Z 14011KT 10SM FEW250 13/M02 A3011 RMK AO2 SLP190 T01281017", 357.0,
-        Ledger(), flight_ns=ns("2023-05-22T12:30"),
-    )  # fmt: skip
+        "METAR KOUN 221153Z 14011KT 10SM FEW250 13/M02 A3011 RMK AO2 SLP190 T01281017",
+        357.0,
+        Ledger(),
+        flight_ns=ns("2023-05-22T12:30"),
+    )
     assert report.temperature_k == pytest.approx(273.15 + 12.8)
     assert report.vapour_pressure_pa == pytest.approx(saturated(-1.7), rel=0.01)
     qnh = 30.115 * 33.86389  # rounded down to 30.11
@@ -54,13 +56,17 @@ def test_whole_degrees_below_zero_and_hectopascals():
     assert report.sigma_temperature_k == 0.5
 
 
-@pytest.mark.parametrize(("flight", "report"), [
-    ("2024-03-01T01:00", "2024-02-29T23:50"),
-    ("2024-02-29T22:00", "2024-02-29T23:50"),
-    ("2024-04-28T23:00", "2024-04-29T23:50"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("flight", "report"),
+    [
+        ("2024-03-01T01:00", "2024-02-29T23:50"),
+        ("2024-02-29T22:00", "2024-02-29T23:50"),
+        ("2024-04-28T23:00", "2024-04-29T23:50"),
+    ],
+)
 def test_the_nearest_day_of_that_number(flight, report):
-    text, ledger = "METAR EDDF 292350Z 24011KT CAVOK 12/08 Q1013", Ledger()
+    text = "METAR EDDF 292350Z 24011KT CAVOK 12/08 Q1013"
+    ledger = Ledger()
     assert parse_metar(text, 111.0, ledger, flight_ns=ns(flight)).time_ns == ns(report)
     assert list(ledger) == []
 
@@ -76,13 +82,16 @@ def test_what_is_missing_is_unknown():
     assert report.pressure_pa == pytest.approx(100_023.0, abs=2.0)
 
 
-@pytest.mark.parametrize(("groups", "missing"), [
-    ("XX/11 Q1017", ["temperature"]),
-    ("///// Q1017", ["temperature", "dew point"]),
-    ("12/// Q1017", ["dew point"]),
-    ("12/08 Q////", ["altimeter setting"]),
-    ("12/08 Q1017", []),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("groups", "missing"),
+    [
+        ("XX/11 Q1017", ["temperature"]),
+        ("///// Q1017", ["temperature", "dew point"]),
+        ("12/// Q1017", ["dew point"]),
+        ("12/08 Q////", ["altimeter setting"]),
+        ("12/08 Q1017", []),
+    ],
+)
 def test_what_cannot_be_read_is_told(groups, missing):
     ledger = Ledger()
     report = parse_metar(f"METAR EDDF 221150Z 24011KT CAVOK {groups}", 111.0, ledger)
@@ -109,14 +118,17 @@ def test_dew_point_above_temperature_is_saturated():
     assert report.vapour_pressure_pa == pytest.approx(saturated(12.0), rel=0.01)
 
 
-@pytest.mark.parametrize(("text", "code"), [
-    ("", "METAR-PARSE"),
-    ("the weather is fine", "METAR-PARSE"),
-    ("METAR EDDF 221150Z NIL=", "METAR-PARSE"),
-    ("METAR EDDF 321150Z 24011KT CAVOK 12/08 Q1013", "METAR-PARSE"),
-    ("METAR EDDF 221150Z 24011KT CAVOK 12/08 Q0113", "METAR-RANGE"),
-    ("METAR KXYZ 221150Z 24011KT CAVOK 77/08 A2992", "METAR-RANGE"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("", "METAR-PARSE"),
+        ("the weather is fine", "METAR-PARSE"),
+        ("METAR EDDF 221150Z NIL=", "METAR-PARSE"),
+        ("METAR EDDF 321150Z 24011KT CAVOK 12/08 Q1013", "METAR-PARSE"),
+        ("METAR EDDF 221150Z 24011KT CAVOK 12/08 Q0113", "METAR-RANGE"),
+        ("METAR KXYZ 221150Z 24011KT CAVOK 77/08 A2992", "METAR-RANGE"),
+    ],
+)
 def test_no_report(text, code):
     with pytest.raises(InputError) as caught:
         parse_metar(text, 111.0, Ledger(), where="mission.yaml, atmosphere.metar")
@@ -136,16 +148,19 @@ def test_numbers_of_a_mission_file():
     assert math.isnan(without.vapour_pressure_pa)
 
 
-@pytest.mark.parametrize(("values", "code"), [
-    ({"temperature_k": 68.0 + 273.15}, "SURFACE-TEMPERATURE"),  # 68 F taken for Celsius
-    ({"temperature_k": 20.0}, "SURFACE-TEMPERATURE"),  # Celsius taken for Kelvin
-    ({"pressure_pa": 984.0}, "SURFACE-PRESSURE"),
-    ({"pressure_pa": 101_325.0, "h_m": 1600.0}, "SURFACE-PRESSURE"),  # QNH
-    ({"temperature_k": 293.15, "relative_humidity": 55.0}, "SURFACE-HUMIDITY"),
-    ({"temperature_k": 293.15, "h_m": 29_000.0}, "SURFACE-HEIGHT"),
-    ({"temperature_k": 293.15, "h_m": math.nan}, "SURFACE-HEIGHT"),
-    ({}, "SURFACE-EMPTY"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("values", "code"),
+    [
+        ({"temperature_k": 68.0 + 273.15}, "SURFACE-TEMPERATURE"),  # 68 F taken for Celsius
+        ({"temperature_k": 20.0}, "SURFACE-TEMPERATURE"),  # Celsius taken for Kelvin
+        ({"pressure_pa": 984.0}, "SURFACE-PRESSURE"),
+        ({"pressure_pa": 101_325.0, "h_m": 1600.0}, "SURFACE-PRESSURE"),  # QNH
+        ({"temperature_k": 293.15, "relative_humidity": 55.0}, "SURFACE-HUMIDITY"),
+        ({"temperature_k": 293.15, "h_m": 29_000.0}, "SURFACE-HEIGHT"),
+        ({"temperature_k": 293.15, "h_m": math.nan}, "SURFACE-HEIGHT"),
+        ({}, "SURFACE-EMPTY"),
+    ],
+)
 def test_numbers_that_no_ground_has(values, code):
     with pytest.raises(InputError) as caught:
         surface_report(**({"h_m": 250.0} | values))

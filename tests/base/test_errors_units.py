@@ -14,10 +14,15 @@ from unbend import errors, exit_codes, units
 @pytest.mark.parametrize(
     ("name", "code"),
     [
-        ("ConfigError", 2), ("LogError", 6), ("InputError", 6), ("MissionError", 6),
-        ("PhysicsError", 2), ("OutputInUseError", 4), ("StorageError", 5),
+        ("ConfigError", 2),
+        ("LogError", 6),
+        ("InputError", 6),
+        ("MissionError", 6),
+        ("PhysicsError", 2),
+        ("OutputInUseError", 4),
+        ("StorageError", 5),
     ],
-)  # fmt: skip
+)
 def test_exit_codes(name, code):
     error = getattr(errors, name)("A-B", "what", where="there", remedy="do")
     assert error.exit_code == code

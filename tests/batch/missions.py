@@ -43,7 +43,8 @@ def gone(process: int) -> bool:
 
 
 def one(mission, *, progress=None):
-    name, here = mission.path.stem, mission.path.parent
+    name = mission.path.stem
+    here = mission.path.parent
     output = here / f"results of {name}"
     with open_folder(output) as folder:  # as `run_plan`: removes what a killed run left
         if (finished := read_manifest(output)) is not None:

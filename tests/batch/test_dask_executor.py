@@ -50,10 +50,23 @@ class Machines:
         settings = {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__HTTP__ROUTES": "[]"}
         with (self.folder / "output.txt").open("ab") as said:
             return subprocess.Popen(
-                [sys.executable, "-m", "dask", program, *words,
-                 "--scheduler-file", str(self.file), "--host", "127.0.0.1", "--no-dashboard"],
-                stdout=said, stderr=said, env=os.environ | settings, cwd=self.folder,
-            )  # fmt: skip
+                [
+                    sys.executable,
+                    "-m",
+                    "dask",
+                    program,
+                    *words,
+                    "--scheduler-file",
+                    str(self.file),
+                    "--host",
+                    "127.0.0.1",
+                    "--no-dashboard",
+                ],
+                stdout=said,
+                stderr=said,
+                env=os.environ | settings,
+                cwd=self.folder,
+            )
 
     def start_scheduler(self) -> None:
         self.file.unlink(missing_ok=True)
@@ -95,8 +108,10 @@ def started(machines: Machines, folder: Path, *names: str, pace: float = 0.0) ->
             (folder / f"{name}.yaml").touch()
     return subprocess.Popen(
         [sys.executable, "-W", "error", str(MISSIONS), str(machines.file), str(folder), *names],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def ends_of(process: subprocess.Popen) -> dict[str, str]:

@@ -75,8 +75,16 @@ def test_of_results_at_a_url_the_time_is_that_of_the_object(monkeypatch):
 def test_a_pdf_is_what_the_browser_printed(unbend, baseline, tmp_path, monkeypatch):
     monkeypatch.setenv("VERSION", "156")
     out = tmp_path / "r.pdf"
-    ended = unbend("report", baseline.output, "--pdf", "--out", out, "--browser",
-                   browser(tmp_path, PRINTS), "--json")  # fmt: skip
+    ended = unbend(
+        "report",
+        baseline.output,
+        "--pdf",
+        "--out",
+        out,
+        "--browser",
+        browser(tmp_path, PRINTS),
+        "--json",
+    )
     assert ended.code == 0, ended.text
     assert json.loads(ended.out)["out"] == str(out)
     content = out.read_bytes()
@@ -99,8 +107,17 @@ def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path
     out = tmp_path / "out" / "r.pdf"
     out.parent.mkdir()
     begin = time.monotonic()
-    ended = unbend("report", baseline.output, "--pdf", "--timeout", "1", "--out", out,
-                   "--browser", browser(tmp_path, script))  # fmt: skip
+    ended = unbend(
+        "report",
+        baseline.output,
+        "--pdf",
+        "--timeout",
+        "1",
+        "--out",
+        out,
+        "--browser",
+        browser(tmp_path, script),
+    )
     assert time.monotonic() - begin < 60.0
     assert (ended.code, "REPORT-BROWSER" in ended.err) == (2, True), ended.text
     assert said in " ".join(ended.err.split())

@@ -66,11 +66,13 @@ def change_manifest(run: Path, change) -> None:
 
 def bilinear(grid: pd.DataFrame, x, y, column: str):
     """Interpolation as another program would do it."""
-    xs, ys = np.unique(grid["x_px"]), np.unique(grid["y_px"])
+    xs = np.unique(grid["x_px"])
+    ys = np.unique(grid["y_px"])
     values = grid[column].to_numpy().reshape(ys.size, xs.size)
     i = np.clip(np.searchsorted(xs, x) - 1, 0, xs.size - 2)
     j = np.clip(np.searchsorted(ys, y) - 1, 0, ys.size - 2)
-    s, t = (x - xs[i]) / (xs[i + 1] - xs[i]), (y - ys[j]) / (ys[j + 1] - ys[j])
+    s = (x - xs[i]) / (xs[i + 1] - xs[i])
+    t = (y - ys[j]) / (ys[j + 1] - ys[j])
     low = values[j, i] * (1 - s) + values[j, i + 1] * s
     high = values[j + 1, i] * (1 - s) + values[j + 1, i + 1] * s
     return low * (1 - t) + high * t
@@ -147,9 +149,12 @@ def test_between_its_nodes_the_lattice_is_nearly_what_the_run_did(
     out, _ = export(mission.output, "lattice", "--columns", columns, "--rows", rows)
     grids = dict(list(pq.read_table(out).to_pandas().groupby("image")))
     run = mission.results().to_pandas()
-    worst, largest = 0.0, 0.0  # 0.0026 px of 1.23 px with 21 x 15 nodes
+    # 0.0026 px of 1.23 px with 21 x 15 nodes
+    worst = 0.0
+    largest = 0.0
     for image, points in run[run["status"] == "ok"].groupby("image"):
-        x, y = points["x_px"].to_numpy(), points["y_px"].to_numpy()
+        x = points["x_px"].to_numpy()
+        y = points["y_px"].to_numpy()
         dx = bilinear(grids[image], x, y, "dx_px") - (points["x_corrected_px"] - x)
         dy = bilinear(grids[image], x, y, "dy_px") - (points["y_corrected_px"] - y)
         worst = max(worst, np.hypot(dx, dy).max())
@@ -301,20 +306,32 @@ def test_stations_come_back():
     nan = np.nan
     numbers = np.array([1.0, nan])
     before = Stations(
-        image=np.array(["a", "b"], object), camera=np.array(["nadir", ""], object),
+        image=np.array(["a", "b"], object),
+        camera=np.array(["nadir", ""], object),
         time_ns=np.array([1_700_000_000_123_456_789, NO_TIME]),
-        lat_rad=np.array([0.8, nan]), lon_rad=np.array([-3.1, nan]),
-        h_msl_m=1e3 * numbers, h_ellipsoid_m=1.1e3 * numbers,
+        lat_rad=np.array([0.8, nan]),
+        lon_rad=np.array([-3.1, nan]),
+        h_msl_m=1e3 * numbers,
+        h_ellipsoid_m=1.1e3 * numbers,
         quaternion=np.array([[0.5, -0.5, 0.5, 0.5], [nan] * 4]),
         aircraft_quaternion=np.array([[0.1, 0.7, -0.1, 0.7], [nan] * 4]),
-        pressure_pa=9e4 * numbers, temperature_k=280.0 * numbers, vapour_pressure_pa=5e2 * numbers,
-        cabin_pressure_pa=8e4 * numbers, cabin_temperature_k=294.0 * numbers,
-        cabin_vapour_pressure_pa=4e2 * numbers, sigma_cabin_pressure_pa=300.0 * numbers,
-        sigma_cabin_temperature_k=5.0 * numbers, sigma_horizontal_m=numbers,
-        sigma_height_m=2.0 * numbers, sigma_tilt_rad=0.003 * numbers, sigma_yaw_rad=0.01 * numbers,
-        suspect_reason=np.array(["a step of 77 m", ""], object), suspect_m=77.0 * numbers,
-        accepted=np.array([True, False]), status=np.array(["suspect", "unmatched"], object),
-    )  # fmt: skip
+        pressure_pa=9e4 * numbers,
+        temperature_k=280.0 * numbers,
+        vapour_pressure_pa=5e2 * numbers,
+        cabin_pressure_pa=8e4 * numbers,
+        cabin_temperature_k=294.0 * numbers,
+        cabin_vapour_pressure_pa=4e2 * numbers,
+        sigma_cabin_pressure_pa=300.0 * numbers,
+        sigma_cabin_temperature_k=5.0 * numbers,
+        sigma_horizontal_m=numbers,
+        sigma_height_m=2.0 * numbers,
+        sigma_tilt_rad=0.003 * numbers,
+        sigma_yaw_rad=0.01 * numbers,
+        suspect_reason=np.array(["a step of 77 m", ""], object),
+        suspect_m=77.0 * numbers,
+        accepted=np.array([True, False]),
+        status=np.array(["suspect", "unmatched"], object),
+    )
     table = table_of_stations(
         before, constant_series(TimedProfile(None, standard_atmosphere("us1976")), 2)
     )
@@ -324,7 +341,8 @@ def test_stations_come_back():
             table = table.append_column(name, pa.array(values))
     after = stations_of(table)
     for name in Stations.__dataclass_fields__:
-        was, is_now = getattr(before, name), getattr(after, name)
+        was = getattr(before, name)
+        is_now = getattr(after, name)
         assert was.dtype == is_now.dtype
         if name.endswith("_rad"):
             np.testing.assert_allclose(is_now, was, rtol=1e-15)
@@ -376,8 +394,15 @@ def test_a_file_that_is_there_already(baseline, export):
 def test_a_folder_in_the_place_of_the_file(baseline, unbend, tmp_path):
     (tmp_path / "grid.parquet").mkdir()
     for option in ((), ("--force",)):
-        ended = unbend("export", baseline.output, "--format", "lattice", "--out",
-                       tmp_path / "grid.parquet", *option)  # fmt: skip
+        ended = unbend(
+            "export",
+            baseline.output,
+            "--format",
+            "lattice",
+            "--out",
+            tmp_path / "grid.parquet",
+            *option,
+        )
         assert ended.code == 2
         assert ended.err.startswith("EXPORT-EXISTS: ")
 
@@ -387,9 +412,7 @@ def test_a_folder_in_the_place_of_the_file(baseline, unbend, tmp_path):
 )
 def test_nothing_is_written_among_the_results(copied, unbend, place):
     before = {p: p.read_bytes() for p in copied.rglob("*") if p.is_file()}
-    ended = unbend(
-        "export", copied, "--format", "lattice", "--out", copied / place, "--force"
-    )  # fmt: skip
+    ended = unbend("export", copied, "--format", "lattice", "--out", copied / place, "--force")
     assert ended.code == 2
     assert ended.err.startswith("EXPORT-INSIDE-RUN: ")
     assert {p: p.read_bytes() for p in copied.rglob("*") if p.is_file()} == before
@@ -439,13 +462,18 @@ def test_a_manifest_without_mission_file(copied, export):
         lambda run: change_manifest(
             run, lambda m: m["config"]["refraction"].update(method="manual")
         ),
-        lambda run: rewrite(run, "stations.parquet", lambda t: t.set_column(
-            t.schema.get_field_index("h_msl_m"), t.schema.field("h_msl_m"),
-            pa.compute.add(t["h_msl_m"], 1.0),
-        )),
+        lambda run: rewrite(
+            run,
+            "stations.parquet",
+            lambda t: t.set_column(
+                t.schema.get_field_index("h_msl_m"),
+                t.schema.field("h_msl_m"),
+                pa.compute.add(t["h_msl_m"], 1.0),
+            ),
+        ),
     ],
     ids=["camera", "method", "height"],
-)  # fmt: skip
+)
 def test_a_run_that_does_not_come_out_again(copied, export, spoil):
     spoil(copied)
     out, ended = export(copied, "lattice")
@@ -475,8 +503,9 @@ def test_a_ground_height_that_is_none(baseline, export, ground):
 
 
 def test_a_folder_that_is_not_there(baseline, unbend, tmp_path):
-    ended = unbend("export", baseline.output, "--format", "lattice", "--out",
-                   tmp_path / "no" / "grid.parquet")  # fmt: skip
+    ended = unbend(
+        "export", baseline.output, "--format", "lattice", "--out", tmp_path / "no" / "grid.parquet"
+    )
     assert ended.code == 5
     assert ended.err.startswith("STORAGE-WRITE: ")
 

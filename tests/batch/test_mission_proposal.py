@@ -25,8 +25,14 @@ from unbend.flight.channels import Channel, Source
 from unbend.flight.image_names import name_series
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "logs"
-CAMERA = {"width_px": 6000, "height_px": 4000, "f_px": 5000.0, "cx_px": 3000.0, "cy_px": 2000.0,
-          "calibration": "laboratory"}  # fmt: skip
+CAMERA = {
+    "width_px": 6000,
+    "height_px": 4000,
+    "f_px": 5000.0,
+    "cx_px": 3000.0,
+    "cy_px": 2000.0,
+    "calibration": "laboratory",
+}
 AT_REST = {"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0}
 
 
@@ -41,7 +47,8 @@ def answered(tree: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
     """The tree with the truth in the place of each TODO, and nothing else changed."""
     truth = truth | {"observations": {"refraction": "none"} | truth.get("observations", {})}
     for place in places_of_todo(tree):
-        inner, value = tree, truth
+        inner = tree
+        value = truth
         for key in place:
             value = value[key]
         for key in place[:-1]:
@@ -134,9 +141,11 @@ def test_wrong_inputs_are_refused_in_words(mission, unbend, tmp_path):
 
 
 def test_columns_and_heights_are_asked_for_where_their_names_do_not_say_it(mission, unbend):
-    seen = mission.measurements().to_pandas().rename(
-        columns={"image": "Filename", "x_px": "x", "h_g_m": "Z_ellipsoid"}
-    )  # fmt: skip
+    seen = (
+        mission.measurements()
+        .to_pandas()
+        .rename(columns={"image": "Filename", "x_px": "x", "h_g_m": "Z_ellipsoid"})
+    )
     seen.to_csv(mission.folder / "o.csv", index=False)
     text = unbend("init", mission.log, mission.folder / "o.csv", "--out", "-").out
     assert "    image: Filename  # guessed by its name" in text
@@ -162,9 +171,12 @@ def test_images_with_local_times_ask_for_the_time_zone(mission, unbend, tmp_path
 
 def channel(name: str, numbers: list[int]) -> Channel:
     return Channel(
-        name, np.arange(len(numbers)) * 10**9, {"event_index": np.array(numbers, float)},
-        Source(name), roles=("events",),
-    )  # fmt: skip
+        name,
+        np.arange(len(numbers)) * 10**9,
+        {"event_index": np.array(numbers, float)},
+        Source(name),
+        roles=("events",),
+    )
 
 
 def names(prefix: str, numbers: range) -> tuple[str, ...]:
@@ -184,8 +196,9 @@ def test_each_camera_gets_the_channel_that_counts_alike():
     cameras = proposed_cameras(events, names("a_", range(3, 9)) + names("b_", range(1, 9)))
     found = {c.name: (c.channel.value, c.image.value) for c in cameras}
     assert found == {
-        "b": ('"CAM[0]"', '"b_{index:04d}.tif"'), "a": ('"CAM[1]"', '"a_{index:04d}.tif"')
-    }  # fmt: skip
+        "b": ('"CAM[0]"', '"b_{index:04d}.tif"'),
+        "a": ('"CAM[1]"', '"a_{index:04d}.tif"'),
+    }
 
 
 @pytest.mark.parametrize("numbers", [range(700, 708), range(2, 9), range(1, 8), range(9)])
@@ -228,12 +241,16 @@ def test_a_block_alone_asks_for_its_frame_and_its_day(unbend, tmp_path):
     tree = yaml.safe_load(out.read_text(encoding="utf-8"))
     assert tree["observations"] == {"path": "sparse", "format": "colmap", "refraction": "TODO"}
     assert todo_of_check(unbend, out) == {
-        "cameras.a.calibration", "stations.orientation.frame", "stations.orientation.date",
+        "cameras.a.calibration",
+        "stations.orientation.frame",
+        "stations.orientation.date",
         "observations.refraction",
-    }  # fmt: skip
+    }
     enu = {"enu": {"lat_deg": 47.0, "lon_deg": 8.5, "h_ellipsoid_m": 500.0}}
-    truth = {"cameras": {"a": {"calibration": "laboratory"}},
-             "stations": {"orientation": {"frame": enu, "date": "2026-05-14"}}}  # fmt: skip
+    truth = {
+        "cameras": {"a": {"calibration": "laboratory"}},
+        "stations": {"orientation": {"frame": enu, "date": "2026-05-14"}},
+    }
     out.write_text(yaml.safe_dump(answered(tree, truth)), encoding="utf-8")
     ended = unbend("check", out)
     assert ended.code in (0, 3), ended.text  # two images: findings, no refusal
@@ -258,13 +275,34 @@ def test_every_kind_of_beginning(kind, unbend, tmp_path):
     log.write_bytes(flight())
     project = tmp_path / "project"
     project.mkdir()
-    (project / "reconstruction.json").write_text(json.dumps([{
-        "cameras": {"c": {"projection_type": "perspective", "width": 600, "height": 400,
-                          "focal": 0.8, "k1": 0.0, "k2": 0.0}},
-        "shots": {f"{n}.jpg": {"rotation": [3.14, 0, 0], "translation": [0, 0, 9], "camera": "c"}
-                  for n in (1, 2)},
-        "points": {"7": {"coordinates": [0.0, 0.0, 0.0]}},
-    }]), encoding="utf-8")  # fmt: skip
+    (project / "reconstruction.json").write_text(
+        json.dumps(
+            [
+                {
+                    "cameras": {
+                        "c": {
+                            "projection_type": "perspective",
+                            "width": 600,
+                            "height": 400,
+                            "focal": 0.8,
+                            "k1": 0.0,
+                            "k2": 0.0,
+                        }
+                    },
+                    "shots": {
+                        f"{n}.jpg": {
+                            "rotation": [3.14, 0, 0],
+                            "translation": [0, 0, 9],
+                            "camera": "c",
+                        }
+                        for n in (1, 2)
+                    },
+                    "points": {"7": {"coordinates": [0.0, 0.0, 0.0]}},
+                }
+            ]
+        ),
+        encoding="utf-8",
+    )
     rows = [f"{n}.jpg\t7\t0\t0.1\t0.1\t0.01\t0\t0\t0\t-1\t-1" for n in (1, 2)]
     tracks = "\n".join(["OPENSFM_TRACKS_VERSION_v2", *rows, ""])
     (project / "tracks.csv").write_text(tracks, encoding="utf-8")
@@ -348,10 +386,15 @@ def test_a_flight_of_two_cameras_runs_once_the_questions_are_answered(unbend, tm
     images = [f"head{i}_{n:05d}" for i, n in zip(flown["I"], flown["Img"], strict=True)]
     rng = np.random.default_rng(3)
     count = 4 * len(images)
-    pd.DataFrame({
-        "image": np.repeat(images, 4), "point": [f"p{i}" for i in range(count)],
-        "x_px": rng.uniform(0, 6000, count), "y_px": rng.uniform(0, 4000, count), "h_g_m": -430.0,
-    }).to_csv(tmp_path / "o.csv", index=False)  # fmt: skip
+    pd.DataFrame(
+        {
+            "image": np.repeat(images, 4),
+            "point": [f"p{i}" for i in range(count)],
+            "x_px": rng.uniform(0, 6000, count),
+            "y_px": rng.uniform(0, 4000, count),
+            "h_g_m": -430.0,
+        }
+    ).to_csv(tmp_path / "o.csv", index=False)
     out = tmp_path / "mission.yaml"
     log = SHARED / "sitl_belowsea_2cam.BIN"
     assert unbend("init", log, tmp_path / "o.csv", "--out", out).code == 0
@@ -362,7 +405,7 @@ def test_a_flight_of_two_cameras_runs_once_the_questions_are_answered(unbend, tm
         "mount": dict.fromkeys(tree["mount"], AT_REST),
         "ground": {"reference": "msl"},
         "events": {"log": {f"head{i}": {"channel": f"CAM[{i}]"} for i in (0, 1)}},
-    }  # fmt: skip
+    }
     out.write_text(yaml.safe_dump(answered(tree, answers)), encoding="utf-8")
     ended = unbend("check", out)
     assert ended.code in (0, 3), ended.text

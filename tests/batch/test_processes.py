@@ -33,8 +33,10 @@ def told(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[list,
     (folder / "pace").write_text(str(pace))
     done = subprocess.run(
         [sys.executable, MISSIONS, str(jobs), str(folder), *names],
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr, done.stderr
     ends = [json.loads(line) for line in done.stdout.splitlines()]
@@ -48,16 +50,27 @@ def test_a_killed_worker_costs_one_mission_only(tmp_path):
     told_ends, begun = told(tmp_path, 2, *names)
     ends = {name: word for name, word, _ in told_ends}
     assert ends == {
-        "deadly": "WORKER-LOST", "a": "done", "b": "done", "unlucky": "done", "buggy": "bug",
-        "refused": "OBS-EMPTY", "elsewhere": "RESULTS-ELSEWHERE",
-    }  # fmt: skip
+        "deadly": "WORKER-LOST",
+        "a": "done",
+        "b": "done",
+        "unlucky": "done",
+        "buggy": "bug",
+        "refused": "OBS-EMPTY",
+        "elsewhere": "RESULTS-ELSEWHERE",
+    }
     (lost,) = (text for _, word, text in told_ends if word == "WORKER-LOST")
     assert lost.count("killed by SIGKILL") == 2
     assert f"unbend run {tmp_path / 'deadly.yaml'}" in lost
     times = [name for name, _ in begun]
     assert {name: times.count(name) for name in names} == {
-        "deadly": 2, "unlucky": 2, "a": 1, "b": 1, "buggy": 1, "refused": 1, "elsewhere": 1,
-    }  # fmt: skip
+        "deadly": 2,
+        "unlucky": 2,
+        "a": 1,
+        "b": 1,
+        "buggy": 1,
+        "refused": 1,
+        "elsewhere": 1,
+    }
     # The second attempts come when nothing else is at work.
     assert sorted(times[-2:]) == ["deadly", "unlucky"]
 
@@ -65,8 +78,11 @@ def test_a_killed_worker_costs_one_mission_only(tmp_path):
 def test_every_worker_may_die_at_once(tmp_path):
     ends, begun = ran(tmp_path, 3, "deadly", "unlucky", "unlucky2", "a")
     assert ends == {
-        "deadly": "WORKER-LOST", "unlucky": "done", "unlucky2": "done", "a": "done",
-    }  # fmt: skip
+        "deadly": "WORKER-LOST",
+        "unlucky": "done",
+        "unlucky2": "done",
+        "a": "done",
+    }
     assert len(begun) == 7
 
 
@@ -84,9 +100,7 @@ def test_a_process_that_leaves_with_0_is_dead_too(tmp_path):
 
 def test_no_process_outlives_its_parent(tmp_path):
     (tmp_path / "pace").write_text("600")
-    parent = subprocess.Popen(
-        [sys.executable, MISSIONS, "2", str(tmp_path), "a", "b"]
-    )  # fmt: skip
+    parent = subprocess.Popen([sys.executable, MISSIONS, "2", str(tmp_path), "a", "b"])
     begun = tmp_path / "begun"
     wait_until(lambda: begun.exists() and begun.read_text().count("\n") == 2)
     parent.kill()
@@ -149,11 +163,21 @@ def test_a_signal_stops_all_and_begins_nothing(mission_factory, tmp_path, number
     missions = [mission_factory(tmp_path / name) for name in "abcdef"]
     (tmp_path / "stalling.py").write_text(STALLING, encoding="utf-8")
     process = subprocess.Popen(
-        [sys.executable, "-c", RUN, str(tmp_path), "run", "--jobs", "2",
-         *(str(m.save()) for m in missions)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        [
+            sys.executable,
+            "-c",
+            RUN,
+            str(tmp_path),
+            "run",
+            "--jobs",
+            "2",
+            *(str(m.save()) for m in missions),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         env=os.environ | {"DEAF": deaf},
-    )  # fmt: skip
+    )
     assert process.stderr is not None  # a worker's standard output is for its receipts alone
     workers = [int(process.stderr.readline().split()[1]) for _ in range(2)]
     process.send_signal(number)

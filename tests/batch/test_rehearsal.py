@@ -109,8 +109,9 @@ def many_rows(mission, times: int) -> None:
     """Every observation several times, some images far more often; a fifth of them no number."""
     table = mission.measurements().to_pandas()
     rng = np.random.default_rng(4)
-    weight = table["image"].map({name: 1 + 9 * (i % 2) for i, name in
-                                 enumerate(sorted(table["image"].unique()))})  # fmt: skip
+    weight = table["image"].map(
+        {name: 1 + 9 * (i % 2) for i, name in enumerate(sorted(table["image"].unique()))}
+    )
     table = table.loc[table.index.repeat(weight * times)].reset_index(drop=True)
     table.loc[rng.random(len(table)) < 0.1, "x_px"] = np.nan
     mission.observe(pa.Table.from_pandas(table, preserve_index=False))
@@ -118,7 +119,8 @@ def many_rows(mission, times: int) -> None:
 
 def test_a_large_table_is_sampled_and_its_counts_are_those_of_a_run(mission):
     many_rows(mission, 250)
-    checked, ran = check_mission(mission.save()), run_mission(mission.save())
+    checked = check_mission(mission.save())
+    ran = run_mission(mission.save())
     total = ran.manifest.values["observations"]
     assert total["rows"] > 70_000
     assert checked.corrected.statistics.rows == total["rows"]
@@ -127,7 +129,8 @@ def test_a_large_table_is_sampled_and_its_counts_are_those_of_a_run(mission):
     for status, count in total["status"].items():
         assert expected[status] == pytest.approx(count, abs=0.015 * total["rows"]), status
     assert {e["code"] for e in checked.manifest.values["ledger"]} == {
-        e["code"] for e in ran.manifest.values["ledger"]}  # fmt: skip
+        e["code"] for e in ran.manifest.values["ledger"]
+    }
     of_image = np.unique(checked.corrected.facts.rows.station, return_counts=True)[1]
     own = checked.corrected.prepared.observations.sample.counts
     assert sorted(of_image) == sorted(np.minimum(own, of_image.max()))
@@ -179,10 +182,15 @@ def test_few_rows_are_drawn_whole_whatever_parts_they_come_in():
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_sampled_rows_are_those_of_the_table(tmp_path, kind):
-    table = pd.DataFrame({
-        "image": np.repeat(["a", "b", "c"], [500, 20, 3000]), "point": "p",
-        "x_px": np.arange(3520.0), "y_px": -np.arange(3520.0), "note": "own",
-    })  # fmt: skip
+    table = pd.DataFrame(
+        {
+            "image": np.repeat(["a", "b", "c"], [500, 20, 3000]),
+            "point": "p",
+            "x_px": np.arange(3520.0),
+            "y_px": -np.arange(3520.0),
+            "note": "own",
+        }
+    )
     path = tmp_path / f"o.{kind}"
     table.to_csv(path, index=False) if kind == "csv" else pq.write_table(
         pa.Table.from_pandas(table, preserve_index=False), path, row_group_size=700
@@ -205,9 +213,17 @@ def test_ten_lines_in_80_columns(mission, unbend):
     checked = check_mission(mission.file)
     lines = dict(rehearsal.rehearsal_lines(checked))
     assert list(lines) == [
-        "datum", "heights", "cameras", "nadir angles", "time", "shift", "changes by", "rows",
-        "vertical", "air",
-    ]  # fmt: skip
+        "datum",
+        "heights",
+        "cameras",
+        "nadir angles",
+        "time",
+        "shift",
+        "changes by",
+        "rows",
+        "vertical",
+        "air",
+    ]
     for label, line in lines.items():
         assert f"{label} {line}" in text
     # Simulated: field 450 m and cameras 2500 m above it, undulation 47.6 m, f 20000 px, 45 deg.
@@ -236,8 +252,9 @@ def test_what_ten_metres_do_is_what_they_do(mission):
         median = moved[before["image"].str.startswith(name)].median()
         assert value == pytest.approx(median, rel=0.06)
     five_k = numbers(text, "5 K")["oblique"]
-    shift = np.hypot(before["x_corrected_px"] - before["x_px"],
-                     before["y_corrected_px"] - before["y_px"])  # fmt: skip
+    shift = np.hypot(
+        before["x_corrected_px"] - before["x_px"], before["y_corrected_px"] - before["y_px"]
+    )
     share = five_k / shift[before["image"].str.startswith("oblique")].median()
     # R goes with p/T^2: 5 K of 280 K are -3.5 %, less what the pressure aloft gains.
     assert 0.02 < share < 0.045
@@ -292,8 +309,11 @@ def test_two_missions_of_one_folder_in_check(mission, unbend):
 
 def test_an_accepted_finding_stays_and_raises_nothing(mission):
     mission.config["mount"]["oblique"]["lever_arm_m"] = [20.0, 28.0, 55.0]
-    codes = {e["code"] for e in check_mission(mission.save()).manifest.values["ledger"]
-             if e["kind"] == "finding"}  # fmt: skip
+    codes = {
+        e["code"]
+        for e in check_mission(mission.save()).manifest.values["ledger"]
+        if e["kind"] == "finding"
+    }
     assert "PLAUSIBLE-LEVER-ARM" in codes
     mission.config["accept"] = [{"code": code, "reason": "a boom"} for code in sorted(codes)]
     ended = run_mission(mission.save())

@@ -37,7 +37,9 @@ from unbend.stages.ground_heights import GivenGround
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.observations import open_observations
 
-ROWS, BATCH_ROWS, PARTS = 950, 100, 10
+ROWS = 950
+BATCH_ROWS = 100
+PARTS = 10
 MOST_THREADS = 4
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 
@@ -52,19 +54,30 @@ def stream(tmp_path_factory) -> tuple[Any, CorrectionSetup]:
     rng = np.random.default_rng(16)
     camera = Camera(4000, 3000, 3000.0, 3000.0, 2000.0, 1500.0, BrownConrady(0.0, 0.0, 0.0))
     path = tmp_path_factory.mktemp("stream") / "o.parquet"
-    pq.write_table(pa.table({
-        "image": rng.choice(["a", "b", "c", "unknown"], ROWS),
-        "point": [f"p{i}" for i in range(ROWS)],
-        "x_px": rng.uniform(0.0, 4000.0, ROWS), "y_px": rng.uniform(0.0, 3000.0, ROWS),
-    }), path)  # fmt: skip
+    pq.write_table(
+        pa.table(
+            {
+                "image": rng.choice(["a", "b", "c", "unknown"], ROWS),
+                "point": [f"p{i}" for i in range(ROWS)],
+                "x_px": rng.uniform(0.0, 4000.0, ROWS),
+                "y_px": rng.uniform(0.0, 3000.0, ROWS),
+            }
+        ),
+        path,
+    )
     down = np.tile(np.diag([1.0, -1.0, -1.0]), (3, 1, 1))
-    height, outside = np.array([3000.0, 3100.0, 2900.0]), np.full(3, 2.1e-4)
+    height = np.array([3000.0, 3100.0, 2900.0])
+    outside = np.full(3, 2.1e-4)
     exposures = Exposures(np.ones(3, bool), down, np.full(3, 0.8), height, outside, outside)
     setup = CorrectionSetup(
-        np.array(["a", "b", "c"], object), np.full(3, "nadir", object), exposures,
-        GivenGround(200.0, np.zeros(3), sigma_m=2.0), {"nadir": camera},
-        (rays_by(standard_atmosphere("us1976"), "spherical"),), np.zeros(3, np.int64),
-    )  # fmt: skip
+        np.array(["a", "b", "c"], object),
+        np.full(3, "nadir", object),
+        exposures,
+        GivenGround(200.0, np.zeros(3), sigma_m=2.0),
+        {"nadir": camera},
+        (rays_by(standard_atmosphere("us1976"), "spherical"),),
+        np.zeros(3, np.int64),
+    )
     return open_observations(path, COLUMNS, None, Ledger()), setup
 
 
@@ -99,10 +112,15 @@ class Disk:
         self.steps, self.parts, self.failed = 0, 0, False
         self._wrong, self._at, self._lasting = wrong, at, lasting
         for owner, name in (
-            (os, "fsync"), (Path, "replace"), (Path, "mkdir"), (Path, "unlink"),
-            (Path, "write_bytes"), (Path, "write_text"), (store.shutil, "rmtree"),
+            (os, "fsync"),
+            (Path, "replace"),
+            (Path, "mkdir"),
+            (Path, "unlink"),
+            (Path, "write_bytes"),
+            (Path, "write_text"),
+            (store.shutil, "rmtree"),
             (pq, "write_table"),
-        ):  # fmt: skip
+        ):
             self._wrap(patch, owner, name)
 
     def _wrap(self, patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
@@ -228,7 +246,8 @@ def test_a_part_that_was_damaged_meanwhile_is_made_again(stream, untouched, tmp_
     stopped_after(stream, tmp_path, 4)
     receipts = sorted((tmp_path / ".staging" / "receipts").iterdir())
     parts = [tmp_path / ".staging" / "observations" / path.name for path in receipts]
-    content, again = bytearray(parts[0].read_bytes()), 1
+    content = bytearray(parts[0].read_bytes())
+    again = 1
     if damage == "part":
         place = random.Random(SEED).randrange(len(content) * 8)
         content[place // 8] ^= 1 << place % 8
@@ -288,9 +307,13 @@ def test_parts_may_be_made_by_others_in_any_order(stream, untouched, tmp_path):
         for numbers in (range(7, 10), range(2, 5), range(2)):
             elsewhere = PartsOfRun(store.RunFolder(tmp_path))
             made = correct_parts(
-                observations, setup, elsewhere.write,
-                numbers=numbers, batch_rows=BATCH_ROWS, metadata={},
-            )  # fmt: skip
+                observations,
+                setup,
+                elsewhere.write,
+                numbers=numbers,
+                batch_rows=BATCH_ROWS,
+                metadata={},
+            )
             assert [counts.rows for counts in made]
         counted = correct_into(
             PartsOfRun(folder), observations, setup, batch_rows=BATCH_ROWS, metadata={}

@@ -228,10 +228,12 @@ def test_a_file_of_the_user_among_interrupted_results_does_not_stop_the_next_run
 
 def test_a_target_that_a_viewer_has_open_is_replaced_a_moment_later(tmp_path, monkeypatch) -> None:
     """Windows answers with PermissionError until the other program closes the file."""
-    source, target = tmp_path / "new", tmp_path / "old"
+    source = tmp_path / "new"
+    target = tmp_path / "old"
     source.write_text("new")
     target.write_text("old")
-    original, refused = Path.replace, []
+    original = Path.replace
+    refused = []
 
     def replace(self: Path, other: Path) -> Path:
         if len(refused) < 3:
@@ -328,8 +330,13 @@ def test_files_among_the_results_by_any_path(tmp_path: Path) -> None:
     (tmp_path / "link.parquet").symlink_to(results / "observations" / "real.parquet")
     (results / "observations" / "out.parquet").symlink_to(tmp_path / "elsewhere.parquet")
     (tmp_path / "alias").symlink_to(results)
-    for name in ("results/stations.parquet", "link.parquet", "results/observations/out.parquet",
-                 "alias/manifest.json", "results/../results/report.html"):  # fmt: skip
+    for name in (
+        "results/stations.parquet",
+        "link.parquet",
+        "results/observations/out.parquet",
+        "alias/manifest.json",
+        "results/../results/report.html",
+    ):
         assert store.would_replace(results, tmp_path / name), name
     for name in ("results/flight.bin", "elsewhere.parquet", "observations/own.parquet"):
         assert not store.would_replace(results, tmp_path / name), name
@@ -348,5 +355,7 @@ def test_a_folder_is_there_whole_or_not_at_all(tmp_path):
         (draft / "inner").mkdir(parents=True)
         (draft / "inner" / "first.txt").write_text("1", encoding="utf-8")
     assert [p.relative_to(tmp_path).as_posix() for p in sorted(tmp_path.rglob("*"))] == [
-        "made", "made/inner", "made/inner/first.txt"
-    ]  # fmt: skip
+        "made",
+        "made/inner",
+        "made/inner/first.txt",
+    ]

@@ -186,7 +186,8 @@ def test_a_stopped_mission_that_stops_again_is_refused_with_the_reason() -> None
                 yield mission, Lost(processes.way_of_death(-9, was_stopped=True))
 
     class Mission:
-        path, words = Path("m.yaml"), ("m.yaml",)
+        path = Path("m.yaml")
+        words = ("m.yaml",)
 
     ((_, end),) = run_many(print, [Mission()], Stopping())  # type: ignore[arg-type, list-item]
     assert str(end).count("stopped (SIGSTOP) for 60 s, so it was killed") == 2

@@ -11,9 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 KINDS = (
-    "first missing", "last missing", "random missing", "test shots", "doubled", "lost pulses",
-    "log begins late", "two cameras", "everything",
-)  # fmt: skip
+    "first missing",
+    "last missing",
+    "random missing",
+    "test shots",
+    "doubled",
+    "lost pulses",
+    "log begins late",
+    "two cameras",
+    "everything",
+)
 
 
 @dataclass
@@ -86,9 +93,16 @@ def draw(rng: np.random.Generator, kind: str, *, constant: bool = False) -> Draw
     step = 0.001 if milliseconds else 1.0
     first = int(rng.choice([0, 1, 65_500, int(rng.integers(0, 60_000))]))
     return Drawn(
-        kind, constant, milliseconds, event_s, (first + np.arange(event_s.size)) % 65_536,
-        np.floor(clock / step) * step, 1 + np.flatnonzero(has_image), truth, bounced,
-    )  # fmt: skip
+        kind,
+        constant,
+        milliseconds,
+        event_s,
+        (first + np.arange(event_s.size)) % 65_536,
+        np.floor(clock / step) * step,
+        1 + np.flatnonzero(has_image),
+        truth,
+        bounced,
+    )
 
 
 def _exposures(rng: np.random.Generator, constant: bool) -> np.ndarray:
@@ -96,7 +110,8 @@ def _exposures(rng: np.random.Generator, constant: bool) -> np.ndarray:
     interval = rng.uniform(2.0, 5.0)
     if constant:
         return 1000.0 + interval * np.arange(int(rng.integers(30, 200)))
-    lines, wind = int(rng.integers(2, 9)), rng.uniform(0.01, 0.03)
+    lines = int(rng.integers(2, 9))
+    wind = rng.uniform(0.01, 0.03)
     each = int(rng.integers(12, 40))
     times = [np.array([1000.0])]
     for line in range(lines):

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-A, F = 6378137.0, 1.0 / 298.257223563
+A = 6378137.0
+F = 1.0 / 298.257223563
 E2 = F * (2.0 - F)
 
 
@@ -71,7 +72,8 @@ def simulate_block(
     count = lines * each
     y = np.repeat(np.arange(lines) * 2.0 * base, each)
     x = np.tile(np.arange(each) * base, lines)
-    lat0, lon0 = np.radians(47.0), np.radians(8.0)
+    lat0 = np.radians(47.0)
+    lon0 = np.radians(8.0)
     lat = np.tile(lat0 + y / 6.37e6, len(cameras))
     lon = np.tile(lon0 + x / (6.37e6 * np.cos(lat0)), len(cameras))
     h = height + rng.normal(0.0, 10.0, lat.size)
@@ -79,7 +81,10 @@ def simulate_block(
     heading = heading + rng.normal(0.0, 0.05, lat.size)
     tilt = np.repeat(cameras, count)
     # Camera x right of the flight, y back, z down, then tilted about y.
-    c, s, o, i = np.cos(heading), np.sin(heading), np.zeros(lat.size), np.ones(lat.size)
+    c = np.cos(heading)
+    s = np.sin(heading)
+    o = np.zeros(lat.size)
+    i = np.ones(lat.size)
     level = np.stack([-s, -c, o, -c, s, o, o, o, -i], -1).reshape(-1, 3, 3)
     level[:, 0] *= -1.0
     level[:, 1] = np.cross(level[:, 2], level[:, 0])

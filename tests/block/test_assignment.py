@@ -105,9 +105,12 @@ def test_five_exposures_without_an_image_are_found_by_the_rhythm():
     assert not alone.accepted
     assert "251 images counted up to 251 and 256 events" in alone.reason
     timed = ImageEvidence(
-        251, time_s=np.floor(events[5:] - 3600.4), sigma_s=12.0**-0.5,
-        number=names, numbering="counted",
-    )  # fmt: skip
+        251,
+        time_s=np.floor(events[5:] - 3600.4),
+        sigma_s=12.0**-0.5,
+        number=names,
+        numbering="counted",
+    )
     found = assign(CameraEvents(events), timed)
     assert found.accepted
     assert found.event.tolist() == list(range(5, 256))
@@ -140,9 +143,7 @@ def test_equal_counts_pass_by_counting_unless_times_contradict():
     assert found.event.tolist() == list(range(60))
     # Two test shots without images, and the last two images lost: the counts are equal again.
     shots = np.concatenate([[100.0, 107.0], events])[:60]
-    images = ImageEvidence(
-        60, time_s=events + 77.0, sigma_s=0.02, number=n, numbering="counted"
-    )  # fmt: skip
+    images = ImageEvidence(60, time_s=events + 77.0, sigma_s=0.02, number=n, numbering="counted")
     found = assign(CameraEvents(shots), images)
     assert found.accepted
     assert found.event.tolist() == [*range(2, 60), -1, -1]
@@ -214,9 +215,10 @@ def test_tie_points_decide_where_names_say_the_order_only():
     images = ImageEvidence(45, number=np.arange(1201, 1246))
     assert not assign(events, images).accepted
     found = assign(
-        events, images,
+        events,
+        images,
         tie_points=lambda event: -20.0 * float(np.abs(event - np.arange(2, 47)).max()),
-    )  # fmt: skip
+    )
     assert found.accepted
     assert found.event.tolist() == list(range(2, 47))
 

@@ -23,7 +23,9 @@ from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
 
 K = 59e-6
-F, CX, CY = 20_000.0, 7012.0, 5291.0
+F = 20_000.0
+CX = 7012.0
+CY = 5291.0
 PLAIN = Camera(14_000, 10_600, F, F, CX, CY)
 BROWN = camera_of_model(
     "BROWN", 14_000, 10_600, [F, F * 1.0002, CX, CY, -0.02, 0.009, -0.002, 1.5e-4, -1e-4]
@@ -39,8 +41,9 @@ FISHEYE = camera_of_model(
 
 def seen(camera: Camera, bend) -> SeenRays:
     """Pixels of a grid, and the straight rays that a bend (of tangents) makes of what is seen."""
-    x, y = np.meshgrid(np.linspace(60, camera.width_px - 60, 21),
-                       np.linspace(60, camera.height_px - 60, 17))  # fmt: skip
+    x, y = np.meshgrid(
+        np.linspace(60, camera.width_px - 60, 21), np.linspace(60, camera.height_px - 60, 17)
+    )
     measured = np.stack([x.ravel(), y.ravel()], axis=1)
     u, v, ok = camera.rays(*measured.T)
     straight = bend(np.stack([u, v], axis=1)[ok])
@@ -86,9 +89,13 @@ def test_a_camera_that_was_changed_by_hand_is_found(camera):
     """Whatever its model: rays that the changed camera sees are those of the changed camera."""
     lens = camera.distortion
     moved = replace(
-        camera, fx_px=camera.fx_px * 1.0001, fy_px=camera.fy_px * 1.00008, cx_px=camera.cx_px - 1.0,
-        cy_px=camera.cy_px + 0.5, distortion=lens._replace(k1=lens.k1 + 5e-5, k2=lens.k2 - 2e-5),
-    )  # fmt: skip
+        camera,
+        fx_px=camera.fx_px * 1.0001,
+        fy_px=camera.fy_px * 1.00008,
+        cx_px=camera.cx_px - 1.0,
+        cy_px=camera.cy_px + 0.5,
+        distortion=lens._replace(k1=lens.k1 + 5e-5, k2=lens.k2 - 2e-5),
+    )
     rays = seen(moved, lambda tangents: tangents)
     found = changed_camera(camera, rays, FULL)
     assert rms(rays.left_px(found)) < 1e-7
@@ -113,11 +120,16 @@ def test_what_a_correction_adds_is_what_its_formula_says():
     rays = seen(BROWN, oblique)
     change, left = correction_change(BROWN, rays, CORRECTIONS)
     assert all(getattr(change, name) != 0.0 for name in CORRECTIONS)
-    c, pitch = 92.0, 92.0 / F
+    c = 92.0
+    pitch = 92.0 / F
     x, y = ((rays.measured_px - [CX, CY]) * pitch * [1.0, -F / BROWN.fy_px]).T
     u, v, _ = BROWN.rays(*rays.measured_px.T)
-    k1, k2, k3 = change.k1 / c**2, change.k2 / c**4, change.k3 / c**6
-    p1, p2, r2 = change.p1 / c, change.p2 / c, x * x + y * y
+    k1 = change.k1 / c**2
+    k2 = change.k2 / c**4
+    k3 = change.k3 / c**6
+    p1 = change.p1 / c
+    p2 = change.p2 / c
+    r2 = x * x + y * y
     radial = k1 * r2 + k2 * r2**2 + k3 * r2**3
     dx = -change.x0 * c + x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
     dy = -change.y0 * c + y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y

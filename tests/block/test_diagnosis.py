@@ -105,7 +105,8 @@ def test_sigmas_explain_a_common_error_as_large_as_they_are(make):
 def test_a_mount_with_the_other_sign_is_named_with_its_angle(make):
     mission = make(21)
     wrong = Mount(roll_rad=0.35).camera_from_body @ mission.camera_from_body("camera1").T
-    o, own = mission.orientations, mission.orientations.camera == "camera1"
+    o = mission.orientations
+    own = mission.orientations.camera == "camera1"
     turned = np.where(own[:, None, None], wrong @ o.camera_from_ecef, o.camera_from_ecef)
     mounts = {**mission.mounts, "camera1": Mount(roll_rad=0.35)}
     mission = replace(mission, orientations=replace(o, camera_from_ecef=turned), mounts=mounts)
@@ -157,7 +158,8 @@ def test_heights_from_another_zero_are_found_and_named(make):
 @pytest.mark.parametrize("axes", drawn("exchanged", "upward"))
 def test_other_axes_of_pixels(make, axes):
     mission = make(25)
-    rays, inverse = mission.rays, {"camera1": axes}
+    rays = mission.rays
+    inverse = {"camera1": axes}
 
     def wrong(cameras, read) -> ImageRays:
         """The table has them the other way: reading them so gives the true ones."""
@@ -279,11 +281,13 @@ def test_calibrations_that_drifted_are_not_taken_for_mistaken_ones(make, seed):
     rng = np.random.default_rng(seed)
     drifted = {
         name: replace(
-            c, cx_px=c.cx_px + rng.normal(0.0, 8.0), cy_px=c.cy_px + rng.normal(0.0, 8.0),
+            c,
+            cx_px=c.cx_px + rng.normal(0.0, 8.0),
+            cy_px=c.cy_px + rng.normal(0.0, 8.0),
             distortion=BrownConrady(*(p * rng.uniform(0.95, 1.05) for p in c.distortion)),
         )
         for name, c in CAMERAS.items()
-    }  # fmt: skip
+    }
     assert "TIES-CALIBRATION" not in found(replace(make(31 + seed), cameras=drifted))
 
 

@@ -61,7 +61,9 @@ def between(value: float) -> bool:
 )
 def test_residuals_are_as_large_as_the_sigmas_say(make, options):
     """Chi-square of all, of cameras, and each height: against their sigmas."""
-    ratio, camera, height = [], [], []
+    ratio = []
+    camera = []
+    height = []
     for seed in range(12):
         block, orientations, rays = make(seed, **options)
         found = intersect(orientations, rays)
@@ -94,7 +96,8 @@ def test_the_likelihood_ratio_of_a_mount_angle_is_honest(make):
     Errors of a station are those of all its rays: taken for those of single rays, the gain is
     larger by the rays of an image.
     """
-    gains, estimates = [], []
+    gains = []
+    estimates = []
     step = 2e-4
     for seed in range(25):
         _, orientations, rays = make(100 + seed, points=300)
@@ -103,8 +106,11 @@ def test_the_likelihood_ratio_of_a_mount_angle_is_honest(make):
             turned = orientations.turned(np.array([0.0, angle, 0.0]), "camera0")
             return intersect(turned, rays).log_likelihood
 
-        low, middle, high = likelihood(-step), likelihood(0.0), likelihood(step)
-        slope, curve = (high - low) / (2 * step), (high - 2 * middle + low) / step**2
+        low = likelihood(-step)
+        middle = likelihood(0.0)
+        high = likelihood(step)
+        slope = (high - low) / (2 * step)
+        curve = (high - 2 * middle + low) / step**2
         assert curve < 0.0
         gains.append(-(slope**2) / curve)
         turn, covariance = intersect(orientations, rays).camera_rotation("camera0")
@@ -246,7 +252,8 @@ def test_points_without_a_height_say_why(make):
     first = rays.point == rays.point[0]
     narrow = np.flatnonzero(rays.point == rays.point[np.argmax(~first)])
     apart = np.flatnonzero(rays.point == 300)
-    direction, image = rays.direction.copy(), rays.image.copy()
+    direction = rays.direction.copy()
+    image = rays.image.copy()
     image[narrow], direction[narrow] = image[narrow[0]], direction[narrow[0]]  # one image, one ray
     direction[apart[0]] += [0.0, 0.2, 0.0]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -255,8 +262,13 @@ def test_points_without_a_height_say_why(make):
     exact = replace(orientations, sigma=np.full_like(orientations.sigma, 1e-5))
     found = point_heights(exact, made)
     points = np.unique(made.point)
-    number = dict(zip(("few", "narrow", "apart"), np.searchsorted(
-        points, [rays.point[0], rays.point[narrow[0]], 300]), strict=True))  # fmt: skip
+    number = dict(
+        zip(
+            ("few", "narrow", "apart"),
+            np.searchsorted(points, [rays.point[0], rays.point[narrow[0]], 300]),
+            strict=True,
+        )
+    )
     for why, p in number.items():
         assert getattr(found, why)[p], why
         assert np.isnan(found.h_m[p] + found.sigma_m[p])
@@ -276,9 +288,14 @@ def test_stations_become_orientations(make, simulated_block):
     status = stations.status.copy()
     status[5] = "in_gap"
     stations = replace(
-        stations, lat_rad=block.lat, lon_rad=block.lon, h_ellipsoid_m=block.h, quaternion=q,
-        sigma_tilt_rad=np.full(count, 0.002), status=status,
-    )  # fmt: skip
+        stations,
+        lat_rad=block.lat,
+        lon_rad=block.lon,
+        h_ellipsoid_m=block.h,
+        quaternion=q,
+        sigma_tilt_rad=np.full(count, 0.002),
+        status=status,
+    )
     got = orientations_of(stations)
     known = np.arange(count) != 5
     np.testing.assert_allclose(got.centre_m[known], by_hand.centre_m[known], atol=1e-6)
@@ -295,7 +312,8 @@ def test_longitude_order_and_names_do_not_matter(make, seed, longitude):
     """The block carried around the earth, with its rays in another order: the same residuals."""
     _, orientations, rays = make(seed % 50, lines=2, each=5, points=80)
     found = intersect(orientations, rays)
-    c, s = np.cos(longitude), np.sin(longitude)
+    c = np.cos(longitude)
+    s = np.sin(longitude)
     around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     moved = replace(
         orientations,

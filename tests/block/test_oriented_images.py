@@ -31,7 +31,8 @@ from unbend.flight.rotations import (
 )
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
 
-LAT, LON = np.radians(47.0), np.radians(8.0)
+LAT = np.radians(47.0)
+LON = np.radians(8.0)
 METRE = 1.0 / 6.37e6
 HEIGHTS = HeightSystem(undulation_m=47.6)
 LINES_DEG = (30.0, 210.0, 100.0, 280.0)  # azimuths of the flight lines
@@ -39,7 +40,9 @@ LINES_DEG = (30.0, 210.0, 100.0, 280.0)  # azimuths of the flight lines
 
 def block(drift_deg: float = 3.0, roll_deg: float = 2.0, n: int = 6) -> OrientedImages:
     """Four lines of level images whose tops point along the track, but for the drift."""
-    lat, lon, yaw = [], [], []
+    lat = []
+    lon = []
+    yaw = []
     for number, azimuth in enumerate(np.radians(LINES_DEG)):
         along = 500.0 * np.arange(n)
         north = along * np.cos(azimuth) + 5000.0 * number
@@ -51,10 +54,17 @@ def block(drift_deg: float = 3.0, roll_deg: float = 2.0, n: int = 6) -> Oriented
     angles = np.stack([np.full(count, np.radians(roll_deg)), np.zeros(count), yaw], axis=1)
     names = np.array([f"i{k}" for k in range(count)], dtype=object)
     return OrientedImages(
-        names, np.full(count, "nadir", object), np.arange(1, count + 1) * 2_000_000_000,
-        np.array(lat), np.array(lon), np.full(count, 3000.0), True,
-        quaternion_of_rpy(angles), False, {},
-    )  # fmt: skip
+        names,
+        np.full(count, "nadir", object),
+        np.arange(1, count + 1) * 2_000_000_000,
+        np.array(lat),
+        np.array(lon),
+        np.full(count, 3000.0),
+        True,
+        quaternion_of_rpy(angles),
+        False,
+        {},
+    )
 
 
 def stations(images: OrientedImages, mount: Mount | None = None, heights=HEIGHTS):
@@ -95,9 +105,17 @@ def test_the_aircraft_carries_the_camera():
     body = quaternion_of_rpy(np.radians(np.stack([yaw * 0, yaw * 0, yaw], axis=1)), np.eye(3))
     images = block(n=1)
     images = OrientedImages(
-        images.image[:1], images.camera[:1], images.time_ns[:1], np.array([LAT]), np.array([LON]),
-        np.array([3000.0]), True, body, True, {"sigma_height_m": np.array([0.1])},
-    )  # fmt: skip
+        images.image[:1],
+        images.camera[:1],
+        images.time_ns[:1],
+        np.array([LAT]),
+        np.array([LON]),
+        np.array([3000.0]),
+        True,
+        body,
+        True,
+        {"sigma_height_m": np.array([0.1])},
+    )
     mount = Mount(roll_rad=np.radians(30.0), lever_arm_m=(-2.0, 0.0, 1.5))
     found, _ = stations(images, mount)
     optical_axis = matrices_of(found.quaternion)[0, 2]  # flying east, its left is north
@@ -120,12 +138,16 @@ def test_the_aircraft_carries_the_camera():
     ("name", "matrix"),
     [
         ("y up, z back", lambda m: np.diag([1.0, -1.0, -1.0]) @ m),
-        ("north, east, down for the frame",
-         lambda m: m @ np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])),
-        ("from the frame to a camera of photogrammetry and back",
-         lambda m: (np.diag([1.0, -1.0, -1.0]) @ m).transpose(0, 2, 1)),
+        (
+            "north, east, down for the frame",
+            lambda m: m @ np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]),
+        ),
+        (
+            "from the frame to a camera of photogrammetry and back",
+            lambda m: (np.diag([1.0, -1.0, -1.0]) @ m).transpose(0, 2, 1),
+        ),
     ],
-)  # fmt: skip
+)
 def test_cameras_that_look_up_are_refused(name, matrix):
     images = block()
     with pytest.raises(MissionError, match="ORIENTATION-UP") as refusal:
@@ -221,7 +243,8 @@ def test_the_vertical_is_as_good_as_its_sigma_says():
 def test_three_known_positions_are_not_checked_by_anything():
     """60 m of height at one of three: residuals of centimetres, and a tilt of 0.3 degrees."""
     images, xyz, known, _ = model()
-    three, true = [0, 17, 23], known[[0, 17, 23]]
+    three = [0, 17, 23]
+    true = known[[0, 17, 23]]
     higher = true + np.array([[0.0, 0.0, 60.0], [0.0] * 3, [0.0] * 3])
     good, (entry,) = fitted_frame(images.image, xyz, images.image[three], true)
     assert entry.kind == "warning"
@@ -274,7 +297,8 @@ def test_one_wrong_position_of_three_is_a_loss(mistake):
     rows = np.array([0, 5, 9])
     _, (entry,) = fitted_frame(images.image, xyz, images.image[rows], known[rows])
     assert (entry.kind, "three positions cannot" in entry.what) == ("warning", True)
-    wrong, names = known[rows].copy(), images.image[rows]
+    wrong = known[rows].copy()
+    names = images.image[rows]
     if mistake == "moved":
         wrong[1, 0] += 60.0 / 6.37e6
     else:

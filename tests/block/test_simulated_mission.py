@@ -14,7 +14,8 @@ from unbend.refraction.camera.camera import Camera
 
 
 def test_rays_of_a_run_meet_at_the_heights_of_its_ground(baseline):
-    table, rows = baseline.stations().to_pandas(), baseline.results().to_pandas()
+    table = baseline.stations().to_pandas()
+    rows = baseline.results().to_pandas()
     stations = SimpleNamespace(
         lat_rad=np.radians(table.lat_deg.to_numpy()),
         lon_rad=np.radians(table.lon_deg.to_numpy()),
@@ -23,9 +24,11 @@ def test_rays_of_a_run_meet_at_the_heights_of_its_ground(baseline):
         quaternion=table[["q_w", "q_x", "q_y", "q_z"]].to_numpy(),
         ok=(table.status == "ok").to_numpy(),
         camera=table.camera.to_numpy(object),
-        **{f"sigma_{name}": np.full(len(table), np.nan) for name in
-           ("horizontal_m", "height_m", "tilt_rad", "yaw_rad")},
-    )  # fmt: skip
+        **{
+            f"sigma_{name}": np.full(len(table), np.nan)
+            for name in ("horizontal_m", "height_m", "tilt_rad", "yaw_rad")
+        },
+    )
     sigma = [0.05, 0.05, 0.05, 3e-4, 3e-4, 3e-4]  # what the simulator's sensors err by
     orientations = replace(orientations_of(stations), sigma=np.tile(sigma, (len(table), 1)))
     image = rows.image.map({name: n for n, name in enumerate(table.image)}).to_numpy()

@@ -21,9 +21,23 @@ from unbend.refraction import angle
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
 COMMANDS = (
-    "init", "check", "run", "export", "status", "report", "verify", "stations", "inspect",
-    "profile", "angle", "tables", "simulate", "help", "schema", "warm",
-)  # fmt: skip
+    "init",
+    "check",
+    "run",
+    "export",
+    "status",
+    "report",
+    "verify",
+    "stations",
+    "inspect",
+    "profile",
+    "angle",
+    "tables",
+    "simulate",
+    "help",
+    "schema",
+    "warm",
+)
 
 
 @pytest.fixture(autouse=True)
@@ -70,13 +84,23 @@ def test_version(unbend):
 @pytest.mark.parametrize(
     "words",
     [
-        (), ("fly",), ("run",), ("check",), ("inspect",), ("verify",), ("run", "--fast", "a.yaml"),
-        ("run", "a.yaml", "--jobs", "0"), ("run", "a.yaml", "--jobs", "two"), ("--verbose",),
+        (),
+        ("fly",),
+        ("run",),
+        ("check",),
+        ("inspect",),
+        ("verify",),
+        ("run", "--fast", "a.yaml"),
+        ("run", "a.yaml", "--jobs", "0"),
+        ("run", "a.yaml", "--jobs", "two"),
+        ("--verbose",),
         ("angle", "--camera-height", "high", "--ground-height", "0", "--nadir-angle", "1"),
-        ("angle", "--camera-height", "1"), ("inspect", "a.bin", "b.bin"), ("simulate",),
+        ("angle", "--camera-height", "1"),
+        ("inspect", "a.bin", "b.bin"),
+        ("simulate",),
     ],
     ids=" ".join,
-)  # fmt: skip
+)
 def test_a_command_that_cannot_be_obeyed(unbend, words):
     ended = unbend(*words)
     assert ended.code == 2
@@ -93,10 +117,22 @@ ANGLES = {
 @pytest.mark.parametrize("at", ANGLES, ids=str)
 def test_angle(unbend, at):
     words = (
-        "angle", "--atmosphere", "us1976", "--index", "gyer", "--radius", "6371000",
-        "--camera-height", at[0], "--ground-height", at[1], "--nadir-angle", at[2],
-    )  # fmt: skip
-    plain, as_json = unbend(*words), unbend(*words, "--json")
+        "angle",
+        "--atmosphere",
+        "us1976",
+        "--index",
+        "gyer",
+        "--radius",
+        "6371000",
+        "--camera-height",
+        at[0],
+        "--ground-height",
+        at[1],
+        "--nadir-angle",
+        at[2],
+    )
+    plain = unbend(*words)
+    as_json = unbend(*words, "--json")
     assert plain.code == as_json.code == 0
     found = json.loads(as_json.out)
     assert found["r_c_arcsec"] == pytest.approx(ANGLES[at], abs=1e-6)
@@ -142,7 +178,8 @@ CROSSINGS = {None: "beyond_grazing", 80_000: "ok", 340_000: "far_branch"}
 
 def landing(zeta: float, *, far: bool) -> tuple[float, float]:
     """East and up of where a straight line from 3 km enters, or leaves, the sphere at 1 km [m]."""
-    r_c, r_g = 6_374_000.0, 6_372_000.0
+    r_c = 6_374_000.0
+    r_g = 6_372_000.0
     half = math.sqrt((r_c * math.cos(zeta)) ** 2 - (r_c - r_g) * (r_c + r_g))
     s = r_c * math.cos(zeta) + (half if far else -half)
     return s * math.sin(zeta), -s * math.cos(zeta)
@@ -152,7 +189,8 @@ def landing(zeta: float, *, far: bool) -> tuple[float, float]:
 def test_the_slant_range_chooses_the_crossing(unbend, distance):
     others = () if distance is None else ("--distance", distance)
     ray = words_of(3000, 1000, 88.4, *others)
-    found, plain = strict(unbend(*ray, "--json").out), unbend(*ray)
+    found = strict(unbend(*ray, "--json").out)
+    plain = unbend(*ray)
     assert found["status"] == CROSSINGS[distance]
     assert found["distance_m"] == distance
     near = strict(unbend(*words_of(3000, 1000, 88.4), "--json").out)
@@ -187,12 +225,16 @@ def test_an_ordinary_angle_says_nothing_of_crossings(unbend):
 @pytest.mark.parametrize(
     ("option", "value", "code"),
     [
-        ("--radius", "nan", "RAY-BAD-MEASUREMENT"), ("--radius", "inf", "RAY-BAD-MEASUREMENT"),
-        ("--radius", "0", "RAY-BAD-MEASUREMENT"), ("--camera-height", "inf", "RAY-BAD-MEASUREMENT"),
-        ("--ground-height", "-inf", "RAY-BAD-MEASUREMENT"), ("--distance", "-1", "ANGLE-DISTANCE"),
-        ("--distance", "nan", "ANGLE-DISTANCE"), ("--distance", "0", "ANGLE-DISTANCE"),
+        ("--radius", "nan", "RAY-BAD-MEASUREMENT"),
+        ("--radius", "inf", "RAY-BAD-MEASUREMENT"),
+        ("--radius", "0", "RAY-BAD-MEASUREMENT"),
+        ("--camera-height", "inf", "RAY-BAD-MEASUREMENT"),
+        ("--ground-height", "-inf", "RAY-BAD-MEASUREMENT"),
+        ("--distance", "-1", "ANGLE-DISTANCE"),
+        ("--distance", "nan", "ANGLE-DISTANCE"),
+        ("--distance", "0", "ANGLE-DISTANCE"),
     ],
-)  # fmt: skip
+)
 def test_an_angle_of_what_is_no_number(unbend, method, option, value, code):
     words = {"--camera-height": "3000", "--ground-height": "0", "--nadir-angle": "45"}
     words |= {"--method": method, option: value}
@@ -212,13 +254,15 @@ def test_heights_outside_the_profile_are_refused_at_once(unbend):
 @pytest.mark.parametrize(
     ("option", "value", "code"),
     [
-        ("--atmosphere", "us1967", "ATMOSPHERE-NAME"), ("--method", "magic", "METHOD-NAME"),
-        ("--index", "edlen", "AIR-INDEX"), ("--nadir-angle", "200", "RAY-BAD-MEASUREMENT"),
+        ("--atmosphere", "us1967", "ATMOSPHERE-NAME"),
+        ("--method", "magic", "METHOD-NAME"),
+        ("--index", "edlen", "AIR-INDEX"),
+        ("--nadir-angle", "200", "RAY-BAD-MEASUREMENT"),
         ("--camera-height", "nan", "RAY-BAD-MEASUREMENT"),
         ("--camera-height", "1e9", "RAY-OUTSIDE-PROFILE"),
         ("--nadir-angle", "120", "RAY-MISSES-GROUND"),
     ],
-)  # fmt: skip
+)
 def test_an_angle_that_does_not_exist(unbend, option, value, code):
     words = {"--camera-height": "3000", "--ground-height": "0", "--nadir-angle": "45"}
     words[option] = value
@@ -233,10 +277,8 @@ KEYS = {"format", "messages", "bad_bytes", "lost_messages", "boots", "channels",
 
 @pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
 def test_inspect(unbend, flown, kind):
-    plain, as_json = (
-        unbend("inspect", flown.logs[kind]),
-        unbend("inspect", flown.logs[kind], "--json"),
-    )
+    plain = unbend("inspect", flown.logs[kind])
+    as_json = unbend("inspect", flown.logs[kind], "--json")
     assert plain.code == as_json.code == 0
     assert longest(plain.out) <= 80
     assert "rate [Hz]" in plain.out
@@ -336,7 +378,8 @@ def test_profile_of_a_standard(unbend, tmp_path):
 
 
 def test_profile_of_a_mission(unbend, mission, baseline, tmp_path):
-    target, plot = tmp_path / "air.csv", tmp_path / "air.png"
+    target = tmp_path / "air.csv"
+    plot = tmp_path / "air.png"
     ended = unbend("profile", mission.save(), "--csv", target, "--plot", plot)
     assert ended.code == 0
     said = " ".join(ended.out.split())
@@ -370,12 +413,13 @@ def test_a_profile_that_lost_something_says_so_beside_its_plot(unbend, mission, 
     [
         ((), "PROFILE-ARGUMENTS", 2),
         (("a.yaml", "--atmosphere", "us1976"), "PROFILE-ARGUMENTS", 2),
-        (("a.yaml",), "CONFIG-MISSING", 2), (("--atmosphere", "mars"), "ATMOSPHERE-NAME", 2),
+        (("a.yaml",), "CONFIG-MISSING", 2),
+        (("--atmosphere", "mars"), "ATMOSPHERE-NAME", 2),
         (("--atmosphere", "us1976", "--plot", "air.pdf"), "PLOT-FORMAT", 2),
         (("--atmosphere", "us1976", "--csv", "none/air.csv"), "STORAGE-WRITE", 5),
         (("--atmosphere", "us1976", "--plot", "none/air.png"), "STORAGE-WRITE", 5),
     ],
-)  # fmt: skip
+)
 def test_a_profile_that_cannot_be_had(unbend, words, code, exit_code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ended = unbend("profile", *words)

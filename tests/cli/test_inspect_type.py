@@ -31,7 +31,8 @@ def test_every_row_as_csv(unbend, flown, kind):
     path = flown.logs["bin"]
     ended = unbend("inspect", path, "--type", kind, "--csv")
     assert ended.code == 0
-    rows, theirs = rows_of(ended.out), library(path, kind)
+    rows = rows_of(ended.out)
+    theirs = library(path, kind)
     assert len(rows) == len(theirs) > 5
     for row, expected in zip(rows, theirs, strict=True):
         for field, value in expected.items():
@@ -48,7 +49,8 @@ def test_times_are_utc(unbend, flown):
 
 def test_one_instance(unbend, flown):
     words = ("inspect", flown.logs["bin"], "--type", "BARO", "--csv")
-    every, second = rows_of(unbend(*words).out), rows_of(unbend(*words, "--instance", "1").out)
+    every = rows_of(unbend(*words).out)
+    second = rows_of(unbend(*words, "--instance", "1").out)
     assert {row["I"] for row in every} == {"0", "1"}
     assert second == [row for row in every if row["I"] == "1"]
 

@@ -154,8 +154,10 @@ def started(code: str, *words: str) -> subprocess.Popen[str]:
     """A process that has said it waits to be hit."""
     process = subprocess.Popen(
         [sys.executable, "-c", HEARING + code, *words],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     assert process.stdout is not None
     for line in process.stdout:
         if "stalled" in line:
@@ -193,7 +195,7 @@ def test_a_signal_leaves_nothing_half_done(mission, baseline, number, code):
         ((signal.SIGTERM, signal.SIGINT, signal.SIGINT), 143),
     ],
     ids=["int-term", "term-int"],
-)  # fmt: skip
+)
 def test_impatience_does_no_harm_to_a_stream(mission, numbers, code):
     mission.observe(pa.concat_tables([mission.measurements()] * 200))
     mission.config["output"]["batch_rows"] = 1000
@@ -226,9 +228,11 @@ def test_a_signal_takes_no_lock_with_it(mission, turn, number, code):
     returned, text = ended(
         subprocess.Popen(
             [sys.executable, "-c", HEARING + HITTING, *words],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
-    )  # fmt: skip
+    )
     assert text.split()[0] == "hit"
     assert returned == code, text
     assert "Traceback" not in text
@@ -415,8 +419,10 @@ def test_a_bug_is_owned_up_to(mission):
 def test_a_reader_who_goes_away_is_no_bug(flown):
     process = subprocess.Popen(
         [sys.executable, "-m", "unbend", "inspect", str(flown.logs["mcap"]), "--json"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     assert process.stdout is not None
     process.stdout.close()
     assert process.stderr is not None

@@ -44,9 +44,12 @@ def test_options_of_simulate(unbend, monkeypatch, tmp_path, options, expected):
         taken.append((out, settings.seed, settings.height_above_ground_m, settings.image_noise_px))
         progress("rays", 1, 2)
         return SimpleNamespace(
-            images=11, observation_count=2345, points=678, duration_s=90.0,
+            images=11,
+            observation_count=2345,
+            points=678,
+            duration_s=90.0,
             missions={"bin": out / "bin.yaml"},
-        )  # fmt: skip
+        )
 
     monkeypatch.setattr(importlib.import_module("unbend.simulate"), "simulate", simulate)
     ended = unbend("simulate", tmp_path / "flown", *options)

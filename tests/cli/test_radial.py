@@ -22,9 +22,18 @@ def longest(text: str) -> int:
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
 TWO_HEIGHTS = (
-    "angle", "--atmosphere", "us1976", "--camera-height", 3000, "--camera-height", 10000,
-    "--ground-height", 0, "--focal-px", 20000,
-)  # fmt: skip
+    "angle",
+    "--atmosphere",
+    "us1976",
+    "--camera-height",
+    3000,
+    "--camera-height",
+    10000,
+    "--ground-height",
+    0,
+    "--focal-px",
+    20000,
+)
 
 
 @pytest.mark.parametrize("command", ["export", "angle", "tables"])
@@ -77,8 +86,17 @@ def test_a_ray_that_misses_says_so(unbend):
 
 def test_metres_that_do_not_exist_are_explained(unbend, tmp_path):
     """At 86.9 degrees from 10 km only the bent ray lands."""
-    words = ("angle", "--atmosphere", "us1976", "--camera-height", 10_000, "--ground-height", 0,
-             "--step", 40)  # fmt: skip
+    words = (
+        "angle",
+        "--atmosphere",
+        "us1976",
+        "--camera-height",
+        10_000,
+        "--ground-height",
+        0,
+        "--step",
+        40,
+    )
     said = " ".join(unbend(*words, "--max-angle", 86.9).out.split())
     assert "No metres on the ground: the straight ray" in said
     assert "nan" not in said
@@ -93,11 +111,13 @@ def test_metres_that_do_not_exist_are_explained(unbend, tmp_path):
 
 
 def test_the_air_of_a_mission(unbend, baseline):
-    ended = unbend("angle", "--config", baseline.file, "--camera-height", 2800,
-                   "--ground-height", 300)  # fmt: skip
+    ended = unbend(
+        "angle", "--config", baseline.file, "--camera-height", 2800, "--ground-height", 300
+    )
     assert ended.code == 0, ended.text
-    standard = unbend("angle", "--atmosphere", "us1976", "--camera-height", 2800,
-                      "--ground-height", 300)  # fmt: skip
+    standard = unbend(
+        "angle", "--atmosphere", "us1976", "--camera-height", 2800, "--ground-height", 300
+    )
     assert ended.out.splitlines()[0] != standard.out.splitlines()[0]
 
 

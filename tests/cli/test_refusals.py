@@ -146,8 +146,9 @@ def test_exposures_of_a_camera_that_is_not_there(mission):
     (mission.folder / "e.csv").write_text(
         "image,time_utc,camera\na,2025-06-12T09:40:00Z,thermal\nb,2025-06-12T09:40:01Z\n"
     )
-    mission.config["events"] = {"csv": {"path": "e.csv", "columns": {
-        "time_utc": "time_utc", "camera": "camera"}}}  # fmt: skip
+    mission.config["events"] = {
+        "csv": {"path": "e.csv", "columns": {"time_utc": "time_utc", "camera": "camera"}}
+    }
     words = refused(mission.run(), "EVENTS-CAMERA")
     assert "nadir, oblique" in words
     mission.config["events"]["csv"]["path"] = "gone.csv"
@@ -181,9 +182,11 @@ def test_parquet_that_was_cut(mission):
 
 def test_parquet_with_a_damaged_page(mission):
     pq.write_table(
-        mission.measurements(), mission.folder / "own.parquet", compression="zstd",
+        mission.measurements(),
+        mission.folder / "own.parquet",
+        compression="zstd",
         use_dictionary=False,
-    )  # fmt: skip
+    )
     content = bytearray((mission.folder / "own.parquet").read_bytes())
     chunk = pq.ParquetFile(mission.folder / "own.parquet").metadata.row_group(0).column(2)
     begin = chunk.data_page_offset
@@ -240,7 +243,7 @@ def test_observations_already_corrected(mission, baseline, tmp_path):
         ("image,point,x_px,y_px\na,b,1,2\n", "OBS-COLUMN"),
         ("\0\0\0\0", "OBS-"),
     ],
-)  # fmt: skip
+)
 def test_csv_that_is_no_table(mission, text, code):
     mission.observe_text(text)
     refused(mission.run(), code + "[A-Z-]*")
@@ -265,9 +268,14 @@ def test_parquet_with_a_repeated_column(mission):
 
 @pytest.mark.parametrize(
     ("column", "kind"),
-    [("x_px", pa.bool_()), ("y_px", pa.list_(pa.float64())), ("h_g_m", pa.timestamp("s")),
-     ("image", pa.list_(pa.string())), ("image", pa.timestamp("s"))],
-)  # fmt: skip
+    [
+        ("x_px", pa.bool_()),
+        ("y_px", pa.list_(pa.float64())),
+        ("h_g_m", pa.timestamp("s")),
+        ("image", pa.list_(pa.string())),
+        ("image", pa.timestamp("s")),
+    ],
+)
 def test_columns_of_a_wrong_type(mission, column, kind):
     table = mission.measurements()
     i = table.schema.get_field_index(column)
@@ -290,15 +298,21 @@ def spoil_cells(mission, column: str, rows: list[int], value) -> pa.Table:
 @pytest.mark.parametrize(
     ("column", "value", "status"),
     [
-        ("x_px", float("nan"), "bad_measurement"), ("y_px", None, "bad_measurement"),
-        ("x_px", float("inf"), "bad_measurement"), ("h_g_m", None, "no_ground"),
-        ("h_g_m", float("nan"), "no_ground"), ("h_g_m", -6000.0, "no_ground"),
-        ("h_g_m", 40_000.0, "no_ground"), ("image", None, "no_station"),
-        ("image", "nowhere_01", "no_station"), ("image", "", "no_station"),
-        ("x_px", 3e9, "outside_camera"), ("x_px", -1e5, "outside_camera"),
+        ("x_px", float("nan"), "bad_measurement"),
+        ("y_px", None, "bad_measurement"),
+        ("x_px", float("inf"), "bad_measurement"),
+        ("h_g_m", None, "no_ground"),
+        ("h_g_m", float("nan"), "no_ground"),
+        ("h_g_m", -6000.0, "no_ground"),
+        ("h_g_m", 40_000.0, "no_ground"),
+        ("image", None, "no_station"),
+        ("image", "nowhere_01", "no_station"),
+        ("image", "", "no_station"),
+        ("x_px", 3e9, "outside_camera"),
+        ("x_px", -1e5, "outside_camera"),
         ("h_g_m", 9000.0, "misses_ground"),
     ],
-)  # fmt: skip
+)
 def test_a_row_that_cannot_be_corrected_stays(mission, baseline, column, value, status):
     given = spoil_cells(mission, column, [0, 7], value)
     text = accepted(mission.run(), 3)
@@ -353,9 +367,13 @@ def test_a_folder_with_files_of_others_is_left_alone(mission):
 
 @pytest.mark.parametrize(
     ("section", "name"),
-    [("observations", "observations/own.parquet"), ("observations", "stations.parquet"),
-     ("log", "observations/deeper/flight.bin"), ("log", ".staging/flight.bin")],
-)  # fmt: skip
+    [
+        ("observations", "observations/own.parquet"),
+        ("observations", "stations.parquet"),
+        ("log", "observations/deeper/flight.bin"),
+        ("log", ".staging/flight.bin"),
+    ],
+)
 def test_an_input_among_the_results_is_not_replaced(mission, unbend, section, name):
     given = mission.folder / mission.config[section]["path"]
     mine = mission.output / name
@@ -457,7 +475,8 @@ def test_an_input_that_changes_meanwhile(mission, monkeypatch):
 
 
 def test_one_mission_is_refused_and_the_other_done(mission_factory, tmp_path, unbend):
-    good, bad = mission_factory(tmp_path / "good"), mission_factory(tmp_path / "bad")
+    good = mission_factory(tmp_path / "good")
+    bad = mission_factory(tmp_path / "bad")
     bad.config["log"]["path"] = "gone.bin"
     ended = unbend("run", bad.save(), good.save())
     refused(ended, "INPUT-MISSING", 6)
@@ -479,7 +498,8 @@ def test_two_missions_with_one_folder(mission, unbend):
 def test_an_error_of_ours_costs_one_mission_only(mission_factory, tmp_path, unbend, monkeypatch):
     from unbend.stages import story
 
-    good, bad = mission_factory(tmp_path / "good"), mission_factory(tmp_path / "bad")
+    good = mission_factory(tmp_path / "good")
+    bad = mission_factory(tmp_path / "bad")
     bad.config["mission"]["name"] = "unlucky"
     real = story.flight_log
 
@@ -502,11 +522,14 @@ def test_an_error_of_ours_costs_one_mission_only(mission_factory, tmp_path, unbe
 @pytest.mark.parametrize(
     "words",
     [
-        ["simulate", "s3://bucket/flown"], ["inspect", "s3://bucket/flight.bin"],
-        ["init", "az://bucket/flight.bin"], ["profile", "--csv=s3://bucket/profile.csv"],
-        ["schema", "--out", "s3://bucket/s.json"], ["simulate", "s3://bucket/a?sig=hunter2"],
+        ["simulate", "s3://bucket/flown"],
+        ["inspect", "s3://bucket/flight.bin"],
+        ["init", "az://bucket/flight.bin"],
+        ["profile", "--csv=s3://bucket/profile.csv"],
+        ["schema", "--out", "s3://bucket/s.json"],
+        ["simulate", "s3://bucket/a?sig=hunter2"],
     ],
-)  # fmt: skip
+)
 def test_urls_where_paths_are_taken(words, unbend, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     said = refused(unbend(*words), "URL-INVALID", 2)

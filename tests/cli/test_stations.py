@@ -36,11 +36,17 @@ def flown(n: int = 40) -> Stations:
     here = np.where(np.arange(n) == 7, np.nan, 1.0)
     return replace(
         empty_stations(names, np.full(n, "nadir", object), "ok"),
-        time_ns=NINE + 2 * SECOND * np.arange(n), lat_rad=0.5 * here,
-        lon_rad=np.radians(179.98 + 0.001 * np.arange(n)) * here, h_msl_m=1234.5 * here,
-        sigma_horizontal_m=1.25 * here, sigma_height_m=2.5 * here, sigma_tilt_rad=0.01 * here,
-        suspect_reason=reason, suspect_m=off, status=status,
-    )  # fmt: skip
+        time_ns=NINE + 2 * SECOND * np.arange(n),
+        lat_rad=0.5 * here,
+        lon_rad=np.radians(179.98 + 0.001 * np.arange(n)) * here,
+        h_msl_m=1234.5 * here,
+        sigma_horizontal_m=1.25 * here,
+        sigma_height_m=2.5 * here,
+        sigma_tilt_rad=0.01 * here,
+        suspect_reason=reason,
+        suspect_m=off,
+        status=status,
+    )
 
 
 def printed(stations: Stations, capsys) -> list[str]:
@@ -56,9 +62,16 @@ def test_the_table_and_the_reasons(capsys):
     heads = ["image", "UTC", "lat", "lon", "±", "xy", "h", "±", "h", "tilt", "status"]
     assert lines[0].split() == heads
     assert lines[2].split() == [
-        "DSC_00001.tif", "09:00:00.0", "28.64789", "179.98000", "1.25", "1234.5", "2.50", "0.57",
+        "DSC_00001.tif",
+        "09:00:00.0",
+        "28.64789",
+        "179.98000",
+        "1.25",
+        "1234.5",
+        "2.50",
+        "0.57",
         "ok",
-    ]  # fmt: skip
+    ]
     assert lines[9].split() == ["DSC_00008.tif", "09:00:14.0", "outside_log"]
     assert "DSC_00025.tif" in lines[26]
     assert lines[27] == "..."
@@ -103,7 +116,8 @@ def test_the_drawing():
     marked = points_of(above, "suspect stretch")
     assert len(marked) == 3
     assert [patch.get_x() for patch in beside.patches] == pytest.approx(
-        [date2num(np.datetime64(begin, "ns")) for begin, _ in stretches])  # fmt: skip
+        [date2num(np.datetime64(begin, "ns")) for begin, _ in stretches]
+    )
     # The flight crosses the 180th meridian, and the drawing does not jump back to -180.
     behind = replace(stations, lon_rad=(stations.lon_rad + np.pi) % (2 * np.pi) - np.pi)
     drawn = points_of(flight_figure(behind, track).axes[0], "ok")
@@ -116,7 +130,8 @@ def test_the_drawing():
 
 
 def test_the_command(unbend, mission, tmp_path):
-    table, plot = tmp_path / "stations.csv", tmp_path / "flight.png"
+    table = tmp_path / "stations.csv"
+    plot = tmp_path / "flight.png"
     ended = unbend("stations", mission.save(), "--csv", table, "--plot", plot)
     checked = unbend("check", mission.save())
     assert (ended.code, checked.code) == (0, 0), ended.text
@@ -128,8 +143,11 @@ def test_the_command(unbend, mission, tmp_path):
     assert [row["image"] for row in rows] == run["image"].tolist()
     for name in ("lat_deg", "lon_deg", "h_msl_m", "q_w", "pressure_pa"):
         np.testing.assert_array_equal([float(row[name]) for row in rows], run[name])
-    assert set(rows[0]) == set(station_columns(flown())) == set(run.columns) - {
-        "profile_id", "geometry"}  # fmt: skip
+    assert (
+        set(rows[0])
+        == set(station_columns(flown()))
+        == set(run.columns) - {"profile_id", "geometry"}
+    )
     assert f"nadir: {sum(run['camera'] == 'nadir')} ok" in ended.out
 
 

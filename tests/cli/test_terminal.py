@@ -28,9 +28,12 @@ def in_terminal(*words: str, python: tuple[str, ...] = UNBEND, **environment: st
     """What `unbend` writes to a terminal of its own."""
     master, slave = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, *python, *words], stdin=slave, stdout=slave, stderr=slave,
+        [sys.executable, *python, *words],
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
         env=dict(os.environ, TERM="xterm", COLUMNS="80") | environment,
-    )  # fmt: skip
+    )
     os.close(slave)
     parts = []
     while True:
@@ -74,21 +77,37 @@ def test_json_is_all_that_is_written_and_quiet_writes_nothing(unbend, baseline, 
         (("stations", baseline.file), {"stations", "written", "ledger", "exit_code"}),
         (("inspect", flown.logs["bin"]), {"flight", "roles", "channels", "duration_s"}),
         (("profile", "--atmosphere", "us1976"), {"profile", "effect", "ledger", "exit_code"}),
-        (("angle", "--atmosphere", "us1976", "--camera-height", 3000, "--ground-height", 0),
-         {"rows", "ledger"}),
-        (("angle", "--camera-height", 3000, "--ground-height", 0, "--nadir-angle", 45),
-         {"r_c_arcsec"}),
+        (
+            ("angle", "--atmosphere", "us1976", "--camera-height", 3000, "--ground-height", 0),
+            {"rows", "ledger"},
+        ),
+        (
+            ("angle", "--camera-height", 3000, "--ground-height", 0, "--nadir-angle", 45),
+            {"r_c_arcsec"},
+        ),
         (("tables", "bertram1966"), {"rows", "notes"}),
         (("verify", baseline.output), {"mission", "files", "whole"}),
-        (("export", baseline.output, "--format", "lattice-csv", "--force", "--out",
-          tmp_path / "l.csv"), {"rows", "out", "ledger"}),
-        (("init", flown.logs["bin"], "--force", "--out", tmp_path / "m.yaml"),
-         {"questions", "written"}),
+        (
+            (
+                "export",
+                baseline.output,
+                "--format",
+                "lattice-csv",
+                "--force",
+                "--out",
+                tmp_path / "l.csv",
+            ),
+            {"rows", "out", "ledger"},
+        ),
+        (
+            ("init", flown.logs["bin"], "--force", "--out", tmp_path / "m.yaml"),
+            {"questions", "written"},
+        ),
         (("init", flown.logs["bin"], "--out", "-"), {"questions", "text"}),
         (("schema", "--out", tmp_path / "s.json"), {"written"}),
         (("schema",), {"properties", "required"}),
         (("help", "f_px"), {"word", "lines"}),
-    ):  # fmt: skip
+    ):
         ended = unbend(*words, "--json")
         content = json.loads(ended.out)
         assert set(content[0] if isinstance(content, list) else content) >= keys, words
@@ -133,8 +152,11 @@ def test_h_is_help_and_bash_completes(unbend, monkeypatch):
     for words in ([], ["run"], ["inspect"], ["export"]):
         assert unbend(*words, "-h").out == unbend(*words, "--help").out
     assert "--show-completion" in unbend("--help").out  # which shell it is asks a terminal
-    for typed, expected in (("unbend ins", "inspect"), ("unbend export x --format colm", "colmap"),
-                            ("unbend angle --method gy", "gyer1996")):  # fmt: skip
+    for typed, expected in (
+        ("unbend ins", "inspect"),
+        ("unbend export x --format colm", "colmap"),
+        ("unbend angle --method gy", "gyer1996"),
+    ):
         monkeypatch.setenv("_UNBEND_COMPLETE", "complete_bash")
         monkeypatch.setenv("COMP_WORDS", typed)
         monkeypatch.setenv("COMP_CWORD", str(len(typed.split()) - 1))

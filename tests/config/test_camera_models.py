@@ -57,17 +57,22 @@ def test_pixels_of_another_rule_are_turned_into_colmaps():
         ({"params": [1.0]}, "together"),
         ({"model": "FOV", "params": [3200.0, 1.0, 1.0, 1.0]}, "SIMPLE_PINHOLE"),
         ({"model": "RADIAL", "params": [3200.0, 1990.0, 1510.0]}, "RADIAL has 5 parameters"),
-        ({"model": "PINHOLE", "params": [320.0, 320.0, 1.0, 2.0], "f_px": 320.0},
-         "each of them gives the interior orientation"),
         (
-            {"model": "SIMPLE_RADIAL", "params": [3200.0, 1990.0, 1510.0, 0.0],
-             "distortion": {"k1": 0.1}},
+            {"model": "PINHOLE", "params": [320.0, 320.0, 1.0, 2.0], "f_px": 320.0},
+            "each of them gives the interior orientation",
+        ),
+        (
+            {
+                "model": "SIMPLE_RADIAL",
+                "params": [3200.0, 1990.0, 1510.0, 0.0],
+                "distortion": {"k1": 0.1},
+            },
             "each of them gives the interior orientation",
         ),
         ({"model": "PINHOLE", "params": [0.8, 0.8, 0.5, 0.5]}, "10 to 1000000 pixels"),
         ({"f_px": 3200.0, "cx_px": 2000.0}, "cy_px\n  Value error, is missing"),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit_is_refused(given, why):
     with pytest.raises(ValidationError, match=why):
         CameraSection(**FORMAT, **given)

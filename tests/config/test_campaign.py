@@ -87,16 +87,27 @@ def test_from_a_folder_that_is_a_link_paths_are_absolute(season, mission, tmp_pa
 
 
 def test_own_values_replace_defaults_and_null_takes_them_away(season, mission, tmp_path):
-    file = season(defaults={
-        "atmosphere": {"standard": "us1976", "model": {"path": "m.nc"}}, "control": "c.csv",
-        "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
-    })  # fmt: skip
+    file = season(
+        defaults={
+            "atmosphere": {"standard": "us1976", "model": {"path": "m.nc"}},
+            "control": "c.csv",
+            "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
+        }
+    )
     own = yaml.safe_load(mission.file.read_text()) | {
-        "atmosphere": {"model": None}, "control": None,
-        "cameras": {"oblique": None}, "mount": {"oblique": None},
-        "ground": {"height": {"points": "p.csv", "crs": "EPSG:4326",
-                   "columns": {"latitude": "a", "longitude": "b"}}, "reference": "msl"},
-    }  # fmt: skip
+        "atmosphere": {"model": None},
+        "control": None,
+        "cameras": {"oblique": None},
+        "mount": {"oblique": None},
+        "ground": {
+            "height": {
+                "points": "p.csv",
+                "crs": "EPSG:4326",
+                "columns": {"latitude": "a", "longitude": "b"},
+            },
+            "reference": "msl",
+        },
+    }
     del own["events"]["log"]["oblique"]
     mission.file.write_text(yaml.safe_dump(own))
     loaded = opened(file)[0][0].load()
@@ -107,34 +118,79 @@ def test_own_values_replace_defaults_and_null_takes_them_away(season, mission, t
 
 
 TOGETHER = [  # defaults, a mission's own, what they are together
-    ({"height": 450.0, "reference": "ellipsoid", "sigma_m": 0.5}, {"height": {"dem": "d.tif"}},
-     {"height": {"dem": "d.tif"}}, "ground"),
-    ({"height": 450.0, "reference": "msl"}, {"sigma_m": 2.0},
-     {"height": 450.0, "reference": "msl", "sigma_m": 2.0}, "ground"),
-    ({"path": "c.csv", "crs": "EPSG:25833", "reference": "msl"}, {"path": "own.csv"},
-     {"path": "own.csv"}, "control"),
-    ({"n": {"f_px": 9.0, "distortion": {"k1": 0.1, "k2": 0.2}}}, {"n": {"distortion": {"k1": 0.3}}},
-     {"n": {"distortion": {"k1": 0.3}}}, "cameras"),
-    ({"n": {"roll_deg": 4.0}, "o": {}}, {"n": {"yaw_deg": 9.0}},
-     {"n": {"yaw_deg": 9.0}, "o": {}}, "mount"),
-    ({"max_gap_s": 3.0, "channels": {"pressure": {"name": "P", "unit": "hPa"}}},
-     {"path": "a", "channels": {"pressure": {"name": "Q"}, "height": "H"}},
-     {"max_gap_s": 3.0, "path": "a", "channels": {"pressure": {"name": "Q"}, "height": "H"}},
-     "log"),
-    ({"model": {"path": "m.nc", "member": 3}, "index": "gyer"}, {"model": {"path": "o.nc"}},
-     {"model": {"path": "o.nc"}, "index": "gyer"}, "atmosphere"),
-    ({"sensors": {"thermometer": {"lag_s": 5.0}}}, {"sensors": {"thermometer": {"bias_k": 1.0}}},
-     {"sensors": {"thermometer": {"bias_k": 1.0}}}, "atmosphere"),
-    ({"orientation": {"path": "a", "heights": "msl"}, "trajectory": {"path": "t", "crs": "E"}},
-     {"orientation": {"path": "b"}, "trajectory": {"path": "u"}},
-     {"orientation": {"path": "b"}, "trajectory": {"path": "u"}}, "stations"),
-    ({"csv": {"path": "a", "delay_s": 3.0}, "log": {"n": {"delay_s": 1.0}, "o": {"delay_s": 1.0}}},
-     {"csv": {"path": "b"}, "log": {"n": {"channel": "CAM"}, "o": {"image": "x*"}}},
-     {"csv": {"path": "b"}, "log": {"n": {"channel": "CAM"}, "o": {"image": "x*", "delay_s": 1.0}}},
-     "events"),
-    ({"undulation_m": 47.0}, {"name": "n", "geoid": "g.tif"}, {"name": "n", "geoid": "g.tif"},
-     "mission"),
-]  # fmt: skip
+    (
+        {"height": 450.0, "reference": "ellipsoid", "sigma_m": 0.5},
+        {"height": {"dem": "d.tif"}},
+        {"height": {"dem": "d.tif"}},
+        "ground",
+    ),
+    (
+        {"height": 450.0, "reference": "msl"},
+        {"sigma_m": 2.0},
+        {"height": 450.0, "reference": "msl", "sigma_m": 2.0},
+        "ground",
+    ),
+    (
+        {"path": "c.csv", "crs": "EPSG:25833", "reference": "msl"},
+        {"path": "own.csv"},
+        {"path": "own.csv"},
+        "control",
+    ),
+    (
+        {"n": {"f_px": 9.0, "distortion": {"k1": 0.1, "k2": 0.2}}},
+        {"n": {"distortion": {"k1": 0.3}}},
+        {"n": {"distortion": {"k1": 0.3}}},
+        "cameras",
+    ),
+    (
+        {"n": {"roll_deg": 4.0}, "o": {}},
+        {"n": {"yaw_deg": 9.0}},
+        {"n": {"yaw_deg": 9.0}, "o": {}},
+        "mount",
+    ),
+    (
+        {"max_gap_s": 3.0, "channels": {"pressure": {"name": "P", "unit": "hPa"}}},
+        {"path": "a", "channels": {"pressure": {"name": "Q"}, "height": "H"}},
+        {"max_gap_s": 3.0, "path": "a", "channels": {"pressure": {"name": "Q"}, "height": "H"}},
+        "log",
+    ),
+    (
+        {"model": {"path": "m.nc", "member": 3}, "index": "gyer"},
+        {"model": {"path": "o.nc"}},
+        {"model": {"path": "o.nc"}, "index": "gyer"},
+        "atmosphere",
+    ),
+    (
+        {"sensors": {"thermometer": {"lag_s": 5.0}}},
+        {"sensors": {"thermometer": {"bias_k": 1.0}}},
+        {"sensors": {"thermometer": {"bias_k": 1.0}}},
+        "atmosphere",
+    ),
+    (
+        {"orientation": {"path": "a", "heights": "msl"}, "trajectory": {"path": "t", "crs": "E"}},
+        {"orientation": {"path": "b"}, "trajectory": {"path": "u"}},
+        {"orientation": {"path": "b"}, "trajectory": {"path": "u"}},
+        "stations",
+    ),
+    (
+        {
+            "csv": {"path": "a", "delay_s": 3.0},
+            "log": {"n": {"delay_s": 1.0}, "o": {"delay_s": 1.0}},
+        },
+        {"csv": {"path": "b"}, "log": {"n": {"channel": "CAM"}, "o": {"image": "x*"}}},
+        {
+            "csv": {"path": "b"},
+            "log": {"n": {"channel": "CAM"}, "o": {"image": "x*", "delay_s": 1.0}},
+        },
+        "events",
+    ),
+    (
+        {"undulation_m": 47.0},
+        {"name": "n", "geoid": "g.tif"},
+        {"name": "n", "geoid": "g.tif"},
+        "mission",
+    ),
+]
 
 
 @pytest.mark.parametrize(("defaults", "own", "both", "section"), TOGETHER)
@@ -157,7 +213,8 @@ def test_a_url_of_the_defaults_is_what_is_one_of_a_mission(season, text):
 
 
 def test_a_file_that_is_named_twice_is_taken_once(season, mission):
-    file, folder = season(), mission.folder
+    file = season()
+    folder = mission.folder
     own = folder / "mission.yaml"
     refs, campaigns = open_configs([file, own, folder / ".." / "mission" / "mission.yaml", file])
     assert ([r.path.name for r in refs], len(campaigns)) == (["mission.yaml", "mission.yaml"], 1)
@@ -184,16 +241,25 @@ def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
     for name in ("b", "a", "deep/er"):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "m.yaml").write_text(f"mission: {{name: {name[:1]}}}")
-    inline = {"mission": {"name": "inline"}, "log": {"path": "x.bin"},
-              "observations": {"path": "o.csv"}, "events": mission.config["events"]}  # fmt: skip
+    inline = {
+        "mission": {"name": "inline"},
+        "log": {"path": "x.bin"},
+        "observations": {"path": "o.csv"},
+        "events": mission.config["events"],
+    }
     stated = ["mission/mission.yaml", "**/m.yaml", "*.yaml", inline, "b/m.yaml"]
     file = season(missions=stated)
     with pytest.raises(ConfigError, match="CAMPAIGN-NO-MATCH"):  # *.yaml is itself alone
         open_configs([file])
     refs, _ = opened(season(missions=[s for s in stated if s != "*.yaml"]))
     places = [ref.path.relative_to(tmp_path).as_posix() for ref in refs]
-    assert places == ["mission/mission.yaml", "a/m.yaml", "deep/er/m.yaml", "season.yaml",
-                      "b/m.yaml"]  # fmt: skip
+    assert places == [
+        "mission/mission.yaml",
+        "a/m.yaml",
+        "deep/er/m.yaml",
+        "season.yaml",
+        "b/m.yaml",
+    ]
     assert refs[3].load().output.path == "out/inline"
     assert refs[3].label.endswith("season.yaml: inline")
     assert refs[3].words == (str(file), "--mission", "inline")

@@ -88,45 +88,94 @@ def test_the_missions_that_are_spoilt_are_sound(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"atmosphere.surface": [{"h_msl_m": 4.0, "relative_humidity": 0.5}]},
-         "atmosphere.surface[0]: relative_humidity needs temperature_c"),
-        ({"atmosphere.surface": [{"h_msl_m": 4.0, "temperature_c": 5.0, "time_utc": "noon"}]},
-         "atmosphere.surface[0].time_utc: is not a time like 2026-05-14T10:20:00Z"),
-        ({"cameras.nadir.format": "colmap"},
-         "cameras.nadir: format needs file, and pixel_origin cannot be combined with file"),
+        (
+            {"atmosphere.surface": [{"h_msl_m": 4.0, "relative_humidity": 0.5}]},
+            "atmosphere.surface[0]: relative_humidity needs temperature_c",
+        ),
+        (
+            {"atmosphere.surface": [{"h_msl_m": 4.0, "temperature_c": 5.0, "time_utc": "noon"}]},
+            "atmosphere.surface[0].time_utc: is not a time like 2026-05-14T10:20:00Z",
+        ),
+        (
+            {"cameras.nadir.format": "colmap"},
+            "cameras.nadir: format needs file, and pixel_origin cannot be combined with file",
+        ),
         ({"cameras.nadir.camera": 1}, "cameras.<name>.camera needs file, or a block"),
-        ({"cameras.nadir": {"width_px": 11500, "height_px": 11500, "calibration": "laboratory",
-                            "metric": METRIC | {"table": {
-                                "sense": "distortion", "by": "field_angle_deg",
-                                "rows": [[0.0, 0.0], [30.0, 1.0], [81.0, 2.0]]}}}},
-         "metric.table.rows: radii, or angles of up to 80 degrees, grow from row to row"),
-        ({"cameras.nadir.window.cabin": {"pressure": 800.0, "pressure_hpa": 800.0}},
-         "pressure_hpa: is the same as pressure: give one of them"),
-        ({"cameras.nadir.window": {"shape": "spherical", "frame": "body",
-                                   "normal": [0.0, 0.6, 0.8]}},
-         "a spherical window has no frame and no normal"),
+        (
+            {
+                "cameras.nadir": {
+                    "width_px": 11500,
+                    "height_px": 11500,
+                    "calibration": "laboratory",
+                    "metric": METRIC
+                    | {
+                        "table": {
+                            "sense": "distortion",
+                            "by": "field_angle_deg",
+                            "rows": [[0.0, 0.0], [30.0, 1.0], [81.0, 2.0]],
+                        }
+                    },
+                }
+            },
+            "metric.table.rows: radii, or angles of up to 80 degrees, grow from row to row",
+        ),
+        (
+            {"cameras.nadir.window.cabin": {"pressure": 800.0, "pressure_hpa": 800.0}},
+            "pressure_hpa: is the same as pressure: give one of them",
+        ),
+        (
+            {
+                "cameras.nadir.window": {
+                    "shape": "spherical",
+                    "frame": "body",
+                    "normal": [0.0, 0.6, 0.8],
+                }
+            },
+            "a spherical window has no frame and no normal",
+        ),
         ({"events": {"log": {}}}, "events: log needs at least one camera"),
-        ({"events": {"positions": {"nadir": POSITIONS | {"delay_s": 1.0}}}},
-         "its positions belong to its times: delay_s needs times_only: true"),
-        ({"ground.height": {"points": "p.csv", "crs": "EPSG:4326",
-                            "columns": {"latitude": "lat", "y": "y"}}},
-         "columns: give either latitude and longitude, or x and y"),
-        ({"ground.height": {"dem": "dem.tif"}, "ground.reference": "relative"},
-         "leave home_h_msl_m out"),
-        ({"ground": {"height": "intersected", "sigma_m": 1.0}},
-         "height: intersected computes its own sigmas; leave sigma_m and sigma_column out"),
+        (
+            {"events": {"positions": {"nadir": POSITIONS | {"delay_s": 1.0}}}},
+            "its positions belong to its times: delay_s needs times_only: true",
+        ),
+        (
+            {
+                "ground.height": {
+                    "points": "p.csv",
+                    "crs": "EPSG:4326",
+                    "columns": {"latitude": "lat", "y": "y"},
+                }
+            },
+            "columns: give either latitude and longitude, or x and y",
+        ),
+        (
+            {"ground.height": {"dem": "dem.tif"}, "ground.reference": "relative"},
+            "leave home_h_msl_m out",
+        ),
+        (
+            {"ground": {"height": "intersected", "sigma_m": 1.0}},
+            "height: intersected computes its own sigmas; leave sigma_m and sigma_column out",
+        ),
         ({"ground": {"height": "block"}}, "give it a format of colmap"),
-        ({"control": {"path": "c.csv", "crs": "EPSG:4326"}},
-         "control: give columns, crs and reference together"),
-        ({"control": "c.csv", "refraction.direction": "apply"},
-         "leave it out with refraction.direction: apply"),
+        (
+            {"control": {"path": "c.csv", "crs": "EPSG:4326"}},
+            "control: give columns, crs and reference together",
+        ),
+        (
+            {"control": "c.csv", "refraction.direction": "apply"},
+            "leave it out with refraction.direction: apply",
+        ),
         ({"observations.refraction": "removed_by_other"}, "removing it again would count it twice"),
-        ({"observations": {"path": "m", "format": "colmap", "columns": {"x_px": "x"}}},
-         "observations: format: colmap names its columns itself; leave columns out"),
-        ({"observations": {"path": "m", "format": "colmap", "pixel_origin": "centre"}},
-         "observations: format: colmap states the pixel origin itself"),
+        (
+            {"observations": {"path": "m", "format": "colmap", "columns": {"x_px": "x"}}},
+            "observations: format: colmap names its columns itself; leave columns out",
+        ),
+        (
+            {"observations": {"path": "m", "format": "colmap", "pixel_origin": "centre"}},
+            "observations: format: colmap states the pixel origin itself",
+        ),
     ],
-)  # fmt: skip
+)
 def test_combinations_of_a_mission_by_its_log(changes, text, refusal):
     assert text in refusal(BY_LOG, changes)
 
@@ -135,26 +184,69 @@ def test_combinations_of_a_mission_by_its_log(changes, text, refusal):
     ("trajectory", "changes", "text"),
     [
         (TRAJECTORY | {"crs": "EPSG:25832"}, {}, "crs is only for a CSV"),
-        (TRAJECTORY | {"point": "imu", "lever_arm_m": "from_events"}, {},
-         "lever_arm_m: from_events begins at the antenna"),
-        (TRAJECTORY | {"point": "camera", "lever_arm_m": [0.0, 0.0, 1.0]}, {},
-         "with point: camera there is no lever arm"),
-        (TRAJECTORY | {"lever_arm_m": [0.0, 0.0, 1.0], "replaces": ["height"]}, {},
-         "a lever arm or point: camera needs both position and height replaced"),
-        (TRAJECTORY | {"point": "camera"}, TWO_CAMERAS,
-         "is possible for one camera, not for nadir, obl"),
-        (TRAJECTORY, {"events": {"positions": {"nadir": POSITIONS}}},
-         "times_only: true leaves them to the trajectory"),
+        (
+            TRAJECTORY | {"point": "imu", "lever_arm_m": "from_events"},
+            {},
+            "lever_arm_m: from_events begins at the antenna",
+        ),
+        (
+            TRAJECTORY | {"point": "camera", "lever_arm_m": [0.0, 0.0, 1.0]},
+            {},
+            "with point: camera there is no lever arm",
+        ),
+        (
+            TRAJECTORY | {"lever_arm_m": [0.0, 0.0, 1.0], "replaces": ["height"]},
+            {},
+            "a lever arm or point: camera needs both position and height replaced",
+        ),
+        (
+            TRAJECTORY | {"point": "camera"},
+            TWO_CAMERAS,
+            "is possible for one camera, not for nadir, obl",
+        ),
+        (
+            TRAJECTORY,
+            {"events": {"positions": {"nadir": POSITIONS}}},
+            "times_only: true leaves them to the trajectory",
+        ),
         (TRAJECTORY | {"lever_arm_m": "from_events"}, {}, "from_events needs events.positions"),
-        (OF_CSV | {"columns": {"x": "x", "y": "y", "z": "z", "latitude": "a", "longitude": "b",
-                               "height": "c"}}, {},
-         "columns: give either latitude, longitude, height or x, y, z"),
-        (OF_CSV | {"columns": {"x": "x", "y": "y", "z": "z", "roll": "r", "pitch": "p", "yaw": "h",
-                               "q_w": "w", "q_x": "i", "q_y": "j", "q_z": "k"}}, {},
-         "columns: give either roll, pitch, yaw or q_w, q_x, q_y, q_z"),
+        (
+            OF_CSV
+            | {
+                "columns": {
+                    "x": "x",
+                    "y": "y",
+                    "z": "z",
+                    "latitude": "a",
+                    "longitude": "b",
+                    "height": "c",
+                }
+            },
+            {},
+            "columns: give either latitude, longitude, height or x, y, z",
+        ),
+        (
+            OF_CSV
+            | {
+                "columns": {
+                    "x": "x",
+                    "y": "y",
+                    "z": "z",
+                    "roll": "r",
+                    "pitch": "p",
+                    "yaw": "h",
+                    "q_w": "w",
+                    "q_x": "i",
+                    "q_y": "j",
+                    "q_z": "k",
+                }
+            },
+            {},
+            "columns: give either roll, pitch, yaw or q_w, q_x, q_y, q_z",
+        ),
         (OF_CSV | {"columns": {"x": "x"}}, {}, "columns: x needs x, y, z"),
     ],
-)  # fmt: skip
+)
 def test_combinations_with_a_trajectory(trajectory, changes, text, refusal):
     assert text in refusal(BY_LOG, {"stations.trajectory": trajectory} | changes)
 
@@ -162,22 +254,38 @@ def test_combinations_with_a_trajectory(trajectory, changes, text, refusal):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"mount": {"nadir": {"attitude": "MNT[0]"}}},
-         "mount.nadir.attitude names a channel, and there is no log"),
-        ({"stations.trajectory": TRAJECTORY},
-         "leave stations.trajectory and events.positions out"),
-        ({"stations": {"trajectory": TRAJECTORY | {"replaces": ["position"]}},
-          "events": {"csv": {"path": "e.csv"}}, "mount": {"nadir": {}}},
-         (
-             "there is no log, so all values of the trajectory are used: remove the key "
-             "stations.trajectory.replaces"
-         )),
-        ({"stations.orientation.format": "dji"},
-         "stations.orientation: format: dji has angles: roll_pitch_yaw, of the gimbal"),
-        ({"stations.orientation": {"path": "m", "format": "colmap", "frame": "ecef",
-                                   "angles": "omega_phi_kappa"}},
-         "format: colmap has its own angles, columns and cameras"),
+        (
+            {"mount": {"nadir": {"attitude": "MNT[0]"}}},
+            "mount.nadir.attitude names a channel, and there is no log",
+        ),
+        ({"stations.trajectory": TRAJECTORY}, "leave stations.trajectory and events.positions out"),
+        (
+            {
+                "stations": {"trajectory": TRAJECTORY | {"replaces": ["position"]}},
+                "events": {"csv": {"path": "e.csv"}},
+                "mount": {"nadir": {}},
+            },
+            (
+                "there is no log, so all values of the trajectory are used: remove the key "
+                "stations.trajectory.replaces"
+            ),
+        ),
+        (
+            {"stations.orientation.format": "dji"},
+            "stations.orientation: format: dji has angles: roll_pitch_yaw, of the gimbal",
+        ),
+        (
+            {
+                "stations.orientation": {
+                    "path": "m",
+                    "format": "colmap",
+                    "frame": "ecef",
+                    "angles": "omega_phi_kappa",
+                }
+            },
+            "format: colmap has its own angles, columns and cameras",
+        ),
     ],
-)  # fmt: skip
+)
 def test_combinations_of_a_mission_by_its_orientations(changes, text, refusal):
     assert text in refusal(BY_TABLE, changes)

@@ -20,9 +20,13 @@ from unbend.ingest.field_maps import STATED_UNITS
 from unbend.ingest.registry import SUFFIXES
 
 CAMERA = {
-    "width_px": 1000, "height_px": 800, "f_px": 900.0, "cx_px": 500.0, "cy_px": 400.0,
+    "width_px": 1000,
+    "height_px": 800,
+    "f_px": 900.0,
+    "cx_px": 500.0,
+    "cy_px": 400.0,
     "calibration": "laboratory",
-}  # fmt: skip
+}
 
 
 def defaults(model) -> dict[str, object]:
@@ -82,8 +86,9 @@ def test_inputs_and_outputs():
 
 def test_the_ground_has_no_default_but_for_distances():
     assert {n for n, f in GroundSection.model_fields.items() if f.is_required()} == {
-        "height", "reference",
-    }  # fmt: skip
+        "height",
+        "reference",
+    }
     section = GroundSection.model_validate({"height": "from_distance"})
     assert section.reference == "msl"  # the camera's own height is above mean sea level
     assert section.from_distance
@@ -100,9 +105,14 @@ def test_the_ground_has_no_default_but_for_distances():
 
 @pytest.mark.parametrize(
     ("own", "of_table", "cx"),
-    [(None, "corner", 500.0), (None, "centre", 500.5), ("corner", "centre", 500.0),
-     ("centre", "corner", 500.5), ("centre", "centre", 500.5)],
-)  # fmt: skip
+    [
+        (None, "corner", 500.0),
+        (None, "centre", 500.5),
+        ("corner", "centre", 500.0),
+        ("centre", "corner", 500.5),
+        ("centre", "centre", 500.5),
+    ],
+)
 def test_the_origin_of_a_camera_goes_before_that_of_the_table(own, of_table, cx):
     """COLMAP: the centre of the upper left pixel is (0.5, 0.5); OpenCV: it is (0, 0)."""
     camera = CameraSection.model_validate(CAMERA | {"pixel_origin": own}).interior_orientation_by(
@@ -113,8 +123,11 @@ def test_the_origin_of_a_camera_goes_before_that_of_the_table(own, of_table, cx)
 
 def test_two_principal_distances_are_those_of_their_axes():
     given = {key: value for key, value in CAMERA.items() if key != "f_px"}
-    given |= {"fx_px": 901.0, "fy_px": 899.0, "distortion": {"k1": 0.1, "k2": 0.2, "k3": 0.3,
-                                                            "p1": 0.004, "p2": 0.005}}  # fmt: skip
+    given |= {
+        "fx_px": 901.0,
+        "fy_px": 899.0,
+        "distortion": {"k1": 0.1, "k2": 0.2, "k3": 0.3, "p1": 0.004, "p2": 0.005},
+    }
     camera = CameraSection.model_validate(given).interior_orientation
     assert (camera.fx_px, camera.fy_px, camera.width_px, camera.height_px) == (
         901.0,
@@ -137,9 +150,12 @@ def test_a_mount_in_radians():
 
 def test_a_station_in_si():
     section = SurfaceSection(
-        h_msl_m=450.0, temperature_c=-3.5, pressure_hpa=966.2, relative_humidity=0.6,
+        h_msl_m=450.0,
+        temperature_c=-3.5,
+        pressure_hpa=966.2,
+        relative_humidity=0.6,
         time_utc="2026-05-14T10:20:00+02:00",
-    )  # fmt: skip
+    )
     assert section.temperature_k == pytest.approx(269.65)
     assert section.pressure_pa == pytest.approx(96_620.0)
     assert section.humidity == 0.6

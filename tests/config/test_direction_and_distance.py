@@ -18,7 +18,11 @@ BASE: dict[str, Any] = {
     "observations": {"path": "o.parquet", "columns": {"distance_m": "range"}},
     "cameras": {
         "nadir": {
-            "width_px": 100, "height_px": 100, "f_px": 200.0, "cx_px": 50.0, "cy_px": 50.0,
+            "width_px": 100,
+            "height_px": 100,
+            "f_px": 200.0,
+            "cx_px": 50.0,
+            "cy_px": 50.0,
             "calibration": "laboratory",
         },
     },
@@ -26,7 +30,7 @@ BASE: dict[str, Any] = {
     "events": {"log": {"nadir": {"image": "n{n}"}}},
     "ground": {"height": "from_distance"},
     "output": {"path": "results"},
-}  # fmt: skip
+}
 
 
 @pytest.fixture

@@ -22,16 +22,29 @@ from unbend.errors import ConfigError
 CHANNELS = {
     role: {"name": role.upper(), "unit": unit}
     for role, unit in {
-        "position": None, "height": None, "attitude": None, "pressure": "hPa",
-        "temperature": "degC", "humidity": "percent", "airspeed": "m/s", "cabin_pressure": "kPa",
-        "cabin_temperature": "K", "cabin_humidity": "fraction", "aircraft_attitude": None,
+        "position": None,
+        "height": None,
+        "attitude": None,
+        "pressure": "hPa",
+        "temperature": "degC",
+        "humidity": "percent",
+        "airspeed": "m/s",
+        "cabin_pressure": "kPa",
+        "cabin_temperature": "K",
+        "cabin_humidity": "fraction",
+        "aircraft_attitude": None,
     }.items()
-}  # fmt: skip
+}
 
 FULL: dict[str, Any] = {
     "mission": {
-        "name": "survey", "undulation_m": 47.5, "geoid": "egm96", "title": "Zürich, Los 3",
-        "client": "Amt", "operator": "Luftbild GmbH", "remarks": "one\n\ntwo",
+        "name": "survey",
+        "undulation_m": 47.5,
+        "geoid": "egm96",
+        "title": "Zürich, Los 3",
+        "client": "Amt",
+        "operator": "Luftbild GmbH",
+        "remarks": "one\n\ntwo",
         "time_zone": "Europe/Zurich",
     },
     "log": {
@@ -43,58 +56,105 @@ FULL: dict[str, Any] = {
     "observations": {
         "path": "o.parquet",
         "columns": {"image": "i", "point": "p", "x_px": "x", "y_px": "y", "distance_m": "d"},
-        "pixel_origin": "corner", "match_names": ["case", "digits"], "refraction": "none",
+        "pixel_origin": "corner",
+        "match_names": ["case", "digits"],
+        "refraction": "none",
     },
     "cameras": {
         "nadir": {
-            "width_px": 14000, "height_px": 10600, "fx_px": 20000.0, "fy_px": 20000.0,
-            "cx_px": 7000.0, "cy_px": 5300.0, "pixel_origin": "centre",
+            "width_px": 14000,
+            "height_px": 10600,
+            "fx_px": 20000.0,
+            "fy_px": 20000.0,
+            "cx_px": 7000.0,
+            "cy_px": 5300.0,
+            "pixel_origin": "centre",
             "distortion": {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.1, "p2": 0.1},
             "calibration": "laboratory",
             "window": {
                 "cabin": {
-                    "pressure_hpa": 800.0, "temperature_c": 20.0, "relative_humidity": 0.3,
-                    "sigma_pressure_hpa": 2.0, "sigma_temperature_k": 1.5,
+                    "pressure_hpa": 800.0,
+                    "temperature_c": 20.0,
+                    "relative_humidity": 0.3,
+                    "sigma_pressure_hpa": 2.0,
+                    "sigma_temperature_k": 1.5,
                 },
-                "shape": "plane", "frame": "camera", "normal": [0.0, 0.0, 1.0],
+                "shape": "plane",
+                "frame": "camera",
+                "normal": [0.0, 0.0, 1.0],
                 "in_calibration": "glass",
             },
             "principal_distance": {
                 "reference": {"pressure_hpa": 1013.25, "temperature_c": 20.0},
-                "dc_dp_px_per_hpa": 0.0084, "dc_dt_px_per_k": 0.004,
+                "dc_dp_px_per_hpa": 0.0084,
+                "dc_dt_px_per_k": 0.004,
             },
         },
         "window": {  # a camera may be called like one of our keys
-            "width_px": 100, "height_px": 100, "f_px": 200.0, "cx_px": 50.0, "cy_px": 50.0,
-            "calibration": "in_flight_corrected", "window": {"cabin": "log"},
+            "width_px": 100,
+            "height_px": 100,
+            "f_px": 200.0,
+            "cx_px": 50.0,
+            "cy_px": 50.0,
+            "calibration": "in_flight_corrected",
+            "window": {"cabin": "log"},
         },
         "colmap": {
-            "width_px": 100, "height_px": 100, "model": "SIMPLE_RADIAL",
-            "params": [200.0, 50.0, 50.0, -0.01], "calibration": "laboratory",
+            "width_px": 100,
+            "height_px": 100,
+            "model": "SIMPLE_RADIAL",
+            "params": [200.0, 50.0, 50.0, -0.01],
+            "calibration": "laboratory",
         },
         "filed": {
-            "file": "cameras.json", "format": "opensfm", "camera": "v2 x", "width_px": 100,
-            "height_px": 100, "calibration": "laboratory",
+            "file": "cameras.json",
+            "format": "opensfm",
+            "camera": "v2 x",
+            "width_px": 100,
+            "height_px": 100,
+            "calibration": "laboratory",
         },
         "metric": {
-            "width_px": 100, "height_px": 100, "calibration": "laboratory",
+            "width_px": 100,
+            "height_px": 100,
+            "calibration": "laboratory",
             "metric": {
-                "focal_mm": 100.0, "pixel_um": [1000.0, 1000.0], "format_mm": [100.0, 100.0],
-                "origin": "image_centre", "axes": "right up", "ppa_mm": [0.1, 0.0],
-                "ppbs_mm": [0.0, 0.0], "radius_mm": 80.0,
+                "focal_mm": 100.0,
+                "pixel_um": [1000.0, 1000.0],
+                "format_mm": [100.0, 100.0],
+                "origin": "image_centre",
+                "axes": "right up",
+                "ppa_mm": [0.1, 0.0],
+                "ppbs_mm": [0.0, 0.0],
+                "radius_mm": 80.0,
                 "distortion": {
-                    "sense": "correction", "k0": 0.0, "k1": 1e-8, "k2": 0.0, "k3": 0.0,
-                    "k4": 0.0, "p1": 1e-7, "p2": 0.0, "b1": 1e-5, "b2": 0.0,
+                    "sense": "correction",
+                    "k0": 0.0,
+                    "k1": 1e-8,
+                    "k2": 0.0,
+                    "k3": 0.0,
+                    "k4": 0.0,
+                    "p1": 1e-7,
+                    "p2": 0.0,
+                    "b1": 1e-5,
+                    "b2": 0.0,
                 },
-                "table": {"sense": "distortion", "by": "radius_mm",
-                          "rows": [[20.0, 0.0], [40.0, -0.5], [60.0, -2.0]]},
+                "table": {
+                    "sense": "distortion",
+                    "by": "radius_mm",
+                    "rows": [[20.0, 0.0], [40.0, -0.5], [60.0, -2.0]],
+                },
             },
         },
     },
     "mount": {
         "nadir": {
-            "roll_deg": 0.0, "pitch_deg": 1.0, "yaw_deg": 2.0, "lever_arm_m": [0.1, 0.2, 0.3],
-            "sigma_tilt_deg": 0.05, "sigma_yaw_deg": 0.2,
+            "roll_deg": 0.0,
+            "pitch_deg": 1.0,
+            "yaw_deg": 2.0,
+            "lever_arm_m": [0.1, 0.2, 0.3],
+            "sigma_tilt_deg": 0.05,
+            "sigma_yaw_deg": 0.2,
         },
         "window": {"roll_deg": 45.0},
         "colmap": {},
@@ -113,35 +173,63 @@ FULL: dict[str, Any] = {
         "first_image": {"window": {"image": "w1.tif", "event": 6}},
     },
     "stations": {
-        "max_sigma_horizontal_m": 1.5, "max_sigma_height_m": 2.0, "max_sigma_tilt_deg": 0.5,
+        "max_sigma_horizontal_m": 1.5,
+        "max_sigma_height_m": 2.0,
+        "max_sigma_tilt_deg": 0.5,
     },
-    "ground": {"height": {"column": "h_g_m"}, "reference": "msl", "home_h_msl_m": 580.0,
-               "sigma_m": 2.0},
+    "ground": {
+        "height": {"column": "h_g_m"},
+        "reference": "msl",
+        "home_h_msl_m": 580.0,
+        "sigma_m": 2.0,
+    },
     "atmosphere": {
-        "standard": "us1976", "adjust": True, "index": "gyer", "wavelength_m": 5.5e-7,
-        "co2_ppm": 420.0, "climatology": "auto", "board_temperature": True,
+        "standard": "us1976",
+        "adjust": True,
+        "index": "gyer",
+        "wavelength_m": 5.5e-7,
+        "co2_ppm": 420.0,
+        "climatology": "auto",
+        "board_temperature": True,
         "sensors": {
             "thermometer": {
-                "bias_k": 0.3, "sigma_bias_k": 0.1, "lag_s": 4.0, "sigma_lag_s": 1.0,
-                "transient_k": 0.0, "sigma_transient_k": 0.5, "recovery": 0.8,
-                "sigma_recovery": 0.05, "sigma_drift_k": 0.1,
+                "bias_k": 0.3,
+                "sigma_bias_k": 0.1,
+                "lag_s": 4.0,
+                "sigma_lag_s": 1.0,
+                "transient_k": 0.0,
+                "sigma_transient_k": 0.5,
+                "recovery": 0.8,
+                "sigma_recovery": 0.05,
+                "sigma_drift_k": 0.1,
             },
             "barometer": {"offset_hpa": -0.2, "sigma_offset_hpa": 0.1, "sigma_scale": 0.0005},
             "hygrometer": {"bias": 0.01, "sigma_bias": 0.01},
             "gnss": {"sigma_height_m": 0.1},
         },
         "model": {"path": "era5.nc", "member": 0},
-        "soundings": [{"path": "s.csv", "format": "csv", "station_h_msl_m": 500.0,
-                       "across_coast_or_ridge": True}],
+        "soundings": [
+            {
+                "path": "s.csv",
+                "format": "csv",
+                "station_h_msl_m": 500.0,
+                "across_coast_or_ridge": True,
+            }
+        ],
         "surface": [
             {"h_msl_m": 500.0, "metar": "METAR EDDF 221150Z 12/08 Q1013", "distance_km": 12.0},
-            {"h_msl_m": 500.0, "temperature_c": 15.0, "pressure_hpa": 955.0,
-             "relative_humidity": 0.5, "time_utc": "2026-05-14T10:20:00Z"},
+            {
+                "h_msl_m": 500.0,
+                "temperature_c": 15.0,
+                "pressure_hpa": 955.0,
+                "relative_humidity": 0.5,
+                "time_utc": "2026-05-14T10:20:00Z",
+            },
         ],
     },
     "refraction": {"method": "spherical", "radius_m": 6371000.0, "direction": "remove"},
     "output": {"path": "results", "batch_rows": 100000},
-}  # fmt: skip
+}
 
 CSV_EVENTS = {
     "csv": {
@@ -160,9 +248,22 @@ def with_csv_events() -> dict[str, Any]:
 
 ORIENTED_COLUMNS = {
     name: name
-    for name in ("image", "camera", "x", "y", "z", "omega", "phi", "kappa", "time_utc",
-                 "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
-}  # fmt: skip
+    for name in (
+        "image",
+        "camera",
+        "x",
+        "y",
+        "z",
+        "omega",
+        "phi",
+        "kappa",
+        "time_utc",
+        "sigma_horizontal_m",
+        "sigma_height_m",
+        "sigma_tilt",
+        "sigma_yaw",
+    )
+}
 WITHOUT_WINDOW = {key: value for key, value in FULL["cameras"]["nadir"].items() if key != "window"}
 ORIENTED: dict[str, Any] = {
     name: FULL[name] for name in ("mission", "observations", "ground", "output")
@@ -172,32 +273,68 @@ ORIENTED: dict[str, Any] = {
         "use_suspect": True,
         "orientation": {
             "format": "csv",
-            "path": "block.csv", "angles": "omega_phi_kappa", "unit": "grad", "frame": "unknown",
-            "heights": "ellipsoid", "columns": ORIENTED_COLUMNS, "camera": "nadir",
+            "path": "block.csv",
+            "angles": "omega_phi_kappa",
+            "unit": "grad",
+            "frame": "unknown",
+            "heights": "ellipsoid",
+            "columns": ORIENTED_COLUMNS,
+            "camera": "nadir",
             "known_positions": {
-                "path": "known.csv", "image": "i", "latitude": "b", "longitude": "l", "height": "h"
+                "path": "known.csv",
+                "image": "i",
+                "latitude": "b",
+                "longitude": "l",
+                "height": "h",
             },
-            "sigma_horizontal_m": 0.1, "sigma_height_m": 0.1, "sigma_tilt_deg": 0.01,
+            "sigma_horizontal_m": 0.1,
+            "sigma_height_m": 0.1,
+            "sigma_tilt_deg": 0.01,
             "sigma_yaw_deg": 0.01,
-        }
+        },
     },
-}  # fmt: skip
+}
 GEOGRAPHIC = {
-    "path": "block.csv", "angles": "roll_pitch_yaw", "frame": "geographic", "heights": "msl",
-    "convergence_deg": 1.2, "date": "2026-05-14", "camera": "nadir",
-    "columns": {"roll": "r", "pitch": "p", "yaw": "y", "latitude": "b", "longitude": "l",
-                "height": "h", "camera": "c"},
-}  # fmt: skip
+    "path": "block.csv",
+    "angles": "roll_pitch_yaw",
+    "frame": "geographic",
+    "heights": "msl",
+    "convergence_deg": 1.2,
+    "date": "2026-05-14",
+    "camera": "nadir",
+    "columns": {
+        "roll": "r",
+        "pitch": "p",
+        "yaw": "y",
+        "latitude": "b",
+        "longitude": "l",
+        "height": "h",
+        "camera": "c",
+    },
+}
 PROJECTED = {
-    "path": "block.csv", "angles": "roll_pitch_yaw", "frame": "projected", "crs": "EPSG:25832",
-    "heights": "msl", "camera": "nadir", "date": "2026-05-14",
-}  # fmt: skip
+    "path": "block.csv",
+    "angles": "roll_pitch_yaw",
+    "frame": "projected",
+    "crs": "EPSG:25832",
+    "heights": "msl",
+    "camera": "nadir",
+    "date": "2026-05-14",
+}
 TOPOCENTRIC = {
-    "path": "block.csv", "angles": "quaternion", "camera": "nadir",
+    "path": "block.csv",
+    "angles": "quaternion",
+    "camera": "nadir",
     "frame": {"enu": {"lat_deg": 47.0, "lon_deg": 11.0, "h_ellipsoid_m": 600.0}},
-    "columns": {"q_w": "a", "q_x": "b", "q_y": "c", "q_z": "d", "gps_week": "w",
-                "gps_seconds": "s"},
-}  # fmt: skip
+    "columns": {
+        "q_w": "a",
+        "q_x": "b",
+        "q_y": "c",
+        "q_z": "d",
+        "gps_week": "w",
+        "gps_seconds": "s",
+    },
+}
 
 
 def oriented(orientation: dict[str, Any]) -> dict[str, Any]:
@@ -205,20 +342,33 @@ def oriented(orientation: dict[str, Any]) -> dict[str, Any]:
 
 
 TRAJECTORY = {
-    "path": "t.csv", "format": "csv", "replaces": ["position", "height", "attitude"],
-    "point": "antenna", "lever_arm_m": [0.1, 0.2, -1.0], "heights": "msl",
-    "time": {"system": "gpst", "week": 2400}, "accuracy": "s.out",
-    "position_unit": "deg", "angle_unit": "grad", "angle_order": "ZYX",
-}  # fmt: skip
+    "path": "t.csv",
+    "format": "csv",
+    "replaces": ["position", "height", "attitude"],
+    "point": "antenna",
+    "lever_arm_m": [0.1, 0.2, -1.0],
+    "heights": "msl",
+    "time": {"system": "gpst", "week": 2400},
+    "accuracy": "s.out",
+    "position_unit": "deg",
+    "angle_unit": "grad",
+    "angle_order": "ZYX",
+}
 
 
 def with_imports() -> Iterator[dict[str, Any]]:
     """Trajectories and camera events of others, with the columns that exclude each other."""
     source = {
-        "path": "e.MRK", "format": "mrk", "image": "{index:04d}.JPG", "times_only": True,
-        "delay_s": 0.1, "point": "camera", "heights": "ellipsoid",
-        "time": {"system": "gpst", "week": 2400}, "grid": "EPSG:32632",
-    }  # fmt: skip
+        "path": "e.MRK",
+        "format": "mrk",
+        "image": "{index:04d}.JPG",
+        "times_only": True,
+        "delay_s": 0.1,
+        "point": "camera",
+        "heights": "ellipsoid",
+        "time": {"system": "gpst", "week": 2400},
+        "grid": "EPSG:32632",
+    }
     velocities = ("v_north_m_s", "v_east_m_s", "v_down_m_s", "sigma_h_m", "sigma_v_m")
     for names in (
         ("latitude", "longitude", "height", "roll", "pitch", "yaw", *velocities),
@@ -246,9 +396,13 @@ def with_control() -> dict[str, Any]:
 def with_opening() -> dict[str, Any]:
     nadir = {key: value for key, value in FULL["cameras"]["nadir"].items() if key != "window"}
     opening = {
-        "warmer_k": 10.0, "pressure_excess_hpa": -3.0, "sigma_warmer_k": 4.0,
-        "sigma_pressure_excess_hpa": 1.0, "frame": "camera", "normal": [0.0, 0.0, 1.0],
-    }  # fmt: skip
+        "warmer_k": 10.0,
+        "pressure_excess_hpa": -3.0,
+        "sigma_warmer_k": 4.0,
+        "sigma_pressure_excess_hpa": 1.0,
+        "frame": "camera",
+        "normal": [0.0, 0.0, 1.0],
+    }
     nadir["opening"] = opening
     return FULL | {"cameras": FULL["cameras"] | {"nadir": nadir}}
 
@@ -267,8 +421,11 @@ def keys_of(tree: Any, above: Keys = ()) -> Iterator[Keys]:
 
 def is_camera_name(keys: Keys) -> bool:
     return keys[-1] in NAMES and keys[:-1] in {
-        ("cameras",), ("mount",), ("events", "log"), ("events", "first_image")
-    }  # fmt: skip
+        ("cameras",),
+        ("mount",),
+        ("events", "log"),
+        ("events", "first_image"),
+    }
 
 
 def at(tree: dict[str, Any], keys: Keys) -> Any:
@@ -312,7 +469,8 @@ def line_of(text: str, keys: Keys) -> int:
     node = yaml.compose(text, C_LOADER)
     for key in keys:
         found = next((k, v) for k, v in node.value if k.value == key)
-        line, node = found[0].start_mark.line + 1, found[1]
+        line = found[0].start_mark.line + 1
+        node = found[1]
     return line
 
 
@@ -403,7 +561,8 @@ def typos(word: str, draw: random.Random) -> Iterator[str]:
 
 def test_a_misspelt_key_is_refused_with_its_line_and_the_right_one(refused):
     draw = random.Random(20240607)
-    tried, right = 0, 0
+    tried = 0
+    right = 0
     wrong = []
     for tree in (FULL, with_csv_events()):
         for keys in keys_of(tree):
@@ -430,18 +589,33 @@ def test_a_misspelt_key_is_refused_with_its_line_and_the_right_one(refused):
 
 def test_a_required_key_that_is_missing_is_named(refused):
     required = [
-        ("mission",), ("log",), ("observations",), ("cameras",), ("mount",), ("events",),
-        ("ground",), ("output",), ("mission", "name"), ("log", "path"), ("observations", "path"),
-        ("cameras", "nadir", "width_px"), ("cameras", "nadir", "height_px"),
-        ("cameras", "nadir", "cx_px"), ("cameras", "nadir", "cy_px"),
-        ("cameras", "nadir", "calibration"), ("cameras", "nadir", "window", "cabin"),
-        ("ground", "height"), ("ground", "reference"),
-        ("output", "path"), ("log", "local_origin", "lat_deg"),
-        ("log", "local_origin", "h_ellipsoid_m"), ("log", "channels", "pressure", "name"),
+        ("mission",),
+        ("log",),
+        ("observations",),
+        ("cameras",),
+        ("mount",),
+        ("events",),
+        ("ground",),
+        ("output",),
+        ("mission", "name"),
+        ("log", "path"),
+        ("observations", "path"),
+        ("cameras", "nadir", "width_px"),
+        ("cameras", "nadir", "height_px"),
+        ("cameras", "nadir", "cx_px"),
+        ("cameras", "nadir", "cy_px"),
+        ("cameras", "nadir", "calibration"),
+        ("cameras", "nadir", "window", "cabin"),
+        ("ground", "height"),
+        ("ground", "reference"),
+        ("output", "path"),
+        ("log", "local_origin", "lat_deg"),
+        ("log", "local_origin", "h_ellipsoid_m"),
+        ("log", "channels", "pressure", "name"),
         ("cameras", "nadir", "window", "cabin", "pressure_hpa"),
         ("cameras", "nadir", "principal_distance", "reference"),
         ("cameras", "nadir", "principal_distance", "reference", "temperature_c"),
-    ]  # fmt: skip
+    ]
     for keys in required:
         error = refused(without(FULL, keys))
         assert ".".join(keys) in error.what, error
@@ -456,17 +630,20 @@ def test_nothing_is_assumed_about_calibration_and_ground(refused):
         assert choices in refused(without(FULL, keys)).what
     assert "column" in refused(without(FULL, ("ground", "height"))).what
     required = [
-        (m.__name__, n) for m in models_in(Mission.model_fields["ground"].annotation)
-        for n in ("height", "reference") if not m.model_fields[n].is_required()
-    ]  # fmt: skip
+        (m.__name__, n)
+        for m in models_in(Mission.model_fields["ground"].annotation)
+        for n in ("height", "reference")
+        if not m.model_fields[n].is_required()
+    ]
     assert required == []
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
 def test_no_number_may_be_infinite_or_nan(refused, value):
-    numbers = [
-        k for k in keys_of(FULL) if type(at(FULL, k)) in (int, float)
-    ] + [("cameras", "nadir", "window", "normal"), ("mount", "nadir", "lever_arm_m")]  # fmt: skip
+    numbers = [k for k in keys_of(FULL) if type(at(FULL, k)) in (int, float)] + [
+        ("cameras", "nadir", "window", "normal"),
+        ("mount", "nadir", "lever_arm_m"),
+    ]
     assert len(numbers) > 35
     for keys in numbers:
         spoilt = [value, 0.0, 1.0] if isinstance(at(FULL, keys), list) else value
@@ -494,13 +671,22 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
 @pytest.mark.parametrize(
     ("keys", "value"),
     [
-        (("mission", "name"), "../up"), (("mission", "name"), ""), (("mission", "name"), "a/b"),
-        (("mission", "name"), "a\nb"), (("mission", "name"), "x" * 300),
-        (("mission", "undulation_m"), 500.0), (("log", "max_gap_s"), 0.0),
-        (("log", "max_gap_s"), -1.0), (("log", "path"), ""), (("log", "path"), "a\0b"),
-        (("output", "path"), "a\0b"), (("output", "batch_rows"), 10),
-        (("cameras", "nadir", "width_px"), 0), (("cameras", "nadir", "width_px"), 100.5),
-        (("cameras", "nadir", "fx_px"), -1.0), (("cameras", "nadir", "calibration"), "lab"),
+        (("mission", "name"), "../up"),
+        (("mission", "name"), ""),
+        (("mission", "name"), "a/b"),
+        (("mission", "name"), "a\nb"),
+        (("mission", "name"), "x" * 300),
+        (("mission", "undulation_m"), 500.0),
+        (("log", "max_gap_s"), 0.0),
+        (("log", "max_gap_s"), -1.0),
+        (("log", "path"), ""),
+        (("log", "path"), "a\0b"),
+        (("output", "path"), "a\0b"),
+        (("output", "batch_rows"), 10),
+        (("cameras", "nadir", "width_px"), 0),
+        (("cameras", "nadir", "width_px"), 100.5),
+        (("cameras", "nadir", "fx_px"), -1.0),
+        (("cameras", "nadir", "calibration"), "lab"),
         (("cameras", "nadir", "window", "normal"), [0.0, 0.0, 0.0]),
         (("cameras", "nadir", "window", "normal"), [0.0, 1.0, -0.1]),
         (("cameras", "nadir", "window", "normal"), [0.0, 1.0]),
@@ -518,15 +704,21 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
         (("events", "log", "nadir", "image"), "{index!r}"),
         (("events", "log", "nadir", "image"), "{index:999999999d}"),
         (("events", "log", "nadir", "image"), "{index"),
-        (("events", "images", "time_zone"), "CEST"), (("events", "images", "time_zone"), "+25:00"),
+        (("events", "images", "time_zone"), "CEST"),
+        (("events", "images", "time_zone"), "+25:00"),
         (("events", "first_image", "window", "event"), 0),
-        (("ground", "height"), 40000.0), (("ground", "reference"), "wgs84"),
-        (("atmosphere", "standard"), "us1967"), (("atmosphere", "index"), "edlen"),
-        (("refraction", "method"), "magic"), (("refraction", "radius_m"), 6371.0),
-        (("mount", "nadir", "sigma_tilt_deg"), -0.1), (("mount", "nadir", "sigma_yaw_deg"), 200.0),
-        (("ground", "sigma_m"), -1.0), (("ground", "sigma_column"), 3.0),
+        (("ground", "height"), 40000.0),
+        (("ground", "reference"), "wgs84"),
+        (("atmosphere", "standard"), "us1967"),
+        (("atmosphere", "index"), "edlen"),
+        (("refraction", "method"), "magic"),
+        (("refraction", "radius_m"), 6371.0),
+        (("mount", "nadir", "sigma_tilt_deg"), -0.1),
+        (("mount", "nadir", "sigma_yaw_deg"), 200.0),
+        (("ground", "sigma_m"), -1.0),
+        (("ground", "sigma_column"), 3.0),
     ],
-)  # fmt: skip
+)
 def test_a_value_out_of_range_is_refused(refused, keys, value):
     assert ".".join(keys) in refused(changed(FULL, keys, value)).what
 
@@ -562,8 +754,11 @@ def test_sigmas_that_contradict_each_other(refused):
 
 def test_one_principal_distance(refused, accepted):
     nadir = ("cameras", "nadir")
-    accepted(changed(without(without(FULL, (*nadir, "fx_px")), (*nadir, "fy_px")),
-                     (*nadir, "f_px"), 20000.0))  # fmt: skip
+    accepted(
+        changed(
+            without(without(FULL, (*nadir, "fx_px")), (*nadir, "fy_px")), (*nadir, "f_px"), 20000.0
+        )
+    )
     for spoilt in (
         changed(FULL, (*nadir, "f_px"), 1.0),
         without(FULL, (*nadir, "fx_px")),
@@ -602,8 +797,10 @@ def test_a_key_that_stands_there_twice_is_refused(refused, keys):
     text = dumped(FULL)
     lines = text.splitlines()
     line = line_of(text, keys)
-    lines.insert(line - 1, " " * (len(lines[line - 1]) - len(lines[line - 1].lstrip()))
-                 + f"{keys[-1]}: twice")  # fmt: skip
+    lines.insert(
+        line - 1,
+        " " * (len(lines[line - 1]) - len(lines[line - 1].lstrip())) + f"{keys[-1]}: twice",
+    )
     error = refused("\n".join(lines))
     assert error.code == "CONFIG-YAML"
     assert repr(keys[-1]) in error.what
@@ -616,15 +813,33 @@ def test_a_key_that_stands_there_twice_is_refused(refused, keys):
         "!!python/object/apply:os.system ['touch owned']",
         "mission: !!python/object/apply:os.system ['touch owned']",
         "mission: {name: !!python/name:os.system }",
-        "a: [1, 2", "\tmission: 1", "mission: {name: x", "a: &x [*x]\nb: *y", "? [a, b]\n: 1",
-        "? {a: b}\n: 1", "{}: 3", "- 1\n- 2", "just words", "", "# nothing\n", "null", "a: b: c",
-        "mission: {name: a, <<: 7}", "--- {a: 1}\n--- {b: 2}\n", "a: \x07", "[" * 400,
+        "a: [1, 2",
+        "\tmission: 1",
+        "mission: {name: x",
+        "a: &x [*x]\nb: *y",
+        "? [a, b]\n: 1",
+        "? {a: b}\n: 1",
+        "{}: 3",
+        "- 1\n- 2",
+        "just words",
+        "",
+        "# nothing\n",
+        "null",
+        "a: b: c",
+        "mission: {name: a, <<: 7}",
+        "--- {a: 1}\n--- {b: 2}\n",
+        "a: \x07",
+        "[" * 400,
     ],
-)  # fmt: skip
+)
 def test_text_that_is_no_mission_file(refused, text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert refused(text).code in ("CONFIG-YAML", "CONFIG-EMPTY", "CONFIG-INVALID",
-                                  "CONFIG-UNKNOWN-KEY")  # fmt: skip
+    assert refused(text).code in (
+        "CONFIG-YAML",
+        "CONFIG-EMPTY",
+        "CONFIG-INVALID",
+        "CONFIG-UNKNOWN-KEY",
+    )
     assert not (tmp_path / "owned").exists()
 
 
@@ -642,8 +857,9 @@ def test_bytes_that_are_no_text(tmp_path):
 
 def test_words_and_numbers_are_those_of_yaml_1_2(accepted, refused):
     text = dumped(FULL)
-    plain = text.replace("name: survey", "name: no").replace("wavelength_m: 5.5e-07",
-                                                             "wavelength_m: 55e-8")  # fmt: skip
+    plain = text.replace("name: survey", "name: no").replace(
+        "wavelength_m: 5.5e-07", "wavelength_m: 55e-8"
+    )
     assert "55e-8" in plain
     mission = accepted(plain)
     assert mission.mission.name == "no"
@@ -681,12 +897,24 @@ def test_aliases_cannot_swell(refused):
         ({"angles": None}, "orientation.angles"),
         ({"heights": None}, "give heights (msl or ellipsoid)"),
         ({"frame": "ecef"}, "frame must be geographic"),
-        ({"frame": "ecef", "angles": "quaternion", "convergence_deg": 0.0, "columns": {}},
-         "only then"),
-        ({"frame": "unknown", "angles": "quaternion", "convergence_deg": 0.0, "columns": {},
-          "heights": None}, "no vertical, no north and no scale"),
-        ({"frame": "unknown", "angles": "quaternion", "known_positions": "log"},
-         "not columns.latitude"),
+        (
+            {"frame": "ecef", "angles": "quaternion", "convergence_deg": 0.0, "columns": {}},
+            "only then",
+        ),
+        (
+            {
+                "frame": "unknown",
+                "angles": "quaternion",
+                "convergence_deg": 0.0,
+                "columns": {},
+                "heights": None,
+            },
+            "no vertical, no north and no scale",
+        ),
+        (
+            {"frame": "unknown", "angles": "quaternion", "known_positions": "log"},
+            "not columns.latitude",
+        ),
         ({"angles": "quaternion", "frame": "ecef"}, "convergence_deg is for frame: geographic"),
         ({"frame": "projected"}, "projected needs crs"),
         ({"date": "14.5.2026"}, "not a date like"),
@@ -695,7 +923,7 @@ def test_aliases_cannot_swell(refused):
         ({"camera": "forward"}, "names camera 'forward'"),
         ({"unit": "gon"}, "grad"),
     ],
-)  # fmt: skip
+)
 def test_an_orientation_that_says_too_little_or_too_much(refused, change, says):
     orientation = {k: v for k, v in (GEOGRAPHIC | change).items() if v is not None}
     assert says in refused(oriented(orientation)).what
@@ -706,8 +934,9 @@ def test_without_a_log_nothing_comes_from_a_log(refused, accepted):
     no_log = oriented(GEOGRAPHIC)
     accepted(no_log)
     assert "there is no log" in refused(no_log | {"events": FULL["events"]}).what
-    cameras = {name: camera | {"window": {"cabin": "log"}}
-               for name, camera in no_log["cameras"].items()}  # fmt: skip
+    cameras = {
+        name: camera | {"window": {"cabin": "log"}} for name, camera in no_log["cameras"].items()
+    }
     assert "there is no log" in refused(no_log | {"cameras": cameras}).what
     unknown = ORIENTED["stations"]["orientation"] | {"known_positions": "log"}
     del unknown["heights"]

@@ -20,11 +20,14 @@ ROOT = Path(__file__).resolve().parents[2]
 BASE = yaml.safe_load((ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8"))
 BASE |= {
     "stations": {"trajectory": {"path": "a.pos", "point": "antenna", "lever_arm_m": [0.0] * 3}},
-    "atmosphere": {"soundings": [{"path": "s.csv"}], "surface": [{"h_msl_m": 4.0, "metar": "M"}],
-                   "sensors": {"gnss": {"sigma_height_m": 1.0}}},
+    "atmosphere": {
+        "soundings": [{"path": "s.csv"}],
+        "surface": [{"h_msl_m": 4.0, "metar": "M"}],
+        "sensors": {"gnss": {"sigma_height_m": 1.0}},
+    },
     "accept": [{"code": "PLAUSIBLE-GROUND", "reason": "a mine"}],
     "control": {"path": "control.csv"},
-}  # fmt: skip
+}
 BASE["log"]["max_gap_s"] = 2.0
 # What pydantic says of types, ranges, patterns, lengths, unions, missing and unknown keys.
 FOREIGN = re.compile(
@@ -68,7 +71,8 @@ def test_the_file_that_is_spoilt_is_sound(tmp_path):
 
 def test_no_phrase_of_a_library_reaches_the_user():
     """Every value of a mission replaced by eight wrong ones: over 400 files."""
-    tried, node = 0, yaml.compose("{}")
+    tried = 0
+    node = yaml.compose("{}")
     for place in places(BASE):
         for value in WRONG:
             tree = spoilt(place, value)
@@ -95,21 +99,30 @@ def test_the_phrases_are_what_pydantic_says():
 @pytest.mark.parametrize(
     ("place", "value", "says"),
     [
-        ("cameras.nadir.fx_px", "wide",
-         "line 20: cameras.nadir.fx_px: 'wide' is not allowed; use a number from 10 to "
-         "1000000 [px], as 20000.0"),
-        ("ground.reference", "sea",
-         "ground.reference: 'sea' is not allowed; use msl | ellipsoid | relative"),
+        (
+            "cameras.nadir.fx_px",
+            "wide",
+            "line 20: cameras.nadir.fx_px: 'wide' is not allowed; use a number from 10 to "
+            "1000000 [px], as 20000.0",
+        ),
+        (
+            "ground.reference",
+            "sea",
+            "ground.reference: 'sea' is not allowed; use msl | ellipsoid | relative",
+        ),
         ("mission.name", "a b", "use letters, digits, dots, dashes and underscores"),
         ("cameras.nadir.width_px", 3.5, "use a whole number above 0 to 1000000 [px]"),
         ("log.channels.pressure", 5, "use text or a section {name, unit}, as BARO[0]"),
-        ("mount.nadir.lever_arm_m", [1.0], "a list of 1 is not allowed; use a list of 3: "
-         "each a number from -100 to 100 [m]"),
+        (
+            "mount.nadir.lever_arm_m",
+            [1.0],
+            "a list of 1 is not allowed; use a list of 3: each a number from -100 to 100 [m]",
+        ),
         ("output", None, "output: is empty; use a section {path, batch_rows}"),
         ("ground.height", {"colum": "x"}, "ground.height.colum: unknown key; perhaps 'column'?"),
         ("cameras.nadir.window", {"cabin": {"presure": 3}}, "presure: unknown key"),
     ],
-)  # fmt: skip
+)
 def test_a_mistake_names_the_key_what_stands_there_and_what_may(place, value, says, tmp_path):
     error = refusal(spoilt(tuple(place.split(".")), value), tmp_path / "mission.yaml")
     assert error is not None
@@ -129,9 +142,14 @@ def test_a_missing_key_comes_with_its_meaning_and_an_example(tmp_path):
 
 def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(tmp_path):
     tree = copy.deepcopy(BASE)
-    todo = [("cameras", "nadir", "fx_px"), ("cameras", "nadir", "width_px"),
-            ("ground", "reference"), ("ground", "height", "column"),
-            ("mount", "oblique", "roll_deg"), ("atmosphere", "soundings", 0, "path")]  # fmt: skip
+    todo = [
+        ("cameras", "nadir", "fx_px"),
+        ("cameras", "nadir", "width_px"),
+        ("ground", "reference"),
+        ("ground", "height", "column"),
+        ("mount", "oblique", "roll_deg"),
+        ("atmosphere", "soundings", 0, "path"),
+    ]
     for *above, last in todo:
         inner = tree
         for key in above:
@@ -255,15 +273,17 @@ def test_a_key_in_another_unit_is_led_to_the_key_and_its_unit(place, says, tmp_p
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("    nadir: {channel: CAM[0], image: x}", 'put quotes around a text with brackets or '
-         'braces: "CAM[0]"'),
+        (
+            "    nadir: {channel: CAM[0], image: x}",
+            'put quotes around a text with brackets or braces: "CAM[0]"',
+        ),
         ("    nadir: {channel: CAM, image: n_{index:05d}}", '"n_{index:05d}"'),
         ("    image: {index:05d}.jpg", '"{index:05d}.jpg"'),
         ("    image: @x", "put quotes around a text that begins with this character"),
         ("    image: *.jpg", "put quotes around a text that begins with * or &"),
         ('    path: "..\\logs\\flight.bin"', "write / or single quotes"),
     ],
-)  # fmt: skip
+)
 def test_a_text_that_needs_quotes_is_shown_with_them(line, says, tmp_path):
     path = tmp_path / "mission.yaml"
     path.write_text(f"events:\n  log:\n{line}\n", encoding="utf-8")
@@ -300,9 +320,11 @@ def test_another_file_in_the_place_of_a_mission_file_is_named(tmp_path):
         "a.html": (b"<!DOCTYPE html><html></html>", "a web page"),
         "a.xml": (b"<?xml version='1.0'?><document/>", "XML"),
         "mission.schema.json": (b'{"$schema": "x", "properties": {}}', "the JSON schema"),
-        "flight.bin": ((ROOT / "sample_logs" / "flight.bin").read_bytes()[:70_000],
-                       "a flight log: ArduPilot DataFlash"),
-    }  # fmt: skip
+        "flight.bin": (
+            (ROOT / "sample_logs" / "flight.bin").read_bytes()[:70_000],
+            "a flight log: ArduPilot DataFlash",
+        ),
+    }
     for name, (content, says) in files.items():
         path = tmp_path / name
         path.write_bytes(content)

@@ -42,9 +42,20 @@ def test_every_key_at_every_level_has_a_text_of_its_own():
 
 
 def test_keys_of_numbers_have_a_unit_and_its_name_says_the_same():
-    ends = {"_m": "m", "_px": "px", "_deg": "deg", "_hpa": "hPa", "_c": "degC", "_k": "K",
-            "_s": "s", "_mm": "mm", "_um": "um", "_ppm": "ppm", "_px_per_hpa": "px/hPa",
-            "_px_per_k": "px/K"}  # fmt: skip
+    ends = {
+        "_m": "m",
+        "_px": "px",
+        "_deg": "deg",
+        "_hpa": "hPa",
+        "_c": "degC",
+        "_k": "K",
+        "_s": "s",
+        "_mm": "mm",
+        "_um": "um",
+        "_ppm": "ppm",
+        "_px_per_hpa": "px/hPa",
+        "_px_per_k": "px/K",
+    }
     for path, key in KEYS.items():
         is_name = path == "cameras.*.camera"  # or a number
         assert bool(key.unit) == ("number" in key.allowed) - is_name, path
@@ -56,8 +67,9 @@ def test_keys_of_numbers_have_a_unit_and_its_name_says_the_same():
 def test_every_default_is_stated_and_every_example_is_taken(validator):
     for path in KEYS:
         assert KEYS[path].default, path
-        for node in nodes_at(tuple(0 if p == "*" and "soundings" in path else p
-                                   for p in path.split("."))):  # fmt: skip
+        for node in nodes_at(
+            tuple(0 if p == "*" and "soundings" in path else p for p in path.split("."))
+        ):
             own = mission_schema() | node
             own = {k: v for k, v in own.items() if k not in ("properties", "required")} | {
                 k: node[k] for k in ("properties", "required") if k in node

@@ -27,9 +27,14 @@ LENS = {
 
 def config(window: dict[str, Any] | None = None, **camera: Any) -> dict[str, Any]:
     nadir: dict[str, Any] = {
-        "width_px": 14000, "height_px": 10600, "fx_px": 20000.0, "fy_px": 19990.0, "cx_px": 7000.0,
-        "cy_px": 5300.0, "calibration": "laboratory",
-    }  # fmt: skip
+        "width_px": 14000,
+        "height_px": 10600,
+        "fx_px": 20000.0,
+        "fy_px": 19990.0,
+        "cx_px": 7000.0,
+        "cy_px": 5300.0,
+        "calibration": "laboratory",
+    }
     if window is not None:
         nadir["window"] = window
     return {

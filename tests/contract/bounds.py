@@ -154,7 +154,8 @@ def at_fault(trial: Trial, locked: Versions, suspects: Sequence[str]) -> str | N
 
     With the first `works` suspects held to the lock it passes, with the first `fails` it does not.
     """
-    fails, works = 0, len(suspects)
+    fails = 0
+    works = len(suspects)
     trial.install(locked)
     if (step := trial.failure()) is not None:
         print(f"with all locked versions {step} fails too: no bound is at fault")

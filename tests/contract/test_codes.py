@@ -170,8 +170,17 @@ def test_every_code_is_explained_offline():
         assert meaning.remedy == "Nothing." or len(meaning.remedy) > 10, code
 
 
-LOWER = {"pip", "pressure_hpa", "time_utc", "delay_s", "direction", "lever_arm_m",
-         "ppa_mm", "atmosphere.adjust", "events.first_image"}  # fmt: skip
+LOWER = {
+    "pip",
+    "pressure_hpa",
+    "time_utc",
+    "delay_s",
+    "direction",
+    "lever_arm_m",
+    "ppa_mm",
+    "atmosphere.adjust",
+    "events.first_image",
+}
 
 
 def test_every_exit_code_is_explained():

@@ -69,9 +69,13 @@ def test_the_page_of_a_notebook_has_its_outputs_and_can_be_downloaded(name):
 def cell(**outputs):
     """A cell as nbclient leaves it, with one output."""
     return {
-        "cell_type": "code", "id": "a", "source": "print(1)", "execution_count": 7,
-        "metadata": {"execution": {"shell.execute_reply": "2026-01-01"}}, "outputs": [outputs],
-    }  # fmt: skip
+        "cell_type": "code",
+        "id": "a",
+        "source": "print(1)",
+        "execution_count": 7,
+        "metadata": {"execution": {"shell.execute_reply": "2026-01-01"}},
+        "outputs": [outputs],
+    }
 
 
 def test_another_output_is_noticed(tmp_path):

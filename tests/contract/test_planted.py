@@ -34,8 +34,11 @@ def test_a_list_of_planted_bugs_names_tests_that_exist(room: str) -> None:
 
 @pytest.mark.parametrize("bug", BUGS)
 def test_a_bug_can_be_planted(bug: dict[str, Any]) -> None:
-    assert {"file", "before", "after", "what"} <= set(bug) <= {
-        "file", "before", "after", "what", "first"}  # fmt: skip
+    assert (
+        {"file", "before", "after", "what"}
+        <= set(bug)
+        <= {"file", "before", "after", "what", "first"}
+    )
     assert bug["file"].startswith("pipeline/unbend/")
     text = (ROOT / bug["file"]).read_text(encoding="utf-8")
     assert text.count(bug["before"]) == 1, f"'before' stands {text.count(bug['before'])} times"

@@ -75,9 +75,13 @@ def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
             path = folder / "dbat" / mark
             path.write_text("\n".join(path.read_text().splitlines()[:40]) + "\n")
         for kind, start in {
-            "colmap": ".", "opensfm": ".", "metashape": "doc.xml", "pix4d": ".",
-            "blocksexchange": "block.xml", "dbat": "sxb.xml",
-        }.items():  # fmt: skip
+            "colmap": ".",
+            "opensfm": ".",
+            "metashape": "doc.xml",
+            "pix4d": ".",
+            "blocksexchange": "block.xml",
+            "dbat": "sxb.xml",
+        }.items():
             files = {}
             for path in sorted((folder / kind).iterdir()):
                 files[path.name] = path.read_text(encoding="utf-8")
@@ -108,7 +112,7 @@ def write_colmap_binary(folder: Path, draw: random.Random) -> None:
         ],
         "images.bin": [("Q", [2])],
         "points3D.bin": [("Q", [2])],
-    }  # fmt: skip
+    }
     for image in (1, 2):
         parts["images.bin"] += [
             ("i7di", [image, 0.8, 0.6, 0.0, 0.0, 1.0, 2.0, 3.0, 1]),
@@ -118,8 +122,9 @@ def write_colmap_binary(folder: Path, draw: random.Random) -> None:
             ("2dq", [300.5, 400.5, -1]),
         ]
         parts["points3D.bin"] += [
-            ("Q3d3BdQ", [image, 1.0, 2.0, 3.0, 1, 2, 3, 0.5, 1]), ("ii", [1, 0]),
-        ]  # fmt: skip
+            ("Q3d3BdQ", [image, 1.0, 2.0, 3.0, 1, 2, 3, 0.5, 1]),
+            ("ii", [1, 0]),
+        ]
     spoilt = draw.choice(list(parts))
     record = draw.randrange(len(parts[spoilt]))
     for name, records in parts.items():
@@ -204,10 +209,18 @@ RATIONALS = (
     (0, 0), (1, 0), (0, 1), (2**32 - 1, 1), (2**32 - 1, 2**32 - 1), (1, 2**32 - 1), (47, 1),
 )  # fmt: skip
 TEXTS = (
-    b"2026:05:06 12:00:00\0", b"0000:00:00 00:00:00\0", b"9999:12:31 23:59:59\0", b"\0" * 20,
-    b"    :  :     :  :  \0", b"2026:05:06 24:00:60\0", b"0001:01:01 00:00:00\0", b"\xff" * 20,
-    b"9" * 1000, b"1", b"",
-)  # fmt: skip
+    b"2026:05:06 12:00:00\0",
+    b"0000:00:00 00:00:00\0",
+    b"9999:12:31 23:59:59\0",
+    b"\0" * 20,
+    b"    :  :     :  :  \0",
+    b"2026:05:06 24:00:60\0",
+    b"0001:01:01 00:00:00\0",
+    b"\xff" * 20,
+    b"9" * 1000,
+    b"1",
+    b"",
+)
 
 
 def tag(number: int, kind: int, count: int, content: bytes, at: int) -> tuple[bytes, bytes]:

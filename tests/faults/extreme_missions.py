@@ -16,14 +16,41 @@ from unbend.config import load_mission
 from unbend.config.campaign import open_configs
 
 YAML_WORDS = (
-    ".inf", "-.inf", ".nan", "1e400", "-1e400", "0x10", "1_000", "~", "!!bool x", "!!int x",
-    "!!float x", "!!timestamp x", "!!timestamp 0001-01-01T00:00:00+23:59", "!!binary x", "!!set x",
-    "!!omap [1]", "!!python/object:os.system x", "&loop [*loop]", "&loop {a: *loop}",
-    "&loop {<<: *loop}", "*unknown", "[[[[[[]]]]]]", "[" * 3000, "{a: {a: {a: 1}}}", "9" * 5000,
-    "[1.0e+308, -1.0e+308, 1.0e+308]", "[0.0, 0.0, 0.0]", "[0.0, 0.0]", "[-1.0, -1.0]",
-    "- 1", "true", "2026-05-14", '"\\0"',
+    ".inf",
+    "-.inf",
+    ".nan",
+    "1e400",
+    "-1e400",
+    "0x10",
+    "1_000",
+    "~",
+    "!!bool x",
+    "!!int x",
+    "!!float x",
+    "!!timestamp x",
+    "!!timestamp 0001-01-01T00:00:00+23:59",
+    "!!binary x",
+    "!!set x",
+    "!!omap [1]",
+    "!!python/object:os.system x",
+    "&loop [*loop]",
+    "&loop {a: *loop}",
+    "&loop {<<: *loop}",
+    "*unknown",
+    "[[[[[[]]]]]]",
+    "[" * 3000,
+    "{a: {a: {a: 1}}}",
+    "9" * 5000,
+    "[1.0e+308, -1.0e+308, 1.0e+308]",
+    "[0.0, 0.0, 0.0]",
+    "[0.0, 0.0]",
+    "[-1.0, -1.0]",
+    "- 1",
+    "true",
+    "2026-05-14",
+    '"\\0"',
     "&a [&b [&c [&d [x, x, x], *d, *d, *d], *c, *c, *c], *b, *b, *b]",
-)  # fmt: skip
+)
 
 
 @cache

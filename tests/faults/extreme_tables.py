@@ -261,17 +261,33 @@ EVENTS = {
 # Observations
 
 OBSERVATION_NAMES = {
-    "image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px", "distance_m": "d",
-}  # fmt: skip
+    "image": "image",
+    "point": "point",
+    "x_px": "x_px",
+    "y_px": "y_px",
+    "distance_m": "d",
+}
 OBSERVATIONS_CSV = table(
     "image,point,x_px,y_px,d,h_g_m,s,flown",
     lambda k: f"IMG_{k}.JPG,{k},{100 + k}.25,{200 + k}.5,{1000 + k}.5,{500 + k},0.5,{DAY}",
 )
 COLUMN_TYPES = (
-    pa.int64(), pa.uint64(), pa.float32(), pa.float64(), pa.float16(), pa.string(), pa.bool_(),
-    pa.decimal128(38, 0), pa.decimal256(76, 0), pa.timestamp("ms"), pa.timestamp("ns"), pa.date32(),
-    pa.duration("ms"), pa.int8(), pa.null(),
-)  # fmt: skip
+    pa.int64(),
+    pa.uint64(),
+    pa.float32(),
+    pa.float64(),
+    pa.float16(),
+    pa.string(),
+    pa.bool_(),
+    pa.decimal128(38, 0),
+    pa.decimal256(76, 0),
+    pa.timestamp("ms"),
+    pa.timestamp("ns"),
+    pa.date32(),
+    pa.duration("ms"),
+    pa.int8(),
+    pa.null(),
+)
 
 
 def read_observations(path: Path) -> object:

@@ -104,10 +104,18 @@ def write_arm(folder: Path, draw: random.Random) -> None:
 
 WEATHER_NAMES = ("valid_time", "pressure_level", "latitude", "longitude", "t", "q", "z")
 TIME_UNITS = (
-    "seconds since 1970-01-01", "hours since 1900-01-01", "days since 0001-01-01",
-    "days since 9999-12-31", "years since 2000-01-01", "nanoseconds since 1970-01-01", "x since y",
-    "days since 2026-02-30", "seconds since 0000-01-01", "months since 1970-01-01", "hours",
-)  # fmt: skip
+    "seconds since 1970-01-01",
+    "hours since 1900-01-01",
+    "days since 0001-01-01",
+    "days since 9999-12-31",
+    "years since 2000-01-01",
+    "nanoseconds since 1970-01-01",
+    "x since y",
+    "days since 2026-02-30",
+    "seconds since 0000-01-01",
+    "months since 1970-01-01",
+    "hours",
+)
 
 
 def write_model(folder: Path, draw: random.Random) -> None:
@@ -126,9 +134,12 @@ def write_model(folder: Path, draw: random.Random) -> None:
         "z": np.ones(shape) * (9.80665 * height)[:, None, None],
     }
     units = {
-        "valid_time": "seconds since 1970-01-01", "pressure_level": "hPa", "t": "K",
-        "q": "kg kg**-1", "z": "m**2 s**-2",
-    }  # fmt: skip
+        "valid_time": "seconds since 1970-01-01",
+        "pressure_level": "hPa",
+        "t": "K",
+        "q": "kg kg**-1",
+        "z": "m**2 s**-2",
+    }
     for name in draw.sample(WEATHER_NAMES, draw.choice((1, 1, 2))):
         columns[name] = extreme_numbers(columns[name], draw)
     if draw.random() < 0.2:
@@ -138,8 +149,9 @@ def write_model(folder: Path, draw: random.Random) -> None:
         for name, size in dimensions.items():
             file.createDimension(name, size)
         for name, values in columns.items():
-            variable = file.createVariable(name, values.dtype, (name,) if values.ndim == 1 else
-                                           WEATHER_NAMES[:4])  # fmt: skip
+            variable = file.createVariable(
+                name, values.dtype, (name,) if values.ndim == 1 else WEATHER_NAMES[:4]
+            )
             variable[...] = values
             if name in units:
                 variable.units = units[name]

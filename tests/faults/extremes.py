@@ -14,17 +14,63 @@ from typing import Any
 from tests.faults import hostile
 
 WORDS = (
-    "-5", "-1", "0", str(2**31), str(2**53 + 1), str(2**63 - 1), str(2**63), str(2**64 - 1),
-    str(2**64), str(-(2**63)), "9" * 400, "nan", "-nan", "inf", "-inf", "1e400", "-1e400",
-    "1e308", "5e-324", "-0.0", "", " ", "x", "1_0", "٣", "0x7", "1e3", "-9999-01-01",
-)  # fmt: skip
+    "-5",
+    "-1",
+    "0",
+    str(2**31),
+    str(2**53 + 1),
+    str(2**63 - 1),
+    str(2**63),
+    str(2**64 - 1),
+    str(2**64),
+    str(-(2**63)),
+    "9" * 400,
+    "nan",
+    "-nan",
+    "inf",
+    "-inf",
+    "1e400",
+    "-1e400",
+    "1e308",
+    "5e-324",
+    "-0.0",
+    "",
+    " ",
+    "x",
+    "1_0",
+    "٣",
+    "0x7",
+    "1e3",
+    "-9999-01-01",
+)
 JSON_VALUES = (
-    "-5", "0", str(2**63), str(2**64), "9" * 300, "1e400", "-1e400", "NaN", "Infinity", "null",
-    "true", '""', '"x"', '"0000-00-00T00:00:00Z"', '"9999-12-31T23:59:59.999999999Z"',
-    '"0001-01-01T00:00:00+23:59"', '"9999-12-31T23:59:59-23:59"', "[]", "{}", "[[[[1]]]]",
-    '{"sec":-1,"nsec":-1}', '{"sec":1e400,"nsec":0}', '{"sec":"x"}', '{"sec":null,"nsec":null}',
-    '{"sec":99999999999999999999,"nsec":5}', '{"sec":[1],"nsec":{}}',
-)  # fmt: skip
+    "-5",
+    "0",
+    str(2**63),
+    str(2**64),
+    "9" * 300,
+    "1e400",
+    "-1e400",
+    "NaN",
+    "Infinity",
+    "null",
+    "true",
+    '""',
+    '"x"',
+    '"0000-00-00T00:00:00Z"',
+    '"9999-12-31T23:59:59.999999999Z"',
+    '"0001-01-01T00:00:00+23:59"',
+    '"9999-12-31T23:59:59-23:59"',
+    "[]",
+    "{}",
+    "[[[[1]]]]",
+    '{"sec":-1,"nsec":-1}',
+    '{"sec":1e400,"nsec":0}',
+    '{"sec":"x"}',
+    '{"sec":null,"nsec":null}',
+    '{"sec":99999999999999999999,"nsec":5}',
+    '{"sec":[1],"nsec":{}}',
+)
 FLOATS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 3.4e38, -1.0)
 
 
@@ -57,21 +103,46 @@ def some_places(count: int, draw: random.Random) -> set[int]:
 
 DATAFLASH_ROWS: dict[str, tuple[str, list[str], dict[str, Any]]] = {
     # letters of FMT; letters of struct; usual values
-    "GPS": ("QBIHBcLLefffB", ["Q", "B", "I", "H", "B", "h", "i", "i", "i", "f", "f", "f", "B"],
-            {"TimeUS": 0, "Status": 3, "GMS": 200_000, "GWk": 2200, "NSats": 9, "HDop": 80,
-             "Lat": 470_000_000, "Lng": 80_000_000, "Alt": 50_000, "Spd": 3.0, "GCrs": 1.0,
-             "VZ": 0.0, "I": 0}),
+    "GPS": (
+        "QBIHBcLLefffB",
+        ["Q", "B", "I", "H", "B", "h", "i", "i", "i", "f", "f", "f", "B"],
+        {
+            "TimeUS": 0,
+            "Status": 3,
+            "GMS": 200_000,
+            "GWk": 2200,
+            "NSats": 9,
+            "HDop": 80,
+            "Lat": 470_000_000,
+            "Lng": 80_000_000,
+            "Alt": 50_000,
+            "Spd": 3.0,
+            "GCrs": 1.0,
+            "VZ": 0.0,
+            "I": 0,
+        },
+    ),
     "ATT": ("QccC", ["Q", "h", "h", "H"], {"TimeUS": 0, "Roll": 100, "Pitch": 50, "Yaw": 9000}),
     "BARO": ("QBff", ["Q", "B", "f", "f"], {"TimeUS": 0, "I": 0, "Press": 9e4, "Temp": 20.0}),
     "HYGR": ("QBff", ["Q", "B", "f", "f"], {"TimeUS": 0, "Id": 0, "Humidity": 50.0, "Temp": 20.0}),
-    "CAM": ("QIHLLee", ["Q", "I", "H", "i", "i", "i", "i"],
-            {"TimeUS": 0, "GPSTime": 200_000, "GPSWeek": 2200, "Lat": 470_000_000,
-             "Lng": 80_000_000, "Alt": 50_000, "RelAlt": 100}),
+    "CAM": (
+        "QIHLLee",
+        ["Q", "I", "H", "i", "i", "i", "i"],
+        {
+            "TimeUS": 0,
+            "GPSTime": 200_000,
+            "GPSWeek": 2200,
+            "Lat": 470_000_000,
+            "Lng": 80_000_000,
+            "Alt": 50_000,
+            "RelAlt": 100,
+        },
+    ),
     "GPA": ("QCCf", ["Q", "H", "H", "f"], {"TimeUS": 0, "HAcc": 50, "VAcc": 80, "AEl": 500.0}),
     "DSF": ("QI", ["Q", "I"], {"TimeUS": 0, "Dp": 0}),
     "MNT": ("Qfff", ["Q", "f", "f", "f"], {"TimeUS": 0, "Roll": 1.0, "Pitch": 1.0, "YawE": 1.0}),
     "TRIG": ("QIH", ["Q", "I", "H"], {"TimeUS": 0, "GPSTime": 0, "GPSWeek": 2200}),
-}  # fmt: skip
+}
 LETTERS_OF_NUMBERS = "bBhHiIqQfdcCeELg"
 
 
@@ -85,8 +156,9 @@ def extreme_dataflash(draw: random.Random) -> bytes:
     def define(name: str, letters: str) -> None:
         columns = ",".join(DATAFLASH_ROWS[name][2])
         sizes = {letter: struct.calcsize(letter) for letter in "bBhHiIqQfde"}
-        layouts[name] = [{"c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "g": "e"}.get(x, x)
-                         for x in letters]  # fmt: skip
+        layouts[name] = [
+            {"c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "g": "e"}.get(x, x) for x in letters
+        ]
         length = 3 + sum(sizes[letter] for letter in layouts[name])
         parts.append(hostile.binary_definition(numbers[name], name, letters, columns, length))
 
@@ -135,14 +207,20 @@ def extreme_text(draw: random.Random) -> bytes:
 
 
 ULOG_TOPICS = {
-    "sensor_gps": ("QQddfffB", "uint64_t time_utc_usec;double latitude_deg;double longitude_deg;"
-                   "float altitude_msl_m;float eph;float epv;uint8_t fix_type;",
-                   (0, 1_700_000_000_000_000, 47.5, 8.25, 600.0, 0.5, 0.5, 3)),
+    "sensor_gps": (
+        "QQddfffB",
+        "uint64_t time_utc_usec;double latitude_deg;double longitude_deg;"
+        "float altitude_msl_m;float eph;float epv;uint8_t fix_type;",
+        (0, 1_700_000_000_000_000, 47.5, 8.25, 600.0, 0.5, 0.5, 3),
+    ),
     "vehicle_attitude": ("Qffff", "float[4] q;", (0, 1.0, 0.0, 0.0, 0.0)),
     "sensor_baro": ("Qff", "float pressure;float temperature;", (0, 9e4, 20.0)),
-    "camera_capture": ("QQIddb", "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;"
-                       "int8_t result;", (0, 1_700_000_000_000_000, 1, 47.5, 8.25, 1)),
-}  # fmt: skip
+    "camera_capture": (
+        "QQIddb",
+        "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;int8_t result;",
+        (0, 1_700_000_000_000_000, 1, 47.5, 8.25, 1),
+    ),
+}
 
 
 def extreme_ulog(draw: random.Random) -> bytes:
@@ -174,26 +252,85 @@ def extreme_ulog(draw: random.Random) -> bytes:
 
 TLOG_MESSAGES: dict[str, dict[str, Any]] = {
     "system_time": {"time_unix_usec": 0, "time_boot_ms": 0},
-    "attitude": dict.fromkeys(("time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed",
-                               "yawspeed"), 0),
-    "gps_raw_int": {"time_usec": 0, "fix_type": 3, "lat": 470_000_000, "lon": 80_000_000,
-                    "alt": 500_000, "eph": 80, "epv": 80, "vel": 0, "cog": 0,
-                    "satellites_visible": 9, "alt_ellipsoid": 0, "h_acc": 0, "v_acc": 0},
+    "attitude": dict.fromkeys(
+        ("time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"), 0
+    ),
+    "gps_raw_int": {
+        "time_usec": 0,
+        "fix_type": 3,
+        "lat": 470_000_000,
+        "lon": 80_000_000,
+        "alt": 500_000,
+        "eph": 80,
+        "epv": 80,
+        "vel": 0,
+        "cog": 0,
+        "satellites_visible": 9,
+        "alt_ellipsoid": 0,
+        "h_acc": 0,
+        "v_acc": 0,
+    },
     "scaled_pressure": hostile.pressure_fields(0),
-    "camera_feedback": {"time_usec": 0, "target_system": 0, "cam_idx": 0, "img_idx": 0,
-                        "lat": 470_000_000, "lng": 80_000_000, "alt_msl": 600.0, "alt_rel": 30.0,
-                        "roll": 1.0, "pitch": 2.0, "yaw": 3.0, "foc_len": 0.0, "flags": 0},
-    "camera_image_captured": {"time_boot_ms": 0, "time_utc": 0, "camera_id": 1, "lat": 0, "lon": 0,
-                              "alt": 0, "relative_alt": 0, "q": [1.0, 0, 0, 0], "image_index": 0,
-                              "capture_result": 1, "file_url": b"a"},
-    "param_value": {"param_id": b"GPS_DELAY_MS", "param_value": 0.0, "param_type": 9,
-                    "param_count": 1, "param_index": 0},
-}  # fmt: skip
-UNSIGNED_BITS = {"time_unix_usec": 64, "time_boot_ms": 32, "time_usec": 64, "time_utc": 64,
-                 "fix_type": 8, "img_idx": 16, "cam_idx": 8, "temperature": -16, "lat": -32,
-                 "lon": -32, "lng": -32, "alt": -32, "relative_alt": -32, "image_index": -32,
-                 "alt_ellipsoid": -32, "h_acc": 32, "v_acc": 32, "eph": 16, "epv": 16, "vel": 16,
-                 "capture_result": -8, "temperature_press_diff": -16}  # fmt: skip
+    "camera_feedback": {
+        "time_usec": 0,
+        "target_system": 0,
+        "cam_idx": 0,
+        "img_idx": 0,
+        "lat": 470_000_000,
+        "lng": 80_000_000,
+        "alt_msl": 600.0,
+        "alt_rel": 30.0,
+        "roll": 1.0,
+        "pitch": 2.0,
+        "yaw": 3.0,
+        "foc_len": 0.0,
+        "flags": 0,
+    },
+    "camera_image_captured": {
+        "time_boot_ms": 0,
+        "time_utc": 0,
+        "camera_id": 1,
+        "lat": 0,
+        "lon": 0,
+        "alt": 0,
+        "relative_alt": 0,
+        "q": [1.0, 0, 0, 0],
+        "image_index": 0,
+        "capture_result": 1,
+        "file_url": b"a",
+    },
+    "param_value": {
+        "param_id": b"GPS_DELAY_MS",
+        "param_value": 0.0,
+        "param_type": 9,
+        "param_count": 1,
+        "param_index": 0,
+    },
+}
+UNSIGNED_BITS = {
+    "time_unix_usec": 64,
+    "time_boot_ms": 32,
+    "time_usec": 64,
+    "time_utc": 64,
+    "fix_type": 8,
+    "img_idx": 16,
+    "cam_idx": 8,
+    "temperature": -16,
+    "lat": -32,
+    "lon": -32,
+    "lng": -32,
+    "alt": -32,
+    "relative_alt": -32,
+    "image_index": -32,
+    "alt_ellipsoid": -32,
+    "h_acc": 32,
+    "v_acc": 32,
+    "eph": 16,
+    "epv": 16,
+    "vel": 16,
+    "capture_result": -8,
+    "temperature_press_diff": -16,
+}
 """Bits of fields; negative for signed ones. Other numbers are floats."""
 
 
@@ -208,17 +345,36 @@ def extreme_tlog(draw: random.Random) -> bytes:
     """Frames whose checksums hold, with values and stamps of reception at their limits."""
     share = draw.choice((0.02, 0.5, 1.0))
     stamp_share = draw.choice((0.0, 0.0, 0.1))
-    steady = {"cog", "target_system", "camera_id", "satellites_visible", "q", "flags", "file_url",
-              "param_id", "param_type", "param_count", "param_index"}  # fmt: skip
-    chosen = {name: [field for field in fields if field not in steady and draw.random() < 0.4]
-              for name, fields in TLOG_MESSAGES.items()}  # fmt: skip
+    steady = {
+        "cog",
+        "target_system",
+        "camera_id",
+        "satellites_visible",
+        "q",
+        "flags",
+        "file_url",
+        "param_id",
+        "param_type",
+        "param_count",
+        "param_index",
+    }
+    chosen = {
+        name: [field for field in fields if field not in steady and draw.random() < 0.4]
+        for name, fields in TLOG_MESSAGES.items()
+    }
     frames = []
     for k in range(40):
         for name, usual in TLOG_MESSAGES.items():
-            ms, host_us = 60_000 + 200 * k, hostile.HOST_US + 200_000 * k
+            ms = 60_000 + 200 * k
+            host_us = hostile.HOST_US + 200_000 * k
             fields = dict(usual)
-            now = {"time_boot_ms": ms, "time_usec": 1000 * ms, "time_unix_usec": host_us,
-                   "img_idx": k, "image_index": k}  # fmt: skip
+            now = {
+                "time_boot_ms": ms,
+                "time_usec": 1000 * ms,
+                "time_unix_usec": host_us,
+                "img_idx": k,
+                "image_index": k,
+            }
             fields |= {field: value for field, value in now.items() if field in fields}
             if draw.random() < share:
                 fields |= {field: extreme_field(field, draw) for field in chosen[name]}
@@ -231,19 +387,33 @@ def extreme_tlog(draw: random.Random) -> bytes:
 def extreme_mcap(draw: random.Random) -> bytes:
     """Messages of CDR, JSON and PX4 with times and values at their limits."""
     kinds = {
-        1: (hostile.FLUID_PRESSURE,
-            f"std_msgs/Header header\nfloat64 fluid_pressure\n{hostile.HEADER_OF_ROS}"),
-        2: ("px4_msgs/msg/SensorGps",
+        1: (
+            hostile.FLUID_PRESSURE,
+            f"std_msgs/Header header\nfloat64 fluid_pressure\n{hostile.HEADER_OF_ROS}",
+        ),
+        2: (
+            "px4_msgs/msg/SensorGps",
             "uint64 timestamp\nuint64 time_utc_usec\nfloat64 latitude_deg\n"
-            "float64 longitude_deg\nfloat64 altitude_msl_m\nuint8 fix_type"),
+            "float64 longitude_deg\nfloat64 altitude_msl_m\nuint8 fix_type",
+        ),
         3: ("px4_msgs/msg/SensorBaro", "uint64 timestamp\nfloat32 pressure\nfloat32 temperature"),
-        4: ("sensor_msgs/msg/Temperature", "std_msgs/Header header\nfloat64 temperature\n"
+        4: (
+            "sensor_msgs/msg/Temperature",
+            "std_msgs/Header header\nfloat64 temperature\n"
             "===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
             "===\nMSG: builtin_interfaces/Time\n"
-            + draw.choice(("uint64 sec\nuint64 nanosec", "float64 sec\nfloat64 nanosec",
-                           "int8 sec\nint64 nanosec", "bool sec\nbool nanosec",
-                           "int32[2] sec\nuint32[2] nanosec", "string sec\nuint32 nanosec"))),
-    }  # fmt: skip
+            + draw.choice(
+                (
+                    "uint64 sec\nuint64 nanosec",
+                    "float64 sec\nfloat64 nanosec",
+                    "int8 sec\nint64 nanosec",
+                    "bool sec\nbool nanosec",
+                    "int32[2] sec\nuint32[2] nanosec",
+                    "string sec\nuint32 nanosec",
+                )
+            ),
+        ),
+    }
     parts = []
     for number, (name, definition) in kinds.items():
         parts.append(hostile.schema(number, name, "ros2msg", definition))

@@ -86,8 +86,10 @@ def stamped(k: int, frame: bytes = b"b\0") -> bytes:
 
 def pressures(count: int, number: int = 1) -> bytes:
     """Messages of static pressure."""
-    rows = [message(number, k, b"\0\1\0\0" + stamped(k) + struct.pack("<d", 9e4 - k))
-            for k in range(count)]  # fmt: skip
+    rows = [
+        message(number, k, b"\0\1\0\0" + stamped(k) + struct.pack("<d", 9e4 - k))
+        for k in range(count)
+    ]
     return b"".join(rows)
 
 
@@ -192,8 +194,10 @@ def definition_line(number: int, name: str, letters: str, columns: str) -> str:
     return f"FMT, {number}, {length}, {name}, {letters}, {columns}"
 
 
-BARO_LINES = [definition_line(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns"),
-              definition_line(129, "BARO", "QBff", "TimeUS,I,Press,Temp")]  # fmt: skip
+BARO_LINES = [
+    definition_line(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns"),
+    definition_line(129, "BARO", "QBff", "TimeUS,I,Press,Temp"),
+]
 
 
 def baro_lines(count: int, from_us: int = 1_000_000) -> Iterable[str]:
@@ -262,8 +266,10 @@ def definition_of(name: str) -> bytes:
 
 
 def binary_log(records: bytes) -> bytes:
-    rows = b"".join(packed("BARO", TimeUS=1_000_000 + 100_000 * k, Press=90_000.0 - k, Temp=20.0)
-                    for k in range(30))  # fmt: skip
+    rows = b"".join(
+        packed("BARO", TimeUS=1_000_000 + 100_000 * k, Press=90_000.0 - k, Temp=20.0)
+        for k in range(30)
+    )
     return definition_of("FMT") + definition_of("BARO") + rows + records
 
 
@@ -317,7 +323,8 @@ def ulog_message(kind: str, payload: bytes) -> bytes:
 def ulog(parts: Iterable[bytes]) -> bytes:
     head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000) + ulog_message("B", bytes(40))
     head += ulog_message("F", b"sensor_baro:uint64_t timestamp;float pressure;float temperature;")
-    definitions, data = b"", b""
+    definitions = b""
+    data = b""
     for part in parts:
         if part[2] in b"FIMPQ":
             definitions += part
@@ -368,8 +375,13 @@ HOST_US = 1_700_000_000_000_000
 
 
 def pressure_fields(ms: int) -> dict[str, object]:
-    return {"time_boot_ms": ms, "press_abs": 700.0, "press_diff": 0.0, "temperature": 4500,
-            "temperature_press_diff": 0}  # fmt: skip
+    return {
+        "time_boot_ms": ms,
+        "press_abs": 700.0,
+        "press_diff": 0.0,
+        "temperature": 4500,
+        "temperature_press_diff": 0,
+    }
 
 
 def boots_of_telemetry(n: int) -> bytes:
@@ -377,7 +389,8 @@ def boots_of_telemetry(n: int) -> bytes:
     frames = []
     for boot in range(n):
         for k in range(6):
-            ms, host_us = 5000 + 200 * k, HOST_US + 60_000_000 * boot + 200_000 * k
+            ms = 5000 + 200 * k
+            host_us = HOST_US + 60_000_000 * boot + 200_000 * k
             utc = {"time_unix_usec": host_us, "time_boot_ms": ms}
             frames.append((1, 1, host_us, utc, "system_time"))
             frames.append((1, 1, host_us + 1, pressure_fields(ms), "scaled_pressure"))

@@ -91,7 +91,8 @@ def written(folder: Path, hostile: Hostile, n: int) -> Path:
 @pytest.mark.parametrize("name", GROWING)
 def test_twice_the_structure_is_at_most_twice_the_work(tmp_path: Path, name: str) -> None:
     hostile = GROWING[name]
-    work, memory = [], []
+    work = []
+    memory = []
     read(written(tmp_path, hostile, 5))  # imports and caches are not the log's work
     for times in (1, 2):
         path = written(tmp_path, hostile, times * hostile.small)

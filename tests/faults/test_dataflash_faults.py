@@ -26,14 +26,17 @@ def definition(name: str) -> bytes:
 def row(name: str, **values: Any) -> bytes:
     """A record whose other fields are zero."""
     form = FORMATS[name]
-    blank = {field: b"" if letter in "nNZ" else 0 for field, letter in zip(
-        form.columns.split(","), form.format, strict=True)}  # fmt: skip
+    blank = {
+        field: b"" if letter in "nNZ" else 0
+        for field, letter in zip(form.columns.split(","), form.format, strict=True)
+    }
     return form.pack(*(blank | values).values())
 
 
 def moment(k: int, from_us: int, week_ms: int) -> bytes:
     """What a flight logs in a tenth of a second."""
-    t, far = from_us + k * 100_000, k * 1e-5
+    t = from_us + k * 100_000
+    far = k * 1e-5
     place = {"Lat": 47.0 + far, "Lng": 8.0 + far, "Alt": 900.0 + k}
     tilt = {"Roll": 2.0 * math.sin(k), "Pitch": 1.0, "Yaw": 90.0}
     data = row("ATT", TimeUS=t, **tilt) + row("POS", TimeUS=t + 10, RelHomeAlt=1.0 * k, **place)
@@ -82,9 +85,12 @@ def test_the_small_logs_are_whole(trial: Any, mutate: ModuleType) -> None:
 
 
 def test_mutations(
-    trial: Any, mutate: ModuleType, mutation_count: int, mutation_seed: int,
+    trial: Any,
+    mutate: ModuleType,
+    mutation_count: int,
+    mutation_seed: int,
     record_property: Callable[[str, object], None],
-) -> None:  # fmt: skip
+) -> None:
     for recipe in mutate.recipes(len(trial.logs), mutation_count, mutation_seed):
         trial.run(recipe)
     record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
@@ -133,9 +139,12 @@ def as_text(binary: Path) -> bytes:
 
 
 def test_mutations_of_logs_as_text(
-    text_trial: Any, mutate: ModuleType, mutation_count: int, mutation_seed: int,
+    text_trial: Any,
+    mutate: ModuleType,
+    mutation_count: int,
+    mutation_seed: int,
     record_property: Callable[[str, object], None],
-) -> None:  # fmt: skip
+) -> None:
     """A digit more or less is a number still: what is altered in a line cannot be seen."""
     for recipe in mutate.recipes(2, mutation_count, mutation_seed):
         text_trial.run(recipe)

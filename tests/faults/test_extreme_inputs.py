@@ -120,10 +120,20 @@ def sound_rows(extra: str = "") -> list[str]:
 
 @pytest.mark.parametrize(
     ("place", "word"),
-    [(0, "1e308"), (0, "9" * 400), (1, "inf"), (2, "1e308"), (2, "400.0"), (2, str(2**64)),
-     (3, "1e308"), (3, "2147483647"), (3, "nan"), (0, "-1"),
-     (0, "9999-12-31T23:59:59Z")],
-)  # fmt: skip
+    [
+        (0, "1e308"),
+        (0, "9" * 400),
+        (1, "inf"),
+        (2, "1e308"),
+        (2, "400.0"),
+        (2, str(2**64)),
+        (3, "1e308"),
+        (3, "2147483647"),
+        (3, "nan"),
+        (0, "-1"),
+        (0, "9999-12-31T23:59:59Z"),
+    ],
+)
 def test_a_row_without_a_place_or_a_time_is_lost(tmp_path: Path, place: int, word: str) -> None:
     rows = sound_rows()
     fields = rows[2].split(",")
@@ -138,9 +148,15 @@ def test_a_row_without_a_place_or_a_time_is_lost(tmp_path: Path, place: int, wor
 
 @pytest.mark.parametrize(
     ("column", "word"),
-    [("sigma_h_m", "-0.5"), ("sigma_h_m", "1e308"), ("sigma_h_m", "x"), ("v_north_m_s", "1e9"),
-     ("v_north_m_s", "inf"), ("v_north_m_s", "1_0")],
-)  # fmt: skip
+    [
+        ("sigma_h_m", "-0.5"),
+        ("sigma_h_m", "1e308"),
+        ("sigma_h_m", "x"),
+        ("v_north_m_s", "1e9"),
+        ("v_north_m_s", "inf"),
+        ("v_north_m_s", "1_0"),
+    ],
+)
 def test_a_value_that_no_flight_has_is_unknown_and_counted(
     tmp_path: Path, column: str, word: str
 ) -> None:
@@ -184,10 +200,14 @@ def test_an_event_that_is_nowhere_on_earth_is_lost(tmp_path: Path, before: str, 
 
 @pytest.mark.parametrize(
     ("column", "word", "text"),
-    [("h", "1e9", "beyond 100000: 1e+09"), ("h", "1e308", "beyond 100000: 1e+308"),
-     ("lat", "1e400", "is not a number"), ("lon", "4_7", "is not a number"),
-     ("o", "1_0", "is not a number: '1_0'")],
-)  # fmt: skip
+    [
+        ("h", "1e9", "beyond 100000: 1e+09"),
+        ("h", "1e308", "beyond 100000: 1e+308"),
+        ("lat", "1e400", "is not a number"),
+        ("lon", "4_7", "is not a number"),
+        ("o", "1_0", "is not a number: '1_0'"),
+    ],
+)
 def test_an_orientation_that_cannot_be_is_refused_with_its_line(
     tmp_path: Path, column: str, word: str, text: str
 ) -> None:
@@ -208,9 +228,14 @@ def test_an_orientation_that_cannot_be_is_refused_with_its_line(
 
 @pytest.mark.parametrize(
     ("text", "zone"),
-    [("2026:05:06 12:00:00+99:99", ""), ("2026:05:06 12:00:00", "+14:01"),
-     ("2026:05:06 12:00:00", "-23:59"), ("9999:12:31 23:59:59", "Z"), ("0001:01:01 00:00:00", "Z")],
-)  # fmt: skip
+    [
+        ("2026:05:06 12:00:00+99:99", ""),
+        ("2026:05:06 12:00:00", "+14:01"),
+        ("2026:05:06 12:00:00", "-23:59"),
+        ("9999:12:31 23:59:59", "Z"),
+        ("0001:01:01 00:00:00", "Z"),
+    ],
+)
 def test_a_time_of_an_image_that_cannot_be_is_none(text: str, zone: str) -> None:
     assert parse_time(text, zone) is None
 
@@ -235,13 +260,16 @@ def write_small_model(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "field", "word", "text"),
-    [("images.txt", 5, "1e308", "has a coordinate of"), ("points3D.txt", 1, "1e308", "'1' has a"),
-     ("points3D.txt", 1, "inf", "'1' has a coordinate of inf"),
-     ("cameras.txt", 2, "1e400", "not as that program writes it"),
-     ("cameras.txt", 2, str(2**64), "is not a possible camera"),
-     ("cameras.txt", 4, "1e308", "is not a possible camera"),
-     ("cameras.txt", 4, "-3000", "is not a possible camera")],
-)  # fmt: skip
+    [
+        ("images.txt", 5, "1e308", "has a coordinate of"),
+        ("points3D.txt", 1, "1e308", "'1' has a"),
+        ("points3D.txt", 1, "inf", "'1' has a coordinate of inf"),
+        ("cameras.txt", 2, "1e400", "not as that program writes it"),
+        ("cameras.txt", 2, str(2**64), "is not a possible camera"),
+        ("cameras.txt", 4, "1e308", "is not a possible camera"),
+        ("cameras.txt", 4, "-3000", "is not a possible camera"),
+    ],
+)
 def test_a_number_of_a_block_that_cannot_be_is_refused(
     tmp_path: Path, name: str, field: int, word: str, text: str
 ) -> None:
@@ -357,16 +385,18 @@ for _inner, _outer in pairwise("abcdefghij"):
 
 @pytest.mark.parametrize(
     ("text", "what"),
-    [("mission: {name: a, undulation_m: " + "9" * 5000 + "}", "a number has too many digits"),
-     ("mission: &m {name: *m}", "inside the section or list that it repeats"),
-     (EXPLOSION, "more than 1000000 values"),
-     ("mission: {name: !!bool x}", "the text is not YAML"),
-     ("mission: {name: !!timestamp x}", "tags (!) are not allowed"),
-     ("mission: {name: !!timestamp 2026-05-14}", "tags (!) are not allowed"),
-     ("mission: " + "[" * 5000, "too many brackets are inside each other"),
-     ("mission: " + "- " * 5000, "the text is not YAML")],
+    [
+        ("mission: {name: a, undulation_m: " + "9" * 5000 + "}", "a number has too many digits"),
+        ("mission: &m {name: *m}", "inside the section or list that it repeats"),
+        (EXPLOSION, "more than 1000000 values"),
+        ("mission: {name: !!bool x}", "the text is not YAML"),
+        ("mission: {name: !!timestamp x}", "tags (!) are not allowed"),
+        ("mission: {name: !!timestamp 2026-05-14}", "tags (!) are not allowed"),
+        ("mission: " + "[" * 5000, "too many brackets are inside each other"),
+        ("mission: " + "- " * 5000, "the text is not YAML"),
+    ],
     ids=["digits", "loop", "explosion", "bool", "timestamp", "date", "brackets", "depth"],
-)  # fmt: skip
+)
 def test_a_text_that_yaml_cannot_hold_is_refused(tmp_path: Path, text: str, what: str) -> None:
     assert what in mission_refused(tmp_path, text).what
 
@@ -387,17 +417,26 @@ output: {path: out}
 
 @pytest.mark.parametrize(
     ("before", "after", "key"),
-    [("47.5", "1e400", "mission.undulation_m"),
-     ("roll_deg: 1.5", "roll_deg: 1e9", "mount.nadir.roll_deg"),
-     ("max_sigma_height_m: 2.5", "max_sigma_height_m: 1e308", "stations.max_sigma_height_m"),
-     ("max_sigma_height_m: 2.5", "max_sigma_height_m: " + "9" * 400, "stations.max_sigma_height_m"),
-     ("200.0, ref", ".nan, ref", "ground.height"),
-     ("width_px: 100", f"width_px: {2**64}", "width_px"),
-     ("2026-05-14T10:20:00Z", "9999-12-31T23:59:59Z", "time_utc: is not a time"),
-     ("2026-05-14T10:20:00Z", "0001-01-01T00:00:00+23:59", "time_utc: is not a time"),
-     ("path: o.csv", "path: " + "o" * 300 + ".csv",
-      "observations.path: is longer than a path can be")],
-)  # fmt: skip
+    [
+        ("47.5", "1e400", "mission.undulation_m"),
+        ("roll_deg: 1.5", "roll_deg: 1e9", "mount.nadir.roll_deg"),
+        ("max_sigma_height_m: 2.5", "max_sigma_height_m: 1e308", "stations.max_sigma_height_m"),
+        (
+            "max_sigma_height_m: 2.5",
+            "max_sigma_height_m: " + "9" * 400,
+            "stations.max_sigma_height_m",
+        ),
+        ("200.0, ref", ".nan, ref", "ground.height"),
+        ("width_px: 100", f"width_px: {2**64}", "width_px"),
+        ("2026-05-14T10:20:00Z", "9999-12-31T23:59:59Z", "time_utc: is not a time"),
+        ("2026-05-14T10:20:00Z", "0001-01-01T00:00:00+23:59", "time_utc: is not a time"),
+        (
+            "path: o.csv",
+            "path: " + "o" * 300 + ".csv",
+            "observations.path: is longer than a path can be",
+        ),
+    ],
+)
 def test_a_number_that_no_key_takes_is_refused(
     tmp_path: Path, before: str, after: str, key: str
 ) -> None:

@@ -50,13 +50,16 @@ def small_log(rows: int = 120, **options: object) -> bytes:
         "/air": lambda k: {"fluid_pressure": 7e4 - k},
         "/warm": lambda k: {"temperature": -12.5},
         "/fix": lambda k: {
-            "status": {"status": 0, "service": 1}, "latitude": 47.0 + 1e-4 * k,
-            "longitude": -122.5, "altitude": 580.25, "position_covariance": [1.0] * 9,
+            "status": {"status": 0, "service": 1},
+            "latitude": 47.0 + 1e-4 * k,
+            "longitude": -122.5,
+            "altitude": 580.25,
+            "position_covariance": [1.0] * 9,
             "position_covariance_type": 2,
         },
         "/camera": lambda k: {"format": "jpeg", "data": bytes(range(200))},
         "/note": lambda k: {"data": f"note {k}"},
-    }  # fmt: skip
+    }
     for k in range(rows):
         sec, nanosec = divmod(START + k * SECOND // 10, SECOND)
         for topic, schema in schemas.items():
@@ -90,15 +93,21 @@ def rewritten(data: bytes, **options: object) -> bytes:
     from mcap.reader import make_reader
     from mcap.writer import Writer
 
-    file, numbers = io.BytesIO(), {}
+    file = io.BytesIO()
+    numbers = {}
     writer = Writer(file, **options)
     writer.start(profile="ros2", library="test")
     for schema, channel, message in make_reader(io.BytesIO(data)).iter_messages():
         if channel.id not in numbers:
             number = writer.register_schema(schema.name, schema.encoding, schema.data)
             numbers[channel.id] = writer.register_channel(channel.topic, "cdr", number)
-        writer.add_message(numbers[channel.id], message.log_time, message.data,
-                           message.publish_time, message.sequence)  # fmt: skip
+        writer.add_message(
+            numbers[channel.id],
+            message.log_time,
+            message.data,
+            message.publish_time,
+            message.sequence,
+        )
     writer.finish()
     return file.getvalue()
 
@@ -114,9 +123,12 @@ def test_the_small_logs_are_whole(trial, mutate: ModuleType) -> None:
 
 
 def test_mutations(
-    trial, mutate: ModuleType, mutation_count: int, mutation_seed: int,
+    trial,
+    mutate: ModuleType,
+    mutation_count: int,
+    mutation_seed: int,
     record_property: Callable[[str, object], None],
-) -> None:  # fmt: skip
+) -> None:
     for recipe in mutate.recipes(len(small_logs()), mutation_count, mutation_seed):
         trial.run(recipe)
     record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
@@ -211,7 +223,8 @@ def test_zeros_in_a_chunk_without_a_checksum_cost_what_they_cover(tmp_path: Path
 def message_records(data: bytes) -> list[int]:
     """Where the messages of the fourth chunk begin, in a log that is not compressed."""
     begin, end, _ = list(chunks(data))[3]
-    at, found = begin + 9 + 32 + 8, []
+    at = begin + 9 + 32 + 8
+    found = []
     while at < end:
         if data[at] == 5:
             found.append(at)
@@ -329,8 +342,9 @@ def schema_bomb(definition: str) -> bytes:
 def nested(depth: int) -> str:
     """Arrays of messages in arrays of messages: 4000 to the power of the depth numbers."""
     parts = [f"MSG: a/A{k}\na/A{k + 1}[4000] x" for k in range(depth)]
-    return "\n===\n".join(["a/A0[4000] x\nfloat64 fluid_pressure", *parts,
-                          f"MSG: a/A{depth}\nfloat64 z"])  # fmt: skip
+    return "\n===\n".join(
+        ["a/A0[4000] x\nfloat64 fluid_pressure", *parts, f"MSG: a/A{depth}\nfloat64 z"]
+    )
 
 
 def bomb(kind: str) -> bytes:
@@ -371,10 +385,19 @@ def bomb(kind: str) -> bytes:
 SIZES = (1024, 64 << 20, 2 << 30, 2**63)
 BOMBS = [
     *(f"{how} {size}" for how in ("zstd", "lz4") for size in SIZES),
-    "empty records", "empty messages", "channels", "nested", "chunk of records", "many chunks",
-    "data that ends again and again", "schema of a long array", "schema of long arrays",
-    "schema of nested arrays", "schema of remarks", "schema of many channels",
-]  # fmt: skip
+    "empty records",
+    "empty messages",
+    "channels",
+    "nested",
+    "chunk of records",
+    "many chunks",
+    "data that ends again and again",
+    "schema of a long array",
+    "schema of long arrays",
+    "schema of nested arrays",
+    "schema of remarks",
+    "schema of many channels",
+]
 
 
 @pytest.mark.parametrize("kind", BOMBS)

@@ -36,19 +36,72 @@ def small_log(version: int, seconds: int) -> bytes:
         if k % 5 == 0:
             send("system_time", ms, time_unix_usec=BOOT_UTC_US + ms * 1000, time_boot_ms=ms)
             send("system_time", ms, (255, 190), time_unix_usec=16 * 10**14, time_boot_ms=5)
-            send("vfr_hud", ms, airspeed=40.0, groundspeed=41.0, heading=90, throttle=50,
-                 alt=600.0, climb=0.1)  # fmt: skip
-            send("camera_feedback", ms, cam_idx=0, img_idx=k, target_system=0, lat=470000000,
-                 time_usec=ms * 1000, lng=-1225000000, alt_msl=600.0, alt_rel=30.0, roll=1.0,
-                 pitch=2.0, yaw=3.0, foc_len=0.0, flags=0)  # fmt: skip
-        send("attitude", ms, time_boot_ms=ms, roll=0.1, pitch=-0.2, yaw=0.01 * k, rollspeed=0.0,
-             pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
+            send(
+                "vfr_hud",
+                ms,
+                airspeed=40.0,
+                groundspeed=41.0,
+                heading=90,
+                throttle=50,
+                alt=600.0,
+                climb=0.1,
+            )
+            send(
+                "camera_feedback",
+                ms,
+                cam_idx=0,
+                img_idx=k,
+                target_system=0,
+                lat=470000000,
+                time_usec=ms * 1000,
+                lng=-1225000000,
+                alt_msl=600.0,
+                alt_rel=30.0,
+                roll=1.0,
+                pitch=2.0,
+                yaw=3.0,
+                foc_len=0.0,
+                flags=0,
+            )
+        send(
+            "attitude",
+            ms,
+            time_boot_ms=ms,
+            roll=0.1,
+            pitch=-0.2,
+            yaw=0.01 * k,
+            rollspeed=0.0,
+            pitchspeed=0.0,
+            yawspeed=0.0,
+        )
         for source in ((1, 1), (1, 25)):
-            send("scaled_pressure", ms, source, time_boot_ms=ms, press_abs=700.0 + source[1],
-                 press_diff=0.0, temperature=4500, temperature_press_diff=0)  # fmt: skip
-        send("gps_raw_int", ms, time_usec=ms * 1000, fix_type=3, lat=470000000 + k,
-             lon=-1225000000, alt=600_250, eph=80, epv=90, vel=0, cog=0, satellites_visible=12,
-             alt_ellipsoid=580_500, h_acc=450, v_acc=0)  # fmt: skip
+            send(
+                "scaled_pressure",
+                ms,
+                source,
+                time_boot_ms=ms,
+                press_abs=700.0 + source[1],
+                press_diff=0.0,
+                temperature=4500,
+                temperature_press_diff=0,
+            )
+        send(
+            "gps_raw_int",
+            ms,
+            time_usec=ms * 1000,
+            fix_type=3,
+            lat=470000000 + k,
+            lon=-1225000000,
+            alt=600_250,
+            eph=80,
+            epv=90,
+            vel=0,
+            cog=0,
+            satellites_visible=12,
+            alt_ellipsoid=580_500,
+            h_acc=450,
+            v_acc=0,
+        )
     return b"".join(frames)
 
 
@@ -68,7 +121,8 @@ def at_a_boundary(data: bytes, whole: bytes) -> bool:
 
 
 def frames_of(data: bytes) -> list[bytes]:
-    frames, at = [], 0
+    frames = []
+    at = 0
     while at < len(data):
         two = data[at + 8] == 0xFD
         end = at + 8 + data[at + 9] + (12 if two else 8)
@@ -78,9 +132,13 @@ def frames_of(data: bytes) -> list[bytes]:
 
 
 def test_mutations(
-    trial, mutate: ModuleType, logs: list[bytes], mutation_count: int, mutation_seed: int,
+    trial,
+    mutate: ModuleType,
+    logs: list[bytes],
+    mutation_count: int,
+    mutation_seed: int,
     record_property: Callable[[str, object], None],
-) -> None:  # fmt: skip
+) -> None:
     for recipe in mutate.recipes(len(logs), mutation_count, mutation_seed):
         trial.run(recipe)
     record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
@@ -102,7 +160,8 @@ def test_failures_found_once_stay_away(trial, mutate: ModuleType, corpus) -> Non
 def test_every_cut_of_the_first_and_last_1000_bytes(
     trial, logs: list[bytes], cuts: list[int]
 ) -> None:
-    file, data = 0, logs[0]
+    file = 0
+    data = logs[0]
     before = Counter(trial.ends)
     for count in cuts:
         trial.examine(file, data[count:], f"first {count} bytes cut")

@@ -14,14 +14,19 @@ UTC_US = 1_700_000_000_000_000
 REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY", "LOG-ULOG"}
 
 FORMATS = {
-    "sensor_gps": ("Q2dd4fB", "uint64_t time_utc_usec;double latitude_deg;double longitude_deg;"
-                   "double altitude_msl_m;float eph;float epv;float hdop;float vdop;"
-                   "uint8_t fix_type;"),
+    "sensor_gps": (
+        "Q2dd4fB",
+        "uint64_t time_utc_usec;double latitude_deg;double longitude_deg;"
+        "double altitude_msl_m;float eph;float epv;float hdop;float vdop;"
+        "uint8_t fix_type;",
+    ),
     "vehicle_attitude": ("4f", "float[4] q;"),
     "sensor_baro": ("2f", "float pressure;float temperature;"),
-    "camera_capture": ("QI2db", "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;"
-                       "int8_t result;"),
-}  # fmt: skip
+    "camera_capture": (
+        "QI2db",
+        "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;int8_t result;",
+    ),
+}
 
 
 def message(kind: str, payload: bytes) -> bytes:
@@ -69,9 +74,12 @@ def test_the_small_logs_are_whole(trial, mutate: ModuleType, logs: list[bytes]) 
 
 
 def test_mutations(
-    trial, mutate: ModuleType, mutation_count: int, mutation_seed: int,
+    trial,
+    mutate: ModuleType,
+    mutation_count: int,
+    mutation_seed: int,
     record_property: Callable[[str, object], None],
-) -> None:  # fmt: skip
+) -> None:
     for recipe in mutate.recipes(2, mutation_count, mutation_seed):
         trial.run(recipe)
     record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")

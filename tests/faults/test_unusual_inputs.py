@@ -81,8 +81,13 @@ def test_whole_numbers_of_64_bits_stay_exact(tmp_path: Path) -> None:
     """Names of points as integers, and the user's own column of nanoseconds."""
     numbers = [2**63 - 1 - k for k in range(3)]
     times = [NOON_NS + k for k in range(3)]
-    table = {"image": ["a", "a", "b"], "point": numbers, "x_px": [1.5, 2.5, 3.5],
-             "y_px": [1.5, 2.5, 3.5], "t": times}  # fmt: skip
+    table = {
+        "image": ["a", "a", "b"],
+        "point": numbers,
+        "x_px": [1.5, 2.5, 3.5],
+        "y_px": [1.5, 2.5, 3.5],
+        "t": times,
+    }
     path = tmp_path / "o.parquet"
     pq.write_table(pa.table(table), path)
     names = {name: name for name in ("image", "point", "x_px", "y_px")}
@@ -185,7 +190,8 @@ def test_a_quaternion_of_two_decimals_is_an_attitude(
     ledger = Ledger()
     channel = read_trajectory_csv(path, replace(UTC, columns=names), ledger)
     assert losses(ledger) == []
-    w, z = channel["q_w"][0], channel["q_z"][0]
+    w = channel["q_w"][0]
+    z = channel["q_z"][0]
     if angle_deg is not None:
         assert np.degrees(2.0 * np.arctan2(z, w)) == pytest.approx(angle_deg)
 
@@ -274,10 +280,16 @@ class WithPath(MountSection):
 
 @pytest.mark.parametrize(
     "path",
-    ["a" * 251 + ".csv", "\\".join(["C:", *["folder"] * 60, "o.csv"]),
-     "/".join([*["folder"] * 500, "o.csv"]), "https://host/o.parquet?token=" + "x" * 5000,
-     "s3://bucket/" + "k" * 900, "é" * 127, "a b/ü 1e308/1_0.csv"],
-)  # fmt: skip
+    [
+        "a" * 251 + ".csv",
+        "\\".join(["C:", *["folder"] * 60, "o.csv"]),
+        "/".join([*["folder"] * 500, "o.csv"]),
+        "https://host/o.parquet?token=" + "x" * 5000,
+        "s3://bucket/" + "k" * 900,
+        "é" * 127,
+        "a b/ü 1e308/1_0.csv",
+    ],
+)
 def test_long_paths_are_paths(path: str) -> None:
     assert WithPath.model_validate({"path": path}).path == path
 

@@ -17,8 +17,15 @@ SECOND = 1_000_000_000
 RADIUS_M = 6_371_000.0
 GATE_M = 4.6  # a receiver 77 m off has ratios of 14 to 20 in ArduPilot's logs
 KINDS = (
-    "followed", "rejected", "dead reckoning", "no fix", "swap", "drift", "wind-up", "height glitch",
-)  # fmt: skip
+    "followed",
+    "rejected",
+    "dead reckoning",
+    "no fix",
+    "swap",
+    "drift",
+    "wind-up",
+    "height glitch",
+)
 
 
 @dataclass
@@ -43,7 +50,8 @@ def with_columns(channel: Channel, **columns: np.ndarray) -> Channel:
 
 def displaced(channel: Channel, north: np.ndarray, east: np.ndarray) -> Channel:
     """The channel with its places moved by (n,) metres."""
-    lat, lon = channel["lat_rad"], channel["lon_rad"]
+    lat = channel["lat_rad"]
+    lon = channel["lon_rad"]
     return with_columns(
         channel,
         lat_rad=lat + north / RADIUS_M,
@@ -71,18 +79,31 @@ def second_receiver(first: Channel, rng: np.random.Generator) -> Channel:
 
 
 def filter_errors(
-    time_ns: np.ndarray, gps_ns: np.ndarray, gps_error: np.ndarray, fix: np.ndarray,
-    rng: np.random.Generator, *, retry_s: float, bias_m_s2: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    time_ns: np.ndarray,
+    gps_ns: np.ndarray,
+    gps_error: np.ndarray,
+    fix: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    retry_s: float,
+    bias_m_s2: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Errors of place and velocity (n, 2), innovation ratios and tilt [rad] (n,) of a filter."""
     n = time_ns.size
-    place, speed = np.zeros((n, 2)), np.zeros((n, 2))
-    ratio, tilt = np.zeros(n), np.zeros(n)
+    place = np.zeros((n, 2))
+    speed = np.zeros((n, 2))
+    ratio = np.zeros(n)
+    tilt = np.zeros(n)
     heading = rng.uniform(0.0, 2.0 * np.pi)
     bias = bias_m_s2 * np.array([np.cos(heading), np.sin(heading)])
-    e_p, e_v, unaided, shown = 0j, 0j, 0.0, 0.0  # north + i east: numbers, which are fast
+    # north + i east: numbers, which are fast
+    e_p = 0j
+    e_v = 0j
+    unaided = 0.0
+    shown = 0.0
     nearest = (np.searchsorted(gps_ns, time_ns, side="right") - 1).tolist()
-    steps, errors = (np.diff(time_ns) / SECOND).tolist(), (gps_error @ [1.0, 1j]).tolist()
+    steps = (np.diff(time_ns) / SECOND).tolist()
+    errors = (gps_error @ [1.0, 1j]).tolist()
     pull = complex(*bias)
     last = -1
     for k, dt in enumerate(steps, start=1):
@@ -98,9 +119,13 @@ def filter_errors(
                 gate = GATE_M + 0.3 * max(unaided - 1.0, 0.0)
                 shown = abs(innovation) / gate
                 if shown < 1.0:
-                    e_p, e_v, unaided = e_p + 0.25 * innovation, 0.5 * e_v, 0.0
+                    e_p = e_p + 0.25 * innovation
+                    e_v = 0.5 * e_v
+                    unaided = 0.0
                 elif unaided > retry_s:
-                    e_p, e_v, unaided = errors[row], 0j, 0.0
+                    e_p = errors[row]
+                    e_v = 0j
+                    unaided = 0.0
         place[k], speed[k], ratio[k] = (e_p.real, e_p.imag), (e_v.real, e_v.imag), shown
         tilt[k] = min(unaided, 10.0) / 10.0 * bias_m_s2 / 9.81
     return place, speed, ratio, tilt
@@ -133,7 +158,9 @@ def inject(
 ) -> tuple[dict[str, Channel], Fault]:
     """The channels of a log with one fault of a kind that holds an instant."""
     channels = dict(good)
-    gps, pos, health = channels["GPS[0]"], channels["POS"], channels["XKF4[0]"]
+    gps = channels["GPS[0]"]
+    pos = channels["POS"]
+    health = channels["XKF4[0]"]
     length_s = float(rng.uniform(6.0, 40.0))
     begin = around_ns - round(rng.uniform(0.1, 0.9) * length_s * SECOND)
     fault = Fault(kind, begin, begin + round(length_s * SECOND), float(rng.uniform(20.0, 100.0)))
@@ -154,16 +181,20 @@ def inject(
     if kind == "drift":
         rate = float(rng.uniform(1.0, 3.0))
         fault.detail["m/s"] = rate
-        since, until = (gps.time_ns - fault.begin_ns, fault.end_ns - gps.time_ns)
+        since = gps.time_ns - fault.begin_ns
+        until = fault.end_ns - gps.time_ns
         returns = rng.random() < 0.5  # as slowly as it went, or by a step
         seconds = (np.minimum(since, until) if returns else since) / SECOND
         amount = np.where(inside, rate * seconds, 0.0)
         up = 0.3 * amount
         if rng.random() < 0.5:  # the Doppler velocity is led away too
-            gps = with_columns(gps, **{
-                f"v_{name}_m_s": gps[f"v_{name}_m_s"] + np.where(inside, rate * to[k], 0.0)
-                for k, name in enumerate(("north", "east"))
-            })  # fmt: skip
+            gps = with_columns(
+                gps,
+                **{
+                    f"v_{name}_m_s": gps[f"v_{name}_m_s"] + np.where(inside, rate * to[k], 0.0)
+                    for k, name in enumerate(("north", "east"))
+                },
+            )
     error = amount[:, None] * to
     fix = np.ones(len(gps), bool)
     bias = float(rng.uniform(0.02, 0.15))
@@ -176,10 +207,14 @@ def inject(
         other = displaced(channels["GPS[1]"], *(np.full(len(gps), x) for x in offset))
         channels["GPS[1]"] = other
         fused = np.where(inside[:, None], offset, 0.0)
-        error, up, retry_s = np.zeros((len(gps), 2)), np.zeros(len(gps)), 0.0
+        error = np.zeros((len(gps), 2))
+        up = np.zeros(len(gps))
+        retry_s = 0.0
         says(channels, (fault.begin_ns, "EV GPS_PRIMARY_CHANGED"))
     if kind == "no fix":
-        fused, error, up = np.zeros((len(gps), 2)), np.zeros((len(gps), 2)), np.zeros(len(gps))
+        fused = np.zeros((len(gps), 2))
+        error = np.zeros((len(gps), 2))
+        up = np.zeros(len(gps))
         fix = ~inside
     places, speed, ratio, tilt = filter_errors(
         pos.time_ns, gps.time_ns, fused, fix, rng, retry_s=retry_s, bias_m_s2=bias
@@ -200,17 +235,22 @@ def inject(
         at = np.interp(channels[name].time_ns, pos.time_ns, tilt)
         channels[name] = tilted(channels[name], at, azimuth)
     if kind == "dead reckoning":
-        att, dcm = channels["ATT"], good["AHR2"]
+        att = channels["ATT"]
+        dcm = good["AHR2"]
         take = (att.time_ns > begin_dcm) & (att.time_ns < fault.end_ns + SECOND)
         row = np.clip(np.searchsorted(dcm.time_ns, att.time_ns), 0, len(dcm) - 1)
         channels["ATT"] = with_columns(
             att, **{f"q_{a}": np.where(take, dcm[f"q_{a}"][row], att[f"q_{a}"]) for a in "wxyz"}
         )
     lane = channels["XKF1[0]"]
-    channels["XKF1[0]"] = with_columns(lane, **{
-        f"v_{name}_m_s": lane[f"v_{name}_m_s"] + np.interp(lane.time_ns, pos.time_ns, speed[:, k])
-        for k, name in enumerate(("north", "east"))
-    })  # fmt: skip
+    channels["XKF1[0]"] = with_columns(
+        lane,
+        **{
+            f"v_{name}_m_s": lane[f"v_{name}_m_s"]
+            + np.interp(lane.time_ns, pos.time_ns, speed[:, k])
+            for k, name in enumerate(("north", "east"))
+        },
+    )
     shown = np.interp(health.time_ns, pos.time_ns, ratio)
     channels["XKF4[0]"] = with_columns(
         health, innovation_position=np.fmax(health["innovation_position"], np.round(shown, 2))
@@ -240,7 +280,8 @@ def _wound_up(
         baro = channels[name]
         scale = np.exp(-climb(baro.time_ns) / 8000.0)
         channels[name] = with_columns(baro, pressure_pa=baro["pressure_pa"] * scale)
-    pos, lane = channels["POS"], channels["XKF1[0]"]
+    pos = channels["POS"]
+    lane = channels["XKF1[0]"]
     channels["POS"] = raised(pos, climb(pos.time_ns))
     channels["XKF1[0]"] = raised(lane, climb(lane.time_ns), ("up_m",))
     return channels

@@ -18,8 +18,13 @@ ROWS = 400
 
 def channel(name: str, message: str = "", **columns: np.ndarray) -> Channel:
     time_ns = 1_700_000_000_000_000_000 + np.arange(ROWS) * 100_000_000
-    return Channel(name=name, time_ns=time_ns, columns=columns, source=Source(message or name),
-                   boot=np.zeros(ROWS, np.int16))  # fmt: skip
+    return Channel(
+        name=name,
+        time_ns=time_ns,
+        columns=columns,
+        source=Source(message or name),
+        boot=np.zeros(ROWS, np.int16),
+    )
 
 
 def flight(climb_m: float = 1000.0, way_m: float = 3000.0) -> dict[str, Channel]:
@@ -37,18 +42,21 @@ def flight(climb_m: float = 1000.0, way_m: float = 3000.0) -> dict[str, Channel]
     return {
         "position": channel("GPS", **place),
         "height": channel("GPS", **place),
-        "attitude": channel("ATT", **dict(zip(("q_w", "q_x", "q_y", "q_z"), quaternion.T,
-                                              strict=True))),
+        "attitude": channel(
+            "ATT", **dict(zip(("q_w", "q_x", "q_y", "q_z"), quaternion.T, strict=True))
+        ),
         "pressure": channel("BARO", pressure_pa=1e5 - 12.0 * height_m),
         "temperature": channel("HYGR", temperature_k=288.0 - 0.0065 * height_m),
-    }  # fmt: skip
+    }
 
 
 def with_angles(roll: float | None, pitch: float | None, yaw: float | None) -> Channel:
     """An attitude, some of whose angles are constant."""
     draw = np.random.default_rng(8)
-    angles = [draw.normal(0.1, 0.01, ROWS) if angle is None else np.full(ROWS, angle)
-              for angle in (roll, pitch, yaw)]  # fmt: skip
+    angles = [
+        draw.normal(0.1, 0.01, ROWS) if angle is None else np.full(ROWS, angle)
+        for angle in (roll, pitch, yaw)
+    ]
     quaternion = quaternion_of_euler(*angles)
     return channel("ATT", **dict(zip(("q_w", "q_x", "q_y", "q_z"), quaternion.T, strict=True)))
 
@@ -82,9 +90,14 @@ def test_an_angle_that_never_changes(angles: tuple[float, ...], said: str) -> No
 
 @pytest.mark.parametrize(
     ("role", "column", "value"),
-    [("pressure", "pressure_pa", 9e4), ("temperature", "temperature_k", 273.15),
-     ("position", "lat_rad", 0.8), ("position", "lon_rad", 0.2), ("height", "h_msl_m", 120.0)],
-)  # fmt: skip
+    [
+        ("pressure", "pressure_pa", 9e4),
+        ("temperature", "temperature_k", 273.15),
+        ("position", "lat_rad", 0.8),
+        ("position", "lon_rad", 0.2),
+        ("height", "h_msl_m", 120.0),
+    ],
+)
 def test_a_column_that_never_changes(role: str, column: str, value: float) -> None:
     roles = flight()
     stuck = dict(roles[role].columns) | {column: np.full(ROWS, value)}
@@ -97,7 +110,9 @@ def test_a_column_that_never_changes(role: str, column: str, value: float) -> No
 def test_a_position_that_never_changes_while_the_pressure_does() -> None:
     roles = flight(way_m=0.0)
     still = dict(roles["position"].columns) | {
-        "lat_rad": np.full(ROWS, 0.8), "lon_rad": np.full(ROWS, 0.2)}  # fmt: skip
+        "lat_rad": np.full(ROWS, 0.8),
+        "lon_rad": np.full(ROWS, 0.2),
+    }
     roles["position"] = channel("GPS", **still)
     assert len(findings(roles)) == 2
 

@@ -20,7 +20,9 @@ from unbend.flight.stations import empty_stations
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
 RADIUS_M = 6_371_000.0
-SPEED, CLIMB = 25.0, 2.0  # east and up [m/s]
+# east and up [m/s]
+SPEED = 25.0
+CLIMB = 2.0
 LAG_S = 0.12
 
 
@@ -32,10 +34,13 @@ def channel(name: str, t: np.ndarray, roles: tuple[str, ...] = (), **columns) ->
     message, _, instance = name.partition("[")
     columns = {key: np.broadcast_to(np.asarray(v, float), t.shape) for key, v in columns.items()}
     return Channel(
-        name, START + np.round(t * SECOND).astype(np.int64), columns,
-        Source(message, instance.rstrip("]") or None), roles=roles,
+        name,
+        START + np.round(t * SECOND).astype(np.int64),
+        columns,
+        Source(message, instance.rstrip("]") or None),
+        roles=roles,
         rank=10 if name == "POS" else 20,
-    )  # fmt: skip
+    )
 
 
 def placed(name: str, t: np.ndarray, roles, *, lag_s=0.0, north=0.0, up=0.0, seed=1, **columns):
@@ -48,7 +53,8 @@ def placed(name: str, t: np.ndarray, roles, *, lag_s=0.0, north=0.0, up=0.0, see
     return channel(name, t, roles, lat_rad=lat, lon_rad=lon, h_msl_m=h, **columns)
 
 
-T10, T5 = np.arange(0.0, 300.0, 0.1), np.arange(0.05, 299.0, 0.2)
+T10 = np.arange(0.0, 300.0, 0.1)
+T5 = np.arange(0.05, 299.0, 0.2)
 INSIDE = (T5 > 100.0) & (T5 < 120.0)
 GNSS = ("height", "position")
 VELOCITY = {"v_north_m_s": 0.0, "v_east_m_s": SPEED, "v_down_m_s": -CLIMB}
@@ -126,14 +132,22 @@ def test_a_receiver_that_is_the_position_is_replaced_by_the_filter():
 def test_a_filter_without_fix_is_doubtful_and_a_short_loss_is_not():
     gps = receiver()
     keep = (T5 < 100.0) | (T5 > 110.0)
-    lost = replace(gps, time_ns=gps.time_ns[keep], boot=gps.boot[keep],
-                   columns={k: v[keep] for k, v in gps.columns.items()})  # fmt: skip
+    lost = replace(
+        gps,
+        time_ns=gps.time_ns[keep],
+        boot=gps.boot[keep],
+        columns={k: v[keep] for k, v in gps.columns.items()},
+    )
     _, what, stretches, _ = found(*flight(gps=lost))
     assert sorted(what) == [("height", "POS"), ("position", "")]
     assert stretches[0].reason == "GPS[0] has no fix for 10 s"
     keep = (T5 < 100.0) | (T5 > 101.5)
-    short = replace(gps, time_ns=gps.time_ns[keep], boot=gps.boot[keep],
-                    columns={k: v[keep] for k, v in gps.columns.items()})  # fmt: skip
+    short = replace(
+        gps,
+        time_ns=gps.time_ns[keep],
+        boot=gps.boot[keep],
+        columns={k: v[keep] for k, v in gps.columns.items()},
+    )
     assert found(*flight(gps=short))[1] == []
 
 
@@ -145,7 +159,8 @@ def test_poor_reported_accuracy_is_told():
 
 
 def test_a_step_without_return_makes_half_a_minute_doubtful_on_either_side():
-    moved10, moved5 = np.where(T10 > 200.0, 50.0, 0.0), np.where(T5 > 200.0, 50.0, 0.0)
+    moved10 = np.where(T10 > 200.0, 50.0, 0.0)
+    moved5 = np.where(T5 > 200.0, 50.0, 0.0)
     _, what, (stretch,), _ = found(*flight(north=moved10, gps=receiver(north=moved5)))
     assert what == [("position", "")]
     assert "does not return" in stretch.reason
@@ -201,12 +216,15 @@ def test_a_height_that_steps_for_most_of_a_flight_is_seen_by_the_barometer(bette
 @pytest.mark.parametrize("spare", [True, False], ids=["spare barometer", "vertical velocity"])
 def test_a_barometer_that_winds_up_leaves_the_stations_and_its_pressure_is_not_used(spare):
     up = np.interp(T10, [80.0, 105.0, 115.0, 140.0], [0.0, 40.0, 40.0, 0.0])
-    wound, rest = barometer(up=up), [barometer("BARO[1]")] * spare
+    wound = barometer(up=up)
+    rest = [barometer("BARO[1]")] * spare
     channels, roles = flight(wound, *rest)
     roles["pressure"] = wound
     if spare:
-        roles["height"] = replace(roles["height"], columns={
-            k: v for k, v in roles["height"].columns.items() if k != "v_down_m_s"})  # fmt: skip
+        roles["height"] = replace(
+            roles["height"],
+            columns={k: v for k, v in roles["height"].columns.items() if k != "v_down_m_s"},
+        )
         channels[1] = roles["height"]
     examined, what, _, notes = found(channels, roles)
     assert what == []
@@ -358,10 +376,13 @@ def test_differences_know_lag_offset_and_the_date_line():
     gps = receiver(north=3.0)
     for shift in (0.0, np.radians(169.0) - SPEED * 150.0 / RADIUS_M / np.cos(np.radians(47.0))):
         moved = [
-            replace(c, columns=dict(c.columns) | {
-                "lon_rad": (c["lon_rad"] + shift + np.pi) % (2.0 * np.pi) - np.pi})
+            replace(
+                c,
+                columns=dict(c.columns)
+                | {"lon_rad": (c["lon_rad"] + shift + np.pi) % (2.0 * np.pi) - np.pi},
+            )
             for c in (placed("POS", T10, ("position",), **VELOCITY), gps)
-        ]  # fmt: skip
+        ]
         track = source_path(moved[1], POSITION, moved)
         velocity = velocity_at(moved, POSITION, moved[1].time_ns)
         apart = source_difference(moved[0], track, POSITION, velocity)
@@ -382,7 +403,8 @@ def test_runs_need_a_seed_and_join_across_a_second():
 
 
 def test_reasons_of_stretches_that_touch_are_joined():
-    first, second = Stretch(0, 10, "position", "a", 3.0), Stretch(5, 20, "position", "b", np.nan)
+    first = Stretch(0, 10, "position", "a", 3.0)
+    second = Stretch(5, 20, "position", "b", np.nan)
     later = Stretch(10 * SECOND, 11 * SECOND, "position", "c")
     joined = merged([later, second, first])
     assert [(s.end_ns, s.reason) for s in joined] == [(20, "a; b"), (11 * SECOND, "c")]
@@ -426,10 +448,16 @@ def long_flight(change_pa: np.ndarray, kink_k: float = 0.0):
     pressure = channel("BARO[0]", t, ("pressure",), pressure_pa=p + rng.normal(0.0, 3.0, t.size))
     v_down = -np.gradient(h, t)
     gps = channel(
-        "GPS[0]", t, GNSS, lat_rad=np.full(t.size, np.radians(47.0)),
-        lon_rad=SPEED * t / RADIUS_M, h_msl_m=h + rng.normal(0.0, 0.05, t.size),
-        v_north_m_s=0.0, v_east_m_s=SPEED, v_down_m_s=v_down,
-    )  # fmt: skip
+        "GPS[0]",
+        t,
+        GNSS,
+        lat_rad=np.full(t.size, np.radians(47.0)),
+        lon_rad=SPEED * t / RADIUS_M,
+        h_msl_m=h + rng.normal(0.0, 0.05, t.size),
+        v_north_m_s=0.0,
+        v_east_m_s=SPEED,
+        v_down_m_s=v_down,
+    )
     return [gps, pressure], {"position": gps, "height": gps, "pressure": pressure}
 
 

@@ -45,10 +45,13 @@ def channel(name: str, seconds: np.ndarray, *roles: str, **columns: np.ndarray) 
 
 POS = channel("POS", FLOWN_S, "position", **columns_at(FLOWN_S))
 GPS = channel(
-    "GPS[0]", FLOWN_S, "height", "position",
+    "GPS[0]",
+    FLOWN_S,
+    "height",
+    "position",
     **columns_at(FLOWN_S) | {"sigma_h_m": np.full(FLOWN_S.shape, 0.5)},
     sigma_v_m=np.full(FLOWN_S.shape, 0.8),
-)  # fmt: skip
+)
 ATT = channel("ATT", FLOWN_S, "attitude", **columns_at(FLOWN_S))
 ROLES = {"position": POS, "height": GPS, "attitude": ATT}
 
@@ -75,9 +78,11 @@ def findings(events: Channel, delay_s: float = 0.0, **changes: object) -> list[M
 
 def nowhere(seconds: np.ndarray) -> dict[str, np.ndarray]:
     unknown = dict.fromkeys(("lat_rad", "lon_rad", "q_w", "q_x", "q_y", "q_z"), np.nan)
-    return columns_at(seconds) | {
-        name: np.full(seconds.shape, value) for name, value in unknown.items()
-    } | {"h_msl_m": np.zeros(seconds.shape), "h_home_m": np.zeros(seconds.shape)}  # fmt: skip
+    return (
+        columns_at(seconds)
+        | {name: np.full(seconds.shape, value) for name, value in unknown.items()}
+        | {"h_msl_m": np.zeros(seconds.shape), "h_home_m": np.zeros(seconds.shape)}
+    )
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,9 @@ from unbend.messages import Ledger
 SECOND = 1_000_000_000
 START_US = 1_700_000_000_000_000
 BOOT_US = 60_000_000
-PITCH, YAW = math.radians(-45.0), math.radians(4.0)  # the gimbal points forward and down
+# the gimbal points forward and down
+PITCH = math.radians(-45.0)
+YAW = math.radians(4.0)
 # Yaw about down, then pitch about right, by half angles: w, x, y, z as MAVLink has them.
 Q = (
     math.cos(PITCH / 2) * math.cos(YAW / 2),
@@ -65,7 +67,8 @@ def dataflash(path: Path) -> str:
 def tlog(path: Path, name: str) -> str:
     from pymavlink.dialects.v20 import all as dialect
 
-    sender, data = dialect.MAVLink(None, 1, 1), b""
+    sender = dialect.MAVLink(None, 1, 1)
+    data = b""
     for k in range(20):
         ms = 60_000 + 200 * k
         utc_us = START_US + 200_000 * k
@@ -105,10 +108,11 @@ LOGS: dict[str, tuple[str, Callable[[Path], str]]] = {
     "MNT": ("log.bin", dataflash),
     "MOUNT_ORIENTATION": ("log.tlog", lambda path: tlog(path, "MOUNT_ORIENTATION")),
     "GIMBAL_DEVICE_ATTITUDE_STATUS": (
-        "log.tlog", lambda path: tlog(path, "GIMBAL_DEVICE_ATTITUDE_STATUS"),
+        "log.tlog",
+        lambda path: tlog(path, "GIMBAL_DEVICE_ATTITUDE_STATUS"),
     ),
     "px4_msgs": ("log.mcap", lambda path: mcap(path, "px4_msgs")),
-}  # fmt: skip
+}
 
 
 def named(*channels: Channel, gimbal: str, mounts: dict[str, Mount]):
@@ -153,20 +157,24 @@ def test_a_camera_of_every_gimbal_looks_forward_and_down(message: str, tmp_path:
     assert top == pytest.approx(FORWARD_DOWN, abs=1e-6)
     told = [(e.kind, e.code, e.where) for e in ledger]
     assert told == [
-        ("note", "GIMBAL-FRAME", "mount.right"), ("warning", "GIMBAL-FRAME", "mount.wrong"),
-    ]  # fmt: skip
+        ("note", "GIMBAL-FRAME", "mount.right"),
+        ("warning", "GIMBAL-FRAME", "mount.wrong"),
+    ]
 
 
 def of_angles(name: str, roll_deg: float, pitch_deg: float, yaw_deg: float) -> Channel:
     """An aircraft's attitude: yaw, then pitch, then roll, by products of half-angle quaternions."""
-    w, x, y, z = Rotation.from_euler(
-        "ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True
-    ).as_quat()[[3, 0, 1, 2]]  # fmt: skip
+    w, x, y, z = Rotation.from_euler("ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True).as_quat()[
+        [3, 0, 1, 2]
+    ]
     columns = {"q_w": w, "q_x": x, "q_y": y, "q_z": z}
     return Channel(
-        name, np.arange(5) * SECOND, {k: np.full(5, v) for k, v in columns.items()}, Source(name),
+        name,
+        np.arange(5) * SECOND,
+        {k: np.full(5, v) for k, v in columns.items()},
+        Source(name),
         roles=("attitude",),
-    )  # fmt: skip
+    )
 
 
 NOSE_ANGLES = {"gimbal_roll_rad": 0.0, "gimbal_pitch_rad": PITCH, "gimbal_yaw_rad": YAW}
@@ -180,10 +188,11 @@ def test_yaw_from_the_nose_is_turned_by_the_aircraft_s(columns: dict[str, float]
     """The aircraft flies east, banks 20 deg and climbs: the payload looks to 94 deg and 45 down."""
     unknown = {f"q_{axis}": np.nan for axis in "wxyz"} if columns is NOSE_QUATERNION else {}
     gimbal = Channel(
-        "MOUNT_STATUS", np.arange(1, 11) * SECOND // 3,
+        "MOUNT_STATUS",
+        np.arange(1, 11) * SECOND // 3,
         {name: np.full(10, value) for name, value in (columns | unknown).items()},
         Source("MOUNT_STATUS"),
-    )  # fmt: skip
+    )
     aircraft = of_angles("ATTITUDE", 20.0, 8.0, 90.0)
     payload, (told,) = payload_attitude(gimbal, aircraft, 2.0)
     axis, top = camera_axes(payload, AHEAD)
@@ -199,7 +208,9 @@ def test_yaw_from_the_nose_is_turned_by_the_aircraft_s(columns: dict[str, float]
 def test_angles_of_servos_are_to_the_aircraft(message: str, servos: bool) -> None:
     """They counter its roll and pitch; MOUNT_ORIENTATION is to the horizon by its definition."""
     k = np.arange(200)
-    roll, pitch, yaw = 0.3 * np.sin(k / 7.0), 0.2 * np.cos(k / 11.0), k / 40.0
+    roll = 0.3 * np.sin(k / 7.0)
+    pitch = 0.2 * np.cos(k / 11.0)
+    yaw = k / 40.0
     turns = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1))
     columns = dict(zip(("q_x", "q_y", "q_z", "q_w"), turns.as_quat().T, strict=True))
     aircraft = Channel("ATTITUDE", k * SECOND // 10, columns, Source("ATTITUDE"))
@@ -226,8 +237,12 @@ def test_angles_of_servos_are_to_the_aircraft(message: str, servos: bool) -> Non
 def test_a_gimbal_that_knows_north_and_one_without_an_aircraft_stay_as_they_are() -> None:
     mnt = attitude("MNT[0]", "MNT", -30.0)
     assert payload_attitude(mnt, of_angles("ATT", 0.0, 0.0, 90.0), 2.0) == (mnt, ())
-    status = Channel("S", np.arange(3) * SECOND, {k: np.full(3, v) for k, v in NOSE_ANGLES.items()},
-                     Source("MOUNT_STATUS"))  # fmt: skip
+    status = Channel(
+        "S",
+        np.arange(3) * SECOND,
+        {k: np.full(3, v) for k, v in NOSE_ANGLES.items()},
+        Source("MOUNT_STATUS"),
+    )
     assert payload_attitude(status, None, 2.0) == (status, ())
 
 
@@ -236,9 +251,12 @@ def attitude(name: str, message: str, pitch_deg: float) -> Channel:
     columns = {"q_w": math.cos(half), "q_x": 0.0, "q_y": math.sin(half), "q_z": 0.0}
     time_ns = np.arange(5) * SECOND
     return Channel(
-        name, time_ns, {k: np.full(5, v) for k, v in columns.items()}, Source(message),
+        name,
+        time_ns,
+        {k: np.full(5, v) for k, v in columns.items()},
+        Source(message),
         roles=() if message != "ATT" else ("attitude",),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,13 @@ T0 = 1_777_000_000 * SECOND
         (["A.tif", "B.tif"], ["A.NEF", "B"], ["extension"]),
         (["f1/A", "f1/B"], ["A", "x\\B"], ["folder"]),
         (["DSC_0001", "DSC_0012"], ["DSC1", "DSC-12"], ["digits"]),
-        (["L/DSC_0001.JPG", "L/DSC_0012.JPG"], ["dsc1.tif", "dsc012"],
-         ["case", "extension", "folder", "digits"]),
+        (
+            ["L/DSC_0001.JPG", "L/DSC_0012.JPG"],
+            ["dsc1.tif", "dsc012"],
+            ["case", "extension", "folder", "digits"],
+        ),
     ],
-)  # fmt: skip
+)
 def test_each_difference_matches_and_is_proposed(images, known, differences):
     expected = dict(zip(known, images, strict=True))
     assert other_names(images, known, differences) == expected
@@ -133,9 +136,13 @@ def test_events_that_begin_before_the_log_are_told_with_eighteen_seconds():
     assert span_notes(events(0.0, 0.0), flown(), "events") == ()
 
 
-@pytest.mark.parametrize(("first_s", "measured", "kind", "count"), [
-    (230.0, ["i50"], "note", 4), (230.0, ["i2", "i50"], "warning", 4),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("first_s", "measured", "kind", "count"),
+    [
+        (230.0, ["i50"], "note", 4),
+        (230.0, ["i2", "i50"], "warning", 4),
+    ],
+)
 def test_shots_on_the_ground_are_named(first_s, measured, kind, count):
     """Exposures every 20 s from 70 s before the take-off: four stand."""
     of = events(first_s, 0.0)[0]

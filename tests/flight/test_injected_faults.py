@@ -61,17 +61,25 @@ def flown(name: str) -> Flown:
         truth = {(r["I"], int(r["Img"])): r for r in csv.DictReader(stream) if r["row"] == "CAM"}
     shots = sorted(
         (int(time), truth[c.source.instance, int(index)])
-        for c in channels.values() if c.source.message == "CAM"
+        for c in channels.values()
+        if c.source.message == "CAM"
         for time, index in zip(c.time_ns, c["event_index"], strict=True)
-    )  # fmt: skip
-    columns = {key: np.array([float(row[key]) for _, row in shots])
-               for key in ("lat", "lng", "alt_amsl", "roll", "pitch")}  # fmt: skip
-    roll, pitch = np.radians(columns["roll"]), np.radians(columns["pitch"])
+    )
+    columns = {
+        key: np.array([float(row[key]) for _, row in shots])
+        for key in ("lat", "lng", "alt_amsl", "roll", "pitch")
+    }
+    roll = np.radians(columns["roll"])
+    pitch = np.radians(columns["pitch"])
     down = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
     return Flown(
-        channels, np.array([time for time, _ in shots]), np.radians(columns["lat"]),
-        np.radians(columns["lng"]), columns["alt_amsl"], np.stack(down, axis=1),
-    )  # fmt: skip
+        channels,
+        np.array([time for time, _ in shots]),
+        np.radians(columns["lat"]),
+        np.radians(columns["lng"]),
+        columns["alt_amsl"],
+        np.stack(down, axis=1),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -110,15 +118,23 @@ def errors_of(stations: Stations, at: Flown) -> dict[str, np.ndarray]:
 def too_far(stations: Stations, at: Flown) -> np.ndarray:
     """Where a station is beyond 5 m or 1 degree of the optical axis."""
     off = errors_of(stations, at)
-    return (np.hypot(off["north"], off["east"]) > 5.0) | (np.abs(off["up"]) > 5.0) | (
-        np.hypot(off["roll"], off["pitch"]) > 1.0)  # fmt: skip
+    return (
+        (np.hypot(off["north"], off["east"]) > 5.0)
+        | (np.abs(off["up"]) > 5.0)
+        | (np.hypot(off["roll"], off["pitch"]) > 1.0)
+    )
 
 
 def beyond_four_sigmas(stations: Stations, at: Flown) -> np.ndarray:
     off = errors_of(stations, at)
     tilt = np.degrees(stations.sigma_tilt_rad)
-    sigmas = {"north": stations.sigma_horizontal_m, "east": stations.sigma_horizontal_m,
-              "up": stations.sigma_height_m, "roll": tilt, "pitch": tilt}  # fmt: skip
+    sigmas = {
+        "north": stations.sigma_horizontal_m,
+        "east": stations.sigma_horizontal_m,
+        "up": stations.sigma_height_m,
+        "roll": tilt,
+        "pitch": tilt,
+    }
     assert all(np.isfinite(sigma[stations.ok]).all() for sigma in sigmas.values())
     return np.any([np.abs(off[name]) > 4.0 * sigma for name, sigma in sigmas.items()], axis=0)
 
@@ -137,7 +153,8 @@ def test_no_usable_station_is_far_off_and_few_good_ones_are_lost(logs, record_pr
     counts: Counter[str] = Counter()
     failures = []
     for draw in range(DRAWS):
-        log, kind = logs[draw % 2], KINDS[(draw // 2) % len(KINDS)]
+        log = logs[draw % 2]
+        kind = KINDS[(draw // 2) % len(KINDS)]
         channels, fault = inject(log.channels, kind, int(rng.choice(log.time_ns)), rng)
         stations, codes = stations_of(channels, log.time_ns)
         far = too_far(stations, log)

@@ -202,8 +202,10 @@ def test_an_impossible_value_is_counted_once() -> None:
     assert len(masked) == 60  # the temperature of these rows is known
     assert len(ledger.take(plausible_samples(masked, "pressure"))) == 56
     assert sorted((entry.code, entry.count) for entry in ledger) == [
-        ("SENSOR-JUMP", 1), ("SENSOR-RANGE", 1), ("SENSOR-RANGE", 2)
-    ]  # fmt: skip
+        ("SENSOR-JUMP", 1),
+        ("SENSOR-RANGE", 1),
+        ("SENSOR-RANGE", 2),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -227,8 +229,9 @@ def test_limits_of_what_can_be_true(role: str, column: str, low: float, high: fl
 def test_power_ups_stay_with_their_samples() -> None:
     boot = np.array([0, 0, 1, 1, 2, 2], np.int16)
     values = {"temperature_k": np.array([280.0, np.nan, 280.0, np.nan, np.nan, 280.0])}
-    logged = Channel("X", np.arange(6) * 10**9, values, Source("X"), boot,
-                     labels={"image": tuple("abcdef")})  # fmt: skip
+    logged = Channel(
+        "X", np.arange(6) * 10**9, values, Source("X"), boot, labels={"image": tuple("abcdef")}
+    )
     kept, _ = plausible_samples(logged, "temperature")
     assert kept.boot.tolist() == [0, 1, 2]
     assert kept.labels["image"] == ("a", "c", "f")
@@ -259,8 +262,9 @@ def test_a_glitch_beside_an_alignment_is_a_loss() -> None:
     sound = ledger.take(mask_impossible_values(channel(**yawed(yaw))))
     assert len(sound) == 58
     assert [(entry.kind, entry.code, entry.count) for entry in ledger] == [
-        ("note", "ATTITUDE-ALIGNED", 1), ("loss", "SENSOR-JUMP", 1),
-    ]  # fmt: skip
+        ("note", "ATTITUDE-ALIGNED", 1),
+        ("loss", "SENSOR-JUMP", 1),
+    ]
     assert "4.000 s" in list(ledger)[1].what
 
 

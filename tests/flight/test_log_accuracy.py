@@ -29,10 +29,12 @@ def test_the_filters_constants_are_the_steady_state_of_its_default_noises(rate_h
     Defaults: EK3_POSNE_M_NSE and EK3_VELNE_M_NSE 0.5, EK3_ACC_P_NSE 0.35 m/s2, EK3_GYRO_P_NSE 0.015
     rad/s, the latter two added in steps of 12 ms.
     """
-    step_s, gravity = 0.012, 9.80665
+    step_s = 0.012
+    gravity = 9.80665
     noise = np.diag([0.0, 0.35**2 * step_s, 0.015**2 * step_s])
     motion = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, gravity], [0.0, 0.0, 0.0]])
-    seen, fixes = np.eye(3)[:2], np.eye(2) * 0.5**2 / rate_hz
+    seen = np.eye(3)[:2]
+    fixes = np.eye(2) * 0.5**2 / rate_hz
     state = solve_continuous_are(motion.T, seen.T, noise, fixes)
     tilt = np.degrees(np.sqrt(state[2, 2]))
     assert np.degrees(log_accuracy.TILT_RAD) == pytest.approx(tilt, rel=0.12)

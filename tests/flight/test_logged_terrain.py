@@ -39,9 +39,11 @@ def test_only_heights_of_a_healthy_grid_count():
 )
 def test_a_log_has_its_terrain_as_pymavlink_reads_it(name):
     path = LOGS[name]
-    kind, height = ["TERR"], "TerrH"
+    kind = ["TERR"]
+    height = "TerrH"
     if name.endswith("tlog"):
-        kind, height = ["TERRAIN_REPORT"], "terrain_height"
+        kind = ["TERRAIN_REPORT"]
+        height = "terrain_height"
     reader = mavutil.mavlink_connection(str(path))
     truth = []
     while (message := reader.recv_match(type=kind)) is not None:

@@ -31,12 +31,14 @@ def channel(steps_ns: list[int], **columns: np.ndarray) -> Channel:
 
 @given(STEPS, st.integers(-(10**18), 10**18), st.data())
 def test_interpolation_does_not_depend_on_where_time_begins(steps, shift, data):
-    values = np.array(data.draw(st.lists(st.floats(-1e6, 1e6), min_size=len(steps),
-                                         max_size=len(steps))))  # fmt: skip
+    values = np.array(
+        data.draw(st.lists(st.floats(-1e6, 1e6), min_size=len(steps), max_size=len(steps)))
+    )
     x = channel(steps, value=values)
     at = np.array(data.draw(st.lists(st.integers(0, int(x.time_ns[-1]) + 9), min_size=1)))
     later = Channel("X", x.time_ns + shift, x.columns, x.source)
-    here, there = interpolate(x, "value", at, 2.0), interpolate(later, "value", at + shift, 2.0)
+    here = interpolate(x, "value", at, 2.0)
+    there = interpolate(later, "value", at + shift, 2.0)
     np.testing.assert_array_equal(here, there)
     known = np.isfinite(here)
     place = bracket(x, at, 2.0)
@@ -56,7 +58,8 @@ def test_positions_turn_with_the_earth(lat, lon, step, when):
     at = np.array([round(when * SECOND) + SECOND])
     first = channel([SECOND, SECOND], lat_rad=lats, lon_rad=np.array([lon, lon + step]))
     turned = channel([SECOND, SECOND], lat_rad=lats, lon_rad=np.array([lon, lon + step]) + 2.0)
-    here, there = track_at(first, at, 2.0), track_at(turned, at, 2.0)
+    here = track_at(first, at, 2.0)
+    there = track_at(turned, at, 2.0)
     ((a,), (b,)), ((c,), (d,)) = ((t.lat_rad, t.lon_rad) for t in (here, there))
     assert abs(a - c) < 1e-14
     assert abs((d - b - 2.0 + np.pi) % (2.0 * np.pi) - np.pi) < 1e-11
@@ -95,7 +98,8 @@ def test_the_spread_is_from_the_5th_to_the_95th_percentile():
 @given(STEPS, STEPS)
 def test_a_clock_map_goes_through_its_readings_and_never_back(first, second):
     n = min(len(first), len(second))
-    a, b = np.cumsum(first[:n]), np.cumsum(second[:n])
+    a = np.cumsum(first[:n])
+    b = np.cumsum(second[:n])
     mapped = clock_map(a, b)
     np.testing.assert_array_equal(mapped(a), b)
     between = np.sort(np.concatenate([a, (a[1:] + a[:-1]) // 2]))

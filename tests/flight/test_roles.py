@@ -103,9 +103,17 @@ def test_outside_or_cabin_is_not_guessed() -> None:
     assert sum(e.code == "ROLE-AMBIGUOUS" for e in ledger) == 2
     assert not ledger.has_losses  # the temperature of a cabin can be assumed
     named, ledger = assign(
-        POS, GPS, ATT, BARO, CABIN, OUT, IN, cabin=True, cabin_temperature="HYGR[1]",
+        POS,
+        GPS,
+        ATT,
+        BARO,
+        CABIN,
+        OUT,
+        IN,
+        cabin=True,
+        cabin_temperature="HYGR[1]",
         cabin_humidity="HYGR[1]",
-    )  # fmt: skip
+    )
     assert (named["temperature"], named["humidity"]) == ("HYGR[0]", "HYGR[0]")
     assert not ledger.has_losses
 

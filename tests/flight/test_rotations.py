@@ -51,7 +51,8 @@ DBAT_BLOCK = [
          ((999170.674, 112692.548, 139.640), (955.1383, 12311.1660))],
     ),
 ]  # fmt: skip
-DBAT_F_PX, DBAT_CENTRE_PX = 123.939 / 0.006, (26.577 / 0.006, 38.811 / 0.006)
+DBAT_F_PX = 123.939 / 0.006
+DBAT_CENTRE_PX = (26.577 / 0.006, 38.811 / 0.006)
 
 
 def test_opk_is_the_matrix_that_pix4d_prints():
@@ -91,7 +92,8 @@ def test_a_camera_by_hand():
     # Heading east, nose 10 deg up: the picture's top is east, its right is south, and the camera
     # looks down and 10 deg ahead.
     matrix = matrices_of(quaternion_of_rpy(np.radians([[0.0, 10.0, 90.0]])))[0]
-    sin, cos = np.sin(np.radians(10.0)), np.cos(np.radians(10.0))
+    sin = np.sin(np.radians(10.0))
+    cos = np.cos(np.radians(10.0))
     assert matrix[0] == pytest.approx([0.0, -1.0, 0.0], abs=1e-12)
     assert matrix[1] == pytest.approx([-cos, 0.0, -sin], abs=1e-12)
     assert matrix[2] == pytest.approx([sin, 0.0, -cos], abs=1e-12)
@@ -141,7 +143,9 @@ def test_looking_along_the_axis_of_the_first_angle_both_are_one():
 def test_convergence_is_the_map_projection_s_own():
     pyproj = pytest.importorskip("pyproj")
     utm = pyproj.Proj("EPSG:32632")
-    lat, lon = 48.0, 11.5  # east of the central meridian, 9 degrees
+    # east of the central meridian, 9 degrees
+    lat = 48.0
+    lon = 11.5
     (x0, y0), (x1, y1) = utm(lon, lat), utm(lon, lat + 1e-5)
     convergence = np.radians(utm.get_factors(lon, lat).meridian_convergence)
     assert np.degrees(convergence) == pytest.approx(1.8584, abs=1e-4)
@@ -154,8 +158,10 @@ def test_convergence_is_the_map_projection_s_own():
 
 
 def test_the_vertical_turns_0_9_degrees_in_100_km():
-    lat, lon = np.radians([47.0, 47.0]), np.radians([8.0, 8.0])
-    origin, axes = ecef_of_geodetic(lat[:1], lon[:1], np.zeros(1))[0], enu_from_ecef(lat, lon)[0]
+    lat = np.radians([47.0, 47.0])
+    lon = np.radians([8.0, 8.0])
+    origin = ecef_of_geodetic(lat[:1], lon[:1], np.zeros(1))[0]
+    axes = enu_from_ecef(lat, lon)[0]
     far = geodetic_of_ecef(*(origin + axes.T @ [0.0, 100e3, 0.0])[:, None])
     turn = enu_from_ecef(far[0], far[1])[0] @ axes.T
     assert np.degrees(Rotation.from_matrix(turn).magnitude()) == pytest.approx(0.8991, abs=2e-3)
@@ -168,7 +174,9 @@ def test_the_vertical_turns_0_9_degrees_in_100_km():
 
 def test_earth_centred_coordinates_against_pyproj():
     pyproj = pytest.importorskip("pyproj")
-    lat, lon, h = np.array([-33.5, 0.0, 89.9]), np.array([151.0, -180.0, 12.0]), [100.0, -50, 9000]
+    lat = np.array([-33.5, 0.0, 89.9])
+    lon = np.array([151.0, -180.0, 12.0])
+    h = [100.0, -50, 9000]
     to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
     expected = np.stack(to_ecef.transform(lon, lat, h), axis=1)
     found = ecef_of_geodetic(np.radians(lat), np.radians(lon), np.array(h))

@@ -57,9 +57,11 @@ class Flight:
         heights, _ = height_system(roles, None)
         thin = roles["attitude"]
         roles["attitude"] = replace(
-            thin, time_ns=thin.time_ns[::every], boot=thin.boot[::every],
+            thin,
+            time_ns=thin.time_ns[::every],
+            boot=thin.boot[::every],
             columns={name: values[::every] for name, values in thin.columns.items()},
-        )  # fmt: skip
+        )
         roles, accuracy = with_accuracy(roles, self.log.channels)
         names = np.array([str(k) for k in range(time_ns.size)], object)
         events = Events("cam", names, time_ns, sigma_s)
@@ -136,8 +138,14 @@ def flown_throughout(flight: Flight, simulated: Log) -> tuple[dict, dict]:
     sim, moved = (simulated.message(name) for name in ("SIM", "SIM2"))
     speed = np.interp(sim["TimeUS"], moved["TimeUS"], np.hypot(moved["VN"], moved["VE"]))
     rows = np.flatnonzero((speed > 12.0) & (sim["Alt"] > sim["Alt"][0] + 50.0))[::10]
-    names = {"Lat": "lat", "Lng": "lng", "Alt": "alt_amsl", "Yaw": "yaw", "Pitch": "pitch",
-             "Roll": "roll"}  # fmt: skip
+    names = {
+        "Lat": "lat",
+        "Lng": "lng",
+        "Alt": "alt_amsl",
+        "Yaw": "yaw",
+        "Pitch": "pitch",
+        "Roll": "roll",
+    }
     truth = pd.DataFrame({name: sim[column][rows] for column, name in names.items()})
     stations = flight.stations(sim["time_ns"][rows])
     assert len(stations) > 1000
@@ -155,10 +163,12 @@ def test_what_one_flight_says_of_attitudes_holds_for_the_other(flights, learnt, 
     of_learnt = flown_throughout(flights[learnt, "BIN"], flights[learnt, "BIN"].log)
     of_tested = flown_throughout(flights[tested, kind], flights[tested, "BIN"].log)
     for what, stated in parts.items():
-        error, sigma = of_learnt[0][what], of_learnt[1][what]
+        error = of_learnt[0][what]
+        sigma = of_learnt[1][what]
         square = np.mean(error**2) - np.mean(sigma**2 - stated**2)
         assert 0.8 * stated < np.sqrt(square) < 1.25 * stated  # the program's is of both
-        error, sigma = of_tested[0][what], of_tested[1][what]
+        error = of_tested[0][what]
+        sigma = of_tested[1][what]
         predicted = np.sqrt(sigma**2 - stated**2 + square)
         for stated_sigma in (predicted, sigma):
             assert 0.7 < rms(error / stated_sigma) < 1.2, what
@@ -202,7 +212,8 @@ def test_exposures_in_true_utc_have_true_positions(flights, name, kind) -> None:
     flight = flights[name, kind]
     offset_ns, scatter = true_offset_ns(flights[name, "BIN"].log)
     assert scatter < 2e6
-    apart, late = [], []
+    apart = []
+    late = []
     for channel, truth in flight.events():
         true_utc = truth["TimeUS"].to_numpy() * 1000 + round(offset_ns)
         found = errors(flight.stations(true_utc), truth)["horizontal"]
@@ -224,14 +235,16 @@ def delay_by_accelerations(log: Log) -> float:
     """
     fix, imu, turn = (log.message(name) for name in ("GPS", "IMU", "XKQ"))
     new = np.append(True, np.diff(fix["GMS"].astype(np.int64)) != 0)
-    stamps, course = fix["TimeUS"][new] * 1e-6, np.radians(fix["GCrs"][new])
+    stamps = fix["TimeUS"][new] * 1e-6
+    course = np.radians(fix["GCrs"][new])
     speed = fix["Spd"][new].astype(float)
     seen = np.stack([speed * np.cos(course), speed * np.sin(course)])
     attitude = Rotation.from_quat(np.stack([turn[f"Q{k}"] for k in (2, 3, 4, 1)], axis=1))
     known = Slerp(turn["TimeUS"] * 1e-6, attitude)
     at = imu["TimeUS"] * 1e-6
     rows = (imu["I"] == 0) & (at > known.times[0]) & (at < known.times[-1])
-    at, force = at[rows], np.stack([imu[f"Acc{axis}"][rows] for axis in "XYZ"], axis=1)
+    at = at[rows]
+    force = np.stack([imu[f"Acc{axis}"][rows] for axis in "XYZ"], axis=1)
     pushed = known(at).apply(force)[:, :2]
     gained = cumulative_trapezoid(pushed, at, axis=0, initial=0.0).T
     width = 2 * round(1.0 / np.median(np.diff(stamps))) + 1
@@ -241,9 +254,12 @@ def delay_by_accelerations(log: Log) -> float:
 
     delay = 0.1
     for _ in range(5):
-        model, late, early = (np.stack([np.interp(stamps - delay + s, at, g) for g in gained])
-                              for s in (0.0, 0.02, -0.02))  # fmt: skip
-        left, slope = quick(seen - model), quick((late - early) / 0.04)
+        model, late, early = (
+            np.stack([np.interp(stamps - delay + s, at, g) for g in gained])
+            for s in (0.0, 0.02, -0.02)
+        )
+        left = quick(seen - model)
+        slope = quick((late - early) / 0.04)
         fast = np.flatnonzero(speed > 8.0)[2 * width : -2 * width]
         delay -= float((left * slope)[:, fast].sum() / np.square(slope[:, fast]).sum())
     cut_off = dict(zip(log.message("PARM")["Name"], log.message("PARM")["Value"], strict=True))
@@ -277,10 +293,13 @@ def test_accelerations_give_the_clock_and_the_filters_positions_the_place(flight
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_both_logs_of_a_flight_agree_about_utc(flights, name) -> None:
     both = [
-        {(c.source.instance, i): t for c, _ in flights[name, kind].events()
-         for i, t in zip(c["event_index"].tolist(), c.time_ns.tolist(), strict=True)}
+        {
+            (c.source.instance, i): t
+            for c, _ in flights[name, kind].events()
+            for i, t in zip(c["event_index"].tolist(), c.time_ns.tolist(), strict=True)
+        }
         for kind in ("BIN", "tlog")
-    ]  # fmt: skip
+    ]
     apart = [both[0][key] - both[1][key] for key in both[0].keys() & both[1].keys()]
     assert len(apart) > 200
     assert np.max(np.abs(apart)) < 5e6
@@ -296,9 +315,10 @@ def test_the_delay_leaves_exposures_and_positions_of_the_filter_together(flights
         utc = np.sort(np.unique(np.concatenate([c.time_ns for c in channels])))
         offset = np.unique(utc - boot_us * 1000)
         assert offset.size == 1
-        assert offset[0] == log.message("GPS")["time_ns"][0] - int(
-            log.message("GPS")["TimeUS"][0]
-        ) * 1000  # fmt: skip
+        assert (
+            offset[0]
+            == log.message("GPS")["time_ns"][0] - int(log.message("GPS")["TimeUS"][0]) * 1000
+        )
     fixes = log.channel("GPS[0]")
     rows = np.isin(log.message("GPS")["time_ns"], fixes.time_ns)
     assert not rows.any()  # a fix has the time of its epoch, not that of its row

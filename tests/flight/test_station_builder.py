@@ -35,7 +35,8 @@ from unbend.refraction.window import Cabin
 from unbend.stages.cabin_air import cabin_from_log
 
 SECOND = 1_000_000_000
-LATITUDE, LONGITUDE = np.radians(47.0), np.radians(8.0)
+LATITUDE = np.radians(47.0)
+LONGITUDE = np.radians(8.0)
 
 
 def channel(name: str, seconds: object, rank: int = 50, **columns: object) -> Channel:
@@ -43,9 +44,13 @@ def channel(name: str, seconds: object, rank: int = 50, **columns: object) -> Ch
     arrays = {k: np.broadcast_to(np.asarray(v, float), time_ns.shape) for k, v in columns.items()}
     message, _, instance = name.partition("[")
     return Channel(
-        name, time_ns, arrays, Source(message, instance.rstrip("]") or None), rank=rank,
+        name,
+        time_ns,
+        arrays,
+        Source(message, instance.rstrip("]") or None),
+        rank=rank,
         roles=("events",) if "event_index" in arrays else (),
-    )  # fmt: skip
+    )
 
 
 def roles(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0, **more: Channel):
@@ -75,7 +80,9 @@ def looks(station, direction: list[float]) -> np.ndarray:
     return Rotation.from_quat(q).inv().apply(direction)
 
 
-FORWARD, RIGHT, UP_IN_IMAGE = [0, 0, 1], [1, 0, 0], [0, -1, 0]
+FORWARD = [0, 0, 1]
+RIGHT = [1, 0, 0]
+UP_IN_IMAGE = [0, -1, 0]
 
 
 def test_level_flight_north_looks_down_with_the_top_of_the_image_north() -> None:
@@ -117,10 +124,13 @@ def test_lever_arm_moves_the_projection_centre() -> None:
     station = one_station(mount, HeightSystem(undulation_m=40.0), yaw=90.0)
     geodesic = pyproj.Geod(ellps="WGS84")
     azimuth, _, distance = geodesic.inv(
-        np.degrees(LONGITUDE), np.degrees(LATITUDE),
-        np.degrees(station.lon_rad[0]), np.degrees(station.lat_rad[0]),
-    )  # fmt: skip
-    east, north = distance * np.sin(np.radians(azimuth)), distance * np.cos(np.radians(azimuth))
+        np.degrees(LONGITUDE),
+        np.degrees(LATITUDE),
+        np.degrees(station.lon_rad[0]),
+        np.degrees(station.lat_rad[0]),
+    )
+    east = distance * np.sin(np.radians(azimuth))
+    north = distance * np.cos(np.radians(azimuth))
     # On the ellipsoid, 1040 m below: shorter by 1.6e-4.
     assert (east, north) == pytest.approx((3.0, -2.0), abs=1e-3)
     assert station.h_msl_m[0] == pytest.approx(999.0, abs=1e-5)
@@ -151,8 +161,9 @@ def test_ellipsoidal_height_alone_is_no_height_above_the_sea() -> None:
     north = np.array([LATITUDE + np.radians(0.5)]), np.array([LONGITUDE])
     assert system.undulation(*north) == pytest.approx(41.0)
     # A log whose two heights are 41.5 m apart here has 42.5 m there.
-    both = channel("GPS", seconds, lat_rad=LATITUDE, lon_rad=LONGITUDE, h_ellipsoid_m=1041.5,
-                   h_msl_m=1000.0)  # fmt: skip
+    both = channel(
+        "GPS", seconds, lat_rad=LATITUDE, lon_rad=LONGITUDE, h_ellipsoid_m=1041.5, h_msl_m=1000.0
+    )
     system, _ = height_system({"height": both}, None, grid)
     assert system.undulation(*north) == pytest.approx(42.5)
     assert "GPS" in system.source
@@ -264,7 +275,8 @@ def fired(name: str, count: int) -> Channel:
     return channel(name, np.arange(count), event_index=np.arange(count))
 
 
-LOST, AT_TRIGGER = "EVENTS-LOST", "EVENTS-TRIGGER-TIME"
+LOST = "EVENTS-LOST"
+AT_TRIGGER = "EVENTS-TRIGGER-TIME"
 
 
 @pytest.mark.parametrize(
@@ -403,7 +415,8 @@ def test_numbers_begin_anew_with_each_boot() -> None:
 
 
 def test_camera_rows_without_triggers_are_the_triggers() -> None:
-    camera, trigger = shots([0, 1, 2]), channel("TRIG[0]", [0, 1, 2], event_index=[0, 1, 2])
+    camera = shots([0, 1, 2])
+    trigger = channel("TRIG[0]", [0, 1, 2], event_index=[0, 1, 2])
     for channels, chosen, told in (
         ((camera,), camera, True),
         ((camera, trigger), camera, False),

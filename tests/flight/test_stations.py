@@ -33,8 +33,10 @@ def stations(n: int = 3, camera: str = "cam") -> Stations:
     return replace(made, h_msl_m=np.full(n, 3000.0), lat_rad=np.full(n, 0.5))
 
 
-@pytest.mark.parametrize(("misfit_pa", "flagged"), [(-1000.0, True), (1000.0, True), (790.0, False),
-                                                    (-790.0, False), (np.nan, False)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("misfit_pa", "flagged"),
+    [(-1000.0, True), (1000.0, True), (790.0, False), (-790.0, False), (np.nan, False)],
+)
 def test_a_misfit_of_ten_hectopascal_is_noticed_and_one_of_less_than_eight_is_not(
     misfit_pa, flagged
 ):
@@ -67,8 +69,9 @@ def test_images_without_an_exposure_are_appended_in_order_and_unused_exposures_a
     assert joined.image.tolist() == ["image_0", "image_1", "image_2", "aaa", "zzz"]
     assert joined.status.tolist() == ["ok"] * 3 + ["unmatched"] * 2
     assert [(e.kind, e.code, e.count) for e in notes] == [
-        ("note", "STATIONS-UNUSED", 2), ("loss", "IMAGES-UNMATCHED", 2)
-    ]  # fmt: skip
+        ("note", "STATIONS-UNUSED", 2),
+        ("loss", "IMAGES-UNMATCHED", 2),
+    ]
     assert "aaa, zzz" in notes[1].what
 
 
@@ -183,6 +186,8 @@ def test_stations_say_how_many_there_are_of_what_and_when():
     drawn = {line.get_label(): line.get_xdata().tolist() for line in axis.lines}
     assert drawn["nadir"] == pytest.approx([np.degrees(0.1)])
     assert {label: len(x) for label, x in drawn.items()} == {
-        "nadir": 1, "oblique": 1, "not usable": 1
-    }  # fmt: skip
+        "nadir": 1,
+        "oblique": 1,
+        "not usable": 1,
+    }
     assert two.plot(axis) is axis

@@ -73,7 +73,8 @@ def test_an_empty_channel_and_a_missing_column() -> None:
 def test_longitude_across_the_180th_meridian() -> None:
     x = channel([0, 1], lat_rad=[0.3, 0.3], lon_rad=np.radians([179.9999, -179.9999]))
     track = track_at(x, at(0.25, 0.5, 0.75), 2.0)
-    latitude, longitude = track.lat_rad, track.lon_rad
+    latitude = track.lat_rad
+    longitude = track.lon_rad
     degrees = np.degrees(longitude) % 360.0
     assert np.allclose(degrees, [179.99995, 180.0, 180.00005], rtol=0, atol=1e-9)
     assert np.allclose(latitude, 0.3, rtol=0, atol=1e-12)
@@ -131,7 +132,8 @@ def circle(seconds: np.ndarray) -> dict[str, np.ndarray]:
 
 
 # WGS84 at 0.8 rad, by hand: e2 = 0.00669438, w2 = 1 - e2 sin^2(0.8) = 0.99655504
-MERIDIAN, PARALLEL = 6_378_137.0 * 0.99330562 / 0.99655504**1.5, 6_389_152.0 * np.cos(0.8)
+MERIDIAN = 6_378_137.0 * 0.99330562 / 0.99655504**1.5
+PARALLEL = 6_389_152.0 * np.cos(0.8)
 SECONDS = np.arange(0.0, 20.0, 2.0)
 
 
@@ -141,8 +143,10 @@ def test_a_turn_is_followed_by_its_velocities(velocity: bool, allowed: float) ->
     columns = circle(SECONDS)
     if not velocity:
         columns = {name: c for name, c in columns.items() if not name.startswith("v_")}
-    x, when = channel(list(SECONDS), **columns), np.array([6.5, 7.0, 9.0, 11.3])
-    true, found = circle(when), track_at(x, at(*when), 3.0)
+    x = channel(list(SECONDS), **columns)
+    when = np.array([6.5, 7.0, 9.0, 11.3])
+    true = circle(when)
+    found = track_at(x, at(*when), 3.0)
     north = (found.lat_rad - true["lat_rad"]) * MERIDIAN
     east = (found.lon_rad - true["lon_rad"]) * PARALLEL
     assert np.hypot(north, east).max() < allowed
@@ -153,7 +157,8 @@ def test_a_turn_is_followed_by_its_velocities(velocity: bool, allowed: float) ->
     assert beside.max() > 2.9
     assert np.linalg.norm(found.sigma_m, axis=1).max() < 2.0
     bent = bend_of_heights(x, "h_msl_m", at(*when), 3.0)
-    bend, down = bent.metres_up, bent.speed_down_m_s
+    bend = bent.metres_up
+    down = bent.speed_down_m_s
     height = interpolate(x, "h_msl_m", at(*when), 3.0) + bend
     np.testing.assert_allclose(height, true["h_msl_m"], atol=1e-6)
     np.testing.assert_allclose(down[1:3], true["v_down_m_s"][1:3] if velocity else [-5.6, -7.2])
@@ -183,7 +188,8 @@ def rolling(seconds: np.ndarray) -> tuple[Rotation, np.ndarray]:
 
 
 def test_an_attitude_at_1_hz_follows_its_rates_and_knows_its_sigma() -> None:
-    seconds, when = np.arange(0.0, 30.0), np.arange(4.0, 26.0, 0.07)
+    seconds = np.arange(0.0, 30.0)
+    when = np.arange(4.0, 26.0, 0.07)
     true, rates = rolling(seconds)
     q = true.as_quat()
     names = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")

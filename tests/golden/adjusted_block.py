@@ -92,10 +92,19 @@ def heads(tilt_deg: float = 45.0) -> tuple[SimulatedCamera, ...]:
     """A nadir camera and four that look out to all sides."""
     sides = {"nadir": (0, 0), "left": (1, 0), "right": (-1, 0), "fore": (0, 1), "aft": (0, -1)}
     return tuple(
-        SimulatedCamera(name, 0, FOCAL_PX, 7000.0, 5300.0, (0.0,) * 5, roll * tilt_deg,
-                        (0.0,) * 3, pitch_deg=pitch * tilt_deg)
+        SimulatedCamera(
+            name,
+            0,
+            FOCAL_PX,
+            7000.0,
+            5300.0,
+            (0.0,) * 5,
+            roll * tilt_deg,
+            (0.0,) * 3,
+            pitch_deg=pitch * tilt_deg,
+        )
         for name, (roll, pitch) in sides.items()
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +138,8 @@ class Block:
 
     @property
     def _foot(self) -> tuple[np.ndarray, np.ndarray]:
-        lat, lon = self.stations.lat_rad[0], self.stations.lon_rad[0]
+        lat = self.stations.lat_rad[0]
+        lon = self.stations.lon_rad[0]
         return to_ecef(lat, lon, np.array(0.0)), enu_axes(lat, lon)
 
 
@@ -149,7 +159,8 @@ def fly_block(
     points are left out. Four lines of five span the points; with seven of eleven, heads at 45 deg
     see them from all sides.
     """
-    rng, count = np.random.default_rng(seed), lines * shots
+    rng = np.random.default_rng(seed)
+    count = lines * shots
     # 60 % forward and 30 % side overlap of 0.53 by 0.70 of the height; lines fly east and west.
     line, shot = (grid.ravel() for grid in np.mgrid[:lines, :shots])
     x, y = (
@@ -163,7 +174,8 @@ def fly_block(
     body = np.stack([body_rotation(*a).T @ NED_FROM_ENU for a in angles])
     centre, lat, lon = _places(air.latitude, x, y, h)
     many = len(cameras)
-    camera, place = np.repeat(np.arange(many), count), np.tile(np.arange(count), many)
+    camera = np.repeat(np.arange(many), count)
+    place = np.tile(np.arange(count), many)
     rotation = np.concatenate([c.from_body() @ body for c in cameras])
 
     px, py = (rng.uniform(-reach, reach, POINTS) * height for reach in (0.5, 0.85))
@@ -178,14 +190,24 @@ def fly_block(
     seen &= chance <= np.sort(chance, axis=1)[:, most - 1, None]
     kept = seen.sum(axis=1) >= FEWEST
     seen = seen[kept] & (seen[kept].sum(axis=0) > 1)
-    camera, place, rotation = camera[kept], place[kept], rotation[kept]
+    camera = camera[kept]
+    place = place[kept]
+    rotation = rotation[kept]
     unused = np.zeros(place.size)
     state = AirState(unused, unused, unused, unused, air.n(h[place]))  # the same in the cabin
     stations = TrueStations(
-        tuple(f"{cameras[c].name}_{p:02d}" for c, p in zip(camera, place, strict=True)), camera,
-        unused.astype(np.int64), centre[place], lat[place], lon[place], h[place] + UNDULATION_M,
-        rotation, np.stack([quaternion(r) for r in rotation]), state, state,
-    )  # fmt: skip
+        tuple(f"{cameras[c].name}_{p:02d}" for c, p in zip(camera, place, strict=True)),
+        camera,
+        unused.astype(np.int64),
+        centre[place],
+        lat[place],
+        lon[place],
+        h[place] + UNDULATION_M,
+        rotation,
+        np.stack([quaternion(r) for r in rotation]),
+        state,
+        state,
+    )
     station, point = np.nonzero(seen)
     rays_ = observe(air, stations, points, cameras, station=station, point=point)
     assert rays_.miss_m.max() < 1e-6
@@ -196,7 +218,8 @@ def _places(
     latitude: float, x: np.ndarray, y: np.ndarray, h_msl: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """ECEF, latitude and longitude of places about x east, y north [m] of a latitude [rad]."""
-    lat, lon = latitude + y / 6.37e6, 0.15 + x / (6.38e6 * np.cos(latitude))
+    lat = latitude + y / 6.37e6
+    lon = 0.15 + x / (6.38e6 * np.cos(latitude))
     ecef = to_ecef(lat, lon, h_msl + UNDULATION_M)
     assert np.allclose(height_and_up(ecef)[0], h_msl + UNDULATION_M, atol=1e-6)
     return ecef, lat, lon
@@ -205,18 +228,24 @@ def _places(
 def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) -> np.ndarray:
     """(n, 2) pixels that the package makes of the measured ones, or of others beside them."""
     pixels = block.measured if pixels is None else pixels
-    s, seen = block.stations, block.seen
+    s = block.stations
+    seen = block.seen
     n = profile.refractivity(s.h_msl_m)
     usable = np.ones(n.size, bool)
     exposures = Exposures(usable, s.camera_from_enu, s.lat_rad, s.h_msl_m, n, n)
-    table, found = ray_table(profile), np.empty_like(pixels)
+    table = ray_table(profile)
+    found = np.empty_like(pixels)
     for number, c in enumerate(block.cameras):
         rows = s.camera[seen.station] == number
         camera = Camera(c.width_px, c.height_px, c.focal_px, c.focal_px, c.cx_px, c.cy_px)
         done = correct_observations(
-            *pixels[rows].T.copy(), block.points.h_msl_m[seen.point[rows]],
-            seen.station[rows], exposures, camera=camera, table=table,
-        )  # fmt: skip
+            *pixels[rows].T.copy(),
+            block.points.h_msl_m[seen.point[rows]],
+            seen.station[rows],
+            exposures,
+            camera=camera,
+            table=table,
+        )
         assert not done.status.any()
         found[rows] = np.stack([done.x_corrected_px, done.y_corrected_px], axis=1)
     return found
@@ -251,14 +280,24 @@ def adjust(
     priors of 3 and 5 cm, at their true values, against 0.3 px; ``calibrate``: f, k1 and k2 of each
     camera adjusted, instead of held at the true ones or at ``interior`` of another adjustment.
     """
-    s, seen, model = block.stations, block.seen, pycolmap.Reconstruction()
+    s = block.stations
+    seen = block.seen
+    model = pycolmap.Reconstruction()
     for number, c in enumerate(block.cameras, start=1):
         params = [c.focal_px, c.cx_px, c.cy_px, 0.0, 0.0] if interior is None else interior[number]
-        model.add_camera_with_trivial_rig(pycolmap.Camera(
-            model="RADIAL", width=c.width_px, height=c.height_px, params=params, camera_id=number
-        ))  # fmt: skip
-    config, priors = pycolmap.BundleAdjustmentConfig(), []
-    centre, true = block.local(s.ecef_m), block.local(block.points.ecef_m)
+        model.add_camera_with_trivial_rig(
+            pycolmap.Camera(
+                model="RADIAL",
+                width=c.width_px,
+                height=c.height_px,
+                params=params,
+                camera_id=number,
+            )
+        )
+    config = pycolmap.BundleAdjustmentConfig()
+    priors = []
+    centre = block.local(s.ecef_m)
+    true = block.local(block.points.ecef_m)
     tracks: list[list[pycolmap.TrackElement]] = [[] for _ in true]
     for k, rotation in enumerate(block.local_rotation):
         rows = np.flatnonzero(seen.station == k)
@@ -268,11 +307,14 @@ def adjust(
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ centre[k])
         model.add_image_with_trivial_frame(image, pose)
         config.add_image(k + 1)
-        priors.append(pycolmap.PosePrior(
-            corr_data_id=image.data_id, position=centre[k],
-            position_covariance=(np.diag(GNSS_M) / SIGMA_PX) ** 2,
-            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
-        ))  # fmt: skip
+        priors.append(
+            pycolmap.PosePrior(
+                corr_data_id=image.data_id,
+                position=centre[k],
+                position_covariance=(np.diag(GNSS_M) / SIGMA_PX) ** 2,
+                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+            )
+        )
         for i, row in enumerate(rows):
             tracks[seen.point[row]].append(pycolmap.TrackElement(k + 1, i))
     ids = {
@@ -311,7 +353,8 @@ def adjust(
 
 def _control(true: np.ndarray, usable: list[int]) -> list[int]:
     """Of some points, those nearest to the nodes of a 3 x 3 grid over the block: corners first."""
-    low, high = true[:, :2].min(axis=0), true[:, :2].max(axis=0)
+    low = true[:, :2].min(axis=0)
+    high = true[:, :2].max(axis=0)
     nodes = sorted(itertools.product((0.1, 0.5, 0.9), repeat=2), key=lambda n: n.count(0.5))
     gaps = (np.linalg.norm(true[usable, :2] - low - n * (high - low), axis=1) for n in nodes)
     return list(dict.fromkeys(usable[int(np.argmin(gap))] for gap in gaps))

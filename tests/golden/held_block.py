@@ -29,9 +29,12 @@ from unbend.simulate.optics import (
     unit,
 )
 
-WIDTH, HEIGHT, FOCAL = 14_000, 10_600, 20_000.0
+WIDTH = 14_000
+HEIGHT = 10_600
+FOCAL = 20_000.0
 LENS = np.array([-0.02, 0.01, 1e-4, -1e-4, -0.002])  # OpenCV's k1, k2, p1, p2, k3
-CX, CY = 7012.4, 5291.7
+CX = 7012.4
+CY = 5291.7
 NADIR = {"nadir": (0.0, 0.0)}
 FIVE = NADIR | {
     "left": (45.0, 0.0),
@@ -39,7 +42,8 @@ FIVE = NADIR | {
     "fore": (0.0, 45.0),
     "aft": (0.0, -45.0),
 }
-LATITUDE, LONGITUDE = 0.83, 0.15
+LATITUDE = 0.83
+LONGITUDE = 0.15
 
 
 class TrueIndex:
@@ -110,17 +114,24 @@ def fly(
     """
     rng = np.random.default_rng(seed)
     line, shot = (grid.ravel() for grid in np.mgrid[0:4, 0:5])
-    east, north = 0.212 * above * (shot - 2.0), 0.49 * above * (line - 1.5)
+    east = 0.212 * above * (shot - 2.0)
+    north = 0.49 * above * (line - 1.5)
     heading = np.where(line % 2, -0.5, 0.5) * np.pi
-    image, camera, centre, rotation = [], [], [], []
+    image = []
+    camera = []
+    centre = []
+    rotation = []
     for name, mount in heads.items():
         mounted = body_rotation(*np.radians(mount), 0.0)
         for i in range(20):
             # One height away from what a head looks at that looks 45 degrees aside.
             axis = NED_FROM_ENU.T @ body_rotation(0.0, 0.0, heading[i]) @ mounted[:, 2]
-            x, y = (at + above * a / axis[2] + rng.normal(0.0, 0.01 * above)
-                    for at, a in ((east[i], axis[0]), (north[i], axis[1])))  # fmt: skip
-            lat, lon = LATITUDE + y / 6.37e6, LONGITUDE + x / (6.38e6 * np.cos(LATITUDE))
+            x, y = (
+                at + above * a / axis[2] + rng.normal(0.0, 0.01 * above)
+                for at, a in ((east[i], axis[0]), (north[i], axis[1]))
+            )
+            lat = LATITUDE + y / 6.37e6
+            lon = LONGITUDE + x / (6.38e6 * np.cos(LATITUDE))
             h = ground + UNDULATION_M + above * (1.0 + rng.normal(0.0, 0.003))
             roll, pitch = np.radians(rng.uniform(-wobble_deg, wobble_deg, 2))
             body = body_rotation(roll, pitch, heading[i]) @ mounted
@@ -129,15 +140,21 @@ def fly(
             centre.append(to_ecef(lat, lon, np.array(h)))
             rotation.append(CAMERA_FROM_BODY @ (NED_FROM_ENU.T @ body).T)
     reach = 0.5 * above
-    x, y = rng.uniform(-reach, reach, 300), rng.uniform(-1.6 * reach, 1.6 * reach, 300)
+    x = rng.uniform(-reach, reach, 300)
+    y = rng.uniform(-1.6 * reach, 1.6 * reach, 300)
     h_g = ground + rng.uniform(0.0, relief, 300)
     place = to_ecef(
         LATITUDE + y / 6.37e6, LONGITUDE + x / (6.38e6 * np.cos(LATITUDE)), h_g + UNDULATION_M
     )
     block = HeldBlock(
-        np.array(image), np.array(camera), np.array(centre), np.array(rotation),
-        np.array([f"p{i}" for i in range(300)]), place, pd.DataFrame(),
-    )  # fmt: skip
+        np.array(image),
+        np.array(camera),
+        np.array(centre),
+        np.array(rotation),
+        np.array([f"p{i}" for i in range(300)]),
+        place,
+        pd.DataFrame(),
+    )
     up = height_and_up(block.centre)[1]
     axes = enu_axes(np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0]))
     chosen = []
@@ -151,13 +168,19 @@ def fly(
         chosen += [(k, p) for p in seen]
     station, point = np.array(chosen).T
     rays = shoot(TrueIndex(), block.centre[station], place[point], UNDULATION_M)
-    apparent = np.einsum("nij,njk,nk->ni", block.camera_from_enu[station], axes[station],
-                         rays.apparent)  # fmt: skip
+    apparent = np.einsum(
+        "nij,njk,nk->ni", block.camera_from_enu[station], axes[station], rays.apparent
+    )
     pixel = distorted(apparent[:, :2] / apparent[:, 2:])
     block.rows = pd.DataFrame(
-        {"image": station, "point": point, "x_px": pixel[:, 0], "y_px": pixel[:, 1],
-         "h_g_m": h_g[point]}
-    )  # fmt: skip
+        {
+            "image": station,
+            "point": point,
+            "x_px": pixel[:, 0],
+            "y_px": pixel[:, 1],
+            "h_g_m": h_g[point],
+        }
+    )
     several = block.rows.groupby("point")["point"].transform("size") > 1
     block.rows = block.rows[several].reset_index(drop=True)
     return block
@@ -168,31 +191,46 @@ def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     height, up = height_and_up(block.centre)
     q = np.array([quaternion(matrix) for matrix in block.camera_from_enu])
-    pd.DataFrame({
-        "image": block.image, "camera": block.camera, "latitude": np.degrees(np.arcsin(up[:, 2])),
-        "longitude": np.degrees(np.arctan2(up[:, 1], up[:, 0])), "height": height,
-        **{f"q_{axis}": q[:, i] for i, axis in enumerate("wxyz")},
-    }).to_csv(folder / "block.csv", index=False)  # fmt: skip
-    rows = block.rows.assign(image=block.image[block.rows["image"]],
-                             point=block.point[block.rows["point"]])  # fmt: skip
+    pd.DataFrame(
+        {
+            "image": block.image,
+            "camera": block.camera,
+            "latitude": np.degrees(np.arcsin(up[:, 2])),
+            "longitude": np.degrees(np.arctan2(up[:, 1], up[:, 0])),
+            "height": height,
+            **{f"q_{axis}": q[:, i] for i, axis in enumerate("wxyz")},
+        }
+    ).to_csv(folder / "block.csv", index=False)
+    rows = block.rows.assign(
+        image=block.image[block.rows["image"]], point=block.point[block.rows["point"]]
+    )
     rows.to_parquet(folder / "observations.parquet")
     camera = {
-        "width_px": WIDTH, "height_px": HEIGHT, "f_px": FOCAL, "cx_px": CX, "cy_px": CY,
+        "width_px": WIDTH,
+        "height_px": HEIGHT,
+        "f_px": FOCAL,
+        "cx_px": CX,
+        "cy_px": CY,
         "distortion": dict(zip(("k1", "k2", "p1", "p2", "k3"), LENS.tolist(), strict=True)),
         "calibration": "laboratory",
-    }  # fmt: skip
+    }
     config = {
         "mission": {"name": "block", "undulation_m": UNDULATION_M},
         "observations": {"path": "observations.parquet"},
         "cameras": {name: dict(camera) for name in dict.fromkeys(block.camera.tolist())},
-        "stations": {"orientation": {
-            "path": "block.csv", "angles": "quaternion", "frame": "geographic",
-            "heights": "ellipsoid", "columns": {"camera": "camera"},
-        }},
+        "stations": {
+            "orientation": {
+                "path": "block.csv",
+                "angles": "quaternion",
+                "frame": "geographic",
+                "heights": "ellipsoid",
+                "columns": {"camera": "camera"},
+            }
+        },
         "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
         "atmosphere": {"adjust": False},
         "output": {"path": "results"},
-    } | sections  # fmt: skip
+    } | sections
     path = folder / "mission.yaml"
     path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
     return path
@@ -203,15 +241,18 @@ def intersected(block: HeldBlock, tangents: np.ndarray) -> np.ndarray:
 
     Least squares of the distances, weighted by what a pixel is worth there; poses are held.
     """
-    centre, to_camera = block.in_frame(block.centre), block.camera_from_frame
-    station, point = block.rows["image"].to_numpy(), block.rows["point"].to_numpy()
+    centre = block.in_frame(block.centre)
+    to_camera = block.camera_from_frame
+    station = block.rows["image"].to_numpy()
+    point = block.rows["point"].to_numpy()
     rays = np.column_stack([tangents, np.ones(len(tangents))])
     rays = np.einsum("rji,rj->ri", to_camera[station], rays)
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     true = block.in_frame(block.place)
     square = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     square /= np.sum((true[point] - centre[station]) ** 2, axis=1)[:, None, None]
-    normal, right = np.zeros((len(true), 3, 3)), np.zeros((len(true), 3))
+    normal = np.zeros((len(true), 3, 3))
+    right = np.zeros((len(true), 3))
     np.add.at(normal, point, square)
     np.add.at(right, point, np.einsum("rij,rj->ri", square, centre[station]))
     seen = np.unique(point)

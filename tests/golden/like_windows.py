@@ -114,11 +114,14 @@ def open_files() -> set[str]:
     return {path for path in paths if not path.endswith(" (deleted)")}
 
 
-_real_listdir, _real_open = os.listdir, open
+_real_listdir = os.listdir
+_real_open = open
 
 
 def refuse_what_an_open_file_forbids() -> None:
-    real_open, real_fsync, real_symlink = os.open, os.fsync, os.symlink
+    real_open = os.open
+    real_fsync = os.fsync
+    real_symlink = os.symlink
 
     def refuse_if_open(path: Any) -> None:
         here = os.path.abspath(os.fspath(path))

@@ -101,7 +101,8 @@ def write_source(path: Path, rows: pd.DataFrame, cameras: dict[str, list[float]]
         for one, other in combinations(places, 2):
             shared = [(k, places[other][p]) for p, k in places[one].items() if p in places[other]]
             if shared:
-                matches, verified = np.array(shared, np.uint32), pycolmap.TwoViewGeometry()
+                matches = np.array(shared, np.uint32)
+                verified = pycolmap.TwoViewGeometry()
                 verified.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
                 verified.E = verified.F = verified.H = np.diag([1.0, 2.0, 3.0])
                 verified.inlier_matches = matches
@@ -147,9 +148,14 @@ def test_colmap_maps_the_database_that_comes_out(
             xy = rows[rows["image"] == name][["x_px", "y_px"]].to_numpy("<f4").tobytes()
             database.execute("UPDATE keypoints SET data = ? WHERE image_id = ?", (xy, number))
     options = pycolmap.IncrementalPipelineOptions(
-        use_prior_position=True, extract_colors=False, multiple_models=False, random_seed=1,
-        ba_refine_focal_length=False, ba_refine_extra_params=False, min_num_matches=5,
-    )  # fmt: skip
+        use_prior_position=True,
+        extract_colors=False,
+        multiple_models=False,
+        random_seed=1,
+        ba_refine_focal_length=False,
+        ba_refine_extra_params=False,
+        min_num_matches=5,
+    )
     options.mapper.abs_pose_refine_focal_length = False
     options.mapper.abs_pose_refine_extra_params = False
     # COLMAP has thousands of keypoints in an image, the sample flight 40.

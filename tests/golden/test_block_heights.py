@@ -84,7 +84,8 @@ def test_noise_hides_what_is_left(height: float, first: tuple[Block, Profile, Pr
 
 def radial_about_the_principal_point(block: Block, shift: np.ndarray) -> np.ndarray:
     """R of the angle off the axis, towards the principal point."""
-    seen, s = block.seen, block.stations
+    seen = block.seen
+    s = block.stations
     focal = np.array([c.focal_px for c in block.cameras])[s.camera[seen.station]]
     centre = np.array([(c.cx_px, c.cy_px) for c in block.cameras])[s.camera[seen.station]]
     off = block.measured - centre

@@ -81,17 +81,24 @@ def colmap_cameras(folder: Path, work: Path) -> dict:
 
 def adjusted(block: HeldBlock, pixels: np.ndarray, cameras: dict, of_image: np.ndarray):
     """(p, 3) errors of points that pycolmap adjusts with poses and cameras held."""
-    model, config = pycolmap.Reconstruction(), pycolmap.BundleAdjustmentConfig()
+    model = pycolmap.Reconstruction()
+    config = pycolmap.BundleAdjustmentConfig()
     for camera in cameras.values():
         model.add_camera_with_trivial_rig(camera)
         config.set_constant_cam_intrinsics(camera.camera_id)
-    centre, rotation = block.in_frame(block.centre), block.camera_from_frame
-    true, station = block.in_frame(block.place), block.rows["image"].to_numpy()
+    centre = block.in_frame(block.centre)
+    rotation = block.camera_from_frame
+    true = block.in_frame(block.place)
+    station = block.rows["image"].to_numpy()
     tracks: dict[int, list] = {}
     for k in range(len(block.image)):
         rows = np.flatnonzero(station == k)
-        image = pycolmap.Image(name=block.image[k], keypoints=pixels[rows],
-                               camera_id=int(of_image[k]) + 1, image_id=k + 1)  # fmt: skip
+        image = pycolmap.Image(
+            name=block.image[k],
+            keypoints=pixels[rows],
+            camera_id=int(of_image[k]) + 1,
+            image_id=k + 1,
+        )
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation[k]), -rotation[k] @ centre[k])
         model.add_image_with_trivial_frame(image, pose)
         config.add_image(k + 1)
@@ -111,9 +118,11 @@ def calibrated(names: list[str]) -> dict:
     k1, k2, p1, p2, k3 = LENS
     params = [FOCAL, FOCAL, CX, CY, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
     return {
-        i: pycolmap.Camera(model="FULL_OPENCV", width=WIDTH, height=HEIGHT, params=params,
-                           camera_id=i) for i in range(1, len(names) + 1)
-    }  # fmt: skip
+        i: pycolmap.Camera(
+            model="FULL_OPENCV", width=WIDTH, height=HEIGHT, params=params, camera_id=i
+        )
+        for i in range(1, len(names) + 1)
+    }
 
 
 def rms_z(errors: np.ndarray) -> float:
@@ -121,18 +130,23 @@ def rms_z(errors: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("name", "least", "most"), [("nadir", 0.3, 0.05), ("five", 0.6, 0.03)])
-def test_pycolmap_finds_the_points_with_the_exported_cameras(name, least, most, request, tmp_path,
-                                                             capsys):  # fmt: skip
+def test_pycolmap_finds_the_points_with_the_exported_cameras(
+    name, least, most, request, tmp_path, capsys
+):
     """Uncorrected points, held poses: 0.35 m become 0.013 m, five heads' 0.81 m 0.017 m."""
     done: Exported = request.getfixturevalue(name)
-    block, measured = done.block, done.block.rows[["x_px", "y_px"]].to_numpy()
-    cameras, own = colmap_cameras(done.folder, tmp_path / "model"), calibrated(done.names)
+    block = done.block
+    measured = done.block.rows[["x_px", "y_px"]].to_numpy()
+    cameras = colmap_cameras(done.folder, tmp_path / "model")
+    own = calibrated(done.names)
     before = adjusted(block, measured, own, done.of_image)
     after = adjusted(block, measured, cameras, done.of_image)
     lattice = adjusted(block, done.corrected(), own, done.of_image)
     with capsys.disabled():
-        print(f"\n{name}: Z rms {rms_z(before):.4f} m, calibration {rms_z(after):.4f}, "
-              f"corrected points {rms_z(lattice):.5f}")  # fmt: skip
+        print(
+            f"\n{name}: Z rms {rms_z(before):.4f} m, calibration {rms_z(after):.4f}, "
+            f"corrected points {rms_z(lattice):.5f}"
+        )
     assert rms_z(before) > least
     assert rms_z(after) < most * rms_z(before)
     assert rms_z(lattice) < 0.001
@@ -154,8 +168,9 @@ def change_in(report: str, name: str, unit: str) -> dict[str, float]:
     return found
 
 
-@pytest.mark.parametrize(("name", "unit", "most"), [
-    ("nadir", "px", 0.05), ("nadir", "mm", 0.05), ("five", "px", 0.03)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "unit", "most"), [("nadir", "px", 0.05), ("nadir", "mm", 0.05), ("five", "px", 0.03)]
+)
 def test_a_program_that_corrects_points_finds_them_with_the_report(name, unit, most, request):
     """BINGO's, Inpho's and the USGS' way: x right, y up, what is added, and a new c."""
     done: Exported = request.getfixturevalue(name)
@@ -213,8 +228,9 @@ def test_every_file_is_the_same_camera(five):
     for line, name in zip(re.findall(r"^\d.*$", text, re.M), names, strict=True):
         _, model, width, height, *params = line.split()
         assert (model, int(width), int(height)) == ("FULL_OPENCV", WIDTH, HEIGHT)
-        camera = pycolmap.Camera(model=model, width=WIDTH, height=HEIGHT,
-                                 params=[float(p) for p in params])  # fmt: skip
+        camera = pycolmap.Camera(
+            model=model, width=WIDTH, height=HEIGHT, params=[float(p) for p in params]
+        )
         rays = np.stack([u.ravel(), v.ravel(), np.ones(9)], axis=1)
         expected = np.array([camera.img_from_cam(ray) for ray in rays]).T.reshape(2, 3, 3)
 
@@ -223,8 +239,10 @@ def test_every_file_is_the_same_camera(five):
         radial = 1 + m["k1"] * r2 + m["k2"] * r2**2 + m["k3"] * r2**3
         x = u * radial + m["p1"] * (r2 + 2 * u * u) + 2 * m["p2"] * u * v
         y = v * radial + m["p2"] * (r2 + 2 * v * v) + 2 * m["p1"] * u * v
-        metashape = (m["width"] * 0.5 + m["cx"] + x * m["f"] + x * m["b1"],
-                     m["height"] * 0.5 + m["cy"] + y * m["f"])  # fmt: skip
+        metashape = (
+            m["width"] * 0.5 + m["cx"] + x * m["f"] + x * m["b1"],
+            m["height"] * 0.5 + m["cy"] + y * m["f"],
+        )
         np.testing.assert_allclose(metashape, expected, atol=1e-7)
 
         o = models[name]
@@ -233,8 +251,10 @@ def test_every_file_is_the_same_camera(five):
         x = u * radial + 2 * o["p1"] * u * v + o["p2"] * (r2 + 2 * u * u)
         y = v * radial + o["p1"] * (r2 + 2 * v * v) + 2 * o["p2"] * u * v
         # OpenSfM: pixel = normalised * max(w, h) + (w - 1) / 2, its first pixel's centre at 0.
-        opensfm = ((o["focal_x"] * x + o["c_x"]) * WIDTH + (WIDTH - 1) / 2 + 0.5,
-                   (o["focal_y"] * y + o["c_y"]) * WIDTH + (HEIGHT - 1) / 2 + 0.5)  # fmt: skip
+        opensfm = (
+            (o["focal_x"] * x + o["c_x"]) * WIDTH + (WIDTH - 1) / 2 + 0.5,
+            (o["focal_y"] * y + o["c_y"]) * WIDTH + (HEIGHT - 1) / 2 + 0.5,
+        )
         np.testing.assert_allclose(opensfm, expected, atol=1e-7)
 
         body = (five.folder / f"{name}.yaml").read_text(encoding="utf-8")
@@ -280,15 +300,19 @@ def test_images_that_differ_are_flagged_and_refused(tmp_path, unbend):
 
 def test_each_flying_height_has_its_own(tmp_path):
     """Half of a block at 3 km, half at 6 km: two calibrations of one camera."""
-    low, high = fly(3000.0, NADIR, seed=7), fly(6000.0, NADIR, seed=8)
+    low = fly(3000.0, NADIR, seed=7)
+    high = fly(6000.0, NADIR, seed=8)
     high.image = np.array([f"high_{name}" for name in high.image])
     rows = high.rows.assign(image=high.rows["image"] + 20, point=high.rows["point"] + 300)
     both = HeldBlock(
-        *(np.concatenate([getattr(low, name), getattr(high, name)])
-          for name in ("image", "camera", "centre", "camera_from_enu")),
-        np.array([f"p{i}" for i in range(600)]), np.concatenate([low.place, high.place]),
+        *(
+            np.concatenate([getattr(low, name), getattr(high, name)])
+            for name in ("image", "camera", "centre", "camera_from_enu")
+        ),
+        np.array([f"p{i}" for i in range(600)]),
+        np.concatenate([low.place, high.place]),
         pd.concat([low.rows, rows], ignore_index=True),
-    )  # fmt: skip
+    )
     done = Exported(both, tmp_path)
     assert len(done.names) == 2
     assert (done.of_image == np.repeat([0, 1], 20)).all()
@@ -312,13 +336,19 @@ def test_a_lens_that_no_program_holds_is_written_as_near_as_it_can(nadir, tmp_pa
     path = write_mission(nadir.block, tmp_path)
     config = yaml.safe_load(path.read_text(encoding="utf-8"))
     config["cameras"]["nadir"] = {
-        "width_px": WIDTH, "height_px": HEIGHT, "calibration": "laboratory",
+        "width_px": WIDTH,
+        "height_px": HEIGHT,
+        "calibration": "laboratory",
         "metric": {
-            "focal_mm": 100.0, "pixel_um": [5.0, 5.0], "format_mm": [70.0, 53.0],
-            "origin": "image_centre", "axes": "right up", "ppa_mm": [0.062, 0.0415],
+            "focal_mm": 100.0,
+            "pixel_um": [5.0, 5.0],
+            "format_mm": [70.0, 53.0],
+            "origin": "image_centre",
+            "axes": "right up",
+            "ppa_mm": [0.062, 0.0415],
             "distortion": {"sense": "correction", "k1": -2e-8, "b2": 1.5e-5},
         },
-    }  # fmt: skip
+    }
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     run = run_mission(path).output
     ledger = export_run(run, "calibration", tmp_path / "out", {}).ledger

@@ -20,20 +20,38 @@ NADIR = """<calibration><projection>frame</projection><width>14000</width><heigh
 # OpenSfM: in units of 14000 px.
 OBLIQUE = {
     "v2 oblique": {
-        "projection_type": "brown", "width": 14000, "height": 10600,
-        "focal_x": 20000.0 / 14000.0, "focal_y": 20000.0 / 14000.0, "c_x": -10.8 / 14000.0,
-        "c_y": 8.1 / 14000.0, "k1": -0.015, "k2": 0.007, "k3": -0.001, "p1": -0.00012,
+        "projection_type": "brown",
+        "width": 14000,
+        "height": 10600,
+        "focal_x": 20000.0 / 14000.0,
+        "focal_y": 20000.0 / 14000.0,
+        "c_x": -10.8 / 14000.0,
+        "c_y": 8.1 / 14000.0,
+        "k1": -0.015,
+        "k2": 0.007,
+        "k3": -0.001,
+        "p1": -0.00012,
         "p2": 0.00008,
     },
     "v2 other": {"projection_type": "spherical", "width": 10, "height": 5},
-}  # fmt: skip
+}
 # 100 mm and pixels of 5 um; x is up and y right in the image; k in powers of mm, Brown's p.
 REPORT = {
-    "focal_mm": 100.0, "pixel_um": [5.0, 5.0], "format_mm": [70.0, 53.0], "origin": "image_centre",
-    "axes": "up right", "ppa_mm": [0.0415, 0.062],
-    "distortion": {"sense": "distortion", "k1": -0.018e-4, "k2": 0.009e-8, "k3": -0.002e-12,
-                   "p1": -0.00015e-2, "p2": -0.0001e-2},
-}  # fmt: skip
+    "focal_mm": 100.0,
+    "pixel_um": [5.0, 5.0],
+    "format_mm": [70.0, 53.0],
+    "origin": "image_centre",
+    "axes": "up right",
+    "ppa_mm": [0.0415, 0.062],
+    "distortion": {
+        "sense": "distortion",
+        "k1": -0.018e-4,
+        "k2": 0.009e-8,
+        "k3": -0.002e-12,
+        "p1": -0.00015e-2,
+        "p2": -0.0001e-2,
+    },
+}
 SAME = {"calibration": "laboratory", "window": {"cabin": "log"}}
 
 
@@ -79,13 +97,16 @@ def test_a_camera_of_a_report(tmp_path, as_it_is):
     ("change", "code", "what"),
     [
         ({"file": "gone.xml"}, "INPUT-MISSING", "cameras.nadir.file"),
-        ({"file": "nadir.xml", "width_px": 10600, "height_px": 14000}, "CAMERA-SIZE",
-         "14000 x 10600 px, but the mission file states 10600 x 14000"),
+        (
+            {"file": "nadir.xml", "width_px": 10600, "height_px": 14000},
+            "CAMERA-SIZE",
+            "14000 x 10600 px, but the mission file states 10600 x 14000",
+        ),
         ({"file": "camera_models.json"}, "CAMERA-NAME", "'v2 oblique', 'v2 other'"),
         ({"file": "camera_models.json", "camera": "v2 other"}, "IMPORT-FORMAT", "focal"),
         ({"file": "wide.txt"}, "CAMERA-FILE", "CAMERA-FIELD"),
     ],
-)  # fmt: skip
+)
 def test_files_that_do_not_fit(tmp_path, change, code, what):
     (tmp_path / "wide.txt").write_text("1 PINHOLE 14000 10600 100 100 7000 5300\n")
     cameras = with_cameras(tmp_path, nadir=change | SAME)

@@ -71,13 +71,21 @@ def test_what_us_1976_leaves():
     ("label", "page", "label_there", "columns"),
     [
         ("[US 1976]", "theory/air.md", "US 1976", (0, 1, 2)),
-        ("thermometer and barometer, climb alone", "theory/air.md",
-         "thermometer and barometer with bias", (0, 1, 2)),
-        ("thermometer and barometer, climb and descent", "theory/air.md",
-         "the same, climb and descent", (0, 1, 2)),
+        (
+            "thermometer and barometer, climb alone",
+            "theory/air.md",
+            "thermometer and barometer with bias",
+            (0, 1, 2),
+        ),
+        (
+            "thermometer and barometer, climb and descent",
+            "theory/air.md",
+            "the same, climb and descent",
+            (0, 1, 2),
+        ),
         ("[climatology]", "air/climatology.md", "`auto`", (1, 3, 4)),
     ],
-)  # fmt: skip
+)
 def test_the_errors_of_each_source_are_those_of_its_page(label, page, label_there, columns):
     there = row((DOCS / "pages" / page).read_text(encoding="utf-8"), label_there)
     expected = [there[column].removesuffix(" %") for column in columns]

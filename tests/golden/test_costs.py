@@ -337,9 +337,14 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Copy]:
         "NUMBA_CACHE_DIR": str(folder / "compiled"),
     }
     with subprocess.Popen(
-        [sys.executable, "-c", SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        encoding="utf-8", cwd=folder, env=os.environ | environment | {"PYTHONIOENCODING": "utf-8"},
-    ) as process:  # fmt: skip
+        [sys.executable, "-c", SERVER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        cwd=folder,
+        env=os.environ | environment | {"PYTHONIOENCODING": "utf-8"},
+    ) as process:
         made = Copy(folder, process)
         assert str(folder) in made.python("import unbend; print(unbend.__file__)")
         yield made

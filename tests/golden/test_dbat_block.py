@@ -124,7 +124,8 @@ def raw(block: Block) -> Project:
     for photo in report.split(" Photo ")[1:]:
         name = photo.partition(": ")[2].split()[0]
         found = re.findall(r"(?:Omega|Phi|Kappa|Xc|Yc|Zc):\s+Value: +(\S+)", photo)
-        opk, centre = np.array(found[:3], float), np.array(found[3:], float)
+        opk = np.array(found[:3], float)
+        centre = np.array(found[3:], float)
         # M = Rx Ry Rz turns a camera with y up and z back to the world.
         matrix = Rotation.from_euler("XYZ", opk, degrees=True).as_matrix()
         poses[name] = ((matrix * [1.0, -1.0, -1.0]).T, centre)
@@ -164,7 +165,8 @@ def adjust(project: Project) -> tuple[float, int, dict[str, np.ndarray]]:
     DBAT's sigmas are 0.5 px of marked points (their numbers are small) and 1 px of the others: a
     marked point is observed four times here.
     """
-    model, config = pycolmap.Reconstruction(), pycolmap.BundleAdjustmentConfig()
+    model = pycolmap.Reconstruction()
+    config = pycolmap.BundleAdjustmentConfig()
     camera = pycolmap.Camera(
         model="SIMPLE_PINHOLE", width=8858, height=12996, params=project.camera, camera_id=1
     )
@@ -261,28 +263,44 @@ def exported(project: Project, name: str, folder: Path) -> Path:
     axes = enu_axes(*PLACE)
     ecef = to_ecef(*PLACE, np.array(0.0)) + (centre - ORIGIN) @ axes
     height, up = height_and_up(ecef)
-    lat, lon = np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0])
+    lat = np.arcsin(up[:, 2])
+    lon = np.arctan2(up[:, 1], up[:, 0])
     turn = rotation @ axes @ np.swapaxes(enu_axes(lat, lon), 1, 2)
-    n, air = len(images), standard_atmosphere("us1976")
+    n = len(images)
+    air = standard_atmosphere("us1976")
     stations = replace(
         empty_stations(images, np.full(n, "aerial", object), "ok"),
-        lat_rad=lat, lon_rad=lon, h_ellipsoid_m=height, h_msl_m=height,
-        sigma_horizontal_m=np.full(n, 0.05), sigma_height_m=np.full(n, 0.05),
+        lat_rad=lat,
+        lon_rad=lon,
+        h_ellipsoid_m=height,
+        h_msl_m=height,
+        sigma_horizontal_m=np.full(n, 0.05),
+        sigma_height_m=np.full(n, 0.05),
         quaternion=Rotation.from_matrix(turn).as_quat(canonical=True, scalar_first=True),
-    )  # fmt: skip
+    )
     outside = air.refractivity(height)
     part = folder / "part.parquet"
     project.rows.assign(
-        x_corrected_px=project.rows["x_px"], y_corrected_px=project.rows["y_px"],
-        h_g_m=140.0, status="ok",
-    ).to_parquet(part)  # fmt: skip
+        x_corrected_px=project.rows["x_px"],
+        y_corrected_px=project.rows["y_px"],
+        h_g_m=140.0,
+        status="ok",
+    ).to_parquet(part)
     f, cx, cy = project.camera
     camera = ExportCamera(Camera(8858, 12996, f, f, cx, cy), False, 0.006)
     run = FinishedRun(
-        "strasbourg", stations, Exposures(np.full(n, True), turn, lat, height, outside, outside),
-        constant_series(TimedProfile(None, air), n), (rays_by(air, "spherical"),), "spherical",
-        {"aerial": camera}, lambda _: np.full(n, 140.0), COLMAP, (part,), {},
-    )  # fmt: skip
+        "strasbourg",
+        stations,
+        Exposures(np.full(n, True), turn, lat, height, outside, outside),
+        constant_series(TimedProfile(None, air), n),
+        (rays_by(air, "spherical"),),
+        "spherical",
+        {"aerial": camera},
+        lambda _: np.full(n, 140.0),
+        COLMAP,
+        (part,),
+        {},
+    )
     form = FORMATS[name]
     out = folder / f"block{form.ending}"
     if not form.ending:
@@ -310,9 +328,11 @@ def test_a_round_trip_gives_dbats_solution(
     read: Project, tmp_path: Path, name: str, within_px: float
 ) -> None:
     """Written, read again, and turned back into DBAT's frame by the places of the cameras."""
-    path, form = exported(read, name, tmp_path), block_reader(name.partition("-")[0])
+    path = exported(read, name, tmp_path)
+    form = block_reader(name.partition("-")[0])
     (make,) = form.read_cameras(path).values()
-    camera, poses = make(), read.poses
+    camera = make()
+    poses = read.poses
     if name != "colmap-database":  # which has no orientations
         images = form.read_images(path)
         order = [list(images.image).index(image) for image in poses]
@@ -349,7 +369,8 @@ def bundler_block(folder: Path) -> tuple[float, list[str], np.ndarray, np.ndarra
     numbers = np.array(" ".join(lines[2 : 2 + 5 * cameras]).split(), float).reshape(cameras, 15)
     assert np.all(numbers[:, 1:3] == 0.0)
     assert len(set(numbers[:, 0])) == 1
-    turns, moves = numbers[:, 3:12].reshape(-1, 3, 3), numbers[:, 12:]
+    turns = numbers[:, 3:12].reshape(-1, 3, 3)
+    moves = numbers[:, 12:]
     centres = -np.einsum("nji,nj->ni", turns, moves)
     names = (folder / "list.txt").read_text(encoding="ascii").split()
     rows = []
@@ -394,7 +415,8 @@ def test_bingo_gives_dbats_solution(read: Project, tmp_path: Path) -> None:
     changed = folder / "names.csv"
     given = pd.read_csv(changed, dtype=str) if changed.exists() else pd.DataFrame()
     long = {tuple(row[:2]): row[2] for row in given.itertuples(index=False)}
-    rows, image = [], None
+    rows = []
+    image = None
     for line in (folder / "image.dat").read_text(encoding="ascii").splitlines():
         if line == "-99":
             image = None
@@ -405,7 +427,8 @@ def test_bingo_gives_dbats_solution(read: Project, tmp_path: Path) -> None:
         else:
             point, x, y = line.split()
             point = long.get(("point", point), point)
-            x_px, y_px = 4429.0 + float(x) / 0.006, 6498.0 - float(y) / 0.006
+            x_px = 4429.0 + float(x) / 0.006
+            y_px = 6498.0 - float(y) / 0.006
             rows.append((image, point, x_px, y_px))
     table = pd.DataFrame(rows, columns=["image", "point", "x_px", "y_px"])
     gap = table.merge(read.rows, on=["image", "point"], suffixes=("", "_before"))

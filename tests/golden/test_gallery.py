@@ -19,7 +19,8 @@ PARTS = {"sources": {"numbers": (5,)}, "adjusted_block": {"names": ("uncorrected
 
 def same(cell: str, shown: str) -> bool:
     """Equal words, or numbers within two units of the last digit or 2 % (another processor)."""
-    found, printed = cell.replace(",", "").split(), shown.replace(",", "").split()
+    found = cell.replace(",", "").split()
+    printed = shown.replace(",", "").split()
     for a, b in zip(found, printed, strict=True):
         try:
             digits = len(b.split(".")[1]) if "." in b else 0

@@ -59,7 +59,8 @@ def like_windows(tmp_path_factory):
             timeout=600,
             check=False,
         )
-        out, err = done.stdout.decode("cp1252"), done.stderr.decode("cp1252", "replace")
+        out = done.stdout.decode("cp1252")
+        err = done.stderr.decode("cp1252", "replace")
         assert done.returncode == code, f"{done.returncode}\n{out[-3000:]}\n{err[-3000:]}"
         assert "Traceback" not in err, err
         return out

@@ -31,7 +31,8 @@ def fly(
     attitude = min(
         (c for c in open_log(path).channels if "attitude" in c.roles), key=lambda c: c.rank
     )
-    start, end = attitude.time_ns[0], attitude.time_ns[-1]
+    start = attitude.time_ns[0]
+    end = attitude.time_ns[-1]
     time_ns = np.linspace(start + 10**9, end - 10**9, 60).astype(np.int64)
     images = [f"img_{i:03d}" for i in range(60)]
     stamps = pd.to_datetime(time_ns, utc=True).strftime("%Y-%m-%dT%H:%M:%S.%fZ")

@@ -64,7 +64,8 @@ def correct_with(
 ) -> tuple[Array, Array]:
     """Distances of corrected from true points, and sizes of the true shifts [px]."""
     mission = load_mission(REPOSITORY / "configs" / "sample_bin.yaml")
-    observations, table = truth["observations"], ray_table(profile)
+    observations = truth["observations"]
+    table = ray_table(profile)
     stations = stations.reset_index(drop=True)
     outside = profile.refractivity(stations["h_msl_m"])
     inside = profile.index.refractivity(
@@ -154,7 +155,8 @@ def test_the_remaining_error_is_the_air(
     runs: dict[str, Outcome], truth: dict[str, pd.DataFrame]
 ) -> None:
     """R_c itself, without the window that hides part of it in the nadir images."""
-    found, true = read_observations(runs["bin"].output), truth["observations"]
+    found = read_observations(runs["bin"].output)
+    true = truth["observations"]
     oblique = true["image"].str.startswith("oblique").to_numpy()
     error = found["r_c_rad"][oblique] / true["r_c_rad"][oblique] - 1.0
     assert rms(error.to_numpy()) < 0.03
@@ -190,9 +192,12 @@ def test_kernel_against_the_ode_on_the_true_profile(
     table = truth["profile"]
     table = table[table["h_m"] % 50.0 == 0.0]
     air = profile_from_table(
-        table["h_m"], table["temperature_k"], table["pressure_pa"], table["vapour_pressure_pa"],
+        table["h_m"],
+        table["temperature_k"],
+        table["pressure_pa"],
+        table["vapour_pressure_pa"],
         gravity=lambert_gravity(0.83),
-    )  # fmt: skip
+    )
     breaks = air.break_heights_m
     inside = tuple(breaks[(breaks > 412.0) & (breaks < 3450.0)])
 
@@ -235,7 +240,8 @@ def test_sample_logs_are_small() -> None:
 
 def test_tables_in_memory_give_the_rows_of_the_run(runs: dict[str, Outcome]) -> None:
     """To the last bit, columns of uncertainty included: `correct` with the flight's air."""
-    run, mission = runs["bin"].output, runs["bin"].output.parent / "bin.yaml"
+    run = runs["bin"].output
+    mission = runs["bin"].output.parent / "bin.yaml"
     sections = yaml.safe_load(mission.read_text(encoding="utf-8"))
     expected = pa.concat_tables(
         pq.read_table(part) for part in sorted((run / "observations").glob("part-*.parquet"))

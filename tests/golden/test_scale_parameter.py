@@ -32,12 +32,17 @@ Array = NDArray[np.float64]
 PAGE = (REPOSITORY / "docs" / "scale_parameter.md").read_text(encoding="utf-8")
 (RECIPE,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
 
-LAT, LON, UNDULATION = np.radians(47.45), np.radians(8.68), 47.6
-F, WIDTH, HEIGHT = 20_000.0, 14_000, 10_600
+LAT = np.radians(47.45)
+LON = np.radians(8.68)
+UNDULATION = 47.6
+F = 20_000.0
+WIDTH = 14_000
+HEIGHT = 10_600
 FLYING = 6300.0
 GNSS = np.array([0.03, 0.03, 0.05])
 EDGES = np.array([-600.0, 11_000.0, 20_000.0, 32_000.0])
-TEMPERATURE, VAPOUR = np.array([292.05, 216.65, 216.65, 228.65]), np.array([0.011, 0.0, 0.0, 0.0])
+TEMPERATURE = np.array([292.05, 216.65, 216.65, 228.65])
+VAPOUR = np.array([0.011, 0.0, 0.0, 0.0])
 ORIGIN = to_ecef(np.array(LAT), np.array(LON), np.array(UNDULATION))
 AXES = enu_axes(np.array(LAT), np.array(LON))
 
@@ -51,11 +56,16 @@ def adjust(*given: Any, **more: Any) -> tuple[float, float, Array]:
 
 def air_of(state: Array) -> Profile:
     """One layer to 11 km, so that the simulator's rays meet no kink; changed by a state."""
-    standard, k = standard_atmosphere("us1976", latitude=LAT), EDGES.size
+    standard = standard_atmosphere("us1976", latitude=LAT)
+    k = EDGES.size
     layers = stack_layers(
-        EDGES, TEMPERATURE + state[:k], VAPOUR + state[k + 1 :], ("measured",) * 3,
-        anchor=(0.0, 101_325.0 * float(np.exp(state[k]))), constant=standard.constant,
-    )  # fmt: skip
+        EDGES,
+        TEMPERATURE + state[:k],
+        VAPOUR + state[k + 1 :],
+        ("measured",) * 3,
+        anchor=(0.0, 101_325.0 * float(np.exp(state[k]))),
+        constant=standard.constant,
+    )
     return replace(standard, layers=layers, name="adjusted")
 
 
@@ -96,7 +106,8 @@ class Block:
 def block_of(kind: str, rng: np.random.Generator) -> Block:
     """24 images over 100 points: two strips from either side at 75 degrees, a nadir block, or heads
     at 45 degrees from four sides."""
-    along, span = np.linspace(-8000.0, 8000.0, 8), 9000.0
+    along = np.linspace(-8000.0, 8000.0, 8)
+    span = 9000.0
     if kind == "75":
         place = [(e, n) for e in (-22_400.0, 22_400.0) for n in along]
         place += [(e, n) for n in (-22_400.0, 22_400.0) for e in along[::2]]
@@ -106,7 +117,8 @@ def block_of(kind: str, rng: np.random.Generator) -> Block:
         grid = np.linspace(-2500.0, 2500.0, 6)
         place = aim = [(e, n) for e in grid[[0, 2, 3, 5]] for n in grid]
     else:
-        span, along = 2500.0, np.linspace(-3000.0, 3000.0, 6)
+        span = 2500.0
+        along = np.linspace(-3000.0, 3000.0, 6)
         place = [(side, a) for side in (-6e3, 6e3) for a in along]
         place += [(a, side) for side in (-6e3, 6e3) for a in along]
         aim = [(0.0, 0.5 * n) if abs(e) == 6e3 else (0.5 * e, 0.0) for e, n in place]
@@ -119,7 +131,8 @@ def block_of(kind: str, rng: np.random.Generator) -> Block:
         x /= np.linalg.norm(x)
         turns.append(np.stack([x, np.cross(z, x), z]))
     point = np.column_stack([rng.uniform(-span, span, (100, 2)), rng.uniform(150.0, 450.0, 100)])
-    turn, pairs = np.array(turns), []
+    turn = np.array(turns)
+    pairs = []
     for i in range(len(centre)):
         ray = (point - centre[i]) @ turn[i].T
         x, y = (F * ray[:, :2] / ray[:, 2:]).T
@@ -134,8 +147,11 @@ def measured(
     block: Block, sigmas: float, noise_px: float, rng: np.random.Generator
 ) -> tuple[pd.DataFrame, float, AirMode]:
     """Corrected in the expected air, seen in one that many sigmas along the mode; the true s."""
-    air, i, p = expected_air(), block.image, block.seen
-    ecef, ground = block.centre @ AXES + ORIGIN, block.point @ AXES + ORIGIN
+    air = expected_air()
+    i = block.image
+    p = block.seen
+    ecef = block.centre @ AXES + ORIGIN
+    ground = block.point @ AXES + ORIGIN
     (h, up), (h_g, _) = height_and_up(ecef), height_and_up(ground)
     chord = ground[p] - ecef[i]
     zeta = np.arccos(-np.einsum("ij,ij->i", chord, up[i]) / np.linalg.norm(chord, axis=1))
@@ -149,22 +165,42 @@ def measured(
     ray = np.einsum("nij,nj->ni", block.turn[i], apparent)
     pixel = F * ray[:, :2] / ray[:, 2:] + [WIDTH / 2, HEIGHT / 2]
     pixel += noise_px * rng.standard_normal(pixel.shape)
-    lat, lon = np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0])
+    lat = np.arcsin(up[:, 2])
+    lon = np.arctan2(up[:, 1], up[:, 0])
     of_enu = block.turn @ AXES @ np.swapaxes(enu_axes(lat, lon), 1, 2)
     x, y, z, w = Rotation.from_matrix(of_enu).as_quat().T
     names = np.array([f"image{k}" for k in range(len(ecef))])
-    stations = pd.DataFrame({
-        "image": names, "lat_deg": np.degrees(lat), "lon_deg": np.degrees(lon),
-        "h_msl_m": h - UNDULATION, "q_w": w, "q_x": x, "q_y": y, "q_z": z,
-    })  # fmt: skip
-    rows = pd.DataFrame({
-        "image": names[i], "point": [f"point{k}" for k in p], "x_px": pixel[:, 0],
-        "y_px": pixel[:, 1], "h_g_m": h_g[p] - UNDULATION, "image_row": i, "point_row": p,
-    })  # fmt: skip
+    stations = pd.DataFrame(
+        {
+            "image": names,
+            "lat_deg": np.degrees(lat),
+            "lon_deg": np.degrees(lon),
+            "h_msl_m": h - UNDULATION,
+            "q_w": w,
+            "q_x": x,
+            "q_y": y,
+            "q_z": z,
+        }
+    )
+    rows = pd.DataFrame(
+        {
+            "image": names[i],
+            "point": [f"point{k}" for k in p],
+            "x_px": pixel[:, 0],
+            "y_px": pixel[:, 1],
+            "h_g_m": h_g[p] - UNDULATION,
+            "image_row": i,
+            "point_row": p,
+        }
+    )
     camera = {
-        "width_px": WIDTH, "height_px": HEIGHT, "f_px": F, "cx_px": WIDTH / 2, "cy_px": HEIGHT / 2,
+        "width_px": WIDTH,
+        "height_px": HEIGHT,
+        "f_px": F,
+        "cx_px": WIDTH / 2,
+        "cy_px": HEIGHT / 2,
         "calibration": "laboratory",
-    }  # fmt: skip
+    }
     found = correct(rows, stations, air, {"camera": camera}, mission={"undulation_m": UNDULATION})
     inside = found["status"] == "ok"
     assert inside.mean() > 0.98  # the others were displaced out of the image
@@ -191,9 +227,15 @@ def adjusted(
     centre = block.centre + (noise_px > 0) * GNSS * rng.standard_normal(block.centre.shape)
     tilted = Rotation.from_rotvec(1e-4 * rng.standard_normal(block.centre.shape)).as_matrix()
     s, sigma, _ = adjust(
-        change(rows), tilted @ block.turn, centre, start, held,
-        camera=(F, WIDTH / 2, HEIGHT / 2), prior=prior, **more,
-    )  # fmt: skip
+        change(rows),
+        tilted @ block.turn,
+        centre,
+        start,
+        held,
+        camera=(F, WIDTH / 2, HEIGHT / 2),
+        prior=prior,
+        **more,
+    )
     return s / (sigmas * prior or prior), sigma / prior, prior
 
 
@@ -223,9 +265,14 @@ def test_with_noise_within_three_sigma(seed: int) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "free", "known"),
-    [("75", False, True), ("75", True, True), ("45", True, False), ("nadir", False, False),
-     ("nadir", True, False)],
-)  # fmt: skip
+    [
+        ("75", False, True),
+        ("75", True, True),
+        ("45", True, False),
+        ("nadir", False, False),
+        ("nadir", True, False),
+    ],
+)
 def test_where_it_can_be_told(
     kind: str, free: bool, known: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,10 +13,18 @@ REAL_LOGS = Path(__file__).resolve().parents[2].parent / "shared" / "logs"
 
 # struct letters and scale of the DataFlash format letters in use here (ArduPilot LogStructure.h)
 LETTERS = {
-    "Q": ("Q", 1), "B": ("B", 1), "I": ("I", 1), "H": ("H", 1), "f": ("f", 1),
-    "N": ("16s", 1), "c": ("h", 100), "C": ("H", 100), "e": ("i", 100), "E": ("I", 100),
+    "Q": ("Q", 1),
+    "B": ("B", 1),
+    "I": ("I", 1),
+    "H": ("H", 1),
+    "f": ("f", 1),
+    "N": ("16s", 1),
+    "c": ("h", 100),
+    "C": ("H", 100),
+    "e": ("i", 100),
+    "E": ("I", 100),
     "L": ("i", 10**7),
-}  # fmt: skip
+}
 
 
 class DataFlashWriter:

@@ -9,7 +9,9 @@ from unbend.ingest.channel_builder import HEIGHT_OPTION, with_both_heights
 from unbend.messages import Ledger
 
 # The undulation at Zurich is 47.5 m: the ellipsoid lies below sea level.
-SEA_LEVEL, UNDULATION, ELLIPSOID = 552.5, 47.5, 600.0
+SEA_LEVEL = 552.5
+UNDULATION = 47.5
+ELLIPSOID = 600.0
 
 
 def channel(**columns: float) -> Channel:

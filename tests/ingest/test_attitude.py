@@ -78,10 +78,17 @@ def test_a_zero_quaternion_is_unknown() -> None:
 @pytest.mark.parametrize(
     ("flags", "from_north"),
     [  # GIMBAL_DEVICE_FLAGS: 16 yaw lock, 32 yaw in the vehicle's frame, 64 in the earth's
-        (0, False), (16, True), (32, False), (64, True), (16 | 32, False), (16 | 64, True),
-        (4 | 8, False), (4 | 8 | 16, True), (np.nan, False),
+        (0, False),
+        (16, True),
+        (32, False),
+        (64, True),
+        (16 | 32, False),
+        (16 | 64, True),
+        (4 | 8, False),
+        (4 | 8 | 16, True),
+        (np.nan, False),
     ],
-)  # fmt: skip
+)
 def test_the_yaw_of_a_gimbal_is_from_north_as_its_flags_say(flags, from_north) -> None:
     q = {f"{kind}_{axis}": np.array([0.5]) for kind in ("q", "gimbal_q") for axis in "wxyz"}
     columns = earth_frame_attitude(q | {"flags": np.array([flags], np.float64)})

@@ -20,7 +20,9 @@ class Vehicle:
     """Records every 0.2 s of boots that are (first time since boot, UTC of it, seconds long)."""
 
     def __init__(self, *boots: tuple[float, float, float]) -> None:
-        since, utc, number = [], [], []
+        since = []
+        utc = []
+        number = []
         for k, (begin, at, length) in enumerate(boots):
             run = np.arange(0.0, length, 0.2)
             since.append(begin + run)

@@ -14,7 +14,8 @@ BLOCK = 7
 
 def plainly(offset: np.ndarray) -> np.ndarray:
     """The median of `STRAY_ROWS` rows on either side, row by row; rows beyond the ends mirrored."""
-    n, half = offset.size, min(STRAY_ROWS, offset.size - 1)
+    n = offset.size
+    half = min(STRAY_ROWS, offset.size - 1)
     if half < 1:
         return offset
     rows = np.abs(np.arange(n)[:, None] + np.arange(-half, half + 1))

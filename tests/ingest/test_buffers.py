@@ -142,7 +142,8 @@ def as_a_child(what) -> int:
 def test_a_fork_while_another_thread_holds_the_lock(monkeypatch):
     """The child's copy of the lock belongs to a thread that is not there."""
     monkeypatch.setattr(memory, "PRIVATE", 0)
-    locked, go = threading.Event(), threading.Event()
+    locked = threading.Event()
+    go = threading.Event()
 
     def hold() -> None:
         with memory._ARENA.lock:
@@ -200,7 +201,8 @@ def test_arrays_in_files_begin_at_multiples_of_64_bytes(rooms, monkeypatch, dtyp
 
 def resident(array) -> int:
     """Resident bytes of the mapping that holds an array."""
-    at, found = array.ctypes.data, False
+    at = array.ctypes.data
+    found = False
     for line in Path("/proc/self/smaps").read_text().splitlines():
         if borders := re.match(r"([0-9a-f]+)-([0-9a-f]+) ", line):
             low, high = (int(border, 16) for border in borders.groups())
@@ -250,9 +252,12 @@ def test_moved_columns_keep_their_rows(rooms, monkeypatch, block, private):
     rng = np.random.default_rng(6)
     rows = rng.integers(0, 3000, 2500)
     for column in (
-        rng.normal(size=3000), rng.normal(size=(3000, 4)), rng.integers(0, 9, (3000, 2, 3), "i2"),
-        np.frombuffer(rng.bytes(9000), "S3"), rng.normal(size=6000)[::2],
-    ):  # fmt: skip
+        rng.normal(size=3000),
+        rng.normal(size=(3000, 4)),
+        rng.integers(0, 9, (3000, 2, 3), "i2"),
+        np.frombuffer(rng.bytes(9000), "S3"),
+        rng.normal(size=6000)[::2],
+    ):
         for chosen in (None, rows, rows[:1], rows[:0]):
             found = copy_rows(column, chosen)
             expected = column if chosen is None else column[chosen]

@@ -16,42 +16,65 @@ from unbend.ingest import Log, open_log
 
 DEGREE = np.pi / 180.0
 DATAFLASH_LOGS = at_hand(
-    "flight.bin", "beastayyg_sample.bin", "ardusub_small.BIN", "pymavlink_test.BIN",
-    "sitl_survey.BIN", "sitl_belowsea_2cam.BIN",
-)  # fmt: skip
+    "flight.bin",
+    "beastayyg_sample.bin",
+    "ardusub_small.BIN",
+    "pymavlink_test.BIN",
+    "sitl_survey.BIN",
+    "sitl_belowsea_2cam.BIN",
+)
 TELEMETRY_LOGS = at_hand(
-    "flight.tlog", "pymavlink_swift_flight.tlog", "ardusub_small.tlog", "sitl_survey.tlog",
+    "flight.tlog",
+    "pymavlink_swift_flight.tlog",
+    "ardusub_small.tlog",
+    "sitl_survey.tlog",
     "sitl_belowsea_2cam.tlog",
-)  # fmt: skip
+)
 
 # channel column -> what the library's field becomes, written down here once more
 HEALTH = {
-    "innovation_velocity": lambda r: r.SV, "innovation_position": lambda r: r.SP,
-    "innovation_height": lambda r: r.SH, "innovation_compass": lambda r: r.SM,
-    "filter_timeouts": lambda r: r.TS, "filter_faults": lambda r: r.FS,
+    "innovation_velocity": lambda r: r.SV,
+    "innovation_position": lambda r: r.SP,
+    "innovation_height": lambda r: r.SH,
+    "innovation_compass": lambda r: r.SM,
+    "filter_timeouts": lambda r: r.TS,
+    "filter_faults": lambda r: r.FS,
     "filter_flags": lambda r: r.SS & 0x3FF | bool(r.SS & 1 << 14) << 15 | r.SS & 1 << 18,
-}  # fmt: skip
+}
 FILTER = {
-    "v_north_m_s": lambda r: r.VN, "v_east_m_s": lambda r: r.VE, "v_down_m_s": lambda r: r.VD,
-    "north_m": lambda r: r.PN, "east_m": lambda r: r.PE, "up_m": lambda r: -r.PD,
-}  # fmt: skip
+    "v_north_m_s": lambda r: r.VN,
+    "v_east_m_s": lambda r: r.VE,
+    "v_down_m_s": lambda r: r.VD,
+    "north_m": lambda r: r.PN,
+    "east_m": lambda r: r.PE,
+    "up_m": lambda r: -r.PD,
+}
 RECEIVER = {
     "v_north_m_s": lambda r: r.Spd * np.cos(r.GCrs * DEGREE),
     "v_east_m_s": lambda r: r.Spd * np.sin(r.GCrs * DEGREE),
-    "v_down_m_s": lambda r: r.VZ, "satellites": lambda r: r.NSats, "hdop": lambda r: r.HDop,
-    "fix": lambda r: r.Status, "gps_week": lambda r: r.GWk, "gps_week_s": lambda r: r.GMS / 1000.0,
-}  # fmt: skip
+    "v_down_m_s": lambda r: r.VZ,
+    "satellites": lambda r: r.NSats,
+    "hdop": lambda r: r.HDop,
+    "fix": lambda r: r.Status,
+    "gps_week": lambda r: r.GWk,
+    "gps_week_s": lambda r: r.GMS / 1000.0,
+}
 DATAFLASH = {
-    "XKF4": HEALTH, "NKF4": HEALTH, "XKF1": FILTER, "NKF1": FILTER, "GPS": RECEIVER,
+    "XKF4": HEALTH,
+    "NKF4": HEALTH,
+    "XKF1": FILTER,
+    "NKF1": FILTER,
+    "GPS": RECEIVER,
     "IMU": {
-        "rate_x_rad_s": lambda r: r.GyrX, "rate_y_rad_s": lambda r: r.GyrY,
+        "rate_x_rad_s": lambda r: r.GyrX,
+        "rate_y_rad_s": lambda r: r.GyrY,
         "rate_z_rad_s": lambda r: r.GyrZ,
     },
     "VIBE": {
         "vibration_m_s2": lambda r: max(r.VibeX, r.VibeY, r.VibeZ),
         "clipping": lambda r: r.Clip if hasattr(r, "Clip") else r.Clip0 + r.Clip1 + r.Clip2,
     },
-}  # fmt: skip
+}
 TELEMETRY = {
     "EKF_STATUS_REPORT": {
         "innovation_velocity": lambda r: r.velocity_variance,
@@ -65,14 +88,19 @@ TELEMETRY = {
         "clipping": lambda r: r.clipping_0 + r.clipping_1 + r.clipping_2,
     },
     "LOCAL_POSITION_NED": {
-        "north_m": lambda r: r.x, "east_m": lambda r: r.y, "up_m": lambda r: -r.z,
-        "v_north_m_s": lambda r: r.vx, "v_east_m_s": lambda r: r.vy, "v_down_m_s": lambda r: r.vz,
+        "north_m": lambda r: r.x,
+        "east_m": lambda r: r.y,
+        "up_m": lambda r: -r.z,
+        "v_north_m_s": lambda r: r.vx,
+        "v_east_m_s": lambda r: r.vy,
+        "v_down_m_s": lambda r: r.vz,
     },
     "ATTITUDE": {
-        "rate_x_rad_s": lambda r: r.rollspeed, "rate_y_rad_s": lambda r: r.pitchspeed,
+        "rate_x_rad_s": lambda r: r.rollspeed,
+        "rate_y_rad_s": lambda r: r.pitchspeed,
         "rate_z_rad_s": lambda r: r.yawspeed,
     },
-}  # fmt: skip
+}
 
 
 def library_rows(path: Path, types: Iterable[str]) -> dict[str, list]:
@@ -113,7 +141,8 @@ def compare(log: Log, fields: dict[str, dict], rows: dict[str, list]) -> int:
 @pytest.mark.parametrize("name", DATAFLASH_LOGS)
 def test_evidence_of_dataflash_is_the_librarys(name: str) -> None:
     path = LOGS[name]
-    log, rows = open_log(path), library_rows(path, [*DATAFLASH, "MSG", "EV", "PARM"])
+    log = open_log(path)
+    rows = library_rows(path, [*DATAFLASH, "MSG", "EV", "PARM"])
     assert compare(log, DATAFLASH, rows) > 300
     names = {"EKF_ALT_RESET": "60", "EKF_YAW_RESET": "62", "GPS_PRIMARY_CHANGED": "67"}
     names |= {"LAND_COMPLETE": "18", "NOT_LANDED": "28"}
@@ -133,11 +162,18 @@ def test_evidence_of_telemetry_is_the_librarys(monkeypatch: pytest.MonkeyPatch, 
     path = LOGS[name]
     log = open_log(path)
     rows = library_rows(path, [*TELEMETRY, "STATUSTEXT", "PARAM_VALUE"])
-    vehicle = {message: [r for r in several if r.get_srcSystem() == 1 and r.get_srcComponent() == 1]
-               for message, several in rows.items()}  # fmt: skip
+    vehicle = {
+        message: [r for r in several if r.get_srcSystem() == 1 and r.get_srcComponent() == 1]
+        for message, several in rows.items()
+    }
     assert compare(log, TELEMETRY, vehicle) > 10_000
-    lines = [line for channel in log.channels if channel.source.message == "STATUSTEXT"
-             for row in channel.labels["text"] for line in row.split("\n")]  # fmt: skip
+    lines = [
+        line
+        for channel in log.channels
+        if channel.source.message == "STATUSTEXT"
+        for row in channel.labels["text"]
+        for line in row.split("\n")
+    ]
     assert len(lines) <= len(rows["STATUSTEXT"])
     assert "".join(sorted("".join(lines))) == "".join(
         sorted("".join(row.text.strip() for row in rows["STATUSTEXT"]))
@@ -226,7 +262,8 @@ def test_long_texts_of_telemetry_are_joined(tmp_path: Path) -> None:
 
     first = "EKF3 IMU0 stopped aiding because the receiver lost"
     assert len(first) == 50
-    sender, frames = library.MAVLink(None, 1, 1), []
+    sender = library.MAVLink(None, 1, 1)
+    frames = []
     texts = (
         (first.encode(), 7, 0),
         (b"AHRS: DCM active", 0, 0),

@@ -17,7 +17,8 @@ from unbend.ingest import Log, open_log
 
 STAMP_US = 1_700_000_000_000_000
 START_NS = STAMP_US * 1000
-LAT, LON = math.radians(47.5), math.radians(-122.25)
+LAT = math.radians(47.5)
+LON = math.radians(-122.25)
 PLACE = {"lat_rad": LAT, "lon_rad": LON}
 E7 = {"lat": 475_000_000, "lon": -1_222_500_000}
 LNG = {"lat": 475_000_000, "lng": -1_222_500_000}
@@ -28,19 +29,38 @@ MOVING = {"v_north_m_s": 1.5, "v_east_m_s": -2.75, "v_down_m_s": 0.5}
 RATES = {"rollspeed": 0.5, "pitchspeed": -0.25, "yawspeed": 0.125}
 TURNING = {"rate_x_rad_s": 0.5, "rate_y_rad_s": -0.25, "rate_z_rad_s": 0.125}
 HEALTH = {
-    "innovation_velocity": 0.25, "innovation_position": 14.5, "innovation_height": 0.5,
+    "innovation_velocity": 0.25,
+    "innovation_position": 14.5,
+    "innovation_height": 0.5,
     "innovation_compass": 0.75,
-}  # fmt: skip
+}
 
 # MAVLink: fields as sent, and columns in SI. No columns: it plays no part and is a table only.
 MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "GPS_RAW_INT": (
-        E7 | USEC
-        | {"fix_type": 3, "alt": 600_250, "alt_ellipsoid": 580_500, "h_acc": 450, "vel_acc": 120,
-           "vel": 2_000, "cog": 12_000, "eph": 121, "satellites_visible": 17},
-        PLACE | {"h_msl_m": 600.25, "h_ellipsoid_m": 580.5, "sigma_h_m": 0.45 / 2**0.5}
-        | {"sigma_speed_m_s": 0.12, "v_north_m_s": -10.0, "v_east_m_s": 10.0 * math.sqrt(3.0),
-           "hdop": 1.21, "satellites": 17.0, "fix": 3.0},
+        E7
+        | USEC
+        | {
+            "fix_type": 3,
+            "alt": 600_250,
+            "alt_ellipsoid": 580_500,
+            "h_acc": 450,
+            "vel_acc": 120,
+            "vel": 2_000,
+            "cog": 12_000,
+            "eph": 121,
+            "satellites_visible": 17,
+        },
+        PLACE
+        | {"h_msl_m": 600.25, "h_ellipsoid_m": 580.5, "sigma_h_m": 0.45 / 2**0.5}
+        | {
+            "sigma_speed_m_s": 0.12,
+            "v_north_m_s": -10.0,
+            "v_east_m_s": 10.0 * math.sqrt(3.0),
+            "hdop": 1.21,
+            "satellites": 17.0,
+            "fix": 3.0,
+        },
     ),
     "GPS2_RAW": (
         E7 | USEC | {"fix_type": 4, "alt": -428_000, "alt_ellipsoid": -400_000, "v_acc": 700},
@@ -59,21 +79,49 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
         {"north_m": 10.5, "east_m": -20.25, "up_m": 30.5} | MOVING,
     ),
     "EKF_STATUS_REPORT": (
-        {"velocity_variance": 0.25, "pos_horiz_variance": 14.5, "pos_vert_variance": 0.5,
-         "compass_variance": 0.75, "flags": 831 | 1 << 15},
-        {"innovation_velocity": 0.25, "innovation_position": 14.5, "innovation_height": 0.5,
-         "innovation_compass": 0.75, "filter_flags": float(831 | 1 << 15)},
+        {
+            "velocity_variance": 0.25,
+            "pos_horiz_variance": 14.5,
+            "pos_vert_variance": 0.5,
+            "compass_variance": 0.75,
+            "flags": 831 | 1 << 15,
+        },
+        {
+            "innovation_velocity": 0.25,
+            "innovation_position": 14.5,
+            "innovation_height": 0.5,
+            "innovation_compass": 0.75,
+            "filter_flags": float(831 | 1 << 15),
+        },
     ),
     "ESTIMATOR_STATUS": (
-        USEC | {"vel_ratio": 0.25, "pos_horiz_ratio": 14.5, "pos_vert_ratio": 0.5,
-                "mag_ratio": 0.75, "flags": 831 | 1 << 10, "pos_horiz_accuracy": 1.5},
-        {"innovation_velocity": 0.25, "innovation_position": 14.5, "innovation_height": 0.5,
-         "innovation_compass": 0.75, "filter_flags": float(831 | 1 << 15),
-         "sigma_h_m": 1.5 / 2**0.5},
+        USEC
+        | {
+            "vel_ratio": 0.25,
+            "pos_horiz_ratio": 14.5,
+            "pos_vert_ratio": 0.5,
+            "mag_ratio": 0.75,
+            "flags": 831 | 1 << 10,
+            "pos_horiz_accuracy": 1.5,
+        },
+        {
+            "innovation_velocity": 0.25,
+            "innovation_position": 14.5,
+            "innovation_height": 0.5,
+            "innovation_compass": 0.75,
+            "filter_flags": float(831 | 1 << 15),
+            "sigma_h_m": 1.5 / 2**0.5,
+        },
     ),
     "VIBRATION": (
-        USEC | {"vibration_x": 3.5, "vibration_y": 31.25, "vibration_z": 2.0, "clipping_0": 4,
-                "clipping_2": 3},
+        USEC
+        | {
+            "vibration_x": 3.5,
+            "vibration_y": 31.25,
+            "vibration_z": 2.0,
+            "clipping_0": 4,
+            "clipping_2": 3,
+        },
         {"vibration_m_s2": 31.25, "clipping": 7.0},
     ),
     "AHRS2": (
@@ -108,7 +156,8 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
         {"temperature_k": 260.65, "relative_humidity": 0.4725},
     ),
     "AIRSPEED": (
-        {"temperature": -1250, "airspeed": 41.5}, {"temperature_k": 260.65, "airspeed_m_s": 41.5}
+        {"temperature": -1250, "airspeed": 41.5},
+        {"temperature_k": 260.65, "airspeed_m_s": 41.5},
     ),
     "HIGH_LATENCY2": ({"temperature_air": -12}, {"temperature_k": 261.15}),
     "NAMED_VALUE_FLOAT": (BOOT | {"name": b"CabT", "value": 21.5}, {"value": 21.5}),
@@ -121,8 +170,7 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "TUNNEL": ({}, {}),
     "CAMERA_FEEDBACK": (
         LNG | USEC | {"img_idx": 7, "alt_msl": 600.5, "alt_rel": 30.5, "roll": 90.0},
-        PLACE
-        | {"event_index": 7.0, "h_msl_m": 600.5, "h_home_m": 30.5, "roll_rad": math.pi / 2},
+        PLACE | {"event_index": 7.0, "h_msl_m": 600.5, "h_home_m": 30.5, "roll_rad": math.pi / 2},
     ),
     "CAMERA_TRIGGER": (USEC | {"seq": 7}, {"event_index": 7.0}),
     "CAMERA_IMAGE_CAPTURED": (
@@ -135,7 +183,7 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "GIMBAL_DEVICE_ATTITUDE_STATUS": (BOOT | {"q": [0.5, 0.5, -0.5, 0.5]}, {"gimbal_q_y": -0.5}),
     "SYSTEM_TIME": ({"time_unix_usec": STAMP_US}, {}),
     "TIMESYNC": ({}, {}),
-}  # fmt: skip
+}
 
 
 def mavlink_log(path: Path, name: str, fields: dict[str, Any]) -> Log:
@@ -148,12 +196,15 @@ def mavlink_log(path: Path, name: str, fields: dict[str, Any]) -> Log:
         field: b"" if form == "char" else [0] * lengths[field] if lengths[field] else 0
         for field, form in zip(kind.fieldnames, kind.fieldtypes, strict=True)
     }
-    sender, frames = library.MAVLink(None, 1, 1), []
+    sender = library.MAVLink(None, 1, 1)
+    frames = []
     for k in range(10):
         moved = {
             field: value + k * {"time_boot_ms": 1000, "time_usec": 10**6}.get(field, 0)
-            if isinstance(value, int) else value for field, value in (blank | fields).items()
-        }  # fmt: skip
+            if isinstance(value, int)
+            else value
+            for field, value in (blank | fields).items()
+        }
         attitude = library.MAVLink_attitude_message(60_000 + 1000 * k, 0, 0, 0, 0, 0, 0)
         clock = library.MAVLink_system_time_message(STAMP_US + k * 10**6, 60_000 + 1000 * k)
         others = [clock] if name == "ATTITUDE" else [clock, attitude]
@@ -197,47 +248,102 @@ _SHOT = {
         (1, 2200, 47.5, -122.25, 600.5, 30.5, 601.0, 90.0, 0.0, 0.0),
 }  # fmt: skip
 _SHOWN = PLACE | {
-    "h_msl_m": 600.5, "h_home_m": 30.5, "h_gnss_m": 601.0, "roll_rad": math.pi / 2,
-}  # fmt: skip
+    "h_msl_m": 600.5,
+    "h_home_m": 30.5,
+    "h_gnss_m": 601.0,
+    "roll_rad": math.pi / 2,
+}
 _QUARTER = {"q_w": math.sqrt(0.5), "q_z": math.sqrt(0.5)}
 _Q = {"q_w": 0.5, "q_x": 0.5, "q_y": -0.5, "q_z": 0.5}
 _AIR = {"temperature_k": 260.65, "relative_humidity": 0.4725}
 DATAFLASH: list[tuple[str, str, tuple[float | bytes, ...], dict[str, float]]] = [
-    ("GPS2", "BIHLLe Status,GMS,GWk,Lat,Lng,Alt", (3, 1000, 2200, 47.5, -122.25, 600.5),
-     PLACE | {"h_msl_m": 600.5}),
-    ("GPS2", "BIHBcLLefff Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ",
-     (3, 1250, 2200, 9, 1.21, 47.5, -122.25, 600.5, 20.0, 120.0, -0.5),
-     PLACE | {"v_north_m_s": -10.0, "v_east_m_s": 10.0 * math.sqrt(3.0), "v_down_m_s": -0.5,
-              "fix": 3.0, "satellites": 9.0, "hdop": 1.21, "gps_week": 2200.0, "gps_week_s": 1.25}),
-    ("POS", "LLee Lat,Lng,Alt,RelHomeAlt", (47.5, -122.25, 600.5, 30.5),
-     PLACE | {"h_msl_m": 600.5, "h_home_m": 30.5}),
+    (
+        "GPS2",
+        "BIHLLe Status,GMS,GWk,Lat,Lng,Alt",
+        (3, 1000, 2200, 47.5, -122.25, 600.5),
+        PLACE | {"h_msl_m": 600.5},
+    ),
+    (
+        "GPS2",
+        "BIHBcLLefff Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ",
+        (3, 1250, 2200, 9, 1.21, 47.5, -122.25, 600.5, 20.0, 120.0, -0.5),
+        PLACE
+        | {
+            "v_north_m_s": -10.0,
+            "v_east_m_s": 10.0 * math.sqrt(3.0),
+            "v_down_m_s": -0.5,
+            "fix": 3.0,
+            "satellites": 9.0,
+            "hdop": 1.21,
+            "gps_week": 2200.0,
+            "gps_week_s": 1.25,
+        },
+    ),
+    (
+        "POS",
+        "LLee Lat,Lng,Alt,RelHomeAlt",
+        (47.5, -122.25, 600.5, 30.5),
+        PLACE | {"h_msl_m": 600.5, "h_home_m": 30.5},
+    ),
     ("POS", "LLee Lat,Lng,Alt,RelAlt", (47.5, -122.25, 600.5, 30.5), {"h_home_m": 30.5}),
     ("ATT", "ccC Roll,Pitch,Yaw", (0.0, 0.0, 90.0), _QUARTER),
-    ("AHR2", "ccCeLL Roll,Pitch,Yaw,Alt,Lat,Lng", (0.0, 0.0, 90.0, 600.25, 47.5, -122.25),
-     PLACE | {"h_msl_m": 600.25} | _QUARTER),
+    (
+        "AHR2",
+        "ccCeLL Roll,Pitch,Yaw,Alt,Lat,Lng",
+        (0.0, 0.0, 90.0, 600.25, 47.5, -122.25),
+        PLACE | {"h_msl_m": 600.25} | _QUARTER,
+    ),
     ("XKQ", "Bffff C,Q1,Q2,Q3,Q4", (0, 0.5, 0.5, -0.5, 0.5), _Q),
     ("NKQ1", "ffff Q1,Q2,Q3,Q4", (0.5, 0.5, -0.5, 0.5), _Q),
     ("XKF1", "BccC C,Roll,Pitch,Yaw", (0, 0.0, 0.0, 90.0), _QUARTER),
     ("NKF1", "ccC Roll,Pitch,Yaw", (0.0, 0.0, 90.0), _QUARTER),
-    ("NKF1", "ccCffffff Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD",
-     (0.0, 0.0, 90.0, 1.5, -2.75, 0.5, 10.5, -20.25, -30.5),
-     _QUARTER | MOVING | {"north_m": 10.5, "east_m": -20.25, "up_m": 30.5}),
+    (
+        "NKF1",
+        "ccCffffff Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD",
+        (0.0, 0.0, 90.0, 1.5, -2.75, 0.5, 10.5, -20.25, -30.5),
+        _QUARTER | MOVING | {"north_m": 10.5, "east_m": -20.25, "up_m": 30.5},
+    ),
     # solution status: attitude to predicted place, a glitch of the receiver, dead reckoning
-    ("XKF4", "BccccHBI C,SV,SP,SH,SM,FS,TS,SS",
-     (0, 0.25, 14.5, 0.5, 0.75, 2, 3, 0x33F | 1 << 13 | 1 << 14 | 1 << 16 | 1 << 18),
-     HEALTH | {"filter_flags": float(0x33F | 1 << 15 | 1 << 18), "filter_faults": 2.0,
-               "filter_timeouts": 3.0}),
-    ("NKF4", "ccccHBH SV,SP,SH,SM,FS,TS,SS", (0.25, 14.5, 0.5, 0.75, 2, 3, 0x33F),
-     HEALTH | {"filter_flags": float(0x33F)}),
+    (
+        "XKF4",
+        "BccccHBI C,SV,SP,SH,SM,FS,TS,SS",
+        (0, 0.25, 14.5, 0.5, 0.75, 2, 3, 0x33F | 1 << 13 | 1 << 14 | 1 << 16 | 1 << 18),
+        HEALTH
+        | {
+            "filter_flags": float(0x33F | 1 << 15 | 1 << 18),
+            "filter_faults": 2.0,
+            "filter_timeouts": 3.0,
+        },
+    ),
+    (
+        "NKF4",
+        "ccccHBH SV,SP,SH,SM,FS,TS,SS",
+        (0.25, 14.5, 0.5, 0.75, 2, 3, 0x33F),
+        HEALTH | {"filter_flags": float(0x33F)},
+    ),
     ("ORGN", "BLLe Type,Lat,Lng,Alt", (0, 47.5, -122.25, 600.5), PLACE | {"h_msl_m": 600.5}),
-    ("VIBE", "BfffI IMU,VibeX,VibeY,VibeZ,Clip", (0, 3.5, 31.25, 2.0, 7),
-     {"vibration_m_s2": 31.25, "clipping": 7.0}),
-    ("VIBE", "fffIII VibeX,VibeY,VibeZ,Clip0,Clip1,Clip2", (3.5, 31.25, 2.0, 4, 0, 3),
-     {"vibration_m_s2": 31.25, "clipping": 7.0}),
+    (
+        "VIBE",
+        "BfffI IMU,VibeX,VibeY,VibeZ,Clip",
+        (0, 3.5, 31.25, 2.0, 7),
+        {"vibration_m_s2": 31.25, "clipping": 7.0},
+    ),
+    (
+        "VIBE",
+        "fffIII VibeX,VibeY,VibeZ,Clip0,Clip1,Clip2",
+        (3.5, 31.25, 2.0, 4, 0, 3),
+        {"vibration_m_s2": 31.25, "clipping": 7.0},
+    ),
     ("IMU", "Bffff I,GyrX,GyrY,GyrZ,T", (0, 0.5, -0.25, 0.125, 45.0), TURNING),
-    *((name, "fc Press,Temp", (70_025.0, 45.0),
-       {"pressure_pa": 70_025.0, "board_temperature_k": 318.15})
-      for name in ("BARO", "BAR2", "BAR3")),
+    *(
+        (
+            name,
+            "fc Press,Temp",
+            (70_025.0, 45.0),
+            {"pressure_pa": 70_025.0, "board_temperature_k": 318.15},
+        )
+        for name in ("BARO", "BAR2", "BAR3")
+    ),
     ("TEMP", "Bf Instance,Temp", (2, -12.5), {"temperature_k": 260.65}),
     ("ARSP", "fc Airspeed,Temp", (41.5, -12.5), {"temperature_k": 260.65, "airspeed_m_s": 41.5}),
     ("HYGR", "Bff Id,Humidity,Temp", (1, 47.25, -12.5), _AIR),
@@ -247,14 +353,18 @@ DATAFLASH: list[tuple[str, str, tuple[float | bytes, ...], dict[str, float]]] = 
     ("MNT", "Bffff I,Roll,Pitch,YawB,YawE", (0, 0.0, 0.0, 10.0, 90.0), _QUARTER),
     ("IMU", "f T", (45.0,), {}),
     ("TSYN", "f RTT", (1.0,), {}),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("name", "form", "values", "expected"), DATAFLASH)
 def test_dataflash(
-    tmp_path: Path, dataflash_writer: Callable, name: str, form: str,
-    values: tuple[float | bytes, ...], expected: dict[str, float],
-) -> None:  # fmt: skip
+    tmp_path: Path,
+    dataflash_writer: Callable,
+    name: str,
+    form: str,
+    values: tuple[float | bytes, ...],
+    expected: dict[str, float],
+) -> None:
     writer = dataflash_writer()
     writer.define(20, "GPS", "QBIHLLe", "TimeUS,Status,GMS,GWk,Lat,Lng,Alt")
     letters, fields = form.split()
@@ -300,80 +410,202 @@ SHOT_PX4 = (
 
 ROS: list[tuple[str, str, dict[str, Any], dict[str, float]]] = [
     ("geometry_msgs/PoseStamped", HEADER + "geometry_msgs/Pose pose", {"pose": POSE}, AWAY),
-    ("nav_msgs/Odometry", HEADER + "string child\ngeometry_msgs/PoseWithCovariance pose",
-     {"child": "b", "pose": {"pose": POSE, "covariance": [0.0] * 36}}, AWAY),
-    ("sensor_msgs/Imu", HEADER + "geometry_msgs/Quaternion orientation\n"
-     "float64[9] orientation_covariance\ngeometry_msgs/Vector3 angular_velocity",
-     {"orientation": TURNED, "orientation_covariance": [0.0] * 9,
-      "angular_velocity": {"x": 0.5, "y": 0.25, "z": -0.125}}, _QUARTER | TURNING),
-    ("sensor_msgs/Image", HEADER + "uint32 height\nuint8[] data",
-     {"height": 1, "data": b"x"}, {"event_index": 9.0}),
-    ("sensor_msgs/TimeReference", HEADER + "builtin_interfaces/Time time_ref",
-     {"time_ref": {"sec": 1, "nanosec": 2}}, {}),
-    ("mavros_msgs/GPSRAW", HEADER + "uint8 fix_type\nint32 lat\nint32 lon\nint32 alt\n"
-     "uint16 eph\nuint16 vel\nuint16 cog\nuint8 satellites_visible\nint32 alt_ellipsoid\n"
-     "uint32 h_acc\nuint32 v_acc",
-     RAW_GPS | {"fix_type": 3, "h_acc": 450, "eph": 121, "vel": 2_000, "cog": 12_000,
-                "satellites_visible": 17},
-     RAW_PLACE | {"sigma_h_m": 0.45 / 2**0.5, "hdop": 1.21, "satellites": 17.0,
-                  "v_north_m_s": -10.0,
-                  "v_east_m_s": 10.0 * math.sqrt(3.0)}),
-    ("mavros_msgs/CameraImageCaptured", HEADER + "geographic_msgs/GeoPoint geo\n"
-     "float32 relative_alt\nint32 image_index\nint8 capture_result\nstring file_url",
-     {"geo": {"latitude": 47.5, "longitude": -122.25, "altitude": 600.5}, "relative_alt": 30.5,
-      "image_index": 7, "capture_result": 1, "file_url": "a.jpg"},
-     PLACE | {"h_ellipsoid_m": 600.5, "h_home_m": 30.5, "event_index": 7.0}),
-    ("mavros_msgs/CamIMUStamp", "builtin_interfaces/Time frame_stamp\nint32 frame_seq_id",
-     {"frame_seq_id": 7}, {"event_index": 7.0}),
-    ("mavros_msgs/DebugValue", HEADER + "int32 index\nstring name\nfloat32 value_float",
-     {"index": -1, "name": "CabT", "value_float": 21.5}, {"value": 21.5}),
-    ("px4_msgs/Airspeed", "uint64 timestamp\nfloat32 indicated_airspeed_m_s\n"
-     "float32 true_airspeed_m_s\nfloat32 air_temperature_celsius",
-     {"indicated_airspeed_m_s": 41.5, "true_airspeed_m_s": 48.5, "air_temperature_celsius": -12.5},
-     {"airspeed_m_s": 41.5, "temperature_k": 260.65}),
-    ("px4_msgs/VehicleAirData", "uint64 timestamp\nfloat32 baro_pressure_pa\n"
-     "float32 ambient_temperature",
-     {"baro_pressure_pa": 70_025.0, "ambient_temperature": 45.0},
-     {"pressure_pa": 70_025.0, "board_temperature_k": 318.15}),
-    ("px4_msgs/CameraCapture", SHOT_PX4 + "\nfloat32[4] q\nint8 result",
-     SHOT | {"q": [0.5, 0.5, -0.5, 0.5], "result": 1},
-     PLACE | {"event_index": 7.0, "h_msl_m": 600.5, "camera_q_y": -0.5}),
-    ("mavros_msgs/GimbalDeviceAttitudeStatus", HEADER + "uint16 flags\ngeometry_msgs/Quaternion q",
-     {"flags": 0, "q": QUARTER}, {"gimbal_q_w": 0.5, "gimbal_q_y": -0.5}),
-    ("px4_msgs/VehicleGlobalPosition", "uint64 timestamp\nfloat64 lat\nfloat64 lon\nfloat32 alt",
-     {"lat": 47.5, "lon": -122.25, "alt": 600.25}, PLACE | {"h_msl_m": 600.25}),
-    ("px4_msgs/SensorGps", "uint64 timestamp\nfloat64 latitude_deg\nfloat64 longitude_deg\n"
-     "float64 altitude_msl_m\nfloat32 s_variance_m_s\nuint8 fix_type\nfloat32 hdop\n"
-     "float32 vel_n_m_s\nfloat32 vel_e_m_s\nfloat32 vel_d_m_s\nuint8 satellites_used",
-     {"latitude_deg": 47.5, "longitude_deg": -122.25, "altitude_msl_m": 600.25,
-      "s_variance_m_s": 0.125, "fix_type": 3, "hdop": 1.25, "vel_n_m_s": 1.5, "vel_e_m_s": -2.75,
-      "vel_d_m_s": 0.5, "satellites_used": 17},
-     PLACE | MOVING | {"sigma_speed_m_s": 0.125, "hdop": 1.25, "satellites": 17.0, "fix": 3.0}),
-    ("px4_msgs/VehicleLocalPosition", "uint64 timestamp\nfloat32 x\nfloat32 y\nfloat32 z\n"
-     "float32 vx\nfloat32 vy\nfloat32 vz\nfloat32 eph\nfloat32 epv\nfloat32 evh",
-     {"x": 10.5, "y": -20.25, "z": -30.5, "vx": 1.5, "vy": -2.75, "vz": 0.5, "eph": 0.5,
-      "epv": 0.75, "evh": 0.25},
-     MOVING | {"north_m": 10.5, "east_m": -20.25, "up_m": 30.5, "sigma_h_m": 0.5 / 2**0.5,
-               "sigma_v_m": 0.75, "sigma_speed_m_s": 0.25}),
-    ("px4_msgs/VehicleAngularVelocity", "uint64 timestamp\nfloat32[3] xyz",
-     {"xyz": [0.5, -0.25, 0.125]}, TURNING),
-    ("px4_msgs/EstimatorStatus", "uint64 timestamp\nfloat32 vel_test_ratio\n"
-     "float32 pos_test_ratio\nfloat32 hgt_test_ratio\nfloat32 mag_test_ratio\n"
-     "uint16 solution_status_flags",
-     {"vel_test_ratio": 0.25, "pos_test_ratio": 14.5, "hgt_test_ratio": 0.5,
-      "mag_test_ratio": 0.75, "solution_status_flags": 0x33F | 1 << 10},
-     HEALTH | {"filter_flags": float(0x33F | 1 << 15)}),
-    ("px4_msgs/VehicleImuStatus", "uint64 timestamp\nuint32[3] accel_clipping\n"
-     "float32 accel_vibration_metric",
-     {"accel_clipping": [4, 0, 3], "accel_vibration_metric": 31.25},
-     {"vibration_m_s2": 31.25, "clipping": 7.0}),
-    ("px4_msgs/SensorBaro", "uint64 timestamp\nfloat32 pressure\nfloat32 temperature",
-     {"pressure": 70_025.0, "temperature": 45.0},
-     {"pressure_pa": 70_025.0, "board_temperature_k": 318.15}),
+    (
+        "nav_msgs/Odometry",
+        HEADER + "string child\ngeometry_msgs/PoseWithCovariance pose",
+        {"child": "b", "pose": {"pose": POSE, "covariance": [0.0] * 36}},
+        AWAY,
+    ),
+    (
+        "sensor_msgs/Imu",
+        HEADER + "geometry_msgs/Quaternion orientation\n"
+        "float64[9] orientation_covariance\ngeometry_msgs/Vector3 angular_velocity",
+        {
+            "orientation": TURNED,
+            "orientation_covariance": [0.0] * 9,
+            "angular_velocity": {"x": 0.5, "y": 0.25, "z": -0.125},
+        },
+        _QUARTER | TURNING,
+    ),
+    (
+        "sensor_msgs/Image",
+        HEADER + "uint32 height\nuint8[] data",
+        {"height": 1, "data": b"x"},
+        {"event_index": 9.0},
+    ),
+    (
+        "sensor_msgs/TimeReference",
+        HEADER + "builtin_interfaces/Time time_ref",
+        {"time_ref": {"sec": 1, "nanosec": 2}},
+        {},
+    ),
+    (
+        "mavros_msgs/GPSRAW",
+        HEADER + "uint8 fix_type\nint32 lat\nint32 lon\nint32 alt\n"
+        "uint16 eph\nuint16 vel\nuint16 cog\nuint8 satellites_visible\nint32 alt_ellipsoid\n"
+        "uint32 h_acc\nuint32 v_acc",
+        RAW_GPS
+        | {
+            "fix_type": 3,
+            "h_acc": 450,
+            "eph": 121,
+            "vel": 2_000,
+            "cog": 12_000,
+            "satellites_visible": 17,
+        },
+        RAW_PLACE
+        | {
+            "sigma_h_m": 0.45 / 2**0.5,
+            "hdop": 1.21,
+            "satellites": 17.0,
+            "v_north_m_s": -10.0,
+            "v_east_m_s": 10.0 * math.sqrt(3.0),
+        },
+    ),
+    (
+        "mavros_msgs/CameraImageCaptured",
+        HEADER + "geographic_msgs/GeoPoint geo\n"
+        "float32 relative_alt\nint32 image_index\nint8 capture_result\nstring file_url",
+        {
+            "geo": {"latitude": 47.5, "longitude": -122.25, "altitude": 600.5},
+            "relative_alt": 30.5,
+            "image_index": 7,
+            "capture_result": 1,
+            "file_url": "a.jpg",
+        },
+        PLACE | {"h_ellipsoid_m": 600.5, "h_home_m": 30.5, "event_index": 7.0},
+    ),
+    (
+        "mavros_msgs/CamIMUStamp",
+        "builtin_interfaces/Time frame_stamp\nint32 frame_seq_id",
+        {"frame_seq_id": 7},
+        {"event_index": 7.0},
+    ),
+    (
+        "mavros_msgs/DebugValue",
+        HEADER + "int32 index\nstring name\nfloat32 value_float",
+        {"index": -1, "name": "CabT", "value_float": 21.5},
+        {"value": 21.5},
+    ),
+    (
+        "px4_msgs/Airspeed",
+        "uint64 timestamp\nfloat32 indicated_airspeed_m_s\n"
+        "float32 true_airspeed_m_s\nfloat32 air_temperature_celsius",
+        {
+            "indicated_airspeed_m_s": 41.5,
+            "true_airspeed_m_s": 48.5,
+            "air_temperature_celsius": -12.5,
+        },
+        {"airspeed_m_s": 41.5, "temperature_k": 260.65},
+    ),
+    (
+        "px4_msgs/VehicleAirData",
+        "uint64 timestamp\nfloat32 baro_pressure_pa\nfloat32 ambient_temperature",
+        {"baro_pressure_pa": 70_025.0, "ambient_temperature": 45.0},
+        {"pressure_pa": 70_025.0, "board_temperature_k": 318.15},
+    ),
+    (
+        "px4_msgs/CameraCapture",
+        SHOT_PX4 + "\nfloat32[4] q\nint8 result",
+        SHOT | {"q": [0.5, 0.5, -0.5, 0.5], "result": 1},
+        PLACE | {"event_index": 7.0, "h_msl_m": 600.5, "camera_q_y": -0.5},
+    ),
+    (
+        "mavros_msgs/GimbalDeviceAttitudeStatus",
+        HEADER + "uint16 flags\ngeometry_msgs/Quaternion q",
+        {"flags": 0, "q": QUARTER},
+        {"gimbal_q_w": 0.5, "gimbal_q_y": -0.5},
+    ),
+    (
+        "px4_msgs/VehicleGlobalPosition",
+        "uint64 timestamp\nfloat64 lat\nfloat64 lon\nfloat32 alt",
+        {"lat": 47.5, "lon": -122.25, "alt": 600.25},
+        PLACE | {"h_msl_m": 600.25},
+    ),
+    (
+        "px4_msgs/SensorGps",
+        "uint64 timestamp\nfloat64 latitude_deg\nfloat64 longitude_deg\n"
+        "float64 altitude_msl_m\nfloat32 s_variance_m_s\nuint8 fix_type\nfloat32 hdop\n"
+        "float32 vel_n_m_s\nfloat32 vel_e_m_s\nfloat32 vel_d_m_s\nuint8 satellites_used",
+        {
+            "latitude_deg": 47.5,
+            "longitude_deg": -122.25,
+            "altitude_msl_m": 600.25,
+            "s_variance_m_s": 0.125,
+            "fix_type": 3,
+            "hdop": 1.25,
+            "vel_n_m_s": 1.5,
+            "vel_e_m_s": -2.75,
+            "vel_d_m_s": 0.5,
+            "satellites_used": 17,
+        },
+        PLACE | MOVING | {"sigma_speed_m_s": 0.125, "hdop": 1.25, "satellites": 17.0, "fix": 3.0},
+    ),
+    (
+        "px4_msgs/VehicleLocalPosition",
+        "uint64 timestamp\nfloat32 x\nfloat32 y\nfloat32 z\n"
+        "float32 vx\nfloat32 vy\nfloat32 vz\nfloat32 eph\nfloat32 epv\nfloat32 evh",
+        {
+            "x": 10.5,
+            "y": -20.25,
+            "z": -30.5,
+            "vx": 1.5,
+            "vy": -2.75,
+            "vz": 0.5,
+            "eph": 0.5,
+            "epv": 0.75,
+            "evh": 0.25,
+        },
+        MOVING
+        | {
+            "north_m": 10.5,
+            "east_m": -20.25,
+            "up_m": 30.5,
+            "sigma_h_m": 0.5 / 2**0.5,
+            "sigma_v_m": 0.75,
+            "sigma_speed_m_s": 0.25,
+        },
+    ),
+    (
+        "px4_msgs/VehicleAngularVelocity",
+        "uint64 timestamp\nfloat32[3] xyz",
+        {"xyz": [0.5, -0.25, 0.125]},
+        TURNING,
+    ),
+    (
+        "px4_msgs/EstimatorStatus",
+        "uint64 timestamp\nfloat32 vel_test_ratio\n"
+        "float32 pos_test_ratio\nfloat32 hgt_test_ratio\nfloat32 mag_test_ratio\n"
+        "uint16 solution_status_flags",
+        {
+            "vel_test_ratio": 0.25,
+            "pos_test_ratio": 14.5,
+            "hgt_test_ratio": 0.5,
+            "mag_test_ratio": 0.75,
+            "solution_status_flags": 0x33F | 1 << 10,
+        },
+        HEALTH | {"filter_flags": float(0x33F | 1 << 15)},
+    ),
+    (
+        "px4_msgs/VehicleImuStatus",
+        "uint64 timestamp\nuint32[3] accel_clipping\nfloat32 accel_vibration_metric",
+        {"accel_clipping": [4, 0, 3], "accel_vibration_metric": 31.25},
+        {"vibration_m_s2": 31.25, "clipping": 7.0},
+    ),
+    (
+        "px4_msgs/SensorBaro",
+        "uint64 timestamp\nfloat32 pressure\nfloat32 temperature",
+        {"pressure": 70_025.0, "temperature": 45.0},
+        {"pressure_pa": 70_025.0, "board_temperature_k": 318.15},
+    ),
     ("px4_msgs/CameraTrigger", SHOT_PX4, SHOT, PLACE | {"event_index": 7.0, "h_msl_m": 600.5}),
-    ("px4_msgs/GimbalDeviceAttitudeStatus", "uint64 timestamp\nuint16 device_flags\nfloat32[4] q",
-     {"device_flags": 0, "q": [0.5, 0.5, -0.5, 0.5]}, {"gimbal_q_y": -0.5}),
-]  # fmt: skip
+    (
+        "px4_msgs/GimbalDeviceAttitudeStatus",
+        "uint64 timestamp\nuint16 device_flags\nfloat32[4] q",
+        {"device_flags": 0, "q": [0.5, 0.5, -0.5, 0.5]},
+        {"gimbal_q_y": -0.5},
+    ),
+]
 
 
 def stamp(k: int) -> dict[str, int]:
@@ -382,7 +614,8 @@ def stamp(k: int) -> dict[str, int]:
 
 def parts_of(definition: str) -> str:
     """A definition with the definitions that it needs behind it."""
-    names, text = [definition], definition
+    names = [definition]
+    text = definition
     for name, part in PARTS.items():
         if any(name in each for each in names):
             names.append(part)
@@ -427,10 +660,8 @@ FOXGLOVE: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "PoseInFrame": ({"pose": POSE}, AWAY),
     "CompressedImage": ({"data": "eA==", "format": "jpeg"}, {"event_index": 9.0}),
     "RawImage": ({"data": "eA=="}, {"event_index": 9.0}),
-    "FrameTransform": (
-        {"translation": {"x": 1.0, "y": 2.0, "z": 3.0}, "rotation": TURNED}, AWAY
-    ),
-}  # fmt: skip
+    "FrameTransform": ({"translation": {"x": 1.0, "y": 2.0, "z": 3.0}, "rotation": TURNED}, AWAY),
+}
 
 
 @pytest.mark.parametrize("name", FOXGLOVE)

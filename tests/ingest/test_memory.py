@@ -55,12 +55,15 @@ def test_memory_is_the_columns_and_a_little(tmp_path: Path, case: str) -> None:
     assert spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
-    sample, path = ROOT / "sample_logs" / f"flight{suffix}", tmp_path / f"grown{suffix}"
+    sample = ROOT / "sample_logs" / f"flight{suffix}"
+    path = tmp_path / f"grown{suffix}"
     module.grow(sample, path, megabytes * 1_000_000)
     done = subprocess.run(
         [sys.executable, "-c", _PEAK, str(path), str(sample), case.partition(" ")[2]],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     found = json.loads(done.stdout)
     print(f"{case}: {found['more'] / MIB:.0f} MiB for {found['columns'] / MIB:.0f} MiB of columns")
     assert found["columns"] > 20 * MIB

@@ -17,7 +17,8 @@ NOW_NS = 1_700_000_000 * SECOND
 def place(t: np.ndarray) -> dict[str, np.ndarray]:
     """Circles of 200 m at 25 m/s, written down in closed form."""
     angle = t * 25.0 / 200.0
-    north, east = 200.0 * np.sin(angle), 200.0 * (1.0 - np.cos(angle)) + 3.0 * t
+    north = 200.0 * np.sin(angle)
+    east = 200.0 * (1.0 - np.cos(angle)) + 3.0 * t
     return {
         "lat_rad": np.radians(47.0) + north / 6_367_400.0,
         "lon_rad": np.radians(8.0) + east / (6_389_600.0 * np.cos(np.radians(47.0))),
@@ -35,16 +36,21 @@ def track(name: str, t: np.ndarray, at: np.ndarray, system: int | None = None) -
     )
 
 
-FUSED_AT, FIXED_AT = np.arange(0.0, 300.0, 0.1), np.arange(5.03, 290.0, 0.2)
+FUSED_AT = np.arange(0.0, 300.0, 0.1)
+FIXED_AT = np.arange(5.03, 290.0, 0.2)
 
 
 def flown(delay_s: float, **changes: object) -> Contents:
     channels = (
         track("POS", FUSED_AT, FUSED_AT),
         track("GPS[0]", FIXED_AT + delay_s, FIXED_AT),
-        Channel("CAM[0]", NOW_NS + np.array([50, 60]) * SECOND, {"event_index": np.arange(2.0)},
-                Source("CAM", "0")),
-    )  # fmt: skip
+        Channel(
+            "CAM[0]",
+            NOW_NS + np.array([50, 60]) * SECOND,
+            {"event_index": np.arange(2.0)},
+            Source("CAM", "0"),
+        ),
+    )
 
     def table(name: str, instance: str | None) -> dict[str, np.ndarray]:
         return {"time_ns": NOW_NS + np.array([50, 60]) * SECOND}
@@ -64,10 +70,13 @@ def test_the_delay_is_found_from_the_filter_that_follows_the_fixes(delay_s) -> N
 
 def test_everything_but_the_fixes_is_later_by_the_delay() -> None:
     """UTC was from the stamps of the fixes, which are later than their epoch."""
-    before, ledger = flown(0.2), Ledger()
+    before = flown(0.2)
+    ledger = Ledger()
     after = with_receiver_delay(before, ledger)
-    moved = {c.name: c.time_ns[0] - b.time_ns[0]
-             for c, b in zip(after.channels, before.channels, strict=True)}  # fmt: skip
+    moved = {
+        c.name: c.time_ns[0] - b.time_ns[0]
+        for c, b in zip(after.channels, before.channels, strict=True)
+    }
     assert moved["GPS[0]"] == 0
     assert moved["POS"] == moved["CAM[0]"] == pytest.approx(0.2 * SECOND, abs=1e-3 * SECOND)
     assert after.table is not None

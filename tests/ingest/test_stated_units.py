@@ -42,8 +42,12 @@ def logged(maps, message: str, **fields: float) -> Channel:
 )
 def test_a_bare_value_is_converted(unit: str, number: float, si: float) -> None:
     column = STATED_UNITS[unit][0]
-    role = {"pressure_pa": "cabin_pressure", "temperature_k": "temperature",
-            "relative_humidity": "humidity", "airspeed_m_s": "airspeed"}[column]  # fmt: skip
+    role = {
+        "pressure_pa": "cabin_pressure",
+        "temperature_k": "temperature",
+        "relative_humidity": "humidity",
+        "airspeed_m_s": "airspeed",
+    }[column]
     named = logged(MAVLINK, "NAMED_VALUE_FLOAT", value=number)
     assert in_stated_unit(named, role, unit)[column][0] == pytest.approx(si, rel=1e-14)
 

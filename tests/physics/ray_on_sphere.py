@@ -25,7 +25,8 @@ class RayOnSphere:
 
     def straight_cosine(self, h: float) -> float:
         """Cosine of the nadir angle at a height, of the straight line."""
-        r_c, cos_c = self.radius + self.h_c, np.cos(self.zeta_c)
+        r_c = self.radius + self.h_c
+        cos_c = np.cos(self.zeta_c)
         square = (r_c * cos_c) ** 2 - (self.h_c - h) * (r_c + self.radius + h)
         if square <= 0.0:
             degrees = np.degrees(self.zeta_c)
@@ -34,7 +35,8 @@ class RayOnSphere:
 
     def slope(self, h: float, _: Array) -> list[float]:
         """d(eps)/dh of eps = theta_ray - theta_straight."""
-        r, n = self.radius + h, self.n_of_h(h)
+        r = self.radius + h
+        n = self.n_of_h(h)
         sin_s = (self.radius + self.h_c) * np.sin(self.zeta_c) / r
         cos_s = self.straight_cosine(h)
         sin_z = sin_s * self.n_c / n
@@ -70,14 +72,17 @@ def ray_angle_sphere(
     >>> ray_angle_sphere(lambda h: 1.0003, 3000.0, 0.0, 0.8, 6371000.0)
     -0.0
     """
-    r_c, r_g, cos_c = radius + h_c, radius + h_g, np.cos(zeta_c)
+    r_c = radius + h_c
+    r_g = radius + h_g
+    cos_c = np.cos(zeta_c)
     ray = RayOnSphere(n_of_h, radius, h_c, zeta_c, n_of_h(h_c), 1.0 if cos_c >= 0.0 else -1.0)
     q = ray.straight_cosine(h_g) * r_g
     ray.slope(h_g, np.empty(0))  # a ray that never comes down to h_g is refused before any work
     distance = (h_c - h_g) * (r_c + r_g) / (r_c * cos_c + q)
     # 1e-16 rad at the camera: below the rounding of n, where smaller steps only follow noise.
     floor = 1e-16 * abs(distance) / r_g
-    low, high = min(h_c, h_g), max(h_c, h_g)
+    low = min(h_c, h_g)
+    high = max(h_c, h_g)
     inner = sorted((b for b in set(breaks) if low < b < high), reverse=bool(h_c > h_g))
     eps = 0.0
     for start, end in pairwise([h_c, *inner, h_g]):

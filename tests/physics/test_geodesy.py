@@ -34,7 +34,8 @@ def test_euler_radius_is_the_curvature_of_the_normal_section(latitude, azimuth):
         lon, lat, _ = GEOD.fwd(10.0, latitude, bearing, 2000.0)
         there = np.array(TO_ECEF.transform(lon, lat, 0.0))
         here = np.array(TO_ECEF.transform(10.0, latitude, 0.0))
-        phi, lam = math.radians(latitude), math.radians(10.0)
+        phi = math.radians(latitude)
+        lam = math.radians(10.0)
         up = [math.cos(phi) * math.cos(lam), math.cos(phi) * math.sin(lam), math.sin(phi)]
         sag.append(-np.dot(there - here, up))
     # R (1 - cos(s/R)) with s = 2 km: 0.31 m, known to 1e-9 m.
@@ -42,7 +43,8 @@ def test_euler_radius_is_the_curvature_of_the_normal_section(latitude, azimuth):
 
 
 def test_euler_radius_at_its_extremes():
-    a, e2 = 6_378_137.0, 6.694379990141e-3
+    a = 6_378_137.0
+    e2 = 6.694379990141e-3
     assert float(euler_radius(0.0, 0.0)) == pytest.approx(a * (1.0 - e2), rel=1e-14)
     assert float(euler_radius(0.0, math.pi / 2.0)) == pytest.approx(a, rel=1e-14)
     polar = a / math.sqrt(1.0 - e2)
@@ -134,7 +136,8 @@ def test_lamberts_gravity(latitude, gravity):
     assert 2.0 * found.g_phi / found.r_phi == pytest.approx(gradient, rel=1e-12)
 
 
-LATITUDES, LONGITUDES = st.floats(-1.57, 1.57), st.floats(-math.pi, math.pi)
+LATITUDES = st.floats(-1.57, 1.57)
+LONGITUDES = st.floats(-math.pi, math.pi)
 
 
 @given(LATITUDES, st.floats(0.0, 2.0 * math.pi))

@@ -41,9 +41,17 @@ def test_columns_are_one_table():
     for paper in ("gyer1996", "saastamoinen1974", "bertram1966"):
         table = tables_of(paper)
         assert list(table.columns) == [
-            "table", "quantity", "unit", "h_c_m", "h_g_m", "zeta_c_deg", "printed",
-            "as_published", "exact", "difference",
-        ]  # fmt: skip
+            "table",
+            "quantity",
+            "unit",
+            "h_c_m",
+            "h_g_m",
+            "zeta_c_deg",
+            "printed",
+            "as_published",
+            "exact",
+            "difference",
+        ]
         lengths = {column.shape for column in table.columns.values()}
         assert len(lengths) == 1
         assert np.isfinite(table.columns["printed"]).all()
@@ -118,7 +126,8 @@ def stereomodel_residuals(sign: float = 1.0) -> np.ndarray:
     14, 5, 15, 6 under the right one. Stated here: photographs of 230 mm with 60 % overlap, so 92 mm
     between the columns' ends, and rows 46 mm apart.
     """
-    f, base = 152_400.0, 92_000.0
+    f = 152_400.0
+    base = 92_000.0
     ground = np.array([(x, y, 0.0) for x in (0.0, 0.5, 1.0) for y in (1.0, 0.5, 0.0, -0.5, -1.0)])
     ground = base * ground[[0, 2, 4, 10, 12, 14, 1, 3, 5, 6, 7, 8, 9, 11, 13]]
     rays = []
@@ -136,7 +145,8 @@ def stereomodel_residuals(sign: float = 1.0) -> np.ndarray:
         right = rays[1] @ Rotation.from_rotvec(p[2:] / f).as_matrix().T
         xz = np.stack([rays[0], -right], axis=2)[:, [0, 2]]
         reach = np.linalg.solve(xz, np.tile(across[[0, 2]], (15, 1))[..., None])
-        first, second = rays[0] * reach[:, 0], across + right * reach[:, 1]
+        first = rays[0] * reach[:, 0]
+        second = across + right * reach[:, 1]
         return 0.5 * (first + second) + [0.0, 0.0, f], first[:, 1] - second[:, 1]
 
     found = least_squares(lambda p: parallax(p)[1], np.zeros(5), xtol=1e-14, ftol=1e-14, gtol=1e-14)
@@ -176,9 +186,13 @@ class TestGyer:
         ardc = standard_atmosphere("ardc1959", index="gyer")
         zeta = np.radians(table["zeta_c_deg"])
         r_c, status = bend(
-            rays_by(ardc, "gyer1996"), table["h_c_m"], table["h_g_m"], np.sin(zeta), np.cos(zeta),
+            rays_by(ardc, "gyer1996"),
+            table["h_c_m"],
+            table["h_g_m"],
+            np.sin(zeta),
+            np.cos(zeta),
             radius=6_378_000.0,
-        )  # fmt: skip
+        )
         assert not status.any()
         same, _, worst = agreement(r_c / ARCSEC, table["printed"])
         assert (same, worst) == (347, 0.0151)
@@ -236,9 +250,14 @@ def error(table: str, quantity: str) -> np.ndarray:
 class TestSaastamoinen:
     @pytest.mark.parametrize(
         ("quantity", "printed", "within"),
-        [("n_H - 1", 150, 1), ("n_A - 1", 212, 1), ("R", 59, 1), ("Delta R", -62, 1),
-         ("R + Delta R", -3, 1)],
-    )  # fmt: skip
+        [
+            ("n_H - 1", 150, 1),
+            ("n_A - 1", 212, 1),
+            ("R", 59, 1),
+            ("Delta R", -62, 1),
+            ("R + Delta R", -3, 1),
+        ],
+    )
     def test_the_worked_example(self, quantity, printed, within):
         row = rows("saastamoinen1974", "p. 300", quantity)
         assert row["printed"].item() == printed
@@ -261,7 +280,8 @@ class TestSaastamoinen:
         """All 45 within a micrometre of what is printed; 38 would be without refraction."""
         found = stereomodel_residuals()
         assert np.count_nonzero(np.abs(found.round() - STEREOMODEL_UM) <= 1.0) == 45
-        z, printed = found[:, 2], STEREOMODEL_UM[:, 2]
+        z = found[:, 2]
+        printed = STEREOMODEL_UM[:, 2]
         assert (np.sign(z) == np.sign(printed))[printed != 0].all()
         assert np.corrcoef(z, printed)[0, 1] > 0.85
         assert np.std(z) == pytest.approx(np.std(printed), rel=0.15)

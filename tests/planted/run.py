@@ -80,8 +80,10 @@ class Copy:
         self.root = parent / "repository"
         listed = subprocess.run(
             ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-            cwd=ROOT, check=True, capture_output=True,
-        ).stdout.decode()  # fmt: skip
+            cwd=ROOT,
+            check=True,
+            capture_output=True,
+        ).stdout.decode()
         for name in sorted(set(listed.split("\0")) - {""}):
             if (ROOT / name).is_file():
                 (self.root / name).parent.mkdir(parents=True, exist_ok=True)
@@ -106,9 +108,15 @@ class Copy:
         started = time.monotonic()
         process = subprocess.Popen(
             [*command, "--basetemp", str(scratch / "pytest"), *tests],
-            cwd=self.root, env=environment, text=True, errors="replace", start_new_session=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+            cwd=self.root,
+            env=environment,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
         try:
             text, _ = process.communicate(timeout=limit_s)
         except subprocess.TimeoutExpired:
@@ -271,11 +279,17 @@ def main() -> None:
                     ended = results[number] = copy.try_bug(bug, limit)
                 finally:
                     copies.put(copy)
-                outcome = {True: f"noticed by {ended.by}", False: "NOT NOTICED",
-                           None: f"NOT RUN: {ended.by}"}[ended.noticed]  # fmt: skip
+                outcome = {
+                    True: f"noticed by {ended.by}",
+                    False: "NOT NOTICED",
+                    None: f"NOT RUN: {ended.by}",
+                }[ended.noticed]
                 with printing:
-                    print(f"{bug.room} {bug.index}: {bug.file}: {bug.what}: {outcome}"
-                          f" ({ended.seconds:.0f} s)", flush=True)  # fmt: skip
+                    print(
+                        f"{bug.room} {bug.index}: {bug.file}: {bug.what}: {outcome}"
+                        f" ({ended.seconds:.0f} s)",
+                        flush=True,
+                    )
 
             list(workers.map(work, range(len(bugs))))
     ended_bugs = [(bugs[number], results[number]) for number in sorted(results)]

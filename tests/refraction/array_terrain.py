@@ -22,11 +22,14 @@ class ArrayTerrain:
         self.first = first
         shape = -(-heights.shape[0] // TILE), -(-(around or heights.shape[1]) // TILE)
         self.grid = TerrainGrid(
-            np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32),
-            np.full(shape, -1, np.int32), np.empty((slots, TILE + 1, TILE + 1), np.float32),
+            np.full(shape, np.nan, np.float32),
+            np.full(shape, np.nan, np.float32),
+            np.full(shape, -1, np.int32),
+            np.empty((slots, TILE + 1, TILE + 1), np.float32),
             np.empty((slots, TILE // BLOCK, TILE // BLOCK), np.float32),
-            np.empty((slots, TILE // BLOCK, TILE // BLOCK), np.float32), around,
-        )  # fmt: skip
+            np.empty((slots, TILE // BLOCK, TILE // BLOCK), np.float32),
+            around,
+        )
         self.next, self.loads = 0, 0
 
     def nodes(self, lat, lon):

@@ -16,15 +16,19 @@ RADIUS = 6_371_000
 
 def us1976_gyer(h: mp.mpf) -> mp.mpf:
     """n - 1 of US 1976 up to 32 km' by Gyer's Eq. 13, from the constants of the definitions."""
-    r0, gmr = mp.mpf(6_356_766), mp.mpf("9.80665") * mp.mpf("28.9644") / mp.mpf("8314.32")
+    r0 = mp.mpf(6_356_766)
+    gmr = mp.mpf("9.80665") * mp.mpf("28.9644") / mp.mpf("8314.32")
     H = r0 * h / (r0 + h)
-    cold, t0, lapse = mp.mpf("216.65"), mp.mpf("288.15"), mp.mpf("0.0065")
+    cold = mp.mpf("216.65")
+    t0 = mp.mpf("288.15")
+    lapse = mp.mpf("0.0065")
     at_11 = mp.mpf("1013.25") * (cold / t0) ** (gmr / lapse)
     if H <= 11_000:
         t = t0 - lapse * H
         p = mp.mpf("1013.25") * (t / t0) ** (gmr / lapse)
     elif H <= 20_000:
-        t, p = cold, at_11 * mp.exp(-gmr * (H - 11_000) / cold)
+        t = cold
+        p = at_11 * mp.exp(-gmr * (H - 11_000) / cold)
     else:
         at_20 = at_11 * mp.exp(-gmr * 9_000 / cold)
         t = cold + (H - 20_000) / 1000
@@ -68,7 +72,8 @@ class Truth:
 
     def chord(self, h_c: float, h_g: float, zeta: mp.mpf, theta: mp.mpf) -> float:
         """R_c [arcsec] from the subtended angle, Eq. 10: the direction of the chord."""
-        r_c, r_g = RADIUS + mp.mpf(h_c), RADIUS + mp.mpf(h_g)
+        r_c = RADIUS + mp.mpf(h_c)
+        r_g = RADIUS + mp.mpf(h_g)
         straight = mp.atan2(r_g * mp.sin(theta), r_c - r_g * mp.cos(theta))
         return float((zeta - straight) * 648_000 / mp.pi)
 

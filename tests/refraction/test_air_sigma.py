@@ -30,7 +30,8 @@ NARROW = Camera(200, 200, 50_000.0, 50_000.0, 100.0, 100.0)
 def tabulated(profile, covariance, h_c, h_g, zeta, ground=(-600.0, 10_000.0)):
     """sigma_R and |dR/dzeta| of rays along the axes of cameras, as corrections have them."""
     n = h_c.size
-    sine, cosine = np.sin(zeta), np.cos(zeta)
+    sine = np.sin(zeta)
+    cosine = np.cos(zeta)
     rotation = np.zeros((n, 3, 3))  # x right to the east, y down in the image, looking north
     rotation[:, 0, 0] = 1.0
     rotation[:, 1, 1], rotation[:, 1, 2] = -cosine, -sine
@@ -47,9 +48,15 @@ def tabulated(profile, covariance, h_c, h_g, zeta, ground=(-600.0, 10_000.0)):
     )
     centre = np.full(n, 100.0)
     sigmas = correct_observations(
-        centre, centre, h_g, np.arange(n), exposures, camera=NARROW, table=ray_table(profile),
+        centre,
+        centre,
+        h_g,
+        np.arange(n),
+        exposures,
+        camera=NARROW,
+        table=ray_table(profile),
         uncertainty=uncertainty,
-    ).sigmas  # fmt: skip
+    ).sigmas
     slope = sigmas.station_dy_px.astype(float) / NARROW.fy_px / 1e-4
     return sigmas.r_c_rad, slope, uncertainty.tables
 
@@ -102,10 +109,12 @@ def test_sigma_is_the_spread_of_drawn_airs(airs):
     zeta = np.radians([45.0, 60.0, 80.0, 5.0])
     sigma, _, _ = tabulated(profile, covariance, h_c, h_g, zeta)
     rng = np.random.default_rng(11)
-    drawn = np.array([
-        bend(ray_table(airs.drawn(rng)), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=RADIUS)[0]
-        for _ in range(600)
-    ])  # fmt: skip
+    drawn = np.array(
+        [
+            bend(ray_table(airs.drawn(rng)), h_c, h_g, np.sin(zeta), np.cos(zeta), radius=RADIUS)[0]
+            for _ in range(600)
+        ]
+    )
     # A standard deviation of 600 draws is good to 2.9 %.
     np.testing.assert_allclose(drawn.std(axis=0), sigma, rtol=0.09)
 
@@ -124,7 +133,8 @@ def open_rays(h_c, zeta) -> WindowRays:
 def test_errors_of_one_flight_are_one_scale_factor(airs):
     profile, covariance = airs.air()
     n = 50
-    h_c, h_g = np.full(n, 2700.0), np.full(n, 200.0)
+    h_c = np.full(n, 2700.0)
+    h_g = np.full(n, 200.0)
     zeta = np.radians(np.linspace(5.0, 60.0, n))
     mode = leading_mode(profile, covariance, open_rays(h_c, zeta), h_g)
     assert 0.9999 < mode.variance_share <= 1.0 + 1e-12
@@ -136,10 +146,12 @@ def test_errors_of_one_flight_are_one_scale_factor(airs):
 def test_the_mode_of_rays_that_disagree(airs):
     """Half a way down, and up at the inversion: eigenvectors of the covariance of R."""
     profile, covariance = airs.air()
-    h_c, h_g = np.array([2700.0, 2700.0, 2900.0, 1700.0]), np.array([200.0, 2500.0, 0.0, 1400.0])
+    h_c = np.array([2700.0, 2700.0, 2900.0, 1700.0])
+    h_g = np.array([200.0, 2500.0, 0.0, 1400.0])
     zeta = np.radians([45.0, 70.0, 20.0, 75.0])
     found = sensitivity(profile, h_c, h_g, zeta, RADIUS, anchor_height_m=covariance.anchor_height_m)
-    g, r = found.gradient, found.r_c
+    g = found.gradient
+    r = found.r_c
     errors = g @ covariance.matrix @ g.T
     value, vector = np.linalg.eigh(errors)
     mode = leading_mode(profile, covariance, open_rays(h_c, zeta), h_g, radius=RADIUS)
@@ -166,7 +178,8 @@ def test_no_ray_no_mode(airs):
 def test_where_there_is_no_sigma(airs):
     """Nearly level at the ground, and above the camera."""
     profile, covariance = airs.air()
-    h_c, h_g = np.full(3, 2650.0), np.array([0.0, 2800.0, 100.0])
+    h_c = np.full(3, 2650.0)
+    h_g = np.array([0.0, 2800.0, 100.0])
     zeta = np.radians([88.3, 95.0, 60.0])
     sigma, slope, _ = tabulated(profile, covariance, h_c, h_g, zeta)
     assert np.isnan(sigma).tolist() == np.isnan(slope).tolist() == [True, True, False]

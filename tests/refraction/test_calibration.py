@@ -37,16 +37,28 @@ def test_sound_cameras_pass(camera):
         (Camera(4000, 3000, 35.0, 35.0, 2000.0, 1500.0), "CAMERA-FIELD", "178 degrees"),
         (Camera(4000, 3000, 35.0, 35.0, 2000.0, 1500.0, OpenCVFisheye()), "CAMERA-FIELD", "6548"),
         # r - r^3 / 3 turns at r = 1, 45 degrees, where the image reaches 0.67: r_d = 0.73.
-        (Camera(4000, 3000, 3000.0, 3000.0, 2000.0, 1500.0, BrownConrady(k1=-1.0 / 3.0)),
-         "CAMERA-TURNS", "45.0 degrees"),
-        (Camera(4000, 3000, 3000.0, 3000.0, 2000.0, 1500.0, BrownConrady(p1=0.3)),
-         "CAMERA-TURNS", "off the axis"),
-        (Camera(4000, 3000, 1700.0, 1700.0, 2000.0, 1500.0, OpenCVFisheye(k1=-1.0 / 3.0)),
-         "CAMERA-TURNS", "57.3 degrees"),
-        (Camera(4000, 3000, 3000.0, 3000.0, 2000.0, 1500.0, GeneralFrame(k1=-0.5, sense=-1.0)),
-         "CAMERA-TURNS", "30 %"),
+        (
+            Camera(4000, 3000, 3000.0, 3000.0, 2000.0, 1500.0, BrownConrady(k1=-1.0 / 3.0)),
+            "CAMERA-TURNS",
+            "45.0 degrees",
+        ),
+        (
+            Camera(4000, 3000, 3000.0, 3000.0, 2000.0, 1500.0, BrownConrady(p1=0.3)),
+            "CAMERA-TURNS",
+            "off the axis",
+        ),
+        (
+            Camera(4000, 3000, 1700.0, 1700.0, 2000.0, 1500.0, OpenCVFisheye(k1=-1.0 / 3.0)),
+            "CAMERA-TURNS",
+            "57.3 degrees",
+        ),
+        (
+            Camera(4000, 3000, 3000.0, 3000.0, 2000.0, 1500.0, GeneralFrame(k1=-0.5, sense=-1.0)),
+            "CAMERA-TURNS",
+            "30 %",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused(camera, code, what):
     with pytest.raises(PhysicsError, match=what) as refused:
         refuse_impossible(camera)

@@ -11,18 +11,27 @@ from unbend.refraction import BrownConrady, Camera
 from unbend.refraction.camera.brown_conrady import distort, slopes
 from unbend.simulate.optics import SimulatedCamera
 
-WIDTH, HEIGHT, FOCAL = 14_000, 10_600, 11_000.0
+WIDTH = 14_000
+HEIGHT = 10_600
+FOCAL = 11_000.0
 
 cameras = st.builds(
     Camera,
-    st.just(WIDTH), st.just(HEIGHT), st.floats(8_000.0, 30_000.0), st.floats(8_000.0, 30_000.0),
-    st.floats(6_800.0, 7_200.0), st.floats(5_100.0, 5_500.0),
+    st.just(WIDTH),
+    st.just(HEIGHT),
+    st.floats(8_000.0, 30_000.0),
+    st.floats(8_000.0, 30_000.0),
+    st.floats(6_800.0, 7_200.0),
+    st.floats(5_100.0, 5_500.0),
     st.builds(
         BrownConrady,
-        k1=st.floats(-0.15, 0.15), k2=st.floats(-0.03, 0.03), k3=st.floats(-0.01, 0.01),
-        p1=st.floats(-2e-3, 2e-3), p2=st.floats(-2e-3, 2e-3),
+        k1=st.floats(-0.15, 0.15),
+        k2=st.floats(-0.03, 0.03),
+        k3=st.floats(-0.01, 0.01),
+        p1=st.floats(-2e-3, 2e-3),
+        p2=st.floats(-2e-3, 2e-3),
     ),
-)  # fmt: skip
+)
 
 
 @settings(max_examples=100, deadline=None)
@@ -38,9 +47,14 @@ def test_there_and_back(camera, pixels):
 
 def test_a_moderate_lens_covers_its_whole_image():
     camera = Camera(
-        WIDTH, HEIGHT, FOCAL, FOCAL, 7012.4, 5291.7,
+        WIDTH,
+        HEIGHT,
+        FOCAL,
+        FOCAL,
+        7012.4,
+        5291.7,
         distortion=BrownConrady(k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4),
-    )  # fmt: skip
+    )
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, WIDTH, 29), np.linspace(0, HEIGHT, 23)))
     u, v, covered = camera.rays(x, y)
     assert covered.all()

@@ -48,8 +48,10 @@ def test_a_model_is_colmaps(name, parameters, theirs):
 def test_a_fisheye_to_85_degrees():
     camera, reference = both(*CASES[2])
     theta, azimuth = np.meshgrid(np.radians(np.linspace(0.0, 85.0, 86)), np.linspace(0, 6.2, 32))
-    u, v = np.tan(theta) * np.cos(azimuth), np.tan(theta) * np.sin(azimuth)
-    u, v = u.ravel(), v.ravel()
+    u = np.tan(theta) * np.cos(azimuth)
+    v = np.tan(theta) * np.sin(azimuth)
+    u = u.ravel()
+    v = v.ravel()
     there = reference.img_from_cam(np.stack([u, v, np.ones_like(u)], axis=1))
     x, y = camera.project(u, v)
     np.testing.assert_allclose(np.stack([x, y], axis=1), there, rtol=0.0, atol=1e-9)
@@ -67,9 +69,16 @@ def test_a_fisheye_to_85_degrees():
 
 # Every coefficient of a calibration report; a correction, which is inverted, has no denominator.
 REPORT = {
-    "k0": 0.01, "k1": 0.02, "k2": -0.015, "k3": 0.006, "k4": 0.003, "px": 3e-4, "py": -5e-4,
-    "offset_u": 0.002, "offset_v": -0.003,
-}  # fmt: skip
+    "k0": 0.01,
+    "k1": 0.02,
+    "k2": -0.015,
+    "k3": 0.006,
+    "k4": 0.003,
+    "px": 3e-4,
+    "py": -5e-4,
+    "offset_u": 0.002,
+    "offset_v": -0.003,
+}
 
 
 @pytest.mark.parametrize(
@@ -82,7 +91,8 @@ REPORT = {
 )
 def test_slopes_are_the_derivatives(parameters):
     model = next(m for m in DISTORTION_MODELS.values() if m.Parameters is type(parameters))
-    rng, step = np.random.default_rng(4), 1e-6
+    rng = np.random.default_rng(4)
+    step = 1e-6
     u, v = rng.uniform(-0.9, 0.9, (2, 200))
     by_u = np.subtract(
         model.distort(u + step, v, parameters), model.distort(u - step, v, parameters)
@@ -96,8 +106,9 @@ def test_slopes_are_the_derivatives(parameters):
 
 
 def test_the_axis_of_a_fisheye_is_no_special_place():
-    assert [float(c) for c in DISTORTION_MODELS["opencv_fisheye"].distort(0.0, 0.0, CASES[2][1])] \
-        == [0.0, 0.0]  # fmt: skip
+    assert [
+        float(c) for c in DISTORTION_MODELS["opencv_fisheye"].distort(0.0, 0.0, CASES[2][1])
+    ] == [0.0, 0.0]
     slopes = DISTORTION_MODELS["opencv_fisheye"].slopes(0.0, 0.0, CASES[2][1])
     assert [float(s) for s in slopes] == [1.0, 0.0, 1.0]
 
@@ -113,7 +124,8 @@ def test_the_axis_of_a_fisheye_is_no_special_place():
 def test_a_distortion_that_turns_back_ends_there(parameters, degrees):
     camera = Camera(4000, 3000, *FRAME, parameters)
     assert np.degrees(np.arctan(camera.largest_radius)) == pytest.approx(degrees, abs=1e-9)
-    x, y = np.linspace(0.0, 4000.0, 400), np.full(400, 1490.0)
+    x = np.linspace(0.0, 4000.0, 400)
+    y = np.full(400, 1490.0)
     u, v, covered = camera.rays(x, y)
     assert np.hypot(u, v)[covered].max() <= camera.largest_radius
 

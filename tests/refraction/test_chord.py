@@ -40,7 +40,9 @@ def heights(h_c, degrees, distance, table=TABLE):
 def chord_of(truth, h_c, h, degrees, beyond=False) -> float:
     """Straight distance [m] to where a ray has height h, with 30 digits (Gyer 1996, Eq. 12)."""
     with mp.workdps(30):
-        h_c, h, zeta = mp.mpf(h_c), mp.mpf(h), mp.mpf(float(np.radians(degrees)))
+        h_c = mp.mpf(h_c)
+        h = mp.mpf(h)
+        zeta = mp.mpf(float(np.radians(degrees)))
         low, high = sorted((h_c, h))
         if not beyond:
             theta = truth.subtended(float(h_c), low, high, zeta, degrees > 88)
@@ -96,7 +98,8 @@ def test_far_beyond_it_the_ray_rises_over_the_camera(truth, h):
 
 def test_the_angle_at_that_height_gives_the_distance_back():
     rng = np.random.default_rng(3)
-    h_c, degrees = rng.uniform(100.0, 12_000.0, 500), rng.uniform(0.0, 85.0, 500)
+    h_c = rng.uniform(100.0, 12_000.0, 500)
+    degrees = rng.uniform(0.0, 85.0, 500)
     distance = rng.uniform(0.1, 1.0, 500) * h_c / np.cos(np.radians(degrees))
     found, status = heights(h_c, degrees, distance)
     assert set(status.tolist()) == {OK}
@@ -115,8 +118,12 @@ def test_what_has_no_end_has_a_reason():
     h_c = np.array([3000.0] * 7 + [99_000.0])
     found, status = heights(h_c, zeta, distance)
     assert status.tolist() == [BAD_MEASUREMENT] * 3 + [
-        OUTSIDE_PROFILE, BAD_MEASUREMENT, BAD_MEASUREMENT, OUTSIDE_PROFILE, OUTSIDE_PROFILE,
-    ]  # fmt: skip
+        OUTSIDE_PROFILE,
+        BAD_MEASUREMENT,
+        BAD_MEASUREMENT,
+        OUTSIDE_PROFILE,
+        OUTSIDE_PROFILE,
+    ]
     assert np.isnan(found).all()
 
 
@@ -156,16 +163,24 @@ def seen_from(rotation, h_c=3450.0, cabin=6e-5, change=-3.0) -> Exposures:
     outside = float(AIR.refractivity(h_c))
     normal = np.array([[0.0, math.sin(0.3), math.cos(0.3)]])
     return Exposures(
-        np.array([True]), rotation[None], np.array([0.8]), np.array([h_c]), np.array([outside]),
-        np.array([outside + cabin]), normal, np.array([change]),
-    )  # fmt: skip
+        np.array([True]),
+        rotation[None],
+        np.array([0.8]),
+        np.array([h_c]),
+        np.array([outside]),
+        np.array([outside + cabin]),
+        normal,
+        np.array([change]),
+    )
 
 
 @pytest.mark.parametrize("rotation", [DOWN, LEVEL], ids=["down", "level"])
 def test_targets_of_an_image_and_of_its_ideal_pixels(rotation):
     rng = np.random.default_rng(5)
-    x, y = rng.uniform(0.0, 14_000.0, 200), rng.uniform(5800.0, 10_600.0, 200)
-    distance, first = np.full(200, 3200.0), np.zeros(200, np.int64)
+    x = rng.uniform(0.0, 14_000.0, 200)
+    y = rng.uniform(5800.0, 10_600.0, 200)
+    distance = np.full(200, 3200.0)
+    first = np.zeros(200, np.int64)
     exposures = seen_from(rotation)
     found = target_heights(x, y, distance, first, exposures, camera=CAMERA, table=TABLE)
     assert np.isfinite(found).all()
@@ -193,7 +208,8 @@ def test_targets_of_an_image_and_of_its_ideal_pixels(rotation):
 
 def test_an_observation_that_lacks_something_has_no_height():
     x = np.array([7000.0, np.nan, 7000.0, -900.0, 7000.0])
-    y, first = np.full(5, 5000.0), np.array([0, 0, -1, 0, 0])
+    y = np.full(5, 5000.0)
+    first = np.array([0, 0, -1, 0, 0])
     distance = np.array([np.nan, 3000.0, 3000.0, 3000.0, 9e6])
     for ideal in (False, True):
         found = target_heights(
@@ -207,18 +223,15 @@ def test_an_observation_that_lacks_something_has_no_height():
 
 def test_ideal_pixels_have_neither_window_nor_lens():
     """Of a straight chord the cabin and the air in the lens change nothing, of a ray they do."""
-    n, table = np.atleast_1d(AIR.refractivity(3000.0)), ray_table(AIR)
+    n = np.atleast_1d(AIR.refractivity(3000.0))
+    table = ray_table(AIR)
     down = np.diag([1.0, -1.0, -1.0])[None]
     place = (np.array([True]), down, np.array([0.8]), np.array([3000.0]))
     pixel = (np.array([12_000.0]), np.array([9000.0]), np.array([3500.0]), np.zeros(1, np.int64))
 
     def height(cabin, change_px, ideal):
         exposures = Exposures(*place, n, n + cabin, principal_change_px=np.array([change_px]))
-        return float(
-            target_heights(
-                *pixel, exposures, camera=CAMERA, table=table, ideal=ideal
-            )[0]
-        )  # fmt: skip
+        return float(target_heights(*pixel, exposures, camera=CAMERA, table=table, ideal=ideal)[0])
 
     for cabin, change_px in ((1e-4, 0.0), (0.0, 20.0)):
         assert height(cabin, change_px, True) == height(0.0, 0.0, True)

@@ -18,9 +18,13 @@ def test_good_to_counts_from_the_nadir_up_to_the_first_failure():
         [[0.0, 0.0, nan, 0.0], [0.0, 0.0, 0.0, 0.0]],
     ]
     found = Comparison(
-        ("a", "b", "c"), np.array([1e3, 2e3]), 0.0, np.array([0.0, 10.0, 20.0, 30.0]),
-        np.ones((2, 4)), np.array(errors),
-    )  # fmt: skip
+        ("a", "b", "c"),
+        np.array([1e3, 2e3]),
+        0.0,
+        np.array([0.0, 10.0, 20.0, 30.0]),
+        np.ones((2, 4)),
+        np.array(errors),
+    )
     good = found.good_to(0.1)
     assert np.array_equal(good, [[10.0, 20.0], [-1.0, nan], [10.0, 30.0]], equal_nan=True)
 

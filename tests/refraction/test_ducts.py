@@ -34,8 +34,11 @@ def expected(table, h_c, h_g, zeta):
     """R_c [arcsec] by Gyer's Eq. 12 in 80 bits, graded towards both ends of every piece; NaN where
     the ray turns on its way."""
     nodes, weights = (a.astype(LONG) for a in np.polynomial.legendre.leggauss(20))
-    edge, radius = table.edge_m.astype(LONG), LONG(RADIUS)
-    h_c, h_g, zeta = LONG(h_c), LONG(h_g), LONG(zeta)
+    edge = table.edge_m.astype(LONG)
+    radius = LONG(RADIUS)
+    h_c = LONG(h_c)
+    h_g = LONG(h_g)
+    zeta = LONG(zeta)
 
     def value(i, h):
         u = (h - edge[i]) / (edge[i + 1] - edge[i])
@@ -48,7 +51,8 @@ def expected(table, h_c, h_g, zeta):
     k = (1 + n_c) * (radius + h_c) - lift
     theta = LONG(0)
     for i in range(first, last + 1):
-        low, high = max(h_g, edge[i]), min(h_c, edge[i + 1])
+        low = max(h_g, edge[i])
+        high = min(h_c, edge[i + 1])
         half = (high - low) / 2
         panels = np.concatenate([[LONG(0)], np.sqrt(half) * LONG(2) ** -np.arange(38, -1, -1)])
         for base, sense in ((low, 1), (high, -1)):
@@ -61,7 +65,9 @@ def expected(table, h_c, h_g, zeta):
                 slope = 2 * s * k / ((radius + h) * np.sqrt(excess * (excess + 2 * k)))
                 theta += np.sum(weights * slope) * (s_1 - s_0) / 2
     ahead = (h_c - h_g) / (radius + h_g) + 2 * np.sin(theta / 2) ** 2
-    sine, cosine, across = np.sin(zeta), np.cos(zeta), np.sin(theta)
+    sine = np.sin(zeta)
+    cosine = np.cos(zeta)
+    across = np.sin(theta)
     return float(
         np.arctan2(sine * ahead - cosine * across, cosine * ahead + sine * across) / LONG(ARCSEC)
     )
@@ -69,7 +75,8 @@ def expected(table, h_c, h_g, zeta):
 
 @pytest.mark.parametrize("warming", [0.10, 0.15, 0.5])
 def test_rays_in_a_duct(warming):
-    table, rng = ray_table(duct(warming)), np.random.default_rng(4)
+    table = ray_table(duct(warming))
+    rng = np.random.default_rng(4)
     seen = 0
     for _ in range(40):
         h_c = rng.uniform(5.0, 60.0)
@@ -87,7 +94,9 @@ def test_rays_in_a_duct(warming):
 
 def test_the_ray_that_was_forty_seconds_off():
     """A reviewer's: level near the upper end of the duct, where the singularity is."""
-    h_c, h_g, zeta = 26.398259481305864, 5.365223018200361, 1.5707926881833847
+    h_c = 26.398259481305864
+    h_g = 5.365223018200361
+    zeta = 1.5707926881833847
     found = refraction_angle(duct(0.15), h_c, h_g, zeta, RADIUS) / ARCSEC
     assert found == pytest.approx(expected(ray_table(duct(0.15)), h_c, h_g, zeta), abs=1e-8)
 

@@ -12,7 +12,8 @@ from unbend.refraction.effect import effects_on_r
 
 
 def test_the_factor_is_that_of_the_flight_over_the_standard():
-    cold, standard = standard_atmosphere("icao", index="gyer"), standard_atmosphere("us1962")
+    cold = standard_atmosphere("icao", index="gyer")
+    standard = standard_atmosphere("us1962")
     effects = effects_on_r(cold, standard, None, 6000.0, 200.0)
     assert [e.nadir_deg for e in effects] == [45.0, 75.0]
     for effect in effects:

@@ -31,9 +31,14 @@ LATITUDE = 0.8
 AIR = standard_atmosphere("us1976", index="gyer")
 TABLE = ray_table(AIR)
 CAMERA = Camera(
-    14_000, 10_600, 11_000.0, 11_000.0, 7012.4, 5291.7,
+    14_000,
+    10_600,
+    11_000.0,
+    11_000.0,
+    7012.4,
+    5291.7,
     distortion=BrownConrady(k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4),
-)  # fmt: skip
+)
 PINHOLE = Camera(14_000, 10_600, 11_000.0, 11_000.0, 7000.0, 5300.0)
 DOWN = np.diag([1.0, -1.0, -1.0])
 TILTED = (0.0, math.sin(0.3), math.cos(0.3))
@@ -53,15 +58,23 @@ def looking(tilt_deg: float, azimuth_deg: float = 0.0, swing_deg: float = 0.0) -
 def seen_from(rotation, h_c, cabin=0.0, normal=(0.0, 0.0, 1.0), change=0.0) -> Exposures:
     outside = float(AIR.refractivity(h_c))
     return Exposures(
-        np.array([True]), rotation[None], np.array([LATITUDE]), np.array([h_c]),
-        np.array([outside]), np.array([outside + cabin]), np.array([normal]), np.array([change]),
-    )  # fmt: skip
+        np.array([True]),
+        rotation[None],
+        np.array([LATITUDE]),
+        np.array([h_c]),
+        np.array([outside]),
+        np.array([outside + cabin]),
+        np.array([normal]),
+        np.array([change]),
+    )
 
 
 def both_ways(x, y, h_g, exposures, camera=CAMERA, table=TABLE, distance=None):
     """Corrected observations, and these displaced again."""
-    x, y = np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float))
-    h_g, first = np.broadcast_to(np.asarray(h_g, float), x.shape), np.zeros(x.shape, np.int64)
+    x = np.atleast_1d(np.asarray(x, float))
+    y = np.atleast_1d(np.asarray(y, float))
+    h_g = np.broadcast_to(np.asarray(h_g, float), x.shape)
+    first = np.zeros(x.shape, np.int64)
     if distance is not None:
         distance = np.broadcast_to(np.asarray(distance, float), x.shape)
     ideal = correct_observations(
@@ -93,7 +106,8 @@ SCENES = {
 def test_there_and_back(scene):
     rotation, h_c, h_g, more = SCENES[scene]
     rng = np.random.default_rng(11)
-    x, y = rng.uniform(0.0, 14_000.0, 1500), rng.uniform(0.0, 10_600.0, 1500)
+    x = rng.uniform(0.0, 14_000.0, 1500)
+    y = rng.uniform(0.0, 10_600.0, 1500)
     ideal, seen = both_ways(x, y, h_g, seen_from(rotation, h_c, **more))
     # Near the horizon two rays show points of one straight line: see below.
     good = np.isfinite(ideal.x_corrected_px) & (
@@ -105,8 +119,14 @@ def test_there_and_back(scene):
     for name in ("x_corrected_px", "y_corrected_px"):
         measured = {"x_corrected_px": x, "y_corrected_px": y}[name]
         np.testing.assert_allclose(getattr(seen, name)[good], measured[good], rtol=0.0, atol=1e-9)
-    for name, sense in (("dx_px", -1.0), ("dy_px", -1.0), ("zeta_c_rad", 1.0), ("r_c_rad", 1.0),
-                        ("r_cc_rad", 1.0), ("shift_ground_m", 1.0)):  # fmt: skip
+    for name, sense in (
+        ("dx_px", -1.0),
+        ("dy_px", -1.0),
+        ("zeta_c_rad", 1.0),
+        ("r_c_rad", 1.0),
+        ("r_cc_rad", 1.0),
+        ("shift_ground_m", 1.0),
+    ):
         np.testing.assert_allclose(
             sense * getattr(seen, name)[good], getattr(ideal, name)[good], rtol=0.0, atol=2e-7
         )
@@ -116,8 +136,10 @@ def test_there_and_back(scene):
 def test_and_again_from_the_other_side(scene):
     rotation, h_c, h_g, more = SCENES[scene]
     rng = np.random.default_rng(12)
-    x, y = rng.uniform(20.0, 13_980.0, 500), rng.uniform(20.0, 10_580.0, 500)
-    first, exposures = np.zeros(500, np.int64), seen_from(rotation, h_c, **more)
+    x = rng.uniform(20.0, 13_980.0, 500)
+    y = rng.uniform(20.0, 10_580.0, 500)
+    first = np.zeros(500, np.int64)
+    exposures = seen_from(rotation, h_c, **more)
     ground = np.full(500, h_g)
     seen = apply_refraction(x, y, ground, first, exposures, camera=CAMERA, table=TABLE)
     assert set(seen.status.tolist()) == {OK}
@@ -172,7 +194,9 @@ class FlightAir:
 @pytest.mark.parametrize("tilt", [0.0, 45.0, 70.0])
 def test_what_the_simulator_sees(tilt):
     """An image planned in ideal pixels against rays shot through the same air by an ODE."""
-    lat, lon, h_c = LATITUDE, 0.2, 6000.0
+    lat = LATITUDE
+    lon = 0.2
+    h_c = 6000.0
     rotation = looking(tilt, 160.0, 10.0)
     axes = enu_axes(np.array(lat), np.array(lon))
     rng = np.random.default_rng(4)
@@ -198,9 +222,14 @@ def test_what_the_simulator_sees(tilt):
     inside = np.all((truth > 0.0) & (truth < [14_000.0, 10_600.0]), axis=1)
     assert inside.sum() > 15
     seen = apply_refraction(
-        ideal[inside, 0], ideal[inside, 1], h_g[inside], np.zeros(inside.sum(), np.int64),
-        seen_from(rotation, h_c), camera=CAMERA, table=TABLE,
-    )  # fmt: skip
+        ideal[inside, 0],
+        ideal[inside, 1],
+        h_g[inside],
+        np.zeros(inside.sum(), np.int64),
+        seen_from(rotation, h_c),
+        camera=CAMERA,
+        table=TABLE,
+    )
     shift = np.abs(truth - ideal)[inside].max()
     miss = np.abs(np.stack([seen.x_corrected_px, seen.y_corrected_px], 1) - truth[inside]).max()
     assert shift > 0.2
@@ -237,9 +266,11 @@ WINDOWS = pytest.mark.parametrize(
 @WINDOWS
 def test_the_far_branch_survives(tilt, window):
     y = level_pixels(np.linspace(88.16, 88.37, 200), tilt)
-    x, exposures = np.full(200, 7000.0), seen_from(looking(tilt), 3450.0, **window)
+    x = np.full(200, 7000.0)
+    exposures = seen_from(looking(tilt), 3450.0, **window)
     ideal, _ = both_ways(x, y, 450.0, exposures, PINHOLE, distance=1e7)
-    y, x = y[ideal.status == FAR_BRANCH], x[ideal.status == FAR_BRANCH]
+    y = y[ideal.status == FAR_BRANCH]
+    x = x[ideal.status == FAR_BRANCH]
     assert y.size > 180  # the window moves the others over the horizon
     distance = far_end(ideal, 3450.0, 450.0)[ideal.status == FAR_BRANCH]
     ideal, seen = both_ways(x, y, 450.0, exposures, PINHOLE, distance=distance)
@@ -254,9 +285,12 @@ def test_the_far_branch_survives(tilt, window):
 @WINDOWS
 def test_two_rays_for_one_straight_line_are_told_apart_by_distance(tilt, window):
     """Between the straight and the bent horizon the near crossing is the line's far one."""
-    radius, h_c, h_g = float(euler_radius(LATITUDE, 0.0)), 3450.0, 450.0
+    radius = float(euler_radius(LATITUDE, 0.0))
+    h_c = 3450.0
+    h_g = 450.0
     straight = math.asin((radius + h_g) / (radius + h_c))
-    n_c, n_g = 1.0 + AIR.refractivity(h_c), 1.0 + AIR.refractivity(h_g)
+    n_c = 1.0 + AIR.refractivity(h_c)
+    n_g = 1.0 + AIR.refractivity(h_g)
     bent = math.asin(float(n_g) * (radius + h_g) / (float(n_c) * (radius + h_c)))
     exposures = seen_from(looking(tilt), h_c, **window)
     y = level_pixels(np.linspace(88.36, 88.40, 400), tilt)
@@ -268,9 +302,14 @@ def test_two_rays_for_one_straight_line_are_told_apart_by_distance(tilt, window)
     assert np.all(np.abs(other.y_corrected_px - y)[band] > 1.0)
     # Both are right: they end in the same ideal pixel.
     again = correct_observations(
-        other.x_corrected_px[band], other.y_corrected_px[band], np.full(band.sum(), h_g),
-        np.zeros(band.sum(), np.int64), exposures, camera=PINHOLE, table=TABLE,
-    )  # fmt: skip
+        other.x_corrected_px[band],
+        other.y_corrected_px[band],
+        np.full(band.sum(), h_g),
+        np.zeros(band.sum(), np.int64),
+        exposures,
+        camera=PINHOLE,
+        table=TABLE,
+    )
     np.testing.assert_allclose(
         again.y_corrected_px, ideal.y_corrected_px[band], rtol=0.0, atol=1e-8
     )
@@ -283,7 +322,8 @@ def test_two_rays_for_one_straight_line_are_told_apart_by_distance(tilt, window)
 
 
 def test_points_on_the_edge_of_the_format_come_back():
-    x, y = np.array([0.0, 14_000.0, 7000.0, 7000.0]), np.array([5000.0, 5000.0, 0.0, 10_600.0])
+    x = np.array([0.0, 14_000.0, 7000.0, 7000.0])
+    y = np.array([5000.0, 5000.0, 0.0, 10_600.0])
     ideal, seen = both_ways(x, y, 450.0, seen_from(DOWN, 3450.0, cabin=8e-5))
     outside = (
         (ideal.x_corrected_px < 0)
@@ -298,7 +338,8 @@ def test_points_on_the_edge_of_the_format_come_back():
 
 
 def test_a_point_displaced_out_of_the_format_is_outside():
-    x, y = np.array([13_999.9, 13_999.0, 14_009.0]), np.full(3, 5300.0)
+    x = np.array([13_999.9, 13_999.0, 14_009.0])
+    y = np.full(3, 5300.0)
     seen = apply_refraction(
         x,
         y,
@@ -318,9 +359,13 @@ def test_and_over_the_left_and_the_upper_edge(axis):
     pixels = [np.full(2, 7000.0), np.full(2, 5300.0)]
     pixels[axis] = np.array([0.01, 5.0])
     seen = apply_refraction(
-        *pixels, np.zeros(2), np.zeros(2, np.int64), seen_from(DOWN, 8000.0), camera=PINHOLE,
+        *pixels,
+        np.zeros(2),
+        np.zeros(2, np.int64),
+        seen_from(DOWN, 8000.0),
+        camera=PINHOLE,
         table=TABLE,
-    )  # fmt: skip
+    )
     assert seen.status.tolist() == [OUTSIDE_CAMERA, OK]
 
 
@@ -331,17 +376,34 @@ def test_each_reason_in_its_place():
     row = np.array([0, 0, 0, -1, 0, 0, 0, 1, 0])
     one = seen_from(DOWN, 3450.0)
     two = replace(
-        one, usable=np.array([True, False]),
-        **{name: np.repeat(getattr(one, name), 2, axis=0) for name in (
-            "rotation", "latitude_rad", "height_m", "refractivity_outside", "refractivity_cabin",
-            "window_normal", "principal_change_px")},
-    )  # fmt: skip
+        one,
+        usable=np.array([True, False]),
+        **{
+            name: np.repeat(getattr(one, name), 2, axis=0)
+            for name in (
+                "rotation",
+                "latitude_rad",
+                "height_m",
+                "refractivity_outside",
+                "refractivity_cabin",
+                "window_normal",
+                "principal_change_px",
+            )
+        },
+    )
     two.rotation[1] = np.nan
     seen = apply_refraction(x, y, h_g, row, two, camera=CAMERA, table=TABLE)
     assert seen.status.tolist() == [
-        OK, BAD_MEASUREMENT, BAD_MEASUREMENT, NO_STATION, NO_GROUND, OUTSIDE_CAMERA,
-        OUTSIDE_PROFILE, NO_STATION, NO_GROUND,
-    ]  # fmt: skip
+        OK,
+        BAD_MEASUREMENT,
+        BAD_MEASUREMENT,
+        NO_STATION,
+        NO_GROUND,
+        OUTSIDE_CAMERA,
+        OUTSIDE_PROFILE,
+        NO_STATION,
+        NO_GROUND,
+    ]
     for values in (seen.x_corrected_px, seen.dy_px, seen.r_c_rad, seen.shift_ground_m):
         np.testing.assert_array_equal(np.isfinite(values), seen.status == OK)
 
@@ -349,18 +411,26 @@ def test_each_reason_in_its_place():
 def test_over_the_horizon_no_ray_shows_the_ground():
     y = level_pixels([88.0, 88.6, 90.5])
     seen = apply_refraction(
-        np.full(3, 7000.0), y, np.full(3, 450.0), np.zeros(3, np.int64),
-        seen_from(looking(90.0), 3450.0), camera=PINHOLE, table=TABLE,
-    )  # fmt: skip
+        np.full(3, 7000.0),
+        y,
+        np.full(3, 450.0),
+        np.zeros(3, np.int64),
+        seen_from(looking(90.0), 3450.0),
+        camera=PINHOLE,
+        table=TABLE,
+    )
     assert seen.status.tolist() == [OK, MISSES_GROUND, MISSES_GROUND]
     assert np.isfinite(seen.y_corrected_px).tolist() == [True, False, False]
 
 
 def test_neighbours_do_not_matter():
     rng = np.random.default_rng(8)
-    x, y = rng.uniform(0.0, 14_000.0, 50), rng.uniform(0.0, 10_600.0, 50)
+    x = rng.uniform(0.0, 14_000.0, 50)
+    y = rng.uniform(0.0, 10_600.0, 50)
     x[7] = np.nan
-    h_g, first, exposures = np.full(50, 450.0), np.zeros(50, np.int64), seen_from(DOWN, 3450.0)
+    h_g = np.full(50, 450.0)
+    first = np.zeros(50, np.int64)
+    exposures = seen_from(DOWN, 3450.0)
     together = apply_refraction(x, y, h_g, first, exposures, camera=CAMERA, table=TABLE)
     for i in (3, 7, 30):
         one = slice(i, i + 1)
@@ -375,7 +445,8 @@ def test_neighbours_do_not_matter():
 
 def test_a_published_method_goes_both_ways_too():
     rng = np.random.default_rng(6)
-    x, y = rng.uniform(0.0, 14_000.0, 200), rng.uniform(0.0, 10_600.0, 200)
+    x = rng.uniform(0.0, 14_000.0, 200)
+    y = rng.uniform(0.0, 10_600.0, 200)
     for method in ("plane", "gyer1996"):
         ideal, seen = both_ways(
             x, y, 450.0, seen_from(looking(20.0), 3450.0), table=rays_by(AIR, method)
@@ -386,7 +457,8 @@ def test_a_published_method_goes_both_ways_too():
 
 
 def test_nothing_to_displace():
-    none, empty = seen_from(DOWN, 3450.0), np.empty(0)
+    none = seen_from(DOWN, 3450.0)
+    empty = np.empty(0)
     found = apply_refraction(
         empty, empty, empty, np.empty(0, np.int64), none, camera=CAMERA, table=TABLE
     )

@@ -37,7 +37,8 @@ from unbend.refraction.window import refract_at_window
 from unbend.units import DEGREE
 
 RADIUS = 6_371_000.0
-H_C, H_G = 3450.0, 450.0
+H_C = 3450.0
+H_G = 450.0
 PINHOLE = Camera(14_000, 10_600, 11_000.0, 11_000.0, 7012.4, 5291.7)
 AIR = standard_atmosphere("us1976")
 TABLE = ray_table(AIR)
@@ -60,11 +61,16 @@ def exposures(
     rotation: np.ndarray, cabin: float = OUTSIDE, h_c: float = H_C, normal=(0.0, 0.0, 1.0)
 ) -> Exposures:
     return Exposures(
-        usable=np.array([True]), rotation=rotation[None], latitude_rad=np.array([0.8]),
-        height_m=np.array([h_c]), refractivity_outside=np.array([OUTSIDE]),
-        refractivity_cabin=np.array([cabin]), window_normal=np.array([normal], float),
-        principal_change_px=np.zeros(1), radius_m=RADIUS,
-    )  # fmt: skip
+        usable=np.array([True]),
+        rotation=rotation[None],
+        latitude_rad=np.array([0.8]),
+        height_m=np.array([h_c]),
+        refractivity_outside=np.array([OUTSIDE]),
+        refractivity_cabin=np.array([cabin]),
+        window_normal=np.array([normal], float),
+        principal_change_px=np.zeros(1),
+        radius_m=RADIUS,
+    )
 
 
 def correct(
@@ -79,11 +85,18 @@ def correct(
     normal=(0.0, 0.0, 1.0),
     **more,
 ):
-    x, y = np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float))
+    x = np.atleast_1d(np.asarray(x, float))
+    y = np.atleast_1d(np.asarray(y, float))
     return correct_observations(
-        x, y, np.broadcast_to(np.asarray(h_g, float), x.shape), np.zeros(x.shape, np.int64),
-        exposures(rotation, cabin, h_c, normal), camera=camera, table=TABLE, **more,
-    )  # fmt: skip
+        x,
+        y,
+        np.broadcast_to(np.asarray(h_g, float), x.shape),
+        np.zeros(x.shape, np.int64),
+        exposures(rotation, cabin, h_c, normal),
+        camera=camera,
+        table=TABLE,
+        **more,
+    )
 
 
 def gyer_scalar(x_px, y_px, rotation, cabin, *, radial_sign=1, about_principal_point=False):
@@ -92,17 +105,22 @@ def gyer_scalar(x_px, y_px, rotation, cabin, *, radial_sign=1, about_principal_p
     Photo axes x right, y up, the image at z = -f; M takes east-north-up to them.
     """
     f = mp.mpf(PINHOLE.fx_px)
-    x_m, y_m = mp.mpf(x_px) - mp.mpf(PINHOLE.cx_px), -(mp.mpf(y_px) - mp.mpf(PINHOLE.cy_px))
+    x_m = mp.mpf(x_px) - mp.mpf(PINHOLE.cx_px)
+    y_m = -(mp.mpf(y_px) - mp.mpf(PINHOLE.cy_px))
     m = np.diag([1.0, -1.0, -1.0]) @ rotation
     c_x, c_y, big_f = (mp.mpf(float(v)) for v in m[:, 2])
     rho = mp.sqrt(x_m**2 + y_m**2)
     if rho > 0:  # Eq. 36, 37, 39
         zeta_f = mp.atan(rho / f)
         zeta_a = mp.asin((1 + mp.mpf(cabin)) / (1 + mp.mpf(OUTSIDE)) * mp.sin(zeta_f))
-        x_cc, y_cc = f * mp.tan(zeta_a) * x_m / rho, f * mp.tan(zeta_a) * y_m / rho
+        x_cc = f * mp.tan(zeta_a) * x_m / rho
+        y_cc = f * mp.tan(zeta_a) * y_m / rho
     else:
-        x_cc, y_cc = x_m, y_m
-    x_n, y_n = -f * c_x / big_f, -f * c_y / big_f  # Eq. 40
+        x_cc = x_m
+        y_cc = y_m
+    # Eq. 40
+    x_n = -f * c_x / big_f
+    y_n = -f * c_y / big_f
     c = mp.sqrt(x_n**2 + y_n**2 + f**2)  # Eq. 44
     ray = mp.sqrt(f**2 + x_cc**2 + y_cc**2)
     zeta_c = mp.acos((f**2 + x_n * x_cc + y_n * y_cc) / (c * ray))  # Eq. 42
@@ -135,7 +153,8 @@ def test_against_gyers_scalar_equations(tilt, azimuth, swing, cabin):
     rays = np.stack([(x - 7012.4) / 11_000.0, (y - 5291.7) / 11_000.0, np.ones(x.size)], axis=1)
     down = -(rays @ rotation)[:, 2] / np.linalg.norm(rays, axis=1)
     ground = down > math.cos(math.radians(88.0))  # grazing is at 88.3 degrees
-    x, y = x[ground], y[ground]
+    x = x[ground]
+    y = y[ground]
     assert x.size >= 7
     found = correct(x, y, rotation, cabin=cabin)
     assert set(found.status.tolist()) == {OK}
@@ -175,7 +194,8 @@ def test_half_a_pixel_and_a_flipped_image_axis_are_seen():
 def test_against_a_brute_force_rotation(tilt):
     rng = np.random.default_rng(7)
     rotation = looking(tilt, 33.0, 12.0)
-    x, y = rng.uniform(0.0, 14_000.0, 50), rng.uniform(0.0, 10_600.0, 50)
+    x = rng.uniform(0.0, 14_000.0, 50)
+    y = rng.uniform(0.0, 10_600.0, 50)
     found = correct(x, y, rotation)
     for i in range(50):
         ray = [(x[i] - PINHOLE.cx_px) / 11_000.0, (y[i] - PINHOLE.cy_px) / 11_000.0, 1.0]
@@ -245,7 +265,8 @@ def test_the_axis_horizontal():
 
 def test_above_the_horizon_there_is_no_ground_but_there_are_targets():
     rotation = looking(90.0)
-    x, y = [PINHOLE.cx_px] * 3, [PINHOLE.cy_px, PINHOLE.cy_px - 900.0, PINHOLE.cy_px - 4000.0]
+    x = [PINHOLE.cx_px] * 3
+    y = [PINHOLE.cy_px, PINHOLE.cy_px - 900.0, PINHOLE.cy_px - 4000.0]
     found = correct(x, y, rotation)
     assert found.status.tolist() == [MISSES_GROUND] * 3
     assert np.isnan(found.x_corrected_px).all()
@@ -290,17 +311,31 @@ def test_each_reason_in_its_place():
     row = np.array([0, 0, -1, 0, 0, 0, 1, -1, -1])
     one = exposures(DOWN, CABIN)
     two = replace(
-        one, **{
+        one,
+        **{
             name: np.repeat(getattr(one, name), 2, axis=0)
-            for name in ("rotation", "latitude_rad", "height_m", "refractivity_outside",
-                         "refractivity_cabin")
-        }, usable=np.array([True, False]),
-    )  # fmt: skip
+            for name in (
+                "rotation",
+                "latitude_rad",
+                "height_m",
+                "refractivity_outside",
+                "refractivity_cabin",
+            )
+        },
+        usable=np.array([True, False]),
+    )
     found = correct_observations(x, y, h_g, row, two, camera=PINHOLE, table=TABLE)
     assert found.status.tolist() == [
-        OK, BAD_MEASUREMENT, NO_STATION, NO_GROUND, OUTSIDE_CAMERA, OUTSIDE_PROFILE, NO_STATION,
-        BAD_MEASUREMENT, NO_STATION,
-    ]  # fmt: skip
+        OK,
+        BAD_MEASUREMENT,
+        NO_STATION,
+        NO_GROUND,
+        OUTSIDE_CAMERA,
+        OUTSIDE_PROFILE,
+        NO_STATION,
+        BAD_MEASUREMENT,
+        NO_STATION,
+    ]
     np.testing.assert_array_equal(np.isfinite(found.x_corrected_px), found.status == OK)
 
 
@@ -308,9 +343,14 @@ def test_each_reason_in_its_place():
 def test_a_lens_that_cannot_be_has_a_status(change):
     one = replace(exposures(DOWN), principal_change_px=np.array([change]))
     found = correct_observations(
-        np.array([7000.0]), np.array([5000.0]), np.array([H_G]), np.zeros(1, np.int64), one,
-        camera=PINHOLE, table=TABLE,
-    )  # fmt: skip
+        np.array([7000.0]),
+        np.array([5000.0]),
+        np.array([H_G]),
+        np.zeros(1, np.int64),
+        one,
+        camera=PINHOLE,
+        table=TABLE,
+    )
     assert found.status.tolist() == [OUTSIDE_CAMERA]
     assert np.isnan([found.x_corrected_px[0], found.dx_px[0], found.r_c_rad[0]]).all()
 
@@ -340,11 +380,14 @@ def test_no_stations_at_all():
 @pytest.mark.parametrize("azimuth", [0.0, 30.0, 90.0, 200.0])
 def test_the_radius_is_eulers_in_the_azimuth_of_the_ray(azimuth):
     """GRS 80 at 0.8 rad by hand: 1/R = cos^2 A / M + sin^2 A / N."""
-    a, e2, sine = 6_378_137.0, 0.006694380, math.sin(0.8)
+    a = 6_378_137.0
+    e2 = 0.006694380
+    sine = math.sin(0.8)
     prime_vertical = a / math.sqrt(1.0 - e2 * sine**2)
     meridian = a * (1.0 - e2) / (1.0 - e2 * sine**2) ** 1.5
     free = replace(exposures(looking(45, azimuth)), radius_m=None)
-    h_g, row = np.array([H_G]), np.zeros(1, np.int64)
+    h_g = np.array([H_G])
+    row = np.zeros(1, np.int64)
     direction = free.rotation[0].T @ np.array([0.0, 0.0, 1.0])
     to_ray = math.atan2(direction[0], direction[1])
     expected = 1.0 / (math.cos(to_ray) ** 2 / meridian + math.sin(to_ray) ** 2 / prime_vertical)
@@ -389,7 +432,8 @@ def test_landing_points_lie_on_the_sphere():
     rng = np.random.default_rng(9)
     ray = rng.normal(size=(200, 3))
     ray /= np.linalg.norm(ray, axis=1)[:, None]
-    h_c, h_g = rng.uniform(0.0, 9000.0, 200), rng.uniform(0.0, 9000.0, 200)
+    h_c = rng.uniform(0.0, 9000.0, 200)
+    h_g = rng.uniform(0.0, 9000.0, 200)
     point = ray * straight_reach(h_c, h_g, -ray[:, 2], radius=RADIUS, far=False)[:, None]
     hit = np.isfinite(point[:, 0])
     assert hit.sum() > 80
@@ -424,9 +468,14 @@ def test_over_the_horizon_there_are_no_metres_and_a_good_status():
     assert horizon == pytest.approx(86.7919, abs=1e-4)
     below = np.radians(90.0 - np.array([horizon - 0.005, horizon + 0.005, 86.9]))
     found = correct_observations(
-        np.full(3, PINHOLE.cx_px), PINHOLE.cy_px + 11_000.0 * np.tan(below), np.zeros(3),
-        np.zeros(3, np.int64), exposures(looking(90.0), h_c=10_000.0), camera=PINHOLE, table=TABLE,
-    )  # fmt: skip
+        np.full(3, PINHOLE.cx_px),
+        PINHOLE.cy_px + 11_000.0 * np.tan(below),
+        np.zeros(3),
+        np.zeros(3, np.int64),
+        exposures(looking(90.0), h_c=10_000.0),
+        camera=PINHOLE,
+        table=TABLE,
+    )
     assert found.status.tolist() == [OK] * 3
     assert np.isfinite(found.y_corrected_px).all()
     assert np.isnan(found.shift_ground_m).tolist() == [False, True, True]
@@ -440,13 +489,16 @@ def test_over_the_horizon_there_are_no_metres_and_a_good_status():
 def second_crossing(h_c: float, h_g: float, zeta: float) -> tuple[float, float]:
     """East and up [m] of where a straight line leaves a sphere again, by its quadratic equation."""
     with mp.workdps(30):
-        r_c, r_g, c = mp.mpf(RADIUS) + h_c, mp.mpf(RADIUS) + h_g, mp.cos(zeta)
+        r_c = mp.mpf(RADIUS) + h_c
+        r_g = mp.mpf(RADIUS) + h_g
+        c = mp.cos(zeta)
         s = r_c * c + mp.sqrt((r_c * c) ** 2 - (r_c**2 - r_g**2))
         return s * mp.sin(zeta), -s * c
 
 
 def test_metres_at_the_far_crossing():
-    zeta, r_c = math.radians(88.4), 0.004
+    zeta = math.radians(88.4)
+    r_c = 0.004
     first, second = (second_crossing(3000.0, 1000.0, angle) for angle in (zeta, zeta - r_c))
     by_hand = float(mp.hypot(first[0] - second[0], first[1] - second[1]))
     found = ground_displacement(3000.0, 1000.0, zeta, r_c, RADIUS, far=True)
@@ -458,23 +510,36 @@ def test_mixed_exposures_keep_their_slant_ranges_and_heights():
     """Rays that meet their ground twice; every row another distance, near or far."""
     rows = np.arange(60)
     two = replace(
-        exposures(looking(89.0)), usable=np.ones(2, bool),
-        rotation=np.stack([looking(88.6), looking(88.8, 40.0)]), latitude_rad=np.full(2, 0.8),
-        height_m=np.full(2, H_C), refractivity_outside=np.full(2, OUTSIDE),
-        refractivity_cabin=np.full(2, CABIN), window_normal=np.tile([0.0, 0.0, 1.0], (2, 1)),
+        exposures(looking(89.0)),
+        usable=np.ones(2, bool),
+        rotation=np.stack([looking(88.6), looking(88.8, 40.0)]),
+        latitude_rad=np.full(2, 0.8),
+        height_m=np.full(2, H_C),
+        refractivity_outside=np.full(2, OUTSIDE),
+        refractivity_cabin=np.full(2, CABIN),
+        window_normal=np.tile([0.0, 0.0, 1.0], (2, 1)),
         principal_change_px=np.array([2.0, -3.0]),
-    )  # fmt: skip
-    x, y = 6000.0 + 30.0 * rows, np.full(60, PINHOLE.cy_px)
-    h_g, row = 2900.0 + 5.0 * rows, rows % 2
+    )
+    x = 6000.0 + 30.0 * rows
+    y = np.full(60, PINHOLE.cy_px)
+    h_g = 2900.0 + 5.0 * rows
+    row = rows % 2
     distance = np.where(rows % 3 == 0, 30e3, 300e3)
 
     def corrected(at):
         return correct_observations(
-            x[at], y[at], h_g[at], row[at], two, camera=PINHOLE, table=TABLE,
+            x[at],
+            y[at],
+            h_g[at],
+            row[at],
+            two,
+            camera=PINHOLE,
+            table=TABLE,
             distance_m=distance[at],
-        )  # fmt: skip
+        )
 
-    together, alone = corrected(rows), [corrected(np.array([i])) for i in rows]
+    together = corrected(rows)
+    alone = [corrected(np.array([i])) for i in rows]
     assert {OK, FAR_BRANCH} <= set(together.status.tolist())
     for name in ("status", "dx_px", "dy_px", "r_c_rad", "r_cc_rad", "shift_ground_m"):
         expected = np.concatenate([getattr(one, name) for one in alone])
@@ -483,7 +548,8 @@ def test_mixed_exposures_keep_their_slant_ranges_and_heights():
 
 def test_a_given_radius_is_that_of_every_ray():
     fixed = replace(exposures(looking(45)), radius_m=6_500_000.0)
-    centre, row = np.array([PINHOLE.cx_px, 100.0]), np.zeros(2, np.int64)
+    centre = np.array([PINHOLE.cx_px, 100.0])
+    row = np.zeros(2, np.int64)
     observed = ObservationColumns(centre, centre, np.zeros(2), np.zeros(2), row)
     rays, _, _ = outgoing_rays(observed, PINHOLE.constants, fixed.columns)
     np.testing.assert_allclose(rays[SPHERE_RADIUS], 6_500_000.0, rtol=1e-14)
@@ -492,15 +558,29 @@ def test_a_given_radius_is_that_of_every_ray():
 def test_a_camera_outside_the_profile_has_that_status():
     above = replace(exposures(looking(0)), refractivity_outside=np.array([np.nan]))
     corrections = correct_observations(
-        np.array([100.0]), np.array([200.0]), np.array([H_G]), np.zeros(1, np.int64), above,
-        camera=PINHOLE, table=TABLE,
-    )  # fmt: skip
+        np.array([100.0]),
+        np.array([200.0]),
+        np.array([H_G]),
+        np.zeros(1, np.int64),
+        above,
+        camera=PINHOLE,
+        table=TABLE,
+    )
     assert corrections.status.tolist() == [OUTSIDE_PROFILE]
 
 
 def test_every_status_has_its_own_name():
-    names = ("OK", "NO_STATION", "NO_GROUND", "BAD_MEASUREMENT", "OUTSIDE_CAMERA", "MISSES_GROUND",
-             "BEYOND_GRAZING", "OUTSIDE_PROFILE", "FAR_BRANCH")  # fmt: skip
+    names = (
+        "OK",
+        "NO_STATION",
+        "NO_GROUND",
+        "BAD_MEASUREMENT",
+        "OUTSIDE_CAMERA",
+        "MISSES_GROUND",
+        "BEYOND_GRAZING",
+        "OUTSIDE_PROFILE",
+        "FAR_BRANCH",
+    )
     assert [status.STATUS_NAMES[getattr(status, name)] for name in names] == [
         name.lower() for name in names
     ]

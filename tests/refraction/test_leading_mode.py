@@ -40,8 +40,8 @@ CAMERA = Camera(
 LONG = replace(CAMERA, fx_px=90_000.0, fy_px=90_500.0)  # 75 degrees and 5 to either side
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 CABIN = 2.4e-4
-AHEAD, TILTED = (0.0, 0.0, 1.0), tuple(Rotation.from_euler("xy", [25, -10], degrees=True)
-                                       .as_matrix()[:, 2])  # fmt: skip
+AHEAD = (0.0, 0.0, 1.0)
+TILTED = tuple(Rotation.from_euler("xy", [25, -10], degrees=True).as_matrix()[:, 2])
 GROUND = 100.0
 
 
@@ -80,9 +80,15 @@ def exposed(profile, look, cabin: float = CABIN) -> Exposures:
         SCHEDULED: profile.index.refractivity(294.26, profile.pressure(h), 0.0),
     }[kind]
     return Exposures(
-        np.array([True]), looking(degrees)[None], np.array([0.8]), h, outside, inside,
-        np.array([normal]), radius_m=RADIUS,
-    )  # fmt: skip
+        np.array([True]),
+        looking(degrees)[None],
+        np.array([0.8]),
+        h,
+        outside,
+        inside,
+        np.array([normal]),
+        radius_m=RADIUS,
+    )
 
 
 def pixels(camera, n=60) -> tuple[np.ndarray, np.ndarray]:
@@ -93,24 +99,35 @@ def corrected(profile, exposures, look, **more):
     x, y = pixels(look[0])
     zero = np.zeros(x.size, np.int64)
     return correct_observations(
-        x, y, np.full(x.size, GROUND), zero, exposures, camera=look[0], table=ray_table(profile),
+        x,
+        y,
+        np.full(x.size, GROUND),
+        zero,
+        exposures,
+        camera=look[0],
+        table=ray_table(profile),
         **more,
-    )  # fmt: skip
+    )
 
 
 def prepared(profile, covariance, look):
     no_sigma = np.full(1, np.nan)
     return uncertainty_of(
-        profile, covariance, exposed(profile, look),
+        profile,
+        covariance,
+        exposed(profile, look),
         StationSigmas(no_sigma, no_sigma, np.array([AHEAD]), no_sigma),
-        [(look[0], np.array([True]))], ground_heights_m=(-600.0, 10_000.0),
-        window_kinds=np.array([look[3]]), typical_ground_m=GROUND,
-    )  # fmt: skip
+        [(look[0], np.array([True]))],
+        ground_heights_m=(-600.0, 10_000.0),
+        window_kinds=np.array([look[3]]),
+        typical_ground_m=GROUND,
+    )
 
 
 def along(airs, mode, sigmas: float):
     """The air that many sigmas along the mode."""
-    size, state = airs.EDGES.size, sigmas * mode.state
+    size = airs.EDGES.size
+    state = sigmas * mode.state
     return airs.profile_of(
         airs.temperatures() + state[:size], float(state[size]), airs.vapour() + state[size + 1 :]
     )
@@ -124,7 +141,8 @@ def difference(one, two) -> np.ndarray:
 
 def is_close(found, expected) -> bool:
     """To 0.06 %, and 0.02 % of the usual where it nearly vanishes."""
-    error, size = np.hypot(*(found - expected)), np.hypot(*expected)
+    error = np.hypot(*(found - expected))
+    size = np.hypot(*expected)
     return bool((error <= 6e-4 * size + 2e-4 * np.median(size)).all())
 
 
@@ -135,7 +153,8 @@ def claims(airs):
     made = {}
     for name, look in LOOKS.items():
         uncertainty = prepared(profile, covariance, look)
-        ours, step = corrected(profile, exposed(profile, look), look, uncertainty=uncertainty), 0.3
+        ours = corrected(profile, exposed(profile, look), look, uncertainty=uncertainty)
+        step = 0.3
         more, less = (along(airs, uncertainty.mode, step * sign) for sign in (1.0, -1.0))
         unit = 2.0 * step * uncertainty.mode.sigma
         true = difference(*(corrected(a, exposed(a, look), look) for a in (more, less))) / unit
@@ -175,7 +194,9 @@ def sum_over_layers(warmer_k: float) -> tuple[float, float]:
     the pressure is held at the camera; n by Gladstone and Dale from 2.779e-4 (15 deg C, 550 nm).
     """
     h = np.arange(0.0, 6000.5, 1.0)
-    kelvin, n_cabin, angle = 288.15 - 0.0065 * h + warmer_k, 1.0 + CABIN, np.radians(10.0)
+    kelvin = 288.15 - 0.0065 * h + warmer_k
+    n_cabin = 1.0 + CABIN
+    angle = np.radians(10.0)
     fall = 9.80665 * 0.0289644 / 8.31432 * np.diff(h) * 0.5 * (1 / kelvin[1:] + 1 / kelvin[:-1])
     pressure = 47_181.0 * np.exp(np.append(np.cumsum(fall[::-1])[::-1], 0.0))
     n = 1.0 + 2.779e-4 * (pressure / 101_325.0) * 288.15 / kelvin
@@ -186,30 +207,54 @@ def sum_over_layers(warmer_k: float) -> tuple[float, float]:
 
 def test_one_kelvin_behind_a_level_pane():
     """Of a uniform kelvin, the pressure held at the camera, R_c has less than half."""
-    more, less = sum_over_layers(0.5), sum_over_layers(-0.5)
+    more = sum_over_layers(0.5)
+    less = sum_over_layers(-0.5)
     total, of_r = (1e6 * abs(a - b) for a, b in zip(more, less, strict=True))
     assert (total, of_r) == (pytest.approx(1.10, abs=0.02), pytest.approx(0.51, abs=0.005))
-    profile, airs = standard_atmosphere("us1976"), []
+    profile = standard_atmosphere("us1976")
+    airs = []
     for kelvin in (0.5, -0.5):
         layers = profile.layers
         vapour = np.append(layers.vapour, 0.0)
         top = 6000.0 * 6_356_766.0 / 6_362_766.0  # geopotential
-        airs.append(replace(profile, layers=stack_layers(
-            layers.edge, layers.edge_temperature + kelvin, vapour, layers.source,
-            anchor=(top, float(profile.pressure(6000.0))), constant=profile.constant,
-        )))  # fmt: skip
-    h, r_c, shifted = np.array([6000.0]), [], []
+        airs.append(
+            replace(
+                profile,
+                layers=stack_layers(
+                    layers.edge,
+                    layers.edge_temperature + kelvin,
+                    vapour,
+                    layers.source,
+                    anchor=(top, float(profile.pressure(6000.0))),
+                    constant=profile.constant,
+                ),
+            )
+        )
+    h = np.array([6000.0])
+    r_c = []
+    shifted = []
     for air in airs:
         exposures = Exposures(
-            np.array([True]), looking(0.0)[None], np.array([0.8]), h, air.refractivity(h),
-            np.array([CABIN]), np.array([AHEAD]), radius_m=RADIUS,
-        )  # fmt: skip
+            np.array([True]),
+            looking(0.0)[None],
+            np.array([0.8]),
+            h,
+            air.refractivity(h),
+            np.array([CABIN]),
+            np.array([AHEAD]),
+            radius_m=RADIUS,
+        )
         x = np.array([CAMERA.cx_px + CAMERA.fx_px * np.tan(np.radians(10.0))])
         plain = replace(CAMERA, fy_px=CAMERA.fx_px, distortion=BrownConrady())
         done = correct_observations(
-            x, np.array([plain.cy_px]), np.zeros(1), np.zeros(1, np.int64), exposures, camera=plain,
+            x,
+            np.array([plain.cy_px]),
+            np.zeros(1),
+            np.zeros(1, np.int64),
+            exposures,
+            camera=plain,
             table=ray_table(air),
-        )  # fmt: skip
+        )
         shifted.append(np.arctan((done.x_corrected_px[0] - plain.cx_px) / plain.fx_px))
         r_c.append(done.r_c_rad[0])
     ppm = 1e6 / np.tan(np.radians(10.0))
@@ -220,9 +265,11 @@ def test_one_kelvin_behind_a_level_pane():
 @pytest.mark.parametrize("name", LOOKS)
 def test_its_part_of_sigma_air(airs, claims, name):
     """Of one camera at one height nearly all; what the mode leaves is not negative."""
-    look, uncertainty = LOOKS[name], claims[name][4]
-    sigmas = corrected(airs.air()[0], exposed(airs.air()[0], look), look,
-                       uncertainty=uncertainty).sigmas  # fmt: skip
+    look = LOOKS[name]
+    uncertainty = claims[name][4]
+    sigmas = corrected(
+        airs.air()[0], exposed(airs.air()[0], look), look, uncertainty=uncertainty
+    ).sigmas
     part = uncertainty.mode.sigma * np.hypot(sigmas.dx_ds_px, sigmas.dy_ds_px)
     whole = np.hypot(sigmas.air_dx_px, sigmas.air_dy_px)
     assert (part <= 1.005 * whole).all()
@@ -235,12 +282,17 @@ def test_drawn_airs_move_along_it(airs, claims):
     """200 airs from the covariance: their first principal component is the column."""
     look = LOOKS["nadir, tilted pane"]
     found, *_, uncertainty = claims["nadir, tilted pane"]
-    rng, nominal = np.random.default_rng(2), airs.air()[0]
+    rng = np.random.default_rng(2)
+    nominal = airs.air()[0]
     moved = []
     for _ in range(200):
         air = airs.drawn(rng)
-        moved.append(difference(corrected(air, exposed(air, look), look),
-                                corrected(nominal, exposed(nominal, look), look)))  # fmt: skip
+        moved.append(
+            difference(
+                corrected(air, exposed(air, look), look),
+                corrected(nominal, exposed(nominal, look), look),
+            )
+        )
     _, size, direction = np.linalg.svd(np.array(moved).reshape(200, -1), full_matrices=False)
     cosine = direction[0] @ found.ravel() / np.linalg.norm(found)
     assert abs(cosine) > 0.999
@@ -250,12 +302,15 @@ def test_drawn_airs_move_along_it(airs, claims):
 
 @pytest.mark.parametrize("name", [name for name, look in LOOKS.items() if look[3] == SEALED])
 def test_the_air_in_the_cabin(airs, name):
-    profile, look, step = airs.air()[0], LOOKS[name], 1e-6
-    found = corrected(profile, exposed(profile, look), look,
-                      uncertainty=prepared(profile, None, look)).sigmas  # fmt: skip
-    true = difference(*(
-        corrected(profile, exposed(profile, look, CABIN + d), look) for d in (step, -step)
-    )) / (2.0 * step)  # fmt: skip
+    profile = airs.air()[0]
+    look = LOOKS[name]
+    step = 1e-6
+    found = corrected(
+        profile, exposed(profile, look), look, uncertainty=prepared(profile, None, look)
+    ).sigmas
+    true = difference(
+        *(corrected(profile, exposed(profile, look, CABIN + d), look) for d in (step, -step))
+    ) / (2.0 * step)
     assert is_close(np.stack([found.dx_dncc_px, found.dy_dncc_px]).astype(float), true)
     assert np.isnan(found.dx_ds_px).all()
     assert np.isnan(found.dy_ds_px).all()
@@ -264,8 +319,9 @@ def test_the_air_in_the_cabin(airs, name):
 def test_no_pane_no_cabin(airs):
     profile, covariance = airs.air()
     look = LOOKS["45, open"]
-    sigmas = corrected(profile, exposed(profile, look), look,
-                       uncertainty=prepared(profile, covariance, look)).sigmas  # fmt: skip
+    sigmas = corrected(
+        profile, exposed(profile, look), look, uncertainty=prepared(profile, covariance, look)
+    ).sigmas
     assert np.isnan(sigmas.dx_dncc_px).all()
     assert np.isnan(sigmas.dy_dncc_px).all()
 
@@ -279,9 +335,15 @@ def test_displaced_observations_go_the_other_way(airs, name):
 
     def displaced(air, exposures, **more):
         return apply_refraction(
-            x, y, np.full(x.size, GROUND), zero, exposures, camera=look[0], table=ray_table(air),
+            x,
+            y,
+            np.full(x.size, GROUND),
+            zero,
+            exposures,
+            camera=look[0],
+            table=ray_table(air),
             **more,
-        )  # fmt: skip
+        )
 
     found = displaced(profile, exposed(profile, look), uncertainty=uncertainty).sigmas
     more, less = (along(airs, uncertainty.mode, sign) for sign in (0.3, -0.3))

@@ -13,7 +13,8 @@ from unbend.refraction.camera.camera import LensInAir, is_absurd, principal_chan
 
 # A lens of 153 mm on pixels of 7.65 um, calibrated on the ground.
 PITCH_MM = 0.00765
-REFERENCE_PA, REFERENCE_K = 101_325.0, 293.15
+REFERENCE_PA = 101_325.0
+REFERENCE_K = 293.15
 # At 6 km in US 1976, and in a cabin kept at 701.2 hPa and 21.1 degC.
 AT_6_KM = (47_217.6, 249.187)
 IN_CABIN = (70_120.0, 294.26)
@@ -21,9 +22,12 @@ IN_CABIN = (70_120.0, 294.26)
 
 def lens(mm_per_hpa: float, mm_per_k: float) -> LensInAir:
     return LensInAir(
-        153.0 / PITCH_MM, REFERENCE_PA, REFERENCE_K, mm_per_hpa / PITCH_MM / 100.0,
+        153.0 / PITCH_MM,
+        REFERENCE_PA,
+        REFERENCE_K,
+        mm_per_hpa / PITCH_MM / 100.0,
         mm_per_k / PITCH_MM,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
@@ -53,13 +57,19 @@ def test_the_reference_changes_nothing_and_each_derivative_acts_alone():
 def test_more_than_one_percent_is_absurd():
     mine = LensInAir(20_000.0, REFERENCE_PA, REFERENCE_K, 0.0, 0.0)
     assert is_absurd(mine, [0.0, 199.0, -199.0, 201.0, -201.0, math.nan]).tolist() == [
-        False, False, False, True, True, False,
-    ]  # fmt: skip
+        False,
+        False,
+        False,
+        True,
+        True,
+        False,
+    ]
 
 
 def test_a_longer_principal_distance_puts_the_same_ray_farther_out():
     """By hand: u = 0.3 stands at 7000 + 11000 * 0.3 calibrated, 12 * 0.3 px farther in flight."""
-    u, v = 0.3, -0.2
+    u = 0.3
+    v = -0.2
     flown = np.array([7000.0 + 11_012.0 * u]), np.array([5300.0 + 11_012.0 * v])
     calibrated = np.array([7000.0 + 11_000.0 * u]), np.array([5300.0 + 11_000.0 * v])
     camera = Camera(14_000, 10_600, 11_000.0, 11_000.0, 7000.0, 5300.0)
@@ -68,14 +78,20 @@ def test_a_longer_principal_distance_puts_the_same_ray_farther_out():
     def corrected(x, y, change_px):
         n = np.atleast_1d(air.refractivity(3000.0))
         exposures = Exposures(
-            np.array([True]), np.diag([1.0, -1.0, -1.0])[None], np.zeros(1), np.array([3000.0]), n,
-            n, principal_change_px=np.array([change_px]),
-        )  # fmt: skip
+            np.array([True]),
+            np.diag([1.0, -1.0, -1.0])[None],
+            np.zeros(1),
+            np.array([3000.0]),
+            n,
+            n,
+            principal_change_px=np.array([change_px]),
+        )
         return correct_observations(
             x, y, np.zeros(1), np.zeros(1, np.int64), exposures, camera=camera, table=ray_table(air)
         )
 
-    changed, unchanged = corrected(*flown, 12.0), corrected(*calibrated, 0.0)
+    changed = corrected(*flown, 12.0)
+    unchanged = corrected(*calibrated, 0.0)
     assert changed.x_corrected_px[0] == pytest.approx(unchanged.x_corrected_px[0], abs=1e-9)
     assert changed.y_corrected_px[0] == pytest.approx(unchanged.y_corrected_px[0], abs=1e-9)
     assert changed.dx_px[0] - unchanged.dx_px[0] == pytest.approx(-12.0 * u, abs=1e-9)

@@ -22,9 +22,13 @@ OSL_3030 = (
     [-1.0, -1.0, -1.0, 0.0, 1.0, 1.0],
 )
 SCAN = {
-    "pixel_mm": (0.02, 0.02), "format_mm": (230.0, 230.0), "origin_px": (5760.0, 5745.0),
-    "axes": "right up", "ppa_mm": (0.004, -0.012), "ppbs_mm": (-0.009, 0.002),
-}  # fmt: skip
+    "pixel_mm": (0.02, 0.02),
+    "format_mm": (230.0, 230.0),
+    "origin_px": (5760.0, 5745.0),
+    "axes": "right up",
+    "ppa_mm": (0.004, -0.012),
+    "ppbs_mm": (-0.009, 0.002),
+}
 SIZE = (11500, 11500)
 
 
@@ -40,7 +44,8 @@ def table_of(report):
 def by_hand(x_mm, y_mm, report, ppa, ppbs):
     """Ideal image coordinates of measured ones, as the report prescribes: SMAC's formulas."""
     focal, k, _ = report
-    x, y = x_mm - ppbs[0], y_mm - ppbs[1]
+    x = x_mm - ppbs[0]
+    y = y_mm - ppbs[1]
     r2 = x**2 + y**2
     radial = k["k0"] + k["k1"] * r2 + k["k2"] * r2**2
     x_c = x_mm + x * radial + k["p1"] * (r2 + 2.0 * x**2) + 2.0 * k["p2"] * x * y
@@ -94,14 +99,35 @@ def test_one_point_by_hand():
 )  # fmt: skip
 @pytest.mark.parametrize("sense", ["correction", "distortion"])
 def test_every_axis_and_sense_against_the_formulas(axes, right, down, sense):
-    focal, ppa, ppbs = 100.5, (0.21, -0.13), (0.05, 0.08)
-    k = {"k0": 1e-4, "k1": -2e-7, "k2": 3e-11, "k3": -2e-15, "k4": 1e-19, "p1": 3e-6, "p2": -2e-6,
-         "b1": 2e-4, "b2": -3e-4}  # fmt: skip
-    pixel, origin, size = np.array([0.006, 0.0062]), np.array([6700.0, 4100.0]), (13400, 8200)
+    focal = 100.5
+    ppa = (0.21, -0.13)
+    ppbs = (0.05, 0.08)
+    k = {
+        "k0": 1e-4,
+        "k1": -2e-7,
+        "k2": 3e-11,
+        "k3": -2e-15,
+        "k4": 1e-19,
+        "p1": 3e-6,
+        "p2": -2e-6,
+        "b1": 2e-4,
+        "b2": -3e-4,
+    }
+    pixel = np.array([0.006, 0.0062])
+    origin = np.array([6700.0, 4100.0])
+    size = (13400, 8200)
     camera = metric_camera(
-        size, focal, pixel_mm=pixel, format_mm=size * pixel, origin_px=origin, axes=axes,
-        ppa_mm=ppa, ppbs_mm=ppbs, coefficients=k, sense=sense,
-    )  # fmt: skip
+        size,
+        focal,
+        pixel_mm=pixel,
+        format_mm=size * pixel,
+        origin_px=origin,
+        axes=axes,
+        ppa_mm=ppa,
+        ppbs_mm=ppbs,
+        coefficients=k,
+        sense=sense,
+    )
     from_own = np.array([right, down], float)  # rows: right and down, along the report's x and y
 
     def function(point):  # about the principal point of symmetry
@@ -139,16 +165,22 @@ def test_a_table_alone_is_fitted_and_ends_where_it_ends():
     table = np.stack([r, dr], axis=1)
     fitted = metric_camera(SIZE, focal, **SCAN, coefficients={}, table=(table, "distortion"))
     known = metric_camera(
-        SIZE, focal, **SCAN, sense="correction",
+        SIZE,
+        focal,
+        **SCAN,
+        sense="correction",
         coefficients={n: v for n, v in coefficients.items() if n[0] == "k"},
-    )  # fmt: skip
-    x, y = np.array([5760.0, 9000.0, 9800.0]), np.array([5745.0, 3000.0, 9500.0])
-    got, wanted = fitted.rays(x, y), known.rays(x, y)
+    )
+    x = np.array([5760.0, 9000.0, 9800.0])
+    y = np.array([5745.0, 3000.0, 9500.0])
+    got = fitted.rays(x, y)
+    wanted = known.rays(x, y)
     np.testing.assert_allclose(got[:2], wanted[:2], rtol=0.0, atol=0.02 * 1e-3 / focal)  # 0.02 um
     assert got[2].all()
     # 128.6 mm are 6430 px; the corner of the scan is farther.
-    u, _, covered = fitted.rays(np.array([5760.0 + 6400.0 * 0.7, 11400.0]),
-                                np.array([5745.0 + 6400.0 * 0.7, 11400.0]))  # fmt: skip
+    u, _, covered = fitted.rays(
+        np.array([5760.0 + 6400.0 * 0.7, 11400.0]), np.array([5745.0 + 6400.0 * 0.7, 11400.0])
+    )
     assert covered.tolist() == [True, False]
     assert np.isnan(u[1])
 
@@ -161,11 +193,28 @@ def test_a_table_alone_is_fitted_and_ends_where_it_ends():
         ({"format_mm": (230.0, 150.0)}, "CAMERA-FORMAT", "1.533"),
         ({"ppa_mm": (115.0, 114.8)}, "CAMERA-PRINCIPAL-POINT", "50 %"),
         ({"origin_px": (0.0, 11500.0)}, "CAMERA-PRINCIPAL-POINT", "50 %"),
-        ({"table": (np.array([[20.0, 0.0], [40.0, 0.004], [60.0, -0.004], [80.0, 0.005],
-                              [100.0, -0.005], [120.0, 0.004], [140.0, -0.004]]), "distortion")},
-         "CAMERA-REPORT", "a polynomial differ by"),
+        (
+            {
+                "table": (
+                    np.array(
+                        [
+                            [20.0, 0.0],
+                            [40.0, 0.004],
+                            [60.0, -0.004],
+                            [80.0, 0.005],
+                            [100.0, -0.005],
+                            [120.0, 0.004],
+                            [140.0, -0.004],
+                        ]
+                    ),
+                    "distortion",
+                )
+            },
+            "CAMERA-REPORT",
+            "a polynomial differ by",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused_with_the_number(changes, code, number):
     with pytest.raises(PhysicsError, match=number) as refused:
         metric_camera(SIZE, 153.0, **(SCAN | {"coefficients": {}} | changes))

@@ -69,7 +69,8 @@ def test_both_ends_of_a_ray_have_one_chord(h_c, h_g, degrees):
     if high - low < 1.0:
         high = low + 1.0
     zeta_high = math.radians(degrees)  # downwards
-    r_low, r_high = RADIUS + low, RADIUS + high
+    r_low = RADIUS + low
+    r_high = RADIUS + high
     n_low, n_high = (1.0 + float(AIR.refractivity(h)) for h in (low, high))
     r_c, _ = bent(TABLE, high, low, zeta_high)
     ray_at_low = math.asin(n_high * r_high * math.sin(zeta_high) / (n_low * r_low))
@@ -102,23 +103,37 @@ def test_out_of_a_window_and_in_again(ray, normal, inside, outside):
 
 def exposures(cabin: float = 0.0, change_px: float = 0.0, tilt: float = 0.0) -> Exposures:
     turn = np.array(
-        [[1.0, 0.0, 0.0], [0.0, math.cos(tilt), -math.sin(tilt)],
-         [0.0, math.sin(tilt), math.cos(tilt)]]
-    )  # fmt: skip
+        [
+            [1.0, 0.0, 0.0],
+            [0.0, math.cos(tilt), -math.sin(tilt)],
+            [0.0, math.sin(tilt), math.cos(tilt)],
+        ]
+    )
     outside = np.atleast_1d(AIR.refractivity(3000.0))
     return Exposures(
-        np.array([True]), (turn @ DOWN)[None], np.array([0.8]), np.array([3000.0]), outside,
-        outside + cabin, principal_change_px=np.array([change_px]), radius_m=RADIUS,
-    )  # fmt: skip
+        np.array([True]),
+        (turn @ DOWN)[None],
+        np.array([0.8]),
+        np.array([3000.0]),
+        outside,
+        outside + cabin,
+        principal_change_px=np.array([change_px]),
+        radius_m=RADIUS,
+    )
 
 
 @short
 @given(st.floats(0.0, 7000.0), st.floats(0.0, 5300.0), st.floats(0.0, 1e-4))
 def test_the_shifts_of_a_vertical_image_are_symmetric(x, y, cabin):
     both = correct_observations(
-        np.array([x, 14_000.0 - x]), np.array([y, 10_600.0 - y]), np.zeros(2),
-        np.zeros(2, np.int64), exposures(cabin), camera=CAMERA, table=TABLE,
-    )  # fmt: skip
+        np.array([x, 14_000.0 - x]),
+        np.array([y, 10_600.0 - y]),
+        np.zeros(2),
+        np.zeros(2, np.int64),
+        exposures(cabin),
+        camera=CAMERA,
+        table=TABLE,
+    )
     # One unit in the last place of u = x/f, up to 5.6e-17 here, is 1.1e-12 px; several add up.
     assert both.dx_px[0] == pytest.approx(-both.dx_px[1], abs=5e-12)
     assert both.dy_px[0] == pytest.approx(-both.dy_px[1], abs=5e-12)
@@ -126,9 +141,12 @@ def test_the_shifts_of_a_vertical_image_are_symmetric(x, y, cabin):
 
 @short
 @given(
-    st.floats(500.0, 13_500.0), st.floats(500.0, 10_100.0), st.floats(-1e-4, 1e-4),
-    st.floats(-30.0, 30.0), st.floats(-0.4, 0.4),
-)  # fmt: skip
+    st.floats(500.0, 13_500.0),
+    st.floats(500.0, 10_100.0),
+    st.floats(-1e-4, 1e-4),
+    st.floats(-30.0, 30.0),
+    st.floats(-0.4, 0.4),
+)
 def test_what_is_applied_is_removed_again(x, y, cabin, change_px, tilt):
     setup = exposures(cabin, change_px, tilt)
     where = (np.zeros(1), np.zeros(1, np.int64), setup)

@@ -53,11 +53,21 @@ def linear_air(lapse_per_km: float, index: str = "gyer", wet: float = 0.0) -> Pr
 
 def test_the_names_are_those_of_the_manual():
     assert list(pub.PUBLISHED) == [
-        "plane", "plane_first_term", "plane_moist", "gyer1996", "saastamoinen1974",
-        "saastamoinen1974_ican", "saastamoinen1974_quadratic", "saastamoinen1974_fitted",
-        "saastamoinen1974_weather", "saastamoinen1974_series", "bertram1966",
-        "bertram1966_from_ground", "bertram1966_curved", "manual",
-    ]  # fmt: skip
+        "plane",
+        "plane_first_term",
+        "plane_moist",
+        "gyer1996",
+        "saastamoinen1974",
+        "saastamoinen1974_ican",
+        "saastamoinen1974_quadratic",
+        "saastamoinen1974_fitted",
+        "saastamoinen1974_weather",
+        "saastamoinen1974_series",
+        "bertram1966",
+        "bertram1966_from_ground",
+        "bertram1966_curved",
+        "manual",
+    ]
 
 
 @pytest.mark.parametrize("name", pub.PUBLISHED)
@@ -100,10 +110,14 @@ class TestEveryMethod:
 
 def test_outside_the_profile_is_nan(us1962):
     looks_at_the_profile = set(pub.PUBLISHED) - {
-        "manual", "saastamoinen1974_ican", "saastamoinen1974_quadratic",
+        "manual",
+        "saastamoinen1974_ican",
+        "saastamoinen1974_quadratic",
         # These go on beyond 80.5 km without air.
-        "bertram1966", "bertram1966_curved", "bertram1966_from_ground",
-    }  # fmt: skip
+        "bertram1966",
+        "bertram1966_curved",
+        "bertram1966_from_ground",
+    }
     for name in sorted(looks_at_the_profile):
         r = pub.PUBLISHED[name](us1962, [95_000.0, 6000.0], [0.0, -6000.0], DIAGONAL, RADIUS)
         assert np.isnan(r).all(), name
@@ -114,7 +128,8 @@ def test_density_follows_the_gas_law():
     air = standard_atmosphere("us1976")
     assert density(air, 10_000.0) == pytest.approx(0.41351, abs=5e-6)
     # Moist air is lighter by 1 - 0.378 e/p.
-    wet, dry = linear_air(-6.5, wet=0.02), linear_air(-6.5)
+    wet = linear_air(-6.5, wet=0.02)
+    dry = linear_air(-6.5)
     t = wet.temperature(0.0)
     e = wet.vapour_pressure(0.0)
     by_hand = (101_000.0 - 0.378 * e) * 28.9644 / (8314.32 * t)
@@ -125,7 +140,8 @@ def test_density_follows_the_gas_law():
 def test_the_mean_over_a_column_has_a_closed_form():
     """rho dH = -dp / G: the mean density of a hydrostatic layer is its drop of pressure."""
     air = linear_air(-6.5)
-    h_g, h_c = np.array([0.0, 123.4, 3000.0]), np.array([10.0, 9000.0, 14_999.0])
+    h_g = np.array([0.0, 123.4, 3000.0])
+    h_c = np.array([10.0, 9000.0, 14_999.0])
     by_pressure = (air.pressure(h_g) - air.pressure(h_c)) / (9.80665 * (h_c - h_g))
     assert mean(air, density, h_g, h_c) == pytest.approx(by_pressure, rel=1e-11)
     # A column of no thickness has the density of its place.
@@ -183,7 +199,8 @@ class TestGyer1996:
         """Two intervals, written out."""
         zeta = 70.0 * DEGREE
         h = np.array([-1000.0, 0.0, 1000.0, 2000.0, 3000.0])
-        r, n = RADIUS + h, 1.0 + ardc.refractivity(h)
+        r = RADIUS + h
+        n = 1.0 + ardc.refractivity(h)
         k = n[3] * r[3] * math.sin(zeta)
         value = k / (r * np.sqrt(n * n * r * r - k * k))
         theta = 1000.0 / 24.0 * (
@@ -251,12 +268,14 @@ class TestSaastamoinen1974:
 
     def test_eq_5_is_exact_in_an_index_of_second_order(self, monkeypatch):
         air = linear_air(-6.5)
-        c_1, c_2 = -26e-9, 0.8e-12
+        c_1 = -26e-9
+        c_2 = 0.8e-12
         monkeypatch.setattr(
             Profile, "refractivity", lambda _, h: 277e-6 + c_1 * h + c_2 * np.asarray(h) ** 2
         )
         assert pub.quadratic_coefficients(air) == pytest.approx((c_1, c_2), rel=1e-9)
-        h_c, h_g = 7000.0, 900.0
+        h_c = 7000.0
+        h_g = 900.0
         column = 277e-6 + c_1 * (h_c + h_g) / 2 + c_2 * (h_c**2 + h_c * h_g + h_g**2) / 3
         at_camera = 277e-6 + c_1 * h_c + c_2 * h_c**2
         r = pub.saastamoinen1974_fitted(air, h_c, h_g, DIAGONAL, RADIUS)
@@ -273,7 +292,8 @@ class TestSaastamoinen1974:
         air = linear_air(-6.5)
         for h_c in (120.0, 3000.0, 10_000.0):
             r = float(pub.saastamoinen1974_weather(air, h_c, 0.0, DIAGONAL, RADIUS)) / URAD
-            p, t = float(air.pressure(h_c)) / 100.0, float(air.temperature(h_c))
+            p = float(air.pressure(h_c)) / 100.0
+            t = float(air.temperature(h_c))
             mended = r - 2.316 * (34.1632 - 34.11) * p / t
             summed = float(pub.saastamoinen1974(air, h_c, 0.0, DIAGONAL, RADIUS)) / URAD
             # 2.316 * 34.163 = 79.12; 0.226 * 0.34837 * 1000 = 78.73: half a percent apart.
@@ -291,7 +311,9 @@ class TestSaastamoinen1974:
         air = linear_air(lapse)
         for h_c in (120.0, 1000.0, 4000.0, 9000.0):
             with mp.workdps(40):
-                t_0, p_0, H = mp.mpf(288), mp.mpf(1010), mp.mpf(h_c) / 1000
+                t_0 = mp.mpf(288)
+                p_0 = mp.mpf(1010)
+                H = mp.mpf(h_c) / 1000
                 t = t_0 + mp.mpf(lapse) * H
                 g = mp.mpf("34.1")
                 fall = mp.exp(-g * H / t_0) if lapse == 0.0 else (t / t_0) ** (-g / mp.mpf(lapse))
@@ -303,7 +325,8 @@ class TestSaastamoinen1974:
         """At low heights the two differ by 39.6 for 39.5, and by nothing that grows."""
         air = linear_air(-6.5)
         for h_c in (50.0, 500.0, 2000.0):
-            p, t = float(air.pressure(h_c)) / 100.0, float(air.temperature(h_c))
+            p = float(air.pressure(h_c)) / 100.0
+            t = float(air.temperature(h_c))
             weather = float(pub.saastamoinen1974_weather(air, h_c, 0.0, DIAGONAL, RADIUS)) / URAD
             mended = weather - 2.316 * (34.1632 - 34.11) * p / t
             series = float(pub.saastamoinen1974_series(air, h_c, 0.0, DIAGONAL, RADIUS)) / URAD
@@ -398,7 +421,8 @@ class TestMoist:
         assert closed == pytest.approx(integral, rel=5e-4 if index == "gyer" else 2e-3)
 
     def test_humidity_lowers_refraction_and_saastamoinen_doubles_it(self):
-        wet, dry = linear_air(-6.5, wet=0.03), linear_air(-6.5)
+        wet = linear_air(-6.5, wet=0.03)
+        dry = linear_air(-6.5)
         drop = [
             1.0
             - float(f(wet, 3000.0, 0.0, DIAGONAL, RADIUS) / f(dry, 3000.0, 0.0, DIAGONAL, RADIUS))
@@ -435,8 +459,12 @@ class TestTrace:
         r_c, status = self.rays(name, us1962, h_c, h_g, np.array([95.0, 45.0, 45.0, 45.0, np.nan]))
         assert np.isnan(r_c).all()
         assert status.tolist() == [
-            MISSES_GROUND, OUTSIDE_PROFILE, BAD_MEASUREMENT, BAD_MEASUREMENT, BAD_MEASUREMENT,
-        ]  # fmt: skip
+            MISSES_GROUND,
+            OUTSIDE_PROFILE,
+            BAD_MEASUREMENT,
+            BAD_MEASUREMENT,
+            BAD_MEASUREMENT,
+        ]
 
     def test_heights_beyond_the_method(self, us1962):
         r_c, status = self.rays("saastamoinen1974_quadratic", us1962, 9500.0, 0.0, 45.0)

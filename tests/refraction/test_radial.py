@@ -22,7 +22,8 @@ KNOWN = {(10_000.0, 75.0): 61.778543, (10_000.0, 45.0): 16.378452, (3_000.0, 45.
 
 def landing(h_c, h_g, zeta):
     """East of the nadir point where a straight ray reaches a height [m], and its height."""
-    r_c, r_g = mp.mpf(RADIUS) + h_c, mp.mpf(RADIUS) + h_g
+    r_c = mp.mpf(RADIUS) + h_c
+    r_g = mp.mpf(RADIUS) + h_g
     c = mp.cos(zeta)
     s = r_c * c - mp.sqrt((r_c * c) ** 2 - (r_c**2 - r_g**2))
     return s * mp.sin(zeta), -s * c
@@ -44,7 +45,9 @@ def test_k_is_the_angle_at_45_degrees_beside_the_manual_by_hand():
 
 
 def test_shift_in_the_image_and_on_the_ground():
-    f, h_c, h_g = 20_000.0, 6_000.0, 1_500.0
+    f = 20_000.0
+    h_c = 6_000.0
+    h_g = 1_500.0
     table = radial_table(AIR, h_c, h_g, angles_to(80.0, 7.0), focal_px=f)
     with mp.workdps(40):
         for i, zeta in enumerate(table.nadir_angle_rad.tolist()):

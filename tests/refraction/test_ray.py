@@ -152,8 +152,12 @@ def test_a_wiggly_profile_against_an_independent_ode(wiggly, h_c, h_g, degrees):
 def ode(profile, h_c, h_g, zeta):
     return ray_angle_sphere(
         lambda h: 1.0 + float(profile.refractivity(h)),
-        h_c, h_g, zeta, RADIUS, breaks=profile.break_heights_m.tolist(),
-    )  # fmt: skip
+        h_c,
+        h_g,
+        zeta,
+        RADIUS,
+        breaks=profile.break_heights_m.tolist(),
+    )
 
 
 def test_the_table_reproduces_the_profile(us1976, wiggly):
@@ -181,7 +185,8 @@ def test_the_two_forms_agree_where_they_meet(us1976, wiggly):
     for profile in (us1976, wiggly):
         table = ray_table(profile)
         for h_c, h_g in ((3000.0, 0.0), (10_000.0, 350.0), (25_000.0, -200.0), (120.0, 0.0)):
-            r_c, r_g = RADIUS + h_c, RADIUS + h_g
+            r_c = RADIUS + h_c
+            r_g = RADIUS + h_g
             for part in (0.5, 0.6, 0.7):
                 # q^2 = part * (r_c cos zeta)^2
                 cos_c = math.sqrt((h_c - h_g) * (r_c + r_g) / (1.0 - part)) / r_c
@@ -201,7 +206,8 @@ def test_about_the_guard_over_one_piece_of_the_table(us1976, truth, h_c, h_g, pa
     """q^2 at the lower end is ``part`` of that at the upper: few nodes for a steep integrand."""
     edge = ray_table(us1976).edge_m
     assert np.searchsorted(edge, h_c) == np.searchsorted(edge, h_g)
-    low, high = min(h_c, h_g), max(h_c, h_g)
+    low = min(h_c, h_g)
+    high = max(h_c, h_g)
     q2 = (high - low) * (2.0 * RADIUS + low + high) / (1.0 - part)  # at the upper end
     if h_g < h_c:
         zeta = math.asin(math.sqrt(1.0 - q2 / (RADIUS + h_c) ** 2))
@@ -235,7 +241,8 @@ def test_near_grazing_through_many_kinks(wiggly, h_c, below):
         k = n(last, mp.mpf(h_1)) * (RADIUS + mp.mpf(h_1)) * mp.sin(mp.mpf(zeta))
         theta = mp.mpf(0)
         for i in range(first, last):
-            low, high = mp.mpf(edge[i]), mp.mpf(edge[i + 1])
+            low = mp.mpf(edge[i])
+            high = mp.mpf(edge[i + 1])
             shift = low - mp.mpf(h_0) + mp.mpf("1e-3")  # h = h_0 - 1 mm + s^2
 
             def integrand(s, i=i):
@@ -244,7 +251,8 @@ def test_near_grazing_through_many_kinks(wiggly, h_c, below):
                 return 2 * s * k / (r * mp.sqrt((n(i, h) * r) ** 2 - k**2))
 
             theta += mp.quad(integrand, [mp.sqrt(shift), mp.sqrt(shift + high - low)])
-        r_c, r_g = RADIUS + mp.mpf(h_1), RADIUS + mp.mpf(h_0)
+        r_c = RADIUS + mp.mpf(h_1)
+        r_g = RADIUS + mp.mpf(h_0)
         chord = mp.atan2(r_g * mp.sin(theta), r_c - r_g * mp.cos(theta))
         expected = float((mp.mpf(zeta) - chord) * 648_000 / mp.pi)
     angle = refraction_angle(wiggly, h_1, h_0, zeta) / ARCSEC
@@ -260,9 +268,13 @@ def test_splitting_the_layers_changes_nothing(us1976):
     edge = np.union1d(old[old <= 50_000.0], np.arange(-4900.0, 32_000.0, 170.0))
     height = us1976.gravity.height(edge)
     layers = stack_layers(
-        edge, us1976.temperature(height), np.zeros(edge.size), ("",) * (edge.size - 1),
-        anchor=(0.0, 101_325.0), constant=us1976.constant,
-    )  # fmt: skip
+        edge,
+        us1976.temperature(height),
+        np.zeros(edge.size),
+        ("",) * (edge.size - 1),
+        anchor=(0.0, 101_325.0),
+        constant=us1976.constant,
+    )
     split = Profile(layers, us1976.gravity, us1976.index, "split", us1976.constant)
     rng = np.random.default_rng(3)
     h_c = rng.uniform(10.0, 30_000.0, 400)

@@ -242,7 +242,8 @@ def test_seen_from_the_other_end(h_c, h_g, degrees):
     at_ground = math.pi - math.asin(sine)
     up, status = bent(h_g, h_c, at_ground)
     assert int(status) == OK
-    chord_c, chord_g = zeta - float(down), at_ground - float(up)
+    chord_c = zeta - float(down)
+    chord_g = at_ground - float(up)
     # Law of sines in the triangle camera - centre - ground.
     left = (RADIUS + h_c) * math.sin(chord_c)
     right = (RADIUS + h_g) * math.sin(math.pi - chord_g)
@@ -251,7 +252,9 @@ def test_seen_from_the_other_end(h_c, h_g, degrees):
 
 def test_the_dense_end_bends_more():
     # The same layer of air, seen from above and from below: the chord's law of sines.
-    h_c, h_g, zeta = 10_000.0, 0.0, 60.0 * DEGREE
+    h_c = 10_000.0
+    h_g = 0.0
+    zeta = 60.0 * DEGREE
     down = refraction_angle(AIR, h_c, h_g, zeta)
     n_c, n_g = (1.0 + float(AIR.refractivity(h)) for h in (h_c, h_g))
     sine = n_c * (RADIUS + h_c) * math.sin(zeta) / (n_g * (RADIUS + h_g))
@@ -261,7 +264,8 @@ def test_the_dense_end_bends_more():
 
 def test_a_ray_that_turns_below_a_near_target_may_mean_the_second_crossing():
     """1 degree below the horizon from 3 km it turns 1.2 km lower: far from grazing at 2800 m."""
-    sine, cosine = np.sin(np.radians(89.0)), np.cos(np.radians(89.0))
+    sine = np.sin(np.radians(89.0))
+    cosine = np.cos(np.radians(89.0))
     near, status = bend(ray_table(AIR), 3000.0, 2800.0, sine, cosine)
     assert STATUS_NAMES[int(status)] == "beyond_grazing"
     again, status = bend(ray_table(AIR), 3000.0, 2800.0, sine, cosine, distance=12_000.0)

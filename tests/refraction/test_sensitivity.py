@@ -26,13 +26,15 @@ from unbend.units import DEGREE, HYDROSTATIC_CONSTANT
 
 DIGITS = 30
 RADIUS = 6_371_000.0
-G_PHI, R_PHI = 9.80616, 6_356_360.0
+G_PHI = 9.80616
+R_PHI = 6_356_360.0
 
 # Humid air with an inversion, an isothermal layer and a nearly isothermal one.
 EDGES = [-300.0, 900.0, 1250.0, 4000.0, 7000.0, 9000.0, 14_000.0]  # [m']
 T_M = [291.0, 284.0, 289.5, 270.0, 250.0, 250.0, 250.5]  # [K]
 VAPOUR = [0.016, 0.012, 0.004, 0.002, 5e-4, 1e-4, 0.0]  # e/p
-ANCHOR_M, ANCHOR_PA = 2000.0, 80_000.0
+ANCHOR_M = 2000.0
+ANCHOR_PA = 80_000.0
 
 RAYS = {
     "10 km, 60 deg": (10_000.0, 0.0, 60.0),
@@ -50,9 +52,12 @@ RAYS = {
 def profile_of(index: str = "gyer", t_m=T_M, vapour=VAPOUR) -> Profile:
     gravity = Gravity(G_PHI, R_PHI)
     layers = stack_layers(
-        np.array(EDGES), np.asarray(t_m), np.asarray(vapour), ("",) * (len(EDGES) - 1),
+        np.array(EDGES),
+        np.asarray(t_m),
+        np.asarray(vapour),
+        ("",) * (len(EDGES) - 1),
         anchor=(float(gravity.geopotential_height(ANCHOR_M)), ANCHOR_PA),
-    )  # fmt: skip
+    )
     return Profile(layers, gravity, IndexModel(index))
 
 
@@ -163,7 +168,8 @@ NODES = gauss_legendre(14)
 def angle(air: Air, h_c: mp.mpf, h_g: mp.mpf, zeta: mp.mpf) -> mp.mpf:
     """R_c by Gyer's Eq. 11 and 12, in panels that shrink towards the lower end."""
     air = air.settled()
-    low, high = min(h_c, h_g), max(h_c, h_g)
+    low = min(h_c, h_g)
+    high = max(h_c, h_g)
     k = (1 + air.refractivity(h_c)) * (RADIUS + h_c) * mp.sin(zeta)
     excess = (1 + air.refractivity(low)) * (RADIUS + low) - k
     cuts = {low, high, *(h for h in map(height, EDGES) if low < h < high)}
@@ -179,7 +185,8 @@ def angle(air: Air, h_c: mp.mpf, h_g: mp.mpf, zeta: mp.mpf) -> mp.mpf:
             r = RADIUS + h
             n = 1 + air.refractivity(h)
             theta += w * (b - a) / 2 * k / (r * mp.sqrt((n * r) ** 2 - k**2))
-    r_c, r_g = RADIUS + h_c, RADIUS + h_g
+    r_c = RADIUS + h_c
+    r_g = RADIUS + h_g
     return zeta - mp.atan2(r_g * mp.sin(theta), r_c - r_g * mp.cos(theta))
 
 
@@ -187,7 +194,8 @@ def angle(air: Air, h_c: mp.mpf, h_g: mp.mpf, zeta: mp.mpf) -> mp.mpf:
 def differences(index: str, h_c: float, h_g: float, degrees: float) -> dict[str, np.ndarray]:
     """R_c and its central differences, with steps that leave 1e-11 of them."""
     with mp.workdps(DIGITS):
-        air, ray = Air(index), [mp.mpf(h_c), mp.mpf(h_g), mp.mpf(degrees * DEGREE)]
+        air = Air(index)
+        ray = [mp.mpf(h_c), mp.mpf(h_g), mp.mpf(degrees * DEGREE)]
 
         def by_air(name: str, step: mp.mpf, place: int = 0) -> float:
             one, two = (angle(air.changed(name, place, s), *ray) for s in (step, -step))
@@ -199,7 +207,8 @@ def differences(index: str, h_c: float, h_g: float, degrees: float) -> dict[str,
             return float((one - two) / (2 * step))
 
         edges = range(len(EDGES))
-        tiny, metre = mp.mpf("1e-7"), mp.mpf("1e-5")
+        tiny = mp.mpf("1e-7")
+        metre = mp.mpf("1e-5")
         return {
             "r_c": np.array(float(angle(air, *ray))),
             "d_temperature": np.array([by_air("t", mp.mpf("1e-5"), i) for i in edges]),
@@ -272,14 +281,17 @@ def test_a_sign_turned_over_is_seen(monkeypatch, module, name, which):
 @pytest.mark.parametrize("index", ["gyer", "ciddor"])
 def test_refractivity_of_the_layers_against_differences_of_thirty_digits(index):
     h = np.array([-250.0, 905.0, 1100.0, ANCHOR_M, 6500.0, 8000.0, 13_000.0])
-    found, edges = air_jacobian(profile_of(index), h, ANCHOR_M), len(EDGES)
+    found = air_jacobian(profile_of(index), h, ANCHOR_M)
+    edges = len(EDGES)
     with mp.workdps(DIGITS):
         for name, values in (("t", found[:, :edges]), ("x", found[:, edges + 1 :])):
             step = mp.mpf("1e-6")
             for i in range(len(EDGES)):
                 one, two = (Air(index).changed(name, i, s).settled() for s in (step, -step))
-                expected = [float((one.refractivity(z) - two.refractivity(z)) / (2 * step))
-                            for z in map(mp.mpf, h)]  # fmt: skip
+                expected = [
+                    float((one.refractivity(z) - two.refractivity(z)) / (2 * step))
+                    for z in map(mp.mpf, h)
+                ]
                 # Reached: 3e-13 of the largest.
                 scale = np.abs(values).max()
                 np.testing.assert_allclose(values[:, i], expected, rtol=0.0, atol=2e-12 * scale)
@@ -298,7 +310,8 @@ def test_near_the_horizon(h_c, below):
     found = sensitivity(profile, h_c, 0.0, zeta, RADIUS, anchor_height_m=ANCHOR_M)
     assert found.valid
     with mp.workdps(DIGITS):
-        ray, step = [mp.mpf(h_c), mp.mpf(0), mp.mpf(zeta)], mp.mpf("1e-10")
+        ray = [mp.mpf(h_c), mp.mpf(0), mp.mpf(zeta)]
+        step = mp.mpf("1e-10")
         one, two = (angle(Air("gyer").changed("t", 1, s), *ray) for s in (step, -step))
         by_t = float((one - two) / (2 * step))
         one, two = (angle(Air("gyer"), *ray[:2], ray[2] + s * 1e-6) for s in (step, -step))
@@ -318,8 +331,14 @@ def test_what_cannot_be_differentiated_says_so():
     # Level at the ground; below the horizon; upwards to the ground; through the lowest point.
     assert found.valid.tolist() == [False] * 7 + [True]
     assert found.status.tolist()[1:] == [
-        MISSES_GROUND, MISSES_GROUND, OK, OK, BAD_MEASUREMENT, OUTSIDE_PROFILE, OK,
-    ]  # fmt: skip
+        MISSES_GROUND,
+        MISSES_GROUND,
+        OK,
+        OK,
+        BAD_MEASUREMENT,
+        OUTSIDE_PROFILE,
+        OK,
+    ]
     for name in ("d_temperature", "d_vapour", "d_log_pressure", "d_h_c", "d_h_g", "d_zeta_c"):
         row = np.isfinite(getattr(found, name).reshape(8, -1))
         assert row.any(axis=1).tolist() == row.all(axis=1).tolist() == found.valid.tolist(), name
@@ -352,7 +371,8 @@ def test_from_virtual_temperature_to_the_thermometer():
     kelvin = T_M[1] * (1.0 - wet)
 
     def air(warmer: float, moister: float) -> Profile:
-        t_m, x = np.array(T_M), np.array(VAPOUR)
+        t_m = np.array(T_M)
+        x = np.array(VAPOUR)
         x[1] += moister
         t_m[1] = (kelvin + warmer) / (1.0 - 0.378 * x[1])
         return profile_of("ciddor", t_m, x)
@@ -409,7 +429,8 @@ def test_straight_down_only_the_angle_counts():
 def test_many_rays_are_each_what_they_are_alone(monkeypatch):
     monkeypatch.setattr(weights, "_BLOCK", 3000)
     profile = profile_of("ciddor")
-    h_c, zeta = np.array([9000.0, 1200.0, 4000.0]), np.array([[0.2], [1.5], [0.9], [1.2]])
+    h_c = np.array([9000.0, 1200.0, 4000.0])
+    zeta = np.array([[0.2], [1.5], [0.9], [1.2]])
     together = sensitivity(profile, h_c, 0.0, zeta, RADIUS, anchor_height_m=ANCHOR_M)
     assert together.d_temperature.shape == (4, 3, len(EDGES))
     for i in range(4):

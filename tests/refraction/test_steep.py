@@ -88,16 +88,18 @@ def test_the_series_is_what_is_used(table):
     from unbend.refraction.kernels.moments import bend_steep_rays
 
     h_g, sine, cosine, radius = rays(np.random.default_rng(5), 3450.0, 300, steepest=60.0)
-    angle, status = np.empty(300), np.empty(300, np.uint8)
+    angle = np.empty(300)
+    status = np.empty(300, np.uint8)
     bend_steep_rays(
         table.fine, RayColumns(np.full(300, 3450.0), h_g, sine, cosine, radius, h_g), angle, status
-    )  # fmt: skip
+    )
     assert (status == OK).all()
     assert LEFT not in status
 
 
 def test_many_rays_against_forty_digits(truth):
-    table, oracle = ray_table(standard_atmosphere("us1976", index="gyer")), truth(40)
+    table = ray_table(standard_atmosphere("us1976", index="gyer"))
+    oracle = truth(40)
     rng = np.random.default_rng(1974)
     for h_c in (120.0, 3000.0, 10_000.0, 24_000.0):
         h_g, sine, cosine, _ = rays(rng, h_c, 200, steepest=80.0)
@@ -113,7 +115,9 @@ def theta_form(table, h_c, h_g, zeta):
     """R_c [arcsec] by Gyer's Eq. 11 and 12 as they stand, in 80-bit arithmetic, piece by piece."""
     nodes, weights = np.polynomial.legendre.leggauss(24)
     edge = table.edge_m.astype(np.longdouble)
-    radius, h_c, h_g = np.longdouble(RADIUS), np.longdouble(h_c), np.longdouble(h_g)
+    radius = np.longdouble(RADIUS)
+    h_c = np.longdouble(h_c)
+    h_g = np.longdouble(h_g)
     first, last = (int(np.searchsorted(table.edge_m, float(h), "right")) - 1 for h in (h_g, h_c))
 
     def index(i, h):
@@ -123,9 +127,11 @@ def theta_form(table, h_c, h_g, zeta):
     k = index(last, h_c) * (radius + h_c) * np.sin(np.longdouble(zeta))
     theta = np.longdouble(0)
     for i in range(first, last + 1):
-        low, high = max(h_g, edge[i]), min(h_c, edge[i + 1])
+        low = max(h_g, edge[i])
+        high = min(h_c, edge[i + 1])
         h = low + (high - low) * (nodes.astype(np.longdouble) + 1) / 2
-        r, n = radius + h, index(i, h)
+        r = radius + h
+        n = index(i, h)
         theta += np.sum(weights * k / (r * np.sqrt((n * r) ** 2 - k * k))) * (high - low) / 2
     ahead = (h_c - h_g) / (radius + h_g) + 2 * np.sin(theta / 2) ** 2  # r_c / r_g - cos(theta)
     chord = np.arctan2(np.sin(theta), ahead)
@@ -133,7 +139,8 @@ def theta_form(table, h_c, h_g, zeta):
 
 
 def test_inversions_against_eighty_bits():
-    table, rng = ray_table(inversions()), np.random.default_rng(1966)
+    table = ray_table(inversions())
+    rng = np.random.default_rng(1966)
     for h_c in (60.0, 840.0, 1000.0, 6000.0, 17_000.0):
         h_g, sine, cosine, _ = rays(rng, h_c, 120, steepest=82.0)
         found, _ = bend(table, h_c, h_g, sine, cosine, radius=RADIUS)
@@ -151,7 +158,8 @@ def test_nothing_jumps_where_layers_meet(table):
     edges = table.edge_m[(table.edge_m > -400.0) & (table.edge_m < 14_000.0)][::7]
     step = 1e-5
     for degrees in (30.0, 80.0):
-        sine, cosine = math.sin(degrees * DEGREE), math.cos(degrees * DEGREE)
+        sine = math.sin(degrees * DEGREE)
+        cosine = math.cos(degrees * DEGREE)
         for h_c, h_g in ((edges, edges - 350.0), (edges + 350.0, edges)):
             below, at, above = (
                 bend(table, h_c + d * (h_c is edges), h_g + d * (h_g is edges), sine, cosine)[0]
@@ -188,7 +196,8 @@ FAR = [(1000.0, 990.0, 89.4), (1000.0, 700.0, 89.2), (6000.0, 5000.0, 88.6), (30
 
 @pytest.mark.parametrize(("h_c", "h_g", "degrees"), FAR)
 def test_the_slant_range_says_which_crossing_is_meant(truth, h_c, h_g, degrees):
-    oracle, zeta = truth(40), degrees * DEGREE
+    oracle = truth(40)
+    zeta = degrees * DEGREE
     table = ray_table(standard_atmosphere("us1976", index="gyer"))
     turn = oracle.turning_height(h_c, zeta)
     assert -430.0 < turn < h_g

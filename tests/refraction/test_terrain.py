@@ -49,8 +49,10 @@ def exposures_at(lat_deg, height_m, rotation=None):
 def surface_of(terrain, lon, lat):
     """Bilinear height of the terrain at places [deg]; NaN beside it."""
     row, column = terrain.nodes(np.radians(lat), np.radians(lon))
-    i, j = np.floor(row).astype(int), np.floor(column).astype(int)
-    u, v = row - i, column - j
+    i = np.floor(row).astype(int)
+    j = np.floor(column).astype(int)
+    u = row - i
+    v = column - j
     north = (1 - v) * terrain.stored(i, j) + v * terrain.stored(i, j + 1)
     return (1 - u) * north + u * (
         (1 - v) * terrain.stored(i + 1, j) + v * terrain.stored(i + 1, j + 1)
@@ -80,7 +82,8 @@ def marched(terrain, lat_deg, lon_deg, height_m, direction, *, step=40.0, bent=T
     left = np.ones(len(at), bool)
     share = np.linspace(0.0, 1.0, fine + 1)[None, :, None]
     for _ in range(20_000):
-        p_0, q_0 = at[left], q[left]
+        p_0 = at[left]
+        q_0 = q[left]
         k1 = slope(p_0, q_0)
         k2 = slope(p_0 + 0.5 * step * k1[0], q_0 + 0.5 * step * k1[1])
         k3 = slope(p_0 + 0.5 * step * k2[0], q_0 + 0.5 * step * k2[1])
@@ -91,9 +94,11 @@ def marched(terrain, lat_deg, lon_deg, height_m, direction, *, step=40.0, bent=T
 
         def piece(s, p_0=p_0, p_1=p_1, d_0=k1[0], d_1=out):
             return (
-                (1 + 2 * s) * (1 - s) ** 2 * p_0[:, None] + s * (1 - s) ** 2 * step * d_0[:, None]
-                + s * s * (3 - 2 * s) * p_1[:, None] + s * s * (s - 1) * step * d_1[:, None]
-            )  # fmt: skip
+                (1 + 2 * s) * (1 - s) ** 2 * p_0[:, None]
+                + s * (1 - s) ** 2 * step * d_0[:, None]
+                + s * s * (3 - 2 * s) * p_1[:, None]
+                + s * s * (s - 1) * step * d_1[:, None]
+            )
 
         def above(points):
             lon, lat, h = TO_GEODETIC.transform(*points.reshape(-1, 3).T)
@@ -104,12 +109,14 @@ def marched(terrain, lat_deg, lon_deg, height_m, direction, *, step=40.0, bent=T
         hit = under.any(axis=1)
         if hit.any():
             first = np.argmax(under[hit], axis=1)
-            low, high = (first - 1) / fine, first / fine
+            low = (first - 1) / fine
+            high = first / fine
             ends = [a[hit] for a in (p_0, p_1, k1[0], out)]
             for _ in range(40):
                 middle = 0.5 * (low + high)
                 inside = above(piece(middle[:, None, None], *ends))[:, 0] < 0.0
-                high, low = np.where(inside, middle, high), np.where(inside, low, middle)
+                high = np.where(inside, middle, high)
+                low = np.where(inside, low, middle)
             points = piece(high[:, None, None], *ends)[:, 0]
             rows = np.flatnonzero(left)[hit]
             found[rows] = np.stack(TO_GEODETIC.transform(*points.T), axis=1)
@@ -123,9 +130,10 @@ def marched(terrain, lat_deg, lon_deg, height_m, direction, *, step=40.0, bent=T
 
 def axes(lat_deg, lon_deg):
     """East, north and up (n, 3) at places."""
-    p, l = np.radians(lat_deg), np.radians(lon_deg)  # noqa: E741
-    east = np.stack([-np.sin(l), np.cos(l), np.zeros_like(l)], axis=1)
-    north = np.stack([-np.sin(p) * np.cos(l), -np.sin(p) * np.sin(l), np.cos(p)], axis=1)
+    phi = np.radians(lat_deg)
+    lam = np.radians(lon_deg)
+    east = np.stack([-np.sin(lam), np.cos(lam), np.zeros_like(lam)], axis=1)
+    north = np.stack([-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)], axis=1)
     return east, north, np.cross(east, north)
 
 
@@ -138,9 +146,11 @@ def pixels_of(direction):
 def rays_from(count, lat, lon, span, heights, seed):
     """Cameras about a place, and a ray each, to 75 degrees off the nadir."""
     rng = np.random.default_rng(seed)
-    lat, lon = lat + rng.uniform(-span, span, count), lon + rng.uniform(-span, span, count)
+    lat = lat + rng.uniform(-span, span, count)
+    lon = lon + rng.uniform(-span, span, count)
     height = rng.uniform(*heights, count)
-    zeta, azimuth = np.radians(rng.uniform(0.0, 74.5, count)), rng.uniform(-np.pi, np.pi, count)
+    zeta = np.radians(rng.uniform(0.0, 74.5, count))
+    azimuth = rng.uniform(-np.pi, np.pi, count)
     direction = np.stack(
         [np.sin(zeta) * np.sin(azimuth), np.sin(zeta) * np.cos(azimuth), -np.cos(zeta)], axis=1
     )
@@ -151,7 +161,8 @@ def landing(terrain, lat, lon, height, direction, **options):
     """Heights of `terrain_heights` for one ray from each camera."""
     x, y = pixels_of(direction)
     where = np.radians(lat), np.radians(lon)
-    rows, exposures = np.arange(len(lat)), exposures_at(lat, height)
+    rows = np.arange(len(lat))
+    exposures = exposures_at(lat, height)
     found = terrain_heights(
         x, y, rows, exposures, where, camera=CAMERA, table=TABLE, terrain=terrain, **options
     )
@@ -177,9 +188,11 @@ def ends_of(lat, lon, height, direction, found, corrected):
 
 @pytest.mark.parametrize(("lat", "lon", "around"), [(46.5, 8.0, 0), (-17.0, 180.0, 432_000)])
 def test_rays_land_where_an_integrated_ray_does(lat, lon, around):
-    west, first = lon - 750 * STEP, 0
+    west = lon - 750 * STEP
+    first = 0
     if around:  # the date line lies in the middle, and the grid goes round the earth
-        west, first = -180.0, -750
+        west = -180.0
+        first = -750
     north = lat + 750 * STEP
     terrain = ArrayTerrain(relief(1500, 1500), north, west, STEP, STEP, around=around, first=first)
     rays = rays_from(500, lat, lon, 0.1, (3_000.0, 10_000.0), 1)
@@ -215,7 +228,8 @@ def test_the_error_of_a_landing_is_that_of_the_terrain_by_its_slope():
         wanted = 1.0 / (1.0 - sign * fall * np.tan(zeta))
         np.testing.assert_allclose(found.factor, wanted, rtol=0.01)
     rays = rays_from(300, 46.5, 8.0, 0.1, (3_000.0, 10_000.0), 2)
-    corner, heights = (46.5 + 750 * STEP, 8.0 - 750 * STEP), relief(1500, 1500, cliffs=False)
+    corner = (46.5 + 750 * STEP, 8.0 - 750 * STEP)
+    heights = relief(1500, 1500, cliffs=False)
     low, high = (
         landing(ArrayTerrain(heights + np.float32(add), *corner, STEP, STEP), *rays)[0]
         for add in (-0.25, 0.25)

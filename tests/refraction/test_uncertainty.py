@@ -38,7 +38,10 @@ DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 # Aircraft banked and pitched, its camera 40 degrees to the side: nothing is level here.
 BODY = Rotation.from_euler("zxy", [33.0, 7.0, -11.0], degrees=True).as_matrix()
 TILTED = Rotation.from_euler("zyx", [20.0, 5.0, 40.0], degrees=True).as_matrix() @ DOWN @ BODY
-TILT, YAW, HEIGHT, GROUND = 0.4 * DEGREE, 1.1 * DEGREE, 12.0, 9.0
+TILT = 0.4 * DEGREE
+YAW = 1.1 * DEGREE
+HEIGHT = 12.0
+GROUND = 9.0
 
 
 @pytest.fixture(scope="module")
@@ -49,21 +52,30 @@ def air(airs):
 def exposed(profile, rotation=TILTED, h_c=H_C, cabin=0.0) -> Exposures:
     outside = profile.refractivity(np.array([h_c]))
     return Exposures(
-        np.array([True]), rotation[None], np.array([0.8]), np.array([h_c]), outside,
-        outside + cabin, radius_m=RADIUS,
-    )  # fmt: skip
+        np.array([True]),
+        rotation[None],
+        np.array([0.8]),
+        np.array([h_c]),
+        outside,
+        outside + cabin,
+        radius_m=RADIUS,
+    )
 
 
 def station_sigmas(tilt=TILT, yaw=YAW, height=HEIGHT, axis=(0.0, 0.0, 1.0), n=1) -> StationSigmas:
     return StationSigmas(
-        np.full(n, tilt), np.full(n, yaw), np.tile(np.asarray(axis, float), (n, 1)),
-        np.full(n, height), np.full((n, 4), 1e-6),
-    )  # fmt: skip
+        np.full(n, tilt),
+        np.full(n, yaw),
+        np.tile(np.asarray(axis, float), (n, 1)),
+        np.full(n, height),
+        np.full((n, 4), 1e-6),
+    )
 
 
 def points(n=400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(5)
-    x, y = rng.uniform(0, CAMERA.width_px, n), rng.uniform(0, CAMERA.height_px, n)
+    x = rng.uniform(0, CAMERA.width_px, n)
+    y = rng.uniform(0, CAMERA.height_px, n)
     return x, y, rng.uniform(0.0, 700.0, n)
 
 
@@ -81,9 +93,7 @@ def with_sigmas(air, ex, stations, x, y, h_g, covariance=None, sigma=GROUND):
         [(CAMERA, np.array([True]))],
         ground_heights_m=(-600.0, 10_000.0),
     )
-    return shifts(
-        air, ex, x, y, h_g, uncertainty=uncertainty, sigma_h_g=np.full(x.size, sigma)
-    )  # fmt: skip
+    return shifts(air, ex, x, y, h_g, uncertainty=uncertainty, sigma_h_g=np.full(x.size, sigma))
 
 
 def central(plus, minus) -> np.ndarray:
@@ -164,8 +174,10 @@ def test_the_air_against_drawn_air(airs, air):
     rng = np.random.default_rng(8)
     drawn = [shifts(airs.drawn(rng), ex, x, y, h_g) for _ in range(300)]
     for name, found in (
-        ("dx_px", sigmas.air_dx_px), ("dy_px", sigmas.air_dy_px), ("r_c_rad", sigmas.r_c_rad)
-    ):  # fmt: skip
+        ("dx_px", sigmas.air_dx_px),
+        ("dy_px", sigmas.air_dy_px),
+        ("r_c_rad", sigmas.r_c_rad),
+    ):
         spread = np.std([getattr(one, name) for one in drawn], axis=0)
         np.testing.assert_allclose(found, spread, rtol=0.12)
 
@@ -179,15 +191,24 @@ def test_a_tilt_of_half_a_degree(air):
         looking = Rotation.from_euler("x", -degrees, degrees=True).as_matrix() @ DOWN
         ex = exposed(profile, looking, 10_000.0)
         uncertainty = uncertainty_of(
-            profile, None, ex, station_sigmas(0.5 * DEGREE, 0.5 * DEGREE, 0.0),
-            [(narrow, np.array([True]))], ground_heights_m=(0.0, 0.0),
-        )  # fmt: skip
+            profile,
+            None,
+            ex,
+            station_sigmas(0.5 * DEGREE, 0.5 * DEGREE, 0.0),
+            [(narrow, np.array([True]))],
+            ground_heights_m=(0.0, 0.0),
+        )
         centre = np.array([100.0])
         found = correct_observations(
-            centre, centre, np.zeros(1), np.zeros(1, np.int64), ex, camera=narrow,
+            centre,
+            centre,
+            np.zeros(1),
+            np.zeros(1, np.int64),
+            ex,
+            camera=narrow,
             table=ray_table(profile),
             uncertainty=uncertainty,
-        )  # fmt: skip
+        )
         assert abs(found.dx_px[0]) < 1e-9
         share.append(100.0 * float(found.sigmas.station_dy_px[0] / abs(found.dy_px[0])))
         across = float(found.sigmas.station_dx_px[0] / abs(found.dy_px[0]))
@@ -213,9 +234,16 @@ def test_exactly_at_the_nadir(air):
     x = np.array([pinhole.cx_px, pinhole.cx_px + 1.0])
     y = np.array([pinhole.cy_px, pinhole.cy_px])
     found = correct_observations(
-        x, y, np.zeros(2), np.zeros(2, np.int64), ex, camera=pinhole, table=ray_table(profile),
-        uncertainty=uncertainty, sigma_h_g=np.full(2, GROUND),
-    )  # fmt: skip
+        x,
+        y,
+        np.zeros(2),
+        np.zeros(2, np.int64),
+        ex,
+        camera=pinhole,
+        table=ray_table(profile),
+        uncertainty=uncertainty,
+        sigma_h_g=np.full(2, GROUND),
+    )
     s = found.sigmas
     expected = TILT * found.r_c_rad[1] * pinhole.fx_px / (1.0 / pinhole.fx_px)
     for column in (s.station_dx_px, s.station_dy_px):
@@ -229,11 +257,14 @@ def test_rows_in_any_order(air, order):
     profile, covariance = air
     ex = exposed(profile)
     two = replace(
-        ex, usable=np.ones(2, bool), rotation=np.stack([TILTED, DOWN]),
-        latitude_rad=np.full(2, 0.8), height_m=np.array([H_C, 2700.0]),
+        ex,
+        usable=np.ones(2, bool),
+        rotation=np.stack([TILTED, DOWN]),
+        latitude_rad=np.full(2, 0.8),
+        height_m=np.array([H_C, 2700.0]),
         refractivity_outside=profile.refractivity(np.array([H_C, 2700.0])),
         refractivity_cabin=profile.refractivity(np.array([H_C, 2700.0])),
-    )  # fmt: skip
+    )
     uncertainty = uncertainty_of(
         profile,
         covariance,
@@ -247,9 +278,16 @@ def test_rows_in_any_order(air, order):
 
     def sigmas(rows):
         return correct_observations(
-            x[rows], y[rows], h_g[rows], row[rows], two, camera=CAMERA, table=ray_table(profile),
-            uncertainty=uncertainty, sigma_h_g=1.0 + 0.25 * rows,  # another in each row
-        ).sigmas._asdict()  # fmt: skip
+            x[rows],
+            y[rows],
+            h_g[rows],
+            row[rows],
+            two,
+            camera=CAMERA,
+            table=ray_table(profile),
+            uncertainty=uncertainty,
+            sigma_h_g=1.0 + 0.25 * rows,  # another in each row
+        ).sigmas._asdict()
 
     together = sigmas(np.arange(row.size))
     for i in range(min(row.size, 6)):
@@ -298,9 +336,16 @@ def test_without_a_correction_no_sigma(air):
         ground_heights_m=(0.0, 900.0),
     )
     found = correct_observations(
-        x, y, h_g, row, ex, camera=CAMERA, table=ray_table(profile), uncertainty=uncertainty,
+        x,
+        y,
+        h_g,
+        row,
+        ex,
+        camera=CAMERA,
+        table=ray_table(profile),
+        uncertainty=uncertainty,
         sigma_h_g=np.full(4, GROUND),
-    )  # fmt: skip
+    )
     assert found.status[1:3].tolist() == [NO_GROUND, NO_STATION]
     for name, values in found.sigmas._asdict().items():
         no_window = "dncc" in name
@@ -322,11 +367,19 @@ def test_the_far_branch_has_none(air):
         [(narrow, np.array([True]))],
         ground_heights_m=(0.0, 6000.0),
     )
-    centre, h_g = np.full(2, 100.0), np.full(2, 5900.0)
+    centre = np.full(2, 100.0)
+    h_g = np.full(2, 5900.0)
     found = correct_observations(
-        centre, centre, h_g, np.zeros(2, np.int64), ex, camera=narrow, table=ray_table(profile),
-        distance_m=np.array([3000.0, 500_000.0]), uncertainty=uncertainty,
-    )  # fmt: skip
+        centre,
+        centre,
+        h_g,
+        np.zeros(2, np.int64),
+        ex,
+        camera=narrow,
+        table=ray_table(profile),
+        distance_m=np.array([3000.0, 500_000.0]),
+        uncertainty=uncertainty,
+    )
     assert found.status[1] == FAR_BRANCH
     assert np.isfinite(found.dy_px).all()
     assert np.isnan(found.sigmas.station_dy_px).tolist() == [False, True]

@@ -18,7 +18,8 @@ from unbend.refraction.window import (
     scheduled_pressure,
 )
 
-OUTSIDE, CABIN = 93.57e-6, 187.84e-6
+OUTSIDE = 93.57e-6
+CABIN = 187.84e-6
 
 
 def unit(v):

@@ -70,14 +70,21 @@ def exposed(profile, look, at_m: float | None = None) -> Exposures:
         SCHEDULED: profile.index.refractivity(294.26, profile.pressure(h), 0.0),
     }[view]
     return Exposures(
-        np.array([True]), rotation[None], np.array([0.8]), h, outside, cabin,
-        np.array([normal]), radius_m=RADIUS,
-    )  # fmt: skip
+        np.array([True]),
+        rotation[None],
+        np.array([0.8]),
+        h,
+        outside,
+        cabin,
+        np.array([normal]),
+        radius_m=RADIUS,
+    )
 
 
 def points(n=40) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(5)
-    x, y = rng.uniform(0, CAMERA.width_px, n), rng.uniform(0, CAMERA.height_px, n)
+    x = rng.uniform(0, CAMERA.width_px, n)
+    y = rng.uniform(0, CAMERA.height_px, n)
     return x, y, rng.uniform(0.0, 700.0, n)
 
 
@@ -94,9 +101,14 @@ def claimed(profile, covariance, look, height=0.0):
         np.zeros(1), np.zeros(1), np.array([[0.0, 0.0, 1.0]]), np.full(1, height)
     )
     made = uncertainty_of(
-        profile, covariance, exposed(profile, look), stations, [(CAMERA, np.array([True]))],
-        ground_heights_m=(-600.0, 10_000.0), window_kinds=np.array([look[3]]),
-    )  # fmt: skip
+        profile,
+        covariance,
+        exposed(profile, look),
+        stations,
+        [(CAMERA, np.array([True]))],
+        ground_heights_m=(-600.0, 10_000.0),
+        window_kinds=np.array([look[3]]),
+    )
     return shifts(profile, ray_table(profile), look, uncertainty=made).sigmas
 
 
@@ -120,7 +132,8 @@ def changed(airs, root: np.ndarray) -> list[list[tuple]]:
 @pytest.fixture(scope="module")
 def by_pressure(airs):
     """0.4 % uncertainty of pressure: air, covariance, and the airs that differ by it."""
-    profile, size = airs.air()[0], airs.EDGES.size
+    profile = airs.air()[0]
+    size = airs.EDGES.size
     root = np.zeros((2 * size + 1, 1))
     root[size] = 0.004
     covariance = ProfileCovariance(profile, airs.ANCHOR_M, root @ root.T)
@@ -182,7 +195,9 @@ def test_a_cabin_makes_doubt_of_pressure_larger_and_a_schedule_smaller(by_pressu
 def test_the_height_of_the_station(by_pressure, name):
     """Higher up the air outside is thinner, that in the cabin is not, or follows the schedule."""
     profile, _, _ = by_pressure
-    look, sigma, table = LOOKS[name], 12.0, ray_table(by_pressure[0])
+    look = LOOKS[name]
+    sigma = 12.0
+    table = ray_table(by_pressure[0])
     found = claimed(profile, None, look, height=sigma)
     high, low = (shifts(profile, table, look, look[1] + d) for d in (sigma, -sigma))
     for got, axis in ((found.station_dx_px, "dx_px"), (found.station_dy_px, "dy_px")):
@@ -224,10 +239,12 @@ def test_the_leading_mode_is_that_of_changed_airs(airs, by_all, name):
     rays = np.stack([u, v, np.ones(30)], axis=1)
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     straight, r_c = net_directions(profile, look, rays)
-    moved = np.array([
-        0.5 * (net_directions(one[0], look, rays)[0] - net_directions(two[0], look, rays)[0])
-        for one, two in changed_airs
-    ])  # fmt: skip
+    moved = np.array(
+        [
+            0.5 * (net_directions(one[0], look, rays)[0] - net_directions(two[0], look, rays)[0])
+            for one, two in changed_airs
+        ]
+    )
     # Towards the nadir, (columns, n), and all of it.
     to_nadir = np.array([0.0, 0.0, -1.0]) + straight[:, 2:] * straight
     to_nadir /= np.linalg.norm(to_nadir, axis=1)[:, None]

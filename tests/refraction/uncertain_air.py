@@ -16,7 +16,8 @@ from unbend.geodesy import lambert_gravity
 EDGES = np.concatenate(
     [np.arange(-600.0, 3600.0, 50.0), np.arange(3600.0, 12_001.0, 600.0), [20e3, 32e3]]
 )
-ANCHOR_M, ANCHOR_PA = 1000.0, 90_000.0
+ANCHOR_M = 1000.0
+ANCHOR_PA = 90_000.0
 LN_P_SIGMA = 0.001
 
 
@@ -53,9 +54,12 @@ def covariance_matrix() -> np.ndarray:
 
 def profile_of(t_m: np.ndarray, ln_p: float, e: np.ndarray) -> Profile:
     layers = stack_layers(
-        EDGES, t_m, e, ("measured",) * (EDGES.size - 1),
+        EDGES,
+        t_m,
+        e,
+        ("measured",) * (EDGES.size - 1),
         anchor=(ANCHOR_M, ANCHOR_PA * float(np.exp(ln_p))),
-    )  # fmt: skip
+    )
     constant = standard_atmosphere("us1976", latitude=0.8).constant
     return Profile(layers, lambert_gravity(0.8), IndexModel("ciddor"), "adjusted", constant)
 
@@ -76,5 +80,6 @@ def root() -> np.ndarray:
 
 def drawn(rng: np.random.Generator) -> Profile:
     """The same air as it might be too."""
-    x, size = root() @ rng.normal(size=2 * EDGES.size + 1), EDGES.size
+    x = root() @ rng.normal(size=2 * EDGES.size + 1)
+    size = EDGES.size
     return profile_of(temperatures() + x[:size], float(x[size]), vapour() + x[size + 1 :])

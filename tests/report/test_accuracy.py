@@ -28,7 +28,8 @@ def description(png: bytes) -> str:
     at = 8
     while at < len(png):
         (length,) = struct.unpack(">I", png[at : at + 4])
-        kind, content = png[at + 4 : at + 8], png[at + 8 : at + 8 + length]
+        kind = png[at + 4 : at + 8]
+        content = png[at + 8 : at + 8 + length]
         assert struct.unpack(">I", png[at + 8 + length : at + 12 + length])[0] == zlib.crc32(
             kind + content
         )

@@ -49,8 +49,10 @@ def ran(mission: Any, code: int) -> Path:
 
 def with_model_and_flagged_rows(mission: Any) -> Path:
     """A mission on an elevation model that covers a part of it, with rows that are no use."""
-    cells, step = 300, 60.0 / 111_000.0
-    west, north = np.degrees(FIELD_LON_RAD) - 0.02, np.degrees(FIELD_LAT_RAD) + 0.1
+    cells = 300
+    step = 60.0 / 111_000.0
+    west = np.degrees(FIELD_LON_RAD) - 0.02
+    north = np.degrees(FIELD_LAT_RAD) + 0.1
     at = (np.arange(cells) + 0.5) * step
     lon, lat = np.meshgrid(west + at, north - at)
     lat_1, lon_1 = geographic(np.array(1.0), np.array(1.0))
@@ -59,9 +61,16 @@ def with_model_and_flagged_rows(mission: Any) -> Path:
         (np.radians(lat) - FIELD_LAT_RAD) / (float(lat_1) - FIELD_LAT_RAD),
     )
     with rasterio.open(
-        mission.folder / "dem.tif", "w", driver="GTiff", height=cells, width=cells, count=1,
-        dtype="float32", crs="EPSG:4326", transform=Affine(step, 0.0, west, 0.0, -step, north),
-    ) as out:  # fmt: skip
+        mission.folder / "dem.tif",
+        "w",
+        driver="GTiff",
+        height=cells,
+        width=cells,
+        count=1,
+        dtype="float32",
+        crs="EPSG:4326",
+        transform=Affine(step, 0.0, west, 0.0, -step, north),
+    ) as out:
         out.write(heights.astype(np.float32), 1)
     mission.config["ground"] = {"height": {"dem": "dem.tif"}, "reference": "msl", "sigma_m": 1.5}
     table = mission.measurements().to_pandas()
@@ -84,11 +93,18 @@ def without_log(mission: Any, baseline: Any) -> Path:
     stations.to_csv(mission.folder / "stations.csv", index=False)
     mission.config["stations"] = {
         "orientation": {
-            "path": "stations.csv", "angles": "quaternion", "frame": "geographic", "heights": "msl",
-            "columns": {"camera": "camera", "latitude": "lat_deg", "longitude": "lon_deg",
-                        "height": "h_msl_m"},
+            "path": "stations.csv",
+            "angles": "quaternion",
+            "frame": "geographic",
+            "heights": "msl",
+            "columns": {
+                "camera": "camera",
+                "latitude": "lat_deg",
+                "longitude": "lon_deg",
+                "height": "h_msl_m",
+            },
         }
-    }  # fmt: skip
+    }
     mission.config["atmosphere"] = {"adjust": False}
     return ran(mission, 0)
 
@@ -170,7 +186,8 @@ def test_nothing_is_wider_than_the_screen(runs, browser, name):
     file = (runs[name] / "report.html").resolve()
     for scheme in ("light", "dark"):
         page = browser.new_page(color_scheme=scheme)
-        said, asked = [], []
+        said = []
+        asked = []
         page.on("console", lambda message, said=said: said.append(message.text))
         page.on("pageerror", lambda error, said=said: said.append(str(error)))
         page.on("request", lambda request, asked=asked: asked.append(request.url))
@@ -210,10 +227,12 @@ def test_a_drawing_has_a_text_in_its_place_and_follows_the_colours(runs, browser
     colours = []
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
-        colours.append(page.evaluate(
-            "[...document.querySelectorAll('figure > svg.wide *')].map(e => "
-            "getComputedStyle(e)).map(s => s.stroke + s.fill)"
-        ))  # fmt: skip
+        colours.append(
+            page.evaluate(
+                "[...document.querySelectorAll('figure > svg.wide *')].map(e => "
+                "getComputedStyle(e)).map(s => s.stroke + s.fill)"
+            )
+        )
     assert not set(colours[0]) & set(colours[1]) - {"nonenone", "nonergb(0, 0, 0)"}
     page.close()
 
@@ -296,7 +315,8 @@ def test_the_page_says_what_the_manifest_says(runs, browser, name):
     ]
     codes = page.locator("#ledger code").all_inner_texts()
     assert sorted(codes) == sorted(entry["code"] for entry in manifest["ledger"])
-    ground, text = manifest["ground_heights"], page.locator("#ground > p").inner_text()
+    ground = manifest["ground_heights"]
+    text = page.locator("#ground > p").inner_text()
     for key in ("lowest_m", "median_m", "highest_m"):
         assert f"{ground[key]:.1f}" in text
     # The heights that were used are those of the table of results.

@@ -31,18 +31,24 @@ def page_with(flown: Any, **mission: str) -> str:
 
 def test_what_the_mission_file_says_stands_first_in_any_letters(flown):
     text = page_with(
-        flown, title="Zürich Nord — 航空写真 </style><b>", client='Amt "A" & B',
-        operator="Luftbild GmbH", remarks="One.\n\nTwo <i>\nlines.", time_zone="Asia/Kathmandu",
-    )  # fmt: skip
+        flown,
+        title="Zürich Nord — 航空写真 </style><b>",
+        client='Amt "A" & B',
+        operator="Luftbild GmbH",
+        remarks="One.\n\nTwo <i>\nlines.",
+        time_zone="Asia/Kathmandu",
+    )
     shown = Page(text).texts
     assert ("h1", "Zürich Nord — 航空写真 </style><b>") in shown
     assert shown[0][1].startswith("Zürich Nord — 航空写真 </style><b>: refraction")
     said = [words for tag, words in shown if tag == "dd"][:5]
     assert said == [
-        'Amt "A" & B', "Luftbild GmbH", "ridge <north> & [red]south",
+        'Amt "A" & B',
+        "Luftbild GmbH",
+        "ridge <north> & [red]south",
         "2025-06-12, 15:23:17 to 15:29:19 Asia/Kathmandu (2025-06-12, 09:38:17 to 09:44:19 UTC)",
         "WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid",
-    ]  # fmt: skip
+    ]
     assert [words for tag, words in shown if tag == "p"][1:3] == ["One.", "Two <i> lines."]
     assert text.count("</style>") == 1
     assert "<b>" not in text.replace("<b>", "", 0).split("</style>")[1]
@@ -109,8 +115,9 @@ def test_the_lines_of_the_grid_are_where_proj_has_them(place):
         assert (line.lon_deg[known] >= lon[0]).all()
         assert (line.lat_deg[known] <= lat[1]).all()
     for kind in (True, False):
-        values = [float(line.label.replace("\u202f", "")) for line in lines
-                  if line.is_easting is kind]  # fmt: skip
+        values = [
+            float(line.label.replace("\u202f", "")) for line in lines if line.is_easting is kind
+        ]
         assert len(set(np.diff(values))) <= 1
 
 

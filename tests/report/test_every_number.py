@@ -186,10 +186,15 @@ EFFECTS = [
     "R at 75° from 3457 m to 790 m: 25.1 arcsec, 24.685 in us1962: +1.5 %",
 ]
 SOURCES = [
-    ["source", "readings", "RMS [sigma]", "sigma inflation factor",
-     "degrees of freedom for signal"],
+    [
+        "source",
+        "readings",
+        "RMS [sigma]",
+        "sigma inflation factor",
+        "degrees of freedom for signal",
+    ],
     ["BARO[0], pressure", "179", "0.25", "1.37", "16.1"],
-]  # fmt: skip
+]
 SENSORS = [
     ["sensor error", "estimate ± sigma", "prior sigma"],
     ["thermometer bias [K]", "-0.50 ± 0.45", "0.62"],
@@ -206,7 +211,8 @@ LEDGER = [
 class Column:
     """An atmosphere of straight lines: T, p, e and N at sea level, and their slopes per metre."""
 
-    bottom_m, top_m = -5000.0, 50_000.0
+    bottom_m = -5000.0
+    top_m = 50_000.0
 
     def __init__(self, name: str, t: float, p: float, e: float, n: float) -> None:
         self.name, self.t, self.p, self.e, self.n = name, t, p, e, n
@@ -238,29 +244,36 @@ COVARIANCE = SimpleNamespace(
 def readings(name: str, value: list[float], h_m: list[float], accepted: list[bool]) -> Any:
     samples = object.__new__(SensorSamples)
     for key, content in {
-        "name": name, "value": np.array(value), "h_m": np.array(h_m),
+        "name": name,
+        "value": np.array(value),
+        "h_m": np.array(h_m),
         "rejected": reasons_where(~np.array(accepted), Reason.GROUND_SOAK),
-    }.items():  # fmt: skip
+    }.items():
         object.__setattr__(samples, key, content)
     return samples
 
 
 SAMPLES = AirSamples(
-    temperature=readings("HYGR[0]", [283.15, 280.0, 275.0], [1000.0, 1500.0, 2000.0],
-                         [True, True, False]),
+    temperature=readings(
+        "HYGR[0]", [283.15, 280.0, 275.0], [1000.0, 1500.0, 2000.0], [True, True, False]
+    ),
     pressure=readings("BARO[0]", [91_000.0, 85_000.0], [1100.0, 1600.0], [True, True]),
     humidity=readings("HYGR[1]", [0.5, 1.7], [1200.0, 1900.0], [True, True]),
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
 def air() -> Any:
     effects = [effect_of(row) for row in MANIFEST["profile"]["effect"]]
     adjustment = SimpleNamespace(
-        profile=FLOWN, standard=STANDARD_AIR, covariance=COVARIANCE, sources=(), faults=(),
+        profile=FLOWN,
+        standard=STANDARD_AIR,
+        covariance=COVARIANCE,
+        sources=(),
+        faults=(),
         rejected={"temperature": np.array([0, Reason.OUTLIER, Reason.GROUND_SOAK])},
         basis="thermometer",
-    )  # fmt: skip
+    )
     windows = (
         SimpleNamespace(air=SimpleNamespace(profile=EVENING), why_not=""),
         SimpleNamespace(air=None, why_not="too few readings"),
@@ -381,14 +394,18 @@ def test_every_curve_of_the_air(air):
     figure = profile_figure(air, SAMPLES)
     t, p, e, n, against, words = figure.axes
     assert [axis.get_xlabel() for axis in (t, p, e, n, against)] == [
-        "temperature T [°C]", "pressure p [hPa]", "vapour pressure e [hPa]",
-        "refractivity N = (n − 1) 10⁶", "N against us1962 [%]",
-    ]  # fmt: skip
+        "temperature T [°C]",
+        "pressure p [hPa]",
+        "vapour pressure e [hPa]",
+        "refractivity N = (n − 1) 10⁶",
+        "N against us1962 [%]",
+    ]
     assert t.get_ylabel() == n.get_ylabel() == "height above sea level [m]"
     # Heights of 1000 to 2000 m and 6 % of them, upwards.
     for axis in (t, p, e, n, against):
         assert axis.get_ylim() == pytest.approx((940.0, 2060.0))
-    ours, standard = f"of this flight {ADJUSTED}", f"us1962 {STANDARD}"
+    ours = f"of this flight {ADJUSTED}"
+    standard = f"us1962 {STANDARD}"
     evening = "parts of the flight #93c5fd"
     # At 2000 m, by hand: 290 - 13 - 273.15; 1000 - 160 hPa; 9 - 2 hPa; 290 - 40 ppm.
     assert curve(t, ours, 2000.0) == pytest.approx(3.85)
@@ -412,8 +429,9 @@ def test_every_curve_of_the_air(air):
     # Readings: the second of the temperatures is an outlier, the third was not accepted.
     assert values(t, f"HYGR[0], used {MEASURED}") == ([pytest.approx(10.0)], [1000.0])
     assert values(t, f"HYGR[0], not used {REJECTED}") == (
-        pytest.approx([6.85, 1.85]), [1500.0, 2000.0]
-    )  # fmt: skip
+        pytest.approx([6.85, 1.85]),
+        [1500.0, 2000.0],
+    )
     assert values(p, f"BARO[0], used {MEASURED}") == ([910.0, 850.0], [1100.0, 1600.0])
     # The second reading of 170 % counts as 100 %; the air is at 282.2 and 277.65 K there.
     moist, at = values(e, f"HYGR[1], used {MEASURED}")
@@ -422,8 +440,14 @@ def test_every_curve_of_the_air(air):
     (text,) = words.texts
     assert " ".join(text.get_text().split()) == " ".join(EFFECTS)
     legend = [entry.get_text() for entry in words.get_legend().get_texts()]
-    assert legend == ["HYGR[0], used", "HYGR[0], not used", "parts of the flight", "us1962",
-                      "one sigma", "of this flight"]  # fmt: skip
+    assert legend == [
+        "HYGR[0], used",
+        "HYGR[0], not used",
+        "parts of the flight",
+        "us1962",
+        "one sigma",
+        "of this flight",
+    ]
 
 
 def buck(t_k: float, p_hpa: float) -> float:
@@ -453,22 +477,63 @@ def test_a_plot_is_what_its_name_says(air, tmp_path):
 
 
 PROFILE_ROW = {
-    "h_m": 1234.4, "temperature_k": 281.237, "sigma_temperature_k": 0.314,
-    "standard_temperature_k": 280.128, "pressure_pa": 87_654.0, "standard_pressure_pa": 87_321.0,
-    "vapour_pressure_pa": 812.3, "standard_vapour_pressure_pa": 4.56, "refractivity": 2.51234e-4,
-    "sigma_refractivity": 1.234e-5, "standard_refractivity": 2.47891e-4, "source": "measured",
-}  # fmt: skip
+    "h_m": 1234.4,
+    "temperature_k": 281.237,
+    "sigma_temperature_k": 0.314,
+    "standard_temperature_k": 280.128,
+    "pressure_pa": 87_654.0,
+    "standard_pressure_pa": 87_321.0,
+    "vapour_pressure_pa": 812.3,
+    "standard_vapour_pressure_pa": 4.56,
+    "refractivity": 2.51234e-4,
+    "sigma_refractivity": 1.234e-5,
+    "standard_refractivity": 2.47891e-4,
+    "source": "measured",
+}
 
 
 def test_every_cell_of_a_profile():
     unknown = {"sigma_temperature_k": None, "sigma_refractivity": None, "source": "standard"}
     lines = printed(print_profile, [PROFILE_ROW, PROFILE_ROW | unknown], "us[1]")
-    assert lines[0].split() == ["h", "T", "±", "std", "p", "std", "e", "std", "N", "±", "std",
-                                "source"]  # fmt: skip
-    assert lines[1].split() == ["[m]", "[K]", "[K]", "[hPa]", "[hPa]", "[hPa]", "[hPa]", "[ppm]",
-                                "[ppm]"]  # fmt: skip
-    full = ["1234", "281.24", "0.31", "280.13", "876.5", "873.2", "8.12", "0.05", "251.23", "12.3",
-            "247.89", "measured"]  # fmt: skip
+    assert lines[0].split() == [
+        "h",
+        "T",
+        "±",
+        "std",
+        "p",
+        "std",
+        "e",
+        "std",
+        "N",
+        "±",
+        "std",
+        "source",
+    ]
+    assert lines[1].split() == [
+        "[m]",
+        "[K]",
+        "[K]",
+        "[hPa]",
+        "[hPa]",
+        "[hPa]",
+        "[hPa]",
+        "[ppm]",
+        "[ppm]",
+    ]
+    full = [
+        "1234",
+        "281.24",
+        "0.31",
+        "280.13",
+        "876.5",
+        "873.2",
+        "8.12",
+        "0.05",
+        "251.23",
+        "12.3",
+        "247.89",
+        "measured",
+    ]
     assert lines[2].split() == full
     assert lines[3].split() == [*full[:2], *full[3:9], full[10], "standard"]
     assert lines[4] == "N is (n-1)e6; std is us[1] at the same height"
@@ -497,15 +562,23 @@ def test_every_line_of_the_air(air):
 
 def test_every_number_of_an_angle():
     angle = {
-        "r_c_arcsec": 1.2345678, "r_c_urad": 5.9876543, "ground_m": 0.3456789, "status": "ok",
-        "atmosphere": "icao", "index": "gyer", "method": "plane", "radius_m": 6_371_000.0,
+        "r_c_arcsec": 1.2345678,
+        "r_c_urad": 5.9876543,
+        "ground_m": 0.3456789,
+        "status": "ok",
+        "atmosphere": "icao",
+        "index": "gyer",
+        "method": "plane",
+        "radius_m": 6_371_000.0,
         "wavelength_m": 0.589e-6,
-    }  # fmt: skip
+    }
     lines = [line.strip() for line in printed(print_angle, angle)]
     assert lines == [
-        "R_c    1.2346 arcsec", "5.9877 microradians", "0.34568 m on the ground",
+        "R_c    1.2346 arcsec",
+        "5.9877 microradians",
+        "0.34568 m on the ground",
         "icao, index gyer at 0.589 um, plane, radius 6371000 m",
-    ]  # fmt: skip
+    ]
 
 
 def test_every_cell_of_a_radial_table():
@@ -520,11 +593,15 @@ def test_every_cell_of_a_radial_table():
         "status": ["ok", "ok", "misses_ground"],
     }
     for name, value in {
-        "h_c_m": 3210.0, "h_g_m": 123.0, "k_rad": 34.56e-6, "k_manual_rad": 29.87e-6,
+        "h_c_m": 3210.0,
+        "h_g_m": 123.0,
+        "k_rad": 34.56e-6,
+        "k_manual_rad": 29.87e-6,
         "wavelength_m": 0.85e-6,
-        "radius_px": np.array(columns["radius_px"]), "r_c_rad": np.array([1.0, 2.0, np.nan]),
+        "radius_px": np.array(columns["radius_px"]),
+        "r_c_rad": np.array([1.0, 2.0, np.nan]),
         "shift_ground_m": np.array(columns["shift_ground_m"]),
-    }.items():  # fmt: skip
+    }.items():
         object.__setattr__(table, name, value)
     patch = pytest.MonkeyPatch()
     with patch.context() as context:
@@ -533,8 +610,9 @@ def test_every_cell_of_a_radial_table():
     assert lines[0] == (
         "camera 3210 m, ground 123 m: R at 45 deg 34.56 urad, the Manual's formula 29.87"
     )
-    assert cells(lines[1:2]) == [["nadir angle [deg]", "R_c [arcsec]", "R_c [urad]", "ground [m]",
-                                  "radius [px]", "dr [px]"]]  # fmt: skip
+    assert cells(lines[1:2]) == [
+        ["nadir angle [deg]", "R_c [arcsec]", "R_c [urad]", "ground [m]", "radius [px]", "dr [px]"]
+    ]
     assert cells(lines[2:5]) == [
         ["12.34", "1.234", "5.99", "0.567", "4567.8", "-0.1234"],
         ["80.00", "2.345", "11.37", "5678.9", "-0.2345"],
@@ -546,10 +624,17 @@ def test_every_cell_of_a_radial_table():
 
 def test_every_cell_of_a_papers_table():
     row = {
-        "table": 3, "quantity": "R", "unit": "urad", "h_c_m": 9000.0, "h_g_m": 1500.0,
-        "zeta_c_deg": 45.0, "printed": 81.6, "as_published": 81.5512, "exact": 81.71239,
+        "table": 3,
+        "quantity": "R",
+        "unit": "urad",
+        "h_c_m": 9000.0,
+        "h_g_m": 1500.0,
+        "zeta_c_deg": 45.0,
+        "printed": 81.6,
+        "as_published": 81.5512,
+        "exact": 81.71239,
         "difference": None,
-    }  # fmt: skip
+    }
     other = row | {"unit": "arcsec", "printed": 7.25}
     lines = printed(print_paper, [row, other], ["a note [b]"])
     assert lines[0].strip() == "Table 3: R [urad]"
@@ -564,24 +649,51 @@ def test_every_cell_of_a_papers_table():
 
 def test_every_number_of_a_log():
     def row(role: str, channel: str | None, rate: float | None, remark: str, *others: str) -> dict:
-        return {"role": role, "channel": channel, "rate_hz": rate, "samples": 7, "remark": remark,
-                "others": list(others)}  # fmt: skip
+        return {
+            "role": role,
+            "channel": channel,
+            "rate_hz": rate,
+            "samples": 7,
+            "remark": remark,
+            "others": list(others),
+        }
 
     log = {
-        "format": "mcap", "duration_s": 1234.56, "start_utc": "2025-06-12T09:00:01Z",
-        "end_utc": "2025-06-12T09:20:36Z", "time_base": "UTC of [x]",
-        "flight": {"lat_deg": 47.123, "lon_deg": -8.456, "height_reference": "sea level",
-                   "lowest_m": 451.2, "highest_m": 3459.6, "take_off_m": 450.4},
-        "roles": [row("position", "GPS", 4.987, "plausible", "POS", "[b]"),
-                  row("humidity", None, None, "none in the log")],
-        "messages": {"A": 1000, "B": 2345}, "boots": 2, "bad_bytes": 1, "lost_messages": 1321,
+        "format": "mcap",
+        "duration_s": 1234.56,
+        "start_utc": "2025-06-12T09:00:01Z",
+        "end_utc": "2025-06-12T09:20:36Z",
+        "time_base": "UTC of [x]",
+        "flight": {
+            "lat_deg": 47.123,
+            "lon_deg": -8.456,
+            "height_reference": "sea level",
+            "lowest_m": 451.2,
+            "highest_m": 3459.6,
+            "take_off_m": 450.4,
+        },
+        "roles": [
+            row("position", "GPS", 4.987, "plausible", "POS", "[b]"),
+            row("humidity", None, None, "none in the log"),
+        ],
+        "messages": {"A": 1000, "B": 2345},
+        "boots": 2,
+        "bad_bytes": 1,
+        "lost_messages": 1321,
         "channels": [
-            {"name": "BARO[0]", "samples": 6543, "rate_hz": 9.876,
-             "gaps": [{"seconds": 1.25}, {"seconds": 12.5}]},
+            {
+                "name": "BARO[0]",
+                "samples": 6543,
+                "rate_hz": 9.876,
+                "gaps": [{"seconds": 1.25}, {"seconds": 12.5}],
+            },
             {"name": "CAM", "samples": 12, "rate_hz": 0.5, "gaps": []},
         ],
-        "ledger": MANIFEST["ledger"], "vehicles": [], "receivers": [], "clocks": [],
-    }  # fmt: skip
+        "ledger": MANIFEST["ledger"],
+        "vehicles": [],
+        "receivers": [],
+        "clocks": [],
+    }
     lines = printed(print_log, log, "a[1].mcap")
     assert [" ".join(line.split()) for line in lines[:7]] == [
         "a[1].mcap: mcap, 1234.6 s",

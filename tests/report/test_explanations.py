@@ -64,9 +64,14 @@ def test_every_status_is_found():
 
 def test_the_commands(tmp_path):
     def unbend(*words):
-        return subprocess.run([sys.executable, "-m", "unbend", *words], capture_output=True,
-                              text=True, timeout=120, cwd=tmp_path,
-                              env=os.environ | {"COLUMNS": "80"})  # fmt: skip
+        return subprocess.run(
+            [sys.executable, "-m", "unbend", *words],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            cwd=tmp_path,
+            env=os.environ | {"COLUMNS": "80"},
+        )
 
     done = unbend("schema", "--out", "mission.schema.json")
     assert (done.returncode, done.stdout) == (0, "mission.schema.json\n")

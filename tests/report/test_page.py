@@ -39,9 +39,13 @@ from .test_every_number import air as air  # the fixture
 BEGIN_NS = int(np.datetime64("2025-06-12T09:30:00", "ns").astype(np.int64))
 
 FIELD = {
-    "format_px": [2800, 2000], "columns": 14, "x_px": [100.0, 1500.0], "y_px": [100.0, 1900.0],
-    "dx_px": [3.3, 0.0], "dy_px": [4.4, -2.5],
-}  # fmt: skip
+    "format_px": [2800, 2000],
+    "columns": 14,
+    "x_px": [100.0, 1500.0],
+    "y_px": [100.0, 1900.0],
+    "dx_px": [3.3, 0.0],
+    "dy_px": [4.4, -2.5],
+}
 
 
 def part(first: float) -> dict[str, Any]:
@@ -65,39 +69,54 @@ def whole_manifest() -> dict[str, Any]:
     manifest["config"] |= {"ground": {"height": {"column": "h_g_m"}}}
     return manifest | {
         "flight": {
-            "begin_utc": "2025-06-12T09:38:17Z", "end_utc": "2025-06-12T09:44:19Z",
-            "latitude_deg": [-47.5, -47.4233, -47.3], "longitude_deg": [8.5, 8.6624, 8.7],
+            "begin_utc": "2025-06-12T09:38:17Z",
+            "end_utc": "2025-06-12T09:44:19Z",
+            "latitude_deg": [-47.5, -47.4233, -47.3],
+            "longitude_deg": [8.5, 8.6624, 8.7],
             "h_msl_m": [3445.2, 3450.1, 3454.4],
             "cameras": {
                 "belly": {
-                    "exposures": 61, "format_px": [2800, 2000], "principal_distance_px": 4567.25,
+                    "exposures": 61,
+                    "format_px": [2800, 2000],
+                    "principal_distance_px": 4567.25,
                     "height_above_ground_m": [2823.4, 2927.3, 3061.2],
-                    "axis_nadir_angle_deg": 1.66, "nadir_px": [1407.0, 1011.0],
+                    "axis_nadir_angle_deg": 1.66,
+                    "nadir_px": [1407.0, 1011.0],
                 },
                 "tail": {
-                    "exposures": 34, "format_px": [2800, 2000], "principal_distance_px": 3210.0,
+                    "exposures": 34,
+                    "format_px": [2800, 2000],
+                    "principal_distance_px": 3210.0,
                     "height_above_ground_m": None,
-                    "axis_nadir_angle_deg": 45.24, "nadir_px": [-4567.0, 1003.0],
+                    "axis_nadir_angle_deg": 45.24,
+                    "nadir_px": [-4567.0, 1003.0],
                 },
             },
         },
         "sigma_budget": {
             "belly": {"air": part(0.011), "station": part(0.023), "all": part(0.031)},
-            "tail": {"air": part(0.0051), "ground": part(0.0071), "cabin": part(0.0083),
-                     "all": part(0.0097)},
+            "tail": {
+                "air": part(0.0051),
+                "ground": part(0.0071),
+                "cabin": part(0.0083),
+                "all": part(0.0097),
+            },
         },
         "ground_heights": {
-            "lowest_m": 392.21, "median_m": 512.05, "highest_m": 629.24,
+            "lowest_m": 392.21,
+            "median_m": 512.05,
+            "highest_m": 629.24,
             "histogram": {"first_m": 350.0, "step": 100.0, "counts": [7, 41, 19]},
         },
         "heights": {
-            "stations": "GPS[0]", "undulation": {"source": "EGM96", "min_m": 46.31, "max_m": 47.62},
+            "stations": "GPS[0]",
+            "undulation": {"source": "EGM96", "min_m": 46.31, "max_m": 47.62},
         },
         "log": {"format": "dataflash", "duration_s": 1349.9, "time_base": "GPS <x>"},
         "versions": {"unbend": "9.8.7", "numpy": "2.3.4"},
         "fingerprint": "f00d" * 16,
         "exit_code": 3,
-    }  # fmt: skip
+    }
 
 
 @pytest.fixture(scope="module")
@@ -123,9 +142,15 @@ def flown(air) -> Flown:
     corners = np.array([[[8.60, -47.40], [8.62, -47.40], [8.62, -47.42], [8.60, -47.42]]])
     footprints = {"belly": corners, "tail": corners + 0.01}
     return Flown(
-        exposures, {"ok": 5, "suspect": 1, "unusable": 1}, track, footprints, 4,
-        (8.60, 8.65, -47.44, -47.39), None, air_curves(air, SAMPLES, np.array([700.0, 3700.0])),
-    )  # fmt: skip
+        exposures,
+        {"ok": 5, "suspect": 1, "unusable": 1},
+        track,
+        footprints,
+        4,
+        (8.60, 8.65, -47.44, -47.39),
+        None,
+        air_curves(air, SAMPLES, np.array([700.0, 3700.0])),
+    )
 
 
 class Page(HTMLParser):
@@ -171,23 +196,43 @@ def page(flown) -> Page:
 
 
 def test_every_cell_of_the_tables(page):
-    assert page.tables["Flight"] == [[
-        ["camera", "exposures", "format", "principal distance", "axis from nadir", "above ground",
-         "window"],
-        ["belly", "61", "2800 × 2000 px", "4567.25 px", "1.7°", "2823 to 3061 m, median 2927 m",
-         "none"],
-        ["tail", "34", "2800 × 2000 px", "3210 px", "45.2°", "unknown", "plane"],
-    ]]  # fmt: skip
+    assert page.tables["Flight"] == [
+        [
+            [
+                "camera",
+                "exposures",
+                "format",
+                "principal distance",
+                "axis from nadir",
+                "above ground",
+                "window",
+            ],
+            [
+                "belly",
+                "61",
+                "2800 × 2000 px",
+                "4567.25 px",
+                "1.7°",
+                "2823 to 3061 m, median 2927 m",
+                "none",
+            ],
+            ["tail", "34", "2800 × 2000 px", "3210 px", "45.2°", "unknown", "plane"],
+        ]
+    ]
     correction, sizes = page.tables["How large the correction is"]
     assert correction == CORRECTION
     assert sizes == [
         ["camera", "from", "to", "observations"],
-        ["belly, image [px]", "0", "0.5", "3"], ["belly, image [px]", "0.5", "1", "0"],
+        ["belly, image [px]", "0", "0.5", "3"],
+        ["belly, image [px]", "0.5", "1", "0"],
         ["belly, image [px]", "1", "1.5", "17"],
-        ["belly, ground [m]", "0", "0.1", "11"], ["belly, ground [m]", "0.1", "0.2", "29"],
-        ["tail, image [px]", "0", "0.2", "5"], ["tail, image [px]", "0.2", "0.4", "31"],
-        ["tail, ground [m]", "0", "0.1", "2"], ["tail, ground [m]", "0.1", "0.2", "37"],
-    ]  # fmt: skip
+        ["belly, ground [m]", "0", "0.1", "11"],
+        ["belly, ground [m]", "0.1", "0.2", "29"],
+        ["tail, image [px]", "0", "0.2", "5"],
+        ["tail, image [px]", "0.2", "0.4", "31"],
+        ["tail, ground [m]", "0", "0.1", "2"],
+        ["tail, ground [m]", "0.1", "0.2", "37"],
+    ]
     (field,) = page.tables["The correction over the image"]
     assert field == [
         ["camera", "x [px]", "y [px]", "dx [px]", "dy [px]"],
@@ -219,10 +264,14 @@ def test_every_cell_of_the_tables(page):
         ["sigma: air in cabin", "0.0083 px", "0.017 px", "2.5 mm", "5.8 mm"],
         ["sigma: all parts", "0.0097 px", "0.019 px", "2.9 mm", "6.8 mm"],
     ]
-    assert page.tables["Ground heights used"] == [[
-        ["", "from [m]", "to [m]", "observations"], ["ground", "350", "450", "7"],
-        ["ground", "450", "550", "41"], ["ground", "550", "650", "19"],
-    ]]  # fmt: skip
+    assert page.tables["Ground heights used"] == [
+        [
+            ["", "from [m]", "to [m]", "observations"],
+            ["ground", "350", "450", "7"],
+            ["ground", "450", "550", "41"],
+            ["ground", "550", "650", "19"],
+        ]
+    ]
     assert page.tables["Rows by status"] == [
         [
             ["observations", "number", "share"],
@@ -236,14 +285,17 @@ def test_every_cell_of_the_tables(page):
         ],
         [
             ["stations", "number", "share"],
-            ["ok usable", "88", "92.6 %"], ["in_gap in a gap of the log", "7", "7.37 %"],
+            ["ok usable", "88", "92.6 %"],
+            ["in_gap in a gap of the log", "7", "7.37 %"],
         ],
-    ]  # fmt: skip
-    assert page.tables["Provenance"] == [[
-        ["input", "file", "SHA-256"],
-        ["log", "a&b.bin", "0123456789abcdef" * 4],
-        ["observations", "o.csv", "fedcba9876543210" * 4],
-    ]]  # fmt: skip
+    ]
+    assert page.tables["Provenance"] == [
+        [
+            ["input", "file", "SHA-256"],
+            ["log", "a&b.bin", "0123456789abcdef" * 4],
+            ["observations", "o.csv", "fedcba9876543210" * 4],
+        ]
+    ]
 
 
 def test_every_sentence_between_the_tables(page):
@@ -254,11 +306,20 @@ def test_every_sentence_between_the_tables(page):
     )
     assert ("h1", "ridge <north> & [red]south") in texts
     assert [text for tag, text in texts if tag == "h2"] == [
-        "Flight", "Map", "Height against time", "How large the correction is",
-        "The correction over the image", "The air", "Sigma budget", "Ground heights used",
-        "Rows by status", "Ledger", "What is not removed",
-        "How to use the results in the adjustment", "Provenance",
-    ]  # fmt: skip
+        "Flight",
+        "Map",
+        "Height against time",
+        "How large the correction is",
+        "The correction over the image",
+        "The air",
+        "Sigma budget",
+        "Ground heights used",
+        "Rows by status",
+        "Ledger",
+        "What is not removed",
+        "How to use the results in the adjustment",
+        "Provenance",
+    ]
     assert [text for tag, text in texts if tag == "dd"] == [
         "2025-06-12, 09:38:17 to 09:44:19 UTC",
         "WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid",
@@ -285,9 +346,10 @@ def test_every_sentence_between_the_tables(page):
         "Notes (1)",
     ]
     assert (
-        "p", "From column h_g_m of the observations: 392.2 to 629.2 m above mean sea level, median "
+        "p",
+        "From column h_g_m of the observations: 392.2 to 629.2 m above mean sea level, median "
         "512.0 m.",
-    ) in texts  # fmt: skip
+    ) in texts
     (over,) = (t for tag, t in texts if tag == "figcaption" and t.startswith("Mean correction"))
     assert "The arrows are the correction: corrected minus measured coordinates." in over
     (seen,) = (t for tag, t in texts if tag == "figcaption" and t.startswith("Map of the flight"))
@@ -334,7 +396,8 @@ def path_of(panel: ET.Element, css: str) -> str:
 @pytest.mark.parametrize("screen", ["wide", "narrow"])
 def test_the_map_shows_every_place(page, flown, screen):
     drawing = page.drawings["map", screen]
-    x, y = scale(drawing, "x"), scale(drawing, "y")
+    x = scale(drawing, "x")
+    y = scale(drawing, "y")
     for css, columns, rows in (
         ("line track", flown.track, [0, 1, 2, 3]),
         ("dots small", flown.exposures, [0, 1]),
@@ -392,11 +455,12 @@ def test_every_bar(page, screen):
     panels += page.drawings["ground", screen].findall(".//g")
     for panel, (name, where, step, counts), first in zip(
         panels, expected, (0, 0, 0, 0, 350), strict=True
-    ):  # fmt: skip
+    ):
         labels = [t.text or "" for t in panel.iter("text") if t.get("class") == "label"]
         assert any(name in label and where in label for label in labels)
         (bars,) = (p for p in panel.iter("path") if (p.get("class") or "").startswith("bar"))
-        x, y = scale(panel, "x"), scale(panel, "y")
+        x = scale(panel, "x")
+        y = scale(panel, "y")
         drawn = {}
         for bar in re.findall(r"M(\S+) \S+V(\S+)H(\S+)V", bars.get("d", "")):
             left, top, right = map(float, bar)
@@ -408,7 +472,8 @@ def test_every_bar(page, screen):
 @pytest.mark.parametrize("screen", ["wide", "narrow"])
 def test_every_arrow_and_the_nadir_point(page, screen):
     belly, tail = page.drawings["field", screen].findall(".//g")
-    x, y = scale(belly, "x"), scale(belly, "y")
+    x = scale(belly, "x")
+    y = scale(belly, "y")
     arrows = re.findall(r"M(\S+) (\S+)l(\S+) (\S+)l", path_of(belly, "arrow c1"))
     at = np.array(arrows, np.float64)
     assert x(at[:, 0]) == pytest.approx([100.0, 1500.0], abs=6.0)
@@ -440,13 +505,18 @@ def test_every_curve_of_the_air(page, screen):
     panels = page.drawings["air", screen].findall(".//g")
     labels = [[t.text for t in panel.iter("text") if t.get("class") == "label"] for panel in panels]
     assert [label[0] for label in labels] == [
-        "temperature T [°C]", "pressure p [hPa]", "vapour pressure e [hPa]",
-        "refractivity N = (n − 1) 10⁶", "N against us1962 [%]",
-    ]  # fmt: skip
-    ours, standard = (3.85, 840.0, 7.0, 250.0, 4.1667), (2.0, 853.25, -2.0, 240.0, 0.0)
+        "temperature T [°C]",
+        "pressure p [hPa]",
+        "vapour pressure e [hPa]",
+        "refractivity N = (n − 1) 10⁶",
+        "N against us1962 [%]",
+    ]
+    ours = (3.85, 840.0, 7.0, 250.0, 4.1667)
+    standard = (2.0, 853.25, -2.0, 240.0, 0.0)
     sigma = (0.5, 0.84, 0.6, 1.4, 1.4 / 2.4)
     for i, panel in enumerate(panels):
-        x, y = scale(panel, "x"), scale(panel, "y")
+        x = scale(panel, "x")
+        y = scale(panel, "y")
         size = float(abs(x(1.0) - x(0.0)))
 
         def at(css: str, panel=panel, x=x, y=y) -> float:
@@ -461,7 +531,8 @@ def test_every_curve_of_the_air(page, screen):
         assert low == pytest.approx(ours[i] - sigma[i], abs=size)
     used = points(path_of(panels[0], "dots small sample"))
     unused = points(path_of(panels[0], "dots small notused"))
-    x, y = scale(panels[0], "x"), scale(panels[0], "y")
+    x = scale(panels[0], "x")
+    y = scale(panels[0], "y")
     assert x(used[:, 0]) == pytest.approx([10.0], abs=0.2)
     assert x(unused[:, 0]) == pytest.approx([6.85, 1.85], abs=0.2)
     assert y(unused[:, 1]) == pytest.approx([1500.0, 2000.0], abs=30.0)
@@ -488,15 +559,25 @@ def test_the_budget_is_drawn_in_its_rows(page):
     drawing = page.drawings["budget", "wide"]
     names = [t.text for t in drawing.iter("text") if t.get("text-anchor") == "end"]
     assert names == [
-        "the shift itself", "sigma: air outside", "sigma: station", "sigma: all parts",
-        "the shift itself", "sigma: air outside", "sigma: ground height", "sigma: air in cabin",
+        "the shift itself",
+        "sigma: air outside",
+        "sigma: station",
         "sigma: all parts",
-    ]  # fmt: skip
+        "the shift itself",
+        "sigma: air outside",
+        "sigma: ground height",
+        "sigma: air in cabin",
+        "sigma: all parts",
+    ]
     ticks = [t for t in drawing.iter("text") if re.fullmatch(r"[\d.]+", t.text or "")]
-    slope, offset = np.polyfit([float(t.get("x", "")) for t in ticks],
-                               [np.log10(float(t.text or "")) for t in ticks], 1)  # fmt: skip
-    lines = [p.get("d", "") for p in drawing.iter("path")
-             if p.get("class") in ("line shift", "line sigma")]  # fmt: skip
+    slope, offset = np.polyfit(
+        [float(t.get("x", "")) for t in ticks], [np.log10(float(t.text or "")) for t in ticks], 1
+    )
+    lines = [
+        p.get("d", "")
+        for p in drawing.iter("path")
+        if p.get("class") in ("line shift", "line sigma")
+    ]
     medians = (1.01, 0.011, 0.023, 0.031, 2.01, 0.0051, 0.0071, 0.0083, 0.0097)
     ends = (1.02, 0.022, 0.046, 0.062, 2.02, 0.0102, 0.0142, 0.0166, 0.0194)
     drawn = np.array([points(line)[:, 0] for line in lines])
@@ -515,8 +596,9 @@ def test_the_page_of_twenty_thousand_exposures_is_small(air):
         time_ns=BEGIN_NS + number * 500_000_000,
         lat_rad=np.radians(47.0 + number // 200 * 1e-3),
         lon_rad=np.radians(179.9 + number % 200 * 1e-3),
-        h_msl_m=np.full(n, 3000.0), quaternion=looking_down,
-    )  # fmt: skip
+        h_msl_m=np.full(n, 3000.0),
+        quaternion=looking_down,
+    )
     seconds = np.linspace(0.0, 1e4, 100_000)
     lon = np.radians((seconds * 2e-5 + 359.9) % 360.0 - 180.0)
     track = LoggedPath(
@@ -569,15 +651,25 @@ def test_names_of_others_are_harmless(flown):
     manifest["inputs"][0]["name"] = HOSTILE
     manifest["channels"]["temperature"] = HOSTILE
     manifest["observations"]["causes"]["no_ground"] = HOSTILE
-    for section in (manifest["correction"]["cameras"], manifest["flight"]["cameras"],
-                    manifest["config"]["cameras"], manifest["sigma_budget"]):  # fmt: skip
+    for section in (
+        manifest["correction"]["cameras"],
+        manifest["flight"]["cameras"],
+        manifest["config"]["cameras"],
+        manifest["sigma_budget"],
+    ):
         section[HOSTILE] = section.pop("belly")
     exposures = flown.exposures | {"image": np.array([HOSTILE] * 4, dtype=object)}
     footprints = {HOSTILE: flown.footprints["belly"], "tail": flown.footprints["tail"]}
     hostile = Flown(
-        exposures, flown.counts, flown.track, footprints, flown.seen, flown.limits_deg, None,
+        exposures,
+        flown.counts,
+        flown.track,
+        footprints,
+        flown.seen,
+        flown.limits_deg,
+        None,
         flown.air,
-    )  # fmt: skip
+    )
     text = report_page(manifest_of(manifest), hostile)
     assert "<script" not in text
     assert not re.search("[\x00-\x08\x0b-\x1f\x7f\u202a-\u202e\u2066-\u2069]", text)

@@ -15,7 +15,8 @@ from unbend.tables.manifest.whole import Manifest
 
 from .manifests import manifest_of
 
-NORTH_ARCSEC, EAST_ARCSEC = 0.17, 3.97
+NORTH_ARCSEC = 0.17
+EAST_ARCSEC = 3.97
 
 PLANE = {"shape": "plane", "in_calibration": "none"}
 LENS = {"dc_dp_px_per_hpa": 0.006}
@@ -65,9 +66,7 @@ def test_the_report_of_a_run_holds_these_lines(baseline):
     assert heights["deflection"]["east_arcsec"] == pytest.approx(EAST_ARCSEC, abs=0.2)
     size = np.hypot(NORTH_ARCSEC, EAST_ARCSEC)
     assert f"deviates by {size:.0f}" in " ".join(lines)
-    assert heights["undulation"] == {
-        "source": "mission.undulation_m", "min_m": 47.6, "max_m": 47.6
-    }  # fmt: skip
+    assert heights["undulation"] == {"source": "mission.undulation_m", "min_m": 47.6, "max_m": 47.6}
     assert heights["log"] == ["msl", "ellipsoid"]
     assert heights["stations"].startswith("GPS")
     for line in lines:
@@ -76,8 +75,10 @@ def test_the_report_of_a_run_holds_these_lines(baseline):
 
 
 def test_a_campaign_counts_images_and_those_that_were_exposed():
-    values = {"config": {"refraction": {"direction": "remove", "method": "spherical"}},
-              "stations": {"ok": 5, "in_gap": 1, "unmatched": 2}}  # fmt: skip
+    values = {
+        "config": {"refraction": {"direction": "remove", "method": "spherical"}},
+        "stations": {"ok": 5, "in_gap": 1, "unmatched": 2},
+    }
     row = row_of(manifest_of(values))
     assert (row["images"], row["exposures"]) == (8, 6)
 

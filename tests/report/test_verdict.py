@@ -50,8 +50,11 @@ def test_all_corrected(baseline):
     moved = np.hypot(rows["x_corrected_px"] - rows["x_px"], rows["y_corrected_px"] - rows["y_px"])
     text = outcome(manifest_of(manifest))
     assert text.startswith("All 59 observations were corrected by ")
-    words = re.search(r"by (\S+) cm on the ground, (\S+) px in the image \(median; 95 %: "
-                      r"(\S+) cm, (\S+) px\)", text)  # fmt: skip
+    words = re.search(
+        r"by (\S+) cm on the ground, (\S+) px in the image \(median; 95 %: "
+        r"(\S+) cm, (\S+) px\)",
+        text,
+    )
     ground = manifest["correction"]["shift_ground_m"]
     sizes = [float(word) for word in words.groups()]
     assert sizes[1] == pytest.approx(np.median(moved), rel=0.1)
@@ -139,7 +142,7 @@ def test_a_correction_too_small_to_matter(baseline):
         (0.02, 0.01, None),
         (None, 0.01, None),
     ],
-)  # fmt: skip
+)
 def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
     manifest = copy.deepcopy(values_of(baseline))
     manifest["cabin_sigma_share"]["median"] = cabin
@@ -170,9 +173,13 @@ def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
     asked = "Measure the air in the cabin, or state it: cameras.nadir.window.cabin."
     assert step() == asked
     windows["nadir"]["cabin"] = stated = {
-        "pressure": "log", "pressure_hpa": None, "temperature_c": None, "relative_humidity": None,
-        "sigma_pressure_hpa": 1.0, "sigma_temperature_k": None,
-    }  # fmt: skip
+        "pressure": "log",
+        "pressure_hpa": None,
+        "temperature_c": None,
+        "relative_humidity": None,
+        "sigma_pressure_hpa": 1.0,
+        "sigma_temperature_k": None,
+    }
     windows["oblique"]["shape"] = "spherical"
     assert step().startswith("The sigma of the sensors in the cabin is assumed to be 1 K. ")
     assert step().endswith("give sigma_temperature_k (cameras.nadir.window.cabin).")

@@ -20,8 +20,16 @@ def test_every_character_that_steers_or_hides_is_written_out():
         mark = chr(point)
         kind = unicodedata.category(mark)
         steers = kind in ("Cc", "Cs", "Zl", "Zp") or unicodedata.bidirectional(mark) in (
-            "LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"
-        )  # fmt: skip
+            "LRE",
+            "RLE",
+            "LRO",
+            "RLO",
+            "PDF",
+            "LRI",
+            "RLI",
+            "FSI",
+            "PDI",
+        )
         if steers and mark not in joiners:
             text = visible(f"a{mark}b")
             assert mark not in text
@@ -57,7 +65,8 @@ def test_value_and_sigma_end_at_the_same_place_and_lose_nothing(value, sigma):
 @given(st.floats(1e-3, 1e7))
 def test_lengths_and_pixels_are_right_to_five_percent(value):
     number, unit = length(value).split()
-    assert math.isclose(float(number) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}[unit],
-                        value, rel_tol=0.051)  # fmt: skip
+    assert math.isclose(
+        float(number) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}[unit], value, rel_tol=0.051
+    )
     assert len(number) <= 5
     assert math.isclose(float(pixels(value).removesuffix(" px")), value, rel_tol=0.051)

@@ -50,7 +50,8 @@ def dataflash(small):
 def telemetry(small):
     link = mavutil.mavlink_connection(str(small.logs["tlog"]), dialect="ardupilotmega")
     rows: dict[str, list[dict]] = {}
-    log, place = small.logs["tlog"].read_bytes(), 0
+    log = small.logs["tlog"].read_bytes()
+    place = 0
     while (message := link.recv_match()) is not None:
         frame = bytes(message.get_msgbuf())
         assert log[place + 8 : place + 8 + len(frame)] == frame
@@ -95,7 +96,9 @@ def test_dataflash_events_are_the_shutter(small, dataflash, stations):
 
 
 def test_heights_carry_the_undulation(dataflash, telemetry, recording):
-    gps, gpa, raw = dataflash["GPS"], dataflash["GPA"], telemetry["GPS_RAW_INT"]
+    gps = dataflash["GPS"]
+    gpa = dataflash["GPA"]
+    raw = telemetry["GPS_RAW_INT"]
     np.testing.assert_allclose(gpa.AEl - gps.Alt, 47.6, atol=0.011)
     np.testing.assert_allclose((raw.alt_ellipsoid - raw.alt) / 1e3, 47.6, atol=0.0011)
     fixes = np.array([ros.altitude for _, _, ros in recording["/fix"]])
@@ -217,7 +220,8 @@ def test_true_pixels_are_the_projected_chord(small, stations, observations):
     for name, cam in settings.items():
         mine = (rows.camera == name).to_numpy()
         x, y = (ray[mine, :2] / ray[mine, 2:]).T
-        r2, d = x**2 + y**2, cam["distortion"]
+        r2 = x**2 + y**2
+        d = cam["distortion"]
         radial = 1 + d["k1"] * r2 + d["k2"] * r2**2 + d["k3"] * r2**3
         xd = x * radial + 2 * d["p1"] * x * y + d["p2"] * (r2 + 2 * x**2)
         yd = y * radial + d["p1"] * (r2 + 2 * y**2) + 2 * d["p2"] * x * y

@@ -24,11 +24,14 @@ RADIUS = 6_371_000.0
 def quadrature(refractivity, h_c, h_g, zeta_c, breaks=()):
     """R_c [arcsec] from Gyer Eq. 12 and the triangle of Eq. 10, 40 digits."""
     with mp.workdps(40):
-        r_c, r_g, zeta = mp.mpf(RADIUS) + h_c, mp.mpf(RADIUS) + h_g, mp.mpf(zeta_c)
+        r_c = mp.mpf(RADIUS) + h_c
+        r_g = mp.mpf(RADIUS) + h_g
+        zeta = mp.mpf(zeta_c)
         k = (1 + refractivity(mp.mpf(h_c))) * r_c * mp.sin(zeta)
 
         def integrand(h):
-            r, n = RADIUS + h, 1 + refractivity(h)
+            r = RADIUS + h
+            n = 1 + refractivity(h)
             return k / (r * mp.sqrt((n * r) ** 2 - k**2))
 
         low, high = sorted((h_c, h_g))
@@ -115,7 +118,8 @@ def test_a_ray_that_misses_the_ground_is_refused():
 
 def test_bowring_agrees_with_the_forward_formula():
     rng = np.random.default_rng(1)
-    lat, lon = rng.uniform(-1.55, 1.55, 500), rng.uniform(-3.1, 3.1, 500)
+    lat = rng.uniform(-1.55, 1.55, 500)
+    lon = rng.uniform(-3.1, 3.1, 500)
     height = rng.uniform(-400.0, 30_000.0, 500)
     found, up = height_and_up(to_ecef(lat, lon, height))
     np.testing.assert_allclose(found, height, rtol=0.0, atol=5e-9)
@@ -133,8 +137,11 @@ def test_ecef_agrees_with_proj():
 @pytest.fixture(scope="module")
 def fan():
     """Rays from 3450 m to the ground at 10-70 deg, all around, at 47.4 N."""
-    undulation, h_c, h_g = 47.6, 3450.0, 450.0
-    lat, lon = np.radians(47.4), np.radians(8.5)
+    undulation = 47.6
+    h_c = 3450.0
+    h_g = 450.0
+    lat = np.radians(47.4)
+    lon = np.radians(8.5)
     zeta, azimuth = (
         a.ravel()
         for a in np.meshgrid(np.radians([10.0, 45.0, 70.0]), np.radians(np.arange(0, 360, 30)))
@@ -168,7 +175,8 @@ def test_ellipsoid_agrees_with_the_osculating_sphere(fan):
     azimuth = np.arctan2(local[:, 0], local[:, 1])
     e2 = 0.00669437999014
     w = 1.0 - e2 * math.sin(lat) ** 2
-    meridian, normal = 6_378_137.0 * (1.0 - e2) / w**1.5, 6_378_137.0 / w**0.5
+    meridian = 6_378_137.0 * (1.0 - e2) / w**1.5
+    normal = 6_378_137.0 / w**0.5
     radius = 1.0 / (np.cos(azimuth) ** 2 / meridian + np.sin(azimuth) ** 2 / normal)
     for i in range(len(zeta)):
         sphere = ray_angle_sphere(

@@ -34,7 +34,8 @@ def test_quaternion_agrees_with_scipy():
 def test_window_obeys_snell_and_denser_cabin_air_pulls_inward():
     slope = np.radians([1e-3, 5.0, 19.0])
     rays = np.stack([np.sin(slope), np.zeros(3), np.cos(slope)], axis=-1)
-    n_outside, n_cabin = np.full(3, 1.00019), np.full(3, 1.00023)
+    n_outside = np.full(3, 1.00019)
+    n_cabin = np.full(3, 1.00023)
     inside, r_cc = through_window(rays, n_outside, n_cabin)
     zeta_f = np.arctan2(inside[:, 0], inside[:, 2])
     np.testing.assert_allclose(n_cabin * np.sin(zeta_f), n_outside * np.sin(slope), rtol=1e-14)

@@ -38,7 +38,9 @@ def test_positions_scatter_alike_to_the_north_and_to_the_east(
     flight: Flight, draw: Callable[[Flight, np.random.Generator], State]
 ) -> None:
     """3 cm each; in radians of longitude that is more than in latitude, by 1/cos(47.4 deg)."""
-    north, east, up = [], [], []
+    north = []
+    east = []
+    up = []
     for seed in range(12):
         drawn = draw(flight, np.random.default_rng(seed))
         truth = flight.at(drawn.time_s)
@@ -70,7 +72,8 @@ def test_the_cabin_is_held_at_1800_m_and_warm(
     """Below, the pressure is that outside; above, at most 350 Pa from that of 1800 m."""
     box = logged.cabin
     height = flight.at(box.pressure_time_s).h_msl_m
-    low, high = height < 1300.0, height > 1900.0
+    low = height < 1300.0
+    high = height > 1900.0
     assert low.sum() > 1000
     assert high.sum() > 500
     outside = air.pressure_pa(height)

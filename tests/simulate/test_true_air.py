@@ -60,8 +60,12 @@ def test_pressure_obeys_the_hydrostatic_equation():
     air = true_air(LATITUDE)
     h = np.linspace(-80.0, 30_000.0, 400)
     slope = (air.pressure_pa(h + 0.5) - air.pressure_pa(h - 0.5)) / 1.0
-    p, t, e = air.pressure_pa(h), temperature_k(h), vapour_pressure_pa(h)
-    dry, vapour = (p - e) * 28.9644, e * 28.9644 * 0.622  # molar masses [kg/kmol]
+    p = air.pressure_pa(h)
+    t = temperature_k(h)
+    e = vapour_pressure_pa(h)
+    # molar masses [kg/kmol]
+    dry = (p - e) * 28.9644
+    vapour = e * 28.9644 * 0.622
     density = (dry + vapour) / (8314.32 * t)
     gravity = np.array([normal_gravity(LATITUDE, x) for x in h])
     np.testing.assert_allclose(slope, -density * gravity, rtol=2e-6)

@@ -12,7 +12,9 @@ import pandas as pd
 import pyproj
 from scipy.spatial.transform import Rotation
 
-WIDTH, HEIGHT, FOCAL = 6000, 4000, 5000.0
+WIDTH = 6000
+HEIGHT = 4000
+FOCAL = 5000.0
 CAMERA = {
     "width_px": WIDTH,
     "height_px": HEIGHT,

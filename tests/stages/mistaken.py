@@ -140,7 +140,8 @@ def write_trajectory(path: Path, recipe: str) -> None:
     from unbend.ingest import open_log
 
     channels = {c.name: c for c in open_log(SAMPLES / "flight.bin").channels}
-    gps, att = channels["GPS[0]"], channels["ATT"]
+    gps = channels["GPS[0]"]
+    att = channels["ATT"]
     time = att.time_ns[4:-4:2]
     late = np.timedelta64(18 if recipe == "+ 18 s" else 0, "s")
     q = np.stack([att[f"q_{axis}"][4:-4:2] for axis in "xyzw"], axis=1)
@@ -182,8 +183,24 @@ def write_sounding(path: Path, recipe: str) -> None:
 
 WIDTHS = (64, 1, 1, 2, 2, 4, 4, 4, 4, 16, 64, 2, 2, 4, 4, 4, 1, 8, 8, 8)
 SIZES = dict(zip("abBhHiIfnNZcCeELMqQd", WIDTHS, strict=True))
-CODES = {"b": "b", "B": "B", "h": "h", "H": "H", "i": "i", "I": "I", "f": "f", "c": "h", "C": "H",
-         "e": "i", "E": "I", "L": "i", "M": "B", "q": "q", "Q": "Q", "d": "d"}  # fmt: skip
+CODES = {
+    "b": "b",
+    "B": "B",
+    "h": "h",
+    "H": "H",
+    "i": "i",
+    "I": "I",
+    "f": "f",
+    "c": "h",
+    "C": "H",
+    "e": "i",
+    "E": "I",
+    "L": "i",
+    "M": "B",
+    "q": "q",
+    "Q": "Q",
+    "d": "d",
+}
 
 
 def write_log(path: Path, recipe: str) -> None:
@@ -203,7 +220,8 @@ def write_log(path: Path, recipe: str) -> None:
             )
             kinds[number] = (length, name, form, labels.split(","))
         length, name, form, labels = kinds[kind] if kind != 128 else (89, "FMT", "", [])
-        place, fields = at + 3, {}
+        place = at + 3
+        fields = {}
         for letter, label in zip(form, labels, strict=False):
             fields[label] = (letter, place)
             place += SIZES[letter]

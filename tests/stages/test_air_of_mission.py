@@ -38,7 +38,8 @@ METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 def sounding_text(offset_k: float = 0.0) -> str:
     """The simulator's own air as a balloon would list it, from the ground up."""
     h = np.arange(450.0, 9000.0, 150.0)
-    t, e = temperature_k(h) + offset_k, np.maximum(vapour_pressure_pa(h), 1.0)
+    t = temperature_k(h) + offset_k
+    e = np.maximum(vapour_pressure_pa(h), 1.0)
     table = np.linspace(190.0, 320.0, 4000)
     dew = np.interp(e, saturation_pressure_pa(table), table)
     rows = zip(
@@ -209,12 +210,17 @@ def test_without_any_sensor_the_ground_is_where_it_took_off(mission, unbend):
     [
         ({"h_msl_m": 450, "metar": METAR}, "surface report METAR KXYZ"),
         (
-            {"h_msl_m": 450, "temperature_c": 18.0, "pressure_hpa": 966.0,
-             "relative_humidity": 0.6, "time_utc": "2025-06-12T11:20:00+02:00"},
+            {
+                "h_msl_m": 450,
+                "temperature_c": 18.0,
+                "pressure_hpa": 966.0,
+                "relative_humidity": 0.6,
+                "time_utc": "2025-06-12T11:20:00+02:00",
+            },
             "surface report mission file",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_station_is_used_and_named(mission, unbend, plain_report, report, name):
     atmosphere(mission, surface=[report])
     assert f"at {report['h_msl_m']} m" in unbend("check", mission.save()).out
@@ -337,23 +343,35 @@ def test_the_temperature_of_a_board_if_the_user_insists(mission, plain_report):
 
 
 def test_every_key_of_a_calibration_arrives_in_si():
-    section = SensorsSection.model_validate({
-        "thermometer": {
-            "bias_k": 0.1, "sigma_bias_k": 0.2, "lag_s": 3.0, "sigma_lag_s": 4.0,
-            "transient_k": 5.0, "sigma_transient_k": 6.0, "recovery": 0.7,
-            "sigma_recovery": 0.8, "sigma_drift_k": 0.9,
-        },
-        "barometer": {"offset_hpa": 1.1, "sigma_offset_hpa": 1.2, "sigma_scale": 0.017},
-        "hygrometer": {"bias": 0.13, "sigma_bias": 0.14},
-        "gnss": {"sigma_height_m": 15.0},
-    })  # fmt: skip
+    section = SensorsSection.model_validate(
+        {
+            "thermometer": {
+                "bias_k": 0.1,
+                "sigma_bias_k": 0.2,
+                "lag_s": 3.0,
+                "sigma_lag_s": 4.0,
+                "transient_k": 5.0,
+                "sigma_transient_k": 6.0,
+                "recovery": 0.7,
+                "sigma_recovery": 0.8,
+                "sigma_drift_k": 0.9,
+            },
+            "barometer": {"offset_hpa": 1.1, "sigma_offset_hpa": 1.2, "sigma_scale": 0.017},
+            "hygrometer": {"bias": 0.13, "sigma_bias": 0.14},
+            "gnss": {"sigma_height_m": 15.0},
+        }
+    )
     assert {name: (k.mean, k.sigma) for name, k in section.calibration.items()} == {
-        SensorFault.THERMOMETER_BIAS: (0.1, 0.2), SensorFault.THERMOMETER_LAG: (3.0, 4.0),
-        SensorFault.TAKEOFF_TRANSIENT: (5.0, 6.0), SensorFault.RECOVERY_FACTOR: (0.7, 0.8),
-        SensorFault.THERMOMETER_DRIFT: (None, 0.9), SensorFault.HYGROMETER_BIAS: (0.13, 0.14),
+        SensorFault.THERMOMETER_BIAS: (0.1, 0.2),
+        SensorFault.THERMOMETER_LAG: (3.0, 4.0),
+        SensorFault.TAKEOFF_TRANSIENT: (5.0, 6.0),
+        SensorFault.RECOVERY_FACTOR: (0.7, 0.8),
+        SensorFault.THERMOMETER_DRIFT: (None, 0.9),
+        SensorFault.HYGROMETER_BIAS: (0.13, 0.14),
         SensorFault.PRESSURE_OFFSET: (pytest.approx(110.0), pytest.approx(120.0)),
-        SensorFault.GNSS_HEIGHT_OFFSET: (None, 15.0), SensorFault.PRESSURE_SCALE: (None, 0.017),
-    }  # fmt: skip
+        SensorFault.GNSS_HEIGHT_OFFSET: (None, 15.0),
+        SensorFault.PRESSURE_SCALE: (None, 0.017),
+    }
     assert {known.path for known in section.calibration.values()} <= {
         key.path for key in mission_keys()
     }
@@ -364,10 +382,14 @@ def test_what_is_known_of_the_sensors_reaches_the_air(mission, unbend, plain_rep
     usual = mission.run()
     assert usual.code == 0, usual.text
     before = manifest(mission)["profile"]
-    atmosphere(mission, sensors={
-        "thermometer": {"bias_k": 0.5, "sigma_bias_k": 0.05}, "gnss": {"sigma_height_m": 0.2},
-        "barometer": {"sigma_offset_hpa": 0.07},
-    })  # fmt: skip
+    atmosphere(
+        mission,
+        sensors={
+            "thermometer": {"bias_k": 0.5, "sigma_bias_k": 0.05},
+            "gnss": {"sigma_height_m": 0.2},
+            "barometer": {"sigma_offset_hpa": 0.07},
+        },
+    )
     checked = unbend("check", mission.save())
     assert "thermometer bias [K] 0.5 ± 0.05" in " ".join(checked.out.split())
     assert mission.run().code == 0
@@ -468,11 +490,14 @@ def angles(mission):
 @pytest.fixture(scope="module")
 def changed_once(mission_factory, baseline, tmp_path_factory):
     """The mission in air that changes, and the same in the first and in the last air alone."""
-    mission, found = mission_factory(tmp_path_factory.mktemp("changed") / "mission"), {}
+    mission = mission_factory(tmp_path_factory.mktemp("changed") / "mission")
+    found = {}
     with pytest.MonkeyPatch.context() as patch, without_plots():
         for name, climates in (
-            ("first", (ENDS[0],) * 2), ("last", (ENDS[1],) * 2), ("changing", ENDS),
-        ):  # fmt: skip
+            ("first", (ENDS[0],) * 2),
+            ("last", (ENDS[1],) * 2),
+            ("changing", ENDS),
+        ):
             two_airs(mission, baseline, patch, climates)
             ended = mission.run("--force")
             assert ended.code == 0, ended.text
@@ -497,12 +522,14 @@ def test_each_image_is_corrected_in_the_air_of_its_time(changed):
     times = stations["time_utc"].astype("int64")
     share = (times - times.min()) / (times.max() - times.min())
     at = share.loc[found["changing"].index.get_level_values("image")].to_numpy()
-    first, last = found["first"]["r_c_rad"].to_numpy(), found["last"]["r_c_rad"].to_numpy()
+    first = found["first"]["r_c_rad"].to_numpy()
+    last = found["last"]["r_c_rad"].to_numpy()
     assert np.abs(last / first - 1.0).max() > 0.01
     expected = (1.0 - at) * first + at * last
     assert found["changing"]["r_c_rad"].to_numpy() == pytest.approx(expected, rel=8e-4)
     # The window stands in the air of the time too.
-    first, last = found["first"]["r_cc_rad"].to_numpy(), found["last"]["r_cc_rad"].to_numpy()
+    first = found["first"]["r_cc_rad"].to_numpy()
+    last = found["last"]["r_cc_rad"].to_numpy()
     assert np.abs(last / first - 1.0).max() > 0.02
     expected = (1.0 - at) * first + at * last
     assert found["changing"]["r_cc_rad"].to_numpy() == pytest.approx(expected, rel=2e-3)

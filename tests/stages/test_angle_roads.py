@@ -78,7 +78,8 @@ def write_eo(path: Path, truth: pd.DataFrame, axes: str, head: str, turn_deg: fl
     """An exterior orientation with angles about ``axes`` of the grid, kappa turned further."""
     zone = int(np.floor((truth["lon_deg"].iloc[0] + 180.0) / 6.0)) + 1
     utm = pyproj.Proj(f"EPSG:{32600 + zone}")
-    lon, lat = truth["lon_deg"].to_numpy(), truth["lat_deg"].to_numpy()
+    lon = truth["lon_deg"].to_numpy()
+    lat = truth["lat_deg"].to_numpy()
     east, north = utm(lon, lat)
     convergence = np.asarray(utm.get_factors(lon, lat).meridian_convergence)
     grid_from_enu = Rotation.from_euler("z", convergence[:, None], degrees=True).as_matrix()
@@ -104,8 +105,13 @@ def with_eo(crossing, axes: str, head: str, turn_deg: float = 0.0) -> dict:
     folder, _, truth = crossing
     write_eo(folder / "eo.txt", truth, axes, head, turn_deg)
     week = int((pd.to_datetime(truth["time_utc"][0], utc=True) - GPS_EPOCH).days // 7)
-    source = {"path": "eo.txt", "format": "eo", "image": "{name}", "point": "camera",
-              "time": {"system": "gpst", "week": week}}  # fmt: skip
+    source = {
+        "path": "eo.txt",
+        "format": "eo",
+        "image": "{name}",
+        "point": "camera",
+        "time": {"system": "gpst", "week": week},
+    }
     return {"events": {"positions": {"c": source}}}
 
 
@@ -166,11 +172,16 @@ def with_trajectory(crossing, change) -> dict:
     columns |= {"latitude": "lat", "longitude": "lon", "height": "h"}
     return {
         "stations": {
-            "trajectory": {"path": "track.csv", "point": "camera", "heights": "msl",
-                           "time": {"system": "utc"}, "columns": columns},
+            "trajectory": {
+                "path": "track.csv",
+                "point": "camera",
+                "heights": "msl",
+                "time": {"system": "utc"},
+                "columns": columns,
+            },
         },
         "events": {"csv": {"path": "events.csv", "columns": {"time_utc": "time"}}},
-    }  # fmt: skip
+    }
 
 
 def test_tie_points_tell_the_reading_of_a_trajectory_without_a_log(crossing):
@@ -191,13 +202,24 @@ def with_tags(crossing, change) -> dict:
     gimbal = ned_from_enu @ enu_from_camera(truth) @ camera_from_gimbal
     yaw, pitch, roll = change(*Rotation.from_matrix(gimbal).as_euler("ZYX", degrees=True).T)
     table = pd.DataFrame(
-        {"SourceFile": truth["image"], "GPSLatitude": truth["lat_deg"],
-         "GPSLongitude": truth["lon_deg"], "AbsoluteAltitude": truth["h_msl_m"],
-         "GimbalRollDegree": roll, "GimbalPitchDegree": pitch, "GimbalYawDegree": yaw}
-    )  # fmt: skip
+        {
+            "SourceFile": truth["image"],
+            "GPSLatitude": truth["lat_deg"],
+            "GPSLongitude": truth["lon_deg"],
+            "AbsoluteAltitude": truth["h_msl_m"],
+            "GimbalRollDegree": roll,
+            "GimbalPitchDegree": pitch,
+            "GimbalYawDegree": yaw,
+        }
+    )
     table.to_csv(folder / "tags.csv", index=False)
-    orientation = {"path": "tags.csv", "format": "dji", "angles": "roll_pitch_yaw",
-                   "frame": "geographic", "heights": "msl"}  # fmt: skip
+    orientation = {
+        "path": "tags.csv",
+        "format": "dji",
+        "angles": "roll_pitch_yaw",
+        "frame": "geographic",
+        "heights": "msl",
+    }
     return {"stations": {"orientation": orientation}, "events": None}
 
 
@@ -216,14 +238,27 @@ def with_own_table(crossing, frame: object) -> dict:
     folder, _, truth = crossing
     matrix = enu_from_camera(truth) @ PHOTOGRAMMETRIC
     omega, phi, kappa = Rotation.from_matrix(matrix).as_euler("XYZ", degrees=True).T
-    table = pd.DataFrame({"image": truth["image"], "lat_deg": truth["lat_deg"],
-                          "lon_deg": truth["lon_deg"], "h_msl_m": truth["h_msl_m"],
-                          "omega_deg": omega, "phi_deg": phi, "kappa_deg": kappa})  # fmt: skip
+    table = pd.DataFrame(
+        {
+            "image": truth["image"],
+            "lat_deg": truth["lat_deg"],
+            "lon_deg": truth["lon_deg"],
+            "h_msl_m": truth["h_msl_m"],
+            "omega_deg": omega,
+            "phi_deg": phi,
+            "kappa_deg": kappa,
+        }
+    )
     if frame is not None:
         table = table.assign(origin_lat_deg=47.0, origin_lon_deg=8.0, origin_h_ellipsoid_m=400.0)
     table.to_csv(folder / "own.csv", index=False)
-    orientation = {"path": "own.csv", "angles": "omega_phi_kappa", "frame": "geographic",
-                   "heights": "msl", "date": "2026-05-01"}  # fmt: skip
+    orientation = {
+        "path": "own.csv",
+        "angles": "omega_phi_kappa",
+        "frame": "geographic",
+        "heights": "msl",
+        "date": "2026-05-01",
+    }
     return {"stations": {"orientation": orientation}, "events": None}
 
 

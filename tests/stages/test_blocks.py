@@ -65,8 +65,15 @@ def enu(origin) -> dict:
 
 def colmap(block, by_log, points, **options) -> dict[str, int]:
     observations = by_log.measurements().to_pandas()
-    return write_colmap(block.folder / "sparse", CAMERAS, by_log.stations().to_pandas(),
-                        observations, points, origin=ORIGIN, **options)  # fmt: skip
+    return write_colmap(
+        block.folder / "sparse",
+        CAMERAS,
+        by_log.stations().to_pandas(),
+        observations,
+        points,
+        origin=ORIGIN,
+        **options,
+    )
 
 
 def ran(mission, code: int = 0) -> dict:
@@ -99,8 +106,11 @@ def test_a_model_of_colmap(block, by_log, points, text):
     manifest = ran(block)
     assert_same(block, by_log, {str(k): name for name, k in numbers.items()}, 2e-6)
     assert {i["role"] for i in manifest["inputs"]} == {
-        "observations", "orientation", "camera nadir", "camera oblique",
-    }  # fmt: skip
+        "observations",
+        "orientation",
+        "camera nadir",
+        "camera oblique",
+    }
     found = block.results().to_pandas()
     assert (found.groupby("image")["keypoint"].apply(list).apply(lambda k: k == sorted(k))).all()
     assert "GROUND-BLOCK" in {entry["code"] for entry in manifest["ledger"]}
@@ -168,24 +178,39 @@ def refused(mission, code: str, *words: str) -> None:
 
 def opensfm(block, by_log, points, *, altitude_m: float) -> None:
     """A project by the published conventions of OpenSfM, written out here."""
-    stations, table = by_log.stations().to_pandas(), by_log.measurements().to_pandas()
+    stations = by_log.stations().to_pandas()
+    table = by_log.measurements().to_pandas()
     origin = (47.0, 8.5, altitude_m)
     centre, turn, xyz = in_enu(stations, points, origin)
     cameras = {}
     for name, (_, width, height, (f, _, cx, cy, k1, k2, p1, p2, k3, *_)) in CAMERAS.items():
         cameras[name] = {
-            "projection_type": "brown", "width": width, "height": height, "focal_x": f / width,
-            "focal_y": f / width, "c_x": (cx - width / 2) / width,
-            "c_y": (cy - height / 2) / width, "k1": k1, "k2": k2, "k3": k3, "p1": p1, "p2": p2,
-        }  # fmt: skip
+            "projection_type": "brown",
+            "width": width,
+            "height": height,
+            "focal_x": f / width,
+            "focal_y": f / width,
+            "c_x": (cx - width / 2) / width,
+            "c_y": (cy - height / 2) / width,
+            "k1": k1,
+            "k2": k2,
+            "k3": k3,
+            "p1": p1,
+            "p2": p2,
+        }
     shots = {
-        s.image: {"rotation": Rotation.from_matrix(turn[k]).as_rotvec().tolist(),
-                  "translation": (-turn[k] @ centre[k]).tolist(), "camera": s.camera}
+        s.image: {
+            "rotation": Rotation.from_matrix(turn[k]).as_rotvec().tolist(),
+            "translation": (-turn[k] @ centre[k]).tolist(),
+            "camera": s.camera,
+        }
         for k, s in enumerate(stations.itertuples())
-    }  # fmt: skip
+    }
     track = {name: k for k, name in enumerate(points["point"])}
-    placed = {str(track[name]): {"coordinates": place.tolist()}
-              for name, place in zip(points["point"], xyz, strict=True)}  # fmt: skip
+    placed = {
+        str(track[name]): {"coordinates": place.tolist()}
+        for name, place in zip(points["point"], xyz, strict=True)
+    }
     lla = dict(zip(("latitude", "longitude", "altitude"), origin, strict=True))
     (block.folder / "opensfm").mkdir()
     (block.folder / "opensfm" / "reconstruction.json").write_text(
@@ -195,7 +220,8 @@ def opensfm(block, by_log, points, *, altitude_m: float) -> None:
     lines = ["OPENSFM_TRACKS_VERSION_v2"]
     for k, row in enumerate(table.itertuples()):
         # OpenSfM's pixels count from the centre of the upper left one.
-        x, y = ((row.x_px - 0.5) + 0.5 - 7000) / 14000, ((row.y_px - 0.5) + 0.5 - 5300) / 14000
+        x = ((row.x_px - 0.5) + 0.5 - 7000) / 14000
+        y = ((row.y_px - 0.5) + 0.5 - 5300) / 14000
         lines.append(f"{row.image}\t{track[row.point]}\t{k}\t{x!r}\t{y!r}\t0.001\t1\t2\t3\t-1\t-1")
     (block.folder / "opensfm" / "tracks.csv").write_text("\n".join(lines) + "\n")
     block.config["observations"] = {"path": "opensfm", "format": "opensfm"}
@@ -271,8 +297,9 @@ def test_a_database_beside_a_model(block, by_log, points):
     content = pycolmap.Database.open(str(block.folder / "database.db"))
     table = by_log.measurements().to_pandas()
     for model, width, height, params in CAMERAS.values():
-        content.write_camera(pycolmap.Camera(model=model, width=width, height=height,
-                                             params=params))  # fmt: skip
+        content.write_camera(
+            pycolmap.Camera(model=model, width=width, height=height, params=params)
+        )
     for name, rows in table.groupby("image"):
         image = pycolmap.Image(name=name, camera_id=1 + name.startswith("oblique"))
         xy = rows[["x_px", "y_px"]].to_numpy(np.float32)
@@ -281,7 +308,8 @@ def test_a_database_beside_a_model(block, by_log, points):
     block.config["observations"]["path"] = "database.db"
     block.config["stations"]["orientation"] |= {"path": "sparse", "format": "colmap"}
     ran(block)
-    found, wanted = shift(block), shift(by_log)
+    found = shift(block)
+    wanted = shift(by_log)
     assert found["point"].str.fullmatch(r"(nadir|oblique)_\d+:\d+").all()
     wanted = wanted.assign(keypoint=wanted.groupby("image").cumcount())
     wanted = wanted.set_index(["image", "keypoint"]).loc[
@@ -301,8 +329,10 @@ def test_matches_of_a_database_come_out_with_its_keypoints(block, by_log, points
     first of each, and images numbered the other way round."""
     pycolmap = pytest.importorskip("pycolmap")
     colmap(block, by_log, points)
-    table, source = by_log.measurements().to_pandas(), block.folder / "database.db"
-    names, numbers = {}, {}
+    table = by_log.measurements().to_pandas()
+    source = block.folder / "database.db"
+    names = {}
+    numbers = {}
     with closing(pycolmap.Database.open(str(source))) as content:
         for model, width, height, params in CAMERAS.values():
             camera = pycolmap.Camera(model=model, width=width, height=height, params=params)
@@ -316,7 +346,8 @@ def test_matches_of_a_database_come_out_with_its_keypoints(block, by_log, points
             place = {point: k for k, point in enumerate(names[pair[1]])}
             both = [(k, place[p]) for k, p in enumerate(names[pair[0]]) if p in place]
             both.insert(0, (0, 1))  # the one outside with one inside
-            both, ids = np.array(both, np.uint32), [numbers[name] for name in pair]
+            both = np.array(both, np.uint32)
+            ids = [numbers[name] for name in pair]
             content.write_matches(*ids, both)
             verified = pycolmap.TwoViewGeometry()
             verified.config = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
@@ -383,18 +414,27 @@ def test_a_block_as_a_mission_without_a_log(tmp_path, program):
     folder = SHARED / "dbat_sxb"
     count = {"dbat": 1196, "metashape": 4066}
     if program == "written":
-        folder, program = tmp_path, "dbat"
+        folder = tmp_path
+        program = "dbat"
         count = {"dbat": len(write_project(tmp_path).marks)}
     mission = {
         "mission": {"name": "sxb"},
-        "observations": {"path": str(folder / {"dbat": "sxb.xml", "metashape": "sxb.psz"}[program]),
-                         "format": program},
+        "observations": {
+            "path": str(folder / {"dbat": "sxb.xml", "metashape": "sxb.psz"}[program]),
+            "format": program,
+        },
         "cameras": {"aerial": {"calibration": "laboratory"}},
-        "stations": {"orientation": {"frame": "projected", "crs": "EPSG:27561", "heights": "msl",
-                                     "date": "2013-08-22"}},
+        "stations": {
+            "orientation": {
+                "frame": "projected",
+                "crs": "EPSG:27561",
+                "heights": "msl",
+                "date": "2013-08-22",
+            }
+        },
         "ground": {"height": "block"},
         "output": {"path": str(tmp_path / "out")},
-    }  # fmt: skip
+    }
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(mission))
     outcome = run_mission(tmp_path / "m.yaml")
     assert outcome.exit_code == 0, outcome.manifest.values["ledger"]
@@ -437,8 +477,11 @@ def test_a_model_in_an_unknown_frame(tmp_path):
         tmp_path / "known.csv", index=False
     )
     same = {"calibration": "laboratory", "window": {"cabin": CABIN}}
-    of_unknown = {"frame": "unknown", "heights": "ellipsoid",
-                  "known_positions": {"path": "known.csv", "sigma_m": 0.05}}  # fmt: skip
+    of_unknown = {
+        "frame": "unknown",
+        "heights": "ellipsoid",
+        "known_positions": {"path": "known.csv", "sigma_m": 0.05},
+    }
     found = {}
     for name, orientation in {"stated": {"frame": enu(ORIGIN)}, "unknown": of_unknown}.items():
         config = {
@@ -460,8 +503,10 @@ def test_a_model_in_an_unknown_frame(tmp_path):
         found[name] = table.sort_values(["image", "keypoint"], ignore_index=True)
     assert "5 known positions" in codes["ORIENTATION-FIT"]
     assert (found["unknown"]["status"] == "ok").all()
-    moved = {k: t[["x_corrected_px", "y_corrected_px"]] - t[["x_px", "y_px"]].to_numpy()
-             for k, t in found.items()}  # fmt: skip
+    moved = {
+        k: t[["x_corrected_px", "y_corrected_px"]] - t[["x_px", "y_px"]].to_numpy()
+        for k, t in found.items()
+    }
     assert np.abs(moved["stated"].to_numpy()).max() > 0.3
     np.testing.assert_allclose(moved["unknown"], moved["stated"], rtol=0.0, atol=2e-5)
     np.testing.assert_allclose(found["unknown"]["h_g_m"], found["stated"]["h_g_m"], atol=1e-3)

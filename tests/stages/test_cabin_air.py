@@ -36,13 +36,18 @@ KM6_PA = 47_217.0  # US 1976, its own table
 def stations(*heights: float, **cabin: float) -> Stations:
     """Exposures of a camera that looks straight down, with what the log has of its cabin."""
     n = len(heights)
-    made = empty_stations(np.array([f"i{k}" for k in range(n)], object),
-                          np.full(n, "cam", object), "ok")  # fmt: skip
+    made = empty_stations(
+        np.array([f"i{k}" for k in range(n)], object), np.full(n, "cam", object), "ok"
+    )
     return replace(
-        made, lat_rad=np.full(n, 0.8), lon_rad=np.full(n, 0.1), h_msl_m=np.array(heights),
-        quaternion=np.tile(DOWN, (n, 1)), aircraft_quaternion=np.tile(DOWN, (n, 1)),
+        made,
+        lat_rad=np.full(n, 0.8),
+        lon_rad=np.full(n, 0.1),
+        h_msl_m=np.array(heights),
+        quaternion=np.tile(DOWN, (n, 1)),
+        aircraft_quaternion=np.tile(DOWN, (n, 1)),
         **{name: np.full(n, value) for name, value in cabin.items()},
-    )  # fmt: skip
+    )
 
 
 def filled(at: Stations, cabin: Cabin) -> tuple[Stations, Ledger]:
@@ -71,23 +76,44 @@ PROBE = channel("HYGR[1]", temperature_k=294.0, relative_humidity=0.1)
         # 20 hPa above the air outside is the border: 10 hPa are no pressurisation.
         ({"pressure": "log"}, (KM6_PA + 1000.0, np.nan), (KM6_PA + 1000.0, 294.15, 300.0, 10.0)),
         ({"pressure": "ambient"}, (np.nan, np.nan), (KM6_PA, 294.15, 300.0, 10.0)),
-        ({"pressure": "ambient", "temperature_c": 5.0}, (np.nan, 290.0),
-         (KM6_PA, 278.15, 300.0, np.nan)),
+        (
+            {"pressure": "ambient", "temperature_c": 5.0},
+            (np.nan, 290.0),
+            (KM6_PA, 278.15, 300.0, np.nan),
+        ),
         # Numbers without a sigma have none; with one it counts, whatever is logged.
         ({"pressure": 812.5}, (np.nan, np.nan), (81_250.0, 294.15, np.nan, 5.0)),
-        ({"pressure_hpa": 812.5, "temperature_c": 20.0}, (np.nan, np.nan),
-         (81_250.0, 293.15, np.nan, np.nan)),
-        ({"pressure": 812.5, "temperature_c": 20.0, "sigma_pressure_hpa": 2.0,
-          "sigma_temperature_k": 0.5}, (np.nan, 280.0), (81_250.0, 293.15, 200.0, 0.5)),
-        ({"pressure": "log", "sigma_pressure_hpa": 0.5, "sigma_temperature_k": 3.0},
-         (80_000.0, np.nan), (80_000.0, 294.15, 50.0, 3.0)),
+        (
+            {"pressure_hpa": 812.5, "temperature_c": 20.0},
+            (np.nan, np.nan),
+            (81_250.0, 293.15, np.nan, np.nan),
+        ),
+        (
+            {
+                "pressure": 812.5,
+                "temperature_c": 20.0,
+                "sigma_pressure_hpa": 2.0,
+                "sigma_temperature_k": 0.5,
+            },
+            (np.nan, 280.0),
+            (81_250.0, 293.15, 200.0, 0.5),
+        ),
+        (
+            {"pressure": "log", "sigma_pressure_hpa": 0.5, "sigma_temperature_k": 3.0},
+            (80_000.0, np.nan),
+            (80_000.0, 294.15, 50.0, 3.0),
+        ),
     ],
-)  # fmt: skip
+)
 def test_values_and_sigmas(section, logged, expected):
     at = stations(6000.0, cabin_pressure_pa=logged[0], cabin_temperature_k=logged[1])
     found, _ = filled(at, CabinSection(**section).build())
-    got = (found.cabin_pressure_pa[0], found.cabin_temperature_k[0],
-           found.sigma_cabin_pressure_pa[0], found.sigma_cabin_temperature_k[0])  # fmt: skip
+    got = (
+        found.cabin_pressure_pa[0],
+        found.cabin_temperature_k[0],
+        found.sigma_cabin_pressure_pa[0],
+        found.sigma_cabin_temperature_k[0],
+    )
     assert got == pytest.approx(expected, rel=3e-5, nan_ok=True)
 
 
@@ -213,34 +239,58 @@ def claimed(at: Stations, lens: LensInAir | None = None, normal=(0.0, 0.0, 1.0),
     model = cameras(20_000.0)[0]
     camera = Camera(14_000, 10_600, 20_000.0, 20_000.0, model.cx_px, model.cy_px)
     lenses = {} if lens is None else {"cam": lens}
-    exposures = exposures_of(at, US1976, {"cam": Window(Cabin("log"), normal)}, lenses, Ledger(),
-                             radius_m=RADIUS)  # fmt: skip
+    exposures = exposures_of(
+        at, US1976, {"cam": Window(Cabin("log"), normal)}, lenses, Ledger(), radius_m=RADIUS
+    )
     one = np.zeros(1)
-    sigmas = StationSigmas(one + np.nan, one + np.nan, np.array([[0.0, 0.0, 1.0]]), one,
-                           cabin_changes(at, lenses, US1976))  # fmt: skip
+    sigmas = StationSigmas(
+        one + np.nan,
+        one + np.nan,
+        np.array([[0.0, 0.0, 1.0]]),
+        one,
+        cabin_changes(at, lenses, US1976),
+    )
     uncertainty = uncertainty_of(
-        US1976, None, exposures, sigmas, [(camera, np.ones(1, bool))], ground_heights_m=(0.0, 0.0),
+        US1976,
+        None,
+        exposures,
+        sigmas,
+        [(camera, np.ones(1, bool))],
+        ground_heights_m=(0.0, 0.0),
         window_kinds=np.array([SEALED]),
-    )  # fmt: skip
+    )
     zero = np.zeros(x.size)
     return correct_observations(
-        x, y, zero, zero.astype(np.int64), exposures, camera=camera, table=ray_table(US1976),
+        x,
+        y,
+        zero,
+        zero.astype(np.int64),
+        exposures,
+        camera=camera,
+        table=ray_table(US1976),
         uncertainty=uncertainty,
-    )  # fmt: skip
+    )
 
 
 def test_draws_of_the_cabin_lie_within_their_sigma():
     """200 cabins of 21 +- 5 degC, the rays by the simulator's own window, index and camera."""
     celsius = np.random.default_rng(11).normal(21.0, 5.0, 200)
-    h, zeta, azimuth = 6000.0, 0.30, 0.7
+    h = 6000.0
+    zeta = 0.30
+    azimuth = 0.7
     n_out = float(1.0 + US1976.refractivity(h))
     n_in = edlen_index(np.full(200, 70_120.0), celsius + ZERO_CELSIUS_K, np.zeros(200))
     r_c = ray_angle_sphere(lambda z: float(1.0 + US1976.refractivity(z)), h, 0.0, zeta, RADIUS)
     model = replace(cameras(20_000.0)[0], distortion=(0.0,) * 5)
 
     def ray(angle):
-        return np.array([math.sin(angle) * math.cos(azimuth), math.sin(angle) * math.sin(azimuth),
-                         math.cos(angle)])  # fmt: skip
+        return np.array(
+            [
+                math.sin(angle) * math.cos(azimuth),
+                math.sin(angle) * math.sin(azimuth),
+                math.cos(angle),
+            ]
+        )
 
     inside, _ = through_window(np.tile(ray(zeta), (200, 1)), np.full(200, n_out), n_in)
     x, y = model.project(inside)
@@ -265,7 +315,8 @@ def test_draws_of_the_cabin_lie_within_their_sigma():
 def test_against_corrections_with_other_air(normal, lens):
     """Half the difference of corrections with a sigma more and less, both quantities."""
     rng = np.random.default_rng(2)
-    x, y = rng.uniform(500.0, 13_500.0, 30), rng.uniform(500.0, 10_100.0, 30)
+    x = rng.uniform(500.0, 13_500.0, 30)
+    y = rng.uniform(500.0, 10_100.0, 30)
     at, _ = filled(stations(6000.0, cabin_pressure_pa=80_000.0), Cabin("log"))
     found = claimed(at, lens, normal, x, y)
     expected = np.zeros((2, 30))
@@ -276,8 +327,9 @@ def test_against_corrections_with_other_air(normal, lens):
         )
         half = np.stack([more.dx_px - less.dx_px, more.dy_px - less.dy_px]) / 2.0
         expected = np.hypot(expected, half)
-    for got, of_axis in zip((found.sigmas.cabin_dx_px, found.sigmas.cabin_dy_px), expected,
-                            strict=True):  # fmt: skip
+    for got, of_axis in zip(
+        (found.sigmas.cabin_dx_px, found.sigmas.cabin_dy_px), expected, strict=True
+    ):
         np.testing.assert_allclose(got, of_axis, rtol=0.005, atol=0.003 * np.median(of_axis))
 
 
@@ -301,8 +353,7 @@ def test_a_log_without_a_cabin_thermometer(mission, unbend, monkeypatch):
     ended = mission.run()
     assert ended.code == 0, ended.text
     assert "CABIN-TEMPERATURE" in ended.text
-    assert "% only. " in " ".join(
-        ended.text.split())  # fmt: skip
+    assert "% only. " in " ".join(ended.text.split())
     table = mission.results().to_pandas()
     assert (table["status"] == "ok").all()
     at = pq.read_table(mission.output / "stations.parquet").to_pandas()

@@ -36,7 +36,8 @@ MEIER_MM = ((*AT_6_KM, -0.036), (*AT_6_KM, -0.047), (*IN_CABIN, -0.020))
 
 def n_minus_1(pressure_pa: float, temperature_k: float, wavelength_um: float = 0.55) -> float:
     """n - 1 of dry air by the modified Edlen equation."""
-    pressure, temperature = np.array(pressure_pa), np.array(temperature_k)
+    pressure = np.array(pressure_pa)
+    temperature = np.array(temperature_k)
     return float(edlen_index(pressure, temperature, np.array(0.0), wavelength_um)) - 1.0
 
 
@@ -82,7 +83,8 @@ def test_behind_a_window_the_lens_is_in_the_air_of_the_cabin():
     free, _ = look(at, None, lens)
     behind, _ = look(at, Window(Cabin("constant", *IN_CABIN)), lens)
     opened, _ = look(at, Window(opening(10.0)), lens)
-    pressure, temperature = float(US1976.pressure(6000.0)), float(US1976.temperature(6000.0))
+    pressure = float(US1976.pressure(6000.0))
+    temperature = float(US1976.temperature(6000.0))
     for found, air in (
         (free, (pressure, temperature)),
         (behind, IN_CABIN),
@@ -118,8 +120,13 @@ def test_the_sigma_of_a_typical_lens_and_where_none_is_known():
 
 
 def opening(warmer_k: float, excess_pa: float = 0.0) -> Cabin:
-    return Cabin("opening", warmer_k=warmer_k, excess_pa=excess_pa, sigma_pressure_pa=0.0,
-                 sigma_temperature_k=0.5 * abs(warmer_k))  # fmt: skip
+    return Cabin(
+        "opening",
+        warmer_k=warmer_k,
+        excess_pa=excess_pa,
+        sigma_pressure_pa=0.0,
+        sigma_temperature_k=0.5 * abs(warmer_k),
+    )
 
 
 def plane_refraction(height_m: float) -> float:
@@ -142,7 +149,8 @@ def test_ten_kelvin_in_an_open_hatch(height_m, percent):
     _, r_cc = refract_at_window(
         ray, found.refractivity_cabin, found.refractivity_outside, found.window_normal
     )
-    pressure, temperature = float(US1976.pressure(height_m)), float(US1976.temperature(height_m))
+    pressure = float(US1976.pressure(height_m))
+    temperature = float(US1976.temperature(height_m))
     expected = n_minus_1(pressure, temperature + 10.0) - n_minus_1(pressure, temperature)
     assert r_cc[0] == pytest.approx(expected, rel=3e-3)
     assert r_cc[0] < 0.0
@@ -153,7 +161,8 @@ def test_ten_kelvin_in_an_open_hatch(height_m, percent):
 
 def test_air_under_another_pressure_at_the_skin():
     found, _ = look(stations(6000.0), Window(opening(0.0, -700.0)))
-    pressure, temperature = float(US1976.pressure(6000.0)), float(US1976.temperature(6000.0))
+    pressure = float(US1976.pressure(6000.0))
+    temperature = float(US1976.temperature(6000.0))
     expected = n_minus_1(pressure - 700.0, temperature) - n_minus_1(pressure, temperature)
     change = found.refractivity_cabin[0] - found.refractivity_outside[0]
     assert change == pytest.approx(expected, rel=2e-3)
@@ -213,7 +222,8 @@ def of_camera(mission, camera: str) -> np.ndarray:
 @pytest.mark.usefixtures("plain_report")
 def test_the_air_of_the_calibration_is_enough_to_remove_the_air_in_the_lens(runs):
     """A shorter principal distance has moved points inwards; the correction moves them out."""
-    bare, stated = runs["bare"][0], runs["stated"][0]
+    bare = runs["bare"][0]
+    stated = runs["stated"][0]
     expected = expected_ppm(*air_of_stations(bare)) * 1e-6
     assert -150e-6 < expected < -90e-6
     table = stated.results().to_pandas()
@@ -285,7 +295,8 @@ def test_every_run_says_what_a_kelvin_before_the_lens_does(runs):
 @pytest.mark.usefixtures("plain_report")
 def test_an_opening_moves_the_points_and_half_of_it_is_its_sigma(runs):
     """n f (1 + tan^2) across: the warm air has moved a point outwards, the correction inwards."""
-    bare, hatch = runs["bare"][0], runs["hatch"][0]
+    bare = runs["bare"][0]
+    hatch = runs["hatch"][0]
     pressure, temperature = air_of_stations(bare)
     dn = n_minus_1(pressure, temperature + 10.0) - n_minus_1(pressure, temperature)
     table = hatch.results().to_pandas()
@@ -335,10 +346,16 @@ def test_exports_of_a_hatch_and_of_a_lens_are_computed_again(runs, unbend, tmp_p
 
 def lens_record(**changed) -> dict:
     record = {
-        "before_lens": "outside", "kelvin_share": 0.01, "wavelength_m": 5.5e-7,
-        "lens_removed": False, "lens_ppm": -247.0, "lens_sigma_ppm": 61.8, "lens_height_m": 1.482,
-        "lens_edge_px": 2.1, "calibrated_in_flight": False,
-    }  # fmt: skip
+        "before_lens": "outside",
+        "kelvin_share": 0.01,
+        "wavelength_m": 5.5e-7,
+        "lens_removed": False,
+        "lens_ppm": -247.0,
+        "lens_sigma_ppm": 61.8,
+        "lens_height_m": 1.482,
+        "lens_edge_px": 2.1,
+        "calibrated_in_flight": False,
+    }
     return record | changed
 
 
@@ -357,8 +374,9 @@ def verdict_of(cameras: dict[str, dict], corrected: int = 10) -> str:
 
 
 def test_the_sentence_of_the_largest_lens():
-    text = verdict_of({"a": lens_record(lens_ppm=-90.0), "b": lens_record(), "c": lens_record(
-        lens_removed=True)})  # fmt: skip
+    text = verdict_of(
+        {"a": lens_record(lens_ppm=-90.0), "b": lens_record(), "c": lens_record(lens_removed=True)}
+    )
     assert text.endswith(
         "Not corrected for the air in the lens of a, b: about 247 ± 62 ppm of the principal "
         "distance, 1.5 m of height, since a calibration at 20 °C and 1013 hPa."

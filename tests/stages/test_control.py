@@ -40,13 +40,21 @@ def block() -> HeldBlock:
 def control_of(block: HeldBlock) -> pd.DataFrame:
     """The table of control points in every system that a test states."""
     height, up = height_and_up(block.place)
-    lat, lon = np.degrees(np.arcsin(up[:, 2])), np.degrees(np.arctan2(up[:, 1], up[:, 0]))
+    lat = np.degrees(np.arcsin(up[:, 2]))
+    lon = np.degrees(np.arctan2(up[:, 1], up[:, 0]))
     to_grid = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
     east, north = to_grid.transform(lon, lat)
-    return pd.DataFrame({
-        "point": block.point, "lat_deg": lat, "lon_deg": lon, "h_ellipsoid_m": height,
-        "h_msl_m": height - UNDULATION_M, "east": east, "north": north,
-    })[::EVERY]  # fmt: skip
+    return pd.DataFrame(
+        {
+            "point": block.point,
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "h_ellipsoid_m": height,
+            "h_msl_m": height - UNDULATION_M,
+            "east": east,
+            "north": north,
+        }
+    )[::EVERY]
 
 
 class Surveyed:
@@ -93,8 +101,10 @@ def tangents(pixels: np.ndarray) -> np.ndarray:
     for _ in range(30):
         r2 = x * x + y * y
         radial = k1 * r2 + k2 * r2**2 + k3 * r2**3
-        x, y = (given[:, 0] - x * radial - 2 * p1 * x * y - p2 * (r2 + 2 * x * x),
-                given[:, 1] - y * radial - p1 * (r2 + 2 * y * y) - 2 * p2 * x * y)  # fmt: skip
+        x, y = (
+            given[:, 0] - x * radial - 2 * p1 * x * y - p2 * (r2 + 2 * x * x),
+            given[:, 1] - y * radial - p1 * (r2 + 2 * y * y) - 2 * p2 * x * y,
+        )
     return np.stack([x, y], axis=1)
 
 
@@ -130,14 +140,26 @@ def test_points_are_missed_by_what_the_independent_ray_says(surveyed, block):
     ]
 
 
-@pytest.mark.parametrize("stated", [
-    {"columns": {"x": "east", "y": "north", "height": "h_msl_m"}, "crs": "EPSG:25832",
-     "reference": "msl"},
-    {"columns": {"x": "east", "y": "north", "height": "h_msl_m"}, "crs": "EPSG:25832+5773",
-     "reference": "msl"},
-    {"columns": {"latitude": "lat_deg", "longitude": "lon_deg", "height": "h_ellipsoid_m"},
-     "crs": "EPSG:4258", "reference": "ellipsoid"},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {
+            "columns": {"x": "east", "y": "north", "height": "h_msl_m"},
+            "crs": "EPSG:25832",
+            "reference": "msl",
+        },
+        {
+            "columns": {"x": "east", "y": "north", "height": "h_msl_m"},
+            "crs": "EPSG:25832+5773",
+            "reference": "msl",
+        },
+        {
+            "columns": {"latitude": "lat_deg", "longitude": "lon_deg", "height": "h_ellipsoid_m"},
+            "crs": "EPSG:4258",
+            "reference": "ellipsoid",
+        },
+    ],
+)
 def test_every_system_says_the_same(surveyed, stated):
     surveyed.state(**stated)
     control = surveyed.ran()["control"]
@@ -164,8 +186,14 @@ def test_the_terminal_and_a_rehearsal_show_it(surveyed):
     ended = surveyed.run()
     printed = " ".join(ended.out.split())
     assert "27 control points: RMS distance 35 cm as measured, 0 mm corrected." in printed
-    for words in ("RMS of east/north/up", "100.0 % of their mean square residual", "p14", "rms of",
-                  "more: manifest.json", "dU corr."):  # fmt: skip
+    for words in (
+        "RMS of east/north/up",
+        "100.0 % of their mean square residual",
+        "p14",
+        "rms of",
+        "more: manifest.json",
+        "dU corr.",
+    ):
         assert words in printed, printed
     line = next(line for line in ended.out.splitlines() if "rms of" in line)
     assert float(line.split()[5]) == pytest.approx(0.35, abs=0.02)
@@ -187,8 +215,9 @@ def test_the_report_has_each_point(block, tmp_path, unbend, whole_report):
     rows = control_rows(Manifest(manifest), 200)
     assert {len(row) for row in rows} == {len(CONTROL_HEAD)}
     assert [row[0] for row in rows[:-2]] == [p["point"] for p in manifest["control"]["points"]]
-    assert float(rows[0][4]) == pytest.approx(manifest["control"]["points"][0]["before_m"][2],
-                                              abs=1e-3)  # fmt: skip
+    assert float(rows[0][4]) == pytest.approx(
+        manifest["control"]["points"][0]["before_m"][2], abs=1e-3
+    )
     without = Manifest(manifest | {"control": None})
     assert control_sentence(without) == ""
     assert control_rows(without, 9) == []
@@ -206,13 +235,22 @@ def test_names_that_match_nothing(surveyed):
     assert surveyed.run("check").code == 6
 
 
-@pytest.mark.parametrize(("spoil", "words"), [
-    (lambda t: t.assign(h_ellipsoid_m=t["h_msl_m"]), "above sea level read as heights above the "),
-    (lambda t: t.assign(h_ellipsoid_m=t["h_ellipsoid_m"] + UNDULATION_M),
-     "above the ellipsoid read as heights above sea level"),
-    (lambda t: t.assign(h_ellipsoid_m=t["h_ellipsoid_m"] / 0.3048), "feet read as metres"),
-    (lambda t: t.assign(lat_deg=t["lon_deg"], lon_deg=t["lat_deg"]), "longitude exchanged"),
-], ids=["msl", "twice", "feet", "exchanged"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (
+            lambda t: t.assign(h_ellipsoid_m=t["h_msl_m"]),
+            "above sea level read as heights above the ",
+        ),
+        (
+            lambda t: t.assign(h_ellipsoid_m=t["h_ellipsoid_m"] + UNDULATION_M),
+            "above the ellipsoid read as heights above sea level",
+        ),
+        (lambda t: t.assign(h_ellipsoid_m=t["h_ellipsoid_m"] / 0.3048), "feet read as metres"),
+        (lambda t: t.assign(lat_deg=t["lon_deg"], lon_deg=t["lat_deg"]), "longitude exchanged"),
+    ],
+    ids=["msl", "twice", "feet", "exchanged"],
+)
 def test_another_reading_of_the_table_fits(surveyed, spoil, words):
     surveyed.state(spoil(surveyed.table))
     entry = surveyed.told("CONTROL-READING")
@@ -221,18 +259,23 @@ def test_another_reading_of_the_table_fits(surveyed, spoil, words):
     assert "control.reference" in entry["what"]
 
 
-@pytest.mark.parametrize("spoil", [
-    lambda t: t.assign(lat_deg=t["lat_deg"] + 0.01),
-    lambda t: t.assign(point=np.roll(t["point"], 1)),
-], ids=["elsewhere", "names"])  # fmt: skip
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda t: t.assign(lat_deg=t["lat_deg"] + 0.01),
+        lambda t: t.assign(point=np.roll(t["point"], 1)),
+    ],
+    ids=["elsewhere", "names"],
+)
 def test_control_that_fits_in_no_reading(surveyed, spoil):
     surveyed.state(spoil(surveyed.table))
     assert "wrong names of points" in surveyed.told("CONTROL-FAR")["what"]
 
 
 def test_exchanged_axes_of_a_grid_are_refused(surveyed):
-    surveyed.state(columns={"x": "north", "y": "east", "height": "h_msl_m"}, crs="EPSG:25832",
-                   reference="msl")  # fmt: skip
+    surveyed.state(
+        columns={"x": "north", "y": "east", "height": "h_msl_m"}, crs="EPSG:25832", reference="msl"
+    )
     ended = surveyed.run()
     assert (ended.code, "CRS-AREA" in ended.err, "control.crs" in ended.err) == (6, True, True)
 
@@ -270,8 +313,10 @@ def test_stations_that_are_worse_known_than_refraction_is_large(surveyed, block)
     table = table.assign(sh=0.5, st=0.003)
     table.to_csv(path, index=False)
     surveyed.config["stations"]["orientation"]["columns"] |= {
-        "sigma_height_m": "sh", "sigma_horizontal_m": "sh", "sigma_tilt": "st"
-    }  # fmt: skip
+        "sigma_height_m": "sh",
+        "sigma_horizontal_m": "sh",
+        "sigma_tilt": "st",
+    }
     surveyed.state()
     manifest = surveyed.ran()
     codes = {e["code"]: e for e in manifest["ledger"] if e["code"].startswith("CONTROL-")}
@@ -284,8 +329,9 @@ def test_stations_that_are_worse_known_than_refraction_is_large(surveyed, block)
 def test_control_in_single_images_cannot_be_intersected(surveyed, block):
     rows = block.rows.drop_duplicates("point")
     few = rows.assign(image=block.image[rows["image"]], point="c" + rows["point"].astype(str))
-    all_rows = block.rows.assign(image=block.image[block.rows["image"]],
-                                 point=block.point[block.rows["point"]])  # fmt: skip
+    all_rows = block.rows.assign(
+        image=block.image[block.rows["image"]], point=block.point[block.rows["point"]]
+    )
     both = pd.concat([all_rows, few])
     both.to_parquet(surveyed.path.parent / "observations.parquet")
     table = control_of(block)
@@ -293,11 +339,14 @@ def test_control_in_single_images_cannot_be_intersected(surveyed, block):
     assert "3 deg" in surveyed.told("CONTROL-RAYS")["what"]
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    ({"control": {"path": "control.csv", "crs": "EPSG:4326"}}, "together"),
-    ({"control": "control.csv", "refraction": {"direction": "apply"}}, "leave it out"),
-    ({"control": {"path": "control.csv", "clumns": {}}}, "clumns"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"control": {"path": "control.csv", "crs": "EPSG:4326"}}, "together"),
+        ({"control": "control.csv", "refraction": {"direction": "apply"}}, "leave it out"),
+        ({"control": {"path": "control.csv", "clumns": {}}}, "clumns"),
+    ],
+)
 def test_what_the_mission_file_may_not_say(surveyed, change, words):
     surveyed.state()
     surveyed.config |= change

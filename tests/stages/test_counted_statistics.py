@@ -107,7 +107,8 @@ def test_variances_of_the_air_are_sums_of_squares_in_both_axes():
 
 
 def test_later_parts_are_added():
-    first, later = Statistics.of(CAMERAS), Statistics.of(CAMERAS)
+    first = Statistics.of(CAMERAS)
+    later = Statistics.of(CAMERAS)
     first.add(batch(2, no_point=1), corrections([OK, NO_GROUND]), np.array([0, 0]))
     later.add(batch(3), corrections([NO_GROUND, NO_GROUND, NO_GROUND]), np.array([1, 1, 1]))
     first.ground_m, later.ground_m = (120.0, 300.0), (100.0, 250.0)

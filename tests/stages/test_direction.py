@@ -17,7 +17,8 @@ def chords(mission, table) -> np.ndarray:
     stations = {s["image"]: s["h_msl_m"] for s in mission.stations().to_pylist()}
     h_c = np.array([stations[name] for name in table["image"].to_pylist()])
     zeta = table["zeta_c_rad"].to_numpy() - table["r_c_rad"].to_numpy()
-    r_c, r_g = WGS84_A + h_c, WGS84_A + table["h_g_m"].to_numpy()
+    r_c = WGS84_A + h_c
+    r_g = WGS84_A + table["h_g_m"].to_numpy()
     along = r_c * np.cos(zeta)
     return (r_c**2 - r_g**2) / (along + np.sqrt(along**2 - (r_c**2 - r_g**2)))
 
@@ -87,8 +88,10 @@ def test_ideal_observations_with_slant_ranges_are_displaced_as_with_heights(
     ideal = ideal.append_column("range_m", pa.array(chords(baseline, corrected)))
     mission.observe(ideal.replace_schema_metadata(None))
     mission.config["observations"]["columns"] = {
-        "x_px": "x_corrected_px", "y_px": "y_corrected_px", "distance_m": "range_m",
-    }  # fmt: skip
+        "x_px": "x_corrected_px",
+        "y_px": "y_corrected_px",
+        "distance_m": "range_m",
+    }
     mission.config["ground"] = {"height": "from_distance"}
     mission.config["refraction"] = {"direction": "apply"}
     mission.config["accept"] = [{"code": "PLAUSIBLE-APPLY", "reason": "there and back"}]

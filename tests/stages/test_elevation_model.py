@@ -17,7 +17,8 @@ from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, ter
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
-STEP_M, CELLS = 10.0, 1600
+STEP_M = 10.0
+CELLS = 1600
 HOLE = -32768.0
 
 
@@ -31,9 +32,15 @@ def terrain_at(lat_deg, lon_deg):
 
 def write(path, values, crs, transform, **options):
     profile = {
-        "driver": "GTiff", "height": values.shape[0], "width": values.shape[1], "count": 1,
-        "dtype": "float32", "crs": crs, "transform": transform, "tiled": True,
-    } | options  # fmt: skip
+        "driver": "GTiff",
+        "height": values.shape[0],
+        "width": values.shape[1],
+        "count": 1,
+        "dtype": "float32",
+        "crs": crs,
+        "transform": transform,
+        "tiled": True,
+    } | options
     with rasterio.open(path, "w", **profile) as out:
         out.write(values.astype(profile["dtype"]), 1)
 
@@ -48,7 +55,8 @@ def modelled(mission, flown):
         to_grid = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
         x, y = to_grid.transform(*middle)
         step = STEP_M if pyproj.CRS(crs).is_projected else STEP_M / 111_000.0
-        west, north = x - CELLS / 2 * step, y + CELLS / 2 * step
+        west = x - CELLS / 2 * step
+        north = y + CELLS / 2 * step
         at = (np.arange(CELLS) + 0.5) * step
         lon, lat = to_grid.transform(*np.meshgrid(west + at, north - at), direction="INVERSE")
         values = terrain_at(lat, lon)
@@ -56,9 +64,12 @@ def modelled(mission, flown):
         first = range(CELLS)[columns][0]
         file_crs = section.pop("file_crs", crs)
         write(
-            mission.folder / name, values[:, columns], file_crs,
-            Affine(step, 0.0, west + first * step, 0.0, -step, north), **section.pop("options", {}),
-        )  # fmt: skip
+            mission.folder / name,
+            values[:, columns],
+            file_crs,
+            Affine(step, 0.0, west + first * step, 0.0, -step, north),
+            **section.pop("options", {}),
+        )
         reference = section.pop("reference", "msl")
         height = {"dem": name} | {k: section.pop(k) for k in ("crs_stated",) if k in section}
         if "crs_stated" in height:

@@ -68,8 +68,7 @@ def stations(
     return replace(made, h_msl_m=np.array(heights))
 
 
-def look(at: Stations, window: Window | None = None, lens: LensInAir | None = None,
-         profile=US1976):  # fmt: skip
+def look(at: Stations, window: Window | None = None, lens: LensInAir | None = None, profile=US1976):
     """Exposures and ledger of the camera ``nadir``."""
     ledger = Ledger()
     windows = {} if window is None else {"nadir": window}
@@ -90,7 +89,8 @@ def test_gyers_table_7():
     printed = printed_table("gyer1996_table7")
     at = stations(*(printed["h_c_km"] * 1e3))
     found, ledger = look(at, Window(SCHEDULE), profile=gyer_air())
-    inside, outside = found.refractivity_cabin, found.refractivity_outside
+    inside = found.refractivity_cabin
+    outside = found.refractivity_outside
     ray = np.full((len(at), 3), [math.sqrt(0.5), 0.0, math.sqrt(0.5)])
     r_cc = refract_at_window(ray, inside, outside, found.window_normal)[1]
     np.testing.assert_allclose(inside * 1e6, printed["n_cc_minus_1_e6"], atol=0.015)
@@ -137,8 +137,9 @@ def test_a_spherical_window_bends_nothing_and_needs_no_air():
 
 
 def test_each_camera_has_its_own():
-    at = join_stations([stations(8000.0), stations(8000.0, camera="left"),
-                        stations(8000.0, camera="free")])  # fmt: skip
+    at = join_stations(
+        [stations(8000.0), stations(8000.0, camera="left"), stations(8000.0, camera="free")]
+    )
     tilted = (0.0, math.sin(0.2), math.cos(0.2))
     windows = {"nadir": Window(SCHEDULE), "left": Window(Cabin("constant", 9e4, 280.0), tilted)}
     lenses = {"free": LensInAir(20_000.0, 101_325.0, 288.15, 1e-4, 0.0)}
@@ -161,8 +162,9 @@ def test_a_camera_tilted_behind_the_window_in_the_belly(degrees, shift_px):
     At 6 km they are 0.067 and 0.44, at 10 km 0.165 and 1.09.
     """
     mount = Mount(roll_rad=math.radians(degrees))
-    found, _ = look(stations(7500.0, mount=mount), Window(SCHEDULE, BELLY, "body"), None,
-                    gyer_air())  # fmt: skip
+    found, _ = look(
+        stations(7500.0, mount=mount), Window(SCHEDULE, BELLY, "body"), None, gyer_air()
+    )
     axis = np.array([[0.0, 0.0, 1.0]])
     change, r_cc = refract_at_window(
         axis, found.refractivity_cabin, found.refractivity_outside, found.window_normal
@@ -170,7 +172,8 @@ def test_a_camera_tilted_behind_the_window_in_the_belly(degrees, shift_px):
     out = (axis + change)[0]
     shift = 20_000.0 * math.hypot(out[0], out[1]) / out[2]
     # Snell with the n that Table 7 prints, that of 7.5 km between those of 7 and 8 km.
-    inside, outside = 187.84e-6, math.sqrt(133.51e-6 * 118.97e-6)
+    inside = 187.84e-6
+    outside = math.sqrt(133.51e-6 * 118.97e-6)
     tilt = math.radians(degrees)
     bent = math.asin(math.sin(tilt) * (1.0 + inside) / (1.0 + outside))
     assert shift == pytest.approx(20_000.0 * math.tan(bent - tilt), rel=3e-3)
@@ -187,10 +190,13 @@ def test_a_camera_tilted_behind_the_window_in_the_belly(degrees, shift_px):
         # The nose up turns it ahead: north, up in the image, -y.
         ((0.0, 10.0, 0.0), BELLY, (0.0, -math.sin(math.radians(10)), math.cos(math.radians(10)))),
         # Yaw alone shows only where the window is not level: ahead by 45 degrees, flying east.
-        ((90.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, math.sqrt(0.5)), (math.sqrt(0.5), 0.0,
-                                                                  math.sqrt(0.5))),
+        (
+            (90.0, 0.0, 0.0),
+            (math.sqrt(0.5), 0.0, math.sqrt(0.5)),
+            (math.sqrt(0.5), 0.0, math.sqrt(0.5)),
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_stabilised_camera_moves_behind_the_window(aircraft, window, in_camera):
     own = channel("ATT[1]", **turned(*aircraft))
     at = stations(3000.0, aircraft_attitude=own)
@@ -282,9 +288,10 @@ def test_an_absurd_change_is_refused():
 def test_what_stays_in_is_said_once():
     ledger = Ledger()
     windows = {
-        "a": Window(SCHEDULE), "b": Window(SCHEDULE, in_calibration="glass"),
+        "a": Window(SCHEDULE),
+        "b": Window(SCHEDULE, in_calibration="glass"),
         "c": Window(None, shape="spherical"),
-    }  # fmt: skip
+    }
     report_windows(windows, ledger)
     at = stations(3000.0)
     three = SimpleNamespace(cameras=dict.fromkeys("abc"), lenses={"b": LENS}, windows={})

@@ -229,13 +229,15 @@ def test_a_chunk_in_a_national_datum(tmp_path, orientation):
 def test_heights_above_the_sea_stay_what_a_national_chunk_was_given(tmp_path):
     """The program took them for heights above Bessel's ellipsoid."""
     block = SmallBlock.make()
-    lat, lon = block.lat, block.lon
+    lat = block.lat
+    lon = block.lon
     block.write_metashape(tmp_path / "s.xml", shift=-TO_WGS84_OF_LV95, reference=LV95)
     mission = config("s.xml", "metashape", heights="msl")
     mission["ground"] = {"height": 480, "reference": "msl"}
     stations, _ = run(tmp_path, mission)
     own = ecef(lat, lon, block.h) - TO_WGS84_OF_LV95
-    a, e2 = 6377397.155, 0.006674372231802
+    a = 6377397.155
+    e2 = 0.006674372231802
     # The height above Bessel's ellipsoid, by Bowring's iteration.
     across = np.hypot(own[:, 0], own[:, 1])
     phi = np.arctan2(own[:, 2], across * (1 - e2))

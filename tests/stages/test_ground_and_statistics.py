@@ -109,14 +109,30 @@ def counted(**counts: object) -> Statistics:
 
 
 def test_the_counts_of_two_parts_are_added():
-    total = counted(rows=10, parts=1, no_distance=1, no_sigma=2, implausible_heights=3,
-                    status={"ok": 6, "no_ground": 4},
-                    examples={"no_ground": ["a 1", "a 2"]},
-                    air_variance=0.25, by_mode=2.0)  # fmt: skip
-    total.merge(counted(rows=5, parts=1, no_distance=10, no_sigma=20, implausible_heights=30,
-                        status={"ok": 4, "no_station": 1},
-                        examples={"no_ground": ["b 1", "b 2"]}, air_variance=0.5,
-                        by_mode=1.0))  # fmt: skip
+    total = counted(
+        rows=10,
+        parts=1,
+        no_distance=1,
+        no_sigma=2,
+        implausible_heights=3,
+        status={"ok": 6, "no_ground": 4},
+        examples={"no_ground": ["a 1", "a 2"]},
+        air_variance=0.25,
+        by_mode=2.0,
+    )
+    total.merge(
+        counted(
+            rows=5,
+            parts=1,
+            no_distance=10,
+            no_sigma=20,
+            implausible_heights=30,
+            status={"ok": 4, "no_station": 1},
+            examples={"no_ground": ["b 1", "b 2"]},
+            air_variance=0.5,
+            by_mode=1.0,
+        )
+    )
     assert (total.rows, total.parts) == (15, 2)
     assert (total.no_distance, total.no_sigma, total.implausible_heights) == (11, 22, 33)
     assert total.status == {"ok": 10, "no_ground": 4, "no_station": 1}
@@ -126,17 +142,23 @@ def test_the_counts_of_two_parts_are_added():
 
 def test_each_reason_has_its_entry_with_its_kind_and_count():
     status = dict.fromkeys(STATUS_NAMES, 0) | {
-        "ok": 50, "no_ground": 7, "beyond_grazing": 3, "far_branch": 2,
-    }  # fmt: skip
+        "ok": 50,
+        "no_ground": 7,
+        "beyond_grazing": 3,
+        "far_branch": 2,
+    }
     ledger = Ledger()
     counted(
         rows=62, no_distance=4, no_sigma=5, implausible_heights=6, status=status
     ).report_flagged(ledger, {})
     assert {(e.code, e.kind, e.count) for e in ledger} == {
-        ("OBS-DISTANCE", Kind.WARNING, 4), ("OBS-SIGMA", Kind.WARNING, 5),
-        ("OBS-GROUND-RANGE", Kind.LOSS, 6), ("OBS-FLAGGED", Kind.LOSS, 7),
-        ("OBS-BEYOND-GRAZING", Kind.LOSS, 3), ("OBS-FAR-BRANCH", Kind.NOTE, 2),
-    }  # fmt: skip
+        ("OBS-DISTANCE", Kind.WARNING, 4),
+        ("OBS-SIGMA", Kind.WARNING, 5),
+        ("OBS-GROUND-RANGE", Kind.LOSS, 6),
+        ("OBS-FLAGGED", Kind.LOSS, 7),
+        ("OBS-BEYOND-GRAZING", Kind.LOSS, 3),
+        ("OBS-FAR-BRANCH", Kind.NOTE, 2),
+    }
     assert "7 of 62 observations are no_ground" in {e.what for e in ledger}
     silent = Ledger()
     counted(rows=50, status={"ok": 50}).report_flagged(silent, {})

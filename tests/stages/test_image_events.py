@@ -216,7 +216,9 @@ def test_times_of_a_clock_that_is_off_and_drifts(survey, decimals, off_s, tmp_pa
 @pytest.mark.parametrize("by", ["number", "times"])
 def test_two_cameras_and_lost_pulses(pair, extension, by, tmp_path):
     """Of 142 exposures of the left camera 15 have no pulse; the right one's 128 all have."""
-    names, times, parts = {}, {}, []
+    names = {}
+    times = {}
+    parts = []
     whole = pd.read_csv(pair.table)
     for camera, instance in (("left", 0), ("right", 1)):
         truth = pair.truth(instance)

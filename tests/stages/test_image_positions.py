@@ -14,7 +14,9 @@ from unbend.stages.multi_image.assignment_likelihoods import position_likelihood
 from unbend.stages.multi_image.camera_images import CameraImages
 from unbend.tables.imports.exif import NO_TIME, ImageTimes
 
-A, SPEED, INTERVAL = 6.37e6, 20.0, 1.5
+A = 6.37e6
+SPEED = 20.0
+INTERVAL = 1.5
 
 
 def flown(lines: int, per_line: int = 30, *, lon_rad: float = 0.1):
@@ -49,11 +51,14 @@ def likelihood(
     rng = np.random.default_rng(3)
     images = north.size - first
     heading = np.sign(np.gradient(north))[first:]
-    written = np.stack([
-        0.8 + (north[first:] - heading * SPEED * stale_s + rng.normal(0, 4, images)) / A,
-        wrapped(lon_rad + (east[first:] + 3.0 + rng.normal(0, 4, images)) / A / np.cos(0.8)),
-        np.zeros(images),
-    ], axis=1)  # fmt: skip
+    written = np.stack(
+        [
+            0.8 + (north[first:] - heading * SPEED * stale_s + rng.normal(0, 4, images)) / A,
+            wrapped(lon_rad + (east[first:] + 3.0 + rng.normal(0, 4, images)) / A / np.cos(0.8)),
+            np.zeros(images),
+        ],
+        axis=1,
+    )
     written[rng.random(images) >= known] = np.nan
     written[2] += 1.0  # one image of another continent
     names = np.array([f"i{k}" for k in range(images)], object)

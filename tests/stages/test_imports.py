@@ -81,19 +81,35 @@ class Files:
     def sbet(self, *, wander=0.03, yaw_deg=0.0):
         s = self.state()
         _, tow = self.tow(self.t)
-        later, before = self.state(self.t + 0.01), self.state(self.t - 0.01)
+        later = self.state(self.t + 0.01)
+        before = self.state(self.t - 0.01)
         north = (later.lat_rad - before.lat_rad) / 0.02 * 6.375e6
         east = (later.lon_rad - before.lon_rad) / 0.02 * 6.39e6 * np.cos(s.lat_rad)
         ground = (north - 1j * east) * np.exp(-1j * wander)
         zero = np.zeros_like(tow)
-        rows = np.column_stack([
-            tow, s.lat_rad, s.lon_rad, s.h_msl_m + UNDULATION_M, ground.real, ground.imag, zero,
-            s.roll_rad, s.pitch_rad, wrapped(s.yaw_rad + wander + np.radians(yaw_deg)),
-            zero + wander, *[zero] * 6,
-        ])  # fmt: skip
+        rows = np.column_stack(
+            [
+                tow,
+                s.lat_rad,
+                s.lon_rad,
+                s.h_msl_m + UNDULATION_M,
+                ground.real,
+                ground.imag,
+                zero,
+                s.roll_rad,
+                s.pitch_rad,
+                wrapped(s.yaw_rad + wander + np.radians(yaw_deg)),
+                zero + wander,
+                *[zero] * 6,
+            ]
+        )
         (self.folder / "sbet.out").write_bytes(rows.astype("<f8").tobytes())
-        return {"path": "sbet.out", "point": "imu", "heights": "ellipsoid",
-                "time": {"system": "gpst"}}  # fmt: skip
+        return {
+            "path": "sbet.out",
+            "point": "imu",
+            "heights": "ellipsoid",
+            "time": {"system": "gpst"},
+        }
 
     def mrk(self, camera="nadir", *, offset_mm=(0, 0, 0), drop=0):
         rows = self.stations[self.stations["camera"] == camera].sort_values("time_utc")
@@ -123,7 +139,8 @@ def prepare(mission, **stations):
 
 def errors(prepared, truth) -> tuple[float, float, float]:
     """Largest errors of stations that are ok: horizontal, height [m], attitude [deg]."""
-    stations, true = prepared.stations, truth[0].loc[prepared.stations.image.tolist()]
+    stations = prepared.stations
+    true = truth[0].loc[prepared.stations.image.tolist()]
     ok = stations.ok
     assert ok.any()
     north = (stations.lat_rad - np.radians(true["lat_deg"].to_numpy()))[ok] * 6.37e6
@@ -273,9 +290,12 @@ def csv_of(files, columns) -> dict:
     rows = [",".join([time[k], *(f"{v[k]:.9f}" for v in values)]) for k in range(len(time))]
     (files.folder / "t.csv").write_text("\n".join([",".join(["time", *columns]), *rows]) + "\n")
     return {
-        "path": "t.csv", "point": "imu", "heights": "msl", "time": {"system": "utc"},
+        "path": "t.csv",
+        "point": "imu",
+        "heights": "msl",
+        "time": {"system": "utc"},
         "columns": {name: name for name in ("time", *columns)},
-    }  # fmt: skip
+    }
 
 
 PLACE = {
@@ -286,8 +306,10 @@ PLACE = {
 
 
 def angles(factor=1.0, **changed):
-    plain = {f"{n}": (lambda s, n=n: np.degrees(getattr(s, f"{n}_rad")) * factor)
-             for n in ("roll", "pitch")}  # fmt: skip
+    plain = {
+        f"{n}": (lambda s, n=n: np.degrees(getattr(s, f"{n}_rad")) * factor)
+        for n in ("roll", "pitch")
+    }
     plain["yaw"] = lambda s: np.degrees(s.yaw_rad) % 360.0 * factor
     return PLACE | plain | changed
 
@@ -302,17 +324,26 @@ def test_a_csv_of_heights_above_the_sea_and_angles(mission, files, truth):
 @pytest.mark.parametrize(
     ("columns", "code", "words"),
     [
-        (PLACE | {"latitude": PLACE["longitude"], "longitude": PLACE["latitude"]},
-         "TRAJECTORY-PLACE", "exchanged"),
-        (PLACE | {"latitude": lambda s: s.lat_rad, "longitude": lambda s: s.lon_rad},
-         "TRAJECTORY-PLACE", "radians"),
+        (
+            PLACE | {"latitude": PLACE["longitude"], "longitude": PLACE["latitude"]},
+            "TRAJECTORY-PLACE",
+            "exchanged",
+        ),
+        (
+            PLACE | {"latitude": lambda s: s.lat_rad, "longitude": lambda s: s.lon_rad},
+            "TRAJECTORY-PLACE",
+            "radians",
+        ),
         (PLACE | {"longitude": lambda s: -np.degrees(s.lon_rad)}, "TRAJECTORY-PLACE", "sign"),
         (angles(yaw=lambda s: np.degrees(wrapped(-s.yaw_rad))), "TRAJECTORY-ANGLES", "yaw"),
         (angles(np.pi / 180.0), "TRAJECTORY-ANGLES", "radians"),
-        (angles(yaw=lambda s: np.degrees(wrapped(np.pi / 2 - s.yaw_rad))),
-         "TRAJECTORY-ANGLES", "east to north"),
+        (
+            angles(yaw=lambda s: np.degrees(wrapped(np.pi / 2 - s.yaw_rad))),
+            "TRAJECTORY-ANGLES",
+            "east to north",
+        ),
     ],
-)  # fmt: skip
+)
 def test_mistakes_about_columns_are_recognised(mission, files, columns, code, words):
     with pytest.raises(MissionError) as caught:
         prepare(mission, trajectory=csv_of(files, columns))
@@ -374,10 +405,12 @@ def test_inputs_are_hashed_and_stand_in_the_manifest(mission, files, plain_repor
 def with_events(mission, files, **changed):
     for camera in ("nadir", "oblique"):
         files.mrk(camera)
-    mission.config["events"] = {"positions": {
-        camera: {"path": f"{camera}.MRK", "image": f"{camera}_{{index:05d}}"} | changed
-        for camera in ("nadir", "oblique")
-    }}  # fmt: skip
+    mission.config["events"] = {
+        "positions": {
+            camera: {"path": f"{camera}.MRK", "image": f"{camera}_{{index:05d}}"} | changed
+            for camera in ("nadir", "oblique")
+        }
+    }
 
 
 def named_like(prepared, truth):
@@ -391,11 +424,14 @@ def named_like(prepared, truth):
 def offsets(prepared, truth) -> np.ndarray:
     """North, east, up [m] of the stations of the nadir camera from the truth."""
     stations, rows, true = named_like(prepared, truth)
-    return np.stack([
-        (stations.lat_rad[rows] - np.radians(true["lat_deg"].to_numpy())) * 6.37e6,
-        (stations.lon_rad[rows] - np.radians(true["lon_deg"].to_numpy())) * 4.32e6,
-        stations.h_ellipsoid_m[rows] - true["h_ellipsoid_m"].to_numpy(),
-    ], axis=1)  # fmt: skip
+    return np.stack(
+        [
+            (stations.lat_rad[rows] - np.radians(true["lat_deg"].to_numpy())) * 6.37e6,
+            (stations.lon_rad[rows] - np.radians(true["lon_deg"].to_numpy())) * 4.32e6,
+            stations.h_ellipsoid_m[rows] - true["h_ellipsoid_m"].to_numpy(),
+        ],
+        axis=1,
+    )
 
 
 def test_positions_of_an_mrk_are_those_of_the_camera(mission, files, truth):
@@ -412,9 +448,11 @@ def test_positions_of_an_mrk_are_those_of_the_camera(mission, files, truth):
 def test_events_of_rtklib_are_of_the_antenna_from_which_the_mount_counts(mission, files, truth):
     files.t = np.sort(files.flight.exposure_s)
     files.pos()
-    mission.config["events"] = {"positions": {
-        camera: {"path": "flight.pos", "image": f"{camera}_{{index:05d}}"} for camera in LEVER
-    }}  # fmt: skip
+    mission.config["events"] = {
+        "positions": {
+            camera: {"path": "flight.pos", "image": f"{camera}_{{index:05d}}"} for camera in LEVER
+        }
+    }
     place, height, _ = errors(prepare(mission), truth)
     assert place < 0.01
     assert height < 0.01
@@ -531,7 +569,8 @@ def test_a_stretch_of_a_trajectory_that_is_off_makes_its_stations_suspect(missio
     exposed = np.sort(files.flight.exposure_s)[1]
     section = files.pos()
     lines = (files.folder / "flight.pos").read_text().splitlines()
-    head, rows = lines[:2], [line.split(" ") for line in lines[2:]]
+    head = lines[:2]
+    rows = [line.split(" ") for line in lines[2:]]
     for k in np.flatnonzero(np.abs(files.t - exposed) < 4.0):
         rows[k][2] = f"{float(rows[k][2]) + 40.0 / 111_195.0:.9f}"
     text = [*head, *(" ".join(row) for row in rows)]

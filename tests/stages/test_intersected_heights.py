@@ -22,9 +22,13 @@ pytestmark = pytest.mark.usefixtures("plain_report")
 def lines(tmp_path_factory):
     """Three lines whose cameras and stations have noise, as a log and a table of rays."""
     options = SimulationOptions(
-        seed=4, height_above_ground_m=2500.0, lines=3, exposures_per_line=5, points_per_image=20,
+        seed=4,
+        height_above_ground_m=2500.0,
+        lines=3,
+        exposures_per_line=5,
+        points_per_image=20,
         image_noise_px=0.3,
-    )  # fmt: skip
+    )
     return simulate(tmp_path_factory.mktemp("lines"), options)
 
 

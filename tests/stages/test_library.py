@@ -24,9 +24,13 @@ from .test_oriented_stations import columns_of
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 CAMERA = {
-    "width_px": 14000, "height_px": 10600, "f_px": 20000.0, "cx_px": 7012.4, "cy_px": 5291.7,
+    "width_px": 14000,
+    "height_px": 10600,
+    "f_px": 20000.0,
+    "cx_px": 7012.4,
+    "cy_px": 5291.7,
     "calibration": "laboratory",
-}  # fmt: skip
+}
 CABIN = {"pressure_hpa": 812.0, "temperature_c": 21.0, "relative_humidity": 0.3}
 OWN = ["image", "point", "x_px", "y_px", "h_g_m"]
 
@@ -86,23 +90,32 @@ def test_angles_of_a_csv_are_the_mission_of_that_csv(flight, mission_factory, tm
     table = opk(flight)
     table.to_csv(mission.folder / "block.csv", index=False)
     orientation = {
-        "path": "block.csv", "angles": "omega_phi_kappa", "frame": "geographic", "heights": "msl",
+        "path": "block.csv",
+        "angles": "omega_phi_kappa",
+        "frame": "geographic",
+        "heights": "msl",
         "columns": {"camera": "camera", "time_utc": "time_utc"},
-    }  # fmt: skip
+    }
     mission.config = {
-        "mission": {"name": "block"}, "observations": mission.config["observations"],
-        "cameras": cameras, "stations": {"orientation": orientation},
-        "ground": mission.config["ground"], "atmosphere": {"adjust": False},
+        "mission": {"name": "block"},
+        "observations": mission.config["observations"],
+        "cameras": cameras,
+        "stations": {"orientation": orientation},
+        "ground": mission.config["ground"],
+        "atmosphere": {"adjust": False},
         "output": {"path": "results"},
-    }  # fmt: skip
+    }
     assert mission.run().code in (0, 3)  # the lenses are not those of the simulation
     read = pd.read_csv(mission.folder / "block.csv")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         found = correct(
-            mission.measurements().to_pandas(), read, "us1976", cameras,
+            mission.measurements().to_pandas(),
+            read,
+            "us1976",
+            cameras,
             orientation={"heights": "msl"},
-        )  # fmt: skip
+        )
     pd.testing.assert_frame_equal(found, mission.results().to_pandas(), check_exact=True)
     assert set(found.attrs) == {"uncertainty", "cabin_air", "ledger"}
     assert set(found.attrs["cabin_air"]) == {"nadir", "oblique"}
@@ -115,10 +128,16 @@ def test_attitudes_in_other_words(flight):
     quaternions = table[
         ["image", "camera", "lat_deg", "lon_deg", "h_msl_m", "q_w", "q_x", "q_y", "q_z"]
     ]
-    named = opk(flight).rename(columns={
-        "latitude": "lat_deg", "longitude": "lon_deg", "height": "h_msl_m",
-        "omega": "omega_deg", "phi": "phi_deg", "kappa": "kappa_deg",
-    })  # fmt: skip
+    named = opk(flight).rename(
+        columns={
+            "latitude": "lat_deg",
+            "longitude": "lon_deg",
+            "height": "h_msl_m",
+            "omega": "omega_deg",
+            "phi": "phi_deg",
+            "kappa": "kappa_deg",
+        }
+    )
     body = Rotation.from_quat(table[[f"aircraft_q_{axis}" for axis in "xyzw"]]).inv()
     ned = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]]) * body
     angles = ned.as_euler("ZYX", degrees=True)
@@ -165,8 +184,10 @@ def test_pixels_may_count_from_the_centre_of_the_first(flight):
 
 def test_one_height_and_another_method(flight):
     frame = flight[0].to_pandas().drop(columns="h_g_m")
-    low, high = (quiet(flight, observations=frame, ground={"height": h, "reference": "msl"})
-                 for h in (100.0, 900.0))  # fmt: skip
+    low, high = (
+        quiet(flight, observations=frame, ground={"height": h, "reference": "msl"})
+        for h in (100.0, 900.0)
+    )
     assert (low["h_g_m"] == 100.0).all()
     assert (low["r_c_rad"] > high["r_c_rad"]).all()
     plane = quiet(flight, refraction={"method": "plane"})
@@ -175,7 +196,8 @@ def test_one_height_and_another_method(flight):
 
 def test_profiles_of_every_kind(flight):
     standard = standard_atmosphere("us1976")
-    by_name, given = quiet(flight), quiet(flight, profile=standard)
+    by_name = quiet(flight)
+    given = quiet(flight, profile=standard)
     np.testing.assert_allclose(by_name["r_c_rad"], given["r_c_rad"], rtol=0.01)  # gravity differs
     assert given["dx_ds_px"].isna().all()
     size = standard.layers.edge.size
@@ -223,7 +245,7 @@ def test_what_ends_a_run_with_code_3_is_a_warning(flight):
         ("CONFIG-UNKNOWN-KEY", {"grund": {"height": 100.0}}),
         ("CONFIG-INVALID", {"profile": "us1977"}),
     ],
-)  # fmt: skip
+)
 def test_refusals_are_those_of_a_run(flight, code, change):
     given = {"observations": flight[0].to_pandas(), "stations": opk(flight)}
     for name, value in change.items():
@@ -255,9 +277,16 @@ def test_what_is_no_table_and_no_air(flight):
     series = constant_series(TimedProfile(None, standard_atmosphere("us1976")), 3)
     with pytest.raises(ValueError, match="those of 3 stations"):
         quiet(flight, profile=series)
-    two = pa.concat_tables([profile, profile.set_column(
-        profile.column_names.index("profile_id"), "profile_id", pa.array(["other"] * len(profile))
-    )])  # fmt: skip
+    two = pa.concat_tables(
+        [
+            profile,
+            profile.set_column(
+                profile.column_names.index("profile_id"),
+                "profile_id",
+                pa.array(["other"] * len(profile)),
+            ),
+        ]
+    )
     with pytest.raises(ValueError, match="need the stations of their run"):
         quiet(flight, profile=two)
 

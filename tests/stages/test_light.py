@@ -14,7 +14,9 @@ from unbend.errors import UnbendError
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
-RED_M, BLUE_M, USUAL_M = 0.65e-6, 0.45e-6, 0.55e-6
+RED_M = 0.65e-6
+BLUE_M = 0.45e-6
+USUAL_M = 0.55e-6
 
 
 def dispersion(wavelength_m: float) -> float:
@@ -79,7 +81,8 @@ def test_a_camera_is_the_same_whoever_flies_beside_it(runs):
 
 
 def test_the_air_of_the_mission_stays_in_its_own_light(runs):
-    usual, bands = runs["usual"].output, runs["bands"].output
+    usual = runs["usual"].output
+    bands = runs["bands"].output
     for name in ("profile.parquet", "stations.parquet"):
         assert pq.read_table(bands / name).equals(pq.read_table(usual / name)), name
     manifest = json.loads((bands / "manifest.json").read_text(encoding="utf-8"))
@@ -132,8 +135,13 @@ def test_the_library_refuses_a_band_in_air_of_one_light(runs):
     measured = measured.replace_schema_metadata(None)
     air = standard_atmosphere("us1976", index="gyer")
     with pytest.raises(UnbendError, match="one fixed wavelength") as refused:
-        correct(pa.table(measured), mission.stations(), air, mission.config["cameras"],
-                mount=mission.config["mount"])  # fmt: skip
+        correct(
+            pa.table(measured),
+            mission.stations(),
+            air,
+            mission.config["cameras"],
+            mount=mission.config["mount"],
+        )
     assert refused.value.code == "WAVELENGTH-FORMULA"
     assert "cameras.nadir.wavelength_m" in str(refused.value)
 

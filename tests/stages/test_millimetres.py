@@ -15,9 +15,13 @@ from unbend.messages import Ledger
 from unbend.stages.observation_units import refuse_other_unit
 
 METRIC = {
-    "focal_mm": 100.0, "pixel_um": [10.0, 20.0], "format_mm": [60.0, 40.0],
-    "origin": "image_centre", "axes": "right up", "ppa_mm": [0.0, 0.0],
-}  # fmt: skip
+    "focal_mm": 100.0,
+    "pixel_um": [10.0, 20.0],
+    "format_mm": [60.0, 40.0],
+    "origin": "image_centre",
+    "axes": "right up",
+    "ppa_mm": [0.0, 0.0],
+}
 CAMERA = {"width_px": 6000, "height_px": 2000, "calibration": "laboratory", "metric": METRIC}
 PIXELS = np.array([[3000.0, 1000.0], [100.0, 50.0], [5900.0, 1950.0], [2000.0, 1500.0]])
 
@@ -28,12 +32,19 @@ def mission(unit: str, cameras: dict | None = None, **observations):
         "mission": {"name": "mm"},
         "observations": {"path": "o.csv", "unit": unit, "columns": columns, **observations},
         "cameras": cameras or {"c": CAMERA},
-        "stations": {"orientation": {"path": "s.csv", "angles": "omega_phi_kappa", "camera": "c",
-                                     "frame": "geographic", "heights": "msl",
-                                     "date": "2026-05-01"}},
+        "stations": {
+            "orientation": {
+                "path": "s.csv",
+                "angles": "omega_phi_kappa",
+                "camera": "c",
+                "frame": "geographic",
+                "heights": "msl",
+                "date": "2026-05-01",
+            }
+        },
         "ground": {"height": 0.0, "reference": "msl"},
         "output": {"path": "results"},
-    }  # fmt: skip
+    }
     return mission_of(copy.deepcopy(sections), None, "sections")
 
 
@@ -76,8 +87,14 @@ def test_the_origin_may_be_a_pixel(tmp_path):
 
 
 OTHER = {"c": CAMERA, "d": CAMERA | {"metric": METRIC | {"axes": "right down"}}}
-PLAIN = {"width_px": 6000, "height_px": 2000, "f_px": 9000.0, "cx_px": 3000.0, "cy_px": 1000.0,
-         "calibration": "laboratory"}  # fmt: skip
+PLAIN = {
+    "width_px": 6000,
+    "height_px": 2000,
+    "f_px": 9000.0,
+    "cx_px": 3000.0,
+    "cy_px": 1000.0,
+    "calibration": "laboratory",
+}
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,10 @@ LEAP_SECONDS = 18
 
 def corrected(mission) -> np.ndarray:
     table = mission.results()
-    return np.stack([table[c].to_numpy(zero_copy_only=False)
-                     for c in ("x_corrected_px", "y_corrected_px")], axis=1)  # fmt: skip
+    return np.stack(
+        [table[c].to_numpy(zero_copy_only=False) for c in ("x_corrected_px", "y_corrected_px")],
+        axis=1,
+    )
 
 
 def ran(mission, exit_code: int = 0) -> dict:
@@ -64,8 +66,9 @@ def test_ground_above_the_ellipsoid(mission, baseline):
     mission.config["ground"]["reference"] = "ellipsoid"
     ran(mission)
     np.testing.assert_allclose(corrected(mission), corrected(baseline), atol=1e-6)
-    np.testing.assert_allclose(mission.results()["h_g_m"].to_numpy(),
-                               baseline.results()["h_g_m"].to_numpy(), atol=1e-6)  # fmt: skip
+    np.testing.assert_allclose(
+        mission.results()["h_g_m"].to_numpy(), baseline.results()["h_g_m"].to_numpy(), atol=1e-6
+    )
 
 
 def test_ground_above_the_ellipsoid_when_the_log_knows_the_undulation(mission, baseline):
@@ -162,8 +165,9 @@ def test_inspect_init_and_check_give_one_take_off(mission_factory, tmp_path, unb
         assert f"take-off {metres} above sea level" in " ".join(
             unbend("inspect", mission.log).out.split()
         )
-        proposed = unbend("init", mission.log, mission.folder / "observations.parquet",
-                          "--out", "-").out  # fmt: skip
+        proposed = unbend(
+            "init", mission.log, mission.folder / "observations.parquet", "--out", "-"
+        ).out
         assert f"take-off {metres} above the sea" in proposed
         assert f"take-off {metres}," in " ".join(unbend("check", mission.save()).out.split())
 
@@ -193,9 +197,9 @@ def test_constant_ground_height(mission, baseline):
     mission.config["ground"]["height"] = {"column": "h_g_m"}
     contradicted(mission)
     np.testing.assert_array_equal(
-        corrected(mission), np.stack([constant[c].to_numpy()
-                                      for c in ("x_corrected_px", "y_corrected_px")], 1)
-    )  # fmt: skip
+        corrected(mission),
+        np.stack([constant[c].to_numpy() for c in ("x_corrected_px", "y_corrected_px")], 1),
+    )
 
 
 def test_pixels_counted_from_the_centre_of_the_first(mission, baseline):
@@ -245,8 +249,9 @@ def events_csv(baseline, how: str) -> str:
 def test_exposures_from_a_table(mission, baseline, how):
     (mission.folder / "events.csv").write_text(events_csv(baseline, how))
     columns = {"image": "image", "camera": "camera"}
-    columns |= {"gps_week": "week", "gps_seconds": "seconds"} if how == "gps" else {
-        "time_utc": "time_utc"}  # fmt: skip
+    columns |= (
+        {"gps_week": "week", "gps_seconds": "seconds"} if how == "gps" else {"time_utc": "time_utc"}
+    )
     mission.config["events"] = {"csv": {"path": "events.csv", "columns": columns}}
     manifest = ran(mission)
     assert {i["role"] for i in manifest["inputs"]} == {"log", "observations", "events"}
@@ -262,14 +267,19 @@ def test_exposures_from_a_table(mission, baseline, how):
 def test_exposures_outside_the_log_and_in_a_gap(mission, baseline):
     """One exposure a day late, and one where the attitude was cut from the log."""
     lines = events_csv(baseline, "utc").splitlines()
-    head, rows = lines[0], [line.split(",") for line in lines[1:]]
+    head = lines[0]
+    rows = [line.split(",") for line in lines[1:]]
     late = pd.Timestamp(rows[0][1]) + dt.timedelta(days=1)
     rows[0][1] = late.isoformat().replace("+00:00", "Z")
     (mission.folder / "events.csv").write_text(
         "\n".join([head, *(",".join(row) for row in rows)]) + "\n"
     )
-    mission.config["events"] = {"csv": {"path": "events.csv", "columns": {
-        "image": "image", "time_utc": "time_utc", "camera": "camera"}}}  # fmt: skip
+    mission.config["events"] = {
+        "csv": {
+            "path": "events.csv",
+            "columns": {"image": "image", "time_utc": "time_utc", "camera": "camera"},
+        }
+    }
     manifest = ran(mission, 3)
     stations = mission.stations().to_pandas().set_index("image")
     image = rows[0][0]
@@ -286,7 +296,8 @@ def test_exposures_outside_the_log_and_in_a_gap(mission, baseline):
 def without_attitude(content: bytes, first_us: float, last_us: float) -> bytes:
     """A DataFlash log whose ATT records between two times are gone."""
     formats: dict[int, tuple[str, int]] = {}
-    kept, i = bytearray(), 0
+    kept = bytearray()
+    i = 0
     while i + 3 <= len(content):
         assert content[i : i + 2] == b"\xa3\x95"
         kind = content[i + 2]
@@ -357,14 +368,18 @@ def in_hectopascal(source, target) -> None:
                 pressure, variance = struct.unpack("<2d", data[-16:])
                 data = data[:-16] + struct.pack("<2d", pressure / 100.0, variance)
             writer.add_message(
-                channels[channel.id], message.log_time, data, message.publish_time,
+                channels[channel.id],
+                message.log_time,
+                data,
+                message.publish_time,
                 message.sequence,
-            )  # fmt: skip
+            )
         writer.finish()
 
 
 def test_hectopascal_where_pascal_is_due(mission_factory, tmp_path):
-    sound, wrong = mission_factory(tmp_path / "a", "mcap"), mission_factory(tmp_path / "b", "mcap")
+    sound = mission_factory(tmp_path / "a", "mcap")
+    wrong = mission_factory(tmp_path / "b", "mcap")
     in_hectopascal(sound.log, wrong.log)
     ended = wrong.run()
     assert ended.code == 6
@@ -377,8 +392,9 @@ def test_hectopascal_where_pascal_is_due(mission_factory, tmp_path):
     profile = pq.read_table(wrong.output / "profile.parquet")
     np.testing.assert_allclose(
         profile["pressure_pa"].to_numpy(),
-        pq.read_table(sound.output / "profile.parquet")["pressure_pa"].to_numpy(), rtol=1e-9,
-    )  # fmt: skip
+        pq.read_table(sound.output / "profile.parquet")["pressure_pa"].to_numpy(),
+        rtol=1e-9,
+    )
 
 
 def test_the_three_logs_of_one_flight_agree(mission_factory, tmp_path, baseline):
@@ -405,8 +421,10 @@ def test_windows(mission, baseline):
     ran(mission)
     assert set(mission.results()["r_cc_rad"].to_pylist()) == {0.0}
     stations = baseline.stations().to_pandas()
-    air = {"pressure_hpa": float(stations["cabin_pressure_pa"].mean() / 100.0),
-           "temperature_c": float(stations["cabin_temperature_k"].mean() - 273.15)}  # fmt: skip
+    air = {
+        "pressure_hpa": float(stations["cabin_pressure_pa"].mean() / 100.0),
+        "temperature_c": float(stations["cabin_temperature_k"].mean() - 273.15),
+    }
     for camera in mission.config["cameras"].values():
         camera["window"] = {"cabin": air}
     ran(mission)

@@ -25,14 +25,23 @@ def surveyed(mission, flown):
     return mission, table
 
 
-def state(mission, table, height="h_msl_m", *, reference="msl", crs="EPSG:4326", places=GEOGRAPHIC,
-          name="points.csv"):  # fmt: skip
+def state(
+    mission,
+    table,
+    height="h_msl_m",
+    *,
+    reference="msl",
+    crs="EPSG:4326",
+    places=GEOGRAPHIC,
+    name="points.csv",
+):
     path = mission.folder / name
     table.to_csv(path, index=False) if name.endswith("csv") else table.to_parquet(path)
     columns = {"point": "point", "height": height, **places}
     mission.config["ground"] = {
-        "height": {"points": name, "columns": columns, "crs": crs}, "reference": reference,
-    }  # fmt: skip
+        "height": {"points": name, "columns": columns, "crs": crs},
+        "reference": reference,
+    }
 
 
 def ran(mission, exit_code=0) -> dict:
@@ -107,7 +116,8 @@ def test_the_undulation_is_that_of_the_point(mission_factory, flown, tmp_path):
     ran(mission)
     by_name = table.set_index("point")
     point = mission.results()["point"].to_pandas()
-    lat, h = by_name["lat_deg"].loc[point], by_name["h_ellipsoid_m"].loc[point]
+    lat = by_name["lat_deg"].loc[point]
+    h = by_name["h_ellipsoid_m"].loc[point]
     wanted = h.to_numpy() - (47.0 + 30.0 * (lat.to_numpy() - 47.4))
     assert np.ptp(wanted - h.to_numpy()) > 1.0
     np.testing.assert_allclose(heights(mission), wanted, atol=1e-3)

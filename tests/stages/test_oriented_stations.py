@@ -46,10 +46,13 @@ def block(mission_factory, by_log, tmp_path):
     mission.table = by_log.stations().to_pandas()
     mission.config["stations"] = {
         "orientation": {
-            "path": "block.csv", "angles": "omega_phi_kappa", "frame": "geographic",
-            "heights": "msl", "columns": {"camera": "camera", "time_utc": "time"},
+            "path": "block.csv",
+            "angles": "omega_phi_kappa",
+            "frame": "geographic",
+            "heights": "msl",
+            "columns": {"camera": "camera", "time_utc": "time"},
         }
-    }  # fmt: skip
+    }
     mission.config["output"]["path"] = "block"
     return mission
 
@@ -58,12 +61,19 @@ def columns_of(table: pd.DataFrame, digits: int = 9) -> pd.DataFrame:
     """image, camera, time, latitude, longitude, height above sea level, omega, phi, kappa."""
     opk = textbook_opk(matrices(table[["q_w", "q_x", "q_y", "q_z"]])).round(digits)
     time = pd.to_datetime(table["time_utc"]).dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-    return pd.DataFrame({
-        "image": table["image"], "camera": table["camera"], "time": time,
-        "latitude": table["lat_deg"].round(digits), "longitude": table["lon_deg"].round(digits),
-        "height": table["h_msl_m"].round(4),
-        "omega": opk[:, 0], "phi": opk[:, 1], "kappa": opk[:, 2],
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "image": table["image"],
+            "camera": table["camera"],
+            "time": time,
+            "latitude": table["lat_deg"].round(digits),
+            "longitude": table["lon_deg"].round(digits),
+            "height": table["h_msl_m"].round(4),
+            "omega": opk[:, 0],
+            "phi": opk[:, 1],
+            "kappa": opk[:, 2],
+        }
+    )
 
 
 def write(mission, table: pd.DataFrame, name: str = "block.csv") -> None:
@@ -78,8 +88,13 @@ def ran(mission, exit_code: int = 0) -> dict:
 
 def shift(mission) -> np.ndarray:
     table = mission.results()
-    return np.stack([table[f"{axis}_corrected_px"].to_numpy() - table[f"{axis}_px"].to_numpy()
-                     for axis in "xy"], axis=1)  # fmt: skip
+    return np.stack(
+        [
+            table[f"{axis}_corrected_px"].to_numpy() - table[f"{axis}_px"].to_numpy()
+            for axis in "xy"
+        ],
+        axis=1,
+    )
 
 
 def assert_same(block, by_log, atol: float = 2e-6) -> None:
@@ -111,7 +126,8 @@ def test_without_a_log_the_corrections_are_those_of_the_log(block, by_log):
     assert manifest["log"] is None
     assert manifest["channels"] == {}
     assert {item["role"] for item in manifest["inputs"]} == {"orientation", "observations"}
-    mine, theirs = block.stations().to_pandas(), by_log.stations().to_pandas()
+    mine = block.stations().to_pandas()
+    theirs = by_log.stations().to_pandas()
     assert mine["time_utc"].tolist() == theirs["time_utc"].dt.floor("us").tolist()
     np.testing.assert_allclose(mine["h_ellipsoid_m"], theirs["h_ellipsoid_m"], atol=0.02)
     assert mine["sigma_height_m"].isna().all()
@@ -120,8 +136,10 @@ def test_without_a_log_the_corrections_are_those_of_the_log(block, by_log):
 def test_a_coarse_table_is_as_good_as_its_digits(block, by_log):
     write(block, columns_of(block.table, digits=3))  # 0.001 deg of tilt: 2 parts in 10,000
     # Places to 0.001 deg are known to 40 m: unsaid, intersected heights are not those given.
-    assert any(e["code"] in ("ORIENTATION-TIES", "TIES-HEIGHT") and e["kind"] == "finding"
-               for e in ran(block, 3)["ledger"]), ran(block, 3)["ledger"]  # fmt: skip
+    assert any(
+        e["code"] in ("ORIENTATION-TIES", "TIES-HEIGHT") and e["kind"] == "finding"
+        for e in ran(block, 3)["ledger"]
+    ), ran(block, 3)["ledger"]
     block.config["stations"]["orientation"]["sigma_horizontal_m"] = 40.0
     ran(block)
     relative = np.abs(shift(block) - shift(by_log)).max() / np.abs(shift(by_log)).max()
@@ -156,8 +174,9 @@ def test_quaternions_and_their_inverse(block, by_log):
 
 def test_earth_centred(block, by_log):
     table = columns_of(block.table)
-    xyz, enu = earth_centred(block.table["lat_deg"], block.table["lon_deg"],
-                             block.table["h_ellipsoid_m"].to_numpy())  # fmt: skip
+    xyz, enu = earth_centred(
+        block.table["lat_deg"], block.table["lon_deg"], block.table["h_ellipsoid_m"].to_numpy()
+    )
     opk = textbook_opk(matrices(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu)
     table[["x", "y", "z"]], table[["omega", "phi", "kappa"]] = xyz.round(4), opk
     write(block, table.drop(columns=["latitude", "longitude", "height"]))
@@ -170,9 +189,12 @@ def test_earth_centred(block, by_log):
 
 def test_one_topocentric_frame_100_km_away(block, by_log):
     """Its vertical is 0.9 deg off at the stations: 3 % of the refraction."""
-    lat0, lon0, h0 = 46.6, 8.9, 500.0
-    xyz, enu = earth_centred(block.table["lat_deg"], block.table["lon_deg"],
-                             block.table["h_ellipsoid_m"].to_numpy())  # fmt: skip
+    lat0 = 46.6
+    lon0 = 8.9
+    h0 = 500.0
+    xyz, enu = earth_centred(
+        block.table["lat_deg"], block.table["lon_deg"], block.table["h_ellipsoid_m"].to_numpy()
+    )
     origin, axes = earth_centred(np.array([lat0]), np.array([lon0]), np.array([h0]))
     matrix = matrices(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu @ axes[0].T
     table = columns_of(block.table)
@@ -194,7 +216,8 @@ def test_one_topocentric_frame_100_km_away(block, by_log):
 def test_a_grid_whose_north_is_not_the_meridian(block, by_log):
     """Kappa from the north of a map where it lies 1.8 deg east of true north."""
     east_of_north = np.radians(1.8)
-    cos, sin = np.cos(east_of_north), np.sin(east_of_north)
+    cos = np.cos(east_of_north)
+    sin = np.sin(east_of_north)
     enu_from_grid = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
     matrix = matrices(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu_from_grid
     table = columns_of(block.table)
@@ -219,10 +242,18 @@ def in_lambert(block) -> tuple[pd.DataFrame, np.ndarray]:
 
 def test_a_projection_turns_each_image_by_its_convergence(block, by_log):
     table, turn = in_lambert(block)
-    c, s, zero = np.cos(turn), np.sin(turn), 0.0 * turn
+    c = np.cos(turn)
+    s = np.sin(turn)
+    zero = 0.0 * turn
     # East and north of the earth, by columns of the grid's x and y.
-    enu_from_grid = np.stack([np.stack([c, s, zero], -1), np.stack([-s, c, zero], -1),
-                              np.stack([zero, zero, zero + 1.0], -1)], -2)  # fmt: skip
+    enu_from_grid = np.stack(
+        [
+            np.stack([c, s, zero], -1),
+            np.stack([-s, c, zero], -1),
+            np.stack([zero, zero, zero + 1.0], -1),
+        ],
+        -2,
+    )
     matrix = matrices(block.table[["q_w", "q_x", "q_y", "q_z"]]) @ enu_from_grid
     table[["omega", "phi", "kappa"]] = textbook_opk(matrix)
     write(block, table)
@@ -261,8 +292,9 @@ def test_latitudes_of_a_past_survey_are_brought_to_the_present(block, by_log):
     write(block, table)
     block.config["stations"]["orientation"]["crs"] = "EPSG:4149"
     manifest = ran(block)
-    mine, theirs = (m.stations().to_pandas()[["lat_deg", "lon_deg"]].to_numpy()
-                    for m in (block, by_log))  # fmt: skip
+    mine, theirs = (
+        m.stations().to_pandas()[["lat_deg", "lon_deg"]].to_numpy() for m in (block, by_log)
+    )
     np.testing.assert_allclose(mine, theirs, atol=2e-8)
     assert np.abs(mine - table[["latitude", "longitude"]].to_numpy()).max() > 5e-4
     assert "CRS-DATUM" in {entry["code"] for entry in manifest["ledger"]}
@@ -287,9 +319,11 @@ def test_roll_pitch_and_yaw_of_the_aircraft_with_the_mounts_of_its_cameras(block
 
 def model_of(block, keep: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The block as a model of no scale and no vertical, and known positions of some images."""
-    xyz, enu = earth_centred(block.table["lat_deg"], block.table["lon_deg"],
-                             block.table["h_ellipsoid_m"].to_numpy())  # fmt: skip
-    a, b = np.radians(40.0), np.radians(25.0)
+    xyz, enu = earth_centred(
+        block.table["lat_deg"], block.table["lon_deg"], block.table["h_ellipsoid_m"].to_numpy()
+    )
+    a = np.radians(40.0)
+    b = np.radians(25.0)
     turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
     turn = turn @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
     table = columns_of(block.table).drop(columns=["latitude", "longitude", "height"])
@@ -302,8 +336,11 @@ def model_of(block, keep: int) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 def unknown_frame(block) -> dict:
     orientation = block.config["stations"]["orientation"]
-    orientation |= {"frame": "unknown", "known_positions": {"path": "known.csv"},
-                    "heights": "ellipsoid"}  # fmt: skip
+    orientation |= {
+        "frame": "unknown",
+        "known_positions": {"path": "known.csv"},
+        "heights": "ellipsoid",
+    }
     return orientation
 
 
@@ -366,11 +403,14 @@ def test_stations_of_a_block_beside_a_log(block, by_log):
     del block.config["stations"]["orientation"]["columns"]["time_utc"]
     for section in ("log", "mount", "events"):
         block.config[section] = by_log.config[section]
-    block.config["mount"] = {name: mount | {"lever_arm_m": [0.0, 0.0, 0.0]}
-                             for name, mount in by_log.config["mount"].items()}  # fmt: skip
+    block.config["mount"] = {
+        name: mount | {"lever_arm_m": [0.0, 0.0, 0.0]}
+        for name, mount in by_log.config["mount"].items()
+    }
     manifest = ran(block)
     assert_same(block, by_log)
-    mine, theirs = block.stations().to_pandas(), by_log.stations().to_pandas()
+    mine = block.stations().to_pandas()
+    theirs = by_log.stations().to_pandas()
     assert mine["time_utc"].tolist() == theirs["time_utc"].tolist()
     np.testing.assert_allclose(mine["pressure_pa"], theirs["pressure_pa"])
     assert manifest["log"]["format"] == "dataflash"
@@ -417,8 +457,9 @@ def test_images_without_orientation_and_orientation_without_images(block):
     told = {entry["code"]: entry for entry in manifest["ledger"]}
     assert told["STATIONS-UNUSED"]["count"] == 1
     assert told["IMAGES-UNMATCHED"]["count"] == 1
-    status = dict(zip(*(block.stations()[name].to_pylist() for name in ("image", "status")),
-                      strict=True))  # fmt: skip
+    status = dict(
+        zip(*(block.stations()[name].to_pylist() for name in ("image", "status")), strict=True)
+    )
     assert status[image] == "unmatched"
     assert "no_station" in block.results()["status"].to_pylist()
 
@@ -540,8 +581,10 @@ def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factor
     truth = pq.read_table(flown.truth / "observations.parquet").to_pandas()[nadir.to_numpy()]
     size = np.hypot(truth["x_true_px"] - truth["x_px"], truth["y_true_px"] - truth["y_px"])
     result = mission.results().to_pandas()
-    left = np.hypot(result["x_corrected_px"] - truth["x_true_px"].to_numpy(),
-                    result["y_corrected_px"] - truth["y_true_px"].to_numpy())  # fmt: skip
+    left = np.hypot(
+        result["x_corrected_px"] - truth["x_true_px"].to_numpy(),
+        result["y_corrected_px"] - truth["y_true_px"].to_numpy(),
+    )
     assert size.max() > 0.05
     # What is left is the cabin's, whose pressure is not the same at each exposure, as stated here,
     # and the air's: a balloon is believed to 1.2 K, so that its R is 0.9 % from the true one.
@@ -564,10 +607,13 @@ def crossing(tmp_path_factory, fly_crossing_lines):
     truth = pq.read_table(flown.truth / "stations.parquet").to_pandas()
     config["stations"] = {
         "orientation": {
-            "path": "block.csv", "angles": "omega_phi_kappa", "frame": "geographic",
-            "heights": "msl", "columns": {"camera": "camera", "time_utc": "time"},
+            "path": "block.csv",
+            "angles": "omega_phi_kappa",
+            "frame": "geographic",
+            "heights": "msl",
+            "columns": {"camera": "camera", "time_utc": "time"},
         }
-    }  # fmt: skip
+    }
     return folder, config, truth
 
 
@@ -629,7 +675,8 @@ def test_tie_points_tell_the_order_of_the_rotations(crossing):
 
 
 def test_tie_points_tell_the_inverse_of_a_quaternion(crossing):
-    table, q = columns_of(crossing[2]), crossing[2][["q_w", "q_x", "q_y", "q_z"]]
+    table = columns_of(crossing[2])
+    q = crossing[2][["q_w", "q_x", "q_y", "q_z"]]
     assert told_of(crossing, table.join(q), angles="quaternion").kind == "note"
     inverse = table.join(q * [1, -1, -1, -1])
     with pytest.raises(InputError, match="turn the other way"):
@@ -678,9 +725,11 @@ def test_intersected_heights_are_compared_with_those_given(crossing):
 
 @pytest.mark.parametrize(
     ("change", "code"),
-    [({"latitude": 1.0, "longitude": 0.0}, "ORIENTATION-FAR"),
-     ({"height": 34_990.0}, "ORIENTATION-HEIGHT")],
-)  # fmt: skip
+    [
+        ({"latitude": 1.0, "longitude": 0.0}, "ORIENTATION-FAR"),
+        ({"height": 34_990.0}, "ORIENTATION-HEIGHT"),
+    ],
+)
 def test_a_single_image_that_is_elsewhere_is_a_loss(crossing, change, code):
     table = columns_of(crossing[2])
     table.loc[3, list(change)] = list(change.values())

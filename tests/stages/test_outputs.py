@@ -15,34 +15,87 @@ import pyarrow.parquet as pq
 import pytest
 
 OBSERVATIONS = {
-    "image": "string", "point": "string", "x_px": "double", "y_px": "double",
-    "x_corrected_px": "double", "y_corrected_px": "double", "zeta_c_rad": "double",
-    "r_c_rad": "double", "r_cc_rad": "double", "sigma_r_c_rad": "double",
-    "sigma_air_dx_px": "float", "sigma_air_dy_px": "float", "sigma_station_dx_px": "float",
-    "sigma_station_dy_px": "float", "sigma_ground_dx_px": "float", "sigma_ground_dy_px": "float",
-    "sigma_r_cc_rad": "float", "sigma_cabin_dx_px": "float", "sigma_cabin_dy_px": "float",
-    "dx_ds_px": "float", "dy_ds_px": "float", "dx_dncc_px": "float", "dy_dncc_px": "float",
-    "h_g_m": "double", "status": "string",
-}  # fmt: skip
+    "image": "string",
+    "point": "string",
+    "x_px": "double",
+    "y_px": "double",
+    "x_corrected_px": "double",
+    "y_corrected_px": "double",
+    "zeta_c_rad": "double",
+    "r_c_rad": "double",
+    "r_cc_rad": "double",
+    "sigma_r_c_rad": "double",
+    "sigma_air_dx_px": "float",
+    "sigma_air_dy_px": "float",
+    "sigma_station_dx_px": "float",
+    "sigma_station_dy_px": "float",
+    "sigma_ground_dx_px": "float",
+    "sigma_ground_dy_px": "float",
+    "sigma_r_cc_rad": "float",
+    "sigma_cabin_dx_px": "float",
+    "sigma_cabin_dy_px": "float",
+    "dx_ds_px": "float",
+    "dy_ds_px": "float",
+    "dx_dncc_px": "float",
+    "dy_dncc_px": "float",
+    "h_g_m": "double",
+    "status": "string",
+}
 STATIONS = {
-    "image": "string", "camera": "string", "profile_id": "string",
-    "time_utc": "timestamp[ns, tz=UTC]", "lat_deg": "double", "lon_deg": "double",
-    "h_msl_m": "double", "h_ellipsoid_m": "double", "q_w": "double", "q_x": "double",
-    "q_y": "double", "q_z": "double", "aircraft_q_w": "double", "aircraft_q_x": "double",
-    "aircraft_q_y": "double", "aircraft_q_z": "double", "pressure_pa": "double",
+    "image": "string",
+    "camera": "string",
+    "profile_id": "string",
+    "time_utc": "timestamp[ns, tz=UTC]",
+    "lat_deg": "double",
+    "lon_deg": "double",
+    "h_msl_m": "double",
+    "h_ellipsoid_m": "double",
+    "q_w": "double",
+    "q_x": "double",
+    "q_y": "double",
+    "q_z": "double",
+    "aircraft_q_w": "double",
+    "aircraft_q_x": "double",
+    "aircraft_q_y": "double",
+    "aircraft_q_z": "double",
+    "pressure_pa": "double",
     "temperature_k": "double",
-    "vapour_pressure_pa": "double", "cabin_pressure_pa": "double", "cabin_temperature_k": "double",
-    "cabin_vapour_pressure_pa": "double", "sigma_cabin_pressure_pa": "double",
-    "sigma_cabin_temperature_k": "double", "sigma_horizontal_m": "double",
-    "sigma_height_m": "double", "sigma_tilt_deg": "double", "sigma_yaw_deg": "double",
-    "suspect_reason": "string", "suspect_m": "double", "status": "string", "geometry": "binary",
-}  # fmt: skip
+    "vapour_pressure_pa": "double",
+    "cabin_pressure_pa": "double",
+    "cabin_temperature_k": "double",
+    "cabin_vapour_pressure_pa": "double",
+    "sigma_cabin_pressure_pa": "double",
+    "sigma_cabin_temperature_k": "double",
+    "sigma_horizontal_m": "double",
+    "sigma_height_m": "double",
+    "sigma_tilt_deg": "double",
+    "sigma_yaw_deg": "double",
+    "suspect_reason": "string",
+    "suspect_m": "double",
+    "status": "string",
+    "geometry": "binary",
+}
 PROFILE = {
-    "profile_id", "time_utc", "h_m", "geopotential_m", "temperature_k", "pressure_pa",
-    "vapour_pressure_pa", "refractivity", "layer", "equation", "h_base_m", "t_base_k", "p_base_pa",
-    "lapse_k_per_m", "source", "standard_temperature_k", "standard_pressure_pa",
-    "sigma_temperature_k", "sigma_refractivity",
-}  # fmt: skip
+    "profile_id",
+    "time_utc",
+    "h_m",
+    "geopotential_m",
+    "temperature_k",
+    "pressure_pa",
+    "vapour_pressure_pa",
+    "refractivity",
+    "layer",
+    "equation",
+    "h_base_m",
+    "t_base_k",
+    "p_base_pa",
+    "lapse_k_per_m",
+    "source",
+    "standard_temperature_k",
+    "standard_pressure_pa",
+    "sigma_temperature_k",
+    "sigma_refractivity",
+}
 
 
 def tree(folder) -> dict[str, str]:
@@ -61,13 +114,20 @@ def types_of(schema: pa.Schema) -> dict[str, str]:
 def test_folder_holds_what_it_should_and_nothing_else(baseline):
     names = {p.name for p in baseline.output.iterdir()}
     assert names == {
-        ".lock", "observations", "stations.parquet", "profile.parquet", "manifest.json",
+        ".lock",
+        "observations",
+        "stations.parquet",
+        "profile.parquet",
+        "manifest.json",
         "report.html",
-    }  # fmt: skip
+    }
     assert set(tree(baseline.output)) == {
-        "observations/part-00000.parquet", "stations.parquet", "profile.parquet", "manifest.json",
+        "observations/part-00000.parquet",
+        "stations.parquet",
+        "profile.parquet",
+        "manifest.json",
         "report.html",
-    }  # fmt: skip
+    }
 
 
 def test_observation_columns(baseline):
@@ -103,7 +163,8 @@ def test_every_pressure_of_the_profile_recomputes_from_its_row(baseline):
     table = pq.read_table(baseline.output / "profile.parquet")
     assert set(table.schema.names) >= PROFILE
     meta = {k.decode(): v.decode() for k, v in table.schema.metadata.items()}
-    g_phi, r_phi = float(meta["g_phi"]), float(meta["r_phi"])
+    g_phi = float(meta["g_phi"])
+    r_phi = float(meta["r_phi"])
     assert 46.0 < float(meta["latitude"]) < 48.0
     assert g_phi == pytest.approx(9.80665, abs=0.03)
     assert r_phi == pytest.approx(6.36e6, rel=0.01)
@@ -172,16 +233,18 @@ def own_columns(n: int) -> dict[str, pa.Array]:
         "zulu": pa.array([f"text {i}" for i in range(n)]),
         "status": pa.array([i % 3 for i in range(n)], pa.int8()),
         "big": pa.array([2**60 + i for i in range(n)], pa.int64()),
-        "seen": pa.array([start + dt.timedelta(seconds=i) for i in range(n)],
-                         pa.timestamp("us", "UTC")),
+        "seen": pa.array(
+            [start + dt.timedelta(seconds=i) for i in range(n)], pa.timestamp("us", "UTC")
+        ),
         "flag": pa.array([i % 2 == 0 for i in range(n)]),
         "holes": pa.array([None if i % 5 == 0 else i / 7 for i in range(n)]),
         "list": pa.array([[i, i + 1] for i in range(n)]),
-        "code": pa.array(["a", "b", "c", "d"]).take(pa.array([i % 4 for i in range(n)]))
-                  .dictionary_encode(),
+        "code": pa.array(["a", "b", "c", "d"])
+        .take(pa.array([i % 4 for i in range(n)]))
+        .dictionary_encode(),
         "r_c_rad_input": pa.array(["taken"] * n),
         "r_c_rad": pa.array(["mine"] * n),
-    }  # fmt: skip
+    }
 
 
 def many_rows(mission, copies: int) -> pa.Table:
@@ -208,9 +271,20 @@ def test_rows_and_columns_of_the_user_pass_through_batches(mission, baseline):
     assert sizes == [1000, 1000, n - 2000]
     result = mission.results()
     assert result.schema.names == [
-        *OBSERVATIONS, "quality", "row", "zulu", "status_input", "big", "seen", "flag", "holes",
-        "list", "code", "r_c_rad_input", "r_c_rad_input_input",
-    ]  # fmt: skip
+        *OBSERVATIONS,
+        "quality",
+        "row",
+        "zulu",
+        "status_input",
+        "big",
+        "seen",
+        "flag",
+        "holes",
+        "list",
+        "code",
+        "r_c_rad_input",
+        "r_c_rad_input_input",
+    ]
     assert result["row"].to_pylist() == list(range(n))
     for name in ("image", "x_px", "zulu", "big", "seen", "flag", "holes", "list"):
         assert result[name].to_pylist() == table[name].to_pylist(), name
@@ -226,22 +300,27 @@ def test_rows_and_columns_of_the_user_pass_through_batches(mission, baseline):
     key = {
         (i, p): (x, y)
         for i, p, x, y in zip(
-            *(baseline.results()[c].to_pylist()
-              for c in ("image", "point", "x_corrected_px", "y_corrected_px")),
+            *(
+                baseline.results()[c].to_pylist()
+                for c in ("image", "point", "x_corrected_px", "y_corrected_px")
+            ),
             strict=True,
         )
-    }  # fmt: skip
-    want = [key[i, p.rsplit("-", 1)[0]] for i, p in zip(
-        table["image"].to_pylist(), table["point"].to_pylist(), strict=True
-    )]  # fmt: skip
+    }
+    want = [
+        key[i, p.rsplit("-", 1)[0]]
+        for i, p in zip(table["image"].to_pylist(), table["point"].to_pylist(), strict=True)
+    ]
     got = np.stack([result["x_corrected_px"].to_numpy(), result["y_corrected_px"].to_numpy()], 1)
     np.testing.assert_allclose(got, np.array(want), atol=1e-9, rtol=0)
 
 
 def test_a_second_run_does_nothing_and_repeats_the_code(mission):
-    mission.observe(mission.measurements().set_column(
-        0, "image", pa.array(["nowhere", *mission.measurements()["image"].to_pylist()[1:]])
-    ))  # fmt: skip
+    mission.observe(
+        mission.measurements().set_column(
+            0, "image", pa.array(["nowhere", *mission.measurements()["image"].to_pylist()[1:]])
+        )
+    )
     first = mission.run()
     assert first.code == 3, first.text
     before = tree(mission.output)
@@ -300,14 +379,15 @@ def test_fewer_parts_leave_none_of_the_old_ones(mission):
     [
         ("observations/part-00000.parquet", "flip", "VERIFY-DAMAGED"),
         ("stations.parquet", "flip", "VERIFY-DAMAGED"),
-        ("profile.parquet", "cut", "VERIFY-DAMAGED"), ("report.html", "flip", "VERIFY-DAMAGED"),
+        ("profile.parquet", "cut", "VERIFY-DAMAGED"),
+        ("report.html", "flip", "VERIFY-DAMAGED"),
         ("observations/part-00000.parquet", "remove", "VERIFY-DAMAGED"),
         ("observations/part-00001.parquet", "add", "VERIFY-DAMAGED"),
         ("manifest.json", "remove", "VERIFY-NO-MANIFEST"),
         ("manifest.json", "empty", "MANIFEST-UNREADABLE"),
         ("manifest.json", "foreign", "MANIFEST-UNREADABLE"),
     ],
-)  # fmt: skip
+)
 def test_verify_finds_damage(baseline, tmp_path, unbend, name, harm, code):
     copy = tmp_path / "results"
     shutil.copytree(baseline.output, copy)
@@ -390,7 +470,8 @@ def test_the_manifest_has_the_numbers_of_the_figures(baseline):
         for part in ("air", "station", "cabin"):
             sigma = np.hypot(of[f"sigma_{part}_dx_px"], of[f"sigma_{part}_dy_px"])
             together += sigma**2
-            px, metres = budget[part]["px"], budget[part]["m"]
+            px = budget[part]["px"]
+            metres = budget[part]["m"]
             assert sigma.sort_values().iloc[(len(of) - 1) // 2] <= px["median"] * 1.001
             assert px["median"] <= sigma.sort_values().iloc[(len(of) + 1) // 2] * 1.001
             assert px["median"] <= px["p95"] <= sigma.max() * 1.001

@@ -113,9 +113,12 @@ def test_a_file_of_pix4d_stands_for_its_project(tmp_path):
     path = folder / "survey_calibrated_camera_parameters.txt"
     names = [file.name.removeprefix("survey_") for file in block_reader("pix4d").block_files(path)]
     assert names == [
-        "calibrated_camera_parameters.txt", "calibrated_external_camera_parameters.txt",
-        "offset.xyz", "wkt.prj", "tp_pix4d.txt",
-    ]  # fmt: skip
+        "calibrated_camera_parameters.txt",
+        "calibrated_external_camera_parameters.txt",
+        "offset.xyz",
+        "wkt.prj",
+        "tp_pix4d.txt",
+    ]
     shutil.copy(path, folder / "other_calibrated_camera_parameters.txt")
     assert len(read_block_images(path, "pix4d").image) == 12
     assert "2 files" in refusal(folder, "pix4d")
@@ -193,11 +196,13 @@ def test_the_example_of_the_vendor(tmp_path):
 
     from unbend.flight.rotations import matrices_of
 
-    matrix = np.array([
-        [-0.9999982912233401, -0.001636319085375301, -0.0008602425863163225],
-        [-0.001631068695467463, 0.9999802528616577, -0.00606906089589293],
-        [0.0008701565192966738, -0.006067647409696231, -0.9999812130648239],
-    ])  # fmt: skip
+    matrix = np.array(
+        [
+            [-0.9999982912233401, -0.001636319085375301, -0.0008602425863163225],
+            [-0.001631068695467463, 0.9999802528616577, -0.00606906089589293],
+            [0.0008701565192966738, -0.006067647409696231, -0.9999812130648239],
+        ]
+    )
     block = SmallBlock.make()
     path = tmp_path / "b.xml"
     block.write_blocks_exchange(path, "EPSG:2154", angles=True)
@@ -260,5 +265,7 @@ def test_names_that_repeat_have_their_folder(tmp_path):
     path.write_text(text)
     names = read_block_images(path, "blocksexchange").image.tolist()
     assert (names[0], names[6], names[7]) == (
-        "flight/IMG_0001.JPG", "other/IMG_0001.JPG", "IMG_0008.JPG",
-    )  # fmt: skip
+        "flight/IMG_0001.JPG",
+        "other/IMG_0001.JPG",
+        "IMG_0008.JPG",
+    )

@@ -84,63 +84,162 @@ PINHOLE = SIZE | {"model": "SIMPLE_PINHOLE", "params": [20000.0, 4200.0, 5300.0]
 # What is changed -> the code, the key it must name, and words of what was found.
 FOUND = {
     "feet": (scaled(h_g_m=3.28084), "PLAUSIBLE-GROUND", "ground.height", "likely feet"),
-    "f in mm": (config(**{NADIR + "fx_px": 3000.0, NADIR + "fy_px": 3000.0,
-                          NADIR + "distortion": {}}), "PLAUSIBLE-VIEW", "cameras.nadir.fx_px",
-                r"is 142 deg .* likely f in millimetres"),
-    "f in um": (config(**{NADIR + "fx_px": 920000.0, NADIR + "fy_px": 920000.0}), "PLAUSIBLE-VIEW",
-                "cameras.nadir.fx_px", r"is 1.09 deg"),
-    "report of another camera": (config(cameras__nadir=METRIC), "PLAUSIBLE-VIEW",
-                                 "cameras.nadir.metric.focal_mm", "is 142 deg .* metric.pixel"),
-    "params of another image": (config(cameras__nadir=PINHOLE), "PLAUSIBLE-PRINCIPAL-POINT",
-                                "cameras.nadir, params or file", "is 20 % of the image"),
-    "fy of another": (config(**{NADIR + "fy_px": 26000.0}), "PLAUSIBLE-VIEW",
-                      "cameras.nadir.fx_px", "fx of camera nadir is 20000 px and fy 26000 px"),
-    "offset of c": (config(**{NADIR + "cx_px": 12.4}), "PLAUSIBLE-PRINCIPAL-POINT",
-                    "cameras.nadir.cx_px", "is 50 % of the image from its centre"),
-    "k1 of pixels": (config(**{NADIR + "distortion": {"k1": -4.5e-11}}), "PLAUSIBLE-DISTORTION",
-                     "cameras.nadir.distortion", "coefficients for pixels"),
-    "order of k": (config(**{NADIR + "distortion": {"k1": -0.018, "k2": 0.009, "k3": 0.00015,
-                                                   "p1": -0.0001, "p2": -0.002}}),
-                   "PLAUSIBLE-DISTORTION", "cameras.nadir.distortion.k3", "in another order"),
-    "reduced images": (many(scaled(x_px=0.5, y_px=0.5)), "PLAUSIBLE-EXTENT",
-                       "cameras.nadir.width_px", "measured in reduced images"),
-    "x and y": (rows(exchanged), "PLAUSIBLE-EXTENT", "observations.columns.x_px",
-                "width and height, or x and y, exchanged"),
-    "from the centre": (many(rows(centred)), "PLAUSIBLE-EXTENT", "cameras.nadir.width_px",
-                        "measured from the centre of the image"),
-    "width and height": (config(**{NADIR + "width_px": 10600, NADIR + "height_px": 14000}),
-                         "PLAUSIBLE-EXTENT", "cameras.nadir.width_px", "exchanged"),
-    "gimbal": (config(mount__nadir__pitch_deg=-90.0), "PLAUSIBLE-DIRECTION", "mount.nadir",
-               r"9\d.* deg from the nadir|8\d.* deg from the nadir"),
-    "nadir by name": (config(mount__nadir__roll_deg=45.0), "PLAUSIBLE-DIRECTION", "mount.nadir",
-                      "within 30 deg of the nadir by the name of nadir"),
-    "radians": (config(mount__oblique__roll_deg=-0.7853982), "PLAUSIBLE-ANGLE",
-                "mount.oblique.roll_deg", "which is -45 deg in radians"),
-    "oblique by name": (config(mount__oblique__roll_deg=-0.7), "PLAUSIBLE-DIRECTION",
-                        "mount.oblique", (
-                            "more than 10 deg from the nadir, because of the "
-                            "name of oblique"
-                        )),
-    "lever arm in cm": (config(mount__oblique__lever_arm_m=[20.0, 28.0, 55.0]),
-                        "PLAUSIBLE-LEVER-ARM", "mount.oblique.lever_arm_m", "is 65 m long"),
-    "lever arm upward": (config(mount__oblique__lever_arm_m=[0.2, 0.28, -0.55]),
-                         "PLAUSIBLE-LEVER-ARM", "mount.oblique.lever_arm_m",
-                         "0.55 m above the point with the known position"),
+    "f in mm": (
+        config(**{NADIR + "fx_px": 3000.0, NADIR + "fy_px": 3000.0, NADIR + "distortion": {}}),
+        "PLAUSIBLE-VIEW",
+        "cameras.nadir.fx_px",
+        r"is 142 deg .* likely f in millimetres",
+    ),
+    "f in um": (
+        config(**{NADIR + "fx_px": 920000.0, NADIR + "fy_px": 920000.0}),
+        "PLAUSIBLE-VIEW",
+        "cameras.nadir.fx_px",
+        r"is 1.09 deg",
+    ),
+    "report of another camera": (
+        config(cameras__nadir=METRIC),
+        "PLAUSIBLE-VIEW",
+        "cameras.nadir.metric.focal_mm",
+        "is 142 deg .* metric.pixel",
+    ),
+    "params of another image": (
+        config(cameras__nadir=PINHOLE),
+        "PLAUSIBLE-PRINCIPAL-POINT",
+        "cameras.nadir, params or file",
+        "is 20 % of the image",
+    ),
+    "fy of another": (
+        config(**{NADIR + "fy_px": 26000.0}),
+        "PLAUSIBLE-VIEW",
+        "cameras.nadir.fx_px",
+        "fx of camera nadir is 20000 px and fy 26000 px",
+    ),
+    "offset of c": (
+        config(**{NADIR + "cx_px": 12.4}),
+        "PLAUSIBLE-PRINCIPAL-POINT",
+        "cameras.nadir.cx_px",
+        "is 50 % of the image from its centre",
+    ),
+    "k1 of pixels": (
+        config(**{NADIR + "distortion": {"k1": -4.5e-11}}),
+        "PLAUSIBLE-DISTORTION",
+        "cameras.nadir.distortion",
+        "coefficients for pixels",
+    ),
+    "order of k": (
+        config(
+            **{
+                NADIR + "distortion": {
+                    "k1": -0.018,
+                    "k2": 0.009,
+                    "k3": 0.00015,
+                    "p1": -0.0001,
+                    "p2": -0.002,
+                }
+            }
+        ),
+        "PLAUSIBLE-DISTORTION",
+        "cameras.nadir.distortion.k3",
+        "in another order",
+    ),
+    "reduced images": (
+        many(scaled(x_px=0.5, y_px=0.5)),
+        "PLAUSIBLE-EXTENT",
+        "cameras.nadir.width_px",
+        "measured in reduced images",
+    ),
+    "x and y": (
+        rows(exchanged),
+        "PLAUSIBLE-EXTENT",
+        "observations.columns.x_px",
+        "width and height, or x and y, exchanged",
+    ),
+    "from the centre": (
+        many(rows(centred)),
+        "PLAUSIBLE-EXTENT",
+        "cameras.nadir.width_px",
+        "measured from the centre of the image",
+    ),
+    "width and height": (
+        config(**{NADIR + "width_px": 10600, NADIR + "height_px": 14000}),
+        "PLAUSIBLE-EXTENT",
+        "cameras.nadir.width_px",
+        "exchanged",
+    ),
+    "gimbal": (
+        config(mount__nadir__pitch_deg=-90.0),
+        "PLAUSIBLE-DIRECTION",
+        "mount.nadir",
+        r"9\d.* deg from the nadir|8\d.* deg from the nadir",
+    ),
+    "nadir by name": (
+        config(mount__nadir__roll_deg=45.0),
+        "PLAUSIBLE-DIRECTION",
+        "mount.nadir",
+        "within 30 deg of the nadir by the name of nadir",
+    ),
+    "radians": (
+        config(mount__oblique__roll_deg=-0.7853982),
+        "PLAUSIBLE-ANGLE",
+        "mount.oblique.roll_deg",
+        "which is -45 deg in radians",
+    ),
+    "oblique by name": (
+        config(mount__oblique__roll_deg=-0.7),
+        "PLAUSIBLE-DIRECTION",
+        "mount.oblique",
+        ("more than 10 deg from the nadir, because of the name of oblique"),
+    ),
+    "lever arm in cm": (
+        config(mount__oblique__lever_arm_m=[20.0, 28.0, 55.0]),
+        "PLAUSIBLE-LEVER-ARM",
+        "mount.oblique.lever_arm_m",
+        "is 65 m long",
+    ),
+    "lever arm upward": (
+        config(mount__oblique__lever_arm_m=[0.2, 0.28, -0.55]),
+        "PLAUSIBLE-LEVER-ARM",
+        "mount.oblique.lever_arm_m",
+        "0.55 m above the point with the known position",
+    ),
     "sigma in mm": (config(ground__sigma_m=150.0), "PLAUSIBLE-SIGMA", "ground.sigma_m", "150 m"),
-    "delay of a clock": (config(events__log__nadir__delay_s=3.0), "PLAUSIBLE-DELAY", "delay_s",
-                         "delay_s of nadir is 3 s"),
-    "no window": (config(**{NADIR + "window": None, "cameras__oblique__window": None}),
-                  "PLAUSIBLE-WINDOW", "cameras.nadir.window", "no camera has a window"),
-    "normal in body": (config(cameras__oblique__window={"cabin": "log",
-                                                        "normal": [0.0, 0.7071, 0.7071]}),
-                       "PLAUSIBLE-WINDOW", "cameras.oblique.window.frame", "is tilted by 45 deg"),
-    "no heights": (rows(lambda table: table.__setitem__("h_g_m", np.nan)), "PLAUSIBLE-FLAGGED",
-                   "ground.height", "100 % of the observations are no_ground"),
-    "ground above": (config(ground__height=4000.0), "PLAUSIBLE-FLAGGED", "ground.height",
-                     r"the ground is up to 1\d{3} m above the camera"),
-    "apply": (config(refraction={"direction": "apply"}), "PLAUSIBLE-APPLY",
-              "refraction.direction", "expected remove"),
-}  # fmt: skip
+    "delay of a clock": (
+        config(events__log__nadir__delay_s=3.0),
+        "PLAUSIBLE-DELAY",
+        "delay_s",
+        "delay_s of nadir is 3 s",
+    ),
+    "no window": (
+        config(**{NADIR + "window": None, "cameras__oblique__window": None}),
+        "PLAUSIBLE-WINDOW",
+        "cameras.nadir.window",
+        "no camera has a window",
+    ),
+    "normal in body": (
+        config(cameras__oblique__window={"cabin": "log", "normal": [0.0, 0.7071, 0.7071]}),
+        "PLAUSIBLE-WINDOW",
+        "cameras.oblique.window.frame",
+        "is tilted by 45 deg",
+    ),
+    "no heights": (
+        rows(lambda table: table.__setitem__("h_g_m", np.nan)),
+        "PLAUSIBLE-FLAGGED",
+        "ground.height",
+        "100 % of the observations are no_ground",
+    ),
+    "ground above": (
+        config(ground__height=4000.0),
+        "PLAUSIBLE-FLAGGED",
+        "ground.height",
+        r"the ground is up to 1\d{3} m above the camera",
+    ),
+    "apply": (
+        config(refraction={"direction": "apply"}),
+        "PLAUSIBLE-APPLY",
+        "refraction.direction",
+        "expected remove",
+    ),
+}
 
 
 @pytest.mark.parametrize("what", FOUND)
@@ -170,15 +269,21 @@ def test_slant_ranges_in_feet(mission):
 
 
 TERR = type(FORMATS["POS"])(
-    210, "TERR", "QBLLHffHHf",
-    "TimeUS,Status,Lat,Lng,Spacing,TerrH,CHeight,Pending,Loaded,ROfs", "s-DU-mm--m", "F-GG-00--0",
-)  # fmt: skip
+    210,
+    "TERR",
+    "QBLLHffHHf",
+    "TimeUS,Status,Lat,Lng,Spacing,TerrH,CHeight,Pending,Loaded,ROfs",
+    "s-DU-mm--m",
+    "F-GG-00--0",
+)
 
 
 def log_terrain(mission, *, status=2, add_m=0.0):
     """A TERR row after each POS row of the log: the simulator's terrain below it."""
     lengths = {f.type_id: 3 + f.struct.size for f in FORMATS.values()}
-    data, at, parts = mission.log.read_bytes(), 0, []
+    data = mission.log.read_bytes()
+    at = 0
+    parts = []
     columns = (text.encode() for text in (TERR.name, TERR.format, TERR.columns))
     parts.append(FORMATS["FMT"].pack(TERR.type_id, 3 + TERR.struct.size, *columns))
     lat_1, lon_1 = (float(a) for a in geographic(np.array(1.0), np.array(1.0)))
@@ -360,8 +465,11 @@ def test_rays_beyond_the_horizon_are_told_by_how_much(mission):
     """A camera that looks 120 deg from the nadir sees nothing but sky."""
     mission.config["mount"]["nadir"]["pitch_deg"] = -120.0
     checked = check_mission(mission.save())
-    (entry,) = [e for e in checked.manifest.values["ledger"]
-                if e["code"] == "OBS-FLAGGED" and "misses_ground" in e["what"]]  # fmt: skip
+    (entry,) = [
+        e
+        for e in checked.manifest.values["ledger"]
+        if e["code"] == "OBS-FLAGGED" and "misses_ground" in e["what"]
+    ]
     degrees = float(re.search(r"up to ([\d.]+) deg above the horizon", entry["what"])[1])
     facts = checked.corrected.facts
     angle = np.degrees(np.nanmax(facts.nadir_angle_rad[facts.camera == "nadir"]))
@@ -375,9 +483,14 @@ def outside_facts(camera, x_px, *, direction="remove", normal=(0.0, 0.0, 1.0)):
     """What `cause_of_outside` looks at: points in the middle row, behind a window."""
     n = len(x_px)
     exposures = Exposures(
-        np.ones(1, bool), np.diag([1.0, -1.0, -1.0])[None], np.zeros(1), np.array([3000.0]),
-        np.array([2e-4]), np.array([2.5e-4]), np.array([normal]),
-    )  # fmt: skip
+        np.ones(1, bool),
+        np.diag([1.0, -1.0, -1.0])[None],
+        np.zeros(1),
+        np.array([3000.0]),
+        np.array([2e-4]),
+        np.array([2.5e-4]),
+        np.array([normal]),
+    )
     mission = SimpleNamespace(
         cameras={"nadir": SimpleNamespace(model=None, metric=None)},
         windows={"nadir": SimpleNamespace(section="window")},
@@ -403,14 +516,27 @@ CURVED = Camera(1000, 1000, 300.0, 300.0, 500.0, 500.0, BrownConrady(k1=-0.2))
     ("camera", "x_px", "given", "cause"),
     [
         (PLAIN, -5.0, {}, "outside 1000 x 1000 px (cameras.nadir.width_px; observations.columns)"),
-        (CURVED, 990.0, {}, "beyond the radius at which the distortion of nadir can be inverted "
-                            "(cameras.nadir.distortion)"),
-        (PLAIN, 990.0, {"normal": (-0.9, 0.0, np.sqrt(0.19))},
-         "their rays do not pass the window of nadir (cameras.nadir.window.normal)"),
-        (PLAIN, 999.99, {"direction": "apply"},
-         "refraction moves them out of the image of nadir (refraction.direction)"),
+        (
+            CURVED,
+            990.0,
+            {},
+            "beyond the radius at which the distortion of nadir can be inverted "
+            "(cameras.nadir.distortion)",
+        ),
+        (
+            PLAIN,
+            990.0,
+            {"normal": (-0.9, 0.0, np.sqrt(0.19))},
+            "their rays do not pass the window of nadir (cameras.nadir.window.normal)",
+        ),
+        (
+            PLAIN,
+            999.99,
+            {"direction": "apply"},
+            "refraction moves them out of the image of nadir (refraction.direction)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_the_cause_of_a_pixel_outside_the_camera(camera, x_px, given, cause):
     facts, outside = outside_facts(camera, [x_px], **given)
     assert cause_of_outside(facts, outside) == cause
@@ -490,9 +616,14 @@ def test_an_image_that_the_log_does_not_know_is_one_loss(mission):
 )
 def test_odds_beyond_a_million_are_practically_certain(decades, says):
     found = ties_contradict(
-        code="TIES-MOUNT", where="mount.nadir", count=12, mistake="roll is 1 deg off",
-        decades=decades, change="mount.nadir", residual=None,
-    )  # fmt: skip
+        code="TIES-MOUNT",
+        where="mount.nadir",
+        count=12,
+        mistake="roll is 1 deg off",
+        decades=decades,
+        change="mount.nadir",
+        residual=None,
+    )
     assert says in found.what
     assert ("10^" in found.what) == (decades <= 6.0)
 

@@ -364,9 +364,15 @@ def test_a_window_is_square_to_its_camera(tilt_deg, leans):
 
 @pytest.mark.parametrize(
     ("ratio", "nadir_rad", "is_off"),
-    [(0.71, 0.5, False), (0.69, 0.5, True), (1.39, 0.5, False), (1.41, 0.5, True),
-     (0.3048, 1.39, True), (0.3048, 1.41, False)],
-)  # fmt: skip
+    [
+        (0.71, 0.5, False),
+        (0.69, 0.5, True),
+        (1.39, 0.5, False),
+        (1.41, 0.5, True),
+        (0.3048, 1.39, True),
+        (0.3048, 1.41, False),
+    ],
+)
 def test_slant_ranges_fit_the_heights(ratio, nadir_rad, is_off):
     made = facts(
         camera_height_m=np.array([2000.0]),

@@ -52,7 +52,9 @@ def test_a_delay_of_a_table_is_true_time_minus_the_tables(mission, delay_s):
 def test_a_gimbal_whose_yaw_counts_from_the_nose(mission_factory, tmp_path):
     """MOUNT_ORIENTATION without the yaw from north, of a payload that points straight down."""
     mission = mission_factory(tmp_path / "mission", "tlog")
-    data, made, at = mission.log.read_bytes(), bytearray(), 0
+    data = mission.log.read_bytes()
+    made = bytearray()
+    at = 0
     sender = dialect.MAVLink(None, 1, dialect.MAV_COMP_ID_GIMBAL)
     while at < len(data):
         end = at + 8 + 12 + data[at + 9]  # the time, then a frame of MAVLink 2 without signature
@@ -65,8 +67,9 @@ def test_a_gimbal_whose_yaw_counts_from_the_nose(mission_factory, tmp_path):
         at = end
     mission.log.write_bytes(bytes(made))
     mission.config["log"]["channels"] |= {
-        "attitude": "MOUNT_ORIENTATION", "aircraft_attitude": "ATTITUDE",
-    }  # fmt: skip
+        "attitude": "MOUNT_ORIENTATION",
+        "aircraft_attitude": "ATTITUDE",
+    }
     mission.config["mount"] = {name: {"pitch_deg": 90.0} for name in mission.config["cameras"]}
     ended = mission.run()
     # What was observed was not seen by cameras that point straight down, and tie points say so.

@@ -45,8 +45,10 @@ def corrections_of(**columns: np.ndarray) -> Corrections:
 
 def test_shifts_are_averaged_where_they_are():
     """Two points in the upper right cell, one in the lower left of 14 x 10; twice."""
-    x, y = np.array([1390.0, 1310.0, 10.0]), np.array([10.0, 90.0, 990.0])
-    dx, dy = np.array([1.0, 3.0, 7.0]), np.array([-1.0, -2.0, 5.0])
+    x = np.array([1390.0, 1310.0, 10.0])
+    y = np.array([10.0, 90.0, 990.0])
+    dx = np.array([1.0, 3.0, 7.0])
+    dy = np.array([-1.0, -2.0, 5.0])
     statistics = ShiftStatistics(1400, 1000)
     statistics.add(x, y, corrections_of(dx_px=dx, dy_px=dy))
     assert (statistics + statistics).summary().field == ShiftField(
@@ -61,15 +63,25 @@ def test_shifts_are_averaged_where_they_are():
 
 
 def test_every_quantity_is_counted_in_its_own_unit():
-    n, arcsec = 3, np.pi / 180.0 / 3600.0
+    n = 3
+    arcsec = np.pi / 180.0 / 3600.0
     statistics = ShiftStatistics(1400, 1000)
-    statistics.add(np.full(n, 700.0), np.full(n, 500.0), corrections_of(
-        dx_px=np.array([3.0, 3.0, np.nan]), dy_px=np.array([4.0, 4.0, np.nan]),
-        shift_ground_m=np.full(n, 0.25), r_c_rad=np.full(n, 20.0 * arcsec),
-        r_cc_rad=np.full(n, -12.0 * arcsec),
-    ))  # fmt: skip
+    statistics.add(
+        np.full(n, 700.0),
+        np.full(n, 500.0),
+        corrections_of(
+            dx_px=np.array([3.0, 3.0, np.nan]),
+            dy_px=np.array([4.0, 4.0, np.nan]),
+            shift_ground_m=np.full(n, 0.25),
+            r_c_rad=np.full(n, 20.0 * arcsec),
+            r_cc_rad=np.full(n, -12.0 * arcsec),
+        ),
+    )
     of = {name: distribution.summary() for name, distribution in statistics.distributions.items()}
     assert {name: row.maximum for name, row in of.items()} == {
-        "shift_px": 5.0, "shift_ground_m": 0.25, "refraction_arcsec": 20.0, "window_arcsec": 12.0,
-    }  # fmt: skip
+        "shift_px": 5.0,
+        "shift_ground_m": 0.25,
+        "refraction_arcsec": 20.0,
+        "window_arcsec": 12.0,
+    }
     assert all(row.count == 2 for row in of.values())

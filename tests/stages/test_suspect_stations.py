@@ -22,11 +22,14 @@ def records(content: bytes):
     while i + 3 <= len(content):
         kind = content[i + 2]
         if kind == 128:
-            name, letters = content[i + 5 : i + 9], content[i + 9 : i + 25]
+            name = content[i + 5 : i + 9]
+            letters = content[i + 9 : i + 25]
             formats[content[i + 3]] = (
-                name.rstrip(b"\0").decode(), content[i + 4], letters.rstrip(b"\0").decode(),
+                name.rstrip(b"\0").decode(),
+                content[i + 4],
+                letters.rstrip(b"\0").decode(),
                 content[i + 25 : i + 89].rstrip(b"\0").decode().split(","),
-            )  # fmt: skip
+            )
             i += 89
             continue
         name, length, letters, columns = formats[kind]
@@ -141,8 +144,9 @@ def test_air_is_not_sampled_at_heights_that_the_barometer_contradicts(mission, b
     entries = [e for e in manifest["ledger"] if e["code"] == "AIR-SUSPECT-HEIGHT"]
     assert {e["kind"] for e in entries} == {"warning"}
     assert sum(e["count"] for e in entries) > 100
-    profile, clean = (pd.read_parquet(folder.output / "profile.parquet")
-                      for folder in (mission, baseline))  # fmt: skip
+    profile, clean = (
+        pd.read_parquet(folder.output / "profile.parquet") for folder in (mission, baseline)
+    )
     for column, allowed in (("temperature_k", 0.15), ("refractivity", 1e-7)):
         there = np.interp(clean["h_m"], profile["h_m"], profile[column])
         np.testing.assert_allclose(there, clean[column], rtol=0.0, atol=allowed)

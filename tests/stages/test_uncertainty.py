@@ -200,7 +200,8 @@ def test_the_air_in_the_cabin_has_its_own_prior(mission):
     (of_camera,) = manifest["cabin_air"].items()
     assert of_camera[0] == second
     stations = mission.stations().to_pandas().query("camera == @second and status == 'ok'")
-    p, t = stations["cabin_pressure_pa"], stations["cabin_temperature_k"]
+    p = stations["cabin_pressure_pa"]
+    t = stations["cabin_temperature_k"]
     relative = np.sqrt(np.mean((300.0 / p) ** 2 + (1.0 / t) ** 2))
     prior = of_camera[1]
     np.testing.assert_allclose(prior["n_cc"], (p / t).mean() * 7.88e-7, rtol=0.01)
@@ -325,7 +326,8 @@ def test_the_tilt_in_numbers(mission):
     ran(mission)
     rows = by_ray(mission)
     k = (rows["r_c_rad"] / np.tan(rows["zeta_c_rad"])).to_numpy()
-    found, expected = [], []
+    found = []
+    expected = []
     for image in rows["image"].unique():
         mine = (rows["image"] == image).to_numpy()
         one = rows[mine]
@@ -341,7 +343,8 @@ def test_the_tilt_in_numbers(mission):
             variance += (0.5 * (one_way - other)) ** 2
         expected.append(camera["fx_px"] * np.sqrt(variance))
         found.append(one[COLUMNS["station"]].to_numpy().T)
-    expected, found = np.concatenate(expected, axis=1), np.concatenate(found, axis=1)
+    expected = np.concatenate(expected, axis=1)
+    found = np.concatenate(found, axis=1)
     np.testing.assert_allclose(found, expected, rtol=0.02, atol=0.01 * np.median(expected))
 
 
@@ -437,7 +440,8 @@ def test_the_sigmas_of_each_mount_in_radians(mission):
     mission.config["mount"][first] |= {"sigma_tilt_deg": 0.5, "sigma_yaw_deg": 2.0}
     mission.config["mount"][second] |= {"sigma_tilt_deg": 0.25}
     prepared = read_mission(mission.save())
-    at, camera = prepared.stations, prepared.stations.camera
+    at = prepared.stations
+    camera = prepared.stations.camera
     sigmas = station_sigmas(prepared.mission, at)
     assert sigmas.tilt_rad[camera == first] == pytest.approx(0.008726646259971648)
     assert sigmas.yaw_rad[camera == first] == pytest.approx(0.03490658503988659)

@@ -27,7 +27,8 @@ from .test_oriented_stations import columns_of
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
-NORTH, EAST = (48.0, 47.5, 47.0), (8.0, 8.5, 9.0)
+NORTH = (48.0, 47.5, 47.0)
+EAST = (8.0, 8.5, 9.0)
 HOURS = ("2025-06-12T09", "2025-06-12T10", "2025-06-12T11")
 H = np.arange(-200.0, 20_000.0, 20.0)
 PRESSURE = true_air(FIELD_LAT_RAD).pressure_pa(H)
@@ -97,15 +98,14 @@ def test_the_flights_own_sensors_win(modelled, fields):
 
 def test_without_sensors_the_air_is_the_models(modelled):
     read = read_mission(modelled.save())
-    nothing, ledger = AirSamples(), Ledger()
+    nothing = AirSamples()
+    ledger = Ledger()
     heights = replace(read.flight.heights, home_h_msl_m=450.0)
     flight = replace(read.flight, heights=heights, roles={})
     sources = read_air_sources(
         read.mission, read.inputs, flight, read.stations, nothing, ledger=ledger
     )
-    air = adjusted_profiles(
-        read.mission, read.stations, nothing, sources, ledger
-    ).adjustment  # fmt: skip
+    air = adjusted_profiles(read.mission, read.stations, nothing, sources, ledger).adjustment
     assert air.basis == "weather model"
     assert air.is_measured
     assert air.reason == NAME
@@ -146,8 +146,10 @@ def test_in_a_long_flight_each_exposure_has_the_air_of_its_place(
     assert set(stations["profile_id"]) == set(profiles["profile_id"])
     assert 2 < profiles["profile_id"].nunique() <= entry["count"]
     # R follows the air of the place, against the one profile of the usual run.
-    both = [run.results().to_pandas().set_index(["image", "point"])["r_c_rad"]
-            for run in (modelled, baseline)]  # fmt: skip
+    both = [
+        run.results().to_pandas().set_index(["image", "point"])["r_c_rad"]
+        for run in (modelled, baseline)
+    ]
     east = stations.set_index("image")["lon_deg"] - stations["lon_deg"].median()
     ratio = (both[0] / both[1]).groupby("image").median().dropna()
     assert np.corrcoef(ratio, east[ratio.index])[0, 1] < -0.8
@@ -157,15 +159,26 @@ def test_in_a_long_flight_each_exposure_has_the_air_of_its_place(
 def test_correct_takes_it_from_python(modelled, baseline):
     """Paths of the section are relative to the working folder, or whole."""
     atmosphere = {"model": {"path": str(modelled.folder / "era5.nc")}}
-    camera = {"width_px": 14000, "height_px": 10600, "f_px": 20000.0, "cx_px": 7012.4,
-              "cy_px": 5291.7, "calibration": "laboratory"}  # fmt: skip
+    camera = {
+        "width_px": 14000,
+        "height_px": 10600,
+        "f_px": 20000.0,
+        "cx_px": 7012.4,
+        "cy_px": 5291.7,
+        "calibration": "laboratory",
+    }
     run = baseline.results().to_pandas()
     stations = columns_of(baseline.stations().to_pandas()).rename(columns={"time": "time_utc"})
     given = run[["image", "point", "x_px", "y_px", "h_g_m"]]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # pinholes do not fit the points
-        corrected = correct(given, stations, atmosphere, {"nadir": camera, "oblique": camera},
-                            orientation={"heights": "msl"})  # fmt: skip
+        corrected = correct(
+            given,
+            stations,
+            atmosphere,
+            {"nadir": camera, "oblique": camera},
+            orientation={"heights": "msl"},
+        )
     told = [entry["code"] for entry in corrected.attrs["ledger"]]
     assert "MODEL-COLUMN" in told
     ratio = (corrected["r_c_rad"] / run["r_c_rad"].to_numpy()).median()

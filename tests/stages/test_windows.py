@@ -92,8 +92,10 @@ def test_an_absurd_lens_refuses_the_mission(mission):
 
 def test_a_window_that_looks_away_refuses_the_file(mission):
     mission.config["cameras"]["oblique"]["window"] = {
-        "cabin": "log", "frame": "body", "normal": [0.0, 0.0, -1.0],
-    }  # fmt: skip
+        "cabin": "log",
+        "frame": "body",
+        "normal": [0.0, 0.0, -1.0],
+    }
     ended = mission.run()
     assert ended.code == 2, ended.text
     assert "'oblique' has a normal away" in ended.text

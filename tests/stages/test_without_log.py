@@ -44,8 +44,10 @@ def without_log(mission, files: Files, events: str = "csv") -> None:
     for camera in mission.config["cameras"].values():
         camera["window"] = {"cabin": CABIN}
     if events == "csv":
-        rows = [f"{image},{row['camera']},{row['time_utc']:%Y-%m-%dT%H:%M:%S.%fZ}"
-                for image, row in files.stations.iterrows()]  # fmt: skip
+        rows = [
+            f"{image},{row['camera']},{row['time_utc']:%Y-%m-%dT%H:%M:%S.%fZ}"
+            for image, row in files.stations.iterrows()
+        ]
         text = "\n".join(["image,camera,time_utc", *rows])
         (mission.folder / "events.csv").write_text(text + "\n")
         columns = {"time_utc": "time_utc", "camera": "camera"}
@@ -126,22 +128,27 @@ def test_what_a_mission_without_log_cannot_have(mission, files, change, words):
 def convergence(lat: np.ndarray, lon: np.ndarray, grid: str) -> np.ndarray:
     """True minus grid azimuth [rad], by a step to the north of the projection itself."""
     project = pyproj.Proj(grid)
-    here, there = np.array(project(lon, lat)), np.array(project(lon, lat + 1e-5))
+    here = np.array(project(lon, lat))
+    there = np.array(project(lon, lat + 1e-5))
     return -np.arctan2(*(there - here))
 
 
 def write_eo(files: Files, camera: str, grid: str = "EPSG:32632", zone: str = "UTM North 32"):
     """An EO text of the camera's true stations; omega, phi, kappa from the elements of M."""
     rows = files.stations[files.stations["camera"] == camera].sort_values("time_utc")
-    lat, lon = rows["lat_deg"].to_numpy(), rows["lon_deg"].to_numpy()
+    lat = rows["lat_deg"].to_numpy()
+    lon = rows["lon_deg"].to_numpy()
     east, north = pyproj.Proj(grid)(lon, lat)
     q = rows[["q_x", "q_y", "q_z", "q_w"]].to_numpy()
     enu = Rotation.from_quat(q).as_matrix().transpose(0, 2, 1) * [1.0, -1.0, -1.0]
-    c, s = np.cos(convergence(lat, lon, grid)), np.sin(convergence(lat, lon, grid))
-    zero, one = np.zeros_like(c), np.ones_like(c)
+    c = np.cos(convergence(lat, lon, grid))
+    s = np.sin(convergence(lat, lon, grid))
+    zero = np.zeros_like(c)
+    one = np.ones_like(c)
     grid_from_enu = np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]]).transpose(2, 0, 1)
     m = grid_from_enu @ enu
-    omega, phi = np.arctan2(-m[:, 1, 2], m[:, 2, 2]), np.arcsin(m[:, 0, 2])
+    omega = np.arctan2(-m[:, 1, 2], m[:, 2, 2])
+    phi = np.arcsin(m[:, 0, 2])
     kappa = np.arctan2(-m[:, 0, 1], m[:, 0, 0])
     lines = []
     for k, (image, row) in enumerate(rows.iterrows()):
@@ -157,8 +164,11 @@ def write_eo(files: Files, camera: str, grid: str = "EPSG:32632", zone: str = "U
         "ID\t# EVENT\tTIME (s)\tEASTING\tNORTHING\tELLIPSOID HEIGHT\tOMEGA\tPHI\tKAPPA\tLAT\tLONG\n"
     )
     (files.folder / f"{camera}.txt").write_text(head + "".join(lines))
-    return {"path": f"{camera}.txt", "image": "{name}",
-            "time": {"system": "gpst", "week": week_of(files)}}  # fmt: skip
+    return {
+        "path": f"{camera}.txt",
+        "image": "{name}",
+        "time": {"system": "gpst", "week": week_of(files)},
+    }
 
 
 def zone_of(files: Files) -> int:
@@ -168,10 +178,12 @@ def zone_of(files: Files) -> int:
 def test_an_eo_text_needs_neither_log_nor_trajectory(mission, files, truth):
     without_log(mission, files, "eo")
     zone = zone_of(files)
-    mission.config["events"] = {"positions": {
-        camera: write_eo(files, camera, f"EPSG:{32600 + zone}", f"UTM North {zone}")
-        for camera in ("nadir", "oblique")
-    }}  # fmt: skip
+    mission.config["events"] = {
+        "positions": {
+            camera: write_eo(files, camera, f"EPSG:{32600 + zone}", f"UTM North {zone}")
+            for camera in ("nadir", "oblique")
+        }
+    }
     prepared = read_mission(mission.save())
     place, height, attitude = errors(prepared, truth)
     assert prepared.stations.ok.all()
@@ -183,10 +195,12 @@ def test_an_eo_text_needs_neither_log_nor_trajectory(mission, files, truth):
 def test_the_attitude_of_an_eo_text_is_compared_with_the_log(mission, files, truth):
     """By the mounts both cameras' angles are the aircraft's; by another mount they are not."""
     zone = zone_of(files)
-    mission.config["events"] = {"positions": {
-        camera: write_eo(files, camera, f"EPSG:{32600 + zone}", f"UTM North {zone}")
-        for camera in ("nadir", "oblique")
-    }}  # fmt: skip
+    mission.config["events"] = {
+        "positions": {
+            camera: write_eo(files, camera, f"EPSG:{32600 + zone}", f"UTM North {zone}")
+            for camera in ("nadir", "oblique")
+        }
+    }
     prepared = read_mission(mission.save())
     assert errors(prepared, truth)[2] < 1e-4
     assert [e.kind for e in entries(prepared, "TRAJECTORY-ANGLES-AGREE")] == ["note", "note"]
@@ -235,8 +249,10 @@ def test_each_camera_follows_the_gimbal_of_its_own(mission, files, truth, monkey
         time_ns = start_ns + np.rint(t * 1e9).astype(np.int64)
         heads.append(Channel(f"MNT[{k}]", time_ns, columns, Source("MNT", str(k))))
         mission.config["mount"][camera] |= {
-            "attitude": f"MNT[{k}]", "pitch_deg": 90.0, "roll_deg": 0.0
-        }  # fmt: skip
+            "attitude": f"MNT[{k}]",
+            "pitch_deg": 90.0,
+            "roll_deg": 0.0,
+        }
     whole = opening.open_log
 
     def with_heads(*file, **named):
@@ -274,15 +290,24 @@ def test_dji_images_orient_themselves(mission, files, truth):
     camera = Rotation.from_quat(rows[["q_x", "q_y", "q_z", "q_w"]].to_numpy()).inv()
     payload = NED @ camera.as_matrix() @ PAYLOAD_FROM_CAMERA.T
     yaw, pitch, roll = Rotation.from_matrix(payload).as_euler("ZYX", degrees=True).T
-    lines = ["FileName,DateTimeOriginal,GPSLatitude,GPSLongitude,AbsoluteAltitude,GimbalRollDegree,"
-             "GimbalPitchDegree,GimbalYawDegree"]  # fmt: skip
+    lines = [
+        "FileName,DateTimeOriginal,GPSLatitude,GPSLongitude,AbsoluteAltitude,GimbalRollDegree,"
+        "GimbalPitchDegree,GimbalYawDegree"
+    ]
     for k, (image, row) in enumerate(rows.iterrows()):
-        lines.append(f"{image}.JPG,{row['time_utc']:%Y:%m:%d %H:%M:%S.%f}Z,{row['lat_deg']:.10f},"
-                     f"{row['lon_deg']:.10f},{row['h_ellipsoid_m']:.4f},{roll[k]:.9f},"
-                     f"{pitch[k]:.9f},{yaw[k]:.9f}")  # fmt: skip
+        lines.append(
+            f"{image}.JPG,{row['time_utc']:%Y:%m:%d %H:%M:%S.%f}Z,{row['lat_deg']:.10f},"
+            f"{row['lon_deg']:.10f},{row['h_ellipsoid_m']:.4f},{roll[k]:.9f},"
+            f"{pitch[k]:.9f},{yaw[k]:.9f}"
+        )
     (mission.folder / "exif.csv").write_text("\n".join(lines) + "\n")
-    orientation = {"path": "exif.csv", "format": "dji", "angles": "roll_pitch_yaw",
-                   "frame": "geographic", "heights": "ellipsoid"}  # fmt: skip
+    orientation = {
+        "path": "exif.csv",
+        "format": "dji",
+        "angles": "roll_pitch_yaw",
+        "frame": "geographic",
+        "heights": "ellipsoid",
+    }
     mission.config["stations"] = {"orientation": orientation}
     mission.config["observations"]["match_names"] = ["extension"]
     prepared = read_mission(mission.save())

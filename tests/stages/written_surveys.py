@@ -65,7 +65,8 @@ def write_survey(
     planned = fly(3000.0, 5, 7)
     flight = replace(planned, exposure_s=irregular_times(planned, exposures))
     samples = sample(flight, true_air(FIELD_LAT_RAD), 3, cameras)
-    dataflash, telemetry = path.with_suffix(".BIN"), path.with_suffix(".tlog")
+    dataflash = path.with_suffix(".BIN")
+    telemetry = path.with_suffix(".tlog")
     write_dataflash(dataflash, samples)
     write_tlog(telemetry, samples, 3)
     pulses = lost | not_taken
@@ -78,7 +79,8 @@ def write_survey(
 def irregular_times(flight: Flight, exposures: int) -> np.ndarray:
     """Exposures seconds apart, more or less, from the climb to the descent: no two gaps equal."""
     gaps = np.random.default_rng(12).uniform(3.0, 5.0, exposures + 1)
-    first, last = 200.0, flight.duration_s - 200.0
+    first = 200.0
+    last = flight.duration_s - 200.0
     elapsed = np.cumsum(gaps)[:-1] / gaps.sum()
     return np.round(first + (last - first) * elapsed, 6)
 
@@ -130,11 +132,13 @@ def telemetry_records(content: bytes) -> Iterator[Record]:
     while start < len(content):
         head = content[start + STAMP_BYTES : start + STAMP_BYTES + 10]
         record = content[start : start + STAMP_BYTES + 10 + head[1] + 2]
-        message, shot = "", (0, 0)
+        message = ""
+        shot = (0, 0)
         if int.from_bytes(head[7:], "little") == CAMERA_FEEDBACK:
             payload = record[STAMP_BYTES + 10 : -2].ljust(47, b"\0")
             (number,) = struct.unpack_from("<H", payload, 40)
-            message, shot = "CAMERA_FEEDBACK", (payload[43], number)
+            message = "CAMERA_FEEDBACK"
+            shot = (payload[43], number)
         yield record, message, shot
         start += len(record)
 

@@ -42,9 +42,14 @@ def test_names_are_text_whatever_they_look_like(tmp_path):
     )
     assert table.images == ("0012", "13")
     assert whole(table) == {
-        "image": ["0012", "13"], "point": ["007", "true"], "x_px": [1.0, 4.0], "y_px": [2.0, 5.0],
-        "ground": [3.0, 6.0], "strip": ["01", "02"], "n": [5, 6],
-    }  # fmt: skip
+        "image": ["0012", "13"],
+        "point": ["007", "true"],
+        "x_px": [1.0, 4.0],
+        "y_px": [2.0, 5.0],
+        "ground": [3.0, 6.0],
+        "strip": ["01", "02"],
+        "n": [5, 6],
+    }
 
 
 def test_words_that_look_empty_are_kept(tmp_path):
@@ -83,8 +88,11 @@ def users_of(tmp_path, values: list[str]) -> tuple[str, list]:
         (["0x1F", "5"], "string", ["0x1F", "5"]),
         (["5", "-0"], "double", [5.0, -0.0]),
         (["1e400"], "string", ["1e400"]),
-        (["1.5", "2", "-3e-5", "1.5e+003", ".5", "inf"], "double",
-         [1.5, 2.0, -3e-5, 1500.0, 0.5, float("inf")]),
+        (
+            ["1.5", "2", "-3e-5", "1.5e+003", ".5", "inf"],
+            "double",
+            [1.5, 2.0, -3e-5, 1500.0, 0.5, float("inf")],
+        ),
         (["."], "string", ["."]),
         (["TRUE", "false"], "bool", [True, False]),
         (["1", "true"], "string", ["1", "true"]),
@@ -96,7 +104,7 @@ def users_of(tmp_path, values: list[str]) -> tuple[str, list]:
         (["", ""], "string", [None, None]),
         (["5", '""'], "string", ["5", ""]),
     ],
-)  # fmt: skip
+)
 def test_every_value_can_be_had_back(tmp_path, values, kind, left):
     assert users_of(tmp_path, values) == (kind, left)
 
@@ -119,9 +127,13 @@ def test_text_that_looks_like_numbers_is_told(tmp_path):
 
 @pytest.mark.parametrize(
     ("column", "late", "kind"),
-    [(5, "005", "string"), (5, "12345678901234567890", "string"), (6, "1.10", "double"),
-     (8, "0x10", "string")],
-)  # fmt: skip
+    [
+        (5, "005", "string"),
+        (5, "12345678901234567890", "string"),
+        (6, "1.10", "double"),
+        (8, "0x10", "string"),
+    ],
+)
 def test_a_late_code_keeps_a_column_text(tmp_path, column, late, kind):
     """The one value that tells stands some five megabytes into the file."""
     rows = 80_000
@@ -175,9 +187,11 @@ def test_a_csv_is_read_twice_at_most(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     "content",
-    [b"image,point,x_px,y_px,h_g_m,\xe4\na,b,1,2,3,4\n",
-     b"image,point,x_px,y_px,h_g_m,n\na,b,1,2,3,4\na,b,1,2,3,\xe4\n"],
-)  # fmt: skip
+    [
+        b"image,point,x_px,y_px,h_g_m,\xe4\na,b,1,2,3,4\n",
+        b"image,point,x_px,y_px,h_g_m,n\na,b,1,2,3,4\na,b,1,2,3,\xe4\n",
+    ],
+)
 def test_bytes_that_are_no_utf8(tmp_path, content):
     with pytest.raises(InputError, match="OBS-CSV") as refusal:
         opened(tmp_path / "o.csv", content)
@@ -187,8 +201,9 @@ def test_bytes_that_are_no_utf8(tmp_path, content):
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 def test_ground_heights_that_are_not_above_sea_level_stay_the_users(tmp_path, suffix):
     path = tmp_path / f"o.{suffix}"
-    given = pa.table({"image": ["a"], "point": ["p"], "x_px": [1.0], "y_px": [2.0],
-                      "h_g_m": [647.6]})  # fmt: skip
+    given = pa.table(
+        {"image": ["a"], "point": ["p"], "x_px": [1.0], "y_px": [2.0], "h_g_m": [647.6]}
+    )
     if suffix == "csv":
         pa_csv.write_csv(given, path)
     else:
@@ -206,8 +221,12 @@ def test_ground_heights_that_are_not_above_sea_level_stay_the_users(tmp_path, su
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 @pytest.mark.parametrize("start", ["", "\ufeff"])
 def test_line_ends_marks_and_quotes(tmp_path, newline, start):
-    lines = ["image,point,x_px,y_px,h_g_m,note", 'a,"p,1",1.5,2,3,"two', 'lines ""quoted"""',
-             "b,q,-1e3,.5,0,"]  # fmt: skip
+    lines = [
+        "image,point,x_px,y_px,h_g_m,note",
+        'a,"p,1",1.5,2,3,"two',
+        'lines ""quoted"""',
+        "b,q,-1e3,.5,0,",
+    ]
     found = whole(opened(tmp_path / "o.csv", start + newline.join(lines)))
     assert found["image"] == ["a", "b"]
     assert found["point"] == ["p,1", "q"]
@@ -217,8 +236,10 @@ def test_line_ends_marks_and_quotes(tmp_path, newline, start):
 
 def long_csv(rows: int, last: dict[int, str]) -> str:
     """Longer than what is looked at first; ``last`` replaces cells of the last row."""
-    body = [f"img_{i % 9},p{i},{i}.25,{i},100,{i},{i},some words to make it longer {i}, {i}"
-            for i in range(rows)]  # fmt: skip
+    body = [
+        f"img_{i % 9},p{i},{i}.25,{i},100,{i},{i},some words to make it longer {i}, {i}"
+        for i in range(rows)
+    ]
     cells = body[-1].split(",")
     for column, text in last.items():
         cells[column] = text
@@ -286,10 +307,14 @@ def test_dates_and_truths_stay_what_they_are(tmp_path):
 )
 def test_numbers_of_any_type(tmp_path, kind):
     values = pa.array([1, 2, None], pa.int64())
-    plain = values.cast(kind) if kind != pa.float16() else pa.array(
-        [np.float16(1), np.float16(2), None], kind)  # fmt: skip
-    table = pa.table({"image": ["a"] * 3, "point": [1, 2, 3], "x_px": plain, "y_px": plain,
-                      "h_g_m": plain})  # fmt: skip
+    plain = (
+        values.cast(kind)
+        if kind != pa.float16()
+        else pa.array([np.float16(1), np.float16(2), None], kind)
+    )
+    table = pa.table(
+        {"image": ["a"] * 3, "point": [1, 2, 3], "x_px": plain, "y_px": plain, "h_g_m": plain}
+    )
     pq.write_table(table, tmp_path / "o.parquet")
     found = whole(open_observations(tmp_path / "o.parquet", COLUMNS, "h_g_m", Ledger()))
     assert found["point"] == ["1", "2", "3"]
@@ -300,8 +325,14 @@ def test_numbers_of_any_type(tmp_path, kind):
 
 def test_categories_and_dotted_names(tmp_path):
     names = pa.array(["a.x", "b", "a.x"])
-    table = pa.table({"photo.name": names.dictionary_encode(), "point": names.cast("large_string"),
-                      "x_px": [1.0, 2.0, 3.0], "y_px": [1.0, 2.0, 3.0]})  # fmt: skip
+    table = pa.table(
+        {
+            "photo.name": names.dictionary_encode(),
+            "point": names.cast("large_string"),
+            "x_px": [1.0, 2.0, 3.0],
+            "y_px": [1.0, 2.0, 3.0],
+        }
+    )
     pq.write_table(table, tmp_path / "o.parquet")
     columns = COLUMNS | {"image": "photo.name"}
     found = open_observations(tmp_path / "o.parquet", columns, None, Ledger())
@@ -362,14 +393,15 @@ def test_rows_without_a_time_are_counted(tmp_path):
     [
         (b"", "EVENTS-CSV"),
         (b"image,tme\na,2025-06-12T10:00:00Z\n", "EVENTS-COLUMN"),
-        (b"image,time\na,soon\n", "EVENTS-EMPTY"), (b"image,time\n", "EVENTS-EMPTY"),
+        (b"image,time\na,soon\n", "EVENTS-EMPTY"),
+        (b"image,time\n", "EVENTS-EMPTY"),
         (b"image,time\na,1,2,3\nb,1\n", "EVENTS-CSV"),
         (b"image,time\na,1,2\nb,1,2\n", "EVENTS-CSV"),
         (b"image,time\nx,2025-06-12T10:00:00Z\nx,1,2\n", "EVENTS-CSV"),
         (b"image,time,time\na,2025-06-12T10:00:00Z,b\n", "EVENTS-CSV"),
         (b"image,time\n\xff\xfe,2025\n", "EVENTS-CSV"),
     ],
-)  # fmt: skip
+)
 def test_tables_of_exposures_that_are_none(tmp_path, text, code):
     with pytest.raises(InputError, match=code):
         events(tmp_path, text)

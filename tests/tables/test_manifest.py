@@ -27,9 +27,15 @@ def test_the_effect_of_the_air():
     """10 urad for 8 in the standard, sigma 0.4: 2.0626 and 1.6501 arcsec, factor 1.25 +- 0.05."""
     record = EffectRecord.of(Effect(45.0, 6000.04, 200.0, 10e-6, 8e-6, 0.4e-6))
     assert asdict(record) == {
-        "nadir_angle_deg": 45.0, "h_c_m": 6000.0, "h_g_m": 200.0, "r_c_arcsec": 2.0626,
-        "standard_arcsec": 1.6501, "sigma_arcsec": 0.0825, "factor": 1.25, "sigma_factor": 0.05,
-    }  # fmt: skip
+        "nadir_angle_deg": 45.0,
+        "h_c_m": 6000.0,
+        "h_g_m": 200.0,
+        "r_c_arcsec": 2.0626,
+        "standard_arcsec": 1.6501,
+        "sigma_arcsec": 0.0825,
+        "factor": 1.25,
+        "sigma_factor": 0.05,
+    }
     unknown = EffectRecord.of(Effect(45.0, 6000.0, 200.0, 10e-6, 8e-6))
     assert unknown.sigma_arcsec is unknown.sigma_factor is None
 

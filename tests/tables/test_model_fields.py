@@ -97,8 +97,9 @@ def test_a_column_is_between_its_nodes_in_place_and_time(fields, tmp_path):
 def relative(fields):
     e = fields.q * fields.pressure_level * 100.0 / (0.622 + 0.378 * fields.q)
     t = fields.t
-    saturated = np.exp(-6096.9385 / t + 21.2409642 - 2.711193e-2 * t + 1.673952e-5 * t**2
-                       + 2.433502 * np.log(t))  # fmt: skip
+    saturated = np.exp(
+        -6096.9385 / t + 21.2409642 - 2.711193e-2 * t + 1.673952e-5 * t**2 + 2.433502 * np.log(t)
+    )
     return fields.drop_vars("q").assign(r=(100.0 * e / saturated).assign_attrs(units="%"))
 
 
@@ -111,18 +112,21 @@ def two_versions(fields):
 
 SAME_AIR = {
     "upside down": lambda f: f.isel(
-        latitude=slice(None, None, -1), pressure_level=slice(None, None, -1)),
+        latitude=slice(None, None, -1), pressure_level=slice(None, None, -1)
+    ),
     "old names": lambda f: f.rename(valid_time="time", pressure_level="level"),
     "time dimension last": lambda f: f.transpose(..., "valid_time"),
     "geopotential metres": lambda f: f.assign(z=(f.z / 9.80665).assign_attrs(units="m")),
     "relative humidity": relative,
-    "levels in pascals": lambda f: f.assign_coords(pressure_level=(
-        "pressure_level", 100.0 * f.pressure_level.values, {"units": "Pa"})),
+    "levels in pascals": lambda f: f.assign_coords(
+        pressure_level=("pressure_level", 100.0 * f.pressure_level.values, {"units": "Pa"})
+    ),
     "without units": lambda f: f.assign_coords(pressure_level=f.pressure_level.values),
     "two versions": two_versions,
     "the control of an ensemble": lambda f: xarray.concat([f, f + 9.0], "number").assign_coords(
-        number=[0, 1]),
-}  # fmt: skip
+        number=[0, 1]
+    ),
+}
 
 
 @pytest.mark.parametrize("what", SAME_AIR)
@@ -145,8 +149,9 @@ def test_grib_has_the_air_of_netcdf_and_a_forecast_its_lead_time(fields, tmp_pat
     found, _ = column(read(grib(tmp_path / "gfs.grib2", fields, lead_h=24)))
     np.testing.assert_allclose(found.temperature_k, usual.temperature_k, rtol=1e-6)
     np.testing.assert_allclose(found.h_m, usual.h_m, atol=0.05)
-    np.testing.assert_allclose(found.errors.temperature_k,
-                               np.hypot(usual.errors.temperature_k, 0.5))  # fmt: skip
+    np.testing.assert_allclose(
+        found.errors.temperature_k, np.hypot(usual.errors.temperature_k, 0.5)
+    )
     assert found.errors.log_pressure > usual.errors.log_pressure
 
 
@@ -172,20 +177,38 @@ def with_wrong_level(fields, dimension, level, kelvin):
 
 
 MODEL_LEVELS_REFUSED = {
-    "91 levels": (lambda f: f.assign_coords(hybrid=f.hybrid - 46.0), "MODEL-LEVELS",
-                  "are 14 to 91, 78 in total: the lowest level of ERA5 is 137"),
-    "one is missing": (lambda f: f.drop_sel(hybrid=100.0), "MODEL-LEVELS",
-                       "60 to 137, 77 in total"),
+    "91 levels": (
+        lambda f: f.assign_coords(hybrid=f.hybrid - 46.0),
+        "MODEL-LEVELS",
+        "are 14 to 91, 78 in total: the lowest level of ERA5 is 137",
+    ),
+    "one is missing": (
+        lambda f: f.drop_sel(hybrid=100.0),
+        "MODEL-LEVELS",
+        "60 to 137, 77 in total",
+    ),
     "no lnsp": (lambda f: f.drop_vars("lnsp"), "MODEL-VARIABLE", "no lnsp"),
-    "surface pressure in the place of its logarithm": (lambda f: f.assign(
-        lnsp=np.exp(f.lnsp)), "MODEL-UNITS", "z or lnsp has another unit"),
-    "heights of the ground divided twice": (lambda f: f.assign(z=f.z * 9.80665),
-                                            "MODEL-UNITS", "z or lnsp has another unit"),
-    "one warm level": (lambda f: with_wrong_level(f, "hybrid", 120.0, 30.0), "MODEL-LEVELS",
-                       r"K on level 120 to 2\d\d\.\d K on level 119"),
-    "one cold level at the ground": (lambda f: with_wrong_level(f, "hybrid", 137.0, -30.0),
-                                     "MODEL-LEVELS", r"K on level 137 to 2\d\d\.\d K on level 136"),
-}  # fmt: skip
+    "surface pressure in the place of its logarithm": (
+        lambda f: f.assign(lnsp=np.exp(f.lnsp)),
+        "MODEL-UNITS",
+        "z or lnsp has another unit",
+    ),
+    "heights of the ground divided twice": (
+        lambda f: f.assign(z=f.z * 9.80665),
+        "MODEL-UNITS",
+        "z or lnsp has another unit",
+    ),
+    "one warm level": (
+        lambda f: with_wrong_level(f, "hybrid", 120.0, 30.0),
+        "MODEL-LEVELS",
+        r"K on level 120 to 2\d\d\.\d K on level 119",
+    ),
+    "one cold level at the ground": (
+        lambda f: with_wrong_level(f, "hybrid", 137.0, -30.0),
+        "MODEL-LEVELS",
+        r"K on level 137 to 2\d\d\.\d K on level 136",
+    ),
+}
 
 
 @pytest.mark.parametrize("what", MODEL_LEVELS_REFUSED)
@@ -226,7 +249,8 @@ def test_a_ground_in_metres_without_a_unit_is_found_by_pressure_or_the_missions(
 def test_gfs_has_relative_humidity_and_geopotential_metres(fields, tmp_path):
     """Around Greenwich, longitudes from 0 to 360 in a file that goes round the earth."""
     around = np.arange(0.0, 360.0, 90.0).tolist()
-    place, when = (PLACE[0], np.radians(-45.0)), NOON
+    place = (PLACE[0], np.radians(-45.0))
+    when = NOON
 
     def still(*_):
         return H, temperature_k(H), PRESSURE, np.maximum(vapour_pressure_pa(H), 1e-3)
@@ -238,8 +262,9 @@ def test_gfs_has_relative_humidity_and_geopotential_metres(fields, tmp_path):
     h = found.h_m[on]
     np.testing.assert_allclose(found.temperature_k[on], temperature_k(h), atol=0.02)
     low = h < 7000.0
-    np.testing.assert_allclose(found.vapour_pressure_pa[on][low], vapour_pressure_pa(h[low]),
-                               rtol=1e-2)  # fmt: skip
+    np.testing.assert_allclose(
+        found.vapour_pressure_pa[on][low], vapour_pressure_pa(h[low]), rtol=1e-2
+    )
 
 
 @pytest.mark.parametrize("east", [(178.5, 179.5, 180.5), (-181.5, -180.5, -179.5)])
@@ -258,8 +283,9 @@ def test_across_the_date_line(fields, tmp_path, east, at):
 def test_pressures_in_the_wrong_unit_are_repaired_and_reported(fields, tmp_path):
     level = ("pressure_level", fields.pressure_level.values, {"units": "Pa"})
     ledger = Ledger()
-    found = read(netcdf(tmp_path / "pa.nc", fields.assign_coords(pressure_level=level)),
-                 ledger=ledger)  # fmt: skip
+    found = read(
+        netcdf(tmp_path / "pa.nc", fields.assign_coords(pressure_level=level)), ledger=ledger
+    )
     assert found.level[-1] == 100_000.0
     assert [(e.code, "1000 Pa" in e.what) for e in ledger] == [("MODEL-PRESSURE-UNIT", True)]
 
@@ -271,38 +297,86 @@ def spoiled(fields, name, change):
 REFUSED = {
     "no humidity": (lambda f: f.drop_vars("q"), "MODEL-VARIABLE", "no specific or relative humid"),
     "no geopotential": (lambda f: f.drop_vars("z"), "MODEL-VARIABLE", "no geopotential on levels"),
-    "three levels": (lambda f: f.isel(pressure_level=[0, 5, 9]), "MODEL-LEVELS",
-                     r"3 levels in all \(775, 875, 1000 hPa\)"),
-    "a member to choose": (lambda f: xarray.concat([f, f], "number").assign_coords(number=[0, 1]),
-                           "MODEL-MEMBER", "members 0 to 1, and none is chosen"),
-    "projected": (lambda f: f.rename(latitude="y", longitude="x").drop_vars(["x", "y"]).assign(
-        crs=((), 0, {"grid_mapping_name": "lambert_conformal_conic"})),
-        "MODEL-GRID", "lambert_conformal_conic"),
-    "rotated": (lambda f: f.assign(
-        pole=((), 0, {"grid_mapping_name": "rotated_latitude_longitude"})),
-                "MODEL-GRID", "its grid is rotated_latitude_longitude"),
+    "three levels": (
+        lambda f: f.isel(pressure_level=[0, 5, 9]),
+        "MODEL-LEVELS",
+        r"3 levels in all \(775, 875, 1000 hPa\)",
+    ),
+    "a member to choose": (
+        lambda f: xarray.concat([f, f], "number").assign_coords(number=[0, 1]),
+        "MODEL-MEMBER",
+        "members 0 to 1, and none is chosen",
+    ),
+    "projected": (
+        lambda f: (
+            f.rename(latitude="y", longitude="x")
+            .drop_vars(["x", "y"])
+            .assign(crs=((), 0, {"grid_mapping_name": "lambert_conformal_conic"}))
+        ),
+        "MODEL-GRID",
+        "lambert_conformal_conic",
+    ),
+    "rotated": (
+        lambda f: f.assign(pole=((), 0, {"grid_mapping_name": "rotated_latitude_longitude"})),
+        "MODEL-GRID",
+        "its grid is rotated_latitude_longitude",
+    ),
     "Celsius": (lambda f: spoiled(f, "t", lambda t: t - 273.15), "MODEL-UNITS", "temperatures"),
     "g/kg": (lambda f: spoiled(f, "q", lambda q: 1000.0 * q), "MODEL-UNITS", "8.79.*: neither kg"),
-    "humidity missing as -9999": (lambda f: spoiled(f, "q", lambda q: q.where(
-        q.pressure_level != 700.0, -9999.0)), "MODEL-UNITS", "humidity from -9999 up to"),
+    "humidity missing as -9999": (
+        lambda f: spoiled(f, "q", lambda q: q.where(q.pressure_level != 700.0, -9999.0)),
+        "MODEL-UNITS",
+        "humidity from -9999 up to",
+    ),
     "a mixing ratio called r": (lambda f: f.rename(q="r"), "MODEL-UNITS", "relative humidity from"),
-    "hybrid levels that look like pressures": (lambda f: f.assign_coords(lev=(
-        "pressure_level", f.pressure_level.values, {"units": "hPa", "long_name": "hybrid level"}
-    )).swap_dims(pressure_level="lev"), "MODEL-VARIABLE", "no lnsp"),
+    "hybrid levels that look like pressures": (
+        lambda f: f.assign_coords(
+            lev=(
+                "pressure_level",
+                f.pressure_level.values,
+                {"units": "hPa", "long_name": "hybrid level"},
+            )
+        ).swap_dims(pressure_level="lev"),
+        "MODEL-VARIABLE",
+        "no lnsp",
+    ),
     "feet": (lambda f: spoiled(f, "z", lambda z: z / 0.3048), "MODEL-UNITS", "as thick"),
-    "levels of the stratosphere": (lambda f: f.assign_coords(
-        pressure_level=f.pressure_level / 7.0), "MODEL-UNITS", "not near the ground"),
-    "humidity of other times": (lambda f: xarray.merge(
-        [f.drop_vars("q"), f[["q"]].isel(valid_time=0, drop=True)]), "MODEL-VARIABLE", "time"),
-    "humidity of another day": (lambda f: xarray.merge(
-        [f.drop_vars("q").isel(valid_time=[0]), f[["q"]].isel(valid_time=[0], ).rename(
-            valid_time="time").assign_coords(time=np.array(["2017-01-01"], "M8[ns]"))]),
-                                "MODEL-VARIABLE", "time"),
-    "a ground in meters that would be geopotential": (lambda f: f.assign(
-        orog=(f.z[0, 0] * 0.0 + 12_000.0).assign_attrs(units="meters")), "MODEL-UNITS", "ground"),
-    "a high ground": (lambda f: f.assign(orog=(f.z[0, 0] * 0.0 + 12_000.0).assign_attrs(units="m")),
-                      "MODEL-UNITS", "ground"),
-}  # fmt: skip
+    "levels of the stratosphere": (
+        lambda f: f.assign_coords(pressure_level=f.pressure_level / 7.0),
+        "MODEL-UNITS",
+        "not near the ground",
+    ),
+    "humidity of other times": (
+        lambda f: xarray.merge([f.drop_vars("q"), f[["q"]].isel(valid_time=0, drop=True)]),
+        "MODEL-VARIABLE",
+        "time",
+    ),
+    "humidity of another day": (
+        lambda f: xarray.merge(
+            [
+                f.drop_vars("q").isel(valid_time=[0]),
+                f[["q"]]
+                .isel(
+                    valid_time=[0],
+                )
+                .rename(valid_time="time")
+                .assign_coords(time=np.array(["2017-01-01"], "M8[ns]")),
+            ]
+        ),
+        "MODEL-VARIABLE",
+        "time",
+    ),
+    "a ground in meters that would be geopotential": (
+        lambda f: f.assign(orog=(f.z[0, 0] * 0.0 + 12_000.0).assign_attrs(units="meters")),
+        "MODEL-UNITS",
+        "ground",
+    ),
+    "a high ground": (
+        lambda f: f.assign(orog=(f.z[0, 0] * 0.0 + 12_000.0).assign_attrs(units="m")),
+        "MODEL-UNITS",
+        "ground",
+    ),
+}
 
 
 @pytest.mark.parametrize("what", REFUSED)
@@ -321,11 +395,20 @@ def test_a_projected_grib_such_as_hrrr_is_refused_by_name(tmp_path):
         for level in (1000, 850, 700, 500, 300):
             message = eccodes.codes_grib_new_from_samples("regular_ll_pl_grib2")
             for key, value in {
-                "gridType": "lambert", "Nx": 3, "Ny": 2, "DxInMetres": 3000, "DyInMetres": 3000,
-                "latitudeOfFirstGridPointInDegrees": 40.0, "shortName": "t", "level": level,
-                "longitudeOfFirstGridPointInDegrees": 260.0, "LoVInDegrees": 262.5,
-                "LaDInDegrees": 38.5, "Latin1InDegrees": 38.5, "Latin2InDegrees": 38.5,
-            }.items():  # fmt: skip
+                "gridType": "lambert",
+                "Nx": 3,
+                "Ny": 2,
+                "DxInMetres": 3000,
+                "DyInMetres": 3000,
+                "latitudeOfFirstGridPointInDegrees": 40.0,
+                "shortName": "t",
+                "level": level,
+                "longitudeOfFirstGridPointInDegrees": 260.0,
+                "LoVInDegrees": 262.5,
+                "LaDInDegrees": 38.5,
+                "Latin1InDegrees": 38.5,
+                "Latin2InDegrees": 38.5,
+            }.items():
                 eccodes.codes_set(message, key, value)
             eccodes.codes_set_values(message, np.full(6, 280.0))
             eccodes.codes_write(message, file)
@@ -337,8 +420,10 @@ def test_a_projected_grib_such_as_hrrr_is_refused_by_name(tmp_path):
 
 def test_the_lead_time_of_a_forecast_is_found_as_each_program_writes_it(fields, tmp_path):
     run = np.datetime64("2026-05-12T10:30", "ns")
-    stamped = {"forecast_reference_time": fields.assign_coords(forecast_reference_time=run),
-               "reftime": fields.assign_coords(reftime=run)}  # fmt: skip
+    stamped = {
+        "forecast_reference_time": fields.assign_coords(forecast_reference_time=run),
+        "reftime": fields.assign_coords(reftime=run),
+    }
     for name, changed in stamped.items():
         found = read(netcdf(tmp_path / f"{name}.nc", changed))
         assert found.lead_h.tolist() == [47.5, 48.5], name
@@ -371,16 +456,19 @@ def test_another_member_than_the_file_has_is_refused(fields, tmp_path):
 
 @pytest.mark.parametrize(
     ("place", "when", "code", "words"),
-    [((47.3, 8.6), "2026-05-14T18:30", "MODEL-TIME", "7.5 h away"),
-     ((47.3, 8.6), "2025-05-14T10:30", "MODEL-TIME", "8759.5 h away"),
-     ((49.0, 8.6), "2026-05-14T10:30", "MODEL-AREA", "111 km from its nodes"),
-     ((47.3, 12.0), "2026-05-14T10:30", "MODEL-AREA", "226 km from its nodes"),
-     ((47.3, -171.5), "2026-05-14T10:30", "MODEL-AREA", "km from its nodes")],
-)  # fmt: skip
+    [
+        ((47.3, 8.6), "2026-05-14T18:30", "MODEL-TIME", "7.5 h away"),
+        ((47.3, 8.6), "2025-05-14T10:30", "MODEL-TIME", "8759.5 h away"),
+        ((49.0, 8.6), "2026-05-14T10:30", "MODEL-AREA", "111 km from its nodes"),
+        ((47.3, 12.0), "2026-05-14T10:30", "MODEL-AREA", "226 km from its nodes"),
+        ((47.3, -171.5), "2026-05-14T10:30", "MODEL-AREA", "km from its nodes"),
+    ],
+)
 def test_another_place_or_time_is_refused_with_the_distance(
     fields, tmp_path, place, when, code, words
 ):
-    path, at = netcdf(tmp_path / "era5.nc", fields), np.radians(place)
+    path = netcdf(tmp_path / "era5.nc", fields)
+    at = np.radians(place)
     with pytest.raises(InputError, match=words) as refused:
         read(path, at, ns(when)).refuse_outside(at[:1], at[1:])
     assert refused.value.code == code
@@ -446,8 +534,9 @@ def test_a_ground_that_nobody_knows_is_the_models(fields, tmp_path):
     flat = fields.z[:, 0] * 0.0
     for more, height in ({}, 0.0), ({"orog": flat + 600.0}, 600.0), ({"orog": flat / 0.0}, 0.0):
         with_ground = fields.assign({k: v.assign_attrs(units="m") for k, v in more.items()})
-        _, notes = column(read(netcdf(tmp_path / f"g{height}.nc", with_ground)),
-                          ground_h_m=float("nan"))  # fmt: skip
+        _, notes = column(
+            read(netcdf(tmp_path / f"g{height}.nc", with_ground)), ground_h_m=float("nan")
+        )
         (entry,) = [n for n in notes if n.code == "MODEL-GROUND"]
         assert ("600 m" in entry.what) == bool(height)
 
@@ -456,13 +545,17 @@ def test_a_ground_that_nobody_knows_is_the_models(fields, tmp_path):
 def test_era5_at_a_node_to_the_last_digit():
     path = SHARED / "era5_pressure_levels_20180327T13.nc"
     with netcdf_file(path, mmap=False) as file:
-        raw = {name: v.data * getattr(v, "scale_factor", 1.0) + getattr(v, "add_offset", 0.0)
-               for name, v in file.variables.items()}  # fmt: skip
-    j, k = 9, 30
+        raw = {
+            name: v.data * getattr(v, "scale_factor", 1.0) + getattr(v, "add_offset", 0.0)
+            for name, v in file.variables.items()
+        }
+    j = 9
+    k = 30
     place = (np.radians(raw["latitude"][j]), np.radians(raw["longitude"][k]))
     when = ns("2018-03-27T13:00")
     found, _ = column(read(path, place, when), place, when, ground_h_m=0.0)
-    p, q = 100.0 * raw["level"][::-1], raw["q"][0, ::-1, j, k]
+    p = 100.0 * raw["level"][::-1]
+    q = raw["q"][0, ::-1, j, k]
     on = on_levels(found)
     rows = [int(np.argmin(np.abs(p - level))) for level in found.pressure_pa[on]]
     e = p * q / (0.622 + 0.378 * q)
@@ -476,10 +569,12 @@ def test_era5_at_a_node_to_the_last_digit():
 @pytest.mark.shared("nwp")
 @pytest.mark.parametrize(
     ("name", "when", "place", "ground"),
-    [("era5_model_levels_20220829T17.nc", "2022-08-29T17:00", (70.25, -156.5), np.nan),
-     ("era5_pressure_levels_20180327T13.nc", "2018-03-27T13:00", (20.0, -95.0), 0.0),
-     ("era5_pressure_levels_20180327T13.nc", "2018-03-27T13:00", (21.0, -103.0), 1500.0)],
-)  # fmt: skip
+    [
+        ("era5_model_levels_20220829T17.nc", "2022-08-29T17:00", (70.25, -156.5), np.nan),
+        ("era5_pressure_levels_20180327T13.nc", "2018-03-27T13:00", (20.0, -95.0), 0.0),
+        ("era5_pressure_levels_20180327T13.nc", "2018-03-27T13:00", (21.0, -103.0), 1500.0),
+    ],
+)
 def test_pressure_between_real_levels_is_that_of_an_ode_from_the_nearer_level(
     name, when, place, ground
 ):
@@ -488,7 +583,8 @@ def test_pressure_between_real_levels_is_that_of_an_ode_from_the_nearer_level(
     From level to level it misses by 3e-6 on model levels and up to 1.7e-4 on pressure levels, whose
     file rounds heights to 0.73 m (8.8e-5 of p) and has 37 of 137 levels: half of that between them.
     """
-    at, time_ns = tuple(np.radians(place)), ns(when)
+    at = tuple(np.radians(place))
+    time_ns = ns(when)
     found, _ = column(read(SHARED / name, at, time_ns), at, time_ns, ground_h_m=ground)
     h, t, p, e = (getattr(found, quantity) for quantity in COLUMN)
     height = normal_gravity(at[0]).geopotential_height(h)

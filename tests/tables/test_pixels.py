@@ -17,7 +17,8 @@ from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema
 from unbend.tables.writing import table_of_observations
 
 # 0.1 + 0.5 - 0.5 is not 0.1 in binary: the user's own number must come out, not one computed back.
-X, Y = [0.1, 100.3, 7.0], [0.7, -0.1, 11.25]
+X = [0.1, 100.3, 7.0]
+Y = [0.7, -0.1, 11.25]
 
 
 @pytest.mark.parametrize(("origin", "centre"), [("corner", 0.5), ("centre", 0.0)])

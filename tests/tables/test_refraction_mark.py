@@ -109,9 +109,10 @@ def test_what_another_program_removed_is_refused(mission):
     ended = mission.run()
     assert ended.code == 2
     line = next(
-        n for n, text in enumerate(mission.file.read_text().splitlines(), 1)
+        n
+        for n, text in enumerate(mission.file.read_text().splitlines(), 1)
         if "removed_by_other" in text
-    )  # fmt: skip
+    )
     assert f"line {line}: observations.refraction: another program has removed refraction" in (
         " ".join(ended.err.split())
     )

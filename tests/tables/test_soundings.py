@@ -21,8 +21,13 @@ HECTOPASCAL = 1013.25 * ((CELSIUS + 273.15) / 288.15) ** 5.255877
 
 
 def write(path: Path, **changes: object) -> Path:
-    columns = {"pres": HECTOPASCAL, "tdry": CELSIUS, "dp": CELSIUS - 10.0,
-               "rh": np.full(6, 50.0), "alt": HEIGHT} | changes  # fmt: skip
+    columns = {
+        "pres": HECTOPASCAL,
+        "tdry": CELSIUS,
+        "dp": CELSIUS - 10.0,
+        "rh": np.full(6, 50.0),
+        "alt": HEIGHT,
+    } | changes
     with netcdf_file(path, "w") as file:
         file.createDimension("time", 6)
         base = file.createVariable("base_time", "i", ())

@@ -27,8 +27,10 @@ def era5(tmp_path: Path) -> Path:
     coordinates = {
         "valid_time": np.array(["2026-05-14T10", "2026-05-14T11"], "datetime64[ns]"),
         "pressure_level": ("pressure_level", [1000.0, 850.0, 500.0], {"units": "hPa"}),
-        "latitude": [47.0, 46.5], "longitude": [6.5, 7.0, 7.5], "number": 0,
-    }  # fmt: skip
+        "latitude": [47.0, 46.5],
+        "longitude": [6.5, 7.0, 7.5],
+        "number": 0,
+    }
     t = (shape, np.full((2, 3, 2, 3), 280.0, np.float32), {"units": "K"})
     path = tmp_path / "era5.nc"
     xarray.Dataset({"t": t}, coordinates).to_netcdf(path, engine="h5netcdf")
@@ -102,9 +104,13 @@ def test_a_projected_grid_is_named(tmp_path):
 
 def test_several_runs_are_refused(tmp_path):
     t = (("time", "step", "level", "latitude", "longitude"), np.full((2, 2, 1, 1, 1), 280.0))
-    at = {"time": np.array(["2026-05-14", "2026-05-15"], "datetime64[ns]"), "level": [850],
-          "step": np.array([3, 6], "timedelta64[h]").astype("timedelta64[ns]"),
-          "latitude": [47.0], "longitude": [7.0]}  # fmt: skip
+    at = {
+        "time": np.array(["2026-05-14", "2026-05-15"], "datetime64[ns]"),
+        "level": [850],
+        "step": np.array([3, 6], "timedelta64[h]").astype("timedelta64[ns]"),
+        "latitude": [47.0],
+        "longitude": [7.0],
+    }
     xarray.Dataset({"t": t}, at).to_netcdf(tmp_path / "runs.nc", engine="h5netcdf")
     with pytest.raises(InputError, match="2 of time and 2 of step") as refused:
         contents_of(tmp_path / "runs.nc")
@@ -113,9 +119,12 @@ def test_several_runs_are_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("data", "code"),
-    [(b"CDF\x05" + bytes(64), "MODEL-FORMAT"), (b"\x89HDF" + bytes(64), "MODEL-UNREADABLE"),
-     (b"CDF\x01" + struct.pack(">I", 7), "MODEL-UNREADABLE")],
-)  # fmt: skip
+    [
+        (b"CDF\x05" + bytes(64), "MODEL-FORMAT"),
+        (b"\x89HDF" + bytes(64), "MODEL-UNREADABLE"),
+        (b"CDF\x01" + struct.pack(">I", 7), "MODEL-UNREADABLE"),
+    ],
+)
 def test_what_cannot_be_read_is_refused(tmp_path, data, code):
     path = tmp_path / "model.nc"
     path.write_bytes(data)
@@ -133,8 +142,13 @@ def test_without_the_extra_the_command_that_installs_it_is_named(era5, monkeypat
     assert "unbend[nwp]" in refused.value.remedy
 
 
-@pytest.mark.parametrize("order", [("geodata.coordinate_systems", "weather_files"),
-                                   ("weather_files", "geodata.coordinate_systems")])  # fmt: skip
+@pytest.mark.parametrize(
+    "order",
+    [
+        ("geodata.coordinate_systems", "weather_files"),
+        ("weather_files", "geodata.coordinate_systems"),
+    ],
+)
 def test_pyproj_and_eccodes_live_together(gfs, order):
     """Loaded after ecCodes pyproj crashes, so each order is tried in a process of its own."""
     script = "".join(f"import unbend.tables.{module}\n" for module in order) + (
@@ -152,10 +166,12 @@ def test_pyproj_and_eccodes_live_together(gfs, order):
 @pytest.mark.shared("nwp")
 @pytest.mark.parametrize(
     ("name", "kind", "levels", "members"),
-    [("era5_pressure_levels_20180327T13.nc", "pressure", 37, 0),
-     ("era5_model_levels_20220829T17.nc", "model", 137, 0),
-     ("era5_two_levels_members.grib", "pressure", 2, 10)],
-)  # fmt: skip
+    [
+        ("era5_pressure_levels_20180327T13.nc", "pressure", 37, 0),
+        ("era5_model_levels_20220829T17.nc", "model", 137, 0),
+        ("era5_two_levels_members.grib", "pressure", 2, 10),
+    ],
+)
 def test_real_files(name, kind, levels, members):
     contents = contents_of(SHARED / name)
     assert (contents["level_kind"], len(contents["levels"])) == (kind, levels)
@@ -170,9 +186,15 @@ def test_inspect_shows_how_a_sounding_is_read():
     ended = run_command("inspect", SOUNDINGS / "wyoming_csv_OUN_20230522_12Z.csv")
     assert ended.code == 0, ended.text
     text = " ".join(ended.out.split())
-    for words in ("read as University of Wyoming CSV", "2023-05-22 11:04 UTC", "35.180°, -97.440°",
-                  "41 of 41 levels", "678 to 977 hPa", "dew point from column dew point",
-                  "atmosphere: {soundings: [{path: wyoming_csv_OUN"):  # fmt: skip
+    for words in (
+        "read as University of Wyoming CSV",
+        "2023-05-22 11:04 UTC",
+        "35.180°, -97.440°",
+        "41 of 41 levels",
+        "678 to 977 hPa",
+        "dew point from column dew point",
+        "atmosphere: {soundings: [{path: wyoming_csv_OUN",
+    ):
         assert words in text, words
     ended = run_command("inspect", SOUNDINGS / "igra2_USM00070026_Barrow.txt", "--json")
     reading = json.loads(ended.out)

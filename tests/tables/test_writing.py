@@ -34,7 +34,8 @@ from unbend.tables.writing import (
     write_parquet,
 )
 
-US, ICAN = standard_atmosphere("us1976"), standard_atmosphere("ican", index="gyer")
+US = standard_atmosphere("us1976")
+ICAN = standard_atmosphere("ican", index="gyer")
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 
 
@@ -69,8 +70,10 @@ def test_stations_name_the_profile_of_their_own_air():
     stations = replace(stations, status=np.array(["ok", "in_gap", "ok"], object))
     series = ProfileSeries((TimedProfile(5, US), TimedProfile(7, ICAN)), np.array([1, 0, 0]))
     assert table_of_stations(stations, series)["profile_id"].to_pylist() == [
-        "flight-002", None, "flight-001"
-    ]  # fmt: skip
+        "flight-002",
+        None,
+        "flight-001",
+    ]
     profiles = table_of_profiles(unadjusted(US, "a test"), series, [0.0])
     assert profiles["profile_id"].to_pylist() == ["flight-001", "flight-002"]
     assert profiles["temperature_k"].to_pylist() == pytest.approx([288.15, 288.0], abs=1e-9)
@@ -129,15 +132,20 @@ def test_values_that_are_none_are_counted_and_null_is_not(tmp_path, column, what
     assert batch.users[column].to_pylist() == values  # as they came
 
 
-TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0\r\n", exclude_categories=["Cs"]),
-               min_size=1, max_size=8).filter(lambda text: text.strip() == text)  # fmt: skip
+TEXT = st.text(
+    st.characters(codec="utf-8", exclude_characters="\0\r\n", exclude_categories=["Cs"]),
+    min_size=1,
+    max_size=8,
+).filter(lambda text: text.strip() == text)
 # Beyond 1e12 nothing was measured: such numbers are read as unknown.
 NUMBER = st.floats(-1e12, 1e12, allow_subnormal=False)
 
 
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(rows=st.lists(st.tuples(TEXT, NUMBER, NUMBER), min_size=1, max_size=12),
-       batch_rows=st.integers(1, 5))  # fmt: skip
+@given(
+    rows=st.lists(st.tuples(TEXT, NUMBER, NUMBER), min_size=1, max_size=12),
+    batch_rows=st.integers(1, 5),
+)
 def test_observations_are_read_as_they_were_written_whatever_the_batch(tmp_path, rows, batch_rows):
     """Names of images and numbers to the last bit, from CSV as from Parquet, in their order."""
     images, x, y = map(list, zip(*rows, strict=True))
@@ -210,10 +218,15 @@ def test_batches_are_of_one_size_wherever_the_reader_cuts(tmp_path, monkeypatch,
 def test_a_range_of_parts_is_what_the_whole_has_there(tmp_path, monkeypatch, name):
     """From a CSV cut in blocks of three rows, row groups of 4 (one of them empty), and a block."""
     monkeypatch.setattr(delimited, "_BLOCK_BYTES", 64)
-    table = pa.table({
-        "image": [f"image_{i % 3}" for i in range(31)], "point": [f"p{i}" for i in range(31)],
-        "x_px": np.arange(31.0), "y_px": np.arange(31.0) / 7, "own": np.arange(31),
-    })  # fmt: skip
+    table = pa.table(
+        {
+            "image": [f"image_{i % 3}" for i in range(31)],
+            "point": [f"p{i}" for i in range(31)],
+            "x_px": np.arange(31.0),
+            "y_px": np.arange(31.0) / 7,
+            "own": np.arange(31),
+        }
+    )
     if name == "o.csv":
         write_csv_stream(tmp_path / name, table.schema, [table])
     elif name == "o.parquet":
@@ -249,32 +262,43 @@ def test_a_range_of_parts_is_what_the_whole_has_there(tmp_path, monkeypatch, nam
 
 
 def test_floats_are_split_by_bytes_and_all_else_has_a_dictionary(tmp_path):
-    table = pa.table({
-        "wide": np.linspace(0.0, 1.0, 1000),
-        "narrow": np.linspace(0.0, 1.0, 1000, dtype=np.float32),
-        "name": [f"p{i % 9}" for i in range(1000)], "count": np.arange(1000) % 7,
-        "pair": [{"a": 1.5, "b": "x"}] * 1000,
-    })  # fmt: skip
+    table = pa.table(
+        {
+            "wide": np.linspace(0.0, 1.0, 1000),
+            "narrow": np.linspace(0.0, 1.0, 1000, dtype=np.float32),
+            "name": [f"p{i % 9}" for i in range(1000)],
+            "count": np.arange(1000) % 7,
+            "pair": [{"a": 1.5, "b": "x"}] * 1000,
+        }
+    )
     write_parquet(table, tmp_path / "table.parquet")
     with pq.ParquetFile(tmp_path / "table.parquet", page_checksum_verification=True) as file:
         assert file.read().equals(table)
         group = file.metadata.row_group(0)
     columns = [group.column(i) for i in range(group.num_columns)]
     split = {c.path_in_schema: "BYTE_STREAM_SPLIT" in c.encodings for c in columns}
-    assert split == {"wide": True, "narrow": True, "name": False, "count": False,
-                     "pair.a": False, "pair.b": False}  # fmt: skip
+    assert split == {
+        "wide": True,
+        "narrow": True,
+        "name": False,
+        "count": False,
+        "pair.a": False,
+        "pair.b": False,
+    }
     assert {c.path_in_schema for c in columns if c.has_dictionary_page} >= {"name", "count"}
     assert not any(c.has_dictionary_page for c in columns if split[c.path_in_schema])
 
 
 def test_what_was_read_of_a_large_table_does_not_stay_in_memory(tmp_path):
-    path, rows = tmp_path / "large.parquet", 400_000
+    path = tmp_path / "large.parquet"
+    rows = 400_000
     numbers = np.random.default_rng(0).uniform(0.0, 1000.0, (2, rows))
     names = pa.array(["a"] * rows)
     columns = {"image": names, "point": names, "x_px": numbers[0], "y_px": numbers[1]}
     pq.write_table(pa.table(columns), path, row_group_size=10_000)
     observations = open_observations(path, COLUMNS, None, Ledger())
-    before, most = pa.total_allocated_bytes(), 0
+    before = pa.total_allocated_bytes()
+    most = 0
     for _ in observations.batches(10_000):
         most = max(most, pa.total_allocated_bytes() - before)
     assert most < path.stat().st_size / 2

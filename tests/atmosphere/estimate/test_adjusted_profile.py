@@ -92,7 +92,8 @@ def test_the_profile_is_the_air_that_was_measured(air):
 
 def test_it_relaxes_to_the_standard_far_above(air):
     adjusted, _ = adjust(measured(air, 3000.0))
-    standard, profile = adjusted.standard, adjusted.profile
+    standard = adjusted.standard
+    profile = adjusted.profile
     top = FIELD_M + 3000.0
     away = np.array([0.0, 2500.0, 5000.0, 10_000.0])
     left = profile.temperature(top + away) - standard.temperature(top + away)
@@ -306,7 +307,9 @@ def test_sensors_that_say_nothing(air, empty):
     if empty == "none accepted":
         used[:] = False
     elif empty == "no samples":
-        time_ns, h, used = time_ns[:0], h[:0], used[:0]
+        time_ns = time_ns[:0]
+        h = h[:0]
+        used = used[:0]
     else:
         h, used = np.full(h.size, np.nan), np.zeros(h.size, bool)
     t = np.full(h.size, 280.0)
@@ -393,9 +396,12 @@ def refraction_error(air, profile, climb: float) -> float:
 
     h = np.arange(FIELD_M - 100.0, FIELD_M + climb + 200.0, 10.0)
     true = profile_from_table(
-        h, temperature_k(h), air.pressure_pa(h), relative_humidity(h) * 0.0,
+        h,
+        temperature_k(h),
+        air.pressure_pa(h),
+        relative_humidity(h) * 0.0,
         gravity=lambert_gravity(LATITUDE),
-    )  # fmt: skip
+    )
     place = (FIELD_M + climb, FIELD_M, math.radians(45.0))
     return refraction_angle(profile, *place) / refraction_angle(true, *place) - 1.0
 

@@ -41,20 +41,27 @@ def flown(flights, truth, sensors, calibration, climb=3000.0, **how):
     samples = flights.fly(truth, climb, sensors, np.random.default_rng(3), **how)
     ledger = Ledger()
     found = build_adjusted_profile(
-        samples, US1976, truth.latitude, ledger, background=background(truth),
+        samples,
+        US1976,
+        truth.latitude,
+        ledger,
+        background=background(truth),
         settings=SensorSettings(calibration=calibration),
-    )  # fmt: skip
+    )
     return found, ledger
 
 
 # All else is known to be good, and of thermometer or barometer there is only the one.
 GOOD = {
-    BIAS: SensorCalibration(0.0, 0.05), TRANSIENT: SensorCalibration(0.0, 0.05),
+    BIAS: SensorCalibration(0.0, 0.05),
+    TRANSIENT: SensorCalibration(0.0, 0.05),
     LAG: SensorCalibration(0.0, 0.2),
-    DRIFT: SensorCalibration(None, 0.02), OFFSET: SensorCalibration(0.0, 5.0),
-    HYGROMETER: SensorCalibration(0.0, 0.005), HEIGHT: SensorCalibration(None, 0.1),
+    DRIFT: SensorCalibration(None, 0.02),
+    OFFSET: SensorCalibration(0.0, 5.0),
+    HYGROMETER: SensorCalibration(0.0, 0.005),
+    HEIGHT: SensorCalibration(None, 0.1),
     **SCALE,
-}  # fmt: skip
+}
 WRONG = {
     BIAS: ({"bias_k": 2.0}, 2.0, 0.1, {"barometer": False}),
     TRANSIENT: (
@@ -125,11 +132,12 @@ def test_a_thermometer_that_keeps_still_says_more(flights, truth):
         estimate(samples, background(truth), settings=SensorSettings(calibration=known))
         .covariance.sigma_temperature([500.0])
         .item()
-        for known in ({},
-                      {DRIFT: SensorCalibration(sigma=0.02),
-                       BIAS: SensorCalibration(sigma=0.1)},
-                      {BIAS: SensorCalibration(sigma=0.1)})
-    ]  # fmt: skip
+        for known in (
+            {},
+            {DRIFT: SensorCalibration(sigma=0.02), BIAS: SensorCalibration(sigma=0.1)},
+            {BIAS: SensorCalibration(sigma=0.1)},
+        )
+    ]
     assert sigma[1] < sigma[2] < sigma[0]
 
 
@@ -161,7 +169,8 @@ def test_a_calibration_that_is_right_is_seldom_contradicted(flights, truth):
     rng = np.random.default_rng(8)
     said = 0
     for _ in range(40):
-        bias, offset = rng.normal(0.0, 0.5), rng.normal(0.0, 20.0)
+        bias = rng.normal(0.0, 0.5)
+        offset = rng.normal(0.0, 20.0)
         sensors = replace(flights.REALISTIC, bias_k=bias, pressure_offset_pa=offset)
         samples = flights.fly(truth, 3000.0, sensors, rng)
         ledger = Ledger()
@@ -170,9 +179,13 @@ def test_a_calibration_that_is_right_is_seldom_contradicted(flights, truth):
             OFFSET: SensorCalibration(0.0, 20.0),
         }
         build_adjusted_profile(
-            samples, US1976, truth.latitude, ledger, background=background(truth),
+            samples,
+            US1976,
+            truth.latitude,
+            ledger,
+            background=background(truth),
             settings=SensorSettings(calibration=given),
-        )  # fmt: skip
+        )
         said += sum(entry.code == "AIR-CALIBRATION" for entry in ledger)
     assert said == 0
 
@@ -191,15 +204,19 @@ def test_what_no_sensor_has_is_said(flights, truth):
 @pytest.mark.parametrize("descent", [False, True])
 @pytest.mark.parametrize(
     ("wrong", "name", "mean", "sigma"),
-    [({"bias_k": 12.0}, BIAS, 12.0, 0.1), ({"bias_k": -12.0}, BIAS, -12.0, 0.1),
-     ({"pressure_offset_pa": 3000.0}, OFFSET, 3000.0, 10.0)],
-)  # fmt: skip
+    [
+        ({"bias_k": 12.0}, BIAS, 12.0, 0.1),
+        ({"bias_k": -12.0}, BIAS, -12.0, 0.1),
+        ({"pressure_offset_pa": 3000.0}, OFFSET, 3000.0, 10.0),
+    ],
+)
 def test_no_sensor_is_refused_for_a_fault_that_is_known(
     flights, truth, wrong, name, mean, sigma, descent
 ):
     """8 K are too much for a thermometer of which nothing is known, and a barometer's 30 hPa look
     like that many kelvins."""
-    sensors, given = flights.Sensors(**wrong), {name: SensorCalibration(mean, sigma), **SCALE}
+    sensors = flights.Sensors(**wrong)
+    given = {name: SensorCalibration(mean, sigma), **SCALE}
     found, ledger = flown(flights, truth, sensors, given, descent=descent)
     assert found.basis in ("thermometer", "both")
     codes = {entry.code for entry in ledger}

@@ -33,7 +33,8 @@ def test_the_last_digit_does_not_average_in_level_flight_but_over_different_read
     """One of 100 / sqrt(12) = 29 in all readings that are the same; 200 of them are no better."""
     seconds = np.arange(200.0)
     common = {"width": 1000.0, "slice_s": 1e6, "floor": 1.0}
-    height, used = np.full(200, 500.0), np.ones(200, bool)
+    height = np.full(200, 500.0)
+    used = np.ones(200, bool)
     level = np.zeros(200)
     bins = bin_readings(seconds, height, level, used, **common, digits=Digits(level, 100.0))
     assert 28.0 < bins.sigma[0] < 31.0
@@ -58,19 +59,28 @@ def test_a_barometer_of_whole_hectopascals_is_in_the_sigma(flights, climb):
         truth = flights.Truth(balloon)
         rng = np.random.default_rng(number)
         samples = flights.fly(
-            truth, climb, flights.surveyed(rng), rng,
-            thermometer=number in (0, 2), humidity="none", rate=3.0,
-        )  # fmt: skip
+            truth,
+            climb,
+            flights.surveyed(rng),
+            rng,
+            thermometer=number in (0, 2),
+            humidity="none",
+            rate=3.0,
+        )
         pressure = samples.pressure
         whole = replace(pressure, value=100.0 * np.round(pressure.value / 100.0))
         ledger = Ledger()
         air = build_adjusted_profile(
-            replace(samples, pressure=whole), US1976, truth.latitude, ledger,
+            replace(samples, pressure=whole),
+            US1976,
+            truth.latitude,
+            ledger,
             background=climatology(
-                latitude_rad=truth.latitude, month=month_of(truth.start_ns),
+                latitude_rad=truth.latitude,
+                month=month_of(truth.start_ns),
                 ground_h_m=float(truth.h[0]),
             ),
-        )  # fmt: skip
+        )
         assert not any(entry.kind in LOSSES for entry in ledger)
         sigma = air.covariance.relative_sigma(truth.h[0] + climb, truth.h[0])
         found[truth.name] = abs(truth.error(air.profile, climb)) / sigma

@@ -75,7 +75,8 @@ def test_a_distance_counts_twice_across_a_coast(ascents):
     """A knot's variance grows with the distance, and more across a coast or a ridge."""
     truth = ascents["2023"]
     near = balloon_of(truth, latitude_rad=truth.latitude, longitude_rad=0.0)
-    here, air = TimeAndPlace(near.time_ns, truth.latitude, 0.0), background_of(truth)
+    here = TimeAndPlace(near.time_ns, truth.latitude, 0.0)
+    air = background_of(truth)
 
     def variance(km: float, *, across: bool = False) -> np.ndarray:
         north = truth.latitude + 1e3 * km / 6.371e6
@@ -92,7 +93,8 @@ def test_two_soundings_share_their_error(ascents):
     """Of the same air: two of them on one side of the flight say hardly more than one."""
     truth = ascents["2023"]
     at = {"longitude_rad": 0.0}
-    here, air = TimeAndPlace(truth.start_ns, truth.latitude, 0.0), background_of(truth)
+    here = TimeAndPlace(truth.start_ns, truth.latitude, 0.0)
+    air = background_of(truth)
     hours = (-12, -11, 12)
     balloons = [
         balloon_of(truth, time_ns=truth.start_ns + h * HOUR, latitude_rad=truth.latitude, **at)
@@ -145,16 +147,23 @@ def test_an_old_humidity_weighs_what_it_is_worth(hours):
 
 @pytest.mark.parametrize(
     ("hours", "east", "left_out"),
-    [(0.0, 8.0, False), (150.0, 8.0, False), (240.0, 8.0, True), (0.0, 30.0, False),
-     (0.0, 34.0, True), (150.0, 24.0, True)],
-)  # fmt: skip
+    [
+        (0.0, 8.0, False),
+        (150.0, 8.0, False),
+        (240.0, 8.0, True),
+        (0.0, 30.0, False),
+        (0.0, 34.0, True),
+        (150.0, 24.0, True),
+    ],
+)
 def test_what_is_too_far_says_nothing(flights, hours, east, left_out):
     flight = TimeAndPlace(0, *place(47.0, 8.0))
     balloon = replace(
         balloon_of(flights.Truth(flights.extremes()[1])),
-        time_ns=int(hours * HOUR), latitude_rad=place(47.0, east)[0],
+        time_ns=int(hours * HOUR),
+        latitude_rad=place(47.0, east)[0],
         longitude_rad=place(47.0, east)[1],
-    )  # fmt: skip
+    )
     assert (reason_uninformative(balloon, flight) is not None) is left_out
     if left_out:
         assert ("hours" in reason_uninformative(balloon, flight)) is (hours > 100.0)
@@ -190,9 +199,13 @@ def test_what_is_not_known_of_a_sounding_is_taken_as_far(flights):
 def balloon_of(truth, **change) -> Sounding:
     pick = slice(0, None, 200)
     columns = {
-        "h_m": truth.h[pick], "pressure_pa": truth.p[pick], "temperature_k": truth.t[pick],
-        "vapour_pressure_pa": truth.e[pick], "time_ns": truth.start_ns, "station": "72357",
-    }  # fmt: skip
+        "h_m": truth.h[pick],
+        "pressure_pa": truth.p[pick],
+        "temperature_k": truth.t[pick],
+        "vapour_pressure_pa": truth.e[pick],
+        "time_ns": truth.start_ns,
+        "station": "72357",
+    }
     return Sounding(**(columns | change))
 
 
@@ -212,9 +225,13 @@ def adjusted(truth, samples=None, **more):
     ledger = Ledger()
     background = climatology(latitude_rad=truth.latitude, month=6.0)
     made = build_adjusted_profile(
-        samples or AirSamples(), US1976, truth.latitude, ledger, background=background,
+        samples or AirSamples(),
+        US1976,
+        truth.latitude,
+        ledger,
+        background=background,
         **({"time_ns": truth.start_ns, "longitude_rad": 0.0} | more),
-    )  # fmt: skip
+    )
     return made, ledger
 
 
@@ -248,9 +265,11 @@ def test_the_age_of_a_sounding_counts_without_any_sensor(ascents):
 
 def test_a_sounding_of_another_day_is_no_worse_than_none(ascents):
     """12 years apart, over the same town in the same week of May."""
-    truth, other = ascents["2011"], ascents["2023"]
+    truth = ascents["2011"]
+    other = ascents["2023"]
     balloon = balloon_of(other, time_ns=truth.start_ns - 12 * 365 * 24 * HOUR)
-    with_it, without = adjusted(truth, soundings=[balloon])[0], adjusted(truth)[0]
+    with_it = adjusted(truth, soundings=[balloon])[0]
+    without = adjusted(truth)[0]
     assert truth.error(with_it.profile, 3000.0) == pytest.approx(
         truth.error(without.profile, 3000.0), abs=1e-9
     )
@@ -284,9 +303,11 @@ def test_the_place_of_a_sounding_counts(ascents):
     """Barrow's air is nothing to Oklahoma's; 500 km away it is something."""
     truth = ascents["2023"]
     arctic = balloon_of(
-        ascents["barrow"], time_ns=truth.start_ns,
-        latitude_rad=math.radians(71.29), longitude_rad=math.radians(-156.78),
-    )  # fmt: skip
+        ascents["barrow"],
+        time_ns=truth.start_ns,
+        latitude_rad=math.radians(71.29),
+        longitude_rad=math.radians(-156.78),
+    )
     made, ledger = adjusted(truth, soundings=[arctic], longitude_rad=math.radians(-97.44))
     assert made.basis == "climatology"
     assert "AIR-SOURCE-FAR" in codes(ledger, Kind.LOSS)
@@ -330,9 +351,13 @@ def test_what_has_no_time_or_place_is_told(flights):
 
 def station(truth, hours=0.0, dp=0.0, dt=0.0, **change) -> SurfaceReport:
     report = SurfaceReport(
-        float(truth.h[0]), float(truth.p[0] + dp), float(truth.t[0] + dt), float(truth.e[0]),
-        truth.start_ns - int(hours * HOUR), "mission file",
-    )  # fmt: skip
+        float(truth.h[0]),
+        float(truth.p[0] + dp),
+        float(truth.t[0] + dt),
+        float(truth.e[0]),
+        truth.start_ns - int(hours * HOUR),
+        "mission file",
+    )
     return replace(report, **change)
 
 
@@ -343,9 +368,13 @@ def test_weather_of_another_day_does_not_outvote_the_flight(
 ):
     truth = ascents["2023"]
     samples = flights.fly(
-        truth, 3000.0, flights.REALISTIC, np.random.default_rng(1), barometer=barometer,
+        truth,
+        3000.0,
+        flights.REALISTIC,
+        np.random.default_rng(1),
+        barometer=barometer,
         descent=True,
-    )  # fmt: skip
+    )
     made, ledger = adjusted(truth, samples, surface=[station(truth, hours, dp, dt)])
     assert made.basis == "thermometer"
     assert "AIR-IMPLAUSIBLE" not in codes(ledger)
@@ -441,9 +470,13 @@ def test_a_balloon_higher_than_the_climatology(ascents, flights):
     warm = np.concatenate([own.temperature_k, np.full(grown.size - own.h_m.size, 220.0)])
     thin = np.exp(-(grown[own.h_m.size :] - own.h_m[-1]) * 0.0341632 / 220.0)
     levels = Sounding(
-        grown, np.concatenate([own.pressure_pa, own.pressure_pa[-1] * thin]), warm,
-        np.concatenate([own.vapour_pressure_pa, 0.1 * np.ones(thin.size)]), truth.start_ns, "high",
-    )  # fmt: skip
+        grown,
+        np.concatenate([own.pressure_pa, own.pressure_pa[-1] * thin]),
+        warm,
+        np.concatenate([own.vapour_pressure_pa, 0.1 * np.ones(thin.size)]),
+        truth.start_ns,
+        "high",
+    )
     beside, ledger = adjusted(truth, samples, soundings=[levels])
     assert beside.basis == "thermometer"
     assert codes(ledger, Kind.LOSS) == []
@@ -521,7 +554,9 @@ def test_a_balloon_that_no_climate_has_is_left_out(ascents, metres, kelvin, what
 def test_sources_are_doubted_one_by_one_before_sensors_are(flights, ascents):
     truth = ascents["2023"]
     samples = flights.fly(truth, 3000.0, flights.Sensors(), np.random.default_rng(1))
-    one, other, report = balloon_of(truth), balloon_of(truth, station="b"), station(truth)
+    one = balloon_of(truth)
+    other = balloon_of(truth, station="b")
+    report = station(truth)
     found = candidates(samples, [one, other], [report])
     left_out = [(), (one.name,), (other.name,), (report.name,)]
     everything = (one.name, other.name, report.name)

@@ -58,10 +58,11 @@ def test_thermometers_that_work_are_not_refused(flights, airs):
         truth = airs[int(rng.integers(len(airs)))]
         climb = round(400.0 * math.exp(rng.uniform(0.0, math.log(7.5))))
         how = {
-            "rate": rng.uniform(2.0, 6.0), "descent": bool(rng.random() < 0.5),
+            "rate": rng.uniform(2.0, 6.0),
+            "descent": bool(rng.random() < 0.5),
             "gate_s": float(rng.choice([20.0, 60.0, 120.0])),
             "humidity": str(rng.choice(["none", "surface", "profile"])),
-        }  # fmt: skip
+        }
         error, _, lost = flown(flights, truth, climb, rng, sunny=rng.random() < 0.3, **how)
         if lost:
             refused.append((i, truth.name, climb, round(error, 1), lost))
@@ -102,7 +103,8 @@ def test_low_climbs_with_a_thermometer_are_honest(flights, airs, sunny):
     every_error = np.concatenate(list(found.values()))
     total = float(np.sqrt(np.mean(every_error**2)))
     print(f"seed {SEED}: {total:.2f} of {every_error.size} flights, {rms}")
-    low, high = 0.7, 1.2
+    low = 0.7
+    high = 1.2
     if LOW == 1:
         # Of a few errors: the RMS that all reach, within chi-square's share of all but 1e-4.
         reached = 1.17 if sunny else 0.95

@@ -66,7 +66,9 @@ def test_the_mixture_is_that_of_bayes_rule(value, sigma):
         [share * normal(x, mean, own) * normal(value, x, sigma) for share, mean, own in parts]
     )
     posterior = of_parts.sum(axis=0) / of_parts.sum()
-    solved, states, covariances = [], [], []
+    solved = []
+    states = []
+    covariances = []
     for share, mean, own in parts:
         variance = 1.0 / (own**-2 + sigma**-2)
         solution = np.array([variance * (mean / own**2 + value / sigma**2)])

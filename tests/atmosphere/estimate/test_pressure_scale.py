@@ -30,17 +30,27 @@ def flown(flights, truth, lost, rng, *, sounding=False, climb=3000.0, **how):
     month = month_of(truth.start_ns)
     every = slice(0, 9000, 100)
     balloon = Sounding(
-        truth.h[every], truth.p[every], truth.t[every], truth.e[every], truth.start_ns,
-        latitude_rad=truth.latitude, longitude_rad=0.0,
-    )  # fmt: skip
+        truth.h[every],
+        truth.p[every],
+        truth.t[every],
+        truth.e[every],
+        truth.start_ns,
+        latitude_rad=truth.latitude,
+        longitude_rad=0.0,
+    )
     ledger = Ledger()
     found = build_adjusted_profile(
-        samples, US1976, truth.latitude, ledger, time_ns=truth.start_ns, longitude_rad=0.0,
+        samples,
+        US1976,
+        truth.latitude,
+        ledger,
+        time_ns=truth.start_ns,
+        longitude_rad=0.0,
         background=climatology(
             latitude_rad=truth.latitude, month=month, ground_h_m=float(truth.h[0])
         ),
         soundings=[balloon] if sounding else [],
-    )  # fmt: skip
+    )
     sigma = found.covariance.relative_sigma(truth.h[0] + climb, truth.h[0])
     scales = [f for f in found.faults if f.fault == SensorFault.PRESSURE_SCALE]
     return truth.error(found.profile, climb) / sigma, sigma, scales, ledger
@@ -58,8 +68,9 @@ def test_barometer_and_gnss_alone_hold_it_in_their_sigma(flights, airs):
     """Three per cent and back: 1.4 sigma RMS, where 3 % of R had been 0.7 to 2 %; and sensors that
     lose nothing stay as certain: 2.1 %, 2.0 before."""
     rng = np.random.default_rng(3)
-    errors = [flown(flights, t, lost, rng, thermometer=False)[0]
-              for t in airs for lost in (0.03, -0.03)]  # fmt: skip
+    errors = [
+        flown(flights, t, lost, rng, thermometer=False)[0] for t in airs for lost in (0.03, -0.03)
+    ]
     assert np.sqrt(np.mean(np.square(errors))) < 1.6
     sound = [flown(flights, t, 0.0, rng, thermometer=False) for t in airs]
     assert np.median([sigma for _, sigma, *_ in sound]) < 0.025

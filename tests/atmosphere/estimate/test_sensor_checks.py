@@ -325,7 +325,8 @@ def test_a_cabin_that_follows_the_ground_of_a_clear_night(flights, airs, tau_s, 
         truth, 600.0, flights.drawn(rng), rng, humidity="none", descent=True, gate_s=60.0
     )
     t = samples.temperature
-    outside, keep = truth.at(truth.t, t.h_m - truth.h[0]), math.exp(-1.0 / tau_s)
+    outside = truth.at(truth.t, t.h_m - truth.h[0])
+    keep = math.exp(-1.0 / tau_s)
     cabin = lfilter([1.0 - keep], [1.0, -keep], outside, zi=[keep * outside[0]])[0] + warmer_k
     found, ledger = adjust(truth, with_t(samples, cabin + rng.normal(0.0, 0.2, cabin.size)))
     assert losses(ledger) == ["AIR-THERMOMETER"]

@@ -81,8 +81,15 @@ def test_the_column_is_the_integral_of_a_broken_line():
     integral, _ = column(edge, virtual, at)
     for height, found in zip(at, integral, strict=True):
         kinks = [float(e) for e in edge if 0.0 < e < height] or None
-        right = quad(lambda h: 1.0 / np.interp(h, edge, virtual), 0.0, height, points=kinks,
-                     limit=200, epsabs=1e-13, epsrel=1e-13)[0]  # fmt: skip
+        right = quad(
+            lambda h: 1.0 / np.interp(h, edge, virtual),
+            0.0,
+            height,
+            points=kinks,
+            limit=200,
+            epsabs=1e-13,
+            epsrel=1e-13,
+        )[0]
         assert found == pytest.approx(right, rel=1e-12, abs=1e-13)
 
 
@@ -94,7 +101,8 @@ def test_the_gradient_of_the_column():
     at = np.linspace(0.0, edge[-1], 23)
     _, gradient = column(edge, virtual, at)
     for k in range(edge.size):
-        up, down = virtual.copy(), virtual.copy()
+        up = virtual.copy()
+        down = virtual.copy()
         up[k] += 0.01
         down[k] -= 0.01
         slope = (column(edge, up, at)[0] - column(edge, down, at)[0]) / 0.02
@@ -113,9 +121,12 @@ def problem(flights, airs):
     t = samples.temperature
     speed = SensorSamples(t.time_ns, t.h_m, 40.0 + 0.0 * t.value, t.rejected, "airspeed")
     found = collect_readings(
-        replace(samples, airspeed=speed), background(truth), SensorSettings(),
-        soundings=[balloon_of(truth)], surface=[SurfaceReport(100.0, 1.0e5, 299.0, 2400.0)],
-    )  # fmt: skip
+        replace(samples, airspeed=speed),
+        background(truth),
+        SensorSettings(),
+        soundings=[balloon_of(truth)],
+        surface=[SurfaceReport(100.0, 1.0e5, 299.0, 2400.0)],
+    )
     layout = layout_of(found, background(truth))
     prior = prior_of(layout, background(truth), background(truth, AUTO))
     x = prior.mean + 0.3 * np.sqrt(1.0 / np.diag(prior.precision)) * rng.normal(size=layout.size)
@@ -128,9 +139,13 @@ def balloon_of(truth, **change):
     """A sounding that measured an air, every 200 m."""
     pick = slice(0, None, 200)
     columns = {
-        "h_m": truth.h[pick], "pressure_pa": truth.p[pick], "temperature_k": truth.t[pick],
-        "vapour_pressure_pa": truth.e[pick], "time_ns": truth.start_ns, "station": "72357",
-    }  # fmt: skip
+        "h_m": truth.h[pick],
+        "pressure_pa": truth.p[pick],
+        "temperature_k": truth.t[pick],
+        "vapour_pressure_pa": truth.e[pick],
+        "time_ns": truth.start_ns,
+        "station": "72357",
+    }
     return Sounding(**(columns | change))
 
 
@@ -169,7 +184,8 @@ def test_sigma_of_r_is_that_of_the_gradient(flights, airs):
     made = estimate(
         flights.fly(truth, 800.0, flights.REALISTIC, np.random.default_rng(1)), background(truth)
     )
-    profile, layers = made.profile, made.profile.layers
+    profile = made.profile
+    layers = made.profile.layers
     k = layers.edge.size
     t_m = profile.virtual_temperature(profile.gravity.height(layers.edge))
     vapour = np.append(layers.vapour, layers.vapour[-1])
@@ -178,10 +194,13 @@ def test_sigma_of_r_is_that_of_the_gradient(flights, airs):
 
     def r(change):
         moved = stack_layers(
-            layers.edge, t_m + change[:k], vapour + change[k + 1 :], layers.source,
+            layers.edge,
+            t_m + change[:k],
+            vapour + change[k + 1 :],
+            layers.source,
             anchor=(made.covariance.anchor_m, level * math.exp(change[k])),
             constant=profile.constant,
-        )  # fmt: skip
+        )
         n = Profile(moved, profile.gravity, profile.index).refractivity(h)
         return float(trapezoid(n - n[-1]) / 800.0)
 
@@ -235,7 +254,8 @@ def test_the_doubt_of_vapour_is_that_of_humidity_and_of_pressure(airs):
     air = background(airs[MONSOON], AUTO)
     made = estimate(AirSamples(), air)
     h = np.array([500.0, 1500.0, 3000.0])
-    t, e = made.profile.temperature(h), made.profile.vapour_pressure(h)
+    t = made.profile.temperature(h)
+    e = made.profile.vapour_pressure(h)
     by_humidity = air.spread.sigma_relative_humidity(h) * saturation_pressure_pa(t)
     # e_s grows by 5420 K/T^2 a kelvin (Clausius-Clapeyron).
     by_temperature = e * 5420.0 / t**2 * made.covariance.sigma_temperature(h)
@@ -259,7 +279,9 @@ def test_every_estimate_settles(flights, airs, climb):
     An estimate is a mixture, which is the minimum of nothing: the parts are what settles, here
     those of usual sensors and of each rare fault in turn.
     """
-    rng, kelvin, sigmas = np.random.default_rng(7), [], []
+    rng = np.random.default_rng(7)
+    kelvin = []
+    sigmas = []
     flown = [(truth, descent) for truth in airs for descent in (True, False)]
     for number, (truth, descent) in enumerate(flown):
         samples = flights.fly(truth, climb, flights.drawn(rng), rng, descent=descent)
@@ -302,8 +324,10 @@ def test_bias_lag_and_transient_are_found(flights, airs):
     samples = flights.fly(truth, 3000.0, flights.REALISTIC, rng, gate_s=0.0, descent=True)
     made = estimated(truth, samples)
     for name, right, sharp in (
-        ("bias", 3.0, 2.0), ("lag", 20.0, 2.0), ("transient", 5.0, 1.5),
-    ):  # fmt: skip
+        ("bias", 3.0, 2.0),
+        ("lag", 20.0, 2.0),
+        ("transient", 5.0, 1.5),
+    ):
         found = fault_of(made, name)
         assert found.sigma < sharp, found
         assert abs(found.value - right) < 3.0 * found.sigma, found
@@ -420,9 +444,11 @@ def test_an_old_sounding_is_worth_less(flights, airs):
     sigmas = [
         estimated(truth, samples, soundings=given).covariance.relative_sigma(*where)
         for given in (
-            [balloon_of(truth)], [balloon_of(truth, time_ns=truth.start_ns - 86_400 * 10**9)], [],
+            [balloon_of(truth)],
+            [balloon_of(truth, time_ns=truth.start_ns - 86_400 * 10**9)],
+            [],
         )
-    ]  # fmt: skip
+    ]
     assert sigmas[0] < sigmas[1] < sigmas[2]
 
 
@@ -431,9 +457,13 @@ def test_a_surface_report_anchors_a_flight_without_a_barometer(flights, airs):
     rng = np.random.default_rng(6)
     samples = flights.fly(truth, 2000.0, flights.Sensors(), rng, barometer=False, humidity="none")
     report = SurfaceReport(
-        float(truth.h[0]), float(truth.p[0]), float(truth.t[0]), float(truth.e[0]),
-        truth.start_ns, "config",
-    )  # fmt: skip
+        float(truth.h[0]),
+        float(truth.p[0]),
+        float(truth.t[0]),
+        float(truth.e[0]),
+        truth.start_ns,
+        "config",
+    )
     alone, ledger = adjust(truth, samples)
     told, _ = adjust(truth, samples, surface=[report])
     assert "AIR-HUMIDITY-EXPECTED" in codes(ledger)
@@ -558,11 +588,13 @@ def test_too_little_height_returns_the_climatology_with_its_sigma(flights, airs)
 
 def test_bins_keep_ways_and_times_apart():
     seconds = np.arange(1200.0)
-    height = np.concatenate([np.linspace(0.0, 100.0, 200), np.full(800, 100.0 + 1e-6),
-                             np.linspace(100.0, 0.0, 200)])  # fmt: skip
+    height = np.concatenate(
+        [np.linspace(0.0, 100.0, 200), np.full(800, 100.0 + 1e-6), np.linspace(100.0, 0.0, 200)]
+    )
     value = np.where(seconds < 200.0, 1.0, np.where(seconds < 1000.0, 2.0, 3.0))
-    bins = bin_readings(seconds, height, value, np.ones(1200, bool), width=50.0, slice_s=300.0,
-                        floor=0.01)  # fmt: skip
+    bins = bin_readings(
+        seconds, height, value, np.ones(1200, bool), width=50.0, slice_s=300.0, floor=0.01
+    )
     assert bins.count.sum() >= 1198
     level = bins.height > 99.0
     assert level.sum() >= 4  # 800 s of level flight in slices of 300 s
@@ -574,9 +606,11 @@ def test_bins_keep_ways_and_times_apart():
 def test_means_of_many_readings_are_not_better_than_their_correlation():
     rng = np.random.default_rng(2)
     n = 2000  # 200 s at 10 Hz: independent every 2 s
-    seconds, value = np.arange(n) * 0.1, rng.normal(0.0, 0.2, n)
-    bins = bin_readings(seconds, np.full(n, 10.0), value, np.ones(n, bool), width=50.0,
-                        slice_s=1e4, floor=0.05)  # fmt: skip
+    seconds = np.arange(n) * 0.1
+    value = rng.normal(0.0, 0.2, n)
+    bins = bin_readings(
+        seconds, np.full(n, 10.0), value, np.ones(n, bool), width=50.0, slice_s=1e4, floor=0.05
+    )
     assert bins.sigma.item() == pytest.approx(0.2 / math.sqrt(101.0), rel=0.1)
 
 
@@ -603,10 +637,15 @@ def test_four_hours_at_ten_hertz(airs):
     rng = np.random.default_rng(1)
     stamps = truth.start_ns + np.round(seconds * 1e9).astype(np.int64)
     sensors = [
-        SensorSamples(stamps, truth.h[0] + above, truth.at(v, above) + s * rng.normal(size=n),
-                np.zeros(n, np.uint8), name)
+        SensorSamples(
+            stamps,
+            truth.h[0] + above,
+            truth.at(v, above) + s * rng.normal(size=n),
+            np.zeros(n, np.uint8),
+            name,
+        )
         for v, s, name in ((truth.t, 0.2, "t"), (truth.p, 5.0, "p"), (truth.rh, 0.02, "rh"))
-    ]  # fmt: skip
+    ]
     air = background(truth)
     made = estimate(AirSamples(*sensors), air)
     assert abs(truth.error(made.profile, 2500.0)) < 0.005
@@ -635,12 +674,13 @@ def test_an_offset_of_gnss_heights_is_found_with_its_sign(flights, airs, offset_
 
 def test_the_derivative_by_the_lag_is_that_of_an_exponential_memory():
     """T = a t^2 in a climb reads a (t^2 - 2 t lag + 2 lag^2): by the lag a (-2 t + 4 lag)."""
-    faults, drift = THERMOMETER_FAULTS, Drift(
-        SensorFault.THERMOMETER_DRIFT, np.array([0.0, 1000.0]), 1.0, 900.0
-    )  # fmt: skip
+    faults = THERMOMETER_FAULTS
+    drift = Drift(SensorFault.THERMOMETER_DRIFT, np.array([0.0, 1000.0]), 1.0, 900.0)
     knot = np.arange(-1000.0, 4001.0, 10.0)
     layout = Layout(knot, np.array([0.0, 15_000.0]), 0.0, faults, (drift,))
-    climb, lag, curve = 5.0, 40.0, -2e-6
+    climb = 5.0
+    lag = 40.0
+    curve = -2e-6
     x = np.zeros(layout.size)
     x[layout.temperature] = 290.0 + curve * np.maximum(knot, 0.0) ** 2
     x[layout.fault(SensorFault.THERMOMETER_LAG)] = lag
@@ -648,8 +688,16 @@ def test_the_derivative_by_the_lag_is_that_of_an_exponential_memory():
     air = air_of(layout, x, np.full(knot.size, 9e4), 0.0342)
     seconds = np.array([300.0, 500.0])
     times = np.arange(0.0, 601.0)
-    sensor = Thermometer("T", climb * seconds, np.zeros(2), np.ones(2), seconds, since_s=seconds,
-                         flown=FlownHeights(times, climb * times), climbing=np.ones(2))  # fmt: skip
+    sensor = Thermometer(
+        "T",
+        climb * seconds,
+        np.zeros(2),
+        np.ones(2),
+        seconds,
+        since_s=seconds,
+        flown=FlownHeights(times, climb * times),
+        climbing=np.ones(2),
+    )
     reading, jacobian = sensor.predict(air)
     a = curve * climb**2
     expected = 290.0 + a * (seconds**2 - 2.0 * seconds * lag + 2.0 * lag**2)

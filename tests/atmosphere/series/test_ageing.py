@@ -31,8 +31,9 @@ def certain(edges_m: list[float], highest_k: float = 240.0) -> ProfileCovariance
     gravity = normal_gravity(0.8)
     edge = gravity.geopotential_height(edges_m)
     t = np.linspace(290.0, highest_k, edge.size)
-    layers = stack_layers(edge, t, np.zeros(edge.size), ("measured",) * (edge.size - 1),
-                          anchor=(float(edge[0]), 8e4))  # fmt: skip
+    layers = stack_layers(
+        edge, t, np.zeros(edge.size), ("measured",) * (edge.size - 1), anchor=(float(edge[0]), 8e4)
+    )
     size = 2 * edge.size + 1
     return ProfileCovariance(Profile(layers, gravity), float(edge[0]), np.zeros((size, size)))
 
@@ -71,7 +72,8 @@ def test_the_nearest_visit_is_near_in_time_and_place():
     north = np.interp(minutes, [20, 60, 100, 160], [0.0, far_north, far_north, 0.0])
     path = FlightPath(time_ns, north, np.zeros(north.size))
     sensor = SensorSamples(time_ns, h, np.full(h.size, 280.0), np.zeros(h.size, np.uint8), "T")
-    samples, back = AirSamples(temperature=sensor), [int(time_ns[160])]
+    samples = AirSamples(temperature=sensor)
+    back = [int(time_ns[160])]
     (ages,) = sample_ages(samples, back, 500.0, 2400.0, path)
     assert np.all(np.asarray(ages.metres) < 1.0)
     np.testing.assert_allclose(ages.hours, 2.5, atol=0.3)

@@ -15,10 +15,35 @@ from unbend.atmosphere.series.profiles_by_place import add_model_changes
 from unbend.atmosphere.soundings.model_field import ModelField
 from unbend.messages import Ledger
 
-K_PER_KM, TOP_M = 0.05, 3000.0
+K_PER_KM = 0.05
+TOP_M = 3000.0
 EARTH_KM = 6371.0
-LEVELS = 100.0 * np.array([200.0, 250, 300, 350, 400, 450, 500, 550, 600, 650, 700, 750, 775, 800,
-                           825, 850, 875, 900, 925, 950, 975, 1000])  # fmt: skip
+LEVELS = 100.0 * np.array(
+    [
+        200.0,
+        250,
+        300,
+        350,
+        400,
+        450,
+        500,
+        550,
+        600,
+        650,
+        700,
+        750,
+        775,
+        800,
+        825,
+        850,
+        875,
+        900,
+        925,
+        950,
+        975,
+        1000,
+    ]
+)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +66,9 @@ def field(flights, balloon):
     """A model of that air, 1.5 K too warm everywhere, with nodes 25 km apart, at two hours."""
     nodes = np.arange(-125.0, 126.0, 25.0)
     shape = (2, LEVELS.size, 2, nodes.size)
-    t, q, height = np.empty(shape), np.empty(shape), np.empty(shape)
+    t = np.empty(shape)
+    q = np.empty(shape)
+    height = np.empty(shape)
     for k, km in enumerate(nodes):
         truth = air_at(flights, balloon, km, bias_k=1.5)
         h = np.interp(-np.log(LEVELS), -np.log(truth.p), truth.h)
@@ -52,8 +79,16 @@ def field(flights, balloon):
     t[1] += 2.0  # it warms by 2 K in four hours
     hours = np.array([0, 4 * 3600], np.int64) * 10**9
     truth = air_at(flights, balloon, 0.0)
-    return ModelField("m.nc", truth.start_ns + hours, balloon.latitude + np.array([-0.01, 0.01]),
-                      east_rad(balloon, nodes), LEVELS, t, q, height)  # fmt: skip
+    return ModelField(
+        "m.nc",
+        truth.start_ns + hours,
+        balloon.latitude + np.array([-0.01, 0.01]),
+        east_rad(balloon, nodes),
+        LEVELS,
+        t,
+        q,
+        height,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -70,15 +105,25 @@ def measured(flights, balloon):
 
 def at_places(measured, field, balloon, km, hours=0.0):
     made, truth = measured
-    whole = TimedProfile(made.time_ns, made.profile, made.covariance,
-                         sampled_at=(balloon.latitude, 0.0, truth.start_ns))  # fmt: skip
+    whole = TimedProfile(
+        made.time_ns,
+        made.profile,
+        made.covariance,
+        sampled_at=(balloon.latitude, 0.0, truth.start_ns),
+    )
     km = np.atleast_1d(np.asarray(km, float))
     times = np.full(km.size, truth.start_ns) + np.int64(hours * 3.6e12)
     ground = float(truth.h[0])
     return add_model_changes(
-        constant_series(whole, km.size), field, times, np.full(km.size, balloon.latitude),
-        east_rad(balloon, km), h_c=[ground + TOP_M], h_g=ground, measured=True,
-    )  # fmt: skip
+        constant_series(whole, km.size),
+        field,
+        times,
+        np.full(km.size, balloon.latitude),
+        east_rad(balloon, km),
+        h_c=[ground + TOP_M],
+        h_g=ground,
+        measured=True,
+    )
 
 
 def test_at_the_ends_of_200_km_the_error_falls_from_3_percent_below_04(
@@ -105,8 +150,10 @@ def test_at_the_ends_of_200_km_the_error_falls_from_3_percent_below_04(
 def test_sigma_grows_from_where_the_air_was_measured(measured, field, balloon):
     series, _ = at_places(measured, field, balloon, [0.0, 50.0, 100.0])
     ground = float(measured[1].h[0])
-    sigmas = [air.covariance.relative_sigma(ground + TOP_M, ground) for air in (
-        series.timed_profiles[i] for i in series.profile_number)]  # fmt: skip
+    sigmas = [
+        air.covariance.relative_sigma(ground + TOP_M, ground)
+        for air in (series.timed_profiles[i] for i in series.profile_number)
+    ]
     own = measured[0].covariance.relative_sigma(ground + TOP_M, ground)
     assert own < sigmas[0] < sigmas[1] < sigmas[2] < 0.02
 
@@ -136,18 +183,28 @@ def test_exposures_without_a_place_keep_the_air_of_the_flight(measured, field, b
 def test_between_two_windows_both_places_count(measured, field, balloon):
     made, truth = measured
     nodes = [
-        TimedProfile(truth.start_ns + k, made.profile, made.covariance,
-                     sampled_at=(balloon.latitude, float(east_rad(balloon, km)), truth.start_ns))
+        TimedProfile(
+            truth.start_ns + k,
+            made.profile,
+            made.covariance,
+            sampled_at=(balloon.latitude, float(east_rad(balloon, km)), truth.start_ns),
+        )
         for k, km in ((0, -40.0), (1, 40.0))
-    ]  # fmt: skip
+    ]
     between = TimedProfile(truth.start_ns, made.profile, neighbours=(*nodes, 0.75))
     ground = float(truth.h[0])
     series, _ = add_model_changes(
-        constant_series(between, 1), field, np.array([truth.start_ns]),
-        np.array([balloon.latitude]), east_rad(balloon, [20.0]),
-        h_c=[ground + TOP_M], h_g=ground, measured=True,
-    )  # fmt: skip
+        constant_series(between, 1),
+        field,
+        np.array([truth.start_ns]),
+        np.array([balloon.latitude]),
+        east_rad(balloon, [20.0]),
+        h_c=[ground + TOP_M],
+        h_g=ground,
+        measured=True,
+    )
     # 0.25 * -40 + 0.75 * 40 = 20 km: nothing changes there.
     h = np.linspace(100.0, 2900.0, 20) + ground
-    np.testing.assert_allclose(series.profiles[0].temperature(h), made.profile.temperature(h),
-                               atol=0.05)  # fmt: skip
+    np.testing.assert_allclose(
+        series.profiles[0].temperature(h), made.profile.temperature(h), atol=0.05
+    )

@@ -45,9 +45,14 @@ def between(flights, a, b, share):
     t = [np.interp(H, one.H, one.t) for one in (a, b)]
     e = [np.interp(H, one.H, np.log(one.e)) for one in (a, b)]
     return flights.Balloon(
-        "between", a.latitude, H, (1.0 - share) * t[0] + share * t[1],
-        np.exp((1.0 - share) * e[0] + share * e[1]), (1.0 - share) * a.p0 + share * b.p0, a.month,
-    )  # fmt: skip
+        "between",
+        a.latitude,
+        H,
+        (1.0 - share) * t[0] + share * t[1],
+        np.exp((1.0 - share) * e[0] + share * e[1]),
+        (1.0 - share) * a.p0 + share * b.p0,
+        a.month,
+    )
 
 
 class Day:
@@ -86,8 +91,10 @@ def legs(seconds: np.ndarray) -> np.ndarray:
 
 def fly(flights, day: Day, sensors, rng, hz: float = 0.5) -> AirSamples:
     """What sensors with the faults of `flights` measure on this day."""
-    s, seconds = sensors, np.arange(0.0, HOURS * 3600.0, 1.0 / hz)
-    above, n = legs(seconds), seconds.size
+    s = sensors
+    seconds = np.arange(0.0, HOURS * 3600.0, 1.0 / hz)
+    above = legs(seconds)
+    n = seconds.size
     t = day.at("t", seconds, above) + s.bias_k
     t += s.transient_k * np.exp(-np.maximum(seconds - 30.0, 0.0) / s.transient_s)
     t += rng.normal(0.0, 1.0, n) * s.noise_k + s.drift_k * flights.walk(rng, seconds, 600.0)
@@ -191,7 +198,8 @@ def test_a_window_uses_what_is_known_of_the_sensors(changing):
     drifting = SensorSettings(
         calibration={SensorFault.THERMOMETER_DRIFT: SensorCalibration(sigma=5.0)}
     )
-    h_c, h_g = float(whole.samples.temperature.h_m.max()), 400.0
+    h_c = float(whole.samples.temperature.h_m.max())
+    h_g = 400.0
     others, _ = estimate_windows(replace(whole, settings=drifting), [h_c], h_g)
     for window, other in zip(windows, others, strict=True):
         if not (window.why_not or other.why_not):
@@ -203,7 +211,8 @@ def test_a_window_uses_what_is_known_of_the_sensors(changing):
 def test_a_window_that_falls_back_is_less_certain(changing):
     """... by what the air changes in four hours, and the ledger says when, in this century."""
     day, whole, _, _ = changing
-    samples, third = whole.samples, day.start_ns + 7200 * SECOND
+    samples = whole.samples
+    third = day.start_ns + 7200 * SECOND
     t = samples.temperature
     spoilt = (t.time_ns > third - 1800 * SECOND) & (t.time_ns < third + 900 * SECOND)
     noise = 15.0 * np.random.default_rng(5).normal(size=t.value.size // 20 + 1).repeat(20)
@@ -240,14 +249,13 @@ class Level:
 
     def __init__(self, flights, balloon) -> None:
         H = np.arange(balloon.H[0], min(balloon.H[-1], 12_000.0), 10.0)
-        t, e = np.interp(H, balloon.H, balloon.t), np.interp(H, balloon.H, np.log(balloon.e))
+        t = np.interp(H, balloon.H, balloon.t)
+        e = np.interp(H, balloon.H, np.log(balloon.e))
         warm = 4.0 * np.exp(-(H - H[0]) / 1500.0)
         self.truths = [
-            flights.Truth(
-                replace(balloon, H=H, t=t + share * warm, e=np.exp(e)), reach=4000.0
-            )
+            flights.Truth(replace(balloon, H=H, t=t + share * warm, e=np.exp(e)), reach=4000.0)
             for share in np.linspace(0.0, 1.0, 7)
-        ]  # fmt: skip
+        ]
         self.ground, self.start_ns = self.truths[0].h[0], self.truths[0].start_ns
         self.latitude = balloon.latitude
 
@@ -267,7 +275,8 @@ class Level:
         t, p = (v[i, rows] + (u - i) * (v[i + 1, rows] - v[i, rows]) for v in (t, p))
         stamps = self.start_ns + (seconds * 1e9).astype(np.int64)
         h = self.ground + above
-        t, p = t + rng.normal(0.0, 0.2, t.size), p + rng.normal(0.0, 5.0, p.size)
+        t = t + rng.normal(0.0, 0.2, t.size)
+        p = p + rng.normal(0.0, 5.0, p.size)
         return AirSamples(
             SensorSamples(
                 stamps, h, t, reasons_where(seconds <= 150.0, Reason.GROUND_SOAK), "thermometer"
@@ -284,7 +293,8 @@ def level(flights, soundings):
 
 
 def sigmas_of_r(series, flight):
-    top, ground = flight.ground + CLIMB, flight.ground
+    top = flight.ground + CLIMB
+    ground = flight.ground
     return np.array(
         [
             series.timed_profiles[i].covariance.relative_sigma(top, ground)
@@ -295,8 +305,10 @@ def sigmas_of_r(series, flight):
 
 def test_sigma_grows_with_the_time_since_the_air_was_sampled(level):
     flight, whole = level
-    times, ledger = flight.times(), Ledger()
-    top, ground = flight.ground + CLIMB, flight.ground
+    times = flight.times()
+    ledger = Ledger()
+    top = flight.ground + CLIMB
+    ground = flight.ground
     assert estimate_windows(whole, [top], ground)[0] == ()
     one = constant_series(TimedProfile(whole.time_ns, whole.profile, whole.covariance), times.size)
     series = ledger.take(add_ageing(one, times, whole.samples, top, ground))
@@ -340,7 +352,9 @@ def test_air_that_was_sampled_before_and_after_is_oldest_between(level):
 def test_fresh_air_stays_as_it_is(changing):
     day, whole, windows, _ = changing
     ledger = Ledger()
-    top, times = day.ground + CLIMB, day.times[:-1]  # in the end it was low 40 minutes ago
+    # in the end it was low 40 minutes ago
+    top = day.ground + CLIMB
+    times = day.times[:-1]
     unaged = interpolate_series([w.air for w in windows], times, [top], day.ground)
     assert ledger.take(add_ageing(unaged, times, whole.samples, top, day.ground + 300.0)) is unaged
     assert list(ledger) == []
@@ -355,7 +369,8 @@ def test_fresh_air_stays_as_it_is(changing):
 
 
 def sensor(hours, above, value=280.0, accepted=True):
-    hours, above = np.asarray(hours, float), np.asarray(above, float)
+    hours = np.asarray(hours, float)
+    above = np.asarray(above, float)
     time_ns = (hours * 3600.0 * SECOND).astype(np.int64)
     refused = np.full(hours.size, not accepted)
     return SensorSamples(
@@ -382,7 +397,7 @@ TIMES = np.linspace(0.0, 4.0, 2001)
         # Nothing of the height that says something.
         (np.full(TIMES.size, 100.0), [(0.0, 4.0)]),
     ],
-)  # fmt: skip
+)
 def test_windows_span_enough_height(heights, expected):
     found = time_windows(AirSamples(sensor(TIMES, heights)))
     assert hours_of(found) == expected
@@ -442,7 +457,8 @@ def test_a_blend_is_linear_and_hydrostatic(pair, share):
         mean = (1 - share) * getattr(a.profile, of)(h) + share * getattr(b.profile, of)(h)
         # p is not linear in T, but nearly: 20 K apart the second order is 2e-4.
         assert getattr(mixed.profile, of)(h) == pytest.approx(mean, rel=4e-4)
-    p, t = mixed.profile.pressure(h), mixed.profile.virtual_temperature(h)
+    p = mixed.profile.pressure(h)
+    t = mixed.profile.virtual_temperature(h)
     g = mixed.profile.gravity.geopotential_height(h)
     slope = np.gradient(np.log(p), g) * t
     assert np.median(slope) == pytest.approx(-9.80665 * 28.9644e-3 / 8.31432, rel=1e-5)
@@ -491,7 +507,8 @@ def test_the_air_at_exposures_is_that_of_their_profile(pair):
     air = interpolate_series(pair, np.array([pair[1].time_ns, pair[0].time_ns]), [3000.0], 400.0)
     h = np.array([1000.0, 2000.0])
     for of in ("pressure", "temperature", "vapour_pressure", "refractivity"):
-        one, other = getattr(pair[1].profile, of)(1000.0), getattr(pair[0].profile, of)(2000.0)
+        one = getattr(pair[1].profile, of)(1000.0)
+        other = getattr(pair[0].profile, of)(2000.0)
         assert getattr(air, of)(h) == pytest.approx([float(one), float(other)])
     assert air.index == US1976.index
     alone = constant_series(TimedProfile(None, US1976), 2)

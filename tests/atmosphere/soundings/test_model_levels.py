@@ -71,10 +71,16 @@ def test_heights_and_pressures_of_model_levels_are_those_of_known_air(first):
     at = np.interp(-full, -log_p, height)
     values = (np.interp(at, height, v)[None, :, None, None] for v in (t, q))
     field = ModelField(
-        "era5.nc", np.zeros(1, np.int64), np.zeros(1), np.zeros(1), np.arange(first, 138.0),
-        *values, surface=np.full((1, 1, 1, 1), ground),
-        log_surface_pa=np.full((1, 1, 1, 1), surface), on_model_levels=True,
-    )  # fmt: skip
+        "era5.nc",
+        np.zeros(1, np.int64),
+        np.zeros(1),
+        np.zeros(1),
+        np.arange(first, 138.0),
+        *values,
+        surface=np.full((1, 1, 1, 1), ground),
+        log_surface_pa=np.full((1, 1, 1, 1), surface),
+        on_model_levels=True,
+    )
     air = field.columns(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))
     low = at < 10_000.0
     assert low.sum() == 57
@@ -85,14 +91,16 @@ def test_heights_and_pressures_of_model_levels_are_those_of_known_air(first):
     np.testing.assert_allclose(air.temperature_k[0], np.interp(at, height, t))
     e = air.vapour[0] * np.exp(full)
     p = np.exp(full)
-    np.testing.assert_allclose(e, p * np.interp(at, height, q) / (
-        0.622 + 0.378 * np.interp(at, height, q)), rtol=1e-6)  # fmt: skip
+    np.testing.assert_allclose(
+        e, p * np.interp(at, height, q) / (0.622 + 0.378 * np.interp(at, height, q)), rtol=1e-6
+    )
 
 
 def test_real_columns_on_coarse_and_model_levels_are_air(flights):
     """Nine soundings and five extremes: inversions of 15 K, a desert's noon, tropopauses."""
     for balloon in (*flights.balloons(), *flights.extremes()):
-        lowest, fine = balloon.H[0], np.arange(balloon.H[0], balloon.H[-1], 5.0)
+        lowest = balloon.H[0]
+        fine = np.arange(balloon.H[0], balloon.H[-1], 5.0)
         t = np.interp(fine, balloon.H, balloon.t)
         vapour = np.exp(np.interp(fine, balloon.H, np.log(balloon.e))) / balloon.p0
         fall = 9.80665 * 28.9644 / 8314.32 * (1.0 - 0.378 * vapour) / t
@@ -111,17 +119,27 @@ def test_real_columns_on_coarse_and_model_levels_are_air(flights):
                 np.interp(-np.log(p), -log_p, v)[None, :, None, None] for v in (t, vapour, fine)
             )
             of_model = kind == "model"
-            one, level = np.ones((1, 1, 1, 1)), np.arange(first + 1.0, 138.0) if of_model else p
+            one = np.ones((1, 1, 1, 1))
+            level = np.arange(first + 1.0, 138.0) if of_model else p
             field = ModelField(
-                balloon.name, np.zeros(1, np.int64), np.zeros(1), np.zeros(1), level, kelvin,
-                0.622 * water / (1.0 - 0.378 * water), on_model_levels=of_model,
-                height=np.empty(0) if of_model else height, surface=lowest * one,
+                balloon.name,
+                np.zeros(1, np.int64),
+                np.zeros(1),
+                np.zeros(1),
+                level,
+                kelvin,
+                0.622 * water / (1.0 - 0.378 * water),
+                on_model_levels=of_model,
+                height=np.empty(0) if of_model else height,
+                surface=lowest * one,
                 log_surface_pa=np.log(balloon.p0) * one,
-            )  # fmt: skip
+            )
             checked, notes = checked_field(field, balloon.name)
             _, more = model_column(checked, (0.0, 0.0, 0), ground_h_m=float(lowest))
             assert {entry.code for entry in (*notes, *more)} <= {
-                "MODEL-UNDERGROUND", "MODEL-EXTENDED"}, (balloon.name, kind)  # fmt: skip
+                "MODEL-UNDERGROUND",
+                "MODEL-EXTENDED",
+            }, (balloon.name, kind)
 
 
 def field_over(latitude_deg: list[float], longitude_deg: list[float]) -> ModelField:

@@ -40,11 +40,14 @@ def counts(ledger: Ledger) -> dict[str, int]:
 
 def metres(geopotential: float, degrees: float) -> float:
     """Height of a geopotential height [m'], by WGS84 normal gravity and Newton's iteration."""
-    latitude, h = math.radians(degrees), geopotential
+    latitude = math.radians(degrees)
+    h = geopotential
     for _ in range(5):
-        work = h / 6.0 * sum(
-            w * normal_gravity(latitude, x * h) for w, x in ((1, 0), (4, 0.5), (1, 1))
-        )  # fmt: skip
+        work = (
+            h
+            / 6.0
+            * sum(w * normal_gravity(latitude, x * h) for w, x in ((1, 0), (4, 0.5), (1, 1)))
+        )
         h += (geopotential * 9.80665 - work) / normal_gravity(latitude, h)
     return h
 
@@ -60,10 +63,13 @@ def check_level(s: Sounding, degrees: float, hpa, geopotential, celsius, dew) ->
     assert s.vapour_pressure_pa[i] == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize(("when", "first"), [
-    ("2010-06-01T01:00", (1009.80, 12.0, 0.0, 0.0)),
-    ("2010-06-01T12:00", (1008.40, 12.0, -1.7, -1.7)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("when", "first"),
+    [
+        ("2010-06-01T01:00", (1009.80, 12.0, 0.0, 0.0)),
+        ("2010-06-01T12:00", (1008.40, 12.0, -1.7, -1.7)),
+    ],
+)
 def test_igra_by_time(files, when, first):
     ledger = Ledger()
     s = read_sounding(files / "igra2_USM00070026_Barrow.txt", ledger, time_ns=ns(when))
@@ -90,7 +96,8 @@ def test_igra_levels_and_release(files):
 
 
 def test_igra_derived(files):
-    path, ledger = files / "igra2_derived_USM00070026_Barrow.txt", Ledger()
+    path = files / "igra2_derived_USM00070026_Barrow.txt"
+    ledger = Ledger()
     s = read_sounding(
         path, ledger, time_ns=ns("2014-09-10T12:00"), latitude_rad=math.radians(71.29)
     )
@@ -265,29 +272,35 @@ def test_unsorted_levels_are_sorted():
         assert np.array_equal(s.temperature_k, reference.temperature_k)
 
 
-@pytest.mark.parametrize(("levels", "words"), [
-    (air(pressure_hpa=None, pressure_pa=standard_hpa(HEIGHTS)), "hPa where Pa is stated"),
-    (air(pressure_hpa=100.0 * standard_hpa(HEIGHTS)), "Pa where hPa is stated"),
-    (air(temperature_c=288.15 - 0.0065 * HEIGHTS), "Kelvin where Celsius is stated"),
-    (air(temperature_c=None, temperature_k=15.0 - 0.0065 * HEIGHTS), "Celsius where Kelvin"),
-    (air(temperature_c=32.0 + 1.8 * (38.0 - 0.0065 * HEIGHTS)), "Fahrenheit"),
-    (air(dew_point_c=278.15 - 0.0065 * HEIGHTS), "dew point"),
-    (air(dew_point_c=None, relative_humidity=55.0 + 0.0 * HEIGHTS), "fraction of one"),
-    (air(dew_point_c=None, relative_humidity_percent=0.55 + 0.0 * HEIGHTS), "fraction of one"),
-    (air(dew_point_c=None, vapour_pressure_hpa=850.0 + 0.0 * HEIGHTS), "vapour pressure"),
-    (air(dew_point_c=4.0 + 0.002 * HEIGHTS), "depressions"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("levels", "words"),
+    [
+        (air(pressure_hpa=None, pressure_pa=standard_hpa(HEIGHTS)), "hPa where Pa is stated"),
+        (air(pressure_hpa=100.0 * standard_hpa(HEIGHTS)), "Pa where hPa is stated"),
+        (air(temperature_c=288.15 - 0.0065 * HEIGHTS), "Kelvin where Celsius is stated"),
+        (air(temperature_c=None, temperature_k=15.0 - 0.0065 * HEIGHTS), "Celsius where Kelvin"),
+        (air(temperature_c=32.0 + 1.8 * (38.0 - 0.0065 * HEIGHTS)), "Fahrenheit"),
+        (air(dew_point_c=278.15 - 0.0065 * HEIGHTS), "dew point"),
+        (air(dew_point_c=None, relative_humidity=55.0 + 0.0 * HEIGHTS), "fraction of one"),
+        (air(dew_point_c=None, relative_humidity_percent=0.55 + 0.0 * HEIGHTS), "fraction of one"),
+        (air(dew_point_c=None, vapour_pressure_hpa=850.0 + 0.0 * HEIGHTS), "vapour pressure"),
+        (air(dew_point_c=4.0 + 0.002 * HEIGHTS), "depressions"),
+    ],
+)
 def test_wrong_units_are_refused(levels, words):
     error = refusal(levels)
     assert error.code == "SOUNDING-UNITS"
     assert words in error.what
 
 
-@pytest.mark.parametrize("levels", [
-    air(geopotential_m=HEIGHTS / 0.3048),
-    air(temperature_c=32.0 + 1.8 * (15.0 - 0.0065 * HEIGHTS)),  # 59 F looks like a hot day
-    air(geopotential_m=HEIGHTS[::-1]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "levels",
+    [
+        air(geopotential_m=HEIGHTS / 0.3048),
+        air(temperature_c=32.0 + 1.8 * (15.0 - 0.0065 * HEIGHTS)),  # 59 F looks like a hot day
+        air(geopotential_m=HEIGHTS[::-1]),
+    ],
+)
 def test_heights_that_contradict_the_air_are_refused(levels):
     assert refusal(levels).code == "SOUNDING-INCONSISTENT"
 
@@ -437,12 +450,15 @@ def test_columns():
     assert said == {"SOUNDING-COLUMNS-UNUSED": 1}
 
 
-@pytest.mark.parametrize(("text", "code"), [
-    ("", "SOUNDING-FORMAT"),
-    ("lorem ipsum", "SOUNDING-FORMAT"),
-    ("h_m,pressure_hpa,pressure_hpa,temperature_c\n", "SOUNDING-COLUMN"),
-    ("h_m,pressure_hpa,temperature_c\n", "SOUNDING-EMPTY"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("", "SOUNDING-FORMAT"),
+        ("lorem ipsum", "SOUNDING-FORMAT"),
+        ("h_m,pressure_hpa,pressure_hpa,temperature_c\n", "SOUNDING-COLUMN"),
+        ("h_m,pressure_hpa,temperature_c\n", "SOUNDING-EMPTY"),
+    ],
+)
 def test_no_sounding(text, code):
     with pytest.raises(InputError) as caught:
         parse_sounding(text, Ledger())
@@ -603,9 +619,10 @@ def igra(day: str, hour: str, release: str, levels: int = 6, announced: int | No
     )
     rows = [
         f"20 -9999 {100 * round(p):6d} {h:5.0f}B{t * 10:5.0f}B-9999    20 -9999 -9999 "
-        for h, p, t in zip(HEIGHTS[:levels], standard_hpa(HEIGHTS), 15.0 - 0.0065 * HEIGHTS,
-                           strict=False)
-    ]  # fmt: skip
+        for h, p, t in zip(
+            HEIGHTS[:levels], standard_hpa(HEIGHTS), 15.0 - 0.0065 * HEIGHTS, strict=False
+        )
+    ]
     return "\n".join([head, *rows, ""])
 
 
@@ -647,7 +664,8 @@ def test_fill_values_of_netcdf(tmp_path):
     levels |= {"dp": levels["tdry"] - 10.0, "rh": 0.0 * HEIGHTS + 50.0}
     levels["tdry"] = np.where(HEIGHTS == 1000.0, -9999.0, levels["tdry"])
     levels["dp"] = np.where(HEIGHTS == 2000.0, -9999.0, levels["dp"])
-    path, ledger = tmp_path / "sonde.cdf", Ledger()
+    path = tmp_path / "sonde.cdf"
+    ledger = Ledger()
     with netcdf_file(path, "w") as file:
         file.createDimension("time", HEIGHTS.size)
         for name, column in levels.items():
@@ -835,8 +853,10 @@ def test_the_present_page_has_time_and_place_in_its_head():
     assert np.degrees([s.latitude_rad, s.longitude_rad]) == pytest.approx([48.2333, 16.35])
 
 
-@pytest.mark.parametrize("heading", ["Observations for Station 11035 at noon", "11035 Wien "
-                                     "Observations at 12Z 12 Mrz 2015"])  # fmt: skip
+@pytest.mark.parametrize(
+    "heading",
+    ["Observations for Station 11035 at noon", "11035 Wien Observations at 12Z 12 Mrz 2015"],
+)
 def test_a_heading_whose_time_cannot_be_read_is_refused(heading):
     with pytest.raises(InputError) as caught:
         parse_sounding(wyoming_of(heading), Ledger(), latitude_rad=0.8)
@@ -882,8 +902,9 @@ def test_a_date_above_the_titles_that_cannot_be_read_is_refused(heading):
         parse_sounding(wyoming_of(heading), Ledger(), latitude_rad=0.8)
 
 
-@pytest.mark.parametrize(("stamp", "told"), [("150312/1137", False), ("140312/1200", True),
-                                             ("150312/0000", True)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("stamp", "told"), [("150312/1137", False), ("140312/1200", True), ("150312/0000", True)]
+)
 def test_a_heading_and_a_time_of_observation_agree(stamp, told):
     page = wyoming_of("11035 Wien Observations at 12Z 12 Mar 2015", f"Observation time: {stamp}")
     if told:

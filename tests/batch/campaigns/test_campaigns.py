@@ -67,8 +67,11 @@ def make_season(mission, folder: Path, missions: int) -> Season:
         (flight / "balloon.csv").write_text(sounding_text(), encoding="utf-8")
         (flight / "mission.yaml").write_text(yaml.safe_dump(own), encoding="utf-8")
     shared = {k: v for k, v in mission.config.items() if k not in (*OWN, "output")}
-    content = {"campaign": {"name": "season", "output": "results"}, "defaults": shared,
-               "missions": ["flights/*/mission.yaml"]}  # fmt: skip
+    content = {
+        "campaign": {"name": "season", "output": "results"},
+        "defaults": shared,
+        "missions": ["flights/*/mission.yaml"],
+    }
     season.file.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return season
 
@@ -261,8 +264,9 @@ def test_one_mission_of_a_campaign_and_what_is_refused(season, unbend):
     assert ended.code == 6
     rows = pq.read_table(season.folder / "results" / "campaign.parquet").to_pylist()
     assert [(row["state"], row["code"]) for row in rows] == [
-        ("done", None), ("refused", "INPUT-MISSING"),
-    ]  # fmt: skip
+        ("done", None),
+        ("refused", "INPUT-MISSING"),
+    ]
     assert rows[1]["exit_code"] == 6
     page = (season.folder / "results" / "campaign.html").read_text(encoding="utf-8")
     assert "the observations file is not there" in page
@@ -283,7 +287,8 @@ class Links(HTMLParser):
 
 def test_the_page_leads_to_each_report_and_nowhere_else(done):
     page = done.folder / "results" / "campaign.html"
-    text, seen = page.read_text(encoding="utf-8"), Links()
+    text = page.read_text(encoding="utf-8")
+    seen = Links()
     seen.feed(text)
     assert seen.links == ["flight-0/report.html", "flight-1/report.html"]
     assert all((page.parent / link).is_file() for link in seen.links)

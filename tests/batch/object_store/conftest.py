@@ -22,8 +22,12 @@ from unbend.batch.object_store import Place, open_store
 pytest.importorskip("obstore")
 
 PREFIXES = "AWS_", "AZURE_", "AZURITE_", "GOOGLE_"
-S3 = {"AWS_ACCESS_KEY_ID": "writer", "AWS_SECRET_ACCESS_KEY": "not-to-be-printed",
-      "AWS_REGION": "us-east-1", "AWS_ALLOW_HTTP": "true"}  # fmt: skip
+S3 = {
+    "AWS_ACCESS_KEY_ID": "writer",
+    "AWS_SECRET_ACCESS_KEY": "not-to-be-printed",
+    "AWS_REGION": "us-east-1",
+    "AWS_ALLOW_HTTP": "true",
+}
 READER = {"AWS_ACCESS_KEY_ID": "reader", "AWS_SECRET_ACCESS_KEY": "not-to-be-printed"}
 
 
@@ -73,10 +77,13 @@ def seaweed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
     folder = tmp_path_factory.mktemp("seaweed")
     rights = {"writer": ["Admin", "Read", "Write", "List"], "reader": ["Read", "List"]}
     users = [
-        {"name": name, "actions": actions,
-         "credentials": [{"accessKey": name, "secretKey": S3["AWS_SECRET_ACCESS_KEY"]}]}
+        {
+            "name": name,
+            "actions": actions,
+            "credentials": [{"accessKey": name, "secretKey": S3["AWS_SECRET_ACCESS_KEY"]}],
+        }
         for name, actions in rights.items()
-    ]  # fmt: skip
+    ]
     (folder / "s3.json").write_text(json.dumps({"identities": users}))
     names = (
         "master.port",
@@ -88,11 +95,21 @@ def seaweed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
     )
     names += "volume.port.grpc", "filer.port.grpc"
     ports = {name: free_port() for name in names}
-    command = [in_environment("weed"), "server", f"-dir={folder}", "-ip=127.0.0.1",
-               "-ip.bind=127.0.0.1", "-s3", "-s3.config=s3.json", "-s3.port.iceberg=0",
-               "-s3.port.lance=0", f"-filer.localSocket={folder}/filer.sock",
-               f"-s3.localSocket={folder}/s3.sock",
-               "-master.volumeSizeLimitMB=64", "-volume.max=20"]  # fmt: skip
+    command = [
+        in_environment("weed"),
+        "server",
+        f"-dir={folder}",
+        "-ip=127.0.0.1",
+        "-ip.bind=127.0.0.1",
+        "-s3",
+        "-s3.config=s3.json",
+        "-s3.port.iceberg=0",
+        "-s3.port.lance=0",
+        f"-filer.localSocket={folder}/filer.sock",
+        f"-s3.localSocket={folder}/s3.sock",
+        "-master.volumeSizeLimitMB=64",
+        "-volume.max=20",
+    ]
     command += [f"-{name}={port}" for name, port in ports.items()]
     with serving(command, ports["s3.port"], folder):
         yield S3 | {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{ports['s3.port']}"}
@@ -117,11 +134,20 @@ def azurite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
     own = Path(os.environ.get("UNBEND_AZURITE", "none")) / "node_modules/.bin/azurite-blob"
     program = str(own) if own.exists() else in_environment("azurite-blob")
     port = free_port()
-    command = [program, "--location", str(folder), "--blobPort", str(port), "--silent",
-               "--skipApiVersionCheck"]  # fmt: skip
+    command = [
+        program,
+        "--location",
+        str(folder),
+        "--blobPort",
+        str(port),
+        "--silent",
+        "--skipApiVersionCheck",
+    ]
     with serving(command, port, folder):
-        yield {"AZURE_STORAGE_USE_EMULATOR": "true",
-               "AZURITE_BLOB_STORAGE_URL": f"http://127.0.0.1:{port}"}  # fmt: skip
+        yield {
+            "AZURE_STORAGE_USE_EMULATOR": "true",
+            "AZURITE_BLOB_STORAGE_URL": f"http://127.0.0.1:{port}",
+        }
 
 
 @pytest.fixture
@@ -150,9 +176,12 @@ def make_bucket(environment: dict[str, str], name: str) -> None:
         import boto3
 
         client = boto3.client(
-            "s3", endpoint_url=endpoint, region_name="us-east-1",
-            aws_access_key_id="writer", aws_secret_access_key=S3["AWS_SECRET_ACCESS_KEY"],
-        )  # fmt: skip
+            "s3",
+            endpoint_url=endpoint,
+            region_name="us-east-1",
+            aws_access_key_id="writer",
+            aws_secret_access_key=S3["AWS_SECRET_ACCESS_KEY"],
+        )
         client.create_bucket(Bucket=name)
         return
     from base64 import b64decode, b64encode
@@ -168,8 +197,12 @@ def make_bucket(environment: dict[str, str], name: str) -> None:
     text = "PUT" + "\n" * 12 + f"x-ms-date:{date}\nx-ms-version:2021-08-06\n"
     text += f"/{account}/{account}/{name}\nrestype:container"
     signature = b64encode(new(b64decode(key), text.encode(), sha256).digest()).decode()
-    headers = {"x-ms-date": date, "x-ms-version": "2021-08-06", "Content-Length": "0",
-               "Authorization": f"SharedKey {account}:{signature}"}  # fmt: skip
+    headers = {
+        "x-ms-date": date,
+        "x-ms-version": "2021-08-06",
+        "Content-Length": "0",
+        "Authorization": f"SharedKey {account}:{signature}",
+    }
     url = f"{environment['AZURITE_BLOB_STORAGE_URL']}/{account}/{name}?restype=container"
     urlopen(Request(url, method="PUT", headers=headers), timeout=30)
 

@@ -53,9 +53,10 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
         assert (attempt / name).read()[0] == (baseline.output / name).read_bytes(), name
     assert manifest.values["observations"] == here["observations"]
     assert set(results.objects()) == {
-        "manifest.json", f"runs/{manifest.run.fingerprint}.json",
+        "manifest.json",
+        f"runs/{manifest.run.fingerprint}.json",
         *(f"attempts/{manifest.run.attempt}/{item.name}" for item in manifest.run.outputs),
-    }  # fmt: skip
+    }
     text = (results / "manifest.json").read()[0].decode() + ended.text
     assert "not-to-be-printed" not in text
     assert str(tmp_path) not in text.replace(str(stored.file), "")
@@ -92,8 +93,9 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
     now = read_manifest(results)
     assert now.results.observations.rows == manifest.results.observations.rows - 1
     assert {name.split("/")[1] for name in results.objects() if "/" in name} == {
-        now.run.attempt, f"{now.run.fingerprint}.json"
-    }  # fmt: skip
+        now.run.attempt,
+        f"{now.run.fingerprint}.json",
+    }
 
 
 def test_a_publication_that_was_cut_off_is_finished_without_a_run(stored, s3_place, monkeypatch):
@@ -168,7 +170,8 @@ def test_results_that_are_replaced_while_they_are_exported(
 
 @pytest.mark.parametrize("when", ["before", "while"])
 def test_an_input_that_changes_meanwhile_is_refused(stored, s3_place, monkeypatch, when):
-    log, prepare = s3_place / "flight.bin", runs.prepare
+    log = s3_place / "flight.bin"
+    prepare = runs.prepare
 
     def change(plan, *arguments):
         if when == "while":

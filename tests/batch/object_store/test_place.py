@@ -26,11 +26,15 @@ SECRET = "hunter2"
 @pytest.mark.parametrize(
     "url",
     [
-        f"s3://me:{SECRET}@bucket/key", f"az://container/key?sv=1&sig={SECRET}",
-        f"s3://bucket/key#{SECRET}", f"s3://{SECRET}@bucket", f"https://x/y?X-Amz-Signature={SECRET}",
-        f"s3://bucket?{SECRET}", f"S3://bucket/?{SECRET}",
+        f"s3://me:{SECRET}@bucket/key",
+        f"az://container/key?sv=1&sig={SECRET}",
+        f"s3://bucket/key#{SECRET}",
+        f"s3://{SECRET}@bucket",
+        f"https://x/y?X-Amz-Signature={SECRET}",
+        f"s3://bucket?{SECRET}",
+        f"S3://bucket/?{SECRET}",
     ],
-)  # fmt: skip
+)
 def test_secrets_in_a_url_are_refused_and_not_repeated(url, mission):
     for key in ("log", "observations", "output"):
         mission.config[key]["path"], before = url, mission.config[key]["path"]
@@ -45,12 +49,26 @@ def test_secrets_in_a_url_are_refused_and_not_repeated(url, mission):
 @pytest.mark.parametrize(
     "url",
     [
-        "s3://bucket/../other", "s3://bucket/a/../../b", "s3://bucket/./a", "s3://bucket//a",
-        "s3://bucket/a//b", "s3://bucket/a\\..\\b", "s3://bucket/a\n", "s3:///key", "s3://",
-        "s3:/b/k", "s3://../key", "s3://Bucket/key", "S3://bucket/key", "gcs://bucket/key", "file:///etc/passwd",
-        "http://bucket/key", "s3://bucket:80/key", "s3://bucket/a\x00",
+        "s3://bucket/../other",
+        "s3://bucket/a/../../b",
+        "s3://bucket/./a",
+        "s3://bucket//a",
+        "s3://bucket/a//b",
+        "s3://bucket/a\\..\\b",
+        "s3://bucket/a\n",
+        "s3:///key",
+        "s3://",
+        "s3:/b/k",
+        "s3://../key",
+        "s3://Bucket/key",
+        "S3://bucket/key",
+        "gcs://bucket/key",
+        "file:///etc/passwd",
+        "http://bucket/key",
+        "s3://bucket:80/key",
+        "s3://bucket/a\x00",
     ],
-)  # fmt: skip
+)
 def test_what_is_no_url_of_object_storage(url):
     assert is_url(url)
     with pytest.raises(ConfigError) as refused:
@@ -80,8 +98,10 @@ def test_the_folder_of_an_input(place):
     copy = fetch(found)
     assert copy.name == "sparse"
     assert {str(p.relative_to(copy)): p.read_bytes() for p in copy.rglob("*") if p.is_file()} == {
-        "cameras.txt": b"1", "0/images.txt": b"2", "empty": b""
-    }  # fmt: skip
+        "cameras.txt": b"1",
+        "0/images.txt": b"2",
+        "empty": b"",
+    }
     assert (folder / "cameras.txt").put(b"3", "overwrite")
     with pytest.raises(InputError) as refused:
         fetch(found, anew=True)
@@ -243,8 +263,11 @@ DENIED = b"<Error><Code>AccessDenied</Code><Message>Access Denied</Message></Err
 )
 def test_answers_of_a_store(use, scheme, status, body, code):
     with answering(status, body, {}) as url:
-        use(S3 | {"AWS_ENDPOINT_URL": url} if scheme == "s3" else
-            {"AZURE_STORAGE_USE_EMULATOR": "true", "AZURITE_BLOB_STORAGE_URL": url})  # fmt: skip
+        use(
+            S3 | {"AWS_ENDPOINT_URL": url}
+            if scheme == "s3"
+            else {"AZURE_STORAGE_USE_EMULATOR": "true", "AZURITE_BLOB_STORAGE_URL": url}
+        )
         place = Place.of(f"{scheme}://season/a")
         for call in (place.read, place.head, place.objects, lambda: place.put(b"", None)):
             assert refusal(call).code == code
@@ -257,8 +280,12 @@ def test_a_store_that_overwrites_in_spite_of_a_condition(use):
 
 
 def test_a_download_that_is_cut_off(use, tmp_path):
-    headers = {"ETag": '"1"', "Last-Modified": "Mon, 23 Nov 2026 01:00:00 GMT",
-               "Content-Length": "1000", "Content-Range": "bytes 0-999/1000"}  # fmt: skip
+    headers = {
+        "ETag": '"1"',
+        "Last-Modified": "Mon, 23 Nov 2026 01:00:00 GMT",
+        "Content-Length": "1000",
+        "Content-Range": "bytes 0-999/1000",
+    }
     with answering(206, b"x" * 400, headers) as url:
         use(S3 | {"AWS_ENDPOINT_URL": url})
         place = Place.of("s3://season/a")

@@ -60,10 +60,12 @@ def test_races_of_two_writers(place, tmp_path, record_property):
     draw = random.Random(SEED)
     won = {"both the same run": 0, "two runs": 0}
     for race in range(RACES):
-        at, same = place / str(race), draw.random() < 0.5
+        at = place / str(race)
+        same = draw.random() < 0.5
         if draw.random() < 0.5:  # results of an earlier run are there
             publish(at, tmp_path / "earlier", 0)
-        barrier, over = threading.Barrier(2), threading.Event()
+        barrier = threading.Barrier(2)
+        over = threading.Event()
 
         def look(at=at, over=over) -> int:
             seen = 0
@@ -100,7 +102,8 @@ def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
     number = 0
     while True:
         number += 1
-        at, left = s3_place / str(number), number
+        at = s3_place / str(number)
+        left = number
         old = publish(at, tmp_path, 0)
 
         def counted(*arguments, **options):
@@ -164,9 +167,7 @@ def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend):
     with monkeypatch.context() as patch:
         patch.setattr(remote, "datetime", Later)
         ended = unbend("verify", s3_place, "--remove-leftovers", "--json")
-    assert json.loads(ended.out) == {
-        "removed": [f"{s3_place}/one/attempts/{'0' * 32}/"], "kept": 0
-    }  # fmt: skip
+    assert json.loads(ended.out) == {"removed": [f"{s3_place}/one/attempts/{'0' * 32}/"], "kept": 0}
     assert set(s3_place.objects()) == everything - {orphan}
     assert verify_run(s3_place / "one") == done
     assert (
@@ -177,13 +178,17 @@ def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend):
 
 def test_objects_of_other_programs_stay(s3_place, tmp_path, unbend):
     ours = made(tmp_path, 1)
-    group, run = f"attempts/{'a' * 32}", f"one/runs/{ours.run.fingerprint}.json"
+    group = f"attempts/{'a' * 32}"
+    run = f"one/runs/{ours.run.fingerprint}.json"
     removed = {run, f"one/{group}/stations.parquet", f"one/{group}/observations/part-00001.parquet"}
     others = {
-        f"other/{group}/model.pkl", f"other/{group}/stations.parquet", f"mixed/{group}/report.html",
-        f"mixed/{group}/observations/part-1.parquet", f"other/runs/{'b' * 64}.json",
+        f"other/{group}/model.pkl",
+        f"other/{group}/stations.parquet",
+        f"mixed/{group}/report.html",
+        f"mixed/{group}/observations/part-1.parquet",
+        f"other/runs/{'b' * 64}.json",
         f"other/runs/{ours.run.fingerprint}.json",
-    }  # fmt: skip
+    }
     for name in removed | others:
         assert (s3_place / name).put(b'{"fingerprint": "own"}', None)
     assert (s3_place / run).put(json.dumps(ours.values, indent=2).encode(), "overwrite")

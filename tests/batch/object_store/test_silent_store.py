@@ -69,16 +69,22 @@ def test_a_store_that_accepts_and_says_nothing(use, impatient, scheme, tmp_path,
     file.write_bytes(b"x" * 1000)
     with accepting() as url:
         asked = count_requests(monkeypatch)
-        use(S3 | {"AWS_ENDPOINT_URL": url} if scheme == "s3" else
-            {"AZURE_STORAGE_USE_EMULATOR": "true", "AZURITE_BLOB_STORAGE_URL": url})  # fmt: skip
+        use(
+            S3 | {"AWS_ENDPOINT_URL": url}
+            if scheme == "s3"
+            else {"AZURE_STORAGE_USE_EMULATOR": "true", "AZURITE_BLOB_STORAGE_URL": url}
+        )
         place = Place.of(f"{scheme}://season/a")
         calls = {
             "read": [place.read, place.head, lambda: list(place.blocks())],
             "list": [place.objects],
-            "write": [lambda: place.put(b"", None), lambda: place.put(file, "overwrite"),
-                      lambda: remote.rehearse(place)],
+            "write": [
+                lambda: place.put(b"", None),
+                lambda: place.put(file, "overwrite"),
+                lambda: remote.rehearse(place),
+            ],
             "delete": [lambda: place.remove(["b"])],
-        }  # fmt: skip
+        }
         for verb, several in calls.items():
             for call in several:
                 began_s = time.monotonic()

@@ -15,18 +15,27 @@ ROWS = 300
 WORDS = np.arange(1, 33, dtype="<i2")
 FORMS = {
     "GPS": {
-        "TimeUS": "Q", "I": "B", "Status": "B", "GMS": "I", "GWk": "H",
-        "Lat": "L", "Lng": "L", "Alt": "e",
+        "TimeUS": "Q",
+        "I": "B",
+        "Status": "B",
+        "GMS": "I",
+        "GWk": "H",
+        "Lat": "L",
+        "Lng": "L",
+        "Alt": "e",
     },
     "BARO": {"TimeUS": "Q", "I": "B", "Press": "f", "Temp": "c"},
-}  # fmt: skip
+}
 SIZES = {"Q": 8, "B": 1, "I": 4, "H": 2, "L": 4, "e": 4, "f": 4, "c": 2, "N": 16}
 
 
 def written(
-    dataflash_writer: Callable, field: str = "", letter: str = "", message: str = "BARO",
+    dataflash_writer: Callable,
+    field: str = "",
+    letter: str = "",
+    message: str = "BARO",
     more: Callable[[Any], None] = lambda _: None,
-) -> bytes:  # fmt: skip
+) -> bytes:
     """A log with a receiver and a barometer; a field of one of them has another letter."""
     writer = dataflash_writer()
     other = {"a": [WORDS.tobytes()[k : k + 16] for k in range(0, 64, 16)], "N": [b"wet"]}
@@ -111,11 +120,18 @@ def test_an_instance_that_is_a_text_ends_no_log(
 @pytest.mark.parametrize(
     ("message", "field", "letter"),
     [
-        ("BARO", "I", "a"), ("BARO", "TimeUS", "a"), ("GPS", "I", "a"), ("GPS", "TimeUS", "a"),
-        ("GPS", "Status", "a"), ("GPS", "Status", "N"), ("GPS", "GMS", "a"), ("GPS", "GMS", "N"),
-        ("GPS", "GWk", "a"), ("GPS", "GWk", "N"),
+        ("BARO", "I", "a"),
+        ("BARO", "TimeUS", "a"),
+        ("GPS", "I", "a"),
+        ("GPS", "TimeUS", "a"),
+        ("GPS", "Status", "a"),
+        ("GPS", "Status", "N"),
+        ("GPS", "GMS", "a"),
+        ("GPS", "GMS", "N"),
+        ("GPS", "GWk", "a"),
+        ("GPS", "GWk", "N"),
     ],
-)  # fmt: skip
+)
 def test_what_places_a_row_and_is_no_number(
     dataflash_writer: Callable, opened: Callable, message: str, field: str, letter: str
 ) -> None:

@@ -267,7 +267,8 @@ def test_a_grown_log_is_one_long_flight(tmp_path: Path, grower: ModuleType) -> N
     path = tmp_path / "grown.bin"
     size = grower.grow(SAMPLE, path, 3 * SAMPLE.stat().st_size - 1)
     assert size == path.stat().st_size == 3 * SAMPLE.stat().st_size
-    log, once = open_log(path), open_log(SAMPLE)
+    log = open_log(path)
+    once = open_log(SAMPLE)
     assert log.boots == 1
     assert log.duration_s == pytest.approx(3 * once.duration_s, rel=0.01)
     assert len(log.channel("ATT")) == 3 * len(once.channel("ATT"))

@@ -14,7 +14,10 @@ from unbend.ingest import Log, open_log
 from unbend.ingest.buffers import FileView, view_of_bytes
 from unbend.ingest.dataflash.dataflash_records import find_records
 
-BARO, HYGR, GPS, POS = 23, 24, 20, 25
+BARO = 23
+HYGR = 24
+GPS = 20
+POS = 25
 ROWS = 400
 
 
@@ -64,11 +67,16 @@ def test_the_log_is_whole(tmp_path: Path, dataflash_writer: Callable) -> None:
 @pytest.mark.parametrize(
     ("message", "field", "column"),
     [
-        ("BARO", "Press", "pressure_pa"), ("HYGR", "Humidity", "relative_humidity"),
-        ("HYGR", "Temp", "temperature_k"), ("GPS", "Alt", "h_msl_m"), ("POS", "Alt", "h_msl_m"),
-        ("GPS", "GMS", "GMS"), ("GPS", "Status", "Status"), ("BARO", "TimeUS", "TimeUS"),
+        ("BARO", "Press", "pressure_pa"),
+        ("HYGR", "Humidity", "relative_humidity"),
+        ("HYGR", "Temp", "temperature_k"),
+        ("GPS", "Alt", "h_msl_m"),
+        ("POS", "Alt", "h_msl_m"),
+        ("GPS", "GMS", "GMS"),
+        ("GPS", "Status", "Status"),
+        ("BARO", "TimeUS", "TimeUS"),
     ],
-)  # fmt: skip
+)
 def test_a_flipped_bit_in_the_name_of_a_field(
     tmp_path: Path, dataflash_writer: Callable, message: str, field: str, column: str
 ) -> None:
@@ -147,15 +155,21 @@ def test_text_and_numbers_under_one_name(
 @pytest.mark.parametrize(
     ("first", "then", "kind"),
     [
-        (("Q", 2**53 + 1), ("B", 7), "u"), (("Q", 2**53 + 1), ("i", -7), "i"),
-        (("Q", 2**63 + 1), ("i", -7), "O"), (("Q", 2**53 + 1), ("f", 0.5), "O"),
+        (("Q", 2**53 + 1), ("B", 7), "u"),
+        (("Q", 2**53 + 1), ("i", -7), "i"),
+        (("Q", 2**63 + 1), ("i", -7), "O"),
+        (("Q", 2**53 + 1), ("f", 0.5), "O"),
         (("Q", 5), ("f", 0.5), "f"),
     ],
-)  # fmt: skip
+)
 def test_integers_of_two_definitions_stay_exact(
-    tmp_path: Path, dataflash_writer: Callable, monkeypatch: pytest.MonkeyPatch,
-    first: tuple[str, int], then: tuple[str, float], kind: str,
-) -> None:  # fmt: skip
+    tmp_path: Path,
+    dataflash_writer: Callable,
+    monkeypatch: pytest.MonkeyPatch,
+    first: tuple[str, int],
+    then: tuple[str, float],
+    kind: str,
+) -> None:
     writer = written(dataflash_writer)
     monkeypatch.setitem(writer.row.__globals__["LETTERS"], "i", ("i", 1))
     for letter, value in (first, then):

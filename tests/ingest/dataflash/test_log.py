@@ -66,7 +66,8 @@ def test_columns_are_those_of_the_library_bit_for_bit(name: str) -> None:
         ("BARO", "board_temperature_k"): ("Temp", 1.0, 273.15),
     }
     for (message, column), (field, factor, offset) in expected.items():
-        rows, channel = library_rows(path, message), log.channel(named[message])
+        rows = library_rows(path, message)
+        channel = log.channel(named[message])
         theirs = np.array([getattr(row, field) for row in rows]) * factor + offset
         np.testing.assert_array_equal(channel[column], theirs)
         times = np.array([row.TimeUS for row in rows], np.int64)
@@ -101,7 +102,8 @@ def test_two_cameras_and_triggers_are_apart(real_log: Callable[[str], Path]) -> 
 
 def test_barometers_by_instance_and_no_utc_without_gps(real_log: Callable[[str], Path]) -> None:
     log = open_log(real_log("ardusub_small.BIN"))
-    hull, outside = log.channel("BARO[0]"), log.channel("BARO[1]")
+    hull = log.channel("BARO[0]")
+    outside = log.channel("BARO[1]")
     assert np.median(hull["board_temperature_k"]) == pytest.approx(273.15 + 47, abs=1)
     assert np.median(outside["board_temperature_k"]) < 273.15 + 40
     assert "temperature_k" not in hull.columns
@@ -122,17 +124,28 @@ def flight(dataflash_writer: Callable) -> Callable:
         writer.define(24, "HYGR", "QBff", "TimeUS,Id,Humidity,Temp")
         writer.define(25, "TEMP", "QBf", "TimeUS,Instance,Temp")
         writer.define(
-            26, "CAM", "QIHLLeeeccC",
+            26,
+            "CAM",
+            "QIHLLeeeccC",
             "TimeUS,GPSTime,GPSWeek,Lat,Lng,Alt,RelAlt,GPSAlt,Roll,Pitch,Yaw",
-        )  # fmt: skip
+        )
         for k in range(rows):
             t = 5_000_000 + k * 200_000
             status = 1 if k < 4 else 3
             for unit in (0, 1):
                 writer.row(
-                    "GPS", t + unit, unit, status, 1000 + 200 * k, 1928, 12, 0.8,
-                    47.0 + k * 1e-4, -122.5, 600.25 + k,
-                )  # fmt: skip
+                    "GPS",
+                    t + unit,
+                    unit,
+                    status,
+                    1000 + 200 * k,
+                    1928,
+                    12,
+                    0.8,
+                    47.0 + k * 1e-4,
+                    -122.5,
+                    600.25 + k,
+                )
             # the second receiver does not know its ellipsoidal height: INT32_MIN
             writer.row("GPA", t, 0, 1.1, 0.5, 0.75, 580.5 + k)
             writer.row("GPA", t + 1, 1, 1.1, 0.25, 0.5, -(2**31) / 100)
@@ -155,7 +168,8 @@ def opened(tmp_path: Path, data: bytes) -> Log:
 
 def test_known_flight(tmp_path: Path, flight: Callable) -> None:
     log = opened(tmp_path, flight())
-    first, second = log.channel("GPS[0]"), log.channel("GPS[1]")
+    first = log.channel("GPS[0]")
+    second = log.channel("GPS[1]")
     assert (len(first), first.rank, second.rank) == (36, 20, 30)
     assert first.roles == ("height", "position")
     np.testing.assert_array_equal(first["h_ellipsoid_m"], 584.5 + np.arange(36))
@@ -384,7 +398,8 @@ def test_a_definition_without_a_needed_field_is_a_loss(
 
 
 def test_any_damage_opens_or_refuses(tmp_path: Path, flight: Callable) -> None:
-    data, whole = flight(), walk(flight())
+    data = flight()
+    whole = walk(flight())
     source = random.Random(11)
     for _ in range(60):
         damaged = bytearray(data)

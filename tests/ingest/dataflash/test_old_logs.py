@@ -21,15 +21,17 @@ def as_32(path: Path, writer: Any) -> bytes:
     """A log as ArduPilot 3.2 would have written it, from one of today with the same content."""
     kinds = ["GPS", "ATT", "BARO", "CAM"]
     tables = read_tables(path, kinds)
-    writer.define(20, "GPS", "BIHBcLLeeECfI",
-                  "Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T")  # fmt: skip
+    writer.define(
+        20, "GPS", "BIHBcLLeeECfI", "Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T"
+    )
     writer.define(21, "ATT", "IccccCC", "TimeMS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
     writer.define(22, "BARO", "Iffc", "TimeMS,Alt,Press,Temp")
     writer.define(23, "CAM", "IHLLeeccC", "GPSTime,GPSWeek,Lat,Lng,Alt,RelAlt,Roll,Pitch,Yaw")
     writer.define(24, "MSG", "N", "Message")
     writer.define(25, "PARM", "Nf", "Name,Value")
     writer.row("PARM", b"GPS_TYPE", 1.0)
-    head, rows = writer.data, []
+    head = writer.data
+    rows = []
 
     def written(name: str, *values: float | bytes) -> bytes:
         writer.data = b""
@@ -44,13 +46,35 @@ def as_32(path: Path, writer: Any) -> bytes:
             ms = time_us // 1000
             values: tuple = (ms, 0.0, t["Press"][k], t["Temp"][k]) if kind == "BARO" else ()
             if kind == "GPS":
-                values = (3, t["GMS"][k], t["GWk"][k], 10, 1.2, t["Lat"][k], t["Lng"][k], 0.0,
-                          t["Alt"][k], 12.0, 90.0, 0.5, ms)  # fmt: skip
+                values = (
+                    3,
+                    t["GMS"][k],
+                    t["GWk"][k],
+                    10,
+                    1.2,
+                    t["Lat"][k],
+                    t["Lng"][k],
+                    0.0,
+                    t["Alt"][k],
+                    12.0,
+                    90.0,
+                    0.5,
+                    ms,
+                )
             elif kind == "ATT":
                 values = (ms, 0.0, t["Roll"][k], 0.0, t["Pitch"][k], 0.0, t["Yaw"][k] % 360.0)
             elif kind == "CAM":
-                values = (t["GPSTime"][k], t["GPSWeek"][k], t["Lat"][k], t["Lng"][k], t["Alt"][k],
-                          t["RelAlt"][k], 0.0, 0.0, 0.0)  # fmt: skip
+                values = (
+                    t["GPSTime"][k],
+                    t["GPSWeek"][k],
+                    t["Lat"][k],
+                    t["Lng"][k],
+                    t["Alt"][k],
+                    t["RelAlt"][k],
+                    0.0,
+                    0.0,
+                    0.0,
+                )
             rows.append((time_us, kinds.index(kind), written(kind, *values)))
     rows.sort()
     half = len(rows) // 2
@@ -60,8 +84,10 @@ def as_32(path: Path, writer: Any) -> bytes:
 
 def last_fixes(path: Path) -> bytes:
     """The log with the time of the last fix in each CAM row, as autopilots write it."""
-    tables, data = read_tables(path, ["GPS", "CAM"]), bytearray(path.read_bytes())
-    fixes, shots = tables["GPS"], tables["CAM"]
+    tables = read_tables(path, ["GPS", "CAM"])
+    data = bytearray(path.read_bytes())
+    fixes = tables["GPS"]
+    shots = tables["CAM"]
     row = np.searchsorted(fixes["TimeUS"], shots["TimeUS"], side="right") - 1
     for k, time_us in enumerate(shots["TimeUS"].tolist()):
         at = data.index(struct.pack("<Q", time_us) + struct.pack("<BH", 0, shots["Img"][k]))
@@ -95,7 +121,8 @@ def test_the_same_flight_as_today(both: tuple[Log, Log]) -> None:
     today, old = both
     assert not old.ledger.has_losses
     assert old.parameters == {"GPS_TYPE": 1.0}
-    now, then = today.channel("ATT"), old.channel("ATT")
+    now = today.channel("ATT")
+    then = old.channel("ATT")
     late_ns = receivers_delay_ns(today)
     # both clocks are cut to 1 ms
     assert np.abs(now.time_ns - late_ns - then.time_ns).max() < 2_000_000

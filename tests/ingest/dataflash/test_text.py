@@ -56,7 +56,8 @@ def text(binary: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_cell_is_that_of_the_library(
     text: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    log, cells = open_log(text), 0
+    log = open_log(text)
+    cells = 0
     theirs = library_tables(text)
     counts = {name: len(next(iter(columns.values()))) for name, columns in theirs.items()}
     if theirs.pop("UNIT", None) is not None:  # the library loses the one whose label is empty
@@ -78,7 +79,8 @@ def test_every_cell_is_that_of_the_library(
 
 
 def test_the_channels_are_those_of_the_binary_log(binary: Path, text: Path) -> None:
-    told, expected = open_log(text), open_log(binary)
+    told = open_log(text)
+    expected = open_log(binary)
     assert told.format == "dataflash-text"
     assert (told.boots, told.start_ns) == (expected.boots, expected.start_ns)
     assert [channel.name for channel in told.channels] == [

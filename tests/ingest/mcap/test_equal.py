@@ -110,15 +110,22 @@ def text(draw: random.Random) -> str:
 
 def varying_message(draw: random.Random) -> dict:
     return {
-        "s": text(draw), "a": draw.random(), "many": [text(draw) for _ in range(draw.randrange(3))],
+        "s": text(draw),
+        "a": draw.random(),
+        "many": [text(draw) for _ in range(draw.randrange(3))],
         "b": draw.random() < 0.5,
         "ps": [{"x": 1.0, "name": text(draw)} for _ in range(draw.randrange(3))],
-        "arr": [1.0, 2.0, draw.random()], "c": draw.randrange(-9, 9), "t": text(draw),
+        "arr": [1.0, 2.0, draw.random()],
+        "c": draw.randrange(-9, 9),
+        "t": text(draw),
         "two": [{"q": 1, "r": draw.random()}, {"q": -1, "r": draw.random()}],
-        "raw": bytes(draw.randrange(9)), "seq": [1.0] * draw.randrange(4),
+        "raw": bytes(draw.randrange(9)),
+        "seq": [1.0] * draw.randrange(4),
         "after": draw.randrange(-9, 9),
-        "z": draw.randrange(1 << 40), "e": {}, "ch": draw.randrange(99),
-    }  # fmt: skip
+        "z": draw.randrange(1 << 40),
+        "e": {},
+        "ch": draw.randrange(99),
+    }
 
 
 def test_layouts_that_vary_from_message_to_message(tmp_path: Path) -> None:
@@ -193,19 +200,28 @@ def location_fix() -> Any:
     from google.protobuf.message_factory import GetMessageClass
 
     file = FileDescriptorProto(
-        name="foxglove/LocationFix.proto", package="foxglove", syntax="proto3",
+        name="foxglove/LocationFix.proto",
+        package="foxglove",
+        syntax="proto3",
         dependency=["google/protobuf/timestamp.proto"],
-    )  # fmt: skip
+    )
     message = file.message_type.add(name="LocationFix")
-    double, optional = Field.TYPE_DOUBLE, Field.LABEL_OPTIONAL
-    message.field.add(name="timestamp", number=6, type=Field.TYPE_MESSAGE, label=optional,
-                      type_name=".google.protobuf.Timestamp")  # fmt: skip
+    double = Field.TYPE_DOUBLE
+    optional = Field.LABEL_OPTIONAL
+    message.field.add(
+        name="timestamp",
+        number=6,
+        type=Field.TYPE_MESSAGE,
+        label=optional,
+        type_name=".google.protobuf.Timestamp",
+    )
     message.field.add(name="frame_id", number=7, type=Field.TYPE_STRING, label=optional)
     for number, name in enumerate(("latitude", "longitude", "altitude"), 1):
         message.field.add(name=name, number=number, type=double, label=optional)
     message.field.add(name="position_covariance", number=4, type=double, label=Field.LABEL_REPEATED)
-    message.field.add(name="position_covariance_type", number=5, type=Field.TYPE_INT32,
-                      label=optional)  # fmt: skip
+    message.field.add(
+        name="position_covariance_type", number=5, type=Field.TYPE_INT32, label=optional
+    )
     pool = DescriptorPool()
     pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
     pool.Add(file)
@@ -221,15 +237,21 @@ def test_protobuf_of_foxglove(tmp_path: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         for k in range(300):
-            fix = kind(frame_id="gps", latitude=47 + k / 3e6, longitude=-122 - k / 7e6,
-                       altitude=580.0 + k / 9, position_covariance=[4, 0, 0, 0, 2, 0, 0, 0, 9],
-                       position_covariance_type=2)  # fmt: skip
+            fix = kind(
+                frame_id="gps",
+                latitude=47 + k / 3e6,
+                longitude=-122 - k / 7e6,
+                altitude=580.0 + k / 9,
+                position_covariance=[4, 0, 0, 0, 2, 0, 0, 0, 9],
+                position_covariance_type=2,
+            )
             fix.timestamp.seconds, fix.timestamp.nanos = divmod(START + k * SECOND // 5, SECOND)
             messages.append(fix)
             writer.write_message("/fix", fix, START + k, START + k)
         writer.finish()
     log = open_log(path)
-    fix, table = log.channel("/fix"), log.message("/fix")
+    fix = log.channel("/fix")
+    table = log.message("/fix")
     np.testing.assert_array_equal(fix.time_ns, START + np.arange(300) * SECOND // 5)
     for column, field in (("lat_rad", "latitude"), ("lon_rad", "longitude")):
         theirs = np.array([getattr(message, field) for message in messages])
@@ -285,10 +307,13 @@ def test_json_with_times_of_any_form(tmp_path: Path) -> None:
         START // 10**6 + 500,
     ]
     rows = [
-        (f"/fix{k}", "foxglove.LocationFix",
-         {"timestamp": form, "latitude": 47.5, "longitude": -122.5, "altitude": 580.0})
+        (
+            f"/fix{k}",
+            "foxglove.LocationFix",
+            {"timestamp": form, "latitude": 47.5, "longitude": -122.5, "altitude": 580.0},
+        )
         for k, form in enumerate(forms)
-    ]  # fmt: skip
+    ]
     rows += [
         ("/cabin", "acme.Reading", {"timestamp": forms[0], "value": 21.5, "unit": "degC"}),
         ("/cabin", "acme.Reading", {"timestamp": forms[0] | {"nsec": 6 * 10**8}}),
@@ -341,17 +366,44 @@ def px4_log(path: Path, *, utc: bool = True) -> Log:
         for k in range(40):
             us = 60_000_000 + 200_000 * k
             unix = START // 1000 + us if utc else 0
-            send("SensorGps", us, time_utc_usec=unix, latitude_deg=47.5, longitude_deg=-122.5,
-                 altitude_msl_m=600.0, altitude_ellipsoid_m=580.0, eph=0.5, epv=0.75,
-                 fix_type=3)  # fmt: skip
-            send("VehicleGpsPosition", us, time_utc_usec=unix, lat=475000000, lon=-1225000000,
-                 alt=600_000, alt_ellipsoid=0, fix_type=3)  # fmt: skip
+            send(
+                "SensorGps",
+                us,
+                time_utc_usec=unix,
+                latitude_deg=47.5,
+                longitude_deg=-122.5,
+                altitude_msl_m=600.0,
+                altitude_ellipsoid_m=580.0,
+                eph=0.5,
+                epv=0.75,
+                fix_type=3,
+            )
+            send(
+                "VehicleGpsPosition",
+                us,
+                time_utc_usec=unix,
+                lat=475000000,
+                lon=-1225000000,
+                alt=600_000,
+                alt_ellipsoid=0,
+                fix_type=3,
+            )
             send("VehicleAttitude", us, q=[0.5, 0.5, -0.5, 0.5])
             send("VehicleAirData", us, baro_temp_celcius=40.0, baro_pressure_pa=70_025.0)
             send("SensorHygrometer", us, temperature=-12.5, humidity=45.0)
             if k % 10 == 0:
-                send("CameraCapture", us, timestamp_utc=0, seq=k, lat=47.5, lon=-122.5, alt=600.0,
-                     ground_distance=1.0, q=[1.0, 0.0, 0.0, 0.0], result=1)  # fmt: skip
+                send(
+                    "CameraCapture",
+                    us,
+                    timestamp_utc=0,
+                    seq=k,
+                    lat=47.5,
+                    lon=-122.5,
+                    alt=600.0,
+                    ground_distance=1.0,
+                    q=[1.0, 0.0, 0.0, 0.0],
+                    result=1,
+                )
         writer.finish()
     return open_log(path)
 
@@ -362,7 +414,8 @@ def test_px4_counts_time_from_boot(tmp_path: Path) -> None:
     for name in ("SensorGps", "VehicleAttitude", "VehicleAirData", "SensorHygrometer"):
         np.testing.assert_array_equal(log.channel(f"/fmu/out/{name}").time_ns, utc_ns)
     np.testing.assert_array_equal(log.channel("/fmu/out/CameraCapture").time_ns, utc_ns[::10])
-    gps, old = log.channel("/fmu/out/SensorGps"), log.channel("/fmu/out/VehicleGpsPosition")
+    gps = log.channel("/fmu/out/SensorGps")
+    old = log.channel("/fmu/out/VehicleGpsPosition")
     assert (gps["h_msl_m"][0], gps["h_ellipsoid_m"][0], gps["sigma_v_m"][0]) == (600, 580, 0.75)
     assert old["lat_rad"][0] == gps["lat_rad"][0]
     assert old["h_msl_m"][0] == 600.0

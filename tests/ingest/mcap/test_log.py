@@ -36,32 +36,50 @@ SCHEMAS = {
         "std_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\n"
         "float64 longitude\nfloat64 altitude\nfloat64[9] position_covariance\n"
         "uint8 position_covariance_type",
-        HEADER, TIME, STATUS,
+        HEADER,
+        TIME,
+        STATUS,
     ),
     "sensor_msgs/msg/Imu": (
         "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\n"
         "float64[9] orientation_covariance\ngeometry_msgs/Vector3 angular_velocity\n"
         "float64[9] angular_velocity_covariance\ngeometry_msgs/Vector3 linear_acceleration\n"
         "float64[9] linear_acceleration_covariance",
-        HEADER, TIME, QUATERNION, VECTOR,
+        HEADER,
+        TIME,
+        QUATERNION,
+        VECTOR,
     ),
     "sensor_msgs/msg/FluidPressure": (
-        "std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance", HEADER, TIME,
+        "std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance",
+        HEADER,
+        TIME,
     ),
     "sensor_msgs/msg/Temperature": (
-        "std_msgs/Header header\nfloat64 temperature\nfloat64 variance", HEADER, TIME,
+        "std_msgs/Header header\nfloat64 temperature\nfloat64 variance",
+        HEADER,
+        TIME,
     ),
     "sensor_msgs/msg/RelativeHumidity": (
-        "std_msgs/Header header\nfloat64 relative_humidity\nfloat64 variance", HEADER, TIME,
+        "std_msgs/Header header\nfloat64 relative_humidity\nfloat64 variance",
+        HEADER,
+        TIME,
     ),
     "sensor_msgs/msg/CompressedImage": (
-        "std_msgs/Header header\nstring format\nuint8[] data", HEADER, TIME,
+        "std_msgs/Header header\nstring format\nuint8[] data",
+        HEADER,
+        TIME,
     ),
     "geometry_msgs/msg/PoseStamped": (
-        "std_msgs/Header header\ngeometry_msgs/Pose pose", HEADER, TIME, POSE, POINT, QUATERNION,
+        "std_msgs/Header header\ngeometry_msgs/Pose pose",
+        HEADER,
+        TIME,
+        POSE,
+        POINT,
+        QUATERNION,
     ),
     "std_msgs/msg/String": ("string data",),
-}  # fmt: skip
+}
 
 
 def stamp(time_ns: int, frame_id: str = "base") -> dict:
@@ -98,25 +116,41 @@ def flight(rows: int = 60, **options) -> Bag:
     for k in range(rows):
         t = START + k * SECOND // 10
         bag.write(
-            "/fix", "NavSatFix", t, latitude=47.0 + 1e-4 * k, longitude=-122.5, altitude=580.25,
+            "/fix",
+            "NavSatFix",
+            t,
+            latitude=47.0 + 1e-4 * k,
+            longitude=-122.5,
+            altitude=580.25,
             status={"status": -1 if k < 2 else 0, "service": 1},
-            position_covariance=[4.0, 0, 0, 0, 2.0, 0, 0, 0, 9.0], position_covariance_type=2,
-        )  # fmt: skip
+            position_covariance=[4.0, 0, 0, 0, 2.0, 0, 0, 0, 9.0],
+            position_covariance_type=2,
+        )
         bag.write(
-            "/imu", "Imu", t, orientation={"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+            "/imu",
+            "Imu",
+            t,
+            orientation={"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
             orientation_covariance=[-1.0 if k == 3 else 0.0] + [0.0] * 8,
-            angular_velocity={"x": 0.0, "y": 0.0, "z": 0.0}, angular_velocity_covariance=[0.0] * 9,
+            angular_velocity={"x": 0.0, "y": 0.0, "z": 0.0},
+            angular_velocity_covariance=[0.0] * 9,
             linear_acceleration={"x": 0.0, "y": 0.0, "z": 0.0},
             linear_acceleration_covariance=[0.0] * 9,
-        )  # fmt: skip
+        )
         bag.write("/outside/pressure", "FluidPressure", t, fluid_pressure=7e4 - k, variance=1.0)
         bag.write("/cabin/pressure", "FluidPressure", t, fluid_pressure=8.5e4, variance=1.0)
         bag.write("/outside/air", "Temperature", t, temperature=-12.5, variance=0.0)
         bag.write("/outside/humidity", "RelativeHumidity", t, relative_humidity=0.45, variance=0.0)
         bag.write("/note", "String", t, data="nothing of ours")
         if k % 10 == 0:
-            bag.write("/camera", "CompressedImage", t, header=stamp(t, f"cam{k}"), format="jpeg",
-                      data=bytes(3000))  # fmt: skip
+            bag.write(
+                "/camera",
+                "CompressedImage",
+                t,
+                header=stamp(t, f"cam{k}"),
+                format="jpeg",
+                data=bytes(3000),
+            )
     return bag
 
 
@@ -278,7 +312,8 @@ def test_bytes_behind_an_lz4_frame_cost_nothing(behind: bytes) -> None:
 
 def bomb(compression: str, promised: int, size: int) -> bytes:
     """A chunk record of zeros that promises one size and inflates to another."""
-    packed, name = packed_zeros(compression, size), compression.encode()
+    packed = packed_zeros(compression, size)
+    name = compression.encode()
     content = struct.pack("<QQQII", 0, 0, promised, 0, len(name)) + name
     content += struct.pack("<Q", len(packed)) + packed
     return struct.pack("<BQ", 6, len(content)) + content
@@ -403,8 +438,11 @@ def mavros_log(tmp_path: Path, kind: str, definition: str, rows: list[dict]) -> 
     writer = Writer(file)
     parts = ["std_msgs/Header header\n" + definition, HEADER, TIME]
     parts += [QUATERNION] if "Quaternion" in definition else []
-    parts += ["MSG: geographic_msgs/GeoPoint\nfloat64 latitude\nfloat64 longitude\n"
-              "float64 altitude"] if "GeoPoint" in definition else []  # fmt: skip
+    parts += (
+        ["MSG: geographic_msgs/GeoPoint\nfloat64 latitude\nfloat64 longitude\nfloat64 altitude"]
+        if "GeoPoint" in definition
+        else []
+    )
     schema = writer.register_msgdef(f"mavros_msgs/msg/{kind}", SEPARATOR.join(parts))
     for k, row in enumerate(rows):
         at = START + k * SECOND
@@ -415,14 +453,21 @@ def mavros_log(tmp_path: Path, kind: str, definition: str, rows: list[dict]) -> 
 
 def test_values_of_different_names_are_channels_of_their_own(tmp_path: Path) -> None:
     rows = [
-        {"index": 7 if name == "" else -1, "name": name, "value_float": value, "value_int": whole,
-         "type": kind}
+        {
+            "index": 7 if name == "" else -1,
+            "name": name,
+            "value_float": value,
+            "value_int": whole,
+            "type": kind,
+        }
         for k in range(5)
         for name, value, whole, kind in (
-            ("CabT", 20.0 + k, 0, 3), ("CabRH", 44.0, 0, 3), ("Count", 0.0, 70 + k, 4),
+            ("CabT", 20.0 + k, 0, 3),
+            ("CabRH", 44.0, 0, 3),
+            ("Count", 0.0, 70 + k, 4),
             ("", 1.5, 0, 0),
         )
-    ]  # fmt: skip
+    ]
     definition = "int32 index\nstring name\nfloat32 value_float\nint32 value_int\nuint8 type"
     log = mavros_log(tmp_path, "DebugValue", definition, rows)
     values = {channel.name: channel["value"].tolist() for channel in log.channels}
@@ -449,9 +494,14 @@ def test_names_without_end_are_a_loss(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_images_of_mavros_are_numbered_where_it_numbers_none(tmp_path: Path) -> None:
     """Its plugin leaves image_index and capture_result at 0, and adds the undulation."""
-    row = {"geo": {"latitude": 47.5, "longitude": 8.25, "altitude": 647.5}, "relative_alt": 30.0,
-           "orientation": {"w": 0.5, "x": 0.5, "y": -0.5, "z": 0.5}, "image_index": 0,
-           "capture_result": 0, "file_url": "a.jpg"}  # fmt: skip
+    row = {
+        "geo": {"latitude": 47.5, "longitude": 8.25, "altitude": 647.5},
+        "relative_alt": 30.0,
+        "orientation": {"w": 0.5, "x": 0.5, "y": -0.5, "z": 0.5},
+        "image_index": 0,
+        "capture_result": 0,
+        "file_url": "a.jpg",
+    }
     definition = (
         "geographic_msgs/GeoPoint geo\nfloat32 relative_alt\ngeometry_msgs/Quaternion orientation\n"
         "int32 image_index\nint8 capture_result\nstring file_url"
@@ -466,8 +516,10 @@ def test_images_of_mavros_are_numbered_where_it_numbers_none(tmp_path: Path) -> 
 
 
 def test_a_height_of_0_above_the_ellipsoid_is_missing_in_gpsraw(tmp_path: Path) -> None:
-    rows = [{"fix_type": 3, "lat": 475_000_000, "lon": 82_500_000, "alt": 600_000,
-             "alt_ellipsoid": 0} for k in range(4)]  # fmt: skip
+    rows = [
+        {"fix_type": 3, "lat": 475_000_000, "lon": 82_500_000, "alt": 600_000, "alt_ellipsoid": 0}
+        for k in range(4)
+    ]
     definition = "uint8 fix_type\nint32 lat\nint32 lon\nint32 alt\nint32 alt_ellipsoid"
     log = mavros_log(tmp_path, "GPSRAW", definition, rows)
     assert "h_ellipsoid_m" not in log.channel("/mavros/one").columns
@@ -510,10 +562,12 @@ def test_a_clock_set_back_in_the_recording_mixes_nothing(tmp_path: Path) -> None
         t = START + k * SECOND // 10 - (10 * SECOND if k >= 300 else 0)
         bag.write("/air", "FluidPressure", t, fluid_pressure=7e4 - k, variance=0.0)
         if k % 4 == 0:
-            bag.write("/camera", "CompressedImage", t, header=stamp(t, f"{k}"), format="jpeg",
-                      data=b"")  # fmt: skip
+            bag.write(
+                "/camera", "CompressedImage", t, header=stamp(t, f"{k}"), format="jpeg", data=b""
+            )
     log = opened(tmp_path, bag.data)
-    air, camera = log.channel("/air"), log.channel("/camera")
+    air = log.channel("/air")
+    camera = log.channel("/camera")
     # 20 to 30 s were passed twice: the later rows stand for them, and nothing bridges the step
     np.testing.assert_array_equal(7e4 - air["pressure_pa"], [*range(200), *range(300, 400)])
     np.testing.assert_array_equal(air.boot, [0] * 200 + [1] * 100)
@@ -550,7 +604,8 @@ def test_second_topics_of_a_kind_rank_alike(tmp_path: Path) -> None:
         bag.write("/cabin/humidity", "RelativeHumidity", t, relative_humidity=0.3, variance=0.0)
     log = opened(tmp_path, bag.data)
     for kind in ("air", "humidity", "pressure"):
-        outside, cabin = log.channel(f"/outside/{kind}"), log.channel(f"/cabin/{kind}")
+        outside = log.channel(f"/outside/{kind}")
+        cabin = log.channel(f"/cabin/{kind}")
         assert (outside.rank, outside.roles) == (cabin.rank, cabin.roles)
 
 
@@ -712,7 +767,8 @@ def test_a_file_whose_head_is_lost(tmp_path: Path, name: str, what: str, end: st
     whole = LOGS[name]
     path = tmp_path / "headless.mcap"
     path.write_bytes(headless(whole.read_bytes(), f"{what} {end}"))
-    log, expected = open_log(path), open_log(whole)
+    log = open_log(path)
+    expected = open_log(whole)
     assert [c.name for c in log.channels] == [c.name for c in expected.channels]
     for ours, theirs in zip(log.channels, expected.channels, strict=True):
         rows = np.isin(theirs.time_ns, ours.time_ns)

@@ -21,8 +21,13 @@ KINDS = {
     "SensorHygrometer": "uint64 timestamp\nfloat32 temperature\nfloat32 humidity",
     "CameraCapture": "uint64 timestamp\nuint64 timestamp_utc\nuint32 seq\nint8 result",
 }
-FIX = {"latitude_deg": 47.5, "longitude_deg": 8.25, "altitude_msl_m": 600.0,
-       "altitude_ellipsoid_m": 647.5, "fix_type": 3}  # fmt: skip
+FIX = {
+    "latitude_deg": 47.5,
+    "longitude_deg": 8.25,
+    "altitude_msl_m": 600.0,
+    "altitude_ellipsoid_m": 647.5,
+    "fix_type": 3,
+}
 Send = Callable[..., None]
 
 
@@ -47,7 +52,8 @@ def recorded(path: Path, send_all: Callable[[Send], None]) -> Log:
 def flight(send: Send, rows: int = 200, boot_s: int = 60, utc_s: int = 0, **options) -> None:
     """A receiver and an attitude at 5 Hz; options: utc(k) and fix(k) of the receiver, stray(k)."""
     for k in range(rows):
-        boot_ns, utc_ns = boot_s * SECOND + k * STEP, START + utc_s * SECOND + k * STEP
+        boot_ns = boot_s * SECOND + k * STEP
+        utc_ns = START + utc_s * SECOND + k * STEP
         told = options.get("utc", lambda _, utc_ns: utc_ns)(k, utc_ns)
         fix = options.get("fix", lambda _: 3)(k)
         wrong = options.get("stray", lambda _: 0)(k)
@@ -69,7 +75,8 @@ def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(tmp_path: Pat
     def send_all(send: Send) -> None:
         flight(send)
         for k in range(200):
-            boot_ns, utc_ns = 10 * SECOND + k * STEP, START + 200 * SECOND + k * STEP
+            boot_ns = 10 * SECOND + k * STEP
+            utc_ns = START + 200 * SECOND + k * STEP
             send("SensorGps", boot_ns, utc_ns, **FIX, time_utc_usec=utc_ns // 1000)
             send("SensorHygrometer", boot_ns, utc_ns, temperature=5.0, humidity=40.0)
             if k % 20 == 0:
@@ -114,10 +121,11 @@ def test_utc_without_a_fix_counts_for_nothing(tmp_path: Path) -> None:
     log = recorded(
         tmp_path / "nofix.mcap",
         lambda send: flight(
-            send, fix=lambda k: 0 if k < 120 else 3,
+            send,
+            fix=lambda k: 0 if k < 120 else 3,
             utc=lambda k, utc_ns: utc_ns - 3600 * SECOND if k < 120 else utc_ns,
         ),
-    )  # fmt: skip
+    )
     np.testing.assert_array_equal(seconds(log, "VehicleAttitude"), np.arange(200) / 5)
     assert not losses(log)
 
@@ -136,7 +144,8 @@ def with_captures(send: Send, utc_ahead_ns: int, fix: int, log_ns: int | None = 
     log = {} if log_ns is None else {"log_ns": log_ns}
     flight(send, fix=lambda _: fix, **log)
     for k in range(250):  # more than the receiver has rows
-        boot_ns, utc_ns = 70 * SECOND + k * SECOND // 10, START + 10 * SECOND + k * SECOND // 10
+        boot_ns = 70 * SECOND + k * SECOND // 10
+        utc_ns = START + 10 * SECOND + k * SECOND // 10
         told = (utc_ns + utc_ahead_ns) // 1000
         send("CameraCapture", boot_ns, utc_ns, timestamp_utc=told, seq=k, result=1, **log)
 
@@ -169,7 +178,8 @@ def test_stamps_that_change_from_boot_to_unix_time_fit_together(tmp_path: Path) 
 
     def send_all(send: Send) -> None:
         for k in range(100):
-            boot_ns, utc_ns = 60 * SECOND + k * STEP, START + k * STEP
+            boot_ns = 60 * SECOND + k * STEP
+            utc_ns = START + k * STEP
             stamp = boot_ns if k < 40 else utc_ns
             send("SensorGps", stamp, utc_ns, **FIX, time_utc_usec=utc_ns // 1000)
             send("VehicleAttitude", stamp, utc_ns, q=[1.0, 0.0, 0.0, 0.0])
@@ -185,8 +195,14 @@ def test_messages_that_come_late_are_no_boot_and_not_stray(tmp_path: Path, event
         flight(send, rows=100)
         for k in range(events):
             utc_ns = START + k * SECOND
-            send("CameraCapture", 60 * SECOND + k * SECOND + 1000, utc_ns, timestamp_utc=0, seq=k,
-                 result=1)  # fmt: skip
+            send(
+                "CameraCapture",
+                60 * SECOND + k * SECOND + 1000,
+                utc_ns,
+                timestamp_utc=0,
+                seq=k,
+                result=1,
+            )
         flight(send, rows=100, boot_s=80, utc_s=20)
 
     log = recorded(tmp_path / "late.mcap", send_all)
@@ -202,8 +218,14 @@ def test_images_that_were_not_taken_are_no_exposures(tmp_path: Path) -> None:
         for k in range(9):
             result = {2: 0, 5: -1}.get(k, 1)  # failed, not known
             utc_ns = START + k * SECOND
-            send("CameraCapture", 60 * SECOND + k * SECOND, utc_ns, timestamp_utc=0, seq=k,
-                 result=result)  # fmt: skip
+            send(
+                "CameraCapture",
+                60 * SECOND + k * SECOND,
+                utc_ns,
+                timestamp_utc=0,
+                seq=k,
+                result=result,
+            )
 
     log = recorded(tmp_path / "failed.mcap", send_all)
     shots = log.channel("/fmu/out/CameraCapture")
@@ -216,8 +238,13 @@ def test_a_height_of_0_above_the_ellipsoid_is_missing(tmp_path: Path) -> None:
     def send_all(send: Send) -> None:
         for k in range(20):
             utc_ns = START + k * STEP
-            send("SensorGps", SECOND + k * STEP, utc_ns, **FIX | {"altitude_ellipsoid_m": 0.0},
-                 time_utc_usec=utc_ns // 1000)  # fmt: skip
+            send(
+                "SensorGps",
+                SECOND + k * STEP,
+                utc_ns,
+                **FIX | {"altitude_ellipsoid_m": 0.0},
+                time_utc_usec=utc_ns // 1000,
+            )
 
     fix = recorded(tmp_path / "zero.mcap", send_all).channel("/fmu/out/SensorGps")
     assert "h_ellipsoid_m" not in fix.columns

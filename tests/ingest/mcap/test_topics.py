@@ -22,7 +22,8 @@ STAMP = (
     "std_msgs/Header header\n%s\n===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
     "string frame_id"
 )
-AIR, WARM = "sensor_msgs/msg/FluidPressure", "sensor_msgs/msg/Temperature"
+AIR = "sensor_msgs/msg/FluidPressure"
+WARM = "sensor_msgs/msg/Temperature"
 PRESSURE = STAMP % "float64 fluid_pressure\nfloat64 variance"
 SWAPPED = STAMP % "float64 variance\nfloat64 fluid_pressure"
 TEMPERATURE = STAMP % "float64 temperature\nfloat64 variance"
@@ -37,9 +38,11 @@ def cdr(time_ns: int, *values: float, head: bytes = b"\0\1\0\0", align: int = 8)
 
 
 def written(
-    path: Path, channels: list[tuple[str, str, str, str]], messages: Iterable[Message],
+    path: Path,
+    channels: list[tuple[str, str, str, str]],
+    messages: Iterable[Message],
     sequence: Callable[[int], int] | None = None,
-) -> Log:  # fmt: skip
+) -> Log:
     """A log of channels (topic, name of schema, definition, encoding) by the plain writer."""
     from mcap.writer import Writer
 
@@ -246,7 +249,7 @@ def test_a_table_says_how_many_elements_are_left_out(tmp_path: Path) -> None:
         ("/t", WARM, TEMPERATURE, "cdr"),
         ("/x", "my/msg/Foo", f"{foo}\nstring[] names\nfloat32[<=4] c", "cdr"),
         ("/w", "my/msg/Bar", "wstring w", "cdr"),
-    ]  # fmt: skip
+    ]
     messages: list[Message] = []
     for k, t in enumerate(times(6)):
         body = struct.pack("<iI", k, k) + struct.pack(f"<{k}d", *range(k)) + bytes([9, 0, 0, 0])

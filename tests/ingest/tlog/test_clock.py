@@ -22,7 +22,8 @@ def log_of(path: Path, boot_ms: np.ndarray, received_us: np.ndarray) -> Log:
     """An attitude at each time since boot, right behind it an airspeed without a time."""
     from pymavlink.dialects.v20 import all as library
 
-    sender, frames = library.MAVLink(None, 1, 1), []
+    sender = library.MAVLink(None, 1, 1)
+    frames = []
     for k, (ms, us) in enumerate(zip(boot_ms.tolist(), received_us.tolist(), strict=True)):
         messages = [
             library.MAVLink_attitude_message(ms, 0.1, -0.2, 3.0, 0.0, 0.0, 0.0),
@@ -60,7 +61,8 @@ def test_a_link_that_stalls_shifts_nothing_by_more_than_a_sample(tmp_path: Path,
 @pytest.mark.parametrize("place", [0, 1, 2])
 @pytest.mark.parametrize("rows", [12, 25, 400])
 def test_a_short_boot_is_one(tmp_path: Path, rows: int, place: int) -> None:
-    begin_ms, length = [9_000_000, 5_000, 4_000], [400, 400, 400]
+    begin_ms = [9_000_000, 5_000, 4_000]
+    length = [400, 400, 400]
     length[place] = rows
     steady = [ms + 50 * np.arange(n) for ms, n in zip(begin_ms, length, strict=True)]
     boot_ms = np.concatenate(steady)
@@ -78,8 +80,12 @@ def test_a_glitch_of_the_clock_is_no_boot(tmp_path: Path, rows: int) -> None:
 
 
 def test_few_samples_of_a_steady_clock_are_kept() -> None:
-    kind = [("place", "i8"), ("host_us", "i8"), ("source", "u2"),
-            ("records", [("time_boot_ms", "u4")])]  # fmt: skip
+    kind = [
+        ("place", "i8"),
+        ("host_us", "i8"),
+        ("source", "u2"),
+        ("records", [("time_boot_ms", "u4")]),
+    ]
     sampler = Sampler()
     draw = np.random.default_rng(1)
     for block in range(10):  # an hour at 50 Hz
@@ -167,9 +173,13 @@ def test_without_utc_the_stamps_of_the_log_tell_a_boot(tmp_path: Path) -> None:
     ],
 )
 def test_the_clock_of_a_camera(
-    tmp_path: Path, behind_ms: int, own_utc_s: float | None, expected_s: float, code: str | None,
+    tmp_path: Path,
+    behind_ms: int,
+    own_utc_s: float | None,
+    expected_s: float,
+    code: str | None,
     kind: str | None,
-) -> None:  # fmt: skip
+) -> None:
     bus = Bus()
     for k in range(60):
         utc_us = START_US + k * 10**6
@@ -235,8 +245,9 @@ def test_what_hygrometer_and_pitot_do_not_know(tmp_path: Path) -> None:
         bus.send(utc_us, (1, 1), "scaled_pressure", *pitot)
     log = bus.opened(tmp_path / "air.tlog")
     for name, kelvin in (
-        ("HYGROMETER_SENSOR[0]", 285.65), ("SCALED_PRESSURE.temperature_press_diff", 260.65)
-    ):  # fmt: skip
+        ("HYGROMETER_SENSOR[0]", 285.65),
+        ("SCALED_PRESSURE.temperature_press_diff", 260.65),
+    ):
         shown = log.channel(name)["temperature_k"]
         assert np.flatnonzero(np.isnan(shown)).tolist() == [3]
         np.testing.assert_allclose(np.delete(shown, 3), kelvin)
@@ -312,7 +323,8 @@ def frames_of(data: bytes) -> list[bytes]:
     """The frames of a log without damage, each with the stamp before it."""
     from unbend.ingest.tlog.frames import frame_length
 
-    frames, at = [], 0
+    frames = []
+    at = 0
     while at < len(data) and (length := frame_length(data[at : at + 400], 0)):
         frames.append(data[at : at + length])
         at += length
@@ -333,7 +345,8 @@ def test_packets_that_others_overtake_are_no_boot_and_no_loss(tmp_path: Path, na
         frames = frames[:first] + frames[last:back] + moved + frames[back:]
     path = tmp_path / "late.tlog"
     path.write_bytes(b"".join(frames))
-    log, expected = open_log(path), open_log(whole)
+    log = open_log(path)
+    expected = open_log(whole)
     assert log.boots == expected.boots == 1
     known = {(entry.code, entry.count) for entry in expected.ledger if entry.kind == "loss"}
     assert {(entry.code, entry.count) for entry in log.ledger if entry.kind == "loss"} == known

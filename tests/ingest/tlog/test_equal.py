@@ -35,9 +35,11 @@ def test_logs_are_at_hand() -> None:
 
 @pytest.mark.parametrize("path", LOGS, ids=lambda path: path.name)
 def test_every_cell_is_the_librarys(
-    path: Path, head: Callable[[Path, int], Path], monkeypatch: pytest.MonkeyPatch,
+    path: Path,
+    head: Callable[[Path, int], Path],
+    monkeypatch: pytest.MonkeyPatch,
     record_property: Callable[[str, object], None],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setenv("MAVLINK20", "1")  # so that the library knows the fields of MAVLink 2
     path = head(path, 2_200_000)
     log = open_log(path)

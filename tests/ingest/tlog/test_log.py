@@ -95,7 +95,8 @@ def test_the_two_logs_of_one_flight_agree(real_log: Callable[[str], Path]) -> No
     tlog = open_log(real_log("sitl_belowsea_2cam.tlog"))
     flash = open_log(real_log("sitl_belowsea_2cam.BIN"))
     for camera in (0, 1):
-        ours, theirs = tlog.channel(f"CAMERA_FEEDBACK[{camera}]"), flash.channel(f"CAM[{camera}]")
+        ours = tlog.channel(f"CAMERA_FEEDBACK[{camera}]")
+        theirs = flash.channel(f"CAM[{camera}]")
         # two clocks fitted to UTC apart; the receiver's time moves in steps of 200 ms
         apart = (ours.time_ns - theirs.time_ns) / 1e9
         assert np.abs(apart).max() < 0.25
@@ -151,27 +152,65 @@ def flight(
         if k % 5 == 0:
             writer.send("system_time", ms, time_unix_usec=unix, time_boot_ms=ms)
             writer.send(
-                "system_time", ms, source=(255, 190), time_unix_usec=1_600_000_000_000_000,
+                "system_time",
+                ms,
+                source=(255, 190),
+                time_unix_usec=1_600_000_000_000_000,
                 time_boot_ms=5,
-            )  # fmt: skip
+            )
             if version == 2:  # MAVLink 1 has no ids above 255
                 writer.send("hygrometer_sensor", ms, id=2, temperature=-1250, humidity=4725)
-                writer.send("airspeed", ms, id=0, airspeed=41.5, temperature=32767,
-                            raw_press=1.0, flags=0)  # fmt: skip
+                writer.send(
+                    "airspeed", ms, id=0, airspeed=41.5, temperature=32767, raw_press=1.0, flags=0
+                )
             writer.send("named_value_float", ms, time_boot_ms=ms, name=b"CabT", value=21.5)
-        writer.send("attitude", ms, time_boot_ms=ms, roll=0.1, pitch=-0.2, yaw=3.0, rollspeed=0.0,
-                    pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
-        writer.send("scaled_pressure", ms, time_boot_ms=ms, press_abs=700.25, press_diff=0.0,
-                    temperature=4500, temperature_press_diff=0)  # fmt: skip
         writer.send(
-            "scaled_pressure", ms, source=(cabin_system, 25), time_boot_ms=ms, press_abs=850.5,
-            press_diff=0.0, temperature=2500, temperature_press_diff=0,
-        )  # fmt: skip
+            "attitude",
+            ms,
+            time_boot_ms=ms,
+            roll=0.1,
+            pitch=-0.2,
+            yaw=3.0,
+            rollspeed=0.0,
+            pitchspeed=0.0,
+            yawspeed=0.0,
+        )
         writer.send(
-            "gps_raw_int", ms, time_usec=ms * 1000, fix_type=3, lat=470000000 + k,
-            lon=-1225000000, alt=600_250, eph=80, epv=90, vel=0, cog=0, satellites_visible=12,
-            alt_ellipsoid=580_500 if k >= 50 else 0, h_acc=450, v_acc=0,
-        )  # fmt: skip
+            "scaled_pressure",
+            ms,
+            time_boot_ms=ms,
+            press_abs=700.25,
+            press_diff=0.0,
+            temperature=4500,
+            temperature_press_diff=0,
+        )
+        writer.send(
+            "scaled_pressure",
+            ms,
+            source=(cabin_system, 25),
+            time_boot_ms=ms,
+            press_abs=850.5,
+            press_diff=0.0,
+            temperature=2500,
+            temperature_press_diff=0,
+        )
+        writer.send(
+            "gps_raw_int",
+            ms,
+            time_usec=ms * 1000,
+            fix_type=3,
+            lat=470000000 + k,
+            lon=-1225000000,
+            alt=600_250,
+            eph=80,
+            epv=90,
+            vel=0,
+            cog=0,
+            satellites_visible=12,
+            alt_ellipsoid=580_500 if k >= 50 else 0,
+            h_acc=450,
+            v_acc=0,
+        )
     return writer
 
 
@@ -184,7 +223,8 @@ def opened(tmp_path: Path, data: bytes) -> Log:
 @pytest.mark.parametrize("version", [1, 2])
 def test_known_flight(tmp_path: Path, version: int) -> None:
     log = opened(tmp_path, flight(version).data)
-    vehicle, cabin = log.channel("SCALED_PRESSURE@1/1"), log.channel("SCALED_PRESSURE@1/25")
+    vehicle = log.channel("SCALED_PRESSURE@1/1")
+    cabin = log.channel("SCALED_PRESSURE@1/25")
     np.testing.assert_array_equal(vehicle["pressure_pa"], np.full(100, 70_025.0))
     assert cabin["pressure_pa"][0] == 85_050.0
     utc_ns = (BOOT_UTC_US + 60_000_000) * 1000
@@ -221,7 +261,8 @@ def test_without_utc_the_ground_stations_clock_is_a_stated_fallback(tmp_path: Pa
 
 
 def test_a_new_boot_in_a_fresh_log(tmp_path: Path) -> None:
-    first, second = flight(seconds=10), flight(seconds=10)
+    first = flight(seconds=10)
+    second = flight(seconds=10)
     hour = 3_600 * 1_000_000
     for k, frame in enumerate(second.frames):
         stamp = struct.unpack(">Q", frame[:8])[0] + hour
@@ -231,9 +272,18 @@ def test_a_new_boot_in_a_fresh_log(tmp_path: Path) -> None:
 
 
 def test_camera_feedback_in_unix_time_and_in_time_since_boot(tmp_path: Path) -> None:
-    place = {"target_system": 0, "lat": 470000000, "lng": -1225000000, "alt_msl": 600.0,
-             "alt_rel": 30.0, "roll": 1.0, "pitch": 2.0, "yaw": 3.0, "foc_len": 0.0,
-             "flags": 0}  # fmt: skip
+    place = {
+        "target_system": 0,
+        "lat": 470000000,
+        "lng": -1225000000,
+        "alt_msl": 600.0,
+        "alt_rel": 30.0,
+        "roll": 1.0,
+        "pitch": 2.0,
+        "yaw": 3.0,
+        "foc_len": 0.0,
+        "flags": 0,
+    }
     writer = flight()
     for k in range(3):
         ms = 64_000 + k * 1000
@@ -242,7 +292,8 @@ def test_camera_feedback_in_unix_time_and_in_time_since_boot(tmp_path: Path) -> 
             writer.send("camera_feedback", ms, cam_idx=camera, img_idx=k, time_usec=stamp, **place)
         writer.send("camera_trigger", ms, time_usec=ms * 1000, seq=k + 7)
     log = opened(tmp_path, writer.data)
-    first, second = log.channel("CAMERA_FEEDBACK[0]"), log.channel("CAMERA_FEEDBACK[1]")
+    first = log.channel("CAMERA_FEEDBACK[0]")
+    second = log.channel("CAMERA_FEEDBACK[1]")
     np.testing.assert_array_equal(first.time_ns, second.time_ns)
     np.testing.assert_array_equal(first.time_ns, log.channel("CAMERA_TRIGGER").time_ns)
     assert first.time_ns[0] == (BOOT_UTC_US + 64_000_000) * 1000
@@ -271,8 +322,17 @@ def test_a_stamp_days_ahead_costs_one_row(tmp_path: Path, row: int) -> None:
             writer.send("system_time", ms, time_unix_usec=BOOT_UTC_US + ms * 1000, time_boot_ms=ms)
             writer.send("hygrometer_sensor", ms, id=2, temperature=-1250, humidity=4725)
         ahead = 11 * 86_400_000 if k == row else 0
-        writer.send("attitude", ms, time_boot_ms=ms + ahead, roll=0.1, pitch=-0.2, yaw=3.0,
-                    rollspeed=0.0, pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
+        writer.send(
+            "attitude",
+            ms,
+            time_boot_ms=ms + ahead,
+            roll=0.1,
+            pitch=-0.2,
+            yaw=3.0,
+            rollspeed=0.0,
+            pitchspeed=0.0,
+            yawspeed=0.0,
+        )
     log = opened(tmp_path, writer.data)
     assert (log.boots, len(log.channel("ATTITUDE"))) == (1, 999)
     loss = entries(log, "TIME-BACKWARD")[0]
@@ -290,8 +350,9 @@ def test_instances_of_equal_standing_rank_alike(tmp_path: Path) -> None:
         ms = 64_000 + 200 * k
         for unit in (0, 1):
             writer.send("hygrometer_sensor", ms, id=unit, temperature=-1250, humidity=4725)
-            writer.send("airspeed", ms, id=unit, airspeed=41.5, temperature=-1250, raw_press=1.0,
-                        flags=0)  # fmt: skip
+            writer.send(
+                "airspeed", ms, id=unit, airspeed=41.5, temperature=-1250, raw_press=1.0, flags=0
+            )
     ranks = {channel.name: channel.rank for channel in opened(tmp_path, writer.data).channels}
     assert len({ranks[f"HYGROMETER_SENSOR[{unit}]"] for unit in (0, 1, 2)}) == 1
     assert ranks["AIRSPEED[0]"] == ranks["AIRSPEED[1]"]
@@ -301,9 +362,23 @@ def test_instances_of_equal_standing_rank_alike(tmp_path: Path) -> None:
 def test_a_late_first_feedback_is_put_in_order(tmp_path: Path) -> None:
     writer = flight()
     for k in (0, 2, 1):
-        writer.send("camera_feedback", 70_000 + k, cam_idx=0, img_idx=k, target_system=0,
-                    time_usec=(62 + k) * 10**6, lat=1, lng=1, alt_msl=1.0, alt_rel=1.0, roll=0.0,
-                    pitch=0.0, yaw=0.0, foc_len=0.0, flags=0)  # fmt: skip
+        writer.send(
+            "camera_feedback",
+            70_000 + k,
+            cam_idx=0,
+            img_idx=k,
+            target_system=0,
+            time_usec=(62 + k) * 10**6,
+            lat=1,
+            lng=1,
+            alt_msl=1.0,
+            alt_rel=1.0,
+            roll=0.0,
+            pitch=0.0,
+            yaw=0.0,
+            foc_len=0.0,
+            flags=0,
+        )
     log = opened(tmp_path, writer.data)
     np.testing.assert_array_equal(log.channel("CAMERA_FEEDBACK[0]")["event_index"], [0, 1, 2])
 
@@ -442,11 +517,29 @@ def test_a_count_of_milliseconds_that_runs_over_is_counted_on(tmp_path: Path) ->
         if k % 10 == 0:
             unix = boot_utc_us + ms * 1000
             writer.send("system_time", at, time_unix_usec=unix, time_boot_ms=ms % 2**32)
-        writer.send("scaled_pressure", at, time_boot_ms=ms % 2**32, press_abs=700.0 + k,
-                    press_diff=0.0, temperature=4500, temperature_press_diff=0)  # fmt: skip
-        writer.send("gps_raw_int", at, time_usec=ms % 2**32 * 1000, fix_type=3, lat=470000000,
-                    lon=-1225000000 - k, alt=600_250, eph=80, epv=90, vel=0, cog=0,
-                    satellites_visible=12)  # fmt: skip
+        writer.send(
+            "scaled_pressure",
+            at,
+            time_boot_ms=ms % 2**32,
+            press_abs=700.0 + k,
+            press_diff=0.0,
+            temperature=4500,
+            temperature_press_diff=0,
+        )
+        writer.send(
+            "gps_raw_int",
+            at,
+            time_usec=ms % 2**32 * 1000,
+            fix_type=3,
+            lat=470000000,
+            lon=-1225000000 - k,
+            alt=600_250,
+            eph=80,
+            epv=90,
+            vel=0,
+            cog=0,
+            satellites_visible=12,
+        )
         writer.send("camera_trigger", at, time_usec=ms * 1000 % 2**32, seq=k)
     log = opened(tmp_path, writer.data)
     assert log.boots == 1
@@ -465,8 +558,17 @@ def test_a_new_boot_after_weeks_is_no_overrun(tmp_path: Path) -> None:
     for k in range(60):
         up = 30 * 86_400_000 if k < 30 else 0  # 30 days up, then 5 s
         ms = up + 5_000 + 200 * k
-        writer.send("attitude", 60_000 + 200 * k, time_boot_ms=ms, roll=0.1, pitch=-0.2, yaw=3.0,
-                    rollspeed=0.0, pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
+        writer.send(
+            "attitude",
+            60_000 + 200 * k,
+            time_boot_ms=ms,
+            roll=0.1,
+            pitch=-0.2,
+            yaw=3.0,
+            rollspeed=0.0,
+            pitchspeed=0.0,
+            yawspeed=0.0,
+        )
     log = opened(tmp_path, writer.data)
     assert (log.boots, entries(log, "TIME-WRAP")) == (2, [])
 
@@ -477,14 +579,40 @@ def test_heights_above_the_ellipsoid_by_parameter(
 ) -> None:
     writer = TlogWriter()
     name = b"GPS_DRV_OPTIONS"
-    writer.send("param_value", 60_000, param_id=name, param_value=value, param_type=9,
-                param_count=1, param_index=0)  # fmt: skip
-    writer.send("param_value", 60_000, source=(255, 190), param_id=name, param_value=18.0 - value,
-                param_type=9, param_count=1, param_index=0)  # fmt: skip
+    writer.send(
+        "param_value",
+        60_000,
+        param_id=name,
+        param_value=value,
+        param_type=9,
+        param_count=1,
+        param_index=0,
+    )
+    writer.send(
+        "param_value",
+        60_000,
+        source=(255, 190),
+        param_id=name,
+        param_value=18.0 - value,
+        param_type=9,
+        param_count=1,
+        param_index=0,
+    )
     for k in range(10):
         ms = 60_000 + 200 * k
-        writer.send("global_position_int", ms, time_boot_ms=ms, lat=470000000, lon=-1225000000 + k,
-                    alt=600_250, relative_alt=30_000, vx=0, vy=0, vz=0, hdg=0)  # fmt: skip
+        writer.send(
+            "global_position_int",
+            ms,
+            time_boot_ms=ms,
+            lat=470000000,
+            lon=-1225000000 + k,
+            alt=600_250,
+            relative_alt=30_000,
+            vx=0,
+            vy=0,
+            vz=0,
+            hdg=0,
+        )
     log = opened(tmp_path, writer.data)
     channel = log.channel("GLOBAL_POSITION_INT")
     assert channel[column][0] == 600.25
@@ -499,10 +627,21 @@ def test_images_captured(tmp_path: Path) -> None:
     for k, result in enumerate((1, 0, 1, 1, 1)):
         for _ in range(2 if k == 3 else 1):  # asked for again
             ms = 62_000 + 1000 * k
-            writer.send("camera_image_captured", ms, time_boot_ms=ms, time_utc=0,
-                        camera_id=0, lat=470000000 + k, lon=-1225000000, alt=700_500,
-                        relative_alt=100_000, q=q, image_index=k, capture_result=result,
-                        file_url=f"DCIM/{k}.jpg".encode())  # fmt: skip
+            writer.send(
+                "camera_image_captured",
+                ms,
+                time_boot_ms=ms,
+                time_utc=0,
+                camera_id=0,
+                lat=470000000 + k,
+                lon=-1225000000,
+                alt=700_500,
+                relative_alt=100_000,
+                q=q,
+                image_index=k,
+                capture_result=result,
+                file_url=f"DCIM/{k}.jpg".encode(),
+            )
     log = opened(tmp_path, writer.data)
     images = log.channel("CAMERA_IMAGE_CAPTURED[0]")
     assert images.roles == ("events",)
@@ -521,14 +660,37 @@ def test_gimbals(tmp_path: Path) -> None:
     q /= np.linalg.norm(q)
     for k, flags in enumerate((0, 16, 32, 64, 48)):
         ms = 62_000 + 1000 * k
-        writer.send("gimbal_device_attitude_status", ms, target_system=0,
-                    target_component=0, time_boot_ms=ms, flags=flags, q=q.tolist(),
-                    angular_velocity_x=0.0, angular_velocity_y=0.0, angular_velocity_z=0.0,
-                    failure_flags=0)  # fmt: skip
-        writer.send("mount_orientation", ms, time_boot_ms=ms, roll=0.0, pitch=-90.0, yaw=10.0,
-                    yaw_absolute=90.0 if k else 0.0)  # fmt: skip
-        writer.send("mount_status", ms, target_system=0, target_component=0, pointing_a=-9000,
-                    pointing_b=150, pointing_c=1000)  # fmt: skip
+        writer.send(
+            "gimbal_device_attitude_status",
+            ms,
+            target_system=0,
+            target_component=0,
+            time_boot_ms=ms,
+            flags=flags,
+            q=q.tolist(),
+            angular_velocity_x=0.0,
+            angular_velocity_y=0.0,
+            angular_velocity_z=0.0,
+            failure_flags=0,
+        )
+        writer.send(
+            "mount_orientation",
+            ms,
+            time_boot_ms=ms,
+            roll=0.0,
+            pitch=-90.0,
+            yaw=10.0,
+            yaw_absolute=90.0 if k else 0.0,
+        )
+        writer.send(
+            "mount_status",
+            ms,
+            target_system=0,
+            target_component=0,
+            pointing_a=-9000,
+            pointing_b=150,
+            pointing_c=1000,
+        )
     log = opened(tmp_path, writer.data)
     device = log.channel("GIMBAL_DEVICE_ATTITUDE_STATUS[0]")
     north = np.isfinite(device["q_w"])
@@ -549,9 +711,16 @@ def test_mount_status_of_two_heads(tmp_path: Path) -> None:
     writer = flight()
     for k in range(10):
         for component, pitch, roll in ((154, -9000, 150), (171, -4500, -300)):
-            writer.send("mount_status", 62_000 + 500 * k, source=(1, component), target_system=0,
-                        target_component=0, pointing_a=pitch, pointing_b=roll,
-                        pointing_c=1000)  # fmt: skip
+            writer.send(
+                "mount_status",
+                62_000 + 500 * k,
+                source=(1, component),
+                target_system=0,
+                target_component=0,
+                pointing_a=pitch,
+                pointing_b=roll,
+                pointing_c=1000,
+            )
     log = opened(tmp_path, writer.data)
     heads = [channel for channel in log.channels if channel.name.startswith("MOUNT_STATUS")]
     assert [head.source.component for head in heads] == [154, 171]
@@ -570,8 +739,9 @@ def test_a_stabilised_gimbal_of_a_real_flight(real_log: Callable) -> None:
     assert known.mean() > 0.98
     q = np.stack([mount[f"q_{axis}"][known] for axis in "xyzw"], axis=1)
     roll = Rotation.from_quat(q).as_euler("ZYX")[:, 2]
-    spread = [np.subtract(*np.percentile(x, (95, 5))) / DEGREE
-              for x in (roll, mount["gimbal_roll_rad"])]  # fmt: skip
+    spread = [
+        np.subtract(*np.percentile(x, (95, 5))) / DEGREE for x in (roll, mount["gimbal_roll_rad"])
+    ]
     assert spread[0] < 1.0 < 7.0 < spread[1]
 
 
@@ -608,8 +778,16 @@ def test_failed_checksums_are_damage_unless_all_of_an_unneeded_message_fail(
     writer = flight()
     whole = len(writer.frames)
     for k in range(5):
-        writer.send("heartbeat", 80_000 + 1000 * k, type=1, autopilot=3, base_mode=0,
-                    custom_mode=0, system_status=4, mavlink_version=3)  # fmt: skip
+        writer.send(
+            "heartbeat",
+            80_000 + 1000 * k,
+            type=1,
+            autopilot=3,
+            base_mode=0,
+            custom_mode=0,
+            system_status=4,
+            mavlink_version=3,
+        )
     for k in range(whole, whole + damaged):
         frame = bytearray(writer.frames[k])
         frame[20] ^= 4

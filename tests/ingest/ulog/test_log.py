@@ -79,8 +79,10 @@ def test_known_flight(tmp_path: Path) -> None:
     log = opened(tmp_path, flight())
     names = ["camera_capture", "sensor_baro[0]", "sensor_baro[1]", "sensor_hygrometer"]
     assert [channel.name for channel in log.channels] == [
-        *names, "vehicle_attitude", "vehicle_gps_position",
-    ]  # fmt: skip
+        *names,
+        "vehicle_attitude",
+        "vehicle_gps_position",
+    ]
     fix = log.channel("vehicle_gps_position")
     assert fix.time_ns[0] == (NOW_US + 5_000_000) * 1000
     assert fix["lat_rad"][0] == np.radians(47.5)
@@ -348,7 +350,8 @@ def test_data_appended_after_a_crash_is_read_once(tmp_path: Path) -> None:
 
 def test_every_cut_opens_or_refuses_and_is_reported(tmp_path: Path) -> None:
     data = flight()
-    boundaries, at = {len(data)}, 16
+    boundaries = {len(data)}
+    at = 16
     while at < len(data):
         boundaries.add(at)
         at += 3 + int.from_bytes(data[at : at + 2], "little")
@@ -420,7 +423,9 @@ def test_a_pitot_tube_gives_dynamic_pressure_and_heating(tmp_path: Path) -> None
     PX4 logs the indicated airspeed sqrt(2 q/rho_0) and the true one; with the true one taken for
     the indicated, both would be 1.35 times too large.
     """
-    pressure, temperature, true = 70_108.5, 268.659, 50.0
+    pressure = 70_108.5
+    temperature = 268.659
+    true = 50.0
     density = pressure / (287.053 * temperature)
     dynamic = 0.5 * density * true**2
     indicated = np.sqrt(2.0 * dynamic / 1.225)
@@ -466,7 +471,8 @@ def regular() -> tuple[bytes, list[bytes]]:
     writer.define("vehicle_air_data", "float baro_pressure_pa;float ambient_temperature;")
     for name in ("sensor_gps", "vehicle_attitude", "vehicle_air_data"):
         writer.subscribe(name)
-    head, rows = writer.data, []
+    head = writer.data
+    rows = []
 
     def row(name: str, layout: str, *values: float) -> None:
         writer.data = b""

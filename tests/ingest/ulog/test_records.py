@@ -15,9 +15,19 @@ from unbend.ingest.buffers import view_of_bytes
 from unbend.ingest.ulog.ulog_messages import ULogMessages, flags_of
 
 SIZES = {
-    "int8_t": 1, "uint8_t": 1, "bool": 1, "char": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4,
-    "uint32_t": 4, "float": 4, "int64_t": 8, "uint64_t": 8, "double": 8,
-}  # fmt: skip
+    "int8_t": 1,
+    "uint8_t": 1,
+    "bool": 1,
+    "char": 1,
+    "int16_t": 2,
+    "uint16_t": 2,
+    "int32_t": 4,
+    "uint32_t": 4,
+    "float": 4,
+    "int64_t": 8,
+    "uint64_t": 8,
+    "double": 8,
+}
 HEADER = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
 
 
@@ -50,15 +60,22 @@ def declared(fields: list[tuple[str, int]]) -> str:
 
 
 @given(
-    inner=FIELDS.filter(bool), outer=FIELDS, top=FIELDS, padding=st.integers(0, 7),
+    inner=FIELDS.filter(bool),
+    outer=FIELDS,
+    top=FIELDS,
+    padding=st.integers(0, 7),
     rows=st.lists(st.tuples(st.integers(0, 2), st.booleans()), min_size=1, max_size=20),
     seed=st.integers(0, 2**32 - 1),
-)  # fmt: skip
+)
 @settings(deadline=None, max_examples=60)
 def test_rows_are_those_of_pyulog(
-    inner: list[tuple[str, int]], outer: list[tuple[str, int]], top: list[tuple[str, int]],
-    padding: int, rows: list[tuple[int, bool]], seed: int,
-) -> None:  # fmt: skip
+    inner: list[tuple[str, int]],
+    outer: list[tuple[str, int]],
+    top: list[tuple[str, int]],
+    padding: int,
+    rows: list[tuple[int, bool]],
+    seed: int,
+) -> None:
     """Three instances of a nested format, with and without the padding at its end.
 
     pyulog 1.3 drops rows with padding, whatever its comment says: it gets them without.
@@ -123,7 +140,9 @@ def test_what_is_not_defined_is_not_read(format_a: bytes) -> None:
 
 
 def test_data_of_another_length_than_their_format_are_damage() -> None:
-    rows, longer, shorter = 4 * datum(0, bytes(12)), datum(0, bytes(13)), datum(0, bytes(11))
+    rows = 4 * datum(0, bytes(12))
+    longer = datum(0, bytes(13))
+    shorter = datum(0, bytes(11))
     start = HEADER + GOOD + subscription(0, "a")
     found = read(start + rows + longer + rows + shorter + rows, "a")
     assert found.counts == {"a": 12}
@@ -177,7 +196,10 @@ def test_flags_and_places_of_appended_data() -> None:
 
 def test_a_time_that_is_an_array_is_none() -> None:
     found = read(
-        HEADER + message("F", b"a:uint64_t[1] timestamp;float x;") + subscription(0, "a")
-        + 4 * datum(0, bytes(12)), "a",
-    )  # fmt: skip
+        HEADER
+        + message("F", b"a:uint64_t[1] timestamp;float x;")
+        + subscription(0, "a")
+        + 4 * datum(0, bytes(12)),
+        "a",
+    )
     assert (found.timeless, found.counts, found.rows) == ({"a"}, {"a": 4}, {})

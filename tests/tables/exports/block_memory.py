@@ -27,7 +27,8 @@ from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
 from unbend.tables.pixels import COLMAP
 
 CAMERA = Camera(14000, 10600, 20000.0, 20000.0, 7000.0, 5300.0, BrownConrady(k1=-0.01))
-POINTS, IMAGES = 400, 4
+POINTS = 400
+IMAGES = 4
 
 
 def peak_mb() -> float:
@@ -37,34 +38,55 @@ def peak_mb() -> float:
 
 
 def write(name: str, rows: int, folder: Path) -> None:
-    n, rng = rows // POINTS, np.random.default_rng(3)
-    air, down = standard_atmosphere("us1976"), np.tile(np.diag([1.0, -1.0, -1.0]), (n, 1, 1))
+    n = rows // POINTS
+    rng = np.random.default_rng(3)
+    air = standard_atmosphere("us1976")
+    down = np.tile(np.diag([1.0, -1.0, -1.0]), (n, 1, 1))
     images = np.array([f"{i:05d}.tif" for i in range(n)], object)
     stations = replace(
         empty_stations(images, np.full(n, "nadir", object), "ok"),
-        lat_rad=np.full(n, 0.8), lon_rad=1e-5 * np.arange(n), h_ellipsoid_m=np.full(n, 3050.0),
-        h_msl_m=np.full(n, 3000.0), quaternion=np.tile([0.0, 1.0, 0.0, 0.0], (n, 1)),
-        sigma_horizontal_m=np.full(n, 0.03), sigma_height_m=np.full(n, 0.05),
-    )  # fmt: skip
-    outside, parts = np.full(n, 2e-4), []
+        lat_rad=np.full(n, 0.8),
+        lon_rad=1e-5 * np.arange(n),
+        h_ellipsoid_m=np.full(n, 3050.0),
+        h_msl_m=np.full(n, 3000.0),
+        quaternion=np.tile([0.0, 1.0, 0.0, 0.0], (n, 1)),
+        sigma_horizontal_m=np.full(n, 0.03),
+        sigma_height_m=np.full(n, 0.05),
+    )
+    outside = np.full(n, 2e-4)
+    parts = []
     for first in range(0, rows, 50_000):
         row = np.arange(first, min(first + 50_000, rows))
         # A hundred points begin in every image, and go on in the next three.
         point = row // POINTS * (POINTS // IMAGES) + row % POINTS
         parts.append(folder / f"part-{first:09d}.parquet")
         x, y = rng.uniform(0.0, [[14000.0], [10600.0]], (2, row.size))
-        pq.write_table(pa.table({
-            "image": images[row // POINTS], "point": [f"point-{p:07d}" for p in point],
-            "x_corrected_px": x, "y_corrected_px": y, "h_g_m": np.zeros(row.size),
-            "status": ["ok"] * row.size,
-        }), parts[-1])  # fmt: skip
+        pq.write_table(
+            pa.table(
+                {
+                    "image": images[row // POINTS],
+                    "point": [f"point-{p:07d}" for p in point],
+                    "x_corrected_px": x,
+                    "y_corrected_px": y,
+                    "h_g_m": np.zeros(row.size),
+                    "status": ["ok"] * row.size,
+                }
+            ),
+            parts[-1],
+        )
     run = FinishedRun(
-        "block", stations,
+        "block",
+        stations,
         Exposures(np.full(n, True), down, stations.lat_rad, stations.h_msl_m, outside, outside),
-        constant_series(TimedProfile(None, air), n), (rays_by(air, "spherical"),), "spherical",
-        {"nadir": ExportCamera(CAMERA, False, 0.004)}, lambda _: np.zeros(n), COLMAP,
-        tuple(parts), {},
-    )  # fmt: skip
+        constant_series(TimedProfile(None, air), n),
+        (rays_by(air, "spherical"),),
+        "spherical",
+        {"nadir": ExportCamera(CAMERA, False, 0.004)},
+        lambda _: np.zeros(n),
+        COLMAP,
+        tuple(parts),
+        {},
+    )
     form = FORMATS[name]
     out = folder / f"out{form.ending}"
     if not form.ending:

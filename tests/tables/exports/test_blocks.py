@@ -46,10 +46,19 @@ BERLIN = Path(__file__).resolve().parents[4] / "shared" / "ba" / "opensfm_berlin
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 BLOCKS = ["colmap", "colmap-database", "bundler", "opensfm", "bingo"]
 
-NADIR = Camera(14000, 10600, 20000.0, 20010.0, 7012.4, 5291.7,
-               BrownConrady(-0.018, 0.009, -0.002, 1.5e-4, -1e-4))  # fmt: skip
+NADIR = Camera(
+    14000,
+    10600,
+    20000.0,
+    20010.0,
+    7012.4,
+    5291.7,
+    BrownConrady(-0.018, 0.009, -0.002, 1.5e-4, -1e-4),
+)
 SIDE = Camera(9000, 12000, 15000.0, 15000.0, 4500.0, 6010.0)
-H, GROUND, UNDULATION = 6000.0, 300.0, 47.5
+H = 6000.0
+GROUND = 300.0
+UNDULATION = 47.5
 STATIONS = [(8.0 + 0.03 * (i // 2), 47.0 + 0.01 * (i % 2)) for i in range(12)]  # 14 km to the east
 
 
@@ -74,27 +83,36 @@ class Block:
         h = np.full(n, H + UNDULATION) + rng.uniform(-50, 50, n)
         camera = np.array(["nadir", "side"] * (n // 2), object)
         tilt = np.where(camera == "side", 20.0, 0.0) + rng.uniform(-2, 2, n)
-        yaw, roll = rng.uniform(0, 360, n), rng.uniform(-2, 2, n)
+        yaw = rng.uniform(0, 360, n)
+        roll = rng.uniform(-2, 2, n)
         down = np.diag([1.0, -1.0, -1.0])
         self.turn = (
-            Rotation.from_euler("zxy", np.stack([yaw, tilt, roll], axis=1), degrees=True)
-            .as_matrix() @ down
-        )  # from east, north, up at each station to the camera  # fmt: skip
+            Rotation.from_euler(
+                "zxy", np.stack([yaw, tilt, roll], axis=1), degrees=True
+            ).as_matrix()
+            @ down
+        )  # from east, north, up at each station to the camera
         self.centre = np.stack(TO_ECEF.transform(lon, lat, h), axis=1)
         self.image = np.array([name.format(i // 6, i) for i in range(n)], object)
         self.camera = camera
         points = rng.uniform([7.97, 46.97], [8.18, 47.04], (400, 2))
         heights = rng.uniform(GROUND, GROUND + 200.0, 400)
         self.point = np.array([str(7 * i + 5) if i % 3 else f"p{i}" for i in range(400)], object)
-        self.place = dict(zip(self.point, np.stack(
-            TO_ECEF.transform(*points.T, heights + UNDULATION), axis=1), strict=True))  # fmt: skip
+        self.place = dict(
+            zip(
+                self.point,
+                np.stack(TO_ECEF.transform(*points.T, heights + UNDULATION), axis=1),
+                strict=True,
+            )
+        )
         self.lon, self.lat, self.h = lon, lat, h
         rows = []
         for i in range(n):
             own = NADIR if camera[i] == "nadir" else SIDE
             enu = Rotation.from_euler("ZX", [90.0 + lon[i], 90.0 - lat[i]], degrees=True).inv()
             ray = enu.apply(np.array(list(self.place.values())) - self.centre[i]) @ self.turn[i].T
-            u, v = ray[:, 0] / ray[:, 2], ray[:, 1] / ray[:, 2]
+            u = ray[:, 0] / ray[:, 2]
+            v = ray[:, 1] / ray[:, 2]
             x, y = distorted(own, u, v)
             seen = (ray[:, 2] > 0) & (x > 0) & (x < own.width_px) & (y > 0) & (y < own.height_px)
             rows += [
@@ -111,25 +129,35 @@ class Block:
             pq.write_table(table_of(self.rows[k * 300 : (k + 1) * 300 if k == 0 else None]), path)
 
     def run(self, **changes) -> FinishedRun:
-        n, air = len(self.image), standard_atmosphere("us1976")
+        n = len(self.image)
+        air = standard_atmosphere("us1976")
         stations = replace(
             empty_stations(self.image, self.camera, "ok"),
-            lat_rad=np.radians(self.lat), lon_rad=np.radians(self.lon), h_ellipsoid_m=self.h,
-            h_msl_m=self.h - UNDULATION, sigma_horizontal_m=np.full(n, 0.03),
+            lat_rad=np.radians(self.lat),
+            lon_rad=np.radians(self.lon),
+            h_ellipsoid_m=self.h,
+            h_msl_m=self.h - UNDULATION,
+            sigma_horizontal_m=np.full(n, 0.03),
             sigma_height_m=np.full(n, 0.05),
             quaternion=Rotation.from_matrix(self.turn).as_quat(canonical=True, scalar_first=True),
-        )  # fmt: skip
+        )
         outside = air.refractivity(stations.h_msl_m)
         exposures = Exposures(
             np.full(n, True), self.turn, stations.lat_rad, stations.h_msl_m, outside, outside
         )
         run = FinishedRun(
-            "block", stations, exposures, constant_series(TimedProfile(None, air), n),
-            (rays_by(air, "spherical"),), "spherical",
+            "block",
+            stations,
+            exposures,
+            constant_series(TimedProfile(None, air), n),
+            (rays_by(air, "spherical"),),
+            "spherical",
             {"nadir": ExportCamera(NADIR, False, 0.005), "side": ExportCamera(SIDE, False)},
-            lambda _: np.full(n, GROUND), PixelSystem("centre"), self.parts,
+            lambda _: np.full(n, GROUND),
+            PixelSystem("centre"),
+            self.parts,
             {"unbend.mission": "block"},
-        )  # fmt: skip
+        )
         return replace(run, **changes)
 
     def frame(self, origin) -> pyproj.Transformer:
@@ -143,11 +171,16 @@ class Block:
 def table_of(rows, status="ok") -> pa.Table:
     """As a run writes it, pixels counted from the centre of the first."""
     columns = list(zip(*rows, strict=True))
-    return pa.table({
-        "image": columns[0], "point": columns[1],
-        "x_corrected_px": np.array(columns[2]) - 0.5, "y_corrected_px": np.array(columns[3]) - 0.5,
-        "h_g_m": columns[4], "status": [status] * len(rows),
-    })  # fmt: skip
+    return pa.table(
+        {
+            "image": columns[0],
+            "point": columns[1],
+            "x_corrected_px": np.array(columns[2]) - 0.5,
+            "y_corrected_px": np.array(columns[3]) - 0.5,
+            "h_g_m": columns[4],
+            "status": [status] * len(rows),
+        }
+    )
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +195,8 @@ def spaced(tmp_path_factory) -> Block:
 
 
 def written(run: FinishedRun, name: str, folder: Path, **values) -> tuple[Path, Ledger]:
-    form, ledger = FORMATS[name], Ledger()
+    form = FORMATS[name]
+    ledger = Ledger()
     path = folder / f"{name}{form.ending}"
     if not form.ending:
         path.mkdir()
@@ -200,10 +234,13 @@ def test_a_model_that_pycolmap_reads_loses_nothing(spaced, tmp_path):
     noted = {entry.code: entry for entry in ledger}
     cameras = ", ".join(f"{k} {name}" for k, name in enumerate(dict.fromkeys(block.camera), 1))
     assert noted["EXPORT-CAMERAS"].what == f"camera {cameras}"
-    images, points = len(block.image), len({row[1] for row in block.rows})
+    images = len(block.image)
+    points = len({row[1] for row in block.rows})
     assert noted["EXPORT-POINTS"].count == len(block.rows)
     assert f"of {points:,} points in {images:,} images" in noted["EXPORT-POINTS"].what
-    largest, missed, tied = 0.0, 0.0, set()
+    largest = 0.0
+    missed = 0.0
+    tied = set()
     for image in model.images.values():
         rows = block.of_image[image.name]
         given = np.array([row[2:4] for row in rows])
@@ -250,17 +287,21 @@ def test_lenses_that_colmap_holds(block, tmp_path, distortion, model):
     u, v = np.random.default_rng(2).uniform(-0.3, 0.3, (2, 50))
     x, y = camera.project(u, v)
     np.testing.assert_allclose(
-        theirs.img_from_cam(np.stack([u, v, np.ones(50)], axis=1)), np.stack([x, y], axis=1),
+        theirs.img_from_cam(np.stack([u, v, np.ones(50)], axis=1)),
+        np.stack([x, y], axis=1),
         atol=1e-8,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("name", ["colmap", "colmap-database", "opensfm"])
 @pytest.mark.parametrize(
     ("distortion", "word"),
-    [(GeneralFrame(k4=0.1), "k4"), (GeneralFrame(skew_x=1e-4), "skew_x"),
-     (GeneralFrame(k1=0.1, sense=-1.0), "sense")],
-)  # fmt: skip
+    [
+        (GeneralFrame(k4=0.1), "k4"),
+        (GeneralFrame(skew_x=1e-4), "skew_x"),
+        (GeneralFrame(k1=0.1, sense=-1.0), "sense"),
+    ],
+)
 def test_lenses_that_a_format_cannot_hold(block, tmp_path, name, distortion, word):
     camera = ExportCamera(replace(SIDE, distortion=distortion), False)
     run = block.run(cameras={"nadir": ExportCamera(NADIR, False), "side": camera})
@@ -312,11 +353,22 @@ def test_a_database_that_pycolmap_reads(block, tmp_path):
         assert prior.coordinate_system == pycolmap.PosePriorCoordinateSystem.CARTESIAN
         # One metre east, north and up of the station, in the frame.
         steps = np.eye(3) * 1e-6
-        lat, lon, h = block.lat[i], block.lon[i], block.h[i]
-        near = np.array([
-            frame.transform(*TO_ECEF.transform(lon + np.degrees(s[0]), lat + np.degrees(s[1]),
-                                               h + 1e6 * s[2])) for s in steps
-        ]) - centre  # fmt: skip
+        lat = block.lat[i]
+        lon = block.lon[i]
+        h = block.h[i]
+        near = (
+            np.array(
+                [
+                    frame.transform(
+                        *TO_ECEF.transform(
+                            lon + np.degrees(s[0]), lat + np.degrees(s[1]), h + 1e6 * s[2]
+                        )
+                    )
+                    for s in steps
+                ]
+            )
+            - centre
+        )
         axes = near / np.linalg.norm(near, axis=1, keepdims=True)
         expected = axes.T @ np.diag([0.03**2, 0.03**2, 0.05**2]) @ axes
         np.testing.assert_allclose(prior.position_covariance, expected, atol=1e-8)
@@ -345,7 +397,8 @@ def test_a_database_adjusts_with_its_priors(block, tmp_path):
     with closing(pycolmap.Database.open(file)) as database:
         priors = database.read_all_pose_priors()
     centres = in_frame(block, origin_of(ledger), block.centre)
-    rng, config = np.random.default_rng(1), pycolmap.BundleAdjustmentConfig()
+    rng = np.random.default_rng(1)
+    config = pycolmap.BundleAdjustmentConfig()
     for image in model.images.values():
         pose = image.cam_from_world()
         turned = Rotation.from_rotvec(rng.normal(0, 1e-4, 3)).as_matrix() @ pose.rotation.matrix()
@@ -386,10 +439,14 @@ def test_priors_without_sigma_and_wide_images(block, tmp_path):
     n = len(block.image)
     wide = replace(SIDE, width_px=60000, cx_px=55000.0)
     path, ledger = written(
-        replace(run, stations=replace(run.stations, sigma_height_m=np.full(n, np.nan)),
-                cameras=run.cameras | {"side": ExportCamera(wide, False)}),
-        "colmap-database", tmp_path,
-    )  # fmt: skip
+        replace(
+            run,
+            stations=replace(run.stations, sigma_height_m=np.full(n, np.nan)),
+            cameras=run.cameras | {"side": ExportCamera(wide, False)},
+        ),
+        "colmap-database",
+        tmp_path,
+    )
     with closing(pycolmap.Database.open(path)) as database:
         prior = database.read_all_pose_priors()[0]
     assert prior.has_position()
@@ -433,10 +490,16 @@ def test_bundler_is_undistorted_centred_and_intersects(block, tmp_path):
     centre = -np.einsum("nji,nj->ni", turn, np.array(numbers).reshape(images, 5, 3)[:, 4])
     np.testing.assert_allclose(centre, in_frame(block, origin, block.centre), atol=1e-6)
     ideal = {(row[0], round(row[5], 12), round(row[6], 12)): row[1] for row in block.rows}
-    seen, off, missed, count = set(), 0.0, 0.0, 0
+    seen = set()
+    off = 0.0
+    missed = 0.0
+    count = 0
     for head, views in zip(lines[2 + 5 * images :: 3], lines[4 + 5 * images :: 3], strict=True):
-        place, track = np.array(head.split(), float), np.array(views.split()[1:], float)
-        image, x, y = track[::4].astype(int), track[2::4], track[3::4]
+        place = np.array(head.split(), float)
+        track = np.array(views.split()[1:], float)
+        image = track[::4].astype(int)
+        x = track[2::4]
+        y = track[3::4]
         rays = np.stack([x / f[image], y / f[image], -np.ones(x.size)], axis=1)
         directions = np.einsum("nji,nj->ni", turn[image], rays)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -444,11 +507,12 @@ def test_bundler_is_undistorted_centred_and_intersects(block, tmp_path):
         across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
         meet = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centre[image]))
         # Which point it is: by the ideal image coordinates.
-        u, v = x / f[image], -y / f[image]
+        u = x / f[image]
+        v = -y / f[image]
         near = min(
             (row for row in block.of_image[block.image[image[0]]]),
             key=lambda row: np.hypot(row[5] - u[0], row[6] - v[0]),
-        )  # fmt: skip
+        )
         truth = in_frame(block, origin, [block.place[near[1]]])[0]
         missed = max(missed, np.linalg.norm(meet - truth), np.linalg.norm(place - truth))
         for i, a, b in zip(image, u, v, strict=True):
@@ -487,18 +551,22 @@ def opensfm_pixels(camera, shot, places):
     """OpenSfM's projection, normalised, as its documentation has it."""
     turn = Rotation.from_rotvec(shot["rotation"])
     x, y, z = (turn.apply(places) + np.array(shot["translation"])).T
-    x, y = x / z, y / z
+    x = x / z
+    y = y / z
     r2 = x * x + y * y
     k1, k2, k3, p1, p2 = (camera.get(name, 0.0) for name in ("k1", "k2", "k3", "p1", "p2"))
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack([
-        camera.get("focal", camera.get("focal_x")) * (x * radial + 2 * p1 * x * y
-                                                      + p2 * (r2 + 2 * x * x))
-        + camera.get("c_x", 0.0),
-        camera.get("focal", camera.get("focal_y")) * (y * radial + 2 * p2 * x * y
-                                                      + p1 * (r2 + 2 * y * y))
-        + camera.get("c_y", 0.0),
-    ], axis=1)  # fmt: skip
+    return np.stack(
+        [
+            camera.get("focal", camera.get("focal_x"))
+            * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x))
+            + camera.get("c_x", 0.0),
+            camera.get("focal", camera.get("focal_y"))
+            * (y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y))
+            + camera.get("c_y", 0.0),
+        ],
+        axis=1,
+    )
 
 
 def read_opensfm(tracks: Path, reconstruction: Path):
@@ -540,8 +608,12 @@ def test_opensfm_keeps_nine_digits_and_names(block, tmp_path):
     assert [name for name, *_ in found] == block.image.tolist()
     missed = lost = 0.0
     for name, rows, xy, residual, camera in found:
-        assert cameras[json.loads((path / "reconstruction.json").read_text())[0]["shots"][name][
-            "camera"]] == camera  # fmt: skip
+        assert (
+            cameras[
+                json.loads((path / "reconstruction.json").read_text())[0]["shots"][name]["camera"]
+            ]
+            == camera
+        )
         size = np.array([camera["width"], camera["height"]])
         given = {row[1]: row[2:4] for row in block.of_image[name]}
         # A pixel (0, 0) of OpenSfM's is the centre of the first: denormalised, and half a pixel.
@@ -566,7 +638,8 @@ def test_opensfm_keeps_nine_digits_and_names(block, tmp_path):
 
 
 def read_bingo(path: Path) -> dict[str, tuple[str, dict[str, tuple[float, float]]]]:
-    images, lines = {}, iter(path.read_text().splitlines())
+    images = {}
+    lines = iter(path.read_text().splitlines())
     for line in lines:
         image, camera = line.split()
         points = {}
@@ -647,7 +720,8 @@ LARGEST = {"colmap": 2e-12, "colmap-database": 5e-4, "opensfm": 1e-5}
 def test_there_and_back(block, tmp_path, name):
     """Read by the imports: numbers, names, places, angles and cameras survive."""
     path, ledger = written(block.run(), name, tmp_path)
-    program, names = name.partition("-")[0], {}
+    program = name.partition("-")[0]
+    names = {}
     if name != "colmap-database":
         names = {row["id"]: row["point"] for row in read_csv(path / "points.csv")}
     table = pa.Table.from_batches(block_rows(path, program)).to_pandas()
@@ -671,7 +745,8 @@ def test_there_and_back(block, tmp_path, name):
             # What lies 1 km before the camera, in the frame and in the image.
             own = turn.T @ [0.1, -0.2, 1.0]
             enu = Rotation.from_euler(
-                "ZX", [90.0 + block.lon[i], 90.0 - block.lat[i]], degrees=True)  # fmt: skip
+                "ZX", [90.0 + block.lon[i], 90.0 - block.lat[i]], degrees=True
+            )
             ahead = np.array(to_frame.transform(*(block.centre[i] + 1e3 * enu.apply(own))))
             seen = matrices_of(found.angles[order])[i] @ (ahead - centre[i]) * 1e-3
             np.testing.assert_allclose(seen, [0.1, -0.2, 1.0], atol=1e-8)
@@ -698,7 +773,8 @@ def test_what_is_not_ok_is_left_out_and_counted(block, tmp_path, name):
     status[4] = "in_gap"
     run = replace(run, parts=(path,), stations=replace(run.stations, status=status))
     values = {"pixel_um": 4.0} if name == "bingo" else {}
-    form, ledger = FORMATS[name], Ledger()
+    form = FORMATS[name]
+    ledger = Ledger()
     out = tmp_path / f"out{form.ending}"
     if not form.ending:
         out.mkdir()
@@ -718,9 +794,10 @@ def test_what_is_not_ok_is_left_out_and_counted(block, tmp_path, name):
     assert bool(not_written) == (name in ("bundler", "blocksexchange"))
     if name == "colmap":
         (image,) = [
-            image for image in pycolmap.Reconstruction(out).images.values()
+            image
+            for image in pycolmap.Reconstruction(out).images.values()
             if image.name == good[20][0]
-        ]  # fmt: skip
+        ]
         places = [tuple(point.xy) for point in image.points2D]
         assert (1.0, 2.0) not in places, "the second measurement of a point"
 
@@ -740,7 +817,8 @@ def test_points_that_cannot_be_undistorted_are_a_loss(block, tmp_path):
 
 @pytest.mark.parametrize("name", BLOCKS)
 def test_a_run_without_places_and_a_camera_without_calibration(block, tmp_path, name):
-    run, n = block.run(), len(block.image)
+    run = block.run()
+    n = len(block.image)
     lost = replace(run, stations=replace(run.stations, h_ellipsoid_m=np.full(n, np.nan)))
     with pytest.raises(MissionError, match="EXPORT-NO-STATIONS"):
         written(lost, name, tmp_path)
@@ -765,7 +843,8 @@ def test_points_whose_rays_do_not_meet_lie_on_the_ground(block, tmp_path):
     assert ("fallback", "EXPORT-POINT-HEIGHT", len(rows)) in [
         (e.kind, e.code, e.count) for e in ledger
     ]
-    model, origin = pycolmap.Reconstruction(path), origin_of(ledger)
+    model = pycolmap.Reconstruction(path)
+    origin = origin_of(ledger)
     names = {int(r["id"]): r["point"] for r in read_csv(path / "points.csv")}
     for number, point in model.points3D.items():
         truth = in_frame(block, origin, [block.place[names.get(number, str(number))]])[0]
@@ -820,9 +899,7 @@ def test_run_refuses_what_was_exported(unbend, baseline, mission, tmp_path, name
     unbend("export", baseline.output, "--format", name, "--out", out)
     if out.is_dir():
         out = out.rename(tmp_path / "measured")
-    mission.config["observations"] = {
-        "path": str(out), "format": name.partition("-")[0]
-    }  # fmt: skip
+    mission.config["observations"] = {"path": str(out), "format": name.partition("-")[0]}
     for command in ("run", "check"):
         ended = unbend(command, mission.save())
         assert "OBS-ALREADY-CORRECTED" in ended.err, ended.text

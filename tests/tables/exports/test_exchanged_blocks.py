@@ -87,7 +87,8 @@ def test_numbers_of_pix4d_are_those_of_its_formula(block, run, tmp_path):
     row = block.of_image[block.image[0]][0]
     (place,) = in_frame(block, origin_of(ledger), [block.place[row[1]]])
     m = k @ r @ (place - t)
-    u, v = row[5], row[6]
+    u = row[5]
+    v = row[6]
     np.testing.assert_allclose(m[:2] / m[2], k[:2, :2] @ [u, v] + k[:2, 2], atol=1e-4)
     external = (path / "unbend_calibrated_external_camera_parameters.txt").read_text()
     fields = external.splitlines()[1].split()

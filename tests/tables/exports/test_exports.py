@@ -29,7 +29,8 @@ from unbend.tables.pixels import PixelSystem
 
 NADIR = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0)
 SIDE = Camera(600, 400, 700.0, 500.0, 300.0, 200.0)
-GROUND, HEIGHT = 100.0, np.array([3000.0, 3000.0, 3010.0, 6000.0, 3000.0])
+GROUND = 100.0
+HEIGHT = np.array([3000.0, 3000.0, 3010.0, 6000.0, 3000.0])
 PROFILES = (standard_atmosphere("us1976"), standard_atmosphere("ican", index="gyer"))
 RADIUS = 6_371_000.0
 
@@ -48,14 +49,19 @@ def run() -> FinishedRun:
         h_msl_m=HEIGHT,
     )
     number = np.array([0, 1, 1, 1, 0])
-    outside = np.array([
-        float(PROFILES[k].refractivity(h)) for k, h in zip(number, HEIGHT, strict=True)
-    ])  # fmt: skip
+    outside = np.array(
+        [float(PROFILES[k].refractivity(h)) for k, h in zip(number, HEIGHT, strict=True)]
+    )
     return FinishedRun(
         mission="small",
         stations=stations,
         exposures=Exposures(
-            usable, np.tile(down, (5, 1, 1)), np.full(5, 0.8), HEIGHT, outside, outside,
+            usable,
+            np.tile(down, (5, 1, 1)),
+            np.full(5, 0.8),
+            HEIGHT,
+            outside,
+            outside,
             radius_m=RADIUS,
         ),
         air=ProfileSeries(tuple(TimedProfile(None, p) for p in PROFILES), number),
@@ -66,12 +72,13 @@ def run() -> FinishedRun:
         pixels=PixelSystem("centre"),
         parts=(),
         metadata={"unbend.mission": "small"},
-    )  # fmt: skip
+    )
 
 
 def written(run, name, folder, **values):
     """The rows of a format as dictionaries, its number of rows, and the ledger."""
-    form, ledger = FORMATS[name], Ledger()
+    form = FORMATS[name]
+    ledger = Ledger()
     path = folder / f"out{form.ending}"
     count = form.write(run, form.values(values), path, ledger)
     if form.ending == ".csv":
@@ -103,10 +110,13 @@ def test_each_image_has_the_lattice_of_its_own_air_and_camera(run, tmp_path):
         nodes = [row for row in rows if row["image"] == image]
         # Row by row from the upper left; pixels counted from the centre of the first.
         assert [(n["x_px"], n["y_px"]) for n in nodes[:4]] == [
-            (-0.5, -0.5), (camera.cx_px - 0.5, -0.5), (camera.width_px - 0.5, -0.5),
+            (-0.5, -0.5),
+            (camera.cx_px - 0.5, -0.5),
+            (camera.width_px - 0.5, -0.5),
             (-0.5, camera.cy_px - 0.5),
-        ]  # fmt: skip
-        top, left = nodes[1], nodes[3]
+        ]
+        top = nodes[1]
+        left = nodes[3]
         assert top["dx_px"] == pytest.approx(0.0, abs=1e-9)
         assert top["dy_px"] == pytest.approx(
             shift(camera, camera.fy_px, -camera.cy_px, profile, h_c), rel=1e-6
@@ -185,7 +195,8 @@ def test_the_radius_of_a_radial_table_is_the_mean_one_of_the_latitude(run, tmp_p
     own = replace(run, exposures=replace(run.exposures, radius_m=None))
     rows, _ = written(own, "radial", tmp_path)
     w2 = 1.0 - 0.00669437999014 * math.sin(0.8) ** 2
-    m, n = 6378137.0 * (1.0 - 0.00669437999014) / w2**1.5, 6378137.0 / math.sqrt(w2)
+    m = 6378137.0 * (1.0 - 0.00669437999014) / w2**1.5
+    n = 6378137.0 / math.sqrt(w2)
     r = refraction_angle(PROFILES[1], 3000.0, GROUND, math.radians(80.0), 2.0 / (1 / m + 1 / n))
     assert rows[80]["r_c_urad"] == pytest.approx(r * 1e6, rel=1e-10)
     assert abs(rows[80]["r_c_urad"] / (r * 1e6) - 1.0) < abs(
@@ -225,9 +236,7 @@ def test_an_option_of_another_format():
 
 def test_limits_belong_to_the_range_and_units_to_the_remedy():
     option = Option("largest_angle", float, 80.0, "largest nadir angle", "deg", 1.0, 89.0)
-    form = ExportFormat(
-        "x", "", ".csv", lambda *_: 0, lambda *_: ExportFrame(), options=(option,)
-    )  # fmt: skip
+    form = ExportFormat("x", "", ".csv", lambda *_: 0, lambda *_: ExportFrame(), options=(option,))
     assert form.values({"largest_angle": 89.0}) == {"largest_angle": 89.0}
     with pytest.raises(ConfigError) as refusal:
         form.values({"largest_angle": 90.0})

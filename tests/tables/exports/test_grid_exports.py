@@ -35,8 +35,11 @@ from .test_station_exports import wolf_and_dewitt
 
 CAMERA = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0)
 DOWN = np.diag([1.0, -1.0, -1.0])
-LAT, LON = np.array([47.00, 47.01, 47.02]), np.array([6.40, 6.41, 6.42])
-H_MSL, UNDULATION, GROUND = 3000.0, 48.0, 400.0
+LAT = np.array([47.00, 47.01, 47.02])
+LON = np.array([6.40, 6.41, 6.42])
+H_MSL = 3000.0
+UNDULATION = 48.0
+GROUND = 400.0
 TURNS = [
     DOWN,
     Rotation.from_euler("zyx", [70.0, -20.0, 15.0], degrees=True).as_matrix() @ DOWN,
@@ -94,8 +97,16 @@ def block(run, tmp_path) -> FinishedRun:
         measured = pixel_of(station, *place_on_ground(station, step - shift))
         rows.append((names[station], f"p{station}", *measured, *corrected, GROUND, "ok"))
     rows.append(("a,1.tif", "lost", 5.0, 5.0, None, None, None, "no_ground"))
-    columns = ("image", "point", "x_px", "y_px", "x_corrected_px", "y_corrected_px", "h_g_m",
-               "status")  # fmt: skip
+    columns = (
+        "image",
+        "point",
+        "x_px",
+        "y_px",
+        "x_corrected_px",
+        "y_corrected_px",
+        "h_g_m",
+        "status",
+    )
     table = pa.table(dict(zip(columns, zip(*rows, strict=True), strict=True)))
     for name in columns[2:7]:
         position = table.schema.get_field_index(name)
@@ -116,24 +127,32 @@ def block(run, tmp_path) -> FinishedRun:
     )
     cameras = {"nadir": replace(run.cameras["nadir"], camera=CAMERA)}
     return replace(
-        run, stations=stations, exposures=exposures, cameras=cameras,
-        find_ground=lambda _: np.full(3, GROUND), pixels=type(run.pixels)("centre"),
+        run,
+        stations=stations,
+        exposures=exposures,
+        cameras=cameras,
+        find_ground=lambda _: np.full(3, GROUND),
+        pixels=type(run.pixels)("centre"),
         parts=(tmp_path / "part.parquet",),
-    )  # fmt: skip
+    )
 
 
 def in_grid(run: FinishedRun, crs: str, name: str) -> FinishedRun:
     form = FORMATS[name]
     assert form.grid is not None
     grid, _ = open_grid(
-        crs, run.stations.lat_rad, run.stations.lon_rad, geoid=None,
+        crs,
+        run.stations.lat_rad,
+        run.stations.lon_rad,
+        geoid=None,
         needs_angles=form.grid.needs_angles,
-    )  # fmt: skip
+    )
     return replace(run, grid=grid)
 
 
 def written(run: FinishedRun, name: str, folder: Path) -> tuple[Path, int, Ledger]:
-    form, ledger = FORMATS[name], Ledger()
+    form = FORMATS[name]
+    ledger = Ledger()
     path = folder / f"out{form.ending}"
     return path, form.write(run, form.values({}), path, ledger), ledger
 
@@ -159,8 +178,9 @@ def test_a_ray_through_the_exported_angles_reaches_the_ground_of_one_in_ecef(blo
         place = np.array([float(row[name]) for name in ("x_m", "y_m", "z_m")])
         np.testing.assert_allclose(place[:2], to_grid.transform(LON[station], LAT[station]))
         assert place[2] == pytest.approx(H_MSL + UNDULATION)
-        photo = wolf_and_dewitt(*np.radians([float(row[f"{n}_deg"])
-                                             for n in ("omega", "phi", "kappa")]))  # fmt: skip
+        photo = wolf_and_dewitt(
+            *np.radians([float(row[f"{n}_deg"]) for n in ("omega", "phi", "kappa")])
+        )
         for x, y in ((500.0, 400.0), (0.0, 0.0), (1000.0, 0.0), (300.0, 800.0)):
             ray = np.array([x - 500.0, y - 400.0, 900.0])
             # In earth-centred axes, to a level surface 2600 m below the station.
@@ -190,7 +210,8 @@ def test_convergence_and_scale_stand_in_the_file_and_in_the_frame(block, tmp_pat
     assert [float(row["z_m"]) for row in rows] == [H_MSL] * 3
     assert [message.code for message in ledger] == ["EXPORT-GRID"]
     frame = frame_record(FORMATS["opk"].frame(run, {}))
-    positions, angles = frame["positions"], frame["angles"]
+    positions = frame["positions"]
+    angles = frame["angles"]
     assert positions["kind"] == "projected"
     assert positions["crs"] == "EPSG:25832+5773"
     assert pyproj.CRS.from_wkt(positions["crs_wkt"]).equals(pyproj.CRS("EPSG:25832+5773"))
@@ -200,9 +221,11 @@ def test_convergence_and_scale_stand_in_the_file_and_in_the_frame(block, tmp_pat
     assert angles["convergence_deg"] == pytest.approx((min(convergence), max(convergence)))
     assert angles["frame_axes"] == ("grid east", "grid north", "up")
     assert frame["scale"] == {
-        "lowest": pytest.approx(min(scale)), "highest": pytest.approx(max(scale)),
-        "is_in_heights": False, "is_in_principal_distance": False,
-    }  # fmt: skip
+        "lowest": pytest.approx(min(scale)),
+        "highest": pytest.approx(max(scale)),
+        "is_in_heights": False,
+        "is_in_principal_distance": False,
+    }
     assert rows[0]["omega_deg"] != ""
 
 
@@ -254,8 +277,9 @@ def test_the_scale_of_a_grid_is_not_in_the_shift(block, tmp_path):
 
 
 def test_a_geopackage_read_by_gdal(block, tmp_path):
-    path, count, _ = written(in_grid(block, "EPSG:25832+5773", "geopackage"), "geopackage",
-                             tmp_path)  # fmt: skip
+    path, count, _ = written(
+        in_grid(block, "EPSG:25832+5773", "geopackage"), "geopackage", tmp_path
+    )
     layers = dict(pyogrio.list_layers(path))
     assert set(layers) >= {"stations", "footprints", "points"}
     stations, grounds, points = (
@@ -343,8 +367,11 @@ def test_the_origin_of_a_block_is_that_of_its_file(block, tmp_path):
     path, _, _ = written(block, "opk-enu", tmp_path)
     row = rows_of(path)[0]
     origin = frame_record(FORMATS["opk-enu"].frame(block, {}))["positions"]["origin"]
-    for name, column in (("latitude_deg", "origin_lat_deg"), ("longitude_deg", "origin_lon_deg"),
-                         ("h_ellipsoid_m", "origin_h_ellipsoid_m")):  # fmt: skip
+    for name, column in (
+        ("latitude_deg", "origin_lat_deg"),
+        ("longitude_deg", "origin_lon_deg"),
+        ("h_ellipsoid_m", "origin_h_ellipsoid_m"),
+    ):
         assert origin[name] == float(row[column])
 
 
@@ -360,8 +387,9 @@ def test_quarter_turns_of_bingo_turn_the_axes_of_its_frame(block):
 
 def test_the_command_writes_the_frame_beside_the_file(unbend, baseline, tmp_path):
     out = tmp_path / "o.csv"
-    ended = unbend("export", baseline.output, "--format", "opk", "--crs", "EPSG:32632",
-                   "--out", out, "--json")  # fmt: skip
+    ended = unbend(
+        "export", baseline.output, "--format", "opk", "--crs", "EPSG:32632", "--out", out, "--json"
+    )
     assert ended.code == 0, ended.text
     answer = json.loads(ended.out)
     beside = json.loads((tmp_path / "o.csv.unbend.json").read_text(encoding="utf-8"))

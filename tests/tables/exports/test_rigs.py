@@ -34,16 +34,25 @@ def source(tmp_path):
     with closing(sqlite3.connect(path)) as base:
         base.executescript(SCHEMA.read_text(encoding="utf-8"))
         for image, name, camera in [
-            (11, "a0", 7), (12, "b0", 9), (13, "a1", 7), (14, "b1", 9), (15, "a2", 7), (16, "c", 8),
+            (11, "a0", 7),
+            (12, "b0", 9),
+            (13, "a1", 7),
+            (14, "b1", 9),
+            (15, "a2", 7),
+            (16, "c", 8),
             (17, "b2", 9),
-        ]:  # fmt: skip
+        ]:
             base.execute("INSERT INTO images VALUES (?, ?, ?)", (image, name, camera))
         base.execute("INSERT INTO rigs VALUES (3, 7, 0)")
         base.execute("INSERT INTO rigs VALUES (4, 8, 0)")
         base.execute("INSERT INTO rig_sensors VALUES (3, 9, 0, ?)", (POSE,))
         base.execute("INSERT INTO rig_sensors VALUES (3, 1, 1, NULL)")
-        for frame, rig, images in [(21, 3, [(11, 7), (12, 9)]), (22, 3, [(13, 7), (14, 9)]),
-                                   (23, 3, [(15, 7), (17, 9)]), (24, 4, [(16, 8)])]:  # fmt: skip
+        for frame, rig, images in [
+            (21, 3, [(11, 7), (12, 9)]),
+            (22, 3, [(13, 7), (14, 9)]),
+            (23, 3, [(15, 7), (17, 9)]),
+            (24, 4, [(16, 8)]),
+        ]:
             base.execute("INSERT INTO frames VALUES (?, ?)", (frame, rig))
             for image, camera in images:
                 base.execute("INSERT INTO frame_data VALUES (?, ?, ?, 0)", (frame, image, camera))

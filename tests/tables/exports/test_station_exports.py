@@ -31,8 +31,11 @@ from unbend.tables.pixels import PixelSystem
 CAMERA = Camera(1000, 800, 900.0, 880.0, 510.0, 395.0, BrownConrady(k1=-0.02, p1=1e-3))
 CORNERS = np.array([[0.0, 0.0], [0.0, 800.0], [1000.0, 800.0], [1000.0, 0.0]])
 NAMES = ["a,b.tif", '<c> & "d".tif', "e\x01.tif", "over the horizon", "nowhere"]
-LAT, LON = [47.0, 47.05, -33.0, 47.0, np.nan], [8.0, 8.1, 179.999, 8.0, np.nan]
-H_MSL, UNDULATION, GROUND = 3000.0, 48.0, 400.0
+LAT = [47.0, 47.05, -33.0, 47.0, np.nan]
+LON = [8.0, 8.1, 179.999, 8.0, np.nan]
+H_MSL = 3000.0
+UNDULATION = 48.0
+GROUND = 400.0
 DOWN = np.diag([1.0, -1.0, -1.0])
 # Level to the north; yawed, banked; to the east near the 180th meridian; far too oblique.
 TURNS = [
@@ -53,34 +56,47 @@ def run() -> FinishedRun:
     quaternion[:4] = Rotation.from_matrix(TURNS[:4]).as_quat(canonical=True, scalar_first=True)
     air = standard_atmosphere("us1976")
     stations = replace(
-        empty_stations(np.array(NAMES, object), np.full(n, "nadir", object), "ok"), status=status,
-        time_ns=np.full(n, 1_749_718_800_500_000_000), lat_rad=np.radians(LAT),
-        lon_rad=np.radians(LON), h_msl_m=np.full(n, H_MSL),
-        h_ellipsoid_m=np.full(n, H_MSL + UNDULATION), quaternion=quaternion,
-        sigma_horizontal_m=np.full(n, 0.5), sigma_tilt_rad=np.full(n, np.radians(0.25)),
+        empty_stations(np.array(NAMES, object), np.full(n, "nadir", object), "ok"),
+        status=status,
+        time_ns=np.full(n, 1_749_718_800_500_000_000),
+        lat_rad=np.radians(LAT),
+        lon_rad=np.radians(LON),
+        h_msl_m=np.full(n, H_MSL),
+        h_ellipsoid_m=np.full(n, H_MSL + UNDULATION),
+        quaternion=quaternion,
+        sigma_horizontal_m=np.full(n, 0.5),
+        sigma_tilt_rad=np.full(n, np.radians(0.25)),
         suspect_reason=np.array(["", "no fix", "", "", ""], object),
         suspect_m=np.array([np.nan, 77.0, np.nan, np.nan, np.nan]),
-    )  # fmt: skip
+    )
     outside = air.refractivity(stations.h_msl_m)
     usable = np.array([True, True, True, True, False])  # as where suspect ones are used
     return FinishedRun(
-        "<survey>", stations,
+        "<survey>",
+        stations,
         Exposures(usable, np.array(TURNS), stations.lat_rad, stations.h_msl_m, outside, outside),
-        constant_series(TimedProfile(None, air), n), (rays_by(air, "spherical"),), "spherical",
-        {"nadir": ExportCamera(CAMERA, False)}, lambda _: np.full(n, GROUND),
-        PixelSystem("corner"), (), {},
-    )  # fmt: skip
+        constant_series(TimedProfile(None, air), n),
+        (rays_by(air, "spherical"),),
+        "spherical",
+        {"nadir": ExportCamera(CAMERA, False)},
+        lambda _: np.full(n, GROUND),
+        PixelSystem("corner"),
+        (),
+        {},
+    )
 
 
 def written(run, name, folder):
-    form, ledger = FORMATS[name], Ledger()
+    form = FORMATS[name]
+    ledger = Ledger()
     path = folder / f"out{form.ending}"
     return path, form.write(run, form.values({}), path, ledger), ledger
 
 
 def assert_shows(corners: np.ndarray, station: int) -> None:
     """The ground at the corners of a footprint is what the corners of the image see."""
-    lon, lat = corners[:, 0], corners[:, 1]
+    lon = corners[:, 0]
+    lat = corners[:, 1]
     ground = np.stack(TO_ECEF.transform(lon, lat, np.full(4, GROUND + UNDULATION)), axis=1)
     place = LON[station], LAT[station], H_MSL + UNDULATION
     step = ground - np.array(TO_ECEF.transform(*place))
@@ -113,19 +129,23 @@ def test_geojson_read_by_gdal(run, tmp_path):
     # Across the 180th meridian the polygon stays in one piece.
     assert grounds.geometry.iloc[2].bounds[2] > 180.0
     assert [(e.kind, e.code, e.count) for e in ledger] == [
-        ("loss", "EXPORT-NO-GROUND", 1), ("loss", "EXPORT-LEFT-OUT", 1)]  # fmt: skip
+        ("loss", "EXPORT-NO-GROUND", 1),
+        ("loss", "EXPORT-LEFT-OUT", 1),
+    ]
     times = {f["properties"].get("time_utc") for f in json.loads(path.read_text())["features"]}
     assert times == {"2025-06-12T09:00:00.500000000Z", None}
 
 
 def test_a_footprint_by_hand(run, tmp_path):
     """From 2600 m above ground 400 px left of the middle are 2600 * 510 / 900 m, less the lens."""
-    straight = replace(run, cameras={"nadir": ExportCamera(replace(CAMERA, distortion=(
-        BrownConrady())), False)})  # fmt: skip
+    straight = replace(
+        run, cameras={"nadir": ExportCamera(replace(CAMERA, distortion=(BrownConrady())), False)}
+    )
     path, _, _ = written(straight, "geojson", tmp_path)
     first = json.loads(path.read_text())["features"][1]["geometry"]["coordinates"][0]
     azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(8.0, 47.0, *first[0])
-    east, north = 2600.0 * 510.0 / 900.0, 2600.0 * 395.0 / 880.0
+    east = 2600.0 * 510.0 / 900.0
+    north = 2600.0 * 395.0 / 880.0
     assert distance == pytest.approx(np.hypot(east, north), rel=3e-4)
     assert azimuth == pytest.approx(np.degrees(np.arctan2(-east, north)), abs=0.02)
 
@@ -172,14 +192,19 @@ def test_kml_read_by_gdal(run, tmp_path):
 
 def wolf_and_dewitt(omega: float, phi: float, kappa: float) -> np.ndarray:
     """From the frame to the photo (x right, y up): Elements of Photogrammetry, Eq. C-33."""
-    so, co = np.sin(omega), np.cos(omega)
-    sp, cp = np.sin(phi), np.cos(phi)
-    sk, ck = np.sin(kappa), np.cos(kappa)
-    return np.array([
-        [cp * ck, so * sp * ck + co * sk, -co * sp * ck + so * sk],
-        [-cp * sk, -so * sp * sk + co * ck, co * sp * sk + so * ck],
-        [sp, -so * cp, co * cp],
-    ])  # fmt: skip
+    so = np.sin(omega)
+    co = np.cos(omega)
+    sp = np.sin(phi)
+    cp = np.cos(phi)
+    sk = np.sin(kappa)
+    ck = np.cos(kappa)
+    return np.array(
+        [
+            [cp * ck, so * sp * ck + co * sk, -co * sp * ck + so * sk],
+            [-cp * sk, -so * sp * sk + co * ck, co * sp * sk + so * ck],
+            [sp, -so * cp, co * cp],
+        ]
+    )
 
 
 def rows_of(run, name, folder):
@@ -215,10 +240,14 @@ def test_angles_against_the_horizon_of_each_station(run, tmp_path):
 
 def test_one_frame_for_the_block(run, tmp_path):
     """A ray of each image in the frame of the origin, against PROJ's topocentric coordinates."""
-    near = replace(run, stations=replace(
-        run.stations, lon_rad=np.radians([8.0, 8.1, 8.2, 8.0, np.nan]),
-        lat_rad=np.radians([47.0, 47.05, 47.3, 47.0, np.nan]),
-    ))  # fmt: skip
+    near = replace(
+        run,
+        stations=replace(
+            run.stations,
+            lon_rad=np.radians([8.0, 8.1, 8.2, 8.0, np.nan]),
+            lat_rad=np.radians([47.0, 47.05, 47.3, 47.0, np.nan]),
+        ),
+    )
     rows, _ = rows_of(near, "opk-enu", tmp_path)
     origin = [float(rows[0][f"origin_{n}"]) for n in ("lat_deg", "lon_deg", "h_ellipsoid_m")]
     assert origin == pytest.approx([47.15, 8.1, 3048.0], abs=1e-4)
@@ -257,10 +286,15 @@ def test_exported_orientations_are_read_again(unbend, baseline, tmp_path):
     for key in ("log", "mount", "events"):
         del mission[key]
     mission["observations"]["path"] = str(baseline.folder / mission["observations"]["path"])
-    mission["stations"] = {"orientation": {
-        "path": "opk.csv", "angles": "omega_phi_kappa", "frame": "geographic",
-        "heights": "ellipsoid", "columns": {"camera": "camera", "time_utc": "time_utc"},
-    }}  # fmt: skip
+    mission["stations"] = {
+        "orientation": {
+            "path": "opk.csv",
+            "angles": "omega_phi_kappa",
+            "frame": "geographic",
+            "heights": "ellipsoid",
+            "columns": {"camera": "camera", "time_utc": "time_utc"},
+        }
+    }
     for camera in mission["cameras"].values():
         camera.pop("window", None)
     mission["output"] = {"path": "results"}

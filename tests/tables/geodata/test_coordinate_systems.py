@@ -67,7 +67,8 @@ def test_convergence_is_the_azimuth_of_grid_north(code):
     system = pyproj.CRS(code)
     west, south, east, north = system.area_of_use.bounds
     rng = np.random.default_rng(5)
-    lon, lat = rng.uniform(west, east, 50), rng.uniform(south, min(north, 70.0), 50)
+    lon = rng.uniform(west, east, 50)
+    lat = rng.uniform(south, min(north, 70.0), 50)
     # Lambert Nord counts grads from Paris; its datum in degrees from Greenwich is EPSG:4275.
     own = "EPSG:4275" if code == 27561 else system.geodetic_crs
     to_grid = pyproj.Transformer.from_crs(own, system, always_xy=True)
@@ -80,12 +81,14 @@ def test_convergence_is_the_azimuth_of_grid_north(code):
 
 
 def test_places_are_projs_whatever_the_order_of_the_axes():
-    lon, lat = np.array([9.1, 9.4]), np.array([48.2, 48.9])
+    lon = np.array([9.1, 9.4])
+    lat = np.array([48.2, 48.9])
     for crs in ("EPSG:25832", "EPSG:32632", "EPSG:3035"):
         x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
         places, notes = placed(crs, x, y, 300.0)
-        np.testing.assert_allclose(np.degrees([places.lon_rad, places.lat_rad]), [lon, lat],
-                                   atol=1e-9)  # fmt: skip
+        np.testing.assert_allclose(
+            np.degrees([places.lon_rad, places.lat_rad]), [lon, lat], atol=1e-9
+        )
         assert places.h_m.tolist() == [300.0, 300.0]
         assert [note.kind for note in notes] == ["note"]
     places, _ = placed("EPSG:4326", lon, lat)

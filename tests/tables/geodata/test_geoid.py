@@ -29,7 +29,8 @@ def gtx(values, south=40.0, west=10.0, step=0.5) -> bytes:
 
 def places(count):
     rng = np.random.default_rng(7)
-    lat, lon = rng.uniform(-90.0, 90.0, count), rng.uniform(-180.0, 180.0, count)
+    lat = rng.uniform(-90.0, 90.0, count)
+    lon = rng.uniform(-180.0, 180.0, count)
     lat[:6], lon[:6] = [90.0, -90.0, 0.0, 0.0, 89.99, -12.3], [10.0, 10.0, 180.0, -180.0, 179.99, 0]
     lon[6:30] = rng.uniform(179.7, 180.0, 24) * rng.choice([-1.0, 1.0], 24)
     return lat, lon
@@ -74,10 +75,8 @@ def test_a_plane_is_exact_and_outside_is_unknown(tmp_path):
     path = tmp_path / "plane.gtx"
     path.write_bytes(gtx(20.0 + 2.0 * north - 3.0 * east))
     grid = read_geoid(path)
-    lat, lon = (
-        np.radians([41.3, 42.0, 40.0, 39.9, 41.0]),
-        np.radians([12.1, 13.0, 10.0, 11.0, 13.1]),
-    )
+    lat = np.radians([41.3, 42.0, 40.0, 39.9, 41.0])
+    lon = np.radians([12.1, 13.0, 10.0, 11.0, 13.1])
     found = grid.undulation(lat, lon)
     np.testing.assert_allclose(found[:3], [20.0 + 2.6 - 6.3, 15.0, 20.0], rtol=1e-6)
     assert np.isnan(found[3:]).all()
@@ -97,7 +96,8 @@ def test_deflections_are_differences_of_projs_undulations(tmp_path):
     # The file that PROJ distributes, bit for bit.
     assert hashlib.sha256(path.read_bytes()).hexdigest() == PUBLISHED_SHA256
     shift = pyproj.Transformer.from_pipeline(f"+proj=vgridshift +grids={path} +multiplier=1")
-    rng, step = np.random.default_rng(3), 1.0 / 3600.0
+    rng = np.random.default_rng(3)
+    step = 1.0 / 3600.0
     lat, lon = (
         rng.integers(low, high, 200) * 0.25 + 0.1 for low, high in ((-320, 320), (-720, 719))
     )
@@ -133,18 +133,38 @@ def test_a_geotiff_is_the_same_grid(tmp_path):
     (tmp_path / "a.gtx").write_bytes(gtx(values))
     path = tmp_path / "a.tif"
     transform = rasterio.Affine(0.5, 0.0, 10.0 - 0.25, 0.0, -0.5, 42.0 + 0.25)
-    with rasterio.open(path, "w", driver="GTiff", height=5, width=7, count=1, dtype="float32",
-                       crs="EPSG:4326", transform=transform) as raster:  # fmt: skip
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        height=5,
+        width=7,
+        count=1,
+        dtype="float32",
+        crs="EPSG:4326",
+        transform=transform,
+    ) as raster:
         raster.write(values[::-1], 1)
-    lat, lon = np.radians([40.7, 41.9]), np.radians([10.1, 12.7])
+    lat = np.radians([40.7, 41.9])
+    lon = np.radians([10.1, 12.7])
     known = read_geoid(tmp_path / "a.gtx").undulation(lat, lon)
     np.testing.assert_allclose(read_geoid(path).undulation(lat, lon), known, rtol=0.0, atol=1e-9)
-    with rasterio.open(path, "w", driver="GTiff", height=5, width=7, count=1, dtype="int16",
-                       crs="EPSG:4326", transform=transform) as raster:  # fmt: skip
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        height=5,
+        width=7,
+        count=1,
+        dtype="int16",
+        crs="EPSG:4326",
+        transform=transform,
+    ) as raster:
         raster.write(np.round((values[::-1] - 20.0) * 1000.0).astype(np.int16), 1)
         raster.scales, raster.offsets = [0.001], [20.0]
     np.testing.assert_allclose(read_geoid(path).undulation(lat, lon), known, rtol=0.0, atol=6e-4)
-    west, north = transform.c, transform.f
+    west = transform.c
+    north = transform.f
     (tmp_path / "b.tif").write_text(
         f'<VRTDataset rasterXSize="7" rasterYSize="5"><SRS>EPSG:4326</SRS><GeoTransform>{west},'
         f' 0.5, 0, {north}, 0, -0.5</GeoTransform><VRTRasterBand dataType="Float32" band="1">'
@@ -175,9 +195,17 @@ def test_what_is_no_grid_is_refused(tmp_path, content, why):
 def test_a_projected_raster_is_refused(tmp_path):
     rasterio = pytest.importorskip("rasterio")
     path = tmp_path / "utm.tif"
-    with rasterio.open(path, "w", driver="GTiff", height=2, width=2, count=1, dtype="float32",
-                       crs="EPSG:32632",
-                       transform=rasterio.Affine(1, 0, 0, 0, -1, 9)) as raster:  # fmt: skip
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        height=2,
+        width=2,
+        count=1,
+        dtype="float32",
+        crs="EPSG:32632",
+        transform=rasterio.Affine(1, 0, 0, 0, -1, 9),
+    ) as raster:
         raster.write(np.ones((2, 2), np.float32), 1)
     with pytest.raises(InputError, match="geographic"):
         read_geoid(path)

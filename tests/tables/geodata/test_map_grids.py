@@ -25,7 +25,8 @@ SYSTEMS = {
 
 def opened(crs, lat, lon, **options):
     defaults = {"geoid": None, "needs_angles": True}
-    lat, lon = np.radians(np.atleast_1d(lat)), np.radians(np.atleast_1d(lon))
+    lat = np.radians(np.atleast_1d(lat))
+    lon = np.radians(np.atleast_1d(lon))
     return open_grid(crs, lat, lon, **(defaults | options))
 
 
@@ -79,7 +80,9 @@ def test_a_grid_in_feet_says_so_and_has_heights_in_feet():
 
 def test_what_heights_count_from():
     """Without a vertical part the ellipsoid; EGM96 and MSL are sea level; others need a grid."""
-    place, msl, ellipsoid = (np.radians([47.4]), np.radians([8.6])), np.array([452.0]), [500.0]
+    place = (np.radians([47.4]), np.radians([8.6]))
+    msl = np.array([452.0])
+    ellipsoid = [500.0]
 
     def height(crs, **options):
         grid, _ = opened(crs, 47.4, 8.6, **options)

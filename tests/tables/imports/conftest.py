@@ -14,11 +14,16 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-WEEK, TOW = 2417, 302_400.0
+WEEK = 2417
+TOW = 302_400.0
 START = datetime(1980, 1, 6, tzinfo=UTC) + timedelta(weeks=WEEK, seconds=TOW - 18.0)
-LAT, LON, HEIGHT = 47.3, 8.5, 1500.0
+LAT = 47.3
+LON = 8.5
+HEIGHT = 1500.0
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
-SPEED, RADIUS, LINE_S = 40.0, 200.0, 60.0
+SPEED = 40.0
+RADIUS = 200.0
+LINE_S = 60.0
 HALF_TURN_S = np.pi * RADIUS / SPEED
 
 
@@ -68,11 +73,14 @@ class Flight:
         _, course = racetrack(self.t)
         crab = np.radians(4.0) * np.where(np.cos(course - np.radians(30.0)) > 0, 1, -1)
         values = {
-            "lat": lat, "lon": lon, "height": height, "yaw": course + crab,
+            "lat": lat,
+            "lon": lon,
+            "height": height,
+            "yaw": course + crab,
             "pitch": np.radians(2.0) + np.radians(1.0) * np.sin(self.t / 7.0),
             "roll": np.radians(3.0) * np.sin(self.t / 5.0),
             "velocity": np.stack([north, east, -up], axis=1),
-        }  # fmt: skip
+        }
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -127,12 +135,23 @@ class Flight:
         wander = np.radians(wander_deg) + 1e-4 * self.t
         ground = (self.velocity[:, 0] - 1j * self.velocity[:, 1]) * np.exp(-1j * sign * wander)
         turned = (self.attitude.inv() * Flight(self.folder, self.t + 0.001).attitude).as_rotvec()
-        return np.column_stack([
-            TOW + self.t, np.radians(self.lat), np.radians(self.lon), self.height,
-            ground.real, ground.imag, -self.velocity[:, 2],
-            self.roll, self.pitch, (self.yaw + sign * wander + np.pi) % (2 * np.pi) - np.pi, wander,
-            np.zeros((self.t.size, 3)), turned / 0.001,
-        ])  # fmt: skip
+        return np.column_stack(
+            [
+                TOW + self.t,
+                np.radians(self.lat),
+                np.radians(self.lon),
+                self.height,
+                ground.real,
+                ground.imag,
+                -self.velocity[:, 2],
+                self.roll,
+                self.pitch,
+                (self.yaw + sign * wander + np.pi) % (2 * np.pi) - np.pi,
+                wander,
+                np.zeros((self.t.size, 3)),
+                turned / 0.001,
+            ]
+        )
 
     def sbet(self, name: str = "sbet.out", *, rows: np.ndarray | None = None, **how) -> Path:
         rows = self.sbet_rows(**how) if rows is None else rows
@@ -146,12 +165,16 @@ class Flight:
 
     def mrk(self, name: str = "100_0001_Timestamp.MRK", *, offsets=(-40, 12, 186)) -> Path:
         north, east, down = offsets
-        return self.put(name, "".join(
-            f"{k + 1}\t{TOW + self.t[k]:.6f}\t[{WEEK}]\t{north:6d},N\t{east:6d},E\t{down:6d},V\t"
-            f"{self.lat[k]:.8f},Lat\t{self.lon[k]:.8f},Lon\t{self.height[k]:.3f},Ellh\t"
-            f"{0.012:.6f}, {0.016:.6f}, {0.031:.6f}\t50,Q\n"
-            for k in range(self.t.size)
-        ))  # fmt: skip
+        return self.put(
+            name,
+            "".join(
+                f"{k + 1}\t{TOW + self.t[k]:.6f}\t[{WEEK}]\t"
+                f"{north:6d},N\t{east:6d},E\t{down:6d},V\t"
+                f"{self.lat[k]:.8f},Lat\t{self.lon[k]:.8f},Lon\t{self.height[k]:.3f},Ellh\t"
+                f"{0.012:.6f}, {0.016:.6f}, {0.031:.6f}\t50,Q\n"
+                for k in range(self.t.size)
+            ),
+        )
 
     def eo(self, name: str = "eo.txt") -> Path:
         head = (
@@ -162,11 +185,15 @@ class Flight:
             "ID\t# EVENT\tTIME (s)\tEASTING\tNORTHING\tELLIPSOID HEIGHT\tOMEGA\tPHI\tKAPPA\tLAT\t"
             "LONG\n"
         )
-        return self.put(name, head + "".join(
-            f"img_{k:03d}\t{k + 1}\t{TOW + self.t[k]:.6f}\t465000.1\t5238000.2\t"
-            f"{self.height[k]:.3f}\t-1.05\t0.32\t179.18\t{self.lat[k]:.9f}\t{self.lon[k]:.9f}\n"
-            for k in range(self.t.size)
-        ))  # fmt: skip
+        return self.put(
+            name,
+            head
+            + "".join(
+                f"img_{k:03d}\t{k + 1}\t{TOW + self.t[k]:.6f}\t465000.1\t5238000.2\t"
+                f"{self.height[k]:.3f}\t-1.05\t0.32\t179.18\t{self.lat[k]:.9f}\t{self.lon[k]:.9f}\n"
+                for k in range(self.t.size)
+            ),
+        )
 
 
 @pytest.fixture

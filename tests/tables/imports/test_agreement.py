@@ -144,6 +144,9 @@ def test_heights_above_another_surface_are_no_doubt(flight, own):
     climb = np.linspace(0.0, 900.0, len(true))
     sea = {n: v for n, v in true.columns.items() if n != "h_ellipsoid_m"}
     gps = replace(true, name="GPS[0]", columns=sea | {"h_msl_m": flight.height - 47.6 + climb})
-    up = replace(true, columns=dict(true.columns) | {"h_ellipsoid_m": flight.height + climb,
-                 "v_down_m_s": np.full(len(true), -3.0)})  # fmt: skip
+    up = replace(
+        true,
+        columns=dict(true.columns)
+        | {"h_ellipsoid_m": flight.height + climb, "v_down_m_s": np.full(len(true), -3.0)},
+    )
     assert contradictions_of_import(up, ROLES, {"position": gps, "height": gps}, ()) == ()

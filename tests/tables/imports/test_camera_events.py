@@ -158,12 +158,16 @@ def test_an_eo_text_with_roll_pitch_and_heading_in_each_unit(exposures, unit, pe
     head = head.replace("orientation in Degrees", f"orientation in {unit}")
     head = head.replace("OMEGA\tPHI\tKAPPA", "ROLL\tPITCH\tHEADING")
     angles = np.stack([exposures.roll, exposures.pitch, exposures.yaw], axis=1) * per_rad
-    path = exposures.put("rph.txt", head + "".join(
-        f"img_{k:03d}\t{k + 1}\t{302_400.0 + exposures.t[k]:.6f}\t465000.1\t5238000.2\t"
-        f"{exposures.height[k]:.3f}\t{roll:.9f}\t{pitch:.9f}\t{heading:.9f}\t"
-        f"{exposures.lat[k]:.9f}\t{exposures.lon[k]:.9f}\n"
-        for k, (roll, pitch, heading) in enumerate(angles)
-    ))  # fmt: skip
+    path = exposures.put(
+        "rph.txt",
+        head
+        + "".join(
+            f"img_{k:03d}\t{k + 1}\t{302_400.0 + exposures.t[k]:.6f}\t465000.1\t5238000.2\t"
+            f"{exposures.height[k]:.3f}\t{roll:.9f}\t{pitch:.9f}\t{heading:.9f}\t"
+            f"{exposures.lat[k]:.9f}\t{exposures.lon[k]:.9f}\n"
+            for k, (roll, pitch, heading) in enumerate(angles)
+        ),
+    )
     ledger = Ledger()
     channel = read_eo_text(path, Stated("gpst", WEEK), ledger)
     q = np.stack([channel[f"q_{axis}"] for axis in "xyzw"], axis=1)

@@ -22,13 +22,16 @@ from unbend.tables.imports.exif import (
 from unbend.tables.imports.image_stamps import parse_time
 from unbend.tables.imports.stated import Stated
 
-EXIF, GPS = 0x8769, 0x8825
+EXIF = 0x8769
+GPS = 0x8825
 XMP_BEGIN = (
     '<x:xmpmeta xmlns:x="adobe:ns:meta/">'
     '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
     '<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" '
 )
-ORIGINAL, OFFSET, SUBSEC = 0x9003, 0x9011, 0x9291
+ORIGINAL = 0x9003
+OFFSET = 0x9011
+SUBSEC = 0x9291
 
 
 def ns(text: str) -> int:
@@ -85,18 +88,22 @@ def test_without_sub_seconds_half_a_second_is_the_sigma(tmp_path, subsec):
 def test_a_zone_is_inferred_only_where_gps_stamps_prove_it(tmp_path):
     for i in range(4):
         write_jpeg(
-            tmp_path / f"{i}.jpg", f"2026:05:01 10:20:3{i}", "25",
+            tmp_path / f"{i}.jpg",
+            f"2026:05:01 10:20:3{i}",
+            "25",
             gps=("2026:05:01", (8.0, 20.0, 29.5 + i)),
-        )  # fmt: skip
+        )
     times, entries = read(tmp_path)
     assert times.is_utc
     assert times.time_ns[0] == ns("2026-05-01T08:20:30.25")
     assert "+2 h" in entries["EXIF-ZONE"].what
     for i in range(4):  # stamps that disagree prove nothing: the time stays local
         write_jpeg(
-            tmp_path / f"{i}.jpg", f"2026:05:01 10:20:3{i}", "25",
+            tmp_path / f"{i}.jpg",
+            f"2026:05:01 10:20:3{i}",
+            "25",
             gps=("2026:05:01", (8.0 + i % 2, 27.0, 30.0)),
-        )  # fmt: skip
+        )
     times, entries = read(tmp_path)
     assert not times.is_utc
     assert times.time_ns[0] == ns("2026-05-01T10:20:30.25")
@@ -158,8 +165,9 @@ def test_exiftools_table(tmp_path):
     assert times.time_ns[:2].tolist() == [ns("2026-05-01T08:20:30.04"), ns("2026-05-01T08:20:32.5")]
     assert entries["EXIF-TIME"].count == 1
     assert times.rows_of(["dsc_2.tif", "left/DSC_3", "DSC_9.jpg"]) == {
-        "dsc_2.tif": 1, "left/DSC_3": 2
-    }  # fmt: skip
+        "dsc_2.tif": 1,
+        "left/DSC_3": 2,
+    }
 
 
 @pytest.mark.parametrize(

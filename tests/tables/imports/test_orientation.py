@@ -14,9 +14,14 @@ from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import read_known_positions, read_orientation
 
 NAMES = {
-    "image": "image", "latitude": "lat", "longitude": "lon", "height": "h",
-    "omega": "o", "phi": "p", "kappa": "k",
-}  # fmt: skip
+    "image": "image",
+    "latitude": "lat",
+    "longitude": "lon",
+    "height": "h",
+    "omega": "o",
+    "phi": "p",
+    "kappa": "k",
+}
 OPK = ("omega", "phi", "kappa")
 HEAD = "image,lat,lon,h,o,p,k\n"
 ROW = "a,47.5,8.5,3000.5,1.0,-2.0,90.0\n"
@@ -41,9 +46,12 @@ def refused(tmp_path, text: str, code: str, **options) -> InputError:
 
 @pytest.mark.parametrize(
     ("unit", "numbers"),
-    [("deg", "10,20,90"), ("grad", "11.1111111111,22.2222222222,100"),
-     ("rad", "0.17453292520,0.34906585040,1.5707963268")],
-)  # fmt: skip
+    [
+        ("deg", "10,20,90"),
+        ("grad", "11.1111111111,22.2222222222,100"),
+        ("rad", "0.17453292520,0.34906585040,1.5707963268"),
+    ],
+)
 def test_angles_in_each_unit_are_radians(tmp_path, unit, numbers):
     table, notes = read(tmp_path, f"{HEAD}a,47.5,8.5,3000.5,{numbers}\n", unit=unit)
     assert np.degrees(table.angles[0]) == pytest.approx([10.0, 20.0, 90.0], abs=1e-8)
@@ -132,8 +140,15 @@ def test_columns_of_a_table_without_a_head_have_numbers(tmp_path):
 
 
 def test_the_table_of_opendronemap_has_the_names_of_its_manual(tmp_path):
-    names = {"image": "image", "latitude": "latitude", "longitude": "longitude", "height": "height",
-             "roll": "roll", "pitch": "pitch", "yaw": "yaw"}  # fmt: skip
+    names = {
+        "image": "image",
+        "latitude": "latitude",
+        "longitude": "longitude",
+        "height": "height",
+        "roll": "roll",
+        "pitch": "pitch",
+        "yaw": "yaw",
+    }
     text = "EPSG:4326\nDJI_0028.JPG -91.99 46.84 198.6 45 -90 2\n"
     text += "DJI_0032.JPG -91.98 46.84 198.6 45 -90 2\n"
     path = tmp_path / "geo.txt"

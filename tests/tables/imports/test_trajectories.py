@@ -82,9 +82,13 @@ def test_a_published_file_in_earth_centred_coordinates(flight):
     assert channel["h_ellipsoid_m"][1] == pytest.approx(height, abs=1e-5)
     # The covariance of the second row, turned to east, north, up by hand.
     p, e = np.radians([lat, lon])
-    axes = np.array([[-np.sin(e), np.cos(e), 0.0],
-                     [-np.sin(p) * np.cos(e), -np.sin(p) * np.sin(e), np.cos(p)],
-                     [np.cos(p) * np.cos(e), np.cos(p) * np.sin(e), np.sin(p)]])  # fmt: skip
+    axes = np.array(
+        [
+            [-np.sin(e), np.cos(e), 0.0],
+            [-np.sin(p) * np.cos(e), -np.sin(p) * np.sin(e), np.cos(p)],
+            [np.cos(p) * np.cos(e), np.cos(p) * np.sin(e), np.sin(p)],
+        ]
+    )
     root = np.array([[0.0117, 0.0056, 0.0097], [0.0056, 0.0063, 0.0048], [0.0097, 0.0048, 0.0128]])
     local = axes @ root**2 @ axes.T
     assert channel["sigma_v_m"][1] == pytest.approx(np.sqrt(local[2, 2]), rel=1e-6)
@@ -124,8 +128,9 @@ def test_baselines_start_at_the_base(flight, place):
         "+proj=pipeline +step +proj=cart +ellps=WGS84 "
         "+step +proj=topocentric +ellps=WGS84 +lon_0=8.5 +lat_0=47.3 +h_0=1500"
     )
-    enu = local.transform(channel["lon_rad"][0], channel["lat_rad"][0], channel["h_ellipsoid_m"][0],
-                          radians=True)  # fmt: skip
+    enu = local.transform(
+        channel["lon_rad"][0], channel["lat_rad"][0], channel["h_ellipsoid_m"][0], radians=True
+    )
     assert enu == pytest.approx((1000.0, -2000.0, 30.0), abs=1e-4)
     assert str(np.datetime64(int(channel.time_ns[0]), "ns")).startswith("2026-05-06T12:00:00.0")
     without = base.split("\n", 1)[1] + row
@@ -282,22 +287,40 @@ def test_a_cut_sbet_is_a_loss_of_its_last_row(flight):
     [
         (lambda f, rows: rows.astype(">f8").tobytes(), "IMPORT-FORMAT", "big-endian"),
         (lambda f, rows: f.smrmsg().read_bytes(), "IMPORT-FORMAT", "smrmsg"),
-        (lambda f, rows: np.where(np.arange(17) == 1, np.degrees(rows), rows).tobytes(),
-         "IMPORT-FORMAT", "degrees"),
-        (lambda f, rows: np.where(np.arange(17) == 9, np.degrees(rows), rows).tobytes(),
-         "IMPORT-FORMAT", "heading"),
-        (lambda f, rows: (rows * np.where(np.arange(17) == 1, 1.5, 1.0)).tobytes(), "IMPORT-SPEED",
-         "columns are different"),
-        (lambda f, rows: np.where(np.arange(17) == 3, 1e6, rows).tobytes(), "IMPORT-FORMAT",
-         "heights"),
-        (lambda f, rows: np.where(np.arange(17) == 0, 7.0, rows).tobytes(), "IMPORT-FORMAT",
-         "time"),
-        (lambda f, rows: np.where(np.arange(17) == 12, np.nan, rows).tobytes(), "IMPORT-FORMAT",
-         "numbers"),
+        (
+            lambda f, rows: np.where(np.arange(17) == 1, np.degrees(rows), rows).tobytes(),
+            "IMPORT-FORMAT",
+            "degrees",
+        ),
+        (
+            lambda f, rows: np.where(np.arange(17) == 9, np.degrees(rows), rows).tobytes(),
+            "IMPORT-FORMAT",
+            "heading",
+        ),
+        (
+            lambda f, rows: (rows * np.where(np.arange(17) == 1, 1.5, 1.0)).tobytes(),
+            "IMPORT-SPEED",
+            "columns are different",
+        ),
+        (
+            lambda f, rows: np.where(np.arange(17) == 3, 1e6, rows).tobytes(),
+            "IMPORT-FORMAT",
+            "heights",
+        ),
+        (
+            lambda f, rows: np.where(np.arange(17) == 0, 7.0, rows).tobytes(),
+            "IMPORT-FORMAT",
+            "time",
+        ),
+        (
+            lambda f, rows: np.where(np.arange(17) == 12, np.nan, rows).tobytes(),
+            "IMPORT-FORMAT",
+            "numbers",
+        ),
         (lambda f, rows: rows.tobytes()[:200], "IMPORT-FORMAT", "1 row"),
         (lambda f, rows: b"time,lat,lon\n" * 1000, "IMPORT-FORMAT", "SBET"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_sbet_is_refused_with_what_it_is(flight, spoil, code, words):
     path = flight.put("bad.out", spoil(flight, flight.sbet_rows()))
     error = refused(read_sbet, path, Stated("gpst", WEEK, heights="ellipsoid"))
@@ -339,15 +362,21 @@ def table(flight, times, *, header="t,lat,lon,h", extra=None, mark=",", name="t.
     ("times", "stated"),
     [
         (lambda f: [f.gpst(k) for k in range(f.t.size)], Stated("gpst", heights="ellipsoid")),
-        (lambda f: [f"{np.datetime64(int(t), 'ns')}Z" for t in f.utc_ns],
-         Stated("utc", heights="ellipsoid")),
-        (lambda f: [f"{302_400.0 + t:.3f}" for t in f.t],
-         Stated("gpst", WEEK, heights="ellipsoid")),
-        (lambda f: [f"{2417 * 604_800 + 302_400.0 + t:.3f}" for t in f.t],
-         Stated("gpst", heights="ellipsoid")),
+        (
+            lambda f: [f"{np.datetime64(int(t), 'ns')}Z" for t in f.utc_ns],
+            Stated("utc", heights="ellipsoid"),
+        ),
+        (
+            lambda f: [f"{302_400.0 + t:.3f}" for t in f.t],
+            Stated("gpst", WEEK, heights="ellipsoid"),
+        ),
+        (
+            lambda f: [f"{2417 * 604_800 + 302_400.0 + t:.3f}" for t in f.t],
+            Stated("gpst", heights="ellipsoid"),
+        ),
         (lambda f: [f"{t / 1e9:.3f}" for t in f.utc_ns], Stated("utc", heights="ellipsoid")),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("mark", [",", ";", "\t"])
 def test_a_csv_has_its_times_in_any_of_five_forms(flight, times, stated, mark):
     from dataclasses import replace
@@ -368,8 +397,12 @@ def test_angles_are_read_in_their_unit_and_order(flight, unit, order):
         ",".join(["", *(f"{by_letter[axis][k] * circle / (2 * np.pi):.9f}" for axis in "XYZ")])
         for k in range(flight.t.size)
     ]
-    path = table(flight, [f.gpst(k) for f in [flight] for k in range(f.t.size)],
-                 header="t,lat,lon,h,r,p,y", extra=extra)  # fmt: skip
+    path = table(
+        flight,
+        [f.gpst(k) for f in [flight] for k in range(f.t.size)],
+        header="t,lat,lon,h,r,p,y",
+        extra=extra,
+    )
     columns = NAMES | {"roll": "r", "pitch": "p", "yaw": "y"}
     stated = Stated(
         "gpst", heights="ellipsoid", columns=columns, angle_unit=unit, angle_order=order
@@ -385,10 +418,8 @@ def test_a_projection_and_its_north(flight):
     turn = np.radians(pyproj.Geod(ellps="GRS80").inv(*south, *north)[0])
     assert np.degrees(turn).min() > 3.5
     yaw = np.degrees(flight.yaw - turn) % 360.0
-    v_north, v_east = (
-        np.cos(turn) * flight.velocity[:, 0] + np.sin(turn) * flight.velocity[:, 1],
-        np.cos(turn) * flight.velocity[:, 1] - np.sin(turn) * flight.velocity[:, 0],
-    )
+    v_north = np.cos(turn) * flight.velocity[:, 0] + np.sin(turn) * flight.velocity[:, 1]
+    v_east = np.cos(turn) * flight.velocity[:, 1] - np.sin(turn) * flight.velocity[:, 0]
     rows = "\n".join(
         f"{flight.gpst(k)},{x[k]:.5f},{y[k]:.5f},{flight.height[k]:.4f},"
         f"{np.degrees(flight.roll[k]):.9f},{np.degrees(flight.pitch[k]):.9f},{yaw[k]:.9f},"
@@ -412,13 +443,21 @@ def test_a_projection_and_its_north(flight):
 
 def test_grads_are_more_than_a_circle_of_degrees(flight):
     extra = [f",0,0,{np.degrees(y) % 360.0 / 0.9:.5f}" for y in flight.yaw]
-    path = table(flight, [flight.gpst(k) for k in range(flight.t.size)],
-                 header="t,lat,lon,h,r,p,y", extra=extra)  # fmt: skip
+    path = table(
+        flight,
+        [flight.gpst(k) for k in range(flight.t.size)],
+        header="t,lat,lon,h,r,p,y",
+        extra=extra,
+    )
     columns = NAMES | {"roll": "r", "pitch": "p", "yaw": "y"}
     if np.degrees(flight.yaw % (2 * np.pi)).max() / 0.9 <= 360.0:
         extra[5] = ",0,0,399.0"
-        path = table(flight, [flight.gpst(k) for k in range(flight.t.size)],
-                     header="t,lat,lon,h,r,p,y", extra=extra)  # fmt: skip
+        path = table(
+            flight,
+            [flight.gpst(k) for k in range(flight.t.size)],
+            header="t,lat,lon,h,r,p,y",
+            extra=extra,
+        )
     error = refused(read_trajectory_csv, path, Stated("gpst", heights="ellipsoid", columns=columns))
     assert error.code == "IMPORT-ANGLES"
     assert "360 deg" in error.what

@@ -37,8 +37,9 @@ def test_what_pycolmap_writes(tmp_path, name):
         11: ("PINHOLE", [3200.0, 3201.0, 2001.5, 1502.25]),
     }  # fmt: skip
     for number, (model, params) in given.items():
-        block.add_camera(pycolmap.Camera(model=model, width=4000, height=3000, params=params,
-                                         camera_id=number))  # fmt: skip
+        block.add_camera(
+            pycolmap.Camera(model=model, width=4000, height=3000, params=params, camera_id=number)
+        )
     (block.write_text if name.endswith("txt") else block.write_binary)(str(tmp_path))
     rays = np.stack([*RAYS, np.ones(RAYS.shape[1])], axis=1)
     for number in (1, 2, 7, 11):
@@ -57,9 +58,19 @@ def test_what_pycolmap_writes(tmp_path, name):
 # OpenSfM
 
 BROWN = {
-    "projection_type": "brown", "width": 4000, "height": 3000, "focal_x": 0.85, "focal_y": 0.852,
-    "c_x": 0.003, "c_y": -0.002, "k1": -0.03, "k2": 0.01, "k3": -0.002, "p1": 4e-4, "p2": -7e-4,
-}  # fmt: skip
+    "projection_type": "brown",
+    "width": 4000,
+    "height": 3000,
+    "focal_x": 0.85,
+    "focal_y": 0.852,
+    "c_x": 0.003,
+    "c_y": -0.002,
+    "k1": -0.03,
+    "k2": 0.01,
+    "k3": -0.002,
+    "p1": 4e-4,
+    "p2": -7e-4,
+}
 
 
 def opensfm_pixels(given):
@@ -70,9 +81,19 @@ def opensfm_pixels(given):
     g = dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2", "c_x", "c_y"), 0.0) | given
     if "fisheye" in given["projection_type"]:
         theta = np.arctan(np.sqrt(r2))
-        bent = theta * (1 + g["k1"] * theta**2 + g["k2"] * theta**4 + g["k3"] * theta**6
-                        + g["k4"] * theta**8) / np.sqrt(r2 + 1e-300)  # fmt: skip
-        x, y = u * bent, v * bent
+        bent = (
+            theta
+            * (
+                1
+                + g["k1"] * theta**2
+                + g["k2"] * theta**4
+                + g["k3"] * theta**6
+                + g["k4"] * theta**8
+            )
+            / np.sqrt(r2 + 1e-300)
+        )
+        x = u * bent
+        y = v * bent
     else:
         radial = 1 + g["k1"] * r2 + g["k2"] * r2**2 + g["k3"] * r2**3
         x = u * radial + 2 * g["p1"] * u * v + g["p2"] * (r2 + 2 * u * u)
@@ -80,10 +101,13 @@ def opensfm_pixels(given):
     f_x = g.get("focal", g.get("focal_x"))
     f_y = g.get("focal", g.get("focal_y"))
     size = max(g["width"], g["height"])
-    return np.stack([
-        size * (f_x * x + g["c_x"]) - 0.5 + g["width"] / 2,
-        size * (f_y * y + g["c_y"]) - 0.5 + g["height"] / 2,
-    ], axis=1)  # fmt: skip
+    return np.stack(
+        [
+            size * (f_x * x + g["c_x"]) - 0.5 + g["width"] / 2,
+            size * (f_y * y + g["c_y"]) - 0.5 + g["height"] / 2,
+        ],
+        axis=1,
+    )
 
 
 @pytest.mark.parametrize(
@@ -91,15 +115,37 @@ def opensfm_pixels(given):
     [
         BROWN,
         BROWN | {"width": 3000, "height": 4000},
-        {"projection_type": "perspective", "width": 3264, "height": 2448, "focal": 0.87,
-         "k1": 0.0885, "k2": -0.2324},
-        {"projection_type": "fisheye", "width": 4000, "height": 3000, "focal": 0.5, "k1": -0.02,
-         "k2": 0.003},
-        {"projection_type": "fisheye_opencv", "width": 4000, "height": 3000, "focal_x": 0.5,
-         "focal_y": 0.501, "c_x": 0.01, "c_y": 0.002, "k1": -0.02, "k2": 0.003, "k3": 1e-3,
-         "k4": -1e-4},
+        {
+            "projection_type": "perspective",
+            "width": 3264,
+            "height": 2448,
+            "focal": 0.87,
+            "k1": 0.0885,
+            "k2": -0.2324,
+        },
+        {
+            "projection_type": "fisheye",
+            "width": 4000,
+            "height": 3000,
+            "focal": 0.5,
+            "k1": -0.02,
+            "k2": 0.003,
+        },
+        {
+            "projection_type": "fisheye_opencv",
+            "width": 4000,
+            "height": 3000,
+            "focal_x": 0.5,
+            "focal_y": 0.501,
+            "c_x": 0.01,
+            "c_y": 0.002,
+            "k1": -0.02,
+            "k2": 0.003,
+            "k3": 1e-3,
+            "k4": -1e-4,
+        },
     ],
-)  # fmt: skip
+)
 def test_opensfm(tmp_path, given):
     path = tmp_path / "camera_models.json"
     path.write_text(json.dumps({"v2 dji fc 1": given}))
@@ -130,8 +176,10 @@ def test_a_block_of_opensfm(folder):
         image, track, _, x, y = line.split("\t")[:5]
         if image in block["shots"] and track in block["points"]:
             shot = block["shots"][image]
-            point = Rotation.from_rotvec(shot["rotation"]).apply(
-                block["points"][track]["coordinates"]) + shot["translation"]  # fmt: skip
+            point = (
+                Rotation.from_rotvec(shot["rotation"]).apply(block["points"][track]["coordinates"])
+                + shot["translation"]
+            )
             found = camera.project(*(np.array([c]) for c in point[:2] / point[2]))
             # Counted from the centre of the upper left pixel, then to COLMAP's rule.
             measured = np.array([float(x), float(y)]) * size.max() + (size - 1) / 2
@@ -144,15 +192,26 @@ def test_a_block_of_opensfm(folder):
 # Metashape
 
 FRAME = {
-    "f": 3666.5, "cx": 12.75, "cy": -20.5, "b1": 1.25, "b2": -0.75, "k1": -0.05, "k2": 0.02,
-    "k3": -0.004, "k4": 0.0006, "p1": 4e-4, "p2": -9e-4,
-}  # fmt: skip
+    "f": 3666.5,
+    "cx": 12.75,
+    "cy": -20.5,
+    "b1": 1.25,
+    "b2": -0.75,
+    "k1": -0.05,
+    "k2": 0.02,
+    "k3": -0.004,
+    "k4": 0.0006,
+    "p1": 4e-4,
+    "p2": -9e-4,
+}
 
 
 def calibration(numbers, kind="frame"):
     tags = "".join(f"<{name}>{value!r}</{name}>" for name, value in numbers.items())
-    return (f"<calibration><projection>{kind}</projection><width>5472</width>"
-            f"<height>3648</height>{tags}</calibration>")  # fmt: skip
+    return (
+        f"<calibration><projection>{kind}</projection><width>5472</width>"
+        f"<height>3648</height>{tags}</calibration>"
+    )
 
 
 def metashape_pixels(given, kind):
@@ -161,22 +220,31 @@ def metashape_pixels(given, kind):
     x, y = RAYS
     if kind == "fisheye":
         r0 = np.hypot(x, y) + 1e-300
-        x, y = x * np.arctan(r0) / r0, y * np.arctan(r0) / r0
+        x = x * np.arctan(r0) / r0
+        y = y * np.arctan(r0) / r0
     r = np.hypot(x, y)
     radial = 1 + g["k1"] * r**2 + g["k2"] * r**4 + g["k3"] * r**6 + g["k4"] * r**8
     x_ = x * radial + (g["p1"] * (r**2 + 2 * x**2) + 2 * g["p2"] * x * y)
     y_ = y * radial + (g["p2"] * (r**2 + 2 * y**2) + 2 * g["p1"] * x * y)
-    return np.stack([
-        5472 * 0.5 + g["cx"] + x_ * g["f"] + x_ * g["b1"] + y_ * g["b2"],
-        3648 * 0.5 + g["cy"] + y_ * g["f"],
-    ], axis=1)  # fmt: skip
+    return np.stack(
+        [
+            5472 * 0.5 + g["cx"] + x_ * g["f"] + x_ * g["b1"] + y_ * g["b2"],
+            3648 * 0.5 + g["cy"] + y_ * g["f"],
+        ],
+        axis=1,
+    )
 
 
 @pytest.mark.parametrize(
     ("left_out", "kind"),
-    [((), "frame"), (("k4",), "frame"), (("b2",), "frame"), (("k4", "b2"), "frame"),
-     (("p1", "p2", "b2"), "fisheye")],
-)  # fmt: skip
+    [
+        ((), "frame"),
+        (("k4",), "frame"),
+        (("b2",), "frame"),
+        (("k4", "b2"), "frame"),
+        (("p1", "p2", "b2"), "fisheye"),
+    ],
+)
 def test_metashape(tmp_path, left_out, kind):
     given = {name: value for name, value in FRAME.items() if name not in left_out}
     path = tmp_path / "calibration.xml"
@@ -216,8 +284,10 @@ def test_a_block_of_metashape(tmp_path):
     chunk = ElementTree.parse(tmp_path / "doc.xml").getroot().find(".//chunk")
     for element in chunk.find("cameras").iter("camera"):
         pose = np.array(element.findtext("transform").split(), float).reshape(4, 4)
-        seen = ply(tmp_path / f"projections{element.get('id')}.ply",
-                   [("x", "<f4"), ("y", "<f4"), ("size", "<f4"), ("id", "<i4")])  # fmt: skip
+        seen = ply(
+            tmp_path / f"projections{element.get('id')}.ply",
+            [("x", "<f4"), ("y", "<f4"), ("size", "<f4"), ("id", "<i4")],
+        )
         known = np.array([int(number) in row_of for number in seen["id"]])
         rows = [row_of[int(number)] for number in seen["id"][known]]
         ray = (np.linalg.inv(pose) @ xyz[:, rows])[:3]
@@ -230,14 +300,17 @@ def test_a_block_of_metashape(tmp_path):
 
 
 def document(*calibrations):
-    sensors = "".join(f'<sensor id="{i}" label="FC6310">{text}</sensor>'
-                      for i, text in enumerate(calibrations))  # fmt: skip
+    sensors = "".join(
+        f'<sensor id="{i}" label="FC6310">{text}</sensor>' for i, text in enumerate(calibrations)
+    )
     return f'<document version="2.0"><chunk><sensors>{sensors}</sensors></chunk></document>'
 
 
 def of_class(name, f):
-    return (f'<calibration type="frame" class="{name}"><resolution width="100" height="80"/>'
-            f"<f>{f}</f></calibration>")  # fmt: skip
+    return (
+        f'<calibration type="frame" class="{name}"><resolution width="100" height="80"/>'
+        f"<f>{f}</f></calibration>"
+    )
 
 
 def test_the_adjusted_calibration_counts(tmp_path):
@@ -266,8 +339,11 @@ def test_the_adjusted_calibration_counts(tmp_path):
         ("models.json", "{", "IMPORT-FORMAT"),
         ("models.json", '{"a": {"width": 5}}', "IMPORT-FORMAT"),
         ("models.json", '[{"cameras": {}}, {"cameras": {}}]', "IMPORT-FORMAT"),
-        ("models.json", '{"a": {"projection_type": "spherical", "width": 9, "height": 4, "focal": '
-         "1}}", "CAMERA-MODEL"),
+        (
+            "models.json",
+            '{"a": {"projection_type": "spherical", "width": 9, "height": 4, "focal": 1}}',
+            "CAMERA-MODEL",
+        ),
         ("calibration.xml", "<calibration>", "IMPORT-FORMAT"),
         ("calibration.xml", calibration(FRAME | {"p3": 0.1}), "IMPORT-FORMAT"),
         ("calibration.xml", calibration(FRAME, "fisheye"), "IMPORT-FORMAT"),
@@ -275,7 +351,7 @@ def test_the_adjusted_calibration_counts(tmp_path):
         ("block.psz", "no archive", "IMPORT-FORMAT"),
         ("camera.cal", "", "IMPORT-FORMAT"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_read_is_refused(tmp_path, name, content, code):
     path = tmp_path / name
     path.write_text(content)

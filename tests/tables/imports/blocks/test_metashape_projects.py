@@ -50,8 +50,10 @@ def write_psx(folder: Path, block: SmallBlock) -> Path:
     zipped(files / "0" / "chunk.zip", doc__xml=chunk)
     frame += '<point_cloud id="0" path="point_cloud/point_cloud.zip"/>'
     zipped(files / "0/0/frame.zip", doc__xml=f'<frame version="1.2.0">{frame}</frame>')
-    ties = np.array([(10.5, 20.5, 1.0, 3), (30.25, 40.75, 1.0, 4)],
-                    [("x", "<f4"), ("y", "<f4"), ("size", "<f4"), ("id", "<i4")])  # fmt: skip
+    ties = np.array(
+        [(10.5, 20.5, 1.0, 3), (30.25, 40.75, 1.0, 4)],
+        [("x", "<f4"), ("y", "<f4"), ("size", "<f4"), ("id", "<i4")],
+    )
     head = (
         "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float x\n"
         "property float y\nproperty float size\nproperty int id\nend_header\n"

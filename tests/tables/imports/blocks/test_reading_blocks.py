@@ -71,29 +71,34 @@ def model(tmp_path):
     block = pycolmap.Reconstruction()
     for number in (1, 2):
         params = [3000, 3010, 2001, 1502, -0.01, 0.002, 1e-4, -2e-4]
-        camera = pycolmap.Camera(model="OPENCV", width=4000, height=3000, camera_id=number,
-                                 params=params)  # fmt: skip
+        camera = pycolmap.Camera(
+            model="OPENCV", width=4000, height=3000, camera_id=number, params=params
+        )
         block.add_camera(camera)
     rig = pycolmap.Rig(rig_id=1)
     rig.add_ref_sensor(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 1))
     turn = pycolmap.Rotation3d(Rotation.from_euler("xyz", [0.3, -0.2, 0.1]).as_matrix())
-    rig.add_sensor(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 2),
-                   pycolmap.Rigid3d(turn, np.array([0.2, -0.1, 0.05])))  # fmt: skip
+    rig.add_sensor(
+        pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 2),
+        pycolmap.Rigid3d(turn, np.array([0.2, -0.1, 0.05])),
+    )
     block.add_rig(rig)
     for k in range(4):
         place = Rotation.from_rotvec(draw.normal(0.0, 0.2, 3)).as_matrix()
         frame = pycolmap.Frame(frame_id=k + 1, rig_id=1)
         frame.rig_from_world = pycolmap.Rigid3d(pycolmap.Rotation3d(place), draw.normal(0, 50, 3))
         for camera in (1, 2):
-            data = pycolmap.data_t(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera),
-                                   2 * k + camera)  # fmt: skip
+            data = pycolmap.data_t(
+                pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera), 2 * k + camera
+            )
             frame.add_data_id(data)
         block.add_frame(frame)
         for camera in (1, 2):
             name = f"strip {k}/of {camera}.jpg"  # COLMAP's names are paths, and have blanks
             xy = draw.uniform(0.0, 3000.0, (5 * k, 2))
-            image = pycolmap.Image(name=name, keypoints=xy, camera_id=camera,
-                                   image_id=2 * k + camera)  # fmt: skip
+            image = pycolmap.Image(
+                name=name, keypoints=xy, camera_id=camera, image_id=2 * k + camera
+            )
             image.frame_id = k + 1
             block.add_image(image)
         block.register_frame(k + 1)
@@ -113,17 +118,21 @@ def test_a_model_is_what_pycolmap_says(model, form):
     found = rows(folder / form, "colmap")
     images = {image.name: image for image in block.images.values()}
     assert set(table.image) == set(images)
-    for name, camera, centre, q in zip(table.image, table.camera, table.position, table.angles,
-                                       strict=True):  # fmt: skip
+    for name, camera, centre, q in zip(
+        table.image, table.camera, table.position, table.angles, strict=True
+    ):
         image = images[name]
         assert camera == str(image.camera_id)
         np.testing.assert_allclose(centre, image.projection_center(), atol=1e-9)
         wanted = image.cam_from_world().rotation.matrix()
-        np.testing.assert_allclose(Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), wanted,
-                                   atol=1e-12)  # fmt: skip
+        np.testing.assert_allclose(
+            Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), wanted, atol=1e-12
+        )
         of_image = found[found["image"] == name]
-        points = [(*p.xy, str(p.point3D_id) if p.has_point3D() else f"{name}:{i}")
-                  for i, p in enumerate(image.points2D)]  # fmt: skip
+        points = [
+            (*p.xy, str(p.point3D_id) if p.has_point3D() else f"{name}:{i}")
+            for i, p in enumerate(image.points2D)
+        ]
         assert [*zip(of_image["x_px"], of_image["y_px"], of_image["point"], strict=True)] == points
         assert of_image["keypoint"].tolist() == list(range(len(points)))
     names, places = block_reader("colmap").read_points(folder / form)
@@ -137,8 +146,9 @@ def test_a_ray_of_pycolmap_meets_the_same_pixel(model):
     block, folder = model
     table = read_block_images(folder / "bin", "colmap")
     images = {image.name: image for image in block.images.values()}
-    for name, camera, centre, q in zip(table.image, table.camera, table.position, table.angles,
-                                       strict=True):  # fmt: skip
+    for name, camera, centre, q in zip(
+        table.image, table.camera, table.position, table.angles, strict=True
+    ):
         turn = Rotation.from_quat(q[[1, 2, 3, 0]])
         point = centre + turn.inv().apply([0.21, -0.13, 1.0]) * 300.0
         seen = turn.apply(point - centre)
@@ -254,8 +264,9 @@ def database(path: Path, keypoints: dict[str, np.ndarray]) -> Path:
     """By pycolmap, as its feature extractor writes it."""
     pycolmap = pytest.importorskip("pycolmap")
     content = pycolmap.Database.open(str(path))
-    camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=4000, height=3000,
-                             params=[3000.0, 2000.0, 1500.0, 0.01])  # fmt: skip
+    camera = pycolmap.Camera(
+        model="SIMPLE_RADIAL", width=4000, height=3000, params=[3000.0, 2000.0, 1500.0, 0.01]
+    )
     number = content.write_camera(camera)
     for name, xy in keypoints.items():
         image = content.write_image(pycolmap.Image(name=name, camera_id=number))
@@ -266,14 +277,18 @@ def database(path: Path, keypoints: dict[str, np.ndarray]) -> Path:
 
 def test_a_database(tmp_path):
     draw = np.random.default_rng(1)
-    given = {"b.jpg": draw.uniform(0, 3000, (7, 2)), "a.jpg": draw.uniform(0, 3000, (5, 6)),
-             "none.jpg": np.empty((0, 2))}  # fmt: skip
+    given = {
+        "b.jpg": draw.uniform(0, 3000, (7, 2)),
+        "a.jpg": draw.uniform(0, 3000, (5, 6)),
+        "none.jpg": np.empty((0, 2)),
+    }
     path = database(tmp_path / "database.db", given)
     found = rows(path, "colmap")
     wanted = np.concatenate([given["b.jpg"], given["a.jpg"][:, :2]]).astype(np.float32)
     np.testing.assert_array_equal(found[["x_px", "y_px"]].to_numpy(), wanted)
     assert found["point"].tolist() == [f"b.jpg:{k}" for k in range(7)] + [
-        f"a.jpg:{k}" for k in range(5)]  # fmt: skip
+        f"a.jpg:{k}" for k in range(5)
+    ]
     camera = read_camera(path, None, "1")
     assert (camera.fx_px, camera.cx_px, camera.distortion.k1) == (3000.0, 2000.0, 0.01)
     assert "neither orientations nor object points" in refusal(path, "colmap")
@@ -330,7 +345,8 @@ if SHARED.is_dir():
 def test_points_of_opensfm_through_its_poses_land_on_its_tracks(request, fixture, size_px, least):
     """The definition: pixels of COLMAP, half a pixel and the axes included."""
     folder = request.getfixturevalue(fixture)
-    table, found = read_block_images(folder, "opensfm"), rows(folder, "opensfm")
+    table = read_block_images(folder, "opensfm")
+    found = rows(folder, "opensfm")
     names, places = block_reader("opensfm").read_points(folder)
     place = dict(zip(names.to_pylist(), places, strict=True))
     camera = read_camera(folder, "opensfm", None)
@@ -404,7 +420,8 @@ PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]</reference></chunk></do
 def test_markers_of_metashape(tmp_path):
     path = tmp_path / "markers.xml"
     path.write_text(MARKERS)
-    table, found = read_block_images(path, "metashape"), rows(path, "metashape")
+    table = read_block_images(path, "metashape")
+    found = rows(path, "metashape")
     assert table.frame == "ecef"
     # By hand: (10, 20, 30) turned about z by 90 degrees, twice as large, and moved.
     np.testing.assert_allclose(table.position[0], [4099960.0, 600020.0, 4830060.0])
@@ -414,7 +431,9 @@ def test_markers_of_metashape(tmp_path):
     np.testing.assert_allclose(turn.apply([0, 0, -1]), [0, 0, 1], atol=1e-12)
     assert np.isnan(table.position[1]).all()
     assert found[["image", "point", "x_px", "y_px"]].to_numpy().tolist() == [
-        ["a.jpg", "GCP 1", 100.5, 200.25], ["b.jpg", "GCP 1", 7.5, 8.5]]  # fmt: skip
+        ["a.jpg", "GCP 1", 100.5, 200.25],
+        ["b.jpg", "GCP 1", 7.5, 8.5],
+    ]
     local = MARKERS.replace('GEOGCS["WGS 84"', 'LOCAL_CS["Local Coordinates (m)"')
     path.write_text(local)
     assert read_block_images(path, "metashape").frame is None
@@ -441,7 +460,8 @@ def test_what_of_metashape_cannot_be_read(tmp_path, change, words):
 
 @needs_blocks
 def test_damaged_archives(tmp_path):
-    source, path = SHARED / "dbat_sxb" / "sxb.psz", tmp_path / "a.psz"
+    source = SHARED / "dbat_sxb" / "sxb.psz"
+    path = tmp_path / "a.psz"
     content = source.read_bytes()
     path.write_bytes(content[: len(content) // 2])
     assert "IMPORT-FORMAT" in refusal(path, "metashape")
@@ -483,18 +503,27 @@ def collinear(table, camera, point: np.ndarray, image: str) -> np.ndarray:
 
 def test_control_points_of_dbat_through_its_report_land_on_its_marks(script):
     """Adjusted control points of the report, through its orientations: 1.1 px RMS, as it says."""
-    table, camera = read_block_images(script, "dbat"), read_camera(script, "dbat", None)
+    table = read_block_images(script, "dbat")
+    camera = read_camera(script, "dbat", None)
     report = (script.parent / "report.txt").read_text().split("Posterior")
-    adjusted = {m[1]: np.array([float(m[k]) for k in (2, 3, 4)]) for part in report[1:]
-                for m in re.finditer(r"^ +(\d+), +([\d.]+), +([\d.]+), +([\d.]+),",
-                                     part.split("Diff")[0], re.M)}  # fmt: skip
+    adjusted = {
+        m[1]: np.array([float(m[k]) for k in (2, 3, 4)])
+        for part in report[1:]
+        for m in re.finditer(
+            r"^ +(\d+), +([\d.]+), +([\d.]+), +([\d.]+),", part.split("Diff")[0], re.M
+        )
+    }
     found = rows(script, "dbat")
     found = found[found["point"].isin(adjusted)]
     # Two coordinates of each control mark, a line each, below the head.
     marked = (script.parent / "markpts.txt").read_text().splitlines()[1:]
     assert len(found) == len(marked) > 40
-    off = np.array([collinear(table, camera, adjusted[r.point], r.image) - [r.x_px, r.y_px]
-                    for r in found.itertuples()])  # fmt: skip
+    off = np.array(
+        [
+            collinear(table, camera, adjusted[r.point], r.image) - [r.x_px, r.y_px]
+            for r in found.itertuples()
+        ]
+    )
     assert np.sqrt((off**2).sum(axis=1).mean()) < 1.5
 
 
@@ -509,8 +538,10 @@ def test_archive_and_tables_hold_the_same_marks(strasbourg):
         same = ours[ours["image"] == row.image]
         off = np.hypot(same["x_px"] - row.x_px, same["y_px"] - row.y_px)
         assert off.min() < 6e-4, row
-    cameras = [read_camera(strasbourg, "dbat", None),
-               read_camera(strasbourg.with_name("sxb.psz"), "metashape", None)]  # fmt: skip
+    cameras = [
+        read_camera(strasbourg, "dbat", None),
+        read_camera(strasbourg.with_name("sxb.psz"), "metashape", None),
+    ]
     # 4430 and 6468 are 4429.5 and 6468.5 rounded to even: no rule of pixels moves both ways.
     assert [(c.cx_px, c.cy_px) for c in cameras] == [pytest.approx((4429.5, 6468.5)), (4430, 6468)]
     assert (round(4429.5), round(6468.5)) == (4430, 6468)
