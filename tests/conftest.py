@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
+import json
 import math
 import os
 import pickle
@@ -107,6 +108,23 @@ class MissionFolder:
 
     def run(self, *options: str) -> Ended:
         return run_command("run", self.save(), *options)
+
+    def manifest(self) -> dict[str, Any]:
+        """The manifest of the last run, as JSON."""
+        return json.loads((self.output / "manifest.json").read_text(encoding="utf-8"))
+
+    def run_to_manifest(self, exit_code: int = 0) -> dict[str, Any]:
+        """Run the mission, which must end with this code; its manifest as JSON."""
+        ended = self.run()
+        assert ended.code == exit_code, ended.text
+        return self.manifest()
+
+    def refusal(self, code: str, exit_code: int = 6) -> str:
+        """Run the mission, which must be refused with this code; what the user reads."""
+        ended = self.run()
+        assert ended.code == exit_code, ended.text
+        assert code in ended.err, ended.text
+        return ended.err
 
     def measurements(self) -> pa.Table:
         return pq.read_table(self.folder / "observations.parquet").replace_schema_metadata(None)

@@ -1,0 +1,58 @@
+"""What the tests of several rooms need: channels of a log, refusals, messages by their code."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from unbend.errors import UnbendError
+from unbend.flight.channels import Channel, Source
+from unbend.messages import Message
+
+NS_PER_S = 10**9
+
+
+def channel(name: str, seconds: np.ndarray, *roles: str, **columns: object) -> Channel:
+    """A channel sampled at these seconds, of a message with its name; scalars hold throughout.
+
+    >>> channel("BARO[0]", np.arange(3.0), "pressure", pressure_pa=9e4)["pressure_pa"]
+    array([90000., 90000., 90000.])
+    """
+    seconds = np.asarray(seconds, float)
+    time_ns = np.round(seconds * NS_PER_S).astype(np.int64)
+    arrays = {
+        key: np.broadcast_to(np.asarray(values, float), seconds.shape).copy()
+        for key, values in columns.items()
+    }
+    return Channel(name, time_ns, arrays, Source(name.partition("[")[0]), roles=roles)
+
+
+@contextlib.contextmanager
+def refused(code: str) -> Iterator[pytest.ExceptionInfo[UnbendError]]:
+    """A block of a test that must end with the refusal of this code, which says what to do."""
+    with pytest.raises(UnbendError) as caught:
+        yield caught
+    error = caught.value
+    assert error.code == code, str(error)
+    assert error.remedy, f"{code} does not say what to do"
+
+
+def with_code(messages: Iterable[Message], code: str) -> list[Message]:
+    """The messages of a ledger that have this code."""
+    return [message for message in messages if message.code == code]
+
+
+def codes_of(manifest: Mapping[str, Any]) -> set[str]:
+    """The codes in the ledger of a manifest that was read as JSON."""
+    return {entry["code"] for entry in manifest["ledger"]}
+
+
+def entry_of(manifest: Mapping[str, Any], code: str) -> dict[str, Any]:
+    """The only entry with this code in the ledger of a manifest that was read as JSON."""
+    entries = [entry for entry in manifest["ledger"] if entry["code"] == code]
+    assert len(entries) == 1, f"{code} stands {len(entries)} times in {sorted(codes_of(manifest))}"
+    return entries[0]
