@@ -355,6 +355,17 @@ def model_unreadable(*, where: Path | str, why: str) -> InputError:
     )
 
 
+def model_endless(*, where: Path | str) -> InputError:
+    """The HDF5 library finds no end in the structure of the file, or crashes on it."""
+    return InputError(
+        MODEL_UNREADABLE,
+        "the file cannot be read: its structure is damaged, and the HDF5 library does not come to "
+        "an end with it",
+        where=where,
+        remedy="download it again",
+    )
+
+
 def model_axis(*, where: Path | str, axis: str) -> InputError:
     """A latitude, longitude or level of the grid is none, or stands there twice."""
     return InputError(

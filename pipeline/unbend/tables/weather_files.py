@@ -15,6 +15,7 @@ import numpy as np
 
 from unbend.errors import InputError
 from unbend.tables import messages
+from unbend.tables.hdf5_probe import structure_is_readable
 from unbend.tables.weather_fields import (
     LATITUDE,
     LONGITUDE,
@@ -101,6 +102,8 @@ def _datasets_of(path: Path, engine: str) -> "Sequence[Dataset]":
     """The datasets of a file, whose readers are imported."""
     import xarray
 
+    if engine == "h5netcdf" and not structure_is_readable(path):
+        raise messages.model_endless(where=path)
     if engine != "cfgrib":
         return [xarray.open_dataset(path, engine=engine, decode_timedelta=True)]
     import cfgrib

@@ -1,6 +1,7 @@
 """Digital elevation models, in one raster or several, read tile by tile as rays come to them."""
 
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -207,7 +208,9 @@ class ElevationModel:
                 columns_of_tile = slice(column_begin - column, column_end - column)
                 part = tile[rows_of_tile, columns_of_tile]
                 heights = raster.read(row_begin - top, column_begin - left, *part.shape)
-                heights *= np.float32(raster.unit_m or self._system.unit_m)
+                # A damaged raster may have numbers of which numpy warns; they are holes later.
+                with np.errstate(all="ignore"):
+                    heights *= np.float32(raster.unit_m or self._system.unit_m)
                 np.copyto(part, heights, where=is_empty or np.isnan(part))
                 is_empty = False
 
@@ -335,8 +338,9 @@ class _Raster:
         height = np.asarray(np.ma.filled(numbers, np.nan), np.float32)
         if self.scale == 1.0 and self.offset == 0.0:
             return height
-        scaled = height * np.float32(self.scale)
-        return np.asarray(scaled + np.float32(self.offset), np.float32)
+        with np.errstate(all="ignore"):
+            scaled = height * np.float32(self.scale)
+            return np.asarray(scaled + np.float32(self.offset), np.float32)
 
 
 def _unit_of_heights(path: Path, unit: str | None) -> float | None:
@@ -373,7 +377,9 @@ def open_elevation(
     where = str(paths[0])
     open_raster = lru_cache(maxsize=64)(rasterio.open)
     try:
-        with rasterio.Env(**GDAL_OPTIONS):
+        with rasterio.Env(**GDAL_OPTIONS), warnings.catch_warnings():
+            # A raster without a frame is refused by its transform, the identity.
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             rasters = [_Raster(path, open_raster) for path in paths]
     except rasterio.errors.RasterioError as error:
         raise messages.dem_unreadable(where=where, error=str(error)) from None
