@@ -9,7 +9,10 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import h5py
 
 FIXED_CPU_S = 2  # to import h5py, and for the structure of a file of any size
 MEGABYTE = 1_000_000  # of the file, for each of which the process has a second more
@@ -36,10 +39,10 @@ def _limit_processor_time(seconds: int) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
 
 
-def _read_structure(item: Any) -> None:
+def _read_structure(item: "h5py.Dataset | h5py.Group") -> None:
     """Read attributes and dimensions of a dataset, or of all that a group holds.
 
-    What the library refuses is passed over: whoever opens the file next is told so too.
+    Errors of the library are ignored: opening the file raises them again.
     """
     import h5py
 
