@@ -30,9 +30,12 @@ $(EVERYTHING): $(PROGRAM) $(LOCKS)/test.txt
 sample: $(PROGRAM)
 	$(BIN)/unbend run configs/sample_bin.yaml configs/sample_tlog.yaml configs/sample_mcap.yaml
 
+# Ten minutes on two cores: of the costliest tests (DRAWN in tests/conftest.py) a tenth, others each
+# day. CASES=all runs all of them, half an hour.
+CASES ?= drawn
 test: $(EVERYTHING)
 	$(BIN)/lint-imports
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+	UNBEND_CASES=$(CASES) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 # Lint and the tests of all pure rooms but the slow ones: a minute and a half on two cores, once
 # kernels are compiled and mypy has its cache.

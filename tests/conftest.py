@@ -339,11 +339,14 @@ DRAWN = (
     "batch/campaigns/",
     "batch/object_store/test_missions.py",
     "batch/object_store/test_silent_store.py",
+    "batch/test_dask_executor.py::test_a_scheduler_that_is_killed",
     "batch/test_dask_executor.py::test_a_worker_that_is_stopped_costs_no_mission",
     "batch/test_dask_executor.py::test_the_only_worker_that_is_stopped_is_named",
     "batch/test_dask_executor.py::test_workers_that_are_killed_cost_no_mission",
     "batch/test_processes.py",
     "batch/test_rehearsal.py::test_check_says_what_run_says",
+    "batch/test_same_bytes.py",
+    "batch/test_soak.py",
     "block/test_assignment.py",
     "block/test_diagnosis.py",
     "cli/test_interrupts.py",
@@ -351,10 +354,12 @@ DRAWN = (
     "config/test_mission_file.py",
     "contract/test_documentation.py::test_what_a_page_shows",
     "contract/test_imports.py::test_importing_warns_of_nothing",
+    "contract/test_planted.py::test_a_seed_draws_bugs_that_can_be_planted",
     "contract/test_notebooks.py::test_a_notebook_prints_what_it_shows",
     "faults/test_budget.py",
     "faults/test_extreme_inputs.py",
     "faults/test_mcap.py::test_bombs_are_skipped_at_once",
+    "flight/test_gimbal.py::test_a_mission",
     "flight/test_injected_faults.py",
     "golden/test_adjustment.py",
     "golden/test_block_heights.py",
@@ -399,10 +404,10 @@ DRAWN = (
     "tables/test_weather_files.py::test_pyproj_and_eccodes_live_together",
 )
 """Tests that take half of the time of all and repeat a thought in other cases, by the beginning of
-their names. With UNBEND_CASES=drawn, as in `.ci/run`, one in `DRAWN_OF` runs each day."""
+their names. With UNBEND_CASES=drawn, as in `make test`, one in `DRAWN_OF` runs each day."""
 
 DRAWN_OF = 10
-"""CI has 20 minutes for all: with one in four it took 1,212 s, and has more tests since."""
+"""`make test` has ten minutes."""
 
 
 def drawn_today(items: list[pytest.Item]) -> set[pytest.Item]:

@@ -60,6 +60,26 @@ class NormalEquations(NamedTuple):
     inflation: Array
     parts: list[SetPart]
 
+    def change(self) -> Array:
+        """How the state changes: the solution of the equations, solved for states in sigmas.
+
+        In their units the diagonal spans 20 orders of magnitude, and the solution loses digits.
+        """
+        sigma = self._sigma()
+        scaled = self.normal * np.outer(sigma, sigma)
+        in_sigmas = linalg.solve(scaled, sigma * self.right, assume_a="pos")
+        return np.asarray(sigma * in_sigmas)
+
+    def covariance(self) -> Array:
+        """The inverse of the matrix, inverted for states in sigmas too."""
+        sigma = self._sigma()
+        units = np.outer(sigma, sigma)
+        return np.asarray(units * np.linalg.inv(self.normal * units))
+
+    def _sigma(self) -> Array:
+        """(n,) sigma of each state if the others were known."""
+        return np.asarray(1.0 / np.sqrt(np.diag(self.normal)))
+
     def fits(self, covariance: Array) -> tuple[Fit, ...]:
         """How each set fits, with its degrees of freedom for signal under a covariance."""
         fits = []

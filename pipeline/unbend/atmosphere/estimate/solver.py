@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
 
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import Climatology
@@ -331,7 +330,7 @@ def solve(
         air = air_of(layout, x, pressure, background.constant)
         prior = expected.with_drifts(layout, variance)
         equations = normal_equations(prior, sets, air, inflation, step)
-        change = linalg.solve(equations.normal, equations.right, assume_a="pos")
+        change = equations.change()
         length.follow(change[layout.temperature], step)
         x = layout.bounded(x + length.share * change)
         air = air_of(layout, x, pressure, background.constant)
@@ -346,7 +345,7 @@ def solve(
         converged = is_late_enough and is_settled and length.moved_k < _CONVERGED_K
         if converged:
             break
-    covariance = np.asarray(np.linalg.inv(equations.normal), np.float64)
+    covariance = equations.covariance()
     return Solution(
         x=x,
         covariance=covariance,
