@@ -72,8 +72,8 @@ def whole_numbers(values: NDArray[Any], lowest: int, highest: int) -> Integers:
     else:
         with np.errstate(invalid="ignore"):  # signalling NaNs
             numbers = np.asarray(values, np.float64)
-        known = np.where(np.isnan(numbers), lowest, numbers)
-        within = known.clip(lowest, highest)
+        filled = np.where(np.isnan(numbers), lowest, numbers)
+        within = filled.clip(lowest, highest)
         whole = within.astype(np.int64)
     return np.asarray(whole.clip(lowest, highest))
 

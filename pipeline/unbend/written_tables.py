@@ -143,9 +143,9 @@ def _separator_of(before: Sequence[str], body: Sequence[str]) -> str:
 
     Raises ValueError where rows are longer than the first by each separator that this one has.
     """
-    stated = _stated_separator(before)
-    if stated:
-        return stated
+    stated_separator = _stated_separator(before)
+    if stated_separator:
+        return stated_separator
     best = ","
     best_score = (0, 1)
     longer = ""
@@ -170,9 +170,9 @@ def _separator_of(before: Sequence[str], body: Sequence[str]) -> str:
 def _stated_separator(before: Sequence[str]) -> str:
     """What a line ``sep=;`` of a spreadsheet says; empty without one."""
     for line in before:
-        stated = _SEPARATOR_OF_SPREADSHEET.fullmatch(line)
-        if stated is not None and stated[1] in SEPARATORS:
-            return stated[1]
+        first_line = _SEPARATOR_OF_SPREADSHEET.fullmatch(line)
+        if first_line is not None and first_line[1] in SEPARATORS:
+            return first_line[1]
     return ""
 
 
@@ -242,8 +242,8 @@ def _refuse_grouped_thousands(rows: Sequence[Sequence[str]]) -> None:
     for column in range(width):
         filled = _filled_fields(rows, column)
         grouped = [field for field in filled if has_grouped_thousands(field)]
-        others = [field for field in filled if not has_grouped_thousands(field)]
-        if grouped and all(map(is_number, others)):
+        plain_fields = [field for field in filled if not has_grouped_thousands(field)]
+        if grouped and all(map(is_number, plain_fields)):
             raise ValueError(
                 f"{grouped[0]!r} groups its thousands; write numbers without such separators"
             )

@@ -130,8 +130,8 @@ def select_missions(
     """
     missions, campaigns = open_configs(configs)
     will_write_pages = writes and bool(campaigns)
-    known = known_missions(missions, with_rows=will_write_pages)
-    listed = list(named_missions(missions, known))
+    known_runs = known_missions(missions, with_rows=will_write_pages)
+    listed = list(named_missions(missions, known_runs))
     for campaign in campaigns:
         members = set(campaign.missions)
         refuse_twins(campaign, [mission for mission in listed if mission.ref in members])
@@ -145,7 +145,7 @@ def select_missions(
         campaigns=tuple(campaigns),
         named={mission.ref: mission for mission in listed},
         refused=shared_outputs((mission.ref, mission.output) for mission in listed),
-        known=known,
+        known=known_runs,
     )
 
 
@@ -153,7 +153,7 @@ def known_missions(
     missions: Iterable[MissionRef], *, with_rows: bool
 ) -> dict[MissionRef, KnownMission]:
     """The missions that are unchanged, ``with_rows`` with their rows of a page."""
-    known = {}
+    known_runs = {}
     for ref in missions:
         unchanged = find_unchanged(ref)
         if unchanged is None:
@@ -163,8 +163,8 @@ def known_missions(
         # known to be unchanged, and takes the full comparison.
         with suppress(UnbendError):
             row = row_of(unchanged.manifest) if with_rows else None
-            known[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
-    return known
+            known_runs[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
+    return known_runs
 
 
 def named_missions(
@@ -192,8 +192,8 @@ def missions_called(names: Sequence[str], listed: Sequence[NamedMission]) -> lis
             chosen.append(mission.ref)
         not_met -= names_of_mission
     if not_met:
-        known = sorted(mission.name for mission in listed)
-        raise messages.no_such_mission(name=next(iter(not_met)), known=known[:_MOST_LISTED])
+        known_names = sorted(mission.name for mission in listed)
+        raise messages.no_such_mission(name=next(iter(not_met)), known=known_names[:_MOST_LISTED])
     return chosen
 
 
@@ -296,9 +296,9 @@ def row_of_end(
     """
     has_not_run_now = end is None or (isinstance(end, Outcome) and end.repeated)
     if has_not_run_now and ref in chosen.known:
-        known = chosen.known[ref].row
-        if known is not None:
-            return known
+        known_row = chosen.known[ref].row
+        if known_row is not None:
+            return known_row
     if isinstance(end, UnbendError):
         return row_without(name, end.exit_code, end.code, end.what)
     if isinstance(end, Bug):

@@ -123,7 +123,7 @@ def versions_of(roles: Iterable[str], standard: str) -> dict[str, str]:
         for beginning, libraries in LIBRARIES_OF_INPUTS.items():
             if role.startswith(beginning):
                 names.extend(libraries)
-    known = {
+    versions = {
         "unbend": unbend.__version__,
         "code_sha256": code_hash(),
         "python": platform.python_version(),
@@ -131,10 +131,10 @@ def versions_of(roles: Iterable[str], standard: str) -> dict[str, str]:
     for name in names:
         installed = version(name)
         if installed is not None:
-            known[name] = installed
+            versions[name] = installed
     if needs_grids:
-        known[GRIDS] = grids_of_proj()
-    return known
+        versions[GRIDS] = grids_of_proj()
+    return versions
 
 
 def all_versions() -> dict[str, str]:

@@ -106,10 +106,10 @@ def _orientation(mission: Mission) -> Iterator[NamedInput]:
         program=program,
         may_be_folder=program is not None or section.format == "dji",
     )
-    known = section.known_positions
-    if isinstance(known, KnownPositions):
+    known_positions = section.known_positions
+    if isinstance(known_positions, KnownPositions):
         key = "stations.orientation.known_positions.path"
-        yield NamedInput("known positions", key, known.path)
+        yield NamedInput("known positions", key, known_positions.path)
 
 
 def _events(mission: Mission) -> Iterator[NamedInput]:

@@ -54,6 +54,6 @@ def damage_of(
             damage.append(f"{item.name}: {sizes[item.name]} bytes, not {item.bytes}")
         elif hash_of(item.name) not in (None, item.sha256):
             damage.append(f"{item.name}: its content has changed")
-    known = {item.name for item in manifest.run.outputs}
-    damage += [f"{name}: belongs to no run" for name in sorted(sizes.keys() - known)]
+    names = {item.name for item in manifest.run.outputs}
+    damage += [f"{name}: belongs to no run" for name in sorted(sizes.keys() - names)]
     return damage

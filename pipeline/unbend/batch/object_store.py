@@ -97,8 +97,8 @@ class Place:
         A user, password, query or fragment is refused, and not repeated: it may be a secret. The
         key is written as the bucket has it, without percent-encoding.
         """
-        scheme, _, rest = url.partition("://")
-        bucket, _, path = rest.partition("/")
+        scheme, _, bucket_and_path = url.partition("://")
+        bucket, _, path = bucket_and_path.partition("/")
         key = path.removesuffix("/")
         if scheme not in _STORES:
             schemes = ", ".join(f"{name}://" for name in _STORES)

@@ -198,10 +198,10 @@ def stated_orientation(section: OrientationSection) -> Stated:
 
 def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownImagePositions | None:
     section = mission.stations.orientation
-    known = None if section is None else section.known_positions
-    if not isinstance(known, KnownPositions):
+    known_positions = None if section is None else section.known_positions
+    if not isinstance(known_positions, KnownPositions):
         return None
-    names = known.model_dump(exclude={"path", "sigma_m"})
+    names = known_positions.model_dump(exclude={"path", "sigma_m"})
     return opened_inputs.KnownImagePositions(*read_known_positions(paths["known positions"], names))
 
 

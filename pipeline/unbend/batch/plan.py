@@ -137,17 +137,17 @@ def make_plan(
     remotes = {}
     for named in named_inputs(mission):
         place = located(named.name, folder)
-        known = records.get(named.role)
+        earlier_record = records.get(named.role)
         with readable(named, place):
             if isinstance(place, Place):
                 in_storage = look_up(named, place)
                 remotes[named.role] = in_storage
                 refuse_among_results(named.role, place, output)
-                inputs.append(remote_input(named, in_storage, known, verify=verify))
+                inputs.append(remote_input(named, in_storage, earlier_record, verify=verify))
             else:
                 refuse_missing(named, place)
                 refuse_among_results(named.role, place, output)
-                inputs.append(local_input(named, place, known, verify=verify))
+                inputs.append(local_input(named, place, earlier_record, verify=verify))
     return Plan(
         mission=with_camera_files(mission, {item.role: item.path for item in inputs}),
         inputs=tuple(inputs),

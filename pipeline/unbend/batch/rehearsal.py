@@ -103,13 +103,15 @@ def datum_text(corrected: CorrectedMission) -> str:
     elif facts.mission.stations.orientation is not None:
         height_source = "orientation"
     undulation = (facts.stations.h_ellipsoid_m - facts.stations.h_msl_m)[facts.stations.ok]
-    known = undulation[np.isfinite(undulation)]
+    known_undulation = undulation[np.isfinite(undulation)]
     undulation_source = heights.source
-    stated = heights.undulation_m
-    if stated is not None and known.size:
-        is_stated = abs(np.median(known) - stated) <= _SAME_UNDULATION_M
+    stated_undulation_m = heights.undulation_m
+    if stated_undulation_m is not None and known_undulation.size:
+        is_stated = abs(np.median(known_undulation) - stated_undulation_m) <= _SAME_UNDULATION_M
         if not is_stated:
-            undulation_source = f"the log's own, not the {stated:g} m of {heights.source}"
+            undulation_source = (
+                f"the log's own, not the {stated_undulation_m:g} m of {heights.source}"
+            )
     reference = facts.mission.ground.reference
     return (
         f"cameras by {height_source}, ground {reference}, all above mean sea level; "
@@ -157,11 +159,11 @@ def spans_by_camera(facts: Facts, values: Array, digits: int) -> str:
 
 def _span(values: Array, digits: int) -> str:
     """Lowest to highest of the finite values."""
-    known = values[np.isfinite(values)]
-    if not known.size:
+    known_values = values[np.isfinite(values)]
+    if not known_values.size:
         return "unknown"
-    lowest = _rounded(known.min(), digits)
-    highest = _rounded(known.max(), digits)
+    lowest = _rounded(known_values.min(), digits)
+    highest = _rounded(known_values.max(), digits)
     return lowest if lowest == highest else f"{lowest} to {highest}"
 
 
@@ -214,9 +216,9 @@ def times_text(corrected: CorrectedMission) -> str:
             first = utc_second(int(values.min())).removesuffix("Z").replace("T", " ")
             _, last_clock = utc_second(int(values.max())).removesuffix("Z").split("T")
             parts.append(f"{label} {first} to {last_clock} UTC")
-    stated = stated_date(corrected.prepared.mission)
-    if not parts and stated is not None:
-        return f"{stated}, as the mission file states"
+    date = stated_date(corrected.prepared.mission)
+    if not parts and date is not None:
+        return f"{date}, as the mission file states"
     return "; ".join(parts) or "unknown"
 
 

@@ -359,7 +359,7 @@ class SensorsSection(Section):
     @property
     def calibration(self) -> dict[SensorFault, SensorCalibration]:
         """The stated calibrations by sensor fault, in SI units."""
-        stated = {}
+        calibrations = {}
         for fault, (sensor, key, si_per_unit) in CALIBRATION_KEYS.items():
             section = getattr(self, sensor)
             mean = getattr(section, key, None)  # some faults have a key of their sigma alone
@@ -367,12 +367,12 @@ class SensorsSection(Section):
             if mean is None and sigma is None:
                 continue
             stated_key = key if mean is not None else f"sigma_{key}"
-            stated[fault] = SensorCalibration(
+            calibrations[fault] = SensorCalibration(
                 None if mean is None else si_per_unit * mean,
                 None if sigma is None else si_per_unit * sigma,
                 path=f"atmosphere.sensors.{sensor}.{stated_key}",
             )
-        return stated
+        return calibrations
 
 
 class AtmosphereSection(Section):

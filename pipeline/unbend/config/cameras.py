@@ -405,10 +405,10 @@ class CameraSection(Section):
                 stated_height=height,
             )
         model, params = model_of_camera(camera)
-        known = {"model": model, "params": params, "width_px": width, "height_px": height}
+        values_of_file = {"model": model, "params": params, "width_px": width, "height_px": height}
         kept = self.model_dump(exclude={"file", "format", "camera"}, exclude_unset=True)
         try:
-            return type(self).model_validate(kept | known)
+            return type(self).model_validate(kept | values_of_file)
         except ValidationError as error:
             raise messages.camera_file(path=path, problem=_problem_of_file(error)) from None
 

@@ -176,11 +176,11 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
 def _with_defaults(values: dict[str, Any]) -> dict[str, Any]:
     """The values of a campaign file, with its defaults in the missions that stand in it."""
     defaults = values.get("defaults", {})
-    stated = values.get("missions", [])
-    if not isinstance(stated, list) or not isinstance(defaults, dict):
+    stated_missions = values.get("missions", [])
+    if not isinstance(stated_missions, list) or not isinstance(defaults, dict):
         return values
     missions = []
-    for section in stated:
+    for section in stated_missions:
         complete = merged(defaults, section) if isinstance(section, dict) else section
         missions.append(complete)
     return values | {"missions": missions}

@@ -312,5 +312,5 @@ class EventsSection(Section):
 
     def anchor(self, camera: str) -> FirstImage | None:
         """The image and event that are stated for a camera; None where none are."""
-        stated = self.first_image.get(camera)
-        return FirstImage(image=stated) if isinstance(stated, str) else stated
+        first_image = self.first_image.get(camera)
+        return FirstImage(image=first_image) if isinstance(first_image, str) else first_image

@@ -117,8 +117,8 @@ class ControlSection(Section):
     @model_validator(mode="after")
     def _check_stated(self) -> Self:
         together = {"columns", "crs", "reference"}
-        stated = together & self.model_fields_set
-        if stated and stated != together:
+        stated_keys = together & self.model_fields_set
+        if stated_keys and stated_keys != together:
             raise SectionError("give columns, crs and reference together")
         return self
 

@@ -166,10 +166,10 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
     nodes = nodes_at(section)
     if is_campaign and not section:  # the file itself, which `nodes_at` takes for a mission's
         nodes = [campaign_schema()]
-    known: set[str] = set()
+    allowed_keys: set[str] = set()
     for node in nodes:
         for arm in alternatives(node):
-            known.update(arm.get("properties", {}))
+            allowed_keys.update(arm.get("properties", {}))
     key = str(place[-1])
     metric = camera_in_millimetres(key)
     if len(section) == 2 and section[0] == "cameras" and metric:
@@ -178,16 +178,16 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
             f"unknown key; {in_pixels}lengths of a camera in millimetres are in its section "
             f"metric: {metric}"
         )
-    other_unit = same_in_other_unit(key, known)
+    other_unit = same_in_other_unit(key, allowed_keys)
     if other_unit:
         return f"unknown key; perhaps {other_unit!r}, in {unit_of(other_unit)}?"
     elsewhere = sections_with_key(key)
     if len(elsewhere) == 1:
         return f"unknown key here; it is a key of another section: {elsewhere[0]}.{key}"
-    near = difflib.get_close_matches(key, sorted(known), n=1, cutoff=LEAST_SIMILARITY)
+    near = difflib.get_close_matches(key, sorted(allowed_keys), n=1, cutoff=LEAST_SIMILARITY)
     if near:
         return f"unknown key; perhaps {near[0]!r}?"
-    return f"unknown key; allowed: {', '.join(sorted(known))}"
+    return f"unknown key; allowed: {', '.join(sorted(allowed_keys))}"
 
 
 def sections_with_key(key: str) -> list[str]:

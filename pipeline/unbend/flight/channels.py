@@ -217,11 +217,11 @@ class Channel:
     def with_impossible(self, column: str, rows: Mask, reason: Reason) -> "Channel":
         """The channel with some values of a column unknown (NaN), and why."""
         values = np.where(rows, np.nan, self.columns[column])
-        known = self.rejected.get(column, np.zeros(len(self), np.uint8))
+        earlier_reasons = self.rejected.get(column, np.zeros(len(self), np.uint8))
         return replace(
             self,
             columns=dict(self.columns) | {column: values},
-            rejected=dict(self.rejected) | {column: with_reason(known, rows, reason)},
+            rejected=dict(self.rejected) | {column: with_reason(earlier_reasons, rows, reason)},
         )
 
     def to_pandas(self) -> Any:

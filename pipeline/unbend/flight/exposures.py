@@ -161,14 +161,16 @@ def _skipped_numbers(channel: Channel, index: Integers) -> list[_SkippedNumbers]
     """For each power-up with gaps in its numbers, which numbers have no event."""
     skipped = []
     for boot in np.unique(channel.boot).tolist():
-        known = np.unique(unwrapped_numbers(index[channel.boot == boot]))
-        before_gap = np.flatnonzero(np.diff(known) > 1)
+        numbers_of_boot = np.unique(unwrapped_numbers(index[channel.boot == boot]))
+        before_gap = np.flatnonzero(np.diff(numbers_of_boot) > 1)
         if before_gap.size == 0:
             continue
-        begins = known[before_gap] + 1
-        ends = known[before_gap + 1] - 1
+        begins = numbers_of_boot[before_gap] + 1
+        ends = numbers_of_boot[before_gap + 1] - 1
         gaps = tuple(zip(begins.tolist(), ends.tolist(), strict=True))
-        skipped.append(_SkippedNumbers(boot, int(known[0]), int(known[-1]), gaps))
+        skipped.append(
+            _SkippedNumbers(boot, int(numbers_of_boot[0]), int(numbers_of_boot[-1]), gaps)
+        )
     return skipped
 
 

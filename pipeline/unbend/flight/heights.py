@@ -198,19 +198,19 @@ def undulation_notes(
     """
     has_place = np.isfinite(stations.lat_rad + stations.lon_rad)
     undulation_m = heights.undulation(stations.lat_rad[has_place], stations.lon_rad[has_place])
-    known = np.isfinite(undulation_m)
-    unknown = int(np.count_nonzero(~known))
+    is_known = np.isfinite(undulation_m)
+    unknown = int(np.count_nonzero(~is_known))
     if unknown:
         yield messages.stations_outside_geoid(
             where="mission.geoid",  # the undulation of mission.undulation_m is known everywhere
             count=unknown,
-            total=known.size,
+            total=is_known.size,
             grid=heights.source if heights.geoid is None else heights.geoid.name,
         )
-    if not bool(known.any()):
+    if not bool(is_known.any()):
         return
-    places = stations.rows(np.flatnonzero(has_place)[known])
-    used_m = undulation_m[known]
+    places = stations.rows(np.flatnonzero(has_place)[is_known])
+    used_m = undulation_m[is_known]
     where = _origin_of_undulation(heights)
     used = _used_undulation(heights, places, used_m)
     yield messages.undulation_used(where=where, stations=used_m.size, used=used)

@@ -252,15 +252,15 @@ def why_channel_is_missing(
 
 def _could_play(able: Sequence[str], *, board: bool) -> str:
     """Which other channels could play a role, and whether a board's temperature could."""
-    others = "no other channel can have this role"
+    candidates = "no other channel can have this role"
     if able:
-        others = f"channels for this role: {', '.join(able)}"
+        candidates = f"channels for this role: {', '.join(able)}"
     if board:
-        others += (
+        candidates += (
             "; atmosphere.board_temperature: true uses the temperature of its circuit board, minus "
             "about 10 K"
         )
-    return others
+    return candidates
 
 
 def named_channel_missing(*, role: str, why: str, able: Sequence[str], board: bool) -> Message:

@@ -51,19 +51,19 @@ def assign_roles(
     named_channels = {channel.name for channel in filled.values()}
     free = [channel for channel in all_channels if channel.name not in named_channels]
     notes += [messages.role_left_empty(role=role) for role in sorted(empty)]
-    stated = {*named, *empty}
+    stated_roles = {*named, *empty}
     for role in ("height", "position", "attitude", "airspeed"):
-        notes += _fill(filled, role, all_channels, stated)
+        notes += _fill(filled, role, all_channels, stated_roles)
     if "height" not in {*filled, *empty} and "position" in filled:
         filled["height"] = filled["position"]
     # After the height, by which a barometer outside is told from one in the cabin.
-    notes += _fill_barometers(filled, free, stated, needs_cabin=needs_cabin)
+    notes += _fill_barometers(filled, free, stated_roles, needs_cabin=needs_cabin)
     for role in ("temperature", "humidity"):
         notes += _fill_outside_and_cabin(
-            filled, role, all_channels, stated, needs_cabin=needs_cabin
+            filled, role, all_channels, stated_roles, needs_cabin=needs_cabin
         )
     for role in ("position", "attitude"):  # what the cabin lacks is reported camera by camera
-        if role not in {*filled, *stated, *elsewhere}:
+        if role not in {*filled, *stated_roles, *elsewhere}:
             names = list(dict.fromkeys(channel.name for channel in all_channels))
             notes.append(messages.role_empty(role=role, channels=names))
     return filled, tuple(notes)
@@ -93,7 +93,7 @@ def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> Me
 
     Raises MissionError where the role is needed.
     """
-    able = [channel.name for channel in channels if channel.fits_role(role)]
+    candidates = [channel.name for channel in channels if channel.fits_role(role)]
     named_channel = next((channel for channel in channels if channel.name == name), None)
     if named_channel is None:
         columns = None
@@ -106,10 +106,10 @@ def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> Me
         name=name, needed=ROLE_COLUMNS[role], columns=columns, near=similar
     )
     if role in _REQUIRED:
-        raise messages.required_channel_missing(role=role, why=why, able=able)
+        raise messages.required_channel_missing(role=role, why=why, able=candidates)
     has_board = columns is not None and "board_temperature_k" in columns
     return messages.named_channel_missing(
-        role=role, why=why, able=able, board=has_board and role == "temperature"
+        role=role, why=why, able=candidates, board=has_board and role == "temperature"
     )
 
 
@@ -277,12 +277,12 @@ def follows_height(barometer: Channel, height: Channel) -> bool | None:
         return None
     height_m = interpolate(height, column, barometer.time_ns, max_gap_s=_HEIGHT_GAP_S)
     pressure_pa = barometer["pressure_pa"]
-    known = np.isfinite(height_m) & (pressure_pa > 0.0)
-    if np.count_nonzero(known) < _FEWEST_PRESSURES:
+    is_known = np.isfinite(height_m) & (pressure_pa > 0.0)
+    if np.count_nonzero(is_known) < _FEWEST_PRESSURES:
         return None
-    if float(np.ptp(height_m[known])) < _LEAST_HEIGHT_SPAN_M:
+    if float(np.ptp(height_m[is_known])) < _LEAST_HEIGHT_SPAN_M:
         return None
     from unbend.atmosphere.hypsometry import fall_of_pressure  # with all of the atmosphere
 
-    fall = fall_of_pressure(height_m[known], np.log(pressure_pa[known]))
+    fall = fall_of_pressure(height_m[is_known], np.log(pressure_pa[is_known]))
     return fall.is_of_air and fall.unexplained < _LARGEST_UNEXPLAINED

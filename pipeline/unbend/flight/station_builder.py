@@ -229,10 +229,10 @@ def _with_sigmas(
 def _lever_arm_enu(body_attitude: Array, mount: Mount) -> Array:
     """(n, 3) east, north and up [m] from the position to the camera; NaN without attitude."""
     step = np.full((body_attitude.shape[0], 3), np.nan)
-    known = ~_unknown_rows(body_attitude)
-    if known.any():
-        ned_from_body = Rotation.from_quat(body_attitude[known], scalar_first=True)
-        step[known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ NED_FROM_ENU
+    is_known = ~_unknown_rows(body_attitude)
+    if is_known.any():
+        ned_from_body = Rotation.from_quat(body_attitude[is_known], scalar_first=True)
+        step[is_known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ NED_FROM_ENU
     return step
 
 

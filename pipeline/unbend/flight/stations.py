@@ -134,16 +134,16 @@ class Stations:
     @property
     def mean_latitude_rad(self) -> float:
         """Latitude of the flight [rad]; 45 degrees where no station has one."""
-        known = self._known_of_usable(self.lat_rad)
-        return float(known.mean()) if known.size else float(np.pi / 4.0)
+        latitudes_rad = self._known_of_usable(self.lat_rad)
+        return float(latitudes_rad.mean()) if latitudes_rad.size else float(np.pi / 4.0)
 
     @property
     def median_longitude_rad(self) -> float:
         """The median longitude of the flight [rad], within half a turn; NaN without any."""
-        known = self._known_of_usable(self.lon_rad)
-        if not known.size:
+        longitudes_rad = self._known_of_usable(self.lon_rad)
+        if not longitudes_rad.size:
             return math.nan
-        median = float(np.median(longitudes_near(known, known[0])))
+        median = float(np.median(longitudes_near(longitudes_rad, longitudes_rad[0])))
         return math.remainder(median, 2.0 * math.pi)  # exact where it is within half a turn
 
     def _known_of_usable(self, values: Array) -> Array:
@@ -151,9 +151,9 @@ class Stations:
 
         The place of a suspect station would move the middle of the flight.
         """
-        known = np.isfinite(values)
-        usable = known & self.ok
-        return values[usable] if bool(usable.any()) else values[known]
+        is_known = np.isfinite(values)
+        usable = is_known & self.ok
+        return values[usable] if bool(usable.any()) else values[is_known]
 
     def with_status(self, where: Mask, status: str) -> Stations:
         """The stations with another status where a mask is True and they were ok."""

@@ -117,5 +117,5 @@ def median_distance_m(track: Channel, other: Channel) -> float:
     ]
     change = np.stack(columns, axis=1) - places_of(compared, POSITION)
     distance_m = np.linalg.norm(metres(change, compared["lat_rad"]), axis=1)
-    known = np.isfinite(distance_m)
-    return float(np.median(distance_m[known])) if known.any() else float("nan")
+    is_known = np.isfinite(distance_m)
+    return float(np.median(distance_m[is_known])) if is_known.any() else float("nan")

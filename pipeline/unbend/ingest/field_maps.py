@@ -118,8 +118,8 @@ def _number_or_none(text: str | None) -> float | None:
 def message_maps(section: str) -> dict[str, MessageMap]:
     """The messages of a format that are wanted: a section of ``data/field_maps.toml``."""
     maps: dict[str, MessageMap] = {}
-    for name, stated in MAPS[section].items():
-        options = dict(stated)
+    for name, field_map in MAPS[section].items():
+        options = dict(field_map)
         template = MessageMap(())
         if "like" in options:  # a message like an earlier one takes over all but its ranks
             earlier_name = options.pop("like")

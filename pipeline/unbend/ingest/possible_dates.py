@@ -68,7 +68,7 @@ def _reported_rollovers(
 ) -> int:
     """How many rollovers the stamps of some channels lack; 0 where no date can be accepted."""
     stated_ns = min(_middle_ns(channel) for channel in impossible)
-    stated = date_text(stated_ns)
+    stated_date = date_text(stated_ns)
     names = ", ".join(channel.name for channel in impossible)
     rollovers = missed_rollovers(stated_ns, clocks, of_receiver=False)
     if rollovers:  # never 0 of an impossible date; None where no clock confirms one
@@ -77,7 +77,7 @@ def _reported_rollovers(
                 where=names,
                 source="their stamps",
                 count=len(impossible),
-                stated=stated,
+                stated=stated_date,
                 moved=date_text(stated_ns + rollovers * ROLLOVER_NS),
                 rollovers=rollovers,
                 clocks=clocks,
@@ -85,7 +85,9 @@ def _reported_rollovers(
         )
         return rollovers
     ledger.add(
-        messages.utc_not_accepted(where=names, source="their stamps", stated=stated, clocks=clocks)
+        messages.utc_not_accepted(
+            where=names, source="their stamps", stated=stated_date, clocks=clocks
+        )
     )
     ledger.add(messages.no_utc(where=names, utc_of="possible date"))
     return 0

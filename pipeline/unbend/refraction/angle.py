@@ -232,7 +232,7 @@ def compare_methods(
     """
     angles = np.asarray(nadir_angle, dtype=np.float64)
     heights = np.asarray(h_c, dtype=np.float64)
-    at = (profile, heights[:, None], h_g, angles[None, :])
-    exact = ray.refraction_angle(*at)
-    error = np.stack([ray.refraction_angle(*at, method=method) - exact for method in methods])
+    place = (profile, heights[:, None], h_g, angles[None, :])
+    exact = ray.refraction_angle(*place)
+    error = np.stack([ray.refraction_angle(*place, method=method) - exact for method in methods])
     return Comparison(methods, heights, h_g, angles, exact, error)

@@ -236,10 +236,10 @@ def _removals_to(
         columns[name] = np.full(h_g.shape, np.nan)
     rows = np.arange(h_g.size)
     for _ in range(_ROUNDS):
-        at = np.clip(point[rows], 0.0, upper)  # there is no shift outside the format
+        place = np.clip(point[rows], 0.0, upper)  # there is no shift outside the format
         removed = image.correct_observations(
-            at[:, 0],
-            at[:, 1],
+            place[:, 0],
+            place[:, 1],
             h_g[rows],
             targets.exposure[rows],
             exposures,
@@ -248,7 +248,7 @@ def _removals_to(
             distance_m=targets.distance[rows],
         )
         shift = np.stack([removed.dx_px, removed.dy_px], axis=1)
-        miss = np.abs(at - ideal[rows] + shift).max(axis=1)
+        miss = np.abs(place - ideal[rows] + shift).max(axis=1)
         # A point that is near and gets no nearer stays where it was.
         kept = (nearest[rows] > _NOISE_PX) | (miss < nearest[rows])
         for name, column in columns.items():

@@ -106,8 +106,8 @@ def print_air(console: Console, air: FlightAir) -> None:
         lines.append(use.sentence())
     lines += [use.sentence() for use in adjustment.sensor_uses]
     for fault in adjustment.faults:
-        stated = fault.in_units()
-        lines.append(f"{FAULT_TEXTS[stated.fault]}: {with_sigma(stated.value, stated.sigma)}")
+        in_units = fault.in_units()
+        lines.append(f"{FAULT_TEXTS[in_units.fault]}: {with_sigma(in_units.value, in_units.sigma)}")
     if air.windows:
         lines.append(f"{len(air.series.timed_profiles)} profiles, because the air changes")
     for line in lines:

@@ -161,12 +161,12 @@ def readings_of(samples: AirSamples, profile: Profile) -> Sequence[_Readings]:
 
 def heights_of_curves(heights_m: Array, profile: Profile) -> Array:
     """Heights above sea level [m] around those of a flight, within a profile."""
-    known = heights_m[np.isfinite(heights_m)]
+    known_heights_m = heights_m[np.isfinite(heights_m)]
     low, high = HEIGHTS_OF_NO_FLIGHT_M
     margin = 0.0
-    if known.size:
-        low = known.min()
-        high = known.max()
+    if known_heights_m.size:
+        low = known_heights_m.min()
+        high = known_heights_m.max()
         margin = max(MARGIN * (high - low), MIN_MARGIN_M)
     bottom = max(low - margin, profile.bottom_m)
     top = min(high + margin, profile.top_m)

@@ -48,8 +48,8 @@ def _codes(manifest: Manifest, kind: str, *, without: Sequence[str]) -> list[str
 
 def _mistakes(manifest: Manifest) -> Iterator[Concern]:
     """Findings: contradictions in the mission file and its inputs."""
-    others = (*OF_INCOMPLETE_LOGS, *LOSSES_OF_ROWS, *OF_SUSPECTS)
-    codes = _codes(manifest, "finding", without=others)
+    other_codes = (*OF_INCOMPLETE_LOGS, *LOSSES_OF_ROWS, *OF_SUSPECTS)
+    codes = _codes(manifest, "finding", without=other_codes)
     if codes:
         names = ", ".join(codes)
         yield Concern(

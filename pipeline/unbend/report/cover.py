@@ -18,11 +18,11 @@ def title_of(manifest: Manifest) -> str:
 
 def cover_rows(manifest: Manifest, flown: Flown) -> Mapping[str, str]:
     """What the first lines state, by their names."""
-    stated = manifest.sections.mission
+    section = manifest.sections.mission
     rows = {
-        "Client": stated.client,
-        "Operator": stated.operator,
-        "Mission": manifest.run.mission if stated.title else None,
+        "Client": section.client,
+        "Operator": section.operator,
+        "Mission": manifest.run.mission if section.title else None,
         "Flown": flown_on(manifest),
         "Coordinates": coordinate_systems(flown),
     }

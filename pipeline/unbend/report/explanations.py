@@ -110,10 +110,10 @@ def explain(word: str) -> list[str]:
     """
     small = word.strip().lower()
     code = small.upper().strip(":")
-    known = meanings()["codes"]
+    codes = meanings()["codes"]
     lines = _status_lines(small)
-    if not lines and code in known:
-        return [code, *known[code].lines()]
+    if not lines and code in codes:
+        return [code, *codes[code].lines()]
     if not lines:
         lines += _key_lines(small)
     for more in (_column_lines(small), _word_lines(small)):

@@ -113,11 +113,11 @@ class Flown:
         heights = np.concatenate(
             [self.exposures["h_msl_m"], self.exposures["ground_m"], self.track["h_msl_m"]]
         )
-        known = heights[np.isfinite(heights)]
-        if not known.size:
+        known_heights = heights[np.isfinite(heights)]
+        if not known_heights.size:
             return None
-        margin = HEIGHT_MARGIN * max(float(np.ptp(known)), MIN_HEIGHT_RANGE_M)
-        return float(known.min()) - margin, float(known.max()) + margin
+        margin = HEIGHT_MARGIN * max(float(np.ptp(known_heights)), MIN_HEIGHT_RANGE_M)
+        return float(known_heights.min()) - margin, float(known_heights.max()) + margin
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,9 +252,9 @@ def thinned(track: LoggedPath, most: int) -> LoggedPath:
 def continuous_longitudes(stations_rad: Array, track_rad: Array) -> tuple[Array, Array]:
     """Longitudes [deg] of stations and track without a jump at the 180th meridian."""
     lon_rad = np.concatenate([stations_rad, track_rad])
-    known = lon_rad[np.isfinite(lon_rad)]
-    if known.size:
-        lon_rad = longitudes_near(lon_rad, known[0])
+    known_rad = lon_rad[np.isfinite(lon_rad)]
+    if known_rad.size:
+        lon_rad = longitudes_near(lon_rad, known_rad[0])
     lon_deg = lon_rad / DEGREE
     return lon_deg[: stations_rad.size], lon_deg[stations_rad.size :]
 

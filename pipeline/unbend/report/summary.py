@@ -98,7 +98,7 @@ def outcome(manifest: Manifest) -> str:
     done = correction.shift_px.count
     applied = is_applied(manifest)
     verb = "displaced" if applied else "corrected"
-    concerns = "; ".join(what for what, _ in concerns_of(manifest))
+    concerns = "; ".join(text for text, _ in concerns_of(manifest))
     if not done:
         look = f"; check {concerns}" if concerns else ""
         return f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}{look}."
@@ -219,9 +219,9 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     basis = manifest.results.profile.basis
     sigma = "" if air is None else f" ± {100.0 * air.scale_sigma:.2g} %"
     if basis in _UNMEASURED:
-        known = f", the refraction R is known to{sigma}" if sigma else ""
+        accuracy = f", the refraction R is known to{sigma}" if sigma else ""
         step = step_to_better_air(manifest)
-        limits.append((f"The air was not measured: {_UNMEASURED[basis]}{known}.", step))
+        limits.append((f"The air was not measured: {_UNMEASURED[basis]}{accuracy}.", step))
     cabin = manifest.results.cabin_sigma_share.median
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
         place = "in the cabin"

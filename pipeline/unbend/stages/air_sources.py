@@ -341,8 +341,8 @@ def line_of_report(report: SurfaceReport) -> tuple[str, str]:
         "{:.1f} hPa": report.pressure_pa / HECTOPASCAL,
         "vapour {:.1f} hPa": report.vapour_pressure_pa / HECTOPASCAL,
     }
-    known = [text.format(value) for text, value in values.items() if np.isfinite(value)]
-    return "surface", f"{report.origin} at {report.h_m:.0f} m: {', '.join(known)}"
+    texts = [text.format(value) for text, value in values.items() if np.isfinite(value)]
+    return "surface", f"{report.origin} at {report.h_m:.0f} m: {', '.join(texts)}"
 
 
 def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -> str:
@@ -352,9 +352,9 @@ def describe_calibration(calibration: Mapping[SensorFault, SensorCalibration]) -
     'hygrometer bias 0.01 ± 0.02'
     """
     parts = []
-    for fault, known in calibration.items():
-        mean = "" if known.mean is None else f" {known.mean:g}"
-        sigma = "" if known.sigma is None else f" ± {known.sigma:g}"
+    for fault, calibrated in calibration.items():
+        mean = "" if calibrated.mean is None else f" {calibrated.mean:g}"
+        sigma = "" if calibrated.sigma is None else f" ± {calibrated.sigma:g}"
         parts.append(f"{FAULT_TEXTS[fault]}{mean}{sigma}")
     return ", ".join(parts)
 

@@ -321,9 +321,9 @@ def usual_sigma(pressure_pa: Array, outside_pa: Array) -> Array:
 
 def first_known(*values: ArrayLike) -> Array:
     """Element by element the first of several numbers or arrays that is known; NaN without any."""
-    first, *others = (np.asarray(value, np.float64) for value in values)
+    first, *later_values = (np.asarray(value, np.float64) for value in values)
     result = first
-    for other in others:
+    for other in later_values:
         result = np.where(np.isfinite(result), result, other)
     return result
 

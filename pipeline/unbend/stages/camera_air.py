@@ -79,9 +79,9 @@ def lens_change_ppm(
     rows = (stations.camera == name) & stations.ok
     if not bool(rows.any()):
         return math.nan
-    stated = mission.lenses.get(name)
-    lens = stated or TypicalLens(1.0)
-    in_lens = air_at_camera(stations, air, mission.windows.get(name), stated, rows)
+    stated_lens = mission.lenses.get(name)
+    lens = stated_lens or TypicalLens(1.0)
+    in_lens = air_at_camera(stations, air, mission.windows.get(name), stated_lens, rows)
     change = lens_change(lens, in_lens.pressure_pa, in_lens.temperature_k, index_of_rows(air, rows))
     change = change[np.isfinite(change)] / lens.principal_distance_px
     return float(np.median(change)) / PPM if change.size else math.nan

@@ -42,14 +42,14 @@ def read_positions(
     """
     positions = {}
     for camera, source in mission.position_events.items():
-        stated = Stated(
+        statements = Stated(
             time_system=source.time.system,
             week=source.time.week,
             around_ns=time_range(flight.channels),
             heights=source.heights,
             grid=source.grid,
         )
-        channel = inputs.camera_events[camera](stated, ledger)
+        channel = inputs.camera_events[camera](statements, ledger)
         where = f"events.positions.{camera}"
         replaced: tuple[str, ...] = ("position", "height")
         gives_attitude = channel.fits_role("attitude") and not source.times_only

@@ -53,9 +53,9 @@ def flight_hour(mission: Mission, stations: Stations, flight_ns: int | None) -> 
     None where the exposures have no UTC and the mission file states no time of the day, or where
     the longitude is not known.
     """
-    stated = stated_date(mission)
+    date = stated_date(mission)
     is_flown = middle_time_ns(stations.utc_ns) is not None
-    if not is_flown and stated is not None and is_day_alone(stated):
+    if not is_flown and date is not None and is_day_alone(date):
         return None
     return solar_hour(flight_ns, stations.median_longitude_rad)
 

@@ -210,7 +210,7 @@ def names_of_roles(mission: Mission) -> dict[str, str]:
     """The channels that the mission file names, by their roles."""
     if mission.log is None:
         return {}
-    return {role: stated.name for role, stated in mission.log.channels.named().items()}
+    return {role: channel.name for role, channel in mission.log.channels.named().items()}
 
 
 def stated_channels(mission: Mission, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
@@ -230,18 +230,18 @@ def stated_channels(mission: Mission, channels: tuple[Channel, ...]) -> tuple[Ch
     if mission.atmosphere.board_temperature:
         board_roles.add("temperature")
     board_names = {named[role].name for role in board_roles & named.keys()}
-    stated = []
+    channels_of_columns = []
     for channel in channels:
         as_air = board_as_air(channel) if channel.name in board_names else channel
-        stated.append(in_stated_units(as_air, named))
-    return tuple(stated)
+        channels_of_columns.append(in_stated_units(as_air, named))
+    return tuple(channels_of_columns)
 
 
 def in_stated_units(channel: Channel, named: Mapping[str, NamedChannel]) -> Channel:
     """A channel with the values of its roles in SI; ``named`` are channels and units by role."""
-    for role, stated in named.items():
-        if stated.unit is not None and stated.name == channel.name:
-            channel = in_stated_unit(channel, role, stated.unit)
+    for role, named_channel in named.items():
+        if named_channel.unit is not None and named_channel.name == channel.name:
+            channel = in_stated_unit(channel, role, named_channel.unit)
     return channel
 
 
@@ -268,7 +268,7 @@ def read_trajectory(
     section = mission.stations.trajectory
     if section is None or inputs.trajectory is None:
         return None
-    stated = Stated(
+    statements = Stated(
         time_system=section.time.system,
         week=section.time.week,
         around_ns=time_range(channels),
@@ -280,7 +280,7 @@ def read_trajectory(
         crs=section.crs,
         geoid=inputs.geoid,
     )
-    return inputs.trajectory(stated, ledger)
+    return inputs.trajectory(statements, ledger)
 
 
 def angle_order_of_trajectory(mission: Mission) -> str:

@@ -25,10 +25,10 @@ def refuse_other_unit(mission: Mission, observations: Observations) -> None:
       quarter of the rows or more, and reach as far as another unit would (`likely_unit`).
     """
     batch = next(observations.batches(LOOKED_AT))
-    known = np.isfinite(batch.x_px) & np.isfinite(batch.y_px)
-    if np.count_nonzero(known) < FEWEST_ROWS:
+    is_known = np.isfinite(batch.x_px) & np.isfinite(batch.y_px)
+    if np.count_nonzero(is_known) < FEWEST_ROWS:
         return
-    xy = np.stack([batch.x_px[known], batch.y_px[known]])
+    xy = np.stack([batch.x_px[is_known], batch.y_px[is_known]])
     cameras = mission.interior_orientations.values()
     size = np.array(
         [

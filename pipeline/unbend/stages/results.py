@@ -172,10 +172,13 @@ def record_of_flight(
 
 def spread(values: Array, digits: int) -> list[float] | None:
     """Lowest, median and highest of the known values, rounded; None without any."""
-    known = values[np.isfinite(values)]
-    if not known.size:
+    known_values = values[np.isfinite(values)]
+    if not known_values.size:
         return None
-    return [round(float(part), digits) for part in (known.min(), np.median(known), known.max())]
+    return [
+        round(float(part), digits)
+        for part in (known_values.min(), np.median(known_values), known_values.max())
+    ]
 
 
 def record_of_camera(name: str, camera: Camera, stations: Stations, above_m: Array) -> FlownCamera:

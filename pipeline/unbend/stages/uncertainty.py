@@ -111,16 +111,16 @@ def with_common_scale(
     The sigma is the root mean square of the sigmas of all modes, to six digits. A profile without
     uncertainty keeps None; an uncertainty without a mode stays as it is.
     """
-    known = tuple(uncertainties)
+    given = tuple(uncertainties)
     scales = []
-    for uncertainty in known:
+    for uncertainty in given:
         if uncertainty is not None and uncertainty.mode is not None:
             scales.append(uncertainty.mode.sigma)
     common = np.nan
     if scales:
         common = float(f"{np.sqrt(np.mean(np.square(scales))):.6g}")
     scaled: list[Uncertainty | None] = []
-    for uncertainty in known:
+    for uncertainty in given:
         scaled.append(None if uncertainty is None else uncertainty.with_scale(common))
     return tuple(scaled)
 

@@ -119,14 +119,14 @@ def angles_beyond_turn(
 ) -> InputError:
     """Angles are more than a turn in their unit; ``likely`` is the one in which they are not."""
     text = "{count} rows have an angle of more than one turn ({turn:g} {unit}), up to {largest:g}"
-    one = "1 row has an angle of more than one turn ({turn:g} {unit}): {largest:g}"
+    text_of_one = "1 row has an angle of more than one turn ({turn:g} {unit}): {largest:g}"
     if likely:
         text += "; is the unit {likely}?"
-        one += "; is the unit {likely}?"
+        text_of_one += "; is the unit {likely}?"
     return InputError(
         code,
         text,
-        one=one,
+        one=text_of_one,
         where=f"{path}, line {line}",
         count=count,
         remedy="state {key} (deg, rad or grad), or name the columns of angles",

@@ -67,8 +67,8 @@ def text_table(
     of_names = {name for quantity, name in wanted.items() if quantity in _QUANTITIES_OF_NAMES}
     table_code, column_code = codes
     table = unrepeated_table(path, table_code, of_names)
-    stated = [(quantity, name, f"{key}.{quantity}") for quantity, name in wanted.items()]
-    require_names(column_code, path, table.columns.tolist(), stated)
+    wanted_columns = [(quantity, name, f"{key}.{quantity}") for quantity, name in wanted.items()]
+    require_names(column_code, path, table.columns.tolist(), wanted_columns)
     return table
 
 
@@ -139,8 +139,10 @@ def text_of_frame(
     repeated = _repeated(names)
     if repeated:
         raise messages.frame_columns_repeated(code=table_code, where=name, columns=repeated)
-    stated = [(quantity, column, f"{key}.{quantity}") for quantity, column in wanted.items()]
-    require_names(column_code, Path(name), names, stated)
+    wanted_columns = [
+        (quantity, column, f"{key}.{quantity}") for quantity, column in wanted.items()
+    ]
+    require_names(column_code, Path(name), names, wanted_columns)
     text = frame.astype(object).where(frame.notna(), "").map(str)
     text.index = pd.RangeIndex(len(text)) + LINE_OF_FIRST_ROW
     return text.set_axis(names, axis="columns")

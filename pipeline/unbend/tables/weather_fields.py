@@ -235,12 +235,12 @@ def minutes_of(time_ns: Integers) -> NDArray[np.datetime64]:
 
 def grid_name(datasets: "Sequence[Dataset]", field: "DataArray") -> str:
     """Which grid a field is on: latitude-longitude, or as GRIB or CF call another."""
-    stated = field.attrs.get("GRIB_gridType") or _grid_mapping(datasets)
+    grid_type = field.attrs.get("GRIB_gridType") or _grid_mapping(datasets)
     has_axes = dimension_of(field, LATITUDE) and dimension_of(field, LONGITUDE)
-    if has_axes and stated in _LAT_LON_NAMES:
+    if has_axes and grid_type in _LAT_LON_NAMES:
         return LAT_LON_GRID
     dimensions = ", ".join(map(str, field.dims))
-    return stated or f"unnamed, with dimensions {dimensions}"
+    return grid_type or f"unnamed, with dimensions {dimensions}"
 
 
 def _grid_mapping(datasets: "Sequence[Dataset]") -> str | None:

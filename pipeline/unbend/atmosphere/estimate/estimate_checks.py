@@ -232,11 +232,11 @@ def has_information(
     profile = background.profile
     layout = layout_of(made.readings, background)
     prior = prior_of(layout, background, moisture)
-    others = []
+    other_sets = []
     for readings in made.readings.sets:
         if not isinstance(readings, Thermometer | Barometer):
-            others.append(readings)
-    _, covariance_without = solve(layout, prior, others, profile).profile(profile)
+            other_sets.append(readings)
+    _, covariance_without = solve(layout, prior, other_sets, profile).profile(profile)
     low_m = float(profile.gravity.height(made.readings.low))
     high_m = float(profile.gravity.height(made.readings.high))
     high_m = max(high_m, low_m + LEAST_RAY_M)

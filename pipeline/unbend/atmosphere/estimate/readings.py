@@ -164,9 +164,9 @@ def _external_readings(
 
 def _as_calibrated(fault: Fault, settings: SensorSettings) -> Fault:
     """A fault with the mean and sigma that a calibration states of it."""
-    known = settings.calibration.get(fault.name, SensorCalibration())
-    mean = fault.mean if known.mean is None else known.mean
-    return replace(fault, mean=mean, sigma=known.sigma_or(fault.sigma))
+    calibration = settings.calibration.get(fault.name, SensorCalibration())
+    mean = fault.mean if calibration.mean is None else calibration.mean
+    return replace(fault, mean=mean, sigma=calibration.sigma_or(fault.sigma))
 
 
 def _at_sea_level(background: Climatology) -> sensors.Pressures:
@@ -187,8 +187,8 @@ def _rare_faults(faults: Sequence[Fault], settings: SensorSettings) -> tuple[Rar
         return ()
     possible = {fault.name for fault in faults}
     has_barometer = SensorFault.PRESSURE_OFFSET in possible
-    for name, known in settings.calibration.items():
-        if known.sigma is not None:
+    for name, calibration in settings.calibration.items():
+        if calibration.sigma is not None:
             possible.discard(name)
     if settings.board_temperature or not has_barometer:
         possible.discard(SensorFault.BAY_SHARE)

@@ -67,13 +67,13 @@ def subtract_known_biases(
     calibration = dict(settings.calibration)
     texts = []
     for fault, quantity in _READINGS.items():
-        stated = calibration.get(fault)
+        stated_bias = calibration.get(fault)
         sensor = samples.sensors.get(quantity)
-        if stated is None or not stated.mean or sensor is None:
+        if stated_bias is None or not stated_bias.mean or sensor is None:
             continue
-        corrected[quantity] = replace(sensor, value=sensor.value - stated.mean)
-        calibration[fault] = replace(stated, mean=0.0, subtracted=stated.mean)
-        texts.append(f"{FAULT_TEXTS[fault]} of {sensor.name} {stated.mean:g}")
+        corrected[quantity] = replace(sensor, value=sensor.value - stated_bias.mean)
+        calibration[fault] = replace(stated_bias, mean=0.0, subtracted=stated_bias.mean)
+        texts.append(f"{FAULT_TEXTS[fault]} of {sensor.name} {stated_bias.mean:g}")
     result = (
         replace(samples, **corrected),
         replace(settings, calibration=calibration),
@@ -105,9 +105,9 @@ def check_calibration(
     notes: list[Message] = []
     large = []
     for fault in made.faults:
-        stated = settings.calibration.get(fault.fault)
+        calibration = settings.calibration.get(fault.fault)
         expected = mean[fault.fault]
-        if stated is None:
+        if calibration is None:
             if _is_unexpected(fault, expected):
                 large.append(described_fault(fault))
             continue
@@ -118,12 +118,12 @@ def check_calibration(
         if is_learnt and sigmas > worst:
             worst = sigmas
             contradicted = messages.air_calibration(
-                where=stated.path,
+                where=calibration.path,
                 fault=FAULT_TEXTS[fault.fault],
                 sigmas=sigmas,
-                stated=expected + stated.subtracted,
+                stated=expected + calibration.subtracted,
                 prior=fault.prior_sigma,
-                flown=flown.value + stated.subtracted,
+                flown=flown.value + calibration.subtracted,
                 sigma=flown.sigma,
             )
             notes = [contradicted]

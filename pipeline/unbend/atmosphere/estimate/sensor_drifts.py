@@ -57,8 +57,8 @@ def barometer_drift(knots: Array, settings: SensorSettings, *, alone: bool) -> D
 
 def thermometer_drift(knots: Array, settings: SensorSettings) -> Drift:
     """How a thermometer drifts, beside what the sun on it changes."""
-    known = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
-    is_known = known.sigma is not None
+    calibration = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
+    is_known = calibration.sigma is not None
     usual_k = BOARD_DRIFT_K if settings.board_temperature else USUAL_DRIFT_K
     least, most = THERMOMETER_SCALES
     if is_known or settings.board_temperature or settings.usual_errors_only:
@@ -67,7 +67,7 @@ def thermometer_drift(knots: Array, settings: SensorSettings) -> Drift:
     return Drift(
         SensorFault.THERMOMETER_DRIFT,
         knots,
-        sigma=known.sigma_or(usual_k),
+        sigma=calibration.sigma_or(usual_k),
         length=_THERMOMETER_DRIFT_S,
         quick=(sun_k, SUN_ON_PROBE_S),
         scales=(least, most),

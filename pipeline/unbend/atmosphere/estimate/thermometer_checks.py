@@ -110,14 +110,14 @@ def _predicted_without_thermometer(
     """
     flown = collect_readings(samples, background, settings)
     layout = layout_of(flown, background)
-    others = [readings for readings in flown.sets if not isinstance(readings, Thermometer)]
+    other_sets = [readings for readings in flown.sets if not isinstance(readings, Thermometer)]
     prior = prior_of(layout, background, moisture or background)
-    without = solve(layout, prior, others, background.profile)
+    without = solve(layout, prior, other_sets, background.profile)
     check = PASSED
     for readings in flown.sets:
         if check and isinstance(readings, Thermometer):
             check = is_predicted(readings, without)
-    barometer_fits = _largest_inflation(others, without.fits, Barometer) <= MISFIT
+    barometer_fits = _largest_inflation(other_sets, without.fits, Barometer) <= MISFIT
     if not check and barometer_fits and not barometer_loses_pressure(made):
         return check
     return PASSED

@@ -65,10 +65,10 @@ def columns_of_rows(columns: Columns, rows: list[int]) -> dict[str, list[str]]:
 
 def range_of(values: Array) -> float:
     """The largest minus the smallest of the known values, 0 of none."""
-    known = values[np.isfinite(values)]
-    if known.size == 0:
+    known_values = values[np.isfinite(values)]
+    if known_values.size == 0:
         return 0.0
-    return float(np.ptp(known))
+    return float(np.ptp(known_values))
 
 
 def refuse_several(times: Sequence[str], pressure: Array, where: str) -> None:

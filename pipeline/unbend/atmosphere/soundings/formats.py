@@ -232,8 +232,8 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
     columns = {}
     for name, fields in table(text.splitlines(), where).items():
         columns[name.lower()] = fields
-    for name, others in PLACE_COLUMNS.items():
-        for other in others:
+    for name, column_names in PLACE_COLUMNS.items():
+        for other in column_names:
             if other in columns and name not in columns:
                 columns[name] = columns.pop(other)
     column_of = _columns_of_quantities(columns, where)
@@ -285,11 +285,11 @@ def _refuse_other_times(columns: Columns, where: str) -> None:
     if first_stated(columns.get("time_utc", [])):
         return
     for name, fields in columns.items():
-        stated = first_stated(fields)
+        first_time = first_stated(fields)
         is_date = _OF_DATE.search(name) is not None
-        is_text = math.isnan(number(stated))
-        if _OF_TIME.search(name) and stated and (is_text or is_date):
-            raise messages.sounding_time_column(where=where, column=name, time=stated)
+        is_text = math.isnan(number(first_time))
+        if _OF_TIME.search(name) and first_time and (is_text or is_date):
+            raise messages.sounding_time_column(where=where, column=name, time=first_time)
 
 
 def _ascent_of_plain(columns: Columns, column_of: Mapping[str, str], where: str) -> RawLevels:

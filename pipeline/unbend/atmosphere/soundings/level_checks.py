@@ -180,11 +180,11 @@ def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
     """
     apart = max(1, h.size // 4)
     hypsometric = rise[apart:] - rise[:-apart]
-    stated = h[apart:] - h[:-apart]
+    stated_rise = h[apart:] - h[:-apart]
     is_thick = hypsometric > 10.0
     if not bool(is_thick.any()):
         return
-    ratio = float(np.median(stated[is_thick] / hypsometric[is_thick]))
+    ratio = float(np.median(stated_rise[is_thick] / hypsometric[is_thick]))
     if abs(ratio - 1.0) > THICKNESS_RATIO:
         raise messages.sounding_inconsistent(where=raw.where, ratio=ratio)
 

@@ -185,8 +185,10 @@ def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str
 
     Beside a barometer in a ``compartment`` a sensor may be that of the cabin: a second question.
     """
-    able = [channel for channel in channels if role in channel.roles and channel.fits_role(role)]
-    candidates = best_of(able)
+    able_channels = [
+        channel for channel in channels if role in channel.roles and channel.fits_role(role)
+    ]
+    candidates = best_of(able_channels)
     if not candidates:
         remark = f"no channel of the log has the {role}; null if stations.trajectory gives it"
         return [Proposed(role, TODO, remark)]

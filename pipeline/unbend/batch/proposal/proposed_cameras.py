@@ -154,11 +154,11 @@ def channel_of_series(
     channels = list(event_numbers)
     numbering = numbering_of(all_series[number], event_numbers)
     fits = numbering.channels
-    others = all_series[:number] + all_series[number + 1 :]
+    other_series = all_series[:number] + all_series[number + 1 :]
     has_rivals = False
     for channel in fits:
         numbers = numbering.of_events(event_numbers[channel])
-        for series in others:
+        for series in other_series:
             if series.counts_as(numbers) or series.strays(numbers):
                 has_rivals = True
     if len(fits) == 1 and not has_rivals:

@@ -99,14 +99,18 @@ def _height_column(roles: Mapping[str, Channel]) -> str:
 
 def _constant_column(roles: Mapping[str, Channel], role: str, column: str, moved: str) -> Notes:
     """A finding if all known values of a role's column are equal to the last digit."""
-    known = _known(roles, role, column)
-    if not moved or known.size < FEWEST_SAMPLES or not bool(np.all(known == known[0])):
+    known_values = _known(roles, role, column)
+    if (
+        not moved
+        or known_values.size < FEWEST_SAMPLES
+        or not bool(np.all(known_values == known_values[0]))
+    ):
         return ()
     finding = messages.sensor_constant(
         channel=roles[role].name,
         role=role,
-        what=_value_in_words(column, float(known[0])),
-        count=known.size,
+        what=_value_in_words(column, float(known_values[0])),
+        count=known_values.size,
         moved=moved,
     )
     return (finding,)
@@ -182,11 +186,11 @@ def _way(position: Channel | None) -> float:
         return 0.0
     lat_rad = position["lat_rad"]
     lon_rad = position["lon_rad"]
-    known = np.isfinite(lat_rad + lon_rad)
-    if not known.any():
+    is_known = np.isfinite(lat_rad + lon_rad)
+    if not is_known.any():
         return 0.0
-    meridian_m, prime_vertical_m = principal_radii(float(np.median(lat_rad[known])))
-    north_m = _spread(lat_rad[known]) * meridian_m
-    from_first_rad = wrapped(lon_rad[known] - lon_rad[known][0])
-    east_m = _spread(from_first_rad) * prime_vertical_m * np.cos(np.median(lat_rad[known]))
+    meridian_m, prime_vertical_m = principal_radii(float(np.median(lat_rad[is_known])))
+    north_m = _spread(lat_rad[is_known]) * meridian_m
+    from_first_rad = wrapped(lon_rad[is_known] - lon_rad[is_known][0])
+    east_m = _spread(from_first_rad) * prime_vertical_m * np.cos(np.median(lat_rad[is_known]))
     return max(float(north_m), float(east_m))

@@ -216,7 +216,7 @@ def sources_of(
     ``channel`` : the one of the role of the quantity.
     """
     with_velocity = sorted(channels, key=is_receiver)  # a filter's is smoother than a receiver's
-    others = _other_sources(quantity, channel, channels)
+    other_channels = _other_sources(quantity, channel, channels)
     barometers: list[Channel] = []
     pressure = roles.get("pressure")
     if pressure is not None and quantity == HEIGHT:
@@ -224,11 +224,11 @@ def sources_of(
         for barometer in barometers:
             heights = height_of_pressure(barometer, channel)
             if heights is not None:
-                others.append(heights)
+                other_channels.append(heights)
     path_of_role = source_path(channel, quantity, [channel, *with_velocity])
     steady_until_ns = _steady_until(channel, path_of_role, quantity)
     differences: list[Difference] = []
-    for other in others:
+    for other in other_channels:
         path = source_path(other, quantity, [other, *with_velocity])
         velocity = velocity_at([channel, *with_velocity], quantity, path.channel.time_ns)
         difference = source_difference(
@@ -245,26 +245,26 @@ def sources_of(
 
 def _other_sources(quantity: str, channel: Channel, channels: Sequence[Channel]) -> list[Channel]:
     """Other channels with positions or heights, receivers first, then by their rank."""
-    others = [
+    other_channels = [
         other
         for other in channels
         if other.name != channel.name
         and POSITION in other.roles
         and len(with_places(other, quantity)) > FEWEST_SAMPLES
     ]
-    return sorted(others, key=lambda other: (not is_receiver(other), other.rank))
+    return sorted(other_channels, key=lambda other: (not is_receiver(other), other.rank))
 
 
 def _barometers_outside(
     pressure: Channel, height: Channel, channels: Sequence[Channel]
 ) -> list[Channel]:
     """The barometer of the pressure, and others that follow a height as free air does."""
-    others = [
+    other_barometers = [
         channel
         for channel in channels
         if "pressure" in channel.roles and channel.name != pressure.name
     ]
-    return [pressure, *(channel for channel in others if follows_height(channel, height))]
+    return [pressure, *(channel for channel in other_barometers if follows_height(channel, height))]
 
 
 def _steady_until(channel: Channel, path: SourcePath, quantity: str) -> int | None:
@@ -362,10 +362,12 @@ def _common_silences(
     receivers: list[SourcePath], while_on: Channel, quantity: str
 ) -> list[Stretch]:
     """The silences of the first receiver in which all other receivers are silent too."""
-    first, *others = [silences(path.channel, while_on, quantity) for path in receivers]
+    first, *other_silences = [silences(path.channel, while_on, quantity) for path in receivers]
     common: list[Stretch] = []
     for silence in first:
-        if all(any(silence.meets(other) for other in of_receiver) for of_receiver in others):
+        if all(
+            any(silence.meets(other) for other in of_receiver) for of_receiver in other_silences
+        ):
             common.append(silence)
     return common
 

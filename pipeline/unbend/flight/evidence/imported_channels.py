@@ -48,12 +48,12 @@ def contradictions_of_import(
     for quantity in (POSITION, HEIGHT):
         if quantity not in quantities:
             continue
-        known = with_places(imported, quantity)
-        if len(known) <= FEWEST_SAMPLES:
+        with_known_places = with_places(imported, quantity)
+        if len(with_known_places) <= FEWEST_SAMPLES:
             continue
         log_suspects = [stretch for stretch in suspect_in_log if stretch.quantity == quantity]
-        for stretch in merged(_contradictions_in(quantity, known, roles, log_suspects)):
-            if not _explained_by_sigma(stretch, known, quantity):
+        for stretch in merged(_contradictions_in(quantity, with_known_places, roles, log_suspects)):
+            if not _explained_by_sigma(stretch, with_known_places, quantity):
                 suspect.append(stretch)
     return tuple(suspect)
 

@@ -143,10 +143,10 @@ def _reasons_of_column(channel: Channel, column: str) -> tuple[Reasons, Notes]:
 def _refuse_wrong_unit(channel: Channel, role: str, column: str) -> None:
     """Refuse (MissionError CHANNEL-UNIT) a column whose median shows a wrong unit."""
     values = channel[column]
-    known = np.isfinite(values)
-    if not known.any():
+    is_known = np.isfinite(values)
+    if not is_known.any():
         return
-    median = float(np.median(values[known]))
+    median = float(np.median(values[is_known]))
     for wrong in _WRONG_UNITS.get(column, ()):
         if wrong.medians.has(median):
             raise messages.unit_looks_wrong(
@@ -241,10 +241,10 @@ def _mask_jumps(channel: Channel, role: str) -> tuple[Channel, Notes]:
 
 def _known(channel: Channel, role: str) -> Mask:
     """(n,) the rows in which all columns of a role are known."""
-    known = np.ones(len(channel), np.bool_)
+    is_known = np.ones(len(channel), np.bool_)
     for column in ROLE_COLUMNS[role]:
-        known &= np.isfinite(channel[column])
-    return known
+        is_known &= np.isfinite(channel[column])
+    return is_known
 
 
 def _outside(values: Array, column: str) -> Mask:
@@ -286,9 +286,9 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
         outside = _outside(height, column)
         is_jump = np.zeros(len(channel), np.bool_)
         if "lat_rad" in channel.columns:
-            known = np.isfinite(height) & ~outside
+            is_known = np.isfinite(height) & ~outside
             step = _STEPS[column]
-            stray, noise_notes = _stray_rows(channel, known, step, channel.name)
+            stray, noise_notes = _stray_rows(channel, is_known, step, channel.name)
             is_jump[stray] = True
             notes += noise_notes
         impossible = outside | is_jump

@@ -103,8 +103,8 @@ def source_difference(
     agree_near_zero = quantity == POSITION or are_receivers
     known_velocity = np.nan_to_num(velocity)  # where it is unknown, no lag is seen or taken out
     apart_m = _apart_with_lag(source, other, quantity)
-    known = np.isfinite(apart_m).all(axis=1) & other.good
-    lag = _constant_lag(apart_m, known_velocity, known, noise_m, may_part=agree_near_zero)
+    is_known = np.isfinite(apart_m).all(axis=1) & other.good
+    lag = _constant_lag(apart_m, known_velocity, is_known, noise_m, may_part=agree_near_zero)
     apart_m -= lag.seconds * known_velocity
     # A sample that is not good has either stepped away, and its step is taken out, or its accuracy
     # is poor.
@@ -115,10 +115,10 @@ def source_difference(
     elif steady_until_ns is not None:
         agree = other.channel.time_ns < steady_until_ns
     else:
-        agree = np.zeros(known.shape, np.bool_)
+        agree = np.zeros(is_known.shape, np.bool_)
     misfit = _misfit(apart_m, other.part, lag.shown_by, agree, noise_m)
     least_limit_m = max(noise_m, SEVERAL * misfit.scatter_m)
-    limit_m = np.full(known.size, least_limit_m)
+    limit_m = np.full(is_known.size, least_limit_m)
     if not agree_near_zero:
         height_m = places_of(other.channel, quantity)[:, 0]
         of_air_m = air_change_m(other.channel.time_ns, height_m, misfit.settled)

@@ -430,7 +430,7 @@ def fill_sigma_columns(observed, pose, traced, air, sigmas):  # type: ignore[no-
     camera, rotation = pose
     stations, tables = air
     sigma_r_c = sigmas[0]  # in double precision, the others in single
-    others = sigmas[1:]
+    station_sigmas = sigmas[1:]
     room = np.empty((ALL_ROWS, COLUMNS_TOGETHER))
     end = 0
     while end < exposure.size:
@@ -452,6 +452,6 @@ def fill_sigma_columns(observed, pose, traced, air, sigmas):  # type: ignore[no-
         for i in range(count):
             sigma_r_c[first + i] = room[FIRST_RESULT, i]
         for k in range(RESULTS - 1):
-            column = others[k]
+            column = station_sigmas[k]
             for i in range(count):
                 column[first + i] = room[FIRST_RESULT + 1 + k, i]

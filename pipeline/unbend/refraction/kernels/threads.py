@@ -19,8 +19,8 @@ def usable_cpus() -> int:
 
     UNBEND_THREADS states another number: a process that runs beside others is given its share.
     """
-    if (stated := os.environ.get("UNBEND_THREADS", "")).isdecimal():
-        return max(1, int(stated))
+    if (threads := os.environ.get("UNBEND_THREADS", "")).isdecimal():
+        return max(1, int(threads))
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

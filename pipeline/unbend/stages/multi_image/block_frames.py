@@ -174,8 +174,8 @@ def frame_of_block(
     positions of images: those of the mission file, else those of the log (``exposed``).
     """
     named = section.frame
-    stated = named.enu.build() if isinstance(named, EnuFrame) else named
-    frame = stated or table.frame
+    named_frame = named.enu.build() if isinstance(named, EnuFrame) else named
+    frame = named_frame or table.frame
     if frame is None:
         raise messages.frame_unstated(where=section.path)
     if frame == "ecef" and isinstance(table.frame, GeocentricDatum):
@@ -200,9 +200,9 @@ def frame_of_block(
     if frame == "ecef":
         return oriented_images.ECEF
     # The frame is "unknown".
-    known = section.known_positions
-    if isinstance(known, KnownPositions) and inputs.known_positions is not None:
-        sigma_m = known.sigma_m
+    known_positions = section.known_positions
+    if isinstance(known_positions, KnownPositions) and inputs.known_positions is not None:
+        sigma_m = known_positions.sigma_m
         image = inputs.known_positions.image
         position = inputs.known_positions.position.copy()
         if section.heights == "msl":
@@ -241,35 +241,35 @@ def check_frame(
     ``frame`` is that of its x, y, z. ``exposed`` are the stations of the log. With control points
     the frame need not be tested here: they show a wrong one.
     """
-    known = places_of_block(inputs, table, frame)
+    known_places = places_of_block(inputs, table, frame)
     files = inputs.image_times
     if files is not None and section.format != "dji":
-        known.append(("positions in EXIF", positions_in_exif(files, stations.image)))
+        known_places.append(("positions in EXIF", positions_in_exif(files, stations.image)))
     if inputs.known_positions is not None and section.frame != "unknown":
         given = inputs.known_positions
         places = KnownPlaces("known_positions", given.image, given.position)
-        known.append((places.source, places.rows_of(stations.image)))
+        known_places.append((places.source, places.rows_of(stations.image)))
     if exposed:
         image, position, _ = positions_of_log(join_stations(exposed))
         places = KnownPlaces("positions of the log at the exposures", image, position)
-        known.append((places.source, places.rows_of(stations.image)))
+        known_places.append((places.source, places.rows_of(stations.image)))
     needs_test = section.frame not in ("geographic", "unknown") and not has_control
-    return frame_notes(stations, known, must_be_tested=needs_test, where=section.path)
+    return frame_notes(stations, known_places, must_be_tested=needs_test, where=section.path)
 
 
 def places_of_block(
     inputs: OpenedInputs, table: OrientationTable, frame: CartesianFrame | None
 ) -> list[tuple[str, Array]]:
     """Known positions (n, 3) of the images of a table by the files of its block, by source."""
-    known = []
+    known_places = []
     for places in inputs.block_places:
         position = places.rows_of(table.image)
         if not places.in_frame:
-            known.append((places.source, position))
+            known_places.append((places.source, position))
         elif frame is not None:
             geodetic = np.stack(frame.geodetic(position), axis=1)
-            known.append((places.source, geodetic))
-    return known
+            known_places.append((places.source, geodetic))
+    return known_places
 
 
 def positions_in_exif(files: ImageTimes, images: Names) -> Array:

@@ -400,7 +400,7 @@ def beside_the_log(images: CameraImages, exposed: Events) -> tuple[str, str]:
     far = series.strays(index.tolist())
     if not far or not is_only_series:
         return "", ""
-    what = (
+    difference = (
         f"{images.name.size} images, {index.size} events: {series.listed(far)} does not fit; the "
         f"other names may be the numbers of the log {index.min()} to {index.max()}; "
     )
@@ -408,7 +408,7 @@ def beside_the_log(images: CameraImages, exposed: Events) -> tuple[str, str]:
         f"write events.log.{exposed.camera}.image: {series.pattern('index')} if these are the "
         "numbers of the log, or correct the name in the observations; or "
     )
-    return what, to_do
+    return difference, to_do
 
 
 def anchor_rows(

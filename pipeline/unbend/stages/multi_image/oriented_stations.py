@@ -304,14 +304,14 @@ def sigmas_of_block(
     Each is a column of the table, or the constant of the mission file. ``tilt_rad`` is how far the
     vertical of the frame may lean; it adds to the sigma of the tilt.
     """
-    stated = {
+    stated_sigmas = {
         "sigma_tilt_rad": in_units(section.sigma_tilt_deg, DEGREE),
         "sigma_yaw_rad": in_units(section.sigma_yaw_deg, DEGREE),
         "sigma_horizontal_m": in_units(section.sigma_horizontal_m, 1.0),
         "sigma_height_m": in_units(section.sigma_height_m, 1.0),
     }
     sigmas = {}
-    for name, constant in stated.items():
+    for name, constant in stated_sigmas.items():
         sigmas[name] = table.sigmas.get(name, np.full(len(table.image), constant))
     if tilt_rad > 0.0:
         sigmas["sigma_tilt_rad"] = np.hypot(np.nan_to_num(sigmas["sigma_tilt_rad"]), tilt_rad)

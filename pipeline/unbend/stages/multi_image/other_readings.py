@@ -63,8 +63,8 @@ def readings_of_angles(
         if other != unit:
             ratio = size / RADIANS[unit]
             yield AngleReading(f"if the angles are in {other}", "unit", _scaled(ratio))
-    for what, undone in rotations.ANGLE_MISTAKES.items():
-        yield AngleReading(what.format(*names), UNSTATED, _mistaken(undone))
+    for mistake, undone in rotations.ANGLE_MISTAKES.items():
+        yield AngleReading(mistake.format(*names), UNSTATED, _mistaken(undone))
     if order is None:
         return
     yield _other_order(order)

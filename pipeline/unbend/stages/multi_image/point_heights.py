@@ -132,21 +132,21 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
     station = matching_rows(batch.image, pa.array(stations.image, pa.string()))
     is_pair = (row >= 0) & (station >= 0)  # of a known point and a station
     seen = seen_points(points, stations, row[is_pair], station[is_pair])
-    known = np.isfinite(seen.distance_m)
-    if not bool(known.any()):
+    is_known = np.isfinite(seen.distance_m)
+    if not bool(is_known.any()):
         return
-    usual_m = float(np.median(seen.distance_m[known]))
-    is_near = usual_m < STEEPEST * np.median(seen.above_m[known])
+    usual_m = float(np.median(seen.distance_m[is_known]))
+    is_near = usual_m < STEEPEST * np.median(seen.above_m[is_known])
     if is_near:
         return
     likely_cause = ""
     exchanged_m = float(np.nanmedian(seen.distance_exchanged_m))
     if exchanged_m < LIKELY_EXCHANGED * usual_m:
         likely_cause = f"; with latitude and longitude exchanged {exchanged_m / 1000.0:.0f} km"
-    horizon_m = float(np.median(np.sqrt(2.0 * WGS84_A * seen.above_m[known])))
+    horizon_m = float(np.median(np.sqrt(2.0 * WGS84_A * seen.above_m[is_known])))
     if usual_m > horizon_m:
         raise messages.points_beyond_horizon(where=where, km=usual_m / 1000.0, other=likely_cause)
-    count = int(known.sum())
+    count = int(is_known.sum())
     ledger.add(
         messages.points_far(where=where, count=count, km=usual_m / 1000.0, other=likely_cause)
     )
@@ -295,11 +295,11 @@ def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger
 
     ``counts`` as of `counts_of_points`, ``shares`` as of `sigma_shares`.
     """
-    known = counts["points"] - counts["few"] - counts["narrow"] - counts["apart"]
-    if known == 0:
+    known_points = counts["points"] - counts["few"] - counts["narrow"] - counts["apart"]
+    if known_points == 0:
         raise messages.no_height_intersected(
             where="ground.height",
-            known=known,
+            known=known_points,
             points=counts["points"],
             few=counts["few"],
             narrow=counts["narrow"],
@@ -310,7 +310,7 @@ def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger
         messages.heights_intersected(
             kind=Kind.LOSS if share > POOR_SIGMA else Kind.NOTE,
             where="ground.height",
-            count=known,
+            count=known_points,
             points=counts["points"],
             few=counts["few"],
             narrow=counts["narrow"],

@@ -55,12 +55,12 @@ class Facts:
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """Refraction between the median heights of camera and ground, beside the standard's."""
-        known = np.isfinite(self.camera_height_m - self.rows.h_g_m)
-        if not known.any():
+        is_known = np.isfinite(self.camera_height_m - self.rows.h_g_m)
+        if not is_known.any():
             return ()
         air = self.adjustment
-        h_c = float(np.median(self.camera_height_m[known]))
-        h_g = float(np.median(self.rows.h_g_m[known]))
+        h_c = float(np.median(self.camera_height_m[is_known]))
+        h_g = float(np.median(self.rows.h_g_m[is_known]))
         return effects_on_r(air.profile, air.standard, air.covariance, h_c, h_g)
 
     @cached_property

@@ -422,11 +422,11 @@ def air_implausible(
     sources: str,
 ) -> Message:
     """A refraction that real air does not have."""
-    known = "{factor:.2f}" if math.isnan(sigma) else "{factor:.2f} ± {sigma:.2f}"
+    factor_text = "{factor:.2f}" if math.isnan(sigma) else "{factor:.2f} ± {sigma:.2f}"
     return finding(
         PLAUSIBLE_AIR,
         "R at {nadir_deg:.0f} deg from {h_c_m:.0f} to {h_g_m:.0f} m is "
-        + known
+        + factor_text
         + " times that in the standard atmosphere, expected {expected}: likely "
         "another place, time or unit of {sources}",
         where=where,

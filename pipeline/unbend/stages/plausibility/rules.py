@@ -113,19 +113,19 @@ def ground_beside_terrain(facts: Facts) -> Findings:
     terrain_m = np.append(facts.logged_terrain_m, np.nan)[facts.rows.station]
     is_near = facts.nadir_angle_rad < SEES_STATION_RAD
     above_terrain_m = np.where(is_near, facts.rows.h_g_m, np.nan) - terrain_m
-    known = np.isfinite(above_terrain_m)
-    if not known.any():
+    is_known = np.isfinite(above_terrain_m)
+    if not is_known.any():
         return
-    low_m, median_m, high_m = np.percentile(above_terrain_m[known], [16.0, 50.0, 84.0]).tolist()
+    low_m, median_m, high_m = np.percentile(above_terrain_m[is_known], [16.0, 50.0, 84.0]).tolist()
     scatter_m = (high_m - low_m) / 2.0
     allowed_m = TERRAIN_ALLOWED_M + scatter_m
     if abs(median_m) > allowed_m:
-        height_m = float(np.median(terrain_m[known])) + median_m
+        height_m = float(np.median(terrain_m[is_known])) + median_m
         yield messages.terrain_off(
             where=key_of_ground(facts),
             height_m=height_m,
             off_m=median_m,
-            reference=f"the terrain that the autopilot logged, in {known.sum()} rows",
+            reference=f"the terrain that the autopilot logged, in {is_known.sum()} rows",
             allowed_m=allowed_m,
             likely=likely_reading(median_m, height_m, takeoff_height_m(facts)),
         )

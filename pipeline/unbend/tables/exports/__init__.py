@@ -59,12 +59,12 @@ def find_format(name: str, out: Path) -> ExportFormat:
     fitting = [other for other, f in FORMATS.items() if f.ending == out.suffix.lower()]
     if out.suffix.lower() != form.ending and (form.ending or fitting):
         rename = out.with_suffix(form.ending).name or form.ending
-        others = ", ".join(fitting)
+        other_names = ", ".join(fitting)
         if form.ending:
             raise messages.ending_of_file(
-                where=out, name=name, ending=form.ending, rename=rename, others=others
+                where=out, name=name, ending=form.ending, rename=rename, others=other_names
             )
-        raise messages.ending_of_folder(where=out, name=name, rename=rename, others=others)
+        raise messages.ending_of_folder(where=out, name=name, rename=rename, others=other_names)
     return form
 
 

@@ -74,9 +74,9 @@ def interior(camera: Camera, name: str) -> str:
         raise messages.distortion_unknown(
             where=f"cameras.{name}", name=name, beyond="different fx and fy", program=_PROGRAM
         )
-    known = plain_coefficients(camera, name, _PROGRAM)
+    plain = plain_coefficients(camera, name, _PROGRAM)
     coefficients = "".join(
-        f"<{tag}>{known[name_here]!r}</{tag}>" for tag, name_here in _NAMES.items()
+        f"<{tag}>{plain[name_here]!r}</{tag}>" for tag, name_here in _NAMES.items()
     )
     x = camera.cx_px - _HALF_PIXEL
     y = camera.cy_px - _HALF_PIXEL

@@ -117,10 +117,10 @@ def copy_rigs(
     lost = 0
     query = "SELECT rig_id, ref_sensor_id, ref_sensor_type FROM rigs ORDER BY rig_id"
     for rig, reference, kind in database.execute(query).fetchall():
-        others = sensors.get(rig, [])
-        if not others:
+        other_sensors = sensors.get(rig, [])
+        if not other_sensors:
             continue
-        there = [(camera_numbers[c], pose) for c, pose in others if c in camera_numbers]
+        there = [(camera_numbers[c], pose) for c, pose in other_sensors if c in camera_numbers]
         if kind != CAMERA_SENSOR or reference not in camera_numbers or not there:
             lost += 1
             continue
@@ -202,7 +202,7 @@ def only_partners(cameras: Mapping[int, set[int]]) -> dict[int, int]:
             users[number] = users.get(number, 0) + 1
     partners = {}
     for camera, numbers in cameras.items():
-        (first, *others) = numbers
-        if not others and users[first] == 1:
+        (first, *other_numbers) = numbers
+        if not other_numbers and users[first] == 1:
             partners[camera] = first
     return partners

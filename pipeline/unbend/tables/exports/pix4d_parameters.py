@@ -70,13 +70,13 @@ def blocks_of_images(block: ExportedBlock) -> list[str]:
     names = [*block.cameras]
     texts = []
     for i, camera, _here in block.images():
-        known = coefficients[names[block.camera[i]]]
+        of_camera = coefficients[names[block.camera[i]]]
         rows = [
             [camera.fx_px, 0.0, camera.cx_px],
             [0.0, camera.fy_px, camera.cy_px],
             [0.0, 0.0, 1.0],
-            [known["k1"], known["k2"], known["k3"]],
-            [known["p1"], known["p2"]],
+            [of_camera["k1"], of_camera["k2"], of_camera["k3"]],
+            [of_camera["p1"], of_camera["p2"]],
             block.frame.position_m[i].tolist(),
             *block.rotation[i].tolist(),
         ]

@@ -55,8 +55,8 @@ def frame_of_datum(
     are, numbers above sea level that a program took for them. Refuses (InputError CRS-BALLPARK) a
     datum of which PROJ knows only the name.
     """
-    known = np.isfinite(xyz).all(axis=1)
-    middle = np.median(xyz[known], axis=0)
+    is_known = np.isfinite(xyz).all(axis=1)
+    middle = np.median(xyz[is_known], axis=0)
     corners = CUBE_M * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     places = own_geodetic(datum, middle + corners)
     transform, by, is_good = to_wgs84_with_heights(datum, places, where, key)
@@ -66,7 +66,7 @@ def frame_of_datum(
     ecef = ecef_of_geodetic(np.radians(lat), np.radians(lon), h)
     note = messages.positions_on_wgs84(
         where=where,
-        count=int(known.sum()),
+        count=int(is_known.sum()),
         system=f"{datum.name}, earth-centred",
         crs=datum.name,
         operation=by,

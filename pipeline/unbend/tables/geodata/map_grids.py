@@ -136,8 +136,8 @@ class MapGrid:
         NaN where the transformation has no value.
         """
         x, y = self.transformer.transform(np.degrees(lon_rad), np.degrees(lat_rad), errcheck=False)
-        known = np.isfinite(x) & np.isfinite(y)
-        return np.where(known, x, np.nan), np.where(known, y, np.nan)
+        is_known = np.isfinite(x) & np.isfinite(y)
+        return np.where(is_known, x, np.nan), np.where(is_known, y, np.nan)
 
     def places(self, x: Array, y: Array) -> tuple[Array, Array]:
         """(n,) longitude and latitude [deg] of coordinates; the reverse of `coordinates`."""
@@ -186,10 +186,10 @@ def open_grid(
     parts = parts_of(crs)
     horizontal = parts.horizontal
     refuse_kind(horizontal, crs, needs_angles=needs_angles)
-    known = np.isfinite(lat_rad) & np.isfinite(lon_rad)
-    if not known.any():
+    is_known = np.isfinite(lat_rad) & np.isfinite(lon_rad)
+    if not is_known.any():
         raise messages.grid_without_places(crs=crs)
-    places = np.stack([lon_rad[known], lat_rad[known]])
+    places = np.stack([lon_rad[is_known], lat_rad[is_known]])
     lon_lat = np.degrees(places)
     area = horizontal.area_of_use.name if horizontal.area_of_use else "the earth"
     if not is_in_area(horizontal, lon_lat, MARGIN_DEG).all():
@@ -225,7 +225,7 @@ def open_grid(
     if outside:
         notes.append(messages.grid_beyond_area(count=outside, name=horizontal.name, area=area))
     if not grid.is_geographic:
-        refuse_left_handed(grid, crs, lat_rad[known][:1], lon_rad[known][:1])
+        refuse_left_handed(grid, crs, lat_rad[is_known][:1], lon_rad[is_known][:1])
     return grid, tuple(notes)
 
 
@@ -299,9 +299,9 @@ def identifier_of(crs: str, authority: tuple[str, str] | None) -> str:
     """
     if authority is not None:
         return ":".join(authority)
-    stated = crs.strip().upper()
-    if re.fullmatch(r"EPSG:\d+\+\d+", stated):
-        return stated
+    identifier = crs.strip().upper()
+    if re.fullmatch(r"EPSG:\d+\+\d+", identifier):
+        return identifier
     return ""
 
 
@@ -353,15 +353,15 @@ def height_reference(
         raise messages.grid_needs_geoid(crs=crs, vertical=vertical.name)
     lon, lat = lon_lat_rad
     off = geoid.undulation(lat, lon) - package_geoid().undulation(lat, lon)
-    known = off[np.isfinite(off)]
-    if known.size == 0:
+    known_off = off[np.isfinite(off)]
+    if known_off.size == 0:
         raise messages.grid_geoid_elsewhere(geoid=geoid.name)
-    off_m = float(np.median(known))
+    off_m = float(np.median(known_off))
     if abs(off_m) > LARGEST_GEOID_M:
         raise messages.grid_other_geoid(geoid=geoid.name, off_m=off_m, vertical=vertical.name)
     note = messages.heights_by_grid(
         where="--geoid",
-        count=known.size,
+        count=known_off.size,
         datum=vertical.name,
         grid=geoid.name,
         off_m=off_m,

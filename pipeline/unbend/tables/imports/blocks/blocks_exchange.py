@@ -103,10 +103,10 @@ def read_images(path: Path) -> OrientationTable:
 def _quaternions(rotations: list[Array]) -> Array:
     """(n, 4) quaternions of matrices, NaN where one is unknown."""
     matrices = np.array(rotations).reshape(-1, 3, 3)
-    known = np.isfinite(matrices).all(axis=(1, 2))
+    is_known = np.isfinite(matrices).all(axis=(1, 2))
     quaternion = np.full((len(matrices), 4), np.nan)
-    if known.any():
-        quaternion[known] = quaternions_of(matrices[known])
+    if is_known.any():
+        quaternion[is_known] = quaternions_of(matrices[is_known])
     return quaternion
 
 
@@ -376,8 +376,8 @@ def _refuse_other_system(
 
 def _is_not_accurate(element: Element) -> bool:
     """Whether the program says that it has not estimated a part of a pose."""
-    stated = element.findtext("Accurate", "true")
-    return stated.strip().lower() in ("false", "0")
+    accurate_text = element.findtext("Accurate", "true")
+    return accurate_text.strip().lower() in ("false", "0")
 
 
 def _centre(

@@ -60,9 +60,9 @@ def camera_axes(group: Element) -> Array:
 
 def _pixel_mm(group: Element) -> float:
     """The size of a pixel [mm]; NaN if unknown."""
-    stated = group.findtext("PixelSize")
-    if stated is not None:
-        return float(stated)
+    pixel_size = group.findtext("PixelSize")
+    if pixel_size is not None:
+        return float(pixel_size)
     width, height = _size(group)
     return float(group.findtext("SensorSize", "nan")) / max(width, height)
 

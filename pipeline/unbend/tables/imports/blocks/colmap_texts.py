@@ -30,10 +30,10 @@ class TextEnds:
     def of(cls, file: Path) -> "TextEnds":
         """The ends of a file."""
         with file.open("rb") as stream:
-            stated = _COUNT.search(stream.read(_HEAD_BYTES))
+            count_match = _COUNT.search(stream.read(_HEAD_BYTES))
             stream.seek(max(file.stat().st_size - 1, 0))
             last = stream.read()
-        return cls(None if stated is None else int(stated[1]), last in (b"\n", b""))
+        return cls(None if count_match is None else int(count_match[1]), last in (b"\n", b""))
 
 
 def refuse_missing_records(
@@ -75,12 +75,12 @@ def notes_on_texts(
         ends = TextEnds.of(file)
         is_of_images = file.name == "images.txt"
         if is_of_images and ends.stated not in (None, images):
-            stated = ends.stated or 0
+            stated_count = ends.stated or 0
             made.append(
                 messages.count_of_comment(
                     where=file,
                     found=images,
-                    stated=stated,
+                    stated=stated_count,
                 )
             )
         if not ends.has_last_newline:

@@ -311,13 +311,13 @@ def _place_in_master(sensor: ElementTree.Element) -> Array:
 
 def _components(cameras: list[ElementTree.Element]) -> dict[str, str | None]:
     """The id of the component of each camera, by the camera's id; of a slave its master's."""
-    stated = {camera.get("id", ""): camera.get("component_id") for camera in cameras}
+    component_ids = {camera.get("id", ""): camera.get("component_id") for camera in cameras}
     components = {}
     for camera in cameras:
         number = camera.get("id", "")
-        component = stated[number]
+        component = component_ids[number]
         if component is None and not camera.findtext("transform"):
-            component = stated.get(camera.get("master_id", ""))
+            component = component_ids.get(camera.get("master_id", ""))
         components[number] = component
     return components
 
