@@ -363,12 +363,9 @@ def _common_silences(
 ) -> list[Stretch]:
     """The silences of the first receiver in which all other receivers are silent too."""
     first, *other_silences = [silences(path.channel, while_on, quantity) for path in receivers]
-    common: list[Stretch] = []
-    for silence in first:
-        if all(
-            any(silence.meets(other) for other in of_receiver) for of_receiver in other_silences
-        ):
-            common.append(silence)
+    common = first
+    for of_receiver in other_silences:
+        common = [silence for silence in common if any(map(silence.meets, of_receiver))]
     return common
 
 
