@@ -401,6 +401,15 @@ def test_a_text_that_yaml_cannot_hold_is_refused(tmp_path: Path, text: str, what
     assert what in mission_refused(tmp_path, text).what
 
 
+@pytest.mark.parametrize("value", ["{a: {b: 1}}", "{a: [1]}", "{}", "{a: 1}"])
+def test_a_section_in_the_place_of_a_text_is_refused_with_its_key(
+    tmp_path: Path, value: str
+) -> None:
+    """Sections within it ended with a traceback."""
+    refusal = mission_refused(tmp_path, f"mission: {{name: {value}}}")
+    assert "mission.name" in refusal.what
+
+
 MISSION = """mission: {name: a, undulation_m: 47.5}
 log: {path: a.bin}
 observations: {path: o.csv}

@@ -154,10 +154,16 @@ def _likely_meant(refused: Refused) -> str:
             allowed = allowed_at(refused.place)
             number = len(refused.value)
             return f"a list of {number}: numbers have a decimal point, not a comma; use {allowed}"
-        case dict() if "string" in types and set(refused.value.values()) == {None}:
+        case dict() if "string" in types and _has_only_keys(refused.value):
             keys = ", ".join(map(str, refused.value))
             return f'put quotes around a text with braces: "{{{keys}}}"'
     return ""
+
+
+def _has_only_keys(section: Mapping[str, object]) -> bool:
+    """Whether a section has keys, and none of them a value."""
+    values = section.values()
+    return bool(values) and all(value is None for value in values)
 
 
 def _unknown_key(place: Place, *, is_campaign: bool) -> str:
