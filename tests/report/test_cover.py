@@ -21,6 +21,7 @@ from .manifests import manifest_of
 from .test_every_number import air as air  # the fixture
 from .test_page import Page, path_of, points, whole_manifest
 from .test_page import flown as flown  # the fixture
+from .text_tables import lines_of
 
 
 def page_with(flown: Any, **mission: str) -> str:
@@ -42,13 +43,13 @@ def test_what_the_mission_file_says_stands_first_in_any_letters(flown):
     assert ("h1", "Zürich Nord — 航空写真 </style><b>") in shown
     assert shown[0][1].startswith("Zürich Nord — 航空写真 </style><b>: refraction")
     said = [words for tag, words in shown if tag == "dd"][:5]
-    assert said == [
-        'Amt "A" & B',
-        "Luftbild GmbH",
-        "ridge <north> & [red]south",
-        "2025-06-12, 15:23:17 to 15:29:19 Asia/Kathmandu (2025-06-12, 09:38:17 to 09:44:19 UTC)",
-        "WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid",
-    ]
+    assert said == lines_of("""
+        Amt "A" & B
+        Luftbild GmbH
+        ridge <north> & [red]south
+        2025-06-12, 15:23:17 to 15:29:19 Asia/Kathmandu (2025-06-12, 09:38:17 to 09:44:19 UTC)
+        WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid
+    """)
     assert [words for tag, words in shown if tag == "p"][1:3] == ["One.", "Two <i> lines."]
     assert text.count("</style>") == 1
     assert "<b>" not in text.replace("<b>", "", 0).split("</style>")[1]

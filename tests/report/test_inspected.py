@@ -10,6 +10,8 @@ from rich.console import Console
 
 from unbend.report.inspected_weather import print_metars, print_model, print_sounding
 
+from .text_tables import lines_of
+
 MODEL: dict[str, Any] = {
     "format": "netCDF",
     "grid": "3 x 5 nodes",
@@ -27,7 +29,7 @@ MODEL: dict[str, Any] = {
 }
 
 
-def lines_of(printer: Any, contents: Any) -> list[str]:
+def printed_lines(printer: Any, contents: Any) -> list[str]:
     """The lines that are printed, each with one blank between its words."""
     file = io.StringIO()
     printer(Console(file=file, width=400), contents, "era5.nc")
@@ -35,25 +37,24 @@ def lines_of(printer: Any, contents: Any) -> list[str]:
 
 
 def test_what_is_printed_of_a_weather_model():
-    assert lines_of(print_model, MODEL) == [
-        "era5.nc: weather model, netCDF",
-        "grid 3 x 5 nodes",
-        "time 3 times, 2025-06-12 06:00:00 to 2025-06-12 09:00:00 UTC; "
-        "4 h since the forecast began",
-        "levels 3 pressure levels, 1000 to 850 hPa: 1000, 925, 850",
-        "latitude 46° to 47.5°, 7 nodes every 0.25°",
-        "longitude 8° to 11°, 13 nodes every 0.125°",
-        "members 3, m01 to m07",
-        "variable unit levels name",
-        "t K 3 temperature",
-        "q kg/kg 1 humidity",
-    ]
+    assert printed_lines(print_model, MODEL) == lines_of("""
+        era5.nc: weather model, netCDF
+        grid 3 x 5 nodes
+        time 3 times, 2025-06-12 06:00:00 to 2025-06-12 09:00:00 UTC; 4 h since the forecast began
+        levels 3 pressure levels, 1000 to 850 hPa: 1000, 925, 850
+        latitude 46° to 47.5°, 7 nodes every 0.25°
+        longitude 8° to 11°, 13 nodes every 0.125°
+        members 3, m01 to m07
+        variable unit levels name
+        t K 3 temperature
+        q kg/kg 1 humidity
+    """)
 
 
 @pytest.mark.parametrize(("number", "are_listed"), [(40, True), (41, False)])
 def test_up_to_forty_levels_are_listed(number, are_listed):
     levels = [float(level) for level in range(1, number + 1)]
-    lines = lines_of(print_model, MODEL | {"levels": levels, "level_kind": "model"})
+    lines = printed_lines(print_model, MODEL | {"levels": levels, "level_kind": "model"})
     (line,) = (line for line in lines if line.startswith("levels"))
     begin = f"levels {number} model levels, 1 to {number}"
     assert line.startswith(begin)
@@ -80,21 +81,21 @@ def test_what_is_printed_of_a_sounding():
         "columns": {"pressure": "PRES"},
         "notes": ["the wind is not read"],
     }
-    lines = lines_of(print_sounding, sounding)
-    assert lines[:-1] == [
-        "era5.nc: sounding, read as igra",
-        "ascents 2; below is the first",
-        "station 11035",
-        "time 2025-06-12 00:00:00 to 2025-06-12 12:00:00 UTC",
-        "place 48.249°, 16.356°",
-        "levels 57 of 63 levels used; heights in the file are geopotential",
-        "height 200 to 31000 m above sea level",
-        "pressure 990.5 to 8 hPa",
-        "temperature -61.5 to 21 °C",
-        "humidity 0.01 to 14.5 hPa of vapour, from the dew point",
-        "pressure from column PRES",
-        "note the wind is not read",
-    ]
+    lines = printed_lines(print_sounding, sounding)
+    assert lines[:-1] == lines_of("""
+        era5.nc: sounding, read as igra
+        ascents 2; below is the first
+        station 11035
+        time 2025-06-12 00:00:00 to 2025-06-12 12:00:00 UTC
+        place 48.249°, 16.356°
+        levels 57 of 63 levels used; heights in the file are geopotential
+        height 200 to 31000 m above sea level
+        pressure 990.5 to 8 hPa
+        temperature -61.5 to 21 °C
+        humidity 0.01 to 14.5 hPa of vapour, from the dew point
+        pressure from column PRES
+        note the wind is not read
+    """)
     assert lines[-1] == "mission file atmosphere: {soundings: [{path: era5.nc}]}"
 
 
@@ -110,7 +111,7 @@ def test_what_is_printed_of_metars():
         "notes": ["XYZ", "Q////"],
     }
     unknown = report | {"date": None, "temperature_c": None, "qnh_hpa": None, "notes": []}
-    lines = lines_of(print_metars, [report, unknown])
+    lines = printed_lines(print_metars, [report, unknown])
     assert lines[0] == "era5.nc: 2 METARs"
     assert "LSZH 2026-05-14 1020Z 18.0 7.3 1016.5 XYZ; Q////" in lines
     assert "LSZH 1020Z 7.3" in lines
