@@ -94,7 +94,7 @@ class Machines:
 
 
 @pytest.fixture(scope="module")
-def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
+def machines(tmp_path_factory) -> Iterator[Machines]:
     of_tests = Machines(tmp_path_factory.mktemp("machines"))
     yield of_tests
     of_tests.stop()

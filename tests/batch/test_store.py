@@ -48,7 +48,7 @@ def damage_of(folder: Path, *, read: bool = True) -> list[str]:
     return find_damage(folder, manifest, read=read)
 
 
-def test_files_of_the_user_stay(tmp_path: Path) -> None:
+def test_files_of_the_user_stay(tmp_path):
     commit(tmp_path, "observations/part-00000.parquet", "observations/part-00001.parquet")
     (tmp_path / "observations" / "notes.txt").write_text("mine", encoding="utf-8")
     (tmp_path / "observations" / "sub").mkdir()
@@ -57,7 +57,7 @@ def test_files_of_the_user_stay(tmp_path: Path) -> None:
     assert left == ["notes.txt", "part-00000.parquet", "sub"]
 
 
-def test_a_refused_run_does_not_make_a_folder_ours(tmp_path: Path) -> None:
+def test_a_refused_run_does_not_make_a_folder_ours(tmp_path):
     with open_folder(tmp_path):
         pass  # refused before anything was committed
     (tmp_path / "stations.parquet").write_text("the user's", encoding="utf-8")
@@ -67,14 +67,14 @@ def test_a_refused_run_does_not_make_a_folder_ours(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["stations.parquet", "observations/part-00000.parquet"])
-def test_a_flipped_byte_is_seen_by_a_rerun(tmp_path: Path, name: str) -> None:
+def test_a_flipped_byte_is_seen_by_a_rerun(tmp_path, name):
     commit(tmp_path, "stations.parquet", "observations/part-00000.parquet")
     assert damage_of(tmp_path, read=False) == []
     (tmp_path / name).write_text(name[:-1] + "T", encoding="utf-8")
     assert damage_of(tmp_path, read=False) == [f"{name}: its content has changed"]
 
 
-def test_a_file_has_no_manifest(tmp_path: Path) -> None:
+def test_a_file_has_no_manifest(tmp_path):
     file = tmp_path / "manifest.json"
     file.write_text("{}", encoding="utf-8")
     assert read_manifest(file) is None
@@ -85,7 +85,7 @@ def test_a_file_has_no_manifest(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("outputs", [5, [5], "x"])
-def test_a_manifest_of_somebody_else_is_refused(tmp_path: Path, outputs: object) -> None:
+def test_a_manifest_of_somebody_else_is_refused(tmp_path, outputs):
     text = {"fingerprint": "", "mission": "", "exit_code": 0, "outputs": outputs}
     (tmp_path / "manifest.json").write_text(json.dumps(text), encoding="utf-8")
     with refused("MANIFEST-UNREADABLE"):
@@ -98,7 +98,7 @@ PART = "observations/part-00000.parquet"
 
 
 @pytest.fixture
-def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
+def recorded(tmp_path, monkeypatch) -> list[tuple[str, ...]]:
     """Every flush, rename and removal below the folder, in order."""
     steps: list[tuple[str, ...]] = []
 
@@ -120,7 +120,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str,
     return steps
 
 
-def test_the_order_in_which_a_second_commit_reaches_the_disk(tmp_path: Path, recorded) -> None:
+def test_the_order_in_which_a_second_commit_reaches_the_disk(tmp_path, recorded):
     commit(tmp_path, PART, "stations.parquet")
     recorded.clear()
     commit(tmp_path, PART, "stations.parquet")
@@ -144,7 +144,7 @@ def test_the_order_in_which_a_second_commit_reaches_the_disk(tmp_path: Path, rec
     ]
 
 
-def test_files_and_folders_are_really_flushed(tmp_path: Path, monkeypatch) -> None:
+def test_files_and_folders_are_really_flushed(tmp_path, monkeypatch):
     flushed = []
     original = os.fsync
 
@@ -168,8 +168,8 @@ def test_files_and_folders_are_really_flushed(tmp_path: Path, monkeypatch) -> No
 @pytest.mark.parametrize("step", range(4))
 @pytest.mark.parametrize("killed", [True, False], ids=["killed", "failed"])
 def test_a_commit_that_ends_half_way_leaves_no_manifest_and_can_be_repeated(
-    tmp_path: Path, monkeypatch, step: int, killed: bool
-) -> None:
+    tmp_path, monkeypatch, step, killed
+):
     """Stopped at each rename and at the removal of the staging folder."""
     names = (PART, "profile.parquet", "stations.parquet")
     commit(tmp_path, *names)
@@ -205,8 +205,8 @@ def test_a_commit_that_ends_half_way_leaves_no_manifest_and_can_be_repeated(
 
 @pytest.mark.parametrize("killed", [True, False], ids=["killed", "failed"])
 def test_a_file_of_the_user_among_interrupted_results_does_not_stop_the_next_run(
-    tmp_path: Path, monkeypatch, killed: bool
-) -> None:
+    tmp_path, monkeypatch, killed
+):
     """A full disk in the middle of a commit, a run that is refused, and one that succeeds."""
     commit(tmp_path, PART, "stations.parquet")
     (tmp_path / "observations" / "notes.txt").write_text("mine", encoding="utf-8")
@@ -230,7 +230,7 @@ def test_a_file_of_the_user_among_interrupted_results_does_not_stop_the_next_run
     assert not (tmp_path / ".staging").exists()
 
 
-def test_a_target_that_a_viewer_has_open_is_replaced_a_moment_later(tmp_path, monkeypatch) -> None:
+def test_a_target_that_a_viewer_has_open_is_replaced_a_moment_later(tmp_path, monkeypatch):
     """Windows answers with PermissionError until the other program closes the file."""
     source = tmp_path / "new"
     target = tmp_path / "old"
@@ -259,7 +259,7 @@ def test_a_target_that_a_viewer_has_open_is_replaced_a_moment_later(tmp_path, mo
 # ---- the lock
 
 
-def test_one_writer_at_a_time_also_through_a_link(tmp_path: Path) -> None:
+def test_one_writer_at_a_time_also_through_a_link(tmp_path):
     results = tmp_path / "results"
     alias = tmp_path / "alias"
     alias.symlink_to(results)
@@ -271,7 +271,7 @@ def test_one_writer_at_a_time_also_through_a_link(tmp_path: Path) -> None:
         pass
 
 
-def test_a_lock_that_is_a_link_is_refused(tmp_path: Path) -> None:
+def test_a_lock_that_is_a_link_is_refused(tmp_path):
     results = tmp_path / "results"
     results.mkdir()
     (results / ".lock").symlink_to(tmp_path / "elsewhere")
@@ -280,7 +280,7 @@ def test_a_lock_that_is_a_link_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_the_lock_of_a_process_that_died_is_free(tmp_path: Path) -> None:
+def test_the_lock_of_a_process_that_died_is_free(tmp_path):
     code = (
         "import os, sys; from pathlib import Path\n"
         "from unbend.batch.store import open_folder\n"
@@ -306,7 +306,7 @@ def refusing_lock(error: OSError) -> type:
     return Refusing
 
 
-def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypatch) -> None:
+def test_a_disk_without_locks_is_refused_with_its_words(tmp_path, monkeypatch):
     no_locks = OSError(errno.ENOLCK, "No locks available")
     monkeypatch.setattr(store, "FileLock", refusing_lock(no_locks))
     with refused("STORAGE-LOCK") as refusal, open_folder(tmp_path):
@@ -316,8 +316,8 @@ def test_a_disk_without_locks_is_refused_with_its_words(tmp_path: Path, monkeypa
 
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM, errno.EROFS])
 def test_a_folder_that_may_not_be_written_to_is_not_taken_for_a_disk_without_locks(
-    tmp_path: Path, monkeypatch, number
-) -> None:
+    tmp_path, monkeypatch, number
+):
     lock = str(tmp_path / ".lock")
     read_only = OSError(number, os.strerror(number), lock)
     monkeypatch.setattr(store, "FileLock", refusing_lock(read_only))
@@ -340,7 +340,7 @@ def test_a_folder_that_may_not_be_written_to_is_not_taken_for_a_disk_without_loc
         ("observations/own.parquet", False),
     ],
 )
-def test_files_among_the_results_by_any_path(tmp_path: Path, path: str, is_result: bool) -> None:
+def test_files_among_the_results_by_any_path(tmp_path, path, is_result):
     results = tmp_path / "results"
     observations = results / "observations"
     observations.mkdir(parents=True)
@@ -351,7 +351,7 @@ def test_files_among_the_results_by_any_path(tmp_path: Path, path: str, is_resul
     assert store.would_replace(results, tmp_path / path) is is_result
 
 
-def test_a_folder_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_folder_is_there_whole_or_not_at_all(tmp_path):
     def make(folder: Path) -> None:
         (folder / "inner").mkdir(parents=True)
         (folder / "inner" / "first.txt").write_text("1", encoding="utf-8")

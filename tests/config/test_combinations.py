@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -60,7 +59,7 @@ TWO_CAMERAS = {
 
 
 @pytest.fixture
-def refusal(tmp_path: Path):
+def refusal(tmp_path):
     def of(base: dict[str, Any], changes: dict[str, Any]) -> str:
         values = copy.deepcopy(base)
         for key, value in changes.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -34,7 +33,7 @@ BASE: dict[str, Any] = {
 
 
 @pytest.fixture
-def load(tmp_path: Path):
+def load(tmp_path):
     def attempt(**changes: Any) -> Mission:
         path = tmp_path / "mission.yaml"
         path.write_text(yaml.safe_dump(copy.deepcopy(BASE) | changes), encoding="utf-8")

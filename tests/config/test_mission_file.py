@@ -9,7 +9,6 @@ import string
 import time
 import typing
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -475,7 +474,7 @@ def line_of(text: str, keys: Keys) -> int:
 
 
 @pytest.fixture
-def refused(tmp_path: Path):
+def refused(tmp_path):
     """Loads a mission and gives the refusal; fails when there is none or it took a second."""
 
     def attempt(content: dict[str, Any] | str) -> ConfigError:
@@ -496,7 +495,7 @@ def refused(tmp_path: Path):
 
 
 @pytest.fixture
-def accepted(tmp_path: Path):
+def accepted(tmp_path):
     def load(content: dict[str, Any] | str) -> Mission:
         path = tmp_path / "mission.yaml"
         text = content if isinstance(content, str) else dumped(content)

@@ -6,7 +6,6 @@ import copy
 import math
 import pickle
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,7 +52,7 @@ Load = Callable[[dict[str, Any]], Mission]
 
 
 @pytest.fixture
-def load(tmp_path: Path) -> Load:
+def load(tmp_path) -> Load:
     def from_file(content: dict[str, Any]) -> Mission:
         path = tmp_path / "mission.yaml"
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")

@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from unbend.batch.executors import Outcome
 from unbend.batch.finished_run.export import export_run
 
 from .conftest import REPOSITORY, read_observations, run_sample
@@ -25,9 +24,7 @@ PAGE = REPOSITORY / "docs" / "pages" / "guide" / "pycolmap.md"
 
 
 @pytest.fixture
-def beside_results(
-    runs: dict[str, Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Path:
+def beside_results(runs, tmp_path, monkeypatch) -> Path:
     """A folder as it looks after `make sample`."""
     shutil.copytree(runs["bin"].output, tmp_path / "results" / "sample_bin")
     (tmp_path / "sample_logs").mkdir()
@@ -55,9 +52,7 @@ def height_error(code: str, truth: dict[str, pd.DataFrame]) -> float:
     return float(np.sqrt(np.mean(error[:, 2] ** 2)))
 
 
-def test_the_page_shows_what_the_correction_is_worth(
-    beside_results: Path, truth: dict[str, pd.DataFrame], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_shows_what_the_correction_is_worth(beside_results, truth, capsys):
     """Stations as the log has them; measured 0.027 and 0.136 m."""
     code = RECIPE.replace("flown/results/simulated_bin", "results/sample_bin")
     code = code.replace("flown/observations.parquet", "sample_logs/observations.parquet")
@@ -110,9 +105,7 @@ def write_source(path: Path, rows: pd.DataFrame, cameras: dict[str, list[float]]
                 database.write_two_view_geometry(one, other, verified)
 
 
-def test_colmap_maps_the_database_that_comes_out(
-    tmp_path: Path, truth: dict[str, pd.DataFrame], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_colmap_maps_the_database_that_comes_out(tmp_path, truth, capsys):
     """Its incremental mapper, from nothing but the database: matches without F, E and H, corrected
     keypoints, cameras and pose priors. Height RMS 0.029 m, and 0.136 m from measured keypoints."""
     pycolmap = pytest.importorskip("pycolmap")

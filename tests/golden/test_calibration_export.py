@@ -61,12 +61,12 @@ class Exported:
 
 
 @pytest.fixture(scope="module")
-def nadir(tmp_path_factory: pytest.TempPathFactory) -> Exported:
+def nadir(tmp_path_factory) -> Exported:
     return Exported(fly(6000.0, NADIR, seed=11), tmp_path_factory.mktemp("nadir"), pixel_um=5.0)
 
 
 @pytest.fixture(scope="module")
-def five(tmp_path_factory: pytest.TempPathFactory) -> Exported:
+def five(tmp_path_factory) -> Exported:
     return Exported(fly(6000.0, FIVE, seed=12), tmp_path_factory.mktemp("five"))
 
 

@@ -244,7 +244,7 @@ def wrong_sign(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("sigmas", [1.0, -0.7])
-def test_an_oblique_block_finds_the_air(sigmas: float) -> None:
+def test_an_oblique_block_finds_the_air(sigmas):
     """75 degrees, control and GNSS, no noise: within 2 % of the air that was drawn."""
     share, sigma, prior = adjusted("75", sigmas, sigma_px=0.05)
     assert 0.02 < prior < 0.06
@@ -252,12 +252,12 @@ def test_an_oblique_block_finds_the_air(sigmas: float) -> None:
     assert abs(share - 1.0) <= 0.02
 
 
-def test_the_other_sign_is_seen() -> None:
+def test_the_other_sign_is_seen():
     assert adjusted("75", 1.0, sigma_px=0.05, change=wrong_sign)[0] < -0.9
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_with_noise_within_three_sigma(seed: int) -> None:
+def test_with_noise_within_three_sigma(seed):
     share, sigma, _ = adjusted("75", 1.0, noise_px=0.3, seed=seed)
     assert sigma < 0.3
     assert abs(share - 1.0) <= 3.0 * sigma
@@ -273,9 +273,7 @@ def test_with_noise_within_three_sigma(seed: int) -> None:
         ("nadir", True, False),
     ],
 )
-def test_where_it_can_be_told(
-    kind: str, free: bool, known: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_it_can_be_told(kind, free, known, capsys):
     """Below a third of its prior at 75 degrees, above half elsewhere; as the page says."""
     _, sigma, prior = adjusted(kind, free=free)
     (shown,) = re.findall(rf"\| {kind}[^|]*\| {'free' if free else 'fixed'} \| ([0-9.]+) \|", PAGE)

@@ -72,7 +72,7 @@ def in_environment(name: str) -> str:
 
 
 @pytest.fixture(scope="session")
-def seaweed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+def seaweed(tmp_path_factory) -> Iterator[dict[str, str]]:
     """SeaweedFS, with a user who may write and one who may read."""
     folder = tmp_path_factory.mktemp("seaweed")
     rights = {"writer": ["Admin", "Read", "Write", "List"], "reader": ["Read", "List"]}
@@ -119,7 +119,7 @@ def seaweed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
 
 
 @pytest.fixture(scope="session")
-def moto(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+def moto(tmp_path_factory) -> Iterator[dict[str, str]]:
     """Moto's server of S3."""
     port = free_port()
     command = [in_environment("moto_server"), "-p", str(port)]
@@ -128,7 +128,7 @@ def moto(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
 
 
 @pytest.fixture(scope="session")
-def azurite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+def azurite(tmp_path_factory) -> Iterator[dict[str, str]]:
     """Azurite, Azure's emulator: from npm, in the folder UNBEND_AZURITE or on the PATH."""
     folder = tmp_path_factory.mktemp("azurite")
     own = Path(os.environ.get("UNBEND_AZURITE", "none")) / "node_modules/.bin/azurite-blob"
@@ -151,7 +151,7 @@ def azurite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
 
 
 @pytest.fixture
-def use(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., None]]:
+def use(monkeypatch, tmp_path) -> Iterator[Callable[..., None]]:
     """Makes the environment that of a store; the cache is the test's own."""
 
     def set_environment(variables: dict[str, str]) -> None:
@@ -208,13 +208,13 @@ def make_bucket(environment: dict[str, str], name: str) -> None:
 
 
 @pytest.fixture(params=["seaweed", "moto", "azurite"])
-def place(request: pytest.FixtureRequest, use: Callable[..., None]) -> Place:
+def place(request, use) -> Place:
     """An empty place in each store, which the environment leads to."""
     return place_in(request, request.param, use)
 
 
 @pytest.fixture
-def s3_place(request: pytest.FixtureRequest, use: Callable[..., None]) -> Place:
+def s3_place(request, use) -> Place:
     """An empty place in SeaweedFS, which the environment leads to."""
     return place_in(request, "seaweed", use)
 
