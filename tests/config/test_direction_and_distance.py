@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import pytest
@@ -11,32 +10,25 @@ import yaml
 from unbend.config import Mission, load_mission
 from unbend.errors import ConfigError
 
-BASE: dict[str, Any] = {
-    "mission": {"name": "survey"},
-    "log": {"path": "a.bin"},
-    "observations": {"path": "o.parquet", "columns": {"distance_m": "range"}},
-    "cameras": {
-        "nadir": {
-            "width_px": 100,
-            "height_px": 100,
-            "f_px": 200.0,
-            "cx_px": 50.0,
-            "cy_px": 50.0,
-            "calibration": "laboratory",
-        },
-    },
-    "mount": {"nadir": {}},
-    "events": {"log": {"nadir": {"image": "n{n}"}}},
-    "ground": {"height": "from_distance"},
-    "output": {"path": "results"},
-}
+BASE = """
+mission: {name: survey}
+log: {path: a.bin}
+observations: {path: o.parquet, columns: {distance_m: range}}
+cameras:
+  nadir: {width_px: 100, height_px: 100, f_px: 200.0, cx_px: 50.0, cy_px: 50.0,
+          calibration: laboratory}
+mount: {nadir: {}}
+events: {log: {nadir: {image: "n{n}"}}}
+ground: {height: from_distance}
+output: {path: results}
+"""
 
 
 @pytest.fixture
 def load(tmp_path):
     def attempt(**changes: Any) -> Mission:
         path = tmp_path / "mission.yaml"
-        path.write_text(yaml.safe_dump(copy.deepcopy(BASE) | changes), encoding="utf-8")
+        path.write_text(yaml.safe_dump(yaml.safe_load(BASE) | changes), encoding="utf-8")
         return load_mission(path)
 
     return attempt
