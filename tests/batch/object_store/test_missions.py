@@ -10,6 +10,7 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
+from tests.helpers import refused
 from unbend.batch import results as results_module
 from unbend.batch import runs
 from unbend.batch.object_store import Place
@@ -17,7 +18,6 @@ from unbend.batch.plan import fetch_inputs, make_plan
 from unbend.batch.remote import Publication, find_damage, read_manifest, would_replace
 from unbend.batch.runs import run_mission
 from unbend.config import load_mission
-from unbend.errors import ConfigError
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -48,7 +48,7 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
     attempt = results / f"attempts/{manifest.run.attempt}"
     assert f"results  {results}\n  report   {attempt}/report.html\n" in ended.out
     # The observations are those of a run in a folder, byte for byte.
-    here = json.loads((baseline.output / "manifest.json").read_text())
+    here = baseline.manifest()
     for name in ("observations/part-00000.parquet", "stations.parquet", "profile.parquet"):
         assert (attempt / name).read()[0] == (baseline.output / name).read_bytes(), name
     assert manifest.values["observations"] == here["observations"]
@@ -77,9 +77,9 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
         exported = unbend("export", run, "--format", "geojson", "--out", tmp_path / out)
         assert exported.code == 0, exported.text
     assert (tmp_path / "there.geojson").read_text() == (tmp_path / "here.geojson").read_text()
-    refused = unbend("export", results, "--format", "geojson", "--out", s3_place / "f.geojson")
-    assert refused.code == 2
-    assert "URL-INVALID" in refused.err
+    to_a_url = unbend("export", results, "--format", "geojson", "--out", s3_place / "f.geojson")
+    assert to_a_url.code == 2
+    assert "URL-INVALID" in to_a_url.err
 
     # A changed input: the new run takes the place of the old, of which nothing stays.
     table = pq.read_table(baseline.folder / "observations.parquet")
@@ -232,9 +232,8 @@ def test_an_input_among_the_results_is_refused(stored, s3_place):
     stored.config["log"]["path"] = str(s3_place / "results/runs/flight.bin")
     stored.config["output"]["path"] = str(s3_place / "results")
     assert (s3_place / "results/runs/flight.bin").put(b"log", None)
-    with pytest.raises(ConfigError) as refused:
+    with refused("OUTPUT-OVER-INPUT"):
         make_plan(load_mission(stored.save()), stored.folder)
-    assert refused.value.code == "OUTPUT-OVER-INPUT"
     folder = Place.of(f"{s3_place}/")
     assert would_replace(s3_place / "results", folder), "results below a folder that is read"
     assert would_replace(s3_place, folder), "results in a folder that is read"
@@ -242,7 +241,6 @@ def test_an_input_among_the_results_is_refused(stored, s3_place):
 
 
 def test_a_url_costs_no_import_where_none_is_used():
-    code = "import unbend.batch.remote, unbend.batch.plan, sys; "
-    code += "print('obstore' in sys.modules)"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout == "False\n"
+    code = "import unbend.batch.remote, unbend.batch.plan, sys; print('obstore' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
