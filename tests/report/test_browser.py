@@ -91,20 +91,14 @@ def without_log(mission: Any, baseline: Any) -> Path:
         del camera["window"]
     stations = baseline.stations().to_pandas().drop(columns=["time_utc", "geometry"])
     stations.to_csv(mission.folder / "stations.csv", index=False)
-    mission.config["stations"] = {
-        "orientation": {
-            "path": "stations.csv",
-            "angles": "quaternion",
-            "frame": "geographic",
-            "heights": "msl",
-            "columns": {
-                "camera": "camera",
-                "latitude": "lat_deg",
-                "longitude": "lon_deg",
-                "height": "h_msl_m",
-            },
-        }
-    }
+    mission.config["stations"] = yaml.safe_load("""
+    orientation:
+      path: stations.csv
+      angles: quaternion
+      frame: geographic
+      heights: msl
+      columns: {camera: camera, latitude: lat_deg, longitude: lon_deg, height: h_msl_m}
+    """)
     mission.config["atmosphere"] = {"adjust": False}
     return ran(mission, 0)
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.collections import PolyCollection
 from rich.console import Console
 
@@ -44,119 +45,98 @@ from unbend.units import ARCSEC
 from .manifests import manifest_of
 from .text_tables import lines_of, rows_of
 
-
-def spread(count: int, median: float, p95: float, maximum: float) -> dict[str, float]:
-    return {"count": count, "median": median, "p95": p95, "maximum": maximum}
-
-
-def camera(first: float) -> dict[str, Any]:
-    """Distributions in which no number occurs twice."""
-    return {
-        "shift_px": spread(41, first + 0.01, first + 0.02, first + 0.03),
-        "shift_ground_m": spread(42, first + 0.11, first + 0.12, first + 0.13),
-        "refraction_arcsec": spread(43, first + 10.1, first + 10.2, first + 10.3),
-        "window_arcsec": spread(44, first + 20.1, first + 20.2, first + 20.3),
-    }
-
-
-MANIFEST: dict[str, Any] = {
-    "mission": "ridge <north> & [red]south",
-    "config": {
-        "refraction": {"direction": "remove", "method": "spherical"},
-        "cameras": {
-            "belly": {"principal_distance": None, "window": None},
-            "tail": {
-                "principal_distance": {"dc_dp_px_per_hpa": 0.006},
-                "window": {"shape": "plane", "in_calibration": "none"},
-            },
-        },
-    },
-    "correction": {**camera(3.0), "cameras": {"belly": camera(1.0), "tail": camera(2.0)}},
-    "observations": {
-        "rows": 5021,
-        "status": {"ok": 4987, "no_station": 0, "no_ground": 13, "misses_ground": 21},
-    },
-    "cabin_sigma_share": spread(4987, 0.0123, 0.014, 0.019),
-    "stations": {"ok": 88, "in_gap": 7, "unmatched": 0},
-    "uncertainty": {"scale_sigma": 0.0032},
-    "profile": {
-        "basis": "thermometer",
-        "reason": "temperatures of HYGR[0] over 2345 m of height",
-        "standard": "us1962",
-        "departure_at_cameras_k": -6.72,
-        "sigma_departure_at_cameras_k": 0.434,
-        "profiles": 11,
-        "windows": [
-            {"change": -0.0123, "sigma": 0.0041},
-            {"change": 0.0345, "sigma": 0.0052},
-            {"change": 0.0011, "sigma": 0.0033},
-        ],
-        "effect": [
-            {
-                "nadir_angle_deg": 45.0,
-                "h_c_m": 3456.0,
-                "h_g_m": 789.0,
-                "r_c_arcsec": 6.6943,
-                "sigma_arcsec": 0.0223,
-                "standard_arcsec": 6.8637,
-                "factor": 0.97532,
-                "sigma_factor": 0.00331,
-            },
-            {
-                "nadir_angle_deg": 75.0,
-                "h_c_m": 3457.0,
-                "h_g_m": 790.0,
-                "r_c_arcsec": 25.0554,
-                "sigma_arcsec": None,
-                "standard_arcsec": 24.6852,
-                "factor": 1.01499,
-                "sigma_factor": None,
-            },
-        ],
-        "sources": [
-            {
-                "source": "BARO[0]",
-                "used": True,
-                "quantity": "pressure",
-                "readings": 179,
-                "rms_sigma": 0.246,
-                "sigma_inflation": 1.372,
-                "degrees_of_freedom_for_signal": 16.08,
-            },
-            {"source": "METAR", "used": False, "why_not": "61 km away"},
-            {"source": "standard", "used": True, "why_not": ""},
-        ],
-        "samples": [
-            {
-                "sensor": "BARO[0]",
-                "quantity": "pressure",
-                "samples": 1234,
-                "used": 1203,
-                "rejected": {"no value": 27, "no height at its time": 4},
-            },
-        ],
-        "sensors": [
-            {
-                "what": "thermometer bias [K]",
-                "value": -0.498,
-                "sigma": 0.453,
-                "expected_sigma": 0.617,
-            }
-        ],
-    },
-    "channels": {"outside_pressure": "BARO[0]", "temperature": "<b>HYGR[0]"},
-    "inputs": [
-        {"role": "log", "name": "a&b.bin", "sha256": "0123456789abcdef" * 4},
-        {"role": "observations", "name": "o.csv", "sha256": "fedcba9876543210" * 4},
-    ],
-    "ledger": [
-        {"kind": "note", "code": "AIR-ANCHOR", "what": "residuals of 0.14 hPa", "where": "BARO[0]"},
-        {"kind": "fallback", "code": "AIR-FALL", "what": "no humidity", "where": ""},
-        {"kind": "loss", "code": "ZZ-LOSS", "what": "9 messages of GPS <x>", "where": "GPS"},
-        {"kind": "warning", "code": "AA-WARN", "what": "8 rows [b]", "where": "o.csv"},
-        {"kind": "loss", "code": "AA-LOSS", "what": "77 bytes", "where": "flight.bin"},
-    ],
-}
+MANIFEST: dict[str, Any] = yaml.safe_load("""
+mission: ridge <north> & [red]south
+config:
+  refraction: {direction: remove, method: spherical}
+  cameras:
+    belly: {principal_distance: null, window: null}
+    tail:
+      principal_distance: {dc_dp_px_per_hpa: 0.006}
+      window: {shape: plane, in_calibration: none}
+correction:
+  shift_px: {count: 41, median: 3.01, p95: 3.02, maximum: 3.03}
+  shift_ground_m: {count: 42, median: 3.11, p95: 3.12, maximum: 3.13}
+  refraction_arcsec: {count: 43, median: 13.1, p95: 13.2, maximum: 13.3}
+  window_arcsec: {count: 44, median: 23.1, p95: 23.2, maximum: 23.3}
+  cameras:
+    belly:
+      shift_px: {count: 41, median: 1.01, p95: 1.02, maximum: 1.03}
+      shift_ground_m: {count: 42, median: 1.11, p95: 1.12, maximum: 1.13}
+      refraction_arcsec: {count: 43, median: 11.1, p95: 11.2, maximum: 11.3}
+      window_arcsec: {count: 44, median: 21.1, p95: 21.2, maximum: 21.3}
+    tail:
+      shift_px: {count: 41, median: 2.01, p95: 2.02, maximum: 2.03}
+      shift_ground_m: {count: 42, median: 2.11, p95: 2.12, maximum: 2.13}
+      refraction_arcsec: {count: 43, median: 12.1, p95: 12.2, maximum: 12.3}
+      window_arcsec: {count: 44, median: 22.1, p95: 22.2, maximum: 22.3}
+observations:
+  rows: 5021
+  status: {ok: 4987, no_station: 0, no_ground: 13, misses_ground: 21}
+cabin_sigma_share: {count: 4987, median: 0.0123, p95: 0.014, maximum: 0.019}
+stations: {ok: 88, in_gap: 7, unmatched: 0}
+uncertainty: {scale_sigma: 0.0032}
+profile:
+  basis: thermometer
+  reason: temperatures of HYGR[0] over 2345 m of height
+  standard: us1962
+  departure_at_cameras_k: -6.72
+  sigma_departure_at_cameras_k: 0.434
+  profiles: 11
+  windows:
+    - {change: -0.0123, sigma: 0.0041}
+    - {change: 0.0345, sigma: 0.0052}
+    - {change: 0.0011, sigma: 0.0033}
+  effect:
+    - nadir_angle_deg: 45.0
+      h_c_m: 3456.0
+      h_g_m: 789.0
+      r_c_arcsec: 6.6943
+      sigma_arcsec: 0.0223
+      standard_arcsec: 6.8637
+      factor: 0.97532
+      sigma_factor: 0.00331
+    - nadir_angle_deg: 75.0
+      h_c_m: 3457.0
+      h_g_m: 790.0
+      r_c_arcsec: 25.0554
+      sigma_arcsec: null
+      standard_arcsec: 24.6852
+      factor: 1.01499
+      sigma_factor: null
+  sources:
+    - source: BARO[0]
+      used: true
+      quantity: pressure
+      readings: 179
+      rms_sigma: 0.246
+      sigma_inflation: 1.372
+      degrees_of_freedom_for_signal: 16.08
+    - {source: METAR, used: false, why_not: 61 km away}
+    - {source: standard, used: true, why_not: ""}
+  samples:
+    - sensor: BARO[0]
+      quantity: pressure
+      samples: 1234
+      used: 1203
+      rejected: {no value: 27, no height at its time: 4}
+  sensors:
+    - {what: "thermometer bias [K]", value: -0.498, sigma: 0.453, expected_sigma: 0.617}
+channels: {outside_pressure: "BARO[0]", temperature: "<b>HYGR[0]"}
+inputs:
+  - role: log
+    name: a&b.bin
+    sha256: 0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef
+  - role: observations
+    name: o.csv
+    sha256: fedcba9876543210fedcba9876543210fedcba9876543210fedcba9876543210
+ledger:
+  - {kind: note, code: AIR-ANCHOR, what: residuals of 0.14 hPa, where: "BARO[0]"}
+  - {kind: fallback, code: AIR-FALL, what: no humidity, where: ""}
+  - {kind: loss, code: ZZ-LOSS, what: 9 messages of GPS <x>, where: GPS}
+  - {kind: warning, code: AA-WARN, what: "8 rows [b]", where: o.csv}
+  - {kind: loss, code: AA-LOSS, what: 77 bytes, where: flight.bin}
+""")
 
 VERDICT = (
     "41 of 5,021 observations were corrected by 3.1 m on the ground, 3 px in the image (median; "
@@ -350,9 +330,9 @@ def test_a_departure_without_its_sigma_is_not_said(unknown):
 
 @pytest.mark.parametrize(("largest", "is_tiny"), [(0.0499, True), (0.0501, False)])
 def test_a_tiny_correction_is_called_tiny(largest, is_tiny):
-    small = camera(0.0) | {"cameras": {}}
-    small["shift_px"] = spread(9, 0.0004, 0.003, largest)
-    small["window_arcsec"] = spread(9, 0.0, 0.0, 0.0)
+    small = MANIFEST["correction"] | {"cameras": {}}
+    small["shift_px"] = {"count": 9, "median": 0.0004, "p95": 0.003, "maximum": largest}
+    small["window_arcsec"] = {"count": 9, "median": 0.0, "p95": 0.0, "maximum": 0.0}
     observations = MANIFEST["observations"] | {"rows": 9}
     run = MANIFEST | {"correction": small, "observations": observations, "ledger": []}
     text = text_of_run(run)
@@ -472,20 +452,20 @@ def test_a_plot_is_what_its_name_says(air, tmp_path):
     assert (tmp_path / "a.svg").read_text(encoding="utf-8").startswith("<?xml")
 
 
-PROFILE_ROW = {
-    "h_m": 1234.4,
-    "temperature_k": 281.237,
-    "sigma_temperature_k": 0.314,
-    "standard_temperature_k": 280.128,
-    "pressure_pa": 87_654.0,
-    "standard_pressure_pa": 87_321.0,
-    "vapour_pressure_pa": 812.3,
-    "standard_vapour_pressure_pa": 4.56,
-    "refractivity": 2.51234e-4,
-    "sigma_refractivity": 1.234e-5,
-    "standard_refractivity": 2.47891e-4,
-    "source": "measured",
-}
+PROFILE_ROW = yaml.safe_load("""
+h_m: 1234.4
+temperature_k: 281.237
+sigma_temperature_k: 0.314
+standard_temperature_k: 280.128
+pressure_pa: 87654.0
+standard_pressure_pa: 87321.0
+vapour_pressure_pa: 812.3
+standard_vapour_pressure_pa: 4.56
+refractivity: 2.51234e-4
+sigma_refractivity: 1.234e-5
+standard_refractivity: 2.47891e-4
+source: measured
+""")
 
 
 def test_every_cell_of_a_profile():
@@ -594,56 +574,47 @@ def test_every_cell_of_a_papers_table():
 
 
 def test_every_number_of_a_log():
-    log = {
-        "format": "mcap",
-        "duration_s": 1234.56,
-        "start_utc": "2025-06-12T09:00:01Z",
-        "end_utc": "2025-06-12T09:20:36Z",
-        "time_base": "UTC of [x]",
-        "flight": {
-            "lat_deg": 47.123,
-            "lon_deg": -8.456,
-            "height_reference": "sea level",
-            "lowest_m": 451.2,
-            "highest_m": 3459.6,
-            "take_off_m": 450.4,
-        },
-        "roles": [
-            {
-                "role": "position",
-                "channel": "GPS",
-                "rate_hz": 4.987,
-                "samples": 7,
-                "remark": "plausible",
-                "others": ["POS", "[b]"],
-            },
-            {
-                "role": "humidity",
-                "channel": None,
-                "rate_hz": None,
-                "samples": 7,
-                "remark": "none in the log",
-                "others": [],
-            },
-        ],
-        "messages": {"A": 1000, "B": 2345},
-        "boots": 2,
-        "bad_bytes": 1,
-        "lost_messages": 1321,
-        "channels": [
-            {
-                "name": "BARO[0]",
-                "samples": 6543,
-                "rate_hz": 9.876,
-                "gaps": [{"seconds": 1.25}, {"seconds": 12.5}],
-            },
-            {"name": "CAM", "samples": 12, "rate_hz": 0.5, "gaps": []},
-        ],
-        "ledger": MANIFEST["ledger"],
-        "vehicles": [],
-        "receivers": [],
-        "clocks": [],
-    }
+    log = yaml.safe_load("""
+    format: mcap
+    duration_s: 1234.56
+    start_utc: "2025-06-12T09:00:01Z"
+    end_utc: "2025-06-12T09:20:36Z"
+    time_base: UTC of [x]
+    flight:
+      lat_deg: 47.123
+      lon_deg: -8.456
+      height_reference: sea level
+      lowest_m: 451.2
+      highest_m: 3459.6
+      take_off_m: 450.4
+    roles:
+      - role: position
+        channel: GPS
+        rate_hz: 4.987
+        samples: 7
+        remark: plausible
+        others: [POS, "[b]"]
+      - role: humidity
+        channel: null
+        rate_hz: null
+        samples: 7
+        remark: none in the log
+        others: []
+    messages: {A: 1000, B: 2345}
+    boots: 2
+    bad_bytes: 1
+    lost_messages: 1321
+    channels:
+      - name: BARO[0]
+        samples: 6543
+        rate_hz: 9.876
+        gaps: [{seconds: 1.25}, {seconds: 12.5}]
+      - {name: CAM, samples: 12, rate_hz: 0.5, gaps: []}
+    vehicles: []
+    receivers: []
+    clocks: []
+    """)
+    log["ledger"] = MANIFEST["ledger"]
     lines = printed(print_log, log, "a[1].mcap")
     assert [" ".join(line.split()) for line in lines[:7]] == lines_of("""
         a[1].mcap: mcap, 1234.6 s

@@ -6,27 +6,27 @@ import io
 from typing import Any
 
 import pytest
+import yaml
 from rich.console import Console
 
 from unbend.report.inspected_weather import print_metars, print_model, print_sounding
 
 from .text_tables import lines_of
 
-MODEL: dict[str, Any] = {
-    "format": "netCDF",
-    "grid": "3 x 5 nodes",
-    "times_utc": ["2025-06-12T06:00:00", "2025-06-12T07:00:00", "2025-06-12T09:00:00"],
-    "lead_h": [1.0, 2.0, 4.0],
-    "levels": [1000.0, 925.0, 850.0],
-    "level_kind": "pressure",
-    "members": ["m01", "m02", "m07"],
-    "latitude_deg": {"from": 46.0, "to": 47.5, "count": 7, "step": 0.25},
-    "longitude_deg": {"from": 8.0, "to": 11.0, "count": 13, "step": 0.125},
-    "variables": [
-        {"name": "t", "units": "K", "levels": 3, "long_name": "temperature"},
-        {"name": "q", "units": "kg/kg", "levels": 1, "long_name": "humidity"},
-    ],
-}
+MODEL: dict[str, Any] = yaml.safe_load("""
+format: netCDF
+grid: 3 x 5 nodes
+times_utc: ["2025-06-12T06:00:00", "2025-06-12T07:00:00", "2025-06-12T09:00:00"]
+lead_h: [1.0, 2.0, 4.0]
+levels: [1000.0, 925.0, 850.0]
+level_kind: pressure
+members: [m01, m02, m07]
+latitude_deg: {from: 46.0, to: 47.5, count: 7, step: 0.25}
+longitude_deg: {from: 8.0, to: 11.0, count: 13, step: 0.125}
+variables:
+  - {name: t, units: K, levels: 3, long_name: temperature}
+  - {name: q, units: kg/kg, levels: 1, long_name: humidity}
+""")
 
 
 def printed_lines(printer: Any, contents: Any) -> list[str]:
@@ -62,25 +62,25 @@ def test_up_to_forty_levels_are_listed(number, are_listed):
 
 
 def test_what_is_printed_of_a_sounding():
-    sounding = {
-        "format": "igra",
-        "first_utc": "2025-06-12T00:00:00",
-        "last_utc": "2025-06-12T12:00:00",
-        "latitude_deg": 48.2486,
-        "longitude_deg": 16.3564,
-        "levels": 57,
-        "levels_in_file": 63,
-        "ascents": 2,
-        "station": "11035",
-        "heights": "geopotential",
-        "h_m": [200.0, 31000.0],
-        "pressure_hpa": [990.5, 8.0],
-        "temperature_c": [-61.5, 21.0],
-        "humidity": "the dew point",
-        "vapour_pressure_hpa": [0.01, 14.5],
-        "columns": {"pressure": "PRES"},
-        "notes": ["the wind is not read"],
-    }
+    sounding = yaml.safe_load("""
+    format: igra
+    first_utc: "2025-06-12T00:00:00"
+    last_utc: "2025-06-12T12:00:00"
+    latitude_deg: 48.2486
+    longitude_deg: 16.3564
+    levels: 57
+    levels_in_file: 63
+    ascents: 2
+    station: "11035"
+    heights: geopotential
+    h_m: [200.0, 31000.0]
+    pressure_hpa: [990.5, 8.0]
+    temperature_c: [-61.5, 21.0]
+    humidity: the dew point
+    vapour_pressure_hpa: [0.01, 14.5]
+    columns: {pressure: PRES}
+    notes: [the wind is not read]
+    """)
     lines = printed_lines(print_sounding, sounding)
     assert lines[:-1] == lines_of("""
         era5.nc: sounding, read as igra
@@ -100,16 +100,16 @@ def test_what_is_printed_of_a_sounding():
 
 
 def test_what_is_printed_of_metars():
-    report = {
-        "text": "LSZH 141020Z 24008KT CAVOK 18/07 Q1016 XYZ Q////",
-        "station": "LSZH",
-        "date": "2026-05-14",
-        "stamp": "1020Z",
-        "temperature_c": 18.04,
-        "dew_point_c": 7.26,
-        "qnh_hpa": 1016.5,
-        "notes": ["XYZ", "Q////"],
-    }
+    report = yaml.safe_load("""
+    text: LSZH 141020Z 24008KT CAVOK 18/07 Q1016 XYZ Q////
+    station: LSZH
+    date: "2026-05-14"
+    stamp: 1020Z
+    temperature_c: 18.04
+    dew_point_c: 7.26
+    qnh_hpa: 1016.5
+    notes: [XYZ, Q////]
+    """)
     unknown = report | {"date": None, "temperature_c": None, "qnh_hpa": None, "notes": []}
     lines = printed_lines(print_metars, [report, unknown])
     assert lines[0] == "era5.nc: 2 METARs"

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from unbend.flight.ground_times import LoggedPath
 from unbend.flight.stations import empty_stations
@@ -39,85 +40,89 @@ from .text_tables import lines_of, rows_of
 
 BEGIN_NS = int(np.datetime64("2025-06-12T09:30:00", "ns").astype(np.int64))
 
-FIELD = {
-    "format_px": [2800, 2000],
-    "columns": 14,
-    "x_px": [100.0, 1500.0],
-    "y_px": [100.0, 1900.0],
-    "dx_px": [3.3, 0.0],
-    "dy_px": [4.4, -2.5],
-}
-
-
-def part(first: float) -> dict[str, Any]:
-    """A part of the sigma budget in which no number occurs twice [px, m]."""
-    return {
-        "px": {"median": first, "p95": 2.0 * first},
-        "m": {"median": 0.3 * first, "p95": 0.7 * first},
-    }
+MORE = """
+correction:
+  cameras:
+    belly:
+      histogram_px: {step: 0.5, counts: [3, 0, 17]}
+      histogram_m: {step: 0.1, counts: [11, 29]}
+      field:
+        format_px: [2800, 2000]
+        columns: 14
+        x_px: [100.0, 1500.0]
+        y_px: [100.0, 1900.0]
+        dx_px: [3.3, 0.0]
+        dy_px: [4.4, -2.5]
+    tail:
+      histogram_px: {step: 0.2, counts: [5, 31]}
+      histogram_m: {step: 0.1, counts: [2, 37]}
+      field:
+        format_px: [2800, 2000]
+        columns: 14
+        x_px: [100.0, 1500.0]
+        y_px: [100.0, 1900.0]
+        dx_px: [-0.5, -0.25]
+        dy_px: [0.0, 0.0]
+observations: {causes: {no_ground: no height <is> known}}
+config: {ground: {height: {column: h_g_m}}}
+flight:
+  begin_utc: "2025-06-12T09:38:17Z"
+  end_utc: "2025-06-12T09:44:19Z"
+  latitude_deg: [-47.5, -47.4233, -47.3]
+  longitude_deg: [8.5, 8.6624, 8.7]
+  h_msl_m: [3445.2, 3450.1, 3454.4]
+  cameras:
+    belly:
+      exposures: 61
+      format_px: [2800, 2000]
+      principal_distance_px: 4567.25
+      height_above_ground_m: [2823.4, 2927.3, 3061.2]
+      axis_nadir_angle_deg: 1.66
+      nadir_px: [1407.0, 1011.0]
+    tail:
+      exposures: 34
+      format_px: [2800, 2000]
+      principal_distance_px: 3210.0
+      height_above_ground_m: null
+      axis_nadir_angle_deg: 45.24
+      nadir_px: [-4567.0, 1003.0]
+sigma_budget:
+  belly:
+    air: {px: {median: 0.011, p95: 0.022}, m: {median: 0.0033, p95: 0.0077}}
+    station: {px: {median: 0.023, p95: 0.046}, m: {median: 0.0069, p95: 0.0161}}
+    all: {px: {median: 0.031, p95: 0.062}, m: {median: 0.0093, p95: 0.0217}}
+  tail:
+    air: {px: {median: 0.0051, p95: 0.0102}, m: {median: 0.00153, p95: 0.00357}}
+    ground: {px: {median: 0.0071, p95: 0.0142}, m: {median: 0.00213, p95: 0.00497}}
+    cabin: {px: {median: 0.0083, p95: 0.0166}, m: {median: 0.00249, p95: 0.00581}}
+    all: {px: {median: 0.0097, p95: 0.0194}, m: {median: 0.00291, p95: 0.00679}}
+ground_heights:
+  lowest_m: 392.21
+  median_m: 512.05
+  highest_m: 629.24
+  histogram: {first_m: 350.0, step: 100.0, counts: [7, 41, 19]}
+heights:
+  stations: GPS[0]
+  undulation: {source: EGM96, min_m: 46.31, max_m: 47.62}
+log: {format: dataflash, duration_s: 1349.9, time_base: GPS <x>}
+versions: {unbend: 9.8.7, numpy: 2.3.4}
+fingerprint: f00df00df00df00df00df00df00df00df00df00df00df00df00df00df00df00d
+exit_code: 3
+"""
+"""What only the page shows; of the sigma budget no number occurs twice."""
 
 
 def whole_manifest() -> dict[str, Any]:
     """The manifest of the other tests, with what only the page shows."""
-    manifest = copy.deepcopy(MANIFEST)
-    belly, tail = manifest["correction"]["cameras"].values()
-    belly |= {"histogram_px": {"step": 0.5, "counts": [3, 0, 17]}, "field": FIELD}
-    tail |= {"histogram_px": {"step": 0.2, "counts": [5, 31]}}
-    tail["field"] = FIELD | {"dx_px": [-0.5, -0.25], "dy_px": [0.0, 0.0]}
-    for camera, counts in ((belly, [11, 29]), (tail, [2, 37])):
-        camera["histogram_m"] = {"step": 0.1, "counts": counts}
-    manifest["observations"]["causes"] = {"no_ground": "no height <is> known"}
-    manifest["config"] |= {"ground": {"height": {"column": "h_g_m"}}}
-    return manifest | {
-        "flight": {
-            "begin_utc": "2025-06-12T09:38:17Z",
-            "end_utc": "2025-06-12T09:44:19Z",
-            "latitude_deg": [-47.5, -47.4233, -47.3],
-            "longitude_deg": [8.5, 8.6624, 8.7],
-            "h_msl_m": [3445.2, 3450.1, 3454.4],
-            "cameras": {
-                "belly": {
-                    "exposures": 61,
-                    "format_px": [2800, 2000],
-                    "principal_distance_px": 4567.25,
-                    "height_above_ground_m": [2823.4, 2927.3, 3061.2],
-                    "axis_nadir_angle_deg": 1.66,
-                    "nadir_px": [1407.0, 1011.0],
-                },
-                "tail": {
-                    "exposures": 34,
-                    "format_px": [2800, 2000],
-                    "principal_distance_px": 3210.0,
-                    "height_above_ground_m": None,
-                    "axis_nadir_angle_deg": 45.24,
-                    "nadir_px": [-4567.0, 1003.0],
-                },
-            },
-        },
-        "sigma_budget": {
-            "belly": {"air": part(0.011), "station": part(0.023), "all": part(0.031)},
-            "tail": {
-                "air": part(0.0051),
-                "ground": part(0.0071),
-                "cabin": part(0.0083),
-                "all": part(0.0097),
-            },
-        },
-        "ground_heights": {
-            "lowest_m": 392.21,
-            "median_m": 512.05,
-            "highest_m": 629.24,
-            "histogram": {"first_m": 350.0, "step": 100.0, "counts": [7, 41, 19]},
-        },
-        "heights": {
-            "stations": "GPS[0]",
-            "undulation": {"source": "EGM96", "min_m": 46.31, "max_m": 47.62},
-        },
-        "log": {"format": "dataflash", "duration_s": 1349.9, "time_base": "GPS <x>"},
-        "versions": {"unbend": "9.8.7", "numpy": "2.3.4"},
-        "fingerprint": "f00d" * 16,
-        "exit_code": 3,
-    }
+    return with_sections(copy.deepcopy(MANIFEST), yaml.safe_load(MORE))
+
+
+def with_sections(values: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
+    """Values with more of them within their sections."""
+    for key, value in more.items():
+        is_section = isinstance(values.get(key), dict)
+        values[key] = with_sections(values[key], value) if is_section else value
+    return values
 
 
 @pytest.fixture(scope="module")

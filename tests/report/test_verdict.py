@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+import yaml
 
 from tests.helpers import entry_of
 from unbend.report.summary import next_steps, outcome, remarks
@@ -175,14 +176,14 @@ def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
     cameras["nadir"]["window"]["cabin"] = "standard_schedule"
     question = "Measure the air in the cabin, or state it: cameras.nadir.window.cabin."
     assert step() == question
-    cabin = {
-        "pressure": "log",
-        "pressure_hpa": None,
-        "temperature_c": None,
-        "relative_humidity": None,
-        "sigma_pressure_hpa": 1.0,
-        "sigma_temperature_k": None,
-    }
+    cabin = yaml.safe_load("""
+    pressure: log
+    pressure_hpa: null
+    temperature_c: null
+    relative_humidity: null
+    sigma_pressure_hpa: 1.0
+    sigma_temperature_k: null
+    """)
     cameras["nadir"]["window"]["cabin"] = cabin
     cameras["oblique"]["window"]["shape"] = "spherical"
     assert step().startswith("The sigma of the sensors in the cabin is assumed to be 1 K. ")
