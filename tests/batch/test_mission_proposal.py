@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -24,15 +23,22 @@ from unbend.batch.proposal.proposed_cameras import proposed_cameras
 from unbend.flight.channels import Channel
 from unbend.flight.image_names import name_series
 
-CAMERA = {
-    "width_px": 6000,
-    "height_px": 4000,
-    "f_px": 5000.0,
-    "cx_px": 3000.0,
-    "cy_px": 2000.0,
-    "calibration": "laboratory",
-}
-AT_REST = {"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0}
+TWO_HEADS = yaml.safe_load("""
+cameras:
+  head0: &camera
+    width_px: 6000
+    height_px: 4000
+    f_px: 5000.0
+    cx_px: 3000.0
+    cy_px: 2000.0
+    calibration: laboratory
+  head1: *camera
+mount:
+  head0: &at_rest {roll_deg: 0.0, pitch_deg: 0.0, yaw_deg: 0.0}
+  head1: *at_rest
+events: {log: {head0: {channel: "CAM[0]"}, head1: {channel: "CAM[1]"}}}
+ground: {reference: msl}
+""")
 
 
 def places_of_todo(tree: Any, above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
@@ -302,11 +308,13 @@ def test_a_block_alone_asks_for_its_frame_and_its_day(unbend, tmp_path):
         "stations.orientation.date",
         "observations.refraction",
     }
-    enu = {"enu": {"lat_deg": 47.0, "lon_deg": 8.5, "h_ellipsoid_m": 500.0}}
-    truth = {
-        "cameras": {"a": {"calibration": "laboratory"}},
-        "stations": {"orientation": {"frame": enu, "date": "2026-05-14"}},
-    }
+    truth = yaml.safe_load("""
+    cameras: {a: {calibration: laboratory}}
+    stations:
+      orientation:
+        frame: {enu: {lat_deg: 47.0, lon_deg: 8.5, h_ellipsoid_m: 500.0}}
+        date: "2026-05-14"
+    """)
     out.write_text(yaml.safe_dump(answered(tree, truth)), encoding="utf-8")
     ended = unbend("check", out)
     assert ended.code in (0, 3), ended.text  # two images: findings, no refusal
@@ -326,20 +334,13 @@ def test_choices_stand_with_what_the_sensors_read(unbend, flown):
         assert f"    {key}: TODO  # {' or '.join(choices)}: the sensor outside" in text
 
 
-CAMERA_OF_PROJECT = {
-    "projection_type": "perspective",
-    "width": 600,
-    "height": 400,
-    "focal": 0.8,
-    "k1": 0.0,
-    "k2": 0.0,
-}
-SHOT = {"rotation": [3.14, 0, 0], "translation": [0, 0, 9], "camera": "c"}
-PROJECT = {
-    "cameras": {"c": CAMERA_OF_PROJECT},
-    "shots": {"1.jpg": SHOT, "2.jpg": SHOT},
-    "points": {"7": {"coordinates": [0.0, 0.0, 0.0]}},
-}
+PROJECT = """[{
+  "cameras": {"c": {"projection_type": "perspective", "width": 600, "height": 400,
+                    "focal": 0.8, "k1": 0.0, "k2": 0.0}},
+  "shots": {"1.jpg": {"rotation": [3.14, 0, 0], "translation": [0, 0, 9], "camera": "c"},
+            "2.jpg": {"rotation": [3.14, 0, 0], "translation": [0, 0, 9], "camera": "c"}},
+  "points": {"7": {"coordinates": [0.0, 0.0, 0.0]}}
+}]"""
 TRACKS = """OPENSFM_TRACKS_VERSION_v2
 1.jpg\t7\t0\t0.1\t0.1\t0.01\t0\t0\t0\t-1\t-1
 2.jpg\t7\t0\t0.1\t0.1\t0.01\t0\t0\t0\t-1\t-1
@@ -356,7 +357,7 @@ def beginnings(tmp_path, monkeypatch) -> Path:
     (tmp_path / "flight.ulg").write_bytes(flight())
     project = tmp_path / "project"
     project.mkdir()
-    (project / "reconstruction.json").write_text(json.dumps([PROJECT]), encoding="utf-8")
+    (project / "reconstruction.json").write_text(PROJECT, encoding="utf-8")
     (project / "tracks.csv").write_text(TRACKS, encoding="utf-8")
     (project / "images.csv").write_text(IMAGES, encoding="utf-8")
     return tmp_path
@@ -449,15 +450,8 @@ def test_a_flight_of_two_cameras_runs_once_the_questions_are_answered(unbend, tm
     out = tmp_path / "mission.yaml"
     assert unbend("init", log, tmp_path / "o.csv", "--out", out).code == 0
     tree = yaml.safe_load(out.read_text(encoding="utf-8"))
-    heads = {"head0": {"channel": "CAM[0]"}, "head1": {"channel": "CAM[1]"}}
-    assert set(tree["cameras"]) == set(heads)
-    answers = {
-        "cameras": dict.fromkeys(heads, CAMERA),
-        "mount": dict.fromkeys(heads, AT_REST),
-        "ground": {"reference": "msl"},
-        "events": {"log": heads},
-    }
-    out.write_text(yaml.safe_dump(answered(tree, answers)), encoding="utf-8")
+    assert set(tree["cameras"]) == {"head0", "head1"}
+    out.write_text(yaml.safe_dump(answered(tree, TWO_HEADS)), encoding="utf-8")
     ended = unbend("check", out)
     assert ended.code in (0, 3), ended.text
     assert "PLAUSIBLE" not in ended.text

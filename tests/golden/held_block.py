@@ -208,23 +208,23 @@ def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
         "distortion": dict(zip(("k1", "k2", "p1", "p2", "k3"), LENS.tolist(), strict=True)),
         "calibration": "laboratory",
     }
-    config = {
-        "mission": {"name": "block", "undulation_m": UNDULATION_M},
-        "observations": {"path": "observations.parquet"},
-        "cameras": {name: dict(camera) for name in dict.fromkeys(block.camera.tolist())},
-        "stations": {
-            "orientation": {
-                "path": "block.csv",
-                "angles": "quaternion",
-                "frame": "geographic",
-                "heights": "ellipsoid",
-                "columns": {"camera": "camera"},
-            }
-        },
-        "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
-        "atmosphere": {"adjust": False},
-        "output": {"path": "results"},
-    } | sections
+    config = yaml.safe_load("""
+    mission: {name: block}
+    observations: {path: observations.parquet}
+    stations:
+      orientation:
+        path: block.csv
+        angles: quaternion
+        frame: geographic
+        heights: ellipsoid
+        columns: {camera: camera}
+    ground: {height: {column: h_g_m}, reference: msl}
+    atmosphere: {adjust: false}
+    output: {path: results}
+    """)
+    config["mission"]["undulation_m"] = UNDULATION_M
+    config["cameras"] = {name: dict(camera) for name in dict.fromkeys(block.camera.tolist())}
+    config |= sections
     path = folder / "mission.yaml"
     path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
     return path
