@@ -35,20 +35,19 @@ def browser(folder: Path, script: str) -> str:
     return str(path)
 
 
-def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypatch):
+def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypatch, obeyed):
     """The time of the manifest; the results stay as they are."""
     monkeypatch.chdir(tmp_path)
-    ended = unbend("report", baseline.output)
-    assert ended.code == 0, ended.text
+    obeyed("report", baseline.output)
     page = Path(f"{baseline.manifest()['mission']}-report.html").read_text(encoding="utf-8")
     own = (baseline.output / "report.html").read_text(encoding="utf-8")
     time_utc = time.gmtime((baseline.output / "manifest.json").stat().st_mtime)
     date = f"<dt>Processed</dt><dd>{time.strftime('%Y-%m-%d %H:%M', time_utc)} UTC</dd>"
     assert page == own.replace(PROCESSED, date)
     assert date not in own
-    assert unbend("verify", baseline.output).code == 0
+    obeyed("verify", baseline.output)
     assert unbend("report", baseline.output).err.startswith("EXPORT-EXISTS: ")
-    assert unbend("report", baseline.output, "--force").code == 0
+    obeyed("report", baseline.output, "--force")
 
 
 @pytest.mark.parametrize(
@@ -59,12 +58,10 @@ def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypa
     ],
 )
 def test_a_place_for_the_report_that_is_refused(
-    unbend, baseline, tmp_path, monkeypatch, words, code
+    refusal_of, baseline, tmp_path, monkeypatch, words, code
 ):
     monkeypatch.chdir(tmp_path)
-    ended = unbend("report", baseline.output, *words.format(run=baseline.output).split())
-    assert ended.code == 2
-    assert ended.err.startswith(f"{code}: ")
+    refusal_of(code, 2, "report", baseline.output, *words.format(run=baseline.output).split())
 
 
 def test_of_results_at_a_url_the_time_is_that_of_the_object(monkeypatch):
@@ -82,13 +79,12 @@ def test_of_results_at_a_url_the_time_is_that_of_the_object(monkeypatch):
     assert asked == ["s3://bucket/results/survey/manifest.json"]
 
 
-def test_a_pdf_is_what_the_browser_printed(unbend, baseline, tmp_path, monkeypatch):
+def test_a_pdf_is_what_the_browser_printed(obeyed, baseline, tmp_path, monkeypatch):
     monkeypatch.setenv("VERSION", "156")
     out = tmp_path / "r.pdf"
     words = ("--pdf", "--out", out, "--browser", browser(tmp_path, PRINTS), "--json")
-    ended = unbend("report", baseline.output, *words)
-    assert ended.code == 0, ended.text
-    assert json.loads(ended.out)["out"] == str(out)
+    text = obeyed("report", baseline.output, *words)
+    assert json.loads(text)["out"] == str(out)
     content = out.read_bytes()
     assert content.startswith(b"%PDF")
     assert b"<dt>Processed</dt>" in content
@@ -118,14 +114,14 @@ def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path
     assert not list(out.parent.iterdir())
 
 
-def test_no_browser_is_said_with_what_to_do(unbend, baseline, tmp_path, monkeypatch):
+def test_no_browser_is_said_with_what_to_do(refusal_of, baseline, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(delivered_report, "_OF_OTHER_SYSTEMS", ())
-    ended = unbend("report", baseline.output, "--pdf", "--out", tmp_path / "r.pdf")
-    assert ended.code == 2
-    assert ended.err.startswith("REPORT-BROWSER: ")
+    text = refusal_of(
+        "REPORT-BROWSER", 2, "report", baseline.output, "--pdf", "--out", tmp_path / "r.pdf"
+    )
     for words in ("chromium", "--browser", "report.html"):
-        assert words in ended.err
+        assert words in text
     with refused("REPORT-BROWSER") as refusal:
         find_browser("nonesuch")
     assert "no program 'nonesuch'" in str(refusal.value)
@@ -158,10 +154,9 @@ def test_an_older_browser_prints_heads_of_its_own(tmp_path, monkeypatch, version
 
 
 def test_a_report_of_an_older_version_is_delivered_without_a_date(
-    unbend, mission, tmp_path, plain_report
+    obeyed, mission, tmp_path, plain_report
 ):
     """Its page has no place for the date: that is said."""
     assert mission.run().code == 0
-    ended = unbend("report", mission.output, "--out", tmp_path / "r.html", "--json")
-    assert ended.code == 0
-    assert [entry["code"] for entry in json.loads(ended.out)["ledger"]] == ["REPORT-DATE"]
+    text = obeyed("report", mission.output, "--out", tmp_path / "r.html", "--json")
+    assert [entry["code"] for entry in json.loads(text)["ledger"]] == ["REPORT-DATE"]

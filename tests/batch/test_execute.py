@@ -76,10 +76,9 @@ def test_shards_are_all_missions_once(count, expected):
 
 
 @pytest.mark.parametrize("shard", ["3/3", "1", "-1/3", "a/b", "1/0", "0/", "1.0/3", "4/3"])
-def test_what_is_no_shard_is_refused(unbend, tmp_path, shard):
-    ended = unbend("run", tmp_path / "none.yaml", f"--shard={shard}")
-    assert ended.code == 2
-    assert f"RUN-SHARD: {shard} is not a part" in ended.err
+def test_what_is_no_shard_is_refused(refusal_of, tmp_path, shard):
+    text = refusal_of("RUN-SHARD", 2, "run", tmp_path / "none.yaml", f"--shard={shard}")
+    assert f"RUN-SHARD: {shard} is not a part" in text
 
 
 def test_a_shard_may_be_empty(unbend, tmp_path):
@@ -87,10 +86,9 @@ def test_a_shard_may_be_empty(unbend, tmp_path):
     assert (ended.code, ended.out, ended.err) == (0, "[]\n", "")
 
 
-def test_a_scheduler_and_processes_do_not_go_together(unbend, tmp_path):
-    ended = unbend("run", tmp_path / "none.yaml", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:9")
-    assert ended.code == 2
-    assert ended.err.startswith("RUN-ARGUMENTS: ")
+def test_a_scheduler_and_processes_do_not_go_together(refusal_of, tmp_path):
+    words = ("--jobs", "2", "--scheduler", "tcp://127.0.0.1:9")
+    refusal_of("RUN-ARGUMENTS", 2, "run", tmp_path / "none.yaml", *words)
 
 
 def test_a_scheduler_that_is_not_there_is_said_once(unbend, mission_factory, tmp_path):

@@ -357,15 +357,15 @@ REQUESTS = {
 
 @pytest.mark.parametrize(("words", "exit_code", "code", "said"), REQUESTS.values(), ids=REQUESTS)
 def test_a_request_that_is_refused_writes_nothing(
-    baseline, unbend, tmp_path, monkeypatch, words, exit_code, code, said
+    baseline, refusal_of, tmp_path, monkeypatch, words, exit_code, code, said
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.parquet").mkdir()
     name, out, *options = words.split()
-    ended = unbend("export", baseline.output, "--format", name, "--out", out, *options)
-    assert ended.code == exit_code
-    assert ended.err.startswith(f"{code}: ")
-    assert said in ended.err
+    text = refusal_of(
+        code, exit_code, "export", baseline.output, "--format", name, "--out", out, *options
+    )
+    assert said in text
     assert [path.name for path in tmp_path.rglob("*")] == ["folder.parquet"]
 
 
@@ -392,13 +392,13 @@ def test_a_file_that_is_there_already(baseline, export):
         "link/grid.parquet",
     ],
 )
-def test_nothing_is_written_among_the_results(copied, unbend, tmp_path, place):
+def test_nothing_is_written_among_the_results(copied, refusal_of, tmp_path, place):
     (tmp_path / "link").symlink_to(copied)
     before = {path: path.read_bytes() for path in copied.rglob("*") if path.is_file()}
     out = tmp_path / place
-    ended = unbend("export", copied, "--format", "lattice", "--out", out, "--force")
-    assert ended.code == 2
-    assert ended.err.startswith("EXPORT-INSIDE-RUN: ")
+    refusal_of(
+        "EXPORT-INSIDE-RUN", 2, "export", copied, "--format", "lattice", "--out", out, "--force"
+    )
     assert {path: path.read_bytes() for path in copied.rglob("*") if path.is_file()} == before
 
 

@@ -68,24 +68,20 @@ def answered(tree: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
     return tree
 
 
-def todo_of_check(unbend, path: Path) -> set[str]:
+def todo_of_check(refusal_of, path: Path) -> set[str]:
     """The keys that `check` says are open; it says nothing else."""
-    ended = unbend("check", path)
-    assert ended.code == 2, ended.text
-    assert "CONFIG-TODO" in ended.err
-    keys = re.findall(r"(?:line \d+: )(\S+): still TODO: \w+", ended.err)
-    assert len(keys) == ended.err.count("line ")
+    text = refusal_of("CONFIG-TODO", 2, "check", path)
+    keys = re.findall(r"(?:line \d+: )(\S+): still TODO: \w+", text)
+    assert len(keys) == text.count("line ")
     return set(keys)
 
 
 @pytest.fixture
-def proposed(unbend):
+def proposed(obeyed):
     """The text that `init` proposes for a log and other words."""
 
     def propose(*words: object) -> str:
-        ended = unbend("init", *words, "--out", "-")
-        assert ended.code == 0, ended.text
-        return ended.out
+        return obeyed("init", *words, "--out", "-")
 
     return propose
 
@@ -104,7 +100,7 @@ def table(mission):
 
 @pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
 def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_gives(
-    kind, mission_factory, baseline, plain_report, unbend, tmp_path
+    kind, mission_factory, baseline, plain_report, unbend, tmp_path, obeyed, refusal_of
 ):
     flown = mission_factory(tmp_path / "mission", kind)
     truth = flown.config
@@ -115,7 +111,7 @@ def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_g
     assert (flown.folder / "mission.schema.json").is_file()
     tree = yaml.safe_load(text)
     todo = keys_of_todo(tree)
-    assert todo_of_check(unbend, flown.file) == todo
+    assert todo_of_check(refusal_of, flown.file) == todo
     assert f"{len(todo)} open questions" in ended.out
     assert {"cameras.nadir.f_px", "mount.oblique.roll_deg", "ground.reference"} <= todo
     assert tree["events"]["log"]["nadir"]["image"] == truth["events"]["log"]["nadir"]["image"]
@@ -128,8 +124,7 @@ def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_g
     for name, camera in truth["cameras"].items():
         flown.config["cameras"][name]["distortion"] = camera["distortion"]
         flown.config["mount"][name]["lever_arm_m"] = truth["mount"][name]["lever_arm_m"]
-    ended = unbend("check", flown.save())
-    assert ended.code == 0, ended.text
+    obeyed("check", flown.save())
     if kind == "bin":
         assert flown.run().code == 0
         results = flown.results().to_pandas()
@@ -151,14 +146,12 @@ def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):
     assert "ground: {height: {column: h_g_m}, reference: TODO}" in text
 
 
-def test_nothing_is_written_over(mission, unbend, tmp_path):
+def test_nothing_is_written_over(mission, unbend, tmp_path, obeyed, refusal_of):
     out = tmp_path / "mine.yaml"
     out.write_text("mine", encoding="utf-8")
-    ended = unbend("init", mission.log, "--out", out)
-    assert ended.code == 2
-    assert "INIT-EXISTS" in ended.err
+    refusal_of("INIT-EXISTS", 2, "init", mission.log, "--out", out)
     assert out.read_text(encoding="utf-8") == "mine"
-    assert unbend("init", mission.log, "--out", out, "--force").code == 0
+    obeyed("init", mission.log, "--out", out, "--force")
     assert "still TODO" in unbend("check", out).err
 
 
@@ -280,17 +273,17 @@ def test_the_place_of_a_flight_across_the_180th_meridian():
     assert place_remark({"position": position}) == "place: latitude -17.0000, longitude -179.9900"
 
 
-def test_without_events_their_table_is_asked_for(mission, unbend, monkeypatch):
+def test_without_events_their_table_is_asked_for(mission, monkeypatch, refusal_of):
     facts = replace(facts_of_log(mission.log), events=())
     monkeypatch.setattr(mission_text, "facts_of_log", lambda _: facts)
     text = propose_mission(mission.log, None, None, mission.file)
     assert yaml.safe_load(text)["events"] == {"csv": {"path": "TODO"}}
     assert "# the log has no camera events" in text
     mission.file.write_text(text, encoding="utf-8")
-    assert "events.csv.path" in todo_of_check(unbend, mission.file)
+    assert "events.csv.path" in todo_of_check(refusal_of, mission.file)
 
 
-def test_a_block_alone_asks_for_its_frame_and_its_day(unbend, tmp_path):
+def test_a_block_alone_asks_for_its_frame_and_its_day(unbend, tmp_path, obeyed, refusal_of):
     block = tmp_path / "sparse"
     block.mkdir()
     (block / "cameras.txt").write_text("1 PINHOLE 6000 4000 5000 5000 3000 2000\n")
@@ -299,10 +292,10 @@ def test_a_block_alone_asks_for_its_frame_and_its_day(unbend, tmp_path):
     )
     (block / "points3D.txt").write_text("1 0 0 0 0 0 0 1 1 0 2 0\n2 5 5 0 0 0 0 1 1 1\n")
     out = tmp_path / "mission.yaml"
-    assert unbend("init", block, "--out", out).code == 0
+    obeyed("init", block, "--out", out)
     tree = yaml.safe_load(out.read_text(encoding="utf-8"))
     assert tree["observations"] == {"path": "sparse", "format": "colmap", "refraction": "TODO"}
-    assert todo_of_check(unbend, out) == {
+    assert todo_of_check(refusal_of, out) == {
         "cameras.a.calibration",
         "stations.orientation.frame",
         "stations.orientation.date",
@@ -375,12 +368,11 @@ def beginnings(tmp_path, monkeypatch) -> Path:
         ),
     ],
 )
-def test_every_kind_of_beginning(words, expected, unbend, beginnings):
-    ended = unbend("init", *words.split(), "--out", "mission.yaml")
-    assert ended.code == 0, ended.text
+def test_every_kind_of_beginning(words, expected, beginnings, obeyed, refusal_of):
+    obeyed("init", *words.split(), "--out", "mission.yaml")
     tree = yaml.safe_load(Path("mission.yaml").read_text(encoding="utf-8"))
     assert {key: tree[key] for key in expected} == expected
-    assert todo_of_check(unbend, Path("mission.yaml")) == keys_of_todo(tree)
+    assert todo_of_check(refusal_of, Path("mission.yaml")) == keys_of_todo(tree)
 
 
 def test_a_folder_is_no_beginning(unbend, beginnings):
@@ -420,16 +412,16 @@ NO_CAMERA = at_hand("beastayyg_sample.bin", "ardusub_small.BIN", "cubs2_cub_stab
 
 
 @pytest.mark.parametrize("name", NO_CAMERA)
-def test_real_logs_without_a_camera_ask_for_what_is_open(name, unbend, tmp_path):
+def test_real_logs_without_a_camera_ask_for_what_is_open(name, tmp_path, obeyed, refusal_of):
     out = tmp_path / "mission.yaml"
-    assert unbend("init", LOGS[name], "--out", out).code == 0
+    obeyed("init", LOGS[name], "--out", out)
     todo = keys_of_todo(yaml.safe_load(out.read_text(encoding="utf-8")))
-    assert todo_of_check(unbend, out) == todo
+    assert todo_of_check(refusal_of, out) == todo
     assert "events.csv.path" in todo
 
 
 @pytest.mark.shared("logs")
-def test_a_flight_of_two_cameras_runs_once_the_questions_are_answered(unbend, tmp_path):
+def test_a_flight_of_two_cameras_runs_once_the_questions_are_answered(unbend, tmp_path, obeyed):
     """Of the second, 128 triggers are 128 images; of the first, pulses were lost."""
     log = LOGS["sitl_belowsea_2cam.BIN"]
     truth = pd.read_csv(log.with_name("sitl_belowsea_2cam_truth.csv"))
@@ -448,7 +440,7 @@ def test_a_flight_of_two_cameras_runs_once_the_questions_are_answered(unbend, tm
     )
     observations.to_csv(tmp_path / "o.csv", index=False)
     out = tmp_path / "mission.yaml"
-    assert unbend("init", log, tmp_path / "o.csv", "--out", out).code == 0
+    obeyed("init", log, tmp_path / "o.csv", "--out", out)
     tree = yaml.safe_load(out.read_text(encoding="utf-8"))
     assert set(tree["cameras"]) == {"head0", "head1"}
     out.write_text(yaml.safe_dump(answered(tree, TWO_HEADS)), encoding="utf-8")

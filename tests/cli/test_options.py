@@ -58,14 +58,13 @@ def test_options_of_simulate(unbend, monkeypatch, tmp_path, options, expected):
     assert "unbend run" in text
 
 
-def test_the_table_and_one_angle_agree_for_another_radius(unbend, tmp_path):
+def test_the_table_and_one_angle_agree_for_another_radius(unbend, tmp_path, obeyed):
     """By two commands; at 45 degrees an earth of a tenth of the radius changes R by a percent."""
     out = tmp_path / "radial.csv"
     heights = ("--atmosphere", "icao", "--camera-height", 5000, "--ground-height", 100)
     arcsec = {}
     for radius in (6_371_000, 637_100):
-        ended = unbend("angle", *heights, "--radius", radius, "--step", 15, "--csv", out)
-        assert ended.code == 0
+        obeyed("angle", *heights, "--radius", radius, "--step", 15, "--csv", out)
         table = pd.read_csv(out)
         assert table["nadir_angle_deg"].tolist() == pytest.approx([0.0, 15.0, 30.0, 45.0, 60.0])
         angle = unbend("angle", *heights, "--radius", radius, "--nadir-angle", 45, "--json")
@@ -74,16 +73,16 @@ def test_the_table_and_one_angle_agree_for_another_radius(unbend, tmp_path):
     assert abs(arcsec[637_100] / arcsec[6_371_000] - 1.0) > 2e-3
 
 
-def test_profile_at_every_kilometre(unbend, tmp_path):
+def test_profile_at_every_kilometre(obeyed, tmp_path):
     out = tmp_path / "air.csv"
-    assert unbend("profile", "--atmosphere", "us1976", "--step", 1000, "--csv", out).code == 0
+    obeyed("profile", "--atmosphere", "us1976", "--step", 1000, "--csv", out)
     heights = pd.read_csv(out)["h_m"]
     assert np.any(np.isclose(heights, 7000.0))
     assert np.allclose(np.diff(heights)[1:-1], 1000.0)
 
 
 @pytest.mark.parametrize("step", [(), ("--step", 1000)], ids=str)
-def test_a_profile_of_a_long_flight_has_all_its_parts(unbend, monkeypatch, tmp_path, step):
+def test_a_profile_of_a_long_flight_has_all_its_parts(obeyed, monkeypatch, tmp_path, step):
     air, samples, ledger = runs.air_of_mission_or_standard(None, "us1976")
     hour_ns = 3600 * 10**9
     parts = (
@@ -94,7 +93,7 @@ def test_a_profile_of_a_long_flight_has_all_its_parts(unbend, monkeypatch, tmp_p
     several = dataclasses.replace(air, series=series)
     monkeypatch.setattr(runs, "air_of_mission_or_standard", lambda *_: (several, samples, ledger))
     out = tmp_path / "air.csv"
-    assert unbend("profile", "--atmosphere", "us1976", *step, "--csv", out).code == 0
+    obeyed("profile", "--atmosphere", "us1976", *step, "--csv", out)
     rows = csv_rows_of(out)
     assert len({row["profile_id"] for row in rows}) == 2
     assert {row["time_utc"][:19] for row in rows} == {"1970-01-01 00:00:00", "1970-01-01 01:00:00"}

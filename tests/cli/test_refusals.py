@@ -143,7 +143,7 @@ def test_truncated_log_runs_and_says_so(mission_factory, tmp_path, kind):
 # ---- channels
 
 
-def test_a_named_channel_that_is_missing(mission, unbend):
+def test_a_named_channel_that_is_missing(mission):
     channels = mission.config["log"]["channels"]
     channels["cabin_pressure"] = "BARO[7]"
     words = refused(mission.run(), "CHANNEL-MISSING")

@@ -118,12 +118,11 @@ def test_the_drawing():
     assert above.get_xlabel() == "longitude [deg]"
 
 
-def test_the_command(unbend, mission, tmp_path):
+def test_the_command(obeyed, mission, tmp_path):
     table = tmp_path / "stations.csv"
     plot = tmp_path / "flight.png"
-    ended = unbend("stations", mission.save(), "--csv", table, "--plot", plot)
-    assert ended.code == 0, ended.text
-    assert unbend("check", mission.file).code == 0
+    text = obeyed("stations", mission.save(), "--csv", table, "--plot", plot)
+    obeyed("check", mission.file)
     assert plot.read_bytes().startswith(b"\x89PNG")
     rows = pd.read_csv(table, float_precision="round_trip")
     assert mission.run().code == 0
@@ -133,10 +132,10 @@ def test_the_command(unbend, mission, tmp_path):
         np.testing.assert_array_equal(rows[name], run[name])
     assert set(rows) == set(station_columns(flown()))
     assert set(rows) == set(run) - {"profile_id", "geometry"}
-    assert f"nadir: {sum(run['camera'] == 'nadir')} ok" in ended.out
+    assert f"nadir: {sum(run['camera'] == 'nadir')} ok" in text
 
 
-def test_losses_and_refusals_are_those_of_check(unbend, mission):
+def test_losses_and_refusals_are_those_of_check(unbend, mission, refusal_of):
     """An image without an exposure is a loss; a format that is no picture is refused."""
     rows = mission.measurements().to_pandas()
     rows.loc[0, "image"] = "unknown.tif"
@@ -145,6 +144,6 @@ def test_losses_and_refusals_are_those_of_check(unbend, mission):
     assert ended.code == unbend("check", mission.save()).code == 3
     assert "IMAGES-UNMATCHED" in ended.out
     assert "no camera: 1 unmatched, unknown.tif" in ended.out
-    refused = unbend("stations", mission.save(), "--plot", mission.folder / "flight.gif")
-    assert refused.code == 2
-    assert "PLOT-FORMAT" in refused.err
+    refusal_of(
+        "PLOT-FORMAT", 2, "stations", mission.save(), "--plot", mission.folder / "flight.gif"
+    )

@@ -65,7 +65,7 @@ def test_a_mission_is_its_own_sections_and_the_defaults(season, mission):
     assert len(pickle.dumps(ref)) < 10_000
 
 
-def test_paths_of_defaults_are_relative_to_the_campaign(season, mission, tmp_path):
+def test_paths_of_defaults_are_relative_to_the_campaign(season, mission):
     defaults = """
     control: control.csv
     atmosphere: {soundings: [{path: air/s.csv}, {path: /abs/s.csv}]}
@@ -91,7 +91,7 @@ def test_from_a_folder_that_is_a_link_paths_are_absolute(season, mission, tmp_pa
     assert loaded(file).control.path == str(tmp_path / "c.csv")
 
 
-def test_own_values_replace_defaults_and_null_takes_them_away(season, mission, tmp_path):
+def test_own_values_replace_defaults_and_null_takes_them_away(season, mission):
     defaults = """
     atmosphere: {standard: us1976, model: {path: m.nc}}
     control: c.csv
@@ -306,7 +306,7 @@ def test_a_campaign_is_no_mission(season):
     assert open_configs([file.parent / "mission" / "mission.yaml"])[1] == []
 
 
-def test_the_schema_takes_what_the_program_takes(season, tmp_path):
+def test_the_schema_takes_what_the_program_takes(season):
     schema = campaign_schema()
     jsonschema.Draft7Validator.check_schema(schema)
     file = season()

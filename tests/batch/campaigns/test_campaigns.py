@@ -129,21 +129,20 @@ def done(finished, tmp_path, own_cache, plain_report, unbend) -> Season:
     return season
 
 
-def test_one_changed_sounding_runs_one_mission(done, unbend):
+def test_one_changed_sounding_runs_one_mission(done, unbend, obeyed):
     before = [done.manifest(number).stat().st_mtime_ns for number in (0, 1)]
     (done.flight(1) / "balloon.csv").write_text(sounding_text(0.5), encoding="utf-8")
     first, second = json.loads(unbend("status", done.file, "--json").out)
     assert not first["would_run"]
     assert second["would_run"]
     assert "sounding 1 changed (balloon.csv)" in str(second["reasons"])
-    ran = unbend("run", done.file)
-    assert ran.code == 0
+    text = obeyed("run", done.file)
     assert done.manifest(0).stat().st_mtime_ns == before[0]
     assert done.manifest(1).stat().st_mtime_ns != before[1]
     rows = done.rows()
     for number, row in enumerate(rows):
         assert row["fingerprint"] == done.values(number)["fingerprint"]
-    (line,) = [line for line in ran.out.splitlines() if "report.html" in line]
+    (line,) = [line for line in text.splitlines() if "report.html" in line]
     assert line.startswith(f"{rows[1]['mission']}: {rows[1]['corrected']:,} of ")
     assert "95 % below " in line
     assert rows[0]["shift_maximum_px"] != rows[1]["shift_maximum_px"]  # another air
@@ -187,12 +186,12 @@ def test_no_change_goes_unseen(done, path, change):
     assert done.unchanged() == [1]
 
 
-def test_what_is_as_it_was_again_is_known_after_a_comparison(done, unbend):
+def test_what_is_as_it_was_again_is_known_after_a_comparison(done, unbend, obeyed):
     """Copied back, with times of its own; files of just now are not trusted."""
     log = done.flight(0) / "flight.bin"
     log.write_bytes(log.read_bytes())
     assert done.unchanged() == [1]
-    assert unbend("run", done.file).code == 0
+    obeyed("run", done.file)
     done.older()
     assert unbend("run", done.file).code == 0  # the first time its time may have been too young
     assert done.unchanged() == [0, 1]
@@ -231,15 +230,15 @@ def test_other_defaults_are_other_missions(done):
 
 @pytest.mark.parametrize("option", ["--force", "--verify-inputs"])
 @pytest.mark.parametrize("option", ["--force", "--verify-inputs"])
-def test_asked_to_look_again_it_looks(done, unbend, monkeypatch, option):
+def test_asked_to_look_again_it_looks(done, obeyed, monkeypatch, option):
     plans = []
     make_plan = runs.make_plan
     monkeypatch.setattr(runs, "make_plan", lambda *a, **k: plans.append(k) or make_plan(*a, **k))
-    assert unbend("run", done.file, option, "--mission", "flight-0").code == 0
+    obeyed("run", done.file, option, "--mission", "flight-0")
     assert len(plans) == 1
 
 
-def test_a_mission_that_an_unchanged_one_shares_a_folder_with_is_refused(done, unbend, tmp_path):
+def test_a_mission_that_an_unchanged_one_shares_a_folder_with_is_refused(done, refusal_of):
     """Although the other is not run."""
     whole = yaml.safe_load(done.file.read_text())["defaults"]
     whole |= yaml.safe_load((done.flight(0) / "mission.yaml").read_text())
@@ -247,9 +246,7 @@ def test_a_mission_that_an_unchanged_one_shares_a_folder_with_is_refused(done, u
     whole["output"] = {"path": "results/flight-0"}
     other = done.folder / "other.yaml"
     other.write_text(yaml.safe_dump(whole))
-    ended = unbend("run", done.file, other)
-    assert ended.code == 6
-    assert "OUTPUT-SHARED" in ended.err
+    refusal_of("OUTPUT-SHARED", 6, "run", done.file, other)
 
 
 @pytest.mark.parametrize(
@@ -262,26 +259,23 @@ def test_a_mission_that_an_unchanged_one_shares_a_folder_with_is_refused(done, u
 )
 @pytest.mark.parametrize("command", ["run", "check", "status"])
 def test_two_missions_of_one_are_refused_before_anything(
-    season, unbend, section, code, words, command
+    season, refusal_of, section, code, words, command
 ):
     for number in (0, 1):
         file = season.flight(number) / "mission.yaml"
         file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text()) | section))
     before = set(season.folder.rglob("*"))
-    ended = unbend(command, season.file)
-    assert ended.code == 2
-    assert code in ended.err
-    assert words in ended.err
+    text = refusal_of(code, 2, command, season.file)
+    assert words in text
     assert set(season.folder.rglob("*")) == before
 
 
-def test_one_mission_of_a_campaign_and_what_is_refused(season, unbend):
+def test_one_mission_of_a_campaign_and_what_is_refused(season, unbend, obeyed):
     assert "CAMPAIGN-MISSION" in unbend("run", season.file, "--mission", "flight-9").err
     (season.flight(1) / "observations.parquet").unlink()
-    ended = unbend("run", season.file, "--mission", "flight-0")
-    assert ended.code == 0, ended.text
+    obeyed("run", season.file, "--mission", "flight-0")
     assert [row["state"] for row in season.rows()] == ["done", "not run"]
-    assert unbend("run", season.file).code == 6
+    obeyed("run", season.file, exit_code=6)
     done, refused = season.rows()
     assert (done["state"], done["code"]) == ("done", None)
     assert (refused["state"], refused["code"]) == ("refused", "INPUT-MISSING")
@@ -313,14 +307,14 @@ def test_the_page_leads_to_each_report_and_nowhere_else(done):
     assert "default-src 'none'" in text
 
 
-def test_page_and_table_come_back_and_only_change_with_what_they_say(done, unbend):
+def test_page_and_table_come_back_and_only_change_with_what_they_say(done, obeyed):
     page = done.page.read_bytes()
     table = done.table.read_bytes()
     times = (done.page.stat().st_mtime_ns, done.table.stat().st_mtime_ns)
-    assert unbend("run", done.file).code == 0
+    obeyed("run", done.file)
     assert (done.page.stat().st_mtime_ns, done.table.stat().st_mtime_ns) == times
     done.table.unlink()
-    assert unbend("run", done.file).code == 0
+    obeyed("run", done.file)
     assert done.page.read_bytes() == page
     assert done.table.read_bytes() == table
 
@@ -342,36 +336,31 @@ def test_the_table_agrees_with_the_manifests(done):
     assert schema.field("sigma_px").metadata[b"unit"] == b"px"
 
 
-def test_a_page_of_somebody_else_stays(season, unbend):
+def test_a_page_of_somebody_else_stays(season, unbend, refusal_of):
     season.page.parent.mkdir()
     season.page.write_text("my own page")
-    ended = unbend("run", season.file)
-    assert ended.code == 5
-    assert "STORAGE-NOT-OURS" in ended.err
+    refusal_of("STORAGE-NOT-OURS", 5, "run", season.file)
     assert season.page.read_text() == "my own page"
     assert unbend("status", season.file).code == 0  # it writes no page
 
 
-def test_the_table_alone_is_known_as_ours(done, unbend):
+def test_the_table_alone_is_known_as_ours(done, obeyed):
     """As after a run that was killed between the two, or where a user removed the page."""
     before = done.page.read_bytes()
     done.page.unlink()
-    ended = unbend("run", done.file)
-    assert ended.code == 0, ended.text
+    obeyed("run", done.file)
     assert done.page.read_bytes() == before
 
 
 @pytest.mark.parametrize("content", [b"my own table", b""])
-def test_a_table_of_somebody_else_stays(done, unbend, content):
+def test_a_table_of_somebody_else_stays(done, refusal_of, content):
     done.page.unlink()
     done.table.write_bytes(content)
-    ended = unbend("run", done.file)
-    assert ended.code == 5
-    assert "STORAGE-NOT-OURS" in ended.err
+    refusal_of("STORAGE-NOT-OURS", 5, "run", done.file)
     assert done.table.read_bytes() == content
 
 
-def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend):
+def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend, obeyed):
     changed = done.values(0) | {"exit_code": 3}
     done.manifest(0).write_text(json.dumps(changed))
     done.older()
@@ -384,24 +373,22 @@ def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend
     both = json.loads(unbend("run", done.file, "--json").out)
     assert [mission["exit_code"] for mission in both] == [3, 0]
     assert both[0]["manifest"] == changed
-    assert unbend("run", done.file).code == 3
+    obeyed("run", done.file, exit_code=3)
 
 
 @pytest.mark.parametrize("version", ["", "0.0.1"], ids=["damaged", "another version"])
-def test_a_manifest_without_some_results_does_not_stop_the_others(done, unbend, version):
+def test_a_manifest_without_some_results_does_not_stop_the_others(done, obeyed, version):
     """One of another version, or damaged: the page says so, until the mission is run again."""
     values = done.values(0)
     del values["profile"]
     if version:
         values["versions"]["unbend"] = version
     done.manifest(0).write_text(json.dumps(values))
-    ended = unbend("run", done.file, "--mission", "flight-1")
-    assert ended.code == 0, ended.text
+    obeyed("run", done.file, "--mission", "flight-1")
     first, second = done.rows()
     assert (first["state"], first["code"]) == ("not run", "MANIFEST-UNREADABLE")
     assert second["state"] == "done"
-    ended = unbend("run", done.file, "--mission", "flight-0", "--force")
-    assert ended.code == 0, ended.text
+    obeyed("run", done.file, "--mission", "flight-0", "--force")
     assert done.rows()[0]["state"] == "done"
 
 

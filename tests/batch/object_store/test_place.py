@@ -170,7 +170,7 @@ def test_credentials_that_may_not_write_are_refused_before_any_work(
     assert s3_place.objects() == {}
 
 
-def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission, unbend):
+def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission, refusal_of):
     use(seaweed | {"AWS_SECRET_ACCESS_KEY": "another"})
     assert refusal(s3_place.read).code == "CLOUD-CREDENTIALS"
     nowhere = f"http://127.0.0.1:{free_port()}"
@@ -182,9 +182,7 @@ def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission
     assert "there are no credentials for az://" in refusal(Place.of("az://season/a").read).what
     mission.config["output"]["path"] = "az://season/results"
     other = mission.save()
-    ended = unbend("run", other)
-    assert ended.code == 5
-    assert "CLOUD-CREDENTIALS" in ended.err
+    refusal_of("CLOUD-CREDENTIALS", 5, "run", other)
 
 
 def test_a_store_that_is_not_there(s3_place, use, seaweed):

@@ -114,7 +114,7 @@ def silence(call: Callable[[], object]) -> UnbendError:
     return refusal.value
 
 
-def test_a_store_that_says_half_and_stops(use, impatient, tmp_path):
+def test_a_store_that_says_half_and_stops(use, impatient):
     with accepting(HALF) as url:
         use(environment_of("s3", url))
         place = Place.of("s3://season/a")
@@ -150,7 +150,9 @@ def test_clearing_away_has_a_limit(use, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_silent_store_costs_its_missions_alone(use, impatient, mission_factory, tmp_path, unbend):
+def test_a_silent_store_costs_its_missions_alone(
+    use, impatient, mission_factory, tmp_path, unbend, obeyed
+):
     """One reads from it, one writes to it; the third is done."""
     missions = {name: mission_factory(tmp_path / name) for name in ("reads", "writes", "sound")}
     missions["reads"].config["log"]["path"] = "s3://season/flight.bin"
@@ -161,4 +163,4 @@ def test_a_silent_store_costs_its_missions_alone(use, impatient, mission_factory
         assert ended.code == 6
         assert ended.err.count("CLOUD-SILENT") == 2
         assert (missions["sound"].output / "manifest.json").exists()
-        assert unbend("run", missions["reads"].save()).code == 5
+        obeyed("run", missions["reads"].save(), exit_code=5)
