@@ -73,9 +73,8 @@ def test_keys_of_numbers_have_a_unit_and_its_name_says_the_same():
 
 
 def test_every_default_is_stated_and_every_example_is_taken():
-    whole = mission_schema()
-    for name in ("properties", "required", "type", "additionalProperties"):
-        whole.pop(name, None)
+    of_sections = {"properties", "required", "type", "additionalProperties"}
+    whole = {key: value for key, value in mission_schema().items() if key not in of_sections}
     for path, key in KEYS.items():
         assert key.default, path
         names = path.split(".")
