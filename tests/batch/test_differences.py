@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from unbend.batch import fingerprint
+from unbend.batch.differences import changed_inputs
 from unbend.batch.runs import mission_status, run_mission
 
 
@@ -67,3 +69,21 @@ def test_a_manifest_without_its_inputs_is_no_bug(done):
     assert f"log is new ({done.config['log']['path']})" in reasons(done)
     assert not run_mission(done.save()).repeated
     assert reasons(done) == []
+
+
+def test_inputs_that_come_and_go_are_named():
+    now = [
+        SimpleNamespace(role="log", sha256="1", name="a.bin"),
+        SimpleNamespace(role="observations", sha256="2", name="o.csv"),
+        SimpleNamespace(role="geoid", sha256="3", name="g.tif"),
+    ]
+    before = [
+        SimpleNamespace(role="log", sha256="0"),
+        SimpleNamespace(role="observations", sha256="2"),
+        SimpleNamespace(role="sounding 1", sha256="4"),
+    ]
+    assert list(changed_inputs(SimpleNamespace(inputs=now), before)) == [
+        "sounding 1 is no longer read",
+        "log changed (a.bin)",
+        "geoid is new (g.tif)",
+    ]

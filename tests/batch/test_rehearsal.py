@@ -259,6 +259,40 @@ def test_ten_lines_in_80_columns(mission, unbend):
     assert "59 ok" in lines["rows"]
 
 
+def span(values: pd.Series, digits: int) -> str:
+    return f"{values.min():.{digits}g} to {values.max():.{digits}g}"
+
+
+def test_the_lines_have_the_numbers_of_the_run(mission):
+    lines = dict(rehearsal_lines(check_mission(mission.save())))
+    run_mission(mission.file)
+    stations = mission.stations().to_pandas()
+    rows = mission.results().to_pandas().merge(stations, on="image", suffixes=("", "_of_station"))
+    above_m = rows["h_msl_m"] - rows["h_g_m"]
+    ground = f"ground {span(rows['h_g_m'], 4)} m, take-off 450 m"
+    cameras = f"cameras {span(stations['h_msl_m'], 5)} m; above ground {span(above_m, 4)} m"
+    assert lines["heights"] == f"{ground}, {cameras}"
+    shift_x = rows["x_corrected_px"] - rows["x_px"]
+    shift_y = rows["y_corrected_px"] - rows["y_px"]
+    shifts = []
+    angles = []
+    for camera in ("nadir", "oblique"):
+        is_of_camera = rows["camera"] == camera
+        shifts.append(f"{camera} {span(np.hypot(shift_x, shift_y)[is_of_camera], 3)}")
+        angles.append(f"{camera} {span(np.degrees(rows['zeta_c_rad'])[is_of_camera], 2)}")
+    assert lines["shift"].startswith(f"{', '.join(shifts)} px; ")
+    assert lines["nadir angles"] == f"{', '.join(angles)} deg"
+    view = re.match(r"nadir 39 x 30 deg, (\S+) m a pixel, (\d+) x (\d+) m", lines["cameras"])
+    pixel_m, width_m, height_m = map(float, view.groups())
+    assert pixel_m == pytest.approx(above_m[rows["camera"] == "nadir"].median() / 20_000, rel=0.05)
+    assert width_m == pytest.approx(14_000 * pixel_m, rel=0.05)
+    assert height_m == pytest.approx(10_600 * pixel_m, rel=0.05)
+    vertical = re.match(r"deflected by (\S+) arcsec \(EGM96\), (\S+) m", lines["vertical"])
+    deflection_arcsec, metres = map(float, vertical.groups())
+    assert deflection_arcsec == pytest.approx(3.97, abs=0.2)  # by PROJ, as in the report's tests
+    assert metres == pytest.approx(deflection_arcsec / 206_265 * above_m.median(), abs=0.006)
+
+
 def medians(lines: dict[str, str], label: str) -> dict[str, float]:
     """What a change does to the corrections of each camera [px]."""
     for part in lines["changes by"].split("; "):
