@@ -50,11 +50,11 @@ class Machines:
         path = os.pathsep.join([str(MISSIONS.parent), *sys.path])
         options = ("--scheduler-file", str(self.file), "--host", "127.0.0.1", "--no-dashboard")
         settings = {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__HTTP__ROUTES": "[]"}
-        with (self.folder / "output.txt").open("ab") as said:
+        with (self.folder / "output.txt").open("ab") as output:
             return subprocess.Popen(
                 [sys.executable, "-m", "dask", program, *words, *options],
-                stdout=said,
-                stderr=said,
+                stdout=output,
+                stderr=output,
                 env=os.environ | settings,
                 cwd=self.folder,
             )
@@ -150,9 +150,9 @@ def test_what_is_no_scheduler_is_refused(tmp_path, monkeypatch):
 
 def test_without_the_library_it_is_asked_for(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    said = refusal("tcp://127.0.0.1:9")
-    assert said.startswith("SCHEDULER-EXTRA: ")
-    assert "pip install 'unbend[dask]'" in said
+    text = refusal("tcp://127.0.0.1:9")
+    assert text.startswith("SCHEDULER-EXTRA: ")
+    assert "pip install 'unbend[dask]'" in text
 
 
 def test_workers_that_differ_are_refused_before_any_work(machines, tmp_path, monkeypatch):
@@ -162,15 +162,17 @@ def test_workers_that_differ_are_refused_before_any_work(machines, tmp_path, mon
         patch.setattr(dask_executor, "_CONNECT_S", 0.3)
         assert refusal(file).startswith("SCHEDULER-WORKERS: ")
     machines.need_workers(1)
-    said = refusal(file, tmp_path / "nowhere.yaml")
-    assert said.startswith("WORKER-FILES: this worker does not find 1 mission file")
-    assert "nowhere.yaml" in said
-    own = dask_executor.versions_here()
-    monkeypatch.setattr(dask_executor, "versions_here", lambda: own | {"numpy": "1.0", "more": "2"})
-    said = refusal(file)
-    assert said.startswith("WORKER-VERSION: ")
-    assert f"more missing (here 2), numpy {own['numpy']} (here 1.0)" in said
-    assert "tcp://127.0.0.1" in said
+    text = refusal(file, tmp_path / "nowhere.yaml")
+    assert text.startswith("WORKER-FILES: this worker does not find 1 mission file")
+    assert "nowhere.yaml" in text
+    versions = dask_executor.versions_here()
+    monkeypatch.setattr(
+        dask_executor, "versions_here", lambda: versions | {"numpy": "1.0", "more": "2"}
+    )
+    text = refusal(file)
+    assert text.startswith("WORKER-VERSION: ")
+    assert f"more missing (here 2), numpy {versions['numpy']} (here 1.0)" in text
+    assert "tcp://127.0.0.1" in text
 
 
 @pytest.mark.parametrize("run", range(RUNS))
@@ -249,12 +251,12 @@ def test_a_worker_that_is_stopped_costs_no_mission(machines, tmp_path, monkeypat
     try:
         ends = ends_of(process)
         monkeypatch.setattr(dask_executor, "_CHECK_S", 3.0)
-        said = refusal(str(machines.file))
+        text = refusal(str(machines.file))
     finally:
         frozen.kill()
     assert set(ends) == set(names)
     assert set(ends.values()) <= {"done", "repeated"}
-    assert said.startswith("SCHEDULER-WORKERS: this worker has not answered for")
+    assert text.startswith("SCHEDULER-WORKERS: this worker has not answered for")
 
 
 def test_the_only_worker_that_is_stopped_is_named(machines, tmp_path):

@@ -40,11 +40,11 @@ def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     obeyed("report", baseline.output)
     page = Path(f"{baseline.manifest()['mission']}-report.html").read_text(encoding="utf-8")
-    own = (baseline.output / "report.html").read_text(encoding="utf-8")
+    page_of_run = (baseline.output / "report.html").read_text(encoding="utf-8")
     time_utc = time.gmtime((baseline.output / "manifest.json").stat().st_mtime)
     date = f"<dt>Processed</dt><dd>{time.strftime('%Y-%m-%d %H:%M', time_utc)} UTC</dd>"
-    assert page == own.replace(PROCESSED, date)
-    assert date not in own
+    assert page == page_of_run.replace(PROCESSED, date)
+    assert date not in page_of_run
     obeyed("verify", baseline.output)
     assert unbend("report", baseline.output).err.startswith("EXPORT-EXISTS: ")
     obeyed("report", baseline.output, "--force")
@@ -91,7 +91,7 @@ def test_a_pdf_is_what_the_browser_printed(obeyed, baseline, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("script", "said"),
+    ("script", "sentence"),
     [
         ("echo no display >&2; exit 1", "no display"),
         ("case $1 in --version) exit 0;; esac; sleep 600 & sleep 600", "did not end within 1 s"),
@@ -101,7 +101,7 @@ def test_a_pdf_is_what_the_browser_printed(obeyed, baseline, tmp_path, monkeypat
         ),
     ],
 )
-def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path, script, said):
+def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path, script, sentence):
     out = tmp_path / "out" / "r.pdf"
     out.parent.mkdir()
     words = ("--pdf", "--timeout", "1", "--out", out, "--browser", browser(tmp_path, script))
@@ -110,7 +110,7 @@ def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path
     assert time.monotonic() - began_s < 60.0
     assert ended.code == 2, ended.text
     assert ended.err.startswith("REPORT-BROWSER: ")
-    assert said in " ".join(ended.err.split())
+    assert sentence in " ".join(ended.err.split())
     assert not list(out.parent.iterdir())
 
 

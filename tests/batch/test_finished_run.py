@@ -355,9 +355,9 @@ REQUESTS = {
 }
 
 
-@pytest.mark.parametrize(("words", "exit_code", "code", "said"), REQUESTS.values(), ids=REQUESTS)
+@pytest.mark.parametrize(("words", "exit_code", "code", "remedy"), REQUESTS.values(), ids=REQUESTS)
 def test_a_request_that_is_refused_writes_nothing(
-    baseline, refusal_of, tmp_path, monkeypatch, words, exit_code, code, said
+    baseline, refusal_of, tmp_path, monkeypatch, words, exit_code, code, remedy
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.parquet").mkdir()
@@ -365,7 +365,7 @@ def test_a_request_that_is_refused_writes_nothing(
     text = refusal_of(
         code, exit_code, "export", baseline.output, "--format", name, "--out", out, *options
     )
-    assert said in text
+    assert remedy in text
     assert [path.name for path in tmp_path.rglob("*")] == ["folder.parquet"]
 
 

@@ -310,8 +310,8 @@ def test_a_row_that_cannot_be_corrected_stays(mission, baseline, column, value, 
     numbers = ["x_corrected_px", "y_corrected_px", "r_c_rad"]
     for name in numbers:
         assert np.flatnonzero(results[name].is_null()).tolist() == [0, 7]
-    others = baseline.results().to_pandas().loc[~is_flagged, numbers]
-    assert rows.loc[~is_flagged, numbers].equals(others)
+    as_before = baseline.results().to_pandas().loc[~is_flagged, numbers]
+    assert rows.loc[~is_flagged, numbers].equals(as_before)
     # An image that the log does not know is one loss, which stands for its rows.
     is_unknown_image = column == "image" and value is not None
     assert ("IMAGES-UNMATCHED" if is_unknown_image else "2 of") in text
@@ -342,12 +342,12 @@ def test_a_file_in_the_place_of_the_output_folder(mission):
 
 
 def test_a_folder_with_files_of_others_is_left_alone(mission):
-    own = mission.folder / "observations"
-    own.mkdir()
-    (own / "mine.csv").write_text("do not lose this")
+    folder = mission.folder / "observations"
+    folder.mkdir()
+    (folder / "mine.csv").write_text("do not lose this")
     mission.config["output"]["path"] = "."
     refused(mission.run(), "STORAGE-NOT-OURS", 5)
-    assert (own / "mine.csv").read_text() == "do not lose this"
+    assert (folder / "mine.csv").read_text() == "do not lose this"
 
 
 @pytest.mark.parametrize(

@@ -107,9 +107,9 @@ def test_own_values_replace_defaults_and_null_takes_them_away(season, mission):
       reference: msl
     """
     file = season(defaults=defaults)
-    own = yaml.safe_load(mission.file.read_text()) | yaml.safe_load(changes)
-    del own["events"]["log"]["oblique"]
-    mission.file.write_text(yaml.safe_dump(own))
+    mission_file = yaml.safe_load(mission.file.read_text()) | yaml.safe_load(changes)
+    del mission_file["events"]["log"]["oblique"]
+    mission.file.write_text(yaml.safe_dump(mission_file))
     values = loaded(file)
     assert list(values.cameras) == ["nadir"]
     assert values.atmosphere.model is None

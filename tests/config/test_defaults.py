@@ -102,7 +102,7 @@ def test_the_ground_has_no_default_but_for_distances():
 
 
 @pytest.mark.parametrize(
-    ("own", "of_table", "cx"),
+    ("of_camera", "of_table", "cx"),
     [
         (None, "corner", 500.0),
         (None, "centre", 500.5),
@@ -111,9 +111,9 @@ def test_the_ground_has_no_default_but_for_distances():
         ("centre", "centre", 500.5),
     ],
 )
-def test_the_origin_of_a_camera_goes_before_that_of_the_table(own, of_table, cx):
+def test_the_origin_of_a_camera_goes_before_that_of_the_table(of_camera, of_table, cx):
     """COLMAP: the centre of the upper left pixel is (0.5, 0.5); OpenCV: it is (0, 0)."""
-    section = CameraSection.model_validate(CAMERA | {"pixel_origin": own})
+    section = CameraSection.model_validate(CAMERA | {"pixel_origin": of_camera})
     camera = section.interior_orientation_by(of_table)
     assert (camera.cx_px, camera.cy_px) == (cx, cx - 100.0)
 

@@ -46,8 +46,8 @@ def test_heights_from_distances_need_no_reference(load):
     assert ground.from_distance
     assert ground.reference == "msl"
     assert (ground.column, ground.constant_m) == (None, None)
-    stated = load(ground={"height": "from_distance", "reference": "msl"}).ground
-    assert stated == ground
+    ground_with_reference = load(ground={"height": "from_distance", "reference": "msl"}).ground
+    assert ground_with_reference == ground
 
 
 @pytest.mark.parametrize("more", [{"reference": "ellipsoid"}, {"home_h_msl_m": 500.0}])

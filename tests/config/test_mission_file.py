@@ -406,9 +406,9 @@ def line_of(text: str, keys: Keys) -> int:
     """The line where a key stands, by YAML's own account."""
     node = yaml.compose(text, C_LOADER)
     for key in keys:
-        found = next((k, v) for k, v in node.value if k.value == key)
-        line = found[0].start_mark.line + 1
-        node = found[1]
+        entry = next((k, v) for k, v in node.value if k.value == key)
+        line = entry[0].start_mark.line + 1
+        node = entry[1]
     return line
 
 
@@ -462,7 +462,7 @@ def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[st
 
 
 def test_the_examples_here_use_every_key_there_is(accepted):
-    others = [
+    missions = [
         with_csv_events(),
         ORIENTED,
         oriented(GEOGRAPHIC),
@@ -476,13 +476,13 @@ def test_the_examples_here_use_every_key_there_is(accepted):
         FULL | {"accept": [{"code": "PLAUSIBLE-GROUND", "reason": "a mine"}]},
     ]
     used = set()
-    for tree in (FULL, *others):
+    for tree in (FULL, *missions):
         used.update(keys[-1] for keys in keys_of(tree))
     atmosphere = FULL["atmosphere"]
-    for entry in (*atmosphere["soundings"], *atmosphere["surface"], *others[-1]["accept"]):
+    for entry in (*atmosphere["soundings"], *atmosphere["surface"], *missions[-1]["accept"]):
         used.update(entry)
     assert set(fields_of(Mission, set())) <= used
-    for tree in (FULL, *others):
+    for tree in (FULL, *missions):
         accepted(tree)
 
 
@@ -804,9 +804,9 @@ def test_words_and_numbers_are_those_of_yaml_1_2(accepted, refused):
 def test_every_mistake_is_told_at_once_in_the_order_of_the_file(refused):
     spoilt = renamed(changed(FULL, ("ground", "reference"), "sea"), ("log", "path"), "pth")
     spoilt = changed(spoilt, ("cameras", "nadir", "width_px"), "wide")
-    what = refused(spoilt).what
-    assert "4 mistakes" in what
-    lines = [int(n) for n in re.findall(r"line (\d+):", what)]
+    text = refused(spoilt).what
+    assert "4 mistakes" in text
+    lines = [int(n) for n in re.findall(r"line (\d+):", text)]
     assert lines == sorted(lines)
     assert len(lines) == 4
 
@@ -847,8 +847,8 @@ def test_aliases_cannot_swell(refused):
 )
 def test_an_orientation_that_says_too_little_or_too_much(refused, changes, words):
     orientation = GEOGRAPHIC | yaml.safe_load(changes)
-    stated = {key: value for key, value in orientation.items() if value is not None}
-    assert words in refused(oriented(stated)).what
+    orientation_section = {key: value for key, value in orientation.items() if value is not None}
+    assert words in refused(oriented(orientation_section)).what
 
 
 def test_without_a_log_nothing_comes_from_a_log(refused, accepted):
@@ -876,7 +876,7 @@ def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "words"),
     [
         ("time_zone", "Europe/Zuerich", "not a time zone"),
         ("time_zone", "../etc/passwd", "not a time zone"),
@@ -887,9 +887,9 @@ def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
         ("remarks", "", "remarks"),
     ],
 )
-def test_what_the_report_cannot_state_is_refused(refused, key, value, said):
+def test_what_the_report_cannot_state_is_refused(refused, key, value, words):
     error = refused(FULL | {"mission": {"name": "survey", key: value}})
-    assert said in str(error)
+    assert words in str(error)
 
 
 def test_the_title_is_in_any_letters_and_the_name_a_plain_word(accepted, refused):

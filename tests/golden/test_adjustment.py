@@ -41,13 +41,13 @@ def execute(code: str) -> dict[str, Any]:
 
 def height_error(code: str, truth: dict[str, pd.DataFrame]) -> float:
     """RMS error in height [m] of the points that the page's adjustment finds."""
-    found = execute(code)
-    true = truth["points"].set_index("point").loc[list(found["points"])]
+    names = execute(code)
+    true = truth["points"].set_index("point").loc[list(names["points"])]
     ecef = np.stack(
-        found["ecef"].transform(true["lon_deg"], true["lat_deg"], true["h_ellipsoid_m"]), axis=1
+        names["ecef"].transform(true["lon_deg"], true["lat_deg"], true["h_ellipsoid_m"]), axis=1
     )
-    expected = found["enu"](found["lat0"], found["lon0"]).apply(ecef - found["origin"])
-    error = np.array(list(found["points"].values())) - expected
+    expected = names["enu"](names["lat0"], names["lon0"]).apply(ecef - names["origin"])
+    error = np.array(list(names["points"].values())) - expected
     assert len(error) > 500
     return float(np.sqrt(np.mean(error[:, 2] ** 2)))
 
@@ -88,21 +88,21 @@ def write_source(path: Path, rows: pd.DataFrame, cameras: dict[str, list[float]]
             for name, params in cameras.items()
         }
         places = {}
-        for name, own in rows.groupby("image"):
+        for name, rows_of_image in rows.groupby("image"):
             image = pycolmap.Image(name=name, camera_id=number[name.split("_")[0]])
             image_id = database.write_image(image)
-            database.write_keypoints(image_id, own[["x_px", "y_px"]].to_numpy(np.float32))
-            places[image_id] = {point: k for k, point in enumerate(own["point"])}
-        for one, other in combinations(places, 2):
-            shared = [(k, places[other][p]) for p, k in places[one].items() if p in places[other]]
+            database.write_keypoints(image_id, rows_of_image[["x_px", "y_px"]].to_numpy(np.float32))
+            places[image_id] = {point: k for k, point in enumerate(rows_of_image["point"])}
+        for first, other in combinations(places, 2):
+            shared = [(k, places[other][p]) for p, k in places[first].items() if p in places[other]]
             if shared:
                 matches = np.array(shared, np.uint32)
                 verified = pycolmap.TwoViewGeometry()
                 verified.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
                 verified.E = verified.F = verified.H = np.diag([1.0, 2.0, 3.0])
                 verified.inlier_matches = matches
-                database.write_matches(one, other, matches)
-                database.write_two_view_geometry(one, other, verified)
+                database.write_matches(first, other, matches)
+                database.write_two_view_geometry(first, other, verified)
 
 
 def test_colmap_maps_the_database_that_comes_out(tmp_path, truth, capsys):

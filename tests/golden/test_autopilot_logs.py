@@ -127,22 +127,22 @@ def test_every_event_has_a_station(survey):
 
 
 def test_stations_lie_where_the_truth_does(survey):
-    found = against_truth(survey.stations, survey.truth)
-    assert found["position"] < 2.0
-    assert found["roll"] < 0.7
-    assert found["pitch"] < 0.7
-    assert found["axis"] < 0.7
+    gaps = against_truth(survey.stations, survey.truth)
+    assert gaps["position"] < 2.0
+    assert gaps["roll"] < 0.7
+    assert gaps["pitch"] < 0.7
+    assert gaps["axis"] < 0.7
     # The autopilot's own heading is 0.88 deg off at the 95th percentile, in its CAM rows as well.
-    assert found["yaw"] < 0.9
+    assert gaps["yaw"] < 0.9
 
 
 def test_stations_of_two_cameras_lie_where_the_truth_does(two_cameras):
     for camera, instance in (("left", 0), ("right", 1)):
         stations = two_cameras.stations[two_cameras.stations["camera"] == camera]
         truth = two_cameras.truth[two_cameras.truth["I"] == instance]
-        found = against_truth(stations.reset_index(drop=True), truth)
-        assert found.pop("position") < 2.0
-        assert max(found.values()) < 0.7
+        gaps = against_truth(stations.reset_index(drop=True), truth)
+        assert gaps.pop("position") < 2.0
+        assert max(gaps.values()) < 0.7
 
 
 def standard_icao(h_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -78,8 +78,8 @@ def test_noise_hides_what_is_left(height, first):
     perfect = adjust(block, block.straight + noise).z
     assert perfect > 0.02 * height / 3000.0
     for profile in (true, adjusted):
-        found = adjust(block, correct(block, profile, block.measured + noise)).z
-        assert found == pytest.approx(perfect, rel=0.005)
+        with_noise = adjust(block, correct(block, profile, block.measured + noise)).z
+        assert with_noise == pytest.approx(perfect, rel=0.005)
 
 
 def radial_about_the_principal_point(block: Block, shift: np.ndarray) -> np.ndarray:

@@ -148,10 +148,10 @@ def test_pycolmap_finds_the_points_with_the_exported_cameras(
     done: Exported = request.getfixturevalue(name)
     block = done.block
     cameras = colmap_cameras(done.folder, tmp_path / "model")
-    own = calibrated(done.names)
-    before = adjusted(block, done.measured, own, done.of_image)
+    laboratory = calibrated(done.names)
+    before = adjusted(block, done.measured, laboratory, done.of_image)
     after = adjusted(block, done.measured, cameras, done.of_image)
-    lattice = adjusted(block, done.corrected(), own, done.of_image)
+    lattice = adjusted(block, done.corrected(), laboratory, done.of_image)
     with capsys.disabled():
         print(
             f"\n{name}: Z rms {rms_z(before):.4f} m, calibration {rms_z(after):.4f}, "
@@ -187,8 +187,8 @@ def test_a_program_that_corrects_points_finds_them_with_the_report(name, unit, m
     done: Exported = request.getfixturevalue(name)
     block = done.block
     # The user's own calibration, by the inverse of the lens: pycolmap's.
-    own = calibrated(["one"])[1]
-    ideal = np.array([own.cam_from_img(xy) for xy in done.measured])
+    laboratory = calibrated(["one"])[1]
+    ideal = np.array([laboratory.cam_from_img(xy) for xy in done.measured])
     size = 1.0 if unit == "px" else 0.005
     x, y = ((done.measured - [CX, CY]) * [size, -size]).T
     u, v = (ideal * [FOCAL * size, -FOCAL * size]).T

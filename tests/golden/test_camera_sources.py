@@ -117,7 +117,7 @@ def test_files_that_do_not_fit(tmp_path, change, code, words):
 
 
 @pytest.mark.parametrize(
-    ("change", "what"),
+    ("change", "words"),
     [
         ({"f_px": 35.0}, "CAMERA-FIELD: with a principal distance of 35 px"),
         ({"f_px": 20000.0, "distortion": {"k1": -3.0}}, "CAMERA-TURNS"),
@@ -125,9 +125,9 @@ def test_files_that_do_not_fit(tmp_path, change, code, words):
         ({"metric": REPORT | {"ppa_mm": [26.4, 35.1]}}, "CAMERA-PRINCIPAL-POINT"),
     ],
 )
-def test_numbers_that_cannot_be(tmp_path, change, what):
+def test_numbers_that_cannot_be(tmp_path, change, words):
     sections = sample_sections("bin", tmp_path)
     point = {} if "metric" in change else {"cx_px": 7000.0, "cy_px": 5300.0}
     sections["cameras"]["nadir"] = {"width_px": 14000, "height_px": 10600} | point | change | SAME
-    with pytest.raises(ConfigError, match=what):
+    with pytest.raises(ConfigError, match=words):
         load_mission(write_mission(tmp_path / "m.yaml", **sections))

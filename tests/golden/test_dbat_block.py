@@ -123,9 +123,9 @@ def raw(block) -> Project:
     poses = {}
     for photo in report.split(" Photo ")[1:]:
         name = photo.partition(": ")[2].split()[0]
-        found = re.findall(r"(?:Omega|Phi|Kappa|Xc|Yc|Zc):\s+Value: +(\S+)", photo)
-        opk = np.array(found[:3], float)
-        centre = np.array(found[3:], float)
+        numbers = re.findall(r"(?:Omega|Phi|Kappa|Xc|Yc|Zc):\s+Value: +(\S+)", photo)
+        opk = np.array(numbers[:3], float)
+        centre = np.array(numbers[3:], float)
         # M = Rx Ry Rz turns a camera with y up and z back to the world.
         matrix = Rotation.from_euler("XYZ", opk, degrees=True).as_matrix()
         poses[name] = ((matrix * [1.0, -1.0, -1.0]).T, centre)
@@ -219,11 +219,11 @@ def adjust(project: Project) -> tuple[float, int, dict[str, np.ndarray]]:
 
 def assert_is_dbats(project: Project) -> None:
     rms, count, checks = adjust(project)
-    known = project.solution
-    least, most = known.rms_px
-    assert count == known.count
+    solution = project.solution
+    least, most = solution.rms_px
+    assert count == solution.count
     assert least < rms < most
-    for point, place in known.checks.items():
+    for point, place in solution.checks.items():
         assert np.abs(checks[point] - place).max() < 0.05
 
 
@@ -386,8 +386,8 @@ def test_bundler_gives_dbats_solution(read, tmp_path):
     """Points of an ideal camera; they have numbers, and their names by their places."""
     f, names, turns, centres, rows = bundler_block(exported(read, "bundler", tmp_path))
     assert names == list(read.poses)
-    own, cx, cy = read.camera
-    assert f == own
+    focal, cx, cy = read.camera
+    assert f == focal
     rows = rows.assign(x_px=rows["x"] + cx, y_px=cy - rows["y"]).sort_values(["image", "x_px"])
     tied = read.rows[read.rows.groupby("point")["image"].transform("size") > 1]
     tied = tied.sort_values(["image", "x_px"])

@@ -19,9 +19,9 @@ PARTS = {"sources": {"numbers": (5,)}, "adjusted_block": {"names": ("uncorrected
 
 def same(cell: str, shown: str) -> bool:
     """Equal words, or numbers within two units of the last digit or 2 % (another processor)."""
-    found = cell.replace(",", "").split()
+    computed = cell.replace(",", "").split()
     printed = shown.replace(",", "").split()
-    for a, b in zip(found, printed, strict=True):
+    for a, b in zip(computed, printed, strict=True):
         try:
             digits = len(b.split(".")[1]) if "." in b else 0
             if not math.isclose(float(a), float(b), rel_tol=0.02, abs_tol=2.1 * 10.0**-digits):

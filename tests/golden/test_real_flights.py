@@ -134,5 +134,5 @@ def test_motion_capture_has_attitude_and_time(tmp_path):
     assert (stations["status"] == "ok").all()
     assert (observations["status"] == "ok").sum() > 50
     # A tenth of the rays of a hand-held model pass over the horizon; nothing else is doubtful.
-    found = {e["code"] for e in whole.manifest.values["ledger"] if e["kind"] == "finding"}
-    assert found <= {"PLAUSIBLE-FLAGGED"}
+    findings = {e["code"] for e in whole.manifest.values["ledger"] if e["kind"] == "finding"}
+    assert findings <= {"PLAUSIBLE-FLAGGED"}

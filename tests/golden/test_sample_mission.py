@@ -82,19 +82,20 @@ def correct_with(
     row = observations["image"].map(pd.Series(stations.index, stations["image"])).to_numpy()
     error = np.full(len(observations), np.nan)
     for name, section in mission.cameras.items():
-        mine = (observations["image"].str.startswith(name)).to_numpy()
-        part = observations[mine]
-        found = correct_observations(
+        is_of_camera = (observations["image"].str.startswith(name)).to_numpy()
+        part = observations[is_of_camera]
+        corrections = correct_observations(
             part["x_px"].to_numpy(),
             part["y_px"].to_numpy(),
             part["h_g_m"].to_numpy(),
-            row[mine],
+            row[is_of_camera],
             exposures,
             camera=section.interior_orientation,
             table=table,
         )
-        error[mine] = np.hypot(
-            found.x_corrected_px - part["x_true_px"], found.y_corrected_px - part["y_true_px"]
+        error[is_of_camera] = np.hypot(
+            corrections.x_corrected_px - part["x_true_px"],
+            corrections.y_corrected_px - part["y_true_px"],
         )
     shift = np.hypot(
         observations["x_px"] - observations["x_true_px"],
@@ -138,10 +139,10 @@ def test_adjusted_profile_beats_the_standard(kind, runs, truth, tmp_path, capsys
 
 def test_the_remaining_error_is_the_air(runs, truth):
     """R_c itself, without the window that hides part of it in the nadir images."""
-    found = read_observations(runs["bin"].output)
+    rows = read_observations(runs["bin"].output)
     true = truth["observations"]
     oblique = true["image"].str.startswith("oblique").to_numpy()
-    error = found["r_c_rad"][oblique] / true["r_c_rad"][oblique] - 1.0
+    error = rows["r_c_rad"][oblique] / true["r_c_rad"][oblique] - 1.0
     assert rms(error.to_numpy()) < 0.03
 
 
@@ -154,16 +155,16 @@ def test_the_three_logs_agree(runs):
 def test_cabin_air_changes_r_cc_as_the_truth_does(runs, truth):
     true = truth["observations"]
     for run in runs.values():
-        found = read_observations(run.output)
+        rows = read_observations(run.output)
         # R_cc / tan(zeta_f) belongs to the exposure; compare its changes from image to image.
         by_image = pd.DataFrame(
-            {"image": true["image"], "found": found["r_cc_rad"], "true": true["r_cc_rad"]}
+            {"image": true["image"], "found": rows["r_cc_rad"], "true": true["r_cc_rad"]}
         ).groupby("image")
         ratio = by_image["found"].sum() / by_image["true"].sum()
         per_image = by_image["true"].mean()
         assert per_image.std() / per_image.mean() > 0.005, "the cabin is constant: no test"
         assert np.abs(ratio - 1.0).max() < 0.03
-        assert np.abs(found["r_cc_rad"] - true["r_cc_rad"]).max() / ARCSEC < 0.1
+        assert np.abs(rows["r_cc_rad"] - true["r_cc_rad"]).max() / ARCSEC < 0.1
 
 
 def test_kernel_against_the_ode_on_the_true_profile(truth, capsys):
@@ -185,7 +186,7 @@ def test_kernel_against_the_ode_on_the_true_profile(truth, capsys):
 
     worst = 0.0
     for zeta in (0.2, 45.0, 75.0, 85.0):
-        found, _ = bend(
+        bent, _ = bend(
             ray_table(air),
             3450.0,
             412.0,
@@ -194,7 +195,7 @@ def test_kernel_against_the_ode_on_the_true_profile(truth, capsys):
             radius=6.38e6,
         )
         expected = ray_angle_sphere(index, 3450.0, 412.0, zeta * DEGREE, 6.38e6, breaks=inside)
-        worst = max(worst, abs(float(found) - expected) / ARCSEC)
+        worst = max(worst, abs(float(bent) - expected) / ARCSEC)
     with capsys.disabled():
         print(f"\nkernel against ODE on the true profile: {worst:.1e} arcsec")
     assert worst < 1e-6
@@ -204,8 +205,8 @@ def test_refractive_indices_agree(true_profile, truth):
     """Our Ciddor against the simulator's Edlén over the true air: 1e-7 of n."""
     table = truth["profile"]
     low = table["h_m"] < 4000.0
-    found = true_profile.refractivity(table["h_m"][low])
-    assert np.abs(found - table["refractivity"][low]).max() < 1e-7
+    refractivity = true_profile.refractivity(table["h_m"][low])
+    assert np.abs(refractivity - table["refractivity"][low]).max() < 1e-7
     assert IndexModel().name == "ciddor"
 
 
@@ -225,18 +226,18 @@ def test_tables_in_memory_give_the_rows_of_the_run(runs):
     expected = pa.concat_tables(
         pq.read_table(part) for part in sorted((run / "observations").glob("part-*.parquet"))
     )
-    found = correct(
+    rows = correct(
         pq.read_table(sections["observations"]["path"]),
         pq.read_table(run / "stations.parquet"),
         read_mission(mission).air.series,
         sections["cameras"],
         mount=sections["mount"],
     )
-    assert found.num_rows == 2188
-    assert found.cast(expected.schema).equals(expected)
-    told = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
+    assert rows.num_rows == 2188
+    assert rows.cast(expected.schema).equals(expected)
+    manifest = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
     for name in ("uncertainty", "cabin_air"):
-        assert json.loads(found.schema.metadata[f"unbend.{name}".encode()]) == told[name]
+        assert json.loads(rows.schema.metadata[f"unbend.{name}".encode()]) == manifest[name]
 
 
 def test_the_gallery_shows_this_flight(runs):

@@ -50,8 +50,8 @@ AXES = enu_axes(np.array(LAT), np.array(LON))
 def adjust(*given: Any, **more: Any) -> tuple[float, float, Array]:
     names: dict[str, Any] = {}
     exec(compile(RECIPE, "docs/scale_parameter.md", "exec"), names)
-    found: tuple[float, float, Array] = names["adjust"](*given, **more)
-    return found
+    solution: tuple[float, float, Array] = names["adjust"](*given, **more)
+    return solution
 
 
 def air_of(state: Array) -> Profile:
@@ -201,10 +201,12 @@ def measured(
         "cy_px": HEIGHT / 2,
         "calibration": "laboratory",
     }
-    found = correct(rows, stations, air, {"camera": camera}, mission={"undulation_m": UNDULATION})
-    inside = found["status"] == "ok"
+    corrected = correct(
+        rows, stations, air, {"camera": camera}, mission={"undulation_m": UNDULATION}
+    )
+    inside = corrected["status"] == "ok"
     assert inside.mean() > 0.98  # the others were displaced out of the image
-    return found[inside], found.attrs["uncertainty"]["scale_sigma"], mode
+    return corrected[inside], corrected.attrs["uncertainty"]["scale_sigma"], mode
 
 
 def adjusted(
@@ -264,7 +266,7 @@ def test_with_noise_within_three_sigma(seed):
 
 
 @pytest.mark.parametrize(
-    ("kind", "free", "known"),
+    ("kind", "free", "is_known"),
     [
         ("75", False, True),
         ("75", True, True),
@@ -273,11 +275,11 @@ def test_with_noise_within_three_sigma(seed):
         ("nadir", True, False),
     ],
 )
-def test_where_it_can_be_told(kind, free, known, capsys):
+def test_where_it_can_be_told(kind, free, is_known, capsys):
     """Below a third of its prior at 75 degrees, above half elsewhere; as the page says."""
     _, sigma, prior = adjusted(kind, free=free)
     (shown,) = re.findall(rf"\| {kind}[^|]*\| {'free' if free else 'fixed'} \| ([0-9.]+) \|", PAGE)
     with capsys.disabled():
         print(f"\nsigma of s over its prior of {prior:.4f}: {kind}, free {free}: {sigma:.2f}")
     assert abs(sigma - float(shown)) <= 0.02
-    assert sigma < 1 / 3 if known else sigma > 0.5
+    assert sigma < 1 / 3 if is_known else sigma > 0.5

@@ -71,8 +71,8 @@ def clean_python(wheel, tmp_path_factory) -> Path:
 def test_the_wheel_without_extras_corrects_the_sample_flight(clean_python, runs, tmp_path):
     for name in ("configs", "sample_logs"):
         shutil.copytree(REPOSITORY / name, tmp_path / name)
-    where = answer(clean_python, "-c", "import unbend; print(unbend.__file__)", place=tmp_path)
-    assert Path(where.strip()).is_relative_to(clean_python.parents[1])
+    package = answer(clean_python, "-c", "import unbend; print(unbend.__file__)", place=tmp_path)
+    assert Path(package.strip()).is_relative_to(clean_python.parents[1])
     answer(clean_python, *PIP, "check", place=tmp_path)
 
     unbend = clean_python.with_name("unbend")

@@ -78,11 +78,11 @@ def make_season(mission, folder: Path, missions: int) -> Season:
         flight.mkdir(parents=True)
         shutil.copy(mission.log, flight / "flight.bin")
         shutil.copy(mission.folder / "observations.parquet", flight)
-        own = {key: mission.config[key] for key in OWN}
-        own["mission"] = own["mission"] | {"name": f"flight-{number}"}
-        own["atmosphere"] = {"soundings": [{"path": "balloon.csv"}]}
+        sections = {key: mission.config[key] for key in OWN}
+        sections["mission"] = sections["mission"] | {"name": f"flight-{number}"}
+        sections["atmosphere"] = {"soundings": [{"path": "balloon.csv"}]}
         (flight / "balloon.csv").write_text(sounding_text(), encoding="utf-8")
-        (flight / "mission.yaml").write_text(yaml.safe_dump(own), encoding="utf-8")
+        (flight / "mission.yaml").write_text(yaml.safe_dump(sections), encoding="utf-8")
     shared = {k: v for k, v in mission.config.items() if k not in (*OWN, "output")}
     content = {
         "campaign": {"name": "season", "output": "results"},
@@ -366,10 +366,10 @@ def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend
     done.older()
     compared = unbend("run", done.file, "--mission", "flight-0", "--verify-inputs")
     assert done.unchanged() == [0, 1]
-    known = unbend("run", done.file, "--mission", "flight-0")
-    assert known.code == compared.code == 3
-    assert known.out == compared.out
-    assert "refraction of the air" in known.out  # one mission alone has its summary
+    unread = unbend("run", done.file, "--mission", "flight-0")
+    assert unread.code == compared.code == 3
+    assert unread.out == compared.out
+    assert "refraction of the air" in unread.out  # one mission alone has its summary
     both = json.loads(unbend("run", done.file, "--json").out)
     assert [mission["exit_code"] for mission in both] == [3, 0]
     assert both[0]["manifest"] == changed

@@ -120,8 +120,8 @@ def moto(tmp_path_factory) -> Iterator[dict[str, str]]:
 def azurite(tmp_path_factory) -> Iterator[dict[str, str]]:
     """Azurite, Azure's emulator: from npm, in the folder UNBEND_AZURITE or on the PATH."""
     folder = tmp_path_factory.mktemp("azurite")
-    own = Path(os.environ.get("UNBEND_AZURITE", "none")) / "node_modules/.bin/azurite-blob"
-    program = str(own) if own.exists() else in_environment("azurite-blob")
+    installed = Path(os.environ.get("UNBEND_AZURITE", "none")) / "node_modules/.bin/azurite-blob"
+    program = str(installed) if installed.exists() else in_environment("azurite-blob")
     port = free_port()
     options = ["--location", str(folder), "--blobPort", str(port)]
     command = [program, *options, "--silent", "--skipApiVersionCheck"]

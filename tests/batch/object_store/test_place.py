@@ -128,7 +128,7 @@ def test_copies_beyond_the_bound_go_the_oldest_first(s3_place, monkeypatch):
 
 def test_an_object_that_goes_while_it_is_copied(s3_place, monkeypatch):
     assert s3_place.put(b"x", None)
-    found = look_up(s3_place)
+    remote_input = look_up(s3_place)
     blocks = Place.blocks
 
     def blocks_of_nothing(place: Place):
@@ -136,7 +136,7 @@ def test_an_object_that_goes_while_it_is_copied(s3_place, monkeypatch):
         return blocks(place)
 
     monkeypatch.setattr(Place, "blocks", blocks_of_nothing)
-    assert refusal(fetch, found).code == "INPUT-CHANGED"
+    assert refusal(fetch, remote_input).code == "INPUT-CHANGED"
 
 
 def refusal(call, *arguments, **options) -> UnbendError:
@@ -287,8 +287,8 @@ def test_a_download_that_is_cut_off(use, tmp_path):
     with answering(206, b"x" * 400, headers) as url:
         use(environment_of("s3", url))
         place = Place.of("s3://season/a")
-        found = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
-        assert refusal(fetch, found).code == "CLOUD-FAILED"
+        remote_input = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
+        assert refusal(fetch, remote_input).code == "CLOUD-FAILED"
         assert refusal(read_manifest, place).code == "CLOUD-FAILED"
-        assert not found.copy.exists()
+        assert not remote_input.copy.exists()
         assert list((tmp_path / "cache/unbend/copies").iterdir()) == []

@@ -118,11 +118,16 @@ def test_a_store_that_says_half_and_stops(use, impatient):
     with accepting(HALF) as url:
         use(environment_of("s3", url))
         place = Place.of("s3://season/a")
-        found = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
-        calls = (place.read, place.objects, partial(fetch, found), partial(read_manifest, place))
+        remote_input = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
+        calls = (
+            place.read,
+            place.objects,
+            partial(fetch, remote_input),
+            partial(read_manifest, place),
+        )
         for call in calls:
             assert "has not answered within" in silence(call).what
-        assert not found.copy.exists()
+        assert not remote_input.copy.exists()
 
 
 def test_ctrl_c_is_heard_while_a_store_is_silent(use):
