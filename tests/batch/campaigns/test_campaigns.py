@@ -229,7 +229,6 @@ def test_other_defaults_are_other_missions(done):
 
 
 @pytest.mark.parametrize("option", ["--force", "--verify-inputs"])
-@pytest.mark.parametrize("option", ["--force", "--verify-inputs"])
 def test_asked_to_look_again_it_looks(done, obeyed, monkeypatch, option):
     plans = []
     make_plan = runs.make_plan
