@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 
-from unbend.report.campaign import row_of
+from unbend.report.campaign import DONE, campaign_page, row_of, row_without
 from unbend.report.summary import not_included, size_of_shift
 from unbend.tables.manifest.results import DistributionRecord
 from unbend.tables.manifest.whole import Manifest
@@ -120,3 +121,18 @@ def test_how_far_points_were_moved_is_said_by_median_and_95_percent():
     unknown = DistributionRecord(count=0, median=None, p95=None, maximum=None)
     text = size_of_shift(SimpleNamespace(shift_px=shift, shift_ground_m=unknown))
     assert text == "0.11 px in the image (median; 95 %: 0.42 px)"
+
+
+def places_on_the_page(*longitudes_deg: float) -> list[str]:
+    """Where the map of a campaign has its missions, one line for each screen."""
+    rows = []
+    for number, longitude_deg in enumerate(longitudes_deg):
+        place = {"state": DONE, "lat_deg": -17.0 + 0.1 * number, "lon_deg": longitude_deg}
+        rows.append(row_without(f"m{number}", 0, "", "") | place)
+    return re.findall(r'<path class="dots ok" d="(M[^"]+ [^"]+)"', campaign_page("s", rows, "d"))
+
+
+def test_a_campaign_across_the_180th_meridian_is_one_place():
+    elsewhere = places_on_the_page(9.9, 10.1)
+    assert len(elsewhere) == 3  # of a wide and a narrow screen, and the key to the map
+    assert places_on_the_page(179.9, -179.9) == elsewhere
