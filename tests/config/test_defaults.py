@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import typing
 
 import pytest
@@ -11,6 +12,7 @@ from unbend.config.cameras import CameraSection
 from unbend.config.event_sources import CsvEvents, LogEvents
 from unbend.config.ground import GroundSection
 from unbend.config.keys import mission_keys
+from unbend.config.local_frames import LocalOrigin
 from unbend.config.logs import LogSection, NamedChannel
 from unbend.config.mission_file import OutputSection, RefractionSection
 from unbend.config.mounts import MountSection
@@ -138,6 +140,22 @@ def test_a_mount_in_radians():
     assert mount.pitch_rad == pytest.approx(0.3490658503988659, rel=1e-15)
     assert mount.yaw_rad == pytest.approx(0.5235987755982988, rel=1e-15)
     assert tuple(mount.lever_arm_m) == (1.0, 2.0, 3.0)
+
+
+def test_what_is_known_of_a_mount_in_radians():
+    """Without a sigma of its own, that of the yaw is that of the tilt."""
+    tilt_alone = MountSection(sigma_tilt_deg=0.05).mount
+    assert tilt_alone.sigma_tilt_rad == pytest.approx(8.726646259971648e-4, rel=1e-15)
+    assert tilt_alone.sigma_yaw_rad == tilt_alone.sigma_tilt_rad
+    both = MountSection(sigma_tilt_deg=0.05, sigma_yaw_deg=0.2).mount
+    assert both.sigma_yaw_rad == pytest.approx(3.490658503988659e-3, rel=1e-15)
+
+
+def test_an_origin_in_radians():
+    origin = LocalOrigin(lat_deg=30.0, lon_deg=-60.0, h_ellipsoid_m=600.0).build()
+    assert origin.lat_rad == pytest.approx(math.pi / 6.0)
+    assert origin.lon_rad == pytest.approx(-math.pi / 3.0)
+    assert origin.h_ellipsoid_m == 600.0
 
 
 def test_a_station_in_si():
