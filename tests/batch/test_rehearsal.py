@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from tests.helpers import codes_of, entry_of, refused
+from tests.helpers import codes_of, refused
 from unbend.batch.rehearsal import rehearsal_lines
 from unbend.batch.runs import check_mission, run_mission
 from unbend.errors import UnbendError
@@ -357,9 +357,9 @@ def test_an_accepted_finding_stays_and_raises_nothing(mission):
     assert "PLAUSIBLE-LEVER-ARM" in findings
     mission.config["accept"] = [{"code": code, "reason": "a boom"} for code in sorted(findings)]
     manifest = mission.run_to_manifest()
-    entry = entry_of(manifest, "PLAUSIBLE-LEVER-ARM")
-    assert entry["kind"] == "warning"
-    assert entry["what"].endswith("(accepted: a boom)")
+    entries = {entry["code"]: entry for entry in manifest["ledger"]}
+    assert entries["PLAUSIBLE-LEVER-ARM"]["kind"] == "warning"
+    assert entries["PLAUSIBLE-LEVER-ARM"]["what"].endswith("(accepted: a boom)")
     assert manifest["config"]["accept"]
 
 

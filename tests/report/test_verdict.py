@@ -10,7 +10,6 @@ import pyarrow as pa
 import pytest
 import yaml
 
-from tests.helpers import entry_of
 from unbend.report.summary import next_steps, outcome, remarks
 
 from .manifests import manifest_of
@@ -96,7 +95,8 @@ def test_a_likely_mistake_is_not_ready(mission, plain_report):
     with_heights(mission, lambda h: h * 3.28084)
     manifest, text, steps = run_to_verdict(mission, 3)
     assert manifest["observations"]["status"]["ok"] == 59
-    assert entry_of(manifest, "PLAUSIBLE-GROUND")["kind"] == "finding"
+    kinds = {entry["code"]: entry["kind"] for entry in manifest["ledger"]}
+    assert kinds["PLAUSIBLE-GROUND"] == "finding"
     assert READY not in text
     assert text.endswith(f"{LOOK}1 likely mistake (PLAUSIBLE-GROUND) before use.")
     assert steps.startswith("Correct the cause of PLAUSIBLE-GROUND")
