@@ -128,7 +128,7 @@ def beginnings(folder: Path) -> list[tuple[str, int]]:
 
 def refusal(scheduler: str, mission: Path = MISSIONS) -> str:
     """What is said before any work."""
-    tasks = {missions_module.Unread(mission): missions_module.one}
+    tasks = {missions_module.Unread(mission): missions_module.run_mission}
     with pytest.raises(UnbendError) as caught:
         list(DaskExecutor(scheduler).run(tasks))
     return str(caught.value)
