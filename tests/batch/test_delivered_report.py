@@ -157,6 +157,6 @@ def test_a_report_of_an_older_version_is_delivered_without_a_date(
     obeyed, mission, tmp_path, plain_report
 ):
     """Its page has no place for the date: that is said."""
-    assert mission.run().code == 0
+    mission.run_to_manifest()
     text = obeyed("report", mission.output, "--out", tmp_path / "r.html", "--json")
     assert [entry["code"] for entry in json.loads(text)["ledger"]] == ["REPORT-DATE"]

@@ -133,7 +133,7 @@ def test_at_its_nodes_the_lattice_is_what_a_run_makes_of_them(mission, lattice):
     nodes["point"] = np.arange(len(nodes)).astype(str)
     nodes["h_g_m"] = 321.0
     mission.observe(pa.Table.from_pandas(nodes, preserve_index=False))
-    assert mission.run().code == 0
+    mission.run_to_manifest()
     grid, _ = lattice(mission.output, "--columns", 5, "--rows", 4)
     run = mission.results().to_pandas().merge(grid, on=["image", "x_px", "y_px"])
     assert len(grid) == len(nodes) == len(run)
@@ -201,7 +201,7 @@ def test_what_has_no_lattice_is_said(mission, lattice):
     table = mission.measurements().to_pandas()
     table.loc[0, "image"] = "unknown.tif"
     mission.observe(pa.Table.from_pandas(table))
-    assert mission.run().code == 3
+    mission.run_to_manifest(3)
     rows, text = lattice(mission.output, *FEW_NODES, exit_code=3)
     assert "EXPORT-LEFT-OUT: 1 image " in text
     assert "unknown.tif" not in set(rows["image"])
@@ -210,7 +210,7 @@ def test_what_has_no_lattice_is_said(mission, lattice):
 def test_a_run_without_ground_heights_says_so(mission, lattice):
     table = mission.measurements().to_pandas()
     mission.observe(pa.Table.from_pandas(table.assign(h_g_m=np.nan)))
-    assert mission.run().code == 3
+    mission.run_to_manifest(3)
     rows, text = lattice(mission.output, *FEW_NODES, exit_code=3)
     assert "EXPORT-NO-GROUND" in text
     assert set(rows["status"]) == {"no_ground"}
@@ -222,7 +222,7 @@ def test_a_run_without_ground_heights_says_so(mission, lattice):
 def test_a_dome_comes_back_from_the_manifest(mission, lattice):
     """The manifest states the defaults of a window, which nobody gave."""
     mission.config["cameras"]["nadir"]["window"] = {"shape": "spherical"}
-    assert mission.run().code == 0
+    mission.run_to_manifest()
     lattice(mission.output, *FEW_NODES)
 
 
@@ -437,7 +437,7 @@ def test_a_run_that_cannot_be_read_back(copied, export, exit_code, code, spoil):
 def test_a_run_that_displaced_observations(mission, export):
     mission.config["refraction"] = {"direction": "apply"}
     mission.config["accept"] = [{"code": "PLAUSIBLE-APPLY", "reason": "there and back"}]
-    assert mission.run().code == 0
+    mission.run_to_manifest()
     for name in ("lattice", "radial-csv"):
         out, ended = export(mission.output, name)
         assert ended.code == 2
