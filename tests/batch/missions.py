@@ -42,7 +42,8 @@ def gone(process: int) -> bool:
     return False
 
 
-def one(mission, *, progress=None):
+def run_mission(mission, *, progress=None):
+    """Run a mission as its name says: deadly ones kill their process, buggy ones raise."""
     name = mission.path.stem
     here = mission.path.parent
     output = here / f"results of {name}"
@@ -87,14 +88,14 @@ def main():
     from unbend.batch.processes import Processes
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # as the command line has it
-    where, folder, *names = sys.argv[1:]
+    workers, folder, *names = sys.argv[1:]
     if "--impatient" in names:
         names.remove("--impatient")
         dask_executor._LOOK_S = 1.0
         threading.Thread(target=lose_patience, args=(Path(folder),), daemon=True).start()
-    executor = Processes(int(where)) if where.isdecimal() else DaskExecutor(where)
+    executor = Processes(int(workers)) if workers.isdecimal() else DaskExecutor(workers)
     missions = [Unread(Path(folder) / f"{name}.yaml") for name in names]
-    for mission, end in run_many(one, missions, executor):
+    for mission, end in run_many(run_mission, missions, executor):
         word = "bug" if isinstance(end, Bug) else getattr(end, "code", None)
         if isinstance(end, Outcome):
             assert (end.exit_code, end.manifest.run.fingerprint) == (3, end.name)

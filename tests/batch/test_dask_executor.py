@@ -17,6 +17,7 @@ import pytest
 pytest.importorskip("distributed")
 
 from tests.draws import SEED
+from tests.helpers import refused
 from unbend.batch import dask_executor
 from unbend.batch.dask_executor import DaskExecutor
 from unbend.errors import UnbendError
@@ -47,23 +48,13 @@ class Machines:
 
     def start(self, program: str, *words: str) -> subprocess.Popen[bytes]:
         path = os.pathsep.join([str(MISSIONS.parent), *sys.path])
+        options = ("--scheduler-file", str(self.file), "--host", "127.0.0.1", "--no-dashboard")
         settings = {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__HTTP__ROUTES": "[]"}
-        with (self.folder / "output.txt").open("ab") as said:
+        with (self.folder / "output.txt").open("ab") as output:
             return subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "dask",
-                    program,
-                    *words,
-                    "--scheduler-file",
-                    str(self.file),
-                    "--host",
-                    "127.0.0.1",
-                    "--no-dashboard",
-                ],
-                stdout=said,
-                stderr=said,
+                [sys.executable, "-m", "dask", program, *words, *options],
+                stdout=output,
+                stderr=output,
                 env=os.environ | settings,
                 cwd=self.folder,
             )
@@ -94,7 +85,7 @@ class Machines:
 
 
 @pytest.fixture(scope="module")
-def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
+def machines(tmp_path_factory) -> Iterator[Machines]:
     of_tests = Machines(tmp_path_factory.mktemp("machines"))
     yield of_tests
     of_tests.stop()
@@ -122,25 +113,32 @@ def ends_of(process: subprocess.Popen) -> dict[str, str]:
 
 
 def begun(folder: Path) -> list[str]:
+    """The missions that began, in their order."""
+    return [name for name, _ in beginnings(folder)]
+
+
+def beginnings(folder: Path) -> list[tuple[str, int]]:
+    """Each mission that began, and the process it began in."""
     file = folder / "begun"
-    return (
-        [line.rsplit(" ", 1)[0] for line in file.read_text().splitlines()] if file.exists() else []
-    )
+    if not file.exists():
+        return []
+    lines = [line.rsplit(" ", 1) for line in file.read_text().splitlines()]
+    return [(name, int(process)) for name, process in lines]
 
 
 def refusal(scheduler: str, mission: Path = MISSIONS) -> str:
     """What is said before any work."""
-    missions = {missions_module.Unread(mission): missions_module.one}
-    with pytest.raises(UnbendError) as refused:
-        list(DaskExecutor(scheduler).run(missions))
-    return str(refused.value)
+    tasks = {missions_module.Unread(mission): missions_module.run_mission}
+    with pytest.raises(UnbendError) as caught:
+        list(DaskExecutor(scheduler).run(tasks))
+    return str(caught.value)
 
 
 def test_what_is_no_scheduler_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(dask_executor, "_CONNECT_S", 0.3)
     assert refusal("tcp://127.0.0.1:9").startswith("SCHEDULER-NONE: ")
     assert refusal("nothing://127.0.0.1").startswith("SCHEDULER-NONE: ")
-    with pytest.raises(UnbendError, match=r"^SCHEDULER-NONE: "):
+    with refused("SCHEDULER-NONE"):
         dask_executor.refuse_missing("tcp://127.0.0.1:9")
     for content in (None, "{", "[]", '{"other": 1}'):
         file = tmp_path / "scheduler.json"
@@ -152,9 +150,9 @@ def test_what_is_no_scheduler_is_refused(tmp_path, monkeypatch):
 
 def test_without_the_library_it_is_asked_for(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    said = refusal("tcp://127.0.0.1:9")
-    assert said.startswith("SCHEDULER-EXTRA: ")
-    assert "pip install 'unbend[dask]'" in said
+    text = refusal("tcp://127.0.0.1:9")
+    assert text.startswith("SCHEDULER-EXTRA: ")
+    assert "pip install 'unbend[dask]'" in text
 
 
 def test_workers_that_differ_are_refused_before_any_work(machines, tmp_path, monkeypatch):
@@ -164,15 +162,17 @@ def test_workers_that_differ_are_refused_before_any_work(machines, tmp_path, mon
         patch.setattr(dask_executor, "_CONNECT_S", 0.3)
         assert refusal(file).startswith("SCHEDULER-WORKERS: ")
     machines.need_workers(1)
-    said = refusal(file, tmp_path / "nowhere.yaml")
-    assert said.startswith("WORKER-FILES: this worker does not find 1 mission file")
-    assert "nowhere.yaml" in said
-    own = dask_executor.versions_here()
-    monkeypatch.setattr(dask_executor, "versions_here", lambda: own | {"numpy": "1.0", "more": "2"})
-    said = refusal(file)
-    assert said.startswith("WORKER-VERSION: ")
-    assert f"more missing (here 2), numpy {own['numpy']} (here 1.0)" in said
-    assert "tcp://127.0.0.1" in said
+    text = refusal(file, tmp_path / "nowhere.yaml")
+    assert text.startswith("WORKER-FILES: this worker does not find 1 mission file")
+    assert "nowhere.yaml" in text
+    versions = dask_executor.versions_here()
+    monkeypatch.setattr(
+        dask_executor, "versions_here", lambda: versions | {"numpy": "1.0", "more": "2"}
+    )
+    text = refusal(file)
+    assert text.startswith("WORKER-VERSION: ")
+    assert f"more missing (here 2), numpy {versions['numpy']} (here 1.0)" in text
+    assert "tcp://127.0.0.1" in text
 
 
 @pytest.mark.parametrize("run", range(RUNS))
@@ -192,19 +192,15 @@ def test_workers_that_are_killed_cost_no_mission(machines, tmp_path, run):
         machines.start_worker()
         draw.choice(alive).kill()
     ends = ends_of(process)
-    wanted = {"deadly": "WORKER-LOST", "refused": "OBS-EMPTY", "unlucky": "done"}
-    assert {name: "done" if word == "repeated" else word for name, word in ends.items()} == {
-        name: wanted.get(name, "done") for name in names
-    }
-    for name in names:
-        if wanted.get(name, "done") == "done":
-            folder = tmp_path / "killed" / f"results of {name}"
-            assert {p.name for p in folder.iterdir()} == {
-                ".lock",
-                "stations.parquet",
-                "manifest.json",
-            }
-            assert (folder / "stations.parquet").read_bytes() == name.encode() * 1000
+    assert set(ends) == set(names)
+    assert ends.pop("deadly") == "WORKER-LOST"
+    assert ends.pop("refused") == "OBS-EMPTY"
+    assert set(ends.values()) <= {"done", "repeated"}
+    for name in ends:
+        results = tmp_path / "killed" / f"results of {name}"
+        files = {path.name for path in results.iterdir()}
+        assert files == {".lock", "stations.parquet", "manifest.json"}
+        assert (results / "stations.parquet").read_bytes() == name.encode() * 1000
 
 
 def test_a_scheduler_that_is_killed_costs_no_finished_mission(machines, tmp_path):
@@ -235,9 +231,7 @@ def test_a_signal_stops_what_the_workers_do(machines, tmp_path):
     process.communicate(timeout=LIMIT_S)
     assert process.returncode == 143
     assert time.monotonic() - began < 5.0
-    workers = [
-        int(line.split()[1]) for line in (tmp_path / "stopped" / "begun").read_text().splitlines()
-    ]
+    workers = [process for _, process in beginnings(tmp_path / "stopped")]
     wait_until(lambda: all(map(missions_module.gone, workers)), 5.0)
     assert begun(tmp_path / "stopped") == ["a"]
 
@@ -257,12 +251,12 @@ def test_a_worker_that_is_stopped_costs_no_mission(machines, tmp_path, monkeypat
     try:
         ends = ends_of(process)
         monkeypatch.setattr(dask_executor, "_CHECK_S", 3.0)
-        said = refusal(str(machines.file))
+        text = refusal(str(machines.file))
     finally:
         frozen.kill()
     assert set(ends) == set(names)
     assert set(ends.values()) <= {"done", "repeated"}
-    assert said.startswith("SCHEDULER-WORKERS: this worker has not answered for")
+    assert text.startswith("SCHEDULER-WORKERS: this worker has not answered for")
 
 
 def test_the_only_worker_that_is_stopped_is_named(machines, tmp_path):

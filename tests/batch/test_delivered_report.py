@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers import refused
 from unbend.batch.finished_run import delivered_report
 from unbend.batch.finished_run.delivered_report import find_browser, print_command, run_within
 from unbend.batch.remote import Place
-from unbend.errors import ConfigError
 from unbend.report.cover import PROCESSED
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the browsers here are shell scripts")
@@ -35,26 +35,33 @@ def browser(folder: Path, script: str) -> str:
     return str(path)
 
 
-def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypatch):
+def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypatch, obeyed):
     """The time of the manifest; the results stay as they are."""
     monkeypatch.chdir(tmp_path)
-    ended = unbend("report", baseline.output)
-    assert ended.code == 0, ended.text
-    name = json.loads((baseline.output / "manifest.json").read_text())["mission"]
-    page = (tmp_path / f"{name}-report.html").read_text(encoding="utf-8")
-    own = (baseline.output / "report.html").read_text(encoding="utf-8")
-    when = time.gmtime((baseline.output / "manifest.json").stat().st_mtime)
-    said = f"<dt>Processed</dt><dd>{time.strftime('%Y-%m-%d %H:%M', when)} UTC</dd>"
-    assert page == own.replace(PROCESSED, said)
-    assert said not in own
-    assert unbend("verify", baseline.output).code == 0
-    ended = unbend("report", baseline.output)
-    assert (ended.code, "EXPORT-EXISTS" in ended.err) == (2, True)
-    assert unbend("report", baseline.output, "--force").code == 0
-    ended = unbend("report", baseline.output, "--out", baseline.output / "x.html")
-    assert (ended.code, "EXPORT-INSIDE-RUN" in ended.err) == (2, True)
-    ended = unbend("report", baseline.output, "--pdf", "--out", "x.html", "--browser", "sh")
-    assert (ended.code, "REPORT-ENDING" in ended.err) == (2, True)
+    obeyed("report", baseline.output)
+    page = Path(f"{baseline.manifest()['mission']}-report.html").read_text(encoding="utf-8")
+    page_of_run = (baseline.output / "report.html").read_text(encoding="utf-8")
+    time_utc = time.gmtime((baseline.output / "manifest.json").stat().st_mtime)
+    date = f"<dt>Processed</dt><dd>{time.strftime('%Y-%m-%d %H:%M', time_utc)} UTC</dd>"
+    assert page == page_of_run.replace(PROCESSED, date)
+    assert date not in page_of_run
+    obeyed("verify", baseline.output)
+    assert unbend("report", baseline.output).err.startswith("EXPORT-EXISTS: ")
+    obeyed("report", baseline.output, "--force")
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("--out {run}/x.html", "EXPORT-INSIDE-RUN"),
+        ("--pdf --out x.html --browser sh", "REPORT-ENDING"),
+    ],
+)
+def test_a_place_for_the_report_that_is_refused(
+    refusal_of, baseline, tmp_path, monkeypatch, words, code
+):
+    monkeypatch.chdir(tmp_path)
+    refusal_of(code, 2, "report", baseline.output, *words.format(run=baseline.output).split())
 
 
 def test_of_results_at_a_url_the_time_is_that_of_the_object(monkeypatch):
@@ -72,28 +79,19 @@ def test_of_results_at_a_url_the_time_is_that_of_the_object(monkeypatch):
     assert asked == ["s3://bucket/results/survey/manifest.json"]
 
 
-def test_a_pdf_is_what_the_browser_printed(unbend, baseline, tmp_path, monkeypatch):
+def test_a_pdf_is_what_the_browser_printed(obeyed, baseline, tmp_path, monkeypatch):
     monkeypatch.setenv("VERSION", "156")
     out = tmp_path / "r.pdf"
-    ended = unbend(
-        "report",
-        baseline.output,
-        "--pdf",
-        "--out",
-        out,
-        "--browser",
-        browser(tmp_path, PRINTS),
-        "--json",
-    )
-    assert ended.code == 0, ended.text
-    assert json.loads(ended.out)["out"] == str(out)
+    words = ("--pdf", "--out", out, "--browser", browser(tmp_path, PRINTS), "--json")
+    text = obeyed("report", baseline.output, *words)
+    assert json.loads(text)["out"] == str(out)
     content = out.read_bytes()
     assert content.startswith(b"%PDF")
     assert b"<dt>Processed</dt>" in content
 
 
 @pytest.mark.parametrize(
-    ("script", "said"),
+    ("script", "sentence"),
     [
         ("echo no display >&2; exit 1", "no display"),
         ("case $1 in --version) exit 0;; esac; sleep 600 & sleep 600", "did not end within 1 s"),
@@ -103,42 +101,37 @@ def test_a_pdf_is_what_the_browser_printed(unbend, baseline, tmp_path, monkeypat
         ),
     ],
 )
-def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path, script, said):
+def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path, script, sentence):
     out = tmp_path / "out" / "r.pdf"
     out.parent.mkdir()
-    begin = time.monotonic()
-    ended = unbend(
-        "report",
-        baseline.output,
-        "--pdf",
-        "--timeout",
-        "1",
-        "--out",
-        out,
-        "--browser",
-        browser(tmp_path, script),
-    )
-    assert time.monotonic() - begin < 60.0
-    assert (ended.code, "REPORT-BROWSER" in ended.err) == (2, True), ended.text
-    assert said in " ".join(ended.err.split())
+    words = ("--pdf", "--timeout", "1", "--out", out, "--browser", browser(tmp_path, script))
+    began_s = time.monotonic()
+    ended = unbend("report", baseline.output, *words)
+    assert time.monotonic() - began_s < 60.0
+    assert ended.code == 2, ended.text
+    assert ended.err.startswith("REPORT-BROWSER: ")
+    assert sentence in " ".join(ended.err.split())
     assert not list(out.parent.iterdir())
 
 
-def test_no_browser_is_said_with_what_to_do(unbend, baseline, tmp_path, monkeypatch):
+def test_no_browser_is_said_with_what_to_do(refusal_of, baseline, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(delivered_report, "_OF_OTHER_SYSTEMS", ())
-    ended = unbend("report", baseline.output, "--pdf", "--out", tmp_path / "r.pdf")
-    assert (ended.code, "REPORT-BROWSER" in ended.err) == (2, True)
+    text = refusal_of(
+        "REPORT-BROWSER", 2, "report", baseline.output, "--pdf", "--out", tmp_path / "r.pdf"
+    )
     for words in ("chromium", "--browser", "report.html"):
-        assert words in ended.err
-    with pytest.raises(ConfigError, match="no program 'nonesuch'"):
+        assert words in text
+    with refused("REPORT-BROWSER") as refusal:
         find_browser("nonesuch")
+    assert "no program 'nonesuch'" in str(refusal.value)
 
 
 def test_what_a_browser_started_is_ended_with_it(tmp_path):
     script = f"sleep 600 & echo $! > {tmp_path}/child; sleep 600"
-    with pytest.raises(ConfigError, match="did not end"):
+    with refused("REPORT-BROWSER") as refusal:
         run_within([browser(tmp_path, script)], 1.0)
+    assert "did not end" in str(refusal.value)
     child = int((tmp_path / "child").read_text())
     for _ in range(50):
         try:
@@ -161,11 +154,9 @@ def test_an_older_browser_prints_heads_of_its_own(tmp_path, monkeypatch, version
 
 
 def test_a_report_of_an_older_version_is_delivered_without_a_date(
-    unbend, mission_factory, tmp_path, plain_report
+    obeyed, mission, tmp_path, plain_report
 ):
     """Its page has no place for the date: that is said."""
-    done = mission_factory(tmp_path / "m")
-    assert done.run().code == 0
-    ended = unbend("report", done.output, "--out", tmp_path / "r.html", "--json")
-    answer = json.loads(ended.out)
-    assert (ended.code, [entry["code"] for entry in answer["ledger"]]) == (0, ["REPORT-DATE"])
+    mission.run_to_manifest()
+    text = obeyed("report", mission.output, "--out", tmp_path / "r.html", "--json")
+    assert [entry["code"] for entry in json.loads(text)["ledger"]] == ["REPORT-DATE"]

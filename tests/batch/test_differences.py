@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
+from types import SimpleNamespace
 
 import pytest
 
-from unbend.batch import fingerprint, input_files
+from unbend.batch import fingerprint
+from unbend.batch.differences import changed_inputs
 from unbend.batch.runs import mission_status, run_mission
 
 
@@ -60,27 +61,29 @@ def test_results_that_are_gone(done):
     assert reasons(done) == ["report.html: is missing"]
 
 
-def test_nothing_is_read_where_nothing_changed(done, unbend, monkeypatch):
-    past = 1_700_000_000
-    for path in (done.log, done.folder / done.config["observations"]["path"]):
-        os.utime(path, (past, past))
-    now = input_files.time.time_ns
-    monkeypatch.setattr(input_files.time, "time_ns", lambda: now() + 60_000_000_000)
-    assert reasons(done) == []
-    monkeypatch.setattr(input_files, "hash_file", lambda path: pytest.fail(f"read {path}"))
-    assert reasons(done) == []
-    answer = json.loads(unbend("status", str(done.file), "--json").out)
-    assert [entry["would_run"] for entry in answer] == [False]
-    assert answer[0]["reasons"] == []
-
-
 def test_a_manifest_without_its_inputs_is_no_bug(done):
     """That of another version may lack what says why; the mission would run."""
-    kept = ("fingerprint", "mission", "outputs", "exit_code")
-    file = done.output / "manifest.json"
-    manifest = json.loads(file.read_text())
-    file.write_text(json.dumps({key: manifest[key] for key in kept} | {"fingerprint": "0"}))
-    found = reasons(done)
-    assert f"log is new ({done.config['log']['path']})" in found
+    manifest = done.manifest() | {"fingerprint": "0"}
+    del manifest["inputs"]
+    (done.output / "manifest.json").write_text(json.dumps(manifest))
+    assert f"log is new ({done.config['log']['path']})" in reasons(done)
     assert not run_mission(done.save()).repeated
     assert reasons(done) == []
+
+
+def test_inputs_that_come_and_go_are_named():
+    now = [
+        SimpleNamespace(role="log", sha256="1", name="a.bin"),
+        SimpleNamespace(role="observations", sha256="2", name="o.csv"),
+        SimpleNamespace(role="geoid", sha256="3", name="g.tif"),
+    ]
+    before = [
+        SimpleNamespace(role="log", sha256="0"),
+        SimpleNamespace(role="observations", sha256="2"),
+        SimpleNamespace(role="sounding 1", sha256="4"),
+    ]
+    assert list(changed_inputs(SimpleNamespace(inputs=now), before)) == [
+        "sounding 1 is no longer read",
+        "log changed (a.bin)",
+        "geoid is new (g.tif)",
+    ]

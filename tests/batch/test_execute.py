@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -16,29 +15,28 @@ from unbend.errors import InputError
 
 
 def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):
-    first, second, third, fourth = (mission_factory(tmp_path / name) for name in "abcd")
-    first.output.mkdir()
-    (tmp_path / "link").symlink_to(first.output)
+    missions = [mission_factory(tmp_path / name) for name in "abcd"]
+    missions[0].output.mkdir()
+    (tmp_path / "link").symlink_to(missions[0].output)
     (tmp_path / "up").symlink_to(tmp_path)
-    second.config["output"]["path"] = "../link"
-    third.config["output"]["path"] = "../up/d/../a/results"
-    files = [mission.save() for mission in (first, second, third, fourth)]
-    refused = select_missions(files).refused
-    assert [ref.path for ref in refused] == files[1:3]
-    for error in refused.values():
+    missions[1].config["output"]["path"] = "../link"
+    missions[2].config["output"]["path"] = "../up/d/../a/results"
+    files = [mission.save() for mission in missions]
+    refusals = select_missions(files).refused
+    assert [ref.path for ref in refusals] == files[1:3]
+    for error in refusals.values():
         assert error.code == "OUTPUT-SHARED"
         assert str(files[0]) in str(error)
 
 
 def test_a_broken_mission_file_shares_nothing(mission_factory, tmp_path):
-    first, second = (mission_factory(tmp_path / name) for name in "ab")
-    files = [first.save(), second.save()]
+    files = [mission_factory(tmp_path / name).save() for name in "ab"]
     files[0].write_text("mission: [")
     assert select_missions(files).refused == {}
 
 
-def silent(_: str) -> contextlib.AbstractContextManager[None]:
-    return contextlib.nullcontext()
+def missions_named(*names: str) -> list[MissionRef]:
+    return [MissionRef(Path(f"{name}.yaml")) for name in names]
 
 
 def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
@@ -57,39 +55,40 @@ def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
     def bar(name: str):
         yield f"bar of {name}"
 
-    missions = [MissionRef(Path(f"{name}.yaml")) for name in ("buggy", "refused", "b", "a")]
+    names = ["buggy", "refused", "b", "a"]
+    missions = missions_named(*names)
     ends = dict(run_many(run_mission, missions, Inline(bar)))
-    names = [mission.path.stem for mission in missions]
     assert begun == [(name, f"bar of {name}") for name in names]
     assert list(ends) == missions
-    bug, refused, *done = ends.values()
+    bug, refusal, *done = ends.values()
     assert isinstance(bug, Bug)
     assert "KeyError" in bug.traceback
-    assert isinstance(refused, InputError)
-    assert [end.name for end in done if isinstance(end, Outcome)] == ["b", "a"]
+    assert isinstance(refusal, InputError)
+    assert [outcome.name for outcome in done] == ["b", "a"]
 
 
-def test_shards_are_all_missions_once():
-    missions = [MissionRef(Path(f"{name}.yaml")) for name in "abcdefg"]
-    for count in (1, 3, 9):
-        run = [missions[shard_of(f"{i}/{count}")] for i in range(count)]
-        assert sorted(chain(*run), key=missions.index) == missions
-        assert max(map(len, run)) - min(map(len, run)) <= 1
+@pytest.mark.parametrize(
+    ("count", "expected"), [(1, ["abcdefg"]), (3, ["adg", "be", "cf"]), (9, [*"abcdefg", "", ""])]
+)
+def test_shards_are_all_missions_once(count, expected):
+    shards = ["abcdefg"[shard_of(f"{number}/{count}")] for number in range(count)]
+    assert shards == expected
 
 
-def test_what_is_no_shard_is_refused(unbend, tmp_path):
-    for shard in ("3/3", "1", "-1/3", "a/b", "1/0", "0/", "1.0/3", "4/3"):
-        ended = unbend("run", tmp_path / "none.yaml", f"--shard={shard}")
-        assert ended.code == 2, shard
-        assert f"RUN-SHARD: {shard} is not a part" in ended.err
+@pytest.mark.parametrize("shard", ["3/3", "1", "-1/3", "a/b", "1/0", "0/", "1.0/3", "4/3"])
+def test_what_is_no_shard_is_refused(refusal_of, tmp_path, shard):
+    text = refusal_of("RUN-SHARD", 2, "run", tmp_path / "none.yaml", f"--shard={shard}")
+    assert f"RUN-SHARD: {shard} is not a part" in text
+
+
+def test_a_shard_may_be_empty(unbend, tmp_path):
     ended = unbend("run", tmp_path / "none.yaml", "--shard", "1/2", "--json")
     assert (ended.code, ended.out, ended.err) == (0, "[]\n", "")
 
 
-def test_a_scheduler_and_processes_do_not_go_together(unbend, tmp_path):
-    ended = unbend("run", tmp_path / "none.yaml", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:9")
-    assert ended.code == 2
-    assert ended.err.startswith("RUN-ARGUMENTS: ")
+def test_a_scheduler_and_processes_do_not_go_together(refusal_of, tmp_path):
+    words = ("--jobs", "2", "--scheduler", "tcp://127.0.0.1:9")
+    refusal_of("RUN-ARGUMENTS", 2, "run", tmp_path / "none.yaml", *words)
 
 
 def test_a_scheduler_that_is_not_there_is_said_once(unbend, mission_factory, tmp_path):
@@ -105,13 +104,20 @@ def test_interrupts_of_the_user_pass_through():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(run_many(run_mission, [MissionRef(Path("a.yaml"))], Inline(silent)))
+        list(run_many(run_mission, missions_named("a"), Inline(contextlib.nullcontext)))
 
 
 @pytest.mark.parametrize(
-    ("codes", "code"),
-    [([0], 0), ([3], 3), ([2], 2), ([5], 5), ([0, 0], 0), ([0, 3], 3), ([3, 0], 3), ([0, 2], 6),
-     ([3, 4], 6), ([5, 0], 6), ([6, 1], 1), ([1, 0], 1), ([1], 1)],
-)  # fmt: skip
-def test_the_exit_code_of_several(codes, code):
-    assert exit_code_of_command(codes) == code
+    ("code", "several"),
+    [
+        (0, [[0], [0, 0]]),
+        (1, [[1], [6, 1], [1, 0]]),
+        (2, [[2]]),
+        (3, [[3], [0, 3], [3, 0]]),
+        (5, [[5]]),
+        (6, [[0, 2], [3, 4], [5, 0]]),
+    ],
+)
+def test_the_exit_code_of_several(code, several):
+    for codes in several:
+        assert exit_code_of_command(codes) == code, codes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from pathlib import Path
@@ -19,10 +18,15 @@ from unbend.ingest import hash_file
 @pytest.fixture
 def reads(monkeypatch) -> list[Path]:
     """The files that are read for their hashes."""
-    read: list[Path] = []
-    monkeypatch.setattr(input_files, "hash_file", lambda path: read.append(path) or hash_file(path))
+    paths: list[Path] = []
+
+    def hash_and_record(path: Path) -> str:
+        paths.append(path)
+        return hash_file(path)
+
+    monkeypatch.setattr(input_files, "hash_file", hash_and_record)
     input_files._hash_in_state.cache_clear()
-    return read
+    return paths
 
 
 def settle(mission) -> None:
@@ -34,19 +38,20 @@ def settle(mission) -> None:
 
 
 @pytest.fixture
-def later(monkeypatch):
-    """The clock is a minute ahead of the file system's."""
+def done(mission, plain_report, monkeypatch):
+    """A mission that ran on inputs that were written some time before its clock."""
     now = time.time_ns
-    monkeypatch.setattr(input_files.time, "time_ns", lambda: now() + 60_000_000_000)
-
-
-@pytest.fixture
-def done(mission, plain_report, later):
-    """A mission that ran on inputs that were written some time before."""
+    monkeypatch.setattr(time, "time_ns", lambda: now() + 60_000_000_000)
     mission.save()
     settle(mission)
     run_mission(mission.file)
     return mission
+
+
+def flip_last_byte(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
 
 
 def test_what_is_unchanged_is_not_read(done, reads):
@@ -67,18 +72,14 @@ def test_another_time_is_read_and_the_same_content_is_the_same(done, reads):
 
 
 def test_content_of_the_same_size_with_another_time_is_seen(done):
-    content = bytearray(done.log.read_bytes())
-    content[-1] ^= 1
-    done.log.write_bytes(bytes(content))
+    flip_last_byte(done.log)
     assert mission_status(done.file)[1] == [f"log changed ({done.config['log']['path']})"]
 
 
 def test_content_that_keeps_size_and_time_is_seen_where_it_is_asked_for(done):
     """Size and time are all that a run looks at; --verify-inputs reads."""
-    content = bytearray(done.log.read_bytes())
     before = done.log.stat()
-    content[len(content) // 2] ^= 1
-    done.log.write_bytes(bytes(content))
+    flip_last_byte(done.log)
     os.utime(done.log, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert run_mission(done.file).repeated
     plan = make_plan(load_mission(done.file), done.folder, verify=True)
@@ -88,8 +89,7 @@ def test_content_that_keeps_size_and_time_is_seen_where_it_is_asked_for(done):
 def test_what_was_just_written_is_read_once_more(mission, plain_report, reads):
     """The next change may have the same time: that of the manifest is not trusted."""
     run_mission(mission.save())
-    manifest = json.loads((mission.output / "manifest.json").read_text())
-    assert [row["mtime_ns"] for row in manifest["inputs"]] == [None, None]
+    assert [row["mtime_ns"] for row in mission.manifest()["inputs"]] == [None, None]
     reads.clear()
     assert run_mission(mission.file).repeated
     assert len(reads) == 2

@@ -9,8 +9,8 @@ from unbend.messages import Kind, Ledger
 class Attribute:
     """Written as Python before 3.11.4 writes members of enumerations."""
 
-    def __init__(self, of, name):
-        self.words = of, name
+    def __init__(self, owner, name):
+        self.words = owner, name
 
     def __reduce__(self):
         return getattr, self.words

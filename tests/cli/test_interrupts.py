@@ -117,47 +117,53 @@ SIGNALS = int(os.environ.get("UNBEND_SIGNALS", "4"))
 LONGEST_RUN_S = 6.0  # of the simulated mission on a machine that has nothing else to do
 
 
-def visible(folder) -> dict[str, str]:
+def visible(folder: Path) -> dict[str, str]:
     """Hash of each result; of the manifest without the times of the inputs, which settle first."""
+    hashes = {}
+    for path in folder.rglob("*"):
+        name = path.relative_to(folder).as_posix()
+        if path.is_dir() or any(part.startswith(".") for part in name.split("/")):
+            continue
+        content = path.read_bytes()
+        if name == "manifest.json":
+            manifest = json.loads(content)
+            for item in manifest["inputs"]:
+                item.pop("mtime_ns")
+            content = json.dumps(manifest).encode()
+        hashes[name] = hashlib.sha256(content).hexdigest()
+    return hashes
 
-    def content(path: Path) -> bytes:
-        if path.name != "manifest.json":
-            return path.read_bytes()
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        for item in manifest["inputs"]:
-            item.pop("mtime_ns")
-        return json.dumps(manifest).encode()
 
-    return {
-        str(p.relative_to(folder)): hashlib.sha256(content(p)).hexdigest()
-        for p in sorted(folder.rglob("*"))
-        if p.is_file() and not any(part.startswith(".") for part in p.relative_to(folder).parts)
-    }
-
-
-def finished_parts(folder) -> int:
+def finished_parts(folder: Path) -> int:
     """How many parts an interrupted run left to be taken up; nothing else is there."""
-    assert {p.name for p in folder.iterdir()} == {".lock", ".staging"}
-    left = {p.relative_to(folder / ".staging").as_posix() for p in (folder / ".staging").rglob("*")}
-    parts = {name.partition("/")[2] for name in left if name.startswith("receipts/")}
-    of_parts = {f"{kind}/{name}" for name in parts for kind in ("receipts", "observations")}
-    assert left == of_parts | {"key", "receipts", "observations"}
+    staging = folder / ".staging"
+    assert {path.name for path in folder.iterdir()} == {".lock", ".staging"}
+    parts = [path.name for path in (staging / "receipts").iterdir()]
+    expected = {"key", "receipts", "observations"}
+    for name in parts:
+        expected |= {f"receipts/{name}", f"observations/{name}"}
+    assert {path.relative_to(staging).as_posix() for path in staging.rglob("*")} == expected
     return len(parts)
 
 
 def stalled(mission, step: str, mode: str = "after") -> subprocess.Popen[str]:
     """A run in a process of its own that waits in the middle of a step."""
-    return started(STALLING, step, mode, str(mission.save()))
+    return started(STALLING, step, mode, mission.save())
 
 
-def started(code: str, *words: str) -> subprocess.Popen[str]:
-    """A process that has said it waits to be hit."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", HEARING + code, *words],
+def process_of(code: str, *words: object) -> subprocess.Popen[str]:
+    """A process of Python that hears Ctrl-C."""
+    return subprocess.Popen(
+        [sys.executable, "-c", HEARING + code, *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+def started(code: str, *words: object) -> subprocess.Popen[str]:
+    """A process that has said it waits to be hit."""
+    process = process_of(code, *words)
     assert process.stdout is not None
     for line in process.stdout:
         if "stalled" in line:
@@ -166,6 +172,7 @@ def started(code: str, *words: str) -> subprocess.Popen[str]:
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """The exit code of a process, and what it wrote."""
     try:
         out, err = process.communicate(timeout=LIMIT_S)
     except subprocess.TimeoutExpired:
@@ -184,7 +191,7 @@ def test_a_signal_leaves_nothing_half_done(mission, baseline, number, code):
     assert returned == code
     assert "Traceback" not in text
     assert finished_parts(mission.output) == 1
-    assert mission.run().code == 0
+    mission.run_to_manifest()
     assert visible(mission.output) == visible(baseline.output)
 
 
@@ -199,7 +206,7 @@ def test_a_signal_leaves_nothing_half_done(mission, baseline, number, code):
 def test_impatience_does_no_harm_to_a_stream(mission, numbers, code):
     mission.observe(pa.concat_tables([mission.measurements()] * 200))
     mission.config["output"]["batch_rows"] = 1000
-    process = started(STREAMING, str(mission.save()))
+    process = started(STREAMING, mission.save())
     for number in numbers:
         os.kill(process.pid, number)
         time.sleep(0.15)
@@ -224,15 +231,7 @@ def test_impatience_does_no_harm_to_a_stream(mission, numbers, code):
 def test_a_signal_takes_no_lock_with_it(mission, turn, number, code):
     mission.config["output"]["batch_rows"] = 1000
     mission.observe(pa.concat_tables([mission.measurements()] * 50))
-    words = [str(turn), str(int(number)), str(mission.save())]
-    returned, text = ended(
-        subprocess.Popen(
-            [sys.executable, "-c", HEARING + HITTING, *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-    )
+    returned, text = ended(process_of(HITTING, turn, int(number), mission.save()))
     assert text.split()[0] == "hit"
     assert returned == code, text
     assert "Traceback" not in text
@@ -259,53 +258,54 @@ main()
 def test_a_signal_does_not_wait_for_what_is_read(mission):
     mission.config["output"]["batch_rows"] = 1000
     mission.observe(pa.concat_tables([mission.measurements()] * 50))
-    process = started(READING, str(mission.save()))
+    process = started(READING, mission.save())
     os.kill(process.pid, signal.SIGTERM)
     returned, text = ended(process)
     assert returned == 143, text
     assert [p.name for p in mission.output.iterdir()] == [".lock"]
 
 
-def test_two_signals_at_once_are_one(mission):
-    code = (
-        "import signal, sys\n"
-        "from unbend.cli import entry\n"
-        "both = [signal.SIGINT, signal.SIGTERM]\n"
-        "def pressed(words):\n"
-        "    signal.pthread_sigmask(signal.SIG_BLOCK, both)\n"
-        "    [signal.raise_signal(number) for number in both]\n"
-        "    signal.pthread_sigmask(signal.SIG_UNBLOCK, both)\n"
-        "    return 0\n"
-        "entry.run_command = pressed\n"
-        "entry.main()"
-    )
-    done = subprocess.run([sys.executable, "-c", HEARING + code], capture_output=True, text=True)
-    assert done.returncode in (130, 143)  # of two that wait, which is served first is not ours
-    assert "Traceback" not in done.stderr
+TWO_AT_ONCE = """
+import signal, sys
+from unbend.cli import entry
+both = [signal.SIGINT, signal.SIGTERM]
+def pressed(words):
+    signal.pthread_sigmask(signal.SIG_BLOCK, both)
+    [signal.raise_signal(number) for number in both]
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, both)
+    return 0
+entry.run_command = pressed
+entry.main()
+"""
 
 
-def test_a_signal_after_the_end_changes_nothing():
-    code = (
-        "import atexit, signal\n"
-        "from unbend.cli import entry\n"
-        "entry.run_command = lambda words: 0\n"
-        "atexit.register(signal.raise_signal, signal.SIGINT)\n"
-        "entry.main()"
-    )
+def test_two_signals_at_once_are_one():
+    returned, text = ended(process_of(TWO_AT_ONCE))
+    assert returned in (130, 143)  # of two that wait, which is served first is not ours
+    assert "Traceback" not in text
+
+
+AFTER_THE_END = """
+import atexit, signal
+from unbend.cli import entry
+entry.run_command = lambda words: 0
+atexit.register(signal.raise_signal, signal.SIGINT)
+entry.main()
+"""
+BORN_DEAF = """
+import signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN)
+sys.argv = ["unbend", "--version"]
+from unbend.cli import entry
+entry.run_command = lambda words: signal.raise_signal(signal.SIGINT) or 0
+entry.main()
+"""
+
+
+@pytest.mark.parametrize("code", [AFTER_THE_END, BORN_DEAF], ids=["after the end", "born deaf"])
+def test_a_signal_that_changes_nothing(code):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_a_run_that_was_born_deaf_to_ctrl_c_stays_so():
-    code = (
-        "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-        "sys.argv = ['unbend', '--version']\n"
-        "from unbend.cli import entry\n"
-        "entry.run_command = lambda words: signal.raise_signal(signal.SIGINT) or 0\n"
-        "entry.main()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    assert done.stderr == ""
 
 
 def test_kill_and_rerun_give_what_an_untouched_run_gives(mission, baseline, unbend):
@@ -349,12 +349,9 @@ main()
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_that_a_library_wraps_is_no_bug(mission, mission_factory, tmp_path, number):
     other = mission_factory(tmp_path / "other")
-    words = [str(int(number)), str(mission.save()), str(other.save())]
-    done = subprocess.run(
-        [sys.executable, "-c", HEARING + WRAPPED, *words], capture_output=True, text=True
-    )
-    assert done.returncode == CODES[number], done.stderr
-    assert "bug in unbend" not in done.stdout + done.stderr
+    returned, text = ended(process_of(WRAPPED, int(number), mission.save(), other.save()))
+    assert returned == CODES[number], text
+    assert "bug in unbend" not in text
     assert not (other.output / "manifest.json").exists()
 
 
@@ -378,41 +375,38 @@ main()
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_whose_exception_is_ignored_is_sent_again(mission, number):
-    done = subprocess.run(
-        [sys.executable, "-c", HEARING + IGNORED, str(int(number)), str(mission.save())],
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-    )
-    assert done.returncode == CODES[number], done.stderr
-    assert "Traceback" not in done.stderr
+    returned, text = ended(process_of(IGNORED, int(number), mission.save()))
+    assert returned == CODES[number], text
+    assert "Traceback" not in text
 
 
 @pytest.mark.parametrize("draw", range(SIGNALS))
 def test_a_signal_at_any_time_leaves_what_a_rerun_completes(mission, baseline, draw):
     chance = random.Random(f"{SEED} {draw}")
     number = chance.choice([signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-    process = started(RUN, str(mission.save()))
+    process = started(RUN, mission.save())
     time.sleep(chance.uniform(0.0, LONGEST_RUN_S))
     process.send_signal(number)
     code, text = ended(process)
     assert code in {0, CODES[number]}, text
     assert "Traceback" not in text, text
-    assert mission.run().code == 0
+    mission.run_to_manifest()
     assert visible(mission.output) == visible(baseline.output)
 
 
-def test_a_bug_is_owned_up_to(mission):
-    code = (
-        "import sys; from unbend.batch import results\n"
-        "sys.argv = ['unbend', 'verify', 'x']\n"
-        "results.verify_run = lambda path: 1 / 0\n"
-        "from unbend.cli import main; main()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 1
-    assert "ZeroDivisionError" in done.stderr
-    last = done.stderr.rstrip().splitlines()[-1]
+BUG = """
+import sys; from unbend.batch import results
+sys.argv = ["unbend", "verify", "x"]
+results.verify_run = lambda path: 1 / 0
+from unbend.cli import main; main()
+"""
+
+
+def test_a_bug_is_owned_up_to():
+    returned, text = ended(process_of(BUG))
+    assert returned == 1
+    assert "ZeroDivisionError" in text
+    last = text.rstrip().splitlines()[-1]
     assert last.startswith("this is a bug in unbend: please report the lines above ")
 
 

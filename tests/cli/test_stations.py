@@ -2,37 +2,38 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.dates import date2num
 
 from unbend.flight.ground_times import LoggedPath
 from unbend.flight.stations import NO_TIME, Stations, empty_stations, station_columns
+from unbend.report.console import report_console
 from unbend.report.figures import flight_figure
 from unbend.report.terminal import print_stations
 from unbend.tables.writing import rows_of_stations
 
+from .printed import one_line
+
+pytestmark = pytest.mark.usefixtures("eighty_columns")
+
 SECOND = 1_000_000_000
 NINE = 1_749_718_800 * SECOND  # 2025-06-12, 09:00 UTC
-
-
-@pytest.fixture(autouse=True)
-def eighty_columns(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
 
 
 def flown(n: int = 40) -> Stations:
     """Eastwards along the equator; the 4th to 6th suspect, the 8th outside the log."""
     names = np.array([f"DSC_{i + 1:05d}.tif" for i in range(n)], object)
     status = np.full(n, "ok", object)
-    status[3:6], status[7] = "suspect", "outside_log"
+    status[3:6] = "suspect"
+    status[7] = "outside_log"
     reason = np.full(n, "", object)
     reason[3:6] = "the position steps at 820 m/s"
-    off = np.full(n, np.nan)
-    off[3:6] = [13.0, 77.4, 40.0]
+    off_m = np.full(n, np.nan)
+    off_m[3:6] = [13.0, 77.4, 40.0]
     here = np.where(np.arange(n) == 7, np.nan, 1.0)
     return replace(
         empty_stations(names, np.full(n, "nadir", object), "ok"),
@@ -44,14 +45,12 @@ def flown(n: int = 40) -> Stations:
         sigma_height_m=2.5 * here,
         sigma_tilt_rad=0.01 * here,
         suspect_reason=reason,
-        suspect_m=off,
+        suspect_m=off_m,
         status=status,
     )
 
 
 def printed(stations: Stations, capsys) -> list[str]:
-    from unbend.report.console import report_console
-
     print_stations(report_console(), rows_of_stations(stations))
     return [line.strip() for line in capsys.readouterr().out.splitlines()]
 
@@ -59,20 +58,10 @@ def printed(stations: Stations, capsys) -> list[str]:
 def test_the_table_and_the_reasons(capsys):
     lines = printed(flown(), capsys)
     assert all(len(line) <= 78 for line in lines)
-    heads = ["image", "UTC", "lat", "lon", "±", "xy", "h", "±", "h", "tilt", "status"]
-    assert lines[0].split() == heads
-    assert lines[2].split() == [
-        "DSC_00001.tif",
-        "09:00:00.0",
-        "28.64789",
-        "179.98000",
-        "1.25",
-        "1234.5",
-        "2.50",
-        "0.57",
-        "ok",
-    ]
-    assert lines[9].split() == ["DSC_00008.tif", "09:00:14.0", "outside_log"]
+    heads, first, eighth = (one_line(lines[number]) for number in (0, 2, 9))
+    assert heads == "image UTC lat lon ± xy h ± h tilt status"
+    assert first == "DSC_00001.tif 09:00:00.0 28.64789 179.98000 1.25 1234.5 2.50 0.57 ok"
+    assert eighth == "DSC_00008.tif 09:00:14.0 outside_log"
     assert "DSC_00025.tif" in lines[26]
     assert lines[27] == "..."
     assert lines[28].startswith("DSC_00036.tif")
@@ -105,7 +94,8 @@ def test_the_drawing():
     )
     stations.time_ns[9] = NO_TIME
     stations.status[9] = "unmatched"
-    stretches = [(NINE + 5 * SECOND, NINE + 11 * SECOND), (NINE + 60 * SECOND, NINE + 61 * SECOND)]
+    begins = [NINE + 5 * SECOND, NINE + 60 * SECOND]
+    stretches = [(begins[0], begins[0] + 6 * SECOND), (begins[1], begins[1] + SECOND)]
     figure = flight_figure(stations, track, stretches)
     above, beside = figure.axes
     suspect = points_of(above, "3 suspect")
@@ -115,9 +105,8 @@ def test_the_drawing():
     # A point every 2 s: 6, 8 and 10 s lie in the first of the two stretches, none in the other.
     marked = points_of(above, "suspect stretch")
     assert len(marked) == 3
-    assert [patch.get_x() for patch in beside.patches] == pytest.approx(
-        [date2num(np.datetime64(begin, "ns")) for begin, _ in stretches]
-    )
+    expected = [date2num(np.datetime64(begin, "ns")) for begin in begins]
+    assert [patch.get_x() for patch in beside.patches] == pytest.approx(expected)
     # The flight crosses the 180th meridian, and the drawing does not jump back to -180.
     behind = replace(stations, lon_rad=(stations.lon_rad + np.pi) % (2 * np.pi) - np.pi)
     drawn = points_of(flight_figure(behind, track).axes[0], "ok")
@@ -129,29 +118,24 @@ def test_the_drawing():
     assert above.get_xlabel() == "longitude [deg]"
 
 
-def test_the_command(unbend, mission, tmp_path):
+def test_the_command(obeyed, mission, tmp_path):
     table = tmp_path / "stations.csv"
     plot = tmp_path / "flight.png"
-    ended = unbend("stations", mission.save(), "--csv", table, "--plot", plot)
-    checked = unbend("check", mission.save())
-    assert (ended.code, checked.code) == (0, 0), ended.text
+    text = obeyed("stations", mission.save(), "--csv", table, "--plot", plot)
+    obeyed("check", mission.file)
     assert plot.read_bytes().startswith(b"\x89PNG")
-    with table.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert mission.run().code == 0
+    rows = pd.read_csv(table, dtype=str)
+    mission.run_to_manifest()
     run = mission.stations().to_pandas()
-    assert [row["image"] for row in rows] == run["image"].tolist()
+    assert rows["image"].tolist() == run["image"].tolist()
     for name in ("lat_deg", "lon_deg", "h_msl_m", "q_w", "pressure_pa"):
-        np.testing.assert_array_equal([float(row[name]) for row in rows], run[name])
-    assert (
-        set(rows[0])
-        == set(station_columns(flown()))
-        == set(run.columns) - {"profile_id", "geometry"}
-    )
-    assert f"nadir: {sum(run['camera'] == 'nadir')} ok" in ended.out
+        np.testing.assert_array_equal(rows[name].astype(float), run[name])
+    assert set(rows) == set(station_columns(flown()))
+    assert set(rows) == set(run) - {"profile_id", "geometry"}
+    assert f"nadir: {sum(run['camera'] == 'nadir')} ok" in text
 
 
-def test_losses_and_refusals_are_those_of_check(unbend, mission):
+def test_losses_and_refusals_are_those_of_check(unbend, mission, refusal_of):
     """An image without an exposure is a loss; a format that is no picture is refused."""
     rows = mission.measurements().to_pandas()
     rows.loc[0, "image"] = "unknown.tif"
@@ -160,5 +144,6 @@ def test_losses_and_refusals_are_those_of_check(unbend, mission):
     assert ended.code == unbend("check", mission.save()).code == 3
     assert "IMAGES-UNMATCHED" in ended.out
     assert "no camera: 1 unmatched, unknown.tif" in ended.out
-    refused = unbend("stations", mission.save(), "--plot", mission.folder / "flight.gif")
-    assert (refused.code, "PLOT-FORMAT" in refused.err) == (2, True)
+    refusal_of(
+        "PLOT-FORMAT", 2, "stations", mission.save(), "--plot", mission.folder / "flight.gif"
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import yaml
 from pydantic import ValidationError
 
 from unbend.config.cameras import CameraSection
@@ -37,10 +38,11 @@ def test_names_and_order_are_colmaps(model):
     params = PARAMS[model]
     camera = CameraSection(**FORMAT, model=model, params=params).interior_orientation_by("centre")
     reference = pycolmap.Camera(model=model, width=4000, height=3000, params=params)
-    u, v = (a.ravel() for a in np.meshgrid(np.linspace(-0.6, 0.6, 13), np.linspace(-0.45, 0.45, 9)))
-    wanted = reference.img_from_cam(np.stack([u, v, np.ones_like(u)], axis=1))
-    found = np.stack(camera.project(u, v), axis=1)
-    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9)
+    grid = np.meshgrid(np.linspace(-0.6, 0.6, 13), np.linspace(-0.45, 0.45, 9))
+    u, v = np.reshape(grid, (2, -1))
+    expected = reference.img_from_cam(np.stack([u, v, np.ones_like(u)], axis=1))
+    pixels = np.stack(camera.project(u, v), axis=1)
+    np.testing.assert_allclose(pixels, expected, rtol=0.0, atol=1e-9)
 
 
 def test_pixels_of_another_rule_are_turned_into_colmaps():
@@ -53,29 +55,25 @@ def test_pixels_of_another_rule_are_turned_into_colmaps():
 @pytest.mark.parametrize(
     ("given", "why"),
     [
-        ({"model": "OPENCV"}, "together"),
-        ({"params": [1.0]}, "together"),
-        ({"model": "FOV", "params": [3200.0, 1.0, 1.0, 1.0]}, "SIMPLE_PINHOLE"),
-        ({"model": "RADIAL", "params": [3200.0, 1990.0, 1510.0]}, "RADIAL has 5 parameters"),
+        ("model: OPENCV", "together"),
+        ("params: [1.0]", "together"),
+        ("{model: FOV, params: [3200.0, 1.0, 1.0, 1.0]}", "SIMPLE_PINHOLE"),
+        ("{model: RADIAL, params: [3200.0, 1990.0, 1510.0]}", "RADIAL has 5 parameters"),
         (
-            {"model": "PINHOLE", "params": [320.0, 320.0, 1.0, 2.0], "f_px": 320.0},
+            "{model: PINHOLE, params: [320.0, 320.0, 1.0, 2.0], f_px: 320.0}",
             "each of them gives the interior orientation",
         ),
         (
-            {
-                "model": "SIMPLE_RADIAL",
-                "params": [3200.0, 1990.0, 1510.0, 0.0],
-                "distortion": {"k1": 0.1},
-            },
+            "{model: SIMPLE_RADIAL, params: [3200.0, 1990.0, 1510.0, 0.0], distortion: {k1: 0.1}}",
             "each of them gives the interior orientation",
         ),
-        ({"model": "PINHOLE", "params": [0.8, 0.8, 0.5, 0.5]}, "10 to 1000000 pixels"),
-        ({"f_px": 3200.0, "cx_px": 2000.0}, "cy_px\n  Value error, is missing"),
+        ("{model: PINHOLE, params: [0.8, 0.8, 0.5, 0.5]}", "10 to 1000000 pixels"),
+        ("{f_px: 3200.0, cx_px: 2000.0}", "cy_px\n  Value error, is missing"),
     ],
 )
 def test_what_does_not_fit_is_refused(given, why):
     with pytest.raises(ValidationError, match=why):
-        CameraSection(**FORMAT, **given)
+        CameraSection(**FORMAT, **yaml.safe_load(given))
 
 
 def test_a_camera_of_colmap_may_be_named_by_its_number(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import typing
 
 import pytest
@@ -11,6 +12,7 @@ from unbend.config.cameras import CameraSection
 from unbend.config.event_sources import CsvEvents, LogEvents
 from unbend.config.ground import GroundSection
 from unbend.config.keys import mission_keys
+from unbend.config.local_frames import LocalOrigin
 from unbend.config.logs import LogSection, NamedChannel
 from unbend.config.mission_file import OutputSection, RefractionSection
 from unbend.config.mounts import MountSection
@@ -30,7 +32,8 @@ CAMERA = {
 
 
 def defaults(model) -> dict[str, object]:
-    return {name: f.default for name, f in model.model_fields.items() if not f.is_required()}
+    fields = model.model_fields.items()
+    return {name: field.default for name, field in fields if not field.is_required()}
 
 
 def test_the_air():
@@ -85,10 +88,7 @@ def test_inputs_and_outputs():
 
 
 def test_the_ground_has_no_default_but_for_distances():
-    assert {n for n, f in GroundSection.model_fields.items() if f.is_required()} == {
-        "height",
-        "reference",
-    }
+    assert not {"height", "reference"} & set(defaults(GroundSection))
     section = GroundSection.model_validate({"height": "from_distance"})
     assert section.reference == "msl"  # the camera's own height is above mean sea level
     assert section.from_distance
@@ -104,7 +104,7 @@ def test_the_ground_has_no_default_but_for_distances():
 
 
 @pytest.mark.parametrize(
-    ("own", "of_table", "cx"),
+    ("of_camera", "of_table", "cx"),
     [
         (None, "corner", 500.0),
         (None, "centre", 500.5),
@@ -113,11 +113,10 @@ def test_the_ground_has_no_default_but_for_distances():
         ("centre", "centre", 500.5),
     ],
 )
-def test_the_origin_of_a_camera_goes_before_that_of_the_table(own, of_table, cx):
+def test_the_origin_of_a_camera_goes_before_that_of_the_table(of_camera, of_table, cx):
     """COLMAP: the centre of the upper left pixel is (0.5, 0.5); OpenCV: it is (0, 0)."""
-    camera = CameraSection.model_validate(CAMERA | {"pixel_origin": own}).interior_orientation_by(
-        of_table
-    )
+    section = CameraSection.model_validate(CAMERA | {"pixel_origin": of_camera})
+    camera = section.interior_orientation_by(of_table)
     assert (camera.cx_px, camera.cy_px) == (cx, cx - 100.0)
 
 
@@ -129,23 +128,34 @@ def test_two_principal_distances_are_those_of_their_axes():
         "distortion": {"k1": 0.1, "k2": 0.2, "k3": 0.3, "p1": 0.004, "p2": 0.005},
     }
     camera = CameraSection.model_validate(given).interior_orientation
-    assert (camera.fx_px, camera.fy_px, camera.width_px, camera.height_px) == (
-        901.0,
-        899.0,
-        1000,
-        800,
-    )
+    assert (camera.fx_px, camera.fy_px) == (901.0, 899.0)
+    assert (camera.width_px, camera.height_px) == (1000, 800)
     assert camera.distortion._asdict() == given["distortion"]
 
 
 def test_a_mount_in_radians():
-    mount = MountSection(
-        roll_deg=10.0, pitch_deg=20.0, yaw_deg=30.0, lever_arm_m=[1.0, 2.0, 3.0]
-    ).mount
-    assert (mount.roll_rad, mount.pitch_rad, mount.yaw_rad) == pytest.approx(
-        (0.17453292519943295, 0.3490658503988659, 0.5235987755982988), rel=1e-15
-    )
+    section = MountSection(roll_deg=10.0, pitch_deg=20.0, yaw_deg=30.0, lever_arm_m=[1.0, 2.0, 3.0])
+    mount = section.mount
+    assert mount.roll_rad == pytest.approx(0.17453292519943295, rel=1e-15)
+    assert mount.pitch_rad == pytest.approx(0.3490658503988659, rel=1e-15)
+    assert mount.yaw_rad == pytest.approx(0.5235987755982988, rel=1e-15)
     assert tuple(mount.lever_arm_m) == (1.0, 2.0, 3.0)
+
+
+def test_what_is_known_of_a_mount_in_radians():
+    """Without a sigma of its own, that of the yaw is that of the tilt."""
+    tilt_alone = MountSection(sigma_tilt_deg=0.05).mount
+    assert tilt_alone.sigma_tilt_rad == pytest.approx(8.726646259971648e-4, rel=1e-15)
+    assert tilt_alone.sigma_yaw_rad == tilt_alone.sigma_tilt_rad
+    both = MountSection(sigma_tilt_deg=0.05, sigma_yaw_deg=0.2).mount
+    assert both.sigma_yaw_rad == pytest.approx(3.490658503988659e-3, rel=1e-15)
+
+
+def test_an_origin_in_radians():
+    origin = LocalOrigin(lat_deg=30.0, lon_deg=-60.0, h_ellipsoid_m=600.0).build()
+    assert origin.lat_rad == pytest.approx(math.pi / 6.0)
+    assert origin.lon_rad == pytest.approx(-math.pi / 3.0)
+    assert origin.h_ellipsoid_m == 600.0
 
 
 def test_a_station_in_si():

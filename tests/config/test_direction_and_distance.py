@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,32 +10,25 @@ import yaml
 from unbend.config import Mission, load_mission
 from unbend.errors import ConfigError
 
-BASE: dict[str, Any] = {
-    "mission": {"name": "survey"},
-    "log": {"path": "a.bin"},
-    "observations": {"path": "o.parquet", "columns": {"distance_m": "range"}},
-    "cameras": {
-        "nadir": {
-            "width_px": 100,
-            "height_px": 100,
-            "f_px": 200.0,
-            "cx_px": 50.0,
-            "cy_px": 50.0,
-            "calibration": "laboratory",
-        },
-    },
-    "mount": {"nadir": {}},
-    "events": {"log": {"nadir": {"image": "n{n}"}}},
-    "ground": {"height": "from_distance"},
-    "output": {"path": "results"},
-}
+BASE = """
+mission: {name: survey}
+log: {path: a.bin}
+observations: {path: o.parquet, columns: {distance_m: range}}
+cameras:
+  nadir: {width_px: 100, height_px: 100, f_px: 200.0, cx_px: 50.0, cy_px: 50.0,
+          calibration: laboratory}
+mount: {nadir: {}}
+events: {log: {nadir: {image: "n{n}"}}}
+ground: {height: from_distance}
+output: {path: results}
+"""
 
 
 @pytest.fixture
-def load(tmp_path: Path):
+def load(tmp_path):
     def attempt(**changes: Any) -> Mission:
         path = tmp_path / "mission.yaml"
-        path.write_text(yaml.safe_dump(copy.deepcopy(BASE) | changes), encoding="utf-8")
+        path.write_text(yaml.safe_dump(yaml.safe_load(BASE) | changes), encoding="utf-8")
         return load_mission(path)
 
     return attempt
@@ -55,8 +46,8 @@ def test_heights_from_distances_need_no_reference(load):
     assert ground.from_distance
     assert ground.reference == "msl"
     assert (ground.column, ground.constant_m) == (None, None)
-    stated = load(ground={"height": "from_distance", "reference": "msl"}).ground
-    assert stated == ground
+    ground_with_reference = load(ground={"height": "from_distance", "reference": "msl"}).ground
+    assert ground_with_reference == ground
 
 
 @pytest.mark.parametrize("more", [{"reference": "ellipsoid"}, {"home_h_msl_m": 500.0}])

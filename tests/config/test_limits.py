@@ -122,11 +122,11 @@ def unit_of(field: FieldInfo) -> str | None:
 
 
 def test_the_limits_of_every_number_are_those_of_the_table():
-    stated = [
+    limits = [
         " ".join([f"{name}.{key}", limits_of(field), str(unit_of(field))])
         for name, section in all_sections().items()
         for key, field in section.model_fields.items()
         if limits_of(field) and unit_of(field) is not None
     ]
     expected = [" ".join(line.split()) for line in LIMITS.strip().splitlines()]
-    assert sorted(stated) == sorted(expected)
+    assert sorted(limits) == sorted(expected)

@@ -9,375 +9,308 @@ import string
 import time
 import typing
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 from pydantic import BaseModel
 
+from tests import helpers
 from unbend.config import Mission, load_mission
 from unbend.errors import ConfigError
 
-CHANNELS = {
-    role: {"name": role.upper(), "unit": unit}
-    for role, unit in {
-        "position": None,
-        "height": None,
-        "attitude": None,
-        "pressure": "hPa",
-        "temperature": "degC",
-        "humidity": "percent",
-        "airspeed": "m/s",
-        "cabin_pressure": "kPa",
-        "cabin_temperature": "K",
-        "cabin_humidity": "fraction",
-        "aircraft_attitude": None,
-    }.items()
-}
+FULL: dict[str, Any] = yaml.safe_load("""
+mission:
+  name: survey
+  undulation_m: 47.5
+  geoid: egm96
+  title: Zürich, Los 3
+  client: Amt
+  operator: Luftbild GmbH
+  remarks: "one\\n\\ntwo"
+  time_zone: Europe/Zurich
+log:
+  path: a.bin
+  channels:
+    position: {name: POSITION, unit: null}
+    height: {name: HEIGHT, unit: null}
+    attitude: {name: ATTITUDE, unit: null}
+    pressure: {name: PRESSURE, unit: hPa}
+    temperature: {name: TEMPERATURE, unit: degC}
+    humidity: {name: HUMIDITY, unit: percent}
+    airspeed: {name: AIRSPEED, unit: m/s}
+    cabin_pressure: {name: CABIN_PRESSURE, unit: kPa}
+    cabin_temperature: {name: CABIN_TEMPERATURE, unit: K}
+    cabin_humidity: {name: CABIN_HUMIDITY, unit: fraction}
+    aircraft_attitude: {name: AIRCRAFT_ATTITUDE, unit: null}
+  max_gap_s: 1.5
+  local_origin: {lat_deg: 47.0, lon_deg: 11.0, h_ellipsoid_m: 600.0}
+observations:
+  path: o.parquet
+  columns: {image: i, point: p, x_px: x, y_px: y, distance_m: d}
+  pixel_origin: corner
+  match_names: [case, digits]
+  refraction: none
+cameras:
+  nadir:
+    width_px: 14000
+    height_px: 10600
+    fx_px: 20000.0
+    fy_px: 20000.0
+    cx_px: 7000.0
+    cy_px: 5300.0
+    pixel_origin: centre
+    distortion: {k1: 0.1, k2: 0.1, k3: 0.1, p1: 0.1, p2: 0.1}
+    calibration: laboratory
+    window:
+      cabin:
+        pressure_hpa: 800.0
+        temperature_c: 20.0
+        relative_humidity: 0.3
+        sigma_pressure_hpa: 2.0
+        sigma_temperature_k: 1.5
+      shape: plane
+      frame: camera
+      normal: [0.0, 0.0, 1.0]
+      in_calibration: glass
+    principal_distance:
+      reference: {pressure_hpa: 1013.25, temperature_c: 20.0}
+      dc_dp_px_per_hpa: 0.0084
+      dc_dt_px_per_k: 0.004
+  window:  # a camera may be called like one of our keys
+    width_px: 100
+    height_px: 100
+    f_px: 200.0
+    cx_px: 50.0
+    cy_px: 50.0
+    calibration: in_flight_corrected
+    window: {cabin: log}
+  colmap:
+    width_px: 100
+    height_px: 100
+    model: SIMPLE_RADIAL
+    params: [200.0, 50.0, 50.0, -0.01]
+    calibration: laboratory
+  filed:
+    file: cameras.json
+    format: opensfm
+    camera: v2 x
+    width_px: 100
+    height_px: 100
+    calibration: laboratory
+  metric:
+    width_px: 100
+    height_px: 100
+    calibration: laboratory
+    metric:
+      focal_mm: 100.0
+      pixel_um: [1000.0, 1000.0]
+      format_mm: [100.0, 100.0]
+      origin: image_centre
+      axes: right up
+      ppa_mm: [0.1, 0.0]
+      ppbs_mm: [0.0, 0.0]
+      radius_mm: 80.0
+      distortion:
+        sense: correction
+        k0: 0.0
+        k1: 1.0e-8
+        k2: 0.0
+        k3: 0.0
+        k4: 0.0
+        p1: 1.0e-7
+        p2: 0.0
+        b1: 1.0e-5
+        b2: 0.0
+      table:
+        sense: distortion
+        by: radius_mm
+        rows: [[20.0, 0.0], [40.0, -0.5], [60.0, -2.0]]
+mount:
+  nadir:
+    roll_deg: 0.0
+    pitch_deg: 1.0
+    yaw_deg: 2.0
+    lever_arm_m: [0.1, 0.2, 0.3]
+    sigma_tilt_deg: 0.05
+    sigma_yaw_deg: 0.2
+  window: {roll_deg: 45.0}
+  colmap: {}
+  filed: {}
+  metric: {}
+events:
+  log:
+    nadir: {channel: "CAM[0]", image: "n{index:05d}", delay_s: 0.1}
+    window: {channel: "CAM[1]", image: "w{n}.tif"}
+    colmap: {channel: "CAM[2]", image: "c{index}"}
+    filed: {channel: "CAM[3]", image: "f{index}"}
+    metric: {channel: "CAM[4]", image: "m{index}"}
+  images: {path: images, time_zone: "+02:00"}
+  first_image: {window: {image: w1.tif, event: 6}}
+stations: {max_sigma_horizontal_m: 1.5, max_sigma_height_m: 2.0, max_sigma_tilt_deg: 0.5}
+ground: {height: {column: h_g_m}, reference: msl, home_h_msl_m: 580.0, sigma_m: 2.0}
+atmosphere:
+  standard: us1976
+  adjust: true
+  index: gyer
+  wavelength_m: 5.5e-7
+  co2_ppm: 420.0
+  climatology: auto
+  board_temperature: true
+  sensors:
+    thermometer:
+      bias_k: 0.3
+      sigma_bias_k: 0.1
+      lag_s: 4.0
+      sigma_lag_s: 1.0
+      transient_k: 0.0
+      sigma_transient_k: 0.5
+      recovery: 0.8
+      sigma_recovery: 0.05
+      sigma_drift_k: 0.1
+    barometer: {offset_hpa: -0.2, sigma_offset_hpa: 0.1, sigma_scale: 0.0005}
+    hygrometer: {bias: 0.01, sigma_bias: 0.01}
+    gnss: {sigma_height_m: 0.1}
+  model: {path: era5.nc, member: 0}
+  soundings:
+    - {path: s.csv, format: csv, station_h_msl_m: 500.0, across_coast_or_ridge: true}
+  surface:
+    - {h_msl_m: 500.0, metar: METAR EDDF 221150Z 12/08 Q1013, distance_km: 12.0}
+    - h_msl_m: 500.0
+      temperature_c: 15.0
+      pressure_hpa: 955.0
+      relative_humidity: 0.5
+      time_utc: "2026-05-14T10:20:00Z"
+refraction: {method: spherical, radius_m: 6371000.0, direction: remove}
+output: {path: results, batch_rows: 100000}
+""")
 
-FULL: dict[str, Any] = {
-    "mission": {
-        "name": "survey",
-        "undulation_m": 47.5,
-        "geoid": "egm96",
-        "title": "Zürich, Los 3",
-        "client": "Amt",
-        "operator": "Luftbild GmbH",
-        "remarks": "one\n\ntwo",
-        "time_zone": "Europe/Zurich",
-    },
-    "log": {
-        "path": "a.bin",
-        "channels": CHANNELS,
-        "max_gap_s": 1.5,
-        "local_origin": {"lat_deg": 47.0, "lon_deg": 11.0, "h_ellipsoid_m": 600.0},
-    },
-    "observations": {
-        "path": "o.parquet",
-        "columns": {"image": "i", "point": "p", "x_px": "x", "y_px": "y", "distance_m": "d"},
-        "pixel_origin": "corner",
-        "match_names": ["case", "digits"],
-        "refraction": "none",
-    },
-    "cameras": {
-        "nadir": {
-            "width_px": 14000,
-            "height_px": 10600,
-            "fx_px": 20000.0,
-            "fy_px": 20000.0,
-            "cx_px": 7000.0,
-            "cy_px": 5300.0,
-            "pixel_origin": "centre",
-            "distortion": {"k1": 0.1, "k2": 0.1, "k3": 0.1, "p1": 0.1, "p2": 0.1},
-            "calibration": "laboratory",
-            "window": {
-                "cabin": {
-                    "pressure_hpa": 800.0,
-                    "temperature_c": 20.0,
-                    "relative_humidity": 0.3,
-                    "sigma_pressure_hpa": 2.0,
-                    "sigma_temperature_k": 1.5,
-                },
-                "shape": "plane",
-                "frame": "camera",
-                "normal": [0.0, 0.0, 1.0],
-                "in_calibration": "glass",
-            },
-            "principal_distance": {
-                "reference": {"pressure_hpa": 1013.25, "temperature_c": 20.0},
-                "dc_dp_px_per_hpa": 0.0084,
-                "dc_dt_px_per_k": 0.004,
-            },
-        },
-        "window": {  # a camera may be called like one of our keys
-            "width_px": 100,
-            "height_px": 100,
-            "f_px": 200.0,
-            "cx_px": 50.0,
-            "cy_px": 50.0,
-            "calibration": "in_flight_corrected",
-            "window": {"cabin": "log"},
-        },
-        "colmap": {
-            "width_px": 100,
-            "height_px": 100,
-            "model": "SIMPLE_RADIAL",
-            "params": [200.0, 50.0, 50.0, -0.01],
-            "calibration": "laboratory",
-        },
-        "filed": {
-            "file": "cameras.json",
-            "format": "opensfm",
-            "camera": "v2 x",
-            "width_px": 100,
-            "height_px": 100,
-            "calibration": "laboratory",
-        },
-        "metric": {
-            "width_px": 100,
-            "height_px": 100,
-            "calibration": "laboratory",
-            "metric": {
-                "focal_mm": 100.0,
-                "pixel_um": [1000.0, 1000.0],
-                "format_mm": [100.0, 100.0],
-                "origin": "image_centre",
-                "axes": "right up",
-                "ppa_mm": [0.1, 0.0],
-                "ppbs_mm": [0.0, 0.0],
-                "radius_mm": 80.0,
-                "distortion": {
-                    "sense": "correction",
-                    "k0": 0.0,
-                    "k1": 1e-8,
-                    "k2": 0.0,
-                    "k3": 0.0,
-                    "k4": 0.0,
-                    "p1": 1e-7,
-                    "p2": 0.0,
-                    "b1": 1e-5,
-                    "b2": 0.0,
-                },
-                "table": {
-                    "sense": "distortion",
-                    "by": "radius_mm",
-                    "rows": [[20.0, 0.0], [40.0, -0.5], [60.0, -2.0]],
-                },
-            },
-        },
-    },
-    "mount": {
-        "nadir": {
-            "roll_deg": 0.0,
-            "pitch_deg": 1.0,
-            "yaw_deg": 2.0,
-            "lever_arm_m": [0.1, 0.2, 0.3],
-            "sigma_tilt_deg": 0.05,
-            "sigma_yaw_deg": 0.2,
-        },
-        "window": {"roll_deg": 45.0},
-        "colmap": {},
-        "filed": {},
-        "metric": {},
-    },
-    "events": {
-        "log": {
-            "nadir": {"channel": "CAM[0]", "image": "n{index:05d}", "delay_s": 0.1},
-            "window": {"channel": "CAM[1]", "image": "w{n}.tif"},
-            "colmap": {"channel": "CAM[2]", "image": "c{index}"},
-            "filed": {"channel": "CAM[3]", "image": "f{index}"},
-            "metric": {"channel": "CAM[4]", "image": "m{index}"},
-        },
-        "images": {"path": "images", "time_zone": "+02:00"},
-        "first_image": {"window": {"image": "w1.tif", "event": 6}},
-    },
-    "stations": {
-        "max_sigma_horizontal_m": 1.5,
-        "max_sigma_height_m": 2.0,
-        "max_sigma_tilt_deg": 0.5,
-    },
-    "ground": {
-        "height": {"column": "h_g_m"},
-        "reference": "msl",
-        "home_h_msl_m": 580.0,
-        "sigma_m": 2.0,
-    },
-    "atmosphere": {
-        "standard": "us1976",
-        "adjust": True,
-        "index": "gyer",
-        "wavelength_m": 5.5e-7,
-        "co2_ppm": 420.0,
-        "climatology": "auto",
-        "board_temperature": True,
-        "sensors": {
-            "thermometer": {
-                "bias_k": 0.3,
-                "sigma_bias_k": 0.1,
-                "lag_s": 4.0,
-                "sigma_lag_s": 1.0,
-                "transient_k": 0.0,
-                "sigma_transient_k": 0.5,
-                "recovery": 0.8,
-                "sigma_recovery": 0.05,
-                "sigma_drift_k": 0.1,
-            },
-            "barometer": {"offset_hpa": -0.2, "sigma_offset_hpa": 0.1, "sigma_scale": 0.0005},
-            "hygrometer": {"bias": 0.01, "sigma_bias": 0.01},
-            "gnss": {"sigma_height_m": 0.1},
-        },
-        "model": {"path": "era5.nc", "member": 0},
-        "soundings": [
-            {
-                "path": "s.csv",
-                "format": "csv",
-                "station_h_msl_m": 500.0,
-                "across_coast_or_ridge": True,
-            }
-        ],
-        "surface": [
-            {"h_msl_m": 500.0, "metar": "METAR EDDF 221150Z 12/08 Q1013", "distance_km": 12.0},
-            {
-                "h_msl_m": 500.0,
-                "temperature_c": 15.0,
-                "pressure_hpa": 955.0,
-                "relative_humidity": 0.5,
-                "time_utc": "2026-05-14T10:20:00Z",
-            },
-        ],
-    },
-    "refraction": {"method": "spherical", "radius_m": 6371000.0, "direction": "remove"},
-    "output": {"path": "results", "batch_rows": 100000},
-}
-
-CSV_EVENTS = {
-    "csv": {
-        "path": "e.csv",
-        "columns": {"image": "i", "gps_week": "w", "gps_seconds": "s", "camera": "c"},
-        "camera": "nadir",
-    }
-}
-
-SIGMA_COLUMN = {"height": 120.0, "reference": "relative", "sigma_column": "sigma_h"}
+CSV_EVENTS = yaml.safe_load("""
+csv:
+  path: e.csv
+  columns: {image: i, gps_week: w, gps_seconds: s, camera: c}
+  camera: nadir
+""")
 
 
 def with_csv_events() -> dict[str, Any]:
-    return FULL | {"events": CSV_EVENTS, "ground": SIGMA_COLUMN}
+    ground = {"height": 120.0, "reference": "relative", "sigma_column": "sigma_h"}
+    return FULL | {"events": CSV_EVENTS, "ground": ground}
 
 
-ORIENTED_COLUMNS = {
-    name: name
-    for name in (
-        "image",
-        "camera",
-        "x",
-        "y",
-        "z",
-        "omega",
-        "phi",
-        "kappa",
-        "time_utc",
-        "sigma_horizontal_m",
-        "sigma_height_m",
-        "sigma_tilt",
-        "sigma_yaw",
-    )
-}
 WITHOUT_WINDOW = {key: value for key, value in FULL["cameras"]["nadir"].items() if key != "window"}
 ORIENTED: dict[str, Any] = {
-    name: FULL[name] for name in ("mission", "observations", "ground", "output")
-} | {
+    "mission": FULL["mission"],
+    "observations": FULL["observations"],
+    "ground": FULL["ground"],
+    "output": FULL["output"],
     "cameras": {"nadir": WITHOUT_WINDOW, "window": WITHOUT_WINDOW},
-    "stations": {
-        "use_suspect": True,
-        "orientation": {
-            "format": "csv",
-            "path": "block.csv",
-            "angles": "omega_phi_kappa",
-            "unit": "grad",
-            "frame": "unknown",
-            "heights": "ellipsoid",
-            "columns": ORIENTED_COLUMNS,
-            "camera": "nadir",
-            "known_positions": {
-                "path": "known.csv",
-                "image": "i",
-                "latitude": "b",
-                "longitude": "l",
-                "height": "h",
-            },
-            "sigma_horizontal_m": 0.1,
-            "sigma_height_m": 0.1,
-            "sigma_tilt_deg": 0.01,
-            "sigma_yaw_deg": 0.01,
-        },
-    },
+    "stations": yaml.safe_load("""
+use_suspect: true
+orientation:
+  format: csv
+  path: block.csv
+  angles: omega_phi_kappa
+  unit: grad
+  frame: unknown
+  heights: ellipsoid
+  columns:
+    image: image
+    camera: camera
+    x: x
+    y: y
+    z: z
+    omega: omega
+    phi: phi
+    kappa: kappa
+    time_utc: time_utc
+    sigma_horizontal_m: sigma_horizontal_m
+    sigma_height_m: sigma_height_m
+    sigma_tilt: sigma_tilt
+    sigma_yaw: sigma_yaw
+  camera: nadir
+  known_positions: {path: known.csv, image: i, latitude: b, longitude: l, height: h}
+  sigma_horizontal_m: 0.1
+  sigma_height_m: 0.1
+  sigma_tilt_deg: 0.01
+  sigma_yaw_deg: 0.01
+"""),
 }
-GEOGRAPHIC = {
-    "path": "block.csv",
-    "angles": "roll_pitch_yaw",
-    "frame": "geographic",
-    "heights": "msl",
-    "convergence_deg": 1.2,
-    "date": "2026-05-14",
-    "camera": "nadir",
-    "columns": {
-        "roll": "r",
-        "pitch": "p",
-        "yaw": "y",
-        "latitude": "b",
-        "longitude": "l",
-        "height": "h",
-        "camera": "c",
-    },
-}
-PROJECTED = {
-    "path": "block.csv",
-    "angles": "roll_pitch_yaw",
-    "frame": "projected",
-    "crs": "EPSG:25832",
-    "heights": "msl",
-    "camera": "nadir",
-    "date": "2026-05-14",
-}
-TOPOCENTRIC = {
-    "path": "block.csv",
-    "angles": "quaternion",
-    "camera": "nadir",
-    "frame": {"enu": {"lat_deg": 47.0, "lon_deg": 11.0, "h_ellipsoid_m": 600.0}},
-    "columns": {
-        "q_w": "a",
-        "q_x": "b",
-        "q_y": "c",
-        "q_z": "d",
-        "gps_week": "w",
-        "gps_seconds": "s",
-    },
-}
+GEOGRAPHIC = yaml.safe_load("""
+path: block.csv
+angles: roll_pitch_yaw
+frame: geographic
+heights: msl
+convergence_deg: 1.2
+date: "2026-05-14"
+camera: nadir
+columns: {roll: r, pitch: p, yaw: y, latitude: b, longitude: l, height: h, camera: c}
+""")
+PROJECTED = yaml.safe_load("""
+path: block.csv
+angles: roll_pitch_yaw
+frame: projected
+crs: EPSG:25832
+heights: msl
+camera: nadir
+date: "2026-05-14"
+""")
+TOPOCENTRIC = yaml.safe_load("""
+path: block.csv
+angles: quaternion
+camera: nadir
+frame: {enu: {lat_deg: 47.0, lon_deg: 11.0, h_ellipsoid_m: 600.0}}
+columns: {q_w: a, q_x: b, q_y: c, q_z: d, gps_week: w, gps_seconds: s}
+""")
 
 
 def oriented(orientation: dict[str, Any]) -> dict[str, Any]:
     return ORIENTED | {"stations": {"orientation": orientation}}
 
 
-TRAJECTORY = {
-    "path": "t.csv",
-    "format": "csv",
-    "replaces": ["position", "height", "attitude"],
-    "point": "antenna",
-    "lever_arm_m": [0.1, 0.2, -1.0],
-    "heights": "msl",
-    "time": {"system": "gpst", "week": 2400},
-    "accuracy": "s.out",
-    "position_unit": "deg",
-    "angle_unit": "grad",
-    "angle_order": "ZYX",
-}
+TRAJECTORY = yaml.safe_load("""
+path: t.csv
+format: csv
+replaces: [position, height, attitude]
+point: antenna
+lever_arm_m: [0.1, 0.2, -1.0]
+heights: msl
+time: {system: gpst, week: 2400}
+accuracy: s.out
+position_unit: deg
+angle_unit: grad
+angle_order: ZYX
+""")
+POSITIONS = yaml.safe_load("""
+path: e.MRK
+format: mrk
+image: "{index:04d}.JPG"
+times_only: true
+delay_s: 0.1
+point: camera
+heights: ellipsoid
+time: {system: gpst, week: 2400}
+grid: EPSG:32632
+""")
+# Columns that exclude each other.
+BY_ANGLES = yaml.safe_load("""
+{time: t, latitude: LATITUDE, longitude: LONGITUDE, height: HEIGHT, roll: ROLL, pitch: PITCH,
+ yaw: YAW, v_north_m_s: V_NORTH_M_S, v_east_m_s: V_EAST_M_S, v_down_m_s: V_DOWN_M_S,
+ sigma_h_m: SIGMA_H_M, sigma_v_m: SIGMA_V_M}
+""")
+BY_QUATERNIONS = yaml.safe_load("""
+{time: t, x: X, y: Y, z: Z, q_w: Q_W, q_x: Q_X, q_y: Q_Y, q_z: Q_Z, week: WEEK}
+""")
 
 
 def with_imports() -> Iterator[dict[str, Any]]:
-    """Trajectories and camera events of others, with the columns that exclude each other."""
-    source = {
-        "path": "e.MRK",
-        "format": "mrk",
-        "image": "{index:04d}.JPG",
-        "times_only": True,
-        "delay_s": 0.1,
-        "point": "camera",
-        "heights": "ellipsoid",
-        "time": {"system": "gpst", "week": 2400},
-        "grid": "EPSG:32632",
-    }
-    velocities = ("v_north_m_s", "v_east_m_s", "v_down_m_s", "sigma_h_m", "sigma_v_m")
-    for names in (
-        ("latitude", "longitude", "height", "roll", "pitch", "yaw", *velocities),
-        ("x", "y", "z", "q_w", "q_x", "q_y", "q_z", "week"),
-    ):
-        columns = {"time": "t"} | {name: name.upper() for name in names}
+    """Trajectories and camera events of others."""
+    positions = dict.fromkeys(FULL["cameras"], POSITIONS)
+    for columns in (BY_ANGLES, BY_QUATERNIONS):
+        trajectory = TRAJECTORY | {"columns": columns}
         yield FULL | {
-            "events": {"positions": dict.fromkeys(FULL["cameras"], source)},
-            "stations": {"trajectory": TRAJECTORY | {"columns": columns}},
+            "events": {"positions": positions},
+            "stations": {"trajectory": trajectory},
         }
 
 
@@ -387,23 +320,24 @@ def with_object_points() -> dict[str, Any]:
     return FULL | {"ground": {"height": points, "reference": "msl"}}
 
 
-def with_control() -> dict[str, Any]:
-    columns = {"point": "name", "latitude": "lat", "longitude": "lon", "height": "h"}
-    stated = {"columns": columns, "crs": "EPSG:4258", "reference": "ellipsoid"}
-    return FULL | {"control": {"path": "control.csv"} | stated}
+CONTROL = yaml.safe_load("""
+path: control.csv
+columns: {point: name, latitude: lat, longitude: lon, height: h}
+crs: EPSG:4258
+reference: ellipsoid
+""")
+OPENING = yaml.safe_load("""
+warmer_k: 10.0
+pressure_excess_hpa: -3.0
+sigma_warmer_k: 4.0
+sigma_pressure_excess_hpa: 1.0
+frame: camera
+normal: [0.0, 0.0, 1.0]
+""")
 
 
 def with_opening() -> dict[str, Any]:
-    nadir = {key: value for key, value in FULL["cameras"]["nadir"].items() if key != "window"}
-    opening = {
-        "warmer_k": 10.0,
-        "pressure_excess_hpa": -3.0,
-        "sigma_warmer_k": 4.0,
-        "sigma_pressure_excess_hpa": 1.0,
-        "frame": "camera",
-        "normal": [0.0, 0.0, 1.0],
-    }
-    nadir["opening"] = opening
+    nadir = WITHOUT_WINDOW | {"opening": OPENING}
     return FULL | {"cameras": FULL["cameras"] | {"nadir": nadir}}
 
 
@@ -432,6 +366,10 @@ def at(tree: dict[str, Any], keys: Keys) -> Any:
     for key in keys:
         tree = tree[key]
     return tree
+
+
+def keys_in(dotted: str) -> Keys:
+    return tuple(dotted.split("."))
 
 
 def changed(tree: dict[str, Any], keys: Keys, value: Any) -> dict[str, Any]:
@@ -468,14 +406,14 @@ def line_of(text: str, keys: Keys) -> int:
     """The line where a key stands, by YAML's own account."""
     node = yaml.compose(text, C_LOADER)
     for key in keys:
-        found = next((k, v) for k, v in node.value if k.value == key)
-        line = found[0].start_mark.line + 1
-        node = found[1]
+        entry = next((k, v) for k, v in node.value if k.value == key)
+        line = entry[0].start_mark.line + 1
+        node = entry[1]
     return line
 
 
 @pytest.fixture
-def refused(tmp_path: Path):
+def refused(tmp_path):
     """Loads a mission and gives the refusal; fails when there is none or it took a second."""
 
     def attempt(content: dict[str, Any] | str) -> ConfigError:
@@ -496,7 +434,7 @@ def refused(tmp_path: Path):
 
 
 @pytest.fixture
-def accepted(tmp_path: Path):
+def accepted(tmp_path):
     def load(content: dict[str, Any] | str) -> Mission:
         path = tmp_path / "mission.yaml"
         text = content if isinstance(content, str) else dumped(content)
@@ -524,7 +462,7 @@ def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[st
 
 
 def test_the_examples_here_use_every_key_there_is(accepted):
-    others = [
+    missions = [
         with_csv_events(),
         ORIENTED,
         oriented(GEOGRAPHIC),
@@ -533,17 +471,18 @@ def test_the_examples_here_use_every_key_there_is(accepted):
         with_object_points(),
         oriented(PROJECTED),
         FULL | {"ground": {"height": {"dem": "terrain.tif"}, "reference": "msl"}},
-        with_control(),
+        FULL | {"control": CONTROL},
         with_opening(),
         FULL | {"accept": [{"code": "PLAUSIBLE-GROUND", "reason": "a mine"}]},
     ]
-    used = {keys[-1] for tree in (FULL, *others) for keys in keys_of(tree)}
-    listed = [*FULL["atmosphere"]["soundings"], *FULL["atmosphere"]["surface"]]
-    listed += others[-1]["accept"]
-    used |= {key for entry in listed for key in entry}
-    known = set(fields_of(Mission, set()))
-    assert known <= used
-    for tree in (FULL, *others):
+    used = set()
+    for tree in (FULL, *missions):
+        used.update(keys[-1] for keys in keys_of(tree))
+    atmosphere = FULL["atmosphere"]
+    for entry in (*atmosphere["soundings"], *atmosphere["surface"], *missions[-1]["accept"]):
+        used.update(entry)
+    assert set(fields_of(Mission, set())) <= used
+    for tree in (FULL, *missions):
         accepted(tree)
 
 
@@ -587,39 +526,41 @@ def test_a_misspelt_key_is_refused_with_its_line_and_the_right_one(refused):
     assert right / tried >= 0.95, wrong
 
 
-def test_a_required_key_that_is_missing_is_named(refused):
-    required = [
-        ("mission",),
-        ("log",),
-        ("observations",),
-        ("cameras",),
-        ("mount",),
-        ("events",),
-        ("ground",),
-        ("output",),
-        ("mission", "name"),
-        ("log", "path"),
-        ("observations", "path"),
-        ("cameras", "nadir", "width_px"),
-        ("cameras", "nadir", "height_px"),
-        ("cameras", "nadir", "cx_px"),
-        ("cameras", "nadir", "cy_px"),
-        ("cameras", "nadir", "calibration"),
-        ("cameras", "nadir", "window", "cabin"),
-        ("ground", "height"),
-        ("ground", "reference"),
-        ("output", "path"),
-        ("log", "local_origin", "lat_deg"),
-        ("log", "local_origin", "h_ellipsoid_m"),
-        ("log", "channels", "pressure", "name"),
-        ("cameras", "nadir", "window", "cabin", "pressure_hpa"),
-        ("cameras", "nadir", "principal_distance", "reference"),
-        ("cameras", "nadir", "principal_distance", "reference", "temperature_c"),
-    ]
-    for keys in required:
-        error = refused(without(FULL, keys))
-        assert ".".join(keys) in error.what, error
-        assert "is missing" in error.what, error
+@pytest.mark.parametrize(
+    "key",
+    [
+        "mission",
+        "log",
+        "observations",
+        "cameras",
+        "mount",
+        "events",
+        "ground",
+        "output",
+        "mission.name",
+        "log.path",
+        "observations.path",
+        "cameras.nadir.width_px",
+        "cameras.nadir.height_px",
+        "cameras.nadir.cx_px",
+        "cameras.nadir.cy_px",
+        "cameras.nadir.calibration",
+        "cameras.nadir.window.cabin",
+        "ground.height",
+        "ground.reference",
+        "output.path",
+        "log.local_origin.lat_deg",
+        "log.local_origin.h_ellipsoid_m",
+        "log.channels.pressure.name",
+        "cameras.nadir.window.cabin.pressure_hpa",
+        "cameras.nadir.principal_distance.reference",
+        "cameras.nadir.principal_distance.reference.temperature_c",
+    ],
+)
+def test_a_required_key_that_is_missing_is_named(refused, key):
+    error = refused(without(FULL, keys_in(key)))
+    assert key in error.what
+    assert "is missing" in error.what
 
 
 def test_nothing_is_assumed_about_calibration_and_ground(refused):
@@ -629,26 +570,19 @@ def test_nothing_is_assumed_about_calibration_and_ground(refused):
     ):
         assert choices in refused(without(FULL, keys)).what
     assert "column" in refused(without(FULL, ("ground", "height"))).what
-    required = [
-        (m.__name__, n)
-        for m in models_in(Mission.model_fields["ground"].annotation)
-        for n in ("height", "reference")
-        if not m.model_fields[n].is_required()
-    ]
-    assert required == []
+    for section in models_in(Mission.model_fields["ground"].annotation):
+        for name in ("height", "reference"):
+            assert section.model_fields[name].is_required()
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
 def test_no_number_may_be_infinite_or_nan(refused, value):
-    numbers = [k for k in keys_of(FULL) if type(at(FULL, k)) in (int, float)] + [
-        ("cameras", "nadir", "window", "normal"),
-        ("mount", "nadir", "lever_arm_m"),
-    ]
+    numbers = [keys for keys in keys_of(FULL) if type(at(FULL, keys)) in (int, float)]
     assert len(numbers) > 35
     for keys in numbers:
-        spoilt = [value, 0.0, 1.0] if isinstance(at(FULL, keys), list) else value
-        error = refused(changed(FULL, keys, spoilt))
-        assert ".".join(keys) in error.what, error
+        assert ".".join(keys) in refused(changed(FULL, keys, value)).what
+    for key in ("cameras.nadir.window.normal", "mount.nadir.lever_arm_m"):
+        assert key in refused(changed(FULL, keys_in(key), [value, 0.0, 1.0])).what
 
 
 def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
@@ -669,58 +603,58 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
 
 
 @pytest.mark.parametrize(
-    ("keys", "value"),
+    ("key", "value"),
     [
-        (("mission", "name"), "../up"),
-        (("mission", "name"), ""),
-        (("mission", "name"), "a/b"),
-        (("mission", "name"), "a\nb"),
-        (("mission", "name"), "x" * 300),
-        (("mission", "undulation_m"), 500.0),
-        (("log", "max_gap_s"), 0.0),
-        (("log", "max_gap_s"), -1.0),
-        (("log", "path"), ""),
-        (("log", "path"), "a\0b"),
-        (("output", "path"), "a\0b"),
-        (("output", "batch_rows"), 10),
-        (("cameras", "nadir", "width_px"), 0),
-        (("cameras", "nadir", "width_px"), 100.5),
-        (("cameras", "nadir", "fx_px"), -1.0),
-        (("cameras", "nadir", "calibration"), "lab"),
-        (("cameras", "nadir", "window", "normal"), [0.0, 0.0, 0.0]),
-        (("cameras", "nadir", "window", "normal"), [0.0, 1.0, -0.1]),
-        (("cameras", "nadir", "window", "normal"), [0.0, 1.0]),
-        (("cameras", "nadir", "window", "cabin"), "constant"),
-        (("cameras", "nadir", "window", "cabin"), None),
-        (("cameras", "nadir", "window", "shape"), "dome"),
-        (("cameras", "nadir", "window", "frame"), "aircraft"),
-        (("cameras", "nadir", "window", "in_calibration"), True),
-        (("cameras", "nadir", "principal_distance", "reference", "pressure_hpa"), 101325.0),
-        (("cameras", "nadir", "principal_distance", "dc_dp_px_per_hpa"), 20.0),
-        (("cameras", "nadir", "window", "cabin", "pressure_hpa"), 80000.0),
-        (("events", "log", "nadir", "image"), "same.tif"),
-        (("events", "log", "nadir", "image"), "{number}.tif"),
-        (("events", "log", "nadir", "image"), "{index.real}"),
-        (("events", "log", "nadir", "image"), "{index!r}"),
-        (("events", "log", "nadir", "image"), "{index:999999999d}"),
-        (("events", "log", "nadir", "image"), "{index"),
-        (("events", "images", "time_zone"), "CEST"),
-        (("events", "images", "time_zone"), "+25:00"),
-        (("events", "first_image", "window", "event"), 0),
-        (("ground", "height"), 40000.0),
-        (("ground", "reference"), "wgs84"),
-        (("atmosphere", "standard"), "us1967"),
-        (("atmosphere", "index"), "edlen"),
-        (("refraction", "method"), "magic"),
-        (("refraction", "radius_m"), 6371.0),
-        (("mount", "nadir", "sigma_tilt_deg"), -0.1),
-        (("mount", "nadir", "sigma_yaw_deg"), 200.0),
-        (("ground", "sigma_m"), -1.0),
-        (("ground", "sigma_column"), 3.0),
+        ("mission.name", "../up"),
+        ("mission.name", ""),
+        ("mission.name", "a/b"),
+        ("mission.name", "a\nb"),
+        ("mission.name", "x" * 300),
+        ("mission.undulation_m", 500.0),
+        ("log.max_gap_s", 0.0),
+        ("log.max_gap_s", -1.0),
+        ("log.path", ""),
+        ("log.path", "a\0b"),
+        ("output.path", "a\0b"),
+        ("output.batch_rows", 10),
+        ("cameras.nadir.width_px", 0),
+        ("cameras.nadir.width_px", 100.5),
+        ("cameras.nadir.fx_px", -1.0),
+        ("cameras.nadir.calibration", "lab"),
+        ("cameras.nadir.window.normal", [0.0, 0.0, 0.0]),
+        ("cameras.nadir.window.normal", [0.0, 1.0, -0.1]),
+        ("cameras.nadir.window.normal", [0.0, 1.0]),
+        ("cameras.nadir.window.cabin", "constant"),
+        ("cameras.nadir.window.cabin", None),
+        ("cameras.nadir.window.shape", "dome"),
+        ("cameras.nadir.window.frame", "aircraft"),
+        ("cameras.nadir.window.in_calibration", True),
+        ("cameras.nadir.principal_distance.reference.pressure_hpa", 101325.0),
+        ("cameras.nadir.principal_distance.dc_dp_px_per_hpa", 20.0),
+        ("cameras.nadir.window.cabin.pressure_hpa", 80000.0),
+        ("events.log.nadir.image", "same.tif"),
+        ("events.log.nadir.image", "{number}.tif"),
+        ("events.log.nadir.image", "{index.real}"),
+        ("events.log.nadir.image", "{index!r}"),
+        ("events.log.nadir.image", "{index:999999999d}"),
+        ("events.log.nadir.image", "{index"),
+        ("events.images.time_zone", "CEST"),
+        ("events.images.time_zone", "+25:00"),
+        ("events.first_image.window.event", 0),
+        ("ground.height", 40000.0),
+        ("ground.reference", "wgs84"),
+        ("atmosphere.standard", "us1967"),
+        ("atmosphere.index", "edlen"),
+        ("refraction.method", "magic"),
+        ("refraction.radius_m", 6371.0),
+        ("mount.nadir.sigma_tilt_deg", -0.1),
+        ("mount.nadir.sigma_yaw_deg", 200.0),
+        ("ground.sigma_m", -1.0),
+        ("ground.sigma_column", 3.0),
     ],
 )
-def test_a_value_out_of_range_is_refused(refused, keys, value):
-    assert ".".join(keys) in refused(changed(FULL, keys, value)).what
+def test_a_value_out_of_range_is_refused(refused, key, value):
+    assert key in refused(changed(FULL, keys_in(key), value)).what
 
 
 @pytest.mark.parametrize(
@@ -743,7 +677,8 @@ def test_events_that_contradict_each_other(refused, events, why):
 def test_the_image_of_the_first_event_may_be_stated_by_its_name(accepted):
     events = FULL["events"] | {"first_image": {"window": "w7.tif"}}
     anchor = accepted(FULL | {"events": events}).events.anchor("window")
-    assert (anchor.image, anchor.event) == ("w7.tif", 1)
+    assert anchor.image == "w7.tif"
+    assert anchor.event == 1
 
 
 def test_sigmas_that_contradict_each_other(refused):
@@ -753,41 +688,38 @@ def test_sigmas_that_contradict_each_other(refused):
 
 
 def test_one_principal_distance(refused, accepted):
-    nadir = ("cameras", "nadir")
-    accepted(
-        changed(
-            without(without(FULL, (*nadir, "fx_px")), (*nadir, "fy_px")), (*nadir, "f_px"), 20000.0
-        )
-    )
-    for spoilt in (
-        changed(FULL, (*nadir, "f_px"), 1.0),
-        without(FULL, (*nadir, "fx_px")),
-        without(without(FULL, (*nadir, "fx_px")), (*nadir, "fy_px")),
-    ):
-        assert "f_px" in refused(spoilt).what
+    fx = keys_in("cameras.nadir.fx_px")
+    fy = keys_in("cameras.nadir.fy_px")
+    f = keys_in("cameras.nadir.f_px")
+    none = without(without(FULL, fx), fy)
+    accepted(changed(none, f, 20000.0))
+    for tree in (changed(FULL, f, 1.0), without(FULL, fx), none):
+        assert "f_px" in refused(tree).what
 
 
-def test_cameras_must_agree(refused):
-    for where in (("mount",), ("events", "log"), ("cameras",)):
-        error = refused(renamed(FULL, (*where, "nadir"), "nadri"))
-        assert "nadri" in error.what
-        assert "nadir" in error.what
-    for where in ("mount", "events.log"):
-        keys = (*where.split("."), "nadir")
-        assert f"'nadir' has no entry under {where}" in refused(without(FULL, keys)).what
-    error = refused(changed(with_csv_events(), ("events", "csv", "camera"), "oblique"))
-    assert "oblique" in error.what
-    silent = without(with_csv_events(), ("events", "csv", "camera"))
-    assert "which camera" in refused(without(silent, ("events", "csv", "columns", "camera"))).what
+@pytest.mark.parametrize("section", ["mount", "events.log", "cameras"])
+def test_cameras_must_agree(refused, section):
+    nadir = (*keys_in(section), "nadir")
+    error = refused(renamed(FULL, nadir, "nadri"))
+    assert "nadri" in error.what
+    assert "nadir" in error.what
+    if section != "cameras":
+        text = f"'nadir' has no entry under {section}"
+        assert text in refused(without(FULL, nadir)).what
+
+
+def test_a_csv_of_events_names_its_camera(refused):
+    camera = keys_in("events.csv.camera")
+    assert "oblique" in refused(changed(with_csv_events(), camera, "oblique")).what
+    silent = without(with_csv_events(), camera)
+    column = keys_in("events.csv.columns.camera")
+    assert "which camera" in refused(without(silent, column)).what
 
 
 def test_exposures_have_one_source_and_one_clock(refused):
-    assert "either log, csv or positions" in refused(changed(FULL, ("events",), {})).what
-    assert (
-        "either log, csv or positions"
-        in refused(changed(FULL, ("events",), FULL["events"] | CSV_EVENTS)).what
-    )
-    columns = ("events", "csv", "columns")
+    for events in ({}, FULL["events"] | CSV_EVENTS):
+        assert "either log, csv or positions" in refused(FULL | {"events": events}).what
+    columns = keys_in("events.csv.columns")
     for given in ({"time_utc": "t", "gps_week": "w", "gps_seconds": "s"}, {"gps_week": "w"}, {}):
         assert "time_utc" in refused(changed(with_csv_events(), columns, given)).what
 
@@ -797,10 +729,8 @@ def test_a_key_that_stands_there_twice_is_refused(refused, keys):
     text = dumped(FULL)
     lines = text.splitlines()
     line = line_of(text, keys)
-    lines.insert(
-        line - 1,
-        " " * (len(lines[line - 1]) - len(lines[line - 1].lstrip())) + f"{keys[-1]}: twice",
-    )
+    indentation = re.match(" *", lines[line - 1]).group()
+    lines.insert(line - 1, f"{indentation}{keys[-1]}: twice")
     error = refused("\n".join(lines))
     assert error.code == "CONFIG-YAML"
     assert repr(keys[-1]) in error.what
@@ -849,9 +779,9 @@ def test_bytes_that_are_no_text(tmp_path):
         path.write_bytes(content)
         with pytest.raises(ConfigError, match="CONFIG-"):
             load_mission(path)
-    with pytest.raises(ConfigError, match="CONFIG-MISSING"):
+    with helpers.refused("CONFIG-MISSING"):
         load_mission(tmp_path / "none.yaml")
-    with pytest.raises(ConfigError, match="CONFIG-UNREADABLE"):
+    with helpers.refused("CONFIG-UNREADABLE"):
         load_mission(tmp_path)
 
 
@@ -874,9 +804,9 @@ def test_words_and_numbers_are_those_of_yaml_1_2(accepted, refused):
 def test_every_mistake_is_told_at_once_in_the_order_of_the_file(refused):
     spoilt = renamed(changed(FULL, ("ground", "reference"), "sea"), ("log", "path"), "pth")
     spoilt = changed(spoilt, ("cameras", "nadir", "width_px"), "wide")
-    what = refused(spoilt).what
-    assert "4 mistakes" in what
-    lines = [int(n) for n in re.findall(r"line (\d+):", what)]
+    text = refused(spoilt).what
+    assert "4 mistakes" in text
+    lines = [int(n) for n in re.findall(r"line (\d+):", text)]
     assert lines == sorted(lines)
     assert len(lines) == 4
 
@@ -891,42 +821,34 @@ def test_aliases_cannot_swell(refused):
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("changes", "words"),
     [
-        ({"frame": None}, "orientation.frame"),
-        ({"angles": None}, "orientation.angles"),
-        ({"heights": None}, "give heights (msl or ellipsoid)"),
-        ({"frame": "ecef"}, "frame must be geographic"),
+        ("frame: null", "orientation.frame"),
+        ("angles: null", "orientation.angles"),
+        ("heights: null", "give heights (msl or ellipsoid)"),
+        ("frame: ecef", "frame must be geographic"),
+        ("{frame: ecef, angles: quaternion, convergence_deg: 0.0, columns: {}}", "only then"),
         (
-            {"frame": "ecef", "angles": "quaternion", "convergence_deg": 0.0, "columns": {}},
-            "only then",
-        ),
-        (
-            {
-                "frame": "unknown",
-                "angles": "quaternion",
-                "convergence_deg": 0.0,
-                "columns": {},
-                "heights": None,
-            },
+            "{frame: unknown, angles: quaternion, heights: null, convergence_deg: 0, columns: {}}",
             "no vertical, no north and no scale",
         ),
         (
-            {"frame": "unknown", "angles": "quaternion", "known_positions": "log"},
+            "{frame: unknown, angles: quaternion, known_positions: log}",
             "not columns.latitude",
         ),
-        ({"angles": "quaternion", "frame": "ecef"}, "convergence_deg is for frame: geographic"),
-        ({"frame": "projected"}, "projected needs crs"),
-        ({"date": "14.5.2026"}, "not a date like"),
-        ({"columns": {"time_utc": "t"}}, "either date, or the columns of time"),
-        ({"columns": {"gps_week": "t"}}, "both gps_week and gps_seconds"),
-        ({"camera": "forward"}, "names camera 'forward'"),
-        ({"unit": "gon"}, "grad"),
+        ("{angles: quaternion, frame: ecef}", "convergence_deg is for frame: geographic"),
+        ("frame: projected", "projected needs crs"),
+        ("date: 14.5.2026", "not a date like"),
+        ("columns: {time_utc: t}", "either date, or the columns of time"),
+        ("columns: {gps_week: t}", "both gps_week and gps_seconds"),
+        ("camera: forward", "names camera 'forward'"),
+        ("unit: gon", "grad"),
     ],
 )
-def test_an_orientation_that_says_too_little_or_too_much(refused, change, says):
-    orientation = {k: v for k, v in (GEOGRAPHIC | change).items() if v is not None}
-    assert says in refused(oriented(orientation)).what
+def test_an_orientation_that_says_too_little_or_too_much(refused, changes, words):
+    orientation = GEOGRAPHIC | yaml.safe_load(changes)
+    orientation_section = {key: value for key, value in orientation.items() if value is not None}
+    assert words in refused(oriented(orientation_section)).what
 
 
 def test_without_a_log_nothing_comes_from_a_log(refused, accepted):
@@ -934,9 +856,8 @@ def test_without_a_log_nothing_comes_from_a_log(refused, accepted):
     no_log = oriented(GEOGRAPHIC)
     accepted(no_log)
     assert "there is no log" in refused(no_log | {"events": FULL["events"]}).what
-    cameras = {
-        name: camera | {"window": {"cabin": "log"}} for name, camera in no_log["cameras"].items()
-    }
+    camera = WITHOUT_WINDOW | {"window": {"cabin": "log"}}
+    cameras = {"nadir": camera, "window": WITHOUT_WINDOW}
     assert "there is no log" in refused(no_log | {"cameras": cameras}).what
     unknown = ORIENTED["stations"]["orientation"] | {"known_positions": "log"}
     del unknown["heights"]
@@ -955,7 +876,7 @@ def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "words"),
     [
         ("time_zone", "Europe/Zuerich", "not a time zone"),
         ("time_zone", "../etc/passwd", "not a time zone"),
@@ -966,9 +887,9 @@ def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
         ("remarks", "", "remarks"),
     ],
 )
-def test_what_the_report_cannot_state_is_refused(refused, key, value, said):
+def test_what_the_report_cannot_state_is_refused(refused, key, value, words):
     error = refused(FULL | {"mission": {"name": "survey", key: value}})
-    assert said in str(error)
+    assert words in str(error)
 
 
 def test_the_title_is_in_any_letters_and_the_name_a_plain_word(accepted, refused):

@@ -12,22 +12,22 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
+from tests.helpers import refused
 from unbend.config import Mission, load_mission
 from unbend.config.mistakes import sentences_of
 from unbend.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
 BASE = yaml.safe_load((ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8"))
-BASE |= {
-    "stations": {"trajectory": {"path": "a.pos", "point": "antenna", "lever_arm_m": [0.0] * 3}},
-    "atmosphere": {
-        "soundings": [{"path": "s.csv"}],
-        "surface": [{"h_msl_m": 4.0, "metar": "M"}],
-        "sensors": {"gnss": {"sigma_height_m": 1.0}},
-    },
-    "accept": [{"code": "PLAUSIBLE-GROUND", "reason": "a mine"}],
-    "control": {"path": "control.csv"},
-}
+BASE |= yaml.safe_load("""
+stations: {trajectory: {path: a.pos, point: antenna, lever_arm_m: [0.0, 0.0, 0.0]}}
+atmosphere:
+  soundings: [{path: s.csv}]
+  surface: [{h_msl_m: 4.0, metar: M}]
+  sensors: {gnss: {sigma_height_m: 1.0}}
+accept: [{code: PLAUSIBLE-GROUND, reason: a mine}]
+control: {path: control.csv}
+""")
 BASE["log"]["max_gap_s"] = 2.0
 # What pydantic says of types, ranges, patterns, lengths, unions, missing and unknown keys.
 FOREIGN = re.compile(
@@ -39,34 +39,54 @@ FOREIGN = re.compile(
 WRONG: tuple[Any, ...] = (None, True, -1e9, 3.5, "no such word", [1, "x"], {"nme": 1}, "x" * 300)
 
 
-def places(values: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    inner = values.items() if isinstance(values, dict) else ()
-    found = [above] if above else []
-    for key, value in enumerate(values) if isinstance(values, list) else inner:
-        found += places(value, (*above, key))
-    return found
+Place = tuple[Any, ...]
 
 
-def spoilt(place: tuple[Any, ...], value: Any) -> dict[str, Any]:
+def places(values: Any, above: Place = ()) -> list[Place]:
+    """The places of all values, of sections too, as keys and numbers of list items."""
+    items: Any = ()
+    if isinstance(values, dict):
+        items = values.items()
+    elif isinstance(values, list):
+        items = enumerate(values)
+    inner = [above] if above else []
+    for key, value in items:
+        inner += places(value, (*above, key))
+    return inner
+
+
+def spoilt(place: Place, value: Any) -> dict[str, Any]:
     tree = copy.deepcopy(BASE)
-    inner = tree
-    for key in place[:-1]:
-        inner = inner[key]
-    inner[place[-1]] = value
+    spoil(tree, place, value)
     return tree
 
 
-def refusal(tree: Any, path: Path) -> ConfigError | None:
-    path.write_text(yaml.safe_dump(tree, sort_keys=False), encoding="utf-8")
-    try:
-        load_mission(path)
-    except ConfigError as error:
-        return error
-    return None
+def spoil(tree: Any, place: Place, value: Any) -> None:
+    *above, last = place
+    for key in above:
+        tree = tree[key]
+    tree[last] = value
+
+
+@pytest.fixture
+def refusal(tmp_path):
+    """The refusal of a mission file with these values, or this text."""
+
+    def attempt(content: dict[str, Any] | str) -> ConfigError:
+        text = content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False)
+        path = tmp_path / "mission.yaml"
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ConfigError) as caught:
+            load_mission(path)
+        return caught.value
+
+    return attempt
 
 
 def test_the_file_that_is_spoilt_is_sound(tmp_path):
-    assert refusal(BASE, tmp_path / "mission.yaml") is None
+    path = tmp_path / "mission.yaml"
+    path.write_text(yaml.safe_dump(BASE), encoding="utf-8")
+    load_mission(path)
 
 
 def test_no_phrase_of_a_library_reaches_the_user():
@@ -79,13 +99,13 @@ def test_no_phrase_of_a_library_reaches_the_user():
             try:
                 Mission.model_validate(tree)
             except ValidationError as error:
-                said = sentences_of(error.errors(), tree, node)
+                sentences = sentences_of(error.errors(), tree, node)
             else:
                 continue
             tried += 1
-            assert said, (place, value)
-            assert not FOREIGN.search("\n".join(said)), (place, value, said)
-            assert max(map(len, said)) < 1000
+            assert sentences, (place, value)
+            assert not FOREIGN.search("\n".join(sentences)), (place, value, sentences)
+            assert max(map(len, sentences)) < 1000
     assert tried > 400
 
 
@@ -123,50 +143,43 @@ def test_the_phrases_are_what_pydantic_says():
         ("cameras.nadir.window", {"cabin": {"presure": 3}}, "presure: unknown key"),
     ],
 )
-def test_a_mistake_names_the_key_what_stands_there_and_what_may(place, value, says, tmp_path):
-    error = refusal(spoilt(tuple(place.split(".")), value), tmp_path / "mission.yaml")
-    assert error is not None
+def test_a_mistake_names_the_key_what_stands_there_and_what_may(place, value, says, refusal):
+    error = refusal(spoilt(tuple(place.split(".")), value))
     assert says in error.what
     assert "unbend help KEY" in error.remedy
 
 
-def test_a_missing_key_comes_with_its_meaning_and_an_example(tmp_path):
+def test_a_missing_key_comes_with_its_meaning_and_an_example(refusal):
     tree = copy.deepcopy(BASE)
-    del tree["cameras"]["nadir"]["calibration"], tree["output"]["path"]
-    error = refusal(tree, tmp_path / "mission.yaml")
-    assert error is not None
+    del tree["cameras"]["nadir"]["calibration"]
+    del tree["output"]["path"]
+    error = refusal(tree)
     assert error.code == "CONFIG-INVALID"
     assert "output.path: is missing: folder of this mission's results, or a URL" in error.what
     assert "cameras.nadir.calibration: is missing: how the camera was calibrated" in error.what
 
 
-def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(tmp_path):
+OPEN: dict[str, Place] = {
+    "cameras.nadir.fx_px": ("cameras", "nadir", "fx_px"),
+    "cameras.nadir.width_px": ("cameras", "nadir", "width_px"),
+    "ground.reference": ("ground", "reference"),
+    "ground.height.column": ("ground", "height", "column"),
+    "mount.oblique.roll_deg": ("mount", "oblique", "roll_deg"),
+    "atmosphere.soundings[0].path": ("atmosphere", "soundings", 0, "path"),
+}
+
+
+def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(refusal):
     tree = copy.deepcopy(BASE)
-    todo = [
-        ("cameras", "nadir", "fx_px"),
-        ("cameras", "nadir", "width_px"),
-        ("ground", "reference"),
-        ("ground", "height", "column"),
-        ("mount", "oblique", "roll_deg"),
-        ("atmosphere", "soundings", 0, "path"),
-    ]
-    for *above, last in todo:
-        inner = tree
-        for key in above:
-            inner = inner[key]
-        inner[last] = "TODO"
-    error = refusal(tree, tmp_path / "mission.yaml")
-    assert error is not None
+    for place in OPEN.values():
+        spoil(tree, place, "TODO")
+    error = refusal(tree)
     assert error.code == "CONFIG-TODO"
-    named = re.findall(r"line \d+: (\S+): still TODO: \w+", error.what)
-    wanted = {".".join(map(str, place)).replace(".0.", "[0].") for place in todo}
-    assert len(named) == len(todo)
-    assert set(named) == wanted
-    assert error.what.count("line ") == len(todo)
+    keys = re.findall(r"line \d+: (\S+): still TODO: \w+", error.what)
+    assert sorted(keys) == sorted(OPEN)
+    assert error.what.count("line ") == len(OPEN)
     tree["atmosphere"]["co2_ppm"] = "much"  # a mistake beside them is named too
-    error = refusal(tree, tmp_path / "mission.yaml")
-    assert error is not None
-    assert "co2_ppm: 'much'" in error.what
+    assert "co2_ppm: 'much'" in refusal(tree).what
 
 
 @pytest.mark.parametrize(
@@ -181,44 +194,34 @@ def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(tmp
         ("a: '\x01'", "here the text is not YAML"),
     ],
 )
-def test_text_that_is_no_yaml_is_refused_in_plain_words(text, says, tmp_path):
-    (tmp_path / "mission.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
-        load_mission(tmp_path / "mission.yaml")
-    assert caught.value.code == "CONFIG-YAML"
-    assert says in caught.value.what
+def test_text_that_is_no_yaml_is_refused_in_plain_words(text, says, refusal):
+    error = refusal(text)
+    assert error.code == "CONFIG-YAML"
+    assert says in error.what
 
 
 @pytest.mark.parametrize("section", ["observations", "stations.orientation"])
-def test_a_list_of_formats_is_refused(section, tmp_path):
+def test_a_list_of_formats_is_refused(section, refusal):
     tree = copy.deepcopy(BASE)
-    values = tree
-    for key in section.split("."):
-        values = values.setdefault(key, {})
-    values["format"] = ["colmap"]
-    error = refusal(tree, tmp_path / "mission.yaml")
-    assert error is not None
-    assert f"{section}.format: a list of 1 is not allowed" in error.what
+    tree["stations"]["orientation"] = {}
+    spoil(tree, (*section.split("."), "format"), ["colmap"])
+    assert f"{section}.format: a list of 1 is not allowed" in refusal(tree).what
 
 
 @pytest.mark.parametrize(
     ("window", "key"), [({"normal": [1.0, 0.0, 0.0]}, "normal"), ({"cabin": None}, "cabin")]
 )
-def test_what_a_window_refuses_is_said_of_its_key(window, key, tmp_path):
+def test_what_a_window_refuses_is_said_of_its_key(window, key, refusal):
     tree = copy.deepcopy(BASE)
     tree["cameras"]["nadir"]["window"] = {"cabin": "standard_schedule"} | window
-    text = yaml.safe_dump(tree, sort_keys=False)
-    error = refusal(tree, tmp_path / "mission.yaml")
-    assert error is not None
-    line = 1 + next(i for i, t in enumerate(text.splitlines()) if t.startswith(f"      {key}:"))
-    assert error.what.startswith(f"line {line}: cameras.nadir.window.{key}: ")
+    lines = yaml.safe_dump(tree, sort_keys=False).splitlines()
+    line = next(n for n, text in enumerate(lines, 1) if text.startswith(f"      {key}:"))
+    assert refusal(tree).what.startswith(f"line {line}: cameras.nadir.window.{key}: ")
 
 
-def test_a_decimal_comma_is_named_wherever_a_number_is_expected(tmp_path):
-    """In braces YAML takes the comma for the end of the number: the text is looked at."""
-    text = (ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
-    path = tmp_path / "mission.yaml"
-    for before, after, says in (
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
         ("k1: -0.018000", "k1: -0,018", "'-0,018' has a decimal comma: write -0.018"),
         ("p2: -0.000100}", "p2: -0,0001}", "'-0,0001' has a decimal comma: write -0.0001"),
         ("undulation_m: 47.6", "undulation_m: 47,6", "'47,6' has a decimal comma: write 47.6"),
@@ -226,14 +229,16 @@ def test_a_decimal_comma_is_named_wherever_a_number_is_expected(tmp_path):
         ("fx_px: 20000.0", "fx_px: 20.000,5", "'20.000,5' has a decimal comma: write 20000.5"),
         ("fx_px: 20000.0", "fx_px: 20,000", "'20,000' has a comma: write 20.000 or 20000"),
         ("[0.35, 0.1, 0.6]", "[0,35, 0,1, 0,6]", "numbers have a decimal point, not a comma"),
-    ):
-        assert before in text
-        path.write_text(text.replace(before, after, 1), encoding="utf-8")
-        with pytest.raises(ConfigError) as caught:
-            load_mission(path)
-        assert says in caught.value.what, after
-        line = next(n for n, t in enumerate(text.splitlines(), 1) if before in t)
-        assert f"{line}" in f"{caught.value.where} {caught.value.what}"
+    ],
+)
+def test_a_decimal_comma_is_named_wherever_a_number_is_expected(before, after, says, refusal):
+    """In braces YAML takes the comma for the end of the number: the text is looked at."""
+    text = (ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
+    assert before in text
+    error = refusal(text.replace(before, after, 1))
+    assert says in error.what
+    line = text[: text.index(before)].count("\n") + 1
+    assert f"{line}" in f"{error.where} {error.what}"
 
 
 @pytest.mark.parametrize(
@@ -248,9 +253,8 @@ def test_a_decimal_comma_is_named_wherever_a_number_is_expected(tmp_path):
         ("cx_mm", "metric.ppa_mm"),
     ],
 )
-def test_a_camera_in_millimetres_is_led_to_its_section(key, says, tmp_path):
-    error = refusal(spoilt(("cameras", "nadir", key), 80.0), tmp_path / "mission.yaml")
-    assert error is not None
+def test_a_camera_in_millimetres_is_led_to_its_section(key, says, refusal):
+    error = refusal(spoilt(("cameras", "nadir", key), 80.0))
     assert error.code == "CONFIG-UNKNOWN-KEY"
     assert re.search(says, error.what)
 
@@ -264,9 +268,8 @@ def test_a_camera_in_millimetres_is_led_to_its_section(key, says, tmp_path):
         ("cameras.nadir.fx_pix", "perhaps 'fx_px'?"),
     ],
 )
-def test_a_key_in_another_unit_is_led_to_the_key_and_its_unit(place, says, tmp_path):
-    error = refusal(spoilt(tuple(place.split(".")), 1.0), tmp_path / "mission.yaml")
-    assert error is not None
+def test_a_key_in_another_unit_is_led_to_the_key_and_its_unit(place, says, refusal):
+    error = refusal(spoilt(tuple(place.split(".")), 1.0))
     assert says in error.what
 
 
@@ -284,25 +287,21 @@ def test_a_key_in_another_unit_is_led_to_the_key_and_its_unit(place, says, tmp_p
         ('    path: "..\\logs\\flight.bin"', "write / or single quotes"),
     ],
 )
-def test_a_text_that_needs_quotes_is_shown_with_them(line, says, tmp_path):
-    path = tmp_path / "mission.yaml"
-    path.write_text(f"events:\n  log:\n{line}\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match="CONFIG-YAML") as caught:
-        load_mission(path)
-    assert says in caught.value.what
-    assert caught.value.where == f"{path}:3"
+def test_a_text_that_needs_quotes_is_shown_with_them(line, says, refusal):
+    error = refusal(f"events:\n  log:\n{line}\n")
+    assert error.code == "CONFIG-YAML"
+    assert says in error.what
+    assert error.where.endswith("mission.yaml:3")
 
 
-def test_a_text_in_braces_alone_is_shown_with_quotes(tmp_path):
-    error = refusal(spoilt(("mission", "name"), {"index:05d": None}), tmp_path / "mission.yaml")
-    assert error is not None
+def test_a_text_in_braces_alone_is_shown_with_quotes(refusal):
+    error = refusal(spoilt(("mission", "name"), {"index:05d": None}))
     assert 'put quotes around a text with braces: "{index:05d}"' in error.what
 
 
 @pytest.mark.parametrize("name", ["x.csv", "results/survey.Parquet", "report.html", "a.yaml"])
-def test_results_go_to_a_folder_that_is_not_named_as_a_file(name, tmp_path):
-    error = refusal(spoilt(("output", "path"), name), tmp_path / "mission.yaml")
-    assert error is not None
+def test_results_go_to_a_folder_that_is_not_named_as_a_file(name, refusal):
+    error = refusal(spoilt(("output", "path"), name))
     assert f"{name!r} is the name of a file, and a run writes a folder" in error.what
     assert f"write {name.rpartition('.')[0]!r}" in error.what
     for folder in ("results/survey.v2", "results/2026-05.12", "s3://bucket/season.x"):
@@ -310,36 +309,43 @@ def test_results_go_to_a_folder_that_is_not_named_as_a_file(name, tmp_path):
         assert Mission.model_validate(tree).output.path == folder
 
 
-def test_another_file_in_the_place_of_a_mission_file_is_named(tmp_path):
-    files = {
-        "t.parquet": (b"PAR1 and more\x00", "a Parquet table"),
-        "t.csv": (b"image,point,x,y\n1,2,3,4\n", "a table of text"),
-        "a.jpg": (b"\xff\xd8\xff\xe0\x00", "an image (JPEG)"),
-        "a.db": (b"SQLite format 3\x00", "a database"),
-        "a.dat": (bytes(range(256)), "not text in UTF-8"),
-        "a.html": (b"<!DOCTYPE html><html></html>", "a web page"),
-        "a.xml": (b"<?xml version='1.0'?><document/>", "XML"),
-        "mission.schema.json": (b'{"$schema": "x", "properties": {}}', "the JSON schema"),
-        "flight.bin": (
-            (ROOT / "sample_logs" / "flight.bin").read_bytes()[:70_000],
-            "a flight log: ArduPilot DataFlash",
-        ),
-    }
-    for name, (content, says) in files.items():
-        path = tmp_path / name
-        path.write_bytes(content)
-        with pytest.raises(ConfigError, match="CONFIG-UNREADABLE") as caught:
-            load_mission(path)
-        assert f"is {says}" in caught.value.what, name
-        assert caught.value.remedy
-    assert "unbend init" in caught.value.remedy  # of the log, the last one
-    with pytest.raises(ConfigError, match=r"is a folder, not a mission file") as caught:
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("t.parquet", b"PAR1 and more\x00", "a Parquet table"),
+        ("t.csv", b"image,point,x,y\n1,2,3,4\n", "a table of text"),
+        ("a.jpg", b"\xff\xd8\xff\xe0\x00", "an image (JPEG)"),
+        ("a.db", b"SQLite format 3\x00", "a database"),
+        ("a.dat", bytes(range(256)), "not text in UTF-8"),
+        ("a.html", b"<!DOCTYPE html><html></html>", "a web page"),
+        ("a.xml", b"<?xml version='1.0'?><document/>", "XML"),
+        ("mission.schema.json", b'{"$schema": "x", "properties": {}}', "the JSON schema"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_another_file_in_the_place_of_a_mission_file_is_named(tmp_path, name, content, says):
+    (tmp_path / name).write_bytes(content)
+    with refused("CONFIG-UNREADABLE") as refusal:
+        load_mission(tmp_path / name)
+    assert f"is {says}" in refusal.value.what
+
+
+def test_a_log_in_the_place_of_a_mission_file_is_named():
+    with refused("CONFIG-UNREADABLE") as refusal:
+        load_mission(ROOT / "sample_logs" / "flight.bin")
+    assert "is a flight log: ArduPilot DataFlash" in refusal.value.what
+    assert "unbend init" in refusal.value.remedy
+
+
+def test_a_folder_in_the_place_of_a_mission_file_is_named(tmp_path):
+    with refused("CONFIG-UNREADABLE") as refusal:
         load_mission(tmp_path)
-    assert "unbend init" in caught.value.remedy
+    assert "is a folder, not a mission file" in refusal.value.what
+    assert "unbend init" in refusal.value.remedy
     (tmp_path / "m.yaml").write_text("mission: {name: a}\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match="is a folder") as caught:
+    with refused("CONFIG-UNREADABLE") as refusal:
         load_mission(tmp_path)
-    assert caught.value.remedy == f"name its mission files: {tmp_path}/*.yaml"
+    assert refusal.value.remedy == f"name its mission files: {tmp_path}/*.yaml"
 
 
 def test_results_in_the_place_of_a_mission_file_are_named(tmp_path):
@@ -347,12 +353,12 @@ def test_results_in_the_place_of_a_mission_file_are_named(tmp_path):
     run.mkdir()
     (run / "manifest.json").write_text('{"manifest_version": 1}', encoding="utf-8")
     (run / "report.html").write_text("<html>", encoding="utf-8")
-    for path, what in (
+    for path, kind in (
         (run, "the folder of the results of a run"),
         (run / "manifest.json", "a file of the results of a run"),
         (run / "report.html", "a file of the results of a run"),
     ):
-        with pytest.raises(ConfigError, match=f"is {what}") as caught:
+        with pytest.raises(ConfigError, match=f"is {kind}") as caught:
             load_mission(path)
         assert f"unbend verify {run}" in caught.value.remedy
 
@@ -366,7 +372,6 @@ def test_a_mission_file_of_another_ending_is_read(tmp_path):
         assert load_mission(path).mission.name == BASE["mission"]["name"]
 
 
-def test_a_key_of_another_section_is_sent_there(tmp_path):
-    error = refusal(spoilt(("ground", "undulation_m"), 47.6), tmp_path / "mission.yaml")
-    assert error is not None
+def test_a_key_of_another_section_is_sent_there(refusal):
+    error = refusal(spoilt(("ground", "undulation_m"), 47.6))
     assert "it is a key of another section: mission.undulation_m" in error.what

@@ -18,20 +18,20 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has n
 
 
 @pytest.fixture
-def pipe(tmp_path: Path) -> Path:
+def pipe(tmp_path) -> Path:
     path = tmp_path / "pipe.yaml"
     os.mkfifo(path)
     return path
 
 
-def test_a_pipe_is_no_mission_file(pipe: Path) -> None:
+def test_a_pipe_is_no_mission_file(pipe):
     with pytest.raises(UnbendError, match="it is a pipe or a device, not a file"):
         read_yaml(pipe)
     missions, campaigns = open_configs([pipe])
     assert ([mission.path for mission in missions], campaigns) == ([pipe], [])
 
 
-def test_a_pipe_is_no_log_no_table_and_no_file_of_a_scheduler(pipe: Path) -> None:
+def test_a_pipe_is_no_log_no_table_and_no_file_of_a_scheduler(pipe):
     with pytest.raises(UnbendError, match=r"^LOG-MISSING: it is a pipe or a device"):
         open_log(pipe)
     for kind in ("csv", "colmap", "metashape"):

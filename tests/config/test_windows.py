@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import pickle
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
+from tests.helpers import refused
 from unbend.config import Mission, load_mission
-from unbend.errors import ConfigError
 from unbend.refraction.lens_air import TypicalLens
 
 SCHEDULE = "standard_schedule"
@@ -26,34 +23,35 @@ LENS = {
 
 
 def config(window: dict[str, Any] | None = None, **camera: Any) -> dict[str, Any]:
-    nadir: dict[str, Any] = {
-        "width_px": 14000,
-        "height_px": 10600,
-        "fx_px": 20000.0,
-        "fy_px": 19990.0,
-        "cx_px": 7000.0,
-        "cy_px": 5300.0,
-        "calibration": "laboratory",
-    }
+    """A mission whose camera has a window, and other keys."""
+    content = yaml.safe_load("""
+mission: {name: survey}
+log: {path: a.bin}
+observations: {path: o.csv}
+cameras:
+  nadir:
+    width_px: 14000
+    height_px: 10600
+    fx_px: 20000.0
+    fy_px: 19990.0
+    cx_px: 7000.0
+    cy_px: 5300.0
+    calibration: laboratory
+mount: {nadir: {}}
+events: {log: {nadir: {image: "{index}"}}}
+ground: {height: 200.0, reference: msl}
+output: {path: out}
+""")
     if window is not None:
-        nadir["window"] = window
-    return {
-        "mission": {"name": "survey"},
-        "log": {"path": "a.bin"},
-        "observations": {"path": "o.csv"},
-        "cameras": {"nadir": nadir | camera},
-        "mount": {"nadir": {}},
-        "events": {"log": {"nadir": {"image": "{index}"}}},
-        "ground": {"height": 200.0, "reference": "msl"},
-        "output": {"path": "out"},
-    }
-
-
-Load = Callable[[dict[str, Any]], Mission]
+        camera["window"] = window
+    content["cameras"]["nadir"] |= camera
+    return content
 
 
 @pytest.fixture
-def load(tmp_path: Path) -> Load:
+def load(tmp_path):
+    """Loads a mission file with this content."""
+
     def from_file(content: dict[str, Any]) -> Mission:
         path = tmp_path / "mission.yaml"
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
@@ -62,8 +60,8 @@ def load(tmp_path: Path) -> Load:
     return from_file
 
 
-def refusal(load: Load, content: dict[str, Any]) -> str:
-    with pytest.raises(ConfigError, match="CONFIG-INVALID") as caught:
+def refusal(load, content: dict[str, Any]) -> str:
+    with refused("CONFIG-INVALID") as caught:
         load(content)
     return caught.value.what
 
@@ -90,27 +88,27 @@ def test_a_normal_becomes_a_unit_vector(load):
 
 
 @pytest.mark.parametrize(
-    ("window", "word"),
+    ("window", "words"),
     [
-        ({}, "window.cabin: the air behind the window is missing"),
-        ({"cabin": None}, "window.cabin: the air behind the window is missing"),
+        ("{}", "window.cabin: the air behind the window is missing"),
+        ("cabin: null", "window.cabin: the air behind the window is missing"),
         (
-            {"shape": "plane", "normal": [0.0, 0.1, 1.0]},
+            "{shape: plane, normal: [0.0, 0.1, 1.0]}",
             "window.cabin: the air behind the window is missing",
         ),
-        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, 0.0]}, "normal of a window has the length 0"),
-        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, 0.0], "frame": "body"}, "has the length 0"),
-        ({"cabin": SCHEDULE, "normal": [0.0, math.nan, 1.0]}, "normal[1]: nan is not allowed"),
-        ({"cabin": SCHEDULE, "normal": [0.0, 1.0]}, "use a list of 3"),
-        ({"cabin": SCHEDULE, "normal": [0.0, 1.0, 0.0]}, "third component is positive"),
-        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0]}, "third component is positive"),
-        ({"cabin": SCHEDULE, "normal": [0.0, 0.0, -1.0], "frame": "body"}, "a normal away"),
-        ({"shape": "spherical", "normal": [0.0, 0.1, 1.0]}, "has no normal"),
-        ({"shape": "spherical", "frame": "body"}, "has no frame"),
+        ("{cabin: log, normal: [0.0, 0.0, 0.0]}", "normal of a window has the length 0"),
+        ("{cabin: log, normal: [0.0, 0.0, 0.0], frame: body}", "has the length 0"),
+        ("{cabin: log, normal: [0.0, .nan, 1.0]}", "normal[1]: nan is not allowed"),
+        ("{cabin: log, normal: [0.0, 1.0]}", "use a list of 3"),
+        ("{cabin: log, normal: [0.0, 1.0, 0.0]}", "third component is positive"),
+        ("{cabin: log, normal: [0.0, 0.0, -1.0]}", "third component is positive"),
+        ("{cabin: log, normal: [0.0, 0.0, -1.0], frame: body}", "a normal away"),
+        ("{shape: spherical, normal: [0.0, 0.1, 1.0]}", "has no normal"),
+        ("{shape: spherical, frame: body}", "has no frame"),
     ],
 )
-def test_windows_that_cannot_be(load, window, word):
-    assert word in refusal(load, config(window))
+def test_windows_that_cannot_be(load, window, words):
+    assert words in refusal(load, config(yaml.safe_load(window)))
 
 
 def test_a_window_of_the_aircraft_and_how_the_camera_sits_behind_it(load):
@@ -131,28 +129,34 @@ def test_a_window_of_the_aircraft_and_how_the_camera_sits_behind_it(load):
 def test_a_dome_needs_cabin_air_only_for_the_lens(load):
     bare = load(config({"shape": "spherical"})).cameras["nadir"]
     assert bare.window.window.cabin is None
-    assert "give window.cabin" in refusal(
-        load, config({"shape": "spherical"}, principal_distance=LENS)
-    )
-    for window, lens, needed in (
-        (None, None, False),
-        (None, LENS, False),
-        ({"cabin": "log"}, None, True),
-        ({"cabin": SCHEDULE}, LENS, False),
-        ({"cabin": "log", "shape": "spherical"}, None, False),
-        ({"cabin": "log", "shape": "spherical"}, LENS, True),
-    ):
-        camera = load(config(window, **({"principal_distance": lens} if lens else {})))
-        assert camera.cameras["nadir"].needs_cabin_from_log is needed, (window, lens)
+    with_lens = config({"shape": "spherical"}, principal_distance=LENS)
+    assert "give window.cabin" in refusal(load, with_lens)
+
+
+@pytest.mark.parametrize(
+    ("window", "with_lens", "is_needed"),
+    [
+        (None, False, False),
+        (None, True, False),
+        ({"cabin": "log"}, False, True),
+        ({"cabin": SCHEDULE}, True, False),
+        ({"cabin": "log", "shape": "spherical"}, False, False),
+        ({"cabin": "log", "shape": "spherical"}, True, True),
+    ],
+)
+def test_which_windows_need_the_cabin_of_the_log(load, window, with_lens, is_needed):
+    lens = {"principal_distance": LENS} if with_lens else {}
+    camera = load(config(window, **lens)).cameras["nadir"]
+    assert camera.needs_cabin_from_log is is_needed
 
 
 def test_the_lens_in_si(load):
     lens = load(config(principal_distance=LENS)).cameras["nadir"].lens
     assert lens.principal_distance_px == 19_990.0
-    assert (lens.reference_pressure_pa, lens.reference_temperature_k) == pytest.approx(
-        (95_000.0, 293.15)
-    )
-    assert (lens.px_per_pa, lens.px_per_k) == pytest.approx((8.4e-5, -0.004))
+    assert lens.reference_pressure_pa == pytest.approx(95_000.0)
+    assert lens.reference_temperature_k == pytest.approx(293.15)
+    assert lens.px_per_pa == pytest.approx(8.4e-5)
+    assert lens.px_per_k == pytest.approx(-0.004)
     assert load(config()).cameras["nadir"].lens is None
 
 
@@ -165,8 +169,7 @@ def test_the_lens_in_si(load):
     ],
 )
 def test_a_lens_is_described_whole(load, key, word):
-    lens = copy.deepcopy(LENS)
-    del lens[key]
+    lens = {name: value for name, value in LENS.items() if name != key}
     assert word in refusal(load, config(principal_distance=lens))
 
 
@@ -179,34 +182,40 @@ def test_an_opening_in_si(load):
     given = {"warmer_k": 12.0, "pressure_excess_hpa": -4.0, "frame": "body", "normal": [0, 0, 2]}
     window = load(config(opening=given)).windows["nadir"]
     air = window.cabin
-    assert (window.section, window.frame, window.normal) == ("opening", "body", (0.0, 0.0, 1.0))
-    assert (air.source, air.warmer_k, air.excess_pa) == ("opening", 12.0, -400.0)
-    assert (air.sigma_temperature_k, air.sigma_pressure_pa) == (6.0, 200.0)
+    assert window.section == "opening"
+    assert window.frame == "body"
+    assert window.normal == (0.0, 0.0, 1.0)
+    assert air.source == "opening"
+    assert air.warmer_k == 12.0
+    assert air.excess_pa == -400.0
+    assert air.sigma_temperature_k == 6.0
+    assert air.sigma_pressure_pa == 200.0
     sigmas = {"sigma_warmer_k": 1.5, "sigma_pressure_excess_hpa": 0.5}
     air = load(config(opening=given | sigmas)).windows["nadir"].cabin
-    assert (air.sigma_temperature_k, air.sigma_pressure_pa) == (1.5, 50.0)
+    assert air.sigma_temperature_k == 1.5
+    assert air.sigma_pressure_pa == 50.0
     camera = load(config(opening=given, principal_distance=LENS)).cameras["nadir"]
     assert not camera.needs_cabin_from_log
 
 
 @pytest.mark.parametrize(
-    ("keys", "word"),
+    ("keys", "words"),
     [
-        ({"opening": {}}, "opening.warmer_k: is missing"),
-        ({"opening": {"warmer_k": 70.0}}, "opening.warmer_k"),
-        ({"opening": {"warmer_k": 5.0, "normal": [0.0, 0.0, -1.0]}}, "third component"),
+        ("opening: {}", "opening.warmer_k: is missing"),
+        ("opening: {warmer_k: 70.0}", "opening.warmer_k"),
+        ("opening: {warmer_k: 5.0, normal: [0.0, 0.0, -1.0]}", "third component"),
         (
-            {"opening": {"warmer_k": 5.0, "frame": "body", "normal": [1.0, 0.0, 0.0]}},
+            "opening: {warmer_k: 5.0, frame: body, normal: [1.0, 0.0, 0.0]}",
             "the opening of camera 'nadir' has a normal away",
         ),
         (
-            {"opening": {"warmer_k": 5.0}, "window": {"cabin": SCHEDULE}},
+            "{opening: {warmer_k: 5.0}, window: {cabin: log}}",
             "window and opening: the camera looks through only one of them",
         ),
     ],
 )
-def test_openings_that_cannot_be(load, keys, word):
-    assert word in refusal(load, config(**keys))
+def test_openings_that_cannot_be(load, keys, words):
+    assert words in refusal(load, config(**yaml.safe_load(keys)))
 
 
 def test_a_light_for_each_camera(load):

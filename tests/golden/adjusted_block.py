@@ -234,7 +234,7 @@ def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) ->
     usable = np.ones(n.size, bool)
     exposures = Exposures(usable, s.camera_from_enu, s.lat_rad, s.h_msl_m, n, n)
     table = ray_table(profile)
-    found = np.empty_like(pixels)
+    corrected = np.empty_like(pixels)
     for number, c in enumerate(block.cameras):
         rows = s.camera[seen.station] == number
         camera = Camera(c.width_px, c.height_px, c.focal_px, c.focal_px, c.cx_px, c.cy_px)
@@ -247,8 +247,8 @@ def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) ->
             table=table,
         )
         assert not done.status.any()
-        found[rows] = np.stack([done.x_corrected_px, done.y_corrected_px], axis=1)
-    return found
+        corrected[rows] = np.stack([done.x_corrected_px, done.y_corrected_px], axis=1)
+    return corrected
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,10 +345,10 @@ def adjust(
         solver = pycolmap.create_default_bundle_adjuster(options, config, model)
     solver.solve()
     check = [p for p in ids if p not in held]
-    found = np.array([model.points3D[ids[p]].xyz for p in check])
-    at = np.array([model.images[k + 1].projection_center() for k in range(len(s.image))])
+    places = np.array([model.points3D[ids[p]].xyz for p in check])
+    centres = np.array([model.images[k + 1].projection_center() for k in range(len(s.image))])
     cameras = {number: list(camera.params) for number, camera in model.cameras.items()}
-    return Adjusted(found - true[check], at - centre, cameras)
+    return Adjusted(places - true[check], centres - centre, cameras)
 
 
 def _control(true: np.ndarray, usable: list[int]) -> list[int]:

@@ -56,7 +56,7 @@ def run_sample(kind: str, folder: Path, **changes: dict[str, object]) -> Outcome
 
 
 @pytest.fixture(scope="session")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Outcome]:
+def runs(tmp_path_factory) -> dict[str, Outcome]:
     """The three logs of the one sample flight, corrected."""
     folder = tmp_path_factory.mktemp("sample")
     return {kind: run_sample(kind, folder / kind) for kind in ("bin", "tlog", "mcap")}

@@ -80,20 +80,28 @@ class HeldBlock:
 
     @property
     def camera_from_frame(self) -> np.ndarray:
-        up = height_and_up(self.centre)[1]
-        axes = enu_axes(np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0]))
-        return self.camera_from_enu @ axes @ enu_axes(LATITUDE, LONGITUDE).T
+        return self.camera_from_enu @ axes_at(self.centre) @ enu_axes(LATITUDE, LONGITUDE).T
 
 
-def distorted(tangents: np.ndarray) -> np.ndarray:
-    """(n, 2) pixels of tangents right and down, by OpenCV's formula."""
-    k1, k2, p1, p2, k3 = LENS
-    x, y = tangents.T
+def brown(x, y, k1, k2, p1, p2, k3):
+    """Tangents as a lens draws them: OpenCV's formula, with its order of the coefficients."""
     r2 = x * x + y * y
     radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
     u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
     v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    return u, v
+
+
+def distorted(tangents: np.ndarray) -> np.ndarray:
+    """(n, 2) pixels of tangents right and down."""
+    u, v = brown(*tangents.T, *LENS)
     return np.stack([FOCAL * u + CX, FOCAL * v + CY], axis=1)
+
+
+def axes_at(ecef: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) the axes east, north, up of earth-centred places."""
+    up = height_and_up(ecef)[1]
+    return enu_axes(np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0]))
 
 
 def fly(
@@ -126,10 +134,8 @@ def fly(
         for i in range(20):
             # One height away from what a head looks at that looks 45 degrees aside.
             axis = NED_FROM_ENU.T @ body_rotation(0.0, 0.0, heading[i]) @ mounted[:, 2]
-            x, y = (
-                at + above * a / axis[2] + rng.normal(0.0, 0.01 * above)
-                for at, a in ((east[i], axis[0]), (north[i], axis[1]))
-            )
+            x = east[i] + above * axis[0] / axis[2] + rng.normal(0.0, 0.01 * above)
+            y = north[i] + above * axis[1] / axis[2] + rng.normal(0.0, 0.01 * above)
             lat = LATITUDE + y / 6.37e6
             lon = LONGITUDE + x / (6.38e6 * np.cos(LATITUDE))
             h = ground + UNDULATION_M + above * (1.0 + rng.normal(0.0, 0.003))
@@ -155,8 +161,7 @@ def fly(
         place,
         pd.DataFrame(),
     )
-    up = height_and_up(block.centre)[1]
-    axes = enu_axes(np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0]))
+    axes = axes_at(block.centre)
     chosen = []
     for k in range(len(image)):
         ray = (unit(place - block.centre[k]) @ axes[k].T) @ block.camera_from_enu[k].T
@@ -168,19 +173,11 @@ def fly(
         chosen += [(k, p) for p in seen]
     station, point = np.array(chosen).T
     rays = shoot(TrueIndex(), block.centre[station], place[point], UNDULATION_M)
-    apparent = np.einsum(
-        "nij,njk,nk->ni", block.camera_from_enu[station], axes[station], rays.apparent
-    )
+    to_camera = block.camera_from_enu[station] @ axes[station]
+    apparent = np.einsum("nij,nj->ni", to_camera, rays.apparent)
     pixel = distorted(apparent[:, :2] / apparent[:, 2:])
-    block.rows = pd.DataFrame(
-        {
-            "image": station,
-            "point": point,
-            "x_px": pixel[:, 0],
-            "y_px": pixel[:, 1],
-            "h_g_m": h_g[point],
-        }
-    )
+    columns = {"image": station, "point": point, "h_g_m": h_g[point]}
+    block.rows = pd.DataFrame(columns).assign(x_px=pixel[:, 0], y_px=pixel[:, 1])
     several = block.rows.groupby("point")["point"].transform("size") > 1
     block.rows = block.rows[several].reset_index(drop=True)
     return block
@@ -190,17 +187,14 @@ def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
     """The mission file, orientations and observations of a block, in US 1976."""
     folder.mkdir(parents=True, exist_ok=True)
     height, up = height_and_up(block.centre)
-    q = np.array([quaternion(matrix) for matrix in block.camera_from_enu])
-    pd.DataFrame(
-        {
-            "image": block.image,
-            "camera": block.camera,
-            "latitude": np.degrees(np.arcsin(up[:, 2])),
-            "longitude": np.degrees(np.arctan2(up[:, 1], up[:, 0])),
-            "height": height,
-            **{f"q_{axis}": q[:, i] for i, axis in enumerate("wxyz")},
-        }
-    ).to_csv(folder / "block.csv", index=False)
+    quaternions = [quaternion(matrix) for matrix in block.camera_from_enu]
+    stations = pd.DataFrame(quaternions, columns=["q_w", "q_x", "q_y", "q_z"])
+    stations["image"] = block.image
+    stations["camera"] = block.camera
+    stations["latitude"] = np.degrees(np.arcsin(up[:, 2]))
+    stations["longitude"] = np.degrees(np.arctan2(up[:, 1], up[:, 0]))
+    stations["height"] = height
+    stations.to_csv(folder / "block.csv", index=False)
     rows = block.rows.assign(
         image=block.image[block.rows["image"]], point=block.point[block.rows["point"]]
     )
@@ -214,23 +208,23 @@ def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
         "distortion": dict(zip(("k1", "k2", "p1", "p2", "k3"), LENS.tolist(), strict=True)),
         "calibration": "laboratory",
     }
-    config = {
-        "mission": {"name": "block", "undulation_m": UNDULATION_M},
-        "observations": {"path": "observations.parquet"},
-        "cameras": {name: dict(camera) for name in dict.fromkeys(block.camera.tolist())},
-        "stations": {
-            "orientation": {
-                "path": "block.csv",
-                "angles": "quaternion",
-                "frame": "geographic",
-                "heights": "ellipsoid",
-                "columns": {"camera": "camera"},
-            }
-        },
-        "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
-        "atmosphere": {"adjust": False},
-        "output": {"path": "results"},
-    } | sections
+    config = yaml.safe_load("""
+    mission: {name: block}
+    observations: {path: observations.parquet}
+    stations:
+      orientation:
+        path: block.csv
+        angles: quaternion
+        frame: geographic
+        heights: ellipsoid
+        columns: {camera: camera}
+    ground: {height: {column: h_g_m}, reference: msl}
+    atmosphere: {adjust: false}
+    output: {path: results}
+    """)
+    config["mission"]["undulation_m"] = UNDULATION_M
+    config["cameras"] = {name: dict(camera) for name in dict.fromkeys(block.camera.tolist())}
+    config |= sections
     path = folder / "mission.yaml"
     path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
     return path

@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from unbend.batch.executors import Outcome
 from unbend.batch.finished_run.export import export_run
 
 from .conftest import REPOSITORY, read_observations, run_sample
@@ -25,9 +24,7 @@ PAGE = REPOSITORY / "docs" / "pages" / "guide" / "pycolmap.md"
 
 
 @pytest.fixture
-def beside_results(
-    runs: dict[str, Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Path:
+def beside_results(runs, tmp_path, monkeypatch) -> Path:
     """A folder as it looks after `make sample`."""
     shutil.copytree(runs["bin"].output, tmp_path / "results" / "sample_bin")
     (tmp_path / "sample_logs").mkdir()
@@ -44,20 +41,18 @@ def execute(code: str) -> dict[str, Any]:
 
 def height_error(code: str, truth: dict[str, pd.DataFrame]) -> float:
     """RMS error in height [m] of the points that the page's adjustment finds."""
-    found = execute(code)
-    true = truth["points"].set_index("point").loc[list(found["points"])]
+    names = execute(code)
+    true = truth["points"].set_index("point").loc[list(names["points"])]
     ecef = np.stack(
-        found["ecef"].transform(true["lon_deg"], true["lat_deg"], true["h_ellipsoid_m"]), axis=1
+        names["ecef"].transform(true["lon_deg"], true["lat_deg"], true["h_ellipsoid_m"]), axis=1
     )
-    expected = found["enu"](found["lat0"], found["lon0"]).apply(ecef - found["origin"])
-    error = np.array(list(found["points"].values())) - expected
+    expected = names["enu"](names["lat0"], names["lon0"]).apply(ecef - names["origin"])
+    error = np.array(list(names["points"].values())) - expected
     assert len(error) > 500
     return float(np.sqrt(np.mean(error[:, 2] ** 2)))
 
 
-def test_the_page_shows_what_the_correction_is_worth(
-    beside_results: Path, truth: dict[str, pd.DataFrame], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_shows_what_the_correction_is_worth(beside_results, truth, capsys):
     """Stations as the log has them; measured 0.027 and 0.136 m."""
     code = RECIPE.replace("flown/results/simulated_bin", "results/sample_bin")
     code = code.replace("flown/observations.parquet", "sample_logs/observations.parquet")
@@ -93,26 +88,24 @@ def write_source(path: Path, rows: pd.DataFrame, cameras: dict[str, list[float]]
             for name, params in cameras.items()
         }
         places = {}
-        for name, own in rows.groupby("image"):
+        for name, rows_of_image in rows.groupby("image"):
             image = pycolmap.Image(name=name, camera_id=number[name.split("_")[0]])
             image_id = database.write_image(image)
-            database.write_keypoints(image_id, own[["x_px", "y_px"]].to_numpy(np.float32))
-            places[image_id] = {point: k for k, point in enumerate(own["point"])}
-        for one, other in combinations(places, 2):
-            shared = [(k, places[other][p]) for p, k in places[one].items() if p in places[other]]
+            database.write_keypoints(image_id, rows_of_image[["x_px", "y_px"]].to_numpy(np.float32))
+            places[image_id] = {point: k for k, point in enumerate(rows_of_image["point"])}
+        for first, other in combinations(places, 2):
+            shared = [(k, places[other][p]) for p, k in places[first].items() if p in places[other]]
             if shared:
                 matches = np.array(shared, np.uint32)
                 verified = pycolmap.TwoViewGeometry()
                 verified.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
                 verified.E = verified.F = verified.H = np.diag([1.0, 2.0, 3.0])
                 verified.inlier_matches = matches
-                database.write_matches(one, other, matches)
-                database.write_two_view_geometry(one, other, verified)
+                database.write_matches(first, other, matches)
+                database.write_two_view_geometry(first, other, verified)
 
 
-def test_colmap_maps_the_database_that_comes_out(
-    tmp_path: Path, truth: dict[str, pd.DataFrame], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_colmap_maps_the_database_that_comes_out(tmp_path, truth, capsys):
     """Its incremental mapper, from nothing but the database: matches without F, E and H, corrected
     keypoints, cameras and pose priors. Height RMS 0.029 m, and 0.136 m from measured keypoints."""
     pycolmap = pytest.importorskip("pycolmap")

@@ -91,13 +91,13 @@ def fly(folder: Path, name: str, extension: str, cameras: dict[str, int], ground
 
 
 @pytest.fixture(scope="module", params=kinds_of("sitl_survey"))
-def survey(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Flown:
+def survey(request, tmp_path_factory) -> Flown:
     folder = tmp_path_factory.mktemp("survey")
     return fly(folder, "sitl_survey", request.param, {"cam": 0}, 590.0)
 
 
 @pytest.fixture(scope="module", params=kinds_of("sitl_belowsea_2cam"))
-def two_cameras(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Flown:
+def two_cameras(request, tmp_path_factory) -> Flown:
     folder = tmp_path_factory.mktemp("belowsea")
     return fly(folder, "sitl_belowsea_2cam", request.param, {"left": 0, "right": 1}, -428.0)
 
@@ -121,28 +121,28 @@ def against_truth(stations: pd.DataFrame, truth: pd.DataFrame) -> dict[str, floa
     return result
 
 
-def test_every_event_has_a_station(survey: Flown) -> None:
+def test_every_event_has_a_station(survey):
     assert (survey.stations["status"] == "ok").all()
     assert len(survey.stations) == 256
 
 
-def test_stations_lie_where_the_truth_does(survey: Flown) -> None:
-    found = against_truth(survey.stations, survey.truth)
-    assert found["position"] < 2.0
-    assert found["roll"] < 0.7
-    assert found["pitch"] < 0.7
-    assert found["axis"] < 0.7
+def test_stations_lie_where_the_truth_does(survey):
+    gaps = against_truth(survey.stations, survey.truth)
+    assert gaps["position"] < 2.0
+    assert gaps["roll"] < 0.7
+    assert gaps["pitch"] < 0.7
+    assert gaps["axis"] < 0.7
     # The autopilot's own heading is 0.88 deg off at the 95th percentile, in its CAM rows as well.
-    assert found["yaw"] < 0.9
+    assert gaps["yaw"] < 0.9
 
 
-def test_stations_of_two_cameras_lie_where_the_truth_does(two_cameras: Flown) -> None:
+def test_stations_of_two_cameras_lie_where_the_truth_does(two_cameras):
     for camera, instance in (("left", 0), ("right", 1)):
         stations = two_cameras.stations[two_cameras.stations["camera"] == camera]
         truth = two_cameras.truth[two_cameras.truth["I"] == instance]
-        found = against_truth(stations.reset_index(drop=True), truth)
-        assert found.pop("position") < 2.0
-        assert max(found.values()) < 0.7
+        gaps = against_truth(stations.reset_index(drop=True), truth)
+        assert gaps.pop("position") < 2.0
+        assert max(gaps.values()) < 0.7
 
 
 def standard_icao(h_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -163,9 +163,7 @@ def standard_icao(h_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         for extension in kinds_of(name)
     ],
 )
-def test_profile_is_the_air_and_not_the_board(
-    name: str, cameras: dict[str, int], ground: float, extension: str, tmp_path: Path
-) -> None:
+def test_profile_is_the_air_and_not_the_board(name, cameras, ground, extension, tmp_path):
     flown = fly(tmp_path, name, extension, cameras, ground)
     measured = flown.profile[flown.profile["source"] == "measured"]
     assert len(measured) > 10
@@ -191,13 +189,13 @@ def test_profile_is_the_air_and_not_the_board(
     assert role in ("ARSP[0]", "SCALED_PRESSURE.temperature_press_diff")
 
 
-def test_sound_flights_raise_no_finding(survey: Flown, two_cameras: Flown) -> None:
+def test_sound_flights_raise_no_finding(survey, two_cameras):
     for flown in (survey, two_cameras):
         entries = flown.outcome.manifest.values["ledger"]
         assert [e for e in entries if e["kind"] == "finding"] == []
 
 
-def test_two_cameras_stay_apart_and_lost_pulses_are_counted(two_cameras: Flown) -> None:
+def test_two_cameras_stay_apart_and_lost_pulses_are_counted(two_cameras):
     count = two_cameras.stations["camera"].value_counts()
     assert (count["left"], count["right"]) == (127, 128)
     assert two_cameras.stations["image"].is_unique
@@ -218,7 +216,7 @@ def test_two_cameras_stay_apart_and_lost_pulses_are_counted(two_cameras: Flown) 
         assert two_cameras.ledger("EVENT-EMPTY")[0]["count"] == 1
 
 
-def test_observations_are_corrected(survey: Flown) -> None:
+def test_observations_are_corrected(survey):
     observations = read_observations(survey.outcome.output)
     assert (observations["status"] == "ok").all()
     is_card = survey.outcome.manifest.values["log"]["format"] == "dataflash"

@@ -43,16 +43,16 @@ def flown(height: float, draw: int) -> tuple[Block, Profile, Profile]:
 
 
 @pytest.fixture(scope="module", params=UNCORRECTED_M, ids=lambda h: f"{h / 1000:.0f}km")
-def height(request: pytest.FixtureRequest) -> float:
+def height(request) -> float:
     return float(request.param)
 
 
 @pytest.fixture
-def first(height: float) -> tuple[Block, Profile, Profile]:
+def first(height) -> tuple[Block, Profile, Profile]:
     return flown(height, 0)
 
 
-def test_true_heights_come_back(height: float, capsys: pytest.CaptureFixture[str]) -> None:
+def test_true_heights_come_back(height, capsys):
     left = []
     for draw in range(COUNT):
         block, true, adjusted = flown(height, draw)
@@ -71,15 +71,15 @@ def test_true_heights_come_back(height: float, capsys: pytest.CaptureFixture[str
     assert np.count_nonzero(np.array(left) > 0.01) <= COUNT // 10
 
 
-def test_noise_hides_what_is_left(height: float, first: tuple[Block, Profile, Profile]) -> None:
+def test_noise_hides_what_is_left(height, first):
     """0.3 px: corrected observations are as good as ones that were never bent."""
     block, true, adjusted = first
     noise = np.random.default_rng(SEED).normal(0.0, SIGMA_PX, block.measured.shape)
     perfect = adjust(block, block.straight + noise).z
     assert perfect > 0.02 * height / 3000.0
     for profile in (true, adjusted):
-        found = adjust(block, correct(block, profile, block.measured + noise)).z
-        assert found == pytest.approx(perfect, rel=0.005)
+        with_noise = adjust(block, correct(block, profile, block.measured + noise)).z
+        assert with_noise == pytest.approx(perfect, rel=0.005)
 
 
 def radial_about_the_principal_point(block: Block, shift: np.ndarray) -> np.ndarray:
@@ -104,7 +104,7 @@ MUTANTS = {
 
 
 @pytest.mark.parametrize("mutant", MUTANTS)
-def test_mistakes_are_seen(first: tuple[Block, Profile, Profile], mutant: str) -> None:
+def test_mistakes_are_seen(first, mutant):
     """What a wrong correction leaves is far beyond the bounds above."""
     block, true, _ = first
     wrong = MUTANTS[mutant](block, correct(block, true) - block.measured)
@@ -113,9 +113,7 @@ def test_mistakes_are_seen(first: tuple[Block, Profile, Profile], mutant: str) -
     assert left > 0.02 * adjust(block, block.measured).z
 
 
-def test_the_radial_mutant_is_right_where_it_should_be(
-    first: tuple[Block, Profile, Profile],
-) -> None:
+def test_the_radial_mutant_is_right_where_it_should_be(first):
     """Without tilt the nadir is the principal point: the mutant is no caricature."""
     block, true, _ = first
     shift = correct(block, true) - block.measured

@@ -316,7 +316,7 @@ class Copy:
 
 
 @pytest.fixture(scope="module")
-def copy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Copy]:
+def copy(tmp_path_factory) -> Iterator[Copy]:
     """All toys in one copy and one process, so that it is imported and compiled once."""
     folder = tmp_path_factory.mktemp("toys")
     shutil.copytree(

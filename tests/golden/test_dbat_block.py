@@ -84,7 +84,7 @@ class Block:
 @pytest.fixture(
     scope="module", params=["written", "strasbourg"] if FOLDER.is_dir() else ["written"]
 )
-def block(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Block:
+def block(request, tmp_path_factory) -> Block:
     """The blocks that are at hand."""
     if request.param == "strasbourg":
         return Block(FOLDER, STRASBOURG)
@@ -111,7 +111,7 @@ def table(path: Path) -> list[list[str]]:
 
 
 @pytest.fixture(scope="module")
-def raw(block: Block) -> Project:
+def raw(block) -> Project:
     """The files as they are, by a parser of this test."""
     names = {number: path.rpartition("/")[2] for number, path in table(block.folder / "images.txt")}
     rows = [
@@ -123,9 +123,9 @@ def raw(block: Block) -> Project:
     poses = {}
     for photo in report.split(" Photo ")[1:]:
         name = photo.partition(": ")[2].split()[0]
-        found = re.findall(r"(?:Omega|Phi|Kappa|Xc|Yc|Zc):\s+Value: +(\S+)", photo)
-        opk = np.array(found[:3], float)
-        centre = np.array(found[3:], float)
+        numbers = re.findall(r"(?:Omega|Phi|Kappa|Xc|Yc|Zc):\s+Value: +(\S+)", photo)
+        opk = np.array(numbers[:3], float)
+        centre = np.array(numbers[3:], float)
         # M = Rx Ry Rz turns a camera with y up and z back to the world.
         matrix = Rotation.from_euler("XYZ", opk, degrees=True).as_matrix()
         poses[name] = ((matrix * [1.0, -1.0, -1.0]).T, centre)
@@ -140,7 +140,7 @@ def raw(block: Block) -> Project:
 
 
 @pytest.fixture(scope="module")
-def read(block: Block) -> Project:
+def read(block) -> Project:
     """The same by the package."""
     script = block.folder / "sxb.xml"
     (make,) = dbat.read_cameras(script).values()
@@ -219,19 +219,19 @@ def adjust(project: Project) -> tuple[float, int, dict[str, np.ndarray]]:
 
 def assert_is_dbats(project: Project) -> None:
     rms, count, checks = adjust(project)
-    known = project.solution
-    least, most = known.rms_px
-    assert count == known.count
+    solution = project.solution
+    least, most = solution.rms_px
+    assert count == solution.count
     assert least < rms < most
-    for point, place in known.checks.items():
+    for point, place in solution.checks.items():
         assert np.abs(checks[point] - place).max() < 0.05
 
 
-def test_the_files_give_dbats_solution(raw: Project) -> None:
+def test_the_files_give_dbats_solution(raw):
     assert_is_dbats(raw)
 
 
-def test_what_is_read_gives_dbats_solution(raw: Project, read: Project) -> None:
+def test_what_is_read_gives_dbats_solution(raw, read):
     assert read.camera == pytest.approx(raw.camera, abs=1e-9)
     assert list(read.poses) == list(raw.poses)
     for name, (rotation, centre) in raw.poses.items():
@@ -249,7 +249,7 @@ def test_what_is_read_gives_dbats_solution(raw: Project, read: Project) -> None:
     assert_is_dbats(read)
 
 
-def test_it_notices_other_axes(raw: Project) -> None:
+def test_it_notices_other_axes(raw):
     """Rows counted from below."""
     mirrored = raw.rows.assign(y_px=12996.0 - raw.rows["y_px"])
     with pytest.raises(AssertionError):
@@ -324,9 +324,7 @@ def in_dbats_frame(poses: Poses, turns: np.ndarray, place: np.ndarray) -> Poses:
 @pytest.mark.parametrize(
     ("name", "within_px"), [("colmap", 0.0), ("colmap-database", 0.0005), ("opensfm", 1e-5)]
 )
-def test_a_round_trip_gives_dbats_solution(
-    read: Project, tmp_path: Path, name: str, within_px: float
-) -> None:
+def test_a_round_trip_gives_dbats_solution(read, tmp_path, name, within_px):
     """Written, read again, and turned back into DBAT's frame by the places of the cameras."""
     path = exported(read, name, tmp_path)
     form = block_reader(name.partition("-")[0])
@@ -384,12 +382,12 @@ def bundler_block(folder: Path) -> tuple[float, list[str], np.ndarray, np.ndarra
     return numbers[0, 0], names, turns * [[1.0], [-1.0], [-1.0]], centres, table
 
 
-def test_bundler_gives_dbats_solution(read: Project, tmp_path: Path) -> None:
+def test_bundler_gives_dbats_solution(read, tmp_path):
     """Points of an ideal camera; they have numbers, and their names by their places."""
     f, names, turns, centres, rows = bundler_block(exported(read, "bundler", tmp_path))
     assert names == list(read.poses)
-    own, cx, cy = read.camera
-    assert f == own
+    focal, cx, cy = read.camera
+    assert f == focal
     rows = rows.assign(x_px=rows["x"] + cx, y_px=cy - rows["y"]).sort_values(["image", "x_px"])
     tied = read.rows[read.rows.groupby("point")["image"].transform("size") > 1]
     tied = tied.sort_values(["image", "x_px"])
@@ -409,7 +407,7 @@ def test_bundler_gives_dbats_solution(read: Project, tmp_path: Path) -> None:
     assert_is_dbats(replace(read, camera=(f, 4429.0, 6498.0), poses=poses, rows=rows))
 
 
-def test_bingo_gives_dbats_solution(read: Project, tmp_path: Path) -> None:
+def test_bingo_gives_dbats_solution(read, tmp_path):
     """Millimetres from the middle of the image, y up; it has no orientations."""
     folder = exported(read, "bingo", tmp_path)
     changed = folder / "names.csv"

@@ -19,9 +19,9 @@ PARTS = {"sources": {"numbers": (5,)}, "adjusted_block": {"names": ("uncorrected
 
 def same(cell: str, shown: str) -> bool:
     """Equal words, or numbers within two units of the last digit or 2 % (another processor)."""
-    found = cell.replace(",", "").split()
+    computed = cell.replace(",", "").split()
     printed = shown.replace(",", "").split()
-    for a, b in zip(found, printed, strict=True):
+    for a, b in zip(computed, printed, strict=True):
         try:
             digits = len(b.split(".")[1]) if "." in b else 0
             if not math.isclose(float(a), float(b), rel_tol=0.02, abs_tol=2.1 * 10.0**-digits):
@@ -33,7 +33,7 @@ def same(cell: str, shown: str) -> bool:
 
 
 @pytest.mark.parametrize("name", [name for name in TEXTS if name != "sample_flight"])
-def test_the_numbers_of_the_page_come_out_again(name: str) -> None:
+def test_the_numbers_of_the_page_come_out_again(name):
     printed = {row[0]: row for row in numbers_of(name)}
     head, *rows = import_module(f"docs.gallery.{name}").rows(**PARTS.get(name, {}))
     assert next(iter(printed.values())) == head
@@ -44,7 +44,7 @@ def test_the_numbers_of_the_page_come_out_again(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", TEXTS)
-def test_a_picture_is_there_in_both_themes(name: str) -> None:
+def test_a_picture_is_there_in_both_themes(name):
     page = (FOLDER / "index.md").read_text(encoding="utf-8")
     for theme in THEMES:
         assert (FOLDER / f"{name}-{theme}.png").stat().st_size > 10_000
@@ -52,12 +52,12 @@ def test_a_picture_is_there_in_both_themes(name: str) -> None:
     assert TEXTS[name]["text"] in page
 
 
-def test_scripts_are_short() -> None:
+def test_scripts_are_short():
     for path in (FOLDER.parents[1] / "gallery").glob("*.py"):
         assert len(path.read_text(encoding="utf-8").splitlines()) <= 70, path.name
 
 
-def test_another_number_is_noticed() -> None:
+def test_another_number_is_noticed():
     assert same("0.421 px, 3 m", "0.422 px, 3 m")
     assert not same("0.421 px, 3 m", "0.521 px, 3 m")
     assert not same("0.421 px", "0.421 m")

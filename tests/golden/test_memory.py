@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pytest
 
 from .conftest import REPOSITORY, sample_sections, write_mission
 
@@ -45,9 +44,7 @@ def peak_of(folder: Path, rows: int) -> tuple[int, int]:
     return found["rows"], found["peak"]
 
 
-def test_ten_million_observations_in_a_gigabyte(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ten_million_observations_in_a_gigabyte(tmp_path, capsys):
     few_rows, few_peak = peak_of(tmp_path / "few", 1_000_000)
     rows, peak = peak_of(tmp_path / "many", ROWS)
     with capsys.disabled():

@@ -149,11 +149,11 @@ def test_the_sample_runs_and_is_the_same(like_windows, runs, tmp_path):
     results = folder / "results" / "first"
     names = [path.relative_to(results) for path in sorted(results.rglob("*"))]
     assert not [name for name in names if set(str(name)) & set('<>:"|?*\\')], names
-    found, usual = (
+    rows, usual = (
         pq.read_table(output / "observations") for output in (results, runs["bin"].output)
     )
     assert usual.num_rows > 1000
-    assert found.equals(usual)
+    assert rows.equals(usual)
 
 
 def test_missions_run_again_and_side_by_side(like_windows, mission_factory, tmp_path):

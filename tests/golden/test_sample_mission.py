@@ -7,7 +7,6 @@ on the ellipsoid, hydrostatics by an ODE, another camera model: nothing of the c
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -22,7 +21,6 @@ from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend import correct
 from unbend.atmosphere import Profile, profile_from_table
 from unbend.atmosphere.refractive_index import IndexModel
-from unbend.batch.executors import Outcome
 from unbend.batch.runs import read_mission
 from unbend.config import load_mission
 from unbend.geodesy import lambert_gravity
@@ -47,7 +45,7 @@ def distance(first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str]) 
 
 
 @pytest.fixture(scope="module")
-def true_profile(truth: dict[str, pd.DataFrame]) -> Profile:
+def true_profile(truth) -> Profile:
     table = truth["profile"]
     gravity = lambert_gravity(float(truth["stations"]["lat_deg"].mean()) * DEGREE)
     return profile_from_table(
@@ -84,19 +82,20 @@ def correct_with(
     row = observations["image"].map(pd.Series(stations.index, stations["image"])).to_numpy()
     error = np.full(len(observations), np.nan)
     for name, section in mission.cameras.items():
-        mine = (observations["image"].str.startswith(name)).to_numpy()
-        part = observations[mine]
-        found = correct_observations(
+        is_of_camera = (observations["image"].str.startswith(name)).to_numpy()
+        part = observations[is_of_camera]
+        corrections = correct_observations(
             part["x_px"].to_numpy(),
             part["y_px"].to_numpy(),
             part["h_g_m"].to_numpy(),
-            row[mine],
+            row[is_of_camera],
             exposures,
             camera=section.interior_orientation,
             table=table,
         )
-        error[mine] = np.hypot(
-            found.x_corrected_px - part["x_true_px"], found.y_corrected_px - part["y_true_px"]
+        error[is_of_camera] = np.hypot(
+            corrections.x_corrected_px - part["x_true_px"],
+            corrections.y_corrected_px - part["y_true_px"],
         )
     shift = np.hypot(
         observations["x_px"] - observations["x_true_px"],
@@ -105,9 +104,7 @@ def correct_with(
     return error, shift.to_numpy()
 
 
-def test_true_profile_and_true_stations_give_true_points(
-    true_profile: Profile, truth: dict[str, pd.DataFrame]
-) -> None:
+def test_true_profile_and_true_stations_give_true_points(true_profile, truth):
     # Measured: 1.2e-4 px at most, for the two formulas of the refractive index.
     error, _ = correct_with(true_profile, truth["stations"], truth)
     assert np.isfinite(error).all()
@@ -115,25 +112,14 @@ def test_true_profile_and_true_stations_give_true_points(
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
-def test_true_profile_and_logged_stations(
-    kind: str,
-    runs: dict[str, Outcome],
-    true_profile: Profile,
-    truth: dict[str, pd.DataFrame],
-) -> None:
+def test_true_profile_and_logged_stations(kind, runs, true_profile, truth):
     stations = pd.read_parquet(runs[kind].output / "stations.parquet")
     error, _ = correct_with(true_profile, stations, truth)
     assert error.max() < 0.01
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
-def test_adjusted_profile_beats_the_standard(
-    kind: str,
-    runs: dict[str, Outcome],
-    truth: dict[str, pd.DataFrame],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_adjusted_profile_beats_the_standard(kind, runs, truth, tmp_path, capsys):
     true = truth["observations"]
     shift = np.hypot(true["x_px"] - true["x_true_px"], true["y_px"] - true["y_true_px"])
     adjusted = rms(distance(read_observations(runs[kind].output), true, ("x_true_px", "y_true_px")))
@@ -151,43 +137,37 @@ def test_adjusted_profile_beats_the_standard(
     assert standard > 2.0 * adjusted
 
 
-def test_the_remaining_error_is_the_air(
-    runs: dict[str, Outcome], truth: dict[str, pd.DataFrame]
-) -> None:
+def test_the_remaining_error_is_the_air(runs, truth):
     """R_c itself, without the window that hides part of it in the nadir images."""
-    found = read_observations(runs["bin"].output)
+    rows = read_observations(runs["bin"].output)
     true = truth["observations"]
     oblique = true["image"].str.startswith("oblique").to_numpy()
-    error = found["r_c_rad"][oblique] / true["r_c_rad"][oblique] - 1.0
+    error = rows["r_c_rad"][oblique] / true["r_c_rad"][oblique] - 1.0
     assert rms(error.to_numpy()) < 0.03
 
 
-def test_the_three_logs_agree(runs: dict[str, Outcome]) -> None:
+def test_the_three_logs_agree(runs):
     tables = [read_observations(run.output) for run in runs.values()]
     for table in tables[1:]:
         assert distance(tables[0], table, ("x_corrected_px", "y_corrected_px")).max() < 0.01
 
 
-def test_cabin_air_changes_r_cc_as_the_truth_does(
-    runs: dict[str, Outcome], truth: dict[str, pd.DataFrame]
-) -> None:
+def test_cabin_air_changes_r_cc_as_the_truth_does(runs, truth):
     true = truth["observations"]
     for run in runs.values():
-        found = read_observations(run.output)
+        rows = read_observations(run.output)
         # R_cc / tan(zeta_f) belongs to the exposure; compare its changes from image to image.
         by_image = pd.DataFrame(
-            {"image": true["image"], "found": found["r_cc_rad"], "true": true["r_cc_rad"]}
+            {"image": true["image"], "found": rows["r_cc_rad"], "true": true["r_cc_rad"]}
         ).groupby("image")
         ratio = by_image["found"].sum() / by_image["true"].sum()
         per_image = by_image["true"].mean()
         assert per_image.std() / per_image.mean() > 0.005, "the cabin is constant: no test"
         assert np.abs(ratio - 1.0).max() < 0.03
-        assert np.abs(found["r_cc_rad"] - true["r_cc_rad"]).max() / ARCSEC < 0.1
+        assert np.abs(rows["r_cc_rad"] - true["r_cc_rad"]).max() / ARCSEC < 0.1
 
 
-def test_kernel_against_the_ode_on_the_true_profile(
-    truth: dict[str, pd.DataFrame], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_kernel_against_the_ode_on_the_true_profile(truth, capsys):
     """The ray kernel and the ODE through the very same air, layers of 50 m with an inversion."""
     table = truth["profile"]
     table = table[table["h_m"] % 50.0 == 0.0]
@@ -206,7 +186,7 @@ def test_kernel_against_the_ode_on_the_true_profile(
 
     worst = 0.0
     for zeta in (0.2, 45.0, 75.0, 85.0):
-        found, _ = bend(
+        bent, _ = bend(
             ray_table(air),
             3450.0,
             412.0,
@@ -215,22 +195,22 @@ def test_kernel_against_the_ode_on_the_true_profile(
             radius=6.38e6,
         )
         expected = ray_angle_sphere(index, 3450.0, 412.0, zeta * DEGREE, 6.38e6, breaks=inside)
-        worst = max(worst, abs(float(found) - expected) / ARCSEC)
+        worst = max(worst, abs(float(bent) - expected) / ARCSEC)
     with capsys.disabled():
         print(f"\nkernel against ODE on the true profile: {worst:.1e} arcsec")
     assert worst < 1e-6
 
 
-def test_refractive_indices_agree(true_profile: Profile, truth: dict[str, pd.DataFrame]) -> None:
+def test_refractive_indices_agree(true_profile, truth):
     """Our Ciddor against the simulator's Edlén over the true air: 1e-7 of n."""
     table = truth["profile"]
     low = table["h_m"] < 4000.0
-    found = true_profile.refractivity(table["h_m"][low])
-    assert np.abs(found - table["refractivity"][low]).max() < 1e-7
+    refractivity = true_profile.refractivity(table["h_m"][low])
+    assert np.abs(refractivity - table["refractivity"][low]).max() < 1e-7
     assert IndexModel().name == "ciddor"
 
 
-def test_sample_logs_are_small() -> None:
+def test_sample_logs_are_small():
     logs = [REPOSITORY / "sample_logs" / f"flight.{kind}" for kind in ("bin", "tlog", "mcap")]
     assert sum(log.stat().st_size for log in logs) < 10_000_000
     for kind in ("bin", "tlog", "mcap"):
@@ -238,7 +218,7 @@ def test_sample_logs_are_small() -> None:
         assert (REPOSITORY / "configs" / sections["log"]["path"]).is_file()
 
 
-def test_tables_in_memory_give_the_rows_of_the_run(runs: dict[str, Outcome]) -> None:
+def test_tables_in_memory_give_the_rows_of_the_run(runs):
     """To the last bit, columns of uncertainty included: `correct` with the flight's air."""
     run = runs["bin"].output
     mission = runs["bin"].output.parent / "bin.yaml"
@@ -246,21 +226,21 @@ def test_tables_in_memory_give_the_rows_of_the_run(runs: dict[str, Outcome]) -> 
     expected = pa.concat_tables(
         pq.read_table(part) for part in sorted((run / "observations").glob("part-*.parquet"))
     )
-    found = correct(
+    rows = correct(
         pq.read_table(sections["observations"]["path"]),
         pq.read_table(run / "stations.parquet"),
         read_mission(mission).air.series,
         sections["cameras"],
         mount=sections["mount"],
     )
-    assert found.num_rows == 2188
-    assert found.cast(expected.schema).equals(expected)
-    told = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
+    assert rows.num_rows == 2188
+    assert rows.cast(expected.schema).equals(expected)
+    manifest = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
     for name in ("uncertainty", "cabin_air"):
-        assert json.loads(found.schema.metadata[f"unbend.{name}".encode()]) == told[name]
+        assert json.loads(rows.schema.metadata[f"unbend.{name}".encode()]) == manifest[name]
 
 
-def test_the_gallery_shows_this_flight(runs: dict[str, Outcome]) -> None:
+def test_the_gallery_shows_this_flight(runs):
     from docs.gallery import sample_flight
     from docs.gallery.plates import numbers_of
 

@@ -50,8 +50,8 @@ AXES = enu_axes(np.array(LAT), np.array(LON))
 def adjust(*given: Any, **more: Any) -> tuple[float, float, Array]:
     names: dict[str, Any] = {}
     exec(compile(RECIPE, "docs/scale_parameter.md", "exec"), names)
-    found: tuple[float, float, Array] = names["adjust"](*given, **more)
-    return found
+    solution: tuple[float, float, Array] = names["adjust"](*given, **more)
+    return solution
 
 
 def air_of(state: Array) -> Profile:
@@ -201,10 +201,12 @@ def measured(
         "cy_px": HEIGHT / 2,
         "calibration": "laboratory",
     }
-    found = correct(rows, stations, air, {"camera": camera}, mission={"undulation_m": UNDULATION})
-    inside = found["status"] == "ok"
+    corrected = correct(
+        rows, stations, air, {"camera": camera}, mission={"undulation_m": UNDULATION}
+    )
+    inside = corrected["status"] == "ok"
     assert inside.mean() > 0.98  # the others were displaced out of the image
-    return found[inside], found.attrs["uncertainty"]["scale_sigma"], mode
+    return corrected[inside], corrected.attrs["uncertainty"]["scale_sigma"], mode
 
 
 def adjusted(
@@ -244,7 +246,7 @@ def wrong_sign(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("sigmas", [1.0, -0.7])
-def test_an_oblique_block_finds_the_air(sigmas: float) -> None:
+def test_an_oblique_block_finds_the_air(sigmas):
     """75 degrees, control and GNSS, no noise: within 2 % of the air that was drawn."""
     share, sigma, prior = adjusted("75", sigmas, sigma_px=0.05)
     assert 0.02 < prior < 0.06
@@ -252,19 +254,19 @@ def test_an_oblique_block_finds_the_air(sigmas: float) -> None:
     assert abs(share - 1.0) <= 0.02
 
 
-def test_the_other_sign_is_seen() -> None:
+def test_the_other_sign_is_seen():
     assert adjusted("75", 1.0, sigma_px=0.05, change=wrong_sign)[0] < -0.9
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_with_noise_within_three_sigma(seed: int) -> None:
+def test_with_noise_within_three_sigma(seed):
     share, sigma, _ = adjusted("75", 1.0, noise_px=0.3, seed=seed)
     assert sigma < 0.3
     assert abs(share - 1.0) <= 3.0 * sigma
 
 
 @pytest.mark.parametrize(
-    ("kind", "free", "known"),
+    ("kind", "free", "is_known"),
     [
         ("75", False, True),
         ("75", True, True),
@@ -273,13 +275,11 @@ def test_with_noise_within_three_sigma(seed: int) -> None:
         ("nadir", True, False),
     ],
 )
-def test_where_it_can_be_told(
-    kind: str, free: bool, known: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_it_can_be_told(kind, free, is_known, capsys):
     """Below a third of its prior at 75 degrees, above half elsewhere; as the page says."""
     _, sigma, prior = adjusted(kind, free=free)
     (shown,) = re.findall(rf"\| {kind}[^|]*\| {'free' if free else 'fixed'} \| ([0-9.]+) \|", PAGE)
     with capsys.disabled():
         print(f"\nsigma of s over its prior of {prior:.4f}: {kind}, free {free}: {sigma:.2f}")
     assert abs(sigma - float(shown)) <= 0.02
-    assert sigma < 1 / 3 if known else sigma > 0.5
+    assert sigma < 1 / 3 if is_known else sigma > 0.5

@@ -11,8 +11,6 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from unbend.batch.executors import Outcome
-
 from .conftest import REPOSITORY
 
 # As the user's shell has it, who may have a cache of pip: a test's own home is empty.
@@ -43,7 +41,7 @@ def answer(*words: object, place: Path, **environment: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(tmp_path_factory) -> Path:
     pytest.importorskip("hatchling", reason="the build backend is not installed")
     folder = tmp_path_factory.mktemp("wheel")
     build = (*PIP, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder)
@@ -53,7 +51,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def clean_python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def clean_python(wheel, tmp_path_factory) -> Path:
     """The Python of an environment with the wheel and what the program needs."""
     folder = tmp_path_factory.mktemp("clean")
     answer(sys.executable, "-m", "venv", "environment", place=folder)
@@ -70,13 +68,11 @@ def clean_python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_wheel_without_extras_corrects_the_sample_flight(
-    clean_python: Path, runs: dict[str, Outcome], tmp_path: Path
-) -> None:
+def test_the_wheel_without_extras_corrects_the_sample_flight(clean_python, runs, tmp_path):
     for name in ("configs", "sample_logs"):
         shutil.copytree(REPOSITORY / name, tmp_path / name)
-    where = answer(clean_python, "-c", "import unbend; print(unbend.__file__)", place=tmp_path)
-    assert Path(where.strip()).is_relative_to(clean_python.parents[1])
+    package = answer(clean_python, "-c", "import unbend; print(unbend.__file__)", place=tmp_path)
+    assert Path(package.strip()).is_relative_to(clean_python.parents[1])
     answer(clean_python, *PIP, "check", place=tmp_path)
 
     unbend = clean_python.with_name("unbend")

@@ -39,7 +39,7 @@ def printed() -> tuple[list[str], list[tuple[Numbers, Numbers, Numbers]]]:
     return names, columns
 
 
-def test_the_document_is_what_the_experiment_gives(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_document_is_what_the_experiment_gives(capsys):
     names, columns = printed()
     airs = real_airs()
     assert names == [air.name[2:] for air in airs]
@@ -53,11 +53,11 @@ def test_the_document_is_what_the_experiment_gives(capsys: pytest.CaptureFixture
             assert found == pytest.approx(shown, abs=2.0 * digit, rel=0.02)
 
 
-def test_medians_and_ranges_are_those_of_the_columns() -> None:
+def test_medians_and_ranges_are_those_of_the_columns():
     assert document(*printed()) == TEXT
 
 
-def test_what_it_says_holds_in_every_air() -> None:
+def test_what_it_says_holds_in_every_air():
     _, columns = printed()
     for before, after, airs in columns:
         assert before["nadir both calibrated"] < 0.03 * before["nadir held"]  # absorbed
@@ -76,6 +76,6 @@ def test_what_it_says_holds_in_every_air() -> None:
             assert airs[f"standard {height}"] < 30.0
 
 
-def test_the_readme_shows_its_ten_lines() -> None:
+def test_the_readme_shows_its_ten_lines():
     lines = TEXT.split("## Main results\n")[1].split("\nAnother layout")[0].strip()
     assert lines in (REPOSITORY / "README.md").read_text(encoding="utf-8")

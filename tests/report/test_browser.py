@@ -53,8 +53,8 @@ def with_model_and_flagged_rows(mission: Any) -> Path:
     step = 60.0 / 111_000.0
     west = np.degrees(FIELD_LON_RAD) - 0.02
     north = np.degrees(FIELD_LAT_RAD) + 0.1
-    at = (np.arange(cells) + 0.5) * step
-    lon, lat = np.meshgrid(west + at, north - at)
+    degrees = (np.arange(cells) + 0.5) * step
+    lon, lat = np.meshgrid(west + degrees, north - degrees)
     lat_1, lon_1 = geographic(np.array(1.0), np.array(1.0))
     heights = terrain_m(
         (np.radians(lon) - FIELD_LON_RAD) / (float(lon_1) - FIELD_LON_RAD),
@@ -91,20 +91,14 @@ def without_log(mission: Any, baseline: Any) -> Path:
         del camera["window"]
     stations = baseline.stations().to_pandas().drop(columns=["time_utc", "geometry"])
     stations.to_csv(mission.folder / "stations.csv", index=False)
-    mission.config["stations"] = {
-        "orientation": {
-            "path": "stations.csv",
-            "angles": "quaternion",
-            "frame": "geographic",
-            "heights": "msl",
-            "columns": {
-                "camera": "camera",
-                "latitude": "lat_deg",
-                "longitude": "lon_deg",
-                "height": "h_msl_m",
-            },
-        }
-    }
+    mission.config["stations"] = yaml.safe_load("""
+    orientation:
+      path: stations.csv
+      angles: quaternion
+      frame: geographic
+      heights: msl
+      columns: {camera: camera, latitude: lat_deg, longitude: lon_deg, height: h_msl_m}
+    """)
     mission.config["atmosphere"] = {"adjust": False}
     return ran(mission, 0)
 
@@ -186,10 +180,10 @@ def test_nothing_is_wider_than_the_screen(runs, browser, name):
     file = (runs[name] / "report.html").resolve()
     for scheme in ("light", "dark"):
         page = browser.new_page(color_scheme=scheme)
-        said = []
+        messages = []
         asked = []
-        page.on("console", lambda message, said=said: said.append(message.text))
-        page.on("pageerror", lambda error, said=said: said.append(str(error)))
+        page.on("console", lambda message, messages=messages: messages.append(message.text))
+        page.on("pageerror", lambda error, messages=messages: messages.append(str(error)))
         page.on("request", lambda request, asked=asked: asked.append(request.url))
         for width in WIDTHS:
             page.set_viewport_size({"width": width, "height": 900})
@@ -208,11 +202,14 @@ def test_nothing_is_wider_than_the_screen(runs, browser, name):
             # Open, the tables of data fit too.
             page.evaluate("for (const e of document.querySelectorAll('details')) e.open = true")
             assert page.evaluate(LOOK) == [], f"{width} px, {scheme}, all open"
-            ratio, where = page.evaluate(CONTRAST)
-            assert ratio >= 4.5, where
+            ratio, place = page.evaluate(CONTRAST)
+            assert ratio >= 4.5, place
         paper = page.evaluate("getComputedStyle(document.body).backgroundColor")
         assert (sum(map(int, re.findall(r"\d+", paper)[:3])) < 150) == (scheme == "dark")
-        assert (said, [url for url in asked if not url.startswith(("file:", "data:"))]) == ([], [])
+        assert (messages, [url for url in asked if not url.startswith(("file:", "data:"))]) == (
+            [],
+            [],
+        )
         page.close()
 
 

@@ -3,7 +3,6 @@
 Truth: PROJ for the grid, the IANA database's offsets written by hand for the times.
 """
 
-import copy
 import re
 from dataclasses import replace
 from typing import Any
@@ -14,23 +13,23 @@ import pytest
 
 from unbend.report.cover import PROCESSED, cover_rows, css_text, time_of_processing
 from unbend.report.flown import metric_grid, track_of_camera
-from unbend.report.html import report_page
 from unbend.report.map_grid_lines import grid_lines
 
 from .manifests import manifest_of
 from .test_every_number import air as air  # the fixture
-from .test_page import Page, path_of, points, whole_manifest
+from .test_page import Page, page_of, path_of, points, texts_in, whole_manifest
 from .test_page import flown as flown  # the fixture
+from .text_tables import lines_of
 
 
-def page_with(flown: Any, **mission: str) -> str:
+def page_with(flown: Any, **mission: str) -> Page:
     manifest = whole_manifest()
     manifest["config"]["mission"] = mission
-    return report_page(manifest_of(manifest), flown)
+    return page_of(manifest, flown)
 
 
 def test_what_the_mission_file_says_stands_first_in_any_letters(flown):
-    text = page_with(
+    page = page_with(
         flown,
         title="Zürich Nord — 航空写真 </style><b>",
         client='Amt "A" & B',
@@ -38,27 +37,26 @@ def test_what_the_mission_file_says_stands_first_in_any_letters(flown):
         remarks="One.\n\nTwo <i>\nlines.",
         time_zone="Asia/Kathmandu",
     )
-    shown = Page(text).texts
-    assert ("h1", "Zürich Nord — 航空写真 </style><b>") in shown
-    assert shown[0][1].startswith("Zürich Nord — 航空写真 </style><b>: refraction")
-    said = [words for tag, words in shown if tag == "dd"][:5]
-    assert said == [
-        'Amt "A" & B',
-        "Luftbild GmbH",
-        "ridge <north> & [red]south",
-        "2025-06-12, 15:23:17 to 15:29:19 Asia/Kathmandu (2025-06-12, 09:38:17 to 09:44:19 UTC)",
-        "WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid",
-    ]
-    assert [words for tag, words in shown if tag == "p"][1:3] == ["One.", "Two <i> lines."]
-    assert text.count("</style>") == 1
-    assert "<b>" not in text.replace("<b>", "", 0).split("</style>")[1]
-    assert text.count(PROCESSED) == 1
+    assert "Zürich Nord — 航空写真 </style><b>" in page.texts_of("h1")
+    assert page.texts[0][1].startswith("Zürich Nord — 航空写真 </style><b>: refraction")
+    assert page.texts_of("dd")[:5] == lines_of("""
+        Amt "A" & B
+        Luftbild GmbH
+        ridge <north> & [red]south
+        2025-06-12, 15:23:17 to 15:29:19 Asia/Kathmandu (2025-06-12, 09:38:17 to 09:44:19 UTC)
+        WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid
+    """)
+    assert page.texts_of("p")[1:3] == ["One.", "Two <i> lines."]
+    assert page.text.count("</style>") == 1
+    assert "<b>" not in page.text.split("</style>")[1]
+    assert page.text.count(PROCESSED) == 1
 
 
 def test_without_those_keys_the_name_is_the_title(flown):
-    shown = Page(report_page(manifest_of(whole_manifest()), flown)).texts
-    assert ("h1", "ridge <north> & [red]south") in shown
-    assert not any(words in ("Client", "Operator", "Mission") for _, words in shown)
+    page = page_of(whole_manifest(), flown)
+    assert "ridge <north> & [red]south" in page.texts_of("h1")
+    for label in ("Client", "Operator", "Mission"):
+        assert label not in [text for _, text in page.texts]
 
 
 def test_a_day_that_is_another_one_here(flown):
@@ -81,12 +79,14 @@ def test_the_time_of_processing_has_its_zone():
     assert time_of_processing(time_s, None) == "2026-07-01 10:00 UTC"
 
 
-def test_a_text_in_a_style_sheet_ends_where_it_should():
-    for text in ('"; } body { display: none', "</style>", "back\\slash", "line\nbreak", "é 航 ½"):
-        string = css_text(text)
-        assert not set(string[1:-1]) & set('"<>{}\n')
-        unescaped = re.sub(r"\\([0-9a-f]+) ", lambda match: chr(int(match[1], 16)), string[1:-1])
-        assert unescaped == text
+@pytest.mark.parametrize(
+    "text", ['"; } body { display: none', "</style>", "back\\slash", "line\nbreak", "é 航 ½"]
+)
+def test_a_text_in_a_style_sheet_ends_where_it_should(text):
+    string = css_text(text)
+    assert not set(string[1:-1]) & set('"<>{}\n')
+    unescaped = re.sub(r"\\([0-9a-f]+) ", lambda match: chr(int(match[1], 16)), string[1:-1])
+    assert unescaped == text
 
 
 # ---------------------------------------------------------------- the metric grid
@@ -98,46 +98,45 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_the_lines_of_the_grid_are_where_proj_has_them(place):
-    lon, lat, code = PLACES[place]
+@pytest.mark.parametrize(("lon", "lat", "code"), PLACES.values(), ids=PLACES)
+def test_the_lines_of_the_grid_are_where_proj_has_them(lon, lat, code):
     grid = metric_grid((*lon, *lat))
     assert grid.identifier == code
     lines = grid_lines(grid, lon, lat)
-    assert {line.is_easting for line in lines} == {True, False}
     assert 4 <= len(lines) <= 14
     to_grid = pyproj.Transformer.from_crs("EPSG:4326", code, always_xy=True)
+    metres = {True: [], False: []}
     for line in lines:
-        known = np.isfinite(line.lon_deg)
-        x, y = to_grid.transform(line.lon_deg[known], line.lat_deg[known])
-        value = float(line.label.replace("\u202f", ""))
-        np.testing.assert_allclose(x if line.is_easting else y, value, atol=1e-3)
-        assert (line.lon_deg[known] >= lon[0]).all()
-        assert (line.lat_deg[known] <= lat[1]).all()
-    for kind in (True, False):
-        values = [
-            float(line.label.replace("\u202f", "")) for line in lines if line.is_easting is kind
-        ]
+        is_drawn = np.isfinite(line.lon_deg)
+        x, y = to_grid.transform(line.lon_deg[is_drawn], line.lat_deg[is_drawn])
+        metres[line.is_easting].append(float(line.label.replace("\u202f", "")))
+        along = x if line.is_easting else y
+        np.testing.assert_allclose(along, metres[line.is_easting][-1], atol=1e-3)
+        assert (line.lon_deg[is_drawn] >= lon[0]).all()
+        assert (line.lat_deg[is_drawn] <= lat[1]).all()
+    for values in metres.values():
+        assert values
         assert len(set(np.diff(values))) <= 1
 
 
 def test_nearer_to_a_pole_there_is_no_grid(flown):
     assert metric_grid((10.0, 11.0, 84.5, 84.9)) is None
     assert metric_grid((10.0, 70.0, 40.0, 41.0)) is None, "a place that is far off the flight"
-    without = report_page(manifest_of(whole_manifest()), replace(flown, grid=None))
-    assert 'class="metric"' not in without
+    page = page_of(whole_manifest(), replace(flown, grid=None))
+    assert 'class="metric"' not in page.text
 
 
 def test_the_map_has_the_grid_beside_degrees(flown):
     with_grid = replace(flown, grid=metric_grid(flown.limits_deg))
-    page = Page(report_page(manifest_of(whole_manifest()), with_grid))
+    page = page_of(whole_manifest(), with_grid)
     for screen in ("wide", "narrow"):
         drawing = page.drawings["map", screen]
         labels = [t.text for t in drawing.iter("text") if "metric" in (t.get("class") or "")]
         assert len(labels) >= 3
-        assert all(re.fullmatch("[0-9\u202f]+", label) for label in labels)
-        ticks = [t.text for t in drawing.iter("text") if t.get("class") == "tick"]
-        assert any("." in tick for tick in ticks), "degrees"
+        for label in labels:
+            assert re.fullmatch("[0-9\u202f]+", label)
+        degrees = [tick for tick in texts_in(drawing, class_="tick") if "." in tick]
+        assert degrees
     assert "UTM zone 32S, numbers in metres" in page.text
     assert "map grid UTM zone 32S (EPSG:32732)" in page.text
 
@@ -146,7 +145,7 @@ def test_the_map_has_the_grid_beside_degrees(flown):
 
 
 def test_each_camera_has_a_line_with_its_own_colour_and_style(flown):
-    page = Page(report_page(manifest_of(whole_manifest()), flown))
+    page = page_of(whole_manifest(), flown)
     for figure in ("map", "height"):
         drawing = page.drawings[figure, "wide"]
         belly = points(path_of(drawing, "line camera c1 s1"))
@@ -158,11 +157,11 @@ def test_each_camera_has_a_line_with_its_own_colour_and_style(flown):
     assert [number for number, _ in styles] == [str(number) for number in range(2, 9)]
     assert len({dashes for _, dashes in styles}) == 7
     alone = whole_manifest()
-    for part in (alone["correction"]["cameras"], alone["flight"]["cameras"]):
-        part.pop("tail")
-    assert "line camera" not in re.sub(
-        r"<style.*?</style>", "", report_page(manifest_of(alone), flown), flags=re.S
-    )
+    del alone["correction"]["cameras"]["tail"]
+    del alone["flight"]["cameras"]["tail"]
+    drawings = page_of(alone, flown).drawings.values()
+    for drawing in drawings:
+        assert not [path for path in drawing.iter("path") if "line camera" in str(path.attrib)]
 
 
 def test_a_track_is_in_the_order_of_time_and_ends_with_its_strip(flown):
@@ -179,6 +178,6 @@ def test_a_track_is_in_the_order_of_time_and_ends_with_its_strip(flown):
         "shown_as": np.array(["ok"] * 7),
     }
     track = {name: column[:0] for name, column in flown.track.items()}
-    own = track_of_camera(replace(copy.copy(flown), exposures=exposures, track=track), "a")
-    np.testing.assert_allclose(own.h_msl_m, [3000, 3010, 3020, 3030, np.nan, 3500, 3510])
-    np.testing.assert_allclose(own.time, [0, 10, 20, 30, np.nan, 500, 510])
+    track_of_a = track_of_camera(replace(flown, exposures=exposures, track=track), "a")
+    np.testing.assert_allclose(track_of_a.h_msl_m, [3000, 3010, 3020, 3030, np.nan, 3500, 3510])
+    np.testing.assert_allclose(track_of_a.time, [0, 10, 20, 30, np.nan, 500, 510])

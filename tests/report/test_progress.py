@@ -40,6 +40,12 @@ def written(bar: DelayedProgressBar) -> str:
     return bar._console.file.getvalue()
 
 
+def task_of(bar: DelayedProgressBar) -> tuple[str, float, float | None]:
+    """What the bar shows: its text, how much is done, and of how much."""
+    (task,) = bar._bar.tasks
+    return task.description, task.completed, task.total
+
+
 def test_a_bar_appears_when_its_time_has_come(bar):
     with bar:
         bar.start("correcting", 10)
@@ -63,14 +69,11 @@ def test_the_bar_counts_each_step_from_zero_before_and_after_it_appears(bar):
     bar.advance(4)
     bar._timer.fire()
     bar.advance(3)
-    (task,) = bar._bar.tasks
-    assert (task.description, task.completed, task.total) == ("survey: correcting", 7, 10)
+    assert task_of(bar) == ("survey: correcting", 7, 10)
     bar.start("writing the report")
-    (task,) = bar._bar.tasks
-    assert (task.description, task.completed, task.total) == ("survey: writing the report", 0, None)
+    assert task_of(bar) == ("survey: writing the report", 0, None)
     bar.update("rays", 5, 20)
-    (task,) = bar._bar.tasks
-    assert (task.description, task.completed, task.total) == ("survey: rays", 5, 20)
+    assert task_of(bar) == ("survey: rays", 5, 20)
     bar.__exit__()
 
 
@@ -116,8 +119,8 @@ def test_a_dumb_terminal_gets_a_line_for_each_step(bar, monkeypatch):
 
 def test_no_bar_where_output_is_not_a_terminal():
     console = Console(file=io.StringIO(), force_terminal=False)
-    for where in (console, None):
-        with DelayedProgressBar(where, "survey") as bar:
+    for terminal in (console, None):
+        with DelayedProgressBar(terminal, "survey") as bar:
             assert not bar._timer.is_alive()
             bar.start("correcting", 10)
             bar.advance(1)

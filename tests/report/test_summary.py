@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import json
+import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
-from unbend.report.campaign import row_of
+from unbend.report.campaign import DONE, campaign_page, row_of, row_without
 from unbend.report.summary import not_included, size_of_shift
 from unbend.tables.manifest.results import DistributionRecord
 from unbend.tables.manifest.whole import Manifest
 
 from .manifests import manifest_of
+from .test_page import whole_manifest
 
 NORTH_ARCSEC = 0.17
 EAST_ARCSEC = 3.97
@@ -23,8 +25,10 @@ LENS = {"dc_dp_px_per_hpa": 0.006}
 
 
 def manifest(direction: str = "remove", **cameras: dict) -> Manifest:
-    full = {n: {"window": None, "principal_distance": None} | c for n, c in cameras.items()}
-    return manifest_of({"config": {"refraction": {"direction": direction}, "cameras": full}})
+    nothing = {"window": None, "principal_distance": None}
+    sections = {name: nothing | camera for name, camera in cameras.items()}
+    refraction = {"direction": direction}
+    return manifest_of({"config": {"refraction": refraction, "cameras": sections}})
 
 
 def test_cameras_whose_lens_is_not_corrected_are_named():
@@ -35,7 +39,7 @@ def test_cameras_whose_lens_is_not_corrected_are_named():
 
 
 @pytest.mark.parametrize(
-    ("window", "told"),
+    ("window", "is_named"),
     [
         (PLANE, True),
         (PLANE | {"in_calibration": "glass"}, False),
@@ -43,9 +47,9 @@ def test_cameras_whose_lens_is_not_corrected_are_named():
         (None, False),
     ],
 )
-def test_glass_is_told_of_where_the_calibration_lacks_it(window, told):
+def test_glass_is_named_where_the_calibration_lacks_it(window, is_named):
     text = " ".join(not_included(manifest(belly={"window": window, "principal_distance": LENS})))
-    assert ("The glass in front of belly" in text) == told
+    assert ("The glass in front of belly" in text) == is_named
     assert "Earth curvature" in text
 
 
@@ -57,7 +61,7 @@ def test_nothing_is_to_be_switched_off_where_refraction_was_put_in():
 
 def test_the_report_of_a_run_holds_these_lines(baseline):
     page = (baseline.output / "report.html").read_text(encoding="utf-8")
-    values = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
+    values = baseline.manifest()
     lines = not_included(Manifest(values))
     assert len(lines) == 5  # two lenses, the glass, the plumb line, the curvature
     # PROJ's vgridshift at the middle of the flight, 47.400 N 8.642 E: differences over 1 km.
@@ -74,13 +78,38 @@ def test_the_report_of_a_run_holds_these_lines(baseline):
     assert "What is not removed" in page
 
 
-def test_a_campaign_counts_images_and_those_that_were_exposed():
-    values = {
-        "config": {"refraction": {"direction": "remove", "method": "spherical"}},
-        "stations": {"ok": 5, "in_gap": 1, "unmatched": 2},
-    }
+def test_the_row_of_a_campaign_has_the_numbers_of_the_manifest():
+    """Of 97 images two were never exposed; of the cameras the larger sigma counts."""
+    values = whole_manifest()
+    values["stations"]["unmatched"] = 2
     row = row_of(manifest_of(values))
-    assert (row["images"], row["exposures"]) == (8, 6)
+    assert row.pop("what").startswith("41 of 5,021 observations were corrected")
+    assert row == yaml.safe_load("""
+    mission: ridge <north> & [red]south
+    state: done with losses or findings
+    exit_code: 3
+    code: null
+    begin_utc: "2025-06-12T09:38:17Z"
+    end_utc: "2025-06-12T09:44:19Z"
+    lat_deg: -47.4233
+    lon_deg: 8.6624
+    h_msl_m: 3450.1
+    images: 97
+    exposures: 95
+    observations: 5021
+    corrected: 41
+    shift_median_px: 3.01
+    shift_maximum_px: 3.03
+    sigma_px: 0.031
+    shift_median_m: 3.11
+    shift_maximum_m: 3.13
+    sigma_m: 0.0093
+    losses: 2
+    findings: 0
+    warnings: 1
+    results: null
+    fingerprint: f00df00df00df00df00df00df00df00df00df00df00df00df00df00df00df00d
+    """)
 
 
 def test_how_far_points_were_moved_is_said_by_median_and_95_percent():
@@ -92,3 +121,18 @@ def test_how_far_points_were_moved_is_said_by_median_and_95_percent():
     unknown = DistributionRecord(count=0, median=None, p95=None, maximum=None)
     text = size_of_shift(SimpleNamespace(shift_px=shift, shift_ground_m=unknown))
     assert text == "0.11 px in the image (median; 95 %: 0.42 px)"
+
+
+def places_on_the_page(*longitudes_deg: float) -> list[str]:
+    """Where the map of a campaign has its missions, one line for each screen."""
+    rows = []
+    for number, longitude_deg in enumerate(longitudes_deg):
+        place = {"state": DONE, "lat_deg": -17.0 + 0.1 * number, "lon_deg": longitude_deg}
+        rows.append(row_without(f"m{number}", 0, "", "") | place)
+    return re.findall(r'<path class="dots ok" d="(M[^"]+ [^"]+)"', campaign_page("s", rows, "d"))
+
+
+def test_a_campaign_across_the_180th_meridian_is_one_place():
+    elsewhere = places_on_the_page(9.9, 10.1)
+    assert len(elsewhere) == 3  # of a wide and a narrow screen, and the key to the map
+    assert places_on_the_page(179.9, -179.9) == elsewhere

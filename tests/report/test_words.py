@@ -12,29 +12,23 @@ from hypothesis import strategies as st
 
 from unbend.report.words import length, pixels, shortened, visible, with_sigma
 
+DIRECTIONS = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
+"""Bidirectional classes of the marks that turn the direction of a text."""
+
 
 def test_every_character_that_steers_or_hides_is_written_out():
     """By the categories of the Unicode database: control, format, surrogate, separators."""
     joiners = {"\u200c", "\u200d"}
     for point in range(sys.maxunicode + 1):
         mark = chr(point)
-        kind = unicodedata.category(mark)
-        steers = kind in ("Cc", "Cs", "Zl", "Zp") or unicodedata.bidirectional(mark) in (
-            "LRE",
-            "RLE",
-            "LRO",
-            "RLO",
-            "PDF",
-            "LRI",
-            "RLI",
-            "FSI",
-            "PDI",
-        )
+        category = unicodedata.category(mark)
+        steers = category in ("Cc", "Cs", "Zl", "Zp")
+        steers |= unicodedata.bidirectional(mark) in DIRECTIONS
         if steers and mark not in joiners:
             text = visible(f"a{mark}b")
             assert mark not in text
             assert re.fullmatch(r"a\\([nrt]|x[0-9a-f]{2}|u[0-9a-f]{4}|U[0-9a-f]{8})b", text)
-        elif kind[0] in "LMNPS":
+        elif category[0] in "LMNPS":
             assert visible(mark) == mark
 
 
@@ -65,8 +59,7 @@ def test_value_and_sigma_end_at_the_same_place_and_lose_nothing(value, sigma):
 @given(st.floats(1e-3, 1e7))
 def test_lengths_and_pixels_are_right_to_five_percent(value):
     number, unit = length(value).split()
-    assert math.isclose(
-        float(number) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}[unit], value, rel_tol=0.051
-    )
+    metres = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}[unit]
+    assert math.isclose(float(number) * metres, value, rel_tol=0.051)
     assert len(number) <= 5
     assert math.isclose(float(pixels(value).removesuffix(" px")), value, rel_tol=0.051)

@@ -9,14 +9,17 @@ import time
 from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import yaml
 
 from tests.conftest import run_command, without_plots
 from tests.stages.test_air_of_mission import sounding_text
-from unbend.batch import input_files, unchanged
+from unbend.batch import input_files, runs, unchanged
 from unbend.batch.campaigns import select_missions
 from unbend.config.campaign import MissionRef
 
@@ -36,17 +39,31 @@ class Season:
     def flight(self, number: int) -> Path:
         return self.folder / "flights" / f"f{number}"
 
+    @property
+    def table(self) -> Path:
+        return self.folder / "results" / "campaign.parquet"
+
+    @property
+    def page(self) -> Path:
+        return self.folder / "results" / "campaign.html"
+
     def manifest(self, number: int) -> Path:
         return self.folder / "results" / f"flight-{number}" / "manifest.json"
 
+    def values(self, number: int) -> dict[str, Any]:
+        """The manifest of a mission as JSON."""
+        return json.loads(self.manifest(number).read_text())
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of the table."""
+        return pq.read_table(self.table).to_pylist()
+
     def older(self) -> None:
         """Files that were written some seconds ago; newer ones are not trusted."""
-        settled_s = input_files.SETTLED_NS * 1e-9 + 0.05
-        time.sleep(max(0.0, settled_s - (time.time() - self._latest())))
-
-    def _latest(self) -> float:
         files = [file for file in self.folder.rglob("*") if not file.is_symlink()]
-        return max(file.stat().st_ctime for file in files)
+        latest = max(file.stat().st_ctime for file in files)
+        settled_s = input_files.SETTLED_NS * 1e-9 + 0.05
+        time.sleep(max(0.0, latest + settled_s - time.time()))
 
     def unchanged(self) -> list[int]:
         """Numbers of the missions that are known to be unchanged without checking their files."""
@@ -61,11 +78,11 @@ def make_season(mission, folder: Path, missions: int) -> Season:
         flight.mkdir(parents=True)
         shutil.copy(mission.log, flight / "flight.bin")
         shutil.copy(mission.folder / "observations.parquet", flight)
-        own = {key: mission.config[key] for key in OWN}
-        own["mission"] = own["mission"] | {"name": f"flight-{number}"}
-        own["atmosphere"] = {"soundings": [{"path": "balloon.csv"}]}
+        sections = {key: mission.config[key] for key in OWN}
+        sections["mission"] = sections["mission"] | {"name": f"flight-{number}"}
+        sections["atmosphere"] = {"soundings": [{"path": "balloon.csv"}]}
         (flight / "balloon.csv").write_text(sounding_text(), encoding="utf-8")
-        (flight / "mission.yaml").write_text(yaml.safe_dump(own), encoding="utf-8")
+        (flight / "mission.yaml").write_text(yaml.safe_dump(sections), encoding="utf-8")
     shared = {k: v for k, v in mission.config.items() if k not in (*OWN, "output")}
     content = {
         "campaign": {"name": "season", "output": "results"},
@@ -106,29 +123,29 @@ def done(finished, tmp_path, own_cache, plain_report, unbend) -> Season:
     shutil.copytree(finished.folder, season.folder)
     season.older()
     ended = unbend("run", season.file)  # it lies elsewhere, and is the same
-    assert (ended.code, ended.out.count("nothing to do")) == (0, 2)
+    assert ended.code == 0
+    assert ended.out.count("nothing to do") == 2
     assert season.unchanged() == [0, 1]
     return season
 
 
-def test_one_changed_sounding_runs_one_mission(done, unbend):
-    before = [done.manifest(n).stat().st_mtime_ns for n in (0, 1)]
+def test_one_changed_sounding_runs_one_mission(done, unbend, obeyed):
+    before = [done.manifest(number).stat().st_mtime_ns for number in (0, 1)]
     (done.flight(1) / "balloon.csv").write_text(sounding_text(0.5), encoding="utf-8")
     first, second = json.loads(unbend("status", done.file, "--json").out)
-    assert (first["would_run"], second["would_run"]) == (False, True)
+    assert not first["would_run"]
+    assert second["would_run"]
     assert "sounding 1 changed (balloon.csv)" in str(second["reasons"])
-    ran = unbend("run", done.file)
-    assert ran.code == 0
-    after = [done.manifest(n).stat().st_mtime_ns for n in (0, 1)]
-    assert [a == b for a, b in zip(before, after, strict=True)] == [True, False]
-    table = pq.read_table(done.folder / "results" / "campaign.parquet").to_pylist()
-    assert [row["fingerprint"] for row in table] == [
-        json.loads(done.manifest(n).read_text())["fingerprint"] for n in (0, 1)
-    ]
-    (line,) = [line for line in ran.out.splitlines() if "report.html" in line]
-    assert line.startswith(f"{table[1]['mission']}: {table[1]['corrected']:,} of ")
+    text = obeyed("run", done.file)
+    assert done.manifest(0).stat().st_mtime_ns == before[0]
+    assert done.manifest(1).stat().st_mtime_ns != before[1]
+    rows = done.rows()
+    for number, row in enumerate(rows):
+        assert row["fingerprint"] == done.values(number)["fingerprint"]
+    (line,) = [line for line in text.splitlines() if "report.html" in line]
+    assert line.startswith(f"{rows[1]['mission']}: {rows[1]['corrected']:,} of ")
     assert "95 % below " in line
-    assert table[0]["shift_maximum_px"] != table[1]["shift_maximum_px"]  # another air
+    assert rows[0]["shift_maximum_px"] != rows[1]["shift_maximum_px"]  # another air
 
 
 def test_of_an_unchanged_campaign_no_file_is_checked_and_no_input_opened(done, monkeypatch):
@@ -137,23 +154,8 @@ def test_of_an_unchanged_campaign_no_file_is_checked_and_no_input_opened(done, m
     assert done.unchanged() == [0, 1]
 
 
-def append(file: Path, more: bytes) -> None:
-    file.write_bytes(file.read_bytes() + more)
-
-
-CHANGES = {
-    "log": lambda s: append(s.flight(0) / "flight.bin", b"\0"),
-    "log, its content": lambda s: flip(s.flight(0) / "flight.bin"),
-    "table gone": lambda s: (s.flight(0) / "observations.parquet").unlink(),
-    "mission file": lambda s: append(s.flight(0) / "mission.yaml", b"\n# a word\n"),
-    "report gone": lambda s: (s.manifest(0).parent / "report.html").unlink(),
-    "stations damaged": lambda s: flip(s.manifest(0).parent / "stations.parquet"),
-    "part damaged": lambda s: flip(s.manifest(0).parent / "observations/part-00000.parquet"),
-    "a part too many": lambda s: (s.manifest(0).parent / "observations/part-00009.parquet").touch(),
-    "manifest gone": lambda s: s.manifest(0).unlink(),
-    "a run under way": lambda s: (s.manifest(0).parent / ".staging").mkdir(),
-    "results gone": lambda s: shutil.rmtree(s.manifest(0).parent),
-}
+def append(file: Path) -> None:
+    file.write_bytes(file.read_bytes() + b"\n")
 
 
 def flip(file: Path) -> None:
@@ -163,18 +165,33 @@ def flip(file: Path) -> None:
     file.write_bytes(content)
 
 
-@pytest.mark.parametrize("what", CHANGES)
-def test_no_change_goes_unseen(done, unbend, what):
-    CHANGES[what](done)
-    assert done.unchanged() == [1], what
+@pytest.mark.parametrize(
+    ("path", "change"),
+    [
+        ("flights/f0/flight.bin", append),
+        ("flights/f0/flight.bin", flip),
+        ("flights/f0/observations.parquet", Path.unlink),
+        ("flights/f0/mission.yaml", append),
+        ("results/flight-0/report.html", Path.unlink),
+        ("results/flight-0/stations.parquet", flip),
+        ("results/flight-0/observations/part-00000.parquet", flip),
+        ("results/flight-0/observations/part-00009.parquet", Path.touch),
+        ("results/flight-0/manifest.json", Path.unlink),
+        ("results/flight-0/.staging", Path.mkdir),
+        ("results/flight-0", shutil.rmtree),
+    ],
+)
+def test_no_change_goes_unseen(done, path, change):
+    change(done.folder / path)
+    assert done.unchanged() == [1]
 
 
-def test_what_is_as_it_was_again_is_known_after_a_comparison(done, unbend):
+def test_what_is_as_it_was_again_is_known_after_a_comparison(done, unbend, obeyed):
     """Copied back, with times of its own; files of just now are not trusted."""
     log = done.flight(0) / "flight.bin"
     log.write_bytes(log.read_bytes())
     assert done.unchanged() == [1]
-    assert unbend("run", done.file).code == 0
+    obeyed("run", done.file)
     done.older()
     assert unbend("run", done.file).code == 0  # the first time its time may have been too young
     assert done.unchanged() == [0, 1]
@@ -212,64 +229,57 @@ def test_other_defaults_are_other_missions(done):
 
 
 @pytest.mark.parametrize("option", ["--force", "--verify-inputs"])
-def test_asked_to_look_again_it_looks(done, unbend, monkeypatch, option):
-    seen = []
-    from unbend.batch import runs
-
-    real = runs.make_plan
-    monkeypatch.setattr(runs, "make_plan", lambda *a, **k: seen.append(k) or real(*a, **k))
-    assert unbend("run", done.file, option, "--mission", "flight-0").code == 0
-    assert len(seen) == 1
+def test_asked_to_look_again_it_looks(done, obeyed, monkeypatch, option):
+    plans = []
+    make_plan = runs.make_plan
+    monkeypatch.setattr(runs, "make_plan", lambda *a, **k: plans.append(k) or make_plan(*a, **k))
+    obeyed("run", done.file, option, "--mission", "flight-0")
+    assert len(plans) == 1
 
 
-def test_a_mission_that_an_unchanged_one_shares_a_folder_with_is_refused(done, unbend, tmp_path):
+def test_a_mission_that_an_unchanged_one_shares_a_folder_with_is_refused(done, refusal_of):
     """Although the other is not run."""
+    whole = yaml.safe_load(done.file.read_text())["defaults"]
+    whole |= yaml.safe_load((done.flight(0) / "mission.yaml").read_text())
+    whole["log"]["path"] = whole["observations"]["path"] = "nowhere"
+    whole["output"] = {"path": "results/flight-0"}
     other = done.folder / "other.yaml"
-    own = yaml.safe_load((done.flight(0) / "mission.yaml").read_text())
-    own["log"]["path"] = own["observations"]["path"] = "nowhere"
-    shared = yaml.safe_load(done.file.read_text())["defaults"]
-    whole = shared | own | {"output": {"path": "results/flight-0"}}
     other.write_text(yaml.safe_dump(whole))
-    ended = unbend("run", done.file, other)
-    assert ended.code == 6
-    assert "OUTPUT-SHARED" in ended.err
+    refusal_of("OUTPUT-SHARED", 6, "run", done.file, other)
 
 
 @pytest.mark.parametrize(
-    ("key", "code"), [("mission", "CAMPAIGN-SAME-NAME"), ("output", "CAMPAIGN-SAME-OUTPUT")]
+    ("section", "code", "words"),
+    [
+        ({"mission": {"name": "twin"}}, "CAMPAIGN-SAME-NAME", "twin"),
+        ({"output": {"path": "../r"}}, "CAMPAIGN-SAME-OUTPUT", "flight-0 and flight-1"),
+    ],
+    ids=["name", "output"],
 )
 @pytest.mark.parametrize("command", ["run", "check", "status"])
-def test_two_missions_of_one_are_refused_before_anything(season, unbend, key, code, command):
+def test_two_missions_of_one_are_refused_before_anything(
+    season, refusal_of, section, code, words, command
+):
     for number in (0, 1):
         file = season.flight(number) / "mission.yaml"
-        own = yaml.safe_load(file.read_text())
-        own |= {"mission": {"name": "twin"}} if key == "mission" else {"output": {"path": "../r"}}
-        file.write_text(yaml.safe_dump(own))
-    before = sorted(season.folder.rglob("*"))
-    ended = unbend(command, season.file)
-    assert ended.code == 2
-    assert code in ended.err
-    assert ("twin" if key == "mission" else "flight-0 and flight-1") in ended.err
-    assert sorted(season.folder.rglob("*")) == before
+        file.write_text(yaml.safe_dump(yaml.safe_load(file.read_text()) | section))
+    before = set(season.folder.rglob("*"))
+    text = refusal_of(code, 2, command, season.file)
+    assert words in text
+    assert set(season.folder.rglob("*")) == before
 
 
-def test_one_mission_of_a_campaign_and_what_is_refused(season, unbend):
+def test_one_mission_of_a_campaign_and_what_is_refused(season, unbend, obeyed):
     assert "CAMPAIGN-MISSION" in unbend("run", season.file, "--mission", "flight-9").err
     (season.flight(1) / "observations.parquet").unlink()
-    ended = unbend("run", season.file, "--mission", "flight-0")
-    assert ended.code == 0, ended.text
-    rows = pq.read_table(season.folder / "results" / "campaign.parquet").to_pylist()
-    assert [row["state"] for row in rows] == ["done", "not run"]
-    ended = unbend("run", season.file)
-    assert ended.code == 6
-    rows = pq.read_table(season.folder / "results" / "campaign.parquet").to_pylist()
-    assert [(row["state"], row["code"]) for row in rows] == [
-        ("done", None),
-        ("refused", "INPUT-MISSING"),
-    ]
-    assert rows[1]["exit_code"] == 6
-    page = (season.folder / "results" / "campaign.html").read_text(encoding="utf-8")
-    assert "the observations file is not there" in page
+    obeyed("run", season.file, "--mission", "flight-0")
+    assert [row["state"] for row in season.rows()] == ["done", "not run"]
+    obeyed("run", season.file, exit_code=6)
+    done, refused = season.rows()
+    assert (done["state"], done["code"]) == ("done", None)
+    assert (refused["state"], refused["code"]) == ("refused", "INPUT-MISSING")
+    assert refused["exit_code"] == 6
+    assert "the observations file is not there" in season.page.read_text(encoding="utf-8")
 
 
 class Links(HTMLParser):
@@ -286,114 +296,107 @@ class Links(HTMLParser):
 
 
 def test_the_page_leads_to_each_report_and_nowhere_else(done):
-    page = done.folder / "results" / "campaign.html"
-    text = page.read_text(encoding="utf-8")
+    text = done.page.read_text(encoding="utf-8")
     seen = Links()
     seen.feed(text)
     assert seen.links == ["flight-0/report.html", "flight-1/report.html"]
-    assert all((page.parent / link).is_file() for link in seen.links)
+    for link in seen.links:
+        assert (done.page.parent / link).is_file()
     assert "script" not in seen.tags
     assert "default-src 'none'" in text
 
 
-def test_page_and_table_come_back_and_only_change_with_what_they_say(done, unbend):
-    files = [done.folder / "results" / name for name in ("campaign.html", "campaign.parquet")]
-    before = [(file.read_bytes(), file.stat().st_mtime_ns) for file in files]
-    assert unbend("run", done.file).code == 0
-    assert [(f.read_bytes(), f.stat().st_mtime_ns) for f in files] == before
-    files[1].unlink()
-    assert unbend("run", done.file).code == 0
-    assert [f.read_bytes() for f in files] == [content for content, _ in before]
+def test_page_and_table_come_back_and_only_change_with_what_they_say(done, obeyed):
+    page = done.page.read_bytes()
+    table = done.table.read_bytes()
+    times = (done.page.stat().st_mtime_ns, done.table.stat().st_mtime_ns)
+    obeyed("run", done.file)
+    assert (done.page.stat().st_mtime_ns, done.table.stat().st_mtime_ns) == times
+    done.table.unlink()
+    obeyed("run", done.file)
+    assert done.page.read_bytes() == page
+    assert done.table.read_bytes() == table
 
 
 def test_the_table_agrees_with_the_manifests(done):
-    table = pq.read_table(done.folder / "results" / "campaign.parquet")
-    for number, row in enumerate(table.to_pylist()):
-        manifest = json.loads(done.manifest(number).read_text())
-        parts = pq.read_table(done.manifest(number).parent / "observations")
-        shift = (
-            (parts["x_corrected_px"].to_numpy() - parts["x_px"].to_numpy()) ** 2
-            + (parts["y_corrected_px"].to_numpy() - parts["y_px"].to_numpy()) ** 2
-        ) ** 0.5
-        assert row["shift_maximum_px"] == pytest.approx(shift.max(), rel=1e-4)
-        assert row["observations"] == row["corrected"] == parts.num_rows
-        assert row["fingerprint"] == manifest["fingerprint"]
-        stations = pq.read_table(done.manifest(number).parent / "stations.parquet")
-        assert (
-            row["begin_utc"].value // 10**9 == min(stations["time_utc"].to_pylist()).value // 10**9
-        )
-        assert row["lat_deg"] == pytest.approx(
-            sum(stations["lat_deg"].to_pylist()) / len(stations), abs=1e-3
-        )
-    assert table.schema.metadata[b"unbend.campaign"] == b"season"
-    assert table.schema.field("sigma_px").metadata[b"unit"] == b"px"
+    for number, row in enumerate(done.rows()):
+        results = done.manifest(number).parent
+        points = pd.read_parquet(results / "observations")
+        stations = pd.read_parquet(results / "stations.parquet")
+        shift_x = points["x_corrected_px"] - points["x_px"]
+        shift_y = points["y_corrected_px"] - points["y_px"]
+        assert row["shift_maximum_px"] == pytest.approx(np.hypot(shift_x, shift_y).max(), rel=1e-4)
+        assert row["observations"] == row["corrected"] == len(points)
+        assert row["fingerprint"] == done.values(number)["fingerprint"]
+        assert row["begin_utc"].floor("s") == stations["time_utc"].min().floor("s")
+        assert row["lat_deg"] == pytest.approx(stations["lat_deg"].mean(), abs=1e-3)
+    schema = pq.read_schema(done.table)
+    assert schema.metadata[b"unbend.campaign"] == b"season"
+    assert schema.field("sigma_px").metadata[b"unit"] == b"px"
 
 
-def test_a_page_of_somebody_else_stays(season, unbend):
-    page = season.folder / "results" / "campaign.html"
-    page.parent.mkdir()
-    page.write_text("my own page")
-    ended = unbend("run", season.file)
-    assert (ended.code, page.read_text()) == (5, "my own page")
-    assert "STORAGE-NOT-OURS" in ended.err
+def test_a_page_of_somebody_else_stays(season, unbend, refusal_of):
+    season.page.parent.mkdir()
+    season.page.write_text("my own page")
+    refusal_of("STORAGE-NOT-OURS", 5, "run", season.file)
+    assert season.page.read_text() == "my own page"
     assert unbend("status", season.file).code == 0  # it writes no page
 
 
-def test_the_table_alone_is_known_as_ours(done, unbend):
+def test_the_table_alone_is_known_as_ours(done, obeyed):
     """As after a run that was killed between the two, or where a user removed the page."""
-    page, table = (done.folder / "results" / f"campaign.{kind}" for kind in ("html", "parquet"))
-    before = page.read_bytes()
-    page.unlink()
-    ended = unbend("run", done.file)
-    assert (ended.code, page.read_bytes()) == (0, before), ended.text
-    for other in (b"my own table", b""):
-        page.unlink(missing_ok=True)
-        table.write_bytes(other)
-        ended = unbend("run", done.file)
-        assert (ended.code, table.read_bytes()) == (5, other)
-        assert "STORAGE-NOT-OURS" in ended.err
+    before = done.page.read_bytes()
+    done.page.unlink()
+    obeyed("run", done.file)
+    assert done.page.read_bytes() == before
 
 
-def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend):
-    told = json.loads(done.manifest(0).read_text()) | {"exit_code": 3}
-    done.manifest(0).write_text(json.dumps(told))
+@pytest.mark.parametrize("content", [b"my own table", b""])
+def test_a_table_of_somebody_else_stays(done, refusal_of, content):
+    done.page.unlink()
+    done.table.write_bytes(content)
+    refusal_of("STORAGE-NOT-OURS", 5, "run", done.file)
+    assert done.table.read_bytes() == content
+
+
+def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, unbend, obeyed):
+    changed = done.values(0) | {"exit_code": 3}
+    done.manifest(0).write_text(json.dumps(changed))
     done.older()
     compared = unbend("run", done.file, "--mission", "flight-0", "--verify-inputs")
     assert done.unchanged() == [0, 1]
-    known = unbend("run", done.file, "--mission", "flight-0")
-    assert (known.code, known.out) == (compared.code, compared.out) == (3, known.out)
-    assert "refraction of the air" in known.out  # one mission alone has its summary
+    unread = unbend("run", done.file, "--mission", "flight-0")
+    assert unread.code == compared.code == 3
+    assert unread.out == compared.out
+    assert "refraction of the air" in unread.out  # one mission alone has its summary
     both = json.loads(unbend("run", done.file, "--json").out)
     assert [mission["exit_code"] for mission in both] == [3, 0]
-    assert both[0]["manifest"] == told
-    assert unbend("run", done.file).code == 3
+    assert both[0]["manifest"] == changed
+    obeyed("run", done.file, exit_code=3)
 
 
 @pytest.mark.parametrize("version", ["", "0.0.1"], ids=["damaged", "another version"])
-def test_a_manifest_without_some_results_does_not_stop_the_others(done, unbend, version):
+def test_a_manifest_without_some_results_does_not_stop_the_others(done, obeyed, version):
     """One of another version, or damaged: the page says so, until the mission is run again."""
-    values = json.loads(done.manifest(0).read_text())
+    values = done.values(0)
     del values["profile"]
     if version:
         values["versions"]["unbend"] = version
     done.manifest(0).write_text(json.dumps(values))
-    table = done.folder / "results" / "campaign.parquet"
-    ended = unbend("run", done.file, "--mission", "flight-1")
-    assert ended.code == 0, ended.text
-    first, second = pq.read_table(table).to_pylist()
+    obeyed("run", done.file, "--mission", "flight-1")
+    first, second = done.rows()
     assert (first["state"], first["code"]) == ("not run", "MANIFEST-UNREADABLE")
     assert second["state"] == "done"
-    ended = unbend("run", done.file, "--mission", "flight-0", "--force")
-    assert ended.code == 0, ended.text
-    assert pq.read_table(table).to_pylist()[0]["state"] == "done"
+    obeyed("run", done.file, "--mission", "flight-0", "--force")
+    assert done.rows()[0]["state"] == "done"
 
 
 def test_what_is_unchanged_is_told_in_the_order_of_the_files(done, unbend):
     """Also where the first mission was compared by its hashes, after the second was known."""
     (done.flight(0) / "balloon.csv").touch()
     assert done.unchanged() == [1]
-    told = unbend("run", done.file).out
-    assert told.index("flight-0") < told.index("flight-1")
+    text = unbend("run", done.file).out
+    assert text.index("flight-0") < text.index("flight-1")
     (done.flight(0) / "balloon.csv").touch()
     entries = json.loads(unbend("run", done.file, "--json").out)
     names = [Path(entry["output"]).name for entry in entries]

@@ -72,28 +72,17 @@ def in_environment(name: str) -> str:
 
 
 @pytest.fixture(scope="session")
-def seaweed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+def seaweed(tmp_path_factory) -> Iterator[dict[str, str]]:
     """SeaweedFS, with a user who may write and one who may read."""
     folder = tmp_path_factory.mktemp("seaweed")
     rights = {"writer": ["Admin", "Read", "Write", "List"], "reader": ["Read", "List"]}
-    users = [
-        {
-            "name": name,
-            "actions": actions,
-            "credentials": [{"accessKey": name, "secretKey": S3["AWS_SECRET_ACCESS_KEY"]}],
-        }
-        for name, actions in rights.items()
-    ]
+    users = []
+    for name, actions in rights.items():
+        key = {"accessKey": name, "secretKey": S3["AWS_SECRET_ACCESS_KEY"]}
+        users.append({"name": name, "actions": actions, "credentials": [key]})
     (folder / "s3.json").write_text(json.dumps({"identities": users}))
-    names = (
-        "master.port",
-        "volume.port",
-        "filer.port",
-        "s3.port",
-        "s3.port.grpc",
-        "master.port.grpc",
-    )
-    names += "volume.port.grpc", "filer.port.grpc"
+    servers = ("master", "volume", "filer", "s3")
+    names = [f"{server}.{kind}" for server in servers for kind in ("port", "port.grpc")]
     ports = {name: free_port() for name in names}
     command = [
         in_environment("weed"),
@@ -112,46 +101,36 @@ def seaweed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
     ]
     command += [f"-{name}={port}" for name, port in ports.items()]
     with serving(command, ports["s3.port"], folder):
-        yield S3 | {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{ports['s3.port']}"}
+        yield environment_of("s3", f"http://127.0.0.1:{ports['s3.port']}")
     for port in ports.values():  # of gRPC, which it puts there
         for left in Path("/tmp").glob(f"seaweedfs-*-{port}.sock"):
             left.unlink()
 
 
 @pytest.fixture(scope="session")
-def moto(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+def moto(tmp_path_factory) -> Iterator[dict[str, str]]:
     """Moto's server of S3."""
     port = free_port()
     command = [in_environment("moto_server"), "-p", str(port)]
     with serving(command, port, tmp_path_factory.mktemp("moto")):
-        yield S3 | {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}"}
+        yield environment_of("s3", f"http://127.0.0.1:{port}")
 
 
 @pytest.fixture(scope="session")
-def azurite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+def azurite(tmp_path_factory) -> Iterator[dict[str, str]]:
     """Azurite, Azure's emulator: from npm, in the folder UNBEND_AZURITE or on the PATH."""
     folder = tmp_path_factory.mktemp("azurite")
-    own = Path(os.environ.get("UNBEND_AZURITE", "none")) / "node_modules/.bin/azurite-blob"
-    program = str(own) if own.exists() else in_environment("azurite-blob")
+    installed = Path(os.environ.get("UNBEND_AZURITE", "none")) / "node_modules/.bin/azurite-blob"
+    program = str(installed) if installed.exists() else in_environment("azurite-blob")
     port = free_port()
-    command = [
-        program,
-        "--location",
-        str(folder),
-        "--blobPort",
-        str(port),
-        "--silent",
-        "--skipApiVersionCheck",
-    ]
+    options = ["--location", str(folder), "--blobPort", str(port)]
+    command = [program, *options, "--silent", "--skipApiVersionCheck"]
     with serving(command, port, folder):
-        yield {
-            "AZURE_STORAGE_USE_EMULATOR": "true",
-            "AZURITE_BLOB_STORAGE_URL": f"http://127.0.0.1:{port}",
-        }
+        yield environment_of("az", f"http://127.0.0.1:{port}")
 
 
 @pytest.fixture
-def use(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., None]]:
+def use(monkeypatch, tmp_path) -> Iterator[Callable[..., None]]:
     """Makes the environment that of a store; the cache is the test's own."""
 
     def set_environment(variables: dict[str, str]) -> None:
@@ -207,14 +186,21 @@ def make_bucket(environment: dict[str, str], name: str) -> None:
     urlopen(Request(url, method="PUT", headers=headers), timeout=30)
 
 
+def environment_of(scheme: str, url: str) -> dict[str, str]:
+    """The environment that leads to a store at a URL, which speaks S3 or Azure's protocol."""
+    if scheme == "s3":
+        return S3 | {"AWS_ENDPOINT_URL": url}
+    return {"AZURE_STORAGE_USE_EMULATOR": "true", "AZURITE_BLOB_STORAGE_URL": url}
+
+
 @pytest.fixture(params=["seaweed", "moto", "azurite"])
-def place(request: pytest.FixtureRequest, use: Callable[..., None]) -> Place:
+def place(request, use) -> Place:
     """An empty place in each store, which the environment leads to."""
     return place_in(request, request.param, use)
 
 
 @pytest.fixture
-def s3_place(request: pytest.FixtureRequest, use: Callable[..., None]) -> Place:
+def s3_place(request, use) -> Place:
     """An empty place in SeaweedFS, which the environment leads to."""
     return place_in(request, "seaweed", use)
 

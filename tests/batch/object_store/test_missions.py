@@ -10,6 +10,7 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
+from tests.helpers import refused
 from unbend.batch import results as results_module
 from unbend.batch import runs
 from unbend.batch.object_store import Place
@@ -17,7 +18,6 @@ from unbend.batch.plan import fetch_inputs, make_plan
 from unbend.batch.remote import Publication, find_damage, read_manifest, would_replace
 from unbend.batch.runs import run_mission
 from unbend.config import load_mission
-from unbend.errors import ConfigError
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -34,13 +34,11 @@ def stored(mission, s3_place):
     return mission
 
 
-def run_reason(unbend, mission) -> list[str]:
-    ended = unbend("status", mission.file, "--json")
-    assert ended.code == 0, ended.text
-    return json.loads(ended.out)[0]["reasons"]
+def run_reason(obeyed, mission) -> list[str]:
+    return json.loads(obeyed("status", mission.file, "--json"))[0]["reasons"]
 
 
-def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_path):
+def test_a_mission_in_object_storage(stored, s3_place, baseline, tmp_path, obeyed, refusal_of):
     results = s3_place / "results"
     ended = stored.run()
     assert ended.code == 0, ended.text
@@ -48,7 +46,7 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
     attempt = results / f"attempts/{manifest.run.attempt}"
     assert f"results  {results}\n  report   {attempt}/report.html\n" in ended.out
     # The observations are those of a run in a folder, byte for byte.
-    here = json.loads((baseline.output / "manifest.json").read_text())
+    here = baseline.manifest()
     for name in ("observations/part-00000.parquet", "stations.parquet", "profile.parquet"):
         assert (attempt / name).read()[0] == (baseline.output / name).read_bytes(), name
     assert manifest.values["observations"] == here["observations"]
@@ -61,10 +59,10 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
     assert "not-to-be-printed" not in text
     assert str(tmp_path) not in text.replace(str(stored.file), "")
 
-    assert run_reason(unbend, stored) == []
+    assert run_reason(obeyed, stored) == []
     again = stored.run("--json")
     assert json.loads(again.out)[0]["repeated"] is True
-    assert unbend("verify", results).code == 0
+    obeyed("verify", results)
     assert not any((tmp_path / "cache/unbend/results").rglob("*.parquet")), "published and removed"
 
     # Repeated with the copies gone: their hashes are remembered by version, nothing is copied.
@@ -74,19 +72,17 @@ def test_a_mission_in_object_storage(stored, s3_place, baseline, unbend, tmp_pat
     assert not copies.exists()
 
     for run, out in ((results, "there.geojson"), (baseline.output, "here.geojson")):
-        exported = unbend("export", run, "--format", "geojson", "--out", tmp_path / out)
-        assert exported.code == 0, exported.text
+        obeyed("export", run, "--format", "geojson", "--out", tmp_path / out)
     assert (tmp_path / "there.geojson").read_text() == (tmp_path / "here.geojson").read_text()
-    refused = unbend("export", results, "--format", "geojson", "--out", s3_place / "f.geojson")
-    assert refused.code == 2
-    assert "URL-INVALID" in refused.err
+    url = s3_place / "f.geojson"
+    refusal_of("URL-INVALID", 2, "export", results, "--format", "geojson", "--out", url)
 
     # A changed input: the new run takes the place of the old, of which nothing stays.
     table = pq.read_table(baseline.folder / "observations.parquet")
     pq.write_table(table.slice(0, table.num_rows - 1), tmp_path / "own.parquet")
     observations = s3_place / "observations.parquet"
     assert observations.put(tmp_path / "own.parquet", "overwrite")
-    (reason,) = run_reason(unbend, stored)
+    (reason,) = run_reason(obeyed, stored)
     assert f"observations changed ({observations})" in reason
     ended = stored.run()
     assert ended.code == 0, ended.text
@@ -116,7 +112,7 @@ def killed(*_, **__):
     raise ZeroDivisionError
 
 
-def test_results_damaged_in_the_store_are_found_and_made_again(stored, s3_place, unbend):
+def test_results_damaged_in_the_store_are_found_and_made_again(stored, s3_place, unbend, obeyed):
     results = s3_place / "results"
     ended = stored.run()
     assert ended.code == 0, ended.text
@@ -133,14 +129,14 @@ def test_results_damaged_in_the_store_are_found_and_made_again(stored, s3_place,
     )
     assert exported.code == 5, "damage is exported"
     attempt.remove(["profile.parquet"])
-    assert run_reason(unbend, stored) == ["profile.parquet: is missing"]
+    assert run_reason(obeyed, stored) == ["profile.parquet: is missing"]
     ended = stored.run()
     assert ended.code == 0, ended.text
-    assert unbend("verify", results).code == 0
+    obeyed("verify", results)
 
 
 def test_results_that_are_replaced_while_they_are_exported(
-    stored, s3_place, monkeypatch, unbend, tmp_path
+    stored, s3_place, monkeypatch, obeyed, refusal_of, tmp_path
 ):
     results = s3_place / "results"
     ended = stored.run()
@@ -158,14 +154,12 @@ def test_results_that_are_replaced_while_they_are_exported(
             lambda at, a=answers, **_: a.pop() if a else original(at),
         )
         out = tmp_path / f"{number}.geojson"
-        ended = unbend("export", results, "--format", "geojson", "--out", out)
-        assert ended.code == 0, ended.text
+        obeyed("export", results, "--format", "geojson", "--out", out)
     # An attempt that is gone for good is damage.
     attempt = results / f"attempts/{newer.run.attempt}"
     attempt.remove(output.name for output in newer.run.outputs)
-    ended = unbend("export", results, "--format", "geojson", "--out", tmp_path / "gone.geojson")
-    assert ended.code == 5, ended.text
-    assert "VERIFY-DAMAGED" in ended.err
+    out = tmp_path / "gone.geojson"
+    refusal_of("VERIFY-DAMAGED", 5, "export", results, "--format", "geojson", "--out", out)
 
 
 @pytest.mark.parametrize("when", ["before", "while"])
@@ -190,7 +184,7 @@ def test_an_input_that_changes_meanwhile_is_refused(stored, s3_place, monkeypatc
     assert set((s3_place / "results").objects()) == set()
 
 
-def test_a_damaged_copy_is_made_again(stored, s3_place, tmp_path):
+def test_a_damaged_copy_is_made_again(stored, s3_place):
     plan = make_plan(load_mission(stored.save()), stored.folder)
     copy = plan.input("log").path
     content = copy.read_bytes()
@@ -207,12 +201,10 @@ def test_refusals_name_urls_and_not_copies(stored, s3_place, tmp_path):
     assert str(tmp_path / "cache") not in ended.err
 
 
-def test_missions_that_would_share_a_place(stored, mission_factory, s3_place, unbend):
+def test_missions_that_would_share_a_place(stored, mission_factory, s3_place, refusal_of):
     other = mission_factory(stored.folder / "other")
     other.config["output"]["path"] = f"{stored.config['output']['path']}/"
-    ended = unbend("check", stored.save(), other.save())
-    assert ended.code == 6
-    assert "OUTPUT-SHARED" in ended.err
+    refusal_of("OUTPUT-SHARED", 6, "check", stored.save(), other.save())
     # And one that is not in the same command finds whose results they are.
     ended = stored.run()
     assert ended.code == 0, ended.text
@@ -232,9 +224,8 @@ def test_an_input_among_the_results_is_refused(stored, s3_place):
     stored.config["log"]["path"] = str(s3_place / "results/runs/flight.bin")
     stored.config["output"]["path"] = str(s3_place / "results")
     assert (s3_place / "results/runs/flight.bin").put(b"log", None)
-    with pytest.raises(ConfigError) as refused:
+    with refused("OUTPUT-OVER-INPUT"):
         make_plan(load_mission(stored.save()), stored.folder)
-    assert refused.value.code == "OUTPUT-OVER-INPUT"
     folder = Place.of(f"{s3_place}/")
     assert would_replace(s3_place / "results", folder), "results below a folder that is read"
     assert would_replace(s3_place, folder), "results in a folder that is read"
@@ -242,7 +233,6 @@ def test_an_input_among_the_results_is_refused(stored, s3_place):
 
 
 def test_a_url_costs_no_import_where_none_is_used():
-    code = "import unbend.batch.remote, unbend.batch.plan, sys; "
-    code += "print('obstore' in sys.modules)"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout == "False\n"
+    code = "import unbend.batch.remote, unbend.batch.plan, sys; print('obstore' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"

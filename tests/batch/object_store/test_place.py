@@ -12,13 +12,14 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from unbend.batch import remote
+from tests.helpers import refused
+from unbend.batch import remote, runs
 from unbend.batch.object_store import Place, is_url, open_store
 from unbend.batch.plan import located
 from unbend.batch.remote import RemoteInput, fetch, look_up, read_manifest
-from unbend.errors import ConfigError, InputError, UnbendError
+from unbend.errors import UnbendError
 
-from .conftest import READER, S3, free_port
+from .conftest import READER, S3, environment_of, free_port
 
 SECRET = "hunter2"
 
@@ -36,14 +37,16 @@ SECRET = "hunter2"
     ],
 )
 def test_secrets_in_a_url_are_refused_and_not_repeated(url, mission):
+    results = mission.output
     for key in ("log", "observations", "output"):
-        mission.config[key]["path"], before = url, mission.config[key]["path"]
+        section = mission.config[key]
+        mission.config[key] = section | {"path": url}
         ended = mission.run()
-        mission.config[key]["path"] = before
+        mission.config[key] = section
         assert ended.code == 2
         assert "URL-INVALID" in ended.err
         assert SECRET not in ended.text
-    assert not mission.output.exists()
+    assert not results.exists()
 
 
 @pytest.mark.parametrize(
@@ -71,9 +74,8 @@ def test_secrets_in_a_url_are_refused_and_not_repeated(url, mission):
 )
 def test_what_is_no_url_of_object_storage(url):
     assert is_url(url)
-    with pytest.raises(ConfigError) as refused:
+    with refused("URL-INVALID"):
         located(url)
-    assert refused.value.code == "URL-INVALID"
 
 
 def test_keys_are_taken_as_they_are(s3_place):
@@ -87,26 +89,25 @@ def test_keys_are_taken_as_they_are(s3_place):
         s3_place.remove([name])
 
 
+CONTENTS = {"cameras.txt": b"1", "0/images.txt": b"2", "empty": b""}
+
+
 def test_the_folder_of_an_input(place):
     folder = Place.of(f"{place}/sparse/")
     assert folder.is_folder
     with pytest.raises(FileNotFoundError):
         look_up(folder)
-    for name, content in (("cameras.txt", b"1"), ("0/images.txt", b"2"), ("empty", b"")):
+    for name, content in CONTENTS.items():
         assert (folder / name).put(content, None)
-    found = look_up(folder)
-    copy = fetch(found)
+    looked_up = look_up(folder)
+    copy = fetch(looked_up)
     assert copy.name == "sparse"
-    assert {str(p.relative_to(copy)): p.read_bytes() for p in copy.rglob("*") if p.is_file()} == {
-        "cameras.txt": b"1",
-        "0/images.txt": b"2",
-        "empty": b"",
-    }
+    files = [path for path in copy.rglob("*") if path.is_file()]
+    assert {str(path.relative_to(copy)): path.read_bytes() for path in files} == CONTENTS
     assert (folder / "cameras.txt").put(b"3", "overwrite")
-    with pytest.raises(InputError) as refused:
-        fetch(found, anew=True)
-    assert refused.value.code == "INPUT-CHANGED"
-    assert look_up(folder).version != found.version
+    with refused("INPUT-CHANGED"):
+        fetch(looked_up, anew=True)
+    assert look_up(folder).version != looked_up.version
 
 
 def test_copies_beyond_the_bound_go_the_oldest_first(s3_place, monkeypatch):
@@ -127,19 +128,24 @@ def test_copies_beyond_the_bound_go_the_oldest_first(s3_place, monkeypatch):
 
 def test_an_object_that_goes_while_it_is_copied(s3_place, monkeypatch):
     assert s3_place.put(b"x", None)
-    found = look_up(s3_place)
+    remote_input = look_up(s3_place)
     blocks = Place.blocks
-    monkeypatch.setattr(Place, "blocks", lambda at: (at.remove([""]), blocks(at))[1])
-    assert refusal(fetch, found).code == "INPUT-CHANGED"
+
+    def blocks_of_nothing(place: Place):
+        place.remove([""])
+        return blocks(place)
+
+    monkeypatch.setattr(Place, "blocks", blocks_of_nothing)
+    assert refusal(fetch, remote_input).code == "INPUT-CHANGED"
 
 
 def refusal(call, *arguments, **options) -> UnbendError:
-    with pytest.raises(UnbendError) as refused:
+    with pytest.raises(UnbendError) as caught:
         call(*arguments, **options)
-    text = str(refused.value)
+    text = str(caught.value)
     assert S3["AWS_SECRET_ACCESS_KEY"] not in text
     assert "http" not in text
-    return refused.value
+    return caught.value
 
 
 def test_a_bucket_that_is_not_there(place):
@@ -151,8 +157,6 @@ def test_a_bucket_that_is_not_there(place):
 def test_credentials_that_may_not_write_are_refused_before_any_work(
     s3_place, use, seaweed, mission, monkeypatch
 ):
-    from unbend.batch import runs
-
     use(seaweed | READER)
     for writes in (False, True):
         error = refusal(remote.rehearse, s3_place, writes=writes)
@@ -166,7 +170,7 @@ def test_credentials_that_may_not_write_are_refused_before_any_work(
     assert s3_place.objects() == {}
 
 
-def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission, unbend):
+def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission, refusal_of):
     use(seaweed | {"AWS_SECRET_ACCESS_KEY": "another"})
     assert refusal(s3_place.read).code == "CLOUD-CREDENTIALS"
     nowhere = f"http://127.0.0.1:{free_port()}"
@@ -178,9 +182,7 @@ def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission
     assert "there are no credentials for az://" in refusal(Place.of("az://season/a").read).what
     mission.config["output"]["path"] = "az://season/results"
     other = mission.save()
-    ended = unbend("run", other)
-    assert ended.code == 5
-    assert "CLOUD-CREDENTIALS" in ended.err
+    refusal_of("CLOUD-CREDENTIALS", 5, "run", other)
 
 
 def test_a_store_that_is_not_there(s3_place, use, seaweed):
@@ -263,11 +265,7 @@ DENIED = b"<Error><Code>AccessDenied</Code><Message>Access Denied</Message></Err
 )
 def test_answers_of_a_store(use, scheme, status, body, code):
     with answering(status, body, {}) as url:
-        use(
-            S3 | {"AWS_ENDPOINT_URL": url}
-            if scheme == "s3"
-            else {"AZURE_STORAGE_USE_EMULATOR": "true", "AZURITE_BLOB_STORAGE_URL": url}
-        )
+        use(environment_of(scheme, url))
         place = Place.of(f"{scheme}://season/a")
         for call in (place.read, place.head, place.objects, lambda: place.put(b"", None)):
             assert refusal(call).code == code
@@ -275,7 +273,7 @@ def test_answers_of_a_store(use, scheme, status, body, code):
 
 def test_a_store_that_overwrites_in_spite_of_a_condition(use):
     with answering(200, b"", {"ETag": '"1"'}) as url:
-        use(S3 | {"AWS_ENDPOINT_URL": url})
+        use(environment_of("s3", url))
         assert refusal(remote.rehearse, Place.of("s3://season/a")).code == "CLOUD-UNCONDITIONAL"
 
 
@@ -287,10 +285,10 @@ def test_a_download_that_is_cut_off(use, tmp_path):
         "Content-Range": "bytes 0-999/1000",
     }
     with answering(206, b"x" * 400, headers) as url:
-        use(S3 | {"AWS_ENDPOINT_URL": url})
+        use(environment_of("s3", url))
         place = Place.of("s3://season/a")
-        found = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
-        assert refusal(fetch, found).code == "CLOUD-FAILED"
+        remote_input = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
+        assert refusal(fetch, remote_input).code == "CLOUD-FAILED"
         assert refusal(read_manifest, place).code == "CLOUD-FAILED"
-        assert not found.copy.exists()
+        assert not remote_input.copy.exists()
         assert list((tmp_path / "cache/unbend/copies").iterdir()) == []

@@ -14,12 +14,13 @@ from functools import partial
 
 import pytest
 
+from tests.helpers import refused
 from unbend.batch import object_store, remote
 from unbend.batch.object_store import Place
 from unbend.batch.remote import RemoteInput, fetch, read_manifest
-from unbend.errors import StorageError
+from unbend.errors import UnbendError
 
-from .conftest import S3
+from .conftest import S3, environment_of
 
 
 @contextmanager
@@ -69,31 +70,25 @@ def test_a_store_that_accepts_and_says_nothing(use, impatient, scheme, tmp_path,
     file.write_bytes(b"x" * 1000)
     with accepting() as url:
         asked = count_requests(monkeypatch)
-        use(
-            S3 | {"AWS_ENDPOINT_URL": url}
-            if scheme == "s3"
-            else {"AZURE_STORAGE_USE_EMULATOR": "true", "AZURITE_BLOB_STORAGE_URL": url}
-        )
+        use(environment_of(scheme, url))
         place = Place.of(f"{scheme}://season/a")
-        calls = {
-            "read": [place.read, place.head, lambda: list(place.blocks())],
-            "list": [place.objects],
-            "write": [
-                lambda: place.put(b"", None),
-                lambda: place.put(file, "overwrite"),
-                lambda: remote.rehearse(place),
-            ],
-            "delete": [lambda: place.remove(["b"])],
-        }
-        for verb, several in calls.items():
-            for call in several:
-                began_s = time.monotonic()
-                error = silence(call)
-                assert time.monotonic() - began_s < 30.0, "it waits for 60 s where it may"
-                host = url.removeprefix("http://")
-                said = rf"{host} has not answered within \d+ s: request to {verb} it"
-                assert re.fullmatch(said, error.what)
-                assert error.where.startswith(str(place))
+        host = url.removeprefix("http://")
+        for verb, call in (
+            ("read", place.read),
+            ("read", place.head),
+            ("read", lambda: list(place.blocks())),
+            ("list", place.objects),
+            ("write", lambda: place.put(b"", None)),
+            ("write", lambda: place.put(file, "overwrite")),
+            ("write", lambda: remote.rehearse(place)),
+            ("delete", lambda: place.remove(["b"])),
+        ):
+            began_s = time.monotonic()
+            error = silence(call)
+            assert time.monotonic() - began_s < 30.0, "it waits for 60 s where it may"
+            sentence = rf"{host} has not answered within \d+ s: request to {verb} it"
+            assert re.fullmatch(sentence, error.what)
+            assert error.where.startswith(str(place))
         assert asked.count("head") == 2
         assert asked.count("get") == 1, "who hears nothing is not asked again in another way"
 
@@ -111,23 +106,28 @@ def count_requests(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return asked
 
 
-def silence(call: Callable[[], object]) -> StorageError:
+def silence(call: Callable[[], object]) -> UnbendError:
     """The refusal of a store that does not answer; it may name the host."""
-    with pytest.raises(StorageError, match=r"^CLOUD-SILENT: ") as refused:
+    with refused("CLOUD-SILENT") as refusal:
         call()
-    assert S3["AWS_SECRET_ACCESS_KEY"] not in str(refused.value)
-    return refused.value
+    assert S3["AWS_SECRET_ACCESS_KEY"] not in str(refusal.value)
+    return refusal.value
 
 
-def test_a_store_that_says_half_and_stops(use, impatient, tmp_path):
+def test_a_store_that_says_half_and_stops(use, impatient):
     with accepting(HALF) as url:
-        use(S3 | {"AWS_ENDPOINT_URL": url})
+        use(environment_of("s3", url))
         place = Place.of("s3://season/a")
-        found = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
-        calls = (place.read, place.objects, partial(fetch, found), partial(read_manifest, place))
+        remote_input = RemoteInput(place, version="1", size_bytes=1000, mtime_ns=0)
+        calls = (
+            place.read,
+            place.objects,
+            partial(fetch, remote_input),
+            partial(read_manifest, place),
+        )
         for call in calls:
             assert "has not answered within" in silence(call).what
-        assert not found.copy.exists()
+        assert not remote_input.copy.exists()
 
 
 def test_ctrl_c_is_heard_while_a_store_is_silent(use):
@@ -135,7 +135,7 @@ def test_ctrl_c_is_heard_while_a_store_is_silent(use):
     # A shell that starts the tests in the background leaves SIGINT ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     with accepting() as url:
-        use(S3 | {"AWS_ENDPOINT_URL": url})
+        use(environment_of("s3", url))
         pressed = threading.Timer(0.3, os.kill, [os.getpid(), signal.SIGINT])
         pressed.start()
         began_s = time.monotonic()
@@ -147,7 +147,7 @@ def test_ctrl_c_is_heard_while_a_store_is_silent(use):
 def test_clearing_away_has_a_limit(use, monkeypatch):
     monkeypatch.setattr(remote, "_CLEARING_S", 0.1)
     with accepting() as url:
-        use(S3 | {"AWS_ENDPOINT_URL": url})
+        use(environment_of("s3", url))
         place = Place.of("s3://season/a")
         began_s = time.monotonic()
         remote.clear_away(lambda: place.remove(["b"]))
@@ -155,15 +155,17 @@ def test_clearing_away_has_a_limit(use, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_silent_store_costs_its_missions_alone(use, impatient, mission_factory, tmp_path, unbend):
+def test_a_silent_store_costs_its_missions_alone(
+    use, impatient, mission_factory, tmp_path, unbend, obeyed
+):
     """One reads from it, one writes to it; the third is done."""
     missions = {name: mission_factory(tmp_path / name) for name in ("reads", "writes", "sound")}
     missions["reads"].config["log"]["path"] = "s3://season/flight.bin"
     missions["writes"].config["output"]["path"] = "s3://season/results"
     with accepting() as url:
-        use(S3 | {"AWS_ENDPOINT_URL": url})
+        use(environment_of("s3", url))
         ended = unbend("run", *(mission.save() for mission in missions.values()))
         assert ended.code == 6
         assert ended.err.count("CLOUD-SILENT") == 2
         assert (missions["sound"].output / "manifest.json").exists()
-        assert unbend("run", missions["reads"].save()).code == 5
+        obeyed("run", missions["reads"].save(), exit_code=5)

@@ -1,0 +1,36 @@
+"""What commands print, as tests read it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+
+def longest(text: str) -> int:
+    """The most characters of a line."""
+    return max(len(line.rstrip()) for line in text.splitlines())
+
+
+def one_line(text: str) -> str:
+    """A text with single blanks between its words, however it was wrapped."""
+    return " ".join(text.split())
+
+
+def csv_rows(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def csv_rows_of(path: Path) -> list[dict[str, str]]:
+    return csv_rows(path.read_text(encoding="utf-8"))
+
+
+def strict_json(text: str) -> dict[str, Any]:
+    """JSON as its standard has it: NaN and Infinity are no numbers."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)

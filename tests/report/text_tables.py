@@ -1,0 +1,22 @@
+"""Tables and lists that a test expects, as texts in which they can be read."""
+
+from __future__ import annotations
+
+
+def lines_of(text: str) -> list[str]:
+    """The lines of a text, without indentation and without empty ones."""
+    lines = [line.strip() for line in text.splitlines()]
+    return [line for line in lines if line]
+
+
+def rows_of(text: str) -> list[list[str]]:
+    """The cells of a table whose rows are lines, with a bar between two cells.
+
+    >>> rows_of("belly | 61 px")
+    [['belly', '61 px']]
+    """
+    rows = []
+    for line in lines_of(text):
+        cells = [cell.strip() for cell in line.split("|")]
+        rows.append(cells)
+    return rows
