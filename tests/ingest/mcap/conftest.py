@@ -1,17 +1,17 @@
-"""A measure of CPU time, so that no limit depends on the machine or on its load."""
+"""Logs of this format from bytes."""
 
 from __future__ import annotations
 
-import time
+from functools import partial
+from pathlib import Path
 
 import pytest
 
+from tests.ingest import written_logs
+from tests.ingest.written_logs import Opener
+
 
 @pytest.fixture
-def work_unit_s() -> float:
-    """CPU time [s] of a million steps of a Python loop here and now: 0.03 to 0.1 s."""
-    begin = time.process_time()
-    total = 0
-    for k in range(1_000_000):
-        total += k & 3
-    return time.process_time() - begin
+def opened(tmp_path: Path) -> Opener:
+    """Opens bytes as an MCAP."""
+    return partial(written_logs.opened, tmp_path / "flight.mcap")

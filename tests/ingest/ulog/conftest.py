@@ -1,0 +1,17 @@
+"""Logs of this format from bytes."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tests.ingest import written_logs
+from tests.ingest.written_logs import Opener
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Opener:
+    """Opens bytes as a log of PX4."""
+    return partial(written_logs.opened, tmp_path / "flight.ulg")
