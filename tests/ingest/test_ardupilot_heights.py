@@ -26,7 +26,7 @@ def heights(of: Channel) -> dict[str, float]:
 BOTH = {"h_msl_m": SEA_LEVEL, "h_ellipsoid_m": ELLIPSOID}
 
 
-def test_sea_level_and_undulation_give_the_height_above_the_ellipsoid() -> None:
+def test_sea_level_and_undulation_give_the_height_above_the_ellipsoid():
     assert (
         heights(
             with_both_heights(
@@ -37,12 +37,12 @@ def test_sea_level_and_undulation_give_the_height_above_the_ellipsoid() -> None:
     )
 
 
-def test_a_logged_height_above_the_ellipsoid_is_kept() -> None:
+def test_a_logged_height_above_the_ellipsoid_is_kept():
     logged = channel(h_msl_m=SEA_LEVEL, h_ellipsoid_m=599.0, undulation_m=UNDULATION)
     assert heights(with_both_heights([logged], {}, Ledger(), "PARM")[0])["h_ellipsoid_m"] == 599.0
 
 
-def test_the_parameter_turns_heights_above_sea_level_into_those_above_the_ellipsoid() -> None:
+def test_the_parameter_turns_heights_above_sea_level_into_those_above_the_ellipsoid():
     ledger = Ledger()
     logged = [
         channel(h_msl_m=ELLIPSOID, undulation_m=UNDULATION),

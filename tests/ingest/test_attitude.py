@@ -35,13 +35,7 @@ def ros_of_axes(forward: list[float], left: list[float], up: list[float]) -> np.
         ("level, facing south", [0, -1, 0], [1, 0, 0], [0, 0, 1], (0, 0, 180)),
     ],
 )
-def test_pictured_attitudes(
-    name: str,
-    forward: list[float],
-    left: list[float],
-    up: list[float],
-    euler_deg: tuple[float, float, float],
-) -> None:
+def test_pictured_attitudes(name, forward, left, up, euler_deg):
     q = ned_frd_of_enu_flu(ros_of_axes(forward, left, up))
     # the body's axes, turned into north-east-down, are the pictured ones
     forward_ned, right_ned, down_ned = matrix(q[0]).T
@@ -52,7 +46,7 @@ def test_pictured_attitudes(
     np.testing.assert_allclose(matrix(quaternion_of_euler(*angles)[0]), matrix(q[0]), atol=1e-12)
 
 
-def test_random_attitudes_against_matrices() -> None:
+def test_random_attitudes_against_matrices():
     random = Rotation.random(200, rng=np.random.default_rng(7))
     ros = random.as_quat()[:, [3, 0, 1, 2]]
     q = ned_frd_of_enu_flu(ros)
@@ -61,7 +55,7 @@ def test_random_attitudes_against_matrices() -> None:
     assert (q[:, 0] >= 0.0).all()
 
 
-def test_euler_against_scipy() -> None:
+def test_euler_against_scipy():
     rng = np.random.default_rng(1)
     roll, pitch, yaw = rng.uniform(-np.pi, np.pi, (3, 100))
     expected = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_matrix()
@@ -69,7 +63,7 @@ def test_euler_against_scipy() -> None:
     np.testing.assert_allclose(matrix(q), expected, atol=1e-12)
 
 
-def test_a_zero_quaternion_is_unknown() -> None:
+def test_a_zero_quaternion_is_unknown():
     q = unit_quaternions(np.array([[0.0, 0.0, 0.0, 0.0], [-2.0, 0.0, 0.0, 0.0]]))
     assert np.isnan(q[0]).all()
     np.testing.assert_array_equal(q[1], [1.0, 0.0, 0.0, 0.0])
@@ -89,7 +83,7 @@ def test_a_zero_quaternion_is_unknown() -> None:
         (np.nan, False),
     ],
 )
-def test_the_yaw_of_a_gimbal_is_from_north_as_its_flags_say(flags, from_north) -> None:
+def test_the_yaw_of_a_gimbal_is_from_north_as_its_flags_say(flags, from_north):
     q = {f"{kind}_{axis}": np.array([0.5]) for kind in ("q", "gimbal_q") for axis in "wxyz"}
     columns = earth_frame_attitude(q | {"flags": np.array([flags], np.float64)})
     for axis in "wxyz":

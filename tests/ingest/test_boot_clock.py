@@ -53,7 +53,7 @@ def codes(ledger: Ledger, kind: str) -> list[str]:
 
 @pytest.mark.parametrize("first_s", [2.0, 30.0, 300.0])
 @pytest.mark.parametrize("later_s", [3.0, 20.0, 500.0])
-def test_a_boot_whose_time_is_later(first_s: float, later_s: float) -> None:
+def test_a_boot_whose_time_is_later(first_s, later_s):
     """The link is down while the vehicle restarts, and comes back when its time is later."""
     vehicle = Vehicle((10.0, 0.0, first_s), (10.0 + first_s + later_s, 3600.0, 600.0))
     clock, ledger = vehicle.fit(vehicle.told())
@@ -63,14 +63,14 @@ def test_a_boot_whose_time_is_later(first_s: float, later_s: float) -> None:
     assert codes(ledger, "loss") == []
 
 
-def test_the_boot_begins_at_the_silence_and_not_at_the_first_fix() -> None:
+def test_the_boot_begins_at_the_silence_and_not_at_the_first_fix():
     vehicle = Vehicle((10.0, 0.0, 60.0), (90.0, 3600.0, 600.0))
     rows = np.flatnonzero((vehicle.boot == 0) | (vehicle.boot_ns > 200 * SECOND))
     clock, _ = vehicle.fit(vehicle.told(rows))
     np.testing.assert_array_equal(clock.line.boot_of(vehicle.places), vehicle.boot)
 
 
-def test_a_silence_alone_is_no_boot() -> None:
+def test_a_silence_alone_is_no_boot():
     vehicle = Vehicle((10.0, 0.0, 60.0), (698.0, 688.5, 60.0))  # half a second of drift
     clock, ledger = vehicle.fit(vehicle.told())
     assert clock.line.boots == 1
@@ -78,7 +78,7 @@ def test_a_silence_alone_is_no_boot() -> None:
 
 
 @pytest.mark.parametrize("wrong", [[0], [299], [150], [150, 151, 152, 153], [0, 299, 150]])
-def test_a_few_wrong_rows_are_no_boot_even_at_a_silence(wrong: list[int]) -> None:
+def test_a_few_wrong_rows_are_no_boot_even_at_a_silence(wrong):
     vehicle = Vehicle((10.0, 0.0, 30.0), (50.0, 40.0, 30.0))
     told = vehicle.told()
     told.utc_ns[wrong] += 3600 * SECOND
@@ -89,7 +89,7 @@ def test_a_few_wrong_rows_are_no_boot_even_at_a_silence(wrong: list[int]) -> Non
     assert "3600000 ms" in next(iter(ledger)).what
 
 
-def test_a_receiver_that_is_set_late_is_no_boot_but_a_loss() -> None:
+def test_a_receiver_that_is_set_late_is_no_boot_but_a_loss():
     """The time since boot runs on: nobody restarted. One row in twenty is not in p5 to p95."""
     vehicle = Vehicle((10.0, 0.0, 600.0))
     told = vehicle.told()
@@ -100,7 +100,7 @@ def test_a_receiver_that_is_set_late_is_no_boot_but_a_loss() -> None:
     assert codes(ledger, "loss") == ["TIME-FIT"]
 
 
-def test_rows_without_a_fix_do_not_count() -> None:
+def test_rows_without_a_fix_do_not_count():
     vehicle = Vehicle((10.0, 0.0, 40.0))
     told = vehicle.told(fix=np.where(np.arange(200) < 120, 2, 3))
     told.utc_ns[:120] -= 3600 * SECOND
@@ -109,7 +109,7 @@ def test_rows_without_a_fix_do_not_count() -> None:
     assert codes(ledger, "loss") == []
 
 
-def test_the_receiver_with_the_most_rows_decides_and_the_other_is_a_loss() -> None:
+def test_the_receiver_with_the_most_rows_decides_and_the_other_is_a_loss():
     vehicle = Vehicle((10.0, 0.0, 40.0))
     clock, ledger = vehicle.fit(vehicle.told([7], late_s=-86_400.0), vehicle.told(slice(2, 190)))
     assert np.abs(vehicle.errors_s(clock)).max() == 0.0
@@ -117,14 +117,14 @@ def test_the_receiver_with_the_most_rows_decides_and_the_other_is_a_loss() -> No
     assert "-86400.000 s" in next(e for e in ledger if e.code == "TIME-SOURCES").what
 
 
-def test_a_second_receiver_serves_where_the_first_has_no_row() -> None:
+def test_a_second_receiver_serves_where_the_first_has_no_row():
     vehicle = Vehicle((10.0, 0.0, 40.0), (5.0, 3600.0, 40.0))
     clock, _ = vehicle.fit(vehicle.told(slice(0, 190)), vehicle.told(slice(200, 250)))
     assert clock.utc_known == (True, True)
     assert np.abs(vehicle.errors_s(clock)).max() == 0.0
 
 
-def test_the_recorder_cuts_and_sets_boots_without_utc() -> None:
+def test_the_recorder_cuts_and_sets_boots_without_utc():
     vehicle = Vehicle((10.0, 0.0, 60.0), (90.0, 3600.0, 600.0))
     jitter = np.random.default_rng(3).integers(0, 300_000_000, vehicle.places.size)
     recorder = vehicle.told()
@@ -135,7 +135,7 @@ def test_the_recorder_cuts_and_sets_boots_without_utc() -> None:
     assert np.abs(vehicle.errors_s(clock)).max() < 0.3
 
 
-def test_a_recorder_whose_clock_is_set_does_not_overrule_utc() -> None:
+def test_a_recorder_whose_clock_is_set_does_not_overrule_utc():
     vehicle = Vehicle((10.0, 0.0, 60.0), (90.0, 80.0, 600.0))
     recorder = vehicle.told()
     recorder.utc_ns[vehicle.boot == 1] += 900 * SECOND
@@ -143,7 +143,7 @@ def test_a_recorder_whose_clock_is_set_does_not_overrule_utc() -> None:
     assert clock.line.boots == 1
 
 
-def test_stray_stamps_are_in_no_fit() -> None:
+def test_stray_stamps_are_in_no_fit():
     vehicle = Vehicle((10.0, 0.0, 40.0))
     vehicle.boot_ns[20:24] += 1 << 45
     clock, _ = vehicle.fit(vehicle.told())
@@ -152,7 +152,7 @@ def test_stray_stamps_are_in_no_fit() -> None:
     assert (clock.fits[0].rows, clock.fits[0].largest_ns) == (196, 0)
 
 
-def test_repeated_times_of_a_slow_receiver_are_in_no_fit() -> None:
+def test_repeated_times_of_a_slow_receiver_are_in_no_fit():
     """Each second row is 0.2 s late: the median of all would be 0.1 s off."""
     vehicle = Vehicle((10.0, 0.0, 40.0))
     told = vehicle.told()
@@ -161,7 +161,7 @@ def test_repeated_times_of_a_slow_receiver_are_in_no_fit() -> None:
     assert np.abs(vehicle.errors_s(clock)).max() == 0.0
 
 
-def test_blocks_of_stamps_are_one_line() -> None:
+def test_blocks_of_stamps_are_one_line():
     vehicle = Vehicle((10.0, 0.0, 40.0), (5.0, 100.0, 40.0), (60.0, 200.0, 9.0))
     whole = timeline([(vehicle.places, vehicle.boot_ns)])
     edges = np.array([0, 1, 2, 150, 199, 200, 201, 400, vehicle.places.size])
@@ -172,7 +172,7 @@ def test_blocks_of_stamps_are_one_line() -> None:
     assert whole.boots == 2
 
 
-def test_small_steps_back_are_no_boot_and_large_ones_are() -> None:
+def test_small_steps_back_are_no_boot_and_large_ones_are():
     """A logger writes records up to some ms out of order."""
     steady = np.arange(10.0, 15.0, 0.5)
     seconds = np.concatenate([steady, [14.1], steady + 5.0, steady - 7.0])

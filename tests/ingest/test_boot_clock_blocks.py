@@ -34,7 +34,7 @@ def offsets(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 7, 8, 13, 14, 15, 70, 71, 500])
-def test_blocks_are_one(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+def test_blocks_are_one(monkeypatch, count):
     offset = offsets(count, np.random.default_rng(count))
     given = offset.copy()
     whole = boots.without_glitches(offset)
@@ -45,7 +45,7 @@ def test_blocks_are_one(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     np.testing.assert_array_equal(offset, given)
 
 
-def test_glitches_over_borders_are_gone_and_the_step_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_glitches_over_borders_are_gone_and_the_step_stays(monkeypatch):
     monkeypatch.setattr(boots, "_BLOCK", BLOCK)
     steady = boots.without_glitches(offsets(500, np.random.default_rng(1)))
     steps = np.flatnonzero(np.abs(np.diff(steady)) > SECOND)

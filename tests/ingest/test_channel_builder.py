@@ -28,7 +28,7 @@ def rows(time_s: list[float], **columns: list[float]) -> DecodedRows:
 
 
 @pytest.mark.parametrize(("spec", "kind"), [(SHOT, Kind.LOSS), (BARO, Kind.NOTE)])
-def test_a_repeated_exposure_is_a_loss_a_repeated_reading_is_none(spec, kind) -> None:
+def test_a_repeated_exposure_is_a_loss_a_repeated_reading_is_none(spec, kind):
     ledger = Ledger()
     channel = channel_of(rows([1, 2, 2, 3], pressure_pa=[1, 2, 3, 4]), spec, ledger)
     assert channel is not None
@@ -36,7 +36,7 @@ def test_a_repeated_exposure_is_a_loss_a_repeated_reading_is_none(spec, kind) ->
     assert [(e.kind, e.code, e.count) for e in ledger] == [(kind, "TIME-REPEAT", 1)]
 
 
-def test_an_exposure_without_a_place_has_no_height_either() -> None:
+def test_an_exposure_without_a_place_has_no_height_either():
     place = {"lat_rad": [0.8, 0.0, 0.8], "lon_rad": [0.1, 0.0, 0.0], "h_msl_m": [5.0, 0.0, 6.0]}
     channel = channel_of(rows([1, 2, 3], **place), SHOT, Ledger())
     assert channel is not None
@@ -45,7 +45,7 @@ def test_an_exposure_without_a_place_has_no_height_either() -> None:
     np.testing.assert_array_equal(channel["h_msl_m"], [5.0, np.nan, 6.0])
 
 
-def test_the_largest_integer_is_no_place_of_an_exposure() -> None:
+def test_the_largest_integer_is_no_place_of_an_exposure():
     largest_rad = np.radians(214.7483647)
     pole_rad = np.radians(90.0)
     place = {
@@ -59,7 +59,7 @@ def test_the_largest_integer_is_no_place_of_an_exposure() -> None:
         assert np.isnan(channel[name]).tolist() == [False, True, False]
 
 
-def test_exposures_are_numbered_after_repeats_and_before_rows_out_of_order_are_dropped() -> None:
+def test_exposures_are_numbered_after_repeats_and_before_rows_out_of_order_are_dropped():
     ledger = Ledger()
     times = [1, 2, 2, 3, 4, 5, 6, 2.5, 7, 8]
     channel = channel_of(rows(times, h_msl_m=list(range(10))), SHOT, ledger)
@@ -69,7 +69,7 @@ def test_exposures_are_numbered_after_repeats_and_before_rows_out_of_order_are_d
     assert {e.code: e.count for e in ledger} == {"TIME-REPEAT": 1, "TIME-BACKWARD": 1}
 
 
-def test_a_channel_knows_the_units_in_which_it_was_logged() -> None:
+def test_a_channel_knows_the_units_in_which_it_was_logged():
     channel = channel_of(rows([1], pressure_pa=[81_250.0]), BARO, Ledger())
     assert channel is not None
     assert channel.logged_units == {"pressure_pa": "hPa"}
@@ -77,7 +77,7 @@ def test_a_channel_knows_the_units_in_which_it_was_logged() -> None:
 
 
 @given(st.lists(st.integers(0, 60), min_size=1, max_size=60))
-def test_times_rise_and_every_row_that_is_missing_is_counted(seconds: list[int]) -> None:
+def test_times_rise_and_every_row_that_is_missing_is_counted(seconds):
     ledger = Ledger()
     values = list(range(len(seconds)))
     channel = channel_of(rows([float(s) for s in seconds], pressure_pa=values), BARO, ledger)

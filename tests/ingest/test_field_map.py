@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -216,7 +215,7 @@ def holds(log: Log, message: str, expected: dict[str, float]) -> None:
 
 
 @pytest.mark.parametrize("name", MAVLINK)
-def test_mavlink(tmp_path: Path, name: str) -> None:
+def test_mavlink(tmp_path, name):
     fields, expected = MAVLINK[name]
     writer = MavlinkWriter()
     fields_of_kind = getattr(writer.library, f"MAVLink_{name.lower()}_message").fieldnames
@@ -344,13 +343,7 @@ DATAFLASH: list[tuple[str, str, tuple[float | bytes, ...], dict[str, float]]] = 
 
 
 @pytest.mark.parametrize(("name", "form", "values", "expected"), DATAFLASH)
-def test_dataflash(
-    tmp_path: Path,
-    name: str,
-    form: str,
-    values: tuple[float | bytes, ...],
-    expected: dict[str, float],
-) -> None:
+def test_dataflash(tmp_path, name, form, values, expected):
     writer = DataFlashWriter()
     writer.define_receiver()
     letters, fields = form.split()
@@ -598,9 +591,7 @@ ROS: list[tuple[str, str, dict[str, Any], dict[str, float]]] = [
 
 
 @pytest.mark.parametrize(("name", "definition", "fields", "expected"), ROS)
-def test_ros_2(
-    tmp_path: Path, name: str, definition: str, fields: dict[str, Any], expected: dict[str, float]
-) -> None:
+def test_ros_2(tmp_path, name, definition, fields, expected):
     writer = RosWriter()
     writer.define(name, definition)
     for k in range(10):
@@ -629,7 +620,7 @@ FOXGLOVE: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
 
 
 @pytest.mark.parametrize("name", FOXGLOVE)
-def test_foxglove_as_json(tmp_path: Path, name: str) -> None:
+def test_foxglove_as_json(tmp_path, name):
     fields, expected = FOXGLOVE[name]
     writer = McapWriter()
     channel = writer.channel("/one", "json", f"foxglove.{name}", "{}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from pathlib import Path
 
 import pytest
 
@@ -18,7 +17,7 @@ def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(window, "BEHIND", 8)
 
 
-def test_any_stretch_in_any_order() -> None:
+def test_any_stretch_in_any_order():
     draw = random.Random(4)
     data = draw.randbytes(1000)
     seen = view_of_bytes(data)
@@ -28,7 +27,7 @@ def test_any_stretch_in_any_order() -> None:
         assert seen[begin:end] == data[begin:end]
 
 
-def test_a_mark_is_found_across_the_edges() -> None:
+def test_a_mark_is_found_across_the_edges():
     draw = random.Random(5)
     for _ in range(300):
         data = bytearray(400)
@@ -39,7 +38,7 @@ def test_a_mark_is_found_across_the_edges() -> None:
         assert view_of_bytes(bytes(data)).find(b"abc", 0, at + 2) == -1
 
 
-def test_a_file_that_was_cut_while_it_is_read(tmp_path: Path) -> None:
+def test_a_file_that_was_cut_while_it_is_read(tmp_path):
     path = tmp_path / "flight.bin"
     path.write_bytes(bytes(1000))
     with open_view(path) as seen:
@@ -51,7 +50,7 @@ def test_a_file_that_was_cut_while_it_is_read(tmp_path: Path) -> None:
     assert "1000 bytes" in caught.value.what
 
 
-def test_a_file_that_grows_is_read_to_where_it_ended(tmp_path: Path) -> None:
+def test_a_file_that_grows_is_read_to_where_it_ended(tmp_path):
     path = tmp_path / "flight.bin"
     path.write_bytes(bytes(1000))
     with open_view(path) as seen:

@@ -48,7 +48,7 @@ print(json.dumps({"more": status("VmHWM") - before, "columns": columns}))
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="only Linux tells the peak")
 @pytest.mark.parametrize("case", CASES)
-def test_memory_is_the_columns_and_a_little(tmp_path: Path, case: str) -> None:
+def test_memory_is_the_columns_and_a_little(tmp_path, case):
     suffix, grower, megabytes, spare = CASES[case]
     spec = spec_from_file_location(f"unbend_{grower}", ROOT / "benchmarks" / f"{grower}.py")
     assert spec is not None
@@ -71,7 +71,7 @@ def test_memory_is_the_columns_and_a_little(tmp_path: Path, case: str) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 1, BLOCK // 8, BLOCK // 8 + 1, 3 * BLOCK // 8])
-def test_what_is_stored_comes_back(size: int) -> None:
+def test_what_is_stored_comes_back(size):
     rows = np.arange(size)
     for way in ("whole", "drained", "blocks"):
         store = ColumnStore("i8")

@@ -15,7 +15,7 @@ def shots(result: list[float], index: list[float]) -> DecodedRows:
     return DecodedRows("C", Source("C"), np.arange(n), np.zeros(n, np.int16), columns)
 
 
-def test_only_images_that_failed_are_dropped() -> None:
+def test_only_images_that_failed_are_dropped():
     # CameraCapture.msg: 1 success, 0 failure, -1 a camera that does not answer
     ledger = Ledger()
     rows = captured_rows(shots([1, 0, -1, 1, np.nan], [5, 6, 7, 8, 9]), ledger)
@@ -24,7 +24,7 @@ def test_only_images_that_failed_are_dropped() -> None:
     assert [(e.kind, e.code, e.count) for e in ledger] == [("warning", "EVENT-FAILED", 1)]
 
 
-def test_an_index_that_is_never_set_is_dropped_with_a_note() -> None:
+def test_an_index_that_is_never_set_is_dropped_with_a_note():
     ledger = Ledger()
     assert "event_index" not in captured_rows(shots([1, 1], [0, 0]), ledger).columns
     assert [(e.kind, e.code) for e in ledger] == [("note", "EVENT-NO-INDEX")]

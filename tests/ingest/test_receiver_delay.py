@@ -60,7 +60,7 @@ def flown(delay_s: float, **changes: object) -> Contents:
 
 
 @pytest.mark.parametrize("delay_s", [0.06, 0.118, 0.22, 0.4])
-def test_the_delay_is_found_from_the_filter_that_follows_the_fixes(delay_s) -> None:
+def test_the_delay_is_found_from_the_filter_that_follows_the_fixes(delay_s):
     _, fixes, _ = flown(delay_s).channels
     found = estimated_delay(fixes, track("POS", FUSED_AT, FUSED_AT))
     assert found is not None
@@ -68,7 +68,7 @@ def test_the_delay_is_found_from_the_filter_that_follows_the_fixes(delay_s) -> N
     assert 0.015 <= found.sigma_s < 0.02
 
 
-def test_everything_but_the_fixes_is_later_by_the_delay() -> None:
+def test_everything_but_the_fixes_is_later_by_the_delay():
     """UTC was from the stamps of the fixes, which are later than their epoch."""
     before = flown(0.2)
     ledger = Ledger()
@@ -88,7 +88,7 @@ def test_everything_but_the_fixes_is_later_by_the_delay() -> None:
     assert after.utc_sigma_s == pytest.approx(0.015, abs=1e-3)
 
 
-def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock() -> None:
+def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock():
     contents = flown(0.2)
     second = track("GPS[1]", FIXED_AT[:-9] + 0.1, FIXED_AT[:-9])
     other = track("GLOBAL_POSITION_INT", FUSED_AT, FUSED_AT, system=7)
@@ -116,13 +116,13 @@ def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock()
         ({"GPS1_DELAY_MS": 1e9}, [], "0", 0.0, 0.15),
     ],
 )
-def test_the_settings_of_the_autopilot(parameters, texts, instance, delay_s, sigma_s) -> None:
+def test_the_settings_of_the_autopilot(parameters, texts, instance, delay_s, sigma_s):
     receiver = track(f"GPS[{instance}]" if instance else "sensor_gps", FIXED_AT, FIXED_AT)
     found = stated_delay(receiver, parameters, texts)
     assert (found.delay_s, found.sigma_s) == (delay_s, sigma_s)
 
 
-def test_no_estimate_at_rest_nor_from_a_filter_that_follows_something_else() -> None:
+def test_no_estimate_at_rest_nor_from_a_filter_that_follows_something_else():
     fixes = track("GPS[0]", FIXED_AT + 0.2, FIXED_AT)
     rest = track("POS", FUSED_AT, FUSED_AT * 0.0)
     assert estimated_delay(track("GPS[0]", FIXED_AT, FIXED_AT * 0.0), rest) is None
@@ -131,14 +131,14 @@ def test_no_estimate_at_rest_nor_from_a_filter_that_follows_something_else() -> 
     assert estimated_delay(track("GPS[0]", FIXED_AT[:20], FIXED_AT[:20]), rest) is None
 
 
-def test_fixes_that_are_stamped_at_their_epoch_move_nothing() -> None:
+def test_fixes_that_are_stamped_at_their_epoch_move_nothing():
     contents = flown(0.0)
     after = with_receiver_delay(contents, Ledger())
     for old, new in zip(contents.channels, after.channels, strict=True):
         np.testing.assert_array_equal(old.time_ns, new.time_ns)
 
 
-def test_without_a_filter_the_setting_counts() -> None:
+def test_without_a_filter_the_setting_counts():
     contents = flown(0.2)
     settings = {"GPS1_DELAY_MS": 130.0}
     bare = Contents({}, contents.channels[1:], 0, 0, 1, "", parameters=settings, utc_sigma_s=0.0)
@@ -147,7 +147,7 @@ def test_without_a_filter_the_setting_counts() -> None:
     assert after.channels[1].time_ns[0] - bare.channels[1].time_ns[0] == 130_000_000
 
 
-def test_a_log_without_a_receiver_is_left_alone() -> None:
+def test_a_log_without_a_receiver_is_left_alone():
     contents = Contents({}, flown(0.2).channels[2:], 0, 0, 1, "")
     assert with_receiver_delay(contents, Ledger()) is contents
 
@@ -156,7 +156,7 @@ def test_a_log_without_a_receiver_is_left_alone() -> None:
     ("clock_s", "sigma_s", "words"),
     [(5.0, 5.0, "accurate to 5.0 s"), (float("nan"), float("nan"), "UTC is unknown")],
 )
-def test_utc_of_another_clock_is_not_as_good_as_the_delay(clock_s, sigma_s, words) -> None:
+def test_utc_of_another_clock_is_not_as_good_as_the_delay(clock_s, sigma_s, words):
     ledger = Ledger()
     after = with_receiver_delay(flown(0.2, utc_sigma_s=clock_s), ledger)
     assert after.utc_sigma_s == pytest.approx(sigma_s, rel=1e-4, nan_ok=True)

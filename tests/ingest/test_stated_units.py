@@ -40,7 +40,7 @@ def logged(maps, message: str, **fields: float) -> Channel:
         ("m/s", 60.0, 60.0),
     ],
 )
-def test_a_bare_value_is_converted(unit: str, number: float, si: float) -> None:
+def test_a_bare_value_is_converted(unit, number, si):
     column = STATED_UNITS[unit][0]
     role = {
         "pressure_pa": "cabin_pressure",
@@ -52,7 +52,7 @@ def test_a_bare_value_is_converted(unit: str, number: float, si: float) -> None:
     assert in_stated_unit(named, role, unit)[column][0] == pytest.approx(si, rel=1e-14)
 
 
-def test_a_unit_of_another_quantity_is_refused() -> None:
+def test_a_unit_of_another_quantity_is_refused():
     named = logged(MAVLINK, "NAMED_VALUE_FLOAT", value=5.0)
     with pytest.raises(MissionError, match="CHANNEL-UNIT"):
         in_stated_unit(named, "pressure", "degC")
@@ -73,7 +73,7 @@ def test_a_unit_of_another_quantity_is_refused() -> None:
         (PX4, "SensorHygrometer", {"humidity": 65.0}, "humidity", "percent"),
     ],
 )
-def test_stating_the_unit_of_the_format_changes_nothing(maps, message, fields, role, unit) -> None:
+def test_stating_the_unit_of_the_format_changes_nothing(maps, message, fields, role, unit):
     channel = logged(maps, message, **fields)
     column = STATED_UNITS[unit][0]
     stated = in_stated_unit(channel, role, unit)
@@ -90,6 +90,6 @@ def test_stating_the_unit_of_the_format_changes_nothing(maps, message, fields, r
         (PX4, "SensorHygrometer", {"humidity": 0.65}, "humidity", "fraction", 0.65),
     ],
 )
-def test_another_unit_than_that_of_the_format(maps, message, fields, role, unit, si) -> None:
+def test_another_unit_than_that_of_the_format(maps, message, fields, role, unit, si):
     channel = logged(maps, message, **fields)
     assert in_stated_unit(channel, role, unit)[STATED_UNITS[unit][0]][0] == pytest.approx(si)

@@ -1,4 +1,4 @@
-"""Logs that tests write: messages of their choice by an encoder of each format."""
+"""Logs that tests write, of messages of their choice by an encoder of each format, and open."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from tests.helpers import with_code
 from unbend.ingest import Log, open_log
+from unbend.messages import Message
 
 Opener = Callable[[bytes], Log]
 NS_PER_S = 10**9
@@ -20,6 +22,13 @@ def opened(path: Path, data: bytes) -> Log:
     """The log in a file with this content."""
     path.write_bytes(data)
     return open_log(path)
+
+
+def entry_in(log: Log, code: str) -> Message:
+    """The only entry with this code in the ledger of a log."""
+    entries = with_code(log.ledger, code)
+    assert len(entries) == 1, f"{code} stands {len(entries)} times"
+    return entries[0]
 
 
 # struct letters and scale of the DataFlash format letters in use here (ArduPilot LogStructure.h)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.ingest.written_logs import DataFlashWriter, Opener
+from tests.ingest.written_logs import DataFlashWriter
 from unbend.ingest import Log
 
 ROWS = 300
@@ -42,7 +42,7 @@ def losses(log: Log) -> list[tuple[str, str, int, str]]:
     return [(e.code, e.where, e.count, e.what) for e in log.ledger if e.kind == "loss"]
 
 
-def test_all_is_well_without_it(opened: Opener) -> None:
+def test_all_is_well_without_it(opened):
     assert losses(opened(flight().data)) == []
 
 
@@ -50,9 +50,7 @@ def test_all_is_well_without_it(opened: Opener) -> None:
 @pytest.mark.parametrize(
     ("field", "column"), [("Press", "pressure_pa"), ("Temp", "board_temperature_k")]
 )
-def test_a_field_without_numbers_is_lost_and_told(
-    opened: Opener, field: str, column: str, letter: str
-) -> None:
+def test_a_field_without_numbers_is_lost_and_told(opened, field, column, letter):
     whole = opened(flight().data)
     log = opened(flight("BARO", field, letter).data)
     lost = losses(log)
@@ -70,7 +68,7 @@ def test_a_field_without_numbers_is_lost_and_told(
                 np.testing.assert_array_equal(log.channel(channel.name)[name], values)
 
 
-def test_an_instance_that_is_a_text_ends_no_log(opened: Opener) -> None:
+def test_an_instance_that_is_a_text_ends_no_log(opened):
     log = opened(flight("BARO", "I", "N").data)
     assert log.channel("GPS[0]")["h_msl_m"].tolist() == [600.0 + 0.5 * k for k in range(ROWS)]
     assert log.channel("BARO")["pressure_pa"].tolist() == [95_000.0 - k for k in range(ROWS)]
@@ -91,9 +89,7 @@ def test_an_instance_that_is_a_text_ends_no_log(opened: Opener) -> None:
         ("GPS", "GWk", "N"),
     ],
 )
-def test_what_places_a_row_and_is_no_number(
-    opened: Opener, message: str, field: str, letter: str
-) -> None:
+def test_what_places_a_row_and_is_no_number(opened, message, field, letter):
     log = opened(flight(message, field, letter).data)
     assert ("LOG-FIELDS", message, ROWS) in {entry[:3] for entry in losses(log)}
     whole_channel = {"BARO": "GPS[0]", "GPS": "BARO[0]"}[message]
@@ -109,9 +105,7 @@ def test_what_places_a_row_and_is_no_number(
         ("GPA", "QBN", "TimeUS,I,AEl"),
     ],
 )
-def test_names_and_accuracies_that_are_arrays(
-    opened: Opener, name: str, letters: str, columns: str
-) -> None:
+def test_names_and_accuracies_that_are_arrays(opened, name, letters, columns):
     writer = flight()
     writer.define(40, name, letters, columns)
     cells = NOT_NUMBERS | {"f": 1.0, "B": 0}
@@ -123,7 +117,7 @@ def test_names_and_accuracies_that_are_arrays(
     assert ("LOG-FIELDS", name) in {entry[:2] for entry in losses(log)}
 
 
-def test_the_table_of_a_message_whose_time_is_an_array(opened: Opener) -> None:
+def test_the_table_of_a_message_whose_time_is_an_array(opened):
     table = opened(flight("BARO", "TimeUS", "a").data).message("BARO")
     np.testing.assert_array_equal(table["TimeUS"], np.tile(WORDS, (ROWS, 1)))
     assert table["Press"].shape == (ROWS,)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Callable
 from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ import pytest
 from tests.helpers import refused, with_code
 from tests.ingest import written_logs
 from tests.ingest.dataflash.walk import walk
-from tests.ingest.written_logs import DataFlashWriter, Opener
+from tests.ingest.written_logs import DataFlashWriter, entry_in
 from tests.logs import LOGS, REPOSITORY, at_hand
 from unbend.flight.clock import utc_of_gps
 from unbend.ingest import open_log
@@ -34,9 +32,7 @@ def fixes(writer: DataFlashWriter, week: int, from_us: int = 5_000_000) -> None:
         writer.fix(from_us + k * 200_000, 1000 + 200 * k, week=week)
 
 
-def test_a_gimbal_a_probe_and_values_of_scripts_play_a_role_only_when_named(
-    writer: DataFlashWriter, opened: Opener
-) -> None:
+def test_a_gimbal_a_probe_and_values_of_scripts_play_a_role_only_when_named(writer, opened):
     fixes(writer, 2200)
     writer.define(60, "MNT", "QBfff", "TimeUS,I,Roll,Pitch,YawE")
     writer.define(61, "NVF", "QNf", "TimeUS,Name,Value")
@@ -56,9 +52,7 @@ def test_a_gimbal_a_probe_and_values_of_scripts_play_a_role_only_when_named(
 
 
 @pytest.mark.parametrize("rollovers", [0, 1, 2])
-def test_a_receiver_that_counts_weeks_modulo_1024(
-    rollovers: int, writer: DataFlashWriter, opened: Opener
-) -> None:
+def test_a_receiver_that_counts_weeks_modulo_1024(rollovers, writer, opened):
     fixes(writer, 2324 - 1024 * rollovers)  # July 2024
     log = opened(writer.data)
     assert log.channel("GPS[0]").time_ns[0] == utc_of_gps(2324, 1.0)
@@ -66,7 +60,7 @@ def test_a_receiver_that_counts_weeks_modulo_1024(
     assert counts == ([20] if rollovers else [])
 
 
-def test_one_wild_week_is_no_rollover(writer: DataFlashWriter, opened: Opener) -> None:
+def test_one_wild_week_is_no_rollover(writer, opened):
     fixes(writer, 2324)
     writer.fix(9_000_000, 9_000, week=3)
     log = opened(writer.data)
@@ -83,36 +77,32 @@ def test_one_wild_week_is_no_rollover(writer: DataFlashWriter, opened: Opener) -
         ("2024-07-22.bin", 276, 2324),
     ],
 )
-def test_a_date_is_moved_only_on_evidence(
-    name: str, week: int, full: int, writer: DataFlashWriter, tmp_path: Path
-) -> None:
+def test_a_date_is_moved_only_on_evidence(name, week, full, writer, tmp_path):
     fixes(writer, week)
     log = written_logs.opened(tmp_path / name, writer.data)
     assert log.channel("GPS[0]").time_ns[0] == utc_of_gps(full, 1.0)
     assert len(with_code(log.ledger, "TIME-WEEK-ROLLOVER")) == (week != full)
 
 
-def test_gps_time_that_cannot_be_is_not_used(writer: DataFlashWriter, opened: Opener) -> None:
+def test_gps_time_that_cannot_be_is_not_used(writer, opened):
     fixes(writer, 2324)
     for k in range(30):  # more than half of all rows
         writer.fix(9_000_000 + k * 200_000, 700_000_000 + k, week=2324)
     assert opened(writer.data).channel("GPS[0]").time_ns[0] == utc_of_gps(2324, 1.0)
 
 
-def test_silence_is_told(writer: DataFlashWriter, opened: Opener) -> None:
+def test_silence_is_told(writer, opened):
     fixes(writer, 2200)
     place = len(writer.data)
     fixes(writer, 2200, from_us=60_000_000)
-    (gap,) = with_code(opened(writer.data).ledger, "LOG-GAP")
+    gap = entry_in(opened(writer.data), "LOG-GAP")
     assert gap.kind == "warning"
     assert gap.count == 1
     assert f"byte {place}" in gap.where
     assert "51.2 s" in gap.what
 
 
-def test_what_is_logged_now_and_then_before_and_after_the_sensors_is_no_gap(
-    writer: DataFlashWriter, opened: Opener
-) -> None:
+def test_what_is_logged_now_and_then_before_and_after_the_sensors_is_no_gap(writer, opened):
     """Parameters every 31 s, as ArduPilot logs them while it is not armed: 3 before, 4 after."""
     writer.define(64, "PARM", "QNf", "TimeUS,Name,Value")
     for k in range(3):
@@ -121,15 +111,15 @@ def test_what_is_logged_now_and_then_before_and_after_the_sensors_is_no_gap(
     fixes(writer, 2200, from_us=160_000_000)
     for k in range(4):
         writer.row("PARM", 200_000_000 + 31_000_000 * k, b"A", 1.0)
-    (gap,) = with_code(opened(writer.data).ledger, "LOG-GAP")
+    gap = entry_in(opened(writer.data), "LOG-GAP")
     assert gap.count == 1
     assert "56.2 s together" in gap.what
 
 
-def test_the_gaps_of_a_real_log_fit_into_its_span(real_log: Callable[[str], Path]) -> None:
+def test_the_gaps_of_a_real_log_fit_into_its_span(real_log):
     """628 s not armed, with a parameter every 31 s; and again 80 s of it after the flight."""
     log = open_log(real_log("beastayyg_sample.bin"))
-    (entry,) = with_code(log.ledger, "LOG-GAP")
+    entry = entry_in(log, "LOG-GAP")
     assert entry.count == 24
     assert "627.9 s together" in entry.what
     (gap,) = log.to_json_dict()["channels"][1]["gaps"]
@@ -138,7 +128,7 @@ def test_the_gaps_of_a_real_log_fit_into_its_span(real_log: Callable[[str], Path
 
 
 @pytest.mark.parametrize("name", at_hand("gps0_lost.bin", "beastayyg_sample.bin"))
-def test_one_flipped_type_byte_in_the_middle_costs_one_message(name: str) -> None:
+def test_one_flipped_type_byte_in_the_middle_costs_one_message(name):
     """pymavlink's index loses more than half of the GPS rows of the real log."""
     data = LOGS[name].read_bytes()
     whole = walk(data)
@@ -152,7 +142,7 @@ def test_one_flipped_type_byte_in_the_middle_costs_one_message(name: str) -> Non
         assert lost.total() <= 1, bit
 
 
-def test_the_walk_does_not_depend_on_where_blocks_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_walk_does_not_depend_on_where_blocks_end(monkeypatch):
     data = bytearray(SAMPLE.read_bytes()[:60_000])
     for place in range(5_000, 55_000, 1_700):  # damage of several kinds, all over
         length = 1 + place % 97
@@ -168,7 +158,7 @@ def test_the_walk_does_not_depend_on_where_blocks_end(monkeypatch: pytest.Monkey
         assert in_blocks.blocks > expected.blocks
 
 
-def test_messages_as_columns_and_as_a_frame(opened: Opener, writer: DataFlashWriter) -> None:
+def test_messages_as_columns_and_as_a_frame(opened, writer):
     fixes(writer, 2200)
     writer.define(63, "PIDR", "Qff", "TimeUS,P,I")
     writer.row("PIDR", 5_000_000, 0.25, 0.5)
@@ -186,7 +176,7 @@ def test_messages_as_columns_and_as_a_frame(opened: Opener, writer: DataFlashWri
         log.message("PIDR", "0")
 
 
-def test_a_grown_log_is_one_long_flight(tmp_path: Path) -> None:
+def test_a_grown_log_is_one_long_flight(tmp_path):
     spec = spec_from_file_location("benchmark", REPOSITORY / "benchmarks" / "dataflash.py")
     assert spec is not None
     assert spec.loader is not None
@@ -203,7 +193,7 @@ def test_a_grown_log_is_one_long_flight(tmp_path: Path) -> None:
     assert not log.ledger.has_losses
 
 
-def test_the_format_letters_are_those_of_the_library() -> None:
+def test_the_format_letters_are_those_of_the_library():
     """Letter by letter: size, kind and divisor as pymavlink unpacks and scales them."""
     from pymavlink.DFReader import FORMAT_TO_STRUCT
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import with_code
-from tests.ingest.written_logs import DataFlashWriter, Opener
+from tests.ingest.written_logs import DataFlashWriter
 from unbend.flight.clock import utc_of_gps
 from unbend.ingest import Log
 
@@ -30,9 +30,7 @@ def seconds(log: Log, name: str = "ATT") -> np.ndarray:
     return (log.channel(name).time_ns - utc_of_gps(WEEK, 0.0)) / 1e9
 
 
-def test_a_boot_whose_first_time_is_later_than_the_last(
-    writer: DataFlashWriter, opened: Opener
-) -> None:
+def test_a_boot_whose_first_time_is_later_than_the_last(writer, opened):
     for begin_us, utc_ms, rows in ((10_000_000, 1000, 100), (60_000_000, 3_601_000, 3000)):
         for k in range(rows):
             writer.fix(begin_us + 200_000 * k, utc_ms + 200 * k, week=WEEK)
@@ -45,9 +43,7 @@ def test_a_boot_whose_first_time_is_later_than_the_last(
     assert "TIME-REBOOT" in codes(log, "warning")
 
 
-def test_the_first_boot_of_two_with_the_second_receiver_alone(
-    writer: DataFlashWriter, opened: Opener
-) -> None:
+def test_the_first_boot_of_two_with_the_second_receiver_alone(writer, opened):
     for k in range(300):
         time_us = 10**7 + 200_000 * k
         if k == 5:
@@ -61,7 +57,7 @@ def test_the_first_boot_of_two_with_the_second_receiver_alone(
     assert "TIME-SOURCES" in codes(log, "loss")
 
 
-def test_time_without_a_fix_is_not_used(writer: DataFlashWriter, opened: Opener) -> None:
+def test_time_without_a_fix_is_not_used(writer, opened):
     """A receiver that has no fix yet counts from its own battery clock."""
     for k in range(100):
         time_us = 10**7 + 200_000 * k
@@ -75,7 +71,7 @@ def test_time_without_a_fix_is_not_used(writer: DataFlashWriter, opened: Opener)
     assert codes(log, "loss") == []
 
 
-def test_rows_that_repeat_their_time_are_not_used(writer: DataFlashWriter, opened: Opener) -> None:
+def test_rows_that_repeat_their_time_are_not_used(writer, opened):
     """At 10 Hz with time in steps of 400 ms three rows in four are late, by up to 300 ms."""
     for k in range(400):
         writer.fix(10**7 + 100_000 * k, 1000 + 400 * (k // 4), week=WEEK)
@@ -83,9 +79,7 @@ def test_rows_that_repeat_their_time_are_not_used(writer: DataFlashWriter, opene
     assert seconds(opened(writer.data))[0] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_accuracy_goes_to_its_boot_and_its_instance(
-    writer: DataFlashWriter, opened: Opener
-) -> None:
+def test_accuracy_goes_to_its_boot_and_its_instance(writer, opened):
     """Two boots and two receivers with equal stamps, of which one row of either kind is lost."""
     writer.define(62, "GPA", "QBCe", "TimeUS,I,HAcc,AEl")
     for boot in (0, 1):
@@ -109,9 +103,7 @@ def test_accuracy_goes_to_its_boot_and_its_instance(
         np.testing.assert_array_equal(channel["h_ellipsoid_m"], 600.0 + accuracy)
 
 
-def test_instances_stay_apart_where_a_definition_gains_them(
-    writer: DataFlashWriter, opened: Opener
-) -> None:
+def test_instances_stay_apart_where_a_definition_gains_them(writer, opened):
     writer.define(30, "BARO", "Qfc", "TimeUS,Press,Temp")
     for k in range(40):
         writer.fix(5_000_000 + 100_000 * k, 100 * k, week=WEEK)
@@ -139,9 +131,7 @@ def test_instances_stay_apart_where_a_definition_gains_them(
         (0.0, {"h_msl_m": [600.0, 600.0], "h_ellipsoid_m": [647.5, np.nan]}),
     ],
 )
-def test_the_undulation_and_heights_above_the_ellipsoid(
-    writer: DataFlashWriter, opened: Opener, options: float, columns: dict[str, list[float]]
-) -> None:
+def test_the_undulation_and_heights_above_the_ellipsoid(writer, opened, options, columns):
     """Until 4.6 the undulation is logged as sea level minus ellipsoid, 0 where it is not known.
 
     Alt is either: bit 4 of GPS_DRV_OPTIONS (AP_GPS.h) makes it a height above the ellipsoid.
@@ -161,9 +151,7 @@ def test_the_undulation_and_heights_above_the_ellipsoid(
     assert len(with_code(log.ledger, "HEIGHT-ELLIPSOID")) == (options == 16.0)
 
 
-def test_impossible_values_are_flagged_when_a_log_is_opened(
-    writer: DataFlashWriter, opened: Opener
-) -> None:
+def test_impossible_values_are_flagged_when_a_log_is_opened(writer, opened):
     latitudes = {20: 147.0, 40: 47.5, 41: 47.5, 59: 47.5}
     for k in range(60):
         epoch = (5_000_000 + 200_000 * k, 0, 3, 1000 + 200 * k, WEEK)

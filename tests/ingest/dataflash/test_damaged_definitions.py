@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers import with_code
 from tests.ingest.dataflash.walk import walk
-from tests.ingest.written_logs import DataFlashWriter, Opener
+from tests.ingest.written_logs import DataFlashWriter, entry_in
 from unbend.ingest import Log
 from unbend.ingest.buffers import FileView
 
@@ -45,7 +45,7 @@ def names_of(log: Log, message: str) -> list[str]:
     return [channel.name for channel in log.channels if channel.source.message == message]
 
 
-def test_the_log_is_whole(opened: Opener) -> None:
+def test_the_log_is_whole(opened):
     assert losses(opened(flight().data)) == []
 
 
@@ -62,9 +62,7 @@ def test_the_log_is_whole(opened: Opener) -> None:
         ("BARO", "TimeUS", "TimeUS"),
     ],
 )
-def test_a_flipped_bit_in_the_name_of_a_field(
-    opened: Opener, message: str, field: str, column: str
-) -> None:
+def test_a_flipped_bit_in_the_name_of_a_field(opened, message, field, column):
     data = bytearray(flight().data)
     name_begins = data.index(field.encode(), data.index(message.encode()))
     data[name_begins + len(field) - 1] ^= 1
@@ -73,7 +71,7 @@ def test_a_flipped_bit_in_the_name_of_a_field(
     assert column in with_code(log.ledger, "LOG-FIELDS")[0].what
 
 
-def test_a_flipped_bit_of_an_instance_is_no_sensor(opened: Opener) -> None:
+def test_a_flipped_bit_of_an_instance_is_no_sensor(opened):
     data = bytearray(flight().data)
     record = walk(bytes(data)).places_of("HYGR")[200]
     data[record + 3 + 8] ^= 32
@@ -85,7 +83,7 @@ def test_a_flipped_bit_of_an_instance_is_no_sensor(opened: Opener) -> None:
 
 
 @pytest.mark.parametrize(("rows", "stays"), [(4, False), (5, True)])
-def test_a_sensor_of_few_rows_stays_one(opened: Opener, rows: int, stays: bool) -> None:
+def test_a_sensor_of_few_rows_stays_one(opened, rows, stays):
     writer = flight()
     for k in range(rows):
         writer.row("BARO", AFTER_US + k * 100_000, 1, 95_000.0, 20.0)
@@ -95,7 +93,7 @@ def test_a_sensor_of_few_rows_stays_one(opened: Opener, rows: int, stays: bool) 
 
 
 @pytest.mark.parametrize(("rows", "stays"), [(1, False), (4, False), (5, True)])
-def test_a_slow_second_sensor_is_no_damage(opened: Opener, rows: int, stays: bool) -> None:
+def test_a_slow_second_sensor_is_no_damage(opened, rows, stays):
     """Up to four rows in a row may be one glitch; five beside 600 are a sensor."""
     writer = flight()
     for k in range(600):
@@ -112,7 +110,7 @@ def test_a_slow_second_sensor_is_no_damage(opened: Opener, rows: int, stays: boo
         assert losses(log) == [("LOG-INSTANCE", "HYGR", rows)]
 
 
-def test_a_second_camera_of_few_images_stays_one(opened: Opener) -> None:
+def test_a_second_camera_of_few_images_stays_one(opened):
     writer = flight()
     writer.define(30, "CAM", "QBHLL", "TimeUS,I,Img,Lat,Lng")
     for k in range(300):
@@ -128,9 +126,7 @@ def test_a_second_camera_of_few_images_stays_one(opened: Opener) -> None:
     [(("QN", "QB"), (b"ab", 7)), (("QB", "QN"), (7, b"ab"))],
     ids=["text first", "numbers first"],
 )
-def test_a_table_of_text_and_numbers_under_one_name_has_every_value(
-    opened: Opener, definitions: tuple[str, str], values: tuple[float | bytes, ...]
-) -> None:
+def test_a_table_of_text_and_numbers_under_one_name_has_every_value(opened, definitions, values):
     writer = flight()
     cells = []
     for letters, value in zip(definitions, values, strict=True):
@@ -141,7 +137,7 @@ def test_a_table_of_text_and_numbers_under_one_name_has_every_value(
     assert opened(writer.data).message("TST")["V"].tolist() == cells
 
 
-def test_a_channel_has_numbers_where_one_row_was_defined_as_text(opened: Opener) -> None:
+def test_a_channel_has_numbers_where_one_row_was_defined_as_text(opened):
     writer = flight()
     writer.define(BARO, "BARO", "QBNc", "TimeUS,I,Press,Temp")
     writer.row("BARO", AFTER_US, 0, b"wet", 20.0)
@@ -163,9 +159,7 @@ def test_a_channel_has_numbers_where_one_row_was_defined_as_text(opened: Opener)
         (("Q", 5), ("f", 0.5), "f"),
     ],
 )
-def test_integers_of_two_definitions_stay_exact(
-    opened: Opener, first: tuple[str, int], then: tuple[str, float], kind: str
-) -> None:
+def test_integers_of_two_definitions_stay_exact(opened, first, then, kind):
     writer = flight()
     for letter, value in (first, then):
         writer.define(50, "TST", "Q" + letter, "TimeUS,V")
@@ -175,7 +169,7 @@ def test_integers_of_two_definitions_stay_exact(
     assert column.dtype.kind == kind
 
 
-def test_a_splice_whose_time_goes_on_is_a_boot(opened: Opener) -> None:
+def test_a_splice_whose_time_goes_on_is_a_boot(opened):
     """The last rows of a log are of a flight a week later; p5 to p95 do not see them."""
     writer = flight()
     for k in range(15):
@@ -190,9 +184,7 @@ def test_a_splice_whose_time_goes_on_is_a_boot(opened: Opener) -> None:
     assert losses(log) == []
 
 
-def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(monkeypatch):
     """One bit of the type in an FMT record: each search read the log to its end (131 s)."""
     data = bytearray(flight().data)
     data[data.index(b"BARO") - 2] ^= 1
@@ -209,7 +201,7 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(
     assert sum(lengths_read) < 10 * len(data)
 
 
-def test_rows_of_a_definition_without_instances_have_none(opened: Opener) -> None:
+def test_rows_of_a_definition_without_instances_have_none(opened):
     writer = DataFlashWriter()
     writer.define(BARO, "BARO", "Qf", "TimeUS,Press")
     for k in range(50):
@@ -222,7 +214,7 @@ def test_rows_of_a_definition_without_instances_have_none(opened: Opener) -> Non
     assert pressures == {"BARO": [95_000.0] * 50, "BARO[1]": [90_000.0] * 50}
 
 
-def test_the_first_damage_is_located(opened: Opener) -> None:
+def test_the_first_damage_is_located(opened):
     data = flight().data
     places = walk(data).places.tolist()
     first = places[700]
@@ -230,6 +222,6 @@ def test_the_first_damage_is_located(opened: Opener) -> None:
     log = opened(data[:first] + bytes(40) + data[first:second] + bytes(60) + data[second:])
     # a record with zeros behind it may have a wrong length: it belongs to the damage
     count = 40 + 60 + first - places[699] + second - places[1399]
-    (entry,) = with_code(log.ledger, "LOG-BAD-BYTES")
+    entry = entry_in(log, "LOG-BAD-BYTES")
     assert entry.count == count
     assert entry.where == f"flight.bin, first at byte {places[699]}"

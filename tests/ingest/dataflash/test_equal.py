@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,11 +32,7 @@ def different(ours: np.ndarray, theirs: list[Any]) -> int:
 
 
 @pytest.mark.parametrize("path", with_suffix(".bin"), ids=lambda path: path.name)
-def test_every_cell_is_that_of_the_library(
-    path: Path,
-    head: Callable[[Path, int], Path],
-    record_property: Callable[[str, object], None],
-) -> None:
+def test_every_cell_is_that_of_the_library(path, head, record_property):
     path = head(path, 4_000_000)
     theirs = library_tables(DFReader_binary(str(path)))
     ours = read_tables(path)
@@ -55,11 +49,11 @@ def test_every_cell_is_that_of_the_library(
     record_property("cells compared", cells)
 
 
-def test_logs_are_at_hand() -> None:
+def test_logs_are_at_hand():
     assert len(with_suffix(".bin")) >= (9 if REAL.is_dir() else 4)
 
 
-def test_one_changed_bit_in_a_cell_is_seen() -> None:
+def test_one_changed_bit_in_a_cell_is_seen():
     values = np.array([1.5, np.nan, -0.0], np.float32)
     assert different(values, [1.5, float("nan"), -0.0]) == 0
     assert different(values, [1.5, float("nan"), 0.0]) == 1

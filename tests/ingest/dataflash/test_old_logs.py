@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.helpers import with_code
 from tests.ingest import written_logs
-from tests.ingest.written_logs import DataFlashWriter
+from tests.ingest.written_logs import DataFlashWriter, entry_in
 from tests.logs import LOGS, at_hand
 from unbend.ingest import Log, open_log
 from unbend.ingest.dataflash.binary_log import read_tables
@@ -117,7 +116,7 @@ def receivers_delay_ns(today: Log) -> int:
     return int(rows["time_ns"][rows["Status"] >= 3][0] - fixes.time_ns[0])
 
 
-def test_the_same_flight_as_today(both: tuple[Log, Log]) -> None:
+def test_the_same_flight_as_today(both):
     today, old = both
     assert not old.ledger.has_losses
     assert old.parameters == {"GPS_TYPE": 1.0}
@@ -138,7 +137,7 @@ def test_the_same_flight_as_today(both: tuple[Log, Log]) -> None:
     np.testing.assert_array_equal(table["time_ns"], then.time_ns)
 
 
-def test_an_exposure_is_half_an_interval_behind_its_fix(both: tuple[Log, Log]) -> None:
+def test_an_exposure_is_half_an_interval_behind_its_fix(both):
     today, old = both
     now = next(c for c in today.channels if c.source.message == "CAM")
     then = old.channel("CAM")
@@ -149,12 +148,12 @@ def test_an_exposure_is_half_an_interval_behind_its_fix(both: tuple[Log, Log]) -
     assert np.abs(error_s).max() < interval_s / 2.0 + 0.022
     assert np.sqrt(np.mean(error_s**2)) < 1.3 * interval_s / np.sqrt(12.0)
     assert np.abs(error_s.mean()) < 0.035  # without the half it is 0.1 s
-    (entry,) = with_code(old.ledger, "EVENTS-FIX-TIME")
+    entry = entry_in(old, "EVENTS-FIX-TIME")
     assert entry.kind == "fallback"
     assert entry.count == len(then)
 
 
-def test_a_log_as_text(tmp_path: Path) -> None:
+def test_a_log_as_text(tmp_path):
     """As Mission Planner writes it; the exposure without a fix stays at the record before it."""
     lines = [
         "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format",

@@ -12,6 +12,7 @@ from pymavlink.DFReader import DFReader_binary, DFReader_text
 from tests.helpers import refused, with_code
 from tests.ingest import written_logs
 from tests.ingest.dataflash.library import library_messages, library_tables
+from tests.ingest.written_logs import entry_in
 from tests.logs import LOGS, at_hand
 from unbend.ingest import Log, open_log
 
@@ -37,9 +38,7 @@ def text(binary: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_every_cell_is_that_of_the_library(
-    text: Path, record_property: Callable[[str, object], None]
-) -> None:
+def test_every_cell_is_that_of_the_library(text, record_property):
     log = open_log(text)
     cells = 0
     theirs = library_tables(DFReader_text(str(text)))
@@ -60,7 +59,7 @@ def test_every_cell_is_that_of_the_library(
     record_property("cells compared", cells)
 
 
-def test_the_channels_are_those_of_the_binary_log(binary: Path, text: Path) -> None:
+def test_the_channels_are_those_of_the_binary_log(binary, text):
     log = open_log(text)
     expected = open_log(binary)
     assert log.format == "dataflash-text"
@@ -103,17 +102,17 @@ def barometer(second: int, dropped: int) -> str:
     return f"BARO, {time_us}, 0, 95000.0, 20.0\nDSF, {time_us}, {dropped}\n"
 
 
-def test_what_the_logger_dropped_is_a_loss_with_its_own_count(opened: TextOpener) -> None:
+def test_what_the_logger_dropped_is_a_loss_with_its_own_count(opened):
     first = [barometer(second, 7 * second) for second in range(5, 10)]
     second = [barometer(second, 2) for second in range(1, 4)]
     log = opened(DROPS + "".join(first + second))
-    (dropped,) = with_code(log.ledger, "LOG-DROPOUT")
+    dropped = entry_in(log, "LOG-DROPOUT")
     assert dropped.kind == "loss"
     assert dropped.count == log.lost_messages == 65
     assert log.boots == 2
 
 
-def test_a_logger_that_starts_again_within_a_boot_counts_from_0(opened: TextOpener) -> None:
+def test_a_logger_that_starts_again_within_a_boot_counts_from_0(opened):
     counts = (5, 50, 50, 0, 7, 4_294_967_290, 9)  # one of them is damaged
     rows = [barometer(second, count) for second, count in enumerate(counts)]
     log = opened(DROPS + "".join(rows))
@@ -121,13 +120,13 @@ def test_a_logger_that_starts_again_within_a_boot_counts_from_0(opened: TextOpen
     assert log.lost_messages == 59
 
 
-def test_a_logger_that_dropped_nothing_lost_nothing(opened: TextOpener) -> None:
+def test_a_logger_that_dropped_nothing_lost_nothing(opened):
     log = opened(DROPS + "".join(barometer(second, 0) for second in range(5)))
     assert not log.ledger.has_losses
     assert log.lost_messages == 0
 
 
-def test_the_banner_of_the_firmware_is_no_damage(tmp_path: Path) -> None:
+def test_the_banner_of_the_firmware_is_no_damage(tmp_path):
     path = tmp_path / "flight.log"
     body = "".join(f"BARO, {second}000000, 0, 95000.0, 20.0\n" for second in range(5))
     banner = "\r\nArduCopter V3.2.1 (36b405fb)\r\nFree RAM: 2048\r\nPX4: 34e1d543\r\n \r\n"
@@ -140,7 +139,7 @@ def test_the_banner_of_the_firmware_is_no_damage(tmp_path: Path) -> None:
     assert written_logs.opened(path, of_other_bytes).bad_bytes == 3
 
 
-def test_lines_that_make_no_sense_are_counted(opened: TextOpener) -> None:
+def test_lines_that_make_no_sense_are_counted(opened):
     lines = [
         "BARO, 0, 0, 95000.5, 20.5\n",
         "BARO, 1000000, 0, 94999.5, 20.5\n",
@@ -155,30 +154,30 @@ def test_lines_that_make_no_sense_are_counted(opened: TextOpener) -> None:
     assert log.message("BARO")["Press"].tolist() == [95000.5, 94999.5, 94997.5, 94995.5]
     assert log.message("MSG")["Message"].tolist() == ["Mission: 3, then home"]
     assert log.bad_bytes == len(lines[2] + lines[4] + lines[5])
-    (entry,) = with_code(log.ledger, "LOG-BAD-BYTES")
+    entry = entry_in(log, "LOG-BAD-BYTES")
     assert f"byte {len(HEAD + lines[0] + lines[1])}" in entry.where
     assert log.ledger.has_losses
 
 
-def test_a_last_line_without_its_end_is_not_trusted(opened: TextOpener) -> None:
+def test_a_last_line_without_its_end_is_not_trusted(opened):
     log = opened("BARO, 1000000, 0, 95000, 20\nBARO, 1100000, 0, 95000, 2")
     assert log.message_types()["BARO"] == 1
     assert [entry.code for entry in log.ledger if entry.kind == "loss"] == ["LOG-TRUNCATED"]
 
 
-def test_a_definition_that_changes(opened: TextOpener) -> None:
+def test_a_definition_that_changes(opened):
     body = "BARO, 1000000, 0, 95000, 20\nFMT, 23, 24, BARO, QBffc, TimeUS,I,Alt,Press,Temp\n"
     table = opened(body + "BARO, 1100000, 1, 7, 94000, 21\n").message("BARO")
     np.testing.assert_array_equal(table["Alt"], [np.nan, 7.0])
     np.testing.assert_array_equal(table["Press"], [95_000.0, 94_000.0])
 
 
-def test_a_line_without_end(opened: TextOpener) -> None:
+def test_a_line_without_end(opened):
     log = opened("BARO, 1000000, 0, 95000, 20\n" + "x" * 100_000 + "\n")
     assert log.bad_bytes == 100_001
 
 
-def test_a_time_longer_than_any_number_costs_its_line(opened: TextOpener) -> None:
+def test_a_time_longer_than_any_number_costs_its_line(opened):
     """A damaged TimeMS may have more digits than 64 bits hold, once it is in microseconds."""
     rows = [f"OLD, {k}00, {k}\n" for k in range(20)]
     rows[9] = f"OLD, {2**63}, 9\n"
@@ -188,6 +187,6 @@ def test_a_time_longer_than_any_number_costs_its_line(opened: TextOpener) -> Non
     assert with_code(log.ledger, "TIME-STRAY")
 
 
-def test_only_definitions(opened: TextOpener) -> None:
+def test_only_definitions(opened):
     with refused("LOG-NO-MESSAGES"):
         opened("")

@@ -6,16 +6,15 @@ import random
 import struct
 import sys
 from collections import defaultdict
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.helpers import refused, with_code
+from tests.helpers import refused
 from tests.ingest.mcap.protobuf_messages import message_class
-from tests.ingest.written_logs import McapWriter, Opener, RosWriter
+from tests.ingest.written_logs import McapWriter, RosWriter, entry_in
 from tests.logs import with_suffix
 from unbend.ingest import open_log
 from unbend.ingest.mcap.cdr import decode, decode_plan
@@ -92,9 +91,7 @@ def compare(table: dict[str, np.ndarray], messages: list[Any]) -> int:
 
 
 @pytest.mark.parametrize("path", with_suffix(".mcap"), ids=lambda path: path.name)
-def test_every_cell_is_the_librarys(
-    path: Path, record_property: Callable[[str, object], None]
-) -> None:
+def test_every_cell_is_the_librarys(path, record_property):
     log = open_log(path)
     expected = library_messages(path)
     assert log.message_types() == {topic: len(rows) for topic, rows in expected.items()}
@@ -127,7 +124,7 @@ def varying_message(draw: random.Random) -> dict[str, Any]:
     }
 
 
-def test_layouts_that_vary_from_message_to_message(opened: Opener) -> None:
+def test_layouts_that_vary_from_message_to_message(opened):
     draw = random.Random(1)
     bag = RosWriter(chunk_size=20_000)
     bag.define("pkg/M", VARYING)
@@ -146,7 +143,7 @@ def test_layouts_that_vary_from_message_to_message(opened: Opener) -> None:
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_both_byte_orders(order: str) -> None:
+def test_both_byte_orders(order):
     steps = steps_of("a/msg/B", "uint8 k\nfloat64 x\nstring s\nint16[3] n\nfloat32[] f\nuint32 z")
     rows = []
     for k in range(20):
@@ -175,7 +172,7 @@ def test_both_byte_orders(order: str) -> None:
     "definition",
     ["float64", "wstring x", "Nothing n", "a/B b", "!!", "P[99999] p\n===\nMSG: a/P\nint8 x"],
 )
-def test_definitions_that_make_no_sense(definition: str) -> None:
+def test_definitions_that_make_no_sense(definition):
     with pytest.raises(SchemaError):
         steps_of("a/msg/B", definition)
 
@@ -193,7 +190,7 @@ def location_fix() -> Any:
     return message_class("foxglove.LocationFix", fields)
 
 
-def test_protobuf_of_foxglove(tmp_path: Path) -> None:
+def test_protobuf_of_foxglove(tmp_path):
     from mcap_protobuf.writer import Writer
 
     kind = location_fix()
@@ -230,9 +227,7 @@ def test_protobuf_of_foxglove(tmp_path: Path) -> None:
     assert not log.ledger.has_losses
 
 
-def test_without_the_protobuf_library_its_topics_are_a_stated_loss(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_protobuf_library_its_topics_are_a_stated_loss(tmp_path, monkeypatch):
     from mcap_protobuf.writer import Writer
 
     path = tmp_path / "fix.mcap"
@@ -257,7 +252,7 @@ TIMES_OF_ONE_MOMENT = [
 
 
 @pytest.mark.parametrize("timestamp", TIMES_OF_ONE_MOMENT, ids=str)
-def test_json_with_times_of_any_form(opened: Opener, timestamp: object) -> None:
+def test_json_with_times_of_any_form(opened, timestamp):
     writer = McapWriter()
     channel = writer.channel("/fix", "json", "foxglove.LocationFix", "{}")
     place = {"latitude": 47.5, "longitude": -122.5, "altitude": 580.0}
@@ -265,7 +260,7 @@ def test_json_with_times_of_any_form(opened: Opener, timestamp: object) -> None:
     assert opened(writer.data).channel("/fix").time_ns.tolist() == [START + 5 * 10**8]
 
 
-def test_json_of_nobodys_schema_is_a_channel_of_its_numbers(opened: Opener) -> None:
+def test_json_of_nobodys_schema_is_a_channel_of_its_numbers(opened):
     writer = McapWriter()
     channel = writer.channel("/cabin", "json", "acme.Reading", "{}")
     first = {"timestamp": TIMES_OF_ONE_MOMENT[0], "value": 21.5, "unit": "degC"}
@@ -279,7 +274,7 @@ def test_json_of_nobodys_schema_is_a_channel_of_its_numbers(opened: Opener) -> N
     np.testing.assert_array_equal(cabin["value"], [21.5, np.nan])
     assert cabin.roles == ()
     assert log.message("/cabin")["unit"].tolist() == ["degC", ""]
-    (undecoded,) = with_code(log.ledger, "LOG-DECODE")
+    undecoded = entry_in(log, "LOG-DECODE")
     assert undecoded.where == "/cabin"
     assert undecoded.count == 2
     assert log.messages["/cabin"] == 4

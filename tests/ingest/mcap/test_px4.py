@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import with_code
-from tests.ingest.written_logs import Opener, RosWriter
+from tests.ingest.written_logs import RosWriter, entry_in
 from unbend.ingest import Log
 
 SECOND = 10**9
@@ -70,7 +70,7 @@ def losses(log: Log) -> set[str]:
     return {entry.code for entry in log.ledger if entry.kind == "loss"}
 
 
-def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(opened: Opener) -> None:
+def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(opened):
     recording = Recording()
     recording.flight()
     for k in range(200):
@@ -91,7 +91,7 @@ def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(opened: Opene
     assert table["boot"][0] == 1
 
 
-def test_a_reboot_whose_clock_is_ahead_of_the_last_is_one(opened: Opener) -> None:
+def test_a_reboot_whose_clock_is_ahead_of_the_last_is_one(opened):
     recording = Recording()
     recording.flight(rows=150, boot_s=10)
     recording.flight(rows=150, boot_s=60, utc_s=3600)
@@ -99,11 +99,11 @@ def test_a_reboot_whose_clock_is_ahead_of_the_last_is_one(opened: Opener) -> Non
     assert log.boots == 2
     expected_s = [*(np.arange(150) / 5), *(np.arange(150) / 5 + 3600)]
     np.testing.assert_array_equal(seconds(log), expected_s)
-    assert [entry.count for entry in with_code(log.ledger, "TIME-REBOOT")] == [1]
+    assert entry_in(log, "TIME-REBOOT").count == 1
 
 
 @pytest.mark.parametrize("row", [0, 1, 3, 199])
-def test_a_stray_stamp_of_the_receiver_moves_nothing_else(opened: Opener, row: int) -> None:
+def test_a_stray_stamp_of_the_receiver_moves_nothing_else(opened, row):
     recording = Recording()
     for k in range(200):
         boot_ns = 60 * SECOND + k * STEP
@@ -114,11 +114,11 @@ def test_a_stray_stamp_of_the_receiver_moves_nothing_else(opened: Opener, row: i
     np.testing.assert_array_equal(seconds(log), np.arange(200) / 5)
     np.testing.assert_array_equal(seconds(log, "SensorGps"), np.delete(np.arange(200), row) / 5)
     assert log.boots == 1
-    assert [entry.count for entry in with_code(log.ledger, "TIME-STRAY")] == [1]
+    assert entry_in(log, "TIME-STRAY").count == 1
     assert losses(log) == {"TIME-STRAY"}
 
 
-def test_utc_without_a_fix_counts_for_nothing(opened: Opener) -> None:
+def test_utc_without_a_fix_counts_for_nothing(opened):
     recording = Recording()
     for k in range(200):
         boot_ns = 60 * SECOND + k * STEP
@@ -133,7 +133,7 @@ def test_utc_without_a_fix_counts_for_nothing(opened: Opener) -> None:
     assert not losses(log)
 
 
-def test_a_receiver_that_repeats_its_time_counts_once_a_time(opened: Opener) -> None:
+def test_a_receiver_that_repeats_its_time_counts_once_a_time(opened):
     """Two of three rows repeat the UTC of the row before: late by 0.2 and 0.4 s."""
     recording = Recording()
     for k in range(200):
@@ -152,7 +152,7 @@ def take_shots(recording: Recording, utc_ahead_ns: int) -> None:
         recording.shot(boot_ns, utc_ns, k, timestamp_utc=(utc_ns + utc_ahead_ns) // 1000)
 
 
-def test_exposures_are_on_the_clock_of_the_poses(opened: Opener) -> None:
+def test_exposures_are_on_the_clock_of_the_poses(opened):
     """The autopilot's own UTC, 0.4 s ahead here, would move them against the poses."""
     recording = Recording()
     recording.flight()
@@ -161,7 +161,7 @@ def test_exposures_are_on_the_clock_of_the_poses(opened: Opener) -> None:
     np.testing.assert_array_equal(shots_s, 10 + np.arange(250) / 10)
 
 
-def test_a_camera_tells_utc_where_no_receiver_does(opened: Opener) -> None:
+def test_a_camera_tells_utc_where_no_receiver_does(opened):
     recording = Recording(has_clock=False)
     recording.flight(fix_type=0)
     take_shots(recording, 0)
@@ -171,7 +171,7 @@ def test_a_camera_tells_utc_where_no_receiver_does(opened: Opener) -> None:
     assert not {"TIME-LOG-TIME", "TIME-NO-UTC"} & {entry.code for entry in log.ledger}
 
 
-def test_without_utc_the_recorder_sets_the_clock_and_is_stated(opened: Opener) -> None:
+def test_without_utc_the_recorder_sets_the_clock_and_is_stated(opened):
     recording = Recording()
     recording.flight(fix_type=0)
     log = opened(recording.data)
@@ -180,19 +180,17 @@ def test_without_utc_the_recorder_sets_the_clock_and_is_stated(opened: Opener) -
     assert "recorder" in log.time_base
 
 
-def test_with_neither_utc_nor_log_time_every_row_stays_and_time_is_from_boot(
-    opened: Opener,
-) -> None:
+def test_with_neither_utc_nor_log_time_every_row_stays_and_time_is_from_boot(opened):
     recording = Recording(has_clock=False)
     recording.flight(fix_type=0)
     log = opened(recording.data)
     attitude = log.channel("/fmu/out/VehicleAttitude")
     np.testing.assert_array_equal(attitude.time_ns, 60 * SECOND + np.arange(200) * STEP)
-    assert [entry.kind for entry in with_code(log.ledger, "TIME-NO-UTC")] == ["fallback"]
+    assert entry_in(log, "TIME-NO-UTC").kind == "fallback"
     assert "unknown" in log.time_base
 
 
-def test_stamps_that_change_from_boot_to_unix_time_fit_together(opened: Opener) -> None:
+def test_stamps_that_change_from_boot_to_unix_time_fit_together(opened):
     """As from an agent that has not yet agreed with the vehicle on the time."""
     recording = Recording()
     for k in range(100):
@@ -206,7 +204,7 @@ def test_stamps_that_change_from_boot_to_unix_time_fit_together(opened: Opener) 
 
 
 @pytest.mark.parametrize("events", [2, 9])
-def test_messages_that_come_late_are_no_boot_and_not_stray(opened: Opener, events: int) -> None:
+def test_messages_that_come_late_are_no_boot_and_not_stray(opened, events):
     recording = Recording()
     recording.flight(rows=100)
     for k in range(events):
@@ -220,11 +218,11 @@ def test_messages_that_come_late_are_no_boot_and_not_stray(opened: Opener, event
     assert not losses(log)
 
 
-def test_images_that_were_not_taken_are_no_exposures(opened: Opener) -> None:
+def test_images_that_were_not_taken_are_no_exposures(opened):
     recording = Recording()
     recording.flight()
     for k, result in enumerate((1, 1, 0, -1, 1)):
         recording.shot((60 + k) * SECOND, START + k * SECOND, k, result=result)
     log = opened(recording.data)
     assert log.channel("/fmu/out/CameraCapture")["event_index"].tolist() == [0, 1, 3, 4]
-    assert [entry.count for entry in with_code(log.ledger, "EVENT-FAILED")] == [1]
+    assert entry_in(log, "EVENT-FAILED").count == 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,18 +28,13 @@ def library_messages(path: Path) -> dict[str, list]:
     return rows
 
 
-def test_logs_are_at_hand() -> None:
+def test_logs_are_at_hand():
     assert any(path.parent.name == "sample_logs" for path in LOGS)
     assert len(LOGS) >= (8 if REAL.is_dir() else 4)
 
 
 @pytest.mark.parametrize("path", LOGS, ids=lambda path: path.name)
-def test_every_cell_is_the_librarys(
-    path: Path,
-    head: Callable[[Path, int], Path],
-    monkeypatch: pytest.MonkeyPatch,
-    record_property: Callable[[str, object], None],
-) -> None:
+def test_every_cell_is_the_librarys(path, head, monkeypatch, record_property):
     monkeypatch.setenv("MAVLINK20", "1")  # so that the library knows the fields of MAVLink 2
     path = head(path, 2_200_000)
     log = open_log(path)

@@ -74,14 +74,7 @@ def declared(fields: Fields) -> str:
     seed=st.integers(0, 2**32 - 1),
 )
 @settings(deadline=None, max_examples=40)
-def test_rows_are_those_of_pyulog(
-    inner: Fields,
-    outer: Fields,
-    top: Fields,
-    padding: int,
-    rows: list[tuple[int, bool]],
-    seed: int,
-) -> None:
+def test_rows_are_those_of_pyulog(inner, outer, top, padding, rows, seed):
     """Three instances of a nested format, with and without the padding at its end.
 
     pyulog 1.3 drops rows with padding, whatever its comment says: it gets them without.
@@ -143,13 +136,13 @@ SUBSCRIBED = subscription(0, "a")
         "no name",
     ],
 )
-def test_what_is_not_defined_is_not_read(format_a: bytes) -> None:
+def test_what_is_not_defined_is_not_read(format_a):
     ours = read(HEADER + message("F", format_a) + SUBSCRIBED + 4 * ROW)
     assert not ours.counts
     assert ours.bad_bytes >= len(4 * ROW + SUBSCRIBED)
 
 
-def test_data_of_another_length_than_their_format_are_damage() -> None:
+def test_data_of_another_length_than_their_format_are_damage():
     longer = datum(0, bytes(13))
     shorter = datum(0, bytes(11))
     start = GOOD + SUBSCRIBED + 4 * ROW
@@ -159,20 +152,20 @@ def test_data_of_another_length_than_their_format_are_damage() -> None:
     assert ours.first_bad == len(start)
 
 
-def test_a_subscription_that_came_twice_is_no_damage() -> None:
+def test_a_subscription_that_came_twice_is_no_damage():
     ours = read(GOOD + SUBSCRIBED + ROW + SUBSCRIBED + ROW)
     assert ours.bad_bytes == 0
     assert len(ours.rows["a", 0]) == 2  # pyulog alone forgets the first
 
 
-def test_a_number_is_given_once() -> None:
+def test_a_number_is_given_once():
     other = subscription(0, "a", 1)
     ours = read(GOOD + SUBSCRIBED + other + 4 * ROW)
     assert ours.bad_bytes == len(other)
     assert ours.counts == {"a": 4}
 
 
-def test_rows_of_a_large_file_are_in_order() -> None:
+def test_rows_of_a_large_file_are_in_order():
     """More than one block of 4 MiB, with a message across its end and damage in the second."""
     count = 260_000
     table = np.zeros(count, [("head", "V5"), ("t", "<u8"), ("x", "<f4")])
@@ -188,7 +181,7 @@ def test_rows_of_a_large_file_are_in_order() -> None:
     assert ours.first_bad == cut
 
 
-def test_data_without_a_definition_are_passed_one_by_one() -> None:
+def test_data_without_a_definition_are_passed_one_by_one():
     """Half of the messages of a large file, whose subscription was lost: they are found at once."""
     unknown = datum(1, bytes(200))
     count = 30_000
@@ -197,7 +190,7 @@ def test_data_without_a_definition_are_passed_one_by_one() -> None:
     assert ours.bad_bytes == count * len(unknown)
 
 
-def test_flags_and_places_of_appended_data() -> None:
+def test_flags_and_places_of_appended_data():
     incompatible = b"\1" + bytes(7)
     places = struct.pack("<3Q", 70, 0, 10**6)
     data = HEADER + message("B", bytes(8) + incompatible + places) + bytes(50)
@@ -207,7 +200,7 @@ def test_flags_and_places_of_appended_data() -> None:
     assert flags_of(view_of_bytes(unset)) == (bytes(8), [])
 
 
-def test_a_time_that_is_an_array_is_none() -> None:
+def test_a_time_that_is_an_array_is_none():
     timeless = definition("a", "uint64_t[1] timestamp;float x;")
     ours = read(HEADER + timeless + SUBSCRIBED + 4 * ROW)
     assert ours.timeless == {"a"}
