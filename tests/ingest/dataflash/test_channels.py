@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from importlib.util import module_from_spec, spec_from_file_location
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from tests.helpers import refused, with_code
 from tests.ingest import written_logs
 from tests.ingest.dataflash.walk import walk
 from tests.ingest.written_logs import DataFlashWriter, entry_in
-from tests.logs import LOGS, REPOSITORY, at_hand
+from tests.logs import LOGS, at_hand
 from unbend.flight.clock import utc_of_gps
 from unbend.ingest import open_log
 
@@ -174,23 +173,6 @@ def test_messages_as_columns_and_as_a_frame(opened, writer):
     assert "GPSS" in str(caught.value)
     with refused("LOG-NO-TABLE"):  # I is a term of the controller here
         log.message("PIDR", "0")
-
-
-def test_a_grown_log_is_one_long_flight(tmp_path):
-    spec = spec_from_file_location("benchmark", REPOSITORY / "benchmarks" / "dataflash.py")
-    assert spec is not None
-    assert spec.loader is not None
-    benchmark = module_from_spec(spec)
-    spec.loader.exec_module(benchmark)
-    path = tmp_path / "grown.bin"
-    size = benchmark.grow(SAMPLE, path, 3 * SAMPLE.stat().st_size - 1)
-    assert size == path.stat().st_size == 3 * SAMPLE.stat().st_size
-    log = open_log(path)
-    once = open_log(SAMPLE)
-    assert log.boots == 1
-    assert log.duration_s == pytest.approx(3 * once.duration_s, rel=0.01)
-    assert len(log.channel("ATT")) == 3 * len(once.channel("ATT"))
-    assert not log.ledger.has_losses
 
 
 def test_the_format_letters_are_those_of_the_library():

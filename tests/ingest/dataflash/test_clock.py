@@ -30,19 +30,6 @@ def seconds(log: Log, name: str = "ATT") -> np.ndarray:
     return (log.channel(name).time_ns - utc_of_gps(WEEK, 0.0)) / 1e9
 
 
-def test_a_boot_whose_first_time_is_later_than_the_last(writer, opened):
-    for begin_us, utc_ms, rows in ((10_000_000, 1000, 100), (60_000_000, 3_601_000, 3000)):
-        for k in range(rows):
-            writer.fix(begin_us + 200_000 * k, utc_ms + 200 * k, week=WEEK)
-            writer.row("ATT", begin_us + 200_000 * k + 50, 0, 0, 0)
-    log = opened(writer.data)
-    assert log.boots == 2
-    expected_s = [*(1.0 + 0.2 * np.arange(100)), *(3601.0 + 0.2 * np.arange(3000))]
-    np.testing.assert_allclose(seconds(log), expected_s, atol=1e-4)
-    np.testing.assert_array_equal(log.channel("ATT").boot, [0] * 100 + [1] * 3000)
-    assert "TIME-REBOOT" in codes(log, "warning")
-
-
 def test_the_first_boot_of_two_with_the_second_receiver_alone(writer, opened):
     for k in range(300):
         time_us = 10**7 + 200_000 * k
@@ -69,14 +56,6 @@ def test_time_without_a_fix_is_not_used(writer, opened):
     log = opened(writer.data)
     assert seconds(log)[0] == pytest.approx(1.0, abs=1e-4)
     assert codes(log, "loss") == []
-
-
-def test_rows_that_repeat_their_time_are_not_used(writer, opened):
-    """At 10 Hz with time in steps of 400 ms three rows in four are late, by up to 300 ms."""
-    for k in range(400):
-        writer.fix(10**7 + 100_000 * k, 1000 + 400 * (k // 4), week=WEEK)
-        writer.row("ATT", 10**7 + 100_000 * k + 50, 0, 0, 0)
-    assert seconds(opened(writer.data))[0] == pytest.approx(1.0, abs=1e-4)
 
 
 def test_accuracy_goes_to_its_boot_and_its_instance(writer, opened):

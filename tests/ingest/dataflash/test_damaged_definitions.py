@@ -179,8 +179,10 @@ def test_a_splice_whose_time_goes_on_is_a_boot(opened):
     log = opened(writer.data)
     assert log.boots == 2
     for name in ("GPS[0]", "BARO[0]"):
-        time_ns = log.channel(name).time_ns
-        assert time_ns[-15] - time_ns[0] == WEEK_NS
+        channel = log.channel(name)
+        assert channel.time_ns[-15] - channel.time_ns[0] == WEEK_NS
+        assert channel.boot.tolist() == [0] * ROWS + [1] * 15
+    assert with_code(log.ledger, "TIME-REBOOT")[0].kind == "warning"
     assert losses(log) == []
 
 

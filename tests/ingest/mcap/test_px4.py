@@ -133,17 +133,6 @@ def test_utc_without_a_fix_counts_for_nothing(opened):
     assert not losses(log)
 
 
-def test_a_receiver_that_repeats_its_time_counts_once_a_time(opened):
-    """Two of three rows repeat the UTC of the row before: late by 0.2 and 0.4 s."""
-    recording = Recording()
-    for k in range(200):
-        boot_ns = 60 * SECOND + k * STEP
-        utc_ns = START + k * STEP
-        recording.fix(boot_ns, utc_ns, stated_utc_ns=utc_ns - k % 3 * STEP)
-        recording.attitude(boot_ns, utc_ns)
-    np.testing.assert_array_equal(seconds(opened(recording.data)), np.arange(200) / 5)
-
-
 def take_shots(recording: Recording, utc_ahead_ns: int) -> None:
     """Exposures behind the flight in the file, as from a recorder that groups topics."""
     for k in range(250):  # more than the receiver has rows

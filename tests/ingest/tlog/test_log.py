@@ -178,12 +178,6 @@ def test_without_utc_the_ground_stations_clock_is_a_stated_fallback(opened):
     assert not log.ledger.has_losses
 
 
-def test_a_new_boot_in_a_fresh_log(opened):
-    first = flight(seconds=10)
-    an_hour_later = [restamped(frame, 3_600 * 10**6) for frame in first.frames]
-    assert opened(first.data + b"".join(an_hour_later)).boots == 2
-
-
 def test_camera_feedback_in_unix_time_and_in_time_since_boot(opened):
     writer = flight()
     for k in range(3):
