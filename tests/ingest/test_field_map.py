@@ -20,12 +20,14 @@ from tests.ingest.written_logs import (
     ros_time,
 )
 from unbend.ingest import Log
+from unbend.ingest.field_maps import extract, message_maps
 
 START_NS = 1_700_000_000 * NS_PER_S
 START_US = START_NS // 1000
-PLACE = {"lat_rad": math.radians(47.5), "lon_rad": math.radians(-122.25)}
-E7 = {"lat": 475_000_000, "lon": -1_222_500_000}
-LNG = {"lat": 475_000_000, "lng": -1_222_500_000}
+# Decimals are the nearest doubles, as those of an integer divided by 1e7 have to be.
+PLACE = {"lat_rad": math.radians(47.3977421), "lon_rad": math.radians(-122.2504519)}
+E7 = {"lat": 473_977_421, "lon": -1_222_504_519}
+LNG = {"lat": 473_977_421, "lng": -1_222_504_519}
 
 TURN = (0.7, 0.1, -0.5, 0.5)
 """A unit quaternion no two of whose components can be exchanged unnoticed."""
@@ -145,9 +147,9 @@ MAVLINK: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     ),
     "EXTENDED_SYS_STATE": ({"landed_state": 2}, {"landed_state": 2.0}),
     "HOME_POSITION": ({"altitude": 570_500}, {"home_h_msl_m": 570.5}),
-    "SCALED_PRESSURE": (_SCALED, BAROMETER),
-    "SCALED_PRESSURE2": (_SCALED, BAROMETER),
-    "SCALED_PRESSURE3": (_SCALED, BAROMETER),
+    "SCALED_PRESSURE": (_SCALED, BAROMETER | {"temperature_k": 260.65}),
+    "SCALED_PRESSURE2": (_SCALED, BAROMETER | {"temperature_k": 260.65}),
+    "SCALED_PRESSURE3": (_SCALED, BAROMETER | {"temperature_k": 260.65}),
     "HIGHRES_IMU": ({"abs_pressure": 700.25, "temperature": 45.0}, BAROMETER),
     "RAW_IMU": ({"temperature": 4500}, {"board_temperature_k": 318.15}),
     "MCU_STATUS": ({"MCU_temperature": 4500}, {"board_temperature_k": 318.15}),
@@ -211,7 +213,9 @@ def holds(log: Log, message: str, expected: dict[str, float]) -> None:
     for name, value in expected.items():
         columns = [channel[name] for channel in channels if name in channel.columns]
         assert columns, f"{name} is not in {[sorted(c.columns) for c in channels]}"
-        assert columns[0][-1] == pytest.approx(value, rel=1e-6, abs=1e-7), name
+        is_angle = name.startswith(("q_", "gimbal_", "camera_q_", "roll_", "pitch_", "yaw_"))
+        rel = 1e-6 if is_angle else 4e-15  # angles are sent as float32
+        assert columns[0][-1] == pytest.approx(value, rel=rel, abs=1e-7 * is_angle), name
 
 
 @pytest.mark.parametrize("name", MAVLINK)
@@ -242,9 +246,9 @@ _SEEN = PLACE | {"h_msl_m": 600.5, "h_home_m": 30.5}
 _SHOT = _SEEN | {"h_gnss_m": 601.0, "roll_rad": ANGLES["roll"], "pitch_rad": ANGLES["pitch"]}
 _SHOT_FORMS = {
     "BHIHLLeeeccC I,Img,GPSTime,GPSWeek,Lat,Lng,Alt,RelAlt,GPSAlt,R,P,Y":
-        (0, 7, 1, 2200, 47.5, -122.25, 600.5, 30.5, 601.0, *ROLL_PITCH_YAW),
+        (0, 7, 1, 2200, 47.3977421, -122.2504519, 600.5, 30.5, 601.0, *ROLL_PITCH_YAW),
     "IHLLeeeccC GPSTime,GPSWeek,Lat,Lng,Alt,RelAlt,GPSAlt,Roll,Pitch,Yaw":
-        (1, 2200, 47.5, -122.25, 600.5, 30.5, 601.0, *ROLL_PITCH_YAW),
+        (1, 2200, 47.3977421, -122.2504519, 600.5, 30.5, 601.0, *ROLL_PITCH_YAW),
 }  # fmt: skip
 
 # DataFlash: letters and names of the columns behind TimeUS, their values, columns in SI.
@@ -252,13 +256,13 @@ DATAFLASH: list[tuple[str, str, tuple[float | bytes, ...], dict[str, float]]] = 
     (
         "GPS2",
         "BIHLLe Status,GMS,GWk,Lat,Lng,Alt",
-        (3, 1000, 2200, 47.5, -122.25, 600.5),
+        (3, 1000, 2200, 47.3977421, -122.2504519, 600.5),
         PLACE | {"h_msl_m": 600.5},
     ),
     (
         "GPS2",
         "BIHBcLLefff Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ",
-        (3, 1250, 2200, 9, 1.21, 47.5, -122.25, 600.5, 20.0, 120.0, -0.5),
+        (3, 1250, 2200, 9, 1.21, 47.3977421, -122.2504519, 600.5, 20.0, 120.0, -0.5),
         PLACE
         | COURSE
         | {
@@ -270,13 +274,13 @@ DATAFLASH: list[tuple[str, str, tuple[float | bytes, ...], dict[str, float]]] = 
             "gps_week_s": 1.25,
         },
     ),
-    ("POS", "LLee Lat,Lng,Alt,RelHomeAlt", (47.5, -122.25, 600.5, 30.5), _SEEN),
-    ("POS", "LLee Lat,Lng,Alt,RelAlt", (47.5, -122.25, 600.5, 30.5), _SEEN),
+    ("POS", "LLee Lat,Lng,Alt,RelHomeAlt", (47.3977421, -122.2504519, 600.5, 30.5), _SEEN),
+    ("POS", "LLee Lat,Lng,Alt,RelAlt", (47.3977421, -122.2504519, 600.5, 30.5), _SEEN),
     ("ATT", "ccC Roll,Pitch,Yaw", ROLL_PITCH_YAW, TURNED),
     (
         "AHR2",
         "ccCeLL Roll,Pitch,Yaw,Alt,Lat,Lng",
-        (*ROLL_PITCH_YAW, 600.25, 47.5, -122.25),
+        (*ROLL_PITCH_YAW, 600.25, 47.3977421, -122.2504519),
         PLACE | {"h_msl_m": 600.25} | TURNED,
     ),
     ("XKQ", "Bffff C,Q1,Q2,Q3,Q4", (0, *TURN), quaternion(TURN)),
@@ -306,11 +310,16 @@ DATAFLASH: list[tuple[str, str, tuple[float | bytes, ...], dict[str, float]]] = 
         (0.25, 14.5, 0.5, 0.75, 2, 3, 0x33F),
         HEALTH | {"filter_flags": float(0x33F)},
     ),
-    ("ORGN", "BLLe Type,Lat,Lng,Alt", (0, 47.5, -122.25, 600.5), PLACE | {"h_msl_m": 600.5}),
+    (
+        "ORGN",
+        "BLLe Type,Lat,Lng,Alt",
+        (0, 47.3977421, -122.2504519, 600.5),
+        PLACE | {"h_msl_m": 600.5},
+    ),
     (
         "TERR",
         "BLLffHH Status,Lat,Lng,TerrH,CHeight,Pending,Loaded",
-        (2, 47.5, -122.25, 570.5, 30.25, 3, 168),
+        (2, 47.3977421, -122.2504519, 570.5, 30.25, 3, 168),
         PLACE | TERRAIN | TILES | {"terrain_status": 2.0},
     ),
     ("STAT", "B isFlying", (1,), {"flying": 1.0}),
@@ -366,7 +375,7 @@ POSE = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": ORIENTATION}
 # A body forward, left, up in east, north, up: both frames turn, by hand from the matrices.
 FROM_ENU = quaternion(np.sqrt(0.5) * np.array([1.2, -0.4, 0.6, 0.2]))
 AWAY = {"east_m": 1.0, "north_m": 2.0, "up_m": 3.0} | FROM_ENU
-SHOT = {"lat": 47.5, "lon": -122.25, "alt": 600.5, "seq": 7}
+SHOT = {"lat": 47.3977421, "lon": -122.2504519, "alt": 600.5, "seq": 7}
 SHOT_PX4 = (
     "uint64 timestamp\nuint64 timestamp_utc\nfloat64 lat\nfloat64 lon\nfloat32 alt\nuint32 seq"
 )
@@ -413,7 +422,7 @@ ROS: list[tuple[str, str, dict[str, Any], dict[str, float]]] = [
         HEADER + "geographic_msgs/GeoPoint geo\nfloat32 relative_alt\n"
         "geometry_msgs/Quaternion orientation\nint32 image_index\nint8 capture_result",
         {
-            "geo": {"latitude": 47.5, "longitude": -122.25, "altitude": 600.5},
+            "geo": {"latitude": 47.3977421, "longitude": -122.2504519, "altitude": 600.5},
             "relative_alt": 30.5,
             "orientation": ORIENTATION,
             "image_index": 7,
@@ -486,7 +495,8 @@ ROS: list[tuple[str, str, dict[str, Any], dict[str, float]]] = [
         "px4_msgs/VehicleGlobalPosition",
         "uint64 timestamp\nfloat64 lat\nfloat64 lon\nfloat32 alt\nfloat32 alt_ellipsoid\n"
         "float32 eph\nfloat32 epv",
-        {"lat": 47.5, "lon": -122.25, "alt": 600.25, "alt_ellipsoid": 580.5} | _FIXED_PX4,
+        {"lat": 47.3977421, "lon": -122.2504519, "alt": 600.25, "alt_ellipsoid": 580.5}
+        | _FIXED_PX4,
         PLACE | _HEIGHTS_M | _SIGMAS,
     ),
     (
@@ -497,8 +507,8 @@ ROS: list[tuple[str, str, dict[str, Any], dict[str, float]]] = [
         "float32 vel_n_m_s\nfloat32 vel_e_m_s\nfloat32 vel_d_m_s\nuint8 satellites_used",
         _FIXED_PX4
         | {
-            "latitude_deg": 47.5,
-            "longitude_deg": -122.25,
+            "latitude_deg": 47.3977421,
+            "longitude_deg": -122.2504519,
             "altitude_msl_m": 600.25,
             "altitude_ellipsoid_m": 580.5,
             "s_variance_m_s": 0.125,
@@ -609,7 +619,7 @@ def test_ros_2(tmp_path, name, definition, fields, expected):
 
 FOXGLOVE: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "LocationFix": (
-        {"latitude": 47.5, "longitude": -122.25, "altitude": 580.5},
+        {"latitude": 47.3977421, "longitude": -122.2504519, "altitude": 580.5},
         PLACE | {"h_ellipsoid_m": 580.5},
     ),
     "PoseInFrame": ({"pose": POSE}, AWAY),
@@ -631,3 +641,46 @@ def test_foxglove_as_json(tmp_path, name):
     log = opened(tmp_path / "one.mcap", writer.data)
     holds(log, f"foxglove.{name}", expected)
     assert len(log.message("/one")["time_ns"]) == 10
+
+
+@pytest.mark.parametrize(
+    ("format_name", "message", "field", "unknown", "column"),
+    [
+        ("tlog", "GPS_RAW_INT", "alt_ellipsoid", 0, "h_ellipsoid_m"),
+        ("tlog", "GPS_RAW_INT", "h_acc", 0, "sigma_h_m"),
+        ("tlog", "GPS_RAW_INT", "v_acc", 0, "sigma_v_m"),
+        ("tlog", "GPS_RAW_INT", "vel_acc", 0, "sigma_speed_m_s"),
+        ("tlog", "GPS_RAW_INT", "satellites_visible", 255, "satellites"),
+        ("tlog", "GPS_RAW_INT", "eph", 65535, "hdop"),
+        ("tlog", "GPS_RAW_INT", "vel", 65535, "speed_m_s"),
+        ("tlog", "GPS_RAW_INT", "cog", 65535, "course_rad"),
+        ("tlog", "AHRS2", "lat", 0, "lat_rad"),
+        (
+            "tlog",
+            "SCALED_PRESSURE.temperature_press_diff",
+            "temperature_press_diff",
+            0,
+            "temperature_k",
+        ),
+        ("tlog", "HIGHRES_IMU", "abs_pressure", 0.0, "pressure_pa"),
+        ("tlog", "HYGROMETER_SENSOR", "temperature", 32767, "temperature_k"),
+        ("tlog", "HYGROMETER_SENSOR", "humidity", 65535, "relative_humidity"),
+        ("tlog", "AIRSPEED", "temperature", 32767, "temperature_k"),
+        ("tlog", "RAW_IMU", "temperature", 0, "board_temperature_k"),
+        ("tlog", "MOUNT_ORIENTATION", "yaw_absolute", 0.0, "yaw_rad"),
+        ("tlog", "ESTIMATOR_STATUS", "pos_horiz_accuracy", 0.0, "sigma_h_m"),
+        ("dataflash", "GPS", "HDop", 99.99, "hdop"),
+        ("dataflash", "GPS", "GWk", 0, "gps_week"),
+        ("dataflash", "AHR2", "Lng", 0.0, "lon_rad"),
+        ("px4", "SensorGps", "altitude_ellipsoid_m", 0.0, "h_ellipsoid_m"),
+        ("px4", "VehicleGpsPosition", "alt_ellipsoid", 0, "h_ellipsoid_m"),
+        ("px4", "VehicleGlobalPosition", "alt_ellipsoid", 0.0, "h_ellipsoid_m"),
+        ("px4", "HomePosition", "alt", 0.0, "home_h_msl_m"),
+        ("ros", "mavros_msgs/GPSRAW", "alt_ellipsoid", 0, "h_ellipsoid_m"),
+        ("ros", "mavros_msgs/ExtendedState", "landed_state", 0, "landed_state"),
+    ],
+)
+def test_a_value_that_means_unknown(format_name, message, field, unknown, column):
+    columns = message_maps(format_name)[message].columns
+    made = extract({field: np.array([unknown, 1])}, columns)
+    assert np.isnan(made[column]).tolist() == [True, False]

@@ -31,6 +31,10 @@ def entry_in(log: Log, code: str) -> Message:
     return entries[0]
 
 
+def loss_codes(log: Log) -> set[str]:
+    return {entry.code for entry in log.ledger if entry.kind == "loss"}
+
+
 # struct letters and scale of the DataFlash format letters in use here (ArduPilot LogStructure.h)
 LETTERS = {
     "Q": ("Q", 1),

@@ -24,6 +24,7 @@ from tests.ingest.written_logs import (
     Opener,
     RosWriter,
     entry_in,
+    loss_codes,
     with_parts,
 )
 from tests.logs import LOGS, at_hand
@@ -177,10 +178,6 @@ def spliced(data: bytes, record: bytes) -> bytes:
     return data[:header_end] + record + data[header_end:]
 
 
-def codes_of_losses(log: Log) -> set[str]:
-    return {entry.code for entry in log.ledger if entry.kind == "loss"}
-
-
 @pytest.mark.parametrize(
     ("compression", "promised", "size", "code"),
     [
@@ -205,7 +202,7 @@ def test_a_bomb_is_skipped(opened, compression, promised, size, code):
     bomb = chunk_record(compression, promised, packed_zeros(compression, size))
     log = opened(spliced(flight().data, bomb))
     # the record moved the summary, whose place is under its checksum
-    assert codes_of_losses(log) == {"LOG-CRC", code}
+    assert loss_codes(log) == {"LOG-CRC", code}
     assert len(log.channel("/imu")) == 60
 
 
@@ -217,7 +214,7 @@ def test_many_small_bombs_share_one_budget(opened, size):
     begin = time.process_time()
     log = opened(data)
     assert time.process_time() - begin < 30.0 * work_unit_s()
-    assert "LOG-TOO-LARGE" in codes_of_losses(log)
+    assert "LOG-TOO-LARGE" in loss_codes(log)
     assert len(log.channel("/imu")) == 60
 
 
@@ -320,13 +317,6 @@ def test_images_of_mavros_are_numbered_where_it_numbers_none(opened):
     assert shots["h_ellipsoid_m"].tolist() == [647.5] * 4
     assert "h_msl_m" not in shots.columns
     assert entry_in(log, "EVENT-NO-INDEX").kind == "note"
-
-
-def test_a_height_of_0_above_the_ellipsoid_is_missing_in_gpsraw(opened):
-    row = {"fix_type": 3, "lat": 475_000_000, "lon": 82_500_000, "alt": 600_000}
-    definition = "uint8 fix_type\nint32 lat\nint32 lon\nint32 alt\nint32 alt_ellipsoid"
-    log = mavros_log(opened, "GPSRAW", definition, [row] * 4)
-    assert "h_ellipsoid_m" not in log.channel("/mavros/one").columns
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS, ids=lambda kind: kind.name)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import with_code
-from tests.ingest.written_logs import RosWriter, entry_in
+from tests.ingest.written_logs import RosWriter, entry_in, loss_codes
 from unbend.ingest import Log
 
 SECOND = 10**9
@@ -66,10 +66,6 @@ def seconds(log: Log, kind: str = "VehicleAttitude") -> np.ndarray:
     return (log.channel(f"/fmu/out/{kind}").time_ns - START) / SECOND
 
 
-def losses(log: Log) -> set[str]:
-    return {entry.code for entry in log.ledger if entry.kind == "loss"}
-
-
 def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(opened):
     recording = Recording()
     recording.flight()
@@ -85,7 +81,7 @@ def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(opened):
     np.testing.assert_array_equal(seconds(log, "SensorHygrometer"), 200 + np.arange(200) / 5)
     np.testing.assert_array_equal(seconds(log, "CameraCapture"), 200 + np.arange(0, 40, 4))
     assert log.channel("/fmu/out/CameraCapture").boot.tolist() == [1] * 10
-    assert not losses(log)
+    assert not loss_codes(log)
     table = log.message("/fmu/out/SensorHygrometer")
     assert table["time_ns"][0] == START + 200 * SECOND
     assert table["boot"][0] == 1
@@ -115,7 +111,7 @@ def test_a_stray_stamp_of_the_receiver_moves_nothing_else(opened, row):
     np.testing.assert_array_equal(seconds(log, "SensorGps"), np.delete(np.arange(200), row) / 5)
     assert log.boots == 1
     assert entry_in(log, "TIME-STRAY").count == 1
-    assert losses(log) == {"TIME-STRAY"}
+    assert loss_codes(log) == {"TIME-STRAY"}
 
 
 def test_utc_without_a_fix_counts_for_nothing(opened):
@@ -130,7 +126,7 @@ def test_utc_without_a_fix_counts_for_nothing(opened):
         recording.attitude(boot_ns, utc_ns)
     log = opened(recording.data)
     np.testing.assert_array_equal(seconds(log), np.arange(200) / 5)
-    assert not losses(log)
+    assert not loss_codes(log)
 
 
 def take_shots(recording: Recording, utc_ahead_ns: int) -> None:
@@ -189,7 +185,7 @@ def test_stamps_that_change_from_boot_to_unix_time_fit_together(opened):
         recording.attitude(stamp_ns, utc_ns)
     log = opened(recording.data)
     np.testing.assert_array_equal(seconds(log), np.arange(100) / 5)
-    assert not losses(log)
+    assert not loss_codes(log)
 
 
 @pytest.mark.parametrize("events", [2, 9])
@@ -204,7 +200,7 @@ def test_messages_that_come_late_are_no_boot_and_not_stray(opened, events):
     assert len(log.channel("/fmu/out/CameraCapture")) == events
     np.testing.assert_array_equal(seconds(log), np.arange(200) / 5)
     assert "GNSS" in log.time_base
-    assert not losses(log)
+    assert not loss_codes(log)
 
 
 def test_images_that_were_not_taken_are_no_exposures(opened):

@@ -218,27 +218,6 @@ def test_the_first_message_of_a_boot_may_come_before_its_clock(opened):
     np.testing.assert_array_equal(log.channel("GPS_RAW_INT").boot, [0] * 60 + [1] * 60)
 
 
-def test_what_hygrometer_and_pitot_do_not_know(opened):
-    bus = Bus()
-    for k in range(10):
-        utc_us = START_US + k * SECOND_US
-        boot_ms = 60_000 + 1000 * k
-        bus.vehicle(boot_ms, utc_us)
-        hygrometer_cdeg = 32767 if k == 3 else 1250
-        pitot_cdeg = 0 if k == 3 else -1250
-        bus.send("hygrometer_sensor", utc_us, temperature=hygrometer_cdeg)
-        pressure = {"time_boot_ms": boot_ms, "press_abs": 700.25}
-        bus.send("scaled_pressure", utc_us, **pressure, temperature_press_diff=pitot_cdeg)
-    log = opened(bus.data)
-    for name, kelvin in (
-        ("HYGROMETER_SENSOR[0]", 285.65),
-        ("SCALED_PRESSURE.temperature_press_diff", 260.65),
-    ):
-        temperature_k = log.channel(name)["temperature_k"]
-        np.testing.assert_allclose(temperature_k, [kelvin] * 3 + [np.nan] + [kelvin] * 6)
-    assert not log.ledger.has_losses
-
-
 def test_repeated_feedback_is_a_note_and_costs_nothing(opened):
     """Also in Unix time, which is what an autopilot without a feedback pin sends."""
     bus = Bus()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import refused, with_code
-from tests.ingest.written_logs import ULogWriter, entry_in
+from tests.ingest.written_logs import ULogWriter, entry_in, loss_codes
 from unbend.atmosphere.estimate.sensors import dynamic_of, heating_of
 from unbend.ingest import Log
 
@@ -83,7 +83,6 @@ def newer(
     fix: ByRow = lambda _: 3,
     stray: ByRow = lambda _: 0,
     capture: ByRow = lambda _: 0,
-    ellipsoid_m: float = 647.5,
 ) -> ULogWriter:
     """As PX4 1.14 and later log it, for 12 s; by row: UTC and fix of the receiver, its error."""
     writer = ULogWriter()
@@ -95,8 +94,7 @@ def newer(
     writer.subscribe("sensor_gps", "vehicle_attitude", "vehicle_air_data", "camera_capture", "acme")
     for k in range(60):
         t = 60_000_000 + 200_000 * k
-        place = (*PLACE[:3], ellipsoid_m)
-        writer.row("sensor_gps", "QddddB", t + stray(k), utc(k), *place, fix(k))
+        writer.row("sensor_gps", "QddddB", t + stray(k), utc(k), *PLACE, fix(k))
         writer.row("vehicle_attitude", "4f", t, *LEVEL)
         writer.row("vehicle_air_data", "2f", t, 94_000.0, 40.0)
         writer.row("acme", "B", t, 1)
@@ -155,24 +153,6 @@ def test_two_gimbals_in_one_topic_of_px4_are_two_channels(opened):
         name = f"gimbal_device_attitude_status[{number}]"
         assert log.channel(name)["gimbal_q_y"].tolist() == [q[2]] * 20
         assert log.message(name)["gimbal_device_id"].tolist() == [number] * 20
-
-
-def test_a_height_of_0_above_the_ellipsoid_is_missing(opened):
-    log = opened(newer(ellipsoid_m=0.0).data)
-    assert "h_ellipsoid_m" not in log.channel("sensor_gps").columns
-    old = flight().replace(struct.pack("<i", 647_500), bytes(4))
-    assert "h_ellipsoid_m" not in opened(old).channel("vehicle_gps_position").columns
-
-
-def test_a_height_of_0_of_the_filter_is_missing_in_its_rows(opened):
-    writer = ULogWriter()
-    writer.define("vehicle_global_position", "double lat;double lon;float alt;float alt_ellipsoid;")
-    writer.subscribe("vehicle_global_position")
-    for k in range(20):
-        above = 647.5 if k < 10 else 0.0
-        writer.row("vehicle_global_position", "2d2f", 5_000_000 + 100_000 * k, *PLACE[:3], above)
-    channel = opened(writer.data).channel("vehicle_global_position")
-    np.testing.assert_array_equal(channel["h_ellipsoid_m"], [647.5] * 10 + [np.nan] * 10)
 
 
 def test_exposures_are_preferred_to_commands(opened):
@@ -387,7 +367,7 @@ def test_a_file_whose_head_is_lost(opened, count, end):
     assert channel_names(log) == channel_names(expected)
     for ours, theirs in zip(log.channels, expected.channels, strict=True):
         np.testing.assert_array_equal(ours.time_ns, theirs.time_ns)
-    assert {entry.code for entry in log.ledger if entry.kind == "loss"} == {"LOG-BAD-BYTES"}
+    assert loss_codes(log) == {"LOG-BAD-BYTES"}
 
 
 def test_a_damaged_mark_at_the_beginning_costs_the_header(opened):
@@ -510,7 +490,7 @@ def test_a_stray_time_is_no_cut(opened):
     stray = struct.pack("<Q", 900_000_000)
     rows[attitude] = rows[attitude][:5] + stray + rows[attitude][13:]
     log = opened(head + b"".join(rows))
-    assert {entry.code for entry in log.ledger if entry.kind == "loss"} == {"TIME-STRAY"}
+    assert loss_codes(log) == {"TIME-STRAY"}
 
 
 def test_texts_and_parameters(opened):
