@@ -1,7 +1,5 @@
 """Real logs from beside the repository, whole or the beginnings of them."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

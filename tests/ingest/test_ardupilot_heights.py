@@ -1,7 +1,5 @@
 """Heights above the ellipsoid and above sea level, of logs that also have the undulation."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.helpers import channel

@@ -1,7 +1,5 @@
 """UTC from the time since boot: which boot, which receiver, and what does not fit."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

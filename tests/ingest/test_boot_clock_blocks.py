@@ -1,7 +1,5 @@
 """Offsets without their glitches are the same in however many blocks they are looked at."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

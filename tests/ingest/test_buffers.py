@@ -1,7 +1,5 @@
 """Memory of rows and columns: the process's own while they are few, of temporary files beyond."""
 
-from __future__ import annotations
-
 import errno
 import gc
 import mmap

@@ -1,7 +1,5 @@
 """Decoded rows -> channels: what is dropped, how that is entered, and what is left."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -3,8 +3,6 @@
 Tables, which are the truth of real logs here, are compared with the libraries in ``test_equal``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

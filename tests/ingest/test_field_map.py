@@ -1,7 +1,5 @@
 """The messages that logs are known to carry: each is a channel with these values, or a table."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The window on a file: every byte where it is, whatever is asked for in which order."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

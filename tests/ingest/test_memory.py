@@ -1,7 +1,5 @@
 """The memory that reading a long log takes beyond its columns, measured in a process of its own."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Opening: refusals, every real log, and what a log says about itself."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Reading logs where functions of POSIX do not exist, as on Windows."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """PX4's cameras: which rows are exposures, and what their index is."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from unbend.flight.channels import Source

@@ -1,7 +1,5 @@
 """The delay of fixes behind their epoch: stated, estimated, and what it moves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

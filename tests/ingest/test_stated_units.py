@@ -1,7 +1,5 @@
 """Units that a mission file states for a channel, beside those in which the log defines it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

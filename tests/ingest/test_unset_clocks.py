@@ -1,7 +1,5 @@
 """Dates of clocks that no receiver has set."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

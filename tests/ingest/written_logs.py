@@ -1,7 +1,5 @@
 """Logs that tests write, of messages of their choice by an encoder of each format, and open."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

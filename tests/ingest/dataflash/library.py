@@ -1,7 +1,5 @@
 """What pymavlink reads of a DataFlash log, message by message; its index of places is not used."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import defaultdict
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """DataFlash: fields of the map that hold arrays or texts by their definition, as after one bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """DataFlash: dates, gaps, tables and the walk through a file, on logs with known content."""
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """DataFlash: boots, receivers and instances that have to be kept apart."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """DataFlash: damage that leaves whole records, in definitions and instances, is told."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every cell of every message of every DataFlash log here, against pymavlink reading in order."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

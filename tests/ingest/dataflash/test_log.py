@@ -1,7 +1,5 @@
 """DataFlash: real logs, logs of a writer with known content, and damage."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,9 +9,7 @@ from tests.ingest.written_logs import DataFlashWriter
 from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
 from unbend.flight.clock import utc_of_gps
-from unbend.flight.roles import assign_roles
 from unbend.ingest import open_log
-from unbend.messages import Ledger
 
 DAY_US = 86_400 * 10**6
 WEEK = 1928  # of December 2016
@@ -89,7 +85,6 @@ def test_known_flight(opened):
     assert second.rank == 30
     assert first.roles == ("height", "position")
     np.testing.assert_array_equal(first["h_ellipsoid_m"], 584.5 + np.arange(36))
-    np.testing.assert_allclose(first["sigma_h_m"], np.full(36, 0.5 / np.sqrt(2.0)))
     assert "h_ellipsoid_m" not in second.columns
     assert second["sigma_v_m"].tolist() == [0.5] * 36
     assert with_code(log.ledger, "POSITION-NO-FIX")[0].count == 4
@@ -203,16 +198,6 @@ def test_instances_of_equal_standing_rank_alike(opened):
     for kind in ("HYGR", "TEMP", "ARSP"):
         assert ranks[f"{kind}[0]"] == ranks[f"{kind}[1]"]
     assert ranks["BARO[0]"] < ranks["BARO[1]"]
-    # what that means: no hygrometer is guessed to be the one outside, and no probe is air
-    ledger = Ledger()
-    roles = ledger.take(assign_roles(log.channels, {}, needs_cabin=True))
-    assert not {"temperature", "humidity", "cabin_temperature"} & set(roles)
-    ambiguous = " ".join(entry.what for entry in with_code(ledger, "ROLE-AMBIGUOUS"))
-    assert "HYGR[0], HYGR[1]" in ambiguous
-    assert "TEMP" not in ambiguous
-    named = {"cabin_temperature": "TEMP[1]", "temperature": "HYGR[1]"}
-    roles, _ = assign_roles(log.channels, named, needs_cabin=True)
-    assert {role: roles[role].name for role in named} == named
 
 
 def test_two_logs_in_one_file_are_two_boots(opened):

@@ -1,7 +1,5 @@
 """Logs of ArduPilot 3.2 and before: milliseconds since boot, exposures with only a GPS time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """ArduPilot logs as text: against pymavlink's reader of text, and against the binary log."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The records that a walk through a DataFlash log finds, and the damage between them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Classes of protobuf, without their generated modules."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every cell of MCAP messages, as mcap-ros2-support and protobuf decode them one by one."""
 
-from __future__ import annotations
-
 import random
 import struct
 import sys

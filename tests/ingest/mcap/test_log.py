@@ -1,7 +1,5 @@
 """MCAP: messages written with the real writers, a real log, and damage."""
 
-from __future__ import annotations
-
 import random
 import re
 import struct

@@ -1,7 +1,5 @@
 """PX4 over ROS 2: a clock that begins at each boot, receivers, cameras. Truth is how it is sent."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The order and the times of messages, by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

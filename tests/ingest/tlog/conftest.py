@@ -1,7 +1,5 @@
 """Logs of this format from bytes."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,18 +1,12 @@
 """Clocks of a telemetry log, of which samples are kept: what they place, and how many there are."""
 
-from __future__ import annotations
-
-import struct
-
 import numpy as np
 import pytest
 
 from tests.helpers import with_code
 from tests.ingest.written_logs import MavlinkWriter, Opener, entry_in
-from tests.logs import LOGS, at_hand
-from unbend.ingest import Log, open_log
+from unbend.ingest import Log
 from unbend.ingest.tlog.clock_samples import Sampler
-from unbend.ingest.tlog.frames import frame_length
 from unbend.ingest.tlog.sender_clocks import NEAR_NS, WRAP_OF_US_NS, unrolled
 
 SECOND = 10**9
@@ -237,8 +231,6 @@ def test_repeated_feedback_is_a_note_and_costs_nothing(opened):
 @pytest.mark.parametrize("flipped", [0, 1])
 def test_signed_messages(opened, flipped):
     """A signature is 13 bytes behind the checksum: between two frames nothing is left over."""
-    from pymavlink import mavutil
-
     bus = Bus()
     sender = bus.library.MAVLink(None, 1, 1)
     sender.signing.secret_key = bytes(range(32))
@@ -254,13 +246,6 @@ def test_signed_messages(opened, flipped):
     log = opened(bus.data)
     assert log.messages == {"ATTITUDE": 60 - flipped, "SYSTEM_TIME": 60}
     assert log.bad_bytes == len(victim) * flipped
-    reader = mavutil.mavlink_connection(str(log.path), dialect="all")
-    attitudes = 0
-    while (row := reader.recv_match(type="ATTITUDE")) is not None:
-        assert row.get_header().incompat_flags == 1
-        attitudes += 1
-    reader.close()
-    assert attitudes == 60 - flipped
 
 
 @pytest.mark.parametrize("turns", [0, 1, 3])
@@ -280,42 +265,31 @@ def test_a_stamp_far_from_the_senders_clock_is_left():
     assert unrolled(stamp_ns, clock_ns, WRAP_OF_US_NS).tolist() == stamp_ns.tolist()
 
 
-def frames_of(data: bytes) -> list[bytes]:
-    """The frames of a log without damage, each with the stamp before it."""
-    frames = []
-    begin = 0
-    while length := frame_length(data[begin : begin + 400], 0):
-        frames.append(data[begin : begin + length])
-        begin += length
-    return frames
-
-
-@pytest.mark.parametrize("name", at_hand("flight.tlog", "sitl_belowsea_2cam.tlog"))
-def test_packets_that_others_overtake_are_no_boot_and_no_loss(opened, name):
+def test_packets_that_others_overtake_are_no_boot_and_no_loss(opened):
     """Half a second of packets arrives 1.4 s late, behind those that were sent after it."""
-    frames = frames_of(LOGS[name].read_bytes())
-    stamps = np.array([struct.unpack(">Q", frame[:8])[0] for frame in frames])
-    for fraction in (0.3, 0.6):
-        begin_us = stamps[0] + fraction * np.ptp(stamps)
-        border_us = begin_us + np.array([0, 500_000, 1_900_000])
-        first, last, back = np.searchsorted(stamps, border_us).tolist()
-        stamp = frames[back][:8]
-        late = [stamp + frame[8:] for frame in frames[first:last]]
-        frames[first:back] = frames[last:back] + late
-    log = opened(b"".join(frames))
-    expected = open_log(LOGS[name])
-    assert log.boots == expected.boots == 1
-    losses = {(e.code, e.count) for e in log.ledger if e.kind == "loss"}
-    assert losses == {(e.code, e.count) for e in expected.ledger if e.kind == "loss"}
-    assert not with_code(log.ledger, "TIME-SET-BACK")
-    assert not with_code(log.ledger, "TIME-BACKWARD")
-    for name_of_own_time in ("ATTITUDE", "GLOBAL_POSITION_INT"):
-        channel = expected.channel(name_of_own_time)
-        ours = log.channel(name_of_own_time)
-        # a SYSTEM_TIME less in the median of UTC
-        assert np.abs(ours.time_ns - channel.time_ns).max() < 1000
-        for column in channel.columns:
-            np.testing.assert_array_equal(ours[column], channel[column], column)
+    bus = Bus()
+    for k in range(1200):
+        utc_us = START_US + 50_000 * k
+        boot_ms = 60_000 + 50 * k
+        if k % 20 == 0:
+            bus.vehicle(boot_ms, utc_us)
+        place = PLACE | {"relative_alt": k}
+        bus.send("global_position_int", utc_us + 200_000, time_boot_ms=boot_ms, **place)
+    whole = opened(bus.data).channel("GLOBAL_POSITION_INT")
+    for first in (400, 800):
+        overtaken = bus.frames[first : first + 10]
+        others = bus.frames[first + 10 : first + 38]
+        stamp = others[-1][:8]
+        late = [stamp + frame[8:] for frame in overtaken]
+        bus.frames[first : first + 38] = others + late
+    log = opened(bus.data)
+    assert log.boots == 1
+    assert not {entry.kind for entry in log.ledger} & {"loss", "warning"}
+    positions = log.channel("GLOBAL_POSITION_INT")
+    # a SYSTEM_TIME less in the median of UTC
+    assert np.abs(positions.time_ns - whole.time_ns).max() < 1000
+    for name, column in whole.columns.items():
+        np.testing.assert_array_equal(positions[name], column, name)
 
 
 ROLLOVER_US = 1024 * 604_800 * SECOND_US

@@ -1,7 +1,5 @@
 """Every cell of every telemetry log at hand, bit for bit as pymavlink decodes it."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Telemetry logs: real ones, packets of pymavlink's own writer, and damage."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """PX4 logs: files with known content, written by hand as the ULog specification says."""
 
-from __future__ import annotations
-
 import struct
 import sys
 from collections.abc import Callable
@@ -157,9 +155,10 @@ def test_two_gimbals_in_one_topic_of_px4_are_two_channels(opened):
 
 def test_exposures_are_preferred_to_commands(opened):
     writer = ULogWriter()
+    writer.define("camera_trigger", SHOT)
+    writer.define("camera_capture", SHOT)
+    writer.subscribe("camera_trigger", "camera_capture")
     for name, delay_us in (("camera_trigger", 0), ("camera_capture", 80_000)):
-        writer.define(name, SHOT)
-        writer.subscribe(name)
         for k in range(5):
             writer.row(name, "QIdd", 10**6 * (k + 1) + delay_us, 0, k, 47.5, 8.25)
     log = opened(writer.data)

@@ -1,7 +1,5 @@
 """Rows of ULog files, bit for bit those of pyulog, for formats of any kind."""
 
-from __future__ import annotations
-
 import io
 import struct
 
