@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import with_code
 from unbend.ingest.boot_clock import BootClock, fit_clock
@@ -177,7 +178,7 @@ def test_blocks_of_stamps_are_one_line():
         blocks.append((vehicle.places[begin:end], vehicle.boot_ns[begin:end]))
     pieces = timeline(blocks)
     for name, column in vars(whole).items():
-        np.testing.assert_array_equal(vars(pieces)[name], column)
+        assert_array_equal(vars(pieces)[name], column)
     assert whole.boots == 2
 
 
@@ -186,7 +187,7 @@ def test_small_steps_back_are_no_boot_and_large_ones_are():
     steady = np.arange(10.0, 15.0, 0.5)
     seconds = np.concatenate([steady, [14.1], steady + 5.0, steady - 7.0])
     line = timeline([(np.arange(31), (seconds * SECOND).astype(np.int64))])
-    np.testing.assert_array_equal(line.boot_of(np.arange(31)), [0] * 21 + [1] * 10)
+    assert_array_equal(line.boot_of(np.arange(31)), [0] * 21 + [1] * 10)
 
 
 def test_a_line_without_stamps_is_one_boot():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from unbend.flight.clock import STRAY_ROWS
 from unbend.ingest.boot_clock import without_glitches
@@ -33,14 +34,14 @@ def offsets(count: int, borders: range) -> np.ndarray:
 def test_the_median_runs_over_the_rows_around(count):
     given = offsets(count, range(7, count, 21))
     kept = given.copy()
-    np.testing.assert_array_equal(without_glitches(given), plainly(given))
-    np.testing.assert_array_equal(given, kept)
+    assert_array_equal(without_glitches(given), plainly(given))
+    assert_array_equal(given, kept)
 
 
 def test_glitches_over_borders_are_gone_and_the_step_stays():
     given = offsets(3 * BLOCK, range(BLOCK, 3 * BLOCK, BLOCK))
     steady = without_glitches(given)
-    np.testing.assert_array_equal(steady, plainly(given))
+    assert_array_equal(steady, plainly(given))
     (step,) = np.flatnonzero(np.abs(np.diff(steady)) > SECOND)
     assert abs(step + 1 - 3 * BLOCK // 2) <= STRAY_ROWS
     assert np.ptp(steady[: step + 1]) < 2 * 10**6

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.logs import LOGS
 from unbend.ingest import buffers as memory
@@ -62,7 +63,7 @@ def test_what_is_beyond_lies_in_files_and_goes_with_its_arrays(arena):
     assert held(arena) == (MIB, 1)
     release_pages()
     for k in range(3):
-        np.testing.assert_array_equal(columns[k], np.arange(k, k + NUMBERS_OF_A_MIB))
+        assert_array_equal(columns[k], np.arange(k, k + NUMBERS_OF_A_MIB))
     del columns[1:]
     assert held(arena) == (MIB, 1)
     del own, columns
@@ -236,8 +237,8 @@ def test_what_was_let_go_is_not_resident_and_comes_back(arena_in_files):
     assert resident(first) == 0
     assert first[1000] == 1000
     assert 0 < resident(first) < MIB
-    np.testing.assert_array_equal(first, rows)
-    np.testing.assert_array_equal(second, rows[::-1])
+    assert_array_equal(first, rows)
+    assert_array_equal(second, rows[::-1])
 
 
 @needs_smaps
@@ -278,7 +279,7 @@ def test_moved_columns_keep_their_rows(arena, monkeypatch, column, private):
         copy = copy_rows(column, chosen)
         expected = column if chosen is None else column[chosen]
         assert copy.dtype == expected.dtype
-        np.testing.assert_array_equal(copy, expected, strict=True)
+        assert_array_equal(copy, expected, strict=True)
         assert not np.shares_memory(copy, column)
 
 
@@ -308,7 +309,7 @@ def test_a_store_in_a_file_gives_back_what_it_took(arena):
     for part in np.array_split(rows, 7):
         store.add(part)
     assert held(arena)[1] >= 1
-    np.testing.assert_array_equal(store.whole(), rows)
+    assert_array_equal(store.whole(), rows)
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".tlog", ".mcap"])
@@ -323,8 +324,8 @@ def test_a_log_is_the_same_wherever_its_columns_lie(arena_in_files, monkeypatch,
     assert held(arena_in_files)[1] > 0 or suffix == ".bin"
     assert [c.name for c in spread.channels] == [c.name for c in usual.channels]
     for ours, theirs in zip(spread.channels, usual.channels, strict=True):
-        np.testing.assert_array_equal(ours.time_ns, theirs.time_ns)
-        np.testing.assert_array_equal(ours.boot, theirs.boot)
+        assert_array_equal(ours.time_ns, theirs.time_ns)
+        assert_array_equal(ours.boot, theirs.boot)
         for name, column in theirs.columns.items():
-            np.testing.assert_array_equal(ours[name], column)
+            assert_array_equal(ours[name], column)
     assert list(spread.ledger) == list(usual.ledger)

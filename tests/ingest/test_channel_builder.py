@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 from unbend.flight.channels import Channel, Source
 from unbend.ingest.channel_builder import DecodedRows, channel_of
@@ -42,9 +43,9 @@ def test_an_exposure_without_a_place_has_no_height_either():
         lon_rad=[0.1, 0.0, 0.0],
         h_msl_m=[5.0, 0.0, 6.0],
     )
-    np.testing.assert_array_equal(channel["lat_rad"], [0.8, np.nan, 0.8])
-    np.testing.assert_array_equal(channel["lon_rad"], [0.1, np.nan, 0.0])
-    np.testing.assert_array_equal(channel["h_msl_m"], [5.0, np.nan, 6.0])
+    assert_array_equal(channel["lat_rad"], [0.8, np.nan, 0.8])
+    assert_array_equal(channel["lon_rad"], [0.1, np.nan, 0.0])
+    assert_array_equal(channel["h_msl_m"], [5.0, np.nan, 6.0])
 
 
 def test_the_largest_integer_is_no_place_of_an_exposure():
@@ -84,4 +85,4 @@ def test_times_rise_and_every_row_that_is_missing_is_counted(seconds):
     assert len(channel) + dropped == len(seconds)
     if "TIME-SET-BACK" not in counts:  # each value keeps the time of its row
         rows = channel["pressure_pa"].astype(int)
-        np.testing.assert_array_equal(channel.time_ns // 10**9, np.array(seconds)[rows])
+        assert_array_equal(channel.time_ns // 10**9, np.array(seconds)[rows])

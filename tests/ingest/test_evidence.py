@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import refused
 from tests.ingest.written_logs import DataFlashWriter, MavlinkWriter, opened
@@ -67,7 +68,7 @@ def test_time_runs_as_the_microseconds_since_boot(name):
     for channel in log.channels:
         if channel.source.message in ("POS", "GPS", "BARO"):
             steps_us = np.diff(log.message(channel.name)["TimeUS"].astype(np.int64))
-            np.testing.assert_array_equal(np.diff(channel.time_ns), steps_us * 1000)
+            assert_array_equal(np.diff(channel.time_ns), steps_us * 1000)
 
 
 @pytest.mark.parametrize("name", TELEMETRY_LOGS)
@@ -150,7 +151,7 @@ def test_a_receiver_without_vertical_speed_has_none(tmp_path):
         writer.row("GPS", time_us, 3, 200 * k, 2300, 47.0, -122.5, 600.25, 10.0, 0.0, 0.5)
         writer.row("GPA", time_us, 0.5, 0.75, 0.25, has_vertical)
     channel = opened(tmp_path / "receiver.bin", writer.data).channel("GPS")
-    np.testing.assert_array_equal(channel["v_down_m_s"], [0.5, np.nan, 0.5])
+    assert_array_equal(channel["v_down_m_s"], [0.5, np.nan, 0.5])
     assert channel["sigma_speed_m_s"].tolist() == [0.25] * 3
     assert channel["v_north_m_s"].tolist() == [10.0] * 3
 

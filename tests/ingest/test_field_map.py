@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from tests.ingest.written_logs import (
@@ -609,9 +610,7 @@ def test_ros_2(tmp_path, name, definition, fields, expected):
         writer.write("/air", "sensor_msgs/Temperature", time_ns, temperature=-12.5)
     log = opened(tmp_path / "one.mcap", writer.data)
     holds(log, name, expected)
-    np.testing.assert_array_equal(
-        log.message("/one")["time_ns"], START_NS + np.arange(10) * NS_PER_S
-    )
+    assert_array_equal(log.message("/one")["time_ns"], START_NS + np.arange(10) * NS_PER_S)
     assert not log.ledger.has_losses
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from unbend.ingest.buffers import BLOCK, ColumnStore
 
@@ -79,5 +80,5 @@ def test_what_is_stored_comes_back(size):
         found = getattr(store, way)()
         if way != "whole":
             found = np.concatenate([np.empty(0, np.int64), *found])
-        np.testing.assert_array_equal(found, rows)
+        assert_array_equal(found, rows)
         assert len(store) == (size if way == "blocks" else 0)

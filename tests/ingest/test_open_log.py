@@ -6,8 +6,8 @@ import os
 import random
 from pathlib import Path
 
-import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
 from tests import helpers
@@ -165,7 +165,7 @@ def test_rates_and_pandas(real_log):
     assert baro["rate_hz"] == pytest.approx(10, rel=0.02)
     frame = log.to_pandas("BARO")
     assert str(frame.index.tz) == "UTC"
-    np.testing.assert_array_equal(frame["pressure_pa"], log.channel("BARO")["pressure_pa"])
+    assert_array_equal(frame["pressure_pa"], log.channel("BARO")["pressure_pa"])
 
 
 def test_hash_is_that_of_the_library(tmp_path):

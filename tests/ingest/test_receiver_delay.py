@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from unbend.flight.channels import Channel, Source
 from unbend.ingest.flight_log import Contents
@@ -81,7 +82,7 @@ def test_everything_but_the_fixes_is_later_by_the_delay():
     assert later_ns["GPS[0]"] == 0
     assert later_ns["POS"] == later_ns["CAM[0]"] == pytest.approx(0.2 * SECOND, abs=1e-3 * SECOND)
     assert after.table is not None
-    np.testing.assert_array_equal(after.table("CAM", None)["time_ns"], after.channels[2].time_ns)
+    assert_array_equal(after.table("CAM", None)["time_ns"], after.channels[2].time_ns)
     (entry,) = ledger
     assert entry.code == "TIME-FIT"
     assert "accurate to 15 ms" in entry.what

@@ -1,9 +1,8 @@
 """The true air against published figures and against the equations it claims to solve."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from unbend.simulate.true_air import (
     edlen_index,
@@ -68,7 +67,7 @@ def test_pressure_obeys_the_hydrostatic_equation():
     vapour = e * 28.9644 * 0.622
     density = (dry + vapour) / (8314.32 * t)
     gravity = np.array([normal_gravity(LATITUDE, x) for x in h])
-    np.testing.assert_allclose(slope, -density * gravity, rtol=2e-6)
+    assert_allclose(slope, -density * gravity, rtol=2e-6)
     assert float(air.pressure_pa(np.array(450.0))) == pytest.approx(96_850.0, rel=1e-12)
 
 
@@ -76,9 +75,9 @@ def test_index_and_its_slope_belong_together():
     air = true_air(LATITUDE)
     h = np.linspace(-50.0, 12_000.0, 997)
     direct = edlen_index(air.pressure_pa(h), temperature_k(h), vapour_pressure_pa(h))
-    np.testing.assert_allclose(air.n(h), direct, rtol=0.0, atol=2e-14)
+    assert_allclose(air.n(h), direct, rtol=0.0, atol=2e-14)
     slope = (air.n(h + 1.0) - air.n(h - 1.0)) / 2.0
-    np.testing.assert_allclose(air.dn_dh(h), slope, rtol=0.0, atol=3e-12)
+    assert_allclose(air.dn_dh(h), slope, rtol=0.0, atol=3e-12)
 
 
 def test_the_air_is_no_standard():

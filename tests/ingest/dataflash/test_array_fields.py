@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.ingest.written_logs import DataFlashWriter
 from unbend.ingest import Log
@@ -63,7 +64,7 @@ def test_a_field_without_numbers_is_lost_and_told(opened, field, column, letter)
     for channel in whole.channels:
         for name, values in channel.columns.items():
             if channel.source.message != "BARO" or name != column:
-                np.testing.assert_array_equal(log.channel(channel.name)[name], values)
+                assert_array_equal(log.channel(channel.name)[name], values)
 
 
 def test_an_instance_that_is_a_text_ends_no_log(opened):
@@ -117,5 +118,5 @@ def test_names_and_accuracies_that_are_arrays(opened, name, letters, columns):
 
 def test_the_table_of_a_message_whose_time_is_an_array(opened):
     table = opened(flight("BARO", "TimeUS", "a").data).message("BARO")
-    np.testing.assert_array_equal(table["TimeUS"], np.tile(WORDS, (ROWS, 1)))
+    assert_array_equal(table["TimeUS"], np.tile(WORDS, (ROWS, 1)))
     assert table["Press"].shape == (ROWS,)

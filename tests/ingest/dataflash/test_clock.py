@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import with_code
 from tests.ingest.written_logs import DataFlashWriter
@@ -76,8 +77,8 @@ def test_accuracy_goes_to_its_boot_and_its_instance(writer, opened):
         channel = log.channel(f"GPS[{instance}]")
         accuracy = 0.5 + channel.boot + 0.25 * instance
         accuracy[lost] = np.nan
-        np.testing.assert_allclose(channel["sigma_h_m"], accuracy / np.sqrt(2.0), rtol=1e-12)
-        np.testing.assert_array_equal(channel["h_ellipsoid_m"], 600.0 + accuracy)
+        assert_allclose(channel["sigma_h_m"], accuracy / np.sqrt(2.0), rtol=1e-12)
+        assert_array_equal(channel["h_ellipsoid_m"], 600.0 + accuracy)
 
 
 def test_instances_stay_apart_where_a_definition_gains_them(writer, opened):
@@ -123,7 +124,7 @@ def test_the_undulation_and_heights_above_the_ellipsoid(writer, opened, options,
     log = opened(writer.data)
     channel = log.channel("GPS[0]")
     for name, heights in columns.items():
-        np.testing.assert_array_equal(channel[name][:2], heights)
+        assert_array_equal(channel[name][:2], heights)
     assert "undulation_m" not in channel.columns
     assert len(with_code(log.ledger, "HEIGHT-ELLIPSOID")) == (options == 16.0)
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from pymavlink.DFReader import DFReader_binary
 
 from tests.ingest.dataflash.library import library_tables
@@ -20,9 +21,9 @@ def assert_same(ours: np.ndarray, theirs: list[Any], name: str) -> None:
     if ours.ndim == 2:  # arrays of numbers, and the bytes of files
         theirs = [np.frombuffer(bytes(cell), ours.dtype) for cell in theirs]
     expected = np.array(theirs, np.float64 if ours.dtype.kind == "f" else ours.dtype)
-    np.testing.assert_array_equal(ours, expected, name)
+    assert_array_equal(ours, expected, name)
     are_zero = ours == 0
-    np.testing.assert_array_equal(np.signbit(ours[are_zero]), np.signbit(expected[are_zero]), name)
+    assert_array_equal(np.signbit(ours[are_zero]), np.signbit(expected[are_zero]), name)
 
 
 @pytest.mark.parametrize("path", with_suffix(".bin"), ids=lambda path: path.name)

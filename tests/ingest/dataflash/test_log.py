@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import with_code
 from tests.ingest.dataflash.walk import walk
@@ -84,7 +85,7 @@ def test_known_flight(opened):
     assert first.rank == 20
     assert second.rank == 30
     assert first.roles == ("height", "position")
-    np.testing.assert_array_equal(first["h_ellipsoid_m"], 584.5 + np.arange(36))
+    assert_array_equal(first["h_ellipsoid_m"], 584.5 + np.arange(36))
     assert "h_ellipsoid_m" not in second.columns
     assert second["sigma_v_m"].tolist() == [0.5] * 36
     assert with_code(log.ledger, "POSITION-NO-FIX")[0].count == 4
@@ -207,7 +208,7 @@ def test_two_logs_in_one_file_are_two_boots(opened):
     # the same flight twice: the second has the same UTC and is not counted again
     repeats = with_code(log.ledger, "TIME-REPEAT")
     assert {entry.kind for entry in repeats if entry.where != "CAM"} == {"note"}
-    np.testing.assert_array_equal(log.channel("BARO[0]").boot, np.zeros(40))
+    assert_array_equal(log.channel("BARO[0]").boot, np.zeros(40))
 
 
 def test_a_definition_that_changes_in_the_file(opened):
@@ -217,7 +218,7 @@ def test_a_definition_that_changes_in_the_file(opened):
         writer.row("BARO", 30_000_000 + k * 100_000, 0, 12.0, 95_000.0 + k, 30.0)
     channel = opened(writer.data).channel("BARO[0]")
     expected_pa = [*(94_000.0 - np.arange(20)), *(95_000.0 + np.arange(5))]
-    np.testing.assert_array_equal(channel["pressure_pa"], expected_pa)
+    assert_array_equal(channel["pressure_pa"], expected_pa)
 
 
 def test_not_a_number_is_kept_as_a_row(opened):
@@ -225,7 +226,7 @@ def test_not_a_number_is_kept_as_a_row(opened):
     for k, pressure in enumerate((1e5, float("nan"), float("inf"), 1e5)):
         writer.row("BARO", 1_000_000 + k, 0, pressure, 20.0)
     channel = opened(writer.data).channel("BARO[0]")
-    np.testing.assert_array_equal(channel["pressure_pa"], [1e5, np.nan, np.nan, 1e5])
+    assert_array_equal(channel["pressure_pa"], [1e5, np.nan, np.nan, 1e5])
 
 
 def test_a_definition_that_makes_no_sense_is_a_loss_where_there_are_records_of_it(opened):

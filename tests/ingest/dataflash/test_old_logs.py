@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.ingest import written_logs
 from tests.ingest.written_logs import DataFlashWriter, entry_in
@@ -77,7 +78,7 @@ def test_the_times_of_old_messages(log):
     assert after_first_fix_ms(log, "ATT") == [50.0 + 200.0 * k for k in range(20)]
     table = log.message("ATT")
     assert "TimeUS" not in table
-    np.testing.assert_array_equal(table["time_ns"], log.channel("ATT").time_ns)
+    assert_array_equal(table["time_ns"], log.channel("ATT").time_ns)
 
 
 def test_an_exposure_is_half_an_interval_behind_its_fix(log):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pymavlink.DFReader import DFReader_binary, DFReader_text
 
 from tests.helpers import refused, with_code
@@ -52,7 +53,7 @@ def test_every_cell_is_that_of_the_library(text, record_property):
             is_text = ours.dtype.kind == "U"
             expected = np.array(values) if is_text else np.array(values, float)
             message = f"{name}.{field}"
-            np.testing.assert_array_equal(ours.astype(expected.dtype), expected, message)
+            assert_array_equal(ours.astype(expected.dtype), expected, message)
     assert cells > (250_000 if len(theirs) > 20 else 10_000)
     record_property("cells compared", cells)
 
@@ -67,11 +68,9 @@ def test_the_channels_are_those_of_the_binary_log(binary, text):
     assert names == [channel.name for channel in expected.channels]
     for channel in expected.channels:
         ours = log.channel(channel.name)
-        np.testing.assert_array_equal(ours.time_ns, channel.time_ns)
+        assert_array_equal(ours.time_ns, channel.time_ns)
         for name, column in channel.columns.items():
-            np.testing.assert_allclose(
-                ours[name], column, rtol=1e-15, err_msg=f"{channel.name} {name}"
-            )
+            assert_allclose(ours[name], column, rtol=1e-15, err_msg=f"{channel.name} {name}")
 
 
 HEAD = """FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns
@@ -166,8 +165,8 @@ def test_a_last_line_without_its_end_is_not_trusted(opened):
 def test_a_definition_that_changes(opened):
     body = "BARO, 1000000, 0, 95000, 20\nFMT, 23, 24, BARO, QBffc, TimeUS,I,Alt,Press,Temp\n"
     table = opened(body + "BARO, 1100000, 1, 7, 94000, 21\n").message("BARO")
-    np.testing.assert_array_equal(table["Alt"], [np.nan, 7.0])
-    np.testing.assert_array_equal(table["Press"], [95_000.0, 94_000.0])
+    assert_array_equal(table["Alt"], [np.nan, 7.0])
+    assert_array_equal(table["Press"], [95_000.0, 94_000.0])
 
 
 def test_a_line_without_end(opened):

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import refused
 from tests.ingest.mcap.protobuf_messages import message_class
@@ -137,7 +138,7 @@ def test_layouts_that_vary_from_message_to_message(opened):
     log = opened(bag.data)
     expected = library_messages(log.path)
     assert sum(compare(log.message(topic), expected[topic]) for topic in expected) > 4000
-    np.testing.assert_array_equal(log.channel("/air")["pressure_pa"], 9e4 - np.arange(400))
+    assert_array_equal(log.channel("/air")["pressure_pa"], 9e4 - np.arange(400))
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -157,13 +158,13 @@ def test_both_byte_orders(order):
     data = np.frombuffer(b"".join(rows), np.uint8)
     done, table = decode(data, np.cumsum(length) - length, length, decode_plan(steps))
     k = np.delete(np.arange(20), [3, 5])
-    np.testing.assert_array_equal(done, k)
-    np.testing.assert_array_equal(table["x"], k / 3)
-    np.testing.assert_array_equal(table["n"], np.stack([k, -k, np.full(18, 7)], axis=1))
-    np.testing.assert_array_equal(table["z"], k)
+    assert_array_equal(done, k)
+    assert_array_equal(table["x"], k / 3)
+    assert_array_equal(table["n"], np.stack([k, -k, np.full(18, 7)], axis=1))
+    assert_array_equal(table["z"], k)
     assert table["s"].tolist() == ["abcdefg"[: n % 7] for n in k]
     assert "f" not in table
-    np.testing.assert_array_equal(table["f[]"], k % 3)
+    assert_array_equal(table["f[]"], k % 3)
 
 
 @pytest.mark.parametrize(
@@ -213,13 +214,13 @@ def test_protobuf_of_foxglove(tmp_path):
     log = open_log(path)
     fix = log.channel("/fix")
     table = log.message("/fix")
-    np.testing.assert_array_equal(fix.time_ns, START + np.arange(300) * SECOND // 5)
-    np.testing.assert_array_equal(table["latitude"], latitudes)
-    np.testing.assert_array_equal(table["longitude"], longitudes)
-    np.testing.assert_array_equal(fix["lat_rad"], np.radians(latitudes))
-    np.testing.assert_array_equal(fix["lon_rad"], np.radians(longitudes))
-    np.testing.assert_array_equal(fix["h_ellipsoid_m"], altitudes)
-    np.testing.assert_array_equal(fix["sigma_v_m"], np.full(300, 3.0))
+    assert_array_equal(fix.time_ns, START + np.arange(300) * SECOND // 5)
+    assert_array_equal(table["latitude"], latitudes)
+    assert_array_equal(table["longitude"], longitudes)
+    assert_array_equal(fix["lat_rad"], np.radians(latitudes))
+    assert_array_equal(fix["lon_rad"], np.radians(longitudes))
+    assert_array_equal(fix["h_ellipsoid_m"], altitudes)
+    assert_array_equal(fix["sigma_v_m"], np.full(300, 3.0))
     assert table["frame_id"].tolist() == ["gps"] * 300
     assert fix.roles == ("height", "position")
     assert not log.ledger.has_losses
@@ -269,7 +270,7 @@ def test_json_of_nobodys_schema_is_a_channel_of_its_numbers(opened):
     writer.write(fixes, START, {"timestamp": START // SECOND, "latitude": 47.5, "longitude": 8.25})
     log = opened(writer.data)
     cabin = log.channel("/cabin")
-    np.testing.assert_array_equal(cabin["value"], [21.5, np.nan])
+    assert_array_equal(cabin["value"], [21.5, np.nan])
     assert cabin.roles == ()
     assert log.message("/cabin")["unit"].tolist() == ["degC", ""]
     undecoded = entry_in(log, "LOG-DECODE")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.writer import CompressionType
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.faults.mutate import work_unit_s
 from tests.helpers import refused, with_code
@@ -84,21 +85,21 @@ def test_known_flight(opened, compression):
     assert len(fix) == 58
     assert fix.roles == ("height", "position")
     assert with_code(log.ledger, "POSITION-NO-FIX")[0].count == 2
-    np.testing.assert_array_equal(fix["lat_rad"], np.radians(47.0 + 1e-4 * np.arange(2, 60)))
-    np.testing.assert_array_equal(fix["h_ellipsoid_m"], np.full(58, 580.25))
-    np.testing.assert_allclose(fix["sigma_h_m"], np.sqrt(3.0), rtol=1e-15)
-    np.testing.assert_array_equal(fix["sigma_v_m"], np.full(58, 3.0))
+    assert_array_equal(fix["lat_rad"], np.radians(47.0 + 1e-4 * np.arange(2, 60)))
+    assert_array_equal(fix["h_ellipsoid_m"], np.full(58, 580.25))
+    assert_allclose(fix["sigma_h_m"], np.sqrt(3.0), rtol=1e-15)
+    assert_array_equal(fix["sigma_v_m"], np.full(58, 3.0))
     # the time is that of the header, not that of the recorder 7 ms later
-    np.testing.assert_array_equal(fix.time_ns, START + np.arange(2, 60) * SECOND // 10)
+    assert_array_equal(fix.time_ns, START + np.arange(2, 60) * SECOND // 10)
     assert np.flatnonzero(np.isnan(log.channel("/imu")["q_w"])).tolist() == [3]
     pressures = log.channel("/outside/pressure")["pressure_pa"]
-    np.testing.assert_array_equal(pressures, 7e4 - np.arange(60))
+    assert_array_equal(pressures, 7e4 - np.arange(60))
     assert log.channel("/cabin/pressure").roles == ("pressure", "cabin_pressure")
     assert log.channel("/outside/humidity")["relative_humidity"][0] == 0.45
     images = log.channel("/camera")
-    np.testing.assert_array_equal(images["event_index"], np.arange(6))
+    assert_array_equal(images["event_index"], np.arange(6))
     assert images.labels["frame_id"] == tuple(f"cam{k}" for k in range(0, 60, 10))
-    np.testing.assert_array_equal(images.time_ns, START + np.arange(6) * SECOND)
+    assert_array_equal(images.time_ns, START + np.arange(6) * SECOND)
     assert log.bad_bytes == 0
     assert log.lost_messages == 0
     assert log.boots == 1
@@ -258,7 +259,7 @@ def test_log_time_0_takes_nothing_from_messages_with_a_stamp(opened):
         writer.write(fixes, 0, place(START + k * SECOND))
         writer.write(bare, 0, place(0))
     log = opened(writer.data)
-    np.testing.assert_array_equal(log.channel("/fix").time_ns, START + np.arange(10) * SECOND)
+    assert_array_equal(log.channel("/fix").time_ns, START + np.arange(10) * SECOND)
     fallbacks = {entry.code: entry.where for entry in log.ledger if entry.kind == "fallback"}
     assert fallbacks == {"TIME-LOG-TIME": "/bare", "TIME-NO-UTC": "/bare"}
 
@@ -333,7 +334,7 @@ def test_large_images_cost_no_memory_and_no_messages(opened, compression):
     tracemalloc.stop()
     assert peak < 24 << 20
     assert not log.ledger.has_losses
-    np.testing.assert_array_equal(log.channel("/air")["pressure_pa"], 7e4 - np.arange(60))
+    assert_array_equal(log.channel("/air")["pressure_pa"], 7e4 - np.arange(60))
     assert log.channel("/camera").labels["frame_id"] == ("cam5", "cam45")
 
 
@@ -349,12 +350,12 @@ def test_a_clock_set_back_in_the_recording_mixes_nothing(opened):
     air = log.channel("/air")
     camera = log.channel("/camera")
     # 20 to 30 s were passed twice: the later rows stand for them, and nothing bridges the step
-    np.testing.assert_array_equal(7e4 - air["pressure_pa"], [*range(200), *range(300, 400)])
-    np.testing.assert_array_equal(air.boot, [0] * 200 + [1] * 100)
+    assert_array_equal(7e4 - air["pressure_pa"], [*range(200), *range(300, 400)])
+    assert_array_equal(air.boot, [0] * 200 + [1] * 100)
     shots = [*range(0, 200, 4), *range(300, 400, 4)]
     assert [int(name) for name in camera.labels["frame_id"]] == shots
     # an image keeps its number when images before it are lost
-    np.testing.assert_array_equal(4 * camera["event_index"], shots)
+    assert_array_equal(4 * camera["event_index"], shots)
     of_air, of_camera = with_code(log.ledger, "TIME-BACKWARD")
     assert of_air.kind == of_camera.kind == "loss"
     assert of_air.count == 100
@@ -396,7 +397,7 @@ def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(opened):
     for k in range(5):
         bag.write("/air", TEMPERATURE, 0, START + k, temperature=20.0)
     log = opened(bag.data)
-    np.testing.assert_array_equal(log.channel("/air").time_ns, START + np.arange(5))
+    assert_array_equal(log.channel("/air").time_ns, START + np.arange(5))
     assert with_code(log.ledger, "TIME-LOG-TIME")[0].kind == "fallback"
 
 
@@ -501,9 +502,9 @@ def test_a_file_whose_head_is_lost(opened, name, part, end):
     assert [c.name for c in log.channels] == [c.name for c in expected.channels]
     for ours, theirs in zip(log.channels, expected.channels, strict=True):
         rows = np.isin(theirs.time_ns, ours.time_ns)
-        np.testing.assert_array_equal(ours.time_ns, theirs.time_ns[rows])
+        assert_array_equal(ours.time_ns, theirs.time_ns[rows])
         for column in ours.columns.keys() - {"event_index"}:  # from the first that is there
-            np.testing.assert_array_equal(ours[column], theirs[column][rows], column)
+            assert_array_equal(ours[column], theirs[column][rows], column)
         assert rows.all() or part == "quarter"
     read = sum(log.messages.values()) / sum(expected.messages.values())
     assert read > 0.7 if part == "quarter" else read == 1.0

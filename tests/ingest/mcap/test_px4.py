@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import with_code
 from tests.ingest.written_logs import RosWriter, entry_in, loss_codes
@@ -76,8 +77,8 @@ def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(opened):
             recording.shot(boot_ns, utc_ns, k)
     log = opened(recording.data)
     assert log.boots == 2
-    np.testing.assert_array_equal(seconds(log, "SensorHygrometer"), 200 + np.arange(200) / 5)
-    np.testing.assert_array_equal(seconds(log, "CameraCapture"), 200 + np.arange(0, 40, 4))
+    assert_array_equal(seconds(log, "SensorHygrometer"), 200 + np.arange(200) / 5)
+    assert_array_equal(seconds(log, "CameraCapture"), 200 + np.arange(0, 40, 4))
     assert log.channel("/fmu/out/CameraCapture").boot.tolist() == [1] * 10
     assert not loss_codes(log)
     table = log.message("/fmu/out/SensorHygrometer")
@@ -92,7 +93,7 @@ def test_a_reboot_whose_clock_is_ahead_of_the_last_is_one(opened):
     log = opened(recording.data)
     assert log.boots == 2
     expected_s = [*(np.arange(150) / 5), *(np.arange(150) / 5 + 3600)]
-    np.testing.assert_array_equal(seconds(log), expected_s)
+    assert_array_equal(seconds(log), expected_s)
     assert entry_in(log, "TIME-REBOOT").count == 1
 
 
@@ -105,8 +106,8 @@ def test_a_stray_stamp_of_the_receiver_moves_nothing_else(opened, row):
         recording.fix(boot_ns + stray_ns, START + k * STEP)
         recording.attitude(boot_ns, START + k * STEP)
     log = opened(recording.data)
-    np.testing.assert_array_equal(seconds(log), np.arange(200) / 5)
-    np.testing.assert_array_equal(seconds(log, "SensorGps"), np.delete(np.arange(200), row) / 5)
+    assert_array_equal(seconds(log), np.arange(200) / 5)
+    assert_array_equal(seconds(log, "SensorGps"), np.delete(np.arange(200), row) / 5)
     assert log.boots == 1
     assert entry_in(log, "TIME-STRAY").count == 1
     assert loss_codes(log) == {"TIME-STRAY"}
@@ -123,7 +124,7 @@ def test_utc_without_a_fix_counts_for_nothing(opened):
             recording.fix(boot_ns, utc_ns)
         recording.attitude(boot_ns, utc_ns)
     log = opened(recording.data)
-    np.testing.assert_array_equal(seconds(log), np.arange(200) / 5)
+    assert_array_equal(seconds(log), np.arange(200) / 5)
     assert not loss_codes(log)
 
 
@@ -141,7 +142,7 @@ def test_exposures_are_on_the_clock_of_the_poses(opened):
     recording.flight()
     take_shots(recording, 4 * 10**8)
     shots_s = seconds(opened(recording.data), "CameraCapture")
-    np.testing.assert_array_equal(shots_s, 10 + np.arange(250) / 10)
+    assert_array_equal(shots_s, 10 + np.arange(250) / 10)
 
 
 def test_a_camera_tells_utc_where_no_receiver_does(opened):
@@ -149,8 +150,8 @@ def test_a_camera_tells_utc_where_no_receiver_does(opened):
     recording.flight(fix_type=0)
     take_shots(recording, 0)
     log = opened(recording.data)
-    np.testing.assert_array_equal(seconds(log, "CameraCapture"), 10 + np.arange(250) / 10)
-    np.testing.assert_array_equal(seconds(log), np.arange(200) / 5)
+    assert_array_equal(seconds(log, "CameraCapture"), 10 + np.arange(250) / 10)
+    assert_array_equal(seconds(log), np.arange(200) / 5)
     assert not {"TIME-LOG-TIME", "TIME-NO-UTC"} & {entry.code for entry in log.ledger}
 
 
@@ -168,7 +169,7 @@ def test_with_neither_utc_nor_log_time_every_row_stays_and_time_is_from_boot(ope
     recording.flight(fix_type=0)
     log = opened(recording.data)
     attitude = log.channel("/fmu/out/VehicleAttitude")
-    np.testing.assert_array_equal(attitude.time_ns, 60 * SECOND + np.arange(200) * STEP)
+    assert_array_equal(attitude.time_ns, 60 * SECOND + np.arange(200) * STEP)
     assert entry_in(log, "TIME-NO-UTC").kind == "fallback"
     assert "unknown" in log.time_base
 
@@ -182,7 +183,7 @@ def test_stamps_that_change_from_boot_to_unix_time_fit_together(opened):
         recording.fix(stamp_ns, utc_ns)
         recording.attitude(stamp_ns, utc_ns)
     log = opened(recording.data)
-    np.testing.assert_array_equal(seconds(log), np.arange(100) / 5)
+    assert_array_equal(seconds(log), np.arange(100) / 5)
     assert not loss_codes(log)
 
 
@@ -196,7 +197,7 @@ def test_messages_that_come_late_are_no_boot_and_not_stray(opened, events):
     log = opened(recording.data)
     assert log.boots == 1
     assert len(log.channel("/fmu/out/CameraCapture")) == events
-    np.testing.assert_array_equal(seconds(log), np.arange(200) / 5)
+    assert_array_equal(seconds(log), np.arange(200) / 5)
     assert "GNSS" in log.time_base
     assert not loss_codes(log)
 

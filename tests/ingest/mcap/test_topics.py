@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import with_code
 from tests.ingest.mcap.protobuf_messages import message_class
@@ -60,8 +61,8 @@ def test_each_definition_of_a_topic_has_its_own_layout(opened, mixed):
         data = cdr(t, 5.0, 9e4 + k) if is_swapped else cdr(t, 9e4 + k, 5.0)
         messages.append((2 if is_swapped else 1, t, data))
     log = written(opened, channels, messages, [0] * 200)
-    np.testing.assert_array_equal(log.channel("/baro")["pressure_pa"], 9e4 + np.arange(200))
-    np.testing.assert_array_equal(log.message("/baro")["fluid_pressure"], 9e4 + np.arange(200))
+    assert_array_equal(log.channel("/baro")["pressure_pa"], 9e4 + np.arange(200))
+    assert_array_equal(log.message("/baro")["fluid_pressure"], 9e4 + np.arange(200))
     assert not log.ledger.has_losses
 
 
@@ -75,11 +76,11 @@ def test_encodings_of_a_topic_make_one_channel(opened):
         else:
             messages.append((1, t, cdr(t, 9e4 + k, 5.0)))
     log = written(opened, channels, messages)
-    np.testing.assert_array_equal(log.channel("/baro")["pressure_pa"], 9e4 + np.arange(200))
-    np.testing.assert_array_equal(log.channel("/baro").time_ns, TIMES[:200])
+    assert_array_equal(log.channel("/baro")["pressure_pa"], 9e4 + np.arange(200))
+    assert_array_equal(log.channel("/baro").time_ns, TIMES[:200])
     table = log.message("/baro")
-    np.testing.assert_array_equal(table["time_ns"], TIMES[:200])
-    np.testing.assert_array_equal(table["variance"], [5.0, np.nan] * 100)
+    assert_array_equal(table["time_ns"], TIMES[:200])
+    assert_array_equal(table["variance"], [5.0, np.nan] * 100)
     assert not log.ledger.has_losses
 
 
@@ -94,9 +95,9 @@ def test_schemas_of_a_topic_are_channels_apart_and_one_table(opened):
     assert log.channel("/air (sensor_msgs/FluidPressure)").roles == ("pressure", "cabin_pressure")
     assert len(log.channel("/air (sensor_msgs/Temperature)")) == 30
     table = log.message("/air")
-    np.testing.assert_array_equal(table["time_ns"], TIMES[:60])
-    np.testing.assert_array_equal(table["fluid_pressure"], [9e4, np.nan] * 30)
-    np.testing.assert_array_equal(table["temperature"], [np.nan, 15.0] * 30)
+    assert_array_equal(table["time_ns"], TIMES[:60])
+    assert_array_equal(table["fluid_pressure"], [9e4, np.nan] * 30)
+    assert_array_equal(table["temperature"], [np.nan, 15.0] * 30)
 
 
 def readings(opened: Opener, values: list[str], pad: str = "") -> Log:
@@ -114,7 +115,7 @@ def readings(opened: Opener, values: list[str], pad: str = "") -> Log:
 def test_a_value_that_is_no_number_costs_itself(opened, odd):
     log = readings(opened, ["3"] * 20 + [odd] + ["2.5", "null", '"4.5"'] * 5)
     expected = [3.0] * 20 + [np.nan] + [2.5, np.nan, 4.5] * 5
-    np.testing.assert_array_equal(log.channel("/cabin")["value"], expected)
+    assert_array_equal(log.channel("/cabin")["value"], expected)
     entry = entry_in(log, "LOG-DECODE")
     assert (entry.kind, entry.where, entry.count) == ("loss", "/cabin", 1)
     assert log.message("/cabin")["time_ns"].shape == (36,)
@@ -129,7 +130,7 @@ def test_texts_in_one_block_take_no_numbers_from_others(opened):
     log = readings(opened, values, PAD_TO_SEVERAL_BATCHES)
     numbers = log.channel("/cabin")["value"]
     assert np.flatnonzero(np.isnan(numbers)).tolist() == [20]
-    np.testing.assert_array_equal(numbers[21:], np.arange(21, 600))
+    assert_array_equal(numbers[21:], np.arange(21, 600))
     assert log.message("/cabin")["value"][[0, 20, 21, -1]].tolist() == [0, "n/a", 21, 599]
 
 
@@ -255,7 +256,7 @@ def test_chunks_in_another_order_lose_nothing(opened):
     log = numbered(opened, order, [TIMES[k] for k in order])
     assert log.lost_messages == 0
     assert not log.ledger.has_losses
-    np.testing.assert_array_equal(log.channel("/p")["pressure_pa"], 9e4 + np.arange(300))
+    assert_array_equal(log.channel("/p")["pressure_pa"], 9e4 + np.arange(300))
     entry = entry_in(log, "LOG-REORDERED")
     assert (entry.kind, entry.where, entry.count) == ("note", "/p, first at row 100", 100)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import with_code
 from tests.ingest.written_logs import MavlinkWriter, Opener, entry_in
@@ -116,7 +117,7 @@ def test_a_boot_whose_first_time_is_later_than_the_last(opened):
         for k in range(rows):
             bus.vehicle(1000 * (boot_s + k), START_US + SECOND_US * (utc_s + k))
     log = opened(bus.data)
-    np.testing.assert_array_equal(seconds(log), [*range(30), *range(3600, 4200)])
+    assert_array_equal(seconds(log), [*range(30), *range(3600, 4200)])
     assert log.boots == 2
     assert entry_in(log, "TIME-REBOOT").kind == "warning"
     assert with_code(log.ledger, "LOG-GAP") == []  # the vehicle was off
@@ -129,7 +130,7 @@ def test_without_utc_the_stamps_of_the_log_tell_a_boot(opened):
             at_us = START_US + SECOND_US * (utc_s + k)
             bus.send("attitude", at_us, time_boot_ms=1000 * (boot_s + k))
     log = opened(bus.data)
-    np.testing.assert_array_equal(seconds(log), [*range(30), *range(3600, 4200)])
+    assert_array_equal(seconds(log), [*range(30), *range(3600, 4200)])
     assert log.boots == 2
 
 
@@ -170,7 +171,7 @@ def test_the_clock_of_a_camera(opened, behind_ms, own_utc_s, expected_s, codes):
         )
     log = opened(bus.data)
     # the ground station's clock is 0.2 s behind, which the clock of the vehicle takes out
-    np.testing.assert_allclose(
+    assert_allclose(
         seconds(log, "CAMERA_IMAGE_CAPTURED[0]"),
         np.arange(60) + expected_s,
         atol=0.2 if expected_s else 1e-6,
@@ -208,8 +209,8 @@ def test_the_first_message_of_a_boot_may_come_before_its_clock(opened):
             bus.send("gps_raw_int", utc_us + 200_000, **fix)
             bus.vehicle(boot_ms, utc_us)
     log = opened(bus.data)
-    np.testing.assert_array_equal(seconds(log, "GPS_RAW_INT"), [*range(60), *range(1000, 1060)])
-    np.testing.assert_array_equal(log.channel("GPS_RAW_INT").boot, [0] * 60 + [1] * 60)
+    assert_array_equal(seconds(log, "GPS_RAW_INT"), [*range(60), *range(1000, 1060)])
+    assert_array_equal(log.channel("GPS_RAW_INT").boot, [0] * 60 + [1] * 60)
 
 
 def test_repeated_feedback_is_a_note_and_costs_nothing(opened):
@@ -289,7 +290,7 @@ def test_packets_that_others_overtake_are_no_boot_and_no_loss(opened):
     # a SYSTEM_TIME less in the median of UTC
     assert np.abs(positions.time_ns - whole.time_ns).max() < 1000
     for name, column in whole.columns.items():
-        np.testing.assert_array_equal(positions[name], column, name)
+        assert_array_equal(positions[name], column, name)
 
 
 ROLLOVER_US = 1024 * 604_800 * SECOND_US

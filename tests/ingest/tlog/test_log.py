@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from tests.helpers import with_code
@@ -98,7 +99,7 @@ def test_five_boots(real_log):
     boot_ms = [row.time_boot_ms for row in library_pressures(path)]
     since_boot = np.array(boot_ms, np.int64) * 1_000_000
     boots = np.concatenate([[0], np.cumsum(np.diff(since_boot) < 0)])
-    np.testing.assert_array_equal(channel.boot, boots)
+    assert_array_equal(channel.boot, boots)
     for boot in range(5):  # within a boot, time is the vehicle's, moved as a whole
         in_boot = boots == boot
         assert np.ptp(channel.time_ns[in_boot] - since_boot[in_boot]) == 0
@@ -126,8 +127,8 @@ def test_the_two_logs_of_one_flight_agree(real_log):
         apart = (ours.time_ns - theirs.time_ns) / 1e9
         assert np.abs(apart).max() < 0.25
         assert np.ptp(apart) < 2e-5  # camera 1 is stamped once for each log
-        np.testing.assert_array_equal(ours["event_index"], theirs["event_index"])
-        np.testing.assert_allclose(ours["lat_rad"], theirs["lat_rad"], atol=1e-15)
+        assert_array_equal(ours["event_index"], theirs["event_index"])
+        assert_allclose(ours["lat_rad"], theirs["lat_rad"], atol=1e-15)
 
 
 def test_a_ground_station_with_its_own_system_time_is_not_the_vehicle(real_log):
@@ -144,16 +145,16 @@ def test_known_flight(opened, version):
     vehicle = log.channel("SCALED_PRESSURE@1/1")
     assert vehicle["pressure_pa"].tolist() == [70_025.0] * 100
     assert log.channel("SCALED_PRESSURE@1/25")["pressure_pa"][0] == 85_050.0
-    np.testing.assert_array_equal(vehicle.time_ns, BEGIN_NS + np.arange(100) * SECOND // 5)
+    assert_array_equal(vehicle.time_ns, BEGIN_NS + np.arange(100) * SECOND // 5)
     gps = log.channel("GPS_RAW_INT")
     for channel in (gps, log.channel("ATTITUDE")):
-        np.testing.assert_array_equal(channel.time_ns, vehicle.time_ns)
+        assert_array_equal(channel.time_ns, vehicle.time_ns)
     assert "sigma_v_m" not in gps.columns
     if version == 2:
-        np.testing.assert_array_equal(gps["h_ellipsoid_m"], [np.nan] * 50 + [580.5] * 50)
+        assert_array_equal(gps["h_ellipsoid_m"], [np.nan] * 50 + [580.5] * 50)
         # no time of its own: the vehicle's time, by the messages it arrived with
         late_ns = log.channel("HYGROMETER_SENSOR[2]").time_ns - BEGIN_NS
-        np.testing.assert_allclose(late_ns, np.arange(20) * SECOND, atol=1e6)
+        assert_allclose(late_ns, np.arange(20) * SECOND, atol=1e6)
         pitot = log.channel("AIRSPEED[0]")
         assert pitot.roles == ("airspeed",)
         assert "temperature_k" not in pitot.columns
@@ -187,7 +188,7 @@ def test_camera_feedback_in_unix_time_and_in_time_since_boot(opened):
     log = opened(writer.data)
     expected_ns = BEGIN_NS + np.array([4, 5, 6]) * SECOND
     for name in ("CAMERA_FEEDBACK[0]", "CAMERA_FEEDBACK[1]", "CAMERA_TRIGGER"):
-        np.testing.assert_array_equal(log.channel(name).time_ns, expected_ns)
+        assert_array_equal(log.channel(name).time_ns, expected_ns)
     assert log.channel("CAMERA_TRIGGER")["event_index"].tolist() == [7, 8, 9]
 
 
@@ -222,7 +223,7 @@ def test_a_stamp_days_ahead_costs_one_row(opened, row):
     assert f"first at row {row}," in loss.where
     # messages without a time of their own keep the vehicle's, before and after
     late_ns = log.channel("HYGROMETER_SENSOR[2]").time_ns - BEGIN_NS
-    np.testing.assert_allclose(late_ns, np.arange(100) * SECOND, atol=1e6)
+    assert_allclose(late_ns, np.arange(100) * SECOND, atol=1e6)
 
 
 def test_instances_of_equal_standing_rank_alike(opened):
@@ -391,7 +392,7 @@ def test_a_count_of_milliseconds_that_runs_over_is_counted_on(opened):
     for name in ("SCALED_PRESSURE", "GPS_RAW_INT", "CAMERA_TRIGGER"):
         # what was overtaken is where it was sent
         late_ns = log.channel(name).time_ns - START_US * 1000
-        np.testing.assert_array_equal(late_ns, np.sort(sent_ns))
+        assert_array_equal(late_ns, np.sort(sent_ns))
 
 
 def test_a_new_boot_after_weeks_is_no_overrun(opened):
@@ -481,8 +482,8 @@ def test_mount_status_of_two_heads(opened):
     assert [head.source.component for head in heads] == [*angles]
     for head, (pitch, roll) in zip(heads, angles.values(), strict=True):
         assert len(head) == 10
-        np.testing.assert_allclose(head["gimbal_pitch_rad"], pitch / 100.0 * DEGREE)
-        np.testing.assert_allclose(head["gimbal_roll_rad"], roll / 100.0 * DEGREE)
+        assert_allclose(head["gimbal_pitch_rad"], pitch / 100.0 * DEGREE)
+        assert_allclose(head["gimbal_roll_rad"], roll / 100.0 * DEGREE)
 
 
 def test_a_stabilised_gimbal_of_a_real_flight(real_log):
@@ -502,7 +503,7 @@ def test_a_stabilised_gimbal_of_a_real_flight(real_log):
 def test_the_table_of_an_instance_has_its_rows_only(opened):
     log = opened(flight().data)
     times_ns = log.channel("ATTITUDE").time_ns
-    np.testing.assert_array_equal(log.message("ATTITUDE")["time_ns"], times_ns)
+    assert_array_equal(log.message("ATTITUDE")["time_ns"], times_ns)
     assert log.message("NAMED_VALUE_FLOAT", "CabT")["name"].tolist() == ["CabT"] * 20
     with pytest.raises(LogError, match="LOG-NO-TABLE"):
         log.message("NAMED_VALUE_FLOAT", "CabX")

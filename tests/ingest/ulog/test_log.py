@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import refused, with_code
 from tests.ingest.written_logs import ULogWriter, entry_in, loss_codes
@@ -348,7 +349,7 @@ def test_a_pitot_tube_gives_dynamic_pressure_and_heating(opened):
     assert "airspeed" in channel.roles
     assert dynamic_of(channel["airspeed_m_s"])[0] == pytest.approx(dynamic, rel=1e-6)
     heating = heating_of(channel["airspeed_m_s"], pressure, channel["temperature_k"])
-    np.testing.assert_allclose(heating, true**2 / (2.0 * 1004.7), rtol=1e-3)
+    assert_allclose(heating, true**2 / (2.0 * 1004.7), rtol=1e-3)
 
 
 def test_pyulog_is_not_needed(opened, monkeypatch):
@@ -365,7 +366,7 @@ def test_a_file_whose_head_is_lost(opened, count, end):
     assert log.messages == expected.messages
     assert channel_names(log) == channel_names(expected)
     for ours, theirs in zip(log.channels, expected.channels, strict=True):
-        np.testing.assert_array_equal(ours.time_ns, theirs.time_ns)
+        assert_array_equal(ours.time_ns, theirs.time_ns)
     assert loss_codes(log) == {"LOG-BAD-BYTES"}
 
 
