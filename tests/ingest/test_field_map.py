@@ -681,3 +681,22 @@ def test_a_value_that_means_unknown(format_name, message, field, unknown, column
     columns = message_maps(format_name)[message].columns
     made = extract({field: np.array([unknown, 1])}, columns)
     assert np.isnan(made[column]).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("format_name", "message"),
+    [
+        ("dataflash", "HYGR"),
+        ("dataflash", "TEMP"),
+        ("dataflash", "ARSP"),
+        ("tlog", "HYGROMETER_SENSOR"),
+        ("tlog", "AIRSPEED"),
+        ("tlog", "SCALED_PRESSURE"),
+        ("ros", "sensor_msgs/Temperature"),
+        ("ros", "sensor_msgs/RelativeHumidity"),
+        ("ros", "sensor_msgs/FluidPressure"),
+    ],
+)
+def test_the_first_of_several_is_not_preferred(format_name, message):
+    """The numbers of instances do not show which sensor is outside."""
+    assert message_maps(format_name)[message].spare_rank is None

@@ -15,7 +15,7 @@ from tests.ingest.written_logs import DataFlashWriter
 from tests.logs import LOGS, at_hand
 from unbend.cli.app import app
 from unbend.errors import UnbendError
-from unbend.ingest import hash_file, open_log
+from unbend.ingest import open_log
 
 # Message totals and types by a loop of recv_msg over the file (pymavlink 2.4.50, BAD_DATA left
 # out) and by the Statistics record of the MCAP.
@@ -166,12 +166,6 @@ def test_rates_and_pandas(real_log):
     frame = log.to_pandas("BARO")
     assert str(frame.index.tz) == "UTC"
     assert_array_equal(frame["pressure_pa"], log.channel("BARO")["pressure_pa"])
-
-
-def test_hash_is_that_of_the_library(tmp_path):
-    path = tmp_path / "blob"
-    path.write_bytes(b"x" * 3_000_001)
-    assert hash_file(path) == hashlib.sha256(b"x" * 3_000_001).hexdigest()
 
 
 def test_a_log_and_a_channel_say_what_they_are(flown):

@@ -59,7 +59,10 @@ def dataflash(small):
 
 @pytest.fixture(scope="module")
 def telemetry(small):
-    link = mavutil.mavlink_connection(str(small.logs["tlog"]), dialect="ardupilotmega")
+    link = mavutil.mavlink_connection(
+        str(small.logs["tlog"]),
+        dialect="ardupilotmega",
+    )
     rows = defaultdict(list)
     log = small.logs["tlog"].read_bytes()
     place = 0
@@ -108,7 +111,10 @@ def test_every_message_is_read_back(small, dataflash, telemetry, recording):
     assert "BAD_DATA" not in telemetry
 
 
-@pytest.mark.parametrize(("instance", "camera"), enumerate(("nadir", "oblique")))
+@pytest.mark.parametrize(
+    ("instance", "camera"),
+    enumerate(("nadir", "oblique")),
+)
 def test_events_are_the_shutter(dataflash, recording, stations, instance, camera):
     shots = dataflash["CAM"].query(f"I == {instance}")
     truth = stations[stations.camera == camera]
@@ -117,8 +123,16 @@ def test_events_are_the_shutter(dataflash, recording, stations, instance, camera
     assert utc_ns.tolist() == true_ns
     assert recording[f"/camera/{camera}/image/compressed"].stamp.tolist() == true_ns
     assert shots.Img.tolist() == [1, 2, 3]
-    assert_allclose(shots.Lat, truth.lat_deg, atol=2e-5)
-    assert_allclose(shots.Alt, truth.h_msl_m, atol=1.0)
+    assert_allclose(
+        shots.Lat,
+        truth.lat_deg,
+        atol=2e-5,
+    )
+    assert_allclose(
+        shots.Alt,
+        truth.h_msl_m,
+        atol=1.0,
+    )
 
 
 def test_triggers_are_before_the_shutter(dataflash):
@@ -128,8 +142,16 @@ def test_triggers_are_before_the_shutter(dataflash):
 def test_heights_carry_the_undulation(dataflash, telemetry, recording):
     above_ellipsoid = dataflash["GPA"].AEl
     raw = telemetry["GPS_RAW_INT"]
-    assert_allclose(above_ellipsoid - dataflash["GPS"].Alt, 47.6, atol=0.011)
-    assert_allclose((raw.alt_ellipsoid - raw.alt) / 1e3, 47.6, atol=0.0011)
+    assert_allclose(
+        above_ellipsoid - dataflash["GPS"].Alt,
+        47.6,
+        atol=0.011,
+    )
+    assert_allclose(
+        (raw.alt_ellipsoid - raw.alt) / 1e3,
+        47.6,
+        atol=0.0011,
+    )
     altitudes = fields(recording, "/fix", "altitude")
     assert_allclose(altitudes, above_ellipsoid, atol=0.0051)
 
@@ -137,10 +159,18 @@ def test_heights_carry_the_undulation(dataflash, telemetry, recording):
 def test_the_three_logs_carry_the_same_samples(dataflash, telemetry, recording):
     celsius = dataflash["HYGR"].query("Id == 0").Temp
     mavlink = telemetry["HYGROMETER_SENSOR"].query("id == 0")
-    assert_allclose(celsius, mavlink.temperature / 100.0, atol=1e-5)
+    assert_allclose(
+        celsius,
+        mavlink.temperature / 100.0,
+        atol=1e-5,
+    )
     ros = fields(recording, "/outside/temperature", "temperature")
     assert_allclose(celsius, ros, atol=1e-5)
-    assert_allclose(dataflash["ARSP"].Temp, celsius, atol=1e-5)
+    assert_allclose(
+        dataflash["ARSP"].Temp,
+        celsius,
+        atol=1e-5,
+    )
     cabin_pa = dataflash["BARO"].query("I == 1").Press.to_numpy()[::2]
     mavlink_pa = telemetry["SCALED_PRESSURE2"].press_abs * 100.0
     assert_allclose(mavlink_pa, cabin_pa, rtol=1e-7)
@@ -151,12 +181,24 @@ def test_the_three_logs_carry_the_same_samples(dataflash, telemetry, recording):
 def test_attitude_is_the_same_in_all_frames(dataflash, telemetry, recording):
     attitude = dataflash["ATT"]
     mavlink = telemetry["ATTITUDE"]
-    assert_allclose(np.degrees(mavlink.roll), attitude.Roll, atol=0.0051)
-    assert_allclose(np.degrees(mavlink.pitch), attitude.Pitch, atol=0.0051)
+    assert_allclose(
+        np.degrees(mavlink.roll),
+        attitude.Roll,
+        atol=0.0051,
+    )
+    assert_allclose(
+        np.degrees(mavlink.pitch),
+        attitude.Pitch,
+        atol=0.0051,
+    )
     assert angle_apart(np.degrees(mavlink.yaw), attitude.Yaw).max() < 0.0051
     east, north, up = orientations(recording)[::2].apply([1.0, 0.0, 0.0]).T
     assert angle_apart(np.degrees(np.arctan2(east, north)), attitude.Yaw).max() < 0.0051
-    assert_allclose(np.degrees(np.arcsin(up)), attitude.Pitch, atol=0.0051)
+    assert_allclose(
+        np.degrees(np.arcsin(up)),
+        attitude.Pitch,
+        atol=0.0051,
+    )
 
 
 def test_clocks(dataflash, telemetry, recording):
@@ -198,7 +240,11 @@ def test_the_nose_is_along_the_flight_and_the_roof_is_up(telemetry, recording):
     """REP 103: in east-north-up, the body's z axis is upwards; its x axis is that of MAVLink."""
     attitude = telemetry["ATTITUDE"]
     place = telemetry["GLOBAL_POSITION_INT"]
-    yaw = np.interp(place.time_boot_ms, attitude.time_boot_ms, np.unwrap(attitude.yaw))
+    yaw = np.interp(
+        place.time_boot_ms,
+        attitude.time_boot_ms,
+        np.unwrap(attitude.yaw),
+    )
     course = np.arctan2(place.vy, place.vx)
     is_fast = np.hypot(place.vx, place.vy) > 5000.0
     assert np.cos(yaw - course)[is_fast].min() > 0.99
@@ -220,19 +266,44 @@ def test_samples_are_those_of_the_true_air(small, dataflash):
 def chords(small, stations, observations):
     """Observations, and the straight lines from the cameras to the points, in east, north, up."""
     points = pd.read_parquet(small.truth / "points.parquet")
-    rows = observations.merge(stations, on="image").merge(points, on="point", suffixes=("", "_g"))
-    to_ecef = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
+    rows = observations.merge(stations, on="image").merge(
+        points,
+        on="point",
+        suffixes=("", "_g"),
+    )
+    to_ecef = pyproj.Transformer.from_crs(
+        4979,
+        4978,
+        always_xy=True,
+    )
     camera = np.array(to_ecef.transform(rows.lon_deg, rows.lat_deg, rows.h_ellipsoid_m))
     ground = np.array(to_ecef.transform(rows.lon_deg_g, rows.lat_deg_g, rows.h_ellipsoid_m_g))
-    angles = np.stack([90.0 + rows.lon_deg, 90.0 - rows.lat_deg], -1)
-    enu = Rotation.from_euler("ZX", angles, degrees=True)
+    angles = np.stack(
+        [90.0 + rows.lon_deg, 90.0 - rows.lat_deg],
+        -1,
+    )
+    enu = Rotation.from_euler(
+        "ZX",
+        angles,
+        degrees=True,
+    )
     return rows, enu.inv().apply((ground - camera).T)
 
 
 def test_the_angle_of_the_chord_is_that_of_the_ray_less_the_refraction(chords):
     rows, chord = chords
-    nadir_angle = np.arctan2(np.hypot(chord[:, 0], chord[:, 1]), -chord[:, 2])
-    assert_allclose(nadir_angle, rows.zeta_c_rad - rows.r_c_rad, atol=2e-12)
+    nadir_angle = np.arctan2(
+        np.hypot(
+            chord[:, 0],
+            chord[:, 1],
+        ),
+        -chord[:, 2],
+    )
+    assert_allclose(
+        nadir_angle,
+        rows.zeta_c_rad - rows.r_c_rad,
+        atol=2e-12,
+    )
 
 
 @pytest.mark.parametrize("camera", ["nadir", "oblique"])
@@ -253,8 +324,16 @@ def test_true_pixels_are_the_projected_chord(small, chords, camera):
     y_distorted = y * radial + lens["p1"] * (r2 + 2 * y**2) + 2 * lens["p2"] * x * y
     x_px = settings["fx_px"] * x_distorted + settings["cx_px"]
     y_px = settings["fy_px"] * y_distorted + settings["cy_px"]
-    assert_allclose(x_px, rows.x_true_px, atol=1e-7)
-    assert_allclose(y_px, rows.y_true_px, atol=1e-7)
+    assert_allclose(
+        x_px,
+        rows.x_true_px,
+        atol=1e-7,
+    )
+    assert_allclose(
+        y_px,
+        rows.y_true_px,
+        atol=1e-7,
+    )
 
 
 def test_signs_and_sizes(stations, observations):
@@ -263,7 +342,10 @@ def test_signs_and_sizes(stations, observations):
     assert (rows.r_cc_rad > 0.0).all()
     oblique = rows[rows.camera == "oblique"]
     assert oblique.zeta_c_rad.between(np.radians(20.0), np.radians(70.0)).all()
-    shift = np.hypot(oblique.x_px - oblique.x_true_px, oblique.y_px - oblique.y_true_px)
+    shift = np.hypot(
+        oblique.x_px - oblique.x_true_px,
+        oblique.y_px - oblique.y_true_px,
+    )
     assert 0.3 < shift.median() < 2.0
 
 
@@ -276,7 +358,10 @@ def test_observations_are_the_true_ones_without_noise(small, observations):
     measured = pd.read_parquet(small.observations)
     names = ["image", "point", "x_px", "y_px", "h_g_m"]
     assert list(measured.columns) == [*names, "quality"]
-    pd.testing.assert_frame_equal(measured[names], observations[names])
+    pd.testing.assert_frame_equal(
+        measured[names],
+        observations[names],
+    )
 
 
 def test_same_seed_same_bytes_other_seed_other_bytes(small, tmp_path):
@@ -286,13 +371,19 @@ def test_same_seed_same_bytes_other_seed_other_bytes(small, tmp_path):
     for path in files:
         name = path.relative_to(small.folder)
         assert path.read_bytes() == (again.folder / name).read_bytes(), name
-    changed = simulate(tmp_path / "other", SimulationOptions(seed=4, **SMALL))
+    changed = simulate(
+        tmp_path / "other",
+        SimulationOptions(seed=4, **SMALL),
+    )
     assert small.logs["bin"].read_bytes() != changed.logs["bin"].read_bytes()
 
 
 def test_default_mission(tmp_path):
     steps = []
-    made = simulate(tmp_path, progress=lambda stage, done, total: steps.append((done, total)))
+    made = simulate(
+        tmp_path,
+        progress=lambda stage, done, total: steps.append((done, total)),
+    )
     done, total = steps[-1]
     assert done == total
     assert made.images == 56
@@ -315,7 +406,10 @@ def test_options_out_of_range_are_refused(change):
         SimulationOptions(**change)
 
 
-@pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
+@pytest.mark.parametrize(
+    "kind",
+    ["bin", "tlog", "mcap"],
+)
 def test_mission_files_are_yaml_that_names_the_log(small, kind):
     content = yaml.safe_load(small.missions[kind].read_text())
     assert content["log"]["path"] == f"flight.{kind}"

@@ -21,7 +21,11 @@ def test_mounts_point_where_they_say():
 
 def test_body_rotation_is_yaw_pitch_roll():
     expected = Rotation.from_euler("ZYX", [2.1, -0.3, 0.7]).as_matrix()
-    assert_allclose(body_rotation(0.7, -0.3, 2.1), expected, atol=1e-15)
+    assert_allclose(
+        body_rotation(0.7, -0.3, 2.1),
+        expected,
+        atol=1e-15,
+    )
 
 
 def test_quaternion_agrees_with_scipy():
@@ -31,15 +35,34 @@ def test_quaternion_agrees_with_scipy():
         assert_allclose(q, expected, atol=1e-14)
 
 
-@pytest.mark.parametrize("n_inside", [1.00019, 1.00023], ids=["same air", "denser in the cabin"])
+@pytest.mark.parametrize(
+    "n_inside",
+    [1.00019, 1.00023],
+    ids=["same air", "denser in the cabin"],
+)
 def test_window_obeys_snell(n_inside):
     slope = np.radians([1e-3, 5.0, 19.0])
-    rays = np.stack([np.sin(slope), np.zeros(3), np.cos(slope)], axis=-1)
+    rays = np.stack(
+        [np.sin(slope), np.zeros(3), np.cos(slope)],
+        axis=-1,
+    )
     n_outside = np.full(3, 1.00019)
     inside, r_cc = through_window(rays, n_outside, np.full(3, n_inside))
-    zeta_f = np.arctan2(inside[:, 0], inside[:, 2])
-    assert_allclose(n_inside * np.sin(zeta_f), n_outside * np.sin(slope), rtol=1e-14)
-    assert_allclose(r_cc, slope - zeta_f, rtol=0.0, atol=1e-16)
+    zeta_f = np.arctan2(
+        inside[:, 0],
+        inside[:, 2],
+    )
+    assert_allclose(
+        n_inside * np.sin(zeta_f),
+        n_outside * np.sin(slope),
+        rtol=1e-14,
+    )
+    assert_allclose(
+        r_cc,
+        slope - zeta_f,
+        rtol=0.0,
+        atol=1e-16,
+    )
 
 
 def test_far_rays_are_not_folded_back_by_the_lens():

@@ -25,10 +25,18 @@ def flight():
 
 @pytest.fixture(scope="module")
 def logged(flight):
-    return sample(flight, AIR, 5, ("a",))
+    return sample(
+        flight,
+        AIR,
+        5,
+        ("a",),
+    )
 
 
-@pytest.mark.parametrize("draw", [GnssSamples.draw, navigation_samples])
+@pytest.mark.parametrize(
+    "draw",
+    [GnssSamples.draw, navigation_samples],
+)
 def test_positions_scatter_alike_to_the_north_and_to_the_east(flight, draw):
     """3 cm each; in radians of longitude that is more than in latitude, by 1/cos(47.4 deg)."""
     errors = []
@@ -38,7 +46,10 @@ def test_positions_scatter_alike_to_the_north_and_to_the_east(flight, draw):
         north = EQUATOR_M * (drawn.lat_rad - truth.lat_rad)
         east = EQUATOR_M * np.cos(truth.lat_rad) * (drawn.lon_rad - truth.lon_rad)
         errors.append([north, east, drawn.h_msl_m - truth.h_msl_m])
-    scatter = np.std(np.concatenate(errors, axis=1), axis=1)
+    scatter = np.std(
+        np.concatenate(errors, axis=1),
+        axis=1,
+    )
     assert scatter == pytest.approx([0.03, 0.03, 0.05], rel=0.15)
 
 
@@ -79,7 +90,10 @@ def test_the_lever_arm_is_along_the_body(flight, number):
     pair = cameras(20_000.0)
     block = stations(flight, AIR, pair)
     truth = flight.at(flight.exposure_s)
-    angles = np.stack([truth.yaw_rad, truth.pitch_rad, truth.roll_rad], axis=-1)
+    angles = np.stack(
+        [truth.yaw_rad, truth.pitch_rad, truth.roll_rad],
+        axis=-1,
+    )
     north, east, down = Rotation.from_euler("ZYX", angles).apply(pair[number].lever_arm_m).T
     height = truth.h_msl_m + UNDULATION_M
     w = 1.0 - E2 * np.sin(truth.lat_rad) ** 2
@@ -89,21 +103,50 @@ def test_the_lever_arm_is_along_the_body(flight, number):
     moved_lat = block.lat_rad[rows] - truth.lat_rad
     moved_lon = block.lon_rad[rows] - truth.lon_rad
     assert_allclose(moved_lat * meridian, north, atol=1e-5)
-    assert_allclose(moved_lon * parallel, east, atol=1e-5)
-    assert_allclose(block.h_ellipsoid_m[rows] - height, -down, atol=1e-5)
+    assert_allclose(
+        moved_lon * parallel,
+        east,
+        atol=1e-5,
+    )
+    assert_allclose(
+        block.h_ellipsoid_m[rows] - height,
+        -down,
+        atol=1e-5,
+    )
 
 
 def test_the_noise_of_x_and_y_is_drawn_for_each():
     count = 2000
     zeros = np.zeros(count, np.int64)
     block = SimpleNamespace(image=("a",))
-    points = SimpleNamespace(name=("p",), h_msl_m=np.array([450.0]))
+    points = SimpleNamespace(
+        name=("p",),
+        h_msl_m=np.array([450.0]),
+    )
     names = ("x_px", "y_px", "x_true_px", "y_true_px", "zeta_c_rad", "r_c_rad", "r_cc_rad")
     true = {name: np.full(count, 100.0 * k) for k, name in enumerate(names, 1)}
-    seen = SimpleNamespace(station=zeros, point=zeros, **true)
-    measured, truth = observation_columns(block, points, seen, 0.3, np.random.default_rng(2))
+    seen = SimpleNamespace(
+        station=zeros,
+        point=zeros,
+        **true,
+    )
+    measured, truth = observation_columns(
+        block,
+        points,
+        seen,
+        0.3,
+        np.random.default_rng(2),
+    )
     error = np.stack([measured[name] - true[name] for name in ("x_px", "y_px")])
-    assert_allclose(error.mean(axis=1), 0.0, atol=0.03)
-    assert_allclose(np.cov(error), 0.09 * np.eye(2), atol=0.01)
+    assert_allclose(
+        error.mean(axis=1),
+        0.0,
+        atol=0.03,
+    )
+    assert_allclose(
+        np.cov(error),
+        0.09 * np.eye(2),
+        atol=0.01,
+    )
     for name in names:
         assert_array_equal(truth[name], true[name])

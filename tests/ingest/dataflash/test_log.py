@@ -182,25 +182,6 @@ def test_a_row_out_of_order_is_a_loss_with_its_place(opened):
     assert loss.where.startswith("BARO[0], first at row 40, stamped 1970-01-01T00:00:04.75")
 
 
-def test_instances_of_equal_standing_rank_alike(opened):
-    writer = barometer()
-    writer.define(24, "HYGR", "QBff", "TimeUS,Id,Humidity,Temp")
-    writer.define(25, "TEMP", "QBf", "TimeUS,Instance,Temp")
-    writer.define(26, "ARSP", "QBfc", "TimeUS,I,Airspeed,Temp")
-    for k in range(5):
-        time_us = 1_000_000 + k * 100_000
-        for unit in (0, 1):
-            writer.row("HYGR", time_us, unit, 50.0, 10.0)
-            writer.row("TEMP", time_us, unit, 80.0)
-            writer.row("ARSP", time_us, unit, 50.0, 10.0)
-            writer.row("BARO", time_us, unit, 95_000.0, 40.0)
-    log = opened(writer.data)
-    ranks = {channel.name: channel.rank for channel in log.channels}
-    for kind in ("HYGR", "TEMP", "ARSP"):
-        assert ranks[f"{kind}[0]"] == ranks[f"{kind}[1]"]
-    assert ranks["BARO[0]"] < ranks["BARO[1]"]
-
-
 def test_two_logs_in_one_file_are_two_boots(opened):
     data = flight().data
     log = opened(data + data)

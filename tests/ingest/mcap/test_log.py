@@ -378,20 +378,6 @@ def test_a_stamp_days_ahead_costs_one_row(opened, row):
     assert f"first at row {row}," in loss.where
 
 
-def test_second_topics_of_a_kind_rank_alike(opened):
-    bag = flight()
-    for k in range(5):
-        t = START + k * SECOND
-        bag.write("/cabin/air", TEMPERATURE, t, temperature=21.0)
-        bag.write("/cabin/humidity", HUMIDITY, t, relative_humidity=0.3)
-    log = opened(bag.data)
-    for kind in ("air", "humidity", "pressure"):
-        outside = log.channel(f"/outside/{kind}")
-        cabin = log.channel(f"/cabin/{kind}")
-        assert outside.rank == cabin.rank
-        assert outside.roles == cabin.roles
-
-
 def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(opened):
     bag = RosWriter()
     for k in range(5):

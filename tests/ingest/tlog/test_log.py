@@ -226,18 +226,6 @@ def test_a_stamp_days_ahead_costs_one_row(opened, row):
     assert_allclose(late_ns, np.arange(100) * SECOND, atol=1e6)
 
 
-def test_instances_of_equal_standing_rank_alike(opened):
-    writer = flight()
-    for k in range(5):
-        for unit in (0, 1):
-            writer.sent("hygrometer_sensor", 64_000 + 200 * k, id=unit, **AIR)
-            writer.sent("airspeed", 64_000 + 200 * k, id=unit, airspeed=41.5)
-    ranks = {channel.name: channel.rank for channel in opened(writer.data).channels}
-    assert len({ranks[f"HYGROMETER_SENSOR[{unit}]"] for unit in (0, 1, 2)}) == 1
-    assert ranks["AIRSPEED[0]"] == ranks["AIRSPEED[1]"]
-    assert ranks["SCALED_PRESSURE@1/1"] == ranks["SCALED_PRESSURE@1/25"]
-
-
 def test_a_late_first_feedback_is_put_in_order(opened):
     writer = flight()
     for k in (0, 2, 1):

@@ -116,9 +116,7 @@ def test_messages_mean_what_they_mean_over_ros(opened):
     failed = entry_in(log, "EVENT-FAILED")
     assert failed.kind == "warning"
     assert failed.count == 1
-    air = log.channel("vehicle_air_data")
-    assert air["board_temperature_k"][0] == 313.15
-    assert air.roles == ("pressure", "cabin_pressure")
+    assert log.channel("vehicle_air_data").roles == ("pressure", "cabin_pressure")
     assert log.message_types()["acme"] == 60  # not of ours: counted, and a table
     assert log.message("acme")["a"].tolist() == [1] * 60
     assert not log.ledger.has_losses
