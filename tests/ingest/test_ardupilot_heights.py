@@ -24,13 +24,23 @@ def heights(changed: Channel) -> dict[str, float]:
 
 def test_sea_level_and_undulation_give_the_height_above_the_ellipsoid():
     logged = gps(h_msl_m=SEA_LEVEL, undulation_m=UNDULATION)
-    (changed,) = with_both_heights([logged], {}, Ledger(), "PARM")
+    (changed,) = with_both_heights(
+        [logged],
+        {},
+        Ledger(),
+        "PARM",
+    )
     assert heights(changed) == BOTH
 
 
 def test_a_logged_height_above_the_ellipsoid_is_kept():
     logged = gps(h_msl_m=SEA_LEVEL, h_ellipsoid_m=599.0, undulation_m=UNDULATION)
-    (changed,) = with_both_heights([logged], {}, Ledger(), "PARM")
+    (changed,) = with_both_heights(
+        [logged],
+        {},
+        Ledger(),
+        "PARM",
+    )
     assert heights(changed)["h_ellipsoid_m"] == 599.0
 
 
@@ -41,7 +51,12 @@ def test_the_parameter_turns_heights_above_sea_level_into_those_above_the_ellips
         gps(h_msl_m=ELLIPSOID, sigma_v_m=1.0),
         gps(pressure_pa=9e4),
     ]
-    changed = with_both_heights(logged, {HEIGHT_OPTION: 16.0}, ledger, "PARM")
+    changed = with_both_heights(
+        logged,
+        {HEIGHT_OPTION: 16.0},
+        ledger,
+        "PARM",
+    )
     assert [heights(each) for each in changed] == [
         BOTH,
         {"h_ellipsoid_m": ELLIPSOID, "sigma_v_m": 1.0},

@@ -40,14 +40,25 @@ def test_pictured_attitudes(forward, left, up, euler_deg):
     axes = np.array([forward, left, up]).T
     ros = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     expected = ENU_OF_NED.T @ axes @ FLU_OF_FRD
-    assert_allclose(matrix(ned_frd_of_enu_flu(ros[None])[0]), expected, atol=1e-12)
+    assert_allclose(
+        matrix(ned_frd_of_enu_flu(ros[None])[0]),
+        expected,
+        atol=1e-12,
+    )
     roll, pitch, yaw = np.radians(euler_deg)[:, None]
     q = quaternion_of_euler(roll, pitch, yaw)
-    assert_allclose(matrix(q[0]), expected, atol=1e-12)
+    assert_allclose(
+        matrix(q[0]),
+        expected,
+        atol=1e-12,
+    )
 
 
 def test_random_attitudes_against_matrices():
-    random = Rotation.random(200, rng=np.random.default_rng(7))
+    random = Rotation.random(
+        200,
+        rng=np.random.default_rng(7),
+    )
     q = ned_frd_of_enu_flu(random.as_quat(scalar_first=True))
     expected = ENU_OF_NED.T @ random.as_matrix() @ FLU_OF_FRD
     assert_allclose(matrix(q), expected, atol=1e-12)
@@ -56,9 +67,17 @@ def test_random_attitudes_against_matrices():
 
 def test_euler_against_scipy():
     rng = np.random.default_rng(1)
-    roll, pitch, yaw = rng.uniform(-np.pi, np.pi, (3, 100))
+    roll, pitch, yaw = rng.uniform(
+        -np.pi,
+        np.pi,
+        (3, 100),
+    )
     expected = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_matrix()
-    assert_allclose(matrix(quaternion_of_euler(roll, pitch, yaw)), expected, atol=1e-12)
+    assert_allclose(
+        matrix(quaternion_of_euler(roll, pitch, yaw)),
+        expected,
+        atol=1e-12,
+    )
 
 
 def test_a_zero_quaternion_is_unknown():

@@ -38,7 +38,14 @@ class Vehicle:
         """What a receiver with these rows says."""
         utc_ns = self.utc_ns[rows] + round(late_s * SECOND)
         good = np.ones(utc_ns.shape, np.bool_)
-        return UtcReadings("rows", self.places[rows], self.boot_ns[rows], utc_ns, good, **more)
+        return UtcReadings(
+            "rows",
+            self.places[rows],
+            self.boot_ns[rows],
+            utc_ns,
+            good,
+            **more,
+        )
 
     def fit(self, *readings: UtcReadings, **more: object) -> tuple[BootClock, Ledger]:
         ledger = Ledger()
@@ -50,18 +57,30 @@ class Vehicle:
         return np.abs(errors_ns).max() / SECOND
 
     def is_split_right(self, clock: BootClock) -> bool:
-        return np.array_equal(clock.line.boot_of(self.places), self.boot)
+        return np.array_equal(
+            clock.line.boot_of(self.places),
+            self.boot,
+        )
 
 
 def codes(ledger: Ledger, kind: str) -> list[str]:
     return [entry.code for entry in ledger if entry.kind == kind]
 
 
-@pytest.mark.parametrize("first_s", [2.0, 30.0, 300.0])
-@pytest.mark.parametrize("later_s", [3.0, 20.0, 500.0])
+@pytest.mark.parametrize(
+    "first_s",
+    [2.0, 30.0, 300.0],
+)
+@pytest.mark.parametrize(
+    "later_s",
+    [3.0, 20.0, 500.0],
+)
 def test_a_boot_whose_time_is_later(first_s, later_s):
     """The link is down while the vehicle restarts, and comes back when its time is later."""
-    vehicle = Vehicle((10.0, 0.0, first_s), (10.0 + first_s + later_s, 3600.0, 600.0))
+    vehicle = Vehicle(
+        (10.0, 0.0, first_s),
+        (10.0 + first_s + later_s, 3600.0, 600.0),
+    )
     clock, ledger = vehicle.fit(vehicle.readings())
     assert vehicle.is_split_right(clock)
     assert vehicle.largest_error_s(clock) == 0.0
@@ -70,22 +89,34 @@ def test_a_boot_whose_time_is_later(first_s, later_s):
 
 
 def test_the_boot_begins_at_the_silence_and_not_at_the_first_fix():
-    vehicle = Vehicle((10.0, 0.0, 60.0), (90.0, 3600.0, 600.0))
+    vehicle = Vehicle(
+        (10.0, 0.0, 60.0),
+        (90.0, 3600.0, 600.0),
+    )
     rows = np.flatnonzero((vehicle.boot == 0) | (vehicle.boot_ns > 200 * SECOND))
     clock, _ = vehicle.fit(vehicle.readings(rows))
     assert vehicle.is_split_right(clock)
 
 
 def test_a_silence_alone_is_no_boot():
-    vehicle = Vehicle((10.0, 0.0, 60.0), (698.0, 688.5, 60.0))  # half a second of drift
+    vehicle = Vehicle(
+        (10.0, 0.0, 60.0),
+        (698.0, 688.5, 60.0),
+    )  # half a second of drift
     clock, ledger = vehicle.fit(vehicle.readings())
     assert clock.line.boots == 1
     assert codes(ledger, "warning") == []
 
 
-@pytest.mark.parametrize("wrong", [[0], [299], [150], [150, 151, 152, 153], [0, 299, 150]])
+@pytest.mark.parametrize(
+    "wrong",
+    [[0], [299], [150], [150, 151, 152, 153], [0, 299, 150]],
+)
 def test_a_few_wrong_rows_are_no_boot_even_at_a_silence(wrong):
-    vehicle = Vehicle((10.0, 0.0, 30.0), (50.0, 40.0, 30.0))
+    vehicle = Vehicle(
+        (10.0, 0.0, 30.0),
+        (50.0, 40.0, 30.0),
+    )
     readings = vehicle.readings()
     readings.utc_ns[wrong] += 3600 * SECOND
     clock, ledger = vehicle.fit(readings)
@@ -118,21 +149,33 @@ def test_rows_without_a_fix_do_not_count():
 def test_the_receiver_with_the_most_rows_decides_and_the_other_is_a_loss():
     vehicle = Vehicle((10.0, 0.0, 40.0))
     a_day_early = vehicle.readings([7], late_s=-86_400.0)
-    clock, ledger = vehicle.fit(a_day_early, vehicle.readings(slice(2, 190)))
+    clock, ledger = vehicle.fit(
+        a_day_early,
+        vehicle.readings(slice(2, 190)),
+    )
     assert vehicle.largest_error_s(clock) == 0.0
     assert codes(ledger, "loss") == ["TIME-SOURCES"]
     assert "-86400.000 s" in with_code(ledger, "TIME-SOURCES")[0].what
 
 
 def test_a_second_receiver_serves_where_the_first_has_no_row():
-    vehicle = Vehicle((10.0, 0.0, 40.0), (5.0, 3600.0, 40.0))
-    clock, _ = vehicle.fit(vehicle.readings(slice(0, 190)), vehicle.readings(slice(200, 250)))
+    vehicle = Vehicle(
+        (10.0, 0.0, 40.0),
+        (5.0, 3600.0, 40.0),
+    )
+    clock, _ = vehicle.fit(
+        vehicle.readings(slice(0, 190)),
+        vehicle.readings(slice(200, 250)),
+    )
     assert clock.utc_known == (True, True)
     assert vehicle.largest_error_s(clock) == 0.0
 
 
 def test_the_recorder_cuts_and_sets_boots_without_utc():
-    vehicle = Vehicle((10.0, 0.0, 60.0), (90.0, 3600.0, 600.0))
+    vehicle = Vehicle(
+        (10.0, 0.0, 60.0),
+        (90.0, 3600.0, 600.0),
+    )
     recorder = vehicle.readings()
     recorder.utc_ns[:] += np.random.default_rng(3).integers(0, 300_000_000, vehicle.places.size)
     clock, _ = vehicle.fit(recorder=recorder)
@@ -142,10 +185,16 @@ def test_the_recorder_cuts_and_sets_boots_without_utc():
 
 
 def test_a_recorder_whose_clock_is_set_does_not_overrule_utc():
-    vehicle = Vehicle((10.0, 0.0, 60.0), (90.0, 80.0, 600.0))
+    vehicle = Vehicle(
+        (10.0, 0.0, 60.0),
+        (90.0, 80.0, 600.0),
+    )
     recorder = vehicle.readings()
     recorder.utc_ns[vehicle.boot == 1] += 900 * SECOND
-    clock, _ = vehicle.fit(vehicle.readings(slice(None, None, 5)), recorder=recorder)
+    clock, _ = vehicle.fit(
+        vehicle.readings(slice(None, None, 5)),
+        recorder=recorder,
+    )
     assert clock.line.boots == 1
 
 
@@ -170,7 +219,11 @@ def test_repeated_times_of_a_slow_receiver_are_in_no_fit():
 
 
 def test_blocks_of_stamps_are_one_line():
-    vehicle = Vehicle((10.0, 0.0, 40.0), (5.0, 100.0, 40.0), (60.0, 200.0, 9.0))
+    vehicle = Vehicle(
+        (10.0, 0.0, 40.0),
+        (5.0, 100.0, 40.0),
+        (60.0, 200.0, 9.0),
+    )
     whole = timeline([(vehicle.places, vehicle.boot_ns)])
     edges = [0, 1, 2, 150, 199, 200, 201, 400, vehicle.places.size]
     blocks = []
@@ -187,7 +240,10 @@ def test_small_steps_back_are_no_boot_and_large_ones_are():
     steady = np.arange(10.0, 15.0, 0.5)
     seconds = np.concatenate([steady, [14.1], steady + 5.0, steady - 7.0])
     line = timeline([(np.arange(31), (seconds * SECOND).astype(np.int64))])
-    assert_array_equal(line.boot_of(np.arange(31)), [0] * 21 + [1] * 10)
+    assert_array_equal(
+        line.boot_of(np.arange(31)),
+        [0] * 21 + [1] * 10,
+    )
 
 
 def test_a_line_without_stamps_is_one_boot():

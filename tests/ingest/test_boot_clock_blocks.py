@@ -14,8 +14,15 @@ BLOCK = 65_536  # rows looked at at once
 def plainly(offset: np.ndarray) -> np.ndarray:
     """The median of `STRAY_ROWS` rows on either side, row by row; rows beyond the ends mirrored."""
     half = min(STRAY_ROWS, offset.size - 1)
-    mirrored = np.pad(offset, half, mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(mirrored, 2 * half + 1)
+    mirrored = np.pad(
+        offset,
+        half,
+        mode="reflect",
+    )
+    windows = np.lib.stride_tricks.sliding_window_view(
+        mirrored,
+        2 * half + 1,
+    )
     return np.sort(windows, axis=1)[:, half]
 
 
@@ -30,7 +37,10 @@ def offsets(count: int, borders: range) -> np.ndarray:
     return values
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 7, 8, 13, 14, 15, 70, 71, 500])
+@pytest.mark.parametrize(
+    "count",
+    [1, 2, 3, 5, 6, 7, 8, 13, 14, 15, 70, 71, 500],
+)
 def test_the_median_runs_over_the_rows_around(count):
     given = offsets(count, range(7, count, 21))
     kept = given.copy()
@@ -39,7 +49,10 @@ def test_the_median_runs_over_the_rows_around(count):
 
 
 def test_glitches_over_borders_are_gone_and_the_step_stays():
-    given = offsets(3 * BLOCK, range(BLOCK, 3 * BLOCK, BLOCK))
+    given = offsets(
+        3 * BLOCK,
+        range(BLOCK, 3 * BLOCK, BLOCK),
+    )
     steady = without_glitches(given)
     assert_array_equal(steady, plainly(given))
     (step,) = np.flatnonzero(np.abs(np.diff(steady)) > SECOND)

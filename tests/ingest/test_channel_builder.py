@@ -14,7 +14,12 @@ from unbend.messages import Kind, Ledger
 SHOT_COLUMNS = parse_columns(["lat_rad lon_rad = lat lon [deg]", "h_msl_m = alt"], {})
 SHOT = MessageMap(tuple(SHOT_COLUMNS), ("events",))
 BARO_COLUMNS = parse_columns(["pressure_pa = p [hPa]"], {})
-BARO = MessageMap(tuple(BARO_COLUMNS), ("pressure",), rank=10, spare_rank=20)
+BARO = MessageMap(
+    tuple(BARO_COLUMNS),
+    ("pressure",),
+    rank=10,
+    spare_rank=20,
+)
 
 
 def built(spec: MessageMap, time_s: list[float], **columns: list[float]) -> tuple[Channel, Ledger]:
@@ -23,14 +28,31 @@ def built(spec: MessageMap, time_s: list[float], **columns: list[float]) -> tupl
     arrays = {name: np.array(values, np.float64) for name, values in columns.items()}
     boot = np.zeros(len(time_s), np.int16)
     ledger = Ledger()
-    channel = channel_of(DecodedRows("X", Source("X", "1"), time_ns, boot, arrays), spec, ledger)
+    channel = channel_of(
+        DecodedRows(
+            "X",
+            Source("X", "1"),
+            time_ns,
+            boot,
+            arrays,
+        ),
+        spec,
+        ledger,
+    )
     assert channel is not None
     return channel, ledger
 
 
-@pytest.mark.parametrize(("spec", "kind"), [(SHOT, Kind.LOSS), (BARO, Kind.NOTE)])
+@pytest.mark.parametrize(
+    ("spec", "kind"),
+    [(SHOT, Kind.LOSS), (BARO, Kind.NOTE)],
+)
 def test_a_repeated_exposure_is_a_loss_a_repeated_reading_is_none(spec, kind):
-    channel, ledger = built(spec, [1, 2, 2, 3], pressure_pa=[1, 2, 3, 4])
+    channel, ledger = built(
+        spec,
+        [1, 2, 2, 3],
+        pressure_pa=[1, 2, 3, 4],
+    )
     assert channel["pressure_pa"].tolist() == [1, 2, 4]
     assert [(e.kind, e.code, e.count) for e in ledger] == [(kind, "TIME-REPEAT", 1)]
 
@@ -44,8 +66,14 @@ def test_an_exposure_without_a_place_has_no_height_either():
         h_msl_m=[5.0, 0.0, 6.0],
     )
     assert_array_equal(channel["lat_rad"], [0.8, np.nan, 0.8])
-    assert_array_equal(channel["lon_rad"], [0.1, np.nan, 0.0])
-    assert_array_equal(channel["h_msl_m"], [5.0, np.nan, 6.0])
+    assert_array_equal(
+        channel["lon_rad"],
+        [0.1, np.nan, 0.0],
+    )
+    assert_array_equal(
+        channel["h_msl_m"],
+        [5.0, np.nan, 6.0],
+    )
 
 
 def test_the_largest_integer_is_no_place_of_an_exposure():
@@ -78,11 +106,18 @@ def test_a_channel_knows_the_units_in_which_it_was_logged():
 
 @given(st.lists(st.integers(0, 60), min_size=1, max_size=60))
 def test_times_rise_and_every_row_that_is_missing_is_counted(seconds):
-    channel, ledger = built(BARO, seconds, pressure_pa=list(range(len(seconds))))
+    channel, ledger = built(
+        BARO,
+        seconds,
+        pressure_pa=list(range(len(seconds))),
+    )
     assert np.all(np.diff(channel.time_ns) > 0)
     counts = {entry.code: entry.count or 0 for entry in ledger}
     dropped = counts.get("TIME-REPEAT", 0) + counts.get("TIME-BACKWARD", 0)
     assert len(channel) + dropped == len(seconds)
     if "TIME-SET-BACK" not in counts:  # each value keeps the time of its row
         rows = channel["pressure_pa"].astype(int)
-        assert_array_equal(channel.time_ns // 10**9, np.array(seconds)[rows])
+        assert_array_equal(
+            channel.time_ns // 10**9,
+            np.array(seconds)[rows],
+        )

@@ -99,7 +99,11 @@ def test_texts_of_one_time_are_lines_of_one_row(tmp_path):
     for name, value in ((b"GPS_DELAY_MS", 0.0), (b"GPS_TYPE", 1.0), (b"GPS_DELAY_MS", 120.0)):
         writer.row("PARM", 900_000, name, value)
     for k in range(5):
-        writer.fix(1_000_000 + 200_000 * k, 1000 + 200 * k, week=2300)
+        writer.fix(
+            1_000_000 + 200_000 * k,
+            1000 + 200 * k,
+            week=2300,
+        )
     writer.row("MSG", 1_300_000, b"GPS Glitch")
     writer.row("MSG", 1_300_000, b"DCM active")
     writer.row("ERR", 1_300_000, 16, 2)
@@ -135,7 +139,19 @@ def test_a_receiver_without_vertical_speed_has_none(tmp_path):
     writer.define(21, "GPA", "QCCCB", "TimeUS,HAcc,VAcc,SAcc,VV")
     for k, has_vertical in enumerate((1, 0, 1)):
         time_us = 1_000_000 + 200_000 * k
-        writer.row("GPS", time_us, 3, 200 * k, 2300, 47.0, -122.5, 600.25, 10.0, 0.0, 0.5)
+        writer.row(
+            "GPS",
+            time_us,
+            3,
+            200 * k,
+            2300,
+            47.0,
+            -122.5,
+            600.25,
+            10.0,
+            0.0,
+            0.5,
+        )
         writer.row("GPA", time_us, 0.5, 0.75, 0.25, has_vertical)
     channel = opened(tmp_path / "receiver.bin", writer.data).channel("GPS")
     assert_array_equal(channel["v_down_m_s"], [0.5, np.nan, 0.5])
@@ -160,7 +176,14 @@ def test_long_texts_of_telemetry_are_joined(tmp_path):
     for k, (text, number, chunk) in enumerate(parts):
         at_us = 1_700_000_000_000_000 + k * 1_000_000
         writer.send("attitude", at_us, time_boot_ms=60_000 + 1000 * k)
-        writer.send("statustext", at_us, severity=2, text=text, id=number, chunk_seq=chunk)
+        writer.send(
+            "statustext",
+            at_us,
+            severity=2,
+            text=text,
+            id=number,
+            chunk_seq=chunk,
+        )
     texts = opened(tmp_path / "texts.tlog", writer.data).channel("STATUSTEXT").labels["text"]
     assert texts == (
         f"{first} its fix, and the baro",

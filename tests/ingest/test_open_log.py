@@ -125,7 +125,10 @@ def test_a_pipe_is_not_missing(tmp_path):
     assert "pipe" in refusal(tmp_path / "flight.bin", "LOG-MISSING").what
 
 
-@pytest.mark.parametrize("extension", [".mcap", ".bin", ".tlog"])
+@pytest.mark.parametrize(
+    "extension",
+    [".mcap", ".bin", ".tlog"],
+)
 def test_what_is_no_log_is_refused_before_it_is_hashed(tmp_path, monkeypatch, extension):
     hashed: list[Path] = []
     monkeypatch.setattr("unbend.ingest.registry.hash_file", hashed.append)
@@ -137,9 +140,18 @@ def test_what_is_no_log_is_refused_before_it_is_hashed(tmp_path, monkeypatch, ex
 
 def test_a_log_without_flight_data_says_what_it_holds(tmp_path):
     writer = DataFlashWriter()
-    writer.define(10, "MODE", "QB", "TimeUS,Mode")
+    writer.define(
+        10,
+        "MODE",
+        "QB",
+        "TimeUS,Mode",
+    )
     for k in range(5):
-        writer.row("MODE", k * 10**6, 1)
+        writer.row(
+            "MODE",
+            k * 10**6,
+            1,
+        )
     path = tmp_path / "flight.bin"
     path.write_bytes(writer.data)
     assert "MODE" in refusal(path, "LOG-NO-MESSAGES").remedy
@@ -165,7 +177,10 @@ def test_rates_and_pandas(real_log):
     assert baro["rate_hz"] == pytest.approx(10, rel=0.02)
     frame = log.to_pandas("BARO")
     assert str(frame.index.tz) == "UTC"
-    assert_array_equal(frame["pressure_pa"], log.channel("BARO")["pressure_pa"])
+    assert_array_equal(
+        frame["pressure_pa"],
+        log.channel("BARO")["pressure_pa"],
+    )
 
 
 def test_a_log_and_a_channel_say_what_they_are(flown):

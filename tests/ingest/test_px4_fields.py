@@ -8,15 +8,30 @@ from unbend.messages import Ledger
 
 
 def shots(result: list[float], index: list[float]) -> DecodedRows:
-    columns = {"result": np.array(result), "event_index": np.array(index)}
+    columns = {
+        "result": np.array(result),
+        "event_index": np.array(index),
+    }
     times_ns = np.arange(len(result))
-    return DecodedRows("C", Source("C"), times_ns, np.zeros(len(result), np.int16), columns)
+    return DecodedRows(
+        "C",
+        Source("C"),
+        times_ns,
+        np.zeros(len(result), np.int16),
+        columns,
+    )
 
 
 def test_only_images_that_failed_are_dropped():
     """CameraCapture.msg: 1 success, 0 failure, -1 a camera that does not answer."""
     ledger = Ledger()
-    rows = captured_rows(shots([1, 0, -1, 1, np.nan], [5, 6, 7, 8, 9]), ledger)
+    rows = captured_rows(
+        shots(
+            [1, 0, -1, 1, np.nan],
+            [5, 6, 7, 8, 9],
+        ),
+        ledger,
+    )
     assert rows.columns["event_index"].tolist() == [5, 7, 8, 9]
     assert "result" not in rows.columns
     assert [(e.kind, e.code, e.count) for e in ledger] == [("warning", "EVENT-FAILED", 1)]

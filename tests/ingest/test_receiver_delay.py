@@ -32,7 +32,13 @@ def track(
     message, _, instance = name.partition("[")
     source = Source(message, instance.rstrip("]") or None, system)
     time_ns = NOW_NS + np.rint(stamp_s * SECOND).astype(np.int64)
-    return Channel(name, time_ns, columns, source, roles=("position",))
+    return Channel(
+        name,
+        time_ns,
+        columns,
+        source,
+        roles=("position",),
+    )
 
 
 FILTER = track("POS", FUSED_S, FUSED_S)
@@ -44,7 +50,12 @@ def table(name: str, instance: str | None) -> dict[str, np.ndarray]:
 
 def flown(delay_s: float, utc_sigma_s: float = 0.0) -> Contents:
     """Positions of a filter, late fixes and two images."""
-    shots = Channel("CAM[0]", SHOTS_NS, {"event_index": np.arange(2.0)}, Source("CAM", "0"))
+    shots = Channel(
+        "CAM[0]",
+        SHOTS_NS,
+        {"event_index": np.arange(2.0)},
+        Source("CAM", "0"),
+    )
     fixes = track("GPS[0]", FIXED_S + delay_s, FIXED_S)
     return Contents(
         messages={},
@@ -65,7 +76,10 @@ def shifts_ns(before: Contents, after: Contents) -> dict[str, int]:
     return {new.name: new.time_ns[0] - old.time_ns[0] for old, new in pairs}
 
 
-@pytest.mark.parametrize("delay_s", [0.06, 0.118, 0.22, 0.4])
+@pytest.mark.parametrize(
+    "delay_s",
+    [0.06, 0.118, 0.22, 0.4],
+)
 def test_the_delay_is_found_from_the_filter_that_follows_the_fixes(delay_s):
     delay = estimated_delay(track("GPS[0]", FIXED_S + delay_s, FIXED_S), FILTER)
     assert delay is not None
@@ -82,7 +96,10 @@ def test_everything_but_the_fixes_is_later_by_the_delay():
     assert later_ns["GPS[0]"] == 0
     assert later_ns["POS"] == later_ns["CAM[0]"] == pytest.approx(0.2 * SECOND, abs=1e-3 * SECOND)
     assert after.table is not None
-    assert_array_equal(after.table("CAM", None)["time_ns"], after.channels[2].time_ns)
+    assert_array_equal(
+        after.table("CAM", None)["time_ns"],
+        after.channels[2].time_ns,
+    )
     (entry,) = ledger
     assert entry.code == "TIME-FIT"
     assert "accurate to 15 ms" in entry.what
@@ -92,7 +109,11 @@ def test_everything_but_the_fixes_is_later_by_the_delay():
 
 def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock():
     contents = flown(0.2)
-    second = track("GPS[1]", FIXED_S[:-9] + 0.1, FIXED_S[:-9])
+    second = track(
+        "GPS[1]",
+        FIXED_S[:-9] + 0.1,
+        FIXED_S[:-9],
+    )
     other_vehicle = track("GLOBAL_POSITION_INT", FUSED_S, FUSED_S, system=7)
     before = replace(contents, channels=(*contents.channels, second, other_vehicle))
     later_ns = shifts_ns(before, with_receiver_delay(before, Ledger()))
@@ -148,7 +169,11 @@ def test_fixes_that_are_stamped_at_their_epoch_move_nothing():
 def test_without_a_filter_the_setting_counts():
     contents = flown(0.2)
     settings = {"GPS1_DELAY_MS": 130.0}
-    before = replace(contents, channels=contents.channels[1:], parameters=settings)
+    before = replace(
+        contents,
+        channels=contents.channels[1:],
+        parameters=settings,
+    )
     after = with_receiver_delay(before, Ledger())
     assert after.utc_sigma_s == 0.04
     assert shifts_ns(before, after) == {"GPS[0]": 0, "CAM[0]": 130_000_000}

@@ -15,10 +15,23 @@ from unbend.messages import Ledger
 
 def logged(maps, message: str, field: str, value: float) -> Channel:
     """A channel of one row, as the builder makes it of a field of a message."""
-    columns = extract({field: np.array([value])}, maps[message].columns)
+    columns = extract(
+        {field: np.array([value])},
+        maps[message].columns,
+    )
     boot = np.zeros(1, np.int16)
-    rows = DecodedRows(message, Source(message), np.zeros(1, np.int64), boot, columns)
-    channel = channel_of(rows, maps[message], Ledger())
+    rows = DecodedRows(
+        message,
+        Source(message),
+        np.zeros(1, np.int64),
+        boot,
+        columns,
+    )
+    channel = channel_of(
+        rows,
+        maps[message],
+        Ledger(),
+    )
     assert channel is not None
     return channel
 

@@ -21,5 +21,8 @@ def test_only_a_receiver_counts_weeks_modulo_1024():
 
 def test_a_listing_has_no_utc_where_time_counts_from_boot():
     stream = io.StringIO()
-    write_messages_csv(stream, {"time_ns": np.array([90 * 10**9]), "TimeUS": np.array([90])})
+    write_messages_csv(
+        stream,
+        {"time_ns": np.array([90 * 10**9]), "TimeUS": np.array([90])},
+    )
     assert stream.getvalue() == "time_utc,TimeUS\n,90\n"

@@ -84,7 +84,19 @@ class DataFlashWriter:
         self, time_us: int, week_ms: int, *, week: int, instance: int = 0, status: int = 3
     ) -> None:
         """A fix at a place that does not change."""
-        self.row("GPS", time_us, instance, status, week_ms, week, 12, 0.8, 47.0, 8.0, 600.0)
+        self.row(
+            "GPS",
+            time_us,
+            instance,
+            status,
+            week_ms,
+            week,
+            12,
+            0.8,
+            47.0,
+            8.0,
+            600.0,
+        )
 
 
 @cache
@@ -269,8 +281,14 @@ class ULogWriter:
         for name in names:
             number = len(self.ids)
             self.ids[name, instance] = number
-            self.message("A", struct.pack("<BH", instance, number) + name.encode())
+            self.message(
+                "A",
+                struct.pack("<BH", instance, number) + name.encode(),
+            )
 
     def row(self, name: str, layout: str, *values: float, instance: int = 0) -> None:
         number = struct.pack("<H", self.ids[name, instance])
-        self.message("D", number + struct.pack("<Q" + layout, *values))
+        self.message(
+            "D",
+            number + struct.pack("<Q" + layout, *values),
+        )

@@ -8,8 +8,15 @@ from tests.ingest.written_logs import DataFlashWriter
 from unbend.ingest import Log
 
 ROWS = 300
-WORDS = np.arange(1, 33, dtype="<i2")
-NOT_NUMBERS = {"a": WORDS.tobytes(), "N": b"wet"}
+WORDS = np.arange(
+    1,
+    33,
+    dtype="<i2",
+)
+NOT_NUMBERS = {
+    "a": WORDS.tobytes(),
+    "N": b"wet",
+}
 FORMS = {
     "GPS": ("QBBIHLLe", "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt"),
     "BARO": ("QBfc", "TimeUS,I,Press,Temp"),
@@ -23,7 +30,12 @@ def flight(message: str = "", field: str = "", letter: str = "") -> DataFlashWri
     for kind, (name, (letters, columns)) in enumerate(FORMS.items(), 20):
         if name == message:
             letters = letters[:changed] + letter + letters[changed + 1 :]
-        writer.define(kind, name, letters, columns)
+        writer.define(
+            kind,
+            name,
+            letters,
+            columns,
+        )
     for k in range(ROWS):
         time_us = 1_000_000 + k * 100_000
         rows: dict[str, list[float | bytes]] = {
@@ -45,7 +57,11 @@ def test_all_is_well_without_it(opened):
     assert losses(opened(flight().data)) == []
 
 
-@pytest.mark.parametrize("letter", ["a", "N"], ids=["array", "text"])
+@pytest.mark.parametrize(
+    "letter",
+    ["a", "N"],
+    ids=["array", "text"],
+)
 @pytest.mark.parametrize(
     ("field", "column"), [("Press", "pressure_pa"), ("Temp", "board_temperature_k")]
 )
@@ -64,7 +80,10 @@ def test_a_field_without_numbers_is_lost_and_told(opened, field, column, letter)
     for channel in whole.channels:
         for name, values in channel.columns.items():
             if channel.source.message != "BARO" or name != column:
-                assert_array_equal(log.channel(channel.name)[name], values)
+                assert_array_equal(
+                    log.channel(channel.name)[name],
+                    values,
+                )
 
 
 def test_an_instance_that_is_a_text_ends_no_log(opened):
@@ -106,11 +125,20 @@ def test_what_places_a_row_and_is_no_number(opened, message, field, letter):
 )
 def test_names_and_accuracies_that_are_arrays(opened, name, letters, columns):
     writer = flight()
-    writer.define(40, name, letters, columns)
+    writer.define(
+        40,
+        name,
+        letters,
+        columns,
+    )
     cells = NOT_NUMBERS | {"f": 1.0, "B": 0}
     values = [cells[letter] for letter in letters[1:]]
     for k in range(1, ROWS):  # one fix is without its accuracy
-        writer.row(name, 1_000_000 + k * 100_000, *values)
+        writer.row(
+            name,
+            1_000_000 + k * 100_000,
+            *values,
+        )
     log = opened(writer.data)
     assert log.channel("GPS[0]")["h_msl_m"].tolist() == [600.0 + 0.5 * k for k in range(ROWS)]
     assert ("LOG-FIELDS", name) in {entry[:2] for entry in losses(log)}
@@ -118,5 +146,8 @@ def test_names_and_accuracies_that_are_arrays(opened, name, letters, columns):
 
 def test_the_table_of_a_message_whose_time_is_an_array(opened):
     table = opened(flight("BARO", "TimeUS", "a").data).message("BARO")
-    assert_array_equal(table["TimeUS"], np.tile(WORDS, (ROWS, 1)))
+    assert_array_equal(
+        table["TimeUS"],
+        np.tile(WORDS, (ROWS, 1)),
+    )
     assert table["Press"].shape == (ROWS,)

@@ -25,7 +25,11 @@ def writer() -> DataFlashWriter:
 
 def fixes(writer: DataFlashWriter, week: int, from_us: int = 5_000_000) -> None:
     for k in range(20):
-        writer.fix(from_us + k * 200_000, 1000 + 200 * k, week=week)
+        writer.fix(
+            from_us + k * 200_000,
+            1000 + 200 * k,
+            week=week,
+        )
 
 
 def test_a_gimbal_a_probe_and_values_of_scripts_play_a_role_only_when_named(writer, opened):
@@ -35,7 +39,14 @@ def test_a_gimbal_a_probe_and_values_of_scripts_play_a_role_only_when_named(writ
     writer.define(62, "TEMP", "QBf", "TimeUS,Instance,Temp")
     for k in range(6):
         time_us = 5_000_000 + k * 200_000
-        writer.row("MNT", time_us, 1, 0.0, -90.0, 0.0)
+        writer.row(
+            "MNT",
+            time_us,
+            1,
+            0.0,
+            -90.0,
+            0.0,
+        )
         writer.row("NVF", time_us, b"cabin_t", 20.5 + k)
         writer.row("NVF", time_us + 1, b"cabin_h", 40.0)
         writer.row("TEMP", time_us, 1, 21.5)  # may sit in the motor
@@ -47,7 +58,10 @@ def test_a_gimbal_a_probe_and_values_of_scripts_play_a_role_only_when_named(writ
     assert log.channel("TEMP[1]").fits_role("temperature")
 
 
-@pytest.mark.parametrize("rollovers", [0, 1, 2])
+@pytest.mark.parametrize(
+    "rollovers",
+    [0, 1, 2],
+)
 def test_a_receiver_that_counts_weeks_modulo_1024(rollovers, writer, opened):
     fixes(writer, 2324 - 1024 * rollovers)  # July 2024
     log = opened(writer.data)
@@ -83,7 +97,11 @@ def test_a_date_is_moved_only_on_evidence(name, week, full, writer, tmp_path):
 def test_gps_time_that_cannot_be_is_not_used(writer, opened):
     fixes(writer, 2324)
     for k in range(30):  # more than half of all rows
-        writer.fix(9_000_000 + k * 200_000, 700_000_000 + k, week=2324)
+        writer.fix(
+            9_000_000 + k * 200_000,
+            700_000_000 + k,
+            week=2324,
+        )
     assert opened(writer.data).channel("GPS[0]").time_ns[0] == utc_of_gps(2324, 1.0)
 
 
@@ -102,11 +120,21 @@ def test_what_is_logged_now_and_then_before_and_after_the_sensors_is_no_gap(writ
     """Parameters every 31 s, as ArduPilot logs them while it is not armed: 3 before, 4 after."""
     writer.define(64, "PARM", "QNf", "TimeUS,Name,Value")
     for k in range(3):
-        writer.row("PARM", 1_000_000 + 31_000_000 * k, b"A", 1.0)
+        writer.row(
+            "PARM",
+            1_000_000 + 31_000_000 * k,
+            b"A",
+            1.0,
+        )
     fixes(writer, 2200, from_us=100_000_000)
     fixes(writer, 2200, from_us=160_000_000)
     for k in range(4):
-        writer.row("PARM", 200_000_000 + 31_000_000 * k, b"A", 1.0)
+        writer.row(
+            "PARM",
+            200_000_000 + 31_000_000 * k,
+            b"A",
+            1.0,
+        )
     gap = entry_in(opened(writer.data), "LOG-GAP")
     assert gap.count == 1
     assert "56.2 s together" in gap.what

@@ -36,7 +36,12 @@ def test_the_first_boot_of_two_with_the_second_receiver_alone(writer, opened):
             writer.fix(time_us, 1000, week=2300)
         else:
             writer.fix(time_us, 0, week=2300, status=0)
-        writer.fix(time_us + 20, 1000 + 200 * k, week=WEEK, instance=1)
+        writer.fix(
+            time_us + 20,
+            1000 + 200 * k,
+            week=WEEK,
+            instance=1,
+        )
         writer.row("ATT", time_us + 50, 0, 0, 0)
     log = opened(writer.data)
     assert seconds(log)[0] == pytest.approx(1.0, abs=1e-4)
@@ -48,7 +53,12 @@ def test_time_without_a_fix_is_not_used(writer, opened):
     for k in range(100):
         time_us = 10**7 + 200_000 * k
         if k < 60:
-            writer.fix(time_us, 500 + 200 * k, week=WEEK, status=2)
+            writer.fix(
+                time_us,
+                500 + 200 * k,
+                week=WEEK,
+                status=2,
+            )
         else:
             writer.fix(time_us, 1000 + 200 * k, week=WEEK)
         writer.row("ATT", time_us + 50, 0, 0, 0)
@@ -77,21 +87,35 @@ def test_accuracy_goes_to_its_boot_and_its_instance(writer, opened):
         channel = log.channel(f"GPS[{instance}]")
         accuracy = 0.5 + channel.boot + 0.25 * instance
         accuracy[lost] = np.nan
-        assert_allclose(channel["sigma_h_m"], accuracy / np.sqrt(2.0), rtol=1e-12)
+        assert_allclose(
+            channel["sigma_h_m"],
+            accuracy / np.sqrt(2.0),
+            rtol=1e-12,
+        )
         assert_array_equal(channel["h_ellipsoid_m"], 600.0 + accuracy)
 
 
 def test_instances_stay_apart_where_a_definition_gains_them(writer, opened):
     writer.define(30, "BARO", "Qfc", "TimeUS,Press,Temp")
     for k in range(40):
-        writer.fix(5_000_000 + 100_000 * k, 100 * k, week=WEEK)
+        writer.fix(
+            5_000_000 + 100_000 * k,
+            100 * k,
+            week=WEEK,
+        )
         writer.row("BARO", 5_000_050 + 100_000 * k, 90_000.0, 30.0)
     writer.define(31, "BARO", "QBfc", "TimeUS,I,Press,Temp")
     for k in range(40):
         time_us = 9_100_000 + 100_000 * k
         writer.fix(time_us, 4100 + 100 * k, week=WEEK)
         writer.row("BARO", time_us, 0, 80_000.0, 30.0)
-        writer.row("BARO", time_us + 10, 1, 99_000.0, 40.0)
+        writer.row(
+            "BARO",
+            time_us + 10,
+            1,
+            99_000.0,
+            40.0,
+        )
     log = opened(writer.data)
     for name, pressure_pa in (("BARO", 90_000.0), ("BARO[0]", 80_000.0), ("BARO[1]", 99_000.0)):
         assert np.unique(log.channel(name)["pressure_pa"]).tolist() == [pressure_pa]
@@ -119,8 +143,18 @@ def test_the_undulation_and_heights_above_the_ellipsoid(writer, opened, options,
     writer.row("PARM", 4_900_000, b"GPS_DRV_OPTIONS", options)
     for k in range(20):
         undulation = 0.0 if k == 1 else -47.5
-        writer.fix(5_000_000 + 200_000 * k, 1000 + 200 * k, week=WEEK)
-        writer.row("GPA", 5_000_000 + 200_000 * k, 0, 0.5, undulation)
+        writer.fix(
+            5_000_000 + 200_000 * k,
+            1000 + 200 * k,
+            week=WEEK,
+        )
+        writer.row(
+            "GPA",
+            5_000_000 + 200_000 * k,
+            0,
+            0.5,
+            undulation,
+        )
     log = opened(writer.data)
     channel = log.channel("GPS[0]")
     for name, heights in columns.items():
@@ -130,11 +164,24 @@ def test_the_undulation_and_heights_above_the_ellipsoid(writer, opened, options,
 
 
 def test_impossible_values_are_flagged_when_a_log_is_opened(writer, opened):
-    latitudes = {20: 147.0, 40: 47.5, 41: 47.5, 59: 47.5}
+    latitudes = {
+        20: 147.0,
+        40: 47.5,
+        41: 47.5,
+        59: 47.5,
+    }
     for k in range(60):
         epoch = (5_000_000 + 200_000 * k, 0, 3, 1000 + 200 * k, WEEK)
         height = 6e6 if k == 30 else 600.0
-        writer.row("GPS", *epoch, 12, 0.8, latitudes.get(k, 47.0), 8.0, height)
+        writer.row(
+            "GPS",
+            *epoch,
+            12,
+            0.8,
+            latitudes.get(k, 47.0),
+            8.0,
+            height,
+        )
     log = opened(writer.data)
     channel = log.channel("GPS[0]")
     assert len(channel) == 56

@@ -27,7 +27,17 @@ def flight() -> DataFlashWriter:
     writer.define(25, "POS", "QLLe", "TimeUS,Lat,Lng,Alt")
     for k in range(ROWS):
         time_us = 1_000_000 + k * 100_000
-        writer.row("GPS", time_us, 0, 3, 1000 + 100 * k, 2300, 47.0, 8.0, 600.0)
+        writer.row(
+            "GPS",
+            time_us,
+            0,
+            3,
+            1000 + 100 * k,
+            2300,
+            47.0,
+            8.0,
+            600.0,
+        )
         writer.row("GPA", time_us, 0, 648.0)
         writer.row("BARO", time_us, 0, 95_000.0 - k, 20.0)
         writer.row("HYGR", time_us, 0, 55.0, 9.0)
@@ -62,7 +72,10 @@ def test_the_log_is_whole(opened):
 )
 def test_a_flipped_bit_in_the_name_of_a_field(opened, message, field, column):
     data = bytearray(flight().data)
-    name_begins = data.index(field.encode(), data.index(message.encode()))
+    name_begins = data.index(
+        field.encode(),
+        data.index(message.encode()),
+    )
     data[name_begins + len(field) - 1] ^= 1
     log = opened(bytes(data))
     assert losses(log) == [("LOG-FIELDS", message, ROWS)]
@@ -80,17 +93,29 @@ def test_a_flipped_bit_of_an_instance_is_no_sensor(opened):
     assert log.message("HYGR", "32")["Temp"].tolist() == [9.0]  # the table has what is logged
 
 
-@pytest.mark.parametrize(("rows", "stays"), [(4, False), (5, True)])
+@pytest.mark.parametrize(
+    ("rows", "stays"),
+    [(4, False), (5, True)],
+)
 def test_a_sensor_of_few_rows_stays_one(opened, rows, stays):
     writer = flight()
     for k in range(rows):
-        writer.row("BARO", AFTER_US + k * 100_000, 1, 95_000.0, 20.0)
+        writer.row(
+            "BARO",
+            AFTER_US + k * 100_000,
+            1,
+            95_000.0,
+            20.0,
+        )
     log = opened(writer.data)
     assert ("BARO[1]" in names_of(log, "BARO")) == stays
     assert bool(losses(log)) != stays
 
 
-@pytest.mark.parametrize(("rows", "stays"), [(1, False), (4, False), (5, True)])
+@pytest.mark.parametrize(
+    ("rows", "stays"),
+    [(1, False), (4, False), (5, True)],
+)
 def test_a_slow_second_sensor_is_no_damage(opened, rows, stays):
     """Up to four rows in a row may be one glitch; five beside 600 are a sensor."""
     writer = flight()
@@ -112,8 +137,22 @@ def test_a_second_camera_of_few_images_stays_one(opened):
     writer = flight()
     writer.define(30, "CAM", "QBHLL", "TimeUS,I,Img,Lat,Lng")
     for k in range(300):
-        writer.row("CAM", 1_000_000 + k * 100_000, 0, k, 47.0, 8.0)
-    writer.row("CAM", AFTER_US, 1, 0, 47.0, 8.0)
+        writer.row(
+            "CAM",
+            1_000_000 + k * 100_000,
+            0,
+            k,
+            47.0,
+            8.0,
+        )
+    writer.row(
+        "CAM",
+        AFTER_US,
+        1,
+        0,
+        47.0,
+        8.0,
+    )
     log = opened(writer.data)
     assert len(log.channel("CAM[1]")) == 1
     assert losses(log) == []
@@ -172,8 +211,24 @@ def test_a_splice_whose_time_goes_on_is_a_boot(opened):
     writer = flight()
     for k in range(15):
         time_us = 641_000_000 + k * 100_000
-        writer.row("GPS", time_us, 0, 3, 1000 + 100 * k, 2301, 47.0, 8.0, 600.0)
-        writer.row("BARO", time_us, 0, 95_000.0 - k, 20.0)
+        writer.row(
+            "GPS",
+            time_us,
+            0,
+            3,
+            1000 + 100 * k,
+            2301,
+            47.0,
+            8.0,
+            600.0,
+        )
+        writer.row(
+            "BARO",
+            time_us,
+            0,
+            95_000.0 - k,
+            20.0,
+        )
     log = opened(writer.data)
     assert log.boots == 2
     for name in ("GPS[0]", "BARO[0]"):

@@ -20,13 +20,24 @@ def assert_same(ours: np.ndarray, theirs: list[Any], name: str) -> None:
         return
     if ours.ndim == 2:  # arrays of numbers, and the bytes of files
         theirs = [np.frombuffer(bytes(cell), ours.dtype) for cell in theirs]
-    expected = np.array(theirs, np.float64 if ours.dtype.kind == "f" else ours.dtype)
+    expected = np.array(
+        theirs,
+        np.float64 if ours.dtype.kind == "f" else ours.dtype,
+    )
     assert_array_equal(ours, expected, name)
     are_zero = ours == 0
-    assert_array_equal(np.signbit(ours[are_zero]), np.signbit(expected[are_zero]), name)
+    assert_array_equal(
+        np.signbit(ours[are_zero]),
+        np.signbit(expected[are_zero]),
+        name,
+    )
 
 
-@pytest.mark.parametrize("path", with_suffix(".bin"), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path",
+    with_suffix(".bin"),
+    ids=lambda path: path.name,
+)
 def test_every_cell_is_that_of_the_library(path, head, record_property):
     path = head(path, 4_000_000)
     theirs = library_tables(DFReader_binary(str(path)))

@@ -63,11 +63,26 @@ def flight(rows: int = 40) -> DataFlashWriter:
             writer.row("GPS", time_us + unit, unit, status, *epoch, *place)
         # the second receiver does not know its ellipsoidal height: INT32_MIN
         writer.row("GPA", time_us, 0, 0.5, 0.75, 580.5 + k)
-        writer.row("GPA", time_us + 1, 1, 0.25, 0.5, -(2**31) / 100)
+        writer.row(
+            "GPA",
+            time_us + 1,
+            1,
+            0.25,
+            0.5,
+            -(2**31) / 100,
+        )
         writer.row("ATT", time_us + 10, 1.5, -2.25, 350.0)
         writer.row("BARO", time_us + 20, 0, 94_000.0 - k, 35.0)
         if k % 10 == 5:
-            writer.row("CAM", time_us + 50, EARLY_MS, WEEK, 47.0, -122.5, 610)
+            writer.row(
+                "CAM",
+                time_us + 50,
+                EARLY_MS,
+                WEEK,
+                47.0,
+                -122.5,
+                610,
+            )
     return writer
 
 
@@ -98,7 +113,10 @@ def test_known_flight(opened):
     assert not log.ledger.has_losses
 
 
-@pytest.mark.parametrize("new_type", [0x00, 0x7F, 21, 22, 23, 26, 128])
+@pytest.mark.parametrize(
+    "new_type",
+    [0x00, 0x7F, 21, 22, 23, 26, 128],
+)
 def test_a_flipped_type_byte_costs_one_message(opened, new_type):
     data = flight().data
     whole = walk(data)
@@ -155,12 +173,21 @@ def test_a_cut_last_record_costs_no_other(opened):
     assert log.bad_bytes == 0
 
 
-@pytest.mark.parametrize("victims", [(0,), (5,), (5, 6, 7), (999,)])
+@pytest.mark.parametrize(
+    "victims",
+    [(0,), (5,), (5, 6, 7), (999,)],
+)
 def test_stamps_days_ahead_cost_their_own_rows(opened, victims):
     writer = barometer()
     for k in range(1000):
         ahead_us = 11 * DAY_US if k in victims else 0
-        writer.row("BARO", 1_000_000 + k * 100_000 + ahead_us, 0, 95_000.0 - k, 20.0)
+        writer.row(
+            "BARO",
+            1_000_000 + k * 100_000 + ahead_us,
+            0,
+            95_000.0 - k,
+            20.0,
+        )
     log = opened(writer.data)
     assert log.boots == 1
     lost = 0 if victims == (999,) else len(victims)  # the last one may be late after a gap
@@ -173,7 +200,13 @@ def test_a_row_out_of_order_is_a_loss_with_its_place(opened):
     writer = barometer()
     for k in range(100):
         late_us = 250_000 if k == 40 else 0
-        writer.row("BARO", 1_000_000 + k * 100_000 - late_us, 0, 95_000.0 - k, 20.0)
+        writer.row(
+            "BARO",
+            1_000_000 + k * 100_000 - late_us,
+            0,
+            95_000.0 - k,
+            20.0,
+        )
     log = opened(writer.data)
     assert len(log.channel("BARO[0]")) == 99
     loss = with_code(log.ledger, "TIME-BACKWARD")[0]
@@ -196,7 +229,14 @@ def test_a_definition_that_changes_in_the_file(opened):
     writer = flight(20)
     writer.define(23, "BARO", "QBffc", "TimeUS,I,Alt,Press,Temp")
     for k in range(5):
-        writer.row("BARO", 30_000_000 + k * 100_000, 0, 12.0, 95_000.0 + k, 30.0)
+        writer.row(
+            "BARO",
+            30_000_000 + k * 100_000,
+            0,
+            12.0,
+            95_000.0 + k,
+            30.0,
+        )
     channel = opened(writer.data).channel("BARO[0]")
     expected_pa = [*(94_000.0 - np.arange(20)), *(95_000.0 + np.arange(5))]
     assert_array_equal(channel["pressure_pa"], expected_pa)
@@ -207,7 +247,10 @@ def test_not_a_number_is_kept_as_a_row(opened):
     for k, pressure in enumerate((1e5, float("nan"), float("inf"), 1e5)):
         writer.row("BARO", 1_000_000 + k, 0, pressure, 20.0)
     channel = opened(writer.data).channel("BARO[0]")
-    assert_array_equal(channel["pressure_pa"], [1e5, np.nan, np.nan, 1e5])
+    assert_array_equal(
+        channel["pressure_pa"],
+        [1e5, np.nan, np.nan, 1e5],
+    )
 
 
 def test_a_definition_that_makes_no_sense_is_a_loss_where_there_are_records_of_it(opened):
@@ -217,7 +260,16 @@ def test_a_definition_that_makes_no_sense_is_a_loss_where_there_are_records_of_i
     log = opened(writer.data)
     assert with_code(log.ledger, "LOG-BAD-FORMAT")[0].kind == "note"
     assert not log.ledger.has_losses
-    writer.row("BAR3", 1_000_000, 0.0, 94_000.0, 20.0, 0.0, 0, 0.0)
+    writer.row(
+        "BAR3",
+        1_000_000,
+        0.0,
+        94_000.0,
+        20.0,
+        0.0,
+        0,
+        0.0,
+    )
     log = opened(writer.data + flight().data)
     assert with_code(log.ledger, "LOG-BAD-FORMAT")[0].kind == "loss"
 

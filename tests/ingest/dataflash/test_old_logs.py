@@ -43,7 +43,12 @@ def messages() -> list[tuple[str, tuple[float | str, ...]]]:
 def binary() -> bytes:
     writer = DataFlashWriter()
     for kind, (name, (letters, columns)) in enumerate(DEFINITIONS.items(), 20):
-        writer.define(kind, name, letters, columns)
+        writer.define(
+            kind,
+            name,
+            letters,
+            columns,
+        )
     for name, values in messages():
         cells = [value.encode() if isinstance(value, str) else value for value in values]
         writer.row(name, *cells)
@@ -60,7 +65,10 @@ def text() -> bytes:
     return "".join(f"{line}\n" for line in lines).encode()
 
 
-@pytest.fixture(scope="module", params=["binary", "text"])
+@pytest.fixture(
+    scope="module",
+    params=["binary", "text"],
+)
 def log(request, tmp_path_factory) -> Log:
     folder = tmp_path_factory.mktemp("old")
     if request.param == "binary":
@@ -78,7 +86,10 @@ def test_the_times_of_old_messages(log):
     assert after_first_fix_ms(log, "ATT") == [50.0 + 200.0 * k for k in range(20)]
     table = log.message("ATT")
     assert "TimeUS" not in table
-    assert_array_equal(table["time_ns"], log.channel("ATT").time_ns)
+    assert_array_equal(
+        table["time_ns"],
+        log.channel("ATT").time_ns,
+    )
 
 
 def test_an_exposure_is_half_an_interval_behind_its_fix(log):

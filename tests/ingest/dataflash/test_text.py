@@ -70,7 +70,12 @@ def test_the_channels_are_those_of_the_binary_log(binary, text):
         ours = log.channel(channel.name)
         assert_array_equal(ours.time_ns, channel.time_ns)
         for name, column in channel.columns.items():
-            assert_allclose(ours[name], column, rtol=1e-15, err_msg=f"{channel.name} {name}")
+            assert_allclose(
+                ours[name],
+                column,
+                rtol=1e-15,
+                err_msg=f"{channel.name} {name}",
+            )
 
 
 HEAD = """FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns
@@ -85,7 +90,10 @@ def opened(tmp_path: Path) -> Callable[[str], Log]:
     """Opens text behind the definitions of `HEAD`."""
 
     def write_and_open(body: str) -> Log:
-        return written_logs.opened(tmp_path / "flight.log", (HEAD + body).encode("latin-1"))
+        return written_logs.opened(
+            tmp_path / "flight.log",
+            (HEAD + body).encode("latin-1"),
+        )
 
     return write_and_open
 
@@ -127,7 +135,10 @@ def test_the_banner_of_the_firmware_is_no_damage(tmp_path):
     path = tmp_path / "flight.log"
     body = "".join(f"BARO, {second}000000, 0, 95000.0, 20.0\n" for second in range(5))
     banner = "\r\nArduCopter V3.2.1 (36b405fb)\r\nFree RAM: 2048\r\nPX4: 34e1d543\r\n \r\n"
-    log = written_logs.opened(path, (banner + HEAD + body).encode())
+    log = written_logs.opened(
+        path,
+        (banner + HEAD + body).encode(),
+    )
     assert log.bad_bytes == 0
     assert not log.ledger.has_losses
     among_rows = (HEAD + banner + body).encode()

@@ -20,7 +20,11 @@ def message_class(full_name: str, fields: Mapping[str, str]) -> Any:
     file.dependency.append("google/protobuf/timestamp.proto")
     message = file.message_type.add(name=name)
     for number, (field_name, type_name) in enumerate(fields.items(), 1):
-        field = message.field.add(name=field_name, number=number, label=Field.LABEL_OPTIONAL)
+        field = message.field.add(
+            name=field_name,
+            number=number,
+            label=Field.LABEL_OPTIONAL,
+        )
         if type_name == "Timestamp":
             field.type = Field.TYPE_MESSAGE
             field.type_name = ".google.protobuf.Timestamp"

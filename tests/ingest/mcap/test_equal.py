@@ -89,7 +89,11 @@ def compare(table: dict[str, np.ndarray], messages: list[Any]) -> int:
     return cells
 
 
-@pytest.mark.parametrize("path", with_suffix(".mcap"), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path",
+    with_suffix(".mcap"),
+    ids=lambda path: path.name,
+)
 def test_every_cell_is_the_librarys(path, record_property):
     log = open_log(path)
     expected = library_messages(path)
@@ -160,7 +164,10 @@ def test_both_byte_orders(order):
     k = np.delete(np.arange(20), [3, 5])
     assert_array_equal(done, k)
     assert_array_equal(table["x"], k / 3)
-    assert_array_equal(table["n"], np.stack([k, -k, np.full(18, 7)], axis=1))
+    assert_array_equal(
+        table["n"],
+        np.stack([k, -k, np.full(18, 7)], axis=1),
+    )
     assert_array_equal(table["z"], k)
     assert table["s"].tolist() == ["abcdefg"[: n % 7] for n in k]
     assert "f" not in table
@@ -267,7 +274,11 @@ def test_json_of_nobodys_schema_is_a_channel_of_its_numbers(opened):
     for content in (first, second, b"[1]", b"{broken"):
         writer.write(channel, START, content)
     fixes = writer.channel("/fix", "json", "foxglove.LocationFix", "{}")
-    writer.write(fixes, START, {"timestamp": START // SECOND, "latitude": 47.5, "longitude": 8.25})
+    writer.write(
+        fixes,
+        START,
+        {"timestamp": START // SECOND, "latitude": 47.5, "longitude": 8.25},
+    )
     log = opened(writer.data)
     cabin = log.channel("/cabin")
     assert_array_equal(cabin["value"], [21.5, np.nan])

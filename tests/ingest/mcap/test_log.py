@@ -73,11 +73,22 @@ def flight(rows: int = 60, **options: Any) -> RosWriter:
         bag.write("/outside/humidity", HUMIDITY, t, recorded, relative_humidity=0.45)
         bag.write("/note", "std_msgs/String", t, recorded, data="nothing of ours")
         if k % 10 == 0:
-            bag.write("/camera", IMAGE, t, recorded, frame_id=f"cam{k}", data=bytes(3000))
+            bag.write(
+                "/camera",
+                IMAGE,
+                t,
+                recorded,
+                frame_id=f"cam{k}",
+                data=bytes(3000),
+            )
     return bag
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize(
+    "compression",
+    COMPRESSIONS,
+    ids=lambda kind: kind.name,
+)
 def test_known_flight(opened, compression):
     log = opened(flight(compression=compression).data)
     assert log.messages["/fix"] == log.messages["/note"] == 60
@@ -85,12 +96,18 @@ def test_known_flight(opened, compression):
     assert len(fix) == 58
     assert fix.roles == ("height", "position")
     assert with_code(log.ledger, "POSITION-NO-FIX")[0].count == 2
-    assert_array_equal(fix["lat_rad"], np.radians(47.0 + 1e-4 * np.arange(2, 60)))
+    assert_array_equal(
+        fix["lat_rad"],
+        np.radians(47.0 + 1e-4 * np.arange(2, 60)),
+    )
     assert_array_equal(fix["h_ellipsoid_m"], np.full(58, 580.25))
     assert_allclose(fix["sigma_h_m"], np.sqrt(3.0), rtol=1e-15)
     assert_array_equal(fix["sigma_v_m"], np.full(58, 3.0))
     # the time is that of the header, not that of the recorder 7 ms later
-    assert_array_equal(fix.time_ns, START + np.arange(2, 60) * SECOND // 10)
+    assert_array_equal(
+        fix.time_ns,
+        START + np.arange(2, 60) * SECOND // 10,
+    )
     assert np.flatnonzero(np.isnan(log.channel("/imu")["q_w"])).tolist() == [3]
     pressures = log.channel("/outside/pressure")["pressure_pa"]
     assert_array_equal(pressures, 7e4 - np.arange(60))
@@ -124,7 +141,12 @@ def test_a_chunk_that_fails_its_checksum_is_left_out(opened):
 def test_the_checksum_of_a_chunk_over_16_mib_is_compared(opened, place):
     """One bit is flipped in an image of 20 MiB, or in the checksum of the chunk that holds it."""
     bag = flight()
-    bag.write("/camera", IMAGE, START + 9 * SECOND, data=random.Random(1).randbytes(20 << 20))
+    bag.write(
+        "/camera",
+        IMAGE,
+        START + 9 * SECOND,
+        data=random.Random(1).randbytes(20 << 20),
+    )
     data = bytearray(bag.data)
     whole = opened(data)
     assert not whole.ledger.has_losses
@@ -159,7 +181,16 @@ def test_bytes_behind_an_lz4_frame_cost_nothing(behind):
     import lz4.frame
 
     packed = lz4.frame.compress(bytes(1000)) + behind
-    chunk = Chunk(0, 0, 1000, 0, "lz4", 0, len(packed), 0)
+    chunk = Chunk(
+        0,
+        0,
+        1000,
+        0,
+        "lz4",
+        0,
+        len(packed),
+        0,
+    )
     assert inflate(packed, chunk, where="a.mcap, byte 0", count=1000) == bytes(1000)
 
 
@@ -209,7 +240,10 @@ def test_a_bomb_is_skipped(opened, compression, promised, size, code):
 def test_many_small_bombs_share_one_budget(opened, size):
     """Each chunk is small enough to be free; together they claim 2 GiB."""
     bomb = chunk_record("zstd", size, packed_zeros("zstd", size))
-    data = spliced(flight().data, bomb * ((2 << 30) // size))
+    data = spliced(
+        flight().data,
+        bomb * ((2 << 30) // size),
+    )
     begin = time.process_time()
     log = opened(data)
     assert time.process_time() - begin < 30.0 * work_unit_s()
@@ -259,7 +293,10 @@ def test_log_time_0_takes_nothing_from_messages_with_a_stamp(opened):
         writer.write(fixes, 0, place(START + k * SECOND))
         writer.write(bare, 0, place(0))
     log = opened(writer.data)
-    assert_array_equal(log.channel("/fix").time_ns, START + np.arange(10) * SECOND)
+    assert_array_equal(
+        log.channel("/fix").time_ns,
+        START + np.arange(10) * SECOND,
+    )
     fallbacks = {entry.code: entry.where for entry in log.ledger if entry.kind == "fallback"}
     assert fallbacks == {"TIME-LOG-TIME": "/bare", "TIME-NO-UTC": "/bare"}
 
@@ -318,14 +355,25 @@ def test_images_of_mavros_are_numbered_where_it_numbers_none(opened):
     assert entry_in(log, "EVENT-NO-INDEX").kind == "note"
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize(
+    "compression",
+    COMPRESSIONS,
+    ids=lambda kind: kind.name,
+)
 def test_large_images_cost_no_memory_and_no_messages(opened, compression):
     pixels = random.Random(1).randbytes(1 << 20) * 81  # mono8 10600 x 8000
     bag = RosWriter(compression=compression)
     for k in range(60):
         t = START + k * SECOND // 10
         if k % 40 == 5:
-            bag.write("/camera", IMAGE, t, frame_id=f"cam{k}", format="mono8", data=pixels)
+            bag.write(
+                "/camera",
+                IMAGE,
+                t,
+                frame_id=f"cam{k}",
+                format="mono8",
+                data=pixels,
+            )
         bag.write("/air", PRESSURE, t, fluid_pressure=7e4 - k)
     data = bag.data
     tracemalloc.start()
@@ -334,7 +382,10 @@ def test_large_images_cost_no_memory_and_no_messages(opened, compression):
     tracemalloc.stop()
     assert peak < 24 << 20
     assert not log.ledger.has_losses
-    assert_array_equal(log.channel("/air")["pressure_pa"], 7e4 - np.arange(60))
+    assert_array_equal(
+        log.channel("/air")["pressure_pa"],
+        7e4 - np.arange(60),
+    )
     assert log.channel("/camera").labels["frame_id"] == ("cam5", "cam45")
 
 
@@ -350,7 +401,10 @@ def test_a_clock_set_back_in_the_recording_mixes_nothing(opened):
     air = log.channel("/air")
     camera = log.channel("/camera")
     # 20 to 30 s were passed twice: the later rows stand for them, and nothing bridges the step
-    assert_array_equal(7e4 - air["pressure_pa"], [*range(200), *range(300, 400)])
+    assert_array_equal(
+        7e4 - air["pressure_pa"],
+        [*range(200), *range(300, 400)],
+    )
     assert_array_equal(air.boot, [0] * 200 + [1] * 100)
     shots = [*range(0, 200, 4), *range(300, 400, 4)]
     assert [int(name) for name in camera.labels["frame_id"]] == shots
@@ -369,7 +423,12 @@ def test_a_stamp_days_ahead_costs_one_row(opened, row):
     bag = RosWriter()
     for k in range(1000):
         ahead = 11 * 86_400 * SECOND if k == row else 0
-        bag.write("/air", PRESSURE, START + k * SECOND // 10 + ahead, fluid_pressure=7e4 - k)
+        bag.write(
+            "/air",
+            PRESSURE,
+            START + k * SECOND // 10 + ahead,
+            fluid_pressure=7e4 - k,
+        )
     log = opened(bag.data)
     assert len(log.channel("/air")) == 999
     loss = with_code(log.ledger, "TIME-BACKWARD")[0]
@@ -381,9 +440,18 @@ def test_a_stamp_days_ahead_costs_one_row(opened, row):
 def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(opened):
     bag = RosWriter()
     for k in range(5):
-        bag.write("/air", TEMPERATURE, 0, START + k, temperature=20.0)
+        bag.write(
+            "/air",
+            TEMPERATURE,
+            0,
+            START + k,
+            temperature=20.0,
+        )
     log = opened(bag.data)
-    assert_array_equal(log.channel("/air").time_ns, START + np.arange(5))
+    assert_array_equal(
+        log.channel("/air").time_ns,
+        START + np.arange(5),
+    )
     assert with_code(log.ledger, "TIME-LOG-TIME")[0].kind == "fallback"
 
 
@@ -399,7 +467,11 @@ def with_message(bag: RosWriter, topic: str, content: bytes) -> bytes:
             channels[channel.topic] = writer.channel(
                 channel.topic, channel.message_encoding, schema.name, definition
             )
-        writer.write(channels[channel.topic], message.log_time, message.data)
+        writer.write(
+            channels[channel.topic],
+            message.log_time,
+            message.data,
+        )
     writer.write(channels[topic], START, content)
     return writer.data
 
@@ -413,7 +485,13 @@ def test_a_message_that_does_not_fit_its_schema_is_a_loss(opened):
 def test_an_instance_that_is_not_there_is_not_told_as_messages_that_do_not_fit(opened):
     bag = RosWriter()
     bag.define("mavros_msgs/DebugValue", "string name\nfloat32 value_float")
-    bag.write("/debug", "mavros_msgs/DebugValue", START, name="CabT", value_float=20.0)
+    bag.write(
+        "/debug",
+        "mavros_msgs/DebugValue",
+        START,
+        name="CabT",
+        value_float=20.0,
+    )
     log = opened(with_message(bag, "/debug", b"\x00\x01\x00\x00\xff\xff\xff\xff"))
     assert with_code(log.ledger, "LOG-DECODE")[0].count == 1
     assert log.message("/debug", "CabT")["value_float"].tolist() == [20.0]
@@ -481,7 +559,12 @@ def test_a_refusal_names_the_encodings_that_are_not_read(opened, encoding, defin
 def test_a_file_whose_head_is_lost(opened, name, part, end):
     """Chunks behind the damage are whole: what they hold is the same, and the loss is told."""
     data = LOGS[name].read_bytes()
-    counts = {"first byte": 1, "mark": 8, "header": 60, "quarter": len(data) // 4}
+    counts = {
+        "first byte": 1,
+        "mark": 8,
+        "header": 60,
+        "quarter": len(data) // 4,
+    }
     count = counts[part]
     log = opened((bytes(count) if end == "zero" else b"") + data[count:])
     expected = open_log(LOGS[name])

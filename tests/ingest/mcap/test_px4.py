@@ -45,10 +45,20 @@ class Recording(RosWriter):
         self.send("SensorGps", boot_ns, utc_ns, time_utc_usec=stated_us, fix_type=fix_type, **PLACE)
 
     def attitude(self, boot_ns: int, utc_ns: int) -> None:
-        self.send("VehicleAttitude", boot_ns, utc_ns, q=[1.0, 0.0, 0.0, 0.0])
+        self.send(
+            "VehicleAttitude",
+            boot_ns,
+            utc_ns,
+            q=[1.0, 0.0, 0.0, 0.0],
+        )
 
     def shot(self, boot_ns: int, utc_ns: int, number: int, **fields: object) -> None:
-        self.send("CameraCapture", boot_ns, utc_ns, **{"seq": number, "result": 1} | fields)
+        self.send(
+            "CameraCapture",
+            boot_ns,
+            utc_ns,
+            **{"seq": number, "result": 1} | fields,
+        )
 
     def flight(
         self, *, rows: int = 200, boot_s: int = 60, utc_s: int = 0, fix_type: int = 3
@@ -78,7 +88,10 @@ def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(opened):
     log = opened(recording.data)
     assert log.boots == 2
     assert_array_equal(seconds(log, "SensorHygrometer"), 200 + np.arange(200) / 5)
-    assert_array_equal(seconds(log, "CameraCapture"), 200 + np.arange(0, 40, 4))
+    assert_array_equal(
+        seconds(log, "CameraCapture"),
+        200 + np.arange(0, 40, 4),
+    )
     assert log.channel("/fmu/out/CameraCapture").boot.tolist() == [1] * 10
     assert not loss_codes(log)
     table = log.message("/fmu/out/SensorHygrometer")
@@ -107,7 +120,10 @@ def test_a_stray_stamp_of_the_receiver_moves_nothing_else(opened, row):
         recording.attitude(boot_ns, START + k * STEP)
     log = opened(recording.data)
     assert_array_equal(seconds(log), np.arange(200) / 5)
-    assert_array_equal(seconds(log, "SensorGps"), np.delete(np.arange(200), row) / 5)
+    assert_array_equal(
+        seconds(log, "SensorGps"),
+        np.delete(np.arange(200), row) / 5,
+    )
     assert log.boots == 1
     assert entry_in(log, "TIME-STRAY").count == 1
     assert loss_codes(log) == {"TIME-STRAY"}
@@ -192,7 +208,11 @@ def test_messages_that_come_late_are_no_boot_and_not_stray(opened, events):
     recording = Recording()
     recording.flight(rows=100)
     for k in range(events):
-        recording.shot((60 + k) * SECOND + 1000, START + k * SECOND, k)
+        recording.shot(
+            (60 + k) * SECOND + 1000,
+            START + k * SECOND,
+            k,
+        )
     recording.flight(rows=100, boot_s=80, utc_s=20)
     log = opened(recording.data)
     assert log.boots == 1
@@ -206,7 +226,12 @@ def test_images_that_were_not_taken_are_no_exposures(opened):
     recording = Recording()
     recording.flight()
     for k, result in enumerate((1, 1, 0, -1, 1)):
-        recording.shot((60 + k) * SECOND, START + k * SECOND, k, result=result)
+        recording.shot(
+            (60 + k) * SECOND,
+            START + k * SECOND,
+            k,
+            result=result,
+        )
     log = opened(recording.data)
     assert log.channel("/fmu/out/CameraCapture")["event_index"].tolist() == [0, 1, 3, 4]
     assert entry_in(log, "EVENT-FAILED").count == 1

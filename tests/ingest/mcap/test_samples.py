@@ -17,5 +17,8 @@ from unbend.ingest.mcap.stamps import in_sequence
     ],
 )
 def test_messages_are_moved_only_where_numbers_put_times_right(numbers, times, order):
-    moved = in_sequence(np.array(numbers, np.uint32), np.array(times, np.int64))
+    moved = in_sequence(
+        np.array(numbers, np.uint32),
+        np.array(times, np.int64),
+    )
     assert (None if moved is None else moved.tolist()) == order

@@ -48,7 +48,12 @@ def written(
         writer.channel(*channel)
     numbers = None if sequence is None else iter(sequence)
     for k, (channel, time_ns, data) in enumerate(messages):
-        writer.write(channel, time_ns, data, k if numbers is None else next(numbers))
+        writer.write(
+            channel,
+            time_ns,
+            data,
+            k if numbers is None else next(numbers),
+        )
     return opened(writer.data)
 
 
@@ -60,9 +65,20 @@ def test_each_definition_of_a_topic_has_its_own_layout(opened, mixed):
         is_swapped = bool(k % 2) if mixed else k >= 100
         data = cdr(t, 5.0, 9e4 + k) if is_swapped else cdr(t, 9e4 + k, 5.0)
         messages.append((2 if is_swapped else 1, t, data))
-    log = written(opened, channels, messages, [0] * 200)
-    assert_array_equal(log.channel("/baro")["pressure_pa"], 9e4 + np.arange(200))
-    assert_array_equal(log.message("/baro")["fluid_pressure"], 9e4 + np.arange(200))
+    log = written(
+        opened,
+        channels,
+        messages,
+        [0] * 200,
+    )
+    assert_array_equal(
+        log.channel("/baro")["pressure_pa"],
+        9e4 + np.arange(200),
+    )
+    assert_array_equal(
+        log.message("/baro")["fluid_pressure"],
+        9e4 + np.arange(200),
+    )
     assert not log.ledger.has_losses
 
 
@@ -71,16 +87,28 @@ def test_encodings_of_a_topic_make_one_channel(opened):
     messages = []
     for k, t in enumerate(TIMES[:200]):
         if k % 2:
-            row = {"header": {"stamp": ros_time(t)}, "fluid_pressure": 9e4 + k}
+            row = {
+                "header": {"stamp": ros_time(t)},
+                "fluid_pressure": 9e4 + k,
+            }
             messages.append((2, t, json.dumps(row).encode()))
         else:
             messages.append((1, t, cdr(t, 9e4 + k, 5.0)))
     log = written(opened, channels, messages)
-    assert_array_equal(log.channel("/baro")["pressure_pa"], 9e4 + np.arange(200))
-    assert_array_equal(log.channel("/baro").time_ns, TIMES[:200])
+    assert_array_equal(
+        log.channel("/baro")["pressure_pa"],
+        9e4 + np.arange(200),
+    )
+    assert_array_equal(
+        log.channel("/baro").time_ns,
+        TIMES[:200],
+    )
     table = log.message("/baro")
     assert_array_equal(table["time_ns"], TIMES[:200])
-    assert_array_equal(table["variance"], [5.0, np.nan] * 100)
+    assert_array_equal(
+        table["variance"],
+        [5.0, np.nan] * 100,
+    )
     assert not log.ledger.has_losses
 
 
@@ -96,8 +124,14 @@ def test_schemas_of_a_topic_are_channels_apart_and_one_table(opened):
     assert len(log.channel("/air (sensor_msgs/Temperature)")) == 30
     table = log.message("/air")
     assert_array_equal(table["time_ns"], TIMES[:60])
-    assert_array_equal(table["fluid_pressure"], [9e4, np.nan] * 30)
-    assert_array_equal(table["temperature"], [np.nan, 15.0] * 30)
+    assert_array_equal(
+        table["fluid_pressure"],
+        [9e4, np.nan] * 30,
+    )
+    assert_array_equal(
+        table["temperature"],
+        [np.nan, 15.0] * 30,
+    )
 
 
 def readings(opened: Opener, values: list[str], pad: str = "") -> Log:
@@ -111,9 +145,15 @@ def readings(opened: Opener, values: list[str], pad: str = "") -> Log:
     return written(opened, channels, messages)
 
 
-@pytest.mark.parametrize("odd", ['"n/a"', "9" * 400, "{}", "[1]"])
+@pytest.mark.parametrize(
+    "odd",
+    ['"n/a"', "9" * 400, "{}", "[1]"],
+)
 def test_a_value_that_is_no_number_costs_itself(opened, odd):
-    log = readings(opened, ["3"] * 20 + [odd] + ["2.5", "null", '"4.5"'] * 5)
+    log = readings(
+        opened,
+        ["3"] * 20 + [odd] + ["2.5", "null", '"4.5"'] * 5,
+    )
     expected = [3.0] * 20 + [np.nan] + [2.5, np.nan, 4.5] * 5
     assert_array_equal(log.channel("/cabin")["value"], expected)
     entry = entry_in(log, "LOG-DECODE")
@@ -130,7 +170,10 @@ def test_texts_in_one_block_take_no_numbers_from_others(opened):
     log = readings(opened, values, PAD_TO_SEVERAL_BATCHES)
     numbers = log.channel("/cabin")["value"]
     assert np.flatnonzero(np.isnan(numbers)).tolist() == [20]
-    assert_array_equal(numbers[21:], np.arange(21, 600))
+    assert_array_equal(
+        numbers[21:],
+        np.arange(21, 600),
+    )
     assert log.message("/cabin")["value"][[0, 20, 21, -1]].tolist() == [0, "n/a", 21, 599]
 
 
@@ -175,13 +218,31 @@ def test_integers_are_exact_where_parts_are_of_several_kinds(opened):
 def test_protobuf_integers_are_exact(tmp_path):
     from mcap_protobuf.writer import Writer
 
-    kind = message_class("a.M", {"a": "UINT64", "b": "INT64", "c": "BOOL", "d": "BYTES"})
+    kind = message_class(
+        "a.M",
+        {
+            "a": "UINT64",
+            "b": "INT64",
+            "c": "BOOL",
+            "d": "BYTES",
+        },
+    )
     path = tmp_path / "pb.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
         for k in range(5):
-            row = kind(a=2**63 + k, b=2**53 + 1, c=k == 1, d=bytes(k))
-            writer.write_message("/pb", row, START + k, START + k)
+            row = kind(
+                a=2**63 + k,
+                b=2**53 + 1,
+                c=k == 1,
+                d=bytes(k),
+            )
+            writer.write_message(
+                "/pb",
+                row,
+                START + k,
+                START + k,
+            )
         writer.finish()
     table = open_log(path, needs_channels=False).message("/pb")
     assert table["a"].tolist() == [2**63 + k for k in range(5)]
@@ -196,7 +257,11 @@ def test_protobuf_integers_are_exact(tmp_path):
 def test_other_encapsulations_are_no_cdr(opened, head, align):
     messages = [(1, t, cdr(t, 9e4, 1.0)) for t in TIMES[:10]]
     messages += [(1, t, cdr(t, 9e4, 1.0, head=head, align=align)) for t in TIMES[10:20]]
-    log = written(opened, [("/p", "cdr", AIR, PRESSURE)], messages)
+    log = written(
+        opened,
+        [("/p", "cdr", AIR, PRESSURE)],
+        messages,
+    )
     assert log.channel("/p")["pressure_pa"].tolist() == [9e4] * 10
     entry = entry_in(log, "LOG-DECODE")
     assert (entry.kind, entry.where, entry.count) == ("loss", "/p", 10)
@@ -215,7 +280,10 @@ def test_a_schema_that_multiplies_is_refused_before_it_has():
         steps_of("a/msg/B", definition)
 
 
-@pytest.mark.parametrize("count", ["3000000000", "9" * 30, "9" * 5000])
+@pytest.mark.parametrize(
+    "count",
+    ["3000000000", "9" * 30, "9" * 5000],
+)
 def test_arrays_longer_than_any_message_are_refused(count):
     with pytest.raises(ValueError, match=r"elements|digits"):
         steps_of("a/msg/B", f"float64[{count}] v")
@@ -248,22 +316,38 @@ def test_a_table_of_wide_strings_is_refused(opened):
 def numbered(opened: Opener, numbers: list[int], times: list[int]) -> Log:
     """Pressures with these sequence numbers, from 90,000 Pa on as they are numbered."""
     messages = [(1, t, cdr(t, 9e4 + k, 0.0)) for k, t in zip(numbers, times, strict=True)]
-    return written(opened, [("/p", "cdr", AIR, PRESSURE)], messages, numbers)
+    return written(
+        opened,
+        [("/p", "cdr", AIR, PRESSURE)],
+        messages,
+        numbers,
+    )
 
 
 def test_chunks_in_another_order_lose_nothing(opened):
     order = [*range(100), *range(150, 200), *range(100, 150), *range(200, 300)]
-    log = numbered(opened, order, [TIMES[k] for k in order])
+    log = numbered(
+        opened,
+        order,
+        [TIMES[k] for k in order],
+    )
     assert log.lost_messages == 0
     assert not log.ledger.has_losses
-    assert_array_equal(log.channel("/p")["pressure_pa"], 9e4 + np.arange(300))
+    assert_array_equal(
+        log.channel("/p")["pressure_pa"],
+        9e4 + np.arange(300),
+    )
     entry = entry_in(log, "LOG-REORDERED")
     assert (entry.kind, entry.where, entry.count) == ("note", "/p, first at row 100", 100)
 
 
 def test_a_gap_shows_among_chunks_in_another_order(opened):
     order = [*range(40), *range(47, 100), *range(150, 200), *range(100, 150), *range(200, 300)]
-    log = numbered(opened, order, [TIMES[k] for k in order])
+    log = numbered(
+        opened,
+        order,
+        [TIMES[k] for k in order],
+    )
     assert log.lost_messages == 7
     entry = entry_in(log, "LOG-LINK-LOSS")
     assert (entry.kind, entry.where, entry.count) == ("finding", "/p", 7)
@@ -271,7 +355,11 @@ def test_a_gap_shows_among_chunks_in_another_order(opened):
 
 def test_a_recorder_that_counts_anew_hides_no_gap(opened):
     numbers = [*range(40), *range(47, 100), *range(100)]
-    log = numbered(opened, numbers, TIMES[: len(numbers)])
+    log = numbered(
+        opened,
+        numbers,
+        TIMES[: len(numbers)],
+    )
     assert log.lost_messages == 7
     assert with_code(log.ledger, "LOG-REORDERED") == []
 
@@ -280,12 +368,20 @@ def stamped(opened: Opener, stamp_ns: int, recorded_ns: int) -> Log:
     """A pressure each tenth of a second, stamped by one clock and recorded by another."""
     steps = [k * SECOND // 10 for k in range(50)]
     rows = [(1, recorded_ns + step, cdr(stamp_ns + step, 9e4, 1.0)) for step in steps]
-    return written(opened, [("/baro", "cdr", AIR, PRESSURE)], rows)
+    return written(
+        opened,
+        [("/baro", "cdr", AIR, PRESSURE)],
+        rows,
+    )
 
 
 def test_stamps_that_have_rolled_over_are_moved_by_the_recorders_clock(opened):
     rollover_ns = 1024 * 604_800 * SECOND
-    log = stamped(opened, START - rollover_ns, START + SECOND)
+    log = stamped(
+        opened,
+        START - rollover_ns,
+        START + SECOND,
+    )
     assert log.channel("/baro").time_ns[0] == START
     assert entry_in(log, "TIME-WEEK-ROLLOVER").kind == "warning"
     assert log.message("/baro")["time_ns"][0] == START
@@ -301,9 +397,16 @@ def test_stamps_whose_date_cannot_be_are_no_utc(opened, stamp_s):
     assert np.isnan(log.utc_sigma_s)
 
 
-@pytest.mark.parametrize(("early_s", "kinds"), [(30, []), (365 * 86_400, ["warning"])])
+@pytest.mark.parametrize(
+    ("early_s", "kinds"),
+    [(30, []), (365 * 86_400, ["warning"])],
+)
 def test_stamps_are_compared_with_the_recorders_clock(opened, early_s, kinds):
-    log = stamped(opened, START - early_s * SECOND, START)
+    log = stamped(
+        opened,
+        START - early_s * SECOND,
+        START,
+    )
     assert [entry.kind for entry in with_code(log.ledger, "TIME-SOURCES")] == kinds
 
 
@@ -326,5 +429,8 @@ def test_each_kind_is_read_as_ros_2_stores_it():
     }
     assert set(stored) == set(KINDS)
     for kind, (content, value) in stored.items():
-        (number,) = np.frombuffer(bytes.fromhex(content), np.dtype(KINDS[kind]).newbyteorder("<"))
+        (number,) = np.frombuffer(
+            bytes.fromhex(content),
+            np.dtype(KINDS[kind]).newbyteorder("<"),
+        )
         assert number == value, kind

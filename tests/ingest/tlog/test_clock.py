@@ -24,7 +24,12 @@ class Bus(MavlinkWriter):
         """Received 0.2 s late, by the ground station's clock."""
         at_us = utc_us + 200_000
         self.send("system_time", at_us, time_unix_usec=utc_us, time_boot_ms=boot_ms)
-        self.send("attitude", at_us, time_boot_ms=boot_ms, yaw=1e-5 * boot_ms)
+        self.send(
+            "attitude",
+            at_us,
+            time_boot_ms=boot_ms,
+            yaw=1e-5 * boot_ms,
+        )
 
 
 def seconds(log: Log, name: str = "ATTITUDE") -> np.ndarray:
@@ -72,7 +77,11 @@ def test_a_short_boot_is_one(opened, rows, place):
     begins_ms = [9_000_000, 5_000, 4_000]
     boots_ms = [ms + 50 * np.arange(n) for ms, n in zip(begins_ms, lengths, strict=True)]
     boot_ms = np.concatenate(boots_ms)
-    log = log_of(opened, boot_ms, START_US + 50_000 * np.arange(boot_ms.size))
+    log = log_of(
+        opened,
+        boot_ms,
+        START_US + 50_000 * np.arange(boot_ms.size),
+    )
     assert log.boots == 3
     assert np.bincount(log.message("ATTITUDE")["boot"]).tolist() == lengths
 
@@ -115,9 +124,15 @@ def test_a_boot_whose_first_time_is_later_than_the_last(opened):
     bus = Bus()
     for boot_s, utc_s, rows in BOOTS_S:
         for k in range(rows):
-            bus.vehicle(1000 * (boot_s + k), START_US + SECOND_US * (utc_s + k))
+            bus.vehicle(
+                1000 * (boot_s + k),
+                START_US + SECOND_US * (utc_s + k),
+            )
     log = opened(bus.data)
-    assert_array_equal(seconds(log), [*range(30), *range(3600, 4200)])
+    assert_array_equal(
+        seconds(log),
+        [*range(30), *range(3600, 4200)],
+    )
     assert log.boots == 2
     assert entry_in(log, "TIME-REBOOT").kind == "warning"
     assert with_code(log.ledger, "LOG-GAP") == []  # the vehicle was off
@@ -128,9 +143,16 @@ def test_without_utc_the_stamps_of_the_log_tell_a_boot(opened):
     for boot_s, utc_s, rows in BOOTS_S:
         for k in range(rows):
             at_us = START_US + SECOND_US * (utc_s + k)
-            bus.send("attitude", at_us, time_boot_ms=1000 * (boot_s + k))
+            bus.send(
+                "attitude",
+                at_us,
+                time_boot_ms=1000 * (boot_s + k),
+            )
     log = opened(bus.data)
-    assert_array_equal(seconds(log), [*range(30), *range(3600, 4200)])
+    assert_array_equal(
+        seconds(log),
+        [*range(30), *range(3600, 4200)],
+    )
     assert log.boots == 2
 
 
@@ -189,9 +211,20 @@ def test_no_clock_is_borrowed_from_another_system(opened):
         at_us = START_US + k * SECOND_US
         boot_ms = 60_000 + 1000 * k
         utc_us = at_us + 7200 * SECOND_US
-        bus.send("system_time", at_us, time_unix_usec=utc_us, time_boot_ms=boot_ms)
+        bus.send(
+            "system_time",
+            at_us,
+            time_unix_usec=utc_us,
+            time_boot_ms=boot_ms,
+        )
         bus.send("attitude", at_us, time_boot_ms=boot_ms)
-        bus.send("camera_trigger", at_us, source=(2, 1), time_usec=boot_ms * 1000, seq=k)
+        bus.send(
+            "camera_trigger",
+            at_us,
+            source=(2, 1),
+            time_usec=boot_ms * 1000,
+            seq=k,
+        )
     log = opened(bus.data)
     (trigger,) = [c for c in log.channels if c.source.message == "CAMERA_TRIGGER"]
     assert seconds(log, trigger.name).tolist() == [*range(60)]
@@ -209,8 +242,14 @@ def test_the_first_message_of_a_boot_may_come_before_its_clock(opened):
             bus.send("gps_raw_int", utc_us + 200_000, **fix)
             bus.vehicle(boot_ms, utc_us)
     log = opened(bus.data)
-    assert_array_equal(seconds(log, "GPS_RAW_INT"), [*range(60), *range(1000, 1060)])
-    assert_array_equal(log.channel("GPS_RAW_INT").boot, [0] * 60 + [1] * 60)
+    assert_array_equal(
+        seconds(log, "GPS_RAW_INT"),
+        [*range(60), *range(1000, 1060)],
+    )
+    assert_array_equal(
+        log.channel("GPS_RAW_INT").boot,
+        [0] * 60 + [1] * 60,
+    )
 
 
 def test_repeated_feedback_is_a_note_and_costs_nothing(opened):
@@ -250,7 +289,10 @@ def test_signed_messages(opened, flipped):
 
 
 @pytest.mark.parametrize("turns", [0, 1, 3])
-@pytest.mark.parametrize("ahead_s", [-59, -1, 0, 1, 59])
+@pytest.mark.parametrize(
+    "ahead_s",
+    [-59, -1, 0, 1, 59],
+)
 def test_a_wrapped_stamp_is_completed_near_the_senders_clock(turns, ahead_s):
     """A count of microseconds of 32 bits wraps after 4294.967296 s."""
     assert WRAP_OF_US_NS == 4_294_967_296_000
@@ -275,7 +317,12 @@ def test_packets_that_others_overtake_are_no_boot_and_no_loss(opened):
         if k % 20 == 0:
             bus.vehicle(boot_ms, utc_us)
         place = PLACE | {"relative_alt": k}
-        bus.send("global_position_int", utc_us + 200_000, time_boot_ms=boot_ms, **place)
+        bus.send(
+            "global_position_int",
+            utc_us + 200_000,
+            time_boot_ms=boot_ms,
+            **place,
+        )
     whole = opened(bus.data).channel("GLOBAL_POSITION_INT")
     for first in (400, 800):
         overtaken = bus.frames[first : first + 10]
@@ -304,16 +351,30 @@ def dated(opened: Opener, stated_us: int, *, host_us: int = START_US, fix: int =
         at_us = host_us + SECOND_US * k + 200_000
         boot_ms = 10_000 + 1000 * k
         unix_us = stated_us + SECOND_US * k
-        bus.send("system_time", at_us, time_unix_usec=unix_us, time_boot_ms=boot_ms)
+        bus.send(
+            "system_time",
+            at_us,
+            time_unix_usec=unix_us,
+            time_boot_ms=boot_ms,
+        )
         bus.send("attitude", at_us, time_boot_ms=boot_ms)
         place = PLACE | {"lat": 475_000_000 + k}
-        bus.send("gps_raw_int", at_us, time_usec=boot_ms * 1000, fix_type=fix, **place)
+        bus.send(
+            "gps_raw_int",
+            at_us,
+            time_usec=boot_ms * 1000,
+            fix_type=fix,
+            **place,
+        )
         feedback = {"time_usec": unix_us, "img_idx": k, "lat": 475_000_000}
         bus.send("camera_feedback", at_us, **feedback)
     return opened(bus.data)
 
 
-@pytest.mark.parametrize("rollovers", [1, 2, -1])
+@pytest.mark.parametrize(
+    "rollovers",
+    [1, 2, -1],
+)
 def test_a_rollover_is_found_by_the_stamps_of_reception(opened, rollovers):
     log = dated(opened, START_US - rollovers * ROLLOVER_US, fix=3)
     begin_s = seconds(log)[0]

@@ -31,7 +31,11 @@ def test_logs_are_at_hand():
     assert len(LOGS) >= (8 if REAL.is_dir() else 4)
 
 
-@pytest.mark.parametrize("path", LOGS, ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path",
+    LOGS,
+    ids=lambda path: path.name,
+)
 def test_every_cell_is_the_librarys(path, head, monkeypatch, record_property):
     monkeypatch.setenv("MAVLINK20", "1")  # so that the library knows the fields of MAVLink 2
     path = head(path, 2_200_000)

@@ -35,7 +35,12 @@ class Vehicle(MavlinkWriter):
     def utc(self, ms: int, at_ms: int | None = None) -> None:
         """The vehicle's clock, and UTC by it."""
         at_ms = ms if at_ms is None else at_ms
-        self.sent("system_time", at_ms, time_unix_usec=BOOT_UTC_US + ms * 1000, time_boot_ms=ms)
+        self.sent(
+            "system_time",
+            at_ms,
+            time_unix_usec=BOOT_UTC_US + ms * 1000,
+            time_boot_ms=ms,
+        )
 
     def autopilots_frames(self) -> list[int]:
         """Which frames are of system 1, component 1."""
@@ -61,10 +66,22 @@ def flight(version: int = 2, *, seconds: int = 20) -> Vehicle:
             if version == 2:  # MAVLink 1 has no ids above 255
                 writer.sent("hygrometer_sensor", ms, id=2, **AIR)
                 writer.sent("airspeed", ms, airspeed=41.5, temperature=32767)
-            writer.sent("named_value_float", ms, time_boot_ms=ms, name=b"CabT", value=21.5)
+            writer.sent(
+                "named_value_float",
+                ms,
+                time_boot_ms=ms,
+                name=b"CabT",
+                value=21.5,
+            )
         writer.sent("attitude", ms, time_boot_ms=ms, yaw=3.0)
         writer.sent("scaled_pressure", ms, time_boot_ms=ms, press_abs=700.25)
-        writer.sent("scaled_pressure", ms, source=(1, 25), time_boot_ms=ms, press_abs=850.5)
+        writer.sent(
+            "scaled_pressure",
+            ms,
+            source=(1, 25),
+            time_boot_ms=ms,
+            press_abs=850.5,
+        )
         writer.sent(
             "gps_raw_int",
             ms,
@@ -145,13 +162,19 @@ def test_known_flight(opened, version):
     vehicle = log.channel("SCALED_PRESSURE@1/1")
     assert vehicle["pressure_pa"].tolist() == [70_025.0] * 100
     assert log.channel("SCALED_PRESSURE@1/25")["pressure_pa"][0] == 85_050.0
-    assert_array_equal(vehicle.time_ns, BEGIN_NS + np.arange(100) * SECOND // 5)
+    assert_array_equal(
+        vehicle.time_ns,
+        BEGIN_NS + np.arange(100) * SECOND // 5,
+    )
     gps = log.channel("GPS_RAW_INT")
     for channel in (gps, log.channel("ATTITUDE")):
         assert_array_equal(channel.time_ns, vehicle.time_ns)
     assert "sigma_v_m" not in gps.columns
     if version == 2:
-        assert_array_equal(gps["h_ellipsoid_m"], [np.nan] * 50 + [580.5] * 50)
+        assert_array_equal(
+            gps["h_ellipsoid_m"],
+            [np.nan] * 50 + [580.5] * 50,
+        )
         # no time of its own: the vehicle's time, by the messages it arrived with
         late_ns = log.channel("HYGROMETER_SENSOR[2]").time_ns - BEGIN_NS
         assert_allclose(late_ns, np.arange(20) * SECOND, atol=1e6)
@@ -168,7 +191,11 @@ def test_known_flight(opened, version):
 def test_without_utc_the_ground_stations_clock_is_a_stated_fallback(opened):
     writer = Vehicle()
     for k in range(100):
-        writer.sent("attitude", 60_000 + 200 * k, time_boot_ms=60_000 + 200 * k)
+        writer.sent(
+            "attitude",
+            60_000 + 200 * k,
+            time_boot_ms=60_000 + 200 * k,
+        )
     log = opened(writer.data)
     assert {entry.kind for entry in with_code(log.ledger, "TIME-HOST-CLOCK")} == {"fallback"}
     attitude = log.channel("ATTITUDE")
@@ -184,7 +211,12 @@ def test_camera_feedback_in_unix_time_and_in_time_since_boot(opened):
         for camera, stamp_us in ((0, ms * 1000), (1, BOOT_UTC_US + ms * 1000)):
             feedback = {"cam_idx": camera, "img_idx": k, "time_usec": stamp_us}
             writer.sent("camera_feedback", ms, **feedback, **PLACE)
-        writer.sent("camera_trigger", ms, time_usec=ms * 1000, seq=k + 7)
+        writer.sent(
+            "camera_trigger",
+            ms,
+            time_usec=ms * 1000,
+            seq=k + 7,
+        )
     log = opened(writer.data)
     expected_ns = BEGIN_NS + np.array([4, 5, 6]) * SECOND
     for name in ("CAMERA_FEEDBACK[0]", "CAMERA_FEEDBACK[1]", "CAMERA_TRIGGER"):
@@ -196,7 +228,12 @@ def test_a_trigger_without_a_time_is_placed_by_when_it_was_received(opened):
     writer = flight()
     for k in range(3):
         stamp_us = 0 if k == 1 else 90_000_000 + k * 1_000_000
-        writer.sent("camera_trigger", 79_000 + k * 100, time_usec=stamp_us, seq=k)
+        writer.sent(
+            "camera_trigger",
+            79_000 + k * 100,
+            time_usec=stamp_us,
+            seq=k,
+        )
     triggers = opened(writer.data).channel("CAMERA_TRIGGER")
     assert triggers["event_index"].tolist() == [1, 0, 2]
     # the host's clock is 1.26 s slow, messages arrive 40 ms late; both are in its map to UTC
@@ -230,7 +267,13 @@ def test_a_late_first_feedback_is_put_in_order(opened):
     writer = flight()
     for k in (0, 2, 1):
         stamp_us = (62 + k) * 10**6
-        writer.sent("camera_feedback", 70_000 + k, img_idx=k, time_usec=stamp_us, **PLACE)
+        writer.sent(
+            "camera_feedback",
+            70_000 + k,
+            img_idx=k,
+            time_usec=stamp_us,
+            **PLACE,
+        )
     shots = opened(writer.data).channel("CAMERA_FEEDBACK[0]")
     assert shots["event_index"].tolist() == [0, 1, 2]
 
@@ -284,7 +327,10 @@ def test_messages_lost_by_the_link_are_counted_by_sequence(opened):
     assert Scan(view_of_bytes(writer.data), extras, {}).lost[(255, 190)] == 0
 
 
-@pytest.mark.parametrize(("missing", "counted"), [(200, 200), (512, 0), (700, 188), (40, 40)])
+@pytest.mark.parametrize(
+    ("missing", "counted"),
+    [(200, 200), (512, 0), (700, 188), (40, 40)],
+)
 def test_a_hole_is_a_gap_and_its_messages_are_counted_at_least(opened, missing, counted):
     """Sequence numbers begin again after 256: two rounds more or less look alike."""
     writer = flight(seconds=90)
@@ -328,7 +374,12 @@ def test_a_vehicle_that_was_off_is_no_hole(opened):
 def test_stray_stamps_of_a_sender_without_a_clock(opened, ahead_us):
     writer = flight(seconds=2)
     for k in range(200):
-        writer.sent("hygrometer_sensor", 62_000 + 100 * k, source=(1, 30), **AIR)
+        writer.sent(
+            "hygrometer_sensor",
+            62_000 + 100 * k,
+            source=(1, 30),
+            **AIR,
+        )
     for row in (-100, -98):
         writer.frames[row] = restamped(writer.frames[row], ahead_us)
     assert with_code(opened(writer.data).ledger, "LOG-GAP") == []
@@ -347,7 +398,10 @@ def test_a_log_and_itself_has_no_losses_of_what_was_never_there(opened):
 def test_a_message_of_an_unknown_id_is_counted(opened):
     writer = flight()
     unknown = b"\xfd" + bytes([3, 0, 0, 0, 1, 99]) + (60_001).to_bytes(3, "little") + b"abcXY"
-    writer.frames.insert(50, writer.frames[50][:8] + unknown)
+    writer.frames.insert(
+        50,
+        writer.frames[50][:8] + unknown,
+    )
     log = opened(writer.data)
     assert log.messages["UNKNOWN_60001"] == 1
     assert with_code(log.ledger, "LOG-UNKNOWN-ID")[0].count == 1
@@ -368,8 +422,19 @@ def test_a_count_of_milliseconds_that_runs_over_is_counted_on(opened):
             writer.sent("system_time", at_ms, time_unix_usec=unix_us, time_boot_ms=boot_ms)
         writer.sent("scaled_pressure", at_ms, time_boot_ms=boot_ms, press_abs=700.0 + k)
         place = {"lat": 470_000_000, "lon": -1_225_000_000 - k, "alt": 600_250}
-        writer.sent("gps_raw_int", at_ms, time_usec=boot_ms * 1000, fix_type=3, **place)
-        writer.sent("camera_trigger", at_ms, time_usec=ms * 1000 % 2**32, seq=k)
+        writer.sent(
+            "gps_raw_int",
+            at_ms,
+            time_usec=boot_ms * 1000,
+            fix_type=3,
+            **place,
+        )
+        writer.sent(
+            "camera_trigger",
+            at_ms,
+            time_usec=ms * 1000 % 2**32,
+            seq=k,
+        )
     log = opened(writer.data)
     assert log.boots == 1
     wrap = entry_in(log, "TIME-WRAP")
@@ -387,7 +452,11 @@ def test_a_new_boot_after_weeks_is_no_overrun(opened):
     writer = Vehicle()
     for k in range(60):
         up_ms = 30 * 86_400_000 if k < 30 else 0  # 30 days up, then 5 s
-        writer.sent("attitude", 60_000 + 200 * k, time_boot_ms=up_ms + 5_000 + 200 * k)
+        writer.sent(
+            "attitude",
+            60_000 + 200 * k,
+            time_boot_ms=up_ms + 5_000 + 200 * k,
+        )
     log = opened(writer.data)
     assert log.boots == 2
     assert with_code(log.ledger, "TIME-WRAP") == []
@@ -401,7 +470,13 @@ def test_heights_above_the_ellipsoid_by_parameter(opened, options, column, other
     writer = Vehicle()
     name = {"param_id": b"GPS_DRV_OPTIONS", "param_type": 9}
     writer.sent("param_value", 60_000, **name, param_value=options)
-    writer.sent("param_value", 60_000, **name, param_value=18.0 - options, source=(255, 190))
+    writer.sent(
+        "param_value",
+        60_000,
+        **name,
+        param_value=18.0 - options,
+        source=(255, 190),
+    )
     place = {"lat": 470_000_000, "lon": -1_225_000_000, "alt": 600_250, "relative_alt": 30_000}
     for k in range(10):
         ms = 60_000 + 200 * k
@@ -445,9 +520,20 @@ def test_gimbals_play_no_role_by_themselves_and_a_yaw_of_0_is_unknown(opened):
     writer = flight()
     for k in range(5):
         ms = 62_000 + 1000 * k
-        writer.sent("gimbal_device_attitude_status", ms, time_boot_ms=ms, q=[1.0, 0.0, 0.0, 0.0])
+        writer.sent(
+            "gimbal_device_attitude_status",
+            ms,
+            time_boot_ms=ms,
+            q=[1.0, 0.0, 0.0, 0.0],
+        )
         yaw = 90.0 if k else 0.0
-        writer.sent("mount_orientation", ms, time_boot_ms=ms, pitch=-90.0, yaw_absolute=yaw)
+        writer.sent(
+            "mount_orientation",
+            ms,
+            time_boot_ms=ms,
+            pitch=-90.0,
+            yaw_absolute=yaw,
+        )
         writer.sent("mount_status", ms, pointing_a=-9000)
     log = opened(writer.data)
     mount = log.channel("MOUNT_ORIENTATION")
@@ -459,12 +545,21 @@ def test_gimbals_play_no_role_by_themselves_and_a_yaw_of_0_is_unknown(opened):
 def test_mount_status_of_two_heads(opened):
     """Two gimbals of one aircraft by their components: each has its own angles, none is mixed."""
     writer = flight()
-    angles = {154: (-9000, 150), 171: (-4500, -300)}
+    angles = {
+        154: (-9000, 150),
+        171: (-4500, -300),
+    }
     for k in range(10):
         for component, (pitch, roll) in angles.items():
             source = (1, component)
             ms = 62_000 + 500 * k
-            writer.sent("mount_status", ms, source=source, pointing_a=pitch, pointing_b=roll)
+            writer.sent(
+                "mount_status",
+                ms,
+                source=source,
+                pointing_a=pitch,
+                pointing_b=roll,
+            )
     log = opened(writer.data)
     heads = [channel for channel in log.channels if channel.name.startswith("MOUNT_STATUS")]
     assert [head.source.component for head in heads] == [*angles]
@@ -482,7 +577,10 @@ def test_a_stabilised_gimbal_of_a_real_flight(real_log):
     assert "compensate the motion" in message.what
     known = np.isfinite(mount["q_w"])
     assert known.mean() > 0.98
-    q = np.stack([mount[f"q_{axis}"][known] for axis in "xyzw"], axis=1)
+    q = np.stack(
+        [mount[f"q_{axis}"][known] for axis in "xyzw"],
+        axis=1,
+    )
     roll = Rotation.from_quat(q).as_euler("ZYX")[:, 2]
     assert np.ptp(np.percentile(roll, (5, 95))) < 1.0 * DEGREE
     assert np.ptp(np.percentile(mount["gimbal_roll_rad"], (5, 95))) > 7.0 * DEGREE

@@ -42,10 +42,26 @@ def flight() -> bytes:
     for k in range(30):
         t = 5_000_000 + 100_000 * k
         place = (475_000_000, 82_500_000, 600_000, 647_500)
-        writer.row("vehicle_gps_position", "QiiiiffB", t, NOW_US + t, *place, 0.5, 0.75, 3)
+        writer.row(
+            "vehicle_gps_position",
+            "QiiiiffB",
+            t,
+            NOW_US + t,
+            *place,
+            0.5,
+            0.75,
+            3,
+        )
         writer.row("vehicle_attitude", "4f", t, *LEVEL)
         for instance in (0, 1):
-            writer.row("sensor_baro", "ff", t, 94_000.0 + instance, 40.0, instance=instance)
+            writer.row(
+                "sensor_baro",
+                "ff",
+                t,
+                94_000.0 + instance,
+                40.0,
+                instance=instance,
+            )
         writer.row("sensor_hygrometer", "ff", t, 12.5, 55.0)
     writer.row("camera_capture", "QIdd", 6_000_000, 0, 7, 47.5, 8.25)
     return writer.data
@@ -93,13 +109,29 @@ def newer(
     writer.subscribe("sensor_gps", "vehicle_attitude", "vehicle_air_data", "camera_capture", "acme")
     for k in range(60):
         t = 60_000_000 + 200_000 * k
-        writer.row("sensor_gps", "QddddB", t + stray(k), utc(k), *PLACE, fix(k))
+        writer.row(
+            "sensor_gps",
+            "QddddB",
+            t + stray(k),
+            utc(k),
+            *PLACE,
+            fix(k),
+        )
         writer.row("vehicle_attitude", "4f", t, *LEVEL)
         writer.row("vehicle_air_data", "2f", t, 94_000.0, 40.0)
         writer.row("acme", "B", t, 1)
         if k % 10 == 0:
             result = 0 if k == 20 else 1
-            writer.row("camera_capture", "QIddb", t, capture(k), k // 10, 47.5, 8.25, result)
+            writer.row(
+                "camera_capture",
+                "QIddb",
+                t,
+                capture(k),
+                k // 10,
+                47.5,
+                8.25,
+                result,
+            )
     return writer
 
 
@@ -159,7 +191,15 @@ def test_exposures_are_preferred_to_commands(opened):
     writer.subscribe("camera_trigger", "camera_capture")
     for name, delay_us in (("camera_trigger", 0), ("camera_capture", 80_000)):
         for k in range(5):
-            writer.row(name, "QIdd", 10**6 * (k + 1) + delay_us, 0, k, 47.5, 8.25)
+            writer.row(
+                name,
+                "QIdd",
+                10**6 * (k + 1) + delay_us,
+                0,
+                k,
+                47.5,
+                8.25,
+            )
     log = opened(writer.data)
     assert log.channel("camera_capture").rank < log.channel("camera_trigger").rank
 
@@ -288,7 +328,10 @@ def test_a_header_that_is_cut_is_refused(opened):
     assert "after 8 of 16 bytes" in str(caught.value)
 
 
-@pytest.mark.parametrize(("byte", "bit"), [(27, 1), (28, 0), (34, 7)])
+@pytest.mark.parametrize(
+    ("byte", "bit"),
+    [(27, 1), (28, 0), (34, 7)],
+)
 def test_flags_that_are_not_known_are_refused(opened, byte, bit):
     """Bit 0 of the incompatible flags means appended data; what others mean may be anything."""
     data = bytearray(flight())
@@ -400,7 +443,14 @@ def regular() -> tuple[bytes, list[bytes]]:
         if k % 2 == 0:
             row("vehicle_air_data", "ff", t - 1500, 94_000.0, 40.0)
         if k % 20 == 0:
-            row("sensor_gps", "QddddB", t - 90_000, NOW_US + t, *PLACE, 3)
+            row(
+                "sensor_gps",
+                "QddddB",
+                t - 90_000,
+                NOW_US + t,
+                *PLACE,
+                3,
+            )
     return head, rows
 
 
@@ -430,7 +480,10 @@ def test_an_intact_log_is_whole(opened):
     assert not opened(head + b"".join(rows)).ledger.has_losses
 
 
-@pytest.mark.parametrize(("begin", "count"), [(2000, 3948), (5000, 60)])
+@pytest.mark.parametrize(
+    ("begin", "count"),
+    [(2000, 3948), (5000, 60)],
+)
 def test_messages_that_were_cut_out_between_records_are_told(opened, begin, count):
     head, rows = regular()
     log = opened(head + b"".join(rows[:begin] + rows[begin + count :]))
@@ -499,11 +552,17 @@ def test_texts_and_parameters(opened):
         (b"int32_t GPS_1_CONFIG", struct.pack("<i", 201)),
         (b"float EKF2_BARO_DELAY", struct.pack("<f", 127.5)),
     ):
-        writer.message("P", bytes([len(key)]) + key + value)
+        writer.message(
+            "P",
+            bytes([len(key)]) + key + value,
+        )
     writer.data += flight()[len(head) :]
     at_6_s = b"\x34" + struct.pack("<Q", 6_000_000)
     writer.message("L", at_6_s + b"GPS fix lost")
-    writer.message("C", b"\x34" + struct.pack("<HQ", 7, 6_500_000) + b"Estimator reset")
+    writer.message(
+        "C",
+        b"\x34" + struct.pack("<HQ", 7, 6_500_000) + b"Estimator reset",
+    )
     writer.message("L", at_6_s + b"Position lost")
     log = opened(writer.data)
     assert log.parameters == {"EKF2_BARO_DELAY": 127.5, "GPS_1_CONFIG": 201.0}
@@ -532,12 +591,18 @@ def test_a_date_that_no_log_can_have_is_none(opened):
     assert {"TIME-IMPOSSIBLE", "TIME-NO-UTC"} <= {entry.code for entry in log.ledger}
 
 
-@pytest.mark.parametrize(("fix", "late_s"), [(0, 1.5), (3, 0.0)])
+@pytest.mark.parametrize(
+    ("fix", "late_s"),
+    [(0, 1.5), (3, 0.0)],
+)
 def test_the_utc_of_the_boot_counts_where_no_receiver_has_a_fix(opened, fix, late_s):
     writer = newer(fix=lambda _: fix)
     key = b"uint64_t boot_time_utc_us"
     value = struct.pack("<Q", NOW_US - 60_000_000 + 1_500_000)
-    writer.message("I", bytes([len(key)]) + key + value)
+    writer.message(
+        "I",
+        bytes([len(key)]) + key + value,
+    )
     log = opened(writer.data)
     assert seconds(log) == pytest.approx([t + late_s for t in WHOLE])
     assert (log.utc_sigma_s == 5.0) is (fix == 0)

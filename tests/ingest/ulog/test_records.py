@@ -53,7 +53,11 @@ def read(data: bytes) -> ULogMessages:
 
 
 FIELDS = st.lists(
-    st.tuples(st.sampled_from([*SIZES, "inner", "outer"]), st.integers(0, 3)), max_size=6
+    st.tuples(
+        st.sampled_from([*SIZES, "inner", "outer"]),
+        st.integers(0, 3),
+    ),
+    max_size=6,
 )
 
 
@@ -69,7 +73,11 @@ def declared(fields: Fields) -> str:
     outer=FIELDS,
     top=FIELDS,
     padding=st.integers(0, 7),
-    rows=st.lists(st.tuples(st.integers(0, 2), st.booleans()), min_size=1, max_size=20),
+    rows=st.lists(
+        st.tuples(st.integers(0, 2), st.booleans()),
+        min_size=1,
+        max_size=20,
+    ),
     seed=st.integers(0, 2**32 - 1),
 )
 @settings(deadline=None, max_examples=40)
@@ -167,7 +175,10 @@ def test_a_number_is_given_once():
 def test_rows_of_a_large_file_are_in_order():
     """More than one block of 4 MiB, with a message across its end and damage in the second."""
     count = 260_000
-    table = np.zeros(count, [("head", "V5"), ("t", "<u8"), ("x", "<f4")])
+    table = np.zeros(
+        count,
+        [("head", "V5"), ("t", "<u8"), ("x", "<f4")],
+    )
     table["head"] = np.frombuffer(ROW[:5], "V5")[0]
     table["t"] = np.arange(count)
     data = GOOD + SUBSCRIBED + table.tobytes()
