@@ -54,7 +54,7 @@ def held(arena) -> tuple[int, int]:
 
 
 def test_what_is_beyond_lies_in_files_and_goes_with_its_arrays(arena):
-    own = allocate(NUMBERS_OF_A_MIB, "f8")
+    private = allocate(NUMBERS_OF_A_MIB, "f8")
     assert held(arena) == (MIB, 0)
     columns = []
     for k in range(3):
@@ -66,7 +66,7 @@ def test_what_is_beyond_lies_in_files_and_goes_with_its_arrays(arena):
         assert_array_equal(columns[k], np.arange(k, k + NUMBERS_OF_A_MIB))
     del columns[1:]
     assert held(arena) == (MIB, 1)
-    del own, columns
+    del private, columns
     assert held(arena) == (0, 0)
 
 
@@ -192,11 +192,11 @@ def test_what_a_child_inherits_is_not_its_own(monkeypatch):
 
     def drop() -> bool:
         counts = [memory._ARENA.private]
-        own = allocate(MIB, "u1")
+        new = allocate(MIB, "u1")
         inherited.clear()
         gc.collect()
         counts.append(memory._ARENA.private)
-        del own
+        del new
         gc.collect()
         counts.append(memory._ARENA.private)
         return counts == [0, MIB, 0]

@@ -51,8 +51,9 @@ def logged(maps, message: str, field: str, value: float) -> Channel:
 )
 def test_a_bare_value_is_converted(role, unit, number, si):
     named = logged(MAVLINK, "NAMED_VALUE_FLOAT", "value", number)
-    column = STATED_UNITS[unit][0]
-    assert in_stated_unit(named, role, unit)[column][0] == pytest.approx(si, rel=1e-14)
+    column, *_ = STATED_UNITS[unit]
+    converted = in_stated_unit(named, role, unit)
+    assert converted[column][0] == pytest.approx(si, rel=1e-14)
 
 
 def test_a_unit_of_another_quantity_is_refused():
@@ -78,9 +79,9 @@ def test_a_unit_of_another_quantity_is_refused():
 )
 def test_stating_the_unit_of_the_format_changes_nothing(maps, message, field, value, role, unit):
     channel = logged(maps, message, field, value)
-    column = STATED_UNITS[unit][0]
-    stated = in_stated_unit(channel, role, unit)
-    assert stated[column][0] == pytest.approx(channel[column][0], rel=1e-14)
+    column, *_ = STATED_UNITS[unit]
+    converted = in_stated_unit(channel, role, unit)
+    assert converted[column][0] == pytest.approx(channel[column][0], rel=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -95,5 +96,6 @@ def test_stating_the_unit_of_the_format_changes_nothing(maps, message, field, va
 )
 def test_another_unit_than_that_of_the_format(maps, message, field, value, role, unit, si):
     channel = logged(maps, message, field, value)
-    column = STATED_UNITS[unit][0]
-    assert in_stated_unit(channel, role, unit)[column][0] == pytest.approx(si, rel=1e-14)
+    column, *_ = STATED_UNITS[unit]
+    converted = in_stated_unit(channel, role, unit)
+    assert converted[column][0] == pytest.approx(si, rel=1e-14)

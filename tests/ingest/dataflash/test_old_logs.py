@@ -8,11 +8,6 @@ from tests.ingest import written_logs
 from tests.ingest.written_logs import DataFlashWriter, entry_in
 from unbend.ingest import Log
 
-INTERVAL_MS = 200
-BEGIN_MS = 60_000  # since boot
-FIX_ROWS = [(1000 + INTERVAL_MS * k, BEGIN_MS + INTERVAL_MS * k) for k in range(20)]
-"""Times of fixes in the week and since boot [ms]."""
-
 DEFINITIONS = {
     "GPS": ("BIHBcLLeeECfI", "Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T"),
     "ATT": ("IccC", "TimeMS,Roll,Pitch,Yaw"),
@@ -22,36 +17,35 @@ DEFINITIONS = {
 }
 
 
-def messages() -> list[tuple[str, tuple[float | str, ...]]]:
+def rows() -> list[str]:
     """A parameter, then fixes at 5 Hz, attitudes 50 ms later, two images and a text.
 
     The first image has the time of the last fix, as autopilots write it; the second has no week.
     """
-    rows: list[tuple[str, tuple[float | str, ...]]] = [("PARM", ("GPS_TYPE", 1.0))]
-    for k, (week_ms, boot_ms) in enumerate(FIX_ROWS):
-        place = (47.5, 11.5, 0.0, 600.0)
-        rows.append(("GPS", (3, week_ms, 1820, 10, 1.2, *place, 12.0, 90.0, 0.5, boot_ms)))
-        rows.append(("ATT", (boot_ms + 50, 1.0, 2.0, 90.0)))
+    lines = ["PARM, GPS_TYPE, 1.0"]
+    for k in range(20):
+        week_ms = 1000 + 200 * k
+        boot_ms = 60_000 + 200 * k
+        fix = f"GPS, 3, {week_ms}, 1820, 10, 1.2, 47.5, 11.5, 0, 600, 12, 90, 0.5, {boot_ms}"
+        lines += [fix, f"ATT, {boot_ms + 50}, 1.0, 2.0, 90.0"]
         if k == 5:
-            rows.append(("CAM", (week_ms, 1820, 47.5, 11.5, 600.0, 0.0, 0.0, 0.0, 0.0)))
+            lines.append(f"CAM, {week_ms}, 1820, 47.5, 11.5, 600, 0, 0, 0, 0")
         if k == 9:
-            rows.append(("CAM", (week_ms, 0, 47.5, 11.5, 600.0, 0.0, 0.0, 0.0, 0.0)))
-            rows.append(("MSG", ("GPS Glitch",)))
-    return rows
+            lines.append(f"CAM, {week_ms}, 0, 47.5, 11.5, 600, 0, 0, 0, 0")
+            lines.append("MSG, GPS Glitch")
+    return lines
 
 
 def binary() -> bytes:
     writer = DataFlashWriter()
-    for kind, (name, (letters, columns)) in enumerate(DEFINITIONS.items(), 20):
-        writer.define(
-            kind,
-            name,
-            letters,
-            columns,
-        )
-    for name, values in messages():
-        cells = [value.encode() if isinstance(value, str) else value for value in values]
-        writer.row(name, *cells)
+    for kind, (name, definition) in enumerate(DEFINITIONS.items(), 20):
+        writer.define(kind, name, *definition)
+    for line in rows():
+        name, *cells = line.split(", ")
+        values: list[float | bytes] = []
+        for letter, cell in zip(DEFINITIONS[name][0], cells, strict=True):
+            values.append(cell.encode() if letter == "N" else float(cell))
+        writer.row(name, *values)
     return writer.data
 
 
@@ -60,20 +54,17 @@ def text() -> bytes:
     lines = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format"]
     for kind, (name, (letters, columns)) in enumerate(DEFINITIONS.items(), 20):
         lines.append(f"FMT, {kind}, 45, {name}, {letters}, {columns}")
-    for name, values in messages():
-        lines.append(", ".join([name, *(str(value) for value in values)]))
-    return "".join(f"{line}\n" for line in lines).encode()
+    return "\n".join([*lines, *rows(), ""]).encode()
 
 
 @pytest.fixture(
     scope="module",
-    params=["binary", "text"],
+    params=[("old.bin", binary()), ("old.log", text())],
+    ids=["binary", "text"],
 )
 def log(request, tmp_path_factory) -> Log:
-    folder = tmp_path_factory.mktemp("old")
-    if request.param == "binary":
-        return written_logs.opened(folder / "old.bin", binary())
-    return written_logs.opened(folder / "old.log", text())
+    name, content = request.param
+    return written_logs.opened(tmp_path_factory.mktemp("old") / name, content)
 
 
 def after_first_fix_ms(log: Log, name: str) -> list[float]:

@@ -2,7 +2,6 @@
 
 import json
 import struct
-from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -36,54 +35,55 @@ def cdr(time_ns: int, *values: float, head: bytes = CDR, align: int = 8) -> byte
     return head + body + bytes(-len(body) % align) + struct.pack(f"<{len(values)}d", *values)
 
 
+PRESSURES = ("/p", "cdr", AIR, PRESSURE)
+TEMPERATURES = ("/t", "cdr", WARM, TEMPERATURE)
+
+
+def warm(time_ns: int) -> Message:
+    """A temperature of the first channel."""
+    return (1, time_ns, cdr(time_ns, 15.0, 0.0))
+
+
 def written(
     opened: Opener,
     channels: list[tuple[str, str, str, str]],
-    messages: Iterable[Message],
-    sequence: Iterable[int] | None = None,
+    messages: list[Message],
+    sequence: list[int] | None = None,
 ) -> Log:
     """A log of channels (topic, encoding, name of schema, definition), numbered from 1."""
     writer = McapWriter(chunk_size=2000)
     for channel in channels:
         writer.channel(*channel)
-    numbers = None if sequence is None else iter(sequence)
-    for k, (channel, time_ns, data) in enumerate(messages):
-        writer.write(
-            channel,
-            time_ns,
-            data,
-            k if numbers is None else next(numbers),
-        )
+    numbers = sequence or range(len(messages))
+    for message, number in zip(messages, numbers, strict=True):
+        writer.write(*message, number)
     return opened(writer.data)
 
 
 @pytest.mark.parametrize("mixed", [False, True])
 def test_each_definition_of_a_topic_has_its_own_layout(opened, mixed):
-    channels = [("/baro", "cdr", AIR, PRESSURE), ("/baro", "cdr", AIR, SWAPPED)]
+    channels = [PRESSURES, ("/p", "cdr", AIR, SWAPPED)]
+    expected_pa = 9e4 + np.arange(200)
     messages = []
     for k, t in enumerate(TIMES[:200]):
-        is_swapped = bool(k % 2) if mixed else k >= 100
-        data = cdr(t, 5.0, 9e4 + k) if is_swapped else cdr(t, 9e4 + k, 5.0)
-        messages.append((2 if is_swapped else 1, t, data))
+        is_swapped = k % 2 == 1 if mixed else k >= 100
+        if is_swapped:
+            messages.append((2, t, cdr(t, 5.0, expected_pa[k])))
+        else:
+            messages.append((1, t, cdr(t, expected_pa[k], 5.0)))
     log = written(
         opened,
         channels,
         messages,
         [0] * 200,
     )
-    assert_array_equal(
-        log.channel("/baro")["pressure_pa"],
-        9e4 + np.arange(200),
-    )
-    assert_array_equal(
-        log.message("/baro")["fluid_pressure"],
-        9e4 + np.arange(200),
-    )
+    assert_array_equal(log.channel("/p")["pressure_pa"], expected_pa)
+    assert_array_equal(log.message("/p")["fluid_pressure"], expected_pa)
     assert not log.ledger.has_losses
 
 
 def test_encodings_of_a_topic_make_one_channel(opened):
-    channels = [("/baro", "cdr", AIR, PRESSURE), ("/baro", "json", AIR, "{}")]
+    channels = [PRESSURES, ("/p", "json", AIR, "{}")]
     messages = []
     for k, t in enumerate(TIMES[:200]):
         if k % 2:
@@ -96,14 +96,14 @@ def test_encodings_of_a_topic_make_one_channel(opened):
             messages.append((1, t, cdr(t, 9e4 + k, 5.0)))
     log = written(opened, channels, messages)
     assert_array_equal(
-        log.channel("/baro")["pressure_pa"],
+        log.channel("/p")["pressure_pa"],
         9e4 + np.arange(200),
     )
     assert_array_equal(
-        log.channel("/baro").time_ns,
+        log.channel("/p").time_ns,
         TIMES[:200],
     )
-    table = log.message("/baro")
+    table = log.message("/p")
     assert_array_equal(table["time_ns"], TIMES[:200])
     assert_array_equal(
         table["variance"],
@@ -136,11 +136,11 @@ def test_schemas_of_a_topic_are_channels_apart_and_one_table(opened):
 
 def readings(opened: Opener, values: list[str], pad: str = "") -> Log:
     """A thermometer in CDR, and JSON of nobody's schema."""
-    channels = [("/t", "cdr", WARM, TEMPERATURE), ("/cabin", "json", "", "")]
+    channels = [TEMPERATURES, ("/cabin", "json", "", "")]
     messages: list[Message] = []
     for t, value in zip(TIMES[: len(values)], values, strict=True):
         row = f'{{"timestamp":{t},"pad":"{pad}","value":{value}}}'
-        messages.append((1, t, cdr(t, 15.0, 0.0)))
+        messages.append(warm(t))
         messages.append((2, t, row.encode()))
     return written(opened, channels, messages)
 
@@ -179,12 +179,12 @@ def test_texts_in_one_block_take_no_numbers_from_others(opened):
 
 def test_fields_with_names_of_ours_are_fields(opened):
     channels = [
-        ("/t", "cdr", WARM, TEMPERATURE),
+        TEMPERATURES,
         ("/x", "cdr", "my/msg/Foo", "int64 stamp_ns\nint8 place"),
     ]
     messages: list[Message] = []
     for k, t in enumerate(TIMES[:5]):
-        messages.append((1, t, cdr(t, 15.0, 0.0)))
+        messages.append(warm(t))
         messages.append((2, t, CDR + struct.pack("<qb", 7, 5 - k)))
     table = written(opened, channels, messages).message("/x")
     assert table["time_ns"].tolist() == TIMES[:5]
@@ -259,7 +259,7 @@ def test_other_encapsulations_are_no_cdr(opened, head, align):
     messages += [(1, t, cdr(t, 9e4, 1.0, head=head, align=align)) for t in TIMES[10:20]]
     log = written(
         opened,
-        [("/p", "cdr", AIR, PRESSURE)],
+        [PRESSURES],
         messages,
     )
     assert log.channel("/p")["pressure_pa"].tolist() == [9e4] * 10
@@ -291,11 +291,11 @@ def test_arrays_longer_than_any_message_are_refused(count):
 
 def test_a_sequence_that_is_cut_off_has_no_length(opened):
     channels = [
-        ("/t", "cdr", WARM, TEMPERATURE),
+        TEMPERATURES,
         ("/x", "cdr", "my/msg/Foo", "uint8 k\nfloat32[<=4] c"),
     ]
     whole = CDR + struct.pack("<B3xIf", 9, 1, 3.0)
-    messages = [(1, t, cdr(t, 15.0, 0.0)) for t in TIMES[:3]]
+    messages = [warm(t) for t in TIMES[:3]]
     messages += [(2, TIMES[0], whole), (2, TIMES[1], whole[:-9])]
     table = written(opened, channels, messages).message("/x")
     assert table["c[]"].tolist() == [1, -1]
@@ -304,10 +304,10 @@ def test_a_sequence_that_is_cut_off_has_no_length(opened):
 
 def test_a_table_of_wide_strings_is_refused(opened):
     channels = [
-        ("/t", "cdr", WARM, TEMPERATURE),
+        TEMPERATURES,
         ("/w", "cdr", "my/msg/Bar", "wstring w"),
     ]
-    messages = [(1, TIMES[0], cdr(TIMES[0], 15.0, 0.0)), (2, TIMES[0], bytes(12))]
+    messages = [warm(TIMES[0]), (2, TIMES[0], bytes(12))]
     log = written(opened, channels, messages)
     with pytest.raises(LogError, match="w is a wstring"):
         log.message("/w")
@@ -318,7 +318,7 @@ def numbered(opened: Opener, numbers: list[int], times: list[int]) -> Log:
     messages = [(1, t, cdr(t, 9e4 + k, 0.0)) for k, t in zip(numbers, times, strict=True)]
     return written(
         opened,
-        [("/p", "cdr", AIR, PRESSURE)],
+        [PRESSURES],
         messages,
         numbers,
     )
@@ -370,7 +370,7 @@ def stamped(opened: Opener, stamp_ns: int, recorded_ns: int) -> Log:
     rows = [(1, recorded_ns + step, cdr(stamp_ns + step, 9e4, 1.0)) for step in steps]
     return written(
         opened,
-        [("/baro", "cdr", AIR, PRESSURE)],
+        [PRESSURES],
         rows,
     )
 
@@ -382,16 +382,16 @@ def test_stamps_that_have_rolled_over_are_moved_by_the_recorders_clock(opened):
         START - rollover_ns,
         START + SECOND,
     )
-    assert log.channel("/baro").time_ns[0] == START
+    assert log.channel("/p").time_ns[0] == START
     assert entry_in(log, "TIME-WEEK-ROLLOVER").kind == "warning"
-    assert log.message("/baro")["time_ns"][0] == START
+    assert log.message("/p")["time_ns"][0] == START
 
 
 @pytest.mark.parametrize("stamp_s", [1_150_000_000, 2_145_916_800])  # 2006, 2038
 def test_stamps_whose_date_cannot_be_are_no_utc(opened, stamp_s):
     log = stamped(opened, stamp_s * SECOND, START)
     assert not log.has_utc
-    assert len(log.channel("/baro")) == 50
+    assert len(log.channel("/p")) == 50
     assert with_code(log.ledger, "TIME-IMPOSSIBLE")
     assert with_code(log.ledger, "TIME-NO-UTC")
     assert np.isnan(log.utc_sigma_s)

@@ -326,10 +326,10 @@ def test_packets_that_others_overtake_are_no_boot_and_no_loss(opened):
     whole = opened(bus.data).channel("GLOBAL_POSITION_INT")
     for first in (400, 800):
         overtaken = bus.frames[first : first + 10]
-        others = bus.frames[first + 10 : first + 38]
-        stamp = others[-1][:8]
+        overtaking = bus.frames[first + 10 : first + 38]
+        stamp = overtaking[-1][:8]
         late = [stamp + frame[8:] for frame in overtaken]
-        bus.frames[first : first + 38] = others + late
+        bus.frames[first : first + 38] = overtaking + late
     log = opened(bus.data)
     assert log.boots == 1
     assert not {entry.kind for entry in log.ledger} & {"loss", "warning"}

@@ -575,10 +575,10 @@ def test_a_stabilised_gimbal_of_a_real_flight(real_log):
     servos = log.channel("MOUNT_STATUS")
     mount, (message,) = payload_attitude(servos, log.channel("ATTITUDE"), 2.0)
     assert "compensate the motion" in message.what
-    known = np.isfinite(mount["q_w"])
-    assert known.mean() > 0.98
+    has_attitude = np.isfinite(mount["q_w"])
+    assert has_attitude.mean() > 0.98
     q = np.stack(
-        [mount[f"q_{axis}"][known] for axis in "xyzw"],
+        [mount[f"q_{axis}"][has_attitude] for axis in "xyzw"],
         axis=1,
     )
     roll = Rotation.from_quat(q).as_euler("ZYX")[:, 2]
