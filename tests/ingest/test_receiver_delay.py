@@ -87,6 +87,18 @@ def test_the_delay_is_found_from_the_filter_that_follows_the_fixes(delay_s):
     assert 0.015 <= delay.sigma_s < 0.02
 
 
+def test_the_sigma_of_an_estimate_is_that_of_a_median_of_rows_whose_errors_last():
+    """Of three fixes one is early and one late by 40 ms; errors last 5 s. The filter adds 15 ms."""
+    scattered_s = 0.04 * (np.arange(FIXED_S.size) % 3 - 1)
+    fixes = track("GPS[0]", FIXED_S + 0.2 + scattered_s, FIXED_S)
+    delay = estimated_delay(fixes, FILTER)
+    assert delay is not None
+    independent = FIXED_S.size / (5.0 * fixes.rate_hz)
+    median_sigma_s = 1.2533 * 1.4826 * 0.04 / np.sqrt(independent)
+    assert delay.sigma_s == pytest.approx(np.hypot(median_sigma_s, 0.015), rel=2e-3)
+    assert delay.origin == f"estimated from {FIXED_S.size} of them against POS"
+
+
 def test_everything_but_the_fixes_is_later_by_the_delay():
     """UTC was from the stamps of the fixes, which are later than their epoch."""
     before = flown(0.2)
@@ -133,7 +145,9 @@ def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock()
         ({"EKF2_GPS_DELAY": 110.0}, [], None, 0.11, 0.04),
         ({}, [], "0", 0.0, 0.15),
         ({"GPS1_DELAY_MS": float("nan")}, [], "0", 0.0, 0.15),
-        ({"GPS1_DELAY_MS": 1e9}, [], "0", 0.0, 0.15),
+        ({"GPS1_DELAY_MS": -1.0}, [], "0", 0.0, 0.15),
+        ({"GPS1_DELAY_MS": 499.0}, [], "0", 0.499, 0.04),
+        ({"GPS1_DELAY_MS": 500.0}, [], "0", 0.0, 0.15),
     ],
 )
 def test_the_settings_of_the_autopilot(parameters, texts, instance, delay_s, sigma_s):

@@ -113,7 +113,7 @@ def test_every_message_is_read_back(small, dataflash, telemetry, recording):
 
 @pytest.mark.parametrize(
     ("instance", "camera"),
-    enumerate(("nadir", "oblique")),
+    [(0, "nadir"), (1, "oblique")],
 )
 def test_events_are_the_shutter(dataflash, recording, stations, instance, camera):
     shots = dataflash["CAM"].query(f"I == {instance}")
