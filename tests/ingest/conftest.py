@@ -1,12 +1,24 @@
-"""Real logs from beside the repository, whole or the beginnings of them."""
+"""Logs from bytes, and real logs from beside the repository, whole or the beginnings of them."""
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from tests.ingest import written_logs
+from tests.ingest.written_logs import Opener
 from tests.logs import REAL
+
+SUFFIXES = {"dataflash": ".bin", "mcap": ".mcap", "tlog": ".tlog", "ulog": ".ulg"}
+
+
+@pytest.fixture
+def opened(request: pytest.FixtureRequest, tmp_path: Path) -> Opener:
+    """Opens bytes as a log of the format that the folder of the test is named after."""
+    suffix = SUFFIXES[request.path.parent.name]
+    return partial(written_logs.opened, tmp_path / f"flight{suffix}")
 
 
 @pytest.fixture

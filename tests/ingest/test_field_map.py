@@ -700,3 +700,8 @@ def test_a_value_that_means_unknown(format_name, message, field, unknown, column
 def test_the_first_of_several_is_not_preferred(format_name, message):
     """The numbers of instances do not show which sensor is outside."""
     assert message_maps(format_name)[message].spare_rank is None
+
+
+def test_exposures_are_preferred_to_commands():
+    px4 = message_maps("px4")
+    assert px4["CameraCapture"].rank < px4["CameraTrigger"].rank

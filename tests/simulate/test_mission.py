@@ -156,6 +156,15 @@ def test_heights_carry_the_undulation(dataflash, telemetry, recording):
     assert_allclose(altitudes, above_ellipsoid, atol=0.0051)
 
 
+def test_the_logs_state_the_accuracy_of_the_receiver(dataflash, telemetry, recording):
+    assert dataflash["GPA"].HAcc[0] == pytest.approx(0.03)
+    assert dataflash["GPA"].VAcc[0] == pytest.approx(0.05)
+    assert telemetry["GPS_RAW_INT"].h_acc[0] == 30
+    assert telemetry["GPS_RAW_INT"].v_acc[0] == 50
+    covariance = fields(recording, "/fix", "position_covariance")[0].reshape(3, 3)
+    assert_allclose(covariance, np.diag([9e-4, 9e-4, 25e-4]))
+
+
 def test_the_three_logs_carry_the_same_samples(dataflash, telemetry, recording):
     celsius = dataflash["HYGR"].query("Id == 0").Temp
     mavlink = telemetry["HYGROMETER_SENSOR"].query("id == 0")

@@ -256,19 +256,6 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(monkeypatch)
     assert sum(lengths_read) < 10 * len(data)
 
 
-def test_rows_of_a_definition_without_instances_have_none(opened):
-    writer = DataFlashWriter()
-    writer.define(BARO, "BARO", "Qf", "TimeUS,Press")
-    for k in range(50):
-        writer.row("BARO", 1_000_000 + k * 100_000, 95_000.0)
-    writer.define(40, "BARO", "QBf", "TimeUS,I,Press")
-    for k in range(50, 100):
-        writer.row("BARO", 1_000_000 + k * 100_000, 1, 90_000.0)
-    log = opened(writer.data)
-    pressures = {channel.name: channel["pressure_pa"].tolist() for channel in log.channels}
-    assert pressures == {"BARO": [95_000.0] * 50, "BARO[1]": [90_000.0] * 50}
-
-
 def test_the_first_damage_is_located(opened):
     data = flight().data
     places = walk(data).places.tolist()

@@ -225,23 +225,6 @@ def test_two_logs_in_one_file_are_two_boots(opened):
     assert_array_equal(log.channel("BARO[0]").boot, np.zeros(40))
 
 
-def test_a_definition_that_changes_in_the_file(opened):
-    writer = flight(20)
-    writer.define(23, "BARO", "QBffc", "TimeUS,I,Alt,Press,Temp")
-    for k in range(5):
-        writer.row(
-            "BARO",
-            30_000_000 + k * 100_000,
-            0,
-            12.0,
-            95_000.0 + k,
-            30.0,
-        )
-    channel = opened(writer.data).channel("BARO[0]")
-    expected_pa = [*(94_000.0 - np.arange(20)), *(95_000.0 + np.arange(5))]
-    assert_array_equal(channel["pressure_pa"], expected_pa)
-
-
 def test_not_a_number_is_kept_as_a_row(opened):
     writer = barometer()
     for k, pressure in enumerate((1e5, float("nan"), float("inf"), 1e5)):

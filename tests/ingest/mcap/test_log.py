@@ -6,7 +6,6 @@ import struct
 import time
 import tracemalloc
 from functools import cache
-from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -27,12 +26,12 @@ from tests.ingest.written_logs import (
     with_parts,
 )
 from tests.logs import LOGS, at_hand
-from unbend.errors import LogError
 from unbend.ingest import Log, open_log
 from unbend.ingest.mcap.chunks import MAX_CHUNK, Chunk, inflate
 from unbend.ingest.mcap.topics import MAX_NAMES
 
 SECOND = 10**9
+CDR = b"\0\1\0\0"  # little-endian
 START = 1_763_073_169 * SECOND + 920_749_554
 COMPRESSIONS = (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD)
 IMAGE = "sensor_msgs/CompressedImage"
@@ -455,55 +454,10 @@ def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(opened):
     assert with_code(log.ledger, "TIME-LOG-TIME")[0].kind == "fallback"
 
 
-def with_message(bag: RosWriter, topic: str, content: bytes) -> bytes:
-    """A copy of a bag with a message of any bytes at the end, which its writer would not write."""
-    from mcap.reader import make_reader
-
-    writer = McapWriter()
-    channels: dict[str, int] = {}
-    for schema, channel, message in make_reader(BytesIO(bag.data)).iter_messages():
-        if channel.topic not in channels:
-            definition = schema.data.decode()
-            channels[channel.topic] = writer.channel(
-                channel.topic, channel.message_encoding, schema.name, definition
-            )
-        writer.write(
-            channels[channel.topic],
-            message.log_time,
-            message.data,
-        )
-    writer.write(channels[topic], START, content)
-    return writer.data
-
-
-def test_a_message_that_does_not_fit_its_schema_is_a_loss(opened):
-    log = opened(with_message(flight(), "/outside/air", b"\x00\x01\x00\x00abc"))
-    assert with_code(log.ledger, "LOG-DECODE")[0].count == 1
-    assert len(log.channel("/outside/air")) == 60
-
-
-def test_an_instance_that_is_not_there_is_not_told_as_messages_that_do_not_fit(opened):
-    bag = RosWriter()
-    bag.define("mavros_msgs/DebugValue", "string name\nfloat32 value_float")
-    bag.write(
-        "/debug",
-        "mavros_msgs/DebugValue",
-        START,
-        name="CabT",
-        value_float=20.0,
-    )
-    log = opened(with_message(bag, "/debug", b"\x00\x01\x00\x00\xff\xff\xff\xff"))
-    assert with_code(log.ledger, "LOG-DECODE")[0].count == 1
-    assert log.message("/debug", "CabT")["value_float"].tolist() == [20.0]
-    with pytest.raises(LogError, match="/debug, instance Cab, has no rows") as caught:
-        log.message("/debug", "Cab")
-    assert "decoded" not in str(caught.value)
-
-
 def fifteen_degrees() -> bytes:
     """A Temperature in CDR: little-endian, sec, nanosec, frame_id "" and padding, two float64."""
     header = struct.pack("<iII", 1_763_073_169, 5, 1) + b"\0" + bytes(3)
-    return b"\x00\x01\x00\x00" + header + struct.pack("<dd", 15.0, 0.0)
+    return CDR + header + struct.pack("<dd", 15.0, 0.0)
 
 
 def temperatures(writer: McapWriter) -> int:
@@ -511,10 +465,35 @@ def temperatures(writer: McapWriter) -> int:
     return writer.channel("/air", "cdr", "sensor_msgs/msg/Temperature", definition)
 
 
+def test_a_message_that_does_not_fit_its_schema_is_a_loss(opened):
+    writer = McapWriter()
+    air = temperatures(writer)
+    writer.write(air, START, fifteen_degrees())
+    writer.write(air, START, CDR + b"abc")
+    log = opened(writer.data)
+    assert entry_in(log, "LOG-DECODE").count == 1
+    assert len(log.channel("/air")) == 1
+
+
+def test_an_instance_that_is_not_there_is_not_told_as_messages_that_do_not_fit(opened):
+    writer = McapWriter()
+    definition = "string name\nfloat32 value_float"
+    debug = writer.channel("/debug", "cdr", "mavros_msgs/msg/DebugValue", definition)
+    writer.write(debug, START, CDR + struct.pack("<I8sf", 5, b"CabT", 20.0))
+    writer.write(debug, START, CDR + b"\xff\xff\xff\xff")
+    log = opened(writer.data)
+    assert entry_in(log, "LOG-DECODE").count == 1
+    assert log.message("/debug", "CabT")["value_float"].tolist() == [20.0]
+    with refused("LOG-NO-TABLE") as caught:
+        log.message("/debug", "Cab")
+    assert "/debug, instance Cab, has no rows" in str(caught.value)
+    assert "decoded" not in str(caught.value)
+
+
 def test_a_schema_that_cannot_be_parsed_costs_its_topic(opened):
     writer = McapWriter()
     odd = writer.channel("/odd", "cdr", "sensor_msgs/msg/FluidPressure", "wstring name")
-    writer.write(odd, START, b"\x00\x01\x00\x00abc")
+    writer.write(odd, START, CDR + b"abc")
     writer.write(temperatures(writer), START, fifteen_degrees())
     log = opened(writer.data)
     entry = entry_in(log, "LOG-SCHEMA")

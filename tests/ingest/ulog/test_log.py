@@ -184,26 +184,6 @@ def test_two_gimbals_in_one_topic_of_px4_are_two_channels(opened):
         assert log.message(name)["gimbal_device_id"].tolist() == [number] * 20
 
 
-def test_exposures_are_preferred_to_commands(opened):
-    writer = ULogWriter()
-    writer.define("camera_trigger", SHOT)
-    writer.define("camera_capture", SHOT)
-    writer.subscribe("camera_trigger", "camera_capture")
-    for name, delay_us in (("camera_trigger", 0), ("camera_capture", 80_000)):
-        for k in range(5):
-            writer.row(
-                name,
-                "QIdd",
-                10**6 * (k + 1) + delay_us,
-                0,
-                k,
-                47.5,
-                8.25,
-            )
-    log = opened(writer.data)
-    assert log.channel("camera_capture").rank < log.channel("camera_trigger").rank
-
-
 def test_utc_of_a_receiver_counts_with_a_fix_and_once_a_time(opened):
     """The first rows are an hour off, without a fix; then two of three repeat the time before."""
 
