@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import channel
+from unbend.ingest.flight_log import describe
 from unbend.ingest.overview import flight_of, receivers_of, roles_of
 
 BEGIN_S = 1_700_000_000.0  # in November 2023
@@ -77,3 +78,12 @@ def test_the_channel_of_each_role():
     assert height["remark"] == "plausible"
     assert by_role["cabin_pressure"]["remark"] == "only if a camera has a window"
     assert by_role["airspeed"]["remark"] == "none in the log"
+
+
+def test_a_gap_begins_with_the_last_sample_before_it():
+    barometer = channel("BARO", np.delete(SECONDS, slice(100, 130)), "pressure", pressure_pa=9e4)
+    summary = describe(barometer)
+    assert summary["gaps"] == [{"start_utc": "2023-11-14T22:14:59.000000Z", "seconds": 31.0}]
+    assert summary["start_utc"] == "2023-11-14T22:13:20.000000Z"
+    assert summary["end_utc"] == "2023-11-14T22:30:00.000000Z"
+    assert summary["samples"] == 971

@@ -30,7 +30,11 @@ def track(
         "lon_rad": np.radians(8.0) + east / (6_389_600.0 * np.cos(np.radians(47.0))),
     }
     message, _, instance = name.partition("[")
-    source = Source(message, instance.rstrip("]") or None, system)
+    source = Source(
+        message,
+        instance.rstrip("]") or None,
+        system,
+    )
     time_ns = NOW_NS + np.rint(stamp_s * SECOND).astype(np.int64)
     return Channel(
         name,
@@ -72,7 +76,11 @@ def flown(delay_s: float, utc_sigma_s: float = 0.0) -> Contents:
 
 def shifts_ns(before: Contents, after: Contents) -> dict[str, int]:
     """By how much the channels are later than before."""
-    pairs = zip(before.channels, after.channels, strict=True)
+    pairs = zip(
+        before.channels,
+        after.channels,
+        strict=True,
+    )
     return {new.name: new.time_ns[0] - old.time_ns[0] for old, new in pairs}
 
 
@@ -126,8 +134,16 @@ def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock()
         FIXED_S[:-9] + 0.1,
         FIXED_S[:-9],
     )
-    other_vehicle = track("GLOBAL_POSITION_INT", FUSED_S, FUSED_S, system=7)
-    before = replace(contents, channels=(*contents.channels, second, other_vehicle))
+    other_vehicle = track(
+        "GLOBAL_POSITION_INT",
+        FUSED_S,
+        FUSED_S,
+        system=7,
+    )
+    before = replace(
+        contents,
+        channels=(*contents.channels, second, other_vehicle),
+    )
     later_ns = shifts_ns(before, with_receiver_delay(before, Ledger()))
     assert later_ns["GPS[1]"] == pytest.approx(0.1 * SECOND, abs=2e-3 * SECOND)
     assert later_ns["GLOBAL_POSITION_INT"] == 0

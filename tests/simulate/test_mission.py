@@ -84,7 +84,11 @@ def recording(small):
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         for _, channel, message, ros in reader.iter_decoded_messages():
             stamp = ros.header.stamp.sec * 1_000_000_000 + ros.header.stamp.nanosec
-            row = {"ros": ros, "stamp": stamp, "recorded": message.log_time}
+            row = {
+                "ros": ros,
+                "stamp": stamp,
+                "recorded": message.log_time,
+            }
             rows[channel.topic].append(row)
     return frames_of(rows)
 
@@ -161,8 +165,14 @@ def test_the_logs_state_the_accuracy_of_the_receiver(dataflash, telemetry, recor
     assert dataflash["GPA"].VAcc[0] == pytest.approx(0.05)
     assert telemetry["GPS_RAW_INT"].h_acc[0] == 30
     assert telemetry["GPS_RAW_INT"].v_acc[0] == 50
-    covariance = fields(recording, "/fix", "position_covariance")[0].reshape(3, 3)
-    assert_allclose(covariance, np.diag([9e-4, 9e-4, 25e-4]))
+    covariance = fields(recording, "/fix", "position_covariance")[0].reshape(
+        3,
+        3,
+    )
+    assert_allclose(
+        covariance,
+        np.diag([9e-4, 9e-4, 25e-4]),
+    )
 
 
 def test_the_three_logs_carry_the_same_samples(dataflash, telemetry, recording):

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.helpers import with_code
 from tests.ingest.dataflash.walk import walk
 from tests.ingest.written_logs import DataFlashWriter, entry_in
 from unbend.ingest import Log
@@ -79,7 +78,7 @@ def test_a_flipped_bit_in_the_name_of_a_field(opened, message, field, column):
     data[name_begins + len(field) - 1] ^= 1
     log = opened(bytes(data))
     assert losses(log) == [("LOG-FIELDS", message, ROWS)]
-    assert column in with_code(log.ledger, "LOG-FIELDS")[0].what
+    assert column in entry_in(log, "LOG-FIELDS").what
 
 
 def test_a_flipped_bit_of_an_instance_is_no_sensor(opened):
@@ -235,7 +234,7 @@ def test_a_splice_whose_time_goes_on_is_a_boot(opened):
         channel = log.channel(name)
         assert channel.time_ns[-15] - channel.time_ns[0] == WEEK_NS
         assert channel.boot.tolist() == [0] * ROWS + [1] * 15
-    assert with_code(log.ledger, "TIME-REBOOT")[0].kind == "warning"
+    assert entry_in(log, "TIME-REBOOT").kind == "warning"
     assert losses(log) == []
 
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 from tests.helpers import with_code
 from tests.ingest.dataflash.walk import walk
-from tests.ingest.written_logs import DataFlashWriter
+from tests.ingest.written_logs import DataFlashWriter, entry_in
 from tests.logs import LOGS, at_hand
 from unbend.errors import LogError
 from unbend.flight.clock import utc_of_gps
@@ -127,7 +127,7 @@ def test_a_flipped_type_byte_costs_one_message(opened, new_type):
     assert whole.records - records == {(victim, "GPS")}
     assert not records - whole.records
     log = opened(bytes(damaged))
-    loss = with_code(log.ledger, "LOG-BAD-BYTES")[0]
+    loss = entry_in(log, "LOG-BAD-BYTES")
     assert loss.count == log.bad_bytes == whole.lengths["GPS"]
     assert f"byte {victim}" in loss.where
     assert log.ledger.has_losses
@@ -167,7 +167,7 @@ def test_a_cut_last_record_costs_no_other(opened):
         assert cut.bad_bytes == 0
         assert cut.cut_bytes == end - last
     log = opened(data[:-5])
-    loss = with_code(log.ledger, "LOG-TRUNCATED")[0]
+    loss = entry_in(log, "LOG-TRUNCATED")
     assert loss.kind == "loss"
     assert "no end mark" in loss.what
     assert log.bad_bytes == 0
@@ -209,7 +209,7 @@ def test_a_row_out_of_order_is_a_loss_with_its_place(opened):
         )
     log = opened(writer.data)
     assert len(log.channel("BARO[0]")) == 99
-    loss = with_code(log.ledger, "TIME-BACKWARD")[0]
+    loss = entry_in(log, "TIME-BACKWARD")
     assert loss.kind == "loss"
     assert loss.count == 1
     assert loss.where.startswith("BARO[0], first at row 40, stamped 1970-01-01T00:00:04.75")
@@ -241,7 +241,7 @@ def test_a_definition_that_makes_no_sense_is_a_loss_where_there_are_records_of_i
     writer = flight()
     writer.define(60, "BAR3", "QffcfIf", "TimeUS,Alt,Press,Temp,CRt,SMS")
     log = opened(writer.data)
-    assert with_code(log.ledger, "LOG-BAD-FORMAT")[0].kind == "note"
+    assert entry_in(log, "LOG-BAD-FORMAT").kind == "note"
     assert not log.ledger.has_losses
     writer.row(
         "BAR3",
@@ -254,7 +254,7 @@ def test_a_definition_that_makes_no_sense_is_a_loss_where_there_are_records_of_i
         0.0,
     )
     log = opened(writer.data + flight().data)
-    assert with_code(log.ledger, "LOG-BAD-FORMAT")[0].kind == "loss"
+    assert entry_in(log, "LOG-BAD-FORMAT").kind == "loss"
 
 
 def test_an_accuracy_message_that_is_defined_and_never_sent(opened):

@@ -133,7 +133,7 @@ def test_a_chunk_that_fails_its_checksum_is_left_out(opened):
     data[data.index(b"nothing of ours", 20_000)] ^= 1
     log = opened(bytes(data))
     assert with_code(log.ledger, "LOG-CRC")
-    assert with_code(log.ledger, "LOG-INCONSISTENT")[0].count == log.lost_messages > 0
+    assert entry_in(log, "LOG-INCONSISTENT").count == log.lost_messages > 0
 
 
 @pytest.mark.parametrize("place", ["image", "checksum"])
@@ -430,7 +430,7 @@ def test_a_stamp_days_ahead_costs_one_row(opened, row):
         )
     log = opened(bag.data)
     assert len(log.channel("/air")) == 999
-    loss = with_code(log.ledger, "TIME-BACKWARD")[0]
+    loss = entry_in(log, "TIME-BACKWARD")
     assert loss.kind == "loss"
     assert loss.count == 1
     assert f"first at row {row}," in loss.where
@@ -451,7 +451,7 @@ def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(opened):
         log.channel("/air").time_ns,
         START + np.arange(5),
     )
-    assert with_code(log.ledger, "TIME-LOG-TIME")[0].kind == "fallback"
+    assert entry_in(log, "TIME-LOG-TIME").kind == "fallback"
 
 
 def fifteen_degrees() -> bytes:
@@ -513,7 +513,7 @@ def test_ros_1_is_counted_and_not_read(opened):
     writer.write(temperatures(writer), START, fifteen_degrees())
     log = opened(writer.data)
     assert log.messages["/one"] == 3
-    assert with_code(log.ledger, "LOG-NOT-ROS2")[0].where == "/one"
+    assert entry_in(log, "LOG-NOT-ROS2").where == "/one"
     assert log.channel("/air").time_ns[0] == 1_763_073_169 * SECOND + 5
     assert log.channel("/air")["temperature_k"][0] == 288.15
 
@@ -557,4 +557,4 @@ def test_a_file_whose_head_is_lost(opened, name, part, end):
     read = sum(log.messages.values()) / sum(expected.messages.values())
     assert read > 0.7 if part == "quarter" else read == 1.0
     assert log.ledger.has_losses
-    assert "first bytes" in with_code(log.ledger, "LOG-BAD-BYTES")[0].what
+    assert "first bytes" in entry_in(log, "LOG-BAD-BYTES").what

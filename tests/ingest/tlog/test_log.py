@@ -131,7 +131,7 @@ def test_repeats_and_the_empty_row_of_the_camera_feedback(real_log):
     assert len(log.channel("CAMERA_FEEDBACK[1]")) == 128
     assert sum(entry.count for entry in with_code(log.ledger, "EVENT-REPEAT")) == 254
     assert entry_in(log, "EVENT-EMPTY").count == 1
-    assert with_code(log.ledger, "EVENT-NO-PULSE")[0].where == "CAMERA_FEEDBACK[0]"
+    assert entry_in(log, "EVENT-NO-PULSE").where == "CAMERA_FEEDBACK[0]"
 
 
 def test_the_two_logs_of_one_flight_agree(real_log):
@@ -254,7 +254,7 @@ def test_a_stamp_days_ahead_costs_one_row(opened, row):
     log = opened(writer.data)
     assert log.boots == 1
     assert len(log.channel("ATTITUDE")) == 999
-    loss = with_code(log.ledger, "TIME-BACKWARD")[0]
+    loss = entry_in(log, "TIME-BACKWARD")
     assert loss.kind == "loss"
     assert loss.count == 1
     assert f"first at row {row}," in loss.where
@@ -294,7 +294,7 @@ def test_a_flipped_bit_costs_one_message(opened, byte, bits):
     assert log.bad_bytes == len(writer.frames[victim])
     assert log.ledger.has_losses
     if byte == 20:
-        assert with_code(log.ledger, "LOG-CRC")[0].kind == "loss"
+        assert entry_in(log, "LOG-CRC").kind == "loss"
 
 
 def test_garbage_between_frames_is_counted(opened):
@@ -303,14 +303,14 @@ def test_garbage_between_frames_is_counted(opened):
     log = opened(writer.data)
     assert sum(log.messages.values()) == len(writer.frames) - 1
     assert log.bad_bytes == 300
-    assert with_code(log.ledger, "LOG-BAD-BYTES")[0].count == 300
+    assert entry_in(log, "LOG-BAD-BYTES").count == 300
 
 
 def test_a_cut_last_message_costs_no_other(opened):
     writer = flight()
     log = opened(writer.data[:-3])
     assert sum(log.messages.values()) == len(writer.frames) - 1
-    assert with_code(log.ledger, "LOG-TRUNCATED")[0].kind == "loss"
+    assert entry_in(log, "LOG-TRUNCATED").kind == "loss"
     assert log.bad_bytes == 0
 
 
@@ -321,7 +321,7 @@ def test_messages_lost_by_the_link_are_counted_by_sequence(opened):
         del writer.frames[k]
     log = opened(writer.data)
     assert log.lost_messages == 8
-    assert with_code(log.ledger, "LOG-LINK-LOSS")[0].kind == "finding"
+    assert entry_in(log, "LOG-LINK-LOSS").kind == "finding"
     mavlink_map = writer.library.mavlink_map
     extras = {number: kind.crc_extra for number, kind in mavlink_map.items()}
     assert Scan(view_of_bytes(writer.data), extras, {}).lost[(255, 190)] == 0
@@ -404,7 +404,7 @@ def test_a_message_of_an_unknown_id_is_counted(opened):
     )
     log = opened(writer.data)
     assert log.messages["UNKNOWN_60001"] == 1
-    assert with_code(log.ledger, "LOG-UNKNOWN-ID")[0].count == 1
+    assert entry_in(log, "LOG-UNKNOWN-ID").count == 1
     assert log.bad_bytes == 0
 
 
@@ -513,7 +513,7 @@ def test_images_captured(opened):
     failed = entry_in(log, "EVENT-FAILED")
     assert failed.kind == "warning"
     assert failed.count == 1
-    assert with_code(log.ledger, "EVENT-REPEAT")[0].count == 1
+    assert entry_in(log, "EVENT-REPEAT").count == 1
 
 
 def test_gimbals_play_no_role_by_themselves_and_a_yaw_of_0_is_unknown(opened):
