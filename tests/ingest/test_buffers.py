@@ -133,7 +133,8 @@ def fork(is_right: Callable[[], bool]) -> int:
 
 
 @needs_fork
-def test_a_child_process_writes_elsewhere(arena_in_files):
+def test_a_child_process_writes_elsewhere(monkeypatch):
+    monkeypatch.setattr(memory, "PRIVATE", 0)
     before = allocate(2 * SMALL, "u1")
     before[:] = 1
     ready, go = os.pipe()
@@ -207,11 +208,10 @@ def test_what_a_child_inherits_is_not_its_own(monkeypatch):
 
 @pytest.mark.parametrize("dtype", ["u1", "i2", "f8", [("at", "i8"), ("flag", "u1")]])
 def test_arrays_in_files_begin_at_multiples_of_64_bytes(arena_in_files, dtype):
-    item = np.dtype(dtype).itemsize
-    for size in (SMALL + 1, SMALL + 7, 2 * SMALL + 63, 5 * SMALL - 1, SMALL + 64, SMALL + 65):
-        array = allocate(size // item + 1, dtype)
-        assert array.ctypes.data % 64 == 0
-        assert held(arena_in_files) == (0, 1)
+    sizes = (SMALL + 1, SMALL + 7, 2 * SMALL + 63, 5 * SMALL - 1, SMALL + 64, SMALL + 65)
+    arrays = [allocate(size // np.dtype(dtype).itemsize + 1, dtype) for size in sizes]
+    assert held(arena_in_files) == (0, 1)
+    assert [array.ctypes.data % 64 for array in arrays] == [0] * len(sizes)
 
 
 def resident(array) -> int:
