@@ -149,9 +149,9 @@ def test_the_checksum_of_a_chunk_over_16_mib_is_compared(opened, place):
     data = bytearray(bag.data)
     whole = opened(data)
     assert not whole.ledger.has_losses
-    for match in re.finditer(b"\x04\0\0\0zstd(.{8})", data, re.DOTALL):  # behind a checksum
-        if int.from_bytes(match[1], "little") > 20 << 20:
-            head = match.start()
+    chunks = re.finditer(b"\x04\0\0\0zstd(.{8})", data, re.DOTALL)  # behind a checksum
+    large = 20 << 20
+    head = next(match.start() for match in chunks if int.from_bytes(match[1], "little") > large)
     data[head - 2 if place == "checksum" else head + (10 << 20)] ^= 4
     log = opened(bytes(data))
     assert with_code(log.ledger, "LOG-CRC")
