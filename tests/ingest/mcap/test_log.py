@@ -557,4 +557,4 @@ def test_a_file_whose_head_is_lost(opened, name, part, end):
     read = sum(log.messages.values()) / sum(expected.messages.values())
     assert read > 0.7 if part == "quarter" else read == 1.0
     assert log.ledger.has_losses
-    assert "first bytes" in entry_in(log, "LOG-BAD-BYTES").what
+    assert "first bytes" in with_code(log.ledger, "LOG-BAD-BYTES")[0].what
