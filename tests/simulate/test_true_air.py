@@ -33,7 +33,10 @@ def test_index_agrees_with_published_ones(
     celsius, vapour_pa, kpa, nanometres, published, tolerance
 ):
     n = edlen_index(
-        np.array(kpa * 1e3), np.array(celsius + 273.15), np.array(vapour_pa), nanometres / 1e3
+        np.array(kpa * 1e3),
+        np.array(celsius + 273.15),
+        np.array(vapour_pa),
+        nanometres / 1e3,
     )
     assert float(n) - 1.0 == pytest.approx(published, abs=tolerance)
 
