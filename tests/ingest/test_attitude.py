@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from unbend.ingest.attitude import (
@@ -16,82 +17,99 @@ FLU_OF_FRD = np.diag([1.0, -1.0, -1.0])
 
 
 def matrix(q: np.ndarray) -> np.ndarray:
-    return Rotation.from_quat(q[..., [1, 2, 3, 0]]).as_matrix()
-
-
-def ros_of_axes(forward: list[float], left: list[float], up: list[float]) -> np.ndarray:
-    """The ROS quaternion of a body whose axes point so in east-north-up."""
-    x, y, z, w = Rotation.from_matrix(np.array([forward, left, up]).T).as_quat()
-    return np.array([[w, x, y, z]])
+    return Rotation.from_quat(q, scalar_first=True).as_matrix()
 
 
 @pytest.mark.parametrize(
-    ("name", "forward", "left", "up", "euler_deg"),
+    ("forward", "left", "up", "euler_deg"),
     [
-        ("level, facing north", [0, 1, 0], [-1, 0, 0], [0, 0, 1], (0, 0, 0)),
-        ("level, facing east", [1, 0, 0], [0, 1, 0], [0, 0, 1], (0, 0, 90)),
-        ("facing north, nose up 90", [0, 0, 1], [-1, 0, 0], [0, -1, 0], (0, 90, 0)),
-        ("facing north, right wing down 90", [0, 1, 0], [0, 0, 1], [1, 0, 0], (90, 0, 0)),
-        ("level, facing south", [0, -1, 0], [1, 0, 0], [0, 0, 1], (0, 0, 180)),
+        ([0, 1, 0], [-1, 0, 0], [0, 0, 1], (0, 0, 0)),
+        ([1, 0, 0], [0, 1, 0], [0, 0, 1], (0, 0, 90)),
+        ([0, 0, 1], [-1, 0, 0], [0, -1, 0], (0, 90, 0)),
+        ([0, 1, 0], [0, 0, 1], [1, 0, 0], (90, 0, 0)),
+    ],
+    ids=[
+        "level, facing north",
+        "level, facing east",
+        "facing north, nose up 90",
+        "facing north, right wing down 90",
     ],
 )
-def test_pictured_attitudes(
-    name: str,
-    forward: list[float],
-    left: list[float],
-    up: list[float],
-    euler_deg: tuple[float, float, float],
-) -> None:
-    q = ned_frd_of_enu_flu(ros_of_axes(forward, left, up))
-    # the body's axes, turned into north-east-down, are the pictured ones
-    forward_ned, right_ned, down_ned = matrix(q[0]).T
-    np.testing.assert_allclose(ENU_OF_NED @ forward_ned, forward, atol=1e-12, err_msg=name)
-    np.testing.assert_allclose(ENU_OF_NED @ right_ned, [-x for x in left], atol=1e-12)
-    np.testing.assert_allclose(ENU_OF_NED @ down_ned, [-x for x in up], atol=1e-12)
-    angles = [np.array([np.radians(angle)]) for angle in euler_deg]
-    np.testing.assert_allclose(matrix(quaternion_of_euler(*angles)[0]), matrix(q[0]), atol=1e-12)
+def test_pictured_attitudes(forward, left, up, euler_deg):
+    """Axes of the body in east, north and up; roll, pitch and yaw as pilots know them."""
+    axes = np.array([forward, left, up]).T
+    ros = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    expected = ENU_OF_NED.T @ axes @ FLU_OF_FRD
+    assert_allclose(
+        matrix(ned_frd_of_enu_flu(ros[None])[0]),
+        expected,
+        atol=1e-12,
+    )
+    roll, pitch, yaw = np.radians(euler_deg)[:, None]
+    q = quaternion_of_euler(roll, pitch, yaw)
+    assert_allclose(
+        matrix(q[0]),
+        expected,
+        atol=1e-12,
+    )
 
 
-def test_random_attitudes_against_matrices() -> None:
-    random = Rotation.random(200, rng=np.random.default_rng(7))
-    ros = random.as_quat()[:, [3, 0, 1, 2]]
-    q = ned_frd_of_enu_flu(ros)
+def test_random_attitudes_against_matrices():
+    random = Rotation.random(
+        200,
+        rng=np.random.default_rng(7),
+    )
+    q = ned_frd_of_enu_flu(random.as_quat(scalar_first=True))
     expected = ENU_OF_NED.T @ random.as_matrix() @ FLU_OF_FRD
-    np.testing.assert_allclose(matrix(q), expected, atol=1e-12)
+    assert_allclose(matrix(q), expected, atol=1e-12)
     assert (q[:, 0] >= 0.0).all()
 
 
-def test_euler_against_scipy() -> None:
+def test_euler_against_scipy():
     rng = np.random.default_rng(1)
-    roll, pitch, yaw = rng.uniform(-np.pi, np.pi, (3, 100))
+    roll, pitch, yaw = rng.uniform(
+        -np.pi,
+        np.pi,
+        (3, 100),
+    )
     expected = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_matrix()
-    q = quaternion_of_euler(roll, pitch, yaw)
-    np.testing.assert_allclose(matrix(q), expected, atol=1e-12)
+    assert_allclose(
+        matrix(quaternion_of_euler(roll, pitch, yaw)),
+        expected,
+        atol=1e-12,
+    )
 
 
-def test_a_zero_quaternion_is_unknown() -> None:
+def test_a_zero_quaternion_is_unknown():
     q = unit_quaternions(np.array([[0.0, 0.0, 0.0, 0.0], [-2.0, 0.0, 0.0, 0.0]]))
     assert np.isnan(q[0]).all()
-    np.testing.assert_array_equal(q[1], [1.0, 0.0, 0.0, 0.0])
+    assert q[1].tolist() == [1.0, 0.0, 0.0, 0.0]
+
+
+YAW_LOCK = 16
+IN_VEHICLES_FRAME = 32
+IN_EARTHS_FRAME = 64
 
 
 @pytest.mark.parametrize(
     ("flags", "from_north"),
-    [  # GIMBAL_DEVICE_FLAGS: 16 yaw lock, 32 yaw in the vehicle's frame, 64 in the earth's
+    [
         (0, False),
-        (16, True),
-        (32, False),
-        (64, True),
-        (16 | 32, False),
-        (16 | 64, True),
+        (YAW_LOCK, True),
+        (IN_VEHICLES_FRAME, False),
+        (IN_EARTHS_FRAME, True),
+        (YAW_LOCK | IN_VEHICLES_FRAME, False),
+        (YAW_LOCK | IN_EARTHS_FRAME, True),
         (4 | 8, False),
-        (4 | 8 | 16, True),
+        (4 | 8 | YAW_LOCK, True),
         (np.nan, False),
     ],
 )
-def test_the_yaw_of_a_gimbal_is_from_north_as_its_flags_say(flags, from_north) -> None:
-    q = {f"{kind}_{axis}": np.array([0.5]) for kind in ("q", "gimbal_q") for axis in "wxyz"}
-    columns = earth_frame_attitude(q | {"flags": np.array([flags], np.float64)})
+def test_the_yaw_of_a_gimbal_is_from_north_as_its_flags_say(flags, from_north):
+    names = [f"{kind}_{axis}" for kind in ("q", "gimbal_q") for axis in "wxyz"]
+    columns = {name: np.array([0.5]) for name in names}
+    columns["flags"] = np.array([float(flags)])
+    attitude = earth_frame_attitude(columns)
     for axis in "wxyz":
-        assert columns[f"gimbal_q_{axis}"].tolist() == [0.5]
-        np.testing.assert_array_equal(columns[f"q_{axis}"], [0.5 if from_north else np.nan])
+        assert attitude[f"gimbal_q_{axis}"].tolist() == [0.5]
+        assert np.isfinite(attitude[f"q_{axis}"]).tolist() == [from_north]

@@ -1,91 +1,123 @@
 """Decoded rows -> channels: what is dropped, how that is entered, and what is left."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
-from unbend.flight.channels import Source
+from unbend.flight.channels import Channel, Source
 from unbend.ingest.channel_builder import DecodedRows, channel_of
 from unbend.ingest.field_maps import MessageMap, parse_columns
 from unbend.messages import Kind, Ledger
 
-SHOT = MessageMap(
-    tuple(parse_columns(["lat_rad lon_rad = lat lon [deg]", "h_msl_m = alt"], {})),
-    ("events",),
-)
+SHOT_COLUMNS = parse_columns(["lat_rad lon_rad = lat lon [deg]", "h_msl_m = alt"], {})
+SHOT = MessageMap(tuple(SHOT_COLUMNS), ("events",))
+BARO_COLUMNS = parse_columns(["pressure_pa = p [hPa]"], {})
 BARO = MessageMap(
-    tuple(parse_columns(["pressure_pa = p [hPa]"], {})), ("pressure",), 10, spare_rank=20
+    tuple(BARO_COLUMNS),
+    ("pressure",),
+    rank=10,
+    spare_rank=20,
 )
 
 
-def rows(time_s: list[float], **columns: list[float]) -> DecodedRows:
-    time_ns = np.array([round(t * 1e9) for t in time_s], np.int64)
+def built(spec: MessageMap, time_s: list[float], **columns: list[float]) -> tuple[Channel, Ledger]:
+    """The channel of the second instance of a message, and what is told of it."""
+    time_ns = np.round(np.array(time_s) * 1e9).astype(np.int64)
     arrays = {name: np.array(values, np.float64) for name, values in columns.items()}
-    return DecodedRows("X", Source("X", "1"), time_ns, np.zeros(len(time_s), np.int16), arrays)
-
-
-@pytest.mark.parametrize(("spec", "kind"), [(SHOT, Kind.LOSS), (BARO, Kind.NOTE)])
-def test_a_repeated_exposure_is_a_loss_a_repeated_reading_is_none(spec, kind) -> None:
+    boot = np.zeros(len(time_s), np.int16)
     ledger = Ledger()
-    channel = channel_of(rows([1, 2, 2, 3], pressure_pa=[1, 2, 3, 4]), spec, ledger)
+    channel = channel_of(
+        DecodedRows(
+            "X",
+            Source("X", "1"),
+            time_ns,
+            boot,
+            arrays,
+        ),
+        spec,
+        ledger,
+    )
     assert channel is not None
+    return channel, ledger
+
+
+@pytest.mark.parametrize(
+    ("spec", "kind"),
+    [(SHOT, Kind.LOSS), (BARO, Kind.NOTE)],
+)
+def test_a_repeated_exposure_is_a_loss_a_repeated_reading_is_none(spec, kind):
+    channel, ledger = built(
+        spec,
+        [1, 2, 2, 3],
+        pressure_pa=[1, 2, 3, 4],
+    )
     assert channel["pressure_pa"].tolist() == [1, 2, 4]
     assert [(e.kind, e.code, e.count) for e in ledger] == [(kind, "TIME-REPEAT", 1)]
 
 
-def test_an_exposure_without_a_place_has_no_height_either() -> None:
-    place = {"lat_rad": [0.8, 0.0, 0.8], "lon_rad": [0.1, 0.0, 0.0], "h_msl_m": [5.0, 0.0, 6.0]}
-    channel = channel_of(rows([1, 2, 3], **place), SHOT, Ledger())
-    assert channel is not None
-    np.testing.assert_array_equal(channel["lat_rad"], [0.8, np.nan, 0.8])
-    np.testing.assert_array_equal(channel["lon_rad"], [0.1, np.nan, 0.0])
-    np.testing.assert_array_equal(channel["h_msl_m"], [5.0, np.nan, 6.0])
+def test_an_exposure_without_a_place_has_no_height_either():
+    channel, _ = built(
+        SHOT,
+        [1, 2, 3],
+        lat_rad=[0.8, 0.0, 0.8],
+        lon_rad=[0.1, 0.0, 0.0],
+        h_msl_m=[5.0, 0.0, 6.0],
+    )
+    assert_array_equal(channel["lat_rad"], [0.8, np.nan, 0.8])
+    assert_array_equal(
+        channel["lon_rad"],
+        [0.1, np.nan, 0.0],
+    )
+    assert_array_equal(
+        channel["h_msl_m"],
+        [5.0, np.nan, 6.0],
+    )
 
 
-def test_the_largest_integer_is_no_place_of_an_exposure() -> None:
+def test_the_largest_integer_is_no_place_of_an_exposure():
     largest_rad = np.radians(214.7483647)
-    pole_rad = np.radians(90.0)
-    place = {
-        "lat_rad": [0.8, largest_rad, -pole_rad],
-        "lon_rad": [0.1, largest_rad, np.pi],
-        "h_msl_m": [5.0, 2_147_483.647, 6.0],
-    }
-    channel = channel_of(rows([1, 2, 3], **place), SHOT, Ledger())
-    assert channel is not None
-    for name in place:
+    channel, _ = built(
+        SHOT,
+        [1, 2, 3],
+        lat_rad=[0.8, largest_rad, -np.radians(90.0)],
+        lon_rad=[0.1, largest_rad, np.pi],
+        h_msl_m=[5.0, 2_147_483.647, 6.0],
+    )
+    for name in ("lat_rad", "lon_rad", "h_msl_m"):
         assert np.isnan(channel[name]).tolist() == [False, True, False]
 
 
-def test_exposures_are_numbered_after_repeats_and_before_rows_out_of_order_are_dropped() -> None:
-    ledger = Ledger()
+def test_exposures_are_numbered_after_repeats_and_before_rows_out_of_order_are_dropped():
     times = [1, 2, 2, 3, 4, 5, 6, 2.5, 7, 8]
-    channel = channel_of(rows(times, h_msl_m=list(range(10))), SHOT, ledger)
-    assert channel is not None
+    channel, ledger = built(SHOT, times, h_msl_m=list(range(10)))
     assert channel["h_msl_m"].tolist() == [0, 1, 3, 4, 5, 6, 8, 9]
     assert channel["event_index"].tolist() == [0, 1, 2, 3, 4, 5, 7, 8]
     assert {e.code: e.count for e in ledger} == {"TIME-REPEAT": 1, "TIME-BACKWARD": 1}
 
 
-def test_a_channel_knows_the_units_in_which_it_was_logged() -> None:
-    channel = channel_of(rows([1], pressure_pa=[81_250.0]), BARO, Ledger())
-    assert channel is not None
+def test_a_channel_knows_the_units_in_which_it_was_logged():
+    channel, _ = built(BARO, [1], pressure_pa=[81_250.0])
     assert channel.logged_units == {"pressure_pa": "hPa"}
-    assert (channel.rank, channel.roles) == (20, ("pressure",))
+    assert channel.rank == 20
+    assert channel.roles == ("pressure",)
 
 
 @given(st.lists(st.integers(0, 60), min_size=1, max_size=60))
-def test_times_rise_and_every_row_that_is_missing_is_counted(seconds: list[int]) -> None:
-    ledger = Ledger()
-    values = list(range(len(seconds)))
-    channel = channel_of(rows([float(s) for s in seconds], pressure_pa=values), BARO, ledger)
-    assert channel is not None
+def test_times_rise_and_every_row_that_is_missing_is_counted(seconds):
+    channel, ledger = built(
+        BARO,
+        seconds,
+        pressure_pa=list(range(len(seconds))),
+    )
     assert np.all(np.diff(channel.time_ns) > 0)
-    dropped = sum(e.count or 0 for e in ledger if e.code in ("TIME-REPEAT", "TIME-BACKWARD"))
+    counts = {entry.code: entry.count or 0 for entry in ledger}
+    dropped = counts.get("TIME-REPEAT", 0) + counts.get("TIME-BACKWARD", 0)
     assert len(channel) + dropped == len(seconds)
-    kept = channel["pressure_pa"].astype(int)
-    back = {e.code for e in ledger} & {"TIME-SET-BACK"}
-    if not back:  # each value keeps the time of its row
-        assert [seconds[k] for k in kept] == (channel.time_ns // 10**9).tolist()
+    if "TIME-SET-BACK" not in counts:  # each value keeps the time of its row
+        rows = channel["pressure_pa"].astype(int)
+        assert_array_equal(
+            channel.time_ns // 10**9,
+            np.array(seconds)[rows],
+        )

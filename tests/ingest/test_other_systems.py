@@ -1,7 +1,5 @@
 """Reading logs where functions of POSIX do not exist, as on Windows."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -50,7 +48,7 @@ def read(code: str, log: Path, folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".tlog", ".mcap"])
-def test_a_log_is_the_same_without_functions_of_posix(tmp_path: Path, suffix: str) -> None:
+def test_a_log_is_the_same_without_functions_of_posix(tmp_path, suffix):
     log = LOGS / f"flight{suffix}"
     _, usual = read("import sys" + READ.format(private=1 << 30), log, tmp_path)
     in_files, digest = read(WITHOUT_POSIX + READ.format(private=0), log, tmp_path)

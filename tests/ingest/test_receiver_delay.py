@@ -1,9 +1,10 @@
 """The delay of fixes behind their epoch: stated, estimated, and what it moves."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from unbend.flight.channels import Channel, Source
 from unbend.ingest.flight_log import Contents
@@ -12,93 +13,140 @@ from unbend.messages import Ledger
 
 SECOND = 1_000_000_000
 NOW_NS = 1_700_000_000 * SECOND
+SHOTS_NS = NOW_NS + np.array([50, 60]) * SECOND
+FUSED_S = np.arange(0.0, 300.0, 0.1)
+FIXED_S = np.arange(5.03, 290.0, 0.2)
 
 
-def place(t: np.ndarray) -> dict[str, np.ndarray]:
-    """Circles of 200 m at 25 m/s, written down in closed form."""
-    angle = t * 25.0 / 200.0
+def track(
+    name: str, stamp_s: np.ndarray, epoch_s: np.ndarray, system: int | None = None
+) -> Channel:
+    """Circles of 200 m at 25 m/s, in closed form: the places of epochs, stamped otherwise."""
+    angle = epoch_s * 25.0 / 200.0
     north = 200.0 * np.sin(angle)
-    east = 200.0 * (1.0 - np.cos(angle)) + 3.0 * t
-    return {
+    east = 200.0 * (1.0 - np.cos(angle)) + 3.0 * epoch_s
+    columns = {
         "lat_rad": np.radians(47.0) + north / 6_367_400.0,
         "lon_rad": np.radians(8.0) + east / (6_389_600.0 * np.cos(np.radians(47.0))),
     }
-
-
-def track(name: str, t: np.ndarray, at: np.ndarray, system: int | None = None) -> Channel:
-    """Places of the times ``at``, stamped ``t`` [s]."""
     message, _, instance = name.partition("[")
-    source = Source(message, instance.rstrip("]") or None, system)
-    columns = place(at)
-    roles = ("height", "position") if message.startswith("GPS") else ("position",)
+    source = Source(
+        message,
+        instance.rstrip("]") or None,
+        system,
+    )
+    time_ns = NOW_NS + np.rint(stamp_s * SECOND).astype(np.int64)
     return Channel(
-        name, NOW_NS + np.rint(t * SECOND).astype(np.int64), columns, source, roles=roles
+        name,
+        time_ns,
+        columns,
+        source,
+        roles=("position",),
     )
 
 
-FUSED_AT = np.arange(0.0, 300.0, 0.1)
-FIXED_AT = np.arange(5.03, 290.0, 0.2)
+FILTER = track("POS", FUSED_S, FUSED_S)
 
 
-def flown(delay_s: float, **changes: object) -> Contents:
-    channels = (
-        track("POS", FUSED_AT, FUSED_AT),
-        track("GPS[0]", FIXED_AT + delay_s, FIXED_AT),
-        Channel(
-            "CAM[0]",
-            NOW_NS + np.array([50, 60]) * SECOND,
-            {"event_index": np.arange(2.0)},
-            Source("CAM", "0"),
-        ),
+def table(name: str, instance: str | None) -> dict[str, np.ndarray]:
+    return {"time_ns": SHOTS_NS}
+
+
+def flown(delay_s: float, utc_sigma_s: float = 0.0) -> Contents:
+    """Positions of a filter, late fixes and two images."""
+    shots = Channel(
+        "CAM[0]",
+        SHOTS_NS,
+        {"event_index": np.arange(2.0)},
+        Source("CAM", "0"),
+    )
+    fixes = track("GPS[0]", FIXED_S + delay_s, FIXED_S)
+    return Contents(
+        messages={},
+        channels=(FILTER, fixes, shots),
+        bad_bytes=0,
+        lost_messages=0,
+        boots=1,
+        time_base="",
+        table=table,
+        parameters={"GPS1_DELAY_MS": 0.0},
+        utc_sigma_s=utc_sigma_s,
     )
 
-    def table(name: str, instance: str | None) -> dict[str, np.ndarray]:
-        return {"time_ns": NOW_NS + np.array([50, 60]) * SECOND}
 
-    given: dict = {"parameters": {"GPS1_DELAY_MS": 0.0}, "utc_sigma_s": 0.0} | changes
-    return Contents({}, channels, 0, 0, 1, "", table, **given)
-
-
-@pytest.mark.parametrize("delay_s", [0.06, 0.118, 0.22, 0.4])
-def test_the_delay_is_found_from_the_filter_that_follows_the_fixes(delay_s) -> None:
-    _, fixes, _ = flown(delay_s).channels
-    found = estimated_delay(fixes, track("POS", FUSED_AT, FUSED_AT))
-    assert found is not None
-    assert found.delay_s == pytest.approx(delay_s, abs=1e-3)
-    assert 0.015 <= found.sigma_s < 0.02
+def shifts_ns(before: Contents, after: Contents) -> dict[str, int]:
+    """By how much the channels are later than before."""
+    pairs = zip(
+        before.channels,
+        after.channels,
+        strict=True,
+    )
+    return {new.name: new.time_ns[0] - old.time_ns[0] for old, new in pairs}
 
 
-def test_everything_but_the_fixes_is_later_by_the_delay() -> None:
+@pytest.mark.parametrize(
+    "delay_s",
+    [0.06, 0.118, 0.22, 0.4],
+)
+def test_the_delay_is_found_from_the_filter_that_follows_the_fixes(delay_s):
+    delay = estimated_delay(track("GPS[0]", FIXED_S + delay_s, FIXED_S), FILTER)
+    assert delay is not None
+    assert delay.delay_s == pytest.approx(delay_s, abs=1e-3)
+    assert 0.015 <= delay.sigma_s < 0.02
+
+
+def test_the_sigma_of_an_estimate_is_that_of_a_median_of_rows_whose_errors_last():
+    """Of three fixes one is early and one late by 40 ms; errors last 5 s. The filter adds 15 ms."""
+    scattered_s = 0.04 * (np.arange(FIXED_S.size) % 3 - 1)
+    fixes = track("GPS[0]", FIXED_S + 0.2 + scattered_s, FIXED_S)
+    delay = estimated_delay(fixes, FILTER)
+    assert delay is not None
+    independent = FIXED_S.size / (5.0 * fixes.rate_hz)
+    median_sigma_s = 1.2533 * 1.4826 * 0.04 / np.sqrt(independent)
+    assert delay.sigma_s == pytest.approx(np.hypot(median_sigma_s, 0.015), rel=2e-3)
+    assert delay.origin == f"estimated from {FIXED_S.size} of them against POS"
+
+
+def test_everything_but_the_fixes_is_later_by_the_delay():
     """UTC was from the stamps of the fixes, which are later than their epoch."""
     before = flown(0.2)
     ledger = Ledger()
     after = with_receiver_delay(before, ledger)
-    moved = {
-        c.name: c.time_ns[0] - b.time_ns[0]
-        for c, b in zip(after.channels, before.channels, strict=True)
-    }
-    assert moved["GPS[0]"] == 0
-    assert moved["POS"] == moved["CAM[0]"] == pytest.approx(0.2 * SECOND, abs=1e-3 * SECOND)
+    later_ns = shifts_ns(before, after)
+    assert later_ns["GPS[0]"] == 0
+    assert later_ns["POS"] == later_ns["CAM[0]"] == pytest.approx(0.2 * SECOND, abs=1e-3 * SECOND)
     assert after.table is not None
-    rows = after.table("CAM", None)["time_ns"] - NOW_NS
-    assert rows[0] == 50 * SECOND + moved["CAM[0]"]
-    (entry,) = [e for e in ledger if e.code == "TIME-FIT"]
+    assert_array_equal(
+        after.table("CAM", None)["time_ns"],
+        after.channels[2].time_ns,
+    )
+    (entry,) = ledger
+    assert entry.code == "TIME-FIT"
     assert "accurate to 15 ms" in entry.what
     assert "200 ms after their epoch" in entry.what
     assert after.utc_sigma_s == pytest.approx(0.015, abs=1e-3)
 
 
-def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock() -> None:
+def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock():
     contents = flown(0.2)
-    second = track("GPS[1]", FIXED_AT[:-9] + 0.1, FIXED_AT[:-9])
-    other = track("GLOBAL_POSITION_INT", FUSED_AT, FUSED_AT, system=7)
-    channels = (*contents.channels, second, other)
-    after = with_receiver_delay(
-        Contents({}, channels, 0, 0, 1, "", parameters=contents.parameters), Ledger()
-    ).channels
-    shift = [a.time_ns[0] - b.time_ns[0] for a, b in zip(after, channels, strict=True)]
-    assert shift[3] == pytest.approx(0.1 * SECOND, abs=2e-3 * SECOND)
-    assert shift[4] == 0
+    second = track(
+        "GPS[1]",
+        FIXED_S[:-9] + 0.1,
+        FIXED_S[:-9],
+    )
+    other_vehicle = track(
+        "GLOBAL_POSITION_INT",
+        FUSED_S,
+        FUSED_S,
+        system=7,
+    )
+    before = replace(
+        contents,
+        channels=(*contents.channels, second, other_vehicle),
+    )
+    later_ns = shifts_ns(before, with_receiver_delay(before, Ledger()))
+    assert later_ns["GPS[1]"] == pytest.approx(0.1 * SECOND, abs=2e-3 * SECOND)
+    assert later_ns["GLOBAL_POSITION_INT"] == 0
 
 
 @pytest.mark.parametrize(
@@ -113,52 +161,66 @@ def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock()
         ({"EKF2_GPS_DELAY": 110.0}, [], None, 0.11, 0.04),
         ({}, [], "0", 0.0, 0.15),
         ({"GPS1_DELAY_MS": float("nan")}, [], "0", 0.0, 0.15),
-        ({"GPS1_DELAY_MS": 1e9}, [], "0", 0.0, 0.15),
+        ({"GPS1_DELAY_MS": -1.0}, [], "0", 0.0, 0.15),
+        ({"GPS1_DELAY_MS": 499.0}, [], "0", 0.499, 0.04),
+        ({"GPS1_DELAY_MS": 500.0}, [], "0", 0.0, 0.15),
     ],
 )
-def test_the_settings_of_the_autopilot(parameters, texts, instance, delay_s, sigma_s) -> None:
-    receiver = track(f"GPS[{instance}]" if instance else "sensor_gps", FIXED_AT, FIXED_AT)
-    found = stated_delay(receiver, parameters, texts)
-    assert (found.delay_s, found.sigma_s) == (delay_s, sigma_s)
+def test_the_settings_of_the_autopilot(parameters, texts, instance, delay_s, sigma_s):
+    receiver = track(f"GPS[{instance}]" if instance else "sensor_gps", FIXED_S, FIXED_S)
+    delay = stated_delay(receiver, parameters, texts)
+    assert delay.delay_s == delay_s
+    assert delay.sigma_s == sigma_s
 
 
-def test_no_estimate_at_rest_nor_from_a_filter_that_follows_something_else() -> None:
-    fixes = track("GPS[0]", FIXED_AT + 0.2, FIXED_AT)
-    rest = track("POS", FUSED_AT, FUSED_AT * 0.0)
-    assert estimated_delay(track("GPS[0]", FIXED_AT, FIXED_AT * 0.0), rest) is None
-    ahead = track("POS", FUSED_AT, FUSED_AT - 2.0)  # the fixes would be stamped before their epoch
-    assert estimated_delay(fixes, ahead) is None
-    assert estimated_delay(track("GPS[0]", FIXED_AT[:20], FIXED_AT[:20]), rest) is None
-
-
-def test_fixes_that_are_stamped_at_their_epoch_move_nothing() -> None:
-    contents = flown(0.0)
-    after = with_receiver_delay(contents, Ledger())
-    for old, new in zip(contents.channels, after.channels, strict=True):
-        np.testing.assert_array_equal(old.time_ns, new.time_ns)
-
-
-def test_without_a_filter_the_setting_counts() -> None:
-    contents = flown(0.2)
-    settings = {"GPS1_DELAY_MS": 130.0}
-    bare = Contents({}, contents.channels[1:], 0, 0, 1, "", parameters=settings, utc_sigma_s=0.0)
-    after = with_receiver_delay(bare, Ledger())
-    assert after.utc_sigma_s == 0.04
-    assert after.channels[1].time_ns[0] - bare.channels[1].time_ns[0] == 130_000_000
-
-
-def test_a_log_without_a_receiver_is_left_alone() -> None:
-    contents = Contents({}, flown(0.2).channels[2:], 0, 0, 1, "")
-    assert with_receiver_delay(contents, Ledger()) is contents
+RESTING = np.zeros(FIXED_S.size)
+AHEAD = track("POS", FUSED_S, FUSED_S - 2.0)  # the fixes would be stamped before their epoch
 
 
 @pytest.mark.parametrize(
-    ("clock_s", "sigma_s", "words"),
-    [(5.0, 5.0, "accurate to 5.0 s"), (float("nan"), float("nan"), "UTC is unknown")],
+    ("fixes", "positions"),
+    [
+        (track("GPS[0]", FIXED_S, RESTING), track("POS", FUSED_S, np.zeros(FUSED_S.size))),
+        (track("GPS[0]", FIXED_S + 0.2, FIXED_S), AHEAD),
+        (track("GPS[0]", FIXED_S[:20], FIXED_S[:20]), FILTER),
+    ],
+    ids=["at rest", "from a filter that follows something else", "from few fixes"],
 )
-def test_utc_of_another_clock_is_not_as_good_as_the_delay(clock_s, sigma_s, words) -> None:
+def test_no_estimate(fixes, positions):
+    assert estimated_delay(fixes, positions) is None
+
+
+def test_fixes_that_are_stamped_at_their_epoch_move_nothing():
+    contents = flown(0.0)
+    later_ns = shifts_ns(contents, with_receiver_delay(contents, Ledger()))
+    assert set(later_ns.values()) == {0}
+
+
+def test_without_a_filter_the_setting_counts():
+    contents = flown(0.2)
+    settings = {"GPS1_DELAY_MS": 130.0}
+    before = replace(
+        contents,
+        channels=contents.channels[1:],
+        parameters=settings,
+    )
+    after = with_receiver_delay(before, Ledger())
+    assert after.utc_sigma_s == 0.04
+    assert shifts_ns(before, after) == {"GPS[0]": 0, "CAM[0]": 130_000_000}
+
+
+def test_a_log_without_a_receiver_is_left_alone():
+    contents = flown(0.2)
+    without = replace(contents, channels=contents.channels[2:])
+    assert with_receiver_delay(without, Ledger()) is without
+
+
+@pytest.mark.parametrize(
+    ("clock_s", "words"), [(5.0, "accurate to 5.0 s"), (float("nan"), "UTC is unknown")]
+)
+def test_utc_of_another_clock_is_not_as_good_as_the_delay(clock_s, words):
     ledger = Ledger()
-    after = with_receiver_delay(flown(0.2, utc_sigma_s=clock_s), ledger)
-    assert after.utc_sigma_s == pytest.approx(sigma_s, rel=1e-4, nan_ok=True)
-    (entry,) = [e for e in ledger if e.code == "TIME-FIT"]
+    after = with_receiver_delay(flown(0.2, clock_s), ledger)
+    assert after.utc_sigma_s == pytest.approx(clock_s, rel=1e-4, nan_ok=True)
+    (entry,) = ledger
     assert words in entry.what

@@ -1,7 +1,5 @@
 """Dates of clocks that no receiver has set."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np
@@ -12,7 +10,7 @@ from unbend.report.message_csv import write_messages_csv
 JUNE_2025_NS = 1_750_000_000 * 10**9
 
 
-def test_only_a_receiver_counts_weeks_modulo_1024() -> None:
+def test_only_a_receiver_counts_weeks_modulo_1024():
     """A computer that begins in 2004 is not 19.6 years late; another clock may confirm that."""
     early_ns = JUNE_2025_NS - ROLLOVER_NS
     assert missed_rollovers(early_ns, []) == 1
@@ -21,7 +19,10 @@ def test_only_a_receiver_counts_weeks_modulo_1024() -> None:
     assert missed_rollovers(early_ns, confirmed, of_receiver=False) == 1
 
 
-def test_a_listing_has_no_utc_where_time_counts_from_boot() -> None:
+def test_a_listing_has_no_utc_where_time_counts_from_boot():
     stream = io.StringIO()
-    write_messages_csv(stream, {"time_ns": np.array([90 * 10**9]), "TimeUS": np.array([90])})
+    write_messages_csv(
+        stream,
+        {"time_ns": np.array([90 * 10**9]), "TimeUS": np.array([90])},
+    )
     assert stream.getvalue() == "time_utc,TimeUS\n,90\n"

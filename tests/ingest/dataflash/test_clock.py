@@ -1,164 +1,188 @@
 """DataFlash: boots, receivers and instances that have to be kept apart."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.helpers import with_code
+from tests.ingest.written_logs import DataFlashWriter
 from unbend.flight.clock import utc_of_gps
-from unbend.ingest import Log, open_log
+from unbend.ingest import Log
 
 WEEK = 2324
 
 
 @pytest.fixture
-def opened(tmp_path: Path) -> Callable[[Any], Log]:
-    def write_and_open(writer: Any) -> Log:
-        path = tmp_path / "flight.bin"
-        path.write_bytes(writer.data)
-        return open_log(path)
-
-    return write_and_open
-
-
-@pytest.fixture
-def writer(dataflash_writer: Callable) -> Any:
-    made = dataflash_writer()
-    made.define(20, "GPS", "QBBIHBcLLe", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt")
+def writer() -> DataFlashWriter:
+    made = DataFlashWriter()
+    made.define_receiver()
     made.define(50, "ATT", "QccC", "TimeUS,Roll,Pitch,Yaw")
     return made
-
-
-def fix(
-    writer: Any, time_us: int, ms: int, instance: int = 0, status: int = 3, week: int = WEEK
-) -> None:
-    writer.row("GPS", time_us, instance, status, ms, week, 12, 0.8, 47.0, 8.0, 600.0)
 
 
 def codes(log: Log, kind: str) -> list[str]:
     return [entry.code for entry in log.ledger if entry.kind == kind]
 
 
-def seconds(log: Log, name: str) -> np.ndarray:
+def seconds(log: Log, name: str = "ATT") -> np.ndarray:
+    """The times of a channel from the beginning of the week on."""
     return (log.channel(name).time_ns - utc_of_gps(WEEK, 0.0)) / 1e9
 
 
-def test_a_boot_whose_first_time_is_later_than_the_last(writer: Any, opened: Callable) -> None:
-    expected = []
-    for begin_s, utc_s, rows in ((10, 1, 100), (60, 3601, 3000)):
-        for k in range(rows):
-            fix(writer, begin_s * 10**6 + 200_000 * k, utc_s * 1000 + 200 * k)
-            writer.row("ATT", begin_s * 10**6 + 200_000 * k + 50, 0, 0, 0)
-            expected.append(utc_s + 0.2 * k)
-    log = opened(writer)
-    assert log.boots == 2
-    np.testing.assert_allclose(seconds(log, "ATT"), expected, atol=1e-4)
-    np.testing.assert_array_equal(log.channel("ATT").boot, [0] * 100 + [1] * 3000)
-    assert "TIME-REBOOT" in codes(log, "warning")
-
-
-def test_the_first_boot_of_two_with_the_second_receiver_alone(
-    writer: Any, opened: Callable
-) -> None:
+def test_the_first_boot_of_two_with_the_second_receiver_alone(writer, opened):
     for k in range(300):
-        seen = k == 5
-        fix(writer, 10**7 + 200_000 * k, 1000 if seen else 0, 0, 3 if seen else 0, 2300)
-        fix(writer, 10**7 + 200_000 * k + 20, 1000 + 200 * k, 1)
-        writer.row("ATT", 10**7 + 200_000 * k + 50, 0, 0, 0)
-    log = opened(writer)
-    assert seconds(log, "ATT")[0] == pytest.approx(1.0, abs=1e-4)
+        time_us = 10**7 + 200_000 * k
+        if k == 5:
+            writer.fix(time_us, 1000, week=2300)
+        else:
+            writer.fix(time_us, 0, week=2300, status=0)
+        writer.fix(
+            time_us + 20,
+            1000 + 200 * k,
+            week=WEEK,
+            instance=1,
+        )
+        writer.row("ATT", time_us + 50, 0, 0, 0)
+    log = opened(writer.data)
+    assert seconds(log)[0] == pytest.approx(1.0, abs=1e-4)
     assert "TIME-SOURCES" in codes(log, "loss")
 
 
-def test_time_without_a_fix_is_not_used(writer: Any, opened: Callable) -> None:
+def test_time_without_a_fix_is_not_used(writer, opened):
     """A receiver that has no fix yet counts from its own battery clock."""
     for k in range(100):
-        blind = k < 60
-        fix(writer, 10**7 + 200_000 * k, 1000 + 200 * k - 500 * blind, 0, 2 if blind else 3)
-        writer.row("ATT", 10**7 + 200_000 * k + 50, 0, 0, 0)
-    log = opened(writer)
-    assert seconds(log, "ATT")[0] == pytest.approx(1.0, abs=1e-4)
+        time_us = 10**7 + 200_000 * k
+        if k < 60:
+            writer.fix(
+                time_us,
+                500 + 200 * k,
+                week=WEEK,
+                status=2,
+            )
+        else:
+            writer.fix(time_us, 1000 + 200 * k, week=WEEK)
+        writer.row("ATT", time_us + 50, 0, 0, 0)
+    log = opened(writer.data)
+    assert seconds(log)[0] == pytest.approx(1.0, abs=1e-4)
     assert codes(log, "loss") == []
 
 
-def test_rows_that_repeat_their_time_are_not_used(writer: Any, opened: Callable) -> None:
-    """At 10 Hz with time in steps of 400 ms three rows in four are late, by up to 300 ms."""
-    for k in range(400):
-        fix(writer, 10**7 + 100_000 * k, 1000 + 400 * (k // 4))
-        writer.row("ATT", 10**7 + 100_000 * k + 50, 0, 0, 0)
-    assert seconds(opened(writer), "ATT")[0] == pytest.approx(1.0, abs=1e-4)
-
-
-def test_accuracy_goes_to_its_boot_and_its_instance(writer: Any, opened: Callable) -> None:
+def test_accuracy_goes_to_its_boot_and_its_instance(writer, opened):
     """Two boots and two receivers with equal stamps, of which one row of either kind is lost."""
     writer.define(62, "GPA", "QBCe", "TimeUS,I,HAcc,AEl")
     for boot in (0, 1):
         for k in range(40):
             time_us = 5_000_000 + 200_000 * k
+            week_ms = 1000 + 60_000 * boot + 200 * k
             for instance in (0, 1):
                 if (boot, instance, k) != (0, 0, 9):
-                    fix(writer, time_us, 1000 + 60_000 * boot + 200 * k, instance)
+                    writer.fix(time_us, week_ms, week=WEEK, instance=instance)
             for instance in (0, 1):
-                told = 0.5 + boot + 0.25 * instance
+                accuracy = 0.5 + boot + 0.25 * instance
                 if (boot, instance, k) != (1, 0, 7):
-                    writer.row("GPA", time_us, instance, told, 600.0 + told)
-    log = opened(writer)
+                    writer.row("GPA", time_us, instance, accuracy, 600.0 + accuracy)
+    log = opened(writer.data)
     assert log.boots == 2
     for instance, lost in ((0, [46]), (1, [])):
         channel = log.channel(f"GPS[{instance}]")
-        told = 0.5 + channel.boot + 0.25 * instance
-        told[lost] = np.nan
-        np.testing.assert_allclose(channel["sigma_h_m"], told / np.sqrt(2.0), rtol=1e-12)
-        np.testing.assert_array_equal(channel["h_ellipsoid_m"], 600.0 + told)
+        accuracy = 0.5 + channel.boot + 0.25 * instance
+        accuracy[lost] = np.nan
+        assert_allclose(
+            channel["sigma_h_m"],
+            accuracy / np.sqrt(2.0),
+            rtol=1e-12,
+        )
+        assert_array_equal(channel["h_ellipsoid_m"], 600.0 + accuracy)
 
 
-def test_instances_stay_apart_where_a_definition_gains_them(writer: Any, opened: Callable) -> None:
+def test_instances_stay_apart_where_a_definition_gains_them(writer, opened):
     writer.define(30, "BARO", "Qfc", "TimeUS,Press,Temp")
     for k in range(40):
-        fix(writer, 5_000_000 + 100_000 * k, 100 * k)
+        writer.fix(
+            5_000_000 + 100_000 * k,
+            100 * k,
+            week=WEEK,
+        )
         writer.row("BARO", 5_000_050 + 100_000 * k, 90_000.0, 30.0)
     writer.define(31, "BARO", "QBfc", "TimeUS,I,Press,Temp")
     for k in range(40):
-        fix(writer, 9_100_000 + 100_000 * k, 4100 + 100 * k)
-        writer.row("BARO", 9_100_000 + 100_000 * k, 0, 80_000.0, 30.0)
-        writer.row("BARO", 9_100_010 + 100_000 * k, 1, 99_000.0, 40.0)
-    log = opened(writer)
-    found = {c.name: np.unique(c["pressure_pa"]).tolist() for c in log.channels if "BARO" in c.name}
-    assert found == {"BARO": [90_000.0], "BARO[0]": [80_000.0], "BARO[1]": [99_000.0]}
-    table = log.message("BARO")
-    assert table["I"].dtype.kind == "i"
-    assert np.bincount(table["I"] + 1).tolist() == [40, 40, 40]
+        time_us = 9_100_000 + 100_000 * k
+        writer.fix(time_us, 4100 + 100 * k, week=WEEK)
+        writer.row("BARO", time_us, 0, 80_000.0, 30.0)
+        writer.row(
+            "BARO",
+            time_us + 10,
+            1,
+            99_000.0,
+            40.0,
+        )
+    log = opened(writer.data)
+    for name, pressure_pa in (("BARO", 90_000.0), ("BARO[0]", 80_000.0), ("BARO[1]", 99_000.0)):
+        assert np.unique(log.channel(name)["pressure_pa"]).tolist() == [pressure_pa]
+    instances = log.message("BARO")["I"]
+    assert instances.dtype.kind == "i"
+    assert np.bincount(instances + 1).tolist() == [40, 40, 40]
     assert len(log.message("BARO", "1")["Press"]) == 40
 
 
 @pytest.mark.parametrize(
-    ("option", "msl", "ellipsoid"), [(16.0, 552.5, 600.0), (0.0, 600.0, 647.5)]
+    ("options", "columns"),
+    [
+        (16.0, {"h_msl_m": [552.5, np.nan], "h_ellipsoid_m": [600.0, 600.0]}),
+        (64.0, {"h_msl_m": [600.0, 600.0], "h_ellipsoid_m": [647.5, np.nan]}),
+        (0.0, {"h_msl_m": [600.0, 600.0], "h_ellipsoid_m": [647.5, np.nan]}),
+    ],
 )
-def test_the_undulation_and_heights_above_the_ellipsoid(
-    writer: Any, opened: Callable, option: float, msl: float, ellipsoid: float
-) -> None:
-    """Until 4.6 the undulation is logged as sea level minus ellipsoid; Alt is either."""
+def test_the_undulation_and_heights_above_the_ellipsoid(writer, opened, options, columns):
+    """Until 4.6 the undulation is logged as sea level minus ellipsoid, 0 where it is not known.
+
+    Alt is either: bit 4 of GPS_DRV_OPTIONS (AP_GPS.h) makes it a height above the ellipsoid.
+    """
     writer.define(21, "PARM", "QNf", "TimeUS,Name,Value")
     writer.define(62, "GPA", "QBCf", "TimeUS,I,HAcc,Und")
-    writer.row("PARM", 4_900_000, b"GPS_DRV_OPTIONS", option)
+    writer.row("PARM", 4_900_000, b"GPS_DRV_OPTIONS", options)
     for k in range(20):
-        fix(writer, 5_000_000 + 200_000 * k, 1000 + 200 * k)
-        writer.row("GPA", 5_000_000 + 200_000 * k, 0, 0.5, -47.5)
-    channel = opened(writer).channel("GPS[0]")
-    assert (channel["h_msl_m"][0], channel["h_ellipsoid_m"][0]) == (msl, ellipsoid)
+        undulation = 0.0 if k == 1 else -47.5
+        writer.fix(
+            5_000_000 + 200_000 * k,
+            1000 + 200 * k,
+            week=WEEK,
+        )
+        writer.row(
+            "GPA",
+            5_000_000 + 200_000 * k,
+            0,
+            0.5,
+            undulation,
+        )
+    log = opened(writer.data)
+    channel = log.channel("GPS[0]")
+    for name, heights in columns.items():
+        assert_array_equal(channel[name][:2], heights)
     assert "undulation_m" not in channel.columns
+    assert len(with_code(log.ledger, "HEIGHT-ELLIPSOID")) == (options == 16.0)
 
 
-def test_impossible_values_are_flagged_when_a_log_is_opened(writer: Any, opened: Callable) -> None:
+def test_impossible_values_are_flagged_when_a_log_is_opened(writer, opened):
+    latitudes = {
+        20: 147.0,
+        40: 47.5,
+        41: 47.5,
+        59: 47.5,
+    }
     for k in range(60):
-        row = (5_000_000 + 200_000 * k, 0, 3, 1000 + 200 * k, WEEK, 12, 0.8)
-        lat = {20: 147.0, 40: 47.5, 41: 47.5, 59: 47.5}.get(k, 47.0)
-        writer.row("GPS", *row, lat, 8.0, 6e6 if k == 30 else 600.0)
-    log = opened(writer)
+        epoch = (5_000_000 + 200_000 * k, 0, 3, 1000 + 200 * k, WEEK)
+        height = 6e6 if k == 30 else 600.0
+        writer.row(
+            "GPS",
+            *epoch,
+            12,
+            0.8,
+            latitudes.get(k, 47.0),
+            8.0,
+            height,
+        )
+    log = opened(writer.data)
     channel = log.channel("GPS[0]")
     assert len(channel) == 56
     assert np.isnan(channel["h_msl_m"]).sum() == 1

@@ -1,7 +1,5 @@
 """The order and the times of messages, by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,8 +16,9 @@ from unbend.ingest.mcap.stamps import in_sequence
         ([0, 1, 0, 1], [10, 11, 5, 6], None),  # a recorder that counts anew
     ],
 )
-def test_messages_are_moved_only_where_numbers_put_times_right(
-    numbers: list[int], times: list[int], order: list[int] | None
-) -> None:
-    moved = in_sequence(np.array(numbers, np.uint32), np.array(times, np.int64))
+def test_messages_are_moved_only_where_numbers_put_times_right(numbers, times, order):
+    moved = in_sequence(
+        np.array(numbers, np.uint32),
+        np.array(times, np.int64),
+    )
     assert (None if moved is None else moved.tolist()) == order

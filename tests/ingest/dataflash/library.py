@@ -1,0 +1,23 @@
+"""What pymavlink reads of a DataFlash log, message by message; its index of places is not used."""
+
+import contextlib
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import Any
+
+
+def library_messages(reader: Any) -> Iterator[Any]:
+    """All messages of a DFReader, which is closed behind the last one."""
+    with contextlib.closing(reader):
+        while (message := reader.recv_msg()) is not None:
+            yield message
+
+
+def library_tables(reader: Any) -> dict[str, dict[str, list[Any]]]:
+    """All cells, by the name of the message and by the field."""
+    tables: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
+    for message in library_messages(reader):
+        columns = tables[message.get_type()]
+        for field in message.get_fieldnames():
+            columns[field].append(getattr(message, field))
+    return tables
