@@ -1,0 +1,236 @@
+"""A flight of known position and attitude, and files of it as other programs write them.
+
+The truth does not use the package: coordinates by pyproj, GPS time by the calendar.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pyproj
+import pytest
+from scipy.spatial.transform import Rotation
+
+from unbend.errors import InputError
+from unbend.flight.channels import Channel
+from unbend.messages import Ledger
+from unbend.tables.imports.stated import Stated
+
+WEEK = 2417
+TOW = 302_400.0
+START = datetime(1980, 1, 6, tzinfo=UTC) + timedelta(weeks=WEEK, seconds=TOW - 18.0)
+LAT = 47.3
+LON = 8.5
+HEIGHT = 1500.0
+TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
+SPEED = 40.0
+RADIUS = 200.0
+LINE_S = 60.0
+HALF_TURN_S = np.pi * RADIUS / SPEED
+
+
+def enu_axes(lat_deg: float, lon_deg: float) -> np.ndarray:
+    p, e = np.radians([lat_deg, lon_deg])
+    east = [-np.sin(e), np.cos(e), 0.0]
+    north = [-np.sin(p) * np.cos(e), -np.sin(p) * np.sin(e), np.cos(p)]
+    up = [np.cos(p) * np.cos(e), np.cos(p) * np.sin(e), np.sin(p)]
+    return np.array([east, north, up])
+
+
+def racetrack(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """North + 1j east [m] and course [rad]: two lines 30 degrees from north, turns to the right."""
+    t = t % (2.0 * (LINE_S + HALF_TURN_S))
+    back = t >= LINE_S + HALF_TURN_S
+    u = np.where(back, t - LINE_S - HALF_TURN_S, t)
+    turned = np.clip(u - LINE_S, 0.0, None) * SPEED / RADIUS
+    along = np.minimum(u, LINE_S) * SPEED
+    at = along + RADIUS * np.sin(turned) + 1j * RADIUS * (1.0 - np.cos(turned))
+    at = np.where(back, LINE_S * SPEED + 2j * RADIUS - at, at)
+    course = np.where(back, np.pi, 0.0) + turned
+    azimuth = np.radians(30.0)
+    return at * np.exp(1j * azimuth), course + azimuth
+
+
+@dataclass(frozen=True)
+class Flight:
+    """(n,) seconds since `START`, and the truth there: degrees, metres, radians."""
+
+    folder: Path
+    t: np.ndarray
+    lat: np.ndarray = field(init=False)
+    lon: np.ndarray = field(init=False)
+    height: np.ndarray = field(init=False)
+    yaw: np.ndarray = field(init=False)
+    pitch: np.ndarray = field(init=False)
+    roll: np.ndarray = field(init=False)
+    velocity: np.ndarray = field(init=False)  # north, east, down
+
+    def __post_init__(self) -> None:
+        lon, lat, height = self.place(self.t)
+        later, before = (
+            np.stack(TO_ECEF.transform(*self.place(self.t + s))) for s in (0.01, -0.01)
+        )
+        axes = enu_axes(LAT, LON)  # the block is small: within 0.03 degrees of the local axes
+        east, north, up = axes @ (later - before) / 0.02
+        _, course = racetrack(self.t)
+        crab = np.radians(4.0) * np.where(np.cos(course - np.radians(30.0)) > 0, 1, -1)
+        values = {
+            "lat": lat,
+            "lon": lon,
+            "height": height,
+            "yaw": course + crab,
+            "pitch": np.radians(2.0) + np.radians(1.0) * np.sin(self.t / 7.0),
+            "roll": np.radians(3.0) * np.sin(self.t / 5.0),
+            "velocity": np.stack([north, east, -up], axis=1),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @staticmethod
+    def place(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Longitude, latitude [deg], ellipsoidal height [m] at seconds since the start."""
+        at, _ = racetrack(t)
+        enu = np.stack([at.imag, at.real, 5.0 * np.sin(t / 20.0)])
+        start = np.array(TO_ECEF.transform(LON, LAT, HEIGHT))[:, None]
+        return TO_ECEF.transform(*(start + enu_axes(LAT, LON).T @ enu), direction="INVERSE")
+
+    @property
+    def utc_ns(self) -> np.ndarray:
+        start = round(START.timestamp()) * 10**9
+        return start + np.rint(self.t * 1e9).astype(np.int64)
+
+    @property
+    def attitude(self) -> Rotation:
+        """v_ned = R v_body."""
+        return Rotation.from_euler("ZYX", np.stack([self.yaw, self.pitch, self.roll], axis=1))
+
+    def gpst(self, k: int, form: str = "%Y/%m/%d %H:%M:%S.%f") -> str:
+        at = START + timedelta(seconds=18.0 + float(self.t[k]))
+        return at.strftime(form)[:-3]
+
+    def put(self, name: str, content: str | bytes) -> Path:
+        path = self.folder / name
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    def pos(self, name: str = "flight.pos", *, quality=None, system: str = "GPST") -> Path:
+        """As RTKLIB writes it: sigmas north 0.011, east 0.007, up 0.021."""
+        quality = np.ones(self.t.size, int) if quality is None else quality
+        rows = [
+            f"{self.gpst(k)} {self.lat[k]:14.9f} {self.lon[k]:14.9f} {self.height[k]:10.4f} "
+            f"{quality[k]:3d} {12:3d} {0.011:8.4f} {0.007:8.4f} {0.021:8.4f} {0.001:8.4f} "
+            f"{-0.002:8.4f} {0.003:8.4f} {0.0:6.2f} {9.9:6.1f}"
+            for k in range(self.t.size)
+        ]
+        head = (
+            "% program   : RTKPOST ver.2.4.3 b34\n"
+            "% obs start : 2026/05/06 12:00:00.0 GPST (week2417 302400.0s)\n%\n"
+            "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,"
+            "ns=# of satellites)\n"
+            f"%  {system}                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)"
+            "   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"
+        )
+        return self.put(name, head + "\n".join(rows) + "\n")
+
+    def sbet_rows(self, *, wander_deg: float = 1.3, sign: float = 1.0) -> np.ndarray:
+        """POSPac: x north, y west, z up in the wander frame; platform heading = true + wander."""
+        wander = np.radians(wander_deg) + 1e-4 * self.t
+        ground = (self.velocity[:, 0] - 1j * self.velocity[:, 1]) * np.exp(-1j * sign * wander)
+        turned = (self.attitude.inv() * Flight(self.folder, self.t + 0.001).attitude).as_rotvec()
+        return np.column_stack(
+            [
+                TOW + self.t,
+                np.radians(self.lat),
+                np.radians(self.lon),
+                self.height,
+                ground.real,
+                ground.imag,
+                -self.velocity[:, 2],
+                self.roll,
+                self.pitch,
+                (self.yaw + sign * wander + np.pi) % (2 * np.pi) - np.pi,
+                wander,
+                np.zeros((self.t.size, 3)),
+                turned / 0.001,
+            ]
+        )
+
+    def sbet(self, name: str = "sbet.out", *, rows: np.ndarray | None = None, **how) -> Path:
+        rows = self.sbet_rows(**how) if rows is None else rows
+        return self.put(name, rows.astype("<f8").tobytes())
+
+    def smrmsg(self, name: str = "smrmsg.out") -> Path:
+        """Once a second: north 0.03, east 0.04, down 0.05 m; 0.6, 0.8, 3 arcmin."""
+        t = np.arange(self.t[0] - 1.0, self.t[-1] + 2.0)
+        sigmas = np.tile([0.03, 0.04, 0.05, 0.01, 0.01, 0.01, 0.6, 0.8, 3.0], (t.size, 1))
+        return self.put(name, np.column_stack([TOW + t, sigmas]).astype("<f8").tobytes())
+
+    def mrk(self, name: str = "100_0001_Timestamp.MRK", *, offsets=(-40, 12, 186)) -> Path:
+        north, east, down = offsets
+        return self.put(
+            name,
+            "".join(
+                f"{k + 1}\t{TOW + self.t[k]:.6f}\t[{WEEK}]\t"
+                f"{north:6d},N\t{east:6d},E\t{down:6d},V\t"
+                f"{self.lat[k]:.8f},Lat\t{self.lon[k]:.8f},Lon\t{self.height[k]:.3f},Ellh\t"
+                f"{0.012:.6f}, {0.016:.6f}, {0.031:.6f}\t50,Q\n"
+                for k in range(self.t.size)
+            ),
+        )
+
+    def eo(self, name: str = "eo.txt", *, angles=None) -> Path:
+        """POSPac's text with angles (n, 3) in its unit."""
+        if angles is None:
+            angles = np.tile([-1.05, 0.32, 179.18], (self.t.size, 1))
+        lines = [
+            "POS/AV Computed Data at Camera Perspective Centre",
+            "  Grid: Universal Transverse Mercator; Zone:  UTM North 32 (006E to 012E) ;",
+            "  Datum: WGS84 ;",
+            "  (position in Meters, orientation in Degrees, lat, long in Deg)\n",
+            "ID\t# EVENT\tTIME (s)\tEASTING\tNORTHING\tELLIPSOID HEIGHT\tOMEGA\tPHI\tKAPPA\tLAT\t"
+            "LONG",
+        ]
+        for k, (first, second, third) in enumerate(angles):
+            lines.append(
+                f"img_{k:03d}\t{k + 1}\t{TOW + self.t[k]:.6f}\t465000.1\t5238000.2\t"
+                f"{self.height[k]:.3f}\t{first:.9f}\t{second:.9f}\t{third:.9f}\t"
+                f"{self.lat[k]:.9f}\t{self.lon[k]:.9f}"
+            )
+        return self.put(name, "\n".join(lines) + "\n")
+
+
+def read(reader, path: Path, stated: Stated | None = None) -> tuple[Channel, Ledger]:
+    """What a reader makes of a file, and what it says of it."""
+    ledger = Ledger()
+    return reader(path, stated or Stated(), ledger), ledger
+
+
+def refusal_of(reader, path: Path, stated: Stated | None = None) -> InputError:
+    """How a reader refuses a file, which says what to do."""
+    with pytest.raises(InputError) as caught:
+        reader(path, stated or Stated(), Ledger())
+    assert caught.value.remedy
+    return caught.value
+
+
+def metres_off(channel: Channel, flight: Flight, height: str = "h_ellipsoid_m") -> float:
+    """The largest difference in place and height from the truth."""
+    cosine = np.cos(np.radians(flight.lat))
+    north = (channel["lat_rad"] - np.radians(flight.lat)) * 6.37e6
+    east = (channel["lon_rad"] - np.radians(flight.lon)) * 6.38e6 * cosine
+    up = channel[height] - flight.height
+    return np.abs([north, east, up]).max()
+
+
+def degrees_off(channel: Channel, flight: Flight) -> float:
+    """The largest angle between the attitudes and the true ones."""
+    quaternions = np.stack([channel[f"q_{axis}"] for axis in "xyzw"], axis=1)
+    apart = Rotation.from_quat(quaternions).inv() * flight.attitude
+    return np.degrees(apart.magnitude().max())
+
+
+def utc_text(channel: Channel, row: int) -> str:
+    return str(np.datetime64(int(channel.time_ns[row]), "ns"))
