@@ -148,14 +148,16 @@ def test_nothing_is_done_twice(tmp_path, mark, direction, code):
     opened(tmp_path, marked(mark), COLUMNS, direction=reverse)
 
 
+@pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize(
-    ("direction", "code", "column"),
+    ("direction", "code", "kind"),
     [
-        ("remove", "OBS-ALREADY-CORRECTED", "x_corrected_px"),
-        ("apply", "OBS-ALREADY-DISPLACED", "x_displaced_px"),
+        ("remove", "OBS-ALREADY-CORRECTED", "corrected"),
+        ("apply", "OBS-ALREADY-DISPLACED", "displaced"),
     ],
 )
-def test_a_csv_has_no_mark_but_columns(tmp_path, direction, code, column):
+def test_a_csv_has_no_mark_but_columns(tmp_path, direction, code, kind, axis):
+    column = f"{axis}_{kind}_px"
     content = table(**{column: [1.0, 2.0]})
     assert column in refusal(code, tmp_path, content, csv=True, direction=direction)
 

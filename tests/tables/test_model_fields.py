@@ -385,20 +385,11 @@ def test_what_is_no_such_field_is_refused_with_its_numbers(fields, tmp_path, wha
         read(netcdf(tmp_path / "bad.nc", change(fields)))
 
 
-LAMBERT = {
-    "gridType": "lambert",
-    "Nx": 3,
-    "Ny": 2,
-    "DxInMetres": 3000,
-    "DyInMetres": 3000,
-    "latitudeOfFirstGridPointInDegrees": 40.0,
-    "longitudeOfFirstGridPointInDegrees": 260.0,
-    "LoVInDegrees": 262.5,
-    "LaDInDegrees": 38.5,
-    "Latin1InDegrees": 38.5,
-    "Latin2InDegrees": 38.5,
-    "shortName": "t",
-}
+LAMBERT = (
+    "gridType=lambert,Nx=3,Ny=2,DxInMetres=3000,DyInMetres=3000,shortName=t,"
+    "latitudeOfFirstGridPointInDegrees=40.0,longitudeOfFirstGridPointInDegrees=260.0,"
+    "LoVInDegrees=262.5,LaDInDegrees=38.5,Latin1InDegrees=38.5,Latin2InDegrees=38.5"
+)
 
 
 def test_a_projected_grib_such_as_hrrr_is_refused_by_name(tmp_path):
@@ -408,8 +399,7 @@ def test_a_projected_grib_such_as_hrrr_is_refused_by_name(tmp_path):
     with path.open("wb") as file:
         for level in (1000, 850, 700, 500, 300):
             message = eccodes.codes_grib_new_from_samples("regular_ll_pl_grib2")
-            for key, value in {**LAMBERT, "level": level}.items():
-                eccodes.codes_set(message, key, value)
+            eccodes.codes_set_key_vals(message, f"{LAMBERT},level={level}")
             eccodes.codes_set_values(message, np.full(6, 280.0))
             eccodes.codes_write(message, file)
             eccodes.codes_release(message)

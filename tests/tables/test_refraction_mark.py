@@ -95,12 +95,6 @@ def test_run_refuses_a_table_that_a_sidecar_names(unbend, mission):
     assert "OBS-ALREADY-CORRECTED" in unbend("check", mission.file).err
 
 
-@pytest.mark.parametrize("column", ["x_corrected_px", "y_corrected_px"])
-def test_run_refuses_a_csv_with_a_column_of_ours(mission, column):
-    mission.observe_text(f"image,point,x_px,y_px,{column}\na,p,1,2,3\n")
-    mission.refusal("OBS-ALREADY-CORRECTED")
-
-
 def test_what_another_program_removed_is_refused(mission):
     mission.config["observations"]["refraction"] = "removed_by_other"
     ended = mission.run()

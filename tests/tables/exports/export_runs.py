@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
-from unbend.flight.stations import Stations
+from unbend.flight.stations import Stations, empty_stations
 from unbend.messages import Ledger
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
@@ -53,7 +53,29 @@ def rotation_to_photo(angles: pd.Series) -> np.ndarray:
 
 
 def quaternions_of(turns) -> np.ndarray:
-    return Rotation.from_matrix(turns).as_quat(canonical=True, scalar_first=True)
+    """(n, 4), NaN where a turn is unknown."""
+    turns = np.asarray(turns)
+    quaternions = np.full((len(turns), 4), np.nan)
+    known = np.isfinite(turns).all(axis=(1, 2))
+    rotation = Rotation.from_matrix(turns[known])
+    quaternions[known] = rotation.as_quat(canonical=True, scalar_first=True)
+    return quaternions
+
+
+def stations_at(names, camera, lon, lat, h_msl, h_ellipsoid, turns, **columns: Any) -> Stations:
+    """Stations [deg, m] whose ``turns`` (n, 3, 3) lead from east, north, up to the cameras."""
+    count = len(names)
+    image = np.array(names, object)
+    cameras = np.broadcast_to(np.array(camera, object), count).copy()
+    return replace(
+        empty_stations(image, cameras, "ok"),
+        lat_rad=np.radians(np.broadcast_to(lat, count)),
+        lon_rad=np.radians(np.broadcast_to(lon, count)),
+        h_msl_m=np.full(count, h_msl, float),
+        h_ellipsoid_m=np.full(count, h_ellipsoid, float),
+        quaternion=quaternions_of(turns),
+        **columns,
+    )
 
 
 def finished_run(
@@ -65,7 +87,7 @@ def finished_run(
 ) -> FinishedRun:
     """A run in the US standard atmosphere, over level ground, all of whose stations are usable.
 
-    ``turns`` (n, 3, 3) from east, north, up to the cameras; pixels count from the centre.
+    Pixels count from the centre.
     """
     count = len(stations)
     outside = AIR.refractivity(stations.h_msl_m)

@@ -24,10 +24,9 @@ from tests.tables.exports.export_runs import (
     ecef_of,
     enu_axes,
     finished_run,
-    quaternions_of,
     read_table,
+    stations_at,
 )
-from unbend.flight.stations import empty_stations
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import ExportCamera, FinishedRun
@@ -158,15 +157,16 @@ class Block:
 
     def run(self, rows: pd.DataFrame | None = None, **changes) -> FinishedRun:
         """The finished run of all rows, or of others, as two files as it writes them."""
-        stations = replace(
-            empty_stations(self.image, self.camera, "ok"),
-            lat_rad=np.radians(self.lat),
-            lon_rad=np.radians(self.lon),
-            h_ellipsoid_m=self.h,
-            h_msl_m=self.h - UNDULATION,
+        stations = stations_at(
+            self.image,
+            self.camera,
+            self.lon,
+            self.lat,
+            self.h - UNDULATION,
+            self.h,
+            self.turn,
             sigma_horizontal_m=np.full(IMAGES, SIGMA_HORIZONTAL),
             sigma_height_m=np.full(IMAGES, SIGMA_HEIGHT),
-            quaternion=quaternions_of(self.turn),
         )
         rows = self.rows if rows is None else rows
         run = finished_run(

@@ -24,15 +24,13 @@ from scipy.spatial.transform import Rotation
 from tests.helpers import entry_of
 from tests.tables.exports.export_runs import (
     DOWN,
-    TO_ECEF,
     ecef_of,
     enu_axes,
     finished_run,
-    quaternions_of,
     rotation_to_photo,
+    stations_at,
     write_export,
 )
-from unbend.flight.stations import empty_stations
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
 from unbend.tables.exports.export_frames import frame_record
@@ -80,15 +78,9 @@ def pixels_of(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def block(tmp_path_factory) -> FinishedRun:
     """Three images, two with a point of known place and shift, one row without a correction."""
-    stations = replace(
-        empty_stations(np.array(NAMES, object), np.full(3, "nadir", object), "ok"),
-        lat_rad=np.radians(LAT),
-        lon_rad=np.radians(LON),
-        h_msl_m=np.full(3, H_MSL),
-        h_ellipsoid_m=np.full(3, H_ELLIPSOID),
-        quaternion=quaternions_of(TURNS),
-        time_ns=np.full(3, 1_749_718_800_500_000_000),
-    )
+    time_ns = np.full(3, 1_749_718_800_500_000_000)
+    places = (LON, LAT, H_MSL, H_ELLIPSOID)
+    stations = stations_at(NAMES, "nadir", *places, TURNS, time_ns=time_ns)
     corrected = pixels_of(*places_on_ground(GROUND_STEPS))
     measured = pixels_of(*places_on_ground(GROUND_STEPS - SHIFT_EN))
     columns = {
@@ -130,30 +122,22 @@ def to_grid(crs: str, lon, lat) -> np.ndarray:
 
 
 @pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:25831", "EPSG:2056", "EPSG:27572"])
-def test_a_ray_through_the_exported_angles_reaches_the_ground_of_one_in_ecef(block, crs, tmp_path):
-    """2.6 km below, 1 km around: to 0.1 m and 3e-5 of the way, the datum's turn of the vertical.
-
-    Without the convergence (2 degrees west of the middle of zone 32) it would be 30 m.
-    """
+def test_places_and_angles_are_those_of_the_grid(block, crs, tmp_path):
+    """Its axes by PROJ from places 100 m to the east and north; to the datum's turn of 5 arcsec."""
     table = write_export(in_grid(block, crs, "opk"), "opk", tmp_path).table()
     np.testing.assert_allclose(table[["x_m", "y_m"]], to_grid(crs, LON, LAT))
     np.testing.assert_allclose(table.z_m, H_ELLIPSOID)
-    pixels = np.array([[500.0, 400.0], [0.0, 0.0], [1000.0, 0.0], [300.0, 800.0]])
-    rays = np.column_stack([pixels - [500.0, 400.0], np.full(4, 900.0)])
     for station, row in table.iterrows():
-        # In earth-centred axes, to a level surface 2600 m below the station.
-        down = rays @ TURNS[station]
-        down *= -2600.0 / down[:, 2:]
-        centre = ecef_of(LON[station], LAT[station], H_ELLIPSOID)
-        ground = centre + down @ enu_axes(LON[station], LAT[station])
-        lon, lat, h = TO_ECEF.transform(*ground.T, direction="INVERSE")
-        # In the grid: the photo's y is up, its z backward; the scale as the file states it.
-        in_map = rays @ DOWN @ rotation_to_photo(row)
-        in_map *= -2600.0 / in_map[:, 2:]
-        scale = row.scale_factor * 6.378e6 / (6.378e6 + h)
-        reached = np.array([row.x_m, row.y_m]) + scale[:, None] * in_map[:, :2]
-        missed = np.linalg.norm(reached - to_grid(crs, lon, lat), axis=1)
-        assert (missed < 0.1 + 3e-5 * np.linalg.norm(down, axis=1)).all()
+        steps = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]])
+        azimuth = np.degrees(np.arctan2(*steps.T))
+        start = np.full((2, 3), [[LON[station]], [LAT[station]]])
+        lon, lat, _ = pyproj.Geod(ellps="WGS84").fwd(*start, azimuth, np.hypot(*steps.T))
+        centre, east, north = to_grid(crs, lon, lat)
+        axes = np.column_stack([east - centre, north - centre])
+        grid_from_enu = np.eye(3)
+        grid_from_enu[:2, :2] = axes / np.linalg.norm(axes, axis=0)
+        expected = DOWN @ TURNS[station] @ grid_from_enu.T
+        np.testing.assert_allclose(rotation_to_photo(row), expected, rtol=0.0, atol=2.5e-5)
 
 
 def test_convergence_and_scale_stand_in_the_file_and_in_the_frame(block, tmp_path):

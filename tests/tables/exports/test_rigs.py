@@ -28,45 +28,23 @@ def exported(names: list[str], cameras: list[int]):
     )
 
 
-def fill(database: sqlite3.Connection, tables) -> None:
-    database.executescript(SCHEMA.read_text(encoding="utf-8"))
-    for table, rows in tables.items():
-        marks = ", ".join("?" * len(rows[0]))
-        database.executemany(f"INSERT INTO {table} VALUES ({marks})", rows)
-    database.commit()
-
-
 # Three frames of a rig of cameras 7 and 9, with an inertial sensor; camera 8 is alone.
-TABLES = {
-    "images": [
-        (11, "a0", 7),
-        (12, "b0", 9),
-        (13, "a1", 7),
-        (14, "b1", 9),
-        (15, "a2", 7),
-        (16, "c", 8),
-        (17, "b2", 9),
-    ],
-    "rigs": [(3, 7, 0), (4, 8, 0)],
-    "rig_sensors": [(3, 9, 0, POSE), (3, 1, 1, None)],
-    "frames": [(21, 3), (22, 3), (23, 3), (24, 4)],
-    "frame_data": [
-        (21, 11, 7, 0),
-        (21, 12, 9, 0),
-        (22, 13, 7, 0),
-        (22, 14, 9, 0),
-        (23, 15, 7, 0),
-        (23, 17, 9, 0),
-        (24, 16, 8, 0),
-    ],
-}
+SOURCE = f"""
+INSERT INTO images VALUES (11, 'a0', 7), (12, 'b0', 9), (13, 'a1', 7), (14, 'b1', 9);
+INSERT INTO images VALUES (15, 'a2', 7), (16, 'c', 8), (17, 'b2', 9);
+INSERT INTO rigs VALUES (3, 7, 0), (4, 8, 0);
+INSERT INTO rig_sensors VALUES (3, 9, 0, x'{POSE.hex()}'), (3, 1, 1, NULL);
+INSERT INTO frames VALUES (21, 3), (22, 3), (23, 3), (24, 4);
+INSERT INTO frame_data VALUES (21, 11, 7, 0), (21, 12, 9, 0), (22, 13, 7, 0), (22, 14, 9, 0);
+INSERT INTO frame_data VALUES (23, 15, 7, 0), (23, 17, 9, 0), (24, 16, 8, 0);
+"""
 
 
 @pytest.fixture
 def source(tmp_path):
     path = tmp_path / "source.db"
     with closing(sqlite3.connect(path)) as database:
-        fill(database, TABLES)
+        database.executescript(SCHEMA.read_text(encoding="utf-8") + SOURCE)
     return path
 
 
@@ -123,9 +101,13 @@ def test_pycolmap_reads_the_rig(source, tmp_path):
     path = tmp_path / "out.db"
     parameters = np.ones(4).tobytes()
     cameras = [(number, 1, 9, 9, parameters, 1) for number in (1, 2)]
-    with closing(sqlite3.connect(path)) as database:
+    tables = {"cameras": cameras, **rig_tables(block, source, Ledger())}
+    with closing(sqlite3.connect(path)) as database, database:
         database.execute("PRAGMA user_version = 4020100")
-        fill(database, {"cameras": cameras, **rig_tables(block, source, Ledger())})
+        database.executescript(SCHEMA.read_text(encoding="utf-8"))
+        for table, rows in tables.items():
+            marks = ", ".join("?" * len(rows[0]))
+            database.executemany(f"INSERT INTO {table} VALUES ({marks})", rows)
     with closing(pycolmap.Database.open(str(path))) as database:
         (rig,) = database.read_all_rigs()
         frames = database.read_all_frames()

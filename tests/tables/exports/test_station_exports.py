@@ -10,10 +10,7 @@ from dataclasses import replace
 
 import geopandas
 import numpy as np
-import pyarrow.parquet as pq
-import pyproj
 import pytest
-import yaml
 from scipy.spatial.transform import Rotation
 
 from tests.tables.exports.export_runs import (
@@ -21,15 +18,18 @@ from tests.tables.exports.export_runs import (
     ecef_of,
     enu_axes,
     finished_run,
-    quaternions_of,
     rotation_to_photo,
+    stations_at,
     write_export,
 )
 from tests.tables.exports.projected_block import Frame
-from unbend.flight.stations import empty_stations
+from unbend.flight.rotations import matrices_of, quaternion_of_opk
+from unbend.messages import Ledger
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import ExportCamera, FinishedRun
+from unbend.tables.imports.stated import Stated
+from unbend.tables.imports.user_tables import read_orientation
 
 CAMERA = Camera(1000, 800, 900.0, 880.0, 510.0, 395.0, BrownConrady(k1=-0.02, p1=1e-3))
 CORNERS = np.array([[0.0, 0.0], [0.0, 800.0], [1000.0, 800.0], [1000.0, 0.0]])
@@ -56,15 +56,16 @@ TURNS = np.array(
 @pytest.fixture(scope="module")
 def run() -> FinishedRun:
     status = np.array(["ok", "suspect", "ok", "ok", "in_gap"], object)
-    stations = replace(
-        empty_stations(np.array(NAMES, object), np.full(COUNT, "nadir", object), "ok"),
+    stations = stations_at(
+        NAMES,
+        "nadir",
+        LON,
+        LAT,
+        H_MSL,
+        H_ELLIPSOID,
+        TURNS,
         status=status,
         time_ns=np.full(COUNT, 1_749_718_800_500_000_000),
-        lat_rad=np.radians(LAT),
-        lon_rad=np.radians(LON),
-        h_msl_m=np.full(COUNT, H_MSL),
-        h_ellipsoid_m=np.full(COUNT, H_ELLIPSOID),
-        quaternion=np.vstack([quaternions_of(TURNS[:4]), np.full(4, np.nan)]),
         sigma_horizontal_m=np.full(COUNT, 0.5),
         sigma_tilt_rad=np.full(COUNT, np.radians(0.25)),
         suspect_reason=np.array(["", "no fix", "", "", ""], object),
@@ -111,19 +112,6 @@ def test_geojson_read_by_gdal(run, tmp_path):
     assert written.counts == [("loss", "EXPORT-NO-GROUND", 1), ("loss", "EXPORT-LEFT-OUT", 1)]
     first = json.loads(written.path.read_text())["features"][0]["properties"]
     assert first["time_utc"] == "2025-06-12T09:00:00.500000000Z"
-
-
-def test_a_footprint_by_hand(run, tmp_path):
-    """From 2600 m above ground 510 px left of the axis are 2600 * 510 / 900 m, without a lens."""
-    straight = {"nadir": ExportCamera(replace(CAMERA, distortion=BrownConrady()), False)}
-    written = write_export(replace(run, cameras=straight), "geojson", tmp_path)
-    footprint = json.loads(written.path.read_text())["features"][1]["geometry"]
-    upper_left = footprint["coordinates"][0][0]
-    azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(8.0, 47.0, *upper_left)
-    east = 2600.0 * 510.0 / 900.0
-    north = 2600.0 * 395.0 / 880.0
-    assert distance == pytest.approx(np.hypot(east, north), rel=3e-4)
-    assert azimuth == pytest.approx(np.degrees(np.arctan2(-east, north)), abs=0.02)
 
 
 def test_heights_that_are_not_known(run, tmp_path):
@@ -192,56 +180,27 @@ def test_a_suspect_station_that_is_used_is_marked(run, tmp_path):
     assert table.status.tolist() == ["ok", "suspect", "ok", "ok"]
 
 
-def test_one_frame_for_the_block(run, tmp_path):
-    """A ray of each image in the frame of the origin, against PROJ's topocentric coordinates."""
-    lat = np.array([47.0, 47.05, 47.3, 47.0, np.nan])
-    lon = np.array([8.0, 8.1, 8.2, 8.0, np.nan])
-    stations = replace(run.stations, lat_rad=np.radians(lat), lon_rad=np.radians(lon))
-    table = write_export(replace(run, stations=stations), "opk-enu", tmp_path).table()
-    origin = table.loc[0, ["origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"]]
-    assert origin.tolist() == pytest.approx([47.15, 8.1, H_ELLIPSOID], abs=1e-4)
-    frame = Frame(origin)
+def test_positions_and_angles_in_one_frame(block, tmp_path):
+    """Against PROJ's topocentric coordinates, turned by hand."""
+    table = write_export(block.run(), "opk-enu", tmp_path).table()
+    frame = Frame(table.loc[0, ["origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"]])
+    np.testing.assert_allclose(table[["x_m", "y_m", "z_m"]], frame(block.centre), atol=1e-6)
+    photos = [rotation_to_photo(row) for _, row in table.iterrows()]
+    np.testing.assert_allclose(photos, DOWN @ block.turn @ block.axes(frame), atol=1e-8)
+
+
+def test_exported_orientations_are_read_again(run, tmp_path):
+    """By the names of their columns, with the columns of camera and time."""
+    path = write_export(run, "opk", tmp_path).path
+    quantities = ("image", "latitude", "longitude", "height", "omega", "phi", "kappa")
+    columns = {quantity: quantity for quantity in quantities}
+    stated = Stated(columns=columns, heights="ellipsoid", unstated=("camera", "time_utc"))
+    table = read_orientation(path, stated, Ledger())
     used = [0, 2, 3]
-    centre = ecef_of(lon[used], lat[used], np.full(3, H_ELLIPSOID))
-    np.testing.assert_allclose(table[["x_m", "y_m", "z_m"]], frame(centre), rtol=0.0, atol=1e-4)
-    for (_, row), station, place in zip(table.iterrows(), used, centre, strict=True):
-        # East, north and up of the station, in the camera by its own horizon and by the frame.
-        ends = frame(place + 1e3 * enu_axes(lon[station], lat[station]))
-        axes = (ends - frame(place[None])) * 1e-3
-        expected = DOWN @ TURNS[station] @ axes
-        np.testing.assert_allclose(rotation_to_photo(row), expected, atol=2e-7)
-
-
-@pytest.mark.usefixtures("plain_report")
-def test_exported_orientations_are_read_again(unbend, baseline, tmp_path):
-    """As the page says, with the columns of camera and time: the stations are those of the run."""
-    exported = tmp_path / "opk.csv"
-    unbend("export", baseline.output, "--format", "opk", "--out", exported)
-    mission = yaml.safe_load((baseline.folder / "mission.yaml").read_text())
-    for key in ("log", "mount", "events"):
-        del mission[key]
-    mission["observations"]["path"] = str(baseline.folder / mission["observations"]["path"])
-    mission["stations"] = {
-        "orientation": {
-            "path": "opk.csv",
-            "angles": "omega_phi_kappa",
-            "frame": "geographic",
-            "heights": "ellipsoid",
-            "columns": {"camera": "camera", "time_utc": "time_utc"},
-        }
-    }
-    for camera in mission["cameras"].values():
-        camera.pop("window", None)
-    mission["output"] = {"path": "results"}
-    (tmp_path / "block.yaml").write_text(yaml.safe_dump(mission))
-    ended = unbend("run", tmp_path / "block.yaml")
-    assert ended.code == 0, ended.text
-    expected = baseline.stations().to_pandas().set_index("image").sort_index()
-    stations = pq.read_table(tmp_path / "results" / "stations.parquet").to_pandas()
-    stations = stations.set_index("image").sort_index()
-    assert stations.index.equals(expected.index)
-    tolerances = {"lat_deg": 1e-12, "lon_deg": 1e-12, "h_ellipsoid_m": 1e-6}
-    tolerances |= dict.fromkeys(["q_w", "q_x", "q_y", "q_z"], 1e-12)
-    for name, tolerance in tolerances.items():
-        np.testing.assert_allclose(stations[name], expected[name], rtol=0.0, atol=tolerance)
-    assert (stations["time_utc"] == expected["time_utc"]).all()
+    assert table.image.tolist() == [NAMES[k] for k in used]
+    assert table.camera.tolist() == ["nadir"] * 3
+    assert table.time_ns.tolist() == run.stations.time_ns[used].tolist()
+    places = np.stack([run.stations.lat_rad, run.stations.lon_rad, run.stations.h_ellipsoid_m])
+    np.testing.assert_allclose(table.position, places.T[used], rtol=1e-15)
+    turns = matrices_of(quaternion_of_opk(table.angles, "omega_phi_kappa"))
+    np.testing.assert_allclose(turns, TURNS[used], atol=1e-12)

@@ -5,7 +5,6 @@ The truth does not use the package: coordinates by pyproj, GPS time by the calen
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -26,10 +25,8 @@ LAT = 47.3
 LON = 8.5
 HEIGHT = 1500.0
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
-SPEED = 40.0
-RADIUS = 200.0
-LINE_S = 60.0
-HALF_TURN_S = np.pi * RADIUS / SPEED
+SPEED_M_S = 40.0
+TURN_RAD_S = 2.0 * np.pi / 307.0
 
 
 def enu_axes(lat_deg: float, lon_deg: float) -> np.ndarray:
@@ -40,62 +37,33 @@ def enu_axes(lat_deg: float, lon_deg: float) -> np.ndarray:
     return np.array([east, north, up])
 
 
-def racetrack(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """North + 1j east [m] and course [rad]: two lines 30 degrees from north, turns to the right."""
-    t = t % (2.0 * (LINE_S + HALF_TURN_S))
-    back = t >= LINE_S + HALF_TURN_S
-    u = np.where(back, t - LINE_S - HALF_TURN_S, t)
-    turned = np.clip(u - LINE_S, 0.0, None) * SPEED / RADIUS
-    along = np.minimum(u, LINE_S) * SPEED
-    at = along + RADIUS * np.sin(turned) + 1j * RADIUS * (1.0 - np.cos(turned))
-    at = np.where(back, LINE_S * SPEED + 2j * RADIUS - at, at)
-    course = np.where(back, np.pi, 0.0) + turned
-    azimuth = np.radians(30.0)
-    return at * np.exp(1j * azimuth), course + azimuth
-
-
-@dataclass(frozen=True)
 class Flight:
-    """(n,) seconds since `START`, and the truth there: degrees, metres, radians."""
+    """A circle to the right: (n,) seconds since `START`, and the truth there.
 
-    folder: Path
-    t: np.ndarray
-    lat: np.ndarray = field(init=False)
-    lon: np.ndarray = field(init=False)
-    height: np.ndarray = field(init=False)
-    yaw: np.ndarray = field(init=False)
-    pitch: np.ndarray = field(init=False)
-    roll: np.ndarray = field(init=False)
-    velocity: np.ndarray = field(init=False)  # north, east, down
+    Degrees of places, metres, radians of attitudes, velocity to the north, east and down.
+    """
 
-    def __post_init__(self) -> None:
-        lon, lat, height = self.place(self.t)
-        later, before = (
-            np.stack(TO_ECEF.transform(*self.place(self.t + s))) for s in (0.01, -0.01)
-        )
-        axes = enu_axes(LAT, LON)  # the block is small: within 0.03 degrees of the local axes
-        east, north, up = axes @ (later - before) / 0.02
-        _, course = racetrack(self.t)
-        crab = np.radians(4.0) * np.where(np.cos(course - np.radians(30.0)) > 0, 1, -1)
-        values = {
-            "lat": lat,
-            "lon": lon,
-            "height": height,
-            "yaw": course + crab,
-            "pitch": np.radians(2.0) + np.radians(1.0) * np.sin(self.t / 7.0),
-            "roll": np.radians(3.0) * np.sin(self.t / 5.0),
-            "velocity": np.stack([north, east, -up], axis=1),
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-
-    @staticmethod
-    def place(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Longitude, latitude [deg], ellipsoidal height [m] at seconds since the start."""
-        at, _ = racetrack(t)
-        enu = np.stack([at.imag, at.real, 5.0 * np.sin(t / 20.0)])
+    def __init__(self, folder: Path, t: np.ndarray) -> None:
+        self.folder = folder
+        self.t = t
+        course = TURN_RAD_S * t
+        radius = SPEED_M_S / TURN_RAD_S
+        along = np.stack([1.0 - np.cos(course), np.sin(course)]) * radius
+        climb = 5.0 * np.sin(t / 20.0)
         start = np.array(TO_ECEF.transform(LON, LAT, HEIGHT))[:, None]
-        return TO_ECEF.transform(*(start + enu_axes(LAT, LON).T @ enu), direction="INVERSE")
+        ecef = start + enu_axes(LAT, LON).T @ np.stack([*along, climb])
+        self.lon, self.lat, self.height = TO_ECEF.transform(*ecef, direction="INVERSE")
+        # The block is small: within 0.03 degrees of the axes at its start.
+        north = SPEED_M_S * np.cos(course)
+        east = SPEED_M_S * np.sin(course)
+        self.velocity = np.stack([north, east, -0.25 * np.cos(t / 20.0)], axis=1)
+        self.yaw = course + np.radians(4.0)  # it crabs
+        self.pitch = np.radians(2.0) + np.radians(1.0) * np.sin(t / 7.0)
+        self.roll = np.radians(3.0) * np.sin(t / 5.0)
+
+    def at(self, t: np.ndarray) -> Flight:
+        """The same flight at other times."""
+        return Flight(self.folder, t)
 
     @property
     def utc_ns(self) -> np.ndarray:
@@ -139,7 +107,8 @@ class Flight:
         """POSPac: x north, y west, z up in the wander frame; platform heading = true + wander."""
         wander = np.radians(wander_deg) + 1e-4 * self.t
         ground = (self.velocity[:, 0] - 1j * self.velocity[:, 1]) * np.exp(-1j * sign * wander)
-        turned = (self.attitude.inv() * Flight(self.folder, self.t + 0.001).attitude).as_rotvec()
+        later = self.at(self.t + 0.001).attitude
+        turned = (self.attitude.inv() * later).as_rotvec()
         return np.column_stack(
             [
                 TOW + self.t,

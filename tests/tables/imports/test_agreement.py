@@ -52,7 +52,7 @@ def own(flight) -> dict[str, Channel]:
 
 
 def test_five_exposures_with_the_error_of_an_autopilot_are_no_other_time(exposures, own):
-    few = replace(exposures, t=np.arange(5) * 3.0 + 280.0)
+    few = exposures.at(np.arange(5) * 3.0 + 280.0)
     agrees = compared(gps_of(few, "e.MRK", north_m=3.0), own)["TRAJECTORY-AGREES"]
     assert agrees.kind == "note"
     assert "3.00 m from GPS[0]" in agrees.what
@@ -60,7 +60,7 @@ def test_five_exposures_with_the_error_of_an_autopilot_are_no_other_time(exposur
 
 @pytest.mark.parametrize("late_s", [18.0, -18.0, 1.0, 3600.0])
 def test_a_trajectory_much_longer_than_the_log_is_shifted_all_the_same(exposures, own, late_s):
-    long = replace(exposures, t=np.arange(-3000.0, 3000.0, 0.5))
+    long = exposures.at(np.arange(-3000.0, 3000.0, 0.5))
     with refused("TRAJECTORY-TIME") as refusal:
         compared(gps_of(long, "long.pos", late_s=late_s), own)
     assert f"{abs(late_s):.2f} s {'late' if late_s > 0 else 'early'}" in refusal.value.what

@@ -287,7 +287,7 @@ def test_columns_that_no_sbet_has_are_refused(flight, column, change, code, word
 def test_sigmas_are_no_sbet_and_those_of_another_flight_and_none_are_refused(flight):
     path = flight.sbet()
     assert "smrmsg" in refusal_of(read_sbet, flight.smrmsg(), OF_WEEK).what
-    later = replace(flight, t=flight.t + 5000.0).smrmsg("later.out")
+    later = flight.at(flight.t + 5000.0).smrmsg("later.out")
     error = refusal_of(read_sbet, path, replace(OF_WEEK, accuracy=later))
     assert "seconds of the week" in error.what
     error = refusal_of(read_sbet, path, replace(OF_WEEK, accuracy=path))

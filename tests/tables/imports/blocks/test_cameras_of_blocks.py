@@ -9,7 +9,6 @@ import pycolmap
 import pytest
 
 from tests.helpers import refused
-from tests.tables.opensfm_formulas import opensfm_projection
 from unbend.tables.imports.blocks import read_camera
 
 RAYS = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.4, 0.4, 7))).reshape(2, -1)
@@ -59,63 +58,54 @@ def test_what_pycolmap_writes(tmp_path, name):
 
 # OpenSfM
 
-BROWN = {
-    "projection_type": "brown",
-    "width": 4000,
-    "height": 3000,
-    "focal_x": 0.85,
-    "focal_y": 0.852,
-    "c_x": 0.003,
-    "c_y": -0.002,
-    "k1": -0.03,
-    "k2": 0.01,
-    "k3": -0.002,
-    "p1": 4e-4,
-    "p2": -7e-4,
-}
-PERSPECTIVE = {
-    "projection_type": "perspective",
-    "width": 3264,
-    "height": 2448,
-    "focal": 0.87,
-    "k1": 0.0885,
-    "k2": -0.2324,
-}
-FISHEYE = {
-    "projection_type": "fisheye",
-    "width": 4000,
-    "height": 3000,
-    "focal": 0.5,
-    "k1": -0.02,
-    "k2": 0.003,
-}
-FISHEYE_OPENCV = {
-    "projection_type": "fisheye_opencv",
-    "width": 4000,
-    "height": 3000,
-    "focal_x": 0.5,
-    "focal_y": 0.501,
-    "c_x": 0.01,
-    "c_y": 0.002,
-    "k1": -0.02,
-    "k2": 0.003,
-    "k3": 1e-3,
-    "k4": -1e-4,
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2", "c_x", "c_y")
+
+
+def opensfm_projection(camera, u, v) -> np.ndarray:
+    """(n, 2) image points of (u, v, 1), in units of the longer side, from the image's centre."""
+    k1, k2, k3, k4, p1, p2, c_x, c_y = (camera.get(name, 0.0) for name in COEFFICIENTS)
+    r2 = u * u + v * v
+    if "fisheye" in camera["projection_type"]:
+        theta = np.arctan(np.sqrt(r2))
+        series = 1 + k1 * theta**2 + k2 * theta**4 + k3 * theta**6 + k4 * theta**8
+        bent = theta * series / np.sqrt(r2 + 1e-300)
+        x = u * bent
+        y = v * bent
+    else:
+        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        x = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
+        y = v * radial + 2 * p2 * u * v + p1 * (r2 + 2 * v * v)
+    focal_x = camera.get("focal", camera.get("focal_x"))
+    focal_y = camera.get("focal", camera.get("focal_y"))
+    return np.stack([focal_x * x + c_x, focal_y * y + c_y], axis=1)
+
+
+MODELS = {
+    "brown": """{"projection_type": "brown", "width": 4000, "height": 3000,
+        "focal_x": 0.85, "focal_y": 0.852, "c_x": 0.003, "c_y": -0.002,
+        "k1": -0.03, "k2": 0.01, "k3": -0.002, "p1": 4e-4, "p2": -7e-4}""",
+    "upright": """{"projection_type": "brown", "width": 3000, "height": 4000,
+        "focal_x": 0.85, "focal_y": 0.852, "c_x": 0.003, "c_y": -0.002,
+        "k1": -0.03, "k2": 0.01, "k3": -0.002, "p1": 4e-4, "p2": -7e-4}""",
+    "perspective": """{"projection_type": "perspective", "width": 3264, "height": 2448,
+        "focal": 0.87, "k1": 0.0885, "k2": -0.2324}""",
+    "fisheye": """{"projection_type": "fisheye", "width": 4000, "height": 3000,
+        "focal": 0.5, "k1": -0.02, "k2": 0.003}""",
+    "fisheye_opencv": """{"projection_type": "fisheye_opencv", "width": 4000, "height": 3000,
+        "focal_x": 0.5, "focal_y": 0.501, "c_x": 0.01, "c_y": 0.002,
+        "k1": -0.02, "k2": 0.003, "k3": 1e-3, "k4": -1e-4}""",
 }
 
 
-@pytest.mark.parametrize(
-    "given",
-    [BROWN, BROWN | {"width": 3000, "height": 4000}, PERSPECTIVE, FISHEYE, FISHEYE_OPENCV],
-    ids=["brown", "upright", "perspective", "fisheye", "fisheye_opencv"],
-)
-def test_opensfm(tmp_path, given):
+@pytest.mark.parametrize("name", MODELS)
+def test_opensfm(tmp_path, name):
     """Normalised by the longer side, from the centre of the image."""
     path = tmp_path / "camera_models.json"
-    path.write_text(json.dumps({"v2 dji fc 1": given}))
+    path.write_text(f'{{"v2 dji fc 1": {MODELS[name]}}}')
     camera = read_camera(path, None, None)
-    size = np.array([given["width"], given["height"]])
-    expected = opensfm_projection(given, *RAYS) * size.max() + size / 2
+    model = json.loads(MODELS[name])
+    size = np.array([model["width"], model["height"]])
+    expected = opensfm_projection(model, *RAYS) * size.max() + size / 2
     np.testing.assert_allclose(projected(camera), expected, rtol=0, atol=1e-9)
 
 
