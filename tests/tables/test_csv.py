@@ -12,6 +12,7 @@ import pytest
 
 from tests.helpers import refused
 from tests.tables.observed import COLUMNS, columns_of, opened
+from tests.tables.refusals import refused_with
 from unbend.errors import InputError
 from unbend.messages import Ledger
 from unbend.tables.imports.user_tables import read_events
@@ -325,9 +326,8 @@ def test_tables_of_exposures_that_are_none(tmp_path, text, code):
 
 
 def test_a_column_that_nearly_has_the_name(tmp_path):
-    with refused("EVENTS-COLUMN") as refusal:
+    with refused_with("EVENTS-COLUMN", "perhaps 'tme'") as refusal:
         events(tmp_path, "image,tme\na,2025-06-12T10:00:00Z\n")
-    assert "perhaps 'tme'" in str(refusal.value)
     assert refusal.value.remedy == "state the name of the column: events.csv.columns.time_utc"
 
 

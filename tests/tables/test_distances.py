@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pyarrow as pa
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import refused
 from tests.tables.observed import COLUMNS, opened
@@ -39,7 +40,7 @@ def test_a_distance_is_read_and_leaves_unchanged(tmp_path, given, kind, csv):
     observations = opened(tmp_path, table(range=given, own=given), RANGED, csv=csv)
     assert [(f.name, f.type) for f in observations.user_fields] == [("range", kind), ("own", kind)]
     (batch,) = observations.batches(10)
-    np.testing.assert_array_equal(batch.distance_m, np.array(given, float))
+    assert_array_equal(batch.distance_m, np.array(given, float))
     assert batch.no_distance == 0
     assert batch.users["range"].to_pylist() == given
 
@@ -60,7 +61,7 @@ def test_what_is_no_distance_is_counted_and_taken_as_absent(tmp_path):
     batches = list(opened(tmp_path, table(range=NUMBERS), RANGED).batches(3))
     assert [len(batch) for batch in batches] == [3, 3, 2]
     distance = np.concatenate([batch.distance_m for batch in batches])
-    np.testing.assert_array_equal(distance, [math.nan] * 6 + [1e-3, 4e5])
+    assert_array_equal(distance, [math.nan] * 6 + [1e-3, 4e5])
     assert [batch.no_distance for batch in batches] == [3, 1, 0]
     assert batches[0].users["range"].to_pylist() == NUMBERS[:3]  # as they came
 
@@ -68,7 +69,7 @@ def test_what_is_no_distance_is_counted_and_taken_as_absent(tmp_path):
 def test_what_is_no_sigma_of_a_ground_height_is_counted(tmp_path):
     """Zero is one."""
     (batch,) = opened(tmp_path, table(s=NUMBERS), sigma_column="s").batches(10)
-    np.testing.assert_array_equal(batch.ground_sigma, [0.0] + [math.nan] * 5 + [1e-3, 4e5])
+    assert_array_equal(batch.ground_sigma, [0.0] + [math.nan] * 5 + [1e-3, 4e5])
     assert batch.no_sigma == 3
     assert batch.users["s"].to_pylist()[:4] == NUMBERS[:4]
 
@@ -76,7 +77,7 @@ def test_what_is_no_sigma_of_a_ground_height_is_counted(tmp_path):
 def test_words_among_the_distances_of_a_csv(tmp_path):
     text = "image,point,x_px,y_px,range\na,p,1,2,150\na,p,1,2,far\na,p,1,2,\na,p,1,2,007\n"
     (batch,) = opened(tmp_path, text, RANGED).batches(10)
-    np.testing.assert_array_equal(batch.distance_m, [150.0, math.nan, math.nan, 7.0])
+    assert_array_equal(batch.distance_m, [150.0, math.nan, math.nan, 7.0])
     assert batch.no_distance == 1
     assert batch.users["range"].to_pylist() == ["150", "far", None, "007"]
 

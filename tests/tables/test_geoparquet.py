@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pyproj
 import pytest
+from numpy.testing import assert_array_equal
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
@@ -80,6 +81,6 @@ def test_the_geometry_is_the_last_column_and_the_units_stay(path):
 
 def test_a_run_writes_it(baseline):
     frame = geopandas.read_parquet(baseline.output / "stations.parquet")
-    np.testing.assert_array_equal(frame.geometry.x, frame["lon_deg"])
-    np.testing.assert_array_equal(frame.geometry.y, frame["lat_deg"])
-    np.testing.assert_array_equal(frame.geometry.z, frame["h_ellipsoid_m"])
+    assert_array_equal(frame.geometry.x, frame["lon_deg"])
+    assert_array_equal(frame.geometry.y, frame["lat_deg"])
+    assert_array_equal(frame.geometry.z, frame["h_ellipsoid_m"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.tables.observed import opened
 from unbend.refraction.image import COLUMNS, Corrections
@@ -34,8 +35,8 @@ def test_a_batch_is_in_colmap_s_pixels_and_its_results_in_the_user_s(
     content = pa.table({"image": ["a"] * 3, "point": ["p"] * 3, "x_px": X, "y_px": Y})
     observations = opened(tmp_path, content, pixels=PixelSystem(origin))
     (batch,) = observations.batches(10)
-    np.testing.assert_array_equal(batch.x_px, np.array(X) + half)
-    np.testing.assert_array_equal(batch.y_px, np.array(Y) + half)
+    assert_array_equal(batch.x_px, np.array(X) + half)
+    assert_array_equal(batch.y_px, np.array(Y) + half)
     corrections = dict.fromkeys(COLUMNS, np.full(3, np.nan)) | {"status": np.zeros(3, np.uint8)}
     corrections["x_corrected_px"] = batch.x_px + 2.0
     corrections["y_corrected_px"] = batch.y_px - 3.0
@@ -44,5 +45,5 @@ def test_a_batch_is_in_colmap_s_pixels_and_its_results_in_the_user_s(
     table = table_of_observations(batch, shifted, np.zeros(3), observations.pixels, schema)
     assert table["x_px"].to_pylist() == X  # to the last bit
     assert table["y_px"].to_pylist() == Y
-    np.testing.assert_allclose(table[f"x_{result}_px"], np.array(X) + 2.0, atol=1e-12, rtol=0)
-    np.testing.assert_allclose(table[f"y_{result}_px"], np.array(Y) - 3.0, atol=1e-12, rtol=0)
+    assert_allclose(table[f"x_{result}_px"], np.array(X) + 2.0, atol=1e-12, rtol=0)
+    assert_allclose(table[f"y_{result}_px"], np.array(Y) - 3.0, atol=1e-12, rtol=0)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy.io import netcdf_file
 
 from tests.helpers import refused
@@ -72,7 +73,7 @@ def zipped(path: Path, *members: Path) -> Path:
 def test_a_station_file_as_it_is_distributed(tmp_path):
     plain = write(tmp_path / "sonde.cdf")
     packed = read_sounding(zipped(tmp_path / "sonde.zip", plain), Ledger())
-    np.testing.assert_array_equal(packed.h_m, read_sounding(plain, Ledger()).h_m)
+    assert_array_equal(packed.h_m, read_sounding(plain, Ledger()).h_m)
 
 
 def test_an_archive_that_does_not_hold_one_file_is_refused(tmp_path):

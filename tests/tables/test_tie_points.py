@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.tables.observed import opened
 from unbend.tables.pixels import PixelSystem
@@ -49,8 +50,8 @@ def test_every_image_has_some_of_the_few_that_are_drawn(tmp_path):
     assert np.bincount(ties.image, minlength=60).min() >= 1
     order = np.random.default_rng(1).permutation(table.num_rows)
     again = draw_tie_points(opened(tmp_path, table.take(order)), most=80)
-    np.testing.assert_array_equal(ties.y_px, again.y_px)
-    np.testing.assert_array_equal(ties.image, again.image)
+    assert_array_equal(ties.y_px, again.y_px)
+    assert_array_equal(ties.image, again.image)
 
 
 def test_rays_of_one_point_are_limited(tmp_path):

@@ -9,10 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from tests.tables.observed import COLUMNS, columns_of
+from tests.tables.observed import COLUMNS
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
@@ -20,7 +18,6 @@ from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from unbend.flight.stations import empty_stations
 from unbend.geodesy import lambert_gravity
 from unbend.messages import Ledger
-from unbend.tables.exports.format import write_csv_stream
 from unbend.tables.observations import open_observations
 from unbend.tables.schemas import OBSERVATION_COLUMNS, PROFILE_COLUMNS, STATION_COLUMNS, schema_of
 from unbend.tables.writing import (
@@ -87,38 +84,6 @@ def test_units_and_conventions_are_in_the_schema():
         kinds = {kind for kind, _, _ in columns.values() if pa.types.is_floating(kind)}
         assert kinds == {pa.float64()}
     assert schema.metadata[b"own"] == b"value"
-
-
-TEXT = st.text(
-    st.characters(codec="utf-8", exclude_characters="\0\r\n", exclude_categories=["Cs"]),
-    min_size=1,
-    max_size=8,
-).filter(lambda text: text.strip() == text)
-# Beyond 1e12 nothing was measured: such numbers are read as unknown.
-NUMBER = st.floats(-1e12, 1e12, allow_subnormal=False)
-
-
-@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    rows=st.lists(st.tuples(TEXT, NUMBER, NUMBER), min_size=1, max_size=12),
-    batch_rows=st.integers(1, 5),
-)
-def test_observations_are_read_as_they_were_written_whatever_the_batch(tmp_path, rows, batch_rows):
-    """Names of images and numbers to the last bit, from CSV as from Parquet, in their order."""
-    images, x, y = map(list, zip(*rows, strict=True))
-    points = [f"p{i}" for i in range(len(rows))]
-    table = pa.table({"image": images, "point": points, "x_px": x, "y_px": y})
-    pq.write_table(table, tmp_path / "o.parquet")
-    write_csv_stream(tmp_path / "o.csv", table.schema, [table])
-    for name in ("o.parquet", "o.csv"):
-        observations = open_observations(tmp_path / name, COLUMNS, None, Ledger())
-        assert observations.rows == len(rows)
-        assert observations.images == tuple(sorted(set(images)))
-        *full, last = [len(batch) for batch in observations.batches(batch_rows)]
-        assert set(full) <= {batch_rows}
-        assert 0 < last <= batch_rows
-        columns = columns_of(observations, batch_rows)
-        assert columns == {"image": images, "point": points, "x_px": x, "y_px": y}
 
 
 def test_sigmas_of_the_profile_each_in_its_column():

@@ -140,6 +140,11 @@ class Block:
         is_inside = (x > 0) & (x < camera.width_px) & (y > 0) & (y < camera.height_px)
         return rows[is_inside & (rays[:, 2] > 0)]
 
+    @property
+    def ordered(self) -> pd.DataFrame:
+        """The rows image by image, in each in the order of the run."""
+        return pd.concat([self.of_image(image) for image in self.image], ignore_index=True)
+
     def of_image(self, image: str) -> pd.DataFrame:
         return self.rows[self.rows.image == image]
 

@@ -13,12 +13,12 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import refused
-from tests.tables.exports.export_runs import DOWN, finished_run, write_export
+from tests.tables.exports.export_runs import DOWN, finished_run, stations_at, write_export
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
-from unbend.flight.stations import empty_stations
 from unbend.refraction import refraction_angle
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.ray import rays_by
@@ -36,32 +36,22 @@ RADIUS = 6_371_000.0
 
 @pytest.fixture(scope="module")
 def run() -> FinishedRun:
-    """Images a to e: a, "b, 2.tif" and c of the nadir camera, d of the side camera, e unusable."""
-    images = np.array(["a", "b, 2.tif", "c", "d", "e"], object)
-    cameras = np.array(["nadir", "nadir", "nadir", "side", "nadir"], object)
-    stations = replace(
-        empty_stations(images, cameras, "ok"),
-        time_ns=np.array([3, 1, 2, 4, 5]) * 10**9,
-        lat_rad=np.full(5, 0.8),
-        h_msl_m=HEIGHT,
-    )
+    """Images a, b and c of the nadir camera, d of the side camera, e unusable."""
+    images = ["a", 'b, "2".tif', "c", "d", "e"]
+    cameras = ["nadir", "nadir", "nadir", "side", "nadir"]
+    turns = np.tile(DOWN, (5, 1, 1))
+    stations = stations_at(images, cameras, 0.0, np.degrees(0.8), HEIGHT, np.nan, turns)
+    stations = replace(stations, time_ns=np.array([3, 1, 2, 4, 5]) * 10**9)
     run = finished_run(
         stations,
-        np.tile(DOWN, (5, 1, 1)),
+        turns,
         {"nadir": ExportCamera(NADIR, False), "side": ExportCamera(SIDE, True)},
         GROUND,
         air=ProfileSeries(tuple(TimedProfile(None, p) for p in PROFILES), PROFILE_NUMBERS),
         rays=tuple(rays_by(profile, "spherical") for profile in PROFILES),
     )
-    outside = [PROFILES[k].refractivity(h) for k, h in zip(PROFILE_NUMBERS, HEIGHT, strict=True)]
-    exposures = replace(
-        run.exposures,
-        usable=np.array([True, True, True, True, False]),
-        refractivity_outside=np.array(outside),
-        refractivity_cabin=np.array(outside),
-        radius_m=RADIUS,
-    )
-    return replace(run, exposures=exposures)
+    usable = np.array(images) != "e"
+    return replace(run, exposures=replace(run.exposures, usable=usable, radius_m=RADIUS))
 
 
 def shift(focal: float, offset: float, profile, h_c: float) -> float:
@@ -76,7 +66,7 @@ def test_each_image_has_the_lattice_of_its_own_air_and_camera(run, tmp_path):
     table = written.table()
     expected = {
         "a": (NADIR, PROFILES[0], 3000.0),
-        "b, 2.tif": (NADIR, PROFILES[1], 3000.0),
+        'b, "2".tif': (NADIR, PROFILES[1], 3000.0),
         "c": (NADIR, PROFILES[1], 3010.0),
         "d": (SIDE, PROFILES[1], 6000.0),
     }
@@ -86,8 +76,8 @@ def test_each_image_has_the_lattice_of_its_own_air_and_camera(run, tmp_path):
         # Row by row from the upper left; pixels counted from the centre of the first.
         x = np.array([0.0, camera.cx_px, camera.width_px])
         y = np.array([0.0, camera.cy_px, camera.height_px])
-        np.testing.assert_array_equal(nodes.x_px, np.tile(x, 3) - 0.5)
-        np.testing.assert_array_equal(nodes.y_px, np.repeat(y, 3) - 0.5)
+        assert_array_equal(nodes.x_px, np.tile(x, 3) - 0.5)
+        assert_array_equal(nodes.y_px, np.repeat(y, 3) - 0.5)
         top = nodes.iloc[1]
         left = nodes.iloc[3]
         assert top.dx_px == pytest.approx(0.0, abs=1e-9)
@@ -126,7 +116,7 @@ def test_images_without_ground_have_a_lattice_without_corrections(run, tmp_path)
     written = write_export(blind, "lattice", tmp_path, columns=2, rows=2)
     table = written.table()
     without = table[table.status == "no_ground"]
-    assert set(without.image) == {"b, 2.tif", "d"}
+    assert set(without.image) == {'b, "2".tif', "d"}
     assert without.dx_px.isna().all()
     counts = {(code, count) for _, code, count in written.counts}
     assert counts == {("EXPORT-LEFT-OUT", 1), ("EXPORT-NO-GROUND", 2)}

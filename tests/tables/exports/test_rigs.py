@@ -1,4 +1,4 @@
-"""Rigs and frames of COLMAP's databases come out as they went in, by what pycolmap reads."""
+"""Rigs and frames of COLMAP's databases come out as they went in."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from importlib import resources
 from types import SimpleNamespace
 
 import numpy as np
-import pycolmap
 import pytest
 
 from unbend.messages import Ledger
@@ -94,24 +93,3 @@ def test_without_a_source_every_image_is_a_frame():
     assert tables["rigs"] == [(1, 1, 0), (2, 2, 0)]
     assert tables["frames"] == [(1, 1), (2, 2), (3, 1)]
     assert tables["frame_data"] == [(1, 1, 1, 0), (2, 2, 2, 0), (3, 3, 1, 0)]
-
-
-def test_pycolmap_reads_the_rig(source, tmp_path):
-    block = exported(["a0", "b0", "a1", "b1"], [0, 1, 0, 1])
-    path = tmp_path / "out.db"
-    parameters = np.ones(4).tobytes()
-    cameras = [(number, 1, 9, 9, parameters, 1) for number in (1, 2)]
-    tables = {"cameras": cameras, **rig_tables(block, source, Ledger())}
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute("PRAGMA user_version = 4020100")
-        database.executescript(SCHEMA.read_text(encoding="utf-8"))
-        for table, rows in tables.items():
-            marks = ", ".join("?" * len(rows[0]))
-            database.executemany(f"INSERT INTO {table} VALUES ({marks})", rows)
-    with closing(pycolmap.Database.open(str(path))) as database:
-        (rig,) = database.read_all_rigs()
-        frames = database.read_all_frames()
-    assert rig.ref_sensor_id.id == 1
-    other = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 2)
-    np.testing.assert_allclose(rig.sensor_from_rig(other).translation, [0.2, -0.1, 0.0])
-    assert [len([*frame.data_ids]) for frame in frames] == [2, 2]

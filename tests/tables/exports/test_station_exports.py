@@ -11,6 +11,7 @@ from dataclasses import replace
 import geopandas
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from tests.tables.exports.export_runs import (
@@ -83,7 +84,7 @@ def assert_shows(corners: np.ndarray, station: int) -> None:
     step = ground - ecef_of(LON[station], LAT[station], H_ELLIPSOID)
     rays = step @ enu_axes(LON[station], LAT[station]).T @ TURNS[station].T
     pixels = CAMERA.project(rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2])
-    np.testing.assert_allclose(np.stack(pixels, axis=1), CORNERS, atol=0.1)
+    assert_allclose(np.stack(pixels, axis=1), CORNERS, atol=0.1)
 
 
 # ---------------------------------------------------------------- places and footprints
@@ -96,9 +97,9 @@ def test_geojson_read_by_gdal(run, tmp_path):
     assert features.crs.to_epsg() == 4326
     stations = features[features["kind"] == "station"]
     assert stations["image"].tolist() == NAMES[:4]
-    np.testing.assert_allclose(stations.geometry.x, LON[:4], rtol=1e-12)
-    np.testing.assert_allclose(stations.geometry.y, LAT[:4], rtol=1e-12)
-    np.testing.assert_allclose(stations.geometry.z, H_ELLIPSOID)
+    assert_allclose(stations.geometry.x, LON[:4], rtol=1e-12)
+    assert_allclose(stations.geometry.y, LAT[:4], rtol=1e-12)
+    assert_allclose(stations.geometry.z, H_ELLIPSOID)
     assert stations["status"].tolist() == ["ok", "suspect", "ok", "ok"]
     assert stations["suspect_m"].iloc[1] == 77.0
     grounds = features[features["kind"] == "footprint"]
@@ -137,9 +138,9 @@ def test_kml_read_by_gdal(run, tmp_path):
     grounds = geopandas.read_file(written.path, layer="footprints")
     assert written.count == len(stations) + len(grounds) == 4 + 3
     assert stations["Name"].tolist() == [*NAMES[:2], "e\ufffd.tif", NAMES[3]]
-    np.testing.assert_allclose(stations.geometry.x, LON[:4], rtol=1e-9)
-    np.testing.assert_allclose(stations.geometry.y, LAT[:4], rtol=1e-9)
-    np.testing.assert_allclose(stations.geometry.z, H_MSL)
+    assert_allclose(stations.geometry.x, LON[:4], rtol=1e-9)
+    assert_allclose(stations.geometry.y, LAT[:4], rtol=1e-9)
+    assert_allclose(stations.geometry.z, H_MSL)
     column = "description" if "description" in stations else "Description"
     assert stations[column].iloc[1] == "nadir, suspect, no fix"
     for station, polygon in enumerate(grounds.geometry):
@@ -165,7 +166,7 @@ def test_angles_against_the_horizon_of_each_station(run, tmp_path):
     used = [0, 2, 3]
     photos = [rotation_to_photo(row) for _, row in table.iterrows()]
     # The photo's y is up and its z backward.
-    np.testing.assert_allclose(photos, DOWN @ TURNS[used], atol=1e-12)
+    assert_allclose(photos, DOWN @ TURNS[used], atol=1e-12)
     assert table.lat_deg.tolist() == pytest.approx(LAT[used])
     assert table.lon_deg.tolist() == pytest.approx(LON[used])
     assert (table.h_ellipsoid_m == H_ELLIPSOID).all()
@@ -184,9 +185,9 @@ def test_positions_and_angles_in_one_frame(block, tmp_path):
     """Against PROJ's topocentric coordinates, turned by hand."""
     table = write_export(block.run(), "opk-enu", tmp_path).table()
     frame = Frame(table.loc[0, ["origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"]])
-    np.testing.assert_allclose(table[["x_m", "y_m", "z_m"]], frame(block.centre), atol=1e-6)
+    assert_allclose(table[["x_m", "y_m", "z_m"]], frame(block.centre), atol=1e-6)
     photos = [rotation_to_photo(row) for _, row in table.iterrows()]
-    np.testing.assert_allclose(photos, DOWN @ block.turn @ block.axes(frame), atol=1e-8)
+    assert_allclose(photos, DOWN @ block.turn @ block.axes(frame), atol=1e-8)
 
 
 def test_exported_orientations_are_read_again(run, tmp_path):
@@ -201,6 +202,6 @@ def test_exported_orientations_are_read_again(run, tmp_path):
     assert table.camera.tolist() == ["nadir"] * 3
     assert table.time_ns.tolist() == run.stations.time_ns[used].tolist()
     places = np.stack([run.stations.lat_rad, run.stations.lon_rad, run.stations.h_ellipsoid_m])
-    np.testing.assert_allclose(table.position, places.T[used], rtol=1e-15)
+    assert_allclose(table.position, places.T[used], rtol=1e-15)
     turns = matrices_of(quaternion_of_opk(table.angles, "omega_phi_kappa"))
-    np.testing.assert_allclose(turns, TURNS[used], atol=1e-12)
+    assert_allclose(turns, TURNS[used], atol=1e-12)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from numpy.testing import assert_allclose, assert_array_equal
 from rasterio import Affine
 
 from tests.refraction.array_terrain import ArrayTerrain
@@ -56,9 +57,9 @@ def test_rasters_either_side_of_the_date_line_are_one_model(tmp_path):
     assert 0 < (rays[1] > 0.0).sum() < 300
     landed = landing(model, *rays)[0]
     expected = landing(memory, *rays)[0]
-    np.testing.assert_array_equal(landed.status, expected.status)
+    assert_array_equal(landed.status, expected.status)
     assert (expected.status == OK).mean() > 0.9
-    np.testing.assert_allclose(landed.h_m, expected.h_m, rtol=0.0, atol=1e-4)
+    assert_allclose(landed.h_m, expected.h_m, rtol=0.0, atol=1e-4)
     # The frame goes round the earth; 0 degrees are a hole of it.
     places = np.radians([[LAT, LAT, LAT], [179.9, -179.9, 0.0]])
     assert model.covers(*places).all()
@@ -94,6 +95,6 @@ def test_what_gdal_reads_beside_a_raster_is_known_and_the_environment_changes_no
     with rasterio.Env(**{variable: BESIDE[variable]} if variable else {}):
         model = opened(path, system="EPSG:4326")
         read = model.heights(np.array([0.0, 3.0]), np.array([0.0, 3.0]))
-    np.testing.assert_array_equal(read, [np.nan, 107.0])
+    assert_array_equal(read, [np.nan, 107.0])
     row, column = model.nodes(*np.radians([[49.75], [8.25]]))
-    np.testing.assert_allclose([row, column], 0.0, atol=1e-9)
+    assert_allclose([row, column], 0.0, atol=1e-9)

@@ -75,16 +75,16 @@ class Flight:
         """v_ned = R v_body."""
         return Rotation.from_euler("ZYX", np.stack([self.yaw, self.pitch, self.roll], axis=1))
 
-    def gpst(self, k: int, form: str = "%Y/%m/%d %H:%M:%S.%f") -> str:
-        at = START + timedelta(seconds=18.0 + float(self.t[k]))
-        return at.strftime(form)[:-3]
+    def gpst(self, k: int) -> str:
+        time = START + timedelta(seconds=18.0 + float(self.t[k]))
+        return f"{time:%Y/%m/%d %H:%M:%S.%f}"[:-3]
 
     def put(self, name: str, content: str | bytes) -> Path:
         path = self.folder / name
         path.write_bytes(content.encode() if isinstance(content, str) else content)
         return path
 
-    def pos(self, name: str = "flight.pos", *, quality=None, system: str = "GPST") -> Path:
+    def pos(self, name: str = "flight.pos", *, quality=None) -> Path:
         """As RTKLIB writes it: sigmas north 0.011, east 0.007, up 0.021."""
         quality = np.ones(self.t.size, int) if quality is None else quality
         rows = [
@@ -98,7 +98,7 @@ class Flight:
             "% obs start : 2026/05/06 12:00:00.0 GPST (week2417 302400.0s)\n%\n"
             "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,"
             "ns=# of satellites)\n"
-            f"%  {system}                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)"
+            "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)"
             "   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"
         )
         return self.put(name, head + "\n".join(rows) + "\n")

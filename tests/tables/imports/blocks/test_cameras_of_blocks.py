@@ -7,8 +7,10 @@ import json
 import numpy as np
 import pycolmap
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.helpers import refused
+from tests.tables.refusals import refused_with
 from unbend.tables.imports.blocks import read_camera
 
 RAYS = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.4, 0.4, 7))).reshape(2, -1)
@@ -46,14 +48,13 @@ def test_what_pycolmap_writes(tmp_path, name):
     for number in (1, 2, 7, 11):
         camera = read_camera(tmp_path / name, None, str(number))
         expected = block.cameras[number].img_from_cam(rays)
-        np.testing.assert_allclose(projected(camera), expected, rtol=0.0, atol=1e-9)
+        assert_allclose(projected(camera), expected, rtol=0.0, atol=1e-9)
         assert camera.width_px == 4000
         assert camera.height_px == 3000
     with refused("CAMERA-MODEL"):
         read_camera(tmp_path / name, None, "9")
-    with refused("CAMERA-NAME") as refusal:
+    with refused_with("CAMERA-NAME", "'1', '2', '7', '9', '11'"):
         read_camera(tmp_path / name, None, None)
-    assert "'1', '2', '7', '9', '11'" in str(refusal.value)
 
 
 # OpenSfM
@@ -106,7 +107,7 @@ def test_opensfm(tmp_path, name):
     model = json.loads(MODELS[name])
     size = np.array([model["width"], model["height"]])
     expected = opensfm_projection(model, *RAYS) * size.max() + size / 2
-    np.testing.assert_allclose(projected(camera), expected, rtol=0, atol=1e-9)
+    assert_allclose(projected(camera), expected, rtol=0, atol=1e-9)
 
 
 # Metashape
@@ -167,10 +168,10 @@ def test_metashape(tmp_path, left_out, kind):
     path.write_text(calibration(given, kind))
     camera = read_camera(path, None, None)
     expected = metashape_pixels(given, kind)
-    np.testing.assert_allclose(projected(camera), expected, rtol=0.0, atol=1e-9)
+    assert_allclose(projected(camera), expected, rtol=0.0, atol=1e-9)
     u, v, covered = camera.rays(*expected.T)
     assert covered.sum() > 40
-    np.testing.assert_allclose((u[covered], v[covered]), RAYS[:, covered], rtol=0.0, atol=1e-12)
+    assert_allclose((u[covered], v[covered]), RAYS[:, covered], rtol=0.0, atol=1e-12)
 
 
 def document(*calibrations):
@@ -192,9 +193,8 @@ def test_the_adjusted_calibration_counts(tmp_path):
     path.write_text(document(of_class("initial", 90.0) + of_class("adjusted", 95.0)))
     assert read_camera(path, None, None).fx_px == 95.0
     path.write_text(document(of_class("initial", 90.0)))
-    with refused("IMPORT-FORMAT") as refusal:
+    with refused_with("IMPORT-FORMAT", "no adjusted calibration"):
         read_camera(path, None, None)
-    assert "no adjusted calibration" in str(refusal.value)
     path.write_text(document('<property name="fixed" value="true"/>' + of_class("initial", 90.0)))
     assert read_camera(path, None, None).fx_px == 90.0
     path.write_text(document(of_class("adjusted", 95.0), of_class("adjusted", 96.0)))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import refused
 from tests.small_block import SmallBlock
@@ -64,7 +65,7 @@ def test_a_project_of_metashape_is_its_parts(tmp_path):
     path = write_psx(tmp_path, block)
     images = read_block_images(path, "metashape")
     whole = read_block_images(tmp_path / "whole.xml", "metashape")
-    np.testing.assert_array_equal(images.position, whole.position)
+    assert_array_equal(images.position, whole.position)
     assert images.frame == "ecef"
     image_points = rows(path, "metashape")
     ties = image_points[image_points["point"].str.startswith("tie:")]

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from tests.dbat_project import write_project
@@ -94,10 +95,10 @@ def test_a_model_is_what_pycolmap_says(model, form):
     assert len(expected) == len(images)
     assert table.camera.tolist() == [str(image.camera_id) for image in expected]
     centres = [image.projection_center() for image in expected]
-    np.testing.assert_allclose(table.position, centres, atol=1e-9)
+    assert_allclose(table.position, centres, atol=1e-9)
     turns = Rotation.from_quat(table.angles, scalar_first=True).as_matrix()
     matrices = [image.cam_from_world().rotation.matrix() for image in expected]
-    np.testing.assert_allclose(turns, matrices, atol=1e-12)
+    assert_allclose(turns, matrices, atol=1e-12)
     for name, image in images.items():
         of_image = image_points[image_points["image"] == name]
         points = []
@@ -109,7 +110,7 @@ def test_a_model_is_what_pycolmap_says(model, form):
     places = places_of(folder / form, "colmap")
     assert len(places) == 5
     for name, place in places.items():
-        np.testing.assert_array_equal(place, block.points3D[int(name)].xyz)
+        assert_array_equal(place, block.points3D[int(name)].xyz)
 
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
@@ -240,7 +241,7 @@ def test_a_database(tmp_path):
     path = write_database(tmp_path / "database.db", keypoints)
     table = rows(path, "colmap")
     pixels = np.concatenate([keypoints["b.jpg"], keypoints["a.jpg"][:, :2]])
-    np.testing.assert_array_equal(table[["x_px", "y_px"]], pixels.astype(np.float32))
+    assert_array_equal(table[["x_px", "y_px"]], pixels.astype(np.float32))
     points = [*(f"b.jpg:{k}" for k in range(7)), *(f"a.jpg:{k}" for k in range(5))]
     assert table["point"].tolist() == points
     camera = read_camera(path, None, "1")
@@ -390,11 +391,11 @@ def test_markers_of_metashape(tmp_path):
     image_points = rows(path, "metashape")
     assert table.frame == "ecef"
     # By hand: (10, 20, 30) turned about z by 90 degrees, twice as large, and moved.
-    np.testing.assert_allclose(table.position[0], [4099960.0, 600020.0, 4830060.0])
+    assert_allclose(table.position[0], [4099960.0, 600020.0, 4830060.0])
     # The camera's x is the chunk's x, which is the earth's y; it looks down the third axis.
     turn = Rotation.from_quat(table.angles[0], scalar_first=True)
-    np.testing.assert_allclose(turn.apply([0, 1, 0]), [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(turn.apply([0, 0, -1]), [0, 0, 1], atol=1e-12)
+    assert_allclose(turn.apply([0, 1, 0]), [1, 0, 0], atol=1e-12)
+    assert_allclose(turn.apply([0, 0, -1]), [0, 0, 1], atol=1e-12)
     assert np.isnan(table.position[1]).all()
     assert image_points[["image", "point", "x_px", "y_px"]].to_numpy().tolist() == [
         ["a.jpg", "GCP 1", 100.5, 200.25],

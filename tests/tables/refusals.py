@@ -1,0 +1,20 @@
+"""Refusals that say something."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterator
+
+import pytest
+
+from tests.helpers import refused
+from unbend.errors import UnbendError
+
+
+@contextlib.contextmanager
+def refused_with(code: str, pattern: str) -> Iterator[pytest.ExceptionInfo[UnbendError]]:
+    """A block of a test that must end with the refusal of this code, in which words are found."""
+    with refused(code) as caught:
+        yield caught
+    assert re.search(pattern, str(caught.value)), str(caught.value)
