@@ -84,24 +84,22 @@ class Flight:
         path.write_bytes(content.encode() if isinstance(content, str) else content)
         return path
 
-    def pos(self, name: str = "flight.pos", *, quality=None) -> Path:
+    def pos(self, name: str = "flight.pos", *, quality=1) -> Path:
         """As RTKLIB writes it: sigmas north 0.011, east 0.007, up 0.021."""
-        quality = np.ones(self.t.size, int) if quality is None else quality
-        rows = [
-            f"{self.gpst(k)} {self.lat[k]:14.9f} {self.lon[k]:14.9f} {self.height[k]:10.4f} "
-            f"{quality[k]:3d} {12:3d} {0.011:8.4f} {0.007:8.4f} {0.021:8.4f} {0.001:8.4f} "
-            f"{-0.002:8.4f} {0.003:8.4f} {0.0:6.2f} {9.9:6.1f}"
-            for k in range(self.t.size)
-        ]
-        head = (
+        lines = [
             "% program   : RTKPOST ver.2.4.3 b34\n"
             "% obs start : 2026/05/06 12:00:00.0 GPST (week2417 302400.0s)\n%\n"
             "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,"
             "ns=# of satellites)\n"
             "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)"
             "   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"
-        )
-        return self.put(name, head + "\n".join(rows) + "\n")
+        ]
+        for k, q in enumerate(np.broadcast_to(quality, self.t.size)):
+            lines.append(
+                f"{self.gpst(k)} {self.lat[k]:14.9f} {self.lon[k]:14.9f} {self.height[k]:10.4f} "
+                f"{q:3d}  12   0.0110   0.0070   0.0210   0.0010  -0.0020   0.0030   0.00    9.9\n"
+            )
+        return self.put(name, "".join(lines))
 
     def sbet_rows(self, *, wander_deg: float = 1.3, sign: float = 1.0) -> np.ndarray:
         """POSPac: x north, y west, z up in the wander frame; platform heading = true + wander."""
@@ -127,48 +125,43 @@ class Flight:
             ]
         )
 
-    def sbet(self, name: str = "sbet.out", *, rows: np.ndarray | None = None, **how) -> Path:
+    def sbet(self, *, rows: np.ndarray | None = None, **how) -> Path:
         rows = self.sbet_rows(**how) if rows is None else rows
-        return self.put(name, rows.astype("<f8").tobytes())
+        return self.put("sbet.out", rows.astype("<f8").tobytes())
 
-    def smrmsg(self, name: str = "smrmsg.out") -> Path:
+    def smrmsg(self) -> Path:
         """Once a second: north 0.03, east 0.04, down 0.05 m; 0.6, 0.8, 3 arcmin."""
         t = np.arange(self.t[0] - 1.0, self.t[-1] + 2.0)
         sigmas = np.tile([0.03, 0.04, 0.05, 0.01, 0.01, 0.01, 0.6, 0.8, 3.0], (t.size, 1))
-        return self.put(name, np.column_stack([TOW + t, sigmas]).astype("<f8").tobytes())
+        return self.put("smrmsg.out", np.column_stack([TOW + t, sigmas]).astype("<f8").tobytes())
 
-    def mrk(self, name: str = "100_0001_Timestamp.MRK", *, offsets=(-40, 12, 186)) -> Path:
-        north, east, down = offsets
-        return self.put(
-            name,
-            "".join(
-                f"{k + 1}\t{TOW + self.t[k]:.6f}\t[{WEEK}]\t"
-                f"{north:6d},N\t{east:6d},E\t{down:6d},V\t"
+    def mrk(self) -> Path:
+        lines = []
+        for k in range(self.t.size):
+            lines.append(
+                f"{k + 1}\t{TOW + self.t[k]:.6f}\t[{WEEK}]\t   -40,N\t    12,E\t   186,V\t"
                 f"{self.lat[k]:.8f},Lat\t{self.lon[k]:.8f},Lon\t{self.height[k]:.3f},Ellh\t"
-                f"{0.012:.6f}, {0.016:.6f}, {0.031:.6f}\t50,Q\n"
-                for k in range(self.t.size)
-            ),
-        )
+                "0.012000, 0.016000, 0.031000\t50,Q\n"
+            )
+        return self.put("100_0001_Timestamp.MRK", "".join(lines))
 
-    def eo(self, name: str = "eo.txt", *, angles=None) -> Path:
+    def eo(self, angles=(-1.05, 0.32, 179.18)) -> Path:
         """POSPac's text with angles (n, 3) in its unit."""
-        if angles is None:
-            angles = np.tile([-1.05, 0.32, 179.18], (self.t.size, 1))
         lines = [
-            "POS/AV Computed Data at Camera Perspective Centre",
-            "  Grid: Universal Transverse Mercator; Zone:  UTM North 32 (006E to 012E) ;",
-            "  Datum: WGS84 ;",
-            "  (position in Meters, orientation in Degrees, lat, long in Deg)\n",
+            "POS/AV Computed Data at Camera Perspective Centre\n"
+            "  Grid: Universal Transverse Mercator; Zone:  UTM North 32 (006E to 012E) ;\n"
+            "  Datum: WGS84 ;\n"
+            "  (position in Meters, orientation in Degrees, lat, long in Deg)\n\n"
             "ID\t# EVENT\tTIME (s)\tEASTING\tNORTHING\tELLIPSOID HEIGHT\tOMEGA\tPHI\tKAPPA\tLAT\t"
-            "LONG",
+            "LONG\n"
         ]
-        for k, (first, second, third) in enumerate(angles):
+        for k, (first, second, third) in enumerate(np.broadcast_to(angles, (self.t.size, 3))):
             lines.append(
                 f"img_{k:03d}\t{k + 1}\t{TOW + self.t[k]:.6f}\t465000.1\t5238000.2\t"
                 f"{self.height[k]:.3f}\t{first:.9f}\t{second:.9f}\t{third:.9f}\t"
-                f"{self.lat[k]:.9f}\t{self.lon[k]:.9f}"
+                f"{self.lat[k]:.9f}\t{self.lon[k]:.9f}\n"
             )
-        return self.put(name, "\n".join(lines) + "\n")
+        return self.put("eo.txt", "".join(lines))
 
 
 def read(reader, path: Path, stated: Stated | None = None) -> tuple[Channel, Ledger]:

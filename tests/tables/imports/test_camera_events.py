@@ -143,7 +143,7 @@ def test_an_eo_text_in_other_units_is_refused(exposures, pattern, text, words):
 def test_an_eo_text_with_roll_pitch_and_heading_in_each_unit(exposures, unit, circle):
     """They turn a body against north, east and down, whatever the grid."""
     angles = np.stack([exposures.roll, exposures.pitch, exposures.yaw], axis=1)
-    path = exposures.eo(angles=angles * circle / (2.0 * np.pi))
+    path = exposures.eo(angles * circle / (2.0 * np.pi))
     text = path.read_text().replace("orientation in Degrees", f"orientation in {unit}")
     path.write_text(text.replace("OMEGA\tPHI\tKAPPA", "ROLL\tPITCH\tHEADING"))
     channel, ledger = read(read_eo_text, path, OF_WEEK)

@@ -149,11 +149,6 @@ def test_the_table_of_opendronemap_has_the_names_of_its_manual(tmp_path):
     assert np.degrees(table.angles[0]) == pytest.approx([2, -90, 45])
 
 
-def test_an_image_that_stands_there_twice(tmp_path):
-    error = refusal(tmp_path, HEAD + ROW + ROW.replace("a,", "b,") + ROW, "ORIENTATION-REPEATED")
-    assert "lines 2, 4" in error.what
-
-
 def test_a_table_without_rows_and_none_at_all(tmp_path):
     refusal(tmp_path, HEAD, "ORIENTATION-EMPTY")
     refusal(tmp_path, "", "ORIENTATION-CSV")
