@@ -82,13 +82,19 @@ def test_words_among_the_distances_of_a_csv(tmp_path):
     assert batch.users["range"].to_pylist() == ["150", "far", None, "007"]
 
 
-def test_a_distance_called_like_a_column_of_ours_leaves_renamed(tmp_path):
+@pytest.mark.parametrize(
+    ("direction", "column"),
+    [("remove", "r_c_rad"), ("remove", "x_displaced_px"), ("apply", "x_corrected_px")],
+)
+def test_a_column_called_like_one_of_ours_leaves_renamed(tmp_path, direction, column):
+    """In either direction: it would make the results look like those of the other one."""
+    content = table(**{column: [5.0, 6.0]}, u=[3.0, 4.0], v=[5.0, 6.0])
+    columns = RANGED | {"x_px": "u", "y_px": "v", "distance_m": column}
     ledger = Ledger()
-    columns = COLUMNS | {"distance_m": "r_c_rad"}
-    (batch,) = opened(tmp_path, table(r_c_rad=[5.0, 6.0]), columns, ledger=ledger).batches(10)
+    (batch,) = opened(tmp_path, content, columns, direction=direction, ledger=ledger).batches(10)
     assert batch.distance_m.tolist() == [5.0, 6.0]
-    assert batch.users["r_c_rad_input"].to_pylist() == [5.0, 6.0]
-    assert [entry.code for entry in ledger] == ["OBS-RENAMED"]
+    assert batch.users[f"{column}_input"].to_pylist() == [5.0, 6.0]
+    assert {entry.code for entry in ledger} == {"OBS-RENAMED"}
 
 
 def test_a_distance_that_is_not_there(tmp_path):
@@ -185,14 +191,3 @@ def test_displaced_columns_stand_where_corrected_ones_would():
     assert [kind for kind, _, _ in DISPLACED_COLUMNS.values()] == kinds
     for name in ("x_px", "y_px"):
         assert "measured" not in DISPLACED_COLUMNS[name][2]
-
-
-@pytest.mark.parametrize(
-    ("direction", "column"), [("remove", "x_displaced_px"), ("apply", "x_corrected_px")]
-)
-def test_a_column_of_the_other_direction_leaves_renamed(tmp_path, direction, column):
-    """Under its own name it would make the results look like those of the other direction."""
-    content = table(**{column: [1.0, 2.0]}, u=[3.0, 4.0], v=[5.0, 6.0])
-    columns = COLUMNS | {"x_px": "u", "y_px": "v"}
-    observations = opened(tmp_path, content, columns, direction=direction)
-    assert f"{column}_input" in [field.name for field in observations.user_fields]

@@ -24,29 +24,25 @@ SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
 TIMES = np.array(["2026-05-14T10", "2026-05-14T11"], "datetime64[ns]")
 
 
-def write(path: Path, dimensions: dict[str, int], coordinates: dict, **fields) -> Path:
+def write(path: Path, dimensions: dict[str, int], coordinates: dict) -> Path:
     """netCDF-4 with a temperature of these dimensions."""
     t = (tuple(dimensions), np.full(tuple(dimensions.values()), 280.0), {"units": "K"})
-    xarray.Dataset({"t": t, **fields}, coordinates).to_netcdf(path, engine="h5netcdf")
+    xarray.Dataset({"t": t}, coordinates).to_netcdf(path, engine="h5netcdf")
     return path
 
 
-def write_era5(path: Path, levels: list[float], unit: str) -> Path:
+@pytest.fixture
+def era5(tmp_path: Path) -> Path:
     """With the names of the climate data store since 2024."""
     coordinates = {
         "valid_time": TIMES,
-        "pressure_level": ("pressure_level", levels, {"units": unit}),
+        "pressure_level": ("pressure_level", [1000.0, 850.0, 500.0], {"units": "hPa"}),
         "latitude": [47.0, 46.5],
         "longitude": [6.5, 7.0, 7.5],
         "number": 0,
     }
     dimensions = {"valid_time": 2, "pressure_level": 3, "latitude": 2, "longitude": 3}
-    return write(path, dimensions, coordinates)
-
-
-@pytest.fixture
-def era5(tmp_path: Path) -> Path:
-    return write_era5(tmp_path / "era5.nc", [1000.0, 850.0, 500.0], "hPa")
+    return write(tmp_path / "era5.nc", dimensions, coordinates)
 
 
 @pytest.fixture
@@ -104,19 +100,6 @@ def test_lengths_of_grib_that_lead_beyond_the_file(gfs):
     gfs.write_bytes(whole[:first] + b"\0\0@" + whole[first + 3 :])
     with refused_with("MODEL-TRUNCATED", f"message 2 has a section at byte {first} that does not"):
         contents_of(gfs)
-
-
-def test_pascals_and_hectopascals_are_the_same_levels(tmp_path):
-    path = write_era5(tmp_path / "pa.nc", [100_000.0, 85_000.0, 50_000.0], "Pa")
-    assert contents_of(path)["levels"] == [500.0, 850.0, 1000.0]
-
-
-def test_a_projected_grid_is_named(tmp_path):
-    crs = ((), 0, {"grid_mapping_name": "lambert_conformal_conic"})
-    coordinates = {"time": TIMES[:1], "level": [1000, 850, 500]}
-    dimensions = {"time": 1, "level": 3, "y": 2, "x": 2}
-    path = write(tmp_path / "hrrr.nc", dimensions, coordinates, crs=crs)
-    assert contents_of(path)["grid"] == "lambert_conformal_conic"
 
 
 def test_several_runs_are_refused(tmp_path):

@@ -150,7 +150,7 @@ def test_a_range_of_parts_is_what_the_whole_has_there(tmp_path, write, name, fil
                 assert batch.image.equals(expected.image)
                 assert batch.point.equals(expected.point)
                 assert batch.x_px.tolist() == expected.x_px.tolist()
-                assert list(batch.users.values()) == list(expected.users.values())
+                assert batch.users == expected.users
 
 
 def test_floats_are_split_by_bytes_and_all_else_has_a_dictionary(tmp_path):

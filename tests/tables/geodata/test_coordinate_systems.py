@@ -79,7 +79,6 @@ def test_convergence_is_the_azimuth_of_grid_north(code):
     azimuth = system.get_geod().inv(*below, *above)[0]
     convergence = np.degrees(placed(f"EPSG:{code}", x, y)[0].convergence_rad)
     assert_allclose(convergence, azimuth, atol=2e-5)
-    assert np.abs(azimuth).max() > 0.5
 
 
 @pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:32632", "EPSG:3035"])

@@ -60,8 +60,6 @@ def test_undulations_are_those_of_proj(egm96):
     expected = undulations_by_proj(egm96, lat, lon)
     undulation = package_geoid().undulation(np.radians(lat), np.radians(lon))
     assert_allclose(undulation, expected, rtol=0.0, atol=1e-3)
-    assert undulation.min() < -80.0
-    assert undulation.max() > 60.0
     from_file = read_geoid(egm96).undulation(np.radians(lat), np.radians(lon))
     assert_array_equal(from_file, undulation)
 

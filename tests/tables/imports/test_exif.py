@@ -92,22 +92,22 @@ def test_without_sub_seconds_half_a_second_is_the_sigma(tmp_path, subsec):
     assert entries["EXIF-WHOLE-SECONDS"].count == 6
 
 
-def test_a_zone_is_inferred_where_gps_stamps_prove_it(tmp_path):
+@pytest.mark.parametrize(
+    ("hour_step", "seconds", "first"),
+    [(0, 1229.5, "2026-05-01T08:20:30.25"), (1, 1650.0, "2026-05-01T10:20:30.25")],
+    ids=["stamps agree", "stamps disagree"],
+)
+def test_a_zone_is_inferred_where_gps_stamps_prove_it(tmp_path, hour_step, seconds, first):
     for i in range(4):
-        write_second(tmp_path, i, subsec="25", gps=("2026:05:01", (8.0, 20.0, 29.5 + i)))
+        stamp = (8.0 + hour_step * (i % 2), *divmod(seconds + i, 60.0))
+        write_second(tmp_path, i, subsec="25", gps=("2026:05:01", stamp))
     times, entries = read(tmp_path)
-    assert times.is_utc
-    assert times.time_ns[0] == ns("2026-05-01T08:20:30.25")
-    assert "+2 h" in entries["EXIF-ZONE"].what
-
-
-def test_gps_stamps_that_disagree_prove_no_zone(tmp_path):
-    for i in range(4):
-        write_second(tmp_path, i, subsec="25", gps=("2026:05:01", (8.0 + i % 2, 27.0, 30.0)))
-    times, entries = read(tmp_path)
-    assert not times.is_utc
-    assert times.time_ns[0] == ns("2026-05-01T10:20:30.25")
-    assert "EXIF-ZONE" not in entries
+    is_proved = hour_step == 0
+    assert times.is_utc == is_proved
+    assert times.time_ns[0] == ns(first)
+    assert ("EXIF-ZONE" in entries) == is_proved
+    if is_proved:
+        assert "+2 h" in entries["EXIF-ZONE"].what
 
 
 def test_a_stated_zone_holds_for_times_without_an_offset_only(tmp_path):
@@ -248,17 +248,8 @@ DJI = XMP_BEGIN + (
 def test_positions_of_dji_and_of_exif(tmp_path):
     write_second(tmp_path, 0, xmp=DJI.format(0, -90, 30))
     exif = Image.Exif()
-    below_sea = b"\x01"
-    tags = (
-        (1, "N"),
-        (2, (47.0, 18.0, 36.0)),
-        (3, "W"),
-        (4, (8.0, 30.0, 0.0)),
-        (5, below_sea),
-        (6, 12.5),
-    )
-    for tag, value in tags:
-        exif.get_ifd(GPS)[tag] = value
+    gps = {1: "N", 2: (47.0, 18.0, 36.0), 3: "W", 4: (8.0, 30.0, 0.0), 5: b"\x01", 6: 12.5}
+    exif.get_ifd(GPS).update(gps)
     Image.new("RGB", (8, 8)).save(tmp_path / "1.jpg", exif=exif.tobytes())
     write_second(tmp_path, 2)
     position = read(tmp_path)[0].position
