@@ -13,12 +13,6 @@ def block(tmp_path_factory) -> Block:
 
 
 @pytest.fixture(scope="module")
-def spaced(tmp_path_factory) -> Block:
-    """The same with blanks and a comma in the names of images."""
-    return Block(tmp_path_factory.mktemp("spaced"), name="strip {}, {:04d}.tif")
-
-
-@pytest.fixture(scope="module")
 def square(tmp_path_factory) -> Block:
     """The same with one principal distance in its first camera."""
     return Block(tmp_path_factory.mktemp("square"), nadir=SQUARE)

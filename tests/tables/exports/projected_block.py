@@ -96,15 +96,13 @@ class Block:
     ``rows`` : image, point, pixels as COLMAP counts them, height, and u, v without distortion.
     """
 
-    def __init__(
-        self, folder: Path, *, nadir: Camera = NADIR, name: str = "strip_{}/{:04d}.tif"
-    ) -> None:
+    def __init__(self, folder: Path, nadir: Camera = NADIR) -> None:
         rng = np.random.default_rng(11)
         number = np.arange(IMAGES)
         self.folder = folder
         self.numbers = itertools.count()
         self.cameras = {"nadir": nadir, "side": SIDE}
-        self.image = np.array([name.format(i // 6, i) for i in number], object)
+        self.image = np.array([f"strip_{i // 6}/{i:04d}.tif" for i in number], object)
         self.camera = np.where(number % 2 == 0, "nadir", "side").astype(object)
         self.lon = 8.0 + 0.03 * (number // 2)
         self.lat = 47.0 + 0.01 * (number % 2)

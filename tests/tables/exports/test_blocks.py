@@ -45,33 +45,33 @@ PIXELS = ["x_px", "y_px"]
 # ---------------------------------------------------------------- COLMAP
 
 
-def test_a_model_that_pycolmap_reads_loses_nothing(spaced, tmp_path):
-    written = write_export(spaced.run(), "colmap", tmp_path)
+def test_a_model_that_pycolmap_reads_loses_nothing(block, tmp_path):
+    written = write_export(block.run(), "colmap", tmp_path)
     model = pycolmap.Reconstruction(written.path)
     frame = frame_of(written)
     names = point_names(written.path)
     images = [model.images[number] for number in range(1, IMAGES + 1)]
-    assert [image.name for image in images] == spaced.image.tolist()
+    assert [image.name for image in images] == block.image.tolist()
     assert [model.cameras[k].model.name for k in (1, 2)] == ["FULL_OPENCV", "PINHOLE"]
     centres = [image.projection_center() for image in images]
-    assert_allclose(centres, frame(spaced.centre), atol=1e-6)
+    assert_allclose(centres, frame(block.centre), atol=1e-6)
     turns = [image.cam_from_world().rotation.matrix() for image in images]
-    assert_allclose(turns, spaced.turn @ spaced.axes(frame), atol=1e-9)
+    assert_allclose(turns, block.turn @ block.axes(frame), atol=1e-9)
     for image in images:
-        rows = spaced.of_image(image.name)
+        rows = block.of_image(image.name)
         pixels = np.array([point.xy for point in image.points2D])
         # Half a pixel there and back: 1 ulp of 14,000 px.
         assert_allclose(pixels, rows[PIXELS], rtol=0.0, atol=2e-12)
         for point, name in zip(image.points2D, rows.point, strict=True):
-            assert point.has_point3D() == (name in spaced.tied)
+            assert point.has_point3D() == (name in block.tied)
             if point.has_point3D():
                 number = point.point3D_id
                 assert names.get(number, str(number)) == name
     ids = list(model.points3D)
     tied = [names.get(number, str(number)) for number in ids]
-    assert set(tied) == spaced.tied
+    assert set(tied) == block.tied
     positions = [model.points3D[number].xyz for number in ids]
-    assert_allclose(positions, frame(spaced.places(tied)), atol=1e-3)
+    assert_allclose(positions, frame(block.places(tied)), atol=1e-3)
     for number in ids:
         for view in model.points3D[number].track.elements:
             keypoint = model.images[view.image_id].points2D[view.point2D_idx]
@@ -325,15 +325,15 @@ def read_bingo(path: Path) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["image", "camera", "point", "x", "y"])
 
 
-def test_bingo_counts_millimetres_from_the_centre(spaced, tmp_path):
-    written = write_export(spaced.run(), "bingo", tmp_path, pixel_um=4.0)
+def test_bingo_counts_millimetres_from_the_centre(block, tmp_path):
+    written = write_export(block.run(), "bingo", tmp_path, pixel_um=4.0)
     table = read_bingo(written.path / "image.dat")
     changed = read_table(written.path / "names.csv")
     names = dict(zip(changed.written, changed.name, strict=True))
     assert set(changed.kind) == {"image"}
-    assert set(names.values()) == set(spaced.image)
+    assert set(names.values()) == set(block.image)
     assert table.image.str.len().max() <= 15
-    expected = spaced.ordered
+    expected = block.ordered
     assert table.image.replace(names).tolist() == expected.image.tolist()
     assert table.point.tolist() == expected.point.tolist()
     width = table.camera.map({"nadir": 14000, "side": 9000}).to_numpy()

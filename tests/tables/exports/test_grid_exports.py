@@ -174,6 +174,11 @@ def test_axis_order_of_a_system_and_of_the_file(block):
     assert positions.axis_order_of_crs == ("north", "east")
 
 
+def test_angles_without_a_grid_have_places_with_the_latitude_first(block):
+    positions = FORMATS["opk"].frame(block, {}).positions
+    assert positions.axes == ("latitude", "longitude", "height")
+
+
 def test_a_station_that_the_grid_does_not_reach_is_not_in_its_frame(block):
     """It is left out of the table, and says nothing of convergence and scale of the others."""
     near = in_grid(block, "EPSG:32632", "opk")
@@ -337,14 +342,6 @@ def test_the_command_writes_the_frame_beside_the_file(unbend, baseline, tmp_path
     assert beside["files"] == []
     assert "unbend.refraction" not in beside
     assert "map projection" in entry_of(answer, "EXPORT-USE")["what"]
-
-
-def test_the_command_writes_angles_with_the_latitude_first(unbend, baseline, tmp_path):
-    out = tmp_path / "p.csv"
-    unbend("export", baseline.output, "--format", "opk", "--out", out)
-    head = out.read_text(encoding="utf-8").partition("\n")[0].split(",")
-    assert head.index("lat_deg") < head.index("lon_deg")
-    assert frame_beside(out)["positions"]["axes"] == ["latitude", "longitude", "height"]
 
 
 @pytest.mark.parametrize("name", ["points", "geopackage"])

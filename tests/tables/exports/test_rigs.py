@@ -69,23 +69,23 @@ def test_a_rig_keeps_its_sensors_and_frames(source):
     assert message.what == "1 rig of several cameras is kept, with 3 frames"
 
 
-def test_a_rig_whose_reference_is_left_out_is_said(source):
-    block = exported(["b0", "b1", "c"], [0, 0, 1])
+@pytest.mark.parametrize(
+    ("images", "cameras", "rigs"),
+    [
+        (["b0", "b1", "c"], [0, 0, 1], [(1, 1, 0), (2, 2, 0)]),
+        (["a0", "b0"], [0, 0], [(1, 1, 0)]),
+    ],
+    ids=["its reference is left out", "its cameras are one in the mission"],
+)
+def test_a_rig_that_cannot_be_kept_is_said(source, images, cameras, rigs):
     ledger = Ledger()
-    tables = rig_tables(block, source, ledger)
-    assert tables["rigs"] == [(1, 1, 0), (2, 2, 0)]
+    tables = rig_tables(exported(images, cameras), source, ledger)
+    assert tables["rigs"] == rigs
     assert "rig_sensors" not in tables
-    assert len(tables["frames"]) == 3
+    assert len(tables["frames"]) == len(images)
     (message,) = ledger
     assert message.code == "EXPORT-RIGS"
     assert message.kind == "warning"
-
-
-def test_two_cameras_that_are_one_in_the_mission_are_no_rig(source):
-    ledger = Ledger()
-    tables = rig_tables(exported(["a0", "b0"], [0, 0]), source, ledger)
-    assert tables["rigs"] == [(1, 1, 0)]
-    assert "warning" in {message.kind for message in ledger}
 
 
 def test_without_a_source_every_image_is_a_frame():

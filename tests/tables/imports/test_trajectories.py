@@ -273,7 +273,7 @@ def test_what_is_no_sbet_is_refused_with_what_it_is(flight, words):
     [
         (0, lambda seconds: 7.0, "IMPORT-FORMAT", "time"),
         (1, np.degrees, "IMPORT-FORMAT", "degrees"),
-        (1, lambda latitude: 1.5 * latitude, "IMPORT-SPEED", "columns are different"),
+        (2, lambda longitude: 2.0 * longitude, "IMPORT-SPEED", "columns are different"),
         (3, lambda height: 1e6, "IMPORT-FORMAT", "heights"),
         (9, np.degrees, "IMPORT-FORMAT", "heading"),
         (12, lambda acceleration: np.nan, "IMPORT-FORMAT", "numbers"),

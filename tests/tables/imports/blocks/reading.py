@@ -49,7 +49,7 @@ def missed(path: Path, program: str, places: dict[str, np.ndarray]) -> np.ndarra
     ecef = np.array([places[point] for point in image_points["point"]])
     x, y, z = turns[of_image].apply(ecef - images.position[of_image]).T
     projected = np.stack(camera.project(x / z, y / z), axis=1)
-    return projected - image_points[["x_px", "y_px"]]
+    return projected - image_points[["x_px", "y_px"]].to_numpy()
 
 
 def read_everything(path: Path, program: str) -> None:
