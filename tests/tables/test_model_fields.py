@@ -12,8 +12,8 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.io import netcdf_file
 
 from tests.helpers import with_code
-from tests.model_files import dataset, grib, netcdf, on_model_levels
-from tests.tables.refusals import refused_with
+from tests.model_files import PRESSURE_LEVELS, dataset, grib, netcdf, on_model_levels
+from tests.tables.checks import assert_within, refused_with
 from unbend.atmosphere.soundings.model_column import model_column
 from unbend.geodesy import normal_gravity
 from unbend.messages import Ledger
@@ -93,7 +93,7 @@ def test_a_column_is_between_its_nodes_in_place_and_time(fields, tmp_path):
     # Half past ten, 0.6 degrees east of 8: 1 K and 0.6 K warmer.
     rows = on_levels(read_column)
     h, t, p, e = (getattr(read_column, name)[rows] for name in COLUMN)
-    assert_allclose(t, temperature_k(h) + 1.6, atol=0.02)
+    assert_within(t, temperature_k(h) + 1.6, 0.02)
     assert_allclose(e, vapour_pressure_pa(h), rtol=2e-3)
     assert_allclose(p, true_air(PLACE[0]).pressure_pa(h), rtol=2e-4)
     assert read_column.h_m[0] == pytest.approx(450.0)
@@ -152,17 +152,18 @@ def test_one_air_by_all_names(fields, tmp_path, what):
 
 
 def test_grib_has_the_air_of_netcdf_and_a_forecast_its_lead_time(fields, tmp_path):
-    usual, _ = column_of(fields, tmp_path)
-    forecast, _ = column(read(grib(tmp_path / "gfs.grib2", fields, lead_h=24)))
+    coarse = fields.isel(pressure_level=slice(None, None, 3))
+    usual, _ = column_of(coarse, tmp_path)
+    forecast, _ = column(read(grib(tmp_path / "gfs.grib2", coarse, lead_h=24)))
     assert_allclose(forecast.temperature_k, usual.temperature_k, rtol=1e-6)
-    assert_allclose(forecast.h_m, usual.h_m, atol=0.05)
+    assert_within(forecast.h_m, usual.h_m, 0.05)
     sigma = np.hypot(usual.errors.temperature_k, 0.5)
     assert_allclose(forecast.errors.temperature_k, sigma)
     assert forecast.errors.log_pressure > usual.errors.log_pressure
 
 
 def test_model_levels_in_grib_give_the_same_air(tmp_path):
-    fields = on_model_levels(still_air, NORTH, EAST, TIMES, 400.0)
+    fields = on_model_levels(still_air, NORTH, EAST, TIMES[:1], 400.0)
     field = read(grib(tmp_path / "levels.grib2", fields))
     assert field.on_model_levels
     levels, notes = column(field)
@@ -170,7 +171,7 @@ def test_model_levels_in_grib_give_the_same_air(tmp_path):
     h = levels.h_m[1:]
     pressure = true_air(PLACE[0]).pressure_pa(h)
     assert h.size > 35
-    assert_allclose(levels.temperature_k[1:], temperature_k(h), atol=0.02)
+    assert_within(levels.temperature_k[1:], temperature_k(h), 0.02)
     assert_allclose(levels.pressure_pa[1:], pressure, rtol=2e-4)
     assert_allclose(levels.vapour_pressure_pa[1:], vapour_pressure_pa(h), rtol=5e-3)
 
@@ -238,14 +239,15 @@ def test_a_high_ground_in_metres_without_a_unit_is_found_by_pressure(tmp_path, g
     assert not list(ledger)
     metres = fields.assign(z=fields.z / 9.80665)
     same, _ = column_of(metres, tmp_path, ground_h_m=ground_m, ledger=ledger)
-    assert_allclose(same.h_m, usual.h_m, atol=0.1)
+    assert_within(same.h_m, usual.h_m, 0.1)
     assert [(entry.code, entry.count) for entry in ledger] == [("MODEL-GROUND-UNIT", 12)]
 
 
 def test_gfs_has_relative_humidity_and_geopotential_metres(tmp_path):
     """Around Greenwich, longitudes from 0 to 360 in a file that goes round the earth."""
     times = ("2026-05-14T09", "2026-05-14T12")
-    gfs = relative(dataset(still_air, NORTH, (0.0, 90.0, 180.0, 270.0), times))
+    around = (0.0, 90.0, 180.0, 270.0)
+    gfs = relative(dataset(still_air, NORTH, around, times, PRESSURE_LEVELS[::3]))
     gfs = gfs.assign(gh=gfs.z / 9.80665).drop_vars("z")
     place = (PLACE[0], np.radians(-45.0))
     read_column, _ = column(read(grib(tmp_path / "gfs.grib2", gfs, lead_h=3), place), place)
@@ -253,7 +255,7 @@ def test_gfs_has_relative_humidity_and_geopotential_metres(tmp_path):
     h = read_column.h_m[rows]
     low = h < 7000.0
     vapour = read_column.vapour_pressure_pa[rows]
-    assert_allclose(read_column.temperature_k[rows], temperature_k(h), atol=0.02)
+    assert_within(read_column.temperature_k[rows], temperature_k(h), 0.02)
     assert_allclose(vapour[low], vapour_pressure_pa(h[low]), rtol=1e-2)
 
 
@@ -268,7 +270,7 @@ def test_across_the_date_line(fields, tmp_path, first, longitude):
     share = 0.5 * (179.9 - 178.5)
     rows = on_levels(read_column)
     expected = temperature_k(read_column.h_m[rows]) + 1.0 + share
-    assert_allclose(read_column.temperature_k[rows], expected, atol=0.02)
+    assert_within(read_column.temperature_k[rows], expected, 0.02)
 
 
 def test_pressures_in_the_wrong_unit_are_repaired_and_reported(fields, tmp_path):

@@ -15,7 +15,7 @@ import xarray
 
 from tests.conftest import run_command
 from tests.helpers import refused
-from tests.tables.refusals import refused_with
+from tests.tables.checks import refused_with
 from unbend.tables.weather_files import contents_of, is_model_file
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
@@ -98,7 +98,7 @@ def test_lengths_of_grib_that_lead_beyond_the_file(gfs):
         contents_of(gfs)
     first = whole.index(b"GRIB", 4) + 16  # of the first section of the second message
     gfs.write_bytes(whole[:first] + b"\0\0@" + whole[first + 3 :])
-    with refused_with("MODEL-TRUNCATED", f"message 2 has a section at byte {first} that does not"):
+    with refused_with("MODEL-UNREADABLE", f"message 2 has a section at byte {first} that does not"):
         contents_of(gfs)
 
 

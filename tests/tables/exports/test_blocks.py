@@ -17,9 +17,10 @@ import numpy as np
 import pandas as pd
 import pycolmap
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from tests.helpers import refused
+from tests.tables.checks import assert_within, refused_with
 from tests.tables.exports.export_runs import DOWN, Written, read_table, write_export
 from tests.tables.exports.projected_block import (
     IMAGES,
@@ -30,7 +31,6 @@ from tests.tables.exports.projected_block import (
     frame_of,
     point_names,
 )
-from tests.tables.refusals import refused_with
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
@@ -54,14 +54,14 @@ def test_a_model_that_pycolmap_reads_loses_nothing(block, tmp_path):
     assert [image.name for image in images] == block.image.tolist()
     assert [model.cameras[k].model.name for k in (1, 2)] == ["FULL_OPENCV", "PINHOLE"]
     centres = [image.projection_center() for image in images]
-    assert_allclose(centres, frame(block.centre), atol=1e-6)
+    assert_within(centres, frame(block.centre), 1e-6)
     turns = [image.cam_from_world().rotation.matrix() for image in images]
-    assert_allclose(turns, block.turn @ block.axes(frame), atol=1e-9)
+    assert_within(turns, block.turn @ block.axes(frame), 1e-9)
     for image in images:
         rows = block.of_image(image.name)
         pixels = np.array([point.xy for point in image.points2D])
         # Half a pixel there and back: 1 ulp of 14,000 px.
-        assert_allclose(pixels, rows[PIXELS], rtol=0.0, atol=2e-12)
+        assert_within(pixels, rows[PIXELS], 2e-12)
         for point, name in zip(image.points2D, rows.point, strict=True):
             assert point.has_point3D() == (name in block.tied)
             if point.has_point3D():
@@ -71,7 +71,7 @@ def test_a_model_that_pycolmap_reads_loses_nothing(block, tmp_path):
     tied = [names.get(number, str(number)) for number in ids]
     assert set(tied) == block.tied
     positions = [model.points3D[number].xyz for number in ids]
-    assert_allclose(positions, frame(block.places(tied)), atol=1e-3)
+    assert_within(positions, frame(block.places(tied)), 1e-3)
     for number in ids:
         for view in model.points3D[number].track.elements:
             keypoint = model.images[view.image_id].points2D[view.point2D_idx]
@@ -106,7 +106,7 @@ def test_colmap_projects_as_the_camera_does(block, tmp_path, distortion, model):
     u, v = np.random.default_rng(2).uniform(-0.3, 0.3, (2, 50))
     rays = np.stack([u, v, np.ones(50)], axis=1)
     expected = np.stack(camera.project(u, v), axis=1)
-    assert_allclose(read.img_from_cam(rays), expected, atol=1e-8)
+    assert_within(read.img_from_cam(rays), expected, 1e-8)
 
 
 FISHEYE = OpenCVFisheye(0.01, 0.0, 0.0, 0.0)
@@ -170,12 +170,12 @@ def test_pose_priors_are_the_stations_with_their_sigmas(block, written_database)
     assert [prior.corr_data_id for prior in priors] == [image.data_id for image in images]
     for prior in priors:
         assert prior.coordinate_system == pycolmap.PosePriorCoordinateSystem.CARTESIAN
-    assert_allclose([p.position for p in priors], frame(block.centre), atol=1e-6)
+    assert_within([p.position for p in priors], frame(block.centre), 1e-6)
     variances = np.diag([SIGMA_HORIZONTAL**2, SIGMA_HORIZONTAL**2, SIGMA_HEIGHT**2])
     axes = block.axes(frame)
     expected = axes.transpose(0, 2, 1) @ variances @ axes
     covariances = [prior.position_covariance for prior in priors]
-    assert_allclose(covariances, expected, rtol=0.0, atol=1e-8)
+    assert_within(covariances, expected, 1e-8)
 
 
 def test_the_schema_is_that_of_colmap(written_database, tmp_path):
@@ -250,9 +250,9 @@ def test_bundler_is_undistorted_and_centred(block, tmp_path):
     cameras = np.loadtxt(lines[:end]).reshape(IMAGES, 5, 3)
     assert_array_equal(cameras[:, 0], [[20000.0, 0, 0], [15000.0, 0, 0]] * 6)
     turns = cameras[:, 1:4]
-    assert_allclose(turns, DOWN @ block.turn @ block.axes(frame), atol=1e-9)
+    assert_within(turns, DOWN @ block.turn @ block.axes(frame), 1e-9)
     moved = -np.einsum("nij,nj->ni", turns, frame(block.centre))
-    assert_allclose(cameras[:, 4], moved, rtol=0.0, atol=1e-6)
+    assert_within(cameras[:, 4], moved, 1e-6)
     rows = block.ordered
     first_row = np.searchsorted(pd.Categorical(rows.image, block.image).codes, range(IMAGES))
     points = []
@@ -261,14 +261,14 @@ def test_bundler_is_undistorted_and_centred(block, tmp_path):
         image = image.astype(int)
         seen = rows.iloc[first_row[image] + key.astype(int)]
         focal = cameras[image, 0, 0]
-        assert_allclose(x, focal * seen.u, rtol=0.0, atol=1e-6)
-        assert_allclose(y, -focal * seen.v, rtol=0.0, atol=1e-6)
+        assert_within(x, focal * seen.u, 1e-6)
+        assert_within(y, -focal * seen.v, 1e-6)
         (point,) = set(seen.point)
         assert len(seen) == (rows.point == point).sum()
         points.append(point)
     assert set(points) == block.tied
     places = np.loadtxt(lines[end::3])
-    assert_allclose(places, frame(block.places(points)), rtol=0.0, atol=1e-3)
+    assert_within(places, frame(block.places(points)), 1e-3)
     singles = len(set(rows.point) - block.tied)
     assert written.count == len(rows) - singles
     assert written.message("EXPORT-SINGLE").count == singles
@@ -303,7 +303,7 @@ def test_opensfm_keeps_nine_digits_and_the_stations(block, tmp_path):
     assert list(model["shots"]) == block.image.tolist()
     shots = pd.DataFrame(model["shots"].values())
     centres = np.array(shots.gps_position.tolist())
-    assert_allclose(centres, frame(block.centre), atol=1e-6)
+    assert_within(centres, frame(block.centre), 1e-6)
     assert shots.gps_dop.tolist() == pytest.approx([SIGMA_HORIZONTAL] * IMAGES, rel=1e-5)
 
 
@@ -340,8 +340,8 @@ def test_bingo_counts_millimetres_from_the_centre(block, tmp_path):
     height = table.camera.map({"nadir": 10600, "side": 12000}).to_numpy()
     x = (expected.x_px - 0.5 * width) * 0.004
     y = (0.5 * height - expected.y_px) * 0.004
-    assert_allclose(table.x, x, rtol=0.0, atol=6e-8)
-    assert_allclose(table.y, y, rtol=0.0, atol=6e-8)
+    assert_within(table.x, x, 6e-8)
+    assert_within(table.y, y, 6e-8)
     assert frame_of(written)
 
 
@@ -376,7 +376,7 @@ def test_the_size_of_pixels_is_that_of_the_camera(block, tmp_path):
     table = read_bingo(written.path / "image.dat")
     rows = block.of_image(block.image[1])
     x = table[table.image == block.image[1][-15:]].x
-    assert_allclose(x, (rows.x_px - 4500.0) * 0.006, rtol=0.0, atol=6e-8)
+    assert_within(x, (rows.x_px - 4500.0) * 0.006, 6e-8)
 
 
 # ---------------------------------------------------------------- names
@@ -472,7 +472,7 @@ def test_points_whose_rays_do_not_meet_lie_on_the_ground(block, tmp_path):
     points = pycolmap.Reconstruction(written.path).points3D
     truth = frame_of(written)(block.places([names.get(k, str(k)) for k in points]))
     # A sphere for the ellipsoid, over 3 km.
-    assert_allclose([point.xyz for point in points.values()], truth, atol=0.02)
+    assert_within([point.xyz for point in points.values()], truth, 0.02)
 
 
 # ---------------------------------------------------------------- the command

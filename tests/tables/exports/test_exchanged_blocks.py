@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
-from numpy.testing import assert_allclose
 
+from tests.tables.checks import assert_within
 from tests.tables.exports.export_runs import DOWN, rotation_to_photo, write_export
 from tests.tables.exports.projected_block import SIDE, SQUARE, distorted, frame_of, point_names
 from unbend.flight.rotations import matrices_of
@@ -43,7 +43,7 @@ def test_image_points_come_back(square, tmp_path, name):
     assert named(read.point, path, name) == expected.point.tolist()
     pixels = ["x_px", "y_px"]
     largest = 1e-5 if name == "opensfm" else 1e-8  # of nine decimals
-    assert_allclose(read[pixels], expected[pixels], rtol=0.0, atol=largest)
+    assert_within(read[pixels], expected[pixels], largest)
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -55,9 +55,9 @@ def test_images_come_back(square, tmp_path, name):
         centre[:, 2] += frame.origin[2]
     images = read_block_images(written.path, name)
     order = [list(images.image).index(image) for image in square.image]
-    assert_allclose(images.position[order], centre, atol=1e-6)
+    assert_within(images.position[order], centre, 1e-6)
     turns = matrices_of(images.angles[order])
-    assert_allclose(turns, square.turn @ square.axes(frame), atol=1e-8)
+    assert_within(turns, square.turn @ square.axes(frame), 1e-8)
 
 
 @pytest.mark.parametrize("name", ["opensfm", "blocksexchange"])
@@ -70,7 +70,7 @@ def test_object_points_come_back(square, tmp_path, name):
     places = frame(square.places(points))
     if name == "blocksexchange":
         places[:, 2] += frame.origin[2]
-    assert_allclose(positions, places, atol=1e-3)
+    assert_within(positions, places, 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_cameras_come_back(square, tmp_path, name, file, cameras):
     u, v = np.array([[0.1, -0.2, 0.3], [0.2, 0.1, -0.25]])
     for number, expected in zip(cameras, (SQUARE, SIDE), strict=True):
         camera = read_camera(path, name, number)
-        assert_allclose(camera.project(u, v), distorted(expected, u, v), atol=1e-8)
+        assert_within(camera.project(u, v), distorted(expected, u, v), 1e-8)
 
 
 def test_angles_of_pix4d_are_those_of_the_textbook(square, tmp_path):
@@ -96,11 +96,11 @@ def test_angles_of_pix4d_are_those_of_the_textbook(square, tmp_path):
     file = written.path / "unbend_calibrated_external_camera_parameters.txt"
     table = pd.read_csv(file, sep=" ")
     assert table.imageName.tolist() == square.image.tolist()
-    assert_allclose(table[["X", "Y", "Z"]], frame(square.centre), rtol=0, atol=1e-6)
+    assert_within(table[["X", "Y", "Z"]], frame(square.centre), 1e-6)
     angles = table.rename(columns=lambda name: f"{name.lower()}_deg")
     photos = [rotation_to_photo(row) for _, row in angles.iterrows()]
     expected = DOWN @ square.turn @ square.axes(frame)
-    assert_allclose(photos, expected, rtol=0, atol=1e-9)
+    assert_within(photos, expected, 1e-9)
 
 
 def test_blocks_exchange_says_its_system_and_what_it_lacks(square, tmp_path):

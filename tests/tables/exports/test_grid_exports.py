@@ -23,6 +23,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from tests.helpers import entry_of
+from tests.tables.checks import assert_within
 from tests.tables.exports.export_runs import (
     DOWN,
     ecef_of,
@@ -131,7 +132,7 @@ def test_angles_count_from_the_axes_of_the_grid(block, crs, tmp_path):
     for station, row in table.iterrows():
         enu_from_grid = Rotation.from_euler("z", -row.convergence_deg, degrees=True).as_matrix()
         expected = DOWN @ TURNS[station] @ enu_from_grid
-        assert_allclose(rotation_to_photo(row), expected, rtol=0.0, atol=1e-9)
+        assert_within(rotation_to_photo(row), expected, 1e-9)
 
 
 def test_convergence_and_scale_stand_in_the_file_and_in_the_frame(block, tmp_path):
@@ -141,8 +142,8 @@ def test_convergence_and_scale_stand_in_the_file_and_in_the_frame(block, tmp_pat
     convergence = factors.meridian_convergence
     scale = factors.meridional_scale
     table = written.table()
-    assert_allclose(table.convergence_deg, convergence, rtol=0.0, atol=1e-7)
-    assert_allclose(table.scale_factor, scale, rtol=0.0, atol=1e-8)
+    assert_within(table.convergence_deg, convergence, 1e-7)
+    assert_within(table.scale_factor, scale, 1e-8)
     assert (table.z_m == H_MSL).all()
     assert table.omega_deg.notna().all()
     assert [code for _, code, _ in written.counts] == ["EXPORT-GRID"]
@@ -202,22 +203,22 @@ def test_points_on_the_ground_with_their_shift(block, tmp_path):
     true = to_grid("EPSG:25832", *places_on_ground(GROUND_STEPS))
     apparent = to_grid("EPSG:25832", *places_on_ground(GROUND_STEPS - SHIFT_EN))
     shift = table[["shift_x_m", "shift_y_m"]]
-    assert_allclose(table[["x_m", "y_m"]], true, rtol=0.0, atol=0.02)
-    assert_allclose(shift, true - apparent, rtol=0.0, atol=1e-3)
+    assert_within(table[["x_m", "y_m"]], true, 0.02)
+    assert_within(shift, true - apparent, 1e-3)
     assert_allclose(table.shift_m, np.hypot(*SHIFT_EN.T), rtol=1e-3)
     assert_allclose(table.z_m, GROUND_ELLIPSOID, rtol=1e-6)
     assert (table.h_g_m == GROUND).all()
     corrected = pixels_of(*places_on_ground(GROUND_STEPS))
     measured = pixels_of(*places_on_ground(GROUND_STEPS - SHIFT_EN))
-    assert_allclose(table[["dx_px", "dy_px"]], corrected - measured, atol=1e-9)
+    assert_within(table[["dx_px", "dy_px"]], corrected - measured, 1e-9)
 
 
 def test_points_in_degrees_have_the_shift_to_the_east_and_north(block, tmp_path):
     table = write_export(in_grid(block, "EPSG:4326", "points"), "points", tmp_path).table()
     places = np.stack(places_on_ground(GROUND_STEPS), axis=1)
-    assert_allclose(table[["lon_deg", "lat_deg"]], places, rtol=0.0, atol=2e-7)
+    assert_within(table[["lon_deg", "lat_deg"]], places, 2e-7)
     shift = table[["shift_x_m", "shift_y_m"]]
-    assert_allclose(shift, SHIFT_EN, rtol=0.0, atol=1e-3)
+    assert_within(shift, SHIFT_EN, 1e-3)
 
 
 def test_the_scale_of_a_grid_is_not_in_the_shift(block, tmp_path):

@@ -14,6 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from tests.tables.checks import assert_within
 from tests.tables.exports.export_runs import (
     DOWN,
     ecef_of,
@@ -84,7 +85,7 @@ def assert_shows(corners: np.ndarray, station: int) -> None:
     step = ground - ecef_of(LON[station], LAT[station], H_ELLIPSOID)
     rays = step @ enu_axes(LON[station], LAT[station]).T @ TURNS[station].T
     pixels = CAMERA.project(rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2])
-    assert_allclose(np.stack(pixels, axis=1), CORNERS, atol=0.1)
+    assert_within(np.stack(pixels, axis=1), CORNERS, 0.1)
 
 
 # ---------------------------------------------------------------- places and footprints
@@ -166,7 +167,7 @@ def test_angles_against_the_horizon_of_each_station(run, tmp_path):
     used = [0, 2, 3]
     photos = [rotation_to_photo(row) for _, row in table.iterrows()]
     # The photo's y is up and its z backward.
-    assert_allclose(photos, DOWN @ TURNS[used], atol=1e-12)
+    assert_within(photos, DOWN @ TURNS[used], 1e-12)
     assert table.lat_deg.tolist() == pytest.approx(LAT[used])
     assert table.lon_deg.tolist() == pytest.approx(LON[used])
     assert (table.h_ellipsoid_m == H_ELLIPSOID).all()
@@ -185,9 +186,9 @@ def test_positions_and_angles_in_one_frame(block, tmp_path):
     """Against PROJ's topocentric coordinates, turned by hand."""
     table = write_export(block.run(), "opk-enu", tmp_path).table()
     frame = Frame(table.loc[0, ["origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"]])
-    assert_allclose(table[["x_m", "y_m", "z_m"]], frame(block.centre), atol=1e-6)
+    assert_within(table[["x_m", "y_m", "z_m"]], frame(block.centre), 1e-6)
     photos = [rotation_to_photo(row) for _, row in table.iterrows()]
-    assert_allclose(photos, DOWN @ block.turn @ block.axes(frame), atol=1e-8)
+    assert_within(photos, DOWN @ block.turn @ block.axes(frame), 1e-8)
 
 
 def test_exported_orientations_are_read_again(run, tmp_path):
@@ -204,4 +205,4 @@ def test_exported_orientations_are_read_again(run, tmp_path):
     places = np.stack([run.stations.lat_rad, run.stations.lon_rad, run.stations.h_ellipsoid_m])
     assert_allclose(table.position, places.T[used], rtol=1e-15)
     turns = matrices_of(quaternion_of_opk(table.angles, "omega_phi_kappa"))
-    assert_allclose(turns, TURNS[used], atol=1e-12)
+    assert_within(turns, TURNS[used], 1e-12)

@@ -9,9 +9,9 @@ import numpy as np
 import pyproj
 import pyproj.network
 import pytest
-from numpy.testing import assert_allclose
 
 import unbend
+from tests.tables.checks import assert_within
 from tests.tables.geodata.rasters import level_geoid
 from unbend.errors import InputError
 from unbend.tables.geodata.coordinate_systems import places_of
@@ -78,7 +78,7 @@ def test_convergence_is_the_azimuth_of_grid_north(code):
     above = to_grid.transform(x, y + 1.0, direction="INVERSE")
     azimuth = system.get_geod().inv(*below, *above)[0]
     convergence = np.degrees(placed(f"EPSG:{code}", x, y)[0].convergence_rad)
-    assert_allclose(convergence, azimuth, atol=2e-5)
+    assert_within(convergence, azimuth, 2e-5)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:32632", "EPSG:3035"])
@@ -87,8 +87,8 @@ def test_places_are_projs_whatever_the_order_of_the_axes(crs):
     lat = np.array([48.2, 48.9])
     x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
     places, notes = placed(crs, x, y, 300.0)
-    assert_allclose(np.degrees(places.lon_rad), lon, atol=1e-9)
-    assert_allclose(np.degrees(places.lat_rad), lat, atol=1e-9)
+    assert_within(np.degrees(places.lon_rad), lon, 1e-9)
+    assert_within(np.degrees(places.lat_rad), lat, 1e-9)
     assert places.h_m.tolist() == [300.0, 300.0]
     assert [note.kind for note in notes] == ["note"]
 

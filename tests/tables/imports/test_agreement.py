@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import refused
-from tests.tables.refusals import refused_with
+from tests.tables.checks import refused_with
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.stretches import Stretch

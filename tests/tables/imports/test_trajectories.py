@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pyproj
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from tests.helpers import refused, with_code
+from tests.tables.checks import assert_within
 from tests.tables.imports.flights import (
     TO_ECEF,
     TOW,
@@ -182,7 +183,7 @@ def test_an_sbet_and_its_sigmas_are_read(flight, wander_deg):
     assert np.degrees(channel["sigma_tilt_rad"]) == pytest.approx(1.0 / 60.0 / np.sqrt(2))
     assert np.degrees(channel["sigma_yaw_rad"]) == pytest.approx(0.05)
     velocity = [channel[f"v_{axis}_m_s"] for axis in ("north", "east", "down")]
-    assert_allclose(velocity, flight.velocity.T, rtol=0.0, atol=1e-9)
+    assert_within(velocity, flight.velocity.T, 1e-9)
     rates = [channel[f"rate_{axis}_rad_s"] for axis in "xyz"]
     assert_array_equal(rates, flight.sbet_rows()[:, 14:17].T)
     assert {entry.kind for entry in ledger} == {"note"}
@@ -403,7 +404,7 @@ def test_a_projection_and_its_north(flight):
     assert metres_off(channel, flight) < 2e-4
     assert degrees_off(channel, flight) < 1e-4
     velocity = [channel["v_north_m_s"], channel["v_east_m_s"]]
-    assert_allclose(velocity, flight.velocity[:, :2].T, atol=1e-4)
+    assert_within(velocity, flight.velocity[:, :2].T, 1e-4)
     assert with_code(ledger, "CRS-DATUM")
     unstated = replace(stated, heights=None)
     assert refusal_of(read_trajectory_csv, path, unstated).code == "IMPORT-UNSTATED"

@@ -7,10 +7,9 @@ import json
 import numpy as np
 import pycolmap
 import pytest
-from numpy.testing import assert_allclose
 
 from tests.helpers import refused
-from tests.tables.refusals import refused_with
+from tests.tables.checks import assert_within, refused_with
 from unbend.tables.imports.blocks import read_camera
 
 RAYS = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.4, 0.4, 7))).reshape(2, -1)
@@ -48,7 +47,7 @@ def test_what_pycolmap_writes(tmp_path, name):
     for number in (1, 2, 7, 11):
         camera = read_camera(tmp_path / name, None, str(number))
         expected = block.cameras[number].img_from_cam(rays)
-        assert_allclose(projected(camera), expected, rtol=0.0, atol=1e-9)
+        assert_within(projected(camera), expected, 1e-9)
         assert camera.width_px == 4000
         assert camera.height_px == 3000
     with refused("CAMERA-MODEL"):
@@ -107,7 +106,7 @@ def test_opensfm(tmp_path, name):
     model = json.loads(MODELS[name])
     size = np.array([model["width"], model["height"]])
     expected = opensfm_projection(model, *RAYS) * size.max() + size / 2
-    assert_allclose(projected(camera), expected, rtol=0, atol=1e-9)
+    assert_within(projected(camera), expected, 1e-9)
 
 
 # Metashape
@@ -168,10 +167,10 @@ def test_metashape(tmp_path, left_out, kind):
     path.write_text(calibration(given, kind))
     camera = read_camera(path, None, None)
     expected = metashape_pixels(given, kind)
-    assert_allclose(projected(camera), expected, rtol=0.0, atol=1e-9)
+    assert_within(projected(camera), expected, 1e-9)
     u, v, covered = camera.rays(*expected.T)
     assert covered.sum() > 40
-    assert_allclose((u[covered], v[covered]), RAYS[:, covered], rtol=0.0, atol=1e-12)
+    assert_within((u[covered], v[covered]), RAYS[:, covered], 1e-12)
 
 
 def document(*calibrations):

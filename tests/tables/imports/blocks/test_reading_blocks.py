@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from tests.dbat_project import write_project
+from tests.tables.checks import assert_within
 from tests.tables.imports.blocks.reading import (
     OPENSFM,
     SHARED,
@@ -95,10 +96,10 @@ def test_a_model_is_what_pycolmap_says(model, form):
     assert len(expected) == len(images)
     assert table.camera.tolist() == [str(image.camera_id) for image in expected]
     centres = [image.projection_center() for image in expected]
-    assert_allclose(table.position, centres, atol=1e-9)
+    assert_within(table.position, centres, 1e-9)
     turns = Rotation.from_quat(table.angles, scalar_first=True).as_matrix()
     matrices = [image.cam_from_world().rotation.matrix() for image in expected]
-    assert_allclose(turns, matrices, atol=1e-12)
+    assert_within(turns, matrices, 1e-12)
     for name, image in images.items():
         of_image = image_points[image_points["image"] == name]
         points = []
@@ -394,8 +395,8 @@ def test_markers_of_metashape(tmp_path):
     assert_allclose(table.position[0], [4099960.0, 600020.0, 4830060.0])
     # The camera's x is the chunk's x, which is the earth's y; it looks down the third axis.
     turn = Rotation.from_quat(table.angles[0], scalar_first=True)
-    assert_allclose(turn.apply([0, 1, 0]), [1, 0, 0], atol=1e-12)
-    assert_allclose(turn.apply([0, 0, -1]), [0, 0, 1], atol=1e-12)
+    assert_within(turn.apply([0, 1, 0]), [1, 0, 0], 1e-12)
+    assert_within(turn.apply([0, 0, -1]), [0, 0, 1], 1e-12)
     assert np.isnan(table.position[1]).all()
     assert image_points[["image", "point", "x_px", "y_px"]].to_numpy().tolist() == [
         ["a.jpg", "GCP 1", 100.5, 200.25],

@@ -1,4 +1,4 @@
-"""Refusals that say something."""
+"""Numbers within a tolerance, and refusals that say something."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.helpers import refused
 from unbend.errors import UnbendError
@@ -18,3 +19,8 @@ def refused_with(code: str, pattern: str) -> Iterator[pytest.ExceptionInfo[Unben
     with refused(code) as caught:
         yield caught
     assert re.search(pattern, str(caught.value)), str(caught.value)
+
+
+def assert_within(actual, expected, tolerance: float) -> None:
+    """Numbers differ by no more than the tolerance, however large they are."""
+    assert_allclose(actual, expected, rtol=0.0, atol=tolerance)
