@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pyproj
 import pytest
+from numpy.testing import assert_array_equal
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
@@ -34,14 +35,13 @@ SKIPPED_OF_POINTS = {
 @pytest.fixture
 def path(tmp_path):
     """Zurich with a height; Sydney with a height above sea level alone; one without a position."""
-    nan = np.nan
     names = np.array(["a,b.tif", "<c>.tif", "d.tif"], object)
     stations: Stations = replace(
         empty_stations(names, np.full(3, "nadir", object), "ok"),
-        lat_rad=np.radians([47.4, -33.9, nan]),
-        lon_rad=np.radians([8.5, 151.2, nan]),
-        h_msl_m=np.array([452.0, 90.0, nan]),
-        h_ellipsoid_m=np.array([499.5, nan, nan]),
+        lat_rad=np.radians([47.4, -33.9, np.nan]),
+        lon_rad=np.radians([8.5, 151.2, np.nan]),
+        h_msl_m=np.array([452.0, 90.0, np.nan]),
+        h_ellipsoid_m=np.array([499.5, np.nan, np.nan]),
         status=np.array(["ok", "ok", "in_gap"], object),
     )
     air = constant_series(TimedProfile(None, standard_atmosphere("us1976")), 3)
@@ -53,15 +53,10 @@ def path(tmp_path):
 def test_geopandas_opens_it(path):
     frame = geopandas.read_parquet(path)
     zurich, sydney, nowhere = frame.geometry
-    assert (zurich.x, zurich.y, zurich.z) == pytest.approx((8.5, 47.4, 499.5))
-    assert (sydney.x, sydney.y, sydney.has_z) == (pytest.approx(151.2), pytest.approx(-33.9), False)
+    assert zurich.coords[0] == pytest.approx((8.5, 47.4, 499.5))
+    assert sydney.coords[0] == pytest.approx((151.2, -33.9))
     assert nowhere is None
-    assert frame.crs.to_epsg() == 4979
     assert frame.crs.equals(pyproj.CRS(4979))
-    # The same place by the program's own columns and PROJ, in earth-centred coordinates.
-    centred = frame.iloc[:1].to_crs(4978).geometry[0]
-    expected = pyproj.Transformer.from_crs(4979, 4978, always_xy=True).transform(8.5, 47.4, 499.5)
-    assert (centred.x, centred.y, centred.z) == pytest.approx(expected, abs=1e-3)
     assert frame["image"].tolist() == ["a,b.tif", "<c>.tif", "d.tif"]
 
 
@@ -69,12 +64,12 @@ def test_a_validator_finds_nothing_wrong(path):
     report = geoparquet_validator.check(str(path))
     assert report["version"] == "1.1.0"
     assert geoparquet_validator.failed(report, "core") == []
-    core = {
-        o["id"].removeprefix("/conf/core/"): o["status"]
-        for o in report["outcomes"]
-        if o["id"].startswith("/conf/core/")
-    }
-    assert {name for name, status in core.items() if status != "pass"} == SKIPPED_OF_POINTS
+    not_passed = set()
+    for outcome in report["outcomes"]:
+        _, is_core, name = outcome["id"].partition("/conf/core/")
+        if is_core and outcome["status"] != "pass":
+            not_passed.add(name)
+    assert not_passed == SKIPPED_OF_POINTS
 
 
 def test_the_geometry_is_the_last_column_and_the_units_stay(path):
@@ -86,6 +81,6 @@ def test_the_geometry_is_the_last_column_and_the_units_stay(path):
 
 def test_a_run_writes_it(baseline):
     frame = geopandas.read_parquet(baseline.output / "stations.parquet")
-    np.testing.assert_array_equal(frame.geometry.x, frame["lon_deg"])
-    np.testing.assert_array_equal(frame.geometry.y, frame["lat_deg"])
-    np.testing.assert_array_equal(frame.geometry.z, frame["h_ellipsoid_m"])
+    assert_array_equal(frame.geometry.x, frame["lon_deg"])
+    assert_array_equal(frame.geometry.y, frame["lat_deg"])
+    assert_array_equal(frame.geometry.z, frame["h_ellipsoid_m"])

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from tests.helpers import refused
 from unbend.config import Mission
-from unbend.errors import StorageError
 from unbend.refraction.effect import Effect
 from unbend.tables.manifest.results import EffectRecord, FittedSource, OtherSource
 from unbend.tables.manifest.run import Identity, RunRecord
@@ -19,8 +19,7 @@ from unbend.tables.manifest.whole import Manifest
 @pytest.fixture
 def values(baseline) -> dict[str, Any]:
     """The manifest of a run, as its file has it."""
-    content = (baseline.output / "manifest.json").read_text(encoding="utf-8")
-    return dict(json.loads(content))
+    return baseline.manifest()
 
 
 def test_the_effect_of_the_air():
@@ -79,13 +78,14 @@ def test_what_an_older_version_did_not_write_is_empty():
     run = Manifest(old).run
     assert run == RunRecord(mission="m", fingerprint="f", exit_code=0)
     assert isinstance(run, Identity)
-    assert (run.inputs, run.config, run.versions) == ([], {}, {})
+    assert run.inputs == []
+    assert run.config == run.versions == {}
     assert Manifest(old | {"inputs": [{"role": "log", "name": "n", "sha256": "s"}]}).run.inputs
 
 
 @pytest.mark.parametrize("wrong", [{"shift_px": None}, {"shift_px": {"count": "many"}}, {}])
 def test_results_that_lack_something_are_refused_with_their_file(values, wrong):
     values["correction"] = wrong
-    with pytest.raises(StorageError, match="MANIFEST-UNREADABLE") as refused:
+    with refused("MANIFEST-UNREADABLE") as refusal:
         _ = Manifest(values, "out/manifest.json").results
-    assert refused.value.where == "out/manifest.json"
+    assert refusal.value.where == "out/manifest.json"

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
-from unbend.messages import Ledger
+from tests.tables.checks import assert_within
+from tests.tables.observed import opened
 from unbend.refraction.image import COLUMNS, Corrections
-from unbend.tables.observations import open_observations
 from unbend.tables.pixels import PixelSystem
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from unbend.tables.writing import table_of_observations
@@ -27,12 +25,6 @@ def test_the_centre_of_the_first_pixel_is_half_a_half(origin, centre):
     assert PixelSystem(origin).from_colmap(0.5) == centre
 
 
-@given(st.floats(-1e5, 1e5), st.sampled_from(["corner", "centre"]))
-def test_there_and_back(pixel, origin):
-    pixels = PixelSystem(origin)
-    assert abs(pixels.from_colmap(pixels.to_colmap(pixel)) - pixel) <= 1e-11
-
-
 @pytest.mark.parametrize(
     ("columns", "result"),
     [(OBSERVATION_COLUMNS, "corrected"), (DISPLACED_COLUMNS, "displaced")],
@@ -41,21 +33,18 @@ def test_there_and_back(pixel, origin):
 def test_a_batch_is_in_colmap_s_pixels_and_its_results_in_the_user_s(
     tmp_path, columns, result, origin, half
 ):
-    path = tmp_path / "observations.parquet"
-    pq.write_table(pa.table({"image": ["a"] * 3, "point": ["p"] * 3, "x_px": X, "y_px": Y}), path)
-    names = {name: name for name in ("image", "point", "x_px", "y_px")}
-    observations = open_observations(path, names, None, Ledger(), pixels=PixelSystem(origin))
+    content = pa.table({"image": ["a"] * 3, "point": ["p"] * 3, "x_px": X, "y_px": Y})
+    observations = opened(tmp_path, content, pixels=PixelSystem(origin))
     (batch,) = observations.batches(10)
-    np.testing.assert_array_equal(batch.x_px, np.array(X) + half)
-    np.testing.assert_array_equal(batch.y_px, np.array(Y) + half)
-    unknown = {name: np.full(3, np.nan) for name in COLUMNS} | {"status": np.zeros(3, np.uint8)}
-    shifted = Corrections(
-        **unknown | {"x_corrected_px": batch.x_px + 2.0, "y_corrected_px": batch.y_px - 3.0}
-    )
-    table = table_of_observations(
-        batch, shifted, np.zeros(3), observations.pixels, schema_of(columns, {})
-    )
+    assert_array_equal(batch.x_px, np.array(X) + half)
+    assert_array_equal(batch.y_px, np.array(Y) + half)
+    corrections = dict.fromkeys(COLUMNS, np.full(3, np.nan)) | {"status": np.zeros(3, np.uint8)}
+    corrections["x_corrected_px"] = batch.x_px + 2.0
+    corrections["y_corrected_px"] = batch.y_px - 3.0
+    schema = schema_of(columns, {})
+    shifted = Corrections(**corrections)
+    table = table_of_observations(batch, shifted, np.zeros(3), observations.pixels, schema)
     assert table["x_px"].to_pylist() == X  # to the last bit
     assert table["y_px"].to_pylist() == Y
-    np.testing.assert_allclose(table[f"x_{result}_px"], np.array(X) + 2.0, atol=1e-12, rtol=0)
-    np.testing.assert_allclose(table[f"y_{result}_px"], np.array(Y) - 3.0, atol=1e-12, rtol=0)
+    assert_within(table[f"x_{result}_px"], np.array(X) + 2.0, 1e-12)
+    assert_within(table[f"y_{result}_px"], np.array(Y) - 3.0, 1e-12)

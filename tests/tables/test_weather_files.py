@@ -14,27 +14,35 @@ import pytest
 import xarray
 
 from tests.conftest import run_command
-from unbend.errors import InputError
+from tests.helpers import refused
+from tests.tables.checks import refused_with
 from unbend.tables.weather_files import contents_of, is_model_file
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
 
 
+TIMES = np.array(["2026-05-14T10", "2026-05-14T11"], "datetime64[ns]")
+
+
+def write(path: Path, dimensions: dict[str, int], coordinates: dict) -> Path:
+    """netCDF-4 with a temperature of these dimensions."""
+    t = (tuple(dimensions), np.full(tuple(dimensions.values()), 280.0), {"units": "K"})
+    xarray.Dataset({"t": t}, coordinates).to_netcdf(path, engine="h5netcdf")
+    return path
+
+
 @pytest.fixture
 def era5(tmp_path: Path) -> Path:
-    """netCDF-4 with the names of the climate data store since 2024."""
-    shape = ("valid_time", "pressure_level", "latitude", "longitude")
+    """With the names of the climate data store since 2024."""
     coordinates = {
-        "valid_time": np.array(["2026-05-14T10", "2026-05-14T11"], "datetime64[ns]"),
+        "valid_time": TIMES,
         "pressure_level": ("pressure_level", [1000.0, 850.0, 500.0], {"units": "hPa"}),
         "latitude": [47.0, 46.5],
         "longitude": [6.5, 7.0, 7.5],
         "number": 0,
     }
-    t = (shape, np.full((2, 3, 2, 3), 280.0, np.float32), {"units": "K"})
-    path = tmp_path / "era5.nc"
-    xarray.Dataset({"t": t}, coordinates).to_netcdf(path, engine="h5netcdf")
-    return path
+    dimensions = {"valid_time": 2, "pressure_level": 3, "latitude": 2, "longitude": 3}
+    return write(tmp_path / "era5.nc", dimensions, coordinates)
 
 
 @pytest.fixture
@@ -55,7 +63,8 @@ def gfs(tmp_path: Path) -> Path:
 
 def test_names_of_the_climate_data_store(era5):
     contents = contents_of(era5)
-    assert (contents["format"], contents["grid"]) == ("netCDF-4", "latitude-longitude")
+    assert contents["format"] == "netCDF-4"
+    assert contents["grid"] == "latitude-longitude"
     assert contents["levels"] == [500.0, 850.0, 1000.0]
     assert contents["times_utc"] == ["2026-05-14T10:00", "2026-05-14T11:00"]
     assert contents["latitude_deg"] == {"from": 46.5, "to": 47.0, "step": 0.5, "count": 2}
@@ -65,56 +74,42 @@ def test_names_of_the_climate_data_store(era5):
     assert "2026-05-14 10:00 to 2026-05-14 11:00 UTC" in ended.out
 
 
-def test_grib_and_one_that_was_cut_off(gfs):
+def test_grib(gfs):
     contents = contents_of(gfs)
-    assert (contents["format"], contents["levels"]) == ("GRIB", [500.0, 850.0])
+    assert contents["format"] == "GRIB"
+    assert contents["levels"] == [500.0, 850.0]
     assert contents["times_utc"][0].startswith("2026-05-14")
     assert not list(gfs.parent.glob("*.idx"))
+
+
+def test_grib_that_was_cut_off(gfs):
     whole = gfs.read_bytes()
     gfs.write_bytes(whole[:-100])
-    with pytest.raises(InputError, match=f"message 2.*the file has {len(whole) - 100} bytes") as no:
+    cut = f"message 2.*the file has {len(whole) - 100} bytes"
+    with refused_with("MODEL-TRUNCATED", cut):
         contents_of(gfs)
-    assert no.value.code == "MODEL-TRUNCATED"
     assert run_command("inspect", gfs).code == 6
-    gfs.write_bytes(whole[:8] + b"\x80" + whole[9:])  # the length of a message: beyond all files
-    with pytest.raises(InputError, match="message 1 at byte 0 has 9223372036854"):
+
+
+def test_lengths_of_grib_that_lead_beyond_the_file(gfs):
+    whole = gfs.read_bytes()
+    gfs.write_bytes(whole[:8] + b"\x80" + whole[9:])  # of a message
+    with refused_with("MODEL-TRUNCATED", "message 1 at byte 0 has 9223372036854"):
         contents_of(gfs)
-    at = whole.index(b"GRIB", 4) + 16  # of the first section of the second message: its length
-    gfs.write_bytes(whole[:at] + b"\0\0@" + whole[at + 3 :])
-    with pytest.raises(InputError, match=f"message 2 has a section at byte {at} that does not"):
+    first = whole.index(b"GRIB", 4) + 16  # of the first section of the second message
+    gfs.write_bytes(whole[:first] + b"\0\0@" + whole[first + 3 :])
+    with refused_with("MODEL-UNREADABLE", f"message 2 has a section at byte {first} that does not"):
         contents_of(gfs)
-
-
-def test_pascals_and_hectopascals_are_the_same_levels(era5, tmp_path):
-    with xarray.open_dataset(era5, engine="h5netcdf") as data:
-        level = ("pressure_level", [100_000.0, 85_000.0, 50_000.0], {"units": "Pa"})
-        data.assign_coords(pressure_level=level).to_netcdf(tmp_path / "pa.nc", engine="h5netcdf")
-    assert contents_of(tmp_path / "pa.nc")["levels"] == [500.0, 850.0, 1000.0]
-
-
-def test_a_projected_grid_is_named(tmp_path):
-    t = (("time", "level", "y", "x"), np.full((1, 3, 2, 2), 280.0))
-    at = {"time": np.array(["2026-05-14"], "datetime64[ns]"), "level": [1000, 850, 500]}
-    data = xarray.Dataset(
-        {"t": t, "crs": ((), 0, {"grid_mapping_name": "lambert_conformal_conic"})}, at
-    )
-    data.to_netcdf(tmp_path / "hrrr.nc", engine="h5netcdf")
-    assert contents_of(tmp_path / "hrrr.nc")["grid"] == "lambert_conformal_conic"
 
 
 def test_several_runs_are_refused(tmp_path):
-    t = (("time", "step", "level", "latitude", "longitude"), np.full((2, 2, 1, 1, 1), 280.0))
-    at = {
-        "time": np.array(["2026-05-14", "2026-05-15"], "datetime64[ns]"),
-        "level": [850],
-        "step": np.array([3, 6], "timedelta64[h]").astype("timedelta64[ns]"),
-        "latitude": [47.0],
-        "longitude": [7.0],
-    }
-    xarray.Dataset({"t": t}, at).to_netcdf(tmp_path / "runs.nc", engine="h5netcdf")
-    with pytest.raises(InputError, match="2 of time and 2 of step") as refused:
-        contents_of(tmp_path / "runs.nc")
-    assert refused.value.code == "MODEL-TIME"
+    steps = np.array([3, 6], "timedelta64[h]").astype("timedelta64[ns]")
+    coordinates = {"time": TIMES, "step": steps, "level": [850], "latitude": [47.0]}
+    coordinates["longitude"] = [7.0]
+    dimensions = {"time": 2, "step": 2, "level": 1, "latitude": 1, "longitude": 1}
+    path = write(tmp_path / "runs.nc", dimensions, coordinates)
+    with refused_with("MODEL-TIME", "2 of time and 2 of step"):
+        contents_of(path)
 
 
 @pytest.mark.parametrize(
@@ -129,17 +124,26 @@ def test_what_cannot_be_read_is_refused(tmp_path, data, code):
     path = tmp_path / "model.nc"
     path.write_bytes(data)
     assert is_model_file(path) == (code != "MODEL-FORMAT")
-    with pytest.raises(InputError) as refused:
+    with refused(code):
         contents_of(path)
-    assert refused.value.code == code
 
 
 def test_without_the_extra_the_command_that_installs_it_is_named(era5, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError) as refused:
+    with refused("MODEL-PACKAGE") as refusal:
         contents_of(era5)
-    assert refused.value.code == "MODEL-PACKAGE"
-    assert "unbend[nwp]" in refused.value.remedy
+    assert "unbend[nwp]" in refusal.value.remedy
+
+
+BOTH = """
+from pathlib import Path
+import sys
+from unbend.tables.weather_files import contents_of
+assert contents_of(Path(sys.argv[1]))['format'] == 'GRIB'
+import pyproj
+to = pyproj.Transformer.from_crs(4326, 25832).transform(47.0, 9.0)
+assert round(to[0]) == 500000, to
+"""
 
 
 @pytest.mark.parametrize(
@@ -151,14 +155,7 @@ def test_without_the_extra_the_command_that_installs_it_is_named(era5, monkeypat
 )
 def test_pyproj_and_eccodes_live_together(gfs, order):
     """Loaded after ecCodes pyproj crashes, so each order is tried in a process of its own."""
-    script = "".join(f"import unbend.tables.{module}\n" for module in order) + (
-        "from pathlib import Path\nimport sys\n"
-        "from unbend.tables.weather_files import contents_of\n"
-        "assert contents_of(Path(sys.argv[1]))['format'] == 'GRIB'\n"
-        "import pyproj\n"
-        "to = pyproj.Transformer.from_crs(4326, 25832).transform(47.0, 9.0)\n"
-        "assert round(to[0]) == 500000, to\n"
-    )
+    script = "".join(f"import unbend.tables.{module}\n" for module in order) + BOTH
     run = subprocess.run([sys.executable, "-c", script, str(gfs)], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
 
@@ -174,7 +171,8 @@ def test_pyproj_and_eccodes_live_together(gfs, order):
 )
 def test_real_files(name, kind, levels, members):
     contents = contents_of(SHARED / name)
-    assert (contents["level_kind"], len(contents["levels"])) == (kind, levels)
+    assert contents["level_kind"] == kind
+    assert len(contents["levels"]) == levels
     assert len(contents["members"]) == members
 
 
@@ -198,9 +196,15 @@ def test_inspect_shows_how_a_sounding_is_read():
         assert words in text, words
     ended = run_command("inspect", SOUNDINGS / "igra2_USM00070026_Barrow.txt", "--json")
     reading = json.loads(ended.out)
-    assert (reading["kind"], reading["format"], reading["ascents"]) == ("sounding", "IGRA v2", 3)
-    assert reading["station"] == "USM00070026"
-    assert (reading["levels_in_file"], reading["levels"]) == (26, 24)
+    expected = {
+        "kind": "sounding",
+        "format": "IGRA v2",
+        "ascents": 3,
+        "station": "USM00070026",
+        "levels_in_file": 26,
+        "levels": 24,
+    }
+    assert reading | expected == reading
     arm = run_command("inspect", SOUNDINGS / "sgpsondewnpnC1.b1.20190101.053200.cdf")
     assert "read as ARM radiosonde netCDF" in arm.out
 

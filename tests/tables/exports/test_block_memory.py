@@ -12,7 +12,8 @@ import pytest
 NAMES = ["colmap-database", "opensfm", "colmap", "bundler", "bingo"]
 """`make faults` tries all, `make test` the first two."""
 
-SCRIPT = Path(__file__).with_name("block_memory.py")
+ROOT = Path(__file__).resolve().parents[3]
+PROGRAM = "tests.tables.exports.block_memory"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc/self/status")
@@ -22,8 +23,8 @@ def test_memory_grows_little_with_the_image_points(tmp_path, name):
     for rows in (44_800, 448_000):
         folder = tmp_path / str(rows)
         folder.mkdir()
-        words = [sys.executable, SCRIPT, name, str(rows), folder]
-        ended = subprocess.run(words, capture_output=True, text=True, check=True)
+        words = [sys.executable, "-m", PROGRAM, name, str(rows), folder]
+        ended = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT)
         before, peak = map(float, ended.stdout.split())
         assert before < peak
         peaks.append(peak)

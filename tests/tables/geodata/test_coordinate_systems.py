@@ -11,8 +11,9 @@ import pyproj.network
 import pytest
 
 import unbend
+from tests.tables.checks import assert_within
+from tests.tables.geodata.rasters import level_geoid
 from unbend.errors import InputError
-from unbend.geodesy import GeoidGrid
 from unbend.tables.geodata.coordinate_systems import places_of
 
 
@@ -28,9 +29,6 @@ def refusal(*args, **kwargs) -> InputError:
     return refused.value
 
 
-GEOID = GeoidGrid("national.gtx", np.full((181, 360), 46.0, np.float32), -90.0, -180.0, 1.0, 1.0)
-
-
 def test_utm_has_the_published_place_and_convergence():
     """Ordnance Survey's worked example, guide to coordinate systems: OSGB36 E 651409.903."""
     places, notes = placed("EPSG:27700", 651409.903, 313177.270)
@@ -38,27 +36,30 @@ def test_utm_has_the_published_place_and_convergence():
     assert np.degrees(places.lat_rad[0]) == pytest.approx(52 + 39 / 60 + 28.8282 / 3600, abs=5e-5)
     assert np.degrees(places.lon_rad[0]) == pytest.approx(1 + 42 / 60 + 57.8663 / 3600, abs=8e-5)
     (entry,) = notes
-    assert (entry.kind, entry.code) == ("warning", "CRS-DATUM")
+    assert entry.kind == "warning"
+    assert entry.code == "CRS-DATUM"
     assert "needs uk_os_OSTN15" in entry.what
 
 
-@pytest.mark.parametrize(("off_m", "kind"), [(1.5, "note"), (5.0, "warning"), (-34.32, "")])
+EGM96_AT_0_0 = 17.16  # m, published
+AT_0_0 = ("EPSG:32631+7837", 166_021.44, 0.0, 500.0)
+
+
+@pytest.mark.parametrize(("off_m", "kind"), [(1.5, "note"), (5.0, "warning")])
 def test_a_grid_that_is_not_of_the_vertical_datum_is_named_with_its_distance_from_egm96(
     off_m, kind
 ):
-    """EGM96 is 17.16 m at 0 E, 0 N (published); -34.3 m is that with the other sign."""
-    grid = GeoidGrid(
-        "other.gtx", np.full((181, 360), 17.16 + off_m, np.float32), -90.0, -180.0, 1.0, 1.0
-    )
-    if not kind:
-        error = refusal("EPSG:32631+7837", 166_021.44, 0.0, 500.0, geoid=grid)
-        assert (error.code, "-34.3 m" in error.what) == ("CRS-VERTICAL", True), error
-        return
-    entry = placed("EPSG:32631+7837", 166_021.44, 0.0, 500.0, geoid=grid)[1][-1]
-    assert (entry.code, entry.kind) == ("CRS-VERTICAL", kind)
-    assert float(re.search(r"([+-][\d.]+) m from EGM96", entry.what)[1]) == pytest.approx(
-        off_m, abs=0.06
-    )
+    _, notes = placed(*AT_0_0, geoid=level_geoid(EGM96_AT_0_0 + off_m))
+    assert notes[-1].code == "CRS-VERTICAL"
+    assert notes[-1].kind == kind
+    (away,) = re.findall(r"([+-][\d.]+) m from EGM96", notes[-1].what)
+    assert float(away) == pytest.approx(off_m, abs=0.06)
+
+
+def test_a_grid_with_the_other_sign_is_refused():
+    error = refusal(*AT_0_0, geoid=level_geoid(-EGM96_AT_0_0))
+    assert error.code == "CRS-VERTICAL"
+    assert "-34.3 m" in error.what
 
 
 @pytest.mark.parametrize("code", [25832, 32733, 2056, 2154, 31467, 27561])
@@ -73,51 +74,64 @@ def test_convergence_is_the_azimuth_of_grid_north(code):
     own = "EPSG:4275" if code == 27561 else system.geodetic_crs
     to_grid = pyproj.Transformer.from_crs(own, system, always_xy=True)
     x, y = to_grid.transform(lon, lat)
-    below, above = (to_grid.transform(x, y + d, direction="INVERSE") for d in (-1.0, 1.0))
+    below = to_grid.transform(x, y - 1.0, direction="INVERSE")
+    above = to_grid.transform(x, y + 1.0, direction="INVERSE")
     azimuth = system.get_geod().inv(*below, *above)[0]
-    found = np.degrees(placed(f"EPSG:{code}", x, y)[0].convergence_rad)
-    np.testing.assert_allclose(found, azimuth, atol=2e-5)
-    assert np.abs(found).max() > 0.5
+    convergence = np.degrees(placed(f"EPSG:{code}", x, y)[0].convergence_rad)
+    assert_within(convergence, azimuth, 2e-5)
 
 
-def test_places_are_projs_whatever_the_order_of_the_axes():
+@pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:32632", "EPSG:3035"])
+def test_places_are_projs_whatever_the_order_of_the_axes(crs):
     lon = np.array([9.1, 9.4])
     lat = np.array([48.2, 48.9])
-    for crs in ("EPSG:25832", "EPSG:32632", "EPSG:3035"):
-        x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
-        places, notes = placed(crs, x, y, 300.0)
-        np.testing.assert_allclose(
-            np.degrees([places.lon_rad, places.lat_rad]), [lon, lat], atol=1e-9
-        )
-        assert places.h_m.tolist() == [300.0, 300.0]
-        assert [note.kind for note in notes] == ["note"]
-    places, _ = placed("EPSG:4326", lon, lat)
-    assert places.convergence_rad.tolist() == [0.0, 0.0]
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
+    places, notes = placed(crs, x, y, 300.0)
+    assert_within(np.degrees(places.lon_rad), lon, 1e-8)
+    assert_within(np.degrees(places.lat_rad), lat, 1e-8)
+    assert places.h_m.tolist() == [300.0, 300.0]
+    assert [note.kind for note in notes] == ["note"]
 
 
-def test_heights_by_the_name_of_their_datum():
-    place = (500_000.0, 5_400_000.0, 100.0)
-    assert placed("EPSG:25832+5773", *place)[0].heights == "msl"
-    value = refusal("EPSG:25832+7837", *place)
-    assert value.code == "CRS-VERTICAL"
-    assert "DHHN2016 height" in str(value)
-    assert "mission.geoid" in str(value)
-    places, notes = placed("EPSG:25832+7837", *place, geoid=GEOID)
-    assert (places.heights, places.h_m[0]) == ("ellipsoid", pytest.approx(146.0))
+def test_longitudes_and_latitudes_have_no_convergence():
+    assert placed("EPSG:4326", 9.1, 48.2)[0].convergence_rad.tolist() == [0.0]
+
+
+PLACE = (500_000.0, 5_400_000.0, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("crs", "place", "heights"),
+    [("EPSG:25832+5773", PLACE, "msl"), ("EPSG:4979", (9.0, 48.0, 100.0), "ellipsoid")],
+)
+def test_heights_by_the_name_of_their_datum(crs, place, heights):
+    places, _ = placed(crs, *place, heights=heights)
+    assert places.heights == heights
+    assert places.h_m.tolist() == [100.0]
+
+
+def test_heights_of_a_national_datum_need_its_grid():
+    error = refusal("EPSG:25832+7837", *PLACE)
+    assert error.code == "CRS-VERTICAL"
+    assert "DHHN2016 height" in str(error)
+    assert "mission.geoid" in str(error)
+    places, notes = placed("EPSG:25832+7837", *PLACE, geoid=level_geoid(46.0))
+    assert places.heights == "ellipsoid"
+    assert places.h_m[0] == pytest.approx(146.0)
     assert "CRS-VERTICAL" in {note.code for note in notes}
-    assert refusal("EPSG:25832+7837", *place, heights="ellipsoid").code == "CRS-VERTICAL"
+
+
+def test_heights_that_are_not_those_that_are_stated_are_refused():
+    assert refusal("EPSG:25832+7837", *PLACE, heights="ellipsoid").code == "CRS-VERTICAL"
     assert refusal("EPSG:4979", 9.0, 48.0, 100.0).code == "CRS-VERTICAL"
-    assert placed("EPSG:4979", 9.0, 48.0, 100.0, heights="ellipsoid")[0].heights == "ellipsoid"
     # Above Bessel's ellipsoid nobody measures.
     assert "Bessel" in str(refusal("EPSG:31467", 3_500_000, 5_400_000, heights="ellipsoid"))
 
 
 def test_feet_of_a_compound_system_are_metres():
-    x, y = pyproj.Transformer.from_crs("EPSG:4269", "EPSG:2263", always_xy=True).transform(
-        -73.5, 40.7
-    )
-    geoid = GeoidGrid("g.gtx", np.full((181, 360), -32.0, np.float32), -90.0, -180.0, 1.0, 1.0)
-    places, _ = placed("EPSG:2263+6360", x, y, 1000.0, geoid=geoid)
+    to_grid = pyproj.Transformer.from_crs("EPSG:4269", "EPSG:2263", always_xy=True)
+    x, y = to_grid.transform(-73.5, 40.7)
+    places, _ = placed("EPSG:2263+6360", x, y, 1000.0, geoid=level_geoid(-32.0))
     assert places.h_m[0] == pytest.approx(1000.0 * 1200.0 / 3937.0 - 32.0, abs=1e-6)
     assert np.degrees(places.lat_rad[0]) == pytest.approx(40.7, abs=3e-5)
 
@@ -156,7 +170,9 @@ def test_the_network_of_proj_changes_nothing(monkeypatch):
     finally:
         pyproj.network.set_network_enabled(False)
     assert "needs de_adv_BETA2007.tif" in notes[0].what
-    assert (notes_again, again.lat_rad, again.lon_rad) == (notes, places.lat_rad, places.lon_rad)
+    assert notes_again == notes
+    assert again.lat_rad == places.lat_rad
+    assert again.lon_rad == places.lon_rad
 
 
 def test_three_modules_use_pyproj():

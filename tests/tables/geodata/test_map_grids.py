@@ -6,7 +6,10 @@ import numpy as np
 import pyproj
 import pytest
 
-from unbend.errors import ConfigError
+from tests.helpers import refused
+from tests.tables.checks import assert_within
+from tests.tables.geodata.rasters import level_geoid
+from unbend.errors import UnbendError
 from unbend.geodesy import GeoidGrid
 from unbend.tables.geodata.map_grids import check_grid_axes, open_grid
 
@@ -23,35 +26,27 @@ SYSTEMS = {
 }
 
 
-def opened(crs, lat, lon, **options):
-    defaults = {"geoid": None, "needs_angles": True}
-    lat = np.radians(np.atleast_1d(lat))
-    lon = np.radians(np.atleast_1d(lon))
-    return open_grid(crs, lat, lon, **(defaults | options))
+def opened(crs, lat, lon, *, geoid=None, needs_angles=True):
+    places = np.radians(np.atleast_1d(lat)), np.radians(np.atleast_1d(lon))
+    return open_grid(crs, *places, geoid=geoid, needs_angles=needs_angles)
 
 
-def refusal(crs, lat=47.4, lon=8.6, **options) -> ConfigError:
-    with pytest.raises(ConfigError) as refused:
+def refusal(crs, lat=47.4, lon=8.6, **options) -> UnbendError:
+    with refused("EXPORT-CRS") as caught:
         opened(crs, lat, lon, **options)
-    assert refused.value.code == "EXPORT-CRS"
-    assert refused.value.exit_code == 2
-    assert refused.value.remedy
-    return refused.value
-
-
-def grid_of(value: float) -> GeoidGrid:
-    values = np.full((181, 361), value, np.float32)
-    return GeoidGrid("national.gtx", values, -90.0, -180.0, 1.0, 1.0)
+    assert caught.value.exit_code == 2
+    return caught.value
 
 
 @pytest.mark.parametrize("crs", SYSTEMS)
 def test_coordinates_convergence_and_scale_are_those_of_proj(crs):
     lat, lon, datum_shift = SYSTEMS[crs]
     grid, _ = opened(crs, lat, lon)
-    x, y = grid.coordinates(np.radians([lat]), np.radians([lon]))
+    place = np.radians([lat]), np.radians([lon])
     transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
-    np.testing.assert_allclose((x[0], y[0]), transformer.transform(lon, lat), atol=1e-6)
-    axes = grid.axes_at(np.radians([lat]), np.radians([lon]))
+    expected = np.reshape(transformer.transform(lon, lat), (2, 1))
+    assert_within(grid.coordinates(*place), expected, 1e-6)
+    axes = grid.axes_at(*place)
     factors = pyproj.Proj(crs).get_factors(lon, lat)
     difference = np.degrees(axes.convergence_rad[0]) - factors.meridian_convergence
     assert (difference + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-6 + 60 * datum_shift)
@@ -69,44 +64,47 @@ def test_axes_to_the_west_and_south_are_half_a_turn_from_grid_north():
     assert grid.axes == ("west", "south")
 
 
+def height_in(grid, lat=47.4, lon=8.6) -> float:
+    """Of a place 452 m above the sea and 500 m above the ellipsoid."""
+    place = np.radians([lat]), np.radians([lon])
+    return grid.height.heights(*place, np.array([452.0]), np.array([500.0]))[0]
+
+
 def test_a_grid_in_feet_says_so_and_has_heights_in_feet():
     grid, _ = opened("EPSG:2263", 40.8, -73.6)
-    foot = 1200.0 / 3937.0
-    assert (grid.unit.suffix, grid.height.unit.suffix) == ("us_ft", "us_ft")
-    place = np.radians([40.8]), np.radians([-73.6])
-    height = grid.height.heights(*place, np.array([100.0]), np.array([70.0]))
-    assert height[0] == pytest.approx(70.0 / foot)
+    assert grid.unit.suffix == "us_ft"
+    assert grid.height.unit.suffix == "us_ft"
+    assert height_in(grid, 40.8, -73.6) == pytest.approx(500.0 * 3937.0 / 1200.0)
 
 
-def test_what_heights_count_from():
+@pytest.mark.parametrize(
+    ("crs", "undulation", "height"),
+    [
+        ("EPSG:25832", None, 500.0),
+        ("EPSG:25832+5773", None, 452.0),
+        ("EPSG:25832+5715", 48.0, -452.0),  # a depth
+        ("EPSG:25832+7837", 47.5, 452.5),
+        ("EPSG:4979", None, 500.0),
+    ],
+)
+def test_what_heights_count_from(crs, undulation, height):
     """Without a vertical part the ellipsoid; EGM96 and MSL are sea level; others need a grid."""
-    place = (np.radians([47.4]), np.radians([8.6]))
-    msl = np.array([452.0])
-    ellipsoid = [500.0]
-
-    def height(crs, **options):
-        grid, _ = opened(crs, 47.4, 8.6, **options)
-        return grid.height.heights(*place, msl, np.array(ellipsoid))[0], grid
-
-    assert height("EPSG:25832")[0] == 500.0
-    assert height("EPSG:25832+5773")[0] == 452.0
-    assert height("EPSG:25832+5715", geoid=grid_of(48.0))[0] == -452.0  # a depth
-    value, grid = height("EPSG:25832+7837", geoid=grid_of(47.5))
-    assert value == pytest.approx(452.5)
-    assert "DHHN2016" in grid.height.name
-    assert height("EPSG:4979", needs_angles=False)[0] == 500.0
+    geoid = None if undulation is None else level_geoid(undulation)
+    grid, _ = opened(crs, 47.4, 8.6, geoid=geoid, needs_angles=crs != "EPSG:4979")
+    assert height_in(grid) == pytest.approx(height)
+    assert ("DHHN2016" in grid.height.name) == ("7837" in crs)
 
 
 def test_a_geoid_far_from_egm96_is_a_warning_and_another_height_is_refused():
-    _, notes = opened("EPSG:25832+7837", 47.4, 8.6, geoid=grid_of(52.5))
+    _, notes = opened("EPSG:25832+7837", 47.4, 8.6, geoid=level_geoid(52.5))
     assert ("warning", "CRS-VERTICAL") in [(note.kind, note.code) for note in notes]
-    assert "it is not the grid" in refusal("EPSG:25832+7837", geoid=grid_of(-47.5)).what
+    assert "it is not the grid" in refusal("EPSG:25832+7837", geoid=level_geoid(-47.5)).what
     hole = GeoidGrid("far.gtx", np.full((3, 3), 47.0, np.float32), -50.0, 100.0, 1.0, 1.0)
     assert "no value at the place" in refusal("EPSG:25832+7837", geoid=hole).what
 
 
 @pytest.mark.parametrize(
-    ("crs", "said"),
+    ("crs", "words"),
     [
         ("EPSG:99999", "not a coordinate system"),
         ("UTM 32", "not a coordinate system"),
@@ -120,25 +118,35 @@ def test_a_geoid_far_from_egm96_is_a_warning_and_another_height_is_refused():
         ("EPSG:25832+3855", "need the grid"),
     ],
 )
-def test_what_is_unfit_is_refused_with_what_to_do(crs, said):
-    assert said in refusal(crs).what
+def test_what_is_unfit_is_refused_with_what_to_do(crs, words):
+    assert words in refusal(crs).what
 
 
-def test_other_unfit_systems():
-    assert "mirrored" in refusal("EPSG:5513", 49.8, 15.5).what
+@pytest.mark.parametrize(
+    ("crs", "place", "options", "words"),
+    [
+        ("EPSG:5513", (49.8, 15.5), {}, "mirrored"),
+        ("EPSG:25832", (47.4, 8.6), {"geoid": level_geoid(47.0)}, "no vertical part"),
+        ("EPSG:25832+5773", (47.4, 8.6), {"geoid": level_geoid(47.0)}, "no vertical part"),
+        ("EPSG:25832", (np.nan, np.nan), {}, "no station has a position"),
+        ("ESRI:53004", (47.4, 8.6), {}, "accuracy"),
+        ("EPSG:9267", (47.4, 13.0), {"needs_angles": False}, "ellipsoid"),
+    ],
+)
+def test_other_unfit_systems(crs, place, options, words):
+    assert words in refusal(crs, *place, **options).what
+
+
+def test_a_mirrored_system_has_one_that_is_not():
     assert "EPSG:5514" in refusal("EPSG:5513", 49.8, 15.5).remedy
-    assert "no vertical part" in refusal("EPSG:25832", geoid=grid_of(47.0)).what
-    assert "no vertical part" in refusal("EPSG:25832+5773", geoid=grid_of(47.0)).what
-    assert "no station has a position" in refusal("EPSG:25832", np.nan, np.nan).what
-    assert "accuracy" in refusal("ESRI:53004", 47.4, 8.6).what
-    assert "ellipsoid" in refusal("EPSG:9267", 47.4, 13.0, needs_angles=False).what
 
 
 def test_the_area_of_use_to_two_degrees_is_a_warning():
     _, notes = opened("EPSG:25832", [47.4, 47.4], [12.5, 11.9])
-    said = [note for note in notes if note.kind == "warning"]
-    assert [(note.code, note.count) for note in said] == [("EXPORT-GRID", 1)]
-    assert "area" in said[0].what
+    (warning,) = [note for note in notes if note.kind == "warning"]
+    assert warning.code == "EXPORT-GRID"
+    assert warning.count == 1
+    assert "area" in warning.what
     _, notes = opened("EPSG:25832", 47.4, 11.9)
     assert {note.kind for note in notes} == {"note"}
 
@@ -146,24 +154,32 @@ def test_the_area_of_use_to_two_degrees_is_a_warning():
 def test_a_datum_without_its_grid_is_a_warning_that_names_it():
     _, notes = opened("EPSG:27700", 52.0, -1.0)
     (note,) = notes
-    assert (note.kind, note.code) == ("warning", "EXPORT-GRID")
+    assert note.kind == "warning"
+    assert note.code == "EXPORT-GRID"
     assert "needs uk_os_OSTN15" in note.what
 
 
-def test_a_scale_beyond_surveys_and_a_projection_that_is_not_conformal():
-    place = np.radians([52.0]), np.radians([5.0])
-    mercator, _ = opened("EPSG:3857", 52.0, 5.0)
-    with pytest.raises(ConfigError, match="have different scales"):
-        check_grid_axes(mercator.axes_at(*place), crs="EPSG:3857", name=mercator.name)
-    equal_area, _ = opened("EPSG:3035", 52.0, 5.0)
-    notes = check_grid_axes(equal_area.axes_at(*place), crs="EPSG:3035", name=equal_area.name)
+def checked_axes(crs, lat, lon):
+    grid, _ = opened(crs, lat, lon)
+    axes = grid.axes_at(np.radians([lat]), np.radians([lon]))
+    return check_grid_axes(axes, crs=crs, name=grid.name)
+
+
+def test_a_scale_beyond_surveys_is_refused():
+    with pytest.raises(UnbendError, match="have different scales"):
+        checked_axes("EPSG:3857", 52.0, 5.0)
+
+
+def test_a_projection_that_is_not_conformal_is_a_warning():
+    notes = checked_axes("EPSG:3035", 52.0, 5.0)
     assert [note.kind for note in notes] == ["note", "warning"]
     factors = pyproj.Proj("EPSG:3035").get_factors(5.0, 52.0)
     expected = factors.tissot_semimajor - factors.tissot_semiminor
     assert f"{100.0 * expected:.3f} %" in notes[1].what
-    utm, _ = opened("EPSG:25832", 47.4, 8.6)
-    axes = utm.axes_at(np.radians([47.4]), np.radians([8.6]))
-    (note,) = check_grid_axes(axes, crs="EPSG:25832", name=utm.name)
+
+
+def test_convergence_and_scale_are_noted():
+    (note,) = checked_axes("EPSG:25832", 47.4, 8.6)
     factors = pyproj.Proj("EPSG:25832").get_factors(8.6, 47.4)
     assert f"{factors.meridian_convergence:.4f}°" in note.what
     assert f"{factors.meridional_scale:.6f}" in note.what

@@ -7,22 +7,13 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
+from numpy.testing import assert_array_equal
 
+from tests.helpers import refused
 from tests.small_block import SmallBlock
-from unbend.errors import InputError
-from unbend.tables.imports.blocks import block_reader, block_rows, read_block_images, read_camera
-
-
-def rows(path: Path, program: str) -> pd.DataFrame:
-    return pd.concat([b.to_pandas() for b in block_rows(path, program)], ignore_index=True)
-
-
-def refusal(path: Path, program: str) -> str:
-    with pytest.raises(InputError) as refused:
-        read_block_images(path, program)
-    return str(refused.value)
+from tests.tables.imports.blocks.reading import refusal, rows
+from unbend.tables.imports.blocks import block_reader, read_block_images, read_camera
 
 
 def zipped(path: Path, **files: str | bytes) -> None:
@@ -72,17 +63,17 @@ def write_psx(folder: Path, block: SmallBlock) -> Path:
 def test_a_project_of_metashape_is_its_parts(tmp_path):
     block = SmallBlock.make()
     path = write_psx(tmp_path, block)
-    found = read_block_images(path, "metashape")
+    images = read_block_images(path, "metashape")
     whole = read_block_images(tmp_path / "whole.xml", "metashape")
-    np.testing.assert_array_equal(found.position, whole.position)
-    assert found.frame == "ecef"
-    observed = rows(path, "metashape")
-    ties = observed[observed["point"].str.startswith("tie:")]
-    assert ties[["image", "point", "x_px"]].to_numpy().tolist() == [
-        ["IMG_0001.JPG", "tie:3", 10.5],
-        ["IMG_0001.JPG", "tie:4", 30.25],
+    assert_array_equal(images.position, whole.position)
+    assert images.frame == "ecef"
+    image_points = rows(path, "metashape")
+    ties = image_points[image_points["point"].str.startswith("tie:")]
+    assert ties[["image", "point", "x_px", "y_px"]].to_numpy().tolist() == [
+        ["IMG_0001.JPG", "tie:3", 10.5, 20.5],
+        ["IMG_0001.JPG", "tie:4", 30.25, 40.75],
     ]
-    assert len(observed) == 2 + len(block.observations)
+    assert len(image_points) == 2 + len(block.observations)
     names = [file.name for file in block_reader("metashape").block_files(path)]
     assert names == ["survey.psx", "project.zip", "chunk.zip", "frame.zip", "point_cloud.zip"]
     assert read_camera(path, None, "c").fx_px == 5000.0
@@ -93,44 +84,55 @@ def test_a_project_without_its_folder_names_the_way_out(tmp_path):
     (tmp_path / "survey.files/0/0/frame.zip").unlink()
     assert "frame.zip" in refusal(path, "metashape")
     (tmp_path / "survey.files").rename(tmp_path / "elsewhere.files")
-    with pytest.raises(InputError) as refused:
+    with refused("INPUT-MISSING") as missing:
         block_reader("metashape").block_files(path)
-    assert "INPUT-MISSING" in str(refused.value)
-    assert ".psz" in str(refused.value)
+    assert ".psz" in str(missing.value)
 
 
-@pytest.mark.parametrize("told_by", ["groups", "paths", "nothing"])
-def test_labels_that_repeat_have_their_folders(tmp_path, told_by):
-    """Two flights that both begin with IMG_0001.JPG."""
-    block = SmallBlock.make()
-    path = tmp_path / "s.xml"
+def write_two_flights(path: Path, block: SmallBlock) -> str:
+    """A document of twelve images, of which the last six are called as the first; its text."""
     block.write_metashape(path, reference="EPSG:4326")
     text = path.read_text().replace('label="IMG_0007.JPG"', 'label="IMG_0001.JPG"')
     text = text.replace('label="IMG_0008.JPG"', 'label="IMG_0002.JPG"')
-    cameras = re.findall(r"<camera id.*?</camera>", text)
-    if told_by == "groups":
-        for label, part in (("one", cameras[:6]), ("two", cameras[6:])):
-            together = "".join(part)
-            text = text.replace(together, f'<group id="1" label="{label}">{together}</group>')
-    if told_by == "paths":
-        photos = "".join(
-            f'<camera camera_id="{k}"><photo path="/a/{"one" if k < 6 else "two"}/x.JPG"/></camera>'
-            for k in range(12)
-        )
-        text = text.replace('<frame id="0">', f'<frame id="0"><cameras>{photos}</cameras>')
     path.write_text(text)
-    if told_by == "nothing":
-        assert "ORIENTATION-REPEATED" in refusal(path, "metashape")
-        return
-    table = read_block_images(path, "metashape")
-    names = table.image.tolist()
+    return text
+
+
+def in_groups(text: str) -> str:
+    cameras = re.findall(r"<camera id.*?</camera>", text)
+    for label, part in (("one", cameras[:6]), ("two", cameras[6:])):
+        together = "".join(part)
+        text = text.replace(together, f'<group id="1" label="{label}">{together}</group>')
+    return text
+
+
+def with_paths(text: str) -> str:
+    photos = ""
+    for number in range(12):
+        folder = "one" if number < 6 else "two"
+        photo = f'<photo path="/a/{folder}/x.JPG"/>'
+        photos += f'<camera camera_id="{number}">{photo}</camera>'
+    return text.replace('<frame id="0">', f'<frame id="0"><cameras>{photos}</cameras>')
+
+
+@pytest.mark.parametrize("with_folders", [in_groups, with_paths])
+def test_labels_that_repeat_have_their_folders(tmp_path, with_folders):
+    block = SmallBlock.make()
+    path = tmp_path / "s.xml"
+    path.write_text(with_folders(write_two_flights(path, block)))
+    names = read_block_images(path, "metashape").image.tolist()
     assert names[:3] == ["one/IMG_0001.JPG", "one/IMG_0002.JPG", "IMG_0003.JPG"]
     assert names[6:8] == ["two/IMG_0001.JPG", "two/IMG_0002.JPG"]
-    observed = rows(path, "metashape")
-    assert set(observed["image"]) <= set(names)
-    wanted = block.observations[block.observations["image"] == "IMG_0007.JPG"]
-    found = observed[observed["image"] == "two/IMG_0001.JPG"].sort_values("x_px")
-    np.testing.assert_array_equal(found["x_px"], wanted["x_px"].sort_values())
+    image_points = rows(path, "metashape")
+    assert set(image_points["image"]) <= set(names)
+    expected = block.observations[block.observations["image"] == "IMG_0007.JPG"]
+    of_image = image_points[image_points["image"] == "two/IMG_0001.JPG"]
+    assert sorted(of_image["x_px"]) == sorted(expected["x_px"])
+
+
+def test_labels_that_repeat_without_folders_are_refused(tmp_path):
+    write_two_flights(tmp_path / "s.xml", SmallBlock.make())
+    assert "ORIENTATION-REPEATED" in refusal(tmp_path / "s.xml", "metashape")
 
 
 def test_what_a_marker_is_not_valid_for_is_left_out(tmp_path):

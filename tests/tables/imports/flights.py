@@ -1,0 +1,198 @@
+"""A flight of known position and attitude, and files of it as other programs write them.
+
+The truth does not use the package: coordinates by pyproj, GPS time by the calendar.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pyproj
+import pytest
+from scipy.spatial.transform import Rotation
+
+from unbend.errors import InputError
+from unbend.flight.channels import Channel
+from unbend.messages import Ledger
+from unbend.tables.imports.stated import Stated
+
+WEEK = 2417
+TOW = 302_400.0
+START = datetime(1980, 1, 6, tzinfo=UTC) + timedelta(weeks=WEEK, seconds=TOW - 18.0)
+LAT = 47.3
+LON = 8.5
+HEIGHT = 1500.0
+TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
+SPEED_M_S = 40.0
+TURN_RAD_S = 2.0 * np.pi / 307.0
+
+
+def enu_axes(lat_deg: float, lon_deg: float) -> np.ndarray:
+    p, e = np.radians([lat_deg, lon_deg])
+    east = [-np.sin(e), np.cos(e), 0.0]
+    north = [-np.sin(p) * np.cos(e), -np.sin(p) * np.sin(e), np.cos(p)]
+    up = [np.cos(p) * np.cos(e), np.cos(p) * np.sin(e), np.sin(p)]
+    return np.array([east, north, up])
+
+
+class Flight:
+    """A circle to the right: (n,) seconds since `START`, and the truth there.
+
+    Degrees of places, metres, radians of attitudes, velocity to the north, east and down.
+    """
+
+    def __init__(self, folder: Path, t: np.ndarray) -> None:
+        self.folder = folder
+        self.t = t
+        course = TURN_RAD_S * t
+        radius = SPEED_M_S / TURN_RAD_S
+        along = np.stack([1.0 - np.cos(course), np.sin(course)]) * radius
+        climb = 5.0 * np.sin(t / 20.0)
+        start = np.array(TO_ECEF.transform(LON, LAT, HEIGHT))[:, None]
+        ecef = start + enu_axes(LAT, LON).T @ np.stack([*along, climb])
+        self.lon, self.lat, self.height = TO_ECEF.transform(*ecef, direction="INVERSE")
+        # The block is small: within 0.03 degrees of the axes at its start.
+        north = SPEED_M_S * np.cos(course)
+        east = SPEED_M_S * np.sin(course)
+        self.velocity = np.stack([north, east, -0.25 * np.cos(t / 20.0)], axis=1)
+        self.yaw = course + np.radians(4.0)  # it crabs
+        self.pitch = np.radians(2.0) + np.radians(1.0) * np.sin(t / 7.0)
+        self.roll = np.radians(3.0) * np.sin(t / 5.0)
+
+    def at(self, t: np.ndarray) -> Flight:
+        """The same flight at other times."""
+        return Flight(self.folder, t)
+
+    @property
+    def utc_ns(self) -> np.ndarray:
+        start = round(START.timestamp()) * 10**9
+        return start + np.rint(self.t * 1e9).astype(np.int64)
+
+    @property
+    def attitude(self) -> Rotation:
+        """v_ned = R v_body."""
+        return Rotation.from_euler("ZYX", np.stack([self.yaw, self.pitch, self.roll], axis=1))
+
+    def gpst(self, k: int) -> str:
+        time = START + timedelta(seconds=18.0 + float(self.t[k]))
+        return f"{time:%Y/%m/%d %H:%M:%S.%f}"[:-3]
+
+    def put(self, name: str, content: str | bytes) -> Path:
+        path = self.folder / name
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    def pos(self, name: str = "flight.pos", *, quality=1) -> Path:
+        """As RTKLIB writes it: sigmas north 0.011, east 0.007, up 0.021."""
+        lines = [
+            "% program   : RTKPOST ver.2.4.3 b34\n"
+            "% obs start : 2026/05/06 12:00:00.0 GPST (week2417 302400.0s)\n%\n"
+            "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,"
+            "ns=# of satellites)\n"
+            "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)"
+            "   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"
+        ]
+        for k, q in enumerate(np.broadcast_to(quality, self.t.size)):
+            lines.append(
+                f"{self.gpst(k)} {self.lat[k]:14.9f} {self.lon[k]:14.9f} {self.height[k]:10.4f} "
+                f"{q:3d}  12   0.0110   0.0070   0.0210   0.0010  -0.0020   0.0030   0.00    9.9\n"
+            )
+        return self.put(name, "".join(lines))
+
+    def sbet_rows(self, *, wander_deg: float = 1.3, sign: float = 1.0) -> np.ndarray:
+        """POSPac: x north, y west, z up in the wander frame; platform heading = true + wander."""
+        wander = np.radians(wander_deg) + 1e-4 * self.t
+        ground = (self.velocity[:, 0] - 1j * self.velocity[:, 1]) * np.exp(-1j * sign * wander)
+        later = self.at(self.t + 0.001).attitude
+        turned = (self.attitude.inv() * later).as_rotvec()
+        return np.column_stack(
+            [
+                TOW + self.t,
+                np.radians(self.lat),
+                np.radians(self.lon),
+                self.height,
+                ground.real,
+                ground.imag,
+                -self.velocity[:, 2],
+                self.roll,
+                self.pitch,
+                (self.yaw + sign * wander + np.pi) % (2 * np.pi) - np.pi,
+                wander,
+                np.zeros((self.t.size, 3)),
+                turned / 0.001,
+            ]
+        )
+
+    def sbet(self, *, rows: np.ndarray | None = None, **how) -> Path:
+        rows = self.sbet_rows(**how) if rows is None else rows
+        return self.put("sbet.out", rows.astype("<f8").tobytes())
+
+    def smrmsg(self) -> Path:
+        """Once a second: north 0.03, east 0.04, down 0.05 m; 0.6, 0.8, 3 arcmin."""
+        t = np.arange(self.t[0] - 1.0, self.t[-1] + 2.0)
+        sigmas = np.tile([0.03, 0.04, 0.05, 0.01, 0.01, 0.01, 0.6, 0.8, 3.0], (t.size, 1))
+        return self.put("smrmsg.out", np.column_stack([TOW + t, sigmas]).astype("<f8").tobytes())
+
+    def mrk(self) -> Path:
+        lines = []
+        for k in range(self.t.size):
+            lines.append(
+                f"{k + 1}\t{TOW + self.t[k]:.6f}\t[{WEEK}]\t   -40,N\t    12,E\t   186,V\t"
+                f"{self.lat[k]:.8f},Lat\t{self.lon[k]:.8f},Lon\t{self.height[k]:.3f},Ellh\t"
+                "0.012000, 0.016000, 0.031000\t50,Q\n"
+            )
+        return self.put("100_0001_Timestamp.MRK", "".join(lines))
+
+    def eo(self, angles=(-1.05, 0.32, 179.18)) -> Path:
+        """POSPac's text with angles (n, 3) in its unit."""
+        lines = [
+            "POS/AV Computed Data at Camera Perspective Centre\n"
+            "  Grid: Universal Transverse Mercator; Zone:  UTM North 32 (006E to 012E) ;\n"
+            "  Datum: WGS84 ;\n"
+            "  (position in Meters, orientation in Degrees, lat, long in Deg)\n\n"
+            "ID\t# EVENT\tTIME (s)\tEASTING\tNORTHING\tELLIPSOID HEIGHT\tOMEGA\tPHI\tKAPPA\tLAT\t"
+            "LONG\n"
+        ]
+        for k, (first, second, third) in enumerate(np.broadcast_to(angles, (self.t.size, 3))):
+            lines.append(
+                f"img_{k:03d}\t{k + 1}\t{TOW + self.t[k]:.6f}\t465000.1\t5238000.2\t"
+                f"{self.height[k]:.3f}\t{first:.9f}\t{second:.9f}\t{third:.9f}\t"
+                f"{self.lat[k]:.9f}\t{self.lon[k]:.9f}\n"
+            )
+        return self.put("eo.txt", "".join(lines))
+
+
+def read(reader, path: Path, stated: Stated | None = None) -> tuple[Channel, Ledger]:
+    """What a reader makes of a file, and what it says of it."""
+    ledger = Ledger()
+    return reader(path, stated or Stated(), ledger), ledger
+
+
+def refusal_of(reader, path: Path, stated: Stated | None = None) -> InputError:
+    """How a reader refuses a file, which says what to do."""
+    with pytest.raises(InputError) as caught:
+        reader(path, stated or Stated(), Ledger())
+    assert caught.value.remedy
+    return caught.value
+
+
+def metres_off(channel: Channel, flight: Flight, height: str = "h_ellipsoid_m") -> float:
+    """The largest difference in place and height from the truth."""
+    cosine = np.cos(np.radians(flight.lat))
+    north = (channel["lat_rad"] - np.radians(flight.lat)) * 6.37e6
+    east = (channel["lon_rad"] - np.radians(flight.lon)) * 6.38e6 * cosine
+    up = channel[height] - flight.height
+    return np.abs([north, east, up]).max()
+
+
+def degrees_off(channel: Channel, flight: Flight) -> float:
+    """The largest angle between the attitudes and the true ones."""
+    quaternions = np.stack([channel[f"q_{axis}"] for axis in "xyzw"], axis=1)
+    apart = Rotation.from_quat(quaternions).inv() * flight.attitude
+    return np.degrees(apart.magnitude().max())
+
+
+def utc_text(channel: Channel, row: int) -> str:
+    return str(np.datetime64(int(channel.time_ns[row]), "ns"))
