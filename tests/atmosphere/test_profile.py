@@ -61,15 +61,6 @@ def test_layers_obey_the_hydrostatic_equation_under_wgs84_gravity(degrees):
     np.testing.assert_allclose(log_p, solved.y[0], rtol=0.0, atol=1e-6)
 
 
-def test_gravity_counted_twice_would_be_seen():
-    """g_phi in the exponent, on top of geopotential height (reference/README.md, 9)."""
-    rise = float(geopotential(0.0, 1e4))
-    twice = HYDROSTATIC_K_PER_M * lambert_gravity(0.0).g_phi / 9.80665
-    right = pressure_gradient_layer(101_325.0, 288.15, -0.0065, rise)
-    wrong = pressure_gradient_layer(101_325.0, 288.15, -0.0065, rise, twice)
-    assert abs(float(wrong / right) - 1.0) > 1e-3
-
-
 @pytest.mark.parametrize("rise", [-400.0, 37.0, 1000.0, 9000.0])
 @pytest.mark.parametrize("lapse", [-6.5e-3, 3e-3, -1e-5, 1e-9, -1e-13, 1e-18, 1e-300])
 def test_eq_52_against_forty_digits(lapse, rise):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,22 @@ def test_the_first_rule_that_rejects_a_sample_is_its_reason():
 def test_a_reading_without_value_or_height_is_rejected_where_it_is_made():
     warm = sensor([280.0, np.nan, 281.0, np.nan], [1.0, 2.0, np.nan, np.nan])
     assert warm.rejected.tolist() == [0, Reason.NO_VALUE, Reason.NO_HEIGHT, Reason.NO_VALUE]
+
+
+def test_the_middle_of_heights_gives_each_bin_of_100_m_the_same_weight():
+    """Bins 0 and 1: the means of 0, 1 and 2 s, and of 5 s."""
+    level_first = sensor([280.0] * 4, [50.0, 60.0, 70.0, 150.0])
+    level_first = replace(level_first, time_ns=np.array([0, 1, 2, 5]) * 10**9)
+    assert level_first.middle_of_heights_ns == 3 * 10**9
+    assert level_first.middle_ns == 2_500_000_000
+
+
+def test_what_a_flight_climbed_is_up_and_down_together():
+    """Heights at 0, 15 and 30 s."""
+    up_and_down = sensor([280.0] * 4, [0.0, 100.0, 40.0, 40.0])
+    up_and_down = replace(up_and_down, time_ns=np.array([0, 15, 30, 45]) * 10**9)
+    assert up_and_down.climbed_m == 160.0
+    assert up_and_down.extent_m == 100.0
 
 
 def test_removed_samples_are_in_the_order_of_their_times():

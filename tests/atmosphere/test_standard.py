@@ -94,19 +94,6 @@ def test_values_have_the_shape_of_heights_and_are_nan_outside(quantity):
     assert value([]).shape == (0,)
 
 
-@pytest.mark.parametrize(("degrees", "metres"), [(0.0, 27.0), (75.0, -22.0)])
-def test_latitude_moves_the_layers_by_metres(degrees, metres):
-    """Ignoring latitude costs +27 m at the equator and -22 m at 75 deg, in 10 km."""
-    own, placed = (
-        profile.gravity.geopotential_height(1e4)
-        for profile in (
-            standard_atmosphere(),
-            standard_atmosphere(latitude=math.radians(degrees)),
-        )
-    )
-    assert float(own - placed) == pytest.approx(metres, abs=1.0)
-
-
 @pytest.mark.parametrize(
     ("options", "code"),
     [

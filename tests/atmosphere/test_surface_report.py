@@ -18,6 +18,7 @@ from unbend.atmosphere.surface_report import (
 from unbend.messages import Ledger
 
 WIND = "221150Z 24011KT CAVOK"
+NAN = math.nan
 
 
 def parsed(text: str, h_m: float = 0.0, when: str = "") -> tuple[SurfaceReport, Ledger]:
@@ -90,11 +91,11 @@ def test_the_nearest_day_of_that_number(flight, time):
 @pytest.mark.parametrize(
     ("groups", "missing", "celsius", "dew_point", "hpa"),
     [
-        ("XX/11 Q1013", ["temperature"], None, None, 1000.23),
-        ("///// Q1013", ["temperature", "dew point"], None, None, 1000.23),
-        ("12/// Q1013", ["dew point"], 12.0, None, 1000.23),
-        ("12/08 Q////", ["altimeter setting"], 12.0, 8.0, None),
-        ("12/// Q////", ["dew point", "altimeter setting"], 12.0, None, None),
+        ("XX/11 Q1013", ["temperature"], NAN, NAN, 1000.23),
+        ("///// Q1013", ["temperature", "dew point"], NAN, NAN, 1000.23),
+        ("12/// Q1013", ["dew point"], 12.0, NAN, 1000.23),
+        ("12/08 Q////", ["altimeter setting"], 12.0, 8.0, NAN),
+        ("12/// Q////", ["dew point", "altimeter setting"], 12.0, NAN, NAN),
     ],
 )
 def test_what_cannot_be_read_is_unknown_and_told(groups, missing, celsius, dew_point, hpa):
@@ -103,12 +104,10 @@ def test_what_cannot_be_read_is_unknown_and_told(groups, missing, celsius, dew_p
     (entry,) = ledger
     assert entry.code == "METAR-MISSING"
     assert all(word in entry.what for word in missing)
-    kelvin = math.nan if celsius is None else celsius + 273.15
-    vapour_pa = math.nan if dew_point is None else saturated_pa(dew_point)
-    pa = math.nan if hpa is None else 100.0 * hpa
-    assert report.temperature_k == pytest.approx(kelvin, nan_ok=True)
-    assert report.vapour_pressure_pa == pytest.approx(vapour_pa, rel=0.01, nan_ok=True)
-    assert report.pressure_pa == pytest.approx(pa, abs=2.0, nan_ok=True)
+    vapour_pa = pytest.approx(saturated_pa(dew_point), rel=0.01, nan_ok=True)
+    assert report.temperature_k == pytest.approx(celsius + 273.15, nan_ok=True)
+    assert report.vapour_pressure_pa == vapour_pa
+    assert report.pressure_pa == pytest.approx(100.0 * hpa, abs=2.0, nan_ok=True)
 
 
 def test_unknown_groups_are_said_and_cost_nothing():

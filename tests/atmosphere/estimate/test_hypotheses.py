@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -42,20 +42,13 @@ from unbend.atmosphere.estimate.state import Fault, Layout, Prior, SensorFault
 # The mixture, against Bayes' rule on a grid
 
 
-@dataclass(frozen=True, eq=False)
-class OneNumber:
+def reading_of(value: float, quantity: str = "temperature") -> SimpleNamespace:
     """A reading of one number, a temperature or not."""
 
-    value: float
-    quantity: str = "temperature"
-
-    def predict(self, air):
+    def predict(air):
         return air.x.copy(), np.eye(1)
 
-
-@dataclass(frozen=True, eq=False)
-class StateOnly:
-    x: np.ndarray
+    return SimpleNamespace(value=value, quantity=quantity, predict=predict)
 
 
 def evidence_of(
@@ -63,7 +56,7 @@ def evidence_of(
 ) -> Evidence:
     """Of a solution x for one number that is expected to be a mean."""
     prior = Prior(np.array([mean]), np.array([[precision]]), np.empty(0))
-    state = StateOnly(np.array([x]))
+    state = SimpleNamespace(x=np.array([x]))
     return Evidence(share, state, prior, (np.array([weight]),), log_sigma)
 
 
@@ -89,7 +82,7 @@ def test_the_mixture_is_that_of_bayes_rule(value, sigma):
         solved.append(evidence_of(share, mean, deviation**-2, sigma**-2, away))
         states.append(np.array([solution]))
         covariances.append(np.array([[variance]]))
-    chances = probabilities(solved, [OneNumber(value)])
+    chances = probabilities(solved, [reading_of(value)])
     mean, covariance = mixed_moments(states, covariances, chances)
     posterior = np.sum(posteriors, axis=0) / np.sum(posteriors)
     expected = np.sum(posteriors[1]) / np.sum(posteriors)
@@ -102,7 +95,7 @@ def test_a_misfit_is_not_excused_by_larger_sigmas():
     """Of two numbers the reading is 5: 0 with sigmas inflated a hundredfold is no better for it."""
     inflated = evidence_of(0.5, 0.0, 1e6, weight=1e-4, x=0.0, log_sigma=np.log(100.0))
     fitting = evidence_of(0.5, 5.0, 1e6, weight=1.0, x=5.0)
-    assert probabilities([inflated, fitting], [OneNumber(5.0)])[1] > 0.999
+    assert probabilities([inflated, fitting], [reading_of(5.0)])[1] > 0.999
 
 
 @pytest.mark.parametrize(
@@ -114,7 +107,7 @@ def test_the_climatology_alone_makes_no_fault_likely(quantity, gain, most):
     usual = evidence_of(0.9, 0.0, 1e6, weight=1.0, x=0.0)
     rare = evidence_of(0.1, 5.0, 1e6, weight=1.0, x=5.0)
     # A reading of 2.5 + g / 5 speaks by exp(g) for the second.
-    chances = probabilities([usual, rare], [OneNumber(2.5 + gain / 5.0, quantity)])
+    chances = probabilities([usual, rare], [reading_of(2.5 + gain / 5.0, quantity)])
     odds = np.exp(gain) / 9.0
     assert chances[1] == pytest.approx(min(odds / (1.0 + odds), most), rel=1e-3)
     assert chances.sum() == pytest.approx(1.0)

@@ -17,6 +17,7 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.ageing import (
     FlightPath,
     SampleAges,
+    aged_note,
     change_of_vapour,
     change_parts,
     covariance_with_ageing,
@@ -98,8 +99,6 @@ def test_the_nearest_visit_is_near_in_time_and_place():
     assert np.all(np.asarray(back.metres) < 1.0)
     np.testing.assert_allclose(back.hours, 2.5, atol=0.3)
     np.testing.assert_allclose(ages_at(samples, 160).hours, 1.1, atol=0.4)
-    away = ages_at(samples, 60, path)
-    assert np.all(np.asarray(away.metres) < 1.0)
     climb_alone = thermometer(minutes[:21], h[:21])
     far = ages_at(climb_alone, 60, path)
     np.testing.assert_allclose(far.metres, math.sqrt(100e3**2 - 18e3**2), rtol=1e-3)
@@ -129,6 +128,26 @@ def test_pressure_changes_where_it_was_sampled_last():
     low, _, high = aged_by(edges, [5.0, 4.4, 2.0]).sigma_log_pressure(edges)
     assert high == pytest.approx(2 * 5e-4, rel=1e-6)
     assert low > 2.0 * high
+    # 1.5e-8 a metre; the highest of those that are equally old counts as sampled last.
+    far = aged_by(edges, 2.0, np.full(3, 1e5)).sigma_log_pressure(edges)
+    assert far[2] == pytest.approx(math.hypot(2 * 5e-4, 1.5e-3), rel=1e-6)
+
+
+def test_a_degree_of_longitude_is_shorter_in_the_north():
+    """A hundredth of a radian at 60 N: half of 63.71 km."""
+    times = np.array([0, 10], np.int64) * MINUTE_NS
+    path = FlightPath(times, np.full(2, math.radians(60.0)), np.array([0.0, 0.01]))
+    metres = path.metres_between(times, int(times[0]))
+    assert metres == pytest.approx([0.0, 0.005 * EARTH_M], rel=1e-9)
+
+
+def test_what_is_told_of_old_air_is_its_own_age_and_distance():
+    """Half an hour and 18 km count again: 5, 12 and 13, and 3, 4 and 5."""
+    fresh = SampleAges(np.array([500.0, 900.0]), np.zeros(2), np.array([0.0, 24e3]))
+    old = SampleAges(np.array([500.0, 900.0]), np.array([0.3, 1.2]))
+    told = aged_note([fresh, old], count=7)
+    assert told.count == 7
+    assert told.values == pytest.approx({"hours": 1.3, "km": 30.0, "height_m": 900.0})
 
 
 def test_below_the_ground_nothing_grows():
