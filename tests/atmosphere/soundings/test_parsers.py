@@ -40,7 +40,12 @@ def counts(ledger: Ledger) -> Counts:
 def from_file(path: Path, degrees: float = math.nan, when: str = "") -> tuple[Sounding, Counts]:
     ledger = Ledger()
     time_ns = ns(when) if when else None
-    sounding = read_sounding(path, ledger, time_ns=time_ns, latitude_rad=math.radians(degrees))
+    sounding = read_sounding(
+        path,
+        ledger,
+        time_ns=time_ns,
+        latitude_rad=math.radians(degrees),
+    )
     return sounding, counts(ledger)
 
 
@@ -97,8 +102,12 @@ def test_igra_by_time(files, when, levels):
 def test_igra_derived(files):
     path = files / "igra2_derived_USM00070026_Barrow.txt"
     ledger = Ledger()
-    when = ns("2014-09-10T12:00")
-    sounding = read_sounding(path, ledger, time_ns=when, latitude_rad=math.radians(71.29))
+    sounding = read_sounding(
+        path,
+        ledger,
+        time_ns=ns("2014-09-10T12:00"),
+        latitude_rad=math.radians(71.29),
+    )
     (row,) = np.flatnonzero(sounding.pressure_pa == 94071.0)
     assert sounding.temperature_k[row] == pytest.approx(269.7)
     assert sounding.vapour_pressure_pa[row] == pytest.approx(463.6)
@@ -378,7 +387,7 @@ def test_a_dew_point_over_the_temperature_is_saturation():
         ("temperature_c", -273.0, "SOUNDING-RANGE"),
         ("pressure_hpa", math.nan, "SOUNDING-MISSING"),
         ("pressure_hpa", 95_000.0, "SOUNDING-RANGE"),
-        ("geopotential_m", 800.0, "SOUNDING-ORDER"),
+        ("geopotential_m", 300.0, "SOUNDING-ORDER"),
         ("geopotential_m", 5200.0, "SOUNDING-ORDER"),
         ("geopotential_m", 1e6, "SOUNDING-ORDER"),
     ],
