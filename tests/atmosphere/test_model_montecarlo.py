@@ -34,26 +34,24 @@ def drawn(rng, sigma, h) -> np.ndarray:
 
 def column(truth: Truth, climb: float, rng) -> Sounding:
     """A model's column over the place of an air, with errors that a good analysis has."""
-    p = np.arange(2500.0, 1.1e5, 2500.0)
+    p = np.arange(2500.0, 1.1e5, 2500.0)[::-1]
     p = p[(p > truth.p[-1]) & (p < truth.p[0])]
     h = np.interp(-np.log(p), -np.log(truth.p), truth.h)
     above = h - truth.h[0]
+    u = np.interp(h, truth.h, truth.rh) + drawn(rng, 0.15, above)
     sigma_k = np.interp(above, [1000.0, 1500.0], [2.0, 1.0])
     t = np.interp(h, truth.h, truth.t) + drawn(rng, sigma_k, above)
-    u = np.interp(h, truth.h, truth.rh) + drawn(rng, 0.15, above)
     p *= np.exp(1e-3 * rng.normal())
     e = np.clip(u, 0.005, 1.0) * saturation_pressure_pa(t)
     q = 0.622 * e / (p - 0.378 * e)
+    H = flights.geopotential(truth.latitude, h)
     field = ModelField(
         "era5.nc",
         np.array([truth.start_ns]),
         np.array([truth.latitude]),
         np.zeros(1),
-        p,
-        *(
-            values.reshape(1, p.size, 1, 1)
-            for values in (t, q, flights.geopotential(truth.latitude, h))
-        ),
+        p[::-1],
+        *(values[::-1].reshape(1, p.size, 1, 1) for values in (t, q, H)),
     )
     place = (truth.latitude, 0.0, truth.start_ns)
     ground = float(truth.h[0])
