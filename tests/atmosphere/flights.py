@@ -144,9 +144,10 @@ def balloons() -> list[Balloon]:
         hour = re.search(r"(\d\d)(?::(\d\d))?Z?(?: UTC)?$", about["station"])
         levels = pd.read_csv(path, comment="#")
         levels = levels.dropna(subset=["pressure_hpa", "geopotential_m", "temperature_c"])
-        highest_before = levels["geopotential_m"].cummax().shift(fill_value=-np.inf)
-        levels = levels[levels["geopotential_m"] > highest_before + 1.0]
         H = levels["geopotential_m"].to_numpy(float)
+        rises = np.append(True, H[1:] > np.maximum.accumulate(H)[:-1] + 1.0)
+        levels = levels[rises]
+        H = H[rises]
         moist = levels.dropna(subset="dew_point_c")
         dew = np.interp(H, moist["geopotential_m"], moist["dew_point_c"])
         balloon = Balloon(
