@@ -229,9 +229,6 @@ def test_the_age_of_a_sounding_counts_without_any_sensor(norman):
         assert aged.basis == "sounding"
         assert "72357" in aged.made.reason
         assert "measured" in aged.profile.layers.source
-        if hours <= 24:
-            assert abs(aged.error(1000.0)) < 0.02
-            assert abs(aged.error(6000.0)) < 0.02
     sigmas.append(adjusted(norman).sigma(3000.0))
     for fresher, older in pairwise(sigmas):
         assert older > 1.05 * fresher, sigmas

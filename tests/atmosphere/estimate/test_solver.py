@@ -11,7 +11,9 @@ from scipy.integrate import trapezoid
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
+    ARCTIC,
     DESERT,
+    HOUR_NS,
     MONSOON,
     NIGHT,
     NO_SENSORS,
@@ -390,6 +392,15 @@ def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists():
 
 
 # Other sources
+
+
+@pytest.mark.parametrize("age_h", [0, 24])
+def test_a_sounding_alone(age_h):
+    truth = extreme(ARCTIC)
+    balloon = balloon_of(truth, time_ns=truth.start_ns - age_h * HOUR_NS)
+    adjusted = about_the_standard(truth, soundings=[balloon])
+    for climb in (1000.0, 6000.0):
+        assert abs(adjusted.error(climb)) < 0.02
 
 
 def test_a_surface_report_anchors_a_flight_without_a_barometer():

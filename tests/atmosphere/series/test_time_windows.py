@@ -136,7 +136,8 @@ def flown(day: ChangingAir, samples: AirSamples) -> Flown:
 
 def flown_for_four_hours(first: Balloon, second: Balloon, seed: int) -> Flown:
     day = ChangingAir(first, second, hours=4.0, count=9)
-    sensors = replace(flights.REALISTIC, drift_k=0.2, lag_s=0.0)
+    without = {"lag_s": 0.0, "pressure_noise_pa": 0.0, "gnss_noise_m": 0.0}
+    sensors = replace(flights.REALISTIC, drift_k=0.2, **without)
     return flown(day, day.fly(legs, sensors, seed))
 
 
