@@ -53,7 +53,6 @@ def test_thermometers_that_work_are_not_refused():
         )
         if adjusted.losses:
             refused.append((truth.name, climb, adjusted.departure(climb), adjusted.losses))
-    print(f"seed {SEED}: {len(refused)} of {DRAWS} refused: {refused}")
     # Reached: none of 1,600. Of so few, two or more of 24 are refused on one day in ten thousand.
     assert len(refused) <= max(1.0, DRAWS / 500)
     assert all(departure < 1.0 for _, _, departure, _ in refused)
@@ -84,11 +83,9 @@ def test_low_climbs_with_a_thermometer_are_honest(sunny, reached, most):
                 adjusted = flown(truth, climb, rng, sunny=sunny, humidity="none", **how)
                 departures[name].append(adjusted.departure(climb))
     every = np.concatenate(list(departures.values()))
-    of_ways = {name: rms(values) for name, values in departures.items()}
-    print(f"seed {SEED}: {rms(every):.2f} of {every.size} flights, {of_ways}")
     if TIMES > 1:
         assert 0.7 <= rms(every) <= 1.2
-        assert all(0.65 <= value <= most for value in of_ways.values())
+        assert all(0.65 <= rms(values) <= most for values in departures.values())
         return
     # Of a few errors: the RMS that all reach, within chi-square's share of all but 1e-4.
     low, high = reached * np.sqrt(chi2.ppf([5e-5, 1.0 - 5e-5], every.size) / every.size)
