@@ -8,12 +8,13 @@ first order; the sensors are differential equations and random walks in time.
 from __future__ import annotations
 
 import copy
-import csv
 import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from scipy.integrate import cumulative_simpson, trapezoid
 from scipy.signal import lfilter
 
@@ -39,25 +40,6 @@ class Balloon:
     month: int = 6
     utc_hour: float = 12.0
     longitude: float = 0.0
-
-
-def from_levels(name: str, degrees: float, p, H, celsius, dew) -> Balloon:
-    """Levels in the order of height, one at a height; dew points filled in where they are given."""
-    p, H, celsius, dew = (np.asarray(a, float) for a in (p, H, celsius, dew))
-    good = np.isfinite(p) & np.isfinite(H) & np.isfinite(celsius)
-    p = p[good]
-    H = H[good]
-    celsius = celsius[good]
-    dew = dew[good]
-    rising = np.concatenate([[True], H[1:] > np.maximum.accumulate(H)[:-1] + 1.0])
-    p = p[rising]
-    H = H[rising]
-    celsius = celsius[rising]
-    dew = dew[rising]
-    known = np.isfinite(dew)
-    dew = np.interp(H, H[known], dew[known])
-    e = saturation_pressure_pa(np.maximum(dew + 273.15, 190.0))
-    return Balloon(name, math.radians(degrees), H, celsius + 273.15, e, float(p[0]) * 100.0)
 
 
 def extremes() -> list[Balloon]:
@@ -95,7 +77,8 @@ class Truth:
     """The air of a balloon every metre, integrated; ``h`` above sea level from its first level."""
 
     def __init__(self, balloon: Balloon, reach: float = 10_500.0) -> None:
-        self.name, self.latitude = balloon.name, balloon.latitude
+        self.name = balloon.name
+        self.latitude = balloon.latitude
         day = np.datetime64(f"2020-{balloon.month:02d}-15", "ns")
         self.start_ns = int(day.astype(np.int64)) + round(balloon.utc_hour * 3.6e12)
         self.longitude = balloon.longitude
@@ -104,7 +87,8 @@ class Truth:
         H = geopotential(balloon.latitude, self.h)
         self.t = np.interp(H, balloon.H, balloon.t)
         self.e = np.exp(np.interp(H, balloon.H, np.log(balloon.e)))
-        self.H, self.p0 = H, balloon.p0
+        self.H = H
+        self.p0 = balloon.p0
         self._weigh()
 
     def _weigh(self) -> None:
@@ -149,27 +133,35 @@ class Truth:
 
 
 def balloons() -> list[Balloon]:
-    """Nine ascents of five sites: the numbers of ``tests/data/soundings``, with their sources."""
+    """Nine ascents of five sites: the numbers of ``tests/data/soundings``, with their sources.
+
+    Levels in the order of height, one at a height; dew points filled in where they are given.
+    """
     found = []
     for path in sorted(SOUNDINGS.glob("*.csv")):
         lines = path.read_text(encoding="ascii").splitlines()
         about = dict(line[2:].split(": ", 1) for line in lines if line.startswith("#"))
-        rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-        columns = (
-            [float(row[name] or "nan") for row in rows]
-            for name in ("pressure_hpa", "geopotential_m", "temperature_c", "dew_point_c")
+        hour = re.search(r"(\d\d)(?::(\d\d))?Z?(?: UTC)?$", about["station"])
+        levels = pd.read_csv(path, comment="#")
+        levels = levels.dropna(subset=["pressure_hpa", "geopotential_m", "temperature_c"])
+        H = levels["geopotential_m"].to_numpy(float)
+        rises = np.append(True, H[1:] > np.maximum.accumulate(H)[:-1] + 1.0)
+        levels = levels[rises]
+        H = H[rises]
+        moist = levels.dropna(subset="dew_point_c")
+        dew = np.interp(H, moist["geopotential_m"], moist["dew_point_c"])
+        balloon = Balloon(
+            path.stem,
+            math.radians(float(about["latitude_deg"])),
+            H,
+            levels["temperature_c"].to_numpy(float) + 273.15,
+            saturation_pressure_pa(np.maximum(dew + 273.15, 190.0)),
+            100.0 * float(levels["pressure_hpa"].iloc[0]),
+            month=int(about["month"]),
+            utc_hour=int(hour[1]) + int(hour[2] or 0) / 60.0,
+            longitude=math.radians(float(about["longitude_deg"])),
         )
-        balloon = from_levels(path.stem, float(about["latitude_deg"]), *columns)
-        time = about["station"].removesuffix(" UTC").split()[-1]  # "00", "05:32"
-        hour, _, minute = time.removesuffix("Z").partition(":")
-        found.append(
-            replace(
-                balloon,
-                month=int(about["month"]),
-                utc_hour=int(hour) + int(minute or 0) / 60.0,
-                longitude=math.radians(float(about["longitude_deg"])),
-            )
-        )
+        found.append(balloon)
     return found
 
 
@@ -304,34 +296,57 @@ def fly(
     gate_s: float = 120.0,
 ) -> AirSamples:
     """What a flight measures. ``humidity``: none | surface (the lowest 200 m) | profile."""
-    s = sensors
     seconds, above = path(climb, rate, cruise_s, descent, hz)
-    n = seconds.size
-    air = truth.at(truth.t, above)
-    keep = math.exp(-1.0 / hz / s.lag_s) if s.lag_s > 0.0 else 0.0
+    along = {name: truth.at(getattr(truth, name), above) for name in ("t", "p", "rh")}
+    samples = measure(truth, along, seconds, above, sensors, rng, gate_s)
+    measured = {}
+    if thermometer:
+        measured["temperature"] = samples.temperature
+    if barometer:
+        measured["pressure"] = samples.pressure
+    if humidity == "profile":
+        measured["humidity"] = samples.humidity
+    if humidity == "surface":
+        too_high = reasons_where(above >= 200.0, Reason.GROUND_SOAK)
+        measured["humidity"] = replace(samples.humidity, rejected=too_high)
+    return AirSamples(**measured)
+
+
+def measure(
+    truth: Truth,
+    along: dict[str, np.ndarray],
+    seconds: np.ndarray,
+    above: np.ndarray,
+    sensors: Sensors,
+    rng: np.random.Generator,
+    gate_s: float,
+) -> AirSamples:
+    """What the sensors make of the air ``along`` a way (t, p, rh), from the ground of ``truth``."""
+
+    def noise(sigma: float) -> np.ndarray:
+        return sigma * rng.normal(0.0, 1.0, seconds.size)
+
+    s = sensors
+    air = along["t"]
+    keep = math.exp((seconds[0] - seconds[1]) / s.lag_s) if s.lag_s > 0.0 else 0.0
     felt, _ = lfilter([1.0 - keep], [1.0, -keep], air, zi=[keep * air[0]])
     since = np.maximum(seconds - TAKEOFF_S, 0.0)
     t = felt + s.bias_k + s.transient_k * np.exp(-since / s.transient_s)
-    t += rng.normal(0.0, 1.0, n) * s.noise_k + s.drift_k * walk(rng, seconds, 600.0)
-    t += np.where(rng.random(n) < s.outliers, s.outlier_k, 0.0)
-    p = truth.at(truth.p, above) + s.pressure_offset_pa
-    p += s.pressure_scale * (truth.p[0] - truth.at(truth.p, above))
+    t += noise(s.noise_k) + s.drift_k * walk(rng, seconds, 600.0)
+    t += np.where(rng.random(seconds.size) < s.outliers, s.outlier_k, 0.0)
+    p = along["p"] + s.pressure_offset_pa
+    p += s.pressure_scale * (truth.p[0] - along["p"])
     p += s.pressure_drift_pa * walk(rng, seconds, 1200.0) + s.pressure_ramp_pa * seconds / 1380.0
-    p += rng.normal(0.0, 1.0, n) * s.pressure_noise_pa
+    p += noise(s.pressure_noise_pa)
     h = truth.h[0] + above + s.gnss_offset_m + s.gnss_drift_m * walk(rng, seconds, 900.0)
-    h += rng.normal(0.0, 1.0, n) * s.gnss_noise_m
-    rh = truth.at(truth.rh, above) + s.humidity_bias + rng.normal(0.0, 1.0, n) * s.humidity_noise
+    h += noise(s.gnss_noise_m)
+    rh = along["rh"] + s.humidity_bias + noise(s.humidity_noise)
     time_ns = truth.start_ns + np.round(seconds * 1e9).astype(np.int64)
-    flown = seconds - TAKEOFF_S >= gate_s
-
-    def gated(used):
-        return reasons_where(~used, Reason.GROUND_SOAK)
-
-    moist = {"none": None, "surface": above < 200.0, "profile": flown}[humidity]
+    gated = reasons_where(seconds - TAKEOFF_S < gate_s, Reason.GROUND_SOAK)
     return AirSamples(
-        SensorSamples(time_ns, h, t, gated(flown), "thermometer") if thermometer else None,
-        SensorSamples(time_ns, h, p, np.zeros(n, np.uint8), "barometer") if barometer else None,
-        SensorSamples(time_ns, h, rh, gated(moist), "hygrometer") if moist is not None else None,
+        SensorSamples(time_ns, h, t, gated, "thermometer"),
+        SensorSamples(time_ns, h, p, name="barometer"),
+        SensorSamples(time_ns, h, rh, gated, "hygrometer"),
     )
 
 

@@ -24,43 +24,45 @@ def correlation_of_changes(hours: float, low_m: float, high_m: float) -> float:
     return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
 
 
-def test_warm_air_below_the_tropopause_goes_with_cold_air_above():
+@pytest.mark.parametrize("hours", [12.0, 48.0])
+def test_warm_air_below_the_tropopause_goes_with_cold_air_above(hours):
     """Changes over Vienna at 5 km and above 11 km are anti-correlated, -0.4 to -0.8."""
-    for hours in (12.0, 48.0):
-        assert -0.9 < correlation_of_changes(hours, 5000.0, 12_000.0) < -0.3
-        assert correlation_of_changes(hours, 3000.0, 6000.0) > 0.2
+    assert -0.9 < correlation_of_changes(hours, 5000.0, 12_000.0) < -0.3
+    assert correlation_of_changes(hours, 3000.0, 6000.0) > 0.2
 
 
 def test_the_air_is_mixed_by_a_summers_day_alone():
-    low = np.array([300.0])
-
     def sigma_k(month: float, hour: float | None) -> float:
-        return float(sigma_of(variation_parts(VIENNA_RAD, month, 0.0, hour), low)[0])
+        parts = variation_parts(VIENNA_RAD, month, 0.0, hour)
+        return sigma_of(parts, np.array([300.0])).item()
 
     assert sigma_k(JULY, 3.0) > 1.02 * sigma_k(JULY, 15.0)
     assert sigma_k(JULY, None) == sigma_k(JULY, 3.0)
     assert sigma_k(JANUARY, 15.0) == pytest.approx(sigma_k(JANUARY, 3.0), rel=5e-3)
 
 
-def test_inversions_vary_more_in_the_winter_of_middle_latitudes():
+def of_fine_structure(degrees: float, month: float, h: float) -> float:
+    parts = variation_parts(np.radians(degrees), month, 0.0)
+    fine = tuple(part for part in parts if part.name in ("kinked", "smooth"))
+    return sigma_of(fine, np.array([h])).item()
+
+
+@pytest.mark.parametrize(
+    ("degrees", "h", "ratio"),
+    [
+        (48.2, 1000.0, 1.35),
+        (48.2, 250.0, 1.0),
+        (48.2, 3100.0, 1.0),
+        (12.0, 1000.0, 1.0),
+        (71.0, 1000.0, 1.0),
+    ],
+)
+def test_inversions_vary_more_in_the_winter_of_middle_latitudes(degrees, h, ratio):
     """By 1.35 from 0.75 to 1.5 km; not aloft, in summer, the tropics or the Arctic."""
-
-    def of_fine_structure(degrees: float, month: float, h: float) -> float:
-        parts = variation_parts(np.radians(degrees), month, 0.0)
-        fine = tuple(part for part in parts if part.name in ("kinked", "smooth"))
-        return float(sigma_of(fine, np.array([h]))[0])
-
-    def ratio(degrees: float, h: float) -> float:
-        january = of_fine_structure(degrees, JANUARY, h)
-        return january / of_fine_structure(degrees, JULY, h)
-
-    assert ratio(48.2, 1000.0) == pytest.approx(1.35, rel=0.01)
-    assert ratio(48.2, 250.0) == pytest.approx(1.0, rel=0.01)
-    assert ratio(48.2, 3100.0) == pytest.approx(1.0, rel=0.01)
-    assert ratio(12.0, 1000.0) == pytest.approx(1.0, rel=0.01)
-    assert ratio(71.0, 1000.0) == pytest.approx(1.0, rel=0.01)
-    south = of_fine_structure(-48.2, JULY, 1000.0)
-    assert south == pytest.approx(of_fine_structure(48.2, JANUARY, 1000.0))
+    january = of_fine_structure(degrees, JANUARY, h)
+    july = of_fine_structure(degrees, JULY, h)
+    assert january / july == pytest.approx(ratio, rel=0.01)
+    assert of_fine_structure(-degrees, JULY, h) == pytest.approx(january)
 
 
 def test_changes_grow_with_time_and_distance_to_twice_the_variance():
@@ -76,7 +78,7 @@ def test_changes_grow_with_time_and_distance_to_twice_the_variance():
 def test_of_two_parts_the_larger_amplitude_keeps_its_sign():
     waves = variation_parts(VIENNA_RAD, JULY, 0.0)[0]
     other = variation_parts(VIENNA_RAD, JANUARY, 0.0)[0]
-    larger = larger_part(waves, other)
-    there = np.interp(waves.h_m, other.h_m, other.sigma_k)
-    assert np.all(np.abs(larger.sigma_k) == np.maximum(np.abs(waves.sigma_k), np.abs(there)))
-    assert larger.sigma_k.min() < -2.0
+    larger = larger_part(waves, other).sigma_k
+    amplitudes = np.abs([waves.sigma_k, np.interp(waves.h_m, other.h_m, other.sigma_k)])
+    assert np.all(np.abs(larger) == amplitudes.max(axis=0))
+    assert larger.min() < -2.0

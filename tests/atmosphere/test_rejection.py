@@ -1,5 +1,9 @@
 """Why a sample of a sensor is not used: the first rule that rejects it says why."""
 
+from __future__ import annotations
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,14 +16,14 @@ from unbend.atmosphere.rejection import (
     with_reason,
 )
 
-SECOND = 10**9
+
+def sensor(value: list[float], h_m: list[float], **more) -> SensorSamples:
+    time_ns = np.arange(len(value), dtype=np.int64) * 10**9
+    return SensorSamples(time_ns, np.array(h_m), np.array(value), **more)
 
 
-def sensor(value, h_m, rejected=None, **more) -> SensorSamples:
-    n = len(value)
-    reasons = np.zeros(n, np.uint8) if rejected is None else np.array(rejected, np.uint8)
-    time_ns = np.arange(n, dtype=np.int64) * SECOND
-    return SensorSamples(time_ns, np.array(h_m, float), np.array(value, float), reasons, **more)
+def reasons(*codes: int) -> np.ndarray:
+    return np.array(codes, np.uint8)
 
 
 def test_every_reason_has_its_own_words():
@@ -42,40 +46,52 @@ def test_a_reading_without_value_or_height_is_rejected_where_it_is_made():
     assert warm.rejected.tolist() == [0, Reason.NO_VALUE, Reason.NO_HEIGHT, Reason.NO_VALUE]
 
 
+def test_the_middle_of_heights_gives_each_bin_of_100_m_the_same_weight():
+    """Bins 0 and 1: the means of 0, 1 and 2 s, and of 5 s."""
+    level_first = sensor([280.0] * 4, [50.0, 60.0, 70.0, 150.0])
+    level_first = replace(level_first, time_ns=np.array([0, 1, 2, 5]) * 10**9)
+    assert level_first.middle_of_heights_ns == 3 * 10**9
+    assert level_first.middle_ns == 2_500_000_000
+
+
+def test_what_a_flight_climbed_is_up_and_down_together():
+    """Heights at 0, 15 and 30 s."""
+    up_and_down = sensor([280.0] * 4, [0.0, 100.0, 40.0, 40.0])
+    up_and_down = replace(up_and_down, time_ns=np.array([0, 15, 30, 45]) * 10**9)
+    assert up_and_down.climbed_m == pytest.approx(160.0)
+    assert up_and_down.extent_m == 100.0
+
+
 def test_removed_samples_are_in_the_order_of_their_times():
-    removed = RemovedSamples().and_also(
-        np.array([5, 7]), reasons_where(np.ones(2, bool), Reason.JUMP)
-    )
-    removed = removed.and_also(np.array([6]), np.array([Reason.NO_VALUE], np.uint8))
+    jumps = reasons_where(np.ones(2, bool), Reason.JUMP)
+    removed = RemovedSamples().and_also(np.array([5, 7]), jumps)
+    removed = removed.and_also(np.array([6]), reasons(Reason.NO_VALUE))
     assert removed.time_ns.tolist() == [5, 6, 7]
     assert removed.reason.tolist() == [Reason.JUMP, Reason.NO_VALUE, Reason.JUMP]
     assert len(removed) == 3
 
 
 def test_counts_are_those_of_all_samples_that_are_not_used():
-    reasons = with_reason(
-        np.array([0, 3, 0, 12], np.uint8), np.array([True, True, False, True]), Reason.STUCK
-    )
-    assert count_by_reason([reasons, np.array([3], np.uint8)]) == {
-        Reason.JUMP: 2,
-        Reason.STUCK: 1,
-        Reason.OUTLIER: 1,
-    }
+    stuck = np.array([True, True, False, True])
+    before = reasons(Reason.USED, Reason.JUMP, Reason.USED, Reason.OUTLIER)
+    after = with_reason(before, stuck, Reason.STUCK)
+    counts = {Reason.JUMP: 2, Reason.STUCK: 1, Reason.OUTLIER: 1}
+    assert count_by_reason([after, reasons(Reason.JUMP)]) == counts
     assert count_by_reason([]) == {}
 
 
-@pytest.mark.parametrize("estimated", [False, True])
-def test_the_use_of_a_sensor_counts_what_was_removed_before(estimated):
-    removed = RemovedSamples(np.array([3]), np.array([Reason.JUMP], np.uint8))
+OUTLIER = {"temperature": reasons(Reason.OUTLIER, Reason.NO_HEIGHT)}
+
+
+@pytest.mark.parametrize(
+    ("of_estimate", "more", "used"), [({}, {}, 1), (OUTLIER, {Reason.OUTLIER: 1}, 0)]
+)
+def test_the_use_of_a_sensor_counts_what_was_removed_before(of_estimate, more, used):
+    removed = RemovedSamples(np.array([3]), reasons(Reason.JUMP))
     warm = sensor([280.0, 281.0], [1.0, np.nan], name="HYGR[0]", removed=removed)
-    of_estimate = {}
-    if estimated:
-        of_estimate = {"temperature": np.array([Reason.OUTLIER, Reason.NO_HEIGHT], np.uint8)}
     (use,) = sensor_uses(AirSamples(warm), of_estimate)
-    expected = {Reason.JUMP: 1, Reason.NO_HEIGHT: 1}
-    if estimated:
-        expected[Reason.OUTLIER] = 1
-    assert use == SensorUse("temperature", "HYGR[0]", 3, expected)
-    assert use.used == (0 if estimated else 1)
-    assert use.rejected == dict.fromkeys(expected, 1)
-    assert "of 3 samples used; not used: 1 (" in use.sentence()
+    assert use == SensorUse(
+        "temperature", "HYGR[0]", 3, {Reason.JUMP: 1, Reason.NO_HEIGHT: 1} | more
+    )
+    assert use.used == used
+    assert f"{used} of 3 samples used; not used: 1 (" in use.sentence()

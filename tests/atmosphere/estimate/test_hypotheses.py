@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from unbend.atmosphere import standard_atmosphere
-from unbend.atmosphere.air_samples import AirSamples
-from unbend.atmosphere.climatology import climatology, month_of
+from tests.atmosphere import flights
+from tests.atmosphere.adjusting import (
+    DESERT,
+    MONSOON,
+    NO_SENSORS,
+    TRADES,
+    adjust,
+    drawn_flight,
+    expected_air,
+    extreme,
+    fault_of,
+    flown,
+    sigma_of_r,
+    with_readings,
+)
 from unbend.atmosphere.estimate import solver
-from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.atmosphere.estimate.hypotheses import (
     IN_A_BAY,
     RARE_FAULTS,
@@ -27,29 +38,26 @@ from unbend.atmosphere.estimate.hypotheses import (
 from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.estimate.state import Fault, Layout, Prior, SensorFault
-from unbend.messages import LOSSES, Ledger
-
-US1976 = standard_atmosphere("us1976")
-ARCTIC, DESERT, MONSOON, TRADES, NIGHT = range(5)
-
 
 # The mixture, against Bayes' rule on a grid
 
 
-@dataclass(frozen=True, eq=False)
-class OneNumber:
+def reading_of(value: float, quantity: str = "temperature") -> SimpleNamespace:
     """A reading of one number, a temperature or not."""
 
-    value: np.ndarray
-    quantity: str = "temperature"
-
-    def predict(self, air):
+    def predict(air):
         return air.x.copy(), np.eye(1)
 
+    return SimpleNamespace(value=value, quantity=quantity, predict=predict)
 
-@dataclass(frozen=True, eq=False)
-class StateOnly:
-    x: np.ndarray
+
+def evidence_of(
+    share: float, mean: float, precision: float, weight: float, x: float, log_sigma: float = 0.0
+) -> Evidence:
+    """Of a solution x for one number that is expected to be a mean."""
+    prior = Prior(np.array([mean]), np.array([[precision]]), np.empty(0))
+    state = SimpleNamespace(x=np.array([x]))
+    return Evidence(share, state, prior, (np.array([weight]),), log_sigma)
 
 
 def normal(x, mean, deviation):
@@ -60,73 +68,62 @@ def normal(x, mean, deviation):
 @pytest.mark.parametrize("sigma", [0.002, 0.05, 0.4])
 def test_the_mixture_is_that_of_bayes_rule(value, sigma):
     """Mean, variance and probability of a number that is usually 0 and rarely about a half."""
-    parts = ((0.9, 0.0, 0.01), (0.1, 0.5, 0.3))
     x = np.linspace(-3.0, 4.0, 700_001)
-    of_parts = np.array(
-        [share * normal(x, mean, own) * normal(value, x, sigma) for share, mean, own in parts]
-    )
-    posterior = of_parts.sum(axis=0) / of_parts.sum()
+    posteriors = []
     solved = []
     states = []
     covariances = []
-    for share, mean, own in parts:
-        variance = 1.0 / (own**-2 + sigma**-2)
-        solution = np.array([variance * (mean / own**2 + value / sigma**2)])
-        prior = Prior(np.array([mean]), np.array([[own**-2]]), np.empty(0))
-        weights = (np.array([sigma**-2]),)
+    for share, mean, deviation in ((0.9, 0.0, 0.01), (0.1, 0.5, 0.3)):
+        posteriors.append(share * normal(x, mean, deviation) * normal(value, x, sigma))
+        variance = 1.0 / (deviation**-2 + sigma**-2)
+        solution = variance * (mean / deviation**2 + value / sigma**2)
         # Away from the minimum too: a last step is part of the likelihood.
         away = solution + 0.3 * np.sqrt(variance)
-        solved.append(Evidence(share, StateOnly(away), prior, weights, 0.0))
-        states.append(solution)
+        solved.append(evidence_of(share, mean, deviation**-2, sigma**-2, away))
+        states.append(np.array([solution]))
         covariances.append(np.array([[variance]]))
-    chances = probabilities(solved, [OneNumber(np.array([value]))])
+    chances = probabilities(solved, [reading_of(value)])
     mean, covariance = mixed_moments(states, covariances, chances)
-    assert chances[1] == pytest.approx(of_parts[1].sum() / of_parts.sum(), rel=1e-4, abs=1e-9)
+    posterior = np.sum(posteriors, axis=0) / np.sum(posteriors)
+    expected = np.sum(posteriors[1]) / np.sum(posteriors)
+    assert chances[1] == pytest.approx(expected, rel=1e-4, abs=1e-9)
     assert mean[0] == pytest.approx(posterior @ x, abs=1e-5)
     assert covariance[0, 0] == pytest.approx(posterior @ (x - mean[0]) ** 2, rel=1e-3)
 
 
 def test_a_misfit_is_not_excused_by_larger_sigmas():
     """Of two numbers the reading is 5: 0 with sigmas inflated a hundredfold is no better for it."""
-    prior = [Prior(np.array([mean]), np.eye(1) * 1e6, np.empty(0)) for mean in (0.0, 5.0)]
-    solved = [
-        Evidence(0.5, StateOnly(prior[0].mean), prior[0], (np.array([1e-4]),), np.log(100.0)),
-        Evidence(0.5, StateOnly(prior[1].mean), prior[1], (np.array([1.0]),), 0.0),
-    ]
-    assert probabilities(solved, [OneNumber(np.array([5.0]))])[1] > 0.999
+    inflated = evidence_of(0.5, 0.0, 1e6, weight=1e-4, x=0.0, log_sigma=np.log(100.0))
+    fitting = evidence_of(0.5, 5.0, 1e6, weight=1.0, x=5.0)
+    assert probabilities([inflated, fitting], [reading_of(5.0)])[1] > 0.999
 
 
-@pytest.mark.parametrize("quantity", ["temperature", "pressure"])
-def test_the_climatology_alone_makes_no_fault_likely(quantity):
-    """Without a temperature a fault has 0.25 at most, and less where it has less."""
-    prior = [Prior(np.array([mean]), np.eye(1) * 1e6, np.empty(0)) for mean in (0.0, 5.0)]
-    solved = [
-        Evidence(share, StateOnly(each.mean), each, (np.array([1.0]),), 0.0)
-        for share, each in zip((0.9, 0.1), prior, strict=True)
-    ]
+@pytest.mark.parametrize(
+    ("quantity", "gain", "most"),
+    [("temperature", 8.0, 1.0), ("pressure", 8.0, 0.25), ("pressure", -1.0, 0.25)],
+)
+def test_the_climatology_alone_makes_no_fault_likely(quantity, gain, most):
+    """Without a temperature a fault has 0.25 at most."""
+    usual = evidence_of(0.9, 0.0, 1e6, weight=1.0, x=0.0)
+    rare = evidence_of(0.1, 5.0, 1e6, weight=1.0, x=5.0)
     # A reading of 2.5 + g / 5 speaks by exp(g) for the second.
-    for gain in (8.0, -1.0):
-        reading = OneNumber(np.array([2.5 + gain / 5.0]), quantity)
-        odds = np.exp(gain) / 9.0
-        expected = odds / (1.0 + odds)
-        if quantity == "pressure":
-            expected = min(expected, 0.25)
-        chances = probabilities(solved, [reading])
-        assert chances[1] == pytest.approx(expected, rel=1e-3)
-        assert chances.sum() == pytest.approx(1.0)
+    chances = probabilities([usual, rare], [reading_of(2.5 + gain / 5.0, quantity)])
+    odds = np.exp(gain) / 9.0
+    assert chances[1] == pytest.approx(min(odds / (1.0 + odds), most), rel=1e-3)
+    assert chances.sum() == pytest.approx(1.0)
 
 
 def test_hypotheses_share_the_probability_and_give_the_sigma_before_the_flight():
-    faults = (
-        Fault(SensorFault.BAY_SHARE, 0.0, 0.002),
-        Fault(SensorFault.THERMOMETER_BIAS, 1.0, 3.0),
-    )
-    every = hypotheses_of(Layout(np.empty(0), np.empty(0), 0.0, faults, ()), (IN_A_BAY,))
-    assert [hypothesis.share for hypothesis in every] == pytest.approx([0.8, 0.2])
-    usual, rare = (hypothesis.layout.faults for hypothesis in every)
-    assert usual == faults
-    assert [(fault.mean, fault.sigma) for fault in rare] == [(0.5, 0.3), (1.0, 6.0)]
-    sigma = prior_sigmas(every)
+    bay = Fault(SensorFault.BAY_SHARE, 0.0, 0.002)
+    bias = Fault(SensorFault.THERMOMETER_BIAS, 1.0, 3.0)
+    layout = Layout(np.empty(0), np.empty(0), 0.0, (bay, bias), ())
+    usual, rare = hypotheses_of(layout, (IN_A_BAY,))
+    assert usual.share == pytest.approx(0.8)
+    assert rare.share == pytest.approx(0.2)
+    assert usual.layout.faults == (bay, bias)
+    in_a_bay = replace(bay, mean=0.5, sigma=0.3)
+    assert rare.layout.faults == (in_a_bay, replace(bias, sigma=6.0))
+    sigma = prior_sigmas([usual, rare])
     assert sigma[SensorFault.BAY_SHARE] == pytest.approx(np.sqrt(0.2 * (0.3**2 + 0.5**2)), 1e-3)
     assert sigma[SensorFault.THERMOMETER_BIAS] == pytest.approx(np.sqrt(0.8 * 9.0 + 0.2 * 36.0))
 
@@ -157,42 +154,10 @@ def test_a_second_minimum_is_left_from_where_another_hypothesis_ended(
 # What it says of flights
 
 
-@pytest.fixture(scope="module")
-def airs(flights):
-    return [flights.Truth(balloon) for balloon in flights.extremes()]
-
-
-def background(truth):
-    return climatology(
-        latitude_rad=truth.latitude, month=month_of(truth.start_ns), ground_h_m=float(truth.h[0])
-    )
-
-
-def adjust(truth, samples):
-    ledger = Ledger()
-    air = build_adjusted_profile(
-        samples, US1976, truth.latitude, ledger, background=background(truth)
-    )
-    return air, ledger
-
-
-def sigmas(truth, air, climb):
-    """By how many of its sigmas R errs."""
-    sigma = air.covariance.relative_sigma(truth.h[0] + climb, truth.h[0])
-    return abs(truth.error(air.profile, climb)) / sigma
-
-
-def is_told(ledger):
-    return any(entry.kind in LOSSES for entry in ledger)
-
-
-def with_temperatures(samples, value):
-    return replace(samples, temperature=replace(samples.temperature, value=value))
-
-
+@pytest.mark.parametrize("place", [DESERT, TRADES])
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.6])
 @pytest.mark.parametrize("climb", [800.0, 1500.0])
-def test_a_thermometer_partly_in_the_outside_air_is_in_the_sigma(flights, airs, share, climb):
+def test_a_thermometer_partly_in_the_outside_air_is_in_the_sigma(place, share, climb):
     """T = 294 K - f (294 K - T_out): R erred by 10 to 23 % at 2 %, 4 to 12 sigma.
 
     The limit is that of the drawn flights, of which one in a hundred may be beyond 4 sigma. In the
@@ -200,60 +165,53 @@ def test_a_thermometer_partly_in_the_outside_air_is_in_the_sigma(flights, airs, 
     by 10 % at 2.3: 4.3 sigma. Air that cools by 6.8 K/km under a thermometer 6 K off is then
     nothing unusual, beside air that cools by 9.8 K/km, as hardly any does.
     """
-    for truth in (airs[DESERT], airs[TRADES]):
-        rng = np.random.default_rng(1)
-        samples = flights.fly(truth, climb, flights.drawn(rng), rng, humidity="none", rate=2.5)
-        inside = 294.0 - share * (294.0 - samples.temperature.value)
-        air, ledger = adjust(truth, with_temperatures(samples, inside))
-        assert is_told(ledger) or sigmas(truth, air, climb) < 4.0, (truth.name, share)
+    truth = extreme(place)
+    samples = drawn_flight(truth, climb, 1, humidity="none", rate=2.5)
+    inside = 294.0 - share * (294.0 - samples.temperature.value)
+    adjusted = adjust(truth, with_readings(samples, inside))
+    assert adjusted.is_told or adjusted.departure(climb) < 4.0
 
 
-@pytest.mark.parametrize("warmer_k", [1.0, 3.0])
-def test_a_thermometer_that_the_climb_warms_has_no_lag_for_it(flights, airs, warmer_k):
+@pytest.mark.parametrize(("warmer_k", "least_chance"), [(1.0, 0.0), (3.0, 0.5)])
+def test_a_thermometer_that_the_climb_warms_has_no_lag_for_it(warmer_k, least_chance):
     """Read as lag, 3 K were 3.6 % of R at 0.8."""
-    truth = airs[TRADES]
-    rng = np.random.default_rng(3)
-    sensors = replace(flights.drawn(rng), lag_s=5.0)
-    samples = flights.fly(truth, 1000.0, sensors, rng, humidity="none", rate=3.0, descent=True)
+    truth = extreme(TRADES)
+    sensors = replace(flights.drawn(np.random.default_rng(3)), lag_s=5.0)
+    samples = flown(truth, 1000.0, sensors, humidity="none", rate=3.0, descent=True)
     t = samples.temperature
-    seconds = (t.time_ns - t.time_ns[0]) * 1e-9
-    climbs = (seconds > flights.TAKEOFF_S) & (seconds < flights.TAKEOFF_S + 1000.0 / 3.0)
-    air, ledger = adjust(truth, with_temperatures(samples, t.value + warmer_k * climbs))
-    assert is_told(ledger) or sigmas(truth, air, 1000.0) < 2.0
-    made = estimate(with_temperatures(samples, t.value + warmer_k * climbs), background(truth))
-    lag = next(f for f in made.faults if f.fault is SensorFault.THERMOMETER_LAG)
+    seconds = (t.time_ns - t.time_ns[0]) * 1e-9 - flights.TAKEOFF_S
+    climbs = (seconds > 0.0) & (seconds < 1000.0 / 3.0)
+    warmed = with_readings(samples, t.value + warmer_k * climbs)
+    adjusted = adjust(truth, warmed)
+    assert adjusted.is_told or adjusted.departure(1000.0) < 2.0
+    made = estimate(warmed, expected_air(truth))
+    lag = fault_of(made, SensorFault.THERMOMETER_LAG)
     assert abs(lag.value - 5.0) < 3.0 * lag.sigma
-    if warmer_k == 3.0:
-        assert made.chances[WARM_CLIMB.name] > 0.5
+    assert made.chances[WARM_CLIMB.name] > least_chance
 
 
-def test_usual_sensors_stay_as_certain(flights, airs):
+@pytest.mark.parametrize("place", [DESERT, MONSOON])
+def test_usual_sensors_stay_as_certain(place):
     """No rare fault is likely where sensors are usual, and the sigma is that of usual ones."""
-    for truth in (airs[DESERT], airs[MONSOON]):
-        rng = np.random.default_rng(5)
-        samples = flights.fly(
-            truth, 2000.0, flights.drawn(rng), rng, humidity="none", rate=3.0, descent=True
-        )
-        made = estimate(samples, background(truth))
-        assert made.chances["usual sensors"] > 0.5
-        alone = estimate(
-            samples, background(truth), settings=SensorSettings(usual_errors_only=True)
-        )
-        heights = truth.h[0] + 2000.0, truth.h[0]
-        ours, usual = (each.covariance.relative_sigma(*heights) for each in (made, alone))
-        assert ours < 1.5 * usual
+    truth = extreme(place)
+    samples = drawn_flight(truth, 2000.0, 5, humidity="none", rate=3.0, descent=True)
+    air = expected_air(truth)
+    made = estimate(samples, air)
+    assert made.chances["usual sensors"] > 0.5
+    alone = estimate(samples, air, settings=SensorSettings(usual_errors_only=True))
+    assert sigma_of_r(made, truth, 2000.0) < 1.5 * sigma_of_r(alone, truth, 2000.0)
 
 
-def test_what_is_stated_is_not_expected_to_be_rare(flights, airs):
-    truth = airs[TRADES]
-    rng = np.random.default_rng(6)
-    samples = flights.fly(truth, 800.0, flights.drawn(rng), rng, humidity="none", rate=2.5)
+def test_what_is_stated_is_not_expected_to_be_rare():
+    truth = extreme(TRADES)
+    air = expected_air(truth)
+    samples = drawn_flight(truth, 800.0, 6, humidity="none", rate=2.5)
     names = {rare.name for rare in RARE_FAULTS}
-    assert estimate(samples, background(truth)).chances.keys() == names | {"usual sensors"}
+    assert estimate(samples, air).chances.keys() == names | {"usual sensors"}
     stated = SensorSettings(
         calibration={SensorFault.PRESSURE_SCALE: SensorCalibration(sigma=1e-4)},
         board_temperature=True,
     )
-    made = estimate(samples, background(truth), settings=stated)
+    made = estimate(samples, air, settings=stated)
     assert made.chances.keys() == {WARM_CLIMB.name, "usual sensors"}
-    assert estimate(AirSamples(), background(truth)).chances == {"usual sensors": 1.0}
+    assert estimate(NO_SENSORS, air).chances == {"usual sensors": 1.0}

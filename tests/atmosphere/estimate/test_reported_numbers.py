@@ -12,7 +12,6 @@ from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.estimate.candidates import (
     NO_ESTIMATE,
     ExternalSources,
-    SourceUse,
     UsedSamples,
     source_usage,
 )
@@ -23,17 +22,13 @@ from unbend.messages import Kind
 HEIGHTS_M = np.array([500.0, 900.0, 1500.0])
 
 
-def sensor(name: str, *values: float) -> SensorSamples:
-    return SensorSamples(np.arange(3), HEIGHTS_M, np.array(values), name=name)
+def sensor(name: str, values: np.ndarray | list[float]) -> SensorSamples:
+    return SensorSamples(np.arange(3), HEIGHTS_M, np.asarray(values), name=name)
 
 
-def samples(**sensors: SensorSamples | None) -> AirSamples:
-    none = {"temperature": None, "pressure": None, "humidity": None}
-    return AirSamples(**(none | sensors))
-
-
-THERMOMETER = sensor("IMET[0]", 285.0, 282.5, 279.0)
-BAROMETER = sensor("BARO[0]", 95_000.0, 90_500.0, 84_000.0)
+THERMOMETER = sensor("IMET[0]", [285.0, 282.5, 279.0])
+BAROMETER = sensor("BARO[0]", [95_000.0, 90_500.0, 84_000.0])
+GIVEN = AirSamples(THERMOMETER, BAROMETER)
 
 
 def test_known_biases_are_subtracted_and_named():
@@ -42,19 +37,18 @@ def test_known_biases_are_subtracted_and_named():
         SensorFault.PRESSURE_OFFSET: SensorCalibration(mean=-120.0),
         SensorFault.HYGROMETER_BIAS: SensorCalibration(mean=0.02),  # there is no hygrometer
     }
-    given = samples(temperature=THERMOMETER, pressure=BAROMETER)
-    (corrected, settings), (note,) = subtract_known_biases(
-        given, SensorSettings(calibration=calibration)
-    )
+    known = SensorSettings(calibration=calibration)
+    (corrected, settings), (note,) = subtract_known_biases(GIVEN, known)
     np.testing.assert_allclose(corrected.temperature.value, [284.5, 282.0, 278.5])
     np.testing.assert_allclose(corrected.pressure.value, [95_120.0, 90_620.0, 84_120.0])
     left = settings.calibration[SensorFault.THERMOMETER_BIAS]
-    assert (left.mean, left.sigma, left.subtracted) == (0.0, 0.1, 0.5)
+    assert left == SensorCalibration(mean=0.0, sigma=0.1, subtracted=0.5)
     assert settings.calibration[SensorFault.HYGROMETER_BIAS].mean == 0.02
-    assert (note.where, note.count) == ("atmosphere.sensors", 2)
+    assert note.where == "atmosphere.sensors"
+    assert note.count == 2
     assert "IMET[0] 0.5" in note.what
     assert "BARO[0] -120" in note.what
-    assert subtract_known_biases(given, SensorSettings())[1] == ()
+    assert subtract_known_biases(GIVEN, SensorSettings())[1] == ()
 
 
 @pytest.mark.parametrize(
@@ -77,9 +71,11 @@ def test_the_level_of_pressures_is_judged_at_sea_level(sigmas, kind):
         profile=SimpleNamespace(pressure=lambda h: 100_000.0),
         spread=SimpleNamespace(pressure_ratio=0.01),
     )
-    values = profile.pressure(HEIGHTS_M) + np.array([100.0, -200.0, 400.0])
-    message = pressure_level(profile, background, sensor("BARO[1]", *values))
-    assert (message.kind, message.where, message.count) == (kind, "BARO[1]", 3)
+    readings = np.add(profile.pressure(HEIGHTS_M), [100.0, -200.0, 400.0])
+    message = pressure_level(profile, background, sensor("BARO[1]", readings))
+    assert message.kind is kind
+    assert message.where == "BARO[1]"
+    assert message.count == 3
     assert message.values == pytest.approx(
         {"sigmas": abs(sigmas), "median": 2.0, "largest": 4.0, "at_sea": at_sea_pa / 100.0}
     )
@@ -87,8 +83,7 @@ def test_the_level_of_pressures_is_judged_at_sea_level(sigmas, kind):
 
 def usage(used: AirSamples | None, standard: str, **refused: str) -> dict[str, str]:
     """Why each source is not used, "" for those that are, with two soundings of which one is."""
-    given = samples(temperature=THERMOMETER, pressure=BAROMETER)
-    flown = UsedSamples(given, given, tried=(given,), used=used, refused=refused)
+    flown = UsedSamples(GIVEN, GIVEN, tried=(GIVEN,), used=used, refused=refused)
     soundings = (SimpleNamespace(name="sounding A"), SimpleNamespace(name="sounding B"))
     background = SimpleNamespace(profile=SimpleNamespace(name="climate"), origin="47 N, June")
     uses = source_usage(
@@ -99,12 +94,11 @@ def usage(used: AirSamples | None, standard: str, **refused: str) -> dict[str, s
         background=background,
         standard=standard,
     )
-    assert all(isinstance(use, SourceUse) for use in uses)
     return {use.source: use.why_not for use in uses}
 
 
 def test_every_source_is_named_with_why_it_is_not_used():
-    used = usage(samples(temperature=THERMOMETER), "us1976", pressure="it leaps")
+    used = usage(AirSamples(THERMOMETER), "us1976", pressure="it leaps")
     assert used["sounding B"] == "too old"
     assert "sounding A" not in used  # its fit says how it is used
     assert used["surface report"] == "none in the mission file"

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
+from tests.atmosphere.adjusting import all_airs
+from tests.atmosphere.values import HYDROSTATIC_K_PER_M
+from tests.helpers import refused
 from tests.model_files import PRESSURE_LEVELS
 from unbend.atmosphere.soundings.model_column import model_column
 from unbend.atmosphere.soundings.model_field import ModelField, checked_field
 from unbend.atmosphere.soundings.model_levels import half_levels, level_coefficients
-from unbend.errors import InputError
 
 # "L137 model level definitions", ECMWF: pressures of the half levels 1 to 137 [hPa] over a surface
 # of 1013.25 hPa.
@@ -34,112 +34,112 @@ PUBLISHED = """
 
 
 def test_half_levels_are_the_published_ones():
-    published = np.array([float(word) for word in PUBLISHED.split()])
+    published = np.array(PUBLISHED.split(), float)
     ours = half_levels(np.array([101_325.0]))[0, 1:] / 100.0
     np.testing.assert_allclose(ours, published, rtol=0.0, atol=5.1e-5)  # four decimals
 
 
 def test_coefficients_are_smooth_and_end_at_nothing_and_at_the_surface():
     a, b = level_coefficients()
-    assert (a[0], b[0], a[-1], b[-1]) == (0.0, 0.0, 0.0, 1.0)
+    assert (a[0], b[0]) == (0.0, 0.0)
+    assert (a[-1], b[-1]) == (0.0, 1.0)
     # A wrong digit in one row shows in the third differences, where the next rows do not.
-    for column, largest in ((a, 12.0), (b, 2e-4)):
-        third = np.abs(np.diff(column, 3))
-        assert third.max() < largest
+    assert np.abs(np.diff(a, 3)).max() < 12.0
+    assert np.abs(np.diff(b, 3)).max() < 2e-4
     assert (np.diff(half_levels(np.array([101_325.0, 60_000.0])), axis=1) > 0.0).all()
 
 
-def known_air():
-    """ln p of heights [m'] in air of two lapse rates, moist below 3 km, integrated every metre."""
-    height = np.arange(0.0, 40_000.0, 1.0)
-    t = np.maximum(288.0 - 6.5e-3 * height, 217.0)
-    q = 0.012 * np.exp(-height / 2500.0)
-    vapour = q / (0.622 + 0.378 * q)
-    fall = 9.80665 * 28.9644 / 8314.32 * (1.0 - 0.378 * vapour) / t
-    log_p = math.log(100_500.0) - np.concatenate([[0.0], np.cumsum(0.5 * (fall[1:] + fall[:-1]))])
-    return height, t, q, log_p
+def full_levels(surface_pa: float) -> np.ndarray:
+    """Pressures [Pa] of the 137 levels: means of their half levels."""
+    half = half_levels(np.array([surface_pa]))[0]
+    return 0.5 * (half[1:] + half[:-1])
 
 
-@pytest.mark.parametrize("first", [1, 60])
-def test_heights_and_pressures_of_model_levels_are_those_of_known_air(first):
-    """Within 1e-4 of p up to 10 km, as 0.8 m: levels are means of half levels, not their air."""
-    height, t, q, log_p = known_air()
-    ground = 300.0
-    surface = np.interp(ground, height, log_p)
-    half = half_levels(np.array([math.exp(surface)]))[0]
-    full = np.log(0.5 * (half[1:] + half[:-1]))[first - 1 :]
-    at = np.interp(-full, -log_p, height)
-    values = (np.interp(at, height, v)[None, :, None, None] for v in (t, q))
-    field = ModelField(
+def column_field(level, t, q, *, ground_m: float, surface_pa: float, **more) -> ModelField:
+    """A field of one time and node, from columns (l,)."""
+    columns = [np.reshape(column, (1, -1, 1, 1)) for column in (t, q)]
+    return ModelField(
         "era5.nc",
         np.zeros(1, np.int64),
         np.zeros(1),
         np.zeros(1),
+        level,
+        *columns,
+        surface=np.full((1, 1, 1, 1), ground_m),
+        log_surface_pa=np.full((1, 1, 1, 1), np.log(surface_pa)),
+        **more,
+    )
+
+
+@pytest.mark.parametrize("first", [1, 60])
+def test_heights_and_pressures_of_model_levels_are_those_of_known_air(first):
+    """Within 1e-4 of p up to 10 km, as 0.8 m: levels are means of half levels, not their air.
+
+    The air has two lapse rates, is moist below 3 km, and integrated every metre.
+    """
+    height = np.arange(0.0, 40_000.0, 1.0)
+    t = np.maximum(288.0 - 6.5e-3 * height, 217.0)
+    q = 0.012 * np.exp(-height / 2500.0)
+    vapour = q / (0.622 + 0.378 * q)
+    fall = HYDROSTATIC_K_PER_M * (1.0 - 0.378 * vapour) / t
+    log_p = np.log(100_500.0) - cumulative_trapezoid(fall, height, initial=0.0)
+    ground = 300.0
+    surface_pa = float(np.exp(np.interp(ground, height, log_p)))
+    p = full_levels(surface_pa)[first - 1 :]
+    h = np.interp(-np.log(p), -log_p, height)
+    field = column_field(
         np.arange(first, 138.0),
-        *values,
-        surface=np.full((1, 1, 1, 1), ground),
-        log_surface_pa=np.full((1, 1, 1, 1), surface),
+        np.interp(h, height, t),
+        np.interp(h, height, q),
+        ground_m=ground,
+        surface_pa=surface_pa,
         on_model_levels=True,
     )
     air = field.columns(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))
-    low = at < 10_000.0
+    np.testing.assert_allclose(air.log_pressure[0], np.log(p), rtol=1e-12)
+    np.testing.assert_allclose(air.temperature_k[0], np.interp(h, height, t))
+    np.testing.assert_allclose(air.vapour[0], np.interp(h, height, vapour), rtol=1e-6)
+    off = np.abs(np.interp(air.height[0], height, log_p) - np.log(p))
+    low = h < 10_000.0
     assert low.sum() == 57
-    np.testing.assert_allclose(air.log_pressure[0], full, rtol=1e-12)
-    true_log_p = np.interp(air.height[0], height, log_p)
-    assert np.abs(true_log_p - full)[low].max() < 1e-4
-    assert np.abs(true_log_p - full)[at < 30_000.0].max() < 5e-4
-    np.testing.assert_allclose(air.temperature_k[0], np.interp(at, height, t))
-    e = air.vapour[0] * np.exp(full)
-    p = np.exp(full)
-    np.testing.assert_allclose(
-        e, p * np.interp(at, height, q) / (0.622 + 0.378 * np.interp(at, height, q)), rtol=1e-6
+    assert off[low].max() < 1e-4
+    assert off[h < 30_000.0].max() < 5e-4
+
+
+COARSE = 100.0 * np.array([200, 250, 300, 400, 500, 700, 850, 925, 1000.0])
+FINE = 100.0 * np.array(PRESSURE_LEVELS[::-1], float)
+
+
+@pytest.mark.parametrize("kind", ["model", "coarse", "fine"])
+@pytest.mark.parametrize("number", range(14))
+def test_real_columns_on_coarse_and_model_levels_are_air(number: int, kind: str):
+    """Nine soundings and five extremes: inversions of 15 K, a desert's noon."""
+    truth = all_airs()[number]
+    surface_pa = float(truth.p[0])
+    p = {"model": full_levels(surface_pa), "coarse": COARSE, "fine": FINE}[kind]
+    level = np.arange(1.0, p.size + 1) if kind == "model" else p
+    inside = (p > truth.p[-1]) & (p < surface_pa)
+    p = p[inside]
+    t, e, height = (np.interp(-np.log(p), -np.log(truth.p), v) for v in (truth.t, truth.e, truth.H))
+    ground_m = float(truth.H[0])
+    more = {"height": height[None, :, None, None]}
+    if kind == "model":
+        more = {"on_model_levels": True}
+    field = column_field(
+        level[inside],
+        t,
+        0.622 * e / (p - 0.378 * e),
+        ground_m=ground_m,
+        surface_pa=surface_pa,
+        **more,
     )
+    checked, notes = checked_field(field, truth.name)
+    _, more = model_column(checked, (0.0, 0.0, 0), ground_h_m=float(truth.h[0]))
+    codes = {message.code for message in (*notes, *more)}
+    assert codes <= {"MODEL-UNDERGROUND", "MODEL-EXTENDED"}
 
 
-def test_real_columns_on_coarse_and_model_levels_are_air(flights):
-    """Nine soundings and five extremes: inversions of 15 K, a desert's noon, tropopauses."""
-    for balloon in (*flights.balloons(), *flights.extremes()):
-        lowest = balloon.H[0]
-        fine = np.arange(balloon.H[0], balloon.H[-1], 5.0)
-        t = np.interp(fine, balloon.H, balloon.t)
-        vapour = np.exp(np.interp(fine, balloon.H, np.log(balloon.e))) / balloon.p0
-        fall = 9.80665 * 28.9644 / 8314.32 * (1.0 - 0.378 * vapour) / t
-        log_p = np.log(balloon.p0) - cumulative_trapezoid(fall, fine, initial=0.0)
-        half = half_levels(np.array([balloon.p0]))[0]
-        full = 0.5 * (half[1:] + half[:-1])
-        first = int(np.argmax(full > np.exp(log_p[-1])))
-        on = {
-            "model": full[first:],
-            "coarse": 100.0 * np.array([200, 250, 300, 400, 500, 700, 850, 925, 1000.0]),
-            "fine": 100.0 * np.array(PRESSURE_LEVELS[::-1], float),
-        }
-        for kind, p in on.items():
-            p = p[(p > np.exp(log_p[-1])) & (p < balloon.p0)]
-            kelvin, water, height = (
-                np.interp(-np.log(p), -log_p, v)[None, :, None, None] for v in (t, vapour, fine)
-            )
-            of_model = kind == "model"
-            one = np.ones((1, 1, 1, 1))
-            level = np.arange(first + 1.0, 138.0) if of_model else p
-            field = ModelField(
-                balloon.name,
-                np.zeros(1, np.int64),
-                np.zeros(1),
-                np.zeros(1),
-                level,
-                kelvin,
-                0.622 * water / (1.0 - 0.378 * water),
-                on_model_levels=of_model,
-                height=np.empty(0) if of_model else height,
-                surface=lowest * one,
-                log_surface_pa=np.log(balloon.p0) * one,
-            )
-            checked, notes = checked_field(field, balloon.name)
-            _, more = model_column(checked, (0.0, 0.0, 0), ground_h_m=float(lowest))
-            assert {entry.code for entry in (*notes, *more)} <= {
-                "MODEL-UNDERGROUND",
-                "MODEL-EXTENDED",
-            }, (balloon.name, kind)
+NODES_DEG = [46.0, 46.25, 46.5, 46.75, 47.0]
 
 
 def field_over(latitude_deg: list[float], longitude_deg: list[float]) -> ModelField:
@@ -156,9 +156,6 @@ def field_over(latitude_deg: list[float], longitude_deg: list[float]) -> ModelFi
     )
 
 
-NODES_DEG = [46.0, 46.25, 46.5, 46.75, 47.0]
-
-
 @pytest.mark.parametrize(
     ("north", "east", "away_km"),
     [
@@ -171,30 +168,28 @@ NODES_DEG = [46.0, 46.25, 46.5, 46.75, 47.0]
 )
 def test_places_beside_a_models_nodes_are_refused_with_their_distance(north, east, away_km):
     field = field_over(NODES_DEG, [8.0, 8.25, 8.5, 8.75, 9.0])
-    inside = np.radians([46.0, 47.0, 46.1]), np.radians([8.0, 9.0, 8.99])
-    field.refuse_outside(*inside)
-    latitude = np.append(inside[0], np.radians(north))
-    longitude = np.append(inside[1], np.radians(east))
-    with pytest.raises(InputError) as refused:
-        field.refuse_outside(latitude, longitude)
-    assert refused.value.values == pytest.approx(
-        {
-            "north": north,
-            "east": east,
-            "away_km": away_km,
-            "south_node": 46.0,
-            "north_node": 47.0,
-            "west_node": 8.0,
-            "east_node": 9.0,
-        },
-        rel=1e-3,
-    )
+    inside_north = [46.0, 47.0, 46.1]
+    inside_east = [8.0, 9.0, 8.99]
+    field.refuse_outside(np.radians(inside_north), np.radians(inside_east))
+    with refused("MODEL-AREA") as caught:
+        field.refuse_outside(np.radians([*inside_north, north]), np.radians([*inside_east, east]))
+    expected = {
+        "north": north,
+        "east": east,
+        "away_km": away_km,
+        "south_node": 46.0,
+        "north_node": 47.0,
+        "west_node": 8.0,
+        "east_node": 9.0,
+    }
+    assert caught.value.values == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_hole_between_nodes_is_outside():
     """The nodes at 46.5 and 46.75 deg are missing: of three steps the middle is no neighbour."""
-    field = field_over([45.75, 46.0, 46.25, 47.0, 47.25], [8.0, 8.25, 8.5])
-    with pytest.raises(InputError) as refused:
-        field.refuse_outside(np.radians([46.5]), np.radians([8.1]))
-    assert refused.value.values["away_km"] == pytest.approx(27.8, rel=1e-3)
-    field_over(NODES_DEG, [8.0, 8.3, 8.6]).refuse_outside(np.radians([46.5]), np.radians([8.1]))
+    holed = field_over([45.75, 46.0, 46.25, 47.0, 47.25], [8.0, 8.25, 8.5])
+    with refused("MODEL-AREA") as caught:
+        holed.refuse_outside(np.radians([46.5]), np.radians([8.1]))
+    assert caught.value.values["away_km"] == pytest.approx(27.8, rel=1e-3)
+    whole = field_over(NODES_DEG, [8.0, 8.3, 8.6])
+    whole.refuse_outside(np.radians([46.5]), np.radians([8.1]))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import lzma
 import math
 from collections import Counter
-from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.atmosphere.adjusting import codes
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import profile_from_table
 from unbend.atmosphere.soundings import Sounding, parse_sounding
@@ -25,27 +25,33 @@ MANY = Path(__file__).resolve().parents[3].parent / "shared" / "soundings" / "ma
 pytestmark = pytest.mark.shared("soundings/many")
 
 
-def ascents(ledger: Ledger) -> Iterator[Sounding]:
+@pytest.fixture(scope="module")
+def ledger() -> Ledger:
+    return Ledger()
+
+
+@pytest.fixture(scope="module")
+def ascents(ledger) -> list[Sounding]:
+    soundings = []
     for path in sorted(MANY.glob("*.csv.xz")):
         head, *rows = lzma.decompress(path.read_bytes()).decode().splitlines()
         for _, of_ascent in groupby(rows, key=lambda row: row.split(",", 1)[0]):
-            yield parse_sounding("\n".join([head, *of_ascent]), ledger)
+            soundings.append(parse_sounding("\n".join([head, *of_ascent]), ledger))
+    return soundings
 
 
-def test_few_of_them_have_anything_to_tell():
-    ledger = Ledger()
-    total = len(list(ascents(ledger)))
-    assert total == 479
-    told = Counter(entry.code for entry in ledger)
-    assert told["SOUNDING-SUPERADIABATIC"] <= 0.01 * total
-    assert told["SOUNDING-INDEX-RISES"] <= 0.01 * total
+def test_few_of_them_have_anything_to_tell(ascents, ledger):
+    assert len(ascents) == 479
+    told = Counter(codes(ledger))
+    assert told["SOUNDING-SUPERADIABATIC"] <= 4
+    assert told["SOUNDING-INDEX-RISES"] <= 4
 
 
-def test_the_refraction_of_none_is_implausible():
+def test_the_refraction_of_none_is_implausible(ascents):
     """At most 0.1 % may be told, which is none of 479."""
     standard = standard_atmosphere("us1976")
     checked = 0
-    for sounding in ascents(Ledger()):
+    for sounding in ascents:
         air = profile_from_table(
             sounding.h_m,
             sounding.temperature_k,
@@ -55,9 +61,8 @@ def test_the_refraction_of_none_is_implausible():
         )
         ground_m = float(sounding.h_m[0])
         for climb_m in (500.0, 700.0, 1000.0, 1400.0, 2000.0, 4000.0, 8000.0):
+            limits = limits_of_factor(climb_m)
             for effect in effects_on_r(air, standard, None, ground_m + climb_m, ground_m)[:1]:
-                limits = limits_of_factor(climb_m)
-                assert limits is not None
                 assert not limits.are_surely_passed(effect.factor, math.nan), sounding.name
                 checked += 1
     assert checked > 3000

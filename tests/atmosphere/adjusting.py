@@ -1,0 +1,192 @@
+"""Estimates of air that is known: how a test asks for one, and by how much it errs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from tests.atmosphere import flights
+from tests.atmosphere.flights import Truth
+from tests.helpers import with_code
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.air_samples import AirSamples
+from unbend.atmosphere.climatology import Climatology, climatology, month_of
+from unbend.atmosphere.covariance import ProfileCovariance
+from unbend.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
+from unbend.atmosphere.estimate.solver import FaultEstimate
+from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.profile import Profile
+from unbend.atmosphere.soundings import Sounding
+from unbend.atmosphere.surface_report import SurfaceReport
+from unbend.messages import LOSSES, Kind, Ledger, Message
+
+US1976 = standard_atmosphere("us1976")
+NO_SENSORS = AirSamples()
+HOUR_NS = 3_600 * 10**9
+QUIET = flights.Sensors(noise_k=0.2)
+
+ARCTIC, DESERT, MONSOON, TRADES, NIGHT = range(5)
+"""Places of the five extreme airs."""
+
+
+@cache
+def real_airs() -> tuple[Truth, ...]:
+    """Nine soundings of five sites."""
+    return tuple(Truth(balloon) for balloon in flights.balloons())
+
+
+@cache
+def extreme_airs() -> tuple[Truth, ...]:
+    """Five airs of straight lines, with inversions of 6 to 15 K."""
+    return tuple(Truth(balloon) for balloon in flights.extremes())
+
+
+def extreme(number: int) -> Truth:
+    return extreme_airs()[number]
+
+
+def all_airs() -> tuple[Truth, ...]:
+    return real_airs() + extreme_airs()
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """An adjustment to air that is known, and what the ledger has of it."""
+
+    made: Adjustment
+    ledger: Ledger
+    truth: Truth
+
+    @property
+    def basis(self) -> str:
+        return self.made.basis
+
+    @property
+    def profile(self) -> Profile:
+        return self.made.profile
+
+    @property
+    def covariance(self) -> ProfileCovariance:
+        return self.made.covariance
+
+    def error(self, climb_m: float) -> float:
+        """Relative error of R from the top of the climb to the ground."""
+        return self.truth.error(self.profile, climb_m)
+
+    def sigma(self, climb_m: float) -> float:
+        """The stated sigma of R, relative."""
+        return sigma_of_r(self.made, self.truth, climb_m)
+
+    def departure(self, climb_m: float) -> float:
+        """The size of the error of R in its sigmas."""
+        return abs(self.error(climb_m)) / self.sigma(climb_m)
+
+    @property
+    def losses(self) -> list[str]:
+        return self.codes(Kind.LOSS)
+
+    @property
+    def is_told(self) -> bool:
+        """Whether a run would end with exit code 3."""
+        return any(message.kind in LOSSES for message in self.ledger)
+
+    def codes(self, kind: Kind | None = None) -> list[str]:
+        return codes(self.ledger, kind)
+
+    def entry(self, code: str) -> Message:
+        """The only entry with this code."""
+        return entry(self.ledger, code)
+
+    def why_not(self, source: str) -> str:
+        """Why a source is not used."""
+        uses = [use for use in self.made.sources if use.source == source]
+        assert len(uses) == 1, [use.source for use in self.made.sources]
+        return uses[0].why_not
+
+
+def expected_air(truth: Truth, **more) -> Climatology:
+    """The climatology of place and month."""
+    month = month_of(truth.start_ns)
+    ground_h_m = float(truth.h[0])
+    return climatology(latitude_rad=truth.latitude, month=month, ground_h_m=ground_h_m, **more)
+
+
+def adjust(truth: Truth, samples: AirSamples = NO_SENSORS, **options) -> Adjusted:
+    """The air by these samples, about the climatology of place and month; ``options`` go before."""
+    usual = {"background": expected_air(truth), "time_ns": truth.start_ns}
+    ledger = Ledger()
+    made = build_adjusted_profile(samples, US1976, truth.latitude, ledger, **(usual | options))
+    return Adjusted(made, ledger, truth)
+
+
+def flown(
+    truth: Truth, climb_m: float, sensors: flights.Sensors = flights.REALISTIC, seed=1, **how
+) -> AirSamples:
+    """What these sensors measure on a flight (`flights.fly`)."""
+    return flights.fly(truth, climb_m, sensors, np.random.default_rng(seed), **how)
+
+
+def drawn_flight(
+    truth: Truth, climb_m: float, seed: int, sensors_of=flights.drawn, **how
+) -> AirSamples:
+    """What drawn sensors measure on a flight."""
+    rng = np.random.default_rng(seed)
+    return flights.fly(truth, climb_m, sensors_of(rng), rng, **how)
+
+
+def sigma_of_r(made, truth: Truth, climb_m: float) -> float:
+    """The stated sigma of R, relative, of an estimate or an adjustment."""
+    return made.covariance.relative_sigma(truth.h[0] + climb_m, truth.h[0])
+
+
+def codes(ledger: Ledger, kind: Kind | None = None) -> list[str]:
+    """The codes in a ledger, of one kind or of all."""
+    return [message.code for message in ledger if kind in (None, message.kind)]
+
+
+def entry(ledger: Ledger, code: str) -> Message:
+    """The only entry of a ledger with this code."""
+    entries = with_code(ledger, code)
+    assert len(entries) == 1, codes(ledger)
+    return entries[0]
+
+
+def rms(values: Sequence[float] | np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def balloon_of(truth: Truth, step_m: int = 200, **change) -> Sounding:
+    """A sounding that measured an air exactly, at the start of its flights."""
+    levels = slice(0, None, step_m)
+    columns = {
+        "h_m": truth.h[levels],
+        "pressure_pa": truth.p[levels],
+        "temperature_k": truth.t[levels],
+        "vapour_pressure_pa": truth.e[levels],
+        "time_ns": truth.start_ns,
+        "station": "72357",
+    }
+    return Sounding(**(columns | change))
+
+
+def fault_of(made, fault: SensorFault) -> FaultEstimate:
+    """What was estimated of a fault of a sensor."""
+    (estimated,) = [each for each in made.faults if each.fault is fault]
+    return estimated
+
+
+def station_at(truth: Truth, row: int = 0) -> SurfaceReport:
+    """A station that measured the pressure exactly, so many metres above the ground."""
+    return SurfaceReport(
+        float(truth.h[row]), float(truth.p[row]), math.nan, math.nan, truth.start_ns
+    )
+
+
+def with_readings(samples: AirSamples, value: np.ndarray, sensor: str = "temperature"):
+    """The same flight, on which one sensor read something else."""
+    readings = replace(getattr(samples, sensor), value=value)
+    return replace(samples, **{sensor: readings})

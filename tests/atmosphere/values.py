@@ -1,0 +1,30 @@
+"""Values that the package is compared with, computed apart from it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tests.atmosphere.flights import geopotential
+from unbend.simulate.true_air import saturation_pressure_pa
+
+HYDROSTATIC_K_PER_M = 9.80665 * 28.9644 / 8314.32
+
+
+def ns(text: str) -> int:
+    """A time in ISO 8601, UTC, as Unix nanoseconds."""
+    return int(np.datetime64(text, "ns").astype(np.int64))
+
+
+def metres(geopotential_m: float, degrees: float) -> float:
+    """The height above the sea of a geopotential height [m'] at a latitude, in normal gravity."""
+    h = geopotential_m
+    for _ in range(6):  # each takes 99.5 % of what is left
+        h += geopotential_m - float(geopotential(math.radians(degrees), h))
+    return h
+
+
+def saturated_pa(celsius: float) -> float:
+    """Saturation pressure over water (Sonntag 1990)."""
+    return float(saturation_pressure_pa(np.array(celsius + 273.15)))
