@@ -96,7 +96,8 @@ def flight(
     pos = placed("POS", T10, "position", north=north)
     gps = gps or receiver(north=north)
     roles = {"position": pos, "height": gps}
-    roles |= {"pressure": other for other in others[:1] if other.name == "BARO[0]"}
+    if others and others[0].name == "BARO[0]":
+        roles["pressure"] = others[0]
     return [pos, gps, *others], roles
 
 

@@ -143,7 +143,7 @@ def test_a_trouble_of_one_channel_of_texts_may_end_in_another():
 
 
 def rolled(name: str, t: np.ndarray, roll_deg: np.ndarray) -> Channel:
-    attitude = Rotation.from_euler("x", roll_deg, degrees=True)
+    attitude = Rotation.from_euler("x", roll_deg[:, None], degrees=True)
     return channel(name, t, "attitude", **quaternion_columns(attitude))
 
 
