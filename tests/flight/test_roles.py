@@ -111,7 +111,9 @@ def test_a_role_is_played_by_the_one_channel_that_can(others, cabin, named, expe
 def test_candidates_that_are_not_guessed_between_are_listed(others, cabin, ambiguous_roles):
     _, notes = assign_roles((*FLIGHT, *others), {}, needs_cabin=cabin)
     ambiguous = with_code(notes, "ROLE-AMBIGUOUS")
-    assert [note.where for note in ambiguous] == [f"log.channels.{role}" for role in ambiguous_roles]
+    assert [note.where for note in ambiguous] == [
+        f"log.channels.{role}" for role in ambiguous_roles
+    ]
     candidates = (CABIN, SEALED) if SEALED in others else (OUT, IN)
     for note in ambiguous:
         assert all(candidate.name in note.what for candidate in candidates)
