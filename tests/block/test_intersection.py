@@ -140,13 +140,6 @@ def test_images_without_an_event_have_no_residuals():
     assert points.log_likelihood < log_likelihood(block.orientations, block.rays)
 
 
-def test_swapped_cameras_are_far_less_likely():
-    block = simulate_block(4, cameras=(-0.3, 0.3), points=900)
-    swapped = block.orientations.assigned(np.roll(np.arange(72), 36))
-    right = log_likelihood(block.orientations, block.rays)
-    assert right - log_likelihood(swapped, block.rays) > 100.0
-
-
 def scaled(rays: ImageRays, factor: float) -> ImageRays:
     """The rays of a camera whose principal distance is larger by a factor, from the same pixels."""
     direction = unit(rays.direction / [factor, factor, 1.0])
@@ -241,9 +234,7 @@ def test_points_without_a_height_say_why():
     rows = np.flatnonzero(block.point == of_narrow)
     image[rows] = image[rows[0]]
     direction[rows] = direction[rows[0]]
-    direction[block.point == of_apart] += np.eye(1, 3, 1) * 0.2 * (
-        np.arange(np.count_nonzero(block.point == of_apart)) == 0
-    )[:, None]
+    direction[np.argmax(block.point == of_apart)] += [0.0, 0.2, 0.0]
     kept = np.append(0, np.flatnonzero(block.point != of_few))
     rays = ImageRays(image[kept], block.point[kept], unit(direction)[kept], 1e-4)
     sigma = np.full((36, 6), 1e-5)

@@ -32,7 +32,7 @@ def shots(*index: int, boot: list[int] | None = None) -> Channel:
 
 
 @pytest.mark.parametrize("delay_s", [0.12, -0.25])
-def test_a_positive_delay_makes_events_later(delay_s: float) -> None:
+def test_a_positive_delay_makes_events_later(delay_s):
     delay = ExposureDelay(delay_s)
     logged, notes = events_of_channel(shots(7, 8), "cam", "{index}", delay)
     assert not notes
@@ -54,7 +54,7 @@ def test_a_positive_delay_makes_events_later(delay_s: float) -> None:
         ("left/*", ["", "", ""]),  # which only the images know
     ],
 )
-def test_images_are_named_by_a_pattern(pattern: str, names: list[str]) -> None:
+def test_images_are_named_by_a_pattern(pattern, names):
     events, _ = events_of_channel(shots(7, 8, 10), "cam", pattern, AT_ONCE)
     assert events.image.tolist() == names
     refuse_repeated_images([events])
@@ -63,27 +63,32 @@ def test_images_are_named_by_a_pattern(pattern: str, names: list[str]) -> None:
 @pytest.mark.parametrize(
     ("index", "missing", "says"),
     [
-        pytest.param([3, 5, 9, 10], 4, "between 3 and 10 have no event: 4, 6 to 8", id="holes"),
-        pytest.param(range(1, 301, 3), 198, "2 to 3, 5 to 6, 8 to 9, 11 to 12 ...", id="many"),
-        pytest.param([65534, 65535, 0, 1], 0, "", id="the count runs over"),
-        pytest.param(
-            [65534, 65535, 2], 2, "between 65534 and 2 have no event: 0 to 1", id="lost at the turn"
-        ),
-        pytest.param([65534, 0, 65535, 1], 0, "", id="told late at the turn"),
-        pytest.param([100, 101, 40_000, 40_001], 39_898, "102 to 39999", id="a large hole"),
-        pytest.param([40_000, 40_001, 0, 1], 39_998, "2 to 39999", id="begun anew"),
+        ([3, 5, 9, 10], 4, "between 3 and 10 have no event: 4, 6 to 8"),
+        (range(1, 301, 3), 198, "2 to 3, 5 to 6, 8 to 9, 11 to 12 ..."),
+        ([65534, 65535, 0, 1], 0, ""),
+        ([65534, 65535, 2], 2, "between 65534 and 2 have no event: 0 to 1"),
+        ([65534, 0, 65535, 1], 0, ""),
+        ([100, 101, 40_000, 40_001], 39_898, "102 to 39999"),
+        ([40_000, 40_001, 0, 1], 39_998, "2 to 39999"),
+    ],
+    ids=[
+        "holes",
+        "many",
+        "the count runs over",
+        "lost at the turn",
+        "told late at the turn",
+        "a large hole",
+        "begun anew",
     ],
 )
-def test_numbers_that_the_log_skips_are_lost_events(
-    index: list[int], missing: int, says: str
-) -> None:
+def test_numbers_that_the_log_skips_are_lost_events(index, missing, says):
     events, losses = events_of_channel(shots(*index), "cam", "{n}.jpg", AT_ONCE)
     assert events.lost == missing
     assert counted(losses) == [("loss", "EVENTS-LOST", missing)] * bool(missing)
     assert all(says in loss.what for loss in losses)
 
 
-def test_numbers_begin_anew_with_each_boot() -> None:
+def test_numbers_begin_anew_with_each_boot():
     logged = shots(0, 1, 3, 7, 9, 10, boot=[0, 0, 0, 1, 1, 1])
     _, losses = events_of_channel(logged, "cam", "{n}", AT_ONCE)
     assert [(loss.where, loss.count) for loss in losses] == [
@@ -92,20 +97,20 @@ def test_numbers_begin_anew_with_each_boot() -> None:
     ]
 
 
-def test_numbers_are_kept_where_they_rise() -> None:
+def test_numbers_are_kept_where_they_rise():
     rising, _ = events_of_channel(shots(1, 2, 5), "cam", "{n}", AT_ONCE)
     begun_anew, _ = events_of_channel(shots(3, 4, 0, 1, boot=[0, 0, 1, 1]), "cam", "{n}", AT_ONCE)
     assert rising.index.tolist() == [1, 2, 5]
     assert begun_anew.index is None
 
 
-def test_the_sigma_of_logged_times_is_kept() -> None:
+def test_the_sigma_of_logged_times_is_kept():
     logged = with_columns(shots(1, 2), sigma_time_s=np.array([0.06, np.nan]))
     events, _ = events_of_channel(logged, "cam", "{index}", ExposureDelay(0.1, 0.08))
     assert events.sigma_time_s == pytest.approx([0.1, 0.08])
 
 
-def test_repeated_names_are_refused() -> None:
+def test_repeated_names_are_refused():
     time_ns = np.zeros(2, np.int64)
     first = Events("left", np.array(["a", "b"], object), time_ns)
     second = Events("right", np.array(["c", "b"], object), time_ns)
@@ -123,13 +128,13 @@ SECOND = event_channel("CAM[1]", 10)
 TRIGGER = event_channel("TRIG[0]", 40)
 
 
-def test_the_event_channel_is_the_named_one_or_the_best() -> None:
+def test_the_event_channel_is_the_named_one_or_the_best():
     assert choose_event_channel((TRIGGER, FIRST), None) is FIRST
     assert choose_event_channel((TRIGGER, FIRST, SECOND), "CAM[1]") is SECOND
 
 
 @pytest.mark.parametrize("name", [None, "CAM[3]"], ids=["two equals", "a name of none"])
-def test_an_event_channel_that_is_not_plain_is_refused_with_the_choices(name: str | None) -> None:
+def test_an_event_channel_that_is_not_plain_is_refused_with_the_choices(name):
     with refused("EVENTS-CHANNEL") as refusal:
         choose_event_channel((FIRST, SECOND), name)
     assert "CAM[0] (3)" in refusal.value.what

@@ -34,7 +34,7 @@ def gnss(**heights: object) -> Channel:
     return channel("GPS", SECONDS, **PLACE, **heights)
 
 
-def test_a_geoid_gives_the_undulation_place_by_place() -> None:
+def test_a_geoid_gives_the_undulation_place_by_place():
     height = gnss(h_ellipsoid_m=1048.0)
     system, notes = height_system({"height": height}, None, GRID)
     assert notes == ()
@@ -44,7 +44,7 @@ def test_a_geoid_gives_the_undulation_place_by_place() -> None:
     assert h_msl_m == pytest.approx([1008.0], abs=1e-3)
 
 
-def test_two_heights_of_the_log_move_the_geoid() -> None:
+def test_two_heights_of_the_log_move_the_geoid():
     """They are 41.5 m apart here: 1.5 m more than the grid."""
     both = gnss(h_ellipsoid_m=1041.5, h_msl_m=1000.0)
     system, _ = height_system({"height": both}, None, GRID)
@@ -52,7 +52,7 @@ def test_two_heights_of_the_log_move_the_geoid() -> None:
     assert "GPS" in system.source
 
 
-def test_the_undulation_of_the_mission_file_comes_before_that_of_the_log() -> None:
+def test_the_undulation_of_the_mission_file_comes_before_that_of_the_log():
     h_ellipsoid_m = np.append(np.full(9, 1048.0), np.nan)
     roles = {"height": gnss(h_msl_m=1000.0, h_ellipsoid_m=h_ellipsoid_m)}
     assert height_system(roles, None)[0].undulation_m == 48.0
@@ -69,9 +69,7 @@ def test_the_undulation_of_the_mission_file_comes_before_that_of_the_log() -> No
         (-48.0, ["finding"]),
     ],
 )
-def test_an_undulation_that_the_log_contradicts_is_reported(
-    stated_m: float, kinds: list[str]
-) -> None:
+def test_an_undulation_that_the_log_contradicts_is_reported(stated_m, kinds):
     """By more than 3 m, and by more than 10 m."""
     both = gnss(h_msl_m=1000.0, h_ellipsoid_m=1048.0)
     _, notes = height_system({"height": both}, stated_m)
@@ -79,9 +77,7 @@ def test_an_undulation_that_the_log_contradicts_is_reported(
 
 
 @pytest.mark.parametrize(("apart_m", "are_one"), [(0.0, True), (0.001, False)])
-def test_two_heights_that_are_one_are_reported_and_one_is_not_used(
-    apart_m: float, are_one: bool
-) -> None:
+def test_two_heights_that_are_one_are_reported_and_one_is_not_used(apart_m, are_one):
     h_msl_m = 600.0 + SECONDS
     height = gnss(h_msl_m=h_msl_m, h_ellipsoid_m=h_msl_m + apart_m)
     system, notes = height_system({"height": height}, 48.0 if are_one else None)
@@ -99,25 +95,20 @@ SECONDS_OF_TWO = np.arange(100.0)
 @pytest.mark.parametrize(
     ("h_msl_m", "above_home_m", "home_m", "says"),
     [
-        pytest.param(
-            np.where(SECONDS_OF_TWO < 50, 510.0, 517.0),
-            10.0,
-            None,
-            "changes between",
-            id="two flights",
-        ),
-        pytest.param(
+        (np.where(SECONDS_OF_TWO < 50, 510.0, 517.0), 10.0, None, "changes between"),
+        (
             510.0,
             np.where(SECONDS_OF_TWO < 70, 510.0, 10.0),
             500.0,
             "take-off height 500.00 m above mean sea level",
-            id="set late",
         ),
     ],
+    ids=[
+        "two flights",
+        "set late",
+    ],
 )
-def test_a_take_off_height_counts_if_it_is_one(
-    h_msl_m: object, above_home_m: object, home_m: float | None, says: str
-) -> None:
+def test_a_take_off_height_counts_if_it_is_one(h_msl_m, above_home_m, home_m, says):
     position = channel("POS", SECONDS_OF_TWO, h_msl_m=h_msl_m, h_home_m=above_home_m)
     system, notes = height_system({"position": position}, None)
     assert system.home_h_msl_m == home_m
@@ -137,7 +128,7 @@ def station(h_ellipsoid_m: float) -> Stations:
 @pytest.mark.parametrize(
     ("reference", "offset_m"), [("msl", 0.0), ("ellipsoid", -48.0), ("relative", 430.0)]
 )
-def test_what_makes_a_ground_height_one_above_the_sea(reference: str, offset_m: float) -> None:
+def test_what_makes_a_ground_height_one_above_the_sea(reference, offset_m):
     heights = HeightSystem(home_h_msl_m=430.0)
     assert ground_offsets(reference, station(1048.0), heights).tolist() == [offset_m]
 
@@ -145,13 +136,13 @@ def test_what_makes_a_ground_height_one_above_the_sea(reference: str, offset_m: 
 @pytest.mark.parametrize(
     ("reference", "unknown"), [("relative", "take-off"), ("ellipsoid", "undulation")]
 )
-def test_ground_heights_above_what_is_unknown_are_refused(reference: str, unknown: str) -> None:
+def test_ground_heights_above_what_is_unknown_are_refused(reference, unknown):
     with refused("HEIGHT-REFERENCE") as refusal:
         ground_offsets(reference, station(np.nan), HeightSystem())
     assert unknown in str(refusal.value)
 
 
-def test_local_positions_get_a_place() -> None:
+def test_local_positions_get_a_place():
     pose = channel("/pose", [0.0, 1.0], east_m=[0, 100], north_m=[0, 200], up_m=[0, 10])
     placed = to_geodetic(pose, GeodeticOrigin(LATITUDE, LONGITUDE, 500.0))
     degrees = np.degrees([placed["lat_rad"], placed["lon_rad"]])

@@ -63,25 +63,35 @@ LOOKS_AHEAD_TURNED = Mount(pitch_rad=np.pi / 4, yaw_rad=np.pi / 2)
 @pytest.mark.parametrize(
     ("yaw_pitch_roll_deg", "mount", "direction", "east_north_up"),
     [
-        pytest.param([0, 0, 0], LOOKS_DOWN, AXIS, [0, 0, -1], id="down"),
-        pytest.param([0, 0, 0], LOOKS_DOWN, TOP, [0, 1, 0], id="top is north"),
-        pytest.param([90, 0, 0], LOOKS_DOWN, TOP, [1, 0, 0], id="flight east"),
-        pytest.param([0, 10, 0], LOOKS_DOWN, AXIS, [0, SIN_10, -COS_10], id="nose up, ahead"),
-        pytest.param([0, 0, 10], LOOKS_DOWN, AXIS, [-SIN_10, 0, -COS_10], id="right bank, left"),
-        pytest.param([0, 0, 0], LOOKS_RIGHT, AXIS, [HALF, 0, -HALF], id="mount to the right"),
-        pytest.param([0, 0, 0], LOOKS_AHEAD, AXIS, [0, HALF, -HALF], id="mount ahead"),
-        pytest.param([0, 0, 0], LOOKS_AHEAD_TURNED, AXIS, [HALF, 0, -HALF], id="yaw before pitch"),
+        ([0, 0, 0], LOOKS_DOWN, AXIS, [0, 0, -1]),
+        ([0, 0, 0], LOOKS_DOWN, TOP, [0, 1, 0]),
+        ([90, 0, 0], LOOKS_DOWN, TOP, [1, 0, 0]),
+        ([0, 10, 0], LOOKS_DOWN, AXIS, [0, SIN_10, -COS_10]),
+        ([0, 0, 10], LOOKS_DOWN, AXIS, [-SIN_10, 0, -COS_10]),
+        ([0, 0, 0], LOOKS_RIGHT, AXIS, [HALF, 0, -HALF]),
+        ([0, 0, 0], LOOKS_AHEAD, AXIS, [0, HALF, -HALF]),
+        ([0, 0, 0], LOOKS_AHEAD_TURNED, AXIS, [HALF, 0, -HALF]),
+    ],
+    ids=[
+        "down",
+        "top is north",
+        "flight east",
+        "nose up, ahead",
+        "right bank, left",
+        "mount to the right",
+        "mount ahead",
+        "yaw before pitch",
     ],
 )
 def test_where_a_direction_of_the_camera_points(
-    yaw_pitch_roll_deg: list[float], mount: Mount, direction: list[int], east_north_up: list[float]
-) -> None:
+    yaw_pitch_roll_deg, mount, direction, east_north_up
+):
     station = station_at_5_s(flown(*yaw_pitch_roll_deg), mount)
     enu_from_camera = rotation_of(station.quaternion[0]).inv()
     assert enu_from_camera.apply(direction) == pytest.approx(east_north_up, abs=1e-12)
 
 
-def test_lever_arm_moves_the_projection_centre() -> None:
+def test_lever_arm_moves_the_projection_centre():
     """3 m forward, 2 m to the right and 1 m down of a flight to the east."""
     mount = Mount(lever_arm_m=(3.0, 2.0, 1.0))
     station = station_at_5_s(flown(90, 0, 0), mount, HeightSystem(undulation_m=40.0))
@@ -109,12 +119,12 @@ NAN = float("nan")
     ids=["above the sea", "with an undulation", "above the ellipsoid alone", "no height"],
 )
 def test_a_height_that_is_not_logged_follows_from_the_undulation_or_stays_unknown(
-    logged: dict[str, float],
-    undulation_m: float | None,
-    status: str,
-    h_msl_m: float,
-    h_ellipsoid_m: float,
-) -> None:
+    logged,
+    undulation_m,
+    status,
+    h_msl_m,
+    h_ellipsoid_m,
+):
     """The camera is 1 m below the position."""
     roles = flown(height=channel("GPS", SECONDS, **PLACE, **logged))
     mount = Mount(lever_arm_m=(0.0, 0.0, 1.0))
@@ -143,14 +153,14 @@ ENDS_AT_4_S = channel("ATT", SECONDS[SECONDS < 4.0], **LEVEL)
     ],
     ids=["a gap", "the attitude ends", "no position", "no attitude", "no heights"],
 )
-def test_each_reason_has_its_name(changed: dict[str, Channel | None], status: list[str]) -> None:
+def test_each_reason_has_its_name(changed, status):
     roles = {role: logged for role, logged in (flown() | changed).items() if logged is not None}
     exposures = events(-1.0, 2.0, 5.0, 9.95)
     stations = build_stations(exposures, roles, LOOKS_DOWN, NO_UNDULATION, 1.0)
     assert stations.status.tolist() == status
 
 
-def test_air_outside_and_in_the_cabin_is_that_of_its_own_sensors() -> None:
+def test_air_outside_and_in_the_cabin_is_that_of_its_own_sensors():
     roles = flown(
         pressure=channel("BARO[0]", SECONDS, pressure_pa=90_000.0),
         temperature=channel("HYGR[0]", SECONDS, temperature_k=283.15),
@@ -169,7 +179,7 @@ def test_air_outside_and_in_the_cabin_is_that_of_its_own_sensors() -> None:
     assert station.cabin_vapour_pressure_pa[0] == pytest.approx(2339.2 * 1.0034, rel=1e-3)
 
 
-def test_air_that_nothing_measures_is_unknown() -> None:
+def test_air_that_nothing_measures_is_unknown():
     station = station_at_5_s(flown())
     assert np.isnan(station.pressure_pa[0])
     assert np.isnan(station.cabin_pressure_pa[0])
@@ -186,9 +196,7 @@ def test_air_that_nothing_measures_is_unknown() -> None:
     ],
     ids=["one clock", "another clock of the positions", "another clock of the heights"],
 )
-def test_an_uncertain_clock_moves_the_stations_along_the_flight(
-    clocks: ClockSigmas, horizontal_m: float, height_m: float
-) -> None:
+def test_an_uncertain_clock_moves_the_stations_along_the_flight(clocks, horizontal_m, height_m):
     """Horizontal sigmas are those of the position, vertical ones those of the height."""
     latitude = LATITUDE + 40.0 * SECONDS / METRES_OF_LATITUDE
     place = {"lat_rad": latitude, "lon_rad": LONGITUDE}
@@ -208,9 +216,7 @@ def test_an_uncertain_clock_moves_the_stations_along_the_flight(
     ],
     ids=["yawing", "rolling"],
 )
-def test_an_uncertain_clock_turns_the_stations_with_the_flight(
-    axes: str, tilt_rad: float, yaw_rad: float
-) -> None:
+def test_an_uncertain_clock_turns_the_stations_with_the_flight(axes, tilt_rad, yaw_rad):
     """0.2 rad/s for 0.1 s; sigmas that the mount states take the place of the log's."""
     turning = Rotation.from_euler(axes, 0.2 * SECONDS[:, None])
     roles = flown(attitude=channel("ATT", SECONDS, **quaternion_columns(turning)))

@@ -57,9 +57,7 @@ TRIG = fired("TRIG[0]")
         ([CAM, TRIG], {}, None),
     ],
 )
-def test_events_at_the_trigger_are_told_from_those_at_the_feedback(
-    channels: list[Channel], parameters: dict[str, float], says: str | None
-) -> None:
+def test_events_at_the_trigger_are_told_from_those_at_the_feedback(channels, parameters, says):
     notes = tuple(trigger_notes(tuple(channels), channels[0], parameters))
     assert counted(notes) == [("note", AT_TRIGGER, 12)] * (says is not None)
     assert all(str(says) in note.what for note in notes)
@@ -68,39 +66,33 @@ def test_events_at_the_trigger_are_told_from_those_at_the_feedback(
 @pytest.mark.parametrize(
     ("rows", "messages"),
     [
-        pytest.param(
+        (
             {"CAM[0]": 3, "CAM[1]": 4, "TRIG[0]": 5},
             [(LOST, "CAM[0]", 2), (AT_TRIGGER, "CAM[1]", 4)],
-            id="the first camera alone has a feedback pin",
         ),
-        pytest.param(
+        (
             {"CAM[0]": 4, "CAM[1]": 3, "TRIG[1]": 5},
             [(AT_TRIGGER, "CAM[0]", 4), (LOST, "CAM[1]", 2)],
-            id="the second",
         ),
-        pytest.param(
-            {"CAM[0]": 5, "CAM[1]": 3, "TRIG[0]": 5, "TRIG[1]": 4},
-            [(LOST, "CAM[1]", 1)],
-            id="both, and one lost nothing",
-        ),
-        pytest.param(
-            {"CAM[0]": 3, "CAM[1]": 4},
-            [(AT_TRIGGER, "CAM[0]", 3), (AT_TRIGGER, "CAM[1]", 4)],
-            id="neither",
-        ),
-        pytest.param({"CAM": 3, "TRIG": 5}, [(LOST, "CAM", 2)], id="no instances"),
-        pytest.param({"CAM": 3}, [(AT_TRIGGER, "CAM", 3)], id="no instances and no pin"),
-        pytest.param({"CAM[0]": 3, "CAM[1]": 4, "TRIG": 7}, [], id="triggers of all cameras"),
-        pytest.param(
-            {"CAM[0]": 3, "CAM[1]": 4, "TRIG": 8},
-            [(LOST, "CAM[0], CAM[1]", 1)],
-            id="triggers of all cameras, counted once",
-        ),
+        ({"CAM[0]": 5, "CAM[1]": 3, "TRIG[0]": 5, "TRIG[1]": 4}, [(LOST, "CAM[1]", 1)]),
+        ({"CAM[0]": 3, "CAM[1]": 4}, [(AT_TRIGGER, "CAM[0]", 3), (AT_TRIGGER, "CAM[1]", 4)]),
+        ({"CAM": 3, "TRIG": 5}, [(LOST, "CAM", 2)]),
+        ({"CAM": 3}, [(AT_TRIGGER, "CAM", 3)]),
+        ({"CAM[0]": 3, "CAM[1]": 4, "TRIG": 7}, []),
+        ({"CAM[0]": 3, "CAM[1]": 4, "TRIG": 8}, [(LOST, "CAM[0], CAM[1]", 1)]),
+    ],
+    ids=[
+        "the first camera alone has a feedback pin",
+        "the second",
+        "both, and one lost nothing",
+        "neither",
+        "no instances",
+        "no instances and no pin",
+        "triggers of all cameras",
+        "triggers of all cameras, counted once",
     ],
 )
-def test_triggers_of_another_camera_do_not_count(
-    rows: dict[str, int], messages: list[tuple[str, str, int]]
-) -> None:
+def test_triggers_of_another_camera_do_not_count(rows, messages):
     channels = tuple(fired(name).rows(count >= NUMBER) for name, count in rows.items())
     ledger = Ledger()  # which holds equal messages of two cameras once
     for camera in channels:
@@ -109,15 +101,15 @@ def test_triggers_of_another_camera_do_not_count(
     assert [(entry.code, entry.where, entry.count) for entry in ledger] == messages
 
 
-def test_commands_without_a_pulse_are_lost_exposures() -> None:
+def test_commands_without_a_pulse_are_lost_exposures():
     fewer = PULSES.rows(NUMBER != 5.0)
     assert counted(trigger_notes((fewer, COMMANDS), fewer, {})) == [("loss", LOST, 1)]
 
 
 @pytest.mark.parametrize("names", [("TRIG[0]", "CAM[0]"), ("camera_trigger", "camera_trigger")])
 def test_the_lag_of_the_shutter_is_the_median_of_pairs_and_its_sigma_their_scatter(
-    names: tuple[str, str],
-) -> None:
+    names,
+):
     """Lags of 100, 102, ... 122 ms: their 16th and 84th percentiles are 103.52 and 118.48 ms.
 
     One trigger has no pulse, the pulse of one comes too late, and of one it is of another power-up.
@@ -142,7 +134,7 @@ def test_the_lag_of_the_shutter_is_the_median_of_pairs_and_its_sigma_their_scatt
     assert note.values["scatter_ms"] == pytest.approx(7.48)
 
 
-def test_the_scatter_of_the_lag_is_a_sigma_of_the_exposures() -> None:
+def test_the_scatter_of_the_lag_is_a_sigma_of_the_exposures():
     events, _ = events_of_channel(TRIG, "cam", "{index}", ExposureDelay(0.111, 0.0075))
     assert events.sigma_time_s == pytest.approx(0.0075)
 
@@ -156,7 +148,7 @@ def test_the_scatter_of_the_lag_is_a_sigma_of_the_exposures() -> None:
     ],
     ids=["pulses of PX4", "pulses of ArduPilot", "nine pairs"],
 )
-def test_a_lag_takes_ten_pairs_and_triggers(channels: tuple[Channel, ...], chosen: Channel) -> None:
+def test_a_lag_takes_ten_pairs_and_triggers(channels, chosen):
     with refused("EVENTS-FEEDBACK"):
         lag_from_feedback(channels, chosen, "cam")
 
@@ -165,17 +157,23 @@ def test_a_lag_takes_ten_pairs_and_triggers(channels: tuple[Channel, ...], chose
     ("channels", "lag_ms"),
     [
         # The first channel is the chosen one.
-        pytest.param([COMMANDS, PULSES], 120.0, id="pulses are logged"),
-        pytest.param([PULSES, COMMANDS], None, id="the pulses are chosen"),
-        pytest.param([COMMANDS], None, id="no pulses"),
-        pytest.param([COMMANDS, PULSES.rows(NUMBER < 0.0)], None, id="an empty channel"),
-        pytest.param([TRIG, CAM], 120.0, id="ArduPilot"),
-        pytest.param([TRIG, CAM_OF_ANOTHER], None, id="the shutter of another camera"),
+        ([COMMANDS, PULSES], 120.0),
+        ([PULSES, COMMANDS], None),
+        ([COMMANDS], None),
+        ([COMMANDS, PULSES.rows(NUMBER < 0.0)], None),
+        ([TRIG, CAM], 120.0),
+        ([TRIG, CAM_OF_ANOTHER], None),
+    ],
+    ids=[
+        "pulses are logged",
+        "the pulses are chosen",
+        "no pulses",
+        "an empty channel",
+        "ArduPilot",
+        "the shutter of another camera",
     ],
 )
-def test_commands_are_not_taken_for_exposures_where_pulses_are_logged(
-    channels: list[Channel], lag_ms: float | None
-) -> None:
+def test_commands_are_not_taken_for_exposures_where_pulses_are_logged(channels, lag_ms):
     findings = list(shutter_finding(tuple(channels), channels[0], "cam"))
     expected = [] if lag_ms is None else [("finding", "EVENTS-NOT-SHUTTER", 0)]
     assert counted(findings) == expected
