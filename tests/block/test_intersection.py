@@ -79,6 +79,7 @@ def test_without_errors_points_are_exact():
     assert latitude[points.used] == pytest.approx(np.radians(47.0), abs=1e-3)
     assert np.isnan(height_m[~points.used]).all()
     assert not points.used.all()
+    assert points.flying_height_m == pytest.approx(970.0, abs=10.0)  # above 0 to 60 m
 
 
 def test_the_likelihood_ratio_of_a_mount_angle_is_honest():
@@ -252,27 +253,33 @@ def test_points_without_a_height_say_why():
 
 
 def test_stations_become_orientations():
-    """Through latitude, longitude, height and quaternion: as computed by hand."""
+    """Through latitude, longitude, height and quaternion: as computed by hand.
+
+    The first has no position, the second only a height above the sea and one that is stated as
+    exact.
+    """
     block = simulate_block(12)
     by_hand = block.orientations
-    status = np.where(np.arange(36) == 5, "in_gap", STATION_OK).astype(object)
+    row = np.arange(36)
     rotation = Rotation.from_matrix(block.camera_from_enu)
     stations = replace(
         empty_stations(block.camera, block.camera, STATION_OK),
         lat_rad=block.lat,
         lon_rad=block.lon,
-        h_ellipsoid_m=block.h,
+        h_msl_m=np.where(row == 1, block.h, 0.0),
+        h_ellipsoid_m=np.where(row == 1, np.nan, block.h),
         quaternion=rotation.as_quat(scalar_first=True),
+        sigma_height_m=np.where(row == 1, 0.0, np.nan),
         sigma_tilt_rad=np.full(36, 0.002),
-        status=status,
+        status=np.where(row == 0, "in_gap", STATION_OK).astype(object),
     )
     oriented = orientations_of(stations)
-    known = status == STATION_OK
-    centre_m = np.where(known[:, None], by_hand.centre_m, np.nan)
-    np.testing.assert_allclose(oriented.centre_m, centre_m, atol=1e-6)
-    attitude = oriented.camera_from_ecef[known]
-    np.testing.assert_allclose(attitude, by_hand.camera_from_ecef[known], atol=1e-9)
+    assert np.isnan(oriented.centre_m[0]).all()
+    np.testing.assert_allclose(oriented.centre_m[1:], by_hand.centre_m[1:], atol=1e-6)
+    attitude = oriented.camera_from_ecef[1:]
+    np.testing.assert_allclose(attitude, by_hand.camera_from_ecef[1:], atol=1e-9)
     assert oriented.sigma[0].tolist() == [3.0, 3.0, 6.0, 0.002, 0.002, UNKNOWN_SIGMAS[5]]
+    assert oriented.sigma[1, 2] == 1e-3
 
 
 @settings(max_examples=15)
