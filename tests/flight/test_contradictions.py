@@ -13,8 +13,6 @@ from tests.helpers import NS_PER_S, channel
 from unbend.atmosphere.rejection import Reason
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.contradictions import examine
-from unbend.flight.evidence.source_differences import source_difference
-from unbend.flight.evidence.sources import source_path, velocity_at
 from unbend.flight.evidence.stretches import POSITION, Stretch, flag_suspect, merged, runs
 from unbend.flight.stations import empty_stations
 
@@ -262,24 +260,6 @@ def test_a_height_that_contradicts_its_own_velocity_and_the_barometer_is_doubtfu
     assert ("height", "") in replaced(stretches)
     assert any("BARO[0]" in stretch.reason for stretch in stretches)
     assert notes == ()
-
-
-@pytest.mark.parametrize("east_rad", [0.0, np.radians(169.0) - SPEED_M_S * 150.0 / PARALLEL_M])
-def test_differences_know_lag_offset_and_the_date_line(east_rad):
-    """The second flight crosses the 180th meridian in its middle."""
-    pos = placed("POS", T10, "position")
-    gps = receiver(north=lambda t: none(t) + 3.0)
-    moved = []
-    for source in (pos, gps):
-        longitude = np.remainder(source["lon_rad"] + east_rad + np.pi, 2.0 * np.pi) - np.pi
-        moved.append(replace(source, columns=dict(source.columns) | {"lon_rad": longitude}))
-    track = source_path(moved[1], POSITION, moved)
-    velocity = velocity_at(moved, POSITION, moved[1].time_ns)
-    apart = source_difference(moved[0], track, POSITION, velocity)
-    assert not track.step_ns.size
-    assert apart.lag_s == pytest.approx(LAG_S, abs=0.005)
-    assert np.nanmax(apart.off_m) < 0.5
-    assert np.nanmedian(apart.apart_m, axis=0) == pytest.approx([-3.0, 0.0], abs=0.05)
 
 
 def test_runs_need_a_seed_and_join_across_a_second():

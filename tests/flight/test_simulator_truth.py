@@ -6,18 +6,13 @@ the GPS week and milliseconds of fixes, whose places are compared with the simul
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import permutations, product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial.transform import Rotation
 
-from tests.flight.made_channels import rotation_of
-from unbend.flight.channels import Channel
+from tests.flight.simulator_logs import FLIGHTS, Flight, errors, flight, sigmas
 from unbend.flight.clock import utc_of_gps
 from unbend.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD, with_accuracy
 from unbend.flight.exposures import Events
@@ -26,105 +21,36 @@ from unbend.flight.mount import Mount
 from unbend.flight.roles import assign_roles
 from unbend.flight.station_builder import build_stations
 from unbend.flight.stations import Stations
-from unbend.ingest import Log, open_log
+from unbend.ingest import Log
 
-LOGS = Path(__file__).parents[3] / "shared" / "logs"
 pytestmark = pytest.mark.shared("logs")
-FLIGHTS = [path.name.removesuffix("_truth.csv") for path in sorted(LOGS.glob("*_truth.csv"))]
-FLOWN = [*product(FLIGHTS, ("BIN", "tlog"))]
-"""The flights that are at hand, and the kinds of their logs."""
-NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+KINDS = ("BIN", "tlog")
+FLOWN = list(product(FLIGHTS, KINDS))
 SPEED_M_S = 24.0  # at which errors along the track are compared
-
-Rows = dict[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Flight:
-    """A log of the simulator, with the truth of its exposures."""
-
-    log: Log
-    truth: pd.DataFrame
-
-    @cached_property
-    def events(self) -> list[tuple[Channel, pd.DataFrame]]:
-        """Each event channel with the truth of its rows."""
-        pairs = []
-        for channel in self.log.channels:
-            if channel.source.message in ("CAM", "CAMERA_FEEDBACK"):
-                of_camera = self.truth[self.truth["I"] == int(channel.source.instance)]
-                index = channel["event_index"].astype(int)
-                pairs.append((channel, of_camera.set_index("Img").loc[index].reset_index()))
-        return pairs
-
-    def stations(self, time_ns: np.ndarray, every: int = 1, sigma_s: float = 0.0) -> Stations:
-        """Stations at some times, by one in ``every`` of the logged attitudes."""
-        roles, _ = assign_roles(self.log.channels, {}, needs_cabin=False)
-        heights, _ = height_system(roles, None)
-        attitude = roles["attitude"]
-        roles["attitude"] = attitude.rows(np.arange(len(attitude)) % every == 0)
-        roles, accuracy = with_accuracy(roles, self.log.channels)
-        events = Events("cam", np.full(time_ns.size, "", object), time_ns, sigma_s)
-        return build_stations(events, roles, Mount(), heights, 1.0, accuracy=accuracy)
 
 
 @pytest.fixture(scope="module")
 def flights() -> dict[tuple[str, str], Flight]:
-    opened = {}
-    for name, kind in FLOWN:
-        truth = pd.read_csv(LOGS / f"{name}_truth.csv")
-        log = open_log(LOGS / f"{name}.{kind}")
-        opened[name, kind] = Flight(log, truth[truth["row"] == "CAM"])
-    return opened
+    return {(name, kind): flight(name, kind) for name, kind in FLOWN}
 
 
-def errors(stations: Stations, truth: pd.DataFrame) -> Rows:
-    """(n, k) north and east, height [m], about the level axes and the vertical one [deg]."""
-    latitude = np.radians(truth["lat"].to_numpy())
-    longitude = np.radians(truth["lng"].to_numpy())
-    north_m = (stations.lat_rad - latitude) * 6_367_000.0
-    east_m = (stations.lon_rad - longitude) * 6_385_000.0 * np.cos(latitude)
-    enu_from_body = rotation_of(stations.aircraft_quaternion).inv()
-    angles = truth[["yaw", "pitch", "roll"]].to_numpy()
-    ned_from_body = Rotation.from_euler("ZYX", angles, degrees=True)
-    turn = ned_from_body.inv() * Rotation.from_matrix(NED_FROM_ENU) * enu_from_body
-    turn_deg = turn.as_rotvec(degrees=True)
-    return {
-        "horizontal": np.stack([north_m, east_m], axis=1),
-        "height": (stations.h_msl_m - truth["alt_amsl"].to_numpy())[:, None],
-        "tilt": turn_deg[:, :2],
-        "yaw": turn_deg[:, 2:],
-    }
-
-
-def sigmas(stations: Stations) -> Rows:
-    """(n, 1) of the same."""
-    return {
-        "horizontal": stations.sigma_horizontal_m[:, None],
-        "height": stations.sigma_height_m[:, None],
-        "tilt": np.degrees(stations.sigma_tilt_rad)[:, None],
-        "yaw": np.degrees(stations.sigma_yaw_rad)[:, None],
-    }
+def stations_of(
+    flown: Flight, time_ns: np.ndarray, every: int = 1, sigma_s: float = 0.0
+) -> Stations:
+    """Stations at some times, by one in ``every`` of the logged attitudes."""
+    roles, _ = assign_roles(flown.log.channels, {}, needs_cabin=False)
+    heights, _ = height_system(roles, None)
+    attitude = roles["attitude"]
+    roles["attitude"] = attitude.rows(np.arange(len(attitude)) % every == 0)
+    roles, accuracy = with_accuracy(roles, flown.log.channels)
+    events = Events("cam", np.full(time_ns.size, "", object), time_ns, sigma_s)
+    stations = build_stations(events, roles, Mount(), heights, 1.0, accuracy=accuracy)
+    assert stations.ok.all()
+    return stations
 
 
 def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def joined(parts: list[Rows]) -> Rows:
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def at_events(flight: Flight, **options: int) -> tuple[Rows, Rows]:
-    """Errors and sigmas of all events of a flight."""
-    of_errors = []
-    of_sigmas = []
-    for channel, truth in flight.events:
-        stations = flight.stations(channel.time_ns, **options)
-        assert stations.ok.all()
-        of_errors.append(errors(stations, truth))
-        of_sigmas.append(sigmas(stations))
-    return joined(of_errors), joined(of_sigmas)
 
 
 def assert_honest(error: np.ndarray, sigma: np.ndarray, quantity: str) -> None:
@@ -135,13 +61,15 @@ def assert_honest(error: np.ndarray, sigma: np.ndarray, quantity: str) -> None:
 
 @pytest.mark.parametrize(("name", "kind"), FLOWN)
 def test_positions_attitudes_and_their_sigmas(flights, name, kind):
-    error, sigma = at_events(flights[name, kind])
+    flown = flights[name, kind]
+    stations = stations_of(flown, flown.time_ns)
+    error = errors(stations, flown.truth)
     horizontal_m = np.linalg.norm(error["horizontal"], axis=1)
     position_m = np.hypot(horizontal_m, error["height"][:, 0])
     assert np.percentile(position_m, 95) < 1.5
     assert np.percentile(np.linalg.norm(error["tilt"], axis=1), 95) < 0.5
-    for quantity in sigma:
-        assert_honest(error[quantity], sigma[quantity], quantity)
+    for quantity, sigma in sigmas(stations).items():
+        assert_honest(error[quantity], sigma, quantity)
 
 
 COLUMNS = {
@@ -154,7 +82,7 @@ COLUMNS = {
 }
 
 
-def throughout(flight: Flight, simulated: Log) -> tuple[Rows, Rows]:
+def throughout(flown: Flight, simulated: Log) -> tuple[dict, dict]:
     """Errors and sigmas every second in the air, by the simulator's own rows."""
     place = simulated.message("SIM")
     motion = simulated.message("SIM2")
@@ -162,17 +90,14 @@ def throughout(flight: Flight, simulated: Log) -> tuple[Rows, Rows]:
     is_fast = np.interp(place["TimeUS"], motion["TimeUS"], speed) > 12.0
     is_high = place["Alt"] > place["Alt"][0] + 50.0
     rows = np.flatnonzero(is_fast & is_high)[::10]
+    assert rows.size > 1000
     truth = pd.DataFrame({name: place[column][rows] for column, name in COLUMNS.items()})
-    stations = flight.stations(place["time_ns"][rows])
-    assert len(stations) > 1000
-    assert stations.ok.all()
+    stations = stations_of(flown, place["time_ns"][rows])
     return errors(stations, truth), sigmas(stations)
 
 
-@pytest.mark.parametrize(
-    ("learnt", "tested", "kind"),
-    [(*pair, kind) for pair in permutations(FLIGHTS, 2) for kind in ("BIN", "tlog")],
-)
+@pytest.mark.parametrize(("learnt", "tested"), list(permutations(FLIGHTS, 2)))
+@pytest.mark.parametrize("kind", KINDS)
 def test_what_one_flight_says_of_attitudes_holds_for_the_other(flights, learnt, tested, kind):
     """What no innovation shows is the one empirical part: by one flight, tested on the other."""
     error, sigma = throughout(flights[learnt, "BIN"], flights[learnt, "BIN"].log)
@@ -191,8 +116,9 @@ def test_what_one_flight_says_of_attitudes_holds_for_the_other(flights, learnt, 
 @pytest.mark.parametrize(("name", "kind"), FLOWN)
 @pytest.mark.parametrize("every", [2, 3])
 def test_attitudes_at_5_and_3_hz_know_how_good_they_are(flights, name, kind, every):
-    error, sigma = at_events(flights[name, kind], every=every)
-    over_sigma = error["tilt"] / sigma["tilt"]
+    flown = flights[name, kind]
+    stations = stations_of(flown, flown.time_ns, every)
+    over_sigma = errors(stations, flown.truth)["tilt"] / sigmas(stations)["tilt"]
     assert 0.7 < rms(over_sigma) < 1.2
     assert np.abs(over_sigma).max() < 4.5
 
@@ -222,10 +148,11 @@ def true_offset_ns(log: Log) -> int:
     return int(offset_ns[0]) + round(np.median(difference_ns))
 
 
-def along_track_m(flight: Flight, time_ns: np.ndarray, truth: pd.DataFrame) -> np.ndarray:
+def along_track_m(flown: Flight, time_ns: np.ndarray) -> np.ndarray:
     """How far stations at some times are from the truth, as at the usual speed."""
-    off_m = np.linalg.norm(errors(flight.stations(time_ns), truth)["horizontal"], axis=1)
-    return off_m * SPEED_M_S / np.hypot(truth["vn"], truth["ve"]).to_numpy()
+    error = errors(stations_of(flown, time_ns), flown.truth)
+    speed_m_s = np.hypot(flown.truth["vn"], flown.truth["ve"])
+    return np.linalg.norm(error["horizontal"], axis=1) * SPEED_M_S / speed_m_s.to_numpy()
 
 
 @pytest.mark.parametrize(("name", "kind"), FLOWN)
@@ -234,40 +161,24 @@ def test_exposures_in_true_utc_have_true_positions(flights, name, kind):
 
     UTC goes with the filter's positions, which are ahead at the true time.
     """
-    flight = flights[name, kind]
+    flown = flights[name, kind]
     offset_ns = true_offset_ns(flights[name, "BIN"].log)
-    at_true_utc_m = []
-    as_logged_m = []
-    late_s = []
-    for channel, truth in flight.events:
-        true_utc_ns = truth["TimeUS"].to_numpy() * 1000 + offset_ns
-        at_true_utc_m.append(along_track_m(flight, true_utc_ns, truth))
-        as_logged_m.append(along_track_m(flight, channel.time_ns, truth))
-        late_s.append((channel.time_ns - true_utc_ns) * 1e-9)
-    off_m = np.concatenate(at_true_utc_m)
-    assert np.median(off_m) < 0.1
-    assert np.percentile(off_m, 95) < 0.5
-    assert 0.2 < np.median(np.concatenate(as_logged_m)) < 0.55
-    assert abs(np.median(np.concatenate(late_s))) < 1.5 * flight.log.utc_sigma_s
-    assert flight.log.utc_sigma_s < 0.04
-
-
-def times_of_images(flight: Flight) -> dict[tuple[str, float], int]:
-    """The time of each exposure by camera and number [Unix ns]."""
-    times = {}
-    for channel, _ in flight.events:
-        for index, time_ns in zip(channel["event_index"], channel.time_ns, strict=True):
-            times[channel.source.instance, index] = time_ns
-    return times
+    true_utc_ns = flown.truth["TimeUS"].to_numpy() * 1000 + offset_ns
+    at_true_utc_m = along_track_m(flown, true_utc_ns)
+    assert np.median(at_true_utc_m) < 0.1
+    assert np.percentile(at_true_utc_m, 95) < 0.5
+    assert 0.2 < np.median(along_track_m(flown, flown.time_ns)) < 0.55
+    late_s = (flown.time_ns - true_utc_ns) * 1e-9
+    assert abs(np.median(late_s)) < 1.5 * flown.log.utc_sigma_s
+    assert flown.log.utc_sigma_s < 0.04
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_both_logs_of_a_flight_agree_about_utc(flights, name):
-    dataflash = times_of_images(flights[name, "BIN"])
-    telemetry = times_of_images(flights[name, "tlog"])
-    apart_ns = [dataflash[image] - telemetry[image] for image in dataflash.keys() & telemetry]
+    dataflash, telemetry = (flights[name, kind].truth["time_ns"] for kind in KINDS)
+    apart_ns = (dataflash - telemetry).dropna()  # image by image
     assert len(apart_ns) > 200
-    assert np.abs(apart_ns).max() < 5e6
+    assert apart_ns.abs().max() < 5e6
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
@@ -285,14 +196,13 @@ def test_the_delay_leaves_exposures_and_positions_of_the_filter_together(flights
 
 
 def test_a_sigma_of_the_time_moves_along_the_track_and_the_turn(flights):
-    flight = flights["sitl_survey", "BIN"]
-    channel, truth = flight.events[0]
-    certain = flight.stations(channel.time_ns)
-    uncertain = flight.stations(channel.time_ns, sigma_s=0.1)
+    flown = flights["sitl_survey", "BIN"]
+    certain = stations_of(flown, flown.time_ns)
+    uncertain = stations_of(flown, flown.time_ns, sigma_s=0.1)
     added_m2 = uncertain.sigma_horizontal_m**2 - certain.sigma_horizontal_m**2
-    speed_m_s = np.hypot(truth["vn"], truth["ve"])
+    speed_m_s = np.hypot(flown.truth["vn"], flown.truth["ve"])
     np.testing.assert_allclose(np.sqrt(2.0 * added_m2), 0.1 * speed_m_s, rtol=0.05)
     added_height_m = np.sqrt(uncertain.sigma_height_m**2 - certain.sigma_height_m**2)
-    assert np.corrcoef(added_height_m, np.abs(truth["vd"]))[0, 1] > 0.95
+    assert np.corrcoef(added_height_m, np.abs(flown.truth["vd"]))[0, 1] > 0.95
     turned = uncertain.sigma_yaw_rad > 1.2 * certain.sigma_yaw_rad
     assert 0 < turned.sum() < turned.size

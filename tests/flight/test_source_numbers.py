@@ -97,14 +97,21 @@ def test_an_accuracy_worse_than_five_metres_and_thrice_the_usual_is_of_no_use(
 
 
 @pytest.mark.parametrize("lag_s", [0.12, -0.2])
-def test_the_lag_and_the_offset_of_two_receivers(lag_s):
+@pytest.mark.parametrize("begin_rad", [0.2, math.pi - 1e-4], ids=["east", "the 180th meridian"])
+def test_the_lag_and_the_offset_of_two_receivers(lag_s, begin_rad):
     """Both fly east at 20 m/s; the second is ``lag_s`` behind, and 1.5 m to the north."""
-    east = 20.0 / EARTH_M / math.cos(0.8)
-    first = receiver("GPS[0]", lon_rad=0.2 + east * TIMES_S)
-    second = receiver("GPS[1]", lat_rad=0.8 + 1.5 / EARTH_M, lon_rad=0.2 + east * (TIMES_S - lag_s))
+
+    def longitude(behind_s: float) -> np.ndarray:
+        east_rad = 20.0 / EARTH_M / math.cos(0.8) * (TIMES_S - behind_s)
+        return np.remainder(begin_rad + east_rad + math.pi, 2.0 * math.pi) - math.pi
+
+    first = receiver("GPS[0]", lon_rad=longitude(0.0))
+    second = receiver("GPS[1]", lat_rad=0.8 + 1.5 / EARTH_M, lon_rad=longitude(lag_s))
     path = source_path(second, POSITION, ())
-    difference = source_difference(first, path, POSITION, np.tile([0.0, 20.0], (60, 1)))
+    velocity = np.tile([0.0, 20.0], (60, 1))
+    difference = source_difference(first, path, POSITION, velocity)
     inner = slice(1, -1)
+    assert path.step_ns.size == 0
     assert difference.lag_s == pytest.approx(lag_s, abs=1e-6)
     np.testing.assert_allclose(difference.apart_m[inner], [[-1.5, 0.0]] * 58, atol=1e-4)
     np.testing.assert_allclose(difference.off_m[inner], 0.0, atol=1e-4)
