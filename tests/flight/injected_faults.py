@@ -111,11 +111,12 @@ class FilterModel:
         velocity = 0j
         pull = self.bias_m_s2 * complex(np.cos(self.heading), np.sin(self.heading))
         errors = (self.gps_error_m @ [1.0, 1j]).tolist()
-        newest = np.searchsorted(self.gps_ns, time_ns, side="right") - 1
+        newest = (np.searchsorted(self.gps_ns, time_ns, side="right") - 1).tolist()
+        steps_s = (np.diff(time_ns) / NS_PER_S).tolist()
         unaided_s = 0.0
         ratio = 0.0
         last = -1
-        for row, dt in enumerate(np.diff(time_ns) / NS_PER_S, start=1):
+        for row, dt in enumerate(steps_s, start=1):
             if unaided_s > 0.5:  # what an aided filter has estimated away comes back by and by
                 velocity += pull * dt
                 place += velocity * dt
@@ -214,9 +215,9 @@ def inject(
     )
     fault.detail["bias"] = model.bias_m_s2
     errors = model.errors(channels["POS"].time_ns)
+    log_errors(channels, errors, azimuth)
     if kind == "dead reckoning":
         go_over_to_dcm(channels, fault, errors, model, rng)
-    log_errors(channels, errors, azimuth)
     gps = added(displaced(gps, error_m), up_m, *OF_RECEIVER)
     channels["GPS[0]"] = gps.rows(has_fix)
     return channels, fault
@@ -260,7 +261,8 @@ def go_over_to_dcm(
     time_ns = channels["POS"].time_ns
     of_dcm = (time_ns > begin_ns) & (time_ns < end_ns)
     newest = np.maximum(np.searchsorted(model.gps_ns, time_ns, side="right") - 1, 0)
-    errors.place_m[of_dcm] = model.gps_error_m[newest[of_dcm]]
+    apart_m = (model.gps_error_m[newest] - errors.place_m) * of_dcm[:, None]
+    channels["POS"] = displaced(channels["POS"], apart_m)
     says(channels, (begin_ns, "AHRS: DCM active"), (end_ns, "AHRS: EKF3 active"))
     att = channels["ATT"]
     dcm = channels["AHR2"]
