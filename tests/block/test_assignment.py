@@ -179,7 +179,7 @@ def test_a_number_that_the_log_skips_is_an_image_without_an_event():
 
 
 @pytest.mark.parametrize(
-    ("clock_sigma_s", "is_decided"), [(0.3, True), (3.0, False), (None, False)]
+    ("clock_sigma_s", "is_decided"), [(0.3, True), (3.0, False), (np.inf, False)]
 )
 def test_constant_intervals_are_decided_by_a_known_clock(clock_sigma_s, is_decided):
     assignment = by_times(EVERY_4_S, EVERY_4_S[5:] + 0.1, clock_sigma_s=clock_sigma_s)
