@@ -166,7 +166,7 @@ def test_a_wrong_principal_distance_is_estimated(factor):
 
 @pytest.mark.parametrize(
     ("offset_s", "words"),
-    drawn((-1.5, ["1.5", "earlier"]), (18.0, ["18", "later", "GPS time"]), (3600.0, ["3600"])),
+    drawn((-1.5, ["1.5", "earlier"]), (18.0, ["18", "later", "GPS time"]), (3600.0, ["3600", "later"])),
 )
 def test_exposures_at_other_times_are_found_by_how_much(offset_s, words):
     mission = make(23)
@@ -372,7 +372,7 @@ def test_refraction_is_removed_from_apparent_rays():
     )
     before = np.arccos(np.sum(down * rays.direction, axis=1))
     after = np.arccos(np.sum(down * straightened(stated, rays).direction, axis=1))
-    is_of_several = np.bincount(rays.point)[rays.point] > 2
+    is_of_several = (np.bincount(rays.point)[rays.point] > 2) & np.isfinite(before)
     assert (before > after)[is_of_several].all()
     row = np.argmax(np.where(is_of_several, before, 0.0))
     angle = one_angle("us1976", 1000.0, 30.0, float(np.degrees(before[row])))
