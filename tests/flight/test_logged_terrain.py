@@ -41,9 +41,9 @@ def test_only_heights_of_a_healthy_grid_count(columns, expected):
     "name", at_hand("flight.bin", "beastayyg_sample.bin", "sitl_survey.BIN", "sitl_survey.tlog")
 )
 def test_a_log_has_its_terrain_as_pymavlink_reads_it(name):
-    message, column = ("TERR", "TerrH")
-    if name.endswith("tlog"):
-        message, column = ("TERRAIN_REPORT", "terrain_height")
+    is_telemetry = name.endswith("tlog")
+    message = "TERRAIN_REPORT" if is_telemetry else "TERR"
+    column = "terrain_height" if is_telemetry else "TerrH"
     reader = mavutil.mavlink_connection(str(LOGS[name]))
     rows = iter(lambda: reader.recv_match(type=message), None)
     truth = [getattr(row, column) for row in rows]
