@@ -31,19 +31,38 @@ def test_exit_codes(name, code):
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
-def test_the_other_exit_codes():
-    assert (exit_codes.EXIT_DONE, exit_codes.EXIT_BUG, exit_codes.EXIT_LOSSES) == (0, 1, 3)
-    assert (exit_codes.EXIT_INTERRUPTED, exit_codes.EXIT_TERMINATED) == (130, 143)
+def test_a_refusal_without_place_and_remedy_is_one_line():
     assert str(errors.LogError("A-B", "what")) == "A-B: what"
 
 
-def test_units_by_their_definitions():
-    assert pytest.approx(units.DEGREE) == units.ARCSEC * 3600.0
-    assert pytest.approx(math.radians(1.0)) == units.DEGREE
-    assert (units.MICRORADIAN, units.HECTOPASCAL, units.ZERO_CELSIUS_K) == (1e-6, 100.0, 273.15)
-    epoch = datetime(1980, 1, 6, tzinfo=UTC).timestamp()
-    assert epoch * 1e9 == units.UNIX_NS_OF_GPS_EPOCH
-    # US 1976: 34.163195 K/km'; 1 - 18.015 / 28.964; NIMA TR8350.2: the semi-minor axis
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [("DONE", 0), ("BUG", 1), ("LOSSES", 3), ("INTERRUPTED", 130), ("TERMINATED", 143)],
+)
+def test_the_other_exit_codes(name, code):
+    assert getattr(exit_codes, f"EXIT_{name}") == code
+
+
+GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("DEGREE", math.radians(1.0)),
+        ("ARCSEC", math.radians(1.0) / 3600.0),
+        ("MICRORADIAN", 1e-6),
+        ("HECTOPASCAL", 100.0),
+        ("ZERO_CELSIUS_K", 273.15),
+        ("UNIX_NS_OF_GPS_EPOCH", GPS_EPOCH.timestamp() * 1e9),
+    ],
+)
+def test_units_by_their_definitions(name, value):
+    assert getattr(units, name) == pytest.approx(value, rel=1e-15)
+
+
+def test_constants_of_air_and_of_the_ellipsoid():
+    """US 1976: 34.163195 K/km'; molar masses; the semi-minor axis of NIMA TR8350.2."""
     assert pytest.approx(0.034163195, rel=1e-7) == units.HYDROSTATIC_CONSTANT
     assert pytest.approx(1.0 - 18.015 / 28.9644, abs=5e-4) == units.VAPOUR_DEFICIT
     assert pytest.approx(6_356_752.3142, abs=1e-4) == units.WGS84_A * (1.0 - units.WGS84_F)

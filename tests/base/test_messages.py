@@ -65,9 +65,8 @@ def test_one_has_its_own_text(count, expected):
 
 @pytest.mark.parametrize("name", ["strip 1 frames", "line 1 images/log.bin", "{count}", "1 rows"])
 def test_names_of_users_stay_as_they_are(name):
-    assert note(code("A-B"), "{name!r} in {where}", where=name, name=name).what == (
-        f"{name!r} in {name}"
-    )
+    message = note(code("A-B"), "{name!r} in {where}", where=name, name=name)
+    assert message.what == f"{name!r} in {name}"
 
 
 def test_a_counted_value_is_a_number_in_files():

@@ -26,12 +26,18 @@ from unbend.written_tables import BLANKS, form_of
 )
 def test_separators_and_names(lines, separator, names):
     form = form_of(lines)
-    assert (form.separator, form.names) == (separator, names)
+    assert form.separator == separator
+    assert form.names == names
 
 
 def test_where_rows_begin():
     form = form_of(["# Cameras (2)", "", "# image, x", "a\t1", "b\t2"])
-    assert (form.lines_before, form.head_is_row, form.line_of_first_row) == (3, False, 4)
+    assert form.lines_before == 3
+    assert not form.head_is_row
+    assert form.line_of_first_row == 4
+
+
+def test_a_line_that_states_the_separator_is_no_head():
     assert form_of(["sep=;", "image;x", "a;1"]).line_of_first_row == 3
 
 

@@ -1,6 +1,7 @@
 """A block of images with true stations, points and rays, from a local tangent plane of its own.
 
-Independent of the package: numpy only, centres on a plane that is put on the ellipsoid by hand.
+The truth is independent of the package: numpy only, centres on a plane that is put on the ellipsoid
+by hand.
 """
 
 from __future__ import annotations
@@ -9,23 +10,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from unbend.block.image_rays import ImageRays, Orientations
+
 A = 6378137.0
-F = 1.0 / 298.257223563
-E2 = F * (2.0 - F)
+E2 = 0.00669437999014
+METRES_OF_LATITUDE = 6.37e6
+LAT = np.radians(47.0)
+LON = np.radians(8.0)
+WIDEST_TANGENT = 0.45  # that an image shows, along its sides
 
 
 def axes(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
     """(n, 3, 3) rows east, north, up."""
-    zero = np.zeros_like(lat)
-    east = np.stack([-np.sin(lon), np.cos(lon), zero], -1)
+    east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lat)], -1)
     up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], -1)
     return np.stack([east, np.cross(up, east), up], -2)
 
 
 def ecef(lat: np.ndarray, lon: np.ndarray, h: np.ndarray) -> np.ndarray:
     n = A / np.sqrt(1.0 - E2 * np.sin(lat) ** 2)
-    flat = np.stack([(n + h) * np.cos(lat) * np.cos(lon), (n + h) * np.cos(lat) * np.sin(lon)], -1)
-    return np.concatenate([flat, ((n * (1.0 - E2) + h) * np.sin(lat))[:, None]], 1)
+    level = (n + h) * np.cos(lat)
+    x = level * np.cos(lon)
+    y = level * np.sin(lon)
+    z = (n * (1.0 - E2) + h) * np.sin(lat)
+    return np.stack([x, y, z], -1)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def turn(vector: np.ndarray) -> np.ndarray:
@@ -52,11 +64,23 @@ class Block:
     direction: np.ndarray
     point_h: np.ndarray
     pixel_rad: float
-    true_centre: np.ndarray
+
+    @property
+    def orientations(self) -> Orientations:
+        """What the log says of the stations."""
+        frames = axes(self.lat, self.lon)
+        centre = ecef(self.lat, self.lon, self.h)
+        attitude = self.camera_from_enu @ frames
+        return Orientations(self.camera, centre, attitude, frames, self.sigma)
+
+    @property
+    def rays(self) -> ImageRays:
+        """What the images show."""
+        return ImageRays(self.image, self.point, self.direction, self.pixel_rad)
 
 
 def simulate_block(
-    rng: np.random.Generator,
+    seed: int,
     *,
     lines: int = 3,
     each: int = 12,
@@ -69,53 +93,62 @@ def simulate_block(
     errors: bool = True,
 ) -> Block:
     """A nadir block at 47 degrees north; ``cameras`` are their tilts across the line [rad]."""
+    rng = np.random.default_rng(seed)
+    heads = len(cameras)
     count = lines * each
-    y = np.repeat(np.arange(lines) * 2.0 * base, each)
-    x = np.tile(np.arange(each) * base, lines)
-    lat0 = np.radians(47.0)
-    lon0 = np.radians(8.0)
-    lat = np.tile(lat0 + y / 6.37e6, len(cameras))
-    lon = np.tile(lon0 + x / (6.37e6 * np.cos(lat0)), len(cameras))
-    h = height + rng.normal(0.0, 10.0, lat.size)
-    heading = np.tile(np.repeat(np.arange(lines) % 2 * np.pi, each), len(cameras))
-    heading = heading + rng.normal(0.0, 0.05, lat.size)
-    tilt = np.repeat(cameras, count)
-    # Camera x right of the flight, y back, z down, then tilted about y.
-    c = np.cos(heading)
-    s = np.sin(heading)
-    o = np.zeros(lat.size)
-    i = np.ones(lat.size)
-    level = np.stack([-s, -c, o, -c, s, o, o, o, -i], -1).reshape(-1, 3, 3)
-    level[:, 0] *= -1.0
-    level[:, 1] = np.cross(level[:, 2], level[:, 0])
-    wobble = turn(rng.normal(0.0, 0.02, (lat.size, 3)))
-    true = wobble @ turn(np.stack([o, tilt, o], -1)) @ level
-    true_centre = ecef(lat, lon, h)
-    frames = axes(lat, lon)
-    px = rng.uniform(-0.4 * height, x.max() + 0.4 * height, points)
-    py = rng.uniform(-0.4 * height, y.max() + 0.4 * height, points)
-    ph = rng.uniform(0.0, 60.0, points)
-    ground = ecef(lat0 + py / 6.37e6, lon0 + px / (6.37e6 * np.cos(lat0)), ph)
-    ray = np.einsum("sij,sjk,spk->spi", true, frames, ground[None] - true_centre[:, None])
-    d = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
-    seen = (d[..., 2] > 0) & (np.abs(ray[..., :2] / ray[..., 2:]).max(axis=-1) < 0.45)
-    image, point = np.nonzero(seen)
-    direction = d[image, point]
+    line = np.tile(np.repeat(np.arange(lines), each), heads)
+    x = np.tile(np.arange(each) * base, lines * heads)
+    y = line * 2.0 * base
+    lat, lon = places(x, y)
+    h = height + rng.normal(0.0, 10.0, x.size)
+    camera_from_enu = attitudes(rng, line, np.repeat(cameras, count))
+    centre = ecef(lat, lon, h)
+
+    point_x = rng.uniform(-0.4 * height, x.max() + 0.4 * height, points)
+    point_y = rng.uniform(-0.4 * height, y.max() + 0.4 * height, points)
+    point_h = rng.uniform(0.0, 60.0, points)
+    ground = ecef(*places(point_x, point_y), point_h)
+    to_ground = ground[None] - centre[:, None]
+    ray = np.einsum("sij,sjk,spk->spi", camera_from_enu, axes(lat, lon), to_ground)
+    tangents = np.abs(ray[..., :2] / ray[..., 2:])
+    is_seen = (ray[..., 2] > 0) & (tangents.max(axis=-1) < WIDEST_TANGENT)
+    image, point = np.nonzero(is_seen)
+    direction = unit(ray[image, point])
     noise = rng.normal(0.0, pixel_rad, direction.shape)
-    direction = direction + noise - np.sum(noise * direction, -1, keepdims=True) * direction
-    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-    said = rng.normal(0.0, 1.0, (lat.size, 6)) * sigma * errors
+    along = np.sum(noise * direction, -1, keepdims=True) * direction
+
+    logged = rng.normal(0.0, 1.0, (x.size, 6)) * sigma * errors
     return Block(
-        camera=np.repeat([f"camera{n}" for n in range(len(cameras))], count).astype(object),
-        lat=lat + said[:, 1] / 6.367e6,
-        lon=lon + said[:, 0] / (6.389e6 * np.cos(lat)),
-        h=h + said[:, 2],
-        camera_from_enu=true @ turn(said[:, 3:]),
-        sigma=np.tile(sigma, (lat.size, 1)),
+        camera=np.repeat([f"camera{number}" for number in range(heads)], count).astype(object),
+        lat=lat + logged[:, 1] / 6.367e6,
+        lon=lon + logged[:, 0] / (6.389e6 * np.cos(lat)),
+        h=h + logged[:, 2],
+        camera_from_enu=camera_from_enu @ turn(logged[:, 3:]),
+        sigma=np.tile(sigma, (x.size, 1)),
         image=image,
         point=point,
-        direction=direction,
-        point_h=ph,
+        direction=unit(direction + noise - along),
+        point_h=point_h,
         pixel_rad=pixel_rad,
-        true_centre=true_centre,
     )
+
+
+def places(east_m: np.ndarray, north_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Latitude and longitude of places on the plane."""
+    lat = LAT + north_m / METRES_OF_LATITUDE
+    lon = LON + east_m / (METRES_OF_LATITUDE * np.cos(LAT))
+    return lat, lon
+
+
+def attitudes(rng: np.random.Generator, line: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) camera from east, north, up: lines to and fro, tilted about y, with a wobble."""
+    heading = line % 2 * np.pi + rng.normal(0.0, 0.05, line.size)
+    c = np.cos(heading)
+    s = np.sin(heading)
+    o = np.zeros(line.size)
+    # Camera x right of the flight, z down.
+    x = np.stack([s, c, o], -1)
+    z = np.stack([o, o, o - 1.0], -1)
+    level = np.stack([x, np.cross(z, x), z], -2)
+    tilted = turn(np.stack([o, tilt, o], -1)) @ level
+    return turn(rng.normal(0.0, 0.02, (line.size, 3))) @ tilted

@@ -10,11 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from tests.flight.made_channels import EARTH_M, quaternion_columns, rotation_of, with_columns
+from tests.helpers import NS_PER_S
 from unbend.flight.channels import Channel, Source
 
-SECOND = 1_000_000_000
-RADIUS_M = 6_371_000.0
 GATE_M = 4.6  # a receiver 77 m off has ratios of 14 to 20 in ArduPilot's logs
 KINDS = (
     "followed",
@@ -26,6 +27,12 @@ KINDS = (
     "wind-up",
     "height glitch",
 )
+OF_RECEIVER = ("h_msl_m", "h_ellipsoid_m")
+OF_FILTER = ("h_msl_m", "h_home_m")
+VELOCITIES = ("v_north_m_s", "v_east_m_s")
+COMPONENTS = ("q_w", "q_x", "q_y", "q_z")
+
+Channels = dict[str, Channel]
 
 
 @dataclass
@@ -39,249 +46,248 @@ class Fault:
     detail: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        length_s = (self.end_ns - self.begin_ns) / SECOND
+        length_s = (self.end_ns - self.begin_ns) / NS_PER_S
         more = "".join(f", {name} {value:.3g}" for name, value in self.detail.items())
         return f"{self.kind} of {self.size_m:.0f} m for {length_s:.0f} s{more}"
 
+    def holds(self, time_ns: np.ndarray) -> np.ndarray:
+        """(n,) at which times."""
+        return (time_ns >= self.begin_ns) & (time_ns <= self.end_ns)
 
-def with_columns(channel: Channel, **columns: np.ndarray) -> Channel:
-    return replace(channel, columns=dict(channel.columns) | columns)
 
-
-def displaced(channel: Channel, north: np.ndarray, east: np.ndarray) -> Channel:
-    """The channel with its places moved by (n,) metres."""
+def displaced(channel: Channel, north_east_m: np.ndarray) -> Channel:
+    """The channel with its places moved by (n, 2) metres."""
     lat = channel["lat_rad"]
-    lon = channel["lon_rad"]
+    north, east = north_east_m.T / EARTH_M
     return with_columns(
-        channel,
-        lat_rad=lat + north / RADIUS_M,
-        lon_rad=lon + east / RADIUS_M / np.cos(lat),
+        channel, lat_rad=lat + north, lon_rad=channel["lon_rad"] + east / np.cos(lat)
     )
 
 
-def raised(
-    channel: Channel, by: np.ndarray, names: tuple[str, ...] = ("h_msl_m", "h_home_m")
-) -> Channel:
+def added(channel: Channel, amount: np.ndarray, *names: str) -> Channel:
+    """The channel with an amount added to those of the columns that it has."""
     present = [name for name in names if name in channel.columns]
-    return with_columns(channel, **{name: channel[name] + by for name in present})
+    return with_columns(channel, **{name: channel[name] + amount for name in present})
 
 
 def second_receiver(first: Channel, rng: np.random.Generator) -> Channel:
     """Another receiver of the flight: noise of its own, an antenna 0.4 m away, 30 ms later."""
     n = len(first)
-    walk = np.convolve(rng.normal(0.0, 0.35, (n + 200)), np.ones(200) / 200**0.5, "valid")[:n]
+    walk = np.convolve(rng.normal(0.0, 0.35, n + 199), np.ones(200) / 200**0.5, "valid")
     noise = rng.normal(0.0, 0.08, (3, n)) + walk * rng.choice([-0.5, 0.5], (3, 1))
-    other = displaced(first, noise[0] + 0.4, noise[1])
-    other = raised(other, noise[2] + 0.1, ("h_msl_m", "h_ellipsoid_m"))
-    return replace(
-        other, name="GPS[1]", source=Source("GPS", "1"), rank=30, time_ns=first.time_ns + 30_000_000
-    )
+    other = displaced(first, noise[:2].T + np.array([0.4, 0.0]))
+    other = added(other, noise[2] + 0.1, *OF_RECEIVER)
+    time_ns = first.time_ns + 30_000_000
+    return replace(other, name="GPS[1]", source=Source("GPS", "1"), rank=30, time_ns=time_ns)
 
 
-def filter_errors(
-    time_ns: np.ndarray,
-    gps_ns: np.ndarray,
-    gps_error: np.ndarray,
-    fix: np.ndarray,
-    rng: np.random.Generator,
-    *,
-    retry_s: float,
-    bias_m_s2: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Errors of place and velocity (n, 2), innovation ratios and tilt [rad] (n,) of a filter."""
-    n = time_ns.size
-    place = np.zeros((n, 2))
-    speed = np.zeros((n, 2))
-    ratio = np.zeros(n)
-    tilt = np.zeros(n)
-    heading = rng.uniform(0.0, 2.0 * np.pi)
-    bias = bias_m_s2 * np.array([np.cos(heading), np.sin(heading)])
-    # north + i east: numbers, which are fast
-    e_p = 0j
-    e_v = 0j
-    unaided = 0.0
-    shown = 0.0
-    nearest = (np.searchsorted(gps_ns, time_ns, side="right") - 1).tolist()
-    steps = (np.diff(time_ns) / SECOND).tolist()
-    errors = (gps_error @ [1.0, 1j]).tolist()
-    pull = complex(*bias)
-    last = -1
-    for k, dt in enumerate(steps, start=1):
-        if unaided > 0.5:  # what an aided filter has estimated away comes back by and by
-            e_v += pull * dt
-            e_p += e_v * dt
-        unaided += dt
-        row = nearest[k]
-        if row != last and row >= 0:
-            last = row
-            if fix[row]:
-                innovation = errors[row] - e_p
-                gate = GATE_M + 0.3 * max(unaided - 1.0, 0.0)
-                shown = abs(innovation) / gate
-                if shown < 1.0:
-                    e_p = e_p + 0.25 * innovation
-                    e_v = 0.5 * e_v
-                    unaided = 0.0
-                elif unaided > retry_s:
-                    e_p = errors[row]
-                    e_v = 0j
-                    unaided = 0.0
-        place[k], speed[k], ratio[k] = (e_p.real, e_p.imag), (e_v.real, e_v.imag), shown
-        tilt[k] = min(unaided, 10.0) / 10.0 * bias_m_s2 / 9.81
-    return place, speed, ratio, tilt
+@dataclass
+class FilterErrors:
+    """(n,) errors of a filter, of which places and velocities are (n, 2) north and east."""
+
+    place_m: np.ndarray
+    velocity_m_s: np.ndarray
+    ratio: np.ndarray
+    tilt_rad: np.ndarray
+
+
+@dataclass(frozen=True)
+class FilterModel:
+    """How a filter behaves that has a receiver with errors (m, 2) [m], and fixes (m,)."""
+
+    gps_ns: np.ndarray
+    gps_error_m: np.ndarray
+    has_fix: np.ndarray
+    retry_s: float  # after which it resets to a receiver that it rejects
+    bias_m_s2: float
+    heading: float  # of the bias
+
+    def errors(self, time_ns: np.ndarray) -> FilterErrors:
+        """The errors at some times, one after the other."""
+        n = time_ns.size
+        made = FilterErrors(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n), np.zeros(n))
+        # north + i east: numbers, which are fast
+        place = 0j
+        velocity = 0j
+        pull = self.bias_m_s2 * complex(np.cos(self.heading), np.sin(self.heading))
+        errors = (self.gps_error_m @ [1.0, 1j]).tolist()
+        newest = (np.searchsorted(self.gps_ns, time_ns, side="right") - 1).tolist()
+        steps_s = (np.diff(time_ns) / NS_PER_S).tolist()
+        unaided_s = 0.0
+        ratio = 0.0
+        last = -1
+        for row, dt in enumerate(steps_s, start=1):
+            if unaided_s > 0.5:  # what an aided filter has estimated away comes back by and by
+                velocity += pull * dt
+                place += velocity * dt
+            unaided_s += dt
+            fix = newest[row]
+            if fix != last and fix >= 0:
+                last = fix
+                if self.has_fix[fix]:
+                    innovation = errors[fix] - place
+                    ratio = abs(innovation) / (GATE_M + 0.3 * max(unaided_s - 1.0, 0.0))
+                    if ratio < 1.0:
+                        place += 0.25 * innovation
+                        velocity *= 0.5
+                        unaided_s = 0.0
+                    elif unaided_s > self.retry_s:
+                        place = errors[fix]
+                        velocity = 0j
+                        unaided_s = 0.0
+            made.place_m[row] = (place.real, place.imag)
+            made.velocity_m_s[row] = (velocity.real, velocity.imag)
+            made.ratio[row] = ratio
+            made.tilt_rad[row] = min(unaided_s, 10.0) / 10.0 * self.bias_m_s2 / 9.81
+        return made
 
 
 def tilted(channel: Channel, angle: np.ndarray, azimuth: float) -> Channel:
     """An attitude turned by (n,) small angles [rad] about a level axis."""
-    from scipy.spatial.transform import Rotation
-
-    stored = Rotation.from_quat(np.stack([channel[f"q_{a}"] for a in "xyzw"], axis=1))
+    stored = rotation_of(np.stack([channel[name] for name in COMPONENTS], axis=1))
     axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    turned = (Rotation.from_rotvec(angle[:, None] * axis) * stored).as_quat(canonical=True)
-    return with_columns(channel, **{f"q_{a}": turned[:, k] for k, a in enumerate("xyzw")})
+    turned = Rotation.from_rotvec(angle[:, None] * axis) * stored
+    return with_columns(channel, **quaternion_columns(turned))
 
 
-def says(channels: dict[str, Channel], *texts: tuple[int, str]) -> None:
+def says(channels: Channels, *texts: tuple[int, str]) -> None:
     """Add lines to what the autopilot says."""
     old = channels["MSG"]
     lines = sorted([*zip(old.time_ns.tolist(), old.labels["text"], strict=True), *texts])
-    channels["MSG"] = replace(
-        old,
-        time_ns=np.array([t for t, _ in lines], np.int64),
-        boot=np.zeros(len(lines), np.int16),
-        labels={"text": tuple(text for _, text in lines)},
-    )
+    time_ns, said = zip(*lines, strict=True)
+    boot = np.zeros(len(lines), np.int16)
+    channels["MSG"] = replace(old, time_ns=np.array(time_ns), boot=boot, labels={"text": said})
 
 
 def inject(
-    good: dict[str, Channel], kind: str, around_ns: int, rng: np.random.Generator
-) -> tuple[dict[str, Channel], Fault]:
+    good: Channels, kind: str, around_ns: int, rng: np.random.Generator
+) -> tuple[Channels, Fault]:
     """The channels of a log with one fault of a kind that holds an instant."""
     channels = dict(good)
-    gps = channels["GPS[0]"]
-    pos = channels["POS"]
-    health = channels["XKF4[0]"]
     length_s = float(rng.uniform(6.0, 40.0))
-    begin = around_ns - round(rng.uniform(0.1, 0.9) * length_s * SECOND)
-    fault = Fault(kind, begin, begin + round(length_s * SECOND), float(rng.uniform(20.0, 100.0)))
+    begin_ns = around_ns - round(rng.uniform(0.1, 0.9) * length_s * NS_PER_S)
+    end_ns = begin_ns + round(length_s * NS_PER_S)
+    fault = Fault(kind, begin_ns, end_ns, float(rng.uniform(20.0, 100.0)))
     if kind == "wind-up":
-        return _wound_up(channels, fault, rng), fault
-    two = kind in ("swap", "drift") or rng.random() < 0.4
-    if two:
-        channels["GPS[1]"] = second_receiver(gps, rng)
-    inside = (gps.time_ns >= fault.begin_ns) & (gps.time_ns <= fault.end_ns)
-    azimuth = rng.uniform(0.0, 2.0 * np.pi)
-    to = np.array([np.cos(azimuth), np.sin(azimuth)])
-    up = np.where(inside, rng.uniform(-0.6, 0.6) * fault.size_m, 0.0)
-    if kind == "height glitch":
-        up = np.where(inside, rng.choice([-1.0, 1.0]) * fault.size_m, 0.0)
-        channels["GPS[0]"] = raised(gps, up, ("h_msl_m", "h_ellipsoid_m"))
+        wind_up(channels, fault, rng)
         return channels, fault
-    amount = np.where(inside, fault.size_m, 0.0)
+    gps = channels["GPS[0]"]
+    has_two = kind in ("swap", "drift") or rng.random() < 0.4
+    if has_two:
+        channels["GPS[1]"] = second_receiver(gps, rng)
+    inside = fault.holds(gps.time_ns)
+    if kind == "height glitch":
+        up_m = rng.choice([-1.0, 1.0]) * fault.size_m * inside
+        channels["GPS[0]"] = added(gps, up_m, *OF_RECEIVER)
+        return channels, fault
+    fault.detail["receivers"] = 1 + has_two
+    azimuth = rng.uniform(0.0, 2.0 * np.pi)
+    direction = np.array([np.cos(azimuth), np.sin(azimuth)])
+    amount_m = fault.size_m * inside
+    up_m = rng.uniform(-0.6, 0.6) * amount_m
     if kind == "drift":
-        rate = float(rng.uniform(1.0, 3.0))
-        fault.detail["m/s"] = rate
-        since = gps.time_ns - fault.begin_ns
-        until = fault.end_ns - gps.time_ns
-        returns = rng.random() < 0.5  # as slowly as it went, or by a step
-        seconds = (np.minimum(since, until) if returns else since) / SECOND
-        amount = np.where(inside, rate * seconds, 0.0)
-        up = 0.3 * amount
+        amount_m = drift_m(fault, gps.time_ns, rng) * inside
+        up_m = 0.3 * amount_m
         if rng.random() < 0.5:  # the Doppler velocity is led away too
-            gps = with_columns(
-                gps,
-                **{
-                    f"v_{name}_m_s": gps[f"v_{name}_m_s"] + np.where(inside, rate * to[k], 0.0)
-                    for k, name in enumerate(("north", "east"))
-                },
-            )
-    error = amount[:, None] * to
-    fix = np.ones(len(gps), bool)
-    bias = float(rng.uniform(0.02, 0.15))
-    retry_s = 0.0 if kind == "followed" else float(rng.uniform(7.0, 12.0))
-    fused = error
+            for name, part in zip(VELOCITIES, direction, strict=True):
+                gps = added(gps, fault.detail["m/s"] * part * inside, name)
+    error_m = amount_m[:, None] * direction
+    fused_m = error_m
+    if kind in ("swap", "no fix"):
+        error_m = np.zeros_like(error_m)
+        fused_m = error_m
+        up_m = np.zeros(len(gps))
     if kind == "swap":
         # The second receiver is off by a constant for the whole flight; the filter goes over to it.
         fault.size_m = float(rng.uniform(6.0, 40.0))
-        offset = fault.size_m * to
-        other = displaced(channels["GPS[1]"], *(np.full(len(gps), x) for x in offset))
-        channels["GPS[1]"] = other
-        fused = np.where(inside[:, None], offset, 0.0)
-        error = np.zeros((len(gps), 2))
-        up = np.zeros(len(gps))
-        retry_s = 0.0
+        offset_m = fault.size_m * direction
+        channels["GPS[1]"] = displaced(channels["GPS[1]"], np.tile(offset_m, (len(gps), 1)))
+        fused_m = inside[:, None] * offset_m
         says(channels, (fault.begin_ns, "EV GPS_PRIMARY_CHANGED"))
-    if kind == "no fix":
-        fused = np.zeros((len(gps), 2))
-        error = np.zeros((len(gps), 2))
-        up = np.zeros(len(gps))
-        fix = ~inside
-    places, speed, ratio, tilt = filter_errors(
-        pos.time_ns, gps.time_ns, fused, fix, rng, retry_s=retry_s, bias_m_s2=bias
+    has_fix = ~inside if kind == "no fix" else np.ones(len(gps), bool)
+    model = FilterModel(
+        gps_ns=gps.time_ns,
+        gps_error_m=fused_m,
+        has_fix=has_fix,
+        retry_s=0.0 if kind in ("followed", "swap") else float(rng.uniform(7.0, 12.0)),
+        bias_m_s2=float(rng.uniform(0.02, 0.15)),
+        heading=rng.uniform(0.0, 2.0 * np.pi),
     )
-    if kind == "dead reckoning":  # the autopilot leaves the filter: DCM, which goes by the receiver
-        begin_dcm = fault.begin_ns + round(rng.uniform(0.3, 2.0) * SECOND)
-        of_dcm = (pos.time_ns > begin_dcm) & (pos.time_ns < fault.end_ns + SECOND)
-        row = np.maximum(np.searchsorted(gps.time_ns, pos.time_ns, side="right") - 1, 0)
-        places = np.where(of_dcm[:, None], error[row], places)
-        says(
-            channels, (begin_dcm, "AHRS: DCM active"), (fault.end_ns + SECOND, "AHRS: EKF3 active")
-        )
-    channels["GPS[0]"] = raised(displaced(gps, *error.T), up, ("h_msl_m", "h_ellipsoid_m"))
-    if not fix.all():
-        channels["GPS[0]"] = channels["GPS[0]"].rows(fix)
-    channels["POS"] = displaced(pos, *places.T)
-    for name in ("ATT", "XKF1[0]", "XKQ[0]"):
-        at = np.interp(channels[name].time_ns, pos.time_ns, tilt)
-        channels[name] = tilted(channels[name], at, azimuth)
+    fault.detail["bias"] = model.bias_m_s2
+    errors = model.errors(channels["POS"].time_ns)
+    log_errors(channels, errors, azimuth)
     if kind == "dead reckoning":
-        att = channels["ATT"]
-        dcm = good["AHR2"]
-        take = (att.time_ns > begin_dcm) & (att.time_ns < fault.end_ns + SECOND)
-        row = np.clip(np.searchsorted(dcm.time_ns, att.time_ns), 0, len(dcm) - 1)
-        channels["ATT"] = with_columns(
-            att, **{f"q_{a}": np.where(take, dcm[f"q_{a}"][row], att[f"q_{a}"]) for a in "wxyz"}
-        )
-    lane = channels["XKF1[0]"]
-    channels["XKF1[0]"] = with_columns(
-        lane,
-        **{
-            f"v_{name}_m_s": lane[f"v_{name}_m_s"]
-            + np.interp(lane.time_ns, pos.time_ns, speed[:, k])
-            for k, name in enumerate(("north", "east"))
-        },
-    )
-    shown = np.interp(health.time_ns, pos.time_ns, ratio)
-    channels["XKF4[0]"] = with_columns(
-        health, innovation_position=np.fmax(health["innovation_position"], np.round(shown, 2))
-    )
-    fault.detail["bias"] = bias
-    fault.detail["receivers"] = 1 + two
+        go_over_to_dcm(channels, fault, errors, model, rng)
+    gps = added(displaced(gps, error_m), up_m, *OF_RECEIVER)
+    channels["GPS[0]"] = gps.rows(has_fix)
     return channels, fault
 
 
-def _wound_up(
-    channels: dict[str, Channel], fault: Fault, rng: np.random.Generator
-) -> dict[str, Channel]:
-    """A barometer whose pressure creeps away and back, and the filter's height with it."""
-    ramp_s = float(rng.uniform(20.0, 120.0))
-    fault.begin_ns -= round(ramp_s * SECOND)
-    fault.end_ns += round(ramp_s * SECOND)
-    fault.size_m = float(rng.uniform(15.0, 60.0)) * rng.choice([-1.0, 1.0])
-    corners = fault.begin_ns + np.array([0.0, ramp_s, 0.0, 0.0]) * SECOND
-    corners[2:] = fault.end_ns - np.array([ramp_s, 0.0]) * SECOND
+def drift_m(fault: Fault, time_ns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """How far a receiver is led away, of which it returns as slowly as it went, or by a step."""
+    fault.detail["m/s"] = float(rng.uniform(1.0, 3.0))
+    elapsed_ns = time_ns - fault.begin_ns
+    if rng.random() < 0.5:
+        elapsed_ns = np.minimum(elapsed_ns, fault.end_ns - time_ns)
+    return fault.detail["m/s"] * elapsed_ns / NS_PER_S
 
-    def climb(time_ns: np.ndarray) -> np.ndarray:
-        return np.interp(time_ns, corners, fault.size_m * np.array([0.0, 1.0, 1.0, 0.0]))
 
-    both = rng.random() < 0.4  # on one static line
-    fault.detail["barometers"] = 1 + both
-    for name in ("BARO[0]", "BARO[1]")[: 1 + both]:
-        baro = channels[name]
-        scale = np.exp(-climb(baro.time_ns) / 8000.0)
-        channels[name] = with_columns(baro, pressure_pa=baro["pressure_pa"] * scale)
+def log_errors(channels: Channels, errors: FilterErrors, azimuth: float) -> None:
+    """Put the errors of a filter into what it logs."""
     pos = channels["POS"]
-    lane = channels["XKF1[0]"]
-    channels["POS"] = raised(pos, climb(pos.time_ns))
-    channels["XKF1[0]"] = raised(lane, climb(lane.time_ns), ("up_m",))
-    return channels
+    channels["POS"] = displaced(pos, errors.place_m)
+    for name in ("ATT", "XKF1[0]", "XKQ[0]"):
+        angle = np.interp(channels[name].time_ns, pos.time_ns, errors.tilt_rad)
+        channels[name] = tilted(channels[name], angle, azimuth)
+    for name, velocity in zip(VELOCITIES, errors.velocity_m_s.T, strict=True):
+        lane = channels["XKF1[0]"]
+        channels["XKF1[0]"] = added(lane, np.interp(lane.time_ns, pos.time_ns, velocity), name)
+    health = channels["XKF4[0]"]
+    ratio = np.round(np.interp(health.time_ns, pos.time_ns, errors.ratio), 2)
+    shown = np.fmax(health["innovation_position"], ratio)
+    channels["XKF4[0]"] = with_columns(health, innovation_position=shown)
+
+
+def go_over_to_dcm(
+    channels: Channels,
+    fault: Fault,
+    errors: FilterErrors,
+    model: FilterModel,
+    rng: np.random.Generator,
+) -> None:
+    """The autopilot leaves the filter: DCM, which goes by the receiver."""
+    begin_ns = fault.begin_ns + round(rng.uniform(0.3, 2.0) * NS_PER_S)
+    end_ns = fault.end_ns + NS_PER_S
+    time_ns = channels["POS"].time_ns
+    of_dcm = (time_ns > begin_ns) & (time_ns < end_ns)
+    newest = np.maximum(np.searchsorted(model.gps_ns, time_ns, side="right") - 1, 0)
+    apart_m = (model.gps_error_m[newest] - errors.place_m) * of_dcm[:, None]
+    channels["POS"] = displaced(channels["POS"], apart_m)
+    says(channels, (begin_ns, "AHRS: DCM active"), (end_ns, "AHRS: EKF3 active"))
+    att = channels["ATT"]
+    dcm = channels["AHR2"]
+    of_dcm = (att.time_ns > begin_ns) & (att.time_ns < end_ns)
+    row = np.minimum(np.searchsorted(dcm.time_ns, att.time_ns), len(dcm) - 1)
+    columns = {name: np.where(of_dcm, dcm[name][row], att[name]) for name in COMPONENTS}
+    channels["ATT"] = with_columns(att, **columns)
+
+
+def wind_up(channels: Channels, fault: Fault, rng: np.random.Generator) -> None:
+    """A barometer whose pressure creeps away and back, and the filter's height with it."""
+    ramp_ns = round(rng.uniform(20.0, 120.0) * NS_PER_S)
+    fault.size_m = float(rng.uniform(15.0, 60.0)) * rng.choice([-1.0, 1.0])
+    corners_ns = [fault.begin_ns - ramp_ns, fault.begin_ns, fault.end_ns, fault.end_ns + ramp_ns]
+    fault.begin_ns -= ramp_ns
+    fault.end_ns += ramp_ns
+
+    def climb_m(channel: Channel) -> np.ndarray:
+        return np.interp(channel.time_ns, corners_ns, [0.0, fault.size_m, fault.size_m, 0.0])
+
+    names = ["BARO[0]", "BARO[1]"] if rng.random() < 0.4 else ["BARO[0]"]  # on one static line
+    fault.detail["barometers"] = len(names)
+    for name in names:
+        baro = channels[name]
+        pressure_pa = baro["pressure_pa"] * np.exp(-climb_m(baro) / 8000.0)
+        channels[name] = with_columns(baro, pressure_pa=pressure_pa)
+    channels["POS"] = added(channels["POS"], climb_m(channels["POS"]), *OF_FILTER)
+    channels["XKF1[0]"] = added(channels["XKF1[0]"], climb_m(channels["XKF1[0]"]), "up_m")

@@ -4,76 +4,64 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from tests.flight.made_channels import located, quaternion_columns, with_columns
+from tests.helpers import channel
 from tests.logs import LOGS, at_hand
-from unbend.flight.channels import Channel, Source
+from unbend.flight.channels import Channel
 from unbend.flight.evidence.constant_sensors import FEWEST_SAMPLES, constant_sensors
 from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.roles import assign_roles
 from unbend.ingest import open_log
-from unbend.ingest.attitude import quaternion_of_euler
 
 ROWS = 400
+SECONDS = np.arange(ROWS) / 10.0
+NOISE = np.random.default_rng(7).normal(0.0, 0.01, (6, ROWS))
 
 
-def channel(name: str, message: str = "", **columns: np.ndarray) -> Channel:
-    time_ns = 1_700_000_000_000_000_000 + np.arange(ROWS) * 100_000_000
-    return Channel(
-        name=name,
-        time_ns=time_ns,
-        columns=columns,
-        source=Source(message or name),
-        boot=np.zeros(ROWS, np.int16),
-    )
+def with_angles(*constant: float | None, message: str = "ATT") -> Channel:
+    """An attitude, some of whose angles (roll, pitch, yaw) are constant."""
+    angles = []
+    for value, usual, noise in zip(constant, (0.0, 0.05, 1.0), NOISE[:3], strict=True):
+        angles.append(usual + noise if value is None else np.full(ROWS, value))
+    attitude = Rotation.from_euler("ZYX", np.stack(angles[::-1], axis=1))
+    return channel(message, SECONDS, **quaternion_columns(attitude))
 
 
 def flight(climb_m: float = 1000.0, way_m: float = 3000.0) -> dict[str, Channel]:
     """A flight that climbs on a straight line, all of whose sensors change."""
-    draw = np.random.default_rng(7)
     share = np.linspace(0.0, 1.0, ROWS)
-    height_m = 100.0 + climb_m * share + draw.normal(0.0, 0.01, ROWS)
-    place = {
-        "lat_rad": 0.8 + way_m / 6.37e6 * share + draw.normal(0.0, 1e-9, ROWS),
-        "lon_rad": 0.2 + draw.normal(0.0, 1e-9, ROWS),
-        "h_msl_m": height_m,
-    }
-    angles = [draw.normal(mean, 0.01, ROWS) for mean in (0.0, 0.05, 1.0)]
-    quaternion = quaternion_of_euler(*angles)
+    height_m = 100.0 + climb_m * share + NOISE[3]
+    gps = channel(
+        "GPS",
+        SECONDS,
+        lat_rad=0.8 + way_m / 6.37e6 * share + NOISE[4] * 1e-7,
+        lon_rad=0.2 + NOISE[5] * 1e-7,
+        h_msl_m=height_m,
+    )
     return {
-        "position": channel("GPS", **place),
-        "height": channel("GPS", **place),
-        "attitude": channel(
-            "ATT", **dict(zip(("q_w", "q_x", "q_y", "q_z"), quaternion.T, strict=True))
-        ),
-        "pressure": channel("BARO", pressure_pa=1e5 - 12.0 * height_m),
-        "temperature": channel("HYGR", temperature_k=288.0 - 0.0065 * height_m),
+        "position": gps,
+        "height": gps,
+        "attitude": with_angles(None, None, None),
+        "pressure": channel("BARO", SECONDS, pressure_pa=1e5 - 12.0 * height_m),
+        "temperature": channel("HYGR", SECONDS, temperature_k=288.0 - 0.0065 * height_m),
     }
 
 
-def with_angles(roll: float | None, pitch: float | None, yaw: float | None) -> Channel:
-    """An attitude, some of whose angles are constant."""
-    draw = np.random.default_rng(8)
-    angles = [
-        draw.normal(0.1, 0.01, ROWS) if angle is None else np.full(ROWS, angle)
-        for angle in (roll, pitch, yaw)
-    ]
-    quaternion = quaternion_of_euler(*angles)
-    return channel("ATT", **dict(zip(("q_w", "q_x", "q_y", "q_z"), quaternion.T, strict=True)))
+def stuck(roles: dict[str, Channel], role: str, **values: float) -> dict[str, Channel]:
+    """The roles, of which columns of one never change."""
+    columns = {name: np.full(ROWS, value) for name, value in values.items()}
+    return roles | {role: with_columns(roles[role], **columns)}
 
 
-def findings(roles: dict[str, Channel]) -> list[tuple[str, str]]:
-    notes = constant_sensors(roles)
-    assert {note.code for note in notes} <= {"SENSOR-CONSTANT"}
-    return [(note.kind, f"{note.where}: {note.what}") for note in notes]
-
-
-def test_a_sound_flight_has_none() -> None:
-    assert findings(flight()) == []
-    assert findings({}) == []
+@pytest.mark.parametrize("roles", [flight(), {}], ids=["a flight", "an empty log"])
+def test_a_sound_flight_has_none(roles):
+    assert constant_sensors(roles) == ()
 
 
 @pytest.mark.parametrize(
-    ("angles", "said"),
+    ("angles", "says"),
     [
         ((0.0, None, None), "roll = 0.00°"),
         ((None, 0.2, None), "pitch = 11.46°"),
@@ -81,60 +69,76 @@ def test_a_sound_flight_has_none() -> None:
         ((0.0, 0.0, 0.0), "roll = 0.00°, pitch = 0.00°, yaw = 0.00°"),
     ],
 )
-def test_an_angle_that_never_changes(angles: tuple[float, ...], said: str) -> None:
-    roles = flight() | {"attitude": with_angles(*angles)}
-    [(kind, what)] = findings(roles)
-    assert kind == "finding"
-    assert f"the attitude have {said}, although the flight spans" in what
+def test_an_angle_that_never_changes(angles, says):
+    (finding,) = constant_sensors(flight() | {"attitude": with_angles(*angles)})
+    assert located([finding]) == [("finding", "SENSOR-CONSTANT", "ATT")]
+    assert f"the attitude have {says}, although the flight spans" in finding.what
 
 
 @pytest.mark.parametrize(
-    ("role", "column", "value"),
+    ("climb_m", "role", "column", "value", "is_found"),
     [
-        ("pressure", "pressure_pa", 9e4),
-        ("temperature", "temperature_k", 273.15),
-        ("position", "lat_rad", 0.8),
-        ("position", "lon_rad", 0.2),
-        ("height", "h_msl_m", 120.0),
+        (1000.0, "pressure", "pressure_pa", 9e4, True),
+        (1000.0, "temperature", "temperature_k", 273.15, True),
+        (1000.0, "position", "lat_rad", 0.8, True),
+        (1000.0, "position", "lon_rad", 0.2, True),
+        (1000.0, "height", "h_msl_m", 120.0, True),
+        # of the climb 98 % count
+        (55.0, "pressure", "pressure_pa", 9e4, True),
+        (45.0, "pressure", "pressure_pa", 9e4, False),
+        (310.0, "temperature", "temperature_k", 273.15, True),
+        (290.0, "temperature", "temperature_k", 273.15, False),
+        (55.0, "height", "h_msl_m", 120.0, True),
+        (45.0, "height", "h_msl_m", 120.0, False),
     ],
 )
-def test_a_column_that_never_changes(role: str, column: str, value: float) -> None:
-    roles = flight()
-    stuck = dict(roles[role].columns) | {column: np.full(ROWS, value)}
-    roles[role] = channel(roles[role].name, **stuck)
-    said = [what for _, what in findings(roles)]
-    assert len(said) == 1
-    assert said[0].startswith(f"{roles[role].name}: all 400 samples of the {role} have")
+def test_a_column_that_never_changes(climb_m, role, column, value, is_found):
+    roles = stuck(flight(climb_m), role, **{column: value})
+    findings = constant_sensors(roles)
+    assert [finding.where for finding in findings] == [roles[role].name] * is_found
+    says = f"all 400 samples of the {role} have"
+    assert all(finding.what.startswith(says) for finding in findings)
 
 
-def test_a_position_that_never_changes_while_the_pressure_does() -> None:
-    roles = flight(way_m=0.0)
-    still = dict(roles["position"].columns) | {
-        "lat_rad": np.full(ROWS, 0.8),
-        "lon_rad": np.full(ROWS, 0.2),
-    }
-    roles["position"] = channel("GPS", **still)
-    assert len(findings(roles)) == 2
+@pytest.mark.parametrize(
+    ("climb_m", "way_m", "is_found"),
+    [(45.0, 320.0, True), (45.0, 290.0, False), (55.0, 0.0, True)],
+)
+def test_whether_a_flight_moved(climb_m, way_m, is_found):
+    """By its way, of which 98 % count, or by its climb; its pressure shows nothing."""
+    roles = stuck(flight(climb_m, way_m), "pressure", pressure_pa=np.nan)
+    findings = constant_sensors(roles | {"attitude": with_angles(0.0, None, None)})
+    assert len(findings) == is_found
 
 
-def test_what_may_rightly_be_constant() -> None:
-    """A gimbal holds an angle, a parked aircraft is still, and a few samples may be equal."""
-    roles = flight() | {"attitude": with_angles(0.0, 0.0, None)}
-    gimbal = channel("MOUNT", "MOUNT_ORIENTATION", **roles["attitude"].columns)
-    assert findings(roles | {"attitude": gimbal}) == []
-    parked = flight(climb_m=0.0, way_m=0.0)
-    still = channel("BARO", pressure_pa=np.full(ROWS, 9e4))
-    assert findings(parked | {"pressure": still, "attitude": with_angles(0.0, 0.0, 0.0)}) == []
-    values = np.full(ROWS, np.nan)
-    values[: FEWEST_SAMPLES - 1] = 9e4
-    assert findings(flight() | {"pressure": channel("BARO", pressure_pa=values)}) == []
+def test_a_position_that_never_changes_while_the_pressure_does():
+    roles = stuck(flight(way_m=0.0), "position", lat_rad=0.8, lon_rad=0.2)
+    assert [finding.where for finding in constant_sensors(roles)] == ["GPS", "GPS"]
+
+
+GIMBAL = with_angles(0.0, 0.0, None, message="MOUNT_ORIENTATION")
+FEW_PA = np.where(np.arange(ROWS) < FEWEST_SAMPLES - 1, 9e4, np.nan)
+
+
+@pytest.mark.parametrize(
+    "roles",
+    [
+        flight() | {"attitude": GIMBAL},
+        stuck(flight(0.0, 0.0), "pressure", pressure_pa=9e4)
+        | {"attitude": with_angles(0.0, 0.0, 0.0)},
+        flight() | {"pressure": channel("BARO", SECONDS, pressure_pa=FEW_PA)},
+    ],
+    ids=["a gimbal holds an angle", "a parked aircraft is still", "few samples may be equal"],
+)
+def test_what_may_rightly_be_constant(roles):
+    assert constant_sensors(roles) == ()
 
 
 SOUND = ("flight.bin", "flight.tlog", "flight.mcap", "pymavlink_swift_flight.tlog")
 
 
 @pytest.mark.parametrize("name", at_hand(*SOUND))
-def test_no_real_flight_has_one(name: str) -> None:
+def test_no_real_flight_has_one(name):
     roles, _ = assign_roles(open_log(LOGS[name]).channels, {}, needs_cabin=False)
     plausible = {role: plausible_samples(part, role)[0] for role, part in roles.items()}
     assert constant_sensors(plausible) == ()

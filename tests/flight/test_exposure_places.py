@@ -8,192 +8,184 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from unbend.flight.channels import Channel, Source
+from tests.flight.made_channels import EARTH_M, instants, with_columns
+from tests.helpers import channel
+from unbend.flight.channels import Channel
 from unbend.flight.evidence.exposure_places import ExposureEvidence, exposure_findings
 from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.evidence.stretches import Stretch
 from unbend.messages import Message
 
-SECOND = 1_000_000_000
-EARTH_M = 6_371_000.0
 SPEED_M_S = 40.0
 LATITUDE = 0.8
 FLOWN_S = np.arange(0.0, 120.0, 0.1)
 SHOT_S = np.arange(10.0, 110.0, 5.0)
 
 
-def columns_at(seconds: np.ndarray, north_m: float = 0.0) -> dict[str, np.ndarray]:
+def columns_at(seconds: np.ndarray, north_m: float = 0.0, **changed: object) -> dict[str, object]:
     """Level flight to the east at 40 m/s, 450 m above the sea at the take-off, 1,450 m now."""
-    east_m = SPEED_M_S * seconds
     return {
-        "lat_rad": np.full(seconds.shape, LATITUDE + north_m / EARTH_M),
-        "lon_rad": 0.1 + east_m / EARTH_M / np.cos(LATITUDE),
-        "h_msl_m": np.full(seconds.shape, 1450.0),
-        "h_home_m": np.full(seconds.shape, 1000.0),
-        "q_w": np.full(seconds.shape, 1.0),
-        "q_x": np.zeros(seconds.shape),
-        "q_y": np.zeros(seconds.shape),
-        "q_z": np.zeros(seconds.shape),
+        "lat_rad": LATITUDE + north_m / EARTH_M,
+        "lon_rad": 0.1 + SPEED_M_S * seconds / EARTH_M / np.cos(LATITUDE),
+        "h_msl_m": 1450.0,
+        "h_home_m": 1000.0,
+        "q_w": 1.0,
+        "q_x": 0.0,
+        "q_y": 0.0,
+        "q_z": 0.0,
+        **changed,
     }
 
 
-def channel(name: str, seconds: np.ndarray, *roles: str, **columns: np.ndarray) -> Channel:
-    time_ns = np.round(seconds * SECOND).astype(np.int64)
-    message = name.partition("[")[0]
-    return Channel(name, time_ns, columns, Source(message), roles=roles)
-
-
-POS = channel("POS", FLOWN_S, "position", **columns_at(FLOWN_S))
-GPS = channel(
-    "GPS[0]",
-    FLOWN_S,
-    "height",
-    "position",
-    **columns_at(FLOWN_S) | {"sigma_h_m": np.full(FLOWN_S.shape, 0.5)},
-    sigma_v_m=np.full(FLOWN_S.shape, 0.8),
-)
-ATT = channel("ATT", FLOWN_S, "attitude", **columns_at(FLOWN_S))
+FLOWN = columns_at(FLOWN_S)
+POS = channel("POS", FLOWN_S, "position", **FLOWN)
+GPS = channel("GPS", FLOWN_S, "height", "position", **FLOWN, sigma_h_m=0.5, sigma_v_m=0.8)
+ATT = channel("ATT", FLOWN_S, "attitude", **FLOWN)
 ROLES = {"position": POS, "height": GPS, "attitude": ATT}
+BY_GPS = {"position": GPS, "height": GPS, "attitude": ATT}
 
 
-def shots(logged: dict[str, np.ndarray], kind: str = "CAM") -> Channel:
-    return channel(f"{kind}[0]", SHOT_S, "events", event_index=SHOT_S, **logged)
+def shots(logged: dict[str, object], kind: str = "CAM", seconds: np.ndarray = SHOT_S) -> Channel:
+    return channel(f"{kind}[0]", seconds, "events", event_index=seconds, **logged)
 
 
-def findings(events: Channel, delay_s: float = 0.0, **changes: object) -> list[Message]:
+def findings(
+    events: Channel, roles: dict[str, Channel] = ROLES, delay_s: float = 0.0, **changes: object
+) -> list[Message]:
     evidence = ExposureEvidence(
         channel=events,
-        time_ns=events.time_ns + round(delay_s * SECOND),
-        roles=ROLES,
-        own=ROLES,
+        time_ns=events.time_ns + instants(delay_s),
+        roles=roles,
+        own=roles,
         accuracy=LogAccuracy(GPS),
         suspect=(),
         lever_arm_m=0.0,
         max_gap_s=2.0,
     )
-    found = list(exposure_findings(replace(evidence, **changes)))
-    assert all((entry.code, entry.kind) == ("EVENTS-ELSEWHERE", "finding") for entry in found)
-    return found
+    contradictions = list(exposure_findings(replace(evidence, **changes)))
+    for finding in contradictions:
+        assert finding.code == "EVENTS-ELSEWHERE"
+        assert finding.kind == "finding"
+    return contradictions
 
 
-def nowhere(seconds: np.ndarray) -> dict[str, np.ndarray]:
-    unknown = dict.fromkeys(("lat_rad", "lon_rad", "q_w", "q_x", "q_y", "q_z"), np.nan)
-    return (
-        columns_at(seconds)
-        | {name: np.full(seconds.shape, value) for name, value in unknown.items()}
-        | {"h_msl_m": np.zeros(seconds.shape), "h_home_m": np.zeros(seconds.shape)}
-    )
+UNKNOWN = dict.fromkeys(("lat_rad", "lon_rad", "q_w", "q_x", "q_y", "q_z"), np.nan)
 
 
 @pytest.mark.parametrize(
     ("logged", "delay_s"),
     [
         (columns_at(SHOT_S), 0.0),
-        # the place of the trigger, and that of the last fix
         (columns_at(SHOT_S - 0.16), 0.0),
         (columns_at(SHOT_S - 0.4), 0.0),
-        # a delay that the mission file states: the place is that of the trigger
         (columns_at(SHOT_S), 0.9),
-        # the shutter was logged late, and the place is that of the shutter
         (columns_at(SHOT_S - 0.9), -0.9),
-        # zeros are unknown
-        (nowhere(SHOT_S), 0.0),
-        # a height above the take-off under the name of one above the sea
-        (columns_at(SHOT_S) | {"h_msl_m": np.full(SHOT_S.shape, 1000.0)}, 0.0),
+        (columns_at(SHOT_S, **UNKNOWN, h_msl_m=0.0, h_home_m=0.0), 0.0),
+        (columns_at(SHOT_S, h_msl_m=1000.0), 0.0),
         (columns_at(SHOT_S, north_m=5.0), 0.0),
     ],
+    ids=[
+        "of the exposure",
+        "of the trigger",
+        "of the last fix",
+        "of the trigger, before a delay that the mission file states",
+        "of the shutter, logged late",
+        "zeros are unknown",
+        "above the take-off under the name of above the sea",
+        "5 m beside",
+    ],
 )
-def test_sound_logs_have_no_finding(logged: dict[str, np.ndarray], delay_s: float) -> None:
-    assert findings(shots(logged), delay_s) == []
+def test_sound_logs_have_no_finding(logged, delay_s):
+    assert findings(shots(logged), delay_s=delay_s) == []
 
 
 CLIMB_M = np.minimum(FLOWN_S / 10.0, 1.0) * 1000.0  # of a log that begins at the take-off
-AT_1000_M = np.full(SHOT_S.shape, 1000.0)
 
 
 @pytest.mark.parametrize(
     ("flown_m", "logged"),
     [
         # the receiver was at the take-off when the log began
-        (450.0 + CLIMB_M, {"h_msl_m": AT_1000_M}),
+        (450.0 + CLIMB_M, {"h_msl_m": 1000.0}),
         # it was not, but the log has the same height under both names
-        (np.full(FLOWN_S.shape, 1450.0), {"h_msl_m": AT_1000_M, "h_home_m": AT_1000_M}),
+        (np.full(FLOWN_S.shape, 1450.0), {"h_msl_m": 1000.0, "h_home_m": 1000.0}),
     ],
 )
-def test_heights_above_a_take_off_that_the_receiver_does_not_know(flown_m, logged) -> None:
+def test_heights_above_a_take_off_that_the_receiver_does_not_know(flown_m, logged):
     columns = {name: values for name, values in GPS.columns.items() if name != "h_home_m"}
     gps = replace(GPS, columns=columns | {"h_msl_m": flown_m})
     roles = {"position": gps, "height": gps}
-    place = {name: columns_at(SHOT_S)[name] for name in ("lat_rad", "lon_rad")}
-    assert findings(shots(place | logged), roles=roles, own=roles) == []
-    off = {"h_msl_m": AT_1000_M + 1000.0, "h_home_m": AT_1000_M + 200.0}
-    assert findings(shots(place | off), roles=roles, own=roles) != []
+    place = columns_at(SHOT_S)
+    place = {name: place[name] for name in ("lat_rad", "lon_rad")}
+    assert findings(shots(place | logged), roles) == []
+    assert findings(shots(place | {"h_msl_m": 2000.0, "h_home_m": 1200.0}), roles) != []
 
 
 @pytest.mark.parametrize("north_m", [30.0, 500.0, -500.0])
-def test_events_of_another_vehicle_are_a_finding(north_m: float) -> None:
-    (entry,) = findings(shots(columns_at(SHOT_S, north_m)))
-    assert entry.count == SHOT_S.size
-    assert entry.values["off_m"] == pytest.approx(abs(north_m), abs=0.5)
-    assert "another vehicle" in entry.what
+def test_events_of_another_vehicle_are_a_finding(north_m):
+    (finding,) = findings(shots(columns_at(SHOT_S, north_m)))
+    assert finding.count == SHOT_S.size
+    assert finding.values["off_m"] == pytest.approx(abs(north_m), abs=0.5)
+    assert "another vehicle" in finding.what
 
 
 @pytest.mark.parametrize("shift_s", [2.0, -2.0, 18.0])
-def test_a_clock_that_is_off_is_a_finding_which_says_by_how_much(shift_s: float) -> None:
+def test_a_clock_that_is_off_is_a_finding_which_says_by_how_much(shift_s):
     seconds = SHOT_S[SHOT_S + shift_s < 119.0]
-    events = channel(
-        "CAM[0]", seconds, "events", event_index=seconds, **columns_at(seconds + shift_s)
-    )
-    (entry,) = findings(events)
-    said = re.search(r"its places ([\d.]+) s (later|earlier)", entry.what)
-    assert said is not None
-    assert float(said[1]) == pytest.approx(abs(shift_s), rel=0.01)
-    assert said[2] == ("later" if shift_s > 0 else "earlier")
+    (finding,) = findings(shots(columns_at(seconds + shift_s), seconds=seconds))
+    shift = re.search(r"its places ([\d.]+) s (later|earlier)", finding.what)
+    assert float(shift[1]) == pytest.approx(abs(shift_s), rel=0.01)
+    assert shift[2] == ("later" if shift_s > 0 else "earlier")
 
 
-def test_one_exposure_elsewhere_is_enough() -> None:
-    logged = columns_at(SHOT_S)
-    logged["lat_rad"] = logged["lat_rad"].copy()
-    logged["lat_rad"][3] += 100.0 / EARTH_M
-    (entry,) = findings(shots(logged))
-    assert entry.count == 1
+def test_one_exposure_elsewhere_is_enough():
+    logged = shots(columns_at(SHOT_S))
+    elsewhere = logged["lat_rad"] + 100.0 / EARTH_M * (SHOT_S == 25.0)
+    (finding,) = findings(with_columns(logged, lat_rad=elsewhere))
+    assert finding.count == 1
 
 
-def test_the_limit_follows_from_the_sigmas_and_the_lever_arm() -> None:
-    events = shots(columns_at(SHOT_S, north_m=30.0))
-    poor = replace(GPS, columns=dict(GPS.columns) | {"sigma_h_m": np.full(FLOWN_S.shape, 10.0)})
-    assert findings(events, accuracy=LogAccuracy(poor)) == []
-    assert findings(events, lever_arm_m=30.0) == []
+POOR = with_columns(GPS, sigma_h_m=np.full(FLOWN_S.shape, 10.0))
+
+
+@pytest.mark.parametrize(
+    ("north_m", "changes"),
+    [
+        (30.0, {"accuracy": LogAccuracy(POOR)}),
+        (30.0, {"lever_arm_m": 30.0}),
+        (500.0, {"suspect": (Stretch(*instants(0, 200), "position", "the receiver steps"),)}),
+    ],
+    ids=["sigmas", "the lever arm", "suspect stretches do not count"],
+)
+def test_places_that_may_be_so_far_apart(north_m, changes):
+    events = shots(columns_at(SHOT_S, north_m))
+    assert findings(events, **changes) == []
     assert findings(events) != []
 
 
-def test_exposures_in_suspect_stretches_do_not_count() -> None:
-    suspect = Stretch(0, 200 * SECOND, "position", "the receiver steps")
-    assert findings(shots(columns_at(SHOT_S, north_m=500.0)), suspect=(suspect,)) == []
+@pytest.mark.parametrize(
+    ("logged", "says"), [({"h_msl_m": 1600.0}, "h_msl_m"), ({"h_gnss_m": 1600.0}, "GPS")]
+)
+def test_heights_of_another_flight_are_a_finding(logged, says):
+    (finding,) = findings(shots(columns_at(SHOT_S, **logged)))
+    assert says in finding.what
 
 
-def test_heights_of_another_flight_are_a_finding() -> None:
-    other = columns_at(SHOT_S) | {"h_msl_m": np.full(SHOT_S.shape, 1600.0)}
-    (entry,) = findings(shots(other))
-    assert "h_msl_m" in entry.what
-    by_receiver = columns_at(SHOT_S) | {"h_gnss_m": np.full(SHOT_S.shape, 1600.0)}
-    (entry,) = findings(shots(by_receiver))
-    assert "GPS[0]" in entry.what
+def test_a_filter_with_a_barometer_may_be_apart_from_a_receiver():
+    assert findings(shots(columns_at(SHOT_S, h_msl_m=1520.0)), BY_GPS) == []
 
 
-def test_a_filter_with_a_barometer_may_be_apart_from_a_receiver() -> None:
-    roles = {"position": GPS, "height": GPS, "attitude": ATT}
-    other = columns_at(SHOT_S) | {"h_msl_m": np.full(SHOT_S.shape, 1520.0)}
-    assert findings(shots(other), own=roles, roles=roles) == []
-
-
-def test_attitudes_of_the_aircraft_are_compared_and_those_of_cameras_are_not() -> None:
+@pytest.mark.parametrize(
+    ("kind", "is_of_aircraft"),
+    [
+        ("CAM", True),
+        ("camera_capture", True),
+        ("px4_msgs/CameraCapture", True),
+        ("CAMERA_FEEDBACK", False),
+    ],
+)
+def test_attitudes_of_the_aircraft_are_compared_and_those_of_cameras_are_not(kind, is_of_aircraft):
     half_rad = np.radians(20.0) / 2.0
-    tilted = columns_at(SHOT_S) | {
-        "q_w": np.full(SHOT_S.shape, np.cos(half_rad)),
-        "q_x": np.full(SHOT_S.shape, np.sin(half_rad)),
-    }
-    for kind in ("CAM", "camera_capture", "px4_msgs/CameraCapture"):
-        (entry,) = findings(shots(tilted, kind))
-        assert entry.values["off_deg"] == pytest.approx(20.0, abs=0.1)
-    assert findings(shots(tilted, "CAMERA_FEEDBACK")) == []
+    tilted = columns_at(SHOT_S, q_w=np.cos(half_rad), q_x=np.sin(half_rad))
+    off_deg = [finding.values["off_deg"] for finding in findings(shots(tilted, kind))]
+    assert off_deg == [pytest.approx(20.0, abs=0.1)] * is_of_aircraft

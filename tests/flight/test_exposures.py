@@ -1,98 +1,141 @@
-"""Events: names, and times with a delay of either sign."""
+"""Events: their channel, names, times with a delay of either sign, and lost numbers."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from unbend.errors import MissionError
-from unbend.flight.channels import Channel, Source
+from tests.flight.made_channels import counted, ranked, with_columns
+from tests.helpers import NS_PER_S, channel, refused
+from unbend.flight.channels import Channel
 from unbend.flight.exposures import (
+    Events,
     ExposureDelay,
+    choose_event_channel,
     events_of_channel,
     events_of_table,
-    unwrapped_numbers,
+    refuse_repeated_images,
 )
-from unbend.flight.triggers import lag_from_feedback
 
-SECOND = 10**9
-
-
-def shots(*index: int) -> Channel:
-    time_ns = np.arange(1, len(index) + 1) * 10 * SECOND
-    return Channel("CAM", time_ns, {"event_index": np.array(index, float)}, Source("CAM"))
+AT_ONCE = ExposureDelay(0.0)
 
 
-@pytest.mark.parametrize("delay_s", [0.12, -0.25, 0.0])
-def test_a_positive_delay_makes_events_of_a_log_later(delay_s):
-    events, notes = events_of_channel(shots(7, 8), "cam", "{n:02d}_{index}", ExposureDelay(delay_s))
-    assert events.image.tolist() == ["01_7", "02_8"]
-    assert (events.time_ns / 1e9).tolist() == pytest.approx([10.0 + delay_s, 20.0 + delay_s])
+def shots(*index: int, boot: list[int] | None = None) -> Channel:
+    """Numbered events every ten seconds, from 10 s on."""
+    seconds = 10.0 * np.arange(1, len(index) + 1)
+    logged = channel("CAM[0]", seconds, "events", event_index=index)
+    if boot is None:
+        return logged
+    return replace(logged, boot=np.array(boot, np.int16))
+
+
+@pytest.mark.parametrize("delay_s", [0.12, -0.25])
+def test_a_positive_delay_makes_events_later(delay_s):
+    delay = ExposureDelay(delay_s)
+    logged, notes = events_of_channel(shots(7, 8), "cam", "{index}", delay)
     assert not notes
+    assert logged.time_ns / NS_PER_S == pytest.approx([10.0 + delay_s, 20.0 + delay_s])
 
-
-@pytest.mark.parametrize("delay_s", [0.12, -0.25, 0.0])
-def test_a_positive_delay_makes_events_of_a_table_later(delay_s):
     names = np.array(["a", "b", "c"], object)
     cameras = np.array(["left", "right", "left"], object)
-    time_ns = np.array([10, 20, 30]) * SECOND
-    events = events_of_table(names, cameras, time_ns, "left", ExposureDelay(delay_s))
-    assert events.image.tolist() == ["a", "c"]
-    assert (events.time_ns / 1e9).tolist() == pytest.approx([10.0 + delay_s, 30.0 + delay_s])
+    time_ns = np.array([10, 20, 30]) * NS_PER_S
+    of_table = events_of_table(names, cameras, time_ns, "left", delay)
+    assert of_table.image.tolist() == ["a", "c"]
+    assert of_table.time_ns / NS_PER_S == pytest.approx([10.0 + delay_s, 30.0 + delay_s])
 
 
-def test_a_number_that_comes_late_across_the_turn_of_the_count():
-    assert unwrapped_numbers(np.array([65534, 0, 65535, 1])).tolist() == [
-        65534,
-        65536,
-        65535,
-        65537,
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("IMG_{index:03d}", ["IMG_007", "IMG_008", "IMG_010"]),
+        ("{n:02d}_{index}", ["01_7", "02_8", "03_10"]),
+        ("left/*", ["", "", ""]),  # which only the images know
+    ],
+)
+def test_images_are_named_by_a_pattern(pattern, names):
+    events, _ = events_of_channel(shots(7, 8, 10), "cam", pattern, AT_ONCE)
+    assert events.image.tolist() == names
+    refuse_repeated_images([events])
+
+
+@pytest.mark.parametrize(
+    ("index", "missing", "says"),
+    [
+        ([3, 5, 9, 10], 4, "between 3 and 10 have no event: 4, 6 to 8"),
+        (range(1, 301, 3), 198, "2 to 3, 5 to 6, 8 to 9, 11 to 12 ..."),
+        ([65534, 65535, 0, 1], 0, ""),
+        ([65534, 65535, 2], 2, "between 65534 and 2 have no event: 0 to 1"),
+        ([65534, 0, 65535, 1], 0, ""),
+        ([100, 101, 40_000, 40_001], 39_898, "102 to 39999"),
+        ([40_000, 40_001, 0, 1], 39_998, "2 to 39999"),
+    ],
+    ids=[
+        "holes",
+        "many",
+        "the count runs over",
+        "lost at the turn",
+        "told late at the turn",
+        "a large hole",
+        "begun anew",
+    ],
+)
+def test_numbers_that_the_log_skips_are_lost_events(index, missing, says):
+    events, losses = events_of_channel(shots(*index), "cam", "{n}.jpg", AT_ONCE)
+    assert events.lost == missing
+    assert counted(losses) == [("loss", "EVENTS-LOST", missing)] * bool(missing)
+    assert all(says in loss.what for loss in losses)
+
+
+def test_numbers_begin_anew_with_each_boot():
+    logged = shots(0, 1, 3, 7, 9, 10, boot=[0, 0, 0, 1, 1, 1])
+    _, losses = events_of_channel(logged, "cam", "{n}", AT_ONCE)
+    assert [(loss.where, loss.count) for loss in losses] == [
+        ("CAM[0], boot 0", 1),
+        ("CAM[0], boot 1", 1),
     ]
 
 
-def test_holes_of_the_count_are_listed():
-    _, (entry,) = events_of_channel(shots(3, 5, 9, 10), "cam", "{index}", ExposureDelay(0.0))
-    assert (entry.kind, entry.code, entry.count) == ("loss", "EVENTS-LOST", 4)
-    assert "4 numbers between 3 and 10 have no event: 4, 6 to 8" in entry.what
-
-
-def pulses(message: str, instance: str, seconds: np.ndarray, index: np.ndarray) -> Channel:
-    time_ns = np.rint(seconds * SECOND).astype(np.int64)
-    source = Source(message, instance)
-    return Channel(f"{message}[{instance}]", time_ns, {"event_index": index * 1.0}, source)
-
-
-def test_the_lag_of_the_shutter_is_that_of_triggers_whose_pulse_was_logged():
-    """A third of the pulses was lost, one was late; the other camera has another lag."""
-    number = np.arange(1, 61)
-    trigger = pulses("TRIG", "0", number * 5.0, number)
-    seen = number % 3 != 0
-    late = 0.11 + 0.02 * np.sin(number)
-    late[3] = 4.9
-    shutter = pulses("CAM", "0", (number * 5.0 + late)[seen], number[seen])
-    other = pulses("CAM", "1", number * 5.0 + 0.4, number)
-    delay, (note,) = lag_from_feedback((other, shutter, trigger), trigger, "cam")
-    used = seen.copy()
-    used[3] = False
-    assert delay.seconds == pytest.approx(np.median(late[used]), abs=1e-6)
-    assert 0.01 < delay.sigma_s < 0.02
-    assert (note.code, note.count) == ("EVENTS-SHUTTER-LAG", 39)
-    events, _ = events_of_channel(trigger, "cam", "{index}", delay)
-    np.testing.assert_allclose(events.sigma_time_s, delay.sigma_s)
-
-
-def test_a_lag_takes_ten_pairs_and_triggers():
-    number = np.arange(1, 10)
-    trigger = pulses("TRIG", "0", number * 5.0, number)
-    shutter = pulses("CAM", "0", number * 5.0 + 0.1, number)
-    for channel in (trigger, shutter):
-        with pytest.raises(MissionError, match="EVENTS-FEEDBACK"):
-            lag_from_feedback((trigger, shutter), channel, "cam")
+def test_numbers_are_kept_where_they_rise():
+    rising, _ = events_of_channel(shots(1, 2, 5), "cam", "{n}", AT_ONCE)
+    begun_anew, _ = events_of_channel(shots(3, 4, 0, 1, boot=[0, 0, 1, 1]), "cam", "{n}", AT_ONCE)
+    assert rising.index.tolist() == [1, 2, 5]
+    assert begun_anew.index is None
 
 
 def test_the_sigma_of_logged_times_is_kept():
-    channel = shots(1, 2)
-    columns = dict(channel.columns) | {"sigma_time_s": np.array([0.06, np.nan])}
-    logged = Channel("CAM", channel.time_ns, columns, channel.source)
+    logged = with_columns(shots(1, 2), sigma_time_s=np.array([0.06, np.nan]))
     events, _ = events_of_channel(logged, "cam", "{index}", ExposureDelay(0.1, 0.08))
-    assert np.asarray(events.sigma_time_s).tolist() == pytest.approx([0.1, 0.08])
+    assert events.sigma_time_s == pytest.approx([0.1, 0.08])
+
+
+def test_repeated_names_are_refused():
+    time_ns = np.zeros(2, np.int64)
+    first = Events("left", np.array(["a", "b"], object), time_ns)
+    second = Events("right", np.array(["c", "b"], object), time_ns)
+    with refused("EVENTS-REPEATED") as refusal:
+        refuse_repeated_images([first, second])
+    assert "b" in refusal.value.what
+
+
+def event_channel(name: str, rank: int) -> Channel:
+    return ranked(name, np.arange(3.0), rank, "events", event_index=1.0)
+
+
+FIRST = event_channel("CAM[0]", 10)
+SECOND = event_channel("CAM[1]", 10)
+TRIGGER = event_channel("TRIG[0]", 40)
+
+
+def test_the_event_channel_is_the_named_one_or_the_best():
+    assert choose_event_channel((TRIGGER, FIRST), None) is FIRST
+    assert choose_event_channel((TRIGGER, FIRST, SECOND), "CAM[1]") is SECOND
+
+
+@pytest.mark.parametrize("name", [None, "CAM[3]"], ids=["two equals", "a name of none"])
+def test_an_event_channel_that_is_not_plain_is_refused_with_the_choices(name):
+    with refused("EVENTS-CHANNEL") as refusal:
+        choose_event_channel((FIRST, SECOND), name)
+    assert "CAM[0] (3)" in refusal.value.what
+    assert "CAM[1] (3)" in refusal.value.what

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -37,74 +38,74 @@ AGISOFT_MATRIX = [
     [0.0, 0.9998476951563913, -0.017452406437283477],
 ]
 # MathWorks, Aerospace Toolbox, example of angle2quat and of angle2dcm (body from north-east-down).
-MATLAB_YPR = (0.7854, 0.1, 0.0)
+MATLAB_RPY = [0.0, 0.1, 0.7854]
 MATLAB_QUATERNION = [0.9227, -0.0191, 0.0462, 0.3822]
 MATLAB_MATRIX = [[0.7036, 0.7036, -0.0998], [-0.7071, 0.7071, 0.0], [0.0706, 0.0706, 0.9950]]
 
 # DBAT's published solution of the block over Strasbourg (Boerlin): angles [deg] and projection
-# centre [m] of an image, then three control points [m] and where they were measured [px].
-DBAT_BLOCK = [
-    (
-        (0.829772, -0.417236, -89.914549), (999660.940086, 112368.368648, 1916.563176),
-        [((999604.580, 112344.443, 139.453), (5007.6667, 7275.6667)),
-         ((999619.041, 112370.818, 138.970), (4700.3506, 7105.9468)),
-         ((999170.674, 112692.548, 139.640), (955.1383, 12311.1660))],
-    ),
-]  # fmt: skip
+# centre [m] of an image; three control points [m] and where they were measured [px].
+DBAT_DEG = (0.829772, -0.417236, -89.914549)
+DBAT_CENTRE_M = (999660.940086, 112368.368648, 1916.563176)
+DBAT_POINTS_M = [
+    [999604.580, 112344.443, 139.453],
+    [999619.041, 112370.818, 138.970],
+    [999170.674, 112692.548, 139.640],
+]
+DBAT_MEASURED_PX = [[5007.6667, 7275.6667], [4700.3506, 7105.9468], [955.1383, 12311.1660]]
 DBAT_F_PX = 123.939 / 0.006
-DBAT_CENTRE_PX = (26.577 / 0.006, 38.811 / 0.006)
+DBAT_CENTRE_PX = [26.577 / 0.006, 38.811 / 0.006]
+
+SIN_10 = np.sin(np.radians(10.0))
+COS_10 = np.cos(np.radians(10.0))
 
 
 def test_opk_is_the_matrix_that_pix4d_prints():
-    q = quaternion_of_opk(np.radians([PIX4D_DEG]))
-    assert matrices_of(q)[0] == pytest.approx(np.array(PIX4D_MATRIX), abs=2e-8)
+    quaternion = quaternion_of_opk(np.radians([PIX4D_DEG]))
+    assert matrices_of(quaternion)[0] == pytest.approx(np.array(PIX4D_MATRIX), abs=2e-8)
     back = opk_of_quaternion(quaternions_of(np.array([PIX4D_MATRIX])))
     assert np.degrees(back[0]) == pytest.approx(PIX4D_DEG, abs=1e-6)
 
 
 def test_yaw_pitch_roll_is_the_matrix_that_metashape_prints():
-    q = quaternion_of_rpy(np.radians([[0.0, 91.0, 30.0]]))
+    quaternion = quaternion_of_rpy(np.radians([[0.0, 91.0, 30.0]]))
     y_up_z_back = np.diag([1.0, -1.0, -1.0])
-    assert matrices_of(q)[0].T @ y_up_z_back == pytest.approx(np.array(AGISOFT_MATRIX), abs=1e-12)
+    enu_from_camera = matrices_of(quaternion)[0].T @ y_up_z_back
+    assert enu_from_camera == pytest.approx(np.array(AGISOFT_MATRIX), abs=1e-12)
 
 
 def test_roll_pitch_yaw_is_the_quaternion_and_the_matrix_that_matlab_prints():
-    yaw, pitch, roll = MATLAB_YPR
-    body = quaternion_of_rpy(np.array([[roll, pitch, yaw]]), np.eye(3))
+    body = quaternion_of_rpy(np.array([MATLAB_RPY]), np.eye(3))
     body_from_ned = matrices_of(body)[0] @ NED_FROM_ENU
     assert body_from_ned == pytest.approx(np.array(MATLAB_MATRIX), abs=5e-5)
-    q = quaternions_of(body_from_ned.T[None])[0]
-    assert q == pytest.approx(MATLAB_QUATERNION, abs=5e-5)
+    quaternion = quaternions_of(body_from_ned.T[None])[0]
+    assert quaternion == pytest.approx(MATLAB_QUATERNION, abs=5e-5)
 
 
-@pytest.mark.parametrize(("angles", "centre", "points"), DBAT_BLOCK)
-def test_a_published_block_projects_its_control_points(angles, centre, points):
-    matrix = matrices_of(quaternion_of_opk(np.radians([angles])))[0]
-    for point, measured in points:
-        x, y, z = matrix @ (np.array(point) - centre)
-        projected = np.array(DBAT_CENTRE_PX) + DBAT_F_PX * np.array([x, y]) / z
-        assert z > 1000.0
-        # The block's residuals: a swapped or negated angle moves these points by 100 px or more.
-        assert projected == pytest.approx(measured, abs=4.0)
+def test_a_published_block_projects_its_control_points():
+    """Within the residuals: a swapped or negated angle moves points by 100 px or more."""
+    matrix = matrices_of(quaternion_of_opk(np.radians([DBAT_DEG])))[0]
+    rays = np.subtract(DBAT_POINTS_M, DBAT_CENTRE_M) @ matrix.T
+    assert (rays[:, 2] > 1000.0).all()
+    projected_px = DBAT_CENTRE_PX + DBAT_F_PX * rays[:, :2] / rays[:, 2:]
+    assert projected_px == pytest.approx(np.array(DBAT_MEASURED_PX), abs=4.0)
 
 
 def test_a_camera_by_hand():
-    # Heading east, nose 10 deg up: the picture's top is east, its right is south, and the camera
-    # looks down and 10 deg ahead.
+    """Heading east, nose 10 deg up: the picture's top is east, its right is south.
+
+    The camera looks down and 10 deg ahead.
+    """
     matrix = matrices_of(quaternion_of_rpy(np.radians([[0.0, 10.0, 90.0]])))[0]
-    sin = np.sin(np.radians(10.0))
-    cos = np.cos(np.radians(10.0))
-    assert matrix[0] == pytest.approx([0.0, -1.0, 0.0], abs=1e-12)
-    assert matrix[1] == pytest.approx([-cos, 0.0, -sin], abs=1e-12)
-    assert matrix[2] == pytest.approx([sin, 0.0, -cos], abs=1e-12)
+    expected = [[0.0, -1.0, 0.0], [-COS_10, 0.0, -SIN_10], [SIN_10, 0.0, -COS_10]]
+    assert matrix == pytest.approx(np.array(expected), abs=1e-12)
     # The same in the angles of photogrammetry: x of the image points south, so kappa is -90.
-    opk = np.degrees(opk_of_quaternion(quaternions_of(matrix[None])))[0]
-    assert opk == pytest.approx([0.0, -10.0, -90.0], abs=1e-9)
+    opk = opk_of_quaternion(quaternions_of(matrix[None]))[0]
+    assert np.degrees(opk) == pytest.approx([0.0, -10.0, -90.0], abs=1e-9)
 
 
 def test_right_wing_down_looks_to_the_left():
     north_bound = matrices_of(quaternion_of_rpy(np.radians([[10.0, 0.0, 0.0]])))[0]
-    assert north_bound[2] == pytest.approx([-np.sin(np.radians(10.0)), 0.0, -np.cos(0.174532925)])
+    assert north_bound[2] == pytest.approx([-SIN_10, 0.0, -COS_10])
 
 
 @pytest.mark.parametrize("order", ["omega_phi_kappa", "phi_omega_kappa"])
@@ -112,77 +113,78 @@ def test_angles_come_back(order):
     rng = np.random.default_rng(5)
     angles = rng.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (200, 3))
     angles[7] = np.nan
-    q = quaternion_of_opk(angles, order)
-    assert (q[np.arange(200) != 7, 0] >= 0.0).all()
-    assert opk_of_quaternion(q, order) == pytest.approx(angles, abs=1e-9, nan_ok=True)
-    assert np.isnan(q[7]).all()
-    assert rpy_of_quaternion(quaternion_of_rpy(angles[:, ::-1])) == pytest.approx(
-        angles[:, ::-1], abs=1e-9, nan_ok=True
-    )
+    quaternion = quaternion_of_opk(angles, order)
+    assert np.flatnonzero(~(quaternion[:, 0] >= 0.0)).tolist() == [7]
+    back = opk_of_quaternion(quaternion, order)
+    assert back == pytest.approx(angles, abs=1e-9, nan_ok=True)
+    rpy = angles[:, ::-1]
+    back = rpy_of_quaternion(quaternion_of_rpy(rpy))
+    assert back == pytest.approx(rpy, abs=1e-9, nan_ok=True)
 
 
-def test_the_primary_angle_is_about_the_axis_of_the_frame():
-    # 40 deg of the first angle, then 20 of the second: the camera's axis stays at right angles to
-    # the axis of the first.
-    q = quaternion_of_opk(np.radians([[40.0, 0.0, 0.0], [40.0, 20.0, 0.0]]), "phi_omega_kappa")
-    down = matrices_of(q)[:, 2]
-    assert down[0] == pytest.approx([-np.sin(np.radians(40)), 0.0, -np.cos(np.radians(40))])
-    assert down[1][1] == pytest.approx(np.sin(np.radians(20.0)))
-    q = quaternion_of_opk(np.radians([[40.0, 20.0, 0.0]]), "omega_phi_kappa")
-    assert matrices_of(q)[0, 2, 0] == pytest.approx(-np.sin(np.radians(20.0)))
+@pytest.mark.parametrize(
+    ("order", "angles_deg", "axis"),
+    [
+        ("phi_omega_kappa", [10.0, 0.0, 0.0], [-SIN_10, 0.0, -COS_10]),
+        ("phi_omega_kappa", [10.0, 10.0, 0.0], [-SIN_10 * COS_10, SIN_10, -(COS_10**2)]),
+        ("omega_phi_kappa", [10.0, 10.0, 0.0], [-SIN_10, SIN_10 * COS_10, -(COS_10**2)]),
+    ],
+)
+def test_the_primary_angle_is_about_the_axis_of_the_frame(order, angles_deg, axis):
+    quaternion = quaternion_of_opk(np.radians([angles_deg]), order)
+    assert matrices_of(quaternion)[0, 2] == pytest.approx(axis)
 
 
 def test_looking_along_the_axis_of_the_first_angle_both_are_one():
     straight_ahead = quaternion_of_opk(np.radians([[20.0, 90.0, 15.0]]))
     back = opk_of_quaternion(straight_ahead)
-    again = quaternion_of_opk(back)
     assert np.isfinite(back).all()
-    assert again == pytest.approx(straight_ahead, abs=1e-9)
+    assert quaternion_of_opk(back) == pytest.approx(straight_ahead, abs=1e-9)
 
 
 def test_convergence_is_the_map_projection_s_own():
-    pyproj = pytest.importorskip("pyproj")
+    """2.5 degrees east of the central meridian grid north is 1.86 deg east of the meridian."""
     utm = pyproj.Proj("EPSG:32632")
-    # east of the central meridian, 9 degrees
-    lat = 48.0
-    lon = 11.5
-    (x0, y0), (x1, y1) = utm(lon, lat), utm(lon, lat + 1e-5)
-    convergence = np.radians(utm.get_factors(lon, lat).meridian_convergence)
+    ends = utm([11.5, 11.5], [48.0, 48.0 + 1e-5])
+    convergence = np.radians(utm.get_factors(11.5, 48.0).meridian_convergence)
     assert np.degrees(convergence) == pytest.approx(1.8584, abs=1e-4)
-    step = np.array([x1 - x0, y1 - y0, 0.0]) / np.hypot(x1 - x0, y1 - y0)
-    assert enu_from_grid(convergence) @ step == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
-    # Heading along grid north, that is 1.86 deg east of the meridian.
+    step = np.append(np.diff(ends)[:, 0], 0.0)
+    north = step / np.linalg.norm(step)
+    assert enu_from_grid(convergence) @ north == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
     on_grid = quaternion_of_rpy(np.zeros((1, 3)))
     on_earth = in_turned_frame(on_grid, enu_from_grid(convergence).T)
     assert np.degrees(rpy_of_quaternion(on_earth)[0]) == pytest.approx([0, 0, 1.8584], abs=1e-4)
 
 
 def test_the_vertical_turns_0_9_degrees_in_100_km():
-    lat = np.radians([47.0, 47.0])
-    lon = np.radians([8.0, 8.0])
-    origin = ecef_of_geodetic(lat[:1], lon[:1], np.zeros(1))[0]
-    axes = enu_from_ecef(lat, lon)[0]
-    far = geodetic_of_ecef(*(origin + axes.T @ [0.0, 100e3, 0.0])[:, None])
+    """Plumb lines meet at the earth's centre.
+
+    Along the first vertical, a camera at a place in the north looks beyond the point below it, away
+    from the first.
+    """
+    latitude = np.radians([47.0])
+    longitude = np.radians([8.0])
+    axes = enu_from_ecef(latitude, longitude)[0]
+    origin_m = ecef_of_geodetic(latitude, longitude, np.zeros(1))[0]
+    north_m = origin_m + axes.T @ [0.0, 100e3, 0.0]
+    far = geodetic_of_ecef(*north_m[:, None])
     turn = enu_from_ecef(far[0], far[1])[0] @ axes.T
     assert np.degrees(Rotation.from_matrix(turn).magnitude()) == pytest.approx(0.8991, abs=2e-3)
-    # Plumb lines meet at the earth's centre: along the first vertical, a camera at the other place
-    # looks beyond the point below it, away from the first.
     straight_down = quaternion_of_opk(np.zeros((1, 3)))
     at_the_other = matrices_of(in_turned_frame(straight_down, turn.T))[0]
     assert np.degrees(np.arcsin(at_the_other[2, 1])) == pytest.approx(0.8991, abs=2e-3)
 
 
 def test_earth_centred_coordinates_against_pyproj():
-    pyproj = pytest.importorskip("pyproj")
-    lat = np.array([-33.5, 0.0, 89.9])
-    lon = np.array([151.0, -180.0, 12.0])
-    h = [100.0, -50, 9000]
+    latitude = np.array([-33.5, 0.0, 89.9])
+    longitude = np.array([151.0, -180.0, 12.0])
+    height_m = np.array([100.0, -50.0, 9000.0])
     to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
-    expected = np.stack(to_ecef.transform(lon, lat, h), axis=1)
-    found = ecef_of_geodetic(np.radians(lat), np.radians(lon), np.array(h))
-    assert found == pytest.approx(expected, abs=1e-6)
+    expected = np.stack(to_ecef.transform(longitude, latitude, height_m), axis=1)
+    ecef_m = ecef_of_geodetic(np.radians(latitude), np.radians(longitude), height_m)
+    assert ecef_m == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_camera_at_rest_looks_down_with_its_top_to_the_nose():
     assert CAMERA_AT_REST[2].tolist() == [0.0, 0.0, 1.0]
-    assert (CAMERA_AT_REST @ [1.0, 0.0, 0.0]).tolist() == [0.0, -1.0, 0.0]
+    assert CAMERA_AT_REST[:, 0].tolist() == [0.0, -1.0, 0.0]

@@ -1,4 +1,4 @@
-"""Commands of triggers and pulses of shutters in logs of PX4."""
+"""Commands of triggers and pulses of shutters, in logs of ArduPilot and PX4."""
 
 from __future__ import annotations
 
@@ -7,106 +7,174 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from unbend.errors import MissionError
+from tests.flight.made_channels import counted, ranked
+from tests.helpers import refused
 from unbend.flight.channels import Channel, Source
+from unbend.flight.exposures import ExposureDelay, events_of_channel
 from unbend.flight.triggers import lag_from_feedback, shutter_finding, trigger_notes
+from unbend.messages import Ledger
 
-SECOND = 1_000_000_000
 NUMBER = np.arange(1.0, 13.0)
 LAG_S = 0.12
+LOST = "EVENTS-LOST"
+AT_TRIGGER = "EVENTS-TRIGGER-TIME"
 
 
-def events(name: str, message: str, lag_s: float, feedback: float | None = None) -> Channel:
-    columns = {"event_index": NUMBER}
-    if feedback is not None:
-        columns["feedback"] = np.full(NUMBER.shape, feedback)
-    time_ns = np.round((NUMBER * 3.0 + lag_s) * SECOND).astype(np.int64)
-    return Channel(name, time_ns, columns, Source(message), roles=("events",))
+def fired(name: str, lag_s: float | np.ndarray = 0.0, **columns: float) -> Channel:
+    """Twelve numbered events, as long behind every third second."""
+    return ranked(name, NUMBER * 3.0 + lag_s, 50, "events", event_index=NUMBER, **columns)
 
 
-CAPTURE_AT_TRIGGER = events("camera_capture", "camera_capture", 0.0)
-CAPTURE = events("camera_capture", "camera_capture", LAG_S)
-COMMANDS = events("camera_trigger.sent", "camera_trigger", 0.0, feedback=0.0)
-PULSES = events("camera_trigger", "camera_trigger", LAG_S, feedback=1.0)
-CAM = replace(events("CAM[0]", "CAM", LAG_S), source=Source("CAM", "0"))
-CAM_OF_ANOTHER = replace(CAM, name="CAM[1]", source=Source("CAM", "1"))
-TRIG = replace(events("TRIG[0]", "TRIG", 0.0), source=Source("TRIG", "0"))
-UNSAID = events("camera_trigger", "camera_trigger", 0.0)
+CAPTURE_AT_TRIGGER = fired("camera_capture")
+CAPTURE_OF_ROS = replace(CAPTURE_AT_TRIGGER, source=Source("px4_msgs/CameraCapture"))
+CAPTURE = fired("camera_capture", LAG_S)
+COMMANDS = replace(fired("camera_trigger", feedback=0.0), name="camera_trigger.sent")
+PULSES = fired("camera_trigger", LAG_S, feedback=1.0)
+UNSAID = fired("camera_trigger")
+CAM = fired("CAM[0]", LAG_S)
+CAM_OF_ANOTHER = fired("CAM[1]", LAG_S)
+TRIG = fired("TRIG[0]")
 
 
 @pytest.mark.parametrize(
-    ("channels", "chosen", "parameters", "says"),
+    ("channels", "parameters", "says"),
     [
-        # what the parameter says
-        ([CAPTURE_AT_TRIGGER, UNSAID], CAPTURE_AT_TRIGGER, {"CAM_CAP_FBACK": 0.0}, "delay_s"),
-        ([CAPTURE, UNSAID], CAPTURE, {"CAM_CAP_FBACK": 1.0}, None),
+        # The first channel is the chosen one. What the parameter says:
+        ([CAPTURE_AT_TRIGGER, UNSAID], {"CAM_CAP_FBACK": 0.0}, "delay_s"),
+        ([CAPTURE_OF_ROS], {"CAM_CAP_FBACK": 0.0}, "delay_s"),
+        ([CAPTURE, UNSAID], {"CAM_CAP_FBACK": 1.0}, None),
         # the times of the commands contradict the parameter
-        ([CAPTURE_AT_TRIGGER, COMMANDS], CAPTURE_AT_TRIGGER, {"CAM_CAP_FBACK": 1.0}, "delay_s"),
-        ([CAPTURE_AT_TRIGGER, COMMANDS], CAPTURE_AT_TRIGGER, {}, "delay_s"),
+        ([CAPTURE_AT_TRIGGER, COMMANDS], {"CAM_CAP_FBACK": 1.0}, "delay_s"),
+        ([CAPTURE_AT_TRIGGER, COMMANDS], {}, "delay_s"),
         # and tell where nothing is stated; without either it is not known
-        ([CAPTURE, COMMANDS], CAPTURE, {}, None),
-        ([CAPTURE], CAPTURE, {}, "which is not logged"),
+        ([CAPTURE, COMMANDS], {}, None),
+        ([CAPTURE], {}, "which is not logged"),
         # rows of camera_trigger say themselves what they are
-        ([UNSAID], UNSAID, {}, "delay_s"),
-        ([COMMANDS], COMMANDS, {}, "delay_s"),
-        ([PULSES, COMMANDS], PULSES, {}, None),
+        ([UNSAID], {}, "delay_s"),
+        ([COMMANDS], {}, "delay_s"),
+        ([PULSES, COMMANDS], {}, None),
+        ([TRIG, CAM], {}, "delay_s"),
+        ([CAM, TRIG], {}, None),
     ],
 )
-def test_captures_at_the_trigger_are_told_from_those_at_the_feedback(
-    channels: list[Channel], chosen: Channel, parameters: dict[str, float], says: str | None
-) -> None:
-    notes = list(trigger_notes(tuple(channels), chosen, parameters))
-    assert [note.code for note in notes] == ["EVENTS-TRIGGER-TIME"] * (says is not None)
+def test_events_at_the_trigger_are_told_from_those_at_the_feedback(channels, parameters, says):
+    notes = tuple(trigger_notes(tuple(channels), channels[0], parameters))
+    assert counted(notes) == [("note", AT_TRIGGER, 12)] * (says is not None)
     assert all(str(says) in note.what for note in notes)
 
 
-def test_topics_over_ros_are_those_of_the_log() -> None:
-    capture = replace(CAPTURE_AT_TRIGGER, source=Source("px4_msgs/CameraCapture"))
-    (entry,) = trigger_notes((capture,), capture, {"CAM_CAP_FBACK": 0.0})
-    assert entry.code == "EVENTS-TRIGGER-TIME"
+@pytest.mark.parametrize(
+    ("rows", "messages"),
+    [
+        (
+            {"CAM[0]": 3, "CAM[1]": 4, "TRIG[0]": 5},
+            [(LOST, "CAM[0]", 2), (AT_TRIGGER, "CAM[1]", 4)],
+        ),
+        (
+            {"CAM[0]": 4, "CAM[1]": 3, "TRIG[1]": 5},
+            [(AT_TRIGGER, "CAM[0]", 4), (LOST, "CAM[1]", 2)],
+        ),
+        ({"CAM[0]": 5, "CAM[1]": 3, "TRIG[0]": 5, "TRIG[1]": 4}, [(LOST, "CAM[1]", 1)]),
+        ({"CAM[0]": 3, "CAM[1]": 4}, [(AT_TRIGGER, "CAM[0]", 3), (AT_TRIGGER, "CAM[1]", 4)]),
+        ({"CAM": 3, "TRIG": 5}, [(LOST, "CAM", 2)]),
+        ({"CAM": 3}, [(AT_TRIGGER, "CAM", 3)]),
+        ({"CAM[0]": 3, "CAM[1]": 4, "TRIG": 7}, []),
+        ({"CAM[0]": 3, "CAM[1]": 4, "TRIG": 8}, [(LOST, "CAM[0], CAM[1]", 1)]),
+    ],
+    ids=[
+        "the first camera alone has a feedback pin",
+        "the second",
+        "both, and one lost nothing",
+        "neither",
+        "no instances",
+        "no instances and no pin",
+        "triggers of all cameras",
+        "triggers of all cameras, counted once",
+    ],
+)
+def test_triggers_of_another_camera_do_not_count(rows, messages):
+    channels = tuple(fired(name).rows(count >= NUMBER) for name, count in rows.items())
+    ledger = Ledger()  # which holds equal messages of two cameras once
+    for camera in channels:
+        if camera.source.message == "CAM":
+            ledger.extend(trigger_notes(channels, camera, {}))
+    assert [(entry.code, entry.where, entry.count) for entry in ledger] == messages
 
 
-def test_the_lag_is_that_of_pulses_behind_commands() -> None:
-    delay, _ = lag_from_feedback((PULSES, COMMANDS), COMMANDS, "cam")
-    assert delay.seconds == pytest.approx(LAG_S, abs=1e-6)
-    with pytest.raises(MissionError, match="EVENTS-FEEDBACK"):
-        lag_from_feedback((PULSES, COMMANDS), PULSES, "cam")
-
-
-def test_commands_without_a_pulse_are_lost_exposures() -> None:
+def test_commands_without_a_pulse_are_lost_exposures():
     fewer = PULSES.rows(NUMBER != 5.0)
-    (entry,) = trigger_notes((fewer, COMMANDS), fewer, {})
-    assert (entry.code, entry.kind, entry.count) == ("EVENTS-LOST", "loss", 1)
+    assert counted(trigger_notes((fewer, COMMANDS), fewer, {})) == [("loss", LOST, 1)]
+
+
+@pytest.mark.parametrize("names", [("TRIG[0]", "CAM[0]"), ("camera_trigger", "camera_trigger")])
+def test_the_lag_of_the_shutter_is_the_median_of_pairs_and_its_sigma_their_scatter(
+    names,
+):
+    """Lags of 100, 102, ... 122 ms: their 16th and 84th percentiles are 103.52 and 118.48 ms.
+
+    One trigger has no pulse, the pulse of one comes too late, and of one it is of another power-up.
+    The pulses of another camera have another lag.
+    """
+    number = np.arange(1.0, 16.0)
+    lags_s = 0.1 + 0.002 * np.arange(15)
+    lags_s[12] = 1.1
+    logged = number != 14.0
+    sent = ranked(names[0], number * 5.0, 50, event_index=number, feedback=0.0)
+    pulses = ranked(names[1], number * 5.0 + lags_s, 50, event_index=number, feedback=1.0)
+    boots = (number == 15.0).astype(np.int16)
+    pulses = replace(pulses, boot=boots).rows(logged)
+    of_another = ranked("CAM[1]", number * 5.0 + 0.4, 50, event_index=number)
+
+    delay, (note,) = lag_from_feedback((of_another, pulses, sent), sent, "cam")
+
+    assert delay.seconds == pytest.approx(0.111, abs=1e-8)
+    assert delay.sigma_s == pytest.approx(0.00748, abs=1e-8)
+    assert (note.code, note.count) == ("EVENTS-SHUTTER-LAG", 12)
+    assert note.values["lag_ms"] == pytest.approx(111.0)
+    assert note.values["scatter_ms"] == pytest.approx(7.48)
+
+
+def test_the_scatter_of_the_lag_is_a_sigma_of_the_exposures():
+    events, _ = events_of_channel(TRIG, "cam", "{index}", ExposureDelay(0.111, 0.0075))
+    assert events.sigma_time_s == pytest.approx(0.0075)
 
 
 @pytest.mark.parametrize(
-    ("channels", "chosen", "lag_ms"),
+    ("channels", "chosen"),
     [
-        pytest.param([PULSES, COMMANDS], COMMANDS, 120.0, id="pulses are logged"),
-        pytest.param([PULSES, COMMANDS], PULSES, None, id="the pulses are chosen"),
-        pytest.param([COMMANDS], COMMANDS, None, id="no pulses"),
-        pytest.param([PULSES.rows(NUMBER < 0.0), COMMANDS], COMMANDS, None, id="an empty channel"),
-        pytest.param([CAM, TRIG], TRIG, 120.0, id="ArduPilot"),
-        pytest.param([CAM_OF_ANOTHER, TRIG], TRIG, None, id="the shutter of another camera"),
+        ((PULSES, COMMANDS), PULSES),
+        ((CAM, TRIG), CAM),
+        ((CAM.rows(NUMBER <= 9.0), TRIG), TRIG),
+    ],
+    ids=["pulses of PX4", "pulses of ArduPilot", "nine pairs"],
+)
+def test_a_lag_takes_ten_pairs_and_triggers(channels, chosen):
+    with refused("EVENTS-FEEDBACK"):
+        lag_from_feedback(channels, chosen, "cam")
+
+
+@pytest.mark.parametrize(
+    ("channels", "lag_ms"),
+    [
+        # The first channel is the chosen one.
+        ([COMMANDS, PULSES], 120.0),
+        ([PULSES, COMMANDS], None),
+        ([COMMANDS], None),
+        ([COMMANDS, PULSES.rows(NUMBER < 0.0)], None),
+        ([TRIG, CAM], 120.0),
+        ([TRIG, CAM_OF_ANOTHER], None),
+    ],
+    ids=[
+        "pulses are logged",
+        "the pulses are chosen",
+        "no pulses",
+        "an empty channel",
+        "ArduPilot",
+        "the shutter of another camera",
     ],
 )
-def test_commands_are_not_taken_for_exposures_where_pulses_are_logged(
-    channels: list[Channel], chosen: Channel, lag_ms: float | None
-) -> None:
-    found = list(shutter_finding(tuple(channels), chosen, "cam"))
-    expected = [] if lag_ms is None else [("EVENTS-NOT-SHUTTER", "finding")]
-    assert [(entry.code, entry.kind) for entry in found] == expected
-    assert [entry.values["lag_ms"] for entry in found] == pytest.approx([lag_ms] * len(expected))
-
-
-def test_the_scatter_of_the_lag_is_half_of_the_middle_two_thirds() -> None:
-    """Lags of 100, 102, ... 122 ms: their 16th and 84th percentiles are 103.52 and 118.48 ms."""
-    lags_s = 0.1 + 0.002 * (NUMBER - 1.0)
-    time_ns = np.round((NUMBER * 3.0 + lags_s) * SECOND).astype(np.int64)
-    delay, (message,) = lag_from_feedback(
-        (replace(PULSES, time_ns=time_ns), COMMANDS), COMMANDS, "c"
-    )
-    assert delay.seconds == pytest.approx(0.111, abs=1e-8)
-    assert delay.sigma_s == pytest.approx(0.00748, abs=1e-8)
-    assert message.values["lag_ms"] == pytest.approx(111.0)
-    assert message.values["scatter_ms"] == pytest.approx(7.48)
+def test_commands_are_not_taken_for_exposures_where_pulses_are_logged(channels, lag_ms):
+    findings = list(shutter_finding(tuple(channels), channels[0], "cam"))
+    expected = [] if lag_ms is None else [("finding", "EVENTS-NOT-SHUTTER", 0)]
+    assert counted(findings) == expected
+    assert all(finding.values["lag_ms"] == pytest.approx(lag_ms) for finding in findings)

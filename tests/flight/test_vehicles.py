@@ -2,50 +2,53 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from unbend.errors import MissionError
+from tests.flight.made_channels import EARTH_M, located
+from tests.helpers import channel, refused, with_code
 from unbend.flight.channels import Channel, Source
 from unbend.flight.vehicles import Vehicles
 from unbend.messages import Ledger
 from unbend.stages.vehicle import channels_of_one_vehicle
 
 SECONDS = np.arange(0.0, 100.0)
-TIME_NS = (SECONDS * 1e9).astype(np.int64)
-EARTH_M = 6_371_000.0
 
 
-def channel(name: str, *roles: str, system: int | None = None, north_m: float = 0.0) -> Channel:
-    columns = {"event_index": SECONDS} if "events" in roles else {}
+def sent(name: str, *roles: str, system: int | None = None, north_m: float = 0.0) -> Channel:
+    columns = {}
+    if "events" in roles:
+        columns = {"event_index": SECONDS}
     if "position" in roles:
-        columns = {
-            "lat_rad": 0.8 + north_m / EARTH_M + 0.0 * SECONDS,
-            "lon_rad": 0.1 + SECONDS / 1e6,
-        }
-    message = name.partition("@")[0].strip("/")
-    return Channel(name, TIME_NS, columns, Source(message, None, system, 1), roles=roles)
+        columns = {"lat_rad": 0.8 + north_m / EARTH_M, "lon_rad": 0.1 + SECONDS / 1e6}
+    source = Source(name.partition("@")[0].strip("/"), None, system, 1)
+    return replace(channel(name, SECONDS, *roles, **columns), source=source)
 
 
 def sent_by(system: int) -> tuple[Channel, ...]:
-    of_sender = f"@{system}/1"
     return (
-        channel(f"CAMERA_FEEDBACK[0]{of_sender}", "events", system=system),
-        channel(f"GLOBAL_POSITION_INT{of_sender}", "position", system=system),
-        channel(f"ATTITUDE{of_sender}", "attitude", system=system),
+        sent(f"CAMERA_FEEDBACK[0]@{system}/1", "events", system=system),
+        sent(f"GLOBAL_POSITION_INT@{system}/1", "position", system=system),
+        sent(f"ATTITUDE@{system}/1", "attitude", system=system),
     )
 
 
-SENSOR = channel("HYGROMETER_SENSOR[0]", "temperature", system=51)
+EVENTS_OF_1 = "CAMERA_FEEDBACK[0]@1/1"
+EVENTS_OF_2 = "CAMERA_FEEDBACK[0]@2/1"
+POSITION_OF_1 = {"position": "GLOBAL_POSITION_INT@1/1"}
+SENSOR = sent("HYGROMETER_SENSOR[0]", "temperature", system=51)
 TWO = (*sent_by(1), *sent_by(2), SENSOR)
+ONE = (*sent_by(1), SENSOR)
+FIRST_WITHOUT_FIX = (sent_by(1)[0], sent_by(1)[2])
 
 
 def topics(namespace: str, north_m: float) -> tuple[Channel, ...]:
     return (
-        channel(f"{namespace}/fix", "position", "height", north_m=north_m),
-        channel(f"{namespace}/imu", "attitude"),
+        sent(f"{namespace}/fix", "position", "height", north_m=north_m),
+        sent(f"{namespace}/imu", "attitude"),
     )
 
 
@@ -55,17 +58,17 @@ def topics(namespace: str, north_m: float) -> tuple[Channel, ...]:
         (sent_by(1), ()),
         (TWO, ("system 1", "system 2")),
         # one of them has no fix: its attitude is still its own
-        (sent_by(1) + sent_by(2)[::2], ("system 1", "system 2")),
+        ((*FIRST_WITHOUT_FIX, *sent_by(2)), ("system 1", "system 2")),
         # names of topics are of vehicles if these are apart, and of sensors if they are together
-        (topics("/uav1", 0.0) + topics("/uav2", 60.0), ("/uav1", "/uav2")),
-        (topics("/novatel", 0.0) + topics("/xsens", 1.5), ()),
+        (topics("/uav1", 0.0) + topics("/uav2", 10.1), ("/uav1", "/uav2")),
+        (topics("/novatel", 0.0) + topics("/xsens", 9.9), ()),
         (topics("/fleet/uav1", 0.0) + topics("/fleet/uav2", 60.0), ("/fleet/uav1", "/fleet/uav2")),
         (topics("", 0.0) + topics("/base", 900.0), ("/", "/base")),
         # two receivers that both have no namespace of their own
-        ((channel("/fix", "position"), channel("/gps", "position", north_m=60.0)), ()),
+        ((sent("/fix", "position"), sent("/gps", "position", north_m=60.0)), ()),
     ],
 )
-def test_which_senders_are_vehicles(channels: tuple[Channel, ...], names: tuple[str, ...]) -> None:
+def test_which_senders_are_vehicles(channels, names):
     assert Vehicles.of(channels).names == names
 
 
@@ -75,51 +78,43 @@ def mission(*event_channels: str) -> SimpleNamespace:
     return SimpleNamespace(events=events, mount={})
 
 
-def test_the_roles_are_of_the_vehicle_whose_events_are_used() -> None:
-    ledger = Ledger()
-    chosen = channels_of_one_vehicle(mission("CAMERA_FEEDBACK[0]@2/1"), TWO, {}, ledger)
-    assert [c.name for c in chosen] == [*(c.name for c in sent_by(2)), SENSOR.name]
-    assert [(entry.code, entry.kind) for entry in ledger] == [("LOG-VEHICLES", "note")]
-
-
-def test_a_vehicle_without_a_fix_lends_its_attitude_to_no_other() -> None:
-    without_fix = (sent_by(1)[0], sent_by(1)[2])
-    channels = (*without_fix, *sent_by(2))
-    chosen = channels_of_one_vehicle(mission("CAMERA_FEEDBACK[0]@2/1"), channels, {}, Ledger())
-    assert [c.name for c in chosen] == [c.name for c in sent_by(2)]
-    chosen = channels_of_one_vehicle(mission("CAMERA_FEEDBACK[0]@1/1"), channels, {}, Ledger())
-    assert [c.name for c in chosen] == [c.name for c in without_fix]
-
-
-def test_without_events_it_is_the_vehicle_of_the_named_channels() -> None:
-    named = {"position": "GLOBAL_POSITION_INT@1/1"}
-    chosen = channels_of_one_vehicle(mission(), TWO, named, Ledger())
-    assert [c.name for c in chosen] == [*(c.name for c in sent_by(1)), SENSOR.name]
-
-
 @pytest.mark.parametrize(
-    "events", [(), ("CAMERA_FEEDBACK[0]@1/1", "CAMERA_FEEDBACK[0]@2/1")], ids=["none", "of both"]
+    ("events", "channels", "named", "chosen"),
+    [
+        ([EVENTS_OF_2], TWO, {}, (*sent_by(2), SENSOR)),
+        ([], TWO, POSITION_OF_1, (*sent_by(1), SENSOR)),
+        # a vehicle without a fix lends its attitude to no other
+        ([EVENTS_OF_2], (*FIRST_WITHOUT_FIX, *sent_by(2)), {}, sent_by(2)),
+        ([EVENTS_OF_1], (*FIRST_WITHOUT_FIX, *sent_by(2)), {}, FIRST_WITHOUT_FIX),
+    ],
+    ids=["of the events", "of the named channels", "the other has no fix", "without a fix"],
 )
-def test_a_vehicle_that_nothing_names_is_refused_with_the_choices(events: tuple[str, ...]) -> None:
-    with pytest.raises(MissionError) as caught:
+def test_the_roles_are_of_one_vehicle(events, channels, named, chosen):
+    ledger = Ledger()
+    of_vehicle = channels_of_one_vehicle(mission(*events), channels, named, ledger)
+    assert [channel.name for channel in of_vehicle] == [channel.name for channel in chosen]
+    assert [(entry.kind, entry.code) for entry in ledger] == [("note", "LOG-VEHICLES")]
+
+
+@pytest.mark.parametrize("events", [(), (EVENTS_OF_1, EVENTS_OF_2)], ids=["none", "of both"])
+def test_a_vehicle_that_nothing_names_is_refused_with_the_choices(events):
+    with refused("LOG-VEHICLES") as refusal:
         channels_of_one_vehicle(mission(*events), TWO, {}, Ledger())
-    assert caught.value.code == "LOG-VEHICLES"
-    for choice in ("system 1", "system 2", "GLOBAL_POSITION_INT@1/1", "CAMERA_FEEDBACK[0]@2/1"):
-        assert choice in caught.value.what
+    for choice in ("system 1", "system 2", POSITION_OF_1["position"], EVENTS_OF_2):
+        assert choice in refusal.value.what
 
 
-def test_a_named_channel_of_another_vehicle_is_used_and_a_finding() -> None:
+def test_a_named_channel_of_another_vehicle_is_used_and_a_finding():
     ledger = Ledger()
-    named = {"position": "GLOBAL_POSITION_INT@1/1"}
-    chosen = channels_of_one_vehicle(mission("CAMERA_FEEDBACK[0]@2/1"), TWO, named, ledger)
-    assert "GLOBAL_POSITION_INT@1/1" in {c.name for c in chosen}
-    assert "ATTITUDE@1/1" not in {c.name for c in chosen}
-    (mixed,) = [entry for entry in ledger if entry.code == "LOG-VEHICLES-MIXED"]
-    assert (mixed.kind, mixed.where) == ("finding", "log.channels.position")
+    chosen = channels_of_one_vehicle(mission(EVENTS_OF_2), TWO, POSITION_OF_1, ledger)
+    names = {channel.name for channel in chosen}
+    assert "GLOBAL_POSITION_INT@1/1" in names
+    assert "ATTITUDE@1/1" not in names
+    mixed = with_code(ledger, "LOG-VEHICLES-MIXED")
+    assert located(mixed) == [("finding", "LOG-VEHICLES-MIXED", "log.channels.position")]
 
 
-def test_a_log_of_one_vehicle_is_left_as_it_is() -> None:
+def test_a_log_of_one_vehicle_is_left_as_it_is():
     ledger = Ledger()
-    channels = (*sent_by(1), SENSOR)
-    assert channels_of_one_vehicle(mission(), channels, {}, ledger) is channels
+    assert channels_of_one_vehicle(mission(), ONE, {}, ledger) is ONE
     assert len(ledger) == 0

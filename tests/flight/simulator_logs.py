@@ -1,0 +1,79 @@
+"""Logs of ArduPilot's simulator in ../shared/logs, with the truth of their exposures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from tests.flight.made_channels import rotation_of
+from unbend.flight.stations import Stations
+from unbend.ingest import Log, open_log
+
+LOGS = Path(__file__).parents[3] / "shared" / "logs"
+FLIGHTS = [path.name.removesuffix("_truth.csv") for path in sorted(LOGS.glob("*_truth.csv"))]
+"""The flights that are at hand."""
+
+NED_FROM_ENU = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A log, and a row for each exposure in the order of time.
+
+    A row has the time that the log gives the exposure (time_ns), and where the simulator had the
+    aircraft: degrees, metres and metres a second.
+    """
+
+    log: Log
+    truth: pd.DataFrame
+
+    @property
+    def time_ns(self) -> np.ndarray:
+        return self.truth["time_ns"].to_numpy()
+
+
+def flight(name: str, kind: str = "BIN") -> Flight:
+    """The log of a kind, BIN or tlog, of a flight."""
+    log = open_log(LOGS / f"{name}.{kind}")
+    rows = pd.read_csv(LOGS / f"{name}_truth.csv")
+    rows = rows[rows["row"] == "CAM"].set_index(["I", "Img"], drop=False)
+    parts = []
+    for channel in log.channels:
+        if channel.source.message in ("CAM", "CAMERA_FEEDBACK"):
+            camera = int(channel.source.instance)
+            images = [(camera, int(index)) for index in channel["event_index"]]
+            parts.append(rows.loc[images].assign(time_ns=channel.time_ns))
+    return Flight(log, pd.concat(parts).sort_values("time_ns"))
+
+
+def errors(stations: Stations, truth: pd.DataFrame) -> dict[str, np.ndarray]:
+    """(n, k) north and east, height [m], about the level axes and the vertical one [deg]."""
+    latitude = np.radians(truth["lat"].to_numpy())
+    longitude = np.radians(truth["lng"].to_numpy())
+    north_m = (stations.lat_rad - latitude) * 6_367_000.0
+    east_m = (stations.lon_rad - longitude) * 6_385_000.0 * np.cos(latitude)
+    enu_from_body = rotation_of(np.nan_to_num(stations.aircraft_quaternion, nan=0.5)).inv()
+    angles = truth[["yaw", "pitch", "roll"]].to_numpy()
+    ned_from_body = Rotation.from_euler("ZYX", angles, degrees=True)
+    turn = ned_from_body.inv() * NED_FROM_ENU * enu_from_body
+    turn_deg = turn.as_rotvec(degrees=True)
+    return {
+        "horizontal": np.stack([north_m, east_m], axis=1),
+        "height": (stations.h_msl_m - truth["alt_amsl"].to_numpy())[:, None],
+        "tilt": turn_deg[:, :2],
+        "yaw": turn_deg[:, 2:],
+    }
+
+
+def sigmas(stations: Stations) -> dict[str, np.ndarray]:
+    """(n, 1) of the same."""
+    return {
+        "horizontal": stations.sigma_horizontal_m[:, None],
+        "height": stations.sigma_height_m[:, None],
+        "tilt": np.degrees(stations.sigma_tilt_rad)[:, None],
+        "yaw": np.degrees(stations.sigma_yaw_rad)[:, None],
+    }
