@@ -16,6 +16,9 @@ import pyarrow.parquet as pq
 import yaml
 from scipy.spatial.transform import Rotation
 
+from tests.stages.dataflash_records import Field, records
+from tests.stages.oriented_tables import QUATERNION, attitudes, textbook_opk
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 SAMPLES = REPOSITORY / "sample_logs"
 MISTAKES = REPOSITORY / "tests" / "data" / "mistakes.yaml"
@@ -56,24 +59,8 @@ def stations_of(base: str) -> pd.DataFrame:
 def orientation_of(base: str) -> pd.DataFrame:
     """Omega, phi, kappa and places of the images of a sample mission, in degrees."""
     table = stations_of(base)
-    q = table[["q_w", "q_x", "q_y", "q_z"]].to_numpy()
-    w, x, y, z = q.T
-    # Rows of R(q): east-north-up to a camera of x right, y down, z forward.
-    r = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    m = r.copy()  # to photogrammetric axes: x right, y up, z backward
-    m[1], m[2] = -m[1], -m[2]
-    angles = {
-        "omega_deg": np.arctan2(-m[2, 1], m[2, 2]),
-        "phi_deg": np.arcsin(np.clip(m[2, 0], -1, 1)),
-        "kappa_deg": np.arctan2(-m[1, 0], m[0, 0]),
-    }
-    return table.assign(**{name: np.degrees(angle) for name, angle in angles.items()})
+    angles = textbook_opk(attitudes(table))
+    return table.assign(omega_deg=angles[:, 0], phi_deg=angles[:, 1], kappa_deg=angles[:, 2])
 
 
 def write_observations(path: Path, recipe: str) -> None:
@@ -112,9 +99,9 @@ def write_orientation(path: Path, recipe: str) -> None:
 
 def write_quaternions(path: Path, recipe: str) -> None:
     rows = stations_of("sample_bin").copy()
-    w, x, y, z = rows[["q_w", "q_x", "q_y", "q_z"]].to_numpy().T
+    w, x, y, z = rows[QUATERNION].to_numpy().T
     assert recipe == "half turn about x"
-    rows[["q_w", "q_x", "q_y", "q_z"]] = np.stack([-x, w, -z, y], axis=1)  # (0,1,0,0) * q
+    rows[QUATERNION] = np.stack([-x, w, -z, y], axis=1)  # (0,1,0,0) * q
     rows.assign(time_utc=iso(rows["time_utc"])).to_csv(path, index=False)
 
 
@@ -181,64 +168,35 @@ def write_sounding(path: Path, recipe: str) -> None:
     ).to_csv(path, index=False)
 
 
-WIDTHS = (64, 1, 1, 2, 2, 4, 4, 4, 4, 16, 64, 2, 2, 4, 4, 4, 1, 8, 8, 8)
-SIZES = dict(zip("abBhHiIfnNZcCeELMqQd", WIDTHS, strict=True))
-CODES = {
-    "b": "b",
-    "B": "B",
-    "h": "h",
-    "H": "H",
-    "i": "i",
-    "I": "I",
-    "f": "f",
-    "c": "h",
-    "C": "H",
-    "e": "i",
-    "E": "I",
-    "L": "i",
-    "M": "B",
-    "q": "q",
-    "Q": "Q",
-    "d": "d",
-}
+SHIFTS = {("GPS", "GMS"): -86_400_000, ("BARO", "Press"): 800.0, ("HYGR", "Temp"): 6.0}
+REVERSED = {("ATT", "Roll"), ("ATT", "Pitch")}
+
+
+def changed_value(field: Field, key: tuple[str, str], value: float) -> float:
+    if key in REVERSED:
+        return -value
+    scale = 100.0 if field.letter in "cCeE" else 1
+    return value + SHIFTS[key] * scale
 
 
 def write_log(path: Path, recipe: str) -> None:
     """The flight a day earlier: pressure 8 hPa higher, air 6 K warmer, roll and pitch reversed."""
     assert recipe == "a day before"
-    data = bytearray((SAMPLES / "flight.bin").read_bytes())
-    kinds: dict[int, tuple[int, str, str, list[str]]] = {}
-    shifts = {("GPS", "GMS"): -86_400_000, ("BARO", "Press"): 800.0, ("HYGR", "Temp"): 6.0}
-    at = 0
-    while at + 3 <= len(data):
-        kind = data[at + 2]
-        if kind == 128:
-            number, length = data[at + 3 : at + 5]
-            name, form, labels = (
-                bytes(data[at + i : at + j]).split(b"\0")[0].decode()
-                for i, j in ((5, 9), (9, 25), (25, 89))
-            )
-            kinds[number] = (length, name, form, labels.split(","))
-        length, name, form, labels = kinds[kind] if kind != 128 else (89, "FMT", "", [])
-        place = at + 3
-        fields = {}
-        for letter, label in zip(form, labels, strict=False):
-            fields[label] = (letter, place)
-            place += SIZES[letter]
-        if name in ("GPS", "BARO", "HYGR", "ATT"):
-            first = "I" not in fields or data[fields["I"][1]] == 0
-            for label, (letter, offset) in fields.items():
-                code = "<" + CODES.get(letter, "x")
-                shift = shifts.get((name, label))
-                reverse = name == "ATT" and label in ("Roll", "Pitch")
-                if (shift is None or not first) and not reverse:
-                    continue
-                (value,) = struct.unpack_from(code, data, offset)
-                scale = 100.0 if letter in "cCeE" else 1
-                value = -value if reverse else value + shift * scale
-                struct.pack_into(code, data, offset, value if letter in "fd" else int(value))
-        at += length
-    path.write_bytes(data)
+    log = (SAMPLES / "flight.bin").read_bytes()
+    changed = bytearray(log)
+    names = {name for name, _ in (*SHIFTS, *REVERSED)}
+    for record in records(log):
+        if record.name not in names:
+            continue
+        fields = record.fields()
+        is_first_sensor = "I" not in fields or log[fields["I"].start] == 0
+        for column, field in fields.items():
+            key = (record.name, column)
+            if key in REVERSED or (key in SHIFTS and is_first_sensor):
+                (value,) = struct.unpack_from(field.code, log, field.start)
+                new = changed_value(field, key, value)
+                struct.pack_into(field.code, changed, field.start, type(value)(new))
+    path.write_bytes(changed)
 
 
 WRITERS = {
