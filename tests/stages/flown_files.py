@@ -152,12 +152,12 @@ class Files:
         exposures = self.stations_of(camera)
         exposures["week"], exposures["seconds"] = gps_time(exposures["time_utc"])
         exposures["number"] = range(1, len(exposures) + 1)
-        written = exposures.iloc[rows]
+        written = exposures.iloc[rows].copy()
         if numbers is not None:
             written = written.assign(number=numbers)
-        n, e, v = offset_mm
+        written[["n", "e", "v"]] = np.broadcast_to(offset_mm, (len(written), 3))
         lines = [
-            f"{row.number}\t{row.seconds:.6f}\t[{row.week}]\t{n},N\t{e},E\t{v},V\t"
+            f"{row.number}\t{row.seconds:.6f}\t[{row.week}]\t{row.n},N\t{row.e},E\t{row.v},V\t"
             f"{row.lat_deg:.9f},Lat\t{row.lon_deg:.9f},Lon\t{row.h_ellipsoid_m:.4f},Ellh\t"
             "0.012, 0.016, 0.031\t50,Q\n"
             for row in written.itertuples()

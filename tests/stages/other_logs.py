@@ -1,4 +1,4 @@
-"""A mission that was read, prepared again with other channels in its log."""
+"""A mission that was read, and read again with other channels in its log."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from unbend import load_mission
 from unbend.batch.runs import read_mission
 from unbend.flight.channels import Channel
 from unbend.messages import Ledger
+from unbend.stages.flight_log import FlightLog, flight_log
 from unbend.stages.opened_inputs import OpenedInputs
-from unbend.stages.story import PreparedMission, prepare_mission
 
 
 def opened(mission) -> OpenedInputs:
@@ -22,9 +22,14 @@ def channel_of(inputs: OpenedInputs, name: str) -> Channel:
     return channel
 
 
-def prepared_with(mission, inputs: OpenedInputs, *channels: Channel) -> PreparedMission:
-    """The mission as its file is now, with channels more, or instead of those of their names."""
+def with_channels(inputs: OpenedInputs, *channels: Channel) -> OpenedInputs:
+    """Inputs with channels more in the log, or instead of those of their names."""
     names = {channel.name for channel in channels}
     kept = [channel for channel in inputs.log.channels if channel.name not in names]
-    log = replace(inputs.log, channels=(*kept, *channels))
-    return prepare_mission(load_mission(mission.save()), replace(inputs, log=log), Ledger())
+    return replace(inputs, log=replace(inputs.log, channels=(*kept, *channels)))
+
+
+def flight_of(mission, inputs: OpenedInputs) -> tuple[FlightLog, Ledger]:
+    """The flight by these inputs and by the mission file as it is now, and what is said of it."""
+    ledger = Ledger()
+    return flight_log(load_mission(mission.save()), inputs, ledger), ledger

@@ -298,10 +298,12 @@ def test_events_of_rtklib_are_of_the_antenna_from_which_the_mount_counts(mission
 
 
 def test_an_antenna_is_moved_to_the_camera_by_the_offsets_of_the_mrk(mission, files):
+    """At each exposure by its own."""
     with_events(mission, files, point="antenna")
-    files.mrk("nadir", offset_mm=OFFSET_MM)
+    files.mrk("nadir", offset_mm=[OFFSET_MM, (-400, 900, 0), (0, 0, -250)])
     moved = nadir_offsets(prepare(mission), files)
-    np.testing.assert_allclose(moved, [MOVED_M] * 3, atol=0.01)
+    expected = [MOVED_M, [-0.4, 0.9, 0.0], [0.0, 0.0, 0.25]]
+    np.testing.assert_allclose(moved, expected, atol=0.01)
 
 
 def test_ppk_of_the_antenna_with_times_and_offsets_of_the_mrk(mission, files):

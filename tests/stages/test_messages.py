@@ -7,20 +7,9 @@ import numpy as np
 from tests.helpers import entry_of
 from unbend.block.assignment import Assignment
 from unbend.flight.exposures import Events
-from unbend.messages import Kind, Ledger
+from unbend.messages import Kind
 from unbend.stages.multi_image.camera_images import CameraImages
 from unbend.stages.multi_image.image_events import notes_of_assignment
-from unbend.stages.statistics import Statistics
-
-
-def test_several_crossings_are_a_warning():
-    statistics = Statistics({}, rows=10, status={"ok": 9, "several_crossings": 1})
-    ledger = Ledger()
-    statistics.report_flagged(ledger, {})
-    (message,) = ledger
-    assert message.code == "OBS-SEVERAL-CROSSINGS"
-    assert message.kind is Kind.WARNING
-    assert message.what.startswith("1 of 10 observations is several_crossings: behind a ridge it")
 
 
 def test_images_of_which_the_evidence_disagrees_are_a_loss():

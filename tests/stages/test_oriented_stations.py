@@ -487,8 +487,8 @@ def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factor
     air = pq.read_table(flown.truth / "profile.parquet").to_pandas().query("h_m < 9000")[::20]
     sounding = air[["h_m", "pressure_pa", "temperature_k", "vapour_pressure_pa"]].assign(
         time_utc=first["time_utc"].strftime("%Y-%m-%dT%H:%M:%SZ"),
-        latitude_deg=first["lat_deg"].round(3),
-        longitude_deg=first["lon_deg"].round(3),
+        latitude_deg=round(first["lat_deg"], 3),
+        longitude_deg=round(first["lon_deg"], 3),
     )
     write(mission, sounding, "sounding.csv")
     measured = mission.measurements().to_pandas()

@@ -107,8 +107,9 @@ def test_a_project_of_pix4d(block, params):
 @pytest.mark.parametrize("leave_out", ["offset.xyz", "calibrated_camera_parameters.txt"])
 def test_half_of_the_files_of_pix4d_do(block, tmp_path, leave_out):
     """The other file has the absolute positions; alone it has no cameras."""
-    block.write_pix4d(tmp_path, 32632, offset=OFFSET, leave_out=[leave_out])
-    table = read_block_images(tmp_path, "pix4d")
+    folder = tmp_path / "params"
+    block.write_pix4d(folder, 32632, offset=OFFSET, leave_out=[leave_out])
+    table = read_block_images(folder, "pix4d")
     centres, rotations, _ = block.in_grid(32632)
     np.testing.assert_allclose(table.position, centres, atol=1e-5)
     np.testing.assert_allclose(matrices_of(table.angles), rotations, atol=1e-9)

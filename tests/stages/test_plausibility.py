@@ -13,7 +13,7 @@ import pytest
 
 from tests.batch.test_rehearsal import config, rows
 from tests.helpers import channel, with_code
-from tests.stages.other_logs import opened, prepared_with
+from tests.stages.other_logs import with_channels
 from unbend.atmosphere.estimate.candidates import SourceUse
 from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.batch.rehearsal import camera_text
@@ -36,6 +36,7 @@ from unbend.stages.plausibility.rules import (
     field_of_view,
     median_distance_km,
 )
+from unbend.stages.story import prepare_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -224,8 +225,8 @@ def test_ground_beside_the_terrain_of_the_autopilot(mission, factor, status, off
     table = mission.measurements().to_pandas()
     ground_m = table.groupby("image")["h_g_m"].median()
     scaled(h_g_m=factor)(mission)
-    inputs = opened(mission)
-    stations = read_mission(mission.file).stations
+    read = read_mission(mission.save())
+    stations = read.stations
     nadir = np.flatnonzero(stations.camera == "nadir")
     terrain = channel(
         "TERR",
@@ -233,7 +234,8 @@ def test_ground_beside_the_terrain_of_the_autopilot(mission, factor, status, off
         h_terrain_m=ground_m[stations.image[nadir]],
         terrain_status=status,
     )
-    prepared = prepared_with(mission, inputs, replace(terrain, time_ns=stations.time_ns[nadir]))
+    terrain = replace(terrain, time_ns=stations.time_ns[nadir])
+    prepared = prepare_mission(read.mission, with_channels(read.inputs, terrain), Ledger())
     corrected_table(prepared)
     found = with_code(prepared.ledger, "PLAUSIBLE-TERRAIN")
     assert len(found) == (off is not None)
@@ -349,6 +351,29 @@ def test_a_camera_is_judged_by_its_type(camera, codes):
     facts = facts_of(mission=mission, cameras={"nadir": camera})
     findings = [*field_of_view(facts), *distortion(facts)]
     assert [finding.code for finding in findings] == codes
+
+
+@pytest.mark.parametrize(
+    ("distortion", "view_deg"), [(BrownConrady(), 109.471), (OpenCVFisheye(), 162.057)]
+)
+def test_the_field_of_view_is_that_of_the_diagonal(distortion, view_deg):
+    """Two focal lengths wide and two high: half the diagonal is 1.41421."""
+    camera = Camera(4000, 3000, 2000.0, 1500.0, 2000.0, 1500.0, distortion)
+    facts = facts_of(cameras={"nadir": camera})
+    assert facts.view_deg("nadir") == pytest.approx(view_deg, abs=1e-3)
+
+
+def test_the_direction_of_a_camera_is_the_median_of_its_good_stations():
+    tilt = np.radians([10.0, 20.0, 80.0, 60.0])
+    rotation = np.zeros((4, 3, 3))
+    rotation[:, 2, 2] = -np.cos(tilt)
+    stations = SimpleNamespace(
+        camera=np.array(["nadir", "nadir", "nadir", "wing"]),
+        ok=np.array([True, True, False, True]),
+    )
+    facts = facts_of(stations=stations, exposures=SimpleNamespace(rotation=rotation))
+    assert facts.axis_deg("nadir") == pytest.approx(15.0)
+    assert math.isnan(facts.axis_deg("tail"))
 
 
 def test_what_a_fisheye_sees_follows_its_angles():

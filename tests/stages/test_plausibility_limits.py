@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from unbend.refraction import BrownConrady, Camera
+from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.stages.plausibility import rules
 
 TAKEOFF = SimpleNamespace(h_msl_m=400.0, lat_rad=0.8, lon_rad=0.2, stands=True)
@@ -372,6 +373,21 @@ def test_slant_ranges_fit_the_heights(ratio, nadir_rad, told):
         rows=SimpleNamespace(h_g_m=np.array([500.0]), distance_m=np.array([distance_m])),
     )
     assert found(rules.slant_ranges, made, "ratio") == pytest.approx(told)
+
+
+@pytest.mark.parametrize(("weight", "percent"), [(0.99, None), (1.01, 20.16)])
+def test_a_fifth_of_the_observations_may_be_flagged_for_one_cause(weight, percent):
+    """A row of the sample counts for as many observations as it stands for."""
+    columns = SimpleNamespace(x_px="x_px", y_px="y_px")
+    stations = SimpleNamespace(ok=np.array([True]), status=np.array(["ok"]))
+    flagged = np.array([STATUS_NAMES.index("no_ground"), STATUS_NAMES.index("ok")])
+    made = facts(
+        **mission(observations=SimpleNamespace(columns=columns)),
+        stations=stations,
+        rows=SimpleNamespace(status=flagged, weight=np.array([weight, 4.0])),
+    )
+    assert found(rules.flagged_rows, made, "percent") == pytest.approx(percent, abs=0.01)
+    assert found(rules.flagged_rows, made, "most") == (percent and 20.0)
 
 
 @pytest.mark.parametrize(

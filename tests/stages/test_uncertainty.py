@@ -8,17 +8,19 @@ has that much more and less of it.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from tests.helpers import refused, with_code
 from tests.stages.block_files import CABIN
 from tests.stages.corrected_rows import corrected
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.batch.runs import read_mission
-from unbend.stages.uncertainty import station_sigmas
+from unbend.flight.stations import STATION_OK, empty_stations
+from unbend.refraction.uncertainty.sigmas import FOLLOWING, OPEN, SCHEDULED, SEALED
+from unbend.stages.uncertainty import has_any_sigma, kinds_of_windows, station_sigmas
 
 LN_P = 0.004
 AIR = ["sigma_air_dx_px", "sigma_air_dy_px"]
@@ -121,11 +123,9 @@ def test_the_shift_is_scaled_by_the_air(mission):
     [
         ({"cabin": "log"}, {"cabin": "standard_schedule"}, "corrected"),
         ({"cabin": "log"}, {"cabin": "standard_schedule"}, "displaced"),
-        ({"cabin": CABIN}, {"cabin": CABIN} | SIDEWAYS, "corrected"),
-        (None, {"cabin": "log"}, "corrected"),
-        ({"cabin": {"pressure": "ambient"}}, {"cabin": {"pressure": "ambient"}}, "corrected"),
+        (None, {"cabin": CABIN} | SIDEWAYS, "corrected"),
     ],
-    ids=["schedule", "displaced", "constant, and leaning", "none, and logged", "ambient"],
+    ids=["logged, and a schedule", "displaced", "none, and leaning"],
 )
 def test_behind_a_window_against_rows_in_other_air(mission, nadir, oblique, moved):
     """0.4 % of pressure more and less, in the whole program: the sigma is half the difference."""
@@ -204,89 +204,21 @@ def test_several_profiles_have_one_parameter(mission):
         np.testing.assert_allclose(of_mode, sigma * shift(rows, axis), rtol=5e-3)
 
 
-def assert_shares(rows, kind, expected) -> None:
-    """Sigmas of dx and dy over the shift itself, except where that is nearly across."""
-    size = np.hypot(shift(rows, "x"), shift(rows, "y"))
-    for axis in "xy":
-        along = shift(rows, axis).abs()
-        large = along >= 0.2 * size
-        assert large.sum() > 20
-        share = rows[f"sigma_{kind}_d{axis}_px"] / along
-        np.testing.assert_allclose(share[large], expected[large], rtol=0.02)
-
-
-def test_the_ground_in_numbers(mission):
-    """R = tan(zeta) (mean N - N_c) (Gyer 1996, Eq. 24): d mean / dh_g = (mean - N_g) / way."""
-    without_windows(mission)
+def test_the_sigma_of_the_ground_against_points_that_are_higher_and_lower(mission):
     mission.config["ground"]["sigma_m"] = 7.0
     prepared = in_unknown_air(mission)
-    refractivity = prepared.air.adjustment.profile.refractivity
     rows = corrected(prepared).rows()
-    excess = rows["r_c_rad"] / np.tan(rows["zeta_c_rad"])
-    mean = excess + refractivity(rows["h_msl_m"].to_numpy())
-    way = rows["h_msl_m"] - rows["h_g_m"]
-    by_ground = (mean - refractivity(rows["h_g_m"].to_numpy())) / way
-    assert_shares(rows, "ground", 7.0 * (by_ground / excess).abs())
-
-
-def test_the_height_of_the_station_in_numbers(mission):
-    """d mean / dh_c = (N_c - mean) / way, less N_c', the slope of N in the layer."""
-    without_windows(mission)
-    prepared = in_unknown_air(mission)
-    no_sigma = np.zeros(len(prepared.stations))
-    stations = replace(prepared.stations, sigma_tilt_rad=no_sigma, sigma_yaw_rad=no_sigma)
-    rows = corrected(replace(prepared, stations=stations)).rows()
-    assert rows["sigma_height_m"].gt(0.0).all()
-    refractivity = prepared.air.adjustment.profile.refractivity
-    height = rows["h_msl_m"].to_numpy()
-    slope = refractivity(height + 0.5) - refractivity(height - 0.5)
-    excess = rows["r_c_rad"] / np.tan(rows["zeta_c_rad"])
-    by_height = -excess / (rows["h_msl_m"] - rows["h_g_m"]) - slope
-    assert_shares(rows, "station", rows["sigma_height_m"] * (by_height / excess).abs())
-
-
-def pinhole_shift(u, v, rotation, k) -> np.ndarray:
-    """(2, n) shift over the principal distance where R = k tan(zeta): the chord less the ray."""
-    ray = np.stack([u, v, np.ones(u.size)], axis=1) @ rotation
-    ray /= -ray[:, 2:]
-    # tan(zeta) becomes tan(zeta - R), to first order.
-    tan2 = ray[:, 0] ** 2 + ray[:, 1] ** 2
-    chord = ray.copy()
-    chord[:, :2] *= (1.0 - k * (1.0 + tan2))[:, None]
-    x, y, z = (chord @ rotation.T).T
-    return np.stack([x / z - u, y / z - v])
-
-
-def test_the_tilt_in_numbers(mission):
-    """The camera turned about its three axes by a degree's part, in a pinhole written here."""
-    without_windows(mission)
-    with_mounts(mission, sigma_tilt_deg=0.25)
-    cameras = mission.config["cameras"]
-    for camera in cameras.values():
-        del camera["distortion"]
-    # Tie points know that the images have a distortion.
-    mission.config["accept"].append({"code": "TIES-CALIBRATION", "reason": "a pinhole"})
-    rows = corrected(in_unknown_air(mission)).rows()
-    sigmas = []
-    expected = []
-    for _, of_image in rows.groupby("image"):
-        first = of_image.iloc[0]
-        camera = cameras[first["camera"]]
-        u = ((of_image["x_px"] - camera["cx_px"]) / camera["fx_px"]).to_numpy()
-        v = ((of_image["y_px"] - camera["cy_px"]) / camera["fy_px"]).to_numpy()
-        k = (of_image["r_c_rad"] / np.tan(of_image["zeta_c_rad"])).to_numpy()
-        rotation = Rotation.from_quat(first[["q_x", "q_y", "q_z", "q_w"]].to_numpy(float))
-        variance = np.zeros((2, u.size))
-        for axis in np.eye(3):
-            turn = Rotation.from_rotvec(0.25 * axis, degrees=True)
-            forth = pinhole_shift(u, v, (turn * rotation).as_matrix(), k)
-            back = pinhole_shift(u, v, (turn.inv() * rotation).as_matrix(), k)
-            variance += (0.5 * (forth - back)) ** 2
-        expected.append(camera["fx_px"] * np.sqrt(variance.T))
-        sigmas.append(of_image[STATION].to_numpy())
-    wanted = np.concatenate(expected)
-    atol = 0.01 * np.median(wanted)
-    np.testing.assert_allclose(np.concatenate(sigmas), wanted, rtol=0.02, atol=atol)
+    moved = {}
+    for by_m in (7.0, -7.0):
+        table = mission.measurements()
+        column = table.schema.get_field_index("h_g_m")
+        height_m = table["h_g_m"].to_numpy() + by_m
+        mission.observe(table.set_column(column, "h_g_m", [height_m]), f"{by_m}.parquet")
+        moved[by_m] = corrected(in_unknown_air(mission)).rows()
+    for axis in "xy":
+        half = (shift(moved[7.0], axis) - shift(moved[-7.0], axis)).abs() / 2.0
+        sigma = rows[f"sigma_ground_d{axis}_px"]
+        np.testing.assert_allclose(sigma, half, rtol=0.02, atol=0.01 * half.median())
 
 
 def test_nobody_knows_anything(mission):
@@ -300,17 +232,6 @@ def test_nobody_knows_anything(mission):
     assert "covariance" in text
     assert "ground.sigma_m" in text
     assert "attitude" not in text
-
-
-def test_yaw_of_a_level_aircraft_moves_nothing(mission):
-    """Its axis is the aircraft's vertical, not the camera's axis, also where that looks aside."""
-    with_mounts(mission, sigma_tilt_deg=0.0, sigma_yaw_deg=3.0)
-    rows = corrected(in_unknown_air(mission)).rows()
-    size = np.hypot(shift(rows, "x"), shift(rows, "y"))
-    share = np.linalg.norm(rows[STATION], axis=1) / size
-    oblique = np.degrees(rows["zeta_c_rad"]) > 30.0
-    # The whole yaw would be 5 % of the shift, about the axis of the oblique camera some 4 %.
-    assert share[oblique].median() < 0.01
 
 
 def test_a_column_of_sigmas_of_which_some_are_no_sigmas(mission):
@@ -381,6 +302,60 @@ def test_the_sigmas_of_each_mount_are_in_radians(mission):
     # By default the yaw is as uncertain as the tilt; heights are those of the log.
     assert yaw[~nadir] == pytest.approx(0.25)
     np.testing.assert_array_equal(sigmas.height_m, prepared.stations.sigma_height_m)
+    # The yaw turns about the vertical of the aircraft, to the left of the oblique camera's axis.
+    leaning = np.sqrt(0.5)
+    vertical = np.where(nadir[:, None], [0.0, 0.0, 1.0], [-leaning, 0.0, leaning])
+    np.testing.assert_allclose(sigmas.yaw_axis, vertical, atol=1e-12)
+
+
+PLANE = SimpleNamespace(shape="plane", cabin=SimpleNamespace(source="log"), is_opening=False)
+
+
+def cabin_by(source: str) -> SimpleNamespace:
+    return SimpleNamespace(**vars(PLANE) | {"cabin": SimpleNamespace(source=source)})
+
+
+@pytest.mark.parametrize(
+    ("window", "kinds"),
+    [
+        (PLANE, [SEALED, SEALED]),
+        (cabin_by("ambient"), [SCHEDULED, SCHEDULED]),
+        (cabin_by("standard_schedule"), [SCHEDULED, SEALED]),
+        (SimpleNamespace(**vars(PLANE) | {"is_opening": True}), [FOLLOWING, FOLLOWING]),
+        (SimpleNamespace(**vars(PLANE) | {"shape": "spherical"}), [OPEN, OPEN]),
+        (SimpleNamespace(**vars(PLANE) | {"cabin": None}), [OPEN, OPEN]),
+    ],
+    ids=["sealed", "ambient", "schedule", "opening", "dome", "no cabin"],
+)
+def test_the_kind_of_a_window_at_850_and_at_600_hectopascal(window, kinds):
+    """The camera without a window has the kind of none."""
+    camera = np.array(["nadir", "nadir", "wing"], object)
+    stations = empty_stations(camera, camera, STATION_OK)
+    air = SimpleNamespace(pressure=lambda height_m: np.array([85e3, 60e3, 85e3]))
+    mission = SimpleNamespace(windows={"nadir": window})
+    assert kinds_of_windows(mission, stations, air).tolist() == [*kinds, OPEN]
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_known"),
+    [
+        ({}, False),
+        ({"tilt_rad": [0.001, np.nan]}, True),
+        ({"tilt_rad": [np.nan, 0.001]}, False),  # of a station that is not ok
+        ({"sigma_m": 5.0}, True),
+        ({"sigma_column": "sigma_h"}, True),
+        ({"cabin": [[np.nan, 1.0]]}, True),
+        ({"kinds": [OPEN, SEALED]}, True),
+    ],
+)
+def test_one_sigma_is_enough_to_compute_with(changed, is_known):
+    nothing = {"tilt_rad": [np.nan, np.nan], "sigma_m": None, "sigma_column": None}
+    nothing |= {"cabin": [[np.nan, np.nan]], "kinds": [OPEN, OPEN]}
+    known = SimpleNamespace(**nothing | changed)
+    stations = SimpleNamespace(ok=np.array([True, False]))
+    mission = SimpleNamespace(ground=known)
+    sigmas = SimpleNamespace(tilt_rad=np.array(known.tilt_rad), cabin=np.array(known.cabin))
+    assert has_any_sigma(mission, stations, sigmas, np.array(known.kinds)) == is_known
 
 
 def test_stations_that_know_nothing_of_their_attitude_have_the_sigmas_of_the_mount(mission):

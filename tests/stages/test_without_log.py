@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from tests.helpers import channel, refused, with_code
 from tests.stages.block_files import CABIN
 from tests.stages.flown_files import CAMERAS, Files, assert_true, errors, files, gps_time, truth
-from tests.stages.other_logs import opened, prepared_with
+from tests.stages.other_logs import flight_of, opened, with_channels
 from unbend.batch.runs import read_mission
 from unbend.simulate.flight import UNDULATION_M
 
@@ -179,33 +179,24 @@ PAYLOAD_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0
 
 
 def test_each_camera_follows_the_gimbal_of_its_own(mission, files):
-    """Two gimbals that look elsewhere; their cameras look along the forward axes."""
-    inputs = opened(mission)
+    level = {"q_w": 1.0, "q_x": 0.0, "q_y": 0.0, "q_z": 0.0}
     seconds = files.start.timestamp() + files.t
-    payloads = {
-        "nadir": Rotation.from_euler("ZYX", [40.0, -85.0, 3.0], degrees=True),
-        "oblique": Rotation.from_euler("ZYX", [-70.0, -45.0, -5.0], degrees=True),
-    }
-    heads = []
-    for name, camera in zip(("MNT[0]", "MNT[1]"), payloads, strict=True):
-        columns = dict(zip(QUATERNION, payloads[camera].as_quat(), strict=True))
-        heads.append(channel(name, seconds, **columns))
-        mount = {"attitude": name, "pitch_deg": 90.0, "roll_deg": 0.0}
-        mission.config["mount"][camera].update(mount)
-    prepared = prepared_with(mission, inputs, *heads)
-    stations = prepared.stations
-    assert stations.ok.all()
-    assert np.isfinite(stations.aircraft_quaternion).all()
-    for camera, payload in payloads.items():
-        quaternion = stations.quaternion[stations.camera == camera]
-        enu_from_camera = Rotation.from_quat(quaternion, scalar_first=True).inv().as_matrix()
-        expected = NED @ payload.as_matrix() @ PAYLOAD_FROM_CAMERA
-        np.testing.assert_allclose(enu_from_camera, [expected] * len(quaternion), atol=1e-9)
-    told = with_code(prepared.ledger, "GIMBAL-FRAME")
+    heads = [channel(name, seconds, **level) for name in ("MNT[0]", "MNT[1]")]
+    inputs = with_channels(opened(mission), *heads)
+    mounts = mission.config["mount"]
+    for camera, head in zip(CAMERAS, heads, strict=True):
+        mounts[camera] |= {"attitude": head.name, "pitch_deg": 90.0, "roll_deg": 0.0}
+    flight, ledger = flight_of(mission, inputs)
+    for camera, head in zip(CAMERAS, heads, strict=True):
+        roles = flight.roles_of(camera)
+        assert roles["attitude"].name == head.name
+        assert roles["aircraft_attitude"] is flight.roles["attitude"]
+        assert roles["position"] is flight.roles["position"]
+    told = with_code(ledger, "GIMBAL-FRAME")
     assert {message.where for message in told} == {"mount.nadir", "mount.oblique"}
-    mission.config["mount"]["nadir"]["attitude"] = "MNT[7]"
+    mounts["nadir"]["attitude"] = "MNT[7]"
     with refused("CHANNEL-MISSING") as refusal:
-        prepared_with(mission, inputs, *heads)
+        flight_of(mission, inputs)
     assert "MNT[1]" in refusal.value.what
 
 
