@@ -18,6 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.stages.dataflash_records import Field, records
 from tests.stages.oriented_tables import QUATERNION, attitudes, textbook_opk
+from unbend.batch.runs import read_mission
+from unbend.flight.stations import station_columns
+from unbend.ingest import open_log
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SAMPLES = REPOSITORY / "sample_logs"
@@ -35,32 +38,28 @@ def changed(sections: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]
     sections = copy.deepcopy(sections)
     for key, value in changes.items():
         *path, last = key.split(".")
-        at = sections
+        section = sections
         for part in path:
-            at = at.setdefault(part, {})
+            section = section.setdefault(part, {})
         if value == "delete":
-            at.pop(last, None)
+            section.pop(last, None)
         else:
-            at[last] = value
+            section[last] = value
     return sections
 
 
 @cache
 def stations_of(base: str) -> pd.DataFrame:
     """The stations of a sample mission, as `unbend stations --csv` writes them."""
-    from unbend.batch.runs import read_mission
-    from unbend.flight.stations import station_columns
-
     stations = read_mission(REPOSITORY / "configs" / f"{base}.yaml").stations
     return pd.DataFrame(station_columns(stations))
 
 
-@cache
-def orientation_of(base: str) -> pd.DataFrame:
+def orientation_of_sample() -> pd.DataFrame:
     """Omega, phi, kappa and places of the images of a sample mission, in degrees."""
-    table = stations_of(base)
-    angles = textbook_opk(attitudes(table))
-    return table.assign(omega_deg=angles[:, 0], phi_deg=angles[:, 1], kappa_deg=angles[:, 2])
+    table = stations_of("sample_bin").copy()
+    table[["omega_deg", "phi_deg", "kappa_deg"]] = textbook_opk(attitudes(table))
+    return table
 
 
 def write_observations(path: Path, recipe: str) -> None:
@@ -85,7 +84,7 @@ def evaluated(rows: pd.DataFrame, recipe: str) -> pd.DataFrame:
 
 
 def write_orientation(path: Path, recipe: str) -> None:
-    rows = orientation_of("sample_bin").copy()
+    rows = orientation_of_sample()
     if recipe == "reverse the first line":
         places = ["lat_deg", "lon_deg", "h_ellipsoid_m"]
         line = rows["image"].isin([f"nadir_{i:05d}" for i in range(1, 8)])
@@ -98,15 +97,16 @@ def write_orientation(path: Path, recipe: str) -> None:
 
 
 def write_quaternions(path: Path, recipe: str) -> None:
+    assert recipe == "half turn about x"
     rows = stations_of("sample_bin").copy()
     w, x, y, z = rows[QUATERNION].to_numpy().T
-    assert recipe == "half turn about x"
     rows[QUATERNION] = np.stack([-x, w, -z, y], axis=1)  # (0,1,0,0) * q
-    rows.assign(time_utc=iso(rows["time_utc"])).to_csv(path, index=False)
+    rows["time_utc"] = iso(rows["time_utc"])
+    rows.to_csv(path, index=False)
 
 
 def iso(times: pd.Series) -> pd.Series:
-    return times.dt.strftime("%Y-%m-%dT%H:%M:%S.%f") + "Z"
+    return times.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 def write_events(path: Path, recipe: str) -> None:
@@ -124,48 +124,36 @@ def write_events(path: Path, recipe: str) -> None:
 
 def write_trajectory(path: Path, recipe: str) -> None:
     """Positions and attitudes of the log at 5 Hz, heights above the ellipsoid."""
-    from unbend.ingest import open_log
-
-    channels = {c.name: c for c in open_log(SAMPLES / "flight.bin").channels}
+    channels = {channel.name: channel for channel in open_log(SAMPLES / "flight.bin").channels}
     gps = channels["GPS[0]"]
-    att = channels["ATT"]
-    time = att.time_ns[4:-4:2]
-    late = np.timedelta64(18 if recipe == "+ 18 s" else 0, "s")
-    q = np.stack([att[f"q_{axis}"][4:-4:2] for axis in "xyzw"], axis=1)
-    yaw, pitch, roll = Rotation.from_quat(q).as_euler("ZYX", degrees=True).T
-
-    def at(name: str) -> np.ndarray:
-        return np.interp(time, gps.time_ns, gps[name])
-
-    pd.DataFrame(
-        {
-            "time_utc": iso(pd.Series(time.astype("datetime64[ns]") + late)),
-            "lat": np.degrees(at("lat_rad")),
-            "lon": np.degrees(at("lon_rad")),
-            "h": at("h_ellipsoid_m"),
-            "roll": roll,
-            "pitch": pitch,
-            "yaw": yaw % 360.0,
-        }
-    ).to_csv(path, index=False, float_format="%.9f")
+    attitude = channels["ATT"]
+    time_ns = attitude.time_ns[4:-4:2]
+    late_ns = 18 * 10**9 if recipe == "+ 18 s" else 0
+    quaternion = np.stack([attitude[f"q_{axis}"][4:-4:2] for axis in "xyzw"], axis=1)
+    angles = Rotation.from_quat(quaternion).as_euler("ZYX", degrees=True)
+    rows = pd.DataFrame(angles, columns=["yaw", "pitch", "roll"])
+    rows["yaw"] %= 360.0
+    rows["time_utc"] = iso(pd.Series(pd.to_datetime(time_ns + late_ns)))
+    rows["lat"] = np.degrees(np.interp(time_ns, gps.time_ns, gps["lat_rad"]))
+    rows["lon"] = np.degrees(np.interp(time_ns, gps.time_ns, gps["lon_rad"]))
+    rows["h"] = np.interp(time_ns, gps.time_ns, gps["h_ellipsoid_m"])
+    rows.to_csv(path, index=False, float_format="%.9f")
 
 
 def write_sounding(path: Path, recipe: str) -> None:
-    h = np.arange(400.0, 12001.0, 200.0)
-    temperature = 294.15 - 0.0065 * (h - 400.0)
-    pressure = 974.0 * (temperature / 294.15) ** (9.80665 * 0.0289644 / 8.31432 / 0.0065)
-    year, colder = (2024, 12.0) if recipe else (2025, 0.0)
-    pd.DataFrame(
-        {
-            "h_m": h,
-            "pressure_hpa": pressure.round(2),
-            "temperature_c": (temperature - 273.15 - colder).round(2),
-            "dew_point_c": (temperature - 279.15 - colder).round(2),
-            "time_utc": f"{year}-06-12T09:00:00Z",
-            "latitude_deg": 47.4,
-            "longitude_deg": 8.6,
-        }
-    ).to_csv(path, index=False)
+    """The air of the flight; with a recipe that of a year before, 12 K colder."""
+    year = 2024 if recipe else 2025
+    colder = 12.0 if recipe else 0.0
+    h_m = np.arange(400.0, 12001.0, 200.0)
+    temperature_k = 294.15 - 0.0065 * (h_m - 400.0)
+    exponent = 9.80665 * 0.0289644 / 8.31432 / 0.0065
+    rows = pd.DataFrame({"h_m": h_m, "time_utc": f"{year}-06-12T09:00:00Z"})
+    rows["pressure_hpa"] = (974.0 * (temperature_k / 294.15) ** exponent).round(2)
+    rows["temperature_c"] = (temperature_k - 273.15 - colder).round(2)
+    rows["dew_point_c"] = rows["temperature_c"] - 6.0
+    rows["latitude_deg"] = 47.4
+    rows["longitude_deg"] = 8.6
+    rows.to_csv(path, index=False)
 
 
 SHIFTS = {("GPS", "GMS"): -86_400_000, ("BARO", "Press"): 800.0, ("HYGR", "Temp"): 6.0}

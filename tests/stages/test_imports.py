@@ -179,22 +179,23 @@ def wrapped(angle_deg):
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 
-MISTAKES = {
-    "exchanged": (
-        "TRAJECTORY-PLACE",
-        lambda t: t.rename(columns={"latitude": "longitude", "longitude": "latitude"}),
-    ),
-    "radians": ("TRAJECTORY-PLACE", lambda t: t.assign(**np.radians(t[PLACE]))),
-    "sign": ("TRAJECTORY-PLACE", lambda t: t.assign(longitude=-t["longitude"])),
-    "yaw": ("TRAJECTORY-ANGLES", lambda t: t.assign(yaw=wrapped(-t["yaw"]))),
-    "in radians": ("TRAJECTORY-ANGLES", lambda t: t.assign(**np.radians(t[ANGLES]))),
-    "east to north": ("TRAJECTORY-ANGLES", lambda t: t.assign(yaw=wrapped(90.0 - t["yaw"]))),
-}
-
-
-@pytest.mark.parametrize("words", MISTAKES)
-def test_mistakes_about_columns_are_recognised(mission, files, words):
-    code, mistake = MISTAKES[words]
+@pytest.mark.parametrize(
+    ("mistake", "code", "words"),
+    [
+        (
+            lambda t: t.rename(columns={"latitude": "longitude", "longitude": "latitude"}),
+            "TRAJECTORY-PLACE",
+            "exchanged",
+        ),
+        (lambda t: t.assign(**np.radians(t[PLACE])), "TRAJECTORY-PLACE", "radians"),
+        (lambda t: t.assign(longitude=-t["longitude"]), "TRAJECTORY-PLACE", "sign"),
+        (lambda t: t.assign(yaw=wrapped(-t["yaw"])), "TRAJECTORY-ANGLES", "yaw"),
+        (lambda t: t.assign(**np.radians(t[ANGLES])), "TRAJECTORY-ANGLES", "radians"),
+        (lambda t: t.assign(yaw=wrapped(90.0 - t["yaw"])), "TRAJECTORY-ANGLES", "east to north"),
+    ],
+    ids=["exchanged", "place in radians", "longitude", "yaw", "angles in radians", "from east"],
+)
+def test_mistakes_about_columns_are_recognised(mission, files, mistake, code, words):
     with refused(code) as refusal:
         prepare(mission, trajectory=files.csv(mistake(files.table())))
     assert words in refusal.value.what

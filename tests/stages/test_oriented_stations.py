@@ -182,7 +182,7 @@ def in_axes_100_km_away_with_latitudes(block) -> pd.DataFrame:
 
 def turned_about_up(azimuth_deg: np.ndarray) -> np.ndarray:
     """(n, 3, 3) from x and y of a grid to east and north, by the azimuth of the grid's north."""
-    return Rotation.from_euler("z", -azimuth_deg, degrees=True).as_matrix()
+    return Rotation.from_euler("z", -azimuth_deg[:, None], degrees=True).as_matrix()
 
 
 def to_the_north_of_a_map(block) -> pd.DataFrame:

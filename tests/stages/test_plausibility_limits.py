@@ -312,7 +312,7 @@ def test_angles_of_mounts_are_in_degrees(roll, deg):
     ("lever_arm_m", "down", "name", "told_m"),
     [
         ([6.0, 7.9, 0.5], 1.0, "length", None),  # 9.93 m
-        ([6.0, 8.1, 0.5], 1.0, "length", 10.0926),
+        ([6.0, 8.1, 0.5], 1.0, "length", 10.0925715),
         ([0.0, 0.0, -0.24], 1.0, "up", None),
         ([0.0, 0.0, -0.26], 1.0, "up", 0.26),  # above the antenna
         ([0.0, 0.0, -0.26], 0.49, "up", None),

@@ -121,7 +121,8 @@ def write_eo(files: Files, camera: str, zones_off: int = 0) -> dict:
     project = pyproj.Proj(grid)
     here = np.array(project(lon, lat))
     north = np.array(project(lon, lat + 1e-5)) - here
-    grid_from_enu = Rotation.from_euler("z", -np.arctan2(*north))
+    convergence_rad = -np.arctan2(*north)
+    grid_from_enu = Rotation.from_euler("z", convergence_rad[:, None])
     enu_from_camera = Rotation.from_quat(rows[QUATERNION]).inv() * Rotation.from_euler("x", np.pi)
     angles = (grid_from_enu * enu_from_camera).as_euler("XYZ", degrees=True)
     rows["event"] = range(1, len(rows) + 1)
