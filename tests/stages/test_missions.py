@@ -296,18 +296,18 @@ def test_exposures_of_an_image_nobody_measured(mission):
     assert len(measured.stations) == 6
 
 
-def test_hectopascal_where_pascal_is_due(mission):
+def test_hectopascal_where_pascal_is_due(by_mcap):
     """What the refusal proposes gives the pressures of the right log."""
-    inputs = opened(mission)
-    barometer = channel_of(inputs, "BARO[0]")
+    inputs = opened(by_mcap)
+    barometer = channel_of(inputs, "/outside/pressure")
     right_pa = barometer["pressure_pa"]
     columns = dict(barometer.columns) | {"pressure_pa": right_pa / 100.0}
     wrong = with_channels(inputs, replace(barometer, columns=columns))
     with refused("CHANNEL-UNIT") as refusal:
-        flight_of(mission, wrong)
+        flight_of(by_mcap, wrong)
     _, _, remedy = refusal.value.remedy.partition("log.channels.pressure: ")
-    mission.config["log"]["channels"]["pressure"] = yaml.safe_load(remedy)
-    flight, _ = flight_of(mission, wrong)
+    by_mcap.config["log"]["channels"]["pressure"] = yaml.safe_load(remedy)
+    flight, _ = flight_of(by_mcap, wrong)
     pressure_pa = flight.channels[-1]["pressure_pa"]
     np.testing.assert_allclose(pressure_pa, right_pa, rtol=1e-9)
 
