@@ -16,6 +16,12 @@ import pyarrow.parquet as pq
 import yaml
 from scipy.spatial.transform import Rotation
 
+from tests.stages.dataflash_records import Field, records
+from tests.stages.oriented_tables import QUATERNION, attitudes, textbook_opk
+from unbend.batch.runs import read_mission
+from unbend.flight.stations import station_columns
+from unbend.ingest import open_log
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 SAMPLES = REPOSITORY / "sample_logs"
 MISTAKES = REPOSITORY / "tests" / "data" / "mistakes.yaml"
@@ -32,48 +38,28 @@ def changed(sections: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]
     sections = copy.deepcopy(sections)
     for key, value in changes.items():
         *path, last = key.split(".")
-        at = sections
+        section = sections
         for part in path:
-            at = at.setdefault(part, {})
+            section = section.setdefault(part, {})
         if value == "delete":
-            at.pop(last, None)
+            section.pop(last, None)
         else:
-            at[last] = value
+            section[last] = value
     return sections
 
 
 @cache
 def stations_of(base: str) -> pd.DataFrame:
     """The stations of a sample mission, as `unbend stations --csv` writes them."""
-    from unbend.batch.runs import read_mission
-    from unbend.flight.stations import station_columns
-
     stations = read_mission(REPOSITORY / "configs" / f"{base}.yaml").stations
     return pd.DataFrame(station_columns(stations))
 
 
-@cache
-def orientation_of(base: str) -> pd.DataFrame:
+def orientation_of_sample() -> pd.DataFrame:
     """Omega, phi, kappa and places of the images of a sample mission, in degrees."""
-    table = stations_of(base)
-    q = table[["q_w", "q_x", "q_y", "q_z"]].to_numpy()
-    w, x, y, z = q.T
-    # Rows of R(q): east-north-up to a camera of x right, y down, z forward.
-    r = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    m = r.copy()  # to photogrammetric axes: x right, y up, z backward
-    m[1], m[2] = -m[1], -m[2]
-    angles = {
-        "omega_deg": np.arctan2(-m[2, 1], m[2, 2]),
-        "phi_deg": np.arcsin(np.clip(m[2, 0], -1, 1)),
-        "kappa_deg": np.arctan2(-m[1, 0], m[0, 0]),
-    }
-    return table.assign(**{name: np.degrees(angle) for name, angle in angles.items()})
+    table = stations_of("sample_bin").copy()
+    table[["omega_deg", "phi_deg", "kappa_deg"]] = textbook_opk(attitudes(table))
+    return table
 
 
 def write_observations(path: Path, recipe: str) -> None:
@@ -98,7 +84,7 @@ def evaluated(rows: pd.DataFrame, recipe: str) -> pd.DataFrame:
 
 
 def write_orientation(path: Path, recipe: str) -> None:
-    rows = orientation_of("sample_bin").copy()
+    rows = orientation_of_sample()
     if recipe == "reverse the first line":
         places = ["lat_deg", "lon_deg", "h_ellipsoid_m"]
         line = rows["image"].isin([f"nadir_{i:05d}" for i in range(1, 8)])
@@ -111,15 +97,16 @@ def write_orientation(path: Path, recipe: str) -> None:
 
 
 def write_quaternions(path: Path, recipe: str) -> None:
-    rows = stations_of("sample_bin").copy()
-    w, x, y, z = rows[["q_w", "q_x", "q_y", "q_z"]].to_numpy().T
     assert recipe == "half turn about x"
-    rows[["q_w", "q_x", "q_y", "q_z"]] = np.stack([-x, w, -z, y], axis=1)  # (0,1,0,0) * q
-    rows.assign(time_utc=iso(rows["time_utc"])).to_csv(path, index=False)
+    rows = stations_of("sample_bin").copy()
+    w, x, y, z = rows[QUATERNION].to_numpy().T
+    rows[QUATERNION] = np.stack([-x, w, -z, y], axis=1)  # (0,1,0,0) * q
+    rows["time_utc"] = iso(rows["time_utc"])
+    rows.to_csv(path, index=False)
 
 
 def iso(times: pd.Series) -> pd.Series:
-    return times.dt.strftime("%Y-%m-%dT%H:%M:%S.%f") + "Z"
+    return times.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 def write_events(path: Path, recipe: str) -> None:
@@ -137,108 +124,67 @@ def write_events(path: Path, recipe: str) -> None:
 
 def write_trajectory(path: Path, recipe: str) -> None:
     """Positions and attitudes of the log at 5 Hz, heights above the ellipsoid."""
-    from unbend.ingest import open_log
-
-    channels = {c.name: c for c in open_log(SAMPLES / "flight.bin").channels}
+    channels = {channel.name: channel for channel in open_log(SAMPLES / "flight.bin").channels}
     gps = channels["GPS[0]"]
-    att = channels["ATT"]
-    time = att.time_ns[4:-4:2]
-    late = np.timedelta64(18 if recipe == "+ 18 s" else 0, "s")
-    q = np.stack([att[f"q_{axis}"][4:-4:2] for axis in "xyzw"], axis=1)
-    yaw, pitch, roll = Rotation.from_quat(q).as_euler("ZYX", degrees=True).T
-
-    def at(name: str) -> np.ndarray:
-        return np.interp(time, gps.time_ns, gps[name])
-
-    pd.DataFrame(
-        {
-            "time_utc": iso(pd.Series(time.astype("datetime64[ns]") + late)),
-            "lat": np.degrees(at("lat_rad")),
-            "lon": np.degrees(at("lon_rad")),
-            "h": at("h_ellipsoid_m"),
-            "roll": roll,
-            "pitch": pitch,
-            "yaw": yaw % 360.0,
-        }
-    ).to_csv(path, index=False, float_format="%.9f")
+    attitude = channels["ATT"]
+    time_ns = attitude.time_ns[4:-4:2]
+    late_ns = 18 * 10**9 if recipe == "+ 18 s" else 0
+    quaternion = np.stack([attitude[f"q_{axis}"][4:-4:2] for axis in "xyzw"], axis=1)
+    angles = Rotation.from_quat(quaternion).as_euler("ZYX", degrees=True)
+    rows = pd.DataFrame(angles, columns=["yaw", "pitch", "roll"])
+    rows["yaw"] %= 360.0
+    rows["time_utc"] = iso(pd.Series(pd.to_datetime(time_ns + late_ns)))
+    rows["lat"] = np.degrees(np.interp(time_ns, gps.time_ns, gps["lat_rad"]))
+    rows["lon"] = np.degrees(np.interp(time_ns, gps.time_ns, gps["lon_rad"]))
+    rows["h"] = np.interp(time_ns, gps.time_ns, gps["h_ellipsoid_m"])
+    rows.to_csv(path, index=False, float_format="%.9f")
 
 
 def write_sounding(path: Path, recipe: str) -> None:
-    h = np.arange(400.0, 12001.0, 200.0)
-    temperature = 294.15 - 0.0065 * (h - 400.0)
-    pressure = 974.0 * (temperature / 294.15) ** (9.80665 * 0.0289644 / 8.31432 / 0.0065)
-    year, colder = (2024, 12.0) if recipe else (2025, 0.0)
-    pd.DataFrame(
-        {
-            "h_m": h,
-            "pressure_hpa": pressure.round(2),
-            "temperature_c": (temperature - 273.15 - colder).round(2),
-            "dew_point_c": (temperature - 279.15 - colder).round(2),
-            "time_utc": f"{year}-06-12T09:00:00Z",
-            "latitude_deg": 47.4,
-            "longitude_deg": 8.6,
-        }
-    ).to_csv(path, index=False)
+    """The air of the flight; with a recipe that of a year before, 12 K colder."""
+    year = 2024 if recipe else 2025
+    colder = 12.0 if recipe else 0.0
+    h_m = np.arange(400.0, 12001.0, 200.0)
+    temperature_k = 294.15 - 0.0065 * (h_m - 400.0)
+    exponent = 9.80665 * 0.0289644 / 8.31432 / 0.0065
+    rows = pd.DataFrame({"h_m": h_m, "time_utc": f"{year}-06-12T09:00:00Z"})
+    rows["pressure_hpa"] = (974.0 * (temperature_k / 294.15) ** exponent).round(2)
+    rows["temperature_c"] = (temperature_k - 273.15 - colder).round(2)
+    rows["dew_point_c"] = rows["temperature_c"] - 6.0
+    rows["latitude_deg"] = 47.4
+    rows["longitude_deg"] = 8.6
+    rows.to_csv(path, index=False)
 
 
-WIDTHS = (64, 1, 1, 2, 2, 4, 4, 4, 4, 16, 64, 2, 2, 4, 4, 4, 1, 8, 8, 8)
-SIZES = dict(zip("abBhHiIfnNZcCeELMqQd", WIDTHS, strict=True))
-CODES = {
-    "b": "b",
-    "B": "B",
-    "h": "h",
-    "H": "H",
-    "i": "i",
-    "I": "I",
-    "f": "f",
-    "c": "h",
-    "C": "H",
-    "e": "i",
-    "E": "I",
-    "L": "i",
-    "M": "B",
-    "q": "q",
-    "Q": "Q",
-    "d": "d",
-}
+SHIFTS = {("GPS", "GMS"): -86_400_000, ("BARO", "Press"): 800.0, ("HYGR", "Temp"): 6.0}
+REVERSED = {("ATT", "Roll"), ("ATT", "Pitch")}
+
+
+def changed_value(field: Field, key: tuple[str, str], value: float) -> float:
+    if key in REVERSED:
+        return -value
+    scale = 100.0 if field.letter in "cCeE" else 1
+    return value + SHIFTS[key] * scale
 
 
 def write_log(path: Path, recipe: str) -> None:
     """The flight a day earlier: pressure 8 hPa higher, air 6 K warmer, roll and pitch reversed."""
     assert recipe == "a day before"
-    data = bytearray((SAMPLES / "flight.bin").read_bytes())
-    kinds: dict[int, tuple[int, str, str, list[str]]] = {}
-    shifts = {("GPS", "GMS"): -86_400_000, ("BARO", "Press"): 800.0, ("HYGR", "Temp"): 6.0}
-    at = 0
-    while at + 3 <= len(data):
-        kind = data[at + 2]
-        if kind == 128:
-            number, length = data[at + 3 : at + 5]
-            name, form, labels = (
-                bytes(data[at + i : at + j]).split(b"\0")[0].decode()
-                for i, j in ((5, 9), (9, 25), (25, 89))
-            )
-            kinds[number] = (length, name, form, labels.split(","))
-        length, name, form, labels = kinds[kind] if kind != 128 else (89, "FMT", "", [])
-        place = at + 3
-        fields = {}
-        for letter, label in zip(form, labels, strict=False):
-            fields[label] = (letter, place)
-            place += SIZES[letter]
-        if name in ("GPS", "BARO", "HYGR", "ATT"):
-            first = "I" not in fields or data[fields["I"][1]] == 0
-            for label, (letter, offset) in fields.items():
-                code = "<" + CODES.get(letter, "x")
-                shift = shifts.get((name, label))
-                reverse = name == "ATT" and label in ("Roll", "Pitch")
-                if (shift is None or not first) and not reverse:
-                    continue
-                (value,) = struct.unpack_from(code, data, offset)
-                scale = 100.0 if letter in "cCeE" else 1
-                value = -value if reverse else value + shift * scale
-                struct.pack_into(code, data, offset, value if letter in "fd" else int(value))
-        at += length
-    path.write_bytes(data)
+    log = (SAMPLES / "flight.bin").read_bytes()
+    changed = bytearray(log)
+    names = {name for name, _ in (*SHIFTS, *REVERSED)}
+    for record in records(log):
+        if record.name not in names:
+            continue
+        fields = record.fields()
+        is_first_sensor = "I" not in fields or log[fields["I"].start] == 0
+        for column, field in fields.items():
+            key = (record.name, column)
+            if key in REVERSED or (key in SHIFTS and is_first_sensor):
+                (value,) = struct.unpack_from(field.code, log, field.start)
+                new = changed_value(field, key, value)
+                struct.pack_into(field.code, changed, field.start, type(value)(new))
+    path.write_bytes(changed)
 
 
 WRITERS = {

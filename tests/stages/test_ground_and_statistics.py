@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -40,26 +40,20 @@ class Heights:
 OFFSET = np.array([10.0, -20.0, np.nan])
 
 
-def test_heights_and_the_offset_of_their_station():
-    given_m = np.array([100.0, 200.0, 300.0])
-    column = GivenGround(None, OFFSET)
-    found = column.heights(Heights(given_m), np.array([1, 0, 1]))
-    assert found.h_m.tolist() == [
-        80.0,
-        210.0,
-        280.0,
-    ]
-    # Of an unknown offset no height follows; without a station there is nothing to reduce.
-    unknown = column.heights(Heights(given_m), np.array([2, -1, 0])).h_m
-    assert np.isnan(unknown[0])
-    assert unknown[1:].tolist() == [200.0, 310.0]
-    constant = GivenGround(450.0, OFFSET)
-    found = constant.heights(Heights(None), np.array([1, 0, 1]))
-    assert found.h_m.tolist() == [
-        430.0,
-        460.0,
-        430.0,
-    ]
+@pytest.mark.parametrize(
+    ("constant_m", "given_m", "station", "ground_m"),
+    [
+        (None, [100.0, 200.0, 300.0], [1, 0, 1], [80.0, 210.0, 280.0]),
+        # Of an unknown offset no height follows; without a station there is nothing to reduce.
+        (None, [100.0, 200.0, 300.0], [2, -1, 0], [np.nan, 200.0, 310.0]),
+        (450.0, None, [1, 0, 1], [430.0, 460.0, 430.0]),
+    ],
+)
+def test_heights_and_the_offset_of_their_station(constant_m, given_m, station, ground_m):
+    ground = GivenGround(constant_m, OFFSET)
+    given = Heights(None if given_m is None else np.array(given_m))
+    heights = ground.heights(given, np.array(station))
+    np.testing.assert_array_equal(heights.h_m, ground_m)
 
 
 def test_the_limits_are_those_of_all_stations():
@@ -102,67 +96,44 @@ CAMERA = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0)
 
 
 def counted(**counts: object) -> Statistics:
-    statistics = Statistics.of({"nadir": CAMERA})
-    for name, value in counts.items():
-        setattr(statistics, name, value)
-    return statistics
+    return replace(Statistics.of({"nadir": CAMERA}), **counts)
 
 
 def test_the_counts_of_two_parts_are_added():
-    total = counted(
-        rows=10,
-        parts=1,
-        no_distance=1,
-        no_sigma=2,
-        implausible_heights=3,
-        status={"ok": 6, "no_ground": 4},
-        examples={"no_ground": ["a 1", "a 2"]},
-        air_variance=0.25,
-        by_mode=2.0,
-    )
-    total.merge(
-        counted(
-            rows=5,
-            parts=1,
-            no_distance=10,
-            no_sigma=20,
-            implausible_heights=30,
-            status={"ok": 4, "no_station": 1},
-            examples={"no_ground": ["b 1", "b 2"]},
-            air_variance=0.5,
-            by_mode=1.0,
-        )
-    )
-    assert (total.rows, total.parts) == (15, 2)
-    assert (total.no_distance, total.no_sigma, total.implausible_heights) == (11, 22, 33)
-    assert total.status == {"ok": 10, "no_ground": 4, "no_station": 1}
-    assert total.examples == {"no_ground": ["a 1", "a 2", "b 1"]}
-    assert (total.air_variance, total.by_mode) == (0.75, 3.0)
+    names = ("no_distance", "no_sigma", "air_variance", "by_mode")
+    total = counted(**dict(zip(names, (1, 2, 0.25, 2.0), strict=True)))
+    total.merge(counted(**dict(zip(names, (10, 20, 0.5, 1.0), strict=True))))
+    assert [getattr(total, name) for name in names] == [11, 22, 0.75, 3.0]
 
 
-def test_each_reason_has_its_entry_with_its_kind_and_count():
-    status = dict.fromkeys(STATUS_NAMES, 0) | {
-        "ok": 50,
-        "no_ground": 7,
-        "beyond_grazing": 3,
-        "far_branch": 2,
-    }
+@pytest.mark.parametrize(
+    ("counts", "status", "code", "kind"),
+    [
+        ({"no_distance": 4}, {}, "OBS-DISTANCE", Kind.WARNING),
+        ({"no_sigma": 4}, {}, "OBS-SIGMA", Kind.WARNING),
+        ({"implausible_heights": 4}, {}, "OBS-GROUND-RANGE", Kind.LOSS),
+        ({}, {"no_ground": 4}, "OBS-FLAGGED", Kind.LOSS),
+        ({}, {"beyond_grazing": 4}, "OBS-BEYOND-GRAZING", Kind.LOSS),
+        ({}, {"far_branch": 4}, "OBS-FAR-BRANCH", Kind.NOTE),
+        ({}, {"several_crossings": 4}, "OBS-SEVERAL-CROSSINGS", Kind.WARNING),
+    ],
+)
+def test_each_reason_has_its_entry_with_its_kind_and_count(counts, status, code, kind):
     ledger = Ledger()
-    counted(
-        rows=62, no_distance=4, no_sigma=5, implausible_heights=6, status=status
-    ).report_flagged(ledger, {})
-    assert {(e.code, e.kind, e.count) for e in ledger} == {
-        ("OBS-DISTANCE", Kind.WARNING, 4),
-        ("OBS-SIGMA", Kind.WARNING, 5),
-        ("OBS-GROUND-RANGE", Kind.LOSS, 6),
-        ("OBS-FLAGGED", Kind.LOSS, 7),
-        ("OBS-BEYOND-GRAZING", Kind.LOSS, 3),
-        ("OBS-FAR-BRANCH", Kind.NOTE, 2),
-    }
-    assert "7 of 62 observations are no_ground" in {e.what for e in ledger}
-    silent = Ledger()
-    counted(rows=50, status={"ok": 50}).report_flagged(silent, {})
-    assert len(silent) == 0
+    every = dict.fromkeys(STATUS_NAMES, 0) | {"ok": 50} | status
+    counted(rows=54, status=every, **counts).report_flagged(ledger, {})
+    (message,) = ledger
+    assert message.code == code
+    assert message.kind is kind
+    assert message.count == 4
+    for name in status:
+        assert message.what.startswith(f"4 of 54 observations are {name}")
+
+
+def test_nothing_is_said_of_good_observations():
+    ledger = Ledger()
+    counted(rows=50, status={"ok": 50}).report_flagged(ledger, {})
+    assert len(ledger) == 0
 
 
 @given(st.integers(1, 2000), st.integers(1, 500))
@@ -179,8 +150,3 @@ def test_evenly_spaced_rows_are_few_ordered_and_reach_both_ends(count, most):
 
 def test_no_rows_of_none():
     assert evenly_spaced(0, 10).size == 0
-
-
-@pytest.mark.parametrize("name", ["rows", "parts"])
-def test_nothing_was_counted_yet(name):
-    assert getattr(Statistics.of({"nadir": CAMERA}), name) == 0

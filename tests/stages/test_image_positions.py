@@ -17,6 +17,8 @@ from unbend.tables.imports.exif import NO_TIME, ImageTimes
 A = 6.37e6
 SPEED = 20.0
 INTERVAL = 1.5
+FIRST = 5
+"""The number of the event of the first image."""
 
 
 def flown(lines: int, per_line: int = 30, *, lon_rad: float = 0.1):
@@ -26,39 +28,26 @@ def flown(lines: int, per_line: int = 30, *, lon_rad: float = 0.1):
     east = np.repeat(np.arange(lines) * 60.0, per_line)
     n = north.size
     stations = empty_stations(np.full(n, "", object), np.full(n, "cam", object), STATION_OK)
-    return (
-        replace(
-            stations,
-            time_ns=(np.arange(n) * INTERVAL * 1e9).astype(np.int64),
-            lat_rad=0.8 + north / A,
-            lon_rad=wrapped(lon_rad + east / A / np.cos(0.8)),
-        ),
-        north,
-        east,
+    stations = replace(
+        stations,
+        time_ns=(np.arange(n) * INTERVAL * 1e9).astype(np.int64),
+        lat_rad=0.8 + north / A,
+        lon_rad=wrapped(lon_rad + east / A / np.cos(0.8)),
     )
+    return stations, north, east
 
 
-def likelihood(
-    lines: int,
-    *,
-    first: int = 5,
-    stale_s: float = 0.7,
-    known: float = 1.0,
-    lon_rad: float = 0.1,
-):
-    """Of images of the events from ``first`` on, their positions by a receiver's last fix."""
+def likelihood(lines: int, *, known: float = 1.0, lon_rad: float = 0.1):
+    """Of images of the events from the sixth on, their positions by fixes 0.7 s old."""
     stations, north, east = flown(lines, lon_rad=lon_rad)
     rng = np.random.default_rng(3)
-    images = north.size - first
-    heading = np.sign(np.gradient(north))[first:]
-    written = np.stack(
-        [
-            0.8 + (north[first:] - heading * SPEED * stale_s + rng.normal(0, 4, images)) / A,
-            wrapped(lon_rad + (east[first:] + 3.0 + rng.normal(0, 4, images)) / A / np.cos(0.8)),
-            np.zeros(images),
-        ],
-        axis=1,
-    )
+    images = north.size - FIRST
+    heading = np.sign(np.gradient(north))[FIRST:]
+    written_north = north[FIRST:] - heading * SPEED * 0.7 + rng.normal(0, 4, images)
+    written_east = east[FIRST:] + 3.0 + rng.normal(0, 4, images)
+    latitude = 0.8 + written_north / A
+    longitude = wrapped(lon_rad + written_east / A / np.cos(0.8))
+    written = np.stack([latitude, longitude, np.zeros(images)], axis=1)
     written[rng.random(images) >= known] = np.nan
     written[2] += 1.0  # one image of another continent
     names = np.array([f"i{k}" for k in range(images)], object)

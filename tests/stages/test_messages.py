@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 
+from tests.helpers import entry_of
 from unbend.block.assignment import Assignment
 from unbend.flight.exposures import Events
-from unbend.messages import Kind, Ledger
+from unbend.messages import Kind
 from unbend.stages.multi_image.camera_images import CameraImages
 from unbend.stages.multi_image.image_events import notes_of_assignment
-from unbend.stages.statistics import Statistics
-
-
-def test_several_crossings_are_a_warning():
-    statistics = Statistics({}, rows=10, status={"ok": 9, "several_crossings": 1})
-    ledger = Ledger()
-    statistics.report_flagged(ledger, {})
-    (message,) = ledger
-    assert (message.code, message.kind) == ("OBS-SEVERAL-CROSSINGS", Kind.WARNING)
-    assert message.what.startswith("1 of 10 observations is several_crossings: behind a ridge it")
 
 
 def test_images_of_which_the_evidence_disagrees_are_a_loss():
@@ -49,8 +38,8 @@ def test_images_of_which_the_evidence_disagrees_are_a_loss():
 
 def test_the_ledger_has_the_values_of_its_messages(baseline):
     """How far rays of tie points miss each other; since version 2 of the manifest."""
-    manifest = json.loads((baseline.output / "manifest.json").read_text(encoding="utf-8"))
+    manifest = baseline.manifest()
     assert manifest["manifest_version"] == 2
-    (entry,) = [e for e in manifest["ledger"] if e["code"] == "TIES-RESIDUALS"]
+    entry = entry_of(manifest, "TIES-RESIDUALS")
     assert entry["kind"] == "note"
     assert entry["values"] == {"misses": entry["what"]}

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.helpers import refused
 from unbend.batch.opening import open_table
 from unbend.config.reading import mission_of
-from unbend.errors import ConfigError, InputError
 from unbend.messages import Ledger
 from unbend.stages.observation_units import refuse_other_unit
 
@@ -48,10 +48,16 @@ def mission(unit: str, cameras: dict | None = None, **observations):
     return mission_of(copy.deepcopy(sections), None, "sections")
 
 
-def opened(tmp_path, mission, xy: np.ndarray):
-    table = pd.DataFrame({"image": "a", "point": range(len(xy)), "x": xy[:, 0], "y": xy[:, 1]})
-    table.to_csv(tmp_path / "o.csv", index=False)
-    return open_table(mission, tmp_path / "o.csv", Ledger())
+@pytest.fixture
+def opened(tmp_path):
+    """Opens a table of coordinates as a mission states it."""
+
+    def open_coordinates(mission, xy: np.ndarray):
+        table = pd.DataFrame(xy, columns=["x", "y"]).assign(image="a", point=range(len(xy)))
+        table.to_csv(tmp_path / "o.csv", index=False)
+        return open_table(mission, tmp_path / "o.csv", Ledger())
+
+    return open_coordinates
 
 
 FRAMES = {
@@ -62,31 +68,36 @@ FRAMES = {
 """Millimetres of pixels, by hand: 10 um across and 20 um down, from the middle."""
 
 
+def metric(**changed) -> dict:
+    """A camera whose report has other values."""
+    return CAMERA | {"metric": METRIC | changed}
+
+
 @pytest.mark.parametrize("axes", FRAMES)
 @pytest.mark.parametrize(("unit", "size"), [("mm", 1.0), ("um", 1000.0)])
-def test_coordinates_of_each_frame_are_pixels(tmp_path, axes, unit, size):
-    stated = mission(unit, {"c": CAMERA | {"metric": METRIC | {"axes": axes}}})
+def test_coordinates_of_each_frame_are_pixels(opened, axes, unit, size):
     given = FRAMES[axes](PIXELS) * size
-    (batch,) = opened(tmp_path, stated, given).batches(100)
+    (batch,) = opened(mission(unit, {"c": metric(axes=axes)}), given).batches(100)
     assert np.stack([batch.x_px, batch.y_px], 1) == pytest.approx(PIXELS)
     assert np.stack([batch.x_given_px, batch.y_given_px], 1) == pytest.approx(PIXELS)
     assert batch.users["x"].to_pylist() == pytest.approx(given[:, 0].tolist())
 
 
-def test_results_count_pixels_as_is_stated(tmp_path):
+def test_results_count_pixels_as_is_stated(opened):
     stated = mission("mm", pixel_origin="centre")
-    (batch,) = opened(tmp_path, stated, FRAMES["right up"](PIXELS)).batches(100)
+    (batch,) = opened(stated, FRAMES["right up"](PIXELS)).batches(100)
     assert batch.x_px == pytest.approx(PIXELS[:, 0])
     assert batch.x_given_px == pytest.approx(PIXELS[:, 0] - 0.5)
 
 
-def test_the_origin_may_be_a_pixel(tmp_path):
-    stated = mission("mm", {"c": CAMERA | {"metric": METRIC | {"origin": [3001.0, 998.0]}}})
-    (batch,) = opened(tmp_path, stated, np.zeros((1, 2))).batches(100)
-    assert (batch.x_px[0], batch.y_px[0]) == (3001.0, 998.0)
+def test_the_origin_may_be_a_pixel(opened):
+    stated = mission("mm", {"c": metric(origin=[3001.0, 998.0])})
+    (batch,) = opened(stated, np.zeros((1, 2))).batches(100)
+    assert batch.x_px[0] == 3001.0
+    assert batch.y_px[0] == 998.0
 
 
-OTHER = {"c": CAMERA, "d": CAMERA | {"metric": METRIC | {"axes": "right down"}}}
+OTHER = {"c": CAMERA, "d": metric(axes="right down")}
 PLAIN = {
     "width_px": 6000,
     "height_px": 2000,
@@ -101,8 +112,9 @@ PLAIN = {
     ("cameras", "why"), [({"c": PLAIN}, "needs cameras.c.metric"), (OTHER, "needs one frame")]
 )
 def test_millimetres_need_one_metric_frame(cameras, why):
-    with pytest.raises(ConfigError, match=why):
+    with refused("CONFIG-INVALID") as refusal:
         mission("mm", cameras)
+    assert why in str(refusal.value)
 
 
 def spread(share: float, seed: int = 3) -> np.ndarray:
@@ -111,37 +123,43 @@ def spread(share: float, seed: int = 3) -> np.ndarray:
     return np.array([3000.0, 1000.0]) + draw * [6000.0, 2000.0]
 
 
-def test_coordinates_in_their_unit_pass(tmp_path):
-    for unit, size in (("mm", 1.0), ("um", 1000.0)):
-        stated = mission(unit)
-        refuse_other_unit(stated, opened(tmp_path, stated, FRAMES["right up"](spread(0.9)) * size))
-    stated = mission("px")
-    refuse_other_unit(stated, opened(tmp_path, stated, spread(0.9)))
-    refuse_other_unit(stated, opened(tmp_path, stated, spread(1.3)))  # many outside, on all sides
+IN_MM = FRAMES["right up"](spread(0.9))
 
 
-@pytest.mark.parametrize(("size", "likely"), [(1.0, "mm"), (1000.0, "um")])
-def test_millimetres_that_are_taken_for_pixels_are_named(tmp_path, size, likely):
-    stated = mission("px")
-    table = opened(tmp_path, stated, FRAMES["right up"](spread(0.9)) * size)
-    with pytest.raises(InputError, match="OBS-UNIT") as refusal:
+@pytest.mark.parametrize(
+    ("unit", "coordinates"),
+    [
+        ("mm", IN_MM),
+        ("um", IN_MM * 1000.0),
+        ("px", spread(0.9)),
+        ("px", spread(1.3)),  # many outside, on all sides
+        ("px", IN_MM[:9]),  # few decide nothing
+    ],
+    ids=["mm", "um", "px", "outside", "few"],
+)
+def test_coordinates_in_their_unit_pass(opened, unit, coordinates):
+    stated = mission(unit)
+    refuse_other_unit(stated, opened(stated, coordinates))
+
+
+@pytest.mark.parametrize(
+    ("camera", "unit", "size"),
+    [(CAMERA, "mm", 1.0), (CAMERA, "um", 1000.0), (PLAIN, "mm", 1.0)],
+    ids=["mm", "um", "no report"],
+)
+def test_millimetres_that_are_taken_for_pixels_are_named(opened, camera, unit, size):
+    stated = mission("px", {"c": camera})
+    table = opened(stated, IN_MM * size)
+    with refused("OBS-UNIT") as refusal:
         refuse_other_unit(stated, table)
-    assert f"perhaps {likely} from its centre" in refusal.value.what
-    assert f"observations.unit: {likely}" in refusal.value.remedy
+    assert f"perhaps {unit} from its centre" in refusal.value.what
+    assert f"observations.unit: {unit}" in refusal.value.remedy
 
 
-def test_millimetres_of_a_camera_without_report_are_named(tmp_path):
-    stated = mission("px", {"c": PLAIN})
-    with pytest.raises(InputError, match="perhaps mm"):
-        refuse_other_unit(stated, opened(tmp_path, stated, FRAMES["right up"](spread(0.9))))
-
-
-def test_pixels_that_are_taken_for_millimetres_are_named(tmp_path):
+def test_pixels_that_are_taken_for_millimetres_are_named(opened):
     stated = mission("mm")
-    with pytest.raises(InputError, match=r"read in mm, .* are outside the image"):
-        refuse_other_unit(stated, opened(tmp_path, stated, spread(0.9)))
-
-
-def test_few_observations_decide_nothing(tmp_path):
-    stated = mission("px")
-    refuse_other_unit(stated, opened(tmp_path, stated, FRAMES["right up"](spread(0.9))[:9]))
+    table = opened(stated, spread(0.9))
+    with refused("OBS-UNIT") as refusal:
+        refuse_other_unit(stated, table)
+    assert "read in mm, " in refusal.value.what
+    assert " are outside the image" in refusal.value.what

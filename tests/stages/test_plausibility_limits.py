@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from unbend.refraction import BrownConrady, Camera
+from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.stages.plausibility import rules
 
 TAKEOFF = SimpleNamespace(h_msl_m=400.0, lat_rad=0.8, lon_rad=0.2, stands=True)
@@ -38,17 +39,16 @@ def mission(**sections: Any) -> dict[str, SimpleNamespace]:
     return {"mission": SimpleNamespace(**({"ground": GROUND} | sections))}
 
 
-def values_of(rule: Any, made: SimpleNamespace) -> list[dict[str, Any]]:
-    """What each finding of a rule names."""
-    return [{"where": finding.where, **finding.values} for finding in rule(made)]
+def found(rule: Any, made: SimpleNamespace, name: str) -> Any:
+    """What the finding of a rule names, or its place; None where there is no finding."""
+    values = [{"where": finding.where, **finding.values}[name] for finding in rule(made)]
+    assert len(values) < 2
+    return values[0] if values else None
 
 
 def ground(km_north: float, height_m: float) -> SimpleNamespace:
-    stations = SimpleNamespace(
-        ok=np.array([True]),
-        lat_rad=np.array([0.8 + km_north / 6371.0]),
-        lon_rad=np.array([0.2]),
-    )
+    lat_rad = np.array([0.8 + km_north / 6371.0])
+    stations = SimpleNamespace(ok=np.array([True]), lat_rad=lat_rad, lon_rad=np.array([0.2]))
     return facts(stations=stations, rows=SimpleNamespace(h_g_m=np.array([height_m, np.nan])))
 
 
@@ -66,41 +66,40 @@ def ground(km_north: float, height_m: float) -> SimpleNamespace:
     ],
 )
 def test_the_ground_lies_near_the_takeoff(km, height_m, off_m):
-    found = values_of(rules.ground_beside_takeoff, ground(km, height_m))
-    assert [value["off_m"] for value in found] == ([] if off_m is None else [pytest.approx(off_m)])
-    if found:
-        assert found[0]["height_m"] == height_m
-        assert found[0]["allowed_m"] == pytest.approx(300.0 + 20.0 * km, abs=0.1)
-        assert found[0]["reference"] == f"the take-off, {km:.0f} km away"
+    made = ground(km, height_m)
+    assert found(rules.ground_beside_takeoff, made, "off_m") == pytest.approx(off_m)
+
+
+def test_the_ground_far_below_the_takeoff_in_numbers():
+    (finding,) = rules.ground_beside_takeoff(ground(10.0, -101.0))
+    assert finding.where == "ground.height"
+    assert finding.values["height_m"] == -101.0
+    assert finding.values["allowed_m"] == pytest.approx(500.0, abs=0.1)
+    assert finding.values["reference"] == "the take-off, 10 km away"
 
 
 @pytest.mark.parametrize(
-    ("above_m", "nadir_rad", "is_off"),
+    ("above_m", "nadir_rad", "off_m"),
     [
-        ([49.0] * 5, 0.1, False),
-        ([51.0] * 5, 0.1, True),
-        ([-51.0] * 5, 0.1, True),
-        ([51.0] * 5, 0.49, True),
-        ([51.0] * 5, 0.51, False),  # these rays land elsewhere
+        ([49.0] * 5, 0.1, None),
+        ([51.0] * 5, 0.1, 51.0),
+        ([-51.0] * 5, 0.1, -51.0),
+        ([51.0] * 5, 0.49, 51.0),
+        ([51.0] * 5, 0.51, None),  # these rays land elsewhere
         # percentiles 16 and 84 of the scatter: 68 m apart; 34 m are allowed more
-        ([33.0, 58.0, 83.0, 108.0, 133.0], 0.1, False),
-        ([35.0, 60.0, 85.0, 110.0, 135.0], 0.1, True),
+        ([33.0, 58.0, 83.0, 108.0, 133.0], 0.1, None),
+        ([35.0, 60.0, 85.0, 110.0, 135.0], 0.1, 85.0),
     ],
 )
-def test_the_ground_lies_near_the_logged_terrain(above_m, nadir_rad, is_off):
-    made = facts(
-        logged_terrain_m=np.array([450.0, 620.0]),
-        rows=SimpleNamespace(
-            station=np.array([0, 1, 0, 1, -1, 0]),
-            h_g_m=np.array([450.0, 620.0, 450.0, 620.0, 9e3, 450.0]) + np.insert(above_m, 4, 0.0),
-        ),
-        nadir_angle_rad=np.full(6, nadir_rad),
+def test_the_ground_lies_near_the_logged_terrain(above_m, nadir_rad, off_m):
+    terrain_m = np.array([450.0, 620.0, 450.0, 620.0, 9e3, 450.0])
+    rows = SimpleNamespace(
+        station=np.array([0, 1, 0, 1, -1, 0]), h_g_m=terrain_m + np.insert(above_m, 4, 0.0)
     )
-    found = values_of(rules.ground_beside_terrain, made)
-    assert len(found) == is_off
-    if found:
-        assert found[0]["off_m"] == pytest.approx(np.median(above_m))
-        assert found[0]["height_m"] == pytest.approx(450.0 + np.median(above_m))
+    made = facts(logged_terrain_m=terrain_m[:2], rows=rows, nadir_angle_rad=np.full(6, nadir_rad))
+    assert found(rules.ground_beside_terrain, made, "off_m") == pytest.approx(off_m)
+    height_m = None if off_m is None else pytest.approx(450.0 + off_m)
+    assert found(rules.ground_beside_terrain, made, "height_m") == height_m
 
 
 @pytest.mark.parametrize(
@@ -109,10 +108,8 @@ def test_the_ground_lies_near_the_logged_terrain(above_m, nadir_rad, is_off):
 )
 def test_the_elevation_model_lies_near_the_takeoff(model_m, stands, off_m):
     takeoff = SimpleNamespace(**(vars(TAKEOFF) | {"stands": stands}))
-    found = values_of(
-        rules.model_beside_takeoff, facts(takeoff=takeoff, model_at_takeoff_m=model_m)
-    )
-    assert [value["off_m"] for value in found] == ([] if off_m is None else [off_m])
+    made = facts(takeoff=takeoff, model_at_takeoff_m=model_m)
+    assert found(rules.model_beside_takeoff, made, "off_m") == off_m
 
 
 @pytest.mark.parametrize(
@@ -132,25 +129,34 @@ def test_the_reading_that_explains_a_difference_best_is_likely(off_m, ground_m, 
 
 
 @pytest.mark.parametrize(
-    ("view_deg", "is_wrong"),
-    [(2.9, True), (3.0, False), (130.0, False), (130.1, True)],
+    ("view_deg", "told_deg"), [(2.9, 2.9), (3.0, None), (130.0, None), (130.1, 130.1)]
 )
-def test_a_field_of_view_is_that_of_a_camera(view_deg, is_wrong):
-    found = values_of(rules.field_of_view, facts(view_deg=lambda name: view_deg))
-    assert len(found) == is_wrong
-    for value in found:
-        assert value["where"] == "cameras.nadir.fx_px"
-        assert (value["view"], value["least"], value["most"]) == (view_deg, 3.0, 130.0)
-        assert (value["width_px"], value["height_px"], value["fx_px"]) == (4000, 3000, 3500.0)
+def test_a_field_of_view_is_that_of_a_camera(view_deg, told_deg):
+    made = facts(view_deg=lambda name: view_deg)
+    assert found(rules.field_of_view, made, "view") == told_deg
+
+
+def test_a_wide_field_of_view_in_numbers():
+    (finding,) = rules.field_of_view(facts(view_deg=lambda name: 131.0))
+    assert finding.where == "cameras.nadir.fx_px"
+    assert finding.values == {
+        "name": "nadir",
+        "view": 131.0,
+        "least": 3.0,
+        "most": 130.0,
+        "width_px": 4000,
+        "height_px": 3000,
+        "fx_px": 3500.0,
+    }
 
 
 @pytest.mark.parametrize(
-    ("fx_px", "is_wrong"), [(3569.0, False), (3571.0, True), (3431.0, False), (3429.0, True)]
+    ("fx_px", "told_px"), [(3569.0, None), (3571.0, 3571.0), (3431.0, None), (3429.0, 3429.0)]
 )
-def test_pixels_are_square_within_two_percent(fx_px, is_wrong):
-    camera = replace(CAMERA, fx_px=fx_px)
-    found = values_of(rules.field_of_view, facts(cameras={"nadir": camera}))
-    assert [(value["fx_px"], value["fy_px"]) for value in found] == [(fx_px, 3500.0)] * is_wrong
+def test_pixels_are_square_within_two_percent(fx_px, told_px):
+    made = facts(cameras={"nadir": replace(CAMERA, fx_px=fx_px)})
+    assert found(rules.field_of_view, made, "fx_px") == told_px
+    assert found(rules.field_of_view, made, "fy_px") == (told_px and 3500.0)
 
 
 @pytest.mark.parametrize(
@@ -165,11 +171,9 @@ def test_pixels_are_square_within_two_percent(fx_px, is_wrong):
     ],
 )
 def test_the_principal_point_lies_near_the_centre(cx_px, cy_px, percent):
-    camera = replace(CAMERA, cx_px=cx_px, cy_px=cy_px)
-    found = values_of(rules.principal_point, facts(cameras={"nadir": camera}))
-    assert [value["percent"] for value in found] == (
-        [] if percent is None else [pytest.approx(percent)]
-    )
+    made = facts(cameras={"nadir": replace(CAMERA, cx_px=cx_px, cy_px=cy_px)})
+    assert found(rules.principal_point, made, "percent") == pytest.approx(percent)
+    assert found(rules.principal_point, made, "where") == (percent and "cameras.nadir.cx_px")
 
 
 def test_the_distortion_at_the_corners_is_a_share_of_the_radius():
@@ -196,7 +200,7 @@ def test_the_distortion_at_the_corners_is_a_share_of_the_radius():
 def test_distortions_have_the_size_of_a_lens(k1, view_deg, is_wrong):
     camera = replace(CAMERA, distortion=BrownConrady(k1=k1))
     made = facts(cameras={"nadir": camera}, view_deg=lambda name: view_deg)
-    assert len(values_of(rules.distortion, made)) == is_wrong
+    assert (found(rules.distortion, made, "share") is not None) == is_wrong
 
 
 @pytest.mark.parametrize(
@@ -211,41 +215,37 @@ def test_distortions_have_the_size_of_a_lens(k1, view_deg, is_wrong):
 )
 def test_tangential_terms_are_small(p1, p2, k3, most):
     camera = replace(CAMERA, distortion=BrownConrady(k1=-0.05, k3=k3, p1=p1, p2=p2))
-    found = values_of(rules.distortion, facts(cameras={"nadir": camera}))
-    assert [value["most"] for value in found] == ([] if most is None else [most])
+    assert found(rules.distortion, facts(cameras={"nadir": camera}), "most") == most
 
 
-def pixels(x_px: list[float], y_px: list[float]) -> SimpleNamespace:
-    rows = SimpleNamespace(x_px=np.array(x_px), y_px=np.array(y_px))
-    return facts(rows=rows, camera=np.full(len(x_px), "nadir"))
+def extent(pixels: list[tuple[float, float]], name: str) -> Any:
+    x_px, y_px = np.array(pixels).T
+    rows = SimpleNamespace(x_px=x_px, y_px=y_px)
+    made = facts(rows=rows, camera=np.full(len(pixels), "nadir"))
+    return found(rules.extent_of_observations, made, name)
 
 
+@pytest.mark.parametrize("beside", [(4001.0, 10.0), (-1.0, 10.0), (10.0, 3001.0), (10.0, -1.0)])
 @pytest.mark.parametrize(
     ("number", "outside", "share"), [(200, 2, None), (200, 3, 1.5), (100, 1, None), (100, 2, 2.0)]
 )
-def test_hardly_any_observation_lies_outside_its_image(number, outside, share):
-    inside = number - outside
-    for beside in ((4001.0, 10.0), (-1.0, 10.0), (10.0, 3001.0), (10.0, -1.0)):
-        made = pixels(
-            [3900.0] * inside + [beside[0]] * outside, [10.0] * inside + [beside[1]] * outside
-        )
-        found = values_of(rules.extent_of_observations, made)
-        assert [value["outside"] for value in found] == ([] if share is None else [share])
+def test_hardly_any_observation_lies_outside_its_image(number, outside, share, beside):
+    pixels = [(3900.0, 10.0)] * (number - outside) + [beside] * outside
+    assert extent(pixels, "outside") == share
 
 
 @pytest.mark.parametrize(
-    ("number", "x_px", "y_px", "is_small"),
+    ("number", "pixel", "is_small"),
     [
-        (100, 2790.0, 2090.0, True),  # less than 0.7 of both sides
-        (100, 2810.0, 2090.0, False),
-        (100, 2790.0, 2110.0, False),
-        (99, 2790.0, 2090.0, False),
+        (100, (2790.0, 2090.0), True),  # less than 0.7 of both sides
+        (100, (2810.0, 2090.0), False),
+        (100, (2790.0, 2110.0), False),
+        (99, (2790.0, 2090.0), False),
     ],
 )
-def test_many_observations_fill_their_image(number, x_px, y_px, is_small):
-    made = pixels([x_px] * number, [y_px] * number)
-    found = values_of(rules.extent_of_observations, made)
-    assert [value["mistake"] for value in found] == ["measured in reduced images"] * is_small
+def test_many_observations_fill_their_image(number, pixel, is_small):
+    mistake = extent([pixel] * number, "mistake")
+    assert mistake == ("measured in reduced images" if is_small else None)
 
 
 @pytest.mark.parametrize(
@@ -265,15 +265,15 @@ def test_what_pixels_outside_likely_are(x_px, y_px, says):
 @pytest.mark.parametrize(
     ("name", "axis_deg", "view_deg", "says"),
     [
-        ("wing", 79.0, 60.0, ""),
+        ("wing", 79.0, 60.0, None),
         ("wing", 81.0, 60.0, "not -90"),
         ("wing", 87.0, 8.0, "not -90"),
-        ("wing", 85.0, 8.0, ""),
-        ("Nadir", 29.0, 60.0, ""),
+        ("wing", 85.0, 8.0, None),
+        ("Nadir", 29.0, 60.0, None),
         ("Nadir", 31.0, 60.0, "within 30 deg"),
-        ("wing", 31.0, 60.0, ""),
+        ("wing", 31.0, 60.0, None),
         ("oblique_left", 9.0, 60.0, "more than 10 deg"),
-        ("oblique_left", 11.0, 60.0, ""),
+        ("oblique_left", 11.0, 60.0, None),
     ],
 )
 def test_cameras_look_where_their_names_say(name, axis_deg, view_deg, says):
@@ -283,11 +283,10 @@ def test_cameras_look_where_their_names_say(name, axis_deg, view_deg, says):
         view_deg=lambda name: view_deg,
         **mission(attitude_key=lambda name: f"mount.{name}"),
     )
-    found = values_of(rules.direction_of_cameras, made)
-    assert len(found) == bool(says)
-    for value in found:
-        assert (value["where"], value["axis"]) == (f"mount.{name}", axis_deg)
-        assert says in value["expected"]
+    expected = found(rules.direction_of_cameras, made, "expected")
+    assert (expected is None) if says is None else (says in expected)
+    assert found(rules.direction_of_cameras, made, "axis") == (says and axis_deg)
+    assert found(rules.direction_of_cameras, made, "where") == (says and f"mount.{name}")
 
 
 @pytest.mark.parametrize(
@@ -304,96 +303,103 @@ def test_cameras_look_where_their_names_say(name, axis_deg, view_deg, says):
 )
 def test_angles_of_mounts_are_in_degrees(roll, deg):
     mount = SimpleNamespace(roll_deg=roll, pitch_deg=0.0, yaw_deg=0.0)
-    found = values_of(rules.angles_of_mounts, facts(**mission(mount={"nadir": mount})))
-    assert [value["deg"] for value in found] == (
-        [] if deg is None else [pytest.approx(deg, abs=0.01)]
-    )
-    assert [value["where"] for value in found] == ["mount.nadir.roll_deg"] * len(found)
+    made = facts(**mission(mount={"nadir": mount}))
+    assert found(rules.angles_of_mounts, made, "deg") == pytest.approx(deg, abs=0.01)
+    assert found(rules.angles_of_mounts, made, "where") == (deg and "mount.nadir.roll_deg")
 
 
 @pytest.mark.parametrize(
-    ("lever_arm_m", "down", "number"),
+    ("lever_arm_m", "down", "name", "told_m"),
     [
-        ([6.0, 7.9, 0.5], 1.0, 0),  # 9.93 m
-        ([6.0, 8.1, 0.5], 1.0, 1),  # 10.09 m
-        ([0.0, 0.0, -0.24], 1.0, 0),
-        ([0.0, 0.0, -0.26], 1.0, 1),  # above the antenna
-        ([0.0, 0.0, -0.26], 0.49, 0),
-        ([0.0, 0.0, -0.26], 0.51, 1),
+        ([6.0, 7.9, 0.5], 1.0, "length", None),  # 9.93 m
+        ([6.0, 8.1, 0.5], 1.0, "length", 10.0925715),
+        ([0.0, 0.0, -0.24], 1.0, "up", None),
+        ([0.0, 0.0, -0.26], 1.0, "up", 0.26),  # above the antenna
+        ([0.0, 0.0, -0.26], 0.49, "up", None),
+        ([0.0, 0.0, -0.26], 0.51, "up", 0.26),
     ],
 )
-def test_lever_arms_are_those_of_an_aircraft(lever_arm_m, down, number):
-    rotation = np.diag([1.0, 1.0, down])
-    made = facts(
-        **mission(
-            mount={"nadir": SimpleNamespace(lever_arm_m=lever_arm_m)},
-            mounts={"nadir": SimpleNamespace(camera_from_body=rotation)},
-        )
-    )
-    assert len(values_of(rules.lever_arms, made)) == number
+def test_lever_arms_are_those_of_an_aircraft(lever_arm_m, down, name, told_m):
+    mount = SimpleNamespace(lever_arm_m=lever_arm_m)
+    axes = SimpleNamespace(camera_from_body=np.diag([1.0, 1.0, down]))
+    made = facts(**mission(mount={"nadir": mount}, mounts={"nadir": axes}))
+    assert found(rules.lever_arms, made, name) == pytest.approx(told_m)
+    assert found(rules.lever_arms, made, "where") == (told_m and "mount.nadir.lever_arm_m")
 
 
 @pytest.mark.parametrize(
-    ("sigma_m", "delay_s", "wheres"),
+    ("sigma_m", "delay_s", "where"),
     [
-        (50.0, 1.0, []),
-        (50.1, -1.0, ["ground.sigma_m"]),
-        (None, 1.01, ["events.log.nadir.delay_s"]),
-        (None, -1.01, ["events.log.nadir.delay_s"]),
+        (50.0, 1.0, None),
+        (50.1, -1.0, "ground.sigma_m"),
+        (None, 1.01, "events.log.nadir.delay_s"),
+        (None, -1.01, "events.log.nadir.delay_s"),
     ],
 )
-def test_sigmas_and_delays_have_the_size_of_their_unit(sigma_m, delay_s, wheres):
+def test_sigmas_and_delays_have_the_size_of_their_unit(sigma_m, delay_s, where):
     events = SimpleNamespace(log={"nadir": SimpleNamespace(delay_s=delay_s)})
     made = facts(**mission(ground=SimpleNamespace(sigma_m=sigma_m), events=events))
-    assert [value["where"] for value in values_of(rules.sigmas_and_delays, made)] == wheres
+    assert found(rules.sigmas_and_delays, made, "where") == where
 
 
-@pytest.mark.parametrize(("tilt_deg", "leans"), [(34.9, False), (35.1, True)])
-def test_a_window_is_square_to_its_camera(tilt_deg, leans):
+@pytest.mark.parametrize(("tilt_deg", "told_deg"), [(34.9, None), (35.1, 35.1)])
+def test_a_window_is_square_to_its_camera(tilt_deg, told_deg):
     tilt = math.radians(tilt_deg)
     window = SimpleNamespace(
         frame="camera", normal=(math.sin(tilt), 0.0, math.cos(tilt)), section="window"
     )
     in_body = SimpleNamespace(frame="body", normal=(1.0, 0.0, 0.0), section="window")
-    windows = {"nadir": window, "wing": in_body}
-    found = values_of(rules.windows, facts(**mission(log=None, windows=windows)))
-    assert [value["where"] for value in found] == ["cameras.nadir.window.frame"] * leans
-    for value in found:
-        assert value["tilt"] == pytest.approx(tilt_deg)
+    made = facts(**mission(log=None, windows={"nadir": window, "wing": in_body}))
+    assert found(rules.windows, made, "tilt") == pytest.approx(told_deg)
+    assert found(rules.windows, made, "where") == (told_deg and "cameras.nadir.window.frame")
 
 
 @pytest.mark.parametrize(
-    ("ratio", "nadir_rad", "is_off"),
+    ("ratio", "nadir_rad", "told"),
     [
-        (0.71, 0.5, False),
-        (0.69, 0.5, True),
-        (1.39, 0.5, False),
-        (1.41, 0.5, True),
-        (0.3048, 1.39, True),
-        (0.3048, 1.41, False),
+        (0.71, 0.5, None),
+        (0.69, 0.5, 0.69),
+        (1.39, 0.5, None),
+        (1.41, 0.5, 1.41),
+        (0.3048, 1.39, 0.3048),
+        (0.3048, 1.41, None),
     ],
 )
-def test_slant_ranges_fit_the_heights(ratio, nadir_rad, is_off):
+def test_slant_ranges_fit_the_heights(ratio, nadir_rad, told):
+    distance_m = ratio * 1500.0 / math.cos(nadir_rad)
     made = facts(
         camera_height_m=np.array([2000.0]),
         nadir_angle_rad=np.array([nadir_rad]),
-        rows=SimpleNamespace(
-            h_g_m=np.array([500.0]), distance_m=np.array([ratio * 1500.0 / math.cos(nadir_rad)])
-        ),
+        rows=SimpleNamespace(h_g_m=np.array([500.0]), distance_m=np.array([distance_m])),
     )
-    found = values_of(rules.slant_ranges, made)
-    assert [value["ratio"] for value in found] == [pytest.approx(ratio)] * is_off
+    assert found(rules.slant_ranges, made, "ratio") == pytest.approx(told)
+
+
+@pytest.mark.parametrize(("weight", "percent"), [(0.99, None), (1.01, 20.16)])
+def test_a_fifth_of_the_observations_may_be_flagged_for_one_cause(weight, percent):
+    """A row of the sample counts for as many observations as it stands for."""
+    columns = SimpleNamespace(x_px="x_px", y_px="y_px")
+    stations = SimpleNamespace(ok=np.array([True]), status=np.array(["ok"]))
+    flagged = np.array([STATUS_NAMES.index("no_ground"), STATUS_NAMES.index("ok")])
+    made = facts(
+        **mission(observations=SimpleNamespace(columns=columns)),
+        stations=stations,
+        rows=SimpleNamespace(status=flagged, weight=np.array([weight, 4.0])),
+    )
+    assert found(rules.flagged_rows, made, "percent") == pytest.approx(percent, abs=0.01)
+    assert found(rules.flagged_rows, made, "most") == (percent and 20.0)
 
 
 @pytest.mark.parametrize(
-    ("direction", "orientation", "is_wrong"),
-    [("apply", None, True), ("remove", None, False), ("apply", object(), False)],
+    ("direction", "orientation", "where"),
+    [
+        ("apply", None, "refraction.direction"),
+        ("remove", None, None),
+        ("apply", object(), None),
+    ],
 )
-def test_refraction_is_not_applied_to_measured_observations(direction, orientation, is_wrong):
-    made = facts(
-        **mission(
-            refraction=SimpleNamespace(direction=direction),
-            stations=SimpleNamespace(orientation=orientation),
-        )
-    )
-    assert len(values_of(rules.measured_observations, made)) == is_wrong
+def test_refraction_is_not_applied_to_measured_observations(direction, orientation, where):
+    refraction = SimpleNamespace(direction=direction)
+    stations = SimpleNamespace(orientation=orientation)
+    made = facts(**mission(refraction=refraction, stations=stations))
+    assert found(rules.measured_observations, made, "where") == where

@@ -63,25 +63,24 @@ def test_shifts_are_averaged_where_they_are():
 
 
 def test_every_quantity_is_counted_in_its_own_unit():
-    n = 3
     arcsec = np.pi / 180.0 / 3600.0
     statistics = ShiftStatistics(1400, 1000)
-    statistics.add(
-        np.full(n, 700.0),
-        np.full(n, 500.0),
-        corrections_of(
-            dx_px=np.array([3.0, 3.0, np.nan]),
-            dy_px=np.array([4.0, 4.0, np.nan]),
-            shift_ground_m=np.full(n, 0.25),
-            r_c_rad=np.full(n, 20.0 * arcsec),
-            r_cc_rad=np.full(n, -12.0 * arcsec),
-        ),
+    corrections = corrections_of(
+        dx_px=np.array([3.0, 3.0, np.nan]),
+        dy_px=np.array([4.0, 4.0, np.nan]),
+        shift_ground_m=np.full(3, 0.25),
+        r_c_rad=np.full(3, 20.0 * arcsec),
+        r_cc_rad=np.full(3, -12.0 * arcsec),
     )
-    of = {name: distribution.summary() for name, distribution in statistics.distributions.items()}
-    assert {name: row.maximum for name, row in of.items()} == {
+    statistics.add(np.full(3, 700.0), np.full(3, 500.0), corrections)
+    largest = {
         "shift_px": 5.0,
         "shift_ground_m": 0.25,
         "refraction_arcsec": 20.0,
         "window_arcsec": 12.0,
     }
-    assert all(row.count == 2 for row in of.values())
+    assert set(statistics.distributions) == set(largest)
+    for name, distribution in statistics.distributions.items():
+        summary = distribution.summary()
+        assert summary.count == 2
+        assert summary.maximum == largest[name]

@@ -2,74 +2,52 @@
 
 from __future__ import annotations
 
-import json
 import struct
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from tests.helpers import with_code
+from tests.stages.dataflash_records import records, times_us
+from unbend.batch.runs import read_mission
+
 pytestmark = pytest.mark.usefixtures("plain_report")
 
-SIZES = {"Q": 8, "L": 4, "I": 4, "f": 4, "e": 4, "c": 2, "C": 2, "H": 2, "B": 1, "b": 1, "E": 4}
-NORTH_M = 77.0
+LATITUDE_OF_77_M = round(np.degrees(77.0 / 6.371e6) * 1e7)
+AROUND_US = 2_000_000
 
 
-def records(content: bytes):
-    """Start, name, format letters, columns and time of each record that begins with one."""
-    formats: dict[int, tuple[str, int, str, list[str]]] = {}
-    i = 0
-    while i + 3 <= len(content):
-        kind = content[i + 2]
-        if kind == 128:
-            name = content[i + 5 : i + 9]
-            letters = content[i + 9 : i + 25]
-            formats[content[i + 3]] = (
-                name.rstrip(b"\0").decode(),
-                content[i + 4],
-                letters.rstrip(b"\0").decode(),
-                content[i + 25 : i + 89].rstrip(b"\0").decode().split(","),
-            )
-            i += 89
-            continue
-        name, length, letters, columns = formats[kind]
-        yield i, name, letters, columns, int.from_bytes(content[i + 3 : i + 11], "little")
-        i += length
-
-
-def moved(
-    content: bytes, first_us: float, last_us: float, names: set[str], *, column: str, by: int
-) -> bytes:
-    """The log with a column of messages changed between two times, in the log's own unit."""
+def move(mission, names: set[str], column: str, by: int, first_us: float, last_us: float) -> None:
+    """Change a column of messages of the log between two times, in the log's own unit."""
+    content = mission.log.read_bytes()
     changed = bytearray(content)
-    for at, name, letters, columns, time_us in records(content):
-        if name in names and first_us <= time_us <= last_us:
-            where = at + 3 + sum(SIZES[x] for x in letters[: columns.index(column)])
-            (value,) = struct.unpack_from("<i", content, where)
-            struct.pack_into("<i", changed, where, value + by)
-    return bytes(changed)
+    for record in records(content):
+        if record.name in names and first_us <= record.time_us <= last_us:
+            field = record.fields()[column]
+            (value,) = struct.unpack_from(field.code, content, field.start)
+            struct.pack_into(field.code, changed, field.start, value + by)
+    mission.log.write_bytes(changed)
 
 
-def moved_north(content: bytes, first_us: int, last_us: int, names: set[str]) -> bytes:
-    """The log with the latitudes of messages moved by 77 m between two times."""
-    by = round(np.degrees(NORTH_M / 6.371e6) * 1e7)
-    return moved(content, first_us, last_us, names, column="Lat", by=by)
+def move_north(mission, names: set[str]) -> None:
+    """Messages of the log are 77 m off for 4 s around the first two exposures."""
+    shot_us = min(times_us(mission.log.read_bytes(), "CAM"))
+    first_us = shot_us - AROUND_US
+    last_us = shot_us + AROUND_US
+    move(mission, names, "Lat", LATITUDE_OF_77_M, first_us, last_us)
 
 
 @pytest.fixture
 def glitch(mission):
-    """The mission with a receiver and a filter 77 m off for 4 s around its first two exposures."""
-    content = mission.log.read_bytes()
-    shot = min(time for _, name, _, _, time in records(content) if name == "CAM")
-    moved = moved_north(content, shot - 2_000_000, shot + 2_000_000, {"GPS", "POS"})
-    mission.log.write_bytes(moved)
+    """The mission with a receiver and a filter that are off together."""
+    move_north(mission, {"GPS", "POS"})
     return mission
 
 
-def suspicions(mission) -> list[str]:
-    manifest = json.loads((mission.output / "manifest.json").read_text())
-    wanted = ("loss", "STATIONS-SUSPECT")
-    return [e["what"] for e in manifest["ledger"] if (e["kind"], e["code"]) == wanted]
+def suspicions(manifest) -> list[str]:
+    entries = [entry for entry in manifest["ledger"] if entry["code"] == "STATIONS-SUSPECT"]
+    return [entry["what"] for entry in entries if entry["kind"] == "loss"]
 
 
 def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(glitch):
@@ -86,16 +64,15 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
     assert suspect.sum() == 2
     assert (stations.loc[~suspect, "status"] == "ok").all()
     assert stations.loc[suspect, "suspect_m"].between(70.0, 84.0).all()
-    assert (
-        stations.loc[suspect, "suspect_reason"].str.contains("GPS[0] steps at", regex=False).all()
-    )
+    reason = stations.loc[suspect, "suspect_reason"]
+    assert reason.str.contains("GPS[0] steps at", regex=False).all()
     assert stations.loc[~suspect, "suspect_reason"].isna().all()
     rows = glitch.results().to_pandas()
     of_suspect = rows["image"].isin(stations.loc[suspect, "image"])
     assert of_suspect.any()
     assert set(rows.loc[of_suspect, "status"]) == {"no_station"}
     assert set(rows.loc[~of_suspect, "status"]) == {"ok"}
-    told = suspicions(glitch)  # one entry a camera
+    told = suspicions(glitch.manifest())  # one entry a camera
     assert len(told) == 2
     assert all(what.startswith("1 exposure from 2025-06-12T") for what in told)
     assert all("position is suspect, up to 77 m off" in what for what in told)
@@ -103,50 +80,44 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
 
 def test_use_suspect_corrects_them_and_ends_with_three_all_the_same(glitch, unbend):
     glitch.config["stations"] = {"use_suspect": True}
-    ended = glitch.run()
-    assert ended.code == 3, ended.text
+    manifest = glitch.run_to_manifest(3)
     stations = glitch.stations().to_pandas()
     assert (stations["status"] == "suspect").sum() == 2
     assert stations["profile_id"].notna().all()
     rows = glitch.results().to_pandas()
     assert set(rows["status"]) == {"ok"}
     assert rows["x_corrected_px"].notna().all()
-    assert len(suspicions(glitch)) == 2
+    assert len(suspicions(manifest)) == 2
     # The finished run knows that they were used: an export computes its corrections again.
-    exported = unbend(
-        "export", glitch.output, "--format", "lattice-csv", "--out", glitch.folder / "l.csv"
-    )
+    path = glitch.folder / "l.csv"
+    exported = unbend("export", glitch.output, "--format", "lattice-csv", "--out", path)
     assert exported.code == 0, exported.text
-    text = (glitch.folder / "l.csv").read_text()
+    text = path.read_text()
     assert all(image in text for image in stations["image"])
 
 
 def test_a_filter_that_stays_where_it_was_is_not_suspect(mission):
     """The receiver alone jumps and returns: the filter's position, which is used, is right."""
-    content = mission.log.read_bytes()
-    shot = min(time for _, name, _, _, time in records(content) if name == "CAM")
-    mission.log.write_bytes(moved_north(content, shot - 2_000_000, shot + 2_000_000, {"GPS"}))
-    ended = mission.run()
-    assert ended.code == 0, ended.text
-    assert set(mission.stations()["status"].to_pylist()) == {"ok"}
+    move_north(mission, {"GPS"})
+    prepared = read_mission(mission.save())
+    assert prepared.stations.ok.all()
+    assert not prepared.ledger.has_losses
 
 
 def test_air_is_not_sampled_at_heights_that_the_barometer_contradicts(mission, baseline):
     """80 m for a sixth of the flight, too long for the barometer to replace them."""
-    content = mission.log.read_bytes()
-    times = [time for _, name, _, _, time in records(content) if name == "GPS"]
-    begin = times[0] + 0.4 * (times[-1] - times[0])
-    end = begin + (times[-1] - times[0]) / 6.0
-    mission.log.write_bytes(moved(content, begin, end, {"GPS"}, column="Alt", by=8_000))
-    ended = mission.run()
-    assert ended.code == 3, ended.text
-    manifest = json.loads((mission.output / "manifest.json").read_text())
-    entries = [e for e in manifest["ledger"] if e["code"] == "AIR-SUSPECT-HEIGHT"]
-    assert {e["kind"] for e in entries} == {"warning"}
-    assert sum(e["count"] for e in entries) > 100
-    profile, clean = (
-        pd.read_parquet(folder.output / "profile.parquet") for folder in (mission, baseline)
-    )
-    for column, allowed in (("temperature_k", 0.15), ("refractivity", 1e-7)):
-        there = np.interp(clean["h_m"], profile["h_m"], profile[column])
-        np.testing.assert_allclose(there, clean[column], rtol=0.0, atol=allowed)
+    times = times_us(mission.log.read_bytes(), "GPS")
+    duration_us = times[-1] - times[0]
+    begin_us = times[0] + 0.4 * duration_us
+    move(mission, {"GPS"}, "Alt", 8_000, begin_us, begin_us + duration_us / 6.0)
+    prepared = read_mission(mission.save())
+    assert prepared.ledger.has_losses
+    told = with_code(prepared.ledger, "AIR-SUSPECT-HEIGHT")
+    assert {message.kind for message in told} == {"warning"}
+    assert sum(message.count for message in told) > 100
+    profile = prepared.air.adjustment.profile
+    clean = pd.read_parquet(baseline.output / "profile.parquet")
+    temperature = profile.temperature(clean["h_m"].to_numpy())
+    refractivity = profile.refractivity(clean["h_m"].to_numpy())
+    np.testing.assert_allclose(temperature, clean["temperature_k"], rtol=0.0, atol=0.15)
+    np.testing.assert_allclose(refractivity, clean["refractivity"], rtol=0.0, atol=1e-7)

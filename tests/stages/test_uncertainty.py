@@ -1,88 +1,63 @@
 """Standard deviations from the mission file to the results, and what is said where there are none.
 
 The covariance here is that of the pressure alone: R goes with pressure, so its relative error is
-that of the pressure, whatever the ray. What a window makes of it is seen in runs whose air has that
-much more and less of it.
+that of the pressure, whatever the ray. What a window makes of it is seen in corrections in air that
+has that much more and less of it.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
-import pyarrow.parquet as pq
 import pytest
-from scipy.spatial.transform import Rotation
 
+from tests.helpers import refused, with_code
+from tests.stages.block_files import CABIN
+from tests.stages.corrected_rows import corrected
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.batch.runs import read_mission
-from unbend.flight.trajectory import _Curve
-from unbend.stages import story as stages
-from unbend.stages.uncertainty import station_sigmas
-
-pytestmark = pytest.mark.usefixtures("plain_report")
+from unbend.flight.stations import STATION_OK, empty_stations
+from unbend.refraction.uncertainty.sigmas import FOLLOWING, OPEN, SCHEDULED, SEALED
+from unbend.stages.uncertainty import has_any_sigma, kinds_of_windows, station_sigmas
 
 LN_P = 0.004
-COLUMNS = {
-    kind: [f"sigma_{kind}_dx_px", f"sigma_{kind}_dy_px"] for kind in ("air", "station", "ground")
-}
+AIR = ["sigma_air_dx_px", "sigma_air_dy_px"]
+STATION = ["sigma_station_dx_px", "sigma_station_dy_px"]
+GROUND = ["sigma_ground_dx_px", "sigma_ground_dy_px"]
+SIDEWAYS = {"frame": "body", "normal": [0.0, 0.5735764, 0.8191520]}
 
 
-def with_covariance(monkeypatch, covariance_of):
-    """Runs whose air, all of it, has this covariance."""
-    original = stages.adjusted_profiles
-
-    def adjusted_profiles(*given):
-        air = original(*given)
-        covariance = covariance_of(air.adjustment.profile)
-        airs = tuple(
-            replace(timed, own_covariance=covariance, neighbours=None)
-            for timed in air.series.timed_profiles
-        )
-        adjustment = replace(air.adjustment, covariance=covariance)
-        return replace(air, adjustment=adjustment, series=replace(air.series, timed_profiles=airs))
-
-    monkeypatch.setattr(stages, "adjusted_profiles", adjusted_profiles)
-
-
-def pressure_alone(profile) -> ProfileCovariance:
+def pressure_alone(profile, ln_p=LN_P) -> ProfileCovariance:
     size = profile.layers.edge.size
     matrix = np.zeros((2 * size + 1, 2 * size + 1))
-    matrix[size, size] = LN_P**2
+    matrix[size, size] = ln_p**2
     return ProfileCovariance(profile, 1000.0, matrix)
 
 
-@pytest.fixture
-def pressure_in_doubt(monkeypatch):
-    """Runs know their pressure to 0.4 %, and nothing else of the air is in doubt."""
-
-    with_covariance(monkeypatch, pressure_alone)
-
-
-@pytest.fixture
-def nothing_in_doubt(monkeypatch):
-    """Runs of which nobody knows how good their air is."""
-    with_covariance(monkeypatch, lambda profile: None)
+def with_series(prepared, **changed):
+    """The mission in other air."""
+    series = replace(prepared.air.series, **changed)
+    return replace(prepared, air=replace(prepared.air, series=series))
 
 
-@pytest.fixture
-def steady_between_samples(monkeypatch):
-    """Attitudes and positions between the samples of the log are as well known as at them."""
-    monkeypatch.setattr(
-        _Curve, "sigma", lambda curve, place, **_: np.zeros((place.fraction.size, 3))
-    )
+def with_air(prepared, **changed):
+    """The mission whose only profile of the air is changed."""
+    (timed,) = prepared.air.series.timed_profiles
+    return with_series(prepared, timed_profiles=(replace(timed, **changed),))
 
 
-def ran(mission, exit_code: int = 0) -> dict:
-    ended = mission.run("--force")
-    assert ended.code == exit_code, ended.text
-    return json.loads((mission.output / "manifest.json").read_text(encoding="utf-8"))
+def in_doubtful_air(mission):
+    """The pressure is known to 0.4 %, and nothing else of the air is in doubt."""
+    prepared = read_mission(mission.save())
+    covariance = pressure_alone(prepared.air.adjustment.profile)
+    return with_air(prepared, own_covariance=covariance, neighbours=None)
 
 
-def unknown(manifest: dict) -> list[str]:
-    return [e["what"] for e in manifest["ledger"] if e["code"] == "SIGMA-UNKNOWN"]
+def in_unknown_air(mission):
+    """Nobody knows how good the air is."""
+    return with_air(read_mission(mission.save()), own_covariance=None, neighbours=None)
 
 
 def without_windows(mission) -> None:
@@ -91,377 +66,304 @@ def without_windows(mission) -> None:
         del camera["window"]
 
 
-def with_tilt(mission, tilt=0.2) -> None:
+def with_mounts(mission, **sigmas) -> None:
     for mount in mission.config["mount"].values():
-        mount["sigma_tilt_deg"] = tilt
+        mount |= sigmas
 
 
-def good(mission):
-    table = mission.results().to_pandas()
-    return table[table["status"] == "ok"]
+def apply_refraction(mission) -> None:
+    mission.config["refraction"] = {"direction": "apply"}
+    accepted = {"code": "PLAUSIBLE-APPLY", "reason": "there and back"}
+    mission.config.setdefault("accept", []).append(accepted)
 
 
-@pytest.mark.usefixtures("pressure_in_doubt")
-def test_all_three(mission):
-    with_tilt(mission)
+def unknown_sigmas(done) -> list[str]:
+    return [message.what for message in with_code(done.prepared.ledger, "SIGMA-UNKNOWN")]
+
+
+def shift(rows, axis, moved="corrected"):
+    return rows[f"{axis}_{moved}_px"] - rows[f"{axis}_px"]
+
+
+def test_sigmas_of_air_station_and_ground(mission):
+    with_mounts(mission, sigma_tilt_deg=0.2)
     mission.config["ground"]["sigma_m"] = 5.0
-    manifest = ran(mission)
-    table = good(mission)
-    for names in COLUMNS.values():
-        assert np.isfinite(table[names].to_numpy()).all()
-        assert (table[names].to_numpy() > 0.0).all()
-    np.testing.assert_allclose(table["sigma_r_c_rad"], LN_P * table["r_c_rad"], rtol=2e-3)
-    scale = manifest["uncertainty"]
+    done = corrected(in_doubtful_air(mission))
+    rows = done.rows()
+    sigmas = rows[AIR + STATION + GROUND].to_numpy()
+    assert np.isfinite(sigmas).all()
+    assert (sigmas > 0.0).all()
+    np.testing.assert_allclose(rows["sigma_r_c_rad"], LN_P * rows["r_c_rad"], rtol=2e-3)
+    scale = done.record["uncertainty"]
     assert scale["profiles"] == 1
     assert "also behind a plane window" in scale["meaning"]
-    assert not unknown(manifest)
-    meaning = mission.results().schema.field("sigma_air_dx_px").metadata[b"meaning"]
+    assert not unknown_sigmas(done)
+    meaning = done.table.schema.field("sigma_air_dx_px").metadata[b"meaning"]
     assert b"never add it to the weights" in meaning
 
 
-@pytest.mark.usefixtures("pressure_in_doubt")
 def test_the_shift_is_scaled_by_the_air(mission):
     """Without a window the whole shift is refraction, and the air scales it in x and y alike."""
     without_windows(mission)
-    scale = ran(mission)["uncertainty"]
+    done = corrected(in_doubtful_air(mission))
+    scale = done.record["uncertainty"]
     np.testing.assert_allclose(scale["scale_sigma"], LN_P, rtol=1e-3)
     np.testing.assert_allclose(scale["variance_share"], 1.0, rtol=1e-3)
-    table = good(mission)
+    rows = done.rows()
     for axis in "xy":
-        shift = (table[f"{axis}_corrected_px"] - table[f"{axis}_px"]).abs()
-        np.testing.assert_allclose(table[f"sigma_air_d{axis}_px"], LN_P * shift, rtol=5e-3)
-        signed = table[f"{axis}_corrected_px"] - table[f"{axis}_px"]
-        np.testing.assert_allclose(table[f"d{axis}_ds_px"], signed, rtol=5e-3)
-        assert table[f"d{axis}_dncc_px"].isna().all()
+        signed = shift(rows, axis)
+        sigma = rows[f"sigma_air_d{axis}_px"]
+        np.testing.assert_allclose(sigma, LN_P * signed.abs(), rtol=5e-3)
+        np.testing.assert_allclose(rows[f"d{axis}_ds_px"], signed, rtol=5e-3)
+        assert rows[f"d{axis}_dncc_px"].isna().all()
 
 
-CABIN = {"pressure_hpa": 820.0, "temperature_c": 22.0, "relative_humidity": 0.2}
-# Windows of the nadir and of the oblique camera, which looks out of the side.
-WINDOWS = {
-    "logged, and a schedule": ({"cabin": "log"}, {"cabin": "standard_schedule"}),
-    "constant, and leaning": (
-        {"cabin": CABIN},
-        {"cabin": CABIN, "frame": "body", "normal": [0.0, 0.5735764, 0.8191520]},
-    ),
-    "none, and logged": (None, {"cabin": "log"}),
-    "ambient": ({"cabin": {"pressure": "ambient"}}, {"cabin": {"pressure": "ambient"}}),
-}
-
-
-@pytest.mark.parametrize("windows", WINDOWS.values(), ids=WINDOWS)
-def test_behind_a_window_against_runs_in_other_air(mission, monkeypatch, windows):
+@pytest.mark.parametrize(
+    ("nadir", "oblique", "moved"),
+    [
+        ({"cabin": "log"}, {"cabin": "standard_schedule"}, "corrected"),
+        ({"cabin": "log"}, {"cabin": "standard_schedule"}, "displaced"),
+        (None, {"cabin": CABIN} | SIDEWAYS, "corrected"),
+    ],
+    ids=["logged, and a schedule", "displaced", "none, and leaning"],
+)
+def test_behind_a_window_against_rows_in_other_air(mission, nadir, oblique, moved):
     """0.4 % of pressure more and less, in the whole program: the sigma is half the difference."""
     mission.config["accept"] = [{"code": "CABIN-IMPLAUSIBLE", "reason": "it is open for the test"}]
-    for camera, window in zip(mission.config["cameras"].values(), windows, strict=True):
-        if window is None:
-            del camera["window"]
-        else:
-            camera["window"] = window
-    original = stages.adjusted_profiles
+    mission.config["cameras"]["nadir"]["window"] = nadir
+    mission.config["cameras"]["oblique"]["window"] = oblique
+    if moved == "displaced":
+        apply_refraction(mission)
+    prepared = read_mission(mission.save())
+    profile = prepared.air.adjustment.profile
 
-    def shifts(ln_p: float):
-        with monkeypatch.context() as patch:
+    def rows_at(ln_p: float):
+        pressure = profile.pressure(0.0) * np.exp(ln_p)
+        return corrected(with_air(prepared, profile=profile.at_level(0.0, pressure))).rows()
 
-            def adjusted_profiles(*given):
-                air = original(*given)
-                profile = air.adjustment.profile
-                denser = profile.at_level(0.0, profile.pressure(0.0) * np.exp(ln_p))
-                airs = tuple(replace(one, profile=denser) for one in air.series.timed_profiles)
-                return replace(air, series=replace(air.series, timed_profiles=airs))
-
-            patch.setattr(stages, "adjusted_profiles", adjusted_profiles)
-            ran(mission)
-        table = good(mission)
-        return np.stack([table[f"{a}_corrected_px"] - table[f"{a}_px"] for a in "xy"])
-
-    signed = (shifts(LN_P) - shifts(-LN_P)) / 2.0
-    expected = np.abs(signed)
-    with_covariance(monkeypatch, pressure_alone)
-    manifest = ran(mission)
-    table = good(mission)
-    scale = manifest["uncertainty"]
-    for axis, of_axis, with_sign in zip("xy", expected, signed, strict=True):
-        close = {"rtol": 0.01, "atol": 0.003 * np.median(of_axis)}
-        np.testing.assert_allclose(table[f"sigma_air_d{axis}_px"], of_axis, **close)
+    denser = rows_at(LN_P)
+    thinner = rows_at(-LN_P)
+    done = corrected(in_doubtful_air(mission))
+    rows = done.rows()
+    scale = done.record["uncertainty"]
+    for axis in "xy":
+        signed = (shift(denser, axis, moved) - shift(thinner, axis, moved)) / 2.0
+        sigma = signed.abs()
+        close = {"rtol": 0.01, "atol": 0.003 * np.median(sigma)}
+        np.testing.assert_allclose(rows[f"sigma_air_d{axis}_px"], sigma, **close)
         # Of one uncertain quantity the leading mode is all.
-        of_mode = table[f"d{axis}_ds_px"] * scale["scale_sigma"]
-        np.testing.assert_allclose(of_mode, with_sign, **close)
+        of_mode = rows[f"d{axis}_ds_px"] * scale["scale_sigma"]
+        np.testing.assert_allclose(of_mode, signed, **close)
     np.testing.assert_allclose(scale["variance_share"], 1.0, atol=0.005)
 
 
-@pytest.mark.usefixtures("nothing_in_doubt")
 def test_the_air_in_the_cabin_has_its_own_prior(mission):
     """N goes with p / T: 3 hPa and 1 K of the log's sensors, and no mode without a covariance."""
-    first, second = mission.config["cameras"]
-    del mission.config["cameras"][first]["window"]
+    del mission.config["cameras"]["nadir"]["window"]
     mission.config["accept"] = [{"code": "PLAUSIBLE-WINDOW", "reason": "its hatch was open"}]
-    manifest = ran(mission)
-    assert manifest["uncertainty"] is None
-    (of_camera,) = manifest["cabin_air"].items()
-    assert of_camera[0] == second
-    stations = mission.stations().to_pandas().query("camera == @second and status == 'ok'")
+    done = corrected(in_unknown_air(mission))
+    assert done.record["uncertainty"] is None
+    assert list(done.record["cabin_air"]) == ["oblique"]
+    prior = done.record["cabin_air"]["oblique"]
+    stations = done.stations().query("camera == 'oblique' and status == 'ok'")
     p = stations["cabin_pressure_pa"]
     t = stations["cabin_temperature_k"]
     relative = np.sqrt(np.mean((300.0 / p) ** 2 + (1.0 / t) ** 2))
-    prior = of_camera[1]
     np.testing.assert_allclose(prior["n_cc"], (p / t).mean() * 7.88e-7, rtol=0.01)
     np.testing.assert_allclose(prior["sigma_n_cc"], relative * prior["n_cc"], rtol=0.01)
-    table = good(mission).merge(mission.stations().to_pandas()[["image", "camera"]], on="image")
-    behind = (table["camera"] == second).to_numpy()
+    rows = done.rows()
+    behind = rows["camera"] == "oblique"
     for axis in "xy":
-        assert (table[f"d{axis}_dncc_px"].notna().to_numpy() == behind).all()
-        assert table[f"d{axis}_ds_px"].isna().all()
-        cabin = (table[f"d{axis}_dncc_px"] * prior["sigma_n_cc"]).abs()[behind]
-        np.testing.assert_allclose(cabin, table[f"sigma_cabin_d{axis}_px"][behind], rtol=0.01)
+        by_cabin = rows[f"d{axis}_dncc_px"]
+        assert (by_cabin.notna() == behind).all()
+        assert rows[f"d{axis}_ds_px"].isna().all()
+        sigma = (by_cabin * prior["sigma_n_cc"]).abs()
+        of_cabin = rows[f"sigma_cabin_d{axis}_px"]
+        np.testing.assert_allclose(sigma[behind], of_cabin[behind], rtol=0.01)
 
 
-def test_several_profiles_have_one_parameter(mission, monkeypatch):
+def test_several_profiles_have_one_parameter(mission):
     """Each moves along its own mode to the same side: here by its own uncertainty of pressure."""
-    original = stages.adjusted_profiles
-    second = np.arange(6) % 2
-
-    def adjusted_profiles(*given):
-        air = original(*given)
-        (timed,) = air.series.timed_profiles
-        loose = pressure_alone(timed.profile)
-        tight = replace(loose, matrix=loose.matrix / 9.0)
-        airs = tuple(replace(timed, own_covariance=one, neighbours=None) for one in (loose, tight))
-        return replace(air, series=replace(air.series, timed_profiles=airs, profile_number=second))
-
     without_windows(mission)
-    monkeypatch.setattr(stages, "adjusted_profiles", adjusted_profiles)
-    scale = ran(mission)["uncertainty"]
+    prepared = in_doubtful_air(mission)
+    (loose,) = prepared.air.series.timed_profiles
+    tight = replace(loose, own_covariance=pressure_alone(loose.profile, LN_P / 3.0))
+    number = np.arange(len(prepared.stations)) % 2
+    done = corrected(with_series(prepared, timed_profiles=(loose, tight), profile_number=number))
+    scale = done.record["uncertainty"]
     assert scale["profiles"] == 2
     rms = LN_P * np.sqrt((1.0 + 1.0 / 9.0) / 2.0)
     np.testing.assert_allclose(scale["scale_sigma"], rms, rtol=1e-3)
     np.testing.assert_allclose(scale["variance_share"], 1.0, atol=0.005)
-    table = good(mission)
-    names = mission.stations()["image"].to_pylist()
-    own = pd.Series(np.where(second, LN_P / 3.0, LN_P), index=names)
-    sigma = table["image"].map(own)
+    rows = done.rows()
+    number_of_image = dict(zip(done.stations()["image"], number, strict=True))
+    sigma = rows["image"].map(number_of_image).map({0: LN_P, 1: LN_P / 3.0})
     assert sigma.nunique() == 2
     for axis in "xy":
-        shift = table[f"{axis}_corrected_px"] - table[f"{axis}_px"]
-        of_mode = table[f"d{axis}_ds_px"] * scale["scale_sigma"]
-        np.testing.assert_allclose(of_mode, sigma * shift, rtol=5e-3)
+        of_mode = rows[f"d{axis}_ds_px"] * scale["scale_sigma"]
+        np.testing.assert_allclose(of_mode, sigma * shift(rows, axis), rtol=5e-3)
 
 
-def by_ray(mission):
-    """Good rows with what belongs to their stations; without windows."""
-    stations = mission.stations().to_pandas().drop(columns="status").set_index("image")
-    return good(mission).join(stations, on="image")
-
-
-def refractivity_at(mission, h):
-    """N by the rows of profile.parquet: ln N is nearly linear between them."""
-    profile = pq.read_table(mission.output / "profile.parquet").to_pandas()
-    return np.exp(np.interp(h, profile["h_m"], np.log(profile["refractivity"])))
-
-
-def shares(rows, kind) -> np.ndarray:
-    """(2, n) sigmas of dx and dy over the shift itself; NaN where that is nearly across."""
-    shift = np.stack([rows[f"{a}_corrected_px"] - rows[f"{a}_px"] for a in "xy"])
-    sigma = np.stack([rows[f"sigma_{kind}_d{a}_px"] for a in "xy"])
-    small = np.abs(shift) < 0.2 * np.hypot(*shift)
-    return np.where(small, np.nan, sigma / np.abs(shift))
-
-
-def assert_shares(found, expected, within) -> None:
-    for share in found:
-        known = np.isfinite(share)
-        assert known.sum() > 20
-        np.testing.assert_allclose(share[known], np.asarray(expected)[known], rtol=within)
-
-
-@pytest.mark.usefixtures("nothing_in_doubt")
-def test_the_ground_in_numbers(mission):
-    """R = tan(zeta) (mean N - N_c) (Gyer 1996, Eq. 24): d mean / dh_g = (mean - N_g) / way."""
-    without_windows(mission)
+def test_the_sigma_of_the_ground_against_points_that_are_higher_and_lower(mission):
     mission.config["ground"]["sigma_m"] = 7.0
-    ran(mission)
-    rows = by_ray(mission)
-    excess = rows["r_c_rad"] / np.tan(rows["zeta_c_rad"])
-    mean = excess + refractivity_at(mission, rows["h_msl_m"])
-    way = rows["h_msl_m"] - rows["h_g_m"]
-    by_ground = (mean - refractivity_at(mission, rows["h_g_m"])) / way
-    assert_shares(shares(rows, "ground"), 7.0 * (by_ground / excess).abs(), 0.02)
+    prepared = in_unknown_air(mission)
+    rows = corrected(prepared).rows()
+    moved = {}
+    for by_m in (7.0, -7.0):
+        table = mission.measurements()
+        column = table.schema.get_field_index("h_g_m")
+        height_m = table["h_g_m"].to_numpy() + by_m
+        mission.observe(table.set_column(column, "h_g_m", [height_m]), f"{by_m}.parquet")
+        moved[by_m] = corrected(in_unknown_air(mission)).rows()
+    for axis in "xy":
+        half = (shift(moved[7.0], axis) - shift(moved[-7.0], axis)).abs() / 2.0
+        sigma = rows[f"sigma_ground_d{axis}_px"]
+        np.testing.assert_allclose(sigma, half, rtol=0.02, atol=0.01 * half.median())
 
 
-@pytest.mark.usefixtures("nothing_in_doubt", "steady_between_samples")
-def test_the_height_of_the_station_in_numbers(mission):
-    """d mean / dh_c = (N_c - mean) / way, less N_c', the slope of N in the layer."""
-    without_windows(mission)
-    with_tilt(mission, 0.0)
-    ran(mission)
-    rows = by_ray(mission)
-    assert rows["sigma_height_m"].gt(0.0).all()
-    below, above = (refractivity_at(mission, rows["h_msl_m"] + d) for d in (-0.5, 0.5))
-    excess = rows["r_c_rad"] / np.tan(rows["zeta_c_rad"])
-    way = rows["h_msl_m"] - rows["h_g_m"]
-    by_height = -excess / way - (above - below)
-    expected = rows["sigma_height_m"] * (by_height / excess).abs()
-    assert_shares(shares(rows, "station"), expected, 0.02)
-
-
-def pinhole_shift(u, v, rotation, k) -> np.ndarray:
-    """(2, n) shift over the principal distance where R = k tan(zeta): the chord less the ray."""
-    ray = np.stack([u, v, np.ones(u.size)], axis=1) @ rotation
-    ray /= -ray[:, 2:]
-    # tan(zeta) becomes tan(zeta - R), to first order.
-    tan2 = ray[:, 0] ** 2 + ray[:, 1] ** 2
-    chord = ray * np.stack([1.0 - k * (1.0 + tan2)] * 2 + [np.ones(u.size)], axis=1)
-    x, y, z = (chord @ rotation.T).T
-    return np.stack([x / z - u, y / z - v])
-
-
-@pytest.mark.usefixtures("nothing_in_doubt")
-def test_the_tilt_in_numbers(mission):
-    """The camera turned about its three axes by a degree's part, in a pinhole written here."""
-    without_windows(mission)
-    with_tilt(mission, 0.25)
-    for camera in mission.config["cameras"].values():
-        del camera["distortion"]
-    # Tie points know that the images have a distortion.
-    mission.config["accept"].append({"code": "TIES-CALIBRATION", "reason": "a pinhole"})
-    ran(mission)
-    rows = by_ray(mission)
-    k = (rows["r_c_rad"] / np.tan(rows["zeta_c_rad"])).to_numpy()
-    found = []
-    expected = []
-    for image in rows["image"].unique():
-        mine = (rows["image"] == image).to_numpy()
-        one = rows[mine]
-        camera = mission.config["cameras"][one["camera"].iloc[0]]
-        u = ((one["x_px"] - camera["cx_px"]) / camera["fx_px"]).to_numpy()
-        v = ((one["y_px"] - camera["cy_px"]) / camera["fy_px"]).to_numpy()
-        q = one[["q_x", "q_y", "q_z", "q_w"]].iloc[0].to_numpy(float)
-        rotation = Rotation.from_quat(q).as_matrix()
-        variance = np.zeros((2, u.size))
-        for axis in np.eye(3):
-            turns = (Rotation.from_rotvec(s * np.radians(0.25) * axis) for s in (1.0, -1.0))
-            one_way, other = (pinhole_shift(u, v, t.as_matrix() @ rotation, k[mine]) for t in turns)
-            variance += (0.5 * (one_way - other)) ** 2
-        expected.append(camera["fx_px"] * np.sqrt(variance))
-        found.append(one[COLUMNS["station"]].to_numpy().T)
-    expected = np.concatenate(expected, axis=1)
-    found = np.concatenate(found, axis=1)
-    np.testing.assert_allclose(found, expected, rtol=0.02, atol=0.01 * np.median(expected))
-
-
-@pytest.mark.usefixtures("nothing_in_doubt")
 def test_nobody_knows_anything(mission):
-    manifest = ran(mission)
-    table = mission.results()
-    for name in ("sigma_r_c_rad", *COLUMNS["air"], *COLUMNS["station"], *COLUMNS["ground"]):
-        known = name in COLUMNS["station"]  # the log tells how good its stations are
-        assert (table[name].null_count < table.num_rows) == known
-    assert manifest["uncertainty"] is None
-    (what,) = unknown(manifest)
-    for missing in ("covariance", "ground.sigma_m"):
-        assert missing in what
-    assert "attitude" not in what
+    """Only the log tells how good its stations are."""
+    done = corrected(in_unknown_air(mission))
+    rows = done.rows()
+    assert rows[["sigma_r_c_rad", *AIR, *GROUND]].isna().all(axis=None)
+    assert rows[STATION].notna().any(axis=None)
+    assert done.record["uncertainty"] is None
+    (text,) = unknown_sigmas(done)
+    assert "covariance" in text
+    assert "ground.sigma_m" in text
+    assert "attitude" not in text
 
 
-@pytest.mark.usefixtures("nothing_in_doubt")
-def test_yaw_of_a_level_aircraft_moves_nothing(mission):
-    """Its axis is the aircraft's vertical, not the camera's axis, also where that looks aside."""
-    for mount in mission.config["mount"].values():
-        mount |= {"sigma_tilt_deg": 0.0, "sigma_yaw_deg": 3.0}
-    ran(mission)
-    table = good(mission)
-    shift = np.hypot(
-        table["x_corrected_px"] - table["x_px"], table["y_corrected_px"] - table["y_px"]
-    )
-    sigma = np.hypot(table["sigma_station_dx_px"], table["sigma_station_dy_px"])
-    oblique = np.degrees(table["zeta_c_rad"]) > 30.0
-    # The whole yaw would be 5 % of the shift, about the axis of the oblique camera some 4 %.
-    assert float((sigma / shift)[oblique].median()) < 0.01
-
-
-@pytest.mark.usefixtures("nothing_in_doubt")
-def test_one_camera_and_a_column_of_sigmas(mission):
+def test_a_column_of_sigmas_of_which_some_are_no_sigmas(mission):
     """Each column is null where its own cause is unknown; a bad sigma is counted."""
     table = mission.measurements()
     sigma = np.full(table.num_rows, 3.0)
     sigma[:3] = np.nan, -1.0, np.inf
     mission.observe(table.append_column("sigma_h", [sigma]))
     mission.config["ground"]["sigma_column"] = "sigma_h"
-    manifest = ran(mission)
-    (what,) = unknown(manifest)
-    assert "attitude" not in what
-    assert "ground" not in what
-    (bad,) = [e for e in manifest["ledger"] if e["code"] == "OBS-SIGMA"]
-    assert bad["count"] == 2
-    out = mission.results().to_pandas()
-    ok = (out["status"] == "ok").to_numpy()
-    assert (out["sigma_station_dx_px"].notna() == ok).all()
-    assert out["sigma_ground_dx_px"][:3].isna().all()
-    assert out["sigma_ground_dx_px"][3:][ok[3:]].notna().all()
-    assert out["sigma_air_dx_px"].isna().all()
-    np.testing.assert_array_equal(out["sigma_h"], sigma)
+    done = corrected(in_unknown_air(mission))
+    (text,) = unknown_sigmas(done)
+    assert "attitude" not in text
+    assert "ground" not in text
+    (bad,) = with_code(done.prepared.ledger, "OBS-SIGMA")
+    assert bad.count == 2
+    rows = done.table.to_pandas()
+    assert (rows["status"] == "ok").all()
+    assert rows["sigma_station_dx_px"].notna().all()
+    assert rows["sigma_ground_dx_px"].isna().tolist() == [True] * 3 + [False] * (len(rows) - 3)
+    assert rows["sigma_air_dx_px"].isna().all()
+    np.testing.assert_array_equal(rows["sigma_h"], sigma)
 
 
 def test_a_column_that_is_not_there(mission):
     mission.config["ground"]["sigma_column"] = "sigma_h"
-    ended = mission.run()
-    assert ended.code == 6, ended.text
-    assert "OBS-COLUMN" in ended.text
-    assert "ground.sigma_column" in ended.text
+    with refused("OBS-COLUMN") as refusal:
+        read_mission(mission.save())
+    assert "ground.sigma_column" in str(refusal.value)
 
 
-@pytest.mark.usefixtures("pressure_in_doubt")
-def test_displaced_observations_have_them_too(mission):
-    with_tilt(mission)
-    mission.config["refraction"] = {"direction": "apply"}
-    mission.config["accept"] = [{"code": "PLAUSIBLE-APPLY", "reason": "there and back"}]
-    manifest = ran(mission)
-    table = good(mission)
-    np.testing.assert_allclose(table["sigma_r_c_rad"], LN_P * table["r_c_rad"], rtol=2e-3)
-    assert (table["sigma_station_dx_px"] > 0.0).all()
-    assert LN_P < manifest["uncertainty"]["scale_sigma"] < 3.0 * LN_P
-
-
-@pytest.mark.usefixtures("pressure_in_doubt")
 def test_displaced_observations_move_with_the_air(mission):
     """More air displaces more, to the other side than it corrects."""
     without_windows(mission)
-    mission.config["refraction"] = {"direction": "apply"}
-    mission.config["accept"].append({"code": "PLAUSIBLE-APPLY", "reason": "there and back"})
-    ran(mission)
-    table = good(mission)
+    with_mounts(mission, sigma_tilt_deg=0.2)
+    apply_refraction(mission)
+    rows = corrected(in_doubtful_air(mission)).rows()
+    np.testing.assert_allclose(rows["sigma_r_c_rad"], LN_P * rows["r_c_rad"], rtol=2e-3)
+    assert (rows["sigma_station_dx_px"] > 0.0).all()
     for axis in "xy":
-        shift = table[f"{axis}_displaced_px"] - table[f"{axis}_px"]
-        np.testing.assert_allclose(table[f"d{axis}_ds_px"], shift, rtol=5e-3, atol=1e-4)
+        displaced = shift(rows, axis, "displaced")
+        np.testing.assert_allclose(rows[f"d{axis}_ds_px"], displaced, rtol=5e-3, atol=1e-4)
 
 
-@pytest.mark.usefixtures("steady_between_samples")
-def test_the_sigmas_of_each_mount_in_radians(mission):
-    first, second = list(mission.config["cameras"])[:2]
-    mission.config["mount"][first] |= {"sigma_tilt_deg": 0.5, "sigma_yaw_deg": 2.0}
-    mission.config["mount"][second] |= {"sigma_tilt_deg": 0.25}
-    prepared = read_mission(mission.save())
-    at = prepared.stations
-    camera = prepared.stations.camera
-    sigmas = station_sigmas(prepared.mission, at)
-    assert sigmas.tilt_rad[camera == first] == pytest.approx(0.008726646259971648)
-    assert sigmas.yaw_rad[camera == first] == pytest.approx(0.03490658503988659)
-    # By default the yaw is as uncertain as the tilt; heights are those of the log.
-    assert sigmas.yaw_rad[camera == second] == pytest.approx(0.004363323129985824)
-    np.testing.assert_array_equal(sigmas.height_m, at.sigma_height_m)
-    del mission.config["mount"][first]["sigma_yaw_deg"]
-    del mission.config["mount"][first]["sigma_tilt_deg"]
+def sigmas_of(mission):
+    """The sigmas of the stations, and which of these are the nadir camera's."""
     prepared = read_mission(mission.save())
     sigmas = station_sigmas(prepared.mission, prepared.stations)
-    ok = prepared.stations.ok & (camera == first)
-    # Without innovations of a filter 0.1 and 0.22 deg, and of yaw 0.36 deg and what a compass shows
-    # of the tilt: times 2 tan(latitude), the dip of a dipole along the earth's axis.
-    dip = 2.0 * np.tan(prepared.stations.lat_rad[ok])
-    assert np.degrees(sigmas.tilt_rad[ok]) == pytest.approx(0.24166, abs=1e-5)
-    np.testing.assert_allclose(
-        np.degrees(sigmas.yaw_rad[ok]), np.hypot(0.36, 0.24166 * dip), atol=1e-4
-    )
-    # stations that know nothing of their attitude have the mount's sigmas
-    unknown_tilt = replace(at, sigma_tilt_rad=np.full(len(at), np.nan))
-    sigmas = station_sigmas(prepared.mission, unknown_tilt)
-    assert np.isnan(sigmas.tilt_rad[camera == first]).all()
-    assert sigmas.tilt_rad[camera == second] == pytest.approx(0.004363323129985824)
+    return sigmas, prepared, prepared.stations.camera == "nadir"
+
+
+def part_of(whole, others) -> np.ndarray:
+    """The part of a sigma that is independent of the others [deg]."""
+    return np.degrees(np.sqrt(whole**2 - others**2))
+
+
+def test_the_sigmas_of_each_mount_are_in_radians(mission):
+    """Beside what the attitude between two samples of the log adds."""
+    with_mounts(mission, sigma_tilt_deg=0.0, sigma_yaw_deg=0.0)
+    between, _, nadir = sigmas_of(mission)
+    mission.config["mount"]["nadir"] |= {"sigma_tilt_deg": 0.5, "sigma_yaw_deg": 2.0}
+    del mission.config["mount"]["oblique"]["sigma_yaw_deg"]
+    mission.config["mount"]["oblique"]["sigma_tilt_deg"] = 0.25
+    sigmas, prepared, _ = sigmas_of(mission)
+    tilt = part_of(sigmas.tilt_rad, between.tilt_rad)
+    yaw = part_of(sigmas.yaw_rad, between.yaw_rad)
+    assert tilt[nadir] == pytest.approx(0.5)
+    assert yaw[nadir] == pytest.approx(2.0)
+    # By default the yaw is as uncertain as the tilt; heights are those of the log.
+    assert yaw[~nadir] == pytest.approx(0.25)
+    np.testing.assert_array_equal(sigmas.height_m, prepared.stations.sigma_height_m)
+    # The yaw turns about the vertical of the aircraft, to the left of the oblique camera's axis.
+    leaning = np.sqrt(0.5)
+    vertical = np.where(nadir[:, None], [0.0, 0.0, 1.0], [-leaning, 0.0, leaning])
+    np.testing.assert_allclose(sigmas.yaw_axis, vertical, atol=1e-12)
+
+
+PLANE = SimpleNamespace(shape="plane", cabin=SimpleNamespace(source="log"), is_opening=False)
+
+
+def cabin_by(source: str) -> SimpleNamespace:
+    return SimpleNamespace(**vars(PLANE) | {"cabin": SimpleNamespace(source=source)})
+
+
+@pytest.mark.parametrize(
+    ("window", "kinds"),
+    [
+        (PLANE, [SEALED, SEALED]),
+        (cabin_by("ambient"), [SCHEDULED, SCHEDULED]),
+        (cabin_by("standard_schedule"), [SCHEDULED, SEALED]),
+        (SimpleNamespace(**vars(PLANE) | {"is_opening": True}), [FOLLOWING, FOLLOWING]),
+        (SimpleNamespace(**vars(PLANE) | {"shape": "spherical"}), [OPEN, OPEN]),
+        (SimpleNamespace(**vars(PLANE) | {"cabin": None}), [OPEN, OPEN]),
+    ],
+    ids=["sealed", "ambient", "schedule", "opening", "dome", "no cabin"],
+)
+def test_the_kind_of_a_window_at_850_and_at_600_hectopascal(window, kinds):
+    """The camera without a window has the kind of none."""
+    camera = np.array(["nadir", "nadir", "wing"], object)
+    stations = empty_stations(camera, camera, STATION_OK)
+    air = SimpleNamespace(pressure=lambda height_m: np.array([85e3, 60e3, 85e3]))
+    mission = SimpleNamespace(windows={"nadir": window})
+    assert kinds_of_windows(mission, stations, air).tolist() == [*kinds, OPEN]
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_known"),
+    [
+        ({}, False),
+        ({"tilt_rad": [0.001, np.nan]}, True),
+        ({"tilt_rad": [np.nan, 0.001]}, False),  # of a station that is not ok
+        ({"sigma_m": 5.0}, True),
+        ({"sigma_column": "sigma_h"}, True),
+        ({"cabin": [[np.nan, 1.0]]}, True),
+        ({"kinds": [OPEN, SEALED]}, True),
+    ],
+)
+def test_one_sigma_is_enough_to_compute_with(changed, is_known):
+    nothing = {"tilt_rad": [np.nan, np.nan], "sigma_m": None, "sigma_column": None}
+    nothing |= {"cabin": [[np.nan, np.nan]], "kinds": [OPEN, OPEN]}
+    known = SimpleNamespace(**nothing | changed)
+    stations = SimpleNamespace(ok=np.array([True, False]))
+    mission = SimpleNamespace(ground=known)
+    sigmas = SimpleNamespace(tilt_rad=np.array(known.tilt_rad), cabin=np.array(known.cabin))
+    assert has_any_sigma(mission, stations, sigmas, np.array(known.kinds)) == is_known
+
+
+def test_stations_that_know_nothing_of_their_attitude_have_the_sigmas_of_the_mount(mission):
+    mission.config["mount"]["oblique"]["sigma_tilt_deg"] = 0.25
+    prepared = read_mission(mission.save())
+    unknown = np.full(len(prepared.stations), np.nan)
+    stations = replace(prepared.stations, sigma_tilt_rad=unknown)
+    tilt_rad = station_sigmas(prepared.mission, stations).tilt_rad
+    nadir = stations.camera == "nadir"
+    assert np.isnan(tilt_rad[nadir]).all()
+    assert tilt_rad[~nadir] == pytest.approx(0.004363323129985824)
