@@ -14,8 +14,7 @@ from unbend.messages import Ledger
 from unbend.stages.air_of_mission import adjusted_profiles
 from unbend.tables.writing import table_of_profiles, table_of_stations
 
-HOURS = np.array([0.0, 3.0, 6.0])
-"""How long after the flight the first, second and third exposure of each camera seem to be."""
+THREE_HOURS_NS = 3 * 3600 * 10**9
 
 
 @pytest.fixture(scope="module")
@@ -26,53 +25,51 @@ def fresh(baseline):
 
 @pytest.fixture(scope="module")
 def aged(fresh):
-    """The same with exposures that are hours later, in the air that was measured in the climb."""
-    exposure = np.unique(fresh.stations.time_ns // 10**9, return_inverse=True)[1]
-    later_ns = (HOURS[exposure * HOURS.size // (exposure.max() + 1)] * 3600e9).astype(np.int64)
-    stations = replace(fresh.stations, time_ns=fresh.stations.time_ns + later_ns)
+    """The same with a second exposure of each camera 3 h later, and a third 6 h later."""
+    number = np.array([int(name[-1]) for name in fresh.stations.image])
+    time_ns = fresh.stations.time_ns + THREE_HOURS_NS * (number - 1)
+    stations = replace(fresh.stations, time_ns=time_ns)
     ledger = Ledger()
     air = adjusted_profiles(fresh.mission, stations, fresh.samples, fresh.sources, ledger)
-    return replace(fresh, stations=stations, air=air, ledger=ledger), later_ns
+    return replace(fresh, stations=stations, air=air, ledger=ledger)
 
 
 def test_the_same_angles_and_larger_sigmas(fresh, aged):
-    prepared, later_ns = aged
-    before, _ = corrected_table(replace(fresh, ledger=Ledger()))
-    after, results = corrected_table(prepared)
-    for column in ("r_c_rad", "x_corrected_px"):
-        np.testing.assert_array_equal(after[column], before[column])
-    growth = after["sigma_air_dx_px"].to_numpy() / before["sigma_air_dx_px"].to_numpy()
-    later_of_image = dict(zip(prepared.stations.image, later_ns, strict=True))
-    later = np.array([later_of_image[name] for name in after["image"].to_pylist()])
-    least_by_age = [growth[later == age].min() for age in np.unique(later)]
-    assert least_by_age[0] == pytest.approx(1.0, abs=1e-3)
-    assert least_by_age[1] > 1.5
-    assert least_by_age[2] > least_by_age[1]
-    assert entry_of(results.row(), "AIR-AGED")["count"] == np.count_nonzero(later_ns)
+    before = corrected_table(replace(fresh, ledger=Ledger()))[0].to_pandas()
+    table, results = corrected_table(aged)
+    after = table.to_pandas()
+    np.testing.assert_array_equal(after["r_c_rad"], before["r_c_rad"])
+    np.testing.assert_array_equal(after["x_corrected_px"], before["x_corrected_px"])
+    growth = after["sigma_air_dx_px"] / before["sigma_air_dx_px"]
+    number = after["image"].str[-1]
+    in_time, three_hours, six_hours = growth.groupby(number).median()
+    assert in_time == pytest.approx(1.0, abs=1e-3)
+    assert six_hours > three_hours > 1.5
+    assert entry_of(results.row(), "AIR-AGED")["count"] == 4
+    (effect, *_) = fresh.air.effects
+    (of_middle_exposure, *_) = aged.air.effects
+    assert of_middle_exposure.r_c_rad == effect.r_c_rad
+    assert of_middle_exposure.sigma_rad > 1.5 * effect.sigma_rad
+
+
+def low_air(prepared):
+    """The profiles of a mission between 600 and 900 m, and those of its stations by name."""
+    air = prepared.air
+    profiles = table_of_profiles(air.adjustment, air.series).to_pandas()
+    stations = table_of_stations(prepared.stations, air.series).to_pandas()
+    return profiles[profiles["h_m"].between(600.0, 900.0)], stations.set_index("image")
 
 
 def test_every_table_tells_of_it(fresh, aged):
-    prepared, later_ns = aged
-    stations = table_of_stations(prepared.stations, prepared.air.series).to_pandas()
-    assert stations["profile_id"].groupby(later_ns).nunique().tolist() == [1, 1, 1]
-    before = table_of_profiles(fresh.air.adjustment, fresh.air.series).to_pandas()
-    profiles = table_of_profiles(prepared.air.adjustment, prepared.air.series).to_pandas()
-    assert set(profiles["profile_id"]) == set(stations["profile_id"])
-    sigmas_k = []
-    for name in stations.groupby(later_ns)["profile_id"].first():
-        rows = profiles[profiles["profile_id"] == name]
+    before, _ = low_air(fresh)
+    profiles, stations = low_air(aged)
+    assert set(stations["profile_id"]) == set(profiles["profile_id"])
+    sigmas_k = [before["sigma_temperature_k"].mean()]
+    for number in (1, 2, 3):
+        nadir, oblique = stations.filter(like=str(number), axis=0)["profile_id"]
+        assert nadir == oblique
+        rows = profiles[profiles["profile_id"] == nadir]
         assert rows["temperature_k"].tolist() == before["temperature_k"].tolist()
-        low = rows["h_m"].between(600.0, 900.0)
-        sigmas_k.append(rows["sigma_temperature_k"][low].mean())
-    low = before["h_m"].between(600.0, 900.0)
-    assert sigmas_k[0] == pytest.approx(before["sigma_temperature_k"][low].mean(), rel=1e-3)
-    assert sigmas_k[1] > 1.5 * sigmas_k[0]
-    assert sigmas_k[2] > sigmas_k[1]
-
-
-def test_the_effect_of_the_flight_is_that_of_its_middle_exposure(fresh, aged):
-    prepared, _ = aged
-    before = fresh.air.effects[0]
-    after = prepared.air.effects[0]
-    assert after.r_c_rad == before.r_c_rad
-    assert after.sigma_rad > 1.5 * before.sigma_rad
+        sigmas_k.append(rows["sigma_temperature_k"].mean())
+    assert sigmas_k[1] == pytest.approx(sigmas_k[0], rel=1e-3)
+    assert sigmas_k[3] > sigmas_k[2] > 1.5 * sigmas_k[1]

@@ -268,7 +268,10 @@ def test_a_refused_report_is_named_by_its_place_in_the_mission_file(mission):
     [
         ({"surface": [{"h_msl_m": 450}]}, "give either metar, or temperature_c"),
         ({"surface": [{"h_msl_m": 450, "metar": METAR, "temperature_c": 12.0}]}, "either metar"),
-        ({"surface": [{"h_msl_m": 450, "metar": METAR, "time_utc": "noon"}]}, "not a time like"),
+        (
+            {"surface": [{"h_msl_m": 450, "temperature_c": 1.0, "time_utc": "noon"}]},
+            "not a time like",
+        ),
         ({"climatology": "tropics"}, "supplements1966"),
         ({"board_temperature": True}, "log.channels.temperature"),
     ],

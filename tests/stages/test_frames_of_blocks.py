@@ -221,7 +221,13 @@ def test_a_model_in_an_unknown_frame(block, tmp_path):
     rows = rows_of(tmp_path)
     assert (rows["status"] == "ok").all()
     height_of_point = dict(zip(map(str, range(1, 61)), block.point_h - 47.6, strict=True))
-    np.testing.assert_allclose(rows["h_g_m"], rows["point"].map(height_of_point), atol=1e-3)
+    h_g = rows["point"].map(height_of_point)
+    np.testing.assert_allclose(rows["h_g_m"], h_g, atol=1e-3)
+    from_median = h_g - h_g.groupby(rows["image"]).transform("median")
+    ground = messages["GROUND-BLOCK"]["values"]
+    assert ground["low"] == pytest.approx(h_g.min(), abs=1e-3)
+    assert ground["high"] == pytest.approx(h_g.max(), abs=1e-3)
+    assert ground["apart"] == pytest.approx(from_median.abs().median(), abs=1e-3)
 
 
 # ---- Metashape
