@@ -131,7 +131,7 @@ def test_the_mission_of_the_page(block, by_log, colmap):
     expected = by_name.loc[list(zip(rows["image"], rows["point"].map(names), strict=True))]
     ratio = rows["r_c_rad"].to_numpy() / expected
     assert ratio.between(0.93, 1.07).all()
-    assert np.abs(ratio - 1.0).min() > 1e-4
+    assert np.abs(ratio - 1.0).median() > 1e-3
 
 
 def test_keypoints_without_a_point_keep_their_rows(block, by_log, colmap):
@@ -269,12 +269,12 @@ def test_matches_of_a_database_come_out_with_its_keypoints(with_database, by_log
             numbers[image] = write_keypoints(content, image, pixels)
             names[image] = ["outside", *rows["point"]]
         for first, second in combinations(names, 2):
-            pairs = pairs_of(names[first], names[second])
-            pairs[0] = (0, 1)  # the one outside with one inside
+            # First the one outside with one inside.
+            pairs = [(0, 1), *pairs_of(names[first], names[second])]
             content.write_matches(numbers[first], numbers[second], np.array(pairs, np.uint32))
             verified = pycolmap.TwoViewGeometry()
             verified.config = MATCHED
-            verified.inlier_matches = np.array(pairs[:-1], np.uint32).reshape(-1, 2)
+            verified.inlier_matches = np.array(pairs[:-1], np.uint32)
             content.write_two_view_geometry(numbers[first], numbers[second], verified)
     block.run_to_manifest(3)  # a loss: keypoints outside the image
     words = ("export", block.output, "--format", "colmap-database", "--out")
