@@ -126,7 +126,7 @@ def test_a_sounding_that_is_missing_or_none(mission):
     assert "balloon.csv" in mission.refusal("SOUNDING-FORMAT")
     (mission.folder / "balloon.csv").unlink()
     assert "balloon.csv" in mission.refusal("INPUT-MISSING")
-    assert not mission.output.exists()
+    assert not (mission.output / "manifest.json").exists()
 
 
 def test_a_standard_that_is_kept_uses_no_source(mission):
@@ -160,7 +160,9 @@ def test_a_sounding_of_another_time_or_place(mission, time, north, east, codes):
     text = sounding_text(time_utc=time, latitude_deg=north, longitude_deg=east)
     with_balloon(mission, text)
     prepared = read_mission(mission.save())
-    of_sources = {code for code in read_codes(prepared) if code.startswith(("SOUNDING-", "AIR-S"))}
+    of_sources = {
+        code for code in read_codes(prepared) if code.startswith(("SOUNDING-", "AIR-SOURCE"))
+    }
     assert of_sources == codes
     is_used = uses(prepared)["sounding balloon.csv"].fit is not None
     assert is_used == ("AIR-SOURCE-FAR" not in codes)
