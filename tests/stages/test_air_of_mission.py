@@ -411,92 +411,94 @@ def good_rows(mission) -> pd.DataFrame:
     return table[table["status"] == "ok"]
 
 
-class TestAirThatChanges:
-    """A mission in air that changes from one climate at the first image to another at the last."""
+@pytest.fixture(scope="module")
+def changed(mission_factory, baseline, tmp_path_factory):
+    """The mission in air that changes from one climate at the first image to another at the last.
 
-    @pytest.fixture(scope="class")
-    def changed(self, mission_factory, baseline, tmp_path_factory):
-        """The mission in the air that changes, and its rows with those in either air alone.
+    With it the rows in the first air, in the last, and in the air that changes. All airs have the
+    flight's pressure at the height of the cameras.
+    """
+    mission = mission_factory(tmp_path_factory.mktemp("changed") / "mission")
+    stations = baseline.stations().to_pandas()
+    times = stations["time_utc"].astype("int64")
+    height = np.array([stations["h_msl_m"].median()])
+    climates = ["of the first image", "of the last image"]
 
-        All airs have the flight's pressure at the height of the cameras.
-        """
-        mission = mission_factory(tmp_path_factory.mktemp("changed") / "mission")
-        stations = baseline.stations().to_pandas()
-        times = stations["time_utc"].astype("int64")
-        height = np.array([stations["h_msl_m"].median()])
-        climates = ["of the first image", "of the last image"]
+    def windows_of_climates(adjustment, *_):
+        gravity = adjustment.profile.gravity
+        pressure = adjustment.profile.pressure(height)
+        windows = []
+        for time_ns, name in zip((int(times.min()), int(times.max())), climates, strict=True):
+            climate = climatology(name, latitude_rad=gravity.latitude_rad, month=6.0)
+            air = TimedProfile(time_ns, climate.profile.at_level(height, pressure))
+            windows.append(TimeWindow(time_ns, time_ns + 1, air, 0.1, 0.01))
+        return tuple(windows), ()
 
-        def windows_of_climates(adjustment, *_):
-            gravity = adjustment.profile.gravity
-            pressure = adjustment.profile.pressure(height)
-            windows = []
-            for time_ns, name in zip((times.min(), times.max()), climates, strict=True):
-                climate = climatology(name, latitude_rad=gravity.latitude_rad, month=6.0)
-                air = TimedProfile(time_ns, climate.profile.at_level(height, pressure))
-                windows.append(TimeWindow(time_ns, time_ns + 1, air, 0.1, 0.01))
-            return tuple(windows), ()
+    rows = []
+    with pytest.MonkeyPatch.context() as patch, without_plots():
+        patch.setattr(air_of_mission, "estimate_windows", windows_of_climates)
+        for airs in ((SUMMER, SUMMER), (SUBARCTIC, SUBARCTIC), (SUMMER, SUBARCTIC)):
+            climates[:] = airs
+            ended = mission.run("--force")
+            assert ended.code == 0, ended.text
+            rows.append(good_rows(mission))
+    return mission, rows
 
-        rows = []
-        with pytest.MonkeyPatch.context() as patch, without_plots():
-            patch.setattr(air_of_mission, "estimate_windows", windows_of_climates)
-            for airs in ((SUMMER, SUMMER), (SUBARCTIC, SUBARCTIC), (SUMMER, SUBARCTIC)):
-                climates[:] = airs
-                ended = mission.run("--force")
-                assert ended.code == 0, ended.text
-                rows.append(good_rows(mission))
-            yield mission, rows
 
-    @pytest.mark.parametrize(
-        ("angle", "differs_by", "tolerance"), [("r_c_rad", 0.01, 8e-4), ("r_cc_rad", 0.02, 2e-3)]
-    )
-    def test_each_image_is_corrected_in_the_air_of_its_time(
-        self, changed, angle, differs_by, tolerance
-    ):
-        """R goes from that of the first air to that of the last, linear in time to 0.05 %.
+@pytest.mark.parametrize(
+    ("angle", "differs_by", "tolerance"), [("r_c_rad", 0.01, 8e-4), ("r_cc_rad", 0.02, 2e-3)]
+)
+def test_each_image_is_corrected_in_the_air_of_its_time(changed, angle, differs_by, tolerance):
+    """R goes from that of the first air to that of the last, linear in time to 0.05 %.
 
-        The window stands in the air of the time too.
-        """
-        mission, rows = changed
-        in_first, in_last, changing = (table[angle] for table in rows)
-        stations = mission.stations().to_pandas().set_index("image")
-        times = stations["time_utc"].astype("int64")
-        share_of_image = (times - times.min()) / (times.max() - times.min())
-        share = share_of_image.loc[changing.index.get_level_values("image")].to_numpy()
-        assert np.abs(in_last / in_first - 1.0).max() > differs_by
-        expected = (1.0 - share) * in_first + share * in_last
-        np.testing.assert_allclose(changing, expected, rtol=tolerance)
+    The window stands in the air of the time too.
+    """
+    mission, rows = changed
+    in_first, in_last, changing = (table[angle] for table in rows)
+    stations = mission.stations().to_pandas().set_index("image")
+    times = stations["time_utc"].astype("int64")
+    share_of_image = (times - times.min()) / (times.max() - times.min())
+    share = share_of_image.loc[changing.index.get_level_values("image")].to_numpy()
+    assert np.abs(in_last / in_first - 1.0).max() > differs_by
+    expected = (1.0 - share) * in_first + share * in_last
+    np.testing.assert_allclose(changing, expected, rtol=tolerance)
 
-    def test_the_tables_name_the_profile_of_each_image(self, changed):
-        mission, _ = changed
-        stations = mission.stations().to_pandas().sort_values("time_utc")
-        table = pq.read_table(mission.output / "profile.parquet").to_pandas()
-        time_of_profile = table.groupby("profile_id")["time_utc"].first()
-        assert set(stations["profile_id"]) == set(time_of_profile.index)
-        profile = mission.manifest()["profile"]
-        assert len(time_of_profile) == profile["profiles"] > 2
-        assert stations["profile_id"].is_monotonic_increasing
-        apart = time_of_profile.loc[stations["profile_id"]].to_numpy() - stations["time_utc"]
-        assert apart.abs().max() < pd.Timedelta(20, "s")
-        first_end, last_end = stations["time_utc"].iloc[[0, -1]].dt.floor("s")
-        begins = [pd.Timestamp(window["start_utc"]) for window in profile["windows"]]
-        assert begins == [first_end, last_end]
 
-    def test_a_changing_run_is_exported_as_it_was(self, changed, unbend, tmp_path):
-        mission, rows = changed
-        out = tmp_path / "lattice.parquet"
-        lattice = unbend("export", mission.output, "--format", "lattice", "--out", out)
-        assert lattice.code == 0, lattice.text
-        images = pq.read_table(out).column("image").to_pylist()
-        assert set(images) == set(rows[2].index.get_level_values("image"))
+def test_the_tables_name_the_profile_of_each_image(changed):
+    mission, _ = changed
+    stations = mission.stations().to_pandas().sort_values("time_utc")
+    table = pq.read_table(mission.output / "profile.parquet").to_pandas()
+    time_of_profile = table.groupby("profile_id")["time_utc"].first()
+    assert set(stations["profile_id"]) == set(time_of_profile.index)
+    profile = mission.manifest()["profile"]
+    assert len(time_of_profile) == profile["profiles"] > 2
+    assert stations["profile_id"].is_monotonic_increasing
+    times = pd.to_datetime(stations["time_utc"].to_list(), utc=True)
+    profile_times = time_of_profile.loc[stations["profile_id"]].to_list()
+    apart = pd.to_datetime(profile_times, utc=True) - times
+    assert np.abs(apart).max() < pd.Timedelta(20, "s")
+    begins = [window["start_utc"] for window in profile["windows"]]
+    from_ends = pd.to_datetime(begins, utc=True) - times[[0, -1]]
+    assert np.abs(from_ends).max() < pd.Timedelta(1, "s")
 
-    def test_the_profile_of_an_image_is_read_back_by_its_name(self, changed):
-        mission, _ = changed
-        table = pq.read_table(mission.output / "profile.parquet")
-        ids = mission.stations().column("profile_id")
-        series = air_of(table, pa.chunked_array([ids.to_pylist()[::-1]]))
-        numbers = series.profile_number.tolist()
-        assert numbers == air_of(table, ids).profile_number.tolist()[::-1]
-        assert len(set(numbers)) > 2
+
+def test_a_changing_run_is_exported_as_it_was(changed, unbend, tmp_path):
+    mission, rows = changed
+    out = tmp_path / "lattice.parquet"
+    lattice = unbend("export", mission.output, "--format", "lattice", "--out", out)
+    assert lattice.code == 0, lattice.text
+    images = pq.read_table(out).column("image").to_pylist()
+    assert set(images) == set(rows[2].index.get_level_values("image"))
+
+
+def test_the_profile_of_an_image_is_read_back_by_its_name(changed):
+    mission, _ = changed
+    table = pq.read_table(mission.output / "profile.parquet")
+    ids = mission.stations().column("profile_id")
+    series = air_of(table, pa.chunked_array([ids.to_pylist()[::-1]]))
+    numbers = series.profile_number.tolist()
+    assert numbers == air_of(table, ids).profile_number.tolist()[::-1]
+    assert len(set(numbers)) > 2
 
 
 # ---- the index of refraction
