@@ -124,7 +124,8 @@ def test_altitudes_of_opensfm_may_be_above_the_sea(block, opensfm):
     reference = opensfm / "opensfm" / "reference_lla.json"
     reference.write_text(reference.read_text().replace('"altitude": 0.0', '"altitude": -47.6'))
     stations, _ = run(opensfm, mission)
-    assert_true(stations, block)
+    # The frame is laid 47.6 m deeper: 0.6 km are 4 mm shorter there.
+    assert largest_difference(stations, block)[0] < 0.005
     by_opensfm = rows_of(opensfm)
     block.write_colmap(opensfm / "sparse")
     mission["observations"] = {"path": "sparse", "format": "colmap"}
