@@ -164,10 +164,11 @@ def test_a_sounding_of_another_time_or_place(mission, time, north, east, codes):
         code for code in read_codes(prepared) if code.startswith(("SOUNDING-", "AIR-SOURCE"))
     }
     assert of_sources == codes
-    is_used = uses(prepared)["sounding balloon.csv"].fit is not None
+    minute = time.removesuffix(":00Z")
+    is_used = uses(prepared)[f"sounding balloon.csv {minute}".rstrip()].fit is not None
     assert is_used == ("AIR-SOURCE-FAR" not in codes)
     if time:
-        assert f"balloon.csv of {time[:4]}-" in line_of(prepared, "sounding")
+        assert f"balloon.csv of {minute} UTC" in line_of(prepared, "sounding")
 
 
 def test_without_any_sensor_the_ground_is_where_it_took_off(mission):
