@@ -47,6 +47,12 @@ def terrain_grid(
     return terrain_at(lat, lon), Affine(step, 0.0, west, 0.0, -step, north)
 
 
+def moved(cells: Affine, columns: float) -> Affine:
+    """Cells that begin some columns further east."""
+    west = cells.c + columns * cells.a
+    return Affine(cells.a, cells.b, west, cells.d, cells.e, cells.f)
+
+
 @pytest.fixture
 def modelled(mission, flown):
     """Writes elevation models of the simulator's terrain, and sets the mission to use them."""
@@ -72,7 +78,7 @@ def modelled(mission, flown):
             "width": width,
             "dtype": "float32",
             "crs": grid,
-            "transform": transform * Affine.translation(columns.start, 0),
+            "transform": moved(transform, columns.start),
             "tiled": True,
         } | stated
         with rasterio.open(mission.folder / name, "w", **profile) as out:
@@ -330,7 +336,7 @@ def test_rasters_beside_one_grid_are_refused(mission, modelled):
     modelled(name="a.tif")
     modelled(name="b.tif")
     with rasterio.open(mission.folder / "b.tif", "r+") as raster:
-        raster.transform = raster.transform * Affine.translation(0.5, 0.0)
+        raster.transform = moved(raster.transform, 0.5)
     mission.config["ground"]["height"]["dem"] = ["a.tif", "b.tif"]
     assert "0.5 cells" in mission.refusal("DEM-TILES")
 
