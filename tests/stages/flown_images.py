@@ -12,20 +12,20 @@ import pandas as pd
 import pyproj
 from scipy.spatial.transform import Rotation
 
-WIDTH = 6000
-HEIGHT = 4000
+from tests.small_block import ecef, enu_axes
+
+FORMAT = np.array([6000, 4000])
 FOCAL = 5000.0
 CAMERA = {
-    "width_px": WIDTH,
-    "height_px": HEIGHT,
+    "width_px": 6000,
+    "height_px": 4000,
     "f_px": FOCAL,
-    "cx_px": WIDTH / 2,
-    "cy_px": HEIGHT / 2,
+    "cx_px": 3000.0,
+    "cy_px": 2000.0,
     "calibration": "laboratory",
 }
 CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 GEODETIC = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)
 
 
@@ -36,6 +36,17 @@ def truth_of(table: Path, instance: int) -> pd.DataFrame:
     return rows.sort_values("TimeUS").reset_index(drop=True)
 
 
+def ground_points(
+    pixels: np.ndarray, centre: np.ndarray, enu: np.ndarray, camera: np.ndarray, above_m: float
+) -> np.ndarray:
+    """(m, 3) where rays of pixels meet the plane below a camera; none of rays along it."""
+    rays = np.column_stack([(pixels - FORMAT / 2) / FOCAL, np.ones(len(pixels))]) @ camera
+    down = -rays @ enu[2]
+    descends = down > 0.3 * np.linalg.norm(rays, axis=1)
+    reach = above_m / down[descends]
+    return centre + rays[descends] * reach[:, None]
+
+
 def tie_points(
     truth: pd.DataFrame, names: list[str], ground_m: float, *, each: int = 6, seed: int = 1
 ) -> pd.DataFrame:
@@ -44,40 +55,27 @@ def tie_points(
     ``each`` points are drawn in each image that is not banked away from the ground.
     """
     rng = np.random.default_rng(seed)
-    lon, lat, h = (truth[c].to_numpy(float) for c in ("lng", "lat", "alt_amsl"))
-    centre = np.stack(ECEF.transform(lon, lat, h), axis=1)
-    east = np.stack([-np.sin(np.radians(lon)), np.cos(np.radians(lon)), 0.0 * lon], axis=1)
-    up = np.stack(
-        [
-            np.cos(np.radians(lat)) * np.cos(np.radians(lon)),
-            np.cos(np.radians(lat)) * np.sin(np.radians(lon)),
-            np.sin(np.radians(lat)),
-        ],
-        axis=1,
-    )
-    enu = np.stack([east, np.cross(up, east), up], axis=1)
+    lat, lon, h = truth[["lat", "lng", "alt_amsl"]].to_numpy(float).T
+    centres = ecef(lat, lon, h)
+    axes = np.array([enu_axes(*place) for place in zip(lat, lon, strict=True)])
     body = Rotation.from_euler("ZYX", truth[["yaw", "pitch", "roll"]], degrees=True).as_matrix()
-    camera = CAMERA_FROM_BODY @ np.swapaxes(body, 1, 2) @ NED_FROM_ENU @ enu  # from ECEF
+    ned_from_ecef = NED_FROM_ENU @ axes
+    cameras = CAMERA_FROM_BODY @ body.transpose(0, 2, 1) @ ned_from_ecef
     points = []
-    for i in range(len(truth)):
-        pixel = rng.uniform([0, 0], [WIDTH, HEIGHT], (each, 2))
-        ray = np.column_stack([(pixel - [WIDTH / 2, HEIGHT / 2]) / FOCAL, np.ones(each)])
-        ray = ray @ camera[i]
-        down = -ray @ up[i]
-        reach = (h[i] - ground_m) / np.where(down > 0.3 * np.linalg.norm(ray, axis=1), down, np.nan)
-        point = centre[i] + ray * reach[:, None]
-        point = point[np.isfinite(point).all(axis=1)]
-        x, y, _ = GEODETIC.transform(*point.T)
-        points.append(np.stack(ECEF.transform(x, y, np.full(x.shape, ground_m)), axis=1))
+    for centre, enu, camera, height in zip(centres, axes, cameras, h, strict=True):
+        pixels = rng.uniform([0, 0], FORMAT, (each, 2))
+        below = ground_points(pixels, centre, enu, camera, height - ground_m)
+        x, y, _ = GEODETIC.transform(*below.T)
+        points.append(ecef(y, x, ground_m))
     ground = np.concatenate(points)
     rows = []
-    for i, name in enumerate(names):
-        seen = (ground - centre[i]) @ camera[i].T
+    for name, centre, camera in zip(names, centres, cameras, strict=True):
+        x, y, depth = camera @ (ground - centre).T
         with np.errstate(divide="ignore", invalid="ignore"):
-            x, y = (FOCAL * seen[:, k] / seen[:, 2] + c / 2 for k, c in ((0, WIDTH), (1, HEIGHT)))
-        inside = (seen[:, 2] > 0) & (x > 0) & (x < WIDTH) & (y > 0) & (y < HEIGHT)
-        for j in np.flatnonzero(inside):
-            rows.append((name, f"p{j}", x[j], y[j]))
+            pixels = FOCAL * np.stack([x, y], axis=1) / depth[:, None] + FORMAT / 2
+        inside = (depth > 0) & (pixels > 0).all(axis=1) & (pixels < FORMAT).all(axis=1)
+        for number in np.flatnonzero(inside):
+            rows.append((name, f"p{number}", *pixels[number]))
     table = pd.DataFrame(rows, columns=["image", "point", "x_px", "y_px"])
     table[["x_px", "y_px"]] += rng.normal(0.0, 0.5, (len(table), 2))
     return table

@@ -2,70 +2,74 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from unbend.atmosphere.series import ageing, profile_series
+from tests.helpers import entry_of
+from unbend.batch.runs import read_mission
+from unbend.library import corrected_table
+from unbend.messages import Ledger
+from unbend.stages.air_of_mission import adjusted_profiles
+from unbend.tables.writing import table_of_profiles, table_of_stations
 
-pytestmark = pytest.mark.usefixtures("plain_report")
-
-SLOT_S = 5
-
-
-@pytest.fixture
-def restless(mission, baseline, monkeypatch):
-    """The sample mission in air that changes in minutes as much as elsewhere in hours."""
-    monkeypatch.setattr(ageing, "FRESH_S", 90.0)
-    calm = ageing.variation_parts
-    monkeypatch.setattr(
-        ageing,
-        "variation_parts",
-        lambda *of: tuple(replace(part, sigma_k=14.0 * part.sigma_k) for part in calm(*of)),
-    )
-    monkeypatch.setattr(profile_series, "SLOT_NS", SLOT_S * 10**9)
-    ended = mission.run("--force")
-    assert ended.code == 0, ended.text
-    return mission
+THREE_HOURS_NS = 3 * 3600 * 10**9
 
 
-def manifest(mission):
-    return json.loads((mission.output / "manifest.json").read_text())
+@pytest.fixture(scope="module")
+def fresh(baseline):
+    """The sample mission as it was flown."""
+    return read_mission(baseline.file)
 
 
-def test_the_same_angles_and_larger_sigmas(restless, baseline):
-    old, new = (
-        run.results().to_pandas().set_index(["image", "point"]) for run in (baseline, restless)
-    )
-    np.testing.assert_array_equal(new["r_c_rad"], old["r_c_rad"])
-    np.testing.assert_array_equal(new["x_corrected_px"], old["x_corrected_px"])
-    grown = (new["sigma_air_dx_px"] / old["sigma_air_dx_px"]).dropna()
-    assert grown.min() > 0.999
-    assert grown.median() > 2.0
-    # All exposures within five seconds share the age of their air.
-    stations = restless.stations().to_pandas().set_index("image")
-    times = stations["time_utc"].astype("int64")
-    slots = ((times - times.min()) // (SLOT_S * 10**9)).groupby(stations["profile_id"]).nunique()
-    assert len(slots) > 2
-    assert slots.max() == 1 or slots.drop(index=slots.idxmax()).max() == 1
+@pytest.fixture(scope="module")
+def aged(fresh):
+    """The same with a second exposure of each camera 3 h later, and a third 6 h later."""
+    number = np.array([int(name[-1]) for name in fresh.stations.image])
+    time_ns = fresh.stations.time_ns + THREE_HOURS_NS * (number - 1)
+    stations = replace(fresh.stations, time_ns=time_ns)
+    ledger = Ledger()
+    air = adjusted_profiles(fresh.mission, stations, fresh.samples, fresh.sources, ledger)
+    return replace(fresh, stations=stations, air=air, ledger=ledger)
 
 
-def test_every_table_tells_of_it(restless, baseline):
-    profiles = pq.read_table(restless.output / "profile.parquet").to_pandas()
-    ids = set(restless.stations().to_pandas()["profile_id"].dropna())
-    assert ids == set(profiles["profile_id"])
-    before = pq.read_table(baseline.output / "profile.parquet").to_pandas().set_index("h_m")
-    for _, one in profiles.set_index("h_m").groupby("profile_id"):
-        assert (one["temperature_k"] == before["temperature_k"]).all()
-        grown = one["sigma_temperature_k"] / before["sigma_temperature_k"]
-        assert grown.min() > 0.999
-        assert grown[(grown.index > 600.0) & (grown.index < 900.0)].min() > 3.0
-    told = manifest(restless)
-    (entry,) = [e for e in told["ledger"] if e["code"] == "AIR-AGED"]
-    assert entry["count"] > 0
-    assert not [e for e in manifest(baseline)["ledger"] if e["code"] == "AIR-AGED"]
-    before, after = (m["profile"]["effect"][0]["sigma_factor"] for m in (manifest(baseline), told))
-    assert after > 2.0 * before
+def test_the_same_angles_and_larger_sigmas(fresh, aged):
+    before = corrected_table(replace(fresh, ledger=Ledger()))[0].to_pandas()
+    table, results = corrected_table(aged)
+    after = table.to_pandas()
+    np.testing.assert_array_equal(after["r_c_rad"], before["r_c_rad"])
+    np.testing.assert_array_equal(after["x_corrected_px"], before["x_corrected_px"])
+    growth = after["sigma_air_dx_px"] / before["sigma_air_dx_px"]
+    number = after["image"].str[-1]
+    in_time, three_hours, six_hours = growth.groupby(number).median()
+    assert in_time == pytest.approx(1.0, abs=1e-3)
+    assert six_hours > three_hours > 1.5
+    assert entry_of(results.row(), "AIR-AGED")["count"] == 4
+    (effect, *_) = fresh.air.effects
+    (of_middle_exposure, *_) = aged.air.effects
+    assert of_middle_exposure.r_c_rad == effect.r_c_rad
+    assert of_middle_exposure.sigma_rad > 1.5 * effect.sigma_rad
+
+
+def low_air(prepared):
+    """The profiles of a mission between 600 and 900 m, and those of its stations by name."""
+    air = prepared.air
+    profiles = table_of_profiles(air.adjustment, air.series).to_pandas()
+    stations = table_of_stations(prepared.stations, air.series).to_pandas()
+    return profiles[profiles["h_m"].between(600.0, 900.0)], stations.set_index("image")
+
+
+def test_every_table_tells_of_it(fresh, aged):
+    before, _ = low_air(fresh)
+    profiles, stations = low_air(aged)
+    assert set(stations["profile_id"]) == set(profiles["profile_id"])
+    sigmas_k = [before["sigma_temperature_k"].mean()]
+    for number in (1, 2, 3):
+        nadir, oblique = stations.filter(like=str(number), axis=0)["profile_id"]
+        assert nadir == oblique
+        rows = profiles[profiles["profile_id"] == nadir]
+        assert rows["temperature_k"].tolist() == before["temperature_k"].tolist()
+        sigmas_k.append(rows["sigma_temperature_k"].mean())
+    assert sigmas_k[1] == pytest.approx(sigmas_k[0], rel=1e-3)
+    assert sigmas_k[3] > sigmas_k[2] > 1.5 * sigmas_k[1]

@@ -5,7 +5,7 @@ The truth is that of the simulator; grids are pyproj's and angles scipy's.
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,26 +15,62 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from tests.helpers import refused, with_code
 from unbend.batch.runs import read_mission
-from unbend.errors import InputError, MissionError
 
 PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
+NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+CAMERA_FROM_GIMBAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 GPS_EPOCH = pd.Timestamp("1980-01-06", tz="UTC")
 LEAP_SECONDS = 18
-STATED = {
-    "omega first": "First rotation is about the 'x' axis by the 'omega' angle.\n"
-    "Second rotation is about the 'y' axis by the 'phi' angle.\n"
-    "Third rotation is about the 'z' axis by the 'kappa' angle.\n",
-    "phi first": "First rotation is about the 'y' axis by the 'phi' angle.\n"
-    "Second rotation is about the 'x' axis by the 'omega' angle.\n"
-    "Third rotation is about the 'z' axis by the 'kappa' angle.\n",
-    "nothing": "",
-}
+WEEK_S = 7 * 86_400
+
+
+class Crossing(NamedTuple):
+    """A mission of the oblique camera, whose three lines have tie points between them."""
+
+    folder: object
+    config: dict
+    truth: pd.DataFrame
+
+    @property
+    def enu_from_camera(self) -> np.ndarray:
+        """(n, 3, 3) the camera (x right, y down, z forward) against east, north, up."""
+        camera_from_enu = Rotation.from_quat(self.truth[["q_x", "q_y", "q_z", "q_w"]].to_numpy())
+        return camera_from_enu.inv().as_matrix()
+
+    @property
+    def time(self) -> pd.Series:
+        return pd.to_datetime(self.truth["time_utc"], utc=True)
+
+    def read(self, sections: dict):
+        file = self.folder / "road.yaml"
+        file.write_text(yaml.safe_dump(self.config | sections), encoding="utf-8")
+        return read_mission(file)
+
+    def refusal(self, sections: dict, code: str = "ORIENTATION-READING") -> str:
+        with refused(code) as refusal:
+            self.read(sections)
+        return refusal.value.what
+
+    def assert_true(self, sections: dict, tolerance_deg: float = 1e-4) -> None:
+        """The attitudes of the stations are those of the truth."""
+        stations = self.read(sections).stations
+        quaternions = pd.DataFrame(stations.quaternion, index=stations.image)
+        scalar_last = quaternions.loc[self.truth["image"], [1, 2, 3, 0]].to_numpy()
+        apart = Rotation.from_quat(scalar_last).as_matrix() @ self.enu_from_camera
+        worst_rad = Rotation.from_matrix(apart).magnitude().max()
+        assert np.degrees(worst_rad) < tolerance_deg
+
+
+def angles(matrices: np.ndarray, axes: str) -> np.ndarray:
+    """(3, n) [deg]."""
+    return Rotation.from_matrix(matrices).as_euler(axes, degrees=True).T
 
 
 @pytest.fixture(scope="module")
-def crossing(tmp_path_factory, fly_crossing_lines):
-    """Three lines with tie points between them: a mission of the oblique camera, and its truth."""
+def crossing(tmp_path_factory, fly_crossing_lines) -> Crossing:
     folder = tmp_path_factory.mktemp("roads")
     flown, config = fly_crossing_lines(folder)
     del config["log"]
@@ -42,165 +78,135 @@ def crossing(tmp_path_factory, fly_crossing_lines):
     del camera["window"]
     config |= {"cameras": {"c": camera}, "mount": {"c": {}}}
     truth = pq.read_table(flown.truth / "stations.parquet").to_pandas()
-    return folder, config, truth[truth["camera"] == "oblique"].reset_index(drop=True)
-
-
-def enu_from_camera(truth: pd.DataFrame) -> np.ndarray:
-    """(n, 3, 3) the camera (x right, y down, z forward) against east, north, up."""
-    camera_from_enu = Rotation.from_quat(truth[["q_x", "q_y", "q_z", "q_w"]].to_numpy())
-    return camera_from_enu.as_matrix().transpose(0, 2, 1)
-
-
-def prepared(crossing, sections: dict):
-    folder, config, _ = crossing
-    (folder / "road.yaml").write_text(yaml.safe_dump(config | sections), encoding="utf-8")
-    return read_mission(folder / "road.yaml")
-
-
-def refused(crossing, sections: dict) -> str:
-    with pytest.raises(InputError, match="ORIENTATION-READING") as refusal:
-        prepared(crossing, sections)
-    return refusal.value.what
-
-
-def worst_turn_deg(stations, truth: pd.DataFrame) -> float:
-    """How far the attitudes of stations are from the truth [deg]."""
-    row = {name: number for number, name in enumerate(stations.image.tolist())}
-    q = stations.quaternion[[row[name] for name in truth["image"]]]
-    apart = Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix() @ enu_from_camera(truth)
-    return float(np.degrees(Rotation.from_matrix(apart).magnitude().max()))
+    of_camera = truth[truth["camera"] == "oblique"].reset_index(drop=True)
+    return Crossing(folder, config, of_camera)
 
 
 # --- exterior orientations of POSPac ----------------------------------------------------------
 
+ORDER = (
+    "First rotation is about the '{}' axis by the '{}' angle.\n"
+    "Second rotation is about the '{}' axis by the '{}' angle.\n"
+    "Third rotation is about the 'z' axis by the 'kappa' angle.\n"
+)
+OMEGA_FIRST = ORDER.format("x", "omega", "y", "phi")
+PHI_FIRST = ORDER.format("y", "phi", "x", "omega")
 
-def write_eo(path: Path, truth: pd.DataFrame, axes: str, head: str, turn_deg: float = 0.0) -> None:
+
+def with_eo(crossing: Crossing, axes: str, head: str, turn_deg: float = 0.0) -> dict:
     """An exterior orientation with angles about ``axes`` of the grid, kappa turned further."""
-    zone = int(np.floor((truth["lon_deg"].iloc[0] + 180.0) / 6.0)) + 1
-    utm = pyproj.Proj(f"EPSG:{32600 + zone}")
+    truth = crossing.truth
     lon = truth["lon_deg"].to_numpy()
     lat = truth["lat_deg"].to_numpy()
+    zone = int(np.floor((lon[0] + 180.0) / 6.0)) + 1
+    utm = pyproj.Proj(f"EPSG:{32600 + zone}")
     east, north = utm(lon, lat)
     convergence = np.asarray(utm.get_factors(lon, lat).meridian_convergence)
     grid_from_enu = Rotation.from_euler("z", convergence[:, None], degrees=True).as_matrix()
-    matrix = grid_from_enu @ enu_from_camera(truth) @ PHOTOGRAMMETRIC
-    first, second, kappa = Rotation.from_matrix(matrix).as_euler(axes, degrees=True).T
+    grid_from_image = grid_from_enu @ crossing.enu_from_camera @ PHOTOGRAMMETRIC
+    first, second, kappa = angles(grid_from_image, axes)
     angle = {axes[0]: first, axes[1]: second}
-    time = pd.to_datetime(truth["time_utc"], utc=True) - GPS_EPOCH
-    seconds = (time.dt.total_seconds() + LEAP_SECONDS) % (7 * 86_400)
-    text = (
-        f"{head}Grid: Zone: UTM North {zone}; lat, long in Deg; orientation in Degrees ;\n\n"
-        "ID EVENT TIME (s) EASTING NORTHING ORTHOMETRIC HEIGHT OMEGA PHI KAPPA LAT LONG\n"
+    gps_s = (crossing.time - GPS_EPOCH).dt.total_seconds() + LEAP_SECONDS
+    table = pd.DataFrame(
+        {
+            "ID": truth["image"],
+            "EVENT": np.arange(len(truth)) + 1,
+            "TIME (s)": gps_s % WEEK_S,
+            "EASTING": east,
+            "NORTHING": north,
+            "ORTHOMETRIC HEIGHT": truth["h_msl_m"],
+            "OMEGA": angle["X"],
+            "PHI": angle["Y"],
+            "KAPPA": kappa + turn_deg,
+            "LAT": lat,
+            "LONG": lon,
+        }
     )
-    for k in range(len(truth)):
-        text += (
-            f"{truth['image'][k]} {k + 1} {seconds[k]:.6f} {east[k]:.3f} {north[k]:.3f} "
-            f"{truth['h_msl_m'][k]:.4f} {angle['X'][k]:.7f} {angle['Y'][k]:.7f} "
-            f"{kappa[k] + turn_deg:.7f} {lat[k]:.9f} {lon[k]:.9f}\n"
-        )
-    path.write_text(text, encoding="utf-8")
-
-
-def with_eo(crossing, axes: str, head: str, turn_deg: float = 0.0) -> dict:
-    folder, _, truth = crossing
-    write_eo(folder / "eo.txt", truth, axes, head, turn_deg)
-    week = int((pd.to_datetime(truth["time_utc"][0], utc=True) - GPS_EPOCH).days // 7)
+    text = f"{head}Grid: Zone: UTM North {zone}; lat, long in Deg; orientation in Degrees ;\n\n"
+    text += " ".join(table.columns) + "\n"
+    text += table.to_csv(sep=" ", header=False, index=False, float_format="%.9f")
+    (crossing.folder / "eo.txt").write_text(text, encoding="utf-8")
     source = {
         "path": "eo.txt",
         "format": "eo",
         "image": "{name}",
         "point": "camera",
-        "time": {"system": "gpst", "week": week},
+        "time": {"system": "gpst", "week": int(gps_s[0] // WEEK_S)},
     }
     return {"events": {"positions": {"c": source}}}
 
 
-@pytest.mark.parametrize(
-    ("axes", "stated"), [("XYZ", "omega first"), ("YXZ", "phi first"), ("XYZ", "nothing")]
-)
-def test_the_order_that_a_head_states_is_the_one_that_is_read(crossing, axes, stated):
-    stations = prepared(crossing, with_eo(crossing, axes, STATED[stated])).stations
-    assert worst_turn_deg(stations, crossing[2]) < 1e-4
+@pytest.mark.parametrize(("axes", "head"), [("XYZ", OMEGA_FIRST), ("YXZ", PHI_FIRST), ("XYZ", "")])
+def test_the_order_that_a_head_states_is_the_one_that_is_read(crossing, axes, head):
+    crossing.assert_true(with_eo(crossing, axes, head))
 
 
 @pytest.mark.parametrize(
-    ("axes", "stated", "order"),
+    ("axes", "head", "order"),
     [
-        ("YXZ", "nothing", "phi_omega_kappa"),
-        ("YXZ", "omega first", "phi_omega_kappa"),
-        ("XYZ", "phi first", "omega_phi_kappa"),
+        ("YXZ", "", "phi_omega_kappa"),
+        ("YXZ", OMEGA_FIRST, "phi_omega_kappa"),
+        ("XYZ", PHI_FIRST, "omega_phi_kappa"),
     ],
 )
-def test_tie_points_tell_an_order_that_the_head_does_not(crossing, axes, stated, order):
-    what = refused(crossing, with_eo(crossing, axes, STATED[stated]))
-    assert f"if the angles are {order}" in what
+def test_tie_points_tell_an_order_that_the_head_does_not(crossing, axes, head, order):
+    text = crossing.refusal(with_eo(crossing, axes, head))
+    assert f"if the angles are {order}" in text
 
 
 def test_a_cardinal_rotation_is_a_warning_and_tie_points_tell_turned_images(crossing):
-    head = STATED["omega first"] + "Kappa cardinal rotation: 90 deg\n"
-    ledger = prepared(crossing, with_eo(crossing, "XYZ", head)).ledger
-    told = [entry for entry in ledger if entry.code == "IMPORT-EO-HEAD" and entry.kind == "warning"]
-    assert "cardinal rotation of 90 deg" in told[0].what
-    what = refused(crossing, with_eo(crossing, "XYZ", head, turn_deg=90.0))
-    assert "images turned by -90 degrees" in what
+    head = OMEGA_FIRST + "Kappa cardinal rotation: 90 deg\n"
+    ledger = crossing.read(with_eo(crossing, "XYZ", head)).ledger
+    warnings = [note for note in with_code(ledger, "IMPORT-EO-HEAD") if note.kind == "warning"]
+    assert "cardinal rotation of 90 deg" in warnings[0].what
+    text = crossing.refusal(with_eo(crossing, "XYZ", head, turn_deg=90.0))
+    assert "images turned by -90 degrees" in text
 
 
-# --- a trajectory -----------------------------------------------------------------------------
+# --- a trajectory, and tags of images ---------------------------------------------------------
 
 
-def with_trajectory(crossing, change) -> dict:
+def with_trajectory(crossing: Crossing, yaw_sign: int) -> dict:
     """A trajectory whose body is that of the camera at rest, its rows at the exposures."""
-    folder, _, truth = crossing
-    ned_from_enu = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    camera_from_body = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    body = ned_from_enu @ enu_from_camera(truth) @ camera_from_body
-    yaw, pitch, roll = Rotation.from_matrix(body).as_euler("ZYX", degrees=True).T
-    time = pd.to_datetime(truth["time_utc"], utc=True)
+    truth = crossing.truth
+    body = NED_FROM_ENU @ crossing.enu_from_camera @ CAMERA_FROM_BODY
+    yaw, pitch, roll = angles(body, "ZYX")
     rows = pd.DataFrame(
-        {"time": time, "lat": truth["lat_deg"], "lon": truth["lon_deg"], "h": truth["h_msl_m"]}
+        {
+            "time": crossing.time,
+            "latitude": truth["lat_deg"],
+            "longitude": truth["lon_deg"],
+            "height": truth["h_msl_m"],
+            "roll": roll,
+            "pitch": pitch,
+            "yaw": yaw_sign * yaw,
+        }
     )
-    rows["roll"], rows["pitch"], rows["yaw"] = change(roll, pitch, yaw)
-    # A row a second before and after each exposure, where the body is the same.
+    # A row half a second before and after each exposure, where the body is the same.
     parts = [rows.assign(time=rows["time"] + pd.Timedelta(s, "s")) for s in (-0.5, 0.0, 0.5)]
-    table = pd.concat(parts).sort_values("time")
-    table["time"] = table["time"].dt.strftime("%Y-%m-%dT%H:%M:%S.%f")
-    table.to_csv(folder / "track.csv", index=False)
-    truth.assign(time=time.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ"))[["image", "time"]].to_csv(
-        folder / "events.csv", index=False
-    )
-    columns = {name: name for name in ("time", "roll", "pitch", "yaw")}
-    columns |= {"latitude": "lat", "longitude": "lon", "height": "h"}
+    track = pd.concat(parts).sort_values("time")
+    time_format = "%Y-%m-%dT%H:%M:%S.%f"
+    track.to_csv(crossing.folder / "track.csv", index=False, date_format=time_format)
+    events = pd.DataFrame({"image": truth["image"], "time": crossing.time})
+    events.to_csv(crossing.folder / "events.csv", index=False, date_format=time_format + "Z")
+    trajectory = {
+        "path": "track.csv",
+        "point": "camera",
+        "heights": "msl",
+        "time": {"system": "utc"},
+        "columns": {name: name for name in rows.columns},
+    }
     return {
-        "stations": {
-            "trajectory": {
-                "path": "track.csv",
-                "point": "camera",
-                "heights": "msl",
-                "time": {"system": "utc"},
-                "columns": columns,
-            },
-        },
+        "stations": {"trajectory": trajectory},
         "events": {"csv": {"path": "events.csv", "columns": {"time_utc": "time"}}},
     }
 
 
-def test_tie_points_tell_the_reading_of_a_trajectory_without_a_log(crossing):
-    right = prepared(crossing, with_trajectory(crossing, lambda *angles: angles))
-    assert worst_turn_deg(right.stations, crossing[2]) < 1e-4
-    turned = with_trajectory(crossing, lambda roll, pitch, yaw: (roll, pitch, -yaw))
-    assert "with the other sign of yaw" in refused(crossing, turned)
-
-
-# --- tags of images ---------------------------------------------------------------------------
-
-
-def with_tags(crossing, change) -> dict:
+def with_tags(crossing: Crossing, yaw_sign: int) -> dict:
     """A table of tags: the gimbal's axis is the optical one."""
-    folder, _, truth = crossing
-    ned_from_enu = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    camera_from_gimbal = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-    gimbal = ned_from_enu @ enu_from_camera(truth) @ camera_from_gimbal
-    yaw, pitch, roll = change(*Rotation.from_matrix(gimbal).as_euler("ZYX", degrees=True).T)
+    truth = crossing.truth
+    gimbal = NED_FROM_ENU @ crossing.enu_from_camera @ CAMERA_FROM_GIMBAL
+    yaw, pitch, roll = angles(gimbal, "ZYX")
     table = pd.DataFrame(
         {
             "SourceFile": truth["image"],
@@ -209,61 +215,33 @@ def with_tags(crossing, change) -> dict:
             "AbsoluteAltitude": truth["h_msl_m"],
             "GimbalRollDegree": roll,
             "GimbalPitchDegree": pitch,
-            "GimbalYawDegree": yaw,
+            "GimbalYawDegree": yaw_sign * yaw,
         }
     )
-    table.to_csv(folder / "tags.csv", index=False)
-    orientation = {
-        "path": "tags.csv",
-        "format": "dji",
-        "angles": "roll_pitch_yaw",
-        "frame": "geographic",
-        "heights": "msl",
-    }
-    return {"stations": {"orientation": orientation}, "events": None}
+    return with_orientation(crossing, table, format="dji", angles="roll_pitch_yaw")
 
 
-def test_tie_points_tell_the_reading_of_a_gimbal(crossing):
-    right = prepared(crossing, with_tags(crossing, lambda *angles: angles))
-    assert worst_turn_deg(right.stations, crossing[2]) < 1e-4
-    turned = with_tags(crossing, lambda yaw, pitch, roll: (-yaw, pitch, roll))
-    assert "with the other sign of yaw" in refused(crossing, turned)
+def with_orientation(crossing: Crossing, table: pd.DataFrame, **stated: str) -> dict:
+    """Sections by a table of orientations against the vertical of each station."""
+    table.to_csv(crossing.folder / "table.csv", index=False)
+    same = {"path": "table.csv", "frame": "geographic", "heights": "msl"}
+    return {"stations": {"orientation": same | stated}, "events": None}
+
+
+@pytest.mark.parametrize("road", [with_trajectory, with_tags])
+def test_tie_points_tell_the_reading(crossing, road):
+    crossing.assert_true(road(crossing, 1))
+    assert "with the other sign of yaw" in crossing.refusal(road(crossing, -1))
 
 
 # --- our own tables ---------------------------------------------------------------------------
 
 
-def with_own_table(crossing, frame: object) -> dict:
-    """A table with the names of our own in one frame, read against the vertical of each station."""
-    folder, _, truth = crossing
-    matrix = enu_from_camera(truth) @ PHOTOGRAMMETRIC
-    omega, phi, kappa = Rotation.from_matrix(matrix).as_euler("XYZ", degrees=True).T
-    table = pd.DataFrame(
-        {
-            "image": truth["image"],
-            "lat_deg": truth["lat_deg"],
-            "lon_deg": truth["lon_deg"],
-            "h_msl_m": truth["h_msl_m"],
-            "omega_deg": omega,
-            "phi_deg": phi,
-            "kappa_deg": kappa,
-        }
-    )
-    if frame is not None:
-        table = table.assign(origin_lat_deg=47.0, origin_lon_deg=8.0, origin_h_ellipsoid_m=400.0)
-    table.to_csv(folder / "own.csv", index=False)
-    orientation = {
-        "path": "own.csv",
-        "angles": "omega_phi_kappa",
-        "frame": "geographic",
-        "heights": "msl",
-        "date": "2026-05-01",
-    }
-    return {"stations": {"orientation": orientation}, "events": None}
-
-
 def test_a_table_against_each_vertical_is_read_and_one_in_one_frame_refused(crossing):
-    stations = prepared(crossing, with_own_table(crossing, None)).stations
-    assert worst_turn_deg(stations, crossing[2]) < 1e-6
-    with pytest.raises(MissionError, match="ORIENTATION-FRAME"):
-        prepared(crossing, with_own_table(crossing, "one"))
+    omega, phi, kappa = angles(crossing.enu_from_camera @ PHOTOGRAMMETRIC, "XYZ")
+    table = crossing.truth[["image", "lat_deg", "lon_deg", "h_msl_m"]]
+    table = table.assign(omega_deg=omega, phi_deg=phi, kappa_deg=kappa)
+    stated = {"angles": "omega_phi_kappa", "date": "2026-05-01"}
+    crossing.assert_true(with_orientation(crossing, table, **stated), 1e-6)
+    in_one_frame = table.assign(origin_lat_deg=47.0, origin_lon_deg=8.0, origin_h_ellipsoid_m=400.0)
+    crossing.refusal(with_orientation(crossing, in_one_frame, **stated), "ORIENTATION-FRAME")

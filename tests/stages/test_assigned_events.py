@@ -7,16 +7,40 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.helpers import refused, with_code
 from unbend.config.event_sources import FirstImage
-from unbend.errors import MissionError
 from unbend.flight.exposures import Events
 from unbend.stages.multi_image.assignment_likelihoods import TIES, TieLikelihood
 from unbend.stages.multi_image.camera_images import CameraImages
 from unbend.stages.multi_image.image_events import AssignedEvents, assigned_events
 from unbend.tables.imports.exif import ImageTimes
 
-NAMES = [f"a_{number}" for number in range(1, 6)]
-SECONDS = np.array([0.0, 2.0, 4.5, 6.5, 9.0])
+EVERY_OTHER_SECOND = 2.0 * np.arange(2000)
+LOGGED = np.arange(1, 257)
+AFTER_THE_CLIMB = np.arange(61, 257)
+
+
+def names_of(numbers: np.ndarray) -> np.ndarray:
+    return np.array([f"I{number:04d}.jpg" for number in numbers], object)
+
+
+def numbered_events(numbers: np.ndarray, time_s: np.ndarray = EVERY_OTHER_SECOND) -> Events:
+    """Events of a log every other second, which has these numbers."""
+    time_ns = (1e9 * time_s[: numbers.size]).astype(np.int64)
+    return Events("nadir", names_of(numbers), time_ns, index=numbers)
+
+
+def numbered_images(numbers: np.ndarray, *, numbering: str = "index", files=-1) -> CameraImages:
+    """Images that are named by the log's numbers."""
+    rows = np.broadcast_to(files, numbers.shape)
+    return CameraImages(names_of(numbers), numbers, numbering=numbering, file=rows)
+
+
+def assert_rows(assigned: AssignedEvents, numbers: np.ndarray) -> None:
+    """Images of some numbers have the events of these numbers, which count from one."""
+    row_of_image = dict(zip(assigned.events.image, assigned.rows.tolist(), strict=True))
+    rows = [row_of_image[name] for name in names_of(numbers)]
+    assert rows == (numbers - 1).tolist()
 
 
 class NeverFits(TieLikelihood):
@@ -37,59 +61,20 @@ class NeverFits(TieLikelihood):
 
 def test_tie_points_that_fit_nothing_change_nothing():
     """Numbers that only count the rows of a file name no event, with or without them."""
-    events = Events(
-        camera="nadir",
-        image=np.array(NAMES, object),
-        time_ns=(1e9 * SECONDS).astype(np.int64),
-        index=np.arange(1, 6),
-        counts="always",
-    )
-    images = CameraImages(
-        name=np.array(NAMES[:4], object),
-        number=np.arange(1, 5),
-        numbering="index",
-        file=np.full(4, -1),
-    )
-    first = FirstImage(image="a_1", event=1)
+    rhythm = np.array([0.0, 2.0, 4.5, 6.5, 9.0])
+    events = replace(numbered_events(np.arange(1, 6), rhythm), counts="always")
+    images = numbered_images(np.arange(1, 5))
+    first = FirstImage(image="I0001.jpg", event=1)
     alone, notes = assigned_events(events, images, None, first, {})
     beside, notes_beside = assigned_events(events, images, None, first, {TIES: NeverFits()})
     assert beside.rows.tolist() == alone.rows.tolist()
     assert [note.code for note in notes_beside] == [note.code for note in notes]
 
 
-EVERY_OTHER_SECOND = 2.0 * np.arange(256)
-
-
-def numbered_events(numbers: np.ndarray) -> Events:
-    """Events of a log every other second, which has these numbers."""
-    return Events(
-        camera="nadir",
-        image=np.array([f"I{number:04d}.jpg" for number in numbers], object),
-        time_ns=(1e9 * EVERY_OTHER_SECOND[: numbers.size]).astype(np.int64),
-        index=numbers,
-    )
-
-
-def numbered_images(numbers: np.ndarray, *, with_files: bool = False) -> CameraImages:
-    """Images that are named by the log's numbers."""
-    return CameraImages(
-        name=np.array([f"I{number:04d}.jpg" for number in numbers], object),
-        number=numbers,
-        numbering="index",
-        file=np.arange(numbers.size) if with_files else np.full(numbers.size, -1),
-    )
-
-
-def rows_of(assigned: AssignedEvents, numbers: np.ndarray) -> list[int]:
-    """The rows of the events that images of some numbers have."""
-    row_of_image = dict(zip(assigned.events.image, assigned.rows.tolist(), strict=True))
-    return [row_of_image[f"I{number:04d}.jpg"] for number in numbers]
-
-
 @pytest.mark.parametrize(
     "kept",
     [
-        np.arange(61, 257),  # the test shots of the climb were not handed over
+        AFTER_THE_CLIMB,  # whose test shots were not handed over
         np.arange(2, 257),
         np.arange(1, 201),
         np.arange(101, 141),
@@ -99,18 +84,18 @@ def rows_of(assigned: AssignedEvents, numbers: np.ndarray) -> list[int]:
 )
 def test_numbers_of_the_log_hold_where_nothing_speaks_against_them(kept):
     """How usual it is that images are missing at the beginning is no evidence."""
-    events = numbered_events(np.arange(1, 257))
-    assigned, notes = assigned_events(events, numbered_images(kept), None, None, {})
-    there = kept[kept <= 256]
-    assert rows_of(assigned, there) == (there - 1).tolist()
-    (told,) = [note for note in notes if note.code == "EVENTS-ASSIGNED"]
-    assert "names (index)" in told.what
+    assigned, notes = assigned_events(
+        numbered_events(LOGGED), numbered_images(kept), None, None, {}
+    )
+    assert_rows(assigned, kept[kept <= 256])
+    (note,) = with_code(notes, "EVENTS-ASSIGNED")
+    assert "names (index)" in note.what
 
 
-def files_of(time_s: np.ndarray, names: np.ndarray) -> ImageTimes:
+def files_of(images: CameraImages, time_s: np.ndarray) -> ImageTimes:
     """Files of images with times of the camera's clock, of which nothing is known."""
     return ImageTimes(
-        file=names,
+        file=images.name,
         time_ns=(1e9 * time_s).astype(np.int64),
         sigma_s=np.full(time_s.size, 0.01),
         is_utc=False,
@@ -120,53 +105,46 @@ def files_of(time_s: np.ndarray, names: np.ndarray) -> ImageTimes:
 
 def test_times_at_a_constant_interval_do_not_speak_against_numbers():
     """Every shift fits such times as well as the numbers do."""
-    kept = np.arange(61, 257)
-    images = numbered_images(kept, with_files=True)
-    files = files_of(EVERY_OTHER_SECOND[kept - 1] + 3600.0, images.name)
-    assigned, _ = assigned_events(numbered_events(np.arange(1, 257)), images, files, None, {})
-    assert rows_of(assigned, kept) == (kept - 1).tolist()
+    kept = AFTER_THE_CLIMB
+    images = numbered_images(kept, files=np.arange(kept.size))
+    files = files_of(images, EVERY_OTHER_SECOND[kept - 1] + 3600.0)
+    assigned, _ = assigned_events(numbered_events(LOGGED), images, files, None, {})
+    assert_rows(assigned, kept)
 
 
 def test_a_rhythm_of_times_contradicts_numbers_by_name():
     """Files that count from the first image kept, taken for the log's numbers: 60 events off."""
-    rng = np.random.default_rng(4)
-    time_s = np.cumsum(rng.uniform(1.5, 4.0, 256))
-    events = replace(numbered_events(np.arange(1, 257)), time_ns=(1e9 * time_s).astype(np.int64))
-    images = numbered_images(np.arange(1, 197), with_files=True)
-    files = files_of(time_s[60:] - 7200.0, images.name)
-    with pytest.raises(MissionError, match="EVENTS-CONTRADICTED") as refusal:
-        assigned_events(events, images, files, None, {})
+    time_s = np.cumsum(np.random.default_rng(4).uniform(1.5, 4.0, 256))
+    images = numbered_images(np.arange(1, 197), files=np.arange(196))
+    files = files_of(images, time_s[60:] - 7200.0)
+    with refused("EVENTS-CONTRADICTED") as refusal:
+        assigned_events(numbered_events(LOGGED, time_s), images, files, None, {})
     assert "times contradict the numbers of the log" in str(refusal.value)
 
 
 def test_a_stated_pair_that_contradicts_stated_numbers_is_refused_by_name():
-    images = numbered_images(np.arange(61, 257))
     pair = FirstImage(image="I0061.jpg", event=1)
-    with pytest.raises(MissionError, match="first_image contradict the numbers of the log"):
-        assigned_events(numbered_events(np.arange(1, 257)), images, None, pair, {})
+    with refused("EVENTS-CONTRADICTED") as refusal:
+        assigned_events(numbered_events(LOGGED), numbered_images(AFTER_THE_CLIMB), None, pair, {})
+    assert "first_image contradict the numbers of the log" in str(refusal.value)
 
 
 def test_a_stated_pair_holds_where_only_missing_images_speak_against_it():
     """Names that count by themselves, the pair in the midst of many events without an image."""
-    images = replace(numbered_images(np.arange(1, 41)), numbering="sequence")
+    images = numbered_images(np.arange(1, 41), numbering="sequence")
     pair = FirstImage(image="I0001.jpg", event=150)
-    assigned, _ = assigned_events(numbered_events(np.arange(1, 257)), images, None, pair, {})
+    assigned, _ = assigned_events(numbered_events(LOGGED), images, None, pair, {})
     assert assigned.rows.tolist() == list(range(149, 189))
 
 
 def test_many_numbers_are_hypotheses_beside_the_stated_ones():
     """Tie points that favour the stated numbers find them among 1,500 equal shifts."""
-    events = replace(
-        numbered_events(np.arange(1, 257)),
-        image=np.array([f"I{number:04d}.jpg" for number in range(1, 2001)], object),
-        time_ns=np.arange(2000, dtype=np.int64) * 2_000_000_000,
-        index=np.arange(1, 2001),
-    )
     kept = np.arange(901, 1401)
 
     def by_ties(event: np.ndarray) -> float:
         return -0.5 * float(np.sum(event != kept - 1))
 
+    events = numbered_events(np.arange(1, 2001))
     assigned, notes = assigned_events(events, numbered_images(kept), None, None, {TIES: by_ties})
-    assert rows_of(assigned, kept) == (kept - 1).tolist()
+    assert_rows(assigned, kept)
     assert "tie points" in notes[0].what

@@ -7,8 +7,8 @@ import threading
 
 import pytest
 
-from unbend.refraction.kernels import threads as kernel_threads
-from unbend.stages import correction as correct
+from unbend.refraction.kernels.threads import BLOCK_ROWS, in_blocks, usable_cpus
+from unbend.stages.correction import on_threads, threads_for
 
 
 class Counter:
@@ -53,16 +53,16 @@ class Counter:
     [(1, 64, 1), (3, 64, 3), (64, 64, 45), (64, 8, 5), (8, 0.5, 1)],
 )
 def test_batches_in_flight_are_as_many_as_cpus_and_memory(monkeypatch, cpus, memory_gb, threads):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cpus)), raising=False)
+    monkeypatch.setenv("UNBEND_THREADS", str(cpus))
     pages = {"SC_PHYS_PAGES": int(memory_gb * (1 << 30)) // 4096, "SC_PAGE_SIZE": 4096}
     monkeypatch.setattr(os, "sysconf", pages.__getitem__)
-    assert correct.threads_for(250_000) == threads
+    assert threads_for(250_000) == threads
 
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_no_more_batches_are_held_than_threads_and_one(threads):
     counter = Counter(threads)
-    made = correct.on_threads(counter.work, counter.batches(40), threads=threads)
+    made = on_threads(counter.work, counter.batches(40), threads=threads)
     assert list(made) == list(range(40))
     assert counter.most_at_work == threads
     assert counter.most_held == threads + 1
@@ -78,30 +78,36 @@ def test_a_batch_that_fails_stops_the_others():
         return counter.work(number, batch)
 
     with pytest.raises(KeyError):
-        list(correct.on_threads(broken, counter.batches(1000), threads=4))
+        list(on_threads(broken, counter.batches(1000), threads=4))
     assert counter.held < 10
 
 
-def test_cpus_are_those_this_process_may_use(monkeypatch):
+@pytest.mark.parametrize(
+    ("stated", "affinity", "cpus"),
+    [
+        ("", {5, 7}, 2),
+        ("", None, 256),  # where the system has no affinity: all there are
+        ("3", {5, 7}, 3),
+        ("0", {5, 7}, 1),
+        ("many", {5, 7}, 2),
+    ],
+)
+def test_cpus_are_those_this_process_may_use(monkeypatch, stated, affinity, cpus):
+    monkeypatch.setenv("UNBEND_THREADS", stated)
     monkeypatch.setattr(os, "cpu_count", lambda: 256)
-    if hasattr(os, "sched_getaffinity"):
-        assert kernel_threads.usable_cpus() == len(os.sched_getaffinity(0))
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5, 7}, raising=False)
-    assert kernel_threads.usable_cpus() == 2
-    used = set()
-    together = threading.Barrier(2, timeout=60.0)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: affinity, raising=False)
+    if affinity is None:
+        monkeypatch.delattr(os, "sched_getaffinity")
+    assert usable_cpus() == cpus
+
+
+def test_blocks_are_on_all_cpus_of_this_process():
+    together = threading.Barrier(usable_cpus(), timeout=60.0)
+    threads = set()
 
     def block(_: slice) -> None:
-        together.wait()  # none ends before the other has begun
-        used.add(threading.get_ident())
+        together.wait()  # none ends before the others have begun
+        threads.add(threading.get_ident())
 
-    kernel_threads._pool.cache_clear()
-    try:
-        kernel_threads.in_blocks(block, 6 * kernel_threads.BLOCK_ROWS)
-        assert len(used) == 2
-    finally:
-        kernel_threads._pool().shutdown()
-        kernel_threads._pool.cache_clear()
-    # Where the system has no affinity: all there are.
-    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    assert kernel_threads.usable_cpus() == 256
+    in_blocks(block, 6 * usable_cpus() * BLOCK_ROWS)
+    assert len(threads) == usable_cpus()

@@ -4,100 +4,111 @@ from __future__ import annotations
 
 import numpy as np
 import pyarrow as pa
+import pytest
 
+from tests.helpers import codes_of
 from unbend.units import WGS84_A
 
-
-def pixels(table, kind):
-    return np.stack([table[f"{a}_{kind}px"].to_numpy() for a in "xy"], 1)
-
-
-def chords(mission, table) -> np.ndarray:
-    """Straight distances [m] from the stations to the points of corrected observations."""
-    stations = {s["image"]: s["h_msl_m"] for s in mission.stations().to_pylist()}
-    h_c = np.array([stations[name] for name in table["image"].to_pylist()])
-    zeta = table["zeta_c_rad"].to_numpy() - table["r_c_rad"].to_numpy()
-    r_c = WGS84_A + h_c
-    r_g = WGS84_A + table["h_g_m"].to_numpy()
-    along = r_c * np.cos(zeta)
-    return (r_c**2 - r_g**2) / (along + np.sqrt(along**2 - (r_c**2 - r_g**2)))
+MEASURED = ("x_px", "y_px")
+CORRECTED = ("x_corrected_px", "y_corrected_px")
+DISPLACED = ("x_displaced_px", "y_displaced_px")
 
 
-def test_what_was_removed_is_applied_again(baseline, mission, plain_report):
-    corrected = baseline.results()
-    mission.observe(corrected)
-    mission.config["observations"]["columns"] = {"x_px": "x_corrected_px", "y_px": "y_corrected_px"}
+def pixels(table, columns: tuple[str, str]) -> np.ndarray:
+    return np.column_stack([table[name] for name in columns])
+
+
+def read_pixels_from(mission, columns: tuple[str, str]) -> None:
+    mission.config["observations"]["columns"] = dict(zip(MEASURED, columns, strict=True))
+
+
+def displace(mission) -> None:
+    """Let the mission apply refraction, which observations that were measured do not need."""
     mission.config["refraction"] = {"direction": "apply"}
     mission.config["accept"] = [{"code": "PLAUSIBLE-APPLY", "reason": "there and back"}]
+
+
+@pytest.fixture(scope="module")
+def corrected(baseline):
+    return baseline.results()
+
+
+@pytest.fixture(scope="module")
+def distances(baseline, corrected) -> np.ndarray:
+    """Straight distances [m] from the stations to the points of corrected observations."""
+    height_of_image = baseline.stations().to_pandas().set_index("image")["h_msl_m"]
+    h_c = height_of_image.loc[corrected["image"].to_pylist()].to_numpy()
+    zeta = corrected["zeta_c_rad"].to_numpy() - corrected["r_c_rad"].to_numpy()
+    r_c = WGS84_A + h_c
+    r_g = WGS84_A + corrected["h_g_m"].to_numpy()
+    along = r_c * np.cos(zeta)
+    below = r_c**2 - r_g**2
+    return below / (along + np.sqrt(along**2 - below))
+
+
+def assert_heights(table, corrected) -> None:
+    """The sphere here is that of the equator."""
+    np.testing.assert_allclose(table["h_g_m"], corrected["h_g_m"], rtol=0.0, atol=0.01)
+
+
+def test_what_was_removed_is_applied_again(corrected, mission):
+    mission.observe(corrected)
+    read_pixels_from(mission, CORRECTED)
+    displace(mission)
     ended = mission.run()
     assert ended.code == 0, ended.text
     printed = " ".join(ended.out.split())
     assert "All 59 observations were displaced by " in printed
     assert "for simulations and tests: they now contain refraction." in printed
     assert "Ready for bundle adjustment" not in printed
-    found = mission.results()
-    assert found.schema.metadata[b"unbend.refraction"] == b"applied"
-    assert "x_corrected_px" not in found.column_names
-    assert found.column_names.index("x_displaced_px") == 4
-    assert set(found["status"].to_pylist()) == {"ok"}
-    assert np.abs(pixels(found, "displaced_") - pixels(corrected, "")).max() < 1e-9
-    np.testing.assert_array_equal(pixels(found, ""), pixels(corrected, "corrected_"))
-    np.testing.assert_array_equal(
-        pixels(corrected, ""), np.stack([found[f"{a}_px_input"].to_numpy() for a in "xy"], 1)
-    )
+    displaced = mission.results()
+    assert displaced.schema.metadata[b"unbend.refraction"] == b"applied"
+    assert "x_corrected_px" not in displaced.column_names
+    assert displaced.column_names.index("x_displaced_px") == 4
+    assert set(displaced["status"].to_pylist()) == {"ok"}
+    assert np.abs(pixels(displaced, DISPLACED) - pixels(corrected, MEASURED)).max() < 1e-9
+    np.testing.assert_array_equal(pixels(displaced, MEASURED), pixels(corrected, CORRECTED))
+    kept = pixels(displaced, ("x_px_input", "y_px_input"))
+    np.testing.assert_array_equal(kept, pixels(corrected, MEASURED))
 
     # And removed once more.
-    mission.observe(found, "again.parquet")
-    mission.config["observations"]["columns"] = {"x_px": "x_displaced_px", "y_px": "y_displaced_px"}
+    mission.observe(displaced, "again.parquet")
+    read_pixels_from(mission, DISPLACED)
     mission.config["refraction"] = {"direction": "remove"}
-    ended = mission.run()
-    assert ended.code == 0, ended.text
-    assert (
-        np.abs(pixels(mission.results(), "corrected_") - pixels(corrected, "corrected_")).max()
-        < 1e-9
-    )
+    mission.run_to_manifest()
+    again = pixels(mission.results(), CORRECTED)
+    assert np.abs(again - pixels(corrected, CORRECTED)).max() < 1e-9
 
 
-def test_heights_from_slant_ranges(baseline, mission, plain_report):
-    corrected = baseline.results()
-    distance = chords(baseline, corrected)
-    distance[0], distance[1] = -5.0, np.nan
+def test_heights_from_slant_ranges(corrected, distances, mission):
+    ranges = distances.copy()
+    ranges[:2] = -5.0, np.nan
     measured = mission.measurements().drop_columns("h_g_m")
-    mission.observe(measured.append_column("range_m", pa.array(distance, from_pandas=True)))
+    mission.observe(measured.append_column("range_m", pa.array(ranges, from_pandas=True)))
     mission.config["observations"]["columns"] = {"distance_m": "range_m"}
     mission.config["ground"] = {"height": "from_distance"}
-    ended = mission.run()
-    assert ended.code == 3, ended.text
-    assert "OBS-DISTANCE" in str(mission.output.joinpath("manifest.json").read_text())
-    found = mission.results()
-    assert found["status"].to_pylist()[:3] == ["no_ground", "no_ground", "ok"]
-    assert set(found["status"].to_pylist()[2:]) == {"ok"}
-    off = found["h_g_m"].to_numpy()[2:] - corrected["h_g_m"].to_numpy()[2:]
-    assert np.abs(off).max() < 0.01  # the sphere here is that of the equator
-    miss = pixels(found, "corrected_")[2:] - pixels(corrected, "corrected_")[2:]
-    assert np.abs(miss).max() < 1e-5
-    assert found["range_m"].to_pylist()[0] == -5.0
+    assert "OBS-DISTANCE" in codes_of(mission.run_to_manifest(3))
+    table = mission.results()
+    assert table["range_m"].to_pylist()[0] == -5.0
+    statuses = table["status"].to_pylist()
+    assert statuses[:2] == ["no_ground"] * 2
+    assert set(statuses[2:]) == {"ok"}
+    assert_heights(table.slice(2), corrected.slice(2))
+    miss = pixels(table, CORRECTED) - pixels(corrected, CORRECTED)
+    assert np.abs(miss[2:]).max() < 1e-5
 
 
 def test_ideal_observations_with_slant_ranges_are_displaced_as_with_heights(
-    baseline, mission, plain_report
+    corrected, distances, mission
 ):
     """Ideal pixels lie on the chord: the height at a distance follows from them directly."""
-    corrected = baseline.results()
-    ideal = corrected.select(["image", "point", "x_corrected_px", "y_corrected_px"])
-    ideal = ideal.append_column("range_m", pa.array(chords(baseline, corrected)))
-    mission.observe(ideal.replace_schema_metadata(None))
-    mission.config["observations"]["columns"] = {
-        "x_px": "x_corrected_px",
-        "y_px": "y_corrected_px",
-        "distance_m": "range_m",
-    }
+    ideal = corrected.select(["image", "point", *CORRECTED]).replace_schema_metadata(None)
+    mission.observe(ideal.append_column("range_m", pa.array(distances)))
+    read_pixels_from(mission, CORRECTED)
+    mission.config["observations"]["columns"]["distance_m"] = "range_m"
     mission.config["ground"] = {"height": "from_distance"}
-    mission.config["refraction"] = {"direction": "apply"}
-    mission.config["accept"] = [{"code": "PLAUSIBLE-APPLY", "reason": "there and back"}]
-    ended = mission.run()
-    assert ended.code == 0, ended.text
+    displace(mission)
+    mission.run_to_manifest()
     displaced = mission.results()
-    off = displaced["h_g_m"].to_numpy() - corrected["h_g_m"].to_numpy()
-    assert np.abs(off).max() < 0.01  # the sphere here is that of the equator
-    assert np.abs(pixels(displaced, "displaced_") - pixels(corrected, "")).max() < 1e-5
+    assert_heights(displaced, corrected)
+    assert np.abs(pixels(displaced, DISPLACED) - pixels(corrected, MEASURED)).max() < 1e-5

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import json
+import sys
+from functools import cache
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyproj
 import pytest
 import rasterio
 from rasterio import Affine
 
-from tests.batch.test_rehearsal import rows
+from tests.helpers import codes_of, entry_of
 from unbend.batch.runs import check_mission
 from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 
-pytestmark = pytest.mark.usefixtures("plain_report")
-
-STEP_M = 10.0
-CELLS = 1600
+CELLS = 800
+STEP_M = 20.0
+WIDE_STEP_M = 80.0  # of a model in which the field lies as well
 HOLE = -32768.0
 
 
@@ -30,114 +32,127 @@ def terrain_at(lat_deg, lon_deg):
     return terrain_m(east, north)
 
 
-def write(path, values, crs, transform, **options):
-    profile = {
-        "driver": "GTiff",
-        "height": values.shape[0],
-        "width": values.shape[1],
-        "count": 1,
-        "dtype": "float32",
-        "crs": crs,
-        "transform": transform,
-        "tiled": True,
-    } | options
-    with rasterio.open(path, "w", **profile) as out:
-        out.write(values.astype(profile["dtype"]), 1)
+@cache
+def terrain_grid(
+    crs: str, lon_deg: float, lat_deg: float, step_m: float
+) -> tuple[np.ndarray, Affine]:
+    """The terrain about a place in the cells of a coordinate system, and where these are."""
+    to_grid = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    step = step_m if pyproj.CRS(crs).is_projected else step_m / 111_000.0
+    x, y = to_grid.transform(lon_deg, lat_deg)
+    west = x - CELLS / 2 * step
+    north = y + CELLS / 2 * step
+    centres = (np.arange(CELLS) + 0.5) * step
+    lon, lat = to_grid.transform(*np.meshgrid(west + centres, north - centres), direction="INVERSE")
+    return terrain_at(lat, lon), Affine(step, 0.0, west, 0.0, -step, north)
+
+
+def moved(cells: Affine, columns: float) -> Affine:
+    """Cells that begin some columns further east."""
+    west = cells.c + columns * cells.a
+    return Affine(cells.a, cells.b, west, cells.d, cells.e, cells.f)
 
 
 @pytest.fixture
 def modelled(mission, flown):
     """Writes elevation models of the simulator's terrain, and sets the mission to use them."""
+    points = pd.read_parquet(flown.truth / "points.parquet")
+    middle = (points["lon_deg"].mean(), points["lat_deg"].mean())
 
-    def state(*, crs="EPSG:4326", change=None, columns=slice(None), name="dem.tif", **section):
-        points = pd.read_parquet(flown.truth / "points.parquet")
-        middle = points["lon_deg"].mean(), points["lat_deg"].mean()
-        to_grid = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
-        x, y = to_grid.transform(*middle)
-        step = STEP_M if pyproj.CRS(crs).is_projected else STEP_M / 111_000.0
-        west = x - CELLS / 2 * step
-        north = y + CELLS / 2 * step
-        at = (np.arange(CELLS) + 0.5) * step
-        lon, lat = to_grid.transform(*np.meshgrid(west + at, north - at), direction="INVERSE")
-        values = terrain_at(lat, lon)
-        values = values if change is None else change(values)
-        first = range(CELLS)[columns][0]
-        file_crs = section.pop("file_crs", crs)
-        write(
-            mission.folder / name,
-            values[:, columns],
-            file_crs,
-            Affine(step, 0.0, west + first * step, 0.0, -step, north),
-            **section.pop("options", {}),
-        )
-        reference = section.pop("reference", "msl")
-        height = {"dem": name} | {k: section.pop(k) for k in ("crs_stated",) if k in section}
-        if "crs_stated" in height:
-            height["crs"] = height.pop("crs_stated")
-        mission.config["ground"] = {"height": height, "reference": reference, **section}
+    def write(
+        change=lambda z: z,
+        *,
+        grid="EPSG:4326",
+        columns=slice(0, CELLS),
+        name="dem.tif",
+        step_m=STEP_M,
+        **stated,
+    ) -> None:
+        terrain, transform = terrain_grid(grid, *middle, step_m)
+        values = change(terrain)[:, columns]
+        height, width = values.shape
+        profile = {
+            "driver": "GTiff",
+            "count": 1,
+            "height": height,
+            "width": width,
+            "dtype": "float32",
+            "crs": grid,
+            "transform": moved(transform, columns.start),
+            "tiled": True,
+        } | stated
+        with rasterio.open(mission.folder / name, "w", **profile) as out:
+            out.write(values.astype(profile["dtype"]), 1)
+        mission.config["ground"] = {"height": {"dem": name}, "reference": "msl"}
 
-    return state
+    return write
 
 
 @pytest.fixture(scope="module")
-def given(baseline):
+def by_points(baseline) -> pd.DataFrame:
     """Results by the true heights of the points."""
     return baseline.results().to_pandas()
 
 
-def ran(mission, exit_code=0):
-    ended = mission.run()
-    assert ended.code == exit_code, ended.text
-    manifest = json.loads((mission.output / "manifest.json").read_text(encoding="utf-8"))
-    return manifest, mission.results().to_pandas()
+def assert_heights(mission, by_points, tolerance_m: float = 0.4) -> None:
+    """Stations from the log are a metre or two off, and slopes are up to 1 in 10."""
+    heights = mission.results()["h_g_m"]
+    np.testing.assert_allclose(heights, by_points["h_g_m"], atol=tolerance_m)
 
 
-def entry(manifest, code):
-    return next(entry for entry in manifest["ledger"] if entry["code"] == code)
-
-
-def refused(mission, code):
-    ended = mission.run()
-    assert (ended.code, code in ended.err) == (6, True), ended.text
-    return ended.err
-
-
-@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:25832", "EPSG:3035"])
-def test_heights_and_corrections_are_those_of_the_points(mission, modelled, given, crs):
-    modelled(crs=crs, sigma_m=1.0)
-    manifest, results = ran(mission)
-    # Stations from the log are a metre or two off, and slopes are up to 1 in 10.
-    np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=0.4)
+@pytest.mark.parametrize("grid", ["EPSG:4326", "EPSG:25832", "EPSG:3035"])
+def test_heights_and_corrections_are_those_of_the_points(mission, modelled, by_points, grid):
+    modelled(grid=grid)
+    mission.config["ground"]["sigma_m"] = 1.0
+    manifest = mission.run_to_manifest()
+    assert_heights(mission, by_points)
+    results = mission.results().to_pandas()
     for column in ("x_corrected_px", "y_corrected_px"):
-        np.testing.assert_allclose(results[column], given[column], atol=1e-4)
+        np.testing.assert_allclose(results[column], by_points[column], atol=1e-4)
     assert (results["status"] == "ok").all()
     assert results["sigma_ground_dx_px"].notna().all()
-    assert entry(manifest, "DEM-READ")["count"] == 1
+    assert entry_of(manifest, "DEM-READ")["count"] == 1
 
 
-def test_tiles_in_any_order_are_one_model(mission, modelled, given):
-    for number, columns in enumerate((slice(797, None), slice(0, 801))):
-        modelled(columns=columns, name=f"tile{number}.tif")
+def test_tiles_in_any_order_are_one_model(mission, modelled, by_points):
+    modelled(columns=slice(397, CELLS), name="tile0.tif")
+    modelled(columns=slice(0, 401), name="tile1.tif")
     mission.config["ground"]["height"]["dem"] = ["tile0.tif", "tile1.tif"]
-    manifest, results = ran(mission)
-    np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=0.4)
-    assert not [e for e in manifest["ledger"] if e["code"] == "TIES-HEIGHT"]
+    manifest = mission.run_to_manifest()
+    assert_heights(mission, by_points)
+    assert "TIES-HEIGHT" not in codes_of(manifest)
 
 
-def test_ellipsoidal_heights_are_reduced_by_the_undulation(mission, modelled, given):
+def test_ellipsoidal_heights_are_reduced_by_the_undulation(mission, modelled, by_points):
+    modelled(lambda z: z + 47.0)
     mission.config["mission"]["undulation_m"] = 47.0
-    modelled(change=lambda z: z + 47.0, reference="ellipsoid")
-    _, results = ran(mission)
-    np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=0.4)
+    mission.config["ground"]["reference"] = "ellipsoid"
+    mission.run_to_manifest()
+    assert_heights(mission, by_points)
 
 
-def test_feet_and_undeclared_holes(mission, modelled, given):
-    modelled(change=lambda z: z / 0.3048)
+def test_heights_in_feet_that_say_so(mission, modelled, by_points):
+    modelled(lambda z: z / 0.3048)
     with rasterio.open(mission.folder / "dem.tif", "r+") as raster:
         raster.units = ["ft"]
-    manifest, results = ran(mission)
-    np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=0.4)
-    assert "0.3048 m" in entry(manifest, "DEM-READ")["what"]
+    manifest = mission.run_to_manifest()
+    assert_heights(mission, by_points)
+    assert "0.3048 m" in entry_of(manifest, "DEM-READ")["what"]
+
+
+def test_scale_and_offset_of_the_band_are_applied(mission, modelled, by_points):
+    modelled(lambda z: np.round((z - 300.0) / 0.05), dtype="int16")
+    with rasterio.open(mission.folder / "dem.tif", "r+") as raster:
+        raster.scales = (0.05,)
+        raster.offsets = (300.0,)
+    mission.run_to_manifest()
+    assert_heights(mission, by_points, 0.45)
+
+
+def east_half(values: float):
+    """A change that gives the eastern half of a model one value."""
+    is_east = np.arange(CELLS) >= CELLS // 2
+    return lambda z: np.where(is_east, values, z)
 
 
 @pytest.mark.parametrize(
@@ -145,9 +160,7 @@ def test_feet_and_undeclared_holes(mission, modelled, given):
     [
         pytest.param(lambda z: np.clip(z, 0, 255), id="a hillshade"),
         pytest.param(lambda z: z + 60.0, id="another zero"),
-        pytest.param(
-            lambda z: np.where(np.arange(CELLS) >= CELLS // 2, 0.0, z), id="zero in holes"
-        ),
+        pytest.param(east_half(0.0), id="zero in holes"),
         pytest.param(lambda z: z[::-1], id="upside down"),
         pytest.param(lambda z: z[:, ::-1], id="east for west"),
         pytest.param(lambda z: z.T, id="axes exchanged"),
@@ -155,109 +168,127 @@ def test_feet_and_undeclared_holes(mission, modelled, given):
     ],
 )
 def test_tie_points_contradict_a_model_of_other_heights(mission, modelled, change):
-    modelled(change=change)
-    manifest, _ = ran(mission, 3)
-    assert entry(manifest, "TIES-HEIGHT")["kind"] == "finding"
+    modelled(change)
+    manifest = mission.run_to_manifest(3)
+    assert entry_of(manifest, "TIES-HEIGHT")["kind"] == "finding"
 
 
 def test_a_model_in_feet_is_too_far_from_the_take_off(mission, modelled):
     """What tie points find follows from it, and is held back."""
-    modelled(change=lambda z: z / 0.3048)
-    manifest, _ = ran(mission, 3)
-    assert entry(manifest, "PLAUSIBLE-GROUND")["kind"] == "finding"
-    assert "likely feet" in entry(manifest, "PLAUSIBLE-GROUND")["what"]
-    assert "TIES-HEIGHT" in entry(manifest, "TIES-HELD-BACK")["what"]
+    modelled(lambda z: z / 0.3048)
+    manifest = mission.run_to_manifest(3)
+    ground = entry_of(manifest, "PLAUSIBLE-GROUND")
+    assert ground["kind"] == "finding"
+    assert "likely feet" in ground["what"]
+    assert "TIES-HEIGHT" in entry_of(manifest, "TIES-HELD-BACK")["what"]
 
 
-@pytest.mark.parametrize("known", ["nothing", "tie points", "take-off", "no model"])
-def test_a_model_that_nothing_can_verify_is_said_to_be_so(mission, modelled, monkeypatch, known):
+def observe_single_points(mission) -> None:
+    """Let every point be in one image."""
+    table = mission.measurements().to_pandas()
+    table["point"] += table["image"]
+    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
+
+
+@pytest.mark.parametrize("evidence", ["nothing", "tie points", "take-off", "no model"])
+def test_a_model_that_nothing_can_verify_is_said_to_be_so(mission, modelled, evidence):
     """Upside down, and every point in one image: no check can see it, and the ledger says that."""
-    if known == "take-off":  # the field lies in a wider model
-        monkeypatch.setitem(globals(), "STEP_M", 40.0)
-    if known != "no model":
-        modelled(change=lambda z: z if known == "take-off" else z[::-1])
-    if known != "tie points":
-        rows(lambda table: table.__setitem__("point", table["point"] + table["image"]))(mission)
+    if evidence == "take-off":
+        modelled(step_m=WIDE_STEP_M)
+    elif evidence != "no model":
+        modelled(lambda z: z[::-1])
+    if evidence != "tie points":
+        observe_single_points(mission)
     ledger = check_mission(mission.save()).manifest.values["ledger"]
-    found = {e["code"]: e["kind"] for e in ledger if e["kind"] != "note"}
-    assert ("TIES-HEIGHT" in found) == (known == "tie points")
-    assert found.get("DEM-UNVERIFIED") == ("warning" if known == "nothing" else None)
-    assert "finding" not in found.values() or known == "tie points"
+    kinds = {entry["code"]: entry["kind"] for entry in ledger if entry["kind"] != "note"}
+    assert ("TIES-HEIGHT" in kinds) == (evidence == "tie points")
+    assert kinds.get("DEM-UNVERIFIED") == ("warning" if evidence == "nothing" else None)
+    assert ("finding" in kinds.values()) == (evidence == "tie points")
 
 
-def test_a_model_said_to_be_in_the_next_zone_is_refused(mission, modelled):
-    modelled(crs="EPSG:25832", file_crs=None, crs_stated="EPSG:25833")
-    assert "6 of 6 stations" in refused(mission, "DEM-OUTSIDE")
+@pytest.mark.parametrize("add_m", [0.0, 60.0])
+def test_a_model_of_another_datum_is_found_at_the_take_off(mission, modelled, add_m):
+    """60 m are more than a model and a receiver leave."""
+    modelled(lambda z: z + add_m, step_m=WIDE_STEP_M)
+    values = check_mission(mission.save()).manifest.values
+    assert ("PLAUSIBLE-TERRAIN" in codes_of(values)) == (add_m > 0.0)
+    if add_m > 0.0:
+        terrain = entry_of(values, "PLAUSIBLE-TERRAIN")
+        assert terrain["kind"] == "finding"
+        assert "is 510 m above sea level" in terrain["what"]
+        assert "by the elevation model where the log begins" in terrain["what"]
+        assert "ground.height" in terrain["where"]
 
 
-def test_a_hole_under_half_of_the_block_is_flagged_with_its_number(mission, modelled, given):
-    east = np.arange(CELLS) >= CELLS // 2
-
-    def holed(z):
-        return np.where(east[None, :], HOLE, z)
-
-    modelled(change=holed)
-    manifest, results = ran(mission, 3)
+def test_a_hole_under_half_of_the_block_is_flagged_with_its_number(mission, modelled, by_points):
+    modelled(east_half(HOLE))
+    manifest = mission.run_to_manifest(3)
+    results = mission.results().to_pandas()
     missing = (results["status"] == "no_ground").to_numpy()
     assert 0 < missing.sum() < missing.size
     assert results["x_corrected_px"].isna()[missing].all()
-    np.testing.assert_allclose(results["h_g_m"][~missing], given["h_g_m"][~missing], atol=0.4)
-    flagged = [e for e in manifest["ledger"] if e["code"] == "OBS-FLAGGED"]
-    assert sum(e["count"] for e in flagged) == missing.sum()
+    heights = results["h_g_m"][~missing]
+    np.testing.assert_allclose(heights, by_points["h_g_m"][~missing], atol=0.4)
+    counts = [entry["count"] for entry in manifest["ledger"] if entry["code"] == "OBS-FLAGGED"]
+    assert sum(counts) == missing.sum()
 
 
-def test_a_model_that_lies_elsewhere_or_under_some(mission, modelled):
-    modelled(columns=slice(0, 40))
-    assert "6 of 6 stations" in refused(mission, "DEM-OUTSIDE")
-    # East of the middle of the block there is none.
+def test_a_model_that_lies_elsewhere_or_under_half_of_the_block(mission, modelled):
+    modelled(columns=slice(0, 20))
+    assert "6 of 6 stations" in mission.refusal("DEM-OUTSIDE")
     modelled(columns=slice(0, CELLS // 2))
-    manifest, results = ran(mission, 3)
-    lost = entry(manifest, "DEM-OUTSIDE")
-    stations = pd.read_parquet(mission.output / "stations.parquet")
+    loss = entry_of(mission.run_to_manifest(3), "DEM-OUTSIDE")
     with rasterio.open(mission.folder / "dem.tif") as raster:
-        beside = (stations["lon_deg"] > raster.bounds.right).to_numpy()
-    assert 0 < beside.sum() < beside.size
-    assert (lost["kind"], lost["count"]) == ("loss", beside.sum())
-    assert (results["status"] == "no_ground").any()
+        east_deg = raster.bounds.right
+    is_beside = mission.stations().to_pandas()["lon_deg"] > east_deg
+    assert 0 < is_beside.sum() < is_beside.size
+    assert loss["kind"] == "loss"
+    assert loss["count"] == is_beside.sum()
+    assert "no_ground" in mission.results()["status"].to_pylist()
 
 
-def test_scale_and_offset_of_the_band_are_applied(mission, modelled, given):
-    modelled(change=lambda z: np.round((z - 300.0) / 0.05), options={"dtype": "int16"})
-    with rasterio.open(mission.folder / "dem.tif", "r+") as raster:
-        raster.scales, raster.offsets = (0.05,), (300.0,)
-    _, results = ran(mission)
-    np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=0.45)
+def state_crs(mission, crs: str) -> None:
+    mission.config["ground"]["height"]["crs"] = crs
 
 
-def test_what_contradicts_the_file_is_refused(mission, modelled):
-    modelled(file_crs=None)
-    assert "ground.height.crs" in refused(mission, "DEM-CRS")
-    modelled(file_crs=None, crs_stated="EPSG:4326")
-    ran(mission)
-    modelled(crs_stated="EPSG:25832")
-    assert "ETRS89 / UTM zone 32N is stated" in refused(mission, "DEM-CRS")
-    modelled(file_crs="EPSG:4979")
-    assert "ellipsoid" in refused(mission, "CRS-VERTICAL")
-    modelled(crs="EPSG:25832", file_crs="EPSG:25832+7837")
-    manifest, _ = ran(mission)
-    assert entry(manifest, "DEM-READ")["kind"] == "warning"
-    assert "DHHN2016" in entry(manifest, "DEM-READ")["what"]
+def test_a_model_without_a_system_has_the_stated_one(mission, modelled, by_points):
+    modelled(crs=None)
+    assert "ground.height.crs" in mission.refusal("DEM-CRS")
+    state_crs(mission, "EPSG:4326")
+    mission.run_to_manifest()
+    assert_heights(mission, by_points)
 
 
-def test_a_datum_that_needs_a_missing_grid_is_a_warning_with_its_name(mission, modelled):
-    modelled(crs="EPSG:31467")  # DHDN: BETA2007, or Helmert to some metres
-    manifest, _ = ran(mission)
-    read = entry(manifest, "DEM-READ")
-    assert read["kind"] == "warning"
-    assert "needs de_adv_BETA2007.tif" in read["what"]
+@pytest.mark.parametrize(
+    ("written", "stated", "code", "words"),
+    [
+        ({}, "EPSG:25832", "DEM-CRS", "ETRS89 / UTM zone 32N is stated"),
+        ({"crs": "EPSG:4979"}, None, "CRS-VERTICAL", "ellipsoid"),
+        ({"grid": "EPSG:25832", "crs": None}, "EPSG:25833", "DEM-OUTSIDE", "6 of 6 stations"),
+    ],
+    ids=["contradicted", "ellipsoidal", "next zone"],
+)
+def test_a_wrong_system_is_refused(mission, modelled, written, stated, code, words):
+    modelled(**written)
+    if stated is not None:
+        state_crs(mission, stated)
+    assert words in mission.refusal(code)
 
 
-def index_of(name):
-    """A GeoJSON that names one raster, which lies about the block."""
-    ring = [[8.0, 48.0], [9.0, 48.0], [9.0, 49.0], [8.0, 49.0], [8.0, 48.0]]
-    of_tile = {"type": "Polygon", "coordinates": [ring]}
-    tile = {"type": "Feature", "properties": {"location": name}, "geometry": of_tile}
-    return {"type": "FeatureCollection", "features": [tile]}
+@pytest.mark.parametrize(
+    ("written", "words"),
+    [
+        ({"grid": "EPSG:25832", "crs": "EPSG:25832+7837"}, "DHHN2016"),
+        # DHDN: BETA2007, or Helmert to some metres.
+        ({"grid": "EPSG:31467"}, "needs de_adv_BETA2007.tif"),
+    ],
+    ids=["vertical datum", "missing grid"],
+)
+def test_what_a_system_leaves_open_is_a_warning(mission, modelled, written, words):
+    modelled(**written)
+    message = entry_of(mission.run_to_manifest(), "DEM-READ")
+    assert message["kind"] == "warning"
+    assert words in message["what"]
 
 
 SERVICE = """<GDAL_WMS><Service name="TMS"><ServerUrl>http://127.0.0.1:9/${z}/${x}/${y}.tif</ServerUrl>
@@ -266,72 +297,67 @@ SERVICE = """<GDAL_WMS><Service name="TMS"><ServerUrl>http://127.0.0.1:9/${z}/${
 <Projection>EPSG:4326</Projection><BandsCount>1</BandsCount><DataType>Float32</DataType></GDAL_WMS>"""
 
 
+def index_of(raster) -> str:
+    """An index of tiles that names one raster, which lies about the block."""
+    ring = [[8.0, 48.0], [9.0, 48.0], [9.0, 49.0], [8.0, 49.0], [8.0, 48.0]]
+    area = {"type": "Polygon", "coordinates": [ring]}
+    tile = {"type": "Feature", "properties": {"location": str(raster)}, "geometry": area}
+    tiles = raster.with_name("tiles.geojson")
+    tiles.write_text(json.dumps({"type": "FeatureCollection", "features": [tile]}))
+    return f"<GDALTileIndexDataset><IndexDataset>{tiles}</IndexDataset></GDALTileIndexDataset>"
+
+
 def test_a_raster_of_no_heights_is_refused(mission, modelled):
     modelled()
-    with rasterio.open(mission.folder / "dem.tif", "r+") as raster:
+    dem = mission.folder / "dem.tif"
+    with rasterio.open(dem, "r+") as raster:
         raster.units = ["K"]
-    assert "'K'" in refused(mission, "DEM-UNIT")
-    modelled()
-    with rasterio.open(mission.folder / "dem.tif", "r+") as raster:
+    assert "'K'" in mission.refusal("DEM-UNIT")
+    with rasterio.open(dem, "r+") as raster:
+        raster.units = ["m"]
         raster.transform = Affine(1e-4, 1e-5, 8.0, 0.0, -1e-4, 49.0)
-    refused(mission, "DEM-RASTER")
-    # An index of tiles and a service are files that name others, whose change nobody would see.
+    mission.refusal("DEM-RASTER")
+    dem.write_bytes(b"no raster")
+    mission.refusal("DEM-UNREADABLE")
+    dem.unlink()
+    assert "ground.height.dem" in mission.refusal("INPUT-MISSING")
+
+
+def test_files_that_name_others_are_refused(mission, modelled):
+    """An index of tiles and a service: nobody would see a change of the others."""
     modelled()
-    tiles = mission.folder / "tiles.geojson"
-    tiles.write_text(json.dumps(index_of(str(mission.folder / "dem.tif"))))
-    index = f"<GDALTileIndexDataset><IndexDataset>{tiles}</IndexDataset></GDALTileIndexDataset>"
     mission.config["ground"]["height"]["dem"] = "dem.gti"
-    for naming in (index, SERVICE):
-        (mission.folder / "dem.gti").write_text(naming)
-        assert "name the rasters" in refused(mission, "DEM-RASTER")
-    mission.config["ground"]["height"]["dem"] = "dem.tif"
-    (mission.folder / "dem.tif").write_bytes(b"no raster")
-    refused(mission, "DEM-UNREADABLE")
-    (mission.folder / "dem.tif").unlink()
-    assert "ground.height.dem" in refused(mission, "INPUT-MISSING")
+    for text in (index_of(mission.folder / "dem.tif"), SERVICE):
+        (mission.folder / "dem.gti").write_text(text)
+        assert "name the rasters" in mission.refusal("DEM-RASTER")
 
 
 def test_rasters_beside_one_grid_are_refused(mission, modelled):
     modelled(name="a.tif")
     modelled(name="b.tif")
     with rasterio.open(mission.folder / "b.tif", "r+") as raster:
-        a = raster.transform
-        raster.transform = Affine(a.a, 0.0, a.c + 0.5 * a.a, 0.0, a.e, a.f)
+        raster.transform = moved(raster.transform, 0.5)
     mission.config["ground"]["height"]["dem"] = ["a.tif", "b.tif"]
-    assert "0.5 cells" in refused(mission, "DEM-TILES")
+    assert "0.5 cells" in mission.refusal("DEM-TILES")
 
 
 def test_without_rasterio_it_says_what_to_install(mission, modelled, monkeypatch):
     modelled()
-    monkeypatch.setitem(__import__("sys").modules, "rasterio", None)
-    assert "unbend[rasters]" in refused(mission, "DEM-RASTERIO")
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    assert "unbend[rasters]" in mission.refusal("DEM-RASTERIO")
 
 
-def test_ideal_observations_are_displaced_by_the_same_ground(mission, modelled, given):
+def test_ideal_observations_are_displaced_by_the_same_ground(mission, modelled, by_points):
     modelled()
     mission.config["refraction"] = {"direction": "apply"}
-    _, results = ran(mission, 3)  # PLAUSIBLE-APPLY: these were measured
-    assert (results["status"] == "ok").mean() > 0.9
+    mission.run_to_manifest(3)  # PLAUSIBLE-APPLY: these were measured
+    statuses = mission.results()["status"].to_pylist()
+    assert statuses.count("ok") > 0.9 * len(statuses)
     # The straight line ends some decimetres beside the bent one.
-    np.testing.assert_allclose(results["h_g_m"], given["h_g_m"], atol=1.0)
+    assert_heights(mission, by_points, 1.0)
 
 
 def test_heights_relative_to_home_are_refused(mission, modelled):
-    modelled(reference="relative")
-    ended = mission.run()
-    assert (ended.code, "heights of a dem" in ended.err) == (2, True), ended.text
-
-
-@pytest.mark.parametrize("add_m", [0.0, 60.0])
-def test_a_model_of_another_datum_is_found_at_the_take_off(mission, modelled, monkeypatch, add_m):
-    """The field lies in a wider model; 60 m are more than a model and a receiver leave."""
-    monkeypatch.setitem(globals(), "STEP_M", 40.0)
-    modelled(change=lambda z: z + add_m)
-    manifest = check_mission(mission.save()).manifest.values
-    found = [e for e in manifest["ledger"] if e["code"] == "PLAUSIBLE-TERRAIN"]
-    assert len(found) == (add_m > 0.0)
-    for each in found:
-        assert each["kind"] == "finding"
-        assert "is 510 m above sea level" in each["what"]
-        assert "by the elevation model where the log begins" in each["what"]
-        assert "ground.height" in each["where"]
+    modelled()
+    mission.config["ground"]["reference"] = "relative"
+    mission.refusal("heights of a dem", 2)

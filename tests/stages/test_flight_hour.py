@@ -10,28 +10,28 @@ from unbend.flight.stations import NO_TIME
 from unbend.stages.flight_date import flight_hour
 
 EAST = np.radians(15.0)  # an hour ahead of UTC
+AT_EIGHT = "2026-05-14T08:00"
+THAT_DAY = "2026-05-14"
 
 
-def hour(stated: str | None, utc_ns: int = NO_TIME, longitude_rad: float = EAST) -> float | None:
-    mission = SimpleNamespace(
-        mission=SimpleNamespace(date=stated), stations=SimpleNamespace(orientation=None)
-    )
+@pytest.mark.parametrize(
+    ("stated", "exposed", "longitude_rad", "expected"),
+    [
+        (None, AT_EIGHT, EAST, 9.0),
+        (THAT_DAY, AT_EIGHT, EAST, 9.0),
+        (AT_EIGHT, None, EAST, 9.0),
+        (AT_EIGHT, None, -EAST, 7.0),
+        (THAT_DAY, None, EAST, None),
+        (None, None, EAST, None),
+        (AT_EIGHT, None, np.nan, None),
+    ],
+)
+def test_the_hour_is_that_of_the_exposures_or_of_a_stated_time(
+    stated, exposed, longitude_rad, expected
+):
+    dates = SimpleNamespace(date=stated)
+    mission = SimpleNamespace(mission=dates, stations=SimpleNamespace(orientation=None))
+    utc_ns = NO_TIME if exposed is None else nanoseconds_of_date(exposed)
     stations = SimpleNamespace(utc_ns=np.array([utc_ns]), median_longitude_rad=longitude_rad)
-    flight_ns = nanoseconds_of_date(stated) if utc_ns == NO_TIME else utc_ns
-    return flight_hour(mission, stations, flight_ns)
-
-
-def test_exposures_tell_the_hour():
-    at_eight = nanoseconds_of_date("2026-05-14T08:00")
-    assert hour(None, at_eight) == pytest.approx(9.0)
-    assert hour("2026-05-14", at_eight) == pytest.approx(9.0)
-
-
-def test_a_stated_time_tells_the_hour_and_a_day_does_not():
-    assert hour("2026-05-14T08:00") == pytest.approx(9.0)
-    assert hour("2026-05-14") is None
-    assert hour(None) is None
-
-
-def test_without_a_longitude_there_is_no_hour():
-    assert hour("2026-05-14T08:00", longitude_rad=np.nan) is None
+    flight_ns = nanoseconds_of_date(exposed or stated)
+    assert flight_hour(mission, stations, flight_ns) == pytest.approx(expected)

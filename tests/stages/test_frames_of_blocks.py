@@ -2,94 +2,72 @@
 
 from __future__ import annotations
 
-import json
 from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
+import pyproj
 import pytest
-import yaml
 from scipy.spatial.transform import Rotation
 
 from tests.small_block import SmallBlock, SmallRig, ecef, enu_axes, largest_difference
+from tests.stages.small_missions import ORIGIN, enu_at, mission_of, refusal, rows_of, run
+from unbend.batch.results import read_manifest
+from unbend.report.summary import verdict
+from unbend.tables.imports.blocks import block_reader
 
-pytestmark = pytest.mark.usefixtures("plain_report")
-
-ORIGIN = {"enu": {"lat_deg": 46.95, "lon_deg": 7.45, "h_ellipsoid_m": 0.0}}
-
-
-def config(observed: str, program: str, **orientation) -> dict:
-    return {
-        "mission": {"name": "small"},
-        "observations": {"path": observed, "format": program},
-        "cameras": {"c": {"calibration": "laboratory"}},
-        "stations": {"orientation": {"date": "2026-05-14"} | orientation},
-        "ground": {"height": "block"},
-        "atmosphere": {"adjust": False},
-        "output": {"path": "results"},
-    }
+GEODETIC_TO_UTM = pyproj.Transformer.from_crs(4979, 32632, always_xy=True)
+UTM_OFFSET = (286_800.0, 5_203_300.0)
 
 
-def run(folder, mission: dict, code: int = 0) -> tuple[pd.DataFrame, dict[str, dict]]:
-    """The stations of a run, and its messages by their codes."""
-    from unbend.batch.runs import run_mission
-
-    (folder / "m.yaml").write_text(yaml.safe_dump(mission))
-    outcome = run_mission(folder / "m.yaml", force=True)
-    values = outcome.manifest.values
-    assert outcome.exit_code == code, values["ledger"]
-    stations = pd.read_parquet(outcome.output / "stations.parquet")
-    return stations, {entry["code"]: entry for entry in values["ledger"]}
+@pytest.fixture
+def block():
+    return SmallBlock.make()
 
 
-def refusal(folder, mission: dict) -> str:
-    from unbend.batch.runs import run_mission
-    from unbend.errors import UnbendError
-
-    (folder / "m.yaml").write_text(yaml.safe_dump(mission))
-    with pytest.raises(UnbendError) as refused:
-        run_mission(folder / "m.yaml", force=True)
-    return str(refused.value)
+def assert_true(stations: pd.DataFrame, block: SmallBlock) -> None:
+    """The stations are where the images of the block were taken."""
+    away_m, turned_deg = largest_difference(stations, block)
+    assert away_m < 1e-3
+    assert turned_deg < 1e-5
 
 
-def odm_transformation(block: SmallBlock, offset: tuple[float, float]) -> np.ndarray:
+# ---- OpenSfM and ODM
+
+
+def write_coords(folder) -> None:
+    """What ODM writes of the UTM of a reconstruction."""
+    (folder / "odm_georeferencing").mkdir()
+    text = f"WGS84 UTM 32N\n{UTM_OFFSET[0]} {UTM_OFFSET[1]}\n"
+    (folder / "odm_georeferencing" / "coords.txt").write_text(text)
+
+
+def odm_transformation(block: SmallBlock) -> np.ndarray:
     """(3, 4) from east, north, up to UTM minus an offset, by differences over a metre."""
-    import pyproj
-
     to_geodetic = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)
-    to_utm = pyproj.Transformer.from_crs(4979, 32632, always_xy=True)
-    lat, lon, h = block.origin
-    axes = enu_axes(lat, lon)
-    corners = np.vstack([np.zeros(3), np.eye(3)])
-    places = []
-    for corner in corners:
-        lon_deg, lat_deg, height = to_geodetic.transform(*(ecef(lat, lon, h) + corner @ axes))
-        x, y = to_utm.transform(lon_deg, lat_deg)
-        places.append([x - offset[0], y - offset[1], height])
-    columns = np.array(places[1:]) - places[0]
-    return np.column_stack([columns.T, places[0]])
+    corners = np.vstack([np.zeros(3), np.eye(3)]) @ enu_axes(*block.origin[:2])
+    geodetic = to_geodetic.transform(*(ecef(*block.origin) + corners).T)
+    places = np.stack(GEODETIC_TO_UTM.transform(*geodetic), axis=1) - [*UTM_OFFSET, 0.0]
+    return np.column_stack([(places[1:] - places[0]).T, places[0]])
 
 
 @pytest.fixture
 def odm(tmp_path):
     """A project of ODM's far from the meridian of its zone: its reconstruction is in UTM."""
     block = SmallBlock.make(46.95, 6.2)
-    offset = (286_800.0, 5_203_300.0)
-    block.write_opensfm(tmp_path / "opensfm", linear=odm_transformation(block, offset))
-    (tmp_path / "odm_georeferencing").mkdir()
-    text = f"WGS84 UTM 32N\n{offset[0]} {offset[1]}\n"
-    (tmp_path / "odm_georeferencing" / "coords.txt").write_text(text)
+    block.write_opensfm(tmp_path / "opensfm", linear=odm_transformation(block))
+    write_coords(tmp_path)
     return block, tmp_path
+
+
+OPENSFM = mission_of("opensfm", "opensfm", heights="ellipsoid")
 
 
 def test_the_topocentric_reconstruction_of_odm_is_read(odm):
     block, folder = odm
     block.write_opensfm(folder / "opensfm", name="reconstruction.topocentric.json")
-    mission = config("opensfm", "opensfm", heights="ellipsoid")
-    stations, messages = run(folder, mission)
-    away, turned = largest_difference(stations, block)
-    assert away < 1e-3
-    assert turned < 1e-5
+    stations, messages = run(folder, OPENSFM)
+    assert_true(stations, block)
     assert messages["BLOCK-ODM"]["kind"] == "note"
     assert messages["FRAME-CONFIRMED"]["kind"] == "note"
 
@@ -97,37 +75,84 @@ def test_the_topocentric_reconstruction_of_odm_is_read(odm):
 def test_the_utm_of_odm_is_refused(odm):
     """By coords.txt and gps_position, or by the file that ODM leaves."""
     _, folder = odm
-    mission = config("opensfm", "opensfm", heights="ellipsoid")
-    said = refusal(folder, mission)
-    assert "ORIENTATION-FRAME" in said
-    assert "coords.txt" in said
-    assert "reconstruction.topocentric.json" in said
+    text = refusal(folder, OPENSFM, "ORIENTATION-FRAME")
+    assert "coords.txt" in text
+    assert "reconstruction.topocentric.json" in text
     (folder / "odm_georeferencing" / "coords.txt").unlink()
     (folder / "opensfm" / "exported_geocoords.txt").touch()
-    assert "exported_geocoords.txt" in refusal(folder, mission)
+    assert "exported_geocoords.txt" in refusal(folder, OPENSFM, "ORIENTATION-FRAME")
 
 
 def test_utm_without_odm_is_a_finding(odm):
     """Nothing but gps_position tells."""
     _, folder = odm
     (folder / "odm_georeferencing" / "coords.txt").unlink()
-    _, messages = run(folder, config("opensfm", "opensfm", heights="ellipsoid"), 3)
-    entry = messages["FRAME-PLACES"]
-    assert entry["kind"] == "finding"
-    assert "turned by 2.0" in entry["what"]  # the convergence at 6.2 deg east of a zone about 9
+    _, messages = run(folder, OPENSFM, 3)
+    assert messages["FRAME-PLACES"]["kind"] == "finding"
+    # The convergence at 6.2 deg east of a zone about 9.
+    assert "turned by 2.0" in messages["FRAME-PLACES"]["what"]
 
 
-def test_east_north_up_beside_coords_of_odm_is_read(tmp_path):
-    """As older ODM left it."""
-    block = SmallBlock.make(46.95, 6.2)
+def test_inputs_hold_what_a_frame_rests_on(odm):
+    """coords.txt is hashed with the project."""
+    _, folder = odm
+    files = block_reader("opensfm").block_files(folder / "opensfm")
+    names = {file.name for file in files}
+    assert names == {"reconstruction.json", "tracks.csv", "reference_lla.json", "coords.txt"}
+
+
+@pytest.fixture
+def opensfm(block, tmp_path):
     block.write_opensfm(tmp_path / "opensfm")
-    (tmp_path / "odm_georeferencing").mkdir()
-    (tmp_path / "odm_georeferencing" / "coords.txt").write_text(
-        "WGS84 UTM 32N\n286800.0 5203300.0\n"
-    )
-    stations, messages = run(tmp_path, config("opensfm", "opensfm", heights="ellipsoid"))
-    assert largest_difference(stations, block)[0] < 1e-3
+    return tmp_path
+
+
+def test_east_north_up_beside_coords_of_odm_is_read(block, opensfm):
+    """As older ODM left it."""
+    write_coords(opensfm)
+    stations, messages = run(opensfm, OPENSFM)
+    assert_true(stations, block)
     assert "BLOCK-ODM" not in messages
+
+
+def test_altitudes_of_opensfm_may_be_above_the_sea(block, opensfm):
+    """Whether they are has to be said; corrections are those of the same block by COLMAP."""
+    mission = mission_of("opensfm", "opensfm")
+    assert "give heights (msl or ellipsoid)" in refusal(opensfm, mission, "CONFIG-INVALID")
+    mission["mission"]["undulation_m"] = 47.6
+    mission["stations"]["orientation"]["heights"] = "msl"
+    reference = opensfm / "opensfm" / "reference_lla.json"
+    reference.write_text(reference.read_text().replace('"altitude": 0.0', '"altitude": -47.6'))
+    stations, _ = run(opensfm, mission)
+    # The frame is laid 47.6 m deeper: 0.6 km are 4 mm shorter there.
+    assert largest_difference(stations, block)[0] < 0.005
+    by_opensfm = rows_of(opensfm)
+    block.write_colmap(opensfm / "sparse")
+    mission["observations"] = {"path": "sparse", "format": "colmap"}
+    mission["stations"]["orientation"] = {"frame": ORIGIN, "date": "2026-05-14"}
+    run(opensfm, mission)
+    by_colmap = rows_of(opensfm).set_index(["image", "point"])
+    rows = by_colmap.loc[list(zip(by_opensfm["image"], by_opensfm["point"], strict=True))]
+    shift = rows["x_corrected_px"] - rows["x_px"]
+    assert np.abs(shift).max() > 0.01
+    for column in ("x_corrected_px", "y_corrected_px"):
+        np.testing.assert_allclose(by_opensfm[column], rows[column], rtol=0.0, atol=2e-6)
+
+
+def test_a_project_without_a_reference_has_no_frame(opensfm):
+    (opensfm / "opensfm" / "reference_lla.json").unlink()
+    assert "stations.orientation.frame: ecef" in refusal(opensfm, OPENSFM, "ORIENTATION-FRAME")
+
+
+@pytest.mark.parametrize(("h", "is_told"), [(0.0, False), (1.0, True)])
+def test_a_stated_frame_holds_and_a_contradiction_is_told(block, opensfm, h, is_told):
+    mission = mission_of("opensfm", "opensfm", frame=enu_at(46.95, 7.45, h))
+    stations, messages = run(opensfm, mission)
+    assert largest_difference(stations, block)[0] == pytest.approx(h, abs=1e-3)
+    assert ("IMPORT-CONTRADICTED" in messages) == is_told
+
+
+# ---- COLMAP
 
 
 @pytest.mark.parametrize(
@@ -136,68 +161,77 @@ def test_east_north_up_beside_coords_of_odm_is_read(tmp_path):
         ({"scale": 1 / 0.3048}, "multiplied by 0.3048"),
         ({"turn": Rotation.from_euler("y", 6.0, degrees=True).as_matrix()}, "tilted by"),
     ],
+    ids=["feet", "tilted"],
 )
-def test_pose_priors_tell_a_model_in_feet_or_tilted(tmp_path, changed, words):
-    block = SmallBlock.make()
+def test_pose_priors_tell_a_model_in_feet_or_tilted(block, tmp_path, changed, words):
     block.write_colmap(tmp_path / "sparse", **changed)
-    known = np.stack([block.lat, block.lon, block.h - 47.0], axis=1)
-    block.write_colmap_database(tmp_path / "database.db", known=known)
-    mission = config("database.db", "colmap", path="sparse", format="colmap", frame=ORIGIN)
-    _, messages = run(tmp_path, mission, 3)
+    priors = np.stack([block.lat, block.lon, block.h - 47.0], axis=1)
+    _, messages = run(tmp_path, with_priors(block, tmp_path, priors), 3)
     assert words in messages["FRAME-PLACES"]["what"]
     assert "pose priors of 12 images" in messages["FRAME-PLACES"]["what"]
 
 
+def with_priors(block, folder, priors: np.ndarray, system: int = 0) -> dict:
+    """A mission by a database that has priors in a system: 0 is WGS 84, 1 is Cartesian."""
+    block.write_colmap_database(folder / "database.db", known=priors, system=system)
+    return mission_of("database.db", "colmap", path="sparse", format="colmap", frame=ORIGIN)
+
+
 @pytest.mark.parametrize("system", [0, 1])
-def test_pose_priors_confirm_a_right_model(tmp_path, system):
-    block = SmallBlock.make()
+def test_pose_priors_confirm_a_right_model(block, tmp_path, system):
     block.write_colmap(tmp_path / "sparse")
-    centres, _, _ = block.in_enu()
-    known = centres if system else np.stack([block.lat, block.lon, block.h - 47.0], axis=1)
-    block.write_colmap_database(tmp_path / "database.db", known=known, system=system)
-    mission = config("database.db", "colmap", path="sparse", format="colmap", frame=ORIGIN)
-    stations, messages = run(tmp_path, mission)
-    assert largest_difference(stations, block)[0] < 1e-3
+    priors = np.stack([block.lat, block.lon, block.h - 47.0], axis=1)
+    if system == 1:
+        priors, _, _ = block.in_enu()
+    stations, messages = run(tmp_path, with_priors(block, tmp_path, priors, system))
+    assert_true(stations, block)
     assert "FRAME-CONFIRMED" in messages
 
 
-def test_known_positions_are_compared_with_a_stated_frame(tmp_path):
-    block = SmallBlock.make()
+def known_positions(block, folder) -> dict:
+    table = {"image": block.names, "latitude": block.lat, "longitude": block.lon, "height": block.h}
+    pd.DataFrame(table).to_csv(folder / "known.csv", index=False)
+    return {"path": "known.csv"}
+
+
+def test_known_positions_are_compared_with_a_stated_frame(block, tmp_path):
     block.write_colmap(tmp_path / "sparse", scale=0.01)
-    known = pd.DataFrame(
-        {"image": block.names, "latitude": block.lat, "longitude": block.lon, "height": block.h}
-    )
-    mission = config("sparse", "colmap", frame=ORIGIN)
+    mission = mission_of("sparse", "colmap", frame=ORIGIN)
     _, messages = run(tmp_path, mission)
-    entry = messages["FRAME-UNVERIFIED"]
-    assert entry["kind"] == "warning"
-    assert "12 images are within 11 m" in entry["what"]
-    known.to_csv(tmp_path / "known.csv", index=False)
-    mission["stations"]["orientation"]["known_positions"] = {"path": "known.csv"}
+    assert messages["FRAME-UNVERIFIED"]["kind"] == "warning"
+    assert "12 images are within 11 m" in messages["FRAME-UNVERIFIED"]["what"]
+    text = verdict(read_manifest(tmp_path / "results"))
+    assert "not needed here, if the frame of the block is right (nothing confirms it)" in text
+    mission["stations"]["orientation"]["known_positions"] = known_positions(block, tmp_path)
     _, messages = run(tmp_path, mission, 3)
     assert "multiplied by 100" in messages["FRAME-PLACES"]["what"]
 
 
-def test_the_verdict_rests_on_a_frame_that_nothing_confirms(tmp_path):
-    from unbend.batch.results import read_manifest
-    from unbend.report.summary import verdict
+def test_a_model_in_an_unknown_frame(block, tmp_path):
+    """The block turned and 50 times smaller, fitted to the known places of its images."""
+    turn = Rotation.from_euler("xyz", [70.0, -40.0, 150.0], degrees=True).as_matrix()
+    block.write_colmap(tmp_path / "sparse", scale=0.02, turn=turn)
+    places = known_positions(block, tmp_path) | {"sigma_m": 0.05}
+    mission = mission_of(
+        "sparse", "colmap", frame="unknown", heights="ellipsoid", known_positions=places
+    )
+    mission["mission"]["undulation_m"] = 47.6
+    stations, messages = run(tmp_path, mission)
+    assert "12 known positions" in messages["ORIENTATION-FIT"]["what"]
+    assert_true(stations, block)
+    rows = rows_of(tmp_path)
+    assert (rows["status"] == "ok").all()
+    height_of_point = dict(zip(map(str, range(1, 61)), block.point_h - 47.6, strict=True))
+    h_g = rows["point"].map(height_of_point)
+    np.testing.assert_allclose(rows["h_g_m"], h_g, atol=1e-3)
+    from_median = h_g - h_g.groupby(rows["image"]).transform("median")
+    ground = messages["GROUND-BLOCK"]["values"]
+    assert ground["low"] == pytest.approx(h_g.min(), abs=1e-3)
+    assert ground["high"] == pytest.approx(h_g.max(), abs=1e-3)
+    assert ground["apart"] == pytest.approx(from_median.abs().median(), abs=1e-3)
 
-    block = SmallBlock.make()
-    block.write_colmap(tmp_path / "sparse", scale=0.01)
-    run(tmp_path, config("sparse", "colmap", frame=ORIGIN))
-    said = verdict(read_manifest(tmp_path / "results"))
-    assert "not needed here, if the frame of the block is right (nothing confirms it)" in said
 
-
-def test_inputs_hold_what_a_frame_rests_on(odm):
-    """coords.txt is hashed with the project."""
-    _, folder = odm
-    from unbend.tables.imports.blocks import block_reader
-
-    names = {file.name for file in block_reader("opensfm").block_files(folder / "opensfm")}
-    assert names == {"reconstruction.json", "tracks.csv", "reference_lla.json", "coords.txt"}
-    assert json.loads((folder / "opensfm" / "reference_lla.json").read_text())["latitude"] == 46.95
-
+# ---- Metashape
 
 LV95 = (
     'PROJCS["CH1903+ / LV95",GEOGCS["CH1903+",DATUM["CH1903+",SPHEROID["Bessel 1841",6377397.155,'
@@ -212,61 +246,48 @@ LV95 = (
 TO_WGS84_OF_LV95 = np.array([674.374, 15.056, 405.346])  # m, published by swisstopo
 
 
+def chunk_mission(**orientation) -> dict:
+    mission = mission_of("s.xml", "metashape", **orientation)
+    return mission | {"ground": {"height": 530, "reference": "ellipsoid"}}
+
+
 @pytest.mark.parametrize("orientation", [{"frame": "ecef"}, {"heights": "ellipsoid"}])
-def test_a_chunk_in_a_national_datum(tmp_path, orientation):
-    block = SmallBlock.make()
+def test_a_chunk_in_a_national_datum(block, tmp_path, orientation):
     block.write_metashape(tmp_path / "s.xml", shift=-TO_WGS84_OF_LV95, reference=LV95)
-    mission = config("s.xml", "metashape", **orientation)
-    mission["ground"] = {"height": 530, "reference": "ellipsoid"}
-    stations, messages = run(tmp_path, mission)
-    away, turned = largest_difference(stations, block)
-    assert away < 1e-3
-    assert turned < 1e-5
+    stations, messages = run(tmp_path, chunk_mission(**orientation))
+    assert_true(stations, block)
     assert "CH1903+" in messages["CRS-DATUM"]["what"]
     assert "FRAME-UNVERIFIED" in messages
 
 
-def test_heights_above_the_sea_stay_what_a_national_chunk_was_given(tmp_path):
+def test_heights_above_the_sea_stay_what_a_national_chunk_was_given(block, tmp_path):
     """The program took them for heights above Bessel's ellipsoid."""
-    block = SmallBlock.make()
-    lat = block.lat
-    lon = block.lon
     block.write_metashape(tmp_path / "s.xml", shift=-TO_WGS84_OF_LV95, reference=LV95)
-    mission = config("s.xml", "metashape", heights="msl")
-    mission["ground"] = {"height": 480, "reference": "msl"}
+    mission = chunk_mission(heights="msl") | {"ground": {"height": 480, "reference": "msl"}}
     stations, _ = run(tmp_path, mission)
-    own = ecef(lat, lon, block.h) - TO_WGS84_OF_LV95
-    a = 6377397.155
-    e2 = 0.006674372231802
-    # The height above Bessel's ellipsoid, by Bowring's iteration.
-    across = np.hypot(own[:, 0], own[:, 1])
-    phi = np.arctan2(own[:, 2], across * (1 - e2))
-    for _ in range(6):
-        n = a / np.sqrt(1 - e2 * np.sin(phi) ** 2)
-        h = across / np.cos(phi) - n
-        phi = np.arctan2(own[:, 2], across * (1 - e2 * n / (n + h)))
+    in_lv95 = ecef(block.lat, block.lon, block.h) - TO_WGS84_OF_LV95
+    bessel = pyproj.Transformer.from_pipeline("+proj=cart +ellps=bessel +inv")
+    _, _, h = bessel.transform(*in_lv95.T)
     np.testing.assert_allclose(stations["h_msl_m"], h, atol=0.05)
-    np.testing.assert_allclose(stations["lat_deg"], lat, atol=1e-8)
+    np.testing.assert_allclose(stations["lat_deg"], block.lat, atol=1e-8)
 
 
-def test_the_reference_of_a_chunk_is_compared_with_its_cameras(tmp_path):
+@pytest.mark.parametrize(
+    ("moved_m", "code", "expected"), [(0.0, 0, "FRAME-CONFIRMED"), (300.0, 3, "FRAME-PLACES")]
+)
+def test_the_reference_of_a_chunk_is_compared_with_its_cameras(
+    block, tmp_path, moved_m, code, expected
+):
     """Cameras in UTM: x and y change places, and the middle of the block is elsewhere."""
-    import pyproj
-
-    block = SmallBlock.make()
-    x, y = pyproj.Transformer.from_crs(4979, 32632, always_xy=True).transform(block.lon, block.lat)
-    for moved, code, expected in ((0.0, 0, "FRAME-CONFIRMED"), (300.0, 3, "FRAME-PLACES")):
-        known = np.stack([x + moved, y, block.h], axis=1)
-        block.write_metashape(tmp_path / "s.xml", reference="EPSG:32632", known=known)
-        mission = config("s.xml", "metashape", heights="ellipsoid")
-        mission["ground"] = {"height": 530, "reference": "ellipsoid"}
-        _, messages = run(tmp_path, mission, code)
-        assert expected in messages
+    x, y = GEODETIC_TO_UTM.transform(block.lon, block.lat)
+    cameras = np.stack([x + moved_m, y, block.h], axis=1)
+    block.write_metashape(tmp_path / "s.xml", reference="EPSG:32632", known=cameras)
+    _, messages = run(tmp_path, chunk_mission(heights="ellipsoid"), code)
+    assert expected in messages
 
 
-def test_a_disabled_camera_is_left_out(tmp_path):
+def test_a_disabled_camera_is_left_out(block, tmp_path):
     """Metashape leaves its old pose in the file: here 50 m away in the chunk."""
-    block = SmallBlock.make()
     file = tmp_path / "s.xml"
     block.write_metashape(file, reference="EPSG:4326")
     root = ElementTree.fromstring(file.read_text())
@@ -277,36 +298,31 @@ def test_a_disabled_camera_is_left_out(tmp_path):
     numbers[3] = str(float(numbers[3]) + 50.0)
     transform.text = " ".join(numbers)
     file.write_text(ElementTree.tostring(root, encoding="unicode"))
-    mission = config("s.xml", "metashape", heights="ellipsoid")
-    mission["ground"] = {"height": 530, "reference": "ellipsoid"}
-    stations, messages = run(tmp_path, mission)
+    stations, messages = run(tmp_path, chunk_mission(heights="ellipsoid"))
     assert len(stations) == len(block.names) - 1
     assert (stations["status"] == "ok").all()
     assert block.names[0] in messages["BLOCK-DISABLED"]["what"]
 
 
-def test_slave_cameras_follow_their_master(tmp_path):
-    """An oblique head 0.4 m from the nadir camera, 45 deg to the side: truth by own arithmetic."""
-    block = SmallBlock.make()
+def test_slave_cameras_follow_their_master(block, tmp_path):
+    """An oblique head 0.4 m from the nadir camera, 45 deg to the side."""
     turn = Rotation.from_euler("yx", [45.0, 3.0], degrees=True).as_matrix()
     head = SmallRig("head_", (0.4, -0.1, 0.05), turn)
     block.write_metashape(tmp_path / "s.xml", reference="EPSG:4326", head=head)
-    mission = config("s.xml", "metashape", heights="ellipsoid")
+    mission = chunk_mission(heights="ellipsoid")
     mission["cameras"] = {
         "nadir": {"camera": "c", "calibration": "laboratory"},
         "oblique": {"camera": "head", "calibration": "laboratory"},
     }
-    mission["ground"] = {"height": 530, "reference": "ellipsoid"}
     stations, _ = run(tmp_path, mission)
     assert (stations["status"] == "ok").all()
-    heads = stations[stations["camera"] == "oblique"]
+    heads = stations[stations["camera"] == "oblique"].set_index("image")
     assert len(heads) == 12
-    for row in heads.itertuples():
-        k = block.names.index(row.image.removeprefix("head_"))
-        master = block.cam_from_ecef()[k]
-        centre = ecef(block.lat[k], block.lon[k], block.h[k]) + master.T @ head.place_m
-        here = ecef(row.lat_deg, row.lon_deg, row.h_ellipsoid_m)
-        assert np.linalg.norm(here - centre) < 1e-3
-        wanted = turn.T @ master @ enu_axes(row.lat_deg, row.lon_deg).T
-        found = Rotation.from_quat([row.q_x, row.q_y, row.q_z, row.q_w]).as_matrix()
-        np.testing.assert_allclose(found, wanted, atol=1e-7)
+    masters = ecef(block.lat, block.lon, block.h)
+    for name, place, master in zip(block.names, masters, block.cam_from_ecef(), strict=True):
+        row = heads.loc[f"head_{name}"]
+        centre = ecef(row.lat_deg, row.lon_deg, row.h_ellipsoid_m)
+        np.testing.assert_allclose(centre, place + master.T @ head.place_m, atol=1e-3)
+        attitude = Rotation.from_quat([row.q_x, row.q_y, row.q_z, row.q_w]).as_matrix()
+        expected = turn.T @ master @ enu_axes(row.lat_deg, row.lon_deg).T
+        np.testing.assert_allclose(attitude, expected, atol=1e-7)

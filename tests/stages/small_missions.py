@@ -1,0 +1,52 @@
+"""Missions of a small block with known truth, by the files of another program."""
+
+from __future__ import annotations
+
+import pandas as pd
+import yaml
+
+from tests.helpers import refused
+from unbend.batch.runs import run_mission
+
+
+def enu_at(lat_deg: float, lon_deg: float, h_ellipsoid_m: float) -> dict:
+    """A local frame as a mission file states it."""
+    return {"enu": {"lat_deg": lat_deg, "lon_deg": lon_deg, "h_ellipsoid_m": h_ellipsoid_m}}
+
+
+ORIGIN = enu_at(46.95, 7.45, 0.0)
+
+
+def mission_of(observed: str, program: str, **orientation) -> dict:
+    return {
+        "mission": {"name": "small"},
+        "observations": {"path": observed, "format": program},
+        "cameras": {"c": {"calibration": "laboratory"}},
+        "stations": {"orientation": {"date": "2026-05-14"} | orientation},
+        "ground": {"height": "block"},
+        "atmosphere": {"adjust": False},
+        "output": {"path": "results"},
+    }
+
+
+def run(folder, mission: dict, code: int = 0) -> tuple[pd.DataFrame, dict[str, dict]]:
+    """The stations of a run that ends with this code, and its messages by their codes."""
+    (folder / "m.yaml").write_text(yaml.safe_dump(mission))
+    outcome = run_mission(folder / "m.yaml", force=True)
+    ledger = outcome.manifest.values["ledger"]
+    assert outcome.exit_code == code, ledger
+    stations = pd.read_parquet(outcome.output / "stations.parquet")
+    return stations, {entry["code"]: entry for entry in ledger}
+
+
+def rows_of(folder) -> pd.DataFrame:
+    """The corrected observations of the last run."""
+    return pd.read_parquet(folder / "results" / "observations")
+
+
+def refusal(folder, mission: dict, code: str) -> str:
+    """What a mission is refused with."""
+    (folder / "m.yaml").write_text(yaml.safe_dump(mission))
+    with refused(code) as caught:
+        run_mission(folder / "m.yaml", force=True)
+    return str(caught.value)
