@@ -206,7 +206,7 @@ def ends_of(lat, lon, height, direction, distance_m, r_c_rad):
 def test_rays_land_where_an_integrated_ray_does(lat, lon, grid):
     heights = relief(1500, 1500)
     terrain = ArrayTerrain(heights, lat + 750 * STEP, step_lat=STEP, step_lon=STEP, **grid)
-    rays = rays_from(300, lat, lon, 0.1, (3_000.0, 10_000.0), 1)
+    rays = rays_from(500, lat, lon, 0.1, (3_000.0, 10_000.0), 1)
     truth = marched(terrain, *rays)
     landings, (x, y, rows, exposures) = landing(terrain, *rays)
     assert set(landings.status.tolist()) == {OK, SEVERAL_CROSSINGS}
