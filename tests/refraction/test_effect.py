@@ -4,21 +4,47 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.refraction import refraction_angle
 from unbend.refraction.effect import effects_on_r
 
+FLIGHT = standard_atmosphere("icao", index="gyer")
+STANDARD = standard_atmosphere("us1962")
+
 
 def test_the_factor_is_that_of_the_flight_over_the_standard():
-    cold = standard_atmosphere("icao", index="gyer")
-    standard = standard_atmosphere("us1962")
-    effects = effects_on_r(cold, standard, None, 6000.0, 200.0)
-    assert [e.nadir_deg for e in effects] == [45.0, 75.0]
+    effects = effects_on_r(FLIGHT, STANDARD, None, 6000.0, 200.0)
+    assert [effect.nadir_deg for effect in effects] == [45.0, 75.0]
     for effect in effects:
         zeta = math.radians(effect.nadir_deg)
-        r, theirs = (refraction_angle(air, 6000.0, 200.0, zeta) for air in (cold, standard))
-        assert effect.factor == pytest.approx(r / theirs, rel=1e-14)
+        r_of_flight = refraction_angle(FLIGHT, 6000.0, 200.0, zeta)
+        r_of_standard = refraction_angle(STANDARD, 6000.0, 200.0, zeta)
+        assert effect.factor == pytest.approx(r_of_flight / r_of_standard, rel=1e-14)
         assert effect.factor != 1.0
-    assert effects_on_r(cold, standard, None, 200.0, 6000.0) == ()
+        assert math.isnan(effect.sigma_factor)
+
+
+def test_sigma_of_the_factor_is_that_of_the_pressure():
+    """Gyer's N, and R to two thousandths, are proportional to the pressure, known to 1 % here."""
+    edges = FLIGHT.layers.edge.size
+    variance = np.zeros(2 * edges + 1)
+    variance[edges] = 0.01**2
+    covariance = ProfileCovariance(FLIGHT, 0.0, np.diag(variance))
+    for effect in effects_on_r(FLIGHT, STANDARD, covariance, 6000.0, 200.0):
+        assert effect.sigma_factor == pytest.approx(0.01 * effect.factor, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("h_c", "h_g"),
+    [
+        (200.0, 6000.0),
+        (200.0, 200.0),
+        (201.0, 200.0),
+    ],
+)
+def test_no_ray_looks_down_no_effect(h_c, h_g):
+    assert effects_on_r(FLIGHT, STANDARD, None, h_c, h_g) == ()

@@ -6,20 +6,16 @@ import numpy as np
 import pyproj
 import pytest
 
+from tests.refraction.array_terrain import ArrayTerrain
+from tests.refraction.comparing import assert_near
 from unbend.atmosphere import standard_atmosphere
-from unbend.refraction import Camera, Exposures, correct_observations
-from unbend.refraction.ray import rays_by
-from unbend.refraction.status_codes import (
-    NO_GROUND,
-    OK,
-    SEVERAL_CROSSINGS,
-)
+from unbend.geodesy import enu_from_ecef
+from unbend.refraction import Camera, Exposures, correct_observations, ray_table
+from unbend.refraction.status_codes import MISSES_GROUND, NO_GROUND, OK, SEVERAL_CROSSINGS
 from unbend.refraction.terrain_heights import terrain_heights
 
-from .array_terrain import ArrayTerrain
-
 AIR = standard_atmosphere("us1976")
-TABLE = rays_by(AIR, "spherical")
+TABLE = ray_table(AIR)
 CAMERA = Camera(20_000, 20_000, 2_500.0, 2_500.0, 10_000.0, 10_000.0)  # to 76 deg off the axis
 DOWN = np.diag([1.0, -1.0, -1.0])
 TO_THE_EAST = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -37,110 +33,109 @@ def relief(rows, columns, *, cliffs=True):
     return z.astype(np.float32)
 
 
-def exposures_at(lat_deg, height_m, rotation=None):
-    n = len(height_m)
-    outside = AIR.refractivity(np.asarray(height_m, float))
-    turned = np.tile(DOWN, (n, 1, 1)) if rotation is None else rotation
-    return Exposures(
-        np.ones(n, bool), turned, np.radians(lat_deg), np.asarray(height_m, float), outside, outside
-    )
-
-
 def surface_of(terrain, lon, lat):
     """Bilinear height of the terrain at places [deg]; NaN beside it."""
     row, column = terrain.nodes(np.radians(lat), np.radians(lon))
     i = np.floor(row).astype(int)
     j = np.floor(column).astype(int)
-    u = row - i
-    v = column - j
-    north = (1 - v) * terrain.stored(i, j) + v * terrain.stored(i, j + 1)
-    return (1 - u) * north + u * (
-        (1 - v) * terrain.stored(i + 1, j) + v * terrain.stored(i + 1, j + 1)
-    )
+    south = row - i
+    east = column - j
+    upper = (1 - east) * terrain.stored(i, j) + east * terrain.stored(i, j + 1)
+    lower = (1 - east) * terrain.stored(i + 1, j) + east * terrain.stored(i + 1, j + 1)
+    return (1 - south) * upper + south * lower
 
 
-def marched(terrain, lat_deg, lon_deg, height_m, direction, *, step=40.0, bent=True, fine=20):
+def ecef_of(lon_deg, lat_deg, height_m):
+    return np.stack(TO_ECEF.transform(lon_deg, lat_deg, height_m), axis=-1)
+
+
+def geodetic_of(ecef):
+    """Longitude, latitude [deg] and height [m] (..., 3) of places."""
+    return np.stack(TO_GEODETIC.transform(*np.moveaxis(ecef, -1, 0)), axis=-1)
+
+
+def in_ecef(lat_deg, lon_deg, enu):
+    """Vectors east, north, up (n, 3) of places in earth-centred axes."""
+    axes = enu_from_ecef(np.radians(lat_deg), np.radians(lon_deg))
+    return np.einsum("nk,nkc->nc", enu, axes)
+
+
+def slope(place, momentum):
+    """Derivatives of place and of n times the direction along a ray: grad n over the ellipsoid."""
+    lon, lat, h = geodetic_of(place).T
+    h = np.clip(h, -900.0, 40_000.0)
+    n = 1.0 + AIR.refractivity(h)
+    gradient = np.zeros(place.shape)
+    gradient[:, 2] = AIR.refractivity(h + 0.5) - AIR.refractivity(h - 0.5)
+    return momentum / n[:, None], in_ecef(lat, lon, gradient)
+
+
+def runge_kutta(place, momentum, step):
+    """Place and momentum (n, 3) one step farther."""
+    v_1, f_1 = slope(place, momentum)
+    v_2, f_2 = slope(place + 0.5 * step * v_1, momentum + 0.5 * step * f_1)
+    v_3, f_3 = slope(place + 0.5 * step * v_2, momentum + 0.5 * step * f_2)
+    v_4, f_4 = slope(place + step * v_3, momentum + step * f_3)
+    end = place + step / 6.0 * (v_1 + 2.0 * v_2 + 2.0 * v_3 + v_4)
+    return end, momentum + step / 6.0 * (f_1 + 2.0 * f_2 + 2.0 * f_3 + f_4)
+
+
+def cubic(share, ends, velocities):
+    """Points (n, k, 3) at shares (n, k) of a step, from both ends of it and the slopes there."""
+    s = share[..., None]
+    p_0, p_1 = ends[:, :, None]
+    v_0, v_1 = velocities[:, :, None]
+    from_start = (1 + 2 * s) * (1 - s) ** 2 * p_0 + s * (1 - s) ** 2 * v_0
+    return from_start + s * s * (3 - 2 * s) * p_1 + s * s * (s - 1) * v_1
+
+
+def marched(terrain, lat_deg, lon_deg, height_m, direction, *, step=40.0, looks=20):
     """First points (n, 3) of rays under the terrain: lon, lat [deg], height [m].
 
     Runge and Kutta's steps of d(n t)/ds = grad n over the ellipsoid; between them cubic pieces,
-    looked at every ``step / fine`` m and then halved.
+    looked at ``looks`` times a step and then halved.
     """
-    at = np.stack(TO_ECEF.transform(lon_deg, lat_deg, height_m), axis=1)
-    east, north, up = axes(lat_deg, lon_deg)
-    e, n_, u = direction.T
-    tangent = e[:, None] * east + n_[:, None] * north + u[:, None] * up
 
-    def slope(p, q):
-        lon, lat, h = TO_GEODETIC.transform(*p.T)
-        h = np.clip(h, -900.0, 40_000.0)
-        n = 1.0 + AIR.refractivity(h)
-        gradient = (AIR.refractivity(h + 0.5) - AIR.refractivity(h - 0.5))[:, None]
-        return q / n[:, None], gradient * axes(lat, lon)[2] * bent
+    def is_under(points):
+        lon, lat, h = np.moveaxis(geodetic_of(points), -1, 0)
+        return h < surface_of(terrain, lon, lat)
 
-    q = tangent * (1.0 + AIR.refractivity(np.asarray(height_m)))[:, None]
-    found = np.full((len(at), 3), np.nan)
-    left = np.ones(len(at), bool)
-    share = np.linspace(0.0, 1.0, fine + 1)[None, :, None]
-    for _ in range(20_000):
-        p_0 = at[left]
-        q_0 = q[left]
-        k1 = slope(p_0, q_0)
-        k2 = slope(p_0 + 0.5 * step * k1[0], q_0 + 0.5 * step * k1[1])
-        k3 = slope(p_0 + 0.5 * step * k2[0], q_0 + 0.5 * step * k2[1])
-        k4 = slope(p_0 + step * k3[0], q_0 + step * k3[1])
-        p_1 = p_0 + step / 6.0 * (k1[0] + 2.0 * k2[0] + 2.0 * k3[0] + k4[0])
-        q_1 = q_0 + step / 6.0 * (k1[1] + 2.0 * k2[1] + 2.0 * k3[1] + k4[1])
-        out = slope(p_1, q_1)[0]
+    def halved(high, ends, velocities):
+        low = high - 1.0 / looks
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            inside = is_under(cubic(middle[:, None], ends, velocities))[:, 0]
+            high = np.where(inside, middle, high)
+            low = np.where(inside, low, middle)
+        return geodetic_of(cubic(high[:, None], ends, velocities)[:, 0])
 
-        def piece(s, p_0=p_0, p_1=p_1, d_0=k1[0], d_1=out):
-            return (
-                (1 + 2 * s) * (1 - s) ** 2 * p_0[:, None]
-                + s * (1 - s) ** 2 * step * d_0[:, None]
-                + s * s * (3 - 2 * s) * p_1[:, None]
-                + s * s * (s - 1) * step * d_1[:, None]
-            )
-
-        def above(points):
-            lon, lat, h = TO_GEODETIC.transform(*points.reshape(-1, 3).T)
-            return (h - surface_of(terrain, lon, lat)).reshape(points.shape[:2])
-
-        height = above(piece(share))
-        under = height < 0.0
+    place = ecef_of(lon_deg, lat_deg, height_m)
+    n_c = 1.0 + AIR.refractivity(np.asarray(height_m))
+    momentum = n_c[:, None] * in_ecef(lat_deg, lon_deg, direction)
+    landed = np.full(place.shape, np.nan)
+    rows = np.arange(len(place))  # that are still on their way
+    while rows.size:
+        end, end_momentum = runge_kutta(place, momentum, step)
+        ends = np.stack([place, end])
+        velocities = step * np.stack([slope(place, momentum)[0], slope(end, end_momentum)[0]])
+        share = np.tile(np.linspace(0.0, 1.0, looks + 1), (rows.size, 1))
+        under = is_under(cubic(share, ends, velocities))
         hit = under.any(axis=1)
         if hit.any():
             first = np.argmax(under[hit], axis=1)
-            low = (first - 1) / fine
-            high = first / fine
-            ends = [a[hit] for a in (p_0, p_1, k1[0], out)]
-            for _ in range(40):
-                middle = 0.5 * (low + high)
-                inside = above(piece(middle[:, None, None], *ends))[:, 0] < 0.0
-                high = np.where(inside, middle, high)
-                low = np.where(inside, low, middle)
-            points = piece(high[:, None, None], *ends)[:, 0]
-            rows = np.flatnonzero(left)[hit]
-            found[rows] = np.stack(TO_GEODETIC.transform(*points.T), axis=1)
-        at[left], q[left] = p_1, q_1
-        low_or_lost = TO_GEODETIC.transform(*p_1.T)[2] < -600.0
-        left[np.flatnonzero(left)[hit | low_or_lost]] = False
-        if not left.any():
-            break
-    return found
+            landed[rows[hit]] = halved(first / looks, ends[:, hit], velocities[:, hit])
+        goes_on = ~hit & (geodetic_of(end)[:, 2] > -600.0)
+        rows = rows[goes_on]
+        place = end[goes_on]
+        momentum = end_momentum[goes_on]
+    return landed
 
 
-def axes(lat_deg, lon_deg):
-    """East, north and up (n, 3) at places."""
-    phi = np.radians(lat_deg)
-    lam = np.radians(lon_deg)
-    east = np.stack([-np.sin(lam), np.cos(lam), np.zeros_like(lam)], axis=1)
-    north = np.stack([-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)], axis=1)
-    return east, north, np.cross(east, north)
-
-
-def pixels_of(direction):
-    """Pixels of `CAMERA` looking down that see directions east, north, up."""
-    x, y, z = DOWN @ direction.T
-    return CAMERA.fx_px * x / z + CAMERA.cx_px, CAMERA.fy_px * y / z + CAMERA.cy_px
+def direction_of(zeta, azimuth):
+    """Unit vectors (n, 3) east, north, up at a nadir angle and an azimuth [rad]."""
+    east = np.sin(zeta) * np.sin(azimuth)
+    north = np.sin(zeta) * np.cos(azimuth)
+    return np.stack([east, north, -np.cos(zeta) + 0.0 * azimuth], axis=1)
 
 
 def rays_from(count, lat, lon, span, heights, seed):
@@ -150,156 +145,173 @@ def rays_from(count, lat, lon, span, heights, seed):
     lon = lon + rng.uniform(-span, span, count)
     height = rng.uniform(*heights, count)
     zeta = np.radians(rng.uniform(0.0, 74.5, count))
-    azimuth = rng.uniform(-np.pi, np.pi, count)
-    direction = np.stack(
-        [np.sin(zeta) * np.sin(azimuth), np.sin(zeta) * np.cos(azimuth), -np.cos(zeta)], axis=1
-    )
+    direction = direction_of(zeta, rng.uniform(-np.pi, np.pi, count))
     return lat, (lon + 180.0) % 360.0 - 180.0, height, direction
 
 
+def exposures_at(lat_deg, height_m, rotation=DOWN):
+    outside = AIR.refractivity(height_m)
+    count = len(height_m)
+    return Exposures(
+        usable=np.ones(count, bool),
+        rotation=np.tile(rotation, (count, 1, 1)),
+        latitude_rad=np.radians(lat_deg),
+        height_m=height_m,
+        refractivity_outside=outside,
+        refractivity_cabin=outside,
+    )
+
+
+def heights_at(terrain, x, y, exposures, lat_deg, lon_deg, **options):
+    """Heights of `terrain_heights` for one pixel of each exposure."""
+    return terrain_heights(
+        x,
+        y,
+        np.arange(len(x)),
+        exposures,
+        (np.radians(lat_deg), np.radians(lon_deg)),
+        camera=CAMERA,
+        table=TABLE,
+        terrain=terrain,
+        **options,
+    )
+
+
 def landing(terrain, lat, lon, height, direction, **options):
-    """Heights of `terrain_heights` for one ray from each camera."""
-    x, y = pixels_of(direction)
-    where = np.radians(lat), np.radians(lon)
-    rows = np.arange(len(lat))
+    """Where one ray from each camera lands, and its pixel, row and exposure."""
+    u, v, w = DOWN @ direction.T
+    x = CAMERA.fx_px * u / w + CAMERA.cx_px
+    y = CAMERA.fy_px * v / w + CAMERA.cy_px
     exposures = exposures_at(lat, height)
-    found = terrain_heights(
-        x, y, rows, exposures, where, camera=CAMERA, table=TABLE, terrain=terrain, **options
-    )
-    return found, (x, y, rows, exposures)
+    heights = heights_at(terrain, x, y, exposures, lat, lon, **options)
+    return heights, (x, y, np.arange(len(x)), exposures)
 
 
-def horizontal(a, b):
-    """Metres between places, lon and lat [deg]."""
-    return pyproj.Geod(ellps="WGS84").inv(a[:, 0], a[:, 1], b[:, 0], b[:, 1])[2]
-
-
-def ends_of(lat, lon, height, direction, found, corrected):
-    """Ends of the straight chords to where rays land: lon, lat [deg]."""
-    zeta = np.arccos(-direction[:, 2]) - corrected.r_c_rad
+def ends_of(lat, lon, height, direction, distance_m, r_c_rad):
+    """Ends of the straight chords to where rays land: lon, lat [deg], height [m]."""
+    zeta = np.arccos(-direction[:, 2]) - r_c_rad
     azimuth = np.arctan2(direction[:, 0], direction[:, 1])
-    chord = found.distance_m[:, None] * np.stack(
-        [np.sin(zeta) * np.sin(azimuth), np.sin(zeta) * np.cos(azimuth), -np.cos(zeta)], axis=1
-    )
-    start = np.stack(TO_ECEF.transform(lon, lat, height), axis=1)
-    end = start + sum(chord[:, k, None] * axis for k, axis in enumerate(axes(lat, lon)))
-    return np.stack(TO_GEODETIC.transform(*end.T), axis=1)
+    chord = distance_m[:, None] * direction_of(zeta, azimuth)
+    return geodetic_of(ecef_of(lon, lat, height) + in_ecef(lat, lon, chord))
 
 
-@pytest.mark.parametrize(("lat", "lon", "around"), [(46.5, 8.0, 0), (-17.0, 180.0, 432_000)])
-def test_rays_land_where_an_integrated_ray_does(lat, lon, around):
-    west = lon - 750 * STEP
-    first = 0
-    if around:  # the date line lies in the middle, and the grid goes round the earth
-        west = -180.0
-        first = -750
-    north = lat + 750 * STEP
-    terrain = ArrayTerrain(relief(1500, 1500), north, west, STEP, STEP, around=around, first=first)
+@pytest.mark.parametrize(
+    ("lat", "lon", "grid"),
+    [
+        (46.5, 8.0, {"west": 8.0 - 750 * STEP}),
+        # The date line lies in the middle, and the grid goes round the earth.
+        (-17.0, 180.0, {"west": -180.0, "around": 432_000, "first": -750}),
+    ],
+)
+def test_rays_land_where_an_integrated_ray_does(lat, lon, grid):
+    heights = relief(1500, 1500)
+    terrain = ArrayTerrain(heights, lat + 750 * STEP, step_lat=STEP, step_lon=STEP, **grid)
     rays = rays_from(500, lat, lon, 0.1, (3_000.0, 10_000.0), 1)
     truth = marched(terrain, *rays)
-    found, (x, y, rows, exposures) = landing(terrain, *rays)
-    assert np.isin(found.status, (OK, SEVERAL_CROSSINGS)).all()
-    assert (found.status == SEVERAL_CROSSINGS).sum() >= 5
-    corrected = correct_observations(x, y, found.h_m, rows, exposures, camera=CAMERA, table=TABLE)
-    at_truth = correct_observations(x, y, truth[:, 2], rows, exposures, camera=CAMERA, table=TABLE)
-    ends = ends_of(*rays, found, corrected)
-    apart = horizontal(ends, truth)
-    print(np.sort(apart)[-5:], np.abs(found.h_m - truth[:, 2]).max())
-    assert apart.max() < 0.1
-    assert np.abs(corrected.r_c_rad / at_truth.r_c_rad - 1.0).max() < 1e-4
+    landings, (x, y, rows, exposures) = landing(terrain, *rays)
+    assert set(landings.status.tolist()) == {OK, SEVERAL_CROSSINGS}
+
+    def r_c_to(h_m):
+        corrections = correct_observations(
+            x,
+            y,
+            h_m,
+            rows,
+            exposures,
+            camera=CAMERA,
+            table=TABLE,
+        )
+        return corrections.r_c_rad
+
+    r_c = r_c_to(landings.h_m)
+    ends = ends_of(*rays, landings.distance_m, r_c)
+    geod = pyproj.Geod(ellps="WGS84")
+    _, _, apart_m = geod.inv(ends[:, 0], ends[:, 1], truth[:, 0], truth[:, 1])
+    assert np.max(apart_m) < 0.1
+    np.testing.assert_allclose(r_c, r_c_to(truth[:, 2].copy()), rtol=1e-4)
     # Straight rays would land elsewhere.
-    straight = landing(terrain, *rays, ideal=True)[0]
+    straight, _ = landing(terrain, *rays, ideal=True)
     assert np.nanmax(np.abs(straight.h_m - truth[:, 2])) > 0.5
 
 
-def test_the_error_of_a_landing_is_that_of_the_terrain_by_its_slope():
-    """On a plane that falls to the east 1 / (1 + tan slope tan zeta); on relief by raising it."""
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["away from the camera", "towards it"])
+def test_the_error_of_a_landing_on_a_slope(sign):
+    """On a plane that falls to the east it is that of the terrain over 1 - tan slope tan zeta."""
     fall = 0.15
-    metres = np.radians(STEP) * 6_378_137.0 * np.cos(np.radians(1e-3))  # of a cell at the equator
-    j = np.mgrid[0:400, 0:400][1]
-    heights = (2_000.0 - fall * metres * (j - 192)).astype(np.float32)
+    cell_m = np.radians(STEP) * 6_378_137.0 * np.cos(np.radians(1e-3))  # at the equator
+    column = np.tile(np.arange(400), (400, 1))
+    heights = (2_000.0 - fall * cell_m * (column - 192)).astype(np.float32)
     plane = ArrayTerrain(heights, 0.16, -0.16, STEP, STEP)
-    n = 60
-    zeta = np.radians(np.linspace(1.0, 70.0, n))
-    for sign in (1.0, -1.0):  # away from the camera, and towards it
-        direction = np.stack([sign * np.sin(zeta), np.zeros(n), -np.cos(zeta)], axis=1)
-        found, _ = landing(plane, np.zeros(n), np.zeros(n), np.full(n, 3_500.0), direction)
-        assert (found.status == OK).all()
-        wanted = 1.0 / (1.0 - sign * fall * np.tan(zeta))
-        np.testing.assert_allclose(found.factor, wanted, rtol=0.01)
+    zeta = np.radians(np.linspace(1.0, 70.0, 60))
+    nothing = np.zeros(60)
+    direction = direction_of(zeta, sign * 0.5 * np.pi)
+    landings, _ = landing(plane, nothing, nothing, np.full(60, 3_500.0), direction)
+    assert (landings.status == OK).all()
+    expected = 1.0 / (1.0 - sign * fall * np.tan(zeta))
+    np.testing.assert_allclose(landings.factor, expected, rtol=0.01)
+
+
+def test_the_error_of_a_landing_is_what_raising_the_terrain_does():
     rays = rays_from(300, 46.5, 8.0, 0.1, (3_000.0, 10_000.0), 2)
-    corner = (46.5 + 750 * STEP, 8.0 - 750 * STEP)
     heights = relief(1500, 1500, cliffs=False)
-    low, high = (
-        landing(ArrayTerrain(heights + np.float32(add), *corner, STEP, STEP), *rays)[0]
-        for add in (-0.25, 0.25)
-    )
-    at = landing(ArrayTerrain(heights, *corner, STEP, STEP), *rays)[0].factor
+
+    def raised_by(metres):
+        raised = heights + np.float32(metres)
+        terrain = ArrayTerrain(raised, 46.5 + 750 * STEP, 8.0 - 750 * STEP, STEP, STEP)
+        return landing(terrain, *rays)[0]
+
+    low = raised_by(-0.25)
+    high = raised_by(0.25)
     # Not those that land elsewhere when it is raised, or on the next cell's slope.
     near = np.abs(high.distance_m - low.distance_m) < 4.0
     assert near.sum() > 200
     change = (high.h_m - low.h_m)[near] / 0.5
-    assert np.quantile(np.abs(change / at[near] - 1.0), 0.9) < 0.05
+    ratio = change / raised_by(0.0).factor[near]
+    assert np.quantile(np.abs(ratio - 1.0), 0.9) < 0.05
     assert change.max() > 1.2
 
 
 class CountedTerrain(ArrayTerrain):
     """A terrain that fails where rays ask for tiles again and again."""
 
+    rounds = 0
+
     def load(self, tiles):
-        self.rounds = getattr(self, "rounds", 0) + 1
+        self.rounds += 1
         assert self.rounds < 100, "rays are followed for ever"
         super().load(tiles)
 
 
-def test_a_ray_that_rises_beside_the_terrain_comes_to_an_end():
-    """Two cameras beside the terrain and one above it, all looking 5 degrees above the horizon.
+def test_a_ray_that_rises_comes_to_an_end():
+    """Cameras beside the terrain, above and below it, all looking 5 degrees above the horizon.
 
-    All leave it before they are higher than any land may be.
+    All but the last leave it before they are higher than any land may be.
     """
     terrain = CountedTerrain(relief(600, 600, cliffs=False), 46.5, 8.0, STEP, STEP)
-    lat = np.full(3, 46.3)
-    lon = np.array([7.9, 8.6, 8.2])
-    height = np.full(3, 2500.0)
-    exposures = exposures_at(lat, height, np.tile(TO_THE_EAST, (3, 1, 1)))
-    x = np.full(3, CAMERA.cx_px)
-    y = np.full(3, CAMERA.cy_px - CAMERA.fy_px * np.tan(np.radians(5.0)))
-    found = terrain_heights(
-        x,
-        y,
-        np.arange(3),
-        exposures,
-        (np.radians(lat), np.radians(lon)),
-        camera=CAMERA,
-        table=TABLE,
-        terrain=terrain,
-    )
-    assert found.status.tolist() == [NO_GROUND] * 3
-    assert np.isnan(found.h_m).all()
+    lon = np.array([7.9, 8.6, 8.2, 8.2])
+    height = np.array([2500.0, 2500.0, 2500.0, 50.0])
+    lat = np.full(4, 46.3)
+    exposures = exposures_at(lat, height, TO_THE_EAST)
+    x = np.full(4, CAMERA.cx_px)
+    y = np.full(4, CAMERA.cy_px - CAMERA.fy_px * np.tan(np.radians(5.0)))
+    landings = heights_at(terrain, x, y, exposures, lat, lon)
+    assert landings.status.tolist() == [NO_GROUND] * 3 + [MISSES_GROUND]
+    assert np.isnan(landings.h_m).all()
 
 
 def test_nearly_level_rays_reach_high_ground_where_an_integrated_ray_does():
     """From 6500 m onto a plateau at 4000 m, 81 to 87 degrees off the nadir: 16 to 51 km away."""
     down = np.radians([9.0, 6.0, 3.0])
-    corner = (46.5 + 30 * STEP, 8.0 - 30 * STEP)
-    plateau = ArrayTerrain(np.full((60, 900), 4_000.0, np.float32), *corner, STEP, STEP)
+    plateau = np.full((60, 900), 4_000.0, np.float32)
+    terrain = ArrayTerrain(plateau, 46.5 + 30 * STEP, 8.0 - 30 * STEP, STEP, STEP)
     lat = np.full(3, 46.5)
     lon = np.full(3, 8.0)
     height = np.full(3, 6_500.0)
-    direction = np.stack([np.cos(down), np.zeros(3), -np.sin(down)], axis=1)
-    truth = marched(plateau, lat, lon, height, direction, step=500.0, fine=5)
-    start = np.stack(TO_ECEF.transform(lon, lat, height), axis=1)
-    end = np.stack(TO_ECEF.transform(*truth.T), axis=1)
-    found = terrain_heights(
-        np.full(3, CAMERA.cx_px),
-        CAMERA.cy_px + CAMERA.fy_px * np.tan(down),
-        np.arange(3),
-        exposures_at(lat, height, np.tile(TO_THE_EAST, (3, 1, 1))),
-        (np.radians(lat), np.radians(lon)),
-        camera=CAMERA,
-        table=TABLE,
-        terrain=plateau,
-    )
-    assert (found.status == OK).all()
-    distance_m = np.linalg.norm(end - start, axis=1)
-    np.testing.assert_allclose(found.distance_m, distance_m, rtol=0.0, atol=0.01)
+    direction = direction_of(0.5 * np.pi - down, np.full(3, 0.5 * np.pi))
+    truth = marched(terrain, lat, lon, height, direction, step=500.0, looks=5)
+    distance_m = np.linalg.norm(ecef_of(*truth.T) - ecef_of(lon, lat, height), axis=1)
+    exposures = exposures_at(lat, height, TO_THE_EAST)
+    y = CAMERA.cy_px + CAMERA.fy_px * np.tan(down)
+    landings = heights_at(terrain, np.full(3, CAMERA.cx_px), y, exposures, lat, lon)
+    assert (landings.status == OK).all()
+    assert_near(landings.distance_m, distance_m, atol=0.01)

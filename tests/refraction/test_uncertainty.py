@@ -8,411 +8,291 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from unbend.refraction import (
-    BrownConrady,
-    Camera,
-    Exposures,
-    StationSigmas,
-    apply_refraction,
-    correct_observations,
-    ray_table,
-    refraction_angle,
-    uncertainty_of,
+from tests.refraction import uncertain_air
+from tests.refraction.images import (
+    DOWN,
+    NARROW,
+    PINHOLE,
+    SKEWED,
+    corrected,
+    displaced,
+    exposure,
+    looking,
+    station_sigmas,
+    together,
+    uncertainties,
 )
+from unbend.refraction import Exposures, ray_table
 from unbend.refraction.status_codes import FAR_BRANCH, NO_GROUND, NO_STATION
 from unbend.refraction.uncertainty.sigmas import PARTIALS
 from unbend.units import DEGREE
 
-RADIUS = 6_371_000.0
+AIR, COVARIANCE = uncertain_air.air()
+TABLE = ray_table(AIR)
 H_C = 2680.0
-CAMERA = Camera(
-    14_000,
-    10_600,
-    11_000.0,
-    11_200.0,
-    7012.4,
-    5291.7,
-    BrownConrady(-0.02, 0.01, -0.002, 2e-4, -1e-4),
-)
-DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 # Aircraft banked and pitched, its camera 40 degrees to the side: nothing is level here.
 BODY = Rotation.from_euler("zxy", [33.0, 7.0, -11.0], degrees=True).as_matrix()
-TILTED = Rotation.from_euler("zyx", [20.0, 5.0, 40.0], degrees=True).as_matrix() @ DOWN @ BODY
+# The columns are the body's axes in the camera frame.
+BODY_AXES = Rotation.from_euler("zyx", [20.0, 5.0, 40.0], degrees=True).as_matrix() @ DOWN
+TILTED = BODY_AXES @ BODY
 TILT = 0.4 * DEGREE
 YAW = 1.1 * DEGREE
 HEIGHT = 12.0
 GROUND = 9.0
 
 
-@pytest.fixture(scope="module")
-def air(airs):
-    return airs.air()
+def exposed(rotation=TILTED, h_c=H_C, **options) -> Exposures:
+    return exposure(AIR, rotation, h_c=h_c, **options)
 
 
-def exposed(profile, rotation=TILTED, h_c=H_C, cabin=0.0) -> Exposures:
-    outside = profile.refractivity(np.array([h_c]))
-    return Exposures(
-        np.array([True]),
-        rotation[None],
-        np.array([0.8]),
-        np.array([h_c]),
-        outside,
-        outside + cabin,
-        radius_m=RADIUS,
-    )
+def known_to(tilt=TILT, yaw=YAW, height=HEIGHT, **options):
+    return station_sigmas(tilt=tilt, yaw=yaw, height=height, cabin=1e-6, **options)
 
 
-def station_sigmas(tilt=TILT, yaw=YAW, height=HEIGHT, axis=(0.0, 0.0, 1.0), n=1) -> StationSigmas:
-    return StationSigmas(
-        np.full(n, tilt),
-        np.full(n, yaw),
-        np.tile(np.asarray(axis, float), (n, 1)),
-        np.full(n, height),
-        np.full((n, 4), 1e-6),
-    )
-
-
-def points(n=400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def points(count: int = 100) -> dict[str, np.ndarray]:
+    """Pixels, and heights of the ground."""
     rng = np.random.default_rng(5)
-    x = rng.uniform(0, CAMERA.width_px, n)
-    y = rng.uniform(0, CAMERA.height_px, n)
-    return x, y, rng.uniform(0.0, 700.0, n)
+    return {
+        "x": rng.uniform(0, SKEWED.width_px, count),
+        "y": rng.uniform(0, SKEWED.height_px, count),
+        "h_g": rng.uniform(0.0, 700.0, count),
+    }
 
 
-def shifts(air, ex, x, y, h_g, **more):
-    one = np.zeros(x.size, np.int64)
-    return correct_observations(x, y, h_g, one, ex, camera=CAMERA, table=ray_table(air), **more)
+def shifts(setup, seen, air=AIR, **options):
+    return corrected(exposures=setup, table=ray_table(air), camera=SKEWED, **seen, **options)
 
 
-def with_sigmas(air, ex, stations, x, y, h_g, covariance=None, sigma=GROUND):
-    uncertainty = uncertainty_of(
-        air,
-        covariance,
-        ex,
-        stations,
-        [(CAMERA, np.array([True]))],
-        ground_heights_m=(-600.0, 10_000.0),
-    )
-    return shifts(air, ex, x, y, h_g, uncertainty=uncertainty, sigma_h_g=np.full(x.size, sigma))
+def with_sigmas(setup, stations, seen, covariance=None, sigma_h_g=GROUND):
+    made = uncertainties(AIR, covariance, setup, SKEWED, stations)
+    return shifts(setup, seen, uncertainty=made, sigma_h_g=sigma_h_g)
 
 
-def central(plus, minus) -> np.ndarray:
+def halves(plus, minus) -> np.ndarray:
     """(2, n) what one sigma does to dx and dy."""
     return 0.5 * np.stack([plus.dx_px - minus.dx_px, plus.dy_px - minus.dy_px])
 
 
-def turned(ex: Exposures, axis, angle: float) -> Exposures:
-    """The camera turned about an axis of its own."""
-    turn = Rotation.from_rotvec(angle * np.asarray(axis)).as_matrix()
-    return replace(ex, rotation=turn @ ex.rotation)
+def assert_sigmas(sigmas, kind: str, expected: np.ndarray, atol: float) -> None:
+    """Within 1 %, and a part of the usual where they nearly vanish."""
+    for name, true in zip(("dx", "dy"), expected, strict=True):
+        sigma = getattr(sigmas, f"{kind}_{name}_px")
+        np.testing.assert_allclose(sigma, true, rtol=0.01, atol=atol * np.median(expected))
 
 
-def test_the_station_against_a_turned_and_lifted_camera(air):
+def effect_of_height(seen) -> np.ndarray:
+    higher = shifts(exposed(h_c=H_C + HEIGHT), seen)
+    lower = shifts(exposed(h_c=H_C - HEIGHT), seen)
+    return halves(higher, lower)
+
+
+def test_the_station_against_a_turned_and_lifted_camera():
     """Tilt about two axes of the body, yaw about its third, height: in quadrature."""
-    profile, _ = air
-    ex, (x, y, h_g) = exposed(profile), points()
-    # The columns are the body's axes in the camera frame.
-    axes = Rotation.from_euler("zyx", [20.0, 5.0, 40.0], degrees=True).as_matrix() @ DOWN
-    yaw_axis = -axes[:, 2]
-    sigmas = with_sigmas(profile, ex, station_sigmas(axis=yaw_axis), x, y, h_g).sigmas
-    variance = np.zeros((2, x.size))
-    for axis, sigma in ((axes[:, 0], TILT), (axes[:, 1], TILT), (yaw_axis, YAW)):
-        both = (shifts(profile, turned(ex, axis, s * sigma), x, y, h_g) for s in (1.0, -1.0))
-        variance += central(*both) ** 2
-    high, low = (
-        shifts(profile, exposed(profile, h_c=H_C + d), x, y, h_g) for d in (HEIGHT, -HEIGHT)
-    )
-    variance += central(high, low) ** 2
-    expected = np.sqrt(variance)
+    setup = exposed()
+    seen = points()
+    yaw_axis = -BODY_AXES[:, 2]
+    variance = effect_of_height(seen) ** 2
+    for axis, sigma in ((BODY_AXES[:, 0], TILT), (BODY_AXES[:, 1], TILT), (yaw_axis, YAW)):
+        turn = Rotation.from_rotvec(sigma * axis).as_matrix()
+        forwards = replace(setup, rotation=turn @ setup.rotation)
+        backwards = replace(setup, rotation=turn.T @ setup.rotation)
+        variance += halves(shifts(forwards, seen), shifts(backwards, seen)) ** 2
+    sigmas = with_sigmas(setup, known_to(axis=yaw_axis), seen).sigmas
     # Half a degree is not quite a small angle, where a shift of some pixels hardly changes.
-    for found, true in zip((sigmas.station_dx_px, sigmas.station_dy_px), expected, strict=True):
-        np.testing.assert_allclose(found, true, rtol=0.01, atol=0.003 * np.median(expected))
+    assert_sigmas(sigmas, "station", np.sqrt(variance), atol=0.003)
 
 
-def test_the_height_of_the_station_alone(air):
-    profile, _ = air
-    ex, (x, y, h_g) = exposed(profile), points()
-    sigmas = with_sigmas(profile, ex, station_sigmas(tilt=0.0, yaw=0.0), x, y, h_g).sigmas
-    high, low = (
-        shifts(profile, exposed(profile, h_c=H_C + d), x, y, h_g) for d in (HEIGHT, -HEIGHT)
-    )
-    expected = np.abs(central(high, low))
-    for found, true in zip((sigmas.station_dx_px, sigmas.station_dy_px), expected, strict=True):
-        np.testing.assert_allclose(found, true, rtol=0.01, atol=0.002 * np.median(expected))
+def test_the_height_of_the_station_alone():
+    seen = points()
+    sigmas = with_sigmas(exposed(), known_to(tilt=0.0, yaw=0.0), seen).sigmas
+    assert_sigmas(sigmas, "station", np.abs(effect_of_height(seen)), atol=0.002)
 
 
-def test_a_turn_about_the_vertical_changes_nothing(air):
+def test_a_turn_about_the_vertical_changes_nothing():
     """Level aircraft, any camera: no yaw. The camera is the same seen from its own frame."""
-    profile, _ = air
-    ex, (x, y, h_g) = exposed(profile), points(50)
-    nadir = -ex.rotation[0, :, 2]
-    steady = station_sigmas(tilt=0.0, yaw=5.0 * DEGREE, height=0.0, axis=nadir)
-    sigmas = with_sigmas(profile, ex, steady, x, y, h_g).sigmas
+    setup = exposed()
+    nadir = -setup.rotation[0, :, 2]
+    steady = known_to(tilt=0.0, yaw=5.0 * DEGREE, height=0.0, axis=nadir)
+    sigmas = with_sigmas(setup, steady, points(50)).sigmas
     assert float(np.max(sigmas.station_dx_px)) < 1e-6
-    # About the axis of a camera 40 degrees off the vertical it turns the shift by 9 %.
-    swung = station_sigmas(tilt=0.0, yaw=5.0 * DEGREE, height=0.0)
-    found = with_sigmas(profile, ex, swung, x, y, h_g)
-    turned_by = np.hypot(found.sigmas.station_dx_px, found.sigmas.station_dy_px)
-    assert 0.04 < float(np.median(turned_by / np.hypot(found.dx_px, found.dy_px))) < 0.12
 
 
-def test_the_ground_against_a_raised_point(air):
-    profile, _ = air
-    ex, (x, y, h_g) = exposed(profile, cabin=6e-5), points()
-    sigmas = with_sigmas(profile, ex, station_sigmas(), x, y, h_g).sigmas
-    raised, lowered = (shifts(profile, ex, x, y, h_g + d) for d in (GROUND, -GROUND))
-    expected = np.abs(central(raised, lowered))
-    for found, true in zip((sigmas.ground_dx_px, sigmas.ground_dy_px), expected, strict=True):
-        np.testing.assert_allclose(found, true, rtol=0.01, atol=0.002 * np.median(expected))
+def test_the_ground_against_a_raised_point():
+    setup = exposed(cabin_excess=6e-5)
+    seen = points()
+    raised = shifts(setup, seen | {"h_g": seen["h_g"] + GROUND})
+    lowered = shifts(setup, seen | {"h_g": seen["h_g"] - GROUND})
+    sigmas = with_sigmas(setup, known_to(), seen).sigmas
+    assert_sigmas(sigmas, "ground", np.abs(halves(raised, lowered)), atol=0.002)
 
 
-def test_the_air_against_drawn_air(airs, air):
+def test_the_air_against_drawn_air():
     """300 airs from the covariance, each corrected with: a sigma of 300 is good to 4 %."""
-    profile, covariance = air
-    ex, (x, y, h_g) = exposed(profile), points(40)
-    sigmas = with_sigmas(profile, ex, station_sigmas(), x, y, h_g, covariance).sigmas
+    setup = exposed()
+    seen = points(40)
+    sigmas = with_sigmas(setup, known_to(), seen, COVARIANCE).sigmas
     rng = np.random.default_rng(8)
-    drawn = [shifts(airs.drawn(rng), ex, x, y, h_g) for _ in range(300)]
-    for name, found in (
-        ("dx_px", sigmas.air_dx_px),
-        ("dy_px", sigmas.air_dy_px),
-        ("r_c_rad", sigmas.r_c_rad),
-    ):
-        spread = np.std([getattr(one, name) for one in drawn], axis=0)
-        np.testing.assert_allclose(found, spread, rtol=0.12)
+    drawn = [shifts(setup, seen, uncertain_air.drawn(rng)) for _ in range(300)]
+    names = {"dx_px": "air_dx_px", "dy_px": "air_dy_px", "r_c_rad": "r_c_rad"}
+    for name, name_of_sigma in names.items():
+        spread = np.std([getattr(of_drawn_air, name) for of_drawn_air in drawn], axis=0)
+        np.testing.assert_allclose(getattr(sigmas, name_of_sigma), spread, rtol=0.12)
 
 
-def test_a_tilt_of_half_a_degree(air):
-    """1.8, 2.1, 3.7 % of R at 45, 60, 75 degrees; 13 % at 85, to first order (15 if it adds)."""
-    profile, _ = air
-    narrow = Camera(200, 200, 20_000.0, 20_000.0, 100.0, 100.0)
-    share = []
-    for degrees in (45.0, 60.0, 75.0, 85.0):
-        looking = Rotation.from_euler("x", -degrees, degrees=True).as_matrix() @ DOWN
-        ex = exposed(profile, looking, 10_000.0)
-        uncertainty = uncertainty_of(
-            profile,
-            None,
-            ex,
-            station_sigmas(0.5 * DEGREE, 0.5 * DEGREE, 0.0),
-            [(narrow, np.array([True]))],
-            ground_heights_m=(0.0, 0.0),
-        )
-        centre = np.array([100.0])
-        found = correct_observations(
-            centre,
-            centre,
-            np.zeros(1),
-            np.zeros(1, np.int64),
-            ex,
-            camera=narrow,
-            table=ray_table(profile),
-            uncertainty=uncertainty,
-        )
-        assert abs(found.dx_px[0]) < 1e-9
-        share.append(100.0 * float(found.sigmas.station_dy_px[0] / abs(found.dy_px[0])))
-        across = float(found.sigmas.station_dx_px[0] / abs(found.dy_px[0]))
-        np.testing.assert_allclose(across, 0.5 * DEGREE / np.sin(degrees * DEGREE), rtol=1e-3)
-    np.testing.assert_allclose(share, [1.75, 2.02, 3.57, 13.0], rtol=0.01)
-    added = [refraction_angle(profile, 10_000.0, 0.0, d * DEGREE) for d in (85.0, 85.5)]
-    np.testing.assert_allclose(added[1] / added[0] - 1.0, 0.15, atol=0.005)
-
-
-def test_exactly_at_the_nadir(air):
-    """There the shift is zero in every direction, and a tilt moves it alike in each."""
-    profile, _ = air
-    ex = exposed(profile, DOWN)
-    pinhole = replace(CAMERA, fy_px=11_000.0, distortion=BrownConrady())
-    uncertainty = uncertainty_of(
-        profile,
-        None,
-        ex,
-        station_sigmas(),
-        [(pinhole, np.array([True]))],
-        ground_heights_m=(-600.0, 1e4),
-    )
-    x = np.array([pinhole.cx_px, pinhole.cx_px + 1.0])
-    y = np.array([pinhole.cy_px, pinhole.cy_px])
-    found = correct_observations(
-        x,
-        y,
-        np.zeros(2),
-        np.zeros(2, np.int64),
-        ex,
-        camera=pinhole,
-        table=ray_table(profile),
-        uncertainty=uncertainty,
-        sigma_h_g=np.full(2, GROUND),
-    )
-    s = found.sigmas
-    expected = TILT * found.r_c_rad[1] * pinhole.fx_px / (1.0 / pinhole.fx_px)
-    for column in (s.station_dx_px, s.station_dy_px):
-        np.testing.assert_allclose(column, expected, rtol=2e-3)
-    assert s.ground_dx_px[0] == s.ground_dy_px[0] == 0.0
-
-
-@pytest.mark.parametrize("order", [[0, 1, 0, 1], [1, 0, 1, 0] * 30])
-def test_rows_in_any_order(air, order):
-    """Mixed exposures are sorted inside and come back in their places."""
-    profile, covariance = air
-    ex = exposed(profile)
-    two = replace(
-        ex,
-        usable=np.ones(2, bool),
-        rotation=np.stack([TILTED, DOWN]),
-        latitude_rad=np.full(2, 0.8),
-        height_m=np.array([H_C, 2700.0]),
-        refractivity_outside=profile.refractivity(np.array([H_C, 2700.0])),
-        refractivity_cabin=profile.refractivity(np.array([H_C, 2700.0])),
-    )
-    uncertainty = uncertainty_of(
-        profile,
+def at_centre(setup, stations, ground_heights_m=(0.0, 6000.0), covariance=None, **options):
+    """Corrections and sigmas in the middle of a narrow image."""
+    made = uncertainties(
+        AIR,
         covariance,
-        two,
-        station_sigmas(n=2),
-        [(CAMERA, np.ones(2, bool))],
-        ground_heights_m=(0.0, 900.0),
+        setup,
+        NARROW,
+        stations,
+        ground_heights_m=ground_heights_m,
     )
+    return corrected(100.0, 100.0, setup, TABLE, camera=NARROW, uncertainty=made, **options)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "percent"),
+    [
+        (45.0, 1.75),
+        (60.0, 2.02),
+        (75.0, 3.57),
+        (85.0, 13.0),
+    ],
+)
+def test_a_tilt_of_half_a_degree(degrees, percent):
+    """1.8, 2.1, 3.7 % of R at 45, 60, 75 degrees; 13 % at 85, to first order."""
+    half_a_degree = 0.5 * DEGREE
+    stations = station_sigmas(tilt=half_a_degree, yaw=half_a_degree)
+    corrections = at_centre(exposed(looking(degrees), 10_000.0), stations, (0.0, 0.0))
+    assert abs(corrections.dx_px[0]) < 1e-9
+    share = corrections.sigmas.station_dy_px[0] / abs(corrections.dy_px[0])
+    np.testing.assert_allclose(100.0 * share, percent, rtol=0.01)
+    across = corrections.sigmas.station_dx_px[0] / abs(corrections.dy_px[0])
+    np.testing.assert_allclose(across, half_a_degree / np.sin(degrees * DEGREE), rtol=1e-3)
+
+
+def test_exactly_at_the_nadir():
+    """There the shift is zero in every direction, and a tilt moves it alike in each."""
+    setup = exposed(DOWN)
+    made = uncertainties(AIR, None, setup, PINHOLE, known_to())
+    x = PINHOLE.cx_px + np.array([0.0, 1.0])
+    corrections = corrected(
+        x,
+        PINHOLE.cy_px,
+        setup,
+        TABLE,
+        uncertainty=made,
+        sigma_h_g=GROUND,
+    )
+    sigmas = corrections.sigmas
+    expected = TILT * corrections.r_c_rad[1] * PINHOLE.fx_px**2
+    np.testing.assert_allclose(sigmas.station_dx_px, expected, rtol=2e-3)
+    np.testing.assert_allclose(sigmas.station_dy_px, expected, rtol=2e-3)
+    assert sigmas.ground_dx_px[0] == 0.0
+    assert sigmas.ground_dy_px[0] == 0.0
+
+
+@pytest.mark.parametrize("order", [[0, 1, 0, 1], [1, 0, 1, 0] * 30], ids=len)
+def test_rows_in_any_order(order):
+    """Mixed exposures are sorted inside and come back in their places."""
+    two = together(exposed(), exposed(DOWN, 2700.0))
+    stations = known_to(count=2)
+    made = uncertainties(AIR, COVARIANCE, two, SKEWED, stations, ground_heights_m=(0.0, 900.0))
     row = np.array(order)
-    x, y, h_g = points(row.size)
+    seen = points(row.size)
 
-    def sigmas(rows):
-        return correct_observations(
-            x[rows],
-            y[rows],
-            h_g[rows],
-            row[rows],
-            two,
-            camera=CAMERA,
-            table=ray_table(profile),
-            uncertainty=uncertainty,
-            sigma_h_g=1.0 + 0.25 * rows,  # another in each row
-        ).sigmas._asdict()
+    def sigmas(number):
+        rows_seen = {name: values[number] for name, values in seen.items()}
+        sigma_h_g = 1.0 + 0.25 * number  # another in each row
+        corrections = shifts(two, rows_seen, row=row[number], uncertainty=made, sigma_h_g=sigma_h_g)
+        return corrections.sigmas._asdict()
 
-    together = sigmas(np.arange(row.size))
-    for i in range(min(row.size, 6)):
+    mixed = sigmas(np.arange(row.size))
+    for i in range(4):
         alone = sigmas(np.array([i]))
-        for name, values in together.items():
+        for name, values in mixed.items():
             np.testing.assert_array_equal(values[i], alone[name][0])
 
 
-def test_what_is_unknown_is_not_a_number(air):
-    profile, covariance = air
-    ex, (x, y, h_g) = exposed(profile), points(30)
-    known = with_sigmas(profile, ex, station_sigmas(), x, y, h_g, covariance).sigmas._asdict()
-    no_window = {"dx_dncc_px", "dy_dncc_px"}
-    for name, values in known.items():
-        assert (np.isnan if name in no_window else np.isfinite)(values).all()
-
-    def lost(**changed) -> set[str]:
-        how = {"stations": station_sigmas(), "covariance": covariance, "sigma": GROUND} | changed
-        stations = how.pop("stations")
-        columns = with_sigmas(profile, ex, stations, x, y, h_g, **how).sigmas._asdict()
-        for name, values in columns.items():
-            assert np.isnan(values).all() or np.array_equal(values, known[name])
-        lacking = {name for name, values in columns.items() if np.isnan(values).all()}
-        return lacking - no_window
-
-    assert lost(covariance=None) == {"r_c_rad", "air_dx_px", "air_dy_px", "dx_ds_px", "dy_ds_px"}
-    assert lost(stations=station_sigmas(tilt=np.nan)) == {"station_dx_px", "station_dy_px"}
-    assert lost(sigma=np.nan) == {"ground_dx_px", "ground_dy_px"}
-    # A height without a sigma does not count; what the attitude does is the larger by far.
-    level = with_sigmas(profile, ex, station_sigmas(height=np.nan), x, y, h_g).sigmas
-    exact = with_sigmas(profile, ex, station_sigmas(height=0.0), x, y, h_g).sigmas
-    np.testing.assert_array_equal(level.station_dx_px, exact.station_dx_px)
+NO_WINDOW = {"dx_dncc_px", "dy_dncc_px"}
+OF_AIR = {"r_c_rad", "air_dx_px", "air_dy_px", "dx_ds_px", "dy_ds_px"}
 
 
-def test_without_a_correction_no_sigma(air):
-    profile, covariance = air
-    ex, (x, y, h_g) = exposed(profile), points(4)
-    h_g[1] = np.nan
+@pytest.mark.parametrize(
+    ("changed", "lacking"),
+    [
+        ({}, set()),
+        ({"covariance": None}, OF_AIR),
+        ({"stations": known_to(tilt=np.nan)}, {"station_dx_px", "station_dy_px"}),
+        ({"sigma_h_g": np.nan}, {"ground_dx_px", "ground_dy_px"}),
+    ],
+    ids=["all is known", "no covariance", "no tilt", "no sigma of the ground"],
+)
+def test_what_is_unknown_is_not_a_number(changed, lacking):
+    setup = exposed()
+    seen = points(30)
+    options = {"stations": known_to(), "covariance": COVARIANCE}
+    complete = with_sigmas(setup, seen=seen, **options).sigmas._asdict()
+    columns = with_sigmas(setup, seen=seen, **(options | changed)).sigmas._asdict()
+    for name, values in columns.items():
+        if name in lacking | NO_WINDOW:
+            assert np.isnan(values).all(), name
+        else:
+            assert np.isfinite(values).all(), name
+            np.testing.assert_array_equal(values, complete[name])
+
+
+def test_a_height_without_a_sigma_does_not_count():
+    """What the attitude does is the larger by far."""
+    seen = points(30)
+    unknown = with_sigmas(exposed(), known_to(height=np.nan), seen).sigmas
+    exact = with_sigmas(exposed(), known_to(height=0.0), seen).sigmas
+    np.testing.assert_array_equal(unknown.station_dx_px, exact.station_dx_px)
+
+
+def test_without_a_correction_no_sigma():
+    setup = exposed()
+    seen = points(4)
+    seen["h_g"][1] = np.nan
+    made = uncertainties(AIR, COVARIANCE, setup, SKEWED, known_to())
     row = np.array([0, 0, -1, 0])
-    uncertainty = uncertainty_of(
-        profile,
-        covariance,
-        ex,
-        station_sigmas(),
-        [(CAMERA, np.array([True]))],
-        ground_heights_m=(0.0, 900.0),
-    )
-    found = correct_observations(
-        x,
-        y,
-        h_g,
-        row,
-        ex,
-        camera=CAMERA,
-        table=ray_table(profile),
-        uncertainty=uncertainty,
-        sigma_h_g=np.full(4, GROUND),
-    )
-    assert found.status[1:3].tolist() == [NO_GROUND, NO_STATION]
-    for name, values in found.sigmas._asdict().items():
-        no_window = "dncc" in name
-        assert np.isnan(values).tolist() == [no_window, True, True, no_window]
-    assert set(found.to_pandas()) >= {"sigma_air_dx_px", "sigma_r_c_rad", "status"}
+    corrections = shifts(setup, seen, row=row, uncertainty=made, sigma_h_g=GROUND)
+    assert corrections.status[1:3].tolist() == [NO_GROUND, NO_STATION]
+    for name, values in corrections.sigmas._asdict().items():
+        is_lacking = name in NO_WINDOW
+        assert np.isnan(values).tolist() == [is_lacking, True, True, is_lacking]
+    assert set(corrections.to_pandas()) >= {"sigma_air_dx_px", "sigma_r_c_rad", "status"}
 
 
-def test_the_far_branch_has_none(air):
+def test_the_far_branch_has_none():
     """Sigmas are those of the near crossing; a distance that means the other one leaves none."""
-    profile, _ = air
-    level = Rotation.from_euler("x", -88.0, degrees=True).as_matrix() @ DOWN
-    ex = exposed(profile, level, 6000.0)
-    narrow = Camera(200, 200, 20_000.0, 20_000.0, 100.0, 100.0)
-    uncertainty = uncertainty_of(
-        profile,
-        None,
-        ex,
-        station_sigmas(),
-        [(narrow, np.array([True]))],
-        ground_heights_m=(0.0, 6000.0),
-    )
-    centre = np.full(2, 100.0)
-    h_g = np.full(2, 5900.0)
-    found = correct_observations(
-        centre,
-        centre,
-        h_g,
-        np.zeros(2, np.int64),
-        ex,
-        camera=narrow,
-        table=ray_table(profile),
-        distance_m=np.array([3000.0, 500_000.0]),
-        uncertainty=uncertainty,
-    )
-    assert found.status[1] == FAR_BRANCH
-    assert np.isfinite(found.dy_px).all()
-    assert np.isnan(found.sigmas.station_dy_px).tolist() == [False, True]
+    setup = exposed(looking(88.0), 6000.0)
+    distance = np.array([3000.0, 500_000.0])
+    corrections = at_centre(setup, known_to(), h_g=5900.0, distance_m=distance)
+    assert corrections.status[1] == FAR_BRANCH
+    assert np.isfinite(corrections.dy_px).all()
+    assert np.isnan(corrections.sigmas.station_dy_px).tolist() == [False, True]
 
 
-def test_displacing_has_the_sigmas_of_where_it_ends(air):
-    profile, covariance = air
-    ex, (x, y, h_g) = exposed(profile), points(60)
-    uncertainty = uncertainty_of(
-        profile,
-        covariance,
-        ex,
-        station_sigmas(),
-        [(CAMERA, np.array([True]))],
-        ground_heights_m=(0.0, 900.0),
-    )
-    how = {"uncertainty": uncertainty, "sigma_h_g": np.full(x.size, GROUND)}
-    there = apply_refraction(
-        x, y, h_g, np.zeros(x.size, np.int64), ex, camera=CAMERA, table=ray_table(profile), **how
-    )
-    back = shifts(profile, ex, there.x_corrected_px, there.y_corrected_px, h_g, **how)
+def test_displacing_has_the_sigmas_of_where_it_ends():
+    setup = exposed()
+    seen = points(60)
+    options = {
+        "uncertainty": uncertainties(AIR, COVARIANCE, setup, SKEWED, known_to()),
+        "sigma_h_g": GROUND,
+    }
+    there = displaced(exposures=setup, table=TABLE, camera=SKEWED, **seen, **options)
+    end = {"x": there.x_corrected_px, "y": there.y_corrected_px, "h_g": seen["h_g"]}
+    back = shifts(setup, end, **options)
     for name, values in there.sigmas._asdict().items():
-        sign = -1.0 if name in PARTIALS else 1.0  # displaced is where corrected comes from
-        np.testing.assert_allclose(values, sign * getattr(back.sigmas, name), rtol=1e-6)
+        expected = getattr(back.sigmas, name)
+        if name in PARTIALS:
+            expected = -expected  # displaced is where corrected comes from
+        np.testing.assert_allclose(values, expected, rtol=1e-6)
 
 
-def test_nobody_flies(air):
-    profile, covariance = air
-    ex = replace(exposed(profile), usable=np.array([False]))
-    cameras = [(CAMERA, np.array([True]))]
-    assert (
-        uncertainty_of(
-            profile, covariance, ex, station_sigmas(), cameras, ground_heights_m=(0.0, 1.0)
-        )
-        is None
-    )
+def test_nobody_flies():
+    setup = replace(exposed(), usable=np.array([False]))
+    assert uncertainties(AIR, COVARIANCE, setup, SKEWED, known_to()) is None
