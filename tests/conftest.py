@@ -323,7 +323,6 @@ SLOW = (
     "refraction/test_chord.py::test_the_angle_at_that_height_gives_the_distance_back",
     "refraction/test_compile_cache.py",
     "refraction/test_forward.py",
-    "refraction/test_image.py::test_the_scalar_equations_catch_mutants",
     "refraction/test_ray.py::test_a_wiggly_profile_against_an_independent_ode",
     "refraction/test_ray.py::test_targets_above_against_thirty_digits",
     "refraction/test_steep.py",

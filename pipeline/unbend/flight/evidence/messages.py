@@ -195,7 +195,7 @@ def unit_looks_wrong(
         "the median of {column} is {median:.4g}: that looks like {unit}",
         where=f"channel {channel}, role {role}",
         remedy=(
-            "state it in the mission file: log.channels.{role}: {{name: \"{channel}\", unit: {unit}}}"
+            'state it in the mission file: log.channels.{role}: {{name: "{channel}", unit: {unit}}}'
         ),
         channel=channel,
         role=role,
