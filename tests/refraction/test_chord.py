@@ -133,6 +133,19 @@ def test_a_published_method_says_why_there_is_no_height(method, h_c, distance, e
     assert np.isfinite(h_g) == (expected == OK)
 
 
+def test_a_published_height_does_not_depend_on_the_rows_beside_it():
+    """Rows that end at once stood as bad measurements beside one that needs more rounds."""
+    rays = rays_by(AIR, "gyer1996")
+    h_c = np.array([6000.0, 6000.0, np.nan, 6000.0, 9000.0])
+    nadir = np.array([50.0, 50.0, 50.0, 0.0, 80.0])
+    distance = np.array([8000.0, 1e6, 8000.0, np.nan, 30_000.0])
+    together, status = heights(h_c, nadir, distance, rays)
+    alone = [heights(*row, rays) for row in zip(h_c, nadir, distance, strict=True)]
+    np.testing.assert_array_equal(together, [float(h_g) for h_g, _ in alone])
+    assert status.tolist() == [int(status_alone) for _, status_alone in alone]
+    assert status.tolist() == [OK, OUTSIDE_PROFILE, BAD_MEASUREMENT, BAD_MEASUREMENT, OK]
+
+
 def test_arguments_broadcast():
     h_g, status = heights(np.array([[3000.0], [4000.0]]), 20.0, np.array([100.0, 200.0, 300.0]))
     assert h_g.shape == (2, 3)

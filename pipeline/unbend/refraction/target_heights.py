@@ -168,17 +168,23 @@ def _by_repetition(table: PublishedRays, rays: RayColumns) -> tuple[Array, NDArr
     cos_z = rays.cos_c
     radius = rays.r_e
     distance = rays.distance
+    is_distance = np.isfinite(distance) & (distance > 0.0)
+    is_open = is_distance
+    status = np.where(is_distance, MISSES_GROUND, BAD_MEASUREMENT)
     with np.errstate(invalid="ignore"):
-        is_distance = np.isfinite(distance) & (distance > 0.0)
-        given = np.where(is_distance, distance, math.nan)
-        height = chord_height(h_c, cos_z, given, radius)
+        height = chord_height(h_c, cos_z, np.where(is_distance, distance, math.nan), radius)
         for _ in range(_ROUNDS):
-            r_c, status = bend(table, h_c, height, sin_z, cos_z, radius=radius)
+            r_c, status_of_ray = bend(table, h_c, height, sin_z, cos_z, radius=radius)
             cos_chord = cos_z * np.cos(r_c) + sin_z * np.sin(r_c)
-            step = chord_height(h_c, cos_chord, given, radius) - height
-            height = height + step
-            if not np.nanmax(np.abs(step), initial=0.0) > _CLOSE_M:
+            step = chord_height(h_c, cos_chord, distance, radius) - height
+            # A row ends by itself: its height and status do not depend on the rows beside it.
+            height = np.where(is_open, height + step, height)
+            is_settled = np.abs(step) <= _CLOSE_M
+            ends = is_open & (is_settled | np.isnan(step))
+            is_without_end = np.isnan(step) & (status_of_ray == OK)
+            status_at_end = np.where(is_without_end, MISSES_GROUND, status_of_ray)
+            status = np.where(ends, status_at_end, status)
+            is_open = is_open & ~ends
+            if not is_open.any():
                 break
-    status[(status == OK) & ~(np.abs(step) <= _CLOSE_M)] = MISSES_GROUND
-    status[~is_distance] = BAD_MEASUREMENT
-    return np.where(status == OK, height, math.nan), status
+    return np.where(status == OK, height, math.nan), status.astype(np.uint8)
