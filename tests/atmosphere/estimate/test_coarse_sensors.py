@@ -22,6 +22,9 @@ from unbend.atmosphere.estimate.binning import Digits, bin_readings, resolution_
 
 RISING = np.linspace(100_000.0, 90_000.0, 600)
 WHOLE = 100.0 * np.round(RISING / 100.0)
+LEVEL = np.zeros(200)
+STAIRS = 100.0 * (np.arange(200) // 20)
+WAVERING = np.where(np.arange(200) % 50 == 0, 100.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -40,22 +43,22 @@ def test_the_step_of_a_sensor_is_seen_in_its_readings(readings, step):
 
 
 @pytest.mark.parametrize(
-    ("readings", "low", "high"),
+    ("binned", "readings", "low", "high"),
     [
-        (np.zeros(200), 28.0, 31.0),
-        (100.0 * (np.arange(200) // 20), 2.8, 5.0),
-        (np.where(np.arange(200) % 50 == 0, 100.0, 0.0), 0.0, 31.0),
+        (LEVEL, LEVEL, 28.0, 31.0),
+        (LEVEL, STAIRS, 2.8, 5.0),
+        (WAVERING, WAVERING, 0.0, 31.0),
     ],
     ids=["level", "stairs", "wavering"],
 )
 def test_the_last_digit_does_not_average_in_level_flight_but_over_different_readings(
-    readings, low, high
+    binned, readings, low, high
 ):
     """One of 100 / sqrt(12) = 29 in all readings that are the same; 200 of them are no better."""
     bins = bin_readings(
         np.arange(200.0),
         np.full(200, 500.0),
-        readings,
+        binned,
         np.ones(200, bool),
         width=1000.0,
         slice_s=1e6,
