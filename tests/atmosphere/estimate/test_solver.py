@@ -396,9 +396,13 @@ def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists():
 
 @pytest.mark.parametrize("age_h", [0, 24])
 def test_a_sounding_alone(age_h):
+    """Of a flight whose time is not known no sounding is old."""
     truth = extreme(ARCTIC)
     balloon = balloon_of(truth, time_ns=truth.start_ns - age_h * HOUR_NS)
-    adjusted = about_the_standard(truth, soundings=[balloon])
+    adjusted = about_the_standard(truth, soundings=[balloon], time_ns=None)
+    assert adjusted.basis == "sounding"
+    assert "72357" in adjusted.made.reason
+    assert "measured" in adjusted.profile.layers.source
     for climb in (1000.0, 6000.0):
         assert abs(adjusted.error(climb)) < 0.02
 
