@@ -298,6 +298,7 @@ def test_cameras_look_where_their_names_say(name, axis_deg, view_deg, says):
         (6.28318, 360.0),
         (6.5449, None),  # 375 degrees: more than a turn
         (0.0, None),
+        (0.0003, None),  # a boresight angle: as small in radians
         (45.0, None),
     ],
 )

@@ -1,7 +1,8 @@
 """What tie points say of a mission file: the decision between its likely mistakes.
 
-The mistakes are those of `hypotheses`, each with its estimate. A hypothesis that is 1000 times as
-likely as what is stated, and larger than the stated sigmas explain, is a finding.
+The mistakes are those of `possible_mistakes` and `calibration_mistakes`, each with its estimate. A
+hypothesis that is 1000 times as likely as what is stated, and larger than the stated sigmas
+explain, is a finding.
 """
 
 from __future__ import annotations

@@ -112,15 +112,17 @@ def init(
         questions = open_questions(yaml.safe_load(text))
     content = {"questions": [".".join(map(str, place)) for place in questions]}
     if printed:
-        answer.print_json(content | {"text": text})
-        if not answer.is_silent:
+        if answer.as_json:
+            answer.print_json(content | {"text": text})
+        elif not answer.quiet:
             print(text, end="")
         return
-    of_editors = out.parent / "mission.schema.json"
+    schema_file = out.parent / "mission.schema.json"
     with storage_errors(out):
         out.write_text(text, encoding="utf-8")
-    schema(Answer(quiet=answer.is_silent, as_json=False), of_editors)
-    answer.print_json(content | {"written": [str(out), str(of_editors)]})
+    # Both files are in the JSON of this answer: that of `schema` would be a second one.
+    schema(Answer(quiet=answer.is_silent, as_json=False), schema_file)
+    answer.print_json(content | {"written": [str(out), str(schema_file)]})
     asked = f"{out}: {count(len(questions), 'open question')} (TODO)"
     answer.print_paths([asked, f"  unbend check {out}"])
 

@@ -246,9 +246,9 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
         key=key,
         beyond=beyond,
         total=time_ns.size,
-        of_events=str(span_of_events),
+        span_of_events=str(span_of_events),
         channel=position.name,
-        of_flight=str(span_of_flight),
+        span_of_flight=str(span_of_flight),
         fitting=fitting,
     )
     if 2 * beyond > time_ns.size:

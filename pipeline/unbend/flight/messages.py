@@ -835,9 +835,9 @@ class BeyondFlight:
     key: str  # where the mission file states the times
     beyond: int  # how many events are
     total: int  # events
-    of_events: str  # from the first event to the last
+    span_of_events: str  # from the first event to the last
     channel: str  # that gives the time of the flight
-    of_flight: str  # from its first sample to its last
+    span_of_flight: str  # from its first sample to its last
     fitting: str  # which shift of time would bring how many events into the flight
 
 
@@ -850,9 +850,9 @@ def events_beyond_flight(events: BeyondFlight) -> Message:
         where=events.key,
         count=events.beyond,
         total_events=Counted(events.total, "event"),
-        of_events=events.of_events,
+        of_events=events.span_of_events,
         channel=events.channel,
-        of_flight=events.of_flight,
+        of_flight=events.span_of_flight,
         fitting=events.fitting,
     )
 
@@ -868,9 +868,9 @@ def most_events_beyond_flight(events: BeyondFlight) -> MissionError:
         remedy="check {where} (GPS time is 18 s ahead of UTC, local time by its zone), or add the "
         "offset to delay_s; or name the events and the log of one flight",
         total_events=Counted(events.total, "event"),
-        of_events=events.of_events,
+        of_events=events.span_of_events,
         channel=events.channel,
-        of_flight=events.of_flight,
+        of_flight=events.span_of_flight,
         fitting=events.fitting,
     )
 

@@ -48,14 +48,14 @@ def stated_date(mission: Mission) -> str | None:
 
 
 def flight_hour(mission: Mission, stations: Stations, flight_ns: int | None) -> float | None:
-    """The mean local time [h] at which a mission was flown.
+    """The local mean solar time [h] at which a mission was flown.
 
     None where the exposures have no UTC and the mission file states no time of the day, or where
     the longitude is not known.
     """
     date = stated_date(mission)
-    is_flown = middle_time_ns(stations.utc_ns) is not None
-    if not is_flown and date is not None and is_day_alone(date):
+    have_utc = middle_time_ns(stations.utc_ns) is not None
+    if not have_utc and date is not None and is_day_alone(date):
         return None
     return solar_hour(flight_ns, stations.median_longitude_rad)
 

@@ -106,13 +106,13 @@ def normal_equations(
         residual = readings.value - predicted
         sigma = readings.sigma * inflation[i]
         z = residual / sigma
-        loss = _loss(readings, z, step)
-        weight = loss / sigma**2
+        factor = _weight_factors(readings, z, step)
+        weight = factor / sigma**2
         information = _information(jacobian, weight)
         normal += information
         right += jacobian.T @ (weight * residual)
         if readings.robust and step > HUBER_STEPS and z.size >= _FEWEST_TO_INFLATE:
-            next_inflation[i] = max(1.0, inflation[i] * np.sqrt(_variance_ratio(loss, z)))
+            next_inflation[i] = max(1.0, inflation[i] * np.sqrt(_variance_ratio(factor, z)))
         fit = Fit(
             readings.name,
             readings.quantity,
@@ -130,8 +130,8 @@ def _information(jacobian: Array, weight: Array) -> Array:
     return np.asarray(weighted.T @ weighted)
 
 
-def _loss(readings: Readings, z: Array, step: int) -> Array:
-    """(m,) factors of the weights of readings, by their residuals in sigmas."""
+def _weight_factors(readings: Readings, z: Array, step: int) -> Array:
+    """(m,) factors of the weights of readings, by their residuals ``z`` in sigmas."""
     if not readings.robust:
         return np.ones(z.size)
     if step < HUBER_STEPS:
@@ -139,15 +139,15 @@ def _loss(readings: Readings, z: Array, step: int) -> Array:
     return np.asarray((FREEDOM + 1.0) / (FREEDOM + z * z))
 
 
-def _variance_ratio(loss: Array, z: Array) -> float:
+def _variance_ratio(factor: Array, z: Array) -> float:
     """Ratio of the variance of residuals to that of their sigmas.
 
     Readings are in the order of their bins, so neighbours are near in time and height; a
     first-order process with correlation r has means as uncertain as (1 + r)/(1 - r) times the
     variance.
     """
-    square = float(np.mean(loss * z * z)) / _EXPECTED_SQUARE
-    bounded = np.sqrt(loss) * z
+    square = float(np.mean(factor * z * z)) / _EXPECTED_SQUARE
+    bounded = np.sqrt(factor) * z
     products = np.sum(bounded[1:] * bounded[:-1])
     pairs = np.sum(bounded[1:] ** 2 + bounded[:-1] ** 2)
     correlation = float(2.0 * products / max(pairs, 1e-12))

@@ -99,7 +99,7 @@ class RecordWalker(DamagedBytes):
         self.names = names
         self.size = data.size
         self.definitions = [definition_of_fmt()]
-        self.definitions_of: Counter[str] = Counter()  # how many each name has
+        self.definitions_by_name: Counter[str] = Counter()  # how many each name has
         self.redefinitions = 0  # records behind which a type has another definition
         self.number_of = np.zeros(TYPES, np.uint16)  # of the definition in force, by type
         self.length_of = np.zeros(TYPES, np.int64)
@@ -209,7 +209,8 @@ class RecordWalker(DamagedBytes):
     def _number_of_definition(self, at: int) -> int | None:
         """The number of the definition in the FMT record at a byte; a new one is added.
 
-        None if the record is not valid, or if there are too many definitions; it is then refused.
+        None, and the record is among ``refused``, if it is not valid or would be one definition
+        too many. Refuses (LogError) a log that defines one name too often.
         """
         payload = self.data[at + HEADER : at + FMT_LENGTH]
         number = self.seen.get(payload)
@@ -222,8 +223,8 @@ class RecordWalker(DamagedBytes):
         number = len(self.definitions)
         self.seen[payload] = number
         self.definitions.append(definition)
-        self.definitions_of[definition.name] += 1
-        if self.definitions_of[definition.name] > MAX_DEFINITIONS_OF_ONE:
+        self.definitions_by_name[definition.name] += 1
+        if self.definitions_by_name[definition.name] > MAX_DEFINITIONS_OF_ONE:
             raise too_many_definitions(name=definition.name, most=MAX_DEFINITIONS_OF_ONE)
         return number
 

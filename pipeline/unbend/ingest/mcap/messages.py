@@ -416,7 +416,7 @@ LOG_REORDERED = Code(
 
 
 def messages_reordered(*, topic: str, first: int, count: int, total: int) -> Message:
-    """The numbers of a topic's messages put its times right."""
+    """A topic's messages are sorted by their sequence numbers; their times are then in order."""
     return note(
         LOG_REORDERED,
         (

@@ -417,12 +417,13 @@ def _is_long(value: Any) -> bool:
     return isinstance(value, bytes) or len(value) > MAX_ARRAY
 
 
-def json_decoder(
-    spec: MessageMap, wanted: frozenset[str] | None, budget: ParseBudget | None = None
-) -> Decoder:
-    """The decoder of JSON objects; a message that is any other JSON does not fit."""
+def json_decoder(spec: MessageMap, wanted: frozenset[str] | None, budget: ParseBudget) -> Decoder:
+    """The decoder of JSON objects; a message that is any other JSON does not fit.
+
+    ``budget`` : of the log, for all its topics.
+    """
     errors = (ValueError, TypeError, AttributeError, OverflowError, RecursionError)
-    return ObjectDecoder(_json_object, errors, spec, wanted, budget or ParseBudget())
+    return ObjectDecoder(_json_object, errors, spec, wanted, budget)
 
 
 def _json_object(data: bytes) -> dict[str, Any]:
@@ -437,9 +438,9 @@ def protobuf_decoder(
     schema: Any,
     spec: MessageMap,
     wanted: frozenset[str] | None,
-    budget: ParseBudget | None = None,
+    budget: ParseBudget,
 ) -> Decoder:
-    """The decoder of protobuf messages, by mcap-protobuf-support.
+    """The decoder of protobuf messages, by mcap-protobuf-support; ``budget`` is that of the log.
 
     Raises ImportError without that library, SchemaError for a damaged schema, and TypeError for one
     in another encoding.
@@ -455,7 +456,7 @@ def protobuf_decoder(
     if parse is None:
         raise TypeError(f"a {schema.encoding} schema")
     errors = (DecodeError, ValueError, TypeError, OverflowError, RuntimeError)
-    return ObjectDecoder(parse, errors, spec, wanted, budget or ParseBudget())
+    return ObjectDecoder(parse, errors, spec, wanted, budget)
 
 
 def number(value: Any) -> float | None:

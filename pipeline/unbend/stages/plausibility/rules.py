@@ -323,8 +323,9 @@ def angles_of_mounts(facts: Facts) -> Findings:
             value = getattr(mount, key)
             degrees = math.degrees(value)
             steps = degrees / ANGLE_STEP_DEG
-            is_multiple = abs(steps - round(steps)) < LARGEST_STEP_ERROR
-            if value and abs(value) <= math.tau and is_multiple:
+            whole_steps = round(steps)  # 0 of a boresight angle, which is as small in radians
+            is_multiple = whole_steps != 0 and abs(steps - whole_steps) < LARGEST_STEP_ERROR
+            if is_multiple and abs(value) <= math.tau:
                 yield messages.angle_in_radians(
                     where=f"mount.{name}.{key}", name=name, angle=key, value=value, deg=degrees
                 )

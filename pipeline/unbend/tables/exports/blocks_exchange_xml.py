@@ -104,7 +104,7 @@ def photos(block: ExportedBlock, camera: int, origin_height_m: float) -> Iterato
 
 def tie_points(block: ExportedBlock, origin_height_m: float) -> Iterator[str]:
     """The object points with their measurements."""
-    order, begin, images = block.of_points()
+    order, begin, images = block.image_points_by_point()
     for point, place in enumerate(block.point_m):
         seen = []
         for entry in range(begin[point], begin[point + 1]):

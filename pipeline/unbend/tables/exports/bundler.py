@@ -98,7 +98,7 @@ def _lines_of_points(
     tied: Integers,
 ) -> Iterator[str]:
     """Three lines for each point: its place, its colour, and its views with their image points."""
-    order, begin, images = block.of_points()
+    order, begin, images = block.image_points_by_point()
     place_in_image = order - block.first[images]
     for point in tied:
         views = []

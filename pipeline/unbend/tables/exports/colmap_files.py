@@ -202,10 +202,10 @@ def _write_images(block: ExportedBlock, ids: Integers, path: Path) -> None:
 
 
 def _write_points(block: ExportedBlock, ids: Integers, path: Path) -> None:
-    """Object points with their tracks: the images of each, and its place among their points."""
-    order, begin, images = block.of_points()
-    place = order - block.first[images]
-    tracks = np.stack([images + 1, place], axis=1).astype("<i4")
+    """Object points, each with its track: its images, and its number in each of these."""
+    rows, begin, images = block.image_points_by_point()
+    place_in_image = rows - block.first[images]
+    tracks = np.stack([images + 1, place_in_image], axis=1).astype("<i4")
     with path.open("wb") as file:
         file.write(struct.pack("<Q", len(block.point_m)))
         for point, position_m in enumerate(block.point_m):

@@ -144,7 +144,7 @@ def _copied_pair(
 
 def match_rows(block: ExportedBlock) -> Iterator[Row]:
     """Rows of both tables: pair of images, number of points in both, places of their keypoints."""
-    order, begin, images = block.of_points()
+    order, begin, images = block.image_points_by_point()
     place_in_image = order - block.first[images]
     for i, _camera, here in block.images():
         point = block.point[here]

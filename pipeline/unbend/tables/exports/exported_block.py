@@ -76,7 +76,7 @@ class ExportedBlock:
             yield image, cameras[number], image_points
             self.progress.advance(1)
 
-    def of_points(self) -> tuple[Integers, Integers, Integers]:
+    def image_points_by_point(self) -> tuple[Integers, Integers, Integers]:
         """Image points by their points (r,), where each begins (p + 1,), and their images (r,)."""
         order = np.argsort(self.point, kind="stable")
         begin = np.append(0, np.cumsum(self.count))

@@ -145,18 +145,18 @@ def write_station_table(
 
 
 def frame_at_stations(run: FinishedRun, _: Values) -> ExportFrame:
-    """Angles against the horizon of each station, or against the grid there."""
+    """What a reader must know of the table: angles against each station's horizon or its grid."""
     if run.grid is None:
         return ExportFrame(
             positions=geographic_frame(ELLIPSOID_OF_WGS84, LATITUDE_LONGITUDE_HEIGHT),
             angles=angles_of_photogrammetry(EAST_NORTH_UP, "each station"),
         )
-    rows = np.flatnonzero(has_orientation(run))
-    axes = run.grid.axes_at(run.stations.lat_rad[rows], run.stations.lon_rad[rows])
+    written = np.flatnonzero(has_orientation(run))
+    axes = run.grid.axes_at(run.stations.lat_rad[written], run.stations.lon_rad[written])
     return ExportFrame(
         positions=grid_frame(run.grid),
         angles=grid_angles(run.grid, axes),
-        scale=scale_of_grid(axes),
+        scale=scale_of_grid(axes),  # lowest and highest
     )
 
 

@@ -252,9 +252,10 @@ def wander_sign(
 ) -> tuple[float, Velocity | None]:
     """The sign of the wander angle in the true heading, and the velocity north + 1j east.
 
-    Velocities are in the wander frame: turned by the same angle they are those of the positions.
-    Where the file has none that are, the heading is tried against the course. The velocity is None
-    where the file's is that of the positions in no frame.
+    Velocities of the file are in the wander frame: turned by the wander angle, with the right sign,
+    they agree with the movement of the positions. Where they agree with neither sign, or are all
+    zero, the heading is tried against the course, and the velocity is None. If nothing moves, the
+    sign is POSPac's, and the velocity is None.
     """
     track = ground_velocity(seconds, rows[:, LATITUDE], rows[:, LONGITUDE])
     is_moving = np.abs(track) > _MOVING_M_S
@@ -283,7 +284,10 @@ def wander_sign(
 
 
 def _refuse_other_speed(path: Path, usual_m_s: float, speed_of_file: float) -> None:
-    """Refuse (InputError) positions that no aircraft flies, or not as fast as the velocities."""
+    """Refuse (InputError) positions that no aircraft flies, or not as fast as the velocities.
+
+    Velocities of zero are those of a file without any: they are not compared.
+    """
     is_too_fast = usual_m_s > FASTEST_M_S
     is_other = speed_of_file > 0.0 and not 0.8 < usual_m_s / speed_of_file < 1.25
     if is_too_fast or is_other:

@@ -194,9 +194,10 @@ def without_impossible(
 
 def _refuse_beyond_poles(path: Path, lat_rad: Array) -> None:
     """Refuse latitudes beyond the poles."""
-    worst_rad = float(np.fmax.reduce(np.abs(lat_rad), initial=0.0))
-    if worst_rad > np.pi / 2.0:
-        worst_deg = float(np.degrees(worst_rad))
+    is_beyond = np.abs(lat_rad) > np.pi / 2.0
+    if bool(is_beyond.any()):
+        first_rad = lat_rad[is_beyond][0]
+        worst_deg = float(np.degrees(first_rad))
         raise messages.latitude_beyond_poles(where=path, worst_deg=worst_deg)
 
 

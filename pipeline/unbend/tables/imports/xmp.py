@@ -12,7 +12,7 @@ from typing import BinaryIO
 from xml.etree import ElementTree
 
 NAMESPACE = "{http://www.dji.com/drone-dji"  # as ElementTree writes it, of any version
-SEGMENT = b"http://ns.adobe.com/xap/1.0/\0"
+_HEAD_OF_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # of an APP1 segment; others hold EXIF
 MOST_BYTES = 1 << 20  # of a packet; a segment of a JPEG has 64 KiB at most
 SEARCHED_BYTES = 1 << 25  # of a file that is no JPEG
 
@@ -43,14 +43,14 @@ def dji_tags(path: Path) -> dict[str, str]:
 def xmp_of_jpeg(file: BinaryIO) -> Iterator[bytes]:
     """Each packet of XMP of a JPEG, read from behind its first marker on.
 
-    Editors that keep what they do not know write a packet of their own before it.
+    There may be two: some editors keep the camera's packet and write their own before it.
     """
     for marker, length in _segments(file):
         if marker != _SEGMENT_APP1:
             continue
         begin = file.tell()
-        if file.read(len(SEGMENT)) == SEGMENT:
-            yield file.read(length - len(SEGMENT))
+        if file.read(len(_HEAD_OF_XMP)) == _HEAD_OF_XMP:
+            yield file.read(length - len(_HEAD_OF_XMP))
         file.seek(begin)
 
 
