@@ -38,10 +38,15 @@ def settle(mission) -> None:
 
 
 @pytest.fixture
-def done(mission, plain_report, monkeypatch):
-    """A mission that ran on inputs that were written some time before its clock."""
+def later(monkeypatch):
+    """The clock is a minute ahead of the file system's."""
     now = time.time_ns
     monkeypatch.setattr(time, "time_ns", lambda: now() + 60_000_000_000)
+
+
+@pytest.fixture
+def done(mission, plain_report, later):
+    """A mission that ran on inputs that were written some time before its clock."""
     mission.save()
     settle(mission)
     run_mission(mission.file)

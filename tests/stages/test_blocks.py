@@ -246,7 +246,7 @@ def test_a_database_beside_a_model(with_database, by_log):
     # Heights are medians of the images here, tens of metres from those of 2500 m below.
     assert_near(rows, expected, 0.05)
     del block.config["stations"]["orientation"]["path"]
-    text = " ".join(block.refusal("neither orientations nor object points", 2).split())
+    text = " ".join(block.refusal("neither orientations nor object points").split())
     assert "a model, as sparse/0" in text
 
 
