@@ -16,14 +16,25 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+from scipy.io import netcdf_file
 
 from tests.conftest import MissionFolder
 from tests.faults.extreme_blocks import BLOCKS, TAGS, read_block, small_blocks
-from tests.faults.extreme_inputs import impossible_values
+from tests.faults.extreme_inputs import LONG, impossible_values
 from tests.faults.extreme_missions import MISSIONS
 from tests.faults.extreme_tables import GPST, MRK_TEXT, NOON_NS, TABLES, TOW, UTC
 from tests.faults.extreme_tables import UNIX_S as START_S
-from tests.faults.extreme_weather import GRIDS, PLAIN_SOUNDING, REPORT, WEATHER, head_of
+from tests.faults.extreme_weather import (
+    CELSIUS,
+    GRIDS,
+    HECTOPASCALS,
+    PLAIN_SOUNDING,
+    REPORT,
+    RISE,
+    WEATHER,
+    head_of,
+)
+from tests.helpers import refused
 from unbend.atmosphere.hypsometry import fall_of_pressure
 from unbend.atmosphere.surface_report import parse_metar
 from unbend.config import load_mission
@@ -32,6 +43,7 @@ from unbend.errors import ConfigError, InputError, UnbendError, rendered
 from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.imports.camera_events import read_mrk
+from unbend.tables.imports.eo_head import head_of_eo
 from unbend.tables.imports.image_stamps import parse_time
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import read_orientation
@@ -248,6 +260,43 @@ def test_heights_that_are_the_same_imply_no_temperature(height: list[float]) -> 
     assert np.isfinite(fall.unexplained)
     if len(set(height)) == 1:
         assert fall.implied_k is None
+
+
+@pytest.mark.parametrize("filling", [" ", "\n", "<", "9", "m "])
+def test_a_long_field_in_the_head_of_an_orientation_takes_no_time(
+    mutate: ModuleType, filling: str
+) -> None:
+    """140,000 blanks took four minutes."""
+    text = f"Shift values: X = 0.0{LONG * filling} Y = 1.0 m, Z = 2.0 m\nUTM North{LONG * filling}1"
+    with mutate.limited(LONGEST_UNITS * mutate.work_unit_s()):
+        head_of_eo(text)
+
+
+def test_a_pressure_that_no_height_has_is_none(tmp_path: Path) -> None:
+    """5e-324 hPa overflowed with the vapour pressure above it."""
+    lines = PLAIN_SOUNDING.splitlines()
+    fields = lines[-1].split(",")
+    fields[1] = "5e-324"
+    lines[-1] = ",".join(fields)
+    path = tmp_path / "s.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    ledger = Ledger()
+    sounding = read_sounding(path, ledger, time_ns=NOON_NS)
+    assert len(sounding.h_m) == len(lines) - 2
+    assert "SOUNDING-RANGE" in {entry.code for entry in ledger}
+
+
+@pytest.mark.parametrize("start", [np.inf, -np.inf, np.nan])
+def test_a_netcdf_sounding_without_a_finite_time_is_refused(tmp_path: Path, start: float) -> None:
+    with netcdf_file(tmp_path / "sonde.cdf", "w") as file:
+        file.createDimension("time", RISE.size)
+        columns = {"pres": HECTOPASCALS, "tdry": CELSIUS, "dp": CELSIUS - 5.0, "alt": RISE}
+        columns |= {"rh": np.full(RISE.size, 70.0)}
+        for name, values in columns.items():
+            file.createVariable(name, np.float64, ("time",))[:] = values
+        file.createVariable("base_time", np.float64, ())[...] = start
+    with refused("SOUNDING-NETCDF"):
+        read_sounding(tmp_path / "sonde.cdf", Ledger(), time_ns=NOON_NS)
 
 
 # Blocks, weather, grids

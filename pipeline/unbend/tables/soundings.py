@@ -150,7 +150,14 @@ def _netcdf(data: bytes, path: Path) -> soundings.RawLevels:
             if "base_time" in file.variables:
                 start = int(file.variables["base_time"].getValue())
             offset = _first_value(file, "time_offset", 0.0)
-    except (OSError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (
+        OSError,
+        TypeError,
+        ValueError,
+        IndexError,
+        AttributeError,
+        OverflowError,  # of an infinite time
+    ) as error:
         # What scipy raises on a damaged header, by what the damage hit.
         raise messages.sounding_damaged(where=path, error=str(error)) from None
     release_ns = None

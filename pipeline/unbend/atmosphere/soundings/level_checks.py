@@ -34,6 +34,7 @@ FEWEST_LEVELS = 5
 # What levels of soundings and of weather models have, from the ground to the stratosphere.
 COLDEST_K = 150.0
 WARMEST_K = 340.0
+LOWEST_PA = 0.01  # at 110 km, above all rockets and models
 HIGHEST_PA = 110_000.0
 
 TOO_WET = 1.5  # a relative humidity that no air has
@@ -212,7 +213,7 @@ def _complete_levels(raw: RawLevels) -> RawLevels:
     p = raw.pressure_pa
     t = raw.temperature_k
     has_both = np.isfinite(p) & np.isfinite(t) & ~_is_fill(t)
-    is_pressure = (p > 0.0) & (p <= HIGHEST_PA)
+    is_pressure = (p >= LOWEST_PA) & (p <= HIGHEST_PA)
     is_temperature = (t >= COLDEST_K) & (t <= WARMEST_K)
     is_possible = is_pressure & is_temperature
     missing = int((~has_both).sum())

@@ -19,11 +19,13 @@ _ROTATION = re.compile(
     re.IGNORECASE,
 )
 _CARDINAL = re.compile(rf"kappa cardinal rotation\s*[:=]\s*({_NUMBER})", re.IGNORECASE)
+_UNIT_OF_SHIFT = r"\W{0,9}m?\W{1,9}"  # bounded: it may be parted in every way
 _SHIFT = re.compile(
-    rf"shift values?\s*[:=]?\s*X\s*=\s*({_NUMBER})\W*m?\W+Y\s*=\s*({_NUMBER})\W*m?\W+"
-    rf"Z\s*=\s*({_NUMBER})",
+    rf"shift values?\s*[:=]?\s*X\s*=\s*({_NUMBER}){_UNIT_OF_SHIFT}"
+    rf"Y\s*=\s*({_NUMBER}){_UNIT_OF_SHIFT}Z\s*=\s*({_NUMBER})",
     re.IGNORECASE,
 )
+_BLANKS = re.compile(r"\s{2,}")  # of which patterns would try every part
 
 AXIS_OF_ANGLE = {"omega": "x", "phi": "y", "kappa": "z"}
 ORDERS = ("omega_phi_kappa", "phi_omega_kappa")
@@ -61,6 +63,7 @@ def head_of_eo(text: str) -> EoHead:
     >>> head.order, head.cardinal_deg, head.shift_m.tolist()
     ('phi_omega_kappa', 90.0, [1.5, 0.0, -2.0])
     """
+    text = _BLANKS.sub(" ", text)
     unit = _UNIT.search(text)
     zone = _ZONE.search(text)
     rotations = [(axis.lower(), angle.lower()) for _, axis, angle in _ROTATION.findall(text)]
