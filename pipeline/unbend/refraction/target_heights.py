@@ -179,11 +179,9 @@ def _by_repetition(table: PublishedRays, rays: RayColumns) -> tuple[Array, NDArr
             step = chord_height(h_c, cos_chord, distance, radius) - height
             # A row ends by itself: its height and status do not depend on the rows beside it.
             height = np.where(is_open, height + step, height)
-            is_settled = np.abs(step) <= _CLOSE_M
-            ends = is_open & (is_settled | np.isnan(step))
-            is_without_end = np.isnan(step) & (status_of_ray == OK)
-            status_at_end = np.where(is_without_end, MISSES_GROUND, status_of_ray)
-            status = np.where(ends, status_at_end, status)
+            ends = is_open & ~(np.abs(step) > _CLOSE_M)  # settled, or NaN
+            status = np.where(ends, status_of_ray, status)
+            status[ends & np.isnan(step) & (status_of_ray == OK)] = MISSES_GROUND
             is_open = is_open & ~ends
             if not is_open.any():
                 break
