@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 from tests.flight.made_channels import EARTH_M, counted, quaternion_columns
@@ -196,9 +197,11 @@ def test_a_column_in_another_unit_is_left_to_the_mission():
 )
 def test_a_wrong_unit_is_refused(role, column, value, unit):
     with refused("CHANNEL-UNIT") as refusal:
-        plausible_samples(logged(**{column: value}), role)
+        plausible_samples(channel("BARO[0]", TENTHS, **{column: value}), role)
     assert f"looks like {unit}" in refusal.value.what
-    assert f"unit: {unit}" in refusal.value.remedy
+    # What is to be written is YAML, brackets of the name included.
+    _, _, section = refusal.value.remedy.partition(f"log.channels.{role}: ")
+    assert yaml.safe_load(section) == {"name": "BARO[0]", "unit": unit}
 
 
 def test_an_impossible_value_is_counted_once():
