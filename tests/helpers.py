@@ -32,11 +32,18 @@ def channel(name: str, seconds: np.ndarray, *roles: str, **columns: object) -> C
 
 
 @contextlib.contextmanager
-def refused(code: str) -> Iterator[pytest.ExceptionInfo[UnbendError]]:
-    """A block of a test that must end with the refusal of this code, which says what to do."""
+def refused(
+    code: str, kind: type[UnbendError] = UnbendError
+) -> Iterator[pytest.ExceptionInfo[UnbendError]]:
+    """A block of a test that must end with the refusal of this code, which says what to do.
+
+    Where a kind is given, the refusal is of just this class.
+    """
     with pytest.raises(UnbendError) as caught:
         yield caught
     error = caught.value
+    if kind is not UnbendError:
+        assert type(error) is kind, f"{code} is a {type(error).__name__}"
     assert error.code == code, str(error)
     assert error.remedy, f"{code} does not say what to do"
 

@@ -19,6 +19,7 @@ from unbend.atmosphere import standard_atmosphere, standard_names
 from unbend.atmosphere.climate_tables import climate_names, climate_profile, supplements_profile
 from unbend.atmosphere.climatology import Climatology, climatology, expected_spread, month_of
 from unbend.atmosphere.standard import known_names
+from unbend.errors import PhysicsError
 from unbend.messages import Ledger
 from unbend.simulate.true_air import saturation_pressure_pa
 from unbend.tables.soundings import read_sounding
@@ -236,7 +237,7 @@ def test_gravity_is_that_of_the_latitude(name, degrees):
 
 
 def test_an_unknown_climatology_is_refused_with_the_known_names():
-    with refused("ATMOSPHERE-NAME") as caught:
+    with refused("ATMOSPHERE-NAME", PhysicsError) as caught:
         at(45.0, 1.0, "cira1972")
     names = caught.value.remedy.removeprefix("one of ").split(", ")
     assert names == list(known_names())
@@ -244,13 +245,13 @@ def test_an_unknown_climatology_is_refused_with_the_known_names():
 
 
 def test_degrees_for_radians_are_refused():
-    with refused("ATMOSPHERE-LATITUDE"):
+    with refused("ATMOSPHERE-LATITUDE", PhysicsError):
         climatology(latitude_rad=47.0, month=1.0)
 
 
 def test_msis_without_its_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymsis", None)
-    with refused("ATMOSPHERE-MSIS") as caught:
+    with refused("ATMOSPHERE-MSIS", PhysicsError) as caught:
         at(45.0, 1.0, "nrlmsis2.1")
     assert "unbend[msis]" in caught.value.remedy
 

@@ -22,6 +22,7 @@ from unbend.atmosphere import (
 from unbend.atmosphere.layers import Layers, stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
+from unbend.errors import ConfigError, PhysicsError
 from unbend.geodesy import lambert_gravity, normal_gravity
 from unbend.simulate.true_air import normal_gravity as gravity_of_wgs84
 
@@ -133,7 +134,7 @@ def test_every_row_explains_its_temperature_and_index(rows):
 
 
 def test_the_table_refuses_heights_outside():
-    with refused("PROFILE-RANGE") as caught:
+    with refused("PROFILE-RANGE", PhysicsError) as caught:
         profile_table(standard_atmosphere("ican"), np.array([0.0, 99_000.0]))
     assert "99000" in caught.value.what
 
@@ -239,6 +240,6 @@ def test_a_profile_is_plotted_over_height_and_beside_another():
 
 def test_a_plot_without_matplotlib_is_refused_with_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
-    with refused("PLOT-MATPLOTLIB") as caught:
+    with refused("PLOT-MATPLOTLIB", ConfigError) as caught:
         standard_atmosphere("us1976").plot()
     assert caught.value.remedy == "pip install matplotlib"

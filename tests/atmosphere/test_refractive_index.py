@@ -18,6 +18,7 @@ from unbend.atmosphere.refractive_index import (
     vapour_pressure,
     virtual_temperature,
 )
+from unbend.errors import PhysicsError
 from unbend.simulate.true_air import edlen_index, saturation_pressure_pa
 
 PRINTED = Path(unbend.__file__).parent / "refraction" / "data"
@@ -121,11 +122,11 @@ def test_virtual_temperature_gives_the_density_of_moist_air():
 
 @pytest.mark.parametrize("metres", [0.55, 550.0, 0.1e-6, float("nan")])
 def test_a_wavelength_in_the_wrong_unit_is_refused(metres):
-    with refused("AIR-WAVELENGTH"):
+    with refused("AIR-WAVELENGTH", PhysicsError):
         refractivity_ciddor(288.15, 101_325.0, wavelength_m=metres)
 
 
 def test_an_unknown_index_is_refused():
-    with refused("AIR-INDEX") as caught:
+    with refused("AIR-INDEX", PhysicsError) as caught:
         IndexModel("edlen")
     assert "ciddor" in caught.value.remedy

@@ -15,6 +15,7 @@ from unbend.atmosphere.surface_report import (
     station_pressure,
     surface_report,
 )
+from unbend.errors import InputError
 from unbend.messages import Ledger
 
 WIND = "221150Z 24011KT CAVOK"
@@ -156,7 +157,7 @@ def test_numbers_of_a_mission_file():
     ],
 )
 def test_numbers_that_no_ground_has(values, code):
-    with refused(code):
+    with refused(code, InputError):
         surface_report(**({"h_m": 250.0} | values))
 
 
@@ -187,7 +188,7 @@ def test_numbers_that_no_ground_has(values, code):
     ],
 )
 def test_what_is_no_report_is_refused_by_its_kind(text, words):
-    with refused("METAR-PARSE") as caught:
+    with refused("METAR-PARSE", InputError) as caught:
         parsed(text, 200.0, "2015-03-12T12:00")
     assert words in caught.value.what
     assert "mission.yaml" in caught.value.where
@@ -195,7 +196,7 @@ def test_what_is_no_report_is_refused_by_its_kind(text, words):
 
 @pytest.mark.parametrize("groups", ["12/08 Q0113", "77/08 A2992"])
 def test_values_that_no_air_has_are_refused(groups):
-    with refused("METAR-RANGE"):
+    with refused("METAR-RANGE", InputError):
         parsed(f"METAR KXYZ {WIND} {groups}")
 
 
@@ -211,7 +212,7 @@ def test_values_that_no_air_has_are_refused(groups):
     ],
 )
 def test_groups_that_contradict_each_other_are_refused(text, words):
-    with refused("METAR-CONTRADICTION") as caught:
+    with refused("METAR-CONTRADICTION", InputError) as caught:
         parsed(text, 200.0, "2015-03-12T12:00")
     assert words in caught.value.what
 

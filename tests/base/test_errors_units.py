@@ -31,6 +31,10 @@ def test_exit_codes(name, code):
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
+def test_a_refused_value_of_a_scalar_call_is_a_value_error():
+    assert issubclass(errors.PhysicsError, ValueError)
+
+
 def test_a_refusal_without_place_and_remedy_is_one_line():
     assert str(errors.LogError("A-B", "what")) == "A-B: what"
 

@@ -164,7 +164,7 @@ IN_GRADS[:, 0] = np.radians(94.4)  # omega of 85 deg
     ],
 )
 def test_cameras_that_look_up_are_refused(quaternion):
-    with refused("ORIENTATION-UP") as refusal:
+    with refused("ORIENTATION-UP", MissionError) as refusal:
         stations(replace(block(), quaternion=quaternion))
     assert "24 of 24 images" in refusal.value.what
     assert "grad" in refusal.value.remedy
@@ -181,7 +181,7 @@ def test_a_single_camera_that_looks_up_is_suspect():
 
 def test_images_that_turn_against_the_flight_are_refused():
     kappa_clockwise = opk_of_quaternion(block().quaternion) * [1.0, 1.0, -1.0]
-    with refused("ORIENTATION-TURNS"):
+    with refused("ORIENTATION-TURNS", MissionError):
         stations(replace(block(), quaternion=quaternion_of_opk(kappa_clockwise)))
 
 
@@ -324,7 +324,7 @@ def test_residuals_that_no_sigma_explains_are_doubtful():
 
 def refused_fit(code: str, *arguments: object, **options: object) -> MissionError:
     """The refusal of known positions that fit no frame."""
-    with refused(code) as refusal:
+    with refused(code, MissionError) as refusal:
         fit(*arguments, **options)
     return refusal.value
 

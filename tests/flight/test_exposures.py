@@ -9,6 +9,7 @@ import pytest
 
 from tests.flight.made_channels import counted, ranked, with_columns
 from tests.helpers import NS_PER_S, channel, refused
+from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.exposures import (
     Events,
@@ -114,7 +115,7 @@ def test_repeated_names_are_refused():
     time_ns = np.zeros(2, np.int64)
     first = Events("left", np.array(["a", "b"], object), time_ns)
     second = Events("right", np.array(["c", "b"], object), time_ns)
-    with refused("EVENTS-REPEATED") as refusal:
+    with refused("EVENTS-REPEATED", MissionError) as refusal:
         refuse_repeated_images([first, second])
     assert "b" in refusal.value.what
 
@@ -135,7 +136,7 @@ def test_the_event_channel_is_the_named_one_or_the_best():
 
 @pytest.mark.parametrize("name", [None, "CAM[3]"], ids=["two equals", "a name of none"])
 def test_an_event_channel_that_is_not_plain_is_refused_with_the_choices(name):
-    with refused("EVENTS-CHANNEL") as refusal:
+    with refused("EVENTS-CHANNEL", MissionError) as refusal:
         choose_event_channel((FIRST, SECOND), name)
     assert "CAM[0] (3)" in refusal.value.what
     assert "CAM[1] (3)" in refusal.value.what

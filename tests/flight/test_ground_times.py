@@ -9,6 +9,7 @@ import pytest
 
 from tests.flight.made_channels import counted, instants, texts
 from tests.helpers import NS_PER_S, channel, refused
+from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.exposures import ground_shot_notes
 from unbend.flight.ground_times import (
@@ -42,10 +43,10 @@ def test_a_log_without_one_home_proposes_where_it_begins():
     assert note.code == "HEIGHT-HOME"
     begun = with_begin_of_log(system, roles, GroundEvidence(), 2.0)
     assert begun.begin_h_msl_m == pytest.approx(400.0)
-    with refused("HEIGHT-REFERENCE") as refusal:
+    with refused("HEIGHT-REFERENCE", MissionError) as refusal:
         known_home_m(begun)
     assert "write ground.home_h_msl_m: 400.0" in refusal.value.remedy
-    with refused("HEIGHT-REFERENCE") as refusal:
+    with refused("HEIGHT-REFERENCE", MissionError) as refusal:
         known_home_m(system)
     assert "ground.home_h_msl_m" in refusal.value.remedy
     assert "400" not in refusal.value.remedy

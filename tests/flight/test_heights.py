@@ -8,6 +8,7 @@ import pytest
 
 from tests.flight.made_channels import instants, located
 from tests.helpers import channel, refused, with_code
+from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.heights import (
     GeodeticOrigin,
@@ -137,7 +138,7 @@ def test_what_makes_a_ground_height_one_above_the_sea(reference, offset_m):
     ("reference", "unknown"), [("relative", "take-off"), ("ellipsoid", "undulation")]
 )
 def test_ground_heights_above_what_is_unknown_are_refused(reference, unknown):
-    with refused("HEIGHT-REFERENCE") as refusal:
+    with refused("HEIGHT-REFERENCE", MissionError) as refusal:
         ground_offsets(reference, station(np.nan), HeightSystem())
     assert unknown in str(refusal.value)
 

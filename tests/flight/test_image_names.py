@@ -7,6 +7,7 @@ import pytest
 
 from tests.flight.made_channels import EARTH_M, counted, instants
 from tests.helpers import channel, refused
+from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.exposures import Events, span_notes
 from unbend.flight.image_names import other_names, proposal, refuse_other_names, renamed
@@ -77,7 +78,7 @@ def test_composed_and_decomposed_names_are_the_same_image(of_events, observed):
 
 def test_names_that_look_alike_are_shown_with_their_bytes():
     """A Cyrillic letter in one of them."""
-    with refused("IMAGES-OTHER") as refusal:
+    with refused("IMAGES-OTHER", MissionError) as refusal:
         refuse_other_names({"c": ["\u0410_1.jpg"]}, ["A_1.jpg"])
     assert "b'\\xd0\\x90_1.jpg'" in str(refusal.value)
     assert "like 'A_1.jpg'," in str(refusal.value)
@@ -95,7 +96,7 @@ IMAGES = [f"IMG_{number:04d}.JPG" for number in range(10)]
     ids=["other names", "no exposures"],
 )
 def test_a_camera_without_any_of_the_images_is_refused(of_cameras, says):
-    with refused("IMAGES-OTHER") as refusal:
+    with refused("IMAGES-OTHER", MissionError) as refusal:
         refuse_other_names(of_cameras, IMAGES)
     assert all(text in refusal.value.what for text in says)
 
@@ -126,7 +127,7 @@ def events(first_s: float, spacing_s: float = 20.0) -> list[Events]:
 )
 def test_events_of_another_time_are_refused_with_what_would_fit(late_s, says):
     """The log has an hour, the events 33 minutes from its 25th: one zone alone fits."""
-    with refused("EVENTS-SPAN") as refusal:
+    with refused("EVENTS-SPAN", MissionError) as refusal:
         span_notes(events(1500.0 + late_s), flown(), "events.csv.columns.time_utc")
     assert f"{says} would bring all of them" in refusal.value.what
     assert "2026-04-24T0" in refusal.value.what

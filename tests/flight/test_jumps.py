@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.flight.made_channels import EARTH_M, counted, quaternion_columns
 from tests.helpers import NS_PER_S, channel, refused
 from unbend.atmosphere.rejection import Reason
+from unbend.errors import MissionError
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
 
@@ -196,7 +197,7 @@ def test_a_column_in_another_unit_is_left_to_the_mission():
     ],
 )
 def test_a_wrong_unit_is_refused(role, column, value, unit):
-    with refused("CHANNEL-UNIT") as refusal:
+    with refused("CHANNEL-UNIT", MissionError) as refusal:
         plausible_samples(channel("BARO[0]", TENTHS, **{column: value}), role)
     assert f"looks like {unit}" in refusal.value.what
     # What is to be written is YAML, brackets of the name included.

@@ -7,6 +7,7 @@ import pytest
 
 from tests.flight.made_channels import ranked
 from tests.helpers import refused, with_code
+from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.roles import assign_roles, follows_height
 from unbend.messages import Kind
@@ -146,7 +147,7 @@ def test_a_role_that_is_stated_as_null_is_played_by_no_channel(role):
     ids=["absent", "attitude of the aircraft", "without the columns", "inside and outside"],
 )
 def test_a_needed_channel_that_cannot_play_its_role_is_refused(named, code, says):
-    with refused(code) as refusal:
+    with refused(code, MissionError) as refusal:
         assign_roles((*FLIGHT, BOARD), named, needs_cabin=True)
     assert all(text in str(refusal.value) for text in says)
 

@@ -9,6 +9,7 @@ import pytest
 
 from tests.flight.made_channels import counted, ranked
 from tests.helpers import refused
+from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
 from unbend.flight.exposures import ExposureDelay, events_of_channel
 from unbend.flight.triggers import lag_from_feedback, shutter_finding, trigger_notes
@@ -149,7 +150,7 @@ def test_the_scatter_of_the_lag_is_a_sigma_of_the_exposures():
     ids=["pulses of PX4", "pulses of ArduPilot", "nine pairs"],
 )
 def test_a_lag_takes_ten_pairs_and_triggers(channels, chosen):
-    with refused("EVENTS-FEEDBACK"):
+    with refused("EVENTS-FEEDBACK", MissionError):
         lag_from_feedback(channels, chosen, "cam")
 
 

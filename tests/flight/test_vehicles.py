@@ -10,6 +10,7 @@ import pytest
 
 from tests.flight.made_channels import EARTH_M, located
 from tests.helpers import channel, refused, with_code
+from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
 from unbend.flight.vehicles import Vehicles
 from unbend.messages import Ledger
@@ -98,7 +99,7 @@ def test_the_roles_are_of_one_vehicle(events, channels, named, chosen):
 
 @pytest.mark.parametrize("events", [(), (EVENTS_OF_1, EVENTS_OF_2)], ids=["none", "of both"])
 def test_a_vehicle_that_nothing_names_is_refused_with_the_choices(events):
-    with refused("LOG-VEHICLES") as refusal:
+    with refused("LOG-VEHICLES", MissionError) as refusal:
         channels_of_one_vehicle(mission(*events), TWO, {}, Ledger())
     for choice in ("system 1", "system 2", POSITION_OF_1["position"], EVENTS_OF_2):
         assert choice in refusal.value.what

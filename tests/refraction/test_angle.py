@@ -7,6 +7,7 @@ import math
 import pytest
 
 from tests.helpers import refused
+from unbend.errors import PhysicsError
 from unbend.refraction.angle import one_angle
 
 
@@ -60,5 +61,5 @@ def test_the_slant_range_says_which_crossing_is_meant(distance, status):
 
 @pytest.mark.parametrize("distance", [0.0, -1.0, math.inf, math.nan])
 def test_what_is_no_slant_range_is_refused(distance):
-    with refused("ANGLE-DISTANCE"):
+    with refused("ANGLE-DISTANCE", PhysicsError):
         one_angle("us1976", 3000.0, 2800.0, 89.0, distance=distance)

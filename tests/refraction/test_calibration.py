@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import refused
+from unbend.errors import PhysicsError
 from unbend.refraction import BrownConrady, Camera
 from unbend.refraction.calibration import field_of_view, refuse_impossible
 from unbend.refraction.camera.general_frame import GeneralFrame
@@ -63,7 +64,7 @@ def test_sound_cameras_pass(sound):
     ],
 )
 def test_what_cannot_be_is_refused(impossible, code, number):
-    with refused(code) as refusal:
+    with refused(code, PhysicsError) as refusal:
         refuse_impossible(impossible)
     assert refusal.match(number)
 

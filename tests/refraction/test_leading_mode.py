@@ -10,19 +10,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
 from tests.refraction import uncertain_air
 from tests.refraction.images import (
+    CABIN,
     SKEWED,
     Look,
     corrected,
     displaced,
+    exposure,
     looking,
     station_sigmas,
     uncertainties,
 )
-from unbend.refraction import ray_table
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.layers import stack_layers
+from unbend.atmosphere.profile import Profile
+from unbend.refraction import BrownConrady, ray_table
 from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED
 
 AIR, COVARIANCE = uncertain_air.air()
@@ -61,8 +67,9 @@ BEHIND_A_PANE = [name for name in LOOKS if LOOKS[name].kind == SEALED]
 
 
 def pixels(look, function, air, exposures, **options):
-    """Corrected or displaced pixels of a look, some way off the edges of the image."""
-    x, y = np.random.default_rng(5).uniform(0.02, 0.98, (2, 60))
+    """Corrected pixels of a look, or displaced ones some way off the edges of the image."""
+    margin = 0.02 if function is displaced else 0.0
+    x, y = np.random.default_rng(5).uniform(margin, 1.0 - margin, (2, 60))
     return function(
         x * look.camera.width_px,
         y * look.camera.height_px,
@@ -134,11 +141,109 @@ def test_the_derivative_is_a_difference_of_corrections(look):
     derivative = by_mode(corrections.sigmas)
     expected = slope_by_mode(look, corrected, made.mode)
     assert is_close(derivative, expected)
-    # What it is easily mistaken for is seen behind a pane: R alone, with the window as it was.
+    # What it is easily mistaken for is seen behind a pane: the shift itself, and R alone, with the
+    # window as it was.
+    shift = np.stack([corrections.dx_px, corrections.dy_px])
+    assert look.kind == OPEN or not is_close(shift, expected)
     more = pixels(look, corrected, along(made.mode, STEP), setup)
     less = pixels(look, corrected, along(made.mode, -STEP), setup)
     of_r = difference(more, less) / (2.0 * STEP * made.mode.sigma)
     assert is_close(of_r, expected) == (look.kind == OPEN)
+
+
+@pytest.mark.parametrize("look", LOOKS.values(), ids=LOOKS)
+def test_its_part_of_sigma_air(look):
+    """Of one camera at one height nearly all; what the mode leaves is not negative."""
+    made = prepared(look)
+    sigmas = pixels(look, corrected, AIR, look.exposure(AIR), uncertainty=made).sigmas
+    part = made.mode.sigma * np.hypot(*by_mode(sigmas))
+    whole = np.hypot(sigmas.air_dx_px, sigmas.air_dy_px)
+    assert (part <= 1.005 * whole).all()
+    share = np.sum(part**2) / np.sum(whole**2)
+    assert share == pytest.approx(made.mode.variance_share, abs=0.02)
+    assert share > 0.9
+
+
+def test_drawn_airs_move_along_it():
+    """200 airs from the covariance: their first principal component is the derivative."""
+    look = LOOKS["nadir, tilted pane"]
+    made = prepared(look)
+    nominal = pixels(look, corrected, AIR, look.exposure(AIR), uncertainty=made)
+    derivative = by_mode(nominal.sigmas).ravel()
+    rng = np.random.default_rng(2)
+    moved = []
+    for _ in range(200):
+        air = uncertain_air.drawn(rng)
+        moved.append(difference(pixels(look, corrected, air, look.exposure(air)), nominal).ravel())
+    _, sizes, directions = np.linalg.svd(np.array(moved), full_matrices=False)
+    size = np.linalg.norm(derivative)
+    assert abs(directions[0] @ derivative / size) > 0.999
+    # A sigma of 200 draws is good to 5 %.
+    assert made.mode.sigma * size == pytest.approx(sizes[0] / np.sqrt(200.0), rel=0.15)
+
+
+H_OF_LAYERS = 6000.0
+CABIN_ANGLE = np.radians(10.0)
+
+
+def angles_of_layers(warmer_k: float) -> np.ndarray:
+    """Whole bend and R_c in the cabin's ray, 10 degrees off the nadir, from 6 km to the ground.
+
+    Level layers of 1 m of the standard troposphere, n sin(zeta) the same in all and in the cabin;
+    the pressure is held at the camera; n by Gladstone and Dale from 2.779e-4 (15 deg C, 550 nm).
+    """
+    h = np.arange(0.0, H_OF_LAYERS + 0.5)
+    kelvin = 288.15 - 0.0065 * h + warmer_k
+    inverse_kelvin = 0.5 * (1.0 / kelvin[1:] + 1.0 / kelvin[:-1])
+    fall = 9.80665 * 0.0289644 / 8.31432 * inverse_kelvin
+    fall_to_camera = np.append(np.cumsum(fall[::-1])[::-1], 0.0)
+    pressure = 47_181.0 * np.exp(fall_to_camera)
+    n = 1.0 + 2.779e-4 * (pressure / 101_325.0) * 288.15 / kelvin
+    sine = (1.0 + CABIN) * np.sin(CABIN_ANGLE) / n
+    straight = np.arctan2(trapezoid(sine / np.sqrt(1.0 - sine**2), h), h[-1])
+    outside = np.arcsin(sine[-1])
+    return np.array([CABIN_ANGLE - straight, outside - straight])
+
+
+def warmer_standard(kelvin: float) -> Profile:
+    """US 1976 with so much more everywhere, its pressure held at 6 km."""
+    standard = standard_atmosphere("us1976")
+    layers = standard.layers
+    warmer = stack_layers(
+        layers.edge,
+        layers.edge_temperature + kelvin,
+        np.append(layers.vapour, 0.0),
+        layers.source,
+        anchor=(
+            float(standard.gravity.geopotential_height(H_OF_LAYERS)),
+            float(standard.pressure(H_OF_LAYERS)),
+        ),
+        constant=standard.constant,
+    )
+    return replace(standard, layers=warmer)
+
+
+def angles_of_a_pixel(air: Profile) -> np.ndarray:
+    """The same of a pixel behind a level pane: its corrected angle off the nadir, and R_c."""
+    camera = replace(CAMERA, fy_px=CAMERA.fx_px, distortion=BrownConrady())
+    excess = CABIN - float(air.refractivity(H_OF_LAYERS))
+    setup = exposure(air, turned(0.0), h_c=H_OF_LAYERS, cabin_excess=excess)
+    x = camera.cx_px + camera.fx_px * np.tan(CABIN_ANGLE)
+    corrections = corrected(x, camera.cy_px, setup, ray_table(air), camera=camera)
+    straight = np.arctan((corrections.x_corrected_px[0] - camera.cx_px) / camera.fx_px)
+    return np.array([CABIN_ANGLE - straight, corrections.r_c_rad[0]])
+
+
+def test_one_kelvin_behind_a_level_pane():
+    """Of a uniform kelvin, the pressure held at the camera, R_c has less than half."""
+    per_tangent = 1e6 / np.tan(CABIN_ANGLE)
+    expected = per_tangent * (angles_of_layers(0.5) - angles_of_layers(-0.5))
+    warm = angles_of_a_pixel(warmer_standard(0.5))
+    cold = angles_of_a_pixel(warmer_standard(-0.5))
+    changed = per_tangent * (warm - cold)
+    assert np.abs(expected) == pytest.approx([1.10, 0.51], abs=0.02)
+    assert abs(expected[1]) == pytest.approx(0.51, abs=0.005)
+    np.testing.assert_allclose(changed, expected, rtol=0.01)
 
 
 @pytest.mark.parametrize("name", BEHIND_A_PANE)

@@ -7,6 +7,7 @@ import pytest
 
 from tests.helpers import refused
 from tests.refraction.comparing import assert_near
+from unbend.errors import PhysicsError
 from unbend.refraction.calibration import MetricReport, camera_of_report
 
 # USGS reports OSL/2985 (Wild RC30, 15/4 UAG-S 13413) and OSL/3030 (RC30, 13365): calibrated focal
@@ -43,7 +44,7 @@ def test_coefficients_that_correct_agree_with_the_table_of_the_distortion(report
     table = np.stack([focal * np.tan(np.radians(ANGLES)), np.array(radial_um) * 1e-3], axis=1)
     fields = SCAN | {"coefficients": coefficients, "sense": "correction"}
     metric_camera(focal, **fields, table=(table, "distortion"))
-    with refused("CAMERA-REPORT") as refusal:
+    with refused("CAMERA-REPORT", PhysicsError) as refusal:
         metric_camera(focal, **fields, table=(table, "correction"))
     assert refusal.match(r"coefficients differ by 2\.\d um at a radius")
 
@@ -186,6 +187,6 @@ ZIGZAG = (np.stack([RADII_MM, ZIGZAG_MM], axis=1), "distortion")
 )
 def test_what_cannot_be_is_refused_with_the_number(changes, code, number):
     fields = SCAN | {"coefficients": {}} | changes
-    with refused(code) as refusal:
+    with refused(code, PhysicsError) as refusal:
         metric_camera(153.0, **fields)
     assert refusal.match(number)

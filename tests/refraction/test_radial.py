@@ -10,6 +10,7 @@ import pytest
 
 from tests.helpers import refused
 from unbend.atmosphere import standard_atmosphere
+from unbend.errors import PhysicsError
 from unbend.refraction.angle import angles_to, radial_table
 from unbend.refraction.status_codes import MISSES_GROUND, OK
 from unbend.units import ARCSEC, DEGREE
@@ -98,7 +99,7 @@ def test_many_small_steps_end_with_the_largest():
     ids=str,
 )
 def test_a_table_that_does_not_exist(h_c, h_g, angle, options, code):
-    with refused(code):
+    with refused(code, PhysicsError):
         radial_table(AIR, h_c, h_g, np.array([angle]), **options)
 
 
@@ -112,5 +113,5 @@ def test_a_table_that_does_not_exist(h_c, h_g, angle, options, code):
     ],
 )
 def test_steps_that_make_no_table(arguments):
-    with refused("RADIAL-ANGLE"):
+    with refused("RADIAL-ANGLE", PhysicsError):
         angles_to(*arguments)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tests.helpers import refused
 from unbend.atmosphere import standard_atmosphere
+from unbend.errors import PhysicsError
 from unbend.refraction import RayTable, bend, ray_table, refraction_angle
 from unbend.refraction.status_codes import (
     BAD_MEASUREMENT,
@@ -124,18 +125,18 @@ def test_neighbours_of_bad_rows_are_untouched():
     ],
 )
 def test_scalars_are_refused_with_a_reason(code, ray):
-    with refused(code):
+    with refused(code, PhysicsError):
         refraction_angle(AIR, *ray)
 
 
 def test_degrees_for_radians_are_refused_with_the_unit():
-    with refused("RAY-BAD-MEASUREMENT") as refusal:
+    with refused("RAY-BAD-MEASUREMENT", PhysicsError) as refusal:
         refraction_angle(AIR, 3000.0, 0.0, 45.0)
     assert "radians" in refusal.value.remedy
 
 
 def test_an_unknown_method_is_refused():
-    with refused("METHOD-NAME"):
+    with refused("METHOD-NAME", PhysicsError):
         refraction_angle(AIR, 3000.0, 0.0, 0.5, method="cubic")
 
 

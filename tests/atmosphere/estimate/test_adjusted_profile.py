@@ -180,6 +180,21 @@ def test_a_gap_in_the_heights_is_not_called_measured():
     assert source_at(alone, 1900.0) == "relaxed"
 
 
+def test_outliers_do_not_matter():
+    rng = np.random.default_rng(12)
+    noisy = temperature_k(H) + rng.normal(0.0, 0.2, H.size)
+    is_bad = rng.random(H.size) < 0.03
+    assert is_bad.sum() > 20
+    clean = adjust(with_readings(measured(), noisy)).profile
+    dirty = adjust(with_readings(measured(), noisy + 15.0 * is_bad)).profile
+    inside = np.linspace(500.0, 3400.0, 300)
+    assert np.abs(dirty.temperature(inside) - clean.temperature(inside)).max() < 0.25
+    fall_of_n, fall_of_clean_n = (
+        np.ptp(profile.refractivity([500.0, 3400.0])) for profile in (dirty, clean)
+    )
+    assert fall_of_n == pytest.approx(fall_of_clean_n, rel=5e-4)
+
+
 def test_readings_a_gate_took_out_and_gaps_are_not_used():
     low = FIELD_M + np.array([50.0, 150.0, 250.0])
     soaked = np.arange(H.size) < 60
@@ -204,7 +219,7 @@ def test_without_humidity_the_climatology_s_is_taken_and_that_is_said(clean):
     expected = adjusted.entry("AIR-HUMIDITY-EXPECTED")
     assert expected.kind is Kind.FALLBACK
     assert "climatology" in expected.what
-    assert not adjusted.losses
+    assert not adjusted.is_told
     # Of the climatology, within its doubt: 30 % of relative humidity are 570 Pa here.
     e = adjusted.profile.vapour_pressure(600.0).item()
     assert e == pytest.approx(clean.profile.vapour_pressure(600.0).item(), abs=570.0)
@@ -403,6 +418,21 @@ def test_pressures_that_no_air_has_are_left_out(share, kind, code):
     is_left_out = kind is Kind.LOSS
     assert ("without barometer" in adjusted.made.reason) is is_left_out
     assert abs(error_of_r(adjusted, 900.0)) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("factor", "kind"), [(1.0, Kind.NOTE), (1.07, Kind.WARNING), (1.2, Kind.LOSS)]
+)
+def test_a_level_of_pressure_that_is_no_weather_is_told_of(factor, kind):
+    samples = measured(900.0)
+    adjusted = adjust(with_readings(samples, factor * samples.pressure.value, "pressure"))
+    assert adjusted.entry("AIR-ANCHOR").kind is kind
+
+
+def test_a_thermometer_that_is_too_warm_by_three_kelvin_is_still_in_the_air_outside():
+    adjusted = adjust(with_readings(measured(), temperature_k(H) + 3.0))
+    assert adjusted.basis == "thermometer"
+    assert not adjusted.is_told
 
 
 def test_wild_heights_crash_nothing():

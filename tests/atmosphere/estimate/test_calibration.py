@@ -12,6 +12,7 @@ from tests.atmosphere.adjusting import MONSOON, Adjusted, adjust, extreme, fault
 from unbend.atmosphere.climatology import climatology
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
+from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.messages import Kind
 
@@ -116,6 +117,18 @@ def test_what_is_not_said_stays_as_it_is_expected(truth, air):
         LAG: replace(usual[LAG], mean=4.0),
     }
     assert faults == expected
+
+
+def test_a_thermometer_that_keeps_still_says_more(truth, air):
+    samples = adjusting.flown(truth, 1000.0, RIGHT, seed=3)
+    bias = {BIAS: SensorCalibration(sigma=0.1)}
+    drift = {DRIFT: SensorCalibration(sigma=0.02)}
+
+    def sigma(known) -> float:
+        made = estimate(samples, air, settings=SensorSettings(calibration=known))
+        return made.covariance.sigma_temperature(500.0).item()
+
+    assert sigma(bias | drift) < sigma(bias) < sigma({})
 
 
 def test_a_flight_that_contradicts_the_calibration_says_so(flown):

@@ -126,6 +126,9 @@ def test_two_soundings_share_their_error(norman):
         )
         balloons.append(balloon)
     departures = sounding_departures(balloons, air, here)
+    assert [departure.apart.hours for departure in departures] == [12.0, 11.0, 12.0]
+    beside_first = [departures[0].beside[departure.name].hours for departure in departures[1:]]
+    assert beside_first == [1.0, 24.0]
     size = departures[0].knot.size
     layout = Layout(np.array([0.0, 3000.0]), np.array([0.0, 15e3]), 0.0, (), departures)
     joint = joint_covariance(air, layout.knot, departures)
@@ -421,6 +424,26 @@ def test_a_balloon_higher_than_the_climatology(norman):
     assert made.profile.temperature(high) == pytest.approx(np.interp(high, h, t), abs=2.5)
 
 
+def test_a_balloon_higher_than_the_climatology_beside_a_flight(norman):
+    """One of the same air, which is at 220 K from its top to 34 km."""
+    low = balloon_of(norman)
+    top_m = low.h_m[-1]
+    above_m = np.arange(top_m + 500.0, 34_000.0, 500.0)
+    thinner = np.exp(-(above_m - top_m) * 0.0341632 / 220.0)
+    balloon = replace(
+        low,
+        h_m=np.append(low.h_m, above_m),
+        pressure_pa=np.append(low.pressure_pa, low.pressure_pa[-1] * thinner),
+        temperature_k=np.append(low.temperature_k, np.full(above_m.size, 220.0)),
+        vapour_pressure_pa=np.append(low.vapour_pressure_pa, np.full(above_m.size, 0.1)),
+    )
+    made = adjusted(norman, flown(norman, 3000.0, descent=True), soundings=[balloon])
+    assert made.basis == "thermometer"
+    assert made.losses == []
+    assert abs(made.error(3000.0)) < 0.01
+    assert made.sigma(3000.0) < 0.006
+
+
 @pytest.mark.parametrize(("above", "per_km"), [(4000.0, 15.0), (3500.0, -10.0)])
 def test_a_bad_balloon_does_not_cost_the_flight(norman, above, per_km):
     """One that goes wrong smoothly, far above the flight: what jumps is outvoted anyway."""
@@ -471,6 +494,9 @@ def test_a_balloon_that_contradicts_the_flight_is_left_out(norman, kelvin, therm
 def test_a_balloon_that_no_climate_has_is_left_out(norman, metres, kelvin, words):
     """Heights above ground, or air of another season; without any sensor of a flight."""
     good = balloon_of(norman)
+    by_good = adjusted(norman, soundings=[good])
+    assert by_good.losses == []
+    assert by_good.basis == "sounding"
     wrong = replace(good, h_m=good.h_m + metres, temperature_k=good.temperature_k + kelvin)
     made = adjusted(norman, soundings=[wrong])
     assert made.losses == ["AIR-SOURCE-REFUSED"]

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tests.atmosphere import adjusting
+from tests.atmosphere import adjusting, flights
 from tests.atmosphere.adjusting import (
     ARCTIC,
     DESERT,
@@ -30,6 +30,7 @@ from tests.atmosphere.adjusting import (
     drawn_flight,
     expected_air,
     extreme,
+    extreme_airs,
     with_readings,
 )
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
@@ -158,6 +159,9 @@ def test_a_hygrometer_stuck_at_saturation_through_a_desert(thermometer, basis):
     assert adjusted.basis == basis
     assert adjusted.made.samples.humidity is None
     assert adjusted.departure(3000.0) < 2.5
+    good = adjust(truth, samples)
+    assert good.losses == []
+    assert good.made.samples.humidity is not None
 
 
 @pytest.mark.parametrize("value", [-0.01, 0.0, 0.008])
@@ -292,6 +296,16 @@ def test_a_cabin_that_follows_the_ground_of_a_clear_night(tau_s, warmer_k):
     followed, _ = lfilter([1.0 - keep], [1.0, -keep], outside, zi=[keep * outside[0]])
     cabin = followed + warmer_k + noise(samples, 0.2)
     check_refused(truth, with_readings(samples, cabin), 600.0, most_sigmas=1.5)
+
+
+def test_honest_thermometers_are_believed():
+    """Drawn biases, transients, lags and drifts, in five extreme airs: none of 40 is refused."""
+    rng = np.random.default_rng(12)
+    for truth in extreme_airs():
+        for climb in (700.0, 1500.0):
+            for descent in (True, True, False, False):
+                samples = flights.fly(truth, climb, flights.drawn(rng), rng, descent=descent)
+                assert adjust(truth, samples).losses == [], (truth.name, climb, descent)
 
 
 @pytest.mark.parametrize("climb", [1000.0, 400.0])

@@ -32,6 +32,7 @@ from tests.atmosphere.adjusting import (
     station_at,
     with_readings,
 )
+from tests.helpers import with_code
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import SensorSamples
 from unbend.atmosphere.climatology import AUTO, climatology
@@ -363,7 +364,7 @@ def test_the_heat_of_speed_is_found():
 
 def test_outliers_are_marked():
     truth = extreme(MONSOON)
-    samples = flown(truth, 3000.0, QUIET, barometer=False)
+    samples = flown(truth, 3000.0, QUIET)
     t = samples.temperature
     bad = np.random.default_rng(4).random(t.value.size) < 0.03
     adjusted = about_the_standard(truth, with_readings(samples, t.value + 15.0 * bad))
@@ -371,7 +372,9 @@ def test_outliers_are_marked():
     # In the few bins where the air itself changes fast an outlier may stay, with little weight.
     assert rejected[bad & t.accepted].mean() > 0.9
     assert rejected[~bad].mean() < 0.002
-    assert adjusted.entry("AIR-OUTLIERS").count == rejected.sum()
+    outliers = with_code(adjusted.ledger, "AIR-OUTLIERS")
+    (told,) = [message for message in outliers if message.where == "thermometer"]
+    assert told.count == rejected.sum()
 
 
 def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists():
@@ -384,7 +387,7 @@ def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists():
     assert refused.losses == ["AIR-THERMOMETER"]
     assert refused.basis == "barometer"
     insisted = about_the_standard(truth, board, settings=SensorSettings(board_temperature=True))
-    assert not insisted.losses
+    assert not insisted.is_told
     assert insisted.basis == "thermometer"
     assert fault_of(insisted.made, SensorFault.THERMOMETER_BIAS).prior_sigma == 10.0
     assert insisted.departure(3000.0) < 2.0
@@ -497,6 +500,8 @@ def test_too_little_height_returns_the_climatology_with_its_sigma():
     h = np.linspace(0.0, 12_000.0, 50)
     t = climate.profile.temperature(h)
     np.testing.assert_allclose(adjusted.profile.temperature(h), t, atol=0.02)
+    sigma = adjusted.covariance.sigma_temperature(h)
+    np.testing.assert_allclose(sigma, climate.spread.sigma_temperature(h), rtol=0.1)
 
 
 # Bins and knots

@@ -13,6 +13,7 @@ from tests.model_files import PRESSURE_LEVELS
 from unbend.atmosphere.soundings.model_column import model_column
 from unbend.atmosphere.soundings.model_field import ModelField, checked_field
 from unbend.atmosphere.soundings.model_levels import half_levels, level_coefficients
+from unbend.errors import InputError
 
 # "L137 model level definitions", ECMWF: pressures of the half levels 1 to 137 [hPa] over a surface
 # of 1013.25 hPa.
@@ -171,7 +172,7 @@ def test_places_beside_a_models_nodes_are_refused_with_their_distance(north, eas
     inside_north = [46.0, 47.0, 46.1]
     inside_east = [8.0, 9.0, 8.99]
     field.refuse_outside(np.radians(inside_north), np.radians(inside_east))
-    with refused("MODEL-AREA") as caught:
+    with refused("MODEL-AREA", InputError) as caught:
         field.refuse_outside(np.radians([*inside_north, north]), np.radians([*inside_east, east]))
     expected = {
         "north": north,
@@ -188,7 +189,7 @@ def test_places_beside_a_models_nodes_are_refused_with_their_distance(north, eas
 def test_a_hole_between_nodes_is_outside():
     """The nodes at 46.5 and 46.75 deg are missing: of three steps the middle is no neighbour."""
     holed = field_over([45.75, 46.0, 46.25, 47.0, 47.25], [8.0, 8.25, 8.5])
-    with refused("MODEL-AREA") as caught:
+    with refused("MODEL-AREA", InputError) as caught:
         holed.refuse_outside(np.radians([46.5]), np.radians([8.1]))
     assert caught.value.values["away_km"] == pytest.approx(27.8, rel=1e-3)
     whole = field_over(NODES_DEG, [8.0, 8.3, 8.6])

@@ -14,6 +14,7 @@ from scipy.io import netcdf_file
 from tests.atmosphere.values import HYDROSTATIC_K_PER_M, metres, ns, saturated_pa
 from tests.helpers import refused, with_code
 from unbend.atmosphere.soundings import FORMATS, Sounding, parse_sounding
+from unbend.errors import InputError
 from unbend.messages import Kind, Ledger
 from unbend.simulate.true_air import saturation_pressure_pa
 from unbend.tables.soundings import LARGEST_BYTES, read_sounding
@@ -309,7 +310,7 @@ HOT_FAHRENHEIT = 32.0 + 1.8 * lapsing(38.0)
     ],
 )
 def test_wrong_units_are_refused(columns, words):
-    with refused("SOUNDING-UNITS") as caught:
+    with refused("SOUNDING-UNITS", InputError) as caught:
         read(air(**columns))
     assert words in caught.value.what
     assert caught.value.where
@@ -325,7 +326,7 @@ def test_wrong_units_are_refused(columns, words):
     ids=["feet", "Fahrenheit", "falling"],
 )
 def test_heights_that_contradict_the_air_are_refused(columns):
-    with refused("SOUNDING-INCONSISTENT"):
+    with refused("SOUNDING-INCONSISTENT", InputError):
         read(air(**columns))
 
 
@@ -525,7 +526,7 @@ FOUR_LEVELS = {name: column[:4] for name, column in CLEAN.items()}
     ids=lambda value: value if str(value).startswith("SOUNDING") else "",
 )
 def test_no_sounding(text, code, words):
-    with refused(code) as caught:
+    with refused(code, InputError) as caught:
         parsed(text)
     assert words in caught.value.what
 
@@ -539,7 +540,7 @@ def test_no_sounding(text, code, words):
     ],
 )
 def test_a_text_that_is_not_of_the_stated_format(format_name, code, remedy):
-    with refused(code) as caught:
+    with refused(code, InputError) as caught:
         parsed(text_of(air(pressure_hpa=None)), format_name=format_name)
     assert remedy in caught.value.remedy
 
@@ -547,7 +548,7 @@ def test_a_text_that_is_not_of_the_stated_format(format_name, code, remedy):
 @pytest.mark.parametrize("name", ["igra", "igra_derived"])
 @pytest.mark.parametrize("text", [CLEAN_TEXT, "", "one line\n"])
 def test_no_line_of_a_text_is_a_header_of_igra(name, text):
-    with refused("SOUNDING-FORMAT") as caught:
+    with refused("SOUNDING-FORMAT", InputError) as caught:
         parsed(text, format_name=name, where="b.csv")
     assert "b.csv" in caught.value.where
 
@@ -589,7 +590,7 @@ def test_a_time_that_is_not_stated_is_unknown(text):
     ],
 )
 def test_a_time_that_is_stated_and_cannot_be_read_is_refused(text):
-    with refused("SOUNDING-TIME") as caught:
+    with refused("SOUNDING-TIME", InputError) as caught:
         dated(text)
     assert text in caught.value.what
 
@@ -627,7 +628,7 @@ def test_a_place_that_is_not_stated_is_unknown(north, east):
     [("48 14", "16 21"), ("48.2", "361"), ("98.2", "16.35"), ("48.2N", "16.35E")],
 )
 def test_a_place_that_is_stated_and_cannot_be_read_is_refused(north, east):
-    with refused("SOUNDING-PLACE"):
+    with refused("SOUNDING-PLACE", InputError):
         at_place(north, east)
 
 
@@ -666,7 +667,7 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
         assert sounding.temperature_k[0] == pytest.approx(celsius + 273.15)
         assert sounding.h_m.size == 10
         assert said["SOUNDING-CHOSEN"] == 2
-    with refused("SOUNDING-CHOICE") as caught:
+    with refused("SOUNDING-CHOICE", InputError) as caught:
         at_station(text)
     assert "2 soundings, and no time" in caught.value.what
 
@@ -682,14 +683,14 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
 )
 def test_two_ascents_of_one_time_in_one_table_are_refused(columns, first, second):
     rows = [*rows_of(identity=first), *rows_of(warmer_k=5.0, identity=second)]
-    with refused("SOUNDING-CHOICE"):
+    with refused("SOUNDING-CHOICE", InputError):
         at_station(table_of(rows, columns), "2025-06-12T05:00")
 
 
 def test_rows_too_long_apart_are_refused():
     """Each level has its own time: no column parts the ascents, but none takes 13 hours."""
     rows = [f"{row},2025-06-12T{k + 5:02d}:00:00Z" for k, row in enumerate(rows_of())]
-    with refused("SOUNDING-CHOICE") as caught:
+    with refused("SOUNDING-CHOICE", InputError) as caught:
         at_station(table_of(rows, ",time_utc"))
     assert "up to 9.0 hours apart" in caught.value.what
 
@@ -714,7 +715,7 @@ def test_up_and_down_again_is_one_flight():
     ],
 )
 def test_a_time_in_a_column_of_another_name_is_not_unknown(column, field):
-    with refused("SOUNDING-TIME") as caught:
+    with refused("SOUNDING-TIME", InputError) as caught:
         parsed(with_columns(column, field))
     assert "time_utc" in caught.value.remedy
 
@@ -812,7 +813,7 @@ def test_forms_of_times_of_a_page(heading, station, time):
     ],
 )
 def test_a_time_of_a_page_that_cannot_be_read_or_contradicts_is_refused(heading, station, words):
-    with refused("SOUNDING-TIME") as caught:
+    with refused("SOUNDING-TIME", InputError) as caught:
         parsed(wyoming_of(heading, station))
     assert words in caught.value.what
 
@@ -847,7 +848,7 @@ def test_of_two_ascents_of_a_page_the_nearest_in_time(flight, time, levels):
 def test_of_two_stations_of_one_hour_none_is_guessed():
     vienna = wyoming_of(OLD_HEADING)
     prague = wyoming_of("11520 Praha Observations at 12Z 12 Mar 2015", levels=9)
-    with refused("SOUNDING-CHOICE") as caught:
+    with refused("SOUNDING-CHOICE", InputError) as caught:
         parsed(vienna + prague, "2015-03-12T11:00")
     assert "2 soundings of the file have the time" in caught.value.what
     pasted_twice, _ = parsed(vienna + vienna, "2015-03-12T11:00")
@@ -905,7 +906,7 @@ UNDATED = igra("2010 06 01", "99", "9999")
     ids=["no time", "undated", "no header", "a header alone", "no date"],
 )
 def test_what_no_file_of_the_archive_has_is_refused(text, when, code, where):
-    with refused(code) as caught:
+    with refused(code, InputError) as caught:
         parsed(text, when)
     assert where in caught.value.where
 
@@ -956,7 +957,7 @@ def test_fill_values_of_netcdf(tmp_path):
 
 
 def test_a_netcdf_without_a_variable_is_refused(tmp_path):
-    with refused("SOUNDING-NETCDF") as caught:
+    with refused("SOUNDING-NETCDF", InputError) as caught:
         from_file(sonde_file(tmp_path, {"pres": PRESSURES}))
     assert "no variable tdry" in caught.value.what
 
@@ -988,15 +989,15 @@ def test_a_byte_order_mark_is_no_name_of_a_column(tmp_path):
 def test_files_that_are_no_sounding(tmp_path, name, data, code):
     path = tmp_path / name
     path.write_bytes(data)
-    with refused(code):
+    with refused(code, InputError):
         from_file(path)
 
 
 def test_a_file_that_is_absent_or_too_large(tmp_path):
     path = tmp_path / "s.csv"
-    with refused("SOUNDING-UNREADABLE"):
+    with refused("SOUNDING-UNREADABLE", InputError):
         from_file(path)
     with path.open("wb") as file:
         file.truncate(LARGEST_BYTES + 1)
-    with refused("SOUNDING-SIZE"):
+    with refused("SOUNDING-SIZE", InputError):
         from_file(path)
