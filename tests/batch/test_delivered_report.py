@@ -46,7 +46,9 @@ def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypa
     assert page == page_of_run.replace(PROCESSED, date)
     assert date not in page_of_run
     obeyed("verify", baseline.output)
-    assert unbend("report", baseline.output).err.startswith("EXPORT-EXISTS: ")
+    again = unbend("report", baseline.output)
+    assert again.code == 2
+    assert again.err.startswith("EXPORT-EXISTS: ")
     obeyed("report", baseline.output, "--force")
 
 

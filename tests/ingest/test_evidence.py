@@ -159,6 +159,20 @@ def test_a_receiver_without_vertical_speed_has_none(tmp_path):
     assert channel["v_north_m_s"].tolist() == [10.0] * 3
 
 
+def test_both_logs_of_a_flight_have_the_same_innovations(real_log):
+    """XKF4 is scaled by 100 and a root, as the report is: else 14 would not be above 1."""
+    logged = open_log(real_log("sitl_survey.BIN")).channel("XKF4[0]")
+    sent = open_log(real_log("sitl_survey.tlog")).channel("EKF_STATUS_REPORT")
+    inside = slice(10, -10)
+    row = np.searchsorted(logged.time_ns, sent.time_ns[inside])
+    for column in ("innovation_position", "innovation_height", "innovation_compass"):
+        apart = np.abs(logged[column][row] - sent[column][inside])
+        assert np.median(apart) < 0.01, column
+    logged_flags = logged["filter_flags"][row].astype(int) & 0x3FF
+    sent_flags = sent["filter_flags"][inside].astype(int) & 0x3FF
+    assert np.mean(logged_flags == sent_flags) > 0.99
+
+
 def test_long_texts_of_telemetry_are_joined(tmp_path):
     first = "EKF3 IMU0 stopped aiding because the receiver lost"
     assert len(first) == 50

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers import entry_of
+from tests.helpers import entry_of, with_code
 from unbend.batch.runs import read_mission
 from unbend.library import corrected_table
 from unbend.messages import Ledger
@@ -45,6 +45,7 @@ def test_the_same_angles_and_larger_sigmas(fresh, aged):
     in_time, three_hours, six_hours = growth.groupby(number).median()
     assert in_time == pytest.approx(1.0, abs=1e-3)
     assert six_hours > three_hours > 1.5
+    assert with_code(fresh.ledger, "AIR-AGED") == []
     assert entry_of(results.row(), "AIR-AGED")["count"] == 4
     (effect, *_) = fresh.air.effects
     (of_middle_exposure, *_) = aged.air.effects

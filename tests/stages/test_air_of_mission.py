@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import shutil
+
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -252,6 +256,7 @@ def test_a_report_of_another_day_is_left_out(mission):
         ({"pressure_hpa": 29.92}, "SURFACE-PRESSURE", "hPa"),
         ({"temperature_c": 15.0, "relative_humidity": 55.0}, "SURFACE-HUMIDITY", "0.55"),
         ({"metar": "it was a fine day"}, "METAR-PARSE", "fine day"),
+        ({"metar": METAR.replace("12/08", "92/08")}, "METAR-RANGE", "digit"),
     ],
 )
 def test_values_that_no_ground_has(report, code, words):
@@ -401,6 +406,16 @@ def test_the_sigma_of_the_factor_covers_its_error(baseline):
     assert abs(error) < 3.0 * effect["sigma_arcsec"] + 0.002 * right
 
 
+def test_the_profile_has_its_sigmas(baseline):
+    table = pq.read_table(baseline.output / "profile.parquet").to_pandas()
+    flown = table["h_m"].between(600.0, 2800.0)
+    above = table["h_m"].between(6e3, 2e4)
+    assert table["sigma_temperature_k"].notna().all()
+    assert table.loc[flown, "sigma_temperature_k"].max() < 1.0
+    assert table.loc[above, "sigma_temperature_k"].min() > 1.0
+    assert (table["sigma_refractivity"] > 0.0).all()
+
+
 # ---- several airs in one mission
 
 SUMMER = "afgl1986_midlatitude_summer"
@@ -490,6 +505,29 @@ def test_a_changing_run_is_exported_as_it_was(changed, unbend, tmp_path):
     assert lattice.code == 0, lattice.text
     images = pq.read_table(out).column("image").to_pylist()
     assert set(images) == set(rows[2].index.get_level_values("image"))
+
+
+def test_swapped_profiles_do_not_pass_for_the_run(changed, unbend, tmp_path):
+    mission, _ = changed
+    folder = tmp_path / "mission"
+    shutil.copytree(mission.folder, folder)
+    output = folder / mission.output.name
+    path = output / "profile.parquet"
+    table = pq.read_table(path)
+    ids = table["profile_id"].to_pylist()
+    names = sorted(set(ids))
+    other_name = dict(zip(names, reversed(names), strict=True))
+    swapped = [other_name[name] for name in ids]
+    pq.write_table(table.set_column(0, table.schema.field("profile_id"), [swapped]), path)
+    manifest = json.loads((output / "manifest.json").read_text(encoding="utf-8"))
+    (entry,) = [entry for entry in manifest["outputs"] if entry["name"] == path.name]
+    entry["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    entry["bytes"] = path.stat().st_size
+    (output / "manifest.json").write_text(json.dumps(manifest))
+    out = tmp_path / "lattice.parquet"
+    ended = unbend("export", output, "--format", "lattice", "--out", out)
+    assert ended.code == 6, ended.text
+    assert "EXPORT-NOT-REPRODUCED" in ended.err
 
 
 def test_the_profile_of_an_image_is_read_back_by_its_name(changed):

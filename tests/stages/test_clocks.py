@@ -91,7 +91,9 @@ def test_sources_with_a_time_need_the_date_of_the_flight(mission, unbend):
     with_week(mission.log, 0)
     report = {"h_msl_m": 450, "metar": "LSZH 120920Z 24008KT CAVOK 18/07 Q1016"}
     mission.config.setdefault("atmosphere", {})["surface"] = [report]
-    assert "FLIGHT-UNDATED" in unbend("check", mission.save()).err
+    undated = unbend("check", mission.save())
+    assert undated.code == 6, undated.text
+    assert "FLIGHT-UNDATED" in undated.err
     mission.config["mission"]["date"] = "2025-06-12T09:30"
     assert unbend("check", mission.save()).code in (0, 3)
 

@@ -235,6 +235,9 @@ def judged(after, effect_m, *, sigma_m=0.0, stated=False, reading_m=np.nan) -> l
     return list(ledger)
 
 
+CAUSES = {"CONTROL-WORSE": "observations.refraction", "CONTROL-FAR": "wrong names of points"}
+
+
 @pytest.mark.parametrize(
     ("after", "named", "codes"),
     [
@@ -261,7 +264,10 @@ def judged(after, effect_m, *, sigma_m=0.0, stated=False, reading_m=np.nan) -> l
     ],
 )
 def test_what_is_said_of_misses(after, named, codes):
-    assert [message.code for message in judged(after, **named)] == codes
+    messages = judged(after, **named)
+    assert [message.code for message in messages] == codes
+    for message in messages:
+        assert CAUSES.get(message.code, "") in message.what
 
 
 def test_outliers_are_named():

@@ -145,7 +145,7 @@ def test_the_parts_of_sigma_by_camera_in_pixels_and_metres(statistics):
             station=[0, 1],
             shift_px=[4.0, 5.0],
             shift_ground_m=[2.0, 10.0],  # 0.5 and 2 m a pixel
-            sigma_px=[[3.0, 4.0, NAN, NAN], [0.6, 0.0, 0.8, NAN]],
+            sigma_px=[[3.0, 4.0, NAN, 12.0], [0.6, 0.0, 0.8, NAN]],
             weight=[1.0, 1.0],
         ),
         sampled(
@@ -162,7 +162,12 @@ def test_the_parts_of_sigma_by_camera_in_pixels_and_metres(statistics):
             part: (record.px.median, record.m.median) for part, record in parts.items()
         }
     assert medians == {
-        "nadir": {"air": (3.0, 1.5), "station": (4.0, 2.0), "all": (5.0, 2.5)},
+        "nadir": {
+            "air": (3.0, 1.5),
+            "station": (4.0, 2.0),
+            "cabin": (12.0, 6.0),
+            "all": (13.0, 6.5),
+        },
         "oblique": {
             "air": (0.6, 1.2),
             "station": (0.0, 0.0),

@@ -23,11 +23,12 @@ from unbend.flight.station_builder import flag_missing_aircraft_attitude
 from unbend.flight.stations import join_stations
 from unbend.messages import Kind, Ledger
 from unbend.refraction.camera.camera import LensInAir
-from unbend.refraction.printed_tables import gyer_air
+from unbend.refraction.printed_tables import gyer_air, printed_table
 from unbend.refraction.window import Cabin, Window, refract_at_window
 from unbend.stages.cabin_air import with_cabin_air
 from unbend.stages.camera_air import report_lenses
 from unbend.stages.exposure_setup import exposures_of, report_windows
+from unbend.units import ARCSEC
 
 SCHEDULE = Cabin("standard_schedule")
 BELLY = (0.0, 0.0, 1.0)
@@ -40,6 +41,20 @@ def codes(ledger: Ledger) -> list[str]:
 
 
 # ---------------------------------------------------------------- the air in the compartment
+
+
+def test_gyers_table_7():
+    """To the two digits of the paper: R_cc within 0.01 arcsec, n_cc within 0.015e-6."""
+    printed = printed_table("gyer1996_table7")
+    exposed = stations(*(printed["h_c_km"] * 1e3))
+    exposures, ledger = look(exposed, Window(SCHEDULE), profile=gyer_air())
+    inside = exposures.refractivity_cabin
+    outside = exposures.refractivity_outside
+    ray = np.full((len(exposed), 3), [COS_45, 0.0, COS_45])
+    _, r_cc = refract_at_window(ray, inside, outside, exposures.window_normal)
+    np.testing.assert_allclose(inside * 1e6, printed["n_cc_minus_1_e6"], rtol=0, atol=0.015)
+    np.testing.assert_allclose(r_cc / ARCSEC, printed["r_cc_arcsec"], rtol=0, atol=0.01)
+    assert codes(ledger) == ["CABIN-SCHEDULE"]
 
 
 def test_the_schedule_ends_at_10_km():

@@ -329,6 +329,27 @@ def test_calibration_in_flight_warns(mission):
     assert told["where"] == "cameras.nadir.calibration"
 
 
+def test_windows(mission, baseline):
+    """No window: no compartment. Constant air near the logged one: nearly the same."""
+    mission.config["accept"] = [{"code": "PLAUSIBLE-WINDOW", "reason": "the hatch was open"}]
+    for camera in mission.config["cameras"].values():
+        del camera["window"]
+    mission.run_to_manifest()
+    assert set(mission.results()["r_cc_rad"].to_pylist()) == {0.0}
+    stations = baseline.stations().to_pandas()
+    cabin = {
+        "pressure_hpa": float(stations["cabin_pressure_pa"].mean() / 100.0),
+        "temperature_c": float(stations["cabin_temperature_k"].mean() - 273.15),
+    }
+    for camera in mission.config["cameras"].values():
+        camera["window"] = {"cabin": cabin}
+    mission.run_to_manifest()
+    r_cc = mission.results()["r_cc_rad"].to_numpy()
+    logged = baseline.results()["r_cc_rad"].to_numpy()
+    assert np.abs(logged).max() > 1e-6
+    np.testing.assert_allclose(r_cc, logged, rtol=0.03, atol=1e-9)
+
+
 def test_standard_atmosphere_kept(mission, baseline):
     mission.config["atmosphere"]["adjust"] = False
     manifest = mission.run_to_manifest()

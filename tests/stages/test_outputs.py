@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 import socket
+import time
 
 import numpy as np
 import pandas as pd
@@ -290,28 +291,35 @@ def test_rows_and_columns_of_the_user_pass_through_batches(mission, baseline):
     np.testing.assert_allclose(often[pixels], expected, atol=1e-9, rtol=0)
 
 
-def changes_of_files(folder) -> dict[str, int]:
-    return {path.name: path.stat().st_mtime_ns for path in folder.iterdir() if path.suffix}
+def changes_of_entries(folder) -> dict[str, int]:
+    """When each file and folder was changed, but for the lock."""
+    changes = {}
+    for path in folder.rglob("*"):
+        if path.name != ".lock":
+            changes[str(path.relative_to(folder))] = path.stat().st_mtime_ns
+    return changes
 
 
 def test_a_second_run_does_nothing_and_repeats_the_code(mission):
     table = mission.measurements()
     names = ["nowhere", *table["image"].to_pylist()[1:]]
     mission.observe(table.set_column(0, "image", pa.array(names)))
+    # The manifest has the time of an input that is older than 2 s: a later run would add it.
+    time.sleep(2.1)
     first = mission.run()
     assert first.code == 3, first.text
     assert "nothing to do" not in first.out
     hashes = tree(mission.output)
-    changes = changes_of_files(mission.output)
+    changes = changes_of_entries(mission.output)
     second = mission.run()
     assert second.code == 3
     assert "nothing to do" in second.out
-    assert changes_of_files(mission.output) == changes
+    assert changes_of_entries(mission.output) == changes
     forced = mission.run("--force")
     assert forced.code == 3
     assert "nothing to do" not in forced.out
     assert tree(mission.output) == hashes
-    assert changes_of_files(mission.output) != changes
+    assert changes_of_entries(mission.output) != changes
 
 
 @pytest.mark.usefixtures("plain_report")
@@ -427,11 +435,36 @@ def test_the_manifest_has_the_sizes_and_sigmas_of_the_corrections(baseline, came
     assert at_an_edge.mean() < 0.3
     assert np.abs(counted - bins["counts"]).sum() <= 2 * at_an_edge.sum()
     assert sum(bins["counts"]) == sum(correction["histogram_m"]["counts"]) == len(rows)
-    sigma = np.hypot(rows["sigma_air_dx_px"], rows["sigma_air_dy_px"])
+    field = correction["field"]
+    size_of_field = np.hypot(field["dx_px"], field["dy_px"])
+    assert size_of_field.max() <= np.hypot(shift_x, shift_y).max() * 1.001
+    assert np.sign(np.median(field["dx_px"])) == np.sign(shift_x.median())
+    assert np.sign(np.median(field["dy_px"])) == np.sign(shift_y.median())
+    # Sigmas are as large on the ground, beside the shift there, as in the image, beside the shift.
+    metres_per_px = correction["shift_ground_m"]["median"] / correction["shift_px"]["median"]
     budget = manifest["sigma_budget"][camera]
-    assert budget["air"]["px"]["median"] == pytest.approx(sigma.median(), rel=0.1)
-    assert budget["air"]["px"]["p95"] == pytest.approx(sigma.quantile(0.95), rel=0.1)
+    variance = 0.0
+    for part in ("air", "station", "cabin"):
+        sigma = np.hypot(rows[f"sigma_{part}_dx_px"], rows[f"sigma_{part}_dy_px"])
+        variance = variance + sigma**2
+        px = budget[part]["px"]
+        assert px["median"] == pytest.approx(sigma.median(), rel=0.1), part
+        assert px["p95"] == pytest.approx(sigma.quantile(0.95), rel=0.1), part
+        assert budget[part]["m"]["median"] / px["median"] == pytest.approx(metres_per_px, rel=0.35)
+    together = np.sqrt(variance)
+    assert budget["all"]["px"]["median"] == pytest.approx(together.median(), rel=0.1)
     assert "ground" not in budget  # no sigma of the ground is known
+
+
+def test_the_manifest_has_the_heights_of_the_ground(baseline):
+    h_g_m = baseline.results()["h_g_m"].to_numpy()
+    ground = baseline.manifest()["ground_heights"]
+    assert ground["lowest_m"] == pytest.approx(h_g_m.min(), abs=0.5)
+    assert ground["median_m"] == pytest.approx(np.median(h_g_m), abs=0.5)
+    assert ground["highest_m"] == pytest.approx(h_g_m.max(), abs=0.5)
+    bins = ground["histogram"]
+    edges = bins["first_m"] + bins["step"] * np.arange(len(bins["counts"]) + 1)
+    assert bins["counts"] == np.histogram(h_g_m, edges)[0].tolist()
 
 
 def test_the_manifest_has_the_flight_and_where_its_cameras_look(baseline):

@@ -16,8 +16,11 @@ from tests.helpers import channel, refused, with_code
 from tests.stages.block_files import CABIN
 from tests.stages.flown_files import CAMERAS, Files, assert_true, errors, files, gps_time, truth
 from tests.stages.other_logs import flight_of, opened, with_channels
+from unbend import load_mission
 from unbend.batch.runs import read_mission
+from unbend.messages import Ledger
 from unbend.simulate.flight import UNDULATION_M
+from unbend.stages.story import prepare_mission
 
 __all__ = ["files", "truth"]
 
@@ -179,20 +182,33 @@ def test_angles_of_another_grid_are_refused(mission, files):
 PAYLOAD_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
+LEVEL_TO_NORTH = {"q_w": 1.0, "q_x": 0.0, "q_y": 0.0, "q_z": 0.0}
+LEVEL_TO_EAST = {"q_w": np.sqrt(0.5), "q_x": 0.0, "q_y": 0.0, "q_z": np.sqrt(0.5)}
+AXES_IN_EAST_NORTH_UP = {
+    "nadir": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+    "oblique": [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]],
+}
+"""Right, down and forward of a camera whose level head points to the north, to the east."""
+
+
 def test_each_camera_follows_the_gimbal_of_its_own(mission, files):
-    level = {"q_w": 1.0, "q_x": 0.0, "q_y": 0.0, "q_z": 0.0}
     seconds = files.start.timestamp() + files.t
-    heads = [channel(name, seconds, **level) for name in ("MNT[0]", "MNT[1]")]
+    heads = [
+        channel("MNT[0]", seconds, **LEVEL_TO_NORTH),
+        channel("MNT[1]", seconds, **LEVEL_TO_EAST),
+    ]
     inputs = with_channels(opened(mission), *heads)
     mounts = mission.config["mount"]
     for camera, head in zip(CAMERAS, heads, strict=True):
         mounts[camera] |= {"attitude": head.name, "pitch_deg": 90.0, "roll_deg": 0.0}
-    flight, ledger = flight_of(mission, inputs)
-    for camera, head in zip(CAMERAS, heads, strict=True):
-        roles = flight.roles_of(camera)
-        assert roles["attitude"].name == head.name
-        assert roles["aircraft_attitude"] is flight.roles["attitude"]
-        assert roles["position"] is flight.roles["position"]
+    ledger = Ledger()
+    stations = prepare_mission(load_mission(mission.save()), inputs, ledger).stations
+    assert stations.ok.all()
+    axes = Rotation.from_quat(stations.quaternion, scalar_first=True).as_matrix()
+    for camera, expected in AXES_IN_EAST_NORTH_UP.items():
+        of_camera = axes[stations.camera == camera]
+        np.testing.assert_allclose(of_camera, [expected] * 3, atol=1e-9)
+    assert np.isfinite(stations.aircraft_quaternion).all()
     told = with_code(ledger, "GIMBAL-FRAME")
     assert {message.where for message in told} == {"mount.nadir", "mount.oblique"}
     mounts["nadir"]["attitude"] = "MNT[7]"

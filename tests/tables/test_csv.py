@@ -157,7 +157,7 @@ def test_a_late_row_with_a_field_too_few(tmp_path, long_csv):
         opened(tmp_path, long_csv + "a,b,1,2\n")
 
 
-def test_a_csv_is_opened_for_its_head_its_types_and_its_rows_alone(tmp_path, monkeypatch):
+def test_a_csv_is_opened_for_its_head_its_types_and_its_rows_alone(tmp_path, monkeypatch, long_csv):
     openings = []
     open_csv = pa_csv.open_csv
 
@@ -166,8 +166,26 @@ def test_a_csv_is_opened_for_its_head_its_types_and_its_rows_alone(tmp_path, mon
         return open_csv(*arguments, **options)
 
     monkeypatch.setattr(pa_csv, "open_csv", counted)
-    read(tmp_path, PLAIN)
-    assert len(openings) == 3
+    for text in (PLAIN, long_csv):
+        openings.clear()
+        read(tmp_path, text)
+        assert len(openings) == 3
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 6, 7])
+def test_batches_of_any_length_hold_the_same_rows(tmp_path, length):
+    rows = [f"img{k % 2},p{k},{k}.25,{k}.75,{100 + k},n{k}" for k in range(7)]
+    table = opened(tmp_path, "\n".join([f"{HEAD},note", *rows, ""]), ground="h_g_m")
+    lengths = [len(batch) for batch in table.batches(length)]
+    assert set(lengths[:-1]) <= {length}
+    assert columns_of(table, length) == {
+        "image": ["img0", "img1", "img0", "img1", "img0", "img1", "img0"],
+        "point": [f"p{k}" for k in range(7)],
+        "x_px": [k + 0.25 for k in range(7)],
+        "y_px": [k + 0.75 for k in range(7)],
+        "ground": [100.0 + k for k in range(7)],
+        "note": [f"n{k}" for k in range(7)],
+    }
 
 
 @pytest.mark.parametrize(

@@ -359,6 +359,11 @@ REFUSED = {
         "MODEL-VARIABLE",
         "time",
     ),
+    "a ground in meters that would be geopotential": (
+        lambda f: f.assign(orog=(f.z[0, 0] * 0.0 + 12_000.0).assign_attrs(units="meters")),
+        "MODEL-UNITS",
+        "ground",
+    ),
     "a high ground": (
         lambda f: f.assign(orog=(f.z[0, 0] * 0.0 + 12_000.0).assign_attrs(units="m")),
         "MODEL-UNITS",

@@ -92,7 +92,9 @@ def test_run_refuses_a_table_that_a_sidecar_names(unbend, mission):
     path = mission.folder / mission.config["observations"]["path"]
     (mission.folder / "else.unbend.json").write_text(sidecar_text({path.name: path}, {}))
     assert "else.unbend.json" in mission.refusal("OBS-ALREADY-CORRECTED")
-    assert "OBS-ALREADY-CORRECTED" in unbend("check", mission.file).err
+    checked = unbend("check", mission.file)
+    assert checked.code == 6, checked.text
+    assert "OBS-ALREADY-CORRECTED" in checked.err
 
 
 def test_what_another_program_removed_is_refused(mission):

@@ -74,6 +74,14 @@ def test_names_of_the_climate_data_store(era5):
     assert "2026-05-14 10:00 to 2026-05-14 11:00 UTC" in ended.out
 
 
+def test_pascals_and_hectopascals_are_the_same_levels(era5, tmp_path):
+    level = ("pressure_level", [100_000.0, 85_000.0, 50_000.0], {"units": "Pa"})
+    path = tmp_path / "pa.nc"
+    with xarray.open_dataset(era5, engine="h5netcdf") as data:
+        data.assign_coords(pressure_level=level).to_netcdf(path, engine="h5netcdf")
+    assert contents_of(path)["levels"] == [500.0, 850.0, 1000.0]
+
+
 def test_grib(gfs):
     contents = contents_of(gfs)
     assert contents["format"] == "GRIB"

@@ -23,6 +23,11 @@ from unbend.atmosphere.series.ageing import (
     covariance_with_ageing,
     sample_ages,
 )
+from unbend.atmosphere.series.profile_series import (
+    TimedProfile,
+    constant_series,
+    group_exposures,
+)
 from unbend.geodesy import normal_gravity
 
 MINUTE_NS = 60 * 10**9
@@ -51,6 +56,17 @@ def aged_by(edges_m, hours, metres=0.0) -> ProfileCovariance:
     edges_m = np.asarray(edges_m, float)
     profile = dry_profile(edges_m, np.linspace(290.0, 240.0, edges_m.size))
     return aged(profile, edges_m, hours, metres)
+
+
+def test_exposures_of_a_quarter_of_an_hour_share_the_age_of_their_air():
+    begin_ns = 1_749_718_800 * 10**9
+    seconds = np.array([0, 899, 900, 1800])
+    profile = dry_profile(np.array([0.0, 1000.0]), np.array([290.0, 284.0]))
+    series = constant_series(TimedProfile(None, profile), seconds.size)
+    groups = group_exposures(series, begin_ns + seconds * 10**9, None)
+    assert groups.group.tolist() == [0, 0, 1, 2]
+    since_begin_s = [(middle_ns - begin_ns) / 1e9 for middle_ns in groups.middle_ns]
+    assert since_begin_s == [449.5, 900.0, 1800.0]
 
 
 @pytest.mark.parametrize("ground", [0.0, 2000.0])

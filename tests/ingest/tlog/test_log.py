@@ -156,6 +156,18 @@ def test_a_ground_station_with_its_own_system_time_is_not_the_vehicle(real_log):
     assert sum(entry.count for entry in with_code(log.ledger, "LOG-DIALECT")) == 4
 
 
+def test_air_without_a_temperature_keeps_its_row(opened):
+    writer = flight()
+    for k, temperature in enumerate((-1250, 32767, -1250)):
+        ms = 80_000 + 200 * k
+        writer.sent("hygrometer_sensor", ms, id=0, temperature=temperature, humidity=4725)
+    log = opened(writer.data)
+    air = log.channel("HYGROMETER_SENSOR[0]")
+    assert_array_equal(air["temperature_k"], [260.65, np.nan, 260.65])
+    assert_array_equal(air["relative_humidity"], [0.4725] * 3)
+    assert not log.ledger.has_losses
+
+
 @pytest.mark.parametrize("version", [1, 2])
 def test_known_flight(opened, version):
     log = opened(flight(version).data)

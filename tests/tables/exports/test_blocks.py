@@ -300,8 +300,10 @@ def test_opensfm_keeps_nine_digits_and_the_stations(block, tmp_path):
     assert origin == pytest.approx(frame.origin, abs=1e-7)
     (model,) = json.loads((written.path / "reconstruction.json").read_text())
     assert model["reference_lla"] == reference
+    assert model["cameras"] == json.loads((written.path / "camera_models.json").read_text())
     assert list(model["shots"]) == block.image.tolist()
     shots = pd.DataFrame(model["shots"].values())
+    assert shots.camera.tolist() == block.camera.tolist()
     centres = np.array(shots.gps_position.tolist())
     assert_within(centres, frame(block.centre), 1e-6)
     assert shots.gps_dop.tolist() == pytest.approx([SIGMA_HORIZONTAL] * IMAGES, rel=1e-5)

@@ -55,6 +55,9 @@ def test_images_come_back(square, tmp_path, name):
         centre[:, 2] += frame.origin[2]
     images = read_block_images(written.path, name)
     order = [list(images.image).index(image) for image in square.image]
+    numbers = {"nadir": "1", "side": "2"}
+    cameras = [numbers[camera] if name == "pix4d" else camera for camera in square.camera]
+    assert images.camera[order].tolist() == cameras
     assert_within(images.position[order], centre, 1e-6)
     turns = matrices_of(images.angles[order])
     assert_within(turns, square.turn @ square.axes(frame), 1e-8)
@@ -77,6 +80,7 @@ def test_object_points_come_back(square, tmp_path, name):
     ("name", "file", "cameras"),
     [
         ("opensfm", "camera_models.json", ("nadir", "side")),
+        ("opensfm", "reconstruction.json", ("nadir", "side")),
         ("pix4d", "", ("1", "2")),
         ("blocksexchange", "", ("nadir", "side")),
     ],

@@ -123,9 +123,12 @@ def to_grid(crs: str, lon, lat) -> np.ndarray:
 # ---------------------------------------------------------------- omega, phi, kappa in a grid
 
 
-@pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:2056"])
+@pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:25831", "EPSG:2056", "EPSG:27572"])
 def test_angles_count_from_the_axes_of_the_grid(block, crs, tmp_path):
-    """East and north, by hand, are turned by the convergence against those of the grid."""
+    """East and north, by hand, are turned by the convergence against those of the grid.
+
+    It has both signs; the last counts longitudes from Paris.
+    """
     table = write_export(in_grid(block, crs, "opk"), "opk", tmp_path).table()
     assert_allclose(table[["x_m", "y_m"]], to_grid(crs, LON, LAT))
     assert_allclose(table.z_m, H_ELLIPSOID)

@@ -30,6 +30,7 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import ExportCamera, FinishedRun
+from unbend.tables.exports.export_frames import origin_of
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import read_orientation
 
@@ -182,10 +183,27 @@ def test_a_suspect_station_that_is_used_is_marked(run, tmp_path):
     assert table.status.tolist() == ["ok", "suspect", "ok", "ok"]
 
 
+@pytest.mark.parametrize(
+    ("lat", "lon", "h", "origin"),
+    [
+        ([10.0, 20.0, 10.0], [5.0, 6.0, 5.0], [100.0, 300.0, 100.0], [15.0, 5.5, 200.0]),
+        ([47.0, 47.000013], [8.0, 8.000007], [100.0, 301.3], [47.00001, 8.0, 201.0]),
+        ([-17.0, -16.0], [179.99, -179.97], [0.0, 0.0], [-16.5, 180.01, 0.0]),
+        ([-17.0, -16.0], [-179.97, 179.99], [0.0, 0.0], [-16.5, -179.99, 0.0]),
+    ],
+    ids=["middle, not mean", "rounded", "across 180 degrees", "across it from the other side"],
+)
+def test_the_origin_is_the_middle(lat, lon, h, origin):
+    made = origin_of(np.radians(lat), np.radians(lon), np.array(h))
+    assert_within(made, origin, 1e-9)
+
+
 def test_positions_and_angles_in_one_frame(block, tmp_path):
     """Against PROJ's topocentric coordinates, turned by hand."""
     table = write_export(block.run(), "opk-enu", tmp_path).table()
     frame = Frame(table.loc[0, ["origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"]])
+    middle_m = round(0.5 * (block.h.min() + block.h.max()))
+    assert frame.origin == pytest.approx([47.005, 8.075, middle_m], abs=1e-9)
     assert_within(table[["x_m", "y_m", "z_m"]], frame(block.centre), 1e-6)
     photos = [rotation_to_photo(row) for _, row in table.iterrows()]
     assert_within(photos, DOWN @ block.turn @ block.axes(frame), 1e-8)

@@ -275,6 +275,8 @@ def gimbal(path: Path) -> tuple[list[np.ndarray | None], dict[str, Message]]:
     """Bodies against north, east and down in which cameras are at rest, and the ledger by codes."""
     ledger = Ledger()
     table = read_gimbal_orientations(path, Stated(), ledger)
+    # Angles alone are read: times are not, even where tags have them.
+    assert (table.time_ns == NO_TIME).all()
     bodies = []
     for roll, pitch, yaw in table.angles:
         is_known = np.isfinite(roll)
