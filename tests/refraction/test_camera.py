@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from tests.refraction.comparing import assert_near
 from unbend.refraction import BrownConrady, Camera
+from unbend.simulate.optics import SimulatedCamera
 
 WIDTH = 14_000
 HEIGHT = 10_600
@@ -40,6 +41,21 @@ def test_there_and_back(camera, pixels):
     np.testing.assert_array_equal(np.isnan(u), ~covered)
     again = camera.project(u[covered], v[covered])
     assert_near(again, (x[covered], y[covered]), atol=1e-9)
+
+
+def test_a_moderate_lens_covers_its_whole_image():
+    """The simulator's projection is written apart from this one, from OpenCV's manual."""
+    lens = BrownConrady(k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4)
+    camera = Camera(WIDTH, HEIGHT, 11_000.0, 11_000.0, 7012.4, 5291.7, lens)
+    columns, rows = np.meshgrid(np.linspace(0, WIDTH, 29), np.linspace(0, HEIGHT, 23))
+    x = columns.ravel()
+    y = rows.ravel()
+    u, v, covered = camera.rays(x, y)
+    assert covered.all()
+    opencv = (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3)
+    simulated = SimulatedCamera("x", 0, 11_000.0, 7012.4, 5291.7, opencv, 0.0, (0.0, 0.0, 0.0))
+    again = simulated.project(np.stack([u, v, np.ones_like(u)], axis=-1))
+    assert_near(again, (x, y), atol=1e-9)
 
 
 def with_unit_focal(lens: BrownConrady) -> Camera:

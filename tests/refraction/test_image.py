@@ -19,7 +19,7 @@ from tests.refraction.images import (
     together,
 )
 from unbend.atmosphere import standard_atmosphere
-from unbend.refraction import ray_table, refraction_angle, status_codes
+from unbend.refraction import Exposures, ray_table, refraction_angle, status_codes
 from unbend.refraction.image import ground_displacement, outgoing_rays, straight_reach
 from unbend.refraction.kernels.columns import SPHERE_RADIUS, ObservationColumns
 from unbend.refraction.status_codes import (
@@ -195,6 +195,21 @@ def test_each_reason_in_its_place():
     corrections = corrected(x, 5000.0, exposures, TABLE, h_g=h_g, row=row)
     assert corrections.status.tolist() == expected.tolist()
     np.testing.assert_array_equal(np.isfinite(corrections.x_corrected_px), corrections.status == OK)
+
+
+def test_no_stations_at_all():
+    none = Exposures(
+        usable=np.empty(0, bool),
+        rotation=np.empty((0, 3, 3)),
+        latitude_rad=np.empty(0),
+        height_m=np.empty(0),
+        refractivity_outside=np.empty(0),
+        refractivity_cabin=np.empty(0),
+        window_normal=np.empty((0, 3)),
+        principal_change_px=np.empty(0),
+    )
+    corrections = corrected(1.0, 1.0, none, TABLE, row=-1)
+    assert corrections.status.tolist() == [NO_STATION]
 
 
 @pytest.mark.parametrize("change", [np.inf, -np.inf, np.nan, -11_000.0, -12_000.0])

@@ -15,6 +15,7 @@ from unbend.atmosphere.covariance import air_jacobian
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
+from unbend.errors import PhysicsError
 from unbend.geodesy import Gravity
 from unbend.refraction import ray_weights, refraction_angle, sensitivity
 from unbend.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
@@ -121,6 +122,14 @@ def test_derivatives_by_the_places_and_the_angle_against_differences(name, ray):
     assert_derivative(getattr(sensitivity_of(ray), name), difference(angle, step))
 
 
+@pytest.mark.parametrize("ray", RAYS.values(), ids=RAYS.keys())
+@pytest.mark.parametrize("index", ["gyer", "ciddor"])
+def test_the_angle_beside_its_derivatives_is_the_refraction_angle(index, ray):
+    h_c, h_g, degrees = ray
+    expected = refraction_angle(profile_of(index), h_c, h_g, degrees * DEGREE, RADIUS)
+    assert sensitivity_of(ray, index).r_c == pytest.approx(expected, rel=1e-11)
+
+
 def test_from_virtual_temperature_to_the_thermometer():
     """The two formulas in the docstring of air_jacobian, for edge 1."""
     ray = RAYS["to the inversion"]
@@ -193,6 +202,21 @@ def test_near_the_horizon_against_thirty_digits(truth, h_c, below):
     assert derivatives.d_h_c == pytest.approx(by_h_c, rel=1e-8)
     assert derivatives.d_h_g == pytest.approx(by_h_g, rel=1e-8)
     assert derivatives.d_zeta_c == pytest.approx(by_zeta_c, rel=1e-10)
+
+
+@pytest.mark.parametrize(("h_c", "below", "step"), [(10_000.0, 1e-2, 0.03), (300.0, 1e-5, 1e-3)])
+def test_near_the_horizon_uniform_warming_is_the_sum_over_the_edges(h_c, below, step):
+    profile = profile_of()
+    n_c, n_g = 1.0 + profile.refractivity([h_c, 0.0])
+    zeta = math.asin(n_g * RADIUS / (n_c * (RADIUS + h_c))) - below * DEGREE
+    derivatives = sensitivity(profile, h_c, 0.0, zeta, RADIUS, anchor_height_m=ANCHOR_M)
+    assert derivatives.valid
+
+    def angle(warmer):
+        return refraction_angle(profile_of(t_m=T_M + warmer), h_c, 0.0, zeta, RADIUS)
+
+    expected = difference(angle, step)
+    assert derivatives.d_temperature.sum() == pytest.approx(expected, rel=1e-6)
 
 
 def test_what_cannot_be_differentiated_says_so():
@@ -284,6 +308,11 @@ def test_many_rays_are_each_what_they_are_alone():
         few = sensitivity(profile, h_c, 0.0, zeta[i], RADIUS, anchor_height_m=ANCHOR_M)
         np.testing.assert_allclose(many.d_temperature[i], few.d_temperature, rtol=1e-9, atol=1e-20)
         np.testing.assert_allclose(many.d_h_g[i], few.d_h_g, rtol=1e-9)
+        for j in range(3):
+            alone = sensitivity(profile, h_c[j], 0.0, zeta[i, 0], RADIUS, anchor_height_m=ANCHOR_M)
+            for name in ("r_c", "d_h_c", "d_zeta_c", "d_log_pressure"):
+                expected = float(getattr(alone, name))
+                assert getattr(many, name)[i, j] == pytest.approx(expected, rel=1e-9), name
 
 
 @pytest.mark.parametrize(
@@ -310,6 +339,6 @@ def test_no_ray_and_one_ray_have_their_shape(shape):
 
 
 def test_pressure_is_referred_to_a_height_inside_the_profile():
-    with refused("PROFILE-RANGE") as refusal:
+    with refused("PROFILE-RANGE", PhysicsError) as refusal:
         sensitivity(profile_of(), 3000.0, 0.0, 0.5, RADIUS, anchor_height_m=20_000.0)
     assert "20000 m" in refusal.value.what

@@ -22,7 +22,7 @@ from tests.refraction.images import (
     together,
     uncertainties,
 )
-from unbend.refraction import Exposures, ray_table
+from unbend.refraction import Exposures, ray_table, refraction_angle
 from unbend.refraction.status_codes import FAR_BRANCH, NO_GROUND, NO_STATION
 from unbend.refraction.uncertainty.sigmas import PARTIALS
 from unbend.units import DEGREE
@@ -171,6 +171,12 @@ def test_a_tilt_of_half_a_degree(degrees, percent):
     np.testing.assert_allclose(100.0 * share, percent, rtol=0.01)
     across = corrections.sigmas.station_dx_px[0] / abs(corrections.dy_px[0])
     np.testing.assert_allclose(across, half_a_degree / np.sin(degrees * DEGREE), rtol=1e-3)
+
+
+def test_half_a_degree_more_adds_15_percent_at_85_degrees():
+    """Where the first order has 13."""
+    r_c, more = (refraction_angle(AIR, 10_000.0, 0.0, d * DEGREE) for d in (85.0, 85.5))
+    assert more / r_c - 1.0 == pytest.approx(0.15, abs=0.005)
 
 
 def test_exactly_at_the_nadir():
