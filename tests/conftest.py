@@ -410,17 +410,9 @@ DRAWN_OF = 10
 
 
 def drawn_today(items: list[pytest.Item]) -> set[pytest.Item]:
-    """One in `DRAWN_OF` cases of each test, and of the tests that have one case, by the seed."""
-    cases: dict[str, list[pytest.Item]] = {}
-    for item in items:
-        cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
-    with_one_case = [item for group in cases.values() if len(group) == 1 for item in group]
-    with_several = [group for group in cases.values() if len(group) > 1]
+    """One in `DRAWN_OF` of these tests, by the seed."""
     draw = random.Random(SEED)
-    chosen = set()
-    for group in [*with_several, with_one_case]:
-        chosen.update(draw.sample(group, math.ceil(len(group) / DRAWN_OF)))
-    return chosen
+    return set(draw.sample(items, math.ceil(len(items) / DRAWN_OF)))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
