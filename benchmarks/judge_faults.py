@@ -30,7 +30,7 @@ from unbend.flight import stations as flight_stations
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.contradictions import examine
 from unbend.messages import LOSSES, Ledger
-from unbend.stages.air_of_mission import Levels, profiles_in_time
+from unbend.stages.air_of_mission import CameraHeights, profiles_in_time
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "atmosphere"))
 import flights
@@ -299,7 +299,7 @@ def outcome_of(flight: Flight) -> Outcome:
         longitude_rad=truth.longitude,
     )
     exposures = exposures_of(flight)
-    levels = Levels([ground_m + flight.climb_m] * 3, ground_m)
+    levels = CameraHeights([ground_m + flight.climb_m] * 3, ground_m)
     air = profiles_in_time(adjustment, exposures, levels, None, ledger)
     flagged = 0
     if adjustment.is_measured:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -111,6 +113,15 @@ def test_the_installed_distribution_says_whose_it_is():
         pytest.skip(f"the installed metadata is that of {meta['Version']}")
     assert meta["License-Expression"] == "Apache-2.0"
     assert meta["Author"] == "The unbend authors"
+
+
+@pytest.mark.parametrize("script", ["fit_air", "judge_air", "judge_faults"])
+def test_a_script_that_no_test_runs_starts(script: str):
+    """It imports names of the package, which may have others since."""
+    command = [sys.executable, str(ROOT / f"benchmarks/{script}.py"), "--help"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert "usage:" in ended.stdout
 
 
 def test_what_the_makefile_runs_is_there():

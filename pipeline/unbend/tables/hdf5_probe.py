@@ -5,8 +5,10 @@ to dimensions, and nothing in the same process can stop it. So a process of its 
 structure first: `structure_is_readable` starts it, `main` is what it runs.
 """
 
+import math
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import h5py
 
-FIXED_CPU_S = 2  # to import h5py, and for the structure of a file of any size
+FIXED_CPU_S = 2  # for the structure of a file of any size
 MEGABYTE = 1_000_000  # of the file, for each of which the process has a second more
 LONGEST_S = 600.0  # until the file is refused where a drive does not answer
 
@@ -32,11 +34,13 @@ def structure_is_readable(path: Path) -> bool:
 
 
 def _limit_processor_time(seconds: int) -> None:
-    """End this process after so many seconds of its processor; Windows has no such limit."""
+    """End this process after so many more seconds of its processor; Windows has no such limit."""
     with suppress(ImportError):
         import resource
 
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        used_s = math.ceil(time.process_time())
+        limit_s = used_s + seconds
+        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
 
 
 def _read_structure(item: "h5py.Dataset | h5py.Group") -> None:
@@ -62,9 +66,9 @@ def _read_structure(item: "h5py.Dataset | h5py.Group") -> None:
 def main() -> None:
     """Read the structure of the file that is named, in at most so many seconds."""
     path, cpu_s = sys.argv[1:]
-    _limit_processor_time(int(cpu_s))
     import h5py
 
+    _limit_processor_time(int(cpu_s))
     with h5py.File(path) as file:
         _read_structure(file)
 

@@ -444,6 +444,12 @@ def test_a_csv_that_cannot_be_read_is_refused(flight, row, stated, code):
     assert refusal_of(read_trajectory_csv, path, stated).code == code
 
 
+def test_the_worst_latitude_is_said_with_its_sign(flight):
+    path = flight.put("t.csv", f"t,lat,lon,h\n{NOON},139.7,35.7,100\n{NOON},-170.25,35.7,100\n")
+    error = refusal_of(read_trajectory_csv, path, OF_PLACES)
+    assert error.values["worst_deg"] == pytest.approx(-170.25)
+
+
 def test_a_format_is_known_by_its_name_or_its_ending(tmp_path):
     assert format_of(TRAJECTORIES, tmp_path / "a.POS", None) == "rtklib"
     assert format_of(TRAJECTORIES, tmp_path / "a.xyz", "csv") == "csv"

@@ -1,7 +1,6 @@
 """Digital elevation models, in one raster or several, read tile by tile as rays come to them."""
 
 import threading
-import warnings
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -14,7 +13,7 @@ from unbend.messages import Notes
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from unbend.tables.geodata import messages
 from unbend.tables.geodata.coordinate_systems import GridSystem, grid_system
-from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS, is_upright
+from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS, is_upright, opening_rasters
 from unbend.units import Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100  # of 1 MB
@@ -377,9 +376,7 @@ def open_elevation(
     where = str(paths[0])
     open_raster = lru_cache(maxsize=64)(rasterio.open)
     try:
-        with rasterio.Env(**GDAL_OPTIONS), warnings.catch_warnings():
-            # A raster without a frame is refused by its transform, the identity.
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with opening_rasters():
             rasters = [_Raster(path, open_raster) for path in paths]
     except rasterio.errors.RasterioError as error:
         raise messages.dem_unreadable(where=where, error=str(error)) from None

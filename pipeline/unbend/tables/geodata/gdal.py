@@ -4,7 +4,9 @@ import math
 import os
 import re
 import time
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
@@ -26,6 +28,19 @@ NAME_OTHERS = "GTI", "STACIT", "STACTA", "TIL", "VRT", "WCS", "WMS", "WMTS"
 # Endings of files that GDAL does not read beside a raster: a mission's may be called like it.
 _OTHERS = re.compile(r"csv|err|html|log|mcap|out|parquet|tlog|toml|ulg|ya?ml")
 _SETTLED_NS = 2_000_000_000  # a folder changed within this time may change again unseen
+
+
+@contextmanager
+def opening_rasters() -> Iterator[None]:
+    """Open rasters with `GDAL_OPTIONS`, and without a warning of one that has no frame.
+
+    Such a raster is refused by its transform, which is the identity.
+    """
+    import rasterio
+
+    with rasterio.Env(**GDAL_OPTIONS), warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        yield
 
 
 def is_upright(transform: Sequence[float]) -> bool:

@@ -1,7 +1,6 @@
 """Grids of the geoid: EGM96 of the package, or a user's own as GTX or GeoTIFF."""
 
 import struct
-import warnings
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -11,7 +10,7 @@ import pyarrow as pa
 
 from unbend.geodesy import GeoidGrid
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS, is_upright
+from unbend.tables.geodata.gdal import NAME_OTHERS, is_upright, opening_rasters
 
 _GTX = struct.Struct(">4d2i")
 """South edge, west edge, steps of latitude and longitude [deg], rows, columns: big-endian, then
@@ -103,23 +102,20 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
     except ImportError:
         raise messages.geoid_needs_rasterio(where=path) from None
     try:
-        with rasterio.Env(**GDAL_OPTIONS), warnings.catch_warnings():
-            # A raster without a frame is refused by its transform, the identity.
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            with rasterio.open(path) as raster:
-                is_plain = raster.count == 1 and raster.driver not in NAME_OTHERS
-                if not (is_plain and raster.crs and raster.crs.is_geographic):
-                    raise messages.geoid_bands(where=path)
-                affine = raster.transform
-                if not is_upright(affine):
-                    raise messages.geoid_turned(where=path)
-                stored = raster.read(1, masked=True).astype(np.float32)
-                from_south = stored.filled(np.nan)[::-1]
-                scale = np.float32(raster.scales[0])
-                offset = np.float32(raster.offsets[0])
-                # A damaged raster may have numbers of which numpy warns; they are refused later.
-                with np.errstate(all="ignore"):
-                    values = from_south * scale + offset
+        with opening_rasters(), rasterio.open(path) as raster:
+            is_plain = raster.count == 1 and raster.driver not in NAME_OTHERS
+            if not (is_plain and raster.crs and raster.crs.is_geographic):
+                raise messages.geoid_bands(where=path)
+            affine = raster.transform
+            if not is_upright(affine):
+                raise messages.geoid_turned(where=path)
+            stored = raster.read(1, masked=True).astype(np.float32)
+            from_south = stored.filled(np.nan)[::-1]
+            scale = np.float32(raster.scales[0])
+            offset = np.float32(raster.offsets[0])
+            # A damaged raster may have numbers of which numpy warns; they are refused later.
+            with np.errstate(all="ignore"):
+                values = from_south * scale + offset
     except rasterio.errors.RasterioError as error:
         raise messages.geoid_unreadable(where=path, error=str(error)) from None
     # Values belong to the centres of the cells.
