@@ -290,14 +290,14 @@ def metar_dew_point(*, where: str, count: int, dew_c: float, celsius: float) -> 
 
 METAR_GROUPS = Code(
     "METAR-GROUPS",
-    means="Groups of the METAR were not understood.",
-    effect="They are not used.",
-    remedy="Nothing, unless temperature or pressure is among them.",
+    means="Groups of the METAR were not understood, or have the letter O where a zero belongs.",
+    effect="The former are not used. The latter are used with a zero.",
+    remedy="Nothing, unless temperature or pressure is among them: then check the report.",
 )
 
 
 def metar_groups(*, where: str, count: int, groups: str) -> Message:
-    """Groups of a METAR that were not understood."""
+    """Groups of a METAR that were not understood, or were read with a zero for the letter O."""
     return note(METAR_GROUPS, "{groups}", where=where, count=count, groups=groups)
 
 

@@ -103,6 +103,7 @@ def decode_metar(text: str, where: str) -> Metar:
     _refuse_several(flat, where)
     parts = _parts_of(flat)
     complaints, station = _checked_groups(parts.body, place)
+    complaints += _letters_for_zeros(parts)
     whole = _TEMPERATURES.search(_with_signs(parts.body))
     tenths = _TENTHS.search(parts.remarks)
     temperature_c = _agreed_celsius("temperature", _field(whole, 1), _field(tenths, 1), place)
@@ -244,6 +245,21 @@ def _agreed_setting(parts: _Parts, place: str) -> float:
                 other=f"{other_pa / HECTOPASCAL:.0f} hPa in another group",
             )
     return settings_pa[0] if settings_pa else math.nan
+
+
+def _letters_for_zeros(parts: _Parts) -> tuple[str, ...]:
+    """Complaints of altimeter settings that were typed with the letter O.
+
+    >>> _letters_for_zeros(_Parts("", "LOWW 121150Z 06/02 Q1O26", ""))
+    ('Q1O26 is read as Q1026',)
+    """
+    groups = [*_SETTING.findall(parts.body), *_SETTING.findall(parts.remarks)]
+    complaints = []
+    for letter, digits, unit in groups:
+        if "O" in digits:
+            corrected = digits.replace("O", "0")
+            complaints.append(f"{letter}{digits}{unit} is read as {letter}{corrected}{unit}")
+    return tuple(complaints)
 
 
 def _setting_pa(letter: str, digits: str, unit: str) -> float:

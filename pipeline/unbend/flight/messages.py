@@ -274,15 +274,26 @@ def named_channel_missing(*, role: str, why: str, able: Sequence[str], board: bo
     )
 
 
-def required_channel_missing(*, role: str, why: str, able: Sequence[str]) -> MissionError:
-    """A channel named for a role without which nothing can be corrected."""
+def required_channel_missing(
+    *, role: str, why: str, able: Sequence[str], also_missing: Sequence[str]
+) -> MissionError:
+    """A channel named for a role without which nothing can be corrected.
+
+    ``also_missing`` : other channels that the mission file names and the log does not have.
+    """
+    text = "{why}; {others}"
+    remedy = "name a channel that `unbend inspect` lists"
+    if also_missing:
+        text += "; the log has no {also_missing} either"
+        remedy += ", for each of these; or give the log of this mission"
     return MissionError(
         CHANNEL_MISSING,
-        "{why}; {others}",
+        text,
         where=f"log.channels.{role}",
-        remedy="name a channel that `unbend inspect` lists",
+        remedy=remedy,
         why=why,
         others=_could_play(able, board=False),
+        also_missing=", ".join(also_missing),
     )
 
 

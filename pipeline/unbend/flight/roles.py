@@ -84,14 +84,18 @@ def _named_roles(
         if channel is not None and channel.fits_role(role):
             filled[role] = channel
         else:
-            notes.append(_named_but_absent(channels, role, name))
+            absent = [other for other in dict.fromkeys(named.values()) if other not in by_name]
+            notes.append(_named_but_absent(channels, role, name, absent))
     return filled, notes
 
 
-def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> Message:
+def _named_but_absent(
+    channels: tuple[Channel, ...], role: str, name: str, absent: list[str]
+) -> Message:
     """The loss of a role whose named channel is absent or does not fit.
 
-    Raises MissionError where the role is needed.
+    ``absent`` : all named channels that the log does not have. Raises MissionError where the role
+    is needed.
     """
     candidates = [channel.name for channel in channels if channel.fits_role(role)]
     named_channel = next((channel for channel in channels if channel.name == name), None)
@@ -106,7 +110,10 @@ def _named_but_absent(channels: tuple[Channel, ...], role: str, name: str) -> Me
         name=name, needed=ROLE_COLUMNS[role], columns=columns, near=similar
     )
     if role in _REQUIRED:
-        raise messages.required_channel_missing(role=role, why=why, able=candidates)
+        also_missing = [other for other in absent if other != name]
+        raise messages.required_channel_missing(
+            role=role, why=why, able=candidates, also_missing=also_missing
+        )
     has_board = columns is not None and "board_temperature_k" in columns
     return messages.named_channel_missing(
         role=role, why=why, able=candidates, board=has_board and role == "temperature"
