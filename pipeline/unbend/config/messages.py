@@ -138,6 +138,18 @@ def config_unreadable(*, path: Path, problem: str) -> ConfigError:
     )
 
 
+def config_too_large(*, path: Path, size: int, most: int) -> ConfigError:
+    """The file is larger than any mission file, and would take minutes to read."""
+    return ConfigError(
+        CONFIG_UNREADABLE,
+        "it has {size:,} bytes; a mission file has at most {most:,}",
+        where=path,
+        remedy="check the path; split a large campaign into several files",
+        size=size,
+        most=most,
+    )
+
+
 def config_other_file(*, path: Path, what: str, remedy: str) -> ConfigError:
     """A file of another kind is given instead of a mission file; ``what`` it is."""
     return ConfigError(
@@ -178,12 +190,16 @@ def config_campaign(*, where: str) -> ConfigError:
     )
 
 
-def mission_file_refused(code: Code, *, where: str, mistakes: list[str]) -> ConfigError:
-    """The file has mistakes, or open questions; one sentence for each."""
-    if code is CONFIG_TODO:
-        several = "{count} questions are open\n    {mistakes}"
-    else:
-        several = "{count} mistakes\n    {mistakes}"
+def mission_file_refused(
+    code: Code, *, where: str, mistakes: list[str], has_more: bool
+) -> ConfigError:
+    """The file has mistakes, or open questions; one sentence for each of the first.
+
+    ``has_more`` : whether others are not listed.
+    """
+    kind = "questions are open" if code is CONFIG_TODO else "mistakes"
+    number = "more than {count}" if has_more else "{count}"
+    several = f"{number} {kind}\n    {{mistakes}}"
     return ConfigError(
         code,
         several,

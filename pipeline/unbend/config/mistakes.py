@@ -19,6 +19,9 @@ from unbend.config.section import SectionError
 from unbend.config.yaml_text import Place, has_place, line_of, open_questions
 
 LEAST_SIMILARITY = 0.5  # of the similarity of difflib: a letter wrong, or a word of several
+MOST_SENTENCES = 100
+"""Of one refusal: who has more mistakes does not read them all."""
+_MOST_REFUSED = 1000  # things that the models refuse, of which the first mistakes are told
 LONGEST_ALLOWED = 150  # characters of what a key takes, beside its text
 LONGEST_VALUE = 40  # characters of a value that is shown whole
 _SHOWN_OF_BEGIN = 20  # characters of a longer value
@@ -56,13 +59,18 @@ def sentences_of(
 ) -> list[str]:
     """One sentence for each mistake, in the order of the file, with the line of the mistake.
 
+    Of more than `MOST_SENTENCES` mistakes some are left out, and one more than that many are
+    returned.
+
     ``items`` is what the models refuse of the ``values``; open questions are mistakes too. ``node``
     knows the lines of the values; values that stand in no file have none. ``own`` are the values
     that stand in the mission file itself; a mistake in another value is in the defaults of the
     campaign, and its sentence says so instead of a line.
     """
     sentences: set[tuple[int, str]] = set()
-    for mistake in mistakes_of(items, values):
+    for mistake in mistakes_of(items[:_MOST_REFUSED], values):
+        if len(sentences) > MOST_SENTENCES:
+            break
         line = 0 if node is None else line_of(node, mistake.place)
         origin = "" if node is None else f"line {line}"
         if own is not None and not has_place(own, _nearest_place(values, mistake.place)):

@@ -46,6 +46,9 @@ PROBLEMS = {
 
 MOST_BRACKETS = 50  # a mission file has five within each other at most
 
+MOST_BYTES = 500_000
+"""Of a mission file, which has some kB: the YAML parser takes 2 s for half a megabyte."""
+
 MOST_VALUES = 1_000_000
 """Values of a file with its aliases written out: a campaign of thousands of missions has fewer."""
 
@@ -193,6 +196,9 @@ def _text_of(path: Path) -> str:
         raise messages.config_unreadable(path=path, problem=problem)
     refuse_other_file(path)
     try:
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise messages.config_too_large(path=path, size=size, most=MOST_BYTES)
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise messages.config_missing(path=path) from None

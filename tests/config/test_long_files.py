@@ -1,0 +1,62 @@
+"""Mission files that are far too long: a refusal, soon, and short."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.helpers import refused
+from unbend.config import load_mission
+from unbend.config.mistakes import MOST_SENTENCES
+from unbend.config.yaml_text import MOST_BYTES
+from unbend.errors import ConfigError
+
+MOST_CPU_S = 20.0
+"""On a loaded machine; a search of the whole file for each mistake took minutes."""
+
+LONG_TEXTS = {
+    "unknown keys": "".join(f"k{number}: 1\n" for number in range(20_000)),
+    "open questions": f"mission: {{name: [{','.join(['TODO'] * 40_000)}]}}",
+    "soundings": "atmosphere:\n  soundings:\n" + "  - {path: [1, 2], format: {a: 1}}\n" * 8_000,
+    "cameras": "cameras:\n"
+    + "".join(f"  c{number}: {{f_px: 1, k: 2}}\n" for number in range(8_000)),
+}
+
+
+@pytest.mark.parametrize("text", LONG_TEXTS.values(), ids=LONG_TEXTS.keys())
+def test_of_very_many_mistakes_the_first_are_listed(tmp_path: Path, text: str):
+    path = tmp_path / "mission.yaml"
+    path.write_text(text, encoding="utf-8")
+
+    begin_s = time.process_time()
+    with pytest.raises(ConfigError) as caught:
+        load_mission(path)
+    cpu_s = time.process_time() - begin_s
+
+    message = str(caught.value)
+    assert f"more than {MOST_SENTENCES} " in message
+    lines = [line for line in message.splitlines() if line.startswith("    line ")]
+    assert len(lines) == MOST_SENTENCES
+    assert cpu_s < MOST_CPU_S
+
+
+def test_as_many_mistakes_as_are_listed_are_all_listed(tmp_path: Path):
+    missing = 5  # sections that every mission has
+    path = tmp_path / "mission.yaml"
+    unknown = "".join(f"k{number}: 1\n" for number in range(MOST_SENTENCES - missing))
+    path.write_text(unknown, encoding="utf-8")
+    with refused("CONFIG-UNKNOWN-KEY") as caught:
+        load_mission(path)
+    message = str(caught.value)
+    assert f": {MOST_SENTENCES} mistakes" in message
+    assert f"k{MOST_SENTENCES - missing - 1}: unknown key" in message
+
+
+def test_a_file_that_is_larger_than_any_mission_file_is_refused(tmp_path: Path):
+    path = tmp_path / "mission.yaml"
+    path.write_text("# a comment\n" * (MOST_BYTES // 12 + 1), encoding="utf-8")
+    with refused("CONFIG-UNREADABLE") as caught:
+        load_mission(path)
+    assert "a mission file has at most" in str(caught.value)
