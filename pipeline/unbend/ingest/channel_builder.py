@@ -21,7 +21,7 @@ from unbend.ingest.field_maps import MessageMap
 from unbend.ingest.flight_log import utc_text
 from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Kind, Ledger
-from unbend.units import Array, Mask, Rows
+from unbend.units import LARGEST_NUMBER, Array, Mask, Rows
 
 SENT = ".sent"  # of a channel with the commands of a trigger, beside that of the shutter's pulses
 _BEHIND_PULSES = 10  # ranks
@@ -100,6 +100,21 @@ def has_value(column: Array) -> bool:
     return bool(np.isfinite(column).any())
 
 
+def limited(column: Array) -> Array:
+    """A column (n,) whose finite numbers are at most `LARGEST_NUMBER`, which no log reaches.
+
+    Sums and squares of larger ones might overflow, before it is told that they are implausible.
+    """
+    if column.size == 0:
+        return column
+    highest = np.fmax.reduce(column)
+    lowest = np.fmin.reduce(column)
+    if highest <= LARGEST_NUMBER and lowest >= -LARGEST_NUMBER:
+        return column
+    is_too_large = np.isfinite(column) & (np.abs(column) > LARGEST_NUMBER)
+    return np.where(is_too_large, np.copysign(LARGEST_NUMBER, column), column)
+
+
 def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel | None:
     """The channel of decoded rows; None if no row or no value is left.
 
@@ -108,6 +123,7 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
     """
     if spec.text_field:
         return channel_of_texts(rows, spec)
+    rows = replace(rows, columns={name: limited(rows.columns[name]) for name in rows.columns})
     absent = sorted(_needed_columns(rows, spec) - set(rows.columns))
     if absent:
         count = len(rows)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from unbend.flight.channels import Channel
+from unbend.flight.channels import Channel, TimeArray
 from unbend.flight.survey_dates import latest_ns
 from unbend.ingest import messages
 from unbend.ingest.flight_log import Contents
@@ -25,6 +25,7 @@ from unbend.ingest.utc_evidence import (
     missed_rollovers,
 )
 from unbend.messages import Ledger
+from unbend.units import Mask
 
 TableReader = Callable[[str, str | None], Table]
 
@@ -54,7 +55,7 @@ def with_possible_dates(
     channels = []
     for channel in contents.channels:
         is_moved = any(channel is other for other in impossible)
-        channels.append(_later(channel, shift_ns) if is_moved else channel)
+        channels.append(_later(channel, shift_ns, ledger) if is_moved else channel)
     return replace(
         contents,
         channels=tuple(channels),
@@ -107,9 +108,34 @@ def _is_impossible(channel: Channel) -> bool:
     return states_utc and not is_possible(middle_ns)
 
 
-def _later(channel: Channel, shift_ns: int) -> Channel:
-    """The channel with its times later by a shift."""
+def _later(channel: Channel, shift_ns: int, ledger: Ledger) -> Channel:
+    """The channel with its times later by a shift.
+
+    Samples centuries away, which would have no time of 64 bits then, are a loss.
+    """
+    can_move = _can_move(channel.time_ns, shift_ns)
+    if not can_move.all():
+        ledger.add(
+            messages.stray_rows(
+                channel=channel.name,
+                first=int(np.argmin(can_move)),
+                count=int(np.count_nonzero(~can_move)),
+                total=len(channel),
+            )
+        )
+        channel = channel.rows(can_move)
     return replace(channel, time_ns=channel.time_ns + shift_ns)
+
+
+def _can_move(time_ns: TimeArray, shift_ns: int) -> Mask:
+    """Whether times (n,) are still of 64 bits when they are later by a shift."""
+    limits = np.iinfo(np.int64)
+    can_move: Mask
+    if shift_ns > 0:
+        can_move = time_ns <= limits.max - shift_ns
+    else:
+        can_move = time_ns >= limits.min - shift_ns
+    return can_move
 
 
 def _later_table(contents: Contents, shift_ns: int) -> TableReader | None:
@@ -122,7 +148,8 @@ def _later_table(contents: Contents, shift_ns: int) -> TableReader | None:
         columns = table(name, instance)
         if "time_ns" in columns:
             time_ns = columns["time_ns"]
-            is_moved = is_utc(time_ns) & ((time_ns < EARLIEST_NS) | (time_ns > latest_ns()))
+            is_possible_time = (time_ns >= EARLIEST_NS) & (time_ns <= latest_ns())
+            is_moved = is_utc(time_ns) & ~is_possible_time & _can_move(time_ns, shift_ns)
             columns["time_ns"] = np.where(is_moved, time_ns + shift_ns, time_ns)
         return columns
 

@@ -160,7 +160,7 @@ def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadin
         ledger.add(messages.no_utc_fields(message=name, count=count, fields=absent))
         return
     week = table["GWk"]
-    of_week_ms = table["GMS"]
+    of_week_ms = table["GMS"].astype(np.float64)  # no limit fits a field of 16 bits
     is_week_known = (week > 0) & (week < _WEEKS)
     is_time_known = (of_week_ms >= 0) & (of_week_ms < _MS_PER_WEEK)
     has_utc = is_week_known & is_time_known

@@ -1,0 +1,47 @@
+"""Numbers of a log that are larger than any measured one: no other number, no overflow."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from tests.faults.extremes import extreme_log
+from tests.faults.hostile import BARO_LINES, baro_lines, text_log
+from tests.helpers import with_code
+from unbend.ingest import open_log
+from unbend.ingest.channel_builder import limited
+from unbend.units import LARGEST_NUMBER
+
+HUGE = "-1e308"
+PRESSURE = r"\d{5}\.5"
+
+
+def test_huge_pressures_have_the_largest_number(tmp_path: Path):
+    """A line or two of them would be left out as damaged; all are, say, of a broken driver."""
+    spoilt = [re.sub(PRESSURE, HUGE, line) for line in baro_lines(30)]
+    path = tmp_path / "huge.log"
+    path.write_bytes(text_log([*BARO_LINES, *spoilt]))
+
+    log = open_log(path, needs_channels=False)
+
+    pressure_pa = log.channel("BARO[0]")["pressure_pa"]
+    assert pressure_pa.tolist() == [-LARGEST_NUMBER] * 30
+    log.to_json_dict()  # sums of them do not overflow
+
+
+def test_what_is_not_huge_stays():
+    column = np.array([np.nan, np.inf, -LARGEST_NUMBER, 3.0])
+    assert limited(column) is column or np.array_equal(limited(column), column, equal_nan=True)
+    huge = np.array([1e13, -1e13, np.nan])
+    np.testing.assert_array_equal(limited(huge), [LARGEST_NUMBER, -LARGEST_NUMBER, np.nan])
+    assert limited(np.empty(0)).size == 0
+
+
+def test_exposures_centuries_apart_are_stray(tmp_path: Path):
+    """Their dates are impossible, and moved: beyond 64 bits there is no later time."""
+    path = tmp_path / "extreme.bin"
+    path.write_bytes(extreme_log(".bin", 20261129001478))
+    log = open_log(path, needs_channels=False)
+    assert with_code(log.ledger, "TIME-STRAY")
