@@ -103,7 +103,7 @@ def has_value(column: Array) -> bool:
 def limited(column: Array) -> Array:
     """A column (n,) whose finite numbers are at most `LARGEST_NUMBER`, which no log reaches.
 
-    Sums and squares of larger ones might overflow, before it is told that they are implausible.
+    Sums and squares of larger ones might overflow, before they are refused as implausible.
     """
     if column.size == 0:
         return column

@@ -377,6 +377,22 @@ def model_axis(*, where: Path | str, axis: str) -> InputError:
     )
 
 
+def model_grid_too_large(*, where: Path | str, number: int, points: int, most: int) -> InputError:
+    """A GRIB message states more grid points than any model has."""
+    return InputError(
+        MODEL_UNREADABLE,
+        (
+            "the file cannot be read: message {number} states a grid of {points:,} points, and a "
+            "model has at most {most:,}"
+        ),
+        where=where,
+        remedy="download it again",
+        number=number,
+        points=points,
+        most=most,
+    )
+
+
 def model_section_too_long(*, where: Path | str, number: int, offset: int) -> InputError:
     """A section of a GRIB message is longer than the message."""
     return InputError(

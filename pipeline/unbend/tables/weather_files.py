@@ -39,6 +39,12 @@ _GRIB_HEAD = 16  # bytes of the first section of a message of edition 2
 _GRIB_PADDING = 1 << 16  # bytes between messages at most
 _GRIB_END = b"7777"
 _LEAST_SECTION = 5  # bytes: its length and its number
+_BEGIN_OF_SECTION = 10  # bytes, in which both editions state the size of their grid
+_GRID_FOLLOWS = 0x80  # bit of the eighth byte of the first section, of edition 1
+_MISSING = 0xFFFF  # a number of two bytes that is not stated
+MOST_GRID_POINTS = 50_000_000
+"""Of a field: the global models of 9 km have 6.6 million. A field of equal values has some hundred
+bytes, whatever number of points it states, and ecCodes makes room for all of them."""
 _LONG_MESSAGE = 0x800000  # bit of the length of ECMWF's messages of edition 1 that count otherwise
 
 
@@ -186,19 +192,57 @@ def _refuse_long_sections(
     path: Path,
     message: _GribMessage,
 ) -> None:
-    """Refuse sections that do not end where their message does: ecCodes crashes on them."""
+    """Refuse sections on which ecCodes crashes, or that fill the memory.
+
+    These are sections that do not end where their message does, and grids of more than
+    `MOST_GRID_POINTS`.
+    """
     offset = message.start + 8
     bytes_of_size = 3
     if message.is_second_edition:
         offset = message.start + _GRIB_HEAD
         bytes_of_size = 4
     end = message.start + message.length
+    sections: list[bytes] = []
     while offset != end - len(_GRIB_END):
         file.seek(offset)
-        size = int.from_bytes(file.read(bytes_of_size), "big")
+        section = file.read(_BEGIN_OF_SECTION)
+        size = int.from_bytes(section[:bytes_of_size], "big")
         if not _LEAST_SECTION <= size <= end - offset:
             raise messages.model_section_too_long(where=path, number=message.number, offset=offset)
+        sections.append(section)
+        if message.is_second_edition:
+            points = _points_of_second_edition(section)
+        else:
+            points = _points_of_first_edition(sections)
+        if points > MOST_GRID_POINTS:
+            raise messages.model_grid_too_large(
+                where=path, number=message.number, points=points, most=MOST_GRID_POINTS
+            )
         offset += size
+
+
+def _points_of_second_edition(section: bytes) -> int:
+    """The grid points that a section of edition 2 states; 0 if it does not define the grid."""
+    is_grid = section[4] == 3
+    return int.from_bytes(section[6:10], "big") if is_grid else 0
+
+
+def _points_of_first_edition(sections: list[bytes]) -> int:
+    """The grid points that the last of some sections of edition 1 states.
+
+    0 if it does not define the grid. Only the second one does, where the first one says so.
+    """
+    if len(sections) != 2:
+        return 0
+    product, grid = sections
+    if not product[7] & _GRID_FOLLOWS:
+        return 0
+    columns = int.from_bytes(grid[6:8], "big")
+    rows = int.from_bytes(grid[8:10], "big")
+    if _MISSING in (columns, rows):  # rows of different lengths: the section lists all of them
+        return 0
+    return columns * rows
 
 
 def contents_of(path: Path) -> dict[str, Any]:

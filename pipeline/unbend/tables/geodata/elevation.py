@@ -13,7 +13,13 @@ from unbend.messages import Notes
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from unbend.tables.geodata import messages
 from unbend.tables.geodata.coordinate_systems import GridSystem, grid_system
-from unbend.tables.geodata.gdal import GDAL_OPTIONS, NAME_OTHERS, is_upright, opening_rasters
+from unbend.tables.geodata.gdal import (
+    GDAL_OPTIONS,
+    NAME_OTHERS,
+    is_upright,
+    may_unpack,
+    opening_rasters,
+)
 from unbend.units import Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100  # of 1 MB
@@ -288,6 +294,10 @@ class _Raster:
                 bands=source.count,
                 affine=(affine.a, affine.b, affine.d, affine.e),
             )
+        block_rows, block_columns = source.block_shapes[0]
+        block_bytes = block_rows * block_columns * np.dtype(source.dtypes[0]).itemsize
+        if not may_unpack(path, block_bytes):
+            raise messages.dem_block(where=path, block_bytes=block_bytes)
         self.step_x = affine.a
         self.step_y = -affine.e
         self.west = affine.c

@@ -25,6 +25,11 @@ of the environment would change, and with them where a raster lies."""
 NAME_OTHERS = "GTI", "STACIT", "STACTA", "TIL", "VRT", "WCS", "WMS", "WMTS"
 """Formats of files that name other rasters, whose change no hash of theirs would show."""
 
+FIXED_BYTES = 256_000_000
+MOST_BYTES_A_BYTE = 100
+"""Of values that are unpacked at once, for any file and for each of its bytes. Heights shrink to a
+tenth at best; a sparse raster of some kB can state terabytes."""
+
 # Endings of files that GDAL does not read beside a raster: a mission's may be called like it.
 _OTHERS = re.compile(r"csv|err|html|log|mcap|out|parquet|tlog|toml|ulg|ya?ml")
 _SETTLED_NS = 2_000_000_000  # a folder changed within this time may change again unseen
@@ -41,6 +46,12 @@ def opening_rasters() -> Iterator[None]:
     with rasterio.Env(**GDAL_OPTIONS), warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         yield
+
+
+def may_unpack(path: Path, unpacked_bytes: int) -> bool:
+    """Whether so many bytes of values are in proportion to the size of a raster's files."""
+    file_bytes = sum(file.stat().st_size for file in raster_files(path))
+    return unpacked_bytes <= FIXED_BYTES + MOST_BYTES_A_BYTE * file_bytes
 
 
 def is_upright(transform: Sequence[float]) -> bool:

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from unbend.geodesy import GeoidGrid
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.gdal import NAME_OTHERS, is_upright, opening_rasters
+from unbend.tables.geodata.gdal import NAME_OTHERS, is_upright, may_unpack, opening_rasters
 
 _GTX = struct.Struct(">4d2i")
 """South edge, west edge, steps of latitude and longitude [deg], rows, columns: big-endian, then
@@ -19,6 +19,7 @@ float32 from the south-west corner, row by row to the north. -88.8888 has no val
 _GTX_MISSING = np.float32(-88.8888)
 _EGM96_ROWS = 721
 _EGM96_COLUMNS = 1440
+_BYTES_OF_VALUE = 4  # a float32
 _LEAST_STEP_DEG = 1e-5  # a metre; geoids have steps of a kilometre
 _LOWEST_UNDULATION_M = -120.0  # EGM96 has -107 to 86 m
 _HIGHEST_UNDULATION_M = 100.0
@@ -109,6 +110,9 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
             affine = raster.transform
             if not is_upright(affine):
                 raise messages.geoid_turned(where=path)
+            unpacked_bytes = raster.height * raster.width * _BYTES_OF_VALUE
+            if not may_unpack(path, unpacked_bytes):
+                raise messages.geoid_too_large(where=path, unpacked_bytes=unpacked_bytes)
             stored = raster.read(1, masked=True).astype(np.float32)
             from_south = stored.filled(np.nan)[::-1]
             scale = np.float32(raster.scales[0])

@@ -351,6 +351,17 @@ def dem_raster(
     )
 
 
+def dem_block(*, where: Path | str, block_bytes: int) -> InputError:
+    """A block of the raster, which GDAL unpacks at once, is far larger than the file."""
+    return InputError(
+        DEM_RASTER,
+        "it states blocks of {block_bytes:,} bytes, out of all proportion to the size of the file",
+        where=where,
+        remedy="check the file, or write it in tiles (gdalwarp)",
+        block_bytes=block_bytes,
+    )
+
+
 DEM_RASTERIO = Code(
     "DEM-RASTERIO",
     means="Elevation models are read by rasterio, which is not installed.",
@@ -546,6 +557,12 @@ def geoid_bands(*, where: Path | str) -> InputError:
 def geoid_turned(*, where: Path | str) -> InputError:
     """A raster whose rows are not parallels, or that begins in the south."""
     return _no_geoid(where, "its rows are not along parallels, from north to south")
+
+
+def geoid_too_large(*, where: Path | str, unpacked_bytes: int) -> InputError:
+    """The raster states far more values than its file can have."""
+    why = "it states {size:,} bytes of values, out of all proportion to the size of the file"
+    return _no_geoid(where, why, size=unpacked_bytes)
 
 
 def geoid_values(*, where: Path | str, lowest: float, highest: float) -> InputError:

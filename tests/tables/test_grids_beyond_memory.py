@@ -1,0 +1,99 @@
+"""Files of some kilobytes that state grids of gigabytes: refused before room is made for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyproj  # noqa: F401  (before ecCodes)
+import pytest
+
+from tests.helpers import refused
+from unbend.errors import InputError
+from unbend.tables.geodata.elevation import open_elevation
+from unbend.tables.geodata.geoid import read_geoid
+from unbend.tables.weather_files import MOST_GRID_POINTS, contents_of
+
+eccodes = pytest.importorskip("eccodes")
+rasterio = pytest.importorskip("rasterio")
+
+COLUMNS = 60_000
+ROWS = 30_001
+LARGEST_FILE = 100_000  # bytes of each file here
+
+
+def write_field_of_equal_values(path: Path, edition: int, columns: int, rows: int) -> None:
+    """A message of GRIB, which has no more bytes for more points."""
+    message = eccodes.codes_grib_new_from_samples(f"regular_ll_pl_grib{edition}")
+    eccodes.codes_set(message, "Ni", columns)
+    eccodes.codes_set(message, "Nj", rows)
+    eccodes.codes_set(message, "bitsPerValue", 0)
+    if edition == 2:
+        eccodes.codes_set(message, "numberOfDataPoints", columns * rows)
+        eccodes.codes_set(message, "numberOfValues", columns * rows)
+    with path.open("wb") as file:
+        eccodes.codes_write(message, file)
+    eccodes.codes_release(message)
+
+
+@pytest.mark.parametrize("edition", [1, 2])
+def test_a_field_of_equal_values_has_a_grid_within_the_limit(tmp_path: Path, edition: int):
+    path = tmp_path / "model.grib"
+    write_field_of_equal_values(path, edition, COLUMNS, ROWS)
+    assert path.stat().st_size < LARGEST_FILE
+    with refused("MODEL-UNREADABLE", InputError) as caught:
+        contents_of(path)
+    assert f"{COLUMNS * ROWS:,} points" in str(caught.value)
+
+
+def test_grids_of_real_models_are_within_the_limit():
+    columns = 3600  # every 0.1 degrees
+    rows = 1801
+    assert columns * rows < MOST_GRID_POINTS
+
+
+def write_sparse_raster(path: Path, side: int, *, block: int, crs: str, step: float) -> None:
+    """A GeoTIFF of which no value is in the file."""
+    transform = rasterio.Affine(step, 0.0, 5.0, 0.0, -step, 50.0)
+    raster = rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=side,
+        height=side,
+        count=1,
+        dtype="float32",
+        crs=crs,
+        transform=transform,
+        sparse_ok=True,
+        tiled=block < side,
+        blockxsize=block,
+        blockysize=block,
+        compress="deflate",
+    )
+    raster.close()
+
+
+def test_a_geoid_has_values_in_proportion_to_its_file(tmp_path: Path):
+    path = tmp_path / "geoid.tif"
+    write_sparse_raster(path, 100_000, block=4096, crs="EPSG:4326", step=1e-5)
+    assert path.stat().st_size < LARGEST_FILE
+    with refused("GEOID-GRID", InputError) as caught:
+        read_geoid(path)
+    assert "40,000,000,000 bytes" in str(caught.value)
+
+
+def test_an_elevation_model_has_blocks_in_proportion_to_its_file(tmp_path: Path):
+    path = tmp_path / "strip.tif"
+    write_sparse_raster(path, 40_000, block=40_000, crs="EPSG:32632", step=1.0)
+    assert path.stat().st_size < LARGEST_FILE
+    with refused("DEM-RASTER", InputError) as caught:
+        open_elevation([path], None, reference="msl", undulation=np.zeros_like)
+    assert "6,400,000,000 bytes" in str(caught.value)
+
+
+def test_a_sparse_elevation_model_in_tiles_is_read(tmp_path: Path):
+    path = tmp_path / "tiles.tif"
+    write_sparse_raster(path, 40_000, block=512, crs="EPSG:32632", step=1.0)
+    model, _ = open_elevation([path], None, reference="msl", undulation=np.zeros_like)
+    assert model.size == (40_000, 40_000)
