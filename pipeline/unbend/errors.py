@@ -56,19 +56,25 @@ class Code:
 
 LONGEST_WORD = 1000  # characters without a blank: a path may have them, a damaged field has more
 SHOWN_OF_WORD = 60  # characters of the beginning of a longer one
+LONGEST_TEXT = 20_000  # characters of a text: a hundred mistakes of a mission file have fewer
 _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD},}}|\s{{{LONGEST_WORD},}}")
 
 
 def rendered(text: str, values: Mapping[str, Value]) -> str:
     """A text with the values filled in for the names in its braces; values stay as they are.
 
-    Of a word of more than `LONGEST_WORD` characters, as a damaged file may have, the begin is left.
+    Of a word of more than `LONGEST_WORD` characters, as a damaged file may have, the begin is left;
+    and of a text of more than `LONGEST_TEXT`, which lists the names of thousands of things.
 
     >>> rendered("{count} images of {name!r}", {"count": 2, "name": "strip {1}"})
     "2 images of 'strip {1}'"
     """
     filled = text.format_map(values)
-    return _LONG_WORD.sub(lambda word: f"{word[0][:SHOWN_OF_WORD]}...", filled)
+    short = _LONG_WORD.sub(lambda word: f"{word[0][:SHOWN_OF_WORD]}...", filled)
+    left_out = len(short) - LONGEST_TEXT
+    if left_out > 0:
+        short = f"{short[:LONGEST_TEXT]}... ({left_out:,} more characters)"
+    return short
 
 
 Refusal = TypeVar("Refusal", bound="UnbendError")
