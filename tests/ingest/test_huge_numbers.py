@@ -45,3 +45,10 @@ def test_exposures_centuries_apart_are_stray(tmp_path: Path):
     path.write_bytes(extreme_log(".bin", 20261129001478))
     log = open_log(path, needs_channels=False)
     assert with_code(log.ledger, "TIME-STRAY")
+
+
+def test_a_log_that_spans_more_than_64_bits_of_time_is_described(tmp_path: Path):
+    """The difference of two of its times has no 64 bits."""
+    path = tmp_path / "extreme.bin"
+    path.write_bytes(extreme_log(".bin", 20261129003539))
+    open_log(path, needs_channels=False).to_json_dict()

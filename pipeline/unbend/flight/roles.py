@@ -258,7 +258,8 @@ def _silent_s(channel: Channel, height: Channel) -> float:
     """How long [s] a channel has ended before the heights do; 0 for less than ten seconds."""
     if len(channel) == 0 or len(height) == 0:
         return 0.0
-    silent_s = float(height.time_ns[-1] - channel.time_ns[-1]) / NANOSECONDS_PER_SECOND
+    silent_ns = int(height.time_ns[-1]) - int(channel.time_ns[-1])  # of numpy, they may overflow
+    silent_s = silent_ns / NANOSECONDS_PER_SECOND
     return silent_s if silent_s > LONGEST_SILENCE_S else 0.0
 
 

@@ -125,7 +125,7 @@ def _rows_beyond(spare: Channel, channel: Channel) -> Mask:
         return beyond
     if spare.time_ns[-1] > channel.time_ns[-1] + SILENT_AT_END_NS:
         beyond |= spare.time_ns > channel.time_ns[-1]
-    if spare.time_ns[0] < channel.time_ns[0] - SILENT_AT_BEGIN_NS:
+    if int(spare.time_ns[0]) < int(channel.time_ns[0]) - SILENT_AT_BEGIN_NS:
         beyond |= spare.time_ns < channel.time_ns[0]
     return beyond
 

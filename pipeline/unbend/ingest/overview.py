@@ -65,7 +65,7 @@ def flight_of(
         take_off_m = begin.h_msl_m
     first = int(np.argmax(has_place))
     start_ns = int(position.time_ns[first])
-    duration_s = float(position.time_ns[-1] - position.time_ns[0]) / 1e9
+    duration_s = (int(position.time_ns[-1]) - int(position.time_ns[0])) / NANOSECONDS_PER_SECOND
     return {
         "lat_deg": round(float(np.degrees(lat_rad[first])), 3),
         "lon_deg": round(float(np.degrees(lon_rad[first])), 3),
@@ -180,7 +180,8 @@ def _why_of_receiver(channel: Channel, chosen: Mapping[str, Channel]) -> str:
         apart_m = median_distance_m(position, channel)
         if np.isfinite(apart_m):
             reasons.append(f"{apart_m:.1f} m from {position.name} in the median")
-        silent_s = float(position.time_ns[-1] - channel.time_ns[-1]) / NANOSECONDS_PER_SECOND
+        silent_ns = int(position.time_ns[-1]) - int(channel.time_ns[-1])
+        silent_s = silent_ns / NANOSECONDS_PER_SECOND
         if silent_s > MAX_HEIGHT_GAP_S:
             reasons.append(f"silent in the last {silent_s:.0f} s")
     return ", ".join(reasons)
