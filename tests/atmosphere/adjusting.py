@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from numpy.random import default_rng
+from numpy.typing import ArrayLike
 
 from tests.atmosphere import flights
 from tests.atmosphere.flights import Truth
@@ -50,6 +51,7 @@ def extreme(number: int) -> Truth:
 
 
 def all_airs() -> tuple[Truth, ...]:
+    """Both; the soundings first."""
     return real_airs() + extreme_airs()
 
 
@@ -79,7 +81,7 @@ class Adjusted:
 
     def sigma(self, climb_m: float) -> float:
         """The stated sigma of R, relative."""
-        return sigma_of_r(self.made, self.truth, climb_m)
+        return sigma_of_r(self, self.truth, climb_m)
 
     def departure(self, climb_m: float) -> float:
         """The size of the error of R in its sigmas."""
@@ -103,23 +105,31 @@ class Adjusted:
 
     def why_not(self, source: str) -> str:
         """Why a source is not used."""
-        uses = [use for use in self.made.sources if use.source == source]
-        assert len(uses) == 1, [use.source for use in self.made.sources]
-        return uses[0].why_not
+        (reason,) = (use.why_not for use in self.made.sources if use.source == source)
+        return reason
 
 
 def expected_air(truth: Truth, **more) -> Climatology:
     """The climatology of place and month."""
-    month = month_of(truth.start_ns)
-    ground_h_m = float(truth.h[0])
-    return climatology(latitude_rad=truth.latitude, month=month, ground_h_m=ground_h_m, **more)
+    return climatology(
+        latitude_rad=truth.latitude,
+        month=month_of(truth.start_ns),
+        ground_h_m=truth.ground_m,
+        **more,
+    )
 
 
 def adjust(truth: Truth, samples: AirSamples = NO_SENSORS, **options) -> Adjusted:
     """The air by these samples, about the climatology of place and month; ``options`` go before."""
     usual = {"background": expected_air(truth), "time_ns": truth.start_ns}
     ledger = Ledger()
-    made = build_adjusted_profile(samples, US1976, truth.latitude, ledger, **(usual | options))
+    made = build_adjusted_profile(
+        samples,
+        US1976,
+        truth.latitude,
+        ledger,
+        **usual | options,
+    )
     return Adjusted(made, ledger, truth)
 
 
@@ -127,20 +137,21 @@ def flown(
     truth: Truth, climb_m: float, sensors: flights.Sensors = flights.REALISTIC, seed=1, **how
 ) -> AirSamples:
     """What these sensors measure on a flight (`flights.fly`)."""
-    return flights.fly(truth, climb_m, sensors, np.random.default_rng(seed), **how)
+    return flights.fly(truth, climb_m, sensors, default_rng(seed), **how)
 
 
 def drawn_flight(
     truth: Truth, climb_m: float, seed: int, sensors_of=flights.drawn, **how
 ) -> AirSamples:
     """What drawn sensors measure on a flight."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     return flights.fly(truth, climb_m, sensors_of(rng), rng, **how)
 
 
 def sigma_of_r(made, truth: Truth, climb_m: float) -> float:
     """The stated sigma of R, relative, of an estimate or an adjustment."""
-    return made.covariance.relative_sigma(truth.h[0] + climb_m, truth.h[0])
+    top_m = truth.ground_m + climb_m
+    return made.covariance.relative_sigma(top_m, truth.ground_m)
 
 
 def codes(ledger: Ledger, kind: Kind | None = None) -> list[str]:
@@ -152,11 +163,12 @@ def entry(ledger: Ledger, code: str) -> Message:
     """The only entry of a ledger with this code."""
     entries = with_code(ledger, code)
     assert len(entries) == 1, codes(ledger)
-    return entries[0]
+    return entries.pop()
 
 
-def rms(values: Sequence[float] | np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+def rms(values: ArrayLike) -> float:
+    mean_square = np.mean(np.square(values))
+    return float(np.sqrt(mean_square))
 
 
 def balloon_of(truth: Truth, step_m: int = 200, **change) -> Sounding:
@@ -175,14 +187,18 @@ def balloon_of(truth: Truth, step_m: int = 200, **change) -> Sounding:
 
 def fault_of(made, fault: SensorFault) -> FaultEstimate:
     """What was estimated of a fault of a sensor."""
-    (estimated,) = [each for each in made.faults if each.fault is fault]
+    (estimated,) = (each for each in made.faults if each.fault is fault)
     return estimated
 
 
 def station_at(truth: Truth, row: int = 0) -> SurfaceReport:
     """A station that measured the pressure exactly, so many metres above the ground."""
     return SurfaceReport(
-        float(truth.h[row]), float(truth.p[row]), math.nan, math.nan, truth.start_ns
+        truth.h[row],
+        truth.p[row],
+        math.nan,
+        math.nan,
+        truth.start_ns,
     )
 
 
@@ -190,3 +206,14 @@ def with_readings(samples: AirSamples, value: np.ndarray, sensor: str = "tempera
     """The same flight, on which one sensor read something else."""
     readings = replace(getattr(samples, sensor), value=value)
     return replace(samples, **{sensor: readings})
+
+
+def warmer(samples: AirSamples, kelvin: ArrayLike) -> AirSamples:
+    """The same flight, on which the thermometer read so much more."""
+    return with_readings(samples, samples.temperature.value + kelvin)
+
+
+def seconds_of(samples: AirSamples) -> np.ndarray:
+    """Seconds of a flight's temperatures since the first of them."""
+    time_ns = samples.temperature.time_ns
+    return (time_ns - time_ns[0]) * 1e-9
