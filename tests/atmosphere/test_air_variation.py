@@ -18,7 +18,7 @@ JANUARY = 1.0
 JULY = 7.0
 
 
-def correlation_of_changes(hours: float, low_m: float, high_m: float) -> float:
+def correlation_of_changes(hours, low_m, high_m) -> float:
     h = np.array([low_m, high_m])
     covariance = covariance_of(changes(variation_parts(VIENNA_RAD, JANUARY, 0.0), hours), h, h)
     return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
@@ -32,7 +32,7 @@ def test_warm_air_below_the_tropopause_goes_with_cold_air_above(hours):
 
 
 def test_the_air_is_mixed_by_a_summers_day_alone():
-    def sigma_k(month: float, hour: float | None) -> float:
+    def sigma_k(month, hour) -> float:
         parts = variation_parts(VIENNA_RAD, month, 0.0, hour)
         return sigma_of(parts, np.array([300.0])).item()
 
@@ -41,7 +41,7 @@ def test_the_air_is_mixed_by_a_summers_day_alone():
     assert sigma_k(JANUARY, 15.0) == pytest.approx(sigma_k(JANUARY, 3.0), rel=5e-3)
 
 
-def of_fine_structure(degrees: float, month: float, h: float) -> float:
+def of_fine_structure(degrees, month, h) -> float:
     parts = variation_parts(np.radians(degrees), month, 0.0)
     fine = tuple(part for part in parts if part.name in ("kinked", "smooth"))
     return sigma_of(fine, np.array([h])).item()

@@ -32,7 +32,7 @@ SUPPLEMENTS = pd.read_csv(PRINTED / "supplements1966_breakpoints.csv")
 TRANSCRIBED = {path.stem for path in PRINTED.glob("*.csv")}
 
 
-def at(degrees: float, month: float | None, name: str = "auto", **more) -> Climatology:
+def at(degrees, month, name="auto", **more) -> Climatology:
     return climatology(name, latitude_rad=math.radians(degrees), month=month, **more)
 
 
@@ -204,7 +204,7 @@ def test_spread_follows_latitude_and_season():
     assert high > expected_spread(1.0, 1.0).sigma_temperature(3000.0)
 
 
-def lowest_km_cools(month: float, **how) -> float:
+def lowest_km_cools(month, **how) -> float:
     air = at(47.0, month, **how).profile
     return float(air.temperature(0.0) - air.temperature(1000.0))
 
@@ -282,7 +282,7 @@ def test_without_a_date_the_spread_reaches_winter_and_summer(degrees, month):
 
 
 @cache
-def of_the_year(degrees: float) -> Climatology:
+def of_the_year(degrees) -> Climatology:
     return at(degrees, None)
 
 

@@ -33,7 +33,7 @@ def test_the_light_is_green_and_the_air_of_today():
     section = AtmosphereSection()
     assert (section.wavelength_m, section.co2_ppm, section.index) == (0.55e-6, 450.0, "ciddor")
     # Refractivity at 15 C and 1013.25 hPa of dry air (Edlen 1966: 277.8e-6 at 0.55 um).
-    assert float(standard_atmosphere().refractivity(0.0)) == pytest.approx(277.8e-6, rel=5e-4)
+    assert standard_atmosphere().refractivity(0.0) == pytest.approx(277.8e-6, rel=5e-4)
 
 
 def test_the_air_is_adjusted_and_shown_beside_us1976():

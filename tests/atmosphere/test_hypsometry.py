@@ -7,7 +7,7 @@ from itertools import pairwise
 import mpmath as mp
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
 
 from tests.atmosphere.values import HYDROSTATIC_K_PER_M
@@ -43,9 +43,9 @@ AIR = standard_atmosphere("us1976")
 
 
 def part_of_layer(
-    thickness: float,
-    virtual: np.ndarray,
-    share: mp.mpf | int = 1,
+    thickness,
+    virtual,
+    share=1,
 ) -> np.ndarray:
     """The integral of dH/T_M over the lower share of a layer, by quadrature with 40 digits, and
     its derivatives by T_M at both edges."""
@@ -125,7 +125,7 @@ def test_hats_are_linear_between_knots_and_constant_beyond():
     values = hats(knot, np.array(x)).T
     expected = [np.interp(x, knot, hat) for hat in np.eye(4)]
     assert_allclose(values, expected, rtol=1e-14, atol=1e-15)
-    np.testing.assert_array_equal(hats(knot, knot), np.eye(4))
+    assert_array_equal(hats(knot, knot), np.eye(4))
 
 
 # ---- heights outside the profile
@@ -149,7 +149,7 @@ def test_rows_outside_the_profile_are_nothing_at_all():
     for jacobian in (among, of_covariance):
         assert jacobian.shape == (8, edges)
         assert np.isnan(jacobian[outside]).all()
-        np.testing.assert_array_equal(jacobian[2:6], alone)
+        assert_array_equal(jacobian[2:6], alone)
     assert np.isnan(air[outside]).all()
     assert np.isfinite(air[2:6]).all()
 

@@ -16,7 +16,6 @@ from numpy.random import default_rng
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import NO_SENSORS, Adjusted, adjust, real_airs, rms
-from tests.atmosphere.flights import Truth
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.model_column import model_column
 from unbend.atmosphere.soundings.model_field import ModelField
@@ -34,7 +33,7 @@ def drawn(rng, sigma, above) -> np.ndarray:
     return sigma * (root @ rng.normal(size=above.size))
 
 
-def column(truth: Truth, climb: float, rng) -> Sounding:
+def column(truth, climb, rng) -> Sounding:
     """A model's column over the place of an air, with errors that a good analysis has."""
     levels = np.arange(2500.0, 1.1e5, 2500.0)
     inside = (levels > truth.p[-1]) & (levels < truth.p0)
@@ -68,7 +67,7 @@ def column(truth: Truth, climb: float, rng) -> Sounding:
     return sounding
 
 
-def estimated(truth: Truth, samples=NO_SENSORS, columns=()) -> Adjusted:
+def estimated(truth, samples=NO_SENSORS, columns=()) -> Adjusted:
     return adjust(truth, samples, soundings=columns, longitude_rad=0.0)
 
 

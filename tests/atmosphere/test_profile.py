@@ -8,6 +8,7 @@ import sys
 import mpmath as mp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 
 from tests.atmosphere.flights import geopotential
@@ -59,7 +60,7 @@ def test_layers_obey_the_hydrostatic_equation_under_wgs84_gravity(degrees):
         max_step=500,
     )
     log_p = np.log(profile.pressure(solved.t))
-    np.testing.assert_allclose(log_p, solved.y[0], rtol=0.0, atol=1e-6)
+    assert_allclose(log_p, solved.y[0], rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("rise", [-400.0, 37.0, 1000.0, 9000.0])
@@ -99,7 +100,7 @@ def rows(request) -> list[dict[str, float]]:
     return [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
 
 
-def retrace(row: dict[str, float]) -> float:
+def retrace(row) -> float:
     """Pressure [Pa] of a row of the profile's table from what stands in the row.
 
     With 40 digits: in double precision the power of Eq. 52 as it is written loses digits where the
@@ -155,7 +156,7 @@ def test_the_anchor_holds():
     layers = stack_layers(edge, t, np.zeros(3), ("", ""), anchor=(4321.0, 61_234.5))
     profile = Profile(layers, lambert_gravity(0.7))
     h = profile.gravity.height(4321.0)
-    assert profile.pressure(h).item() == pytest.approx(61_234.5, rel=1e-14)
+    assert profile.pressure(h) == pytest.approx(61_234.5, rel=1e-14)
 
 
 def test_profile_from_table_passes_through_it():
@@ -167,7 +168,7 @@ def test_profile_from_table_passes_through_it():
     dense = np.linspace(h[0], h[-1], 999)
     for name, limit in (("temperature", 1e-13), ("pressure", 1e-12), ("refractivity", 1e-12)):
         expected = getattr(source, name)(dense)
-        np.testing.assert_allclose(getattr(table, name)(dense), expected, rtol=limit)
+        assert_allclose(getattr(table, name)(dense), expected, rtol=limit)
 
 
 def test_profile_from_table_is_hydrostatic_at_the_level_of_its_pressures():
@@ -176,8 +177,8 @@ def test_profile_from_table_is_hydrostatic_at_the_level_of_its_pressures():
     p = np.array([1.0e5, 8.9e4, 7.0e4])
     e = np.array([1500.0, 900.0, 200.0])
     table = profile_from_table(h, t, p, e, gravity=lambert_gravity(0.6))
-    np.testing.assert_allclose(table.temperature(h), t, rtol=1e-12)
-    np.testing.assert_allclose(table.vapour_pressure(h) / table.pressure(h), e / p, rtol=1e-12)
+    assert_allclose(table.temperature(h), t, rtol=1e-12)
+    assert_allclose(table.vapour_pressure(h) / table.pressure(h), e / p, rtol=1e-12)
     # This table is 0.5 % off hydrostatic balance: the pressures straddle it, without a jump.
     ratio = table.pressure(h) / p
     assert np.median(ratio) == pytest.approx(1.0, abs=1e-12)
@@ -229,7 +230,7 @@ def test_a_profile_is_plotted_over_height_and_beside_another():
     standard_atmosphere("icao").plot(heights, axes)
     for axis in axes:
         assert len(axis.lines) == 2
-        np.testing.assert_array_equal(axis.lines[0].get_ydata(), heights)
+        assert_array_equal(axis.lines[0].get_ydata(), heights)
     # Table I: 255.676 K and 540.48 hPa at 5 km.
     assert axes[0].lines[0].get_xdata()[1] == pytest.approx(255.676, abs=1e-3)
     assert axes[1].lines[0].get_xdata()[1] == pytest.approx(540.48, abs=0.01)

@@ -26,8 +26,8 @@ def profiles(draw) -> Profile:
     count = draw(st.integers(3, 6))
 
     def several(
-        low: float,
-        high: float,
+        low,
+        high,
         size: int,
     ) -> np.ndarray:
         values = st.lists(
@@ -52,7 +52,7 @@ def profiles(draw) -> Profile:
 SHARES = st.floats(0.0, 1.0)
 
 
-def inside(profile: Profile, share: float) -> float:
+def inside(profile, share) -> float:
     extent_m = profile.top_m - profile.bottom_m
     return profile.bottom_m + (0.001 + 0.998 * share) * extent_m
 
@@ -103,7 +103,7 @@ def test_nothing_jumps_where_layers_meet(profile):
     assert np.all(np.diff(p) < 0.0)
 
 
-def covariance_of(profile: Profile, rng: np.random.Generator) -> ProfileCovariance:
+def covariance_of(profile, rng) -> ProfileCovariance:
     edges = profile.layers.edge.size
     size = 2 * edges + 1
     root = rng.normal(0.0, 0.1, (size, size))

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 import unbend
 from tests.helpers import refused
@@ -58,13 +60,13 @@ def test_ciddor_check_values_to_a_part_in_a_thousand_million(
 @pytest.mark.parametrize("micrometres", [0.45, 0.55, 0.65])
 def test_ciddor_agrees_with_the_modified_edlen_equation(micrometres):
     """Independent formula (Birch and Downs 1994). Reached: 4.7e-8 in n, at 250 K."""
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     t = rng.uniform(250.0, 310.0, 300)
     p = rng.uniform(3e4, 1.05e5, 300)
     e = rng.uniform(0.0, 0.8, 300) * saturation_pressure_pa(t)
     ours = refractivity_ciddor(t, p, e, wavelength_m=micrometres * 1e-6)
     edlen = edlen_index(p, t, e, micrometres) - 1.0
-    np.testing.assert_allclose(ours, edlen, rtol=0.0, atol=5e-8)
+    assert_allclose(ours, edlen, rtol=0.0, atol=5e-8)
 
 
 def test_carbon_dioxide_refracts_by_its_share():
@@ -77,7 +79,7 @@ def test_carbon_dioxide_refracts_by_its_share():
 
 def test_vapour_lowers_the_index_of_gyer():
     less = refractivity_gyer(300.0, 1e5, 0.0) - refractivity_gyer(300.0, 1e5, 3000.0)
-    assert float(less) == pytest.approx(11.036e-6 * 30.0 / 300.0, rel=1e-9)
+    assert less == pytest.approx(11.036e-6 * 30.0 / 300.0, rel=1e-9)
 
 
 def test_gyer_eq_13_against_his_table_2():
@@ -99,14 +101,14 @@ def test_saturation_pressure_agrees_with_steam_tables(celsius, steam_table_pa):
 
 def test_saturation_over_supercooled_water_agrees_with_sonntag():
     t = np.linspace(233.15, 323.15, 91)
-    np.testing.assert_allclose(saturation_vapour_pressure(t), saturation_pressure_pa(t), rtol=4e-3)
+    assert_allclose(saturation_vapour_pressure(t), saturation_pressure_pa(t), rtol=4e-3)
 
 
 def test_humidity_is_a_fraction_of_saturation():
     half = vapour_pressure(0.5, 293.15, 101_325.0)
-    assert float(vapour_pressure(1.0, 293.15, 101_325.0) / half) == pytest.approx(2.0, rel=1e-14)
+    assert vapour_pressure(1.0, 293.15, 101_325.0) / half == pytest.approx(2.0, rel=1e-14)
     # Enhancement factor of water over 1 atm at 20 C: 1.0040 (Hyland 1975).
-    assert float(half) == pytest.approx(0.5 * 1.0040 * 2339.3, rel=2e-4)
+    assert half == pytest.approx(0.5 * 1.0040 * 2339.3, rel=2e-4)
 
 
 def test_virtual_temperature_gives_the_density_of_moist_air():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 import pytest
 
@@ -15,14 +14,13 @@ from unbend.atmosphere.rejection import (
     with_reason,
 )
 
-
 NAN = np.nan
 
 
 def thermometer(
-    h_m: list[float],
-    value: float | list[float] = 280.0,
-    seconds: list[int] | None = None,
+    h_m,
+    value=280.0,
+    seconds=None,
     **more,
 ) -> SensorSamples:
     count = len(h_m)

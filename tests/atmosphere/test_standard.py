@@ -77,12 +77,12 @@ def test_what_the_definitions_state(model, name, at_sea_k, tropopause_k):
     assert h == pytest.approx(rows["z_m_geometric_r0"].to_numpy(), abs=0.06)
     assert profile.pressure(h) / 100.0 == pytest.approx(rows["p_hPa"].to_numpy(), rel=1e-6)
     tropopause = float(profile.gravity.height(11_000.0))
-    assert float(profile.temperature(0.0)) == pytest.approx(at_sea_k, abs=1e-9)
-    assert float(profile.temperature(tropopause)) == pytest.approx(tropopause_k, abs=1e-6)
+    assert profile.temperature(0.0) == pytest.approx(at_sea_k, abs=1e-9)
+    assert profile.temperature(tropopause) == pytest.approx(tropopause_k, abs=1e-6)
     # Below the sea the lapse rate goes on.
     assert profile.bottom_m < -4990.0
-    assert profile.temperature(-430.0).item() > at_sea_k + 2.7
-    assert profile.pressure(-430.0).item() > 1.05 * profile.pressure(0.0).item()
+    assert profile.temperature(-430.0) > at_sea_k + 2.7
+    assert profile.pressure(-430.0) > 1.05 * profile.pressure(0.0).item()
 
 
 @pytest.mark.parametrize("quantity", ["temperature", "pressure", "refractivity"])

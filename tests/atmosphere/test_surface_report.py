@@ -22,20 +22,20 @@ WIND = "221150Z 24011KT CAVOK"
 NAN = math.nan
 
 
-def parsed(text: str, h_m: float = 0.0, when: str = "") -> tuple[SurfaceReport, Ledger]:
+def parsed(text, h_m=0.0, when="") -> tuple[SurfaceReport, Ledger]:
     ledger = Ledger()
     flight_ns = ns(when) if when else None
     return parse_metar(text, h_m, ledger, where="mission.yaml", flight_ns=flight_ns), ledger
 
 
-def quiet(text: str, h_m: float = 0.0, when: str = "") -> SurfaceReport:
+def quiet(text, h_m=0.0, when="") -> SurfaceReport:
     """A report of which nothing is to be told."""
     report, ledger = parsed(text, h_m, when)
     assert codes(ledger) == []
     return report
 
 
-def smithsonian_pa(altimeter_hpa: float, h_m: float) -> float:
+def smithsonian_pa(altimeter_hpa, h_m) -> float:
     """The pressure of a station as weather services have it."""
     return 100.0 * (altimeter_hpa**0.190263 - 8.417286e-5 * h_m) ** (1.0 / 0.190263)
 

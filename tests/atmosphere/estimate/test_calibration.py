@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from tests.atmosphere import adjusting, flights
 from tests.atmosphere.adjusting import MONSOON, Adjusted, adjust, extreme, fault_of
@@ -35,7 +35,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def air(truth):
-    ground_h_m = float(truth.h[0])
+    ground_h_m = truth.ground_m
     return climatology(latitude_rad=truth.latitude, month=7.0, ground_h_m=ground_h_m)
 
 
@@ -78,7 +78,7 @@ NO_BAROMETER = {"barometer": False}
 def test_a_fault_that_is_known_is_taken_away(truth, flown, fault, wrong, sigma, how):
     """Beside a flight whose sensors have no fault at all: what is left of the change of R."""
 
-    def r(adjusted: Adjusted) -> float:
+    def r(adjusted) -> float:
         return truth.r_plane(adjusted.profile.refractivity(truth.h), 3000.0)
 
     right = r(flown(RIGHT, GOOD, **how))
@@ -156,7 +156,7 @@ def test_a_calibration_that_is_right_is_seldom_contradicted(flown):
     """Sensors drawn from what is said of them: none in ten flights at 4 sigma."""
     known = {BIAS: SensorCalibration(0.0, 0.5), OFFSET: SensorCalibration(0.0, 20.0)}
     for seed in range(10):
-        bias_k, offset_pa = np.random.default_rng(seed).normal(0.0, [0.5, 20.0])
+        bias_k, offset_pa = default_rng(seed).normal(0.0, [0.5, 20.0])
         sensors = replace(flights.REALISTIC, bias_k=bias_k, pressure_offset_pa=offset_pa)
         assert "AIR-CALIBRATION" not in flown(sensors, known, seed).codes()
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
@@ -50,7 +51,7 @@ from unbend.messages import Kind
 YEARS_H = 12 * 365 * 24
 
 
-def place(north: float, east: float) -> tuple[float, float]:
+def place(north, east) -> tuple[float, float]:
     return math.radians(north), math.radians(east)
 
 
@@ -102,7 +103,7 @@ def test_a_distance_counts_twice_across_a_coast(norman):
     here = TimeAndPlace(norman.start_ns, norman.latitude, 0.0)
     air = expected_air(norman)
 
-    def variance(km: float, *, across: bool = False) -> np.ndarray:
+    def variance(km, *, across: bool = False) -> np.ndarray:
         north = norman.latitude + 1e3 * km / 6.371e6
         balloon = balloon_of(norman, latitude_rad=north, longitude_rad=0.0, across=across)
         (departure,) = sounding_departures([balloon], air, here)
@@ -161,7 +162,7 @@ def test_a_station_far_away_is_less_certain(norman, across, times):
 def test_an_old_humidity_weighs_what_it_is_worth(hours):
     """Air that forgets: truth and reading drawn with the correlation, and combined as we do."""
     rho = math.exp(-hours / 18.0)
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     now, news = rng.normal(0.0, 0.3, (2, 20_000))
     then = rho * now + math.sqrt(1.0 - rho**2) * news
     gain = 1.0 / (1.0 + humidity_growth(hours, 0.0))
@@ -288,8 +289,8 @@ def test_an_old_sounding_does_not_spoil_a_fresh_one(norman):
 
 def station(truth, hours=0.0, dp=0.0, dt=0.0) -> SurfaceReport:
     return SurfaceReport(
-        float(truth.h[0]),
-        float(truth.p[0] + dp),
+        truth.ground_m,
+        float(truth.p0 + dp),
         float(truth.t[0] + dt),
         float(truth.e[0]),
         truth.start_ns - int(hours * HOUR_NS),
@@ -366,12 +367,12 @@ def test_a_station_is_worth_its_kelvin_and_half_a_hectopascal(
     report = replace(station(norman, hours), sigma_temperature_k=rounded_k)
     covariance = adjusted(norman, surface=[report]).covariance
     ground = norman.h[:1]
-    assert sigma_k[0] < covariance.sigma_temperature(ground).item() < sigma_k[1]
-    assert sigma_p[0] < covariance.sigma_log_pressure(ground).item() < sigma_p[1]
+    assert sigma_k[0] < covariance.sigma_temperature(ground) < sigma_k[1]
+    assert sigma_p[0] < covariance.sigma_log_pressure(ground) < sigma_p[1]
 
 
 def test_qnh_taken_for_the_pressure_of_the_station(norman):
-    qnh = float(norman.p[0] * (np.exp(norman.h[0] / 8200.0) - 1.0))
+    qnh = float(norman.p0 * (np.exp(norman.ground_m / 8200.0) - 1.0))
     samples = flown(norman, 3000.0, descent=True)
     made = adjusted(norman, samples, surface=[station(norman, dp=qnh)])
     assert off_in_sigmas(made) < 2.0

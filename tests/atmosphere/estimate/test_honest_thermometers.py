@@ -12,6 +12,7 @@ import os
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.stats import chi2
 
 from tests.atmosphere import flights
@@ -36,7 +37,7 @@ def test_thermometers_that_work_are_not_refused():
     Climbs of 2 to 6 m/s, half of them with the descent; readings from 20, 60 or 120 s after
     take-off; humidity of the whole flight, of the ground, or none.
     """
-    rng = np.random.default_rng(SEED)
+    rng = default_rng(SEED)
     refused = []
     for _ in range(DRAWS):
         truth = all_airs()[int(rng.integers(len(all_airs())))]
@@ -75,7 +76,7 @@ def test_low_climbs_with_a_thermometer_are_honest(sunny, reached, most):
 
     24 flights in `make test`, 1344 in `make faults`.
     """
-    rng = np.random.default_rng([SEED, 1])
+    rng = default_rng([SEED, 1])
     departures = {name: [] for name in WAYS}
     for climb in (300.0, 400.0, 500.0, 600.0):
         for truth in all_airs()[round(climb / 100.0) % STEP :: STEP] * TIMES:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
@@ -42,7 +43,7 @@ from unbend.atmosphere.estimate.state import Fault, Layout, Prior, SensorFault
 # The mixture, against Bayes' rule on a grid
 
 
-def reading_of(value: float, quantity: str = "temperature") -> SimpleNamespace:
+def reading_of(value, quantity="temperature") -> SimpleNamespace:
     """A reading of one number, a temperature or not."""
 
     def predict(air):
@@ -51,9 +52,7 @@ def reading_of(value: float, quantity: str = "temperature") -> SimpleNamespace:
     return SimpleNamespace(value=value, quantity=quantity, predict=predict)
 
 
-def evidence_of(
-    share: float, mean: float, precision: float, weight: float, x: float, log_sigma: float = 0.0
-) -> Evidence:
+def evidence_of(share, mean, precision, weight, x, log_sigma=0.0) -> Evidence:
     """Of a solution x for one number that is expected to be a mean."""
     prior = Prior(np.array([mean]), np.array([[precision]]), np.empty(0))
     state = SimpleNamespace(x=np.array([x]))
@@ -176,7 +175,7 @@ def test_a_thermometer_partly_in_the_outside_air_is_in_the_sigma(place, share, c
 def test_a_thermometer_that_the_climb_warms_has_no_lag_for_it(warmer_k, least_chance):
     """Read as lag, 3 K were 3.6 % of R at 0.8."""
     truth = extreme(TRADES)
-    sensors = replace(flights.drawn(np.random.default_rng(3)), lag_s=5.0)
+    sensors = replace(flights.drawn(default_rng(3)), lag_s=5.0)
     samples = flown(truth, 1000.0, sensors, humidity="none", rate=3.0, descent=True)
     t = samples.temperature
     seconds = (t.time_ns - t.time_ns[0]) * 1e-9 - flights.TAKEOFF_S

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
@@ -32,11 +33,11 @@ def flown(truth, lost, rng, *, sounding=False, climb=3000.0, **how) -> Adjusted:
     return adjust(truth, samples, longitude_rad=0.0, soundings=[balloon] if sounding else [])
 
 
-def scale_of(adjusted: Adjusted) -> FaultEstimate:
+def scale_of(adjusted) -> FaultEstimate:
     return fault_of(adjusted.made, SensorFault.PRESSURE_SCALE)
 
 
-def is_warned(adjusted: Adjusted) -> bool:
+def is_warned(adjusted) -> bool:
     return any(
         message.kind is Kind.WARNING and "static pressure scale" in message.what
         for message in with_code(adjusted.ledger, "AIR-SENSORS")
@@ -46,7 +47,7 @@ def is_warned(adjusted: Adjusted) -> bool:
 def test_barometer_and_gnss_alone_hold_it_in_their_sigma():
     """Three per cent and back: 1.4 sigma RMS, where 3 % of R had been 0.7 to 2 %; and sensors that
     lose nothing stay as certain: 2.1 %, 2.0 before."""
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     airs = all_airs()[::2]
     departures = []
     for truth in airs:
@@ -65,7 +66,7 @@ def test_a_second_source_shows_it(source, lost, number):
     """A sounding is kept, and the ledger says that a sensor is off; of a thermometer 17 K off what
     the barometer implies it says so too, or that the two contradict each other."""
     how = {"sounding": source == "sounding", "thermometer": source == "thermometer"}
-    adjusted = flown(all_airs()[number], lost, np.random.default_rng(4), **how)
+    adjusted = flown(all_airs()[number], lost, default_rng(4), **how)
     assert adjusted.departure(3000.0) < 3.0
     if lost and source == "thermometer" and adjusted.losses:
         assert adjusted.losses == ["AIR-THERMOMETER"]
@@ -78,7 +79,7 @@ def test_a_second_source_shows_it(source, lost, number):
 
 def test_over_six_kilometres_a_thermometer_is_not_refused_for_it():
     """What is lost grows with height as a bias does not: these had been refused, 4 sigma off."""
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     for number in (2, 4):
         adjusted = flown(all_airs()[number], 0.03, rng, climb=6000.0)
         assert adjusted.losses == []
@@ -96,12 +97,12 @@ def test_a_cold_thermometer_is_no_lost_pressure_where_drifts_are_large(number):
     What the drifts of the flight hide they may hide of either; these were kept, R 3 to 4 sigma off.
     """
     truth = real_airs()[number]
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     usual = {"bias_k": 0.0, "pressure_scale": 0.0, "pressure_drift_pa": 40.0}
     sensors = replace(flights.drawn(rng), **usual)
     samples = flights.fly(truth, 6000.0, sensors, rng, humidity="none")
     t = samples.temperature
-    cold = t.value - 8.0 - 8.0 * (t.h_m - truth.h[0]) / 6000.0
+    cold = t.value - 8.0 - 8.0 * (t.h_m - truth.ground_m) / 6000.0
     adjusted = adjust(truth, with_readings(samples, cold))
     assert adjusted.losses == ["AIR-THERMOMETER"]
     assert adjusted.departure(6000.0) < 2.0

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.estimate.candidates import (
@@ -22,7 +23,7 @@ from unbend.messages import Kind
 HEIGHTS_M = np.array([500.0, 900.0, 1500.0])
 
 
-def sensor(name: str, values: np.ndarray | list[float]) -> SensorSamples:
+def sensor(name, values) -> SensorSamples:
     return SensorSamples(np.arange(3), HEIGHTS_M, np.asarray(values), name=name)
 
 
@@ -39,8 +40,8 @@ def test_known_biases_are_subtracted_and_named():
     }
     known = SensorSettings(calibration=calibration)
     (corrected, settings), (note,) = subtract_known_biases(GIVEN, known)
-    np.testing.assert_allclose(corrected.temperature.value, [284.5, 282.0, 278.5])
-    np.testing.assert_allclose(corrected.pressure.value, [95_120.0, 90_620.0, 84_120.0])
+    assert_allclose(corrected.temperature.value, [284.5, 282.0, 278.5])
+    assert_allclose(corrected.pressure.value, [95_120.0, 90_620.0, 84_120.0])
     left = settings.calibration[SensorFault.THERMOMETER_BIAS]
     assert left == SensorCalibration(mean=0.0, sigma=0.1, subtracted=0.5)
     assert settings.calibration[SensorFault.HYGROMETER_BIAS].mean == 0.02

@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.signal import lfilter
 
 from tests.atmosphere import adjusting, flights
@@ -52,20 +53,20 @@ ON_A_BOARD = SensorSettings(board_temperature=True)
 flown = partial(adjusting.flown, sensors=QUIET)
 
 
-def seconds_of(samples: AirSamples) -> np.ndarray:
+def seconds_of(samples) -> np.ndarray:
     return (samples.temperature.time_ns - samples.temperature.time_ns[0]) * 1e-9
 
 
-def noise(samples: AirSamples, sigma: float) -> np.ndarray:
-    return np.random.default_rng(2).normal(0.0, sigma, samples.pressure.value.size)
+def noise(samples, sigma) -> np.ndarray:
+    return default_rng(2).normal(0.0, sigma, samples.pressure.value.size)
 
 
-def reading_always(samples: AirSamples, value: float, sensor: str) -> AirSamples:
+def reading_always(samples, value, sensor: str) -> AirSamples:
     count = getattr(samples, sensor).value.size
     return with_readings(samples, np.full(count, value), sensor)
 
 
-def number_in(text: str, pattern: str) -> float:
+def number_in(text, pattern) -> float:
     return float(re.search(pattern, text)[1])
 
 
@@ -132,7 +133,7 @@ def test_humidity_may_stay_at_its_ends_but_not_between(value, losses):
 def test_the_pressure_of_a_sealed_hull(climb, noise_pa):
     truth = extreme(TRADES)
     samples = flown(truth, climb, descent=True)
-    sealed = truth.p[0] + noise(samples, noise_pa)
+    sealed = truth.p0 + noise(samples, noise_pa)
     adjusted = adjust(truth, with_readings(samples, sealed, "pressure"))
     assert adjusted.losses == ["AIR-NOT-OUTSIDE"]
     assert adjusted.basis == "thermometer"
@@ -199,7 +200,7 @@ def test_real_clouds_keep_their_hygrometer(value):
 # A thermometer against a barometer
 
 
-def check_refused(truth, samples: AirSamples, climb: float, most_sigmas: float = 2.0) -> str:
+def check_refused(truth, samples, climb, most_sigmas=2.0) -> str:
     """The barometer is used without the thermometer; the text of its refusal."""
     adjusted = adjust(truth, samples)
     assert adjusted.losses == [THERMOMETER]
@@ -239,10 +240,10 @@ def test_readings_of_no_place_are_refused_beside_a_barometer():
     assert "within 30 minutes" in check_refused(truth, wild, 900.0)
 
 
-def with_a_wave(truth, samples: AirSamples) -> AirSamples:
+def with_a_wave(truth, samples) -> AirSamples:
     """6 K, a kilometre long: each half agrees, and no two readings contradict."""
     t = samples.temperature
-    wave = 6.0 * np.sin(2.0 * np.pi * (t.h_m - truth.h[0]) / 1000.0)
+    wave = 6.0 * np.sin(2.0 * np.pi * (t.h_m - truth.ground_m) / 1000.0)
     return with_readings(samples, t.value + wave)
 
 
@@ -291,7 +292,7 @@ def test_a_cabin_that_follows_the_ground_of_a_clear_night(tau_s, warmer_k):
     """It changes with time, not with height: 4 to 6 sigma before, without a word."""
     truth = extreme(NIGHT)
     samples = drawn_flight(truth, 600.0, 7, humidity="none", descent=True, gate_s=60.0)
-    outside = truth.at(truth.t, samples.temperature.h_m - truth.h[0])
+    outside = truth.at(truth.t, samples.temperature.h_m - truth.ground_m)
     keep = math.exp(-1.0 / tau_s)
     followed, _ = lfilter([1.0 - keep], [1.0, -keep], outside, zi=[keep * outside[0]])
     cabin = followed + warmer_k + noise(samples, 0.2)
@@ -300,7 +301,7 @@ def test_a_cabin_that_follows_the_ground_of_a_clear_night(tau_s, warmer_k):
 
 def test_honest_thermometers_are_believed():
     """Drawn biases, transients, lags and drifts, in five extreme airs: none of 40 is refused."""
-    rng = np.random.default_rng(12)
+    rng = default_rng(12)
     for truth in extreme_airs():
         for climb in (700.0, 1500.0):
             for descent in (True, True, False, False):
@@ -330,7 +331,7 @@ def test_ground_in_the_sun_is_air(lowest, overturns):
     """Superadiabatic in its lowest 100 m; the same lapse farther up overturns."""
     truth = extreme(DESERT)
     hot = copy.copy(truth)
-    above = np.maximum(truth.h - truth.h[0] - lowest, 0.0)
+    above = np.maximum(truth.h - truth.ground_m - lowest, 0.0)
     hot.t = truth.t + 6.0 * np.exp(-above / 60.0)
     samples = flown(hot, 2000.0, descent=True, gate_s=0.0)
     check = is_plausible(estimate(samples, expected_air(truth)), expected_air(truth))

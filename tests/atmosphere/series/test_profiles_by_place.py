@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import TRADES, Adjusted, adjust, flown
@@ -22,7 +23,7 @@ BALLOON = flights.extremes()[TRADES]
 LATITUDE = BALLOON.latitude
 
 
-def air_at(east_km: float, bias_k: float = 0.0) -> Truth:
+def air_at(east_km: float, bias_k=0.0) -> Truth:
     """The air of a place: 5 K warmer each 100 km to the east, at the same surface pressure."""
     return Truth(replace(BALLOON, t=BALLOON.t + K_PER_KM * east_km + bias_k))
 
@@ -61,7 +62,7 @@ def with_changes(measured, field, timed: TimedProfile, km, hours=0.0):
     """The air at places, by the air that was measured and the changes of the model."""
     km = np.asarray(km, float)
     start_ns = measured.truth.start_ns
-    ground = float(measured.truth.h[0])
+    ground = measured.truth.ground_m
     return add_model_changes(
         constant_series(timed, km.size),
         field,
@@ -74,7 +75,7 @@ def with_changes(measured, field, timed: TimedProfile, km, hours=0.0):
     )
 
 
-def sampled_at(measured, km: float, time_ns: int) -> TimedProfile:
+def sampled_at(measured, km, time_ns: int) -> TimedProfile:
     place = (LATITUDE, float(east_rad(km)), measured.truth.start_ns)
     return TimedProfile(time_ns, measured.profile, measured.covariance, sampled_at=place)
 
@@ -94,16 +95,16 @@ def test_at_the_ends_of_200_km_the_error_falls_from_3_percent_below_04(field, me
         air = series.timed_profiles[series.profile_number[end]]
         after = abs(truth.error(air.profile, CLIMB))
         assert after < 0.004
-        sigma = air.covariance.relative_sigma(truth.h[0] + CLIMB, truth.h[0])
+        sigma = air.covariance.relative_sigma(truth.ground_m + CLIMB, truth.ground_m)
         assert after < 2.0 * sigma < 0.04
         # Pressure at the camera too: what a station's columns show.
-        h = truth.h[0] + 2990.0
+        h = truth.ground_m + 2990.0
         assert air.profile.pressure(h) == pytest.approx(np.interp(h, truth.h, truth.p), rel=1e-3)
 
 
 def test_sigma_grows_from_where_the_air_was_measured(measured, field):
     series, _ = at_places(measured, field, [0.0, 50.0, 100.0])
-    ground = float(measured.truth.h[0])
+    ground = measured.truth.ground_m
     sigmas = [measured.sigma(CLIMB)]
     for number in series.profile_number:
         covariance = series.timed_profiles[number].covariance
@@ -115,9 +116,9 @@ def test_sigma_grows_from_where_the_air_was_measured(measured, field):
 def test_it_changes_with_time_as_the_model_does(field, measured):
     series, _ = at_places(measured, field, [0.0, 1.0], hours=4.0)
     truth = air_at(0.0, bias_k=2.0)
-    h = np.linspace(100.0, 2900.0, 20) + truth.h[0]
+    h = np.linspace(100.0, 2900.0, 20) + truth.ground_m
     off = series.profiles[0].temperature(h) - np.interp(h, truth.h, truth.t)
-    np.testing.assert_allclose(off, 0.0, atol=1.7)  # an inversion of 6 K is a little rounded
+    assert_allclose(off, 0.0, atol=1.7)  # an inversion of 6 K is a little rounded
     assert np.sqrt(np.mean(off**2)) < 0.6
     assert abs(np.mean(off)) < 0.2
 
@@ -142,6 +143,6 @@ def test_between_two_windows_both_places_count(measured, field):
     east = sampled_at(measured, 40.0, start_ns + 1)
     between = TimedProfile(start_ns, measured.profile, neighbours=(west, east, 0.75))
     series, _ = with_changes(measured, field, between, [20.0])
-    h = np.linspace(100.0, 2900.0, 20) + measured.truth.h[0]
+    h = np.linspace(100.0, 2900.0, 20) + measured.truth.ground_m
     expected = measured.profile.temperature(h)
-    np.testing.assert_allclose(series.profiles[0].temperature(h), expected, atol=0.05)
+    assert_allclose(series.profiles[0].temperature(h), expected, atol=0.05)

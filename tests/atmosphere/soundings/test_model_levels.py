@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid
 
 from tests.atmosphere.adjusting import all_airs
@@ -37,7 +38,7 @@ PUBLISHED = """
 def test_half_levels_are_the_published_ones():
     published = np.array(PUBLISHED.split(), float)
     ours = half_levels(np.array([101_325.0]))[0, 1:] / 100.0
-    np.testing.assert_allclose(ours, published, rtol=0.0, atol=5.1e-5)  # four decimals
+    assert_allclose(ours, published, rtol=0.0, atol=5.1e-5)  # four decimals
 
 
 def test_coefficients_are_smooth_and_end_at_nothing_and_at_the_surface():
@@ -97,9 +98,9 @@ def test_heights_and_pressures_of_model_levels_are_those_of_known_air(first):
         on_model_levels=True,
     )
     air = field.columns(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))
-    np.testing.assert_allclose(air.log_pressure[0], np.log(p), rtol=1e-12)
-    np.testing.assert_allclose(air.temperature_k[0], np.interp(h, height, t))
-    np.testing.assert_allclose(air.vapour[0], np.interp(h, height, vapour), rtol=1e-6)
+    assert_allclose(air.log_pressure[0], np.log(p), rtol=1e-12)
+    assert_allclose(air.temperature_k[0], np.interp(h, height, t))
+    assert_allclose(air.vapour[0], np.interp(h, height, vapour), rtol=1e-6)
     off = np.abs(np.interp(air.height[0], height, log_p) - np.log(p))
     low = h < 10_000.0
     assert low.sum() == 57
@@ -113,10 +114,10 @@ FINE = 100.0 * np.array(PRESSURE_LEVELS[::-1], float)
 
 @pytest.mark.parametrize("kind", ["model", "coarse", "fine"])
 @pytest.mark.parametrize("number", range(14))
-def test_real_columns_on_coarse_and_model_levels_are_air(number: int, kind: str):
+def test_real_columns_on_coarse_and_model_levels_are_air(number, kind: str):
     """Nine soundings and five extremes: inversions of 15 K, a desert's noon."""
     truth = all_airs()[number]
-    surface_pa = float(truth.p[0])
+    surface_pa = truth.p0
     p = {"model": full_levels(surface_pa), "coarse": COARSE, "fine": FINE}[kind]
     level = np.arange(1.0, p.size + 1) if kind == "model" else p
     inside = (p > truth.p[-1]) & (p < surface_pa)
@@ -135,7 +136,7 @@ def test_real_columns_on_coarse_and_model_levels_are_air(number: int, kind: str)
         **more,
     )
     checked, notes = checked_field(field, truth.name)
-    _, more = model_column(checked, (0.0, 0.0, 0), ground_h_m=float(truth.h[0]))
+    _, more = model_column(checked, (0.0, 0.0, 0), ground_h_m=truth.ground_m)
     codes = {message.code for message in (*notes, *more)}
     assert codes <= {"MODEL-UNDERGROUND", "MODEL-EXTENDED"}
 
@@ -143,7 +144,7 @@ def test_real_columns_on_coarse_and_model_levels_are_air(number: int, kind: str)
 NODES_DEG = [46.0, 46.25, 46.5, 46.75, 47.0]
 
 
-def field_over(latitude_deg: list[float], longitude_deg: list[float]) -> ModelField:
+def field_over(latitude_deg, longitude_deg) -> ModelField:
     """Fields of one time and level over nodes [deg]; their values do not matter."""
     shape = (1, 1, len(latitude_deg), len(longitude_deg))
     return ModelField(

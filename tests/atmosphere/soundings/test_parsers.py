@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -34,11 +34,11 @@ def files(request: pytest.FixtureRequest) -> Path:
     return Path(request.param)
 
 
-def counts(ledger: Ledger) -> Counts:
+def counts(ledger) -> Counts:
     return {entry.code: entry.count for entry in ledger}
 
 
-def from_file(path: Path, degrees: float = math.nan, when: str = "") -> tuple[Sounding, Counts]:
+def from_file(path, degrees=math.nan, when="") -> tuple[Sounding, Counts]:
     ledger = Ledger()
     time_ns = ns(when) if when else None
     sounding = read_sounding(
@@ -50,7 +50,7 @@ def from_file(path: Path, degrees: float = math.nan, when: str = "") -> tuple[So
     return sounding, counts(ledger)
 
 
-def parsed(text: str, when: str = "", **options) -> tuple[Sounding, Counts]:
+def parsed(text, when="", **options) -> tuple[Sounding, Counts]:
     """A text as it is read at 45 N, at a time of the flight."""
     ledger = Ledger()
     time_ns = ns(when) if when else None
@@ -59,13 +59,20 @@ def parsed(text: str, when: str = "", **options) -> tuple[Sounding, Counts]:
     return sounding, counts(ledger)
 
 
-def check_level(
-    sounding: Sounding, degrees: float, level: tuple[float, float, float, float]
-) -> None:
+@contextmanager
+def input_refused(code, words=""):
+    """A block that ends with this refusal, with these words."""
+    with refused(code, InputError) as caught:
+        yield caught
+    assert words in caught.value.what
+
+
+def check_level(sounding: Sounding, degrees, level) -> None:
     """A line of the file, read by eye: pressure, height, temperature, dew point."""
     hpa, geopotential_m, celsius, dew_point = level
-    row = int(np.argmin(np.abs(sounding.pressure_pa - hpa * 100.0)))
-    assert sounding.pressure_pa[row] == pytest.approx(hpa * 100.0, rel=1e-6)
+    pa = 100.0 * hpa
+    row = np.argmin(np.abs(sounding.pressure_pa - pa))
+    assert sounding.pressure_pa[row] == pytest.approx(pa)
     assert sounding.h_m[row] == pytest.approx(metres(geopotential_m, degrees), abs=0.15)
     assert sounding.temperature_k[row] == pytest.approx(celsius + 273.15, abs=1e-4)
     # Sonntag over water against Davis with Ciddor's enhancement, 0.5 % of vapour pressure.
@@ -195,11 +202,11 @@ def air(**columns) -> Columns:
     return {name: np.asarray(column) for name, column in levels.items() if column is not None}
 
 
-def field_of(value: float) -> str:
+def field_of(value) -> str:
     return "" if math.isnan(value) else f"{value:.8g}"
 
 
-def text_of(levels: Columns, order: Sequence[int] | None = None) -> str:
+def text_of(levels, order=None) -> str:
     table = np.column_stack(list(levels.values()))
     if order is not None:
         table = table[order]
@@ -212,20 +219,25 @@ def text_of(levels: Columns, order: Sequence[int] | None = None) -> str:
 CLEAN_TEXT = text_of(CLEAN)
 
 
-def with_columns(names: str, fields: str, text: str = CLEAN_TEXT) -> str:
+def with_columns(names, fields, text=CLEAN_TEXT) -> str:
     """A table with more columns, the same in each row."""
     head, *rows = text.splitlines()
     return "\n".join([f"{head},{names}", *(f"{row},{fields}" for row in rows)])
 
 
-def read(levels: Columns, order: Sequence[int] | None = None, **options) -> tuple[Sounding, Counts]:
+def read(levels, order=None, **options) -> tuple[Sounding, Counts]:
     return parsed(text_of(levels, order), **options)
 
 
-def changed(name: str, row: int, value: float) -> Columns:
+def changed(name, row, value) -> Columns:
     column = CLEAN[name].copy()
     column[row] = value
-    return air(**{name: column})
+    return CLEAN | {name: column}
+
+
+def parsed_with_messages(levels) -> tuple[Sounding, Ledger]:
+    ledger = Ledger()
+    return parse_sounding(text_of(levels), ledger, latitude_rad=math.radians(45.0)), ledger
 
 
 @pytest.fixture(scope="module")
@@ -255,8 +267,13 @@ def test_geometric_heights_stay():
 
 
 def test_pascals_and_kelvins_say_the_same(clean):
-    in_si = {"pressure_pa": 100.0 * PRESSURES, "temperature_k": lapsing(288.15)}
-    sounding, _ = read(air(pressure_hpa=None, temperature_c=None, **in_si))
+    levels = air(
+        pressure_hpa=None,
+        temperature_c=None,
+        pressure_pa=100.0 * PRESSURES,
+        temperature_k=lapsing(288.15),
+    )
+    sounding, _ = read(levels)
     assert sounding.pressure_pa == pytest.approx(clean.pressure_pa)
     assert sounding.temperature_k == pytest.approx(clean.temperature_k)
     assert sounding.vapour_pressure_pa == pytest.approx(clean.vapour_pressure_pa)
@@ -310,9 +327,8 @@ HOT_FAHRENHEIT = 32.0 + 1.8 * lapsing(38.0)
     ],
 )
 def test_wrong_units_are_refused(columns, words):
-    with refused("SOUNDING-UNITS", InputError) as caught:
+    with input_refused("SOUNDING-UNITS", words) as caught:
         read(air(**columns))
-    assert words in caught.value.what
     assert caught.value.where
 
 
@@ -326,7 +342,7 @@ def test_wrong_units_are_refused(columns, words):
     ids=["feet", "Fahrenheit", "falling"],
 )
 def test_heights_that_contradict_the_air_are_refused(columns):
-    with refused("SOUNDING-INCONSISTENT", InputError):
+    with input_refused("SOUNDING-INCONSISTENT"):
         read(air(**columns))
 
 
@@ -334,12 +350,7 @@ def test_heights_that_contradict_the_air_are_refused(columns):
     ("warmer_k", "lower_hpa"), [(1.0, 0.0), (0.0, 0.5)], ids=["same pressure", "same height"]
 )
 def test_duplicate_levels_are_averaged(warmer_k, lower_hpa):
-    h = np.insert(HEIGHTS, 4, HEIGHTS[3])
-    levels = {
-        "geopotential_m": h,
-        "pressure_hpa": standard_hpa(h),
-        "temperature_c": 15.0 - 0.0065 * h,
-    }
+    levels = {name: np.insert(column, 4, column[3]) for name, column in CLEAN.items()}
     levels["temperature_c"][4] += warmer_k
     levels["pressure_hpa"][4] -= lower_hpa
     sounding, said = read(levels)
@@ -395,10 +406,7 @@ def test_a_dew_point_over_the_temperature_is_saturation():
 )
 def test_one_wild_number_takes_one_level_with_it(clean, name, value, code):
     """Of twelve levels one is rubbish: it is counted, and the others stay as they are."""
-    ledger = Ledger()
-    text = text_of(changed(name, 3, value))
-    sounding = parse_sounding(text, ledger, latitude_rad=math.radians(45.0))
-    (entry,) = ledger
+    sounding, (entry,) = parsed_with_messages(changed(name, 3, value))
     assert entry.code == code
     assert entry.count == 1
     assert (entry.kind is Kind.LOSS) is (code == "SOUNDING-RANGE")
@@ -416,10 +424,8 @@ def test_one_wild_number_takes_one_level_with_it(clean, name, value, code):
     ],
 )
 def test_what_is_wrong_is_told_in_the_unit_of_its_text(name, value, values):
-    ledger = Ledger()
-    parse_sounding(text_of(changed(name, 3, value)), ledger, latitude_rad=0.8)
-    (entry,) = ledger
-    assert entry.values == pytest.approx(values, rel=1e-6)
+    _, (entry,) = parsed_with_messages(changed(name, 3, value))
+    assert entry.values == pytest.approx(values)
 
 
 @pytest.mark.parametrize(
@@ -443,37 +449,38 @@ def test_a_wild_height_or_dew_point_takes_no_level_with_it(clean, name, value, e
 LAYERS = np.array([0.0, 20.0, 300.0, 600.0, 1000.0, 2000.0, 3000.0])
 
 
-def in_balance(h: np.ndarray, celsius: Sequence[float]) -> Columns:
+def in_balance(h, celsius) -> Columns:
     """Levels in balance with a temperature: pressures by trapezoids of 1/T over a metre."""
     fine = np.arange(0.0, h[-1] + 1.0)
     t = np.interp(fine, h, celsius) + 273.15
     steps = HYDROSTATIC_K_PER_M / (0.5 * (t[1:] + t[:-1]))
-    fall = np.concatenate([[0.0], np.cumsum(steps)])
-    hpa = np.interp(h, fine, 1010.0 * np.exp(-fall))
-    return {"geopotential_m": h, "pressure_hpa": hpa, "temperature_c": np.asarray(celsius)}
+    fall = np.cumsum([0.0, *steps])
+    return {
+        "geopotential_m": h,
+        "pressure_hpa": np.interp(h, fine, 1010.0 * np.exp(-fall)),
+        "temperature_c": celsius,
+    }
 
 
 @pytest.mark.parametrize(
     ("celsius", "text"),
     [
         # 13 K/km over 300 m by day.
-        ([33.0, 32.8, 29.0, 25.1, 21.5, 14.0, 7.0], None),
+        ([33.0, 32.8, 29.0, 25.1, 21.5, 14.0, 7.0], ""),
         # Above a desert, 3 K in the first 20 m: n grows with height.
-        ([35.0, 32.0, 29.5, 27.0, 24.0, 17.0, 10.0], None),
+        ([35.0, 32.0, 29.5, 27.0, 24.0, 17.0, 10.0], ""),
         # 9.76 K/km are 2.9 K from the ground to 300 m: 44.3 - 29.6 - 2.9 = 11.8.
-        ([44.3, 32.5, 29.6, 26.7, 22.8, 16.0, 9.0], None),
+        ([44.3, 32.5, 29.6, 26.7, 22.8, 16.0, 9.0], ""),
         ([44.8, 32.5, 29.6, 26.7, 22.8, 16.0, 9.0], r"from 0 to \d+ m .* by 12\.\d K more"),
-        ([22.0, 21.8, 19.0, 16.1, 12.2, 2.0, -7.7], None),
+        ([22.0, 21.8, 19.0, 16.1, 12.2, 2.0, -7.7], ""),
         ([22.0, 21.8, 19.0, 16.1, 12.2, 0.2, -9.5], r"from 1000 to \d+ m .* by 2\.\d K more"),
     ],
 )
 def test_steep_layers_are_kept_and_told_where_no_sonde_measures_them(celsius, text):
-    ledger = Ledger()
-    levels = in_balance(LAYERS, celsius)
-    sounding = parse_sounding(text_of(levels), ledger, latitude_rad=0.8)
+    sounding, ledger = parsed_with_messages(in_balance(LAYERS, celsius))
     assert sounding.temperature_k == pytest.approx(np.array(celsius) + 273.15)
     entries = with_code(ledger, "SOUNDING-SUPERADIABATIC")
-    assert len(entries) == (text is not None)
+    assert len(entries) == bool(text)
     for entry in entries:
         assert re.search(text, entry.what)
 
@@ -507,9 +514,6 @@ def test_without_latitude_it_is_said():
     assert said == {"SOUNDING-LATITUDE": 0}
 
 
-FOUR_LEVELS = {name: column[:4] for name, column in CLEAN.items()}
-
-
 @pytest.mark.parametrize(
     ("text", "code", "words"),
     [
@@ -518,7 +522,7 @@ FOUR_LEVELS = {name: column[:4] for name, column in CLEAN.items()}
         ("h_m,pressure_hpa,pressure_hpa,temperature_c\n", "SOUNDING-COLUMN", "pressure_hpa"),
         ("h_m,pressure_hpa,temperature_c\n", "SOUNDING-EMPTY", ""),
         (CLEAN_TEXT + ",1,2\n", "SOUNDING-EMPTY", "its first row has 4 fields"),
-        (text_of(FOUR_LEVELS), "SOUNDING-LEVELS", "4 levels"),
+        (text_of(CLEAN, order=range(4)), "SOUNDING-LEVELS", "4 levels"),
         (text_of(air(**NO_HEIGHTS)), "SOUNDING-HEIGHT", ""),
         (text_of(air(pressure_pa=100.0 * PRESSURES)), "SOUNDING-COLUMN", "pressure_pa"),
         ("pressure,temperature_c\n1000,15\n", "SOUNDING-COLUMN", "pressure"),
@@ -526,9 +530,8 @@ FOUR_LEVELS = {name: column[:4] for name, column in CLEAN.items()}
     ids=lambda value: value if str(value).startswith("SOUNDING") else "",
 )
 def test_no_sounding(text, code, words):
-    with refused(code, InputError) as caught:
+    with input_refused(code, words):
         parsed(text)
-    assert words in caught.value.what
 
 
 @pytest.mark.parametrize(
@@ -540,7 +543,7 @@ def test_no_sounding(text, code, words):
     ],
 )
 def test_a_text_that_is_not_of_the_stated_format(format_name, code, remedy):
-    with refused(code, InputError) as caught:
+    with input_refused(code) as caught:
         parsed(text_of(air(pressure_hpa=None)), format_name=format_name)
     assert remedy in caught.value.remedy
 
@@ -548,7 +551,7 @@ def test_a_text_that_is_not_of_the_stated_format(format_name, code, remedy):
 @pytest.mark.parametrize("name", ["igra", "igra_derived"])
 @pytest.mark.parametrize("text", [CLEAN_TEXT, "", "one line\n"])
 def test_no_line_of_a_text_is_a_header_of_igra(name, text):
-    with refused("SOUNDING-FORMAT", InputError) as caught:
+    with input_refused("SOUNDING-FORMAT") as caught:
         parsed(text, format_name=name, where="b.csv")
     assert "b.csv" in caught.value.where
 
@@ -556,7 +559,7 @@ def test_no_line_of_a_text_is_a_header_of_igra(name, text):
 # Times and places of a plain CSV
 
 
-def dated(time: str) -> tuple[Sounding, Counts]:
+def dated(time) -> tuple[Sounding, Counts]:
     return parsed(with_columns("time_utc", time))
 
 
@@ -590,15 +593,15 @@ def test_a_time_that_is_not_stated_is_unknown(text):
     ],
 )
 def test_a_time_that_is_stated_and_cannot_be_read_is_refused(text):
-    with refused("SOUNDING-TIME", InputError) as caught:
+    with input_refused("SOUNDING-TIME", text):
         dated(text)
-    assert text in caught.value.what
 
 
-def at_place(north: str, east: str) -> Sounding:
+def at_place(north, east) -> Sounding:
     """A plain CSV with a place in its columns, as it is read."""
     text = with_columns("latitude_deg,longitude_deg", f'"{north}","{east}"')
-    return parsed(text)[0]
+    sounding, _ = parsed(text)
+    return sounding
 
 
 @pytest.mark.parametrize(
@@ -628,28 +631,25 @@ def test_a_place_that_is_not_stated_is_unknown(north, east):
     [("48 14", "16 21"), ("48.2", "361"), ("98.2", "16.35"), ("48.2N", "16.35E")],
 )
 def test_a_place_that_is_stated_and_cannot_be_read_is_refused(north, east):
-    with refused("SOUNDING-PLACE", InputError):
+    with input_refused("SOUNDING-PLACE"):
         at_place(north, east)
 
 
 # Several ascents in one table
 
 
-def rows_of(*, warmer_k: float = 0.0, identity: str = "") -> list[str]:
+def rows_of(*, warmer_k=0.0, identity="") -> list[str]:
     """Ten levels of an ascent; pressure, temperature and what says which ascent it is."""
-    rows = []
-    for level in range(10):
-        hpa = 950.0 - 45.0 * level
-        celsius = 15.0 - 2.5 * level + warmer_k
-        rows.append(f"{hpa:.1f},{celsius:.1f}{identity}")
-    return rows
+    return [
+        f"{950.0 - 45.0 * level},{15.0 - 2.5 * level + warmer_k}{identity}" for level in range(10)
+    ]
 
 
-def table_of(rows: list[str], columns: str = "") -> str:
+def table_of(rows, columns="") -> str:
     return "\n".join([f"pressure_hpa,temperature_c{columns}", *rows])
 
 
-def at_station(text: str, when: str = "") -> tuple[Sounding, Counts]:
+def at_station(text, when="") -> tuple[Sounding, Counts]:
     return parsed(text, when, station_h_m=540.0)
 
 
@@ -660,16 +660,15 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
     late = rows_of(warmer_k=5.0, identity=f",2025-06-12T{6 + hours:02d}:00:00Z")
     rows = [*early, *late]
     if interleaved:
-        rows = [row for pair in zip(early, late, strict=True) for row in pair]
+        rows = np.transpose([early, late]).ravel()
     text = table_of(rows, ",time_utc")
     for hour, celsius in (("05", 15.0), ("13", 20.0)):
         sounding, said = at_station(text, f"2025-06-12T{hour}:00")
         assert sounding.temperature_k[0] == pytest.approx(celsius + 273.15)
         assert sounding.h_m.size == 10
         assert said["SOUNDING-CHOSEN"] == 2
-    with refused("SOUNDING-CHOICE", InputError) as caught:
+    with input_refused("SOUNDING-CHOICE", "2 soundings, and no time"):
         at_station(text)
-    assert "2 soundings, and no time" in caught.value.what
 
 
 @pytest.mark.parametrize(
@@ -683,16 +682,15 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
 )
 def test_two_ascents_of_one_time_in_one_table_are_refused(columns, first, second):
     rows = [*rows_of(identity=first), *rows_of(warmer_k=5.0, identity=second)]
-    with refused("SOUNDING-CHOICE", InputError):
+    with input_refused("SOUNDING-CHOICE"):
         at_station(table_of(rows, columns), "2025-06-12T05:00")
 
 
 def test_rows_too_long_apart_are_refused():
     """Each level has its own time: no column parts the ascents, but none takes 13 hours."""
     rows = [f"{row},2025-06-12T{k + 5:02d}:00:00Z" for k, row in enumerate(rows_of())]
-    with refused("SOUNDING-CHOICE", InputError) as caught:
+    with input_refused("SOUNDING-CHOICE", "up to 9.0 hours apart"):
         at_station(table_of(rows, ",time_utc"))
-    assert "up to 9.0 hours apart" in caught.value.what
 
 
 def test_up_and_down_again_is_one_flight():
@@ -715,7 +713,7 @@ def test_up_and_down_again_is_one_flight():
     ],
 )
 def test_a_time_in_a_column_of_another_name_is_not_unknown(column, field):
-    with refused("SOUNDING-TIME", InputError) as caught:
+    with input_refused("SOUNDING-TIME") as caught:
         parsed(with_columns(column, field))
     assert "time_utc" in caught.value.remedy
 
@@ -763,15 +761,15 @@ def test_wyoming_page_with_blank_fields():
     assert sounding.h_m.size == 6
 
 
-def wyoming_of(heading: str, station: str = "", levels: int = 8) -> str:
+def wyoming_of(heading, station="", levels=8) -> str:
     """A list of the University of Wyoming under a heading, with lines on its station after it."""
-    rows = []
-    for h in range(200, 200 + 500 * levels, 500):
-        celsius = 15.0 - 0.0065 * h
-        rows.append(f"{standard_hpa(h):7.1f}{h:7d}{celsius:7.1f}{celsius - 10.0:7.1f}{50:7d}")
     rule = "-" * 77
     titles = "   PRES   HGHT   TEMP   DWPT   RELH\n    hPa     m      C      C      %"
-    table = "\n".join([rule, titles, rule, *rows])
+    lines = [rule, titles, rule]
+    for h in range(200, 200 + 500 * levels, 500):
+        celsius = 15.0 - 0.0065 * h
+        lines.append(f"{standard_hpa(h):7.1f}{h:7d}{celsius:7.1f}{celsius - 10.0:7.1f}{50:7d}")
+    table = "\n".join(lines)
     return f"<H1>{heading}</H1>\n<PRE>\n{table}\n</PRE>\n{station}\n"
 
 
@@ -813,9 +811,8 @@ def test_forms_of_times_of_a_page(heading, station, time):
     ],
 )
 def test_a_time_of_a_page_that_cannot_be_read_or_contradicts_is_refused(heading, station, words):
-    with refused("SOUNDING-TIME", InputError) as caught:
+    with input_refused("SOUNDING-TIME", words):
         parsed(wyoming_of(heading, station))
-    assert words in caught.value.what
 
 
 @pytest.mark.parametrize(
@@ -848,9 +845,8 @@ def test_of_two_ascents_of_a_page_the_nearest_in_time(flight, time, levels):
 def test_of_two_stations_of_one_hour_none_is_guessed():
     vienna = wyoming_of(OLD_HEADING)
     prague = wyoming_of("11520 Praha Observations at 12Z 12 Mar 2015", levels=9)
-    with refused("SOUNDING-CHOICE", InputError) as caught:
+    with input_refused("SOUNDING-CHOICE", "2 soundings of the file have the time"):
         parsed(vienna + prague, "2015-03-12T11:00")
-    assert "2 soundings of the file have the time" in caught.value.what
     pasted_twice, _ = parsed(vienna + vienna, "2015-03-12T11:00")
     assert pasted_twice.h_m.size == 8
 
@@ -858,7 +854,7 @@ def test_of_two_stations_of_one_hour_none_is_guessed():
 # The archive IGRA
 
 
-def igra(date: str, hour: str, release: str, announced: int = 6) -> str:
+def igra(date, hour, release: str, announced=6) -> str:
     """Six levels under a header of the archive."""
     lines = [
         f"#USM00070026 {date} {hour} {release} {announced:4d} ncdc6301 ncdc6301  712889 -1567833"
@@ -870,11 +866,8 @@ def igra(date: str, hour: str, release: str, announced: int = 6) -> str:
     return "\n".join([*lines, ""])
 
 
-THREE_ASCENTS = (
-    igra("2010 06 01", "00", "2303")
-    + igra("2010 06 01", "12", "9999")
-    + igra("2010 06 02", "99", "1805")
-)
+NOON = igra("2010 06 01", "12", "9999")
+THREE_ASCENTS = igra("2010 06 01", "00", "2303") + NOON + igra("2010 06 02", "99", "1805")
 
 
 @pytest.mark.parametrize(
@@ -890,7 +883,6 @@ def test_igra_choice_and_release(when, released):
     assert sounding.time_ns == ns(released)
 
 
-NOON = igra("2010 06 01", "12", "9999")
 UNDATED = igra("2010 06 01", "99", "9999")
 
 
@@ -906,7 +898,7 @@ UNDATED = igra("2010 06 01", "99", "9999")
     ids=["no time", "undated", "no header", "a header alone", "no date"],
 )
 def test_what_no_file_of_the_archive_has_is_refused(text, when, code, where):
-    with refused(code, InputError) as caught:
+    with input_refused(code) as caught:
         parsed(text, when)
     assert where in caught.value.where
 
@@ -922,7 +914,7 @@ def test_igra_far_away_and_cut_off():
 # Files
 
 
-def sonde_file(folder: Path, columns: Columns, base_time: int | None = None) -> Path:
+def sonde_file(folder, columns, base_time: int | None = None) -> Path:
     """A netCDF file with the names of ARM."""
     path = folder / "sonde.cdf"
     with netcdf_file(path, "w") as file:
@@ -945,10 +937,11 @@ SONDE = {
 
 
 def test_fill_values_of_netcdf(tmp_path):
-    without_temperature = np.where(HEIGHTS == 1000.0, -9999.0, SONDE["tdry"])
-    without_dew_point = np.where(HEIGHTS == 2000.0, -9999.0, SONDE["dp"])
-    filled = SONDE | {"tdry": without_temperature, "dp": without_dew_point}
-    sounding, said = from_file(sonde_file(tmp_path, filled), 45.0)
+    filled = {
+        "tdry": np.where(HEIGHTS == 1000.0, -9999.0, SONDE["tdry"]),
+        "dp": np.where(HEIGHTS == 2000.0, -9999.0, SONDE["dp"]),
+    }
+    sounding, said = from_file(sonde_file(tmp_path, SONDE | filled), 45.0)
     assert said == {"SOUNDING-MISSING": 1}
     assert sounding.time_ns is None
     assert sounding.name == "sounding sonde.cdf"
@@ -957,9 +950,8 @@ def test_fill_values_of_netcdf(tmp_path):
 
 
 def test_a_netcdf_without_a_variable_is_refused(tmp_path):
-    with refused("SOUNDING-NETCDF", InputError) as caught:
+    with input_refused("SOUNDING-NETCDF", "no variable tdry"):
         from_file(sonde_file(tmp_path, {"pres": PRESSURES}))
-    assert "no variable tdry" in caught.value.what
 
 
 @pytest.mark.parametrize(("flight", "far"), [("2019-01-01T08:00", False), ("2025-06-12T09", True)])
@@ -989,15 +981,15 @@ def test_a_byte_order_mark_is_no_name_of_a_column(tmp_path):
 def test_files_that_are_no_sounding(tmp_path, name, data, code):
     path = tmp_path / name
     path.write_bytes(data)
-    with refused(code, InputError):
+    with input_refused(code):
         from_file(path)
 
 
 def test_a_file_that_is_absent_or_too_large(tmp_path):
     path = tmp_path / "s.csv"
-    with refused("SOUNDING-UNREADABLE", InputError):
+    with input_refused("SOUNDING-UNREADABLE"):
         from_file(path)
     with path.open("wb") as file:
         file.truncate(LARGEST_BYTES + 1)
-    with refused("SOUNDING-SIZE", InputError):
+    with input_refused("SOUNDING-SIZE"):
         from_file(path)
