@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.random import default_rng
+from numpy.random import Generator, default_rng
 from numpy.typing import ArrayLike
 
 from tests.atmosphere import flights
@@ -18,6 +18,7 @@ from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import Climatology, climatology, month_of
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
+from unbend.atmosphere.estimate.sensors import SensorCalibration
 from unbend.atmosphere.estimate.solver import FaultEstimate
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.profile import Profile
@@ -99,9 +100,9 @@ class Adjusted:
     def codes(self, kind: Kind | None = None) -> list[str]:
         return codes(self.ledger, kind)
 
-    def entry(self, code: str) -> Message:
-        """The only entry with this code."""
-        return entry(self.ledger, code)
+    def entry(self, code: str, kind: Kind | None = None) -> Message:
+        """The only entry with this code, of this kind."""
+        return entry(self.ledger, code, kind)
 
     def why_not(self, source: str) -> str:
         """Why a source is not used."""
@@ -134,18 +135,30 @@ def adjust(truth: Truth, samples: AirSamples = NO_SENSORS, **options) -> Adjuste
 
 
 def flown(
-    truth: Truth, climb_m: float, sensors: flights.Sensors = flights.REALISTIC, seed=1, **how
+    truth: Truth,
+    climb_m: float,
+    sensors: flights.Sensors = flights.REALISTIC,
+    seed=1,
+    **how,
 ) -> AirSamples:
     """What these sensors measure on a flight (`flights.fly`)."""
     return flights.fly(truth, climb_m, sensors, default_rng(seed), **how)
 
 
 def drawn_flight(
-    truth: Truth, climb_m: float, seed: int, sensors_of=flights.drawn, **how
+    truth: Truth,
+    climb_m: float,
+    seed: int | Generator,
+    sensors_of=flights.drawn,
+    **how,
 ) -> AirSamples:
     """What drawn sensors measure on a flight."""
     rng = default_rng(seed)
     return flights.fly(truth, climb_m, sensors_of(rng), rng, **how)
+
+
+NO_PRESSURE_LOST = {SensorFault.PRESSURE_SCALE: SensorCalibration(sigma=1e-5)}
+"""Of clean readings: a static pressure that loses nothing of its change."""
 
 
 def sigma_of_r(made, truth: Truth, climb_m: float) -> float:
@@ -159,11 +172,12 @@ def codes(ledger: Ledger, kind: Kind | None = None) -> list[str]:
     return [message.code for message in ledger if kind in (None, message.kind)]
 
 
-def entry(ledger: Ledger, code: str) -> Message:
-    """The only entry of a ledger with this code."""
+def entry(ledger: Ledger, code: str, kind: Kind | None = None) -> Message:
+    """The only entry of a ledger with this code, of this kind."""
     entries = with_code(ledger, code)
     assert len(entries) == 1, codes(ledger)
-    return entries.pop()
+    assert kind in (None, entries[0].kind)
+    return entries[0]
 
 
 def rms(values: ArrayLike) -> float:

@@ -25,7 +25,9 @@ from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.simulate.true_air import edlen_index, normal_gravity, saturation_pressure_pa
 
-SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "soundings"
+TESTS = Path(__file__).resolve().parents[1]
+DATA = TESTS / "data"
+SHARED_SOUNDINGS = TESTS.parents[1] / "shared" / "soundings"
 TAKEOFF_S = 30.0
 CRUISE_S = 300.0
 RAMP_S = 1380.0  # 23 minutes, in which a pressure ramp reaches its size
@@ -172,7 +174,7 @@ def balloons() -> list[Balloon]:
 
     Levels in the order of height, one at a height; dew points filled in where they are given.
     """
-    return [balloon_of_file(path) for path in sorted(SOUNDINGS.glob("*.csv"))]
+    return [balloon_of_file(path) for path in sorted((DATA / "soundings").glob("*.csv"))]
 
 
 def balloon_of_file(path: Path) -> Balloon:

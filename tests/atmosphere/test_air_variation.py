@@ -1,7 +1,5 @@
 """What the fitted structure function has of what public ascents show."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -22,7 +20,7 @@ FINE_STRUCTURE = (
 )
 
 
-def correlation_of_changes(hours, low_m, high_m) -> float:
+def correlation_of_changes(hours, low_m, high_m):
     h = np.array([low_m, high_m])
     parts = variation_parts(VIENNA_RAD, JANUARY, 0.0)
     covariance = covariance_of(changes(parts, hours), h, h)
@@ -38,7 +36,7 @@ def test_warm_air_below_the_tropopause_goes_with_cold_air_above(hours):
 
 
 def test_the_air_is_mixed_by_a_summers_day_alone():
-    def sigma_k(month, hour) -> float:
+    def sigma_k(month, hour):
         parts = variation_parts(VIENNA_RAD, month, 0.0, hour)
         return sigma_of(parts, np.array([300.0]))
 
@@ -49,7 +47,7 @@ def test_the_air_is_mixed_by_a_summers_day_alone():
     assert sigma_k(JANUARY, 15.0) == pytest.approx(of_winter_night, rel=5e-3)
 
 
-def of_fine_structure(degrees, month, h) -> float:
+def of_fine_structure(degrees, month, h):
     parts = variation_parts(np.radians(degrees), month, 0.0)
     kinked_and_smooth = tuple(part for part in parts if part.name in FINE_STRUCTURE)
     return sigma_of(kinked_and_smooth, np.array([h]))

@@ -1,18 +1,15 @@
 """Climatologies against the tables they come from, and their spread against real ascents."""
 
-from __future__ import annotations
-
 import math
 import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from tests.atmosphere.adjusting import rms
-from tests.atmosphere.flights import geopotential
+from tests.atmosphere.flights import DATA, SHARED_SOUNDINGS, geopotential
 from tests.atmosphere.values import ns
 from tests.helpers import refused
 from unbend.atmosphere import standard_atmosphere, standard_names
@@ -24,8 +21,7 @@ from unbend.messages import Ledger
 from unbend.simulate.true_air import saturation_pressure_pa
 from unbend.tables.soundings import read_sounding
 
-SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "soundings"
-PRINTED = Path(__file__).resolve().parents[1] / "data" / "atmospheres"
+PRINTED = DATA / "atmospheres"
 """The tables of the U.S. Standard Atmosphere Supplements, 1966, and of AFGL-TR-86-0110."""
 
 SUPPLEMENTS = pd.read_csv(PRINTED / "supplements1966_breakpoints.csv")
@@ -192,7 +188,7 @@ def test_the_spread_contains_real_ascents():
     of_pressure = []
     for name, degrees, hour in ASCENTS:
         ascent = read_sounding(
-            SHARED / name,
+            SHARED_SOUNDINGS / name,
             Ledger(),
             time_ns=hour and ns(hour),
             latitude_rad=math.radians(degrees),
@@ -239,7 +235,7 @@ def test_spread_follows_latitude_and_season():
     assert plateau.sigma_temperature(3000.0) > sigma
 
 
-def lowest_km_cools(month, **how) -> float:
+def lowest_km_cools(month, **how):
     profile = at(47.0, month, **how).profile
     low, high = profile.temperature([0.0, 1000.0])
     return low - high
@@ -362,7 +358,7 @@ SUMMER = (6, 7, 8)
 def test_without_a_date_the_spread_contains_real_ascents_of_all_seasons():
     """479 ascents; reached: 0.89 RMS in all, 0.56 in winter, 1.31 in summer (days of hail)."""
     rows = []
-    for path in sorted((SHARED / "many").glob("*.csv.xz")):
+    for path in sorted((SHARED_SOUNDINGS / "many").glob("*.csv.xz")):
         for _, ascent in pd.read_csv(path).groupby("ascent"):
             first = ascent.iloc[0]
             degrees = round(first.latitude_deg)

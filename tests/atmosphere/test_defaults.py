@@ -1,7 +1,5 @@
 """Defaults that change numbers, each with the reason for its value."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

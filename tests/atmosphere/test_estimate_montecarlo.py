@@ -5,8 +5,6 @@ is integrated apart from the estimator. Sigmas are those of UNBEND_AIR_FLIGHTS f
 faults`: 3) through each air in each way; with it, errors are also those about us1976.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from itertools import product
@@ -18,9 +16,11 @@ from scipy.integrate import trapezoid
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
+    NO_PRESSURE_LOST,
     Adjusted,
     adjust,
     all_airs,
+    drawn_flight,
     expected_air,
     extreme_airs,
     real_airs,
@@ -63,7 +63,7 @@ def adjusted(
     )
 
 
-def errors(climb, sensors, times=1, **how) -> np.ndarray:
+def errors(climb, sensors, times=1, **how):
     """Errors of R in per cent, ``times`` flights through the air of each sounding."""
     rng = default_rng(20)
     errors_of_flights = []
@@ -74,7 +74,7 @@ def errors(climb, sensors, times=1, **how) -> np.ndarray:
     return np.array(errors_of_flights)
 
 
-def error_of_the_standard(climb) -> float:
+def error_of_the_standard(climb):
     """RMS error of R in per cent."""
     errors_of_airs = []
     for truth in real_airs():
@@ -191,7 +191,7 @@ OF_AN_AUTOPILOT = {300.0: 23.0, 500.0: 15.0, 1000.0: 7.0, 1500.0: 6.5}
 receiver (6, 3.5 and 4 are asked for from 500 m), and with those of an autopilot."""
 
 
-def low_flights(climb, sensors_of) -> np.ndarray:
+def low_flights(climb, sensors_of):
     """Error of R by barometer and GNSS, its sigma, and the climatology's error [%]: (3, n)."""
     rng = default_rng(27 + round(climb))
     rows = []
@@ -250,7 +250,7 @@ PARTS = {"descent only": (0.6, 1.0), "begins in the air": (0.1, 1.0), "climb onl
 """Which part of a flight of climb, five minutes and descent the log has, as shares of its time."""
 
 
-def departure_between(air: Adjusted, low_m, high_m) -> float:
+def departure_between(air: Adjusted, low_m, high_m):
     """The error of R between two heights in its sigmas, by Gyer's Eq. 24."""
     truth = air.truth
     between = (truth.h >= low_m) & (truth.h <= high_m)
@@ -269,10 +269,9 @@ def test_a_log_of_a_part_of_the_flight(part, thermometer):
     rng = default_rng(31)
     departures = []
     for truth, climb in product(all_airs()[::3], (800.0, 3000.0)):
-        samples = flights.fly(
+        samples = drawn_flight(
             truth,
             climb,
-            flights.drawn(rng),
             rng,
             thermometer=thermometer,
             humidity="none",
@@ -292,7 +291,6 @@ def test_a_log_of_a_part_of_the_flight(part, thermometer):
 
 def test_barometric_pressures_pass_through_the_measured_ones():
     rng = default_rng(4)
-    exact = {SensorFault.PRESSURE_SCALE: SensorCalibration(sigma=1e-5)}
     for truth in real_airs():
         air = adjusted(
             truth,
@@ -300,7 +298,7 @@ def test_barometric_pressures_pass_through_the_measured_ones():
             flights.Sensors(),
             rng,
             STANDARD,
-            exact,
+            NO_PRESSURE_LOST,
             descent=True,
             **BAROMETER_ALONE,
         )
@@ -320,7 +318,7 @@ MODES = [
 ]
 
 
-def departures_of(mode, airs, name, times) -> np.ndarray:
+def departures_of(mode, airs, name, times):
     """Sigmas of R by which flights with drawn sensors err, ``times`` through each air."""
     rng = default_rng(68)
     departures = []
@@ -338,7 +336,7 @@ def departures_of(mode, airs, name, times) -> np.ndarray:
     return np.array(departures)
 
 
-def shares(values) -> tuple[float, float]:
+def shares(values):
     """Within one sigma, and within two."""
     size = np.abs(values)
     return np.mean(size < 1.0), np.mean(size < 2.0)

@@ -1,7 +1,5 @@
 """Columns of air and their derivatives against 40 digits, at and beyond the edges of layers."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import mpmath as mp
@@ -46,7 +44,7 @@ def part_of_layer(
     thickness,
     virtual,
     share=1,
-) -> np.ndarray:
+):
     """The integral of dH/T_M over the lower share of a layer, by quadrature with 40 digits, and
     its derivatives by T_M at both edges."""
     lower, upper = map(mp.mpf, virtual)
@@ -91,7 +89,7 @@ EDGE, VIRTUAL = np.transpose(LEVELS)
 """Geopotential heights [m'] and virtual temperatures [K] of edges."""
 
 
-def column_to(height: float) -> np.ndarray:
+def column_to(height: float):
     """The integral of dH/T_M from the lowest edge, and its derivatives by T_M at the edges."""
     total = np.zeros(1 + EDGE.size)
     for layer, (low, high) in enumerate(pairwise(EDGE)):

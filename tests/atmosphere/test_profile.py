@@ -1,7 +1,5 @@
 """Eq. 52-53 against 40 digits and against the hydrostatic equation, and the profile's table."""
 
-from __future__ import annotations
-
 import math
 import sys
 
@@ -130,7 +128,7 @@ def table(request) -> pd.DataFrame:
     return pd.DataFrame(profile_table(request.param, np.sort(h)))
 
 
-def retrace(row) -> float:
+def retrace(row):
     """Pressure [Pa] of a row of the profile's table from the other values of the row.
 
     With 40 digits: in double precision the power of Eq. 52 as it is written loses digits where the

@@ -1,7 +1,5 @@
 """Properties of the air that hold for any profile, drawn by hypothesis."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -29,7 +27,7 @@ def profiles(draw) -> Profile:
         low,
         high,
         size: int,
-    ) -> np.ndarray:
+    ):
         values = st.lists(
             st.floats(low, high),
             min_size=size,
@@ -52,7 +50,7 @@ def profiles(draw) -> Profile:
 SHARES = st.floats(0.0, 1.0)
 
 
-def inside(profile, share) -> float:
+def inside(profile, share):
     extent_m = profile.top_m - profile.bottom_m
     return profile.bottom_m + (0.001 + 0.998 * share) * extent_m
 

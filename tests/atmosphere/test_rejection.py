@@ -1,7 +1,5 @@
 """Why a sample of a sensor is not used: the first rule that rejects it says why."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -29,7 +27,7 @@ def thermometer(
     return SensorSamples(time_s * 10**9, np.array(h_m), readings, **more)
 
 
-def reasons(*codes: int) -> np.ndarray:
+def reasons(*codes: int):
     return np.array(codes, np.uint8)
 
 

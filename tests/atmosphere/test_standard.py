@@ -1,7 +1,5 @@
 """Standard atmospheres against the tables that define them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -11,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import unbend
+from tests.atmosphere.flights import DATA
 from tests.helpers import refused
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.climatology import climatology
@@ -21,7 +20,6 @@ from unbend.config.atmosphere import AtmosphereSection
 from unbend.errors import PhysicsError
 from unbend.geodesy import normal_gravity
 
-DATA = Path(__file__).resolve().parents[1] / "data"
 PRINTED = Path(unbend.__file__).parent / "refraction" / "data"
 
 

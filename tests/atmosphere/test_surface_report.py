@@ -1,7 +1,5 @@
 """Surface reports: METARs decoded by hand beside, and numbers that no ground has."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -35,7 +33,7 @@ def quiet(text, h_m=0.0, when="") -> SurfaceReport:
     return report
 
 
-def smithsonian_pa(altimeter_hpa, h_m) -> float:
+def smithsonian_pa(altimeter_hpa, h_m):
     """The pressure of a station as weather services have it."""
     return 100.0 * (altimeter_hpa**0.190263 - 8.417286e-5 * h_m) ** (1.0 / 0.190263)
 

@@ -1,7 +1,5 @@
 """Values that the package is compared with, computed apart from it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the adjustment does with good, bad and missing sensors, in an air known by construction."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 
@@ -11,12 +9,18 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import trapezoid
 
-from tests.atmosphere.adjusting import NO_SENSORS, US1976, Adjusted, warmer, with_readings
+from tests.atmosphere.adjusting import (
+    NO_PRESSURE_LOST,
+    NO_SENSORS,
+    US1976,
+    Adjusted,
+    warmer,
+    with_readings,
+)
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples, bin_by_height
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile, unadjusted
-from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
-from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.rejection import Reason
 from unbend.messages import Kind, Ledger
 from unbend.simulate.true_air import (
@@ -39,7 +43,7 @@ def air() -> TrueAir:
     return true_air(LATITUDE)
 
 
-def heights_of(climb) -> np.ndarray:
+def heights_of(climb):
     """A climb and a descent at 5 m/s, once a second."""
     up = FIELD_M + np.arange(0.0, climb + 0.1, 5.0)
     return np.append(up, up[::-1])
@@ -75,7 +79,6 @@ def by_barometer(climb=3000.0) -> AirSamples:
     return AirSamples(pressure=barometer(heights_of(climb)))
 
 
-NO_PRESSURE_LOST = {SensorFault.PRESSURE_SCALE: SensorCalibration(sigma=1e-5)}
 EXACT = SensorSettings(calibration=NO_PRESSURE_LOST)
 """These readings are clean: their static pressure loses nothing of its change."""
 
@@ -94,13 +97,13 @@ def adjust(samples, standard=US1976) -> Adjusted:
     return Adjusted(made, ledger, air())
 
 
-def source_at(adjusted, h) -> str:
+def source_at(adjusted, h):
     """What the layer of a height comes from."""
     profile = adjusted.profile
     return profile.layers.source[profile.layer_of(h)]
 
 
-def error_of_r(adjusted, climb) -> float:
+def error_of_r(adjusted, climb):
     """Relative error of R in the plane, from the field to the top of the climb."""
     h = np.linspace(FIELD_M, FIELD_M + climb, 601)
     n = adjusted.profile.refractivity(h)
@@ -240,8 +243,7 @@ def test_readings_a_gate_took_out_and_gaps_are_not_used():
 
 def test_without_humidity_the_climatology_s_is_taken_and_that_is_said(clean):
     adjusted = adjust(AirSamples(thermometer(), barometer()))
-    message = adjusted.entry("AIR-HUMIDITY-EXPECTED")
-    assert message.kind is Kind.FALLBACK
+    message = adjusted.entry("AIR-HUMIDITY-EXPECTED", Kind.FALLBACK)
     assert "climatology" in message.what
     assert not adjusted.is_told
     # Of the climatology, within its doubt: 30 % of relative humidity are 570 Pa here.
@@ -253,7 +255,7 @@ def test_without_humidity_the_climatology_s_is_taken_and_that_is_said(clean):
 
 
 def test_humidity_changes_the_weight_of_the_air_too():
-    def thickness(humidity: np.ndarray) -> float:
+    def thickness(humidity: np.ndarray):
         adjusted = adjust(AirSamples(thermometer(), humidity=sensor(H, humidity)))
         low, high = adjusted.profile.pressure([500.0, 3400.0])
         return math.log(low / high)
@@ -491,7 +493,7 @@ def test_a_level_of_pressure_that_is_no_weather_is_told_of(factor, kind):
             "pressure",
         )
     )
-    assert adjusted.entry("AIR-ANCHOR").kind is kind
+    adjusted.entry("AIR-ANCHOR", kind)
 
 
 def test_a_thermometer_that_is_too_warm_by_three_kelvin_is_still_in_the_air_outside():

@@ -1,14 +1,19 @@
 """What calibrations know of the sensors takes the place of what is expected of cheap ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 from numpy.random import default_rng
 
 from tests.atmosphere import adjusting, flights
-from tests.atmosphere.adjusting import MONSOON, Adjusted, adjust, extreme, fault_of
+from tests.atmosphere.adjusting import (
+    MONSOON,
+    NO_PRESSURE_LOST,
+    Adjusted,
+    adjust,
+    extreme,
+    fault_of,
+)
 from unbend.atmosphere.climatology import climatology
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
@@ -24,7 +29,6 @@ LAG = SensorFault.THERMOMETER_LAG
 TRANSIENT = SensorFault.TAKEOFF_TRANSIENT
 OFFSET = SensorFault.PRESSURE_OFFSET
 HEIGHT = SensorFault.GNSS_HEIGHT_OFFSET
-SCALE = {SensorFault.PRESSURE_SCALE: SensorCalibration(sigma=1e-5)}
 RIGHT = flights.Sensors()
 
 
@@ -63,7 +67,7 @@ GOOD = {
     OFFSET: SensorCalibration(0.0, 5.0),
     HYGROMETER: SensorCalibration(0.0, 0.005),
     HEIGHT: SensorCalibration(None, 0.1),
-    **SCALE,
+    **NO_PRESSURE_LOST,
 }
 NO_BAROMETER = {"barometer": False}
 
@@ -81,7 +85,7 @@ NO_BAROMETER = {"barometer": False}
 def test_a_fault_that_is_known_is_taken_away(truth, flown, fault, wrong, sigma, how):
     """Beside a flight whose sensors have no fault at all: what is left of the change of R."""
 
-    def r(adjusted) -> float:
+    def r(adjusted):
         return truth.r_plane(adjusted.profile.refractivity(truth.h), 3000.0)
 
     right = r(flown(RIGHT, GOOD, **how))
@@ -139,7 +143,7 @@ def test_a_thermometer_that_keeps_still_says_more(truth, air):
 
 def test_a_flight_that_contradicts_the_calibration_says_so(flown):
     sensors = flights.Sensors(bias_k=4.0)
-    wrong = flown(sensors, {BIAS: SensorCalibration(0.0, 0.1), **SCALE})
+    wrong = flown(sensors, {BIAS: SensorCalibration(0.0, 0.1), **NO_PRESSURE_LOST})
     text = wrong.entry("AIR-CALIBRATION").what
     assert FAULT_TEXTS[BIAS] in text
     assert "0 ± 0.1 in the mission file" in text
@@ -156,8 +160,7 @@ def test_no_rare_fault_of_the_barometer_explains_a_wrong_calibration(flown, off)
     wrong_k = flights.REALISTIC.bias_k + off
     known = {BIAS: SensorCalibration(wrong_k, 0.1)}
     adjusted = flown(flights.REALISTIC, known)
-    message = adjusted.entry("AIR-CALIBRATION")
-    assert message.kind is Kind.FINDING
+    message = adjusted.entry("AIR-CALIBRATION", Kind.FINDING)
     assert f"{wrong_k:.3g} ± 0.1 in the mission file" in message.what
 
 
@@ -200,7 +203,7 @@ def test_no_sensor_is_refused_for_a_fault_that_is_known(
     like that many kelvins."""
     sensors = flights.Sensors(**wrong)
     (value,) = wrong.values()
-    known = {fault: SensorCalibration(value, sigma), **SCALE}
+    known = {fault: SensorCalibration(value, sigma), **NO_PRESSURE_LOST}
     adjusted = flown(sensors, known, descent=descent)
     codes = set(adjusted.codes())
     assert adjusted.basis in ("thermometer", "both")

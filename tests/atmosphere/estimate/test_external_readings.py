@@ -1,7 +1,5 @@
 """Age and distance of soundings and reports: what they cost, and what is left out and said."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -380,7 +378,7 @@ def test_a_sounding_without_a_time_or_place_is_told(norman, change, expected):
 # Stations on the ground
 
 
-def off_in_sigmas(made: Adjusted) -> float:
+def off_in_sigmas(made: Adjusted):
     """The largest departure of ln p below 3 km."""
     levels = slice(0, 3000, 100)
     h = made.truth.h[levels]
@@ -430,8 +428,7 @@ def test_qnh_taken_for_the_pressure_of_the_station(norman):
     samples = flown(norman, 3000.0, descent=True)
     made = adjusted(norman, samples, surface=[station(norman, dp=qnh_less_station_pa)])
     assert off_in_sigmas(made) < 2.0
-    message = made.entry("AIR-CONTRADICTED")
-    assert message.kind is Kind.FINDING
+    message = made.entry("AIR-CONTRADICTED", Kind.FINDING)
     assert "(pressure)" in message.what
     assert "robust weights reduce its influence" in message.what
     assert made.departure(3000.0) < 2.0
@@ -536,8 +533,7 @@ def test_a_bad_balloon_does_not_cost_the_flight(norman, above, per_km):
     assert made.basis == "thermometer"
     assert made.made.reason.endswith(f"without {bad.name}")
     assert made.error(3000.0) == adjusted(norman, samples).error(3000.0)
-    lost = made.entry("AIR-SOURCE-REFUSED")
-    assert lost.kind is Kind.LOSS
+    lost = made.entry("AIR-SOURCE-REFUSED", Kind.LOSS)
     assert lost.where == bad.name
     assert "no air fits" in made.why_not(bad.name)
     # A good one beside it stays.

@@ -5,8 +5,6 @@ sun on the probe. UNBEND_THERMOMETERS draws (`make faults`: 1600; 24 in `make te
 UNBEND_SEED; truth is integrated and sensors are simulated in `flights`.
 """
 
-from __future__ import annotations
-
 import math
 import os
 
@@ -16,7 +14,7 @@ from numpy.random import default_rng
 from scipy.stats import chi2
 
 from tests.atmosphere import flights
-from tests.atmosphere.adjusting import Adjusted, adjust, all_airs, rms
+from tests.atmosphere.adjusting import Adjusted, adjust, all_airs, drawn_flight, rms
 from tests.draws import SEED
 
 DRAWS = int(os.environ.get("UNBEND_THERMOMETERS", "24"))
@@ -25,7 +23,7 @@ DRAWS = int(os.environ.get("UNBEND_THERMOMETERS", "24"))
 def flown(truth, climb, rng, *, sunny, **how) -> Adjusted:
     if sunny:
         truth = truth.over_hot_ground(rng)
-    samples = flights.fly(truth, climb, flights.drawn(rng), rng, **how)
+    samples = drawn_flight(truth, climb, rng, **how)
     if sunny:
         samples = flights.sun_on_the_probe(samples, rng)
     return adjust(truth, samples)

@@ -1,7 +1,5 @@
 """What is rarely wrong with a sensor: the mixture of estimates, and what it says of real air."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """A static pressure that loses a few per cent of its change with height."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 
@@ -56,7 +54,7 @@ def scale_within_3_sigma(adjusted, lost) -> FaultEstimate:
     return scale
 
 
-def is_warned(adjusted) -> bool:
+def is_warned(adjusted):
     for message in with_code(adjusted.ledger, "AIR-SENSORS"):
         if message.kind is Kind.WARNING and "static pressure scale" in message.what:
             return True

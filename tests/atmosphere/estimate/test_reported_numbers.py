@@ -1,7 +1,5 @@
 """What the report says of sensors and sources: each number by hand, and the limits of each kind."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

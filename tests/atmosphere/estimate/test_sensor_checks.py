@@ -4,8 +4,6 @@ The true air is made of straight lines, integrated in `flights`; what a sensor i
 one reads is written here.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 import re
@@ -56,7 +54,7 @@ ON_A_BOARD = SensorSettings(board_temperature=True)
 flown = partial(adjusting.flown, sensors=QUIET)
 
 
-def noise(samples, sigma) -> np.ndarray:
+def noise(samples, sigma):
     return default_rng(2).normal(0.0, sigma, samples.pressure.value.size)
 
 
@@ -65,7 +63,7 @@ def reading_always(samples, value, sensor: str) -> AirSamples:
     return with_readings(samples, np.full(count, value), sensor)
 
 
-def number_in(text, pattern) -> float:
+def number_in(text, pattern):
     return float(re.search(pattern, text)[1])
 
 
@@ -85,8 +83,7 @@ def test_a_thermometer_that_stands_still_is_not_used(place, climb, barometer, ba
     """PX4 tells 288.15 K where it has no sensor: +25 and +5 % of R over 400 and 1500 m."""
     samples = flown(extreme(place), climb, descent=True, barometer=barometer)
     adjusted = adjust(extreme(place), reading_always(samples, 288.15, "temperature"))
-    stuck = adjusted.entry("AIR-STUCK")
-    assert stuck.kind is Kind.LOSS
+    stuck = adjusted.entry("AIR-STUCK", Kind.LOSS)
     assert stuck.where == "thermometer"
     assert "288.15" in stuck.what
     assert stuck.count == samples.temperature.accepted.sum()
@@ -171,8 +168,7 @@ def test_a_hygrometer_stuck_at_saturation_through_a_desert(thermometer, basis):
     truth = extreme(DESERT)
     samples = flown(truth, 3000.0, humidity="profile", thermometer=thermometer)
     adjusted = adjust(truth, reading_always(samples, 1.0, "humidity"))
-    refused = adjusted.entry("AIR-HYGROMETER")
-    assert refused.kind is Kind.LOSS
+    refused = adjusted.entry("AIR-HYGROMETER", Kind.LOSS)
     assert refused.where == "hygrometer"
     assert "97 % and more" in refused.what
     # Of saturated air at 309 K and 940 hPa 3.1, at 286 K and 700 hPa 4.3 K/km, worked by hand.
@@ -225,7 +221,7 @@ def test_real_clouds_keep_their_hygrometer(value):
 # A thermometer against a barometer
 
 
-def check_refused(truth, samples, climb, most_sigmas=2.0) -> str:
+def check_refused(truth, samples, climb, most_sigmas=2.0):
     """The barometer is used without the thermometer; the text of its refusal."""
     adjusted = adjust(truth, samples)
     assert adjusted.losses == [THERMOMETER]
@@ -304,8 +300,7 @@ def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of():
     t = 294.0 - 0.3 * (294.0 - samples.temperature.value)
     inside = with_readings(samples, t)
     adjusted = adjust(truth, inside)
-    message = adjusted.entry("AIR-ISOTHERMAL")
-    assert message.kind is Kind.WARNING
+    message = adjusted.entry("AIR-ISOTHERMAL", Kind.WARNING)
     assert 50.0 < message.values["percent"] < 99.0
     assert adjusted.departure(600.0) < 3.0
     assert "AIR-ISOTHERMAL" not in adjust(truth, samples).codes()
@@ -331,13 +326,7 @@ def test_honest_thermometers_are_believed():
     rng = default_rng(12)
     ways = product(extreme_airs(), (700.0, 1500.0), (True, True, False, False))
     for truth, climb, descent in ways:
-        samples = flights.fly(
-            truth,
-            climb,
-            flights.drawn(rng),
-            rng,
-            descent=descent,
-        )
+        samples = drawn_flight(truth, climb, rng, descent=descent)
         assert adjust(truth, samples).losses == [], (truth.name, climb, descent)
 
 

@@ -1,7 +1,5 @@
 """The estimator piece by piece: its derivatives, its sensor faults, its fallbacks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -350,7 +348,7 @@ def test_bias_lag_and_transient_are_found():
     check_fault(made, SensorFault.TAKEOFF_TRANSIENT, 5.0, sharp=1.5)
 
 
-def check_fault(made, fault, value, *, sharp, sigmas=3.0) -> None:
+def check_fault(made, fault, value, *, sharp, sigmas=3.0):
     """A fault is found within so many of its sigmas, which are smaller than ``sharp``."""
     estimate_of_fault = fault_of(made, fault)
     assert estimate_of_fault.sigma < sharp, fault
@@ -508,7 +506,7 @@ def test_a_surface_report_anchors_a_flight_without_a_barometer():
 # Never worse than the climatology
 
 
-def with_noise_of_40_s(t, seed, size_k) -> np.ndarray:
+def with_noise_of_40_s(t, seed, size_k):
     """Of eight draws of 20 K three are refused; about a wider spread, of 7 K, it was four. The
     others err by 2 to 5 % and state 7 %."""
     count = t.value.size
@@ -551,8 +549,7 @@ def test_a_thermometer_that_measures_no_air(readings, words):
     adjusted = about_the_standard(truth, wrong)
 
     assert adjusted.basis == "standard"
-    message = adjusted.entry("AIR-IMPLAUSIBLE")
-    assert message.kind is Kind.LOSS
+    message = adjusted.entry("AIR-IMPLAUSIBLE", Kind.LOSS)
     assert words in message.what
     h = np.linspace(0.0, 12_000.0, 60)
     standard = standard_atmosphere("us1976", latitude=truth.latitude)

@@ -1,7 +1,5 @@
 """What the air changes with age, by hand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -105,7 +103,7 @@ def test_a_distance_ages_too():
     assert sigma == pytest.approx(2.5, rel=0.4)
 
 
-def ns_of(minutes) -> np.ndarray:
+def ns_of(minutes):
     return (np.asarray(minutes) * MINUTE_NS).astype(np.int64)
 
 
@@ -229,7 +227,7 @@ def test_below_the_ground_nothing_grows():
     assert underground == pytest.approx(ground)
 
 
-def mean_gradient(profile, climb_m) -> float:
+def mean_gradient(profile, climb_m):
     """R / tan(zeta) in the plane: the mean of N - N_c below a camera (Gyer 1996, Eq. 24)."""
     h = np.linspace(0.0, climb_m, 601)
     n = profile.refractivity(h)

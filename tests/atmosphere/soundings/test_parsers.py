@@ -1,7 +1,5 @@
 """Soundings as files have them: real ones against lines read by eye, and what may be wrong."""
 
-from __future__ import annotations
-
 import math
 import re
 from contextlib import contextmanager
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
+from tests.atmosphere.flights import DATA, SHARED_SOUNDINGS
 from tests.atmosphere.values import HYDROSTATIC_K_PER_M, metres, ns, saturated_pa
 from tests.helpers import refused, with_code
 from unbend.atmosphere.soundings import FORMATS, Sounding, parse_sounding
@@ -19,44 +18,43 @@ from unbend.messages import Kind, Ledger
 from unbend.simulate.true_air import saturation_pressure_pa
 from unbend.tables.soundings import LARGEST_BYTES, read_sounding
 
-SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "soundings"
-EXCERPTS = Path(__file__).resolve().parents[2] / "data" / "sounding_files"
+EXCERPTS = DATA / "sounding_files"
 """Some levels of each of the real files, in the files' own form."""
 
-FOLDERS = (EXCERPTS, SHARED) if SHARED.is_dir() else (EXCERPTS,)
+FOLDERS = [pytest.param(EXCERPTS, id="excerpt")]
+if SHARED_SOUNDINGS.is_dir():
+    FOLDERS.append(pytest.param(SHARED_SOUNDINGS, id="whole"))
+
 Columns = dict[str, np.ndarray]
-Counts = dict[str, int]
+Read = tuple[Sounding, dict[str, int]]
+"""A sounding, and how many messages of each code there are of it."""
 
 
-@pytest.fixture(params=FOLDERS, ids=lambda folder: "whole" if folder == SHARED else "excerpt")
-def files(request: pytest.FixtureRequest) -> Path:
+@pytest.fixture(params=FOLDERS)
+def files(request) -> Path:
     """Folders of soundings as they are distributed."""
-    return Path(request.param)
+    return request.param
 
 
-def counts(ledger) -> Counts:
+def counts(ledger):
     return {entry.code: entry.count for entry in ledger}
 
 
-def from_file(path, degrees=math.nan, when="") -> tuple[Sounding, Counts]:
+def parsed(text, when="", degrees=45.0, parse=parse_sounding, **options) -> Read:
+    """A text as it is read at a latitude, at a time of the flight."""
     ledger = Ledger()
-    time_ns = ns(when) if when else None
-    sounding = read_sounding(
-        path,
+    sounding = parse(
+        text,
         ledger,
-        time_ns=time_ns,
+        time_ns=ns(when) if when else None,
         latitude_rad=math.radians(degrees),
+        **options,
     )
     return sounding, counts(ledger)
 
 
-def parsed(text, when="", **options) -> tuple[Sounding, Counts]:
-    """A text as it is read at 45 N, at a time of the flight."""
-    ledger = Ledger()
-    time_ns = ns(when) if when else None
-    options = {"latitude_rad": math.radians(45.0)} | options
-    sounding = parse_sounding(text, ledger, time_ns=time_ns, **options)
-    return sounding, counts(ledger)
+def from_file(path, degrees=math.nan, when="") -> Read:
+    return parsed(path, when, degrees, read_sounding)
 
 
 @contextmanager
@@ -67,7 +65,7 @@ def input_refused(code, words=""):
     assert words in caught.value.what
 
 
-def check_level(sounding: Sounding, degrees, level) -> None:
+def check_level(sounding: Sounding, degrees, level):
     """A line of the file, read by eye: pressure, height, temperature, dew point."""
     hpa, geopotential_m, celsius, dew_point = level
     pa = 100.0 * hpa
@@ -104,7 +102,7 @@ def test_igra_by_time(files, when, levels):
     # The file is cut off behind its third header.
     assert said["SOUNDING-CUT-OFF"] == 1
     # Wind levels without pressure: the archive's level type 30.
-    assert said["SOUNDING-MISSING"] >= (90 if files == SHARED else 2)
+    assert said["SOUNDING-MISSING"] >= (90 if files == SHARED_SOUNDINGS else 2)
 
 
 def test_igra_derived(files):
@@ -166,7 +164,7 @@ def test_arm_netcdf(files):
     assert sounding.temperature_k[0] == pytest.approx(269.85, abs=1e-3)
     assert sounding.vapour_pressure_pa[0] == pytest.approx(saturated_pa(-7.27), rel=0.01)
     assert sounding.time_ns == ns("2019-01-01T05:32")
-    assert sounding.h_m.size > (4000 if files == SHARED else 50)
+    assert sounding.h_m.size > (4000 if files == SHARED_SOUNDINGS else 50)
 
 
 # What follows is made here: an isothermal-lapse air whose pressures come from its own formula.
@@ -180,7 +178,7 @@ def standard_hpa(h):
     return 1013.25 * (1.0 - 0.0065 * np.asarray(h) / 288.15) ** 5.25588
 
 
-def lapsing(lowest: float) -> np.ndarray:
+def lapsing(lowest: float):
     """Temperatures or dew points of the levels, in the unit of the lowest."""
     return lowest - 0.0065 * HEIGHTS
 
@@ -202,11 +200,11 @@ def air(**columns) -> Columns:
     return {name: np.asarray(column) for name, column in levels.items() if column is not None}
 
 
-def field_of(value) -> str:
+def field_of(value):
     return "" if math.isnan(value) else f"{value:.8g}"
 
 
-def text_of(levels, order=None) -> str:
+def text_of(levels, order=None):
     table = np.column_stack(list(levels.values()))
     if order is not None:
         table = table[order]
@@ -219,13 +217,13 @@ def text_of(levels, order=None) -> str:
 CLEAN_TEXT = text_of(CLEAN)
 
 
-def with_columns(names, fields, text=CLEAN_TEXT) -> str:
+def with_columns(names, fields, text=CLEAN_TEXT):
     """A table with more columns, the same in each row."""
     head, *rows = text.splitlines()
     return "\n".join([f"{head},{names}", *(f"{row},{fields}" for row in rows)])
 
 
-def read(levels, order=None, **options) -> tuple[Sounding, Counts]:
+def read(levels, order=None, **options) -> Read:
     return parsed(text_of(levels, order), **options)
 
 
@@ -372,10 +370,13 @@ OVER = "SOUNDING-HUMIDITY-OVER"
 )
 def test_humidity_that_no_air_has_is_clipped_or_unknown(percent, counted):
     humidity = np.full(LEVELS, 60.0)
-    expected_pa = 0.6 * SATURATED_PA
     for row, value in percent.items():
         humidity[row] = value
-        expected_pa[row] = SATURATED_PA[row] if value > 0.0 else np.nan
+    expected_pa = np.select(
+        [humidity < 0.0, humidity > 100.0],
+        [np.nan, SATURATED_PA],
+        0.6 * SATURATED_PA,
+    )
     sounding, said = read(air(**NO_DEW_POINT, relative_humidity_percent=humidity))
     assert said == counted
     assert sounding.vapour_pressure_pa == pytest.approx(expected_pa, rel=0.01, nan_ok=True)
@@ -510,7 +511,7 @@ def test_heights_worked_out_from_the_station(humidity, within_m):
 
 
 def test_without_latitude_it_is_said():
-    _, said = read(CLEAN, latitude_rad=math.nan)
+    _, said = read(CLEAN, degrees=math.nan)
     assert said == {"SOUNDING-LATITUDE": 0}
 
 
@@ -559,7 +560,7 @@ def test_no_line_of_a_text_is_a_header_of_igra(name, text):
 # Times and places of a plain CSV
 
 
-def dated(time) -> tuple[Sounding, Counts]:
+def dated(time) -> Read:
     return parsed(with_columns("time_utc", time))
 
 
@@ -604,17 +605,17 @@ def at_place(north, east) -> Sounding:
     return sounding
 
 
-@pytest.mark.parametrize(
-    ("east", "degrees"),
-    [
-        ("16.35", 16.35),
-        ("-70.5", -70.5),
-        ("289.5", -70.5),
-        ("180", 180.0),
-        ("359.99", -0.01),
-        ("16,35", 16.35),
-    ],
-)
+LONGITUDES = {
+    "16.35": 16.35,
+    "-70.5": -70.5,
+    "289.5": -70.5,
+    "180": 180.0,
+    "359.99": -0.01,
+    "16,35": 16.35,
+}
+
+
+@pytest.mark.parametrize(("east", "degrees"), LONGITUDES.items())
 def test_longitudes_of_either_kind(east, degrees):
     assert math.degrees(at_place("48.2", east).longitude_rad) == pytest.approx(degrees)
 
@@ -645,11 +646,11 @@ def rows_of(*, warmer_k=0.0, identity="") -> list[str]:
     ]
 
 
-def table_of(rows, columns="") -> str:
+def table_of(rows, columns=""):
     return "\n".join([f"pressure_hpa,temperature_c{columns}", *rows])
 
 
-def at_station(text, when="") -> tuple[Sounding, Counts]:
+def at_station(text, when="") -> Read:
     return parsed(text, when, station_h_m=540.0)
 
 
@@ -703,15 +704,15 @@ def test_up_and_down_again_is_one_flight():
     assert math.degrees(sounding.latitude_rad) == pytest.approx(48.0)
 
 
-@pytest.mark.parametrize(
-    ("column", "field"),
-    [
-        ("time", "2025-06-12T06:00:00Z"),
-        ("datetime", "2025-06-12 06:00"),
-        ("date", "20250612"),
-        ("valid", "06/12/2025 06:00"),
-    ],
-)
+TIMES_OF_COLUMNS = {
+    "time": "2025-06-12T06:00:00Z",
+    "datetime": "2025-06-12 06:00",
+    "date": "20250612",
+    "valid": "06/12/2025 06:00",
+}
+
+
+@pytest.mark.parametrize(("column", "field"), TIMES_OF_COLUMNS.items())
 def test_a_time_in_a_column_of_another_name_is_not_unknown(column, field):
     with input_refused("SOUNDING-TIME") as caught:
         parsed(with_columns(column, field))
@@ -761,7 +762,7 @@ def test_wyoming_page_with_blank_fields():
     assert sounding.h_m.size == 6
 
 
-def wyoming_of(heading, station="", levels=8) -> str:
+def wyoming_of(heading, station="", levels=8):
     """A list of the University of Wyoming under a heading, with lines on its station after it."""
     rule = "-" * 77
     titles = "   PRES   HGHT   TEMP   DWPT   RELH\n    hPa     m      C      C      %"
@@ -854,7 +855,7 @@ def test_of_two_stations_of_one_hour_none_is_guessed():
 # The archive IGRA
 
 
-def igra(date, hour, release: str, announced=6) -> str:
+def igra(date, hour, release: str, announced=6):
     """Six levels under a header of the archive."""
     lines = [
         f"#USM00070026 {date} {hour} {release} {announced:4d} ncdc6301 ncdc6301  712889 -1567833"
