@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from tests.atmosphere.flights import geopotential
 from unbend.simulate.true_air import saturation_pressure_pa
@@ -26,3 +27,8 @@ def metres(geopotential_m: float, degrees: float) -> float:
 def saturated_pa(celsius: float) -> float:
     """Saturation pressure over water (Sonntag 1990)."""
     return float(saturation_pressure_pa(np.array(celsius + 273.15)))
+
+
+def saturated(celsius: float, share=1.0):
+    """Share of saturation as the package may state it: Sonntag and Davis differ by 0.5 %."""
+    return pytest.approx(share * saturated_pa(celsius), rel=0.01, nan_ok=math.isnan(celsius))

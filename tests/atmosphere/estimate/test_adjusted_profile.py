@@ -172,14 +172,14 @@ def test_it_relaxes_to_the_standard_far_above(clean):
 
 @pytest.mark.parametrize(
     ("above_field_m", "source"),
-    [
-        (-500.0, "relaxed"),
-        (60.0, "measured"),
-        (2940.0, "measured"),
-        (3150.0, "relaxed"),
-        (4900.0, "relaxed"),
-        (24_500.0, "standard"),
-    ],
+    {
+        -500.0: "relaxed",
+        60.0: "measured",
+        2940.0: "measured",
+        3150.0: "relaxed",
+        4900.0: "relaxed",
+        24_500.0: "standard",
+    }.items(),
 )
 def test_where_each_layer_comes_from(clean, above_field_m, source):
     assert source_at(clean, FIELD_M + above_field_m) == source
@@ -267,7 +267,7 @@ def test_humidity_changes_the_weight_of_the_air_too():
     light = 0.378 * vapour_pressure_pa(way) / air().pressure_pa(way)
     fall = 0.0341632 * trapezoid(light / temperature_k(way), way)
     # The hygrometer's own bias, 3 %, leaves some of the climatology's humidity in arid air.
-    assert arid - moist == pytest.approx(fall, rel=0.2)
+    assert_allclose(arid - moist, fall, rtol=0.2)
 
 
 def test_barometer_alone_passes_through_the_pressures(barometric):
@@ -330,7 +330,7 @@ def test_a_log_without_a_barometer():
     assert adjusted.basis == "thermometer"
     assert "AIR-NO-BAROMETER" in adjusted.codes(Kind.FALLBACK)
     # The standard's pressure at sea level stays.
-    assert adjusted.profile.pressure(0.0) == pytest.approx(101_325.0, rel=1e-4)
+    assert_allclose(adjusted.profile.pressure(0.0), 101_325.0, rtol=1e-4)
 
 
 def constant_sensors(h) -> AirSamples:
@@ -381,7 +381,7 @@ def test_a_pressure_sensor_off_by_a_constant_moves_the_level_only(clean):
     # 1.5 hPa are 7e-4 of p more at the top: with a thermometer whose own bias is not known the
     # column may be so much colder.
     assert np.ptp(ratio) < 8e-4
-    assert ratio.mean() == pytest.approx(1.0 + 150.0 / 82_000.0, rel=5e-4)
+    assert_allclose(ratio.mean(), 1.0 + 150.0 / 82_000.0, rtol=5e-4)
 
 
 def test_bins_weigh_climb_and_descent_alike():
@@ -429,12 +429,12 @@ def test_spikes_of_pressure_do_not_matter(barometric, share):
 
 @pytest.mark.parametrize(
     ("reached", "basis"),
-    [
-        (150.0, "barometer"),
-        (320.0, "both"),
-        (620.0, "both"),
-        (1200.0, "both"),
-    ],
+    {
+        150.0: "barometer",
+        320.0: "both",
+        620.0: "both",
+        1200.0: "both",
+    }.items(),
 )
 def test_a_thermometer_that_fails_early_does_not_silence_the_barometer(barometric, reached, basis):
     failing = thermometer().reject(FIELD_M + reached < H, Reason.GROUND_SOAK)

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
@@ -101,7 +102,7 @@ def test_a_column_without_a_longitude_is_not_at_the_flight(desert_balloon, north
     """Its latitude alone tells how far it is at least."""
     column = replace(desert_balloon, latitude_rad=math.radians(north))
     _, metres = hours_and_metres(column, HERE)
-    assert metres == pytest.approx(1e3 * km, rel=5e-3)
+    assert_allclose(metres, 1e3 * km, rtol=5e-3)
 
 
 def test_a_distance_counts_twice_across_a_coast(norman):
@@ -173,7 +174,7 @@ def test_a_station_far_away_is_less_certain(norman, across, times):
     temperature, pressure, humidity = variances(3e4) - variances(0.0)
     # Stations of one hour, 340 km apart in North America, differ by 4.8 K at the ground.
     of_30_km = 4.8**2 * 30.0 / 340.0
-    assert temperature == pytest.approx(times * of_30_km, rel=0.6)
+    assert_allclose(temperature, times * of_30_km, rtol=0.6)
     assert pressure == pytest.approx((1.5e-8 * 3e4) ** 2)
     assert humidity > 0.0
 
@@ -186,7 +187,7 @@ def test_an_old_humidity_weighs_what_it_is_worth(hours):
     then = rho * now + math.sqrt(1.0 - rho**2) * news
     gain = 1.0 / (1.0 + humidity_growth(hours, 0.0))
     claimed = 0.3 * math.sqrt(1.0 - gain)
-    assert np.std(gain * then - now) == pytest.approx(claimed, rel=0.12)
+    assert_allclose(np.std(gain * then - now), claimed, rtol=0.12)
 
 
 @pytest.mark.parametrize(
@@ -448,7 +449,7 @@ def test_a_column_brings_errors_of_its_own(norman):
         )
         assert made.basis == "model"
         low, high = made.covariance.sigma_temperature([1000.0, 7000.0])
-        assert low == pytest.approx(1.0, rel=0.25)
+        assert_allclose(low, 1.0, rtol=0.25)
         assert 1.6 < high < 4.0
         edge = made.profile.layers.edge
         rows = np.abs(edge - [[1000.0], [2000.0]]).argmin(axis=1)
@@ -551,12 +552,12 @@ def warmed(balloon, kelvin) -> Sounding:
 
 @pytest.mark.parametrize(
     ("kelvin", "thermometer"),
-    [
-        (-8.0, True),
-        (12.0, True),
-        (-15.0, False),
-        (15.0, False),
-    ],
+    {
+        -8.0: True,
+        12.0: True,
+        -15.0: False,
+        15.0: False,
+    }.items(),
 )
 def test_a_balloon_that_contradicts_the_flight_is_left_out(norman, kelvin, thermometer):
     """All its temperatures are wrong by so much, which a bias and a lost pressure would explain."""

@@ -52,15 +52,15 @@ def test_known_biases_are_subtracted_and_named():
 
 @pytest.mark.parametrize(
     ("sigmas", "kind"),
-    [
-        (0.0, Kind.NOTE),
-        (4.9, Kind.NOTE),
-        (-4.9, Kind.NOTE),
-        (5.1, Kind.WARNING),
-        (-9.9, Kind.WARNING),
-        (10.1, Kind.LOSS),
-        (-10.1, Kind.LOSS),
-    ],
+    {
+        0.0: Kind.NOTE,
+        4.9: Kind.NOTE,
+        -4.9: Kind.NOTE,
+        5.1: Kind.WARNING,
+        -9.9: Kind.WARNING,
+        10.1: Kind.LOSS,
+        -10.1: Kind.LOSS,
+    }.items(),
 )
 def test_the_level_of_pressures_is_judged_at_sea_level(sigmas, kind):
     """The climatology has 1000 hPa there, with a sigma of 1 %; readings are 1, 2 and 4 hPa off."""

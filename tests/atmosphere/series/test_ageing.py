@@ -100,7 +100,7 @@ def test_a_distance_ages_too():
     edges = np.array([0.0, 1000.0, 4000.0])
     covariance = aged_by(edges, hours=0.0, metres=340e3)
     *_, sigma = covariance.sigma_temperature(edges)
-    assert sigma == pytest.approx(2.5, rel=0.4)
+    assert_allclose(sigma, 2.5, rtol=0.4)
 
 
 def ns_of(minutes):
@@ -287,4 +287,4 @@ def test_humidity_changes_by_a_tenth_within_four_hours_and_then_no_more(hours, m
     at_ground, _ = change_of_vapour(moist, ages)
 
     expected = 0.1 * share * saturated_pa(290.0 - 273.15) / 8e4
-    assert at_ground == pytest.approx(expected, rel=0.01)
+    assert_allclose(at_ground, expected, rtol=0.01)
