@@ -47,7 +47,7 @@ def extreme_airs() -> tuple[Truth, ...]:
     return tuple(Truth(balloon) for balloon in flights.extremes())
 
 
-def extreme(number: int) -> Truth:
+def extreme(number) -> Truth:
     return extreme_airs()[number]
 
 
@@ -76,15 +76,15 @@ class Adjusted:
     def covariance(self) -> ProfileCovariance:
         return self.made.covariance
 
-    def error(self, climb_m: float) -> float:
+    def error(self, climb_m):
         """Relative error of R from the top of the climb to the ground."""
         return self.truth.error(self.profile, climb_m)
 
-    def sigma(self, climb_m: float) -> float:
+    def sigma(self, climb_m):
         """The stated sigma of R, relative."""
         return sigma_of_r(self, self.truth, climb_m)
 
-    def departure(self, climb_m: float) -> float:
+    def departure(self, climb_m):
         """The size of the error of R in its sigmas."""
         return abs(self.error(climb_m)) / self.sigma(climb_m)
 
@@ -100,17 +100,17 @@ class Adjusted:
     def codes(self, kind: Kind | None = None) -> list[str]:
         return codes(self.ledger, kind)
 
-    def entry(self, code: str, kind: Kind | None = None) -> Message:
+    def entry(self, code, kind: Kind | None = None) -> Message:
         """The only entry with this code, of this kind."""
         return entry(self.ledger, code, kind)
 
-    def why_not(self, source: str) -> str:
+    def why_not(self, source) -> str:
         """Why a source is not used."""
         (reason,) = (use.why_not for use in self.made.sources if use.source == source)
         return reason
 
 
-def expected_air(truth: Truth, **more) -> Climatology:
+def expected_air(truth, **more) -> Climatology:
     """The climatology of place and month."""
     return climatology(
         latitude_rad=truth.latitude,
@@ -120,7 +120,7 @@ def expected_air(truth: Truth, **more) -> Climatology:
     )
 
 
-def adjust(truth: Truth, samples: AirSamples = NO_SENSORS, **options) -> Adjusted:
+def adjust(truth, samples=NO_SENSORS, **options) -> Adjusted:
     """The air by these samples, about the climatology of place and month; ``options`` go before."""
     usual = {"background": expected_air(truth), "time_ns": truth.start_ns}
     ledger = Ledger()
@@ -135,8 +135,8 @@ def adjust(truth: Truth, samples: AirSamples = NO_SENSORS, **options) -> Adjuste
 
 
 def flown(
-    truth: Truth,
-    climb_m: float,
+    truth,
+    climb_m,
     sensors: flights.Sensors = flights.REALISTIC,
     seed=1,
     **how,
@@ -146,8 +146,8 @@ def flown(
 
 
 def drawn_flight(
-    truth: Truth,
-    climb_m: float,
+    truth,
+    climb_m,
     seed: int | Generator,
     sensors_of=flights.drawn,
     **how,
@@ -161,18 +161,18 @@ NO_PRESSURE_LOST = {SensorFault.PRESSURE_SCALE: SensorCalibration(sigma=1e-5)}
 """Of clean readings: a static pressure that loses nothing of its change."""
 
 
-def sigma_of_r(made, truth: Truth, climb_m: float) -> float:
+def sigma_of_r(made, truth, climb_m):
     """The stated sigma of R, relative, of an estimate or an adjustment."""
     top_m = truth.ground_m + climb_m
     return made.covariance.relative_sigma(top_m, truth.ground_m)
 
 
-def codes(ledger: Ledger, kind: Kind | None = None) -> list[str]:
+def codes(ledger, kind: Kind | None = None) -> list[str]:
     """The codes in a ledger, of one kind or of all."""
     return [message.code for message in ledger if kind in (None, message.kind)]
 
 
-def entry(ledger: Ledger, code: str, kind: Kind | None = None) -> Message:
+def entry(ledger, code, kind: Kind | None = None) -> Message:
     """The only entry of a ledger with this code, of this kind."""
     entries = with_code(ledger, code)
     assert len(entries) == 1, codes(ledger)
@@ -180,12 +180,12 @@ def entry(ledger: Ledger, code: str, kind: Kind | None = None) -> Message:
     return entries[0]
 
 
-def rms(values: ArrayLike) -> float:
+def rms(values: ArrayLike):
     mean_square = np.mean(np.square(values))
     return float(np.sqrt(mean_square))
 
 
-def balloon_of(truth: Truth, step_m: int = 200, **change) -> Sounding:
+def balloon_of(truth, step_m=200, **change) -> Sounding:
     """A sounding that measured an air exactly, at the start of its flights."""
     levels = slice(0, None, step_m)
     columns = {
@@ -199,13 +199,13 @@ def balloon_of(truth: Truth, step_m: int = 200, **change) -> Sounding:
     return Sounding(**(columns | change))
 
 
-def fault_of(made, fault: SensorFault) -> FaultEstimate:
+def fault_of(made, fault) -> FaultEstimate:
     """What was estimated of a fault of a sensor."""
     (estimated,) = (each for each in made.faults if each.fault is fault)
     return estimated
 
 
-def station_at(truth: Truth, row: int = 0) -> SurfaceReport:
+def station_at(truth, row=0) -> SurfaceReport:
     """A station that measured the pressure exactly, so many metres above the ground."""
     return SurfaceReport(
         truth.h[row],
@@ -216,18 +216,18 @@ def station_at(truth: Truth, row: int = 0) -> SurfaceReport:
     )
 
 
-def with_readings(samples: AirSamples, value: np.ndarray, sensor: str = "temperature"):
+def with_readings(samples, value, sensor="temperature"):
     """The same flight, on which one sensor read something else."""
     readings = replace(getattr(samples, sensor), value=value)
     return replace(samples, **{sensor: readings})
 
 
-def warmer(samples: AirSamples, kelvin: ArrayLike) -> AirSamples:
+def warmer(samples, kelvin) -> AirSamples:
     """The same flight, on which the thermometer read so much more."""
     return with_readings(samples, samples.temperature.value + kelvin)
 
 
-def seconds_of(samples: AirSamples) -> np.ndarray:
+def seconds_of(samples) -> np.ndarray:
     """Seconds of a flight's temperatures since the first of them."""
     time_ns = samples.temperature.time_ns
     return (time_ns - time_ns[0]) * 1e-9

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from numpy import ndarray
-from numpy.random import Generator
 from scipy.integrate import cumulative_simpson, trapezoid
 from scipy.signal import lfilter
 
@@ -91,7 +90,7 @@ def extremes() -> list[Balloon]:
     return balloons
 
 
-def geopotential(latitude: float, h: ndarray) -> ndarray:
+def geopotential(latitude, h):
     """Geopotential height [m'] of heights [m]; Simpson is exact for gravity to second order."""
     h = np.asarray(h, float)
     gravity = np.vectorize(partial(normal_gravity, latitude))
@@ -102,7 +101,7 @@ def geopotential(latitude: float, h: ndarray) -> ndarray:
 class Truth:
     """The air of a balloon every metre, integrated; ``h`` above sea level from its first level."""
 
-    def __init__(self, balloon: Balloon, reach: float = 10_500.0) -> None:
+    def __init__(self, balloon, reach=10_500.0):
         self.name = balloon.name
         self.latitude = balloon.latitude
         self.longitude = balloon.longitude
@@ -119,7 +118,7 @@ class Truth:
         self.p0 = balloon.p0
         self._weigh()
 
-    def _weigh(self) -> None:
+    def _weigh(self):
         """Pressure, relative humidity and refractivity of temperature and vapour pressure."""
         p = np.full(self.H.size, self.p0)
         for _ in range(4):  # the vapour's share of the weight, settled against pressure
@@ -133,12 +132,12 @@ class Truth:
         self.refractivity = edlen_index(p, self.t, self.e) - 1.0
 
     @property
-    def hour(self) -> float:
+    def hour(self):
         """Mean local time [h] of the flight's start."""
         utc = self.start_ns / HOUR_NS
         return (utc + math.degrees(self.longitude) / 15.0) % 24.0
 
-    def over_hot_ground(self, rng: Generator) -> Truth:
+    def over_hot_ground(self, rng) -> Truth:
         """The same with its lowest metres in the sun: warmer by 0.5 to 4 K, falling by 1/e in 10 to
         40 m (similarity theory has 1 to 3 K between 2 and 50 m on a sunny day)."""
         hot = copy.copy(self)
@@ -149,20 +148,20 @@ class Truth:
         hot._weigh()
         return hot
 
-    def at(self, values: ndarray, above_ground: ndarray) -> ndarray:
+    def at(self, values, above_ground):
         metres = np.arange(self.h.size)
         return np.interp(above_ground, metres, values)
 
-    def at_pressure(self, values: ndarray, p: ndarray) -> ndarray:
+    def at_pressure(self, values, p):
         """Between the metres linear in ln p."""
         return np.interp(-np.log(p), -np.log(self.p), values)
 
-    def r_plane(self, refractivity: ndarray, climb: float) -> float:
+    def r_plane(self, refractivity, climb):
         """R / tan(zeta) in the plane: the integral of (N - N_c) dh over h_c - h_g (Gyer Eq. 24)."""
         n = refractivity[: round(climb) + 1]
         return float(trapezoid(n - n[-1]) / climb)
 
-    def error(self, profile, climb: float) -> float:
+    def error(self, profile, climb):
         """Relative error of R that a profile leaves, from the ground to the top of the climb."""
         h = self.h[: round(climb) + 1]
         right = self.r_plane(self.refractivity, climb)
@@ -177,7 +176,7 @@ def balloons() -> list[Balloon]:
     return [balloon_of_file(path) for path in sorted((DATA / "soundings").glob("*.csv"))]
 
 
-def balloon_of_file(path: Path) -> Balloon:
+def balloon_of_file(path) -> Balloon:
     lines = path.read_text(encoding="ascii").splitlines()
     head = [line[2:] for line in lines if line.startswith("#")]
     about = dict(line.split(": ", 1) for line in head)
@@ -251,7 +250,7 @@ REALISTIC = Sensors(
 )
 
 
-def drawn(rng: Generator) -> Sensors:
+def drawn(rng) -> Sensors:
     """Sensors as bad as the realistic ones are, each in its own way.
 
     A static pressure loses some 0.2 % of its change: half of what a data sheet allows.
@@ -271,7 +270,7 @@ def drawn(rng: Generator) -> Sensors:
     )
 
 
-def with_any_static(sensors: Sensors, rng: Generator) -> Sensors:
+def with_any_static(sensors, rng) -> Sensors:
     """The same, of which one in ten has a static pressure that loses some per cent."""
     other = rng.spawn(1)[0]
     lost = other.normal(0.0, 0.03)
@@ -280,13 +279,13 @@ def with_any_static(sensors: Sensors, rng: Generator) -> Sensors:
     return sensors
 
 
-def expected_static(sensors: Sensors, rng: Generator) -> Sensors:
+def expected_static(sensors, rng) -> Sensors:
     """The same with the share that the estimator expects to be lost: 0.1 %, of one in ten 3 %."""
     lost = rng.spawn(1)[0].normal(0.0, 0.001)
     return with_any_static(replace(sensors, pressure_scale=lost), rng)
 
 
-def surveyed(rng: Generator) -> Sensors:
+def surveyed(rng) -> Sensors:
     """The same with heights of a survey receiver, processed afterwards, and a quiet barometer.
 
     Heights to 5 cm; pressure with 2 Pa of noise (MS5611, data sheet: 1.2 to 2.7 Pa) and a slow
@@ -305,7 +304,7 @@ def surveyed(rng: Generator) -> Sensors:
     )
 
 
-def walk(rng: Generator, seconds: ndarray, tau: float) -> ndarray:
+def walk(rng, seconds, tau):
     """A stationary first-order Gauss-Markov process of unit variance at even times."""
     step_s = seconds[1] - seconds[0]
     keep = math.exp(-step_s / tau)
@@ -315,14 +314,14 @@ def walk(rng: Generator, seconds: ndarray, tau: float) -> ndarray:
     return lfilter([1.0], [1.0, -keep], kicks)
 
 
-def lagging(values: ndarray, keep: float) -> ndarray:
+def lagging(values, keep):
     """What follows values by a first-order lag, of which a step keeps this share; settled first."""
     settled = [keep * values[0]]
     felt, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=settled)
     return felt
 
 
-def path(climb: float, rate: float, descent: bool):
+def path(climb, rate, descent):
     """Seconds and heights above ground: standing, climbing, cruising, coming down."""
     up = TAKEOFF_S + climb / rate
     times = [0.0, TAKEOFF_S, up, up + CRUISE_S]
@@ -335,17 +334,17 @@ def path(climb: float, rate: float, descent: bool):
 
 
 def fly(
-    truth: Truth,
-    climb: float,
-    sensors: Sensors,
-    rng: Generator,
+    truth,
+    climb,
+    sensors,
+    rng,
     *,
-    thermometer: bool = True,
-    barometer: bool = True,
-    humidity: str = "surface",
-    rate: float = 5.0,
-    descent: bool = False,
-    gate_s: float = 120.0,
+    thermometer=True,
+    barometer=True,
+    humidity="surface",
+    rate=5.0,
+    descent=False,
+    gate_s=120.0,
 ) -> AirSamples:
     """What a flight measures. ``humidity``: none | surface (the lowest 200 m) | profile."""
     seconds, above = path(climb, rate, descent)
@@ -373,20 +372,20 @@ def fly(
 
 
 def measure(
-    truth: Truth,
+    truth,
     along: dict[str, ndarray],
-    seconds: ndarray,
-    above: ndarray,
-    sensors: Sensors,
-    rng: Generator,
-    gate_s: float,
+    seconds,
+    above,
+    sensors,
+    rng,
+    gate_s,
 ) -> AirSamples:
     """What the sensors make of the air ``along`` a way (t, p, rh), from the ground of ``truth``."""
 
-    def noise(sigma: float) -> ndarray:
+    def noise(sigma):
         return sigma * rng.normal(0.0, 1.0, seconds.size)
 
-    def drift(sigma: float, tau_s: float) -> ndarray:
+    def drift(sigma, tau_s):
         return sigma * walk(rng, seconds, tau_s)
 
     s = sensors
@@ -417,7 +416,7 @@ def measure(
     return AirSamples(thermometer, barometer, hygrometer)
 
 
-def sun_on_the_probe(samples: AirSamples, rng: Generator) -> AirSamples:
+def sun_on_the_probe(samples, rng) -> AirSamples:
     """The sun warms a thermometer: by 0 to 1.6 K always, less behind clouds (minutes apart) and on
     some headings (circles of 40 to 120 s), and by 0 to 8 K more on the ground."""
     t = samples.temperature

@@ -15,7 +15,7 @@ from tests.atmosphere.values import ns
 from tests.helpers import refused
 from unbend.atmosphere import standard_atmosphere, standard_names
 from unbend.atmosphere.climate_tables import climate_names, climate_profile, supplements_profile
-from unbend.atmosphere.climatology import Climatology, climatology, expected_spread, month_of
+from unbend.atmosphere.climatology import climatology, expected_spread, month_of
 from unbend.atmosphere.standard import known_names
 from unbend.errors import PhysicsError
 from unbend.messages import Ledger
@@ -29,7 +29,7 @@ SUPPLEMENTS = pd.read_csv(PRINTED / "supplements1966_breakpoints.csv")
 TRANSCRIBED = {path.stem for path in PRINTED.glob("*.csv")}
 
 
-def at(degrees, month, name="auto", **more) -> Climatology:
+def at(degrees, month, name="auto", **more):
     return climatology(
         name,
         latitude_rad=math.radians(degrees),
@@ -347,7 +347,7 @@ def test_without_a_date_the_spread_reaches_winter_and_summer(degrees, month):
 
 
 @cache
-def of_the_year(degrees) -> Climatology:
+def of_the_year(degrees):
     return at(degrees, None)
 
 

@@ -17,7 +17,6 @@ from scipy.integrate import trapezoid
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
     NO_PRESSURE_LOST,
-    Adjusted,
     adjust,
     all_airs,
     drawn_flight,
@@ -27,7 +26,6 @@ from tests.atmosphere.adjusting import (
     rms,
 )
 from unbend.atmosphere import standard_atmosphere
-from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate.sensors import SensorCalibration, SensorSettings
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.atmosphere.series.time_windows import part_of_flight
@@ -42,7 +40,7 @@ BACKGROUNDS = (AUTO, STANDARD) if MANY else (AUTO,)
 standard atmosphere, as `build_adjusted_profile` does by itself."""
 
 
-def background_of(truth, name) -> Climatology | None:
+def background_of(truth, name):
     return None if name == STANDARD else expected_air(truth, hour=truth.hour)
 
 
@@ -54,7 +52,7 @@ def adjusted(
     name=AUTO,
     calibration=NOTHING_KNOWN,
     **how,
-) -> Adjusted:
+):
     return adjust(
         truth,
         flights.fly(truth, climb, sensors, rng, **how),
@@ -250,7 +248,7 @@ PARTS = {"descent only": (0.6, 1.0), "begins in the air": (0.1, 1.0), "climb onl
 """Which part of a flight of climb, five minutes and descent the log has, as shares of its time."""
 
 
-def departure_between(air: Adjusted, low_m, high_m):
+def departure_between(air, low_m, high_m):
     """The error of R between two heights in its sigmas, by Gyer's Eq. 24."""
     truth = air.truth
     between = (truth.h >= low_m) & (truth.h <= high_m)

@@ -89,7 +89,7 @@ EDGE, VIRTUAL = np.transpose(LEVELS)
 """Geopotential heights [m'] and virtual temperatures [K] of edges."""
 
 
-def column_to(height: float):
+def column_to(height):
     """The integral of dH/T_M from the lowest edge, and its derivatives by T_M at the edges."""
     total = np.zeros(1 + EDGE.size)
     for layer, (low, high) in enumerate(pairwise(EDGE)):

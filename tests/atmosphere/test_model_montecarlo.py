@@ -13,8 +13,7 @@ import pytest
 from numpy.random import default_rng
 
 from tests.atmosphere import flights
-from tests.atmosphere.adjusting import NO_SENSORS, Adjusted, adjust, flown, real_airs, rms
-from unbend.atmosphere.soundings import Sounding
+from tests.atmosphere.adjusting import NO_SENSORS, adjust, flown, real_airs, rms
 from unbend.atmosphere.soundings.model_column import model_column
 from unbend.atmosphere.soundings.model_field import ModelField
 from unbend.simulate.true_air import saturation_pressure_pa
@@ -32,7 +31,7 @@ def drawn(rng, sigma, above):
     return sigma * (root @ rng.normal(size=above.size))
 
 
-def column(truth, climb, rng) -> Sounding:
+def column(truth, climb, rng):
     """A model's column over the place of an air, with errors that a good analysis has."""
     levels = np.arange(2500.0, 1.1e5, 2500.0)
     inside = (levels > truth.p[-1]) & (levels < truth.p0)
@@ -66,7 +65,7 @@ def column(truth, climb, rng) -> Sounding:
     return sounding
 
 
-def estimated(truth, samples=NO_SENSORS, columns=()) -> Adjusted:
+def estimated(truth, samples=NO_SENSORS, columns=()):
     return adjust(truth, samples, soundings=columns, longitude_rad=0.0)
 
 

@@ -90,7 +90,7 @@ def test_eq_52_against_forty_digits(lapse, rise):
 # The profile's table
 
 
-def moist() -> Profile:
+def moist():
     """An inversion under an isothermal layer, moist below 3 km, at 47 N."""
     levels = [
         (-400.0, 297.0, 0.016),
@@ -121,7 +121,7 @@ def moist() -> Profile:
     ],
     ids=["us1976", "ican", "moist"],
 )
-def table(request) -> pd.DataFrame:
+def table(request):
     """The table of a profile, at its edges and between them."""
     edges = request.param.break_heights_m[:-1]
     h = np.append(edges, np.linspace(-300.0, 20_000.0, 300))

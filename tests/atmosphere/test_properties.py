@@ -19,14 +19,14 @@ from unbend.geodesy import normal_gravity
 
 
 @st.composite
-def profiles(draw) -> Profile:
+def profiles(draw):
     """Three to six layers, up to 10 km' high, between 200 and 320 K, with up to 3 % of vapour."""
     count = draw(st.integers(3, 6))
 
     def several(
         low,
         high,
-        size: int,
+        size,
     ):
         values = st.lists(
             st.floats(low, high),
@@ -101,7 +101,7 @@ def test_nothing_jumps_where_layers_meet(profile):
     assert np.all(np.diff(p) < 0.0)
 
 
-def covariance_of(profile, rng) -> ProfileCovariance:
+def covariance_of(profile, rng):
     edges = profile.layers.edge.size
     size = 2 * edges + 1
     root = rng.normal(0.0, 0.1, (size, size))

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 import unbend
@@ -64,7 +63,7 @@ def test_ciddor_check_values_to_a_part_in_a_thousand_million(
 @pytest.mark.parametrize("micrometres", [0.45, 0.55, 0.65])
 def test_ciddor_agrees_with_the_modified_edlen_equation(micrometres):
     """Independent formula (Birch and Downs 1994). Reached: 4.7e-8 in n, at 250 K."""
-    rng = default_rng(5)
+    rng = np.random.default_rng(5)
     t = rng.uniform(250.0, 310.0, 300)
     p = rng.uniform(3e4, 1.05e5, 300)
     e = rng.uniform(0.0, 0.8, 300) * saturation_pressure_pa(t)

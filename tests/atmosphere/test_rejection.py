@@ -20,7 +20,7 @@ def thermometer(
     value=280.0,
     seconds=None,
     **more,
-) -> SensorSamples:
+):
     count = len(h_m)
     time_s = np.arange(count) if seconds is None else np.array(seconds)
     readings = np.full(count, value)

@@ -125,7 +125,7 @@ def test_unknown_name_and_degrees_for_radians_are_refused(options, code):
         standard_atmosphere(**options)
 
 
-def isothermal(place, index) -> Profile:
+def isothermal(place, index):
     layers = stack_layers(
         np.array([-5000.0, 30_000.0]),
         np.full(2, 260.0),

@@ -9,7 +9,6 @@ from tests.atmosphere.adjusting import codes
 from tests.atmosphere.values import ns, saturated
 from tests.helpers import refused
 from unbend.atmosphere.surface_report import (
-    SurfaceReport,
     parse_metar,
     station_pressure,
     surface_report,
@@ -21,13 +20,13 @@ WIND = "221150Z 24011KT CAVOK"
 NAN = math.nan
 
 
-def parsed(text, h_m=0.0, when="") -> tuple[SurfaceReport, Ledger]:
+def parsed(text, h_m=0.0, when=""):
     ledger = Ledger()
     flight_ns = ns(when) if when else None
     return parse_metar(text, h_m, ledger, where="mission.yaml", flight_ns=flight_ns), ledger
 
 
-def quiet(text, h_m=0.0, when="") -> SurfaceReport:
+def quiet(text, h_m=0.0, when=""):
     """A report of which nothing is to be told."""
     report, ledger = parsed(text, h_m, when)
     assert codes(ledger) == []

@@ -24,7 +24,6 @@ from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.rejection import Reason
 from unbend.messages import Kind, Ledger
 from unbend.simulate.true_air import (
-    TrueAir,
     relative_humidity,
     temperature_k,
     true_air,
@@ -38,7 +37,7 @@ SECOND_NS = 10**9
 
 
 @cache
-def air() -> TrueAir:
+def air():
     """An inversion and humidity; integrated with WGS84 gravity, apart from the estimator."""
     return true_air(LATITUDE)
 
@@ -52,30 +51,30 @@ def heights_of(climb):
 H = heights_of(3000.0)
 
 
-def sensor(h, value, name="sensor") -> SensorSamples:
+def sensor(h, value, name="sensor"):
     time_ns = START_NS + SECOND_NS * np.arange(h.size, dtype=np.int64)
     return SensorSamples(time_ns, h, value, name=name)
 
 
-def thermometer(h=H) -> SensorSamples:
+def thermometer(h=H):
     return sensor(h, temperature_k(h), "thermometer")
 
 
-def barometer(h=H) -> SensorSamples:
+def barometer(h=H):
     return sensor(h, air().pressure_pa(h), "barometer")
 
 
-def hygrometer(h=H) -> SensorSamples:
+def hygrometer(h=H):
     return sensor(h, relative_humidity(h), "hygrometer")
 
 
-def measured(climb=3000.0) -> AirSamples:
+def measured(climb=3000.0):
     """Clean readings of a flight with all sensors."""
     h = heights_of(climb)
     return AirSamples(thermometer(h), barometer(h), hygrometer(h))
 
 
-def by_barometer(climb=3000.0) -> AirSamples:
+def by_barometer(climb=3000.0):
     return AirSamples(pressure=barometer(heights_of(climb)))
 
 
@@ -83,7 +82,7 @@ EXACT = SensorSettings(calibration=NO_PRESSURE_LOST)
 """These readings are clean: their static pressure loses nothing of its change."""
 
 
-def adjust(samples, standard=US1976) -> Adjusted:
+def adjust(samples, standard=US1976):
     ledger = Ledger()
     pressure = samples.pressure
     is_climb = pressure is not None and pressure.extent_m > 100.0
@@ -113,12 +112,12 @@ def error_of_r(adjusted, climb):
 
 
 @pytest.fixture(scope="module")
-def clean() -> Adjusted:
+def clean():
     return adjust(measured())
 
 
 @pytest.fixture(scope="module")
-def barometric() -> Adjusted:
+def barometric():
     return adjust(by_barometer())
 
 
@@ -255,7 +254,7 @@ def test_without_humidity_the_climatology_s_is_taken_and_that_is_said(clean):
 
 
 def test_humidity_changes_the_weight_of_the_air_too():
-    def thickness(humidity: np.ndarray):
+    def thickness(humidity):
         adjusted = adjust(AirSamples(thermometer(), humidity=sensor(H, humidity)))
         low, high = adjusted.profile.pressure([500.0, 3400.0])
         return math.log(low / high)
@@ -333,7 +332,7 @@ def test_a_log_without_a_barometer():
     assert_allclose(adjusted.profile.pressure(0.0), 101_325.0, rtol=1e-4)
 
 
-def constant_sensors(h) -> AirSamples:
+def constant_sensors(h):
     ones = np.ones(h.size)
     return AirSamples(
         sensor(h, 280.0 * ones),
@@ -342,7 +341,7 @@ def constant_sensors(h) -> AirSamples:
     )
 
 
-def gated_sensors() -> AirSamples:
+def gated_sensors():
     sensors = constant_sensors(H).sensors.values()
     return AirSamples(*(each.reject(H > 0.0, Reason.GROUND_SOAK) for each in sensors))
 

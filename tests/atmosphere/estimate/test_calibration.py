@@ -9,7 +9,6 @@ from tests.atmosphere import adjusting, flights
 from tests.atmosphere.adjusting import (
     MONSOON,
     NO_PRESSURE_LOST,
-    Adjusted,
     adjust,
     extreme,
     fault_of,
@@ -50,7 +49,7 @@ def air(truth):
 def flown(truth, air):
     """Flies sensors over 3 km, and adjusts with what is known of them."""
 
-    def fly(sensors, calibration, seed=3, **how) -> Adjusted:
+    def fly(sensors, calibration, seed=3, **how):
         samples = adjusting.flown(truth, 3000.0, sensors, seed, **how)
         settings = SensorSettings(calibration=calibration)
         return adjust(truth, samples, background=air, settings=settings)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.random import default_rng
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
@@ -31,7 +30,7 @@ WAVERING = np.where(np.arange(200) % 50 == 0, 100.0, 0.0)
     [
         (WHOLE, 100.0),
         (np.round(RISING / 100.0) * 0.01 * 1e4, pytest.approx(100.0)),
-        (RISING + default_rng(1).normal(0.0, 5.0, 600), 0.0),
+        (RISING + np.random.default_rng(1).normal(0.0, 5.0, 600), 0.0),
         (np.full(600, 9e4), 0.0),
     ],
     ids=["whole", "as hectopascals", "fine", "constant"],

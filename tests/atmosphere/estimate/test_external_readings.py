@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from tests.atmosphere import flights
@@ -15,7 +14,6 @@ from tests.atmosphere.adjusting import (
     DESERT,
     HOUR_NS,
     NO_SENSORS,
-    Adjusted,
     adjust,
     balloon_of,
     codes,
@@ -60,12 +58,12 @@ def norman():
     return real_airs()[2]
 
 
-def over(truth) -> TimeAndPlace:
+def over(truth):
     return TimeAndPlace(truth.start_ns, truth.latitude, 0.0)
 
 
 @pytest.fixture(scope="module")
-def desert_balloon() -> Sounding:
+def desert_balloon():
     return balloon_of(extreme(DESERT))
 
 
@@ -183,7 +181,7 @@ def test_a_station_far_away_is_less_certain(norman, across, times):
 def test_an_old_humidity_weighs_what_it_is_worth(hours):
     """Air that forgets: truth and reading drawn with the correlation, and combined as we do."""
     rho = math.exp(-hours / 18.0)
-    now, news = default_rng(4).normal(0.0, 0.3, (2, 20_000))
+    now, news = np.random.default_rng(4).normal(0.0, 0.3, (2, 20_000))
     then = rho * now + math.sqrt(1.0 - rho**2) * news
     gain = 1.0 / (1.0 + humidity_growth(hours, 0.0))
     claimed = 0.3 * math.sqrt(1.0 - gain)
@@ -248,7 +246,7 @@ def test_what_is_not_known_of_a_source_is_taken_as_far(desert_balloon):
     assert hours_and_metres(REPORT, TimeAndPlace(0)) == (3.0, 0.0)
 
 
-def adjusted(truth, samples=NO_SENSORS, **more) -> Adjusted:
+def adjusted(truth, samples=NO_SENSORS, **more):
     background = climatology(latitude_rad=truth.latitude, month=6.0)
     return adjust(
         truth,
@@ -259,12 +257,12 @@ def adjusted(truth, samples=NO_SENSORS, **more) -> Adjusted:
     )
 
 
-def with_sounding(truth, hours_ago=0, **change) -> Adjusted:
+def with_sounding(truth, hours_ago=0, **change):
     """By a sounding of the same air alone."""
     return adjusted(truth, soundings=[aged(truth, hours_ago, **change)])
 
 
-def aged(truth, hours, **change) -> Sounding:
+def aged(truth, hours, **change):
     return balloon_of(truth, time_ns=truth.start_ns - hours * HOUR_NS, **change)
 
 
@@ -334,7 +332,7 @@ def test_an_old_sounding_does_not_spoil_a_fresh_one(norman):
     assert sigma(fresh, replace(fresh, station="72358")) < 0.97 * both
 
 
-def station(truth, hours=0, dp=0.0, dt=0.0) -> SurfaceReport:
+def station(truth, hours=0, dp=0.0, dt=0.0):
     return SurfaceReport(
         truth.ground_m,
         truth.p0 + dp,
@@ -379,7 +377,7 @@ def test_a_sounding_without_a_time_or_place_is_told(norman, change, expected):
 # Stations on the ground
 
 
-def off_in_sigmas(made: Adjusted):
+def off_in_sigmas(made):
     """The largest departure of ln p below 3 km."""
     levels = slice(0, 3000, 100)
     h = made.truth.h[levels]
@@ -546,7 +544,7 @@ def test_a_bad_balloon_does_not_cost_the_flight(norman, above, per_km):
     assert abs(both.error(3000.0)) < 0.005
 
 
-def warmed(balloon, kelvin) -> Sounding:
+def warmed(balloon, kelvin):
     return replace(balloon, temperature_k=balloon.temperature_k + kelvin)
 
 

@@ -14,13 +14,13 @@ from numpy.random import default_rng
 from scipy.stats import chi2
 
 from tests.atmosphere import flights
-from tests.atmosphere.adjusting import Adjusted, adjust, all_airs, drawn_flight, rms
+from tests.atmosphere.adjusting import adjust, all_airs, drawn_flight, rms
 from tests.draws import SEED
 
 DRAWS = int(os.environ.get("UNBEND_THERMOMETERS", "24"))
 
 
-def flown(truth, climb, rng, *, sunny, **how) -> Adjusted:
+def flown(truth, climb, rng, *, sunny, **how):
     if sunny:
         truth = truth.over_hot_ground(rng)
     samples = drawn_flight(truth, climb, rng, **how)

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from tests.atmosphere import flights
@@ -44,7 +43,7 @@ from unbend.atmosphere.estimate.state import Fault, Layout, Prior, SensorFault
 # The mixture, against Bayes' rule on a grid
 
 
-def reading_of(value, quantity="temperature") -> SimpleNamespace:
+def reading_of(value, quantity="temperature"):
     """A reading of one number, a temperature or not."""
 
     def predict(air):
@@ -53,7 +52,7 @@ def reading_of(value, quantity="temperature") -> SimpleNamespace:
     return SimpleNamespace(value=value, quantity=quantity, predict=predict)
 
 
-def evidence_of(share, mean, precision, weight, x, log_sigma=0.0) -> Evidence:
+def evidence_of(share, mean, precision, weight, x, log_sigma=0.0):
     """Of a solution x for one number that is expected to be a mean."""
     prior = Prior(np.array([mean]), np.array([[precision]]), np.empty(0))
     return Evidence(
@@ -213,12 +212,11 @@ def test_a_thermometer_partly_in_the_outside_air_is_in_the_sigma(place, share, c
 
 
 @pytest.mark.parametrize(("warmer_k", "least_chance"), [(1.0, 0.0), (3.0, 0.5)])
-def test_a_thermometer_that_the_climb_warms_has_no_lag_for_it(warmer_k, least_chance):
+def test_a_thermometer_that_the_climb_warms_has_no_lag_for_it(trades, warmer_k, least_chance):
     """Read as lag, 3 K were 3.6 % of R at 0.8."""
-    truth = extreme(TRADES)
-    sensors = replace(flights.drawn(default_rng(3)), lag_s=5.0)
+    sensors = replace(flights.drawn(np.random.default_rng(3)), lag_s=5.0)
     samples = flown(
-        truth,
+        trades,
         1000.0,
         sensors,
         humidity="none",
@@ -229,8 +227,8 @@ def test_a_thermometer_that_the_climb_warms_has_no_lag_for_it(warmer_k, least_ch
     climbs = (since_takeoff_s > 0.0) & (since_takeoff_s < 1000.0 / 3.0)
     warmed = warmer(samples, warmer_k * climbs)
 
-    adjusted = adjust(truth, warmed)
-    made = estimate(warmed, expected_air(truth))
+    adjusted = adjust(trades, warmed)
+    made = estimate(warmed, expected_air(trades))
 
     assert adjusted.is_told or adjusted.departure(1000.0) < 2.0
     lag = fault_of(made, SensorFault.THERMOMETER_LAG)
@@ -258,10 +256,9 @@ def test_usual_sensors_stay_as_certain(place):
     assert sigma_of_r(made, truth, 2000.0) < 1.5 * sigma
 
 
-def test_what_is_stated_is_not_expected_to_be_rare():
-    truth = extreme(TRADES)
-    air = expected_air(truth)
-    samples = drawn_flight(truth, 800.0, 6, humidity="none", rate=2.5)
+def test_what_is_stated_is_not_expected_to_be_rare(trades):
+    air = expected_air(trades)
+    samples = drawn_flight(trades, 800.0, 6, humidity="none", rate=2.5)
     names = {rare.name for rare in RARE_FAULTS}
     assert estimate(samples, air).chances.keys() == names | {"usual sensors"}
     settings = SensorSettings(

@@ -9,7 +9,6 @@ from numpy.random import default_rng
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
-    Adjusted,
     adjust,
     all_airs,
     balloon_of,
@@ -19,12 +18,11 @@ from tests.atmosphere.adjusting import (
     warmer,
 )
 from tests.helpers import with_code
-from unbend.atmosphere.estimate.solver import FaultEstimate
 from unbend.atmosphere.estimate.state import SensorFault
 from unbend.messages import Kind
 
 
-def flown(truth, lost, rng, *, sounding=False, climb=3000.0, **how) -> Adjusted:
+def flown(truth, lost, rng, *, sounding=False, climb=3000.0, **how):
     """A flight whose static pressure loses this share, with a sounding beside it or without."""
     sensors = replace(flights.drawn(rng), pressure_scale=lost)
     samples = flights.fly(
@@ -47,7 +45,7 @@ def flown(truth, lost, rng, *, sounding=False, climb=3000.0, **how) -> Adjusted:
     return adjust(truth, samples, longitude_rad=0.0, soundings=soundings)
 
 
-def scale_within_3_sigma(adjusted, lost) -> FaultEstimate:
+def scale_within_3_sigma(adjusted, lost):
     """What was estimated of the scale, which is that of the sensor."""
     scale = fault_of(adjusted.made, SensorFault.PRESSURE_SCALE)
     assert abs(scale.value - lost) < 3.0 * scale.sigma

@@ -21,7 +21,7 @@ from unbend.messages import Kind
 HEIGHTS_M = np.array([500.0, 900.0, 1500.0])
 
 
-def sensor(name, values) -> SensorSamples:
+def sensor(name, values):
     return SensorSamples(np.arange(3), HEIGHTS_M, np.asarray(values), name=name)
 
 
@@ -80,7 +80,7 @@ def test_the_level_of_pressures_is_judged_at_sea_level(sigmas, kind):
     )
 
 
-def usage(used: AirSamples | None, standard: str, **refused: str) -> dict[str, str]:
+def usage(used, standard, **refused: str):
     """Why each source is not used, "" for those that are, with two soundings of which one is."""
     flown = UsedSamples(GIVEN, GIVEN, tried=(GIVEN,), used=used, refused=refused)
     soundings = (SimpleNamespace(name="sounding A"), SimpleNamespace(name="sounding B"))

@@ -17,9 +17,6 @@ from numpy.random import default_rng
 
 from tests.atmosphere import adjusting, flights
 from tests.atmosphere.adjusting import (
-    ARCTIC,
-    DESERT,
-    MONSOON,
     NIGHT,
     QUIET,
     TRADES,
@@ -55,10 +52,14 @@ flown = partial(adjusting.flown, sensors=QUIET)
 
 
 def noise(samples, sigma):
-    return default_rng(2).normal(0.0, sigma, samples.pressure.value.size)
+    return default_rng(2).normal(
+        0.0,
+        sigma,
+        samples.pressure.value.size,
+    )
 
 
-def reading_always(samples, value, sensor: str) -> AirSamples:
+def reading_always(samples, value, sensor):
     count = getattr(samples, sensor).value.size
     return with_readings(samples, np.full(count, value), sensor)
 
@@ -81,8 +82,12 @@ def number_in(text, pattern):
 )
 def test_a_thermometer_that_stands_still_is_not_used(place, climb, barometer, basis):
     """PX4 tells 288.15 K where it has no sensor: +25 and +5 % of R over 400 and 1500 m."""
-    samples = flown(extreme(place), climb, descent=True, barometer=barometer)
-    adjusted = adjust(extreme(place), reading_always(samples, 288.15, "temperature"))
+    truth = extreme(place)
+    samples = flown(truth, climb, descent=True, barometer=barometer)
+    stuck_samples = reading_always(samples, 288.15, "temperature")
+
+    adjusted = adjust(truth, stuck_samples)
+
     stuck = adjusted.entry("AIR-STUCK", Kind.LOSS)
     assert stuck.where == "thermometer"
     assert "288.15" in stuck.what
@@ -91,13 +96,12 @@ def test_a_thermometer_that_stands_still_is_not_used(place, climb, barometer, ba
     assert adjusted.departure(climb) < 2.0
 
 
-def test_a_thermometer_that_freezes_leaves_what_it_read_before():
-    truth = extreme(TRADES)
-    samples = flown(truth, 3000.0, descent=True)
+def test_a_thermometer_that_freezes_leaves_what_it_read_before(trades):
+    samples = flown(trades, 3000.0, descent=True)
     t = samples.temperature.value.copy()
     frozen = seconds_of(samples) > 330.0  # at 1500 m
     t[frozen] = t[frozen][0]
-    adjusted = adjust(truth, with_readings(samples, t))
+    adjusted = adjust(trades, with_readings(samples, t))
     assert adjusted.entry("AIR-STUCK").count == frozen.sum()
     assert adjusted.basis == "both"
     assert adjusted.made.samples.temperature.extent_m == pytest.approx(900.0, abs=10.0)
@@ -105,9 +109,9 @@ def test_a_thermometer_that_freezes_leaves_what_it_read_before():
     assert adjusted.departure(3000.0) < 2.0
 
 
-def test_coarse_steps_and_level_flight_are_no_standstill():
+def test_coarse_steps_and_level_flight_are_no_standstill(night):
     """A thermometer that tells whole degrees, in air that hardly changes with height."""
-    samples = replace(flown(extreme(NIGHT), 3000.0, descent=True), pressure=None)
+    samples = replace(flown(night, 3000.0, descent=True), pressure=None)
     t = samples.temperature
     isothermal = 275.0 - 1.5e-3 * (t.h_m - t.h_m.min())  # 670 m for each degree
     level = SensorSamples(
@@ -134,8 +138,8 @@ def test_coarse_steps_and_level_flight_are_no_standstill():
         (0.43, ["AIR-STUCK"]),
     ],
 )
-def test_humidity_may_stay_at_its_ends_but_not_between(value, losses):
-    samples = flown(extreme(MONSOON), 2000.0, humidity="profile", descent=True)
+def test_humidity_may_stay_at_its_ends_but_not_between(monsoon, value, losses):
+    samples = flown(monsoon, 2000.0, humidity="profile", descent=True)
     usable, notes = usable_sensors(reading_always(samples, value, "humidity"), US1976)
     assert (usable.humidity is None) == bool(losses)
     assert codes(notes, Kind.LOSS) == losses
@@ -143,11 +147,10 @@ def test_humidity_may_stay_at_its_ends_but_not_between(value, losses):
 
 @pytest.mark.parametrize("climb", [400.0, 1500.0])
 @pytest.mark.parametrize("noise_pa", [0.0, 3.0])
-def test_the_pressure_of_a_sealed_hull(climb, noise_pa):
-    truth = extreme(TRADES)
-    samples = flown(truth, climb, descent=True)
-    sealed = truth.p0 + noise(samples, noise_pa)
-    adjusted = adjust(truth, with_readings(samples, sealed, "pressure"))
+def test_the_pressure_of_a_sealed_hull(trades, climb, noise_pa):
+    samples = flown(trades, climb, descent=True)
+    sealed = trades.p0 + noise(samples, noise_pa)
+    adjusted = adjust(trades, with_readings(samples, sealed, "pressure"))
     assert adjusted.losses == ["AIR-NOT-OUTSIDE"]
     assert adjusted.basis == "thermometer"
     assert adjusted.departure(climb) < 2.0
@@ -163,11 +166,10 @@ def test_the_pressure_of_a_sealed_hull(climb, noise_pa):
         (False, "barometer"),
     ],
 )
-def test_a_hygrometer_stuck_at_saturation_through_a_desert(thermometer, basis):
+def test_a_hygrometer_stuck_at_saturation_through_a_desert(desert, thermometer, basis):
     """A cloud 2.4 km deep whose temperature falls by 9.75 K/km."""
-    truth = extreme(DESERT)
-    samples = flown(truth, 3000.0, humidity="profile", thermometer=thermometer)
-    adjusted = adjust(truth, reading_always(samples, 1.0, "humidity"))
+    samples = flown(desert, 3000.0, humidity="profile", thermometer=thermometer)
+    adjusted = adjust(desert, reading_always(samples, 1.0, "humidity"))
     refused = adjusted.entry("AIR-HYGROMETER", Kind.LOSS)
     assert refused.where == "hygrometer"
     assert "97 % and more" in refused.what
@@ -178,22 +180,21 @@ def test_a_hygrometer_stuck_at_saturation_through_a_desert(thermometer, basis):
     assert adjusted.basis == basis
     assert adjusted.made.samples.humidity is None
     assert adjusted.departure(3000.0) < 2.5
-    good = adjust(truth, samples)
+    good = adjust(desert, samples)
     assert good.losses == []
     assert good.made.samples.humidity is not None
 
 
 @pytest.mark.parametrize("value", [-0.01, 0.0, 0.008])
-def test_a_hygrometer_that_is_dead_or_in_fractions(value):
-    truth = extreme(DESERT)
-    samples = flown(truth, 800.0, gate_s=0.0)
-    refused = adjust(truth, reading_always(samples, value, "humidity")).entry("AIR-HYGROMETER")
-    assert f"its highest reading is {100 * value:.1f} % relative humidity" in refused.what
+def test_a_hygrometer_that_is_dead_or_in_fractions(desert, value):
+    samples = flown(desert, 800.0, gate_s=0.0)
+    adjusted = adjust(desert, reading_always(samples, value, "humidity"))
+    text = adjusted.entry("AIR-HYGROMETER").what
+    assert f"its highest reading is {100 * value:.1f} % relative humidity" in text
 
 
-def test_a_dew_point_above_that_of_any_air():
+def test_a_dew_point_above_that_of_any_air(arctic, desert):
     """Saturated at 315 K, on the ground of a desert; and 4 sigma too wet for an arctic winter."""
-    desert = extreme(DESERT)
     samples = flown(desert, 800.0, gate_s=0.0)  # humidity of the lowest 200 m
     saturated = reading_always(samples, 1.0, "humidity")
     text = adjust(desert, saturated).entry("AIR-HYGROMETER").what
@@ -203,7 +204,7 @@ def test_a_dew_point_above_that_of_any_air():
     air = expected_air(desert)
     made = estimate(reading_always(samples, 0.4, "humidity"), air)
     assert hygrometer_is_outside(made, air) == PASSED
-    check = hygrometer_is_outside(made, expected_air(extreme(ARCTIC)))
+    check = hygrometer_is_outside(made, expected_air(arctic))
     assert not check
     limit = number_in(check.reason, r"do not exceed ([\d.-]+) C")
     # Expected -33 C, sigma of T 10.5 K and of RH 0.15 in 0.8: 10.8 K.
@@ -211,11 +212,11 @@ def test_a_dew_point_above_that_of_any_air():
 
 
 @pytest.mark.parametrize("value", [1.0, 1.03])
-def test_real_clouds_keep_their_hygrometer(value):
+def test_real_clouds_keep_their_hygrometer(monsoon, value):
     """Monsoon air of 5.5 K/km, saturated over 2 km and 3 % more."""
-    truth = extreme(MONSOON)
-    samples = flown(truth, 2000.0, humidity="profile", descent=True)
-    assert adjust(truth, reading_always(samples, value, "humidity")).losses == []
+    samples = flown(monsoon, 2000.0, humidity="profile", descent=True)
+    cloud = reading_always(samples, value, "humidity")
+    assert adjust(monsoon, cloud).losses == []
 
 
 # A thermometer against a barometer
@@ -230,12 +231,11 @@ def check_refused(truth, samples, climb, most_sigmas=2.0):
     return adjusted.entry(THERMOMETER).what
 
 
-def test_noise_about_a_room_temperature_over_three_kilometres():
+def test_noise_about_a_room_temperature_over_three_kilometres(night):
     """Right in the mean: only its change with height gives it away."""
-    truth = extreme(NIGHT)
-    samples = flown(truth, 3000.0, descent=True)
-    room = truth.t[300:3000].mean() + noise(samples, 0.3)
-    text = check_refused(truth, with_readings(samples, room), 3000.0)
+    samples = flown(night, 3000.0, descent=True)
+    room = night.t[300:3000].mean() + noise(samples, 0.3)
+    text = check_refused(night, with_readings(samples, room), 3000.0)
     assert "only partly in the air outside" in text
 
 
@@ -250,34 +250,39 @@ def test_a_cabin_that_cools_during_a_short_climb(place, climb):
     check_refused(truth, with_readings(samples, cabin), climb)
 
 
-def test_readings_of_no_place_are_refused_beside_a_barometer():
+def test_readings_of_no_place_are_refused_beside_a_barometer(trades):
     """Jumps of 3 K every minute: right in the mean and in both halves."""
-    truth = extreme(TRADES)
-    samples = flown(truth, 900.0, descent=True)
-    jumps = np.where(seconds_of(samples) // 40.0 % 2.0 < 1.0, 3.0, -3.0)
+    samples = flown(trades, 900.0, descent=True)
+    jumps = np.where(
+        seconds_of(samples) // 40.0 % 2.0 < 1.0,
+        3.0,
+        -3.0,
+    )
     wild = warmer(samples, jumps)
     usable, _ = usable_sensors(wild, US1976)
     assert usable.temperature is not None
-    assert "within 30 minutes" in check_refused(truth, wild, 900.0)
+    assert "within 30 minutes" in check_refused(trades, wild, 900.0)
 
 
-def with_a_wave(truth, samples) -> AirSamples:
+def with_a_wave(truth, samples):
     """6 K, a kilometre long: each half agrees, and no two readings contradict."""
     above = samples.temperature.h_m - truth.ground_m
     return warmer(samples, 6.0 * np.sin(2.0 * np.pi * above / 1000.0))
 
 
-def test_a_barometer_that_fits_air_of_its_own_outvotes_a_thermometer():
-    truth = extreme(TRADES)
-    text = check_refused(truth, with_a_wave(truth, flown(truth, 3000.0)), 3000.0)
+def test_a_barometer_that_fits_air_of_its_own_outvotes_a_thermometer(trades):
+    text = check_refused(
+        trades,
+        with_a_wave(trades, flown(trades, 3000.0)),
+        3000.0,
+    )
     assert "fits plausible air" in text or "fit physical air only" in text
 
 
-def test_only_a_barometer_can_refuse_a_thermometer():
-    truth = extreme(TRADES)
-    air = expected_air(truth)
-    samples = flown(truth, 3000.0)
-    wrong = with_a_wave(truth, samples)
+def test_only_a_barometer_can_refuse_a_thermometer(trades):
+    air = expected_air(trades)
+    samples = flown(trades, 3000.0)
+    wrong = with_a_wave(trades, samples)
     made = estimate(wrong, air)
 
     def is_outside(readings, made=made, settings=IN_THE_AIR):
@@ -293,49 +298,57 @@ def test_only_a_barometer_can_refuse_a_thermometer():
     assert is_outside(bent, estimate(bent, air))
 
 
-def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of():
+def test_a_thermometer_that_reads_the_same_over_little_height_is_told_of(night):
     """In a bay whose air is for a third from outside."""
-    truth = extreme(NIGHT)
-    samples = drawn_flight(truth, 600.0, 2, humidity="none", rate=2.5)
+    samples = drawn_flight(night, 600.0, 2, humidity="none", rate=2.5)
     t = 294.0 - 0.3 * (294.0 - samples.temperature.value)
     inside = with_readings(samples, t)
-    adjusted = adjust(truth, inside)
+    adjusted = adjust(night, inside)
     message = adjusted.entry("AIR-ISOTHERMAL", Kind.WARNING)
     assert 50.0 < message.values["percent"] < 99.0
     assert adjusted.departure(600.0) < 3.0
-    assert "AIR-ISOTHERMAL" not in adjust(truth, samples).codes()
+    assert "AIR-ISOTHERMAL" not in adjust(night, samples).codes()
     # One that is stated to sit on a board needs no warning.
-    made = estimate(inside, expected_air(truth), settings=ON_A_BOARD)
+    made = estimate(inside, expected_air(night), settings=ON_A_BOARD)
     assert maybe_in_a_bay(made, inside) == ()
 
 
 @pytest.mark.parametrize("tau_s", [300.0, 3000.0])
 @pytest.mark.parametrize("warmer_k", [0.0, 6.0])
-def test_a_cabin_that_follows_the_ground_of_a_clear_night(tau_s, warmer_k):
+def test_a_cabin_that_follows_the_ground_of_a_clear_night(night, tau_s, warmer_k):
     """It changes with time, not with height: 4 to 6 sigma before, without a word."""
-    truth = extreme(NIGHT)
-    samples = drawn_flight(truth, 600.0, 7, humidity="none", descent=True, gate_s=60.0)
-    outside = truth.at(truth.t, samples.temperature.h_m - truth.ground_m)
+    samples = drawn_flight(
+        night,
+        600.0,
+        7,
+        humidity="none",
+        descent=True,
+        gate_s=60.0,
+    )
+    outside = night.at(night.t, samples.temperature.h_m - night.ground_m)
     cabin = flights.lagging(outside, keep=math.exp(-1.0 / tau_s))
     cabin += warmer_k + noise(samples, 0.2)
-    check_refused(truth, with_readings(samples, cabin), 600.0, most_sigmas=1.5)
+    check_refused(night, with_readings(samples, cabin), 600.0, most_sigmas=1.5)
 
 
 def test_honest_thermometers_are_believed():
     """Drawn biases, transients, lags and drifts, in five extreme airs: none of 40 is refused."""
     rng = default_rng(12)
-    ways = product(extreme_airs(), (700.0, 1500.0), (True, True, False, False))
+    ways = product(
+        extreme_airs(),
+        (700.0, 1500.0),
+        (True, True, False, False),
+    )
     for truth, climb, descent in ways:
         samples = drawn_flight(truth, climb, rng, descent=descent)
         assert adjust(truth, samples).losses == [], (truth.name, climb, descent)
 
 
 @pytest.mark.parametrize("climb", [1000.0, 400.0])
-def test_a_refusal_states_what_is_seen_and_the_limit(climb):
+def test_a_refusal_states_what_is_seen_and_the_limit(trades, climb):
     """A probe 20 K too warm: beside the 8 K stands what barometer and GNSS leave open."""
-    truth = extreme(TRADES)
-    samples = flown(truth, climb, descent=True)
-    adjusted = adjust(truth, warmer(samples, 20.0))
+    samples = flown(trades, climb, descent=True)
+    adjusted = adjust(trades, warmer(samples, 20.0))
     refused = adjusted.entry(THERMOMETER)
     assert refused.where == "thermometer"
     difference_k = number_in(refused.what, r"reads \+([\d.]+) K")
@@ -355,13 +368,12 @@ def test_a_refusal_states_what_is_seen_and_the_limit(climb):
         (300.0, True),
     ],
 )
-def test_ground_in_the_sun_is_air(lowest, overturns):
+def test_ground_in_the_sun_is_air(desert, lowest, overturns):
     """Superadiabatic in its lowest 100 m; the same lapse farther up overturns."""
-    truth = extreme(DESERT)
-    air = expected_air(truth)
-    hot = copy.copy(truth)
-    above = np.maximum(truth.h - truth.ground_m - lowest, 0.0)
-    hot.t = truth.t + 6.0 * np.exp(-above / 60.0)
+    air = expected_air(desert)
+    hot = copy.copy(desert)
+    above = np.maximum(desert.h - desert.ground_m - lowest, 0.0)
+    hot.t = desert.t + 6.0 * np.exp(-above / 60.0)
     samples = flown(hot, 2000.0, descent=True, gate_s=0.0)
     check = is_plausible(estimate(samples, air), air)
     assert bool(check) is not overturns

@@ -10,16 +10,12 @@ from numpy.testing import assert_allclose
 
 from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
-    ARCTIC,
     DESERT,
     HOUR_NS,
-    MONSOON,
-    NIGHT,
     NO_SENSORS,
     QUIET,
     TRADES,
     US1976,
-    Adjusted,
     adjust,
     balloon_of,
     drawn_flight,
@@ -76,32 +72,31 @@ def estimated(truth, samples, **more):
     return estimate(samples, background(truth), moisture=background(truth, AUTO), **more)
 
 
-def about_the_standard(truth, samples=NO_SENSORS, **more) -> Adjusted:
+def about_the_standard(truth, samples=NO_SENSORS, **more):
     return adjust(truth, samples, background=None, **more)
 
 
-def airspeed_at(sensor: SensorSamples, speed) -> SensorSamples:
+def airspeed_at(sensor, speed):
     return SensorSamples(sensor.time_ns, sensor.h_m, speed, name="airspeed")
 
 
 # The derivatives of what sensors read
 
 
-def test_every_derivative_of_every_source():
+def test_every_derivative_of_every_source(trades):
     """At a state that is far from its prior, in humid air."""
-    truth = extreme(TRADES)
-    air = background(truth)
-    samples = flown(truth, 2500.0, seed=8, humidity="profile")
+    air = background(trades)
+    samples = flown(trades, 2500.0, seed=8, humidity="profile")
     t = samples.temperature
     readings = collect_readings(
         replace(samples, airspeed=airspeed_at(t, np.full(t.value.size, 40.0))),
         air,
         SensorSettings(),
-        soundings=[balloon_of(truth)],
+        soundings=[balloon_of(trades)],
         surface=[SurfaceReport(100.0, 1.0e5, 299.0, 2400.0)],
     )
     layout = layout_of(readings, air)
-    prior = prior_of(layout, air, background(truth, AUTO))
+    prior = prior_of(layout, air, background(trades, AUTO))
     away = default_rng(8).normal(size=layout.size)
     x = prior.mean + 0.3 * away / np.sqrt(np.diag(prior.precision))
     x[layout.humidity] = np.clip(x[layout.humidity], 0.3, 0.8)
@@ -213,10 +208,9 @@ def test_air_near_the_ground_and_sun_on_a_probe_are_in_the_prior():
 # The covariance
 
 
-def test_sigma_of_r_is_that_of_the_gradient():
+def test_sigma_of_r_is_that_of_the_gradient(night):
     """By differences of R of profiles with one quantity moved, integrated in the test."""
-    truth = extreme(NIGHT)
-    made = estimate(flown(truth, 800.0), background(truth))
+    made = estimate(flown(night, 800.0), background(night))
     profile = made.profile
     layers = profile.layers
     edges = layers.edge.size
@@ -235,19 +229,19 @@ def test_sigma_of_r_is_that_of_the_gradient():
             constant=profile.constant,
         )
         moved_profile = Profile(moved, profile.gravity, profile.index)
-        return truth.r_plane(moved_profile.refractivity(truth.h), 800.0)
+        return night.r_plane(moved_profile.refractivity(night.h), 800.0)
 
     steps = np.repeat([1e-2, 1e-4, 1e-5], [edges, 1, edges])
     gradient = [(r(step) - r(-step)) / (2.0 * step.sum()) for step in np.diag(steps)]
     variance = gradient @ made.covariance.matrix @ gradient
     sigma = math.sqrt(variance) / abs(r(0.0 * steps))
-    assert sigma_of_r(made, truth, 800.0) == pytest.approx(sigma, rel=2e-3)
+    assert sigma_of_r(made, night, 800.0) == pytest.approx(sigma, rel=2e-3)
     assert 0.005 < sigma < 0.05
 
 
 @pytest.mark.parametrize("name", ["us1976", AUTO])
-def test_without_measurements_it_is_the_climatology_with_its_sigma(name):
-    air = background(extreme(MONSOON), name)
+def test_without_measurements_it_is_the_climatology_with_its_sigma(monsoon, name):
+    air = background(monsoon, name)
     made = estimate(NO_SENSORS, air)
     h = [0.0, 500.0, 3000.0, 9000.0, 15_000.0]
     assert_allclose(
@@ -274,9 +268,9 @@ def test_a_covariance_must_fit_its_profile():
         ProfileCovariance(US1976, 0.0, np.eye(3))
 
 
-def test_the_doubt_of_vapour_is_that_of_humidity_and_of_pressure():
+def test_the_doubt_of_vapour_is_that_of_humidity_and_of_pressure(monsoon):
     """Nothing measured: sigma_e is the climatology's sigma of RH times e_s(T), and e sigma_p/p."""
-    air = background(extreme(MONSOON), AUTO)
+    air = background(monsoon, AUTO)
     made = estimate(NO_SENSORS, air)
     covariance = made.covariance
     h = [500.0, 1500.0, 3000.0]
@@ -326,12 +320,11 @@ def test_every_estimate_settles(climb):
         assert (moved_k / np.sqrt(variance)).max() < 0.1
 
 
-def test_an_estimate_that_does_not_settle_is_told_of(monkeypatch):
+def test_an_estimate_that_does_not_settle_is_told_of(night, monkeypatch):
     monkeypatch.setattr("unbend.atmosphere.estimate.solver._MOST_STEPS", 5)
-    truth = extreme(NIGHT)
-    samples = flown(truth, 3000.0)
-    assert not estimated(truth, samples).converged
-    assert "AIR-UNSETTLED" in about_the_standard(truth, samples).codes(Kind.WARNING)
+    samples = flown(night, 3000.0)
+    assert not estimated(night, samples).converged
+    assert "AIR-UNSETTLED" in about_the_standard(night, samples).codes(Kind.WARNING)
 
 
 # What is wrong with the sensors is found
@@ -339,10 +332,9 @@ def test_an_estimate_that_does_not_settle_is_told_of(monkeypatch):
 QUIET_BOTH = replace(QUIET, pressure_noise_pa=3.0)
 
 
-def test_bias_lag_and_transient_are_found():
-    truth = extreme(TRADES)
-    samples = flown(truth, 3000.0, seed=2, gate_s=0.0, descent=True)
-    made = estimated(truth, samples)
+def test_bias_lag_and_transient_are_found(trades):
+    samples = flown(trades, 3000.0, seed=2, gate_s=0.0, descent=True)
+    made = estimated(trades, samples)
     check_fault(made, SensorFault.THERMOMETER_BIAS, 3.0, sharp=2.0)
     check_fault(made, LAG, 20.0, sharp=2.0)
     check_fault(made, SensorFault.TAKEOFF_TRANSIENT, 5.0, sharp=1.5)
@@ -372,34 +364,34 @@ GOOD_BAROMETER = {
         (SensorFault.GNSS_HEIGHT_OFFSET, {"gnss_offset_m": -12.0}, 3000.0, GOOD_BAROMETER, 5.0),
     ],
 )
-def test_an_offset_is_found_beside_stations_with_its_sign(fault, wrong, climb, known, sharp):
-    truth = extreme(TRADES)
+def test_an_offset_is_found_beside_stations_with_its_sign(
+    trades, fault, wrong, climb, known, sharp
+):
     (value,) = wrong.values()
     samples = flown(
-        truth,
+        trades,
         climb,
         replace(QUIET_BOTH, **wrong),
         seed=2,
         descent=True,
     )
     made = estimated(
-        truth,
+        trades,
         samples,
-        surface=[station_at(truth, row) for row in (0, 100, 200, 300)],
+        surface=[station_at(trades, row) for row in (0, 100, 200, 300)],
         settings=SensorSettings(calibration=known),
     )
     check_fault(made, fault, value, sharp=sharp, sigmas=2.5)
 
 
-def test_a_static_port_in_the_wind_is_found():
+def test_a_static_port_in_the_wind_is_found(night):
     """p reads 5 % of the dynamic pressure too much: 50 Pa at 40 m/s, 200 Pa at 80."""
-    truth = extreme(NIGHT)
-    samples = flown(truth, 3000.0, QUIET_BOTH, seed=3, descent=True)
+    samples = flown(night, 3000.0, QUIET_BOTH, seed=3, descent=True)
     p = samples.pressure
     speed = np.where(np.gradient(p.h_m) > 1.0, 40.0, 80.0)
     dynamic_pa = 0.5 * 1.225 * speed**2
     windy = with_readings(samples, p.value + 0.05 * dynamic_pa, "pressure")
-    made = estimated(truth, replace(windy, airspeed=airspeed_at(p, speed)))
+    made = estimated(night, replace(windy, airspeed=airspeed_at(p, speed)))
     check_fault(
         made,
         SensorFault.DYNAMIC_PRESSURE_ERROR,
@@ -409,26 +401,24 @@ def test_a_static_port_in_the_wind_is_found():
     )
 
 
-def test_the_heat_of_speed_is_found():
+def test_the_heat_of_speed_is_found(night):
     """r V^2/(2 c_p): 2.3 K at 75 m/s, and the climb was slower than the survey."""
-    truth = extreme(NIGHT)
-    samples = flown(truth, 3000.0, QUIET, seed=3, descent=True)
+    samples = flown(night, 3000.0, QUIET, seed=3, descent=True)
     t = samples.temperature
     speed = np.where(np.gradient(t.h_m) > 1.0, 45.0, 80.0)
-    density = truth.at(truth.p / truth.t, t.h_m - truth.ground_m) / 287.05
+    density = night.at(night.p / night.t, t.h_m - night.ground_m) / 287.05
     heated = warmer(samples, 0.85 * speed**2 / (2.0 * 1005.0) * 1.225 / density)
-    made = estimated(truth, replace(heated, airspeed=airspeed_at(t, speed)))
+    made = estimated(night, replace(heated, airspeed=airspeed_at(t, speed)))
     check_fault(made, SensorFault.RECOVERY_FACTOR, 0.85, sharp=0.2, sigmas=2.5)
-    assert abs(truth.error(made.profile, 3000.0)) < 0.006
+    assert abs(night.error(made.profile, 3000.0)) < 0.006
 
 
-def test_outliers_are_marked():
-    truth = extreme(MONSOON)
-    samples = flown(truth, 3000.0, QUIET)
+def test_outliers_are_marked(monsoon):
+    samples = flown(monsoon, 3000.0, QUIET)
     t = samples.temperature
     bad = default_rng(4).random(t.value.size) < 0.03
 
-    adjusted = about_the_standard(truth, warmer(samples, 15.0 * bad))
+    adjusted = about_the_standard(monsoon, warmer(samples, 15.0 * bad))
 
     rejected = adjusted.made.rejected["temperature"] == Reason.OUTLIER
     # In the few bins where the air itself changes fast an outlier may stay, with little weight.
@@ -439,14 +429,13 @@ def test_outliers_are_marked():
     assert counts == [rejected.sum()]
 
 
-def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists():
-    truth = extreme(NIGHT)
-    samples = flown(truth, 3000.0, QUIET, seed=5, gate_s=60.0)
+def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists(night):
+    samples = flown(night, 3000.0, QUIET, seed=5, gate_s=60.0)
     board = warmer(samples, 12.0 + 4.0 * np.sin(seconds_of(samples) / 200.0))
 
-    refused = about_the_standard(truth, board)
+    refused = about_the_standard(night, board)
     insisted = about_the_standard(
-        truth,
+        night,
         board,
         settings=SensorSettings(board_temperature=True),
     )
@@ -464,20 +453,18 @@ def test_a_board_is_air_plus_ten_kelvin_only_if_the_user_insists():
 
 
 @pytest.mark.parametrize("age_h", [0, 24])
-def test_a_sounding_alone(age_h):
+def test_a_sounding_alone(arctic, age_h):
     """Of a flight whose time is not known no sounding is old."""
-    truth = extreme(ARCTIC)
-    balloon = balloon_of(truth, time_ns=truth.start_ns - age_h * HOUR_NS)
-    adjusted = about_the_standard(truth, soundings=[balloon], time_ns=None)
+    balloon = balloon_of(arctic, time_ns=arctic.start_ns - age_h * HOUR_NS)
+    adjusted = about_the_standard(arctic, soundings=[balloon], time_ns=None)
     assert adjusted.basis == "sounding"
     assert abs(adjusted.error(1000.0)) < 0.02
     assert abs(adjusted.error(6000.0)) < 0.02
 
 
-def test_a_surface_report_anchors_a_flight_without_a_barometer():
-    truth = extreme(MONSOON)
+def test_a_surface_report_anchors_a_flight_without_a_barometer(monsoon):
     samples = flown(
-        truth,
+        monsoon,
         2000.0,
         flights.Sensors(),
         seed=6,
@@ -485,22 +472,22 @@ def test_a_surface_report_anchors_a_flight_without_a_barometer():
         humidity="none",
     )
     report = replace(
-        station_at(truth),
-        temperature_k=truth.t[0],
-        vapour_pressure_pa=truth.e[0],
+        station_at(monsoon),
+        temperature_k=monsoon.t[0],
+        vapour_pressure_pa=monsoon.e[0],
     )
 
-    alone = about_the_standard(truth, samples)
-    anchored = about_the_standard(truth, samples, surface=[report])
+    alone = about_the_standard(monsoon, samples)
+    anchored = about_the_standard(monsoon, samples, surface=[report])
 
     levels = slice(0, 2000, 100)
-    p = anchored.profile.pressure(truth.h[levels])
-    assert_allclose(p, truth.p[levels], rtol=1.5e-3)
-    doubt = anchored.covariance.sigma_log_pressure(truth.ground_m)
-    assert doubt < 0.2 * alone.covariance.sigma_log_pressure(truth.ground_m)
-    assert about_the_standard(truth, surface=[report]).basis == "surface"
-    blank = SurfaceReport(truth.ground_m, math.nan, math.nan, math.nan)
-    assert about_the_standard(truth, samples, surface=[blank]).basis == "thermometer"
+    p = anchored.profile.pressure(monsoon.h[levels])
+    assert_allclose(p, monsoon.p[levels], rtol=1.5e-3)
+    doubt = anchored.covariance.sigma_log_pressure(monsoon.ground_m)
+    assert doubt < 0.2 * alone.covariance.sigma_log_pressure(monsoon.ground_m)
+    assert about_the_standard(monsoon, surface=[report]).basis == "surface"
+    blank = SurfaceReport(monsoon.ground_m, math.nan, math.nan, math.nan)
+    assert about_the_standard(monsoon, samples, surface=[blank]).basis == "thermometer"
 
 
 # Never worse than the climatology
@@ -534,10 +521,9 @@ def hot_as_no_air(t):
         (hot_as_no_air, "sigma from the climatology"),
     ],
 )
-def test_a_thermometer_that_measures_no_air(readings, words):
-    truth = extreme(NIGHT)
+def test_a_thermometer_that_measures_no_air(night, readings, words):
     samples = flown(
-        truth,
+        night,
         3000.0,
         flights.Sensors(),
         seed=9,
@@ -546,13 +532,13 @@ def test_a_thermometer_that_measures_no_air(readings, words):
     )
     wrong = with_readings(samples, readings(samples.temperature))
 
-    adjusted = about_the_standard(truth, wrong)
+    adjusted = about_the_standard(night, wrong)
 
     assert adjusted.basis == "standard"
     message = adjusted.entry("AIR-IMPLAUSIBLE", Kind.LOSS)
     assert words in message.what
     h = np.linspace(0.0, 12_000.0, 60)
-    standard = standard_atmosphere("us1976", latitude=truth.latitude)
+    standard = standard_atmosphere("us1976", latitude=night.latitude)
     assert_allclose(
         adjusted.profile.refractivity(h),
         standard.refractivity(h),
@@ -563,10 +549,9 @@ def test_a_thermometer_that_measures_no_air(readings, words):
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.25])
-def test_temperatures_that_no_air_has(factor):
-    truth = extreme(MONSOON)
-    made = estimated(truth, flown(truth, 800.0, flights.Sensors()))
-    assert is_plausible(made, background(truth))
+def test_temperatures_that_no_air_has(monsoon, factor):
+    made = estimated(monsoon, flown(monsoon, 800.0, flights.Sensors()))
+    assert is_plausible(made, background(monsoon))
     layers = made.profile.layers
     hot = replace(
         layers,
@@ -574,7 +559,7 @@ def test_temperatures_that_no_air_has(factor):
         lapse=factor * layers.lapse,
     )
     unlike_air = replace(made, profile=replace(made.profile, layers=hot))
-    assert "not those of air" in is_plausible(unlike_air, background(truth)).reason
+    assert "not those of air" in is_plausible(unlike_air, background(monsoon)).reason
 
 
 @pytest.mark.parametrize("place", [DESERT, TRADES])
@@ -597,10 +582,9 @@ def test_whatever_a_thermometer_reads_the_sigma_knows(place, size_k, barometer):
         assert abs(adjusted.error(3000.0)) < 0.03
 
 
-def test_too_little_height_returns_the_climatology_with_its_sigma():
-    truth = extreme(TRADES)
-    climate = climatology(AUTO, latitude_rad=truth.latitude, month=3.0)
-    adjusted = adjust(truth, flown(truth, 20.0), background=climate)
+def test_too_little_height_returns_the_climatology_with_its_sigma(trades):
+    climate = climatology(AUTO, latitude_rad=trades.latitude, month=3.0)
+    adjusted = adjust(trades, flown(trades, 20.0), background=climate)
     assert adjusted.basis == "climatology"
     assert adjusted.codes() == ["AIR-STANDARD"]
     h = np.linspace(0.0, 12_000.0, 50)

@@ -34,7 +34,7 @@ HOUR = 60.0  # minutes
 EARTH_M = 6.371e6
 
 
-def dry_profile(edges_m, kelvin) -> Profile:
+def dry_profile(edges_m, kelvin):
     gravity = normal_gravity(0.8)
     edge = gravity.geopotential_height(edges_m)
     layers = stack_layers(
@@ -47,7 +47,7 @@ def dry_profile(edges_m, kelvin) -> Profile:
     return Profile(layers, gravity)
 
 
-def aged(profile, edges_m, hours, metres=0.0) -> ProfileCovariance:
+def aged(profile, edges_m, hours, metres=0.0):
     """What is known of a profile that was known without error, so many hours and metres ago."""
     size = 2 * edges_m.size + 1
     certain = ProfileCovariance(
@@ -60,7 +60,7 @@ def aged(profile, edges_m, hours, metres=0.0) -> ProfileCovariance:
     return covariance_with_ageing(certain, ages)
 
 
-def aged_by(edges_m, hours, metres=0.0) -> ProfileCovariance:
+def aged_by(edges_m, hours, metres=0.0):
     kelvin = np.linspace(290.0, 240.0, edges_m.size)
     profile = dry_profile(edges_m, kelvin)
     return aged(profile, edges_m, hours, metres)
@@ -107,7 +107,7 @@ def ns_of(minutes):
     return (np.asarray(minutes) * MINUTE_NS).astype(np.int64)
 
 
-def thermometer(minutes, h_m) -> AirSamples:
+def thermometer(minutes, h_m):
     t = np.full(minutes.size, 280.0)
     return AirSamples(SensorSamples(ns_of(minutes), h_m, t))
 
@@ -118,7 +118,7 @@ def ages_at(
     path=None,
     low=500.0,
     high=2400.0,
-) -> SampleAges:
+):
     (ages,) = sample_ages(
         samples,
         [minute * MINUTE_NS],
@@ -129,7 +129,7 @@ def ages_at(
     return ages
 
 
-def path_north(minutes, metres) -> FlightPath:
+def path_north(minutes, metres):
     north_rad = np.asarray(metres) / EARTH_M
     return FlightPath(ns_of(minutes), north_rad, 0.0 * north_rad)
 

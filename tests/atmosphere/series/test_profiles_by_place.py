@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.atmosphere import flights
-from tests.atmosphere.adjusting import TRADES, Adjusted, adjust, flown, rms, sigma_of_r
+from tests.atmosphere.adjusting import TRADES, adjust, flown, rms, sigma_of_r
 from tests.atmosphere.flights import Truth
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.atmosphere.series.profiles_by_place import add_model_changes
@@ -23,7 +23,7 @@ BALLOON = flights.extremes()[TRADES]
 LATITUDE = BALLOON.latitude
 
 
-def air_at(east_km: float, bias_k=0.0) -> Truth:
+def air_at(east_km, bias_k=0.0):
     """The air of a place: 5 K warmer each 100 km to the east, at the same surface pressure."""
     t = BALLOON.t + K_PER_KM * east_km + bias_k
     return Truth(replace(BALLOON, t=t))
@@ -64,7 +64,7 @@ def field():
 
 
 @pytest.fixture(scope="module")
-def measured() -> Adjusted:
+def measured():
     """What a flight measured that climbed at kilometre 0."""
     truth = air_at(0.0)
     samples = flown(
@@ -80,7 +80,7 @@ def measured() -> Adjusted:
 def with_changes(
     measured,
     field,
-    timed: TimedProfile,
+    timed,
     km,
     hours=0.0,
 ):
@@ -99,7 +99,7 @@ def with_changes(
     )
 
 
-def sampled_at(measured, km, time_ns: int) -> TimedProfile:
+def sampled_at(measured, km, time_ns):
     return TimedProfile(
         time_ns,
         measured.profile,

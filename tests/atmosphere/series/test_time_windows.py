@@ -22,7 +22,7 @@ from tests.atmosphere.adjusting import (
     seconds_of,
     warmer,
 )
-from tests.atmosphere.flights import Balloon, Sensors, Truth
+from tests.atmosphere.flights import Sensors, Truth
 from tests.helpers import with_code
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.estimate.adjusted_profile import Adjustment, build_adjusted_profile
@@ -53,7 +53,7 @@ SECOND_NS = 10**9
 SIGMAS = ("sigma_temperature", "sigma_log_pressure", "sigma_refractivity")
 
 
-def resampled(balloon: Balloon, H: np.ndarray, warmer_k=0.0) -> Balloon:
+def resampled(balloon, H, warmer_k=0.0):
     """A balloon at other heights: T and ln e linear between its levels."""
     t = np.interp(H, balloon.H, balloon.t)
     log_e = np.interp(H, balloon.H, np.log(balloon.e))
@@ -65,7 +65,7 @@ def resampled(balloon: Balloon, H: np.ndarray, warmer_k=0.0) -> Balloon:
     )
 
 
-def between(first, second, share) -> Balloon:
+def between(first, second, share):
     """A balloon between two of one site: T, ln e and the lowest pressure linear in time."""
     lowest = max(first.H[0], second.H[0])
     highest = min(first.H[-1], second.H[-1], 12_000.0)
@@ -119,7 +119,7 @@ class ChangingAir:
         errors = [truth.error(profile, CLIMB) for truth, profile in pairs]
         return 100.0 * np.array(errors)
 
-    def sigma(self, air: TimedProfile | Adjustment):
+    def sigma(self, air):
         """Stated sigma of R from the ground to the top, in per cent."""
         return 100.0 * air.covariance.relative_sigma(self.top, self.ground)
 
@@ -128,7 +128,7 @@ class ChangingAir:
         sigmas = [self.sigma(air) for air in series.timed_profiles]
         return np.array(sigmas)[series.profile_number]
 
-    def fly(self, above_at, sensors, seed) -> AirSamples:
+    def fly(self, above_at, sensors, seed):
         """What sensors with faults measure on this day, every other second."""
         seconds = np.arange(0.0, self.seconds[-1], 2.0)
         above = above_at(seconds)
@@ -143,7 +143,7 @@ class ChangingAir:
             gate_s=62.0,
         )
 
-    def windows(self, whole: Adjustment):
+    def windows(self, whole):
         """Windows of a flight on this day, and their messages."""
         return estimate_windows(whole, [self.top], self.ground)
 
@@ -178,14 +178,14 @@ class Flown:
         return interpolate_series(airs, times, [day.top], day.ground)
 
 
-def flown(day: ChangingAir, samples) -> Flown:
+def flown(day, samples):
     ledger = Ledger()
     whole = build_adjusted_profile(samples, US1976, day.first.latitude, ledger)
     windows = ledger.take(day.windows(whole))
     return Flown(day, whole, windows, ledger)
 
 
-def flown_for_four_hours(first, second, seed) -> Flown:
+def flown_for_four_hours(first, second, seed):
     day = ChangingAir(first, second, hours=4.0, count=9)
     sensors = replace(
         flights.REALISTIC,
@@ -204,7 +204,7 @@ def soundings():
 
 
 @pytest.fixture(scope="module")
-def changing(soundings) -> Flown:
+def changing(soundings):
     return flown_for_four_hours(*soundings, seed=3)
 
 
@@ -317,7 +317,7 @@ def test_a_window_that_falls_back_is_less_certain(changing):
 
 
 @pytest.fixture(scope="module")
-def level(soundings) -> Flown:
+def level(soundings):
     """A climb to 3 km, hours of level flight, and no descent, while the ground warms by 4 K."""
     balloon, _ = soundings
     H = np.arange(balloon.H[0], 12_000.0, 10.0)
@@ -393,7 +393,7 @@ def test_nothing_ages_where_nothing_was_measured(changing):
 # ---- windows of time
 
 
-def sensor(hours, above) -> SensorSamples:
+def sensor(hours, above):
     time_ns = (hours * HOUR_S * SECOND_NS).astype(np.int64)
     return SensorSamples(time_ns, above, np.full(above.size, 280.0))
 
@@ -403,7 +403,7 @@ CLIMB_ALONE = np.interp(TIMES, [0.0, 0.3], [0.0, CLIMB])
 CLIMB_AND_DESCENT = np.minimum(CLIMB_ALONE, CLIMB_ALONE[::-1])
 
 
-def waves(half_m: float):
+def waves(half_m):
     """Up and down all the time."""
     return 1000.0 + half_m * np.sin(TIMES * 20.0)
 

@@ -50,13 +50,13 @@ def test_coefficients_are_smooth_and_end_at_nothing_and_at_the_surface():
     assert (np.diff(half, axis=1) > 0.0).all()
 
 
-def full_levels(surface_pa: float):
+def full_levels(surface_pa):
     """Pressures [Pa] of the 137 levels: means of their half levels."""
     (half,) = half_levels(np.array([surface_pa]))
     return 0.5 * (half[1:] + half[:-1])
 
 
-def column_field(level, t, q, *, ground_m: float, surface_pa: float, **more) -> ModelField:
+def column_field(level, t, q, *, ground_m, surface_pa, **more):
     """A field of one time and node, from columns (l,)."""
     return ModelField(
         "era5.nc",
@@ -120,7 +120,7 @@ FINE = np.array(PRESSURE_LEVELS[::-1])
 
 @pytest.mark.parametrize("kind", ["model", "coarse", "fine"])
 @pytest.mark.parametrize("number", range(14))
-def test_real_columns_on_coarse_and_model_levels_are_air(number, kind: str):
+def test_real_columns_on_coarse_and_model_levels_are_air(number, kind):
     """Nine soundings and five extremes: inversions of 15 K, a desert's noon."""
     truth = all_airs()[number]
     on_model_levels = kind == "model"
@@ -159,7 +159,7 @@ def test_real_columns_on_coarse_and_model_levels_are_air(number, kind: str):
 NODES_DEG = [46.0, 46.25, 46.5, 46.75, 47.0]
 
 
-def field_over(latitude_deg, longitude_deg) -> ModelField:
+def field_over(latitude_deg, longitude_deg):
     """Fields of one time and level over nodes [deg]; their values do not matter."""
     shape = (1, 1, len(latitude_deg), len(longitude_deg))
     return ModelField(

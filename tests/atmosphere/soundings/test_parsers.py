@@ -3,11 +3,11 @@
 import math
 import re
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import netcdf_file
 
 from tests.atmosphere.flights import DATA, SHARED_SOUNDINGS
@@ -32,7 +32,7 @@ Read = tuple[Sounding, dict[str, int]]
 
 
 @pytest.fixture(params=FOLDERS)
-def files(request) -> Path:
+def files(request):
     """Folders of soundings as they are distributed."""
     return request.param
 
@@ -41,7 +41,7 @@ def counts(ledger):
     return {entry.code: entry.count for entry in ledger}
 
 
-def parsed(text, when="", degrees=45.0, parse=parse_sounding, **options) -> Read:
+def parsed(text, when="", degrees=45.0, parse=parse_sounding, **options):
     """A text as it is read at a latitude, at a time of the flight."""
     ledger = Ledger()
     sounding = parse(
@@ -54,7 +54,7 @@ def parsed(text, when="", degrees=45.0, parse=parse_sounding, **options) -> Read
     return sounding, counts(ledger)
 
 
-def from_file(path, degrees=math.nan, when="") -> Read:
+def from_file(path, degrees=math.nan, when=""):
     return parsed(path, when, degrees, read_sounding)
 
 
@@ -66,7 +66,7 @@ def input_refused(code, words=""):
     assert words in caught.value.what
 
 
-def check_level(sounding: Sounding, degrees, level):
+def check_level(sounding, degrees, level):
     """A line of the file, read by eye: pressure, height, temperature, dew point."""
     hpa, geopotential_m, celsius, dew_point = level
     pa = 100.0 * hpa
@@ -177,40 +177,31 @@ def standard_hpa(h):
     return 1013.25 * (1.0 - 0.0065 * np.asarray(h) / 288.15) ** 5.25588
 
 
-def lapsing(lowest: float):
+def lapsing(lowest):
     """Temperatures or dew points of the levels, in the unit of the lowest."""
     return lowest - 0.0065 * HEIGHTS
 
 
 PRESSURES = standard_hpa(HEIGHTS)
-CLEAN = {
-    "geopotential_m": HEIGHTS,
-    "pressure_hpa": PRESSURES,
-    "temperature_c": lapsing(15.0),
-    "dew_point_c": lapsing(5.0),
-}
+CLEAN = pd.DataFrame(
+    {
+        "geopotential_m": HEIGHTS,
+        "pressure_hpa": PRESSURES,
+        "temperature_c": lapsing(15.0),
+        "dew_point_c": lapsing(5.0),
+    }
+)
 NO_HEIGHTS = {"geopotential_m": None}
 NO_DEW_POINT = {"dew_point_c": None}
 
 
-def air(**columns) -> Columns:
+def air(**columns):
     """Levels every 500 geopotential metres; columns replaced, or left out where None."""
-    levels = CLEAN | columns
-    return {name: np.asarray(column) for name, column in levels.items() if column is not None}
+    return CLEAN.assign(**columns).dropna(axis="columns", how="all")
 
 
-def field_of(value):
-    return "" if math.isnan(value) else f"{value:.8g}"
-
-
-def text_of(levels, order=None):
-    table = np.column_stack(list(levels.values()))
-    if order is not None:
-        table = table[order]
-    lines = [",".join(levels)]
-    for row in table:
-        lines.append(",".join(field_of(value) for value in row))
-    return "\n".join(lines)
+def text_of(levels):
+    return levels.to_csv(index=False, float_format="%.8g").rstrip()
 
 
 CLEAN_TEXT = text_of(CLEAN)
@@ -222,23 +213,23 @@ def with_columns(names, fields, text=CLEAN_TEXT):
     return "\n".join([f"{head},{names}", *(f"{row},{fields}" for row in rows)])
 
 
-def read(levels, order=None, **options) -> Read:
-    return parsed(text_of(levels, order), **options)
+def read(levels, **options):
+    return parsed(text_of(levels), **options)
 
 
-def changed(name, row, value) -> Columns:
-    column = CLEAN[name].copy()
-    column[row] = value
-    return CLEAN | {name: column}
+def changed(name, row, value):
+    levels = CLEAN.copy()
+    levels.loc[row, name] = value
+    return levels
 
 
-def parsed_with_messages(levels) -> tuple[Sounding, Ledger]:
+def parsed_with_messages(levels):
     ledger = Ledger()
     return parse_sounding(text_of(levels), ledger, latitude_rad=math.radians(45.0)), ledger
 
 
 @pytest.fixture(scope="module")
-def clean() -> Sounding:
+def clean():
     sounding, said = read(CLEAN)
     assert said == {}
     return sounding
@@ -295,27 +286,28 @@ def test_humidities_in_their_units(column, values, vapour_pa):
     assert sounding.vapour_pressure_pa == pytest.approx(vapour_pa, rel=0.01, nan_ok=True)
 
 
-@pytest.mark.parametrize("order", [np.arange(LEVELS)[::-1], [3, 0, 1, 2, *range(4, LEVELS)]])
+@pytest.mark.parametrize(
+    "order",
+    [
+        range(LEVELS)[::-1],
+        [3, 0, 1, 2, *range(4, LEVELS)],
+    ],
+)
 def test_unsorted_levels_are_sorted(clean, order):
-    sounding, said = read(CLEAN, order=order)
+    sounding, said = read(CLEAN.loc[order])
     assert set(said) == {"SOUNDING-UNSORTED"}
-    assert np.array_equal(sounding.h_m, clean.h_m)
-    assert np.array_equal(sounding.temperature_k, clean.temperature_k)
-
-
-HPA_AS_PA = {"pressure_hpa": None, "pressure_pa": PRESSURES}
-CELSIUS_AS_KELVIN = {"temperature_c": None, "temperature_k": lapsing(15.0)}
-HOT_FAHRENHEIT = 32.0 + 1.8 * lapsing(38.0)
+    assert_array_equal(sounding.h_m, clean.h_m)
+    assert_array_equal(sounding.temperature_k, clean.temperature_k)
 
 
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        (HPA_AS_PA, "hPa where Pa is stated"),
+        ({"pressure_hpa": None, "pressure_pa": PRESSURES}, "hPa where Pa is stated"),
         ({"pressure_hpa": 100.0 * PRESSURES}, "Pa where hPa is stated"),
         ({"temperature_c": lapsing(288.15)}, "Kelvin where Celsius is stated"),
-        (CELSIUS_AS_KELVIN, "Celsius where Kelvin"),
-        ({"temperature_c": HOT_FAHRENHEIT}, "Fahrenheit"),
+        ({"temperature_c": None, "temperature_k": lapsing(15.0)}, "Celsius where Kelvin"),
+        ({"temperature_c": 32.0 + 1.8 * lapsing(38.0)}, "Fahrenheit"),
         ({"dew_point_c": lapsing(278.15)}, "dew point"),
         (NO_DEW_POINT | {"relative_humidity": ZEROS + 55.0}, "fraction of one"),
         (NO_DEW_POINT | {"relative_humidity_percent": ZEROS + 0.55}, "fraction of one"),
@@ -347,9 +339,9 @@ def test_heights_that_contradict_the_air_are_refused(columns):
     ("warmer_k", "lower_hpa"), [(1.0, 0.0), (0.0, 0.5)], ids=["same pressure", "same height"]
 )
 def test_duplicate_levels_are_averaged(warmer_k, lower_hpa):
-    levels = {name: np.insert(column, 4, column[3]) for name, column in CLEAN.items()}
-    levels["temperature_c"][4] += warmer_k
-    levels["pressure_hpa"][4] -= lower_hpa
+    levels = CLEAN.loc[[*range(4), *range(3, LEVELS)]].reset_index(drop=True)
+    levels.loc[4, "temperature_c"] += warmer_k
+    levels.loc[4, "pressure_hpa"] -= lower_hpa
     sounding, said = read(levels)
     assert said["SOUNDING-DUPLICATE"] == 1
     assert sounding.temperature_k[3] == pytest.approx(288.15 - 9.75 + 0.5 * warmer_k)
@@ -449,17 +441,14 @@ def test_a_wild_height_or_dew_point_takes_no_level_with_it(clean, name, value, e
 LAYERS = np.array([0.0, 20.0, 300.0, 600.0, 1000.0, 2000.0, 3000.0])
 
 
-def in_balance(h, celsius) -> Columns:
+def in_balance(h, celsius):
     """Levels in balance with a temperature: pressures by trapezoids of 1/T over a metre."""
     fine = np.arange(0.0, h[-1] + 1.0)
     t = np.interp(fine, h, celsius) + 273.15
     steps = HYDROSTATIC_K_PER_M / (0.5 * (t[1:] + t[:-1]))
     fall = np.cumsum([0.0, *steps])
-    return {
-        "geopotential_m": h,
-        "pressure_hpa": np.interp(h, fine, 1010.0 * np.exp(-fall)),
-        "temperature_c": celsius,
-    }
+    hpa = np.interp(h, fine, 1010.0 * np.exp(-fall))
+    return pd.DataFrame({"geopotential_m": h, "pressure_hpa": hpa, "temperature_c": celsius})
 
 
 @pytest.mark.parametrize(
@@ -522,7 +511,7 @@ def test_without_latitude_it_is_said():
         ("h_m,pressure_hpa,pressure_hpa,temperature_c\n", "SOUNDING-COLUMN", "pressure_hpa"),
         ("h_m,pressure_hpa,temperature_c\n", "SOUNDING-EMPTY", ""),
         (CLEAN_TEXT + ",1,2\n", "SOUNDING-EMPTY", "its first row has 4 fields"),
-        (text_of(CLEAN, order=range(4)), "SOUNDING-LEVELS", "4 levels"),
+        (text_of(CLEAN.head(4)), "SOUNDING-LEVELS", "4 levels"),
         (text_of(air(**NO_HEIGHTS)), "SOUNDING-HEIGHT", ""),
         (text_of(air(pressure_pa=100.0 * PRESSURES)), "SOUNDING-COLUMN", "pressure_pa"),
         ("pressure,temperature_c\n1000,15\n", "SOUNDING-COLUMN", "pressure"),
@@ -559,7 +548,7 @@ def test_no_line_of_a_text_is_a_header_of_igra(name, text):
 # Times and places of a plain CSV
 
 
-def dated(time) -> Read:
+def dated(time):
     return parsed(with_columns("time_utc", time))
 
 
@@ -597,24 +586,24 @@ def test_a_time_that_is_stated_and_cannot_be_read_is_refused(text):
         dated(text)
 
 
-def at_place(north, east) -> Sounding:
+def at_place(north, east):
     """A plain CSV with a place in its columns, as it is read."""
     text = with_columns("latitude_deg,longitude_deg", f'"{north}","{east}"')
     sounding, _ = parsed(text)
     return sounding
 
 
-LONGITUDES = {
-    "16.35": 16.35,
-    "-70.5": -70.5,
-    "289.5": -70.5,
-    "180": 180.0,
-    "359.99": -0.01,
-    "16,35": 16.35,
-}
-
-
-@pytest.mark.parametrize(("east", "degrees"), LONGITUDES.items())
+@pytest.mark.parametrize(
+    ("east", "degrees"),
+    {
+        "16.35": 16.35,
+        "-70.5": -70.5,
+        "289.5": -70.5,
+        "180": 180.0,
+        "359.99": -0.01,
+        "16,35": 16.35,
+    }.items(),
+)
 def test_longitudes_of_either_kind(east, degrees):
     assert math.degrees(at_place("48.2", east).longitude_rad) == pytest.approx(degrees)
 
@@ -638,7 +627,7 @@ def test_a_place_that_is_stated_and_cannot_be_read_is_refused(north, east):
 # Several ascents in one table
 
 
-def rows_of(*, warmer_k=0.0, identity="") -> list[str]:
+def rows_of(*, warmer_k=0.0, identity=""):
     """Ten levels of an ascent; pressure, temperature and what says which ascent it is."""
     return [
         f"{950.0 - 45.0 * level},{15.0 - 2.5 * level + warmer_k}{identity}" for level in range(10)
@@ -649,7 +638,7 @@ def table_of(rows, columns=""):
     return "\n".join([f"pressure_hpa,temperature_c{columns}", *rows])
 
 
-def at_station(text, when="") -> Read:
+def at_station(text, when=""):
     return parsed(text, when, station_h_m=540.0)
 
 
@@ -658,9 +647,7 @@ def at_station(text, when="") -> Read:
 def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
     early = rows_of(identity=",2025-06-12T06:00:00Z")
     late = rows_of(warmer_k=5.0, identity=f",2025-06-12T{6 + hours:02d}:00:00Z")
-    rows = [*early, *late]
-    if interleaved:
-        rows = np.transpose([early, late]).ravel()
+    rows = np.ravel([early, late], order="F" if interleaved else "C")
     text = table_of(rows, ",time_utc")
     for hour, celsius in (("05", 15.0), ("13", 20.0)):
         sounding, said = at_station(text, f"2025-06-12T{hour}:00")
@@ -681,7 +668,7 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
     ],
 )
 def test_two_ascents_of_one_time_in_one_table_are_refused(columns, first, second):
-    rows = [*rows_of(identity=first), *rows_of(warmer_k=5.0, identity=second)]
+    rows = rows_of(identity=first) + rows_of(warmer_k=5.0, identity=second)
     with input_refused("SOUNDING-CHOICE"):
         at_station(table_of(rows, columns), "2025-06-12T05:00")
 
@@ -696,22 +683,22 @@ def test_rows_too_long_apart_are_refused():
 def test_up_and_down_again_is_one_flight():
     """As a drone flies: its levels are put in order. Each may have its own time and place."""
     up = rows_of()
-    rows = [f"{row},48.{k:02d},16.4" for k, row in enumerate([*up, *up[::-1]])]
+    rows = [f"{row},48.{number:02d},16.4" for number, row in enumerate(up + up[::-1])]
     sounding, said = at_station(table_of(rows, ",lat,lon"))
     assert sounding.h_m.size == 10
     assert set(said) >= {"SOUNDING-UNSORTED", "SOUNDING-DUPLICATE"}
     assert math.degrees(sounding.latitude_rad) == pytest.approx(48.0)
 
 
-TIMES_OF_COLUMNS = {
-    "time": "2025-06-12T06:00:00Z",
-    "datetime": "2025-06-12 06:00",
-    "date": "20250612",
-    "valid": "06/12/2025 06:00",
-}
-
-
-@pytest.mark.parametrize(("column", "field"), TIMES_OF_COLUMNS.items())
+@pytest.mark.parametrize(
+    ("column", "field"),
+    {
+        "time": "2025-06-12T06:00:00Z",
+        "datetime": "2025-06-12 06:00",
+        "date": "20250612",
+        "valid": "06/12/2025 06:00",
+    }.items(),
+)
 def test_a_time_in_a_column_of_another_name_is_not_unknown(column, field):
     with input_refused("SOUNDING-TIME") as caught:
         parsed(with_columns(column, field))
@@ -854,7 +841,7 @@ def test_of_two_stations_of_one_hour_none_is_guessed():
 # The archive IGRA
 
 
-def igra(date, hour, release: str, announced=6):
+def igra(date, hour, release, announced=6):
     """Six levels under a header of the archive."""
     lines = [
         f"#USM00070026 {date} {hour} {release} {announced:4d} ncdc6301 ncdc6301  712889 -1567833"
@@ -914,7 +901,7 @@ def test_igra_far_away_and_cut_off():
 # Files
 
 
-def sonde_file(folder, columns, base_time: int | None = None) -> Path:
+def sonde_file(folder, columns, base_time=None):
     """A netCDF file with the names of ARM."""
     path = folder / "sonde.cdf"
     with netcdf_file(path, "w") as file:

@@ -12,7 +12,7 @@ from tests.atmosphere.adjusting import codes
 from tests.atmosphere.flights import SHARED_SOUNDINGS
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import profile_from_table
-from unbend.atmosphere.soundings import Sounding, parse_sounding
+from unbend.atmosphere.soundings import parse_sounding
 from unbend.geodesy import normal_gravity
 from unbend.messages import Ledger
 from unbend.refraction.effect import effects_on_r
@@ -22,12 +22,12 @@ pytestmark = pytest.mark.shared("soundings/many")
 
 
 @pytest.fixture(scope="module")
-def ledger() -> Ledger:
+def ledger():
     return Ledger()
 
 
 @pytest.fixture(scope="module")
-def ascents(ledger) -> list[Sounding]:
+def ascents(ledger):
     soundings = []
     for path in sorted((SHARED_SOUNDINGS / "many").glob("*.csv.xz")):
         head, *rows = lzma.decompress(path.read_bytes()).decode().splitlines()
