@@ -69,6 +69,10 @@ class Adjusted:
         return self.made.basis
 
     @property
+    def reason(self):
+        return self.made.reason
+
+    @property
     def profile(self) -> Profile:
         return self.made.profile
 

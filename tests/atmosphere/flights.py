@@ -110,7 +110,8 @@ class Truth:
         self.start_ns = midnight_ns + round(balloon.utc_hour * HOUR_NS)
         gravity = normal_gravity(self.latitude, 0.0)
         self.ground_m = float(balloon.H[0]) * 9.80665 / gravity
-        self.h = self.ground_m + np.arange(0.0, reach)
+        self.above = np.arange(0.0, reach)
+        self.h = self.ground_m + self.above
         self.H = geopotential(self.latitude, self.h)
         self.t = np.interp(self.H, balloon.H, balloon.t)
         log_e = np.interp(self.H, balloon.H, np.log(balloon.e))
@@ -143,14 +144,12 @@ class Truth:
         hot = copy.copy(self)
         warmer = rng.uniform(0.5, 4.0)
         depth = rng.uniform(10.0, 40.0)
-        above = self.h - self.ground_m
-        hot.t = self.t + warmer * np.exp(-above / depth)
+        hot.t = self.t + warmer * np.exp(-self.above / depth)
         hot._weigh()
         return hot
 
     def at(self, values, above_ground):
-        metres = np.arange(self.h.size)
-        return np.interp(above_ground, metres, values)
+        return np.interp(above_ground, self.above, values)
 
     def at_pressure(self, values, p):
         """Between the metres linear in ln p."""
@@ -235,7 +234,6 @@ class Sensors:
 REALISTIC = Sensors(
     bias_k=3.0,
     transient_k=5.0,
-    transient_s=60.0,
     lag_s=20.0,
     noise_k=0.2,
     outliers=0.03,

@@ -40,11 +40,7 @@ CLOSED = 2e-14
 AIR = standard_atmosphere("us1976")
 
 
-def part_of_layer(
-    thickness,
-    virtual,
-    share=1,
-):
+def part_of_layer(thickness, virtual, share=1):
     """The integral of dH/T_M over the lower share of a layer, by quadrature with 40 digits, and
     its derivatives by T_M at both edges."""
     lower, upper = map(mp.mpf, virtual)

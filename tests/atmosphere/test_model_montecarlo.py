@@ -85,7 +85,7 @@ def test_without_sensors(climb, limit):
     for truth in real_airs() * DRAWS:
         columns = [column(truth, climb, rng)]
         air = estimated(truth, columns=columns)
-        assert air.basis == "weather model", air.made.reason
+        assert air.basis == "weather model", air.reason
         errors.append(100.0 * air.error(climb))
         sigmas.append(100.0 * air.sigma(climb))
     assert rms(errors) <= limit

@@ -23,11 +23,7 @@ def profiles(draw):
     """Three to six layers, up to 10 km' high, between 200 and 320 K, with up to 3 % of vapour."""
     count = draw(st.integers(3, 6))
 
-    def several(
-        low,
-        high,
-        size,
-    ):
+    def several(low, high, size):
         values = st.lists(
             st.floats(low, high),
             min_size=size,

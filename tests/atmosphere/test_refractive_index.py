@@ -22,11 +22,7 @@ from unbend.simulate.true_air import edlen_index, saturation_pressure_pa
 
 PRINTED = Path(unbend.__file__).parent / "refraction" / "data"
 
-COLUMNS = [
-    "temperature_k",
-    "pressure_mbar",
-    "refractivity_n_minus_1_e6",
-]
+COLUMNS = ["temperature_k", "pressure_mbar", "refractivity_n_minus_1_e6"]
 
 # t [C], RH [%], p [kPa], wavelength [nm] -> (n - 1) 1e9 of Ciddor's equation at 450 ppm of CO2.
 # Rows 1-9: Ciddor (1996), Appl. Opt. 35, 1566, and the NIST Engineering Metrology Toolbox.

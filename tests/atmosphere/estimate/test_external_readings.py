@@ -118,9 +118,9 @@ def test_a_distance_counts_twice_across_a_coast(norman):
         return np.diag(departure.covariance(air))
 
     of_balloon = 1.2**2 + 1e-4  # its error, and what keeps the covariance regular
-    assert variance(0.0) == pytest.approx(of_balloon)
+    assert_allclose(variance(0.0), of_balloon)
     assert np.all(variance(100.0) > of_balloon + 0.2)
-    assert variance(100.0, across=True) == pytest.approx(variance(200.0))
+    assert_allclose(variance(100.0, across=True), variance(200.0))
 
 
 def test_two_soundings_share_their_error(norman):
@@ -173,7 +173,7 @@ def test_a_station_far_away_is_less_certain(norman, across, times):
     # Stations of one hour, 340 km apart in North America, differ by 4.8 K at the ground.
     of_30_km = 4.8**2 * 30.0 / 340.0
     assert_allclose(temperature, times * of_30_km, rtol=0.6)
-    assert pressure == pytest.approx((1.5e-8 * 3e4) ** 2)
+    assert_allclose(pressure, (1.5e-8 * 3e4) ** 2)
     assert humidity > 0.0
 
 
@@ -272,7 +272,7 @@ def test_the_age_of_a_sounding_counts_without_any_sensor(norman):
         made = with_sounding(norman, hours)
         sigmas.append(made.sigma(3000.0))
         assert made.basis == "sounding"
-        assert "72357" in made.made.reason
+        assert "72357" in made.reason
         assert "measured" in made.profile.layers.source
     sigmas.append(adjusted(norman).sigma(3000.0))
     for fresher, older in pairwise(sigmas):
@@ -530,7 +530,7 @@ def test_a_bad_balloon_does_not_cost_the_flight(norman, above, per_km):
     made = adjusted(norman, samples, soundings=[bad])
 
     assert made.basis == "thermometer"
-    assert made.made.reason.endswith(f"without {bad.name}")
+    assert made.reason.endswith(f"without {bad.name}")
     assert made.error(3000.0) == adjusted(norman, samples).error(3000.0)
     lost = made.entry("AIR-SOURCE-REFUSED", Kind.LOSS)
     assert lost.where == bad.name

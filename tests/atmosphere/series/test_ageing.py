@@ -192,12 +192,12 @@ def test_pressure_changes_where_it_was_sampled_last():
     edges = np.array([0.0, 1000.0, 5000.0])
     covariance = aged_by(edges, hours=[5.0, 4.4, 2.0])
     low, _, high = covariance.sigma_log_pressure(edges)
-    assert high == pytest.approx(2 * 5e-4)
+    assert_allclose(high, 2 * 5e-4)
     assert low > 2.0 * high
     # 1.5e-8 a metre; the highest of those that are equally old counts as sampled last.
     far = aged_by(edges, hours=2.0, metres=1e5)
     *_, high = far.sigma_log_pressure(edges)
-    assert high == pytest.approx(math.hypot(2 * 5e-4, 1.5e-3))
+    assert_allclose(high, math.hypot(2 * 5e-4, 1.5e-3))
 
 
 def test_a_degree_of_longitude_is_shorter_in_the_north():
@@ -224,7 +224,7 @@ def test_below_the_ground_nothing_grows():
     h = np.array([-500.0, 0.0, 5000.0])
     parts = change_parts(0.8, 0.0, 2.0, 0.0, h)
     underground, ground, _ = sigma_of(parts, h)
-    assert underground == pytest.approx(ground)
+    assert_allclose(underground, ground)
 
 
 def mean_gradient(profile, climb_m):

@@ -88,13 +88,7 @@ def between(first, second, share):
 class ChangingAir:
     """The air between two soundings over some hours, integrated at even times."""
 
-    def __init__(
-        self,
-        first,
-        second,
-        hours,
-        count,
-    ):
+    def __init__(self, first, second, hours, count):
         shares = np.linspace(0.0, 1.0, count)
         self.truths = []
         for share in shares:
@@ -345,7 +339,7 @@ def test_sigma_grows_with_the_time_since_the_air_was_sampled(level):
     )
 
     sigmas = day.sigmas(series)
-    assert sigmas[0] == pytest.approx(day.sigma(whole))
+    assert_allclose(sigmas[0], day.sigma(whole))
     assert np.all(np.diff(sigmas[1:]) > 0.0)
     errors = day.errors([whole.profile] * 7)
     # With the sigma of the estimate alone the last is off by 4.6 of it.
@@ -547,7 +541,7 @@ def test_the_air_at_exposures_is_that_of_their_profile(pair):
         of_second = getattr(second.profile, name)(1000.0)
         of_first = getattr(first.profile, name)(2000.0)
         values = getattr(series, name)(h)
-        assert values == pytest.approx(np.array([of_second, of_first]))
+        assert_allclose(values, [of_second, of_first])
 
 
 def test_air_without_a_time_cannot_be_put_in_order(pair):

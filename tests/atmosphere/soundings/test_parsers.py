@@ -71,7 +71,7 @@ def check_level(sounding, degrees, level):
     hpa, geopotential_m, celsius, dew_point = level
     pa = 100.0 * hpa
     row = np.argmin(np.abs(sounding.pressure_pa - pa))
-    assert sounding.pressure_pa[row] == pytest.approx(pa)
+    assert_allclose(sounding.pressure_pa[row], pa)
     assert sounding.h_m[row] == pytest.approx(metres(geopotential_m, degrees), abs=0.15)
     assert sounding.temperature_k[row] == pytest.approx(celsius + 273.15, abs=1e-4)
     assert sounding.vapour_pressure_pa[row] == saturated(dew_point)
@@ -95,8 +95,8 @@ def test_igra_by_time(files, when, levels):
     for level in levels:
         check_level(sounding, 71.2889, level)
     assert sounding.station == "USM00070026"
-    assert math.degrees(sounding.latitude_rad) == pytest.approx(71.2889)
-    assert math.degrees(sounding.longitude_rad) == pytest.approx(-156.7833)
+    assert_allclose(math.degrees(sounding.latitude_rad), 71.2889)
+    assert_allclose(math.degrees(sounding.longitude_rad), -156.7833)
     assert said["SOUNDING-CHOSEN"] == 2
     # The file is cut off behind its third header.
     assert said["SOUNDING-CUT-OFF"] == 1
@@ -114,8 +114,8 @@ def test_igra_derived(files):
         latitude_rad=math.radians(71.29),
     )
     (row,) = np.flatnonzero(sounding.pressure_pa == 94071.0)
-    assert sounding.temperature_k[row] == pytest.approx(269.7)
-    assert sounding.vapour_pressure_pa[row] == pytest.approx(463.6)
+    assert_allclose(sounding.temperature_k[row], 269.7)
+    assert_allclose(sounding.vapour_pressure_pa[row], 463.6)
     assert sounding.h_m[row] == pytest.approx(metres(652.0, 71.29), abs=0.1)
     assert counts(ledger)["SOUNDING-CUT-OFF"] == 1
     assert ledger.has_losses
@@ -262,9 +262,9 @@ def test_pascals_and_kelvins_say_the_same(clean):
         temperature_k=lapsing(288.15),
     )
     sounding, _ = read(levels)
-    assert sounding.pressure_pa == pytest.approx(clean.pressure_pa)
-    assert sounding.temperature_k == pytest.approx(clean.temperature_k)
-    assert sounding.vapour_pressure_pa == pytest.approx(clean.vapour_pressure_pa)
+    assert_allclose(sounding.pressure_pa, clean.pressure_pa)
+    assert_allclose(sounding.temperature_k, clean.temperature_k)
+    assert_allclose(sounding.vapour_pressure_pa, clean.vapour_pressure_pa)
 
 
 SATURATED_PA = saturation_pressure_pa(lapsing(288.15))
@@ -344,9 +344,9 @@ def test_duplicate_levels_are_averaged(warmer_k, lower_hpa):
     levels.loc[4, "pressure_hpa"] -= lower_hpa
     sounding, said = read(levels)
     assert said["SOUNDING-DUPLICATE"] == 1
-    assert sounding.temperature_k[3] == pytest.approx(288.15 - 9.75 + 0.5 * warmer_k)
+    assert_allclose(sounding.temperature_k[3], 288.15 - 9.75 + 0.5 * warmer_k)
     mean_pa = 100.0 * (standard_hpa(1500.0) - 0.5 * lower_hpa)
-    assert sounding.pressure_pa[3] == pytest.approx(mean_pa)
+    assert_allclose(sounding.pressure_pa[3], mean_pa)
 
 
 OVER = "SOUNDING-HUMIDITY-OVER"
@@ -467,7 +467,7 @@ def in_balance(h, celsius):
 )
 def test_steep_layers_are_kept_and_told_where_no_sonde_measures_them(celsius, text):
     sounding, ledger = parsed_with_messages(in_balance(LAYERS, celsius))
-    assert sounding.temperature_k == pytest.approx(np.array(celsius) + 273.15)
+    assert_allclose(sounding.temperature_k, np.array(celsius) + 273.15)
     entries = with_code(ledger, "SOUNDING-SUPERADIABATIC")
     assert len(entries) == bool(text)
     for entry in entries:
@@ -605,7 +605,7 @@ def at_place(north, east):
     }.items(),
 )
 def test_longitudes_of_either_kind(east, degrees):
-    assert math.degrees(at_place("48.2", east).longitude_rad) == pytest.approx(degrees)
+    assert_allclose(math.degrees(at_place("48.2", east).longitude_rad), degrees)
 
 
 @pytest.mark.parametrize(
@@ -651,7 +651,7 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
     text = table_of(rows, ",time_utc")
     for hour, celsius in (("05", 15.0), ("13", 20.0)):
         sounding, said = at_station(text, f"2025-06-12T{hour}:00")
-        assert sounding.temperature_k[0] == pytest.approx(celsius + 273.15)
+        assert_allclose(sounding.temperature_k[0], celsius + 273.15)
         assert sounding.h_m.size == 10
         assert said["SOUNDING-CHOSEN"] == 2
     with input_refused("SOUNDING-CHOICE", "2 soundings, and no time"):
@@ -687,7 +687,7 @@ def test_up_and_down_again_is_one_flight():
     sounding, said = at_station(table_of(rows, ",lat,lon"))
     assert sounding.h_m.size == 10
     assert set(said) >= {"SOUNDING-UNSORTED", "SOUNDING-DUPLICATE"}
-    assert math.degrees(sounding.latitude_rad) == pytest.approx(48.0)
+    assert_allclose(math.degrees(sounding.latitude_rad), 48.0)
 
 
 @pytest.mark.parametrize(
@@ -740,7 +740,7 @@ def test_wyoming_page_with_blank_fields():
     sounding, said = parsed(WYOMING_PAGE)
     assert sounding.station == "OUN"
     assert sounding.time_ns == ns("2011-05-22T12:00")
-    assert math.degrees(sounding.latitude_rad) == pytest.approx(35.18)
+    assert_allclose(math.degrees(sounding.latitude_rad), 35.18)
     assert said == {"SOUNDING-MISSING": 1}
     check_level(sounding, 35.18, (850.0, 1454.0, 22.0, 6.0))
     # Without a dew point the relative humidity stands for it: 100 % of 18.8 C.
@@ -813,8 +813,8 @@ def test_a_time_of_a_page_that_cannot_be_read_or_contradicts_is_refused(heading,
 def test_the_present_page_has_station_and_place_in_its_head(place):
     sounding, _ = parsed(wyoming_of(f"{NEW_HEADING}</H1>\n{place}\n<H1>"))
     assert sounding.station == "11035"
-    assert math.degrees(sounding.latitude_rad) == pytest.approx(48.2333)
-    assert math.degrees(sounding.longitude_rad) == pytest.approx(16.35)
+    assert_allclose(math.degrees(sounding.latitude_rad), 48.2333)
+    assert_allclose(math.degrees(sounding.longitude_rad), 16.35)
 
 
 @pytest.mark.parametrize(
