@@ -5,8 +5,6 @@ metres, Edlen's index and Sonntag's saturation pressure (unbend.simulate), Gyer'
 first order; the sensors are differential equations and random walks in time.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 import re
@@ -67,7 +65,7 @@ EXTREMES = {
 """Name, latitude [deg], month and hour (UTC): m', K and relative humidity at the ends of lines."""
 
 
-def extremes() -> list[Balloon]:
+def extremes():
     """Air made of straight lines: what nine soundings lack."""
     H = np.arange(0.0, 11_000.0, 25.0)
     balloons = []
@@ -138,7 +136,7 @@ class Truth:
         utc = self.start_ns / HOUR_NS
         return (utc + math.degrees(self.longitude) / 15.0) % 24.0
 
-    def over_hot_ground(self, rng) -> Truth:
+    def over_hot_ground(self, rng):
         """The same with its lowest metres in the sun: warmer by 0.5 to 4 K, falling by 1/e in 10 to
         40 m (similarity theory has 1 to 3 K between 2 and 50 m on a sunny day)."""
         hot = copy.copy(self)
@@ -167,7 +165,7 @@ class Truth:
         return self.r_plane(profile.refractivity(h), climb) / right - 1.0
 
 
-def balloons() -> list[Balloon]:
+def balloons():
     """Nine ascents of five sites: the numbers of ``tests/data/soundings``, with their sources.
 
     Levels in the order of height, one at a height; dew points filled in where they are given.
@@ -175,7 +173,7 @@ def balloons() -> list[Balloon]:
     return [balloon_of_file(path) for path in sorted((DATA / "soundings").glob("*.csv"))]
 
 
-def balloon_of_file(path) -> Balloon:
+def balloon_of_file(path):
     lines = path.read_text(encoding="ascii").splitlines()
     head = [line[2:] for line in lines if line.startswith("#")]
     about = dict(line.split(": ", 1) for line in head)
@@ -248,7 +246,7 @@ REALISTIC = Sensors(
 )
 
 
-def drawn(rng) -> Sensors:
+def drawn(rng):
     """Sensors as bad as the realistic ones are, each in its own way.
 
     A static pressure loses some 0.2 % of its change: half of what a data sheet allows.
@@ -268,7 +266,7 @@ def drawn(rng) -> Sensors:
     )
 
 
-def with_any_static(sensors, rng) -> Sensors:
+def with_any_static(sensors, rng):
     """The same, of which one in ten has a static pressure that loses some per cent."""
     other = rng.spawn(1)[0]
     lost = other.normal(0.0, 0.03)
@@ -277,13 +275,13 @@ def with_any_static(sensors, rng) -> Sensors:
     return sensors
 
 
-def expected_static(sensors, rng) -> Sensors:
+def expected_static(sensors, rng):
     """The same with the share that the estimator expects to be lost: 0.1 %, of one in ten 3 %."""
     lost = rng.spawn(1)[0].normal(0.0, 0.001)
     return with_any_static(replace(sensors, pressure_scale=lost), rng)
 
 
-def surveyed(rng) -> Sensors:
+def surveyed(rng):
     """The same with heights of a survey receiver, processed afterwards, and a quiet barometer.
 
     Heights to 5 cm; pressure with 2 Pa of noise (MS5611, data sheet: 1.2 to 2.7 Pa) and a slow
@@ -343,7 +341,7 @@ def fly(
     rate=5.0,
     descent=False,
     gate_s=120.0,
-) -> AirSamples:
+):
     """What a flight measures. ``humidity``: none | surface (the lowest 200 m) | profile."""
     seconds, above = path(climb, rate, descent)
     along = {name: truth.at(getattr(truth, name), above) for name in AIR}
@@ -371,13 +369,13 @@ def fly(
 
 def measure(
     truth,
-    along: dict[str, ndarray],
+    along,
     seconds,
     above,
     sensors,
     rng,
     gate_s,
-) -> AirSamples:
+):
     """What the sensors make of the air ``along`` a way (t, p, rh), from the ground of ``truth``."""
 
     def noise(sigma):
@@ -414,7 +412,7 @@ def measure(
     return AirSamples(thermometer, barometer, hygrometer)
 
 
-def sun_on_the_probe(samples, rng) -> AirSamples:
+def sun_on_the_probe(samples, rng):
     """The sun warms a thermometer: by 0 to 1.6 K always, less behind clouds (minutes apart) and on
     some headings (circles of 40 to 120 s), and by 0 to 8 K more on the ground."""
     t = samples.temperature

@@ -14,7 +14,10 @@ from unbend.atmosphere.air_variation import (
 VIENNA_RAD = np.radians(48.2)
 JANUARY = 1.0
 JULY = 7.0
-FINE_STRUCTURE = ("kinked", "smooth")
+FINE_STRUCTURE = {
+    "kinked",
+    "smooth",
+}
 
 
 def correlation_of_changes(hours, low_m, high_m):

@@ -90,19 +90,22 @@ def test_eq_52_against_forty_digits(lapse, rise):
 # The profile's table
 
 
+MOIST = """
+-400.0 297.0 0.016
+400.0 293.0 0.014
+1250.0 287.0 0.013
+1350.0 291.5 0.005
+3400.0 278.0 0.003
+9000.0 240.0 1e-4
+15000.0 215.0 0.0
+21000.0 215.0 0.0
+"""
+"""Geopotential height [m'], virtual temperature [K] and e/p at edges."""
+
+
 def moist():
     """An inversion under an isothermal layer, moist below 3 km, at 47 N."""
-    levels = [
-        (-400.0, 297.0, 0.016),
-        (400.0, 293.0, 0.014),
-        (1250.0, 287.0, 0.013),
-        (1350.0, 291.5, 0.005),
-        (3400.0, 278.0, 0.003),
-        (9000.0, 240.0, 1e-4),
-        (15_000.0, 215.0, 0.0),
-        (21_000.0, 215.0, 0.0),
-    ]
-    edge, virtual, vapour = np.transpose(levels)
+    edge, virtual, vapour = np.array(MOIST.split(), float).reshape(-1, 3).T
     layers = stack_layers(
         edge,
         virtual,
@@ -224,27 +227,31 @@ def test_profile_from_table_is_hydrostatic_at_the_level_of_its_pressures():
 
 
 @pytest.mark.parametrize(
-    ("edge", "temperature", "pressure"),
+    "change",
     [
-        ([0.0, 1.0], [280.0, 280.0], [1e5, 1e5]),
-        ([1.0, 0.0, 2.0], [280.0, 280.0], [1e5, 1e5]),
-        ([0.0, 1.0, 2.0], [280.0, -1.0], [1e5, 1e5]),
-        ([0.0, 1.0, 2.0], [280.0, np.nan], [1e5, 1e5]),
-        ([0.0, 1.0, 2.0], [280.0, 280.0], [1e5, 0.0]),
+        {"edge": [0.0, 1.0]},
+        {"edge": [1.0, 0.0, 2.0]},
+        {"temperature": [280.0, -1.0]},
+        {"temperature": [280.0, np.nan]},
+        {"pressure": [1e5, 0.0]},
     ],
     ids=["an edge missing", "falling edges", "below 0 K", "no number", "no pressure"],
 )
-def test_impossible_layers_are_refused(edge, temperature, pressure):
+def test_impossible_layers_are_refused(change):
+    columns = {
+        "edge": [0.0, 1.0, 2.0],
+        "temperature": [280.0, 280.0],
+        "pressure": [1e5, 1e5],
+    }
+    arrays = {name: np.array(column) for name, column in (columns | change).items()}
     zeros = np.zeros(2)
     with pytest.raises(ValueError, match=r"layers|temperatures"):
         Layers(
-            np.array(edge),
-            np.array(temperature),
-            zeros,
-            np.array(pressure),
-            zeros,
-            zeros,
-            ("", ""),
+            **arrays,
+            lapse=zeros,
+            vapour=zeros,
+            vapour_slope=zeros,
+            source=("", ""),
         )
 
 

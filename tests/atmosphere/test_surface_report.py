@@ -109,7 +109,7 @@ def test_what_cannot_be_read_is_unknown_and_told(groups, missing, celsius, dew_p
 
 
 def test_unknown_groups_are_said_and_cost_nothing():
-    report, ledger = parsed("METAR EDDF 221150Z 24011KT XYZZY CAVOK 12/08 Q1013", 111.0)
+    report, ledger = parsed("METAR EDDF 221150Z 24011KT XYZZY CAVOK 12/08 Q1013")
     assert_allclose(report.temperature_k, 285.15)
     (entry,) = ledger
     assert entry.code == "METAR-GROUPS"
@@ -117,7 +117,7 @@ def test_unknown_groups_are_said_and_cost_nothing():
 
 
 def test_dew_point_above_temperature_is_saturated():
-    report, ledger = parsed(f"METAR EDDF {WIND} 12/15 Q1013", 111.0)
+    report, ledger = parsed(f"METAR EDDF {WIND} 12/15 Q1013")
     assert codes(ledger) == ["METAR-DEW-POINT"]
     assert report.vapour_pressure_pa == saturated(12.0)
 
@@ -238,7 +238,7 @@ A3030 = 30.305 * 33.86389
 def test_forms_of_reports(text, celsius, qnh_hpa):
     report, _ = parsed(text, when="2015-03-12T12:30")
     assert_allclose(report.temperature_k, celsius + 273.15)
-    assert_allclose(report.pressure_pa, 100.0 * qnh_hpa, rtol=1e-7)
+    assert_allclose(report.pressure_pa, 100.0 * qnh_hpa)
     assert report.origin == "METAR LOWW"
     assert report.time_ns == ns("2015-03-12T11:50")
 

@@ -11,7 +11,7 @@ from unbend.simulate.true_air import saturation_pressure_pa
 HYDROSTATIC_K_PER_M = 9.80665 * 28.9644 / 8314.32
 
 
-def ns(text) -> int:
+def ns(text):
     """A time in ISO 8601, UTC, as Unix nanoseconds."""
     return int(np.datetime64(text, "ns").astype(np.int64))
 

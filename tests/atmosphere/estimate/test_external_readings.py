@@ -15,6 +15,7 @@ from tests.atmosphere.adjusting import (
     HOUR_NS,
     NO_SENSORS,
     adjust,
+    balloon_beside,
     balloon_of,
     codes,
     drawn_flight,
@@ -108,10 +109,9 @@ def test_a_distance_counts_twice_across_a_coast(norman):
     air = expected_air(norman)
 
     def variance(km, *, across=False):
-        balloon = balloon_of(
+        balloon = balloon_beside(
             norman,
             latitude_rad=norman.latitude + km / EARTH_KM,
-            longitude_rad=0.0,
             across=across,
         )
         (departure,) = sounding_departures([balloon], air, over(norman))
@@ -128,13 +128,8 @@ def test_two_soundings_share_their_error(norman):
     air = expected_air(norman)
     balloons = []
     for hours in (-12, -11, 12):
-        balloon = balloon_of(
-            norman,
-            time_ns=norman.start_ns + hours * HOUR_NS,
-            latitude_rad=norman.latitude,
-            longitude_rad=0.0,
-        )
-        balloons.append(balloon)
+        time_ns = norman.start_ns + hours * HOUR_NS
+        balloons.append(balloon_beside(norman, time_ns=time_ns))
 
     departures = sounding_departures(balloons, air, over(norman))
 
@@ -369,8 +364,7 @@ def test_a_report_without_a_time_or_of_another_is_told(norman, hours, is_metar, 
     ],
 )
 def test_a_sounding_without_a_time_or_place_is_told(norman, change, expected):
-    place = {"latitude_rad": norman.latitude, "longitude_rad": 0.0}
-    balloon = balloon_of(norman, **place | change)
+    balloon = balloon_beside(norman, **change)
     assert codes(distance_notes([balloon], [], over(norman))) == expected
 
 
@@ -438,13 +432,12 @@ def test_a_column_brings_errors_of_its_own(norman):
     sigma_of_levels = np.where(norman.h[::200] < 3000.0, 1.0, 4.0)
     correlations = []
     for length in (200.0, 20_000.0):
-        made = with_sounding(
+        column = balloon_beside(
             norman,
             kind="model",
             errors=ColumnErrors(sigma_of_levels, 0.15, temperature_length_m=length),
-            latitude_rad=norman.latitude,
-            longitude_rad=0.0,
         )
+        made = adjusted(norman, soundings=[column])
         assert made.basis == "model"
         low, high = made.covariance.sigma_temperature([1000.0, 7000.0])
         assert_allclose(low, 1.0, rtol=0.25)
@@ -569,7 +562,7 @@ def test_a_balloon_that_contradicts_the_flight_is_left_out(norman, kelvin, therm
         humidity="none",
     )
     # Beside the flight: without a longitude it would be 100 km away, where air may be 2 K other.
-    good = balloon_of(norman, latitude_rad=norman.latitude, longitude_rad=0.0)
+    good = balloon_beside(norman)
     assert adjusted(norman, samples, soundings=[good]).losses == []
     wrong = warmed(good, kelvin)
 

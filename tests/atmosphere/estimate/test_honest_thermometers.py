@@ -37,7 +37,7 @@ def test_thermometers_that_work_are_not_refused():
     """
     rng = default_rng(SEED)
     airs = all_airs()
-    refused = []
+    refused = 0
     for _ in range(DRAWS):
         truth = airs[rng.integers(len(airs))]
         climb = round(400.0 * math.exp(rng.uniform(0.0, math.log(7.5))))
@@ -53,9 +53,9 @@ def test_thermometers_that_work_are_not_refused():
         )
         if adjusted.losses:
             assert adjusted.departure(climb) < 1.0, (truth.name, climb, adjusted.losses)
-            refused.append(truth.name)
+            refused += 1
     # Reached: none of 1,600. Of so few, two or more of 24 are refused on one day in ten thousand.
-    assert len(refused) <= max(1.0, DRAWS / 500)
+    assert refused <= max(1.0, DRAWS / 500)
 
 
 WAYS = [

@@ -205,7 +205,13 @@ def test_a_thermometer_partly_in_the_outside_air_is_in_the_sigma(place, share, c
     assert adjusted.is_told or adjusted.departure(climb) < 4.0
 
 
-@pytest.mark.parametrize(("warmer_k", "least_chance"), [(1.0, 0.0), (3.0, 0.5)])
+@pytest.mark.parametrize(
+    ("warmer_k", "least_chance"),
+    [
+        (1.0, 0.0),
+        (3.0, 0.5),
+    ],
+)
 def test_a_thermometer_that_the_climb_warms_has_no_lag_for_it(trades, warmer_k, least_chance):
     """Read as lag, 3 K were 3.6 % of R at 0.8."""
     sensors = replace(flights.drawn(np.random.default_rng(3)), lag_s=5.0)

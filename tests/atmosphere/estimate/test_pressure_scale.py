@@ -11,7 +11,7 @@ from tests.atmosphere import flights
 from tests.atmosphere.adjusting import (
     adjust,
     all_airs,
-    balloon_of,
+    balloon_beside,
     fault_of,
     real_airs,
     rms,
@@ -33,15 +33,7 @@ def flown(truth, lost, rng, *, sounding=False, climb=3000.0, **how):
         humidity="none",
         **how,
     )
-    soundings = []
-    if sounding:
-        balloon = balloon_of(
-            truth,
-            100,
-            latitude_rad=truth.latitude,
-            longitude_rad=0.0,
-        )
-        soundings.append(balloon)
+    soundings = [balloon_beside(truth, 100)] if sounding else []
     return adjust(truth, samples, longitude_rad=0.0, soundings=soundings)
 
 

@@ -50,7 +50,11 @@ from unbend.messages import Ledger
 CLIMB = 3000.0
 HOUR_S = 3600.0
 SECOND_NS = 10**9
-SIGMAS = ("sigma_temperature", "sigma_log_pressure", "sigma_refractivity")
+SIGMAS = (
+    "sigma_temperature",
+    "sigma_log_pressure",
+    "sigma_refractivity",
+)
 
 
 def resampled(balloon, H, warmer_k=0.0):

@@ -113,7 +113,7 @@ def test_heights_and_pressures_of_model_levels_are_those_of_known_air(first):
     assert off[h < 30_000.0].max() < 5e-4
 
 
-COARSE = np.array([200, 250, 300, 400, 500, 700, 850, 925, 1000])
+COARSE = np.array(["200", "250", "300", "400", "500", "700", "850", "925", "1000"], float)
 FINE = np.array(PRESSURE_LEVELS[::-1])
 """Pressures of levels [hPa]."""
 
