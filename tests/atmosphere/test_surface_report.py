@@ -69,7 +69,7 @@ def test_whole_degrees_below_zero_and_hectopascals():
     report = quiet("EDDF 221150Z AUTO 24011KT 9999 SCT040 M05/M10 Q0998=")
     assert_allclose(report.temperature_k, 268.15)
     assert report.vapour_pressure_pa == saturated(-10.0)
-    assert_allclose(report.pressure_pa, 99850.0)
+    assert_allclose(report.pressure_pa, 99850.0)  # 998 is rounded down
     assert report.time_ns is None
     assert report.sigma_temperature_k == 0.5
 

@@ -27,7 +27,6 @@ BIAS = SensorFault.THERMOMETER_BIAS
 LAG = SensorFault.THERMOMETER_LAG
 TRANSIENT = SensorFault.TAKEOFF_TRANSIENT
 OFFSET = SensorFault.PRESSURE_OFFSET
-HEIGHT = SensorFault.GNSS_HEIGHT_OFFSET
 RIGHT = flights.Sensors()
 
 
@@ -65,7 +64,7 @@ GOOD = {
     DRIFT: SensorCalibration(None, 0.02),
     OFFSET: SensorCalibration(0.0, 5.0),
     HYGROMETER: SensorCalibration(0.0, 0.005),
-    HEIGHT: SensorCalibration(None, 0.1),
+    SensorFault.GNSS_HEIGHT_OFFSET: SensorCalibration(None, 0.1),
     **NO_PRESSURE_LOST,
 }
 NO_BAROMETER = {"barometer": False}

@@ -43,7 +43,6 @@ from unbend.atmosphere.estimate.solver import estimate
 from unbend.atmosphere.estimate.thermometer_checks import thermometer_is_outside
 from unbend.messages import Kind
 
-THERMOMETER = "AIR-THERMOMETER"
 IN_THE_AIR = SensorSettings()
 ON_A_BOARD = SensorSettings(board_temperature=True)
 
@@ -225,10 +224,10 @@ def test_real_clouds_keep_their_hygrometer(monsoon, value):
 def check_refused(truth, samples, climb, most_sigmas=2.0):
     """The barometer is used without the thermometer; the text of its refusal."""
     adjusted = adjust(truth, samples)
-    assert adjusted.losses == [THERMOMETER]
+    assert adjusted.losses == ["AIR-THERMOMETER"]
     assert adjusted.basis == "barometer"
     assert adjusted.departure(climb) < most_sigmas
-    return adjusted.entry(THERMOMETER).what
+    return adjusted.entry("AIR-THERMOMETER").what
 
 
 def test_noise_about_a_room_temperature_over_three_kilometres(night):
@@ -349,7 +348,7 @@ def test_a_refusal_states_what_is_seen_and_the_limit(trades, climb):
     """A probe 20 K too warm: beside the 8 K stands what barometer and GNSS leave open."""
     samples = flown(trades, climb, descent=True)
     adjusted = adjust(trades, warmer(samples, 20.0))
-    refused = adjusted.entry(THERMOMETER)
+    refused = adjusted.entry("AIR-THERMOMETER")
     assert refused.where == "thermometer"
     difference_k = number_in(refused.what, r"reads \+([\d.]+) K")
     assert difference_k == pytest.approx(20.0, abs=5.0)

@@ -321,6 +321,7 @@ def test_every_estimate_settles(climb):
 
 
 def test_an_estimate_that_does_not_settle_is_told_of(night, monkeypatch):
+    # No flight is known that does not settle: the steps that are allowed are fewer than it needs.
     monkeypatch.setattr("unbend.atmosphere.estimate.solver._MOST_STEPS", 5)
     samples = flown(night, 3000.0)
     assert not estimated(night, samples).converged
