@@ -146,7 +146,7 @@ class Truth:
         hot._weigh()
         return hot
 
-    def at(self, values, above_ground):
+    def at_height(self, values, above_ground):
         return np.interp(above_ground, self.above, values)
 
     def at_pressure(self, values, p):
@@ -344,7 +344,7 @@ def fly(
 ):
     """What a flight measures. ``humidity``: none | surface (the lowest 200 m) | profile."""
     seconds, above = path(climb, rate, descent)
-    along = {name: truth.at(getattr(truth, name), above) for name in AIR}
+    along = {name: truth.at_height(getattr(truth, name), above) for name in AIR}
     samples = measure(
         truth,
         along,

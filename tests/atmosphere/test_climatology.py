@@ -29,7 +29,7 @@ SUPPLEMENTS = pd.read_csv(PRINTED / "supplements1966_breakpoints.csv")
 TRANSCRIBED = {path.stem for path in PRINTED.glob("*.csv")}
 
 
-def at(degrees, month, name="auto", **more):
+def climate(degrees, month, name="auto", **more):
     return climatology(
         name,
         latitude_rad=math.radians(degrees),
@@ -148,7 +148,7 @@ def test_month_of_a_time(time, month):
     ],
 )
 def test_every_climatology_has_its_spread(name):
-    air = at(45.0, 3.0, name, ground_h_m=400.0)
+    air = climate(45.0, 3.0, name, ground_h_m=400.0)
     spread = air.spread
     h = np.linspace(0.0, 25_000.0, 60)
     assert np.all(spread.sigma_temperature(h) > 0.0)
@@ -159,8 +159,8 @@ def test_every_climatology_has_its_spread(name):
 
 
 def test_a_table_of_another_place_is_less_certain_by_its_difference():
-    near = at(45.0, 7.0)
-    far = at(45.0, 7.0, "supplements1966_60n_january")
+    near = climate(45.0, 7.0)
+    far = climate(45.0, 7.0, "supplements1966_60n_january")
     # 294.15 - 257.15 K at the surface by the tables, and what the lowest air has beside them.
     difference_k = near.profile.temperature(0.0) - far.profile.temperature(0.0)
     assert difference_k == pytest.approx(37.0, abs=7.0)
@@ -195,7 +195,7 @@ def test_the_spread_contains_real_ascents():
             latitude_rad=math.radians(degrees),
         )
         ground, *_, top = ascent.h_m
-        air = at(degrees, month_of(ascent.time_ns), ground_h_m=ground)
+        air = climate(degrees, month_of(ascent.time_ns), ground_h_m=ground)
         spread = air.spread
 
         h = np.arange(ground, min(top, 20_000.0), 500.0)
@@ -237,7 +237,7 @@ def test_spread_follows_latitude_and_season():
 
 
 def lowest_km_cools(month, **how):
-    profile = at(47.0, month, **how).profile
+    profile = climate(47.0, month, **how).profile
     low, high = profile.temperature([0.0, 1000.0])
     return low - high
 
@@ -256,8 +256,8 @@ def test_the_lowest_kilometre_follows_the_hour():
 
 def test_without_an_hour_the_day_is_in_the_spread():
     h = [0.0, 6000.0]
-    unknown = at(47.0, 6.0).spread.sigma_temperature(h)
-    noon = at(
+    unknown = climate(47.0, 6.0).spread.sigma_temperature(h)
+    noon = climate(
         47.0,
         6.0,
         hour=12.0,
@@ -278,14 +278,14 @@ def test_without_an_hour_the_day_is_in_the_spread():
 )
 def test_gravity_is_that_of_the_latitude(name, degrees):
     """Against WGS 84 normal gravity; that of the equator errs by 1.2e-3 and more."""
-    gravity = at(degrees, 4.0, name).profile.gravity
+    gravity = climate(degrees, 4.0, name).profile.gravity
     expected = geopotential(math.radians(degrees), 10_000.0)
     assert_allclose(gravity.geopotential_height(10_000.0), expected, rtol=1e-5)
 
 
 def test_an_unknown_climatology_is_refused_with_the_known_names():
     with refused("ATMOSPHERE-NAME", PhysicsError) as caught:
-        at(45.0, 1.0, "cira1972")
+        climate(45.0, 1.0, "cira1972")
     names = caught.value.remedy.removeprefix("one of ").split(", ")
     assert names == list(known_names())
     climatologies = ["auto", "supplements1966", "nrlmsis2.1"]
@@ -300,13 +300,13 @@ def test_degrees_for_radians_are_refused():
 def test_msis_without_its_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymsis", None)
     with refused("ATMOSPHERE-MSIS", PhysicsError) as caught:
-        at(45.0, 1.0, "nrlmsis2.1")
+        climate(45.0, 1.0, "nrlmsis2.1")
     assert "unbend[msis]" in caught.value.remedy
 
 
 def test_msis():
     pytest.importorskip("pymsis", reason="the extra msis is not installed")
-    air = at(45.0, 7.0, "nrlmsis2.1")
+    air = climate(45.0, 7.0, "nrlmsis2.1")
     assert not air.has_humidity
     assert air.profile.name == "nrlmsis2.1"
     # An independent climatology of the same place and season.
@@ -314,7 +314,7 @@ def test_msis():
     july_k = air.profile.temperature(h)
     expected = supplements_profile(math.radians(45.0), 7.0).temperature(h)
     assert july_k == pytest.approx(expected, abs=5.0)
-    january = at(45.0, 1.0, "nrlmsis2.1")
+    january = climate(45.0, 1.0, "nrlmsis2.1")
     assert january.profile.temperature(1000.0) < july_k[0] - 10.0
 
 
@@ -337,8 +337,8 @@ def test_msis():
     ],
 )
 def test_without_a_date_the_spread_reaches_winter_and_summer(degrees, month):
-    year = at(degrees, None)
-    of_month = at(degrees, month)
+    year = climate(degrees, None)
+    of_month = climate(degrees, month)
     h = np.arange(0.0, 12_000.0, 500.0)
     apart_k = of_month.profile.temperature(h) - year.profile.temperature(h)
     both_k = np.hypot(apart_k, of_month.spread.sigma_temperature(h))
@@ -348,7 +348,7 @@ def test_without_a_date_the_spread_reaches_winter_and_summer(degrees, month):
 
 @cache
 def of_the_year(degrees):
-    return at(degrees, None)
+    return climate(degrees, None)
 
 
 WINTER = (12, 1, 2)

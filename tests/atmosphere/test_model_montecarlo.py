@@ -38,10 +38,10 @@ def column(truth, climb, rng):
     p = levels[inside][::-1]
     h = truth.at_pressure(truth.h, p)
     above = h - truth.ground_m
-    rh = truth.at(truth.rh, above)
+    rh = truth.at_height(truth.rh, above)
     rh += drawn(rng, 0.15, above)
     sigma_k = np.interp(above, [1000.0, 1500.0], [2.0, 1.0])
-    t = truth.at(truth.t, above)
+    t = truth.at_height(truth.t, above)
     t += drawn(rng, sigma_k, above)
     p *= np.exp(1e-3 * rng.normal())
     e = np.clip(rh, 0.005, 1.0) * saturation_pressure_pa(t)

@@ -59,8 +59,8 @@ def test_pressure_is_the_weight_of_the_air_above(profile, low, high):
     h = [inside(profile, share) for share in sorted([low, high])]
     H = profile.gravity.geopotential_height(h)
 
-    def weight_per_m(at):
-        t = np.interp(at, layers.edge, layers.edge_temperature)
+    def weight_per_m(H):
+        t = np.interp(H, layers.edge, layers.edge_temperature)
         return HYDROSTATIC_K_PER_M / t
 
     edge = layers.edge

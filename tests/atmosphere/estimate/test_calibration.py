@@ -132,8 +132,8 @@ def test_a_thermometer_that_keeps_still_says_more(truth, air):
     bias = {BIAS: SensorCalibration(sigma=0.1)}
     drift = {DRIFT: SensorCalibration(sigma=0.02)}
 
-    def sigma(known):
-        made = estimate(samples, air, settings=SensorSettings(calibration=known))
+    def sigma(calibration):
+        made = estimate(samples, air, settings=SensorSettings(calibration=calibration))
         return made.covariance.sigma_temperature(500.0)
 
     assert sigma(bias | drift) < sigma(bias) < sigma({})
@@ -156,15 +156,15 @@ def test_a_flight_that_contradicts_the_calibration_says_so(flown):
 def test_no_rare_fault_of_the_barometer_explains_a_wrong_calibration(flown, off):
     """Of the barometer nothing is known: lost pressure explains what the thermometer reads."""
     wrong_k = flights.REALISTIC.bias_k + off
-    known = {BIAS: SensorCalibration(wrong_k, 0.1)}
-    adjusted = flown(flights.REALISTIC, known)
+    calibration = {BIAS: SensorCalibration(wrong_k, 0.1)}
+    adjusted = flown(flights.REALISTIC, calibration)
     message = adjusted.entry("AIR-CALIBRATION", Kind.FINDING)
     assert f"{wrong_k:.3g} ± 0.1 in the mission file" in message.what
 
 
 def test_a_calibration_that_is_right_is_seldom_contradicted(flown):
     """Sensors drawn from what is said of them: none in ten flights at 4 sigma."""
-    known = {
+    calibration = {
         BIAS: SensorCalibration(0.0, 0.5),
         OFFSET: SensorCalibration(0.0, 20.0),
     }
@@ -175,7 +175,7 @@ def test_a_calibration_that_is_right_is_seldom_contradicted(flown):
             bias_k=bias_k,
             pressure_offset_pa=offset_pa,
         )
-        adjusted = flown(sensors, known, seed)
+        adjusted = flown(sensors, calibration, seed)
         assert "AIR-CALIBRATION" not in adjusted.codes()
 
 
@@ -201,8 +201,8 @@ def test_no_sensor_is_refused_for_a_fault_that_is_known(
     like that many kelvins."""
     sensors = flights.Sensors(**wrong)
     (value,) = wrong.values()
-    known = {fault: SensorCalibration(value, sigma), **NO_PRESSURE_LOST}
-    adjusted = flown(sensors, known, descent=descent)
+    calibration = {fault: SensorCalibration(value, sigma), **NO_PRESSURE_LOST}
+    adjusted = flown(sensors, calibration, descent=descent)
     codes = set(adjusted.codes())
     assert adjusted.basis in ("thermometer", "both")
     assert "AIR-CALIBRATED" in codes
@@ -216,11 +216,11 @@ def test_only_the_worst_is_accused(flown):
 
     The thermometer is known to be no warmer in the climb, which would explain 4 s of lag as well.
     """
-    known = GOOD | {
+    calibration = GOOD | {
         LAG: SensorCalibration(8.0, 0.5),
         BIAS: SensorCalibration(0.0, 0.02),
         SensorFault.CLIMB_WARMTH: SensorCalibration(0.0, 0.01),
     }
-    adjusted = flown(flights.Sensors(lag_s=12.0), known, descent=True)
+    adjusted = flown(flights.Sensors(lag_s=12.0), calibration, descent=True)
     text = adjusted.entry("AIR-CALIBRATION").what
     assert text.startswith(f"{FAULT_TEXTS[LAG]}: 8 ± 0.5 in the mission file, 1")

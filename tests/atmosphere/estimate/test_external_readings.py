@@ -210,7 +210,7 @@ REPORT = SurfaceReport(300.0, 95_000.0, 285.0, 900.0)
 
 
 @pytest.mark.parametrize(
-    "where",
+    "place",
     [
         (),
         (0.8, 0.1),
@@ -225,9 +225,9 @@ REPORT = SurfaceReport(300.0, 95_000.0, 285.0, 900.0)
         (192.1, True),
     ],
 )
-def test_a_report_falls_silent_with_its_age_alone(where, hours, silent):
+def test_a_report_falls_silent_with_its_age_alone(place, hours, silent):
     """It has no position: a station near the flight is meant."""
-    flight = TimeAndPlace(10**18, *where)
+    flight = TimeAndPlace(10**18, *place)
     report = replace(REPORT, time_ns=10**18 - int(hours * HOUR_NS))
     assert hours_and_metres(report, flight) == (pytest.approx(hours, abs=1e-9), 0.0)
     reason = reason_uninformative(report, flight)

@@ -36,8 +36,8 @@ def test_known_biases_are_subtracted_and_named():
         SensorFault.PRESSURE_OFFSET: SensorCalibration(mean=-120.0),
         SensorFault.HYGROMETER_BIAS: SensorCalibration(mean=0.02),  # there is no hygrometer
     }
-    known = SensorSettings(calibration=calibration)
-    (corrected, settings), (note,) = subtract_known_biases(GIVEN, known)
+    with_calibration = SensorSettings(calibration=calibration)
+    (corrected, settings), (note,) = subtract_known_biases(GIVEN, with_calibration)
     assert_allclose(corrected.temperature.value, [284.5, 282.0, 278.5])
     assert_allclose(corrected.pressure.value, [95_120.0, 90_620.0, 84_120.0])
     left = settings.calibration[SensorFault.THERMOMETER_BIAS]

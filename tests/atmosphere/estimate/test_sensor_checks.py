@@ -324,7 +324,7 @@ def test_a_cabin_that_follows_the_ground_of_a_clear_night(night, tau_s, warmer_k
         descent=True,
         gate_s=60.0,
     )
-    outside = night.at(night.t, samples.temperature.h_m - night.ground_m)
+    outside = night.at_height(night.t, samples.temperature.h_m - night.ground_m)
     cabin = flights.lagging(outside, keep=math.exp(-1.0 / tau_s))
     cabin += warmer_k + noise(samples, 0.2)
     check_refused(night, with_readings(samples, cabin), 600.0, most_sigmas=1.5)

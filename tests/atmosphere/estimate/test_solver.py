@@ -356,7 +356,7 @@ GOOD_BAROMETER = {
 
 
 @pytest.mark.parametrize(
-    ("fault", "wrong", "climb", "known", "sharp"),
+    ("fault", "wrong", "climb", "calibration", "sharp"),
     [
         # 1 hPa, twice what is expected.
         (SensorFault.PRESSURE_OFFSET, {"pressure_offset_pa": 100.0}, 6000.0, {}, 45.0),
@@ -366,7 +366,7 @@ GOOD_BAROMETER = {
     ],
 )
 def test_an_offset_is_found_beside_stations_with_its_sign(
-    trades, fault, wrong, climb, known, sharp
+    trades, fault, wrong, climb, calibration, sharp
 ):
     (value,) = wrong.values()
     samples = flown(
@@ -380,7 +380,7 @@ def test_an_offset_is_found_beside_stations_with_its_sign(
         trades,
         samples,
         surface=[station_at(trades, row) for row in (0, 100, 200, 300)],
-        settings=SensorSettings(calibration=known),
+        settings=SensorSettings(calibration=calibration),
     )
     check_fault(made, fault, value, sharp=sharp, sigmas=2.5)
 
@@ -407,7 +407,7 @@ def test_the_heat_of_speed_is_found(night):
     samples = flown(night, 3000.0, QUIET, seed=3, descent=True)
     t = samples.temperature
     speed = np.where(np.gradient(t.h_m) > 1.0, 45.0, 80.0)
-    density = night.at(night.p / night.t, t.h_m - night.ground_m) / 287.05
+    density = night.at_height(night.p / night.t, t.h_m - night.ground_m) / 287.05
     heated = warmer(samples, 0.85 * speed**2 / (2.0 * 1005.0) * 1.225 / density)
     made = estimated(night, replace(heated, airspeed=airspeed_at(t, speed)))
     check_fault(made, SensorFault.RECOVERY_FACTOR, 0.85, sharp=0.2, sigmas=2.5)

@@ -106,7 +106,7 @@ class ChangingAir:
         self.ground = self.first.ground_m
         self.top = self.ground + CLIMB
 
-    def at(self, name, seconds, above):
+    def at_height(self, name, seconds, above):
         values = np.array([getattr(truth, name) for truth in self.truths])
         metres = np.arange(values.shape[1])
         return interpn((self.seconds, metres), values, (seconds, above))
@@ -130,7 +130,7 @@ class ChangingAir:
         """What sensors with faults measure on this day, every other second."""
         seconds = np.arange(0.0, self.seconds[-1], 2.0)
         above = above_at(seconds)
-        along = {name: self.at(name, seconds, above) for name in flights.AIR}
+        along = {name: self.at_height(name, seconds, above) for name in flights.AIR}
         return flights.measure(
             self.first,
             along,
@@ -241,10 +241,10 @@ def test_a_window_counts_its_readings_once(changing):
     first, _, window, *_, last = changing.windows
     part = part_of_flight(whole.samples, window.start_ns, window.end_ns)
     hours = (last.end_ns - first.start_ns) / 3.6e12
-    known = []
+    faults = []
     for fault in whole.faults:
         sigma = np.hypot(fault.sigma, 0.2 * fault.prior_sigma)
-        known.append(replace(fault, sigma=sigma))
+        faults.append(replace(fault, sigma=sigma))
     # Not public: what a window is estimated about cannot be read from its result.
     background = _whole_flight_as_background(
         whole.covariance,
@@ -252,7 +252,7 @@ def test_a_window_counts_its_readings_once(changing):
         hours,
     )
 
-    once = estimate(part, background, settings=whole.settings, known=known)
+    once = estimate(part, background, settings=whole.settings, known=faults)
 
     h = np.linspace(500.0, 6000.0, 12)
     for name in SIGMAS:

@@ -83,16 +83,16 @@ def check_levels(sounding, degrees, lines):
     ],
 )
 def test_igra_by_time(files, when, levels):
-    sounding, said = from_file(files / "igra2_USM00070026_Barrow.txt", when=when)
+    sounding, notes = from_file(files / "igra2_USM00070026_Barrow.txt", when=when)
     check_levels(sounding, 71.2889, levels)
     assert sounding.station == "USM00070026"
     assert_allclose(math.degrees(sounding.latitude_rad), 71.2889)
     assert_allclose(math.degrees(sounding.longitude_rad), -156.7833)
-    assert said["SOUNDING-CHOSEN"] == 2
+    assert notes["SOUNDING-CHOSEN"] == 2
     # The file is cut off behind its third header.
-    assert said["SOUNDING-CUT-OFF"] == 1
+    assert notes["SOUNDING-CUT-OFF"] == 1
     # Wind levels without pressure: the archive's level type 30.
-    assert said["SOUNDING-MISSING"] >= (90 if files == SHARED_SOUNDINGS else 2)
+    assert notes["SOUNDING-MISSING"] >= (90 if files == SHARED_SOUNDINGS else 2)
 
 
 def test_igra_derived(files):
@@ -136,9 +136,9 @@ def test_wyoming(files, name, degrees, time, levels):
 
 
 def test_wyoming_without_a_place_and_with_a_missing_height(files):
-    sounding, said = from_file(files / "wyoming_csv_82244_20120101_00Z.csv", -2.43)
+    sounding, notes = from_file(files / "wyoming_csv_82244_20120101_00Z.csv", -2.43)
     assert math.isnan(sounding.longitude_rad)
-    assert said == {"SOUNDING-HEIGHTS": 1}
+    assert notes == {"SOUNDING-HEIGHTS": 1}
     # 1002.0 hPa, 2 hPa below 74 m: 17.6 m by hand, with Tv of 305.2 K.
     lowest_m = 74.0 - 29.27 * 305.2 * math.log(1.002)
     assert sounding.h_m[0] == pytest.approx(metres(lowest_m, -2.43), abs=0.3)
@@ -221,8 +221,8 @@ def parsed_with_messages(levels):
 
 @pytest.fixture(scope="module")
 def clean():
-    sounding, said = read(CLEAN)
-    assert said == {}
+    sounding, notes = read(CLEAN)
+    assert notes == {}
     return sounding
 
 
@@ -240,9 +240,9 @@ def test_a_csv_with_decimal_commas_is_the_same(clean, separator):
 
 
 def test_geometric_heights_stay():
-    sounding, said = read(air(**NO_HEIGHTS, h_m=HEIGHTS))
+    sounding, notes = read(air(**NO_HEIGHTS, h_m=HEIGHTS))
     assert sounding.h_m == pytest.approx(HEIGHTS, abs=1e-6)
-    assert said == {}
+    assert notes == {}
 
 
 def test_pascals_and_kelvins_say_the_same(clean):
@@ -285,8 +285,8 @@ def test_humidities_in_their_units(column, values, vapour_pa):
     ],
 )
 def test_unsorted_levels_are_sorted(clean, order):
-    sounding, said = read(CLEAN.loc[order])
-    assert set(said) == {"SOUNDING-UNSORTED"}
+    sounding, notes = read(CLEAN.loc[order])
+    assert set(notes) == {"SOUNDING-UNSORTED"}
     assert_array_equal(sounding.h_m, clean.h_m)
     assert_array_equal(sounding.temperature_k, clean.temperature_k)
 
@@ -333,8 +333,8 @@ def test_duplicate_levels_are_averaged(warmer_k, lower_hpa):
     levels = CLEAN.loc[[*range(4), *range(3, LEVELS)]].reset_index(drop=True)
     levels.loc[4, "temperature_c"] += warmer_k
     levels.loc[4, "pressure_hpa"] -= lower_hpa
-    sounding, said = read(levels)
-    assert said["SOUNDING-DUPLICATE"] == 1
+    sounding, notes = read(levels)
+    assert notes["SOUNDING-DUPLICATE"] == 1
     assert_allclose(sounding.temperature_k[3], 288.15 - 9.75 + 0.5 * warmer_k)
     mean_pa = 100.0 * (standard_hpa(1500.0) - 0.5 * lower_hpa)
     assert_allclose(sounding.pressure_pa[3], mean_pa)
@@ -356,14 +356,14 @@ def test_humidity_that_no_air_has_is_clipped_or_unknown(percent, counted):
         [np.nan, SATURATED_PA],
         0.6 * SATURATED_PA,
     )
-    sounding, said = read(air(**NO_DEW_POINT, relative_humidity_percent=humidity))
-    assert said == counted
+    sounding, notes = read(air(**NO_DEW_POINT, relative_humidity_percent=humidity))
+    assert notes == counted
     assert sounding.vapour_pressure_pa == pytest.approx(expected_pa, rel=0.01, nan_ok=True)
 
 
 def test_a_dew_point_over_the_temperature_is_saturation():
-    sounding, said = read(changed("dew_point_c", 2, 14.0))
-    assert said == {"SOUNDING-HUMIDITY-OVER": 1}
+    sounding, notes = read(changed("dew_point_c", 2, 14.0))
+    assert notes == {"SOUNDING-HUMIDITY-OVER": 1}
     assert_allclose(sounding.vapour_pressure_pa[2], SATURATED_PA[2], rtol=0.01)
 
 
@@ -420,8 +420,8 @@ def test_what_is_wrong_is_told_in_the_unit_of_its_text(name, value, values):
     ],
 )
 def test_a_wild_height_or_dew_point_takes_no_level_with_it(clean, name, value, expected):
-    sounding, said = read(changed(name, 3, value))
-    assert said == expected
+    sounding, notes = read(changed(name, 3, value))
+    assert notes == expected
     assert sounding.h_m == pytest.approx(clean.h_m, abs=0.5)
     assert np.isnan(sounding.vapour_pressure_pa[3]) == (name == "dew_point_c")
 
@@ -472,22 +472,22 @@ def test_an_index_that_rises_more_than_over_hot_ground_is_told(base, share, told
     kelvin_above = celsius[h == base + 20.0][0] + 273.15
     pressure_ratio = math.exp(20.0 * HYDROSTATIC_K_PER_M / kelvin_above)
     celsius[h == base] = kelvin_above * (1.0 + share) * pressure_ratio - 273.15
-    _, said = read(in_balance(h, celsius))
-    assert ("SOUNDING-INDEX-RISES" in said) is told
+    _, notes = read(in_balance(h, celsius))
+    assert ("SOUNDING-INDEX-RISES" in notes) is told
 
 
 @pytest.mark.parametrize(("humidity", "within_m"), [({}, 9.0), (NO_DEW_POINT, 1.0)])
 def test_heights_worked_out_from_the_station(humidity, within_m):
     """Moist: up to 9 m more than the dry air of the heights column; and 1 m of trapezoids."""
-    sounding, said = read(air(**NO_HEIGHTS, **humidity), station_h_m=0.0)
-    assert said == {"SOUNDING-HEIGHTS": LEVELS - 1}
+    sounding, notes = read(air(**NO_HEIGHTS, **humidity), station_h_m=0.0)
+    assert notes == {"SOUNDING-HEIGHTS": LEVELS - 1}
     expected = [metres(h, 45.0) for h in HEIGHTS]
     assert sounding.h_m == pytest.approx(expected, abs=within_m)
 
 
 def test_without_latitude_it_is_said():
-    _, said = read(CLEAN, degrees=math.nan)
-    assert said == {"SOUNDING-LATITUDE": 0}
+    _, notes = read(CLEAN, degrees=math.nan)
+    assert notes == {"SOUNDING-LATITUDE": 0}
 
 
 @pytest.mark.parametrize(
@@ -543,18 +543,18 @@ def dated(time):
     "text", ["2025-06-12T09:00:00Z", "2025-06-12T11:00:00+02:00", "2025-06-12 09:00"]
 )
 def test_times_of_a_csv(text):
-    sounding, said = dated(text)
+    sounding, notes = dated(text)
     assert sounding.time_ns == ns("2025-06-12T09:00")
     assert "2025-06-12T09:00" in sounding.name
-    assert said == {}
+    assert notes == {}
 
 
 @pytest.mark.parametrize("text", ["", "NaN"])
 def test_a_time_that_is_not_stated_is_unknown(text):
-    sounding, said = dated(text)
+    sounding, notes = dated(text)
     assert sounding.time_ns is None
     assert sounding.name == "sounding"
-    assert said == {}
+    assert notes == {}
 
 
 @pytest.mark.parametrize(
@@ -637,10 +637,10 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
     rows = np.ravel([early, late], order="F" if interleaved else "C")
     text = table_of(rows, ",time_utc")
     for hour, celsius in (("05", 15.0), ("13", 20.0)):
-        sounding, said = at_station(text, f"2025-06-12T{hour}:00")
+        sounding, notes = at_station(text, f"2025-06-12T{hour}:00")
         assert_allclose(sounding.temperature_k[0], celsius + 273.15)
         assert sounding.h_m.size == 10
-        assert said["SOUNDING-CHOSEN"] == 2
+        assert notes["SOUNDING-CHOSEN"] == 2
     with input_refused("SOUNDING-CHOICE", "2 soundings, and no time"):
         at_station(text)
 
@@ -671,9 +671,9 @@ def test_up_and_down_again_is_one_flight():
     """As a drone flies: its levels are put in order. Each may have its own time and place."""
     up = rows_of()
     rows = [f"{row},48.{number:02d},16.4" for number, row in enumerate(up + up[::-1])]
-    sounding, said = at_station(table_of(rows, ",lat,lon"))
+    sounding, notes = at_station(table_of(rows, ",lat,lon"))
     assert sounding.h_m.size == 10
-    assert set(said) >= {"SOUNDING-UNSORTED", "SOUNDING-DUPLICATE"}
+    assert set(notes) >= {"SOUNDING-UNSORTED", "SOUNDING-DUPLICATE"}
     assert_allclose(math.degrees(sounding.latitude_rad), 48.0)
 
 
@@ -696,8 +696,8 @@ def test_a_time_in_a_column_of_another_name_is_not_unknown(column, field):
     ("column", "field"), [("time_s", "120"), ("time", "120.5"), ("wind", "12")]
 )
 def test_numbers_of_another_column_are_no_time(column, field):
-    _, said = parsed(with_columns(column, field))
-    assert said == {"SOUNDING-COLUMNS-UNUSED": 1}
+    _, notes = parsed(with_columns(column, field))
+    assert notes == {"SOUNDING-COLUMNS-UNUSED": 1}
 
 
 # The list of the University of Wyoming
@@ -724,11 +724,11 @@ WYOMING_PAGE = """<HTML><H2>72357 OUN Norman Observations at 12Z 22 May 2011</H2
 
 
 def test_wyoming_page_with_blank_fields():
-    sounding, said = parsed(WYOMING_PAGE)
+    sounding, notes = parsed(WYOMING_PAGE)
     assert sounding.station == "OUN"
     assert sounding.time_ns == ns("2011-05-22T12:00")
     assert_allclose(math.degrees(sounding.latitude_rad), 35.18)
-    assert said == {"SOUNDING-MISSING": 1}
+    assert notes == {"SOUNDING-MISSING": 1}
     # Without a dew point the relative humidity is taken: at 896 hPa 100 % of 18.8 C.
     check_levels(sounding, 35.18, "850 1454 22.0 6.0, 896 995 18.8 18.8")
     assert sounding.h_m.size == 6
@@ -860,7 +860,7 @@ UNDATED = igra("2010 06 01", "99", "9999")
 
 
 @pytest.mark.parametrize(
-    ("text", "when", "code", "where"),
+    ("text", "when", "code", "place"),
     [
         (THREE_ASCENTS, "", "SOUNDING-CHOICE", ""),
         (UNDATED + UNDATED, "2010-06-01", "SOUNDING-CHOICE", ""),
@@ -870,10 +870,10 @@ UNDATED = igra("2010 06 01", "99", "9999")
     ],
     ids=["no time", "undated", "no header", "a header alone", "no date"],
 )
-def test_what_no_file_of_the_archive_has_is_refused(text, when, code, where):
+def test_what_no_file_of_the_archive_has_is_refused(text, when, code, place):
     with input_refused(code) as caught:
         parsed(text, when)
-    assert where in caught.value.where
+    assert place in caught.value.where
 
 
 def test_igra_far_away_and_cut_off():
@@ -914,8 +914,8 @@ def test_fill_values_of_netcdf(tmp_path):
         "tdry": np.where(HEIGHTS == 1000.0, -9999.0, SONDE["tdry"]),
         "dp": np.where(HEIGHTS == 2000.0, -9999.0, SONDE["dp"]),
     }
-    sounding, said = from_file(sonde_file(tmp_path, SONDE | filled), 45.0)
-    assert said == {"SOUNDING-MISSING": 1}
+    sounding, notes = from_file(sonde_file(tmp_path, SONDE | filled), 45.0)
+    assert notes == {"SOUNDING-MISSING": 1}
     assert sounding.time_ns is None
     assert sounding.name == "sounding sonde.cdf"
     # The relative humidity stands in where the dew point is missing: 50 % of 2.0 C.
@@ -930,9 +930,9 @@ def test_a_netcdf_without_a_variable_is_refused(tmp_path):
 @pytest.mark.parametrize(("flight", "far"), [("2019-01-01T08:00", False), ("2025-06-12T09", True)])
 def test_a_netcdf_of_another_year_is_told_of(tmp_path, flight, far):
     path = sonde_file(tmp_path, SONDE, base_time=1_546_320_720)
-    sounding, said = from_file(path, 45.0, flight)
+    sounding, notes = from_file(path, 45.0, flight)
     assert sounding.time_ns == ns("2019-01-01T05:32")
-    assert ("SOUNDING-FAR-IN-TIME" in said) is far
+    assert ("SOUNDING-FAR-IN-TIME" in notes) is far
 
 
 def test_a_byte_order_mark_is_no_name_of_a_column(tmp_path):
