@@ -359,13 +359,14 @@ def test_a_report_without_a_time_or_of_another_is_told(norman, hours, is_metar, 
     [
         ({"time_ns": None}, ["SOUNDING-UNDATED"]),
         ({"latitude_rad": math.nan}, ["SOUNDING-UNPLACED"]),
-        ({"longitude_rad": 0.05}, ["SOUNDING-FAR-AWAY"]),
-        ({"longitude_rad": 0.02}, []),
+        ({"longitude_rad": 0.25}, ["SOUNDING-FAR-AWAY"]),
+        ({"longitude_rad": 0.22}, []),
     ],
 )
 def test_a_sounding_without_a_time_or_place_is_told(norman, change, expected):
-    balloon = balloon_beside(norman, **change)
-    assert codes(distance_notes([balloon], [], over(norman))) == expected
+    flight = replace(over(norman), longitude_rad=0.2)
+    balloon = balloon_beside(norman, **{"longitude_rad": 0.2} | change)
+    assert codes(distance_notes([balloon], [], flight)) == expected
 
 
 # Stations on the ground
