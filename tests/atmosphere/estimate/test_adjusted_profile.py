@@ -275,7 +275,10 @@ def test_barometer_alone_passes_through_the_pressures(barometric):
         "AIR-BAROMETRIC",
         "AIR-HUMIDITY-EXPECTED",
     }
-
+    assert barometric.profile.pressure(H) == pytest.approx(
+        air().pressure_pa(H),
+        abs=30.0,
+    )
     assert "over 3000 m" in barometric.reason
 
 
