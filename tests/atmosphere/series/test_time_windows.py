@@ -344,7 +344,7 @@ def test_sigma_grows_with_the_time_since_the_air_was_sampled(level):
     )
 
     sigmas = day.sigmas(series)
-    assert_allclose(sigmas[0], day.sigma(whole))
+    assert sigmas[0] == pytest.approx(day.sigma(whole))
     assert np.all(np.diff(sigmas[1:]) > 0.0)
     errors = day.errors([whole.profile] * 7)
     # With the sigma of the estimate alone the last is off by 4.6 of it.
