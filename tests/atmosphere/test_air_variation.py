@@ -1,7 +1,5 @@
 """What the fitted structure function has of what public ascents show."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,12 +14,18 @@ from unbend.atmosphere.air_variation import (
 VIENNA_RAD = np.radians(48.2)
 JANUARY = 1.0
 JULY = 7.0
+FINE_STRUCTURE = {
+    "kinked",
+    "smooth",
+}
 
 
-def correlation_of_changes(hours: float, low_m: float, high_m: float) -> float:
+def correlation_of_changes(hours, low_m, high_m):
     h = np.array([low_m, high_m])
-    covariance = covariance_of(changes(variation_parts(VIENNA_RAD, JANUARY, 0.0), hours), h, h)
-    return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
+    parts = variation_parts(VIENNA_RAD, JANUARY, 0.0)
+    covariance = covariance_of(changes(parts, hours), h, h)
+    variance = np.diag(covariance)
+    return covariance[0, 1] / np.sqrt(variance.prod())
 
 
 @pytest.mark.parametrize("hours", [12.0, 48.0])
@@ -32,19 +36,21 @@ def test_warm_air_below_the_tropopause_goes_with_cold_air_above(hours):
 
 
 def test_the_air_is_mixed_by_a_summers_day_alone():
-    def sigma_k(month: float, hour: float | None) -> float:
+    def sigma_k(month, hour):
         parts = variation_parts(VIENNA_RAD, month, 0.0, hour)
-        return sigma_of(parts, np.array([300.0])).item()
+        return sigma_of(parts, np.array([300.0]))
 
-    assert sigma_k(JULY, 3.0) > 1.02 * sigma_k(JULY, 15.0)
-    assert sigma_k(JULY, None) == sigma_k(JULY, 3.0)
-    assert sigma_k(JANUARY, 15.0) == pytest.approx(sigma_k(JANUARY, 3.0), rel=5e-3)
+    of_july_night = sigma_k(JULY, 3.0)
+    of_winter_night = sigma_k(JANUARY, 3.0)
+    assert of_july_night > 1.02 * sigma_k(JULY, 15.0)
+    assert of_july_night == sigma_k(JULY, None)
+    assert sigma_k(JANUARY, 15.0) == pytest.approx(of_winter_night, rel=5e-3)
 
 
-def of_fine_structure(degrees: float, month: float, h: float) -> float:
+def of_fine_structure(degrees, month, h):
     parts = variation_parts(np.radians(degrees), month, 0.0)
-    fine = tuple(part for part in parts if part.name in ("kinked", "smooth"))
-    return sigma_of(fine, np.array([h])).item()
+    kinked_and_smooth = tuple(part for part in parts if part.name in FINE_STRUCTURE)
+    return sigma_of(kinked_and_smooth, np.array([h]))
 
 
 @pytest.mark.parametrize(
@@ -68,17 +74,27 @@ def test_inversions_vary_more_in_the_winter_of_middle_latitudes(degrees, h, rati
 def test_changes_grow_with_time_and_distance_to_twice_the_variance():
     parts = variation_parts(VIENNA_RAD, JULY, 0.0)
     h = np.array([0.0, 1000.0, 5000.0])
-    grown = [sigma_of(changes(parts, *apart), h) for apart in ((0, 0), (6, 0), (6, 1e5), (48, 1e6))]
+
+    def sigma_k(hours, metres):
+        return sigma_of(changes(parts, hours, metres), h)
+
+    grown = [
+        sigma_k(0.0, 0.0),
+        sigma_k(6.0, 0.0),
+        sigma_k(6.0, 1e5),
+        sigma_k(48.0, 1e6),
+    ]
     assert np.all(grown[0] == 0.0)
     assert np.all(np.diff(grown, axis=0) > 0.1)
-    for_ever = sigma_of(changes(parts, 1e6, 1e9), h)
-    assert for_ever == pytest.approx(np.sqrt(2.0) * sigma_of(parts, h))
+    unrelated = np.sqrt(2.0) * sigma_of(parts, h)
+    assert sigma_k(1e6, 1e9) == pytest.approx(unrelated)
 
 
 def test_of_two_parts_the_larger_amplitude_keeps_its_sign():
-    waves = variation_parts(VIENNA_RAD, JULY, 0.0)[0]
-    other = variation_parts(VIENNA_RAD, JANUARY, 0.0)[0]
-    larger = larger_part(waves, other).sigma_k
-    amplitudes = np.abs([waves.sigma_k, np.interp(waves.h_m, other.h_m, other.sigma_k)])
-    assert np.all(np.abs(larger) == amplitudes.max(axis=0))
+    july, *_ = variation_parts(VIENNA_RAD, JULY, 0.0)
+    january, *_ = variation_parts(VIENNA_RAD, JANUARY, 0.0)
+    larger = larger_part(july, january).sigma_k
+    in_january = np.interp(july.h_m, january.h_m, january.sigma_k)
+    amplitude = np.abs([july.sigma_k, in_january]).max(axis=0)
+    assert np.all(np.abs(larger) == amplitude)
     assert larger.min() < -2.0

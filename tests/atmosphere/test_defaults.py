@@ -1,7 +1,5 @@
 """Defaults that change numbers, each with the reason for its value."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -33,7 +31,7 @@ def test_the_light_is_green_and_the_air_of_today():
     section = AtmosphereSection()
     assert (section.wavelength_m, section.co2_ppm, section.index) == (0.55e-6, 450.0, "ciddor")
     # Refractivity at 15 C and 1013.25 hPa of dry air (Edlen 1966: 277.8e-6 at 0.55 um).
-    assert float(standard_atmosphere().refractivity(0.0)) == pytest.approx(277.8e-6, rel=5e-4)
+    assert standard_atmosphere().refractivity(0.0) == pytest.approx(277.8e-6, rel=5e-4)
 
 
 def test_the_air_is_adjusted_and_shown_beside_us1976():
@@ -52,27 +50,27 @@ def test_the_air_is_adjusted_and_shown_beside_us1976():
 def test_sensors_without_calibration_are_cheap_ones():
     expected = {
         # A small radiation shield in an aircraft's airflow: 3 K, 5 K from the sun on the ground.
-        SensorFault.THERMOMETER_BIAS: (0.0, 3.0),
-        SensorFault.TAKEOFF_TRANSIENT: (0.0, 5.0),
+        "thermometer_bias": (0.0, 3.0),
+        "takeoff_transient": (0.0, 5.0),
         # The transient decays in about a minute: 40 to 90 s.
-        SensorFault.TRANSIENT_DECAY: (math.log(60.0), 0.4),
+        "transient_decay": (math.log(60.0), 0.4),
         # Thermistors in an airflow of 20 to 60 m/s: 2 to 22 s.
-        SensorFault.THERMOMETER_LAG: (12.0, 10.0),
+        "thermometer_lag": (12.0, 10.0),
         # A probe that is no total-air-temperature probe recovers 0.6 to 0.9 of the heating.
-        SensorFault.RECOVERY_FACTOR: (0.7, 0.3),
+        "recovery_factor": (0.7, 0.3),
         # Absolute accuracy of MEMS barometers: 0.5 hPa.
-        SensorFault.PRESSURE_OFFSET: (0.0, 50.0),
+        "pressure_offset": (0.0, 50.0),
         # A static pressure loses 0.1 % of its change; one of ten loses more (`hypotheses`).
-        SensorFault.PRESSURE_SCALE: (0.0, 0.001),
+        "pressure_scale": (0.0, 0.001),
         # Usual thermometers are outside, and as warm in the climb as in the descent (`hypotheses`).
-        SensorFault.BAY_SHARE: (0.0, 0.002),
-        SensorFault.CLIMB_WARMTH: (0.0, 0.2),
+        "bay_share": (0.0, 0.002),
+        "climb_warmth": (0.0, 0.2),
         # GNSS height and undulation: 2.5 m that all epochs share.
-        SensorFault.GNSS_HEIGHT_OFFSET: (0.0, 2.5),
+        "gnss_height_offset": (0.0, 2.5),
         # A static port reads within 3 % of the dynamic pressure.
-        SensorFault.DYNAMIC_PRESSURE_ERROR: (0.0, 0.03),
+        "dynamic_pressure_error": (0.0, 0.03),
         # Capacitive hygrometers: 3 %.
-        SensorFault.HYGROMETER_BIAS: (0.0, 0.03),
+        "hygrometer_bias": (0.0, 0.03),
     }
     every = (
         *THERMOMETER_FAULTS,
@@ -85,9 +83,9 @@ def test_sensors_without_calibration_are_cheap_ones():
     # No lag is negative, no decay shorter than 15 s, no recovery above that of a stagnation point.
     limits = {fault.name: (fault.low, fault.high) for fault in every if np.isfinite(fault.low)}
     assert limits == {
-        SensorFault.TRANSIENT_DECAY: (math.log(15.0), 6.0),
-        SensorFault.THERMOMETER_LAG: (0.0, 90.0),
-        SensorFault.RECOVERY_FACTOR: (0.0, 1.1),
+        "transient_decay": (math.log(15.0), 6.0),
+        "thermometer_lag": (0.0, 90.0),
+        "recovery_factor": (0.0, 1.1),
     }
     assert set(FAULT_TEXTS) == set(SensorFault)
     assert len(set(FAULT_TEXTS.values())) == len(FAULT_TEXTS)

@@ -1,13 +1,13 @@
 """Eq. 52-53 against 40 digits and against the hydrostatic equation, and the profile's table."""
 
-from __future__ import annotations
-
 import math
 import sys
 
 import mpmath as mp
 import numpy as np
+import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 
 from tests.atmosphere.flights import geopotential
@@ -43,8 +43,11 @@ def test_layers_obey_the_hydrostatic_equation_under_wgs84_gravity(degrees):
     latitude = math.radians(degrees)
 
     def slope(h, log_p):
-        H = float(geopotential(latitude, h))
-        kelvin = np.interp(H, [0.0, 11e3, 20e3, 32e3], [288.15, 216.65, 216.65, 228.65])
+        kelvin = np.interp(
+            geopotential(latitude, h),
+            [0.0, 11e3, 20e3, 32e3],
+            [288.15, 216.65, 216.65, 228.65],
+        )
         return [-gravity_of_wgs84(latitude, h) * 28.9644 / (8314.32 * kelvin)]
 
     profile = standard_atmosphere("us1976", latitude=latitude)
@@ -59,29 +62,58 @@ def test_layers_obey_the_hydrostatic_equation_under_wgs84_gravity(degrees):
         max_step=500,
     )
     log_p = np.log(profile.pressure(solved.t))
-    np.testing.assert_allclose(log_p, solved.y[0], rtol=0.0, atol=1e-6)
+    assert log_p == pytest.approx(solved.y[0], abs=1e-6)
 
 
 @pytest.mark.parametrize("rise", [-400.0, 37.0, 1000.0, 9000.0])
-@pytest.mark.parametrize("lapse", [-6.5e-3, 3e-3, -1e-5, 1e-9, -1e-13, 1e-18, 1e-300])
+@pytest.mark.parametrize(
+    "lapse",
+    [
+        -6.5e-3,
+        3e-3,
+        -1e-5,
+        1e-9,
+        -1e-13,
+        1e-18,
+        1e-300,
+    ],
+)
 def test_eq_52_against_forty_digits(lapse, rise):
     with mp.workdps(60):
-        warming = mp.log1p(mp.mpf(lapse) * mp.mpf(rise) / 250)
-        expected = 500 * mp.exp(-mp.mpf(HYDROSTATIC_K_PER_M) * warming / mp.mpf(lapse))
-    p = pressure_gradient_layer(500.0, 250.0, lapse, rise).item()
-    assert p == pytest.approx(float(expected), rel=1e-14)
+        lapse_mp = mp.mpf(lapse)
+        warming = mp.log1p(lapse_mp * rise / 250)
+        expected = 500 * mp.exp(-HYDROSTATIC_K_PER_M * warming / lapse_mp)
+    p = pressure_gradient_layer(500.0, 250.0, lapse, rise)
+    assert_allclose(p, float(expected), rtol=1e-14)
 
 
 # The profile's table
 
 
-def moist() -> Profile:
+MOIST = """
+-400.0 297.0 0.016
+400.0 293.0 0.014
+1250.0 287.0 0.013
+1350.0 291.5 0.005
+3400.0 278.0 0.003
+9000.0 240.0 1e-4
+15000.0 215.0 0.0
+21000.0 215.0 0.0
+"""
+"""Geopotential height [m'], virtual temperature [K] and e/p at edges."""
+
+
+def moist():
     """An inversion under an isothermal layer, moist below 3 km, at 47 N."""
-    edge = np.array([-400.0, 400.0, 1250.0, 1350.0, 3400.0, 9000.0, 15_000.0, 21_000.0])
-    virtual = np.array([297.0, 293.0, 287.0, 291.5, 278.0, 240.0, 215.0, 215.0])
-    vapour = np.array([0.016, 0.014, 0.013, 0.005, 0.003, 1e-4, 0.0, 0.0])
-    layers = stack_layers(edge, virtual, vapour, ("measured",) * 7, anchor=(400.0, 96_500.0))
-    return Profile(layers, normal_gravity(math.radians(47.0)), IndexModel("ciddor"))
+    edge, virtual, vapour = np.array(MOIST.split(), float).reshape(-1, 3).T
+    layers = stack_layers(
+        edge,
+        virtual,
+        vapour,
+        ("measured",) * 7,
+        anchor=(400.0, 96_500.0),
+    )
+    return Profile(layers, normal_gravity(math.radians(47.0)))
 
 
 @pytest.fixture(
@@ -92,45 +124,43 @@ def moist() -> Profile:
     ],
     ids=["us1976", "ican", "moist"],
 )
-def rows(request) -> list[dict[str, float]]:
-    """Of the table of a profile, at its edges and between them."""
-    h = np.concatenate([request.param.break_heights_m[:-1], np.linspace(-300.0, 20_000.0, 300)])
-    table = profile_table(request.param, np.sort(h))
-    return [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
+def table(request):
+    """The table of a profile, at its edges and between them."""
+    edges = request.param.break_heights_m[:-1]
+    h = np.append(edges, np.linspace(-300.0, 20_000.0, 300))
+    return pd.DataFrame(profile_table(request.param, np.sort(h)))
 
 
-def retrace(row: dict[str, float]) -> float:
-    """Pressure [Pa] of a row of the profile's table from what stands in the row.
+def retrace(row):
+    """Pressure [Pa] of a row of the profile's table from the other values of the row.
 
     With 40 digits: in double precision the power of Eq. 52 as it is written loses digits where the
     lapse rate is small (3e-7 of p at 1e-11 K/m), which is the user's arithmetic, not the table's.
     """
-    rise = mp.mpf(row["geopotential_m"]) - mp.mpf(row["geopotential_base_m"])
-    t = mp.mpf(row["t_base_k"])
-    if row["equation"] == 53:
-        return float(row["p_base_pa"] * mp.exp(-HYDROSTATIC_K_PER_M * rise / t))
-    lapse = mp.mpf(row["lapse_k_per_m"])
-    return float(row["p_base_pa"] * (t / (t + lapse * rise)) ** (HYDROSTATIC_K_PER_M / lapse))
+    rise = mp.mpf(row.geopotential_m) - row.geopotential_base_m
+    t = mp.mpf(row.t_base_k)
+    if row.equation == 53:
+        return float(row.p_base_pa * mp.exp(-HYDROSTATIC_K_PER_M * rise / t))
+    lapse = mp.mpf(row.lapse_k_per_m)
+    return float(row.p_base_pa * (t / (t + lapse * rise)) ** (HYDROSTATIC_K_PER_M / lapse))
 
 
-def test_every_pressure_recomputes_from_its_row(rows):
-    assert {int(row["equation"]) for row in rows} == {52, 53}
+def test_every_pressure_recomputes_from_its_row(table):
+    assert set(table.equation) == {52, 53}
     with mp.workdps(40):
-        for row in rows:
-            assert retrace(row) == pytest.approx(row["pressure_pa"], rel=1e-12)
+        for row in table.itertuples():
+            assert retrace(row) == pytest.approx(row.pressure_pa, rel=1e-12)
 
 
-def test_every_row_explains_its_temperature_and_index(rows):
-    for row in rows:
-        rise = row["geopotential_m"] - row["geopotential_base_m"]
-        t_m = row["t_base_k"] + row["lapse_k_per_m"] * rise
-        assert row["virtual_temperature_k"] == pytest.approx(t_m, rel=1e-13)
-        e = row["vapour_pressure_pa"]
-        p = row["pressure_pa"]
-        t = row["temperature_k"]
-        assert t / (1.0 - 0.378 * e / p) == pytest.approx(t_m, rel=1e-13)
-        n = float(IndexModel("ciddor").refractivity(t, p, e))
-        assert row["refractivity"] == pytest.approx(n, rel=1e-13)
+def test_every_row_explains_its_temperature_and_index(table):
+    rise = table.geopotential_m - table.geopotential_base_m
+    t_m = table.t_base_k + table.lapse_k_per_m * rise
+    t, p, e = table[["temperature_k", "pressure_pa", "vapour_pressure_pa"]].to_numpy().T
+    n = IndexModel("ciddor").refractivity(t, p, e)
+    virtual = t / (1.0 - 0.378 * e / p)
+    assert_allclose(table.virtual_temperature_k, t_m, rtol=1e-13, equal_nan=False)
+    assert_allclose(virtual, t_m, rtol=1e-13, equal_nan=False)
+    assert_allclose(table.refractivity, n, rtol=1e-13, equal_nan=False)
 
 
 def test_the_table_refuses_heights_outside():
@@ -142,7 +172,7 @@ def test_the_table_refuses_heights_outside():
 def test_the_table_as_a_frame():
     profile = standard_atmosphere()
     frame = profile.to_pandas([0.0, 1000.0])
-    assert frame["pressure_pa"].round(1).tolist() == [101325.0, 89876.3]
+    assert frame.pressure_pa.round(1).tolist() == [101325.0, 89876.3]
     assert len(profile.to_pandas()) == profile.layers.edge.size
 
 
@@ -150,24 +180,34 @@ def test_the_table_as_a_frame():
 
 
 def test_the_anchor_holds():
-    edge = np.array([0.0, 3000.0, 12_000.0])
-    t = np.array([290.0, 275.0, 215.0])
-    layers = stack_layers(edge, t, np.zeros(3), ("", ""), anchor=(4321.0, 61_234.5))
+    layers = stack_layers(
+        np.array([0.0, 3000.0, 12_000.0]),
+        np.array([290.0, 275.0, 215.0]),
+        np.zeros(3),
+        ("", ""),
+        anchor=(4321.0, 61_234.5),
+    )
     profile = Profile(layers, lambert_gravity(0.7))
     h = profile.gravity.height(4321.0)
-    assert profile.pressure(h).item() == pytest.approx(61_234.5, rel=1e-14)
+    assert_allclose(profile.pressure(h), 61_234.5, rtol=1e-14)
 
 
 def test_profile_from_table_passes_through_it():
-    gravity = normal_gravity(0.6)
     source = standard_atmosphere("us1976", latitude=0.6, index="gyer")
-    h = gravity.height(np.array([0.0, 500.0, 2500.0, 7000.0, 11_000.0, 16_000.0, 20_000.0]))
-    t = source.temperature(h)
-    table = profile_from_table(h, t, source.pressure(h), gravity=gravity, index=IndexModel("gyer"))
+    levels = [0.0, 500.0, 2500.0, 7000.0, 11_000.0, 16_000.0, 20_000.0]
+    h = source.gravity.height(levels)
+    table = profile_from_table(
+        h,
+        source.temperature(h),
+        source.pressure(h),
+        gravity=normal_gravity(0.6),
+        index=IndexModel("gyer"),
+    )
     dense = np.linspace(h[0], h[-1], 999)
-    for name, limit in (("temperature", 1e-13), ("pressure", 1e-12), ("refractivity", 1e-12)):
+    limits = {"temperature": 1e-13, "pressure": 1e-12, "refractivity": 1e-12}
+    for name, limit in limits.items():
         expected = getattr(source, name)(dense)
-        np.testing.assert_allclose(getattr(table, name)(dense), expected, rtol=limit)
+        assert_allclose(getattr(table, name)(dense), expected, rtol=limit)
 
 
 def test_profile_from_table_is_hydrostatic_at_the_level_of_its_pressures():
@@ -176,33 +216,44 @@ def test_profile_from_table_is_hydrostatic_at_the_level_of_its_pressures():
     p = np.array([1.0e5, 8.9e4, 7.0e4])
     e = np.array([1500.0, 900.0, 200.0])
     table = profile_from_table(h, t, p, e, gravity=lambert_gravity(0.6))
-    np.testing.assert_allclose(table.temperature(h), t, rtol=1e-12)
-    np.testing.assert_allclose(table.vapour_pressure(h) / table.pressure(h), e / p, rtol=1e-12)
+    assert_allclose(table.temperature(h), t, rtol=1e-12)
+    profile_p = table.pressure(h)
+    assert_allclose(table.vapour_pressure(h) / profile_p, e / p, rtol=1e-12)
     # This table is 0.5 % off hydrostatic balance: the pressures straddle it, without a jump.
-    ratio = table.pressure(h) / p
+    ratio = profile_p / p
     assert np.median(ratio) == pytest.approx(1.0, abs=1e-12)
     assert np.ptp(ratio) < 8e-3
-    below, above = table.pressure(1100.0 + np.array([-1e-4, 1e-4]))
+    below, above = table.pressure([1100.0 - 1e-4, 1100.0 + 1e-4])
     assert 0.0 < below / above - 1.0 < 5e-8
 
 
 @pytest.mark.parametrize(
-    ("edge", "temperature", "pressure"),
+    "change",
     [
-        ([0.0, 1.0], [280.0, 280.0], [1e5, 1e5]),
-        ([1.0, 0.0, 2.0], [280.0, 280.0], [1e5, 1e5]),
-        ([0.0, 1.0, 2.0], [280.0, -1.0], [1e5, 1e5]),
-        ([0.0, 1.0, 2.0], [280.0, np.nan], [1e5, 1e5]),
-        ([0.0, 1.0, 2.0], [280.0, 280.0], [1e5, 0.0]),
+        {"edge": [0.0, 1.0]},
+        {"edge": [1.0, 0.0, 2.0]},
+        {"temperature": [280.0, -1.0]},
+        {"temperature": [280.0, np.nan]},
+        {"pressure": [1e5, 0.0]},
     ],
     ids=["an edge missing", "falling edges", "below 0 K", "no number", "no pressure"],
 )
-def test_impossible_layers_are_refused(edge, temperature, pressure):
+def test_impossible_layers_are_refused(change):
+    columns = {
+        "edge": [0.0, 1.0, 2.0],
+        "temperature": [280.0, 280.0],
+        "pressure": [1e5, 1e5],
+    }
+    arrays = {name: np.array(column) for name, column in (columns | change).items()}
     zeros = np.zeros(2)
-    t = np.array(temperature)
-    p = np.array(pressure)
     with pytest.raises(ValueError, match=r"layers|temperatures"):
-        Layers(np.array(edge), t, zeros, p, zeros, zeros, ("", ""))
+        Layers(
+            **arrays,
+            lapse=zeros,
+            vapour=zeros,
+            vapour_slope=zeros,
+            source=("", ""),
+        )
 
 
 # How profiles are shown
@@ -227,15 +278,17 @@ def test_a_profile_is_plotted_over_height_and_beside_another():
     axes = profile.plot(heights)
     assert len(axes) == 4
     standard_atmosphere("icao").plot(heights, axes)
+    at_5_km = []
     for axis in axes:
-        assert len(axis.lines) == 2
-        np.testing.assert_array_equal(axis.lines[0].get_ydata(), heights)
+        line, _ = axis.lines
+        assert_array_equal(line.get_ydata(), heights)
+        at_5_km.append(line.get_xdata()[1])
     # Table I: 255.676 K and 540.48 hPa at 5 km.
-    assert axes[0].lines[0].get_xdata()[1] == pytest.approx(255.676, abs=1e-3)
-    assert axes[1].lines[0].get_xdata()[1] == pytest.approx(540.48, abs=0.01)
-    usual = profile.plot()[0].lines[0].get_ydata()
-    assert usual.min() == profile.bottom_m
-    assert usual.max() == 12_000.0
+    assert at_5_km[0] == pytest.approx(255.676, abs=1e-3)
+    assert at_5_km[1] == pytest.approx(540.48, abs=0.01)
+    default_h = profile.plot()[0].lines[0].get_ydata()
+    assert default_h.min() == profile.bottom_m
+    assert default_h.max() == 12_000.0
 
 
 def test_a_plot_without_matplotlib_is_refused_with_what_to_install(monkeypatch):

@@ -1,15 +1,15 @@
 """Standard atmospheres against the tables that define them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 import unbend
+from tests.atmosphere.flights import DATA
 from tests.helpers import refused
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.climatology import climatology
@@ -20,7 +20,6 @@ from unbend.config.atmosphere import AtmosphereSection
 from unbend.errors import PhysicsError
 from unbend.geodesy import normal_gravity
 
-DATA = Path(__file__).resolve().parents[1] / "data"
 PRINTED = Path(unbend.__file__).parent / "refraction" / "data"
 
 
@@ -29,9 +28,17 @@ def test_us1976_against_an_independent_implementation():
     fluids = pytest.importorskip("fluids.atmosphere", reason="the fluids package is not installed")
     profile = standard_atmosphere("us1976")
     h = np.linspace(-1000.0, 78_000.0, 80)
-    others = [fluids.ATMOSPHERE_1976(float(height)) for height in h]
-    assert profile.temperature(h) == pytest.approx([other.T for other in others], rel=1e-9)
-    assert profile.pressure(h) == pytest.approx([other.P for other in others], rel=1e-9)
+    airs = [fluids.ATMOSPHERE_1976(height) for height in h.tolist()]
+    assert_allclose(
+        profile.temperature(h),
+        [air.T for air in airs],
+        rtol=1e-9,
+    )
+    assert_allclose(
+        profile.pressure(h),
+        [air.P for air in airs],
+        rtol=1e-9,
+    )
 
 
 def test_ardc1959_is_the_profile_of_gyer_table_2():
@@ -39,16 +46,17 @@ def test_ardc1959_is_the_profile_of_gyer_table_2():
     value adds half a unit."""
     profile = standard_atmosphere("ardc1959", index="gyer")
     table = pd.read_csv(PRINTED / "gyer1996_table2.csv")
-    h = 1e3 * table["h_km"].to_numpy()
+    h = 1e3 * table.h_km.to_numpy()
     assert h.size == 28
+
+    t = np.round(profile.temperature(h), 2)
+    p = np.round(profile.pressure(h) / 100.0, 2)
+    n = np.round(profile.refractivity(h) * 1e6, 2)
     unit = 0.01 * (1.0 + 1e-9)
     p_unit = np.where(h < 0.0, 0.02, unit)
-    t = table["temperature_k"]
-    p = table["pressure_mbar"]
-    n = table["refractivity_n_minus_1_e6"]
-    assert np.all(np.abs(np.round(profile.temperature(h), 2) - t) <= unit)
-    assert np.all(np.abs(np.round(profile.pressure(h) / 100.0, 2) - p) <= p_unit)
-    assert np.all(np.abs(np.round(profile.refractivity(h) * 1e6, 2) - n) <= unit)
+    assert np.all(np.abs(t - table.temperature_k) <= unit)
+    assert np.all(np.abs(p - table.pressure_mbar) <= p_unit)
+    assert np.all(np.abs(n - table.refractivity_n_minus_1_e6) <= unit)
 
 
 PRESSURES = pd.read_csv(DATA / "standard_atmospheres_pressures.csv")
@@ -70,26 +78,35 @@ def test_what_the_definitions_state(model, name, at_sea_k, tropopause_k):
     These were computed by another program; a temperature that is wrong shows in the pressure above
     it. The table prints height to 0.1 m; near the top of the profile that matters.
     """
-    rows = PRESSURES[PRESSURES["model"] == model]
+    rows = PRESSURES[PRESSURES.model == model]
     assert len(rows) >= 3
     profile = standard_atmosphere(name)
-    h = profile.gravity.height(rows["H_gpm"].to_numpy(float))
-    assert h == pytest.approx(rows["z_m_geometric_r0"].to_numpy(), abs=0.06)
-    assert profile.pressure(h) / 100.0 == pytest.approx(rows["p_hPa"].to_numpy(), rel=1e-6)
-    tropopause = float(profile.gravity.height(11_000.0))
-    assert float(profile.temperature(0.0)) == pytest.approx(at_sea_k, abs=1e-9)
-    assert float(profile.temperature(tropopause)) == pytest.approx(tropopause_k, abs=1e-6)
+    h = profile.gravity.height(rows.H_gpm.to_numpy(float))
+    assert h == pytest.approx(rows.z_m_geometric_r0.to_numpy(), abs=0.06)
+    hpa = profile.pressure(h) / 100.0
+    assert_allclose(hpa, rows.p_hPa.to_numpy(), rtol=1e-6)
+    tropopause = profile.gravity.height(11_000.0)
+    assert profile.temperature(0.0) == pytest.approx(at_sea_k, abs=1e-9)
+    assert profile.temperature(tropopause) == pytest.approx(tropopause_k, abs=1e-6)
     # Below the sea the lapse rate goes on.
     assert profile.bottom_m < -4990.0
-    assert profile.temperature(-430.0).item() > at_sea_k + 2.7
-    assert profile.pressure(-430.0).item() > 1.05 * profile.pressure(0.0).item()
+    assert profile.temperature(-430.0) > at_sea_k + 2.7
+    assert profile.pressure(-430.0) > 1.05 * profile.pressure(0.0)
 
 
-@pytest.mark.parametrize("quantity", ["temperature", "pressure", "refractivity"])
+@pytest.mark.parametrize(
+    "quantity",
+    [
+        "temperature",
+        "pressure",
+        "refractivity",
+    ],
+)
 def test_values_have_the_shape_of_heights_and_are_nan_outside(quantity):
     profile = standard_atmosphere("ican")
     value = getattr(profile, quantity)
-    assert np.isnan(value([profile.bottom_m - 1.0, profile.top_m + 1.0, np.nan])).all()
+    outside = [profile.bottom_m - 1.0, profile.top_m + 1.0, np.nan]
+    assert np.isnan(value(outside)).all()
     assert value(0.0).shape == ()
     assert value(np.zeros((2, 3))).shape == (2, 3)
     assert value([]).shape == (0,)
@@ -108,11 +125,16 @@ def test_unknown_name_and_degrees_for_radians_are_refused(options, code):
         standard_atmosphere(**options)
 
 
-def isothermal(place, index) -> Profile:
-    edge = np.array([-5000.0, 30_000.0])
-    t = np.full(2, 260.0)
-    layers = stack_layers(edge, t, np.zeros(2), ("standard",), anchor=(0.0, 1e5))
-    return Profile(layers, place.gravity or normal_gravity(0.0), index, "isothermal260")
+def isothermal(place, index):
+    layers = stack_layers(
+        np.array([-5000.0, 30_000.0]),
+        np.full(2, 260.0),
+        np.zeros(2),
+        ("standard",),
+        anchor=(0.0, 1e5),
+    )
+    gravity = place.gravity or normal_gravity(0.0)
+    return Profile(layers, gravity, index, "isothermal260")
 
 
 def test_an_atmosphere_costs_one_function_and_a_line(monkeypatch, unbend):
@@ -120,15 +142,16 @@ def test_an_atmosphere_costs_one_function_and_a_line(monkeypatch, unbend):
     model = AtmosphereModel(isothermal, "a test", has_humidity=False)
     monkeypatch.setitem(ATMOSPHERES, "isothermal260", model)
     assert "isothermal260" in known_names()
-    assert float(standard_atmosphere("isothermal260").temperature(7000.0)) == 260.0
-    made = climatology("isothermal260", latitude_rad=0.8, month=7.0)
-    assert made.origin == "a test"
-    assert not made.has_humidity
+    assert standard_atmosphere("isothermal260").temperature(7000.0) == 260.0
+    air = climatology("isothermal260", latitude_rad=0.8, month=7.0)
+    assert air.origin == "a test"
+    assert not air.has_humidity
     # Its distance from the Supplements (293.8 K at the sea) is part of its spread.
     usual = climatology(latitude_rad=0.8, month=7.0)
-    difference_k = float(usual.profile.temperature(0.0)) - 260.0
-    expected_k = math.hypot(usual.spread.sigma_temperature(0.0), difference_k)
-    assert made.spread.sigma_temperature(0.0) == pytest.approx(expected_k, abs=0.5)
+    difference_k = usual.profile.temperature(0.0) - 260.0
+    expected_k = np.hypot(usual.spread.sigma_temperature(0.0), difference_k)
+    sigma_k = air.spread.sigma_temperature(0.0)
+    assert sigma_k == pytest.approx(expected_k, abs=0.5)
     section = AtmosphereSection(standard="isothermal260", climatology="isothermal260")
     assert section.standard == "isothermal260"
     shown = unbend("profile", "--atmosphere", "isothermal260", "--step", "10000")

@@ -1,14 +1,18 @@
 """What calibrations know of the sensors takes the place of what is expected of cheap ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from tests.atmosphere import adjusting, flights
-from tests.atmosphere.adjusting import MONSOON, Adjusted, adjust, extreme, fault_of
+from tests.atmosphere.adjusting import (
+    MONSOON,
+    NO_PRESSURE_LOST,
+    adjust,
+    extreme,
+    fault_of,
+)
 from unbend.atmosphere.climatology import climatology
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS, SensorCalibration, SensorSettings
@@ -23,8 +27,6 @@ BIAS = SensorFault.THERMOMETER_BIAS
 LAG = SensorFault.THERMOMETER_LAG
 TRANSIENT = SensorFault.TAKEOFF_TRANSIENT
 OFFSET = SensorFault.PRESSURE_OFFSET
-HEIGHT = SensorFault.GNSS_HEIGHT_OFFSET
-SCALE = {SensorFault.PRESSURE_SCALE: SensorCalibration(sigma=1e-5)}
 RIGHT = flights.Sensors()
 
 
@@ -35,15 +37,18 @@ def truth():
 
 @pytest.fixture(scope="module")
 def air(truth):
-    ground_h_m = float(truth.h[0])
-    return climatology(latitude_rad=truth.latitude, month=7.0, ground_h_m=ground_h_m)
+    return climatology(
+        latitude_rad=truth.latitude,
+        month=7.0,
+        ground_h_m=truth.ground_m,
+    )
 
 
 @pytest.fixture(scope="module")
 def flown(truth, air):
     """Flies sensors over 3 km, and adjusts with what is known of them."""
 
-    def fly(sensors, calibration, seed=3, **how) -> Adjusted:
+    def fly(sensors, calibration, seed=3, **how):
         samples = adjusting.flown(truth, 3000.0, sensors, seed, **how)
         settings = SensorSettings(calibration=calibration)
         return adjust(truth, samples, background=air, settings=settings)
@@ -59,8 +64,8 @@ GOOD = {
     DRIFT: SensorCalibration(None, 0.02),
     OFFSET: SensorCalibration(0.0, 5.0),
     HYGROMETER: SensorCalibration(0.0, 0.005),
-    HEIGHT: SensorCalibration(None, 0.1),
-    **SCALE,
+    SensorFault.GNSS_HEIGHT_OFFSET: SensorCalibration(None, 0.1),
+    **NO_PRESSURE_LOST,
 }
 NO_BAROMETER = {"barometer": False}
 
@@ -69,7 +74,7 @@ NO_BAROMETER = {"barometer": False}
     ("fault", "wrong", "sigma", "how"),
     [
         (BIAS, {"bias_k": 2.0}, 0.1, NO_BAROMETER),
-        (TRANSIENT, {"transient_k": 6.0}, 0.2, NO_BAROMETER | {"gate_s": 0.0}),
+        (TRANSIENT, {"transient_k": 6.0}, 0.2, {"barometer": False, "gate_s": 0.0}),
         (LAG, {"lag_s": 30.0}, 1.0, NO_BAROMETER),
         (OFFSET, {"pressure_offset_pa": 90.0}, 5.0, {}),
         (HYGROMETER, {"humidity_bias": 0.1}, 0.005, {"humidity": "profile"}),
@@ -78,45 +83,49 @@ NO_BAROMETER = {"barometer": False}
 def test_a_fault_that_is_known_is_taken_away(truth, flown, fault, wrong, sigma, how):
     """Beside a flight whose sensors have no fault at all: what is left of the change of R."""
 
-    def r(adjusted: Adjusted) -> float:
+    def r(adjusted):
         return truth.r_plane(adjusted.profile.refractivity(truth.h), 3000.0)
 
     right = r(flown(RIGHT, GOOD, **how))
     (value,) = wrong.values()
-    left = []
+    changes = []
     for mean in (value, 0.0, -value):
-        known = GOOD | {fault: SensorCalibration(mean, sigma)}
-        adjusted = flown(flights.Sensors(**wrong), known, **how)
+        calibration = GOOD | {fault: SensorCalibration(mean, sigma)}
+        adjusted = flown(flights.Sensors(**wrong), calibration, **how)
         if mean == value:
             assert fault_of(adjusted.made, fault).prior_sigma == pytest.approx(sigma)
-        left.append(abs(r(adjusted) / right - 1.0))
+        changes.append(abs(r(adjusted) / right - 1.0))
+    of_right, of_none, of_opposite = changes
     # A lag that is known looks like warmth in the climb, which keeps its share of the air.
-    assert left[0] < (0.5 if fault is LAG else 0.3) * left[1]
+    assert of_right < (0.5 if fault is LAG else 0.3) * of_none
     if fault is HYGROMETER:
         # Off by 20 and 40 stated sigmas it has hardly any weight, and the error is that of the
         # climate's humidity.
-        assert max(left) < 0.002
+        assert max(changes) < 0.002
         return
     # Twice as wrong is twice as bad, unless it is so much that the first readings are outliers of
     # the tropics' air, which varies by 3 K.
-    assert left[1] < (1.0 if fault is TRANSIENT else 0.8) * left[2]
+    assert of_none < (1.0 if fault is TRANSIENT else 0.8) * of_opposite
 
 
 def test_what_is_not_said_stays_as_it_is_expected(truth, air):
     samples = adjusting.flown(truth, 1000.0, RIGHT, seed=3)
-    known = {BIAS: SensorCalibration(sigma=0.2), LAG: SensorCalibration(mean=4.0)}
-    usual, faults = (
-        {
-            fault.name: fault
-            for fault in collect_readings(samples, air, SensorSettings(calibration=given)).faults
-        }
-        for given in ({}, known)
-    )
+
+    def faults_with(calibration):
+        settings = SensorSettings(calibration=calibration)
+        readings = collect_readings(samples, air, settings)
+        return {fault.name: fault for fault in readings.faults}
+
+    usual = faults_with({})
     expected = usual | {
         BIAS: replace(usual[BIAS], sigma=0.2),
         LAG: replace(usual[LAG], mean=4.0),
     }
-    assert faults == expected
+    calibration = {
+        BIAS: SensorCalibration(sigma=0.2),
+        LAG: SensorCalibration(mean=4.0),
+    }
+    assert faults_with(calibration) == expected
 
 
 def test_a_thermometer_that_keeps_still_says_more(truth, air):
@@ -124,20 +133,21 @@ def test_a_thermometer_that_keeps_still_says_more(truth, air):
     bias = {BIAS: SensorCalibration(sigma=0.1)}
     drift = {DRIFT: SensorCalibration(sigma=0.02)}
 
-    def sigma(known) -> float:
-        made = estimate(samples, air, settings=SensorSettings(calibration=known))
-        return made.covariance.sigma_temperature(500.0).item()
+    def sigma(calibration):
+        made = estimate(samples, air, settings=SensorSettings(calibration=calibration))
+        return made.covariance.sigma_temperature(500.0)
 
     assert sigma(bias | drift) < sigma(bias) < sigma({})
 
 
 def test_a_flight_that_contradicts_the_calibration_says_so(flown):
     sensors = flights.Sensors(bias_k=4.0)
-    wrong = flown(sensors, {BIAS: SensorCalibration(0.0, 0.1), **SCALE})
-    told = wrong.entry("AIR-CALIBRATION").what
-    assert FAULT_TEXTS[BIAS] in told
-    assert "0 ± 0.1 in the mission file" in told
-    alone = float(told.split(", ")[1].split()[0])
+    wrong = flown(sensors, {BIAS: SensorCalibration(0.0, 0.1), **NO_PRESSURE_LOST})
+    text = wrong.entry("AIR-CALIBRATION").what
+    assert FAULT_TEXTS[BIAS] in text
+    assert "0 ± 0.1 in the mission file" in text
+    _, by_flight, *_ = text.split(", ")
+    alone = float(by_flight.split()[0])
     assert alone == pytest.approx(4.0, abs=0.8)
     right = flown(sensors, {BIAS: SensorCalibration(4.0, 0.1)})
     assert not {"AIR-CALIBRATION", "AIR-CALIBRATION-UNUSED"} & set(right.codes())
@@ -146,24 +156,34 @@ def test_a_flight_that_contradicts_the_calibration_says_so(flown):
 @pytest.mark.parametrize("off", [-5.0, 3.5])
 def test_no_rare_fault_of_the_barometer_explains_a_wrong_calibration(flown, off):
     """Of the barometer nothing is known: lost pressure explains what the thermometer reads."""
-    stated = flights.REALISTIC.bias_k + off
-    told = flown(flights.REALISTIC, {BIAS: SensorCalibration(stated, 0.1)}).entry("AIR-CALIBRATION")
-    assert told.kind is Kind.FINDING
-    assert f"{stated:.3g} ± 0.1 in the mission file" in told.what
+    wrong_k = flights.REALISTIC.bias_k + off
+    calibration = {BIAS: SensorCalibration(wrong_k, 0.1)}
+    adjusted = flown(flights.REALISTIC, calibration)
+    message = adjusted.entry("AIR-CALIBRATION", Kind.FINDING)
+    assert f"{wrong_k:.3g} ± 0.1 in the mission file" in message.what
 
 
 def test_a_calibration_that_is_right_is_seldom_contradicted(flown):
     """Sensors drawn from what is said of them: none in ten flights at 4 sigma."""
-    known = {BIAS: SensorCalibration(0.0, 0.5), OFFSET: SensorCalibration(0.0, 20.0)}
+    calibration = {
+        BIAS: SensorCalibration(0.0, 0.5),
+        OFFSET: SensorCalibration(0.0, 20.0),
+    }
     for seed in range(10):
-        bias_k, offset_pa = np.random.default_rng(seed).normal(0.0, [0.5, 20.0])
-        sensors = replace(flights.REALISTIC, bias_k=bias_k, pressure_offset_pa=offset_pa)
-        assert "AIR-CALIBRATION" not in flown(sensors, known, seed).codes()
+        bias_k, offset_pa = default_rng(seed).normal(0.0, [0.5, 20.0])
+        sensors = replace(
+            flights.REALISTIC,
+            bias_k=bias_k,
+            pressure_offset_pa=offset_pa,
+        )
+        adjusted = flown(sensors, calibration, seed)
+        assert "AIR-CALIBRATION" not in adjusted.codes()
 
 
 def test_what_no_sensor_has_is_said(flown):
-    unused = flown(RIGHT, {RECOVERY: SensorCalibration(0.8, 0.05)})
-    assert FAULT_TEXTS[RECOVERY] in unused.entry("AIR-CALIBRATION-UNUSED").what
+    adjusted = flown(RIGHT, {RECOVERY: SensorCalibration(0.8, 0.05)})
+    message = adjusted.entry("AIR-CALIBRATION-UNUSED")
+    assert FAULT_TEXTS[RECOVERY] in message.what
 
 
 @pytest.mark.parametrize("descent", [False, True])
@@ -182,11 +202,12 @@ def test_no_sensor_is_refused_for_a_fault_that_is_known(
     like that many kelvins."""
     sensors = flights.Sensors(**wrong)
     (value,) = wrong.values()
-    known = {fault: SensorCalibration(value, sigma), **SCALE}
-    adjusted = flown(sensors, known, descent=descent)
+    calibration = {fault: SensorCalibration(value, sigma), **NO_PRESSURE_LOST}
+    adjusted = flown(sensors, calibration, descent=descent)
+    codes = set(adjusted.codes())
     assert adjusted.basis in ("thermometer", "both")
-    assert "AIR-CALIBRATED" in adjusted.codes()
-    assert not {"AIR-THERMOMETER", "AIR-CALIBRATION"} & set(adjusted.codes())
+    assert "AIR-CALIBRATED" in codes
+    assert not {"AIR-THERMOMETER", "AIR-CALIBRATION"} & codes
     assert abs(adjusted.error(3000.0)) < 0.005
     assert flown(sensors, {}, descent=descent).basis in unless_known
 
@@ -196,10 +217,11 @@ def test_only_the_worst_is_accused(flown):
 
     The thermometer is known to be no warmer in the climb, which would explain 4 s of lag as well.
     """
-    known = GOOD | {
+    calibration = GOOD | {
         LAG: SensorCalibration(8.0, 0.5),
         BIAS: SensorCalibration(0.0, 0.02),
         SensorFault.CLIMB_WARMTH: SensorCalibration(0.0, 0.01),
     }
-    told = flown(flights.Sensors(lag_s=12.0), known, descent=True).entry("AIR-CALIBRATION")
-    assert told.what.startswith(f"{FAULT_TEXTS[LAG]}: 8 ± 0.5 in the mission file, 1")
+    adjusted = flown(flights.Sensors(lag_s=12.0), calibration, descent=True)
+    text = adjusted.entry("AIR-CALIBRATION").what
+    assert text.startswith(f"{FAULT_TEXTS[LAG]}: 8 ± 0.5 in the mission file, 1")

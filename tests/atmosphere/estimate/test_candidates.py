@@ -1,7 +1,5 @@
 """How the use of a source is written for a person."""
 
-from __future__ import annotations
-
 from unbend.atmosphere.estimate.candidates import SourceUse
 from unbend.atmosphere.estimate.normal_equations import Fit
 

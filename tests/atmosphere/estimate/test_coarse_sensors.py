@@ -1,7 +1,5 @@
 """Sensors that read whole hectopascals or kelvins: their last digit is part of their noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,12 +1,11 @@
 """What the report says of sensors and sources: each number by hand, and the limits of each kind."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.estimate.candidates import (
@@ -22,7 +21,7 @@ from unbend.messages import Kind
 HEIGHTS_M = np.array([500.0, 900.0, 1500.0])
 
 
-def sensor(name: str, values: np.ndarray | list[float]) -> SensorSamples:
+def sensor(name, values):
     return SensorSamples(np.arange(3), HEIGHTS_M, np.asarray(values), name=name)
 
 
@@ -37,10 +36,10 @@ def test_known_biases_are_subtracted_and_named():
         SensorFault.PRESSURE_OFFSET: SensorCalibration(mean=-120.0),
         SensorFault.HYGROMETER_BIAS: SensorCalibration(mean=0.02),  # there is no hygrometer
     }
-    known = SensorSettings(calibration=calibration)
-    (corrected, settings), (note,) = subtract_known_biases(GIVEN, known)
-    np.testing.assert_allclose(corrected.temperature.value, [284.5, 282.0, 278.5])
-    np.testing.assert_allclose(corrected.pressure.value, [95_120.0, 90_620.0, 84_120.0])
+    with_calibration = SensorSettings(calibration=calibration)
+    (corrected, settings), (note,) = subtract_known_biases(GIVEN, with_calibration)
+    assert_allclose(corrected.temperature.value, [284.5, 282.0, 278.5])
+    assert_allclose(corrected.pressure.value, [95_120.0, 90_620.0, 84_120.0])
     left = settings.calibration[SensorFault.THERMOMETER_BIAS]
     assert left == SensorCalibration(mean=0.0, sigma=0.1, subtracted=0.5)
     assert settings.calibration[SensorFault.HYGROMETER_BIAS].mean == 0.02
@@ -53,15 +52,15 @@ def test_known_biases_are_subtracted_and_named():
 
 @pytest.mark.parametrize(
     ("sigmas", "kind"),
-    [
-        (0.0, Kind.NOTE),
-        (4.9, Kind.NOTE),
-        (-4.9, Kind.NOTE),
-        (5.1, Kind.WARNING),
-        (-9.9, Kind.WARNING),
-        (10.1, Kind.LOSS),
-        (-10.1, Kind.LOSS),
-    ],
+    {
+        0.0: Kind.NOTE,
+        4.9: Kind.NOTE,
+        -4.9: Kind.NOTE,
+        5.1: Kind.WARNING,
+        -9.9: Kind.WARNING,
+        10.1: Kind.LOSS,
+        -10.1: Kind.LOSS,
+    }.items(),
 )
 def test_the_level_of_pressures_is_judged_at_sea_level(sigmas, kind):
     """The climatology has 1000 hPa there, with a sigma of 1 %; readings are 1, 2 and 4 hPa off."""
@@ -81,7 +80,7 @@ def test_the_level_of_pressures_is_judged_at_sea_level(sigmas, kind):
     )
 
 
-def usage(used: AirSamples | None, standard: str, **refused: str) -> dict[str, str]:
+def usage(used, standard, **refused: str):
     """Why each source is not used, "" for those that are, with two soundings of which one is."""
     flown = UsedSamples(GIVEN, GIVEN, tried=(GIVEN,), used=used, refused=refused)
     soundings = (SimpleNamespace(name="sounding A"), SimpleNamespace(name="sounding B"))

@@ -1,9 +1,8 @@
 """The 137 levels of ERA5 against ECMWF's published pressures, and heights of known air on them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid
 
 from tests.atmosphere.adjusting import all_airs
@@ -36,8 +35,8 @@ PUBLISHED = """
 
 def test_half_levels_are_the_published_ones():
     published = np.array(PUBLISHED.split(), float)
-    ours = half_levels(np.array([101_325.0]))[0, 1:] / 100.0
-    np.testing.assert_allclose(ours, published, rtol=0.0, atol=5.1e-5)  # four decimals
+    half_hpa = half_levels(np.array([101_325.0]))[0, 1:] / 100.0
+    assert half_hpa == pytest.approx(published, abs=5.1e-5)  # four decimals
 
 
 def test_coefficients_are_smooth_and_end_at_nothing_and_at_the_surface():
@@ -47,25 +46,26 @@ def test_coefficients_are_smooth_and_end_at_nothing_and_at_the_surface():
     # A wrong digit in one row shows in the third differences, where the next rows do not.
     assert np.abs(np.diff(a, 3)).max() < 12.0
     assert np.abs(np.diff(b, 3)).max() < 2e-4
-    assert (np.diff(half_levels(np.array([101_325.0, 60_000.0])), axis=1) > 0.0).all()
+    half = half_levels(np.array([101_325.0, 60_000.0]))
+    assert (np.diff(half, axis=1) > 0.0).all()
 
 
-def full_levels(surface_pa: float) -> np.ndarray:
+def full_levels(surface_pa):
     """Pressures [Pa] of the 137 levels: means of their half levels."""
-    half = half_levels(np.array([surface_pa]))[0]
+    (half,) = half_levels(np.array([surface_pa]))
     return 0.5 * (half[1:] + half[:-1])
 
 
-def column_field(level, t, q, *, ground_m: float, surface_pa: float, **more) -> ModelField:
+def column_field(level, t, q, *, ground_m, surface_pa, **more):
     """A field of one time and node, from columns (l,)."""
-    columns = [np.reshape(column, (1, -1, 1, 1)) for column in (t, q)]
     return ModelField(
         "era5.nc",
         np.zeros(1, np.int64),
         np.zeros(1),
         np.zeros(1),
         level,
-        *columns,
+        np.reshape(t, (1, -1, 1, 1)),
+        np.reshape(q, (1, -1, 1, 1)),
         surface=np.full((1, 1, 1, 1), ground_m),
         log_surface_pa=np.full((1, 1, 1, 1), np.log(surface_pa)),
         **more,
@@ -78,72 +78,88 @@ def test_heights_and_pressures_of_model_levels_are_those_of_known_air(first):
 
     The air has two lapse rates, is moist below 3 km, and integrated every metre.
     """
-    height = np.arange(0.0, 40_000.0, 1.0)
+    height = np.arange(0.0, 40_000.0)
     t = np.maximum(288.0 - 6.5e-3 * height, 217.0)
     q = 0.012 * np.exp(-height / 2500.0)
     vapour = q / (0.622 + 0.378 * q)
     fall = HYDROSTATIC_K_PER_M * (1.0 - 0.378 * vapour) / t
     log_p = np.log(100_500.0) - cumulative_trapezoid(fall, height, initial=0.0)
-    ground = 300.0
-    surface_pa = float(np.exp(np.interp(ground, height, log_p)))
-    p = full_levels(surface_pa)[first - 1 :]
-    h = np.interp(-np.log(p), -log_p, height)
+    surface_pa = np.exp(log_p[300])
+    log_level = np.log(full_levels(surface_pa)[first - 1 :])
+    h = np.interp(-log_level, -log_p, height)
+    t_of_levels = np.interp(h, height, t)
     field = column_field(
         np.arange(first, 138.0),
-        np.interp(h, height, t),
+        t_of_levels,
         np.interp(h, height, q),
-        ground_m=ground,
+        ground_m=300.0,
         surface_pa=surface_pa,
         on_model_levels=True,
     )
-    air = field.columns(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))
-    np.testing.assert_allclose(air.log_pressure[0], np.log(p), rtol=1e-12)
-    np.testing.assert_allclose(air.temperature_k[0], np.interp(h, height, t))
-    np.testing.assert_allclose(air.vapour[0], np.interp(h, height, vapour), rtol=1e-6)
-    off = np.abs(np.interp(air.height[0], height, log_p) - np.log(p))
+
+    air = field.columns(
+        np.zeros(1),
+        np.zeros(1),
+        np.zeros(1, np.int64),
+    )
+
+    assert_allclose(air.log_pressure[0], log_level, rtol=1e-12)
+    assert_allclose(air.temperature_k[0], t_of_levels)
+    assert_allclose(air.vapour[0], np.interp(h, height, vapour), rtol=1e-6)
+    off = np.abs(np.interp(air.height[0], height, log_p) - log_level)
     low = h < 10_000.0
     assert low.sum() == 57
     assert off[low].max() < 1e-4
     assert off[h < 30_000.0].max() < 5e-4
 
 
-COARSE = 100.0 * np.array([200, 250, 300, 400, 500, 700, 850, 925, 1000.0])
-FINE = 100.0 * np.array(PRESSURE_LEVELS[::-1], float)
+COARSE = np.array(["200", "250", "300", "400", "500", "700", "850", "925", "1000"], float)
+FINE = np.array(PRESSURE_LEVELS[::-1])
+"""Pressures of levels [hPa]."""
 
 
 @pytest.mark.parametrize("kind", ["model", "coarse", "fine"])
 @pytest.mark.parametrize("number", range(14))
-def test_real_columns_on_coarse_and_model_levels_are_air(number: int, kind: str):
+def test_real_columns_on_coarse_and_model_levels_are_air(number, kind):
     """Nine soundings and five extremes: inversions of 15 K, a desert's noon."""
     truth = all_airs()[number]
-    surface_pa = float(truth.p[0])
-    p = {"model": full_levels(surface_pa), "coarse": COARSE, "fine": FINE}[kind]
-    level = np.arange(1.0, p.size + 1) if kind == "model" else p
-    inside = (p > truth.p[-1]) & (p < surface_pa)
+    on_model_levels = kind == "model"
+    levels_pa = {
+        "model": full_levels(truth.p0),
+        "coarse": 100.0 * COARSE,
+        "fine": 100.0 * FINE,
+    }
+    p = levels_pa[kind]
+    level = np.arange(1.0, p.size + 1) if on_model_levels else p
+    inside = (p > truth.p[-1]) & (p < truth.p0)
     p = p[inside]
-    t, e, height = (np.interp(-np.log(p), -np.log(truth.p), v) for v in (truth.t, truth.e, truth.H))
-    ground_m = float(truth.H[0])
-    more = {"height": height[None, :, None, None]}
-    if kind == "model":
-        more = {"on_model_levels": True}
+    e = truth.at_pressure(truth.e, p)
+    heights = {}
+    if not on_model_levels:
+        height = truth.at_pressure(truth.H, p)
+        heights["height"] = height.reshape(1, -1, 1, 1)
     field = column_field(
         level[inside],
-        t,
+        truth.at_pressure(truth.t, p),
         0.622 * e / (p - 0.378 * e),
-        ground_m=ground_m,
-        surface_pa=surface_pa,
-        **more,
+        ground_m=truth.H[0],
+        surface_pa=truth.p0,
+        on_model_levels=on_model_levels,
+        **heights,
     )
+
     checked, notes = checked_field(field, truth.name)
-    _, more = model_column(checked, (0.0, 0.0, 0), ground_h_m=float(truth.h[0]))
-    codes = {message.code for message in (*notes, *more)}
-    assert codes <= {"MODEL-UNDERGROUND", "MODEL-EXTENDED"}
+    _, notes_of_column = model_column(checked, (0.0, 0.0, 0), ground_h_m=truth.ground_m)
+
+    assert {"MODEL-UNDERGROUND", "MODEL-EXTENDED"} >= {
+        message.code for message in (*notes, *notes_of_column)
+    }
 
 
 NODES_DEG = [46.0, 46.25, 46.5, 46.75, 47.0]
 
 
-def field_over(latitude_deg: list[float], longitude_deg: list[float]) -> ModelField:
+def field_over(latitude_deg, longitude_deg):
     """Fields of one time and level over nodes [deg]; their values do not matter."""
     shape = (1, 1, len(latitude_deg), len(longitude_deg))
     return ModelField(
@@ -169,11 +185,11 @@ def field_over(latitude_deg: list[float], longitude_deg: list[float]) -> ModelFi
 )
 def test_places_beside_a_models_nodes_are_refused_with_their_distance(north, east, away_km):
     field = field_over(NODES_DEG, [8.0, 8.25, 8.5, 8.75, 9.0])
-    inside_north = [46.0, 47.0, 46.1]
-    inside_east = [8.0, 9.0, 8.99]
-    field.refuse_outside(np.radians(inside_north), np.radians(inside_east))
+    norths = np.radians([46.0, 47.0, 46.1, north])
+    easts = np.radians([8.0, 9.0, 8.99, east])
+    field.refuse_outside(norths[:3], easts[:3])
     with refused("MODEL-AREA", InputError) as caught:
-        field.refuse_outside(np.radians([*inside_north, north]), np.radians([*inside_east, east]))
+        field.refuse_outside(norths, easts)
     expected = {
         "north": north,
         "east": east,
@@ -188,9 +204,10 @@ def test_places_beside_a_models_nodes_are_refused_with_their_distance(north, eas
 
 def test_a_hole_between_nodes_is_outside():
     """The nodes at 46.5 and 46.75 deg are missing: of three steps the middle is no neighbour."""
+    north_east = np.radians([[46.5], [8.1]])
     holed = field_over([45.75, 46.0, 46.25, 47.0, 47.25], [8.0, 8.25, 8.5])
     with refused("MODEL-AREA", InputError) as caught:
-        holed.refuse_outside(np.radians([46.5]), np.radians([8.1]))
-    assert caught.value.values["away_km"] == pytest.approx(27.8, rel=1e-3)
+        holed.refuse_outside(*north_east)
+    assert_allclose(caught.value.values["away_km"], 27.8, rtol=1e-3)
     whole = field_over(NODES_DEG, [8.0, 8.3, 8.6])
-    whole.refuse_outside(np.radians([46.5]), np.radians([8.1]))
+    whole.refuse_outside(*north_east)

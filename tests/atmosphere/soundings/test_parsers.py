@@ -1,103 +1,98 @@
 """Soundings as files have them: real ones against lines read by eye, and what may be wrong."""
 
-from __future__ import annotations
-
 import math
 import re
-from collections.abc import Sequence
-from pathlib import Path
+from contextlib import contextmanager
 
 import numpy as np
+import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from scipy.io import netcdf_file
 
-from tests.atmosphere.values import HYDROSTATIC_K_PER_M, metres, ns, saturated_pa
+from tests.atmosphere.flights import DATA, SHARED_SOUNDINGS
+from tests.atmosphere.values import HYDROSTATIC_K_PER_M, metres, ns, saturated
 from tests.helpers import refused, with_code
-from unbend.atmosphere.soundings import FORMATS, Sounding, parse_sounding
+from unbend.atmosphere.soundings import FORMATS, parse_sounding
 from unbend.errors import InputError
 from unbend.messages import Kind, Ledger
 from unbend.simulate.true_air import saturation_pressure_pa
 from unbend.tables.soundings import LARGEST_BYTES, read_sounding
 
-SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "soundings"
-EXCERPTS = Path(__file__).resolve().parents[2] / "data" / "sounding_files"
+EXCERPTS = DATA / "sounding_files"
 """Some levels of each of the real files, in the files' own form."""
 
-FOLDERS = (EXCERPTS, SHARED) if SHARED.is_dir() else (EXCERPTS,)
-Columns = dict[str, np.ndarray]
-Counts = dict[str, int]
+FOLDERS = [pytest.param(EXCERPTS, id="excerpt")]
+if SHARED_SOUNDINGS.is_dir():
+    FOLDERS.append(pytest.param(SHARED_SOUNDINGS, id="whole"))
 
 
-@pytest.fixture(params=FOLDERS, ids=lambda folder: "whole" if folder == SHARED else "excerpt")
-def files(request: pytest.FixtureRequest) -> Path:
+@pytest.fixture(params=FOLDERS)
+def files(request):
     """Folders of soundings as they are distributed."""
-    return Path(request.param)
+    return request.param
 
 
-def counts(ledger: Ledger) -> Counts:
+def counts(ledger):
     return {entry.code: entry.count for entry in ledger}
 
 
-def from_file(path: Path, degrees: float = math.nan, when: str = "") -> tuple[Sounding, Counts]:
+def parsed(text, when="", degrees=45.0, parse=parse_sounding, **options):
+    """A text as it is read at a latitude and time of the flight; and the counts of its messages."""
     ledger = Ledger()
-    time_ns = ns(when) if when else None
-    sounding = read_sounding(
-        path,
+    sounding = parse(
+        text,
         ledger,
-        time_ns=time_ns,
+        time_ns=ns(when) if when else None,
         latitude_rad=math.radians(degrees),
+        **options,
     )
     return sounding, counts(ledger)
 
 
-def parsed(text: str, when: str = "", **options) -> tuple[Sounding, Counts]:
-    """A text as it is read at 45 N, at a time of the flight."""
-    ledger = Ledger()
-    time_ns = ns(when) if when else None
-    options = {"latitude_rad": math.radians(45.0)} | options
-    sounding = parse_sounding(text, ledger, time_ns=time_ns, **options)
-    return sounding, counts(ledger)
+def from_file(path, degrees=math.nan, when=""):
+    return parsed(path, when, degrees, read_sounding)
 
 
-def check_level(
-    sounding: Sounding, degrees: float, level: tuple[float, float, float, float]
-) -> None:
-    """A line of the file, read by eye: pressure, height, temperature, dew point."""
-    hpa, geopotential_m, celsius, dew_point = level
-    row = int(np.argmin(np.abs(sounding.pressure_pa - hpa * 100.0)))
-    assert sounding.pressure_pa[row] == pytest.approx(hpa * 100.0, rel=1e-6)
-    assert sounding.h_m[row] == pytest.approx(metres(geopotential_m, degrees), abs=0.15)
-    assert sounding.temperature_k[row] == pytest.approx(celsius + 273.15, abs=1e-4)
-    # Sonntag over water against Davis with Ciddor's enhancement, 0.5 % of vapour pressure.
-    vapour_pa = pytest.approx(saturated_pa(dew_point), rel=0.01)
-    assert sounding.vapour_pressure_pa[row] == vapour_pa
+@contextmanager
+def input_refused(code, words=""):
+    """A block that ends with this refusal, with these words."""
+    with refused(code, InputError) as caught:
+        yield caught
+    assert words in caught.value.what
 
 
-BARROW = "igra2_USM00070026_Barrow.txt"
+def check_levels(sounding, degrees, lines):
+    """Lines of a file, read by eye: pressure [hPa], height [m'], temperature and dew point [C]."""
+    for line in lines.split(", "):
+        hpa, geopotential_m, celsius, dew_point = map(float, line.split())
+        pa = 100.0 * hpa
+        row = np.argmin(np.abs(sounding.pressure_pa - pa))
+        h_m = metres(geopotential_m, degrees)
+        assert_allclose(sounding.pressure_pa[row], pa)
+        assert sounding.h_m[row] == pytest.approx(h_m, abs=0.15)
+        assert sounding.temperature_k[row] == pytest.approx(celsius + 273.15, abs=1e-4)
+        assert sounding.vapour_pressure_pa[row] == saturated(dew_point)
 
 
 @pytest.mark.parametrize(
     ("when", "levels"),
     [
-        (
-            "2010-06-01T01:00",
-            [(1009.80, 12.0, 0.0, 0.0), (850.0, 1383.0, -3.5, -4.3), (300.0, 8939.0, -46.4, -62.3)],
-        ),
-        ("2010-06-01T12:00", [(1008.40, 12.0, -1.7, -1.7)]),
+        ("2010-06-01T01:00", "1009.80 12 0.0 0.0, 850 1383 -3.5 -4.3, 300 8939 -46.4 -62.3"),
+        ("2010-06-01T12:00", "1008.40 12 -1.7 -1.7"),
     ],
 )
 def test_igra_by_time(files, when, levels):
-    sounding, said = from_file(files / BARROW, when=when)
-    for level in levels:
-        check_level(sounding, 71.2889, level)
+    sounding, notes = from_file(files / "igra2_USM00070026_Barrow.txt", when=when)
+    check_levels(sounding, 71.2889, levels)
     assert sounding.station == "USM00070026"
-    assert math.degrees(sounding.latitude_rad) == pytest.approx(71.2889)
-    assert math.degrees(sounding.longitude_rad) == pytest.approx(-156.7833)
-    assert said["SOUNDING-CHOSEN"] == 2
+    assert_allclose(math.degrees(sounding.latitude_rad), 71.2889)
+    assert_allclose(math.degrees(sounding.longitude_rad), -156.7833)
+    assert notes["SOUNDING-CHOSEN"] == 2
     # The file is cut off behind its third header.
-    assert said["SOUNDING-CUT-OFF"] == 1
+    assert notes["SOUNDING-CUT-OFF"] == 1
     # Wind levels without pressure: the archive's level type 30.
-    assert said["SOUNDING-MISSING"] >= (90 if files == SHARED else 2)
+    assert notes["SOUNDING-MISSING"] >= (90 if files == SHARED_SOUNDINGS else 2)
 
 
 def test_igra_derived(files):
@@ -110,8 +105,8 @@ def test_igra_derived(files):
         latitude_rad=math.radians(71.29),
     )
     (row,) = np.flatnonzero(sounding.pressure_pa == 94071.0)
-    assert sounding.temperature_k[row] == pytest.approx(269.7)
-    assert sounding.vapour_pressure_pa[row] == pytest.approx(463.6)
+    assert_allclose(sounding.temperature_k[row], 269.7)
+    assert_allclose(sounding.vapour_pressure_pa[row], 463.6)
     assert sounding.h_m[row] == pytest.approx(metres(652.0, 71.29), abs=0.1)
     assert counts(ledger)["SOUNDING-CUT-OFF"] == 1
     assert ledger.has_losses
@@ -124,31 +119,30 @@ def test_igra_derived(files):
             "wyoming_csv_BOI_20101209_12Z.csv",
             43.56,
             "2010-12-09T11:06",
-            [(850.0, 1509.0, 3.8, 1.2), (500.0, 5600.0, -20.9, -59.1)],
+            "850 1509 3.8 1.2, 500 5600 -20.9 -59.1",
         ),
         (
             "metpy_20110522_OUN_12Z.txt",
             35.18,
             "2011-05-22T12:00",
-            [(850.0, 1454.0, 22.0, 6.0)],
+            "850 1454 22.0 6.0",
         ),
     ],
 )
 def test_wyoming(files, name, degrees, time, levels):
     sounding, _ = from_file(files / name, degrees)
     assert sounding.time_ns == ns(time)
-    for level in levels:
-        check_level(sounding, degrees, level)
+    check_levels(sounding, degrees, levels)
 
 
 def test_wyoming_without_a_place_and_with_a_missing_height(files):
-    sounding, said = from_file(files / "wyoming_csv_82244_20120101_00Z.csv", -2.43)
+    sounding, notes = from_file(files / "wyoming_csv_82244_20120101_00Z.csv", -2.43)
     assert math.isnan(sounding.longitude_rad)
-    assert said == {"SOUNDING-HEIGHTS": 1}
+    assert notes == {"SOUNDING-HEIGHTS": 1}
     # 1002.0 hPa, 2 hPa below 74 m: 17.6 m by hand, with Tv of 305.2 K.
     lowest_m = 74.0 - 29.27 * 305.2 * math.log(1.002)
     assert sounding.h_m[0] == pytest.approx(metres(lowest_m, -2.43), abs=0.3)
-    check_level(sounding, -2.43, (850.0, 1505.0, 18.8, 16.8))
+    check_levels(sounding, -2.43, "850 1505 18.8 16.8")
 
 
 def test_arm_netcdf(files):
@@ -157,9 +151,9 @@ def test_arm_netcdf(files):
     assert sounding.h_m[-1] == pytest.approx(metres(24_569.5, 36.61), abs=0.5)
     assert sounding.pressure_pa[0] == pytest.approx(98699.0, abs=1.0)
     assert sounding.temperature_k[0] == pytest.approx(269.85, abs=1e-3)
-    assert sounding.vapour_pressure_pa[0] == pytest.approx(saturated_pa(-7.27), rel=0.01)
+    assert sounding.vapour_pressure_pa[0] == saturated(-7.27)
     assert sounding.time_ns == ns("2019-01-01T05:32")
-    assert sounding.h_m.size > (4000 if files == SHARED else 50)
+    assert sounding.h_m.size > (4000 if files == SHARED_SOUNDINGS else 50)
 
 
 # What follows is made here: an isothermal-lapse air whose pressures come from its own formula.
@@ -173,70 +167,67 @@ def standard_hpa(h):
     return 1013.25 * (1.0 - 0.0065 * np.asarray(h) / 288.15) ** 5.25588
 
 
-def lapsing(lowest: float) -> np.ndarray:
+def lapsing(lowest):
     """Temperatures or dew points of the levels, in the unit of the lowest."""
     return lowest - 0.0065 * HEIGHTS
 
 
 PRESSURES = standard_hpa(HEIGHTS)
-CLEAN = {
-    "geopotential_m": HEIGHTS,
-    "pressure_hpa": PRESSURES,
-    "temperature_c": lapsing(15.0),
-    "dew_point_c": lapsing(5.0),
-}
+CLEAN = pd.DataFrame(
+    {
+        "geopotential_m": HEIGHTS,
+        "pressure_hpa": PRESSURES,
+        "temperature_c": lapsing(15.0),
+        "dew_point_c": lapsing(5.0),
+    }
+)
 NO_HEIGHTS = {"geopotential_m": None}
 NO_DEW_POINT = {"dew_point_c": None}
 
 
-def air(**columns) -> Columns:
+def air(**columns):
     """Levels every 500 geopotential metres; columns replaced, or left out where None."""
-    levels = CLEAN | columns
-    return {name: np.asarray(column) for name, column in levels.items() if column is not None}
+    return CLEAN.assign(**columns).dropna(axis="columns", how="all")
 
 
-def field_of(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.8g}"
-
-
-def text_of(levels: Columns, order: Sequence[int] | None = None) -> str:
-    table = np.column_stack(list(levels.values()))
-    if order is not None:
-        table = table[order]
-    lines = [",".join(levels)]
-    for row in table:
-        lines.append(",".join(field_of(value) for value in row))
-    return "\n".join(lines)
+def text_of(levels):
+    return levels.to_csv(index=False, float_format="%.8g").rstrip()
 
 
 CLEAN_TEXT = text_of(CLEAN)
 
 
-def with_columns(names: str, fields: str, text: str = CLEAN_TEXT) -> str:
+def with_columns(names, fields, text=CLEAN_TEXT):
     """A table with more columns, the same in each row."""
     head, *rows = text.splitlines()
     return "\n".join([f"{head},{names}", *(f"{row},{fields}" for row in rows)])
 
 
-def read(levels: Columns, order: Sequence[int] | None = None, **options) -> tuple[Sounding, Counts]:
-    return parsed(text_of(levels, order), **options)
+def read(levels, **options):
+    return parsed(text_of(levels), **options)
 
 
-def changed(name: str, row: int, value: float) -> Columns:
-    column = CLEAN[name].copy()
-    column[row] = value
-    return air(**{name: column})
+def changed(name, row, value):
+    levels = CLEAN.copy()
+    levels.loc[row, name] = value
+    return levels
+
+
+def parsed_with_messages(levels):
+    ledger = Ledger()
+    sounding = parse_sounding(text_of(levels), ledger, latitude_rad=0.8)
+    return sounding, ledger
 
 
 @pytest.fixture(scope="module")
-def clean() -> Sounding:
-    sounding, said = read(CLEAN)
-    assert said == {}
+def clean():
+    sounding, notes = read(CLEAN)
+    assert notes == {}
     return sounding
 
 
 def test_a_clean_csv_needs_no_repair(clean):
-    assert clean.pressure_pa == pytest.approx(100.0 * PRESSURES, rel=1e-7)
+    assert_allclose(clean.pressure_pa, 100.0 * PRESSURES)
     assert clean.temperature_k[0] == 288.15
     assert clean.h_m[-1] == pytest.approx(metres(5500.0, 45.0), abs=0.1)
 
@@ -249,14 +240,19 @@ def test_a_csv_with_decimal_commas_is_the_same(clean, separator):
 
 
 def test_geometric_heights_stay():
-    sounding, said = read(air(**NO_HEIGHTS, h_m=HEIGHTS))
+    sounding, notes = read(air(**NO_HEIGHTS, h_m=HEIGHTS))
     assert sounding.h_m == pytest.approx(HEIGHTS, abs=1e-6)
-    assert said == {}
+    assert notes == {}
 
 
 def test_pascals_and_kelvins_say_the_same(clean):
-    in_si = {"pressure_pa": 100.0 * PRESSURES, "temperature_k": lapsing(288.15)}
-    sounding, _ = read(air(pressure_hpa=None, temperature_c=None, **in_si))
+    levels = air(
+        pressure_hpa=None,
+        temperature_c=None,
+        pressure_pa=100.0 * PRESSURES,
+        temperature_k=lapsing(288.15),
+    )
+    sounding, _ = read(levels)
     assert sounding.pressure_pa == pytest.approx(clean.pressure_pa)
     assert sounding.temperature_k == pytest.approx(clean.temperature_k)
     assert sounding.vapour_pressure_pa == pytest.approx(clean.vapour_pressure_pa)
@@ -281,27 +277,28 @@ def test_humidities_in_their_units(column, values, vapour_pa):
     assert sounding.vapour_pressure_pa == pytest.approx(vapour_pa, rel=0.01, nan_ok=True)
 
 
-@pytest.mark.parametrize("order", [np.arange(LEVELS)[::-1], [3, 0, 1, 2, *range(4, LEVELS)]])
+@pytest.mark.parametrize(
+    "order",
+    [
+        range(LEVELS)[::-1],
+        [3, 0, 1, 2, *range(4, LEVELS)],
+    ],
+)
 def test_unsorted_levels_are_sorted(clean, order):
-    sounding, said = read(CLEAN, order=order)
-    assert set(said) == {"SOUNDING-UNSORTED"}
+    sounding, notes = read(CLEAN.loc[order])
+    assert set(notes) == {"SOUNDING-UNSORTED"}
     assert np.array_equal(sounding.h_m, clean.h_m)
     assert np.array_equal(sounding.temperature_k, clean.temperature_k)
-
-
-HPA_AS_PA = {"pressure_hpa": None, "pressure_pa": PRESSURES}
-CELSIUS_AS_KELVIN = {"temperature_c": None, "temperature_k": lapsing(15.0)}
-HOT_FAHRENHEIT = 32.0 + 1.8 * lapsing(38.0)
 
 
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        (HPA_AS_PA, "hPa where Pa is stated"),
+        ({"pressure_hpa": None, "pressure_pa": PRESSURES}, "hPa where Pa is stated"),
         ({"pressure_hpa": 100.0 * PRESSURES}, "Pa where hPa is stated"),
         ({"temperature_c": lapsing(288.15)}, "Kelvin where Celsius is stated"),
-        (CELSIUS_AS_KELVIN, "Celsius where Kelvin"),
-        ({"temperature_c": HOT_FAHRENHEIT}, "Fahrenheit"),
+        ({"temperature_c": None, "temperature_k": lapsing(15.0)}, "Celsius where Kelvin"),
+        ({"temperature_c": 32.0 + 1.8 * lapsing(38.0)}, "Fahrenheit"),
         ({"dew_point_c": lapsing(278.15)}, "dew point"),
         (NO_DEW_POINT | {"relative_humidity": ZEROS + 55.0}, "fraction of one"),
         (NO_DEW_POINT | {"relative_humidity_percent": ZEROS + 0.55}, "fraction of one"),
@@ -310,9 +307,8 @@ HOT_FAHRENHEIT = 32.0 + 1.8 * lapsing(38.0)
     ],
 )
 def test_wrong_units_are_refused(columns, words):
-    with refused("SOUNDING-UNITS", InputError) as caught:
+    with input_refused("SOUNDING-UNITS", words) as caught:
         read(air(**columns))
-    assert words in caught.value.what
     assert caught.value.where
 
 
@@ -326,7 +322,7 @@ def test_wrong_units_are_refused(columns, words):
     ids=["feet", "Fahrenheit", "falling"],
 )
 def test_heights_that_contradict_the_air_are_refused(columns):
-    with refused("SOUNDING-INCONSISTENT", InputError):
+    with input_refused("SOUNDING-INCONSISTENT"):
         read(air(**columns))
 
 
@@ -334,46 +330,41 @@ def test_heights_that_contradict_the_air_are_refused(columns):
     ("warmer_k", "lower_hpa"), [(1.0, 0.0), (0.0, 0.5)], ids=["same pressure", "same height"]
 )
 def test_duplicate_levels_are_averaged(warmer_k, lower_hpa):
-    h = np.insert(HEIGHTS, 4, HEIGHTS[3])
-    levels = {
-        "geopotential_m": h,
-        "pressure_hpa": standard_hpa(h),
-        "temperature_c": 15.0 - 0.0065 * h,
-    }
-    levels["temperature_c"][4] += warmer_k
-    levels["pressure_hpa"][4] -= lower_hpa
-    sounding, said = read(levels)
-    assert said["SOUNDING-DUPLICATE"] == 1
-    assert sounding.temperature_k[3] == pytest.approx(288.15 - 9.75 + 0.5 * warmer_k)
+    levels = CLEAN.loc[[*range(4), *range(3, LEVELS)]].reset_index(drop=True)
+    levels.loc[4, "temperature_c"] += warmer_k
+    levels.loc[4, "pressure_hpa"] -= lower_hpa
+    sounding, notes = read(levels)
+    assert notes["SOUNDING-DUPLICATE"] == 1
+    assert_allclose(sounding.temperature_k[3], 288.15 - 9.75 + 0.5 * warmer_k)
     mean_pa = 100.0 * (standard_hpa(1500.0) - 0.5 * lower_hpa)
-    assert sounding.pressure_pa[3] == pytest.approx(mean_pa)
-
-
-OVER = "SOUNDING-HUMIDITY-OVER"
+    assert_allclose(sounding.pressure_pa[3], mean_pa)
 
 
 @pytest.mark.parametrize(
     ("percent", "counted"),
     [
-        ({1: 104.0, 5: 101.0}, {OVER: 2}),
-        ({1: -3.0, 5: 101.0}, {OVER: 1, "SOUNDING-HUMIDITY-NEGATIVE": 1}),
+        ({1: 104.0, 5: 101.0}, {"SOUNDING-HUMIDITY-OVER": 2}),
+        ({1: -3.0, 5: 101.0}, {"SOUNDING-HUMIDITY-OVER": 1, "SOUNDING-HUMIDITY-NEGATIVE": 1}),
     ],
 )
 def test_humidity_that_no_air_has_is_clipped_or_unknown(percent, counted):
     humidity = np.full(LEVELS, 60.0)
-    expected_pa = 0.6 * SATURATED_PA
     for row, value in percent.items():
         humidity[row] = value
-        expected_pa[row] = SATURATED_PA[row] if value > 0.0 else np.nan
-    sounding, said = read(air(**NO_DEW_POINT, relative_humidity_percent=humidity))
-    assert said == counted
+    expected_pa = np.select(
+        [humidity < 0.0, humidity > 100.0],
+        [np.nan, SATURATED_PA],
+        0.6 * SATURATED_PA,
+    )
+    sounding, notes = read(air(**NO_DEW_POINT, relative_humidity_percent=humidity))
+    assert notes == counted
     assert sounding.vapour_pressure_pa == pytest.approx(expected_pa, rel=0.01, nan_ok=True)
 
 
 def test_a_dew_point_over_the_temperature_is_saturation():
-    sounding, said = read(changed("dew_point_c", 2, 14.0))
-    assert said == {OVER: 1}
-    assert sounding.vapour_pressure_pa[2] == pytest.approx(SATURATED_PA[2], rel=0.01)
+    sounding, notes = read(changed("dew_point_c", 2, 14.0))
+    assert notes == {"SOUNDING-HUMIDITY-OVER": 1}
+    assert_allclose(sounding.vapour_pressure_pa[2], SATURATED_PA[2], rtol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -395,10 +386,7 @@ def test_a_dew_point_over_the_temperature_is_saturation():
 )
 def test_one_wild_number_takes_one_level_with_it(clean, name, value, code):
     """Of twelve levels one is rubbish: it is counted, and the others stay as they are."""
-    ledger = Ledger()
-    text = text_of(changed(name, 3, value))
-    sounding = parse_sounding(text, ledger, latitude_rad=math.radians(45.0))
-    (entry,) = ledger
+    sounding, (entry,) = parsed_with_messages(changed(name, 3, value))
     assert entry.code == code
     assert entry.count == 1
     assert (entry.kind is Kind.LOSS) is (code == "SOUNDING-RANGE")
@@ -416,10 +404,8 @@ def test_one_wild_number_takes_one_level_with_it(clean, name, value, code):
     ],
 )
 def test_what_is_wrong_is_told_in_the_unit_of_its_text(name, value, values):
-    ledger = Ledger()
-    parse_sounding(text_of(changed(name, 3, value)), ledger, latitude_rad=0.8)
-    (entry,) = ledger
-    assert entry.values == pytest.approx(values, rel=1e-6)
+    _, (entry,) = parsed_with_messages(changed(name, 3, value))
+    assert entry.values == pytest.approx(values)
 
 
 @pytest.mark.parametrize(
@@ -434,46 +420,43 @@ def test_what_is_wrong_is_told_in_the_unit_of_its_text(name, value, values):
     ],
 )
 def test_a_wild_height_or_dew_point_takes_no_level_with_it(clean, name, value, expected):
-    sounding, said = read(changed(name, 3, value))
-    assert said == expected
+    sounding, notes = read(changed(name, 3, value))
+    assert notes == expected
     assert sounding.h_m == pytest.approx(clean.h_m, abs=0.5)
     assert np.isnan(sounding.vapour_pressure_pa[3]) == (name == "dew_point_c")
 
 
-LAYERS = np.array([0.0, 20.0, 300.0, 600.0, 1000.0, 2000.0, 3000.0])
-
-
-def in_balance(h: np.ndarray, celsius: Sequence[float]) -> Columns:
+def in_balance(h, celsius):
     """Levels in balance with a temperature: pressures by trapezoids of 1/T over a metre."""
     fine = np.arange(0.0, h[-1] + 1.0)
     t = np.interp(fine, h, celsius) + 273.15
     steps = HYDROSTATIC_K_PER_M / (0.5 * (t[1:] + t[:-1]))
-    fall = np.concatenate([[0.0], np.cumsum(steps)])
+    fall = np.cumsum([0.0, *steps])
     hpa = np.interp(h, fine, 1010.0 * np.exp(-fall))
-    return {"geopotential_m": h, "pressure_hpa": hpa, "temperature_c": np.asarray(celsius)}
+    return pd.DataFrame({"geopotential_m": h, "pressure_hpa": hpa, "temperature_c": celsius})
 
 
 @pytest.mark.parametrize(
     ("celsius", "text"),
     [
         # 13 K/km over 300 m by day.
-        ([33.0, 32.8, 29.0, 25.1, 21.5, 14.0, 7.0], None),
+        ("33.0 32.8 29.0 25.1 21.5 14.0 7.0", ""),
         # Above a desert, 3 K in the first 20 m: n grows with height.
-        ([35.0, 32.0, 29.5, 27.0, 24.0, 17.0, 10.0], None),
+        ("35.0 32.0 29.5 27.0 24.0 17.0 10.0", ""),
         # 9.76 K/km are 2.9 K from the ground to 300 m: 44.3 - 29.6 - 2.9 = 11.8.
-        ([44.3, 32.5, 29.6, 26.7, 22.8, 16.0, 9.0], None),
-        ([44.8, 32.5, 29.6, 26.7, 22.8, 16.0, 9.0], r"from 0 to \d+ m .* by 12\.\d K more"),
-        ([22.0, 21.8, 19.0, 16.1, 12.2, 2.0, -7.7], None),
-        ([22.0, 21.8, 19.0, 16.1, 12.2, 0.2, -9.5], r"from 1000 to \d+ m .* by 2\.\d K more"),
+        ("44.3 32.5 29.6 26.7 22.8 16.0 9.0", ""),
+        ("44.8 32.5 29.6 26.7 22.8 16.0 9.0", r"from 0 to \d+ m .* by 12\.\d K more"),
+        ("22.0 21.8 19.0 16.1 12.2 2.0 -7.7", ""),
+        ("22.0 21.8 19.0 16.1 12.2 0.2 -9.5", r"from 1000 to \d+ m .* by 2\.\d K more"),
     ],
 )
 def test_steep_layers_are_kept_and_told_where_no_sonde_measures_them(celsius, text):
-    ledger = Ledger()
-    levels = in_balance(LAYERS, celsius)
-    sounding = parse_sounding(text_of(levels), ledger, latitude_rad=0.8)
-    assert sounding.temperature_k == pytest.approx(np.array(celsius) + 273.15)
+    h = np.array([0.0, 20.0, 300.0, 600.0, 1000.0, 2000.0, 3000.0])
+    t = np.array(celsius.split(), float)
+    sounding, ledger = parsed_with_messages(in_balance(h, t))
+    assert_allclose(sounding.temperature_k, t + 273.15)
     entries = with_code(ledger, "SOUNDING-SUPERADIABATIC")
-    assert len(entries) == (text is not None)
+    assert len(entries) == bool(text)
     for entry in entries:
         assert re.search(text, entry.what)
 
@@ -489,25 +472,22 @@ def test_an_index_that_rises_more_than_over_hot_ground_is_told(base, share, told
     kelvin_above = celsius[h == base + 20.0][0] + 273.15
     pressure_ratio = math.exp(20.0 * HYDROSTATIC_K_PER_M / kelvin_above)
     celsius[h == base] = kelvin_above * (1.0 + share) * pressure_ratio - 273.15
-    _, said = read(in_balance(h, celsius))
-    assert ("SOUNDING-INDEX-RISES" in said) is told
+    _, notes = read(in_balance(h, celsius))
+    assert ("SOUNDING-INDEX-RISES" in notes) is told
 
 
 @pytest.mark.parametrize(("humidity", "within_m"), [({}, 9.0), (NO_DEW_POINT, 1.0)])
 def test_heights_worked_out_from_the_station(humidity, within_m):
     """Moist: up to 9 m more than the dry air of the heights column; and 1 m of trapezoids."""
-    sounding, said = read(air(**NO_HEIGHTS, **humidity), station_h_m=0.0)
-    assert said == {"SOUNDING-HEIGHTS": LEVELS - 1}
+    sounding, notes = read(air(**NO_HEIGHTS, **humidity), station_h_m=0.0)
+    assert notes == {"SOUNDING-HEIGHTS": LEVELS - 1}
     expected = [metres(h, 45.0) for h in HEIGHTS]
     assert sounding.h_m == pytest.approx(expected, abs=within_m)
 
 
 def test_without_latitude_it_is_said():
-    _, said = read(CLEAN, latitude_rad=math.nan)
-    assert said == {"SOUNDING-LATITUDE": 0}
-
-
-FOUR_LEVELS = {name: column[:4] for name, column in CLEAN.items()}
+    _, notes = read(CLEAN, degrees=math.nan)
+    assert notes == {"SOUNDING-LATITUDE": 0}
 
 
 @pytest.mark.parametrize(
@@ -518,7 +498,7 @@ FOUR_LEVELS = {name: column[:4] for name, column in CLEAN.items()}
         ("h_m,pressure_hpa,pressure_hpa,temperature_c\n", "SOUNDING-COLUMN", "pressure_hpa"),
         ("h_m,pressure_hpa,temperature_c\n", "SOUNDING-EMPTY", ""),
         (CLEAN_TEXT + ",1,2\n", "SOUNDING-EMPTY", "its first row has 4 fields"),
-        (text_of(FOUR_LEVELS), "SOUNDING-LEVELS", "4 levels"),
+        (text_of(CLEAN.head(4)), "SOUNDING-LEVELS", "4 levels"),
         (text_of(air(**NO_HEIGHTS)), "SOUNDING-HEIGHT", ""),
         (text_of(air(pressure_pa=100.0 * PRESSURES)), "SOUNDING-COLUMN", "pressure_pa"),
         ("pressure,temperature_c\n1000,15\n", "SOUNDING-COLUMN", "pressure"),
@@ -526,9 +506,8 @@ FOUR_LEVELS = {name: column[:4] for name, column in CLEAN.items()}
     ids=lambda value: value if str(value).startswith("SOUNDING") else "",
 )
 def test_no_sounding(text, code, words):
-    with refused(code, InputError) as caught:
+    with input_refused(code, words):
         parsed(text)
-    assert words in caught.value.what
 
 
 @pytest.mark.parametrize(
@@ -540,7 +519,7 @@ def test_no_sounding(text, code, words):
     ],
 )
 def test_a_text_that_is_not_of_the_stated_format(format_name, code, remedy):
-    with refused(code, InputError) as caught:
+    with input_refused(code) as caught:
         parsed(text_of(air(pressure_hpa=None)), format_name=format_name)
     assert remedy in caught.value.remedy
 
@@ -548,7 +527,7 @@ def test_a_text_that_is_not_of_the_stated_format(format_name, code, remedy):
 @pytest.mark.parametrize("name", ["igra", "igra_derived"])
 @pytest.mark.parametrize("text", [CLEAN_TEXT, "", "one line\n"])
 def test_no_line_of_a_text_is_a_header_of_igra(name, text):
-    with refused("SOUNDING-FORMAT", InputError) as caught:
+    with input_refused("SOUNDING-FORMAT") as caught:
         parsed(text, format_name=name, where="b.csv")
     assert "b.csv" in caught.value.where
 
@@ -556,7 +535,7 @@ def test_no_line_of_a_text_is_a_header_of_igra(name, text):
 # Times and places of a plain CSV
 
 
-def dated(time: str) -> tuple[Sounding, Counts]:
+def dated(time):
     return parsed(with_columns("time_utc", time))
 
 
@@ -564,18 +543,18 @@ def dated(time: str) -> tuple[Sounding, Counts]:
     "text", ["2025-06-12T09:00:00Z", "2025-06-12T11:00:00+02:00", "2025-06-12 09:00"]
 )
 def test_times_of_a_csv(text):
-    sounding, said = dated(text)
+    sounding, notes = dated(text)
     assert sounding.time_ns == ns("2025-06-12T09:00")
     assert "2025-06-12T09:00" in sounding.name
-    assert said == {}
+    assert notes == {}
 
 
 @pytest.mark.parametrize("text", ["", "NaN"])
 def test_a_time_that_is_not_stated_is_unknown(text):
-    sounding, said = dated(text)
+    sounding, notes = dated(text)
     assert sounding.time_ns is None
     assert sounding.name == "sounding"
-    assert said == {}
+    assert notes == {}
 
 
 @pytest.mark.parametrize(
@@ -590,30 +569,30 @@ def test_a_time_that_is_not_stated_is_unknown(text):
     ],
 )
 def test_a_time_that_is_stated_and_cannot_be_read_is_refused(text):
-    with refused("SOUNDING-TIME", InputError) as caught:
+    with input_refused("SOUNDING-TIME", text):
         dated(text)
-    assert text in caught.value.what
 
 
-def at_place(north: str, east: str) -> Sounding:
+def at_place(north, east):
     """A plain CSV with a place in its columns, as it is read."""
     text = with_columns("latitude_deg,longitude_deg", f'"{north}","{east}"')
-    return parsed(text)[0]
+    sounding, _ = parsed(text)
+    return sounding
 
 
 @pytest.mark.parametrize(
     ("east", "degrees"),
-    [
-        ("16.35", 16.35),
-        ("-70.5", -70.5),
-        ("289.5", -70.5),
-        ("180", 180.0),
-        ("359.99", -0.01),
-        ("16,35", 16.35),
-    ],
+    {
+        "16.35": 16.35,
+        "-70.5": -70.5,
+        "289.5": -70.5,
+        "180": 180.0,
+        "359.99": -0.01,
+        "16,35": 16.35,
+    }.items(),
 )
 def test_longitudes_of_either_kind(east, degrees):
-    assert math.degrees(at_place("48.2", east).longitude_rad) == pytest.approx(degrees)
+    assert_allclose(math.degrees(at_place("48.2", east).longitude_rad), degrees)
 
 
 @pytest.mark.parametrize(
@@ -625,31 +604,28 @@ def test_a_place_that_is_not_stated_is_unknown(north, east):
 
 @pytest.mark.parametrize(
     ("north", "east"),
-    [("48 14", "16 21"), ("48.2", "361"), ("98.2", "16.35"), ("48.2N", "16.35E")],
+    {"48 14": "16 21", "48.2": "361", "98.2": "16.35", "48.2N": "16.35E"}.items(),
 )
 def test_a_place_that_is_stated_and_cannot_be_read_is_refused(north, east):
-    with refused("SOUNDING-PLACE", InputError):
+    with input_refused("SOUNDING-PLACE"):
         at_place(north, east)
 
 
 # Several ascents in one table
 
 
-def rows_of(*, warmer_k: float = 0.0, identity: str = "") -> list[str]:
+def rows_of(*, warmer_k=0.0, identity=""):
     """Ten levels of an ascent; pressure, temperature and what says which ascent it is."""
-    rows = []
-    for level in range(10):
-        hpa = 950.0 - 45.0 * level
-        celsius = 15.0 - 2.5 * level + warmer_k
-        rows.append(f"{hpa:.1f},{celsius:.1f}{identity}")
-    return rows
+    return [
+        f"{950.0 - 45.0 * level},{15.0 - 2.5 * level + warmer_k}{identity}" for level in range(10)
+    ]
 
 
-def table_of(rows: list[str], columns: str = "") -> str:
+def table_of(rows, columns=""):
     return "\n".join([f"pressure_hpa,temperature_c{columns}", *rows])
 
 
-def at_station(text: str, when: str = "") -> tuple[Sounding, Counts]:
+def at_station(text, when=""):
     return parsed(text, when, station_h_m=540.0)
 
 
@@ -658,18 +634,15 @@ def at_station(text: str, when: str = "") -> tuple[Sounding, Counts]:
 def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
     early = rows_of(identity=",2025-06-12T06:00:00Z")
     late = rows_of(warmer_k=5.0, identity=f",2025-06-12T{6 + hours:02d}:00:00Z")
-    rows = [*early, *late]
-    if interleaved:
-        rows = [row for pair in zip(early, late, strict=True) for row in pair]
+    rows = np.ravel([early, late], order="F" if interleaved else "C")
     text = table_of(rows, ",time_utc")
     for hour, celsius in (("05", 15.0), ("13", 20.0)):
-        sounding, said = at_station(text, f"2025-06-12T{hour}:00")
-        assert sounding.temperature_k[0] == pytest.approx(celsius + 273.15)
+        sounding, notes = at_station(text, f"2025-06-12T{hour}:00")
+        assert_allclose(sounding.temperature_k[0], celsius + 273.15)
         assert sounding.h_m.size == 10
-        assert said["SOUNDING-CHOSEN"] == 2
-    with refused("SOUNDING-CHOICE", InputError) as caught:
+        assert notes["SOUNDING-CHOSEN"] == 2
+    with input_refused("SOUNDING-CHOICE", "2 soundings, and no time"):
         at_station(text)
-    assert "2 soundings, and no time" in caught.value.what
 
 
 @pytest.mark.parametrize(
@@ -682,40 +655,39 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
     ],
 )
 def test_two_ascents_of_one_time_in_one_table_are_refused(columns, first, second):
-    rows = [*rows_of(identity=first), *rows_of(warmer_k=5.0, identity=second)]
-    with refused("SOUNDING-CHOICE", InputError):
+    rows = rows_of(identity=first) + rows_of(warmer_k=5.0, identity=second)
+    with input_refused("SOUNDING-CHOICE"):
         at_station(table_of(rows, columns), "2025-06-12T05:00")
 
 
 def test_rows_too_long_apart_are_refused():
     """Each level has its own time: no column parts the ascents, but none takes 13 hours."""
     rows = [f"{row},2025-06-12T{k + 5:02d}:00:00Z" for k, row in enumerate(rows_of())]
-    with refused("SOUNDING-CHOICE", InputError) as caught:
+    with input_refused("SOUNDING-CHOICE", "up to 9.0 hours apart"):
         at_station(table_of(rows, ",time_utc"))
-    assert "up to 9.0 hours apart" in caught.value.what
 
 
 def test_up_and_down_again_is_one_flight():
     """As a drone flies: its levels are put in order. Each may have its own time and place."""
     up = rows_of()
-    rows = [f"{row},48.{k:02d},16.4" for k, row in enumerate([*up, *up[::-1]])]
-    sounding, said = at_station(table_of(rows, ",lat,lon"))
+    rows = [f"{row},48.{number:02d},16.4" for number, row in enumerate(up + up[::-1])]
+    sounding, notes = at_station(table_of(rows, ",lat,lon"))
     assert sounding.h_m.size == 10
-    assert set(said) >= {"SOUNDING-UNSORTED", "SOUNDING-DUPLICATE"}
-    assert math.degrees(sounding.latitude_rad) == pytest.approx(48.0)
+    assert set(notes) >= {"SOUNDING-UNSORTED", "SOUNDING-DUPLICATE"}
+    assert_allclose(math.degrees(sounding.latitude_rad), 48.0)
 
 
 @pytest.mark.parametrize(
     ("column", "field"),
-    [
-        ("time", "2025-06-12T06:00:00Z"),
-        ("datetime", "2025-06-12 06:00"),
-        ("date", "20250612"),
-        ("valid", "06/12/2025 06:00"),
-    ],
+    {
+        "time": "2025-06-12T06:00:00Z",
+        "datetime": "2025-06-12 06:00",
+        "date": "20250612",
+        "valid": "06/12/2025 06:00",
+    }.items(),
 )
 def test_a_time_in_a_column_of_another_name_is_not_unknown(column, field):
-    with refused("SOUNDING-TIME", InputError) as caught:
+    with input_refused("SOUNDING-TIME") as caught:
         parsed(with_columns(column, field))
     assert "time_utc" in caught.value.remedy
 
@@ -724,8 +696,8 @@ def test_a_time_in_a_column_of_another_name_is_not_unknown(column, field):
     ("column", "field"), [("time_s", "120"), ("time", "120.5"), ("wind", "12")]
 )
 def test_numbers_of_another_column_are_no_time(column, field):
-    _, said = parsed(with_columns(column, field))
-    assert said == {"SOUNDING-COLUMNS-UNUSED": 1}
+    _, notes = parsed(with_columns(column, field))
+    assert notes == {"SOUNDING-COLUMNS-UNUSED": 1}
 
 
 # The list of the University of Wyoming
@@ -752,26 +724,25 @@ WYOMING_PAGE = """<HTML><H2>72357 OUN Norman Observations at 12Z 22 May 2011</H2
 
 
 def test_wyoming_page_with_blank_fields():
-    sounding, said = parsed(WYOMING_PAGE)
+    sounding, notes = parsed(WYOMING_PAGE)
     assert sounding.station == "OUN"
     assert sounding.time_ns == ns("2011-05-22T12:00")
-    assert math.degrees(sounding.latitude_rad) == pytest.approx(35.18)
-    assert said == {"SOUNDING-MISSING": 1}
-    check_level(sounding, 35.18, (850.0, 1454.0, 22.0, 6.0))
-    # Without a dew point the relative humidity stands for it: 100 % of 18.8 C.
-    check_level(sounding, 35.18, (896.0, 995.0, 18.8, 18.8))
+    assert_allclose(math.degrees(sounding.latitude_rad), 35.18)
+    assert notes == {"SOUNDING-MISSING": 1}
+    # Without a dew point the relative humidity is taken: at 896 hPa 100 % of 18.8 C.
+    check_levels(sounding, 35.18, "850 1454 22.0 6.0, 896 995 18.8 18.8")
     assert sounding.h_m.size == 6
 
 
-def wyoming_of(heading: str, station: str = "", levels: int = 8) -> str:
+def wyoming_of(heading, station="", levels=8):
     """A list of the University of Wyoming under a heading, with lines on its station after it."""
-    rows = []
-    for h in range(200, 200 + 500 * levels, 500):
-        celsius = 15.0 - 0.0065 * h
-        rows.append(f"{standard_hpa(h):7.1f}{h:7d}{celsius:7.1f}{celsius - 10.0:7.1f}{50:7d}")
     rule = "-" * 77
     titles = "   PRES   HGHT   TEMP   DWPT   RELH\n    hPa     m      C      C      %"
-    table = "\n".join([rule, titles, rule, *rows])
+    lines = [rule, titles, rule]
+    for h in range(200, 200 + 500 * levels, 500):
+        celsius = 15.0 - 0.0065 * h
+        lines.append(f"{standard_hpa(h):7.1f}{h:7d}{celsius:7.1f}{celsius - 10.0:7.1f}{50:7d}")
+    table = "\n".join(lines)
     return f"<H1>{heading}</H1>\n<PRE>\n{table}\n</PRE>\n{station}\n"
 
 
@@ -813,9 +784,8 @@ def test_forms_of_times_of_a_page(heading, station, time):
     ],
 )
 def test_a_time_of_a_page_that_cannot_be_read_or_contradicts_is_refused(heading, station, words):
-    with refused("SOUNDING-TIME", InputError) as caught:
+    with input_refused("SOUNDING-TIME", words):
         parsed(wyoming_of(heading, station))
-    assert words in caught.value.what
 
 
 @pytest.mark.parametrize(
@@ -829,8 +799,8 @@ def test_a_time_of_a_page_that_cannot_be_read_or_contradicts_is_refused(heading,
 def test_the_present_page_has_station_and_place_in_its_head(place):
     sounding, _ = parsed(wyoming_of(f"{NEW_HEADING}</H1>\n{place}\n<H1>"))
     assert sounding.station == "11035"
-    assert math.degrees(sounding.latitude_rad) == pytest.approx(48.2333)
-    assert math.degrees(sounding.longitude_rad) == pytest.approx(16.35)
+    assert_allclose(math.degrees(sounding.latitude_rad), 48.2333)
+    assert_allclose(math.degrees(sounding.longitude_rad), 16.35)
 
 
 @pytest.mark.parametrize(
@@ -848,9 +818,8 @@ def test_of_two_ascents_of_a_page_the_nearest_in_time(flight, time, levels):
 def test_of_two_stations_of_one_hour_none_is_guessed():
     vienna = wyoming_of(OLD_HEADING)
     prague = wyoming_of("11520 Praha Observations at 12Z 12 Mar 2015", levels=9)
-    with refused("SOUNDING-CHOICE", InputError) as caught:
+    with input_refused("SOUNDING-CHOICE", "2 soundings of the file have the time"):
         parsed(vienna + prague, "2015-03-12T11:00")
-    assert "2 soundings of the file have the time" in caught.value.what
     pasted_twice, _ = parsed(vienna + vienna, "2015-03-12T11:00")
     assert pasted_twice.h_m.size == 8
 
@@ -858,7 +827,7 @@ def test_of_two_stations_of_one_hour_none_is_guessed():
 # The archive IGRA
 
 
-def igra(date: str, hour: str, release: str, announced: int = 6) -> str:
+def igra(date, hour, release, announced=6):
     """Six levels under a header of the archive."""
     lines = [
         f"#USM00070026 {date} {hour} {release} {announced:4d} ncdc6301 ncdc6301  712889 -1567833"
@@ -870,11 +839,8 @@ def igra(date: str, hour: str, release: str, announced: int = 6) -> str:
     return "\n".join([*lines, ""])
 
 
-THREE_ASCENTS = (
-    igra("2010 06 01", "00", "2303")
-    + igra("2010 06 01", "12", "9999")
-    + igra("2010 06 02", "99", "1805")
-)
+NOON = igra("2010 06 01", "12", "9999")
+THREE_ASCENTS = igra("2010 06 01", "00", "2303") + NOON + igra("2010 06 02", "99", "1805")
 
 
 @pytest.mark.parametrize(
@@ -890,12 +856,11 @@ def test_igra_choice_and_release(when, released):
     assert sounding.time_ns == ns(released)
 
 
-NOON = igra("2010 06 01", "12", "9999")
 UNDATED = igra("2010 06 01", "99", "9999")
 
 
 @pytest.mark.parametrize(
-    ("text", "when", "code", "where"),
+    ("text", "when", "code", "place"),
     [
         (THREE_ASCENTS, "", "SOUNDING-CHOICE", ""),
         (UNDATED + UNDATED, "2010-06-01", "SOUNDING-CHOICE", ""),
@@ -905,10 +870,10 @@ UNDATED = igra("2010 06 01", "99", "9999")
     ],
     ids=["no time", "undated", "no header", "a header alone", "no date"],
 )
-def test_what_no_file_of_the_archive_has_is_refused(text, when, code, where):
-    with refused(code, InputError) as caught:
+def test_what_no_file_of_the_archive_has_is_refused(text, when, code, place):
+    with input_refused(code) as caught:
         parsed(text, when)
-    assert where in caught.value.where
+    assert place in caught.value.where
 
 
 def test_igra_far_away_and_cut_off():
@@ -922,7 +887,7 @@ def test_igra_far_away_and_cut_off():
 # Files
 
 
-def sonde_file(folder: Path, columns: Columns, base_time: int | None = None) -> Path:
+def sonde_file(folder, columns, base_time=None):
     """A netCDF file with the names of ARM."""
     path = folder / "sonde.cdf"
     with netcdf_file(path, "w") as file:
@@ -945,29 +910,29 @@ SONDE = {
 
 
 def test_fill_values_of_netcdf(tmp_path):
-    without_temperature = np.where(HEIGHTS == 1000.0, -9999.0, SONDE["tdry"])
-    without_dew_point = np.where(HEIGHTS == 2000.0, -9999.0, SONDE["dp"])
-    filled = SONDE | {"tdry": without_temperature, "dp": without_dew_point}
-    sounding, said = from_file(sonde_file(tmp_path, filled), 45.0)
-    assert said == {"SOUNDING-MISSING": 1}
+    filled = {
+        "tdry": np.where(HEIGHTS == 1000.0, -9999.0, SONDE["tdry"]),
+        "dp": np.where(HEIGHTS == 2000.0, -9999.0, SONDE["dp"]),
+    }
+    sounding, notes = from_file(sonde_file(tmp_path, SONDE | filled), 45.0)
+    assert notes == {"SOUNDING-MISSING": 1}
     assert sounding.time_ns is None
     assert sounding.name == "sounding sonde.cdf"
     # The relative humidity stands in where the dew point is missing: 50 % of 2.0 C.
-    assert sounding.vapour_pressure_pa[3] == pytest.approx(0.5 * saturated_pa(2.0), rel=0.01)
+    assert sounding.vapour_pressure_pa[3] == saturated(2.0, share=0.5)
 
 
 def test_a_netcdf_without_a_variable_is_refused(tmp_path):
-    with refused("SOUNDING-NETCDF", InputError) as caught:
+    with input_refused("SOUNDING-NETCDF", "no variable tdry"):
         from_file(sonde_file(tmp_path, {"pres": PRESSURES}))
-    assert "no variable tdry" in caught.value.what
 
 
 @pytest.mark.parametrize(("flight", "far"), [("2019-01-01T08:00", False), ("2025-06-12T09", True)])
 def test_a_netcdf_of_another_year_is_told_of(tmp_path, flight, far):
     path = sonde_file(tmp_path, SONDE, base_time=1_546_320_720)
-    sounding, said = from_file(path, 45.0, flight)
+    sounding, notes = from_file(path, 45.0, flight)
     assert sounding.time_ns == ns("2019-01-01T05:32")
-    assert ("SOUNDING-FAR-IN-TIME" in said) is far
+    assert ("SOUNDING-FAR-IN-TIME" in notes) is far
 
 
 def test_a_byte_order_mark_is_no_name_of_a_column(tmp_path):
@@ -989,15 +954,15 @@ def test_a_byte_order_mark_is_no_name_of_a_column(tmp_path):
 def test_files_that_are_no_sounding(tmp_path, name, data, code):
     path = tmp_path / name
     path.write_bytes(data)
-    with refused(code, InputError):
+    with input_refused(code):
         from_file(path)
 
 
 def test_a_file_that_is_absent_or_too_large(tmp_path):
     path = tmp_path / "s.csv"
-    with refused("SOUNDING-UNREADABLE", InputError):
+    with input_refused("SOUNDING-UNREADABLE"):
         from_file(path)
     with path.open("wb") as file:
         file.truncate(LARGEST_BYTES + 1)
-    with refused("SOUNDING-SIZE", InputError):
+    with input_refused("SOUNDING-SIZE"):
         from_file(path)

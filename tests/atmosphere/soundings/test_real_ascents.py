@@ -1,39 +1,35 @@
 """What is told of 479 public ascents: they are right, so nothing may be told of more than a few."""
 
-from __future__ import annotations
-
 import lzma
 import math
 from collections import Counter
 from itertools import groupby
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.atmosphere.adjusting import codes
+from tests.atmosphere.flights import SHARED_SOUNDINGS
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import profile_from_table
-from unbend.atmosphere.soundings import Sounding, parse_sounding
+from unbend.atmosphere.soundings import parse_sounding
 from unbend.geodesy import normal_gravity
 from unbend.messages import Ledger
 from unbend.refraction.effect import effects_on_r
 from unbend.stages.plausibility.air_limits import limits_of_factor
 
-MANY = Path(__file__).resolve().parents[3].parent / "shared" / "soundings" / "many"
-
 pytestmark = pytest.mark.shared("soundings/many")
 
 
 @pytest.fixture(scope="module")
-def ledger() -> Ledger:
+def ledger():
     return Ledger()
 
 
 @pytest.fixture(scope="module")
-def ascents(ledger) -> list[Sounding]:
+def ascents(ledger):
     soundings = []
-    for path in sorted(MANY.glob("*.csv.xz")):
+    for path in sorted((SHARED_SOUNDINGS / "many").glob("*.csv.xz")):
         head, *rows = lzma.decompress(path.read_bytes()).decode().splitlines()
         for _, of_ascent in groupby(rows, key=lambda row: row.split(",", 1)[0]):
             soundings.append(parse_sounding("\n".join([head, *of_ascent]), ledger))
