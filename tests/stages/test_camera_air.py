@@ -298,16 +298,16 @@ def nadir_rows(mission):
 def test_the_air_of_the_calibration_is_enough_to_remove_the_air_in_the_lens(runs, outside):
     """A shorter principal distance has moved points inwards; the correction moves them out."""
     bare = nadir_rows(runs["bare"])
-    stated = nadir_rows(runs["stated"])
+    corrected = nadir_rows(runs["stated"])
     change = expected_ppm(outside) * 1e-6
     assert -150e-6 < change < -90e-6
-    moved_px = stated["x_corrected_px"] - bare["x_corrected_px"]
-    expected_px = -change * (stated["x_px"] - 7012.4)
+    moved_px = corrected["x_corrected_px"] - bare["x_corrected_px"]
+    expected_px = -change * (corrected["x_px"] - 7012.4)
     assert_allclose(moved_px, expected_px, rtol=0.02, atol=0.002)
     sigma_px = np.abs(moved_px) / 4.0
-    assert_allclose(stated["sigma_cabin_dx_px"], sigma_px, rtol=0.03, atol=0.001)
+    assert_allclose(corrected["sigma_cabin_dx_px"], sigma_px, rtol=0.03, atol=0.001)
     # The ray is another by as much, and so its refraction, hardly.
-    assert_allclose(stated["r_c_rad"], bare["r_c_rad"], rtol=1e-3)
+    assert_allclose(corrected["r_c_rad"], bare["r_c_rad"], rtol=1e-3)
 
 
 def test_what_is_taken_for_typical_stands_in_the_ledger_and_nothing_is_left(runs):
