@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import socket
-import time
 from pathlib import Path
 
 import numpy as np
@@ -312,7 +311,7 @@ def test_manifest_knows_inputs_and_outputs_but_not_where_or_when(baseline):
     assert str(baseline.folder) not in report
 
 
-@pytest.mark.usefixtures("whole_report")
+@pytest.mark.usefixtures("whole_report", "settled_inputs")
 def test_same_inputs_elsewhere_give_the_same_bytes(baseline, mission_factory, tmp_path):
     other = mission_factory(tmp_path / "quite" / "another place")
     assert other.run_to_manifest() == baseline.manifest()
@@ -338,12 +337,11 @@ def changes_of_entries(folder):
     return changes
 
 
+@pytest.mark.usefixtures("settled_inputs")
 def test_a_second_run_does_nothing_and_repeats_the_code(mission):
     table = mission.measurements()
     names = ["nowhere", *table["image"].to_pylist()[1:]]
     mission.observe(table.set_column(0, "image", pa.array(names)))
-    # The manifest has the time of an input that is older than 2 s: a later run would add it.
-    time.sleep(2.1)
     first = mission.run()
     assert first.code == 3, first.text
     assert "nothing to do" not in first.out
@@ -438,8 +436,8 @@ def test_verify_finds_damage(baseline, tmp_path, unbend, name, harm, code):
     assert name in ended.err or "manifest" in ended.err
 
 
+@pytest.mark.usefixtures("settled_inputs")
 def test_a_run_mends_what_verify_finds(mission, unbend):
-    time.sleep(2.1)  # as above: otherwise a slow machine adds the times of the inputs
     mission.run_to_manifest()
     hashes = tree(mission.output)
     flip(mission.output / PART, 100)
