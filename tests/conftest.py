@@ -233,14 +233,40 @@ def computed_once() -> Iterator[None]:
         yield
 
 
+FLOWN_S = 1_750_000_000
+"""When the inputs of all copied missions were last written: a manifest has this time."""
+
+
+@contextlib.contextmanager
+def inputs_settled() -> Iterator[None]:
+    """Inputs pass for old as soon as they are there: each run records when they were written.
+
+    Otherwise it does so only 2 s after they were copied, which on a slow machine some runs are. The
+    time of the copying (ctime) counts beside that of the content, and cannot be set.
+    """
+    from unbend.batch import input_files
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(input_files, "SETTLED_NS", -(10**9))
+        yield
+
+
+@pytest.fixture
+def settled_inputs() -> Iterator[None]:
+    """The inputs of a test pass for old as soon as they are there."""
+    with inputs_settled():
+        yield
+
+
 @pytest.fixture(scope="session")
 def mission_factory(flown: Simulated, computed_once: None) -> Callable[..., MissionFolder]:
     """Copies the simulated mission into a folder."""
 
     def make(folder: Path, kind: str = "bin") -> MissionFolder:
         folder.mkdir(parents=True, exist_ok=True)
-        shutil.copy(flown.logs[kind], folder)
-        shutil.copy(flown.observations, folder)
+        for source in (flown.logs[kind], flown.observations):
+            copy = shutil.copy(source, folder)
+            os.utime(copy, (FLOWN_S, FLOWN_S))
         config = yaml.safe_load(flown.missions[kind].read_text(encoding="utf-8"))
         config["output"]["path"] = "results"
         return MissionFolder(folder, kind, config)
@@ -260,7 +286,8 @@ def baseline(
 ) -> MissionFolder:
     """The mission as simulated, after a run. Not to be changed."""
     done = mission_factory(tmp_path_factory.mktemp("baseline") / "mission")
-    ended = done.run()
+    with inputs_settled():
+        ended = done.run()
     assert ended.code == 0, ended.text
     return done
 

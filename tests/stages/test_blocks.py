@@ -4,11 +4,7 @@ The answer is that of the mission by its log, whose stations and points were wri
 program, or by its published formulas.
 """
 
-from __future__ import annotations
-
-import re
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from itertools import combinations
 from pathlib import Path
 
@@ -17,6 +13,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from numpy.testing import assert_allclose
 
 from tests.dbat_project import write_project
 from tests.helpers import codes_of, entry_of
@@ -27,14 +24,48 @@ from unbend.batch.runs import run_mission
 pycolmap = pytest.importorskip("pycolmap")
 
 ORIGIN = (47.0, 8.5, 500.0)
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "ba"
-CAMERAS = {  # of the simulated mission, in COLMAP's order
-    "nadir": ("FULL_OPENCV", 14000, 10600, [20000.0, 20000.0, 7012.4, 5291.7, -0.018, 0.009,
-                                            0.00015, -0.0001, -0.002, 0.0, 0.0, 0.0]),
-    "oblique": ("FULL_OPENCV", 14000, 10600, [20000.0, 20000.0, 6989.2, 5308.1, -0.015, 0.007,
-                                              -0.00012, 0.00008, -0.001, 0.0, 0.0, 0.0]),
-}  # fmt: skip
+REPOSITORY = Path(__file__).resolve().parents[2]
+SHARED = REPOSITORY.parent / "shared" / "ba"
+NADIR = [
+    20000.0,
+    20000.0,
+    7012.4,
+    5291.7,
+    -0.018,
+    0.009,
+    0.00015,
+    -0.0001,
+    -0.002,
+    0.0,
+    0.0,
+    0.0,
+]
+OBLIQUE = [
+    20000.0,
+    20000.0,
+    6989.2,
+    5308.1,
+    -0.015,
+    0.007,
+    -0.00012,
+    0.00008,
+    -0.001,
+    0.0,
+    0.0,
+    0.0,
+]
+CAMERAS = {
+    "nadir": ("FULL_OPENCV", 14000, 10600, NADIR),
+    "oblique": ("FULL_OPENCV", 14000, 10600, OBLIQUE),
+}
+"""Of the simulated mission, with parameters in COLMAP's order."""
+
+OUTSIDE = [-900.0, 50.0]
+"""A keypoint outside its image."""
+
 MATCHED = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
+PIXEL = ["x_px", "y_px"]
+SHIFT_PX = ["dx", "dy"]
 
 
 @pytest.fixture
@@ -47,10 +78,14 @@ def block(mission_factory, tmp_path):
     config["mission"]["undulation_m"] = 47.6
     config["atmosphere"] = {"adjust": False}
     config["observations"] = {"path": "sparse", "format": "colmap"}
-    same = {"calibration": "laboratory", "window": {"cabin": CABIN}}
-    config["cameras"] = {"nadir": {"camera": 1} | same, "oblique": {"camera": 2} | same}
+    section = {"calibration": "laboratory", "window": {"cabin": CABIN}}
+    config["cameras"] = {
+        "nadir": section | {"camera": 1},
+        "oblique": section | {"camera": 2},
+    }
     config["stations"] = {"orientation": {"frame": enu_at(*ORIGIN)}}
     config["ground"] = {"height": "block"}
+    mission.database = mission.folder / "database.db"
     return mission
 
 
@@ -58,7 +93,7 @@ def block(mission_factory, tmp_path):
 def colmap(block, by_log, flown):
     """Writes the model of the mission; returns the names of its points by their numbers."""
 
-    def write(**options) -> dict[str, str]:
+    def write(**options):
         numbers = write_colmap(
             block.folder / "sparse",
             CAMERAS,
@@ -73,63 +108,79 @@ def colmap(block, by_log, flown):
     return write
 
 
-def shifts(mission) -> pd.DataFrame:
+def shifts(mission):
     table = mission.results().to_pandas()
     table["dx"] = table["x_corrected_px"] - table["x_px"]
     table["dy"] = table["y_corrected_px"] - table["y_px"]
     return table
 
 
-def assert_same(block, by_log, names: dict[str, str]) -> None:
+def matching(rows, key, table):
+    """The rows of a table that have the image and the key of these rows, in their order."""
+    keys = ["image", key]
+    index = pd.MultiIndex.from_frame(rows[keys])
+    return table.set_index(keys).loc[index].reset_index()
+
+
+def assert_same(block, by_log, names):
     """The corrections of every row, found again by image and point, are those by the log."""
     rows = shifts(block)
-    by_name = shifts(by_log).set_index(["image", "point"])
-    assert len(rows) == len(by_name)
-    expected = by_name.loc[list(zip(rows["image"], rows["point"].map(names), strict=True))]
+    rows["point"] = rows["point"].map(names)
+    by_log_rows = shifts(by_log)
+    assert len(rows) == len(by_log_rows)
+    expected = matching(rows, "point", by_log_rows)
     assert np.abs(expected["dx"]).max() > 0.3
-    for column, tolerance_px in (("dx", 2e-6), ("dy", 2e-6), ("x_px", 1e-9), ("y_px", 1e-9)):
-        np.testing.assert_allclose(rows[column], expected[column], rtol=0.0, atol=tolerance_px)
+    assert_allclose(rows[SHIFT_PX], expected[SHIFT_PX], rtol=0.0, atol=2e-6)
+    assert_allclose(rows[PIXEL], expected[PIXEL], rtol=0.0, atol=1e-9)
 
 
-def assert_near(rows: pd.DataFrame, expected: pd.DataFrame, share: float) -> None:
+def assert_near(rows, expected, share):
     """Corrections differ by less than a share of them, as the heights of the ground do."""
-    size = np.hypot(expected["dx"], expected["dy"]).to_numpy()
-    dx = rows["dx"].to_numpy() - expected["dx"].to_numpy()
-    dy = rows["dy"].to_numpy() - expected["dy"].to_numpy()
-    assert (np.hypot(dx, dy) < share * size).all()
+    expected_px = expected[SHIFT_PX].to_numpy()
+    difference_px = rows[SHIFT_PX] - expected_px
+    size_px = np.linalg.norm(expected_px, axis=1)
+    error_px = np.linalg.norm(difference_px, axis=1)
+    assert (error_px < share * size_px).all()
 
 
 @pytest.mark.parametrize("text", [False, True], ids=["bin", "txt"])
 def test_a_model_of_colmap(block, by_log, colmap, text):
     names = colmap(text=text)
+
     manifest = block.run_to_manifest()
+
     assert_same(block, by_log, names)
     roles = {entry["role"] for entry in manifest["inputs"]}
     assert roles == {"observations", "orientation", "camera nadir", "camera oblique"}
-    for _, keypoints in block.results().to_pandas().groupby("image")["keypoint"]:
-        assert keypoints.is_monotonic_increasing
+    images = block.results().to_pandas().groupby("image")
+    assert images["keypoint"].is_monotonic_increasing.all()
     assert "GROUND-BLOCK" in codes_of(manifest)
 
 
 def test_the_mission_of_the_page(block, by_log, colmap):
-    page = Path(__file__).resolve().parents[2] / "docs/pages/guide/oriented_block.md"
-    missions = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.S)
-    (text,) = [mission for mission in missions if "sparse/0" in mission]
+    page = REPOSITORY / "docs/pages/guide/oriented_block.md"
+    examples = page.read_text(encoding="utf-8").split("```")
+    (text,) = [part for part in examples if "sparse/0" in part and part.startswith("yaml\n")]
+    text = text.removeprefix("yaml\n")
     assert text.count("\n") < 20
     names = colmap()
-    (block.folder / "sparse").rename(block.folder / "model")
-    (block.folder / "sparse").mkdir()
-    (block.folder / "model").rename(block.folder / "sparse" / "0")
+    sparse = block.folder / "sparse"
+    model = sparse.rename(block.folder / "model")
+    sparse.mkdir()
+    model.rename(sparse / "0")
     block.file.write_text(text)
+
     outcome = run_mission(block.file)
+
     assert outcome.exit_code == 0, outcome.manifest.values["ledger"]
     block.config = yaml.load(text, yaml.BaseLoader)
     rows = block.results().to_pandas()
     assert (rows["status"] == "ok").all()
     # The climatology of the day in place of the US 1976 atmosphere.
-    by_name = by_log.results().to_pandas().set_index(["image", "point"])["r_c_rad"]
-    expected = by_name.loc[list(zip(rows["image"], rows["point"].map(names), strict=True))]
-    ratio = rows["r_c_rad"].to_numpy() / expected
+    rows["point"] = rows["point"].map(names)
+    by_log_rows = by_log.results().to_pandas()
+    expected = matching(rows, "point", by_log_rows)
+    ratio = rows["r_c_rad"] / expected["r_c_rad"]
     assert ratio.between(0.93, 1.07).all()
     assert np.abs(ratio - 1.0).median() > 1e-3
 
@@ -137,43 +188,51 @@ def test_the_mission_of_the_page(block, by_log, colmap):
 def test_keypoints_without_a_point_keep_their_rows(block, by_log, colmap):
     without = frozenset(range(0, 59, 7))
     colmap(without_point=without)
+
     block.run_to_manifest()
-    rows = shifts(block)
+
+    rows = shifts(block).round({"x_px": 6})
     assert len(rows) == 59
     unnamed = rows[rows["point"].str.contains(":")]
     assert len(unnamed) == len(without)
-    assert (unnamed["point"] == unnamed["image"] + ":" + unnamed["keypoint"].astype(str)).all()
+    keypoints = unnamed["keypoint"].astype(str)
+    assert (unnamed["point"] == unnamed["image"] + ":" + keypoints).all()
     assert (unnamed["status"] == "ok").all()
     # The heights of the points differ by less than 100 m from 2500 m below: under 4 % of each.
-    by_pixel = shifts(by_log).assign(x_px=lambda table: table["x_px"].round(6))
-    pixels = list(zip(unnamed["image"], unnamed["x_px"].round(6), strict=True))
-    assert_near(unnamed, by_pixel.set_index(["image", "x_px"]).loc[pixels], 0.04)
+    by_log_rows = shifts(by_log).round({"x_px": 6})
+    expected = matching(unnamed, "x_px", by_log_rows)
+    assert_near(unnamed, expected, 0.04)
 
 
 def test_cameras_of_the_mission_file_and_by_their_names(block, by_log, colmap):
     """Numbers in the mission file, found by the camera's number; and entries called by theirs."""
     names = colmap()
-    stated = by_log.config["cameras"]["nadir"]
+    nadir = by_log.config["cameras"]["nadir"]
     cameras = block.config["cameras"]
-    cameras["nadir"] = stated | {"camera": 1}
+    cameras["nadir"] = nadir | {"camera": 1}
     block.run_to_manifest()
     assert_same(block, by_log, names)
-    del cameras["oblique"]["camera"]
-    block.config["cameras"] = {"1": stated, "2": cameras["oblique"]}
+
+    oblique = cameras["oblique"]
+    del oblique["camera"]
+    block.config["cameras"] = {"1": nadir, "2": oblique}
     block.run_to_manifest()
     assert_same(block, by_log, names)
 
 
 def test_what_a_block_does_not_say_is_asked_for(block, colmap):
     colmap()
-    orientation = block.config["stations"]["orientation"]
-    block.config["stations"]["orientation"] = {"heights": "msl"}
+    stations = block.config["stations"]
+    complete = stations["orientation"]
+    stations["orientation"] = {"heights": "msl"}
     assert "stations.orientation.frame: is missing" in block.refusal("CONFIG-INVALID", 2)
-    block.config["stations"]["orientation"] = {"frame": "ecef"}
+
+    stations["orientation"] = {"frame": "ecef"}
     text = " ".join(block.refusal("ORIENTATION-FRAME").split())
     assert "m above sea level" in text
     assert "a local frame is not ecef" in text
-    block.config["stations"]["orientation"] = orientation
+
+    stations["orientation"] = complete
     del block.config["cameras"]["oblique"]
     text = " ".join(block.refusal("BLOCK-CAMERA").split())
     assert "3 images, the first oblique_00001, are of camera '2'" in text
@@ -187,24 +246,24 @@ def test_a_model_without_points_has_no_ground(block, colmap):
 def test_a_point_twice_in_an_image_is_a_loss(block, colmap):
     colmap(text=True)
     file = block.folder / "sparse" / "images.txt"
-    lines = file.read_text().splitlines()
-    (image,) = [row for row, line in enumerate(lines) if line.endswith("nadir_00001")]
-    fields = lines[image + 1].split()
-    fields[5] = fields[2]
-    lines[image + 1] = " ".join(fields)
-    file.write_text("\n".join(lines) + "\n")
-    entry = entry_of(block.run_to_manifest(3), "OBS-REPEATED-POINT")
+    before, name, after = file.read_text().partition("nadir_00001\n")
+    keypoints = after.split(" ")  # x, y and point of the first, of the second, ...
+    point = keypoints[2]
+    keypoints[5] = point
+    file.write_text(before + name + " ".join(keypoints))
+
+    manifest = block.run_to_manifest(3)
+
+    entry = entry_of(manifest, "OBS-REPEATED-POINT")
     assert entry["kind"] == "loss"
-    assert f"{fields[2]} in nadir_00001" in entry["what"]
+    assert f"{point} in nadir_00001" in entry["what"]
 
 
 # ---- databases of COLMAP
 
 
-@contextmanager
-def database(path: Path) -> Iterator[pycolmap.Database]:
-    with closing(pycolmap.Database.open(str(path))) as content:
-        yield content
+def database(path):
+    return closing(pycolmap.Database.open(str(path)))
 
 
 @pytest.fixture
@@ -212,18 +271,31 @@ def with_database(block, by_log, colmap):
     """Lets the mission have its keypoints from a database, its orientations from a model."""
     colmap()
     block.config["observations"]["path"] = "database.db"
-    block.config["stations"]["orientation"] |= {"path": "sparse", "format": "colmap"}
-    with database(block.folder / "database.db") as content:
-        for model, width, height, params in CAMERAS.values():
-            camera = pycolmap.Camera(model=model, width=width, height=height, params=params)
-            content.write_camera(camera)
+    orientation = block.config["stations"]["orientation"]
+    orientation["path"] = "sparse"
+    orientation["format"] = "colmap"
+    with database(block.database) as content:
+        for camera in CAMERAS.values():
+            write_camera(content, *camera)
     return block
 
 
-def write_keypoints(content, image: str, pixels: np.ndarray) -> int:
+def write_camera(content, model, width, height, params):
+    camera = pycolmap.Camera(
+        model=model,
+        width=width,
+        height=height,
+        params=params,
+    )
+    content.write_camera(camera)
+
+
+def write_keypoints(content, name, pixels):
     """Write an image of the database and its keypoints; returns its number."""
-    camera_id = 2 if image.startswith("oblique") else 1
-    number = content.write_image(pycolmap.Image(name=image, camera_id=camera_id))
+    camera, _ = name.split("_")
+    camera_id = list(CAMERAS).index(camera) + 1
+    image = pycolmap.Image(name=name, camera_id=camera_id)
+    number = content.write_image(image)
     content.write_keypoints(number, pixels.astype(np.float32))
     return number
 
@@ -232,17 +304,18 @@ def test_a_database_beside_a_model(with_database, by_log):
     """Keypoints of the database, float32; orientations, heights and cameras of the model."""
     block = with_database
     measured = by_log.measurements().to_pandas()
-    with database(block.folder / "database.db") as content:
+    with database(block.database) as content:
         for image, rows in measured.groupby("image"):
-            write_keypoints(content, image, rows[["x_px", "y_px"]].to_numpy())
+            write_keypoints(content, image, rows[PIXEL].to_numpy())
+
     block.run_to_manifest()
+
     rows = shifts(block)
     assert rows["point"].str.fullmatch(r"(nadir|oblique)_\d+:\d+").all()
     by_log_rows = shifts(by_log)
     by_log_rows["keypoint"] = by_log_rows.groupby("image").cumcount()
-    keypoints = list(zip(rows["image"], rows["keypoint"], strict=True))
-    expected = by_log_rows.set_index(["image", "keypoint"]).loc[keypoints]
-    np.testing.assert_allclose(rows["x_px"], expected["x_px"], rtol=0.0, atol=0.0005)
+    expected = matching(rows, "keypoint", by_log_rows)
+    assert_allclose(rows["x_px"], expected["x_px"], rtol=0.0, atol=0.0005)
     # Heights are medians of the images here, tens of metres from those of 2500 m below.
     assert_near(rows, expected, 0.05)
     del block.config["stations"]["orientation"]["path"]
@@ -250,89 +323,96 @@ def test_a_database_beside_a_model(with_database, by_log):
     assert "a model, as sparse/0" in text
 
 
-def pairs_of(first: list[str], second: list[str]) -> list[tuple[int, int]]:
-    """Where the points of one list stand in both, in the order of the first."""
-    return [(k, second.index(point)) for k, point in enumerate(first) if point in second]
+def pairs_of(first, second):
+    """The places in two lists of the points that both have, in the order of the first."""
+    return [[k, second.index(point)] for k, point in enumerate(first) if point in second]
+
+
+def write_matches(content, first, second, pairs):
+    """The matches of two images, all but the last of which were verified."""
+    matches = np.array(pairs, np.uint32)
+    content.write_matches(first, second, matches)
+    verified = pycolmap.TwoViewGeometry()
+    verified.config = MATCHED
+    verified.inlier_matches = matches[:-1]
+    content.write_two_view_geometry(first, second, verified)
 
 
 def test_matches_of_a_database_come_out_with_its_keypoints(with_database, by_log, unbend):
     """By name of the points, which the program never sees: with a keypoint outside the image as the
     first of each, and images numbered the other way round."""
     block = with_database
-    source = block.folder / "database.db"
     measured = by_log.measurements().to_pandas()
     names = {}
     numbers = {}
-    with database(source) as content:
-        for image, rows in reversed([*measured.groupby("image")]):
-            pixels = np.vstack([[-900.0, 50.0], rows[["x_px", "y_px"]]])
+    with database(block.database) as content:
+        for image in sorted(measured["image"].unique(), reverse=True):
+            rows = measured[measured["image"] == image]
+            pixels = np.vstack([OUTSIDE, rows[PIXEL]])
             numbers[image] = write_keypoints(content, image, pixels)
             names[image] = ["outside", *rows["point"]]
         for first, second in combinations(names, 2):
             # First the one outside with one inside.
-            pairs = [(0, 1), *pairs_of(names[first], names[second])]
-            content.write_matches(numbers[first], numbers[second], np.array(pairs, np.uint32))
-            verified = pycolmap.TwoViewGeometry()
-            verified.config = MATCHED
-            verified.inlier_matches = np.array(pairs[:-1], np.uint32)
-            content.write_two_view_geometry(numbers[first], numbers[second], verified)
+            pairs = pairs_of(names[first], names[second])
+            pairs.insert(0, [0, 1])
+            write_matches(content, numbers[first], numbers[second], pairs)
     block.run_to_manifest(3)  # a loss: keypoints outside the image
-    words = ("export", block.output, "--format", "colmap-database", "--out")
-    assert "EXPORT-NO-TIES" not in unbend(*words, block.folder / "out.db").text
+    export = ("export", block.output, "--format", "colmap-database", "--out")
 
-    rows = block.results().to_pandas().query("status == 'ok'").sort_values("keypoint")
+    exported = unbend(*export, block.folder / "out.db")
+
+    assert "EXPORT-NO-TIES" not in exported.text
+    rows = block.results().to_pandas().query("status == 'ok'")
     count = 0
     with database(block.folder / "out.db") as content:
         ids = {image.name: image.image_id for image in content.read_all_images()}
         assert sorted(ids, key=ids.get) != sorted(numbers, key=numbers.get)
         points = {}
-        for image, of_image in rows.groupby("image"):
+        for image, of_image in rows.sort_values("keypoint").groupby("image"):
             corrected = of_image[["x_corrected_px", "y_corrected_px"]]
             pixels = content.read_keypoints(ids[image])[:, :2]
-            np.testing.assert_allclose(pixels, corrected, rtol=0.0, atol=0.0006)
+            assert_allclose(pixels, corrected, rtol=0.0, atol=0.0006)
             points[image] = [names[image][keypoint] for keypoint in of_image["keypoint"]]
             assert "outside" not in points[image]
         for first, second in combinations(names, 2):
             pairs = pairs_of(points[first], points[second])
             matches = content.read_matches(ids[first], ids[second])
-            assert matches.tolist() == [list(pair) for pair in pairs]
+            assert matches.tolist() == pairs
             count += len(pairs)
             # All in both lists were verified but the last.
+            last = [name for name in names[first] if name in names[second]][-1]
+            expected = [pair for pair in pairs if points[first][pair[0]] != last]
             verified = content.read_two_view_geometry(ids[first], ids[second])
-            last, _ = pairs_of(names[first], names[second])[-1]
-            kept = [pair for pair in pairs if points[first][pair[0]] != names[first][last]]
-            assert verified.inlier_matches.tolist() == [list(pair) for pair in kept]
-            if kept:
+            assert verified.inlier_matches.tolist() == expected
+            if expected:
                 assert verified.config == MATCHED
     assert count > 30
-    with database(source) as content:
-        content.write_camera(pycolmap.Camera(model="PINHOLE", width=9, height=9, params=[9] * 4))
-    changed = unbend(*words, block.folder / "again.db")
-    assert changed.code == 3
-    assert "EXPORT-NO-TIES" in changed.text
+
+    with database(block.database) as content:
+        write_camera(content, "PINHOLE", 9, 9, [9] * 4)
+    exported = unbend(*export, block.folder / "again.db")
+    assert exported.code == 3
+    assert "EXPORT-NO-TIES" in exported.text
 
 
 # ---- DBAT and PhotoScan
 
 
-REAL_BLOCKS = {"dbat": ("sxb.xml", 1196), "metashape": ("sxb.psz", 4066)}
-
-
-@pytest.mark.parametrize("program", ["written", *(REAL_BLOCKS if SHARED.is_dir() else [])])
-def test_a_block_as_a_mission_without_a_log(tmp_path, program):
-    """Five images over Strasbourg: DBAT's script, real and written, and PhotoScan's archive."""
-    if program == "written":
-        count = len(write_project(tmp_path).marks)
-        file = tmp_path / "sxb.xml"
-        program = "dbat"
-    else:
-        name, count = REAL_BLOCKS[program]
-        file = SHARED / "dbat_sxb" / name
-    orientation = {"frame": "projected", "crs": "EPSG:27561", "heights": "msl"}
-    mission = mission_of(str(file), program, **orientation, date="2013-08-22")
+def assert_strasbourg(folder, file, program, count):
+    """The mission of five images over Strasbourg has all rows, a small shift, and its place."""
+    mission = mission_of(
+        str(file),
+        program,
+        frame="projected",
+        crs="EPSG:27561",
+        heights="msl",
+        date="2013-08-22",
+    )
     del mission["atmosphere"]
-    stations, _ = run(tmp_path, mission)
-    rows = rows_of(tmp_path)
+
+    stations, _ = run(folder, mission)
+
+    rows = rows_of(folder)
     assert (rows["status"] == "ok").all()
     assert len(rows) == count
     dx = rows["x_corrected_px"] - rows["x_px"]
@@ -342,3 +422,21 @@ def test_a_block_as_a_mission_without_a_log(tmp_path, program):
     assert stations["lat_deg"].between(48.579, 48.587).all()
     assert stations["lon_deg"].between(7.757, 7.770).all()
     assert stations["h_msl_m"].between(1906, 1938).all()
+
+
+def test_a_block_as_a_mission_without_a_log_that_is_written(tmp_path):
+    marks = write_project(tmp_path).marks
+    assert_strasbourg(tmp_path, tmp_path / "sxb.xml", "dbat", len(marks))
+
+
+@pytest.mark.shared("ba")
+@pytest.mark.parametrize(
+    ("name", "program", "count"),
+    [
+        ("sxb.xml", "dbat", 1196),
+        ("sxb.psz", "metashape", 4066),
+    ],
+)
+def test_a_block_as_a_mission_without_a_log(tmp_path, name, program, count):
+    """DBAT's script, and PhotoScan's archive."""
+    assert_strasbourg(tmp_path, SHARED / "dbat_sxb" / name, program, count)

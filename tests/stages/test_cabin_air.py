@@ -1,12 +1,12 @@
 """The air behind a window, from a log that may lack it. Truth by hand and by simulated rays."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
+from numpy.testing import assert_allclose
 
 from tests.helpers import channel, with_code
 from tests.physics.ray_on_sphere import ray_angle_sphere
@@ -14,7 +14,6 @@ from tests.stages.level_cameras import US1976, stations
 from unbend.atmosphere.climatology import climatology
 from unbend.batch.runs import read_mission
 from unbend.config.windows import CabinSection
-from unbend.flight.stations import Stations
 from unbend.library import corrected_table
 from unbend.messages import Kind, Ledger
 from unbend.refraction import StationSigmas, correct_observations, ray_table, uncertainty_of
@@ -29,18 +28,28 @@ from unbend.units import ZERO_CELSIUS_K
 
 RADIUS = 6_371_000.0
 KM6_PA = 47_217.0  # US 1976, its own table
+UNSEALED_PA = KM6_PA + 1900.0
+SEALED_PA = KM6_PA + 2100.0
 NAN = math.nan
 
 THREE_S = np.arange(3.0)
 BARO = channel("BARO[1]", THREE_S, pressure_pa=80_000.0, board_temperature_k=315.0)
 HULL = channel("BARO[0]", THREE_S, pressure_pa=50_000.0, board_temperature_k=300.0)
 PROBE = channel("HYGR[1]", THREE_S, temperature_k=294.0, relative_humidity=0.1)
+ALL = (HULL, BARO, PROBE)
 LOGGED = Cabin("log")
 
 
-def filled(exposed: Stations, cabin: Cabin) -> tuple[Stations, Ledger]:
+def filled(exposed, cabin, *, shape="plane", lenses=(), profile=US1976):
+    """Stations with the air behind a window of the nadir camera, and what is said of it."""
     ledger = Ledger()
-    return with_cabin_air(exposed, {"nadir": Window(cabin)}, (), US1976, ledger), ledger
+    windows = {"nadir": Window(cabin, shape=shape)}
+    return with_cabin_air(exposed, windows, lenses, profile, ledger), ledger
+
+
+def from_log(exposed, cabin, channels=(), **roles):
+    """Stations with the air of the cabin as far as the log has it, and the messages."""
+    return cabin_from_log(exposed, "nadir", cabin, channels, roles)
 
 
 # ---------------------------------------------------------------- values and sigmas
@@ -50,36 +59,36 @@ def filled(exposed: Stations, cabin: Cabin) -> tuple[Stations, Ledger]:
     ("section", "logged", "expected"),
     [
         # Pressurised: 21 +- 5 degC, a logged barometer +- 3 hPa.
-        ({"pressure": "log"}, (80_000.0, NAN), (80_000.0, 294.15, 300.0, 5.0)),
-        ({"pressure": "log"}, (80_000.0, 290.0), (80_000.0, 290.0, 300.0, 1.0)),
+        ("pressure: log", (80_000.0, NAN), (80_000.0, 294.15, 300.0, 5.0)),
+        ("pressure: log", (80_000.0, 290.0), (80_000.0, 290.0, 300.0, 1.0)),
         # 20 hPa above the air outside is the border: 19 hPa are no pressurisation.
-        ({"pressure": "log"}, (KM6_PA + 1900.0, NAN), (KM6_PA + 1900.0, 294.15, 300.0, 10.0)),
-        ({"pressure": "log"}, (KM6_PA + 2100.0, NAN), (KM6_PA + 2100.0, 294.15, 300.0, 5.0)),
-        ({"pressure": "ambient"}, (NAN, NAN), (KM6_PA, 294.15, 300.0, 10.0)),
+        ("pressure: log", (UNSEALED_PA, NAN), (UNSEALED_PA, 294.15, 300.0, 10.0)),
+        ("pressure: log", (SEALED_PA, NAN), (SEALED_PA, 294.15, 300.0, 5.0)),
+        ("pressure: ambient", (NAN, NAN), (KM6_PA, 294.15, 300.0, 10.0)),
         (
-            {"pressure": "ambient", "temperature_c": 5.0},
+            "{pressure: ambient, temperature_c: 5.0}",
             (NAN, 290.0),
             (KM6_PA, 278.15, 300.0, NAN),
         ),
         # Numbers without a sigma have none; with one it counts, whatever is logged.
-        ({"pressure": 812.5}, (NAN, NAN), (81_250.0, 294.15, NAN, 5.0)),
+        ("pressure: 812.5", (NAN, NAN), (81_250.0, 294.15, NAN, 5.0)),
         (
-            {"pressure_hpa": 812.5, "temperature_c": 20.0},
+            "{pressure_hpa: 812.5, temperature_c: 20.0}",
             (NAN, NAN),
             (81_250.0, 293.15, NAN, NAN),
         ),
         (
-            {
-                "pressure": 812.5,
-                "temperature_c": 20.0,
-                "sigma_pressure_hpa": 2.0,
-                "sigma_temperature_k": 0.5,
-            },
+            """
+            pressure: 812.5
+            temperature_c: 20.0
+            sigma_pressure_hpa: 2.0
+            sigma_temperature_k: 0.5
+            """,
             (NAN, 280.0),
             (81_250.0, 293.15, 200.0, 0.5),
         ),
         (
-            {"pressure": "log", "sigma_pressure_hpa": 0.5, "sigma_temperature_k": 3.0},
+            "{pressure: log, sigma_pressure_hpa: 0.5, sigma_temperature_k: 3.0}",
             (80_000.0, NAN),
             (80_000.0, 294.15, 50.0, 3.0),
         ),
@@ -88,14 +97,18 @@ def filled(exposed: Stations, cabin: Cabin) -> tuple[Stations, Ledger]:
 def test_values_and_sigmas(section, logged, expected):
     pressure_pa, temperature_k = logged
     exposed = stations(6000.0, cabin_pressure_pa=pressure_pa, cabin_temperature_k=temperature_k)
-    with_air, _ = filled(exposed, CabinSection(**section).build())
-    columns = (
-        with_air.cabin_pressure_pa,
-        with_air.cabin_temperature_k,
-        with_air.sigma_cabin_pressure_pa,
-        with_air.sigma_cabin_temperature_k,
+    cabin = CabinSection(**yaml.safe_load(section)).build()
+
+    with_air, _ = filled(exposed, cabin)
+
+    values = np.concatenate(
+        [
+            with_air.cabin_pressure_pa,
+            with_air.cabin_temperature_k,
+            with_air.sigma_cabin_pressure_pa,
+            with_air.sigma_cabin_temperature_k,
+        ]
     )
-    values = [float(column[0]) for column in columns]
     assert values == pytest.approx(expected, rel=3e-5, nan_ok=True)
 
 
@@ -109,17 +122,23 @@ def test_the_schedule_has_the_sigma_of_a_temperature_that_is_assumed():
 def test_the_vapour_of_the_cabin():
     """Dry if nothing says more, else as stated; 21 degC saturated is 24.9 hPa."""
     exposed = stations(1000.0, cabin_pressure_pa=90_000.0, cabin_temperature_k=294.15)
+
     dry, ledger = filled(exposed, LOGGED)
     assert dry.cabin_vapour_pressure_pa.tolist() == [0.0]
     assert [entry.code for entry in ledger] == ["CABIN-DRY"]
-    stated, ledger = filled(exposed, Cabin("log", relative_humidity=0.4))
-    assert stated.cabin_vapour_pressure_pa[0] == pytest.approx(0.4 * 2489.0, rel=6e-3)
+
+    humid, ledger = filled(exposed, Cabin("log", relative_humidity=0.4))
+    assert humid.cabin_vapour_pressure_pa[0] == pytest.approx(0.4 * 2489.0, rel=6e-3)
     assert not len(ledger)
 
 
 HUMID = climatology(latitude_rad=0.8, month=7.0).profile
 OUTSIDE_PA = float(HUMID.vapour_pressure(1000.0))
-HATCH = Cabin("opening", warmer_k=10.0, excess_pa=-0.1 * float(HUMID.pressure(1000.0)))
+HATCH = Cabin(
+    "opening",
+    warmer_k=10.0,
+    excess_pa=-0.1 * float(HUMID.pressure(1000.0)),
+)
 
 
 @pytest.mark.parametrize(
@@ -136,33 +155,38 @@ HATCH = Cabin("opening", warmer_k=10.0, excess_pa=-0.1 * float(HUMID.pressure(10
 )
 def test_logged_vapour_of_the_cabin(cabin, expected_pa):
     exposed = stations(1000.0, cabin_pressure_pa=9e4, cabin_vapour_pressure_pa=500.0)
-    windows = {"nadir": Window(cabin)}
-    with_air = with_cabin_air(exposed, windows, (), HUMID, Ledger())
+    with_air, _ = filled(exposed, cabin, profile=HUMID)
     assert with_air.cabin_vapour_pressure_pa == pytest.approx([expected_pa])
 
 
 def test_an_open_cabin_has_the_vapour_of_the_air_outside():
-    windows = {"nadir": Window(Cabin("ambient"))}
-    with_air = with_cabin_air(stations(1000.0), windows, (), HUMID, Ledger())
+    with_air, _ = filled(stations(1000.0), Cabin("ambient"), profile=HUMID)
     assert OUTSIDE_PA > 500.0
     assert with_air.cabin_vapour_pressure_pa.tolist() == [OUTSIDE_PA]
 
 
 @pytest.mark.parametrize(
     ("shape", "lenses", "sigma_k"),
-    [("spherical", (), NAN), ("spherical", ("nadir",), 5.0), ("plane", (), 5.0)],
+    [
+        ("spherical", (), NAN),
+        ("spherical", ("nadir",), 5.0),
+        ("plane", (), 5.0),
+    ],
 )
 def test_air_behind_a_dome_counts_only_for_a_lens(shape, lenses, sigma_k):
     exposed = stations(6000.0, cabin_pressure_pa=80_000.0)
-    windows = {"nadir": Window(LOGGED, shape=shape)}
-    with_air = with_cabin_air(exposed, windows, lenses, US1976, Ledger())
+    with_air, _ = filled(exposed, LOGGED, shape=shape, lenses=lenses)
     assert with_air.sigma_cabin_temperature_k == pytest.approx([sigma_k], nan_ok=True)
     assert np.isnan(with_air.sigma_cabin_pressure_pa).tolist() == [math.isnan(sigma_k)]
 
 
 def test_a_camera_that_took_no_image_is_no_error():
     constant = Window(Cabin("constant", 80_000.0, 294.0))
-    windows = {"nadir": constant, "other": Window(Cabin("ambient")), "none": constant}
+    windows = {
+        "nadir": constant,
+        "other": Window(Cabin("ambient")),
+        "none": constant,
+    }
     with_air = with_cabin_air(stations(1000.0), windows, (), US1976, Ledger())
     assert with_air.cabin_pressure_pa.tolist() == [80_000.0]
 
@@ -172,8 +196,7 @@ def test_a_camera_that_took_no_image_is_no_error():
 
 def test_a_missing_barometer_names_what_could_play_it():
     exposed = stations(6000.0, 6000.0)
-    logged = (HULL, BARO, PROBE)
-    lost, (entry,) = cabin_from_log(exposed, "nadir", LOGGED, logged, {"pressure": HULL})
+    lost, (entry,) = from_log(exposed, LOGGED, ALL, pressure=HULL)
     assert lost.status.tolist() == ["suspect"] * 2
     assert entry.kind is Kind.LOSS
     assert entry.code == "CABIN-MISSING"
@@ -182,9 +205,13 @@ def test_a_missing_barometer_names_what_could_play_it():
     assert "temperature" not in entry.what
 
 
-def test_a_missing_thermometer_loses_no_row():
-    exposed = stations(6000.0, 6000.0, cabin_pressure_pa=80_000.0)
-    kept, (entry,) = cabin_from_log(exposed, "nadir", LOGGED, (HULL, BARO, PROBE), {})
+@pytest.fixture
+def without_temperature():
+    return stations(6000.0, 6000.0, cabin_pressure_pa=80_000.0)
+
+
+def test_a_missing_thermometer_loses_no_row(without_temperature):
+    kept, (entry,) = from_log(without_temperature, LOGGED, ALL)
     assert kept.ok.all()
     assert entry.kind is Kind.FALLBACK
     assert entry.code == "CABIN-TEMPERATURE"
@@ -192,21 +219,25 @@ def test_a_missing_thermometer_loses_no_row():
     assert "pressure" not in entry.what
     assert "HYGR[1]" in entry.what
     assert "BARO[1] (its board, warmer than the air)" in entry.what
-    # A mission file that names the log for it misses something: exit code 3, no row lost either.
-    named = Cabin("log", temperature_logged=True)
-    kept, (entry,) = cabin_from_log(exposed, "nadir", named)
+
+
+def test_a_mission_file_that_names_the_log_for_a_temperature_misses_it(without_temperature):
+    """Exit code 3, and no row lost either."""
+    kept, (entry,) = from_log(without_temperature, Cabin("log", temperature_logged=True))
     assert kept.ok.all()
     assert entry.kind is Kind.LOSS
     assert entry.what.endswith("no channel of the log could play cabin_temperature")
-    stated = Cabin("log", temperature_k=290.0)
-    assert cabin_from_log(exposed, "nadir", stated, (PROBE,)) == (exposed, ())
+
+
+def test_a_stated_temperature_needs_no_thermometer(without_temperature):
+    cabin = Cabin("log", temperature_k=290.0)
+    assert from_log(without_temperature, cabin, (PROBE,)) == (without_temperature, ())
 
 
 def test_a_board_is_warmer_than_the_air():
     """315 K on the board are 305 +- 6 K of air."""
     exposed = stations(6000.0, cabin_pressure_pa=80_000.0, cabin_temperature_k=315.0)
-    roles = {"cabin_temperature": BARO}
-    with_board, (entry,) = cabin_from_log(exposed, "nadir", LOGGED, (BARO,), roles)
+    with_board, (entry,) = from_log(exposed, LOGGED, (BARO,), cabin_temperature=BARO)
     assert entry.kind is Kind.FALLBACK
     assert entry.code == "CABIN-BOARD"
     assert "BARO[1], minus 10 +- 6 K" in entry.what
@@ -215,55 +246,73 @@ def test_a_board_is_warmer_than_the_air():
     assert with_air.sigma_cabin_temperature_k.tolist() == [6.0]
 
 
-@pytest.mark.parametrize(("height_m", "is_told"), [(1000.0, True), (1848.0, True), (1851.0, False)])
-def test_a_cabin_10_hpa_thinner_than_the_air_outside_is_told(height_m, is_told):
+@pytest.mark.parametrize(
+    ("height_m", "warnings"),
+    [
+        (1000.0, 1),
+        (1848.0, 1),
+        (1851.0, 0),
+    ],
+)
+def test_a_cabin_10_hpa_thinner_than_the_air_outside_is_told(height_m, warnings):
     """US 1976 has 898.76 hPa at 1000 m, 810.0 hPa at 1849 m."""
     thin = stations(height_m, cabin_pressure_pa=80_000.0, cabin_temperature_k=290.0)
     _, ledger = filled(thin, LOGGED)
-    warnings = with_code(ledger, "CABIN-IMPLAUSIBLE")
-    assert len(warnings) == is_told
-    for warning in warnings:
-        assert warning.kind is Kind.WARNING
-        assert "less pressure than the air outside: 800 hPa and 17 degC" in warning.what
-
-
-@pytest.mark.parametrize(("inside_pa", "is_told"), [(61_917.0, True), (47_300.0, False)])
-def test_a_cabin_that_is_said_to_be_ambient_and_is_not(inside_pa, is_told):
-    exposed = stations(6000.0, 6000.0, pressure_pa=KM6_PA)
-    exposed = replace(exposed, time_ns=np.array([0, 1]))
-    inside = channel("BARO[1]", THREE_S, pressure_pa=inside_pa)
-    roles = {"pressure": HULL}
-    _, notes = cabin_from_log(exposed, "nadir", Cabin("ambient"), (HULL, inside), roles)
-    warnings = with_code(notes, "CABIN-IMPLAUSIBLE")
-    assert len(warnings) == is_told
-    for warning in warnings:
-        assert "BARO[1] measures 147 hPa more" in warning.what
+    messages = with_code(ledger, "CABIN-IMPLAUSIBLE")
+    assert len(messages) == warnings
+    for message in messages:
+        assert message.kind is Kind.WARNING
+        assert "less pressure than the air outside: 800 hPa and 17 degC" in message.what
 
 
 @pytest.mark.parametrize(
-    ("celsius", "height", "is_told"),
-    [(2.0, 6000.0, False), (0.0, 6000.0, True), (0.0, 1900.0, False), (-20.0, 1900.0, True)],
+    ("inside_pa", "warnings"),
+    [
+        (61_917.0, 1),
+        (47_300.0, 0),
+    ],
 )
-def test_a_temperature_that_is_no_cabins_is_told(celsius, height, is_told):
-    """Four sigmas of 21 +- 5 degC in a pressurised cabin, +- 10 in another; a number stands."""
+def test_a_cabin_that_is_said_to_be_ambient_and_is_not(inside_pa, warnings):
+    exposed = stations(6000.0, 6000.0, pressure_pa=KM6_PA)
+    exposed = replace(exposed, time_ns=np.array([0, 1]))
+    inside = channel("BARO[1]", THREE_S, pressure_pa=inside_pa)
+    _, notes = from_log(exposed, Cabin("ambient"), (HULL, inside), pressure=HULL)
+    messages = with_code(notes, "CABIN-IMPLAUSIBLE")
+    assert len(messages) == warnings
+    for message in messages:
+        assert "BARO[1] measures 147 hPa more" in message.what
+
+
+@pytest.mark.parametrize(
+    ("celsius", "height", "warnings"),
+    [
+        (2.0, 6000.0, 0),
+        (0.0, 6000.0, 1),
+        (0.0, 1900.0, 0),
+        (-20.0, 1900.0, 1),
+    ],
+)
+def test_a_temperature_that_is_no_cabins_is_told(celsius, height, warnings):
+    """Four sigmas of 21 +- 5 degC in a pressurised cabin, +- 10 in another; a number stays."""
     kelvin = celsius + ZERO_CELSIUS_K
     exposed = stations(height, cabin_pressure_pa=80_000.0, cabin_temperature_k=kelvin)
     with_air, ledger = filled(exposed, LOGGED)
     assert with_air.cabin_temperature_k.tolist() == [kelvin]
-    warnings = with_code(ledger, "CABIN-IMPLAUSIBLE")
-    assert len(warnings) == is_told
-    for warning in warnings:
-        assert f"800 hPa and {celsius:.0f} degC" in warning.what
+    messages = with_code(ledger, "CABIN-IMPLAUSIBLE")
+    assert len(messages) == warnings
+    for message in messages:
+        assert f"800 hPa and {celsius:.0f} degC" in message.what
 
 
 # ---------------------------------------------------------------- the sigma against the truth
 
+MODEL = cameras(20_000.0)[0]
+CAMERA = Camera(14_000, 10_600, 20_000.0, 20_000.0, MODEL.cx_px, MODEL.cy_px)
+FORWARD = (0.0, 0.0, 1.0)
 
-def claimed(exposed: Stations, x, y, lens: LensInAir | None = None, normal=(0.0, 0.0, 1.0)):
+
+def claimed(exposed, x, y, *, lenses, normal=FORWARD):
     """Corrections with sigmas of pixels of a simulated camera straight above, at h = 0."""
-    model = cameras(20_000.0)[0]
-    camera = Camera(14_000, 10_600, 20_000.0, 20_000.0, model.cx_px, model.cy_px)
-    lenses = {} if lens is None else {"nadir": lens}
     windows = {"nadir": Window(LOGGED, normal)}
     exposures = exposures_of(exposed, US1976, windows, lenses, Ledger(), radius_m=RADIUS)
     sigmas = StationSigmas(
@@ -278,7 +327,7 @@ def claimed(exposed: Stations, x, y, lens: LensInAir | None = None, normal=(0.0,
         None,
         exposures,
         sigmas,
-        [(camera, np.ones(1, bool))],
+        [(CAMERA, np.ones(1, bool))],
         ground_heights_m=(0.0, 0.0),
         window_kinds=np.array([SEALED]),
     )
@@ -288,7 +337,7 @@ def claimed(exposed: Stations, x, y, lens: LensInAir | None = None, normal=(0.0,
         np.zeros(x.size),
         np.zeros(x.size, np.int64),
         exposures,
-        camera=camera,
+        camera=CAMERA,
         table=ray_table(US1976),
         uncertainty=uncertainty,
     )
@@ -296,60 +345,84 @@ def claimed(exposed: Stations, x, y, lens: LensInAir | None = None, normal=(0.0,
 
 def test_a_cabin_one_sigma_warmer_or_cooler_is_within_its_sigma():
     """Cabins of 16, 21 and 26 degC: rays by the simulator's own window, index and camera."""
-    celsius = np.array([16.0, 21.0, 26.0])
+    temperature_k = ZERO_CELSIUS_K + np.array([16.0, 21.0, 26.0])
     h = 6000.0
     zeta = 0.30
     azimuth = 0.7
 
-    def refractivity(height: float) -> float:
-        return float(US1976.refractivity(height))
+    def index(height):
+        return 1.0 + float(US1976.refractivity(height))
 
-    def ray(angle: float) -> np.ndarray:
-        across = math.sin(angle)
-        return np.array([across * math.cos(azimuth), across * math.sin(azimuth), math.cos(angle)])
+    def ray(angle):
+        x = math.sin(angle) * math.cos(azimuth)
+        y = math.sin(angle) * math.sin(azimuth)
+        return np.array([[x, y, math.cos(angle)]])
 
-    n_outside = np.full(3, 1.0 + refractivity(h))
-    n_inside = edlen_index(np.full(3, 70_120.0), celsius + ZERO_CELSIUS_K, np.zeros(3))
-    r_c = ray_angle_sphere(lambda height: 1.0 + refractivity(height), h, 0.0, zeta, RADIUS)
-    model = replace(cameras(20_000.0)[0], distortion=(0.0,) * 5)
-    inside, _ = through_window(np.tile(ray(zeta), (3, 1)), n_outside, n_inside)
+    n_outside = np.full(3, index(h))
+    pressure_pa = np.full(3, 70_120.0)
+    n_inside = edlen_index(pressure_pa, temperature_k, np.zeros(3))
+    r_c = ray_angle_sphere(index, h, 0.0, zeta, RADIUS)
+    model = replace(MODEL, distortion=(0.0,) * 5)
+    rays = ray(zeta).repeat(3, axis=0)
+    inside, _ = through_window(rays, n_outside, n_inside)
     x, y = model.project(inside)
-    true_x, true_y = model.project(ray(zeta - r_c)[None])
-    exposed, _ = filled(
-        stations(h, cabin_pressure_pa=70_120.0), Cabin("log", sigma_pressure_pa=0.0)
-    )
-    corrected = claimed(exposed, x, y)
-    for error, sigma in (
-        (corrected.x_corrected_px - true_x, corrected.sigmas.cabin_dx_px),
-        (corrected.y_corrected_px - true_y, corrected.sigmas.cabin_dy_px),
-    ):
-        assert abs(error[1]) < 0.02 * sigma[1]
-        assert abs(error[2] - error[0]) / 2.0 == pytest.approx(sigma[1], rel=0.02)
+    true_x, true_y = model.project(ray(zeta - r_c))
+    cabin = Cabin("log", sigma_pressure_pa=0.0)
+    exposed, _ = filled(stations(h, cabin_pressure_pa=70_120.0), cabin)
+
+    corrected = claimed(exposed, x, y, lenses={})
+
+    sigmas = corrected.sigmas
+    assert_covered(corrected.x_corrected_px - true_x, sigmas.cabin_dx_px)
+    assert_covered(corrected.y_corrected_px - true_y, sigmas.cabin_dy_px)
     # 5 K of 294.15 are 3.19e-6 of the 187.84e-6 of Gyer's Table 7: 5 % of R at 6 km.
-    sigma_r_cc = corrected.sigmas.r_cc_rad[1]
+    sigma_r_cc = sigmas.r_cc_rad[1]
     assert sigma_r_cc == pytest.approx(3.19e-6 * math.tan(zeta), rel=0.01)
-    assert sigma_r_cc / corrected.r_c_rad[1] == pytest.approx(0.05, abs=0.006)
+    share = sigma_r_cc / corrected.r_c_rad[1]
+    assert share == pytest.approx(0.05, abs=0.006)
 
 
-@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.5, math.sqrt(0.75))])
-@pytest.mark.parametrize("lens", [None, LensInAir(20_000.0, 101_325.0, 288.15, 4e-5, -0.02)])
-def test_against_corrections_with_other_air(normal, lens):
+def assert_covered(error_px, sigma_px):
+    """The error vanishes in the middle of the cabins, and is a sigma in the others."""
+    coldest, middle, warmest = error_px
+    half = abs(warmest - coldest) / 2.0
+    assert abs(middle) < 0.02 * sigma_px[1]
+    assert half == pytest.approx(sigma_px[1], rel=0.02)
+
+
+LENS = LensInAir(20_000.0, 101_325.0, 288.15, 4e-5, -0.02)
+
+
+@pytest.mark.parametrize("normal", [FORWARD, (0.0, 0.5, math.sqrt(0.75))])
+@pytest.mark.parametrize("lenses", [{}, {"nadir": LENS}], ids=["none", "lens"])
+def test_against_corrections_with_other_air(normal, lenses):
     """Half the difference of corrections with a sigma more and less, both quantities."""
     rng = np.random.default_rng(2)
     x = rng.uniform(500.0, 13_500.0, 30)
     y = rng.uniform(500.0, 10_100.0, 30)
     exposed, _ = filled(stations(6000.0, cabin_pressure_pa=80_000.0), LOGGED)
-    corrected = claimed(exposed, x, y, lens, normal)
-    expected = np.zeros((2, 30))
-    for name, sigma in (("cabin_pressure_pa", 300.0), ("cabin_temperature_k", 5.0)):
-        value = getattr(exposed, name)
-        more = claimed(replace(exposed, **{name: value + sigma}), x, y, lens, normal)
-        less = claimed(replace(exposed, **{name: value - sigma}), x, y, lens, normal)
-        half = np.stack([more.dx_px - less.dx_px, more.dy_px - less.dy_px]) / 2.0
-        expected = np.hypot(expected, half)
-    sigmas = (corrected.sigmas.cabin_dx_px, corrected.sigmas.cabin_dy_px)
-    for sigma, of_axis in zip(sigmas, expected, strict=True):
-        np.testing.assert_allclose(sigma, of_axis, rtol=0.005, atol=0.003 * np.median(of_axis))
+
+    def shift(pressure_pa=0.0, temperature_k=0.0):
+        """In a cabin of so much more pressure and temperature."""
+        other = replace(
+            exposed,
+            cabin_pressure_pa=exposed.cabin_pressure_pa + pressure_pa,
+            cabin_temperature_k=exposed.cabin_temperature_k + temperature_k,
+        )
+        corrections = claimed(other, x, y, lenses=lenses, normal=normal)
+        return np.array([corrections.dx_px, corrections.dy_px])
+
+    by_pressure = shift(pressure_pa=300.0) - shift(pressure_pa=-300.0)
+    by_temperature = shift(temperature_k=5.0) - shift(temperature_k=-5.0)
+    expected_x, expected_y = np.hypot(by_pressure, by_temperature) / 2.0
+
+    claims = claimed(exposed, x, y, lenses=lenses, normal=normal)
+
+    sigmas = claims.sigmas
+    atol_x = 0.003 * np.median(expected_x)
+    atol_y = 0.003 * np.median(expected_y)
+    assert_allclose(sigmas.cabin_dx_px, expected_x, rtol=0.005, atol=atol_x)
+    assert_allclose(sigmas.cabin_dy_px, expected_y, rtol=0.005, atol=atol_y)
 
 
 # ---------------------------------------------------------------- the whole program
@@ -360,15 +433,22 @@ def test_what_a_missing_thermometer_costs(mission):
     prepared = read_mission(mission.save())
     unknown = np.full(len(prepared.stations), NAN)
     exposed = replace(
-        prepared.stations, cabin_temperature_k=unknown, cabin_vapour_pressure_pa=unknown
+        prepared.stations,
+        cabin_temperature_k=unknown,
+        cabin_vapour_pressure_pa=unknown,
     )
+
     corrected, _ = corrected_table(replace(prepared, stations=exposed))
+
     table = corrected.to_pandas()
     assert (table["status"] == "ok").all()
     # 3 hPa of some 825 and 5 K of 294 are 1.74 % of N: R_cc turns by that, tan of the angle.
     n_minus_1 = 225e-6
-    tangent = table["sigma_r_cc_rad"] / (n_minus_1 * math.hypot(3.0 / 825.0, 5.0 / 294.15))
-    u = np.hypot(table["x_px"] - 7000.0, table["y_px"] - 5300.0) / 20_000.0
+    sigma_n = n_minus_1 * math.hypot(3.0 / 825.0, 5.0 / 294.15)
+    tangent = table["sigma_r_cc_rad"] / sigma_n
+    right_px = table["x_px"] - 7000.0
+    down_px = table["y_px"] - 5300.0
+    u = np.hypot(right_px, down_px) / 20_000.0
     assert np.median(tangent / u) == pytest.approx(1.0, abs=0.02)
 
 

@@ -3,12 +3,9 @@
 On logs that are written here, and on those of the autopilot's own simulator in ../shared/logs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,75 +17,102 @@ from tests.helpers import refused, with_code
 from tests.stages.flown_images import CAMERA, tie_points, truth_of
 from tests.stages.written_surveys import SHUTTER_LAG_US, write_surveys
 from unbend.batch.runs import read_mission
+from unbend.flight.stations import station_columns
 from unbend.stages.multi_image.camera_images import images_of_camera
-from unbend.stages.story import PreparedMission
 
 SITL = Path(__file__).resolve().parents[3] / "shared" / "logs"
+FLIGHTS = ["written"]
+if SITL.is_dir():
+    FLIGHTS.append("sitl")
 CHANNEL = {"BIN": "CAM[{}]", "tlog": "CAMERA_FEEDBACK[{}]"}
-COUNTED = "IMG_{n:04d}.tif"
+EXIF = {"path": "exif.csv"}
 PAIR = {"left": 0, "right": 1}
 """Cameras of the second flight, and their numbers in the log."""
 
+COUNTED = "IMG_{n:04d}.tif"
 
-def scattered(names: list[str]) -> pd.DataFrame:
+GPS_EPOCH_S = 315_964_800
+WEEK_S = 604_800
+LEAP_S = 18
+DAY_S = 86_400.0
+
+
+def numbered(pattern, numbers):
+    return [pattern.format(n=number) for number in numbers]
+
+
+NAMES = numbered(COUNTED, range(1, 252))
+"""The images of a survey of 256 exposures of which five gave none, counted from 1."""
+
+
+def scattered(names):
     """Observations of which no point is seen twice."""
-    rows = pd.DataFrame({"image": np.repeat(names, 2), "x_px": 100.0, "y_px": 200.0})
-    return rows.assign(point=rows.index.astype(str))
+    rows = pd.DataFrame({"image": np.repeat(names, 2)})
+    rows["x_px"] = 100.0
+    rows["y_px"] = 200.0
+    rows["point"] = rows.index.astype(str)
+    return rows
 
 
-def exif_table(folder: Path, names: list[str], time_s: np.ndarray, *, decimals: int = 2) -> None:
-    """What exiftool -csv writes for images exposed at these Unix times by the camera's clock."""
-    parts = np.floor(time_s * 10**decimals).astype(np.int64)
-    moment = pd.to_datetime(parts // 10**decimals, unit="s")
-    fraction = [f"{part % 10**decimals:0{decimals}d}" if decimals else "" for part in parts]
-    table = pd.DataFrame(
-        {
-            "SourceFile": [f"./{name}" for name in names],
-            "DateTimeOriginal": moment.strftime("%Y:%m:%d %H:%M:%S"),
-            "SubSecTimeOriginal": fraction,
-        }
-    )
-    table.to_csv(folder / "exif.csv", index=False)
+@lru_cache
+def boot_time(log):
+    """Unix time of the boot of a log by its first GPS week and milliseconds, to 0.3 s."""
+    file = DFReader_binary(log)
+    try:
+        while (row := file.recv_match(type="GPS")) is not None:
+            if row.GWk > 0 and row.Status >= 3:
+                week_s = GPS_EPOCH_S + row.GWk * WEEK_S - LEAP_S
+                return week_s + row.GMS / 1e3 - row.TimeUS / 1e6
+    finally:
+        file.close()
+    raise AssertionError("no GPS time")
 
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight: logs and truth under one name, the height of its ground, trigger to shutter."""
+    """A flight: logs and truth under one name, the height of its ground, trigger to shutter.
+
+    Its missions are written to a folder.
+    """
 
     path: Path
     ground_m: float
     shutter_lag_us: int
-
-    def log(self, extension: str) -> Path:
-        return self.path.with_suffix(f".{extension}")
+    folder: Path
 
     @property
-    def table(self) -> Path:
-        return self.path.with_name(f"{self.path.name}_truth.csv")
+    def table(self):
+        return f"{self.path}_truth.csv"
 
-    def truth(self, instance: int) -> pd.DataFrame:
+    def truth(self, instance=0):
         return truth_of(self.table, instance)
 
-    def times(self, truth: pd.DataFrame) -> np.ndarray:
+    def times(self, truth):
         """Unix times of exposures."""
-        return boot_time(self.log("BIN")) + truth["TimeUS"].to_numpy() / 1e6
+        boot_s = boot_time(f"{self.path}.BIN")
+        return boot_s + truth["TimeUS"].to_numpy() / 1e6
 
-    def tie_points(self, truth: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    def tie_points(self, truth, names):
         return tie_points(truth, names, self.ground_m)
 
-    def read(
-        self,
-        folder: Path,
-        observations: pd.DataFrame,
-        events: dict[str, Any],
-        extension: str = "BIN",
-    ) -> PreparedMission:
+    def write_exif(self, names, time_s, decimals=2):
+        """As exiftool -csv, for images exposed at these Unix times by the camera's clock."""
+        hundredths = np.floor(time_s * 100).astype(np.int64)
+        moments = pd.to_datetime(hundredths * 10, unit="ms")
+        fractions = moments.strftime("%f").str[:decimals]
+        table = pd.DataFrame({"SourceFile": names})
+        table["SourceFile"] = "./" + table["SourceFile"]
+        table["DateTimeOriginal"] = moments.strftime("%Y:%m:%d %H:%M:%S")
+        table["SubSecTimeOriginal"] = fractions
+        table.to_csv(self.folder / EXIF["path"], index=False)
+
+    def read(self, observations, events, extension="BIN"):
         """A mission of the flight, its images matched to events."""
-        observations.to_parquet(folder / "observations.parquet")
+        observations.to_parquet(self.folder / "observations.parquet")
         cameras = list(events["log"])
         sections = {
             "mission": {"name": "flight"},
-            "log": {"path": str(self.log(extension))},
+            "log": {"path": f"{self.path}.{extension}"},
             "observations": {"path": "observations.parquet"},
             "cameras": {camera: dict(CAMERA) for camera in cameras},
             "mount": {camera: {} for camera in cameras},
@@ -96,275 +120,353 @@ class Flown:
             "ground": {"height": self.ground_m, "reference": "msl"},
             "output": {"path": "results"},
         }
-        path = folder / "mission.yaml"
-        path.write_text(yaml.safe_dump(sections, sort_keys=False), encoding="utf-8")
+        path = self.folder / "mission.yaml"
+        path.write_text(yaml.safe_dump(sections), encoding="utf-8")
         return read_mission(path)
 
 
-def one_camera(image: str, channel: str = "CAM[0]", **more: Any) -> dict[str, Any]:
+def one_camera(image, channel="CAM[0]", **sections):
     """Events of one camera, whose images are called so."""
-    return {"log": {"cam": {"channel": channel, "image": image}}} | more
+    source = {"channel": channel, "image": image}
+    return {"log": {"cam": source}} | sections
 
 
-def assert_placed(prepared: PreparedMission, truth: pd.DataFrame, names: list[str]) -> None:
+def message_of(prepared, code):
+    (message,) = with_code(prepared.ledger, code)
+    return message
+
+
+def assert_placed(prepared, truth, names):
     """Each image has a station within 20 m of where it was taken.
 
     The exposures of both flights are farther apart than that.
     """
-    stations = prepared.stations
-    row = {name: i for i, name in enumerate(stations.image.tolist())}
-    rows = np.array([row[name] for name in names])
-    north = (np.degrees(stations.lat_rad[rows]) - truth["lat"]) * 111_200.0
-    east = (np.degrees(stations.lon_rad[rows]) - truth["lng"]) * 111_320.0
-    east *= np.cos(np.radians(truth["lat"]))
-    assert (np.hypot(north, east) < 20.0).all()
+    table = pd.DataFrame(station_columns(prepared.stations))
+    stations = table.set_index("image").loc[names]
+    latitude = truth["lat"].to_numpy()
+    longitude = truth["lng"].to_numpy()
+    north_m = 111_200.0 * (stations["lat_deg"] - latitude)
+    east_m = 111_320.0 * (stations["lon_deg"] - longitude)
+    east_m *= np.cos(np.radians(latitude))
+    assert (np.hypot(north_m, east_m) < 20.0).all()
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("surveys")
     write_surveys(folder)
     return folder
 
 
-FLIGHTS = ("written", "sitl") if SITL.is_dir() else ("written",)
-
-
-@pytest.fixture(scope="module", params=FLIGHTS)
-def flight(request: pytest.FixtureRequest, written: Path) -> Flown:
+@pytest.fixture(params=FLIGHTS)
+def flight(request, written, tmp_path):
     """256 exposures of one camera: from the climb, over five lines, to the descent."""
     if request.param == "written":
-        return Flown(written / "survey", 450.0, SHUTTER_LAG_US)
-    return Flown(SITL / "sitl_survey", 590.0, 120_000)
+        return Flown(written / "survey", 450.0, SHUTTER_LAG_US, tmp_path)
+    return Flown(SITL / "sitl_survey", 590.0, 120_000, tmp_path)
 
 
-@pytest.fixture(scope="module", params=FLIGHTS)
-def pair(request: pytest.FixtureRequest, written: Path) -> Flown:
+@pytest.fixture(params=FLIGHTS)
+def pair(request, written, tmp_path):
     """142 exposures of a left camera, 15 without a pulse, and 128 of a right one."""
     if request.param == "written":
-        return Flown(written / "two_cameras", 450.0, SHUTTER_LAG_US)
-    return Flown(SITL / "sitl_belowsea_2cam", -428.0, 120_000)
+        return Flown(written / "two_cameras", 450.0, SHUTTER_LAG_US, tmp_path)
+    return Flown(SITL / "sitl_belowsea_2cam", -428.0, 120_000, tmp_path)
 
 
-@pytest.fixture(scope="module")
-def survey(flight: Flown) -> tuple[Flown, pd.DataFrame, list[str]]:
-    """The images of a survey whose first five exposures gave none: 251, counted from 1."""
-    truth = flight.truth(0).iloc[5:].reset_index(drop=True)
-    return flight, truth, [f"IMG_{n:04d}.tif" for n in range(1, 252)]
+# ---- one camera
 
 
-@pytest.mark.parametrize(("pattern", "extension"), [(COUNTED, "BIN"), ("*", "tlog")])
-def test_tie_points_find_the_five_exposures_without_an_image(survey, extension, pattern, tmp_path):
-    flight, truth, names = survey
+@pytest.fixture
+def truth(flight):
+    """Of the 251 exposures that gave an image."""
+    return flight.truth()[5:]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "extension"),
+    [
+        (COUNTED, "BIN"),
+        ("*", "tlog"),
+    ],
+)
+def test_tie_points_find_the_five_exposures_without_an_image(flight, truth, extension, pattern):
+    observations = flight.tie_points(truth, NAMES)
     events = one_camera(pattern, CHANNEL[extension].format(0))
-    prepared = flight.read(tmp_path, flight.tie_points(truth, names), events, extension)
-    assert_placed(prepared, truth, names)
-    assert prepared.stations.image.tolist() == names
-    (assigned,) = with_code(prepared.ledger, "EVENTS-ASSIGNED")
+
+    prepared = flight.read(observations, events, extension)
+
+    assert_placed(prepared, truth, NAMES)
+    assert prepared.stations.image.tolist() == NAMES
+    assigned = message_of(prepared, "EVENTS-ASSIGNED")
     assert "tie points" in assigned.what
     assert "IMG_0001.tif of event 6" in assigned.what
-    (unused,) = with_code(prepared.ledger, "EVENTS-UNUSED")
+    unused = message_of(prepared, "EVENTS-UNUSED")
     assert "5 events have no image: 1, 2, 3, 4, 5" in unused.what
-    losses = {message.code for message in prepared.ledger if message.kind == "loss"}
-    assert losses <= {"LOG-DROPOUT"}  # the logger's own count in one of the logs
+    for message in prepared.ledger:
+        if message.kind == "loss":
+            assert message.code == "LOG-DROPOUT"  # the logger's count in one of the logs
 
 
 @pytest.mark.parametrize("pattern", [COUNTED, "*"])
-def test_counting_alone_never_decides_where_counts_differ(survey, pattern, tmp_path):
-    flight, truth, names = survey
+def test_counting_alone_never_decides_where_counts_differ(flight, truth, pattern):
     events = one_camera(pattern)
+    observations = scattered(NAMES)
     with refused("EVENTS-AMBIGUOUS") as refusal:
-        flight.read(tmp_path, scattered(names), events)
+        flight.read(observations, events)
     assert "251" in refusal.value.what
     assert "events.first_image.cam" in refusal.value.remedy
-    events["first_image"] = {"cam": {"image": "IMG_0001.tif", "event": 6}}
-    assert_placed(flight.read(tmp_path, scattered(names), events), truth, names)
-    events["first_image"] = {"cam": {"image": "IMG_0252.tif", "event": 6}}
+
+    first = {"image": "IMG_0001.tif", "event": 6}
+    events["first_image"] = {"cam": first}
+    assert_placed(flight.read(observations, events), truth, NAMES)
+
+    first["image"] = "IMG_0252.tif"
     with refused("EVENTS-FIRST-IMAGE"):
-        flight.read(tmp_path, scattered(names), events)
+        flight.read(observations, events)
 
 
 @pytest.mark.parametrize("decimals", [0, 2])
-@pytest.mark.parametrize("off_s", [7237.4, -3 * 86_400.0])
-def test_times_of_a_clock_that_is_off_and_drifts(survey, decimals, off_s, tmp_path):
-    flight, truth, names = survey
+@pytest.mark.parametrize("off_s", [7237.4, -3 * DAY_S])
+def test_times_of_a_clock_that_is_off_and_drifts(flight, truth, decimals, off_s):
     time_s = flight.times(truth)
-    clock_s = time_s + off_s + 2e-5 * (time_s - time_s[0])
-    exif_table(tmp_path, names, clock_s, decimals=decimals)
-    events = one_camera(COUNTED, images={"path": "exif.csv"})
-    prepared = flight.read(tmp_path, scattered(names), events)
+    drift_s = 2e-5 * (time_s - time_s[0])
+    flight.write_exif(NAMES, time_s + off_s + drift_s, decimals)
+
+    events = one_camera(COUNTED, images=EXIF)
+    prepared = flight.read(scattered(NAMES), events)
+
+    assert_placed(prepared, truth, NAMES)
+    is_days_off = abs(off_s) > DAY_S
+    assert len(with_code(prepared.ledger, "EXIF-CLOCK")) == is_days_off
+    assert "times" in message_of(prepared, "EVENTS-ASSIGNED").what
+
+
+def test_the_logs_numbers_are_contradicted_by_tie_points(flight, truth):
+    """Files that count from the first image, taken for the log's numbers: five events off."""
+    events = one_camera("IMG_{index:04d}.tif")
+    observations = flight.tie_points(truth, NAMES)
+    with refused("EVENTS-CONTRADICTED"):
+        flight.read(observations, events)
+
+    names = numbered(COUNTED, truth["Img"])
+    observations = flight.tie_points(truth, names)
+    prepared = flight.read(observations, events)
     assert_placed(prepared, truth, names)
-    assert len(with_code(prepared.ledger, "EXIF-CLOCK")) == (abs(off_s) > 86_400.0)
-    assert "times" in with_code(prepared.ledger, "EVENTS-ASSIGNED")[0].what
+    assert "tie points" in message_of(prepared, "EVENTS-ASSIGNED").what
 
 
-def with_lost_pulses(pair: Flown) -> pd.DataFrame:
+@pytest.mark.parametrize(
+    ("first", "end"),
+    [
+        (120, 125),
+        (243, 248),
+        (6, 10),
+        (236, 248),
+    ],
+)
+def test_a_hole_between_counted_images_is_refused_by_tie_points_alone(flight, first, end):
+    """Exposures without an image in the midst: the count goes on, and a part of it is shifted."""
+    exposed = flight.truth().drop(index=range(first, end))
+    names = numbered(COUNTED, range(1, len(exposed) + 1))
+    observations = flight.tie_points(exposed, names)
+    with refused("EVENTS-AMBIGUOUS"):
+        flight.read(observations, one_camera(COUNTED))
+
+
+@pytest.mark.parametrize("off_s", [0.0, 7237.4])
+def test_two_cameras_in_one_channel_are_never_exchanged_by_whole_seconds(flight, off_s):
+    """Pulses that two cameras take in turn, and clocks of whole seconds."""
+    exposed = flight.truth()
+    names = []
+    for name in NAMES[: len(exposed) // 2]:
+        names += ["L/" + name, "R/" + name]
+    clock_s = flight.times(exposed) + off_s
+    flight.write_exif(names, clock_s, decimals=0)
+    events = {
+        "log": {
+            "L": {"channel": "CAM[0]", "image": "L/" + COUNTED},
+            "R": {"channel": "CAM[0]", "image": "R/" + COUNTED},
+        },
+        "images": EXIF,
+    }
+
+    prepared = flight.read(scattered(names), events)
+
+    assert_placed(prepared, exposed, names)
+
+
+@pytest.fixture
+def read_with_files(flight, truth):
+    """Reads the mission of the last 151 images with the times of these files."""
+
+    events = one_camera("*", images=EXIF)
+
+    def read(files):
+        times = flight.times(truth)
+        flight.write_exif(files, times[: len(files)])
+        return flight.read(scattered(NAMES[100:]), events)
+
+    return read
+
+
+def test_images_and_files_that_do_not_go_together(truth, read_with_files):
+    prepared = read_with_files(numbered("IMG_{n:04d}.NEF", range(1, 200)))
+
+    assert_placed(prepared, truth[100:199], NAMES[100:199])
+    assert message_of(prepared, "IMAGES-ABSENT").count == 52
+    assert message_of(prepared, "IMAGES-UNMATCHED").count == 52
+    assert message_of(prepared, "STATIONS-UNUSED").count == 100
+
+
+def test_files_of_other_images_or_of_one_twice_are_refused(read_with_files):
+    with refused("IMAGES-OTHER"):
+        read_with_files(numbered("DSC_{n:04d}.NEF", range(1, 200)))
+    with refused("IMAGES-DUPLICATE"):
+        name = NAMES[100]
+        read_with_files(["a/" + name, "b/" + name])
+
+
+def test_a_pattern_of_no_image_is_refused(flight):
+    with refused("IMAGES-OTHER"):
+        flight.read(scattered(NAMES), one_camera("DSC_*"))
+
+
+# ---- two cameras
+
+
+def with_lost_pulses(pair):
     """All exposures of the left camera; where a pulse is lost, the shutter follows the trigger."""
-    truth = pair.truth(0)
-    table = pd.read_csv(pair.table)
-    triggers = table[(table["row"] == "TRIG") & (table["I"] == 0)]
-    lost = triggers[~triggers["Img"].isin(truth["Img"])]
-    lost = lost.assign(TimeUS=lost["TimeUS"] + pair.shutter_lag_us)
+    truth = pair.truth()
+    triggers = pd.read_csv(pair.table).query("row == 'TRIG' and I == 0")
+    has_pulse = triggers["Img"].isin(truth["Img"])
+    lost = triggers[~has_pulse].copy()
+    lost["TimeUS"] += pair.shutter_lag_us
     exposures = pd.concat([truth, lost]).sort_values("TimeUS")
     assert len(exposures) == 142
     return exposures
 
 
-def assert_pair(prepared: PreparedMission, pair: Flown, names: dict[str, list[str]]) -> None:
-    """Each image with a pulse has its station; the others are unmatched."""
-    for camera, instance in PAIR.items():
-        truth = pair.truth(instance)
-        with_pulse = [names[camera][number - 1] for number in truth["Img"]]
-        assert_placed(prepared, truth, with_pulse)
-    stations = prepared.stations
-    unmatched = stations.image[stations.status == "unmatched"]
-    assert len(unmatched) == 15
-    assert all(image.startswith("left/") for image in unmatched)
-    (told,) = with_code(prepared.ledger, "IMAGES-UNMATCHED")
-    assert told.count == 15
+def names_of_pair(first):
+    """Images of both cameras with the numbers of their exposures."""
+    return {
+        "left": numbered("left/DSC_{n:04d}.JPG", range(first, first + 142)),
+        "right": numbered("right/DSC_{n:04d}.JPG", range(first, first + 128)),
+    }
 
 
-def names_and_times(pair: Flown, first_number: int) -> tuple[dict[str, list[str]], np.ndarray]:
-    """Images of both cameras with the numbers of their exposures, and when they were exposed."""
-    exposures = {"left": with_lost_pulses(pair), "right": pair.truth(1)}
-    names = {}
-    for camera, rows in exposures.items():
-        numbers = range(first_number, first_number + len(rows))
-        names[camera] = [f"{camera}/DSC_{number:04d}.JPG" for number in numbers]
-    return names, np.concatenate([pair.times(rows) for rows in exposures.values()])
-
-
-def both_cameras(image: str, channel: str) -> dict[str, Any]:
+def both_cameras(image, channel):
     sources = {}
     for camera, instance in PAIR.items():
-        sources[camera] = {"channel": channel.format(instance), "image": f"{camera}/{image}"}
+        source = {"channel": channel.format(instance)}
+        source["image"] = f"{camera}/{image}"
+        sources[camera] = source
     return sources
 
 
+def assert_pair(prepared, pair, names):
+    """Each image with a pulse has its station; the others are unmatched."""
+    for camera, instance in PAIR.items():
+        truth = pair.truth(instance)
+        images = np.array(names[camera])
+        with_pulse = images[truth["Img"] - 1]
+        assert_placed(prepared, truth, with_pulse)
+    stations = prepared.stations
+    for image in stations.image[stations.status == "unmatched"]:
+        assert image.startswith("left/")
+    assert np.sum(stations.status == "unmatched") == 15
+    assert message_of(prepared, "IMAGES-UNMATCHED").count == 15
+
+
 @pytest.mark.parametrize("extension", ["BIN", "tlog"])
-def test_lost_pulses_of_two_cameras_by_the_numbers_of_the_log(pair, extension, tmp_path):
+def test_lost_pulses_of_two_cameras_by_the_numbers_of_the_log(pair, extension):
     """Of 142 exposures of the left camera 15 have no pulse; the right one's 128 all have."""
-    names, _ = names_and_times(pair, 1)
-    events = {"log": both_cameras("DSC_{index:04d}.JPG", CHANNEL[extension])}
+    names = names_of_pair(first=1)
     observations = scattered(names["left"] + names["right"])
-    assert_pair(pair.read(tmp_path, observations, events, extension), pair, names)
+    events = {"log": both_cameras("DSC_{index:04d}.JPG", CHANNEL[extension])}
+
+    prepared = pair.read(observations, events, extension)
+
+    assert_pair(prepared, pair, names)
 
 
 @pytest.mark.parametrize("extension", ["BIN", "tlog"])
-def test_lost_pulses_of_two_cameras_by_the_times_of_their_files(pair, extension, tmp_path):
-    names, time_s = names_and_times(pair, 501)
+def test_lost_pulses_of_two_cameras_by_the_times_of_their_files(pair, extension):
+    names = names_of_pair(first=501)
     both = names["left"] + names["right"]
-    exif_table(tmp_path, both, time_s - 3600.0)
-    events = {"log": both_cameras("*", CHANNEL[extension]), "images": {"path": "exif.csv"}}
-    assert_pair(pair.read(tmp_path, scattered(both), events, extension), pair, names)
+    left = with_lost_pulses(pair)
+    exposures = pd.concat([left, pair.truth(1)])
+    pair.write_exif(both, pair.times(exposures) - 3600.0)
+    events = {
+        "log": both_cameras("*", CHANNEL[extension]),
+        "images": EXIF,
+    }
+
+    prepared = pair.read(scattered(both), events, extension)
+
+    assert_pair(prepared, pair, names)
 
 
-def test_the_logs_numbers_are_contradicted_by_tie_points(survey, tmp_path):
-    """Files that count from the first image, taken for the log's numbers: five events off."""
-    flight, truth, names = survey
-    events = one_camera("IMG_{index:04d}.tif")
-    with refused("EVENTS-CONTRADICTED"):
-        flight.read(tmp_path, flight.tie_points(truth, names), events)
-    right = [f"IMG_{n:04d}.tif" for n in truth["Img"]]
-    prepared = flight.read(tmp_path, flight.tie_points(truth, right), events)
-    assert_placed(prepared, truth, right)
-    assert "tie points" in with_code(prepared.ledger, "EVENTS-ASSIGNED")[0].what
-
-
-def test_counted_names_after_lost_pulses_are_not_believed(pair, tmp_path):
+def test_counted_names_after_lost_pulses_are_not_believed(pair):
     """127 images of the left camera, 127 pulses: but the log's numbers say that 14 are missing."""
-    truth = pair.truth(0)
-    names = [f"left_{n:04d}" for n in range(1, 128)]
+    truth = pair.truth()
+    names = numbered("left_{n:04d}", range(1, 128))
     events = one_camera("left_{n:04d}")
     with refused("EVENTS-AMBIGUOUS"):
-        pair.read(tmp_path, scattered(names), events)
-    assert_placed(pair.read(tmp_path, pair.tie_points(truth, names), events), truth, names)
+        pair.read(scattered(names), events)
+
+    observations = pair.tie_points(truth, names)
+    prepared = pair.read(observations, events)
+    assert_placed(prepared, truth, names)
 
 
-@pytest.mark.parametrize(("first", "lost"), [(120, 5), (243, 5), (6, 4), (236, 12)])
-def test_a_hole_between_counted_images_is_refused_by_tie_points_alone(
-    flight, first, lost, tmp_path
-):
-    """Exposures without an image in the midst: the count goes on, and a part of it is shifted."""
-    truth = flight.truth(0).drop(index=range(first, first + lost)).reset_index(drop=True)
-    names = [f"IMG_{n:04d}.tif" for n in range(1, len(truth) + 1)]
-    with refused("EVENTS-AMBIGUOUS"):
-        flight.read(tmp_path, flight.tie_points(truth, names), one_camera(COUNTED))
+# ---- names, and commands of a trigger
+
+DJI = ("DJI_20260501_0009_V.JPG", "DJI_20260501_0010_V.JPG")
 
 
-@pytest.mark.parametrize("off_s", [0.0, 7237.4])
-def test_two_cameras_in_one_channel_are_never_exchanged_by_whole_seconds(flight, off_s, tmp_path):
-    """Pulses that two cameras take in turn, and clocks of whole seconds."""
-    truth = flight.truth(0)
-    names = [f"{'LR'[k % 2]}/IMG_{k // 2 + 1:04d}.tif" for k in range(len(truth))]
-    exif_table(tmp_path, names, flight.times(truth) + off_s, decimals=0)
-    sources = {camera: {"channel": "CAM[0]", "image": f"{camera}/{COUNTED}"} for camera in "LR"}
-    events = {"log": sources, "images": {"path": "exif.csv"}}
-    assert_placed(flight.read(tmp_path, scattered(names), events), truth, names)
+@pytest.mark.parametrize(
+    ("pattern", "numbering"),
+    [
+        ("DJI_*_{n:04d}_V.JPG", "counted"),
+        ("DJI*", "sequence"),
+    ],
+)
+def test_names_of_a_pattern_have_numbers(pattern, numbering):
+    images = images_of_camera(pattern, (*DJI, "other.tif"), None)
+    assert images.name.tolist() == list(DJI)
+    assert images.number.tolist() == [9, 10]
+    assert images.numbering == numbering
 
 
-def test_images_and_files_that_do_not_go_together(survey, tmp_path):
-    flight, truth, names = survey
-    time_s = flight.times(truth)
-    events = one_camera("*", images={"path": "exif.csv"})
-
-    def read(files: list[str]) -> PreparedMission:
-        exif_table(tmp_path, files, time_s[: len(files)])
-        return flight.read(tmp_path, scattered(names[100:]), events)
-
-    prepared = read([f"IMG_{n:04d}.NEF" for n in range(1, 200)])
-    assert_placed(prepared, truth.iloc[100:199].reset_index(), names[100:199])
-    assert with_code(prepared.ledger, "IMAGES-ABSENT")[0].count == 52
-    assert with_code(prepared.ledger, "IMAGES-UNMATCHED")[0].count == 52
-    assert with_code(prepared.ledger, "STATIONS-UNUSED")[0].count == 100
-    with refused("IMAGES-OTHER"):
-        read([f"DSC_{n:04d}.NEF" for n in range(1, 200)])
-    with refused("IMAGES-DUPLICATE"):
-        read([f"{folder}/{names[100]}" for folder in "ab"])
+def test_names_are_in_the_order_of_their_numbers():
+    images = images_of_camera("*", ("a9", "a10", "a1"), None)
+    assert images.name.tolist() == ["a1", "a9", "a10"]
 
 
-def test_a_pattern_of_no_image_is_refused(survey, tmp_path):
-    flight, _, names = survey
-    with refused("IMAGES-OTHER"):
-        flight.read(tmp_path, scattered(names), one_camera("DSC_*"))
+def test_names_without_numbers_are_counted():
+    images = images_of_camera("*", ("a", "b"), None)
+    assert images.number.tolist() == [0, 1]
 
 
-def test_names_and_numbers_of_a_pattern():
-    observed = ("DJI_20260501_0009_V.JPG", "DJI_20260501_0010_V.JPG", "other.tif")
-    counted = images_of_camera("DJI_*_{n:04d}_V.JPG", observed, None)
-    assert counted.name.tolist() == list(observed[:2])
-    assert counted.number.tolist() == [9, 10]
-    assert counted.numbering == "counted"
-    sequence = images_of_camera("DJI*", observed, None)
-    assert sequence.number.tolist() == [9, 10]
-    assert sequence.numbering == "sequence"
-    assert images_of_camera("*", ("a9", "a10", "a1"), None).name.tolist() == ["a1", "a9", "a10"]
-    assert images_of_camera("*", ("a", "b"), None).number.tolist() == [0, 1]
-    index = images_of_camera("{n}_{index:05d}.tif", ("7_00012.tif", "8_00013.TIF"), None)
-    assert index.name.tolist() == ["7_00012.tif"]
-    assert index.number.tolist() == [12]
-
-
-@lru_cache
-def boot_time(log: Path) -> float:
-    """Unix time of the boot of a log by its first GPS week and milliseconds, to 0.3 s."""
-    file = DFReader_binary(str(log))
-    try:
-        while (row := file.recv_match(type="GPS")) is not None:
-            if row.GWk > 0 and row.Status >= 3:
-                week_s = 315_964_800 + row.GWk * 604_800 - 18
-                return week_s + row.GMS / 1e3 - row.TimeUS / 1e6
-    finally:
-        file.close()
-    raise AssertionError("no GPS time")
+def test_the_number_of_the_log_is_that_of_index():
+    images = images_of_camera("{n}_{index:05d}.tif", ("7_00012.tif", "8_00013.TIF"), None)
+    assert images.name.tolist() == ["7_00012.tif"]
+    assert images.number.tolist() == [12]
 
 
 @pytest.mark.parametrize(
     ("delay", "kinds"),
-    [({}, ["finding"]), ({"delay_s": 0.08}, [])],
+    [
+        ({}, ["finding"]),
+        ({"delay_s": 0.08}, []),
+    ],
     ids=["without a delay", "as measured"],
 )
 def test_commands_of_a_trigger_beside_its_pulses_need_a_delay(mission, delay, kinds):
-    mission.config["events"]["log"]["nadir"].update({"channel": "TRIG[0]"} | delay)
-    told = with_code(read_mission(mission.save()).ledger, "EVENTS-NOT-SHUTTER")
-    assert [message.kind for message in told] == kinds
+    nadir = mission.config["events"]["log"]["nadir"]
+    nadir["channel"] = "TRIG[0]"
+    nadir.update(delay)
+    prepared = read_mission(mission.save())
+    messages = with_code(prepared.ledger, "EVENTS-NOT-SHUTTER")
+    assert [message.kind for message in messages] == kinds

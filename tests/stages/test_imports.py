@@ -3,15 +3,14 @@
 Truth is that of the simulated flight; the files are written from it, as other programs do.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
-from tests.helpers import refused, with_code
+from tests.helpers import channel, refused, with_code
 from tests.stages.flown_files import (
     CAMERAS,
     NEAR_M,
@@ -22,114 +21,145 @@ from tests.stages.flown_files import (
     offsets,
     truth,
 )
+from tests.stages.mistaken import evaluated
 from unbend.batch.runs import read_mission
-from unbend.flight.channels import Channel, Source
 from unbend.messages import Ledger
 from unbend.simulate.flight import UNDULATION_M
 from unbend.stages.flight_log import with_trajectory
 
+approx = pytest.approx
+
 __all__ = ["files", "truth"]
 
-LEVER = {"nadir": [0.35, 0.1, 0.6], "oblique": [0.2, 0.28, 0.55]}
+
 OFFSET_MM = (1500, -700, 300)
 MOVED_M = [1.5, -0.7, -0.3]
 
 
-def prepare(mission, **stations):
-    mission.config["stations"] = stations
+def prepare(mission):
     return read_mission(mission.save())
 
 
-def test_a_trajectory_replaces_the_positions_of_the_log(mission, files):
+@pytest.fixture
+def by_trajectory(mission):
+    """Reads the mission with a section of a trajectory."""
+
+    def read(section):
+        mission.config["stations"] = {"trajectory": section}
+        return prepare(mission)
+
+    return read
+
+
+def message_of(prepared, code):
+    (message,) = with_code(prepared.ledger, code)
+    return message
+
+
+def test_a_trajectory_replaces_the_positions_of_the_log(mission, by_trajectory, files):
     """Of a trajectory 3 m north of the true one and 2 m above, the stations are too."""
     before = errors(prepare(mission), files)
-    prepared = prepare(mission, trajectory=files.pos(shift_m=3.0, up_m=2.0))
+
+    prepared = by_trajectory(files.pos(shift_m=3.0, up_m=2.0))
+
     after = errors(prepared, files)
-    assert after.place_m == pytest.approx(3.0, abs=NEAR_M)
-    assert after.height_m == pytest.approx(2.0, abs=0.05)
-    assert after.attitude_deg == pytest.approx(before.attitude_deg, abs=0.02)
+    assert after.place_m == approx(3.0, abs=NEAR_M)
+    assert after.height_m == approx(2.0, abs=0.05)
+    assert after.attitude_deg == approx(before.attitude_deg, abs=0.02)
     assert prepared.flight.roles["position"].name == "flight.pos"
     assert prepared.flight.air_roles["height"].name != "flight.pos"
     # The exposures are on the clock of the log, whose UTC is good to 15 ms, at 49.5 m/s.
-    sigma_m = np.hypot(0.0092, 0.015 * 49.5)
-    assert prepared.stations.sigma_horizontal_m[0] == pytest.approx(sigma_m, rel=0.01)
-    (told,) = with_code(prepared.ledger, "TRAJECTORY-REPLACES")
-    assert "position of" in told.what
-    (agrees,) = with_code(prepared.ledger, "TRAJECTORY-AGREES")
-    assert agrees.kind == "note"
+    expected_m = np.hypot(0.0092, 0.015 * 49.5)
+    sigma_m = prepared.stations.sigma_horizontal_m
+    assert sigma_m[0] == approx(expected_m, rel=0.01)
+    assert "position of" in message_of(prepared, "TRAJECTORY-REPLACES").what
+    assert message_of(prepared, "TRAJECTORY-AGREES").kind == "note"
 
 
-def test_an_sbet_replaces_all_and_its_week_is_that_of_the_log(mission, files):
-    assert_true(prepare(mission, trajectory=files.sbet()), files)
+def test_an_sbet_replaces_all_and_its_week_is_that_of_the_log(by_trajectory, files):
+    assert_true(by_trajectory(files.sbet()), files)
 
 
-def test_a_csv_of_heights_above_the_sea_and_angles(mission, files):
-    assert_true(prepare(mission, trajectory=files.csv(files.table())), files)
+def test_a_csv_of_heights_above_the_sea_and_angles(by_trajectory, files):
+    assert_true(by_trajectory(files.csv(files.table())), files)
+
+
+PLACES = {"lat_rad": 0.8, "lon_rad": 0.1, "h_msl_m": 1.0}
+TRAJECTORY = channel("flight.pos", np.arange(10), **PLACES)
+GPS = channel("GPS", np.arange(10), **PLACES)
 
 
 @pytest.mark.parametrize(
-    ("in_log", "height", "told"),
-    [([], "flight.pos", "position, height"), (["height"], "GPS", "position")],
+    ("logged", "height", "roles_of_trajectory"),
+    [
+        ({}, "flight.pos", "position, height"),
+        ({"height": GPS}, "GPS", "position"),
+    ],
 )
-def test_heights_of_the_trajectory_are_named_where_the_log_has_none(in_log, height, told):
+def test_heights_of_the_trajectory_are_named_where_the_log_has_none(
+    logged, height, roles_of_trajectory
+):
     """Positions alone are to be replaced: heights come along only where the log has none."""
-    time_ns = np.arange(10) * 10**9
-    columns = {"lat_rad": np.full(10, 0.8), "lon_rad": np.full(10, 0.1), "h_msl_m": np.ones(10)}
-    trajectory = Channel("flight.pos", time_ns, columns, Source("RTKLIB"))
-    gps = Channel("GPS", time_ns, columns, Source("GPS"))
     ledger = Ledger()
-    roles = with_trajectory(dict.fromkeys(in_log, gps), trajectory, ("position",), ledger)
+    roles = with_trajectory(logged, TRAJECTORY, ("position",), ledger)
     assert roles["position"].name == "flight.pos"
     assert roles["height"].name == height
     (entry,) = ledger
-    assert entry.what == f"flight.pos gives {told}, which the log does not have"
+    assert entry.what == f"flight.pos gives {roles_of_trajectory}, which the log does not have"
 
 
-def test_attitude_alone_leaves_the_positions_of_the_log(mission, files):
+def test_attitude_alone_leaves_the_positions_of_the_log(mission, by_trajectory, files):
     before = errors(prepare(mission), files)
-    prepared = prepare(mission, trajectory=files.sbet() | {"replaces": ["attitude"]})
+
+    prepared = by_trajectory(files.sbet() | {"replaces": ["attitude"]})
+
     after = errors(prepared, files)
-    assert after.place_m == pytest.approx(before.place_m, abs=0.01)
-    assert after.height_m == pytest.approx(before.height_m, abs=0.05)
+    assert after.place_m == approx(before.place_m, abs=0.01)
+    assert after.height_m == approx(before.height_m, abs=0.05)
     assert after.attitude_deg < 0.02
     assert prepared.flight.roles["position"].name != "sbet.out"
 
 
-def test_the_lever_arm_of_the_trajectory_adds_to_that_of_the_mount(mission, files):
+def test_the_lever_arm_of_the_trajectory_adds_to_that_of_the_mount(mission, by_trajectory, files):
     """The mounts say where the cameras are from a point 2 m behind the trajectory's."""
-    for camera, (forward, right, down) in LEVER.items():
-        mission.config["mount"][camera]["lever_arm_m"] = [forward + 2.0, right, down]
-    prepared = prepare(mission, trajectory=files.sbet() | {"lever_arm_m": [-2.0, 0.0, 0.0]})
+    for mount in mission.config["mount"].values():
+        forward, right, down = mount["lever_arm_m"]
+        mount["lever_arm_m"] = [forward + 2.0, right, down]
+    sbet = files.sbet()
+    sbet["lever_arm_m"] = [-2.0, 0.0, 0.0]
+    prepared = by_trajectory(sbet)
     assert errors(prepared, files).place_m < NEAR_M
-    wrong = prepare(mission, trajectory=files.sbet() | {"lever_arm_m": [2.0, 0.0, 0.0]})
-    assert errors(wrong, files).place_m == pytest.approx(4.0, abs=NEAR_M)
+
+    sbet["lever_arm_m"] = [2.0, 0.0, 0.0]
+    wrong = by_trajectory(sbet)
+    assert errors(wrong, files).place_m == approx(4.0, abs=NEAR_M)
 
 
-def test_a_gap_of_the_trajectory_is_no_station_though_the_log_has_one(mission, files):
+def test_a_gap_of_the_trajectory_is_no_station_though_the_log_has_one(by_trajectory, files):
     files.t = files.t[~files.near_second_exposure(5.0)]
-    prepared = prepare(mission, trajectory=files.pos())
+    prepared = by_trajectory(files.pos())
     status = prepared.stations.status.tolist()
     assert status.count("in_gap") == 2
     assert status.count("ok") == len(status) - 2
     assert prepared.ledger.has_losses
 
 
-def test_single_fixes_make_the_sigma_of_their_stations(mission, files):
+def test_single_fixes_make_the_sigma_of_their_stations(by_trajectory, files):
     quality = np.where(files.near_second_exposure(3.0), 5, 1)
-    prepared = prepare(mission, trajectory=files.pos(quality=quality))
-    sigma = prepared.stations.sigma_horizontal_m
-    assert (sigma > 2.0).sum() == 2
+    prepared = by_trajectory(files.pos(quality=quality))
+    sigma_m = prepared.stations.sigma_horizontal_m
+    assert (sigma_m > 2.0).sum() == 2
     # The others have what 15 ms of the clock are at 49.5 m/s.
-    assert (sigma < 0.75).sum() == sigma.size - 2
-    assert with_code(prepared.ledger, "TRAJECTORY-SINGLE")[0].kind == "warning"
+    assert (sigma_m < 0.75).sum() == sigma_m.size - 2
+    assert message_of(prepared, "TRAJECTORY-SINGLE").kind == "warning"
 
 
-def test_a_stretch_of_a_trajectory_that_is_off_makes_its_stations_suspect(mission, files):
+def test_a_stretch_of_a_trajectory_that_is_off_makes_its_stations_suspect(by_trajectory, files):
     shift_m = np.where(files.near_second_exposure(4.0), 40.0, 0.0)
-    prepared = prepare(mission, trajectory=files.pos(shift_m=shift_m))
+    prepared = by_trajectory(files.pos(shift_m=shift_m))
     suspect = prepared.stations.status == "suspect"
     assert suspect.sum() == 2
-    assert prepared.stations.suspect_m[suspect] == pytest.approx(40.0, abs=2.0)
+    assert prepared.stations.suspect_m[suspect] == approx(40.0, abs=2.0)
     assert with_code(prepared.ledger, "STATIONS-SUSPECT")[0].kind == "loss"
 
 
@@ -142,9 +172,11 @@ def test_a_stretch_of_a_trajectory_that_is_off_makes_its_stations_suspect(missio
         ({"up_m": -UNDULATION_M}, "TRAJECTORY-HEIGHT", "msl"),
     ],
 )
-def test_a_trajectory_that_cannot_be_of_the_flight_is_refused(mission, files, mistake, code, words):
+def test_a_trajectory_that_cannot_be_of_the_flight_is_refused(
+    by_trajectory, files, mistake, code, words
+):
     with refused(code) as refusal:
-        prepare(mission, trajectory=files.pos(**mistake))
+        by_trajectory(files.pos(**mistake))
     assert words in refusal.value.what
 
 
@@ -157,99 +189,124 @@ def test_a_trajectory_that_cannot_be_of_the_flight_is_refused(mission, files, mi
         ({"late_s": 0.2}, "TRAJECTORY-AGREES", "warning"),
     ],
 )
-def test_what_differs_more_than_autopilots_err_is_told(mission, files, difference, code, kind):
-    prepared = prepare(mission, trajectory=files.pos(**difference))
+def test_what_differs_more_than_autopilots_err_is_told(
+    by_trajectory, files, difference, code, kind
+):
+    prepared = by_trajectory(files.pos(**difference))
     assert with_code(prepared.ledger, code)[0].kind == kind
 
 
-def test_the_yaw_of_an_sbet_against_the_log(mission, files):
-    prepared = prepare(mission, trajectory=files.sbet(yaw_deg=15.0))
-    told = with_code(prepared.ledger, "TRAJECTORY-ANGLES-AGREE")[0]
-    assert told.kind == "warning"
-    tilt, yaw = re.findall(r"([-+]?[0-9.]+) deg", told.what)
+def test_the_yaw_of_an_sbet_against_the_log(by_trajectory, files):
+    prepared = by_trajectory(files.sbet(yaw_deg=15.0))
+    message = message_of(prepared, "TRAJECTORY-ANGLES-AGREE")
+    assert message.kind == "warning"
+    tilt, yaw = re.findall(r"([-+]?[0-9.]+) deg", message.what)
     assert float(tilt) < 0.5
-    assert float(yaw) == pytest.approx(15.0, abs=1.0)
-
-
-PLACE = ["latitude", "longitude"]
-ANGLES = ["roll", "pitch", "yaw"]
-
-
-def wrapped(angle_deg):
-    return (angle_deg + 180.0) % 360.0 - 180.0
+    assert float(yaw) == approx(15.0, abs=1.0)
 
 
 @pytest.mark.parametrize(
     ("mistake", "code", "words"),
     [
         (
-            lambda t: t.rename(columns={"latitude": "longitude", "longitude": "latitude"}),
+            "first = latitude; latitude = longitude; longitude = first; drop first",
             "TRAJECTORY-PLACE",
             "exchanged",
         ),
-        (lambda t: t.assign(**np.radians(t[PLACE])), "TRAJECTORY-PLACE", "radians"),
-        (lambda t: t.assign(longitude=-t["longitude"]), "TRAJECTORY-PLACE", "sign"),
-        (lambda t: t.assign(yaw=wrapped(-t["yaw"])), "TRAJECTORY-ANGLES", "yaw"),
-        (lambda t: t.assign(**np.radians(t[ANGLES])), "TRAJECTORY-ANGLES", "radians"),
-        (lambda t: t.assign(yaw=wrapped(90.0 - t["yaw"])), "TRAJECTORY-ANGLES", "east to north"),
+        (
+            "latitude = latitude * 0.0174532925; longitude = longitude * 0.0174532925",
+            "TRAJECTORY-PLACE",
+            "radians",
+        ),
+        (
+            "longitude = -longitude",
+            "TRAJECTORY-PLACE",
+            "sign",
+        ),
+        (
+            "yaw = (540 - yaw) % 360 - 180",  # of the other sign, between -180 and 180
+            "TRAJECTORY-ANGLES",
+            "yaw",
+        ),
+        (
+            "roll = roll * 0.0174532925; pitch = pitch * 0.0174532925; yaw = yaw * 0.0174532925",
+            "TRAJECTORY-ANGLES",
+            "radians",
+        ),
+        (
+            "yaw = (630 - yaw) % 360 - 180",  # from the east to the north
+            "TRAJECTORY-ANGLES",
+            "east to north",
+        ),
     ],
-    ids=["exchanged", "place in radians", "longitude", "yaw", "angles in radians", "from east"],
+    ids=[
+        "exchanged",
+        "place in radians",
+        "longitude",
+        "yaw",
+        "angles in radians",
+        "from east",
+    ],
 )
-def test_mistakes_about_columns_are_recognised(mission, files, mistake, code, words):
+def test_mistakes_about_columns_are_recognised(by_trajectory, files, mistake, code, words):
     with refused(code) as refusal:
-        prepare(mission, trajectory=files.csv(mistake(files.table())))
+        by_trajectory(files.csv(evaluated(files.table(), mistake)))
     assert words in refusal.value.what
 
 
 @pytest.mark.parametrize("order", ["XYZ", "YXZ"])
-def test_another_order_of_the_angles_is_recognised(mission, files, order):
+def test_another_order_of_the_angles_is_recognised(by_trajectory, files, order):
     """The file has rotations about z, y and x in this order."""
+    section = files.csv(files.table())
+    section["angle_order"] = order
     with refused("TRAJECTORY-ANGLES") as refusal:
-        prepare(mission, trajectory=files.csv(files.table()) | {"angle_order": order})
+        by_trajectory(section)
     assert refusal.value.remedy == "state angle_order: ZYX"
 
 
-def test_grads_that_do_not_pass_the_circle_are_recognised_by_the_log(mission, files):
+def test_grads_that_do_not_pass_the_circle_are_recognised_by_the_log(by_trajectory, files):
     """As a file of a flight to the south has them: all below 360."""
     table = files.table()
-    table[ANGLES] /= 0.9
+    table[["roll", "pitch", "yaw"]] /= 0.9
     with refused("TRAJECTORY-ANGLES") as refusal:
-        prepare(mission, trajectory=files.csv(table[table["yaw"] < 360.0]))
+        by_trajectory(files.csv(table[table["yaw"] < 360.0]))
     assert "grads" in str(refusal.value)
-    assert_true(prepare(mission, trajectory=files.csv(table) | {"angle_unit": "grad"}), files)
+
+    section = files.csv(table)
+    section["angle_unit"] = "grad"
+    assert_true(by_trajectory(section), files)
 
 
 @pytest.mark.parametrize(
-    ("changed", "code", "words"),
+    ("entries", "words"),
     [
-        ({"point": "camera"}, "CONFIG-INVALID", "one camera"),
-        ({"lever_arm_m": "from_events"}, "CONFIG-INVALID", "antenna"),
-        (
-            {"point": "antenna", "lever_arm_m": "from_events"},
-            "CONFIG-INVALID",
-            "events.positions",
-        ),
-        (
-            {"replaces": ["position"], "lever_arm_m": [1.0, 0.0, 0.0]},
-            "CONFIG-INVALID",
-            "both position and height",
-        ),
-        ({"columns": {"latitude": "lat"}}, "CONFIG-INVALID", "latitude, longitude, height"),
-        ({"angle_order": "ZYZ"}, "CONFIG-INVALID", "angle_order"),
-        ({"replaces": ["attitude"]}, "TRAJECTORY-REPLACES", ""),
+        ("{point: camera}", "one camera"),
+        ("{lever_arm_m: from_events}", "antenna"),
+        ("{point: antenna, lever_arm_m: from_events}", "events.positions"),
+        ("{replaces: [position], lever_arm_m: [1.0, 0.0, 0.0]}", "both position and height"),
+        ("{columns: {latitude: lat}}", "latitude, longitude, height"),
+        ("{angle_order: ZYZ}", "angle_order"),
     ],
 )
-def test_sections_that_contradict_themselves_are_refused(mission, files, changed, code, words):
-    with refused(code) as refusal:
-        prepare(mission, trajectory=files.pos() | changed)
+def test_sections_that_contradict_themselves_are_refused(by_trajectory, files, entries, words):
+    section = files.pos() | yaml.safe_load(entries)
+    with refused("CONFIG-INVALID") as refusal:
+        by_trajectory(section)
     assert words in str(refusal.value)
 
 
-@pytest.mark.usefixtures("plain_report")
+def test_attitudes_of_a_file_of_positions_are_refused(by_trajectory, files):
+    with refused("TRAJECTORY-REPLACES"):
+        by_trajectory(files.pos() | {"replaces": ["attitude"]})
+
+
 def test_inputs_are_hashed_and_stand_in_the_manifest(mission, files):
     mission.config["stations"] = {"trajectory": files.pos()}
+
     manifest = mission.run_to_manifest()
-    assert "trajectory" in {item["role"] for item in manifest["inputs"]}
+
+    roles = [item["role"] for item in manifest["inputs"]]
+    assert "trajectory" in roles
     assert manifest["channels"]["position"] == "flight.pos"
     files.pos(up_m=0.5)
     assert mission.run_to_manifest()["fingerprint"] != manifest["fingerprint"]
@@ -258,21 +315,22 @@ def test_inputs_are_hashed_and_stand_in_the_manifest(mission, files):
 # Camera events with positions
 
 
-def with_events(mission, files, **changed) -> dict:
+def with_events(mission, files, **changed):
     """The mission with the exposures of an MRK for each camera; the sections of the cameras."""
     sources = {}
     for camera in CAMERAS:
         files.mrk(camera)
-        source = {"path": f"{camera}.MRK", "image": f"{camera}_{{index:05d}}"}
+        source = {"path": camera + ".MRK", "image": camera + "_{index:05d}"}
         sources[camera] = source | changed
     mission.config["events"] = {"positions": sources}
     return sources
 
 
-def nadir_offsets(prepared, files) -> np.ndarray:
+def nadir_offsets(prepared, files):
     """North, east, up [m] of the stations of the nadir camera from the truth."""
     stations = prepared.stations
-    nadir = stations.rows(np.flatnonzero((stations.camera == "nadir") & stations.ok))
+    is_nadir = (stations.camera == "nadir") & stations.ok
+    nadir = stations.rows(np.flatnonzero(is_nadir))
     return offsets(nadir, files.stations_of("nadir"))
 
 
@@ -280,11 +338,12 @@ def test_positions_of_an_mrk_are_those_of_the_camera(mission, files):
     with_events(mission, files)
     prepared = prepare(mission)
     assert np.abs(nadir_offsets(prepared, files)).max() < 0.002
-    told = [message.what for message in with_code(prepared.ledger, "EVENTS-POSITIONS")]
-    assert (
-        "nadir.MRK has the times of the exposures of nadir, and the positions of the camera" in told
+    messages = with_code(prepared.ledger, "EVENTS-POSITIONS")
+    assert [message.what for message in messages].count(
+        "nadir.MRK has the times of the exposures of nadir, and the positions of the camera"
     )
-    assert prepared.stations.image[prepared.stations.ok][0] == "nadir_00001"
+    stations = prepared.stations
+    assert stations.image[stations.ok][0] == "nadir_00001"
 
 
 def test_events_of_rtklib_are_of_the_antenna_from_which_the_mount_counts(mission, files):
@@ -293,9 +352,9 @@ def test_events_of_rtklib_are_of_the_antenna_from_which_the_mount_counts(mission
         source["path"] = "flight.pos"
     files.t = np.sort(files.flight.exposure_s)
     files.pos()
-    found = errors(prepare(mission), files)
-    assert found.place_m < 0.01
-    assert found.height_m < 0.01
+    error = errors(prepare(mission), files)
+    assert error.place_m < 0.01
+    assert error.height_m < 0.01
 
 
 def test_an_antenna_is_moved_to_the_camera_by_the_offsets_of_the_mrk(mission, files):
@@ -307,32 +366,34 @@ def test_an_antenna_is_moved_to_the_camera_by_the_offsets_of_the_mrk(mission, fi
     np.testing.assert_allclose(moved, expected, atol=0.01)
 
 
-def test_ppk_of_the_antenna_with_times_and_offsets_of_the_mrk(mission, files):
+def test_ppk_of_the_antenna_with_times_and_offsets_of_the_mrk(mission, by_trajectory, files):
     """The trajectory is that of the mounts' point: the offsets replace their lever arm."""
     with_events(mission, files, times_only=True)
     files.mrk("nadir", offset_mm=OFFSET_MM)
     antenna = files.pos() | {"point": "antenna"}
-    by_mount = nadir_offsets(prepare(mission, trajectory=antenna), files)
+    by_mount = nadir_offsets(by_trajectory(antenna), files)
     assert np.abs(by_mount).max() < NEAR_M
+
     antenna["lever_arm_m"] = "from_events"
-    by_events = nadir_offsets(prepare(mission, trajectory=antenna), files)
-    lever = np.abs(by_events - MOVED_M)
-    assert lever.max() < 0.9  # the lever arm of the mount is 0.7 m long, and not added
-    assert lever.max() > 0.3
+    by_events = nadir_offsets(by_trajectory(antenna), files)
+    # The lever arm of the mount is 0.7 m long, and not added.
+    assert 0.3 < np.abs(by_events - MOVED_M).max() < 0.9
 
 
-def test_positions_twice_are_refused(mission, files):
+def test_positions_twice_are_refused(mission, by_trajectory, files):
     with_events(mission, files)
     with refused("CONFIG-INVALID") as refusal:
-        prepare(mission, trajectory=files.pos())
+        by_trajectory(files.pos())
     assert "times_only" in str(refusal.value)
 
 
-def test_offsets_of_the_antenna_must_be_there(mission, files):
+def test_offsets_of_the_antenna_must_be_there(mission, by_trajectory, files):
     with_events(mission, files, path="flight.pos", times_only=True)
-    section = files.pos() | {"point": "antenna", "lever_arm_m": "from_events"}
+    section = files.pos()
+    section["point"] = "antenna"
+    section["lever_arm_m"] = "from_events"
     with refused("EVENTS-OFFSETS"):
-        prepare(mission, trajectory=section)
+        by_trajectory(section)
 
 
 def test_images_by_name_need_a_file_with_names(mission, files):
@@ -349,22 +410,23 @@ def test_lost_numbers_of_an_mrk_never_shift_images(mission, files):
     with_events(mission, files)
     files.mrk("nadir", rows=LOST)
     prepared = prepare(mission)
-    assert with_code(prepared.ledger, "EVENTS-LOST")[0].kind == "loss"
-    assert with_code(prepared.ledger, "IMAGES-UNMATCHED")[0].count == 1
+    assert message_of(prepared, "EVENTS-LOST").kind == "loss"
+    assert message_of(prepared, "IMAGES-UNMATCHED").count == 1
     assert errors(prepared, files).place_m < 0.002
-    assert "nadir_00002" not in prepared.stations.image[prepared.stations.ok]
+    stations = prepared.stations
+    assert "nadir_00002" not in stations.image[stations.ok]
 
 
-def counted_images(files, sources) -> None:
+def counted_images(files, sources):
     files.mrk("nadir", rows=LOST)
     sources["nadir"]["image"] = "nadir_{n:05d}"
 
 
-def rows_counted_anew(files, sources) -> None:
+def rows_counted_anew(files, sources):
     files.mrk("nadir", rows=LOST, numbers=[1, 2])
 
 
-def rows_without_numbers(files, sources) -> None:
+def rows_without_numbers(files, sources):
     _, seconds = gps_time(files.stations_of("nadir")["time_utc"].iloc[LOST])
     _, start = gps_time(pd.Series([files.start]))
     files.t = seconds.to_numpy() - start[0]

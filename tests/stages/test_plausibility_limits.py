@@ -3,12 +3,10 @@
 What a rule looks at is made by hand; the limits are those that the sentences of the rules state.
 """
 
-from __future__ import annotations
-
 import math
+from collections import defaultdict
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,39 +15,72 @@ from unbend.refraction import BrownConrady, Camera
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.stages.plausibility import rules
 
-TAKEOFF = SimpleNamespace(h_msl_m=400.0, lat_rad=0.8, lon_rad=0.2, stands=True)
+approx = pytest.approx
+
 CAMERA = Camera(4000, 3000, 3500.0, 3500.0, 2000.0, 1500.0)
 GROUND = SimpleNamespace(column=None, sigma_m=None)
 
 
-def facts(**values: Any) -> SimpleNamespace:
-    """What rules look at: a camera of 60 deg that looks down, and what a test states."""
+def mission_of(**sections):
+    return SimpleNamespace(**{"ground": GROUND} | sections)
+
+
+def takeoff(stands=True):
+    return SimpleNamespace(
+        h_msl_m=400.0,
+        lat_rad=0.8,
+        lon_rad=0.2,
+        stands=stands,
+    )
+
+
+def facts(**values):
+    """What rules look at: a camera of 60 deg that looks down, and the values of a test."""
     usual = {
-        "mission": SimpleNamespace(ground=GROUND),
-        "takeoff": TAKEOFF,
+        "mission": mission_of(),
+        "takeoff": takeoff(),
         "cameras": {"nadir": CAMERA},
         "view_deg": lambda name: 60.0,
         "axis_deg": lambda name: 0.0,
         "key_of": lambda name, of_numbers, of_metric: f"cameras.{name}.{of_numbers}",
     }
-    return SimpleNamespace(**(usual | values))
+    return SimpleNamespace(**usual | values)
 
 
-def mission(**sections: Any) -> dict[str, SimpleNamespace]:
-    return {"mission": SimpleNamespace(**({"ground": GROUND} | sections))}
+def facts_of_camera(view_deg=60.0, **changed):
+    camera = replace(CAMERA, **changed)
+    return facts(cameras={"nadir": camera}, view_deg=lambda name: view_deg)
 
 
-def found(rule: Any, made: SimpleNamespace, name: str) -> Any:
-    """What the finding of a rule names, or its place; None where there is no finding."""
-    values = [{"where": finding.where, **finding.values}[name] for finding in rule(made)]
-    assert len(values) < 2
-    return values[0] if values else None
+def arrays(**lists):
+    """Stations or rows of observations with these values."""
+    return SimpleNamespace(**{name: np.array(values) for name, values in lists.items()})
 
 
-def ground(km_north: float, height_m: float) -> SimpleNamespace:
-    lat_rad = np.array([0.8 + km_north / 6371.0])
-    stations = SimpleNamespace(ok=np.array([True]), lat_rad=lat_rad, lon_rad=np.array([0.2]))
-    return facts(stations=stations, rows=SimpleNamespace(h_g_m=np.array([height_m, np.nan])))
+def finding_of(rule, made, where=None):
+    """The values of the only finding of a rule, which names this key of the mission file.
+
+    Where there is no finding each value is None.
+    """
+    findings = list(rule(made))
+    if not findings:
+        return defaultdict(lambda: None)
+    (finding,) = findings
+    if where is not None:
+        assert finding.where == where
+    return finding.values
+
+
+# ---- heights of the ground
+
+
+def ground(km_north, height_m):
+    stations = arrays(
+        ok=[True],
+        lat_rad=[0.8 + km_north / 6371.0],
+        lon_rad=[0.2],
+    )
+    return facts(stations=stations, rows=arrays(h_g_m=[height_m, np.nan]))
 
 
 @pytest.mark.parametrize(
@@ -66,16 +97,16 @@ def ground(km_north: float, height_m: float) -> SimpleNamespace:
     ],
 )
 def test_the_ground_lies_near_the_takeoff(km, height_m, off_m):
-    made = ground(km, height_m)
-    assert found(rules.ground_beside_takeoff, made, "off_m") == pytest.approx(off_m)
+    finding = finding_of(rules.ground_beside_takeoff, ground(km, height_m))
+    assert finding["off_m"] == approx(off_m)
 
 
 def test_the_ground_far_below_the_takeoff_in_numbers():
-    (finding,) = rules.ground_beside_takeoff(ground(10.0, -101.0))
-    assert finding.where == "ground.height"
-    assert finding.values["height_m"] == -101.0
-    assert finding.values["allowed_m"] == pytest.approx(500.0, abs=0.1)
-    assert finding.values["reference"] == "the take-off, 10 km away"
+    far_below = ground(10.0, -101.0)
+    finding = finding_of(rules.ground_beside_takeoff, far_below, "ground.height")
+    assert finding["height_m"] == -101.0
+    assert finding["allowed_m"] == approx(500.0, abs=0.1)
+    assert finding["reference"] == "the take-off, 10 km away"
 
 
 @pytest.mark.parametrize(
@@ -93,23 +124,36 @@ def test_the_ground_far_below_the_takeoff_in_numbers():
 )
 def test_the_ground_lies_near_the_logged_terrain(above_m, nadir_rad, off_m):
     terrain_m = np.array([450.0, 620.0, 450.0, 620.0, 9e3, 450.0])
-    rows = SimpleNamespace(
-        station=np.array([0, 1, 0, 1, -1, 0]), h_g_m=terrain_m + np.insert(above_m, 4, 0.0)
+    rows = arrays(
+        station=[0, 1, 0, 1, -1, 0],
+        h_g_m=terrain_m + np.insert(above_m, 4, 0.0),
     )
-    made = facts(logged_terrain_m=terrain_m[:2], rows=rows, nadir_angle_rad=np.full(6, nadir_rad))
-    assert found(rules.ground_beside_terrain, made, "off_m") == pytest.approx(off_m)
-    height_m = None if off_m is None else pytest.approx(450.0 + off_m)
-    assert found(rules.ground_beside_terrain, made, "height_m") == height_m
+    made = facts(
+        logged_terrain_m=terrain_m[:2],
+        rows=rows,
+        nadir_angle_rad=np.full(6, nadir_rad),
+    )
+
+    finding = finding_of(rules.ground_beside_terrain, made)
+
+    assert finding["off_m"] == approx(off_m)
+    if off_m is not None:
+        assert finding["height_m"] == approx(450.0 + off_m)
 
 
 @pytest.mark.parametrize(
     ("model_m", "stands", "off_m"),
-    [(449.0, True, None), (451.0, True, 51.0), (349.0, True, -51.0), (900.0, False, None)],
+    [
+        (449.0, True, None),
+        (451.0, True, 51.0),
+        (349.0, True, -51.0),
+        (900.0, False, None),
+    ],
 )
 def test_the_elevation_model_lies_near_the_takeoff(model_m, stands, off_m):
-    takeoff = SimpleNamespace(**(vars(TAKEOFF) | {"stands": stands}))
-    made = facts(takeoff=takeoff, model_at_takeoff_m=model_m)
-    assert found(rules.model_beside_takeoff, made, "off_m") == off_m
+    made = facts(takeoff=takeoff(stands), model_at_takeoff_m=model_m)
+    finding = finding_of(rules.model_beside_takeoff, made)
+    assert finding["off_m"] == off_m
 
 
 @pytest.mark.parametrize(
@@ -129,17 +173,48 @@ def test_the_reading_that_explains_a_difference_best_is_likely(off_m, ground_m, 
 
 
 @pytest.mark.parametrize(
-    ("view_deg", "told_deg"), [(2.9, 2.9), (3.0, None), (130.0, None), (130.1, 130.1)]
+    ("ratio", "nadir_rad", "expected"),
+    [
+        (0.71, 0.5, None),
+        (0.69, 0.5, 0.69),
+        (1.39, 0.5, None),
+        (1.41, 0.5, 1.41),
+        (0.3048, 1.39, 0.3048),
+        (0.3048, 1.41, None),
+    ],
 )
-def test_a_field_of_view_is_that_of_a_camera(view_deg, told_deg):
-    made = facts(view_deg=lambda name: view_deg)
-    assert found(rules.field_of_view, made, "view") == told_deg
+def test_slant_ranges_fit_the_heights(ratio, nadir_rad, expected):
+    distance_m = ratio * 1500.0 / math.cos(nadir_rad)
+    rows = arrays(h_g_m=[500.0], distance_m=[distance_m])
+    made = facts(
+        camera_height_m=np.array([2000.0]),
+        nadir_angle_rad=np.array([nadir_rad]),
+        rows=rows,
+    )
+    finding = finding_of(rules.slant_ranges, made)
+    assert finding["ratio"] == approx(expected)
+
+
+# ---- cameras
+
+
+@pytest.mark.parametrize(
+    ("view_deg", "expected_deg"),
+    [
+        (2.9, 2.9),
+        (3.0, None),
+        (130.0, None),
+        (130.1, 130.1),
+    ],
+)
+def test_a_field_of_view_is_that_of_a_camera(view_deg, expected_deg):
+    finding = finding_of(rules.field_of_view, facts_of_camera(view_deg))
+    assert finding["view"] == expected_deg
 
 
 def test_a_wide_field_of_view_in_numbers():
-    (finding,) = rules.field_of_view(facts(view_deg=lambda name: 131.0))
-    assert finding.where == "cameras.nadir.fx_px"
-    assert finding.values == {
+    finding = finding_of(rules.field_of_view, facts_of_camera(131.0), "cameras.nadir.fx_px")
+    assert finding == {
         "name": "nadir",
         "view": 131.0,
         "least": 3.0,
@@ -151,12 +226,21 @@ def test_a_wide_field_of_view_in_numbers():
 
 
 @pytest.mark.parametrize(
-    ("fx_px", "told_px"), [(3569.0, None), (3571.0, 3571.0), (3431.0, None), (3429.0, 3429.0)]
+    ("fx_px", "is_square"),
+    [
+        (3569.0, True),
+        (3571.0, False),
+        (3431.0, True),
+        (3429.0, False),
+    ],
 )
-def test_pixels_are_square_within_two_percent(fx_px, told_px):
-    made = facts(cameras={"nadir": replace(CAMERA, fx_px=fx_px)})
-    assert found(rules.field_of_view, made, "fx_px") == told_px
-    assert found(rules.field_of_view, made, "fy_px") == (told_px and 3500.0)
+def test_pixels_are_square_within_two_percent(fx_px, is_square):
+    finding = finding_of(rules.field_of_view, facts_of_camera(fx_px=fx_px))
+    if is_square:
+        assert not finding
+    else:
+        assert finding["fx_px"] == fx_px
+        assert finding["fy_px"] == 3500.0
 
 
 @pytest.mark.parametrize(
@@ -171,15 +255,15 @@ def test_pixels_are_square_within_two_percent(fx_px, told_px):
     ],
 )
 def test_the_principal_point_lies_near_the_centre(cx_px, cy_px, percent):
-    made = facts(cameras={"nadir": replace(CAMERA, cx_px=cx_px, cy_px=cy_px)})
-    assert found(rules.principal_point, made, "percent") == pytest.approx(percent)
-    assert found(rules.principal_point, made, "where") == (percent and "cameras.nadir.cx_px")
+    made = facts_of_camera(cx_px=cx_px, cy_px=cy_px)
+    finding = finding_of(rules.principal_point, made, "cameras.nadir.cx_px")
+    assert finding["percent"] == approx(percent)
 
 
 def test_the_distortion_at_the_corners_is_a_share_of_the_radius():
     """k1 r^2 at the corner: (2000^2 + 1500^2) / 3500^2 = 0.5102."""
     camera = replace(CAMERA, distortion=BrownConrady(k1=-0.1))
-    assert rules.distortion_at_corners(camera) == pytest.approx(0.05102, rel=1e-4)
+    assert rules.distortion_at_corners(camera) == approx(0.05102, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -198,9 +282,9 @@ def test_the_distortion_at_the_corners_is_a_share_of_the_radius():
     ],
 )
 def test_distortions_have_the_size_of_a_lens(k1, view_deg, is_wrong):
-    camera = replace(CAMERA, distortion=BrownConrady(k1=k1))
-    made = facts(cameras={"nadir": camera}, view_deg=lambda name: view_deg)
-    assert (found(rules.distortion, made, "share") is not None) == is_wrong
+    made = facts_of_camera(view_deg, distortion=BrownConrady(k1=k1))
+    finding = finding_of(rules.distortion, made)
+    assert (finding["share"] is not None) == is_wrong
 
 
 @pytest.mark.parametrize(
@@ -214,42 +298,62 @@ def test_distortions_have_the_size_of_a_lens(k1, view_deg, is_wrong):
     ],
 )
 def test_tangential_terms_are_small(p1, p2, k3, most):
-    camera = replace(CAMERA, distortion=BrownConrady(k1=-0.05, k3=k3, p1=p1, p2=p2))
-    assert found(rules.distortion, facts(cameras={"nadir": camera}), "most") == most
+    terms = BrownConrady(k1=-0.05, k3=k3, p1=p1, p2=p2)
+    finding = finding_of(rules.distortion, facts_of_camera(distortion=terms))
+    assert finding["most"] == most
 
 
-def extent(pixels: list[tuple[float, float]], name: str) -> Any:
-    x_px, y_px = np.array(pixels).T
-    rows = SimpleNamespace(x_px=x_px, y_px=y_px)
+# ---- observations in images
+
+
+def extent(pixels):
+    x_px, y_px = zip(*pixels, strict=True)
+    rows = arrays(x_px=x_px, y_px=y_px)
     made = facts(rows=rows, camera=np.full(len(pixels), "nadir"))
-    return found(rules.extent_of_observations, made, name)
-
-
-@pytest.mark.parametrize("beside", [(4001.0, 10.0), (-1.0, 10.0), (10.0, 3001.0), (10.0, -1.0)])
-@pytest.mark.parametrize(
-    ("number", "outside", "share"), [(200, 2, None), (200, 3, 1.5), (100, 1, None), (100, 2, 2.0)]
-)
-def test_hardly_any_observation_lies_outside_its_image(number, outside, share, beside):
-    pixels = [(3900.0, 10.0)] * (number - outside) + [beside] * outside
-    assert extent(pixels, "outside") == share
+    return finding_of(rules.extent_of_observations, made)
 
 
 @pytest.mark.parametrize(
-    ("number", "pixel", "is_small"),
+    "beside",
     [
-        (100, (2790.0, 2090.0), True),  # less than 0.7 of both sides
-        (100, (2810.0, 2090.0), False),
-        (100, (2790.0, 2110.0), False),
-        (99, (2790.0, 2090.0), False),
+        (4001.0, 10.0),
+        (-1.0, 10.0),
+        (10.0, 3001.0),
+        (10.0, -1.0),
     ],
 )
-def test_many_observations_fill_their_image(number, pixel, is_small):
-    mistake = extent([pixel] * number, "mistake")
-    assert mistake == ("measured in reduced images" if is_small else None)
+@pytest.mark.parametrize(
+    ("inside", "outside", "percent"),
+    [
+        (198, 2, None),
+        (197, 3, 1.5),
+        (99, 1, None),
+        (98, 2, 2.0),
+    ],
+)
+def test_hardly_any_observation_lies_outside_its_image(inside, outside, percent, beside):
+    pixels = [(3900.0, 10.0)] * inside + [beside] * outside
+    assert extent(pixels)["outside"] == percent
+
+
+REDUCED = "measured in reduced images"
 
 
 @pytest.mark.parametrize(
-    ("x_px", "y_px", "says"),
+    ("number", "pixel", "mistake"),
+    [
+        (100, (2790.0, 2090.0), REDUCED),  # less than 0.7 of both sides
+        (100, (2810.0, 2090.0), None),
+        (100, (2790.0, 2110.0), None),
+        (99, (2790.0, 2090.0), None),
+    ],
+)
+def test_many_observations_fill_their_image(number, pixel, mistake):
+    assert extent([pixel] * number)["mistake"] == mistake
+
+
+@pytest.mark.parametrize(
+    ("x_px", "y_px", "words"),
     [
         ([-801.0, 900.0], [-601.0, 700.0], "centre"),
         ([-799.0, 900.0], [-601.0, 700.0], "exchanged"),
@@ -258,12 +362,39 @@ def test_many_observations_fill_their_image(number, pixel, is_small):
         ([0.0, 3000.0], [0.0, 4001.0], "another size"),
     ],
 )
-def test_what_pixels_outside_likely_are(x_px, y_px, says):
-    assert says in rules.likely_extent(np.array(x_px), np.array(y_px), 4000, 3000)
+def test_what_pixels_outside_likely_are(x_px, y_px, words):
+    likely = rules.likely_extent(np.array(x_px), np.array(y_px), 4000, 3000)
+    assert words in likely
+
+
+@pytest.mark.parametrize(("weight", "percent"), [(0.99, None), (1.01, 20.16)])
+def test_a_fifth_of_the_observations_may_be_flagged_for_one_cause(weight, percent):
+    """A row of the sample counts for as many observations as it represents."""
+    columns = SimpleNamespace(x_px="x_px", y_px="y_px")
+    observations = SimpleNamespace(columns=columns)
+    no_ground = STATUS_NAMES.index("no_ground")
+    rows = arrays(
+        status=[no_ground, STATUS_NAMES.index("ok")],
+        weight=[weight, 4.0],
+    )
+    made = facts(
+        mission=mission_of(observations=observations),
+        stations=arrays(ok=[True], status=["ok"]),
+        rows=rows,
+    )
+
+    finding = finding_of(rules.flagged_rows, made)
+
+    assert finding["percent"] == approx(percent, abs=0.01)
+    if percent is not None:
+        assert finding["most"] == 20.0
+
+
+# ---- directions, mounts, sigmas, windows
 
 
 @pytest.mark.parametrize(
-    ("name", "axis_deg", "view_deg", "says"),
+    ("name", "axis_deg", "view_deg", "words"),
     [
         ("wing", 79.0, 60.0, None),
         ("wing", 81.0, 60.0, "not -90"),
@@ -276,17 +407,19 @@ def test_what_pixels_outside_likely_are(x_px, y_px, says):
         ("oblique_left", 11.0, 60.0, None),
     ],
 )
-def test_cameras_look_where_their_names_say(name, axis_deg, view_deg, says):
+def test_cameras_look_where_their_names_say(name, axis_deg, view_deg, words):
     made = facts(
         cameras={name: CAMERA},
         axis_deg=lambda name: axis_deg,
         view_deg=lambda name: view_deg,
-        **mission(attitude_key=lambda name: f"mount.{name}"),
+        mission=mission_of(attitude_key=lambda name: "mount." + name),
     )
-    expected = found(rules.direction_of_cameras, made, "expected")
-    assert (expected is None) if says is None else (says in expected)
-    assert found(rules.direction_of_cameras, made, "axis") == (says and axis_deg)
-    assert found(rules.direction_of_cameras, made, "where") == (says and f"mount.{name}")
+    finding = finding_of(rules.direction_of_cameras, made, "mount." + name)
+    if words is None:
+        assert not finding
+    else:
+        assert words in finding["expected"]
+        assert finding["axis"] == axis_deg
 
 
 @pytest.mark.parametrize(
@@ -304,103 +437,98 @@ def test_cameras_look_where_their_names_say(name, axis_deg, view_deg, says):
 )
 def test_angles_of_mounts_are_in_degrees(roll, deg):
     mount = SimpleNamespace(roll_deg=roll, pitch_deg=0.0, yaw_deg=0.0)
-    made = facts(**mission(mount={"nadir": mount}))
-    assert found(rules.angles_of_mounts, made, "deg") == pytest.approx(deg, abs=0.01)
-    assert found(rules.angles_of_mounts, made, "where") == (deg and "mount.nadir.roll_deg")
+    made = facts(mission=mission_of(mount={"nadir": mount}))
+    finding = finding_of(rules.angles_of_mounts, made, "mount.nadir.roll_deg")
+    assert finding["deg"] == approx(deg, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("lever_arm_m", "down", "name", "told_m"),
-    [
-        ([6.0, 7.9, 0.5], 1.0, "length", None),  # 9.93 m
-        ([6.0, 8.1, 0.5], 1.0, "length", 10.0925715),
-        ([0.0, 0.0, -0.24], 1.0, "up", None),
-        ([0.0, 0.0, -0.26], 1.0, "up", 0.26),  # above the antenna
-        ([0.0, 0.0, -0.26], 0.49, "up", None),
-        ([0.0, 0.0, -0.26], 0.51, "up", 0.26),
-    ],
-)
-def test_lever_arms_are_those_of_an_aircraft(lever_arm_m, down, name, told_m):
-    mount = SimpleNamespace(lever_arm_m=lever_arm_m)
+def lever_arm(arm_m, down=1.0):
+    """The finding about the lever arm of a camera by which the body's down is so far down."""
+    mount = SimpleNamespace(lever_arm_m=arm_m)
     axes = SimpleNamespace(camera_from_body=np.diag([1.0, 1.0, down]))
-    made = facts(**mission(mount={"nadir": mount}, mounts={"nadir": axes}))
-    assert found(rules.lever_arms, made, name) == pytest.approx(told_m)
-    assert found(rules.lever_arms, made, "where") == (told_m and "mount.nadir.lever_arm_m")
+    mission = mission_of(mount={"nadir": mount}, mounts={"nadir": axes})
+    return finding_of(rules.lever_arms, facts(mission=mission), "mount.nadir.lever_arm_m")
 
 
 @pytest.mark.parametrize(
-    ("sigma_m", "delay_s", "where"),
+    ("right_m", "length_m"),
     [
-        (50.0, 1.0, None),
-        (50.1, -1.0, "ground.sigma_m"),
-        (None, 1.01, "events.log.nadir.delay_s"),
-        (None, -1.01, "events.log.nadir.delay_s"),
+        (7.9, None),  # 9.93 m
+        (8.1, 10.0925715),
     ],
 )
-def test_sigmas_and_delays_have_the_size_of_their_unit(sigma_m, delay_s, where):
-    events = SimpleNamespace(log={"nadir": SimpleNamespace(delay_s=delay_s)})
-    made = facts(**mission(ground=SimpleNamespace(sigma_m=sigma_m), events=events))
-    assert found(rules.sigmas_and_delays, made, "where") == where
+def test_lever_arms_are_those_of_an_aircraft(right_m, length_m):
+    finding = lever_arm([6.0, right_m, 0.5])
+    assert finding["length"] == approx(length_m)
 
 
-@pytest.mark.parametrize(("tilt_deg", "told_deg"), [(34.9, None), (35.1, 35.1)])
-def test_a_window_is_square_to_its_camera(tilt_deg, told_deg):
+@pytest.mark.parametrize(
+    ("up_m", "down", "expected_m"),
+    [
+        (0.24, 1.0, None),
+        (0.26, 1.0, 0.26),  # above the antenna
+        (0.26, 0.49, None),
+        (0.26, 0.51, 0.26),
+    ],
+)
+def test_cameras_that_look_down_are_below_the_antenna(up_m, down, expected_m):
+    finding = lever_arm([0.0, 0.0, -up_m], down)
+    assert finding["up"] == approx(expected_m)
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "delay_s", "keys"),
+    [
+        (50.0, 1.0, []),
+        (50.1, -1.0, ["ground.sigma_m"]),
+        (None, 1.01, ["events.log.nadir.delay_s"]),
+        (None, -1.01, ["events.log.nadir.delay_s"]),
+    ],
+)
+def test_sigmas_and_delays_have_the_size_of_their_unit(sigma_m, delay_s, keys):
+    source = SimpleNamespace(delay_s=delay_s)
+    mission = mission_of(
+        ground=SimpleNamespace(sigma_m=sigma_m),
+        events=SimpleNamespace(log={"nadir": source}),
+    )
+    assert keys_of(rules.sigmas_and_delays, mission) == keys
+
+
+def keys_of(rule, mission):
+    """The keys that the findings of a rule name."""
+    return [finding.where for finding in rule(facts(mission=mission))]
+
+
+@pytest.mark.parametrize(("tilt_deg", "expected_deg"), [(34.9, None), (35.1, 35.1)])
+def test_a_window_is_square_to_its_camera(tilt_deg, expected_deg):
     tilt = math.radians(tilt_deg)
-    window = SimpleNamespace(
-        frame="camera", normal=(math.sin(tilt), 0.0, math.cos(tilt)), section="window"
+    in_camera = SimpleNamespace(
+        frame="camera",
+        normal=(math.sin(tilt), 0.0, math.cos(tilt)),
+        section="window",
     )
-    in_body = SimpleNamespace(frame="body", normal=(1.0, 0.0, 0.0), section="window")
-    made = facts(**mission(log=None, windows={"nadir": window, "wing": in_body}))
-    assert found(rules.windows, made, "tilt") == pytest.approx(told_deg)
-    assert found(rules.windows, made, "where") == (told_deg and "cameras.nadir.window.frame")
+    in_body = SimpleNamespace(
+        frame="body",
+        normal=(1.0, 0.0, 0.0),
+        section="window",
+    )
+    windows = {"nadir": in_camera, "wing": in_body}
+    made = facts(mission=mission_of(log=None, windows=windows))
+    finding = finding_of(rules.windows, made, "cameras.nadir.window.frame")
+    assert finding["tilt"] == approx(expected_deg)
 
 
 @pytest.mark.parametrize(
-    ("ratio", "nadir_rad", "told"),
+    ("direction", "orientation", "keys"),
     [
-        (0.71, 0.5, None),
-        (0.69, 0.5, 0.69),
-        (1.39, 0.5, None),
-        (1.41, 0.5, 1.41),
-        (0.3048, 1.39, 0.3048),
-        (0.3048, 1.41, None),
+        ("apply", None, ["refraction.direction"]),
+        ("remove", None, []),
+        ("apply", object(), []),
     ],
 )
-def test_slant_ranges_fit_the_heights(ratio, nadir_rad, told):
-    distance_m = ratio * 1500.0 / math.cos(nadir_rad)
-    made = facts(
-        camera_height_m=np.array([2000.0]),
-        nadir_angle_rad=np.array([nadir_rad]),
-        rows=SimpleNamespace(h_g_m=np.array([500.0]), distance_m=np.array([distance_m])),
+def test_refraction_is_not_applied_to_measured_observations(direction, orientation, keys):
+    mission = mission_of(
+        refraction=SimpleNamespace(direction=direction),
+        stations=SimpleNamespace(orientation=orientation),
     )
-    assert found(rules.slant_ranges, made, "ratio") == pytest.approx(told)
-
-
-@pytest.mark.parametrize(("weight", "percent"), [(0.99, None), (1.01, 20.16)])
-def test_a_fifth_of_the_observations_may_be_flagged_for_one_cause(weight, percent):
-    """A row of the sample counts for as many observations as it stands for."""
-    columns = SimpleNamespace(x_px="x_px", y_px="y_px")
-    stations = SimpleNamespace(ok=np.array([True]), status=np.array(["ok"]))
-    flagged = np.array([STATUS_NAMES.index("no_ground"), STATUS_NAMES.index("ok")])
-    made = facts(
-        **mission(observations=SimpleNamespace(columns=columns)),
-        stations=stations,
-        rows=SimpleNamespace(status=flagged, weight=np.array([weight, 4.0])),
-    )
-    assert found(rules.flagged_rows, made, "percent") == pytest.approx(percent, abs=0.01)
-    assert found(rules.flagged_rows, made, "most") == (percent and 20.0)
-
-
-@pytest.mark.parametrize(
-    ("direction", "orientation", "where"),
-    [
-        ("apply", None, "refraction.direction"),
-        ("remove", None, None),
-        ("apply", object(), None),
-    ],
-)
-def test_refraction_is_not_applied_to_measured_observations(direction, orientation, where):
-    refraction = SimpleNamespace(direction=direction)
-    stations = SimpleNamespace(orientation=orientation)
-    made = facts(**mission(refraction=refraction, stations=stations))
-    assert found(rules.measured_observations, made, "where") == where
+    assert keys_of(rules.measured_observations, mission) == keys

@@ -5,13 +5,12 @@ that of the pressure, whatever the ray. What a window makes of it is seen in cor
 has that much more and less of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import refused, with_code
 from tests.stages.block_files import CABIN
@@ -19,33 +18,44 @@ from tests.stages.corrected_rows import corrected
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.batch.runs import read_mission
 from unbend.flight.stations import STATION_OK, empty_stations
-from unbend.refraction.uncertainty.sigmas import FOLLOWING, OPEN, SCHEDULED, SEALED
+from unbend.refraction.uncertainty.sigmas import (
+    FOLLOWING,
+    OPEN,
+    SCHEDULED,
+    SEALED,
+)
+from unbend.refraction.window import Cabin, Window
 from unbend.stages.uncertainty import has_any_sigma, kinds_of_windows, station_sigmas
 
 LN_P = 0.004
 AIR = ["sigma_air_dx_px", "sigma_air_dy_px"]
 STATION = ["sigma_station_dx_px", "sigma_station_dy_px"]
 GROUND = ["sigma_ground_dx_px", "sigma_ground_dy_px"]
-SIDEWAYS = {"frame": "body", "normal": [0.0, 0.5735764, 0.8191520]}
+CABIN_AIR = ["sigma_cabin_dx_px", "sigma_cabin_dy_px"]
+BY_SCALE = ["dx_ds_px", "dy_ds_px"]
+BY_CABIN = ["dx_dncc_px", "dy_dncc_px"]
 
 
-def pressure_alone(profile, ln_p=LN_P) -> ProfileCovariance:
+def pressure_alone(profile, ln_p=LN_P):
     size = profile.layers.edge.size
-    matrix = np.zeros((2 * size + 1, 2 * size + 1))
-    matrix[size, size] = ln_p**2
+    variances = np.zeros(2 * size + 1)
+    variances[size] = ln_p**2
+    matrix = np.diag(variances)
     return ProfileCovariance(profile, 1000.0, matrix)
 
 
 def with_series(prepared, **changed):
     """The mission in other air."""
     series = replace(prepared.air.series, **changed)
-    return replace(prepared, air=replace(prepared.air, series=series))
+    air = replace(prepared.air, series=series)
+    return replace(prepared, air=air)
 
 
 def with_air(prepared, **changed):
     """The mission whose only profile of the air is changed."""
     (timed,) = prepared.air.series.timed_profiles
-    return with_series(prepared, timed_profiles=(replace(timed, **changed),))
+    other = replace(timed, **changed)
+    return with_series(prepared, timed_profiles=(other,))
 
 
 def in_doubtful_air(mission):
@@ -56,80 +66,120 @@ def in_doubtful_air(mission):
 
 
 def in_unknown_air(mission):
-    """Nobody knows how good the air is."""
-    return with_air(read_mission(mission.save()), own_covariance=None, neighbours=None)
+    """The mission corrected in air of which nobody knows how good it is."""
+    prepared = read_mission(mission.save())
+    unknown = with_air(prepared, own_covariance=None, neighbours=None)
+    return corrected(unknown)
 
 
-def without_windows(mission) -> None:
-    mission.config["accept"] = [{"code": "PLAUSIBLE-WINDOW", "reason": "the hatch was open"}]
-    for camera in mission.config["cameras"].values():
-        del camera["window"]
+def accept(mission, code):
+    acceptance = {"code": code, "reason": "for the test"}
+    mission.config.setdefault("accept", []).append(acceptance)
 
 
-def with_mounts(mission, **sigmas) -> None:
+def without_windows(mission, *cameras):
+    accept(mission, "PLAUSIBLE-WINDOW")
+    for camera in cameras or ("nadir", "oblique"):
+        del mission.config["cameras"][camera]["window"]
+
+
+def with_mounts(mission, **sigmas):
     for mount in mission.config["mount"].values():
         mount |= sigmas
 
 
-def apply_refraction(mission) -> None:
+def apply_refraction(mission):
     mission.config["refraction"] = {"direction": "apply"}
-    accepted = {"code": "PLAUSIBLE-APPLY", "reason": "there and back"}
-    mission.config.setdefault("accept", []).append(accepted)
+    accept(mission, "PLAUSIBLE-APPLY")
 
 
-def unknown_sigmas(done) -> list[str]:
-    return [message.what for message in with_code(done.prepared.ledger, "SIGMA-UNKNOWN")]
+def unknown_sigmas(done):
+    messages = with_code(done.prepared.ledger, "SIGMA-UNKNOWN")
+    return [message.what for message in messages]
 
 
-def shift(rows, axis, moved="corrected"):
-    return rows[f"{axis}_{moved}_px"] - rows[f"{axis}_px"]
+def shift(rows, moved="corrected"):
+    """(n, 2) in x and y."""
+    pixels = rows[[f"x_{moved}_px", f"y_{moved}_px"]].to_numpy()
+    return pixels - rows[["x_px", "y_px"]].to_numpy()
+
+
+def assert_near(values, expected, *, rtol, share):
+    """Each value is near the expected one, or differs by a share of the median of its column."""
+    size = np.abs(expected)
+    tolerance = rtol * size + share * np.median(size, axis=0)
+    assert (np.abs(values - expected) <= tolerance).all(axis=None)
+
+
+def is_null(columns):
+    return columns.isna().all(axis=None)
+
+
+# ---- the air, behind windows and without
 
 
 def test_sigmas_of_air_station_and_ground(mission):
     with_mounts(mission, sigma_tilt_deg=0.2)
     mission.config["ground"]["sigma_m"] = 5.0
+
     done = corrected(in_doubtful_air(mission))
+
     rows = done.rows()
     sigmas = rows[AIR + STATION + GROUND].to_numpy()
     assert np.isfinite(sigmas).all()
     assert (sigmas > 0.0).all()
-    np.testing.assert_allclose(rows["sigma_r_c_rad"], LN_P * rows["r_c_rad"], rtol=2e-3)
+    sigma_r_c = LN_P * rows["r_c_rad"]
+    assert_allclose(rows["sigma_r_c_rad"], sigma_r_c, rtol=2e-3)
     scale = done.record["uncertainty"]
     assert scale["profiles"] == 1
     assert "also behind a plane window" in scale["meaning"]
     assert not unknown_sigmas(done)
-    meaning = done.table.schema.field("sigma_air_dx_px").metadata[b"meaning"]
-    assert b"never add it to the weights" in meaning
+    field = done.table.schema.field("sigma_air_dx_px")
+    assert b"never add it to the weights" in field.metadata[b"meaning"]
 
 
 def test_the_shift_is_scaled_by_the_air(mission):
     """Without a window the whole shift is refraction, and the air scales it in x and y alike."""
     without_windows(mission)
+
     done = corrected(in_doubtful_air(mission))
+
     scale = done.record["uncertainty"]
-    np.testing.assert_allclose(scale["scale_sigma"], LN_P, rtol=1e-3)
-    np.testing.assert_allclose(scale["variance_share"], 1.0, rtol=1e-3)
+    assert_allclose(scale["scale_sigma"], LN_P, rtol=1e-3)
+    assert_allclose(scale["variance_share"], 1.0, rtol=1e-3)
     rows = done.rows()
-    for axis in "xy":
-        signed = shift(rows, axis)
-        sigma = rows[f"sigma_air_d{axis}_px"]
-        np.testing.assert_allclose(sigma, LN_P * signed.abs(), rtol=5e-3)
-        np.testing.assert_allclose(rows[f"d{axis}_ds_px"], signed, rtol=5e-3)
-        assert rows[f"d{axis}_dncc_px"].isna().all()
+    shift_px = shift(rows)
+    sigma_px = LN_P * np.abs(shift_px)
+    assert_allclose(rows[AIR], sigma_px, rtol=5e-3)
+    assert_allclose(rows[BY_SCALE], shift_px, rtol=5e-3)
+    assert is_null(rows[BY_CABIN])
+
+
+LOGGED = {"cabin": "log"}
+SCHEDULE = {"cabin": "standard_schedule"}
+LEANING = {
+    "cabin": CABIN,
+    "frame": "body",
+    "normal": [0.0, 0.5735764, 0.8191520],
+}
 
 
 @pytest.mark.parametrize(
     ("nadir", "oblique", "moved"),
     [
-        ({"cabin": "log"}, {"cabin": "standard_schedule"}, "corrected"),
-        ({"cabin": "log"}, {"cabin": "standard_schedule"}, "displaced"),
-        (None, {"cabin": CABIN} | SIDEWAYS, "corrected"),
+        (LOGGED, SCHEDULE, "corrected"),
+        (LOGGED, SCHEDULE, "displaced"),
+        (None, LEANING, "corrected"),
     ],
-    ids=["logged, and a schedule", "displaced", "none, and leaning"],
+    ids=[
+        "logged, and a schedule",
+        "displaced",
+        "none, and leaning",
+    ],
 )
 def test_behind_a_window_against_rows_in_other_air(mission, nadir, oblique, moved):
     """0.4 % of pressure more and less, in the whole program: the sigma is half the difference."""
-    mission.config["accept"] = [{"code": "CABIN-IMPLAUSIBLE", "reason": "it is open for the test"}]
+    accept(mission, "CABIN-IMPLAUSIBLE")
     mission.config["cameras"]["nadir"]["window"] = nadir
     mission.config["cameras"]["oblique"]["window"] = oblique
     if moved == "displaced":
@@ -137,49 +187,51 @@ def test_behind_a_window_against_rows_in_other_air(mission, nadir, oblique, move
     prepared = read_mission(mission.save())
     profile = prepared.air.adjustment.profile
 
-    def rows_at(ln_p: float):
+    def shift_at(ln_p):
         pressure = profile.pressure(0.0) * np.exp(ln_p)
-        return corrected(with_air(prepared, profile=profile.at_level(0.0, pressure))).rows()
+        air = profile.at_level(0.0, pressure)
+        done = corrected(with_air(prepared, profile=air))
+        return shift(done.rows(), moved)
 
-    denser = rows_at(LN_P)
-    thinner = rows_at(-LN_P)
+    denser = shift_at(LN_P)
+    thinner = shift_at(-LN_P)
+    change = (denser - thinner) / 2.0
     done = corrected(in_doubtful_air(mission))
+
     rows = done.rows()
+    assert_near(rows[AIR], np.abs(change), rtol=0.01, share=0.003)
+    # Of one uncertain quantity the leading mode is all.
     scale = done.record["uncertainty"]
-    for axis in "xy":
-        signed = (shift(denser, axis, moved) - shift(thinner, axis, moved)) / 2.0
-        sigma = signed.abs()
-        close = {"rtol": 0.01, "atol": 0.003 * np.median(sigma)}
-        np.testing.assert_allclose(rows[f"sigma_air_d{axis}_px"], sigma, **close)
-        # Of one uncertain quantity the leading mode is all.
-        of_mode = rows[f"d{axis}_ds_px"] * scale["scale_sigma"]
-        np.testing.assert_allclose(of_mode, signed, **close)
-    np.testing.assert_allclose(scale["variance_share"], 1.0, atol=0.005)
+    of_mode = rows[BY_SCALE] * scale["scale_sigma"]
+    assert_near(of_mode, change, rtol=0.01, share=0.003)
+    assert_allclose(scale["variance_share"], 1.0, atol=0.005)
 
 
 def test_the_air_in_the_cabin_has_its_own_prior(mission):
     """N goes with p / T: 3 hPa and 1 K of the log's sensors, and no mode without a covariance."""
-    del mission.config["cameras"]["nadir"]["window"]
-    mission.config["accept"] = [{"code": "PLAUSIBLE-WINDOW", "reason": "its hatch was open"}]
-    done = corrected(in_unknown_air(mission))
+    without_windows(mission, "nadir")
+
+    done = in_unknown_air(mission)
+
     assert done.record["uncertainty"] is None
     assert list(done.record["cabin_air"]) == ["oblique"]
     prior = done.record["cabin_air"]["oblique"]
     stations = done.stations().query("camera == 'oblique' and status == 'ok'")
     p = stations["cabin_pressure_pa"]
     t = stations["cabin_temperature_k"]
+    n_cc = (p / t).mean() * 7.88e-7
     relative = np.sqrt(np.mean((300.0 / p) ** 2 + (1.0 / t) ** 2))
-    np.testing.assert_allclose(prior["n_cc"], (p / t).mean() * 7.88e-7, rtol=0.01)
-    np.testing.assert_allclose(prior["sigma_n_cc"], relative * prior["n_cc"], rtol=0.01)
+    sigma_n_cc = relative * prior["n_cc"]
+    assert_allclose(prior["n_cc"], n_cc, rtol=0.01)
+    assert_allclose(prior["sigma_n_cc"], sigma_n_cc, rtol=0.01)
     rows = done.rows()
-    behind = rows["camera"] == "oblique"
-    for axis in "xy":
-        by_cabin = rows[f"d{axis}_dncc_px"]
-        assert (by_cabin.notna() == behind).all()
-        assert rows[f"d{axis}_ds_px"].isna().all()
-        sigma = (by_cabin * prior["sigma_n_cc"]).abs()
-        of_cabin = rows[f"sigma_cabin_d{axis}_px"]
-        np.testing.assert_allclose(sigma[behind], of_cabin[behind], rtol=0.01)
+    is_behind = rows["camera"] == "oblique"
+    behind = rows[is_behind]
+    assert behind[BY_CABIN].notna().all(axis=None)
+    assert is_null(rows[~is_behind][BY_CABIN])
+    assert is_null(rows[BY_SCALE])
+    sigma = np.abs(behind[BY_CABIN] * prior["sigma_n_cc"])
+    assert_allclose(sigma, behind[CABIN_AIR], rtol=0.01)
 
 
 def test_several_profiles_have_one_parameter(mission):
@@ -187,45 +239,76 @@ def test_several_profiles_have_one_parameter(mission):
     without_windows(mission)
     prepared = in_doubtful_air(mission)
     (loose,) = prepared.air.series.timed_profiles
-    tight = replace(loose, own_covariance=pressure_alone(loose.profile, LN_P / 3.0))
+    covariance = pressure_alone(loose.profile, LN_P / 3.0)
+    tight = replace(loose, own_covariance=covariance)
     number = np.arange(len(prepared.stations)) % 2
-    done = corrected(with_series(prepared, timed_profiles=(loose, tight), profile_number=number))
+    in_two_airs = with_series(
+        prepared,
+        timed_profiles=(loose, tight),
+        profile_number=number,
+    )
+
+    done = corrected(in_two_airs)
+
     scale = done.record["uncertainty"]
     assert scale["profiles"] == 2
     rms = LN_P * np.sqrt((1.0 + 1.0 / 9.0) / 2.0)
-    np.testing.assert_allclose(scale["scale_sigma"], rms, rtol=1e-3)
-    np.testing.assert_allclose(scale["variance_share"], 1.0, atol=0.005)
+    assert_allclose(scale["scale_sigma"], rms, rtol=1e-3)
+    assert_allclose(scale["variance_share"], 1.0, atol=0.005)
     rows = done.rows()
-    number_of_image = dict(zip(done.stations()["image"], number, strict=True))
-    sigma = rows["image"].map(number_of_image).map({0: LN_P, 1: LN_P / 3.0})
-    assert sigma.nunique() == 2
-    for axis in "xy":
-        of_mode = rows[f"d{axis}_ds_px"] * scale["scale_sigma"]
-        np.testing.assert_allclose(of_mode, sigma * shift(rows, axis), rtol=5e-3)
+    images_of_tight = done.stations()["image"][number == 1]
+    is_tight = rows["image"].isin(images_of_tight)
+    assert is_tight.nunique() == 2
+    sigma = np.where(is_tight, LN_P / 3.0, LN_P)
+    of_mode = rows[BY_SCALE] * scale["scale_sigma"]
+    expected = shift(rows) * sigma[:, None]
+    assert_allclose(of_mode, expected, rtol=5e-3)
+
+
+def test_displaced_observations_move_with_the_air(mission):
+    """More air displaces more, to the other side than it corrects."""
+    without_windows(mission)
+    with_mounts(mission, sigma_tilt_deg=0.2)
+    apply_refraction(mission)
+
+    rows = corrected(in_doubtful_air(mission)).rows()
+
+    sigma_r_c = LN_P * rows["r_c_rad"]
+    assert_allclose(rows["sigma_r_c_rad"], sigma_r_c, rtol=2e-3)
+    assert (rows["sigma_station_dx_px"] > 0.0).all()
+    displaced = shift(rows, "displaced")
+    assert_allclose(rows[BY_SCALE], displaced, rtol=5e-3, atol=1e-4)
+
+
+# ---- the ground, and sigmas that are missing
 
 
 def test_the_sigma_of_the_ground_against_points_that_are_higher_and_lower(mission):
     mission.config["ground"]["sigma_m"] = 7.0
-    prepared = in_unknown_air(mission)
-    rows = corrected(prepared).rows()
-    moved = {}
-    for by_m in (7.0, -7.0):
-        table = mission.measurements()
-        column = table.schema.get_field_index("h_g_m")
-        height_m = table["h_g_m"].to_numpy() + by_m
-        mission.observe(table.set_column(column, "h_g_m", [height_m]), f"{by_m}.parquet")
-        moved[by_m] = corrected(in_unknown_air(mission)).rows()
-    for axis in "xy":
-        half = (shift(moved[7.0], axis) - shift(moved[-7.0], axis)).abs() / 2.0
-        sigma = rows[f"sigma_ground_d{axis}_px"]
-        np.testing.assert_allclose(sigma, half, rtol=0.02, atol=0.01 * half.median())
+    rows = in_unknown_air(mission).rows()
+    table = mission.measurements().to_pandas()
+    observations = mission.folder / "observations.parquet"
+
+    def shift_when_higher(by_m):
+        heights_m = table["h_g_m"] + by_m
+        table.assign(h_g_m=heights_m).to_parquet(observations, index=False)
+        rows = in_unknown_air(mission).rows()
+        return shift(rows)
+
+    higher = shift_when_higher(7.0)
+    lower = shift_when_higher(-7.0)
+    half = np.abs(higher - lower) / 2.0
+
+    assert_near(rows[GROUND], half, rtol=0.02, share=0.01)
 
 
 def test_nobody_knows_anything(mission):
     """Only the log tells how good its stations are."""
-    done = corrected(in_unknown_air(mission))
+    done = in_unknown_air(mission)
+
     rows = done.rows()
-    assert rows[["sigma_r_c_rad", *AIR, *GROUND]].isna().all(axis=None)
+    assert rows["sigma_r_c_rad"].isna().all()
+    assert is_null(rows[AIR + GROUND])
     assert rows[STATION].notna().any(axis=None)
     assert done.record["uncertainty"] is None
     (text,) = unknown_sigmas(done)
@@ -238,21 +321,25 @@ def test_a_column_of_sigmas_of_which_some_are_no_sigmas(mission):
     """Each column is null where its own cause is unknown; a bad sigma is counted."""
     table = mission.measurements()
     sigma = np.full(table.num_rows, 3.0)
-    sigma[:3] = np.nan, -1.0, np.inf
+    sigma[:3] = [np.nan, -1.0, np.inf]
     mission.observe(table.append_column("sigma_h", [sigma]))
     mission.config["ground"]["sigma_column"] = "sigma_h"
-    done = corrected(in_unknown_air(mission))
-    (text,) = unknown_sigmas(done)
-    assert "attitude" not in text
-    assert "ground" not in text
+
+    done = in_unknown_air(mission)
+
+    (unknown,) = unknown_sigmas(done)
+    assert "attitude" not in unknown
+    assert "ground" not in unknown
     (bad,) = with_code(done.prepared.ledger, "OBS-SIGMA")
     assert bad.count == 2
     rows = done.table.to_pandas()
     assert (rows["status"] == "ok").all()
     assert rows["sigma_station_dx_px"].notna().all()
-    assert rows["sigma_ground_dx_px"].isna().tolist() == [True] * 3 + [False] * (len(rows) - 3)
+    by_ground = rows["sigma_ground_dx_px"]
+    assert by_ground[:3].isna().all()
+    assert by_ground[3:].notna().all()
     assert rows["sigma_air_dx_px"].isna().all()
-    np.testing.assert_array_equal(rows["sigma_h"], sigma)
+    assert_array_equal(rows["sigma_h"], sigma)
 
 
 def test_a_column_that_is_not_there(mission):
@@ -262,78 +349,113 @@ def test_a_column_that_is_not_there(mission):
     assert "ground.sigma_column" in str(refusal.value)
 
 
-def test_displaced_observations_move_with_the_air(mission):
-    """More air displaces more, to the other side than it corrects."""
-    without_windows(mission)
-    with_mounts(mission, sigma_tilt_deg=0.2)
-    apply_refraction(mission)
-    rows = corrected(in_doubtful_air(mission)).rows()
-    np.testing.assert_allclose(rows["sigma_r_c_rad"], LN_P * rows["r_c_rad"], rtol=2e-3)
-    assert (rows["sigma_station_dx_px"] > 0.0).all()
-    for axis in "xy":
-        displaced = shift(rows, axis, "displaced")
-        np.testing.assert_allclose(rows[f"d{axis}_ds_px"], displaced, rtol=5e-3, atol=1e-4)
+# ---- stations
 
 
 def sigmas_of(mission):
-    """The sigmas of the stations, and which of these are the nadir camera's."""
     prepared = read_mission(mission.save())
-    sigmas = station_sigmas(prepared.mission, prepared.stations)
-    return sigmas, prepared, prepared.stations.camera == "nadir"
+    stations = prepared.stations
+    return station_sigmas(prepared.mission, stations), stations
 
 
-def part_of(whole, others) -> np.ndarray:
-    """The part of a sigma that is independent of the others [deg]."""
-    return np.degrees(np.sqrt(whole**2 - others**2))
+def added_deg(whole_rad, part_rad):
+    """The part of a sigma that is independent of another part."""
+    return np.degrees(np.sqrt(whole_rad**2 - part_rad**2))
 
 
 def test_the_sigmas_of_each_mount_are_in_radians(mission):
     """Beside what the attitude between two samples of the log adds."""
     with_mounts(mission, sigma_tilt_deg=0.0, sigma_yaw_deg=0.0)
-    between, _, nadir = sigmas_of(mission)
-    mission.config["mount"]["nadir"] |= {"sigma_tilt_deg": 0.5, "sigma_yaw_deg": 2.0}
-    del mission.config["mount"]["oblique"]["sigma_yaw_deg"]
-    mission.config["mount"]["oblique"]["sigma_tilt_deg"] = 0.25
-    sigmas, prepared, _ = sigmas_of(mission)
-    tilt = part_of(sigmas.tilt_rad, between.tilt_rad)
-    yaw = part_of(sigmas.yaw_rad, between.yaw_rad)
-    assert tilt[nadir] == pytest.approx(0.5)
-    assert yaw[nadir] == pytest.approx(2.0)
+    between, _ = sigmas_of(mission)
+    nadir = mission.config["mount"]["nadir"]
+    nadir["sigma_tilt_deg"] = 0.5
+    nadir["sigma_yaw_deg"] = 2.0
+    oblique = mission.config["mount"]["oblique"]
+    oblique["sigma_tilt_deg"] = 0.25
+    del oblique["sigma_yaw_deg"]
+
+    sigmas, stations = sigmas_of(mission)
+
+    tilt = added_deg(sigmas.tilt_rad, between.tilt_rad)
+    yaw = added_deg(sigmas.yaw_rad, between.yaw_rad)
+    is_nadir = stations.camera == "nadir"
+    assert tilt[is_nadir] == pytest.approx(0.5)
+    assert yaw[is_nadir] == pytest.approx(2.0)
     # By default the yaw is as uncertain as the tilt; heights are those of the log.
-    assert yaw[~nadir] == pytest.approx(0.25)
-    np.testing.assert_array_equal(sigmas.height_m, prepared.stations.sigma_height_m)
+    assert yaw[~is_nadir] == pytest.approx(0.25)
+    assert_array_equal(sigmas.height_m, stations.sigma_height_m)
     # The yaw turns about the vertical of the aircraft, to the left of the oblique camera's axis.
     leaning = np.sqrt(0.5)
-    vertical = np.where(nadir[:, None], [0.0, 0.0, 1.0], [-leaning, 0.0, leaning])
-    np.testing.assert_allclose(sigmas.yaw_axis, vertical, atol=1e-12)
+    vertical = {
+        "nadir": [0.0, 0.0, 1.0],
+        "oblique": [-leaning, 0.0, leaning],
+    }
+    axes = [vertical[camera] for camera in stations.camera]
+    assert_allclose(sigmas.yaw_axis, axes, atol=1e-12)
 
 
-PLANE = SimpleNamespace(shape="plane", cabin=SimpleNamespace(source="log"), is_opening=False)
+def test_stations_that_know_nothing_of_their_attitude_have_the_sigmas_of_the_mount(mission):
+    mission.config["mount"]["oblique"]["sigma_tilt_deg"] = 0.25
+    prepared = read_mission(mission.save())
+    unknown = np.full(len(prepared.stations), np.nan)
+    stations = replace(prepared.stations, sigma_tilt_rad=unknown)
+
+    tilt_rad = station_sigmas(prepared.mission, stations).tilt_rad
+
+    nadir = stations.camera == "nadir"
+    assert np.isnan(tilt_rad[nadir]).all()
+    assert tilt_rad[~nadir] == pytest.approx(0.004363323129985824)
 
 
-def cabin_by(source: str) -> SimpleNamespace:
-    return SimpleNamespace(**vars(PLANE) | {"cabin": SimpleNamespace(source=source)})
+# ---- which sigmas there are
+
+LOG = Cabin("log")
+WITHOUT_AIR = SimpleNamespace(
+    shape="plane",
+    cabin=None,
+    is_opening=False,
+)
 
 
 @pytest.mark.parametrize(
     ("window", "kinds"),
     [
-        (PLANE, [SEALED, SEALED]),
-        (cabin_by("ambient"), [SCHEDULED, SCHEDULED]),
-        (cabin_by("standard_schedule"), [SCHEDULED, SEALED]),
-        (SimpleNamespace(**vars(PLANE) | {"is_opening": True}), [FOLLOWING, FOLLOWING]),
-        (SimpleNamespace(**vars(PLANE) | {"shape": "spherical"}), [OPEN, OPEN]),
-        (SimpleNamespace(**vars(PLANE) | {"cabin": None}), [OPEN, OPEN]),
+        (Window(LOG), [SEALED, SEALED]),
+        (Window(Cabin("ambient")), [SCHEDULED, SCHEDULED]),
+        (Window(Cabin("standard_schedule")), [SCHEDULED, SEALED]),
+        (Window(Cabin("opening")), [FOLLOWING, FOLLOWING]),
+        (Window(LOG, shape="spherical"), [OPEN, OPEN]),
+        (WITHOUT_AIR, [OPEN, OPEN]),
     ],
-    ids=["sealed", "ambient", "schedule", "opening", "dome", "no cabin"],
+    ids=[
+        "sealed",
+        "ambient",
+        "schedule",
+        "opening",
+        "dome",
+        "no cabin",
+    ],
 )
 def test_the_kind_of_a_window_at_850_and_at_600_hectopascal(window, kinds):
     """The camera without a window has the kind of none."""
     camera = np.array(["nadir", "nadir", "wing"], object)
     stations = empty_stations(camera, camera, STATION_OK)
-    air = SimpleNamespace(pressure=lambda height_m: np.array([85e3, 60e3, 85e3]))
+    pressures_pa = np.array([85e3, 60e3, 85e3])
+    air = SimpleNamespace(pressure=lambda height_m: pressures_pa)
     mission = SimpleNamespace(windows={"nadir": window})
-    assert kinds_of_windows(mission, stations, air).tolist() == [*kinds, OPEN]
+
+    kinds_of_stations = kinds_of_windows(mission, stations, air)
+
+    assert kinds_of_stations.tolist() == [*kinds, OPEN]
+
+
+NO_SIGMA = {
+    "tilt_rad": [np.nan, np.nan],
+    "sigma_m": None,
+    "sigma_column": None,
+    "cabin": [[np.nan, np.nan]],
+    "kinds": [OPEN, OPEN],
+}
 
 
 @pytest.mark.parametrize(
@@ -349,21 +471,12 @@ def test_the_kind_of_a_window_at_850_and_at_600_hectopascal(window, kinds):
     ],
 )
 def test_one_sigma_is_enough_to_compute_with(changed, is_known):
-    nothing = {"tilt_rad": [np.nan, np.nan], "sigma_m": None, "sigma_column": None}
-    nothing |= {"cabin": [[np.nan, np.nan]], "kinds": [OPEN, OPEN]}
-    known = SimpleNamespace(**nothing | changed)
+    values = SimpleNamespace(**NO_SIGMA | changed)
     stations = SimpleNamespace(ok=np.array([True, False]))
-    mission = SimpleNamespace(ground=known)
-    sigmas = SimpleNamespace(tilt_rad=np.array(known.tilt_rad), cabin=np.array(known.cabin))
-    assert has_any_sigma(mission, stations, sigmas, np.array(known.kinds)) == is_known
-
-
-def test_stations_that_know_nothing_of_their_attitude_have_the_sigmas_of_the_mount(mission):
-    mission.config["mount"]["oblique"]["sigma_tilt_deg"] = 0.25
-    prepared = read_mission(mission.save())
-    unknown = np.full(len(prepared.stations), np.nan)
-    stations = replace(prepared.stations, sigma_tilt_rad=unknown)
-    tilt_rad = station_sigmas(prepared.mission, stations).tilt_rad
-    nadir = stations.camera == "nadir"
-    assert np.isnan(tilt_rad[nadir]).all()
-    assert tilt_rad[~nadir] == pytest.approx(0.004363323129985824)
+    mission = SimpleNamespace(ground=values)
+    sigmas = SimpleNamespace(
+        tilt_rad=np.array(values.tilt_rad),
+        cabin=np.array(values.cabin),
+    )
+    kinds = np.array(values.kinds)
+    assert has_any_sigma(mission, stations, sigmas, kinds) == is_known

@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from tests.conftest import run_command, without_plots
-from tests.stages.test_air_of_mission import sounding_text
+from tests.weather_texts import sounding_text
 from unbend.batch import input_files, runs, unchanged
 from unbend.batch.campaigns import select_missions
 from unbend.config.campaign import MissionRef
