@@ -61,6 +61,15 @@ class Record:
         return fields
 
 
+def value_of(log: bytes, field: Field):
+    (value,) = struct.unpack_from(field.code, log, field.start)
+    return value
+
+
+def write_value(log: bytearray, field: Field, value) -> None:
+    struct.pack_into(field.code, log, field.start, value)
+
+
 def text_of(content: bytes) -> str:
     return content.rstrip(b"\0").decode()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from tests.helpers import refused
 from unbend import load_mission
 from unbend.batch.runs import read_mission
 from unbend.flight.channels import Channel
@@ -33,3 +34,10 @@ def flight_of(mission, inputs: OpenedInputs) -> tuple[FlightLog, Ledger]:
     """The flight by these inputs and by the mission file as it is now, and what is said of it."""
     ledger = Ledger()
     return flight_log(load_mission(mission.save()), inputs, ledger), ledger
+
+
+def refusal_to_read(mission, code: str) -> str:
+    """What reading the mission is refused with."""
+    with refused(code) as caught:
+        read_mission(mission.save())
+    return str(caught.value)
