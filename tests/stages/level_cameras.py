@@ -16,7 +16,6 @@ from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
-from unbend.refraction.image import Exposures
 from unbend.refraction.window import Window
 from unbend.stages.cabin_air import with_cabin_air
 from unbend.stages.exposure_setup import exposures_of
@@ -27,11 +26,10 @@ LEVEL = (0.0, 0.0, 0.0)
 AT_REST = Mount()
 
 
-def attitude_channel(
-    yaw: float, pitch: float, roll: float, *, name: str = "ATT", seconds: np.ndarray = SECONDS
-) -> Channel:
+def attitude_channel(yaw, pitch, roll, *, name="ATT", seconds=SECONDS) -> Channel:
     """A channel of one attitude [deg]."""
-    x, y, z, w = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_quat()
+    rotation = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True)
+    x, y, z, w = rotation.as_quat()
     return channel(name, seconds, q_w=w, q_x=x, q_y=y, q_z=z)
 
 
@@ -55,19 +53,22 @@ def stations(
         roles["aircraft_attitude"] = aircraft
     names = np.array([f"{camera}_{i}" for i in range(count)], dtype=object)
     events = Events(camera, names, np.full(count, 5 * 10**9))
-    made = build_stations(events, roles, mount, HeightSystem(), 1.0)
-    assert made.ok.all()
-    arrays = {name: np.resize(np.asarray(values, float), count) for name, values in columns.items()}
-    return replace(made, h_msl_m=np.array(heights_m), **arrays)
+    built = build_stations(events, roles, mount, HeightSystem(), 1.0)
+    assert built.ok.all()
+    for name, values in columns.items():
+        columns[name] = np.resize(np.asarray(values, float), count)
+    return replace(built, h_msl_m=np.array(heights_m), **columns)
 
 
-def look(
-    exposed: Stations, window: Window | None = None, lens=None, profile=US1976
-) -> tuple[Exposures, Ledger]:
+def look(exposed: Stations, window: Window | None = None, lens=None, profile=US1976):
     """Exposures and ledger of the camera ``nadir``, which may have a window and a lens in air."""
     ledger = Ledger()
-    windows = {} if window is None else {"nadir": window}
-    lenses = {} if lens is None else {"nadir": lens}
+    windows = {}
+    lenses = {}
+    if window is not None:
+        windows["nadir"] = window
+    if lens is not None:
+        lenses["nadir"] = lens
     with_air = with_cabin_air(exposed, windows, lenses, profile, ledger)
     exposures = exposures_of(with_air, profile, windows, lenses, ledger, radius_m=6_378_000.0)
     return exposures, ledger

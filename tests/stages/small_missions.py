@@ -11,7 +11,12 @@ from unbend.batch.runs import run_mission
 
 def enu_at(lat_deg: float, lon_deg: float, h_ellipsoid_m: float) -> dict:
     """A local frame as a mission file states it."""
-    return {"enu": {"lat_deg": lat_deg, "lon_deg": lon_deg, "h_ellipsoid_m": h_ellipsoid_m}}
+    origin = {
+        "lat_deg": lat_deg,
+        "lon_deg": lon_deg,
+        "h_ellipsoid_m": h_ellipsoid_m,
+    }
+    return {"enu": origin}
 
 
 ORIGIN = enu_at(46.95, 7.45, 0.0)
@@ -29,10 +34,15 @@ def mission_of(observed: str, program: str, **orientation) -> dict:
     }
 
 
-def run(folder, mission: dict, code: int = 0) -> tuple[pd.DataFrame, dict[str, dict]]:
+def started(folder, mission: dict):
+    path = folder / "m.yaml"
+    path.write_text(yaml.safe_dump(mission))
+    return run_mission(path, force=True)
+
+
+def run(folder, mission: dict, code: int = 0):
     """The stations of a run that ends with this code, and its messages by their codes."""
-    (folder / "m.yaml").write_text(yaml.safe_dump(mission))
-    outcome = run_mission(folder / "m.yaml", force=True)
+    outcome = started(folder, mission)
     ledger = outcome.manifest.values["ledger"]
     assert outcome.exit_code == code, ledger
     stations = pd.read_parquet(outcome.output / "stations.parquet")
@@ -46,7 +56,6 @@ def rows_of(folder) -> pd.DataFrame:
 
 def refusal(folder, mission: dict, code: str) -> str:
     """What a mission is refused with."""
-    (folder / "m.yaml").write_text(yaml.safe_dump(mission))
     with refused(code) as caught:
-        run_mission(folder / "m.yaml", force=True)
+        started(folder, mission)
     return str(caught.value)
