@@ -22,8 +22,9 @@ def matrices(quaternions):
 
 def earth_centred(lat_deg, lon_deg, h):
     """(n, 3) coordinates, and (n, 3, 3) from them to east, north, up."""
+    centres = ecef(lat_deg, lon_deg, np.asarray(h))
     axes = [enu_axes(lat, lon) for lat, lon in zip(lat_deg, lon_deg, strict=True)]
-    return ecef(lat_deg, lon_deg, np.asarray(h)), np.array(axes)
+    return centres, np.array(axes)
 
 
 def in_enu(stations, points, origin):

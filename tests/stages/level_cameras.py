@@ -16,7 +16,6 @@ from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
-from unbend.refraction.window import Window
 from unbend.stages.cabin_air import with_cabin_air
 from unbend.stages.exposure_setup import exposures_of
 
@@ -26,7 +25,7 @@ LEVEL = (0.0, 0.0, 0.0)
 AT_REST = Mount()
 
 
-def attitude_channel(yaw, pitch, roll, *, name="ATT", seconds=SECONDS) -> Channel:
+def attitude_channel(yaw, pitch, roll, *, name="ATT", seconds=SECONDS):
     """A channel of one attitude [deg]."""
     rotation = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True)
     x, y, z, w = rotation.as_quat()
@@ -51,16 +50,18 @@ def stations(
     }
     if aircraft is not None:
         roles["aircraft_attitude"] = aircraft
-    names = np.array([f"{camera}_{i}" for i in range(count)], dtype=object)
-    events = Events(camera, names, np.full(count, 5 * 10**9))
+    names = [f"{camera}_{i}" for i in range(count)]
+    time_ns = np.full(count, 5 * 10**9)
+    events = Events(camera, np.array(names, dtype=object), time_ns)
     built = build_stations(events, roles, mount, HeightSystem(), 1.0)
     assert built.ok.all()
     for name, values in columns.items():
-        columns[name] = np.resize(np.asarray(values, float), count)
+        values = np.asarray(values, float)
+        columns[name] = np.resize(values, count)
     return replace(built, h_msl_m=np.array(heights_m), **columns)
 
 
-def look(exposed: Stations, window: Window | None = None, lens=None, profile=US1976):
+def look(exposed, window=None, lens=None, profile=US1976):
     """Exposures and ledger of the camera ``nadir``, which may have a window and a lens in air."""
     ledger = Ledger()
     windows = {}
@@ -70,5 +71,12 @@ def look(exposed: Stations, window: Window | None = None, lens=None, profile=US1
     if lens is not None:
         lenses["nadir"] = lens
     with_air = with_cabin_air(exposed, windows, lenses, profile, ledger)
-    exposures = exposures_of(with_air, profile, windows, lenses, ledger, radius_m=6_378_000.0)
+    exposures = exposures_of(
+        with_air,
+        profile,
+        windows,
+        lenses,
+        ledger,
+        radius_m=6_378_000.0,
+    )
     return exposures, ledger

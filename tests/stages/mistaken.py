@@ -16,7 +16,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from tests.stages.block_files import PLACE
-from tests.stages.dataflash_records import Field, records, value_of, write_value
+from tests.stages.dataflash_records import records, value_of, write_value
 from tests.stages.flown_files import gps_time
 from tests.stages.oriented_tables import QUATERNION, attitudes, textbook_opk
 from unbend.batch.runs import read_mission
@@ -67,7 +67,7 @@ def orientation_of_sample() -> pd.DataFrame:
     return table
 
 
-def write_observations(path: Path, recipe: str) -> None:
+def write_observations(path, recipe):
     table = pq.read_table(SAMPLES / "observations.parquet").replace_schema_metadata(None)
     rows = table.to_pandas()
     if recipe == "rotate images by 11":
@@ -91,7 +91,7 @@ def evaluated(rows, recipe):
     return rows
 
 
-def write_orientation(path: Path, recipe: str) -> None:
+def write_orientation(path, recipe):
     rows = orientation_of_sample()
     if recipe == "reverse the first line":
         first_line = rows["image"].between("nadir_00001", "nadir_00007")
@@ -104,7 +104,7 @@ def write_orientation(path: Path, recipe: str) -> None:
     rows.to_csv(path, index=False)
 
 
-def write_quaternions(path: Path, recipe: str) -> None:
+def write_quaternions(path, recipe):
     assert recipe == "half turn about x"
     rows = stations_of("sample_bin").copy()
     w, x, y, z = rows[QUATERNION].to_numpy().T
@@ -113,11 +113,11 @@ def write_quaternions(path: Path, recipe: str) -> None:
     rows.to_csv(path, index=False)
 
 
-def iso(times: pd.Series) -> pd.Series:
+def iso(times):
     return times.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
-def write_events(path: Path, recipe: str) -> None:
+def write_events(path, recipe):
     stations = stations_of("sample_bin")
     rows = stations[["image", "camera"]].copy()
     time = stations["time_utc"]
@@ -132,7 +132,7 @@ def write_events(path: Path, recipe: str) -> None:
     rows.to_csv(path, index=False)
 
 
-def write_trajectory(path: Path, recipe: str) -> None:
+def write_trajectory(path, recipe):
     """Positions and attitudes of the log at 5 Hz, heights above the ellipsoid."""
     log = open_log(SAMPLES / "flight.bin")
     channels = {channel.name: channel for channel in log.channels}
@@ -159,7 +159,7 @@ def write_trajectory(path: Path, recipe: str) -> None:
     rows.to_csv(path, index=False, float_format="%.9f")
 
 
-def write_sounding(path: Path, recipe: str) -> None:
+def write_sounding(path, recipe):
     """The air of the flight; with a recipe that of a year before, 12 K colder."""
     year = 2025
     zero_k = 273.15
@@ -188,7 +188,7 @@ SHIFTS = {
 REVERSED = {("ATT", "Roll"), ("ATT", "Pitch")}
 
 
-def changed_value(field: Field, key: tuple[str, str], value: float) -> float:
+def changed_value(field, key, value):
     if key in REVERSED:
         return -value
     shift = SHIFTS[key]
@@ -197,7 +197,7 @@ def changed_value(field: Field, key: tuple[str, str], value: float) -> float:
     return value + shift
 
 
-def write_log(path: Path, recipe: str) -> None:
+def write_log(path, recipe):
     """The flight a day earlier: pressure 8 hPa higher, air 6 K warmer, roll and pitch reversed."""
     assert recipe == "a day before"
     log = (SAMPLES / "flight.bin").read_bytes()

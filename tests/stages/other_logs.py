@@ -18,15 +18,17 @@ def opened(mission):
 
 
 def channel_of(inputs, name: str) -> Channel:
-    (channel,) = [channel for channel in inputs.log.channels if channel.name == name]
+    channels = [channel for channel in inputs.log.channels if channel.name == name]
+    (channel,) = channels
     return channel
 
 
 def with_channels(inputs, *channels: Channel):
     """Inputs with channels more in the log, or instead of those of their names."""
+    log = inputs.log
     names = {channel.name for channel in channels}
-    others = [channel for channel in inputs.log.channels if channel.name not in names]
-    log = replace(inputs.log, channels=(*others, *channels))
+    others = [channel for channel in log.channels if channel.name not in names]
+    log = replace(log, channels=(*others, *channels))
     return replace(inputs, log=log)
 
 

@@ -12,7 +12,7 @@ from unbend.messages import Ledger
 from unbend.stages.air_of_mission import adjusted_profiles
 from unbend.tables.writing import table_of_profiles, table_of_stations
 
-THREE_HOURS_NS = 3 * 3600 * 10**9
+HOUR_NS = 3600 * 10**9
 
 
 @pytest.fixture(scope="module")
@@ -24,19 +24,26 @@ def fresh(baseline):
 @pytest.fixture(scope="module")
 def aged(fresh):
     """The same with a second exposure of each camera 3 h later, and a third 6 h later."""
-    number = pd.Series(fresh.stations.image).str[-1].astype(int)
-    later_ns = THREE_HOURS_NS * (number.to_numpy() - 1)
-    stations = replace(fresh.stations, time_ns=fresh.stations.time_ns + later_ns)
+    flown = fresh.stations
+    hours = pd.Series(flown.image).str[-1].map({"1": 0, "2": 3, "3": 6})
+    later_ns = hours.to_numpy() * HOUR_NS
+    stations = replace(flown, time_ns=flown.time_ns + later_ns)
     ledger = Ledger()
-    air = adjusted_profiles(fresh.mission, stations, fresh.samples, fresh.sources, ledger)
+    air = adjusted_profiles(
+        fresh.mission,
+        stations,
+        fresh.samples,
+        fresh.sources,
+        ledger,
+    )
     return replace(fresh, stations=stations, air=air, ledger=ledger)
 
 
 def test_the_same_angles_and_larger_sigmas(fresh, aged):
-    table, _ = corrected_table(replace(fresh, ledger=Ledger()))
-    before = table.to_pandas()
-    table, results = corrected_table(aged)
-    after = table.to_pandas()
+    before, _ = corrected_table(replace(fresh, ledger=Ledger()))
+    after, results = corrected_table(aged)
+    before = before.to_pandas()
+    after = after.to_pandas()
 
     for column in ("r_c_rad", "x_corrected_px"):
         assert after[column].equals(before[column])
@@ -54,25 +61,31 @@ def test_the_same_angles_and_larger_sigmas(fresh, aged):
 
 
 def low_air(prepared):
-    """The profiles of a mission between 600 and 900 m, and those of its stations by name."""
+    """The profiles of a mission between 600 and 900 m, and which one each image has."""
     air = prepared.air
-    profiles = table_of_profiles(air.adjustment, air.series).to_pandas()
-    stations = table_of_stations(prepared.stations, air.series).to_pandas()
+    profiles = table_of_profiles(air.adjustment, air.series)
+    profiles = profiles.to_pandas()
+    stations = table_of_stations(prepared.stations, air.series)
+    stations = stations.to_pandas()
     is_low = profiles["h_m"].between(600.0, 900.0)
-    return profiles[is_low], stations.set_index("image")
+    profile_of_image = stations.set_index("image")["profile_id"]
+    return profiles[is_low], profile_of_image
 
 
 def test_every_table_tells_of_it(fresh, aged):
     before, _ = low_air(fresh)
-    profiles, stations = low_air(aged)
-    assert set(stations["profile_id"]) == set(profiles["profile_id"])
+    profiles, profile_of_image = low_air(aged)
+    assert set(profile_of_image) == set(profiles["profile_id"])
+
     sigmas_k = []
     for number in "123":
-        nadir, oblique = stations["profile_id"].filter(like=number)
+        nadir, oblique = profile_of_image.filter(like=number)
         assert nadir == oblique
         rows = profiles[profiles["profile_id"] == nadir]
-        assert rows["temperature_k"].tolist() == before["temperature_k"].tolist()
+        assert list(rows["temperature_k"]) == list(before["temperature_k"])
         sigmas_k.append(rows["sigma_temperature_k"].mean())
+
     in_time, three_hours, six_hours = sigmas_k
-    assert in_time == pytest.approx(before["sigma_temperature_k"].mean(), rel=1e-3)
+    fresh_k = before["sigma_temperature_k"].mean()
+    assert in_time == pytest.approx(fresh_k, rel=1e-3)
     assert six_hours > three_hours > 1.5 * in_time

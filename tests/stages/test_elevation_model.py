@@ -93,11 +93,7 @@ def modelled(mission, flown):
 @pytest.fixture(scope="module")
 def by_points(baseline):
     """Results by the true heights of the points."""
-    return baseline.results().to_pandas()
-
-
-def rows_of(mission):
-    return mission.results().to_pandas()
+    return baseline.result_rows()
 
 
 def set_models(mission, names):
@@ -111,7 +107,7 @@ def opened(mission, name="dem.tif"):
 
 def assert_heights(mission, by_points, tolerance_m=0.4):
     """Stations from the log are a metre or two off, and slopes are up to 1 in 10."""
-    assert_allclose(rows_of(mission)["h_g_m"], by_points["h_g_m"], atol=tolerance_m)
+    assert_allclose(mission.result_rows()["h_g_m"], by_points["h_g_m"], atol=tolerance_m)
 
 
 @pytest.mark.parametrize("grid", ["EPSG:4326", "EPSG:25832", "EPSG:3035"])
@@ -120,7 +116,7 @@ def test_heights_and_corrections_are_those_of_the_points(mission, modelled, by_p
     mission.config["ground"]["sigma_m"] = 1.0
     manifest = mission.run_to_manifest()
     assert_heights(mission, by_points)
-    results = rows_of(mission)
+    results = mission.result_rows()
     for column in ("x_corrected_px", "y_corrected_px"):
         assert_allclose(results[column], by_points[column], atol=1e-4)
     assert (results["status"] == "ok").all()
@@ -260,7 +256,7 @@ def test_a_model_of_another_datum_is_found_at_the_take_off(mission, modelled):
 def test_a_hole_under_half_of_the_block_is_flagged_with_its_number(mission, modelled, by_points):
     modelled(east_half(HOLE))
     manifest = mission.run_to_manifest(3)
-    results = rows_of(mission)
+    results = mission.result_rows()
     missing = results["status"] == "no_ground"
     assert 0 < missing.sum() < missing.size
     assert results["x_corrected_px"][missing].isna().all()
@@ -276,11 +272,11 @@ def test_a_model_that_lies_elsewhere_or_under_half_of_the_block(mission, modelle
     loss = entry_of(mission.run_to_manifest(3), "DEM-OUTSIDE")
     with opened(mission) as raster:
         east_deg = raster.bounds.right
-    is_beside = mission.stations().to_pandas()["lon_deg"] > east_deg
+    is_beside = mission.station_rows()["lon_deg"] > east_deg
     assert 0 < is_beside.sum() < is_beside.size
     assert loss["kind"] == "loss"
     assert loss["count"] == is_beside.sum()
-    assert "no_ground" in set(rows_of(mission)["status"])
+    assert "no_ground" in set(mission.result_rows()["status"])
 
 
 def state_crs(mission, crs):
@@ -393,7 +389,7 @@ def test_ideal_observations_are_displaced_by_the_same_ground(mission, modelled, 
     modelled()
     mission.config["refraction"] = {"direction": "apply"}
     mission.run_to_manifest(3)  # PLAUSIBLE-APPLY: these were measured
-    is_ok = rows_of(mission)["status"] == "ok"
+    is_ok = mission.result_rows()["status"] == "ok"
     assert is_ok.mean() > 0.9
     # The straight line ends some decimetres beside the bent one.
     assert_heights(mission, by_points, 1.0)

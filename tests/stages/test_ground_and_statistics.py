@@ -29,14 +29,20 @@ class Heights:
     """The heights of a batch of observations."""
 
     ground: np.ndarray | None
-    ground_sigma: np.ndarray | None = None
-    count: int = 3
+    ground_sigma: np.ndarray | None
+    count: int
 
     def __len__(self) -> int:
         return self.count
 
 
 OFFSET = np.array([10.0, -20.0, np.nan])
+
+
+def heights_of(ground, h_m=None, *, sigma_m=None, station=(0, 0, 0)):
+    """Heights and sigmas of a batch whose rows are of these stations."""
+    batch = Heights(h_m, sigma_m, len(station))
+    return ground.heights(batch, np.array(station))
 
 
 @pytest.mark.parametrize(
@@ -48,34 +54,32 @@ OFFSET = np.array([10.0, -20.0, np.nan])
     ],
 )
 def test_heights_of_points_and_the_offset_of_their_station(station, h_m):
-    measured = Heights(np.array([100.0, 200.0, 300.0]))
-    heights = GivenGround(None, OFFSET).heights(measured, np.array(station))
+    of_points = np.array([100.0, 200.0, 300.0])
+    heights = heights_of(GivenGround(None, OFFSET), of_points, station=station)
     assert_array_equal(heights.h_m, h_m)
 
 
 def test_one_height_and_the_offset_of_the_station():
-    station = np.array([1, 0, 1])
-    heights = GivenGround(450.0, OFFSET).heights(Heights(None), station)
+    heights = heights_of(GivenGround(450.0, OFFSET), station=[1, 0, 1])
     assert heights.h_m.tolist() == [430.0, 460.0, 430.0]
 
 
 def test_the_limits_are_those_of_all_stations():
-    assert GivenGround(450.0, OFFSET).limits == (430.0, 460.0)
     unknown = np.array([np.nan])
+    assert GivenGround(450.0, OFFSET).limits == (430.0, 460.0)
     assert GivenGround(450.0, unknown).limits == (450.0, 450.0)
     assert GivenGround(None, OFFSET).limits == (-600.0, 10_000.0)
 
 
 def test_heights_of_no_ground_are_unknown_and_counted():
     h_m = np.array([-600.0, -600.1, 10_000.0, 10_000.1, np.nan])
-    is_plausible = np.isfinite(plausible_heights(h_m))
-    assert is_plausible.tolist() == [True, False, True, False, False]
-
-    station = np.zeros(5, np.int64)
-    of_points = GivenGround(None, OFFSET).heights(Heights(h_m, count=5), station)
-    constant = GivenGround(450.0, OFFSET).heights(Heights(None, count=5), station)
+    station = [0] * 5
+    of_points = heights_of(GivenGround(None, OFFSET), h_m, station=station)
+    constant = heights_of(GivenGround(450.0, OFFSET), station=station)
     assert of_points.implausible == 2
     assert constant.implausible == 0
+    is_plausible = np.isfinite(plausible_heights(h_m))
+    assert is_plausible.tolist() == [True, False, True, False, False]
 
 
 def test_the_status_of_the_ground_goes_before_ok_and_no_ground_only():
@@ -101,15 +105,10 @@ def test_the_status_of_the_ground_goes_before_ok_and_no_ground_only():
 def test_the_sigma_of_a_column_goes_before_that_of_all():
     column = np.array([1.0, np.nan, 3.0])
     unknown = GivenGround(0.0, OFFSET)
-    all_the_same = GivenGround(0.0, OFFSET, sigma_m=5.0)
-
-    def sigmas(ground, column=None):
-        heights = Heights(None, column)
-        return ground.heights(heights, np.zeros(3, np.int64)).sigma_m
-
-    assert sigmas(all_the_same).tolist() == [5.0, 5.0, 5.0]
-    assert_array_equal(sigmas(unknown, column), column)
-    assert np.isnan(sigmas(unknown)).all()
+    five = GivenGround(0.0, OFFSET, sigma_m=5.0)
+    assert heights_of(five).sigma_m.tolist() == [5.0, 5.0, 5.0]
+    assert_array_equal(heights_of(unknown, sigma_m=column).sigma_m, column)
+    assert np.isnan(heights_of(unknown).sigma_m).all()
 
 
 CAMERA = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0)
@@ -121,7 +120,8 @@ def counted(**counts):
 
 def test_the_counts_of_two_parts_are_added():
     total = counted(no_distance=1, no_sigma=2, air_variance=0.25, by_mode=2.0)
-    total.merge(counted(no_distance=10, no_sigma=20, air_variance=0.5, by_mode=1.0))
+    later = counted(no_distance=10, no_sigma=20, air_variance=0.5, by_mode=1.0)
+    total.merge(later)
     assert total.no_distance == 11
     assert total.no_sigma == 22
     assert total.air_variance == 0.75
@@ -133,8 +133,9 @@ def reported(rows, **counts):
     status = dict.fromkeys(STATUS_NAMES, 0) | {"ok": 50}
     for name in counts.keys() & status:
         status[name] = counts.pop(name)
+    statistics = counted(rows=rows, status=status, **counts)
     ledger = Ledger()
-    counted(rows=rows, status=status, **counts).report_flagged(ledger, {})
+    statistics.report_flagged(ledger, {})
     return list(ledger)
 
 

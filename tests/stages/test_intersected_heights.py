@@ -36,16 +36,18 @@ def truth(lines):
 @pytest.fixture
 def intersected(lines, tmp_path):
     """The mission with heights by intersection; a test gives it its table of rays."""
-    text = lines.missions["bin"].read_text(encoding="utf-8")
+    log = lines.logs["bin"]
+    text = lines.missions["bin"].read_text()
     config = yaml.safe_load(text)
     config["ground"] = {"height": "intersected"}
-    config["log"]["path"] = str(lines.logs["bin"])
+    config["log"]["path"] = str(log)
     return MissionFolder(tmp_path, "bin", config)
 
 
 def with_rays(mission, table):
     """The mission with these rays, without their heights."""
-    table.drop(columns="h_g_m").to_parquet(mission.folder / "own.parquet", index=False)
+    rays = table.drop(columns="h_g_m")
+    rays.to_parquet(mission.folder / "own.parquet", index=False)
     mission.config["observations"]["path"] = "own.parquet"
     return mission
 
@@ -53,26 +55,27 @@ def with_rays(mission, table):
 def results_of(mission, table):
     """The results of a run with these rays."""
     with_rays(mission, table).run()
-    return mission.results().to_pandas()
+    return mission.result_rows()
 
 
 def test_heights_are_those_of_the_terrain(intersected, lines, truth):
     exit_code = with_rays(intersected, truth).run().code
-    results = intersected.results().to_pandas()
+    results = intersected.result_rows()
     has_height = results["h_g_m"].notna()
     assert has_height.mean() > 0.8
     assert exit_code == (0 if has_height.all() else 3)
     assert (results["status"] == np.where(has_height, "ok", "no_ground")).all()
     height_of_point = truth.groupby("point")["h_g_m"].mean()
-    off_m = (results["h_g_m"] - results["point"].map(height_of_point)).dropna()
+    off_m = results["h_g_m"] - results["point"].map(height_of_point)
     assert abs(off_m.median()) < 2.0
     assert off_m.pow(2).mean() < 10.0**2
-    assert entry_of(intersected.manifest(), "GROUND-INTERSECTED")["kind"] == "note"
+    entry = entry_of(intersected.manifest(), "GROUND-INTERSECTED")
+    assert entry["kind"] == "note"
     assert results["sigma_ground_dx_px"][has_height].notna().all()
     # Refraction goes with the height above ground: wrong by what the heights are wrong.
     true = pd.read_parquet(lines.truth / "observations.parquet")
-    ratio = results["r_c_rad"] / true["r_c_rad"]
-    assert (ratio - 1.0)[has_height].abs().median() < 0.01
+    error = results["r_c_rad"] / true["r_c_rad"] - 1.0
+    assert error[has_height].abs().median() < 0.01
 
 
 KEY = ["image", "point"]
@@ -83,7 +86,8 @@ def test_rows_in_any_order_and_in_many_files_give_the_same(intersected, truth, m
     # Smaller files and batches than those of millions of rows.
     monkeypatch.setattr(point_heights, "ROWS_OF_A_FILE", 50)
     monkeypatch.setattr(point_heights, "BATCH_ROWS", 70)
-    shuffled = results_of(intersected, truth.sample(frac=1.0, random_state=3)).set_index(KEY)
+    mixed = truth.sample(frac=1.0, random_state=3)
+    shuffled = results_of(intersected, mixed).set_index(KEY)
     assert len(shuffled) == len(results)
     assert shuffled.index.is_unique
     assert not shuffled.index.equals(results.index)
@@ -97,7 +101,8 @@ def test_a_rehearsal_has_the_heights_of_a_run_for_the_rows_it_draws(
     """It reads the rays of the points of those rows, wherever these are in the table."""
     # A sample is fewer rows than the table has; the usual one is thousands.
     monkeypatch.setattr(runs, "SAMPLED_ROWS", 100)
-    results = results_of(intersected, truth.sample(frac=1.0, random_state=5))
+    mixed = truth.sample(frac=1.0, random_state=5)
+    results = results_of(intersected, mixed)
     corrected = check_mission(intersected.file).corrected
     sample = corrected.prepared.observations.sample.number
     assert 60 <= sample.size <= 100 < len(results)
@@ -111,7 +116,7 @@ def test_a_rehearsal_has_the_heights_of_a_run_for_the_rows_it_draws(
 def test_points_of_one_image_have_no_height(intersected, truth):
     truth.loc[0, "point"] = "alone"
     manifest = with_rays(intersected, truth).run_to_manifest(3)
-    results = intersected.results().to_pandas()
+    results = intersected.result_rows()
     assert results["status"][0] == "no_ground"
     assert "fewer than two rays: 1" in entry_of(manifest, "GROUND-INTERSECTED")["what"]
 

@@ -57,7 +57,7 @@ def profile(baseline):
 
 @pytest.fixture
 def opk(baseline):
-    stations = baseline.stations().to_pandas()
+    stations = baseline.station_rows()
     return columns_of(stations).rename(columns={"time": "time_utc"})
 
 
@@ -141,14 +141,14 @@ def test_angles_of_a_csv_are_the_mission_of_that_csv(opk, mission):
     rows = mission.measurements().to_pandas()
     result = correct(rows, pd.read_csv(path), "us1976", cameras, orientation=HEIGHTS)
 
-    assert_frame_equal(result, mission.results().to_pandas(), check_exact=True)
+    assert_frame_equal(result, mission.result_rows(), check_exact=True)
     assert set(result.attrs) == {"uncertainty", "cabin_air", "ledger"}
     assert set(result.attrs["cabin_air"]) == {"nadir", "oblique"}
 
 
 def test_attitudes_in_other_words(simple, baseline, opk):
     """Quaternions, degrees by name, and roll, pitch and yaw with the mount."""
-    table = baseline.stations().to_pandas()
+    table = baseline.station_rows()
     columns = ["image", "camera", *PLACE_COLUMNS]
     by_quaternion = table[columns + QUATERNION]
     with_units = dict(zip(PLACE, PLACE_COLUMNS, strict=True))

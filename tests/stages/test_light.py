@@ -47,7 +47,7 @@ def in_all_air(mission, key, value):
 
 def of_camera(mission, camera):
     """The rows of a camera."""
-    rows = mission.results().to_pandas()
+    rows = mission.result_rows()
     return rows[rows["image"].str.startswith(camera)]
 
 

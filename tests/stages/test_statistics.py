@@ -26,7 +26,8 @@ def test_no_quantile_is_larger_than_the_largest():
 def test_quantiles_are_those_of_the_values_to_a_bin(share):
     values = np.random.default_rng(1).lognormal(0.0, 1.0, 20_000)
     quantile = distribution_of(values).quantile(share)
-    assert quantile == pytest.approx(np.quantile(values, share), rel=0.02)
+    exact = np.quantile(values, share)
+    assert quantile == pytest.approx(exact, rel=0.02)
 
 
 def test_each_number_under_its_own_key():
@@ -41,7 +42,7 @@ def test_each_number_under_its_own_key():
 def corrections_of(**columns):
     """Corrections of three rows with these columns, all others 0.5, of status ok."""
     values = dict.fromkeys(COLUMNS, 0.5) | columns
-    arrays = {name: np.broadcast_to(value, 3) for name, value in values.items()}
+    arrays = {name: np.full(3, value) for name, value in values.items()}
     return Corrections(**arrays, status=np.zeros(3, np.uint8))
 
 
@@ -49,7 +50,10 @@ def test_shifts_are_averaged_where_they_are():
     """Two points in the upper right cell, one in the lower left of 14 x 10; twice."""
     x = np.array([1390.0, 1310.0, 10.0])
     y = np.array([10.0, 90.0, 990.0])
-    corrections = corrections_of(dx_px=[1.0, 3.0, 7.0], dy_px=[-1.0, -2.0, 5.0])
+    corrections = corrections_of(
+        dx_px=[1.0, 3.0, 7.0],
+        dy_px=[-1.0, -2.0, 5.0],
+    )
     statistics = ShiftStatistics(1400, 1000)
     statistics.add(x, y, corrections)
     twice = statistics + statistics

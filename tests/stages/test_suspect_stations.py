@@ -20,13 +20,15 @@ def move(mission, name, column, by, first_us, last_us):
     for record in records(log):
         if record.name == name and first_us <= record.time_us <= last_us:
             field = record.fields()[column]
-            write_value(changed, field, value_of(log, field) + by)
+            value = value_of(log, field)
+            write_value(changed, field, value + by)
     mission.log.write_bytes(changed)
 
 
 def move_north(mission, name):
     """A message of the log is 77 m off for 4 s around the first two exposures."""
-    shot_us = min(times_us(mission.log.read_bytes(), "CAM"))
+    log = mission.log.read_bytes()
+    shot_us = min(times_us(log, "CAM"))
     first_us = shot_us - AROUND_US
     last_us = shot_us + AROUND_US
     move(mission, name, "Lat", LATITUDE_OF_77_M, first_us, last_us)
@@ -60,7 +62,7 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
     )
     assert "Ready for bundle adjustment" not in printed
 
-    stations = glitch.stations().to_pandas()
+    stations = glitch.station_rows()
     suspect = stations[stations["status"] == "suspect"]
     good = stations.drop(suspect.index)
     assert len(suspect) == 2
@@ -70,7 +72,7 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
         assert "GPS[0] steps at" in reason
     assert good["suspect_reason"].isna().all()
 
-    rows = glitch.results().to_pandas()
+    rows = glitch.result_rows()
     of_suspect = rows["image"].isin(suspect["image"])
     assert set(rows["status"][of_suspect]) == {"no_station"}
     assert set(rows["status"][~of_suspect]) == {"ok"}
@@ -83,10 +85,10 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
 def test_use_suspect_corrects_them_and_ends_with_three_all_the_same(glitch, unbend):
     glitch.config["stations"] = {"use_suspect": True}
     manifest = glitch.run_to_manifest(3)
-    stations = glitch.stations().to_pandas()
+    stations = glitch.station_rows()
     assert (stations["status"] == "suspect").sum() == 2
     assert stations["profile_id"].notna().all()
-    rows = glitch.results().to_pandas()
+    rows = glitch.result_rows()
     assert set(rows["status"]) == {"ok"}
     assert rows["x_corrected_px"].notna().all()
     suspicions(manifest)

@@ -144,14 +144,14 @@ def test_in_a_long_flight_each_exposure_has_the_air_of_its_place(
     steep = fields.t + 50.0 * (fields.longitude - 8.5)  # 66 K in 100 km
     write_model(modelled, fields.assign(t=steep))
     entry = entry_of(modelled.run_to_manifest(), "AIR-BY-PLACE")
-    stations = modelled.stations().to_pandas()
+    stations = modelled.station_rows()
     profiles = pd.read_parquet(modelled.output / "profile.parquet")
     names = set(profiles["profile_id"])
     assert set(stations["profile_id"]) == names
     assert 2 < len(names) <= entry["count"]
     # R follows the air of the place, against the one profile of the usual run.
-    rows = modelled.results().to_pandas()
-    usual = baseline.results().to_pandas()
+    rows = modelled.result_rows()
+    usual = baseline.result_rows()
     ratios = rows["r_c_rad"] / usual["r_c_rad"]
     ratio = ratios.groupby(rows["image"]).median().dropna()
     longitude = stations.set_index("image")["lon_deg"][ratio.index]
@@ -164,8 +164,8 @@ def test_correct_takes_it_from_python(modelled, baseline):
     """Paths of the section are relative to the working folder, or whole."""
     path = modelled.folder / "era5.nc"
     atmosphere = {"model": {"path": str(path)}}
-    run = baseline.results().to_pandas()
-    stations = columns_of(baseline.stations().to_pandas())
+    run = baseline.result_rows()
+    stations = columns_of(baseline.station_rows())
     measured = run[["image", "point", "x_px", "y_px", "h_g_m"]]
     result = correct(
         measured,
