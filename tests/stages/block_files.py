@@ -1,16 +1,15 @@
 """A mission without its log, and its stations and points as other programs would write them."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from tests.small_block import ecef, enu_axes
 
-CABIN = {"pressure_hpa": 812.0, "temperature_c": 21.0, "relative_humidity": 0.3}
+CABIN = {
+    "pressure_hpa": 812.0,
+    "temperature_c": 21.0,
+    "relative_humidity": 0.3,
+}
 PLACE = ["lat_deg", "lon_deg", "h_ellipsoid_m"]
 
 
@@ -41,19 +40,20 @@ def in_enu(stations, points, origin):
 
 
 def write_colmap(
-    folder: Path,
-    cameras: dict[str, tuple],
-    stations: pd.DataFrame,
-    observations: pd.DataFrame,
-    points: pd.DataFrame,
+    folder,
+    cameras,
+    stations,
+    observations,
+    points,
     *,
     origin,
-    text: bool = False,
-    without_point: frozenset[int] = frozenset(),
-) -> dict[str, int]:
+    text=False,
+    without_point=frozenset(),
+):
     """A sparse model by pycolmap; the rows of ``without_point`` are keypoints of no point3D.
 
-    Returns the numbers of the points by name.
+    ``cameras`` has the model, width, height and parameters of each by its name. Returns the
+    numbers of the points by name.
     """
     import pycolmap
 

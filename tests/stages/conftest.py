@@ -1,7 +1,5 @@
 """What several tests of the stages start from."""
 
-from __future__ import annotations
-
 import pytest
 import yaml
 

@@ -1,7 +1,5 @@
 """A mission that was read is corrected in memory: its rows as a run writes them, and its record."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Records of a DataFlash log, for tests that change one."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -61,16 +59,16 @@ class Record:
         return fields
 
 
-def value_of(log: bytes, field: Field):
+def value_of(log, field):
     (value,) = struct.unpack_from(field.code, log, field.start)
     return value
 
 
-def write_value(log: bytearray, field: Field, value) -> None:
+def write_value(log, field, value):
     struct.pack_into(field.code, log, field.start, value)
 
 
-def text_of(content: bytes) -> str:
+def text_of(content):
     return content.rstrip(b"\0").decode()
 
 
@@ -91,12 +89,12 @@ def records(log: bytes) -> Iterator[Record]:
 
 def without(log: bytes, name: str, first_us: float, last_us: float) -> bytes:
     """The log without the records of this name between two times."""
-    kept = []
+    others = []
     for record in records(log):
         if record.name != name or not first_us <= record.time_us <= last_us:
-            kept.append(record.content)
-    return b"".join(kept)
+            others.append(record.content)
+    return b"".join(others)
 
 
-def times_us(log: bytes, name: str) -> list[int]:
+def times_us(log, name):
     return [record.time_us for record in records(log) if record.name == name]

@@ -1,12 +1,9 @@
 """Files of the simulated flight, as other programs write them, and how far stations are from it."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 
 from unbend.simulate.flight import UNDULATION_M, fly
@@ -29,8 +26,8 @@ age(s) ratio
 @pytest.fixture(scope="session")
 def truth(flown):
     """Camera stations by image, and the flight as a function of time."""
-    stations = pq.read_table(flown.truth / "stations.parquet").to_pandas().set_index("image")
-    return stations, fly(2500.0, 1, 3)
+    stations = pd.read_parquet(flown.truth / "stations.parquet")
+    return stations.set_index("image"), fly(2500.0, 1, 3)
 
 
 @pytest.fixture
@@ -41,7 +38,8 @@ def files(mission, truth):
 def gps_time(utc):
     """Weeks, and seconds in the week."""
     since_s = (utc - GPS_EPOCH).dt.total_seconds() + LEAP_S
-    return (since_s // WEEK_S).astype(int), since_s % WEEK_S
+    week, seconds = divmod(since_s, WEEK_S)
+    return week.astype(int), seconds
 
 
 class Files:
@@ -100,7 +98,8 @@ class Files:
         later = self.flight.at(self.t + 0.01)
         before = self.flight.at(self.t - 0.01)
         north = (later.lat_rad - before.lat_rad) / 0.02 * 6.375e6
-        east = (later.lon_rad - before.lon_rad) / 0.02 * 6.39e6 * np.cos(state.lat_rad)
+        radius_m = 6.39e6 * np.cos(state.lat_rad)
+        east = (later.lon_rad - before.lon_rad) / 0.02 * radius_m
         velocity = (north - 1j * east) * np.exp(-1j * WANDER_RAD)
         yaw = state.yaw_rad + WANDER_RAD + np.radians(yaw_deg)
         rows = np.zeros((self.t.size, 17), "<f8")
@@ -114,7 +113,7 @@ class Files:
         rows[:, 8] = state.pitch_rad
         rows[:, 9] = (yaw + np.pi) % (2.0 * np.pi) - np.pi
         rows[:, 10] = WANDER_RAD
-        (self.folder / "sbet.out").write_bytes(rows.tobytes())
+        rows.tofile(self.folder / "sbet.out")
         return {
             "path": "sbet.out",
             "point": "imu",
@@ -152,7 +151,9 @@ class Files:
     def mrk(self, camera, *, offset_mm=(0, 0, 0), rows=slice(None), numbers=None):
         """Exposures of a camera of DJI: some rows of them, with other numbers than their own."""
         exposures = self.stations_of(camera)
-        exposures["week"], exposures["seconds"] = gps_time(exposures["time_utc"])
+        weeks, seconds = gps_time(exposures["time_utc"])
+        exposures["week"] = weeks
+        exposures["seconds"] = seconds
         exposures["number"] = range(1, len(exposures) + 1)
         written = exposures.iloc[rows].copy()
         if numbers is not None:
@@ -189,9 +190,9 @@ def errors(prepared, files):
     assert ok.any()
     true = files.stations.loc[stations.image.tolist()]
     north, east, up = offsets(stations, true)[ok].T
-    quaternion = true[["q_w", "q_x", "q_y", "q_z"]]
-    cosine = (quaternion * stations.quaternion)[ok].sum(axis=1)
-    half_turn_rad = np.arccos(cosine.abs().clip(0.0, 1.0))
+    quaternion = true[["q_w", "q_x", "q_y", "q_z"]].to_numpy()
+    cosine = np.sum(quaternion * stations.quaternion, axis=1)[ok]
+    half_turn_rad = np.arccos(np.abs(cosine).clip(0.0, 1.0))
     return Errors(
         place_m=np.hypot(north, east).max(),
         height_m=np.abs(up).max(),

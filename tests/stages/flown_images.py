@@ -3,10 +3,6 @@
 A simulator's truth, not this package, says where each image was taken.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pyproj
@@ -43,7 +39,7 @@ NED_FROM_ENU = np.array(
 GEODETIC = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)
 
 
-def truth_of(table: Path, instance: int) -> pd.DataFrame:
+def truth_of(table, instance):
     """The truth at each exposure of a camera; heights are above sea level, without undulation."""
     rows = pd.read_csv(table).query("row == 'CAM' and I == @instance")
     return rows.sort_values("TimeUS").reset_index(drop=True)
@@ -70,13 +66,13 @@ def project(points, centre, camera):
 
 
 def tie_points(
-    truth: pd.DataFrame,
-    names: list[str],
-    ground_m: float,
+    truth,
+    names,
+    ground_m,
     *,
-    each: int = 6,
-    seed: int = 1,
-) -> pd.DataFrame:
+    each=6,
+    seed=1,
+):
     """Observations of ground points in all images that show them; 0.5 px of noise.
 
     ``each`` points are drawn in each image that is not banked away from the ground.

@@ -1,7 +1,5 @@
 """Exposures of a level camera at some heights, and what its rays meet there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers import channel
 from unbend.atmosphere import standard_atmosphere
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations
-from unbend.flight.stations import Stations
 from unbend.messages import Ledger
 from unbend.stages.cabin_air import with_cabin_air
 from unbend.stages.exposure_setup import exposures_of
@@ -33,13 +29,13 @@ def attitude_channel(yaw, pitch, roll, *, name="ATT", seconds=SECONDS):
 
 
 def stations(
-    *heights_m: float,
-    camera: str = "nadir",
-    attitude: tuple[float, float, float] = LEVEL,
-    mount: Mount = AT_REST,
-    aircraft: Channel | None = None,
-    **columns: object,
-) -> Stations:
+    *heights_m,
+    camera="nadir",
+    attitude=LEVEL,
+    mount=AT_REST,
+    aircraft=None,
+    **columns,
+):
     """One exposure a height, the camera level and to the north; with values of some columns."""
     count = len(heights_m)
     place = {"lat_rad": 0.8, "lon_rad": 0.1}

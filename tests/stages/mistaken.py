@@ -1,12 +1,9 @@
 """Missions with a mistake in them, derived from the samples as `tests/data/mistakes.yaml` says."""
 
-from __future__ import annotations
-
-import copy
 import json
+from copy import deepcopy
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,19 +25,16 @@ CONFIGS = REPOSITORY / "configs"
 SAMPLES = REPOSITORY / "sample_logs"
 MISTAKES = REPOSITORY / "tests" / "data" / "mistakes.yaml"
 
-Mapping = dict[str, Any]
-"""As YAML has it."""
-
 
 @cache
-def sample_sections(base: str) -> Mapping:
+def sample_sections(base):
     text = (CONFIGS / f"{base}.yaml").read_text(encoding="utf-8")
     return yaml.safe_load(text)
 
 
-def changed(sections: Mapping, changes: Mapping) -> Mapping:
+def changed(sections, changes):
     """The sections of a mission file with other values under dotted keys; ``delete`` removes."""
-    sections = copy.deepcopy(sections)
+    sections = deepcopy(sections)
     for key, value in changes.items():
         *path, last = key.split(".")
         section = sections
@@ -54,13 +48,13 @@ def changed(sections: Mapping, changes: Mapping) -> Mapping:
 
 
 @cache
-def stations_of(base: str) -> pd.DataFrame:
+def stations_of(base):
     """The stations of a sample mission, as `unbend stations --csv` writes them."""
     prepared = read_mission(CONFIGS / f"{base}.yaml")
     return pd.DataFrame(station_columns(prepared.stations))
 
 
-def orientation_of_sample() -> pd.DataFrame:
+def orientation_of_sample():
     """Omega, phi, kappa and places of the images of a sample mission, in degrees."""
     table = stations_of("sample_bin").copy()
     table[["omega_deg", "phi_deg", "kappa_deg"]] = textbook_opk(attitudes(table))
@@ -228,7 +222,7 @@ WRITERS = {
 }
 
 
-def write_mistake(folder: Path, mistake: Mapping) -> Path:
+def write_mistake(folder, mistake):
     """The mission file of a mistake, with its changed inputs beside it."""
     sections = sample_sections(mistake["base"])
     for name in ("log", "observations"):

@@ -1,13 +1,10 @@
 """A mission that was read, and read again with other channels in its log."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from tests.helpers import refused
 from unbend import load_mission
 from unbend.batch.runs import read_mission
-from unbend.flight.channels import Channel
 from unbend.messages import Ledger
 from unbend.stages.flight_log import flight_log
 
@@ -17,13 +14,13 @@ def opened(mission):
     return read_mission(mission.save()).inputs
 
 
-def channel_of(inputs, name: str) -> Channel:
+def channel_of(inputs, name):
     channels = [channel for channel in inputs.log.channels if channel.name == name]
     (channel,) = channels
     return channel
 
 
-def with_channels(inputs, *channels: Channel):
+def with_channels(inputs, *channels):
     """Inputs with channels more in the log, or instead of those of their names."""
     log = inputs.log
     names = {channel.name for channel in channels}
@@ -39,7 +36,7 @@ def flight_of(mission, inputs):
     return flight_log(sections, inputs, ledger), ledger
 
 
-def refusal_to_read(mission, code: str) -> str:
+def refusal_to_read(mission, code):
     """What reading the mission is refused with."""
     with refused(code) as caught:
         read_mission(mission.save())

@@ -18,8 +18,8 @@ def pixels(table, columns):
 
 
 def read_pixels_from(mission, columns):
-    x, y = columns
-    mission.config["observations"]["columns"] = {"x_px": x, "y_px": y}
+    names = dict(zip(MEASURED, columns, strict=True))
+    mission.config["observations"]["columns"] = names
 
 
 def displace(mission):
@@ -45,7 +45,8 @@ def distances(baseline, corrected):
     r_g = WGS84_A + rows["h_g_m"]
     along = r_c * np.cos(zeta)
     below = r_c**2 - r_g**2
-    return below / (along + np.sqrt(along**2 - below))
+    across = np.sqrt(along**2 - below)
+    return below / (along + across)
 
 
 def assert_heights(table, corrected):
@@ -93,7 +94,8 @@ def test_heights_from_slant_ranges(corrected, distances, mission):
     ranges[0] = -5.0
     ranges[1] = None
     measured = mission.measurements().drop_columns("h_g_m")
-    mission.observe(measured.append_column("range_m", pa.array(ranges)))
+    measured = measured.append_column("range_m", pa.array(ranges))
+    mission.observe(measured)
     mission.config["observations"]["columns"] = {"distance_m": "range_m"}
     mission.config["ground"] = {"height": "from_distance"}
     assert "OBS-DISTANCE" in codes_of(mission.run_to_manifest(3))
@@ -104,7 +106,8 @@ def test_heights_from_slant_ranges(corrected, distances, mission):
     assert set(others) == {"ok"}
     assert_heights(table.slice(2), corrected.slice(2))
     ideal = pixels(corrected, CORRECTED)
-    assert_pixels(pixels(table, CORRECTED)[2:], ideal[2:], 1e-5)
+    by_range = pixels(table, CORRECTED)
+    assert_pixels(by_range[2:], ideal[2:], 1e-5)
 
 
 def test_ideal_observations_with_slant_ranges_are_displaced_as_with_heights(
@@ -113,7 +116,8 @@ def test_ideal_observations_with_slant_ranges_are_displaced_as_with_heights(
     """Ideal pixels lie on the chord: the height at a distance follows from them directly."""
     ideal = corrected.select(["image", "point", *CORRECTED])
     ideal = ideal.replace_schema_metadata(None)
-    mission.observe(ideal.append_column("range_m", pa.array(distances)))
+    ideal = ideal.append_column("range_m", pa.array(distances))
+    mission.observe(ideal)
     read_pixels_from(mission, CORRECTED)
     mission.config["observations"]["columns"]["distance_m"] = "range_m"
     mission.config["ground"] = {"height": "from_distance"}

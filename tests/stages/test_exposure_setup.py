@@ -33,9 +33,11 @@ SCHEDULE = Cabin("standard_schedule")
 FORWARD = [0.0, 0.0, 1.0]
 """Along the optical axis, or through the belly of the aircraft."""
 
-PLANE = Window(SCHEDULE)
+FLAT = Window(SCHEDULE)
 IN_THE_BELLY = Window(SCHEDULE, FORWARD, "body")
-DOME = "spherical"
+DOME = Window(SCHEDULE, shape="spherical")
+DOME_OF_LOG = replace(DOME, cabin=Cabin("log"))
+BARE_DOME = replace(DOME, cabin=None)
 LENS = LensInAir(20_000.0, 101_325.0, 288.15, px_per_pa=1e-4, px_per_k=0.01)
 COS_45 = math.sqrt(0.5)
 OBLIQUE = (COS_45, 0.0, COS_45)
@@ -49,7 +51,7 @@ def test_gyers_table_7():
     printed = printed_table("gyer1996_table7")
     heights_m = printed["h_c_km"] * 1e3
     exposed = stations(*heights_m)
-    exposures, ledger = look(exposed, PLANE, profile=gyer_air())
+    exposures, ledger = look(exposed, FLAT, profile=gyer_air())
 
     rays = np.array([OBLIQUE] * len(exposed))
     _, r_cc = at_window(rays, exposures)
@@ -76,7 +78,7 @@ def at_window(rays, exposures):
 
 def test_the_schedule_ends_at_10_km():
     exposed = stations(10_000.0, 10_001.0, 12_000.0)
-    exposures, ledger = look(exposed, PLANE)
+    exposures, ledger = look(exposed, FLAT)
     assert exposures.usable.all()
     (warning,) = with_code(ledger, "CABIN-SCHEDULE-HIGH")
     assert warning.kind is Kind.WARNING
@@ -106,12 +108,7 @@ def test_air_of_the_log_of_the_file_and_none():
 
 @pytest.mark.parametrize(
     "window",
-    [
-        None,
-        Window(None, shape=DOME),
-        Window(Cabin("log"), shape=DOME),
-        Window(SCHEDULE, shape=DOME),
-    ],
+    [None, BARE_DOME, DOME_OF_LOG, DOME],
     ids=["no window", "bare dome", "dome of the log", "dome of the schedule"],
 )
 def test_a_spherical_window_bends_nothing_and_needs_no_air(window):
@@ -127,7 +124,7 @@ def test_each_camera_has_its_own():
     exposed = join_stations([stations(8000.0, camera=camera) for camera in cameras])
     tilted = (0.0, math.sin(0.2), math.cos(0.2))
     windows = {
-        "nadir": PLANE,
+        "nadir": FLAT,
         "left": Window(Cabin("constant", 9e4, 280.0), tilted),
     }
     lenses = {"free": LENS}
@@ -202,7 +199,7 @@ def test_a_stabilised_camera_moves_behind_the_window(aircraft, window, in_camera
     normal = normal_of(exposed, Window(SCHEDULE, window, "body"))
     assert normal == pytest.approx(in_camera, abs=1e-12)
     # In the frame of the camera it would stay where it is.
-    assert normal_of(exposed, PLANE).tolist() == FORWARD
+    assert normal_of(exposed, FLAT).tolist() == FORWARD
 
 
 def test_without_a_stabilised_mount_the_window_stays_before_the_camera():
@@ -229,7 +226,7 @@ def test_a_gap_in_the_attitude_of_the_aircraft_is_suspect():
     assert no_aircraft.ok.all()
     # Nobody asked, and no number all the same; a window in the camera's frame does not care.
     of_body, _ = look(exposed, IN_THE_BELLY)
-    of_camera, _ = look(exposed, PLANE)
+    of_camera, _ = look(exposed, FLAT)
     assert not of_body.usable.any()
     assert of_camera.usable.all()
 
@@ -244,10 +241,10 @@ IN_THE_CABIN = 1e-4 * (70_120.0 - 101_325.0) + 0.01 * (294.26 - 288.15)
     ("window", "expected", "bends"),
     [
         (None, IN_THE_OPEN, False),
-        (PLANE, IN_THE_CABIN, True),
+        (FLAT, IN_THE_CABIN, True),
         # The cabin's air is in the lens behind a dome, and bends nothing there.
-        (Window(SCHEDULE, shape=DOME), IN_THE_CABIN, False),
-        (Window(None, shape=DOME), IN_THE_OPEN, False),
+        (DOME, IN_THE_CABIN, False),
+        (BARE_DOME, IN_THE_OPEN, False),
     ],
     ids=["no window", "window", "dome", "bare dome"],
 )
@@ -263,17 +260,15 @@ def test_the_lens_is_in_the_air_outside_or_in_the_cabin(window, expected, bends)
 
 
 def test_a_lens_behind_a_dome_in_unknown_air_is_no_number():
-    dome = Window(Cabin("log"), shape=DOME)
-    exposures, _ = look(stations(6000.0), dome, LENS)
+    exposures, _ = look(stations(6000.0), DOME_OF_LOG, LENS)
     assert not exposures.usable.any()
 
 
 def test_a_camera_beyond_the_profile_keeps_its_own_status():
     """The correction says outside_profile where the air outside is unknown, not no_station."""
     exposures, _ = look(stations(6000.0, 200_000.0), None, LENS)
-    inside, beyond = np.isnan(exposures.refractivity_outside)
-    assert not inside
-    assert beyond
+    is_beyond = np.isnan(exposures.refractivity_outside)
+    assert is_beyond.tolist() == [False, True]
     assert exposures.usable.all()
     assert np.isfinite(exposures.principal_change_px).all()
 

@@ -69,47 +69,43 @@ def odm(tmp_path):
     block = SmallBlock.make(46.95, 6.2)
     block.write_opensfm(tmp_path / "opensfm", linear=odm_transformation(block))
     write_coords(tmp_path)
-    return block, tmp_path
+    return block
 
 
 OPENSFM = mission_of("opensfm", "opensfm", heights="ellipsoid")
 
 
-def test_the_topocentric_reconstruction_of_odm_is_read(odm):
-    block, folder = odm
-    block.write_opensfm(folder / "opensfm", name="reconstruction.topocentric.json")
-    stations, messages = run(folder, OPENSFM)
-    assert_true(stations, block)
+def test_the_topocentric_reconstruction_of_odm_is_read(odm, tmp_path):
+    odm.write_opensfm(tmp_path / "opensfm", name="reconstruction.topocentric.json")
+    stations, messages = run(tmp_path, OPENSFM)
+    assert_true(stations, odm)
     assert messages["BLOCK-ODM"]["kind"] == "note"
     assert messages["FRAME-CONFIRMED"]["kind"] == "note"
 
 
-def test_the_utm_of_odm_is_refused(odm):
+def test_the_utm_of_odm_is_refused(odm, tmp_path):
     """By coords.txt and gps_position, or by the file that ODM leaves."""
-    _, folder = odm
-    text = refusal(folder, OPENSFM, "ORIENTATION-FRAME")
+    text = refusal(tmp_path, OPENSFM, "ORIENTATION-FRAME")
     assert "coords.txt" in text
     assert "reconstruction.topocentric.json" in text
-    (folder / "odm_georeferencing" / "coords.txt").unlink()
-    (folder / "opensfm" / "exported_geocoords.txt").touch()
-    assert "exported_geocoords.txt" in refusal(folder, OPENSFM, "ORIENTATION-FRAME")
+    (tmp_path / "odm_georeferencing" / "coords.txt").unlink()
+    (tmp_path / "opensfm" / "exported_geocoords.txt").touch()
+    assert "exported_geocoords.txt" in refusal(tmp_path, OPENSFM, "ORIENTATION-FRAME")
 
 
-def test_utm_without_odm_is_a_finding(odm):
+def test_utm_without_odm_is_a_finding(odm, tmp_path):
     """Nothing but gps_position tells."""
-    _, folder = odm
-    (folder / "odm_georeferencing" / "coords.txt").unlink()
-    _, messages = run(folder, OPENSFM, 3)
+    (tmp_path / "odm_georeferencing" / "coords.txt").unlink()
+    _, messages = run(tmp_path, OPENSFM, 3)
     places = messages["FRAME-PLACES"]
     assert places["kind"] == "finding"
     # The convergence at 6.2 deg east of a zone about 9.
     assert "turned by 2.0" in places["what"]
 
 
-def test_inputs_hold_what_a_frame_rests_on(odm):
+def test_inputs_hold_what_a_frame_rests_on(odm, tmp_path):
     """coords.txt is hashed with the project."""
-    _, folder = odm
-    files = block_reader("opensfm").block_files(folder / "opensfm")
+    files = block_reader("opensfm").block_files(tmp_path / "opensfm")
     names = {file.name for file in files}
     assert names == {"reconstruction.json", "tracks.csv", "reference_lla.json", "coords.txt"}
 

@@ -53,8 +53,9 @@ def likelihood(lines, *, known=1.0, lon_rad=LON_RAD):
     rng = np.random.default_rng(3)
     count = north.size - FIRST
     heading = np.sign(np.gradient(north))
-    north = (north - heading * SPEED * 0.7)[FIRST:] + rng.normal(0, 4, count)
-    east = (east + 3.0)[FIRST:] + rng.normal(0, 4, count)
+    north -= heading * SPEED * 0.7
+    north = north[FIRST:] + rng.normal(0, 4, count)
+    east = east[FIRST:] + 3.0 + rng.normal(0, 4, count)
     lat, lon = place_of(north, east, lon_rad)
     written = np.stack([lat, lon, np.zeros(count)], axis=1)
     written[rng.random(count) >= known] = np.nan

@@ -64,7 +64,8 @@ def test_heights_are_those_of_the_terrain(intersected, lines, truth):
     has_height = results["h_g_m"].notna()
     assert has_height.mean() > 0.8
     assert exit_code == (0 if has_height.all() else 3)
-    assert (results["status"] == np.where(has_height, "ok", "no_ground")).all()
+    status = np.where(has_height, "ok", "no_ground")
+    assert (results["status"] == status).all()
     height_of_point = truth.groupby("point")["h_g_m"].mean()
     off_m = results["h_g_m"] - results["point"].map(height_of_point)
     assert abs(off_m.median()) < 2.0

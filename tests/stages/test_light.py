@@ -32,10 +32,12 @@ def runs(mission_factory, tmp_path_factory):
     """One flight three times: all at 0.55 um, all at 0.65, and each camera in its own light."""
     missions = {}
     for name in ("usual", "red", "bands"):
-        missions[name] = mission_factory(tmp_path_factory.mktemp(name) / "mission")
+        folder = tmp_path_factory.mktemp(name)
+        missions[name] = mission_factory(folder / "mission")
     in_all_air(missions["red"], "wavelength_m", RED_M)
+    cameras = missions["bands"].config["cameras"]
     for camera, light_m in LIGHTS_M.items():
-        missions["bands"].config["cameras"][camera]["wavelength_m"] = light_m
+        cameras[camera]["wavelength_m"] = light_m
     for mission in missions.values():
         mission.run_to_manifest()
     return missions
@@ -126,7 +128,8 @@ def correct_bands(runs, air):
     """The observations of the rig by the library, in some air."""
     mission = runs["bands"]
     names = ["image", "point", "x_px", "y_px", "h_g_m"]
-    measured = mission.results().select(names).replace_schema_metadata(None)
+    measured = mission.results().select(names)
+    measured = measured.replace_schema_metadata(None)
     cameras = mission.config["cameras"]
     mount = mission.config["mount"]
     return correct(measured, mission.stations(), air, cameras, mount=mount)
@@ -176,7 +179,8 @@ def answer(unbend):
     """What a command answers with --json."""
 
     def answered(*words):
-        return json.loads(unbend(*words, "--json").out)
+        ended = unbend(*words, "--json")
+        return json.loads(ended.out)
 
     return answered
 
@@ -190,7 +194,8 @@ def test_one_angle_in_another_light(answer, unbend):
     assert ratio == pytest.approx(factor_of(0.85e-6), rel=1e-4)
     ended = unbend(*ONE, "--wavelength", 0.85e-6)
     assert "index ciddor at 0.85 um" in ended.out
-    assert answer(*ONE, "--index", "gyer")["wavelength_m"] == 0.589e-6
+    by_gyer = answer(*ONE, "--index", "gyer")
+    assert by_gyer["wavelength_m"] == 0.589e-6
 
 
 def test_tables_of_a_mission_in_the_light_of_a_camera(runs, answer):

@@ -87,11 +87,8 @@ def test_coordinates_of_each_frame_are_pixels(opened, axes, unit, size):
     coordinates = millimetres(PIXELS, axes) * size
     metric_mission = mission(unit, camera=metric(axes=axes))
     (batch,) = opened(metric_mission, coordinates).batches(100)
-    x, y = PIXELS.T
-    assert batch.x_px == pytest.approx(x)
-    assert batch.y_px == pytest.approx(y)
-    assert batch.x_given_px == pytest.approx(x)
-    assert batch.y_given_px == pytest.approx(y)
+    for x, y in ((batch.x_px, batch.y_px), (batch.x_given_px, batch.y_given_px)):
+        assert np.column_stack([x, y]) == pytest.approx(PIXELS)
     assert batch.users["x"].to_numpy() == pytest.approx(coordinates[:, 0])
 
 

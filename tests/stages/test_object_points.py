@@ -16,12 +16,12 @@ PROJECTED = {"x": "east", "y": "north"}
 
 
 @pytest.fixture
-def surveyed(mission, flown):
-    """The simulated mission, and its table of points as simulated."""
+def table(flown):
+    """The points of the simulated mission."""
     table = pd.read_parquet(flown.truth / "points.parquet")
     to_grid = pyproj.Proj("EPSG:25832")
     table["east"], table["north"] = to_grid(table["lon_deg"], table["lat_deg"])
-    return mission, table
+    return table
 
 
 def state(
@@ -60,8 +60,7 @@ def assert_heights(mission, expected):
 
 
 @pytest.mark.parametrize("name", ["points.csv", "points.parquet"])
-def test_heights_by_name_are_those_of_the_column(surveyed, baseline, name):
-    mission, table = surveyed
+def test_heights_by_name_are_those_of_the_column(mission, table, baseline, name):
     state(mission, table.sample(frac=1.0, random_state=1), name=name)
     manifest = mission.run_to_manifest()
     assert_heights(mission, baseline.results()["h_g_m"])
@@ -100,18 +99,16 @@ def in_a_national_datum(mission, table):
         in_a_national_datum,
     ],
 )
-def test_every_datum_ends_in_the_same_height(surveyed, baseline, write):
-    mission, table = surveyed
+def test_every_datum_ends_in_the_same_height(mission, table, baseline, write):
     write(mission, table)
     mission.run_to_manifest()
     assert_heights(mission, baseline.results()["h_g_m"])
 
 
-def test_the_undulation_is_that_of_the_point(mission_factory, flown, tmp_path):
+def test_the_undulation_is_that_of_the_point(mission_factory, table, tmp_path):
     """NavSatFix is ellipsoidal: the geoid alone relates both ends, each at its own place."""
     mission = mission_factory(tmp_path / "mcap", "mcap")
     del mission.config["mission"]["undulation_m"]
-    table = pd.read_parquet(flown.truth / "points.parquet")
     rows = 46.0 + np.arange(4.0)[:, None]
     write_geoid(mission, steep_undulation(rows))
     above_the_ellipsoid(mission, table)
@@ -128,8 +125,7 @@ def steep_undulation(lat_deg):
     return 47.0 + 30.0 * (lat_deg - 47.4)
 
 
-def test_points_that_the_table_lacks_have_no_ground(surveyed):
-    mission, table = surveyed
+def test_points_that_the_table_lacks_have_no_ground(mission, table):
     points = mission.measurements()["point"].to_pandas()
     is_missing = points == points[0]
     state(mission, table[table["point"] != points[0]])
@@ -139,8 +135,7 @@ def test_points_that_the_table_lacks_have_no_ground(surveyed):
     assert entry_of(manifest, "POINTS-MISSING")["count"] == count
 
 
-def test_a_part_of_the_points_that_is_far_away_is_a_loss(surveyed):
-    mission, table = surveyed
+def test_a_part_of_the_points_that_is_far_away_is_a_loss(mission, table):
     table["lat_deg"] += 1.5
     state(mission, table)
     assert entry_of(mission.run_to_manifest(3), "POINTS-FAR")["kind"] == "loss"
@@ -160,61 +155,52 @@ EAST_FOR_NORTH = {"x": "north", "y": "east"}
         ({"x": "east"}, "EPSG:4326", "CONFIG-INVALID", "either latitude and longitude"),
     ],
 )
-def test_wrong_places_of_points_are_refused(surveyed, places, crs, code, words):
-    mission, table = surveyed
+def test_wrong_places_of_points_are_refused(mission, table, places, crs, code, words):
     state(mission, table, places=places, crs=crs)
     assert words in refusal_to_read(mission, code)
 
 
-def test_a_system_whose_heights_are_not_those_that_are_stated(surveyed):
-    mission, table = surveyed
+def test_a_system_whose_heights_are_not_those_that_are_stated(mission, table):
     state(mission, table, "h_ellipsoid_m", crs="EPSG:4979")
     assert "but msl are stated" in refusal_to_read(mission, "CRS-VERTICAL")
 
 
 @pytest.mark.parametrize("name", ["points.csv", "points.parquet"])
-def test_a_column_of_heights_that_is_not_there(surveyed, name):
-    mission, table = surveyed
+def test_a_column_of_heights_that_is_not_there(mission, table, name):
     state(mission, table, "h_mls_m", name=name)
     assert "h_msl_m" in refusal_to_read(mission, "POINTS-COLUMN")
 
 
 @pytest.mark.parametrize("name", ["points.csv", "points.parquet"])
-def test_heights_that_are_not_numbers(surveyed, name):
-    mission, table = surveyed
+def test_heights_that_are_not_numbers(mission, table, name):
     state(mission, table.assign(h_msl_m="high"), name=name)
     refusal_to_read(mission, "POINTS-TABLE")
 
 
-def test_points_that_are_repeated(surveyed):
-    mission, table = surveyed
+def test_points_that_are_repeated(mission, table):
     state(mission, pd.concat([table, table.head(2)]))
     text = refusal_to_read(mission, "POINTS-REPEATED")
     assert "2 points occur more than once" in text
 
 
-def test_points_of_other_names(surveyed):
-    mission, table = surveyed
+def test_points_of_other_names(mission, table):
     table["point"] = "q" + table["point"]
     state(mission, table)
     assert "p0" in refusal_to_read(mission, "POINTS-MISSING")
 
 
-def test_a_table_without_points(surveyed):
-    mission, table = surveyed
+def test_a_table_without_points(mission, table):
     state(mission, table.head(0))
     refusal_to_read(mission, "POINTS-EMPTY")
 
 
-def test_a_table_of_points_that_is_not_there(surveyed):
-    mission, table = surveyed
+def test_a_table_of_points_that_is_not_there(mission, table):
     state(mission, table)
     (mission.folder / "points.csv").unlink()
     assert "ground.height.points" in refusal_to_read(mission, "INPUT-MISSING")
 
 
-def test_implausible_heights_of_points_are_counted(surveyed):
-    mission, table = surveyed
+def test_implausible_heights_of_points_are_counted(mission, table):
     table["h_msl_m"] *= 100.0
     state(mission, table)
     manifest = mission.run_to_manifest(3)

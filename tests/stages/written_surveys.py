@@ -4,10 +4,7 @@ The path, the sensors and the logs are the simulator's; when the cameras are exp
 pulses are lost, is stated here.
 """
 
-from __future__ import annotations
-
 import struct
-from collections.abc import Iterator, Set
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,14 +45,11 @@ def write_surveys(folder: Path) -> None:
     )
 
 
-Shots = Set[tuple[int, int]]
-"""Cameras and numbers of exposures."""
-
-
 def write_survey(path, *, exposures, cameras, lost=frozenset(), not_taken=frozenset()):
     """A log with the ending BIN, one with tlog, and a table of the truth.
 
-    Pulses that are ``lost`` have been triggered; of what was not taken no log says anything.
+    Pulses that are ``lost`` have been triggered; of what was not taken no log says anything. Both
+    are cameras and numbers of exposures.
     """
     flight = fly(3000.0, 5, 7)
     flight = replace(flight, exposure_s=irregular_times(flight, exposures))
@@ -108,11 +102,8 @@ def truth_table(flight, cameras, without):
     return pd.concat(rows, ignore_index=True)
 
 
-Record = tuple[bytes, str, tuple[int, int]]
-"""The bytes of a record, its message, and the camera and number of the exposure it tells of."""
-
-
-def dataflash_records(log: bytes) -> Iterator[Record]:
+def dataflash_records(log):
+    """The bytes of each record, its message, and camera and number of the exposure it tells of."""
     for record in records(log):
         shot = (0, 0)
         if record.name in ("CAM", "TRIG"):
@@ -122,8 +113,11 @@ def dataflash_records(log: bytes) -> Iterator[Record]:
         yield record.content, record.name, shot
 
 
-def telemetry_records(content: bytes) -> Iterator[Record]:
-    """MAVLink 2: ten bytes of head, the last three of which are the message, and two of a sum."""
+def telemetry_records(content):
+    """The same of MAVLink 2.
+
+    A frame has ten bytes of head, the last three of which are the message, and two of a sum.
+    """
     start = 0
     while start < len(content):
         head = content[start + STAMP_BYTES : start + PAYLOAD]
