@@ -89,11 +89,11 @@ def records(log: bytes) -> Iterator[Record]:
 
 def without(log: bytes, name: str, first_us: float, last_us: float) -> bytes:
     """The log without the records of this name between two times."""
-    others = []
+    contents = []
     for record in records(log):
         if record.name != name or not first_us <= record.time_us <= last_us:
-            others.append(record.content)
-    return b"".join(others)
+            contents.append(record.content)
+    return b"".join(contents)
 
 
 def times_us(log, name):

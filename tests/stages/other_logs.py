@@ -24,8 +24,8 @@ def with_channels(inputs, *channels):
     """Inputs with channels more in the log, or instead of those of their names."""
     log = inputs.log
     names = {channel.name for channel in channels}
-    others = [channel for channel in log.channels if channel.name not in names]
-    log = replace(log, channels=(*others, *channels))
+    unchanged = [channel for channel in log.channels if channel.name not in names]
+    log = replace(log, channels=(*unchanged, *channels))
     return replace(inputs, log=log)
 
 

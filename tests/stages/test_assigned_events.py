@@ -108,7 +108,7 @@ def codes(notes):
 
 
 @pytest.mark.parametrize(
-    "kept",
+    "numbers",
     [
         AFTER_THE_CLIMB,  # whose test shots were not handed over
         numbers_of(2, 256),
@@ -118,10 +118,10 @@ def codes(notes):
         numbers_of(201, 299),  # of 43 the log has no pulse
     ],
 )
-def test_numbers_of_the_log_hold_where_nothing_speaks_against_them(kept):
+def test_numbers_of_the_log_hold_where_nothing_speaks_against_them(numbers):
     """How usual it is that images are missing at the beginning is no evidence."""
-    events, notes = assigned(numbered_events(), numbered_images(kept))
-    assert_rows(events, kept[kept <= 256])
+    events, notes = assigned(numbered_events(), numbered_images(numbers))
+    assert_rows(events, numbers[numbers <= 256])
     (note,) = with_code(notes, "EVENTS-ASSIGNED")
     assert "names (index)" in note.what
 

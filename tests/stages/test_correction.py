@@ -83,7 +83,7 @@ def test_a_batch_that_fails_stops_the_others():
 
 
 @pytest.mark.parametrize(
-    ("stated", "affinity", "cpus"),
+    ("setting", "affinity", "cpus"),
     [
         ("", {5, 7}, 2),
         ("", None, 256),  # where the system has no affinity: all there are
@@ -92,8 +92,8 @@ def test_a_batch_that_fails_stops_the_others():
         ("many", {5, 7}, 2),
     ],
 )
-def test_cpus_are_those_this_process_may_use(monkeypatch, stated, affinity, cpus):
-    monkeypatch.setenv("UNBEND_THREADS", stated)
+def test_cpus_are_those_this_process_may_use(monkeypatch, setting, affinity, cpus):
+    monkeypatch.setenv("UNBEND_THREADS", setting)
     monkeypatch.setattr(os, "cpu_count", lambda: 256)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: affinity, raising=False)
     if affinity is None:

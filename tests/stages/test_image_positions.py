@@ -47,7 +47,7 @@ def place_of(north, east, lon_rad):
     return LAT_RAD + north / A, wrapped(lon)
 
 
-def likelihood(lines, *, known=1.0, lon_rad=LON_RAD):
+def likelihood(lines, *, share=1.0, lon_rad=LON_RAD):
     """Of images of the events from the sixth on, their positions by fixes 0.7 s old."""
     stations, north, east = flown(lines, lon_rad=lon_rad)
     rng = np.random.default_rng(3)
@@ -58,7 +58,7 @@ def likelihood(lines, *, known=1.0, lon_rad=LON_RAD):
     east = east[FIRST:] + 3.0 + rng.normal(0, 4, count)
     lat, lon = place_of(north, east, lon_rad)
     written = np.stack([lat, lon, np.zeros(count)], axis=1)
-    written[rng.random(count) >= known] = np.nan
+    written[rng.random(count) >= share] = np.nan
     written[2] += 1.0  # one image of another continent
     row = np.arange(count)
     unknown = np.full(count, np.nan)
@@ -107,7 +107,7 @@ def test_images_without_an_event_are_no_gain():
 
 
 def test_few_positions_say_nothing():
-    assert likelihood(4, known=0.3) is None
+    assert likelihood(4, share=0.3) is None
 
 
 def test_no_files_say_nothing():

@@ -24,8 +24,8 @@ CAMERA = {"width_px": 6000, "height_px": 2000, "calibration": "laboratory", "met
 PIXELS = np.array([[3000.0, 1000.0], [100.0, 50.0], [5900.0, 1950.0], [2000.0, 1500.0]])
 
 
-def mission(unit, *, camera=CAMERA, pixel_origin="corner", **others):
-    """A mission of a camera, and perhaps of others."""
+def mission(unit, *, camera=CAMERA, pixel_origin="corner", **more_cameras):
+    """A mission of a camera, and perhaps of more."""
     orientation = {
         "path": "s.csv",
         "angles": "omega_phi_kappa",
@@ -42,7 +42,7 @@ def mission(unit, *, camera=CAMERA, pixel_origin="corner", **others):
             "columns": {"x_px": "x", "y_px": "y"},
             "pixel_origin": pixel_origin,
         },
-        "cameras": {"c": camera, **others},
+        "cameras": {"c": camera, **more_cameras},
         "stations": {"orientation": orientation},
         "ground": {"height": 0.0, "reference": "msl"},
         "output": {"path": "results"},

@@ -195,8 +195,8 @@ def xml(block, path):
 
 @pytest.mark.parametrize("system", [ENU, "EPSG:32632", "WGS84"])
 def test_a_block_of_blocks_exchange(block, path, system):
-    known = np.column_stack([block.lat, block.lon, block.h - 47.0])
-    block.write_blocks_exchange(path, system, known=known)
+    references = np.column_stack([block.lat, block.lon, block.h - 47.0])
+    block.write_blocks_exchange(path, system, known=references)
     stations = stations_of(path.parent, path.name, EXCHANGE)
     away_m, turned_deg = largest_difference(stations, block)
     assert away_m < 1e-3
@@ -253,9 +253,9 @@ def test_the_example_of_the_vendor(block, path):
 def test_photos_without_an_estimated_pose_have_none(xml):
     text = xml.read_text()
     xml.write_text(text.replace("</Rotation>", "<Accurate> False </Accurate></Rotation>", 1))
-    first, *others = read_block_images(xml, EXCHANGE).angles
+    first, *later = read_block_images(xml, EXCHANGE).angles
     assert np.isnan(first).all()
-    assert np.isfinite(others).all()
+    assert np.isfinite(later).all()
 
 
 @pytest.mark.parametrize(

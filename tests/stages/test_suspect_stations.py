@@ -77,9 +77,9 @@ def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(gli
     assert set(rows["status"][of_suspect]) == {"no_station"}
     assert set(rows["status"][~of_suspect]) == {"ok"}
 
-    for what in suspicions(glitch.manifest()):
-        assert what.startswith("1 exposure from 2025-06-12T")
-        assert "position is suspect, up to 77 m off" in what
+    for text in suspicions(glitch.manifest()):
+        assert text.startswith("1 exposure from 2025-06-12T")
+        assert "position is suspect, up to 77 m off" in text
 
 
 def test_use_suspect_corrects_them_and_ends_with_three_all_the_same(glitch, unbend):

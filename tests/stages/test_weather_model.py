@@ -139,6 +139,7 @@ def test_a_standard_asked_for_leaves_it_unused(modelled):
 def test_in_a_long_flight_each_exposure_has_the_air_of_its_place(
     modelled, fields, baseline, monkeypatch
 ):
+    # The simulated flight has two kilometres; a mission that is long has hundreds.
     monkeypatch.setattr(profiles_by_place, "LONG_KM", 0.5)
     monkeypatch.setattr(profiles_by_place, "_CELL_KM", 0.2)
     steep = fields.t + 50.0 * (fields.longitude - 8.5)  # 66 K in 100 km

@@ -34,15 +34,15 @@ def test_a_dome_a_schedule_and_a_lens(mission):
     without_cabin_channels(mission)
 
     manifest = mission.run_to_manifest()
-    wheres = {
+    keys = {
         "WINDOW-SPHERICAL": "cameras.nadir.window",
         "WINDOW-GLASS": "cameras.oblique.window",
         "CABIN-SCHEDULE": "cameras.oblique.window.cabin",
         "LENS-IN-AIR": "cameras.oblique.principal_distance",
         "LENS-NOT-REMOVED": "cameras.<name>.principal_distance",
     }
-    for code, where in wheres.items():
-        assert entry_of(manifest, code)["where"] == where
+    for code, key in keys.items():
+        assert entry_of(manifest, code)["where"] == key
     assert "is not removed" in entry_of(manifest, "WINDOW-GLASS")["what"]
     assert "distance of nadir is not" in entry_of(manifest, "LENS-NOT-REMOVED")["what"]
     rows = mission.result_rows()

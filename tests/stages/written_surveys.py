@@ -79,17 +79,17 @@ def irregular_times(flight, exposures):
 
 def truth_table(flight, cameras, without):
     """A row for each trigger of the first camera and each pulse of all."""
-    at = flight.at(flight.exposure_s)
+    state = flight.at(flight.exposure_s)
     place = pd.DataFrame(
         {
-            "Img": np.arange(1, len(at.time_s) + 1),
-            "TimeUS": boot_us(at.time_s),
-            "lat": np.degrees(at.lat_rad),
-            "lng": np.degrees(at.lon_rad),
-            "alt_amsl": at.h_msl_m,
-            "roll": np.degrees(at.roll_rad),
-            "pitch": np.degrees(at.pitch_rad),
-            "yaw": np.degrees(at.yaw_rad),
+            "Img": np.arange(1, len(state.time_s) + 1),
+            "TimeUS": boot_us(state.time_s),
+            "lat": np.degrees(state.lat_rad),
+            "lng": np.degrees(state.lon_rad),
+            "alt_amsl": state.h_msl_m,
+            "roll": np.degrees(state.roll_rad),
+            "pitch": np.degrees(state.pitch_rad),
+            "yaw": np.degrees(state.yaw_rad),
         }
     )
     triggers = place.assign(row="TRIG", I=0)
