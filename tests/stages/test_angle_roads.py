@@ -97,8 +97,8 @@ def with_eo(crossing, axes, head, turn_deg=0.0):
     lon, lat = truth[["lon_deg", "lat_deg"]].to_numpy().T
     utm = pyproj.Proj(f"EPSG:{32600 + ZONE}")
     east, north = utm(lon, lat)
-    convergence = utm.get_factors(lon, lat).meridian_convergence
-    grid_from_enu = Rotation.from_euler("Z", convergence, degrees=True).as_matrix()
+    convergence = utm.get_factors(lon, lat).meridian_convergence[:, None]
+    grid_from_enu = Rotation.from_euler("z", convergence, degrees=True).as_matrix()
     grid_from_image = grid_from_enu @ crossing.enu_from_camera @ PHOTOGRAMMETRIC
     first, second, kappa = angles(grid_from_image, axes)
     angle = {axes[0]: first, axes[1]: second}
