@@ -143,13 +143,13 @@ def write_trajectory(path, recipe):
 
     rows = pd.DataFrame(angles, columns=["yaw", "pitch", "roll"])
     rows["yaw"] %= 360.0
-    rows["lat"] = np.degrees(at_attitudes("lat_rad"))
-    rows["lon"] = np.degrees(at_attitudes("lon_rad"))
-    rows["h"] = at_attitudes("h_ellipsoid_m")
     time = pd.Series(pd.to_datetime(time_ns))
     if recipe == "+ 18 s":
         time += pd.Timedelta(seconds=18)
     rows["time_utc"] = iso(time)
+    rows["lat"] = np.degrees(at_attitudes("lat_rad"))
+    rows["lon"] = np.degrees(at_attitudes("lon_rad"))
+    rows["h"] = at_attitudes("h_ellipsoid_m")
     rows.to_csv(path, index=False, float_format="%.9f")
 
 
@@ -233,7 +233,7 @@ def write_mistake(folder, mistake):
     sections = changed(sections, mistake["mission"])
     log = sections.get("log", {})
     if log.get("path", "").startswith("../sample_logs"):
-        log["path"] = str(CONFIGS / log["path"])
+        log["path"] = str((CONFIGS / log["path"]).resolve())
     recipes = mistake.get("files", {})
     for name, recipe in recipes.items():
         file, write = WRITERS[name]

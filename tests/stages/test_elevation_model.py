@@ -52,7 +52,8 @@ def terrain_grid(crs, lon_deg, lat_deg, step_m):
 
 def moved(cells, columns):
     """Cells that begin some columns further east."""
-    return cells * Affine.translation(columns, 0.0)
+    west = cells.c + columns * cells.a
+    return Affine(cells.a, cells.b, west, cells.d, cells.e, cells.f)
 
 
 @pytest.fixture

@@ -97,8 +97,8 @@ def test_a_limit_that_stations_exceed_is_a_loss(mission):
     }
     ledger = read_mission(mission.save()).ledger
     assert ledger.has_losses
-    messages = with_code(ledger, "STATIONS-SIGMA")
-    assert "attitude (about a level axis)" in str(messages)
+    texts = [message.what for message in with_code(ledger, "STATIONS-SIGMA")]
+    assert any("attitude (about a level axis)" in text for text in texts)
 
 
 def test_a_table_joined_with_itself_is_a_loss(mission):
@@ -106,7 +106,9 @@ def test_a_table_joined_with_itself_is_a_loss(mission):
     mission.observe(pa.concat_tables([table, table]))
     ledger = read_mission(mission.save()).ledger
     assert ledger.has_losses
-    assert f"{table.num_rows} points occur twice in an image" in str(list(ledger))
+    texts = [message.what for message in ledger]
+    repeated = f"{table.num_rows} points occur twice in an image"
+    assert any(repeated in text for text in texts)
 
 
 def test_a_lag_from_feedback_needs_triggers(mission):
