@@ -1,7 +1,6 @@
 """Records of a DataFlash log, for tests that change one."""
 
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 HEAD_BYTES = 3
@@ -45,7 +44,7 @@ class Record:
     columns: str
 
     @property
-    def time_us(self) -> int:
+    def time_us(self):
         return int.from_bytes(self.content[HEAD_BYTES : HEAD_BYTES + 8], "little")
 
     def fields(self) -> dict[str, Field]:
@@ -72,7 +71,7 @@ def text_of(content):
     return content.rstrip(b"\0").decode()
 
 
-def records(log: bytes) -> Iterator[Record]:
+def records(log):
     """All records of a log without damage; those of formats are called FMT."""
     formats = {FORMAT_RECORD: ("FMT", FORMAT_BYTES, "", "")}
     start = 0
@@ -87,7 +86,7 @@ def records(log: bytes) -> Iterator[Record]:
         start += length
 
 
-def without(log: bytes, name: str, first_us: float, last_us: float) -> bytes:
+def without(log, name, first_us, last_us):
     """The log without the records of this name between two times."""
     contents = []
     for record in records(log):

@@ -28,7 +28,7 @@ MISTAKES = REPOSITORY / "tests" / "data" / "mistakes.yaml"
 
 @cache
 def sample_sections(base):
-    text = (CONFIGS / f"{base}.yaml").read_text(encoding="utf-8")
+    text = (CONFIGS / f"{base}.yaml").read_text()
     return yaml.safe_load(text)
 
 

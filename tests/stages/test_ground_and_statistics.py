@@ -32,7 +32,7 @@ class Heights:
     ground_sigma: np.ndarray | None
     count: int
 
-    def __len__(self) -> int:
+    def __len__(self):
         return self.count
 
 

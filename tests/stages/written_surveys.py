@@ -6,7 +6,6 @@ pulses are lost, is stated here.
 
 import struct
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -29,7 +28,7 @@ LOST = (1, 5, 18, 27, 33, 47, 52, 53, 66, 80, 91, 104, 117, 126, 142)
 """Exposures of the left camera without a pulse: all but the last between those that have one."""
 
 
-def write_surveys(folder: Path) -> None:
+def write_surveys(folder):
     """`survey`: 256 exposures. `two_cameras`: 142, of which the right camera takes the first 128.
 
     The left camera of the second has lost fourteen pulses and the last one.
