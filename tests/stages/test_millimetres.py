@@ -24,8 +24,8 @@ CAMERA = {"width_px": 6000, "height_px": 2000, "calibration": "laboratory", "met
 PIXELS = np.array([[3000.0, 1000.0], [100.0, 50.0], [5900.0, 1950.0], [2000.0, 1500.0]])
 
 
-def mission(unit, *, camera=CAMERA, pixel_origin="corner", **more_cameras):
-    """A mission of a camera, and perhaps of more."""
+def mission(unit, *, camera=CAMERA, pixel_origin=None, **more_cameras):
+    """A mission of a camera, and perhaps of more; without an origin it has the default."""
     orientation = {
         "path": "s.csv",
         "angles": "omega_phi_kappa",
@@ -40,13 +40,14 @@ def mission(unit, *, camera=CAMERA, pixel_origin="corner", **more_cameras):
             "path": "o.csv",
             "unit": unit,
             "columns": {"x_px": "x", "y_px": "y"},
-            "pixel_origin": pixel_origin,
         },
         "cameras": {"c": camera, **more_cameras},
         "stations": {"orientation": orientation},
         "ground": {"height": 0.0, "reference": "msl"},
         "output": {"path": "results"},
     }
+    if pixel_origin is not None:
+        sections["observations"]["pixel_origin"] = pixel_origin
     return mission_of(copy.deepcopy(sections), None, "sections")
 
 
