@@ -165,6 +165,7 @@ def test_every_system_says_the_same(surveyed, columns, crs, reference):
 
 def test_control_with_intersected_ground_heights(surveyed):
     """The control rows are few among all: intersected heights are looked up by their places."""
+    surveyed.config["control"] = {"path": "control.csv"}
     surveyed.config["ground"] = {"height": "intersected"}
     assert_corrected(surveyed)
 
