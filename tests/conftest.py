@@ -156,6 +156,14 @@ class MissionFolder:
     def stations(self) -> pa.Table:
         return pq.read_table(self.output / "stations.parquet")
 
+    def result_rows(self) -> Any:
+        """The results of the last run as a DataFrame."""
+        return self.results().to_pandas()
+
+    def station_rows(self) -> Any:
+        """The stations of the last run as a DataFrame."""
+        return self.stations().to_pandas()
+
 
 @contextlib.contextmanager
 def at_home(folder: Path) -> Iterator[None]:

@@ -1,68 +1,76 @@
 """A mission without its log, and its stations and points as other programs would write them."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from tests.small_block import ecef, enu_axes
 
-CABIN = {"pressure_hpa": 812.0, "temperature_c": 21.0, "relative_humidity": 0.3}
+CABIN = {
+    "pressure_hpa": 812.0,
+    "temperature_c": 21.0,
+    "relative_humidity": 0.3,
+}
 PLACE = ["lat_deg", "lon_deg", "h_ellipsoid_m"]
 
 
-def matrices(quaternions) -> np.ndarray:
+def matrices(quaternions):
     """(n, 3, 3) of v_camera = R(q) v_enu; the scalar of a quaternion is its first number."""
-    scalar_last = np.asarray(quaternions)[:, [1, 2, 3, 0]]
-    return Rotation.from_quat(scalar_last).as_matrix()
+    rotation = Rotation.from_quat(quaternions, scalar_first=True)
+    return rotation.as_matrix()
 
 
-def earth_centred(lat_deg, lon_deg, h) -> tuple[np.ndarray, np.ndarray]:
+def earth_centred(lat_deg, lon_deg, h):
     """(n, 3) coordinates, and (n, 3, 3) from them to east, north, up."""
+    centres = ecef(lat_deg, lon_deg, np.asarray(h))
     axes = [enu_axes(lat, lon) for lat, lon in zip(lat_deg, lon_deg, strict=True)]
-    return ecef(lat_deg, lon_deg, np.asarray(h)), np.array(axes)
+    return centres, np.array(axes)
 
 
-def in_enu(stations: pd.DataFrame, points: pd.DataFrame, origin: tuple[float, float, float]):
+def in_enu(stations, points, origin):
     """Positions (n, 3), rotations (n, 3, 3) to the camera and points (p, 3), about one place."""
-    axes = enu_axes(*origin[:2])
+    lat, lon, _ = origin
+    axes = enu_axes(lat, lon)
     zero = ecef(*origin)
     centres, enu = earth_centred(*stations[PLACE].to_numpy().T)
     places = ecef(*points[PLACE].to_numpy().T)
-    rotations = matrices(stations[["q_w", "q_x", "q_y", "q_z"]]) @ enu @ axes.T
+    quaternions = stations[["q_w", "q_x", "q_y", "q_z"]]
+    camera_from_enu = matrices(quaternions)
+    rotations = camera_from_enu @ enu @ axes.T
     return (centres - zero) @ axes.T, rotations, (places - zero) @ axes.T
 
 
 def write_colmap(
-    folder: Path,
-    cameras: dict[str, tuple[str, int, int, list[float]]],
-    stations: pd.DataFrame,
-    observations: pd.DataFrame,
-    points: pd.DataFrame,
+    folder,
+    cameras,
+    stations,
+    observations,
+    points,
     *,
     origin,
-    text: bool = False,
-    without_point: frozenset[int] = frozenset(),
-) -> dict[str, int]:
+    text=False,
+    without_point=frozenset(),
+):
     """A sparse model by pycolmap; the rows of ``without_point`` are keypoints of no point3D.
 
-    Returns the numbers of the points by name.
+    ``cameras`` has the model, width, height and parameters of each by its name. Returns the
+    numbers of the points by name.
     """
     import pycolmap
 
     block = pycolmap.Reconstruction()
-    camera_ids = {}
-    for camera_id, (name, (model, width, height, params)) in enumerate(cameras.items(), 1):
-        camera_ids[name] = camera_id
+    camera_ids = {name: number for number, name in enumerate(cameras, 1)}
+    for name, (model, width, height, params) in cameras.items():
         camera = pycolmap.Camera(
-            model=model, width=width, height=height, params=params, camera_id=camera_id
+            model=model,
+            width=width,
+            height=height,
+            params=params,
+            camera_id=camera_ids[name],
         )
         block.add_camera_with_trivial_rig(camera)
+
     centres, rotations, places = in_enu(stations, points, origin)
-    tracks: dict[str, list[pycolmap.TrackElement]] = {name: [] for name in points["point"]}
+    tracks = {name: pycolmap.Track() for name in points["point"]}
     for k, station in enumerate(stations.itertuples()):
         rows = observations[observations["image"] == station.image]
         image = pycolmap.Image(
@@ -76,12 +84,15 @@ def write_colmap(
         block.add_image_with_trivial_frame(image, pose)
         for keypoint, (row, point) in enumerate(rows["point"].items()):
             if row not in without_point:
-                tracks[point].append(pycolmap.TrackElement(k + 1, keypoint))
+                tracks[point].add_element(k + 1, keypoint)
+
     numbers = {}
-    for name, place in zip(points["point"], places, strict=True):
-        if tracks[name]:
-            numbers[name] = block.add_point3D(place, pycolmap.Track(tracks[name]))
+    for (name, track), place in zip(tracks.items(), places, strict=True):
+        if track.length():
+            numbers[name] = block.add_point3D(place, track)
     folder.mkdir(parents=True, exist_ok=True)
-    write = block.write_text if text else block.write_binary
-    write(str(folder))
+    if text:
+        block.write_text(str(folder))
+    else:
+        block.write_binary(str(folder))
     return numbers

@@ -1,7 +1,5 @@
 """What several tests of the stages start from."""
 
-from __future__ import annotations
-
 import pytest
 import yaml
 
@@ -51,7 +49,7 @@ def fly_crossing_lines():
             image_noise_px=0.3,
         )
         flown = simulate(folder, options)
-        text = flown.missions["bin"].read_text(encoding="utf-8")
+        text = flown.missions["bin"].read_text()
         return flown, yaml.safe_load(text)
 
     return fly

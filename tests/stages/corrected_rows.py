@@ -1,7 +1,5 @@
 """A mission that was read is corrected in memory: its rows as a run writes them, and its record."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,17 +19,17 @@ class Corrected:
     table: pa.Table
     record: dict[str, Any]
 
-    def stations(self) -> pd.DataFrame:
+    def stations(self):
         return pd.DataFrame(station_columns(self.prepared.stations))
 
-    def rows(self) -> pd.DataFrame:
+    def rows(self):
         """The rows with a correction, and the columns of their stations that have other names."""
         rows = self.table.to_pandas()
         stations = self.stations().drop(columns="status").set_index("image")
         return rows[rows["status"] == "ok"].join(stations, on="image")
 
 
-def corrected(prepared: PreparedMission) -> Corrected:
+def corrected(prepared):
     """The mission after its correction, in which nothing was lost."""
     table, results = corrected_table(prepared)
     assert not prepared.ledger.has_losses, list(prepared.ledger)

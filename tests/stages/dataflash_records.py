@@ -1,9 +1,6 @@
 """Records of a DataFlash log, for tests that change one."""
 
-from __future__ import annotations
-
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 HEAD_BYTES = 3
@@ -47,7 +44,7 @@ class Record:
     columns: str
 
     @property
-    def time_us(self) -> int:
+    def time_us(self):
         return int.from_bytes(self.content[HEAD_BYTES : HEAD_BYTES + 8], "little")
 
     def fields(self) -> dict[str, Field]:
@@ -61,11 +58,20 @@ class Record:
         return fields
 
 
-def text_of(content: bytes) -> str:
+def value_of(log, field):
+    (value,) = struct.unpack_from(field.code, log, field.start)
+    return value
+
+
+def write_value(log, field, value):
+    struct.pack_into(field.code, log, field.start, value)
+
+
+def text_of(content):
     return content.rstrip(b"\0").decode()
 
 
-def records(log: bytes) -> Iterator[Record]:
+def records(log):
     """All records of a log without damage; those of formats are called FMT."""
     formats = {FORMAT_RECORD: ("FMT", FORMAT_BYTES, "", "")}
     start = 0
@@ -80,14 +86,14 @@ def records(log: bytes) -> Iterator[Record]:
         start += length
 
 
-def without(log: bytes, name: str, first_us: float, last_us: float) -> bytes:
+def without(log, name, first_us, last_us):
     """The log without the records of this name between two times."""
-    kept = []
+    contents = []
     for record in records(log):
         if record.name != name or not first_us <= record.time_us <= last_us:
-            kept.append(record.content)
-    return b"".join(kept)
+            contents.append(record.content)
+    return b"".join(contents)
 
 
-def times_us(log: bytes, name: str) -> list[int]:
+def times_us(log, name):
     return [record.time_us for record in records(log) if record.name == name]

@@ -3,18 +3,16 @@
 A simulator's truth, not this package, says where each image was taken.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pyproj
 from scipy.spatial.transform import Rotation
 
-from tests.small_block import ecef, enu_axes
+from tests.small_block import ecef
+from tests.stages.block_files import earth_centred
 
 FORMAT = np.array([6000, 4000])
+MIDDLE = FORMAT / 2
 FOCAL = 5000.0
 CAMERA = {
     "width_px": 6000,
@@ -24,58 +22,85 @@ CAMERA = {
     "cy_px": 2000.0,
     "calibration": "laboratory",
 }
-CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+CAMERA_FROM_BODY = np.array(
+    [
+        [0.0, 1.0, 0.0],
+        [-1.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0],
+    ]
+)
+NED_FROM_ENU = np.array(
+    [
+        [0.0, 1.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, -1.0],
+    ]
+)
 GEODETIC = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)
 
 
-def truth_of(table: Path, instance: int) -> pd.DataFrame:
+def truth_of(table, instance):
     """The truth at each exposure of a camera; heights are above sea level, without undulation."""
-    truth = pd.read_csv(table)
-    rows = truth[(truth["row"] == "CAM") & (truth["I"] == instance)]
+    rows = pd.read_csv(table).query("row == 'CAM' and I == @instance")
     return rows.sort_values("TimeUS").reset_index(drop=True)
 
 
-def ground_points(
-    pixels: np.ndarray, centre: np.ndarray, enu: np.ndarray, camera: np.ndarray, above_m: float
-) -> np.ndarray:
+def points_below(pixels, centre, down, camera, above_m):
     """(m, 3) where rays of pixels meet the plane below a camera; none of rays along it."""
-    rays = np.column_stack([(pixels - FORMAT / 2) / FOCAL, np.ones(len(pixels))]) @ camera
-    down = -rays @ enu[2]
-    descends = down > 0.3 * np.linalg.norm(rays, axis=1)
-    reach = above_m / down[descends]
-    return centre + rays[descends] * reach[:, None]
+    rays = np.pad((pixels - MIDDLE) / FOCAL, [(0, 0), (0, 1)], constant_values=1.0)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    descent = rays @ camera @ down
+    is_steep = descent > 0.3
+    reach = above_m / descent[is_steep]
+    return centre + rays[is_steep] @ camera * reach[:, None]
+
+
+def project(points, centre, camera):
+    """(m, 2) pixels of points, and which of them are in the image."""
+    in_camera = (points - centre) @ camera.T
+    depth = in_camera[:, 2:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = FOCAL * in_camera[:, :2] / depth + MIDDLE
+    inside = (depth > 0) & (pixels > 0) & (pixels < FORMAT)
+    return pixels, inside.all(axis=1)
 
 
 def tie_points(
-    truth: pd.DataFrame, names: list[str], ground_m: float, *, each: int = 6, seed: int = 1
-) -> pd.DataFrame:
+    truth,
+    names,
+    ground_m,
+    *,
+    each=6,
+    seed=1,
+):
     """Observations of ground points in all images that show them; 0.5 px of noise.
 
     ``each`` points are drawn in each image that is not banked away from the ground.
     """
     rng = np.random.default_rng(seed)
     lat, lon, h = truth[["lat", "lng", "alt_amsl"]].to_numpy(float).T
-    centres = ecef(lat, lon, h)
-    axes = np.array([enu_axes(*place) for place in zip(lat, lon, strict=True)])
-    body = Rotation.from_euler("ZYX", truth[["yaw", "pitch", "roll"]], degrees=True).as_matrix()
-    ned_from_ecef = NED_FROM_ENU @ axes
-    cameras = CAMERA_FROM_BODY @ body.transpose(0, 2, 1) @ ned_from_ecef
+    centres, enu = earth_centred(lat, lon, h)
+    angles = truth[["yaw", "pitch", "roll"]]
+    ned_from_body = Rotation.from_euler("ZYX", angles, degrees=True)
+    body_from_ned = ned_from_body.inv().as_matrix()
+    cameras = CAMERA_FROM_BODY @ body_from_ned @ NED_FROM_ENU @ enu
+
     points = []
-    for centre, enu, camera, height in zip(centres, axes, cameras, h, strict=True):
+    for k, centre in enumerate(centres):
         pixels = rng.uniform([0, 0], FORMAT, (each, 2))
-        below = ground_points(pixels, centre, enu, camera, height - ground_m)
-        x, y, _ = GEODETIC.transform(*below.T)
-        points.append(ecef(y, x, ground_m))
+        down = -enu[k, 2]
+        above_m = h[k] - ground_m
+        below = points_below(pixels, centre, down, cameras[k], above_m)
+        lon, lat, _ = GEODETIC.transform(*below.T)
+        points.append(ecef(lat, lon, ground_m))
     ground = np.concatenate(points)
+
     rows = []
     for name, centre, camera in zip(names, centres, cameras, strict=True):
-        x, y, depth = camera @ (ground - centre).T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            pixels = FOCAL * np.stack([x, y], axis=1) / depth[:, None] + FORMAT / 2
-        inside = (depth > 0) & (pixels > 0).all(axis=1) & (pixels < FORMAT).all(axis=1)
-        for number in np.flatnonzero(inside):
+        pixels, visible = project(ground, centre, camera)
+        for number in np.flatnonzero(visible):
             rows.append((name, f"p{number}", *pixels[number]))
     table = pd.DataFrame(rows, columns=["image", "point", "x_px", "y_px"])
-    table[["x_px", "y_px"]] += rng.normal(0.0, 0.5, (len(table), 2))
+    noise_px = rng.normal(0.0, 0.5, (len(table), 2))
+    table[["x_px", "y_px"]] += noise_px
     return table

@@ -1,7 +1,5 @@
 """Exposures of a level camera at some heights, and what its rays meet there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers import channel
 from unbend.atmosphere import standard_atmosphere
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations
-from unbend.flight.stations import Stations
 from unbend.messages import Ledger
-from unbend.refraction.image import Exposures
-from unbend.refraction.window import Window
 from unbend.stages.cabin_air import with_cabin_air
 from unbend.stages.exposure_setup import exposures_of
 
@@ -27,22 +21,21 @@ LEVEL = (0.0, 0.0, 0.0)
 AT_REST = Mount()
 
 
-def attitude_channel(
-    yaw: float, pitch: float, roll: float, *, name: str = "ATT", seconds: np.ndarray = SECONDS
-) -> Channel:
+def attitude_channel(yaw, pitch, roll, *, name="ATT", seconds=SECONDS):
     """A channel of one attitude [deg]."""
-    x, y, z, w = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_quat()
+    rotation = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True)
+    x, y, z, w = rotation.as_quat()
     return channel(name, seconds, q_w=w, q_x=x, q_y=y, q_z=z)
 
 
 def stations(
-    *heights_m: float,
-    camera: str = "nadir",
-    attitude: tuple[float, float, float] = LEVEL,
-    mount: Mount = AT_REST,
-    aircraft: Channel | None = None,
-    **columns: object,
-) -> Stations:
+    *heights_m,
+    camera="nadir",
+    attitude=LEVEL,
+    mount=AT_REST,
+    aircraft=None,
+    **columns,
+):
     """One exposure a height, the camera level and to the north; with values of some columns."""
     count = len(heights_m)
     place = {"lat_rad": 0.8, "lon_rad": 0.1}
@@ -53,21 +46,33 @@ def stations(
     }
     if aircraft is not None:
         roles["aircraft_attitude"] = aircraft
-    names = np.array([f"{camera}_{i}" for i in range(count)], dtype=object)
-    events = Events(camera, names, np.full(count, 5 * 10**9))
-    made = build_stations(events, roles, mount, HeightSystem(), 1.0)
-    assert made.ok.all()
-    arrays = {name: np.resize(np.asarray(values, float), count) for name, values in columns.items()}
-    return replace(made, h_msl_m=np.array(heights_m), **arrays)
+    names = [f"{camera}_{i}" for i in range(count)]
+    time_ns = np.full(count, 5 * 10**9)
+    events = Events(camera, np.array(names, dtype=object), time_ns)
+    built = build_stations(events, roles, mount, HeightSystem(), 1.0)
+    assert built.ok.all()
+    for name, values in columns.items():
+        values = np.asarray(values, float)
+        columns[name] = np.resize(values, count)
+    return replace(built, h_msl_m=np.array(heights_m), **columns)
 
 
-def look(
-    exposed: Stations, window: Window | None = None, lens=None, profile=US1976
-) -> tuple[Exposures, Ledger]:
+def look(exposed, window=None, lens=None, profile=US1976):
     """Exposures and ledger of the camera ``nadir``, which may have a window and a lens in air."""
     ledger = Ledger()
-    windows = {} if window is None else {"nadir": window}
-    lenses = {} if lens is None else {"nadir": lens}
+    windows = {}
+    lenses = {}
+    if window is not None:
+        windows["nadir"] = window
+    if lens is not None:
+        lenses["nadir"] = lens
     with_air = with_cabin_air(exposed, windows, lenses, profile, ledger)
-    exposures = exposures_of(with_air, profile, windows, lenses, ledger, radius_m=6_378_000.0)
+    exposures = exposures_of(
+        with_air,
+        profile,
+        windows,
+        lenses,
+        ledger,
+        radius_m=6_378_000.0,
+    )
     return exposures, ledger

@@ -1,8 +1,5 @@
 """Stations as tables of places and angles, as programs of bundle adjustment write them."""
 
-from __future__ import annotations
-
-import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
@@ -13,26 +10,27 @@ PLACE = ["latitude", "longitude", "height"]
 QUATERNION = ["q_w", "q_x", "q_y", "q_z"]
 
 
-def attitudes(table: pd.DataFrame) -> np.ndarray:
+def attitudes(table):
     """(n, 3, 3) from east, north, up to the cameras."""
     return matrices(table[QUATERNION])
 
 
-def textbook_opk(matrix: np.ndarray) -> np.ndarray:
+def textbook_opk(matrix):
     """(n, 3) degrees: turns about x, y and z from the world to a camera of x right, y up."""
     world_from_camera = matrix.transpose(0, 2, 1) * [1.0, -1.0, -1.0]
-    return Rotation.from_matrix(world_from_camera).as_euler("XYZ", degrees=True)
+    rotation = Rotation.from_matrix(world_from_camera)
+    return rotation.as_euler("XYZ", degrees=True)
 
 
-def columns_of(table: pd.DataFrame, digits: int = 9) -> pd.DataFrame:
+def columns_of(table, digits=9):
     """image, camera, time, latitude, longitude, height above sea level, omega, phi, kappa."""
-    opk = textbook_opk(attitudes(table)).round(digits)
-    time = pd.to_datetime(table["time_utc"]).dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-    rows = table[["image", "camera"]].assign(time=time)
+    time = pd.to_datetime(table["time_utc"])
+    rows = table[["image", "camera"]].copy()
+    rows["time"] = time.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     rows["latitude"] = table["lat_deg"].round(digits)
     rows["longitude"] = table["lon_deg"].round(digits)
     rows["height"] = table["h_msl_m"].round(4)
-    rows[OPK] = opk
+    rows[OPK] = textbook_opk(attitudes(table)).round(digits)
     return rows
 
 

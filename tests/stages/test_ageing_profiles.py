@@ -1,10 +1,8 @@
 """Exposures long after the climb: their air is less certain, in every result that tells of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
-import numpy as np
+import pandas as pd
 import pytest
 
 from tests.helpers import entry_of, with_code
@@ -14,7 +12,7 @@ from unbend.messages import Ledger
 from unbend.stages.air_of_mission import adjusted_profiles
 from unbend.tables.writing import table_of_profiles, table_of_stations
 
-THREE_HOURS_NS = 3 * 3600 * 10**9
+HOUR_NS = 3600 * 10**9
 
 
 @pytest.fixture(scope="module")
@@ -26,20 +24,29 @@ def fresh(baseline):
 @pytest.fixture(scope="module")
 def aged(fresh):
     """The same with a second exposure of each camera 3 h later, and a third 6 h later."""
-    number = np.array([int(name[-1]) for name in fresh.stations.image])
-    time_ns = fresh.stations.time_ns + THREE_HOURS_NS * (number - 1)
-    stations = replace(fresh.stations, time_ns=time_ns)
+    flown = fresh.stations
+    hours = pd.Series(flown.image).str[-1].map({"1": 0, "2": 3, "3": 6})
+    later_ns = hours.to_numpy() * HOUR_NS
+    stations = replace(flown, time_ns=flown.time_ns + later_ns)
     ledger = Ledger()
-    air = adjusted_profiles(fresh.mission, stations, fresh.samples, fresh.sources, ledger)
+    air = adjusted_profiles(
+        fresh.mission,
+        stations,
+        fresh.samples,
+        fresh.sources,
+        ledger,
+    )
     return replace(fresh, stations=stations, air=air, ledger=ledger)
 
 
 def test_the_same_angles_and_larger_sigmas(fresh, aged):
-    before = corrected_table(replace(fresh, ledger=Ledger()))[0].to_pandas()
-    table, results = corrected_table(aged)
-    after = table.to_pandas()
-    np.testing.assert_array_equal(after["r_c_rad"], before["r_c_rad"])
-    np.testing.assert_array_equal(after["x_corrected_px"], before["x_corrected_px"])
+    before, _ = corrected_table(replace(fresh, ledger=Ledger()))
+    after, results = corrected_table(aged)
+    before = before.to_pandas()
+    after = after.to_pandas()
+
+    for column in ("r_c_rad", "x_corrected_px"):
+        assert after[column].equals(before[column])
     growth = after["sigma_air_dx_px"] / before["sigma_air_dx_px"]
     number = after["image"].str[-1]
     in_time, three_hours, six_hours = growth.groupby(number).median()
@@ -47,30 +54,38 @@ def test_the_same_angles_and_larger_sigmas(fresh, aged):
     assert six_hours > three_hours > 1.5
     assert with_code(fresh.ledger, "AIR-AGED") == []
     assert entry_of(results.row(), "AIR-AGED")["count"] == 4
-    (effect, *_) = fresh.air.effects
-    (of_middle_exposure, *_) = aged.air.effects
+    effect, *_ = fresh.air.effects
+    of_middle_exposure, *_ = aged.air.effects
     assert of_middle_exposure.r_c_rad == effect.r_c_rad
     assert of_middle_exposure.sigma_rad > 1.5 * effect.sigma_rad
 
 
 def low_air(prepared):
-    """The profiles of a mission between 600 and 900 m, and those of its stations by name."""
+    """The profiles of a mission between 600 and 900 m, and which one each image has."""
     air = prepared.air
-    profiles = table_of_profiles(air.adjustment, air.series).to_pandas()
-    stations = table_of_stations(prepared.stations, air.series).to_pandas()
-    return profiles[profiles["h_m"].between(600.0, 900.0)], stations.set_index("image")
+    profiles = table_of_profiles(air.adjustment, air.series)
+    profiles = profiles.to_pandas()
+    stations = table_of_stations(prepared.stations, air.series)
+    stations = stations.to_pandas()
+    is_low = profiles["h_m"].between(600.0, 900.0)
+    profile_of_image = stations.set_index("image")["profile_id"]
+    return profiles[is_low], profile_of_image
 
 
 def test_every_table_tells_of_it(fresh, aged):
     before, _ = low_air(fresh)
-    profiles, stations = low_air(aged)
-    assert set(stations["profile_id"]) == set(profiles["profile_id"])
-    sigmas_k = [before["sigma_temperature_k"].mean()]
-    for number in (1, 2, 3):
-        nadir, oblique = stations.filter(like=str(number), axis=0)["profile_id"]
+    profiles, profile_of_image = low_air(aged)
+    assert set(profile_of_image) == set(profiles["profile_id"])
+
+    sigmas_k = []
+    for number in "123":
+        nadir, oblique = profile_of_image.filter(like=number)
         assert nadir == oblique
         rows = profiles[profiles["profile_id"] == nadir]
-        assert rows["temperature_k"].tolist() == before["temperature_k"].tolist()
+        assert list(rows["temperature_k"]) == list(before["temperature_k"])
         sigmas_k.append(rows["sigma_temperature_k"].mean())
-    assert sigmas_k[1] == pytest.approx(sigmas_k[0], rel=1e-3)
-    assert sigmas_k[3] > sigmas_k[2] > 1.5 * sigmas_k[1]
+
+    in_time, three_hours, six_hours = sigmas_k
+    fresh_k = before["sigma_temperature_k"].mean()
+    assert in_time == pytest.approx(fresh_k, rel=1e-3)
+    assert six_hours > three_hours > 1.5 * in_time

@@ -1,7 +1,5 @@
 """Batches side by side: in their order, and never more of them in memory than is said."""
 
-from __future__ import annotations
-
 import os
 import threading
 
@@ -18,14 +16,14 @@ class Counter:
     are seen at work, however slow the machine is.
     """
 
-    def __init__(self, workers: int = 1) -> None:
+    def __init__(self, workers=1):
         self.lock = threading.Lock()
         self.workers = workers
         self.together = threading.Barrier(workers)
         self.one_more_read = threading.Event()
         self.held = self.at_work = self.most_held = self.most_at_work = 0
 
-    def batches(self, count: int):
+    def batches(self, count):
         for number in range(count):
             with self.lock:
                 self.held += 1
@@ -34,7 +32,7 @@ class Counter:
                 self.one_more_read.set()
             yield number
 
-    def work(self, number: int, batch: int) -> int:
+    def work(self, number, batch):
         assert number == batch
         with self.lock:
             self.at_work += 1
@@ -54,8 +52,10 @@ class Counter:
 )
 def test_batches_in_flight_are_as_many_as_cpus_and_memory(monkeypatch, cpus, memory_gb, threads):
     monkeypatch.setenv("UNBEND_THREADS", str(cpus))
-    pages = {"SC_PHYS_PAGES": int(memory_gb * (1 << 30)) // 4096, "SC_PAGE_SIZE": 4096}
-    monkeypatch.setattr(os, "sysconf", pages.__getitem__)
+    page_bytes = 4096
+    pages = int(memory_gb * 2**30) // page_bytes
+    memory = {"SC_PHYS_PAGES": pages, "SC_PAGE_SIZE": page_bytes}
+    monkeypatch.setattr(os, "sysconf", memory.__getitem__)
     assert threads_for(250_000) == threads
 
 
@@ -72,7 +72,7 @@ def test_no_more_batches_are_held_than_threads_and_one(threads):
 def test_a_batch_that_fails_stops_the_others():
     counter = Counter()
 
-    def broken(number: int, batch: int) -> int:
+    def broken(number, batch):
         if number == 3:
             raise KeyError(number)
         return counter.work(number, batch)
@@ -83,7 +83,7 @@ def test_a_batch_that_fails_stops_the_others():
 
 
 @pytest.mark.parametrize(
-    ("stated", "affinity", "cpus"),
+    ("setting", "affinity", "cpus"),
     [
         ("", {5, 7}, 2),
         ("", None, 256),  # where the system has no affinity: all there are
@@ -92,8 +92,8 @@ def test_a_batch_that_fails_stops_the_others():
         ("many", {5, 7}, 2),
     ],
 )
-def test_cpus_are_those_this_process_may_use(monkeypatch, stated, affinity, cpus):
-    monkeypatch.setenv("UNBEND_THREADS", stated)
+def test_cpus_are_those_this_process_may_use(monkeypatch, setting, affinity, cpus):
+    monkeypatch.setenv("UNBEND_THREADS", setting)
     monkeypatch.setattr(os, "cpu_count", lambda: 256)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: affinity, raising=False)
     if affinity is None:
@@ -105,7 +105,7 @@ def test_blocks_are_on_all_cpus_of_this_process():
     together = threading.Barrier(usable_cpus(), timeout=60.0)
     threads = set()
 
-    def block(_: slice) -> None:
+    def block(_):
         together.wait()  # none ends before the others have begun
         threads.add(threading.get_ident())
 

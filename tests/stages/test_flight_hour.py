@@ -15,7 +15,7 @@ THAT_DAY = "2026-05-14"
 
 
 @pytest.mark.parametrize(
-    ("stated", "exposed", "longitude_rad", "expected"),
+    ("date", "exposed", "longitude_rad", "expected"),
     [
         (None, AT_EIGHT, EAST, 9.0),
         (THAT_DAY, AT_EIGHT, EAST, 9.0),
@@ -27,11 +27,18 @@ THAT_DAY = "2026-05-14"
     ],
 )
 def test_the_hour_is_that_of_the_exposures_or_of_a_stated_time(
-    stated, exposed, longitude_rad, expected
+    date, exposed, longitude_rad, expected
 ):
-    dates = SimpleNamespace(date=stated)
-    mission = SimpleNamespace(mission=dates, stations=SimpleNamespace(orientation=None))
-    utc_ns = NO_TIME if exposed is None else nanoseconds_of_date(exposed)
-    stations = SimpleNamespace(utc_ns=np.array([utc_ns]), median_longitude_rad=longitude_rad)
-    flight_ns = nanoseconds_of_date(exposed or stated)
+    mission = SimpleNamespace(
+        mission=SimpleNamespace(date=date),
+        stations=SimpleNamespace(orientation=None),
+    )
+    utc_ns = NO_TIME
+    if exposed is not None:
+        utc_ns = nanoseconds_of_date(exposed)
+    stations = SimpleNamespace(
+        utc_ns=np.array([utc_ns]),
+        median_longitude_rad=longitude_rad,
+    )
+    flight_ns = nanoseconds_of_date(exposed or date)
     assert flight_hour(mission, stations, flight_ns) == pytest.approx(expected)

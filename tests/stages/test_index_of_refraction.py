@@ -1,7 +1,5 @@
 """The light and the carbon dioxide of a mission file reach its profile."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,9 +18,14 @@ DRY_M = np.array([16_000.0, 18_000.0, 20_000.0])
     ],
 )
 def test_the_index_has_the_light_and_the_carbon_dioxide_of_the_mission(mission, entries, factor):
-    usual = read_mission(mission.save()).air.adjustment.profile
+    usual = profile_of(mission)
     mission.config.setdefault("atmosphere", {}).update(entries)
-    other = read_mission(mission.save()).air.adjustment.profile
-    np.testing.assert_allclose(other.temperature(DRY_M), usual.temperature(DRY_M), atol=1e-9)
+    other = profile_of(mission)
+    temperature_k = usual.temperature(DRY_M)
+    assert other.temperature(DRY_M) == pytest.approx(temperature_k, rel=1e-7)
     ratio = other.refractivity(DRY_M) / usual.refractivity(DRY_M)
     assert ratio == pytest.approx(factor, rel=3e-5)
+
+
+def profile_of(mission):
+    return read_mission(mission.save()).air.adjustment.profile

@@ -1,7 +1,5 @@
 """Messages that no mission of the other tests has: when they are sent, and what they say."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.helpers import entry_of
@@ -13,13 +11,14 @@ from unbend.stages.multi_image.image_events import notes_of_assignment
 
 
 def test_images_of_which_the_evidence_disagrees_are_a_loss():
-    number = np.arange(3, dtype=np.int64)
+    number = np.arange(3)
     names = np.array(["a", "b", "c"], object)
+    no_image = np.zeros(3, bool)
     assignment = Assignment(
         event=number,
         residual_s=np.full(3, np.nan),
-        ambiguous=np.zeros(3, np.bool_),
-        repeated=np.zeros(3, np.bool_),
+        ambiguous=no_image,
+        repeated=no_image,
         runner_up=number[:0],
         log_ratio=np.inf,
         reason="",
@@ -27,13 +26,16 @@ def test_images_of_which_the_evidence_disagrees_are_a_loss():
     )
     exposed = Events("nadir", names, number * 1_000_000_000)
     images = CameraImages(names, number, "sequence", np.full(3, -1))
-    undecided = np.array([False, True, False])
+    undecided = names == "b"
     event = np.where(undecided, -1, number)
-    told = notes_of_assignment(assignment, event, undecided, images, exposed)
-    assert [message.code for message in told] == ["EVENTS-ASSIGNED", "EVENTS-UNDECIDED"]
-    assert told[1].kind is Kind.LOSS
-    assert told[1].values == {"images": "b"}
-    assert told[1].what.startswith("the evidence gives different events for 1 image")
+
+    assigned, loss = notes_of_assignment(assignment, event, undecided, images, exposed)
+
+    assert assigned.code == "EVENTS-ASSIGNED"
+    assert loss.code == "EVENTS-UNDECIDED"
+    assert loss.kind is Kind.LOSS
+    assert loss.values == {"images": "b"}
+    assert loss.what.startswith("the evidence gives different events for 1 image")
 
 
 def test_the_ledger_has_the_values_of_its_messages(baseline):

@@ -1,7 +1,5 @@
 """How sources and sensors of the air become records of the manifest."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 from unbend.atmosphere.air_samples import SensorUse

@@ -1,16 +1,15 @@
 """A weather model as a source of a mission's air, end to end; the truth is the simulator's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-import pyarrow.parquet as pq
+import pandas as pd
 import pytest
 
-from tests.helpers import entry_of, refused, with_code
+from tests.helpers import codes_of, entry_of, with_code
 from tests.model_files import dataset, netcdf
 from tests.stages.oriented_tables import PINHOLES, columns_of
+from tests.stages.other_logs import refusal_to_read
 from unbend import correct
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.series import profiles_by_place
@@ -22,18 +21,18 @@ from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
 from unbend.stages.air_of_mission import adjusted_profiles
 from unbend.stages.air_sources import read_air_sources
 
-pytestmark = pytest.mark.usefixtures("plain_report")
-
 NORTH = (48.0, 47.5, 47.0)
 EAST = (8.0, 8.5, 9.0)
 HOURS = ("2025-06-12T09", "2025-06-12T10", "2025-06-12T11")
 H = np.arange(-200.0, 20_000.0, 20.0)
-PRESSURE = true_air(FIELD_LAT_RAD).pressure_pa(H)
+TRUE_AIR = true_air(FIELD_LAT_RAD)
+PRESSURE = TRUE_AIR.pressure_pa(H)
 NAME = "weather model era5.nc 2025-06-12T10:00"
 
 
 def true_column(*_):
-    return H, temperature_k(H), PRESSURE, np.maximum(vapour_pressure_pa(H), 1e-4)
+    vapour = np.maximum(vapour_pressure_pa(H), 1e-4)
+    return H, temperature_k(H), PRESSURE, vapour
 
 
 @pytest.fixture(scope="module")
@@ -41,22 +40,27 @@ def fields():
     return dataset(true_column, NORTH, EAST, HOURS)
 
 
+def write_model(mission, fields):
+    netcdf(mission.folder / "era5.nc", fields)
+
+
 @pytest.fixture
 def modelled(mission, fields):
     """The mission with a weather model beside its sensors."""
-    netcdf(mission.folder / "era5.nc", fields)
+    write_model(mission, fields)
     mission.config["atmosphere"] = {"model": {"path": "era5.nc"}}
     return mission
 
 
-def factor(refractivity, h_g: float, h_c: float) -> float:
+def factor(refractivity, h_g, h_c):
     """R / tan(zeta) in the plane: Gyer 1996, Eq. 24."""
     n = refractivity(np.linspace(h_g, h_c, 3001))
-    return float(np.mean(0.5 * (n[1:] + n[:-1])) - n[-1])
+    mean = np.mean(0.5 * (n[1:] + n[:-1]))
+    return mean - n[-1]
 
 
-def true_refractivity(h_m: np.ndarray) -> np.ndarray:
-    return true_air(FIELD_LAT_RAD).n(h_m) - 1.0
+def true_refractivity(h_m):
+    return TRUE_AIR.n(h_m) - 1.0
 
 
 def test_beside_the_sensors_it_is_used_hashed_and_named(modelled, unbend):
@@ -79,13 +83,14 @@ def test_beside_the_sensors_it_is_used_hashed_and_named(modelled, unbend):
 
 
 def test_the_flights_own_sensors_win(modelled, fields):
-    netcdf(modelled.folder / "era5.nc", fields.assign(t=fields.t + 2.0))
-    air = read_mission(modelled.save()).air.adjustment
+    write_model(modelled, fields.assign(t=fields.t + 2.0))
+    with_model = read_mission(modelled.save()).air.adjustment.profile
     del modelled.config["atmosphere"]["model"]
-    alone = read_mission(modelled.save()).air.adjustment
+    alone = read_mission(modelled.save()).air.adjustment.profile
     h = np.linspace(500.0, 2900.0, 50)
     # A thermometer and a barometer are good to 0.5 K together, an analysis to 1 K, and to 2 K low.
-    assert np.abs(air.profile.temperature(h) - alone.profile.temperature(h)).max() < 0.4
+    difference_k = with_model.temperature(h) - alone.temperature(h)
+    assert np.abs(difference_k).max() < 0.4
 
 
 def test_without_sensors_the_air_is_the_models(modelled):
@@ -95,9 +100,15 @@ def test_without_sensors_the_air_is_the_models(modelled):
     heights = replace(read.flight.heights, home_h_msl_m=450.0)
     flight = replace(read.flight, heights=heights, roles={})
     sources = read_air_sources(
-        read.mission, read.inputs, flight, read.stations, nothing, ledger=ledger
+        read.mission,
+        read.inputs,
+        flight,
+        read.stations,
+        nothing,
+        ledger=ledger,
     )
-    air = adjusted_profiles(read.mission, read.stations, nothing, sources, ledger).adjustment
+    series = adjusted_profiles(read.mission, read.stations, nothing, sources, ledger)
+    air = series.adjustment
     assert air.basis == "weather model"
     assert air.is_measured
     assert air.reason == NAME
@@ -111,10 +122,9 @@ def test_without_sensors_the_air_is_the_models(modelled):
 
 def test_one_of_another_day_is_refused(modelled, fields):
     later = fields.valid_time + np.timedelta64(1, "D")
-    netcdf(modelled.folder / "era5.nc", fields.assign_coords(valid_time=later))
-    with refused("MODEL-TIME") as refusal:
-        read_mission(modelled.save())
-    assert "its times, 2025-06-13T09:00 to 2025-06-13T11:00 UTC" in refusal.value.what
+    write_model(modelled, fields.assign_coords(valid_time=later))
+    text = refusal_to_read(modelled, "MODEL-TIME")
+    assert "its times, 2025-06-13T09:00 to 2025-06-13T11:00 UTC" in text
 
 
 def test_a_standard_asked_for_leaves_it_unused(modelled):
@@ -129,19 +139,22 @@ def test_a_standard_asked_for_leaves_it_unused(modelled):
 def test_in_a_long_flight_each_exposure_has_the_air_of_its_place(
     modelled, fields, baseline, monkeypatch
 ):
+    # The simulated flight has two kilometres; a mission that is long has hundreds.
     monkeypatch.setattr(profiles_by_place, "LONG_KM", 0.5)
     monkeypatch.setattr(profiles_by_place, "_CELL_KM", 0.2)
     steep = fields.t + 50.0 * (fields.longitude - 8.5)  # 66 K in 100 km
-    netcdf(modelled.folder / "era5.nc", fields.assign(t=steep))
+    write_model(modelled, fields.assign(t=steep))
     entry = entry_of(modelled.run_to_manifest(), "AIR-BY-PLACE")
-    stations = modelled.stations().to_pandas()
-    profiles = pq.read_table(modelled.output / "profile.parquet").to_pandas()
-    assert set(stations["profile_id"]) == set(profiles["profile_id"])
-    assert 2 < profiles["profile_id"].nunique() <= entry["count"]
+    stations = modelled.station_rows()
+    profiles = pd.read_parquet(modelled.output / "profile.parquet")
+    names = set(profiles["profile_id"])
+    assert set(stations["profile_id"]) == names
+    assert 2 < len(names) <= entry["count"]
     # R follows the air of the place, against the one profile of the usual run.
-    rows = modelled.results().to_pandas()
-    rows["ratio"] = rows["r_c_rad"] / baseline.results()["r_c_rad"].to_pandas()
-    ratio = rows.groupby("image")["ratio"].median().dropna()
+    rows = modelled.result_rows()
+    usual = baseline.result_rows()
+    ratios = rows["r_c_rad"] / usual["r_c_rad"]
+    ratio = ratios.groupby(rows["image"]).median().dropna()
     longitude = stations.set_index("image")["lon_deg"][ratio.index]
     assert np.corrcoef(ratio, longitude)[0, 1] < -0.8
     assert verify_run(modelled.output)
@@ -150,11 +163,18 @@ def test_in_a_long_flight_each_exposure_has_the_air_of_its_place(
 @pytest.mark.filterwarnings("ignore::UserWarning")  # pinholes do not fit the points
 def test_correct_takes_it_from_python(modelled, baseline):
     """Paths of the section are relative to the working folder, or whole."""
-    atmosphere = {"model": {"path": str(modelled.folder / "era5.nc")}}
-    run = baseline.results().to_pandas()
-    stations = columns_of(baseline.stations().to_pandas()).rename(columns={"time": "time_utc"})
+    path = modelled.folder / "era5.nc"
+    atmosphere = {"model": {"path": str(path)}}
+    run = baseline.result_rows()
+    stations = columns_of(baseline.station_rows())
     measured = run[["image", "point", "x_px", "y_px", "h_g_m"]]
-    result = correct(measured, stations, atmosphere, PINHOLES, orientation={"heights": "msl"})
-    assert "MODEL-COLUMN" in [entry["code"] for entry in result.attrs["ledger"]]
+    result = correct(
+        measured,
+        stations.rename(columns={"time": "time_utc"}),
+        atmosphere,
+        PINHOLES,
+        orientation={"heights": "msl"},
+    )
+    assert "MODEL-COLUMN" in codes_of(result.attrs)
     ratio = (result["r_c_rad"] / run["r_c_rad"]).median()
     assert ratio == pytest.approx(1.0, abs=0.02)
