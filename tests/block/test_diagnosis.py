@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import random
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from types import SimpleNamespace
@@ -45,11 +45,14 @@ CAMERAS = {
     "camera1": camera(4462.0, 4521.0, k1=-0.04, k2=0.01, p2=1e-4),
 }
 BOTH = tuple(CAMERAS)
+EXCHANGED = {"camera0": CAMERAS["camera1"], "camera1": CAMERAS["camera0"]}
 
 
 def drawn(*cases):
     """All cases of a mistake in `make faults`, else one."""
-    return cases if BLOCKS >= 8 else random.Random(SEED).sample(cases, 1)
+    if BLOCKS >= 8:
+        return cases
+    return random.Random(SEED).sample(cases, 1)
 
 
 @dataclass(frozen=True)
@@ -59,33 +62,32 @@ class Measured:
     block: Block
     cameras: Cameras
 
-    def rows_of(self, name: str) -> np.ndarray:
-        return self.block.camera[self.block.image] == name
-
     def __call__(self, cameras: Cameras, axes: Mapping[str, str]) -> ImageRays:
         """Rays by some cameras, with x and y exchanged, or y upward, where ``axes`` say so."""
         block = self.block
         direction = np.empty(block.direction.shape)
         for name, measuring in self.cameras.items():
-            rows = self.rows_of(name)
-            tangents = block.direction[rows, :2] / block.direction[rows, 2:]
-            x, y = measuring.project(*tangents.T)
+            rows = block.camera[block.image] == name
+            x, y, z = block.direction[rows].T
+            pixels = measuring.project(x / z, y / z)
             if axes.get(name) == "exchanged":
-                x, y = y, x
+                pixels = pixels[::-1]
             if axes.get(name) == "upward":
-                y = SIZE_PX - y
-            u, v, _ = cameras[name].rays(x, y)
-            direction[rows] = np.stack([u, v, np.ones(u.size)], axis=1)
+                pixels = (pixels[0], SIZE_PX - pixels[1])
+            u, v, _ = cameras[name].rays(*pixels)
+            direction[rows] = np.column_stack([u, v, np.ones(u.size)])
         heights_m = block.point_h[block.point]
         return ImageRays(block.image, block.point, unit(direction), 1e-4, heights_m)
 
 
 def make(seed: int, *, calibrations: Cameras = CAMERAS, **options: object) -> StatedMission:
     """A block of two cameras as a mission file states it."""
-    block = simulate_block(seed, **{"cameras": (0.0, 0.35), "points": 500, "each": 8} | options)
+    usual = {"cameras": (0.0, 0.35), "points": 500, "each": 8}
+    block = simulate_block(seed, **usual | options)
     orientations = block.orientations
     heading = 1.0 - 2.0 * (np.arange(block.lon.size) // 8 % 2)  # one line to, one fro
-    velocity = (SPEED_M_S * heading)[:, None] * orientations.enu_from_ecef[:, 0]
+    east = orientations.enu_from_ecef[:, 0]
+    velocity = SPEED_M_S * heading[:, None] * east
 
     def shifted(seconds: float) -> Orientations:
         return replace(orientations, centre_m=orientations.centre_m + seconds * velocity)
@@ -99,9 +101,17 @@ def with_cameras(mission: StatedMission, **changed: Camera) -> StatedMission:
     return replace(mission, cameras={**mission.cameras, **changed})
 
 
+def with_attitudes(mission: StatedMission, turn: np.ndarray, **changed: object) -> StatedMission:
+    """The mission with the cameras turned, and with other changes."""
+    stated = mission.orientations
+    attitude = turn @ stated.camera_from_ecef
+    return replace(mission, orientations=replace(stated, camera_from_ecef=attitude), **changed)
+
+
 def with_f(measuring: Camera, factor: float) -> Camera:
     """The camera with another principal distance."""
-    return replace(measuring, fx_px=factor * F_PX, fy_px=factor * F_PX)
+    f_px = factor * F_PX
+    return replace(measuring, fx_px=f_px, fy_px=f_px)
 
 
 def turned(mission: StatedMission, *rotation_rad: float) -> StatedMission:
@@ -110,9 +120,14 @@ def turned(mission: StatedMission, *rotation_rad: float) -> StatedMission:
     return replace(mission, orientations=orientations)
 
 
+def findings_of(mission: StatedMission) -> tuple[Finding, ...]:
+    _, findings = diagnosis(mission)
+    return findings
+
+
 def first_finding(mission: StatedMission, code: str, key: str, most: int = 4) -> Finding:
     """The most likely mistake, which must be this one, of at most so many."""
-    findings = diagnosis(mission)[1]
+    findings = findings_of(mission)
     assert 1 <= len(findings) <= most
     assert findings[0].code == code
     assert findings[0].key == key
@@ -121,6 +136,10 @@ def first_finding(mission: StatedMission, code: str, key: str, most: int = 4) ->
 
 def only_finding(mission: StatedMission, code: str, key: str) -> Finding:
     return first_finding(mission, code, key, most=1)
+
+
+def estimate_in(finding: Finding, pattern: str) -> float:
+    return float(re.search(pattern, finding.what)[1])
 
 
 @pytest.mark.parametrize("seed", range(BLOCKS))
@@ -133,7 +152,7 @@ def test_a_true_mission_file_raises_nothing(seed):
 def test_sigmas_explain_a_common_error_as_large_as_they_are():
     """0.23 deg, where 0.17 are stated; not 1.7 deg."""
     mission = make(20)
-    assert diagnosis(turned(mission, 0.004, 0.0, 0.0))[1] == ()
+    assert findings_of(turned(mission, 0.004, 0.0, 0.0)) == ()
     finding = only_finding(turned(mission, 0.03, 0.0, 0.0), "TIES-MOUNT", "mount.camera0")
     assert "turned by 1.7" in finding.what
 
@@ -142,12 +161,10 @@ def test_a_mount_with_the_other_sign_is_named_with_its_angle():
     mission = make(21)
     other = Mount(roll_rad=0.35)
     turn = other.camera_from_body @ mission.camera_from_body("camera1").T
-    stated = mission.orientations
-    is_of_camera = (stated.camera == "camera1")[:, None, None]
-    attitude = np.where(is_of_camera, turn @ stated.camera_from_ecef, stated.camera_from_ecef)
-    wrong = replace(
+    is_of_camera = mission.orientations.camera[:, None, None] == "camera1"
+    wrong = with_attitudes(
         mission,
-        orientations=replace(stated, camera_from_ecef=attitude),
+        np.where(is_of_camera, turn, np.eye(3)),
         mounts={**mission.mounts, "camera1": other},
     )
     finding = only_finding(wrong, "TIES-MOUNT", "mount.camera1")
@@ -159,8 +176,7 @@ def test_a_mount_with_the_other_sign_is_named_with_its_angle():
 def test_a_wrong_principal_distance_is_estimated(factor):
     wrong = with_cameras(make(22), camera0=with_f(CAMERAS["camera0"], factor))
     finding = first_finding(wrong, "TIES-FOCAL", "cameras.camera0")
-    estimate_px = float(re.search(r" is ([\d.]+) px", finding.what)[1])
-    assert estimate_px == pytest.approx(F_PX, rel=0.005)
+    assert estimate_in(finding, r" is ([\d.]+) px") == pytest.approx(F_PX, rel=0.005)
     assert ("millimetres" in finding.what) == (factor < 0.1)
 
 
@@ -169,24 +185,27 @@ def test_a_wrong_principal_distance_is_estimated(factor):
 )
 def test_exposures_at_other_times_are_found_by_how_much(offset_s, direction):
     mission = make(23)
-    wrong = replace(
-        mission,
-        orientations=mission.shifted(-offset_s),
-        shifted=lambda seconds: mission.shifted(seconds - offset_s),
-    )
+
+    def shifted(seconds: float) -> Orientations:
+        return mission.shifted(seconds - offset_s)
+
+    wrong = replace(mission, orientations=shifted(0.0), shifted=shifted)
     finding = first_finding(wrong, "TIES-TIME", "events")
-    estimate = re.search(r"exposures are ([\d.]+) s \+- \S+ (\w+) than", finding.what)
-    assert float(estimate[1]) == pytest.approx(abs(offset_s), abs=0.1)
-    assert estimate[2] == direction
+    says = rf"exposures are ([\d.]+) s \+- \S+ {direction} than"
+    assert estimate_in(finding, says) == pytest.approx(abs(offset_s), abs=0.1)
     assert ("GPS time" in finding.what) == (offset_s == 18.0)
 
 
 def test_heights_from_another_zero_are_found_and_named():
     mission = make(24)
-    up = mission.orientations.enu_from_ecef[:, 2]
-    low = replace(mission.orientations, centre_m=mission.orientations.centre_m - 47.0 * up)
-    others = {"this": 46.8, "that": 120.0}
-    wrong = replace(mission, orientations=low, shifted=None, other_heights_m=others)
+    right = mission.orientations
+    up = right.enu_from_ecef[:, 2]
+    wrong = replace(
+        mission,
+        orientations=replace(right, centre_m=right.centre_m - 47.0 * up),
+        shifted=None,
+        other_heights_m={"this": 46.8, "that": 120.0},
+    )
     finding = first_finding(wrong, "TIES-HEIGHT", "ground")
     assert re.search(r"4[67]\.", finding.what)
     assert "too low" in finding.what
@@ -197,12 +216,11 @@ def test_heights_from_another_zero_are_found_and_named():
 def test_other_axes_of_pixels(axes):
     """The table of one camera has them the other way: reading them so gives the true ones."""
     mission = make(25)
-    wrong = {"camera1": axes}
 
     def rays(cameras: Cameras, read: Mapping[str, str]) -> ImageRays:
-        reads_right = read.get("camera1") == axes
-        right = {name: other for name, other in read.items() if name != "camera1"}
-        return mission.rays(cameras, right if reads_right else {**read, **wrong})
+        is_right = read.get("camera1") == axes
+        camera1 = "" if is_right else axes
+        return mission.rays(cameras, {**read, "camera1": camera1})
 
     finding = first_finding(replace(mission, rays=rays), "TIES-PIXELS", "observations.columns")
     assert "camera1" in finding.what
@@ -210,14 +228,13 @@ def test_other_axes_of_pixels(axes):
 
 def test_exchanged_cameras():
     mission = make(26)
-    stated = mission.orientations
-    first, second = (mission.camera_from_body(name) for name in BOTH)
-    turn = np.where((stated.camera == "camera0")[:, None, None], second @ first.T, first @ second.T)
-    exchanged = replace(
+    second_from_first = Mount(roll_rad=-0.35).camera_from_body @ Mount().camera_from_body.T
+    is_first = mission.orientations.camera[:, None, None] == "camera0"
+    exchanged = with_attitudes(
         mission,
-        orientations=replace(stated, camera_from_ecef=turn @ stated.camera_from_ecef),
-        mounts=dict(zip(BOTH, reversed(mission.mounts.values()), strict=True)),
-        cameras=dict(zip(BOTH, reversed(CAMERAS.values()), strict=True)),
+        np.where(is_first, second_from_first, second_from_first.T),
+        mounts={"camera0": Mount(roll_rad=-0.35), "camera1": Mount()},
+        cameras=EXCHANGED,
     )
     assert first_finding(exchanged, "TIES-CAMERAS", "cameras").log_ratio > 100.0
 
@@ -236,8 +253,7 @@ def test_exchanged_cameras():
 def test_a_principal_point_along_other_axes(axes, cx_px, cy_px):
     """10 px right of the centre of 100 x 80 px, and 10 px above it."""
     other = with_other_axes(Camera(100, 80, 50.0, 50.0, 60.0, 30.0), OffsetAxes(*axes))
-    assert other.cx_px == cx_px
-    assert other.cy_px == cy_px
+    assert (other.cx_px, other.cy_px) == (cx_px, cy_px)
 
 
 def mirrored(right: Camera) -> Camera:
@@ -248,9 +264,12 @@ def exchanged_axes(right: Camera) -> Camera:
     return replace(right, cx_px=right.cy_px, cy_px=right.cx_px)
 
 
+def with_lens(right: Camera, coefficients: Iterable[float]) -> Camera:
+    return replace(right, distortion=BrownConrady(*coefficients))
+
+
 def other_sign(right: Camera) -> Camera:
-    lens = BrownConrady(*(-coefficient for coefficient in right.distortion))
-    return replace(right, distortion=lens)
+    return with_lens(right, np.negative(right.distortion).tolist())
 
 
 def key_of(names: tuple[str, ...]) -> str:
@@ -262,24 +281,26 @@ def key_of(names: tuple[str, ...]) -> str:
     drawn(*product((mirrored, exchanged_axes, other_sign), (("camera1",), BOTH))),
 )
 def test_calibrations_of_other_signs_or_axes(read, names):
-    wrong = {name: read(CAMERAS[name]) for name in names}
-    finding = first_finding(with_cameras(make(29), **wrong), "TIES-CALIBRATION", key_of(names))
-    assert ("have the opposite sign" in finding.what) == (read is other_sign)
-    if read is not other_sign:
-        for name in names:
-            right = CAMERAS[name]
-            assert f"{right.cx_px}, {right.cy_px} px in {name}" in finding.what
+    misread = {name: read(CAMERAS[name]) for name in names}
+    wrong = with_cameras(make(29), **misread)
+    finding = first_finding(wrong, "TIES-CALIBRATION", key_of(names))
+    if read is other_sign:
+        assert "have the opposite sign" in finding.what
+        return
+    assert "have the opposite sign" not in finding.what
+    for name in names:
+        right = CAMERAS[name]
+        assert f"{right.cx_px}, {right.cy_px} px in {name}" in finding.what
 
 
 def test_calibrations_that_are_each_others():
-    exchanged = dict(zip(BOTH, reversed(CAMERAS.values()), strict=True))
-    finding = first_finding(with_cameras(make(30), **exchanged), "TIES-CALIBRATION", "cameras")
+    wrong = with_cameras(make(30), **EXCHANGED)
+    finding = first_finding(wrong, "TIES-CALIBRATION", "cameras")
     assert finding.what == "the calibrations of camera0 and camera1 are exchanged"
 
 
 def with_k1(k1: float) -> Cameras:
-    lens = BrownConrady(k1=k1)
-    return {name: replace(right, distortion=lens) for name, right in CAMERAS.items()}
+    return {name: with_lens(right, [k1]) for name, right in CAMERAS.items()}
 
 
 @pytest.mark.parametrize(
@@ -288,27 +309,31 @@ def with_k1(k1: float) -> Cameras:
 )
 def test_a_distortion_that_is_not_stated(lenses, names):
     """It is no other principal distance, height or principal point; k2 of the lens goes into k1."""
-    unstated = {name: replace(lenses[name], distortion=BrownConrady()) for name in names}
-    findings = diagnosis(with_cameras(make(3, calibrations=lenses), **unstated))[1]
+    unstated = {name: with_lens(lenses[name], []) for name in names}
+
+    findings = findings_of(with_cameras(make(3, calibrations=lenses), **unstated))
+
     estimates = {}
     for finding in findings:
         assert finding.code == "TIES-CALIBRATION"
         words = re.fullmatch(r"the radial distortion k1 of (.*) is (.*) \+- .*", finding.what)
         of_cameras = words[1].split(" and ")
         assert finding.key == key_of(of_cameras)
-        estimates |= dict(zip(of_cameras, map(float, words[2].split(" and ")), strict=True))
-    k1 = {name: lenses[name].distortion.k1 for name in names}
-    assert estimates == pytest.approx(k1, rel=0.3)
+        for name, k1 in zip(of_cameras, words[2].split(" and "), strict=True):
+            estimates[name] = float(k1)
+    true_k1 = {name: lenses[name].distortion.k1 for name in names}
+    assert estimates == pytest.approx(true_k1, rel=0.3)
     assert findings[-1].sigma_factor < 1.6
 
 
 def test_a_principal_distance_that_is_wrong_in_all_cameras():
-    wrong = {name: with_f(right, 1.03) for name, right in CAMERAS.items()}
-    wrong["without an image"] = CAMERAS["camera0"]
-    finding = only_finding(with_cameras(make(3), **wrong), "TIES-FOCAL", "cameras")
+    longer = {name: with_f(right, 1.03) for name, right in CAMERAS.items()}
+    longer["without an image"] = CAMERAS["camera0"]
+    wrong = with_cameras(make(3), **longer)
+    finding = only_finding(wrong, "TIES-FOCAL", "cameras")
     estimates = re.search(r"of camera0 and camera1 is (\d+) and (\d+) px", finding.what)
-    assert float(estimates[1]) == pytest.approx(F_PX, rel=2e-3)
-    assert float(estimates[2]) == pytest.approx(F_PX, rel=2e-3)
+    f_px = [float(estimate) for estimate in estimates.groups()]
+    assert f_px == pytest.approx([F_PX] * 2, rel=2e-3)
     assert finding.what.endswith("not 10300 and 10300")
 
 
@@ -318,15 +343,11 @@ def test_calibrations_that_drifted_are_not_taken_for_mistaken_ones(seed):
     rng = np.random.default_rng(seed)
     drifted = {}
     for name, right in CAMERAS.items():
-        moved_px = rng.normal(0.0, 8.0, 2)
-        lens = np.array(right.distortion) * rng.uniform(0.95, 1.05, len(right.distortion))
-        drifted[name] = replace(
-            right,
-            cx_px=right.cx_px + moved_px[0],
-            cy_px=right.cy_px + moved_px[1],
-            distortion=BrownConrady(*lens.tolist()),
-        )
-    findings = diagnosis(with_cameras(make(31 + seed), **drifted))[1]
+        x_px, y_px = rng.normal(0.0, 8.0, 2)
+        lens = right.distortion * rng.uniform(0.95, 1.05, len(right.distortion))
+        moved = replace(right, cx_px=right.cx_px + x_px, cy_px=right.cy_px + y_px)
+        drifted[name] = with_lens(moved, lens.tolist())
+    findings = findings_of(with_cameras(make(31 + seed), **drifted))
     assert "TIES-CALIBRATION" not in {finding.code for finding in findings}
 
 
@@ -360,7 +381,7 @@ def test_a_turned_mount_is_no_other_calibration(x_px, y_px, sigma_tilt):
     """Turned by 30 to 52 px, within its sigma or not: beside it a principal point moves by 25."""
     sigma = (1.0, 1.0, 2.0, sigma_tilt, sigma_tilt, 2.0 * sigma_tilt)
     mission = make(42, sigma=sigma, **ONE_CAMERA)
-    assert diagnosis(turned(mission, y_px / F_PX, x_px / F_PX, 0.0))[1] == ()
+    assert findings_of(turned(mission, y_px / F_PX, x_px / F_PX, 0.0)) == ()
 
 
 def test_refraction_is_removed_from_apparent_rays():
@@ -368,11 +389,13 @@ def test_refraction_is_removed_from_apparent_rays():
     mission = make(27, errors=False, pixel_rad=1e-9)
     stated = mission.orientations
     rays = replace(mission.rays(mission.cameras, {}), height_m=None)
-    down = np.einsum(
-        "rij,rj->ri", stated.camera_from_ecef[rays.image], -stated.enu_from_ecef[rays.image, 2]
-    )
-    before = np.arccos(np.sum(down * rays.direction, axis=1))
-    after = np.arccos(np.sum(down * straightened(stated, rays).direction, axis=1))
+    up = np.einsum("sij,sj->si", stated.camera_from_ecef, stated.enu_from_ecef[:, 2])
+
+    def nadir_angle(seen: ImageRays) -> np.ndarray:
+        return np.arccos(-np.sum(up[seen.image] * seen.direction, axis=1))
+
+    before = nadir_angle(rays)
+    after = nadir_angle(straightened(stated, rays))
     is_of_several = (np.bincount(rays.point)[rays.point] > 2) & np.isfinite(before)
     assert (before > after)[is_of_several].all()
     row = np.argmax(np.where(is_of_several, before, 0.0))
@@ -384,7 +407,7 @@ def test_what_tie_points_hardly_tell_apart_is_named_together():
     """Along one line, straight down, f that is 3 % too long is all but stations 30 m too low."""
     mission = make(28, cameras=(0.0,), lines=1)
     wrong = with_cameras(mission, camera0=with_f(CAMERAS["camera0"], 1.03))
-    (finding,) = diagnosis(wrong)[1]
+    (finding,) = findings_of(wrong)
     of_camera, of_height = sorted((finding.what, *finding.also))
     assert of_camera.startswith("the principal distance of camera0 is 100")
     assert "too low above the given heights of the ground" in of_height

@@ -7,7 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.flight.made_channels import counted, ranked, with_columns
+from tests.flight.made_channels import (
+    counted,
+    image_names,
+    instants,
+    ranked,
+    with_columns,
+)
 from tests.helpers import NS_PER_S, channel, refused
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel
@@ -27,9 +33,8 @@ def shots(*index: int, boot: list[int] | None = None) -> Channel:
     """Numbered events every ten seconds, from 10 s on."""
     seconds = 10.0 * np.arange(1, len(index) + 1)
     logged = channel("CAM[0]", seconds, "events", event_index=index)
-    if boot is None:
-        return logged
-    return replace(logged, boot=np.array(boot, np.int16))
+    boots = np.array(boot or [0] * len(index), np.int16)
+    return replace(logged, boot=boots)
 
 
 @pytest.mark.parametrize("delay_s", [0.12, -0.25])
@@ -39,10 +44,9 @@ def test_a_positive_delay_makes_events_later(delay_s):
     assert not notes
     assert logged.time_ns / NS_PER_S == pytest.approx([10.0 + delay_s, 20.0 + delay_s])
 
-    names = np.array(["a", "b", "c"], object)
-    cameras = np.array(["left", "right", "left"], object)
-    time_ns = np.array([10, 20, 30]) * NS_PER_S
-    of_table = events_of_table(names, cameras, time_ns, "left", delay)
+    names = image_names("a", "b", "c")
+    cameras = image_names("left", "right", "left")
+    of_table = events_of_table(names, cameras, instants(10, 20, 30), "left", delay)
     assert of_table.image.tolist() == ["a", "c"]
     assert of_table.time_ns / NS_PER_S == pytest.approx([10.0 + delay_s, 30.0 + delay_s])
 
@@ -86,7 +90,8 @@ def test_numbers_that_the_log_skips_are_lost_events(index, missing, says):
     events, losses = events_of_channel(shots(*index), "cam", "{n}.jpg", AT_ONCE)
     assert events.lost == missing
     assert counted(losses) == [("loss", "EVENTS-LOST", missing)] * bool(missing)
-    assert all(says in loss.what for loss in losses)
+    for loss in losses:
+        assert says in loss.what
 
 
 def test_numbers_begin_anew_with_each_boot():
@@ -112,9 +117,8 @@ def test_the_sigma_of_logged_times_is_kept():
 
 
 def test_repeated_names_are_refused():
-    time_ns = np.zeros(2, np.int64)
-    first = Events("left", np.array(["a", "b"], object), time_ns)
-    second = Events("right", np.array(["c", "b"], object), time_ns)
+    first = Events("left", image_names("a", "b"), instants(0, 0))
+    second = Events("right", image_names("c", "b"), instants(0, 0))
     with refused("EVENTS-REPEATED", MissionError) as refusal:
         refuse_repeated_images([first, second])
     assert "b" in refusal.value.what

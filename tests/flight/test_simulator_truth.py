@@ -12,13 +12,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.flight.simulator_logs import FLIGHTS, Flight, errors, flight, sigmas
+from tests.flight.made_channels import roles_of
+from tests.flight.simulator_logs import (
+    FLIGHTS,
+    Columns,
+    Flight,
+    errors,
+    flight,
+    sigmas,
+    unnamed_events,
+)
+from tests.helpers import NS_PER_S
 from unbend.flight.clock import utc_of_gps
 from unbend.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD, with_accuracy
-from unbend.flight.exposures import Events
 from unbend.flight.heights import height_system
 from unbend.flight.mount import Mount
-from unbend.flight.roles import assign_roles
 from unbend.flight.station_builder import build_stations
 from unbend.flight.stations import Stations
 from unbend.ingest import Log
@@ -35,16 +43,26 @@ def flights() -> dict[tuple[str, str], Flight]:
 
 
 def stations_of(
-    flown: Flight, time_ns: np.ndarray, every: int = 1, sigma_s: float = 0.0
+    flown: Flight,
+    time_ns: np.ndarray,
+    every: int = 1,
+    sigma_s: float = 0.0,
 ) -> Stations:
     """Stations at some times, by one in ``every`` of the logged attitudes."""
-    roles, _ = assign_roles(flown.log.channels, {}, needs_cabin=False)
+    roles = roles_of(flown.log.channels)
     heights, _ = height_system(roles, None)
     attitude = roles["attitude"]
-    roles["attitude"] = attitude.rows(np.arange(len(attitude)) % every == 0)
+    is_read = np.arange(len(attitude)) % every == 0
+    roles["attitude"] = attitude.rows(is_read)
     roles, accuracy = with_accuracy(roles, flown.log.channels)
-    events = Events("cam", np.full(time_ns.size, "", object), time_ns, sigma_s)
-    stations = build_stations(events, roles, Mount(), heights, 1.0, accuracy=accuracy)
+    stations = build_stations(
+        unnamed_events(time_ns, sigma_s),
+        roles,
+        Mount(),
+        heights,
+        1.0,
+        accuracy=accuracy,
+    )
     assert stations.ok.all()
     return stations
 
@@ -62,11 +80,12 @@ def assert_honest(error: np.ndarray, sigma: np.ndarray, quantity: str) -> None:
 @pytest.mark.parametrize(("name", "kind"), FLOWN)
 def test_positions_attitudes_and_their_sigmas(flights, name, kind):
     flown = flights[name, kind]
+
     stations = stations_of(flown, flown.time_ns)
+
     error = errors(stations, flown.truth)
-    horizontal_m = np.linalg.norm(error["horizontal"], axis=1)
-    position_m = np.hypot(horizontal_m, error["height"][:, 0])
-    assert np.percentile(position_m, 95) < 1.5
+    position_m = np.hstack([error["horizontal"], error["height"]])
+    assert np.percentile(np.linalg.norm(position_m, axis=1), 95) < 1.5
     assert np.percentile(np.linalg.norm(error["tilt"], axis=1), 95) < 0.5
     for quantity, sigma in sigmas(stations).items():
         assert_honest(error[quantity], sigma, quantity)
@@ -82,7 +101,7 @@ COLUMNS = {
 }
 
 
-def throughout(flown: Flight, simulated: Log) -> tuple[dict, dict]:
+def throughout(flown: Flight, simulated: Log) -> tuple[Columns, Columns]:
     """Errors and sigmas every second in the air, by the simulator's own rows."""
     place = simulated.message("SIM")
     motion = simulated.message("SIM2")
@@ -91,8 +110,10 @@ def throughout(flown: Flight, simulated: Log) -> tuple[dict, dict]:
     is_high = place["Alt"] > place["Alt"][0] + 50.0
     rows = np.flatnonzero(is_fast & is_high)[::10]
     assert rows.size > 1000
-    truth = pd.DataFrame({name: place[column][rows] for column, name in COLUMNS.items()})
+
     stations = stations_of(flown, place["time_ns"][rows])
+
+    truth = pd.DataFrame({name: place[column][rows] for column, name in COLUMNS.items()})
     return errors(stations, truth), sigmas(stations)
 
 
@@ -100,17 +121,19 @@ def throughout(flown: Flight, simulated: Log) -> tuple[dict, dict]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_one_flight_says_of_attitudes_holds_for_the_other(flights, learnt, tested, kind):
     """What no innovation shows is the one empirical part: by one flight, tested on the other."""
-    error, sigma = throughout(flights[learnt, "BIN"], flights[learnt, "BIN"].log)
-    tested_error, tested_sigma = throughout(flights[tested, kind], flights[tested, "BIN"].log)
+    learnt_flight = flights[learnt, "BIN"]
+    error, sigma = throughout(learnt_flight, learnt_flight.log)
+    simulated = flights[tested, "BIN"].log
+    tested_error, tested_sigma = throughout(flights[tested, kind], simulated)
     for quantity, least_rad in (("tilt", LEAST_TILT_RAD), ("yaw", LEAST_YAW_RAD)):
         least_deg = np.degrees(least_rad)
         shown = sigma[quantity] ** 2 - least_deg**2  # by innovations
         unseen = np.mean(error[quantity] ** 2) - np.mean(shown)
         assert 0.8 * least_deg < np.sqrt(unseen) < 1.25 * least_deg  # the program's is of both
-        stated = tested_sigma[quantity]
-        predicted = np.sqrt(stated**2 - least_deg**2 + unseen)
-        assert_honest(tested_error[quantity], predicted, quantity)
-        assert_honest(tested_error[quantity], stated, quantity)
+        sigma_deg = tested_sigma[quantity]
+        predicted_deg = np.sqrt(sigma_deg**2 - least_deg**2 + unseen)
+        assert_honest(tested_error[quantity], predicted_deg, quantity)
+        assert_honest(tested_error[quantity], sigma_deg, quantity)
 
 
 @pytest.mark.parametrize(("name", "kind"), FLOWN)
@@ -129,18 +152,22 @@ def true_offset_ns(log: Log) -> int:
     place = log.message("SIM")
     motion = log.message("SIM2")
     is_new = np.append(True, np.diff(fix["GMS"].astype(np.int64)) != 0)
-    rows = np.flatnonzero(is_new & (fix["Status"] >= 3) & (fix["Spd"] > 10.0))
+    is_good = (fix["Status"] >= 3) & (fix["Spd"] > 10.0)
+    rows = np.flatnonzero(is_new & is_good)
     boot_us = fix["TimeUS"][rows]
     degree_m = np.radians(6_376_000.0)
-    scales_m = {"Lat": degree_m, "Lng": degree_m * np.cos(np.radians(place["Lat"][0]))}
+    parallel_m = degree_m * np.cos(np.radians(place["Lat"][0]))
     along = np.zeros(rows.size)
     square_speed = np.zeros(rows.size)
-    for axis, velocity in (("Lat", "VN"), ("Lng", "VE")):
+    for axis, velocity, scale_m in (
+        ("Lat", "VN", degree_m),
+        ("Lng", "VE", parallel_m),
+    ):
         simulated = np.interp(boot_us, place["TimeUS"], place[axis])
         speed = np.interp(boot_us, motion["TimeUS"], motion[velocity])
-        along += (fix[axis][rows] - simulated) * scales_m[axis] * speed
+        along += (fix[axis][rows] - simulated) * scale_m * speed
         square_speed += speed**2
-    late_ns = -1e9 * along / square_speed
+    late_ns = -NS_PER_S * along / square_speed
     utc_ns = utc_of_gps(fix["GWk"][rows], fix["GMS"][rows] / 1e3)
     offset_ns = utc_ns - boot_us.astype(np.int64) * 1000
     difference_ns = offset_ns - offset_ns[0] + late_ns
@@ -148,11 +175,15 @@ def true_offset_ns(log: Log) -> int:
     return int(offset_ns[0]) + round(np.median(difference_ns))
 
 
+def speed_m_s(flown: Flight) -> np.ndarray:
+    return np.hypot(flown.truth["vn"], flown.truth["ve"]).to_numpy()
+
+
 def along_track_m(flown: Flight, time_ns: np.ndarray) -> np.ndarray:
     """How far stations at some times are from the truth, as at the usual speed."""
-    error = errors(stations_of(flown, time_ns), flown.truth)
-    speed_m_s = np.hypot(flown.truth["vn"], flown.truth["ve"])
-    return np.linalg.norm(error["horizontal"], axis=1) * SPEED_M_S / speed_m_s.to_numpy()
+    stations = stations_of(flown, time_ns)
+    horizontal_m = errors(stations, flown.truth)["horizontal"]
+    return np.linalg.norm(horizontal_m, axis=1) * SPEED_M_S / speed_m_s(flown)
 
 
 @pytest.mark.parametrize(("name", "kind"), FLOWN)
@@ -162,21 +193,25 @@ def test_exposures_in_true_utc_have_true_positions(flights, name, kind):
     UTC goes with the filter's positions, which are ahead at the true time.
     """
     flown = flights[name, kind]
-    offset_ns = true_offset_ns(flights[name, "BIN"].log)
-    true_utc_ns = flown.truth["TimeUS"].to_numpy() * 1000 + offset_ns
+    boot_ns = flown.truth["TimeUS"].to_numpy() * 1000
+    true_utc_ns = boot_ns + true_offset_ns(flights[name, "BIN"].log)
+
     at_true_utc_m = along_track_m(flown, true_utc_ns)
+    as_logged_m = along_track_m(flown, flown.time_ns)
+
     assert np.median(at_true_utc_m) < 0.1
     assert np.percentile(at_true_utc_m, 95) < 0.5
-    assert 0.2 < np.median(along_track_m(flown, flown.time_ns)) < 0.55
-    late_s = (flown.time_ns - true_utc_ns) * 1e-9
+    assert 0.2 < np.median(as_logged_m) < 0.55
+    late_s = (flown.time_ns - true_utc_ns) / NS_PER_S
     assert abs(np.median(late_s)) < 1.5 * flown.log.utc_sigma_s
     assert flown.log.utc_sigma_s < 0.04
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_both_logs_of_a_flight_agree_about_utc(flights, name):
-    dataflash, telemetry = (flights[name, kind].truth["time_ns"] for kind in KINDS)
-    apart_ns = (dataflash - telemetry).dropna()  # image by image
+    dataflash_ns = flights[name, "BIN"].truth["time_ns"]
+    telemetry_ns = flights[name, "tlog"].truth["time_ns"]
+    apart_ns = (dataflash_ns - telemetry_ns).dropna()  # image by image
     assert len(apart_ns) > 200
     assert apart_ns.abs().max() < 5e6
 
@@ -188,20 +223,24 @@ def test_the_delay_leaves_exposures_and_positions_of_the_filter_together(flights
     fixes = log.message("GPS")
     first_offset_ns = fixes["time_ns"][0] - int(fixes["TimeUS"][0]) * 1000
     for message in ("CAM", "POS", "ATT"):
-        channels = [channel for channel in log.channels if channel.source.message == message]
+        times_ns = [
+            channel.time_ns for channel in log.channels if channel.source.message == message
+        ]
         boot_us = np.unique(log.message(message)["TimeUS"].astype(np.int64))
-        utc_ns = np.unique(np.concatenate([channel.time_ns for channel in channels]))
-        assert set(utc_ns - boot_us * 1000) == {first_offset_ns}
+        offset_ns = np.unique(np.concatenate(times_ns)) - boot_us * 1000
+        assert set(offset_ns) == {first_offset_ns}
     assert not np.isin(fixes["time_ns"], log.channel("GPS[0]").time_ns).any()
 
 
 def test_a_sigma_of_the_time_moves_along_the_track_and_the_turn(flights):
     flown = flights["sitl_survey", "BIN"]
+
     certain = stations_of(flown, flown.time_ns)
     uncertain = stations_of(flown, flown.time_ns, sigma_s=0.1)
+
     added_m2 = uncertain.sigma_horizontal_m**2 - certain.sigma_horizontal_m**2
-    speed_m_s = np.hypot(flown.truth["vn"], flown.truth["ve"])
-    np.testing.assert_allclose(np.sqrt(2.0 * added_m2), 0.1 * speed_m_s, rtol=0.05)
+    along_m = 0.1 * speed_m_s(flown)
+    np.testing.assert_allclose(np.sqrt(2.0 * added_m2), along_m, rtol=0.05)
     added_height_m = np.sqrt(uncertain.sigma_height_m**2 - certain.sigma_height_m**2)
     assert np.corrcoef(added_height_m, np.abs(flown.truth["vd"]))[0, 1] > 0.95
     turned = uncertain.sigma_yaw_rad > 1.2 * certain.sigma_yaw_rad
