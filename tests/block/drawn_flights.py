@@ -33,7 +33,12 @@ class Drawn:
     truth: np.ndarray  # row of the event of each image, -1 where its pulse was lost
 
 
-def draw(rng: np.random.Generator, kind: str, *, constant: bool = False) -> Drawn:
+def draw(
+    rng: np.random.Generator,
+    kind: str,
+    *,
+    constant: bool = False,
+) -> Drawn:
     """A flight of a kind, with intervals that are ``constant``, or with wind and turns."""
     everything = kind == "everything"
     exposed = exposures(rng, constant)

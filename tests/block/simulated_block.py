@@ -24,12 +24,30 @@ WIDEST_TANGENT = 0.45  # that an image shows, along its sides
 def axes(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
     """(n, 3, 3) rows east, north, up."""
     level = np.cos(lat)
-    up = np.stack([level * np.cos(lon), level * np.sin(lon), np.sin(lat)], -1)
-    east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lat)], -1)
+    up = np.stack(
+        [
+            level * np.cos(lon),
+            level * np.sin(lon),
+            np.sin(lat),
+        ],
+        -1,
+    )
+    east = np.stack(
+        [
+            -np.sin(lon),
+            np.cos(lon),
+            np.zeros_like(lat),
+        ],
+        -1,
+    )
     return np.stack([east, np.cross(up, east), up], -2)
 
 
-def ecef(lat: np.ndarray, lon: np.ndarray, h: np.ndarray) -> np.ndarray:
+def ecef(
+    lat: np.ndarray,
+    lon: np.ndarray,
+    h: np.ndarray,
+) -> np.ndarray:
     n = A / np.sqrt(1.0 - E2 * np.sin(lat) ** 2)
     level = (n + h) * np.cos(lat)
     x = level * np.cos(lon)
@@ -39,7 +57,11 @@ def ecef(lat: np.ndarray, lon: np.ndarray, h: np.ndarray) -> np.ndarray:
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.linalg.norm(
+        vectors,
+        axis=-1,
+        keepdims=True,
+    )
 
 
 def turn(vector: np.ndarray) -> np.ndarray:
@@ -145,7 +167,11 @@ def places(east_m: np.ndarray, north_m: np.ndarray) -> tuple[np.ndarray, np.ndar
     return lat, lon
 
 
-def attitudes(rng: np.random.Generator, line: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+def attitudes(
+    rng: np.random.Generator,
+    line: np.ndarray,
+    tilt: np.ndarray,
+) -> np.ndarray:
     """(n, 3, 3) camera from east, north, up: lines to and fro, tilted about y, with a wobble."""
     heading = line % 2 * np.pi + rng.normal(0.0, 0.05, line.size)
     o = np.zeros(line.size)

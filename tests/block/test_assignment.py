@@ -24,7 +24,11 @@ WHOLE_SECONDS_S = 12.0**-0.5  # sigma of times that are rounded to seconds
 EVERY_4_S = 4.0 * np.arange(50.0)
 
 
-def lines(seed: int = 1, count: int = 4, each: int = 15) -> np.ndarray:
+def lines(
+    seed: int = 1,
+    count: int = 4,
+    each: int = 15,
+) -> np.ndarray:
     """Times of a survey [s]: lines of exposures 3 s apart, with wind, 30 s between the lines."""
     rng = np.random.default_rng(seed)
     steps = 3.0 * (1.0 + rng.normal(0.0, 0.02, count * each))
@@ -35,20 +39,37 @@ def lines(seed: int = 1, count: int = 4, each: int = 15) -> np.ndarray:
 SURVEY = lines()
 
 
-def timed(image_s: np.ndarray, sigma_s: float = 0.02, **more: object) -> ImageEvidence:
+def timed(
+    image_s: np.ndarray,
+    sigma_s: float = 0.02,
+    **more: object,
+) -> ImageEvidence:
     """Images with times in milliseconds."""
-    return ImageEvidence(image_s.size, time_s=image_s, sigma_s=sigma_s, **more)
+    return ImageEvidence(
+        image_s.size,
+        time_s=image_s,
+        sigma_s=sigma_s,
+        **more,
+    )
 
 
 def numbered(number: np.ndarray, numbering: str = "sequence") -> ImageEvidence:
     return ImageEvidence(number.size, number=number, numbering=numbering)
 
 
-def assigned(event_s: np.ndarray, images: ImageEvidence, **more: object) -> Assignment:
+def assigned(
+    event_s: np.ndarray,
+    images: ImageEvidence,
+    **more: object,
+) -> Assignment:
     return assign(CameraEvents(event_s), images, **more)
 
 
-def by_times(event_s: np.ndarray, image_s: np.ndarray, **more: object) -> Assignment:
+def by_times(
+    event_s: np.ndarray,
+    image_s: np.ndarray,
+    **more: object,
+) -> Assignment:
     return assigned(event_s, timed(image_s, **more))
 
 
@@ -76,7 +97,12 @@ def used_events(assignment: Assignment) -> np.ndarray:
     return assignment.event[assignment.event >= 0]
 
 
-def drawn(kind_number: int, seed: object, *, constant: bool = False) -> tuple[Drawn, Assignment]:
+def drawn(
+    kind_number: int,
+    seed: object,
+    *,
+    constant: bool = False,
+) -> tuple[Drawn, Assignment]:
     """A flight and its assignment by times."""
     kind = KINDS[kind_number % len(KINDS)]
     flight = draw(np.random.default_rng(seed), kind, constant=constant)
@@ -201,12 +227,24 @@ def test_names_by_the_index_find_their_events_around_65536(first):
 def test_a_number_that_the_log_skips_is_an_image_without_an_event():
     index = np.delete(np.arange(100, 160), [20, 21])
     assignment = by_index(2.5 * index, index, np.arange(100, 160))
-    assert_assigned(assignment, [*range(20), -1, -1, *range(20, 58)])
+    assert_assigned(
+        assignment,
+        [
+            *range(20),
+            -1,
+            -1,
+            *range(20, 58),
+        ],
+    )
 
 
 @pytest.mark.parametrize(
     ("clock_sigma_s", "is_decided"),
-    [(0.3, True), (3.0, False), (np.inf, False)],
+    [
+        (0.3, True),
+        (3.0, False),
+        (np.inf, False),
+    ],
 )
 def test_constant_intervals_are_decided_by_a_known_clock(clock_sigma_s, is_decided):
     assignment = by_times(EVERY_4_S, EVERY_4_S[5:] + 0.1, clock_sigma_s=clock_sigma_s)
@@ -229,7 +267,10 @@ def test_a_first_image_that_contradicts_the_rhythm_is_refused():
 
 @pytest.mark.parametrize(
     "images",
-    [timed(EVERY_4_S[:45]), numbered(np.arange(1201, 1246))],
+    [
+        timed(EVERY_4_S[:45]),
+        numbered(np.arange(1201, 1246)),
+    ],
     ids=["constant intervals", "names that say the order only"],
 )
 def test_tie_points_decide_where_nothing_else_does(images):
@@ -250,7 +291,11 @@ def test_tie_points_decide_where_nothing_else_does(images):
 @pytest.mark.parametrize("seed", range(20))
 def test_images_of_another_flight_are_refused(seed, sigma_s):
     rng = np.random.default_rng(seed)
-    image_s = lines(seed + 100, count=rng.integers(3, 8), each=rng.integers(8, 20))
+    image_s = lines(
+        seed + 100,
+        count=rng.integers(3, 8),
+        each=rng.integers(8, 20),
+    )
     if sigma_s == WHOLE_SECONDS_S:
         image_s = np.floor(image_s)
     assert not by_times(lines(seed), image_s, sigma_s=sigma_s).accepted

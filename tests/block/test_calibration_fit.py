@@ -32,7 +32,25 @@ SIZE_PX = (14_000, 10_600)
 PLAIN = Camera(*SIZE_PX, F, F, CX, CY)
 BROWN_LENS = [-0.02, 0.009, -0.002, 1.5e-4, -1e-4]
 BROWN = camera_of_model("BROWN", *SIZE_PX, [F, F * 1.0002, CX, CY, *BROWN_LENS])
-LENS = [1e-4, -0.02, 0.01, 0, 1e-3, 0, 0, 0, 1e-4, -2e-4, 1e-4, 0, 1e-4, 0, -1, 1e9, 30]
+LENS = [
+    1e-4,
+    -0.02,
+    0.01,
+    0,
+    1e-3,
+    0,
+    0,
+    0,
+    1e-4,
+    -2e-4,
+    1e-4,
+    0,
+    1e-4,
+    0,
+    -1,
+    1e9,
+    30,
+]
 GENERAL = camera_of_model("GENERAL_FRAME", *SIZE_PX, [F, F, CX, CY, *LENS])
 FISHEYE_PARAMETERS = [3000, 3000, 3000, 3010, 0.01, -0.002, 0, 0]
 FISHEYE = camera_of_model("OPENCV_FISHEYE", 6000, 6000, FISHEYE_PARAMETERS)
@@ -55,7 +73,11 @@ def not_at_all(tangents: np.ndarray) -> np.ndarray:
 
 def nadir(tangents: np.ndarray) -> np.ndarray:
     """R = K tan(zeta), the apparent ray farther from the nadir, about the optical axis."""
-    tangent = np.linalg.norm(tangents, axis=1, keepdims=True)
+    tangent = np.linalg.norm(
+        tangents,
+        axis=1,
+        keepdims=True,
+    )
     straight = np.tan(np.arctan(tangent) - K * tangent)
     return tangents / tangent * straight
 
@@ -103,7 +125,11 @@ def test_straight_down_f_and_k1_grow_by_k():
     np.testing.assert_allclose(change.radial(radius), -K * radius**3, rtol=1e-3)
 
 
-@pytest.mark.parametrize("camera", [BROWN, GENERAL, FISHEYE], ids=["brown", "general", "fisheye"])
+@pytest.mark.parametrize(
+    "camera",
+    [BROWN, GENERAL, FISHEYE],
+    ids=["brown", "general", "fisheye"],
+)
 def test_a_camera_that_was_changed_by_hand_is_found(camera):
     """Whatever its model: rays that the changed camera sees are those of the changed camera."""
     lens = camera.distortion
@@ -113,7 +139,10 @@ def test_a_camera_that_was_changed_by_hand_is_found(camera):
         fy_px=camera.fy_px * 1.00008,
         cx_px=camera.cx_px - 1.0,
         cy_px=camera.cy_px + 0.5,
-        distortion=lens._replace(k1=lens.k1 + 5e-5, k2=lens.k2 - 2e-5),
+        distortion=lens._replace(
+            k1=lens.k1 + 5e-5,
+            k2=lens.k2 - 2e-5,
+        ),
     )
     rays = seen(moved, not_at_all)
     fitted = changed_camera(camera, rays, FULL)
@@ -122,7 +151,11 @@ def test_a_camera_that_was_changed_by_hand_is_found(camera):
     assert fitted.fy_px == pytest.approx(moved.fy_px, rel=1e-8)
 
 
-@pytest.mark.parametrize("camera", [PLAIN, BROWN, GENERAL], ids=["plain", "brown", "general"])
+@pytest.mark.parametrize(
+    "camera",
+    [PLAIN, BROWN, GENERAL],
+    ids=["plain", "brown", "general"],
+)
 def test_a_head_that_looks_aside_takes_the_full_set(camera):
     rays = seen(camera, oblique)
     before_px = left_px(rays, camera)
@@ -164,7 +197,12 @@ def test_what_a_correction_adds_is_what_its_formula_says():
     corrected = np.column_stack([x_corrected, -y_corrected]) / (c * (1.0 + change.c))
     # (1 + c) on the straight ray, of which the residual is reckoned: a ten-thousandth of it.
     off_px = (corrected - rays.straight) * F
-    np.testing.assert_allclose(off_px, left, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(
+        off_px,
+        left,
+        rtol=1e-3,
+        atol=1e-6,
+    )
     assert rms(left) < 0.04
 
 

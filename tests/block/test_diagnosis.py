@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 import random
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
 
@@ -41,11 +41,26 @@ def camera(cx_px: float, cy_px: float, **lens: float) -> Camera:
 
 
 CAMERAS = {
-    "camera0": camera(4540.0, 4475.0, k1=-0.02, k2=0.01, p1=2e-4),
-    "camera1": camera(4462.0, 4521.0, k1=-0.04, k2=0.01, p2=1e-4),
+    "camera0": camera(
+        4540.0,
+        4475.0,
+        k1=-0.02,
+        k2=0.01,
+        p1=2e-4,
+    ),
+    "camera1": camera(
+        4462.0,
+        4521.0,
+        k1=-0.04,
+        k2=0.01,
+        p2=1e-4,
+    ),
 }
 BOTH = tuple(CAMERAS)
-EXCHANGED = {"camera0": CAMERAS["camera1"], "camera1": CAMERAS["camera0"]}
+EXCHANGED = {
+    "camera0": CAMERAS["camera1"],
+    "camera1": CAMERAS["camera0"],
+}
 
 
 def drawn(*cases):
@@ -55,18 +70,13 @@ def drawn(*cases):
     return random.Random(SEED).sample(cases, 1)
 
 
-@dataclass(frozen=True)
-class Measured:
+def measured(block: Block, measuring_cameras: Cameras) -> Callable[..., ImageRays]:
     """The pixels that cameras measure of a block, as a `StatedMission` reads rays."""
 
-    block: Block
-    cameras: Cameras
-
-    def __call__(self, cameras: Cameras, axes: Mapping[str, str]) -> ImageRays:
+    def rays(cameras: Cameras, axes: Mapping[str, str]) -> ImageRays:
         """Rays by some cameras, with x and y exchanged, or y upward, where ``axes`` say so."""
-        block = self.block
         direction = np.empty(block.direction.shape)
-        for name, measuring in self.cameras.items():
+        for name, measuring in measuring_cameras.items():
             rows = block.camera[block.image] == name
             x, y, z = block.direction[rows].T
             pixels = measuring.project(x / z, y / z)
@@ -79,10 +89,21 @@ class Measured:
         heights_m = block.point_h[block.point]
         return ImageRays(block.image, block.point, unit(direction), 1e-4, heights_m)
 
+    return rays
 
-def make(seed: int, *, calibrations: Cameras = CAMERAS, **options: object) -> StatedMission:
+
+def make(
+    seed: int,
+    *,
+    calibrations: Cameras = CAMERAS,
+    **options: object,
+) -> StatedMission:
     """A block of two cameras as a mission file states it."""
-    usual = {"cameras": (0.0, 0.35), "points": 500, "each": 8}
+    usual = {
+        "cameras": (0.0, 0.35),
+        "points": 500,
+        "each": 8,
+    }
     block = simulate_block(seed, **usual | options)
     orientations = block.orientations
     heading = 1.0 - 2.0 * (np.arange(block.lon.size) // 8 % 2)  # one line to, one fro
@@ -92,8 +113,11 @@ def make(seed: int, *, calibrations: Cameras = CAMERAS, **options: object) -> St
     def shifted(seconds: float) -> Orientations:
         return replace(orientations, centre_m=orientations.centre_m + seconds * velocity)
 
-    mounts = {"camera0": Mount(), "camera1": Mount(roll_rad=-0.35)}
-    rays = Measured(block, calibrations)
+    mounts = {
+        "camera0": Mount(),
+        "camera1": Mount(roll_rad=-0.35),
+    }
+    rays = measured(block, calibrations)
     return StatedMission(orientations, dict(calibrations), rays, mounts, shifted)
 
 
@@ -101,11 +125,19 @@ def with_cameras(mission: StatedMission, **changed: Camera) -> StatedMission:
     return replace(mission, cameras={**mission.cameras, **changed})
 
 
-def with_attitudes(mission: StatedMission, turn: np.ndarray, **changed: object) -> StatedMission:
+def with_attitudes(
+    mission: StatedMission,
+    turn: np.ndarray,
+    **changed: object,
+) -> StatedMission:
     """The mission with the cameras turned, and with other changes."""
     stated = mission.orientations
     attitude = turn @ stated.camera_from_ecef
-    return replace(mission, orientations=replace(stated, camera_from_ecef=attitude), **changed)
+    return replace(
+        mission,
+        orientations=replace(stated, camera_from_ecef=attitude),
+        **changed,
+    )
 
 
 def with_f(measuring: Camera, factor: float) -> Camera:
@@ -125,7 +157,12 @@ def findings_of(mission: StatedMission) -> tuple[Finding, ...]:
     return findings
 
 
-def first_finding(mission: StatedMission, code: str, key: str, most: int = 4) -> Finding:
+def first_finding(
+    mission: StatedMission,
+    code: str,
+    key: str,
+    most: int = 4,
+) -> Finding:
     """The most likely mistake, which must be this one, of at most so many."""
     findings = findings_of(mission)
     assert 1 <= len(findings) <= most
@@ -233,7 +270,10 @@ def test_exchanged_cameras():
     exchanged = with_attitudes(
         mission,
         np.where(is_first, second_from_first, second_from_first.T),
-        mounts={"camera0": Mount(roll_rad=-0.35), "camera1": Mount()},
+        mounts={
+            "camera0": Mount(roll_rad=-0.35),
+            "camera1": Mount(),
+        },
         cameras=EXCHANGED,
     )
     assert first_finding(exchanged, "TIES-CAMERAS", "cameras").log_ratio > 100.0
@@ -261,7 +301,11 @@ def mirrored(right: Camera) -> Camera:
 
 
 def exchanged_axes(right: Camera) -> Camera:
-    return replace(right, cx_px=right.cy_px, cy_px=right.cx_px)
+    return replace(
+        right,
+        cx_px=right.cy_px,
+        cy_px=right.cx_px,
+    )
 
 
 def with_lens(right: Camera, coefficients: Iterable[float]) -> Camera:
@@ -345,7 +389,11 @@ def test_calibrations_that_drifted_are_not_taken_for_mistaken_ones(seed):
     for name, right in CAMERAS.items():
         x_px, y_px = rng.normal(0.0, 8.0, 2)
         lens = right.distortion * rng.uniform(0.95, 1.05, len(right.distortion))
-        moved = replace(right, cx_px=right.cx_px + x_px, cy_px=right.cy_px + y_px)
+        moved = replace(
+            right,
+            cx_px=right.cx_px + x_px,
+            cy_px=right.cy_px + y_px,
+        )
         drifted[name] = with_lens(moved, lens.tolist())
     findings = findings_of(with_cameras(make(31 + seed), **drifted))
     assert "TIES-CALIBRATION" not in {finding.code for finding in findings}
@@ -375,7 +423,12 @@ def test_a_principal_point_six_pixels_off_is_no_turn_of_the_mount(turned_deg):
 
 @pytest.mark.parametrize(
     ("x_px", "y_px", "sigma_tilt"),
-    [(33.0, -40.0, 5e-3), (33.0, 40.0, 5e-3), (40.0, 0.0, 5e-3), (24.8, -16.6, 1e-4)],
+    [
+        (33.0, -40.0, 5e-3),
+        (33.0, 40.0, 5e-3),
+        (40.0, 0.0, 5e-3),
+        (24.8, -16.6, 1e-4),
+    ],
 )
 def test_a_turned_mount_is_no_other_calibration(x_px, y_px, sigma_tilt):
     """Turned by 30 to 52 px, within its sigma or not: beside it a principal point moves by 25."""
@@ -416,7 +469,16 @@ def test_what_tie_points_hardly_tell_apart_is_named_together():
 def test_a_camera_may_be_called_like_a_mount():
     """Where orientations are stated and no mounts, a focal length still belongs to its camera."""
     mission = replace(make(3), mounts={})
-    mistake = SimpleNamespace(code="TIES-FOCAL", camera="wing-mount", subject=("", ""))
+    mistake = SimpleNamespace(
+        code="TIES-FOCAL",
+        camera="wing-mount",
+        subject=("", ""),
+    )
     reading = SimpleNamespace(intersected=lambda _: SimpleNamespace(sigma_factor=1.0))
-    best = SimpleNamespace(hypothesis=mistake, reading=reading, gain=50.0, text="it is so")
+    best = SimpleNamespace(
+        hypothesis=mistake,
+        reading=reading,
+        gain=50.0,
+        text="it is so",
+    )
     assert finding_of(mission, [best]).key == "cameras.wing-mount"

@@ -126,7 +126,11 @@ def test_the_likelihood_ratio_of_a_mount_angle_is_honest():
 
 
 def test_a_turned_camera_is_found_and_mended():
-    block = simulate_block(7, cameras=(0.0, 0.5), points=900)
+    block = simulate_block(
+        7,
+        cameras=(0.0, 0.5),
+        points=900,
+    )
     wrong = block.orientations.turned(np.array([0.004, -0.012, 0.01]), "camera1")
     points = intersect(wrong, block.rays)
     turn, covariance = points.camera_rotation("camera1")
@@ -160,7 +164,11 @@ def test_images_without_an_event_have_no_residuals():
 def scaled(rays: ImageRays, factor: float) -> ImageRays:
     """The rays of a camera whose principal distance is larger by a factor, from the same pixels."""
     direction = unit(rays.direction / [factor, factor, 1.0])
-    return replace(rays, direction=direction, sigma_rad=rays.sigma_rad / factor)
+    return replace(
+        rays,
+        direction=direction,
+        sigma_rad=rays.sigma_rad / factor,
+    )
 
 
 def test_given_heights_tell_the_principal_distance():
@@ -200,7 +208,11 @@ def test_bad_tie_points_are_found_and_cost_little():
 
 def test_sigmas_that_are_too_small_do_not_feign_certainty():
     honest = simulate_block(9)
-    feigned = replace(honest, sigma=honest.sigma / 3.0, pixel_rad=honest.pixel_rad / 3.0)
+    feigned = replace(
+        honest,
+        sigma=honest.sigma / 3.0,
+        pixel_rad=honest.pixel_rad / 3.0,
+    )
 
     def log_ratio(block: Block) -> float:
         return abs(intersected(block).log_likelihood - turned_log_likelihood(block, 0.002))
@@ -250,7 +262,12 @@ def test_points_without_a_height_say_why():
     direction[rows] = direction[rows[0]]
     direction[np.argmax(block.point == of_apart)] += [0.0, 0.2, 0.0]
     kept = np.append(0, np.flatnonzero(block.point != of_few))
-    rays = ImageRays(image[kept], block.point[kept], unit(direction)[kept], 1e-4)
+    rays = ImageRays(
+        image[kept],
+        block.point[kept],
+        unit(direction)[kept],
+        1e-4,
+    )
     orientations = replace(block.orientations, sigma=np.full((36, 6), 1e-5))
 
     heights = point_heights(orientations, rays)
@@ -304,7 +321,12 @@ def test_stations_become_orientations():
 @given(strategies.integers(0, 49), strategies.floats(-3.0, 3.0))
 def test_longitude_order_and_names_do_not_matter(seed, longitude):
     """The block carried around the earth, with its rays in another order: the same residuals."""
-    block = simulate_block(seed, lines=2, each=5, points=80)
+    block = simulate_block(
+        seed,
+        lines=2,
+        each=5,
+        points=80,
+    )
     stated = block.orientations
     around = Rotation.from_euler("z", longitude).as_matrix().T
     moved = replace(
@@ -314,7 +336,12 @@ def test_longitude_order_and_names_do_not_matter(seed, longitude):
         enu_from_ecef=stated.enu_from_ecef @ around,
     )
     order = np.random.default_rng(seed).permutation(block.image.size)
-    reordered = ImageRays(block.image[order], 7 * block.point[order], block.direction[order], 1e-4)
+    reordered = ImageRays(
+        block.image[order],
+        7 * block.point[order],
+        block.direction[order],
+        1e-4,
+    )
 
     points = intersected(block)
     other = intersect(moved, reordered)
@@ -325,7 +352,12 @@ def test_longitude_order_and_names_do_not_matter(seed, longitude):
 
 
 def test_nothing_oriented_is_no_intersection():
-    block = simulate_block(2, lines=1, each=4, points=50)
+    block = simulate_block(
+        2,
+        lines=1,
+        each=4,
+        points=50,
+    )
     points = intersect(block.orientations.assigned(np.full(4, -1)), block.rays)
     assert not points.used.any()
     assert np.isfinite(points.log_likelihood)
@@ -340,7 +372,12 @@ def test_the_square_of_an_attitudes_error_counts_to_the_sigma_of_a_ray():
     sigma_rad = 0.2
     turn = np.random.default_rng(3).normal(0.0, sigma_rad, (200_000, 3))
     to_the_side = 0.5 * turn[:, 2:] * turn[:, :2]  # of a ray along z
-    block = simulate_block(0, lines=1, each=6, points=20)
+    block = simulate_block(
+        0,
+        lines=1,
+        each=6,
+        points=20,
+    )
     sigma = block.sigma.copy()
     sigma[:, 3:] = sigma_rad
     oriented = replace(block.orientations, sigma=sigma)

@@ -45,7 +45,13 @@ def stations_at(enu: np.ndarray) -> Stations:
     lat, lon, h = geodetic(enu).T
     names = image_names(*(f"{number:02d}.jpg" for number in range(len(enu))))
     made = empty_stations(names, names, STATION_OK)
-    return replace(made, lat_rad=lat, lon_rad=lon, h_ellipsoid_m=h, h_msl_m=h - 47.0)
+    return replace(
+        made,
+        lat_rad=lat,
+        lon_rad=lon,
+        h_ellipsoid_m=h,
+        h_msl_m=h - 47.0,
+    )
 
 
 def messages(
@@ -152,9 +158,20 @@ def test_a_frame_that_nothing_confirms_says_so():
 
 
 def test_positions_belong_to_images_by_name():
-    places = KnownPlaces("x", image_names("b", "a"), np.arange(6.0).reshape(2, 3))
+    places = KnownPlaces(
+        "x",
+        image_names("b", "a"),
+        np.arange(6.0).reshape(2, 3),
+    )
     rows = places.rows_of(image_names("a", "c", "b"))
-    np.testing.assert_array_equal(rows, [[3, 4, 5], [np.nan] * 3, [0, 1, 2]])
+    np.testing.assert_array_equal(
+        rows,
+        [
+            [3, 4, 5],
+            [np.nan] * 3,
+            [0, 1, 2],
+        ],
+    )
 
 
 SOUND = PlaceComparison(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.flight.made_channels import counted, image_names, instants
+from tests.flight.made_channels import counted, image_names
 from tests.helpers import refused
 from unbend.block.oriented_images import (
     CartesianFrame,
@@ -115,36 +115,35 @@ def test_what_is_not_known_says_so():
 
 def test_the_aircraft_carries_the_camera():
     """It flies east; the camera looks 30 deg left, 2 m behind, and lower."""
-    flying_east = quaternion_of_rpy(np.radians([[0.0, 0.0, 90.0]]), np.eye(3))
-    image = OrientedImages(
-        image=image_names("i0"),
-        camera=image_names("nadir"),
-        time_ns=instants(2),
-        lat_rad=np.array([LAT]),
-        lon_rad=np.array([LON]),
-        h_m=np.array([3000.0]),
-        is_msl=True,
-        quaternion=flying_east,
+    east_rad = np.radians([[0.0, 0.0, 90.0]] * COUNT)
+    images = replace(
+        block(),
+        quaternion=quaternion_of_rpy(east_rad, np.eye(3)),
         of_body=True,
-        sigmas={"sigma_height_m": np.array([0.1])},
+        sigmas={"sigma_height_m": np.full(COUNT, 0.1)},
     )
-    mount = Mount(roll_rad=np.radians(30.0), lever_arm_m=(-2.0, 0.0, 1.5))
+    mount = Mount(
+        roll_rad=np.radians(30.0),
+        lever_arm_m=(-2.0, 0.0, 1.5),
+    )
 
-    of_body, _ = stations(image, mount)
+    of_body = stations_of_images(images, {"nadir": mount}, HeightSystem())
     # The camera's own attitude, from another table, gives the aircraft's back.
-    own = replace(image, quaternion=of_body.quaternion, of_body=False)
-    of_camera, _ = stations(own, mount)
+    of_cameras = replace(images, quaternion=of_body.quaternion, of_body=False)
+    of_camera = stations_of_images(of_cameras, {"nadir": mount}, HeightSystem())
 
-    optical_axis = matrices_of(of_body.quaternion)[0, 2]  # its left is north
-    assert optical_axis == pytest.approx([0.0, 0.5, -np.sqrt(0.75)], abs=1e-12)
-    assert (of_body.lon_rad[0] - LON) * PARALLEL_M == pytest.approx(-2.0, abs=0.01)
-    assert of_body.h_msl_m[0] == pytest.approx(2998.5, abs=1e-6)
-    assert of_body.sigma_height_m.tolist() == [0.1]
+    optical_axes = matrices_of(of_body.quaternion)[:, 2].T  # its left is north
+    for component, expected in zip(optical_axes, [0.0, 0.5, -np.sqrt(0.75)], strict=True):
+        assert component == pytest.approx(expected, abs=1e-12)
+    behind_m = (of_body.lon_rad - images.lon_rad) * PARALLEL_M
+    assert behind_m == pytest.approx(-2.0, abs=0.01)
+    assert of_body.h_msl_m == pytest.approx(2998.5, abs=1e-6)
+    assert (of_body.sigma_height_m == 0.1).all()
     for made in (of_body, of_camera):
-        body_rpy = rpy_of_quaternion(made.aircraft_quaternion, np.eye(3))[0]
-        assert np.degrees(body_rpy) == pytest.approx([0.0, 0.0, 90.0], abs=1e-10)
+        body_rpy = rpy_of_quaternion(made.aircraft_quaternion, np.eye(3))
+        assert body_rpy == pytest.approx(east_rad, abs=1e-11)
     assert of_camera.quaternion.tolist() == of_body.quaternion.tolist()
-    assert of_camera.h_msl_m.tolist() == [3000.0]
+    assert (of_camera.h_msl_m == 3000.0).all()
 
 
 Y_UP_Z_BACK = np.diag([1.0, -1.0, -1.0])
@@ -376,7 +375,10 @@ def test_a_line_with_metres_of_wobble_is_refused():
 
 @pytest.mark.parametrize(
     "xyz",
-    [model(0.5), 5.0 + np.outer(np.arange(COUNT), [1.0, 2.0, 3.0])],
+    [
+        model(0.5),
+        5.0 + np.outer(np.arange(COUNT), [1.0, 2.0, 3.0]),
+    ],
     ids=["known positions of one line", "images on one line"],
 )
 def test_positions_on_one_line_are_refused(xyz):

@@ -7,7 +7,7 @@ it for too long. What it logs (position, velocity, tilt, innovation ratio, texts
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -42,12 +42,10 @@ class Fault:
     begin_ns: int
     end_ns: int
     size_m: float
-    detail: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         length_s = (self.end_ns - self.begin_ns) / NS_PER_S
-        more = "".join(f", {name} {value:.3g}" for name, value in self.detail.items())
-        return f"{self.kind} of {self.size_m:.0f} m for {length_s:.0f} s{more}"
+        return f"{self.kind} of {self.size_m:.0f} m for {length_s:.0f} s"
 
     def holds(self, time_ns: np.ndarray) -> np.ndarray:
         """(n,) at which times."""
@@ -62,7 +60,11 @@ def displaced(channel: Channel, north_east_m: np.ndarray) -> Channel:
     return with_columns(channel, lat_rad=lat + north, lon_rad=lon)
 
 
-def added(channel: Channel, amount: np.ndarray, *names: str) -> Channel:
+def added(
+    channel: Channel,
+    amount: np.ndarray,
+    *names: str,
+) -> Channel:
     """The channel with an amount added to those of the columns that it has."""
     columns = {name: channel[name] + amount for name in names if name in channel.columns}
     return with_columns(channel, **columns)
@@ -173,7 +175,10 @@ def says(channels: Channels, *texts: tuple[int, str]) -> None:
 
 
 def inject(
-    good: Channels, kind: str, around_ns: int, rng: np.random.Generator
+    good: Channels,
+    kind: str,
+    around_ns: int,
+    rng: np.random.Generator,
 ) -> tuple[Channels, Fault]:
     """The channels of a log with one fault of a kind that contains an instant."""
     channels = dict(good)
@@ -193,7 +198,6 @@ def inject(
         up_m = rng.choice([-1.0, 1.0]) * fault.size_m * inside
         channels["GPS[0]"] = added(gps, up_m, *OF_RECEIVER)
         return channels, fault
-    fault.detail["receivers"] = 1 + has_two
     azimuth = rng.uniform(0.0, 2.0 * np.pi)
     north = np.cos(azimuth)
     east = np.sin(azimuth)
@@ -201,10 +205,10 @@ def inject(
     amount_m = fault.size_m * inside
     up_m = rng.uniform(-0.6, 0.6) * amount_m
     if kind == "drift":
-        amount_m = drift_m(fault, gps.time_ns, rng) * inside
+        speed_m_s = float(rng.uniform(1.0, 3.0)) * inside
+        amount_m = speed_m_s * drift_s(fault, gps.time_ns, rng)
         up_m = 0.3 * amount_m
         if rng.random() < 0.5:  # the Doppler velocity is led away too
-            speed_m_s = fault.detail["m/s"] * inside
             gps = added(gps, speed_m_s * north, "v_north_m_s")
             gps = added(gps, speed_m_s * east, "v_east_m_s")
     error_m = amount_m[:, None] * direction
@@ -234,7 +238,6 @@ def inject(
         bias_m_s2=float(rng.uniform(0.02, 0.15)),
         heading=rng.uniform(0.0, 2.0 * np.pi),
     )
-    fault.detail["bias"] = model.bias_m_s2
     errors = model.errors(channels["POS"].time_ns)
     log_errors(channels, errors, azimuth)
     if kind == "dead reckoning":
@@ -244,13 +247,16 @@ def inject(
     return channels, fault
 
 
-def drift_m(fault: Fault, time_ns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """How far a receiver is led away, of which it returns as slowly as it went, or by a step."""
-    fault.detail["m/s"] = float(rng.uniform(1.0, 3.0))
+def drift_s(
+    fault: Fault,
+    time_ns: np.ndarray,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """For how long a receiver is led away; it returns as slowly as it went, or by a step."""
     elapsed_ns = time_ns - fault.begin_ns
     if rng.random() < 0.5:
         elapsed_ns = np.minimum(elapsed_ns, fault.end_ns - time_ns)
-    return fault.detail["m/s"] * elapsed_ns / NS_PER_S
+    return elapsed_ns / NS_PER_S
 
 
 def log_errors(channels: Channels, errors: FilterErrors, azimuth: float) -> None:
@@ -295,11 +301,20 @@ def go_over_to_dcm(
     channels["ATT"] = with_columns(att, **columns)
 
 
-def wind_up(channels: Channels, fault: Fault, rng: np.random.Generator) -> None:
+def wind_up(
+    channels: Channels,
+    fault: Fault,
+    rng: np.random.Generator,
+) -> None:
     """A barometer whose pressure creeps away and back, and the filter's height with it."""
     ramp_ns = round(rng.uniform(20.0, 120.0) * NS_PER_S)
     fault.size_m = float(rng.uniform(15.0, 60.0)) * rng.choice([-1.0, 1.0])
-    corners_ns = [fault.begin_ns - ramp_ns, fault.begin_ns, fault.end_ns, fault.end_ns + ramp_ns]
+    corners_ns = [
+        fault.begin_ns - ramp_ns,
+        fault.begin_ns,
+        fault.end_ns,
+        fault.end_ns + ramp_ns,
+    ]
     fault.begin_ns -= ramp_ns
     fault.end_ns += ramp_ns
 
@@ -307,7 +322,6 @@ def wind_up(channels: Channels, fault: Fault, rng: np.random.Generator) -> None:
         return np.interp(channel.time_ns, corners_ns, [0.0, fault.size_m, fault.size_m, 0.0])
 
     names = ["BARO[0]", "BARO[1]"] if rng.random() < 0.4 else ["BARO[0]"]  # on one static line
-    fault.detail["barometers"] = len(names)
     for name in names:
         baro = channels[name]
         pressure_pa = baro["pressure_pa"] * np.exp(-climb_m(baro) / 8000.0)

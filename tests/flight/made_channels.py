@@ -86,7 +86,12 @@ def texts(name: str, *lines: tuple[float, str]) -> Channel:
 def quaternion_columns(attitude: Rotation) -> dict[str, np.ndarray]:
     """Columns of attitudes, which turn the body into north, east, down."""
     w, x, y, z = attitude.as_quat(scalar_first=True).T
-    return {"q_w": w, "q_x": x, "q_y": y, "q_z": z}
+    return {
+        "q_w": w,
+        "q_x": x,
+        "q_y": y,
+        "q_z": z,
+    }
 
 
 def turned_channel(

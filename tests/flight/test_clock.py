@@ -59,7 +59,14 @@ def test_gps_milliseconds_are_exact():
     assert (utc_ns - begin_ns).tolist() == (milliseconds * 1_000_000).tolist()
 
 
-@pytest.mark.parametrize(("week", "rollovers"), [(1300, 1), (2300, 2), (1500, -1)])
+@pytest.mark.parametrize(
+    ("week", "rollovers"),
+    [
+        (1300, 1),
+        (2300, 2),
+        (1500, -1),
+    ],
+)
 def test_weeks_that_have_rolled_over_take_the_leap_seconds_of_their_date(week, rollovers):
     early_ns = utc_of_gps([week - 1024 * rollovers], [5.5])
     full_ns = later_by_rollovers(early_ns, rollovers, from_gps_week=True)
@@ -92,7 +99,13 @@ def test_stray_stamps_at_any_place(rows, off_s):
 
 
 def test_a_boot_and_a_gap_are_not_stray():
-    seconds = np.concatenate([np.arange(50), 628 + np.arange(50), np.arange(50)])
+    seconds = np.concatenate(
+        [
+            np.arange(50),
+            628 + np.arange(50),
+            np.arange(50),
+        ]
+    )
     assert not stray_times(seconds * NS_PER_S).any()
 
 
@@ -173,9 +186,17 @@ def test_new_readings_are_no_repeats_of_a_slow_receiver():
     ("readings_s", "asked_s", "mapped_s"),
     [
         # a drifting clock is followed, and its drift is not extrapolated
-        ([0, 11, 20], [-5, 0, 5, 10, 15, 20, 30], [-5, 0, 5.5, 11, 15.5, 20, 30]),
+        (
+            [0, 11, 20],
+            [-5, 0, 5, 10, 15, 20, 30],
+            [-5, 0, 5.5, 11, 15.5, 20, 30],
+        ),
         # a reading that falls back is raised to the one before
-        ([0, 11, 9], [5, 15, 20, 30], [5.5, 11, 11, 21]),
+        (
+            [0, 11, 9],
+            [5, 15, 20, 30],
+            [5.5, 11, 11, 21],
+        ),
     ],
 )
 def test_a_clock_map_goes_through_its_readings_and_never_back(readings_s, asked_s, mapped_s):

@@ -58,13 +58,21 @@ def flight(climb_m: float = 1000.0, way_m: float = 3000.0) -> dict[str, Channel]
     }
 
 
-def stuck(roles: dict[str, Channel], role: str, **values: float) -> dict[str, Channel]:
+def stuck(
+    roles: dict[str, Channel],
+    role: str,
+    **values: float,
+) -> dict[str, Channel]:
     """The roles, of which columns of one never change."""
     columns = {name: np.full(400, value) for name, value in values.items()}
     return roles | {role: with_columns(roles[role], **columns)}
 
 
-@pytest.mark.parametrize("roles", [flight(), {}], ids=["a flight", "an empty log"])
+@pytest.mark.parametrize(
+    "roles",
+    [flight(), {}],
+    ids=["a flight", "an empty log"],
+)
 def test_a_sound_flight_has_none(roles):
     assert constant_sensors(roles) == ()
 
@@ -125,7 +133,12 @@ def test_whether_a_flight_moved(climb_m, way_m, is_found):
 
 
 def test_a_position_that_never_changes_while_the_pressure_does():
-    roles = stuck(flight(way_m=0.0), "position", lat_rad=0.8, lon_rad=0.2)
+    roles = stuck(
+        flight(way_m=0.0),
+        "position",
+        lat_rad=0.8,
+        lon_rad=0.2,
+    )
     assert [finding.where for finding in constant_sensors(roles)] == ["GPS", "GPS"]
 
 

@@ -37,7 +37,11 @@ LAG_S = 0.12  # of the receiver behind the filter
 LATITUDE = np.radians(47.0)
 LONGITUDE = np.radians(11.0)
 PARALLEL_M = EARTH_M * np.cos(LATITUDE)
-VELOCITY = {"v_north_m_s": 0.0, "v_east_m_s": SPEED_M_S, "v_down_m_s": -CLIMB_M_S}
+VELOCITY = {
+    "v_north_m_s": 0.0,
+    "v_east_m_s": SPEED_M_S,
+    "v_down_m_s": -CLIMB_M_S,
+}
 T10 = np.arange(0.0, 300.0, 0.1)
 T5 = np.arange(0.05, 299.0, 0.2)
 
@@ -88,7 +92,12 @@ def placed(
 
 
 def receiver(name: str = "GPS[0]", **changes: object) -> Channel:
-    usual = {"lag_s": LAG_S, "sigma_h_m": 0.5, "sigma_v_m": 0.8, "seed": 2}
+    usual = {
+        "lag_s": LAG_S,
+        "sigma_h_m": 0.5,
+        "sigma_v_m": 0.8,
+        "seed": 2,
+    }
     return placed(name, T5, "height", "position", **usual | changes)
 
 
@@ -188,7 +197,10 @@ def test_a_second_receiver_that_stays_replaces_position_and_its_sigma():
 
 def test_a_receiver_that_is_the_position_is_replaced_by_the_filter():
     pos = placed("POS", T10, "position")
-    gps = receiver(north=glitch(40.0), up=glitch(30.0))
+    gps = receiver(
+        north=glitch(40.0),
+        up=glitch(30.0),
+    )
 
     examined = Examined(*examine([pos, gps], {"position": gps, "height": gps}))
 
@@ -237,13 +249,20 @@ def test_a_second_receiver_shows_a_slow_drift_that_nothing_else_shows():
 
 @pytest.mark.parametrize(
     "error",
-    [step(60.0, 40.0), drift([60.0, 90.0], [0.0, 40.0])],
+    [
+        step(60.0, 40.0),
+        drift([60.0, 90.0], [0.0, 40.0]),
+    ],
     ids=["step", "drift"],
 )
 def test_a_fault_longer_than_half_a_flight_is_seen_by_a_second_receiver(error):
     """Nothing agrees with the first receiver afterwards."""
     gps = receiver(north=error, up=error)
-    examined = examined_flight(second_receiver(lag_s=0.2), gps=gps, north=error)
+    examined = examined_flight(
+        second_receiver(lag_s=0.2),
+        gps=gps,
+        north=error,
+    )
     assert set(examined.replaced) == {("position", ""), ("height", "")}
     for quantity in (POSITION, HEIGHT):
         assert examined.suspects(quantity, T5[T5 > 75.0]).all()

@@ -22,7 +22,11 @@ FLOWN_S = np.arange(0.0, 120.0, 0.1)
 SHOT_S = np.arange(10.0, 110.0, 5.0)
 
 
-def columns_at(seconds: np.ndarray, north_m: float = 0.0, **changed: object) -> dict[str, object]:
+def columns_at(
+    seconds: np.ndarray,
+    north_m: float = 0.0,
+    **changed: object,
+) -> dict[str, object]:
     """Level flight to the east at 40 m/s, 450 m above the sea at the take-off, 1,450 m now."""
     return {
         "lat_rad": LATITUDE + north_m / EARTH_M,
@@ -39,18 +43,33 @@ def columns_at(seconds: np.ndarray, north_m: float = 0.0, **changed: object) -> 
 
 FLOWN = columns_at(FLOWN_S)
 POS = channel("POS", FLOWN_S, "position", **FLOWN)
-GPS = channel("GPS", FLOWN_S, "height", "position", **FLOWN, sigma_h_m=0.5, sigma_v_m=0.8)
+GPS = channel(
+    "GPS",
+    FLOWN_S,
+    "height",
+    "position",
+    **FLOWN,
+    sigma_h_m=0.5,
+    sigma_v_m=0.8,
+)
 ATT = channel("ATT", FLOWN_S, "attitude", **FLOWN)
 ROLES = {"position": POS, "height": GPS, "attitude": ATT}
 BY_GPS = {"position": GPS, "height": GPS, "attitude": ATT}
 
 
-def shots(logged: dict[str, object], kind: str = "CAM", seconds: np.ndarray = SHOT_S) -> Channel:
+def shots(
+    logged: dict[str, object],
+    kind: str = "CAM",
+    seconds: np.ndarray = SHOT_S,
+) -> Channel:
     return channel(f"{kind}[0]", seconds, "events", event_index=seconds, **logged)
 
 
 def findings(
-    events: Channel, roles: dict[str, Channel] = ROLES, delay_s: float = 0.0, **changes: object
+    events: Channel,
+    roles: dict[str, Channel] = ROLES,
+    delay_s: float = 0.0,
+    **changes: object,
 ) -> list[Message]:
     evidence = ExposureEvidence(
         channel=events,
@@ -114,7 +133,10 @@ def test_heights_above_a_take_off_that_the_receiver_does_not_know(flown_m, logge
     gps = with_columns(without_columns(GPS, "h_home_m"), h_msl_m=flown_m)
     roles = {"position": gps, "height": gps}
     columns = columns_at(SHOT_S)
-    place = {"lat_rad": columns["lat_rad"], "lon_rad": columns["lon_rad"]}
+    place = {
+        "lat_rad": columns["lat_rad"],
+        "lon_rad": columns["lon_rad"],
+    }
     assert findings(shots(place | logged), roles) == []
     assert findings(shots(place | {"h_msl_m": 2000.0, "h_home_m": 1200.0}), roles) != []
 
@@ -162,7 +184,11 @@ def test_places_that_may_be_so_far_apart(north_m, changes):
 
 
 @pytest.mark.parametrize(
-    ("logged", "says"), [({"h_msl_m": 1600.0}, "h_msl_m"), ({"h_gnss_m": 1600.0}, "GPS")]
+    ("logged", "says"),
+    [
+        ({"h_msl_m": 1600.0}, "h_msl_m"),
+        ({"h_gnss_m": 1600.0}, "GPS"),
+    ],
 )
 def test_heights_of_another_flight_are_a_finding(logged, says):
     (finding,) = findings(shots(columns_at(SHOT_S, **logged)))
@@ -184,6 +210,10 @@ def test_a_filter_with_a_barometer_may_be_apart_from_a_receiver():
 )
 def test_attitudes_of_the_aircraft_are_compared_and_those_of_cameras_are_not(kind, is_of_aircraft):
     half_rad = np.radians(20.0) / 2.0
-    tilted = columns_at(SHOT_S, q_w=np.cos(half_rad), q_x=np.sin(half_rad))
+    tilted = columns_at(
+        SHOT_S,
+        q_w=np.cos(half_rad),
+        q_x=np.sin(half_rad),
+    )
     off_deg = [finding.values["off_deg"] for finding in findings(shots(tilted, kind))]
     assert off_deg == [pytest.approx(20.0, abs=0.1)] * is_of_aircraft

@@ -56,7 +56,7 @@ def test_a_positive_delay_makes_events_later(delay_s):
     [
         ("IMG_{index:03d}", ["IMG_007", "IMG_008", "IMG_010"]),
         ("{n:02d}_{index}", ["01_7", "02_8", "03_10"]),
-        ("left/*", ["", "", ""]),  # which only the images know
+        ("left/*", ["", "", ""]),  # which only the images know,
     ],
 )
 def test_images_are_named_by_a_pattern(pattern, names):
@@ -95,7 +95,15 @@ def test_numbers_that_the_log_skips_are_lost_events(index, missing, says):
 
 
 def test_numbers_begin_anew_with_each_boot():
-    logged = shots(0, 1, 3, 7, 9, 10, boot=[0, 0, 0, 1, 1, 1])
+    logged = shots(
+        0,
+        1,
+        3,
+        7,
+        9,
+        10,
+        boot=[0, 0, 0, 1, 1, 1],
+    )
     _, losses = events_of_channel(logged, "cam", "{n}", AT_ONCE)
     assert [(loss.where, loss.count) for loss in losses] == [
         ("CAM[0], boot 0", 1),
@@ -105,7 +113,12 @@ def test_numbers_begin_anew_with_each_boot():
 
 def test_numbers_are_kept_where_they_rise():
     rising, _ = events_of_channel(shots(1, 2, 5), "cam", "{n}", AT_ONCE)
-    begun_anew, _ = events_of_channel(shots(3, 4, 0, 1, boot=[0, 0, 1, 1]), "cam", "{n}", AT_ONCE)
+    begun_anew, _ = events_of_channel(
+        shots(3, 4, 0, 1, boot=[0, 0, 1, 1]),
+        "cam",
+        "{n}",
+        AT_ONCE,
+    )
     assert rising.index.tolist() == [1, 2, 5]
     assert begun_anew.index is None
 

@@ -39,7 +39,13 @@ def attitude(message: str, *yaw_pitch_roll_deg: float) -> Channel:
 
 def camera_axes(gimbal: Channel, mount: Mount) -> np.ndarray:
     """Optical axis and top of the image of a camera, as rows of east, north, up."""
-    position = channel("POS", [0, 9], lat_rad=0.82, lon_rad=0.14, h_msl_m=1000.0)
+    position = channel(
+        "POS",
+        [0, 9],
+        lat_rad=0.82,
+        lon_rad=0.14,
+        h_msl_m=1000.0,
+    )
     roles = {"position": position, "height": position, "attitude": gimbal}
     exposure = Events("cam", image_names("a"), instants(1.8))
     station = build_stations(exposure, roles, mount, HeightSystem(), 10.0)
@@ -54,7 +60,13 @@ HALF = math.sqrt(0.5)
 # right, by half angles, as MAVLink has them.
 PITCH = math.radians(-45.0)
 YAW = math.radians(4.0)
-FORWARD_DOWN = np.array([math.sin(YAW) * HALF, math.cos(YAW) * HALF, -HALF])
+FORWARD_DOWN = np.array(
+    [
+        math.sin(YAW) * HALF,
+        math.cos(YAW) * HALF,
+        -HALF,
+    ]
+)
 FORWARD_UP = FORWARD_DOWN * [1.0, 1.0, -1.0]
 GIMBAL = {
     "q_w": math.cos(PITCH / 2) * math.cos(YAW / 2),
@@ -83,7 +95,11 @@ TO_NOSE = {f"gimbal_{name}": value for name, value in GIMBAL.items()}
 NOSE_ANGLES = {"gimbal_roll_rad": 0.0, "gimbal_pitch_rad": PITCH, "gimbal_yaw_rad": YAW}
 
 
-@pytest.mark.parametrize("columns", [NOSE_ANGLES, TO_NOSE | UNKNOWN], ids=["angles", "quaternion"])
+@pytest.mark.parametrize(
+    "columns",
+    [NOSE_ANGLES, TO_NOSE | UNKNOWN],
+    ids=["angles", "quaternion"],
+)
 def test_yaw_from_the_nose_is_turned_by_the_aircraft_s(columns):
     """The aircraft flies east, banks 20 deg and climbs: the payload looks to 94 deg and 45 down."""
     gimbal = channel("MOUNT_STATUS", SECONDS[1:] - 0.3, **columns)
@@ -157,7 +173,7 @@ def pitched(degrees: float) -> Mount:
         (-30.0, pitched(60.0), "note", 30, 30),
         (-30.0, pitched(120.0), "note", 30, 90),
         (-30.0, pitched(44.0), "warning", 46, 14),
-        (-80.0, Mount(roll_rad=-math.pi / 2), "warning", 90, 90),  # to the right
+        (-80.0, Mount(roll_rad=-math.pi / 2), "warning", 90, 90),  # to the right,
     ],
 )
 def test_where_each_camera_looks_is_told(pitch_deg, mount, kind, away, nadir):
@@ -214,7 +230,20 @@ def test_a_mission_is_told_of_its_gimbal(mission, unbend):
     definition = (99, 3 + struct.calcsize(MNT), b"MNT", b"QBfffffffff", MNT_COLUMNS)
     data = mission.log.read_bytes() + b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", *definition)
     for time_us in open_log(mission.log).message("ATT")["TimeUS"].tolist():
-        data += b"\xa3\x95\x63" + struct.pack(MNT, time_us, 0, 0, 0, 0, -45, 0, 4, 0, 4, 0)
+        data += b"\xa3\x95\x63" + struct.pack(
+            MNT,
+            time_us,
+            0,
+            0,
+            0,
+            0,
+            -45,
+            0,
+            4,
+            0,
+            4,
+            0,
+        )
     mission.log.write_bytes(data)
 
     of_aircraft = unbend("check", mission.save()).text
@@ -231,7 +260,10 @@ def test_a_mission_is_told_of_its_gimbal(mission, unbend):
 
 @pytest.mark.parametrize(
     ("ids", "names"),
-    [([1, 1], ["/gimbal"]), ([1, 2], ["/gimbal[1]", "/gimbal[2]"])],
+    [
+        ([1, 1], ["/gimbal"]),
+        ([1, 2], ["/gimbal[1]", "/gimbal[2]"]),
+    ],
     ids=["one gimbal", "two gimbals"],
 )
 def test_the_number_of_a_gimbal_names_a_channel_only_where_there_are_several(tmp_path, ids, names):

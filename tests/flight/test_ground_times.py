@@ -34,7 +34,13 @@ def test_a_log_without_one_home_proposes_where_it_begins():
     seconds = np.arange(600)
     h_msl_m = 400.0 + np.clip(seconds - 60, 0, 100)
     home_m = np.where(seconds < 300, 400.0, 430.0)
-    gps = channel("GPS", seconds, **PLACE, h_msl_m=h_msl_m, h_home_m=h_msl_m - home_m)
+    gps = channel(
+        "GPS",
+        seconds,
+        **PLACE,
+        h_msl_m=h_msl_m,
+        h_home_m=h_msl_m - home_m,
+    )
     roles = {"position": gps, "height": gps}
 
     system, (note,) = height_system(roles, None)
@@ -88,7 +94,10 @@ FLYING = channel("STAT", [0], flying=1.0)
     [
         (hover(h_home_m=500.0), []),
         (hover(), [channel("vehicle_land_detected", [0], landed=0.0)]),
-        (hover(), [channel("EXTENDED_SYS_STATE", [0, 60], landed_state=[2.0, 4.0])]),
+        (
+            hover(),
+            [channel("EXTENDED_SYS_STATE", [0, 60], landed_state=[2.0, 4.0])],
+        ),
         (hover(), [FLYING]),
         (hover(), [channel("home_position", [0], home_h_msl_m=450.0)]),
         (hover(), [texts("EV", (0, "EV NOT_LANDED"))]),
@@ -150,7 +159,14 @@ def test_it_flies_twenty_metres_above_its_takeoff(above_home_m, flies):
 def test_a_height_above_home_reaches_over_gaps_of_five_seconds(gap_s, flies):
     tenths = np.arange(200) / 10.0
     seconds = np.concatenate([tenths, [20.0], 20.0 + gap_s + tenths])
-    position = channel("POS", seconds, "position", **PLACE, h_msl_m=950.0, h_home_m=500.0)
+    position = channel(
+        "POS",
+        seconds,
+        "position",
+        **PLACE,
+        h_msl_m=950.0,
+        h_home_m=500.0,
+    )
     in_gap_ns = instants(20.0 + gap_s / 2.0)
     assert GroundEvidence.of([position]).flies(in_gap_ns).tolist() == [flies]
 
@@ -159,7 +175,14 @@ def ascent() -> Channel:
     """A minute on the ground, a climb of a minute, and level."""
     seconds = np.arange(0.0, 700.0)
     height_m = np.interp(seconds, [60.0, 120.0], [450.0, 950.0])
-    return channel("POS", seconds, "position", "height", **PLACE, h_msl_m=height_m)
+    return channel(
+        "POS",
+        seconds,
+        "position",
+        "height",
+        **PLACE,
+        h_msl_m=height_m,
+    )
 
 
 @pytest.mark.parametrize(

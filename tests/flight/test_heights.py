@@ -81,7 +81,10 @@ def test_an_undulation_that_the_log_contradicts_is_reported(stated_m, kinds):
 
 @pytest.mark.parametrize(
     ("apart_m", "stated_m", "h_ellipsoid_m", "messages"),
-    [(0.0, 48.0, 653.0, 1), (0.001, None, 605.001, 0)],
+    [
+        (0.0, 48.0, 653.0, 1),
+        (0.001, None, 605.001, 0),
+    ],
     ids=["one", "two"],
 )
 def test_two_heights_that_are_one_are_reported_and_one_is_not_used(
@@ -141,7 +144,12 @@ def station(h_ellipsoid_m: float) -> Stations:
 
 
 @pytest.mark.parametrize(
-    ("reference", "offset_m"), [("msl", 0.0), ("ellipsoid", -48.0), ("relative", 430.0)]
+    ("reference", "offset_m"),
+    [
+        ("msl", 0.0),
+        ("ellipsoid", -48.0),
+        ("relative", 430.0),
+    ],
 )
 def test_what_makes_a_ground_height_one_above_the_sea(reference, offset_m):
     heights = HeightSystem(home_h_msl_m=430.0)
@@ -158,7 +166,13 @@ def test_ground_heights_above_what_is_unknown_are_refused(reference, unknown):
 
 
 def test_local_positions_get_a_place():
-    pose = channel("/pose", [0.0, 1.0], east_m=[0, 100], north_m=[0, 200], up_m=[0, 10])
+    pose = channel(
+        "/pose",
+        [0.0, 1.0],
+        east_m=[0, 100],
+        north_m=[0, 200],
+        up_m=[0, 10],
+    )
 
     placed = to_geodetic(pose, GeodeticOrigin(LATITUDE, LONGITUDE, 500.0))
 

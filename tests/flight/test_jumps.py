@@ -31,8 +31,8 @@ def logged(**columns: np.ndarray | float) -> Channel:
     return channel("X", TENTHS, **columns)
 
 
-def rotating(axis: str, angle_deg: np.ndarray) -> Channel:
-    return turned_channel("X", TENTHS, axis, angle_deg[:, None])
+def rotating(axes: str, *angles_deg: np.ndarray) -> Channel:
+    return turned_channel("X", TENTHS, axes, np.transpose(angles_deg))
 
 
 # 60 m/s to the north-east across the date line; a roll at 400 deg/s, as a multirotor does.
@@ -47,10 +47,12 @@ SOUND = {
     "temperature": logged(temperature_k=280.0 - 0.01 * ROW),
     "pressure": logged(pressure_pa=90_000.0 - 12.0 * ROW + NOISE_PA),
 }
-JUMPS = {
-    "position": ("lon_rad", 150.0 / EARTH_M),
-    "temperature": ("temperature_k", -5.5),
-    "pressure": ("pressure_pa", 300.0),
+HALF_TURNS_DEG = np.full(60, 180.0)
+ELSEWHERE = {
+    "position": {"lon_rad": SOUND["position"]["lon_rad"] + 150.0 / EARTH_M},
+    "attitude": rotating("XZ", 400.0 * TENTHS, HALF_TURNS_DEG).columns,
+    "temperature": {"temperature_k": SOUND["temperature"]["temperature_k"] - 5.5},
+    "pressure": {"pressure_pa": SOUND["pressure"]["pressure_pa"] + 300.0},
 }
 
 
@@ -58,16 +60,10 @@ def with_jumps(role: str, rows: list[int]) -> Channel:
     """Sound samples, of which some rows are elsewhere: attitudes by half a turn about down."""
     sound = SOUND[role]
     is_moved = np.isin(ROW, rows)
-    if role != "attitude":
-        column, jump = JUMPS[role]
-        return with_columns(sound, **{column: sound[column] + jump * is_moved})
-    return with_columns(
-        sound,
-        q_w=np.where(is_moved, -sound["q_z"], sound["q_w"]),
-        q_x=np.where(is_moved, sound["q_y"], sound["q_x"]),
-        q_y=np.where(is_moved, -sound["q_x"], sound["q_y"]),
-        q_z=np.where(is_moved, sound["q_w"], sound["q_z"]),
-    )
+    columns = {}
+    for name, values in ELSEWHERE[role].items():
+        columns[name] = np.where(is_moved, values, sound[name])
+    return with_columns(sound, **columns)
 
 
 @pytest.mark.parametrize("role", SOUND)
@@ -297,7 +293,12 @@ def test_each_value_and_sample_that_is_not_used_keeps_its_reason():
     pressure_pa[[5, 20]] = [1.0, 8e4]  # out of range; a jump there and back
     temperature_k = np.full(40, 280.0)
     temperature_k[[20, 30]] = [np.nan, 900.0]
-    log = channel("BARO", np.arange(40), pressure_pa=pressure_pa, temperature_k=temperature_k)
+    log = channel(
+        "BARO",
+        np.arange(40),
+        pressure_pa=pressure_pa,
+        temperature_k=temperature_k,
+    )
 
     masked, _ = mask_impossible_values(log)
 

@@ -42,7 +42,12 @@ def test_the_filters_constants_are_the_steady_state_of_its_default_noises(rate_h
 
 
 def test_a_receiver_of_one_fix_has_that_accuracy_before_and_after_it():
-    receiver = channel("GPS", [10.0], sigma_h_m=1.0, sigma_v_m=1.5)
+    receiver = channel(
+        "GPS",
+        [10.0],
+        sigma_h_m=1.0,
+        sigma_v_m=1.5,
+    )
     sigmas = LogAccuracy(receiver).positions(receiver, instants(9.9, 10.0, 10.1))
     assert sigmas.horizontal_m.tolist() == [1.0] * 3
     assert sigmas.height_m.tolist() == [1.5] * 3
@@ -100,7 +105,11 @@ def test_what_a_log_does_not_say_is_usual_or_unknown(latitude_deg, yaw_deg):
 
 def test_without_an_accuracy_the_dilution_counts_and_without_fixes_the_filter_drifts():
     """0.8 times 3 m; 6 s behind the last fix, which is 5 s more than 1 s, at 2 m/s."""
-    receiver = channel("GPS", [*range(10), *range(30, 40)], hdop=0.8)
+    receiver = channel(
+        "GPS",
+        [*range(10), *range(30, 40)],
+        hdop=0.8,
+    )
     sigmas = LogAccuracy(receiver).positions(FUSED, instants(5.0, 15.0))
 
     level_m = 2.4 / np.sqrt(2.0)
@@ -112,7 +121,12 @@ def test_the_height_of_a_receiver_that_swings_about_the_filter_is_that_uncertain
     seconds = np.arange(0.0, 120.0, 0.2)
     climb_m = 500.0 + 3.0 * seconds
     swing_m = np.where(seconds > 60.0, 0.8 * np.sin(0.63 * seconds), 0.0)
-    receiver = channel("GPS", seconds, sigma_v_m=0.3, h_msl_m=climb_m + swing_m)
+    receiver = channel(
+        "GPS",
+        seconds,
+        sigma_v_m=0.3,
+        h_msl_m=climb_m + swing_m,
+    )
     fused = channel("POS", seconds, h_msl_m=climb_m + 7.0)
 
     sigmas = LogAccuracy(receiver, None, fused).positions(receiver, instants(30.0, 95.0))

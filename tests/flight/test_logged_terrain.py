@@ -19,11 +19,17 @@ NAN = float("nan")
     ("columns", "expected"),
     [
         (
-            {"h_terrain_m": [100.0, 110.0, 0.0, 0.0], "terrain_status": [2, 2, 1, 1]},
+            {
+                "h_terrain_m": [100.0, 110.0, 0.0, 0.0],
+                "terrain_status": [2, 2, 1, 1],
+            },
             [105.0, NAN, NAN],
         ),
         (
-            {"h_terrain_m": [100.0, 110.0, 120.0, 0.0], "terrain_spacing_m": [100, 100, 100, 0]},
+            {
+                "h_terrain_m": [100.0, 110.0, 120.0, 0.0],
+                "terrain_spacing_m": [100, 100, 100, 0],
+            },
             [105.0, 115.0, NAN],
         ),
         ({"h_terrain_m": 0.0, "terrain_spacing_m": 100, "lat_rad": 0.0}, [NAN] * 3),

@@ -67,7 +67,12 @@ def test_a_log_that_begins_in_the_air_has_no_take_off():
 
 def test_the_ground_between_two_flights_is_not_the_air():
     seconds = np.arange(1800.0)
-    gps = channel("GPS", seconds, h_msl_m=np.tile(FLIGHT_HEIGHT_M, 2), **PLACE)
+    gps = channel(
+        "GPS",
+        seconds,
+        h_msl_m=np.tile(FLIGHT_HEIGHT_M, 2),
+        **PLACE,
+    )
     warm = channel("HYGR", seconds, temperature_k=280.0)
 
     samples, _ = samples_of(gps, temperature=warm)

@@ -18,19 +18,43 @@ from unbend.flight.roles import assign_roles, follows_height
 from unbend.messages import Kind
 
 PLACE = {"lat_rad": 0.8, "lon_rad": 0.1}
-LEVEL = {"q_w": 1, "q_x": 0, "q_y": 0, "q_z": 0}
+LEVEL = {
+    "q_w": 1,
+    "q_x": 0,
+    "q_y": 0,
+    "q_z": 0,
+}
 
 
-def sensor(name: str, rank: int, *roles: str, **columns: object) -> Channel:
+def sensor(
+    name: str,
+    rank: int,
+    *roles: str,
+    **columns: object,
+) -> Channel:
     return ranked(name, FLIGHT_S, rank, *roles, **columns)
 
 
 def barometer(name: str, pressure_pa: object, **columns: object) -> Channel:
-    return sensor(name, 10, "pressure", "cabin_pressure", pressure_pa=pressure_pa, **columns)
+    return sensor(
+        name,
+        10,
+        "pressure",
+        "cabin_pressure",
+        pressure_pa=pressure_pa,
+        **columns,
+    )
 
 
 def receiver(name: str, height_m: object) -> Channel:
-    return sensor(name, 20, "height", "position", h_msl_m=height_m, **PLACE)
+    return sensor(
+        name,
+        20,
+        "height",
+        "position",
+        h_msl_m=height_m,
+        **PLACE,
+    )
 
 
 POS = sensor("POS", 10, "position", **PLACE)
@@ -45,9 +69,28 @@ CABIN_HEIGHT_M = np.minimum(FLIGHT_HEIGHT_M, 1200.0)
 CABIN = barometer("BARO[1]", standard_pressure_pa(CABIN_HEIGHT_M))
 SEALED = barometer("BARO[2]", 100_000.0)
 OF_AIR = ("temperature", "humidity", "cabin_temperature", "cabin_humidity")
-OUT = sensor("HYGR[0]", 10, *OF_AIR, temperature_k=280.0, relative_humidity=0.5)
-IN = sensor("HYGR[1]", 10, *OF_AIR, temperature_k=294.0, relative_humidity=0.3)
-ARSP = sensor("ARSP[0]", 30, "temperature", "airspeed", temperature_k=281.0, airspeed_m_s=60)
+OUT = sensor(
+    "HYGR[0]",
+    10,
+    *OF_AIR,
+    temperature_k=280.0,
+    relative_humidity=0.5,
+)
+IN = sensor(
+    "HYGR[1]",
+    10,
+    *OF_AIR,
+    temperature_k=294.0,
+    relative_humidity=0.3,
+)
+ARSP = sensor(
+    "ARSP[0]",
+    30,
+    "temperature",
+    "airspeed",
+    temperature_k=281.0,
+    airspeed_m_s=60,
+)
 FLIGHT = (POS, GPS, ATT)
 IN_IS_INSIDE = {"cabin_temperature": "HYGR[1]", "cabin_humidity": "HYGR[1]"}
 
@@ -55,7 +98,12 @@ IN_IS_INSIDE = {"cabin_temperature": "HYGR[1]", "cabin_humidity": "HYGR[1]"}
 @pytest.mark.parametrize(
     ("others", "cabin", "named", "expected"),
     [
-        ((GPS2, BARO), False, {}, {"position": "POS", "height": "GPS[0]", "attitude": "ATT"}),
+        (
+            (GPS2, BARO),
+            False,
+            {},
+            {"position": "POS", "height": "GPS[0]", "attitude": "ATT"},
+        ),
         ((CABIN, BARO), True, {}, {"pressure": "BARO[0]", "cabin_pressure": "BARO[1]"}),
         ((BARO, CABIN, SEALED), True, {}, {"pressure": "BARO[0]", "cabin_pressure": None}),
         ((OUT, IN, ARSP), False, {}, {"temperature": "ARSP[0]", "humidity": None}),
@@ -130,7 +178,12 @@ def test_a_barometer_inside_is_reported():
 @pytest.mark.parametrize("role", [role for role in ROLE_COLUMNS if role != "events"])
 def test_a_role_that_is_stated_as_null_is_played_by_no_channel(role):
     channels = (*FLIGHT, BARO, CABIN, OUT, ARSP)
-    roles, notes = assign_roles(channels, {}, needs_cabin=True, empty=(role,))
+    roles, notes = assign_roles(
+        channels,
+        {},
+        needs_cabin=True,
+        empty=(role,),
+    )
     assert role not in roles
     (left_empty,) = [note.what for note in notes if "null" in note.what]
     assert left_empty.endswith(f"none, because log.channels.{role} is null")
@@ -206,7 +259,12 @@ def test_whether_a_pressure_follows_the_height_as_free_air_does(channel, height,
 
 def test_heights_above_sea_level_come_before_those_above_the_ellipsoid():
     both = sensor("GPS", 1, h_msl_m=500.0, h_ellipsoid_m=547.0)
-    unknown = sensor("GPS", 1, h_msl_m=np.nan, h_ellipsoid_m=547.0)
+    unknown = sensor(
+        "GPS",
+        1,
+        h_msl_m=np.nan,
+        h_ellipsoid_m=547.0,
+    )
     assert both.height_column == "h_msl_m"
     assert unknown.height_column == "h_ellipsoid_m"
     assert OUT.height_column is None

@@ -128,7 +128,11 @@ def test_angles_come_back(order):
     opk = opk_of_quaternion(quaternion, order)
     assert opk == pytest.approx(angles, abs=1e-9, nan_ok=True)
     rpy = rpy_of_quaternion(quaternion_of_rpy(angles[:, ::-1]))
-    assert rpy == pytest.approx(angles[:, ::-1], abs=1e-9, nan_ok=True)
+    assert rpy == pytest.approx(
+        angles[:, ::-1],
+        abs=1e-9,
+        nan_ok=True,
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ the GPS week and milliseconds of fixes, whose places are compared with the simul
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import permutations, product
 
 import numpy as np
@@ -71,7 +72,11 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def assert_honest(error: np.ndarray, sigma: np.ndarray, quantity: str) -> None:
+def assert_honest(
+    error: np.ndarray,
+    sigma: np.ndarray,
+    quantity: str,
+) -> None:
     """Error over sigma: rms 0.7 to 1.2; the median sigma is at most twice the rms error."""
     assert 0.7 < rms(error / sigma) < 1.2, quantity
     assert np.median(sigma) < 2.0 * rms(error), quantity
@@ -151,23 +156,22 @@ def true_offset_ns(log: Log) -> int:
     fix = log.message("GPS")
     place = log.message("SIM")
     motion = log.message("SIM2")
-    is_new = np.append(True, np.diff(fix["GMS"].astype(np.int64)) != 0)
+    is_new = np.diff(fix["GMS"].astype(np.int64), prepend=-1) != 0
     is_good = (fix["Status"] >= 3) & (fix["Spd"] > 10.0)
     rows = np.flatnonzero(is_new & is_good)
     boot_us = fix["TimeUS"][rows]
+
+    def simulated(message: Mapping[str, np.ndarray], column: str) -> np.ndarray:
+        return np.interp(boot_us, message["TimeUS"], message[column])
+
     degree_m = np.radians(6_376_000.0)
     parallel_m = degree_m * np.cos(np.radians(place["Lat"][0]))
-    along = np.zeros(rows.size)
-    square_speed = np.zeros(rows.size)
-    for axis, velocity, scale_m in (
-        ("Lat", "VN", degree_m),
-        ("Lng", "VE", parallel_m),
-    ):
-        simulated = np.interp(boot_us, place["TimeUS"], place[axis])
-        speed = np.interp(boot_us, motion["TimeUS"], motion[velocity])
-        along += (fix[axis][rows] - simulated) * scale_m * speed
-        square_speed += speed**2
-    late_ns = -NS_PER_S * along / square_speed
+    north_m = (fix["Lat"][rows] - simulated(place, "Lat")) * degree_m
+    east_m = (fix["Lng"][rows] - simulated(place, "Lng")) * parallel_m
+    v_north = simulated(motion, "VN")
+    v_east = simulated(motion, "VE")
+    ahead_s = (north_m * v_north + east_m * v_east) / (v_north**2 + v_east**2)
+    late_ns = -NS_PER_S * ahead_s
     utc_ns = utc_of_gps(fix["GWk"][rows], fix["GMS"][rows] / 1e3)
     offset_ns = utc_ns - boot_us.astype(np.int64) * 1000
     difference_ns = offset_ns - offset_ns[0] + late_ns

@@ -20,7 +20,6 @@ from unbend.flight.evidence.source_differences import (
 from unbend.flight.evidence.sources import (
     SourcePath,
     metres,
-    moves_of,
     source_path,
     velocity_at,
 )
@@ -32,7 +31,11 @@ PLACE = {"lat_rad": 0.8, "lon_rad": 0.2, "h_msl_m": 500.0}
 AT_REST = np.zeros((60, 2))
 
 
-def receiver(name: str, times_s: np.ndarray = TIMES_S, **columns: object) -> Channel:
+def receiver(
+    name: str,
+    times_s: np.ndarray = TIMES_S,
+    **columns: object,
+) -> Channel:
     return channel(name, times_s, "height", "position", **PLACE | columns)
 
 
@@ -54,18 +57,17 @@ def difference_from_rest(other: SourcePath, times_s: np.ndarray = TIMES_S) -> Di
 
 def test_metres_of_a_change_are_shorter_along_a_parallel():
     """1e-5 rad are 63.71 m; at 60 degrees half of it to the east."""
-    change = np.array([[1e-5, 1e-5], [-2e-5, 2.0 * np.pi - 1e-5]])
+    change = np.array(
+        [
+            [1e-5, 1e-5],
+            [-2e-5, 2.0 * np.pi - 1e-5],
+        ]
+    )
 
     moved_m = metres(change, np.full(2, math.pi / 3.0))
 
     expected_m = [[63.71, 31.855], [-127.42, -31.855]]
     np.testing.assert_allclose(moved_m, expected_m, rtol=1e-6)
-
-
-def test_moves_from_sample_to_sample():
-    flown = receiver("A", lat_rad=1.0 + 1e-6 * TIMES_S, h_msl_m=3.0 * TIMES_S)
-    np.testing.assert_allclose(moves_of(flown, HEIGHT), [[3.0]] * 59)
-    np.testing.assert_allclose(moves_of(flown, POSITION), [[6.371, 0.0]] * 59)
 
 
 def test_a_velocity_down_is_a_negative_climb_and_the_first_channel_that_has_it_counts():

@@ -16,12 +16,22 @@ SECONDS = np.arange(0.0, 100.0, 0.2)
 PLACE = {"lat_rad": 0.8, "lon_rad": 0.1, "h_msl_m": 900.0}
 
 
-def receiver(name: str, seconds: np.ndarray, rank: int, sigma_m: float) -> Channel:
+def receiver(
+    name: str,
+    seconds: np.ndarray,
+    rank: int,
+    sigma_m: float,
+) -> Channel:
     columns = PLACE | {"sigma_h_m": sigma_m, "sigma_v_m": 2.0 * sigma_m}
     return ranked(name, seconds, rank, "height", "position", **columns)
 
 
-def attitude(name: str, seconds: np.ndarray, rank: int, q_x: float = 0.0) -> Channel:
+def attitude(
+    name: str,
+    seconds: np.ndarray,
+    rank: int,
+    q_x: float = 0.0,
+) -> Channel:
     return ranked(
         name,
         seconds,

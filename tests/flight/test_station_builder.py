@@ -57,7 +57,11 @@ def stations_at(
     return build_stations(events, roles, mount, heights, 1.0, clocks=ClockSigmas(**clocks_s))
 
 
-def station_at_5_s(roles: dict[str, Channel], *more: object, **clocks_s: float) -> Stations:
+def station_at_5_s(
+    roles: dict[str, Channel],
+    *more: object,
+    **clocks_s: float,
+) -> Stations:
     return stations_at([5.0], roles, *more, **clocks_s)
 
 
@@ -68,7 +72,10 @@ COS_10 = np.cos(np.radians(10.0))
 HALF = np.sqrt(0.5)
 LOOKS_RIGHT = Mount(roll_rad=-np.pi / 4)
 LOOKS_AHEAD = Mount(pitch_rad=np.pi / 4)
-LOOKS_AHEAD_TURNED = Mount(pitch_rad=np.pi / 4, yaw_rad=np.pi / 2)
+LOOKS_AHEAD_TURNED = Mount(
+    pitch_rad=np.pi / 4,
+    yaw_rad=np.pi / 2,
+)
 
 
 @pytest.mark.parametrize(
@@ -108,20 +115,18 @@ def test_lever_arm_moves_the_projection_centre():
 
     station = station_at_5_s(flown(90, 0, 0), mount, HeightSystem(undulation_m=40.0))
 
-    lat_rad = station.lat_rad[0]
-    lon_rad = station.lon_rad[0]
     azimuth_rad, _, distance_m = pyproj.Geod(ellps="WGS84").inv(
         LONGITUDE,
         LATITUDE,
-        lon_rad,
-        lat_rad,
+        station.lon_rad[0],
+        station.lat_rad[0],
         radians=True,
     )
     # On the ellipsoid, 1040 m below: shorter by 1.6e-4.
     assert distance_m * np.sin(azimuth_rad) == pytest.approx(3.0, abs=1e-3)
     assert distance_m * np.cos(azimuth_rad) == pytest.approx(-2.0, abs=1e-3)
-    assert station.h_msl_m[0] == pytest.approx(999.0, abs=1e-5)
-    assert station.h_ellipsoid_m[0] == pytest.approx(1039.0, abs=1e-5)
+    assert station.h_msl_m == pytest.approx(999.0, abs=1e-5)
+    assert station.h_ellipsoid_m == pytest.approx(1039.0, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -148,8 +153,8 @@ def test_a_height_that_is_not_logged_follows_from_the_undulation_or_stays_unknow
     station = station_at_5_s(roles, mount, HeightSystem(undulation_m))
 
     assert station.status[0] == status
-    assert station.h_msl_m[0] == pytest.approx(h_msl_m, abs=1e-5, nan_ok=True)
-    assert station.h_ellipsoid_m[0] == pytest.approx(h_ellipsoid_m, abs=1e-5, nan_ok=True)
+    assert station.h_msl_m == pytest.approx(h_msl_m, abs=1e-5, nan_ok=True)
+    assert station.h_ellipsoid_m == pytest.approx(h_ellipsoid_m, abs=1e-5, nan_ok=True)
 
 
 WITH_GAP = flown()["position"].rows((SECONDS < 3.0) | (SECONDS >= 7.0))
@@ -190,19 +195,19 @@ def test_air_outside_and_in_the_cabin_is_that_of_its_own_sensors():
 
     station = station_at_5_s(roles)
 
-    assert station.pressure_pa[0] == pytest.approx(90_000.0)
-    assert station.cabin_pressure_pa[0] == pytest.approx(80_500.0)
-    assert station.temperature_k[0] == pytest.approx(283.15)
-    assert station.cabin_temperature_k[0] == pytest.approx(293.15)
+    assert station.pressure_pa == pytest.approx(90_000.0)
+    assert station.cabin_pressure_pa == pytest.approx(80_500.0)
+    assert station.temperature_k == pytest.approx(283.15)
+    assert station.cabin_temperature_k == pytest.approx(293.15)
     # Saturation 12.28 hPa at 10 and 23.392 hPa at 20 degC; moist air holds 0.4 and 0.34 % more.
-    assert station.vapour_pressure_pa[0] == pytest.approx(0.5 * 1228.0 * 1.004, rel=1e-3)
-    assert station.cabin_vapour_pressure_pa[0] == pytest.approx(2339.2 * 1.0034, rel=1e-3)
+    assert station.vapour_pressure_pa == pytest.approx(0.5 * 1228.0 * 1.004, rel=1e-3)
+    assert station.cabin_vapour_pressure_pa == pytest.approx(2339.2 * 1.0034, rel=1e-3)
 
 
 def test_air_that_nothing_measures_is_unknown():
     station = station_at_5_s(flown())
-    assert np.isnan(station.pressure_pa[0])
-    assert np.isnan(station.cabin_pressure_pa[0])
+    assert np.isnan(station.pressure_pa)
+    assert np.isnan(station.cabin_pressure_pa)
 
 
 @pytest.mark.parametrize(
@@ -223,13 +228,19 @@ def test_an_uncertain_clock_moves_the_stations_along_the_flight(clocks_s, horizo
     climb_m = 1000.0 + 3.0 * SECONDS
     roles = flown(
         position=sensor("POS", **place, sigma_h_m=0.3, sigma_v_m=0.4),
-        height=sensor("GPS", **place, h_msl_m=climb_m, sigma_h_m=0.5, sigma_v_m=0.6),
+        height=sensor(
+            "GPS",
+            **place,
+            h_msl_m=climb_m,
+            sigma_h_m=0.5,
+            sigma_v_m=0.6,
+        ),
     )
 
     station = station_at_5_s(roles, **clocks_s)
 
-    assert station.sigma_horizontal_m[0] == pytest.approx(horizontal_m, rel=0.01)
-    assert station.sigma_height_m[0] == pytest.approx(height_m, rel=0.01)
+    assert station.sigma_horizontal_m == pytest.approx(horizontal_m, rel=0.01)
+    assert station.sigma_height_m == pytest.approx(height_m, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -248,5 +259,5 @@ def test_an_uncertain_clock_turns_the_stations_with_the_flight(axis, tilt_rad, y
 
     station = station_at_5_s(roles, mount, attitude_s=0.1)
 
-    assert station.sigma_tilt_rad[0] == pytest.approx(tilt_rad, rel=1e-3)
-    assert station.sigma_yaw_rad[0] == pytest.approx(yaw_rad, rel=1e-3)
+    assert station.sigma_tilt_rad == pytest.approx(tilt_rad, rel=1e-3)
+    assert station.sigma_yaw_rad == pytest.approx(yaw_rad, rel=1e-3)

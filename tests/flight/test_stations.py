@@ -34,9 +34,16 @@ def with_status(*status: str, **columns: object) -> Stations:
     n = len(status)
     names = image_names(*(f"image_{number}" for number in range(n)))
     made = empty_stations(names, np.full(n, "cam", object), "ok")
-    usual = {"h_msl_m": np.full(n, 3000.0), "lat_rad": np.full(n, 0.5)}
+    usual = {
+        "h_msl_m": np.full(n, 3000.0),
+        "lat_rad": np.full(n, 0.5),
+    }
     arrays = {name: np.array(values) for name, values in columns.items()}
-    return replace(made, status=image_names(*status), **usual | arrays)
+    return replace(
+        made,
+        status=image_names(*status),
+        **usual | arrays,
+    )
 
 
 def stations(n: int = 3, **columns: object) -> Stations:
@@ -45,7 +52,13 @@ def stations(n: int = 3, **columns: object) -> Stations:
 
 @pytest.mark.parametrize(
     ("misfit_pa", "flagged"),
-    [(-1000.0, True), (1000.0, True), (790.0, False), (-790.0, False), (np.nan, False)],
+    [
+        (-1000.0, True),
+        (1000.0, True),
+        (790.0, False),
+        (-790.0, False),
+        (np.nan, False),
+    ],
 )
 def test_a_pressure_of_another_height_is_noticed(misfit_pa, flagged):
     pressure_pa = PA_AT_3_KM + np.array([0.0, misfit_pa, 0.0])
@@ -136,14 +149,21 @@ def test_the_median_longitude_goes_on_across_the_180th_meridian(longitude_deg, m
 
 
 @pytest.mark.parametrize(
-    ("latitude", "mean"), [([0.4, np.nan, 0.6], 0.5), ([np.nan] * 3, np.pi / 4)]
+    ("latitude", "mean"),
+    [
+        ([0.4, np.nan, 0.6], 0.5),
+        ([np.nan] * 3, np.pi / 4),
+    ],
 )
 def test_the_mean_latitude_is_of_the_known_ones(latitude, mean):
     assert stations(lat_rad=latitude).mean_latitude_rad == pytest.approx(mean)
 
 
 def test_a_suspect_station_does_not_move_the_middle_of_the_flight():
-    place = {"lat_rad": [0.84, 0.0, 0.84], "lon_rad": [0.28, 0.0, 0.28]}
+    place = {
+        "lat_rad": [0.84, 0.0, 0.84],
+        "lon_rad": [0.28, 0.0, 0.28],
+    }
     flown = with_status("ok", "suspect", "ok", **place)
     assert flown.mean_latitude_rad == pytest.approx(0.84)
     assert flown.median_longitude_rad == pytest.approx(0.28)

@@ -91,18 +91,32 @@ def test_slow_air_sensors_have_a_limit_of_gaps_of_their_own():
 
 def test_longitude_across_the_180th_meridian():
     lon_rad = np.radians([179.9999, -179.9999])
-    logged = channel("X", [0, 1], lat_rad=0.3, lon_rad=lon_rad)
+    logged = channel(
+        "X",
+        [0, 1],
+        lat_rad=0.3,
+        lon_rad=lon_rad,
+    )
 
     track = track_at(logged, instants(0.25, 0.5, 0.75), 2.0)
 
     degrees = np.degrees(track.lon_rad) % 360.0
-    assert degrees == pytest.approx([179.99995, 180.0, 180.00005], rel=0, abs=1e-9)
+    assert degrees == pytest.approx(
+        [179.99995, 180.0, 180.00005],
+        rel=0,
+        abs=1e-9,
+    )
     assert track.lat_rad == pytest.approx(0.3, rel=0, abs=1e-12)
 
 
 def test_position_over_the_pole():
     lon_rad = np.radians([10.0, 190.0])
-    logged = channel("X", [0, 1], lat_rad=np.radians(89.9999), lon_rad=lon_rad)
+    logged = channel(
+        "X",
+        [0, 1],
+        lat_rad=np.radians(89.9999),
+        lon_rad=lon_rad,
+    )
     latitude = track_at(logged, instants(0.5), 2.0).lat_rad
     assert np.degrees(latitude) == pytest.approx(90.0, abs=1e-7)
 
@@ -131,8 +145,16 @@ def attitudes_at(logged: Channel, *seconds: float) -> Attitudes:
     return attitude_at(logged, instants(*seconds), 2.0)
 
 
-ANGLES_RAD = strategies.lists(strategies.floats(-np.pi, np.pi), min_size=6, max_size=6)
-BETWEEN_S = strategies.lists(strategies.floats(0.0, 1.0), min_size=1, max_size=5)
+ANGLES_RAD = strategies.lists(
+    strategies.floats(-np.pi, np.pi),
+    min_size=6,
+    max_size=6,
+)
+BETWEEN_S = strategies.lists(
+    strategies.floats(0.0, 1.0),
+    min_size=1,
+    max_size=5,
+)
 
 
 @settings(max_examples=50)
@@ -152,13 +174,24 @@ def test_two_attitudes_agree_with_scipys_slerp(angles, seconds):
 def test_quaternions_of_either_sign_are_the_same_attitude():
     logged = with_attitudes([0, 1], Rotation.from_euler("Z", [[0.1], [0.3]]))
     signs = [1.0, -1.0]
-    turned = with_columns(logged, q_w=logged["q_w"] * signs, q_z=logged["q_z"] * signs)
+    turned = with_columns(
+        logged,
+        q_w=logged["q_w"] * signs,
+        q_z=logged["q_z"] * signs,
+    )
     quaternion = attitudes_at(turned, 0.5).quaternion
     assert rotation_of(quaternion[0]).as_rotvec() == pytest.approx([0.0, 0.0, 0.2])
 
 
 def test_no_attitude_from_zeros_or_nan():
-    logged = channel("ATT", [0, 1, 2], q_x=0, q_y=0, q_z=[0, np.nan, 0], q_w=[1, 1, 0])
+    logged = channel(
+        "ATT",
+        [0, 1, 2],
+        q_x=0,
+        q_y=0,
+        q_z=[0, np.nan, 0],
+        q_w=[1, 1, 0],
+    )
     assert np.isnan(attitudes_at(logged, 0.5, 1.5).quaternion).all()
 
 

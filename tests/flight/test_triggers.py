@@ -11,7 +11,6 @@ from tests.flight.made_channels import counted, ranked
 from tests.helpers import refused
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel, Source
-from unbend.flight.exposures import ExposureDelay, events_of_channel
 from unbend.flight.triggers import lag_from_feedback, shutter_finding, trigger_notes
 from unbend.messages import Ledger
 
@@ -21,9 +20,20 @@ LOST = "EVENTS-LOST"
 AT_TRIGGER = "EVENTS-TRIGGER-TIME"
 
 
-def fired(name: str, lag_s: float | np.ndarray = 0.0, **columns: float) -> Channel:
+def fired(
+    name: str,
+    lag_s: float | np.ndarray = 0.0,
+    **columns: float,
+) -> Channel:
     """Twelve numbered events, as long behind every third second."""
-    return ranked(name, NUMBER * 3.0 + lag_s, 50, "events", event_index=NUMBER, **columns)
+    return ranked(
+        name,
+        NUMBER * 3.0 + lag_s,
+        50,
+        "events",
+        event_index=NUMBER,
+        **columns,
+    )
 
 
 CAPTURE_AT_TRIGGER = fired("camera_capture")
@@ -76,8 +86,19 @@ def test_events_at_the_trigger_are_told_from_those_at_the_feedback(channels, par
             {"CAM[0]": 4, "CAM[1]": 3, "TRIG[1]": 5},
             [(AT_TRIGGER, "CAM[0]", 4), (LOST, "CAM[1]", 2)],
         ),
-        ({"CAM[0]": 5, "CAM[1]": 3, "TRIG[0]": 5, "TRIG[1]": 4}, [(LOST, "CAM[1]", 1)]),
-        ({"CAM[0]": 3, "CAM[1]": 4}, [(AT_TRIGGER, "CAM[0]", 3), (AT_TRIGGER, "CAM[1]", 4)]),
+        (
+            {
+                "CAM[0]": 5,
+                "CAM[1]": 3,
+                "TRIG[0]": 5,
+                "TRIG[1]": 4,
+            },
+            [(LOST, "CAM[1]", 1)],
+        ),
+        (
+            {"CAM[0]": 3, "CAM[1]": 4},
+            [(AT_TRIGGER, "CAM[0]", 3), (AT_TRIGGER, "CAM[1]", 4)],
+        ),
         ({"CAM": 3, "TRIG": 5}, [(LOST, "CAM", 2)]),
         ({"CAM": 3}, [(AT_TRIGGER, "CAM", 3)]),
         ({"CAM[0]": 3, "CAM[1]": 4, "TRIG": 7}, []),
@@ -122,8 +143,20 @@ def test_the_lag_of_the_shutter_is_the_median_of_pairs_and_its_sigma_their_scatt
     seconds = number * 5.0
     lags_s = 0.1 + 0.002 * np.arange(15)
     lags_s[12] = 1.1
-    sent = ranked(trigger, seconds, 50, event_index=number, feedback=0.0)
-    pulses = ranked(camera, seconds + lags_s, 50, event_index=number, feedback=1.0)
+    sent = ranked(
+        trigger,
+        seconds,
+        50,
+        event_index=number,
+        feedback=0.0,
+    )
+    pulses = ranked(
+        camera,
+        seconds + lags_s,
+        50,
+        event_index=number,
+        feedback=1.0,
+    )
     boots = (number == 15.0).astype(np.int16)
     pulses = replace(pulses, boot=boots).rows(number != 14.0)
     of_another = ranked("CAM[1]", seconds + 0.4, 50, event_index=number)
@@ -135,11 +168,6 @@ def test_the_lag_of_the_shutter_is_the_median_of_pairs_and_its_sigma_their_scatt
     assert (note.code, note.count) == ("EVENTS-SHUTTER-LAG", 12)
     assert note.values["lag_ms"] == pytest.approx(111.0)
     assert note.values["scatter_ms"] == pytest.approx(7.48)
-
-
-def test_the_scatter_of_the_lag_is_a_sigma_of_the_exposures():
-    events, _ = events_of_channel(TRIG, "cam", "{index}", ExposureDelay(0.111, 0.0075))
-    assert events.sigma_time_s == pytest.approx(0.0075)
 
 
 @pytest.mark.parametrize(

@@ -19,12 +19,20 @@ from unbend.stages.vehicle import channels_of_one_vehicle
 SECONDS = np.arange(0.0, 100.0)
 
 
-def sent(name: str, *roles: str, system: int | None = None, north_m: float = 0.0) -> Channel:
+def sent(
+    name: str,
+    *roles: str,
+    system: int | None = None,
+    north_m: float = 0.0,
+) -> Channel:
     columns = {}
     if "events" in roles:
         columns = {"event_index": SECONDS}
     if "position" in roles:
-        columns = {"lat_rad": 0.8 + north_m / EARTH_M, "lon_rad": 0.1 + SECONDS / 1e6}
+        columns = {
+            "lat_rad": 0.8 + north_m / EARTH_M,
+            "lon_rad": 0.1 + SECONDS / 1e6,
+        }
     source = Source(name.partition("@")[0].strip("/"), None, system, 1)
     return replace(channel(name, SECONDS, *roles, **columns), source=source)
 
@@ -105,7 +113,11 @@ def test_the_roles_are_of_one_vehicle(events, channels, named, chosen):
     assert [(entry.kind, entry.code) for entry in ledger] == [("note", "LOG-VEHICLES")]
 
 
-@pytest.mark.parametrize("events", [(), (EVENTS_OF_1, EVENTS_OF_2)], ids=["none", "of both"])
+@pytest.mark.parametrize(
+    "events",
+    [(), (EVENTS_OF_1, EVENTS_OF_2)],
+    ids=["none", "of both"],
+)
 def test_a_vehicle_that_nothing_names_is_refused_with_the_choices(events):
     with refused("LOG-VEHICLES", MissionError) as refusal:
         channels_of_one_vehicle(mission(*events), TWO, {}, Ledger())
