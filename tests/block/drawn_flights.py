@@ -44,18 +44,18 @@ def draw(
     exposed = exposures(rng, constant)
     has_event = np.ones(exposed.size, bool)
     has_image = np.ones(exposed.size, bool)
-    several = int(rng.integers(1, 12))
+    several = rng.integers(1, 12)
     if everything or kind == "first missing":
         has_image[:several] = False
     if everything or kind == "last missing":
-        has_image[-int(rng.integers(1, 12)) :] = False
+        has_image[-rng.integers(1, 12) :] = False
     if everything or kind == "random missing":
         has_image &= rng.random(exposed.size) > rng.uniform(0.01, 0.2)
     if everything or kind == "lost pulses":
         has_event &= rng.random(exposed.size) > rng.uniform(0.005, 0.06)
     if kind == "log begins late":
         has_event[:several] = False
-        has_image[exposed.size - int(rng.integers(0, 6)) :] = False
+        has_image[exposed.size - rng.integers(0, 6) :] = False
     if everything or kind == "test shots":  # on the ground, minutes before, by hand
         shots = np.sort(exposed[0] - rng.uniform(60.0, 900.0, several))
         # The operator deletes these images, or not; with them a flight is not constant any more.
@@ -98,14 +98,14 @@ def exposures(rng: np.random.Generator, constant: bool) -> np.ndarray:
     """Times of exposures: 2 to 5 s apart along lines of a survey, 20 to 60 s from line to line."""
     interval = rng.uniform(2.0, 5.0)
     if constant:
-        return 1000.0 + interval * np.arange(int(rng.integers(30, 200)))
-    lines = int(rng.integers(2, 9))
+        return 1000.0 + interval * np.arange(rng.integers(30, 200))
+    lines = rng.integers(2, 9)
     wind = rng.uniform(0.01, 0.03)
-    each = int(rng.integers(12, 40))
+    each = rng.integers(12, 40)
     steps = [np.array([1000.0])]
     for line in range(lines):
         along = interval * (1.0 + (-1.0) ** line * rng.uniform(0.0, 0.1))  # head or tail wind
-        count = each + int(rng.integers(-2, 3))
+        count = each + rng.integers(-2, 3)
         steps.append(along * (1.0 + rng.normal(0.0, wind, count)))
         if line:
             steps[-1][0] = rng.uniform(20.0, 60.0)

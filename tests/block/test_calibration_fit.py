@@ -96,7 +96,7 @@ def oblique(tangents: np.ndarray) -> np.ndarray:
 
 
 def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(values**2, axis=1))))
+    return np.sqrt(np.mean(np.sum(values**2, axis=1)))
 
 
 def left_px(rays: SeenRays, camera: Camera) -> float:

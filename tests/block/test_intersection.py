@@ -22,7 +22,7 @@ from unbend.flight.stations import STATION_OK, empty_stations
 
 
 def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(np.square(values))))
+    return np.sqrt(np.nanmean(np.square(values)))
 
 
 def intersected(block: Block) -> Intersection:

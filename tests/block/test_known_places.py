@@ -25,11 +25,9 @@ from unbend.messages import Message
 
 LAT = np.radians(47.0)
 LON = np.radians(8.5)
-A = 6378137.0
-E2 = 0.00669437999014
-W = np.sqrt(1.0 - E2 * np.sin(LAT) ** 2)
-MERIDIAN_M = A * (1.0 - E2) / W**3
-PARALLEL_M = A / W * np.cos(LAT)
+# In a radian of latitude and of longitude there, of WGS84.
+MERIDIAN_M = 6_369_620.0
+PARALLEL_M = 4_357_687.7
 LINE, PLACE = np.divmod(np.arange(24), 8)
 BLOCK = np.stack([120.0 * PLACE, 240.0 * LINE, np.full(24, 900.0)], axis=1)
 """(24, 3) east, north, up of images in three lines."""

@@ -132,9 +132,9 @@ def test_the_aircraft_carries_the_camera():
     of_cameras = replace(images, quaternion=of_body.quaternion, of_body=False)
     of_camera = stations_of_images(of_cameras, {"nadir": mount}, HeightSystem())
 
-    optical_axes = matrices_of(of_body.quaternion)[:, 2].T  # its left is north
-    for component, expected in zip(optical_axes, [0.0, 0.5, -np.sqrt(0.75)], strict=True):
-        assert component == pytest.approx(expected, abs=1e-12)
+    optical_axes = matrices_of(of_body.quaternion)[:, 2]  # its left is north
+    to_the_left = np.array([[0.0, 0.5, -np.sqrt(0.75)]] * COUNT)
+    assert optical_axes == pytest.approx(to_the_left, abs=1e-12)
     behind_m = (of_body.lon_rad - images.lon_rad) * PARALLEL_M
     assert behind_m == pytest.approx(-2.0, abs=0.01)
     assert of_body.h_msl_m == pytest.approx(2998.5, abs=1e-6)
@@ -281,7 +281,7 @@ def raised(row: object, metres: float) -> np.ndarray:
 def tilt(frame: CartesianFrame, reference: np.ndarray) -> float:
     """By what a frame turns the vertical from that of another."""
     up = frame.ecef_from_frame @ reference.T @ UP
-    return float(np.linalg.norm(np.cross(up, UP)))
+    return np.linalg.norm(np.cross(up, UP))
 
 
 def test_a_model_is_brought_to_the_earth():

@@ -182,9 +182,9 @@ def inject(
 ) -> tuple[Channels, Fault]:
     """The channels of a log with one fault of a kind that contains an instant."""
     channels = dict(good)
-    length_ns = float(rng.uniform(6.0, 40.0)) * NS_PER_S
+    length_ns = rng.uniform(6.0, 40.0) * NS_PER_S
     begin_ns = around_ns - round(rng.uniform(0.1, 0.9) * length_ns)
-    size_m = float(rng.uniform(20.0, 100.0))
+    size_m = rng.uniform(20.0, 100.0)
     fault = Fault(kind, begin_ns, begin_ns + round(length_ns), size_m)
     if kind == "wind-up":
         wind_up(channels, fault, rng)
@@ -205,7 +205,7 @@ def inject(
     amount_m = fault.size_m * inside
     up_m = rng.uniform(-0.6, 0.6) * amount_m
     if kind == "drift":
-        speed_m_s = float(rng.uniform(1.0, 3.0)) * inside
+        speed_m_s = rng.uniform(1.0, 3.0) * inside
         amount_m = speed_m_s * drift_s(fault, gps.time_ns, rng)
         up_m = 0.3 * amount_m
         if rng.random() < 0.5:  # the Doppler velocity is led away too
@@ -219,7 +219,7 @@ def inject(
         up_m = np.zeros(len(gps))
     if kind == "swap":
         # The second receiver is off by a constant for the whole flight; the filter goes over to it.
-        fault.size_m = float(rng.uniform(6.0, 40.0))
+        fault.size_m = rng.uniform(6.0, 40.0)
         offset_m = fault.size_m * direction
         channels["GPS[1]"] = displaced(channels["GPS[1]"], offset_m[None])
         fused_m = inside[:, None] * offset_m
@@ -229,13 +229,13 @@ def inject(
         has_fix = ~inside
     retry_s = 0.0
     if kind not in ("followed", "swap"):
-        retry_s = float(rng.uniform(7.0, 12.0))
+        retry_s = rng.uniform(7.0, 12.0)
     model = FilterModel(
         gps_ns=gps.time_ns,
         gps_error_m=fused_m,
         has_fix=has_fix,
         retry_s=retry_s,
-        bias_m_s2=float(rng.uniform(0.02, 0.15)),
+        bias_m_s2=rng.uniform(0.02, 0.15),
         heading=rng.uniform(0.0, 2.0 * np.pi),
     )
     errors = model.errors(channels["POS"].time_ns)
@@ -308,7 +308,7 @@ def wind_up(
 ) -> None:
     """A barometer whose pressure creeps away and back, and the filter's height with it."""
     ramp_ns = round(rng.uniform(20.0, 120.0) * NS_PER_S)
-    fault.size_m = float(rng.uniform(15.0, 60.0)) * rng.choice([-1.0, 1.0])
+    fault.size_m = rng.uniform(15.0, 60.0) * rng.choice([-1.0, 1.0])
     corners_ns = [
         fault.begin_ns - ramp_ns,
         fault.begin_ns,

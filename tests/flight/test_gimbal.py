@@ -56,24 +56,12 @@ def camera_axes(gimbal: Channel, mount: Mount) -> np.ndarray:
 
 
 HALF = math.sqrt(0.5)
-# The gimbal points 45 deg down and 4 deg to the right of north: yaw about down, then pitch about
-# right, by half angles, as MAVLink has them.
+# The gimbal points 45 deg down and 4 deg to the right of north.
 PITCH = math.radians(-45.0)
 YAW = math.radians(4.0)
-FORWARD_DOWN = np.array(
-    [
-        math.sin(YAW) * HALF,
-        math.cos(YAW) * HALF,
-        -HALF,
-    ]
-)
+FORWARD_DOWN = np.array([math.sin(YAW) * HALF, math.cos(YAW) * HALF, -HALF])
 FORWARD_UP = FORWARD_DOWN * [1.0, 1.0, -1.0]
-GIMBAL = {
-    "q_w": math.cos(PITCH / 2) * math.cos(YAW / 2),
-    "q_x": -math.sin(PITCH / 2) * math.sin(YAW / 2),
-    "q_y": math.sin(PITCH / 2) * math.cos(YAW / 2),
-    "q_z": math.cos(PITCH / 2) * math.sin(YAW / 2),
-}
+GIMBAL = quaternion_columns(Rotation.from_euler("ZYX", [YAW, PITCH, 0.0]))
 
 
 @pytest.mark.parametrize(
@@ -216,7 +204,7 @@ def test_rows_without_an_attitude_do_not_count():
 def test_a_gimbal_that_nobody_follows_is_told(messages, ignored, roles):
     notes = list(gimbal_notes(messages, roles, {"nadir": AS_IN_AN_AIRCRAFT}))
     is_told = ignored is not None
-    assert [(note.kind, note.code) for note in notes] == [("warning", "GIMBAL-IGNORED")] * is_told
+    assert located(notes) == [("warning", "GIMBAL-IGNORED", "")] * is_told
     for note in notes:
         assert ignored in note.what
         assert "fixed to the aircraft" in note.what

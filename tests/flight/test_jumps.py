@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.flight.made_channels import EARTH_M, counted, turned_channel, with_columns
+from tests.flight.made_channels import EARTH_M, counted, located, turned_channel, with_columns
 from tests.helpers import NS_PER_S, channel, refused
 from unbend.atmosphere.rejection import Reason
 from unbend.errors import MissionError
@@ -204,7 +204,7 @@ def test_a_row_stays_for_what_is_right_in_it():
 def test_a_column_in_another_unit_is_left_to_the_mission():
     masked, notes = mask_impossible_values(logged(temperature_k=15.0))
     assert (masked["temperature_k"] == 15.0).all()
-    assert [(note.kind, note.code) for note in notes] == [("warning", "SENSOR-ODD")]
+    assert located(notes) == [("warning", "SENSOR-ODD", "X")]
 
 
 @pytest.mark.parametrize(
@@ -237,10 +237,10 @@ def test_an_impossible_value_is_counted_once():
 
     assert len(masked) == 60  # the temperature of these rows is known
     assert len(kept) == 56
-    assert sorted((note.code, note.count) for note in (*notes_of_log, *notes_of_role)) == [
-        ("SENSOR-JUMP", 1),
-        ("SENSOR-RANGE", 1),
-        ("SENSOR-RANGE", 2),
+    assert sorted(counted([*notes_of_log, *notes_of_role])) == [
+        ("loss", "SENSOR-JUMP", 1),
+        ("loss", "SENSOR-RANGE", 1),
+        ("loss", "SENSOR-RANGE", 2),
     ]
 
 

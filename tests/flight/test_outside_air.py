@@ -106,4 +106,4 @@ def test_readings_without_height_or_at_a_suspect_one_say_so():
     rejected = samples.pressure.rejected
     assert np.flatnonzero(rejected == Reason.SUSPECT_HEIGHT).tolist() == list(range(300, 310))
     assert np.flatnonzero(rejected == Reason.NO_HEIGHT).tolist() == list(range(700, 900))
-    assert [(note.code, note.count) for note in notes] == [("AIR-SUSPECT-HEIGHT", 10)]
+    assert counted(notes) == [("warning", "AIR-SUSPECT-HEIGHT", 10)]

@@ -69,7 +69,7 @@ def stations_of(
 
 
 def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return np.sqrt(np.mean(values**2))
 
 
 def assert_honest(

@@ -287,7 +287,7 @@ def with_rates(logged: Channel, motion: Motion) -> Channel:
 
 
 def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return np.sqrt(np.mean(values**2))
 
 
 def rms_deg(truth: Rotation, attitude: Rotation) -> float:
