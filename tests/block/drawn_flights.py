@@ -91,7 +91,12 @@ def draw(
         step_s = 0.001
         sigma_s = 0.02
     clock_s += rng.normal(0.0, 0.02, clock_s.size)
-    return Drawn(event_s, np.floor(clock_s / step_s) * step_s, sigma_s, row[has_image])
+    return Drawn(
+        event_s,
+        np.floor(clock_s / step_s) * step_s,
+        sigma_s,
+        row[has_image],
+    )
 
 
 def exposures(rng: np.random.Generator, constant: bool) -> np.ndarray:

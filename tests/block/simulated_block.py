@@ -176,7 +176,14 @@ def attitudes(
     heading = line % 2 * np.pi + rng.normal(0.0, 0.05, line.size)
     o = np.zeros(line.size)
     # Camera x right of the flight, z down.
-    x = np.stack([np.sin(heading), np.cos(heading), o], -1)
+    x = np.stack(
+        [
+            np.sin(heading),
+            np.cos(heading),
+            o,
+        ],
+        -1,
+    )
     z = np.stack([o, o, o - 1.0], -1)
     level = np.stack([x, np.cross(z, x), z], -2)
     tilted = turn(np.stack([o, tilt, o], -1)) @ level

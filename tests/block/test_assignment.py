@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies
 
-from tests.block.drawn_flights import KINDS, Drawn, draw
+from tests.block.drawn_flights import KINDS, draw
 from tests.draws import SEED
 from unbend.block.alignment import LOG_RATIO_NEEDED
-from unbend.block.assignment import Assignment, assign
+from unbend.block.assignment import assign
 from unbend.block.image_evidence import CameraEvents, ImageEvidence
 
 FLIGHTS = int(os.environ.get("UNBEND_FLIGHTS", "200"))
@@ -25,10 +24,10 @@ EVERY_4_S = 4.0 * np.arange(50.0)
 
 
 def lines(
-    seed: int = 1,
-    count: int = 4,
-    each: int = 15,
-) -> np.ndarray:
+    seed=1,
+    count=4,
+    each=15,
+):
     """Times of a survey [s]: lines of exposures 3 s apart, with wind, 30 s between the lines."""
     rng = np.random.default_rng(seed)
     steps = 3.0 * (1.0 + rng.normal(0.0, 0.02, count * each))
@@ -40,10 +39,10 @@ SURVEY = lines()
 
 
 def timed(
-    image_s: np.ndarray,
-    sigma_s: float = 0.02,
-    **more: object,
-) -> ImageEvidence:
+    image_s,
+    sigma_s=0.02,
+    **more,
+):
     """Images with times in milliseconds."""
     return ImageEvidence(
         image_s.size,
@@ -53,70 +52,70 @@ def timed(
     )
 
 
-def numbered(number: np.ndarray, numbering: str = "sequence") -> ImageEvidence:
+def numbered(number, numbering="sequence"):
     return ImageEvidence(number.size, number=number, numbering=numbering)
 
 
 def assigned(
-    event_s: np.ndarray,
-    images: ImageEvidence,
-    **more: object,
-) -> Assignment:
+    event_s,
+    images,
+    **more,
+):
     return assign(CameraEvents(event_s), images, **more)
 
 
 def by_times(
-    event_s: np.ndarray,
-    image_s: np.ndarray,
-    **more: object,
-) -> Assignment:
+    event_s,
+    image_s,
+    **more,
+):
     return assigned(event_s, timed(image_s, **more))
 
 
 def by_index(
-    event_s: np.ndarray,
-    event_index: np.ndarray,
-    image_index: np.ndarray,
-) -> Assignment:
+    event_s,
+    event_index,
+    image_index,
+):
     events = CameraEvents(event_s, index=event_index)
     return assign(events, numbered(image_index, "index"))
 
 
-def assert_assigned(assignment: Assignment, rows: Iterable[int]) -> None:
+def assert_assigned(assignment, rows):
     assert assignment.accepted
     assert assignment.event.tolist() == list(rows)
 
 
-def unused_events(assignment: Assignment) -> list[int]:
+def unused_events(assignment):
     """Rows of the events that no image has, without those that repeat another."""
     rows = np.flatnonzero(~assignment.repeated)
     return np.setdiff1d(rows, assignment.event).tolist()
 
 
-def used_events(assignment: Assignment) -> np.ndarray:
+def used_events(assignment):
     return assignment.event[assignment.event >= 0]
 
 
 def drawn(
-    kind_number: int,
-    seed: object,
+    kind_number,
+    seed,
     *,
-    constant: bool = False,
-) -> tuple[Drawn, Assignment]:
+    constant=False,
+):
     """A flight and its assignment by times."""
     kind = KINDS[kind_number % len(KINDS)]
     flight = draw(np.random.default_rng(seed), kind, constant=constant)
     return flight, by_times(flight.event_s, flight.image_s, sigma_s=flight.sigma_s)
 
 
-def wrong_images(flight: Drawn, assignment: Assignment) -> int:
+def wrong_images(flight, assignment):
     """How many images have an event more than 0.2 s from theirs, or one although theirs is lost."""
     apart_s = np.abs(flight.event_s[assignment.event] - flight.event_s[flight.truth])
     is_wrong = (flight.truth < 0) | (apart_s > 0.2)
     return np.count_nonzero(is_wrong & (assignment.event >= 0))
 
 
-def few(flight: Drawn) -> float:
+def few(flight):
     return 0.02 * flight.image_s.size + 1
 
 
@@ -203,7 +202,11 @@ def test_pauses_of_a_flight_that_is_triggered_by_distance_are_its_turns(seed):
         turn = rng.uniform(15.0, 70.0, 1)
         steps += [turn, along]
     events = np.cumsum(np.concatenate(steps))
-    assignment = by_times(events, np.floor(events[5:] + 7237.4), sigma_s=0.5)
+    assignment = by_times(
+        events,
+        np.floor(events[5:] + 7237.4),
+        sigma_s=0.5,
+    )
     assert_assigned(assignment, range(5, events.size))
 
 
@@ -220,7 +223,11 @@ def test_equal_counts_pass_by_counting_unless_times_contradict():
 def test_names_by_the_index_find_their_events_around_65536(first):
     row = np.arange(80)
     index = (first + row) % 65_536
-    assignment = by_index(2.0 * row, index, np.delete(index, [3, 40]))
+    assignment = by_index(
+        2.0 * row,
+        index,
+        np.delete(index, [3, 40]),
+    )
     assert_assigned(assignment, np.delete(row, [3, 40]))
 
 
@@ -254,13 +261,21 @@ def test_constant_intervals_are_decided_by_a_known_clock(clock_sigma_s, is_decid
 
 
 def test_constant_intervals_are_decided_by_the_first_image():
-    assignment = assigned(EVERY_4_S, timed(EVERY_4_S[5:] + 9000.0), first_image=(0, 5))
+    assignment = assigned(
+        EVERY_4_S,
+        timed(EVERY_4_S[5:] + 9000.0),
+        first_image=(0, 5),
+    )
     assert_assigned(assignment, range(5, 50))
     assert "first_image" in assignment.evidence
 
 
 def test_a_first_image_that_contradicts_the_rhythm_is_refused():
-    assignment = assigned(SURVEY, timed(SURVEY[5:]), first_image=(0, 4))
+    assignment = assigned(
+        SURVEY,
+        timed(SURVEY[5:]),
+        first_image=(0, 4),
+    )
     assert not assignment.accepted
     assert "contradict" in assignment.reason
 
@@ -276,7 +291,7 @@ def test_a_first_image_that_contradicts_the_rhythm_is_refused():
 def test_tie_points_decide_where_nothing_else_does(images):
     asked = []
 
-    def tie_points(event: np.ndarray) -> float:
+    def tie_points(event):
         asked.append(event.tobytes())
         return -20.0 * float(np.abs(event - np.arange(3, 48)).max())
 
@@ -358,7 +373,14 @@ def test_too_little_is_refused(events, images):
     assert np.unique(used).size == used.size
 
 
-@pytest.mark.parametrize(("events", "images"), [(0, 3), (3, 0), (0, 0)])
+@pytest.mark.parametrize(
+    ("events", "images"),
+    [
+        (0, 3),
+        (3, 0),
+        (0, 0),
+    ],
+)
 def test_nothing_is_assigned_where_one_side_is_missing(events, images):
     """No event is given, and no evidence is claimed."""
     assignment = by_times(np.arange(float(events)), np.arange(float(images)))
@@ -412,7 +434,11 @@ def test_origins_of_clocks_and_the_order_of_images_do_not_matter(seed, origin_s,
 
 
 @settings(max_examples=25)
-@given(SEEDS, strategies.floats(0.0, 0.15), strategies.floats(0.0, 0.1))
+@given(
+    SEEDS,
+    strategies.floats(0.0, 0.15),
+    strategies.floats(0.0, 0.1),
+)
 def test_order_is_kept_and_no_event_serves_twice(seed, missing, lost):
     rng = np.random.default_rng(seed)
     exposed = lines(seed)

@@ -3,9 +3,6 @@
 Truth: closed forms of R = K tan(zeta), cameras changed by hand, and arithmetic written out.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -56,7 +53,7 @@ FISHEYE_PARAMETERS = [3000, 3000, 3000, 3010, 0.01, -0.002, 0, 0]
 FISHEYE = camera_of_model("OPENCV_FISHEYE", 6000, 6000, FISHEYE_PARAMETERS)
 
 
-def seen(camera: Camera, bend: Callable[[np.ndarray], np.ndarray]) -> SeenRays:
+def seen(camera, bend):
     """Pixels of a grid, and the straight rays that a bend (of tangents) makes of what is seen."""
     columns = np.linspace(60, camera.width_px - 60, 21)
     rows = np.linspace(60, camera.height_px - 60, 17)
@@ -67,11 +64,11 @@ def seen(camera: Camera, bend: Callable[[np.ndarray], np.ndarray]) -> SeenRays:
     return SeenRays(straight, measured_px[ok], np.ones(len(straight)))
 
 
-def not_at_all(tangents: np.ndarray) -> np.ndarray:
+def not_at_all(tangents):
     return tangents
 
 
-def nadir(tangents: np.ndarray) -> np.ndarray:
+def nadir(tangents):
     """R = K tan(zeta), the apparent ray farther from the nadir, about the optical axis."""
     tangent = np.linalg.norm(
         tangents,
@@ -82,24 +79,24 @@ def nadir(tangents: np.ndarray) -> np.ndarray:
     return tangents / tangent * straight
 
 
-def turned(tangents: np.ndarray, rotation: Rotation) -> np.ndarray:
+def turned(tangents, rotation):
     rays = np.column_stack([tangents, np.ones(len(tangents))])
     x, y, z = rotation.apply(rays).T
     return np.column_stack([x / z, y / z])
 
 
-def oblique(tangents: np.ndarray) -> np.ndarray:
+def oblique(tangents):
     """The same of a head that looks 45 degrees up in the image, rows of which are level."""
     to_level = Rotation.from_euler("x", 45.0, degrees=True)
     level = turned(tangents, to_level)
     return turned(nadir(level), to_level.inv())
 
 
-def rms(values: np.ndarray) -> float:
+def rms(values):
     return np.sqrt(np.mean(np.sum(values**2, axis=1)))
 
 
-def left_px(rays: SeenRays, camera: Camera) -> float:
+def left_px(rays, camera):
     """What a camera leaves of rays."""
     return rms(rays.left_px(camera))
 

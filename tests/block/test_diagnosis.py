@@ -4,12 +4,9 @@ Sound blocks have the seeds below UNBEND_BLOCKS (2; `make faults`: 8). With fewe
 cases of each mistake is drawn from UNBEND_SEED.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import re
-from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
@@ -17,18 +14,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.block.simulated_block import Block, simulate_block, unit
+from tests.block.simulated_block import simulate_block, unit
 from tests.draws import SEED
 from unbend.block.calibration_mistakes import OffsetAxes, with_other_axes
-from unbend.block.diagnosis import Finding, diagnosis, finding_of
-from unbend.block.image_rays import ImageRays, Orientations, straightened
+from unbend.block.diagnosis import diagnosis, finding_of
+from unbend.block.image_rays import ImageRays, straightened
 from unbend.block.possible_mistakes import StatedMission
 from unbend.flight.mount import Mount
 from unbend.refraction.angle import one_angle
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
-
-Cameras = Mapping[str, Camera]
 
 BLOCKS = int(os.environ.get("UNBEND_BLOCKS", "2"))
 SIZE_PX = 9000
@@ -36,7 +31,7 @@ F_PX = 1e4
 SPEED_M_S = 50.0
 
 
-def camera(cx_px: float, cy_px: float, **lens: float) -> Camera:
+def camera(cx_px, cy_px, **lens):
     return Camera(SIZE_PX, SIZE_PX, F_PX, F_PX, cx_px, cy_px, BrownConrady(**lens))
 
 
@@ -70,10 +65,10 @@ def drawn(*cases):
     return random.Random(SEED).sample(cases, 1)
 
 
-def measured(block: Block, measuring_cameras: Cameras) -> Callable[..., ImageRays]:
+def measured(block, measuring_cameras):
     """The pixels that cameras measure of a block, as a `StatedMission` reads rays."""
 
-    def rays(cameras: Cameras, axes: Mapping[str, str]) -> ImageRays:
+    def rays(cameras, axes):
         """Rays by some cameras, with x and y exchanged, or y upward, where ``axes`` say so."""
         direction = np.empty(block.direction.shape)
         for name, measuring in measuring_cameras.items():
@@ -93,11 +88,11 @@ def measured(block: Block, measuring_cameras: Cameras) -> Callable[..., ImageRay
 
 
 def make(
-    seed: int,
+    seed,
     *,
-    calibrations: Cameras = CAMERAS,
-    **options: object,
-) -> StatedMission:
+    calibrations=CAMERAS,
+    **options,
+):
     """A block of two cameras as a mission file states it."""
     usual = {
         "cameras": (0.0, 0.35),
@@ -110,7 +105,7 @@ def make(
     east = orientations.enu_from_ecef[:, 0]
     velocity = SPEED_M_S * heading[:, None] * east
 
-    def shifted(seconds: float) -> Orientations:
+    def shifted(seconds):
         return replace(orientations, centre_m=orientations.centre_m + seconds * velocity)
 
     mounts = {
@@ -121,15 +116,15 @@ def make(
     return StatedMission(orientations, dict(calibrations), rays, mounts, shifted)
 
 
-def with_cameras(mission: StatedMission, **changed: Camera) -> StatedMission:
+def with_cameras(mission, **changed):
     return replace(mission, cameras={**mission.cameras, **changed})
 
 
 def with_attitudes(
-    mission: StatedMission,
-    turn: np.ndarray,
-    **changed: object,
-) -> StatedMission:
+    mission,
+    turn,
+    **changed,
+):
     """The mission with the cameras turned, and with other changes."""
     stated = mission.orientations
     attitude = turn @ stated.camera_from_ecef
@@ -140,29 +135,29 @@ def with_attitudes(
     )
 
 
-def with_f(measuring: Camera, factor: float) -> Camera:
+def with_f(measuring, factor):
     """The camera with another principal distance."""
     f_px = factor * F_PX
     return replace(measuring, fx_px=f_px, fy_px=f_px)
 
 
-def turned(mission: StatedMission, *rotation_rad: float) -> StatedMission:
+def turned(mission, *rotation_rad):
     """The mission with the first camera turned."""
     orientations = mission.orientations.turned(np.array(rotation_rad), "camera0")
     return replace(mission, orientations=orientations)
 
 
-def findings_of(mission: StatedMission) -> tuple[Finding, ...]:
+def findings_of(mission):
     _, findings = diagnosis(mission)
     return findings
 
 
 def first_finding(
-    mission: StatedMission,
-    code: str,
-    key: str,
-    most: int = 4,
-) -> Finding:
+    mission,
+    code,
+    key,
+    most=4,
+):
     """The most likely mistake, which must be this one, of at most so many."""
     findings = findings_of(mission)
     assert 1 <= len(findings) <= most
@@ -171,11 +166,11 @@ def first_finding(
     return findings[0]
 
 
-def only_finding(mission: StatedMission, code: str, key: str) -> Finding:
+def only_finding(mission, code, key):
     return first_finding(mission, code, key, most=1)
 
 
-def estimate_in(finding: Finding, pattern: str) -> float:
+def estimate_in(finding, pattern):
     return float(re.search(pattern, finding.what)[1])
 
 
@@ -223,7 +218,7 @@ def test_a_wrong_principal_distance_is_estimated(factor):
 def test_exposures_at_other_times_are_found_by_how_much(offset_s, direction):
     mission = make(23)
 
-    def shifted(seconds: float) -> Orientations:
+    def shifted(seconds):
         return mission.shifted(seconds - offset_s)
 
     wrong = replace(mission, orientations=shifted(0.0), shifted=shifted)
@@ -254,7 +249,7 @@ def test_other_axes_of_pixels(axes):
     """The table of one camera has them the other way: reading them so gives the true ones."""
     mission = make(25)
 
-    def rays(cameras: Cameras, read: Mapping[str, str]) -> ImageRays:
+    def rays(cameras, read):
         is_right = read.get("camera1") == axes
         camera1 = "" if is_right else axes
         return mission.rays(cameras, {**read, "camera1": camera1})
@@ -296,11 +291,11 @@ def test_a_principal_point_along_other_axes(axes, cx_px, cy_px):
     assert (other.cx_px, other.cy_px) == (cx_px, cy_px)
 
 
-def mirrored(right: Camera) -> Camera:
+def mirrored(right):
     return replace(right, cx_px=SIZE_PX - right.cx_px)
 
 
-def exchanged_axes(right: Camera) -> Camera:
+def exchanged_axes(right):
     return replace(
         right,
         cx_px=right.cy_px,
@@ -308,15 +303,15 @@ def exchanged_axes(right: Camera) -> Camera:
     )
 
 
-def with_lens(right: Camera, coefficients: Iterable[float]) -> Camera:
+def with_lens(right, coefficients):
     return replace(right, distortion=BrownConrady(*coefficients))
 
 
-def other_sign(right: Camera) -> Camera:
+def other_sign(right):
     return with_lens(right, np.negative(right.distortion).tolist())
 
 
-def key_of(names: tuple[str, ...]) -> str:
+def key_of(names):
     return "cameras" if len(names) > 1 else f"cameras.{names[0]}"
 
 
@@ -343,7 +338,7 @@ def test_calibrations_that_are_each_others():
     assert finding.what == "the calibrations of camera0 and camera1 are exchanged"
 
 
-def with_k1(k1: float) -> Cameras:
+def with_k1(k1):
     return {name: with_lens(right, [k1]) for name, right in CAMERAS.items()}
 
 
@@ -444,7 +439,7 @@ def test_refraction_is_removed_from_apparent_rays():
     rays = replace(mission.rays(mission.cameras, {}), height_m=None)
     up = np.einsum("sij,sj->si", stated.camera_from_ecef, stated.enu_from_ecef[:, 2])
 
-    def nadir_angle(seen: ImageRays) -> np.ndarray:
+    def nadir_angle(seen):
         return np.arccos(-np.sum(up[seen.image] * seen.direction, axis=1))
 
     before = nadir_angle(rays)

@@ -1,7 +1,5 @@
 """Rays intersected with the stations held: the truth is a block simulated with numpy alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,42 +7,41 @@ import pytest
 from hypothesis import given, settings, strategies
 from scipy.spatial.transform import Rotation
 
-from tests.block.simulated_block import Block, simulate_block, unit
+from tests.block.simulated_block import simulate_block, unit
 from unbend.block.image_rays import (
     UNKNOWN_SIGMAS,
     ImageRays,
-    Orientations,
     orientations_of,
     sorted_rays,
 )
-from unbend.block.intersection import Intersection, intersect, point_heights
+from unbend.block.intersection import intersect, point_heights
 from unbend.flight.stations import STATION_OK, empty_stations
 
 
-def rms(values: np.ndarray) -> float:
+def rms(values):
     return np.sqrt(np.nanmean(np.square(values)))
 
 
-def intersected(block: Block) -> Intersection:
+def intersected(block):
     return intersect(block.orientations, block.rays)
 
 
-def log_likelihood(orientations: Orientations, rays: ImageRays) -> float:
+def log_likelihood(orientations, rays):
     return intersect(orientations, rays).log_likelihood
 
 
-def assigned_log_likelihood(block: Block, rows: object) -> float:
+def assigned_log_likelihood(block, rows):
     """Of the rays, where images have the stations of these rows."""
     return log_likelihood(block.orientations.assigned(np.asarray(rows)), block.rays)
 
 
-def turned_log_likelihood(block: Block, angle_rad: float) -> float:
+def turned_log_likelihood(block, angle_rad):
     """Of the rays, where the camera is turned about its y axis."""
     turn = np.array([0.0, angle_rad, 0.0])
     return log_likelihood(block.orientations.turned(turn, "camera0"), block.rays)
 
 
-def height_errors_m(block: Block, points: Intersection) -> np.ndarray:
+def height_errors_m(block, points):
     return points.geodetic[2] - block.point_h[points.point]
 
 
@@ -64,8 +61,15 @@ ATTITUDES_DECIDE = {
         POSITIONS_DECIDE,
         ATTITUDES_DECIDE,
         PIXELS_DECIDE,
-        {"cameras": (0.0, 0.5), "points": 900},
-        {"lines": 1, "each": 6, "points": 60},
+        {
+            "cameras": (0.0, 0.5),
+            "points": 900,
+        },
+        {
+            "lines": 1,
+            "each": 6,
+            "points": 60,
+        },
     ],
 )
 def test_residuals_are_as_large_as_the_sigmas_say(options):
@@ -154,14 +158,21 @@ def test_a_shift_by_one_event_is_far_less_likely():
 
 def test_images_without_an_event_have_no_residuals():
     block = simulate_block(3)
-    rows = np.array([-1, -1, -1, *range(3, 36)])
+    rows = np.array(
+        [
+            -1,
+            -1,
+            -1,
+            *range(3, 36),
+        ]
+    )
     points = intersect(block.orientations.assigned(rows), block.rays)
     assert np.isnan(points.residual_rad[block.image < 3]).all()
     assert 0.8 < points.sigma_factor < 1.2
     assert points.log_likelihood < intersected(block).log_likelihood
 
 
-def scaled(rays: ImageRays, factor: float) -> ImageRays:
+def scaled(rays, factor):
     """The rays of a camera whose principal distance is larger by a factor, from the same pixels."""
     direction = unit(rays.direction / [factor, factor, 1.0])
     return replace(
@@ -175,7 +186,11 @@ def test_given_heights_tell_the_principal_distance():
     """It scales heights above ground, which rays alone hardly see over flat land."""
     block = simulate_block(5)
     height_m = block.point_h[block.point]
-    rays = replace(block.rays, height_m=height_m, sigma_height_m=1.0)
+    rays = replace(
+        block.rays,
+        height_m=height_m,
+        sigma_height_m=1.0,
+    )
     points = intersect(block.orientations, rays)
     assert 0.8 < points.sigma_factor < 1.2
     for factor in (0.98, 1.02):
@@ -214,7 +229,7 @@ def test_sigmas_that_are_too_small_do_not_feign_certainty():
         pixel_rad=honest.pixel_rad / 3.0,
     )
 
-    def log_ratio(block: Block) -> float:
+    def log_ratio(block):
         return abs(intersected(block).log_likelihood - turned_log_likelihood(block, 0.002))
 
     assert intersected(feigned).sigma_factor > 2.0
@@ -273,7 +288,11 @@ def test_points_without_a_height_say_why():
     heights = point_heights(orientations, rays)
 
     numbers = np.unique(rays.point)
-    point_of_reason = {"few": of_few, "narrow": of_narrow, "apart": of_apart}
+    point_of_reason = {
+        "few": of_few,
+        "narrow": of_narrow,
+        "apart": of_apart,
+    }
     for reason, number in point_of_reason.items():
         row = np.searchsorted(numbers, number)
         reasons = [name for name in point_of_reason if getattr(heights, name)[row]]
@@ -313,7 +332,14 @@ def test_stations_become_orientations():
     np.testing.assert_allclose(oriented.centre_m[1:], by_hand.centre_m[1:], atol=1e-6)
     attitude = oriented.camera_from_ecef[1:]
     np.testing.assert_allclose(attitude, by_hand.camera_from_ecef[1:], atol=1e-9)
-    assert oriented.sigma[0].tolist() == [3.0, 3.0, 6.0, 0.002, 0.002, UNKNOWN_SIGMAS[5]]
+    assert oriented.sigma[0].tolist() == [
+        3.0,
+        3.0,
+        6.0,
+        0.002,
+        0.002,
+        UNKNOWN_SIGMAS[5],
+    ]
     assert oriented.sigma[1, 2] == 1e-3
 
 

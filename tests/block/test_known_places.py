@@ -4,9 +4,6 @@ Truth is a block of 24 images in three lines, whose stations are turned, tilted,
 here by plain arithmetic in east, north, up; known positions have the noise of receivers.
 """
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +17,7 @@ from unbend.block.known_places import (
     compared_places,
     frame_notes,
 )
-from unbend.flight.stations import STATION_OK, Stations, empty_stations
-from unbend.messages import Message
+from unbend.flight.stations import STATION_OK, empty_stations
 
 LAT = np.radians(47.0)
 LON = np.radians(8.5)
@@ -33,13 +29,13 @@ BLOCK = np.stack([120.0 * PLACE, 240.0 * LINE, np.full(24, 900.0)], axis=1)
 """(24, 3) east, north, up of images in three lines."""
 
 
-def geodetic(enu: np.ndarray) -> np.ndarray:
+def geodetic(enu):
     """(n, 3) latitude, longitude, height of east, north, up near one place, to centimetres."""
     east, north, up = enu.T
     return np.stack([LAT + north / MERIDIAN_M, LON + east / PARALLEL_M, up], axis=1)
 
 
-def stations_at(enu: np.ndarray) -> Stations:
+def stations_at(enu):
     lat, lon, h = geodetic(enu).T
     names = image_names(*(f"{number:02d}.jpg" for number in range(len(enu))))
     made = empty_stations(names, names, STATION_OK)
@@ -53,11 +49,11 @@ def stations_at(enu: np.ndarray) -> Stations:
 
 
 def messages(
-    enu: np.ndarray,
-    places: np.ndarray,
+    enu,
+    places,
     *,
-    must_be_tested: bool = True,
-) -> Sequence[Message]:
+    must_be_tested=True,
+):
     """What is said of a block at these places, beside known ones."""
     return frame_notes(
         stations_at(enu),
@@ -67,21 +63,21 @@ def messages(
     )
 
 
-def codes(enu: np.ndarray, places: np.ndarray) -> list[str]:
+def codes(enu, places):
     return [note.code for note in messages(enu, places)]
 
 
-def noisy(seed: int, enu: np.ndarray = BLOCK) -> np.ndarray:
+def noisy(seed, enu=BLOCK):
     """Known positions with 2 m across and 4 m in height, and a height that counts otherwise."""
     noise_m = np.random.default_rng(seed).normal(0.0, [1.5, 1.5, 4.0], enu.shape)
     return geodetic(enu + noise_m - [0.0, 0.0, 47.0])
 
 
-def moved(*east_north_up: float) -> np.ndarray:
+def moved(*east_north_up):
     return BLOCK + np.array(east_north_up)
 
 
-def turned(axis: str, angle_deg: float, scale: float = 1.0) -> np.ndarray:
+def turned(axis, angle_deg, scale=1.0):
     """The block turned and scaled about its middle."""
     rotation = Rotation.from_euler(axis, angle_deg, degrees=True)
     middle = BLOCK.mean(axis=0)

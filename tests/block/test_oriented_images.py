@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +32,6 @@ from unbend.flight.rotations import (
     quaternions_of,
     rpy_of_quaternion,
 )
-from unbend.flight.stations import Stations
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
 from unbend.messages import Message
 
@@ -47,7 +45,7 @@ EACH = 6
 COUNT = EACH * len(LINES_DEG)
 
 
-def block(drift_deg: float = 3.0) -> OrientedImages:
+def block(drift_deg=3.0):
     """Four lines of level images whose tops point along the track, but for the drift."""
     azimuth = np.repeat(np.radians(LINES_DEG), EACH)
     line, place = np.divmod(np.arange(COUNT), EACH)
@@ -75,10 +73,10 @@ AT_REST = Mount()
 
 
 def stations(
-    images: OrientedImages,
-    mount: Mount = AT_REST,
-    undulation_m: float | None = UNDULATION_M,
-) -> tuple[Stations, Sequence[Message]]:
+    images,
+    mount=AT_REST,
+    undulation_m=UNDULATION_M,
+):
     made = stations_of_images(images, {"nadir": mount}, HeightSystem(undulation_m))
     made, notes = flag_above_horizon(made)
     refuse_turned_images(made)
@@ -129,7 +127,11 @@ def test_the_aircraft_carries_the_camera():
 
     of_body = stations_of_images(images, {"nadir": mount}, HeightSystem())
     # The camera's own attitude, from another table, gives the aircraft's back.
-    of_cameras = replace(images, quaternion=of_body.quaternion, of_body=False)
+    of_cameras = replace(
+        images,
+        quaternion=of_body.quaternion,
+        of_body=False,
+    )
     of_camera = stations_of_images(of_cameras, {"nadir": mount}, HeightSystem())
 
     optical_axes = matrices_of(of_body.quaternion)[:, 2]  # its left is north
@@ -159,7 +161,7 @@ IN_GRADS = np.zeros((COUNT, 3))
 IN_GRADS[:, 0] = np.radians(94.4)  # omega of 85 deg
 
 
-def with_attitudes(quaternion: np.ndarray) -> OrientedImages:
+def with_attitudes(quaternion):
     return replace(block(), quaternion=quaternion)
 
 
@@ -237,7 +239,7 @@ ENU = enu_from_ecef(IMAGES.lat_rad, IMAGES.lon_rad)
 UP = ENU[0, 2]  # at the first image
 
 
-def model(noise_m: float = 0.0, seed: int = 1) -> np.ndarray:
+def model(noise_m=0.0, seed=1):
     """Places of the images in a model of another scale, turned any way."""
     noise = np.random.default_rng(seed).normal(0.0, noise_m, EARTH.shape)
     turned = (EARTH - EARTH[0] + noise) @ FRAME_FROM_EARTH.T
@@ -260,25 +262,25 @@ EVERY_OTHER = slice(None, None, 2)
 
 
 def fit(
-    rows: object = ALL,
-    xyz: np.ndarray = MODEL,
-    places: np.ndarray = PLACES,
-    names: np.ndarray = NAMES,
-    **options: float,
-) -> Fit:
+    rows=ALL,
+    xyz=MODEL,
+    places=PLACES,
+    names=NAMES,
+    **options,
+):
     """The frame of a model by the known positions of some of its images."""
     frame, (note,) = fitted_frame(NAMES, xyz, names[rows], places[rows], **options)
     return Fit(frame, note)
 
 
-def raised(row: object, metres: float) -> np.ndarray:
+def raised(row, metres):
     """The known positions, of which some are higher."""
     higher = PLACES.copy()
     higher[row, 2] += metres
     return higher
 
 
-def tilt(frame: CartesianFrame, reference: np.ndarray) -> float:
+def tilt(frame, reference):
     """By what a frame turns the vertical from that of another."""
     up = frame.ecef_from_frame @ reference.T @ UP
     return np.linalg.norm(np.cross(up, UP))
@@ -347,7 +349,7 @@ def test_residuals_that_no_sigma_explains_are_doubtful():
     assert "than a known position should have" in note.what
 
 
-def refused_fit(code: str, *arguments: object, **options: object) -> MissionError:
+def refused_fit(code, *arguments, **options):
     """The refusal of known positions that fit no frame."""
     with refused(code, MissionError) as refusal:
         fit(*arguments, **options)
@@ -404,7 +406,14 @@ def test_another_model_and_swapped_coordinates_are_refused():
 
 def test_a_topocentric_frame_is_that_of_its_origin():
     frame = topocentric(GeodeticOrigin(LAT, LON, 400.0))
-    lat, lon, h = frame.geodetic(np.array([[0.0, 0.0, 100.0], [0.0, 1000.0, 0.0]]))
+    lat, lon, h = frame.geodetic(
+        np.array(
+            [
+                [0.0, 0.0, 100.0],
+                [0.0, 1000.0, 0.0],
+            ]
+        )
+    )
     assert h[0] == pytest.approx(500.0, abs=1e-6)
     assert lat[0] == pytest.approx(LAT, abs=1e-12)
     assert lon[0] == pytest.approx(LON, abs=1e-12)

@@ -152,7 +152,11 @@ class FilterModel:
         return made
 
 
-def tilted(channel: Channel, angle: np.ndarray, azimuth: float) -> Channel:
+def tilted(
+    channel: Channel,
+    angle: np.ndarray,
+    azimuth: float,
+) -> Channel:
     """An attitude turned by (n,) small angles [rad] about a level axis."""
     stored = rotation_of(np.stack([channel[name] for name in COMPONENTS], axis=1))
     axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
@@ -259,7 +263,11 @@ def drift_s(
     return elapsed_ns / NS_PER_S
 
 
-def log_errors(channels: Channels, errors: FilterErrors, azimuth: float) -> None:
+def log_errors(
+    channels: Channels,
+    errors: FilterErrors,
+    azimuth: float,
+) -> None:
     """Put the errors of a filter into what it logs."""
     pos = channels["POS"]
     channels["POS"] = displaced(pos, errors.place_m)

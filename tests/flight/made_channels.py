@@ -41,7 +41,11 @@ def image_names(*names: str) -> np.ndarray:
 def usable_stations(time_ns: np.ndarray, *names: str) -> Stations:
     """Stations of these images at these times, without a place."""
     images = image_names(*names)
-    stations = empty_stations(images, images, STATION_OK)
+    stations = empty_stations(
+        images,
+        images,
+        STATION_OK,
+    )
     return replace(stations, time_ns=time_ns)
 
 
@@ -59,13 +63,16 @@ def ranked(
     """
     message, _, instance = name.partition("[")
     source = Source(message, instance.rstrip("]") or None)
-    logged = channel(name, seconds, *roles, **columns)
-    return replace(logged, source=source, rank=rank)
+    return replace(
+        channel(name, seconds, *roles, **columns),
+        source=source,
+        rank=rank,
+    )
 
 
 def with_columns(logged: Channel, **columns: np.ndarray) -> Channel:
     """The channel with other or further columns."""
-    return replace(logged, columns=dict(logged.columns) | columns)
+    return replace(logged, columns={**logged.columns, **columns})
 
 
 def without_columns(logged: Channel, *names: str) -> Channel:
@@ -103,7 +110,8 @@ def turned_channel(
 ) -> Channel:
     """A channel of attitudes by their Euler angles."""
     attitude = Rotation.from_euler(axes, angles_deg, degrees=True)
-    return channel(name, seconds, *roles, **quaternion_columns(attitude))
+    columns = quaternion_columns(attitude)
+    return channel(name, seconds, *roles, **columns)
 
 
 def rotation_of(quaternion: np.ndarray) -> Rotation:
@@ -118,7 +126,11 @@ def standard_pressure_pa(height_m: np.ndarray) -> np.ndarray:
 
 def roles_of(channels: Iterable[Channel]) -> dict[str, Channel]:
     """The channels that a log itself proposes for the roles."""
-    roles, _ = assign_roles(tuple(channels), {}, needs_cabin=False)
+    roles, _ = assign_roles(
+        tuple(channels),
+        {},
+        needs_cabin=False,
+    )
     return roles
 
 
@@ -130,11 +142,11 @@ def plausible_roles(channels: Iterable[Channel]) -> dict[str, Channel]:
     return plausible
 
 
-def counted(notes: Iterable[Message]) -> list[tuple[str, str, int]]:
+def counted(notes: Iterable[Message]) -> list[tuple]:
     """Kind, code and count of each message."""
-    return [(str(note.kind), note.code, note.count) for note in notes]
+    return [(note.kind, note.code, note.count) for note in notes]
 
 
-def located(notes: Iterable[Message]) -> list[tuple[str, str, str]]:
+def located(notes: Iterable[Message]) -> list[tuple]:
     """Kind, code and place of each message."""
-    return [(str(note.kind), note.code, note.where) for note in notes]
+    return [(note.kind, note.code, note.where) for note in notes]

@@ -48,16 +48,18 @@ def flight(name: str, kind: str = "BIN") -> Flight:
     """The log of a kind, BIN or tlog, of a flight."""
     log = open_log(LOGS / f"{name}.{kind}")
     rows = pd.read_csv(LOGS / f"{name}_truth.csv")
-    rows = rows[rows["row"] == "CAM"].set_index(["I", "Img"], drop=False)
+    events = rows[rows["row"] == "CAM"]
+    events = events.set_index(["I", "Img"], drop=False)
     parts = []
     for channel in log.channels:
         if channel.source.message not in ("CAM", "CAMERA_FEEDBACK"):
             continue
         camera = int(channel.source.instance)
         images = [(camera, int(index)) for index in channel["event_index"]]
-        exposures = rows.loc[images]
+        exposures = events.loc[images]
         parts.append(exposures.assign(time_ns=channel.time_ns))
-    return Flight(log, pd.concat(parts).sort_values("time_ns"))
+    truth = pd.concat(parts)
+    return Flight(log, truth.sort_values("time_ns"))
 
 
 def unnamed_events(time_ns: np.ndarray, sigma_s: float = 0.0) -> Events:
@@ -70,13 +72,18 @@ def errors(stations: Stations, truth: pd.DataFrame) -> Columns:
     """(n, k) north and east, height [m], about the level axes and the vertical one [deg]."""
     latitude = np.radians(truth["lat"].to_numpy())
     longitude = np.radians(truth["lng"].to_numpy())
+    parallel_m = 6_385_000.0 * np.cos(latitude)
     north_m = (stations.lat_rad - latitude) * 6_367_000.0
-    east_m = (stations.lon_rad - longitude) * 6_385_000.0 * np.cos(latitude)
+    east_m = (stations.lon_rad - longitude) * parallel_m
     height_m = stations.h_msl_m - truth["alt_amsl"].to_numpy()
     quaternion = np.nan_to_num(stations.aircraft_quaternion, nan=0.5)
     enu_from_body = rotation_of(quaternion).inv()
     angles_deg = truth[["yaw", "pitch", "roll"]].to_numpy()
-    ned_from_body = Rotation.from_euler("ZYX", angles_deg, degrees=True)
+    ned_from_body = Rotation.from_euler(
+        "ZYX",
+        angles_deg,
+        degrees=True,
+    )
     turn = ned_from_body.inv() * NED_FROM_ENU * enu_from_body
     turn_deg = turn.as_rotvec(degrees=True)
     return {

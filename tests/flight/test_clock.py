@@ -25,12 +25,12 @@ TENTH_NS = NS_PER_S // 10
 UTC_NS = 1_700_000_000 * NS_PER_S
 
 
-def unix_ns(text: str) -> int:
+def unix_ns(text):
     date = datetime.fromisoformat(text).replace(tzinfo=UTC)
     return int(date.timestamp()) * NS_PER_S
 
 
-def steady_ns(count: int, interval_ns: int = NS_PER_S) -> np.ndarray:
+def steady_ns(count, interval_ns=NS_PER_S):
     """Times since boot at an interval."""
     return np.arange(count) * interval_ns
 
@@ -109,7 +109,7 @@ def test_a_boot_and_a_gap_are_not_stray():
     assert not stray_times(seconds * NS_PER_S).any()
 
 
-def longest(times: tuple[int, ...]) -> int:
+def longest(times):
     """The length of the longest increasing subsequence, by trying all, longest first."""
     for length in range(len(times), 0, -1):
         for chosen in combinations(times, length):
@@ -257,7 +257,14 @@ def test_a_stepping_clock_is_a_loss_counted_and_placed(late_ms, rows, kind, coun
         assert note.where == f"boot 0, first {50 + rows.start / 5:.3f} s after boot"
 
 
-@pytest.mark.parametrize(("late_ms", "count"), [(900, 400), (1500, 1), (5000, 1)])
+@pytest.mark.parametrize(
+    ("late_ms", "count"),
+    [
+        (900, 400),
+        (1500, 1),
+        (5000, 1),
+    ],
+)
 def test_a_single_stamp_that_is_off_is_no_step(late_ms, count):
     """p5 and p95 of 400 rows do not see it, and the median does not follow it."""
     boot_ns = steady_ns(400)

@@ -1,7 +1,5 @@
 """A sensor whose values never change in a flight that moved is a finding, and no sound one is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -14,7 +12,6 @@ from tests.flight.made_channels import (
 )
 from tests.helpers import channel
 from tests.logs import LOGS, at_hand
-from unbend.flight.channels import Channel
 from unbend.flight.evidence.constant_sensors import FEWEST_SAMPLES, constant_sensors
 from unbend.ingest import open_log
 
@@ -27,18 +24,18 @@ YAW = 1.0 + NOISE[2]
 
 
 def attitude(
-    roll: np.ndarray | float = ROLL,
-    pitch: np.ndarray | float = PITCH,
-    yaw: np.ndarray | float = YAW,
-    message: str = "ATT",
-) -> Channel:
+    roll=ROLL,
+    pitch=PITCH,
+    yaw=YAW,
+    message="ATT",
+):
     """An attitude, whose angles may be constant [rad]."""
     angles = np.stack(np.broadcast_arrays(yaw, pitch, roll, ROLL)[:3], axis=1)
     turns = Rotation.from_euler("ZYX", angles)
     return channel(message, SECONDS, **quaternion_columns(turns))
 
 
-def flight(climb_m: float = 1000.0, way_m: float = 3000.0) -> dict[str, Channel]:
+def flight(climb_m=1000.0, way_m=3000.0):
     """A flight that climbs on a straight line, all of whose sensors change."""
     share = np.linspace(0.0, 1.0, 400)
     height_m = 100.0 + climb_m * share + NOISE[3]
@@ -59,10 +56,10 @@ def flight(climb_m: float = 1000.0, way_m: float = 3000.0) -> dict[str, Channel]
 
 
 def stuck(
-    roles: dict[str, Channel],
-    role: str,
-    **values: float,
-) -> dict[str, Channel]:
+    roles,
+    role,
+    **values,
+):
     """The roles, of which columns of one never change."""
     columns = {name: np.full(400, value) for name, value in values.items()}
     return roles | {role: with_columns(roles[role], **columns)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,8 +28,6 @@ from unbend.flight.evidence.stretches import (
     runs,
 )
 
-Error = Callable[[np.ndarray], np.ndarray]
-
 SPEED_M_S = 25.0  # to the east
 CLIMB_M_S = 2.0
 LAG_S = 0.12  # of the receiver behind the filter
@@ -46,20 +43,20 @@ T10 = np.arange(0.0, 300.0, 0.1)
 T5 = np.arange(0.05, 299.0, 0.2)
 
 
-def no_error(t: np.ndarray) -> np.ndarray:
+def no_error(t):
     return np.zeros(t.shape)
 
 
-def glitch(size_m: float) -> Error:
+def glitch(size_m):
     """An error from 100 to 120 s."""
     return lambda t: np.where((t > 100.0) & (t < 120.0), size_m, 0.0)
 
 
-def drift(seconds: Sequence[float], metres: Sequence[float]) -> Error:
+def drift(seconds, metres):
     return lambda t: np.interp(t, seconds, metres)
 
 
-def step(begin_s: float, size_m: float) -> Error:
+def step(begin_s, size_m):
     return lambda t: np.where(t > begin_s, size_m, 0.0)
 
 
@@ -67,15 +64,15 @@ THERE_AND_BACK = drift([100.0, 120.0, 140.0], [0.0, 40.0, 0.0])
 
 
 def placed(
-    name: str,
-    t: np.ndarray,
-    *roles: str,
-    lag_s: float = 0.0,
-    north: Error = no_error,
-    up: Error = no_error,
-    seed: int = 1,
-    **columns: object,
-) -> Channel:
+    name,
+    t,
+    *roles,
+    lag_s=0.0,
+    north=no_error,
+    up=no_error,
+    seed=1,
+    **columns,
+):
     """A source of a flight to the east that climbs, with 5 cm of noise."""
     north_noise_m, up_noise_m = np.random.default_rng(seed).normal(0.0, 0.05, (2, t.size))
     flown_s = t - lag_s
@@ -91,7 +88,7 @@ def placed(
     )
 
 
-def receiver(name: str = "GPS[0]", **changes: object) -> Channel:
+def receiver(name="GPS[0]", **changes):
     usual = {
         "lag_s": LAG_S,
         "sigma_h_m": 0.5,
@@ -101,17 +98,17 @@ def receiver(name: str = "GPS[0]", **changes: object) -> Channel:
     return placed(name, T5, "height", "position", **usual | changes)
 
 
-def antenna(t: np.ndarray) -> np.ndarray:
+def antenna(t):
     """That of the second receiver is 0.4 m to the north."""
     return np.full(t.shape, 0.4)
 
 
-def second_receiver(**changes: object) -> Channel:
+def second_receiver(**changes):
     usual = {"seed": 3, "north": antenna}
     return receiver("GPS[1]", **usual | changes)
 
 
-def barometer(name: str = "BARO[0]", up: Error = no_error) -> Channel:
+def barometer(name="BARO[0]", up=no_error):
     height_m = 600.0 + CLIMB_M_S * T10 + up(T10)
     pressure_pa = 101_325.0 * np.exp(-height_m / 8434.5)
     return channel(name, T10, "pressure", pressure_pa=pressure_pa)
@@ -126,11 +123,11 @@ class Examined:
     notes: tuple
 
     @property
-    def replaced(self) -> list[tuple[str, str]]:
+    def replaced(self):
         """What is suspect, and by which source it is replaced."""
         return sorted((stretch.quantity, stretch.replaced_by) for stretch in self.stretches)
 
-    def suspects(self, quantity: str, t: np.ndarray) -> np.ndarray:
+    def suspects(self, quantity, t):
         """(n,) at which seconds a quantity is suspect."""
         is_suspect = np.zeros(t.size, bool)
         for stretch in self.stretches:
@@ -140,10 +137,10 @@ class Examined:
 
 
 def examined_flight(
-    *others: Channel,
-    gps: Channel | None = None,
-    north: Error = no_error,
-) -> Examined:
+    *others,
+    gps=None,
+    north=no_error,
+):
     """A filter, a receiver that leads it away to the north, and other channels."""
     pos = placed("POS", T10, "position", north=north)
     gps = gps or receiver(north=north)
@@ -153,7 +150,7 @@ def examined_flight(
     return Examined(*examine([pos, gps, *others], roles))
 
 
-def ends_s(stretch: Stretch) -> list[float]:
+def ends_s(stretch):
     return [stretch.begin_ns / NS_PER_S, stretch.end_ns / NS_PER_S]
 
 
@@ -174,7 +171,7 @@ def test_a_glitch_that_the_filter_follows_lasts_from_step_to_step(north_m):
     assert "GPS[0] steps at" in of_position.reason
 
 
-def of_the_glitch(logged: Channel) -> Channel:
+def of_the_glitch(logged):
     """The rows of a channel in it, but for those at its ends."""
     seconds = logged.time_ns / NS_PER_S
     return logged.rows((seconds > 100.5) & (seconds < 119.5))
@@ -279,7 +276,10 @@ def test_a_height_that_steps_for_most_of_a_flight_is_seen_by_the_barometer(
 ):
     """A receiver that is better after its step, as it reports, was wrong before it."""
     sigma_m = np.where(T5 < 60.0, sigma_before_m, 0.8)
-    gps = receiver(up=step(60.0, 40.0), sigma_v_m=sigma_m)
+    gps = receiver(
+        up=step(60.0, 40.0),
+        sigma_v_m=sigma_m,
+    )
 
     examined = examined_flight(barometer(), gps=gps)
 
@@ -350,7 +350,7 @@ def test_reasons_of_stretches_that_touch_are_joined():
 def test_flagged_stations_have_reason_and_distance_and_are_used_only_where_asked(use):
     begin_s = 1_700_000_000  # 2023-11-14T22:13:20
 
-    def stretch(first_s: int, last_s: int, *reason: object) -> Stretch:
+    def stretch(first_s, last_s, *reason):
         begin_ns, end_ns = instants(begin_s + first_s, begin_s + last_s).tolist()
         return Stretch(begin_ns, end_ns, *reason)
 
@@ -378,7 +378,7 @@ def test_flagged_stations_have_reason_and_distance_and_are_used_only_where_asked
     assert "2023-11-14T22:13:29 to 2023-11-14T22:13:41 UTC" in notes[1].what
 
 
-def examined_long_flight(change_pa: Error, inversion_k: float = 0.0) -> Examined:
+def examined_long_flight(change_pa, inversion_k=0.0):
     """Ten minutes of climb by 1.5 km, then three hours level.
 
     The air has 280 K below and an inversion above 500 m; weather changes its pressure with time.
@@ -408,7 +408,11 @@ def examined_long_flight(change_pa: Error, inversion_k: float = 0.0) -> Examined
         h_msl_m=height_m + height_noise_m,
         **velocity,
     )
-    roles = {"position": gps, "height": gps, "pressure": pressure}
+    roles = {
+        "position": gps,
+        "height": gps,
+        "pressure": pressure,
+    }
     return Examined(*examine([gps, pressure], roles))
 
 
@@ -418,7 +422,7 @@ def examined_long_flight(change_pa: Error, inversion_k: float = 0.0) -> Examined
 def test_weather_in_hours_of_level_flight_leaves_the_climb(pascals, memory_h, inversion_k):
     """2 hPa in three hours, soon or late, must not make a drift of the climb."""
 
-    def change_pa(hours: np.ndarray) -> np.ndarray:
+    def change_pa(hours):
         return pascals * -np.expm1(-hours / memory_h)
 
     examined = examined_long_flight(change_pa, inversion_k)

@@ -1,7 +1,5 @@
 """The log's own place, height and attitude of each exposure, beside the flight made by hand."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -10,11 +8,9 @@ import pytest
 
 from tests.flight.made_channels import EARTH_M, instants, with_columns, without_columns
 from tests.helpers import channel
-from unbend.flight.channels import Channel
 from unbend.flight.evidence.exposure_places import ExposureEvidence, exposure_findings
 from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.evidence.stretches import Stretch
-from unbend.messages import Message
 
 SPEED_M_S = 40.0
 LATITUDE = 0.8
@@ -23,10 +19,10 @@ SHOT_S = np.arange(10.0, 110.0, 5.0)
 
 
 def columns_at(
-    seconds: np.ndarray,
-    north_m: float = 0.0,
-    **changed: object,
-) -> dict[str, object]:
+    seconds,
+    north_m=0.0,
+    **changed,
+):
     """Level flight to the east at 40 m/s, 450 m above the sea at the take-off, 1,450 m now."""
     return {
         "lat_rad": LATITUDE + north_m / EARTH_M,
@@ -58,19 +54,19 @@ BY_GPS = {"position": GPS, "height": GPS, "attitude": ATT}
 
 
 def shots(
-    logged: dict[str, object],
-    kind: str = "CAM",
-    seconds: np.ndarray = SHOT_S,
-) -> Channel:
+    logged,
+    kind="CAM",
+    seconds=SHOT_S,
+):
     return channel(f"{kind}[0]", seconds, "events", event_index=seconds, **logged)
 
 
 def findings(
-    events: Channel,
-    roles: dict[str, Channel] = ROLES,
-    delay_s: float = 0.0,
-    **changes: object,
-) -> list[Message]:
+    events,
+    roles=ROLES,
+    delay_s=0.0,
+    **changes,
+):
     evidence = ExposureEvidence(
         channel=events,
         time_ns=events.time_ns + instants(delay_s),

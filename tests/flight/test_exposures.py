@@ -1,7 +1,5 @@
 """Events: their channel, names, times with a delay of either sign, and lost numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +14,6 @@ from tests.flight.made_channels import (
 )
 from tests.helpers import NS_PER_S, channel, refused
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import (
     Events,
     ExposureDelay,
@@ -29,7 +26,7 @@ from unbend.flight.exposures import (
 AT_ONCE = ExposureDelay(0.0)
 
 
-def shots(*index: int, boot: list[int] | None = None) -> Channel:
+def shots(*index, boot=None):
     """Numbered events every ten seconds, from 10 s on."""
     seconds = 10.0 * np.arange(1, len(index) + 1)
     logged = channel("CAM[0]", seconds, "events", event_index=index)
@@ -137,7 +134,7 @@ def test_repeated_names_are_refused():
     assert "b" in refusal.value.what
 
 
-def event_channel(name: str, rank: int) -> Channel:
+def event_channel(name, rank):
     return ranked(name, np.arange(3.0), rank, "events", event_index=1.0)
 
 

@@ -1,26 +1,23 @@
 """What a filter, an autopilot's texts and second attitudes say against a flight."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.flight.made_channels import texts, turned_channel
 from tests.helpers import NS_PER_S, channel
-from unbend.flight.channels import Channel
 from unbend.flight.evidence.autopilot_texts import text_evidence
 from unbend.flight.evidence.filter_health import attitude_evidence, filter_evidence
-from unbend.flight.evidence.stretches import Stretch
 
 T10 = np.arange(0.0, 300.0, 0.1)
 TROUBLED = (T10 > 50.0) & (T10 < 60.0)
 
 
-def ends_s(stretch: Stretch) -> tuple[float, float]:
-    return stretch.begin_ns / NS_PER_S, stretch.end_ns / NS_PER_S
+def ends_s(stretch):
+    begin_s = stretch.begin_ns / NS_PER_S
+    return begin_s, stretch.end_ns / NS_PER_S
 
 
-def health(name: str, **columns: object) -> list[Stretch]:
+def health(name, **columns):
     """What a filter says with these columns."""
     return filter_evidence([channel(name, T10, **columns)])
 
@@ -30,7 +27,11 @@ SETTLES = np.where((T10 >= 60.0) & (T10 < 64.0), 0.8, REJECTED)
 
 
 def test_innovations_last_until_the_filter_has_settled():
-    (stretch,) = health("XKF4[0]", innovation_position=SETTLES, innovation_velocity=0.2)
+    (stretch,) = health(
+        "XKF4[0]",
+        innovation_position=SETTLES,
+        innovation_velocity=0.2,
+    )
     assert stretch.reason == "the filter rejected the receiver's position (innovation ratio 18)"
     assert stretch.quantity == "position"
     assert ends_s(stretch) == pytest.approx((50.0, 64.0), abs=0.2)
@@ -53,20 +54,28 @@ def test_a_rejected_velocity_makes_attitude_and_position_doubtful():
     assert [stretch.quantity for stretch in stretches] == ["attitude", "position"]
 
 
-@pytest.mark.parametrize(("bit", "says"), [(15, "GPS glitch"), (18, "dead reckoning")])
+@pytest.mark.parametrize(
+    ("bit", "says"),
+    [
+        (15, "GPS glitch"),
+        (18, "dead reckoning"),
+    ],
+)
 def test_flags_of_the_filter(bit, says):
-    (stretch,) = health("EKF_STATUS_REPORT", filter_flags=831 + 2.0**bit * TROUBLED)
+    flags = 831 + 2.0**bit * TROUBLED
+    (stretch,) = health("EKF_STATUS_REPORT", filter_flags=flags)
     assert says in stretch.reason
     assert stretch.quantity == "position"
 
 
 def test_clipping_accelerometers_make_the_attitude_doubtful():
-    (stretch,) = health("VIBE[0]", clipping=np.cumsum(20.0 * TROUBLED))
+    count = np.cumsum(20.0 * TROUBLED)
+    (stretch,) = health("VIBE[0]", clipping=count)
     assert stretch.quantity == "attitude"
     assert "200 times a second" in stretch.reason
 
 
-def evidence(*lines: tuple[float, str]) -> list[Stretch]:
+def evidence(*lines):
     return text_evidence([texts("MSG", *lines)])
 
 
@@ -92,7 +101,8 @@ def test_a_trouble_that_is_never_over_lasts_beyond_the_last_text():
 
 @pytest.mark.parametrize("text", ["EKF3 lane switch 1", "PreArm: GPS Glitch"])
 def test_an_event_and_a_check_before_take_off_count_for_five_seconds(text):
-    assert ends_s(evidence((50.0, text), LATER)[0]) == (49.5, 54.5)
+    stretch = evidence((50.0, text), LATER)[0]
+    assert ends_s(stretch) == (49.5, 54.5)
 
 
 def test_texts_without_trouble_are_none():
@@ -148,10 +158,10 @@ def test_a_trouble_of_one_channel_of_texts_may_end_in_another():
 
 
 def rolled(
-    name: str,
-    t: np.ndarray,
-    roll_deg: np.ndarray,
-) -> Channel:
+    name,
+    t,
+    roll_deg,
+):
     return turned_channel(name, t, "x", roll_deg[:, None], "attitude")
 
 
@@ -165,9 +175,10 @@ def test_two_attitudes_that_part():
 
 
 def test_a_slow_attitude_in_a_fast_roll_does_not_part():
-    def bank(t: np.ndarray) -> np.ndarray:
+    def bank(t):
         return np.interp(t, [100.0, 101.0, 110.0, 111.0], [0.0, 45.0, 45.0, 0.0])
 
     slow_s = np.arange(0.05, 299.0, 0.2)
     late = rolled("AHR2", slow_s, bank(slow_s - 0.15))
-    assert attitude_evidence(rolled("ATT", T10, bank(T10)), [late]) == []
+    attitude = rolled("ATT", T10, bank(T10))
+    assert attitude_evidence(attitude, [late]) == []

@@ -1,7 +1,5 @@
 """Cameras on gimbals: where they look, and what is said of it. Expected directions by hand."""
 
-from __future__ import annotations
-
 import io
 import math
 import struct
@@ -21,7 +19,6 @@ from tests.flight.made_channels import (
     with_columns,
 )
 from tests.helpers import channel
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem
 from unbend.flight.mount import Mount, gimbal_notes, payload_attitude
@@ -33,11 +30,11 @@ AHEAD = Mount(pitch_rad=math.pi / 2)
 AS_IN_AN_AIRCRAFT = Mount()
 
 
-def attitude(message: str, *yaw_pitch_roll_deg: float) -> Channel:
+def attitude(message, *yaw_pitch_roll_deg):
     return turned_channel(message, SECONDS, "ZYX", yaw_pitch_roll_deg, "attitude")
 
 
-def camera_axes(gimbal: Channel, mount: Mount) -> np.ndarray:
+def camera_axes(gimbal, mount):
     """Optical axis and top of the image of a camera, as rows of east, north, up."""
     position = channel(
         "POS",
@@ -46,7 +43,11 @@ def camera_axes(gimbal: Channel, mount: Mount) -> np.ndarray:
         lon_rad=0.14,
         h_msl_m=1000.0,
     )
-    roles = {"position": position, "height": position, "attitude": gimbal}
+    roles = {
+        "position": position,
+        "height": position,
+        "attitude": gimbal,
+    }
     exposure = Events("cam", image_names("a"), instants(1.8))
     station = build_stations(exposure, roles, mount, HeightSystem(), 10.0)
     assert station.ok.all()
@@ -59,7 +60,13 @@ HALF = math.sqrt(0.5)
 # The gimbal points 45 deg down and 4 deg to the right of north.
 PITCH = math.radians(-45.0)
 YAW = math.radians(4.0)
-FORWARD_DOWN = np.array([math.sin(YAW) * HALF, math.cos(YAW) * HALF, -HALF])
+FORWARD_DOWN = np.array(
+    [
+        math.sin(YAW) * HALF,
+        math.cos(YAW) * HALF,
+        -HALF,
+    ]
+)
 FORWARD_UP = FORWARD_DOWN * [1.0, 1.0, -1.0]
 GIMBAL = quaternion_columns(Rotation.from_euler("ZYX", [YAW, PITCH, 0.0]))
 
@@ -80,7 +87,11 @@ def test_a_camera_on_a_gimbal_looks_where_that_points(mount, axis, top):
 NAN = float("nan")
 UNKNOWN = dict.fromkeys(GIMBAL, NAN)
 TO_NOSE = {f"gimbal_{name}": value for name, value in GIMBAL.items()}
-NOSE_ANGLES = {"gimbal_roll_rad": 0.0, "gimbal_pitch_rad": PITCH, "gimbal_yaw_rad": YAW}
+NOSE_ANGLES = {
+    "gimbal_roll_rad": 0.0,
+    "gimbal_pitch_rad": PITCH,
+    "gimbal_yaw_rad": YAW,
+}
 
 
 @pytest.mark.parametrize(
@@ -148,7 +159,7 @@ def test_a_gimbal_that_stays_as_it_is(gimbal, aircraft):
     assert payload_attitude(gimbal, aircraft, 2.0) == (gimbal, ())
 
 
-def pitched(degrees: float) -> Mount:
+def pitched(degrees):
     return Mount(pitch_rad=math.radians(degrees))
 
 
@@ -177,7 +188,7 @@ def test_rows_without_an_attitude_do_not_count():
     """The last two rows point straight down; without any known row there is nothing to say."""
     gimbal = attitude("MNT[0]", 0.0, -90.0, 0.0)
 
-    def notes_from(first_s: float) -> list:
+    def notes_from(first_s):
         """With a gimbal that is known from a second on."""
         q_y = np.where(first_s > SECONDS, NAN, gimbal["q_y"])
         roles = {"attitude": with_columns(gimbal, q_y=q_y)}

@@ -1,14 +1,11 @@
 """When an aircraft stands on the ground, and which exposures are of then."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.flight.made_channels import counted, instants, texts, usable_stations
 from tests.helpers import NS_PER_S, channel, refused
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import ground_shot_notes
 from unbend.flight.ground_times import (
     GroundEvidence,
@@ -23,7 +20,7 @@ NAN = float("nan")
 PLACE = {"lat_rad": 0.8, "lon_rad": 0.15}
 
 
-def seconds_on_the_ground(position: Channel, *others: Channel) -> list[int]:
+def seconds_on_the_ground(position, *others):
     """Whole seconds at which the aircraft stands, as a position and further channels say."""
     evidence = GroundEvidence.of([position, *others])
     return (times_on_the_ground(position, evidence) // NS_PER_S).tolist()
@@ -80,7 +77,7 @@ def test_a_longitude_that_is_unknown_hides_no_landing():
 HOVER_S = np.arange(190)
 
 
-def hover(**columns: object) -> Channel:
+def hover(**columns):
     """A hover of three minutes 500 m above the take-off, ten seconds 100 m higher at its end."""
     height_m = np.where(HOVER_S < 180, 950.0, 1050.0)
     return channel("POS", HOVER_S, "position", **PLACE | {"h_msl_m": height_m} | columns)
@@ -140,8 +137,16 @@ def test_an_aircraft_whose_home_is_not_set_yet_may_stand():
     ("h_msl_m", "above_home_m", "is_set"),
     [
         ([500.0, 520.0, NAN], [500.0, 520.0, NAN], [False] * 3),
-        ([5.0, 25.0, NAN], [5.0, 25.0, NAN], [True, True, False]),  # at sea level
-        ([500.0, 520.0, NAN], [0.0, 520.0, NAN], [True, False, False]),
+        (
+            [5.0, 25.0, NAN],
+            [5.0, 25.0, NAN],
+            [True, True, False],
+        ),  # at sea level
+        (
+            [500.0, 520.0, NAN],
+            [0.0, 520.0, NAN],
+            [True, False, False],
+        ),
         ([NAN] * 3, [1.0, 2.0, 3.0], [True] * 3),
     ],
 )
@@ -171,7 +176,7 @@ def test_a_height_above_home_reaches_over_gaps_of_five_seconds(gap_s, flies):
     assert GroundEvidence.of([position]).flies(in_gap_ns).tolist() == [flies]
 
 
-def ascent() -> Channel:
+def ascent():
     """A minute on the ground, a climb of a minute, and level."""
     seconds = np.arange(0.0, 700.0)
     height_m = np.interp(seconds, [60.0, 120.0], [450.0, 950.0])

@@ -1,7 +1,5 @@
 """Heights above the sea, the ellipsoid and the take-off, and places of local positions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyproj
 import pytest
@@ -9,7 +7,6 @@ import pytest
 from tests.flight.made_channels import instants, located, usable_stations
 from tests.helpers import channel, refused, with_code
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel
 from unbend.flight.heights import (
     GeodeticOrigin,
     HeightSystem,
@@ -18,7 +15,6 @@ from unbend.flight.heights import (
     heights_at,
     to_geodetic,
 )
-from unbend.flight.stations import Stations
 from unbend.geodesy import GeoidGrid
 
 SECONDS = np.arange(10.0)
@@ -31,7 +27,7 @@ PLANE = np.outer([-2.0, 0.0, 2.0], np.ones(360)) + 40.0
 GRID = GeoidGrid("plane", PLANE.astype(np.float32), 46.0, -180.0, 1.0, 1.0)
 
 
-def gnss(**heights: object) -> Channel:
+def gnss(**heights):
     return channel("GPS", SECONDS, **PLACE, **heights)
 
 
@@ -135,7 +131,7 @@ def test_a_take_off_height_counts_if_it_is_one(h_msl_m, above_home_m, home_m, sa
     assert says in notes[0].what
 
 
-def station(h_ellipsoid_m: float) -> Stations:
+def station(h_ellipsoid_m):
     """A usable station 1000 m above the sea."""
     made = usable_stations(instants(0), "image")
     made.h_msl_m[:] = 1000.0

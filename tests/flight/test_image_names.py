@@ -1,7 +1,5 @@
 """Names that differ in case, ending, folder, digits; events of another time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -127,7 +125,7 @@ FLOWN = channel(
 """An hour with 50 minutes of flight."""
 
 
-def notes_of_events(first_s: float, spacing_s: float = 20.0) -> tuple:
+def notes_of_events(first_s, spacing_s=20.0):
     """What is said of a hundred events, by seconds from the begin of the log."""
     seconds = BEGIN_S + first_s + spacing_s * np.arange(100)
     events = Events("cam", image_names(*[""] * 100), instants(*seconds))

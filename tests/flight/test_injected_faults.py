@@ -16,21 +16,17 @@ from tests.draws import SEED
 from tests.flight.injected_faults import KINDS, inject
 from tests.flight.made_channels import plausible_roles
 from tests.flight.simulator_logs import (
-    Columns,
-    Flight,
     errors,
     flight,
     sigmas,
     unnamed_events,
 )
-from unbend.flight.channels import Channel
 from unbend.flight.evidence.contradictions import examine
 from unbend.flight.evidence.log_accuracy import with_accuracy
 from unbend.flight.evidence.stretches import flag_suspect
 from unbend.flight.heights import height_system
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations
-from unbend.flight.stations import Stations
 
 DRAWS = 208 if int(os.environ.get("UNBEND_FLIGHTS", "0")) >= 208 else 104
 FAR = {"horizontal": 5.0, "height": 5.0, "tilt": 1.0}  # [m], and degrees of the optical axis
@@ -39,11 +35,11 @@ pytestmark = pytest.mark.shared("logs")
 
 
 @pytest.fixture(scope="module")
-def logs() -> list[Flight]:
+def logs():
     return [flight("sitl_survey"), flight("sitl_belowsea_2cam")]
 
 
-def stations_of(channels: tuple[Channel, ...], time_ns: np.ndarray) -> tuple[Stations, Counter]:
+def stations_of(channels, time_ns):
     """The stations as a run builds them, and how many exposures each code of the ledger counts."""
     examined, suspect, _ = examine(channels, plausible_roles(channels))
     heights, _ = height_system(examined, None)
@@ -60,7 +56,7 @@ def stations_of(channels: tuple[Channel, ...], time_ns: np.ndarray) -> tuple[Sta
     return flagged, Counter({note.code: note.count for note in notes})
 
 
-def too_far(error: Columns) -> np.ndarray:
+def too_far(error):
     """(n,) which stations are far from the truth."""
     is_far = False
     for name, limit in FAR.items():
@@ -68,7 +64,7 @@ def too_far(error: Columns) -> np.ndarray:
     return is_far
 
 
-def beyond_four_sigmas(stations: Stations, error: Columns) -> np.ndarray:
+def beyond_four_sigmas(stations, error):
     """(n,) which stations are farther from the truth than they say."""
     sigma = sigmas(stations)
     is_beyond = False

@@ -1,7 +1,5 @@
 """Samples that no vehicle and no air can reach are taken out and counted; what can be, stays."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,6 @@ from tests.flight.made_channels import EARTH_M, counted, located, turned_channel
 from tests.helpers import NS_PER_S, channel, refused
 from unbend.atmosphere.rejection import Reason
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel
 from unbend.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
 
 ROW = np.arange(60)
@@ -26,12 +23,12 @@ STILL = {
 }
 
 
-def logged(**columns: np.ndarray | float) -> Channel:
+def logged(**columns):
     """A channel of 10 Hz."""
     return channel("X", TENTHS, **columns)
 
 
-def rotating(axes: str, *angles_deg: np.ndarray) -> Channel:
+def rotating(axes, *angles_deg):
     return turned_channel("X", TENTHS, axes, np.transpose(angles_deg))
 
 
@@ -56,7 +53,7 @@ ELSEWHERE = {
 }
 
 
-def with_jumps(role: str, rows: list[int]) -> Channel:
+def with_jumps(role, rows):
     """Sound samples, of which some rows are elsewhere: attitudes by half a turn about down."""
     sound = SOUND[role]
     is_moved = np.isin(ROW, rows)
@@ -163,7 +160,11 @@ def test_the_range_of_each_column(column):
     low, high = LIMITS[column]
     beyond = 1e-6 * abs(high - low)
     usual = STILL.get(column, 0.0)
-    columns = {"lat_rad": 0.0, "lon_rad": 0.0, "x": 0.0}
+    columns = {
+        "lat_rad": 0.0,
+        "lon_rad": 0.0,
+        "x": 0.0,
+    }
     for value, is_possible in (
         (low, True),
         (low - beyond, False),
@@ -245,7 +246,14 @@ def test_an_impossible_value_is_counted_once():
 
 
 def test_power_ups_and_labels_stay_with_their_samples():
-    temperature_k = [280.0, np.nan, 280.0, np.nan, np.nan, 280.0]
+    temperature_k = [
+        280.0,
+        np.nan,
+        280.0,
+        np.nan,
+        np.nan,
+        280.0,
+    ]
     made = replace(
         channel("X", np.arange(6), temperature_k=temperature_k),
         boot=np.array([0, 0, 1, 1, 2, 2], np.int16),
@@ -259,7 +267,14 @@ def test_power_ups_and_labels_stay_with_their_samples():
     assert counted(notes) == [("loss", "SENSOR-RANGE", 3)]
 
 
-@pytest.mark.parametrize(("before", "aligned"), [(0, 1), (2, 3), (20, 1)])
+@pytest.mark.parametrize(
+    ("before", "aligned"),
+    [
+        (0, 1),
+        (2, 3),
+        (20, 1),
+    ],
+)
 def test_the_first_attitude_after_alignment_is_no_loss(before, aligned):
     """Yaw is 0 until the filter is aligned, half-way there in one sample, then right."""
     yaw_deg = np.full(60, 170.0)

@@ -1,7 +1,5 @@
 """Terrain heights of the autopilot: from both kinds of logs, and beside given heights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pymavlink import mavutil

@@ -1,7 +1,5 @@
 """Which readings are of the free air, and at which height."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -16,19 +14,24 @@ from tests.flight.made_channels import (
 )
 from tests.helpers import NS_PER_S, channel
 from unbend.atmosphere.rejection import Reason
-from unbend.flight.channels import Channel
 from unbend.flight.evidence.stretches import HEIGHT, Stretch
 from unbend.flight.heights import HeightSystem
 from unbend.flight.outside_air import outside_air_samples
 
 PLACE = {"lat_rad": 0.8, "lon_rad": 0.1}
-GPS = channel("GPS", FLIGHT_S, "height", h_msl_m=FLIGHT_HEIGHT_M, **PLACE)
+GPS = channel(
+    "GPS",
+    FLIGHT_S,
+    "height",
+    h_msl_m=FLIGHT_HEIGHT_M,
+    **PLACE,
+)
 BARO = channel("BARO", FLIGHT_S, pressure_pa=9e4)
 HYGR = channel("HYGR", FLIGHT_S, temperature_k=280.0, relative_humidity=0.5)
 ARSP = channel("ARSP", FLIGHT_S, airspeed_m_s=60.0)
 
 
-def samples_of(height: Channel, *stretches: Stretch, **sensors: Channel):
+def samples_of(height, *stretches, **sensors):
     """The samples of the sensors of these roles, and their messages."""
     roles = {"height": height, **sensors}
     return outside_air_samples(roles, HeightSystem(), 5.0, stretches)
@@ -59,7 +62,13 @@ def test_the_ground_and_the_first_two_minutes_are_not_the_air():
 
 def test_a_log_that_begins_in_the_air_has_no_take_off():
     climb_m = 2000.0 + 3.0 * FLIGHT_S
-    flying = channel("GPS", FLIGHT_S, "height", h_msl_m=climb_m, **PLACE)
+    flying = channel(
+        "GPS",
+        FLIGHT_S,
+        "height",
+        h_msl_m=climb_m,
+        **PLACE,
+    )
     samples, notes = samples_of(flying, temperature=HYGR)
     assert samples.temperature.accepted.all()
     assert notes == ()
@@ -84,7 +93,11 @@ def test_the_ground_between_two_flights_is_not_the_air():
 
 def test_a_height_that_is_fused_with_the_barometer_says_nothing_of_temperatures():
     """Pressures of the lowest 30 m give the level; with a receiver all are used, without a word."""
-    fused = replace(GPS, name="POS", roles=("position",))
+    fused = replace(
+        GPS,
+        name="POS",
+        roles=("position",),
+    )
     samples, notes = samples_of(fused, pressure=BARO)
     assert np.array_equal(samples.pressure.accepted, FLIGHT_HEIGHT_M < 480.0)
     assert set(samples.pressure.rejected) == {Reason.USED, Reason.FUSED_HEIGHT}
@@ -99,7 +112,13 @@ def test_readings_without_height_or_at_a_suspect_one_say_so():
     """Heights that another source replaces are not suspect."""
     short = GPS.rows(FLIGHT_S < 700.0)
     suspect = Stretch(*instants(300, 309).tolist(), HEIGHT, "it steps")
-    replaced = Stretch(*instants(400, 409).tolist(), HEIGHT, "it steps", 9.0, "GPS[1]")
+    replaced = Stretch(
+        *instants(400, 409).tolist(),
+        HEIGHT,
+        "it steps",
+        9.0,
+        "GPS[1]",
+    )
 
     samples, notes = samples_of(short, suspect, replaced, pressure=BARO)
 

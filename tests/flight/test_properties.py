@@ -1,7 +1,5 @@
 """Properties of clocks and quality that hold for whatever a log contains."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings, strategies
 from hypothesis.extra.numpy import arrays
@@ -31,7 +29,12 @@ def test_rows_in_time_order_increase_strictly(times):
 @given(READINGS_PA)
 def test_masking_touches_no_plausible_value_and_counts_all_others_once(values):
     row = np.arange(40.0)
-    logged = channel("X", row, pressure_pa=values, row=row)
+    logged = channel(
+        "X",
+        row,
+        pressure_pa=values,
+        row=row,
+    )
 
     masked, notes = mask_impossible_values(logged)
 

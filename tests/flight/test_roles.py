@@ -1,7 +1,5 @@
 """Which channel plays which role, and which barometers are outside."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from tests.flight.made_channels import (
 )
 from tests.helpers import refused, with_code
 from unbend.errors import MissionError
-from unbend.flight.channels import ROLE_COLUMNS, Channel
+from unbend.flight.channels import ROLE_COLUMNS
 from unbend.flight.roles import assign_roles, follows_height
 from unbend.messages import Kind
 
@@ -27,15 +25,15 @@ LEVEL = {
 
 
 def sensor(
-    name: str,
-    rank: int,
-    *roles: str,
-    **columns: object,
-) -> Channel:
+    name,
+    rank,
+    *roles,
+    **columns,
+):
     return ranked(name, FLIGHT_S, rank, *roles, **columns)
 
 
-def barometer(name: str, pressure_pa: object, **columns: object) -> Channel:
+def barometer(name, pressure_pa, **columns):
     return sensor(
         name,
         10,
@@ -46,7 +44,7 @@ def barometer(name: str, pressure_pa: object, **columns: object) -> Channel:
     )
 
 
-def receiver(name: str, height_m: object) -> Channel:
+def receiver(name, height_m):
     return sensor(
         name,
         20,

@@ -1,7 +1,5 @@
 """Attitudes against numbers that other programs and a published block print."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyproj
 import pytest
@@ -174,7 +172,13 @@ def test_convergence_is_the_map_projection_s_own():
     turn = enu_from_grid(np.radians(convergence_deg))
 
     eastings, northings = utm([11.5, 11.5], [48.0, 48.0 + 1e-5])
-    step = np.array([*np.diff(eastings), *np.diff(northings), 0.0])
+    step = np.array(
+        [
+            *np.diff(eastings),
+            *np.diff(northings),
+            0.0,
+        ]
+    )
     north = step / np.linalg.norm(step)
     assert turn @ north == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
 

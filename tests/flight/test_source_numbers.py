@@ -1,7 +1,5 @@
 """Steps, silences, lags and differences of sources of position and height: numbers by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,16 +7,13 @@ import pytest
 
 from tests.flight.made_channels import EARTH_M, instants, standard_pressure_pa
 from tests.helpers import NS_PER_S, channel
-from unbend.flight.channels import Channel
 from unbend.flight.evidence.contradictions import silences
 from unbend.flight.evidence.source_differences import (
-    Difference,
     air_change_m,
     height_of_pressure,
     source_difference,
 )
 from unbend.flight.evidence.sources import (
-    SourcePath,
     metres,
     source_path,
     velocity_at,
@@ -27,29 +22,33 @@ from unbend.flight.evidence.stretches import HEIGHT, POSITION
 
 ROW = np.arange(60)
 TIMES_S = 1.0 * ROW
-PLACE = {"lat_rad": 0.8, "lon_rad": 0.2, "h_msl_m": 500.0}
+PLACE = {
+    "lat_rad": 0.8,
+    "lon_rad": 0.2,
+    "h_msl_m": 500.0,
+}
 AT_REST = np.zeros((60, 2))
 
 
 def receiver(
-    name: str,
-    times_s: np.ndarray = TIMES_S,
-    **columns: object,
-) -> Channel:
+    name,
+    times_s=TIMES_S,
+    **columns,
+):
     return channel(name, times_s, "height", "position", **PLACE | columns)
 
 
-def path_of_heights(times_s: np.ndarray = TIMES_S, **columns: object) -> SourcePath:
+def path_of_heights(times_s=TIMES_S, **columns):
     logged = channel("A", times_s, **columns)
     return source_path(logged, HEIGHT, ())
 
 
-def path_to_the_north(north_m: np.ndarray, times_s: np.ndarray = TIMES_S) -> SourcePath:
+def path_to_the_north(north_m, times_s=TIMES_S):
     logged = receiver("GPS[1]", times_s, lat_rad=0.8 + north_m / EARTH_M)
     return source_path(logged, POSITION, ())
 
 
-def difference_from_rest(other: SourcePath, times_s: np.ndarray = TIMES_S) -> Difference:
+def difference_from_rest(other, times_s=TIMES_S):
     """A path beside a receiver that is always at one place."""
     first = receiver("GPS[0]", times_s)
     return source_difference(first, other, POSITION, AT_REST)
@@ -164,7 +163,7 @@ def test_the_lag_and_the_offset_of_two_receivers(lag_s, begin_rad):
     """Both fly east at 20 m/s; the second is ``lag_s`` behind, and 1.5 m to the north."""
     speed_rad_s = 20.0 / EARTH_M / math.cos(0.8)
 
-    def longitude(flown_s: np.ndarray) -> np.ndarray:
+    def longitude(flown_s):
         east_rad = begin_rad + speed_rad_s * flown_s
         return np.remainder(east_rad + math.pi, 2.0 * math.pi) - math.pi
 
@@ -214,7 +213,15 @@ def test_the_air_moves_a_height_of_a_pressure_by_hours_and_metres():
 
     change_m = air_change_m(time_ns, height_m, is_settled)
 
-    np.testing.assert_allclose(change_m, [8.4, 0.0, 8.4, math.hypot(25.2, 2.0)])
+    np.testing.assert_allclose(
+        change_m,
+        [
+            8.4,
+            0.0,
+            8.4,
+            math.hypot(25.2, 2.0),
+        ],
+    )
     never_settled = np.zeros(4, bool)
     assert not air_change_m(time_ns, height_m, never_settled).any()
 
@@ -238,7 +245,13 @@ def test_a_barometer_as_a_source_of_heights(top_m, tolerance_m):
     assert height_of_pressure(barometer.rows(TIMES_S < 29.0), height) is None
 
 
-@pytest.mark.parametrize(("gap_s", "silent_s"), [(1.9, []), (2.1, [20.5, 22.1])])
+@pytest.mark.parametrize(
+    ("gap_s", "silent_s"),
+    [
+        (1.9, []),
+        (2.1, [20.5, 22.1]),
+    ],
+)
 def test_a_receiver_is_silent_for_more_than_two_seconds_while_another_channel_goes_on(
     gap_s, silent_s
 ):

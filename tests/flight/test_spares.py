@@ -1,37 +1,38 @@
 """Roles go over to spares where their channel is silent, and the accuracy is that of the spare."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tests.flight.made_channels import instants, ranked
 from tests.helpers import NS_PER_S, with_code
-from unbend.flight.channels import Channel
 from unbend.flight.evidence.log_accuracy import LogAccuracy
 from unbend.flight.roles import assign_roles
 from unbend.flight.spares import with_spares
 
 SECONDS = np.arange(0.0, 100.0, 0.2)
-PLACE = {"lat_rad": 0.8, "lon_rad": 0.1, "h_msl_m": 900.0}
+PLACE = {
+    "lat_rad": 0.8,
+    "lon_rad": 0.1,
+    "h_msl_m": 900.0,
+}
 
 
 def receiver(
-    name: str,
-    seconds: np.ndarray,
-    rank: int,
-    sigma_m: float,
-) -> Channel:
+    name,
+    seconds,
+    rank,
+    sigma_m,
+):
     columns = PLACE | {"sigma_h_m": sigma_m, "sigma_v_m": 2.0 * sigma_m}
     return ranked(name, seconds, rank, "height", "position", **columns)
 
 
 def attitude(
-    name: str,
-    seconds: np.ndarray,
-    rank: int,
-    q_x: float = 0.0,
-) -> Channel:
+    name,
+    seconds,
+    rank,
+    q_x=0.0,
+):
     return ranked(
         name,
         seconds,
@@ -44,7 +45,7 @@ def attitude(
     )
 
 
-def barometer(name: str, seconds: np.ndarray, rank: int) -> Channel:
+def barometer(name, seconds, rank):
     return ranked(name, seconds, rank, "pressure", pressure_pa=9e4)
 
 

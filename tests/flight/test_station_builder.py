@@ -1,7 +1,5 @@
 """From events to stations: attitude, mount, lever arm, air, sigmas. Expected values by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyproj
 import pytest
@@ -13,12 +11,10 @@ from tests.flight.made_channels import (
     turned_channel,
 )
 from tests.helpers import channel
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import ClockSigmas, build_stations
-from unbend.flight.stations import Stations
 
 NAN = float("nan")
 SECONDS = np.arange(0.0, 10.0, 0.1)
@@ -30,11 +26,11 @@ NO_UNDULATION = HeightSystem()
 LOOKS_DOWN = Mount()
 
 
-def sensor(name: str, **columns: object) -> Channel:
+def sensor(name, **columns):
     return channel(name, SECONDS, **columns)
 
 
-def flown(*yaw_pitch_roll_deg: float, **changed: Channel) -> dict[str, Channel]:
+def flown(*yaw_pitch_roll_deg, **changed):
     """The roles of ten seconds at one place, 1000 m above the sea, in one attitude."""
     angles_deg = yaw_pitch_roll_deg or [0.0, 0.0, 0.0]
     return {
@@ -46,22 +42,22 @@ def flown(*yaw_pitch_roll_deg: float, **changed: Channel) -> dict[str, Channel]:
 
 
 def stations_at(
-    seconds: list[float],
-    roles: dict[str, Channel],
-    mount: Mount = LOOKS_DOWN,
-    heights: HeightSystem = NO_UNDULATION,
-    **clocks_s: float,
-) -> Stations:
+    seconds,
+    roles,
+    mount=LOOKS_DOWN,
+    heights=NO_UNDULATION,
+    **clocks_s,
+):
     names = image_names(*(f"image_{second}" for second in seconds))
     events = Events("cam", names, instants(*seconds))
     return build_stations(events, roles, mount, heights, 1.0, clocks=ClockSigmas(**clocks_s))
 
 
 def station_at_5_s(
-    roles: dict[str, Channel],
-    *more: object,
-    **clocks_s: float,
-) -> Stations:
+    roles,
+    *more,
+    **clocks_s,
+):
     return stations_at([5.0], roles, *more, **clocks_s)
 
 

@@ -1,7 +1,5 @@
 """Stations: what flags them, and their table."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,6 @@ from unbend.flight.station_builder import flag_missing_aircraft_attitude
 from unbend.flight.stations import (
     NO_TIME,
     SigmaLimits,
-    Stations,
     append_unmatched_images,
     empty_stations,
     flag_height_misfits,
@@ -30,7 +27,7 @@ PA_AT_3_KM = 70_121.0  # US 1976, Table I
 K_AT_3_KM = 268.659
 
 
-def with_status(*status: str, **columns: object) -> Stations:
+def with_status(*status, **columns):
     n = len(status)
     names = image_names(*(f"image_{number}" for number in range(n)))
     made = empty_stations(names, np.full(n, "cam", object), "ok")
@@ -46,7 +43,7 @@ def with_status(*status: str, **columns: object) -> Stations:
     )
 
 
-def stations(n: int = 3, **columns: object) -> Stations:
+def stations(n=3, **columns):
     return with_status(*["ok"] * n, **columns)
 
 
@@ -90,7 +87,10 @@ def test_images_without_an_exposure_are_appended_in_order_and_unused_exposures_a
     joined, notes = append_unmatched_images(stations(), ("image_1", "zzz", "aaa"))
     assert joined.image.tolist() == ["image_0", "image_1", "image_2", "aaa", "zzz"]
     assert joined.status.tolist() == ["ok"] * 3 + ["unmatched"] * 2
-    assert counted(notes) == [("note", "STATIONS-UNUSED", 2), ("loss", "IMAGES-UNMATCHED", 2)]
+    assert counted(notes) == [
+        ("note", "STATIONS-UNUSED", 2),
+        ("loss", "IMAGES-UNMATCHED", 2),
+    ]
     assert "aaa, zzz" in notes[1].what
 
 
@@ -102,7 +102,7 @@ def test_each_reason_is_a_loss_but_unmatched_images_are_entered_elsewhere():
     assert no_attitude.what == "1 exposure is no_attitude: image_2"
 
 
-def flag_missing_pressure(flown: Stations, camera: str):
+def flag_missing_pressure(flown, camera):
     """Without the note on the temperature, which is assumed."""
     return cabin_from_log(flown, camera, Cabin("log", temperature_k=294.0))
 
@@ -122,8 +122,14 @@ def test_the_table_is_in_degrees_and_unknown_times_are_null():
         2,
         time_ns=[NO_TIME, 1_700_000_000_123_456_789],
         lon_rad=[-np.pi / 2, np.nan],
-        quaternion=[[0.1, 0.2, 0.3, 0.4], [np.nan] * 4],
-        aircraft_quaternion=[[0.5, 0.6, 0.7, 0.8], [np.nan] * 4],
+        quaternion=[
+            [0.1, 0.2, 0.3, 0.4],
+            [np.nan] * 4,
+        ],
+        aircraft_quaternion=[
+            [0.5, 0.6, 0.7, 0.8],
+            [np.nan] * 4,
+        ],
     )
     columns = station_columns(made)
     assert np.isnat(columns["time_utc"]).tolist() == [True, False]
@@ -212,5 +218,9 @@ def test_stations_are_drawn_by_camera_and_usability():
     axis = FLOWN.plot()
     drawn = {line.get_label(): line.get_xdata().tolist() for line in axis.lines}
     one_place = pytest.approx([np.degrees(0.1)])
-    assert drawn == {"nadir": one_place, "oblique": one_place, "not usable": one_place}
+    assert drawn == {
+        "nadir": one_place,
+        "oblique": one_place,
+        "not usable": one_place,
+    }
     assert FLOWN.plot(axis) is axis

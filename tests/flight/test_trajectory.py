@@ -1,8 +1,5 @@
 """Position and attitude between samples: closed forms, and scipy's Slerp."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +15,6 @@ from tests.flight.made_channels import (
     without_columns,
 )
 from tests.helpers import channel
-from unbend.flight.channels import Channel
 from unbend.flight.ground_times import LoggedPath, takeoff_of
 from unbend.flight.interpolation import (
     GAP_IN_CHANNEL,
@@ -29,7 +25,6 @@ from unbend.flight.interpolation import (
 )
 from unbend.flight.trajectory import (
     RATES,
-    Attitudes,
     attitude_at,
     bend_of_heights,
     track_at,
@@ -37,7 +32,11 @@ from unbend.flight.trajectory import (
 )
 
 TENTHS_S = [0, 0.1, 0.2, 0.3]
-THREE = channel("X", [0, 1, 2], value=[0.0, 10.0, 40.0])
+THREE = channel(
+    "X",
+    [0, 1, 2],
+    value=[0.0, 10.0, 40.0],
+)
 WITH_GAP = channel("X", [*TENTHS_S, 9.0, 9.1], value=1.0)
 WITH_RESTART = replace(
     channel("X", TENTHS_S, value=1.0),
@@ -137,11 +136,11 @@ def test_a_log_that_begins_on_the_180th_meridian_stands_still_there():
     assert takeoff.h_msl_m == 12.0
 
 
-def with_attitudes(seconds: np.ndarray, attitude: Rotation) -> Channel:
+def with_attitudes(seconds, attitude):
     return channel("ATT", seconds, **quaternion_columns(attitude))
 
 
-def attitudes_at(logged: Channel, *seconds: float) -> Attitudes:
+def attitudes_at(logged, *seconds):
     return attitude_at(logged, instants(*seconds), 2.0)
 
 
@@ -201,7 +200,7 @@ PARALLEL_M = 6_389_152.0 * np.cos(0.8)
 VELOCITIES = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
 
 
-def circle(seconds: np.ndarray) -> dict[str, np.ndarray]:
+def circle(seconds):
     """30 m/s around a circle of 150 m, climbing faster and faster, in closed form."""
     angle = seconds * 0.2
     return {
@@ -220,7 +219,7 @@ ASKED_S = np.array([6.5, 7.0, 9.0, 11.3])
 TRUTH = circle(ASKED_S)
 
 
-def beside_m(latitude: np.ndarray, longitude: np.ndarray) -> float:
+def beside_m(latitude, longitude):
     """How far places are from the circle at most."""
     north_m = (latitude - TRUTH["lat_rad"]) * MERIDIAN_M
     east_m = (longitude - TRUTH["lon_rad"]) * PARALLEL_M
@@ -245,7 +244,10 @@ def test_a_turn_is_followed(unknown, allowed_m):
     assert beside_m(chord_lat, chord_lon) > 2.9
     assert beside_m(track.lat_rad, track.lon_rad) < allowed_m
     assert np.linalg.norm(track.sigma_m, axis=1).max() < 2.0
-    velocity_m_s = [30 * np.cos(1.4), 30 * np.sin(1.4)]
+    velocity_m_s = [
+        30 * np.cos(1.4),
+        30 * np.sin(1.4),
+    ]
     assert track.velocity_m_s[1] == pytest.approx(velocity_m_s, rel=0.05)
     height_m = interpolate(logged, "h_msl_m", time_ns, 3.0) + bent.metres_up
     assert height_m == pytest.approx(TRUTH["h_msl_m"], abs=1e-6)
@@ -261,10 +263,9 @@ def test_velocities_that_contradict_the_positions_are_not_followed():
 
 EVERY_SECOND = np.arange(0.0, 30.0)
 BETWEEN = np.arange(4.0, 26.0, 0.07)
-Motion = Callable[[np.ndarray], Rotation]
 
 
-def rolling(t: np.ndarray) -> Rotation:
+def rolling(t):
     """A roll to and fro by 35 degrees and a steady turn."""
     yaw = 0.25 * t
     pitch = np.full(t.shape, 0.05)
@@ -272,25 +273,29 @@ def rolling(t: np.ndarray) -> Rotation:
     return Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1))
 
 
-def coning(t: np.ndarray) -> Rotation:
+def coning(t):
     """The axis of a turn of 50 deg/s goes round a cone of 1.2 rad."""
     cone = np.full(t.shape, 1.2)
     return Rotation.from_euler("ZYZ", np.stack([0.9 * t, cone, -0.18 * t], axis=1))
 
 
-def with_rates(logged: Channel, motion: Motion) -> Channel:
+def with_rates(logged, motion):
     """Attitudes at 1 Hz with the rates of their motion about the axes of the body."""
     step = motion(EVERY_SECOND - 1e-5).inv() * motion(EVERY_SECOND + 1e-5)
     rates = step.as_rotvec().T / 2e-5
-    gyro = channel("IMU", EVERY_SECOND, **dict(zip(RATES, rates, strict=True)))
+    gyro = channel(
+        "IMU",
+        EVERY_SECOND,
+        **dict(zip(RATES, rates, strict=True)),
+    )
     return with_slopes(logged, [gyro], RATES)
 
 
-def rms(values: np.ndarray) -> float:
+def rms(values):
     return np.sqrt(np.mean(values**2))
 
 
-def rms_deg(truth: Rotation, attitude: Rotation) -> float:
+def rms_deg(truth, attitude):
     return rms((truth.inv() * attitude).as_rotvec(degrees=True))
 
 

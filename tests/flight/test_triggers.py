@@ -1,7 +1,5 @@
 """Commands of triggers and pulses of shutters, in logs of ArduPilot and PX4."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 from tests.flight.made_channels import counted, ranked
 from tests.helpers import refused
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel, Source
+from unbend.flight.channels import Source
 from unbend.flight.triggers import lag_from_feedback, shutter_finding, trigger_notes
 from unbend.messages import Ledger
 
@@ -21,10 +19,10 @@ AT_TRIGGER = "EVENTS-TRIGGER-TIME"
 
 
 def fired(
-    name: str,
-    lag_s: float | np.ndarray = 0.0,
-    **columns: float,
-) -> Channel:
+    name,
+    lag_s=0.0,
+    **columns,
+):
     """Twelve numbered events, as long behind every third second."""
     return ranked(
         name,

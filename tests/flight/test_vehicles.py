@@ -1,7 +1,5 @@
 """Two vehicles in one log, and several receivers of one vehicle."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,7 +9,7 @@ import pytest
 from tests.flight.made_channels import EARTH_M, located
 from tests.helpers import channel, refused, with_code
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel, Source
+from unbend.flight.channels import Source
 from unbend.flight.vehicles import Vehicles
 from unbend.messages import Ledger
 from unbend.stages.vehicle import channels_of_one_vehicle
@@ -20,11 +18,11 @@ SECONDS = np.arange(0.0, 100.0)
 
 
 def sent(
-    name: str,
-    *roles: str,
-    system: int | None = None,
-    north_m: float = 0.0,
-) -> Channel:
+    name,
+    *roles,
+    system=None,
+    north_m=0.0,
+):
     columns = {}
     if "events" in roles:
         columns = {"event_index": SECONDS}
@@ -44,7 +42,7 @@ ROLES_OF_MESSAGES = {
 }
 
 
-def sent_by(system: int) -> tuple[Channel, ...]:
+def sent_by(system):
     channels = []
     for message, role in ROLES_OF_MESSAGES.items():
         channels.append(sent(f"{message}@{system}/1", role, system=system))
@@ -62,7 +60,7 @@ TWO = (*FIRST, *SECOND, SENSOR)
 TWO_WITH_ONE_FIX = (*FIRST_WITHOUT_FIX, *SECOND)
 
 
-def topics(namespace: str, north_m: float) -> tuple[Channel, ...]:
+def topics(namespace, north_m):
     return (
         sent(f"{namespace}/fix", "position", "height", north_m=north_m),
         sent(f"{namespace}/imu", "attitude"),
@@ -89,7 +87,7 @@ def test_which_senders_are_vehicles(channels, names):
     assert Vehicles.of(channels).names == names
 
 
-def mission(*event_channels: str) -> SimpleNamespace:
+def mission(*event_channels):
     sources = {f"cam{k}": SimpleNamespace(channel=name) for k, name in enumerate(event_channels)}
     events = SimpleNamespace(log=sources) if event_channels else None
     return SimpleNamespace(events=events, mount={})
