@@ -23,11 +23,7 @@ WHOLE_SECONDS_S = 12.0**-0.5  # sigma of times that are rounded to seconds
 EVERY_4_S = 4.0 * np.arange(50.0)
 
 
-def lines(
-    seed=1,
-    count=4,
-    each=15,
-):
+def lines(seed=1, count=4, each=15):
     """Times of a survey [s]: lines of exposures 3 s apart, with wind, 30 s between the lines."""
     rng = np.random.default_rng(seed)
     steps = 3.0 * (1.0 + rng.normal(0.0, 0.02, count * each))
@@ -38,11 +34,7 @@ def lines(
 SURVEY = lines()
 
 
-def timed(
-    image_s,
-    sigma_s=0.02,
-    **more,
-):
+def timed(image_s, sigma_s=0.02, **more):
     """Images with times in milliseconds."""
     return ImageEvidence(
         image_s.size,
@@ -56,27 +48,15 @@ def numbered(number, numbering="sequence"):
     return ImageEvidence(number.size, number=number, numbering=numbering)
 
 
-def assigned(
-    event_s,
-    images,
-    **more,
-):
+def assigned(event_s, images, **more):
     return assign(CameraEvents(event_s), images, **more)
 
 
-def by_times(
-    event_s,
-    image_s,
-    **more,
-):
+def by_times(event_s, image_s, **more):
     return assigned(event_s, timed(image_s, **more))
 
 
-def by_index(
-    event_s,
-    event_index,
-    image_index,
-):
+def by_index(event_s, event_index, image_index):
     events = CameraEvents(event_s, index=event_index)
     return assign(events, numbered(image_index, "index"))
 
@@ -96,22 +76,24 @@ def used_events(assignment):
     return assignment.event[assignment.event >= 0]
 
 
-def drawn(
-    kind_number,
-    seed,
-    *,
-    constant=False,
-):
+def drawn(kind_number, seed, *, constant=False):
     """A flight and its assignment by times."""
     kind = KINDS[kind_number % len(KINDS)]
     flight = draw(np.random.default_rng(seed), kind, constant=constant)
-    return flight, by_times(flight.event_s, flight.image_s, sigma_s=flight.sigma_s)
+    assignment = by_times(
+        flight.event_s,
+        flight.image_s,
+        sigma_s=flight.sigma_s,
+    )
+    return flight, assignment
 
 
 def wrong_images(flight, assignment):
     """How many images have an event more than 0.2 s from theirs, or one although theirs is lost."""
-    apart_s = np.abs(flight.event_s[assignment.event] - flight.event_s[flight.truth])
-    is_wrong = (flight.truth < 0) | (apart_s > 0.2)
+    event_s = flight.event_s[assignment.event]
+    true_s = flight.event_s[flight.truth]
+    is_apart = np.abs(event_s - true_s) > 0.2
+    is_wrong = (flight.truth < 0) | is_apart
     return np.count_nonzero(is_wrong & (assignment.event >= 0))
 
 
@@ -325,7 +307,10 @@ def test_repeats_go_to_the_first_pulse():
 
 
 def test_an_event_of_the_number_before_it_repeats_that():
-    events = CameraEvents(np.array([0.0, 3.0, 3.9, 7.0]), index=np.array([4, 5, 5, 6]))
+    events = CameraEvents(
+        np.array([0.0, 3.0, 3.9, 7.0]),
+        index=np.array([4, 5, 5, 6]),
+    )
     assert events.repeated.tolist() == [False, False, True, False]
 
 
@@ -353,7 +338,8 @@ def test_an_image_between_two_events_has_none():
     assignment = by_times(events, image_s)
     assert assignment.accepted
     assert not assignment.ambiguous.any() or assignment.event[20] == -1
-    assert np.delete(assignment.event, 20).tolist() == [*range(20), *range(22, 61)]
+    others = np.delete(assignment.event, 20)
+    assert others.tolist() == [*range(20), *range(22, 61)]
 
 
 @pytest.mark.parametrize(
@@ -383,7 +369,10 @@ def test_too_little_is_refused(events, images):
 )
 def test_nothing_is_assigned_where_one_side_is_missing(events, images):
     """No event is given, and no evidence is claimed."""
-    assignment = by_times(np.arange(float(events)), np.arange(float(images)))
+    assignment = by_times(
+        np.arange(float(events)),
+        np.arange(float(images)),
+    )
     assert not assignment.accepted
     assert assignment.reason
     assert assignment.event.tolist() == [-1] * images
@@ -395,7 +384,8 @@ def test_nothing_is_assigned_where_one_side_is_missing(events, images):
 
 
 def test_one_event_is_enough_for_one_image():
-    assert by_times(np.array([5.0]), np.array([5.0])).event.tolist() == [0]
+    second = np.array([5.0])
+    assert by_times(second, second).event.tolist() == [0]
 
 
 @pytest.mark.parametrize(

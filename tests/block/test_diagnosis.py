@@ -87,12 +87,7 @@ def measured(block, measuring_cameras):
     return rays
 
 
-def make(
-    seed,
-    *,
-    calibrations=CAMERAS,
-    **options,
-):
+def make(seed, *, calibrations=CAMERAS, **options):
     """A block of two cameras as a mission file states it."""
     usual = {
         "cameras": (0.0, 0.35),
@@ -101,7 +96,8 @@ def make(
     }
     block = simulate_block(seed, **usual | options)
     orientations = block.orientations
-    heading = 1.0 - 2.0 * (np.arange(block.lon.size) // 8 % 2)  # one line to, one fro
+    line = np.arange(block.lon.size) // 8
+    heading = (-1.0) ** line  # one to, one fro
     east = orientations.enu_from_ecef[:, 0]
     velocity = SPEED_M_S * heading[:, None] * east
 
@@ -120,11 +116,7 @@ def with_cameras(mission, **changed):
     return replace(mission, cameras={**mission.cameras, **changed})
 
 
-def with_attitudes(
-    mission,
-    turn,
-    **changed,
-):
+def with_attitudes(mission, turn, **changed):
     """The mission with the cameras turned, and with other changes."""
     stated = mission.orientations
     attitude = turn @ stated.camera_from_ecef
@@ -152,12 +144,7 @@ def findings_of(mission):
     return findings
 
 
-def first_finding(
-    mission,
-    code,
-    key,
-    most=4,
-):
+def first_finding(mission, code, key, most=4):
     """The most likely mistake, which must be this one, of at most so many."""
     findings = findings_of(mission)
     assert 1 <= len(findings) <= most
@@ -254,7 +241,8 @@ def test_other_axes_of_pixels(axes):
         camera1 = "" if is_right else axes
         return mission.rays(cameras, {**read, "camera1": camera1})
 
-    finding = first_finding(replace(mission, rays=rays), "TIES-PIXELS", "observations.columns")
+    wrong = replace(mission, rays=rays)
+    finding = first_finding(wrong, "TIES-PIXELS", "observations.columns")
     assert "camera1" in finding.what
 
 
@@ -339,7 +327,10 @@ def test_calibrations_that_are_each_others():
 
 
 def with_k1(k1):
-    return {name: with_lens(right, [k1]) for name, right in CAMERAS.items()}
+    cameras = {}
+    for name, right in CAMERAS.items():
+        cameras[name] = with_lens(right, [k1])
+    return cameras
 
 
 @pytest.mark.parametrize(
@@ -410,8 +401,9 @@ ONE_CAMERA = {
 def test_a_principal_point_six_pixels_off_is_no_turn_of_the_mount(turned_deg):
     """12.4, -8.3 px read as 8.3, -12.4, beside a mount that is off by its sigma, or is not."""
     turn = np.radians(turned_deg) * np.array([0.6, 0.7, 0.4])
+    mission = turned(make(41, **ONE_CAMERA), *turn)
     read = replace(NEAR_THE_MIDDLE, cx_px=4508.3, cy_px=4487.6)
-    wrong = with_cameras(turned(make(41, **ONE_CAMERA), *turn), camera0=read)
+    wrong = with_cameras(mission, camera0=read)
     finding = only_finding(wrong, "TIES-CALIBRATION", "cameras.camera0")
     assert "4512.4, 4491.7 px in camera0" in finding.what
 
@@ -429,7 +421,8 @@ def test_a_turned_mount_is_no_other_calibration(x_px, y_px, sigma_tilt):
     """Turned by 30 to 52 px, within its sigma or not: beside it a principal point moves by 25."""
     sigma = (1.0, 1.0, 2.0, sigma_tilt, sigma_tilt, 2.0 * sigma_tilt)
     mission = make(42, sigma=sigma, **ONE_CAMERA)
-    assert findings_of(turned(mission, y_px / F_PX, x_px / F_PX, 0.0)) == ()
+    wrong = turned(mission, y_px / F_PX, x_px / F_PX, 0.0)
+    assert findings_of(wrong) == ()
 
 
 def test_refraction_is_removed_from_apparent_rays():

@@ -48,12 +48,7 @@ def stations_at(enu):
     )
 
 
-def messages(
-    enu,
-    places,
-    *,
-    must_be_tested=True,
-):
+def messages(enu, places, *, must_be_tested=True):
     """What is said of a block at these places, beside known ones."""
     return frame_notes(
         stations_at(enu),

@@ -72,11 +72,7 @@ def block(drift_deg=3.0):
 AT_REST = Mount()
 
 
-def stations(
-    images,
-    mount=AT_REST,
-    undulation_m=UNDULATION_M,
-):
+def stations(images, mount=AT_REST, undulation_m=UNDULATION_M):
     made = stations_of_images(images, {"nadir": mount}, HeightSystem(undulation_m))
     made, notes = flag_above_horizon(made)
     refuse_turned_images(made)
@@ -96,7 +92,8 @@ NAN = float("nan")
     ],
 )
 def test_heights_of_both_kinds(is_msl, undulation_m, status, h_msl_m, h_ellipsoid_m):
-    made, notes = stations(replace(block(), is_msl=is_msl), undulation_m=undulation_m)
+    images = replace(block(), is_msl=is_msl)
+    made, notes = stations(images, undulation_m=undulation_m)
     assert notes == ()
     assert set(made.status) == {status}
     assert made.h_msl_m == pytest.approx(h_msl_m, nan_ok=True)
@@ -108,7 +105,9 @@ def test_what_is_not_known_says_so():
     images.lat_rad[2] = NAN
     images.quaternion[3] = NAN
     made, _ = stations(images)
-    assert made.status[:5].tolist() == ["ok", "ok", "no_position", "no_attitude", "ok"]
+    assert made.status[2] == "no_position"
+    assert made.status[3] == "no_attitude"
+    assert np.count_nonzero(made.status == "ok") == COUNT - 2
 
 
 def test_the_aircraft_carries_the_camera():
@@ -135,7 +134,7 @@ def test_the_aircraft_carries_the_camera():
     of_camera = stations_of_images(of_cameras, {"nadir": mount}, HeightSystem())
 
     optical_axes = matrices_of(of_body.quaternion)[:, 2]  # its left is north
-    to_the_left = np.array([[0.0, 0.5, -np.sqrt(0.75)]] * COUNT)
+    to_the_left = np.tile([0.0, 0.5, -np.sqrt(0.75)], (COUNT, 1))
     assert optical_axes == pytest.approx(to_the_left, abs=1e-12)
     behind_m = (of_body.lon_rad - images.lon_rad) * PARALLEL_M
     assert behind_m == pytest.approx(-2.0, abs=0.01)
@@ -197,7 +196,8 @@ def test_a_single_camera_that_looks_up_is_suspect():
 
 
 def test_images_that_turn_against_the_flight_are_refused():
-    kappa_clockwise = opk_of_quaternion(block().quaternion) * [1.0, 1.0, -1.0]
+    opk = opk_of_quaternion(block().quaternion)
+    kappa_clockwise = opk * [1.0, 1.0, -1.0]
     with refused("ORIENTATION-TURNS", MissionError):
         stations(with_attitudes(quaternion_of_opk(kappa_clockwise)))
 
@@ -233,7 +233,13 @@ FRAME_FROM_EARTH = Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix()
 SCALE = 100.0
 IMAGES = block()
 NAMES = IMAGES.image
-PLACES = np.stack([IMAGES.lat_rad, IMAGES.lon_rad, IMAGES.h_m], axis=1)
+PLACES = np.column_stack(
+    [
+        IMAGES.lat_rad,
+        IMAGES.lon_rad,
+        IMAGES.h_m,
+    ]
+)
 EARTH = ecef_of_geodetic(*PLACES.T)
 ENU = enu_from_ecef(IMAGES.lat_rad, IMAGES.lon_rad)
 UP = ENU[0, 2]  # at the first image
@@ -261,15 +267,15 @@ ALL = slice(None)
 EVERY_OTHER = slice(None, None, 2)
 
 
-def fit(
-    rows=ALL,
-    xyz=MODEL,
-    places=PLACES,
-    names=NAMES,
-    **options,
-):
+def fit(rows=ALL, xyz=MODEL, places=PLACES, names=NAMES, **options):
     """The frame of a model by the known positions of some of its images."""
-    frame, (note,) = fitted_frame(NAMES, xyz, names[rows], places[rows], **options)
+    frame, (note,) = fitted_frame(
+        NAMES,
+        xyz,
+        names[rows],
+        places[rows],
+        **options,
+    )
     return Fit(frame, note)
 
 
@@ -307,7 +313,8 @@ def test_the_vertical_is_as_good_as_its_sigma_says():
         frame = fit(xyz=model(2.0, seed)).frame
         about_an_axis = tilt(frame, FRAME_FROM_EARTH.T) / np.sqrt(2.0)
         ratios.append(about_an_axis / frame.tilt_rad)
-    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.2
+    square = np.mean(np.square(ratios))
+    assert 0.6 < np.sqrt(square) < 1.2
 
 
 def test_three_known_positions_are_not_checked_by_anything():
@@ -331,7 +338,13 @@ def test_the_sigma_of_known_positions_is_in_that_of_the_vertical():
     assert fit().frame.tilt_rad == of_one_metre
 
 
-@pytest.mark.parametrize(("row", "off_m"), [(0, 30.0), (18, -30.0)])
+@pytest.mark.parametrize(
+    ("row", "off_m"),
+    [
+        (0, 30.0),
+        (18, -30.0),
+    ],
+)
 def test_a_known_position_that_contradicts_the_others_is_named(row, off_m):
     noisy = model(0.3)
     assert fit(EVERY_OTHER, noisy).note.kind == "note"

@@ -42,7 +42,7 @@ LEAP_DAYS = """
 """
 
 
-@pytest.mark.parametrize(("leap", "day"), enumerate(LEAP_DAYS.split(), start=1))
+@pytest.mark.parametrize(("leap", "day"), list(enumerate(LEAP_DAYS.split(), start=1)))
 def test_a_leap_second_repeats_the_second_before(leap, day):
     midnight_ns = unix_ns(day)
     since_gps_epoch_s = (midnight_ns - unix_ns("1980-01-06")) // NS_PER_S

@@ -23,12 +23,7 @@ PITCH = 0.05 + NOISE[1]
 YAW = 1.0 + NOISE[2]
 
 
-def attitude(
-    roll=ROLL,
-    pitch=PITCH,
-    yaw=YAW,
-    message="ATT",
-):
+def attitude(roll=ROLL, pitch=PITCH, yaw=YAW, message="ATT"):
     """An attitude, whose angles may be constant [rad]."""
     angles = np.stack(np.broadcast_arrays(yaw, pitch, roll, ROLL)[:3], axis=1)
     turns = Rotation.from_euler("ZYX", angles)
@@ -55,11 +50,7 @@ def flight(climb_m=1000.0, way_m=3000.0):
     }
 
 
-def stuck(
-    roles,
-    role,
-    **values,
-):
+def stuck(roles, role, **values):
     """The roles, of which columns of one never change."""
     columns = {name: np.full(400, value) for name, value in values.items()}
     return roles | {role: with_columns(roles[role], **columns)}

@@ -74,7 +74,8 @@ def placed(
     **columns,
 ):
     """A source of a flight to the east that climbs, with 5 cm of noise."""
-    north_noise_m, up_noise_m = np.random.default_rng(seed).normal(0.0, 0.05, (2, t.size))
+    noise_m = np.random.default_rng(seed).normal(0.0, 0.05, (2, t.size))
+    north_noise_m, up_noise_m = noise_m
     flown_s = t - lag_s
     north_m = north(t) + north_noise_m
     return channel(
@@ -136,11 +137,7 @@ class Examined:
         return is_suspect
 
 
-def examined_flight(
-    *others,
-    gps=None,
-    north=no_error,
-):
+def examined_flight(*others, gps=None, north=no_error):
     """A filter, a receiver that leads it away to the north, and other channels."""
     pos = placed("POS", T10, "position", north=north)
     gps = gps or receiver(north=north)
@@ -199,7 +196,8 @@ def test_a_receiver_that_is_the_position_is_replaced_by_the_filter():
         up=glitch(30.0),
     )
 
-    examined = Examined(*examine([pos, gps], {"position": gps, "height": gps}))
+    roles = {"position": gps, "height": gps}
+    examined = Examined(*examine([pos, gps], roles))
 
     assert examined.replaced == [("height", "POS"), ("position", "POS")]
     height = of_the_glitch(examined.roles["height"])
@@ -224,7 +222,8 @@ def test_a_filter_without_fix_is_doubtful_and_a_short_loss_is_not(lost_s, suspec
 
 def test_poor_reported_accuracy_is_suspect():
     sigma_m = 0.5 + glitch(11.5)(T5)
-    (stretch,) = examined_flight(gps=receiver(sigma_h_m=sigma_m)).stretches
+    gps = receiver(sigma_h_m=sigma_m)
+    (stretch,) = examined_flight(gps=gps).stretches
     assert stretch.quantity == POSITION
     assert "worse than 5 m" in stretch.reason
 
@@ -334,8 +333,9 @@ def test_a_height_that_contradicts_its_own_velocity_and_the_barometer_is_doubtfu
 
 def test_runs_need_a_seed_and_join_across_a_second():
     row = np.arange(100)
+    time_ns = row * NS_PER_S // 10
     is_bad = np.isin(row, [10, 11, 12, 18, 50])
-    assert runs(row * NS_PER_S // 10, is_bad, row == 11) == [(10, 18)]
+    assert runs(time_ns, is_bad, row == 11) == [(10, 18)]
 
 
 def test_reasons_of_stretches_that_touch_are_joined():

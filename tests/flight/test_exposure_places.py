@@ -18,11 +18,7 @@ FLOWN_S = np.arange(0.0, 120.0, 0.1)
 SHOT_S = np.arange(10.0, 110.0, 5.0)
 
 
-def columns_at(
-    seconds,
-    north_m=0.0,
-    **changed,
-):
+def columns_at(seconds, north_m=0.0, **changed):
     """Level flight to the east at 40 m/s, 450 m above the sea at the take-off, 1,450 m now."""
     return {
         "lat_rad": LATITUDE + north_m / EARTH_M,
@@ -53,20 +49,11 @@ ROLES = {"position": POS, "height": GPS, "attitude": ATT}
 BY_GPS = {"position": GPS, "height": GPS, "attitude": ATT}
 
 
-def shots(
-    logged,
-    kind="CAM",
-    seconds=SHOT_S,
-):
+def shots(logged, kind="CAM", seconds=SHOT_S):
     return channel(f"{kind}[0]", seconds, "events", event_index=seconds, **logged)
 
 
-def findings(
-    events,
-    roles=ROLES,
-    delay_s=0.0,
-    **changes,
-):
+def findings(events, roles=ROLES, delay_s=0.0, **changes):
     evidence = ExposureEvidence(
         channel=events,
         time_ns=events.time_ns + instants(delay_s),

@@ -157,11 +157,7 @@ def test_a_trouble_of_one_channel_of_texts_may_end_in_another():
     assert ends_s(stretch) == (49.5, 65.0)
 
 
-def rolled(
-    name,
-    t,
-    roll_deg,
-):
+def rolled(name, t, roll_deg):
     return turned_channel(name, t, "x", roll_deg[:, None], "attitude")
 
 

@@ -24,12 +24,7 @@ LEVEL = {
 }
 
 
-def sensor(
-    name,
-    rank,
-    *roles,
-    **columns,
-):
+def sensor(name, rank, *roles, **columns):
     return ranked(name, FLIGHT_S, rank, *roles, **columns)
 
 

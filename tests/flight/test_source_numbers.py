@@ -30,11 +30,7 @@ PLACE = {
 AT_REST = np.zeros((60, 2))
 
 
-def receiver(
-    name,
-    times_s=TIMES_S,
-    **columns,
-):
+def receiver(name, times_s=TIMES_S, **columns):
     return channel(name, times_s, "height", "position", **PLACE | columns)
 
 

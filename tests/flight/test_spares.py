@@ -17,22 +17,20 @@ PLACE = {
 }
 
 
-def receiver(
-    name,
-    seconds,
-    rank,
-    sigma_m,
-):
-    columns = PLACE | {"sigma_h_m": sigma_m, "sigma_v_m": 2.0 * sigma_m}
-    return ranked(name, seconds, rank, "height", "position", **columns)
+def receiver(name, seconds, rank, sigma_m):
+    return ranked(
+        name,
+        seconds,
+        rank,
+        "height",
+        "position",
+        **PLACE,
+        sigma_h_m=sigma_m,
+        sigma_v_m=2.0 * sigma_m,
+    )
 
 
-def attitude(
-    name,
-    seconds,
-    rank,
-    q_x=0.0,
-):
+def attitude(name, seconds, rank, q_x=0.0):
     return ranked(
         name,
         seconds,
@@ -62,7 +60,11 @@ LANE = attitude("XKQ[0]", SECONDS + 0.05, 50, q_x=0.8)
 
 @pytest.mark.parametrize(("first", "by_spare_s"), [(LOST, 60.0), (LATE, 10.0)])
 def test_a_receiver_that_is_lost_gives_way_to_the_second(first, by_spare_s):
-    roles, (note,) = with_spares({"height": first}, (first, SPARE), ())
+    roles, (note,) = with_spares(
+        {"height": first},
+        (first, SPARE),
+        (),
+    )
 
     height = roles["height"]
     assert height.time_ns[0] <= NS_PER_S
@@ -108,8 +110,9 @@ def test_an_attitude_that_is_silent_for_a_while_gives_way_meanwhile():
 
     roles, (note,) = with_spares({"attitude": silent}, (silent, LANE), ())
 
-    is_of_spare = roles["attitude"]["q_x"] > 0.0
-    by_spare_s = roles["attitude"].time_ns[is_of_spare] / NS_PER_S
+    played = roles["attitude"]
+    is_of_spare = played["q_x"] > 0.0
+    by_spare_s = played.time_ns[is_of_spare] / NS_PER_S
     assert by_spare_s.min() == pytest.approx(29.85)
     assert by_spare_s.max() == pytest.approx(60.05)
     assert by_spare_s.size == 152
@@ -118,15 +121,26 @@ def test_an_attitude_that_is_silent_for_a_while_gives_way_meanwhile():
 
 def test_a_filter_is_as_accurate_as_the_receiver_that_is_there():
     time_ns = instants(10, 80)
-    with_spare = LogAccuracy(LOST, spare_receivers=(SPARE,)).positions(FUSED, time_ns)
-    alone = LogAccuracy(LOST).positions(FUSED, time_ns)
-    assert with_spare.horizontal_m == pytest.approx([0.5, 1.5])
-    assert alone.horizontal_m[1] > 100.0
+    alone = LogAccuracy(LOST)
+    with_spare = LogAccuracy(LOST, spare_receivers=(SPARE,))
+
+    sigmas = with_spare.positions(FUSED, time_ns)
+    sigmas_alone = alone.positions(FUSED, time_ns)
+
+    assert sigmas.horizontal_m == pytest.approx([0.5, 1.5])
+    assert sigmas_alone.horizontal_m[1] > 100.0
 
 
-@pytest.mark.parametrize(("silent_s", "plays"), [(9.9, "BARO[0]"), (10.1, "BARO[1]")])
+@pytest.mark.parametrize(
+    ("silent_s", "plays"),
+    [
+        (9.9, "BARO[0]"),
+        (10.1, "BARO[1]"),
+    ],
+)
 def test_a_barometer_that_is_lost_gives_way_to_one_that_goes_on(silent_s, plays):
-    lost_s = np.append(SECONDS[SECONDS < 40.0], SECONDS[-1] - silent_s)
+    last_s = SECONDS[-1] - silent_s
+    lost_s = np.append(SECONDS[SECONDS < 40.0], last_s)
     lost = barometer("BARO[0]", lost_s, 10)
     spare = barometer("BARO[1]", SECONDS, 20)
 

@@ -53,11 +53,7 @@ def stations_at(
     return build_stations(events, roles, mount, heights, 1.0, clocks=ClockSigmas(**clocks_s))
 
 
-def station_at_5_s(
-    roles,
-    *more,
-    **clocks_s,
-):
+def station_at_5_s(roles, *more, **clocks_s):
     return stations_at([5.0], roles, *more, **clocks_s)
 
 

@@ -18,11 +18,7 @@ LOST = "EVENTS-LOST"
 AT_TRIGGER = "EVENTS-TRIGGER-TIME"
 
 
-def fired(
-    name,
-    lag_s=0.0,
-    **columns,
-):
+def fired(name, lag_s=0.0, **columns):
     """Twelve numbered events, as long behind every third second."""
     return ranked(
         name,

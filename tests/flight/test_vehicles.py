@@ -17,12 +17,7 @@ from unbend.stages.vehicle import channels_of_one_vehicle
 SECONDS = np.arange(0.0, 100.0)
 
 
-def sent(
-    name,
-    *roles,
-    system=None,
-    north_m=0.0,
-):
+def sent(name, *roles, system=None, north_m=0.0):
     columns = {}
     if "events" in roles:
         columns = {"event_index": SECONDS}
