@@ -338,8 +338,8 @@ def test_an_image_between_two_events_has_none():
     assignment = by_times(events, image_s)
     assert assignment.accepted
     assert not assignment.ambiguous.any() or assignment.event[20] == -1
-    others = np.delete(assignment.event, 20)
-    assert others.tolist() == [*range(20), *range(22, 61)]
+    neighbours = np.delete(assignment.event, 20)
+    assert neighbours.tolist() == [*range(20), *range(22, 61)]
 
 
 @pytest.mark.parametrize(

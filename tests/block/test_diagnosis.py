@@ -118,11 +118,11 @@ def with_cameras(mission, **changed):
 
 def with_attitudes(mission, turn, **changed):
     """The mission with the cameras turned, and with other changes."""
-    stated = mission.orientations
-    attitude = turn @ stated.camera_from_ecef
+    logged = mission.orientations
+    attitude = turn @ logged.camera_from_ecef
     return replace(
         mission,
-        orientations=replace(stated, camera_from_ecef=attitude),
+        orientations=replace(logged, camera_from_ecef=attitude),
         **changed,
     )
 
@@ -163,9 +163,9 @@ def estimate_in(finding, pattern):
 
 @pytest.mark.parametrize("seed", range(BLOCKS))
 def test_a_true_mission_file_raises_nothing(seed):
-    stated, findings = diagnosis(make(seed))
+    points, findings = diagnosis(make(seed))
     assert findings == ()
-    assert 0.7 < stated.sigma_factor < 1.3
+    assert 0.7 < points.sigma_factor < 1.3
 
 
 def test_sigmas_explain_a_common_error_as_large_as_they_are():
@@ -428,15 +428,15 @@ def test_a_turned_mount_is_no_other_calibration(x_px, y_px, sigma_tilt):
 def test_refraction_is_removed_from_apparent_rays():
     """By the angle that `unbend angle` prints, within the relief and the heights of the cameras."""
     mission = make(27, errors=False, pixel_rad=1e-9)
-    stated = mission.orientations
+    logged = mission.orientations
     rays = replace(mission.rays(mission.cameras, {}), height_m=None)
-    up = np.einsum("sij,sj->si", stated.camera_from_ecef, stated.enu_from_ecef[:, 2])
+    up = np.einsum("sij,sj->si", logged.camera_from_ecef, logged.enu_from_ecef[:, 2])
 
     def nadir_angle(seen):
         return np.arccos(-np.sum(up[seen.image] * seen.direction, axis=1))
 
     before = nadir_angle(rays)
-    after = nadir_angle(straightened(stated, rays))
+    after = nadir_angle(straightened(logged, rays))
     is_of_several = (np.bincount(rays.point)[rays.point] > 2) & np.isfinite(before)
     assert (before > after)[is_of_several].all()
     row = np.argmax(np.where(is_of_several, before, 0.0))

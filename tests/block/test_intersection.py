@@ -353,13 +353,13 @@ def test_longitude_order_and_names_do_not_matter(seed, longitude):
         each=5,
         points=80,
     )
-    stated = block.orientations
+    logged = block.orientations
     around = Rotation.from_euler("z", longitude).as_matrix().T
     moved = replace(
-        stated,
-        centre_m=stated.centre_m @ around,
-        camera_from_ecef=stated.camera_from_ecef @ around,
-        enu_from_ecef=stated.enu_from_ecef @ around,
+        logged,
+        centre_m=logged.centre_m @ around,
+        camera_from_ecef=logged.camera_from_ecef @ around,
+        enu_from_ecef=logged.enu_from_ecef @ around,
     )
     order = np.random.default_rng(seed).permutation(block.image.size)
     reordered = ImageRays(

@@ -351,8 +351,8 @@ def test_a_known_position_that_contradicts_the_others_is_named(row, off_m):
     note = fit(EVERY_OTHER, noisy, raised(row, off_m)).note
     assert note.kind == "loss"
     assert f"without i{row} the others fit" in note.what
-    stated = re.search(r"it is ([0-9.]+) m off", note.what)
-    assert float(stated[1]) == pytest.approx(30.0, abs=3.0)
+    match = re.search(r"it is ([0-9.]+) m off", note.what)
+    assert float(match[1]) == pytest.approx(30.0, abs=3.0)
 
 
 def test_residuals_that_no_sigma_explains_are_doubtful():

@@ -137,14 +137,14 @@ class Examined:
         return is_suspect
 
 
-def examined_flight(*others, gps=None, north=no_error):
+def examined_flight(*channels, gps=None, north=no_error):
     """A filter, a receiver that leads it away to the north, and other channels."""
     pos = placed("POS", T10, "position", north=north)
     gps = gps or receiver(north=north)
     roles = {"position": pos, "height": gps}
-    if others and others[0].name == "BARO[0]":
-        roles["pressure"] = others[0]
-    return Examined(*examine([pos, gps, *others], roles))
+    if channels and channels[0].name == "BARO[0]":
+        roles["pressure"] = channels[0]
+    return Examined(*examine([pos, gps, *channels], roles))
 
 
 def ends_s(stretch):

@@ -20,9 +20,9 @@ NAN = float("nan")
 PLACE = {"lat_rad": 0.8, "lon_rad": 0.15}
 
 
-def seconds_on_the_ground(position, *others):
+def seconds_on_the_ground(position, *channels):
     """Whole seconds at which the aircraft stands, as a position and further channels say."""
-    evidence = GroundEvidence.of([position, *others])
+    evidence = GroundEvidence.of([position, *channels])
     return (times_on_the_ground(position, evidence) // NS_PER_S).tolist()
 
 
@@ -53,8 +53,8 @@ def test_a_log_without_one_home_proposes_where_it_begins():
         known_home_m(system)
     assert "ground.home_h_msl_m" in refusal.value.remedy
     assert "400" not in refusal.value.remedy
-    stated, _ = height_system(roles, None, stated_home_m=410.0)
-    assert with_begin_of_log(stated, roles, GroundEvidence(), 2.0) == stated
+    with_home, _ = height_system(roles, None, stated_home_m=410.0)
+    assert with_begin_of_log(with_home, roles, GroundEvidence(), 2.0) == with_home
 
 
 def test_a_longitude_that_is_unknown_hides_no_landing():

@@ -31,8 +31,8 @@ def test_each_difference_matches_and_is_proposed(images, logged, differences):
     assert text.startswith("2 of them")
     assert f"[{', '.join(differences)}]" in text
     for left_out in differences:
-        others = [difference for difference in differences if difference != left_out]
-        assert other_names(images, logged, others) == {}
+        fewer = [difference for difference in differences if difference != left_out]
+        assert other_names(images, logged, fewer) == {}
 
 
 @pytest.mark.parametrize(

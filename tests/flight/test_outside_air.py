@@ -92,7 +92,7 @@ def test_the_ground_between_two_flights_is_not_the_air():
 
 
 def test_a_height_that_is_fused_with_the_barometer_says_nothing_of_temperatures():
-    """Pressures of the lowest 30 m give the level; with a receiver all are used, without a word."""
+    """Only pressures of the lowest 30 m are used, which give the level."""
     fused = replace(
         GPS,
         name="POS",
@@ -102,10 +102,6 @@ def test_a_height_that_is_fused_with_the_barometer_says_nothing_of_temperatures(
     assert np.array_equal(samples.pressure.accepted, FLIGHT_HEIGHT_M < 480.0)
     assert set(samples.pressure.rejected) == {Reason.USED, Reason.FUSED_HEIGHT}
     assert located(notes) == [("warning", "AIR-HEIGHT-FUSED", "POS")]
-
-    samples, notes = samples_of(GPS, pressure=BARO)
-    assert samples.pressure.accepted.all()
-    assert notes == ()
 
 
 def test_readings_without_height_or_at_a_suspect_one_say_so():

@@ -89,7 +89,7 @@ IN_IS_INSIDE = {"cabin_temperature": "HYGR[1]", "cabin_humidity": "HYGR[1]"}
 
 
 @pytest.mark.parametrize(
-    ("others", "cabin", "named", "expected"),
+    ("sensors", "cabin", "named", "expected"),
     [
         (
             (GPS2, BARO),
@@ -132,8 +132,8 @@ IN_IS_INSIDE = {"cabin_temperature": "HYGR[1]", "cabin_humidity": "HYGR[1]"}
         "the attitude of the aircraft is named",
     ],
 )
-def test_a_role_is_played_by_the_one_channel_that_can(others, cabin, named, expected):
-    roles, notes = assign_roles((*FLIGHT, *others), named, needs_cabin=cabin)
+def test_a_role_is_played_by_the_one_channel_that_can(sensors, cabin, named, expected):
+    roles, notes = assign_roles((*FLIGHT, *sensors), named, needs_cabin=cabin)
     for role, name in expected.items():
         assert (role in roles) == (name is not None)
         assert name is None or roles[role].name == name
@@ -143,7 +143,7 @@ def test_a_role_is_played_by_the_one_channel_that_can(others, cabin, named, expe
 
 
 @pytest.mark.parametrize(
-    ("others", "cabin", "ambiguous_roles", "candidates"),
+    ("sensors", "cabin", "ambiguous_roles", "candidates"),
     [
         ((OUT, IN, ARSP), False, ["temperature", "humidity"], ["HYGR[0]", "HYGR[1]"]),
         ((BARO, CABIN, OUT, IN), True, ["temperature", "humidity"], ["HYGR[0]", "HYGR[1]"]),
@@ -151,9 +151,9 @@ def test_a_role_is_played_by_the_one_channel_that_can(others, cabin, named, expe
     ],
 )
 def test_candidates_that_are_not_guessed_between_are_listed(
-    others, cabin, ambiguous_roles, candidates
+    sensors, cabin, ambiguous_roles, candidates
 ):
-    _, notes = assign_roles((*FLIGHT, *others), {}, needs_cabin=cabin)
+    _, notes = assign_roles((*FLIGHT, *sensors), {}, needs_cabin=cabin)
     ambiguous = with_code(notes, "ROLE-AMBIGUOUS")
     roles = [note.where.removeprefix("log.channels.") for note in ambiguous]
     assert roles == ambiguous_roles

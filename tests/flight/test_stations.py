@@ -177,13 +177,13 @@ def test_a_suspect_station_does_not_move_the_middle_of_the_flight():
 
 
 def test_stations_that_are_known_worse_than_needed_are_a_loss_for_each_limit():
-    known = with_status(
+    uncertain = with_status(
         *("ok", "ok", "ok", "in_gap"),
         sigma_horizontal_m=[0.5, 2.0, 9.0, 0.5],
         sigma_height_m=[1.0, 1.0, np.nan, 1.0],
         sigma_tilt_rad=np.radians([0.1, 0.2, 0.3, 0.4]),
     )
-    level, height, medians = sigma_notes(known, SigmaLimits(1.0, 1.5, np.radians(0.35)))
+    level, height, medians = sigma_notes(uncertain, SigmaLimits(1.0, 1.5, np.radians(0.35)))
     assert counted([level]) == [("loss", "STATIONS-SIGMA", 2)]
     assert counted([height]) == [("loss", "STATIONS-SIGMA", 1)]
     assert "the worst is image_2 with 9.00 m" in level.what
@@ -191,8 +191,8 @@ def test_stations_that_are_known_worse_than_needed_are_a_loss_for_each_limit():
     assert medians.kind == "note"
     for median in ("2.00 m", "1.00 m", "0.20 deg"):
         assert median in medians.what
-    assert [note.kind for note in sigma_notes(known, SigmaLimits())] == ["note"]
-    unusable = known.with_status(known.ok, "in_gap")
+    assert [note.kind for note in sigma_notes(uncertain, SigmaLimits())] == ["note"]
+    unusable = uncertain.with_status(uncertain.ok, "in_gap")
     assert not list(sigma_notes(unusable, SigmaLimits(1.0, 1.0, 1.0)))
 
 
