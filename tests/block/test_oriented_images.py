@@ -1,7 +1,5 @@
 """Blocks of images in any frame become stations, and those read the wrong way are refused."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 

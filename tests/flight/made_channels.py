@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.helpers import NS_PER_S, channel
 from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.stretches import Stretch
 from unbend.flight.roles import assign_roles
 from unbend.flight.stations import STATION_OK, Stations, empty_stations
 from unbend.messages import Message
@@ -140,6 +141,12 @@ def plausible_roles(channels: Iterable[Channel]) -> dict[str, Channel]:
     for role, logged in roles_of(channels).items():
         plausible[role], _ = plausible_samples(logged, role)
     return plausible
+
+
+def ends_s(stretch: Stretch) -> tuple[float, float]:
+    """The seconds at which a suspect stretch begins and ends."""
+    begin_s = stretch.begin_ns / NS_PER_S
+    return begin_s, stretch.end_ns / NS_PER_S
 
 
 def counted(notes: Iterable[Message]) -> list[tuple]:

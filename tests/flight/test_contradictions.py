@@ -1,7 +1,5 @@
 """What a log says against itself: contradictions of sources of a flight made by hand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +8,7 @@ import pytest
 from tests.flight.made_channels import (
     EARTH_M,
     counted,
+    ends_s,
     instants,
     located,
     usable_stations,
@@ -147,10 +146,6 @@ def examined_flight(*channels, gps=None, north=no_error):
     return Examined(*examine([pos, gps, *channels], roles))
 
 
-def ends_s(stretch):
-    return [stretch.begin_ns / NS_PER_S, stretch.end_ns / NS_PER_S]
-
-
 def test_a_good_flight_is_not_doubted():
     examined = examined_flight(barometer(), second_receiver())
     assert examined.stretches == ()
@@ -163,7 +158,7 @@ def test_a_glitch_that_the_filter_follows_lasts_from_step_to_step(north_m):
     examined = examined_flight(north=glitch(north_m))
     assert examined.replaced == [("height", "POS"), ("position", "")]
     (of_position,) = [stretch for stretch in examined.stretches if stretch.quantity == POSITION]
-    assert ends_s(of_position) == pytest.approx([100.0, 120.0], abs=0.5)
+    assert ends_s(of_position) == pytest.approx((100.0, 120.0), abs=0.5)
     assert of_position.off_m == pytest.approx(north_m, abs=1.0)
     assert "GPS[0] steps at" in of_position.reason
 
@@ -232,7 +227,7 @@ def test_a_step_without_return_makes_half_a_minute_doubtful_on_either_side():
     (stretch,) = examined_flight(north=step(200.0, 50.0)).stretches
     assert stretch.quantity == POSITION
     assert "does not return" in stretch.reason
-    assert ends_s(stretch) == pytest.approx([170.0, 230.0], abs=0.2)
+    assert ends_s(stretch) == pytest.approx((170.0, 230.0), abs=0.2)
 
 
 def test_a_second_receiver_shows_a_slow_drift_that_nothing_else_shows():

@@ -3,18 +3,13 @@
 import numpy as np
 import pytest
 
-from tests.flight.made_channels import texts, turned_channel
-from tests.helpers import NS_PER_S, channel
+from tests.flight.made_channels import ends_s, texts, turned_channel
+from tests.helpers import channel
 from unbend.flight.evidence.autopilot_texts import text_evidence
 from unbend.flight.evidence.filter_health import attitude_evidence, filter_evidence
 
 T10 = np.arange(0.0, 300.0, 0.1)
 TROUBLED = (T10 > 50.0) & (T10 < 60.0)
-
-
-def ends_s(stretch):
-    begin_s = stretch.begin_ns / NS_PER_S
-    return begin_s, stretch.end_ns / NS_PER_S
 
 
 def health(name, **columns):

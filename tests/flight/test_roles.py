@@ -88,6 +88,11 @@ FLIGHT = (POS, GPS, ATT)
 IN_IS_INSIDE = {"cabin_temperature": "HYGR[1]", "cabin_humidity": "HYGR[1]"}
 
 
+def assigned(sensors, named, cabin):
+    """Roles of a flight with these sensors, and the messages."""
+    return assign_roles((*FLIGHT, *sensors), named, needs_cabin=cabin)
+
+
 @pytest.mark.parametrize(
     ("sensors", "cabin", "named", "expected"),
     [
@@ -133,7 +138,7 @@ IN_IS_INSIDE = {"cabin_temperature": "HYGR[1]", "cabin_humidity": "HYGR[1]"}
     ],
 )
 def test_a_role_is_played_by_the_one_channel_that_can(sensors, cabin, named, expected):
-    roles, notes = assign_roles((*FLIGHT, *sensors), named, needs_cabin=cabin)
+    roles, notes = assigned(sensors, named, cabin)
     for role, name in expected.items():
         assert (role in roles) == (name is not None)
         assert name is None or roles[role].name == name
@@ -153,7 +158,7 @@ def test_a_role_is_played_by_the_one_channel_that_can(sensors, cabin, named, exp
 def test_candidates_that_are_not_guessed_between_are_listed(
     sensors, cabin, ambiguous_roles, candidates
 ):
-    _, notes = assign_roles((*FLIGHT, *sensors), {}, needs_cabin=cabin)
+    _, notes = assigned(sensors, {}, cabin)
     ambiguous = with_code(notes, "ROLE-AMBIGUOUS")
     roles = [note.where.removeprefix("log.channels.") for note in ambiguous]
     assert roles == ambiguous_roles
@@ -163,7 +168,7 @@ def test_candidates_that_are_not_guessed_between_are_listed(
 
 
 def test_a_barometer_inside_is_reported():
-    _, notes = assign_roles((*FLIGHT, CABIN, BARO), {}, needs_cabin=True)
+    _, notes = assigned([CABIN, BARO], {}, True)
     (note,) = with_code(notes, "BARO-NOT-OUTSIDE")
     assert note.where == "BARO[1]"
 
@@ -195,7 +200,7 @@ def test_a_role_that_is_stated_as_null_is_played_by_no_channel(role):
 )
 def test_a_needed_channel_that_cannot_play_its_role_is_refused(named, code, says):
     with refused(code, MissionError) as refusal:
-        assign_roles((*FLIGHT, BOARD), named, needs_cabin=True)
+        assigned([BOARD], named, True)
     for text in says:
         assert text in str(refusal.value)
 
