@@ -53,7 +53,7 @@ def test_a_positive_delay_makes_events_later(delay_s):
     [
         ("IMG_{index:03d}", ["IMG_007", "IMG_008", "IMG_010"]),
         ("{n:02d}_{index}", ["01_7", "02_8", "03_10"]),
-        ("left/*", ["", "", ""]),  # which only the images know,
+        ("left/*", ["", "", ""]),  # which only the images know
     ],
 )
 def test_images_are_named_by_a_pattern(pattern, names):
@@ -121,9 +121,15 @@ def test_numbers_are_kept_where_they_rise():
 
 
 def test_the_sigma_of_logged_times_is_kept():
-    logged = with_columns(shots(1, 2), sigma_time_s=np.array([0.06, np.nan]))
-    events, _ = events_of_channel(logged, "cam", "{index}", ExposureDelay(0.1, 0.08))
-    assert events.sigma_time_s == pytest.approx([0.1, 0.08])
+    delay = ExposureDelay(0.1, 0.08)
+    unknown = shots(1, 2)
+    logged = with_columns(unknown, sigma_time_s=np.array([0.06, np.nan]))
+    for channel_of_events, sigma_s in (
+        (logged, [0.1, 0.08]),
+        (unknown, [0.08, 0.08]),
+    ):
+        events, _ = events_of_channel(channel_of_events, "cam", "{index}", delay)
+        assert events.sigma_time_s == pytest.approx(sigma_s)
 
 
 def test_repeated_names_are_refused():

@@ -116,6 +116,12 @@ def test_a_published_block_projects_its_control_points():
     assert projected_px == pytest.approx(DBAT_MEASURED_PX, abs=4.0)
 
 
+def test_right_wing_down_looks_to_the_left():
+    """On a flight to the north."""
+    optical_axis = matrix_of_rpy(10.0, 0.0, 0.0)[2]
+    assert optical_axis == pytest.approx([-SIN_10, 0.0, -COS_10])
+
+
 @pytest.mark.parametrize("order", ["omega_phi_kappa", "phi_omega_kappa"])
 def test_angles_come_back(order):
     limit = [3.1, 1.5, 3.1]

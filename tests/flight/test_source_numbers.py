@@ -15,6 +15,7 @@ from unbend.flight.evidence.source_differences import (
 )
 from unbend.flight.evidence.sources import (
     metres,
+    moves_of,
     source_path,
     velocity_at,
 )
@@ -63,6 +64,19 @@ def test_metres_of_a_change_are_shorter_along_a_parallel():
 
     expected_m = [[63.71, 31.855], [-127.42, -31.855]]
     np.testing.assert_allclose(moved_m, expected_m, rtol=1e-6)
+
+
+def test_moves_from_sample_to_sample():
+    """1e-6 rad are 6.371 m; at a latitude of 60 degrees half of it to the east."""
+    flown = receiver(
+        "A",
+        lat_rad=math.pi / 3.0 + 1e-6 * TIMES_S,
+        lon_rad=0.2 - 1e-6 * TIMES_S,
+        h_msl_m=3.0 * TIMES_S,
+    )
+    north_east_m = [6.371, -3.1855]
+    np.testing.assert_allclose(moves_of(flown, HEIGHT), [[3.0]] * 59)
+    np.testing.assert_allclose(moves_of(flown, POSITION), [north_east_m] * 59, rtol=2e-4)
 
 
 def test_a_velocity_down_is_a_negative_climb_and_the_first_channel_that_has_it_counts():
