@@ -28,7 +28,6 @@ from unbend.flight.rotations import (
     quaternion_of_opk,
     quaternion_of_rpy,
     quaternions_of,
-    rpy_of_quaternion,
 )
 from unbend.geodesy import ecef_of_geodetic, enu_from_ecef, geodetic_of_ecef
 from unbend.messages import Message
@@ -108,18 +107,29 @@ def test_what_is_not_known_says_so():
     assert np.count_nonzero(made.status == "ok") == COUNT - 2
 
 
+SIN_15 = np.sin(np.radians(15.0))
+COS_15 = np.cos(np.radians(15.0))
+TO_THE_RIGHT = np.array([-0.5, -np.sqrt(0.75), 0.0])  # level, of a flight to 120 degrees
+UPWARD = np.array([0.0, 0.0, 1.0])
+# Axes of an aircraft that flies so, its right wing 15 degrees down.
+FORWARD = np.array([np.sqrt(0.75), -0.5, 0.0])
+RIGHT = COS_15 * TO_THE_RIGHT - SIN_15 * UPWARD
+DOWN = -SIN_15 * TO_THE_RIGHT - COS_15 * UPWARD
+
+
 def test_the_aircraft_carries_the_camera():
-    """It flies east; the camera looks 30 deg left, 2 m behind, and lower."""
-    east_rad = np.radians([[0.0, 0.0, 90.0]] * COUNT)
+    """It banks by 15 deg; the camera looks 30 deg farther left, 2 m behind, right and lower."""
+    body_from_enu = np.tile([FORWARD, RIGHT, DOWN], (COUNT, 1, 1))
+    body = Rotation.from_matrix(body_from_enu)
     images = replace(
         block(),
-        quaternion=quaternion_of_rpy(east_rad, np.eye(3)),
+        quaternion=body.as_quat(scalar_first=True),
         of_body=True,
         sigmas={"sigma_height_m": np.full(COUNT, 0.1)},
     )
     mount = Mount(
         roll_rad=np.radians(30.0),
-        lever_arm_m=(-2.0, 0.0, 1.5),
+        lever_arm_m=(-2.0, 1.0, 1.5),
     )
 
     of_body = stations_of_images(images, {"nadir": mount}, HeightSystem())
@@ -131,16 +141,19 @@ def test_the_aircraft_carries_the_camera():
     )
     of_camera = stations_of_images(of_cameras, {"nadir": mount}, HeightSystem())
 
-    optical_axes = matrices_of(of_body.quaternion)[:, 2]  # its left is north
-    to_the_left = np.tile([0.0, 0.5, -np.sqrt(0.75)], (COUNT, 1))
-    assert optical_axes == pytest.approx(to_the_left, abs=1e-12)
-    behind_m = (of_body.lon_rad - images.lon_rad) * PARALLEL_M
-    assert behind_m == pytest.approx(-2.0, abs=0.01)
-    assert of_body.h_msl_m == pytest.approx(2998.5, abs=1e-6)
+    optical_axes = matrices_of(of_body.quaternion)[:, 2]
+    to_the_left = -np.sqrt(0.5) * (TO_THE_RIGHT + UPWARD)
+    assert optical_axes == pytest.approx(np.tile(to_the_left, (COUNT, 1)), abs=1e-12)
+    east_m, north_m, up_m = -2.0 * FORWARD + 1.0 * RIGHT + 1.5 * DOWN
+    moved_east_m = (of_body.lon_rad - images.lon_rad) * PARALLEL_M
+    moved_north_m = (of_body.lat_rad - images.lat_rad) * EARTH_M
+    assert moved_east_m == pytest.approx(east_m, abs=0.02)
+    assert moved_north_m == pytest.approx(north_m, abs=0.01)
+    assert of_body.h_msl_m == pytest.approx(3000.0 + up_m, abs=1e-6)
     assert (of_body.sigma_height_m == 0.1).all()
     for made in (of_body, of_camera):
-        body_rpy = rpy_of_quaternion(made.aircraft_quaternion, np.eye(3))
-        assert body_rpy == pytest.approx(east_rad, abs=1e-11)
+        axes = matrices_of(made.aircraft_quaternion)
+        assert axes == pytest.approx(body_from_enu, abs=1e-12)
     assert of_camera.quaternion.tolist() == of_body.quaternion.tolist()
     assert (of_camera.h_msl_m == 3000.0).all()
 
