@@ -47,6 +47,7 @@ def test_rays_of_a_run_meet_at_the_heights_of_its_ground(baseline):
     sigma = np.tile(SIGMA, (count, 1))
     orientations = replace(logged, sigma=sigma)
     image = pd.Index(table.image).get_indexer(rows.image)
+    assert (image >= 0).all()  # each has a station
     point, _ = pd.factorize(rows.point, sort=True)
     corrected_px = rows[["x_corrected_px", "y_corrected_px"]].to_numpy()
     camera_of_row = table.camera.to_numpy()[image]

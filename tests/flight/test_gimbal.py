@@ -172,7 +172,7 @@ def pitched(degrees):
         (-30.0, pitched(60.0), "note", 30, 30),
         (-30.0, pitched(120.0), "note", 30, 90),
         (-30.0, pitched(44.0), "warning", 46, 14),
-        (-80.0, Mount(roll_rad=-math.pi / 2), "warning", 90, 90),  # to the right,
+        (-80.0, Mount(roll_rad=-math.pi / 2), "warning", 90, 90),  # to the right
     ],
 )
 def test_where_each_camera_looks_is_told(pitch_deg, mount, kind, away, nadir):

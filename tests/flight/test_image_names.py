@@ -41,7 +41,7 @@ def test_each_difference_matches_and_is_proposed(images, logged, differences):
         (["DSC_1", "DSC_01"], ["DSC1"], "digits"),
         (["DSC_1"], ["DSC1", "DSC01"], "digits"),
         (["1_01"], ["11", "101"], "digits"),
-        (["a.JPG", "a"], ["a"], "extension"),  # the exact name is taken,
+        (["a.JPG", "a"], ["a"], "extension"),  # the exact name is taken
     ],
 )
 def test_two_names_that_become_one_match_nothing(images, logged, difference):
