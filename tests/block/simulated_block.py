@@ -1,7 +1,7 @@
 """A block of images with true stations, points and rays, from a local tangent plane of its own.
 
-The truth is independent of the package: numpy only, centres on a plane that is put on the ellipsoid
-by hand.
+The truth is independent of the package: numpy and scipy only, centres on a plane that is put on the
+ellipsoid by hand.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from unbend.block.image_rays import ImageRays, Orientations
 
@@ -22,12 +23,31 @@ WIDEST_TANGENT = 0.45  # that an image shows, along its sides
 
 def axes(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
     """(n, 3, 3) rows east, north, up."""
-    east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lat)], -1)
-    up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], -1)
+    level = np.cos(lat)
+    up = np.stack(
+        [
+            level * np.cos(lon),
+            level * np.sin(lon),
+            np.sin(lat),
+        ],
+        -1,
+    )
+    east = np.stack(
+        [
+            -np.sin(lon),
+            np.cos(lon),
+            np.zeros_like(lat),
+        ],
+        -1,
+    )
     return np.stack([east, np.cross(up, east), up], -2)
 
 
-def ecef(lat: np.ndarray, lon: np.ndarray, h: np.ndarray) -> np.ndarray:
+def ecef(
+    lat: np.ndarray,
+    lon: np.ndarray,
+    h: np.ndarray,
+) -> np.ndarray:
     n = A / np.sqrt(1.0 - E2 * np.sin(lat) ** 2)
     level = (n + h) * np.cos(lat)
     x = level * np.cos(lon)
@@ -37,16 +57,16 @@ def ecef(lat: np.ndarray, lon: np.ndarray, h: np.ndarray) -> np.ndarray:
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.linalg.norm(
+        vectors,
+        axis=-1,
+        keepdims=True,
+    )
 
 
 def turn(vector: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) rotations by rotation vectors (n, 3), after Rodrigues."""
-    angle = np.linalg.norm(vector, axis=-1)[:, None, None]
-    x, y, z = (vector / np.maximum(angle[:, 0], 1e-30)).T
-    o = np.zeros_like(x)
-    k = np.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(-1, 3, 3)
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
+    """(n, 3, 3) rotations by rotation vectors (n, 3)."""
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 @dataclass
@@ -69,9 +89,13 @@ class Block:
     def orientations(self) -> Orientations:
         """What the log says of the stations."""
         frames = axes(self.lat, self.lon)
-        centre = ecef(self.lat, self.lon, self.h)
-        attitude = self.camera_from_enu @ frames
-        return Orientations(self.camera, centre, attitude, frames, self.sigma)
+        return Orientations(
+            self.camera,
+            ecef(self.lat, self.lon, self.h),
+            self.camera_from_enu @ frames,
+            frames,
+            self.sigma,
+        )
 
     @property
     def rays(self) -> ImageRays:
@@ -102,14 +126,15 @@ def simulate_block(
     lat, lon = places(x, y)
     h = height + rng.normal(0.0, 10.0, x.size)
     camera_from_enu = attitudes(rng, line, np.repeat(cameras, count))
-    centre = ecef(lat, lon, h)
 
-    point_x = rng.uniform(-0.4 * height, x.max() + 0.4 * height, points)
-    point_y = rng.uniform(-0.4 * height, y.max() + 0.4 * height, points)
+    margin = 0.4 * height
+    point_x = rng.uniform(-margin, x.max() + margin, points)
+    point_y = rng.uniform(-margin, y.max() + margin, points)
     point_h = rng.uniform(0.0, 60.0, points)
     ground = ecef(*places(point_x, point_y), point_h)
-    to_ground = ground[None] - centre[:, None]
-    ray = np.einsum("sij,sjk,spk->spi", camera_from_enu, axes(lat, lon), to_ground)
+    to_ground = ground[None] - ecef(lat, lon, h)[:, None]
+    camera_from_ecef = camera_from_enu @ axes(lat, lon)
+    ray = np.einsum("sij,spj->spi", camera_from_ecef, to_ground)
     tangents = np.abs(ray[..., :2] / ray[..., 2:])
     is_seen = (ray[..., 2] > 0) & (tangents.max(axis=-1) < WIDEST_TANGENT)
     image, point = np.nonzero(is_seen)
@@ -118,11 +143,13 @@ def simulate_block(
     along = np.sum(noise * direction, -1, keepdims=True) * direction
 
     logged = rng.normal(0.0, 1.0, (x.size, 6)) * sigma * errors
+    east_m, north_m, up_m = logged[:, :3].T
+    names = [f"camera{number}" for number in range(heads)]
     return Block(
-        camera=np.repeat([f"camera{number}" for number in range(heads)], count).astype(object),
-        lat=lat + logged[:, 1] / 6.367e6,
-        lon=lon + logged[:, 0] / (6.389e6 * np.cos(lat)),
-        h=h + logged[:, 2],
+        camera=np.repeat(names, count).astype(object),
+        lat=lat + north_m / 6.367e6,
+        lon=lon + east_m / (6.389e6 * np.cos(lat)),
+        h=h + up_m,
         camera_from_enu=camera_from_enu @ turn(logged[:, 3:]),
         sigma=np.tile(sigma, (x.size, 1)),
         image=image,
@@ -140,15 +167,25 @@ def places(east_m: np.ndarray, north_m: np.ndarray) -> tuple[np.ndarray, np.ndar
     return lat, lon
 
 
-def attitudes(rng: np.random.Generator, line: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+def attitudes(
+    rng: np.random.Generator,
+    line: np.ndarray,
+    tilt: np.ndarray,
+) -> np.ndarray:
     """(n, 3, 3) camera from east, north, up: lines to and fro, tilted about y, with a wobble."""
     heading = line % 2 * np.pi + rng.normal(0.0, 0.05, line.size)
-    c = np.cos(heading)
-    s = np.sin(heading)
     o = np.zeros(line.size)
     # Camera x right of the flight, z down.
-    x = np.stack([s, c, o], -1)
+    x = np.stack(
+        [
+            np.sin(heading),
+            np.cos(heading),
+            o,
+        ],
+        -1,
+    )
     z = np.stack([o, o, o - 1.0], -1)
     level = np.stack([x, np.cross(z, x), z], -2)
     tilted = turn(np.stack([o, tilt, o], -1)) @ level
-    return turn(rng.normal(0.0, 0.02, (line.size, 3))) @ tilted
+    wobble = rng.normal(0.0, 0.02, (line.size, 3))
+    return turn(wobble) @ tilted

@@ -4,72 +4,75 @@ Truth is a block of 24 images in three lines, whose stations are turned, tilted,
 here by plain arithmetic in east, north, up; known positions have the noise of receivers.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.flight.made_channels import image_names
 from unbend.block.known_places import (
     KnownPlaces,
     PlaceComparison,
     compared_places,
     frame_notes,
 )
-from unbend.flight.stations import STATION_OK, Stations, empty_stations
+from unbend.flight.stations import STATION_OK, empty_stations
 
 LAT = np.radians(47.0)
 LON = np.radians(8.5)
-A = 6378137.0
-E2 = 0.00669437999014
-W = np.sqrt(1.0 - E2 * np.sin(LAT) ** 2)
-MERIDIAN_M = A * (1.0 - E2) / W**3
-PARALLEL_M = A / W * np.cos(LAT)
+# In a radian of latitude and of longitude there, of WGS84.
+MERIDIAN_M = 6_369_620.0
+PARALLEL_M = 4_357_687.7
 LINE, PLACE = np.divmod(np.arange(24), 8)
 BLOCK = np.stack([120.0 * PLACE, 240.0 * LINE, np.full(24, 900.0)], axis=1)
 """(24, 3) east, north, up of images in three lines."""
 
 
-def geodetic(enu: np.ndarray) -> np.ndarray:
+def geodetic(enu):
     """(n, 3) latitude, longitude, height of east, north, up near one place, to centimetres."""
     east, north, up = enu.T
     return np.stack([LAT + north / MERIDIAN_M, LON + east / PARALLEL_M, up], axis=1)
 
 
-def stations_at(enu: np.ndarray) -> Stations:
+def stations_at(enu):
     lat, lon, h = geodetic(enu).T
-    names = np.array([f"{number:02d}.jpg" for number in range(len(enu))], object)
+    names = image_names(*(f"{number:02d}.jpg" for number in range(len(enu))))
     made = empty_stations(names, names, STATION_OK)
-    return replace(made, lat_rad=lat, lon_rad=lon, h_ellipsoid_m=h, h_msl_m=h - 47.0)
-
-
-def messages(
-    enu: np.ndarray, known: np.ndarray, *, must_be_tested: bool = True
-) -> list[tuple[str, str]]:
-    """Codes and texts of what is said of a block at these places."""
-    notes = frame_notes(
-        stations_at(enu), [("pose priors", known)], must_be_tested=must_be_tested, where="sparse"
+    return replace(
+        made,
+        lat_rad=lat,
+        lon_rad=lon,
+        h_ellipsoid_m=h,
+        h_msl_m=h - 47.0,
     )
-    return [(note.code, note.what) for note in notes]
 
 
-def codes(enu: np.ndarray, known: np.ndarray) -> list[str]:
-    return [code for code, _ in messages(enu, known)]
+def messages(enu, places, *, must_be_tested=True):
+    """What is said of a block at these places, beside known ones."""
+    return frame_notes(
+        stations_at(enu),
+        [("pose priors", places)],
+        must_be_tested=must_be_tested,
+        where="sparse",
+    )
 
 
-def noisy(seed: int, enu: np.ndarray = BLOCK) -> np.ndarray:
+def codes(enu, places):
+    return [note.code for note in messages(enu, places)]
+
+
+def noisy(seed, enu=BLOCK):
     """Known positions with 2 m across and 4 m in height, and a height that counts otherwise."""
     noise_m = np.random.default_rng(seed).normal(0.0, [1.5, 1.5, 4.0], enu.shape)
     return geodetic(enu + noise_m - [0.0, 0.0, 47.0])
 
 
-def moved(*east_north_up: float) -> np.ndarray:
+def moved(*east_north_up):
     return BLOCK + np.array(east_north_up)
 
 
-def turned(axis: str, angle_deg: float, scale: float = 1.0) -> np.ndarray:
+def turned(axis, angle_deg, scale=1.0):
     """The block turned and scaled about its middle."""
     rotation = Rotation.from_euler(axis, angle_deg, degrees=True)
     middle = BLOCK.mean(axis=0)
@@ -78,13 +81,13 @@ def turned(axis: str, angle_deg: float, scale: float = 1.0) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_right_frame_is_confirmed(seed):
-    ((code, says),) = messages(BLOCK, noisy(seed))
-    assert code == "FRAME-CONFIRMED"
-    assert "24 images" in says
+    (note,) = messages(BLOCK, noisy(seed))
+    assert note.code == "FRAME-CONFIRMED"
+    assert "24 images" in note.what
 
 
 @pytest.mark.parametrize(
-    ("enu", "words"),
+    ("enu", "says"),
     [
         (turned("z", 3.0), "turned by "),
         (turned("x", 4.0), "tilted by"),
@@ -96,10 +99,10 @@ def test_a_right_frame_is_confirmed(seed):
         (moved(0.0, 0.0, 400.0), "heights differ by -4"),
     ],
 )
-def test_a_wrong_frame_is_a_finding(enu, words):
-    ((code, says),) = messages(enu, noisy(3))
-    assert code == "FRAME-PLACES"
-    assert words in says
+def test_a_wrong_frame_is_a_finding(enu, says):
+    (note,) = messages(enu, noisy(3))
+    assert note.code == "FRAME-PLACES"
+    assert says in note.what
 
 
 DRIFT_M = np.outer(np.linspace(0.0, 1.0, 24), [2.0, 1.0, 6.0])  # from the first line to the last
@@ -109,7 +112,7 @@ NO_HEIGHTS = noisy(6) * [1.0, 1.0, np.nan]
 
 
 @pytest.mark.parametrize(
-    ("enu", "known"),
+    ("enu", "places"),
     [
         (moved(5.0, 0.0, 60.0), noisy(4)),
         (BLOCK, geodetic(BLOCK + DRIFT_M + JITTER_M)),
@@ -118,8 +121,8 @@ NO_HEIGHTS = noisy(6) * [1.0, 1.0, np.nan]
     ],
     ids=["5 m and 60 m of height", "drift of a receiver", "a position of another image", "level"],
 )
-def test_what_does_not_make_a_frame_wrong(enu, known):
-    assert codes(enu, known) == ["FRAME-CONFIRMED"]
+def test_what_does_not_make_a_frame_wrong(enu, places):
+    assert codes(enu, places) == ["FRAME-CONFIRMED"]
 
 
 def test_heights_that_are_not_known_show_no_tilt():
@@ -135,18 +138,29 @@ def test_one_line_shows_no_tilt_across_it():
 
 def test_a_frame_that_nothing_confirms_says_so():
     nothing = np.full((24, 3), np.nan)
-    ((code, says),) = messages(BLOCK, nothing)
-    assert code == "FRAME-UNVERIFIED"
-    assert "are within 968 m, 853 to 853 m" in says
-    assert messages(BLOCK, nothing, must_be_tested=False) == []
+    (note,) = messages(BLOCK, nothing)
+    assert note.code == "FRAME-UNVERIFIED"
+    assert "are within 968 m, 853 to 853 m" in note.what
+    assert not messages(BLOCK, nothing, must_be_tested=False)
     few = np.where(np.arange(24)[:, None] < 3, noisy(7), np.nan)
     assert codes(BLOCK, few) == ["FRAME-CONFIRMED", "FRAME-UNVERIFIED"]
 
 
 def test_positions_belong_to_images_by_name():
-    places = KnownPlaces("x", np.array(["b", "a"], object), np.arange(6.0).reshape(2, 3))
-    rows = places.rows_of(np.array(["a", "c", "b"], object))
-    np.testing.assert_array_equal(rows, [[3, 4, 5], [np.nan] * 3, [0, 1, 2]])
+    places = KnownPlaces(
+        "x",
+        image_names("b", "a"),
+        np.arange(6.0).reshape(2, 3),
+    )
+    rows = places.rows_of(image_names("a", "c", "b"))
+    np.testing.assert_array_equal(
+        rows,
+        [
+            [3, 4, 5],
+            [np.nan] * 3,
+            [0, 1, 2],
+        ],
+    )
 
 
 SOUND = PlaceComparison(

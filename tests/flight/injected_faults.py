@@ -7,7 +7,7 @@ it for too long. What it logs (position, velocity, tilt, innovation ratio, texts
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,7 +29,6 @@ KINDS = (
 )
 OF_RECEIVER = ("h_msl_m", "h_ellipsoid_m")
 OF_FILTER = ("h_msl_m", "h_home_m")
-VELOCITIES = ("v_north_m_s", "v_east_m_s")
 COMPONENTS = ("q_w", "q_x", "q_y", "q_z")
 
 Channels = dict[str, Channel]
@@ -43,12 +42,10 @@ class Fault:
     begin_ns: int
     end_ns: int
     size_m: float
-    detail: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         length_s = (self.end_ns - self.begin_ns) / NS_PER_S
-        more = "".join(f", {name} {value:.3g}" for name, value in self.detail.items())
-        return f"{self.kind} of {self.size_m:.0f} m for {length_s:.0f} s{more}"
+        return f"{self.kind} of {self.size_m:.0f} m for {length_s:.0f} s"
 
     def holds(self, time_ns: np.ndarray) -> np.ndarray:
         """(n,) at which times."""
@@ -59,15 +56,18 @@ def displaced(channel: Channel, north_east_m: np.ndarray) -> Channel:
     """The channel with its places moved by (n, 2) metres."""
     lat = channel["lat_rad"]
     north, east = north_east_m.T / EARTH_M
-    return with_columns(
-        channel, lat_rad=lat + north, lon_rad=channel["lon_rad"] + east / np.cos(lat)
-    )
+    lon = channel["lon_rad"] + east / np.cos(lat)
+    return with_columns(channel, lat_rad=lat + north, lon_rad=lon)
 
 
-def added(channel: Channel, amount: np.ndarray, *names: str) -> Channel:
+def added(
+    channel: Channel,
+    amount: np.ndarray,
+    *names: str,
+) -> Channel:
     """The channel with an amount added to those of the columns that it has."""
-    present = [name for name in names if name in channel.columns]
-    return with_columns(channel, **{name: channel[name] + amount for name in present})
+    columns = {name: channel[name] + amount for name in names if name in channel.columns}
+    return with_columns(channel, **columns)
 
 
 def second_receiver(first: Channel, rng: np.random.Generator) -> Channel:
@@ -77,8 +77,13 @@ def second_receiver(first: Channel, rng: np.random.Generator) -> Channel:
     noise = rng.normal(0.0, 0.08, (3, n)) + walk * rng.choice([-0.5, 0.5], (3, 1))
     other = displaced(first, noise[:2].T + np.array([0.4, 0.0]))
     other = added(other, noise[2] + 0.1, *OF_RECEIVER)
-    time_ns = first.time_ns + 30_000_000
-    return replace(other, name="GPS[1]", source=Source("GPS", "1"), rank=30, time_ns=time_ns)
+    return replace(
+        other,
+        name="GPS[1]",
+        source=Source("GPS", "1"),
+        rank=30,
+        time_ns=first.time_ns + 30_000_000,
+    )
 
 
 @dataclass
@@ -105,7 +110,12 @@ class FilterModel:
     def errors(self, time_ns: np.ndarray) -> FilterErrors:
         """The errors at some times, one after the other."""
         n = time_ns.size
-        made = FilterErrors(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n), np.zeros(n))
+        made = FilterErrors(
+            place_m=np.zeros((n, 2)),
+            velocity_m_s=np.zeros((n, 2)),
+            ratio=np.zeros(n),
+            tilt_rad=np.zeros(n),
+        )
         # north + i east: numbers, which are fast
         place = 0j
         velocity = 0j
@@ -142,7 +152,11 @@ class FilterModel:
         return made
 
 
-def tilted(channel: Channel, angle: np.ndarray, azimuth: float) -> Channel:
+def tilted(
+    channel: Channel,
+    angle: np.ndarray,
+    azimuth: float,
+) -> Channel:
     """An attitude turned by (n,) small angles [rad] about a level axis."""
     stored = rotation_of(np.stack([channel[name] for name in COMPONENTS], axis=1))
     axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
@@ -153,21 +167,29 @@ def tilted(channel: Channel, angle: np.ndarray, azimuth: float) -> Channel:
 def says(channels: Channels, *texts: tuple[int, str]) -> None:
     """Add lines to what the autopilot says."""
     old = channels["MSG"]
-    lines = sorted([*zip(old.time_ns.tolist(), old.labels["text"], strict=True), *texts])
-    time_ns, said = zip(*lines, strict=True)
-    boot = np.zeros(len(lines), np.int16)
-    channels["MSG"] = replace(old, time_ns=np.array(time_ns), boot=boot, labels={"text": said})
+    old_lines = zip(old.time_ns.tolist(), old.labels["text"], strict=True)
+    lines = sorted([*old_lines, *texts])
+    time_ns, messages = zip(*lines, strict=True)
+    channels["MSG"] = replace(
+        old,
+        time_ns=np.array(time_ns),
+        boot=np.zeros(len(lines), np.int16),
+        labels={"text": messages},
+    )
 
 
 def inject(
-    good: Channels, kind: str, around_ns: int, rng: np.random.Generator
+    good: Channels,
+    kind: str,
+    around_ns: int,
+    rng: np.random.Generator,
 ) -> tuple[Channels, Fault]:
-    """The channels of a log with one fault of a kind that holds an instant."""
+    """The channels of a log with one fault of a kind that contains an instant."""
     channels = dict(good)
-    length_s = float(rng.uniform(6.0, 40.0))
-    begin_ns = around_ns - round(rng.uniform(0.1, 0.9) * length_s * NS_PER_S)
-    end_ns = begin_ns + round(length_s * NS_PER_S)
-    fault = Fault(kind, begin_ns, end_ns, float(rng.uniform(20.0, 100.0)))
+    length_ns = rng.uniform(6.0, 40.0) * NS_PER_S
+    begin_ns = around_ns - round(rng.uniform(0.1, 0.9) * length_ns)
+    size_m = rng.uniform(20.0, 100.0)
+    fault = Fault(kind, begin_ns, begin_ns + round(length_ns), size_m)
     if kind == "wind-up":
         wind_up(channels, fault, rng)
         return channels, fault
@@ -180,17 +202,19 @@ def inject(
         up_m = rng.choice([-1.0, 1.0]) * fault.size_m * inside
         channels["GPS[0]"] = added(gps, up_m, *OF_RECEIVER)
         return channels, fault
-    fault.detail["receivers"] = 1 + has_two
     azimuth = rng.uniform(0.0, 2.0 * np.pi)
-    direction = np.array([np.cos(azimuth), np.sin(azimuth)])
+    north = np.cos(azimuth)
+    east = np.sin(azimuth)
+    direction = np.array([north, east])
     amount_m = fault.size_m * inside
     up_m = rng.uniform(-0.6, 0.6) * amount_m
     if kind == "drift":
-        amount_m = drift_m(fault, gps.time_ns, rng) * inside
+        speed_m_s = rng.uniform(1.0, 3.0) * inside
+        amount_m = speed_m_s * drift_s(fault, gps.time_ns, rng)
         up_m = 0.3 * amount_m
         if rng.random() < 0.5:  # the Doppler velocity is led away too
-            for name, part in zip(VELOCITIES, direction, strict=True):
-                gps = added(gps, fault.detail["m/s"] * part * inside, name)
+            gps = added(gps, speed_m_s * north, "v_north_m_s")
+            gps = added(gps, speed_m_s * east, "v_east_m_s")
     error_m = amount_m[:, None] * direction
     fused_m = error_m
     if kind in ("swap", "no fix"):
@@ -199,21 +223,25 @@ def inject(
         up_m = np.zeros(len(gps))
     if kind == "swap":
         # The second receiver is off by a constant for the whole flight; the filter goes over to it.
-        fault.size_m = float(rng.uniform(6.0, 40.0))
+        fault.size_m = rng.uniform(6.0, 40.0)
         offset_m = fault.size_m * direction
-        channels["GPS[1]"] = displaced(channels["GPS[1]"], np.tile(offset_m, (len(gps), 1)))
+        channels["GPS[1]"] = displaced(channels["GPS[1]"], offset_m[None])
         fused_m = inside[:, None] * offset_m
         says(channels, (fault.begin_ns, "EV GPS_PRIMARY_CHANGED"))
-    has_fix = ~inside if kind == "no fix" else np.ones(len(gps), bool)
+    has_fix = np.ones(len(gps), bool)
+    if kind == "no fix":
+        has_fix = ~inside
+    retry_s = 0.0
+    if kind not in ("followed", "swap"):
+        retry_s = rng.uniform(7.0, 12.0)
     model = FilterModel(
         gps_ns=gps.time_ns,
         gps_error_m=fused_m,
         has_fix=has_fix,
-        retry_s=0.0 if kind in ("followed", "swap") else float(rng.uniform(7.0, 12.0)),
-        bias_m_s2=float(rng.uniform(0.02, 0.15)),
+        retry_s=retry_s,
+        bias_m_s2=rng.uniform(0.02, 0.15),
         heading=rng.uniform(0.0, 2.0 * np.pi),
     )
-    fault.detail["bias"] = model.bias_m_s2
     errors = model.errors(channels["POS"].time_ns)
     log_errors(channels, errors, azimuth)
     if kind == "dead reckoning":
@@ -223,25 +251,34 @@ def inject(
     return channels, fault
 
 
-def drift_m(fault: Fault, time_ns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """How far a receiver is led away, of which it returns as slowly as it went, or by a step."""
-    fault.detail["m/s"] = float(rng.uniform(1.0, 3.0))
+def drift_s(
+    fault: Fault,
+    time_ns: np.ndarray,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """For how long a receiver is led away; it returns as slowly as it went, or by a step."""
     elapsed_ns = time_ns - fault.begin_ns
     if rng.random() < 0.5:
         elapsed_ns = np.minimum(elapsed_ns, fault.end_ns - time_ns)
-    return fault.detail["m/s"] * elapsed_ns / NS_PER_S
+    return elapsed_ns / NS_PER_S
 
 
-def log_errors(channels: Channels, errors: FilterErrors, azimuth: float) -> None:
+def log_errors(
+    channels: Channels,
+    errors: FilterErrors,
+    azimuth: float,
+) -> None:
     """Put the errors of a filter into what it logs."""
     pos = channels["POS"]
     channels["POS"] = displaced(pos, errors.place_m)
     for name in ("ATT", "XKF1[0]", "XKQ[0]"):
         angle = np.interp(channels[name].time_ns, pos.time_ns, errors.tilt_rad)
         channels[name] = tilted(channels[name], angle, azimuth)
-    for name, velocity in zip(VELOCITIES, errors.velocity_m_s.T, strict=True):
-        lane = channels["XKF1[0]"]
-        channels["XKF1[0]"] = added(lane, np.interp(lane.time_ns, pos.time_ns, velocity), name)
+    lane = channels["XKF1[0]"]
+    north_m_s, east_m_s = errors.velocity_m_s.T
+    lane = added(lane, np.interp(lane.time_ns, pos.time_ns, north_m_s), "v_north_m_s")
+    lane = added(lane, np.interp(lane.time_ns, pos.time_ns, east_m_s), "v_east_m_s")
+    channels["XKF1[0]"] = lane
     health = channels["XKF4[0]"]
     ratio = np.round(np.interp(health.time_ns, pos.time_ns, errors.ratio), 2)
     shown = np.fmax(health["innovation_position"], ratio)
@@ -272,11 +309,20 @@ def go_over_to_dcm(
     channels["ATT"] = with_columns(att, **columns)
 
 
-def wind_up(channels: Channels, fault: Fault, rng: np.random.Generator) -> None:
+def wind_up(
+    channels: Channels,
+    fault: Fault,
+    rng: np.random.Generator,
+) -> None:
     """A barometer whose pressure creeps away and back, and the filter's height with it."""
     ramp_ns = round(rng.uniform(20.0, 120.0) * NS_PER_S)
-    fault.size_m = float(rng.uniform(15.0, 60.0)) * rng.choice([-1.0, 1.0])
-    corners_ns = [fault.begin_ns - ramp_ns, fault.begin_ns, fault.end_ns, fault.end_ns + ramp_ns]
+    fault.size_m = rng.uniform(15.0, 60.0) * rng.choice([-1.0, 1.0])
+    corners_ns = [
+        fault.begin_ns - ramp_ns,
+        fault.begin_ns,
+        fault.end_ns,
+        fault.end_ns + ramp_ns,
+    ]
     fault.begin_ns -= ramp_ns
     fault.end_ns += ramp_ns
 
@@ -284,7 +330,6 @@ def wind_up(channels: Channels, fault: Fault, rng: np.random.Generator) -> None:
         return np.interp(channel.time_ns, corners_ns, [0.0, fault.size_m, fault.size_m, 0.0])
 
     names = ["BARO[0]", "BARO[1]"] if rng.random() < 0.4 else ["BARO[0]"]  # on one static line
-    fault.detail["barometers"] = len(names)
     for name in names:
         baro = channels[name]
         pressure_pa = baro["pressure_pa"] * np.exp(-climb_m(baro) / 8000.0)

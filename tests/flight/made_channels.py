@@ -10,9 +10,18 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers import NS_PER_S, channel
 from unbend.flight.channels import Channel, Source
+from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.stretches import Stretch
+from unbend.flight.roles import assign_roles
+from unbend.flight.stations import STATION_OK, Stations, empty_stations
 from unbend.messages import Message
 
 EARTH_M = 6_371_000.0
+
+# A flight of a quarter of an hour [s]: 60 s on the ground, up to 2450 m at 5 m/s, level, and down.
+FLIGHT_S = np.arange(0.0, 900.0)
+FLIGHT_CLIMB_M = np.minimum(FLIGHT_S - 60.0, 860.0 - FLIGHT_S) * 5.0
+FLIGHT_HEIGHT_M = 450.0 + np.clip(FLIGHT_CLIMB_M, 0.0, 2000.0)
 
 
 def instants(*seconds: float) -> np.ndarray:
@@ -25,7 +34,29 @@ def instants(*seconds: float) -> np.ndarray:
     return np.round(nanoseconds).astype(np.int64)
 
 
-def ranked(name: str, seconds: np.ndarray, rank: int, *roles: str, **columns: object) -> Channel:
+def image_names(*names: str) -> np.ndarray:
+    """(n,) names as stations and events have them."""
+    return np.array(names, object)
+
+
+def usable_stations(time_ns: np.ndarray, *names: str) -> Stations:
+    """Stations of these images at these times, without a place."""
+    images = image_names(*names)
+    stations = empty_stations(
+        images,
+        images,
+        STATION_OK,
+    )
+    return replace(stations, time_ns=time_ns)
+
+
+def ranked(
+    name: str,
+    seconds: np.ndarray,
+    rank: int,
+    *roles: str,
+    **columns: object,
+) -> Channel:
     """A channel of this rank, whose sender has the instance in its name.
 
     >>> ranked("GPS[1]", np.arange(3.0), 20).source
@@ -33,24 +64,55 @@ def ranked(name: str, seconds: np.ndarray, rank: int, *roles: str, **columns: ob
     """
     message, _, instance = name.partition("[")
     source = Source(message, instance.rstrip("]") or None)
-    return replace(channel(name, seconds, *roles, **columns), source=source, rank=rank)
+    return replace(
+        channel(name, seconds, *roles, **columns),
+        source=source,
+        rank=rank,
+    )
 
 
 def with_columns(logged: Channel, **columns: np.ndarray) -> Channel:
     """The channel with other or further columns."""
-    return replace(logged, columns=dict(logged.columns) | columns)
+    return replace(logged, columns={**logged.columns, **columns})
+
+
+def without_columns(logged: Channel, *names: str) -> Channel:
+    """The channel without some of its columns."""
+    columns = dict(logged.columns)
+    for name in names:
+        del columns[name]
+    return replace(logged, columns=columns)
 
 
 def texts(name: str, *lines: tuple[float, str]) -> Channel:
     """What an autopilot says, and at which second."""
-    seconds, said = zip(*lines, strict=True)
-    return replace(channel(name, np.array(seconds)), labels={"text": said})
+    seconds, messages = zip(*lines, strict=True)
+    logged = channel(name, np.array(seconds))
+    return replace(logged, labels={"text": messages})
 
 
 def quaternion_columns(attitude: Rotation) -> dict[str, np.ndarray]:
     """Columns of attitudes, which turn the body into north, east, down."""
-    components = attitude.as_quat(scalar_first=True).T
-    return dict(zip(("q_w", "q_x", "q_y", "q_z"), components, strict=True))
+    w, x, y, z = attitude.as_quat(scalar_first=True).T
+    return {
+        "q_w": w,
+        "q_x": x,
+        "q_y": y,
+        "q_z": z,
+    }
+
+
+def turned_channel(
+    name: str,
+    seconds: np.ndarray,
+    axes: str,
+    angles_deg: np.ndarray | list[float],
+    *roles: str,
+) -> Channel:
+    """A channel of attitudes by their Euler angles."""
+    attitude = Rotation.from_euler(axes, angles_deg, degrees=True)
+    columns = quaternion_columns(attitude)
+    return channel(name, seconds, *roles, **columns)
 
 
 def rotation_of(quaternion: np.ndarray) -> Rotation:
@@ -58,11 +120,40 @@ def rotation_of(quaternion: np.ndarray) -> Rotation:
     return Rotation.from_quat(quaternion, scalar_first=True)
 
 
-def counted(notes: Iterable[Message]) -> list[tuple[str, str, int]]:
+def standard_pressure_pa(height_m: np.ndarray) -> np.ndarray:
+    """Pressure of the standard atmosphere below 11 km."""
+    return 101_325.0 * (1.0 - 0.0065 * height_m / 288.15) ** 5.25588
+
+
+def roles_of(channels: Iterable[Channel]) -> dict[str, Channel]:
+    """The channels that a log itself proposes for the roles."""
+    roles, _ = assign_roles(
+        tuple(channels),
+        {},
+        needs_cabin=False,
+    )
+    return roles
+
+
+def plausible_roles(channels: Iterable[Channel]) -> dict[str, Channel]:
+    """The same, without samples that no vehicle and no air can reach."""
+    plausible = {}
+    for role, logged in roles_of(channels).items():
+        plausible[role], _ = plausible_samples(logged, role)
+    return plausible
+
+
+def ends_s(stretch: Stretch) -> tuple[float, float]:
+    """The seconds at which a suspect stretch begins and ends."""
+    begin_s = stretch.begin_ns / NS_PER_S
+    return begin_s, stretch.end_ns / NS_PER_S
+
+
+def counted(notes: Iterable[Message]) -> list[tuple]:
     """Kind, code and count of each message."""
-    return [(str(note.kind), note.code, note.count) for note in notes]
+    return [(note.kind, note.code, note.count) for note in notes]
 
 
-def located(notes: Iterable[Message]) -> list[tuple[str, str, str]]:
+def located(notes: Iterable[Message]) -> list[tuple]:
     """Kind, code and place of each message."""
-    return [(str(note.kind), note.code, note.where) for note in notes]
+    return [(note.kind, note.code, note.where) for note in notes]

@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from tests.flight.made_channels import rotation_of
+from unbend.flight.exposures import Events
 from unbend.flight.stations import Stations
 from unbend.ingest import Log, open_log
 
@@ -17,7 +18,14 @@ LOGS = Path(__file__).parents[3] / "shared" / "logs"
 FLIGHTS = [path.name.removesuffix("_truth.csv") for path in sorted(LOGS.glob("*_truth.csv"))]
 """The flights that are at hand."""
 
-NED_FROM_ENU = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+NED_FROM_ENU = Rotation.from_matrix(
+    [
+        [0.0, 1.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, -1.0],
+    ]
+)
+Columns = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -40,36 +48,53 @@ def flight(name: str, kind: str = "BIN") -> Flight:
     """The log of a kind, BIN or tlog, of a flight."""
     log = open_log(LOGS / f"{name}.{kind}")
     rows = pd.read_csv(LOGS / f"{name}_truth.csv")
-    rows = rows[rows["row"] == "CAM"].set_index(["I", "Img"], drop=False)
+    events = rows[rows["row"] == "CAM"]
+    events = events.set_index(["I", "Img"], drop=False)
     parts = []
     for channel in log.channels:
-        if channel.source.message in ("CAM", "CAMERA_FEEDBACK"):
-            camera = int(channel.source.instance)
-            images = [(camera, int(index)) for index in channel["event_index"]]
-            parts.append(rows.loc[images].assign(time_ns=channel.time_ns))
-    return Flight(log, pd.concat(parts).sort_values("time_ns"))
+        if channel.source.message not in ("CAM", "CAMERA_FEEDBACK"):
+            continue
+        camera = int(channel.source.instance)
+        images = [(camera, int(index)) for index in channel["event_index"]]
+        exposures = events.loc[images]
+        parts.append(exposures.assign(time_ns=channel.time_ns))
+    truth = pd.concat(parts)
+    return Flight(log, truth.sort_values("time_ns"))
 
 
-def errors(stations: Stations, truth: pd.DataFrame) -> dict[str, np.ndarray]:
+def unnamed_events(time_ns: np.ndarray, sigma_s: float = 0.0) -> Events:
+    """Exposures at these times, of no image."""
+    images = np.full(time_ns.size, "", object)
+    return Events("cam", images, time_ns, sigma_s)
+
+
+def errors(stations: Stations, truth: pd.DataFrame) -> Columns:
     """(n, k) north and east, height [m], about the level axes and the vertical one [deg]."""
     latitude = np.radians(truth["lat"].to_numpy())
     longitude = np.radians(truth["lng"].to_numpy())
+    parallel_m = 6_385_000.0 * np.cos(latitude)
     north_m = (stations.lat_rad - latitude) * 6_367_000.0
-    east_m = (stations.lon_rad - longitude) * 6_385_000.0 * np.cos(latitude)
-    enu_from_body = rotation_of(np.nan_to_num(stations.aircraft_quaternion, nan=0.5)).inv()
-    angles = truth[["yaw", "pitch", "roll"]].to_numpy()
-    ned_from_body = Rotation.from_euler("ZYX", angles, degrees=True)
+    east_m = (stations.lon_rad - longitude) * parallel_m
+    height_m = stations.h_msl_m - truth["alt_amsl"].to_numpy()
+    quaternion = np.nan_to_num(stations.aircraft_quaternion, nan=0.5)
+    enu_from_body = rotation_of(quaternion).inv()
+    angles_deg = truth[["yaw", "pitch", "roll"]].to_numpy()
+    ned_from_body = Rotation.from_euler(
+        "ZYX",
+        angles_deg,
+        degrees=True,
+    )
     turn = ned_from_body.inv() * NED_FROM_ENU * enu_from_body
     turn_deg = turn.as_rotvec(degrees=True)
     return {
         "horizontal": np.stack([north_m, east_m], axis=1),
-        "height": (stations.h_msl_m - truth["alt_amsl"].to_numpy())[:, None],
+        "height": height_m[:, None],
         "tilt": turn_deg[:, :2],
         "yaw": turn_deg[:, 2:],
     }
 
 
-def sigmas(stations: Stations) -> dict[str, np.ndarray]:
+def sigmas(stations: Stations) -> Columns:
     """(n, 1) of the same."""
     return {
         "horizontal": stations.sigma_horizontal_m[:, None],

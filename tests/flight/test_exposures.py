@@ -1,16 +1,19 @@
 """Events: their channel, names, times with a delay of either sign, and lost numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.flight.made_channels import counted, ranked, with_columns
+from tests.flight.made_channels import (
+    counted,
+    image_names,
+    instants,
+    ranked,
+    with_columns,
+)
 from tests.helpers import NS_PER_S, channel, refused
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import (
     Events,
     ExposureDelay,
@@ -23,13 +26,12 @@ from unbend.flight.exposures import (
 AT_ONCE = ExposureDelay(0.0)
 
 
-def shots(*index: int, boot: list[int] | None = None) -> Channel:
+def shots(*index, boot=None):
     """Numbered events every ten seconds, from 10 s on."""
     seconds = 10.0 * np.arange(1, len(index) + 1)
     logged = channel("CAM[0]", seconds, "events", event_index=index)
-    if boot is None:
-        return logged
-    return replace(logged, boot=np.array(boot, np.int16))
+    boots = np.array(boot or [0] * len(index), np.int16)
+    return replace(logged, boot=boots)
 
 
 @pytest.mark.parametrize("delay_s", [0.12, -0.25])
@@ -39,10 +41,9 @@ def test_a_positive_delay_makes_events_later(delay_s):
     assert not notes
     assert logged.time_ns / NS_PER_S == pytest.approx([10.0 + delay_s, 20.0 + delay_s])
 
-    names = np.array(["a", "b", "c"], object)
-    cameras = np.array(["left", "right", "left"], object)
-    time_ns = np.array([10, 20, 30]) * NS_PER_S
-    of_table = events_of_table(names, cameras, time_ns, "left", delay)
+    names = image_names("a", "b", "c")
+    cameras = image_names("left", "right", "left")
+    of_table = events_of_table(names, cameras, instants(10, 20, 30), "left", delay)
     assert of_table.image.tolist() == ["a", "c"]
     assert of_table.time_ns / NS_PER_S == pytest.approx([10.0 + delay_s, 30.0 + delay_s])
 
@@ -86,11 +87,20 @@ def test_numbers_that_the_log_skips_are_lost_events(index, missing, says):
     events, losses = events_of_channel(shots(*index), "cam", "{n}.jpg", AT_ONCE)
     assert events.lost == missing
     assert counted(losses) == [("loss", "EVENTS-LOST", missing)] * bool(missing)
-    assert all(says in loss.what for loss in losses)
+    for loss in losses:
+        assert says in loss.what
 
 
 def test_numbers_begin_anew_with_each_boot():
-    logged = shots(0, 1, 3, 7, 9, 10, boot=[0, 0, 0, 1, 1, 1])
+    logged = shots(
+        0,
+        1,
+        3,
+        7,
+        9,
+        10,
+        boot=[0, 0, 0, 1, 1, 1],
+    )
     _, losses = events_of_channel(logged, "cam", "{n}", AT_ONCE)
     assert [(loss.where, loss.count) for loss in losses] == [
         ("CAM[0], boot 0", 1),
@@ -100,27 +110,37 @@ def test_numbers_begin_anew_with_each_boot():
 
 def test_numbers_are_kept_where_they_rise():
     rising, _ = events_of_channel(shots(1, 2, 5), "cam", "{n}", AT_ONCE)
-    begun_anew, _ = events_of_channel(shots(3, 4, 0, 1, boot=[0, 0, 1, 1]), "cam", "{n}", AT_ONCE)
+    begun_anew, _ = events_of_channel(
+        shots(3, 4, 0, 1, boot=[0, 0, 1, 1]),
+        "cam",
+        "{n}",
+        AT_ONCE,
+    )
     assert rising.index.tolist() == [1, 2, 5]
     assert begun_anew.index is None
 
 
 def test_the_sigma_of_logged_times_is_kept():
-    logged = with_columns(shots(1, 2), sigma_time_s=np.array([0.06, np.nan]))
-    events, _ = events_of_channel(logged, "cam", "{index}", ExposureDelay(0.1, 0.08))
-    assert events.sigma_time_s == pytest.approx([0.1, 0.08])
+    delay = ExposureDelay(0.1, 0.08)
+    unknown = shots(1, 2)
+    logged = with_columns(unknown, sigma_time_s=np.array([0.06, np.nan]))
+    for channel_of_events, sigma_s in (
+        (logged, [0.1, 0.08]),
+        (unknown, [0.08, 0.08]),
+    ):
+        events, _ = events_of_channel(channel_of_events, "cam", "{index}", delay)
+        assert events.sigma_time_s == pytest.approx(sigma_s)
 
 
 def test_repeated_names_are_refused():
-    time_ns = np.zeros(2, np.int64)
-    first = Events("left", np.array(["a", "b"], object), time_ns)
-    second = Events("right", np.array(["c", "b"], object), time_ns)
+    first = Events("left", image_names("a", "b"), instants(0, 0))
+    second = Events("right", image_names("c", "b"), instants(0, 0))
     with refused("EVENTS-REPEATED", MissionError) as refusal:
         refuse_repeated_images([first, second])
     assert "b" in refusal.value.what
 
 
-def event_channel(name: str, rank: int) -> Channel:
+def event_channel(name, rank):
     return ranked(name, np.arange(3.0), rank, "events", event_index=1.0)
 
 

@@ -1,25 +1,20 @@
 """What a filter, an autopilot's texts and second attitudes say against a flight."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from tests.flight.made_channels import quaternion_columns, texts
-from tests.helpers import NS_PER_S, channel
-from unbend.flight.channels import Channel
+from tests.flight.made_channels import ends_s, texts, turned_channel
+from tests.helpers import channel
 from unbend.flight.evidence.autopilot_texts import text_evidence
 from unbend.flight.evidence.filter_health import attitude_evidence, filter_evidence
-from unbend.flight.evidence.stretches import Stretch
 
 T10 = np.arange(0.0, 300.0, 0.1)
 TROUBLED = (T10 > 50.0) & (T10 < 60.0)
 
 
-def lasts_s(stretch: Stretch) -> tuple[float, float]:
-    """Begin and end."""
-    return stretch.begin_ns / NS_PER_S, stretch.end_ns / NS_PER_S
+def health(name, **columns):
+    """What a filter says with these columns."""
+    return filter_evidence([channel(name, T10, **columns)])
 
 
 REJECTED = np.where(TROUBLED, 18.0, 0.1)
@@ -27,11 +22,14 @@ SETTLES = np.where((T10 >= 60.0) & (T10 < 64.0), 0.8, REJECTED)
 
 
 def test_innovations_last_until_the_filter_has_settled():
-    health = channel("XKF4[0]", T10, innovation_position=SETTLES, innovation_velocity=0.2)
-    (stretch,) = filter_evidence([health])
+    (stretch,) = health(
+        "XKF4[0]",
+        innovation_position=SETTLES,
+        innovation_velocity=0.2,
+    )
     assert stretch.reason == "the filter rejected the receiver's position (innovation ratio 18)"
     assert stretch.quantity == "position"
-    assert lasts_s(stretch) == pytest.approx((50.0, 64.0), abs=0.2)
+    assert ends_s(stretch) == pytest.approx((50.0, 64.0), abs=0.2)
 
 
 def test_of_several_lanes_of_a_filter_the_better_one_counts():
@@ -41,31 +39,38 @@ def test_of_several_lanes_of_a_filter_the_better_one_counts():
 
 
 def test_a_single_large_innovation_is_passed_over():
-    ratio = np.where(np.arange(T10.size) == 900, 1.3, 0.1)
-    assert filter_evidence([channel("XKF4[0]", T10, innovation_position=ratio)]) == []
+    ratio = np.full(T10.size, 0.1)
+    ratio[900] = 1.3
+    assert health("XKF4[0]", innovation_position=ratio) == []
 
 
 def test_a_rejected_velocity_makes_attitude_and_position_doubtful():
-    health = channel("XKF4[0]", T10, innovation_velocity=SETTLES)
-    suspect = [stretch.quantity for stretch in filter_evidence([health])]
-    assert suspect == ["attitude", "position"]
+    stretches = health("XKF4[0]", innovation_velocity=SETTLES)
+    assert [stretch.quantity for stretch in stretches] == ["attitude", "position"]
 
 
-@pytest.mark.parametrize(("bit", "says"), [(15, "GPS glitch"), (18, "dead reckoning")])
+@pytest.mark.parametrize(
+    ("bit", "says"),
+    [
+        (15, "GPS glitch"),
+        (18, "dead reckoning"),
+    ],
+)
 def test_flags_of_the_filter(bit, says):
     flags = 831 + 2.0**bit * TROUBLED
-    (stretch,) = filter_evidence([channel("EKF_STATUS_REPORT", T10, filter_flags=flags)])
+    (stretch,) = health("EKF_STATUS_REPORT", filter_flags=flags)
     assert says in stretch.reason
     assert stretch.quantity == "position"
 
 
 def test_clipping_accelerometers_make_the_attitude_doubtful():
-    (stretch,) = filter_evidence([channel("VIBE[0]", T10, clipping=np.cumsum(20.0 * TROUBLED))])
+    count = np.cumsum(20.0 * TROUBLED)
+    (stretch,) = health("VIBE[0]", clipping=count)
     assert stretch.quantity == "attitude"
     assert "200 times a second" in stretch.reason
 
 
-def evidence(*lines: tuple[float, str]) -> list[Stretch]:
+def evidence(*lines):
     return text_evidence([texts("MSG", *lines)])
 
 
@@ -74,22 +79,25 @@ LATER = (90.0, "Mission: 3 WP")
 
 def test_what_the_autopilot_says_holds_until_it_says_that_it_is_over():
     position, attitude = evidence(
-        (10.0, "Mission: 2 WP"), (50.0, "AHRS: DCM active"), (80.0, "AHRS: EKF3 active")
+        (10.0, "Mission: 2 WP"),
+        (50.0, "AHRS: DCM active"),
+        (80.0, "AHRS: EKF3 active"),
     )
     assert position.quantity == "position"
     assert attitude.quantity == "attitude"
     assert position.reason == 'the autopilot reports "AHRS: DCM active"'
-    assert lasts_s(position) == (49.5, 80.0)
+    assert ends_s(position) == (49.5, 80.0)
 
 
 def test_a_trouble_that_is_never_over_lasts_beyond_the_last_text():
     (stretch,) = evidence((50.0, "GPS Glitch"), LATER)
-    assert lasts_s(stretch) == (49.5, 90.0 + 3600.0)
+    assert ends_s(stretch) == (49.5, 90.0 + 3600.0)
 
 
 @pytest.mark.parametrize("text", ["EKF3 lane switch 1", "PreArm: GPS Glitch"])
 def test_an_event_and_a_check_before_take_off_count_for_five_seconds(text):
-    assert lasts_s(evidence((50.0, text), LATER)[0]) == (49.5, 54.5)
+    stretch = evidence((50.0, text), LATER)[0]
+    assert ends_s(stretch) == (49.5, 54.5)
 
 
 def test_texts_without_trouble_are_none():
@@ -119,45 +127,49 @@ def test_texts_without_trouble_are_none():
 )
 def test_a_text_that_ends_a_trouble_begins_none(begins, ends):
     (stretch,) = evidence((50.0, begins), (70.0, ends), LATER)
-    assert lasts_s(stretch) == (49.5, 70.0)
+    assert ends_s(stretch) == (49.5, 70.0)
     assert evidence((70.0, ends)) == []
 
 
 def test_another_trouble_that_ends_does_not_end_this_one():
     (glitch,) = evidence(
-        (50.0, "GPS Glitch"), (60.0, "EKF Failsafe Cleared"), (70.0, "Glitch cleared")
+        (50.0, "GPS Glitch"),
+        (60.0, "EKF Failsafe Cleared"),
+        (70.0, "Glitch cleared"),
     )
-    assert lasts_s(glitch) == (49.5, 70.0)
+    assert ends_s(glitch) == (49.5, 70.0)
 
 
 def test_an_end_that_is_waited_for_is_none():
     lost, _ = evidence((50.0, "GPS signal lost"), (51.0, "Dead reckoning until GPS regained"))
-    assert lasts_s(lost) == (49.5, 51.0 + 3600.0)
+    assert ends_s(lost) == (49.5, 51.0 + 3600.0)
 
 
 def test_a_trouble_of_one_channel_of_texts_may_end_in_another():
     message = texts("MSG", (50.0, "EKF variance"))
     error = texts("ERR", (65.0, "ERR EKFCHECK 0"))
     (stretch,) = text_evidence([message, error])
-    assert lasts_s(stretch) == (49.5, 65.0)
+    assert ends_s(stretch) == (49.5, 65.0)
 
 
-def rolled(name: str, t: np.ndarray, roll_deg: np.ndarray) -> Channel:
-    attitude = Rotation.from_euler("x", roll_deg[:, None], degrees=True)
-    return channel(name, t, "attitude", **quaternion_columns(attitude))
+def rolled(name, t, roll_deg):
+    return turned_channel(name, t, "x", roll_deg[:, None], "attitude")
 
 
 def test_two_attitudes_that_part():
-    attitude = rolled("ATT", T10, np.where((T10 > 50.0) & (T10 < 58.0), 7.5, 0.0))
-    (stretch,) = attitude_evidence(attitude, [rolled("XKF1[0]", T10, np.zeros(T10.size))])
+    is_apart = (T10 > 50.0) & (T10 < 58.0)
+    attitude = rolled("ATT", T10, 7.5 * is_apart)
+    level = rolled("XKF1[0]", T10, 0.0 * T10)
+    (stretch,) = attitude_evidence(attitude, [level])
     assert stretch.reason == "ATT and XKF1[0] are 7.5 deg apart"
-    assert lasts_s(stretch) == pytest.approx((50.0, 58.0), abs=0.5)
+    assert ends_s(stretch) == pytest.approx((50.0, 58.0), abs=0.5)
 
 
 def test_a_slow_attitude_in_a_fast_roll_does_not_part():
-    def bank(t: np.ndarray) -> np.ndarray:
+    def bank(t):
         return np.interp(t, [100.0, 101.0, 110.0, 111.0], [0.0, 45.0, 45.0, 0.0])
 
     slow_s = np.arange(0.05, 299.0, 0.2)
     late = rolled("AHR2", slow_s, bank(slow_s - 0.15))
-    assert attitude_evidence(rolled("ATT", T10, bank(T10)), [late]) == []
+    attitude = rolled("ATT", T10, bank(T10))
+    assert attitude_evidence(attitude, [late]) == []

@@ -1,7 +1,5 @@
 """Cameras on gimbals: where they look, and what is said of it. Expected directions by hand."""
 
-from __future__ import annotations
-
 import io
 import math
 import struct
@@ -11,14 +9,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.flight.made_channels import (
+    counted,
+    image_names,
     instants,
     located,
     quaternion_columns,
     rotation_of,
+    turned_channel,
     with_columns,
 )
 from tests.helpers import channel
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem
 from unbend.flight.mount import Mount, gimbal_notes, payload_attitude
@@ -30,18 +30,25 @@ AHEAD = Mount(pitch_rad=math.pi / 2)
 AS_IN_AN_AIRCRAFT = Mount()
 
 
-def attitude(
-    message: str, pitch_deg: float, yaw_deg: float = 0.0, roll_deg: float = 0.0
-) -> Channel:
-    turn = Rotation.from_euler("ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True)
-    return channel(message, SECONDS, "attitude", **quaternion_columns(turn))
+def attitude(message, *yaw_pitch_roll_deg):
+    return turned_channel(message, SECONDS, "ZYX", yaw_pitch_roll_deg, "attitude")
 
 
-def camera_axes(gimbal: Channel, mount: Mount) -> np.ndarray:
+def camera_axes(gimbal, mount):
     """Optical axis and top of the image of a camera, as rows of east, north, up."""
-    position = channel("POS", [0, 9], lat_rad=0.82, lon_rad=0.14, h_msl_m=1000.0)
-    roles = {"position": position, "height": position, "attitude": gimbal}
-    exposure = Events("cam", np.array(["a"], object), instants(1.8))
+    position = channel(
+        "POS",
+        [0, 9],
+        lat_rad=0.82,
+        lon_rad=0.14,
+        h_msl_m=1000.0,
+    )
+    roles = {
+        "position": position,
+        "height": position,
+        "attitude": gimbal,
+    }
+    exposure = Events("cam", image_names("a"), instants(1.8))
     station = build_stations(exposure, roles, mount, HeightSystem(), 10.0)
     assert station.ok.all()
     assert np.isnan(station.aircraft_quaternion).all(), "a gimbal's is not the aircraft's"
@@ -50,85 +57,92 @@ def camera_axes(gimbal: Channel, mount: Mount) -> np.ndarray:
 
 
 HALF = math.sqrt(0.5)
-# The gimbal points 45 deg down and 4 deg to the right of north: yaw about down, then pitch about
-# right, by half angles, as MAVLink has them.
+# The gimbal points 45 deg down and 4 deg to the right of north.
 PITCH = math.radians(-45.0)
 YAW = math.radians(4.0)
-FORWARD_DOWN = np.array([math.sin(YAW) * HALF, math.cos(YAW) * HALF, -HALF])
+FORWARD_DOWN = np.array(
+    [
+        math.sin(YAW) * HALF,
+        math.cos(YAW) * HALF,
+        -HALF,
+    ]
+)
 FORWARD_UP = FORWARD_DOWN * [1.0, 1.0, -1.0]
-Q_W = math.cos(PITCH / 2) * math.cos(YAW / 2)
-Q_X = -math.sin(PITCH / 2) * math.sin(YAW / 2)
-Q_Y = math.sin(PITCH / 2) * math.cos(YAW / 2)
-Q_Z = math.cos(PITCH / 2) * math.sin(YAW / 2)
-GIMBAL = channel("MNT[0]", SECONDS, q_w=Q_W, q_x=Q_X, q_y=Q_Y, q_z=Q_Z)
+GIMBAL = quaternion_columns(Rotation.from_euler("ZYX", [YAW, PITCH, 0.0]))
 
 
 @pytest.mark.parametrize(
     ("mount", "axis", "top"),
-    [(AHEAD, FORWARD_DOWN, FORWARD_UP), (AS_IN_AN_AIRCRAFT, -FORWARD_UP, FORWARD_DOWN)],
+    [
+        (AHEAD, FORWARD_DOWN, FORWARD_UP),
+        (AS_IN_AN_AIRCRAFT, -FORWARD_UP, FORWARD_DOWN),
+    ],
     ids=["forward and down", "with the mount of an aircraft back and down"],
 )
 def test_a_camera_on_a_gimbal_looks_where_that_points(mount, axis, top):
-    assert camera_axes(GIMBAL, mount) == pytest.approx(np.array([axis, top]), abs=1e-9)
+    gimbal = channel("MNT[0]", SECONDS, **GIMBAL)
+    assert camera_axes(gimbal, mount) == pytest.approx(np.array([axis, top]), abs=1e-9)
 
 
 NAN = float("nan")
-UNKNOWN = dict.fromkeys(("q_w", "q_x", "q_y", "q_z"), NAN)
-TO_NOSE = {"gimbal_q_w": Q_W, "gimbal_q_x": Q_X, "gimbal_q_y": Q_Y, "gimbal_q_z": Q_Z}
-NOSE_ANGLES = {"gimbal_roll_rad": 0.0, "gimbal_pitch_rad": PITCH, "gimbal_yaw_rad": YAW}
-
-
-@pytest.mark.parametrize("columns", [NOSE_ANGLES, TO_NOSE | UNKNOWN], ids=["angles", "quaternion"])
-def test_yaw_from_the_nose_is_turned_by_the_aircraft_s(columns):
-    """The aircraft flies east, banks 20 deg and climbs: the payload looks to 94 deg and 45 down."""
-    gimbal = channel("MOUNT_STATUS", SECONDS[1:] - 0.3, **columns)
-    aircraft = attitude("ATTITUDE", 8.0, yaw_deg=90.0, roll_deg=20.0)
-    payload, (note,) = payload_attitude(gimbal, aircraft, 2.0)
-    to_the_east = FORWARD_DOWN[[1, 0, 2]] * [1.0, -1.0, 1.0]
-    axes = np.array([to_the_east, to_the_east * [1.0, 1.0, -1.0]])
-    assert camera_axes(payload, AHEAD) == pytest.approx(axes, abs=1e-9)
-    assert note.code == "GIMBAL-YAW"
-    assert note.kind == "note"
-    assert note.count == 4
-    assert "ATTITUDE is added" in note.what
+UNKNOWN = dict.fromkeys(GIMBAL, NAN)
+TO_NOSE = {f"gimbal_{name}": value for name, value in GIMBAL.items()}
+NOSE_ANGLES = {
+    "gimbal_roll_rad": 0.0,
+    "gimbal_pitch_rad": PITCH,
+    "gimbal_yaw_rad": YAW,
+}
 
 
 @pytest.mark.parametrize(
-    ("message", "countered", "of_servos"),
-    [
-        ("MOUNT_STATUS", 1.0, True),
-        ("MOUNT_STATUS", 0.0, False),
-        # to the horizon by its definition
-        ("MOUNT_ORIENTATION", 1.0, False),
-        ("MOUNT_ORIENTATION", 0.0, False),
-    ],
+    "columns",
+    [NOSE_ANGLES, TO_NOSE | UNKNOWN],
+    ids=["angles", "quaternion"],
 )
-def test_angles_of_servos_are_to_the_aircraft(message, countered, of_servos):
-    """They counter its roll and pitch."""
+def test_yaw_from_the_nose_is_turned_by_the_aircraft_s(columns):
+    """The aircraft flies east, banks 20 deg and climbs: the payload looks to 94 deg and 45 down."""
+    gimbal = channel("MOUNT_STATUS", SECONDS[1:] - 0.3, **columns)
+    aircraft = attitude("ATTITUDE", 90.0, 8.0, 20.0)
+
+    payload, notes = payload_attitude(gimbal, aircraft, 2.0)
+
+    to_the_east = FORWARD_DOWN[[1, 0, 2]] * [1.0, -1.0, 1.0]
+    axes = np.array([to_the_east, to_the_east * [1.0, 1.0, -1.0]])
+    assert camera_axes(payload, AHEAD) == pytest.approx(axes, abs=1e-9)
+    assert counted(notes) == [("note", "GIMBAL-YAW", 4)]
+    assert "ATTITUDE is added" in notes[0].what
+
+
+@pytest.mark.parametrize("counters", [True, False])
+@pytest.mark.parametrize("message", ["MOUNT_STATUS", "MOUNT_ORIENTATION"])
+def test_angles_of_servos_are_to_the_aircraft(message, counters):
+    """They counter its roll and pitch; MOUNT_ORIENTATION is to the horizon by its definition."""
     row = np.arange(200)
-    seconds = row / 10.0
     roll = 0.3 * np.sin(row / 7.0)
     pitch = 0.2 * np.cos(row / 11.0)
     yaw = row / 40.0
     still = np.zeros(200)
     turns = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1))
-    aircraft = channel("ATTITUDE", seconds, **quaternion_columns(turns))
-    angles = np.stack([0.5 + still, 0.1 - countered * pitch, -countered * roll], axis=1)
+    aircraft = channel("ATTITUDE", row / 10.0, **quaternion_columns(turns))
+    angles = np.stack([still + 0.5, 0.1 - counters * pitch, -counters * roll], axis=1)
     gimbal = channel(
         message,
-        seconds,
+        row / 10.0,
         gimbal_yaw_rad=np.where(row == 3, 4.7e6, 0.5),  # a place, as autopilots of 2012 send it
         gimbal_pitch_rad=angles[:, 1],
         gimbal_roll_rad=angles[:, 2],
     )
+
     payload, _ = payload_attitude(gimbal, aircraft, 2.0)
-    quaternion = np.stack([payload[f"q_{axis}"] for axis in "wxyz"], axis=1)
+
+    quaternion = np.stack([payload[name] for name in GIMBAL], axis=1)
     is_known = np.isfinite(quaternion).all(axis=1)
     assert np.flatnonzero(~is_known).tolist() == [3]
-    if of_servos:
+    if counters and message == "MOUNT_STATUS":
         expected = turns * Rotation.from_euler("ZYX", angles)
     else:
-        expected = Rotation.from_euler("ZYX", angles + np.stack([yaw, still, still], axis=1))
+        headings = np.stack([yaw, still, still], axis=1)
+        expected = Rotation.from_euler("ZYX", angles + headings)
     apart = rotation_of(quaternion[is_known]) * expected[is_known].inv()
     assert apart.magnitude().max() < 1e-7
 
@@ -136,7 +150,7 @@ def test_angles_of_servos_are_to_the_aircraft(message, countered, of_servos):
 @pytest.mark.parametrize(
     ("gimbal", "aircraft"),
     [
-        (attitude("MNT[0]", -30.0), attitude("ATT", 0.0, yaw_deg=90.0)),
+        (attitude("MNT[0]", 0.0, -30.0, 0.0), attitude("ATT", 90.0, 0.0, 0.0)),
         (channel("MOUNT_STATUS", SECONDS, **NOSE_ANGLES), None),
     ],
     ids=["one that knows north", "no aircraft"],
@@ -145,20 +159,24 @@ def test_a_gimbal_that_stays_as_it_is(gimbal, aircraft):
     assert payload_attitude(gimbal, aircraft, 2.0) == (gimbal, ())
 
 
+def pitched(degrees):
+    return Mount(pitch_rad=math.radians(degrees))
+
+
 @pytest.mark.parametrize(
     ("pitch_deg", "mount", "kind", "away", "nadir"),
     [
         (-90.0, AHEAD, "note", 0, 0),
         (-90.0, AS_IN_AN_AIRCRAFT, "warning", 90, 90),
         (-30.0, AHEAD, "note", 0, 60),
-        (-30.0, Mount(pitch_rad=math.radians(60.0)), "note", 30, 30),
-        (-30.0, Mount(pitch_rad=math.radians(120.0)), "note", 30, 90),
-        (-30.0, Mount(pitch_rad=math.radians(44.0)), "warning", 46, 14),
-        (-80.0, Mount(roll_rad=math.radians(-90.0)), "warning", 90, 90),  # to the right
+        (-30.0, pitched(60.0), "note", 30, 30),
+        (-30.0, pitched(120.0), "note", 30, 90),
+        (-30.0, pitched(44.0), "warning", 46, 14),
+        (-80.0, Mount(roll_rad=-math.pi / 2), "warning", 90, 90),  # to the right
     ],
 )
 def test_where_each_camera_looks_is_told(pitch_deg, mount, kind, away, nadir):
-    roles = {"attitude": attitude("MNT[0]", pitch_deg)}
+    roles = {"attitude": attitude("MNT[0]", 0.0, pitch_deg, 0.0)}
     (note,) = gimbal_notes({"MNT": 20, "ATT": 20}, roles, {"oblique": mount})
     assert located([note]) == [(kind, "GIMBAL-FRAME", "mount.oblique")]
     assert f"oblique looks {away} deg away" in note.what
@@ -168,13 +186,17 @@ def test_where_each_camera_looks_is_told(pitch_deg, mount, kind, away, nadir):
 
 def test_rows_without_an_attitude_do_not_count():
     """The last two rows point straight down; without any known row there is nothing to say."""
-    gimbal = attitude("MNT[0]", -90.0)
-    unknown = np.where(SECONDS < 3.0, NAN, gimbal["q_y"])
-    partly_known = with_columns(gimbal, q_y=unknown)
-    (note,) = gimbal_notes({"MNT": 5}, {"attitude": partly_known}, {"nadir": AHEAD})
+    gimbal = attitude("MNT[0]", 0.0, -90.0, 0.0)
+
+    def notes_from(first_s):
+        """With a gimbal that is known from a second on."""
+        q_y = np.where(first_s > SECONDS, NAN, gimbal["q_y"])
+        roles = {"attitude": with_columns(gimbal, q_y=q_y)}
+        return list(gimbal_notes({"MNT": 5}, roles, {"nadir": AHEAD}))
+
+    (note,) = notes_from(3.0)
     assert "0 deg from straight down" in note.what
-    never_known = with_columns(gimbal, q_y=np.full(5, NAN))
-    assert not list(gimbal_notes({"MNT": 5}, {"attitude": never_known}, {"nadir": AHEAD}))
+    assert notes_from(9.0) == []
 
 
 @pytest.mark.parametrize(
@@ -189,12 +211,11 @@ def test_rows_without_an_attitude_do_not_count():
         ({"/fmu/out/gimbal_device_attitude_status": 7}, "7 /fmu/out/gimbal_device"),
     ],
 )
-@pytest.mark.parametrize("roles", [{"attitude": attitude("ATT", 0.0)}, {}])
+@pytest.mark.parametrize("roles", [{"attitude": attitude("ATT", 0.0, 0.0, 0.0)}, {}])
 def test_a_gimbal_that_nobody_follows_is_told(messages, ignored, roles):
     notes = list(gimbal_notes(messages, roles, {"nadir": AS_IN_AN_AIRCRAFT}))
-    assert [(note.kind, note.code) for note in notes] == [("warning", "GIMBAL-IGNORED")] * (
-        ignored is not None
-    )
+    is_told = ignored is not None
+    assert located(notes) == [("warning", "GIMBAL-IGNORED", "")] * is_told
     for note in notes:
         assert ignored in note.what
         assert "fixed to the aircraft" in note.what
@@ -208,14 +229,29 @@ def test_a_mission_is_told_of_its_gimbal(mission, unbend):
     definition = (99, 3 + struct.calcsize(MNT), b"MNT", b"QBfffffffff", MNT_COLUMNS)
     data = mission.log.read_bytes() + b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", *definition)
     for time_us in open_log(mission.log).message("ATT")["TimeUS"].tolist():
-        data += b"\xa3\x95\x63" + struct.pack(MNT, time_us, 0, 0, 0, 0, -45, 0, 4, 0, 4, 0)
+        data += b"\xa3\x95\x63" + struct.pack(
+            MNT,
+            time_us,
+            0,
+            0,
+            0,
+            0,
+            -45,
+            0,
+            4,
+            0,
+            4,
+            0,
+        )
     mission.log.write_bytes(data)
+
     of_aircraft = unbend("check", mission.save()).text
-    assert "GIMBAL-IGNORED" in of_aircraft
-    assert "GIMBAL-FRAME" not in of_aircraft
     mission.config["log"]["channels"]["attitude"] = "MNT[0]"
     mission.config["mount"]["nadir"] = {"pitch_deg": 90.0}
     of_gimbal = unbend("check", "-v", mission.save()).text
+
+    assert "GIMBAL-IGNORED" in of_aircraft
+    assert "GIMBAL-FRAME" not in of_aircraft
     assert "GIMBAL-IGNORED" not in of_gimbal
     assert of_gimbal.count("note GIMBAL-FRAME") == 1  # nadir
     assert of_gimbal.count("warning GIMBAL-FRAME") == 1  # oblique has the mount of an aircraft
@@ -223,7 +259,10 @@ def test_a_mission_is_told_of_its_gimbal(mission, unbend):
 
 @pytest.mark.parametrize(
     ("ids", "names"),
-    [([1, 1], ["/gimbal"]), ([1, 2], ["/gimbal[1]", "/gimbal[2]"])],
+    [
+        ([1, 1], ["/gimbal"]),
+        ([1, 2], ["/gimbal[1]", "/gimbal[2]"]),
+    ],
     ids=["one gimbal", "two gimbals"],
 )
 def test_the_number_of_a_gimbal_names_a_channel_only_where_there_are_several(tmp_path, ids, names):
@@ -235,10 +274,15 @@ def test_the_number_of_a_gimbal_names_a_channel_only_where_there_are_several(tmp
     schema = writer.register_msgdef("px4_msgs/msg/GimbalDeviceAttitudeStatus", definition)
     for row in range(20):
         time_us = 1_700_000_000_000_000 + 200_000 * row
-        number = {"timestamp": time_us, "gimbal_device_id": ids[row % 2]}
-        message = number | {"device_flags": 64, "q": [1.0, 0.0, 0.0, 0.0]}
+        message = {
+            "timestamp": time_us,
+            "gimbal_device_id": ids[row % 2],
+            "device_flags": 64,
+            "q": [1.0, 0.0, 0.0, 0.0],
+        }
         writer.write_message("/gimbal", schema, message, time_us * 1000)
     writer.finish()
     path = tmp_path / "log.mcap"
     path.write_bytes(file.getvalue())
+
     assert [logged.name for logged in open_log(path).channels] == names

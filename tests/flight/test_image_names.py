@@ -1,20 +1,17 @@
 """Names that differ in case, ending, folder, digits; events of another time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from tests.flight.made_channels import EARTH_M, counted, instants
+from tests.flight.made_channels import EARTH_M, counted, image_names, instants
 from tests.helpers import channel, refused
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import Events, span_notes
 from unbend.flight.image_names import other_names, proposal, refuse_other_names, renamed
 
 
 @pytest.mark.parametrize(
-    ("images", "known", "differences"),
+    ("images", "logged", "differences"),
     [
         (["A.JPG", "B.JPG"], ["a.jpg", "b.jpg"], ["case"]),
         (["A.tif", "B.tif"], ["A.NEF", "B"], ["extension"]),
@@ -27,19 +24,19 @@ from unbend.flight.image_names import other_names, proposal, refuse_other_names,
         ),
     ],
 )
-def test_each_difference_matches_and_is_proposed(images, known, differences):
-    expected = dict(zip(known, images, strict=True))
-    assert other_names(images, known, differences) == expected
-    text = proposal(images, known)
+def test_each_difference_matches_and_is_proposed(images, logged, differences):
+    matches = dict(zip(logged, images, strict=True))
+    assert other_names(images, logged, differences) == matches
+    text = proposal(images, logged)
     assert text.startswith("2 of them")
     assert f"[{', '.join(differences)}]" in text
     for left_out in differences:
-        others = [difference for difference in differences if difference != left_out]
-        assert other_names(images, known, others) == {}
+        fewer = [difference for difference in differences if difference != left_out]
+        assert other_names(images, logged, fewer) == {}
 
 
 @pytest.mark.parametrize(
-    ("images", "known", "difference"),
+    ("images", "logged", "difference"),
     [
         (["DSC_1", "DSC_01"], ["DSC1"], "digits"),
         (["DSC_1"], ["DSC1", "DSC01"], "digits"),
@@ -47,12 +44,12 @@ def test_each_difference_matches_and_is_proposed(images, known, differences):
         (["a.JPG", "a"], ["a"], "extension"),  # the exact name is taken
     ],
 )
-def test_two_names_that_become_one_match_nothing(images, known, difference):
-    assert other_names(images, known, [difference]) == {}
+def test_two_names_that_become_one_match_nothing(images, logged, difference):
+    assert other_names(images, logged, [difference]) == {}
 
 
 def test_names_change_only_where_that_is_stated():
-    names = np.array(["dsc1", "other", ""], object)
+    names = image_names("dsc1", "other", "")
     assert renamed(names, ["DSC1"], [], "events") == (names, ())
     changed, notes = renamed(names, ["DSC1"], ["case"], "events")
     assert changed.tolist() == ["DSC1", "other", ""]
@@ -64,16 +61,18 @@ DECOMPOSED = "Fla\u0308che 1.jpg"
 
 
 @pytest.mark.parametrize(
-    ("of_events", "observed"), [(COMPOSED, DECOMPOSED), (DECOMPOSED, COMPOSED)]
+    ("of_events", "observed"),
+    [(COMPOSED, DECOMPOSED), (DECOMPOSED, COMPOSED)],
 )
 def test_composed_and_decomposed_names_are_the_same_image(of_events, observed):
     """One folder on macOS, one elsewhere; the observations' spelling stays."""
-    names = np.array([of_events, "b.jpg"], object)
-    changed, (note,) = renamed(names, [observed, "b.jpg"], [], "events")
-    assert changed.tolist() == [observed, "b.jpg"]
-    assert counted([note]) == [("note", "IMAGES-RENAMED", 1)]
-    assert "a\\xcc\\x88" in note.what
-    assert renamed(changed, [observed, "b.jpg"], [], "events") == (changed, ())
+    names = image_names(of_events, "b.jpg")
+    images = [observed, "b.jpg"]
+    changed, notes = renamed(names, images, [], "events")
+    assert changed.tolist() == images
+    assert counted(notes) == [("note", "IMAGES-RENAMED", 1)]
+    assert "a\\xcc\\x88" in notes[0].what
+    assert renamed(changed, images, [], "events") == (changed, ())
 
 
 def test_names_that_look_alike_are_shown_with_their_bytes():
@@ -85,50 +84,67 @@ def test_names_that_look_alike_are_shown_with_their_bytes():
 
 
 IMAGES = [f"IMG_{number:04d}.JPG" for number in range(10)]
+OTHER_NAMES = [f"img_{number}.jpg" for number in range(8)]
 
 
 @pytest.mark.parametrize(
     ("of_cameras", "says"),
     [
-        ({"cam": [f"img_{number}.jpg" for number in range(8)]}, ["8 of them", "[case, digits]"]),
-        ({"a": IMAGES[:8], "b": []}, ["0 exposures of b"]),
+        ({"cam": OTHER_NAMES}, ["8 of them", "[case, digits]"]),
+        (
+            {
+                "a": IMAGES[:8],
+                "b": [],
+            },
+            ["0 exposures of b"],
+        ),
     ],
     ids=["other names", "no exposures"],
 )
 def test_a_camera_without_any_of_the_images_is_refused(of_cameras, says):
     with refused("IMAGES-OTHER", MissionError) as refusal:
         refuse_other_names(of_cameras, IMAGES)
-    assert all(text in refusal.value.what for text in says)
+    for text in says:
+        assert text in refusal.value.what
 
 
 def test_a_camera_that_was_not_measured_and_a_few_images_without_exposure_are_not_refused():
-    refuse_other_names({"a": IMAGES[:8], "b": [f"b{number}" for number in range(8)]}, IMAGES)
+    of_another = [f"b{number}" for number in range(8)]
+    refuse_other_names({"a": IMAGES[:8], "b": of_another}, IMAGES)
 
 
 BEGIN_S = 1_777_000_000  # 2026-04-24T03:06:40
+SECONDS = np.arange(3600)
+FLOWN_S = np.clip(SECONDS - 300, 0, 3000)
+FLOWN = channel(
+    "GPS",
+    BEGIN_S + SECONDS,
+    lat_rad=0.8 + FLOWN_S * 20.0 / EARTH_M,
+    lon_rad=0.1,
+)
+"""An hour with 50 minutes of flight."""
 
 
-def flown() -> Channel:
-    """An hour with 50 minutes of flight."""
-    seconds = np.arange(3600)
-    along_m = np.clip(seconds - 300, 0, 3000) * 20.0
-    return channel("GPS", BEGIN_S + seconds, lat_rad=0.8 + along_m / EARTH_M, lon_rad=0.1)
-
-
-def events(first_s: float, spacing_s: float = 20.0) -> list[Events]:
-    """A hundred events, by seconds from the begin of the log."""
+def notes_of_events(first_s, spacing_s=20.0):
+    """What is said of a hundred events, by seconds from the begin of the log."""
     seconds = BEGIN_S + first_s + spacing_s * np.arange(100)
-    return [Events("cam", np.full(100, "", object), instants(*seconds))]
+    events = Events("cam", image_names(*[""] * 100), instants(*seconds))
+    return span_notes([events], FLOWN, "events.csv.columns.time_utc")
 
 
 @pytest.mark.parametrize(
     ("late_s", "says"),
-    [(7200, "-7200 s"), (-86400, "+86400 s"), (604800, "-604800 s"), (-18000, "+18000 s")],
+    [
+        (7200, "-7200 s"),
+        (-86400, "+86400 s"),
+        (604800, "-604800 s"),
+        (-18000, "+18000 s"),
+    ],
 )
 def test_events_of_another_time_are_refused_with_what_would_fit(late_s, says):
     """The log has an hour, the events 33 minutes from its 25th: one zone alone fits."""
     with refused("EVENTS-SPAN", MissionError) as refusal:
-        span_notes(events(1500.0 + late_s), flown(), "events.csv.columns.time_utc")
+        notes_of_events(1500.0 + late_s)
     assert f"{says} would bring all of them" in refusal.value.what
     assert "2026-04-24T0" in refusal.value.what
     assert refusal.value.where == "events.csv.columns.time_utc"
@@ -136,13 +152,13 @@ def test_events_of_another_time_are_refused_with_what_would_fit(late_s, says):
 
 def test_no_offset_is_named_that_brings_nothing():
     """Events for two hours beside a log of one: some lie beyond it wherever they begin."""
-    (note,) = span_notes(events(0.2, 72.0), flown(), "events")
+    (note,) = notes_of_events(0.2, 72.0)
     assert "nor a week would bring all of them into the flight" in note.what
     assert " +0 s" not in note.what
 
 
 def test_events_that_begin_before_the_log_are_told_with_eighteen_seconds():
-    (note,) = span_notes(events(-18.0), flown(), "events")
-    assert counted([note]) == [("warning", "EVENTS-SPAN", 1)]
-    assert "+18 s would bring all of them into the flight" in note.what
-    assert span_notes(events(0.0), flown(), "events") == ()
+    notes = notes_of_events(-18.0)
+    assert counted(notes) == [("warning", "EVENTS-SPAN", 1)]
+    assert "+18 s would bring all of them into the flight" in notes[0].what
+    assert notes_of_events(0.0) == ()

@@ -1,42 +1,54 @@
 """Which readings are of the free air, and at which height."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.flight.made_channels import counted, instants, located
-from tests.helpers import channel
+from tests.flight.made_channels import (
+    FLIGHT_HEIGHT_M,
+    FLIGHT_S,
+    counted,
+    instants,
+    located,
+)
+from tests.helpers import NS_PER_S, channel
 from unbend.atmosphere.rejection import Reason
 from unbend.flight.evidence.stretches import HEIGHT, Stretch
 from unbend.flight.heights import HeightSystem
 from unbend.flight.outside_air import outside_air_samples
 
-SECONDS = np.arange(0.0, 900.0)
-# 60 s on the ground, up to 2450 m at 5 m/s, level, and down again.
-HEIGHT_M = 450.0 + np.clip(np.minimum(SECONDS - 60.0, 860.0 - SECONDS) * 5.0, 0.0, 2000.0)
 PLACE = {"lat_rad": 0.8, "lon_rad": 0.1}
-HEIGHTS = HeightSystem()
-GPS = channel("GPS", SECONDS, "height", h_msl_m=HEIGHT_M, **PLACE)
-BARO = channel("BARO", SECONDS, pressure_pa=9e4)
-HYGR = channel("HYGR", SECONDS, temperature_k=280.0, relative_humidity=0.5)
-ARSP = channel("ARSP", SECONDS, airspeed_m_s=60.0)
+GPS = channel(
+    "GPS",
+    FLIGHT_S,
+    "height",
+    h_msl_m=FLIGHT_HEIGHT_M,
+    **PLACE,
+)
+BARO = channel("BARO", FLIGHT_S, pressure_pa=9e4)
+HYGR = channel("HYGR", FLIGHT_S, temperature_k=280.0, relative_humidity=0.5)
+ARSP = channel("ARSP", FLIGHT_S, airspeed_m_s=60.0)
+
+
+def samples_of(height, *stretches, **sensors):
+    """The samples of the sensors of these roles, and their messages."""
+    roles = {"height": height, **sensors}
+    return outside_air_samples(roles, HeightSystem(), 5.0, stretches)
 
 
 def test_the_ground_and_the_first_two_minutes_are_not_the_air():
     """Off the ground at 60 s, and on it again at 860 s."""
-    roles = {
-        "height": GPS,
-        "temperature": HYGR,
-        "humidity": HYGR,
-        "pressure": BARO,
-        "airspeed": ARSP,
-    }
-    samples, notes = outside_air_samples(roles, HEIGHTS, 5.0)
+    samples, notes = samples_of(
+        GPS,
+        temperature=HYGR,
+        humidity=HYGR,
+        pressure=BARO,
+        airspeed=ARSP,
+    )
+
     for soaked in (samples.temperature, samples.humidity):
-        used_s = SECONDS[soaked.accepted]
+        used_s = FLIGHT_S[soaked.accepted]
         assert used_s.min() == pytest.approx(60.0 + 120.0, abs=3.0)
         assert used_s.max() == pytest.approx(860.0, abs=3.0)
     assert samples.pressure.accepted.all()
@@ -45,48 +57,68 @@ def test_the_ground_and_the_first_two_minutes_are_not_the_air():
     assert soak == np.count_nonzero(~samples.temperature.accepted)
     assert counted(notes) == [("note", "AIR-GROUND-SOAK", soak)] * 2
     # After the landing the log ends on the ground.
-    assert samples.takeoff_ns / 1e9 == pytest.approx([60.0, 899.0], abs=4.0)
+    assert samples.takeoff_ns / NS_PER_S == pytest.approx([60.0, 899.0], abs=4.0)
 
 
 def test_a_log_that_begins_in_the_air_has_no_take_off():
-    flying = channel("GPS", SECONDS, "height", h_msl_m=2000.0 + 3.0 * SECONDS, **PLACE)
-    samples, notes = outside_air_samples({"height": flying, "temperature": HYGR}, HEIGHTS, 5.0)
+    climb_m = 2000.0 + 3.0 * FLIGHT_S
+    flying = channel(
+        "GPS",
+        FLIGHT_S,
+        "height",
+        h_msl_m=climb_m,
+        **PLACE,
+    )
+    samples, notes = samples_of(flying, temperature=HYGR)
     assert samples.temperature.accepted.all()
     assert notes == ()
 
 
 def test_the_ground_between_two_flights_is_not_the_air():
     seconds = np.arange(1800.0)
-    gps = channel("GPS", seconds, h_msl_m=np.tile(HEIGHT_M, 2), **PLACE)
+    gps = channel(
+        "GPS",
+        seconds,
+        h_msl_m=np.tile(FLIGHT_HEIGHT_M, 2),
+        **PLACE,
+    )
     warm = channel("HYGR", seconds, temperature_k=280.0)
-    samples, _ = outside_air_samples({"height": gps, "temperature": warm}, HEIGHTS, 5.0)
+
+    samples, _ = samples_of(gps, temperature=warm)
+
     accepted = samples.temperature.accepted
     assert not accepted[865:1070].any()
     assert accepted[1085:1750].all()
 
 
 def test_a_height_that_is_fused_with_the_barometer_says_nothing_of_temperatures():
-    """Pressures of the lowest 30 m give the level; with a receiver all are used, without a word."""
-    fused = replace(GPS, name="POS", roles=("position",))
-    samples, notes = outside_air_samples({"height": fused, "pressure": BARO}, HEIGHTS, 5.0)
-    assert np.array_equal(samples.pressure.accepted, HEIGHT_M < 480.0)
+    """Only pressures of the lowest 30 m are used, which give the level."""
+    fused = replace(
+        GPS,
+        name="POS",
+        roles=("position",),
+    )
+    samples, notes = samples_of(fused, pressure=BARO)
+    assert np.array_equal(samples.pressure.accepted, FLIGHT_HEIGHT_M < 480.0)
     assert set(samples.pressure.rejected) == {Reason.USED, Reason.FUSED_HEIGHT}
     assert located(notes) == [("warning", "AIR-HEIGHT-FUSED", "POS")]
-    samples, notes = outside_air_samples({"height": GPS, "pressure": BARO}, HEIGHTS, 5.0)
-    assert samples.pressure.accepted.all()
-    assert notes == ()
 
 
 def test_readings_without_height_or_at_a_suspect_one_say_so():
     """Heights that another source replaces are not suspect."""
-    short = GPS.rows(SECONDS < 700.0)
+    short = GPS.rows(FLIGHT_S < 700.0)
     suspect = Stretch(*instants(300, 309).tolist(), HEIGHT, "it steps")
-    replaced = Stretch(*instants(400, 409).tolist(), HEIGHT, "it steps", 9.0, "GPS[1]")
-    stretches = [suspect, replaced]
-    samples, notes = outside_air_samples(
-        {"height": short, "pressure": BARO}, HEIGHTS, 5.0, stretches
+    replaced = Stretch(
+        *instants(400, 409).tolist(),
+        HEIGHT,
+        "it steps",
+        9.0,
+        "GPS[1]",
     )
+
+    samples, notes = samples_of(short, suspect, replaced, pressure=BARO)
+
     rejected = samples.pressure.rejected
     assert np.flatnonzero(rejected == Reason.SUSPECT_HEIGHT).tolist() == list(range(300, 310))
     assert np.flatnonzero(rejected == Reason.NO_HEIGHT).tolist() == list(range(700, 900))
-    assert [(note.code, note.count) for note in notes] == [("AIR-SUSPECT-HEIGHT", 10)]
+    assert counted(notes) == [("warning", "AIR-SUSPECT-HEIGHT", 10)]

@@ -1,18 +1,22 @@
 """Properties of clocks and quality that hold for whatever a log contains."""
 
-from __future__ import annotations
-
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies
 from hypothesis.extra.numpy import arrays
 
 from tests.helpers import channel
 from unbend.flight.clock import rows_in_time_order
 from unbend.flight.evidence.quality import RANGES, mask_impossible_values
 
+TIMES_NS = strategies.lists(strategies.integers(0, 60), max_size=80)
+READINGS_PA = arrays(
+    np.float64,
+    40,
+    elements=strategies.floats(-1e7, 1e7) | strategies.just(np.nan),
+)
 
-@given(st.lists(st.integers(0, 60), max_size=80))
+
+@given(TIMES_NS)
 def test_rows_in_time_order_increase_strictly(times):
     time_ns = np.array(times, np.int64)
     rows, stretch = rows_in_time_order(time_ns)
@@ -22,18 +26,27 @@ def test_rows_in_time_order_increase_strictly(times):
 
 
 @settings(max_examples=60)
-@given(arrays(np.float64, 40, elements=st.floats(-1e7, 1e7) | st.just(np.nan)))
+@given(READINGS_PA)
 def test_masking_touches_no_plausible_value_and_counts_all_others_once(values):
-    logged = channel("X", np.arange(40.0), pressure_pa=values, row=np.arange(40.0))
+    row = np.arange(40.0)
+    logged = channel(
+        "X",
+        row,
+        pressure_pa=values,
+        row=row,
+    )
+
     masked, notes = mask_impossible_values(logged)
-    kept = masked["row"].astype(int)
+
+    read_pa = values[masked["row"].astype(int)]
     pressure_pa = masked["pressure_pa"]
-    known = np.isfinite(pressure_pa)
-    np.testing.assert_array_equal(pressure_pa[known], values[kept][known])
+    is_kept = np.isfinite(pressure_pa)
+    kept_pa = pressure_pa[is_kept]
+    np.testing.assert_array_equal(kept_pa, read_pa[is_kept])
     if any(note.code == "SENSOR-ODD" for note in notes):
         return
     low, high = RANGES["pressure_pa"]
-    assert (pressure_pa[known] >= low).all()
-    assert (pressure_pa[known] <= high).all()
-    lost = np.isfinite(values).sum() - known.sum()
+    assert (kept_pa >= low).all()
+    assert (kept_pa <= high).all()
+    lost = np.isfinite(values).sum() - kept_pa.size
     assert sum(note.count for note in notes if note.kind == "loss") == lost

@@ -4,24 +4,26 @@ Truth: where the simulator had the aircraft at each event (`*_truth.csv`, rows S
 the GPS week and milliseconds of fixes, whose places are compared with the simulator's own.
 """
 
-from __future__ import annotations
-
 from itertools import permutations, product
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from tests.flight.simulator_logs import FLIGHTS, Flight, errors, flight, sigmas
+from tests.flight.made_channels import roles_of
+from tests.flight.simulator_logs import (
+    FLIGHTS,
+    errors,
+    flight,
+    sigmas,
+    unnamed_events,
+)
+from tests.helpers import NS_PER_S
 from unbend.flight.clock import utc_of_gps
 from unbend.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD, with_accuracy
-from unbend.flight.exposures import Events
 from unbend.flight.heights import height_system
 from unbend.flight.mount import Mount
-from unbend.flight.roles import assign_roles
 from unbend.flight.station_builder import build_stations
-from unbend.flight.stations import Stations
-from unbend.ingest import Log
 
 pytestmark = pytest.mark.shared("logs")
 KINDS = ("BIN", "tlog")
@@ -30,30 +32,39 @@ SPEED_M_S = 24.0  # at which errors along the track are compared
 
 
 @pytest.fixture(scope="module")
-def flights() -> dict[tuple[str, str], Flight]:
-    return {(name, kind): flight(name, kind) for name, kind in FLOWN}
+def flights():
+    flown = {}
+    for name, kind in FLOWN:
+        flown[name, kind] = flight(name, kind)
+    return flown
 
 
-def stations_of(
-    flown: Flight, time_ns: np.ndarray, every: int = 1, sigma_s: float = 0.0
-) -> Stations:
+def stations_of(flown, time_ns, every=1, sigma_s=0.0):
     """Stations at some times, by one in ``every`` of the logged attitudes."""
-    roles, _ = assign_roles(flown.log.channels, {}, needs_cabin=False)
+    channels = flown.log.channels
+    roles = roles_of(channels)
     heights, _ = height_system(roles, None)
     attitude = roles["attitude"]
-    roles["attitude"] = attitude.rows(np.arange(len(attitude)) % every == 0)
-    roles, accuracy = with_accuracy(roles, flown.log.channels)
-    events = Events("cam", np.full(time_ns.size, "", object), time_ns, sigma_s)
-    stations = build_stations(events, roles, Mount(), heights, 1.0, accuracy=accuracy)
+    is_read = np.arange(len(attitude)) % every == 0
+    roles["attitude"] = attitude.rows(is_read)
+    roles, accuracy = with_accuracy(roles, channels)
+    stations = build_stations(
+        unnamed_events(time_ns, sigma_s),
+        roles,
+        Mount(),
+        heights,
+        1.0,
+        accuracy=accuracy,
+    )
     assert stations.ok.all()
     return stations
 
 
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def rms(values):
+    return np.sqrt(np.mean(values**2))
 
 
-def assert_honest(error: np.ndarray, sigma: np.ndarray, quantity: str) -> None:
+def assert_honest(error, sigma, quantity):
     """Error over sigma: rms 0.7 to 1.2; the median sigma is at most twice the rms error."""
     assert 0.7 < rms(error / sigma) < 1.2, quantity
     assert np.median(sigma) < 2.0 * rms(error), quantity
@@ -62,12 +73,15 @@ def assert_honest(error: np.ndarray, sigma: np.ndarray, quantity: str) -> None:
 @pytest.mark.parametrize(("name", "kind"), FLOWN)
 def test_positions_attitudes_and_their_sigmas(flights, name, kind):
     flown = flights[name, kind]
+
     stations = stations_of(flown, flown.time_ns)
+
     error = errors(stations, flown.truth)
-    horizontal_m = np.linalg.norm(error["horizontal"], axis=1)
-    position_m = np.hypot(horizontal_m, error["height"][:, 0])
+    position = np.hstack([error["horizontal"], error["height"]])
+    position_m = np.linalg.norm(position, axis=1)
+    tilt_deg = np.linalg.norm(error["tilt"], axis=1)
     assert np.percentile(position_m, 95) < 1.5
-    assert np.percentile(np.linalg.norm(error["tilt"], axis=1), 95) < 0.5
+    assert np.percentile(tilt_deg, 95) < 0.5
     for quantity, sigma in sigmas(stations).items():
         assert_honest(error[quantity], sigma, quantity)
 
@@ -82,17 +96,25 @@ COLUMNS = {
 }
 
 
-def throughout(flown: Flight, simulated: Log) -> tuple[dict, dict]:
+def throughout(flown, simulated):
     """Errors and sigmas every second in the air, by the simulator's own rows."""
     place = simulated.message("SIM")
     motion = simulated.message("SIM2")
-    speed = np.hypot(motion["VN"], motion["VE"])
-    is_fast = np.interp(place["TimeUS"], motion["TimeUS"], speed) > 12.0
+    speed = np.interp(
+        place["TimeUS"],
+        motion["TimeUS"],
+        np.hypot(motion["VN"], motion["VE"]),
+    )
+    is_fast = speed > 12.0
     is_high = place["Alt"] > place["Alt"][0] + 50.0
     rows = np.flatnonzero(is_fast & is_high)[::10]
     assert rows.size > 1000
-    truth = pd.DataFrame({name: place[column][rows] for column, name in COLUMNS.items()})
+
     stations = stations_of(flown, place["time_ns"][rows])
+
+    truth = pd.DataFrame()
+    for column, name in COLUMNS.items():
+        truth[name] = place[column][rows]
     return errors(stations, truth), sigmas(stations)
 
 
@@ -100,17 +122,25 @@ def throughout(flown: Flight, simulated: Log) -> tuple[dict, dict]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_one_flight_says_of_attitudes_holds_for_the_other(flights, learnt, tested, kind):
     """What no innovation shows is the one empirical part: by one flight, tested on the other."""
-    error, sigma = throughout(flights[learnt, "BIN"], flights[learnt, "BIN"].log)
-    tested_error, tested_sigma = throughout(flights[tested, kind], flights[tested, "BIN"].log)
-    for quantity, least_rad in (("tilt", LEAST_TILT_RAD), ("yaw", LEAST_YAW_RAD)):
+    learnt_flight = flights[learnt, "BIN"]
+    error, sigma = throughout(learnt_flight, learnt_flight.log)
+    tested_error, tested_sigma = throughout(
+        flights[tested, kind],
+        flights[tested, "BIN"].log,
+    )
+    for quantity, least_rad in (
+        ("tilt", LEAST_TILT_RAD),
+        ("yaw", LEAST_YAW_RAD),
+    ):
         least_deg = np.degrees(least_rad)
+        error_deg = tested_error[quantity]
+        sigma_deg = tested_sigma[quantity]
         shown = sigma[quantity] ** 2 - least_deg**2  # by innovations
-        unseen = np.mean(error[quantity] ** 2) - np.mean(shown)
+        unseen = np.mean(error[quantity] ** 2 - shown)
         assert 0.8 * least_deg < np.sqrt(unseen) < 1.25 * least_deg  # the program's is of both
-        stated = tested_sigma[quantity]
-        predicted = np.sqrt(stated**2 - least_deg**2 + unseen)
-        assert_honest(tested_error[quantity], predicted, quantity)
-        assert_honest(tested_error[quantity], stated, quantity)
+        predicted_deg = np.sqrt(sigma_deg**2 - least_deg**2 + unseen)
+        assert_honest(error_deg, predicted_deg, quantity)
+        assert_honest(error_deg, sigma_deg, quantity)
 
 
 @pytest.mark.parametrize(("name", "kind"), FLOWN)
@@ -118,41 +148,59 @@ def test_what_one_flight_says_of_attitudes_holds_for_the_other(flights, learnt, 
 def test_attitudes_at_5_and_3_hz_know_how_good_they_are(flights, name, kind, every):
     flown = flights[name, kind]
     stations = stations_of(flown, flown.time_ns, every)
-    over_sigma = errors(stations, flown.truth)["tilt"] / sigmas(stations)["tilt"]
+    tilt_deg = errors(stations, flown.truth)["tilt"]
+    over_sigma = tilt_deg / sigmas(stations)["tilt"]
     assert 0.7 < rms(over_sigma) < 1.2
     assert np.abs(over_sigma).max() < 4.5
 
 
-def true_offset_ns(log: Log) -> int:
+def true_offset_ns(log):
     """UTC less time since boot, by where the simulator had the aircraft of each fix."""
     fix = log.message("GPS")
     place = log.message("SIM")
     motion = log.message("SIM2")
-    is_new = np.append(True, np.diff(fix["GMS"].astype(np.int64)) != 0)
-    rows = np.flatnonzero(is_new & (fix["Status"] >= 3) & (fix["Spd"] > 10.0))
+    milliseconds = fix["GMS"].astype(np.int64)
+    is_new = np.diff(milliseconds, prepend=-1) != 0
+    is_good = (fix["Status"] >= 3) & (fix["Spd"] > 10.0)
+    rows = np.flatnonzero(is_new & is_good)
     boot_us = fix["TimeUS"][rows]
+
+    def simulated(message, column):
+        return np.interp(boot_us, message["TimeUS"], message[column])
+
     degree_m = np.radians(6_376_000.0)
-    scales_m = {"Lat": degree_m, "Lng": degree_m * np.cos(np.radians(place["Lat"][0]))}
-    along = np.zeros(rows.size)
-    square_speed = np.zeros(rows.size)
-    for axis, velocity in (("Lat", "VN"), ("Lng", "VE")):
-        simulated = np.interp(boot_us, place["TimeUS"], place[axis])
-        speed = np.interp(boot_us, motion["TimeUS"], motion[velocity])
-        along += (fix[axis][rows] - simulated) * scales_m[axis] * speed
-        square_speed += speed**2
-    late_ns = -1e9 * along / square_speed
-    utc_ns = utc_of_gps(fix["GWk"][rows], fix["GMS"][rows] / 1e3)
-    offset_ns = utc_ns - boot_us.astype(np.int64) * 1000
-    difference_ns = offset_ns - offset_ns[0] + late_ns
+    latitude = np.radians(place["Lat"][0])
+    parallel_m = degree_m * np.cos(latitude)
+    north_deg = fix["Lat"][rows] - simulated(place, "Lat")
+    east_deg = fix["Lng"][rows] - simulated(place, "Lng")
+    v_north = simulated(motion, "VN")
+    v_east = simulated(motion, "VE")
+    square_speed = v_north**2 + v_east**2
+    along = north_deg * degree_m * v_north + east_deg * parallel_m * v_east
+    late_ns = -NS_PER_S * along / square_speed
+    utc_ns = utc_of_gps(
+        fix["GWk"][rows],
+        milliseconds[rows] / 1e3,
+    )
+    boot_ns = boot_us.astype(np.int64) * 1000
+    offset_ns = utc_ns - boot_ns
+    first_ns = int(offset_ns[0])
+    difference_ns = offset_ns - first_ns + late_ns
     assert np.std(difference_ns) < 2e6
-    return int(offset_ns[0]) + round(np.median(difference_ns))
+    return first_ns + round(np.median(difference_ns))
 
 
-def along_track_m(flown: Flight, time_ns: np.ndarray) -> np.ndarray:
+def speed_m_s(flown):
+    truth = flown.truth
+    return np.hypot(truth["vn"], truth["ve"]).to_numpy()
+
+
+def along_track_m(flown, time_ns):
     """How far stations at some times are from the truth, as at the usual speed."""
-    error = errors(stations_of(flown, time_ns), flown.truth)
-    speed_m_s = np.hypot(flown.truth["vn"], flown.truth["ve"])
-    return np.linalg.norm(error["horizontal"], axis=1) * SPEED_M_S / speed_m_s.to_numpy()
+    stations = stations_of(flown, time_ns)
+    horizontal = errors(stations, flown.truth)["horizontal"]
+    horizontal_m = np.linalg.norm(horizontal, axis=1)
+    return horizontal_m * SPEED_M_S / speed_m_s(flown)
 
 
 @pytest.mark.parametrize(("name", "kind"), FLOWN)
@@ -163,20 +211,27 @@ def test_exposures_in_true_utc_have_true_positions(flights, name, kind):
     """
     flown = flights[name, kind]
     offset_ns = true_offset_ns(flights[name, "BIN"].log)
-    true_utc_ns = flown.truth["TimeUS"].to_numpy() * 1000 + offset_ns
+    boot_ns = flown.truth["TimeUS"].to_numpy() * 1000
+    true_utc_ns = boot_ns + offset_ns
+
     at_true_utc_m = along_track_m(flown, true_utc_ns)
+    as_logged_m = along_track_m(flown, flown.time_ns)
+
     assert np.median(at_true_utc_m) < 0.1
     assert np.percentile(at_true_utc_m, 95) < 0.5
-    assert 0.2 < np.median(along_track_m(flown, flown.time_ns)) < 0.55
-    late_s = (flown.time_ns - true_utc_ns) * 1e-9
-    assert abs(np.median(late_s)) < 1.5 * flown.log.utc_sigma_s
-    assert flown.log.utc_sigma_s < 0.04
+    assert 0.2 < np.median(as_logged_m) < 0.55
+    late_s = (flown.time_ns - true_utc_ns) / NS_PER_S
+    utc_sigma_s = flown.log.utc_sigma_s
+    assert abs(np.median(late_s)) < 1.5 * utc_sigma_s
+    assert utc_sigma_s < 0.04
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_both_logs_of_a_flight_agree_about_utc(flights, name):
-    dataflash, telemetry = (flights[name, kind].truth["time_ns"] for kind in KINDS)
-    apart_ns = (dataflash - telemetry).dropna()  # image by image
+    dataflash_ns = flights[name, "BIN"].truth["time_ns"]
+    telemetry_ns = flights[name, "tlog"].truth["time_ns"]
+    apart_ns = dataflash_ns - telemetry_ns  # image by image
+    apart_ns = apart_ns.dropna()
     assert len(apart_ns) > 200
     assert apart_ns.abs().max() < 5e6
 
@@ -186,23 +241,36 @@ def test_the_delay_leaves_exposures_and_positions_of_the_filter_together(flights
     """A fix has the time of its epoch, not that of its row."""
     log = flights[name, "BIN"].log
     fixes = log.message("GPS")
-    first_offset_ns = fixes["time_ns"][0] - int(fixes["TimeUS"][0]) * 1000
+    first_boot_ns = int(fixes["TimeUS"][0]) * 1000
+    first_offset_ns = fixes["time_ns"][0] - first_boot_ns
     for message in ("CAM", "POS", "ATT"):
-        channels = [channel for channel in log.channels if channel.source.message == message]
-        boot_us = np.unique(log.message(message)["TimeUS"].astype(np.int64))
-        utc_ns = np.unique(np.concatenate([channel.time_ns for channel in channels]))
-        assert set(utc_ns - boot_us * 1000) == {first_offset_ns}
-    assert not np.isin(fixes["time_ns"], log.channel("GPS[0]").time_ns).any()
+        times_ns = [
+            channel.time_ns for channel in log.channels if channel.source.message == message
+        ]
+        boot_us = log.message(message)["TimeUS"].astype(np.int64)
+        boot_ns = np.unique(boot_us) * 1000
+        utc_ns = np.unique(np.concatenate(times_ns))
+        assert set(utc_ns - boot_ns) == {first_offset_ns}
+    epochs_ns = log.channel("GPS[0]").time_ns
+    assert not np.isin(fixes["time_ns"], epochs_ns).any()
 
 
 def test_a_sigma_of_the_time_moves_along_the_track_and_the_turn(flights):
     flown = flights["sitl_survey", "BIN"]
+
     certain = stations_of(flown, flown.time_ns)
-    uncertain = stations_of(flown, flown.time_ns, sigma_s=0.1)
+    uncertain = stations_of(
+        flown,
+        flown.time_ns,
+        sigma_s=0.1,
+    )
+
     added_m2 = uncertain.sigma_horizontal_m**2 - certain.sigma_horizontal_m**2
-    speed_m_s = np.hypot(flown.truth["vn"], flown.truth["ve"])
-    np.testing.assert_allclose(np.sqrt(2.0 * added_m2), 0.1 * speed_m_s, rtol=0.05)
-    added_height_m = np.sqrt(uncertain.sigma_height_m**2 - certain.sigma_height_m**2)
-    assert np.corrcoef(added_height_m, np.abs(flown.truth["vd"]))[0, 1] > 0.95
+    along_m = 0.1 * speed_m_s(flown)
+    np.testing.assert_allclose(np.sqrt(2.0 * added_m2), along_m, rtol=0.05)
+    added_height_m2 = uncertain.sigma_height_m**2 - certain.sigma_height_m**2
+    descent_m_s = np.abs(flown.truth["vd"])
+    correlation = np.corrcoef(np.sqrt(added_height_m2), descent_m_s)
+    assert correlation[0, 1] > 0.95
     turned = uncertain.sigma_yaw_rad > 1.2 * certain.sigma_yaw_rad
     assert 0 < turned.sum() < turned.size

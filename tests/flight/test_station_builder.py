@@ -1,21 +1,22 @@
 """From events to stations: attitude, mount, lever arm, air, sigmas. Expected values by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyproj
 import pytest
-from scipy.spatial.transform import Rotation
 
-from tests.flight.made_channels import instants, quaternion_columns, rotation_of
+from tests.flight.made_channels import (
+    image_names,
+    instants,
+    rotation_of,
+    turned_channel,
+)
 from tests.helpers import channel
-from unbend.flight.channels import Channel
 from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import ClockSigmas, build_stations
-from unbend.flight.stations import Stations
 
+NAN = float("nan")
 SECONDS = np.arange(0.0, 10.0, 0.1)
 LATITUDE = np.radians(47.0)
 LONGITUDE = np.radians(8.0)
@@ -25,29 +26,35 @@ NO_UNDULATION = HeightSystem()
 LOOKS_DOWN = Mount()
 
 
-def flown(*yaw_pitch_roll_deg: float, **changed: Channel) -> dict[str, Channel]:
+def sensor(name, **columns):
+    return channel(name, SECONDS, **columns)
+
+
+def flown(*yaw_pitch_roll_deg, **changed):
     """The roles of ten seconds at one place, 1000 m above the sea, in one attitude."""
-    attitude = Rotation.from_euler("ZYX", yaw_pitch_roll_deg or [0.0, 0.0, 0.0], degrees=True)
-    roles = {
-        "position": channel("POS", SECONDS, **PLACE),
-        "height": channel("GPS", SECONDS, **PLACE, h_msl_m=1000.0),
-        "attitude": channel("ATT", SECONDS, **quaternion_columns(attitude)),
+    angles_deg = yaw_pitch_roll_deg or [0.0, 0.0, 0.0]
+    return {
+        "position": sensor("POS", **PLACE),
+        "height": sensor("GPS", **PLACE, h_msl_m=1000.0),
+        "attitude": turned_channel("ATT", SECONDS, "ZYX", angles_deg),
+        **changed,
     }
-    return roles | changed
 
 
-def events(*seconds: float) -> Events:
-    names = np.array([f"image_{second}" for second in seconds], object)
-    return Events("cam", names, instants(*seconds))
+def stations_at(
+    seconds,
+    roles,
+    mount=LOOKS_DOWN,
+    heights=NO_UNDULATION,
+    **clocks_s,
+):
+    names = image_names(*(f"image_{second}" for second in seconds))
+    events = Events("cam", names, instants(*seconds))
+    return build_stations(events, roles, mount, heights, 1.0, clocks=ClockSigmas(**clocks_s))
 
 
-def station_at_5_s(
-    roles: dict[str, Channel],
-    mount: Mount = LOOKS_DOWN,
-    heights: HeightSystem = NO_UNDULATION,
-    clocks: ClockSigmas = ClockSigmas(),  # noqa: B008
-) -> Stations:
-    return build_stations(events(5.0), roles, mount, heights, 1.0, clocks=clocks)
+def station_at_5_s(roles, *more, **clocks_s):
+    return stations_at([5.0], roles, *more, **clocks_s)
 
 
 AXIS = [0, 0, 1]
@@ -57,7 +64,10 @@ COS_10 = np.cos(np.radians(10.0))
 HALF = np.sqrt(0.5)
 LOOKS_RIGHT = Mount(roll_rad=-np.pi / 4)
 LOOKS_AHEAD = Mount(pitch_rad=np.pi / 4)
-LOOKS_AHEAD_TURNED = Mount(pitch_rad=np.pi / 4, yaw_rad=np.pi / 2)
+LOOKS_AHEAD_TURNED = Mount(
+    pitch_rad=np.pi / 4,
+    yaw_rad=np.pi / 2,
+)
 
 
 @pytest.mark.parametrize(
@@ -94,18 +104,21 @@ def test_where_a_direction_of_the_camera_points(
 def test_lever_arm_moves_the_projection_centre():
     """3 m forward, 2 m to the right and 1 m down of a flight to the east."""
     mount = Mount(lever_arm_m=(3.0, 2.0, 1.0))
+
     station = station_at_5_s(flown(90, 0, 0), mount, HeightSystem(undulation_m=40.0))
-    degrees = np.degrees([LONGITUDE, LATITUDE, station.lon_rad[0], station.lat_rad[0]])
-    azimuth_deg, _, distance_m = pyproj.Geod(ellps="WGS84").inv(*degrees)
-    azimuth_rad = np.radians(azimuth_deg)
+
+    azimuth_rad, _, distance_m = pyproj.Geod(ellps="WGS84").inv(
+        LONGITUDE,
+        LATITUDE,
+        station.lon_rad[0],
+        station.lat_rad[0],
+        radians=True,
+    )
     # On the ellipsoid, 1040 m below: shorter by 1.6e-4.
     assert distance_m * np.sin(azimuth_rad) == pytest.approx(3.0, abs=1e-3)
     assert distance_m * np.cos(azimuth_rad) == pytest.approx(-2.0, abs=1e-3)
-    assert station.h_msl_m[0] == pytest.approx(999.0, abs=1e-5)
-    assert station.h_ellipsoid_m[0] == pytest.approx(1039.0, abs=1e-5)
-
-
-NAN = float("nan")
+    assert station.h_msl_m == pytest.approx(999.0, abs=1e-5)
+    assert station.h_ellipsoid_m == pytest.approx(1039.0, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -126,101 +139,117 @@ def test_a_height_that_is_not_logged_follows_from_the_undulation_or_stays_unknow
     h_ellipsoid_m,
 ):
     """The camera is 1 m below the position."""
-    roles = flown(height=channel("GPS", SECONDS, **PLACE, **logged))
+    roles = flown(height=sensor("GPS", **PLACE, **logged))
     mount = Mount(lever_arm_m=(0.0, 0.0, 1.0))
+
     station = station_at_5_s(roles, mount, HeightSystem(undulation_m))
+
     assert station.status[0] == status
-    assert station.h_msl_m[0] == pytest.approx(h_msl_m, abs=1e-5, nan_ok=True)
-    assert station.h_ellipsoid_m[0] == pytest.approx(h_ellipsoid_m, abs=1e-5, nan_ok=True)
+    assert station.h_msl_m == pytest.approx(h_msl_m, abs=1e-5, nan_ok=True)
+    assert station.h_ellipsoid_m == pytest.approx(h_ellipsoid_m, abs=1e-5, nan_ok=True)
 
 
-LEVEL = quaternion_columns(Rotation.identity())
-WITH_GAP = channel("POS", SECONDS[(SECONDS < 3.0) | (SECONDS >= 7.0)], **PLACE)
-ENDS_AT_4_S = channel("ATT", SECONDS[SECONDS < 4.0], **LEVEL)
+WITH_GAP = flown()["position"].rows((SECONDS < 3.0) | (SECONDS >= 7.0))
+ENDS_AT_4_S = flown()["attitude"].rows(SECONDS < 4.0)
 
 
 @pytest.mark.parametrize(
-    ("changed", "status"),
+    ("role", "logged", "status"),
     [
-        ({"position": WITH_GAP}, ["outside_log", "ok", "in_gap", "outside_log"]),
-        ({"attitude": ENDS_AT_4_S}, ["outside_log", "ok", "outside_log", "outside_log"]),
-        ({"position": None}, ["no_position"] * 4),
-        ({"attitude": None}, ["outside_log", "no_attitude", "no_attitude", "outside_log"]),
-        (
-            {"height": None},
-            ["outside_log", *["height_reference_unknown"] * 2, "outside_log"],
-        ),
+        ("position", WITH_GAP, ["outside_log", "ok", "in_gap", "outside_log"]),
+        ("attitude", ENDS_AT_4_S, ["outside_log", "ok", "outside_log", "outside_log"]),
+        ("position", None, ["no_position"] * 4),
+        ("attitude", None, ["outside_log", "no_attitude", "no_attitude", "outside_log"]),
+        ("height", None, ["outside_log", *["height_reference_unknown"] * 2, "outside_log"]),
     ],
     ids=["a gap", "the attitude ends", "no position", "no attitude", "no heights"],
 )
-def test_each_reason_has_its_name(changed, status):
-    roles = {role: logged for role, logged in (flown() | changed).items() if logged is not None}
-    exposures = events(-1.0, 2.0, 5.0, 9.95)
-    stations = build_stations(exposures, roles, LOOKS_DOWN, NO_UNDULATION, 1.0)
+def test_each_reason_has_its_name(role, logged, status):
+    roles = flown()
+    del roles[role]
+    if logged is not None:
+        roles[role] = logged
+    stations = stations_at([-1.0, 2.0, 5.0, 9.95], roles)
     assert stations.status.tolist() == status
 
 
 def test_air_outside_and_in_the_cabin_is_that_of_its_own_sensors():
+    outside = sensor("HYGR[0]", temperature_k=283.15, relative_humidity=0.5)
+    inside = sensor("HYGR[1]", temperature_k=293.15, relative_humidity=1.1)  # clipped to 1
     roles = flown(
-        pressure=channel("BARO[0]", SECONDS, pressure_pa=90_000.0),
-        temperature=channel("HYGR[0]", SECONDS, temperature_k=283.15),
-        humidity=channel("HYGR[0]", SECONDS, relative_humidity=0.5),
-        cabin_pressure=channel("BARO[1]", SECONDS, pressure_pa=80_000.0 + 100.0 * SECONDS),
-        cabin_temperature=channel("HYGR[1]", SECONDS, temperature_k=293.15),
-        cabin_humidity=channel("HYGR[1]", SECONDS, relative_humidity=1.1),  # clipped to 1
+        pressure=sensor("BARO[0]", pressure_pa=90_000.0),
+        temperature=outside,
+        humidity=outside,
+        cabin_pressure=sensor("BARO[1]", pressure_pa=80_000.0 + 100.0 * SECONDS),
+        cabin_temperature=inside,
+        cabin_humidity=inside,
     )
+
     station = station_at_5_s(roles)
-    assert station.pressure_pa[0] == pytest.approx(90_000.0)
-    assert station.cabin_pressure_pa[0] == pytest.approx(80_500.0)
-    assert station.temperature_k[0] == pytest.approx(283.15)
-    assert station.cabin_temperature_k[0] == pytest.approx(293.15)
+
+    assert station.pressure_pa == pytest.approx(90_000.0)
+    assert station.cabin_pressure_pa == pytest.approx(80_500.0)
+    assert station.temperature_k == pytest.approx(283.15)
+    assert station.cabin_temperature_k == pytest.approx(293.15)
     # Saturation 12.28 hPa at 10 and 23.392 hPa at 20 degC; moist air holds 0.4 and 0.34 % more.
-    assert station.vapour_pressure_pa[0] == pytest.approx(0.5 * 1228.0 * 1.004, rel=1e-3)
-    assert station.cabin_vapour_pressure_pa[0] == pytest.approx(2339.2 * 1.0034, rel=1e-3)
+    assert station.vapour_pressure_pa == pytest.approx(0.5 * 1228.0 * 1.004, rel=1e-3)
+    assert station.cabin_vapour_pressure_pa == pytest.approx(2339.2 * 1.0034, rel=1e-3)
 
 
 def test_air_that_nothing_measures_is_unknown():
     station = station_at_5_s(flown())
-    assert np.isnan(station.pressure_pa[0])
-    assert np.isnan(station.cabin_pressure_pa[0])
+    assert np.isnan(station.pressure_pa)
+    assert np.isnan(station.cabin_pressure_pa)
 
 
 @pytest.mark.parametrize(
-    ("clocks", "horizontal_m", "height_m"),
+    ("clocks_s", "horizontal_m", "height_m"),
     [
-        (ClockSigmas(), 0.3, 0.6),
+        ({}, 0.3, 0.6),
         # At 40 m/s 0.1 s are 4 m along the track: half of the variance counts on either level axis.
-        (ClockSigmas(position_s=0.1), np.hypot(0.3, 4.0 / np.sqrt(2.0)), 0.6),
+        ({"position_s": 0.1}, np.hypot(0.3, 4.0 / np.sqrt(2.0)), 0.6),
         # At a climb of 3 m/s 0.2 s are 0.6 m.
-        (ClockSigmas(height_s=0.2), 0.3, np.hypot(0.6, 0.6)),
+        ({"height_s": 0.2}, 0.3, np.hypot(0.6, 0.6)),
     ],
     ids=["one clock", "another clock of the positions", "another clock of the heights"],
 )
-def test_an_uncertain_clock_moves_the_stations_along_the_flight(clocks, horizontal_m, height_m):
+def test_an_uncertain_clock_moves_the_stations_along_the_flight(clocks_s, horizontal_m, height_m):
     """Horizontal sigmas are those of the position, vertical ones those of the height."""
-    latitude = LATITUDE + 40.0 * SECONDS / METRES_OF_LATITUDE
-    place = {"lat_rad": latitude, "lon_rad": LONGITUDE}
+    north_rad = 40.0 * SECONDS / METRES_OF_LATITUDE
+    place = {"lat_rad": LATITUDE + north_rad, "lon_rad": LONGITUDE}
     climb_m = 1000.0 + 3.0 * SECONDS
-    height = channel("GPS", SECONDS, **place, h_msl_m=climb_m, sigma_h_m=0.5, sigma_v_m=0.6)
-    position = channel("POS", SECONDS, **place, sigma_h_m=0.3, sigma_v_m=0.4)
-    station = station_at_5_s(flown(position=position, height=height), clocks=clocks)
-    assert station.sigma_horizontal_m[0] == pytest.approx(horizontal_m, rel=0.01)
-    assert station.sigma_height_m[0] == pytest.approx(height_m, rel=0.01)
+    roles = flown(
+        position=sensor("POS", **place, sigma_h_m=0.3, sigma_v_m=0.4),
+        height=sensor(
+            "GPS",
+            **place,
+            h_msl_m=climb_m,
+            sigma_h_m=0.5,
+            sigma_v_m=0.6,
+        ),
+    )
+
+    station = station_at_5_s(roles, **clocks_s)
+
+    assert station.sigma_horizontal_m == pytest.approx(horizontal_m, rel=0.01)
+    assert station.sigma_height_m == pytest.approx(height_m, rel=0.01)
 
 
 @pytest.mark.parametrize(
-    ("axes", "tilt_rad", "yaw_rad"),
+    ("axis", "tilt_rad", "yaw_rad"),
     [
         ("Z", 0.003, np.hypot(0.004, 0.02)),
         ("X", np.hypot(0.003, 0.02 / np.sqrt(2.0)), 0.004),
     ],
     ids=["yawing", "rolling"],
 )
-def test_an_uncertain_clock_turns_the_stations_with_the_flight(axes, tilt_rad, yaw_rad):
+def test_an_uncertain_clock_turns_the_stations_with_the_flight(axis, tilt_rad, yaw_rad):
     """0.2 rad/s for 0.1 s; sigmas that the mount states take the place of the log's."""
-    turning = Rotation.from_euler(axes, 0.2 * SECONDS[:, None])
-    roles = flown(attitude=channel("ATT", SECONDS, **quaternion_columns(turning)))
+    angles_deg = np.degrees(0.2 * SECONDS[:, None])
+    roles = flown(attitude=turned_channel("ATT", SECONDS, axis, angles_deg))
     mount = Mount(sigma_tilt_rad=0.003, sigma_yaw_rad=0.004)
-    station = station_at_5_s(roles, mount, clocks=ClockSigmas(attitude_s=0.1))
-    assert station.sigma_tilt_rad[0] == pytest.approx(tilt_rad, rel=1e-3)
-    assert station.sigma_yaw_rad[0] == pytest.approx(yaw_rad, rel=1e-3)
+
+    station = station_at_5_s(roles, mount, attitude_s=0.1)
+
+    assert station.sigma_tilt_rad == pytest.approx(tilt_rad, rel=1e-3)
+    assert station.sigma_yaw_rad == pytest.approx(yaw_rad, rel=1e-3)

@@ -1,18 +1,20 @@
 """Position and attitude between samples: closed forms, and scipy's Slerp."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies
 from scipy.spatial.transform import Rotation, Slerp
 
-from tests.flight.made_channels import instants, quaternion_columns, rotation_of, with_columns
+from tests.flight.made_channels import (
+    instants,
+    quaternion_columns,
+    rotation_of,
+    with_columns,
+    without_columns,
+)
 from tests.helpers import channel
-from unbend.flight.channels import Channel
 from unbend.flight.ground_times import LoggedPath, takeoff_of
 from unbend.flight.interpolation import (
     GAP_IN_CHANNEL,
@@ -21,12 +23,24 @@ from unbend.flight.interpolation import (
     bracket,
     interpolate,
 )
-from unbend.flight.trajectory import RATES, attitude_at, bend_of_heights, track_at, with_slopes
+from unbend.flight.trajectory import (
+    RATES,
+    attitude_at,
+    bend_of_heights,
+    track_at,
+    with_slopes,
+)
 
-THREE = channel("X", [0, 1, 2], value=[0.0, 10.0, 40.0])
-WITH_GAP = channel("X", [0, 0.1, 0.2, 0.3, 9.0, 9.1], value=np.arange(6))
-OF_TWO_BOOTS = replace(
-    channel("X", [0, 0.1, 0.2, 0.3], value=np.arange(4)), boot=np.array([0, 0, 1, 1], np.int16)
+TENTHS_S = [0, 0.1, 0.2, 0.3]
+THREE = channel(
+    "X",
+    [0, 1, 2],
+    value=[0.0, 10.0, 40.0],
+)
+WITH_GAP = channel("X", [*TENTHS_S, 9.0, 9.1], value=1.0)
+WITH_RESTART = replace(
+    channel("X", TENTHS_S, value=1.0),
+    boot=np.array([0, 0, 1, 1], np.int16),
 )
 EMPTY = channel("X", [], value=[])
 
@@ -41,9 +55,17 @@ def test_linear_between_samples_and_exact_on_them(begin_ns):
 @pytest.mark.parametrize(
     ("logged", "seconds", "coverage"),
     [
-        (THREE, [-0.001, 0, 2, 2.001], [OUTSIDE_CHANNEL, INSIDE, INSIDE, OUTSIDE_CHANNEL]),
-        (WITH_GAP, [0.3, 0.31, 8.99, 9.0], [INSIDE, GAP_IN_CHANNEL, GAP_IN_CHANNEL, INSIDE]),
-        (OF_TWO_BOOTS, [0.05, 0.15, 0.25], [INSIDE, GAP_IN_CHANNEL, INSIDE]),
+        (
+            THREE,
+            [-0.001, 0, 2, 2.001],
+            [OUTSIDE_CHANNEL, INSIDE, INSIDE, OUTSIDE_CHANNEL],
+        ),
+        (
+            WITH_GAP,
+            [0.3, 0.31, 8.99, 9.0],
+            [INSIDE, GAP_IN_CHANNEL, GAP_IN_CHANNEL, INSIDE],
+        ),
+        (WITH_RESTART, [0.05, 0.15, 0.25], [INSIDE, GAP_IN_CHANNEL, INSIDE]),
         (EMPTY, [0], [OUTSIDE_CHANNEL]),
     ],
     ids=["outside", "in a gap", "a restart, however short", "an empty channel"],
@@ -51,8 +73,8 @@ def test_linear_between_samples_and_exact_on_them(begin_ns):
 def test_nothing_is_known_outside_a_log_and_in_its_gaps(logged, seconds, coverage):
     time_ns = instants(*seconds)
     assert bracket(logged, time_ns, 1.0).coverage.tolist() == coverage
-    is_known = np.isfinite(interpolate(logged, "value", time_ns, 1.0))
-    assert is_known.tolist() == [place == INSIDE for place in coverage]
+    values = interpolate(logged, "value", time_ns, 1.0)
+    assert np.isfinite(values).tolist() == [place == INSIDE for place in coverage]
 
 
 def test_a_missing_column_is_unknown():
@@ -60,50 +82,89 @@ def test_a_missing_column_is_unknown():
 
 
 def test_slow_air_sensors_have_a_limit_of_gaps_of_their_own():
-    slow = channel("X", [0, 2, 4, 6], value=np.arange(4))
+    slow = channel("X", [0, 2, 4, 6])
     assert bracket(slow, instants(3.0), 1.0).coverage.tolist() == [GAP_IN_CHANNEL]
     assert slow.gap_limit_s(1.0) == 6.0
     assert bracket(slow, instants(3.0), 6.0).coverage.tolist() == [INSIDE]
 
 
 def test_longitude_across_the_180th_meridian():
-    logged = channel("X", [0, 1], lat_rad=0.3, lon_rad=np.radians([179.9999, -179.9999]))
+    lon_rad = np.radians([179.9999, -179.9999])
+    logged = channel(
+        "X",
+        [0, 1],
+        lat_rad=0.3,
+        lon_rad=lon_rad,
+    )
+
     track = track_at(logged, instants(0.25, 0.5, 0.75), 2.0)
+
     degrees = np.degrees(track.lon_rad) % 360.0
-    assert degrees == pytest.approx([179.99995, 180.0, 180.00005], rel=0, abs=1e-9)
+    assert degrees == pytest.approx(
+        [179.99995, 180.0, 180.00005],
+        rel=0,
+        abs=1e-9,
+    )
     assert track.lat_rad == pytest.approx(0.3, rel=0, abs=1e-12)
 
 
 def test_position_over_the_pole():
-    logged = channel("X", [0, 1], lat_rad=np.radians(89.9999), lon_rad=np.radians([10, 190.0]))
+    lon_rad = np.radians([10.0, 190.0])
+    logged = channel(
+        "X",
+        [0, 1],
+        lat_rad=np.radians(89.9999),
+        lon_rad=lon_rad,
+    )
     latitude = track_at(logged, instants(0.5), 2.0).lat_rad
     assert np.degrees(latitude) == pytest.approx(90.0, abs=1e-7)
 
 
 def test_a_log_that_begins_on_the_180th_meridian_stands_still_there():
     """Its longitudes change sign from sample to sample, and lie 20 cm apart."""
-    lon_rad = np.array([1.0, -1.0, 1.0, -1.0, 1.0]) * (np.pi - 1.5e-8)
-    path = LoggedPath(instants(*range(5)), np.zeros(5), lon_rad, np.full(5, 12.0))
+    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0])
+    path = LoggedPath(
+        instants(*range(5)),
+        np.zeros(5),
+        signs * (np.pi - 1.5e-8),
+        np.full(5, 12.0),
+    )
+
     takeoff = takeoff_of(path, home_m=None)
+
     assert takeoff.stands
     assert takeoff.h_msl_m == 12.0
 
 
-def with_attitudes(seconds: np.ndarray, attitude: Rotation) -> Channel:
+def with_attitudes(seconds, attitude):
     return channel("ATT", seconds, **quaternion_columns(attitude))
 
 
-@settings(max_examples=50, deadline=None)
-@given(
-    st.lists(st.floats(-np.pi, np.pi), min_size=6, max_size=6),
-    st.lists(st.floats(0.0, 1.0), min_size=1, max_size=5),
+def attitudes_at(logged, *seconds):
+    return attitude_at(logged, instants(*seconds), 2.0)
+
+
+ANGLES_RAD = strategies.lists(
+    strategies.floats(-np.pi, np.pi),
+    min_size=6,
+    max_size=6,
 )
+BETWEEN_S = strategies.lists(
+    strategies.floats(0.0, 1.0),
+    min_size=1,
+    max_size=5,
+)
+
+
+@settings(max_examples=50)
+@given(ANGLES_RAD, BETWEEN_S)
 def test_two_attitudes_agree_with_scipys_slerp(angles, seconds):
     both = Rotation.from_euler("ZYX", np.reshape(angles, (2, 3)))
-    time_ns = instants(*seconds)
-    quaternion = attitude_at(with_attitudes([0, 1], both), time_ns, 2.0).quaternion
+
+    quaternion = attitudes_at(with_attitudes([0, 1], both), *seconds).quaternion
+
     assert (quaternion[:, 0] >= 0.0).all()
-    expected = Slerp([0, 1], both)(time_ns / 1e9)
+    expected = Slerp([0, 1], both)(instants(*seconds) / 1e9)
     turned = expected.inv() * rotation_of(quaternion)
     if (both[0].inv() * both[1]).magnitude() < np.pi - 1e-3:  # else either way is right
         assert turned.magnitude().max() < 1e-7
@@ -112,14 +173,25 @@ def test_two_attitudes_agree_with_scipys_slerp(angles, seconds):
 def test_quaternions_of_either_sign_are_the_same_attitude():
     logged = with_attitudes([0, 1], Rotation.from_euler("Z", [[0.1], [0.3]]))
     signs = [1.0, -1.0]
-    turned = with_columns(logged, q_w=logged["q_w"] * signs, q_z=logged["q_z"] * signs)
-    quaternion = attitude_at(turned, instants(0.5), 2.0).quaternion
+    turned = with_columns(
+        logged,
+        q_w=logged["q_w"] * signs,
+        q_z=logged["q_z"] * signs,
+    )
+    quaternion = attitudes_at(turned, 0.5).quaternion
     assert rotation_of(quaternion[0]).as_rotvec() == pytest.approx([0.0, 0.0, 0.2])
 
 
 def test_no_attitude_from_zeros_or_nan():
-    logged = channel("ATT", [0, 1, 2], q_x=0, q_y=0, q_z=[0, np.nan, 0], q_w=[1, 1, 0])
-    assert np.isnan(attitude_at(logged, instants(0.5, 1.5), 2.0).quaternion).all()
+    logged = channel(
+        "ATT",
+        [0, 1, 2],
+        q_x=0,
+        q_y=0,
+        q_z=[0, np.nan, 0],
+        q_w=[1, 1, 0],
+    )
+    assert np.isnan(attitudes_at(logged, 0.5, 1.5).quaternion).all()
 
 
 # WGS84 at 0.8 rad, by hand: e2 = 0.00669438, w2 = 1 - e2 sin^2(0.8) = 0.99655504
@@ -128,7 +200,7 @@ PARALLEL_M = 6_389_152.0 * np.cos(0.8)
 VELOCITIES = ("v_north_m_s", "v_east_m_s", "v_down_m_s")
 
 
-def circle(seconds: np.ndarray) -> dict[str, np.ndarray]:
+def circle(seconds):
     """30 m/s around a circle of 150 m, climbing faster and faster, in closed form."""
     angle = seconds * 0.2
     return {
@@ -147,11 +219,11 @@ ASKED_S = np.array([6.5, 7.0, 9.0, 11.3])
 TRUTH = circle(ASKED_S)
 
 
-def beside_m(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
-    """How far places are from the circle."""
+def beside_m(latitude, longitude):
+    """How far places are from the circle at most."""
     north_m = (latitude - TRUTH["lat_rad"]) * MERIDIAN_M
     east_m = (longitude - TRUTH["lon_rad"]) * PARALLEL_M
-    return np.hypot(north_m, east_m)
+    return np.hypot(north_m, east_m).max()
 
 
 @pytest.mark.parametrize(
@@ -161,17 +233,22 @@ def beside_m(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
 )
 def test_a_turn_is_followed(unknown, allowed_m):
     """The chord of 2 s is 3.0 m beside the circle, and in height 0.4 m below the parabola."""
-    columns = {name: values for name, values in FLOWN.columns.items() if name not in unknown}
-    logged = replace(FLOWN, columns=columns)
+    logged = without_columns(FLOWN, *unknown)
     time_ns = instants(*ASKED_S)
+
     track = track_at(logged, time_ns, 3.0)
-    straight = [interpolate(logged, name, time_ns, 3.0) for name in ("lat_rad", "lon_rad")]
-    assert beside_m(*straight).max() > 2.9
-    assert beside_m(track.lat_rad, track.lon_rad).max() < allowed_m
-    assert np.linalg.norm(track.sigma_m, axis=1).max() < 2.0
-    velocity_m_s = [30 * np.cos(1.4), 30 * np.sin(1.4)]
-    assert track.velocity_m_s[1] == pytest.approx(velocity_m_s, rel=0.05)
     bent = bend_of_heights(logged, "h_msl_m", time_ns, 3.0)
+
+    chord_lat = interpolate(logged, "lat_rad", time_ns, 3.0)
+    chord_lon = interpolate(logged, "lon_rad", time_ns, 3.0)
+    assert beside_m(chord_lat, chord_lon) > 2.9
+    assert beside_m(track.lat_rad, track.lon_rad) < allowed_m
+    assert np.linalg.norm(track.sigma_m, axis=1).max() < 2.0
+    velocity_m_s = [
+        30 * np.cos(1.4),
+        30 * np.sin(1.4),
+    ]
+    assert track.velocity_m_s[1] == pytest.approx(velocity_m_s, rel=0.05)
     height_m = interpolate(logged, "h_msl_m", time_ns, 3.0) + bent.metres_up
     assert height_m == pytest.approx(TRUTH["h_msl_m"], abs=1e-6)
     assert bent.speed_down_m_s[1:3] == pytest.approx([-5.6, -7.2])
@@ -188,49 +265,60 @@ EVERY_SECOND = np.arange(0.0, 30.0)
 BETWEEN = np.arange(4.0, 26.0, 0.07)
 
 
-def rolling(t: np.ndarray) -> Rotation:
+def rolling(t):
     """A roll to and fro by 35 degrees and a steady turn."""
-    angles = [0.25 * t, 0.05 + 0.0 * t, 0.6 * np.sin(1.3 * t)]
-    return Rotation.from_euler("ZYX", np.stack(angles, axis=1))
+    yaw = 0.25 * t
+    pitch = np.full(t.shape, 0.05)
+    roll = 0.6 * np.sin(1.3 * t)
+    return Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1))
 
 
-def coning(t: np.ndarray) -> Rotation:
+def coning(t):
     """The axis of a turn of 50 deg/s goes round a cone of 1.2 rad."""
-    return Rotation.from_euler("ZYZ", np.stack([0.9 * t, 1.2 + 0.0 * t, -0.18 * t], axis=1))
+    cone = np.full(t.shape, 1.2)
+    return Rotation.from_euler("ZYZ", np.stack([0.9 * t, cone, -0.18 * t], axis=1))
 
 
-def logged_with_rates(motion) -> tuple[Channel, Channel]:
-    """Attitudes of a motion at 1 Hz alone, and with its rates about the axes of the body."""
+def with_rates(logged, motion):
+    """Attitudes at 1 Hz with the rates of their motion about the axes of the body."""
     step = motion(EVERY_SECOND - 1e-5).inv() * motion(EVERY_SECOND + 1e-5)
-    rates = step.as_rotvec() / 2e-5
-    gyro = channel("IMU", EVERY_SECOND, **dict(zip(RATES, rates.T, strict=True)))
-    alone = with_attitudes(EVERY_SECOND, motion(EVERY_SECOND))
-    return alone, with_slopes(alone, [gyro], RATES)
+    rates = step.as_rotvec().T / 2e-5
+    gyro = channel(
+        "IMU",
+        EVERY_SECOND,
+        **dict(zip(RATES, rates, strict=True)),
+    )
+    return with_slopes(logged, [gyro], RATES)
 
 
-def rms_deg(truth: Rotation, attitude: Rotation) -> float:
-    apart_deg = (truth.inv() * attitude).as_rotvec(degrees=True)
-    return float(np.sqrt(np.mean(apart_deg**2)))
+def rms(values):
+    return np.sqrt(np.mean(values**2))
+
+
+def rms_deg(truth, attitude):
+    return rms((truth.inv() * attitude).as_rotvec(degrees=True))
 
 
 def test_an_attitude_at_1_hz_follows_its_rates_and_knows_its_sigma():
     truth = rolling(BETWEEN)
-    errors_deg = []
-    from_middle_s = np.abs(BETWEEN % 1.0 - 0.5)
-    for logged in logged_with_rates(rolling):
-        attitudes = attitude_at(logged, instants(*BETWEEN), 2.0)
-        error_deg = rms_deg(truth, rotation_of(attitudes.quaternion))
-        sigma_deg = np.degrees(attitudes.sigma_rad)
-        assert 0.1 < error_deg / np.sqrt(np.mean(sigma_deg**2)) < 1.2
-        near_middle = sigma_deg[from_middle_s < 0.1].mean()
-        near_samples = sigma_deg[from_middle_s > 0.4].mean()
-        assert near_middle > 2.0 * near_samples
-        errors_deg.append(error_deg)
     slerp = Slerp(EVERY_SECOND, rolling(EVERY_SECOND))
     slerp_deg = rms_deg(truth, slerp(BETWEEN))
     assert slerp_deg > 2.0
-    assert errors_deg[0] < slerp_deg / 2.0
-    assert errors_deg[1] < slerp_deg / 10.0
+    alone = with_attitudes(EVERY_SECOND, rolling(EVERY_SECOND))
+    from_middle_s = np.abs(BETWEEN % 1.0 - 0.5)
+
+    for logged, times_better in (
+        (alone, 2.0),
+        (with_rates(alone, rolling), 10.0),
+    ):
+        attitudes = attitudes_at(logged, *BETWEEN)
+        error_deg = rms_deg(truth, rotation_of(attitudes.quaternion))
+        assert error_deg < slerp_deg / times_better
+        sigma_deg = np.degrees(attitudes.sigma_rad)
+        assert 0.1 < error_deg / rms(sigma_deg) < 1.2
+        near_middle = sigma_deg[from_middle_s < 0.1].mean()
+        near_samples = sigma_deg[from_middle_s > 0.4].mean()
+        assert near_middle > 2.0 * near_samples
 
 
 def test_the_rates_of_a_coning_body_are_turned_to_the_second_order():
@@ -238,6 +326,6 @@ def test_the_rates_of_a_coning_body_are_turned_to_the_second_order():
 
     Without the term of the second order the error is 0.010 deg, with twice of it 0.019 deg.
     """
-    _, with_rates = logged_with_rates(coning)
-    quaternion = attitude_at(with_rates, instants(*BETWEEN), 2.0).quaternion
+    alone = with_attitudes(EVERY_SECOND, coning(EVERY_SECOND))
+    quaternion = attitudes_at(with_rates(alone, coning), *BETWEEN).quaternion
     assert rms_deg(coning(BETWEEN), rotation_of(quaternion)) < 0.006

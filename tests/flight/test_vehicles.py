@@ -1,7 +1,5 @@
 """Two vehicles in one log, and several receivers of one vehicle."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,7 +9,7 @@ import pytest
 from tests.flight.made_channels import EARTH_M, located
 from tests.helpers import channel, refused, with_code
 from unbend.errors import MissionError
-from unbend.flight.channels import Channel, Source
+from unbend.flight.channels import Source
 from unbend.flight.vehicles import Vehicles
 from unbend.messages import Ledger
 from unbend.stages.vehicle import channels_of_one_vehicle
@@ -19,34 +17,45 @@ from unbend.stages.vehicle import channels_of_one_vehicle
 SECONDS = np.arange(0.0, 100.0)
 
 
-def sent(name: str, *roles: str, system: int | None = None, north_m: float = 0.0) -> Channel:
+def sent(name, *roles, system=None, north_m=0.0):
     columns = {}
     if "events" in roles:
         columns = {"event_index": SECONDS}
     if "position" in roles:
-        columns = {"lat_rad": 0.8 + north_m / EARTH_M, "lon_rad": 0.1 + SECONDS / 1e6}
+        columns = {
+            "lat_rad": 0.8 + north_m / EARTH_M,
+            "lon_rad": 0.1 + SECONDS / 1e6,
+        }
     source = Source(name.partition("@")[0].strip("/"), None, system, 1)
     return replace(channel(name, SECONDS, *roles, **columns), source=source)
 
 
-def sent_by(system: int) -> tuple[Channel, ...]:
-    return (
-        sent(f"CAMERA_FEEDBACK[0]@{system}/1", "events", system=system),
-        sent(f"GLOBAL_POSITION_INT@{system}/1", "position", system=system),
-        sent(f"ATTITUDE@{system}/1", "attitude", system=system),
-    )
+ROLES_OF_MESSAGES = {
+    "CAMERA_FEEDBACK[0]": "events",
+    "GLOBAL_POSITION_INT": "position",
+    "ATTITUDE": "attitude",
+}
+
+
+def sent_by(system):
+    channels = []
+    for message, role in ROLES_OF_MESSAGES.items():
+        channels.append(sent(f"{message}@{system}/1", role, system=system))
+    return tuple(channels)
 
 
 EVENTS_OF_1 = "CAMERA_FEEDBACK[0]@1/1"
 EVENTS_OF_2 = "CAMERA_FEEDBACK[0]@2/1"
 POSITION_OF_1 = {"position": "GLOBAL_POSITION_INT@1/1"}
 SENSOR = sent("HYGROMETER_SENSOR[0]", "temperature", system=51)
-TWO = (*sent_by(1), *sent_by(2), SENSOR)
-ONE = (*sent_by(1), SENSOR)
-FIRST_WITHOUT_FIX = (sent_by(1)[0], sent_by(1)[2])
+FIRST = sent_by(1)
+SECOND = sent_by(2)
+FIRST_WITHOUT_FIX = (FIRST[0], FIRST[2])
+TWO = (*FIRST, *SECOND, SENSOR)
+TWO_WITH_ONE_FIX = (*FIRST_WITHOUT_FIX, *SECOND)
 
 
-def topics(namespace: str, north_m: float) -> tuple[Channel, ...]:
+def topics(namespace, north_m):
     return (
         sent(f"{namespace}/fix", "position", "height", north_m=north_m),
         sent(f"{namespace}/imu", "attitude"),
@@ -56,10 +65,10 @@ def topics(namespace: str, north_m: float) -> tuple[Channel, ...]:
 @pytest.mark.parametrize(
     ("channels", "names"),
     [
-        (sent_by(1), ()),
+        (FIRST, ()),
         (TWO, ("system 1", "system 2")),
         # one of them has no fix: its attitude is still its own
-        ((*FIRST_WITHOUT_FIX, *sent_by(2)), ("system 1", "system 2")),
+        (TWO_WITH_ONE_FIX, ("system 1", "system 2")),
         # names of topics are of vehicles if these are apart, and of sensors if they are together
         (topics("/uav1", 0.0) + topics("/uav2", 10.1), ("/uav1", "/uav2")),
         (topics("/novatel", 0.0) + topics("/xsens", 9.9), ()),
@@ -73,7 +82,7 @@ def test_which_senders_are_vehicles(channels, names):
     assert Vehicles.of(channels).names == names
 
 
-def mission(*event_channels: str) -> SimpleNamespace:
+def mission(*event_channels):
     sources = {f"cam{k}": SimpleNamespace(channel=name) for k, name in enumerate(event_channels)}
     events = SimpleNamespace(log=sources) if event_channels else None
     return SimpleNamespace(events=events, mount={})
@@ -82,22 +91,26 @@ def mission(*event_channels: str) -> SimpleNamespace:
 @pytest.mark.parametrize(
     ("events", "channels", "named", "chosen"),
     [
-        ([EVENTS_OF_2], TWO, {}, (*sent_by(2), SENSOR)),
-        ([], TWO, POSITION_OF_1, (*sent_by(1), SENSOR)),
+        ([EVENTS_OF_2], TWO, {}, (*SECOND, SENSOR)),
+        ([], TWO, POSITION_OF_1, (*FIRST, SENSOR)),
         # a vehicle without a fix lends its attitude to no other
-        ([EVENTS_OF_2], (*FIRST_WITHOUT_FIX, *sent_by(2)), {}, sent_by(2)),
-        ([EVENTS_OF_1], (*FIRST_WITHOUT_FIX, *sent_by(2)), {}, FIRST_WITHOUT_FIX),
+        ([EVENTS_OF_2], TWO_WITH_ONE_FIX, {}, SECOND),
+        ([EVENTS_OF_1], TWO_WITH_ONE_FIX, {}, FIRST_WITHOUT_FIX),
     ],
     ids=["of the events", "of the named channels", "the other has no fix", "without a fix"],
 )
 def test_the_roles_are_of_one_vehicle(events, channels, named, chosen):
     ledger = Ledger()
     of_vehicle = channels_of_one_vehicle(mission(*events), channels, named, ledger)
-    assert [channel.name for channel in of_vehicle] == [channel.name for channel in chosen]
+    assert of_vehicle == chosen
     assert [(entry.kind, entry.code) for entry in ledger] == [("note", "LOG-VEHICLES")]
 
 
-@pytest.mark.parametrize("events", [(), (EVENTS_OF_1, EVENTS_OF_2)], ids=["none", "of both"])
+@pytest.mark.parametrize(
+    "events",
+    [(), (EVENTS_OF_1, EVENTS_OF_2)],
+    ids=["none", "of both"],
+)
 def test_a_vehicle_that_nothing_names_is_refused_with_the_choices(events):
     with refused("LOG-VEHICLES", MissionError) as refusal:
         channels_of_one_vehicle(mission(*events), TWO, {}, Ledger())
@@ -116,6 +129,7 @@ def test_a_named_channel_of_another_vehicle_is_used_and_a_finding():
 
 
 def test_a_log_of_one_vehicle_is_left_as_it_is():
+    channels = (*FIRST, SENSOR)
     ledger = Ledger()
-    assert channels_of_one_vehicle(mission(), ONE, {}, ledger) is ONE
+    assert channels_of_one_vehicle(mission(), channels, {}, ledger) is channels
     assert len(ledger) == 0
