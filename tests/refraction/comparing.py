@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 
-def assert_near(values: ArrayLike, expected: ArrayLike, atol: float) -> None:
+def assert_near(values, expected, atol, **options):
     """Values differ by no more than ``atol``, whatever their size."""
-    np.testing.assert_allclose(values, expected, rtol=0.0, atol=atol)
+    assert_close(values, expected, rtol=0.0, atol=atol, **options)
+
+
+def assert_close(values, expected, rtol, atol=0.0, *, equal_nan=False):
+    """Values differ by no more than ``rtol`` of what is expected, and ``atol`` more."""
+    np.testing.assert_allclose(values, expected, rtol=rtol, atol=atol, equal_nan=equal_nan)

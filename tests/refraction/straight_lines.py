@@ -1,0 +1,27 @@
+"""Where straight lines meet a sphere, with 40 digits."""
+
+from __future__ import annotations
+
+import mpmath as mp
+
+from tests.refraction.images import RADIUS
+
+
+def crossing(h_c, h_g, zeta, far=False):
+    """East and up [m] of where a straight line reaches a height, by its quadratic equation."""
+    r_c = mp.mpf(RADIUS) + h_c
+    r_g = mp.mpf(RADIUS) + h_g
+    middle = r_c * mp.cos(zeta)
+    half = mp.sqrt(middle**2 - (r_c**2 - r_g**2))
+    if not far:
+        half = -half
+    along = middle + half
+    return mp.matrix([along * mp.sin(zeta), -along * mp.cos(zeta)])
+
+
+def metres_apart(h_c, h_g, first, second, far=False):
+    """Distance between where straight lines at two nadir angles [rad] reach a height."""
+    with mp.workdps(40):
+        from_first = crossing(h_c, h_g, first, far)
+        to_second = from_first - crossing(h_c, h_g, second, far)
+        return float(mp.norm(to_second))
