@@ -1,7 +1,5 @@
 """The bending of a single ray in layers of a sphere: slow, and independent of the package."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A terrain of an array in memory, for tests of rays over it."""
 
-from __future__ import annotations
-
 import math
 from contextlib import nullcontext
 

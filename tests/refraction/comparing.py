@@ -1,12 +1,10 @@
 """Comparisons of arrays, for the tests of refraction."""
 
-from __future__ import annotations
-
 import numpy as np
 
 
 def assert_near(values, expected, atol, **options):
-    """Values differ by no more than ``atol``, whatever their size."""
+    """Values differ by no more than the third argument, whatever their size."""
     assert_close(values, expected, rtol=0.0, atol=atol, **options)
 
 

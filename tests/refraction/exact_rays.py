@@ -1,7 +1,5 @@
 """Independent truth for rays: Gyer's Eq. 11-12 with 30 to 40 digits, in the papers' own units."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -115,12 +113,24 @@ class ExactRays:
             if beyond:
                 turn = self.turning_height(h_c, zeta_c)
                 theta = self.subtended(camera, turn, camera, zeta, True)
-                theta += self.subtended(camera, turn, target, zeta, True)
+                theta += self.subtended(
+                    camera,
+                    turn,
+                    target,
+                    zeta,
+                    True,
+                )
             else:
                 if grazing is None:
                     grazing = zeta_c > math.radians(88.0)
                 low, high = sorted((camera, target))
-                theta = self.subtended(camera, low, high, zeta, grazing)
+                theta = self.subtended(
+                    camera,
+                    low,
+                    high,
+                    zeta,
+                    grazing,
+                )
             return self.chord(camera, target, zeta, theta)
 
     def angle(self, h_c, h_g, zeta_c, *, grazing=False):

@@ -1,7 +1,5 @@
 """Cameras, exposures and corrections of a few observations, for the tests of images."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where straight lines meet a sphere, with 40 digits."""
 
-from __future__ import annotations
-
 import mpmath as mp
 
 from tests.refraction.images import RADIUS
@@ -23,5 +21,10 @@ def metres_apart(h_c, h_g, first, second, far=False):
     """Distance between where straight lines at two nadir angles [rad] reach a height."""
     with mp.workdps(40):
         from_first = crossing(h_c, h_g, first, far)
-        to_second = from_first - crossing(h_c, h_g, second, far)
+        to_second = from_first - crossing(
+            h_c,
+            h_g,
+            second,
+            far,
+        )
         return float(mp.norm(to_second))

@@ -1,7 +1,5 @@
 """Cameras that cannot be, and their fields of view."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -101,4 +99,4 @@ def test_distortions_that_turn_back_in_the_image_are_refused(focal, distortion, 
     ],
 )
 def test_fields_of_view(seen_by, radians, within):
-    assert_near(field_of_view(seen_by), radians, atol=within)
+    assert_near(field_of_view(seen_by), radians, within)

@@ -1,7 +1,5 @@
 """The lens: there and back, and where it stops."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -45,12 +43,18 @@ def test_there_and_back(camera, pixels):
     u, v, covered = camera.rays(x, y)
     assert_array_equal(np.isnan(u), ~covered)
     again = camera.project(u[covered], v[covered])
-    assert_near(again, (x[covered], y[covered]), atol=1e-9)
+    assert_near(again, (x[covered], y[covered]), 1e-9)
 
 
 def test_a_moderate_lens_covers_its_whole_image():
     """The simulator's projection is written apart from this one, from OpenCV's manual."""
-    lens = BrownConrady(k1=-0.018, k2=0.009, k3=-0.002, p1=1.5e-4, p2=-1e-4)
+    lens = BrownConrady(
+        k1=-0.018,
+        k2=0.009,
+        k3=-0.002,
+        p1=1.5e-4,
+        p2=-1e-4,
+    )
     camera = Camera(WIDTH, HEIGHT, 11_000.0, 11_000.0, 7012.4, 5291.7, lens)
     x = np.tile(np.linspace(0, WIDTH, 29), 23)
     y = np.repeat(np.linspace(0, HEIGHT, 23), 29)
@@ -69,7 +73,7 @@ def test_a_moderate_lens_covers_its_whole_image():
     )
     rays = np.stack([u, v, np.ones_like(u)], axis=-1)
     again = simulated.project(rays)
-    assert_near(again, (x, y), atol=1e-9)
+    assert_near(again, (x, y), 1e-9)
 
 
 def with_unit_focal(*coefficients, **named):
@@ -79,7 +83,13 @@ def with_unit_focal(*coefficients, **named):
 
 def test_the_distortion_is_opencvs():
     # Worked by hand: u = 0.5, v = -0.25, r^2 = 0.3125.
-    camera = with_unit_focal(k1=0.1, k2=0.2, k3=0.3, p1=0.01, p2=0.02)
+    camera = with_unit_focal(
+        k1=0.1,
+        k2=0.2,
+        k3=0.3,
+        p1=0.01,
+        p2=0.02,
+    )
     radial = 1.0 + 0.1 * 0.3125 + 0.2 * 0.3125**2 + 0.3 * 0.3125**3
     u, v = camera.distort(np.array([0.5]), np.array([-0.25]))
     tangential_u = 2 * 0.01 * -0.125 + 0.02 * (0.3125 + 0.5)
@@ -124,7 +134,7 @@ def test_the_largest_radius_is_where_the_distortion_turns_over(k1, k2, k3):
     """r (1 + k1 r^2 + k2 r^4 + k3 r^6): its derivative is 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6."""
     r2 = with_unit_focal(k1, k2, k3).largest_radius ** 2
     slope = 1.0 + 3.0 * k1 * r2 + 5.0 * k2 * r2**2 + 7.0 * k3 * r2**3
-    assert_near(slope, 0.0, atol=1e-12)
+    assert_near(slope, 0.0, 1e-12)
 
 
 def test_without_distortion_there_is_no_largest_radius():

@@ -1,7 +1,5 @@
 """Each distortion model against COLMAP's, over the image and to 85 degrees off the axis."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -66,8 +64,8 @@ def test_a_model_is_colmaps(name, parameters):
     u = u[covered]
     v = v[covered]
     pixels = pixels_of_colmap(name, u, v)
-    assert_near(pixels, (x[covered], y[covered]), atol=1e-9)
-    assert_near(camera.project(u, v), pixels, atol=1e-9)
+    assert_near(pixels, (x[covered], y[covered]), 1e-9)
+    assert_near(camera.project(u, v), pixels, 1e-9)
 
 
 def directions(u, v):
@@ -84,8 +82,16 @@ def test_a_fisheye_to_85_degrees():
 
     pixels = Camera(4000, 3000, *FRAME, FISHEYE).project(u, v)
 
-    assert_near(pixels, pixels_of_colmap("OPENCV_FISHEYE", u, v), atol=1e-9)
-    wide = Camera(4000, 3600, 1100.0, 1130.0, 2010.0, 1800.0, FISHEYE)
+    assert_near(pixels, pixels_of_colmap("OPENCV_FISHEYE", u, v), 1e-9)
+    wide = Camera(
+        4000,
+        3600,
+        1100.0,
+        1130.0,
+        2010.0,
+        1800.0,
+        FISHEYE,
+    )
     x, y = wide.project(u, v)
     inside = (x >= 0.0) & (x <= 4000.0) & (y >= 0.0) & (y <= 3600.0)
     assert np.degrees(theta[inside].max()) == 85.0
@@ -93,7 +99,7 @@ def test_a_fisheye_to_85_degrees():
     assert covered.all()
     # 1e-9 px: at 85 degrees a tangent of 11.4 changes by 130 for 1 of the image coordinate.
     expected = directions(u[inside], v[inside])
-    assert_near(directions(u_again, v_again), expected, atol=2e-14)
+    assert_near(directions(u_again, v_again), expected, 2e-14)
 
 
 # Every coefficient of a calibration report; a correction, which is inverted, has no denominator.
@@ -113,7 +119,16 @@ REPORT = {
 @pytest.mark.parametrize(
     ("model", "parameters"),
     [
-        ("brown_conrady", BrownConrady(k1=-0.08, k2=0.012, k3=0.1, p1=4e-4, p2=-7e-4)),
+        (
+            "brown_conrady",
+            BrownConrady(
+                k1=-0.08,
+                k2=0.012,
+                k3=0.1,
+                p1=4e-4,
+                p2=-7e-4,
+            ),
+        ),
         ("general_frame", GENERAL),
         ("opencv_fisheye", FISHEYE),
         ("general_frame", GeneralFrame(**REPORT, q1=0.01, q2=-0.004, q3=0.002)),
@@ -132,8 +147,8 @@ def test_slopes_are_the_derivatives(model, parameters):
         return np.subtract(plus, minus) / (2.0 * step)
 
     uu, uv, vv = functions.slopes(u, v, parameters)
-    assert_near(difference(step, 0.0), (uu, uv), atol=1e-9)
-    assert_near(difference(0.0, step), (uv, vv), atol=1e-9)
+    assert_near(difference(step, 0.0), (uu, uv), 1e-9)
+    assert_near(difference(0.0, step), (uv, vv), 1e-9)
 
 
 def test_the_axis_of_a_fisheye_is_no_special_place():
@@ -153,7 +168,7 @@ def test_the_axis_of_a_fisheye_is_no_special_place():
 def test_a_distortion_that_turns_back_ends_there(parameters, degrees):
     camera = Camera(4000, 3000, *FRAME, parameters)
     field = np.degrees(np.arctan(camera.largest_radius))
-    assert_near(field, degrees, atol=1e-9)
+    assert_near(field, degrees, 1e-9)
     x = np.linspace(0.0, 4000.0, 400)
     u, v, covered = camera.rays(x, np.full(400, 1490.0))
     assert np.hypot(u, v)[covered].max() <= camera.largest_radius

@@ -1,7 +1,5 @@
 """Heights by slant range, against chords of 30-digit rays and against the angles themselves."""
 
-from __future__ import annotations
-
 import math
 from math import inf, nan
 
@@ -35,7 +33,7 @@ def heights(h_c, degrees, distance, table=TABLE):
 def assert_height(h_c, degrees, distance, expected):
     h_g, status = heights(h_c, degrees, distance)
     assert status == OK
-    assert_near(h_g, float(expected), atol=1e-6)
+    assert_near(h_g, float(expected), 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +86,7 @@ def test_the_angle_at_that_height_gives_the_distance_back():
     central = np.arcsin(to_camera / to_target * np.sin(straight)) - straight
     across = 4.0 * to_camera * to_target * np.sin(0.5 * central) ** 2
     back = np.sqrt((h_c - h_g) ** 2 + across)
-    assert_near(back, distance, atol=1e-5)
+    assert_near(back, distance, 1e-5)
 
 
 @pytest.mark.parametrize(
@@ -118,34 +116,20 @@ def test_a_published_method_has_its_own_height():
     exact, _ = heights(*ray)
     assert status == OK
     # The plane first term is good to 1e-3 of 1.2e-5 rad here; the chord is 8 km long.
-    assert_near(by_plane, exact, atol=1e-3)
+    assert_near(by_plane, exact, 1e-3)
     assert by_plane != exact
 
 
 @pytest.mark.parametrize("method", ["plane", "gyer1996"])
-@pytest.mark.parametrize(
-    ("h_c", "distance", "expected"),
-    [
-        (6000.0, nan, BAD_MEASUREMENT),
-        (6000.0, 0.0, BAD_MEASUREMENT),
-        (nan, 8000.0, BAD_MEASUREMENT),
-        (6000.0, 1e6, OUTSIDE_PROFILE),
-        (6000.0, 8000.0, OK),
-    ],
-)
-def test_a_published_method_says_why_there_is_no_height(method, h_c, distance, expected):
-    h_g, status = heights(h_c, 50.0, distance, rays_by(AIR, method))
-    assert status == expected
-    assert np.isfinite(h_g) == (expected == OK)
-
-
-def test_a_published_height_does_not_depend_on_the_rows_beside_it():
+def test_a_published_method_says_why_there_is_no_height(method):
     """Rows that end at once were bad measurements beside one that needs more rounds."""
-    rays = rays_by(AIR, "gyer1996")
+    rays = rays_by(AIR, method)
     table = [
         # h_c, nadir angle [deg], distance, status
         (6000.0, 50.0, 8000.0, OK),
         (6000.0, 50.0, 1e6, OUTSIDE_PROFILE),
+        (6000.0, 50.0, nan, BAD_MEASUREMENT),
+        (6000.0, 50.0, 0.0, BAD_MEASUREMENT),
         (nan, 50.0, 8000.0, BAD_MEASUREMENT),
         (6000.0, 0.0, nan, BAD_MEASUREMENT),
         (9000.0, 80.0, 30_000.0, OK),
@@ -155,6 +139,7 @@ def test_a_published_height_does_not_depend_on_the_rows_beside_it():
     together, status = heights(h_c, nadir_deg, distance, rays)
 
     assert status.tolist() == expected.tolist()
+    assert_array_equal(np.isfinite(together), expected == OK)
     for i, (*row, _) in enumerate(table):
         alone, status_alone = heights(*row, rays)
         assert_array_equal(alone, together[i])
@@ -214,7 +199,7 @@ def test_targets_of_an_image_and_of_its_ideal_pixels(rotation):
     x_ideal = corrections.x_corrected_px
     y_ideal = corrections.y_corrected_px
     straight = heights_of_image(x_ideal, y_ideal, 3200.0, setup, ideal=True)
-    assert_near(straight, bent, atol=1e-6)
+    assert_near(straight, bent, 1e-6)
     uncorrected = heights_of_image(x, y, 3200.0, setup, ideal=True)
     assert np.abs(uncorrected - bent).max() > 1e-2
 
@@ -227,7 +212,14 @@ def test_an_observation_that_lacks_something_has_no_height():
     bent = heights_of_image(x, 5000.0, distance, setup, row=row)
     assert np.isnan(bent).all()
     # A straight line goes on outside the air.
-    straight = heights_of_image(x, 5000.0, distance, setup, row=row, ideal=True)
+    straight = heights_of_image(
+        x,
+        5000.0,
+        distance,
+        setup,
+        row=row,
+        ideal=True,
+    )
     assert np.isnan(straight).tolist() == [True, True, True, True, False]
 
 
@@ -236,7 +228,13 @@ def test_ideal_pixels_have_neither_window_nor_lens(changed):
     """Of a straight chord the cabin and the air in the lens change nothing, of a ray they do."""
 
     def height(setup, **options):
-        return heights_of_image([12_000.0], [9000.0], [3500.0], setup, **options)
+        return heights_of_image(
+            [12_000.0],
+            [9000.0],
+            [3500.0],
+            setup,
+            **options,
+        )
 
     plain = exposure(AIR)
     other = exposure(AIR, **changed)

@@ -1,7 +1,5 @@
 """R in the air of a flight beside the standard."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The grid over an image: where its nodes lie."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pixel, undistort, window, air, project, distort: in this order, against a chain of its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -143,7 +141,13 @@ def air(ray, _, rotation):
     up = rotation[:, 2]
     d = ray / np.linalg.norm(ray)
     zeta = np.arccos(-(d @ up))
-    straight = zeta - refraction_angle(AIR, H_C, H_G, zeta, radius=RADIUS)
+    straight = zeta - refraction_angle(
+        AIR,
+        H_C,
+        H_G,
+        zeta,
+        radius=RADIUS,
+    )
     level = d + np.cos(zeta) * up
     level /= np.linalg.norm(level)
     return np.sin(straight) * level - np.cos(straight) * up
@@ -165,7 +169,13 @@ def shifts_by(steps, pixels, camera, rotation):
 
 def corrections_of(pixels, camera, rotation):
     setup = exposure(AIR, rotation, h_c=H_C, cabin_excess=CABIN_EXCESS)
-    return corrected(*pixels.T, setup, TABLE, camera=camera, h_g=H_G)
+    return corrected(
+        *pixels.T,
+        setup,
+        TABLE,
+        camera=camera,
+        h_g=H_G,
+    )
 
 
 def assert_shifts(corrections, pixels, camera, rotation, atol):
@@ -173,7 +183,7 @@ def assert_shifts(corrections, pixels, camera, rotation, atol):
     expected = shifts_by([undistort, window, air], pixels, camera, rotation)
     moved = np.stack([corrections.dx_px, corrections.dy_px], axis=1)
     assert np.hypot(*moved.T).min() > 0.01
-    assert_near(moved, expected, atol=atol)
+    assert_near(moved, expected, atol)
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -195,9 +205,9 @@ def test_a_fisheye_that_sees_to_85_degrees_off_the_axis():
 
     assert set(corrections.status.tolist()) == {OK}
     outside = np.arcsin(np.sin(theta) * (1.0 + OUTSIDE + CABIN_EXCESS) / (1.0 + OUTSIDE))
-    assert_near(corrections.zeta_c_rad, outside, atol=1e-13)
+    assert_near(corrections.zeta_c_rad, outside, 1e-13)
     # R_cc from the camera's direction to the one outside.
-    assert_near(corrections.r_cc_rad, outside - theta, atol=1e-13)
+    assert_near(corrections.r_cc_rad, outside - theta, 1e-13)
     r_c = refraction_angle(AIR, H_C, H_G, outside, radius=RADIUS)
     assert_close(corrections.r_c_rad, r_c, rtol=1e-9)
     assert_shifts(corrections, pixels, WIDE, DOWN, atol=2e-7)

@@ -1,7 +1,5 @@
 """Derivatives of R_c against differences of angles, the package's and those of thirty digits."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath as mp
@@ -64,7 +62,14 @@ def profile_of(index="gyer", t_m=T_M, vapour=VAPOUR, log_pressure=0.0):
 
 def derivatives_of(profile, h_c, h_g, zeta):
     """Those of R_c, by the pressure at the anchor too."""
-    return sensitivity(profile, h_c, h_g, zeta, RADIUS, anchor_height_m=ANCHOR_M)
+    return sensitivity(
+        profile,
+        h_c,
+        h_g,
+        zeta,
+        RADIUS,
+        anchor_height_m=ANCHOR_M,
+    )
 
 
 def angle_of(profile, h_c, h_g, zeta):
@@ -96,7 +101,7 @@ def changed_air(name, index, change, edge):
 def assert_derivative(derivative, expected):
     """To 5e-9 of the largest of its kind."""
     largest = np.abs(expected).max()
-    assert_near(derivative, expected, atol=5e-9 * largest)
+    assert_near(derivative, expected, 5e-9 * largest)
 
 
 @EVERY_RAY
@@ -180,7 +185,7 @@ def test_the_refractivity_of_layers_against_differences(index):
                 return changed_air(name, index, change, edge).refractivity(h)
 
             expected = difference(refractivity, 10.0 * BY_AIR[name])
-            assert_near(derivative[:, edge], expected, atol=1e-10 * largest)
+            assert_near(derivative[:, edge], expected, 1e-10 * largest)
 
 
 def touching_angle(profile, h_c):
@@ -272,7 +277,13 @@ def test_what_cannot_be_differentiated_says_so():
 
 
 def test_where_no_ray_can_be_differentiated():
-    nothing = sensitivity(profile_of(), 3000.0, 0.0, [math.nan, 2.0], RADIUS)
+    nothing = sensitivity(
+        profile_of(),
+        3000.0,
+        0.0,
+        [math.nan, 2.0],
+        RADIUS,
+    )
     assert not nothing.valid.any()
     assert np.isnan(nothing.d_temperature).all()
 
@@ -280,7 +291,13 @@ def test_where_no_ray_can_be_differentiated():
 @pytest.mark.parametrize("zeta", [0.6, 1.35])
 def test_weights_on_any_change_of_refractivity(zeta):
     """A denser layer of air, added to n; and n scaled as a whole, which bends nothing."""
-    weights = ray_weights(AIR, 8000.0, 100.0, [[zeta]], RADIUS)
+    weights = ray_weights(
+        AIR,
+        8000.0,
+        100.0,
+        [[zeta]],
+        RADIUS,
+    )
     assert weights.weight.shape == (1, 1, weights.height_m.size)
     weight = weights.weight[0, 0]
     n = AIR.refractivity(weights.height_m)
@@ -317,7 +334,13 @@ def test_a_target_at_the_height_of_the_camera(zeta, rise):
 
 
 def test_straight_down_only_the_angle_counts():
-    derivatives = sensitivity(profile_of(), 5000.0, 100.0, 0.0, RADIUS)
+    derivatives = sensitivity(
+        profile_of(),
+        5000.0,
+        100.0,
+        0.0,
+        RADIUS,
+    )
     for name in ("d_h_c", "d_h_g", "d_log_pressure"):
         assert getattr(derivatives, name) == 0.0
     assert not derivatives.d_temperature.any()
@@ -357,17 +380,36 @@ def test_many_rays_are_each_what_they_are_alone():
 def test_no_ray_and_one_ray_have_their_shape(shape):
     """Broadcast views that are contiguous all the same, of which numpy warned."""
     profile = profile_of()
-    derivatives = sensitivity(profile, np.full(shape, 3000.0), 0.0, 0.5, RADIUS)
+    derivatives = sensitivity(
+        profile,
+        np.full(shape, 3000.0),
+        0.0,
+        0.5,
+        RADIUS,
+    )
     for name in ("r_c", "status", "valid", "d_h_c"):
         assert getattr(derivatives, name).shape == shape
     assert derivatives.d_temperature.shape == (*shape, EDGES.size)
     alone = sensitivity(profile, 3000.0, 0.0, 0.5, RADIUS)
     assert (derivatives.d_zeta_c == alone.d_zeta_c).all()
-    rays = ray_weights(profile, 3000.0, np.zeros(shape), 0.5, RADIUS)
+    rays = ray_weights(
+        profile,
+        3000.0,
+        np.zeros(shape),
+        0.5,
+        RADIUS,
+    )
     assert rays.weight.shape == (*shape, rays.height_m.size)
 
 
 def test_pressure_is_referred_to_a_height_inside_the_profile():
     with refused("PROFILE-RANGE", PhysicsError) as refusal:
-        sensitivity(profile_of(), 3000.0, 0.0, 0.5, RADIUS, anchor_height_m=20_000.0)
+        sensitivity(
+            profile_of(),
+            3000.0,
+            0.0,
+            0.5,
+            RADIUS,
+            anchor_height_m=20_000.0,
+        )
     assert "20000 m" in refusal.value.what

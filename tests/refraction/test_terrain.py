@@ -1,7 +1,5 @@
 """Rays over a terrain, against steps of an integrated ray on the ellipsoid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyproj
 import pytest
@@ -19,7 +17,14 @@ from unbend.refraction.terrain_heights import terrain_heights
 
 AIR = standard_atmosphere("us1976")
 TABLE = ray_table(AIR)
-CAMERA = Camera(20_000, 20_000, 2_500.0, 2_500.0, 10_000.0, 10_000.0)  # to 76 deg off the axis
+CAMERA = Camera(
+    20_000,
+    20_000,
+    2_500.0,
+    2_500.0,
+    10_000.0,
+    10_000.0,
+)  # to 76 deg off the axis
 TO_THE_EAST = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 EAST = 0.5 * np.pi  # azimuth [rad]
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
@@ -178,7 +183,15 @@ def landing(terrain, lat, lon, height, direction, **options):
     u, v, w = DOWN @ direction.T
     x, y = CAMERA.project(u / w, v / w)
     exposures = exposures_at(lat, height)
-    heights = heights_at(terrain, x, y, exposures, lat, lon, **options)
+    heights = heights_at(
+        terrain,
+        x,
+        y,
+        exposures,
+        lat,
+        lon,
+        **options,
+    )
     return heights, (x, y, np.arange(len(x)), exposures)
 
 
@@ -201,8 +214,21 @@ def ends_of(lat, lon, height, direction, distance_m, r_c_rad):
 def test_rays_land_where_an_integrated_ray_does(lat, lon, grid):
     heights = relief(1500, 1500)
     north = lat + 750 * STEP
-    terrain = ArrayTerrain(heights, north, step_lat=STEP, step_lon=STEP, **grid)
-    rays = rays_from(500, lat, lon, 0.1, (3_000.0, 10_000.0), 1)
+    terrain = ArrayTerrain(
+        heights,
+        north,
+        step_lat=STEP,
+        step_lon=STEP,
+        **grid,
+    )
+    rays = rays_from(
+        500,
+        lat,
+        lon,
+        0.1,
+        (3_000.0, 10_000.0),
+        1,
+    )
     lon_landed, lat_landed, h_landed = IntegratedRays(terrain, *rays).landed(look_m=2.0).T
 
     landings, (x, y, rows, exposures) = landing(terrain, *rays)
@@ -225,7 +251,12 @@ def test_rays_land_where_an_integrated_ray_does(lat, lon, grid):
     r_c = r_c_to(landings.h_m)
     ends = ends_of(*rays, landings.distance_m, r_c)
     geod = pyproj.Geod(ellps="WGS84")
-    _, _, apart_m = geod.inv(ends[:, 0], ends[:, 1], lon_landed, lat_landed)
+    _, _, apart_m = geod.inv(
+        ends[:, 0],
+        ends[:, 1],
+        lon_landed,
+        lat_landed,
+    )
     assert np.max(apart_m) < 0.1
     assert_close(r_c, r_c_to(h_landed.copy()), rtol=1e-4)
 
@@ -248,7 +279,13 @@ def test_the_error_of_a_landing_on_a_slope(sign):
     lon = np.zeros(60)
     height = np.full(60, 3_500.0)
 
-    landings, _ = landing(plane, lat, lon, height, direction)
+    landings, _ = landing(
+        plane,
+        lat,
+        lon,
+        height,
+        direction,
+    )
 
     assert (landings.status == OK).all()
     expected = 1.0 / (1.0 - sign * fall * np.tan(zeta))
@@ -256,7 +293,14 @@ def test_the_error_of_a_landing_on_a_slope(sign):
 
 
 def test_the_error_of_a_landing_is_what_raising_the_terrain_does():
-    rays = rays_from(300, 46.5, 8.0, 0.1, (3_000.0, 10_000.0), 2)
+    rays = rays_from(
+        300,
+        46.5,
+        8.0,
+        0.1,
+        (3_000.0, 10_000.0),
+        2,
+    )
     heights = relief(1500, 1500, cliffs=False)
     north = 46.5 + 750 * STEP
     west = 8.0 - 750 * STEP
@@ -294,7 +338,13 @@ def test_a_ray_that_rises_comes_to_an_end():
 
     All but the last leave it before they are higher than any land may be.
     """
-    terrain = CountedTerrain(relief(600, 600, cliffs=False), 46.5, 8.0, STEP, STEP)
+    terrain = CountedTerrain(
+        relief(600, 600, cliffs=False),
+        46.5,
+        8.0,
+        STEP,
+        STEP,
+    )
     lat = np.full(4, 46.3)
     lon = np.array([7.9, 8.6, 8.2, 8.2])
     height = np.array([2500.0, 2500.0, 2500.0, 50.0])
@@ -302,7 +352,14 @@ def test_a_ray_that_rises_comes_to_an_end():
     x = np.full(4, CAMERA.cx_px)
     y = np.full(4, CAMERA.cy_px - CAMERA.fy_px * np.tan(np.radians(5.0)))
 
-    landings = heights_at(terrain, x, y, exposures, lat, lon)
+    landings = heights_at(
+        terrain,
+        x,
+        y,
+        exposures,
+        lat,
+        lon,
+    )
 
     assert landings.status.tolist() == [NO_GROUND] * 3 + [MISSES_GROUND]
     assert np.isnan(landings.h_m).all()
@@ -312,18 +369,37 @@ def test_nearly_level_rays_reach_high_ground_where_an_integrated_ray_does():
     """From 6500 m onto a plateau at 4000 m, 81 to 87 degrees off the nadir: 16 to 51 km away."""
     down = np.radians([9.0, 6.0, 3.0])
     plateau = np.full((60, 900), 4_000.0, np.float32)
-    terrain = ArrayTerrain(plateau, 46.5 + 30 * STEP, 8.0 - 30 * STEP, STEP, STEP)
+    terrain = ArrayTerrain(
+        plateau,
+        46.5 + 30 * STEP,
+        8.0 - 30 * STEP,
+        STEP,
+        STEP,
+    )
     lat = np.full(3, 46.5)
     lon = np.full(3, 8.0)
     height = np.full(3, 6_500.0)
     direction = direction_of(0.5 * np.pi - down, np.full(3, EAST))
-    landed = IntegratedRays(terrain, lat, lon, height, direction).landed(look_m=100.0)
+    landed = IntegratedRays(
+        terrain,
+        lat,
+        lon,
+        height,
+        direction,
+    ).landed(look_m=100.0)
     way = ecef_of(*landed.T) - ecef_of(lon, lat, height)
     exposures = exposures_at(lat, height, TO_THE_EAST)
     x = np.full(3, CAMERA.cx_px)
     y = CAMERA.cy_px + CAMERA.fy_px * np.tan(down)
 
-    landings = heights_at(terrain, x, y, exposures, lat, lon)
+    landings = heights_at(
+        terrain,
+        x,
+        y,
+        exposures,
+        lat,
+        lon,
+    )
 
     assert (landings.status == OK).all()
-    assert_near(landings.distance_m, np.linalg.norm(way, axis=1), atol=0.01)
+    assert_near(landings.distance_m, np.linalg.norm(way, axis=1), 0.01)

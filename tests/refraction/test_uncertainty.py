@@ -1,7 +1,5 @@
 """The three sigmas of a correction against corrections with changed inputs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -61,7 +59,13 @@ def points(count=100):
 
 
 def shifts(setup, seen, air=AIR, **options):
-    return corrected(exposures=setup, table=ray_table(air), camera=SKEWED, **seen, **options)
+    return corrected(
+        exposures=setup,
+        table=ray_table(air),
+        camera=SKEWED,
+        **seen,
+        **options,
+    )
 
 
 def with_sigmas(setup, stations, seen, covariance=None, sigma_h_g=GROUND):
@@ -194,7 +198,7 @@ def test_half_a_degree_more_adds_15_percent_at_85_degrees():
     """Where the first order has 13."""
     zeta = np.radians([85.0, 85.5])
     r_c, more = refraction_angle(AIR, 10_000.0, 0.0, zeta)
-    assert_near(more / r_c - 1.0, 0.15, atol=0.005)
+    assert_near(more / r_c - 1.0, 0.15, 0.005)
 
 
 def test_exactly_at_the_nadir():
@@ -319,7 +323,13 @@ def test_displacing_has_the_sigmas_of_where_it_ends():
         "uncertainty": uncertainties(AIR, COVARIANCE, setup, SKEWED, known_to()),
         "sigma_h_g": GROUND,
     }
-    there = displaced(exposures=setup, table=TABLE, camera=SKEWED, **seen, **options)
+    there = displaced(
+        exposures=setup,
+        table=TABLE,
+        camera=SKEWED,
+        **seen,
+        **options,
+    )
     end = {
         "x": there.x_corrected_px,
         "y": there.y_corrected_px,

@@ -1,7 +1,5 @@
 """Sigmas behind plane windows against corrections in changed air, column by column of C."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -174,7 +172,13 @@ def net_directions(air, look, rays):
         rays = rays + change
     east, north, up = (rays @ look.rotation).T
     zeta = np.arctan2(np.hypot(east, north), -up)
-    r_c = refraction_angle(air, look.h_c, 100.0, zeta, RADIUS)
+    r_c = refraction_angle(
+        air,
+        look.h_c,
+        100.0,
+        zeta,
+        RADIUS,
+    )
     chord = zeta - r_c
     level = np.sin(chord) / np.sin(zeta)
     return np.column_stack([east * level, north * level, -np.cos(chord)]), r_c
@@ -210,7 +214,13 @@ def test_the_leading_mode_is_that_of_changed_airs(of_all, name):
         np.full(30, look.kind),
         *window_turn(rays, down, normals),
     )
-    mode = leading_mode(AIR, COVARIANCE, window_rays, 100.0, radius=RADIUS)
+    mode = leading_mode(
+        AIR,
+        COVARIANCE,
+        window_rays,
+        100.0,
+        radius=RADIUS,
+    )
     assert_close(mode.sigma, size[0] / np.linalg.norm(r_c), rtol=2e-3)
     share = size[0] ** 2 / np.sum(size**2)
     assert_close(mode.variance_share, share, rtol=2e-3)

@@ -1,7 +1,5 @@
 """Air with a covariance for tests: an inversion, knots of 50 m to 1 km that hardly agree."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
