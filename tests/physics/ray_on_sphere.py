@@ -40,7 +40,7 @@ class RayOnSphere:
         square = cos_s**2 - lift * (sin_z + sin_s)
         if square <= 0.0:
             raise ValueError(f"the curved ray turns before {h:.1f} m")
-        cos_z = self.sign * float(np.sqrt(square))
+        cos_z = self.sign * np.sqrt(square)
         # tan zeta - tan zeta_s = sin(d) / (cos zeta cos zeta_s) with d = zeta - zeta_s, and
         # sin(d) = (sin zeta - sin zeta_s) (1 + cos d) / (cos zeta + cos zeta_s).
         turned = lift * (1.0 + cos_z * cos_s + sin_z * sin_s) / (cos_z + cos_s)
@@ -70,7 +70,7 @@ def ray_angle_sphere(n_of_h, h_c, h_g, zeta_c, radius, *, breaks=()):
         h_c,
         zeta_c,
         n_c=n_of_h(h_c),
-        sign=1.0 if cos_c >= 0.0 else -1.0,
+        sign=np.copysign(1.0, cos_c),
     )
     q = ray.straight_cosine(h_g) * r_g
     ray.slope(h_g, np.empty(0))  # a ray that never comes down to h_g is refused before any work
@@ -95,9 +95,9 @@ def ray_angle_sphere(n_of_h, h_c, h_g, zeta_c, radius, *, breaks=()):
         )
         if not solution.success:
             raise ValueError(f"the ray did not integrate: {solution.message}")
-        eps += float(solution.y[0, -1])
-    direction = float(np.arctan2(r_c * sin_c, q)) + 0.5 * eps
-    step = 2.0 * r_g * float(np.sin(0.5 * eps))
+        eps += solution.y[0, -1]
+    direction = np.arctan2(r_c * sin_c, q) + 0.5 * eps
+    step = 2.0 * r_g * np.sin(0.5 * eps)
     across = step * np.cos(direction)
     along = distance + step * np.sin(direction)
     return float(-np.arctan2(across, along))

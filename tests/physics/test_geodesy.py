@@ -55,9 +55,7 @@ def test_euler_radius_is_the_curvature_of_the_normal_section(latitude, azimuth):
         (0.0, 0.0, AT_EQUATOR),
         (0.0, pi / 2.0, A),
         (0.0, pi / 4.0, 2.0 * A / (1.0 / (1.0 - E2) + 1.0)),
-        (pi / 2.0, 0.0, POLAR),
-        (pi / 2.0, 1.0, POLAR),
-        (pi / 2.0, 3.0, POLAR),
+        (pi / 2.0, [0.0, 1.0, 3.0], POLAR),
     ],
 )
 def test_euler_radius_by_hand(latitude, azimuth, radius):

@@ -7,14 +7,13 @@ import mpmath as mp
 import numpy as np
 
 RADIUS = 6_371_000
-
-
 EARTH = 6_356_766  # effective radius of US 1976 [m]
 
 
 def us1976_gyer(h):
     """n - 1 of US 1976 up to 32 km' by Gyer's Eq. 13, from the constants of the definitions."""
-    gmr = mp.mpf("9.80665") * mp.mpf("28.9644") / mp.mpf("8314.32")
+    gravity = mp.mpf("9.80665")
+    gmr = gravity * mp.mpf("28.9644") / mp.mpf("8314.32")
     H = EARTH * h / (EARTH + h)
     cold = mp.mpf("216.65")
     t0 = mp.mpf("288.15")
@@ -64,16 +63,25 @@ class ExactRays:
     def n_r(self, h):
         return (1 + self.pressure_ratio * us1976_gyer(h)) * (RADIUS + h)
 
-    def subtended(self, h_c, low, high, zeta, grazing):
+    def subtended(
+        self,
+        h_c,
+        low,
+        high,
+        zeta,
+        grazing,
+    ):
         """Angle at the centre of the earth, Eq. 12."""
         k = self.n_r(h_c) * mp.sin(zeta)
 
         def integrand(h):
-            return mp.re(k / ((RADIUS + h) * mp.sqrt(self.n_r(h) ** 2 - k**2)))
+            square = self.n_r(h) ** 2 - k**2
+            return mp.re(k / ((RADIUS + h) * mp.sqrt(square)))
 
         kinks = [h for h in self.kinks() if low < h < high]
         if not grazing:
-            return mp.quad(integrand, [low, *kinks, high], method="gauss-legendre")
+            heights = [low, *kinks, high]
+            return mp.quad(integrand, heights, method="gauss-legendre")
 
         def graded(s):
             return 2 * s * integrand(low + s * s)
@@ -89,7 +97,9 @@ class ExactRays:
         """The straight line under which a subtended angle is seen; R_c by Eq. 10."""
         r_c = RADIUS + h_c
         r_g = RADIUS + h_g
-        straight = mp.atan2(r_g * mp.sin(theta), r_c - r_g * mp.cos(theta))
+        across = r_g * mp.sin(theta)
+        down = r_c - r_g * mp.cos(theta)
+        straight = mp.atan2(across, down)
         square = (h_c - h_g) ** 2 + 4 * r_c * r_g * mp.sin(theta / 2) ** 2
         return Crossing(r_c=zeta - straight, distance=mp.sqrt(square))
 
@@ -112,40 +122,32 @@ class ExactRays:
             zeta = mp.mpf(zeta_c)
             if beyond:
                 turn = self.turning_height(h_c, zeta_c)
-                theta = self.subtended(camera, turn, camera, zeta, True)
-                theta += self.subtended(
-                    camera,
-                    turn,
-                    target,
-                    zeta,
-                    True,
-                )
+                legs = [(turn, camera), (turn, target)]
+                grazing = True
             else:
-                if grazing is None:
-                    grazing = zeta_c > math.radians(88.0)
-                low, high = sorted((camera, target))
-                theta = self.subtended(
-                    camera,
-                    low,
-                    high,
-                    zeta,
-                    grazing,
-                )
+                legs = [sorted((camera, target))]
+            if grazing is None:
+                grazing = zeta_c > math.radians(88.0)
+            theta = mp.mpf(0)
+            for low, high in legs:
+                theta += self.subtended(camera, low, high, zeta, grazing)
             return self.chord(camera, target, zeta, theta)
 
     def angle(self, h_c, h_g, zeta_c, *, grazing=False):
         """R_c [arcsec] of a ray that does not turn on its way, up or down."""
-        return self.crossing(h_c, h_g, zeta_c, grazing=grazing).r_c_arcsec
+        crossing = self.crossing(h_c, h_g, zeta_c, grazing=grazing)
+        return crossing.r_c_arcsec
 
     def through_lowest_point(self, h_c, h_g, zeta_c):
         """R_c [arcsec] of a ray down through P_90 and up to a target above the camera."""
-        return self.crossing(h_c, h_g, zeta_c, beyond=True).r_c_arcsec
+        crossing = self.crossing(h_c, h_g, zeta_c, beyond=True)
+        return crossing.r_c_arcsec
 
     def turning_height(self, h_c, zeta_c):
         """h_90 [m] below the camera (Eq. 16)."""
         with mp.workdps(self.digits):
             h = mp.mpf(h_c)
-            k = self.n_r(h) * mp.sin(mp.mpf(zeta_c))
+            k = self.n_r(h) * mp.sin(zeta_c)
             for _ in range(60):  # n r grows by 0.75 to 1 per metre: each step gains a digit
                 h -= (self.n_r(h) - k) / mp.mpf("0.9")
             return h
@@ -166,5 +168,6 @@ class RaysOfTable(ExactRays):
         piece = np.searchsorted(edge, float(h), "right") - 1
         low, high = map(mp.mpf, edge[piece : piece + 2])
         coefficients = self.table.coefficient[piece].tolist()
-        refractivity = mp.polyval(coefficients[::-1], (h - low) / (high - low))
+        u = (h - low) / (high - low)
+        refractivity = mp.polyval(coefficients[::-1], u)
         return (1 + refractivity) * (RADIUS + h)

@@ -162,7 +162,7 @@ class Look:
         """As this air has it: the cabin of the schedule follows the pressure outside."""
         h_c = self.h_c + higher_m
         outside = float(air.refractivity(h_c))
-        scheduled = float(air.index.refractivity(294.26, air.pressure(h_c), 0.0))
+        scheduled = air.index.refractivity(294.26, air.pressure(h_c), 0.0)
         inside = {OPEN: outside, SEALED: CABIN, SCHEDULED: scheduled}[self.kind]
         return exposure(
             air,

@@ -10,21 +10,25 @@ def crossing(h_c, h_g, zeta, far=False):
     r_c = mp.mpf(RADIUS) + h_c
     r_g = mp.mpf(RADIUS) + h_g
     middle = r_c * mp.cos(zeta)
-    half = mp.sqrt(middle**2 - (r_c**2 - r_g**2))
+    square = middle**2 - (r_c**2 - r_g**2)
+    half = mp.sqrt(square)
     if not far:
         half = -half
     along = middle + half
-    return mp.matrix([along * mp.sin(zeta), -along * mp.cos(zeta)])
+    east = along * mp.sin(zeta)
+    up = -along * mp.cos(zeta)
+    return mp.matrix([east, up])
 
 
-def metres_apart(h_c, h_g, first, second, far=False):
+def metres_apart(
+    h_c,
+    h_g,
+    first,
+    second,
+    far=False,
+):
     """Distance between where straight lines at two nadir angles [rad] reach a height."""
     with mp.workdps(40):
-        from_first = crossing(h_c, h_g, first, far)
-        to_second = from_first - crossing(
-            h_c,
-            h_g,
-            second,
-            far,
-        )
-        return float(mp.norm(to_second))
+        start = crossing(h_c, h_g, first, far)
+        end = crossing(h_c, h_g, second, far)
+        return float(mp.norm(end - start))

@@ -1,7 +1,7 @@
 """Displaced observations: the way back to the last digit, and what the simulator sees."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import nan
 
 import numpy as np
@@ -72,16 +72,17 @@ class Scene:
     rotation: np.ndarray
     h_c: float
     h_g: float
-    options: dict = field(default_factory=dict)
+    options: dict
 
 
+WINDOW = {"cabin_excess": 6e-5, "normal": TILTED}
 SCENES = {
-    "nadir": Scene(looking(0.0), 3450.0, 450.0),
+    "nadir": Scene(looking(0.0), 3450.0, 450.0, {}),
     "tilted window": Scene(
         looking(0.0, 20.0),
         9000.0,
         100.0,
-        {"cabin_excess": 6e-5, "normal": TILTED},
+        WINDOW,
     ),
     "oblique": Scene(
         looking(45.0, 200.0, -70.0),
@@ -93,7 +94,7 @@ SCENES = {
         looking(90.0, 30.0, 5.0),
         3450.0,
         450.0,
-        {"cabin_excess": 6e-5, "normal": TILTED},
+        WINDOW,
     ),
     "upwards": Scene(
         looking(90.0),
@@ -239,7 +240,7 @@ WINDOWS = pytest.mark.parametrize(
     ("tilt", "window"),
     [
         (90.0, {}),
-        (75.0, {"cabin_excess": 6e-5, "normal": TILTED, "change_px": -4.0}),
+        (75.0, WINDOW | {"change_px": -4.0}),
     ],
     ids=["open", "window"],
 )

@@ -47,6 +47,11 @@ AIR = standard_atmosphere("us1976")
 TABLE = ray_table(AIR)
 OUTSIDE = float(AIR.refractivity(H_C))
 CABIN_EXCESS = 6e-5
+WITHOUT_AND_WITH_WINDOW = pytest.mark.parametrize(
+    "excess",
+    [0.0, CABIN_EXCESS],
+    ids=["no window", "window"],
+)
 
 
 def gyer_scalar(x_px, y_px, rotation, cabin):
@@ -63,7 +68,9 @@ def gyer_scalar(x_px, y_px, rotation, cabin):
     rho = mp.sqrt(x_m**2 + y_m**2)
     # Eq. 36, 37, 39
     zeta_f = mp.atan(rho / f)
-    zeta_a = mp.asin((1 + mp.mpf(cabin)) / (1 + mp.mpf(OUTSIDE)) * mp.sin(zeta_f))
+    n_cabin = 1 + mp.mpf(cabin)
+    n_outside = 1 + mp.mpf(OUTSIDE)
+    zeta_a = mp.asin(n_cabin / n_outside * mp.sin(zeta_f))
     outward = f * mp.tan(zeta_a) / rho
     x_cc = x_m * outward
     y_cc = y_m * outward
@@ -73,20 +80,12 @@ def gyer_scalar(x_px, y_px, rotation, cabin):
     c = mp.sqrt(x_n**2 + y_n**2 + f**2)  # Eq. 44
     ray = mp.sqrt(f**2 + x_cc**2 + y_cc**2)
     zeta_c = mp.acos((f**2 + x_n * x_cc + y_n * y_cc) / (c * ray))  # Eq. 42
-    r_c = mp.mpf(
-        refraction_angle(
-            AIR,
-            H_C,
-            H_G,
-            float(zeta_c),
-            RADIUS,
-        )
-    )
+    r_c = refraction_angle(AIR, H_C, H_G, float(zeta_c), RADIUS)
     x_a = x_n - x_cc
     y_a = y_n - y_cc
     a = mp.sqrt(x_a**2 + y_a**2)  # Eq. 43
     beta = mp.acos((x_n * x_a + y_n * y_a) / (c * a))  # Eq. 46
-    straight = zeta_c - r_c
+    straight = zeta_c - mp.mpf(r_c)
     delta_a = a - c * mp.sin(straight) / mp.sin(beta + straight)  # Eq. 45
     x_c = x_cc + x_a / a * delta_a  # Eq. 50, with its sign turned
     y_c = y_cc + y_a / a * delta_a  # Eq. 51
@@ -108,7 +107,7 @@ def rays_of(x, y):
 FARTHEST_NADIR_DEG = math.degrees(math.atan(10.0))  # its image is 10 focal lengths away
 
 
-@pytest.mark.parametrize("excess", [0.0, CABIN_EXCESS], ids=["no window", "window"])
+@WITHOUT_AND_WITH_WINDOW
 @pytest.mark.parametrize(
     ("azimuth", "swing"),
     [
@@ -150,7 +149,8 @@ def test_against_gyers_scalar_equations(tilt, azimuth, swing, excess):
 
 
 def test_exactly_at_the_nadir_nothing_moves():
-    corrections = corrected(PINHOLE.cx_px, PINHOLE.cy_px, exposure(AIR), TABLE)
+    nadir = (PINHOLE.cx_px, PINHOLE.cy_px)
+    corrections = corrected(*nadir, exposure(AIR), TABLE)
     assert corrections.status.tolist() == [OK]
     for name in ("dx_px", "dy_px", "r_c_rad", "zeta_c_rad", "shift_ground_m"):
         assert getattr(corrections, name).tolist() == [0.0], name
@@ -217,7 +217,11 @@ def test_above_the_horizon_there_is_no_ground_but_there_are_targets():
     assert (corrections.r_c_rad > 0.0).all()
 
 
-@pytest.mark.parametrize("function", [corrected, displaced], ids=["corrected", "displaced"])
+@pytest.mark.parametrize(
+    "function",
+    [corrected, displaced],
+    ids=["corrected", "displaced"],
+)
 def test_each_reason_in_its_place(function):
     good = exposure(AIR, cabin_excess=CABIN_EXCESS)
     unusable = replace(
@@ -267,13 +271,7 @@ def test_no_stations_at_all():
         window_normal=np.empty((0, 3)),
         principal_change_px=np.empty(0),
     )
-    corrections = corrected(
-        1.0,
-        1.0,
-        exposures,
-        TABLE,
-        row=-1,
-    )
+    corrections = corrected(1.0, 1.0, exposures, TABLE, row=-1)
     assert corrections.status.tolist() == [NO_STATION]
 
 
@@ -323,14 +321,23 @@ def test_any_window_bends_a_ray_as_snell_has_it(tilt_deg, excess):
     normal = (0.0, math.sin(tilt), math.cos(tilt))
     setup = exposure(AIR, cabin_excess=excess, normal=normal)
     # Up the middle of the image, to rays 25.7 degrees aside, which graze a window of 64.
-    y = np.append(np.linspace(0.0, 10_600.0, 9), np.linspace(0.0, 200.0, 80))
+    all_over = np.linspace(0.0, 10_600.0, 9)
+    grazing = np.linspace(0.0, 200.0, 80)
+    y = np.append(all_over, grazing)
     x = np.full(y.size, PINHOLE.cx_px)
 
     corrections = corrected(x, y, setup, TABLE, h_g=H_G)
 
     ray = rays_of(x, y)
-    change, r_cc = refract_at_window(ray, OUTSIDE + excess, OUTSIDE, np.array(normal))
-    assert_close(corrections.r_cc_rad, r_cc, rtol=1e-11, atol=1e-17, equal_nan=True)
+    inside = OUTSIDE + excess
+    change, r_cc = refract_at_window(ray, inside, OUTSIDE, np.array(normal))
+    assert_close(
+        corrections.r_cc_rad,
+        r_cc,
+        rtol=1e-11,
+        atol=1e-17,
+        equal_nan=True,
+    )
     assert_array_equal(corrections.status == OUTSIDE_CAMERA, np.isnan(r_cc))
     # Outside the window the nadir angle is that of the bent ray; near total reflection to 6e-15.
     x_out, y_out, z_out = (ray + change).T
@@ -362,16 +369,12 @@ def test_landing_points_lie_on_the_sphere():
 
 
 def test_a_target_at_the_cameras_height_is_at_the_camera():
-    assert not straight_reach(
-        500.0,
-        500.0,
-        [0.8, -0.8, 0.0],
-        radius=RADIUS,
-        far=False,
-    ).any()
+    cos_nadir = [0.8, -0.8, 0.0]
+    reach = straight_reach(500.0, 500.0, cos_nadir, radius=RADIUS, far=False)
+    assert not reach.any()
 
 
-@pytest.mark.parametrize("excess", [0.0, CABIN_EXCESS], ids=["no window", "window"])
+@WITHOUT_AND_WITH_WINDOW
 def test_metres_on_the_ground(excess):
     """From the straight ray in the cabin to the straight ray that ends at the target."""
     x = PINHOLE.cx_px + np.array([50.0, 500.0, 6900.0])
@@ -425,8 +428,18 @@ def test_over_the_horizon_there_are_no_metres_and_a_good_status():
 def test_mixed_exposures_keep_their_slant_ranges_and_heights():
     """Rays that meet their ground twice; every row another distance, near or far."""
     number = np.arange(60)
-    north = exposure(AIR, looking(88.6), cabin_excess=CABIN_EXCESS, change_px=2.0)
-    aside = exposure(AIR, looking(88.8, 40.0), cabin_excess=CABIN_EXCESS, change_px=-3.0)
+    north = exposure(
+        AIR,
+        looking(88.6),
+        cabin_excess=CABIN_EXCESS,
+        change_px=2.0,
+    )
+    aside = exposure(
+        AIR,
+        looking(88.8, 40.0),
+        cabin_excess=CABIN_EXCESS,
+        change_px=-3.0,
+    )
     exposures = together(north, aside)
 
     def corrected_rows(number):

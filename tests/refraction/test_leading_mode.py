@@ -129,7 +129,7 @@ def is_close(derivative, expected):
     error = np.hypot(*(derivative - expected))
     size = np.hypot(*expected)
     usual = np.median(size)
-    return bool((error <= 6e-4 * size + 2e-4 * usual).all())
+    return np.all(error <= 6e-4 * size + 2e-4 * usual)
 
 
 def slope_by_mode(look, mode, function=corrected, exposures=None):

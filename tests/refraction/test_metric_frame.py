@@ -191,9 +191,9 @@ def test_a_table_alone_is_fitted_and_ends_where_it_ends():
         sense="correction",
         coefficients={"k0": k0, "k1": k1, "k2": k2},
     )
-    # 128.6 mm are 6430 px; the corner of the scan is farther.
-    x = np.array([5760.0, 9000.0, 9800.0, 5760.0 + 6400.0 * 0.7, 11400.0])
-    y = np.array([5745.0, 3000.0, 9500.0, 5745.0 + 6400.0 * 0.7, 11400.0])
+    # 128.6 mm are 6430 px; the fourth pixel is 6336 px from the origin, the last one farther.
+    x = np.array([5760.0, 9000.0, 9800.0, 10_240.0, 11400.0])
+    y = np.array([5745.0, 3000.0, 9500.0, 10_225.0, 11400.0])
 
     u, v, covered = fitted.rays(x, y)
 

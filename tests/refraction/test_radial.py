@@ -91,22 +91,20 @@ def test_many_small_steps_end_with_the_largest():
     [
         ("h_g", 3000.0, "RADIAL-HEIGHTS"),
         ("h_c", nan, "RADIAL-HEIGHTS"),
-        ("angle", pi / 2.0, "RADIAL-ANGLE"),
-        ("angle", -0.1, "RADIAL-ANGLE"),
-        ("angle", nan, "RADIAL-ANGLE"),
+        ("nadir_angle", pi / 2.0, "RADIAL-ANGLE"),
+        ("nadir_angle", -0.1, "RADIAL-ANGLE"),
+        ("nadir_angle", nan, "RADIAL-ANGLE"),
         ("focal_px", 0.0, "RADIAL-FOCAL"),
         ("focal_px", nan, "RADIAL-FOCAL"),
         ("h_c", 1e9, "RAY-OUTSIDE-PROFILE"),
     ],
 )
 def test_a_table_that_does_not_exist(name, value, code):
-    sound = {"h_c": 3000.0, "h_g": 0.0, "angle": 0.1}
+    sound = {"h_c": 3000.0, "h_g": 0.0, "nadir_angle": 0.1}
     arguments = sound | {name: value}
-    angles = np.array([arguments.pop("angle")])
-    h_c = arguments.pop("h_c")
-    h_g = arguments.pop("h_g")
+    arguments["nadir_angle"] = np.array([arguments["nadir_angle"]])
     with refused(code, PhysicsError):
-        radial_table(AIR, h_c, h_g, angles, **arguments)
+        radial_table(AIR, **arguments)
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_random_rays_against_forty_digits():
     exact = ExactRays(40)
     compared = 0
     for _ in range(60):
-        h_c = float(10.0 ** rng.uniform(1.0, math.log10(30_000.0)))
+        h_c = 10.0 ** rng.uniform(1.0, math.log10(30_000.0))
         h_g = rng.uniform(-430.0, h_c)
         zeta = rng.uniform(0.0, 88.0) * DEGREE
         lowest_straight = (RADIUS + h_c) * math.sin(zeta) / (RADIUS + h_g)

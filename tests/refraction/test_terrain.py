@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from tests.refraction.array_terrain import ArrayTerrain
 from tests.refraction.comparing import assert_close, assert_near
-from tests.refraction.images import DOWN
+from tests.refraction.images import DOWN, looking
 from unbend.atmosphere import standard_atmosphere
 from unbend.geodesy import enu_from_ecef
 from unbend.refraction import Camera, Exposures, correct_observations, ray_table
@@ -17,15 +17,15 @@ from unbend.refraction.terrain_heights import terrain_heights
 
 AIR = standard_atmosphere("us1976")
 TABLE = ray_table(AIR)
-CAMERA = Camera(
+CAMERA = Camera(  # to 76 deg off the axis
     20_000,
     20_000,
     2_500.0,
     2_500.0,
     10_000.0,
     10_000.0,
-)  # to 76 deg off the axis
-TO_THE_EAST = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+)
+TO_THE_EAST = looking(90.0, azimuth_deg=90.0)
 EAST = 0.5 * np.pi  # azimuth [rad]
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 TO_GEODETIC = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)
@@ -50,7 +50,9 @@ def surface_of(terrain, lon, lat):
     east = column - j
 
     def between_columns(i):
-        return (1 - east) * terrain.stored(i, j) + east * terrain.stored(i, j + 1)
+        west_node = terrain.stored(i, j)
+        east_node = terrain.stored(i, j + 1)
+        return (1 - east) * west_node + east * east_node
 
     return (1 - south) * between_columns(i) + south * between_columns(i + 1)
 
@@ -80,7 +82,9 @@ def slopes(_, state):
     n = 1.0 + AIR.refractivity(h)
     per_m = AIR.refractivity(h + 0.5) - AIR.refractivity(h - 0.5)
     up = enu_from_ecef(np.radians(lat), np.radians(lon))[:, 2]
-    return np.stack([momentum / n[:, None], per_m[:, None] * up]).ravel()
+    velocity = momentum / n[:, None]
+    gradient = per_m[:, None] * up
+    return np.stack([velocity, gradient]).ravel()
 
 
 class IntegratedRays:
@@ -92,6 +96,7 @@ class IntegratedRays:
         momentum = n_c[:, None] * in_ecef(lat, lon, direction)
         to_lowest_land = (height + 600.0) / -direction[:, 2]
         self.terrain = terrain
+        self.count = len(place)
         self.length_m = to_lowest_land.max()
         self.solution = solve_ivp(
             slopes,
@@ -103,32 +108,39 @@ class IntegratedRays:
             dense_output=True,
         )
 
-    def points(self, length_m):
-        """Lon, lat [deg] and height [m] (n, k, 3) of all rays at lengths (k,)."""
+    def points(self, length_m, rows):
+        """Lon, lat [deg] and height [m] (n, k, 3) of some rays at lengths (k,)."""
         state = self.solution.sol(length_m)
-        places = state.reshape(2, -1, 3, length_m.size)[0]
+        places = state.reshape(2, -1, 3, length_m.size)[0, rows]
         return geodetic_of(np.moveaxis(places, 1, -1))
 
-    def over_terrain(self, length_m):
+    def over_terrain(self, length_m, rows):
         """Heights (n, k) over the terrain; NaN beside it."""
-        lon, lat, h = np.moveaxis(self.points(length_m), -1, 0)
+        lon, lat, h = np.moveaxis(self.points(length_m, rows), -1, 0)
         return h - surface_of(self.terrain, lon, lat)
+
+    def crossing(self, row, low, high):
+        """Where a ray goes under the terrain, between two lengths."""
+
+        def over(length_m):
+            return self.over_terrain(np.array([length_m]), [row])[0, 0]
+
+        length_m = np.array([brentq(over, low, high)])
+        return self.points(length_m, [row])[0, 0]
 
     def landed(self, look_m):
         """First points (n, 3) under the terrain, which is looked for every so many metres."""
-        landed = np.full(self.points(np.zeros(1))[:, 0].shape, np.nan)
+        landed = np.full((self.count, 3), np.nan)
         for start in np.arange(0.0, self.length_m, 100.0 * look_m):
             looks = start + look_m * np.arange(101)
-            under = self.over_terrain(looks) < 0.0
-            on_its_way = np.isnan(landed[:, 0])
-            for row in np.flatnonzero(under.any(axis=1) & on_its_way):
-                high = looks[np.argmax(under[row])]
-
-                def over(length_m, row=row):
-                    return self.over_terrain(np.array([length_m]))[row, 0]
-
-                length_m = brentq(over, high - look_m, high)
-                landed[row] = self.points(np.array([length_m]))[row, 0]
+            on_their_way = np.flatnonzero(np.isnan(landed[:, 0]))
+            if not on_their_way.size:
+                break
+            under = self.over_terrain(looks, on_their_way) < 0.0
+            for row, is_under in zip(on_their_way, under, strict=True):
+                if is_under.any():
+                    high = looks[np.argmax(is_under)]
+                    landed[row] = self.crossing(row, high - look_m, high)
         return landed
 
 
@@ -144,10 +156,11 @@ def rays_from(count, lat, lon, span, heights, seed):
     rng = np.random.default_rng(seed)
     lat = lat + rng.uniform(-span, span, count)
     lon = lon + rng.uniform(-span, span, count)
+    lon = (lon + 180.0) % 360.0 - 180.0
     height = rng.uniform(*heights, count)
     zeta = np.radians(rng.uniform(0.0, 74.5, count))
-    direction = direction_of(zeta, rng.uniform(-np.pi, np.pi, count))
-    return lat, (lon + 180.0) % 360.0 - 180.0, height, direction
+    azimuth = rng.uniform(-np.pi, np.pi, count)
+    return lat, lon, height, direction_of(zeta, azimuth)
 
 
 def exposures_at(lat_deg, height_m, rotation=DOWN):
@@ -197,10 +210,12 @@ def landing(terrain, lat, lon, height, direction, **options):
 
 def ends_of(lat, lon, height, direction, distance_m, r_c_rad):
     """Ends of the straight chords to where rays land: lon, lat [deg], height [m]."""
-    zeta = np.arccos(-direction[:, 2]) - r_c_rad
-    azimuth = np.arctan2(direction[:, 0], direction[:, 1])
+    east, north, up = direction.T
+    zeta = np.arccos(-up) - r_c_rad
+    azimuth = np.arctan2(east, north)
     chord = distance_m[:, None] * direction_of(zeta, azimuth)
-    return geodetic_of(ecef_of(lon, lat, height) + in_ecef(lat, lon, chord))
+    camera = ecef_of(lon, lat, height)
+    return geodetic_of(camera + in_ecef(lat, lon, chord))
 
 
 @pytest.mark.parametrize(
@@ -227,9 +242,9 @@ def test_rays_land_where_an_integrated_ray_does(lat, lon, grid):
         lon,
         0.1,
         (3_000.0, 10_000.0),
-        1,
+        seed=1,
     )
-    lon_landed, lat_landed, h_landed = IntegratedRays(terrain, *rays).landed(look_m=2.0).T
+    landed = IntegratedRays(terrain, *rays).landed(look_m=2.0)
 
     landings, (x, y, rows, exposures) = landing(terrain, *rays)
 
@@ -249,16 +264,12 @@ def test_rays_land_where_an_integrated_ray_does(lat, lon, grid):
         return corrections.r_c_rad
 
     r_c = r_c_to(landings.h_m)
-    ends = ends_of(*rays, landings.distance_m, r_c)
+    lon_end, lat_end, _ = ends_of(*rays, landings.distance_m, r_c).T
+    lon_landed, lat_landed, h_landed = landed.T.copy()
     geod = pyproj.Geod(ellps="WGS84")
-    _, _, apart_m = geod.inv(
-        ends[:, 0],
-        ends[:, 1],
-        lon_landed,
-        lat_landed,
-    )
+    _, _, apart_m = geod.inv(lon_end, lat_end, lon_landed, lat_landed)
     assert np.max(apart_m) < 0.1
-    assert_close(r_c, r_c_to(h_landed.copy()), rtol=1e-4)
+    assert_close(r_c, r_c_to(h_landed), rtol=1e-4)
 
     # Straight rays would land elsewhere.
     straight, _ = landing(terrain, *rays, ideal=True)
@@ -272,20 +283,20 @@ def test_the_error_of_a_landing_on_a_slope(sign):
     cell_m = np.radians(STEP) * 6_378_137.0 * np.cos(np.radians(1e-3))  # at the equator
     column = np.tile(np.arange(400), (400, 1))
     heights = (2_000.0 - fall * cell_m * (column - 192)).astype(np.float32)
-    plane = ArrayTerrain(heights, 0.16, -0.16, STEP, STEP)
+    plane = ArrayTerrain(
+        heights,
+        north=0.16,
+        west=-0.16,
+        step_lat=STEP,
+        step_lon=STEP,
+    )
     zeta = np.radians(np.linspace(1.0, 70.0, 60))
     direction = direction_of(zeta, np.full(60, sign * EAST))
     lat = np.zeros(60)
     lon = np.zeros(60)
     height = np.full(60, 3_500.0)
 
-    landings, _ = landing(
-        plane,
-        lat,
-        lon,
-        height,
-        direction,
-    )
+    landings, _ = landing(plane, lat, lon, height, direction)
 
     assert (landings.status == OK).all()
     expected = 1.0 / (1.0 - sign * fall * np.tan(zeta))
@@ -299,7 +310,7 @@ def test_the_error_of_a_landing_is_what_raising_the_terrain_does():
         8.0,
         0.1,
         (3_000.0, 10_000.0),
-        2,
+        seed=2,
     )
     heights = relief(1500, 1500, cliffs=False)
     north = 46.5 + 750 * STEP
@@ -350,7 +361,8 @@ def test_a_ray_that_rises_comes_to_an_end():
     height = np.array([2500.0, 2500.0, 2500.0, 50.0])
     exposures = exposures_at(lat, height, TO_THE_EAST)
     x = np.full(4, CAMERA.cx_px)
-    y = np.full(4, CAMERA.cy_px - CAMERA.fy_px * np.tan(np.radians(5.0)))
+    above_axis_px = CAMERA.fy_px * np.tan(np.radians(5.0))
+    y = np.full(4, CAMERA.cy_px - above_axis_px)
 
     landings = heights_at(
         terrain,
@@ -380,13 +392,8 @@ def test_nearly_level_rays_reach_high_ground_where_an_integrated_ray_does():
     lon = np.full(3, 8.0)
     height = np.full(3, 6_500.0)
     direction = direction_of(0.5 * np.pi - down, np.full(3, EAST))
-    landed = IntegratedRays(
-        terrain,
-        lat,
-        lon,
-        height,
-        direction,
-    ).landed(look_m=100.0)
+    rays = IntegratedRays(terrain, lat, lon, height, direction)
+    landed = rays.landed(look_m=100.0)
     way = ecef_of(*landed.T) - ecef_of(lon, lat, height)
     exposures = exposures_at(lat, height, TO_THE_EAST)
     x = np.full(3, CAMERA.cx_px)
@@ -402,4 +409,5 @@ def test_nearly_level_rays_reach_high_ground_where_an_integrated_ray_does():
     )
 
     assert (landings.status == OK).all()
-    assert_near(landings.distance_m, np.linalg.norm(way, axis=1), 0.01)
+    distance_m = np.linalg.norm(way, axis=1)
+    assert_near(landings.distance_m, distance_m, 0.01)

@@ -218,11 +218,18 @@ def test_exactly_at_the_nadir():
     expected = TILT * corrections.r_c_rad[1] * PINHOLE.fx_px**2
     assert_close(sigmas.station_dx_px, expected, rtol=2e-3)
     assert_close(sigmas.station_dy_px, expected, rtol=2e-3)
-    for name in ("ground_dx_px", "ground_dy_px"):
-        assert getattr(sigmas, name)[0] == 0.0
+    assert sigmas.ground_dx_px[0] == 0.0
+    assert sigmas.ground_dy_px[0] == 0.0
 
 
-@pytest.mark.parametrize("order", [[0, 1, 0, 1], [1, 0, 1, 0] * 30], ids=len)
+@pytest.mark.parametrize(
+    "order",
+    [
+        [0, 1] * 2,
+        [1, 0] * 60,
+    ],
+    ids=len,
+)
 def test_rows_in_any_order(order):
     """Mixed exposures are sorted inside and come back in their places."""
     two = together(exposed(), exposed(DOWN, 2700.0))
@@ -330,11 +337,7 @@ def test_displacing_has_the_sigmas_of_where_it_ends():
         **seen,
         **options,
     )
-    end = {
-        "x": there.x_corrected_px,
-        "y": there.y_corrected_px,
-        "h_g": seen["h_g"],
-    }
+    end = seen | {"x": there.x_corrected_px, "y": there.y_corrected_px}
     back = shifts(setup, end, **options)
     for name, values in there.sigmas._asdict().items():
         expected = getattr(back.sigmas, name)

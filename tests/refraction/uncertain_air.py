@@ -22,16 +22,11 @@ ANCHOR_PA = 90_000.0
 LN_P_SIGMA = 0.001
 
 
-def temperatures():
-    """T_M at the edges: US 1976 with 8 K more from 1000 to 1400 m'."""
-    standard = 288.15 - 0.0065 * np.minimum(EDGES, 11_000.0)
-    inversion = 8.0 * np.clip((EDGES - 1000.0) / 400.0, 0.0, 1.0)
-    return standard + inversion * np.exp(-np.maximum(EDGES - 1400.0, 0.0) / 2000.0)
-
-
-def vapour():
-    """e/p at the edges."""
-    return 0.012 * np.exp(-np.maximum(EDGES, 0.0) / 2200.0)
+# T_M at the edges: US 1976 with 8 K more from 1000 to 1400 m'.
+STANDARD = 288.15 - 0.0065 * np.minimum(EDGES, 11_000.0)
+INVERSION = 8.0 * np.clip((EDGES - 1000.0) / 400.0, 0.0, 1.0)
+TEMPERATURES = STANDARD + INVERSION * np.exp(-np.maximum(EDGES - 1400.0, 0.0) / 2000.0)
+VAPOUR = 0.012 * np.exp(-np.maximum(EDGES, 0.0) / 2200.0)  # e/p at the edges
 
 
 def covariance_matrix():
@@ -41,8 +36,9 @@ def covariance_matrix():
     fine = 0.3 + 2.7 * np.clip((EDGES - 3000.0) / 2000.0, 0.0, 1.0)
     of_temperature = np.outer(fine, fine) * np.exp(-apart / 300.0)
     of_temperature += 0.25 * np.exp(-apart / 5000.0)
-    humid = 0.3 * vapour()
-    of_vapour = np.outer(humid, humid) * np.exp(-apart / 1500.0)
+    humid = 0.3 * VAPOUR
+    of_vapour = np.outer(humid, humid)
+    of_vapour *= np.exp(-apart / 1500.0)
     return block_diag(of_temperature, LN_P_SIGMA**2, of_vapour)
 
 
@@ -51,8 +47,8 @@ def changed(state):
     pressure_pa = ANCHOR_PA * float(np.exp(state[SIZE]))
     layers = stack_layers(
         EDGES,
-        temperatures() + state[:SIZE],
-        vapour() + state[SIZE + 1 :],
+        TEMPERATURES + state[:SIZE],
+        VAPOUR + state[SIZE + 1 :],
         ("measured",) * (SIZE - 1),
         anchor=(ANCHOR_M, pressure_pa),
     )
