@@ -51,7 +51,11 @@ REPORT = replace(
         sense=-1.0,
     ),
 )
-CAMERAS = {"brown": BROWN, "fisheye": FISHEYE, "report": REPORT}
+CAMERAS = {
+    "brown": BROWN,
+    "fisheye": FISHEYE,
+    "report": REPORT,
+}
 WIDE = Camera(
     7000,
     7000,
@@ -83,7 +87,8 @@ def distorted_by_brown(p, point):
 def distorted_by_fisheye(p, point):
     r = np.hypot(*point)
     theta = np.arctan(r)
-    return theta * (1.0 + p.k1 * theta**2 + p.k2 * theta**4) / r * point
+    radial = 1.0 + p.k1 * theta**2 + p.k2 * theta**4
+    return theta * radial / r * point
 
 
 def corrected_by_report(p, point):
@@ -105,7 +110,8 @@ def inverse(function, value):
         for axis, step in enumerate(1e-6 * np.eye(2)):
             difference = function(argument + step) - function(argument - step)
             slope[:, axis] = difference / 2e-6
-        argument = argument + np.linalg.solve(slope, value - function(argument))
+        error = value - function(argument)
+        argument = argument + np.linalg.solve(slope, error)
     return argument
 
 
@@ -141,13 +147,8 @@ def air(ray, _, rotation):
     up = rotation[:, 2]
     d = ray / np.linalg.norm(ray)
     zeta = np.arccos(-(d @ up))
-    straight = zeta - refraction_angle(
-        AIR,
-        H_C,
-        H_G,
-        zeta,
-        radius=RADIUS,
-    )
+    r_c = refraction_angle(AIR, H_C, H_G, zeta, radius=RADIUS)
+    straight = zeta - r_c
     level = d + np.cos(zeta) * up
     level /= np.linalg.norm(level)
     return np.sin(straight) * level - np.cos(straight) * up

@@ -5,6 +5,7 @@ import math
 import mpmath as mp
 import numpy as np
 import pytest
+from numpy.polynomial.polynomial import polyval
 
 from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.exact_rays import ExactRays, RaysOfTable
@@ -78,7 +79,8 @@ def test_random_rays_against_forty_digits():
 def test_near_grazing_against_forty_digits(h_c, below):
     """``below`` degrees under the nadir angle at which the ray would just touch sea level."""
     n_c, n_g = 1.0 + AIR.refractivity([h_c, 0.0])
-    zeta = math.asin(n_g * RADIUS / (n_c * (RADIUS + h_c))) - below * DEGREE
+    touching = math.asin(n_g * RADIUS / (n_c * (RADIUS + h_c)))
+    zeta = touching - below * DEGREE
     angle = arcsec(AIR, h_c, 0.0, zeta)
     expected = ExactRays(30).angle(
         h_c,
@@ -139,9 +141,11 @@ def test_the_table_reproduces_the_profile(wiggly):
     for profile in (AIR, wiggly):
         table = ray_table(profile)
         edge = table.edge_m
-        piece = np.clip(np.searchsorted(edge, h, "right") - 1, 0, edge.size - 2)
+        piece = np.searchsorted(edge, h, "right") - 1
+        piece = np.clip(piece, 0, edge.size - 2)
         u = (h - edge[piece]) / np.diff(edge)[piece]
-        value = np.polynomial.polynomial.polyval(u, table.coefficient[piece].T, tensor=False)
+        coefficients = table.coefficient[piece].T
+        value = polyval(u, coefficients, tensor=False)
         # Where layers meet, the two may differ by a step of the table's own making.
         assert_close(value, profile.refractivity(h), rtol=2e-12)
 
@@ -161,10 +165,12 @@ def test_about_the_guard_over_one_piece_of_the_table(h_c, h_g, part):
     assert piece_of_camera == piece_of_target
     rise = abs(h_c - h_g)
     q2 = rise * (2.0 * RADIUS + h_c + h_g) / (1.0 - part)  # at the upper end
-    if h_g < h_c:
-        zeta = math.asin(math.sqrt(1.0 - q2 / (RADIUS + h_c) ** 2))
-    else:
-        zeta = math.pi - math.asin(math.sqrt(1.0 - q2 * part / (RADIUS + h_c) ** 2))
+    if h_g > h_c:
+        q2 *= part  # at the camera
+    sine = math.sqrt(1.0 - q2 / (RADIUS + h_c) ** 2)
+    zeta = math.asin(sine)
+    if h_g > h_c:
+        zeta = math.pi - zeta
     angle = arcsec(AIR, h_c, h_g, zeta)
     expected = ExactRays(30).angle(
         h_c,
@@ -191,17 +197,10 @@ def test_near_grazing_through_many_kinks(wiggly, h_c, below):
     first, last = np.searchsorted(table.edge_m, [312.0, h_c])
     h_g = table.edge_m[first]
     h_c = table.edge_m[last]  # the camera is on a boundary; the kernel reads the piece above it
-    sine = exact.n_r(mp.mpf(h_g)) / exact.n_r(mp.mpf(h_c))
-    zeta = math.asin(sine) - below * DEGREE
+    n_r_target = exact.n_r(mp.mpf(h_g))
+    n_r_camera = exact.n_r(mp.mpf(h_c))
+    zeta = math.asin(n_r_target / n_r_camera) - below * DEGREE
     expected = exact.angle(h_c, h_g, zeta, grazing=True)
+    angle = arcsec(wiggly, h_c, h_g, zeta)
     # Reached: 1e-12 arcsec.
-    assert_near(
-        arcsec(
-            wiggly,
-            h_c,
-            h_g,
-            zeta,
-        ),
-        expected,
-        1e-9,
-    )
+    assert_near(angle, expected, 1e-9)
