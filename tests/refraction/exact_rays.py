@@ -169,5 +169,6 @@ class RaysOfTable(ExactRays):
         low, high = map(mp.mpf, edge[piece : piece + 2])
         coefficients = self.table.coefficient[piece].tolist()
         u = (h - low) / (high - low)
-        refractivity = mp.polyval(coefficients[::-1], u)
+        terms = [c * u**power for power, c in enumerate(coefficients)]
+        refractivity = mp.fsum(terms)
         return (1 + refractivity) * (RADIUS + h)
