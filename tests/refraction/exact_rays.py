@@ -167,8 +167,7 @@ class RaysOfTable(ExactRays):
         edge = self.table.edge_m
         piece = np.searchsorted(edge, float(h), "right") - 1
         low, high = map(mp.mpf, edge[piece : piece + 2])
-        coefficients = self.table.coefficient[piece].tolist()
+        coefficients = self.table.coefficient[piece]
         u = (h - low) / (high - low)
-        terms = [c * u**power for power, c in enumerate(coefficients)]
-        refractivity = mp.fsum(terms)
-        return (1 + refractivity) * (RADIUS + h)
+        terms = [u**power * c for power, c in enumerate(coefficients)]
+        return (1 + mp.fsum(terms)) * (RADIUS + h)
