@@ -121,7 +121,7 @@ TURN = np.sqrt(2.0 / 3.0)
 def test_beyond_the_calibrated_radius_is_not_covered():
     """r (1 - 0.5 r^2) turns over at r = sqrt(2/3) and reaches 0.544 there.
 
-    It takes values above that again where r is negative, a root that is none.
+    It takes values above that again where r is negative, a root that does not count.
     """
     assert_close(TURNS_AT_0_8.largest_radius, TURN, rtol=1e-12)
     x = np.append(1540.0, np.linspace(1545.0, 4000.0, 500))

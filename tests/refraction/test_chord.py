@@ -183,25 +183,25 @@ def test_targets_of_an_image_and_of_its_ideal_pixels(rotation):
         change_px=-3.0,
     )
 
-    bent = heights_of_image(x, y, 3200.0, setup)
-    assert np.isfinite(bent).all()
-    assert np.ptp(bent) > 100.0
+    curved = heights_of_image(x, y, 3200.0, setup)
+    assert np.isfinite(curved).all()
+    assert np.ptp(curved) > 100.0
     corrections = corrected(
         x,
         y,
         setup,
         TABLE,
         camera=DISTORTED,
-        h_g=bent,
+        h_g=curved,
         distance_m=3200.0,
     )
     assert set(corrections.status.tolist()) <= {OK, FAR_BRANCH}
     x_ideal = corrections.x_corrected_px
     y_ideal = corrections.y_corrected_px
     straight = heights_of_image(x_ideal, y_ideal, 3200.0, setup, ideal=True)
-    assert_near(straight, bent, 1e-6)
+    assert_near(straight, curved, 1e-6)
     uncorrected = heights_of_image(x, y, 3200.0, setup, ideal=True)
-    assert np.abs(uncorrected - bent).max() > 1e-2
+    assert np.abs(uncorrected - curved).max() > 1e-2
 
 
 def test_an_observation_that_lacks_something_has_no_height():
@@ -209,8 +209,8 @@ def test_an_observation_that_lacks_something_has_no_height():
     distance = np.array([nan, 3000.0, 3000.0, 3000.0, 9e6])
     row = np.array([0, 0, -1, 0, 0])
     setup = exposure(AIR)
-    bent = heights_of_image(x, 5000.0, distance, setup, row=row)
-    assert np.isnan(bent).all()
+    curved = heights_of_image(x, 5000.0, distance, setup, row=row)
+    assert np.isnan(curved).all()
     # A straight line goes on outside the air.
     straight = heights_of_image(
         x,

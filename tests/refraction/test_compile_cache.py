@@ -177,6 +177,7 @@ def divided(x, y):
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_division_by_zero_is_infinite_as_in_numpy(kept, monkeypatch, tmp_path):
+    # A process asks for its folder once; NUMBA_CACHE_DIR would be set too late.
     monkeypatch.setattr(jit, "cache_folder", lambda: str(tmp_path) if kept else None)
     folder_of_user = numba.config.CACHE_DIR
     x = np.array([1.0, 0.0])
@@ -195,6 +196,7 @@ def patient_lock(path, timeout):
 
 def test_while_another_process_compiles_nothing_is_kept(monkeypatch, tmp_path):
     """numba numbers the files of a function: two writers may give each other's code to a type."""
+    # A process asks for its folder once, and has minutes of patience with a lock.
     monkeypatch.setattr(jit, "cache_folder", lambda: str(tmp_path))
     monkeypatch.setattr(jit, "COMPILED_WITHIN_S", 0.1)
     kernel = jit.entry(divided)
@@ -202,7 +204,7 @@ def test_while_another_process_compiles_nothing_is_kept(monkeypatch, tmp_path):
     with FileLock(tmp_path / "divided.lock"):
         kernel(x, np.array([2.0, 4.0]))
         assert x.tolist() == [1.5, 0.25]
-        monkeypatch.setattr(jit, "FileLock", patient_lock)
+        monkeypatch.setattr(jit, "FileLock", patient_lock)  # sees how long it would wait
         kernel(np.ones(2), np.ones(2))  # which waits no more
     assert not list(tmp_path.rglob("*.nbc"))
     kernel(x, np.array([2.0, 4.0]))

@@ -1,4 +1,4 @@
-"""The grid over an image: where its nodes lie."""
+"""The grid over an image: where its nodes are."""
 
 import numpy as np
 import pytest
