@@ -258,7 +258,7 @@ def test_gyer_goes_to_the_converged_integral_with_its_step():
     assert largest_error(100.0) < 2e-3
 
 
-def test_gyer_sums_eq_31_by_hand():
+def test_sums_eq_31_by_hand():
     """Two intervals, written out."""
     zeta = 70.0 * DEGREE
     h = np.array([-1000.0, 0.0, 1000.0, 2000.0, 3000.0])
@@ -317,7 +317,7 @@ class Parabola(Profile):
 
 
 @pytest.mark.parametrize("h_g", [-400.0, 0.0, 150.0])
-def test_saastamoinen_ican_formulas_are_eq_2_in_that_atmosphere(h_g):
+def test_ican_formulas_are_eq_2_in_that_atmosphere(h_g):
     ican = standard_atmosphere("ican")
     h_c = [
         200.0,
@@ -334,13 +334,13 @@ def test_saastamoinen_ican_formulas_are_eq_2_in_that_atmosphere(h_g):
     assert_near(formula, summed, 0.2)
 
 
-def test_saastamoinen_ican_formulas_meet_at_the_tropopause():
+def test_ican_formulas_meet_at_the_tropopause():
     h_c = [11_000.0, 11_000.001]
     below, above = at_45(saastamoinen1974_ican, None, h_c)
     assert_near(below, above, 0.06)
 
 
-def test_saastamoinen_ican_formulas_end_where_they_end():
+def test_ican_formulas_end_where_they_end():
     h_c = [30_000.0, 30_001.0, 12_000.0, 12_000.0]
     h_g = [0.0, 0.0, 11_000.0, 11_500.0]
     r = at_45(saastamoinen1974_ican, None, h_c, h_g)
