@@ -35,12 +35,7 @@ def test_euler_radius_is_the_curvature_of_the_normal_section(latitude, azimuth):
     start = np.array(TO_ECEF.transform(0.0, latitude, 0.0))
     sagittas = []
     for bearing in (azimuth, azimuth + 180.0):  # both ways: odd terms cancel
-        lon, lat, _ = GEOD.fwd(
-            0.0,
-            latitude,
-            bearing,
-            2000.0,
-        )
+        lon, lat, _ = GEOD.fwd(0.0, latitude, bearing, 2000.0)
         end = np.array(TO_ECEF.transform(lon, lat, 0.0))
         sagittas.append(np.dot(start - end, up))
     # R (1 - cos(s/R)) with s = 2 km: 0.31 m, known to 1e-9 m.

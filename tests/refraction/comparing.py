@@ -5,13 +5,7 @@ import numpy as np
 
 def assert_near(values, expected, atol, **options):
     """Values differ by no more than the third argument, whatever their size."""
-    assert_close(
-        values,
-        expected,
-        rtol=0.0,
-        atol=atol,
-        **options,
-    )
+    assert_close(values, expected, rtol=0.0, atol=atol, **options)
 
 
 def assert_close(

@@ -191,7 +191,7 @@ def assert_shifts(corrections, pixels, camera, rotation, atol):
 def test_the_order_of_effects(name):
     camera = CAMERAS[name]
     corrections = corrections_of(PIXELS, camera, OBLIQUE)
-    assert set(corrections.status.tolist()) == {OK}
+    assert (corrections.status == OK).all()
     assert_shifts(corrections, PIXELS, camera, OBLIQUE, atol=1e-7)
 
 
@@ -204,7 +204,7 @@ def test_a_fisheye_that_sees_to_85_degrees_off_the_axis():
 
     corrections = corrections_of(pixels, WIDE, DOWN)
 
-    assert set(corrections.status.tolist()) == {OK}
+    assert (corrections.status == OK).all()
     outside = np.arcsin(np.sin(theta) * (1.0 + OUTSIDE + CABIN_EXCESS) / (1.0 + OUTSIDE))
     assert_near(corrections.zeta_c_rad, outside, 1e-13)
     # R_cc from the camera's direction to the one outside.

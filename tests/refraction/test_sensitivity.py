@@ -330,7 +330,7 @@ def test_a_target_at_the_height_of_the_camera(zeta, rise):
     # The last is an ordinary ray of 1 cm: reached 5e-7, the curvature of N over it.
     assert_close(derivatives.d_h_g, expected, rtol=1e-5)
     assert_close(derivatives.d_h_c, -expected, rtol=1e-5)
-    assert derivatives.d_temperature[0].tolist() == [0.0] * EDGES.size
+    assert not derivatives.d_temperature[0].any()
 
 
 def test_straight_down_only_the_angle_counts():
