@@ -212,19 +212,19 @@ def test_above_the_horizon_there_is_no_ground_but_there_are_targets():
 
 
 @pytest.mark.parametrize(
-    "function",
-    [corrected, displaced],
+    ("function", "camera", "radius_m"),
+    [
+        (corrected, PINHOLE, RADIUS),
+        (displaced, DISTORTED, None),
+    ],
     ids=["corrected", "displaced"],
 )
-def test_each_reason_in_its_place(function):
-    good = exposure(AIR, cabin_excess=CABIN_EXCESS)
-    unusable = replace(
-        good,
-        usable=np.array([False]),
-        rotation=np.full((1, 3, 3), nan),
-    )
+def test_each_reason_in_its_place(function, camera, radius_m):
+    good = exposure(AIR, cabin_excess=CABIN_EXCESS, radius_m=radius_m)
+    unusable = replace(good, usable=np.array([False]))
+    without_attitude = replace(unusable, rotation=np.full((1, 3, 3), nan))
     outside_the_profile = replace(good, refractivity_outside=np.array([nan]))
-    exposures = together(good, unusable, outside_the_profile)
+    exposures = together(good, unusable, without_attitude, outside_the_profile)
     table = [
         # x, height of the ground, row of the exposure, status
         (7000.0, 450.0, 0, OK),
@@ -237,9 +237,10 @@ def test_each_reason_in_its_place(function):
         (1e7, 450.0, 0, OUTSIDE_CAMERA),
         (7000.0, -9000.0, 0, OUTSIDE_PROFILE),
         (7000.0, 450.0, 1, NO_STATION),
+        (7000.0, 450.0, 2, NO_STATION),
         (nan, 450.0, -1, BAD_MEASUREMENT),
         (7000.0, nan, -1, NO_STATION),
-        (7000.0, 450.0, 2, OUTSIDE_PROFILE),
+        (7000.0, 450.0, 3, OUTSIDE_PROFILE),
     ]
     x, h_g, row, expected = np.array(table).T
 
@@ -248,7 +249,7 @@ def test_each_reason_in_its_place(function):
         5000.0,
         exposures,
         TABLE,
-        camera=DISTORTED,
+        camera=camera,
         h_g=h_g,
         row=row,
     )
