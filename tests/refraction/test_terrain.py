@@ -194,7 +194,8 @@ def heights_at(terrain, x, y, exposures, lat_deg, lon_deg, **options):
 def landing(terrain, lat, lon, height, direction, **options):
     """Where one ray from each camera lands, and its pixel, row and exposure."""
     u, v, w = DOWN @ direction.T
-    x, y = CAMERA.project(u / w, v / w)
+    x = CAMERA.cx_px + CAMERA.fx_px * u / w
+    y = CAMERA.cy_px + CAMERA.fy_px * v / w
     exposures = exposures_at(lat, height)
     heights = heights_at(
         terrain,
