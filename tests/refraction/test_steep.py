@@ -108,7 +108,7 @@ def test_flat_rays_among_steep_ones_to_the_same_height(table, first):
 def test_rays_of_several_cameras_in_any_order(table):
     """Those of one camera that follow each other share moments; mixed ones do not."""
     rng = np.random.default_rng(11)
-    h_c = np.repeat([500.0, 6000.0, 2500.0], 100)
+    h_c = np.repeat([6000.0, 500.0, 2500.0], 100)
     h_g = h_c - rng.uniform(1.0, 480.0, 300)
     zeta = rng.uniform(0.0, 64.0, 300) * DEGREE
     grouped = np.stack([h_c, h_g, zeta])
