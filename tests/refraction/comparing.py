@@ -1,11 +1,26 @@
 """Comparisons of arrays, for the tests of refraction."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import ArrayLike
 
 
-def assert_near(values: ArrayLike, expected: ArrayLike, atol: float) -> None:
-    """Values differ by no more than ``atol``, whatever their size."""
-    np.testing.assert_allclose(values, expected, rtol=0.0, atol=atol)
+def assert_near(values, expected, atol, **options):
+    """Values differ by no more than the third argument, whatever their size."""
+    assert_close(values, expected, rtol=0.0, atol=atol, **options)
+
+
+def assert_close(
+    values,
+    expected,
+    rtol,
+    atol=0.0,
+    *,
+    equal_nan=False,
+):
+    """Values differ by no more than ``rtol`` of what is expected, and ``atol`` more."""
+    np.testing.assert_allclose(
+        values,
+        expected,
+        rtol=rtol,
+        atol=atol,
+        equal_nan=equal_nan,
+    )

@@ -1,18 +1,13 @@
 """Cameras, exposures and corrections of a few observations, for the tests of images."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from unbend.atmosphere.profile import Profile
 from unbend.refraction import (
     BrownConrady,
     Camera,
-    Corrections,
     Exposures,
     StationSigmas,
     apply_refraction,
@@ -34,24 +29,28 @@ SKEWED = replace(PINHOLE, fy_px=11_200.0, distortion=BrownConrady(-0.02, 0.01, -
 NARROW = Camera(200, 200, 20_000.0, 20_000.0, 100.0, 100.0)
 
 
-def looking(tilt_deg: float, azimuth_deg: float = 0.0, swing_deg: float = 0.0) -> np.ndarray:
+def turned(axes, degrees):
+    """Rotation matrix by Euler angles, of one axis or several."""
+    return Rotation.from_euler(axes, degrees, degrees=True).as_matrix()
+
+
+def looking(tilt_deg, azimuth_deg=0.0, swing_deg=0.0):
     """Rotation of a camera tilted from the nadir towards an azimuth."""
-    towards = Rotation.from_euler("z", azimuth_deg, degrees=True).as_matrix()
-    tilt = Rotation.from_euler("x", -tilt_deg, degrees=True).as_matrix()
-    swing = Rotation.from_euler("z", swing_deg, degrees=True).as_matrix()
-    return swing @ tilt @ DOWN @ towards
+    towards = turned("z", azimuth_deg)
+    tilt_and_swing = turned("xz", [-tilt_deg, swing_deg])
+    return tilt_and_swing @ DOWN @ towards
 
 
 def exposure(
-    air: Profile,
-    rotation: np.ndarray = DOWN,
+    air,
+    rotation=DOWN,
     *,
-    h_c: float = 3450.0,
-    cabin_excess: float = 0.0,
-    normal: tuple[float, ...] = AHEAD,
-    change_px: float = 0.0,
-    radius_m: float | None = RADIUS,
-) -> Exposures:
+    h_c=3450.0,
+    cabin_excess=0.0,
+    normal=AHEAD,
+    change_px=0.0,
+    radius_m=RADIUS,
+):
     """One exposure at 0.8 rad of latitude; in its cabin n - 1 is ``cabin_excess`` larger."""
     height = np.array([h_c])
     outside = air.refractivity(height)
@@ -68,20 +67,42 @@ def exposure(
     )
 
 
-def together(*exposures: Exposures) -> Exposures:
+NO_EXPOSURES = Exposures(
+    usable=np.empty(0, bool),
+    rotation=np.empty((0, 3, 3)),
+    latitude_rad=np.empty(0),
+    height_m=np.empty(0),
+    refractivity_outside=np.empty(0),
+    refractivity_cabin=np.empty(0),
+)
+
+
+def together(*exposures):
     """Exposures that have one radius, one after the other."""
     columns = {}
     for field in fields(Exposures):
-        values = [getattr(one_exposure, field.name) for one_exposure in exposures]
-        columns[field.name] = values[0] if field.name == "radius_m" else np.concatenate(values)
+        values = [getattr(exposure, field.name) for exposure in exposures]
+        if field.name == "radius_m":
+            columns[field.name] = values[0]
+        else:
+            columns[field.name] = np.concatenate(values)
     return Exposures(**columns)
 
 
-def _of_columns(function: Callable[..., Corrections]) -> Callable[..., Corrections]:
+def _of_columns(function):
     """A correction whose columns broadcast to the shape of the pixels."""
 
-    def made(
-        x, y, exposures, table, *, camera=PINHOLE, h_g=0.0, row=0, uncertainty=None, **columns
+    def with_columns(
+        x,
+        y,
+        exposures,
+        table,
+        *,
+        camera=PINHOLE,
+        h_g=0.0,
+        row=0,
+        uncertainty=None,
+        **columns,
     ):
         shapes = [np.shape(values) for values in (x, y, h_g, row, *columns.values())]
         shape = np.broadcast_shapes((1,), *shapes)
@@ -101,7 +122,7 @@ def _of_columns(function: Callable[..., Corrections]) -> Callable[..., Correctio
             **{name: column(values) for name, values in columns.items()},
         )
 
-    return made
+    return with_columns
 
 
 corrected = _of_columns(correct_observations)
@@ -109,19 +130,19 @@ displaced = _of_columns(apply_refraction)
 
 
 def station_sigmas(
-    count: int = 1,
+    count=1,
     *,
-    tilt: float = 0.0,
-    yaw: float = 0.0,
-    height: float = 0.0,
-    axis: tuple[float, ...] | np.ndarray = AHEAD,
-    cabin: float | None = None,
-) -> StationSigmas:
+    tilt=0.0,
+    yaw=0.0,
+    height=0.0,
+    axis=AHEAD,
+    cabin=None,
+):
     """Exposures that are known alike."""
     return StationSigmas(
         tilt_rad=np.full(count, tilt),
         yaw_rad=np.full(count, yaw),
-        yaw_axis=np.tile(np.asarray(axis, float), (count, 1)),
+        yaw_axis=np.tile(axis, (count, 1)),
         height_m=np.full(count, height),
         cabin=None if cabin is None else np.full((count, 4), cabin),
     )
@@ -137,14 +158,19 @@ class Look:
     kind: int = OPEN
     camera: Camera = SKEWED
 
-    def exposure(self, air: Profile, *, higher_m: float = 0.0, denser: float = 0.0) -> Exposures:
+    def exposure(self, air, *, higher_m=0.0, denser=0.0):
         """As this air has it: the cabin of the schedule follows the pressure outside."""
         h_c = self.h_c + higher_m
         outside = float(air.refractivity(h_c))
-        scheduled = float(air.index.refractivity(294.26, air.pressure(h_c), 0.0))
+        scheduled = air.index.refractivity(294.26, air.pressure(h_c), 0.0)
         inside = {OPEN: outside, SEALED: CABIN, SCHEDULED: scheduled}[self.kind]
-        excess = inside + denser - outside
-        return exposure(air, self.rotation, h_c=h_c, normal=self.normal, cabin_excess=excess)
+        return exposure(
+            air,
+            self.rotation,
+            h_c=h_c,
+            normal=self.normal,
+            cabin_excess=inside + denser - outside,
+        )
 
 
 def uncertainties(profile, covariance, exposures, camera, stations, **options):

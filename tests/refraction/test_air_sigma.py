@@ -1,13 +1,13 @@
 """sigma of R from a covariance: the tables against drawn air and against traced rays."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.refraction import uncertain_air
+from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.images import (
     NARROW,
     RADIUS,
@@ -18,7 +18,8 @@ from tests.refraction.images import (
     together,
     uncertainties,
 )
-from unbend.refraction import WindowRays, bend, leading_mode, ray_table, sensitivity
+from tests.refraction.rays import bent
+from unbend.refraction import WindowRays, leading_mode, ray_table, sensitivity
 from unbend.refraction.uncertainty.sigmas import OPEN
 
 AIR, COVARIANCE = uncertain_air.air()
@@ -28,8 +29,10 @@ TILT = 1e-4
 
 def tabulated(covariance, h_c, h_g, zeta, ground=(-600.0, 10_000.0)):
     """sigma_R and |dR/dzeta| of rays along the axes of cameras, as corrections have them."""
-    pairs = zip(h_c, np.degrees(zeta), strict=True)
-    exposures = together(*(exposure(AIR, looking(tilt), h_c=height) for height, tilt in pairs))
+    single = []
+    for height, tilt_deg in zip(h_c, np.degrees(zeta), strict=True):
+        single.append(exposure(AIR, looking(tilt_deg), h_c=height))
+    exposures = together(*single)
     made = uncertainties(
         AIR,
         covariance,
@@ -48,20 +51,28 @@ def tabulated(covariance, h_c, h_g, zeta, ground=(-600.0, 10_000.0)):
         row=np.arange(h_c.size),
         uncertainty=made,
     ).sigmas
-    slope = sigmas.station_dy_px.astype(float) / CAMERA.fy_px / TILT
+    slope = sigmas.station_dy_px / CAMERA.fy_px / TILT
     return sigmas.r_c_rad, slope, made.tables
 
 
 def traced(h_c, h_g, zeta):
     """R, its derivatives by the air and by the angle."""
     anchor_m = COVARIANCE.anchor_height_m
-    derivatives = sensitivity(AIR, h_c, h_g, zeta, RADIUS, anchor_height_m=anchor_m)
+    derivatives = sensitivity(
+        AIR,
+        h_c,
+        h_g,
+        zeta,
+        RADIUS,
+        anchor_height_m=anchor_m,
+    )
     return derivatives.r_c, derivatives.gradient, derivatives.d_zeta_c
 
 
 def traced_sigma(gradient):
     """C is multiplied out, not factored."""
-    return np.sqrt(np.einsum("ni,ij,nj->n", gradient, COVARIANCE.matrix, gradient))
+    variance = np.einsum("ni,ij,nj->n", gradient, COVARIANCE.matrix, gradient)
+    return np.sqrt(variance)
 
 
 @pytest.mark.parametrize(
@@ -81,24 +92,28 @@ def test_the_tables_beside_traced_rays(low, high, largest_deg, allowed):
     zeta = np.radians(rng.uniform(1.0, largest_deg, 300))
     sigma, slope, _ = tabulated(COVARIANCE, h_c, h_g, zeta)
     _, gradient, true_slope = traced(h_c, h_g, zeta)
-    np.testing.assert_allclose(sigma, traced_sigma(gradient), rtol=allowed)
+    assert_close(sigma, traced_sigma(gradient), rtol=allowed)
     # Where R itself is nearly zero in the inversion its slope is too.
     size = np.abs(true_slope)
-    np.testing.assert_allclose(slope, size, rtol=0.01, atol=2e-3 * np.median(size))
+    usual = np.median(size)
+    assert_close(slope, size, rtol=0.01, atol=2e-3 * usual)
 
 
 def test_one_height_of_camera_and_ground():
-    ray = (np.array([2000.0]), np.array([300.0]), np.array([0.9]))
+    ray = np.array([[2000.0], [300.0], [0.9]])
     sigma, slope, tables = tabulated(COVARIANCE, *ray, (300.0, 300.0))
     _, gradient, true_slope = traced(*ray)
-    np.testing.assert_allclose(sigma, traced_sigma(gradient), rtol=3e-3)
-    np.testing.assert_allclose(slope, true_slope, rtol=3e-3)
+    assert_close(sigma, traced_sigma(gradient), rtol=3e-3)
+    assert_close(slope, true_slope, rtol=3e-3)
     assert tables.sigma.size <= 20
 
 
-def open_rays(h_c, zeta) -> WindowRays:
-    nothing = np.zeros(zeta.size)
-    return WindowRays(h_c, zeta, np.full(zeta.size, OPEN), nothing, nothing)
+def mode_of(h_c, zeta, h_g, covariance=COVARIANCE, **options):
+    """The leading mode of rays through no window."""
+    no_turn = np.zeros(zeta.size)
+    kind = np.full(zeta.size, OPEN)
+    rays = WindowRays(h_c, zeta, kind, no_turn, no_turn)
+    return leading_mode(AIR, covariance, rays, h_g, **options)
 
 
 def test_sigma_is_the_spread_of_drawn_airs():
@@ -106,30 +121,37 @@ def test_sigma_is_the_spread_of_drawn_airs():
     h_c = np.array([2700.0, 2700.0, 2650.0, 2700.0])
     h_g = np.array([200.0, 1500.0, 200.0, 200.0])
     zeta = np.radians([45.0, 60.0, 80.0, 5.0])
-    sigma, _, _ = tabulated(COVARIANCE, h_c, h_g, zeta)
+    sigma, _, _ = tabulated(
+        COVARIANCE,
+        h_c,
+        h_g,
+        zeta,
+    )
     rng = np.random.default_rng(11)
     angles = []
     for _ in range(600):
         table = ray_table(uncertain_air.drawn(rng))
-        r_c, _ = bend(table, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=RADIUS)
+        r_c, _ = bent(table, h_c, h_g, zeta)
         angles.append(r_c)
     # A standard deviation of 600 draws is good to 2.9 %.
-    np.testing.assert_allclose(np.std(angles, axis=0), sigma, rtol=0.09)
-    mode = leading_mode(AIR, COVARIANCE, open_rays(h_c, zeta), h_g, radius=RADIUS)
+    assert_close(np.std(angles, axis=0), sigma, rtol=0.09)
+    mode = mode_of(h_c, zeta, h_g, radius=RADIUS)
     mean = np.mean(angles, axis=0)
     size = np.linalg.svd(angles - mean, compute_uv=False)
     relative = size[0] / np.sqrt(600.0) / np.linalg.norm(mean)
-    np.testing.assert_allclose(mode.sigma, relative, rtol=0.09)
-    np.testing.assert_allclose(mode.variance_share, size[0] ** 2 / (size @ size), atol=0.02)
+    assert_close(mode.sigma, relative, rtol=0.09)
+    share = size[0] ** 2 / (size @ size)
+    assert_near(mode.variance_share, share, 0.02)
 
 
 def test_errors_of_one_flight_are_one_scale_factor():
     h_c = np.full(50, 2700.0)
     zeta = np.radians(np.linspace(5.0, 60.0, 50))
-    mode = leading_mode(AIR, COVARIANCE, open_rays(h_c, zeta), 200.0)
+    mode = mode_of(h_c, zeta, 200.0)
     assert 0.9999 < mode.variance_share <= 1.0 + 1e-12
     r_c, gradient, _ = traced(h_c[:1], 200.0, zeta[:1])
-    np.testing.assert_allclose(mode.sigma, traced_sigma(gradient) / r_c, rtol=2e-3)
+    relative = traced_sigma(gradient) / r_c
+    assert_close(mode.sigma, relative, rtol=2e-3)
 
 
 def test_the_mode_of_rays_that_disagree():
@@ -138,48 +160,60 @@ def test_the_mode_of_rays_that_disagree():
     h_g = np.array([200.0, 2500.0, 0.0, 1400.0])
     zeta = np.radians([45.0, 70.0, 20.0, 75.0])
     r_c, gradient, _ = traced(h_c, h_g, zeta)
-    value, vector = np.linalg.eigh(gradient @ COVARIANCE.matrix @ gradient.T)
-    largest = vector[:, -1]
-    mode = leading_mode(AIR, COVARIANCE, open_rays(h_c, zeta), h_g, radius=RADIUS)
-    np.testing.assert_allclose(mode.sigma**2, value[-1] / (r_c @ r_c), rtol=1e-5)
-    np.testing.assert_allclose(mode.variance_share, value[-1] / value.sum(), rtol=1e-9)
+    values, vectors = np.linalg.eigh(gradient @ COVARIANCE.matrix @ gradient.T)
+    value = values[-1]
+    vector = vectors[:, -1]
+
+    mode = mode_of(h_c, zeta, h_g, radius=RADIUS)
+
+    assert_close(mode.sigma**2, value / (r_c @ r_c), rtol=1e-5)
+    assert_close(mode.variance_share, value / values.sum(), rtol=1e-9)
     # C g^T v / sqrt(lambda) is the change of the air, with R growing in it.
-    state = COVARIANCE.matrix @ gradient.T @ largest / np.sqrt(value[-1])
-    state *= np.sign(largest @ r_c)
-    np.testing.assert_allclose(mode.state, state, atol=1e-6 * np.abs(state).max())
+    state = COVARIANCE.matrix @ gradient.T @ vector / np.sqrt(value)
+    state *= np.sign(vector @ r_c)
+    largest = np.abs(state).max()
+    assert_close(mode.state, state, rtol=1e-7, atol=1e-6 * largest)
     assert r_c @ gradient @ mode.state > 0.0
     assert mode.variance_share < 0.98
 
 
-ONE_RAY = open_rays(np.array([2000.0]), np.array([0.3]))
+H_C = np.array([2000.0])
+ZETA = np.array([0.3])
+NOTHING = np.empty(0)
 CERTAIN = replace(COVARIANCE, matrix=0.0 * COVARIANCE.matrix)
 
 
 @pytest.mark.parametrize(
-    ("covariance", "rays", "h_g"),
+    ("covariance", "h_c", "zeta", "h_g"),
     [
-        (COVARIANCE, open_rays(np.empty(0), np.empty(0)), np.empty(0)),
-        (COVARIANCE, ONE_RAY, 1e9),
-        (CERTAIN, ONE_RAY, 0.0),
+        (COVARIANCE, NOTHING, NOTHING, NOTHING),
+        (COVARIANCE, H_C, ZETA, 1e9),
+        (CERTAIN, H_C, ZETA, 0.0),
     ],
     ids=["no ray", "no angle", "nothing is uncertain"],
 )
-def test_no_ray_no_mode(covariance, rays, h_g):
-    assert leading_mode(AIR, covariance, rays, h_g) is None
+def test_no_ray_no_mode(covariance, h_c, zeta, h_g):
+    assert mode_of(h_c, zeta, h_g, covariance) is None
 
 
 def test_where_there_is_no_sigma():
     """Nearly level at the ground, and above the camera."""
     h_g = np.array([0.0, 2800.0, 100.0])
     zeta = np.radians([88.3, 95.0, 60.0])
-    sigma, slope, _ = tabulated(COVARIANCE, np.full(3, 2650.0), h_g, zeta)
+    h_c = np.full(3, 2650.0)
+    sigma, slope, _ = tabulated(
+        COVARIANCE,
+        h_c,
+        h_g,
+        zeta,
+    )
     assert np.isnan(sigma).tolist() == [True, True, False]
     assert np.isnan(slope).tolist() == [True, True, False]
 
 
 def test_without_a_covariance_only_slopes():
-    ray = (np.array([2650.0]), np.array([100.0]), np.array([0.8]))
+    ray = np.array([[2650.0], [100.0], [0.8]])
     sigma, slope, _ = tabulated(None, *ray)
     _, slope_with_covariance, _ = tabulated(COVARIANCE, *ray)
     assert np.isnan(sigma).all()
-    np.testing.assert_array_equal(slope, slope_with_covariance)
+    assert_array_equal(slope, slope_with_covariance)

@@ -1,16 +1,17 @@
 """Heights by slant range, against chords of 30-digit rays and against the angles themselves."""
 
-from __future__ import annotations
-
 import math
+from math import inf, nan
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.refraction.comparing import assert_near
+from tests.refraction.exact_rays import ExactRays
 from tests.refraction.images import DISTORTED, DOWN, RADIUS, TILTED, corrected, exposure, looking
-from unbend.atmosphere import standard_atmosphere
-from unbend.refraction import bend, height_at_distance, ray_table
+from tests.refraction.rays import AIR, TABLE, bent
+from unbend.refraction import height_at_distance
 from unbend.refraction.ray import rays_by
 from unbend.refraction.status_codes import (
     BAD_MEASUREMENT,
@@ -21,19 +22,18 @@ from unbend.refraction.status_codes import (
 )
 from unbend.refraction.target_heights import target_heights
 
-AIR = standard_atmosphere("us1976", index="gyer")
-TABLE = ray_table(AIR)
-
 
 def heights(h_c, degrees, distance, table=TABLE):
     zeta = np.radians(degrees)
-    return height_at_distance(table, h_c, np.sin(zeta), np.cos(zeta), distance, radius=RADIUS)
+    sine = np.sin(zeta)
+    cosine = np.cos(zeta)
+    return height_at_distance(table, h_c, sine, cosine, distance, radius=RADIUS)
 
 
-def assert_height(h_c, degrees, distance, expected) -> None:
+def assert_height(h_c, degrees, distance, expected):
     h_g, status = heights(h_c, degrees, distance)
     assert status == OK
-    assert float(h_g) == pytest.approx(float(expected), abs=1e-6)
+    assert_near(h_g, float(expected), 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -49,15 +49,15 @@ def assert_height(h_c, degrees, distance, expected) -> None:
         (1000.0, 8000.0, 135.0),
     ],
 )
-def test_against_thirty_digits(truth, h_c, h, degrees):
-    chord = truth(30).crossing(h_c, h, math.radians(degrees))
+def test_against_thirty_digits(h_c, h, degrees):
+    chord = ExactRays(30).crossing(h_c, h, math.radians(degrees))
     assert_height(h_c, degrees, chord.distance_m, h)
 
 
 @pytest.mark.parametrize("above", [1e-6, 1e-3, 1.0, 500.0])
 @pytest.mark.parametrize("beyond", [False, True])
-def test_through_the_lowest_point(truth, above, beyond):
-    exact = truth(30)
+def test_through_the_lowest_point(above, beyond):
+    exact = ExactRays(30)
     zeta = math.radians(88.2)
     h = exact.turning_height(5000.0, zeta) + above
     chord = exact.crossing(5000.0, h, zeta, beyond=beyond)
@@ -65,8 +65,8 @@ def test_through_the_lowest_point(truth, above, beyond):
 
 
 @pytest.mark.parametrize("h", [5000.0, 9000.0])
-def test_far_beyond_it_the_ray_rises_over_the_camera(truth, h):
-    chord = truth(30).crossing(5000.0, h, math.radians(88.2), beyond=True)
+def test_far_beyond_it_the_ray_rises_over_the_camera(h):
+    chord = ExactRays(30).crossing(5000.0, h, math.radians(88.2), beyond=True)
     assert_height(5000.0, 88.2, chord.distance_m, h)
 
 
@@ -75,29 +75,32 @@ def test_the_angle_at_that_height_gives_the_distance_back():
     h_c = rng.uniform(100.0, 12_000.0, 300)
     zeta = np.radians(rng.uniform(0.0, 85.0, 300))
     distance = rng.uniform(0.1, 1.0, 300) * h_c / np.cos(zeta)
+
     h_g, status = heights(h_c, np.degrees(zeta), distance)
-    assert set(status.tolist()) == {OK}
-    r_c, _ = bend(TABLE, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=RADIUS)
+    assert (status == OK).all()
+    r_c, _ = bent(TABLE, h_c, h_g, zeta)
     # Law of sines in the triangle camera, target, centre of the earth.
     straight = zeta - r_c
-    central = np.arcsin((RADIUS + h_c) / (RADIUS + h_g) * np.sin(straight)) - straight
-    across = 4.0 * (RADIUS + h_c) * (RADIUS + h_g) * np.sin(0.5 * central) ** 2
+    to_camera = RADIUS + h_c
+    to_target = RADIUS + h_g
+    central = np.arcsin(to_camera / to_target * np.sin(straight)) - straight
+    across = 4.0 * to_camera * to_target * np.sin(0.5 * central) ** 2
     back = np.sqrt((h_c - h_g) ** 2 + across)
-    assert_near(back, distance, atol=1e-5)
+    assert_near(back, distance, 1e-5)
 
 
 @pytest.mark.parametrize(
     ("h_c", "degrees", "distance", "expected"),
     [
-        (3000.0, 10.0, np.nan, BAD_MEASUREMENT),
+        (3000.0, 10.0, nan, BAD_MEASUREMENT),
         (3000.0, 10.0, 0.0, BAD_MEASUREMENT),
         (3000.0, 10.0, -5.0, BAD_MEASUREMENT),
-        (3000.0, 89.0, np.inf, BAD_MEASUREMENT),
-        (3000.0, np.nan, 100.0, BAD_MEASUREMENT),
+        (3000.0, 89.0, inf, BAD_MEASUREMENT),
+        (3000.0, nan, 100.0, BAD_MEASUREMENT),
         (3000.0, 100.0, 5e6, OUTSIDE_PROFILE),
         (3000.0, 10.0, 3e4, OUTSIDE_PROFILE),
         (99_000.0, 10.0, 3000.0, OUTSIDE_PROFILE),
-        # P_90 lies near -1000 m, 280 km away: under all land there is no far side.
+        # P_90 is near -1000 m, 280 km away: under all land there is no far side.
         (5000.0, 87.5, 500_000.0, MISSES_GROUND),
     ],
 )
@@ -108,60 +111,58 @@ def test_what_has_no_end_has_a_reason(h_c, degrees, distance, expected):
 
 
 def test_a_published_method_has_its_own_height():
-    by_plane, status = heights(6000.0, 50.0, 8000.0, rays_by(AIR, "plane"))
-    exact, _ = heights(6000.0, 50.0, 8000.0)
+    ray = (6000.0, 50.0, 8000.0)
+    by_plane, status = heights(*ray, rays_by(AIR, "plane"))
+    exact, _ = heights(*ray)
     assert status == OK
     # The plane first term is good to 1e-3 of 1.2e-5 rad here; the chord is 8 km long.
-    assert float(by_plane) == pytest.approx(float(exact), abs=1e-3)
-    assert float(by_plane) != float(exact)
+    assert_near(by_plane, exact, 1e-3)
+    assert by_plane != exact
 
 
 @pytest.mark.parametrize("method", ["plane", "gyer1996"])
-@pytest.mark.parametrize(
-    ("h_c", "distance", "expected"),
-    [
-        (6000.0, np.nan, BAD_MEASUREMENT),
-        (6000.0, 0.0, BAD_MEASUREMENT),
-        (np.nan, 8000.0, BAD_MEASUREMENT),
-        (6000.0, 1e6, OUTSIDE_PROFILE),
-        (6000.0, 8000.0, OK),
-    ],
-)
-def test_a_published_method_says_why_there_is_no_height(method, h_c, distance, expected):
-    h_g, status = heights(h_c, 50.0, distance, rays_by(AIR, method))
-    assert status == expected
-    assert np.isfinite(h_g) == (expected == OK)
+def test_a_published_method_says_why_there_is_no_height(method):
+    """Rows that end at once were bad measurements beside one that needs more rounds."""
+    rays = rays_by(AIR, method)
+    table = [
+        # h_c, nadir angle [deg], distance, status
+        (6000.0, 50.0, 8000.0, OK),
+        (6000.0, 50.0, 1e6, OUTSIDE_PROFILE),
+        (6000.0, 50.0, nan, BAD_MEASUREMENT),
+        (6000.0, 50.0, 0.0, BAD_MEASUREMENT),
+        (nan, 50.0, 8000.0, BAD_MEASUREMENT),
+        (6000.0, 0.0, nan, BAD_MEASUREMENT),
+        (9000.0, 80.0, 30_000.0, OK),
+    ]
+    h_c, nadir_deg, distance, expected = np.array(table).T
 
+    together, status = heights(h_c, nadir_deg, distance, rays)
 
-def test_a_published_height_does_not_depend_on_the_rows_beside_it():
-    """Rows that end at once stood as bad measurements beside one that needs more rounds."""
-    rays = rays_by(AIR, "gyer1996")
-    h_c = np.array([6000.0, 6000.0, np.nan, 6000.0, 9000.0])
-    nadir = np.array([50.0, 50.0, 50.0, 0.0, 80.0])
-    distance = np.array([8000.0, 1e6, 8000.0, np.nan, 30_000.0])
-    together, status = heights(h_c, nadir, distance, rays)
-    alone = [heights(*row, rays) for row in zip(h_c, nadir, distance, strict=True)]
-    np.testing.assert_array_equal(together, [float(h_g) for h_g, _ in alone])
-    assert status.tolist() == [int(status_alone) for _, status_alone in alone]
-    assert status.tolist() == [OK, OUTSIDE_PROFILE, BAD_MEASUREMENT, BAD_MEASUREMENT, OK]
+    assert status.tolist() == expected.tolist()
+    assert_array_equal(np.isfinite(together), expected == OK)
+    for i, (*row, _) in enumerate(table):
+        alone, status_alone = heights(*row, rays)
+        assert_array_equal(alone, together[i])
+        assert status_alone == status[i]
 
 
 def test_arguments_broadcast():
-    h_g, status = heights(np.array([[3000.0], [4000.0]]), 20.0, np.array([100.0, 200.0, 300.0]))
+    h_c = np.array([[3000.0], [4000.0]])
+    distance = np.array([100.0, 200.0, 300.0])
+    h_g, status = heights(h_c, 20.0, distance)
     assert h_g.shape == (2, 3)
     assert status.shape == (2, 3)
-    assert float(h_g[1, 2]) == float(heights(4000.0, 20.0, 300.0)[0])
-    assert heights(np.empty(0), np.empty(0), np.empty(0))[0].shape == (0,)
+    alone, _ = heights(4000.0, 20.0, 300.0)
+    assert h_g[1, 2] == alone
+    nothing = np.empty(0)
+    h_g, _ = heights(nothing, nothing, nothing)
+    assert h_g.shape == (0,)
 
 
-def heights_of_image(x, y, distance, setup, *, row=0, ideal=False) -> np.ndarray:
-    x, y, distance = map(np.array, np.broadcast_arrays(x, y, distance))
-    rows = np.array(np.broadcast_to(row, x.shape))
+def heights_of_image(x, y, distance, setup, *, row=0, ideal=False):
+    columns = np.broadcast_arrays(x, y, distance, row)
     return target_heights(
-        x,
-        y,
-        distance,
-        rows,
+        *map(np.array, columns),
         setup,
         camera=DISTORTED,
         table=TABLE,
@@ -174,36 +175,68 @@ def test_targets_of_an_image_and_of_its_ideal_pixels(rotation):
     rng = np.random.default_rng(5)
     x = rng.uniform(0.0, 14_000.0, 200)
     y = rng.uniform(5800.0, 10_600.0, 200)
-    setup = exposure(AIR, rotation, cabin_excess=6e-5, normal=TILTED, change_px=-3.0)
-    bent = heights_of_image(x, y, 3200.0, setup)
-    assert np.isfinite(bent).all()
-    assert np.ptp(bent) > 100.0
-    corrections = corrected(x, y, setup, TABLE, camera=DISTORTED, h_g=bent, distance_m=3200.0)
+    setup = exposure(
+        AIR,
+        rotation,
+        cabin_excess=6e-5,
+        normal=TILTED,
+        change_px=-3.0,
+    )
+
+    curved = heights_of_image(x, y, 3200.0, setup)
+    assert np.isfinite(curved).all()
+    assert np.ptp(curved) > 100.0
+    corrections = corrected(
+        x,
+        y,
+        setup,
+        TABLE,
+        camera=DISTORTED,
+        h_g=curved,
+        distance_m=3200.0,
+    )
     assert set(corrections.status.tolist()) <= {OK, FAR_BRANCH}
-    ideal_pixels = (corrections.x_corrected_px, corrections.y_corrected_px)
-    straight = heights_of_image(*ideal_pixels, 3200.0, setup, ideal=True)
-    assert_near(straight, bent, atol=1e-6)
+    x_ideal = corrections.x_corrected_px
+    y_ideal = corrections.y_corrected_px
+    straight = heights_of_image(x_ideal, y_ideal, 3200.0, setup, ideal=True)
+    assert_near(straight, curved, 1e-6)
     uncorrected = heights_of_image(x, y, 3200.0, setup, ideal=True)
-    assert np.abs(uncorrected - bent).max() > 1e-2
+    assert np.abs(uncorrected - curved).max() > 1e-2
 
 
 def test_an_observation_that_lacks_something_has_no_height():
-    x = np.array([7000.0, np.nan, 7000.0, -900.0, 7000.0])
-    distance = np.array([np.nan, 3000.0, 3000.0, 3000.0, 9e6])
+    x = np.array([7000.0, nan, 7000.0, -900.0, 7000.0])
+    distance = np.array([nan, 3000.0, 3000.0, 3000.0, 9e6])
     row = np.array([0, 0, -1, 0, 0])
-    bent = heights_of_image(x, 5000.0, distance, exposure(AIR), row=row)
-    assert np.isnan(bent).all()
+    setup = exposure(AIR)
+    curved = heights_of_image(x, 5000.0, distance, setup, row=row)
+    assert np.isnan(curved).all()
     # A straight line goes on outside the air.
-    straight = heights_of_image(x, 5000.0, distance, exposure(AIR), row=row, ideal=True)
+    straight = heights_of_image(
+        x,
+        5000.0,
+        distance,
+        setup,
+        row=row,
+        ideal=True,
+    )
     assert np.isnan(straight).tolist() == [True, True, True, True, False]
 
 
 @pytest.mark.parametrize("changed", [{"cabin_excess": 1e-4}, {"change_px": 20.0}])
 def test_ideal_pixels_have_neither_window_nor_lens(changed):
     """Of a straight chord the cabin and the air in the lens change nothing, of a ray they do."""
-    pixel = ([12_000.0], [9000.0], [3500.0])
+
+    def height(setup, **options):
+        return heights_of_image(
+            [12_000.0],
+            [9000.0],
+            [3500.0],
+            setup,
+            **options,
+        )
+
     plain = exposure(AIR)
     other = exposure(AIR, **changed)
-    straight = heights_of_image(*pixel, plain, ideal=True)
-    assert heights_of_image(*pixel, other, ideal=True) == straight
-    assert abs(heights_of_image(*pixel, other) - heights_of_image(*pixel, plain)) > 0.05
+    assert height(other, ideal=True) == height(plain, ideal=True)
+    assert abs(height(other) - height(plain)) > 0.05

@@ -1,7 +1,5 @@
 """Compiled code in the cache is that of the sources, whichever module was edited."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re
@@ -17,6 +15,7 @@ import pytest
 from filelock import FileLock
 
 import unbend
+from tests.refraction.comparing import assert_near
 from unbend.refraction.kernels import jit
 from unbend.refraction.kernels.jit import compiled_sources, source_hash
 
@@ -36,14 +35,13 @@ print(camera.rays(np.array([100.0]), np.array([0.0]))[0][0], "rays_of_pixels" in
 """
 
 
-def run(code: str, tree: Path, cache: Path | str, **environment: str) -> list[str]:
+def run(code, tree, cache):
     """The words that a new process prints that imports the package from a tree."""
-    surroundings = os.environ | {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(cache)}
-    command = [sys.executable, "-W", "error", "-c", code]
+    environment = {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(cache)}
     ended = subprocess.run(
-        command,
+        [sys.executable, "-W", "error", "-c", code],
         check=True,
-        env=surroundings | environment,
+        env=os.environ | environment,
         capture_output=True,
         text=True,
         cwd=tree,
@@ -52,7 +50,7 @@ def run(code: str, tree: Path, cache: Path | str, **environment: str) -> list[st
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> Path:
+def tree(tmp_path):
     """A copy of the package."""
     copy = tmp_path / "tree"
     ignored = shutil.ignore_patterns("__pycache__")
@@ -66,7 +64,7 @@ def test_an_edited_helper_is_compiled_again_and_old_code_removed(tree, tmp_path)
     first, compiled = run(DISTORTED, tree, cache)
     u = float(first)
     assert compiled == "True"
-    assert u + 0.5 * u**3 == pytest.approx(0.1, abs=1e-14)
+    assert_near(u + 0.5 * u**3, 0.1, 1e-14)
     (old,) = cache.iterdir()
     foreign = [cache / "unbend-notes", cache / "unbend-0123456789abcdeg", cache / "other"]
     for folder in foreign:
@@ -84,7 +82,7 @@ def test_an_edited_helper_is_compiled_again_and_old_code_removed(tree, tmp_path)
         os.utime(folder, (time.time() - 8 * 86_400,) * 2)
     edited, compiled = run(DISTORTED, tree, cache)
     assert compiled == "True"
-    assert float(edited) + float(edited) ** 3 == pytest.approx(0.1, abs=1e-13)
+    assert_near(float(edited) + float(edited) ** 3, 0.1, 1e-13)
     assert not old.exists()
     assert recent.exists()
     assert all(folder.exists() for folder in foreign)
@@ -100,18 +98,17 @@ def test_it_compiles_in_memory_where_nothing_can_be_written(tree, tmp_path):
     blocked.write_text("")
     code = DISTORTED + "print(jit.cache_folder())"
     u, compiled, folder = run(code, tree, blocked / "cache")
-    assert float(u) + 0.5 * float(u) ** 3 == pytest.approx(0.1, abs=1e-14)
+    assert_near(float(u) + 0.5 * float(u) ** 3, 0.1, 1e-14)
     assert (compiled, folder) == ("True", "None")
     assert blocked.read_text() == ""
     assert not list(tree.rglob("*.nb?"))
 
 
 def test_every_source_that_may_be_compiled_in_is_hashed(tmp_path):
-    """What the kernels import from the package, but for types, lies in the folders hashed."""
+    """What the kernels import from the package, but for types, is in the folders hashed."""
     seen = set()
-    left = [*ROOM.glob("kernels/*.py"), *ROOM.glob("camera/*.py")]
-    # Nothing in these is compiled: they hand arrays to what is.
-    for path in left:
+    for path in [*ROOM.glob("kernels/*.py"), *ROOM.glob("camera/*.py")]:
+        # Nothing in these is compiled: they hand arrays to what is.
         if path.name in ("jit.py", "threads.py"):
             continue
         for node in ast.walk(ast.parse(path.read_text())):
@@ -120,9 +117,11 @@ def test_every_source_that_may_be_compiled_in_is_hashed(tmp_path):
     hashed = re.compile(r"unbend\.refraction\.(status_codes|(kernels|camera)\.\w+)(\.\w+)*")
     assert len(seen) > 5
     not_hashed = {name for name in seen if not hashed.fullmatch(name)}
-    models = {"unbend.refraction.camera.model_of"}
-    assert not_hashed - models == {
-        f"unbend.units.{n}" for n in ("Array", "Integers", "Mask", "Rows")
+    assert not_hashed - {"unbend.refraction.camera.model_of"} == {
+        "unbend.units.Array",
+        "unbend.units.Integers",
+        "unbend.units.Mask",
+        "unbend.units.Rows",
     }
 
     copy = tmp_path / "refraction"
@@ -178,6 +177,7 @@ def divided(x, y):
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_division_by_zero_is_infinite_as_in_numpy(kept, monkeypatch, tmp_path):
+    # A process asks for its folder once; NUMBA_CACHE_DIR would be set too late.
     monkeypatch.setattr(jit, "cache_folder", lambda: str(tmp_path) if kept else None)
     folder_of_user = numba.config.CACHE_DIR
     x = np.array([1.0, 0.0])
@@ -196,6 +196,7 @@ def patient_lock(path, timeout):
 
 def test_while_another_process_compiles_nothing_is_kept(monkeypatch, tmp_path):
     """numba numbers the files of a function: two writers may give each other's code to a type."""
+    # A process asks for its folder once, and has minutes of patience with a lock.
     monkeypatch.setattr(jit, "cache_folder", lambda: str(tmp_path))
     monkeypatch.setattr(jit, "COMPILED_WITHIN_S", 0.1)
     kernel = jit.entry(divided)
@@ -203,7 +204,7 @@ def test_while_another_process_compiles_nothing_is_kept(monkeypatch, tmp_path):
     with FileLock(tmp_path / "divided.lock"):
         kernel(x, np.array([2.0, 4.0]))
         assert x.tolist() == [1.5, 0.25]
-        monkeypatch.setattr(jit, "FileLock", patient_lock)
+        monkeypatch.setattr(jit, "FileLock", patient_lock)  # sees how long it would wait
         kernel(np.ones(2), np.ones(2))  # which waits no more
     assert not list(tmp_path.rglob("*.nbc"))
     kernel(x, np.array([2.0, 4.0]))

@@ -1,10 +1,9 @@
-"""The grid over an image: where its nodes lie."""
-
-from __future__ import annotations
+"""The grid over an image: where its nodes are."""
 
 import numpy as np
 import pytest
 
+from tests.refraction.comparing import assert_close
 from unbend.refraction import Camera
 from unbend.refraction.image import lattice_nodes
 
@@ -15,8 +14,8 @@ def test_nodes_go_from_corner_to_corner_row_by_row():
     x, y = lattice_nodes(CAMERA, 21, 15)
     across = np.arange(21) * 700.0
     down = np.arange(15) * 10600.0 / 14.0
-    np.testing.assert_allclose(x, np.tile(across, 15), rtol=1e-12)
-    np.testing.assert_allclose(y, np.repeat(down, 21), rtol=1e-12)
+    assert_close(x, np.tile(across, 15), rtol=1e-12)
+    assert_close(y, np.repeat(down, 21), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Reports in millimetres: published ones, an independent chain of formulas, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -38,10 +36,16 @@ def metric_camera(focal_mm, *, size=SIZE, **fields):
     return camera_of_report(MetricReport(focal_mm, **fields), size)
 
 
-@pytest.mark.parametrize("report", [OSL_2985, OSL_3030], ids=["OSL/2985", "OSL/3030"])
+@pytest.mark.parametrize(
+    "report",
+    [OSL_2985, OSL_3030],
+    ids=["OSL/2985", "OSL/3030"],
+)
 def test_coefficients_that_correct_agree_with_the_table_of_the_distortion(report):
     focal, coefficients, radial_um = report
-    table = np.stack([focal * np.tan(np.radians(ANGLES)), np.array(radial_um) * 1e-3], axis=1)
+    radii_mm = focal * np.tan(np.radians(ANGLES))
+    radial_mm = np.array(radial_um) * 1e-3
+    table = np.stack([radii_mm, radial_mm], axis=1)
     fields = SCAN | {"coefficients": coefficients, "sense": "correction"}
     metric_camera(focal, **fields, table=(table, "distortion"))
     with refused("CAMERA-REPORT", PhysicsError) as refusal:
@@ -52,16 +56,20 @@ def test_coefficients_that_correct_agree_with_the_table_of_the_distortion(report
 def test_one_point_by_hand():
     """OSL/2985 at x = 100 mm: dr = 2.616 - 2.295 + 0.145 um, decentring 3 p1 x^2, p2 x^2."""
     focal, coefficients, _ = OSL_2985
-    fields = SCAN | {"ppa_mm": (0.0, 0.0), "ppbs_mm": (0.0, 0.0), "coefficients": coefficients}
+    centred = SCAN | {"ppa_mm": (0.0, 0.0), "ppbs_mm": (0.0, 0.0)}
+    fields = centred | {"coefficients": coefficients}
     camera = metric_camera(focal, **fields, sense="correction")
-    u, v, _ = camera.rays(np.array([5760.0 + 5000.0]), np.array([5745.0]))
+    x = np.array([5760.0 + 5000.0])
+    y = np.array([5745.0])
+    u, v, _ = camera.rays(x, y)
     dx_um = 2.616 - 2.295 + 0.1454 - 3.0 * 0.3015
-    assert focal * u[0] * 1e3 - 100e3 == pytest.approx(dx_um, abs=1e-6)
-    assert -focal * v[0] * 1e3 == pytest.approx(0.1668, abs=1e-6)
+    assert_near(focal * u * 1e3 - 100e3, [dx_um], 1e-6)
+    assert_near(-focal * v * 1e3, [0.1668], 1e-6)
     # As a distortion the same numbers move an ideal point there by the same to the other side.
     distorting = metric_camera(focal, **fields, sense="distortion")
-    x, _ = distorting.project(np.array([100.0 / focal]), np.array([0.0]))
-    assert (x[0] - 5760.0) * 20.0 - 100e3 == pytest.approx(dx_um, abs=1e-6)
+    u = np.array([100.0 / focal])
+    x, _ = distorting.project(u, np.zeros(1))
+    assert_near((x - 5760.0) * 20.0 - 100e3, [dx_um], 1e-6)
 
 
 PPA_MM = np.array([0.21, -0.13])
@@ -81,12 +89,12 @@ COEFFICIENTS = {
 
 def moved(point):
     """Radial and decentring terms, about the principal point of symmetry."""
-    k = COEFFICIENTS
+    *k, p1, p2, _, _ = COEFFICIENTS.values()
     x, y = point - PPBS_MM
     r2 = x * x + y * y
-    radial = sum(k[f"k{i}"] * r2**i for i in range(5))
-    dx = x * radial + k["p1"] * (r2 + 2 * x * x) + 2 * k["p2"] * x * y
-    dy = y * radial + k["p2"] * (r2 + 2 * y * y) + 2 * k["p1"] * x * y
+    radial = np.polynomial.polynomial.polyval(r2, k)
+    dx = x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y
+    dy = y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y
     return point + np.array([dx, dy])
 
 
@@ -105,21 +113,30 @@ def ideal_of(measured, sense):
     return ideal
 
 
+# Right and down in the image.
+DIRECTIONS = {
+    "right": (1.0, 0.0),
+    "left": (-1.0, 0.0),
+    "up": (0.0, -1.0),
+    "down": (0.0, 1.0),
+}
+
+
 @pytest.mark.parametrize(
-    ("axes", "right", "down"),
+    "axes",
     [
-        ("right up", (1, 0), (0, -1)),
-        ("right down", (1, 0), (0, 1)),
-        ("left up", (-1, 0), (0, -1)),
-        ("left down", (-1, 0), (0, 1)),
-        ("up right", (0, 1), (-1, 0)),
-        ("up left", (0, -1), (-1, 0)),
-        ("down right", (0, 1), (1, 0)),
-        ("down left", (0, -1), (1, 0)),
+        "right up",
+        "right down",
+        "left up",
+        "left down",
+        "up right",
+        "up left",
+        "down right",
+        "down left",
     ],
 )
 @pytest.mark.parametrize("sense", ["correction", "distortion"])
-def test_every_axis_and_sense_against_the_formulas(axes, right, down, sense):
+def test_every_axis_and_sense_against_the_formulas(axes, sense):
     focal = 100.5
     pixel = np.array([0.006, 0.0062])
     origin = np.array([6700.0, 4100.0])
@@ -136,37 +153,56 @@ def test_every_axis_and_sense_against_the_formulas(axes, right, down, sense):
         coefficients=COEFFICIENTS,
         sense=sense,
     )
-    to_image = np.array([right, down], float)  # rows: right and down, along the report's x and y
-    pixels = np.array([[200.0, 300.0], [13000.0, 7900.0], [6900.0, 800.0]])
+    x_and_y = [DIRECTIONS[word] for word in axes.split()]
+    to_image = np.transpose(x_and_y)  # of the report's x and y
+    pixels = np.array(
+        [
+            [200.0, 300.0],
+            [13000.0, 7900.0],
+            [6900.0, 800.0],
+        ]
+    )
     expected = []
     for point in pixels:
         measured = to_image.T @ ((point - origin) * pixel)
         expected.append(to_image @ (ideal_of(measured, sense) - PPA_MM) / focal)
     u, v, covered = camera.rays(*pixels.T.copy())
     assert covered.all()
-    assert_near(np.stack([u, v], axis=1), expected, atol=1e-13)
-    assert_near(camera.project(u, v), pixels.T, atol=1e-9)
+    assert_near(np.stack([u, v], axis=1), expected, 1e-13)
+    assert_near(camera.project(u, v), pixels.T, 1e-9)
 
 
 def test_a_table_alone_is_fitted_and_ends_where_it_ends():
     focal, coefficients, _ = OSL_3030
-    radial = {name: coefficients[name] for name in ("k0", "k1", "k2")}
+    k0, k1, k2, _, _ = coefficients.values()
     r = focal * np.tan(np.radians(ANGLES))
     # The distortion of the printed coefficients, not rounded to micrometres.
-    dr = -(r * radial["k0"] + radial["k1"] * r**3 + radial["k2"] * r**5)
+    dr = -(r * k0 + k1 * r**3 + k2 * r**5)
     table = np.stack([r, dr], axis=1)
-    fitted = metric_camera(focal, **SCAN, coefficients={}, table=(table, "distortion"))
-    exact = metric_camera(focal, **SCAN, sense="correction", coefficients=radial)
-    # 128.6 mm are 6430 px; the corner of the scan is farther.
-    x = np.array([5760.0, 9000.0, 9800.0, 5760.0 + 6400.0 * 0.7, 11400.0])
-    y = np.array([5745.0, 3000.0, 9500.0, 5745.0 + 6400.0 * 0.7, 11400.0])
+    fitted = metric_camera(
+        focal,
+        **SCAN,
+        coefficients={},
+        table=(table, "distortion"),
+    )
+    exact = metric_camera(
+        focal,
+        **SCAN,
+        sense="correction",
+        coefficients={"k0": k0, "k1": k1, "k2": k2},
+    )
+    # 128.6 mm are 6430 px; the fourth pixel is 6336 px from the origin, the last one farther.
+    x = np.array([5760.0, 9000.0, 9800.0, 10_240.0, 11400.0])
+    y = np.array([5745.0, 3000.0, 9500.0, 10_225.0, 11400.0])
+
     u, v, covered = fitted.rays(x, y)
-    assert covered.tolist() == [True, True, True, True, False]
+
+    assert covered.tolist() == [True] * 4 + [False]
     assert np.isnan(u[4])
     u_exact, v_exact, _ = exact.rays(x, y)
     limit = 0.02 * 1e-3 / focal  # 0.02 um
-    assert_near(u[:3], u_exact[:3], atol=limit)
-    assert_near(v[:3], v_exact[:3], atol=limit)
+    assert_near(u[:3], u_exact[:3], limit)
+    assert_near(v[:3], v_exact[:3], limit)
 
 
 RADII_MM = np.arange(20.0, 141.0, 20.0)

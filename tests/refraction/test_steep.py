@@ -1,60 +1,80 @@
 """Many rays from one camera share moments of the air; each must be what it is by itself."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
-from tests.physics.ray_on_sphere import ray_angle_sphere
-from tests.refraction.comparing import assert_near
+from tests.refraction.comparing import assert_close, assert_near
+from tests.refraction.exact_rays import ExactRays
+from tests.refraction.images import RADIUS
+from tests.refraction.rays import TABLE, arcsec, bent, integrated_arcsec
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import profile_from_table
 from unbend.geodesy import lambert_gravity
-from unbend.refraction import bend, ray_table, refraction_angle
+from unbend.refraction import ray_table
 from unbend.refraction.kernels.columns import RayColumns
 from unbend.refraction.kernels.moments import bend_steep_rays
 from unbend.refraction.status_codes import BEYOND_GRAZING, FAR_BRANCH, OK
 from unbend.units import ARCSEC, DEGREE
 
-RADIUS = 6_371_000.0
-
 
 def inversions():
     """A profile of 400 thin layers with sharp inversions and moisture between them."""
-    h = np.concatenate([np.arange(-450.0, 12_000.0, 31.7), np.arange(12_000.0, 45_000.0, 1700.0)])
+    low = np.arange(-450.0, 12_000.0, 31.7)
+    high = np.arange(12_000.0, 45_000.0, 1700.0)
+    h = np.append(low, high)
     t = np.maximum(292.0 - 6.5e-3 * h, 217.0)
     t += 9.0 / (1.0 + np.exp(-(h - 800.0) / 15.0))
     t += 2.0 * np.sin(h / 70.0) * (h < 5000.0)
-    e = 1400.0 * np.exp(-(h + 450.0) / 2000.0) * (1.0 + 0.3 * np.sin(h / 110.0))
+    e = 1400.0 * np.exp(-(h + 450.0) / 2000.0)
+    e *= 1.0 + 0.3 * np.sin(h / 110.0)
     p = 101_325.0 * np.exp(-h / 8200.0)
-    return profile_from_table(h, t, p, e, gravity=lambert_gravity(0.9))
+    return profile_from_table(
+        h,
+        t,
+        p,
+        e,
+        gravity=lambert_gravity(0.9),
+    )
 
 
 @pytest.fixture(scope="module", params=["us1976", "inversions"])
 def table(request):
-    profile = inversions() if request.param == "inversions" else standard_atmosphere("us1976")
-    return ray_table(profile)
+    if request.param == "inversions":
+        return ray_table(inversions())
+    return ray_table(standard_atmosphere("us1976"))
 
 
-def bent(table, h_c, h_g, zeta, radius=RADIUS):
-    return bend(table, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius)
-
-
-def assert_each_as_alone(table, h_c, h_g, zeta, radius, *, rtol=0.0, atol=1e-9 * ARCSEC):
+def assert_each_as_alone(
+    table,
+    h_c,
+    h_g,
+    zeta,
+    radius,
+    *,
+    rtol=0.0,
+    atol=1e-9 * ARCSEC,
+):
     """Rays (n,) bend together as one by one."""
-    h_c, h_g, zeta, radius = np.broadcast_arrays(h_c, h_g, zeta, radius)
-    together, status = bent(table, h_c, h_g, zeta, radius)
+    rays = np.broadcast_arrays(h_c, h_g, zeta, radius)
+    together, status = bent(table, *rays)
     for i in range(together.size):
-        alone, status_alone = bent(table, h_c[i], h_g[i], zeta[i], radius[i])
+        alone, status_alone = bent(table, *(values[i] for values in rays))
         assert status[i] == status_alone
-        np.testing.assert_allclose(together[i], alone, rtol=rtol, atol=atol)
+        assert_close(
+            together[i],
+            alone,
+            rtol=rtol,
+            atol=atol,
+            equal_nan=True,
+        )
 
 
 def heights_below(rng, h_c, count):
     """Heights from a thousandth of the way down to the bottom of all land."""
-    return h_c - (h_c + 430.0) * 10.0 ** rng.uniform(-3.0, 0.0, count)
+    share = 10.0 ** rng.uniform(-3.0, 0.0, count)
+    return h_c - (h_c + 430.0) * share
 
 
 @pytest.mark.parametrize("h_c", [10.0, 120.0, 1000.0, 3450.0, 10_000.0, 30_000.0])
@@ -62,8 +82,9 @@ def test_a_ray_among_many_is_the_ray_by_itself(table, h_c):
     rng = np.random.default_rng(int(h_c))
     zeta = rng.uniform(0.0, 84.0, 200) * DEGREE
     h_g = heights_below(rng, h_c, 200)
+    radius = rng.uniform(6.335e6, 6.400e6, 200)
     # Reached: 3e-10 arcsec.
-    assert_each_as_alone(table, h_c, h_g, zeta, rng.uniform(6.335e6, 6.400e6, 200))
+    assert_each_as_alone(table, h_c, h_g, zeta, radius)
 
 
 @pytest.mark.parametrize("degrees", [25.0, 45.0, 55.0])
@@ -71,30 +92,33 @@ def test_a_ray_among_many_is_the_ray_by_itself(table, h_c):
 def test_deep_targets_at_one_nadir_angle_have_moments_enough(table, h_c, degrees):
     """How far the series goes is chosen for all rays of a group: here by their depth alone."""
     h_g = np.random.default_rng(1).uniform(-400.0, 0.9 * h_c, 100)
+    zeta = degrees * DEGREE
     # Reached: 1.2e-12 of the angle.
-    assert_each_as_alone(table, h_c, h_g, degrees * DEGREE, RADIUS, rtol=4e-12, atol=0.0)
+    assert_each_as_alone(table, h_c, h_g, zeta, RADIUS, rtol=4e-12, atol=0.0)
 
 
 @pytest.mark.parametrize("first", [40.0, 88.0])
 def test_flat_rays_among_steep_ones_to_the_same_height(table, first):
     """Those that bend too much for the series are left out of it one by one."""
-    zeta = np.append(np.linspace(40.0, 88.0, 99), first)[::-1] * DEGREE
+    degrees = np.append(np.linspace(40.0, 88.0, 99), first)
+    zeta = degrees[::-1] * DEGREE
     assert_each_as_alone(table, 300.0, 20.0, zeta, RADIUS)
 
 
 def test_rays_of_several_cameras_in_any_order(table):
+    """Those of one camera that follow each other share moments; mixed ones do not."""
     rng = np.random.default_rng(11)
-    h_c = np.repeat([500.0, 6000.0, 2500.0], 100)
+    h_c = np.repeat([6000.0, 500.0, 2500.0], 100)
     h_g = h_c - rng.uniform(1.0, 480.0, 300)
     zeta = rng.uniform(0.0, 64.0, 300) * DEGREE
-    order = rng.permutation(300)
-    grouped, _ = bent(table, h_c, h_g, zeta)
-    mixed, _ = bent(table, h_c[order], h_g[order], zeta[order])
-    assert_near(grouped[order] / ARCSEC, mixed / ARCSEC, atol=1e-9)
+    grouped = np.stack([h_c, h_g, zeta])
+    assert_each_as_alone(table, *grouped, RADIUS)
+    mixed = rng.permutation(grouped, axis=1)
+    assert_each_as_alone(table, *mixed, RADIUS)
 
 
 def test_radii_far_from_each_other_do_not_share(table):
-    radius = np.where(np.arange(100) % 2, 6.371e6, 1.0e6)
+    radius = np.tile([1.0e6, RADIUS], 50)
     assert_each_as_alone(table, 3000.0, 200.0, 0.64, radius)
 
 
@@ -102,9 +126,8 @@ def test_the_series_is_what_is_used(table):
     """The comparisons above would be empty if all rays were integrated one by one."""
     rng = np.random.default_rng(5)
     zeta = rng.uniform(0.0, 60.0, 300) * DEGREE
-    h_c = np.full(300, 3450.0)
     rays = RayColumns(
-        h_c=h_c,
+        h_c=np.full(300, 3450.0),
         h_g=heights_below(rng, 3450.0, 300),
         sin_c=np.sin(zeta),
         cos_c=np.cos(zeta),
@@ -112,8 +135,13 @@ def test_the_series_is_what_is_used(table):
         distance=np.full(300, np.nan),
     )
     status = np.empty(300, np.uint8)
-    bend_steep_rays(table.fine, rays, np.empty(300), status)
-    assert set(status.tolist()) == {OK}
+    bend_steep_rays(
+        table.fine,
+        rays,
+        np.empty(300),
+        status,
+    )
+    assert (status == OK).all()
 
 
 @pytest.mark.parametrize(
@@ -127,62 +155,65 @@ def test_the_series_is_what_is_used(table):
     ],
 )
 def test_inversions_against_an_independent_ode(h_c, h_g, degrees):
-    profile = inversions()
-    zeta = degrees * DEGREE
-
-    def index(h):
-        return 1.0 + float(profile.refractivity(h))
-
-    kinks = profile.break_heights_m.tolist()
-    expected = ray_angle_sphere(index, h_c, h_g, zeta, RADIUS, breaks=kinks)
-    angle = refraction_angle(profile, h_c, h_g, zeta)
+    ray = (inversions(), h_c, h_g, degrees * DEGREE)
     # The rounding of n in the ODE is larger than the kernel's error.
-    assert angle / ARCSEC == pytest.approx(expected / ARCSEC, abs=2e-9)
+    assert_near(arcsec(*ray), integrated_arcsec(*ray), 2e-9)
 
 
 @pytest.mark.parametrize("degrees", [30.0, 80.0])
 @pytest.mark.parametrize("end", ["camera", "target"])
 def test_nothing_jumps_where_layers_meet(table, end, degrees):
     """A hundredth of a millimetre on either side of boundaries."""
-    edge = table.edge_m[(table.edge_m > -400.0) & (table.edge_m < 14_000.0)][::7]
+    edges = table.edge_m
+    inside = (edges > -400.0) & (edges < 14_000.0)
+    edge = edges[inside][::7]
     beside = edge + np.array([[-1e-5], [0.0], [1e-5]])
-    heights = (beside, edge - 350.0) if end == "camera" else (edge + 350.0, beside)
-    below, at_edge, above = bent(table, *heights, degrees * DEGREE)[0]
-    inside = np.isfinite(below) & np.isfinite(above)
-    assert inside.sum() > 3
-    # The slope may change at a boundary, the value not.
-    jump = np.abs(above - 2.0 * at_edge + below)
-    assert np.all((jump <= 1e-7 * np.abs(at_edge) + 1e-16)[inside])
-
-
-FAR = [
-    (1000.0, 990.0, 89.4),
-    (1000.0, 700.0, 89.2),
-    (6000.0, 5000.0, 88.6),
-    (300.0, 299.9, 89.7),
-]
-
-
-@pytest.mark.parametrize(("h_c", "h_g", "degrees"), FAR)
-def test_the_slant_range_says_which_crossing_is_meant(truth, h_c, h_g, degrees):
-    exact = truth(40)
     zeta = degrees * DEGREE
-    near = exact.crossing(h_c, h_g, zeta)
-    far = exact.crossing(h_c, h_g, zeta, beyond=True)
+    if end == "camera":
+        r_c, _ = bent(table, beside, edge - 350.0, zeta)
+    else:
+        r_c, _ = bent(table, edge + 350.0, beside, zeta)
+    has_angle = np.isfinite(r_c[[0, 2]]).all(axis=0)
+    assert has_angle.sum() > 3
+    # The slope may change at a boundary, the value not.
+    below, at_edge, above = r_c[:, has_angle]
+    jump = np.abs(above - 2.0 * at_edge + below)
+    assert np.all(jump <= 1e-7 * np.abs(at_edge) + 1e-16)
+
+
+@pytest.mark.parametrize(
+    ("h_c", "h_g", "degrees"),
+    [
+        (1000.0, 990.0, 89.4),
+        (1000.0, 700.0, 89.2),
+        (6000.0, 5000.0, 88.6),
+        (300.0, 299.9, 89.7),
+    ],
+)
+def test_the_slant_range_says_which_crossing_is_meant(h_c, h_g, degrees):
+    exact = ExactRays(40)
+    zeta = degrees * DEGREE
+    ray = (h_c, h_g, zeta)
+    near = exact.crossing(*ray)
+    far = exact.crossing(*ray, beyond=True)
     assert far.distance_m > 1.5 * near.distance_m
-    distance = [math.nan, near.distance_m * 1.05, far.distance_m * 0.95]
-    table = ray_table(standard_atmosphere("us1976", index="gyer"))
-    sine = math.sin(zeta)
-    cosine = math.cos(zeta)
-    r_c, status = bend(table, h_c, h_g, sine, cosine, radius=RADIUS, distance=distance)
+    distance = [
+        math.nan,
+        near.distance_m * 1.05,
+        far.distance_m * 0.95,
+    ]
+
+    r_c, status = bent(TABLE, *ray, distance=distance)
+
     assert status.tolist() == [BEYOND_GRAZING, OK, FAR_BRANCH]
     expected = [near.r_c_arcsec, near.r_c_arcsec, far.r_c_arcsec]
     # Reached: 2e-9 arcsec; the lowest point keeps 1e-13 m of its height.
-    assert_near(r_c / ARCSEC, expected, atol=1e-7)
+    assert_near(r_c / ARCSEC, expected, 1e-7)
 
 
 def test_a_slant_range_changes_nothing_where_there_is_one_crossing(table):
-    plain, _ = bend(table, 3000.0, 100.0, 0.6, 0.8, radius=RADIUS)
-    ranged, status = bend(table, 3000.0, 100.0, 0.6, 0.8, radius=RADIUS, distance=1e6)
+    ray = (table, 3000.0, 100.0, 0.64)
+    plain, _ = bent(*ray)
+    ranged, status = bent(*ray, distance=1e6)
     assert plain == ranged
     assert status == OK

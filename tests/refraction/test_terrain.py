@@ -1,13 +1,14 @@
 """Rays over a terrain, against steps of an integrated ray on the ellipsoid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyproj
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from tests.refraction.array_terrain import ArrayTerrain
-from tests.refraction.comparing import assert_near
+from tests.refraction.comparing import assert_close, assert_near
+from tests.refraction.images import DOWN, looking
 from unbend.atmosphere import standard_atmosphere
 from unbend.geodesy import enu_from_ecef
 from unbend.refraction import Camera, Exposures, correct_observations, ray_table
@@ -16,9 +17,16 @@ from unbend.refraction.terrain_heights import terrain_heights
 
 AIR = standard_atmosphere("us1976")
 TABLE = ray_table(AIR)
-CAMERA = Camera(20_000, 20_000, 2_500.0, 2_500.0, 10_000.0, 10_000.0)  # to 76 deg off the axis
-DOWN = np.diag([1.0, -1.0, -1.0])
-TO_THE_EAST = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+CAMERA = Camera(  # to 76 deg off the axis
+    20_000,
+    20_000,
+    2_500.0,
+    2_500.0,
+    10_000.0,
+    10_000.0,
+)
+TO_THE_EAST = looking(90.0, azimuth_deg=90.0)
+EAST = 0.5 * np.pi  # azimuth [rad]
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 TO_GEODETIC = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)
 STEP = 1.0 / 1200.0  # 3 arcsec
@@ -40,18 +48,24 @@ def surface_of(terrain, lon, lat):
     j = np.floor(column).astype(int)
     south = row - i
     east = column - j
-    upper = (1 - east) * terrain.stored(i, j) + east * terrain.stored(i, j + 1)
-    lower = (1 - east) * terrain.stored(i + 1, j) + east * terrain.stored(i + 1, j + 1)
-    return (1 - south) * upper + south * lower
+
+    def between_columns(i):
+        west_node = terrain.stored(i, j)
+        east_node = terrain.stored(i, j + 1)
+        return (1 - east) * west_node + east * east_node
+
+    return (1 - south) * between_columns(i) + south * between_columns(i + 1)
 
 
 def ecef_of(lon_deg, lat_deg, height_m):
-    return np.stack(TO_ECEF.transform(lon_deg, lat_deg, height_m), axis=-1)
+    xyz = TO_ECEF.transform(lon_deg, lat_deg, height_m)
+    return np.stack(xyz, axis=-1)
 
 
 def geodetic_of(ecef):
     """Longitude, latitude [deg] and height [m] (..., 3) of places."""
-    return np.stack(TO_GEODETIC.transform(*np.moveaxis(ecef, -1, 0)), axis=-1)
+    lon_lat_h = TO_GEODETIC.transform(*np.moveaxis(ecef, -1, 0))
+    return np.stack(lon_lat_h, axis=-1)
 
 
 def in_ecef(lat_deg, lon_deg, enu):
@@ -60,82 +74,81 @@ def in_ecef(lat_deg, lon_deg, enu):
     return np.einsum("nk,nkc->nc", enu, axes)
 
 
-def slope(place, momentum):
-    """Derivatives of place and of n times the direction along a ray: grad n over the ellipsoid."""
+def slopes(_, state):
+    """Derivatives of places and of n times directions along rays: grad n over the ellipsoid."""
+    place, momentum = state.reshape(2, -1, 3)
     lon, lat, h = geodetic_of(place).T
     h = np.clip(h, -900.0, 40_000.0)
     n = 1.0 + AIR.refractivity(h)
-    gradient = np.zeros(place.shape)
-    gradient[:, 2] = AIR.refractivity(h + 0.5) - AIR.refractivity(h - 0.5)
-    return momentum / n[:, None], in_ecef(lat, lon, gradient)
+    per_m = AIR.refractivity(h + 0.5) - AIR.refractivity(h - 0.5)
+    up = enu_from_ecef(np.radians(lat), np.radians(lon))[:, 2]
+    velocity = momentum / n[:, None]
+    gradient = per_m[:, None] * up
+    return np.stack([velocity, gradient]).ravel()
 
 
-def runge_kutta(place, momentum, step):
-    """Place and momentum (n, 3) one step farther."""
-    v_1, f_1 = slope(place, momentum)
-    v_2, f_2 = slope(place + 0.5 * step * v_1, momentum + 0.5 * step * f_1)
-    v_3, f_3 = slope(place + 0.5 * step * v_2, momentum + 0.5 * step * f_2)
-    v_4, f_4 = slope(place + step * v_3, momentum + step * f_3)
-    end = place + step / 6.0 * (v_1 + 2.0 * v_2 + 2.0 * v_3 + v_4)
-    return end, momentum + step / 6.0 * (f_1 + 2.0 * f_2 + 2.0 * f_3 + f_4)
+class IntegratedRays:
+    """Rays through the air, by d(n t)/ds = grad n, to where all have left the land."""
 
+    def __init__(self, terrain, lat, lon, height, direction):
+        place = ecef_of(lon, lat, height)
+        n_c = 1.0 + AIR.refractivity(height)
+        momentum = n_c[:, None] * in_ecef(lat, lon, direction)
+        to_lowest_land = (height + 600.0) / -direction[:, 2]
+        self.terrain = terrain
+        self.count = len(place)
+        self.length_m = to_lowest_land.max()
+        self.solution = solve_ivp(
+            slopes,
+            (0.0, self.length_m),
+            np.stack([place, momentum]).ravel(),
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-6,
+            dense_output=True,
+        )
 
-def cubic(share, ends, velocities):
-    """Points (n, k, 3) at shares (n, k) of a step, from both ends of it and the slopes there."""
-    s = share[..., None]
-    p_0, p_1 = ends[:, :, None]
-    v_0, v_1 = velocities[:, :, None]
-    from_start = (1 + 2 * s) * (1 - s) ** 2 * p_0 + s * (1 - s) ** 2 * v_0
-    return from_start + s * s * (3 - 2 * s) * p_1 + s * s * (s - 1) * v_1
+    def points(self, length_m, rows):
+        """Lon, lat [deg] and height [m] (n, k, 3) of some rays at lengths (k,)."""
+        state = self.solution.sol(length_m)
+        places = state.reshape(2, -1, 3, length_m.size)[0, rows]
+        return geodetic_of(np.moveaxis(places, 1, -1))
 
+    def over_terrain(self, length_m, rows):
+        """Heights (n, k) over the terrain; NaN beside it."""
+        lon, lat, h = np.moveaxis(self.points(length_m, rows), -1, 0)
+        return h - surface_of(self.terrain, lon, lat)
 
-def marched(terrain, lat_deg, lon_deg, height_m, direction, *, step=40.0, looks=20):
-    """First points (n, 3) of rays under the terrain: lon, lat [deg], height [m].
+    def crossing(self, row, low, high):
+        """Where a ray goes under the terrain, between two lengths."""
 
-    Runge and Kutta's steps of d(n t)/ds = grad n over the ellipsoid; between them cubic pieces,
-    looked at ``looks`` times a step and then halved.
-    """
+        def over(length_m):
+            return self.over_terrain(np.array([length_m]), [row])[0, 0]
 
-    def is_under(points):
-        lon, lat, h = np.moveaxis(geodetic_of(points), -1, 0)
-        return h < surface_of(terrain, lon, lat)
+        length_m = np.array([brentq(over, low, high)])
+        return self.points(length_m, [row])[0, 0]
 
-    def halved(high, ends, velocities):
-        low = high - 1.0 / looks
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            inside = is_under(cubic(middle[:, None], ends, velocities))[:, 0]
-            high = np.where(inside, middle, high)
-            low = np.where(inside, low, middle)
-        return geodetic_of(cubic(high[:, None], ends, velocities)[:, 0])
-
-    place = ecef_of(lon_deg, lat_deg, height_m)
-    n_c = 1.0 + AIR.refractivity(np.asarray(height_m))
-    momentum = n_c[:, None] * in_ecef(lat_deg, lon_deg, direction)
-    landed = np.full(place.shape, np.nan)
-    rows = np.arange(len(place))  # that are still on their way
-    while rows.size:
-        end, end_momentum = runge_kutta(place, momentum, step)
-        ends = np.stack([place, end])
-        velocities = step * np.stack([slope(place, momentum)[0], slope(end, end_momentum)[0]])
-        share = np.tile(np.linspace(0.0, 1.0, looks + 1), (rows.size, 1))
-        under = is_under(cubic(share, ends, velocities))
-        hit = under.any(axis=1)
-        if hit.any():
-            first = np.argmax(under[hit], axis=1)
-            landed[rows[hit]] = halved(first / looks, ends[:, hit], velocities[:, hit])
-        goes_on = ~hit & (geodetic_of(end)[:, 2] > -600.0)
-        rows = rows[goes_on]
-        place = end[goes_on]
-        momentum = end_momentum[goes_on]
-    return landed
+    def landed(self, look_m):
+        """First points (n, 3) under the terrain, which is looked for every so many metres."""
+        landed = np.full((self.count, 3), np.nan)
+        for start in np.arange(0.0, self.length_m, 100.0 * look_m):
+            looks = start + look_m * np.arange(101)
+            on_their_way = np.flatnonzero(np.isnan(landed[:, 0]))
+            if not on_their_way.size:
+                break
+            under = self.over_terrain(looks, on_their_way) < 0.0
+            for row, is_under in zip(on_their_way, under, strict=True):
+                if is_under.any():
+                    high = looks[np.argmax(is_under)]
+                    landed[row] = self.crossing(row, high - look_m, high)
+        return landed
 
 
 def direction_of(zeta, azimuth):
     """Unit vectors (n, 3) east, north, up at a nadir angle and an azimuth [rad]."""
     east = np.sin(zeta) * np.sin(azimuth)
     north = np.sin(zeta) * np.cos(azimuth)
-    return np.stack([east, north, -np.cos(zeta) + 0.0 * azimuth], axis=1)
+    return np.stack([east, north, -np.cos(zeta)], axis=1)
 
 
 def rays_from(count, lat, lon, span, heights, seed):
@@ -143,10 +156,11 @@ def rays_from(count, lat, lon, span, heights, seed):
     rng = np.random.default_rng(seed)
     lat = lat + rng.uniform(-span, span, count)
     lon = lon + rng.uniform(-span, span, count)
+    lon = (lon + 180.0) % 360.0 - 180.0
     height = rng.uniform(*heights, count)
     zeta = np.radians(rng.uniform(0.0, 74.5, count))
-    direction = direction_of(zeta, rng.uniform(-np.pi, np.pi, count))
-    return lat, (lon + 180.0) % 360.0 - 180.0, height, direction
+    azimuth = rng.uniform(-np.pi, np.pi, count)
+    return lat, lon, height, direction_of(zeta, azimuth)
 
 
 def exposures_at(lat_deg, height_m, rotation=DOWN):
@@ -180,35 +194,61 @@ def heights_at(terrain, x, y, exposures, lat_deg, lon_deg, **options):
 def landing(terrain, lat, lon, height, direction, **options):
     """Where one ray from each camera lands, and its pixel, row and exposure."""
     u, v, w = DOWN @ direction.T
-    x = CAMERA.fx_px * u / w + CAMERA.cx_px
-    y = CAMERA.fy_px * v / w + CAMERA.cy_px
+    x = CAMERA.cx_px + CAMERA.fx_px * u / w
+    y = CAMERA.cy_px + CAMERA.fy_px * v / w
     exposures = exposures_at(lat, height)
-    heights = heights_at(terrain, x, y, exposures, lat, lon, **options)
+    heights = heights_at(
+        terrain,
+        x,
+        y,
+        exposures,
+        lat,
+        lon,
+        **options,
+    )
     return heights, (x, y, np.arange(len(x)), exposures)
 
 
 def ends_of(lat, lon, height, direction, distance_m, r_c_rad):
     """Ends of the straight chords to where rays land: lon, lat [deg], height [m]."""
-    zeta = np.arccos(-direction[:, 2]) - r_c_rad
-    azimuth = np.arctan2(direction[:, 0], direction[:, 1])
+    east, north, up = direction.T
+    zeta = np.arccos(-up) - r_c_rad
+    azimuth = np.arctan2(east, north)
     chord = distance_m[:, None] * direction_of(zeta, azimuth)
-    return geodetic_of(ecef_of(lon, lat, height) + in_ecef(lat, lon, chord))
+    camera = ecef_of(lon, lat, height)
+    return geodetic_of(camera + in_ecef(lat, lon, chord))
 
 
 @pytest.mark.parametrize(
     ("lat", "lon", "grid"),
     [
         (46.5, 8.0, {"west": 8.0 - 750 * STEP}),
-        # The date line lies in the middle, and the grid goes round the earth.
+        # The date line is in the middle, and the grid goes round the earth.
         (-17.0, 180.0, {"west": -180.0, "around": 432_000, "first": -750}),
     ],
 )
 def test_rays_land_where_an_integrated_ray_does(lat, lon, grid):
     heights = relief(1500, 1500)
-    terrain = ArrayTerrain(heights, lat + 750 * STEP, step_lat=STEP, step_lon=STEP, **grid)
-    rays = rays_from(500, lat, lon, 0.1, (3_000.0, 10_000.0), 1)
-    truth = marched(terrain, *rays)
+    north = lat + 750 * STEP
+    terrain = ArrayTerrain(
+        heights,
+        north,
+        step_lat=STEP,
+        step_lon=STEP,
+        **grid,
+    )
+    rays = rays_from(
+        500,
+        lat,
+        lon,
+        0.1,
+        (3_000.0, 10_000.0),
+        seed=1,
+    )
+    landed = IntegratedRays(terrain, *rays).landed(look_m=2.0)
+
     landings, (x, y, rows, exposures) = landing(terrain, *rays)
+
     assert set(landings.status.tolist()) == {OK, SEVERAL_CROSSINGS}
     assert (landings.status == SEVERAL_CROSSINGS).sum() >= 5
 
@@ -225,14 +265,16 @@ def test_rays_land_where_an_integrated_ray_does(lat, lon, grid):
         return corrections.r_c_rad
 
     r_c = r_c_to(landings.h_m)
-    ends = ends_of(*rays, landings.distance_m, r_c)
+    lon_end, lat_end, _ = ends_of(*rays, landings.distance_m, r_c).T
+    lon_landed, lat_landed, h_landed = landed.T.copy()
     geod = pyproj.Geod(ellps="WGS84")
-    _, _, apart_m = geod.inv(ends[:, 0], ends[:, 1], truth[:, 0], truth[:, 1])
+    _, _, apart_m = geod.inv(lon_end, lat_end, lon_landed, lat_landed)
     assert np.max(apart_m) < 0.1
-    np.testing.assert_allclose(r_c, r_c_to(truth[:, 2].copy()), rtol=1e-4)
+    assert_close(r_c, r_c_to(h_landed), rtol=1e-4)
+
     # Straight rays would land elsewhere.
     straight, _ = landing(terrain, *rays, ideal=True)
-    assert np.nanmax(np.abs(straight.h_m - truth[:, 2])) > 0.5
+    assert np.nanmax(np.abs(straight.h_m - h_landed)) > 0.5
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["away from the camera", "towards it"])
@@ -242,24 +284,44 @@ def test_the_error_of_a_landing_on_a_slope(sign):
     cell_m = np.radians(STEP) * 6_378_137.0 * np.cos(np.radians(1e-3))  # at the equator
     column = np.tile(np.arange(400), (400, 1))
     heights = (2_000.0 - fall * cell_m * (column - 192)).astype(np.float32)
-    plane = ArrayTerrain(heights, 0.16, -0.16, STEP, STEP)
+    plane = ArrayTerrain(
+        heights,
+        north=0.16,
+        west=-0.16,
+        step_lat=STEP,
+        step_lon=STEP,
+    )
     zeta = np.radians(np.linspace(1.0, 70.0, 60))
-    nothing = np.zeros(60)
-    direction = direction_of(zeta, sign * 0.5 * np.pi)
-    landings, _ = landing(plane, nothing, nothing, np.full(60, 3_500.0), direction)
+    direction = direction_of(zeta, np.full(60, sign * EAST))
+    lat = np.zeros(60)
+    lon = np.zeros(60)
+    height = np.full(60, 3_500.0)
+
+    landings, _ = landing(plane, lat, lon, height, direction)
+
     assert (landings.status == OK).all()
     expected = 1.0 / (1.0 - sign * fall * np.tan(zeta))
-    np.testing.assert_allclose(landings.factor, expected, rtol=0.01)
+    assert_close(landings.factor, expected, rtol=0.01)
 
 
 def test_the_error_of_a_landing_is_what_raising_the_terrain_does():
-    rays = rays_from(300, 46.5, 8.0, 0.1, (3_000.0, 10_000.0), 2)
+    rays = rays_from(
+        300,
+        46.5,
+        8.0,
+        0.1,
+        (3_000.0, 10_000.0),
+        seed=2,
+    )
     heights = relief(1500, 1500, cliffs=False)
+    north = 46.5 + 750 * STEP
+    west = 8.0 - 750 * STEP
 
     def raised_by(metres):
         raised = heights + np.float32(metres)
-        terrain = ArrayTerrain(raised, 46.5 + 750 * STEP, 8.0 - 750 * STEP, STEP, STEP)
-        return landing(terrain, *rays)[0]
+        terrain = ArrayTerrain(raised, north, west, STEP, STEP)
+        landings, _ = landing(terrain, *rays)
+        return landings
 
     low = raised_by(-0.25)
     high = raised_by(0.25)
@@ -288,14 +350,30 @@ def test_a_ray_that_rises_comes_to_an_end():
 
     All but the last leave it before they are higher than any land may be.
     """
-    terrain = CountedTerrain(relief(600, 600, cliffs=False), 46.5, 8.0, STEP, STEP)
+    terrain = CountedTerrain(
+        relief(600, 600, cliffs=False),
+        46.5,
+        8.0,
+        STEP,
+        STEP,
+    )
+    lat = np.full(4, 46.3)
     lon = np.array([7.9, 8.6, 8.2, 8.2])
     height = np.array([2500.0, 2500.0, 2500.0, 50.0])
-    lat = np.full(4, 46.3)
     exposures = exposures_at(lat, height, TO_THE_EAST)
     x = np.full(4, CAMERA.cx_px)
-    y = np.full(4, CAMERA.cy_px - CAMERA.fy_px * np.tan(np.radians(5.0)))
-    landings = heights_at(terrain, x, y, exposures, lat, lon)
+    above_axis_px = CAMERA.fy_px * np.tan(np.radians(5.0))
+    y = np.full(4, CAMERA.cy_px - above_axis_px)
+
+    landings = heights_at(
+        terrain,
+        x,
+        y,
+        exposures,
+        lat,
+        lon,
+    )
+
     assert landings.status.tolist() == [NO_GROUND] * 3 + [MISSES_GROUND]
     assert np.isnan(landings.h_m).all()
 
@@ -304,15 +382,33 @@ def test_nearly_level_rays_reach_high_ground_where_an_integrated_ray_does():
     """From 6500 m onto a plateau at 4000 m, 81 to 87 degrees off the nadir: 16 to 51 km away."""
     down = np.radians([9.0, 6.0, 3.0])
     plateau = np.full((60, 900), 4_000.0, np.float32)
-    terrain = ArrayTerrain(plateau, 46.5 + 30 * STEP, 8.0 - 30 * STEP, STEP, STEP)
+    terrain = ArrayTerrain(
+        plateau,
+        46.5 + 30 * STEP,
+        8.0 - 30 * STEP,
+        STEP,
+        STEP,
+    )
     lat = np.full(3, 46.5)
     lon = np.full(3, 8.0)
     height = np.full(3, 6_500.0)
-    direction = direction_of(0.5 * np.pi - down, np.full(3, 0.5 * np.pi))
-    truth = marched(terrain, lat, lon, height, direction, step=500.0, looks=5)
-    distance_m = np.linalg.norm(ecef_of(*truth.T) - ecef_of(lon, lat, height), axis=1)
+    direction = direction_of(0.5 * np.pi - down, np.full(3, EAST))
+    rays = IntegratedRays(terrain, lat, lon, height, direction)
+    landed = rays.landed(look_m=100.0)
+    way = ecef_of(*landed.T) - ecef_of(lon, lat, height)
     exposures = exposures_at(lat, height, TO_THE_EAST)
+    x = np.full(3, CAMERA.cx_px)
     y = CAMERA.cy_px + CAMERA.fy_px * np.tan(down)
-    landings = heights_at(terrain, np.full(3, CAMERA.cx_px), y, exposures, lat, lon)
+
+    landings = heights_at(
+        terrain,
+        x,
+        y,
+        exposures,
+        lat,
+        lon,
+    )
+
     assert (landings.status == OK).all()
-    assert_near(landings.distance_m, distance_m, atol=0.01)
+    distance_m = np.linalg.norm(way, axis=1)
+    assert_near(landings.distance_m, distance_m, 0.01)

@@ -1,14 +1,14 @@
 """The compartment window against scalar Snell's law with 40 digits."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath as mp
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from tests.helpers import refused
+from tests.refraction.comparing import assert_near
 from unbend.errors import PhysicsError
 from unbend.refraction import Cabin, Window
 from unbend.refraction.window import (
@@ -35,36 +35,57 @@ def unit(*vector):
     ],
 )
 @pytest.mark.parametrize("degrees", [0.0, 1e-3, 20.0, 45.0, 70.0, 85.0])
-@pytest.mark.parametrize("normal", [OPTICAL_AXIS, unit(0.2, -0.1, 1.0), unit(0.0, 1.0, 0.3)])
+@pytest.mark.parametrize(
+    "normal",
+    [
+        OPTICAL_AXIS,
+        unit(0.2, -0.1, 1.0),
+        unit(0.0, 1.0, 0.3),
+    ],
+)
 def test_against_scalar_snell(normal, degrees, cabin, outside):
     # A ray at the angle from the normal, in some plane through it.
     across = unit(*np.cross(normal, [0.3, 0.7, -0.2]))
     zeta = math.radians(degrees)
     ray = math.cos(zeta) * normal + math.sin(zeta) * across
+
     change, r_cc = refract_at_window(ray[None], cabin, outside, normal)
+
     with mp.workdps(40):
-        sine = mp.norm(mp.matrix(np.cross(ray, normal).tolist()))
-        inside = mp.atan2(sine, mp.mpf(float(ray @ normal)))
+        sine = mp.norm(np.cross(ray, normal).tolist())
+        inside = mp.atan2(sine, float(ray @ normal))
         bent = mp.asin(mp.sin(inside) * (1 + mp.mpf(cabin)) / (1 + mp.mpf(outside)))
         expected = float(bent - inside)
     # The cosine of the oracle's angle is known to 1e-16.
-    assert r_cc[0] == pytest.approx(expected, abs=2e-17 + 1e-11 * abs(expected))
+    assert_near(r_cc[0], expected, 2e-17 + 1e-11 * abs(expected))
     out = ray + change[0]
-    assert np.linalg.norm(out) == pytest.approx(1.0, abs=4e-16)
+    assert_near(np.linalg.norm(out), 1.0, 4e-16)
     # In the plane of incidence, at the angle that Snell's law has.
     assert abs(np.dot(out, np.cross(normal, across))) < 1e-15
-    assert math.atan2(out @ across, out @ normal) == pytest.approx(float(bent), abs=4e-16)
+    assert_near(math.atan2(out @ across, out @ normal), float(bent), 4e-16)
 
 
 def test_each_ray_has_its_index_and_its_normal():
-    rays = np.array([unit(0.3, 0.1, 1.0), unit(-0.2, 0.4, 1.0), unit(0.5, 0.0, 1.0)])
-    normals = np.array([unit(0.1, 0.0, 1.0), unit(0.0, -0.3, 1.0), unit(0.0, 0.0, 1.0)])
+    rays = np.array(
+        [
+            unit(0.3, 0.1, 1.0),
+            unit(-0.2, 0.4, 1.0),
+            unit(0.5, 0.0, 1.0),
+        ]
+    )
+    normals = np.array(
+        [
+            unit(0.1, 0.0, 1.0),
+            unit(0.0, -0.3, 1.0),
+            unit(0.0, 0.0, 1.0),
+        ]
+    )
     cabin = np.array([CABIN, 0.0, OUTSIDE])
     change, r_cc = refract_at_window(rays, cabin, OUTSIDE, normals)
     for i in range(3):
-        alone, angle = refract_at_window(rays[i : i + 1], cabin[i], OUTSIDE, normals[i])
-        np.testing.assert_array_equal(change[i], alone[0])
-        assert r_cc[i] == angle[0]
+        alone, angle = refract_at_window(rays[[i]], cabin[i], OUTSIDE, normals[i])
+        assert_array_equal(change[[i]], alone)
+        assert_array_equal(r_cc[[i]], angle)
     assert np.sign(r_cc).tolist() == [1.0, -1.0, 0.0]
     assert not change[2].any()
 
@@ -77,10 +98,19 @@ def test_total_reflection_is_nan():
 
 @pytest.mark.parametrize("cabin", [CABIN, OUTSIDE, 0.0])
 def test_a_ray_along_the_window_or_from_outside_has_no_number(cabin):
-    rays = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], unit(0.5, 0.0, -1.0), [0.0, 0.0, -1.0]])
+    rays = np.array(
+        [
+            [0.0, 0.0, 1.0],
+            [1.0, 0.0, 0.0],
+            unit(0.5, 0.0, -1.0),
+            [0.0, 0.0, -1.0],
+        ]
+    )
     change, r_cc = refract_at_window(rays, cabin, OUTSIDE)
-    assert np.isnan(r_cc).tolist() == [False, True, True, True]
-    assert np.isnan(change).all(axis=1).tolist() == [False, True, True, True]
+    assert np.isfinite(r_cc[0])
+    assert np.isfinite(change[0]).all()
+    assert np.isnan(r_cc[1:]).all()
+    assert np.isnan(change[1:]).all()
 
 
 def test_the_schedule_is_gyers():
@@ -88,7 +118,7 @@ def test_the_schedule_is_gyers():
     outside = np.array([101_325.0, 79_500.0, 70_121.0, 70_119.0, 26_500.0])
     expected = [101_325.0, 79_500.0, 70_121.0, 70_120.0, 70_120.0]
     assert scheduled_pressure(outside) == pytest.approx(expected)
-    assert pytest.approx((70.0 + 459.67) / 1.8, abs=2e-3) == SCHEDULE_TEMPERATURE_K
+    assert_near(SCHEDULE_TEMPERATURE_K, (70.0 + 459.67) / 1.8, 2e-3)
 
 
 @pytest.mark.parametrize(
