@@ -13,10 +13,11 @@ import pyproj
 from pyarrow.csv import ConvertOptions, read_csv
 from scipy.spatial.transform import Rotation
 
+from tests.helpers import with_code
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.flight.stations import Stations, empty_stations
-from unbend.messages import Ledger
+from unbend.messages import Ledger, Message
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
 from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
@@ -35,7 +36,8 @@ def ecef_of(lon, lat, h) -> np.ndarray:
 
 def enu_axes(lon: float, lat: float) -> np.ndarray:
     """(3, 3) from earth-centred axes to east, north, up."""
-    return Rotation.from_euler("ZX", [90.0 + lon, 90.0 - lat], degrees=True).as_matrix().T
+    to_ecef = Rotation.from_euler("ZX", [90.0 + lon, 90.0 - lat], degrees=True)
+    return to_ecef.as_matrix().T
 
 
 def rotation_to_photo(angles: pd.Series) -> np.ndarray:
@@ -128,9 +130,9 @@ class Written:
         """Kind, code and count of each message."""
         return [(message.kind, message.code, message.count) for message in self.ledger]
 
-    def message(self, code: str):
+    def message(self, code: str) -> Message:
         """The only message of this code."""
-        (message,) = [message for message in self.ledger if message.code == code]
+        (message,) = with_code(self.ledger, code)
         return message
 
     def table(self) -> pd.DataFrame:
