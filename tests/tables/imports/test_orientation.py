@@ -21,17 +21,16 @@ NAMES = {
     "phi": "p",
     "kappa": "k",
 }
-OPK = ("omega", "phi", "kappa")
 HEAD = "image,lat,lon,h,o,p,k\n"
 ROW = "a,47.5,8.5,3000.5,1.0,-2.0,90.0\n"
 
 
-def read(tmp_path, text: str, names=NAMES, angles=OPK, unit: str = "deg"):
+def read(tmp_path, text: str, names=NAMES, unit: str = "deg"):
     path = tmp_path / "block.csv"
     path.write_text(text, encoding="utf-8")
-    columns = {n: c for n, c in names.items() if n not in OPK} | {n: names[n] for n in angles}
+    stated = Stated(columns=names, angle_unit=unit)
     ledger = Ledger()
-    table = read_orientation(path, Stated(columns=columns, angle_unit=unit), ledger)
+    table = read_orientation(path, stated, ledger)
     return table, tuple(ledger)
 
 
@@ -51,21 +50,35 @@ def refusal(tmp_path, text: str, code: str, **options) -> UnbendError:
     ],
 )
 def test_angles_in_each_unit_are_radians(tmp_path, unit, numbers):
-    table, notes = read(tmp_path, f"{HEAD}a,47.5,8.5,3000.5,{numbers}\n", unit=unit)
+    text = f"{HEAD}a,47.5,8.5,3000.5,{numbers}\n"
+
+    table, notes = read(tmp_path, text, unit=unit)
+
     assert np.degrees(table.angles[0]) == pytest.approx([10.0, 20.0, 90.0], abs=1e-8)
-    assert table.position[0] == pytest.approx([np.radians(47.5), np.radians(8.5), 3000.5])
+    lat_rad, lon_rad, height_m = table.position[0]
+    assert lat_rad == pytest.approx(np.radians(47.5))
+    assert lon_rad == pytest.approx(np.radians(8.5))
+    assert height_m == 3000.5
     assert table.time_ns.tolist() == [NO_TIME]
     assert table.camera is None
     assert notes == ()
 
 
 def test_semicolons_the_camera_the_sigmas_and_the_time(tmp_path):
-    names = NAMES | {"camera": "c", "time_utc": "t", "sigma_tilt": "st", "sigma_height_m": "sh"}
-    head = "image;lat;lon;h;o;p;k;c;t;st;sh\n"
-    text = head + "a;47.5;8.5;3000;0;0;0;left;2026-05-14T10:00:00.25Z;0.5;0.1\n"
-    text += "b;47.5;8.5;3000;0;0;0;right;later;;\n"
+    names = NAMES | {
+        "camera": "c",
+        "time_utc": "t",
+        "sigma_tilt": "st",
+        "sigma_height_m": "sh",
+    }
+    text = (
+        "image;lat;lon;h;o;p;k;c;t;st;sh\n"
+        "a;47.5;8.5;3000;0;0;0;left;2026-05-14T10:00:00.25Z;0.5;0.1\n"
+        "b;47.5;8.5;3000;0;0;0;right;later;;\n"
+    )
+
     table, notes = read(tmp_path, text, names)
-    assert table.camera is not None
+
     assert table.camera.tolist() == ["left", "right"]
     assert table.time_ns.tolist() == [1_778_752_800_250_000_000, NO_TIME]
     assert table.sigmas["sigma_tilt_rad"] == pytest.approx([np.radians(0.5), np.nan], nan_ok=True)
@@ -79,7 +92,10 @@ def test_semicolons_the_camera_the_sigmas_and_the_time(tmp_path):
 
 def test_gps_week_and_seconds(tmp_path):
     names = NAMES | {"gps_week": "w", "gps_seconds": "s"}
-    table, _ = read(tmp_path, HEAD[:-1] + ",w,s\n" + ROW[:-1] + ",2200,18.5\n", names)
+    text = f"{HEAD.strip()},w,s\n{ROW.strip()},2200,18.5\n"
+
+    table, _ = read(tmp_path, text, names)
+
     # 2022-03-06 00:00:00 of GPS is the start of week 2200, 18 s ahead of UTC.
     assert table.time_ns.tolist() == [1_646_524_800_500_000_000]
 
@@ -91,7 +107,8 @@ def test_what_is_empty_is_unknown(tmp_path):
 
 
 def test_a_column_that_is_not_there(tmp_path):
-    error = refusal(tmp_path, HEAD.replace(",k", ",kap") + ROW, "ORIENTATION-COLUMN")
+    text = HEAD.replace(",k", ",kap") + ROW
+    error = refusal(tmp_path, text, "ORIENTATION-COLUMN")
     assert "stations.orientation.columns.kappa" in error.remedy
 
 
@@ -108,8 +125,10 @@ def test_a_column_that_is_not_there(tmp_path):
     ],
 )
 def test_every_form_of_a_table_is_the_same_table(tmp_path, text):
-    table, entries = read(tmp_path, text)
     plain, _ = read(tmp_path, HEAD + ROW)
+
+    table, entries = read(tmp_path, text)
+
     assert table.image.tolist() == ["a"]
     assert table.position == pytest.approx(plain.position)
     assert table.angles == pytest.approx(plain.angles)
@@ -117,22 +136,31 @@ def test_every_form_of_a_table_is_the_same_table(tmp_path, text):
 
 
 def test_commas_that_may_be_thousands_are_refused(tmp_path):
-    error = refusal(tmp_path, HEAD + 'a,47.5,8.5,"3,000",1,-2,90\n', "ORIENTATION-NUMBER")
+    text = HEAD + 'a,47.5,8.5,"3,000",1,-2,90\n'
+    error = refusal(tmp_path, text, "ORIENTATION-NUMBER")
     assert "'3,000'" in error.what
     assert error.where.endswith("line 2")
 
 
 def test_lines_are_counted_from_the_begin_of_the_file(tmp_path):
-    text = "# Cameras\n\n# image, lat, lon, h, o, p, k\n" + ROW + ROW.replace("1.0", "x")
-    assert "4, 5" in refusal(tmp_path, text, "ORIENTATION-REPEATED").what
-    text = text.replace("\na,47.5,8.5,3000.5,x", "\nb,47.5,8.5,3000.5,x")
-    assert refusal(tmp_path, text, "ORIENTATION-NUMBER").where.endswith("line 5")
+    head = "# Cameras\n\n# image, lat, lon, h, o, p, k\n"
+    wrong = ROW.replace("1.0", "x")
+
+    repeated = refusal(tmp_path, head + ROW + wrong, "ORIENTATION-REPEATED")
+    assert "4, 5" in repeated.what
+
+    wrong = wrong.replace("a,", "b,")
+    no_number = refusal(tmp_path, head + ROW + wrong, "ORIENTATION-NUMBER")
+    assert no_number.where.endswith("line 5")
 
 
 def test_columns_of_a_table_without_a_head_have_numbers(tmp_path):
     """As orthority takes it."""
     names = dict(zip(NAMES, "1324567", strict=True))
-    table, _ = read(tmp_path, "a 8.5 47.5 3000.5 1 -2 90\nb 8.6 47.5 3000.5 1 -2 90\n", names)
+    text = "a 8.5 47.5 3000.5 1 -2 90\nb 8.6 47.5 3000.5 1 -2 90\n"
+
+    table, _ = read(tmp_path, text, names)
+
     assert table.image.tolist() == ["a", "b"]
     assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
     error = refusal(tmp_path, "a 8.5 47.5 1\nb 8.6 47.5 2\n", "ORIENTATION-COLUMN")
@@ -140,11 +168,15 @@ def test_columns_of_a_table_without_a_head_have_numbers(tmp_path):
 
 
 def test_the_table_of_opendronemap_has_the_names_of_its_manual(tmp_path):
-    angles = ("roll", "pitch", "yaw")
-    names = {name: name for name in ("image", "latitude", "longitude", "height", *angles)}
-    text = "EPSG:4326\nDJI_0028.JPG -91.99 46.84 198.6 45 -90 2\n"
-    text += "DJI_0032.JPG -91.98 46.84 198.6 45 -90 2\n"
-    table, _ = read(tmp_path, text, names, angles)
+    names = ("image", "latitude", "longitude", "height", "roll", "pitch", "yaw")
+    text = (
+        "EPSG:4326\n"
+        "DJI_0028.JPG -91.99 46.84 198.6 45 -90 2\n"
+        "DJI_0032.JPG -91.98 46.84 198.6 45 -90 2\n"
+    )
+
+    table, _ = read(tmp_path, text, dict(zip(names, names, strict=True)))
+
     assert np.degrees(table.position[0, :2]) == pytest.approx([46.84, -91.99])
     assert np.degrees(table.angles[0]) == pytest.approx([2, -90, 45])
 
@@ -163,7 +195,8 @@ def test_a_table_without_rows_and_none_at_all(tmp_path):
     ],
 )
 def test_angles_of_another_unit_and_columns_of_something_else(tmp_path, kappa, unit, words):
-    error = refusal(tmp_path, HEAD + ROW.replace("90.0", kappa), "ORIENTATION-UNIT", unit=unit)
+    text = HEAD + ROW.replace("90.0", kappa)
+    error = refusal(tmp_path, text, "ORIENTATION-UNIT", unit=unit)
     assert words in error.what
     assert ("is the unit" in error.what) == (words != "")
 
@@ -181,14 +214,25 @@ def test_places_of_a_projection(tmp_path):
 
 
 def test_quaternions_that_are_none(tmp_path):
-    names = {"image": "i", "x": "x", "y": "y", "z": "z"} | {f"q_{a}": f"q{a}" for a in "wxyz"}
-    axes = ("q_w", "q_x", "q_y", "q_z")
+    names = {
+        "image": "i",
+        "x": "x",
+        "y": "y",
+        "z": "z",
+        "q_w": "qw",
+        "q_x": "qx",
+        "q_y": "qy",
+        "q_z": "qz",
+    }
     head = "i,x,y,z,qw,qx,qy,qz\n"
-    table, _ = read(tmp_path, head + "a,1,2,3,0.0,0.6,0.8,0.0003\n", names, axes)
+
+    table, _ = read(tmp_path, head + "a,1,2,3,0.0,0.6,0.8,0.0003\n", names)
+
     assert np.linalg.norm(table.angles[0]) == pytest.approx(1.0, abs=1e-15)
     assert table.position.tolist() == [[1.0, 2.0, 3.0]]
+
     text = head + "a,1,2,3,0,0.6,0.8,0\nb,1,2,3,0.5,0.6,0.8,0\n"
-    error = refusal(tmp_path, text, "ORIENTATION-QUATERNION", names=names, angles=axes)
+    error = refusal(tmp_path, text, "ORIENTATION-QUATERNION", names=names)
     assert error.where.endswith("line 3")
     assert "1.11803" in error.what
 
@@ -196,10 +240,18 @@ def test_quaternions_that_are_none(tmp_path):
 def test_known_positions(tmp_path):
     path = tmp_path / "known.csv"
     path.write_text("name,b,l,h\nx,47.0,8.0,2500\n", encoding="utf-8")
-    names = {"image": "name", "latitude": "b", "longitude": "l", "height": "h"}
+    names = {
+        "image": "name",
+        "latitude": "b",
+        "longitude": "l",
+        "height": "h",
+    }
+
     image, position = read_known_positions(path, names)
+
     assert image.tolist() == ["x"]
-    assert position[0] == pytest.approx([np.radians(47.0), np.radians(8.0), 2500.0])
+    assert np.degrees(position[0, :2]) == pytest.approx([47.0, 8.0])
+    assert position[0, 2] == 2500.0
     with refused("ORIENTATION-COLUMN"):
         read_known_positions(path, names | {"height": "hoehe"})
 
@@ -209,20 +261,24 @@ OWN = (
     "sigma_horizontal_m,sigma_height_m,sigma_tilt_deg,sigma_yaw_deg"
 )
 OWN_ROW = "a,nadir,ok,2026-05-01 08:20:30.5Z,47.5,8.5,3000.5,1.0,-2.0,90.0,0.5,0.75,0.01,0.02"
+OWN_TABLE = f"{OWN}\n{OWN_ROW}\n"
 DEFAULTS = {name: name for name in NAMES}
 UNSTATED = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 
 
-def read_by_defaults(tmp_path, text: str, **stated):
-    (tmp_path / "own.csv").write_text(text, encoding="utf-8")
+def read_by_defaults(tmp_path, text: str, **options):
+    path = tmp_path / "own.csv"
+    path.write_text(text, encoding="utf-8")
+    stated = Stated(columns=DEFAULTS, heights="ellipsoid", **options)
     ledger = Ledger()
-    given = Stated(columns=DEFAULTS, heights="ellipsoid", **stated)
-    return read_orientation(tmp_path / "own.csv", given, ledger), ledger
+    return read_orientation(path, stated, ledger), ledger
 
 
 def test_our_own_table_is_read_without_columns(tmp_path):
-    table, ledger = read_by_defaults(tmp_path, f"{OWN}\n{OWN_ROW}\n", unstated=UNSTATED)
     plain, _ = read(tmp_path, HEAD + ROW)
+
+    table, ledger = read_by_defaults(tmp_path, OWN_TABLE, unstated=UNSTATED)
+
     assert table.position == pytest.approx(plain.position)
     assert table.angles == pytest.approx(plain.angles)
     assert table.camera.tolist() == ["nadir"]
@@ -234,14 +290,14 @@ def test_our_own_table_is_read_without_columns(tmp_path):
 
 
 def test_what_is_stated_is_not_taken_from_our_own_table(tmp_path):
-    table, _ = read_by_defaults(tmp_path, f"{OWN}\n{OWN_ROW}\n", unstated=("camera",))
+    table, _ = read_by_defaults(tmp_path, OWN_TABLE, unstated=("camera",))
     assert table.time_ns.tolist() == [NO_TIME]
     assert table.sigmas == {}
 
 
 def test_our_own_table_of_stations_without_times_has_none(tmp_path):
-    row = OWN_ROW.replace("2026-05-01 08:20:30.5Z", "")
-    table, ledger = read_by_defaults(tmp_path, f"{OWN}\n{row}\n", unstated=UNSTATED)
+    text = OWN_TABLE.replace("2026-05-01 08:20:30.5Z", "")
+    table, ledger = read_by_defaults(tmp_path, text, unstated=UNSTATED)
     assert table.time_ns.tolist() == [NO_TIME]
     assert {entry.code for entry in ledger} == {"ORIENTATION-NAMES"}
 
@@ -249,14 +305,17 @@ def test_our_own_table_of_stations_without_times_has_none(tmp_path):
 def test_our_own_table_in_one_frame_says_its_origin(tmp_path):
     names = ",x_m,y_m,z_m,origin_lat_deg,origin_lon_deg,origin_h_ellipsoid_m"
     text = f"{OWN}{names}\n{OWN_ROW},1,2,3,47.25,8.5,400\n"
+
     table, _ = read_by_defaults(tmp_path, text)
-    assert np.degrees([table.frame.lat_rad, table.frame.lon_rad]) == pytest.approx([47.25, 8.5])
+
+    assert np.degrees(table.frame.lat_rad) == pytest.approx(47.25)
+    assert np.degrees(table.frame.lon_rad) == pytest.approx(8.5)
     assert table.frame.h_ellipsoid_m == 400.0
 
 
 @pytest.mark.parametrize("column", ["camera", "status", *OWN.split(",")[-4:]])
 def test_a_table_that_lacks_one_of_our_columns_is_not_our_own(tmp_path, column):
-    text = f"{OWN}\n{OWN_ROW}\n".replace(column, "other")
+    text = OWN_TABLE.replace(column, "other")
     table, _ = read_by_defaults(tmp_path, text, unstated=("time_utc",))
     assert table.time_ns.tolist() == [NO_TIME]
 
@@ -270,7 +329,10 @@ def test_a_table_that_lacks_one_of_our_columns_is_not_our_own(tmp_path, column):
     ],
 )
 def test_usual_names_of_other_programs(tmp_path, head, stated):
-    table, _ = read_by_defaults(tmp_path, f"{head}\na,47.5,8.5,3000.5,1,-2,90\n", **stated)
+    text = f"{head}\na,47.5,8.5,3000.5,1,-2,90\n"
+
+    table, _ = read_by_defaults(tmp_path, text, **stated)
+
     assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
     assert table.image.tolist() == ["a"]
 
