@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from tests.helpers import refused
@@ -18,17 +17,24 @@ def latitudes(path, text: str):
 
 @pytest.mark.parametrize("name", ["lat_ref", "LatRef", "N/S", "lat hemisphere"])
 def test_a_column_of_hemispheres_gives_the_signs(tmp_path, name):
-    rows = "a,33.5,S\nb,33 30 0,South\nc,1.5,N\nd,1.5,\n"
-    values = latitudes(tmp_path / "t.csv", f"image,lat,{name}\n{rows}")
-    assert values == pytest.approx(np.array([-33.5, -33.5, 1.5, 1.5]))
+    text = f"image,lat,{name}\na,33.5,S\nb,33 30 0,South\nc,1.5,N\nd,1.5,\n"
+    values = latitudes(tmp_path / "t.csv", text)
+    assert values.tolist() == pytest.approx([-33.5, -33.5, 1.5, 1.5])
 
 
 def test_another_column_gives_none(tmp_path):
     text = "image,lat,lon_ref,N/S\na,33.5,W,5\nb,34.5,W,6\n"
-    assert latitudes(tmp_path / "t.csv", text).tolist() == [33.5, 34.5]
+    values = latitudes(tmp_path / "t.csv", text)
+    assert values.tolist() == [33.5, 34.5]
 
 
-@pytest.mark.parametrize("text", ["image,lat\na,8.5 E\n", "image,lat,lat_ref\na,-33.5,N\n"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "image,lat\na,8.5 E\n",
+        "image,lat,lat_ref\na,-33.5,N\n",
+    ],
+)
 def test_contradicting_hemispheres_are_refused(tmp_path, text):
     with refused("ORIENTATION-NUMBER"):
         latitudes(tmp_path / "t.csv", text)
@@ -37,6 +43,8 @@ def test_contradicting_hemispheres_are_refused(tmp_path, text):
 def test_comments_between_rows_are_no_rows(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("image,x\na,1\n# second strip\nb,2\n#c,3\n")
+
     table = whole_table(path, ORIENTATION_NUMBER, ("image",))
+
     assert table["image"].tolist() == ["a", "b", "#c"]
     assert table.index.tolist() == [2, 4, 5]
